@@ -1,0 +1,1 @@
+//! Projection-based 3D perception: pose of an unknown object from one stereo pair.

@@ -1,0 +1,43 @@
+//! The coordinate frames of the project, as marker types. `docs/frames.md` gives origin and axes of each.
+
+/// A coordinate frame, known at compile time.
+pub trait Frame: Copy + Send + Sync + 'static {
+    /// The frame's name as it stands in files, logs and documents.
+    const NAME: &'static str;
+}
+
+macro_rules! frames {
+    ($($(#[$doc:meta])* $name:ident = $text:literal;)*) => {
+        $(
+            $(#[$doc])*
+            #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+            pub struct $name;
+            impl Frame for $name {
+                const NAME: &'static str = $text;
+            }
+        )*
+    };
+}
+
+frames! {
+    /// Fixed to the cell, z up.
+    World = "world";
+    /// Base of an arm: z up, x forward.
+    Base = "base";
+    /// Last link of an arm; z along the last joint's axis, away from the arm.
+    Flange = "flange";
+    /// The frame of the hand whose pose is servoed; fixed to the flange.
+    Hand = "hand";
+    /// Left camera: optical centre, x right, y down, z forward.
+    CamLeft = "cam_left";
+    /// Right camera: optical centre, x right, y down, z forward.
+    CamRight = "cam_right";
+    /// Left camera after rectification: same centre as `cam_left`, axes turned so that rows are epipolar lines.
+    CamLeftRect = "cam_left_rect";
+    /// Right camera after rectification.
+    CamRightRect = "cam_right_rect";
+    /// On the target: origin at the model's centre, z along the plane normal away from the cameras.
+    Model = "model";
+    /// The object carried by the target arm, as the simulator describes it.
+    Target = "target";
+}

@@ -1,0 +1,144 @@
+//! Rigid transforms with their frames in the type.
+
+use std::fmt;
+use std::marker::PhantomData;
+use std::ops::Mul;
+
+use nalgebra::{Isometry3, Matrix3, Matrix4, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use crate::frames::Frame;
+
+/// A rigid transform `to_from_from`: maps coordinates in `From` to coordinates in `To`; equally, the pose of `From` in `To`.
+///
+/// Composition is only possible where equal frames meet: `Pose<A, B> * Pose<B, C>` is a `Pose<A, C>`.
+/// Translation in metres.
+pub struct Pose<To: Frame, From: Frame> {
+    isometry: Isometry3<f64>,
+    frames: PhantomData<fn(From) -> To>,
+}
+
+impl<To: Frame, From: Frame> Pose<To, From> {
+    /// Claims that `isometry` maps coordinates in `From` to coordinates in `To`.
+    pub fn from_isometry(isometry: Isometry3<f64>) -> Self {
+        Self { isometry, frames: PhantomData }
+    }
+
+    /// The pose whose origin lies at `translation_m` in `To` and whose axes are turned by `rotation`.
+    pub fn from_parts(translation_m: Vector3<f64>, rotation: UnitQuaternion<f64>) -> Self {
+        Self::from_isometry(Isometry3::from_parts(Translation3::from(translation_m), rotation))
+    }
+
+    /// A pure translation, metres.
+    pub fn from_translation(translation_m: Vector3<f64>) -> Self {
+        Self::from_parts(translation_m, UnitQuaternion::identity())
+    }
+
+    /// Claims that the two frames coincide.
+    pub fn coincident() -> Self {
+        Self::from_isometry(Isometry3::identity())
+    }
+
+    /// From a rotation matrix and a translation in metres; the matrix is re-orthonormalised to the nearest rotation.
+    pub fn from_rotation_matrix(rotation: &Matrix3<f64>, translation_m: Vector3<f64>) -> Self {
+        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix(rotation));
+        Self::from_parts(translation_m, rotation)
+    }
+
+    /// The transform without its frames, for kernels.
+    pub fn isometry(&self) -> &Isometry3<f64> {
+        &self.isometry
+    }
+
+    /// Origin of `From` in `To`, metres.
+    pub fn translation_m(&self) -> Vector3<f64> {
+        self.isometry.translation.vector
+    }
+
+    /// Rotation `to_from_from`.
+    pub fn rotation(&self) -> UnitQuaternion<f64> {
+        self.isometry.rotation
+    }
+
+    /// Rotation `to_from_from` as a matrix.
+    pub fn rotation_matrix(&self) -> Matrix3<f64> {
+        self.isometry.rotation.to_rotation_matrix().into_inner()
+    }
+
+    /// The 4x4 homogeneous matrix, translation in metres.
+    pub fn to_homogeneous(&self) -> Matrix4<f64> {
+        self.isometry.to_homogeneous()
+    }
+
+    /// `from_from_to`.
+    pub fn inverse(&self) -> Pose<From, To> {
+        Pose::from_isometry(self.isometry.inverse())
+    }
+
+    /// Coordinates in `To` of a point given in `From`, metres.
+    pub fn transform_point(&self, point_in_from: &Point3<f64>) -> Point3<f64> {
+        self.isometry.transform_point(point_in_from)
+    }
+
+    /// Coordinates in `To` of a free vector given in `From`.
+    pub fn transform_vector(&self, vector_in_from: &Vector3<f64>) -> Vector3<f64> {
+        self.isometry.transform_vector(vector_in_from)
+    }
+
+    /// Angle of the rotation, radians, 0 to pi.
+    pub fn rotation_angle_rad(&self) -> f64 {
+        self.isometry.rotation.angle()
+    }
+
+    /// Whether every number is finite.
+    pub fn is_finite(&self) -> bool {
+        self.isometry.translation.vector.iter().chain(self.isometry.rotation.coords.iter()).all(|x| x.is_finite())
+    }
+
+    /// The same numbers under other frame names: for a named, stated identification of frames (an arm's `base` with the
+    /// place where this arm stands, say).
+    pub fn relabel<To2: Frame, From2: Frame>(&self) -> Pose<To2, From2> {
+        Pose::from_isometry(self.isometry)
+    }
+}
+
+impl<A: Frame, B: Frame, C: Frame> Mul<Pose<B, C>> for Pose<A, B> {
+    type Output = Pose<A, C>;
+    fn mul(self, rhs: Pose<B, C>) -> Pose<A, C> {
+        let mut isometry = self.isometry * rhs.isometry;
+        isometry.rotation.renormalize_fast();
+        Pose::from_isometry(isometry)
+    }
+}
+
+impl<To: Frame, From: Frame> Clone for Pose<To, From> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<To: Frame, From: Frame> Copy for Pose<To, From> {}
+
+impl<To: Frame, From: Frame> PartialEq for Pose<To, From> {
+    fn eq(&self, other: &Self) -> bool {
+        self.isometry == other.isometry
+    }
+}
+
+impl<To: Frame, From: Frame> fmt::Debug for Pose<To, From> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let t = self.isometry.translation.vector;
+        let r = self.isometry.rotation.scaled_axis();
+        write!(
+            f,
+            "{}_from_{} {{ translation_m: [{}, {}, {}], rotation_vector_rad: [{}, {}, {}] }}",
+            To::NAME,
+            From::NAME,
+            t.x,
+            t.y,
+            t.z,
+            r.x,
+            r.y,
+            r.z
+        )
+    }
+}

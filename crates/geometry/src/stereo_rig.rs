@@ -1,0 +1,102 @@
+//! Two cameras fixed to each other.
+
+use nalgebra::Vector3;
+
+use crate::camera::{Camera, CameraError};
+use crate::frames::{CamLeft, CamRight};
+use crate::pose::Pose;
+
+/// A calibrated stereo pair, not assumed rectified.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StereoRig {
+    left: Camera,
+    right: Camera,
+    cam_right_from_cam_left: Pose<CamRight, CamLeft>,
+}
+
+/// Why a rig was refused.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum StereoRigError {
+    /// The cameras stand at the same place.
+    #[error("baseline is {baseline_m} m: it must be longer than 0.1 mm and shorter than 10 m")]
+    Baseline {
+        /// Distance between the optical centres, metres.
+        baseline_m: f64,
+    },
+    /// Left and right are exchanged.
+    #[error(
+        "the right camera lies {right_by_m} m to the right of the left one: left and right are swapped, or the sign of the translation is wrong"
+    )]
+    Swapped {
+        /// x of the right camera's centre in `cam_left`, metres.
+        right_by_m: f64,
+    },
+    /// A camera was refused.
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+}
+
+impl StereoRig {
+    /// A rig from its cameras and `cam_right_from_cam_left` (maps coordinates in `cam_left` to `cam_right`, metres).
+    ///
+    /// # Errors
+    /// A baseline out of range, or a right camera that lies to the left of the left one.
+    pub fn new(
+        left: Camera,
+        right: Camera,
+        cam_right_from_cam_left: Pose<CamRight, CamLeft>,
+    ) -> Result<Self, StereoRigError> {
+        let rig = Self { left, right, cam_right_from_cam_left };
+        let baseline_m = rig.baseline_m();
+        if !(baseline_m > 1e-4 && baseline_m < 10.0) {
+            return Err(StereoRigError::Baseline { baseline_m });
+        }
+        let right_by_m = rig.right_centre_in_cam_left().x;
+        if right_by_m < 0.5 * baseline_m {
+            return Err(StereoRigError::Swapped { right_by_m });
+        }
+        Ok(rig)
+    }
+
+    /// The left camera.
+    pub fn left(&self) -> &Camera {
+        &self.left
+    }
+
+    /// The right camera.
+    pub fn right(&self) -> &Camera {
+        &self.right
+    }
+
+    /// Maps coordinates in `cam_left` to `cam_right`.
+    pub fn cam_right_from_cam_left(&self) -> &Pose<CamRight, CamLeft> {
+        &self.cam_right_from_cam_left
+    }
+
+    /// Distance between the optical centres, metres.
+    pub fn baseline_m(&self) -> f64 {
+        self.cam_right_from_cam_left.translation_m().norm()
+    }
+
+    /// Optical centre of the right camera in `cam_left`, metres.
+    pub fn right_centre_in_cam_left(&self) -> Vector3<f64> {
+        self.cam_right_from_cam_left.inverse().translation_m()
+    }
+
+    /// Whether rows are epipolar lines and columns differ by disparity alone: no distortion, no rotation, a baseline along
+    /// x, equal fx, fy and cy (cx may differ).
+    pub fn is_rectified(&self) -> bool {
+        use crate::camera::Distortion;
+        let (l, r) = (self.left.pinhole(), self.right.pinhole());
+        let t = self.cam_right_from_cam_left.translation_m();
+        let same = |a: f64, b: f64| (a - b).abs() <= 1e-6 * a.abs().max(1.0);
+        matches!(self.left.distortion(), Distortion::None)
+            && matches!(self.right.distortion(), Distortion::None)
+            && self.cam_right_from_cam_left.rotation_angle_rad() < 1e-9
+            && t.y.abs() <= 1e-9
+            && t.z.abs() <= 1e-9
+            && same(l.fx, r.fx)
+            && same(l.fy, r.fy)
+            && same(l.cy, r.cy)
+    }
+}

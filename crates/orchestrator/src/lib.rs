@@ -1,0 +1,1 @@
+//! The pb3dp program: configuration, wiring, commands.

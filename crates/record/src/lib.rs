@@ -1,0 +1,1 @@
+//! Calibration files, datasets, and reports: readers and writers.

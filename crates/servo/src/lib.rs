@@ -1,0 +1,1 @@
+//! Visual-servo controller: control law and supervisor as step(state, now).

@@ -1,0 +1,1 @@
+//! The simulated cell: scene, rasteriser, arm dynamics, with exact ground truth.

@@ -1,0 +1,143 @@
+//! The arm.
+
+use std::time::Duration;
+
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_kinematics::JointVector;
+
+/// What an arm is, as read back from the device.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ArmInfo {
+    /// For messages: `vs-robot (pa10 mock)`.
+    pub name: String,
+    /// Time between two exchanges that the device expects.
+    pub cycle: Duration,
+}
+
+/// What the arm is asked to do until the next exchange.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum JointCommand {
+    /// Come to rest and stay (ramped by the device's own deceleration); brakes stay open.
+    Hold,
+    /// Move each joint at this velocity, rad/s.
+    Velocity(JointVector),
+}
+
+/// Measured joints.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JointSample {
+    /// When they were measured, on the program's monotonic clock.
+    pub at: MonotonicTime,
+    /// Joint angles, rad, not wrapped.
+    pub position_rad: JointVector,
+    /// Joint velocities, rad/s.
+    pub velocity_rad_per_s: JointVector,
+}
+
+/// State of drives and brakes. Faults and emergency stops latch until an operator resets them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ArmState {
+    /// Connected, brakes on, no motion possible.
+    Disabled,
+    /// Drives on, velocities are followed.
+    Enabled,
+    /// Stopped by a fault of the arm, its link or its limits.
+    Fault,
+    /// Stopped by an emergency stop.
+    EStop,
+}
+
+/// The kind of an arm error: what a policy decides on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum ArmErrorKind {
+    /// The command was refused before anything was sent (not finite, beyond a limit); the arm holds.
+    Rejected,
+    /// The arm is not in a state in which it moves.
+    NotEnabled,
+    /// A reply is late or lost; the next exchange may succeed.
+    Timeout,
+    /// The arm has stopped and latched a fault.
+    Fault,
+    /// The link is gone.
+    Disconnected,
+}
+
+/// An arm error: its kind and a sentence that names the arm, the joint, the value and what to do.
+#[derive(Debug, thiserror::Error)]
+#[error("{message}")]
+pub struct ArmError {
+    kind: ArmErrorKind,
+    message: String,
+    #[source]
+    source: Option<Box<dyn std::error::Error + Send + Sync>>,
+}
+
+impl ArmError {
+    /// An error without a cause of its own.
+    pub fn new(kind: ArmErrorKind, message: impl Into<String>) -> Self {
+        Self { kind, message: message.into(), source: None }
+    }
+
+    /// An error with the error that caused it.
+    pub fn caused_by(
+        kind: ArmErrorKind,
+        message: impl Into<String>,
+        source: impl Into<Box<dyn std::error::Error + Send + Sync>>,
+    ) -> Self {
+        Self { kind, message: message.into(), source: Some(source.into()) }
+    }
+
+    /// What a policy decides on.
+    pub fn kind(&self) -> ArmErrorKind {
+        self.kind
+    }
+}
+
+/// An arm that takes joint velocities.
+///
+/// # For backend authors
+/// * `exchange` hands over one command and returns the newest measured joints. It returns within twice [`ArmInfo::cycle`].
+/// * A command with a number that is not finite is `Rejected` and nothing of it reaches the arm; the arm holds.
+/// * Before [`ArmPower::enable`], `Velocity` is `NotEnabled`; `Hold` always succeeds while the link is there.
+/// * Any error cancels the motion: the arm holds until the next accepted command.
+/// * Samples never go back in time. Angles are never wrapped (some joints turn by more than half a turn).
+pub trait Arm: Send {
+    /// What this arm is.
+    fn info(&self) -> &ArmInfo;
+
+    /// One cycle: command out, measured joints in.
+    ///
+    /// # Errors
+    /// See [`ArmErrorKind`].
+    fn exchange(&mut self, command: JointCommand) -> Result<JointSample, ArmError>;
+}
+
+/// Drives and brakes of an arm.
+///
+/// # For backend authors
+/// * `enable` succeeds only from `Disabled`; it never clears a fault. The arm is at rest and holds afterwards.
+/// * `stop` ramps to rest, closes the brakes and is harmless when repeated; it leads to `Disabled`, or leaves a latched state.
+/// * `reset` clears a latched state whose cause is gone, to `Disabled`, never further. Only an operator's action calls it.
+pub trait ArmPower: Send {
+    /// State of drives and brakes.
+    fn state(&self) -> ArmState;
+
+    /// Switches the drives on.
+    ///
+    /// # Errors
+    /// `Fault` or `Rejected` with the reason.
+    fn enable(&mut self) -> Result<(), ArmError>;
+
+    /// Comes to rest and switches the drives off.
+    ///
+    /// # Errors
+    /// If the arm can not be told.
+    fn stop(&mut self) -> Result<(), ArmError>;
+
+    /// Clears a latched fault or emergency stop.
+    ///
+    /// # Errors
+    /// If the cause is still there.
+    fn reset(&mut self) -> Result<(), ArmError>;
+}

@@ -1,0 +1,124 @@
+//! The stereo camera.
+
+use std::time::Duration;
+
+use image::RgbImage;
+use pb3dp_geometry::{ImageSize, MonotonicTime};
+
+/// Two pictures taken together.
+#[derive(Clone, Debug)]
+pub struct FramePair {
+    /// Counts pairs from 0; a gap means that pairs were lost before they reached this backend.
+    pub sequence: u64,
+    /// Middle of the left picture's exposure on the program's monotonic clock.
+    pub exposed_at: MonotonicTime,
+    /// Middle of the right exposure minus middle of the left exposure, nanoseconds.
+    pub skew_nanos: i64,
+    /// Left picture: sRGB, 8 bits, row-major, as recorded (not undistorted).
+    pub left: RgbImage,
+    /// Right picture.
+    pub right: RgbImage,
+}
+
+impl FramePair {
+    /// A buffer for [`StereoCamera::next_pair_into`], black, of the given size.
+    pub fn black(size: ImageSize) -> Self {
+        Self {
+            sequence: 0,
+            exposed_at: MonotonicTime::ZERO,
+            skew_nanos: 0,
+            left: RgbImage::new(size.width, size.height),
+            right: RgbImage::new(size.width, size.height),
+        }
+    }
+}
+
+/// What a camera delivers, as read back from the device after negotiation.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StereoCameraInfo {
+    /// For messages: `replay /data/run7`, `v4l2 usb-1.2 + usb-1.3`.
+    pub name: String,
+    /// Size of both pictures.
+    pub size: ImageSize,
+    /// Time between pairs; `None` if it is not fixed.
+    pub period: Option<Duration>,
+}
+
+/// The kind of a camera error: what a policy decides on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum CameraErrorKind {
+    /// No pair arrived in time; the next call may succeed.
+    Timeout,
+    /// One pair is damaged or missing and was skipped; the next call goes on behind it.
+    BadPair,
+    /// A recording has ended; every further call says so again.
+    EndOfStream,
+    /// The device is gone; it must be opened again.
+    Disconnected,
+    /// The device, file or configuration can not be used at all.
+    Unusable,
+}
+
+/// A camera error: its kind, a sentence that names the thing and the value, and the cause.
+#[derive(Debug, thiserror::Error)]
+#[error("{message}")]
+pub struct CameraError {
+    kind: CameraErrorKind,
+    message: String,
+    #[source]
+    source: Option<Box<dyn std::error::Error + Send + Sync>>,
+}
+
+impl CameraError {
+    /// An error without a cause of its own.
+    pub fn new(kind: CameraErrorKind, message: impl Into<String>) -> Self {
+        Self { kind, message: message.into(), source: None }
+    }
+
+    /// An error with the error that caused it.
+    pub fn caused_by(
+        kind: CameraErrorKind,
+        message: impl Into<String>,
+        source: impl Into<Box<dyn std::error::Error + Send + Sync>>,
+    ) -> Self {
+        Self { kind, message: message.into(), source: Some(source.into()) }
+    }
+
+    /// What a policy decides on.
+    pub fn kind(&self) -> CameraErrorKind {
+        self.kind
+    }
+}
+
+/// A calibrated pair of cameras that delivers pictures.
+///
+/// # For backend authors
+/// * `next_pair_into` blocks until a pair that was not yet delivered is complete, or `timeout` (on the backend's own clock)
+///   has passed, whichever is first; it never blocks for longer than twice `timeout`.
+/// * A delivered pair is whole, of the size that `info` states, and newer than every pair before: `sequence` and
+///   `exposed_at` both increase strictly. Stale or damaged pictures are an error, never delivered as new.
+/// * After an error `pair` may hold anything; the fields must not be used.
+/// * After `Timeout` or `BadPair` the next call goes on. After `EndOfStream` or `Disconnected` every call returns the same
+///   kind until the backend is made anew.
+/// * A backend of recordings or simulations may ignore `timeout`; it then never waits.
+pub trait StereoCamera: Send {
+    /// What this camera delivers.
+    fn info(&self) -> &StereoCameraInfo;
+
+    /// Fills `pair` with the next pair of pictures, re-using its buffers.
+    ///
+    /// # Errors
+    /// See [`CameraErrorKind`].
+    fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError>;
+
+    /// The next pair in buffers of its own.
+    ///
+    /// # Errors
+    /// As [`Self::next_pair_into`].
+    fn next_pair(&mut self, timeout: Duration) -> Result<FramePair, CameraError> {
+        let mut pair = FramePair::black(self.info().size);
+        self.next_pair_into(&mut pair, timeout)?;
+        Ok(pair)
+    }
+}

@@ -1,0 +1,1 @@
+//! Mitsubishi PA-10 arm backends.

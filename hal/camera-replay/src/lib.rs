@@ -1,0 +1,1 @@
+//! Stereo camera backend that replays recorded pairs.

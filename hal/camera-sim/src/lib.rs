@@ -1,0 +1,1 @@
+//! Stereo camera backend that renders the simulated cell.

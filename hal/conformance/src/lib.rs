@@ -1,0 +1,1 @@
+//! One test suite that each hardware backend must pass.
