@@ -2,8 +2,7 @@
 
 use std::time::Duration;
 
-use pb3dp_geometry::MonotonicTime;
-use pb3dp_kinematics::JointVector;
+use pb3dp_kinematics::{JointState, JointVector};
 
 /// What an arm is, as read back from the device.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,17 +20,6 @@ pub enum JointCommand {
     Hold,
     /// Move each joint at this velocity, rad/s.
     Velocity(JointVector),
-}
-
-/// Measured joints.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct JointSample {
-    /// When they were measured, on the program's monotonic clock.
-    pub at: MonotonicTime,
-    /// Joint angles, rad, not wrapped.
-    pub position_rad: JointVector,
-    /// Joint velocities, rad/s.
-    pub velocity_rad_per_s: JointVector,
 }
 
 /// State of drives and brakes. Faults and emergency stops latch until an operator resets them.
@@ -110,7 +98,7 @@ pub trait Arm: Send {
     ///
     /// # Errors
     /// See [`ArmErrorKind`].
-    fn exchange(&mut self, command: JointCommand) -> Result<JointSample, ArmError>;
+    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError>;
 }
 
 /// Drives and brakes of an arm.

@@ -10,6 +10,7 @@ pub mod arm;
 pub mod clock;
 pub mod stereo_camera;
 
-pub use arm::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointSample};
+pub use arm::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand};
 pub use clock::Clock;
+pub use pb3dp_kinematics::JointState;
 pub use stereo_camera::{CameraError, CameraErrorKind, FramePair, StereoCamera, StereoCameraInfo};

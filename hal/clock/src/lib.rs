@@ -1,0 +1,65 @@
+//! The two clocks: [`SystemClock`] for the machine's monotonic time, [`VirtualClock`] for deterministic simulation.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::Clock;
+
+/// Monotonic time of the machine; its origin is the moment at which it was made.
+#[derive(Debug)]
+pub struct SystemClock {
+    origin: Instant,
+}
+
+impl SystemClock {
+    /// A clock that starts now, at zero.
+    pub fn new() -> Self {
+        Self { origin: Instant::now() }
+    }
+}
+
+impl Default for SystemClock {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Clock for SystemClock {
+    fn now(&self) -> MonotonicTime {
+        MonotonicTime::ZERO + self.origin.elapsed()
+    }
+
+    fn sleep_until(&self, deadline: MonotonicTime) {
+        loop {
+            let left = deadline.saturating_since(self.now());
+            if left == Duration::ZERO {
+                return;
+            }
+            std::thread::sleep(left);
+        }
+    }
+}
+
+/// Time that passes only when somebody sleeps; for deterministic, faster-than-real-time runs in one thread.
+#[derive(Debug, Default)]
+pub struct VirtualClock {
+    nanos: AtomicU64,
+}
+
+impl VirtualClock {
+    /// A clock at zero.
+    pub fn new() -> Self {
+        Self::default()
+    }
+}
+
+impl Clock for VirtualClock {
+    fn now(&self) -> MonotonicTime {
+        MonotonicTime::from_nanos(self.nanos.load(Ordering::SeqCst))
+    }
+
+    fn sleep_until(&self, deadline: MonotonicTime) {
+        self.nanos.fetch_max(deadline.as_nanos(), Ordering::SeqCst);
+    }
+}
