@@ -3,3 +3,4 @@
 //! Everything is deterministic: time and seeds come from outside, there is no clock, no thread and no file in here.
 
 pub mod scene;
+pub mod trajectory;
