@@ -4,9 +4,12 @@ use std::fmt;
 use std::marker::PhantomData;
 use std::ops::Mul;
 
-use nalgebra::{Isometry3, Matrix3, Matrix4, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{
+    Isometry3, Matrix3, Matrix4, Matrix6, Point3, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6,
+};
 
 use crate::frames::Frame;
+use crate::se3;
 
 /// A rigid transform `to_from_from`: maps coordinates in `From` to coordinates in `To`; equally, the pose of `From` in `To`.
 ///
@@ -87,6 +90,36 @@ impl<To: Frame, From: Frame> Pose<To, From> {
     /// Angle of the rotation, radians, 0 to pi.
     pub fn rotation_angle_rad(&self) -> f64 {
         self.isometry.rotation.angle()
+    }
+
+    /// The claim that `exp(xi)` maps coordinates in `From` to coordinates in `To`; `xi` is `[rho; phi]`, metres and radians.
+    pub fn exp(xi: &Vector6<f64>) -> Self {
+        Self::from_isometry(se3::exp(xi))
+    }
+
+    /// The tangent vector `[rho; phi]` (metres, radians) whose exponential is this transform.
+    pub fn log(&self) -> Vector6<f64> {
+        se3::log(&self.isometry)
+    }
+
+    /// Maps tangent vectors `[rho; phi]` at `From` to tangent vectors at `To`; see [`se3::adjoint`].
+    pub fn adjoint(&self) -> Matrix6<f64> {
+        se3::adjoint(&self.isometry)
+    }
+
+    /// `exp(xi) * self`: a small motion `xi = [rho; phi]` expressed in `To`.
+    pub fn perturbed_in_to(&self, xi: &Vector6<f64>) -> Self {
+        Pose::<To, To>::exp(xi) * *self
+    }
+
+    /// `self * exp(xi)`: a small motion `xi = [rho; phi]` expressed in `From`.
+    pub fn perturbed_in_from(&self, xi: &Vector6<f64>) -> Self {
+        *self * Pose::<From, From>::exp(xi)
+    }
+
+    /// The pose a fraction `s` of the way to `end`, along the screw that joins them; see [`se3::interpolate`].
+    pub fn interpolate(&self, end: &Self, s: f64) -> Self {
+        Self::from_isometry(se3::interpolate(&self.isometry, &end.isometry, s))
     }
 
     /// Whether every number is finite.

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use crate::camera::{Camera, CameraError};
+use crate::camera::{Camera, CameraError, Distortion};
 use crate::frames::{CamLeft, CamRight};
 use crate::pose::Pose;
 
@@ -83,10 +83,15 @@ impl StereoRig {
         self.cam_right_from_cam_left.inverse().translation_m()
     }
 
+    /// The rig of the same pinholes without distortion, for images that went through the tables of
+    /// [`crate::maps::RemapTable::undistort`].
+    pub fn undistorted(&self) -> Self {
+        Self { left: self.left.undistorted(), right: self.right.undistorted(), ..*self }
+    }
+
     /// Whether rows are epipolar lines and columns differ by disparity alone: no distortion, no rotation, a baseline along
     /// x, equal fx, fy and cy (cx may differ).
     pub fn is_rectified(&self) -> bool {
-        use crate::camera::Distortion;
         let (l, r) = (self.left.pinhole(), self.right.pinhole());
         let t = self.cam_right_from_cam_left.translation_m();
         let same = |a: f64, b: f64| (a - b).abs() <= 1e-6 * a.abs().max(1.0);

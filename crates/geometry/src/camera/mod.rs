@@ -1,0 +1,182 @@
+//! Pinhole cameras with lens distortion.
+
+mod distortion;
+
+use nalgebra::{Matrix2x3, Matrix3, Point3, Vector2, Vector3};
+
+pub use distortion::Distortion;
+
+/// The longest image side that is accepted, pixels.
+const SIDE_MAX_PX: u32 = 32_768;
+/// How closely a pixel's ray must project back onto it, pixels.
+const ROUND_TRIP_PX: f64 = 1e-9;
+
+/// Size of an image in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct ImageSize {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+}
+
+/// The four numbers of a pinhole, in pixels. Integer pixel coordinates are pixel centres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pinhole {
+    /// Focal length over pixel width.
+    pub fx: f64,
+    /// Focal length over pixel height.
+    pub fy: f64,
+    /// Column of the principal point.
+    pub cx: f64,
+    /// Row of the principal point.
+    pub cy: f64,
+}
+
+impl Pinhole {
+    /// The camera matrix K.
+    pub fn matrix(&self) -> Matrix3<f64> {
+        Matrix3::new(self.fx, 0.0, self.cx, 0.0, self.fy, self.cy, 0.0, 0.0, 1.0)
+    }
+
+    /// Pixel of the ray `(x, y, 1)`.
+    pub fn pixel_from_normalized(&self, xy: &Vector2<f64>) -> Vector2<f64> {
+        Vector2::new(self.fx * xy.x + self.cx, self.fy * xy.y + self.cy)
+    }
+
+    /// `(x, y)` of the ray `(x, y, 1)` through a pixel.
+    pub fn normalized_from_pixel(&self, pixel: &Vector2<f64>) -> Vector2<f64> {
+        Vector2::new((pixel.x - self.cx) / self.fx, (pixel.y - self.cy) / self.fy)
+    }
+}
+
+/// A camera: image size, pinhole, distortion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Camera {
+    size: ImageSize,
+    pinhole: Pinhole,
+    distortion: Distortion,
+    /// Largest undistorted radius that has an image; see `Distortion::fold_radius`.
+    fold_radius: f64,
+}
+
+/// Why a camera was refused or a pixel has no ray.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum CameraError {
+    /// A parameter is not finite or out of its range.
+    #[error("camera parameter {name} is {value}: {expected}")]
+    Parameter {
+        /// Which parameter.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// What is allowed.
+        expected: &'static str,
+    },
+    /// The undistortion did not converge.
+    #[error(
+        "pixel ({u}, {v}) has no ray: the distortion model can not be inverted there; use a region nearer to the image's centre, or calibrate with targets that reach this part of the image"
+    )]
+    NotInvertible {
+        /// Column.
+        u: f64,
+        /// Row.
+        v: f64,
+    },
+}
+
+impl Camera {
+    /// A camera from its parts.
+    ///
+    /// # Errors
+    /// A parameter that is not finite, a focal length that is not positive, an image that is empty or longer than 32768
+    /// pixels on a side.
+    pub fn new(size: ImageSize, pinhole: Pinhole, distortion: Distortion) -> Result<Self, CameraError> {
+        for (name, side) in [("width", size.width), ("height", size.height)] {
+            if side == 0 || side > SIDE_MAX_PX {
+                let expected = "must be between 1 and 32768 pixels";
+                return Err(CameraError::Parameter { name, value: f64::from(side), expected });
+            }
+        }
+        for (name, value) in [("fx", pinhole.fx), ("fy", pinhole.fy)] {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(CameraError::Parameter { name, value, expected: "must be positive" });
+            }
+        }
+        let finite = [("cx", pinhole.cx), ("cy", pinhole.cy)].into_iter().chain(distortion.named_coefficients());
+        for (name, value) in finite {
+            if !value.is_finite() {
+                return Err(CameraError::Parameter { name, value, expected: "must be finite" });
+            }
+        }
+        Ok(Self { size, pinhole, distortion, fold_radius: distortion.fold_radius() })
+    }
+
+    /// Image size.
+    pub fn size(&self) -> ImageSize {
+        self.size
+    }
+
+    /// The pinhole part.
+    pub fn pinhole(&self) -> &Pinhole {
+        &self.pinhole
+    }
+
+    /// The distortion part.
+    pub fn distortion(&self) -> &Distortion {
+        &self.distortion
+    }
+
+    /// The ideal camera with the same image size and pinhole: what [`crate::maps::RemapTable::undistort`] maps to.
+    pub fn undistorted(&self) -> Self {
+        Self { distortion: Distortion::None, fold_radius: f64::INFINITY, ..*self }
+    }
+
+    /// Pixel of a point given in this camera's frame (metres), which may lie outside the image.
+    ///
+    /// `None` if the point is not in front of the camera, or so far off the axis that the distortion model bends back
+    /// and would image it among points that are really in view.
+    pub fn project(&self, point_in_cam: &Point3<f64>) -> Option<Vector2<f64>> {
+        let xy = self.visible_normalized(point_in_cam)?;
+        Some(self.pinhole.pixel_from_normalized(&self.distort(&xy)))
+    }
+
+    /// [`Self::project`] and the derivative of the pixel with respect to the point, pixels per metre.
+    pub fn project_with_jacobian(&self, point_in_cam: &Point3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
+        let xy = self.visible_normalized(point_in_cam)?;
+        let (distorted, by_xy) = self.distortion.distort_with_jacobian(&xy);
+        let xy_by_point = Matrix2x3::new(1.0, 0.0, -xy.x, 0.0, 1.0, -xy.y) / point_in_cam.z;
+        let mut jacobian = by_xy * xy_by_point;
+        jacobian.row_mut(0).scale_mut(self.pinhole.fx);
+        jacobian.row_mut(1).scale_mut(self.pinhole.fy);
+        Some((self.pinhole.pixel_from_normalized(&distorted), jacobian))
+    }
+
+    /// The ray `(x, y, 1)` through a pixel, in this camera's frame; it projects back within 1e-9 pixels.
+    ///
+    /// # Errors
+    /// If the distortion can not be inverted at that pixel: it lies outside everything that the lens model can image, or
+    /// 90 degrees or more off the axis, or is not finite.
+    pub fn unproject(&self, pixel: &Vector2<f64>) -> Result<Vector3<f64>, CameraError> {
+        let distorted = self.pinhole.normalized_from_pixel(pixel);
+        let tolerance = ROUND_TRIP_PX / self.pinhole.fx.max(self.pinhole.fy);
+        match self.distortion.undistort(&distorted, self.fold_radius, tolerance) {
+            Some(xy) => Ok(Vector3::new(xy.x, xy.y, 1.0)),
+            None => Err(CameraError::NotInvertible { u: pixel.x, v: pixel.y }),
+        }
+    }
+
+    /// Distorted normalised coordinates of undistorted ones.
+    pub fn distort(&self, xy: &Vector2<f64>) -> Vector2<f64> {
+        self.distortion.distort(xy)
+    }
+
+    /// `(x / z, y / z)` of a point that the model images once.
+    fn visible_normalized(&self, point_in_cam: &Point3<f64>) -> Option<Vector2<f64>> {
+        if point_in_cam.z <= 0.0 {
+            return None;
+        }
+        let xy = Vector2::new(point_in_cam.x / point_in_cam.z, point_in_cam.y / point_in_cam.z);
+        (xy.norm_squared() <= self.fold_radius * self.fold_radius).then_some(xy)
+    }
+}

@@ -1,0 +1,248 @@
+//! Precomputed tables that resample images: undistortion and rectification.
+//!
+//! Images are byte slices, rows from top to bottom without padding, one byte per pixel or three (interleaved RGB).
+
+use nalgebra::{Point3, Vector2};
+
+use crate::camera::{Camera, ImageSize, Pinhole};
+use crate::frames::Frame;
+use crate::pose::Pose;
+
+/// Steps per pixel of the stored source coordinates.
+const STEPS: u32 = 256;
+/// Marks destination pixels without a source.
+const NO_SOURCE: u32 = u32::MAX;
+
+/// For each pixel of a destination image, where in the source image it comes from, to 1/256 of a pixel.
+///
+/// Destination pixels whose source lies outside the source image, or that the lens can not image, are *invalid*: the
+/// remap functions set them to 0 and [`RemapTable::valid_mask`] tells which they are.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RemapTable {
+    size: ImageSize,
+    source_size: ImageSize,
+    taps: Vec<Tap>,
+}
+
+/// Upper left of the four source pixels, and the weights of right and lower neighbours in 1/256.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Tap {
+    index: u32,
+    right: u16,
+    below: u16,
+}
+
+/// Why an image could not be remapped.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum RemapError {
+    /// The source image is not of the size that the table was made for.
+    #[error(
+        "the source image has {}x{} pixels, but the table was made for {}x{}: use the calibration of this camera mode",
+        .actual.width, .actual.height, .expected.width, .expected.height
+    )]
+    SourceSize {
+        /// Size of the image.
+        actual: ImageSize,
+        /// Size of the table's source.
+        expected: ImageSize,
+    },
+    /// A buffer has the wrong length.
+    #[error("the {buffer} buffer holds {actual} bytes, {expected} are needed")]
+    Length {
+        /// `source` or `destination`.
+        buffer: &'static str,
+        /// Its length.
+        actual: usize,
+        /// The length that the size asks for.
+        expected: usize,
+    },
+}
+
+impl RemapTable {
+    /// A table from any map: `source_of` gives the source pixel of a destination pixel, or `None`.
+    ///
+    /// Source images narrower or lower than two pixels leave every pixel invalid.
+    pub fn from_fn(
+        size: ImageSize,
+        source_size: ImageSize,
+        mut source_of: impl FnMut(&Vector2<f64>) -> Option<Vector2<f64>>,
+    ) -> Self {
+        let mut taps = Vec::with_capacity(pixels(size));
+        for v in 0..size.height {
+            for u in 0..size.width {
+                let source = source_of(&Vector2::new(f64::from(u), f64::from(v)));
+                taps.push(source.map_or(Tap::INVALID, |source| Tap::at(&source, source_size)));
+            }
+        }
+        Self { size, source_size, taps }
+    }
+
+    /// The table that undistorts images of `camera`: the destination is the image of [`Camera::undistorted`].
+    pub fn undistort(camera: &Camera) -> Self {
+        let ideal = camera.undistorted();
+        Self::from_fn(ideal.size(), camera.size(), |pixel| {
+            let ray = ideal.pinhole().normalized_from_pixel(pixel);
+            camera.project(&Point3::new(ray.x, ray.y, 1.0))
+        })
+    }
+
+    /// The table that makes the image of the distortion-free pinhole of `destination` out of the image of `source`, the
+    /// two sharing their optical centre.
+    ///
+    /// Only the rotation of `destination_from_source` counts, and the destination's distortion is left out.
+    pub fn rotate<To: Frame, From: Frame>(
+        source: &Camera,
+        destination: &Camera,
+        destination_from_source: &Pose<To, From>,
+    ) -> Self {
+        let source_from_destination = destination_from_source.rotation_matrix().transpose();
+        let pinhole: &Pinhole = destination.pinhole();
+        Self::from_fn(destination.size(), source.size(), |pixel| {
+            let ray = pinhole.normalized_from_pixel(pixel).push(1.0);
+            source.project(&Point3::from(source_from_destination * ray))
+        })
+    }
+
+    /// Size of the destination image.
+    pub fn size(&self) -> ImageSize {
+        self.size
+    }
+
+    /// Size of the source image.
+    pub fn source_size(&self) -> ImageSize {
+        self.source_size
+    }
+
+    /// The source pixel of destination pixel `(u, v)` as stored, to 1/256 pixel; `None` if it is invalid or outside.
+    pub fn source(&self, u: u32, v: u32) -> Option<Vector2<f64>> {
+        if u >= self.size.width || v >= self.size.height {
+            return None;
+        }
+        let tap = self.taps.get(v as usize * self.size.width as usize + u as usize)?;
+        let steps = f64::from(STEPS);
+        (tap.index != NO_SOURCE).then(|| {
+            let (column, row) = (tap.index % self.source_size.width, tap.index / self.source_size.width);
+            Vector2::new(
+                f64::from(column) + f64::from(tap.right) / steps,
+                f64::from(row) + f64::from(tap.below) / steps,
+            )
+        })
+    }
+
+    /// 255 where a destination pixel has a source, 0 elsewhere; one byte per pixel.
+    pub fn valid_mask(&self) -> Vec<u8> {
+        self.taps.iter().map(|tap| if tap.index == NO_SOURCE { 0 } else { 255 }).collect()
+    }
+
+    /// Resamples an interleaved RGB image, bilinear.
+    ///
+    /// # Errors
+    /// A source of another size than the table's, or a buffer of the wrong length; `destination` is then untouched.
+    pub fn remap_rgb(&self, source: &[u8], source_size: ImageSize, destination: &mut [u8]) -> Result<(), RemapError> {
+        self.remap_bilinear::<3>(source, source_size, destination)
+    }
+
+    /// Resamples an image of one byte per pixel, bilinear.
+    ///
+    /// # Errors
+    /// As [`RemapTable::remap_rgb`].
+    pub fn remap_gray(&self, source: &[u8], source_size: ImageSize, destination: &mut [u8]) -> Result<(), RemapError> {
+        self.remap_bilinear::<1>(source, source_size, destination)
+    }
+
+    /// Resamples a mask (one byte per pixel): the nearest source pixel, no new values.
+    ///
+    /// # Errors
+    /// As [`RemapTable::remap_rgb`].
+    pub fn remap_mask(&self, source: &[u8], source_size: ImageSize, destination: &mut [u8]) -> Result<(), RemapError> {
+        self.check::<1>(source, source_size, destination)?;
+        let stride = self.source_size.width as usize;
+        for (pixel, tap) in destination.iter_mut().zip(&self.taps) {
+            *pixel = if tap.index == NO_SOURCE {
+                0
+            } else {
+                let right = usize::from(u32::from(tap.right) >= STEPS / 2);
+                let below = usize::from(u32::from(tap.below) >= STEPS / 2);
+                source[tap.index as usize + right + below * stride]
+            };
+        }
+        Ok(())
+    }
+
+    fn remap_bilinear<const CHANNELS: usize>(
+        &self,
+        source: &[u8],
+        source_size: ImageSize,
+        destination: &mut [u8],
+    ) -> Result<(), RemapError> {
+        self.check::<CHANNELS>(source, source_size, destination)?;
+        let stride = self.source_size.width as usize * CHANNELS;
+        let (pixels, _) = destination.as_chunks_mut::<CHANNELS>();
+        for (pixel, tap) in pixels.iter_mut().zip(&self.taps) {
+            if tap.index == NO_SOURCE {
+                *pixel = [0; CHANNELS];
+                continue;
+            }
+            let start = tap.index as usize * CHANNELS;
+            // One bounds check per row; the two pixels of a row lie side by side.
+            let above = &source[start..start + 2 * CHANNELS];
+            let below = &source[start + stride..start + stride + 2 * CHANNELS];
+            let (right, down) = (u32::from(tap.right), u32::from(tap.below));
+            for channel in 0..CHANNELS {
+                let row =
+                    |row: &[u8]| u32::from(row[channel]) * (STEPS - right) + u32::from(row[channel + CHANNELS]) * right;
+                let sum = row(above) * (STEPS - down) + row(below) * down;
+                pixel[channel] = ((sum + STEPS * STEPS / 2) / (STEPS * STEPS)) as u8;
+            }
+        }
+        Ok(())
+    }
+
+    fn check<const CHANNELS: usize>(
+        &self,
+        source: &[u8],
+        source_size: ImageSize,
+        destination: &[u8],
+    ) -> Result<(), RemapError> {
+        if source_size != self.source_size {
+            return Err(RemapError::SourceSize { actual: source_size, expected: self.source_size });
+        }
+        let buffers = [("source", source.len(), self.source_size), ("destination", destination.len(), self.size)];
+        for (buffer, actual, size) in buffers {
+            let expected = pixels(size) * CHANNELS;
+            if actual != expected {
+                return Err(RemapError::Length { buffer, actual, expected });
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Tap {
+    const INVALID: Self = Self { index: NO_SOURCE, right: 0, below: 0 };
+
+    /// The tap at a source position; invalid outside the centres of the outermost pixels.
+    fn at(source: &Vector2<f64>, size: ImageSize) -> Self {
+        match (split(source.x, size.width), split(source.y, size.height)) {
+            (Some((column, right)), Some((row, below))) => Self { index: row * size.width + column, right, below },
+            _ => Self::INVALID,
+        }
+    }
+}
+
+/// Whole pixel and 1/256 of a coordinate, such that the next pixel exists too.
+fn split(coordinate: f64, length: u32) -> Option<(u32, u16)> {
+    let last = length.checked_sub(1)?;
+    // Rounding to the grid may carry a coordinate onto the edge, so the test comes after it.
+    let steps = (coordinate * f64::from(STEPS)).round();
+    if last == 0 || !(steps >= 0.0 && steps <= f64::from(last) * f64::from(STEPS)) {
+        return None;
+    }
+    let steps = steps as u32;
+    let whole = (steps / STEPS).min(last - 1);
+    Some((whole, (steps - whole * STEPS) as u16))
+}
+
+fn pixels(size: ImageSize) -> usize {
+    size.width as usize * size.height as usize
+}
