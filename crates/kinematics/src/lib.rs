@@ -1,7 +1,26 @@
-//! Serial arm kinematics from URDF: forward kinematics, Jacobian, limits. No device.
+//! Serial arm kinematics from URDF: forward kinematics, Jacobian, limits. No device, no file.
+//!
+//! * [`Chain`] is read from a URDF text and answers where the flange and every joint are, and how they move.
+//! * [`JointLimits`] are the position and speed limits that the description states.
+//! * [`damped_pseudo_inverse`], [`smallest_singular_value`] and [`manipulability`] judge and invert a [`Jacobian`].
+//!
+//! Metres, radians, seconds; seven revolute joints, counted from the base.
+
+pub mod chain;
+pub mod jacobian;
+pub mod limits;
+mod urdf;
 
 use nalgebra::SVector;
 use pb3dp_geometry::MonotonicTime;
+
+pub use chain::{Chain, JointFrames};
+pub use jacobian::{
+    Damping, DampingError, Jacobian, PseudoInverse, damped_pseudo_inverse, manipulability, singular_values,
+    smallest_singular_value,
+};
+pub use limits::{JointLimits, JointLimitsError, PositionViolation};
+pub use urdf::ChainError;
 
 /// Joints of the arms that this project drives (PA-10, seven revolute joints).
 pub const DOF: usize = 7;

@@ -1,0 +1,105 @@
+//! The chain of joints from the base of an arm to its flange.
+
+use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{Base, Flange};
+
+use crate::jacobian::Jacobian;
+use crate::limits::JointLimits;
+use crate::urdf::{self, ChainError, ChainParts};
+use crate::{DOF, JointVector};
+
+/// A serial arm of seven revolute joints.
+///
+/// `base` is the frame of the base link, `flange` that of the tip link, as the description defines them.
+#[derive(Clone, Debug)]
+pub struct Chain {
+    joints: [urdf::MovingJoint; DOF],
+    last_joint_from_flange: Isometry3<f64>,
+    limits: JointLimits,
+}
+
+/// Where every joint of an arm is, for one set of joint angles.
+#[derive(Clone, Debug)]
+pub struct JointFrames {
+    /// Pose of each joint's frame (turned by its angle: the frame of the link behind it) in the base frame, metres.
+    pub base_from_joint: [Isometry3<f64>; DOF],
+    /// Axis of each joint in the base frame.
+    pub axis_in_base: [Unit<Vector3<f64>>; DOF],
+    /// Pose of the flange.
+    pub base_from_flange: Pose<Base, Flange>,
+}
+
+impl JointFrames {
+    /// Origins of base, joints and flange in the base frame, metres, in this order: the arm as a polyline.
+    pub fn origins_in_base(&self) -> [Point3<f64>; DOF + 2] {
+        let mut origins = [Point3::origin(); DOF + 2];
+        for (origin, base_from_joint) in origins[1..].iter_mut().zip(&self.base_from_joint) {
+            *origin = base_from_joint.translation.vector.into();
+        }
+        origins[DOF + 1] = self.base_from_flange.translation_m().into();
+        origins
+    }
+}
+
+impl Chain {
+    /// The chain between two links of a URDF text. Fixed joints may lie between the seven revolute ones.
+    ///
+    /// # Errors
+    /// If the text is no URDF, or what lies between the links is not a chain of exactly seven revolute joints with limits and
+    /// axes of length 1; the error names the joint or link.
+    pub fn from_urdf_str(xml: &str, base_link: &str, tip_link: &str) -> Result<Self, ChainError> {
+        let ChainParts { joints, last_joint_from_tip, limits } = urdf::read(xml, base_link, tip_link)?;
+        Ok(Self { joints, last_joint_from_flange: last_joint_from_tip, limits })
+    }
+
+    /// Names of the joints, base to tip.
+    pub fn joint_names(&self) -> [&str; DOF] {
+        std::array::from_fn(|i| self.joints[i].name.as_str())
+    }
+
+    /// Position and speed limits of the description.
+    pub fn limits(&self) -> &JointLimits {
+        &self.limits
+    }
+
+    /// Pose of the flange in the base frame at the joint angles `position_rad`.
+    pub fn forward(&self, position_rad: &JointVector) -> Pose<Base, Flange> {
+        self.joint_frames(position_rad).base_from_flange
+    }
+
+    /// Poses of all joints and of the flange at the joint angles `position_rad`.
+    pub fn joint_frames(&self, position_rad: &JointVector) -> JointFrames {
+        let mut base_from_here = Isometry3::identity();
+        let mut base_from_joint = [Isometry3::identity(); DOF];
+        let mut axis_in_base = [Vector3::z_axis(); DOF];
+        for (i, joint) in self.joints.iter().enumerate() {
+            base_from_here *= joint.parent_from_joint;
+            base_from_here.rotation *= UnitQuaternion::from_axis_angle(&joint.axis, position_rad[i]);
+            base_from_joint[i] = base_from_here;
+            axis_in_base[i] = base_from_here.rotation * joint.axis;
+        }
+        let mut base_from_flange = base_from_here * self.last_joint_from_flange;
+        base_from_flange.rotation.renormalize();
+        JointFrames { base_from_joint, axis_in_base, base_from_flange: Pose::from_isometry(base_from_flange) }
+    }
+
+    /// Geometric Jacobian at the joint angles `position_rad`: `jacobian * joint_velocity` is `[linear; angular]`, the velocity
+    /// (m/s) of the flange's origin and the angular velocity (rad/s) of the flange, both in the base frame.
+    pub fn jacobian(&self, position_rad: &JointVector) -> Jacobian {
+        let frames = self.joint_frames(position_rad);
+        self.jacobian_at(&frames, &frames.base_from_flange.translation_m().into())
+    }
+
+    /// As [`Self::jacobian`], with the linear velocity of another point that is fixed to the flange: `point_in_base`, metres,
+    /// is where it is at this moment. `frames` must come from this chain.
+    pub fn jacobian_at(&self, frames: &JointFrames, point_in_base: &Point3<f64>) -> Jacobian {
+        let mut jacobian = Jacobian::zeros();
+        for (i, (base_from_joint, axis)) in frames.base_from_joint.iter().zip(&frames.axis_in_base).enumerate() {
+            let lever = point_in_base.coords - base_from_joint.translation.vector;
+            jacobian.fixed_view_mut::<3, 1>(0, i).copy_from(&axis.cross(&lever));
+            jacobian.fixed_view_mut::<3, 1>(3, i).copy_from(axis);
+        }
+        jacobian
+    }
+}

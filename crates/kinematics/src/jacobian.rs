@@ -1,0 +1,161 @@
+//! Singular values of a Jacobian and its damped inverse.
+//!
+//! A Jacobian mixes metres and radians, so its singular values depend on the unit of length. Here it is always the metre: for
+//! an arm of one metre's reach both halves then weigh about the same.
+
+use nalgebra::{SMatrix, SVector};
+
+use crate::DOF;
+
+/// Rows `[linear; angular]` (m/s, rad/s), one column per joint (rad/s).
+pub type Jacobian = SMatrix<f64, 6, DOF>;
+
+/// From a twist `[linear; angular]` to joint velocities.
+pub type PseudoInverse = SMatrix<f64, DOF, 6>;
+
+/// More sweeps than a 7x6 matrix ever needs (5 to 8); the bound is there for numbers that are not finite.
+const SWEEPS_MAX: usize = 30;
+
+/// Columns whose cosine is below this are orthogonal.
+const ORTHOGONAL: f64 = 1e-14;
+
+/// How strongly motion along nearly lost directions is damped.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Damping {
+    threshold: f64,
+    factor_max: f64,
+}
+
+/// Why numbers can not be a damping.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("damping {name} is {value}, it must be a positive, finite number")]
+pub struct DampingError {
+    /// `threshold` or `factor_max`.
+    pub name: &'static str,
+    /// The value given.
+    pub value: f64,
+}
+
+impl Damping {
+    /// Damping that sets in where a singular value falls below `threshold` and grows to `factor_max` where it is zero.
+    ///
+    /// # Errors
+    /// If a number is not positive and finite.
+    pub fn new(threshold: f64, factor_max: f64) -> Result<Self, DampingError> {
+        for (name, value) in [("threshold", threshold), ("factor_max", factor_max)] {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(DampingError { name, value });
+            }
+        }
+        Ok(Self { threshold, factor_max })
+    }
+
+    /// Singular value below which there is damping.
+    pub fn threshold(&self) -> f64 {
+        self.threshold
+    }
+
+    /// Damping factor where the singular value is zero.
+    pub fn factor_max(&self) -> f64 {
+        self.factor_max
+    }
+
+    /// Largest gain of a [`damped_pseudo_inverse`]: joint speed (rad/s) per unit of twist (m/s and rad/s).
+    pub fn gain_max(&self) -> f64 {
+        let ratio_squared = (self.factor_max / self.threshold).powi(2);
+        // Up to a ratio of 1/sqrt(2) the peak lies below the threshold, beyond it on the threshold.
+        if ratio_squared <= 0.5 { 0.5 / (self.factor_max * (1.0 - ratio_squared).sqrt()) } else { 1.0 / self.threshold }
+    }
+
+    /// Square of the damping factor for a singular value.
+    fn factor_squared(&self, singular_value: f64) -> f64 {
+        let depth = 1.0 - (singular_value / self.threshold).powi(2);
+        depth.max(0.0) * self.factor_max.powi(2)
+    }
+}
+
+/// Least-squares inverse of a Jacobian whose gain stays bounded at singularities.
+///
+/// Each singular value sigma is inverted as sigma / (sigma^2 + lambda^2) with
+/// lambda^2 = (1 - (sigma/threshold)^2) factor_max^2 below the threshold and 0 above it. Damped least squares after
+/// Nakamura and Hanafusa (1986), with the variable factor confined to the lost directions after Chiaverini (1997): away from
+/// singularities it is exactly the Moore-Penrose inverse, the result is continuous in the Jacobian, and directions that
+/// the arm can still move in are not slowed. The gain never exceeds [`Damping::gain_max`].
+pub fn damped_pseudo_inverse(jacobian: &Jacobian, damping: &Damping) -> PseudoInverse {
+    let Orthogonalised { columns, left } = orthogonalise(jacobian);
+    let mut inverse = PseudoInverse::zeros();
+    for i in 0..6 {
+        let squared = columns.column(i).norm_squared();
+        let denominator = squared + damping.factor_squared(squared.sqrt());
+        inverse += columns.column(i) * left.column(i).transpose() / denominator;
+    }
+    inverse
+}
+
+/// The six singular values, largest first.
+pub fn singular_values(jacobian: &Jacobian) -> SVector<f64, 6> {
+    let columns = orthogonalise(jacobian).columns;
+    let mut values: [f64; 6] = std::array::from_fn(|i| columns.column(i).norm());
+    values.sort_by(|a, b| b.total_cmp(a));
+    values.into()
+}
+
+/// Smallest singular value: 0 where the arm can not move in some direction. Units: see the module.
+pub fn smallest_singular_value(jacobian: &Jacobian) -> f64 {
+    singular_values(jacobian)[5]
+}
+
+/// Yoshikawa's manipulability sqrt(det(J J^T)), the product of the singular values.
+pub fn manipulability(jacobian: &Jacobian) -> f64 {
+    singular_values(jacobian).iter().product()
+}
+
+/// `jacobian = left * columns^T`, with orthonormal `left` and orthogonal `columns` whose lengths are the singular values.
+struct Orthogonalised {
+    columns: SMatrix<f64, DOF, 6>,
+    left: SMatrix<f64, 6, 6>,
+}
+
+/// One-sided Jacobi iteration (Hestenes 1958) on the transposed Jacobian: total, bounded, and accurate for small singular
+/// values, which an eigendecomposition of `J J^T` is not.
+fn orthogonalise(jacobian: &Jacobian) -> Orthogonalised {
+    let mut columns = jacobian.transpose();
+    let mut left = SMatrix::<f64, 6, 6>::identity();
+    // Nothing below this is told from zero, so that two lost directions do not turn about each other for ever.
+    let negligible = jacobian.norm_squared() * f64::EPSILON * f64::EPSILON;
+    for _ in 0..SWEEPS_MAX {
+        let mut turned = false;
+        for a in 0..6 {
+            for b in a + 1..6 {
+                let (aa, bb) = (columns.column(a).norm_squared(), columns.column(b).norm_squared());
+                let ab = columns.column(a).dot(&columns.column(b));
+                if ab.abs() > ORTHOGONAL * (aa * bb).sqrt() && ab.abs() > negligible {
+                    let (cosine, sine) = orthogonalising_turn(aa, bb, ab);
+                    turn_columns(&mut columns, a, b, cosine, sine);
+                    turn_columns(&mut left, a, b, cosine, sine);
+                    turned = true;
+                }
+            }
+        }
+        if !turned {
+            break;
+        }
+    }
+    Orthogonalised { columns, left }
+}
+
+/// Cosine and sine of the smaller of the turns that make two columns with these products orthogonal.
+fn orthogonalising_turn(aa: f64, bb: f64, ab: f64) -> (f64, f64) {
+    let zeta = (bb - aa) / (2.0 * ab);
+    let tangent = zeta.signum() / (zeta.abs() + zeta.hypot(1.0));
+    let cosine = 1.0 / tangent.hypot(1.0);
+    (cosine, cosine * tangent)
+}
+
+fn turn_columns<const ROWS: usize>(matrix: &mut SMatrix<f64, ROWS, 6>, a: usize, b: usize, cosine: f64, sine: f64) {
+    for row in 0..ROWS {
+        let (x, y) = (matrix[(row, a)], matrix[(row, b)]);
+        matrix[(row, a)] = cosine * x - sine * y;
+        matrix[(row, b)] = sine * x + cosine * y;
+    }
+}

@@ -1,0 +1,231 @@
+//! From a URDF text to the constant parts of a chain; everything that is not a plain chain of seven revolute joints is refused.
+
+use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
+use urdf_rs::{Joint, JointType, Robot};
+
+use crate::limits::{JointLimits, JointLimitsError};
+use crate::{DOF, JointVector};
+
+/// Largest deviation of a joint axis from length 1 that is taken as rounding of the file.
+const AXIS_LENGTH_TOLERANCE: f64 = 1e-4;
+
+/// Why a robot description can not be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ChainError {
+    /// The text is no URDF.
+    #[error("the robot description can not be read as URDF")]
+    Parse(#[source] urdf_rs::UrdfError),
+    /// A link that was asked for does not exist.
+    #[error("robot `{robot}` has no link `{link}`; it has: {links}")]
+    UnknownLink {
+        /// Name of the robot.
+        robot: String,
+        /// The link asked for.
+        link: String,
+        /// All links, separated by commas.
+        links: String,
+    },
+    /// The tip does not hang on the base.
+    #[error(
+        "no chain from link `{base}` to link `{tip}`: link `{stopped_at}` is no joint's child; check the parent and child of its joint"
+    )]
+    Broken {
+        /// The base asked for.
+        base: String,
+        /// The tip asked for.
+        tip: String,
+        /// The link at which the way to the base ends.
+        stopped_at: String,
+    },
+    /// Two joints claim the same child, or joints form a circle.
+    #[error("link `{link}` is reached by joint `{joint}` and again: the description is no tree")]
+    NotATree {
+        /// The link that is met twice.
+        link: String,
+        /// A joint that leads to it.
+        joint: String,
+    },
+    /// A joint of a kind that this chain can not have.
+    #[error("joint `{joint}` is {kind}; only revolute (with limits) and fixed joints are possible")]
+    JointKind {
+        /// Name of the joint.
+        joint: String,
+        /// What it is.
+        kind: String,
+    },
+    /// Not seven moving joints.
+    #[error("the chain from `{base}` to `{tip}` has {count} revolute joints ({joints}), 7 are needed")]
+    JointCount {
+        /// The base asked for.
+        base: String,
+        /// The tip asked for.
+        tip: String,
+        /// How many were found.
+        count: usize,
+        /// Their names, separated by commas.
+        joints: String,
+    },
+    /// A joint's limits are missing or senseless.
+    #[error("joint `{joint}`: <limit> is missing or senseless; it needs lower < upper (rad) and velocity > 0 (rad/s)")]
+    Limits {
+        /// Name of the joint.
+        joint: String,
+        /// Which number is wrong.
+        #[source]
+        source: JointLimitsError,
+    },
+    /// A joint's axis has not the length 1.
+    #[error("joint `{joint}`: axis {axis:?} has length {length}, not 1")]
+    Axis {
+        /// Name of the joint.
+        joint: String,
+        /// The axis in the file.
+        axis: [f64; 3],
+        /// Its length.
+        length: f64,
+    },
+    /// A joint follows another joint.
+    #[error("joint `{joint}` mimics joint `{leader}`; each joint must move on its own")]
+    Mimic {
+        /// Name of the joint.
+        joint: String,
+        /// The joint that it follows.
+        leader: String,
+    },
+    /// A joint's origin holds a number that is not finite.
+    #[error("joint `{joint}`: origin xyz {xyz:?} rpy {rpy:?} holds a number that is not finite")]
+    Origin {
+        /// Name of the joint.
+        joint: String,
+        /// Position in the file, metres.
+        xyz: [f64; 3],
+        /// Roll, pitch, yaw in the file, rad.
+        rpy: [f64; 3],
+    },
+}
+
+/// A moving joint: where it sits on the joint before it (fixed joints between them included), and what it turns about.
+#[derive(Clone, Debug)]
+pub(crate) struct MovingJoint {
+    pub name: String,
+    /// From the previous moving joint's frame (turned by its angle), or the base link.
+    pub parent_from_joint: Isometry3<f64>,
+    /// In the joint's own frame.
+    pub axis: Unit<Vector3<f64>>,
+}
+
+/// The constant parts of a chain.
+pub(crate) struct ChainParts {
+    pub joints: [MovingJoint; DOF],
+    pub last_joint_from_tip: Isometry3<f64>,
+    pub limits: JointLimits,
+}
+
+/// Reads and checks a description.
+pub(crate) fn read(xml: &str, base: &str, tip: &str) -> Result<ChainParts, ChainError> {
+    let robot = urdf_rs::read_from_string(xml).map_err(ChainError::Parse)?;
+    for link in [base, tip] {
+        check_link(&robot, link)?;
+    }
+    let path = path_from_base(&robot, base, tip)?;
+    let mut moving = Vec::with_capacity(DOF);
+    let mut limits = Vec::with_capacity(DOF);
+    let mut pending = Isometry3::identity();
+    for joint in path {
+        pending *= origin(joint)?;
+        if is_moving(joint)? {
+            limits.push(joint);
+            moving.push(MovingJoint { name: joint.name.clone(), parent_from_joint: pending, axis: axis(joint)? });
+            pending = Isometry3::identity();
+        }
+    }
+    let joints = <[MovingJoint; DOF]>::try_from(moving).map_err(|found| ChainError::JointCount {
+        base: base.into(),
+        tip: tip.into(),
+        count: found.len(),
+        joints: found.iter().map(|joint| joint.name.as_str()).collect::<Vec<_>>().join(", "),
+    })?;
+    Ok(ChainParts { joints, last_joint_from_tip: pending, limits: joint_limits(&limits)? })
+}
+
+fn check_link(robot: &Robot, name: &str) -> Result<(), ChainError> {
+    if robot.links.iter().any(|link| link.name == name) {
+        return Ok(());
+    }
+    Err(ChainError::UnknownLink {
+        robot: robot.name.clone(),
+        link: name.into(),
+        links: robot.links.iter().map(|link| link.name.as_str()).collect::<Vec<_>>().join(", "),
+    })
+}
+
+/// The joints from base to tip, found by walking from the tip to its parents.
+fn path_from_base<'a>(robot: &'a Robot, base: &str, tip: &str) -> Result<Vec<&'a Joint>, ChainError> {
+    let mut path: Vec<&Joint> = Vec::new();
+    let mut link = tip;
+    while link != base {
+        let mut leading_here = robot.joints.iter().filter(|joint| joint.child.link == link);
+        let Some(joint) = leading_here.next() else {
+            return Err(ChainError::Broken { base: base.into(), tip: tip.into(), stopped_at: link.into() });
+        };
+        let met_again = path.iter().any(|seen| seen.name == joint.name);
+        if met_again || leading_here.next().is_some() {
+            return Err(ChainError::NotATree { link: link.into(), joint: joint.name.clone() });
+        }
+        path.push(joint);
+        link = &joint.parent.link;
+    }
+    path.reverse();
+    Ok(path)
+}
+
+fn is_moving(joint: &Joint) -> Result<bool, ChainError> {
+    if let Some(mimic) = &joint.mimic {
+        return Err(ChainError::Mimic { joint: joint.name.clone(), leader: mimic.joint.clone() });
+    }
+    match joint.joint_type {
+        JointType::Revolute => Ok(true),
+        JointType::Fixed => Ok(false),
+        _ => Err(ChainError::JointKind {
+            joint: joint.name.clone(),
+            kind: format!("{:?}", joint.joint_type).to_lowercase(),
+        }),
+    }
+}
+
+/// `parent_from_joint` at angle zero. URDF: roll, pitch, yaw about the fixed axes x, y, z.
+fn origin(joint: &Joint) -> Result<Isometry3<f64>, ChainError> {
+    let (xyz, rpy) = (*joint.origin.xyz, *joint.origin.rpy);
+    if !xyz.iter().chain(&rpy).all(|number| number.is_finite()) {
+        return Err(ChainError::Origin { joint: joint.name.clone(), xyz, rpy });
+    }
+    let rotation = UnitQuaternion::from_euler_angles(rpy[0], rpy[1], rpy[2]);
+    Ok(Isometry3::from_parts(Translation3::from(Vector3::from(xyz)), rotation))
+}
+
+fn axis(joint: &Joint) -> Result<Unit<Vector3<f64>>, ChainError> {
+    let axis = *joint.axis.xyz;
+    let vector = Vector3::from(axis);
+    let length = vector.norm();
+    // Written so that NaN is refused too.
+    if (length - 1.0).abs() <= AXIS_LENGTH_TOLERANCE {
+        return Ok(Unit::new_normalize(vector));
+    }
+    Err(ChainError::Axis { joint: joint.name.clone(), axis, length })
+}
+
+fn joint_limits(joints: &[&Joint]) -> Result<JointLimits, ChainError> {
+    let vector = |number: fn(&Joint) -> f64| JointVector::from_iterator(joints.iter().map(|joint| number(joint)));
+    JointLimits::new(
+        vector(|joint| joint.limit.lower),
+        vector(|joint| joint.limit.upper),
+        vector(|joint| joint.limit.velocity),
+    )
+    .map_err(|source| {
+        let (JointLimitsError::Position { joint, .. }
+        | JointLimitsError::Velocity { joint, .. }
+        | JointLimitsError::NotWithin { joint, .. }) = source;
+        ChainError::Limits { joint: joints[joint].name.clone(), source }
+    })
+}

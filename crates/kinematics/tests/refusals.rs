@@ -1,0 +1,95 @@
+//! Descriptions that are no chain of seven revolute joints are refused, with the name of the joint or link.
+
+use std::error::Error;
+
+use pb3dp_kinematics::{Chain, ChainError};
+
+const GEN1: &str = include_str!("../../../configs/robots/pa10_gen1.urdf");
+
+fn refused(urdf: &str, tip: &str) -> ChainError {
+    Chain::from_urdf_str(urdf, "base_link", tip).unwrap_err()
+}
+
+/// One change to the good file must be refused with a message that holds every one of `words`.
+fn check(from: &str, to: &str, words: &[&str]) {
+    assert!(GEN1.contains(from), "`{from}` is not in the file: nothing would be tested");
+    let error = refused(&GEN1.replacen(from, to, 1), "flange");
+    let message = match error.source() {
+        Some(cause) => format!("{error}: {cause}"),
+        None => error.to_string(),
+    };
+    for word in words {
+        assert!(message.contains(word), "`{word}` is missing in: {message}");
+    }
+}
+
+#[test]
+fn text_that_is_no_urdf() {
+    assert!(matches!(refused("<robot", "flange"), ChainError::Parse(_)));
+    assert!(matches!(refused("", "flange"), ChainError::Parse(_)));
+    assert!(matches!(refused("joints: 7", "flange"), ChainError::Parse(_)));
+}
+
+#[test]
+fn unknown_link() {
+    let message = refused(GEN1, "tool0").to_string();
+    assert!(message.contains("`tool0`") && message.contains("link_7, flange"), "{message}");
+}
+
+#[test]
+fn broken_chain() {
+    check(r#"<child link="link_4"/>"#, r#"<child link="elsewhere"/>"#, &["link `link_4`", "`base_link`", "`flange`"]);
+}
+
+#[test]
+fn circle_and_second_parent() {
+    check(r#"<parent link="base_link"/>"#, r#"<parent link="link_3"/>"#, &["no tree"]);
+    let second = r#"<joint name="again" type="fixed"><parent link="link_1"/><child link="link_5"/></joint></robot>"#;
+    check("</robot>", second, &["link `link_5`", "no tree"]);
+}
+
+#[test]
+fn wrong_number_of_joints() {
+    let message = refused(GEN1, "link_5").to_string();
+    assert!(message.contains("has 5 revolute joints (s1, s2, s3, e1, e2)"), "{message}");
+    let eighth = r#"<link name="extra"/><joint name="x1" type="revolute"><parent link="flange"/><child link="extra"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>"#;
+    let message = refused(&GEN1.replace("</robot>", eighth), "extra").to_string();
+    assert!(message.contains("has 8 revolute joints") && message.contains("x1"), "{message}");
+}
+
+#[test]
+fn joint_of_another_kind() {
+    for kind in ["continuous", "prismatic", "floating", "planar"] {
+        check(r#""e1" type="revolute""#, &format!(r#""e1" type="{kind}""#), &["joint `e1`", kind]);
+    }
+}
+
+#[test]
+fn missing_or_senseless_limits() {
+    let good = r#"<limit lower="-2.3911010752322315" upper="2.3911010752322315" velocity="2" effort="68"/>"#;
+    check(good, "", &["joint `e1`", "lower < upper", "0 to 0 rad"]);
+    check(good, &good.replace(r#"velocity="2""#, r#"velocity="0""#), &["joint `e1`", "velocity", "0 rad/s"]);
+    check(good, &good.replace(r#"lower="-2.39"#, r#"lower="2.39"#), &["joint `e1`"]);
+    check(good, &good.replace(r#"velocity="2""#, r#"velocity="inf""#), &["joint `e1`", "inf rad/s"]);
+}
+
+#[test]
+fn axis_of_another_length() {
+    check(r#"<axis xyz="0 1 0"/>"#, r#"<axis xyz="0 0.9 0"/>"#, &["joint `s2`", "length 0.9"]);
+    check(r#"<axis xyz="0 1 0"/>"#, r#"<axis xyz="0 0 0"/>"#, &["joint `s2`", "length 0"]);
+    check(r#"<axis xyz="0 1 0"/>"#, r#"<axis xyz="0 NaN 0"/>"#, &["joint `s2`", "NaN"]);
+}
+
+#[test]
+fn origin_that_is_not_finite() {
+    check(r#"<origin xyz="0 0 0.115""#, r#"<origin xyz="0 NaN 0.115""#, &["joint `s2`", "not finite"]);
+}
+
+#[test]
+fn joint_that_follows_another() {
+    check(
+        r#"<child link="link_6"/>"#,
+        r#"<child link="link_6"/><mimic joint="s2"/>"#,
+        &["joint `w1`", "mimics joint `s2`"],
+    );
+}
