@@ -1,2 +1,78 @@
-//! Project commands.
-fn main() {}
+//! Project commands: `cargo xtask <command>`.
+//!
+//! One file per command. Nothing of the product lives here, and the product knows nothing of it. The commands need rustc,
+//! cargo and cc; `git` is used where it is there.
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program for the terminal")]
+
+mod bench;
+mod check_deps;
+mod ci;
+mod demo;
+mod licences;
+mod rust_text;
+mod test;
+mod tidy;
+mod violation;
+mod workspace;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use crate::workspace::Workspace;
+
+/// Commands of the pb3dp project.
+#[derive(Parser)]
+#[command(name = "cargo xtask", version, about, long_about = None)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Demo(demo::Args),
+    Test(test::Args),
+    Ci(ci::Args),
+    Tidy(tidy::Args),
+    CheckDeps(check_deps::Args),
+    Bench(bench::Args),
+}
+
+fn run(cli: &Cli) -> anyhow::Result<()> {
+    let workspace = Workspace::find()?;
+    match &cli.command {
+        Command::Demo(args) => demo::run(&workspace, args),
+        Command::Test(args) => test::run(&workspace, args),
+        Command::Ci(args) => ci::run(&workspace, args),
+        Command::Tidy(args) => tidy::run(&workspace, args),
+        Command::CheckDeps(args) => check_deps::run(&workspace, args),
+        Command::Bench(args) => bench::run(&workspace, args),
+    }
+}
+
+fn main() -> ExitCode {
+    match run(&Cli::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn every_command_explains_itself() {
+        Cli::command().debug_assert();
+        for command in Cli::command().get_subcommands() {
+            let long = command.get_long_about().map(ToString::to_string).unwrap_or_default();
+            assert!(long.len() > 120, "`cargo xtask {} --help` says too little: {long:?}", command.get_name());
+        }
+    }
+}

@@ -1,0 +1,31 @@
+//! `cargo xtask check-deps`: who may know whom.
+
+mod graph;
+mod source;
+
+use crate::violation::{Violation, conclude};
+use crate::workspace::Workspace;
+
+/// Checks who may know whom.
+///
+/// * Dependencies between our packages run downwards only, as in the table of xtask/src/check_deps/graph.rs; every package
+///   of the workspace has its line there.
+/// * crates/* name no backend, except the orchestrator; backends do not name each other, the estimation or the servo.
+/// * serde stands in the orchestrator and in record only.
+/// * Files, threads, clocks, the environment, the network: each may be used only by the packages that the table of
+///   xtask/src/check_deps/source.rs allows; tests are exempt.
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Args {}
+
+/// # Errors
+/// If a rule is broken, or cargo or a file can not be read.
+pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
+    let packages = graph::packages(&workspace.metadata()?)?;
+    let mut violations: Vec<Violation> = graph::check(&packages);
+    let texts = workspace.texts(&[".rs"])?;
+    for file in &texts {
+        violations.extend(source::check(&file.path, &file.text));
+    }
+    conclude("check-deps", &format!("{} packages, {} Rust files", packages.len(), texts.len()), violations)
+}

@@ -1,0 +1,201 @@
+//! Dependencies between our packages, and on serde, as `cargo metadata` tells them.
+
+use anyhow::Context;
+use serde_json::Value;
+
+use crate::violation::Violation;
+
+/// One line per package: which of our packages it may depend on. Lowest floor first; a package may name only what stands
+/// above its own line. Names without the prefix `pb3dp-`.
+const ALLOWED: [(&str, &[&str]); 14] = [
+    ("geometry", &[]),
+    ("kinematics", &["geometry"]),
+    ("estimation", &["geometry"]),
+    ("record", &["geometry"]),
+    ("servo", &["geometry", "kinematics"]),
+    ("sim", &["geometry", "kinematics"]),
+    ("hal-api", &["geometry", "kinematics"]),
+    ("hal-clock", &["geometry", "hal-api"]),
+    ("hal-middleware", &["geometry", "kinematics", "hal-api"]),
+    ("hal-conformance", &["geometry", "kinematics", "hal-api"]),
+    ("camera-replay", &["geometry", "hal-api", "record"]),
+    ("camera-sim", &["geometry", "kinematics", "hal-api", "sim"]),
+    ("arm-pa10", &["geometry", "kinematics", "hal-api", "sim"]),
+    (
+        "orchestrator",
+        &[
+            "geometry",
+            "kinematics",
+            "estimation",
+            "record",
+            "servo",
+            "sim",
+            "hal-api",
+            "hal-clock",
+            "hal-middleware",
+            "camera-replay",
+            "camera-sim",
+            "arm-pa10",
+        ],
+    ),
+];
+
+/// What tests of a package in `hal/` may use besides: the suite that every backend must pass, and a clock to run it by.
+const ALLOWED_IN_HAL_TESTS: [&str; 2] = ["hal-conformance", "hal-clock"];
+
+/// Packages outside the table: the whole-system tests see everything, the commands see nothing.
+const SEES_ALL: &str = "system-tests";
+const SEES_NOTHING: &str = "xtask";
+
+/// Packages that may turn structures into text and back.
+const SERDE_USERS: [&str; 2] = ["orchestrator", "record"];
+const SERDE_CRATES: [&str; 6] = ["serde", "serde_json", "serde-saphyr", "toml", "figment", "serde_derive"];
+
+/// One of our packages and what it depends on.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Package {
+    /// Name without the prefix `pb3dp-`.
+    pub name: String,
+    /// Whether it stands in `hal/`.
+    pub in_hal: bool,
+    /// Normal and build dependencies, ours without the prefix.
+    pub dependencies: Vec<String>,
+    /// Dependencies of its tests, ours without the prefix.
+    pub test_dependencies: Vec<String>,
+}
+
+fn short(name: &str) -> String {
+    name.strip_prefix("pb3dp-").unwrap_or(name).to_owned()
+}
+
+/// Members of the workspace from the output of `cargo metadata`.
+///
+/// # Errors
+/// If the output lacks a key that cargo promises.
+pub fn packages(metadata: &Value) -> anyhow::Result<Vec<Package>> {
+    let all = metadata["packages"].as_array().context("`packages` is missing from cargo metadata")?;
+    all.iter().filter(|package| package["source"].is_null()).map(package).collect()
+}
+
+fn package(package: &Value) -> anyhow::Result<Package> {
+    let name = package["name"].as_str().context("a package has no name")?;
+    let manifest = package["manifest_path"].as_str().context("a package has no manifest")?.replace('\\', "/");
+    let mut found = Package { name: short(name), in_hal: manifest.contains("/hal/"), ..Package::default() };
+    for dependency in package["dependencies"].as_array().context("a package has no dependencies")? {
+        let name = short(dependency["name"].as_str().context("a dependency has no name")?);
+        let for_tests = dependency["kind"].as_str() == Some("dev");
+        if for_tests { found.test_dependencies.push(name) } else { found.dependencies.push(name) }
+    }
+    Ok(found)
+}
+
+/// Checks every package against the tables.
+pub fn check(packages: &[Package]) -> Vec<Violation> {
+    let ours: Vec<&str> = packages.iter().map(|package| package.name.as_str()).collect();
+    packages.iter().flat_map(|package| check_package(package, &ours)).collect()
+}
+
+fn check_package(package: &Package, ours: &[&str]) -> Vec<Violation> {
+    let place = format!("package {}", package.name);
+    if package.name == SEES_ALL {
+        return Vec::new();
+    }
+    let listed = ALLOWED.iter().find(|(name, _)| *name == package.name).map(|(_, allowed)| *allowed);
+    let allowed: &[&str] = match listed {
+        Some(allowed) => allowed,
+        None if package.name == SEES_NOTHING => &[],
+        None => {
+            let message = "is not in the table of xtask/src/check_deps/graph.rs: give it a line, at its floor";
+            return vec![Violation::of(&place, "unknown-package", message)];
+        }
+    };
+    let mut violations = Vec::new();
+    let is_ours = |name: &&String| ours.contains(&name.as_str());
+    for name in package.dependencies.iter().filter(is_ours).filter(|name| !allowed.contains(&name.as_str())) {
+        let message = format!("must not depend on {name}: see the floors in ARCHITECTURE.md");
+        violations.push(Violation::of(&place, "direction", message));
+    }
+    for name in package.test_dependencies.iter().filter(is_ours) {
+        let for_hal = package.in_hal && ALLOWED_IN_HAL_TESTS.contains(&name.as_str());
+        if !for_hal && !allowed.contains(&name.as_str()) {
+            let message = format!("its tests must not depend on {name}: move them to tests/, which sees everything");
+            violations.push(Violation::of(&place, "direction", message));
+        }
+    }
+    if package.name != SEES_NOTHING && !SERDE_USERS.contains(&package.name.as_str()) {
+        for name in package.dependencies.iter().filter(|name| SERDE_CRATES.contains(&name.as_str())) {
+            let message = format!("must not depend on {name}: files are read and written by record and orchestrator");
+            violations.push(Violation::of(&place, "serde", message));
+        }
+    }
+    violations
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with(name: &str, in_hal: bool, dependencies: &[&str], test_dependencies: &[&str]) -> Package {
+        let owned = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
+        let (dependencies, test_dependencies) = (owned(dependencies), owned(test_dependencies));
+        Package { name: name.to_owned(), in_hal, dependencies, test_dependencies }
+    }
+
+    fn rules(package: Package) -> Vec<&'static str> {
+        let names: Vec<&str> = ALLOWED.iter().map(|(name, _)| *name).chain([SEES_ALL, SEES_NOTHING]).collect();
+        check_package(&package, &names).into_iter().map(|v| v.rule).collect()
+    }
+
+    #[test]
+    fn the_table_has_no_arrow_that_runs_upwards() {
+        for (index, (name, allowed)) in ALLOWED.iter().enumerate() {
+            for dependency in *allowed {
+                let above = ALLOWED[..index].iter().any(|(earlier, _)| earlier == dependency);
+                assert!(above, "{name} -> {dependency}: {dependency} must have its line before {name}");
+            }
+        }
+    }
+
+    #[test]
+    fn backends_stay_strangers_to_each_other() {
+        let backends = ["camera-replay", "camera-sim", "arm-pa10"];
+        for (name, allowed) in ALLOWED.iter().filter(|(name, _)| *name != "orchestrator") {
+            assert!(backends.iter().all(|backend| !allowed.contains(backend)), "{name} names a backend");
+        }
+    }
+
+    #[test]
+    fn an_upward_arrow_is_caught() {
+        assert_eq!(rules(with("estimation", false, &["geometry", "nalgebra"], &[])), [""; 0]);
+        assert_eq!(rules(with("estimation", false, &["kinematics"], &[])), ["direction"]);
+        assert_eq!(rules(with("servo", false, &["arm-pa10"], &[])), ["direction"]);
+        assert_eq!(rules(with("servo", false, &["geometry"], &["sim"])), ["direction"]);
+        assert_eq!(rules(with("xtask", false, &["geometry"], &[])), ["direction"]);
+        assert_eq!(rules(with("system-tests", false, &["orchestrator", "camera-sim"], &[])), [""; 0]);
+    }
+
+    #[test]
+    fn the_conformance_suite_is_for_tests_in_hal_alone() {
+        assert_eq!(rules(with("camera-sim", true, &["sim"], &["hal-conformance"])), [""; 0]);
+        assert_eq!(rules(with("camera-sim", true, &["hal-conformance"], &[])), ["direction"]);
+        assert_eq!(rules(with("sim", false, &[], &["hal-conformance"])), ["direction"]);
+    }
+
+    #[test]
+    fn serde_and_unknown_packages_are_caught() {
+        assert_eq!(rules(with("geometry", false, &["serde"], &[])), ["serde"]);
+        assert_eq!(rules(with("record", false, &["serde", "serde-saphyr"], &[])), [""; 0]);
+        assert_eq!(rules(with("vision", false, &[], &[])), ["unknown-package"]);
+    }
+
+    #[test]
+    fn metadata_is_understood() {
+        let metadata = serde_json::json!({"packages": [
+            {"name": "serde", "source": "registry+x", "manifest_path": "/r/Cargo.toml", "dependencies": []},
+            {"name": "pb3dp-camera-sim", "source": null, "manifest_path": "/x/hal/camera-sim/Cargo.toml", "dependencies": [
+                {"name": "pb3dp-sim", "kind": null}, {"name": "pb3dp-hal-conformance", "kind": "dev"}]},
+        ]});
+        let expected = with("camera-sim", true, &["sim"], &["hal-conformance"]);
+        assert_eq!(packages(&metadata).expect("complete"), [expected]);
+    }
+}

@@ -1,0 +1,160 @@
+//! What the source text of a package may use: files, threads, clocks, the environment.
+
+use crate::rust_text::{code_only, line_at, paths, without_test_items};
+use crate::violation::Violation;
+
+/// A part of the outside world, the paths that lead to it, and the folders whose code may use it.
+struct World {
+    what: &'static str,
+    paths: &'static [&'static str],
+    allowed_in: &'static [&'static str],
+}
+
+const WORLDS: [World; 6] = [
+    World {
+        what: "files",
+        paths: &["std::fs", "std::os", "image::open", "image::ImageReader::open", "image::save_buffer", "File::open"],
+        allowed_in: &["crates/record/", "crates/orchestrator/", "hal/camera-replay/"],
+    },
+    World { what: "threads", paths: &["std::thread", "rayon"], allowed_in: &["crates/orchestrator/", "hal/clock/"] },
+    World {
+        what: "the wall clock",
+        paths: &[
+            "std::time::Instant",
+            "std::time::SystemTime",
+            "std::time::UNIX_EPOCH",
+            "Instant::now",
+            "SystemTime::now",
+        ],
+        allowed_in: &["crates/orchestrator/", "hal/clock/"],
+    },
+    World { what: "the environment", paths: &["std::env"], allowed_in: &["crates/orchestrator/"] },
+    World { what: "other programs", paths: &["std::process"], allowed_in: &["crates/orchestrator/"] },
+    World { what: "the network", paths: &["std::net"], allowed_in: &[] },
+];
+
+/// Crate names of the backends; only the orchestrator wires them.
+const BACKENDS: [&str; 3] = ["pb3dp_camera_replay", "pb3dp_camera_sim", "pb3dp_arm_pa10"];
+const SERDE_TRAITS: [&str; 2] = ["Serialize", "Deserialize"];
+
+/// Checks one Rust file; tests, examples and the project's own commands are exempt.
+pub fn check(path: &str, text: &str) -> Vec<Violation> {
+    let is_product = (path.starts_with("crates/") || path.starts_with("hal/")) && path.contains("/src/");
+    let is_test = path.ends_with("/tests.rs") || path.ends_with("_tests.rs") || path.contains("/src/tests/");
+    if !is_product || is_test || path.starts_with("hal/vendor/") {
+        return Vec::new();
+    }
+    let code = without_test_items(&code_only(text));
+    let mut violations = worlds(path, &code);
+    violations.extend(backends(path, &code));
+    violations.extend(serde_derives(path, &code));
+    violations.sort();
+    violations.dedup();
+    violations
+}
+
+fn worlds(path: &str, code: &str) -> Vec<Violation> {
+    let named = paths(code);
+    let mut violations = Vec::new();
+    for world in WORLDS.iter().filter(|world| !world.allowed_in.iter().any(|folder| path.starts_with(folder))) {
+        for (line, name) in &named {
+            if world.paths.iter().any(|forbidden| leads_to(name, forbidden)) {
+                let message = format!("`{name}`: {} may be used in {:?} only", world.what, world.allowed_in);
+                violations.push(Violation::at(path, *line, "outside-world", message));
+            }
+        }
+    }
+    violations
+}
+
+/// Whether `name` is the forbidden path, something below it, or a glob import of its parent.
+fn leads_to(name: &str, forbidden: &str) -> bool {
+    let name = name.trim_start_matches("::");
+    let below = |prefix: &str| name == prefix || name.strip_prefix(prefix).is_some_and(|rest| rest.starts_with("::"));
+    below(forbidden) || forbidden.rsplit_once("::").is_some_and(|(parent, _)| name == format!("{parent}::*"))
+}
+
+fn backends(path: &str, code: &str) -> Vec<Violation> {
+    if !path.starts_with("crates/") || path.starts_with("crates/orchestrator/") {
+        return Vec::new();
+    }
+    let violation = |backend: &str| {
+        let line = line_at(code, code.find(backend).unwrap_or_default());
+        Violation::at(path, line, "backend-named", format!("`{backend}`: only the orchestrator names backends"))
+    };
+    BACKENDS.into_iter().filter(|backend| code.contains(backend)).map(violation).collect()
+}
+
+fn serde_derives(path: &str, code: &str) -> Vec<Violation> {
+    if ["crates/orchestrator/", "crates/record/"].iter().any(|folder| path.starts_with(folder)) {
+        return Vec::new();
+    }
+    let mut violations = Vec::new();
+    for (at, mark) in code.match_indices("derive(") {
+        let derived = code[at + mark.len()..].split(')').next().unwrap_or_default();
+        if SERDE_TRAITS.iter().any(|name| derived.contains(name)) {
+            let message =
+                "serde derives stand in record and orchestrator only: give the file format a type of its own there";
+            violations.push(Violation::at(path, line_at(code, at), "serde", message));
+        }
+    }
+    violations
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rules(path: &str, text: &str) -> Vec<&'static str> {
+        check(path, text).into_iter().map(|v| v.rule).collect()
+    }
+
+    #[test]
+    fn the_outside_world_is_caught_in_pure_crates() {
+        let path = "crates/estimation/src/search.rs";
+        for text in [
+            "use std::fs;",
+            "use std::{fmt, time::Instant};",
+            "use std::time::*;",
+            "fn f() { ::std::thread::spawn(g); }",
+            "fn f() { let t = std::time::SystemTime::now(); }",
+            "fn f() { std::env::var(\"X\"); }",
+            "use std::net::UdpSocket;",
+            "use rayon::prelude::*;",
+            "fn f() { image::open(p); }",
+        ] {
+            assert!(rules(path, text).contains(&"outside-world"), "{text}");
+        }
+    }
+
+    #[test]
+    fn values_tests_and_words_in_comments_pass() {
+        let path = "crates/estimation/src/search.rs";
+        for text in [
+            "use std::time::Duration;",
+            "// std::fs is not used here\nfn f() {}",
+            "#[cfg(test)]\nmod tests {\n    use std::fs;\n}",
+            "fn f() { my_std::fs_like(); }",
+        ] {
+            assert!(rules(path, text).is_empty(), "{text}");
+        }
+        assert!(rules("crates/record/src/files.rs", "use std::fs;").is_empty());
+        assert!(rules("crates/estimation/examples/speed.rs", "use std::time::Instant;").is_empty());
+        assert!(rules("hal/clock/src/lib.rs", "use std::time::{Duration, Instant};").is_empty());
+    }
+
+    #[test]
+    fn the_clock_is_not_read_outside_its_rooms() {
+        for path in ["crates/sim/src/scene.rs", "crates/servo/src/law.rs", "hal/camera-replay/src/lib.rs"] {
+            assert_eq!(rules(path, "use std::time::Instant;"), ["outside-world"], "{path}");
+        }
+    }
+
+    #[test]
+    fn backends_and_derives_are_caught() {
+        assert_eq!(rules("crates/servo/src/a.rs", "use pb3dp_arm_pa10::Mock;"), ["backend-named"]);
+        assert!(rules("crates/orchestrator/src/wiring.rs", "use pb3dp_arm_pa10::Mock;").is_empty());
+        assert_eq!(rules("crates/servo/src/a.rs", "#[derive(Debug, serde::Serialize)]\nstruct A;"), ["serde"]);
+        assert!(rules("crates/record/src/a.rs", "#[derive(Debug, Serialize)]\nstruct A;").is_empty());
+    }
+}

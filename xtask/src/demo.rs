@@ -1,0 +1,48 @@
+//! `cargo xtask demo`: the experiment in simulation, from source to report.
+
+use std::time::Instant;
+
+use anyhow::bail;
+
+use crate::workspace::{Workspace, run_visibly};
+
+const CONFIG: &str = "configs/sim.toml";
+const OUT: &str = "out/demo";
+
+/// Builds the program and runs the experiment in simulation: a hand with two cameras follows an object it has never seen.
+///
+/// The first build takes some minutes; the program shows its progress while it runs. Afterwards out/demo/report.html holds the
+/// plots and pictures; it is one file that any browser opens. The experiment is described in configs/sim.toml: copy that file,
+/// change it, and pass it with --config.
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Args {
+    /// The setup to run.
+    #[arg(long, default_value = CONFIG)]
+    config: String,
+    /// Where the report goes.
+    #[arg(long, default_value = OUT)]
+    out: String,
+}
+
+/// # Errors
+/// If the program does not build, the run fails, or no report is there afterwards.
+pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
+    let package = ["--release", "--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"];
+    println!("Building pb3dp with optimisation (some minutes the first time).");
+    let start = Instant::now();
+    run_visibly(workspace.cargo().arg("build").args(package))?;
+    println!("Built in {:.0} s. Now the experiment.", start.elapsed().as_secs_f64());
+
+    let start = Instant::now();
+    let program = ["--quiet"].into_iter().chain(package);
+    let run = ["--", "run", "--config", args.config.as_str(), "--out", args.out.as_str()];
+    run_visibly(workspace.cargo().arg("run").args(program).args(run))?;
+
+    let report = workspace.root().join(&args.out).join("report.html");
+    if !report.is_file() {
+        bail!("the run ended without an error but {} is not there", report.display());
+    }
+    println!("Ran in {:.0} s. Open the report in a browser: {}", start.elapsed().as_secs_f64(), report.display());
+    Ok(())
+}

@@ -1,0 +1,199 @@
+//! Licences, sources and banned crates of all dependencies, judged by `deny.toml`.
+//!
+//! The same rules as `cargo deny check licenses bans sources`, without that tool: what `deny.toml` allows is read from there.
+
+use anyhow::{Context, bail};
+use serde_json::Value;
+
+use crate::violation::{Violation, conclude};
+use crate::workspace::{Workspace, run_visibly};
+
+/// The rules that `deny.toml` states.
+#[derive(Debug)]
+struct Policy {
+    licences: Vec<String>,
+    banned: Vec<(String, String)>,
+    registries: Vec<String>,
+}
+
+/// Checks every package of the dependency graph, and asks cargo-deny too where it is installed.
+///
+/// # Errors
+/// If a package breaks the policy, or `deny.toml` or the metadata can not be read.
+pub fn run(workspace: &Workspace) -> anyhow::Result<()> {
+    let text = std::fs::read_to_string(workspace.root().join("deny.toml")).context("cannot read deny.toml")?;
+    let policy = Policy::parse(&text).context("in deny.toml")?;
+    let metadata = workspace.metadata()?;
+    let packages = metadata["packages"].as_array().context("`packages` is missing from cargo metadata")?;
+    let violations = packages.iter().flat_map(|package| policy.check(package)).collect();
+    conclude("licences", &format!("{} packages", packages.len()), violations)?;
+    if workspace.output_of("cargo-deny", &["--version"]).is_some() {
+        run_visibly(workspace.cargo().args(["deny", "--locked", "check", "licenses", "bans", "sources"]))?;
+    }
+    Ok(())
+}
+
+impl Policy {
+    fn parse(text: &str) -> anyhow::Result<Self> {
+        let table: toml::Table = text.parse()?;
+        let list = |section: &str, key: &str| -> anyhow::Result<Vec<toml::Value>> {
+            let list = table.get(section).and_then(|section| section.get(key)).and_then(toml::Value::as_array);
+            list.cloned().with_context(|| format!("[{section}] {key} is missing"))
+        };
+        let words = |section: &str, key: &str| -> anyhow::Result<Vec<String>> {
+            let word = |value: toml::Value| value.as_str().map(str::to_owned);
+            let words: Option<Vec<String>> = list(section, key)?.into_iter().map(word).collect();
+            words.with_context(|| format!("[{section}] {key}: every entry must be a string"))
+        };
+        let mut banned = Vec::new();
+        for entry in list("bans", "deny")? {
+            let key = |key: &str| entry.get(key).and_then(toml::Value::as_str).map(str::to_owned);
+            let name = key("crate").context("[bans] deny: an entry has no `crate`")?;
+            banned.push((name, key("reason").context("[bans] deny: an entry has no `reason`")?));
+        }
+        Ok(Self { licences: words("licenses", "allow")?, banned, registries: words("sources", "allow-registry")? })
+    }
+
+    fn check(&self, package: &Value) -> Vec<Violation> {
+        let text = |key: &str| package[key].as_str();
+        let place = format!("package {} {}", text("name").unwrap_or("?"), text("version").unwrap_or("?"));
+        let mut violations = Vec::new();
+        match text("license").map(|licence| self.accepts(licence)) {
+            Some(Ok(true)) => {}
+            Some(Ok(false)) => {
+                let message =
+                    format!("its licence `{}` is not allowed by deny.toml", text("license").unwrap_or_default());
+                violations.push(Violation::of(&place, "licence", message));
+            }
+            Some(Err(error)) => violations.push(Violation::of(&place, "licence", format!("{error:#}"))),
+            None => violations.push(Violation::of(&place, "licence", "states no SPDX licence")),
+        }
+        if let Some((_, reason)) = self.banned.iter().find(|(name, _)| Some(name.as_str()) == text("name")) {
+            violations.push(Violation::of(&place, "banned", reason.clone()));
+        }
+        let known = |source: &str| self.registries.iter().any(|registry| source == format!("registry+{registry}"));
+        if let Some(source) = text("source").filter(|source| !known(source)) {
+            violations.push(Violation::of(
+                &place,
+                "source",
+                format!("comes from {source}, which deny.toml does not know"),
+            ));
+        }
+        violations
+    }
+
+    /// Whether an SPDX expression can be fulfilled with allowed licences.
+    fn accepts(&self, expression: &str) -> anyhow::Result<bool> {
+        let spaced = expression.replace('(', " ( ").replace(')', " ) ").replace('/', " OR ");
+        let words: Vec<&str> = spaced.split_whitespace().collect();
+        let mut at = 0;
+        let accepted = self.any_of(&words, &mut at).with_context(|| format!("licence `{expression}`"))?;
+        if at < words.len() {
+            bail!("licence `{expression}`: cannot read on at `{}`", words[at]);
+        }
+        Ok(accepted)
+    }
+
+    fn any_of(&self, words: &[&str], at: &mut usize) -> anyhow::Result<bool> {
+        let mut accepted = self.all_of(words, at)?;
+        while words.get(*at) == Some(&"OR") {
+            *at += 1;
+            accepted |= self.all_of(words, at)?;
+        }
+        Ok(accepted)
+    }
+
+    fn all_of(&self, words: &[&str], at: &mut usize) -> anyhow::Result<bool> {
+        let mut accepted = self.one(words, at)?;
+        while words.get(*at) == Some(&"AND") {
+            *at += 1;
+            accepted &= self.one(words, at)?;
+        }
+        Ok(accepted)
+    }
+
+    fn one(&self, words: &[&str], at: &mut usize) -> anyhow::Result<bool> {
+        let word = *words.get(*at).context("ends too early")?;
+        *at += 1;
+        match word {
+            "(" => {
+                let accepted = self.any_of(words, at)?;
+                if words.get(*at) != Some(&")") {
+                    bail!("`)` is missing");
+                }
+                *at += 1;
+                Ok(accepted)
+            }
+            ")" | "OR" | "AND" | "WITH" => bail!("`{word}` stands where a licence is expected"),
+            name if words.get(*at) == Some(&"WITH") => {
+                let exception = words.get(*at + 1).context("`WITH` names no exception")?;
+                *at += 2;
+                Ok(self.allows(&format!("{name} WITH {exception}")))
+            }
+            name => Ok(self.allows(name)),
+        }
+    }
+
+    fn allows(&self, licence: &str) -> bool {
+        self.licences.iter().any(|allowed| allowed == licence)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn policy() -> Policy {
+        let text = "[licenses]\nallow = [\"MIT\", \"Zlib\", \"Unicode-3.0\"]\n\
+            [bans]\ndeny = [{ crate = \"clang-sys\", reason = \"needs libclang\" }]\n\
+            [sources]\nallow-registry = [\"https://example.org/index\"]\n";
+        Policy::parse(text).expect("valid")
+    }
+
+    #[test]
+    fn expressions_are_judged_as_spdx_says() {
+        for (expression, expected) in [
+            ("MIT", true),
+            ("GPL-3.0", false),
+            ("GPL-3.0 OR MIT", true),
+            ("MIT AND GPL-3.0", false),
+            ("(GPL-3.0 OR MIT) AND Unicode-3.0", true),
+            ("GPL-3.0 OR MIT AND GPL-2.0", false),
+            ("Apache-2.0/MIT", true),
+            ("MIT WITH LLVM-exception", false),
+            ("Apache-2.0 WITH LLVM-exception OR Zlib", true),
+        ] {
+            assert_eq!(policy().accepts(expression).expect("readable"), expected, "{expression}");
+        }
+        for broken in ["", "MIT OR", "(MIT", "MIT MIT", "AND MIT", "MIT WITH"] {
+            assert!(policy().accepts(broken).is_err(), "{broken}");
+        }
+    }
+
+    #[test]
+    fn each_rule_catches_its_package() {
+        let good =
+            json!({"name": "a", "version": "1.0.0", "license": "MIT", "source": "registry+https://example.org/index"});
+        assert_eq!(policy().check(&good), []);
+        for (key, value, rule) in [
+            ("license", json!("GPL-3.0"), "licence"),
+            ("license", json!(null), "licence"),
+            ("name", json!("clang-sys"), "banned"),
+            ("source", json!("git+https://example.org/a"), "source"),
+        ] {
+            let mut bad = good.clone();
+            bad[key] = value;
+            let rules: Vec<_> = policy().check(&bad).into_iter().map(|v| v.rule).collect();
+            assert_eq!(rules, [rule], "{key}");
+        }
+    }
+
+    #[test]
+    fn the_policy_of_the_project_is_complete() {
+        let policy = Policy::parse(include_str!("../../deny.toml")).expect("valid");
+        assert!(policy.allows("MIT") && policy.allows("Apache-2.0") && !policy.banned.is_empty());
+        assert!(!policy.licences.iter().any(|licence| licence.contains("GPL")));
+    }
+}

@@ -1,0 +1,281 @@
+//! Just enough understanding of Rust source text for the checks: code without comments and literals, functions, paths.
+//!
+//! It is not a parser. What it can not see (code made by macros) the checks do not judge.
+
+/// A function found in source text.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FunctionSpan {
+    /// Its name.
+    pub name: String,
+    /// First line, from 1: the one that holds `fn`.
+    pub line: usize,
+    /// Number of lines up to the closing brace.
+    pub lines: usize,
+}
+
+/// The source with every comment, string and character literal replaced by spaces; line breaks stay where they are.
+pub fn code_only(source: &str) -> String {
+    let chars: Vec<char> = source.chars().collect();
+    let mut code = String::with_capacity(source.len());
+    let mut at = 0;
+    while at < chars.len() {
+        let end = end_of_opaque(&chars, at);
+        if end == at {
+            code.push(chars[at]);
+            at += 1;
+        } else {
+            code.extend(chars[at..end].iter().map(|&c| if c == '\n' { '\n' } else { ' ' }));
+            at = end;
+        }
+    }
+    code
+}
+
+/// Where the comment or literal that starts at `at` ends, or `at` if none starts there.
+fn end_of_opaque(chars: &[char], at: usize) -> usize {
+    let next = chars.get(at + 1).copied();
+    let inside_word = at > 0 && is_word(chars[at - 1]);
+    match chars[at] {
+        '/' if next == Some('/') => find(chars, at, |c| c == '\n'),
+        '/' if next == Some('*') => end_of_block_comment(chars, at),
+        '"' => end_of_quoted(chars, at, '"'),
+        'r' if !inside_word || chars[at - 1] == 'b' => end_of_raw_string(chars, at).unwrap_or(at),
+        '\'' => end_of_char(chars, at),
+        _ => at,
+    }
+}
+
+fn find(chars: &[char], from: usize, wanted: impl Fn(char) -> bool) -> usize {
+    (from..chars.len()).find(|&i| wanted(chars[i])).unwrap_or(chars.len())
+}
+
+fn end_of_block_comment(chars: &[char], at: usize) -> usize {
+    let (mut depth, mut i) = (0_usize, at);
+    while i + 1 < chars.len() {
+        match (chars[i], chars[i + 1]) {
+            ('/', '*') => depth += 1,
+            ('*', '/') => depth -= 1,
+            _ => {
+                i += 1;
+                continue;
+            }
+        }
+        i += 2;
+        if depth == 0 {
+            return i;
+        }
+    }
+    chars.len()
+}
+
+fn end_of_quoted(chars: &[char], at: usize, quote: char) -> usize {
+    let mut i = at + 1;
+    while i < chars.len() {
+        match chars[i] {
+            '\\' => i += 2,
+            c if c == quote => return i + 1,
+            _ => i += 1,
+        }
+    }
+    chars.len()
+}
+
+fn end_of_raw_string(chars: &[char], at: usize) -> Option<usize> {
+    let hashes = chars[at + 1..].iter().take_while(|&&c| c == '#').count();
+    let open = at + 1 + hashes;
+    if chars.get(open) != Some(&'"') {
+        return None;
+    }
+    let closes =
+        |i: &usize| chars[*i] == '"' && chars[i + 1..].iter().take(hashes).filter(|&&c| c == '#').count() == hashes;
+    let close = (open + 1..chars.len()).find(closes);
+    Some(close.map_or(chars.len(), |i| i + 1 + hashes))
+}
+
+/// A character literal; a lifetime (`'a`) is left alone.
+fn end_of_char(chars: &[char], at: usize) -> usize {
+    match (chars.get(at + 1), chars.get(at + 2)) {
+        (Some('\\'), _) => end_of_quoted(chars, at, '\''),
+        (Some(_), Some('\'')) => at + 3,
+        _ => at,
+    }
+}
+
+fn is_word(c: char) -> bool {
+    c.is_alphanumeric() || c == '_'
+}
+
+/// Byte positions at which `word` stands by itself in `code`.
+pub fn word_positions<'a>(code: &'a str, word: &'a str) -> impl Iterator<Item = usize> + 'a {
+    code.match_indices(word).map(|(at, _)| at).filter(move |&at| {
+        let before = code[..at].chars().next_back();
+        let after = code[at + word.len()..].chars().next();
+        !before.is_some_and(is_word) && !after.is_some_and(is_word)
+    })
+}
+
+/// Line, from 1, of a byte position.
+pub fn line_at(text: &str, position: usize) -> usize {
+    text[..position].matches('\n').count() + 1
+}
+
+/// All functions with a body in code that [`code_only`] has made; nested ones are listed too.
+pub fn functions(code: &str) -> Vec<FunctionSpan> {
+    word_positions(code, "fn").filter_map(|at| function_at(code, at)).collect()
+}
+
+fn function_at(code: &str, at: usize) -> Option<FunctionSpan> {
+    let rest = code[at + 2..].trim_start();
+    let name: String = rest.chars().take_while(|&c| is_word(c)).collect();
+    if name.is_empty() {
+        return None;
+    }
+    let open = body_start(&code[at..])? + at;
+    let close = matching_brace(code, open)?;
+    let line = line_at(code, at);
+    Some(FunctionSpan { name, line, lines: line_at(code, close) - line + 1 })
+}
+
+/// Offset of the `{` that opens the body, `None` for a declaration without one.
+fn body_start(signature: &str) -> Option<usize> {
+    let mut depth = 0_i32;
+    for (i, c) in signature.char_indices() {
+        match c {
+            '(' | '[' => depth += 1,
+            ')' | ']' => depth -= 1,
+            '{' if depth == 0 => return Some(i),
+            ';' if depth == 0 => return None,
+            _ => {}
+        }
+    }
+    None
+}
+
+fn matching_brace(code: &str, open: usize) -> Option<usize> {
+    let mut depth = 0_i32;
+    for (i, c) in code[open..].char_indices() {
+        match c {
+            '{' => depth += 1,
+            '}' => depth -= 1,
+            _ => {}
+        }
+        if depth == 0 {
+            return Some(open + i);
+        }
+    }
+    None
+}
+
+/// Code with every item behind `#[cfg(test)]` that has a body in braces replaced by spaces.
+pub fn without_test_items(code: &str) -> String {
+    let mut kept = code.to_owned();
+    for (at, mark) in code.match_indices("#[cfg(test)]") {
+        let end = body_start(&code[at + mark.len()..])
+            .map(|offset| at + mark.len() + offset)
+            .and_then(|open| matching_brace(code, open));
+        if let Some(end) = end {
+            let blank: String = code[at..=end].chars().map(|c| if c == '\n' { '\n' } else { ' ' }).collect();
+            if blank.len() == end + 1 - at {
+                kept.replace_range(at..=end, &blank);
+            }
+        }
+    }
+    kept
+}
+
+/// Every path that the code names, `use` trees written out, each with its line: `use std::{fs, time::Instant}` gives
+/// `std::fs` and `std::time::Instant`.
+pub fn paths(code: &str) -> Vec<(usize, String)> {
+    let mut found = Vec::new();
+    for at in word_positions(code, "use") {
+        let tree = code[at + 3..].split(';').next().unwrap_or_default();
+        expand_use_tree("", &tree.split_whitespace().collect::<Vec<_>>().join(" "), &mut |path| {
+            found.push((line_at(code, at), path));
+        });
+    }
+    let mut at = 0;
+    while let Some(offset) = code[at..].find(is_word) {
+        let start = at + offset;
+        let end = code[start..].find(|c: char| !is_word(c) && c != ':').map_or(code.len(), |n| start + n);
+        if code[start..end].contains("::") {
+            found.push((line_at(code, start), code[start..end].trim_end_matches(':').to_owned()));
+        }
+        at = end;
+    }
+    found
+}
+
+fn expand_use_tree(prefix: &str, tree: &str, emit: &mut impl FnMut(String)) {
+    let tree = tree.trim();
+    let Some(open) = tree.find('{') else {
+        let path = tree.split(" as ").next().unwrap_or_default().trim();
+        if !path.is_empty() {
+            emit(if path == "self" { prefix.trim_end_matches(':').to_owned() } else { format!("{prefix}{path}") });
+        }
+        return;
+    };
+    let prefix = format!("{prefix}{}", tree[..open].trim());
+    let inner = tree[open + 1..].trim_end().trim_end_matches('}');
+    // `trim_end_matches` may have taken braces of inner trees; put back what is missing.
+    let missing = inner.matches('{').count().saturating_sub(inner.matches('}').count());
+    let inner = format!("{inner}{}", "}".repeat(missing));
+    let (mut depth, mut start) = (0_i32, 0);
+    for (i, c) in inner.char_indices() {
+        match c {
+            '{' => depth += 1,
+            '}' => depth -= 1,
+            ',' if depth == 0 => {
+                expand_use_tree(&prefix, &inner[start..i], emit);
+                start = i + 1;
+            }
+            _ => {}
+        }
+    }
+    expand_use_tree(&prefix, &inner[start..], emit);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn comments_and_literals_become_spaces_and_lines_stay() {
+        let source =
+            "let a = \"dbg!(1) \\\" {\"; // todo!()\nlet b = '{'; let c: &'a str = r#\"}\"#; /* { /* } */ */ f()";
+        let code = code_only(source);
+        assert_eq!(code.len(), source.len());
+        assert_eq!(code.matches('\n').count(), 1);
+        for gone in ["dbg", "todo", "{", "}"] {
+            assert!(!code.contains(gone), "{gone} in {code}");
+        }
+        assert!(code.contains("&'a str") && code.contains("f()"));
+    }
+
+    #[test]
+    fn functions_are_measured_from_fn_to_brace() {
+        let code = code_only(
+            "fn one() {}\npub(crate) fn two(\n    a: [u8; 3],\n) -> u8 {\n    fn inner() { }\n    a[0]\n}\ntrait T { fn none(&self); }\n",
+        );
+        let spans = functions(&code);
+        let found: Vec<_> = spans.iter().map(|f| (f.name.as_str(), f.line, f.lines)).collect();
+        assert_eq!(found, [("one", 1, 1), ("two", 2, 6), ("inner", 5, 1)]);
+    }
+
+    #[test]
+    fn test_items_are_taken_out() {
+        let code = without_test_items(
+            "fn a() { x::y() }\n#[cfg(test)]\nmod tests { fn b() { std::fs::read() } }\nfn c() {}\n",
+        );
+        assert!(code.contains("fn a()") && code.contains("fn c()") && !code.contains("std::fs"));
+        assert_eq!(line_at(&code, code.find("fn c").expect("kept")), 4);
+    }
+
+    #[test]
+    fn use_trees_are_written_out() {
+        let code = "use std::{fs, io::{self, Read as R}, time::{Duration}};\nfn f() { std::thread::spawn(g) }";
+        let paths: Vec<_> = paths(code).into_iter().map(|(line, path)| format!("{line} {path}")).collect();
+        for wanted in ["1 std::fs", "1 std::io", "1 std::io::Read", "1 std::time::Duration", "2 std::thread::spawn"] {
+            assert!(paths.iter().any(|path| path == wanted), "{wanted} is missing from {paths:?}");
+        }
+    }
+}

@@ -1,0 +1,65 @@
+//! `cargo xtask tidy`: rules of shape that neither rustfmt nor clippy knows.
+
+mod configs;
+mod exceptions;
+mod layout;
+mod markdown;
+mod rust;
+mod text;
+
+use crate::violation::{Violation, conclude};
+use crate::workspace::{SourceFile, Workspace};
+
+use exceptions::Exceptions;
+
+/// Endings of the files that hold text of ours.
+const TEXT_ENDINGS: [&str; 11] =
+    [".rs", ".toml", ".md", ".json", ".yaml", ".yml", ".urdf", ".sh", ".html", ".svg", ".ci/run"];
+
+/// Checks the rules of shape that rustfmt and clippy do not know.
+///
+/// * Rust: files of at most 600 lines, functions of at most 70 (exceptions only in xtask/tidy-exceptions.toml, and they may
+///   only shrink), no `todo!`, `unimplemented!`, `dbg!`, no ignored tests, no tests that expect a panic by attribute.
+/// * Text: no absolute paths of one machine, no paths out of the repository, `TODO(name, issue)` or none.
+/// * Markdown: one sentence per line.
+/// * configs/: every TOML file and every robot description parses.
+/// * Layout: the top level holds exactly the agreed entries; every package takes the workspace's lints, version and
+///   dependencies, and its root file opens with a `//!` text.
+///
+/// Each broken rule is printed as `file:line: [rule] what to do`.
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Args {}
+
+/// # Errors
+/// If a rule is broken or a file can not be read.
+pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
+    let files = workspace.files()?;
+    let texts = workspace.texts(&TEXT_ENDINGS)?;
+    let mut exceptions = Exceptions::load(workspace)?;
+    let mut violations = layout::top_level(&files);
+    for file in &texts {
+        violations.extend(check_text(file, &mut exceptions));
+    }
+    violations.extend(exceptions.unused());
+    conclude("tidy", &format!("{} files, {} of them text", files.len(), texts.len()), violations)
+}
+
+fn check_text(file: &SourceFile, exceptions: &mut Exceptions) -> Vec<Violation> {
+    let SourceFile { path, text } = file;
+    let mut violations = text::check(path, text);
+    if path.ends_with(".rs") {
+        violations.extend(rust::check(path, text, exceptions));
+        violations.extend(layout::crate_docs(path, text));
+    }
+    if path.ends_with(".md") {
+        violations.extend(markdown::check(path, text));
+    }
+    if path.ends_with("/Cargo.toml") {
+        violations.extend(layout::manifest(path, text));
+    }
+    if path.starts_with("configs/") {
+        violations.extend(configs::check(path, text));
+    }
+    violations
+}

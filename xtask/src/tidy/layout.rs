@@ -1,0 +1,128 @@
+//! The shape of the tree: what lies at the top level, and what every package has.
+
+use crate::violation::Violation;
+
+/// Everything that may lie at the top level; the ones marked `true` must.
+const TOP_LEVEL: [(&str, bool); 21] = [
+    (".cargo", true),
+    (".ci", true),
+    (".editorconfig", false),
+    (".gitattributes", false),
+    (".gitignore", true),
+    ("ARCHITECTURE.md", true),
+    ("CHANGELOG.md", true),
+    ("CONTRIBUTING.md", true),
+    ("Cargo.lock", true),
+    ("Cargo.toml", true),
+    ("LICENSE-APACHE", true),
+    ("LICENSE-MIT", true),
+    ("README.md", true),
+    ("clippy.toml", true),
+    ("configs", true),
+    ("crates", true),
+    ("deny.toml", true),
+    ("docs", true),
+    ("hal", true),
+    ("rustfmt.toml", true),
+    ("tests", true),
+];
+
+/// Checks the first part of every path.
+pub fn top_level(files: &[String]) -> Vec<Violation> {
+    let present = |name: &str| files.iter().any(|file| file.split('/').next() == Some(name));
+    let known = |name: &str| name == "xtask" || TOP_LEVEL.iter().any(|(allowed, _)| *allowed == name);
+    let mut violations = Vec::new();
+    for file in files {
+        let name = file.split('/').next().unwrap_or_default();
+        if !known(name) {
+            violations.push(Violation::of(name, "top-level", "does not belong at the top level: see ARCHITECTURE.md"));
+        }
+    }
+    violations.dedup();
+    for (name, _) in TOP_LEVEL.iter().filter(|(name, required)| *required && !present(name)) {
+        violations.push(Violation::of(name, "top-level", "is missing"));
+    }
+    violations
+}
+
+/// Checks a member's `Cargo.toml`: lints and package keys from the workspace, dependencies from the workspace.
+pub fn manifest(path: &str, text: &str) -> Vec<Violation> {
+    let vendored = path.starts_with("hal/vendor/") || path.starts_with("tests/fuzz/");
+    if vendored {
+        return Vec::new();
+    }
+    let table = match text.parse::<toml::Table>() {
+        Ok(table) => table,
+        Err(error) => return vec![Violation::of(path, "manifest", error.to_string())],
+    };
+    let inherits = |value: Option<&toml::Value>| {
+        value.and_then(|value| value.get("workspace")).and_then(toml::Value::as_bool) == Some(true)
+    };
+    let mut violations = Vec::new();
+    if !inherits(table.get("lints")) {
+        violations.push(Violation::of(path, "manifest", "`[lints] workspace = true` is missing"));
+    }
+    for key in ["version", "edition", "rust-version", "license", "publish"] {
+        if !inherits(table.get("package").and_then(|package| package.get(key))) {
+            violations.push(Violation::of(path, "manifest", format!("`{key}.workspace = true` is missing")));
+        }
+    }
+    for section in ["dependencies", "dev-dependencies", "build-dependencies"] {
+        let Some(entries) = table.get(section).and_then(toml::Value::as_table) else { continue };
+        for (name, _) in entries.iter().filter(|(_, entry)| !inherits(Some(entry))) {
+            let message =
+                format!("`{name}` in [{section}]: state the version once, in the root, and write `workspace = true`");
+            violations.push(Violation::of(path, "manifest", message));
+        }
+    }
+    violations
+}
+
+/// Checks that a package's root file says in `//!` what the package is.
+pub fn crate_docs(path: &str, text: &str) -> Vec<Violation> {
+    let is_root = path.ends_with("/src/lib.rs") || path.ends_with("/src/main.rs");
+    if is_root && !text.trim_start().starts_with("//!") {
+        let message = "open with `//!`: what the crate is, what it does not do, its main types";
+        return vec![Violation::at(path, 1, "crate-docs", message)];
+    }
+    Vec::new()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn strangers_and_gaps_at_the_top_level_are_caught() {
+        let mut files: Vec<String> = TOP_LEVEL.iter().map(|(name, _)| (*name).to_owned()).collect();
+        assert_eq!(top_level(&files), []);
+        files.push("scripts/run.py".to_owned());
+        files.retain(|file| file != "LICENSE-MIT");
+        let found: Vec<_> = top_level(&files).into_iter().map(|v| v.file).collect();
+        assert_eq!(found, ["scripts", "LICENSE-MIT"]);
+    }
+
+    const MANIFEST: &str = "[package]\nname = \"a\"\nversion.workspace = true\nedition.workspace = true\n\
+        rust-version.workspace = true\nlicense.workspace = true\npublish.workspace = true\n\
+        [lints]\nworkspace = true\n[dependencies]\nnalgebra.workspace = true\n";
+
+    #[test]
+    fn a_manifest_of_its_own_mind_is_caught() {
+        assert_eq!(manifest("crates/a/Cargo.toml", MANIFEST), []);
+        for (from, to) in [
+            ("[lints]\nworkspace = true\n", ""),
+            ("edition.workspace = true", "edition = \"2021\""),
+            ("nalgebra.workspace = true", "nalgebra = \"0.34\""),
+        ] {
+            let text = MANIFEST.replace(from, to);
+            assert_eq!(manifest("crates/a/Cargo.toml", &text).len(), 1, "{to}");
+        }
+    }
+
+    #[test]
+    fn a_crate_without_a_word_about_itself_is_caught() {
+        assert_eq!(crate_docs("crates/a/src/lib.rs", "pub mod b;").len(), 1);
+        assert_eq!(crate_docs("crates/a/src/lib.rs", "//! Says what it is.\n"), []);
+        assert_eq!(crate_docs("crates/a/src/b.rs", "pub fn f() {}"), []);
+    }
+}

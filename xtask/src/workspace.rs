@@ -1,0 +1,193 @@
+//! The workspace on disk: its root, its files, its packages, and how programs are run in it.
+
+use std::ffi::OsStr;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, bail};
+
+/// Folders that hold nothing of the project's own.
+const GENERATED: [&str; 3] = [".git", "target", "out"];
+
+/// The workspace that this program was built from.
+pub struct Workspace {
+    root: PathBuf,
+}
+
+/// One text file of the project.
+pub struct SourceFile {
+    /// Path inside the workspace, with slashes.
+    pub path: String,
+    /// Its content.
+    pub text: String,
+}
+
+impl Workspace {
+    /// Finds the root through the environment that cargo gives to a program it runs.
+    ///
+    /// # Errors
+    /// If the folder found there is not the workspace.
+    pub fn find() -> anyhow::Result<Self> {
+        let package = std::env::var_os("CARGO_MANIFEST_DIR").context("run me as `cargo xtask <command>`")?;
+        let root = Path::new(&package).parent().context("xtask has no parent folder")?.to_path_buf();
+        if !root.join("Cargo.toml").is_file() || !root.join("xtask").is_dir() {
+            bail!("{} is not the pb3dp workspace: run me there as `cargo xtask <command>`", root.display());
+        }
+        Ok(Self { root })
+    }
+
+    /// Folder of the root `Cargo.toml`.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// A program to be run in the workspace's root.
+    pub fn command(&self, program: impl AsRef<OsStr>) -> Command {
+        let mut command = Command::new(program);
+        command.current_dir(&self.root);
+        command
+    }
+
+    /// The cargo that runs us.
+    pub fn cargo(&self) -> Command {
+        self.command(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
+    }
+
+    /// All files of the project (tracked, or new and not ignored), sorted, as paths inside the workspace with slashes.
+    ///
+    /// # Errors
+    /// If the folder can not be listed.
+    pub fn files(&self) -> anyhow::Result<Vec<String>> {
+        let mut files = match self.files_known_to_git() {
+            Some(files) => files,
+            None => self.files_on_disk()?,
+        };
+        files.sort();
+        files.dedup();
+        Ok(files)
+    }
+
+    /// The text files among [`Self::files`] that have one of these endings.
+    ///
+    /// # Errors
+    /// If a file can not be read as UTF-8.
+    pub fn texts(&self, endings: &[&str]) -> anyhow::Result<Vec<SourceFile>> {
+        let wanted = |path: &String| endings.iter().any(|ending| path.ends_with(ending));
+        self.files()?.into_iter().filter(wanted).map(|path| self.text(path)).collect()
+    }
+
+    fn text(&self, path: String) -> anyhow::Result<SourceFile> {
+        let text = fs::read_to_string(self.root.join(&path)).with_context(|| format!("cannot read {path} as text"))?;
+        Ok(SourceFile { path, text })
+    }
+
+    /// `cargo metadata` of the locked dependencies.
+    ///
+    /// # Errors
+    /// If cargo fails: the lock file is out of date, or a package can not be fetched.
+    pub fn metadata(&self) -> anyhow::Result<serde_json::Value> {
+        let output = self
+            .cargo()
+            .args(["metadata", "--format-version", "1", "--locked"])
+            .output()
+            .context("cannot run `cargo metadata`")?;
+        if !output.status.success() {
+            bail!("`cargo metadata --locked` failed:\n{}", String::from_utf8_lossy(&output.stderr).trim_end());
+        }
+        serde_json::from_slice(&output.stdout).context("`cargo metadata` did not print JSON")
+    }
+
+    /// Trimmed standard output of a program, `None` if it is missing or fails.
+    pub fn output_of(&self, program: &str, args: &[&str]) -> Option<String> {
+        let output = self.command(program).args(args).output().ok()?;
+        let text = String::from_utf8(output.stdout).ok()?;
+        output.status.success().then(|| text.trim().to_owned())
+    }
+
+    fn files_known_to_git(&self) -> Option<Vec<String>> {
+        if !self.root.join(".git").exists() {
+            return None;
+        }
+        let listed = self.output_of("git", &["ls-files", "-z", "--cached", "--others", "--exclude-standard"])?;
+        let exists = |path: &&str| !path.is_empty() && self.root.join(path).is_file();
+        Some(listed.split('\0').filter(exists).map(str::to_owned).collect())
+    }
+
+    fn files_on_disk(&self) -> anyhow::Result<Vec<String>> {
+        let mut files = Vec::new();
+        let mut folders = vec![self.root.clone()];
+        while let Some(folder) = folders.pop() {
+            for entry in fs::read_dir(&folder).with_context(|| format!("cannot list {}", folder.display()))? {
+                let path = entry?.path();
+                let relative = path.strip_prefix(&self.root)?.to_string_lossy().replace('\\', "/");
+                if GENERATED.contains(&relative.as_str()) {
+                    continue;
+                }
+                if path.is_dir() { folders.push(path) } else { files.push(relative) }
+            }
+        }
+        Ok(files)
+    }
+}
+
+/// Runs a program with this terminal's input and output.
+///
+/// # Errors
+/// If it can not be started or ends with a failure; the message holds the command to type again.
+pub fn run_visibly(command: &mut Command) -> anyhow::Result<()> {
+    let shown = shown(command);
+    println!("$ {shown}");
+    let status = command.status().with_context(|| format!("cannot start `{shown}`"))?;
+    if !status.success() {
+        bail!("`{shown}` failed ({status})");
+    }
+    Ok(())
+}
+
+/// The command as one would type it, with the variables that it sets.
+fn shown(command: &Command) -> String {
+    let quoted = |text: &OsStr| {
+        let text = text.to_string_lossy();
+        if text.contains(' ') { format!("\"{text}\"") } else { text.into_owned() }
+    };
+    let variables = command.get_envs().filter_map(|(k, v)| v.map(|v| format!("{}={}", k.to_string_lossy(), quoted(v))));
+    let program = Path::new(command.get_program()).file_stem().unwrap_or(command.get_program());
+    let words = std::iter::once(quoted(program)).chain(command.get_args().map(quoted));
+    variables.chain(words).collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use std::process::Stdio;
+
+    use super::*;
+
+    fn here() -> Workspace {
+        Workspace { root: Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a parent").to_path_buf() }
+    }
+
+    #[test]
+    fn a_command_is_shown_as_one_types_it() {
+        let mut command = Command::new("/somewhere/bin/cargo");
+        command.args(["doc", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings");
+        assert_eq!(shown(&command), "RUSTDOCFLAGS=\"-D warnings\" cargo doc --no-deps");
+    }
+
+    #[test]
+    fn a_failing_program_is_an_error_with_its_command() {
+        let error = run_visibly(here().cargo().arg("no-such-command-of-ours").stderr(Stdio::null()))
+            .expect_err("it can not succeed");
+        assert!(error.to_string().contains("cargo no-such-command-of-ours"), "{error}");
+    }
+
+    #[test]
+    fn the_walk_finds_what_git_finds_and_nothing_generated() {
+        let on_disk = here().files_on_disk().expect("readable");
+        assert!(on_disk.iter().any(|path| path == "xtask/src/workspace.rs"));
+        assert!(on_disk.iter().all(|path| !path.starts_with("target/") && !path.starts_with(".git/")));
+        if let Some(known) = here().files_known_to_git() {
+            assert!(known.iter().any(|path| path == "xtask/src/main.rs"));
+        }
+    }
+}
