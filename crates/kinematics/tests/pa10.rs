@@ -1,5 +1,7 @@
 //! The robot descriptions in `configs/robots` against independent values.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Flange};

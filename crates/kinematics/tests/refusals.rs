@@ -1,5 +1,7 @@
 //! Descriptions that are no chain of seven revolute joints are refused, with the name of the joint or link.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
 use std::error::Error;
 
 use pb3dp_kinematics::{Chain, ChainError};

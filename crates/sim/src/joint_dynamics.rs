@@ -1,0 +1,249 @@
+//! Joints of an arm that follows velocity commands: delay, lag, saturation, end stops, quantised angles.
+//!
+//! Every joint follows v' = clamp((u - v) / tau, +-a), x' = v, with the delayed and saturated command u. Between two commands
+//! this has a closed form, and [`JointPlant`] keeps these pieces instead of stepping: the answer at a time depends on the
+//! commands alone, to the last bit, and not on how often or in what steps the plant was advanced; a past time is answered as
+//! exactly as the present one.
+
+mod motion;
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_kinematics::{DOF, JointLimits, JointState, JointVector, PositionViolation};
+
+use motion::{Drive, JointPath};
+
+/// Angle of one resolver count of the PA-10, rad: 360 degrees / (16384 counts x gear 50).
+pub const PA10_ANGLE_QUANTUM_RAD: f64 = std::f64::consts::TAU / (16384.0 * 50.0);
+
+/// What the joints can do and how their drives answer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JointPlantConfig {
+    /// End stops (rad), at which a joint comes to rest at once, and speeds (rad/s), to which commands are saturated.
+    pub limits: JointLimits,
+    /// Largest acceleration and deceleration of each joint, rad/s^2.
+    pub acceleration_max_rad_per_s2: JointVector,
+    /// Time constant of the velocity loop; zero: velocity changes at the largest acceleration.
+    pub velocity_time_constant: Duration,
+    /// Time from a command to its effect.
+    pub command_delay: Duration,
+    /// Step of the measured angles, rad; zero: measured exactly. [`PA10_ANGLE_QUANTUM_RAD`] for a PA-10.
+    pub angle_quantum_rad: f64,
+    /// How far back [`JointPlant::position_at`] can look.
+    pub history: Duration,
+}
+
+/// Why joints can not be simulated.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum JointPlantError {
+    /// A number of the configuration is out of range.
+    #[error("{name}{} is {value}, it must be {allowed}", joint.map(|j| format!(" of joint {j}")).unwrap_or_default())]
+    Config {
+        /// Field of [`JointPlantConfig`].
+        name: &'static str,
+        /// Index from the base, 0 to 6, where the number belongs to a joint.
+        joint: Option<usize>,
+        /// The number.
+        value: f64,
+        /// What is allowed.
+        allowed: &'static str,
+    },
+    /// The start is outside the end stops.
+    #[error("joint {} starts at {} rad, outside its end stops, {} to {} rad", .0.joint, .0.position_rad, .0.min_rad, .0.max_rad)]
+    Start(PositionViolation),
+    /// A command is not finite.
+    #[error("joint {joint}: velocity command {velocity_rad_per_s} rad/s is not finite")]
+    Command {
+        /// Index from the base, 0 to 6.
+        joint: usize,
+        /// The command, rad/s.
+        velocity_rad_per_s: f64,
+    },
+}
+
+/// The joints of one arm. Deterministic: the same commands at the same times give the same bits.
+#[derive(Clone, Debug)]
+pub struct JointPlant {
+    config: JointPlantConfig,
+    now: MonotonicTime,
+    /// Reaches into the future until the next command takes effect.
+    current: Piece,
+    /// The pieces before it, oldest first.
+    past: VecDeque<Piece>,
+    /// Commands on their way, by the time at which they take effect.
+    pending: VecDeque<(MonotonicTime, JointVector)>,
+}
+
+/// The motion of all joints from one change of command to the next.
+#[derive(Clone, Debug)]
+struct Piece {
+    start: MonotonicTime,
+    paths: [JointPath; DOF],
+}
+
+impl JointPlant {
+    /// Joints at rest at `position_rad` at the time `at`.
+    ///
+    /// # Errors
+    /// If a number of the configuration is out of range, or the start lies outside the end stops.
+    pub fn new(
+        config: JointPlantConfig,
+        position_rad: JointVector,
+        at: MonotonicTime,
+    ) -> Result<Self, JointPlantError> {
+        check(&config)?;
+        if let Some(violation) = config.limits.violation(&position_rad) {
+            return Err(JointPlantError::Start(violation));
+        }
+        let rest = JointVector::zeros();
+        let current = Piece::new(&drives(&config), at, &position_rad, &rest, &rest);
+        Ok(Self { config, now: at, current, past: VecDeque::new(), pending: VecDeque::new() })
+    }
+
+    /// What this plant was made from.
+    pub fn config(&self) -> &JointPlantConfig {
+        &self.config
+    }
+
+    /// The time to which the plant was advanced.
+    pub fn now(&self) -> MonotonicTime {
+        self.now
+    }
+
+    /// Gives a velocity command (rad/s) at the time `at`; it takes effect a command delay later, saturated to the speed
+    /// limits, and holds until the next. It can change neither the past nor overtake an earlier command: it takes effect at
+    /// [`Self::now`], or with the last command before it, if that is later.
+    ///
+    /// # Errors
+    /// If a number is not finite; nothing is changed then.
+    pub fn command(&mut self, at: MonotonicTime, velocity_rad_per_s: JointVector) -> Result<(), JointPlantError> {
+        if let Some(joint) = (0..DOF).find(|&joint| !velocity_rad_per_s[joint].is_finite()) {
+            return Err(JointPlantError::Command { joint, velocity_rad_per_s: velocity_rad_per_s[joint] });
+        }
+        let last = self.pending.back().map_or(self.now, |&(effective, _)| effective);
+        let effective = (at + self.config.command_delay).max(self.now).max(last);
+        self.pending.push_back((effective, velocity_rad_per_s));
+        Ok(())
+    }
+
+    /// Drops all commands on their way and brings the joints to rest from `at` (or [`Self::now`], if that is later) on,
+    /// without command delay, as the drives decelerate.
+    pub fn halt(&mut self, at: MonotonicTime) {
+        self.advance_to(at);
+        self.pending.clear();
+        self.pending.push_back((self.now, JointVector::zeros()));
+        self.advance_to(self.now);
+    }
+
+    /// Lets time pass up to `at`; a time before [`Self::now`] does nothing.
+    pub fn advance_to(&mut self, at: MonotonicTime) {
+        self.now = self.now.max(at);
+        while let Some(&(effective, velocity)) = self.pending.front().filter(|(effective, _)| *effective <= self.now) {
+            self.pending.pop_front();
+            self.take_effect(effective, &velocity);
+        }
+        let oldest_wanted = self.now - self.config.history;
+        let still_wanted = |plant: &Self| plant.past.get(1).unwrap_or(&plant.current).start > oldest_wanted;
+        while !self.past.is_empty() && !still_wanted(self) {
+            self.past.pop_front();
+        }
+    }
+
+    /// Measured joints at the present: angles quantised, velocities exact.
+    pub fn state(&self) -> JointState {
+        let (position_rad, velocity_rad_per_s) = self.current.at(&drives(&self.config), self.now);
+        let quantum = self.config.angle_quantum_rad;
+        let measured = |angle: f64| if quantum > 0.0 { (angle / quantum).round() * quantum } else { angle };
+        JointState { at: self.now, position_rad: position_rad.map(measured), velocity_rad_per_s }
+    }
+
+    /// True angles (rad, not quantised) at a time between the start or [`JointPlantConfig::history`] ago and the present;
+    /// `None` outside.
+    pub fn position_at(&self, at: MonotonicTime) -> Option<JointVector> {
+        self.motion_at(at).map(|(position_rad, _)| position_rad)
+    }
+
+    /// True velocities (rad/s) at a time, as [`Self::position_at`].
+    pub fn velocity_at(&self, at: MonotonicTime) -> Option<JointVector> {
+        self.motion_at(at).map(|(_, velocity_rad_per_s)| velocity_rad_per_s)
+    }
+
+    fn motion_at(&self, at: MonotonicTime) -> Option<(JointVector, JointVector)> {
+        if at > self.now {
+            return None;
+        }
+        let pieces = std::iter::once(&self.current).chain(self.past.iter().rev());
+        let piece = pieces.into_iter().find(|piece| piece.start <= at)?;
+        Some(piece.at(&drives(&self.config), at))
+    }
+
+    fn take_effect(&mut self, at: MonotonicTime, velocity_rad_per_s: &JointVector) {
+        let drives = drives(&self.config);
+        let (position, velocity) = self.current.at(&drives, at);
+        let next = Piece::new(&drives, at, &position, &velocity, velocity_rad_per_s);
+        let replaced = std::mem::replace(&mut self.current, next);
+        // Of two commands at one moment the later one counts.
+        if replaced.start < at {
+            self.past.push_back(replaced);
+        }
+    }
+}
+
+impl Piece {
+    fn new(
+        drives: &[Drive; DOF],
+        start: MonotonicTime,
+        position: &JointVector,
+        velocity: &JointVector,
+        command: &JointVector,
+    ) -> Self {
+        let paths = std::array::from_fn(|i| {
+            JointPath::new(&drives[i], position[i], velocity[i], drives[i].saturate(command[i]))
+        });
+        Self { start, paths }
+    }
+
+    /// Positions and velocities at a time of this piece.
+    fn at(&self, drives: &[Drive; DOF], at: MonotonicTime) -> (JointVector, JointVector) {
+        let elapsed = at.seconds_since(self.start);
+        let (mut position, mut velocity) = (JointVector::zeros(), JointVector::zeros());
+        for i in 0..DOF {
+            (position[i], velocity[i]) = self.paths[i].at(&drives[i], elapsed);
+        }
+        (position, velocity)
+    }
+}
+
+fn drives(config: &JointPlantConfig) -> [Drive; DOF] {
+    let limits = &config.limits;
+    std::array::from_fn(|i| Drive {
+        acceleration_max: config.acceleration_max_rad_per_s2[i],
+        time_constant: config.velocity_time_constant.as_secs_f64(),
+        velocity_max: limits.velocity_max_rad_per_s()[i],
+        stops: [limits.position_min_rad()[i], limits.position_max_rad()[i]],
+    })
+}
+
+fn check(config: &JointPlantConfig) -> Result<(), JointPlantError> {
+    for (joint, &value) in config.acceleration_max_rad_per_s2.iter().enumerate() {
+        if !(value.is_finite() && value > 0.0) {
+            return Err(JointPlantError::Config {
+                name: "acceleration_max_rad_per_s2",
+                joint: Some(joint),
+                value,
+                allowed: "a positive, finite number",
+            });
+        }
+    }
+    let value = config.angle_quantum_rad;
+    if !(value.is_finite() && value >= 0.0) {
+        let allowed = "zero or a positive, finite number";
+        return Err(JointPlantError::Config { name: "angle_quantum_rad", joint: None, value, allowed });
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,278 @@
+use proptest::prelude::*;
+
+use super::*;
+
+fn millis(ms: u64) -> MonotonicTime {
+    MonotonicTime::ZERO + Duration::from_millis(ms)
+}
+
+fn config() -> JointPlantConfig {
+    let max = JointVector::from([3.1, 1.6, 3.0, 2.4, 4.5, 2.9, 4.4]);
+    let speed = JointVector::from([1.0, 1.1, 2.0, 2.1, 6.0, 6.1, 6.2]);
+    JointPlantConfig {
+        limits: JointLimits::new(-max * 0.9, max, speed).unwrap(),
+        acceleration_max_rad_per_s2: JointVector::from([2.0, 2.5, 3.0, 3.5, 5.0, 5.5, 6.0]),
+        velocity_time_constant: Duration::from_millis(40),
+        command_delay: Duration::from_millis(12),
+        angle_quantum_rad: 0.0,
+        history: Duration::from_secs(2),
+    }
+}
+
+fn start() -> JointVector {
+    JointVector::from([0.2, -0.5, 0.3, 1.1, -0.7, 0.9, 0.1])
+}
+
+fn plant(config: JointPlantConfig) -> JointPlant {
+    JointPlant::new(config, start(), millis(100)).unwrap()
+}
+
+#[test]
+fn nothing_moves_before_the_delay_has_passed() {
+    let mut plant = plant(config());
+    plant.command(millis(100), JointVector::repeat(0.3)).unwrap();
+    plant.advance_to(millis(112));
+    assert_eq!(plant.state().position_rad, start());
+    assert_eq!(plant.state().velocity_rad_per_s, JointVector::zeros());
+    plant.advance_to(millis(113));
+    assert!(plant.state().velocity_rad_per_s.min() > 0.0);
+}
+
+/// A small command keeps clear of the acceleration limit: the step response of a first-order lag, v = u (1 - exp(-t/tau)).
+#[test]
+fn small_step_is_a_first_order_response() {
+    let mut plant = plant(config());
+    let command = JointVector::from([0.05, -0.06, 0.07, -0.08, 0.09, -0.1, 0.11]);
+    plant.command(millis(100), command).unwrap();
+    for ms in [120, 152, 300, 1000] {
+        plant.advance_to(millis(ms));
+        let t = (ms as f64 - 112.0) * 1e-3;
+        let settled = 1.0 - (-t / 0.04f64).exp();
+        let state = plant.state();
+        assert!((state.velocity_rad_per_s - command * settled).amax() < 1e-14, "{ms} ms: {state:?}");
+        let position = start() + command * (t - 0.04 * settled);
+        assert!((state.position_rad - position).amax() < 1e-14, "{ms} ms: {state:?}");
+    }
+}
+
+/// A large command is followed at the largest acceleration first, and never faster than the joint can.
+#[test]
+fn large_step_saturates_acceleration_and_speed() {
+    let mut plant = plant(config());
+    let limits = config().limits;
+    plant.command(millis(100), JointVector::repeat(50.0)).unwrap();
+    plant.advance_to(millis(212));
+    let state = plant.state();
+    assert!((state.velocity_rad_per_s - config().acceleration_max_rad_per_s2 * 0.1).amax() < 1e-14, "{state:?}");
+    plant.advance_to(millis(900));
+    let speed = plant.state().velocity_rad_per_s;
+    assert!((speed[0] - limits.velocity_max_rad_per_s()[0]).abs() < 1e-4 && speed[0] < 1.0, "{speed}");
+}
+
+/// Reference: explicit midpoint integration of the differential equation with a step of 1 microsecond.
+#[test]
+fn agrees_with_fine_numerical_integration() {
+    let commands = [(100, 0.9), (250, -1.5), (430, 0.02), (520, 1.9)];
+    let mut plant = plant(config());
+    for (ms, u) in commands {
+        plant.advance_to(millis(ms));
+        plant.command(millis(ms), JointVector::repeat(u)).unwrap();
+    }
+    plant.advance_to(millis(700));
+    let joint = 2;
+    let (mut x, mut v) = (start()[joint], 0.0);
+    let dt = 1e-6;
+    for step in 0..600_000 {
+        let t_ms = 100.0 + f64::from(step) * dt * 1e3;
+        let u = commands.iter().rev().find(|(ms, _)| (ms + 12) as f64 <= t_ms + 1e-9).map_or(0.0, |(_, u)| *u);
+        let acceleration = |v: f64| ((u - v) / 0.04).clamp(-3.0, 3.0);
+        let middle = v + 0.5 * dt * acceleration(v);
+        x += dt * middle;
+        v += dt * acceleration(middle);
+    }
+    let state = plant.state();
+    assert!((state.position_rad[joint] - x).abs() < 1e-6, "{} and {x}", state.position_rad[joint]);
+    assert!((state.velocity_rad_per_s[joint] - v).abs() < 1e-6, "{} and {v}", state.velocity_rad_per_s[joint]);
+}
+
+#[test]
+fn stops_hold_and_release() {
+    let mut plant = plant(config());
+    let max = *config().limits.position_max_rad();
+    plant.command(millis(100), JointVector::repeat(1.0)).unwrap();
+    plant.advance_to(millis(6000));
+    let state = plant.state();
+    assert_eq!((state.position_rad, state.velocity_rad_per_s), (max, JointVector::zeros()));
+    plant.command(millis(6000), JointVector::repeat(-0.5)).unwrap();
+    plant.advance_to(millis(6100));
+    let state = plant.state();
+    assert!(state.velocity_rad_per_s.max() < 0.0 && (max - state.position_rad).min() > 0.0, "{state:?}");
+}
+
+/// Full speed towards a stop that is nearer than the way needed to turn round: it is hit, and left again.
+#[test]
+fn bounces_off_nothing_but_leaves_a_stop_on_command() {
+    let mut plant = plant(JointPlantConfig { velocity_time_constant: Duration::ZERO, ..config() });
+    plant.command(millis(100), JointVector::from([0.0, 1.1, 0.0, 0.0, 0.0, 0.0, 0.0])).unwrap();
+    // S2 reaches 1.6 rad; turn round 0.05 rad before (it needs v^2/2a = 0.24 rad).
+    plant.advance_to(millis(2200));
+    let before = plant.state();
+    assert!((1.45..1.6).contains(&before.position_rad[1]), "{before:?}");
+    plant.command(millis(2200), JointVector::from([0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0])).unwrap();
+    plant.advance_to(millis(4000));
+    let on_the_way: Vec<_> = (2200..4000).map(|ms| plant.position_at(millis(ms)).unwrap()[1]).collect();
+    let highest = on_the_way.iter().copied().fold(f64::MIN, f64::max);
+    assert!((1.599..=1.6).contains(&highest), "the stop is met: {highest}");
+    assert!(plant.state().position_rad[1] < 1.0, "and left: {}", plant.state().position_rad[1]);
+}
+
+#[test]
+fn measured_angles_are_whole_counts() {
+    let mut plant = plant(JointPlantConfig { angle_quantum_rad: PA10_ANGLE_QUANTUM_RAD, ..config() });
+    assert!((PA10_ANGLE_QUANTUM_RAD - 7.669903939e-6).abs() < 1e-15);
+    plant.command(millis(100), JointVector::repeat(0.123)).unwrap();
+    plant.advance_to(millis(777));
+    let (measured, exact) = (plant.state().position_rad, plant.position_at(millis(777)).unwrap());
+    assert!(measured != exact);
+    assert!((measured - exact).amax() <= 0.5 * PA10_ANGLE_QUANTUM_RAD * (1.0 + 1e-9));
+    for angle in measured.iter() {
+        let counts = angle / PA10_ANGLE_QUANTUM_RAD;
+        assert!((counts - counts.round()).abs() < 1e-6, "{counts}");
+    }
+}
+
+#[test]
+fn the_past_stays_what_it_was_and_ends_with_the_history() {
+    let mut plant = plant(config());
+    plant.command(millis(100), JointVector::repeat(0.4)).unwrap();
+    plant.advance_to(millis(333));
+    let then = plant.state();
+    plant.command(millis(333), JointVector::repeat(-0.4)).unwrap();
+    for ms in (340..2300).step_by(10) {
+        plant.advance_to(millis(ms));
+        plant.command(millis(ms), JointVector::repeat(0.001 * ms as f64 - 1.0)).unwrap();
+    }
+    assert_eq!(plant.position_at(millis(333)), Some(then.position_rad));
+    assert_eq!(plant.velocity_at(millis(333)), Some(then.velocity_rad_per_s));
+    assert_eq!(plant.position_at(millis(2291)), None, "the future is not known");
+    plant.advance_to(millis(4000));
+    assert_eq!(plant.position_at(millis(1900)), None, "older than the history");
+    assert!(plant.position_at(millis(2000)).is_some());
+    assert_eq!(JointPlant::new(config(), start(), millis(100)).unwrap().position_at(millis(99)), None);
+}
+
+#[test]
+fn halt_forgets_commands_on_their_way() {
+    let mut plant = plant(config());
+    plant.command(millis(100), JointVector::repeat(0.5)).unwrap();
+    plant.advance_to(millis(400));
+    plant.command(millis(400), JointVector::repeat(0.9)).unwrap();
+    plant.halt(millis(405));
+    plant.advance_to(millis(406));
+    assert!(plant.state().velocity_rad_per_s.max() < 0.5, "it brakes at once, without the command delay");
+    plant.advance_to(millis(2000));
+    assert!(plant.state().velocity_rad_per_s.amax() < 1e-12);
+    let travelled = plant.state().position_rad - plant.position_at(millis(405)).unwrap();
+    assert!((0.0..0.1).contains(&travelled.max()), "{travelled}");
+}
+
+#[test]
+fn refuses_what_it_can_not_simulate() {
+    let bad = |change: fn(&mut JointPlantConfig)| {
+        let mut config = config();
+        change(&mut config);
+        JointPlant::new(config, start(), millis(0)).unwrap_err().to_string()
+    };
+    assert!(bad(|c| c.acceleration_max_rad_per_s2[3] = 0.0).contains("acceleration_max_rad_per_s2 of joint 3 is 0"));
+    assert!(bad(|c| c.acceleration_max_rad_per_s2[0] = f64::NAN).contains("of joint 0"));
+    assert!(bad(|c| c.angle_quantum_rad = -1.0).contains("angle_quantum_rad is -1"));
+    let outside = JointPlant::new(config(), start() * 4.0, millis(0)).unwrap_err();
+    assert!(outside.to_string().contains("joint 1 starts at -2 rad"), "{outside}");
+
+    let mut plant = plant(config());
+    let mut command = JointVector::repeat(0.1);
+    command[5] = f64::NAN;
+    assert!(matches!(plant.command(millis(100), command), Err(JointPlantError::Command { joint: 5, .. })));
+    plant.advance_to(millis(1000));
+    assert_eq!(plant.state().position_rad, start(), "nothing of it took effect");
+}
+
+/// One command every few milliseconds, with speeds beyond every limit now and then, so that all stops are met.
+fn any_commands() -> impl Strategy<Value = Vec<(u64, [f64; DOF])>> {
+    prop::collection::vec((0..900_000_000u64, prop::array::uniform7(-8.0..8.0f64)), 1..25)
+}
+
+fn drive(plant: &mut JointPlant, commands: &[(u64, [f64; DOF])], stops: &[u64]) {
+    let mut stops = stops.iter().copied().collect::<VecDeque<_>>();
+    let mut at = plant.now();
+    for &(after, velocity) in commands {
+        let next = at + Duration::from_nanos(after);
+        while let Some(stop) = stops.front().filter(|&&stop| MonotonicTime::from_nanos(stop) < next) {
+            plant.advance_to(MonotonicTime::from_nanos(*stop));
+            stops.pop_front();
+        }
+        plant.command(next, velocity.into()).unwrap();
+        at = next;
+    }
+    for stop in stops {
+        plant.advance_to(MonotonicTime::from_nanos(stop));
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(150) })]
+
+    #[test]
+    fn any_partition_of_time_gives_the_same_bits(
+        commands in any_commands(),
+        mut stops in prop::collection::vec(0..20_000_000_000u64, 0..200),
+    ) {
+        stops.sort_unstable();
+        let end = MonotonicTime::from_nanos(30_000_000_000);
+        let (mut in_one, mut in_many) = (plant(config()), plant(config()));
+        drive(&mut in_one, &commands, &[]);
+        drive(&mut in_many, &commands, &stops);
+        in_one.advance_to(end);
+        in_many.advance_to(end);
+        prop_assert_eq!(in_one.state(), in_many.state());
+    }
+
+    #[test]
+    fn limits_hold_at_every_moment(commands in any_commands()) {
+        let config = JointPlantConfig { history: Duration::from_secs(60), ..config() };
+        let limits = config.limits;
+        let acceleration_max = config.acceleration_max_rad_per_s2;
+        let mut plant = plant(config);
+        drive(&mut plant, &commands, &[]);
+        plant.advance_to(millis(30_000));
+        let mut before = JointVector::zeros();
+        for ms in (100..30_000).step_by(7) {
+            let position = plant.position_at(millis(ms)).unwrap();
+            let velocity = plant.velocity_at(millis(ms)).unwrap();
+            prop_assert!(limits.violation(&position).is_none(), "{ms} ms: {position}");
+            for i in 0..DOF {
+                prop_assert!(velocity[i].abs() <= limits.velocity_max_rad_per_s()[i], "{ms} ms: {velocity}");
+                // Speed grows no faster than the drive can; it may drop to zero at once, at a stop.
+                let gain = velocity[i].abs() - before[i].abs();
+                prop_assert!(gain <= acceleration_max[i] * 0.007 + 1e-12, "{ms} ms, joint {i}: {gain}");
+            }
+            before = velocity;
+        }
+    }
+
+    #[test]
+    fn velocity_is_the_derivative_of_position(commands in any_commands(), at in 200_000_000..20_000_000_000u64) {
+        let config = JointPlantConfig { history: Duration::from_secs(60), ..config() };
+        let mut plant = plant(config);
+        drive(&mut plant, &commands, &[]);
+        plant.advance_to(millis(30_000));
+        let step = 1000;
+        let position = |nanos| plant.position_at(MonotonicTime::from_nanos(nanos)).unwrap();
+        let difference = (position(at + step) - position(at - step)) / (2e-9 * step as f64);
+        let velocity = plant.velocity_at(MonotonicTime::from_nanos(at)).unwrap();
+        for i in 0..DOF {
+            let at_stop = plant.config().limits.margin_rad(&position(at))[i] < 1e-4;
+            prop_assert!(at_stop || (difference[i] - velocity[i]).abs() < 1e-4, "joint {i}: {difference} {velocity}");
+        }
+    }
+}
