@@ -1,4 +1,5 @@
 //! The target's motions: exact amplitudes, smoothness, and twists that are the derivative of the pose.
+#![allow(clippy::unwrap_used, clippy::panic)] // In helpers of tests.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_geometry::Pose;

@@ -1,0 +1,440 @@
+//! Whether an arm can follow an experiment from where it stands, and by how much it can not.
+//!
+//! Both arms of the cell move with the target: one carries it, the other keeps a fixed place before it. So the way of either
+//! flange is rigidly tied to the target's ([`FlangePath`]), and [`check_experiment`] follows it by resolved rates, the same
+//! way in which the arms are driven: damped pseudo-inverse, without use of the redundant joint.
+
+use nalgebra::Vector6;
+use pb3dp_geometry::frames::{Base, Flange, Hand, Model, Target, World};
+use pb3dp_geometry::{Pose, Twist};
+use pb3dp_kinematics::{Chain, DOF, Damping, JointLimits, JointVector, damped_pseudo_inverse, smallest_singular_value};
+
+use crate::trajectory::Trajectory;
+
+/// The drift of the integration is led back with this rate, 1/s.
+const CORRECTION_PER_S: f64 = 10.0;
+/// Farther off the path than this the arm does not follow it, m and rad.
+const FOLLOWS_WITHIN: f64 = 1e-3;
+/// Iterations to reach the beginning of the path, and the largest step of a joint in each, rad.
+const START_ITERATIONS: usize = 500;
+const START_STEP_MAX_RAD: f64 = 0.05;
+/// The beginning is reached when position (m) and angle (rad) are this near.
+const START_REACHED: f64 = 1e-9;
+
+/// The way of a flange that is rigidly tied to a moving target.
+#[derive(Clone, Copy)]
+pub struct FlangePath<'a> {
+    trajectory: &'a dyn Trajectory,
+    base_from_world: Pose<Base, World>,
+    target_from_flange: Pose<Target, Flange>,
+}
+
+impl<'a> FlangePath<'a> {
+    /// The flange of the arm that carries the target at `flange_from_target` and stands at `world_from_base`.
+    pub fn of_carrier(
+        trajectory: &'a dyn Trajectory,
+        world_from_base: &Pose<World, Base>,
+        flange_from_target: &Pose<Flange, Target>,
+    ) -> Self {
+        let (base_from_world, target_from_flange) = (world_from_base.inverse(), flange_from_target.inverse());
+        Self { trajectory, base_from_world, target_from_flange }
+    }
+
+    /// The flange of the arm that stands at `world_from_base` and keeps its hand at `model_from_hand` before the target,
+    /// without lag or error. `target_from_model` says where on the target the model's frame is.
+    pub fn of_follower(
+        trajectory: &'a dyn Trajectory,
+        world_from_base: &Pose<World, Base>,
+        target_from_model: &Pose<Target, Model>,
+        model_from_hand: &Pose<Model, Hand>,
+        flange_from_hand: &Pose<Flange, Hand>,
+    ) -> Self {
+        let target_from_flange = *target_from_model * *model_from_hand * flange_from_hand.inverse();
+        Self { trajectory, base_from_world: world_from_base.inverse(), target_from_flange }
+    }
+
+    /// Pose of the flange `t_s` seconds after the beginning.
+    pub fn base_from_flange_at(&self, t_s: f64) -> Pose<Base, Flange> {
+        self.base_from_world * self.trajectory.pose_at(t_s) * self.target_from_flange
+    }
+
+    /// Velocity of the flange's origin and its angular velocity at that time, in `base`.
+    pub fn twist_at(&self, t_s: f64) -> Twist<Base> {
+        let target = self.trajectory.twist_at(t_s);
+        let lever = self.trajectory.pose_at(t_s).transform_vector(&self.target_from_flange.translation_m());
+        let linear = target.linear_m_per_s + target.angular_rad_per_s.cross(&lever);
+        Twist::<World>::new(linear, target.angular_rad_per_s).expressed_in(&self.base_from_world)
+    }
+
+    /// Seconds from beginning to end.
+    pub fn duration_s(&self) -> f64 {
+        self.trajectory.duration_s()
+    }
+}
+
+/// What an arm must keep along the whole path.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PathRequirements {
+    /// Share of the joint speed limits that may be used, above 0 to 1.
+    pub speed_scale: f64,
+    /// Smallest singular value of the Jacobian (metres and radians) that is accepted.
+    pub singular_value_min: f64,
+    /// Distance that each joint keeps from the ends of its range, rad.
+    pub limit_margin_rad: f64,
+    /// Time between two checked points, seconds, 0.0005 to 0.1.
+    pub step_s: f64,
+}
+
+impl PathRequirements {
+    /// The requirements of the experiment at this share of the joint speeds: singular value 0.05, 3 degrees of margin,
+    /// steps of 10 ms.
+    pub fn at_speed_scale(speed_scale: f64) -> Self {
+        Self { speed_scale, singular_value_min: 0.05, limit_margin_rad: 3f64.to_radians(), step_s: 0.01 }
+    }
+}
+
+/// The extreme of one number along a path, and when it occurred.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Extreme {
+    /// The number; its unit is that of the field that holds it.
+    pub value: f64,
+    /// Seconds after the beginning of the path.
+    pub at_s: f64,
+}
+
+/// How an arm follows a path that it can follow.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PathReport {
+    /// Joint angles at the beginning of the path, rad: reached from the given ones.
+    pub begin_rad: JointVector,
+    /// Joint angles at the end, rad. They differ a little from the beginning even if the path is closed: resolved rates do
+    /// not return the redundant joint exactly.
+    pub end_rad: JointVector,
+    /// Smallest singular value of the Jacobian, metres and radians.
+    pub singular_value_min: Extreme,
+    /// Largest joint speed per joint, as a share of what is allowed (limit times speed scale); 1 is just possible.
+    pub speed_ratio_max: [Extreme; DOF],
+    /// Largest joint acceleration per joint, rad/s^2.
+    pub acceleration_max_rad_per_s2: [Extreme; DOF],
+    /// Smallest distance to an end of the range per joint, rad.
+    pub limit_margin_min_rad: [Extreme; DOF],
+    /// Largest distance between the flange and its path in the numerical integration, m.
+    pub position_error_max_m: Extreme,
+}
+
+/// Why an arm can not follow a path. Joints count from 0 at the base.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum PathRefusal {
+    /// A requirement is out of its range.
+    #[error("{key} is {value}: allowed is {allowed}")]
+    Requirement {
+        /// Which requirement.
+        key: &'static str,
+        /// Its value.
+        value: f64,
+        /// What is allowed.
+        allowed: &'static str,
+    },
+    /// The beginning of the path can not be reached from the given joint angles.
+    #[error(
+        "the arm does not reach the beginning of the path: {position_error_m:.4} m and {angle_error_rad:.4} rad are missing; \
+         move its base or choose other start angles"
+    )]
+    BeginUnreachable {
+        /// Missing distance, m.
+        position_error_m: f64,
+        /// Missing angle, rad.
+        angle_error_rad: f64,
+    },
+    /// The path leads out of the reach of the arm.
+    #[error(
+        "the path leads out of reach after {at_s:.2} s: {position_error_m:.4} m and {angle_error_rad:.4} rad are missing; \
+         move the base or make the motion smaller"
+    )]
+    OutOfReach {
+        /// Seconds after the beginning of the path.
+        at_s: f64,
+        /// Missing distance, m.
+        position_error_m: f64,
+        /// Missing angle, rad.
+        angle_error_rad: f64,
+    },
+    /// A joint comes too near an end of its range.
+    #[error(
+        "joint {joint} would be at {position_rad:.4} rad after {at_s:.2} s, allowed is {min_rad:.4} to {max_rad:.4} rad \
+         (limits less margin): {excess_rad:.4} rad too far; change base, start angles or the direction of the motion"
+    )]
+    JointRange {
+        /// Index from the base.
+        joint: usize,
+        /// Seconds after the beginning of the path.
+        at_s: f64,
+        /// Where the joint would be, rad.
+        position_rad: f64,
+        /// Lower end of its range plus margin, rad.
+        min_rad: f64,
+        /// Upper end of its range less margin, rad.
+        max_rad: f64,
+        /// How far it would be outside, rad.
+        excess_rad: f64,
+    },
+    /// The arm comes too near a singular pose.
+    #[error(
+        "the smallest singular value of the Jacobian falls to {value:.4} after {at_s:.2} s, required is {required}; \
+         change base or start angles"
+    )]
+    Singular {
+        /// Seconds after the beginning of the path.
+        at_s: f64,
+        /// The singular value, metres and radians.
+        value: f64,
+        /// What is required.
+        required: f64,
+    },
+    /// A joint would have to move faster than it may; the worst one is named.
+    #[error(
+        "joint {joint} would have to move at {needed_rad_per_s:.3} rad/s after {at_s:.2} s, allowed are \
+         {allowed_rad_per_s:.3} rad/s at speed scale {speed_scale}: {ratio:.2} times too fast; lengthen the moves or raise \
+         the speed scale to {speed_scale_needed:.2}"
+    )]
+    TooFast {
+        /// Index from the base.
+        joint: usize,
+        /// Seconds after the beginning of the path.
+        at_s: f64,
+        /// Speed that the path demands, rad/s.
+        needed_rad_per_s: f64,
+        /// Limit times speed scale, rad/s.
+        allowed_rad_per_s: f64,
+        /// Needed over allowed.
+        ratio: f64,
+        /// The speed scale that was given.
+        speed_scale: f64,
+        /// The speed scale at which it would be just possible (above 1: not possible at all).
+        speed_scale_needed: f64,
+    },
+}
+
+/// Follows `path` with the arm and states how near it comes to its limits.
+///
+/// The arm first goes from `start_rad` to the beginning of the path (without regard to speed), then follows it by resolved
+/// rates. `limits` are the limits that count (the operating tier of the configuration, usually narrower than the chain's).
+///
+/// # Errors
+/// The first place at which reach, joint range or singular value break a requirement; else, if a joint must be too fast, the
+/// worst such place of the whole path.
+pub fn check_experiment(
+    chain: &Chain,
+    limits: &JointLimits,
+    start_rad: &JointVector,
+    path: &FlangePath<'_>,
+    requirements: &PathRequirements,
+) -> Result<PathReport, PathRefusal> {
+    check_requirements(requirements)?;
+    let damping = damping(requirements)?;
+    let begin_rad = reach_begin(chain, start_rad, &path.base_from_flange_at(0.0), &damping)?;
+    let mut report = PathReport::begin(begin_rad);
+    let steps = (path.duration_s() / requirements.step_s).ceil() as usize;
+    let mut position_rad = begin_rad;
+    let mut last_velocity = JointVector::zeros();
+    for step in 0..=steps {
+        let at_s = step as f64 * requirements.step_s;
+        let error = twist_between(&chain.forward(&position_rad), &path.base_from_flange_at(at_s));
+        check_follows(&error, at_s)?;
+        check_range(limits, requirements.limit_margin_rad, &position_rad, at_s)?;
+        let jacobian = chain.jacobian(&position_rad);
+        let singular_value = smallest_singular_value(&jacobian);
+        check_singular_value(singular_value, requirements.singular_value_min, at_s)?;
+        let inverse = damped_pseudo_inverse(&jacobian, &damping);
+        let velocity = inverse * path.twist_at(at_s).to_vector();
+        report.singular_value_min.lower(singular_value, at_s);
+        report.position_error_max_m.raise(error.fixed_rows::<3>(0).norm(), at_s);
+        report.note_joints(limits, requirements, at_s, &position_rad, &velocity, &last_velocity);
+        let half_way_rad = position_rad + velocity * (0.5 * requirements.step_s);
+        let twist = path.twist_at(at_s + 0.5 * requirements.step_s).to_vector() + error * CORRECTION_PER_S;
+        let inverse = damped_pseudo_inverse(&chain.jacobian(&half_way_rad), &damping);
+        position_rad += inverse * twist * requirements.step_s;
+        last_velocity = velocity;
+    }
+    check_speed(&report, limits, requirements.speed_scale)?;
+    Ok(report)
+}
+
+impl PathReport {
+    fn begin(begin_rad: JointVector) -> Self {
+        let zero = Extreme { value: 0.0, at_s: 0.0 };
+        let far = Extreme { value: f64::INFINITY, at_s: 0.0 };
+        Self {
+            begin_rad,
+            end_rad: begin_rad,
+            singular_value_min: far,
+            speed_ratio_max: [zero; DOF],
+            acceleration_max_rad_per_s2: [zero; DOF],
+            limit_margin_min_rad: [far; DOF],
+            position_error_max_m: zero,
+        }
+    }
+
+    /// Takes one point of the path into the extremes of the joints.
+    fn note_joints(
+        &mut self,
+        limits: &JointLimits,
+        requirements: &PathRequirements,
+        at_s: f64,
+        position_rad: &JointVector,
+        velocity: &JointVector,
+        last_velocity: &JointVector,
+    ) {
+        let speed_ratio = velocity.component_div(limits.velocity_max_rad_per_s()) / requirements.speed_scale;
+        let acceleration = (velocity - last_velocity) / requirements.step_s;
+        let margin_rad = limits.margin_rad(position_rad);
+        for joint in 0..DOF {
+            self.speed_ratio_max[joint].raise(speed_ratio[joint].abs(), at_s);
+            self.acceleration_max_rad_per_s2[joint].raise(acceleration[joint].abs(), at_s);
+            self.limit_margin_min_rad[joint].lower(margin_rad[joint], at_s);
+        }
+        self.end_rad = *position_rad;
+    }
+
+    /// The joint that uses most of its allowed speed, and how much of it.
+    pub fn fastest_joint(&self) -> (usize, Extreme) {
+        worst(&self.speed_ratio_max, |a, b| a > b)
+    }
+
+    /// The joint that comes nearest to an end of its range, and how near (rad).
+    pub fn tightest_joint(&self) -> (usize, Extreme) {
+        worst(&self.limit_margin_min_rad, |a, b| a < b)
+    }
+}
+
+impl Extreme {
+    fn raise(&mut self, value: f64, at_s: f64) {
+        if value > self.value {
+            *self = Self { value, at_s };
+        }
+    }
+
+    fn lower(&mut self, value: f64, at_s: f64) {
+        if value < self.value {
+            *self = Self { value, at_s };
+        }
+    }
+}
+
+fn worst(extremes: &[Extreme; DOF], is_worse: fn(f64, f64) -> bool) -> (usize, Extreme) {
+    let mut found = (0, extremes[0]);
+    for (joint, extreme) in extremes.iter().enumerate() {
+        if is_worse(extreme.value, found.1.value) {
+            found = (joint, *extreme);
+        }
+    }
+    found
+}
+
+/// `[linear; angular]` that leads from one pose to the other in one second, in `base`.
+fn twist_between(from: &Pose<Base, Flange>, to: &Pose<Base, Flange>) -> Vector6<f64> {
+    let linear = to.translation_m() - from.translation_m();
+    let angular = (to.rotation() * from.rotation().inverse()).scaled_axis();
+    Twist::<Base>::new(linear, angular).to_vector()
+}
+
+/// Position and angle of a `[linear; angular]` error.
+fn sizes(error: &Vector6<f64>) -> (f64, f64) {
+    (error.fixed_rows::<3>(0).norm(), error.fixed_rows::<3>(3).norm())
+}
+
+/// Newton steps of bounded length from the start angles to the first pose of the path.
+fn reach_begin(
+    chain: &Chain,
+    start_rad: &JointVector,
+    base_from_flange: &Pose<Base, Flange>,
+    damping: &Damping,
+) -> Result<JointVector, PathRefusal> {
+    let mut position_rad = *start_rad;
+    let mut error = twist_between(&chain.forward(&position_rad), base_from_flange);
+    for _ in 0..START_ITERATIONS {
+        let (position_error_m, angle_error_rad) = sizes(&error);
+        if position_error_m < START_REACHED && angle_error_rad < START_REACHED {
+            return Ok(position_rad);
+        }
+        let step = damped_pseudo_inverse(&chain.jacobian(&position_rad), damping) * error;
+        let shorten = (START_STEP_MAX_RAD / step.amax()).min(1.0);
+        position_rad += step * shorten;
+        error = twist_between(&chain.forward(&position_rad), base_from_flange);
+    }
+    let (position_error_m, angle_error_rad) = sizes(&error);
+    Err(PathRefusal::BeginUnreachable { position_error_m, angle_error_rad })
+}
+
+fn check_follows(error: &Vector6<f64>, at_s: f64) -> Result<(), PathRefusal> {
+    let (position_error_m, angle_error_rad) = sizes(error);
+    if position_error_m <= FOLLOWS_WITHIN && angle_error_rad <= FOLLOWS_WITHIN {
+        return Ok(());
+    }
+    Err(PathRefusal::OutOfReach { at_s, position_error_m, angle_error_rad })
+}
+
+fn check_range(
+    limits: &JointLimits,
+    margin_rad: f64,
+    position_rad: &JointVector,
+    at_s: f64,
+) -> Result<(), PathRefusal> {
+    let (joint, least_rad) = limits.margin_rad(position_rad).argmin();
+    if least_rad >= margin_rad {
+        return Ok(());
+    }
+    Err(PathRefusal::JointRange {
+        joint,
+        at_s,
+        position_rad: position_rad[joint],
+        min_rad: limits.position_min_rad()[joint] + margin_rad,
+        max_rad: limits.position_max_rad()[joint] - margin_rad,
+        excess_rad: margin_rad - least_rad,
+    })
+}
+
+fn check_singular_value(value: f64, required: f64, at_s: f64) -> Result<(), PathRefusal> {
+    if value >= required { Ok(()) } else { Err(PathRefusal::Singular { at_s, value, required }) }
+}
+
+fn check_speed(report: &PathReport, limits: &JointLimits, speed_scale: f64) -> Result<(), PathRefusal> {
+    let (joint, Extreme { value: ratio, at_s }) = report.fastest_joint();
+    if ratio <= 1.0 {
+        return Ok(());
+    }
+    let allowed_rad_per_s = limits.velocity_max_rad_per_s()[joint] * speed_scale;
+    Err(PathRefusal::TooFast {
+        joint,
+        at_s,
+        needed_rad_per_s: ratio * allowed_rad_per_s,
+        allowed_rad_per_s,
+        ratio,
+        speed_scale,
+        speed_scale_needed: ratio * speed_scale,
+    })
+}
+
+fn check_requirements(requirements: &PathRequirements) -> Result<(), PathRefusal> {
+    let PathRequirements { speed_scale, singular_value_min, limit_margin_rad, step_s } = *requirements;
+    let checks = [
+        ("speed_scale", speed_scale, speed_scale > 0.0 && speed_scale <= 1.0, "above 0 to 1"),
+        ("singular_value_min", singular_value_min, (1e-4..=1.0).contains(&singular_value_min), "0.0001 to 1"),
+        ("limit_margin_rad", limit_margin_rad, (0.0..=1.0).contains(&limit_margin_rad), "0 to 1 rad"),
+        ("step_s", step_s, (5e-4..=0.1).contains(&step_s), "0.0005 to 0.1 s"),
+    ];
+    match checks.into_iter().find(|(_, _, good, _)| !good) {
+        None => Ok(()),
+        Some((key, value, _, allowed)) => Err(PathRefusal::Requirement { key, value, allowed }),
+    }
+}
+
+/// Damping that only acts where the path is refused anyway.
+fn damping(requirements: &PathRequirements) -> Result<Damping, PathRefusal> {
+    let threshold = 0.5 * requirements.singular_value_min;
+    Damping::new(threshold, threshold).map_err(|error| PathRefusal::Requirement {
+        key: "singular_value_min",
+        value: error.value,
+        allowed: "0.0001 to 1",
+    })
+}
