@@ -1,6 +1,7 @@
 //! `cargo xtask tidy`: rules of shape that neither rustfmt nor clippy knows.
 
 mod configs;
+mod dependencies;
 mod exceptions;
 mod layout;
 mod markdown;
@@ -24,7 +25,8 @@ const TEXT_ENDINGS: [&str; 11] =
 /// * Markdown: one sentence per line.
 /// * configs/: every TOML file and every robot description parses.
 /// * Layout: the top level holds exactly the agreed entries; every package takes the workspace's lints, version and
-///   dependencies, and its root file opens with a `//!` text.
+///   dependencies, and its root file opens with a `//!` text; every third-party dependency is used, and has its reason in
+///   docs/adr/0002-dependencies.md.
 ///
 /// Each broken rule is printed as `file:line: [rule] what to do`.
 #[derive(clap::Args)]
@@ -41,6 +43,7 @@ pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
     for file in &texts {
         violations.extend(check_text(file, &mut exceptions));
     }
+    violations.extend(dependencies::check(&texts));
     violations.extend(exceptions.unused());
     conclude("tidy", &format!("{} files, {} of them text", files.len(), texts.len()), violations)
 }
