@@ -25,7 +25,7 @@ pub enum StereoRigError {
     },
     /// Left and right are exchanged.
     #[error(
-        "the right camera lies {right_by_m} m to the right of the left one: left and right are swapped, or the sign of the translation is wrong"
+        "the right camera's centre lies {right_by_m} m to the right of the left one's, it must lie to the right by at least half the baseline: left and right are swapped, or the sign of the translation is wrong"
     )]
     Swapped {
         /// x of the right camera's centre in `cam_left`, metres.
@@ -40,7 +40,8 @@ impl StereoRig {
     /// A rig from its cameras and `cam_right_from_cam_left` (maps coordinates in `cam_left` to `cam_right`, metres).
     ///
     /// # Errors
-    /// A baseline out of range, or a right camera that lies to the left of the left one.
+    /// A baseline out of range, or a right camera that does not lie to the right of the left one: the x of its centre in
+    /// `cam_left` must be at least half the baseline.
     pub fn new(
         left: Camera,
         right: Camera,

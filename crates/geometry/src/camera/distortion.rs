@@ -244,7 +244,7 @@ fn equidistant_with_jacobian(coefficients: &[f64; 4], xy: &Vector2<f64>) -> (Vec
     let by_radius = by_angle / (1.0 + r * r);
     let outwards = xy / r;
     let along = outwards * outwards.transpose();
-    (outwards * distorted, along * by_radius + (Matrix2::identity() - along) * (distorted / r))
+    (xy * (distorted / r), along * by_radius + (Matrix2::identity() - along) * (distorted / r))
 }
 
 /// The angle whose distorted radius is `radius`: Newton kept inside a bracket on which the function rises.

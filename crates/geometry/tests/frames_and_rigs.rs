@@ -1,0 +1,87 @@
+//! Poses, twists, times, and what a stereo rig refuses.
+
+#![allow(clippy::unwrap_used, reason = "helpers of tests may fail loudly, as tests do")]
+
+use std::time::Duration;
+
+use nalgebra::{Matrix3, Point3, Vector3, Vector6};
+use pb3dp_geometry::frames::{Base, CamLeft, CamRight, Flange};
+use pb3dp_geometry::{
+    Camera, Distortion, ImageSize, MonotonicTime, Pinhole, Pose, StereoRig, StereoRigError, Twist, so3,
+};
+
+/// A quarter turn about z, then a shift: by hand, `(1, 2, 3)` goes to `(-2 + 10, 1 + 20, 3 + 30)`.
+fn base_from_flange() -> Pose<Base, Flange> {
+    let quarter_turn = Matrix3::new(0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0);
+    Pose::from_rotation_matrix(&quarter_turn, Vector3::new(10.0, 20.0, 30.0))
+}
+
+#[test]
+fn poses_map_points_and_vectors_as_by_hand() {
+    let point = base_from_flange().transform_point(&Point3::new(1.0, 2.0, 3.0));
+    assert!((point - Point3::new(8.0, 21.0, 33.0)).norm() < 1e-14, "{point}");
+    let vector = base_from_flange().transform_vector(&Vector3::new(1.0, 2.0, 3.0));
+    assert!((vector - Vector3::new(-2.0, 1.0, 3.0)).norm() < 1e-14, "{vector}");
+    let back = base_from_flange().inverse().transform_point(&point);
+    assert!((back - Point3::new(1.0, 2.0, 3.0)).norm() < 1e-14);
+    assert!((base_from_flange().rotation_angle_rad() - std::f64::consts::FRAC_PI_2).abs() < 1e-15);
+}
+
+#[test]
+fn composition_applies_the_right_factor_first() {
+    let flange_from_cam_left =
+        Pose::<Flange, CamLeft>::from_parts(Vector3::new(0.1, -0.2, 0.3), so3::exp(&Vector3::new(0.3, -0.7, 1.1)));
+    let base_from_cam_left: Pose<Base, CamLeft> = base_from_flange() * flange_from_cam_left;
+    let point = Point3::new(0.5, -0.25, 2.0);
+    let expected = base_from_flange().transform_point(&flange_from_cam_left.transform_point(&point));
+    assert!((base_from_cam_left.transform_point(&point) - expected).norm() < 1e-14);
+    let text = format!("{base_from_cam_left:?}");
+    assert!(text.starts_with("base_from_cam_left { translation_m: ["), "{text}");
+}
+
+#[test]
+fn twists_turn_with_their_frame_and_keep_their_order() {
+    let twist = Twist::<Flange>::from_vector(&Vector6::new(1.0, 2.0, 3.0, 4.0, 5.0, 6.0));
+    assert_eq!(twist.linear_m_per_s, Vector3::new(1.0, 2.0, 3.0));
+    let in_base = twist.expressed_in(&base_from_flange()).to_vector();
+    assert!((in_base - Vector6::new(-2.0, 1.0, 3.0, -5.0, 4.0, 6.0)).amax() < 1e-14, "{in_base}");
+}
+
+#[test]
+fn times_neither_wrap_nor_lose_their_sign() {
+    let early = MonotonicTime::from_secs_f64(1.25);
+    let late = early + Duration::from_millis(500);
+    assert_eq!(late.as_nanos(), 1_750_000_000);
+    assert_eq!(early.seconds_since(late), -0.5);
+    assert_eq!(early.saturating_since(late), Duration::ZERO);
+    assert_eq!(late.saturating_since(early), Duration::from_millis(500));
+    assert_eq!(early - Duration::from_secs(9), MonotonicTime::ZERO);
+    assert_eq!(MonotonicTime::from_secs_f64(-3.0), MonotonicTime::ZERO);
+    assert_eq!(MonotonicTime::from_secs_f64(f64::NAN), MonotonicTime::ZERO);
+    assert_eq!(MonotonicTime::from_nanos(u64::MAX) + Duration::from_secs(1), MonotonicTime::from_nanos(u64::MAX));
+}
+
+fn rig(translation_m: [f64; 3]) -> Result<StereoRig, StereoRigError> {
+    let size = ImageSize { width: 640, height: 480 };
+    let camera = |fx| {
+        let pinhole = Pinhole { fx, fy: 738.25, cx: 331.25, cy: 228.5 };
+        Camera::new(size, pinhole, Distortion::None).unwrap()
+    };
+    let cam_right_from_cam_left = Pose::<CamRight, CamLeft>::from_translation(Vector3::from(translation_m));
+    StereoRig::new(camera(742.5), camera(742.5), cam_right_from_cam_left)
+}
+
+#[test]
+fn rigs_with_an_impossible_baseline_or_swapped_cameras_are_refused() {
+    let good = rig([-0.1, 0.0, 0.0]).unwrap();
+    assert!(good.is_rectified());
+    assert_eq!(good.right_centre_in_cam_left(), Vector3::new(0.1, 0.0, 0.0));
+    assert!(!rig([-0.1, 0.001, 0.0]).unwrap().is_rectified());
+    assert!(matches!(rig([-120.0, 0.0, 0.0]), Err(StereoRigError::Baseline { .. })));
+    assert!(matches!(rig([0.0; 3]), Err(StereoRigError::Baseline { .. })));
+    assert!(matches!(rig([f64::NAN, 0.0, 0.0]), Err(StereoRigError::Baseline { .. })));
+    match rig([0.1, 0.0, 0.0]) {
+        Err(error @ StereoRigError::Swapped { .. }) => assert!(error.to_string().contains("swapped"), "{error}"),
+        other => panic!("{other:?}"),
+    }
+}
