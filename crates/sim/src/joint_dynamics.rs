@@ -72,8 +72,17 @@ pub struct JointPlant {
     current: Piece,
     /// The pieces before it, oldest first.
     past: VecDeque<Piece>,
-    /// Commands on their way, by the time at which they take effect.
-    pending: VecDeque<(MonotonicTime, JointVector)>,
+    /// Commands on their way, in the order in which they take effect.
+    pending: VecDeque<Pending>,
+}
+
+/// A command on its way.
+#[derive(Clone, Copy, Debug)]
+struct Pending {
+    effective: MonotonicTime,
+    velocity_rad_per_s: JointVector,
+    /// The end of an earlier command, which a newer command makes void.
+    is_expiry: bool,
 }
 
 /// The motion of all joints from one change of command to the next.
@@ -113,7 +122,7 @@ impl JointPlant {
     }
 
     /// Gives a velocity command (rad/s) at the time `at`; it takes effect a command delay later, saturated to the speed
-    /// limits, and holds until the next. It can change neither the past nor overtake an earlier command: it takes effect at
+    /// limits, and holds until the next. It can neither change the past nor overtake an earlier command: it takes effect at
     /// [`Self::now`], or with the last command before it, if that is later.
     ///
     /// # Errors
@@ -122,9 +131,30 @@ impl JointPlant {
         if let Some(joint) = (0..DOF).find(|&joint| !velocity_rad_per_s[joint].is_finite()) {
             return Err(JointPlantError::Command { joint, velocity_rad_per_s: velocity_rad_per_s[joint] });
         }
-        let last = self.pending.back().map_or(self.now, |&(effective, _)| effective);
-        let effective = (at + self.config.command_delay).max(self.now).max(last);
-        self.pending.push_back((effective, velocity_rad_per_s));
+        let arrives = (at + self.config.command_delay).max(self.now);
+        // An expiry before this command still happens, whether the plant was advanced to it already or not.
+        if self.pending.back().is_some_and(|last| last.is_expiry && last.effective >= arrives) {
+            self.pending.pop_back();
+        }
+        let effective = self.pending.back().map_or(arrives, |last| last.effective.max(arrives));
+        self.pending.push_back(Pending { effective, velocity_rad_per_s, is_expiry: false });
+        Ok(())
+    }
+
+    /// As [`Self::command`], for a drive with a watchdog: without another command within `valid_for` the joints come to rest.
+    ///
+    /// # Errors
+    /// As [`Self::command`].
+    pub fn command_for(
+        &mut self,
+        at: MonotonicTime,
+        velocity_rad_per_s: JointVector,
+        valid_for: Duration,
+    ) -> Result<(), JointPlantError> {
+        self.command(at, velocity_rad_per_s)?;
+        let starts = self.pending.back().map_or(self.now, |last| last.effective);
+        let velocity_rad_per_s = JointVector::zeros();
+        self.pending.push_back(Pending { effective: starts + valid_for, velocity_rad_per_s, is_expiry: true });
         Ok(())
     }
 
@@ -133,16 +163,15 @@ impl JointPlant {
     pub fn halt(&mut self, at: MonotonicTime) {
         self.advance_to(at);
         self.pending.clear();
-        self.pending.push_back((self.now, JointVector::zeros()));
-        self.advance_to(self.now);
+        self.take_effect(self.now, &JointVector::zeros());
     }
 
     /// Lets time pass up to `at`; a time before [`Self::now`] does nothing.
     pub fn advance_to(&mut self, at: MonotonicTime) {
         self.now = self.now.max(at);
-        while let Some(&(effective, velocity)) = self.pending.front().filter(|(effective, _)| *effective <= self.now) {
+        while let Some(next) = self.pending.front().copied().filter(|next| next.effective <= self.now) {
             self.pending.pop_front();
-            self.take_effect(effective, &velocity);
+            self.take_effect(next.effective, &next.velocity_rad_per_s);
         }
         let oldest_wanted = self.now - self.config.history;
         let still_wanted = |plant: &Self| plant.past.get(1).unwrap_or(&plant.current).start > oldest_wanted;

@@ -176,6 +176,26 @@ fn halt_forgets_commands_on_their_way() {
     assert!((0.0..0.1).contains(&travelled.max()), "{travelled}");
 }
 
+/// A drive with a watchdog of 50 ms: three commands 30 ms apart run on, then silence from 160 ms on stops the arm.
+#[test]
+fn a_command_expires_without_a_successor() {
+    let (mut advanced, mut plant) = (plant(config()), plant(config()));
+    for ms in [100, 130, 160, 300] {
+        advanced.advance_to(millis(ms));
+        for plant in [&mut advanced, &mut plant] {
+            plant.command_for(millis(ms), JointVector::repeat(0.1), Duration::from_millis(50)).unwrap();
+        }
+    }
+    plant.advance_to(millis(600));
+    advanced.advance_to(millis(600));
+    assert_eq!(plant.state(), advanced.state(), "the expiry happens whether it was looked at or not");
+    let speed = |ms| plant.velocity_at(millis(ms)).unwrap()[0];
+    // The last command before the silence takes effect at 172 ms and holds until 222 ms; the next one comes at 312 ms.
+    assert!(speed(222) > speed(221) && speed(221) > speed(200), "{} {}", speed(221), speed(222));
+    assert!(speed(223) < speed(222) && speed(311) < 0.02, "{} {}", speed(223), speed(311));
+    assert!(speed(362) > 0.06 && speed(599) < 1e-3, "{} {}", speed(362), speed(599));
+}
+
 #[test]
 fn refuses_what_it_can_not_simulate() {
     let bad = |change: fn(&mut JointPlantConfig)| {
@@ -211,7 +231,12 @@ fn drive(plant: &mut JointPlant, commands: &[(u64, [f64; DOF])], stops: &[u64]) 
             plant.advance_to(MonotonicTime::from_nanos(*stop));
             stops.pop_front();
         }
-        plant.command(next, velocity.into()).unwrap();
+        let velocity = JointVector::from(velocity);
+        if after % 2 == 0 {
+            plant.command(next, velocity).unwrap();
+        } else {
+            plant.command_for(next, velocity, Duration::from_millis(50)).unwrap();
+        }
         at = next;
     }
     for stop in stops {
