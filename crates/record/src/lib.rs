@@ -1,1 +1,16 @@
-//! Calibration files, datasets, and reports: readers and writers.
+//! Readers and writers of everything that pb3dp keeps in files: calibrations, datasets, pictures and reports; and the
+//! error measures that reports are made of.
+//!
+//! * [`dataset`]: case folders and sequence folders, checked;
+//! * [`images`]: pictures in files;
+//! * [`metrics`]: errors against truth, statistics, lag;
+//! * [`overlay`]: drawing on pictures, animated pictures;
+//! * [`report`]: self-contained HTML reports with SVG plots.
+//!
+//! Files hold millimetres and degrees where people read them; inside everything is metres and radians. This crate
+//! estimates nothing, reads no clock and no environment, and touches only the files it is told to.
+
+pub mod dataset;
+pub mod images;
+pub mod metrics;
+pub mod overlay;

@@ -1,0 +1,198 @@
+//! The dataset format: case folders (one stereo pair with a region and, perhaps, its truth) and sequence folders.
+//!
+//! `docs/dataset-format.md` describes the files and `docs/dataset.schema.json` is their JSON schema. Files hold
+//! millimetres and degrees; everything here is metres and radians. Relative paths are relative to the folder of the JSON
+//! file. Keys that are not part of the format are tolerated and listed in `other_keys`, so that a program can point out
+//! a misspelt one.
+
+mod calibration;
+mod case;
+mod json;
+mod sequence;
+mod writer;
+
+use std::path::{Path, PathBuf};
+
+pub use calibration::write_calibration;
+pub use case::{Case, Hardness, PlaneTruth, StereoPictures, load_case};
+pub use sequence::{FramePattern, Sequence, load_sequence};
+pub use writer::{CaseDraft, SequenceDraft, SequenceSummary, SequenceWriter, WrittenFrame, write_case};
+
+use crate::images::ImageFileError;
+
+/// Name of the file that makes a folder a case.
+pub const CASE_FILE: &str = "case.json";
+/// Name of the file that makes a folder a sequence.
+pub const SEQUENCE_FILE: &str = "sequence.json";
+/// Usual name of the calibration beside them.
+pub const CALIBRATION_FILE: &str = "calib.json";
+
+/// Why a case or sequence can not be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum DatasetError {
+    /// A file or folder can not be read or written.
+    #[error("can not {action} {}: check that it exists and may be accessed", file.display())]
+    Io {
+        /// The file or folder.
+        file: PathBuf,
+        /// `read` or `write`.
+        action: &'static str,
+        /// What the system said.
+        #[source]
+        source: std::io::Error,
+    },
+    /// The file is not JSON.
+    #[error("{} is not valid JSON: correct the place that the cause names", file.display())]
+    Syntax {
+        /// The file.
+        file: PathBuf,
+        /// Line, column and reason.
+        #[source]
+        source: serde_json::Error,
+    },
+    /// A required key is absent.
+    #[error("{}: key `{key}` is missing: add it (docs/dataset-format.md)", file.display())]
+    MissingKey {
+        /// The file.
+        file: PathBuf,
+        /// The whole path of the key, `search.z_min_mm`.
+        key: String,
+    },
+    /// A value is not allowed.
+    #[error("{}: key `{key}` is {value}: {expected}", file.display())]
+    Value {
+        /// The file.
+        file: PathBuf,
+        /// The whole path of the key.
+        key: String,
+        /// The value found, shortened.
+        value: String,
+        /// What is allowed.
+        expected: String,
+    },
+    /// There is no case below a folder.
+    #[error("no {CASE_FILE} in {} or in a folder directly below it: give the folder that holds the cases", folder.display())]
+    NoCases {
+        /// The folder.
+        folder: PathBuf,
+    },
+    /// A recording would overwrite another one.
+    #[error("{} exists: give an empty folder", file.display())]
+    Exists {
+        /// The file that is in the way.
+        file: PathBuf,
+    },
+    /// A picture can not be used.
+    #[error(transparent)]
+    Image(#[from] ImageFileError),
+    /// A frame does not fit the frames before it.
+    #[error("frame {frame} of the recording in {}: {reason}", folder.display())]
+    Frame {
+        /// Number of the frame, from 0.
+        frame: u64,
+        /// The recording's folder.
+        folder: PathBuf,
+        /// The check that failed.
+        reason: String,
+    },
+}
+
+/// Where a plane is searched.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SearchRange {
+    /// Nearest depth in `cam_left`, metres.
+    pub z_min_m: f64,
+    /// Farthest depth in `cam_left`, metres.
+    pub z_max_m: f64,
+    /// Largest angle between the plane's normal and the optical axis, radians.
+    pub tilt_max_rad: f64,
+}
+
+/// Every case folder under `dir`, sorted by path: `dir` itself, or the folders directly in it that hold a `case.json`.
+///
+/// # Errors
+/// A folder that can not be read, or one without any case.
+pub fn find_cases(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
+    if dir.join(CASE_FILE).is_file() {
+        return Ok(vec![dir.to_owned()]);
+    }
+    let unreadable = |source| DatasetError::Io { file: dir.to_owned(), action: "read", source };
+    let mut cases = Vec::new();
+    for entry in std::fs::read_dir(dir).map_err(unreadable)? {
+        let folder = entry.map_err(unreadable)?.path();
+        if folder.join(CASE_FILE).is_file() {
+            cases.push(folder);
+        }
+    }
+    if cases.is_empty() {
+        return Err(DatasetError::NoCases { folder: dir.to_owned() });
+    }
+    cases.sort();
+    Ok(cases)
+}
+
+/// Reads the polygon of a region; pixels, integer coordinates are pixel centres.
+fn polygon(node: &json::Node<'_>) -> Result<Vec<[f64; 2]>, DatasetError> {
+    let points = node.items()?.iter().map(json::Node::numbers::<2>).collect::<Result<Vec<_>, _>>()?;
+    if points.len() < 3 {
+        return Err(node.refuse(format!("must have at least 3 corners [u, v], not {}", points.len())));
+    }
+    let area = polygon_area_px(&points);
+    if area < 1.0 {
+        return Err(node.refuse(format!("encloses {area:.2} square pixels: it must enclose at least 1")));
+    }
+    Ok(points)
+}
+
+/// Area inside a polygon, square pixels.
+fn polygon_area_px(points: &[[f64; 2]]) -> f64 {
+    let next = points.iter().cycle().skip(1);
+    let twice: f64 = points.iter().zip(next).map(|(a, b)| a[0] * b[1] - b[0] * a[1]).sum();
+    (0.5 * twice).abs()
+}
+
+fn search_range(node: &json::Node<'_>) -> Result<SearchRange, DatasetError> {
+    let z_min_mm = node.get("z_min_mm")?.positive()?;
+    let z_max = node.get("z_max_mm")?;
+    let z_max_mm = z_max.positive()?;
+    if z_max_mm <= z_min_mm {
+        return Err(z_max.refuse(format!("must be greater than z_min_mm, {z_min_mm}")));
+    }
+    let tilt = node.get("tilt_max_deg")?;
+    let tilt_max_deg = tilt.positive()?;
+    if tilt_max_deg >= 90.0 {
+        return Err(tilt.refuse("must be less than 90 degrees"));
+    }
+    Ok(SearchRange { z_min_m: z_min_mm * 1e-3, z_max_m: z_max_mm * 1e-3, tilt_max_rad: tilt_max_deg.to_radians() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn area_of_a_quad_does_not_depend_on_the_sense() {
+        // Trapezium: parallel sides 4 and 2, height 3.
+        let points = [[1.0, 1.0], [5.0, 1.0], [4.0, 4.0], [2.0, 4.0]];
+        assert!((polygon_area_px(&points) - 9.0).abs() < 1e-12);
+        let reversed: Vec<_> = points.into_iter().rev().collect();
+        assert!((polygon_area_px(&reversed) - 9.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn cases_are_found_sorted_and_a_case_is_its_own_folder() {
+        let dir = tempfile::tempdir().unwrap();
+        for name in ["b", "a", "_scenes", "c/deeper"] {
+            std::fs::create_dir_all(dir.path().join(name)).unwrap();
+        }
+        let error = find_cases(dir.path()).unwrap_err();
+        assert!(matches!(error, DatasetError::NoCases { .. }), "{error}");
+        for name in ["b", "a", "c/deeper"] {
+            std::fs::write(dir.path().join(name).join(CASE_FILE), "{}").unwrap();
+        }
+        assert_eq!(find_cases(dir.path()).unwrap(), [dir.path().join("a"), dir.path().join("b")]);
+        assert_eq!(find_cases(&dir.path().join("b")).unwrap(), [dir.path().join("b")]);
+        assert!(matches!(find_cases(&dir.path().join("none")), Err(DatasetError::Io { .. })));
+    }
+}

@@ -1,0 +1,371 @@
+//! Pictures in files: loading with errors that name the file, and encoding.
+//!
+//! Everything inside is 8-bit sRGB without alpha. Grey pictures are expanded to three equal channels. Pictures with
+//! 16 bits per channel are refused, because the file does not say which part of the range is in use (a 12-bit camera's
+//! picture would come out black); transparent pixels are refused, because they have no colour.
+
+use std::fmt;
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use image::codecs::jpeg::JpegEncoder;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{DynamicImage, ImageEncoder, ImageFormat, ImageReader, RgbImage};
+use pb3dp_geometry::ImageSize;
+
+/// Why a picture file can not be used.
+#[derive(Debug, thiserror::Error)]
+#[error("picture {}: {problem}", file.display())]
+pub struct ImageFileError {
+    /// The file.
+    pub file: PathBuf,
+    /// The check that failed, and what to do.
+    pub problem: ImageProblem,
+    #[source]
+    source: Option<Box<dyn std::error::Error + Send + Sync>>,
+}
+
+/// Which check a picture file failed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum ImageProblem {
+    /// There is no such file.
+    Missing,
+    /// The file can not be read or written.
+    Io,
+    /// It is neither PNG nor JPEG.
+    UnknownFormat,
+    /// The content ends early or is damaged.
+    Damaged,
+    /// The size is not the expected one.
+    Size {
+        /// Size of the picture.
+        found: ImageSize,
+        /// Size that was asked for.
+        expected: ImageSize,
+        /// Where the expectation comes from: `the calibration`, `left.png`.
+        because_of: String,
+    },
+    /// More than 8 bits per channel.
+    Depth {
+        /// The pixel format found.
+        found: String,
+    },
+    /// Some pixels are not opaque.
+    Transparent,
+    /// It is not the 16-bit grey picture that a disparity map must be.
+    NotDisparity {
+        /// The pixel format found.
+        found: String,
+    },
+}
+
+impl fmt::Display for ImageProblem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Missing => write!(f, "no such file; check the name and the folder"),
+            Self::Io => write!(f, "can not be read or written; check permissions and free space"),
+            Self::UnknownFormat => write!(f, "neither PNG nor JPEG; convert it"),
+            Self::Damaged => write!(f, "truncated or damaged; copy or record it again"),
+            Self::Size { found, expected, because_of } => write!(
+                f,
+                "is {}x{} pixels, but {because_of} has {}x{}; use pictures of one size, or the calibration of this size",
+                found.width, found.height, expected.width, expected.height
+            ),
+            Self::Depth { found } => write!(f, "has pixels of type {found}; convert it to 8 bits per channel"),
+            Self::Transparent => write!(f, "has transparent pixels, which have no colour; remove the alpha channel"),
+            Self::NotDisparity { found } => {
+                write!(f, "has pixels of type {found}; a disparity map is a 16-bit grey PNG of 64 times the disparity")
+            }
+        }
+    }
+}
+
+impl ImageFileError {
+    fn new(file: &Path, problem: ImageProblem) -> Self {
+        Self { file: file.to_owned(), problem, source: None }
+    }
+
+    fn caused_by(
+        file: &Path,
+        problem: ImageProblem,
+        source: impl Into<Box<dyn std::error::Error + Send + Sync>>,
+    ) -> Self {
+        Self { file: file.to_owned(), problem, source: Some(source.into()) }
+    }
+
+    fn io(file: &Path, source: std::io::Error) -> Self {
+        let missing = source.kind() == std::io::ErrorKind::NotFound;
+        Self::caused_by(file, if missing { ImageProblem::Missing } else { ImageProblem::Io }, source)
+    }
+}
+
+/// Size of a picture.
+pub fn size_of(picture: &RgbImage) -> ImageSize {
+    ImageSize { width: picture.width(), height: picture.height() }
+}
+
+/// Loads a PNG or JPEG file as 8-bit RGB.
+///
+/// # Errors
+/// A missing, unreadable, damaged or truncated file, 16-bit or transparent pixels.
+pub fn load_rgb(file: &Path) -> Result<RgbImage, ImageFileError> {
+    let picture = decode(file)?;
+    match picture {
+        DynamicImage::ImageRgb8(rgb) => Ok(rgb),
+        DynamicImage::ImageLuma8(_) => Ok(picture.into_rgb8()),
+        DynamicImage::ImageLumaA8(ref pixels) if pixels.pixels().all(|p| p.0[1] == 255) => Ok(picture.into_rgb8()),
+        DynamicImage::ImageRgba8(ref pixels) if pixels.pixels().all(|p| p.0[3] == 255) => Ok(picture.into_rgb8()),
+        DynamicImage::ImageLumaA8(_) | DynamicImage::ImageRgba8(_) => {
+            Err(ImageFileError::new(file, ImageProblem::Transparent))
+        }
+        other => Err(ImageFileError::new(file, ImageProblem::Depth { found: format!("{:?}", other.color()) })),
+    }
+}
+
+/// Loads as [`load_rgb`] and checks the size; `because_of` says in the message where the expectation comes from.
+///
+/// # Errors
+/// As [`load_rgb`], and [`ImageProblem::Size`].
+pub fn load_rgb_of_size(file: &Path, expected: ImageSize, because_of: &str) -> Result<RgbImage, ImageFileError> {
+    let picture = load_rgb(file)?;
+    let found = size_of(&picture);
+    if found != expected {
+        let because_of = because_of.to_owned();
+        return Err(ImageFileError::new(file, ImageProblem::Size { found, expected, because_of }));
+    }
+    Ok(picture)
+}
+
+fn decode(file: &Path) -> Result<DynamicImage, ImageFileError> {
+    let bytes = std::fs::read(file).map_err(|e| ImageFileError::io(file, e))?;
+    let reader =
+        ImageReader::new(Cursor::new(&bytes)).with_guessed_format().map_err(|e| ImageFileError::io(file, e))?;
+    match reader.format() {
+        None if bytes.is_empty() => return Err(ImageFileError::new(file, ImageProblem::Damaged)),
+        Some(ImageFormat::Png) => {}
+        // The decoder fills what is missing of a JPEG with grey; stale or invented pixels must not pass as a picture.
+        Some(ImageFormat::Jpeg) if !jpeg_is_complete(&bytes) => {
+            return Err(ImageFileError::new(file, ImageProblem::Damaged));
+        }
+        Some(ImageFormat::Jpeg) => {}
+        _ => return Err(ImageFileError::new(file, ImageProblem::UnknownFormat)),
+    }
+    reader.decode().map_err(|e| ImageFileError::caused_by(file, ImageProblem::Damaged, e))
+}
+
+/// Whether the markers of a JPEG file lead from its start (SOI) through at least one scan to its end (EOI);
+/// ITU-T T.81, annex B.
+fn jpeg_is_complete(bytes: &[u8]) -> bool {
+    let mut at = 2;
+    let mut scans = 0;
+    while at + 1 < bytes.len() {
+        if bytes[at] != 0xFF {
+            // Entropy-coded data of a scan; between other segments it would be damage.
+            if scans == 0 {
+                return false;
+            }
+            at += 1;
+            continue;
+        }
+        match bytes[at + 1] {
+            0xD9 => return scans > 0,
+            // A stuffed zero byte and restart markers belong to the scan; fill bytes may precede any marker.
+            0x00 | 0xD0..=0xD7 => at += 2,
+            0xFF => at += 1,
+            marker => {
+                scans += usize::from(marker == 0xDA);
+                let Some(length) = bytes.get(at + 2..at + 4) else { return false };
+                at += 2 + usize::from(u16::from_be_bytes([length[0], length[1]]));
+            }
+        }
+    }
+    false
+}
+
+/// A disparity map: truth for the left image, pixels.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DisparityMap {
+    size: ImageSize,
+    scaled: Vec<u16>,
+}
+
+impl DisparityMap {
+    /// Stored units per pixel of disparity.
+    pub const UNITS_PER_PX: f64 = 64.0;
+
+    /// Loads a 16-bit grey PNG of 64 times the disparity `u_left - u_right`, 0 where it is unknown.
+    ///
+    /// # Errors
+    /// A missing or damaged file, or one that is not 16-bit grey.
+    pub fn load(file: &Path) -> Result<Self, ImageFileError> {
+        match decode(file)? {
+            DynamicImage::ImageLuma16(grey) => {
+                Ok(Self { size: ImageSize { width: grey.width(), height: grey.height() }, scaled: grey.into_raw() })
+            }
+            other => {
+                let found = format!("{:?}", other.color());
+                Err(ImageFileError::new(file, ImageProblem::NotDisparity { found }))
+            }
+        }
+    }
+
+    /// A map from its stored units, row by row; `None` if their number does not fit the size.
+    pub fn from_scaled(size: ImageSize, scaled: Vec<u16>) -> Option<Self> {
+        let pixels = u64::from(size.width) * u64::from(size.height);
+        (scaled.len() as u64 == pixels).then_some(Self { size, scaled })
+    }
+
+    /// Size of the map.
+    pub fn size(&self) -> ImageSize {
+        self.size
+    }
+
+    /// Disparity at a pixel, pixels; `None` where it is unknown or outside.
+    pub fn at(&self, u: u32, v: u32) -> Option<f64> {
+        if u >= self.size.width || v >= self.size.height {
+            return None;
+        }
+        let scaled = *self.scaled.get(v as usize * self.size.width as usize + u as usize)?;
+        (scaled > 0).then(|| f64::from(scaled) / Self::UNITS_PER_PX)
+    }
+}
+
+/// How a recorder stores pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PictureFormat {
+    /// Lossless.
+    Png,
+    /// Smaller, lossy.
+    Jpeg {
+        /// 1 to 100.
+        quality: u8,
+    },
+}
+
+impl PictureFormat {
+    /// The file name's extension.
+    pub fn extension(self) -> &'static str {
+        match self {
+            Self::Png => "png",
+            Self::Jpeg { .. } => "jpg",
+        }
+    }
+}
+
+/// Encodes a picture in memory.
+///
+/// # Errors
+/// Only if the picture is empty or too large for the format.
+pub fn encode(picture: &RgbImage, format: PictureFormat) -> Result<Vec<u8>, image::ImageError> {
+    let mut bytes = Vec::new();
+    let (width, height) = picture.dimensions();
+    match format {
+        PictureFormat::Png => PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::Adaptive)
+            .write_image(picture.as_raw(), width, height, image::ExtendedColorType::Rgb8)?,
+        PictureFormat::Jpeg { quality } => JpegEncoder::new_with_quality(&mut bytes, quality.clamp(1, 100))
+            .write_image(picture.as_raw(), width, height, image::ExtendedColorType::Rgb8)?,
+    }
+    Ok(bytes)
+}
+
+/// Writes a picture file.
+///
+/// # Errors
+/// If the picture can not be encoded or the file can not be written.
+pub fn save(picture: &RgbImage, file: &Path, format: PictureFormat) -> Result<(), ImageFileError> {
+    let bytes = encode(picture, format).map_err(|e| ImageFileError::caused_by(file, ImageProblem::Io, e))?;
+    std::fs::write(file, bytes).map_err(|e| ImageFileError::io(file, e))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::{GrayImage, ImageBuffer, Luma, Rgb, Rgba, RgbaImage};
+
+    fn gradient() -> RgbImage {
+        RgbImage::from_fn(37, 23, |x, y| Rgb([(x * 6) as u8, (y * 11) as u8, (x ^ y) as u8]))
+    }
+
+    fn problem(result: Result<RgbImage, ImageFileError>, file: &str) -> ImageProblem {
+        let error = result.unwrap_err();
+        assert!(error.to_string().contains(file), "{error} must name {file}");
+        error.problem
+    }
+
+    #[test]
+    fn png_survives_a_round_trip_and_jpeg_comes_close() {
+        let dir = tempfile::tempdir().unwrap();
+        let (png, jpg) = (dir.path().join("a.png"), dir.path().join("b.jpg"));
+        save(&gradient(), &png, PictureFormat::Png).unwrap();
+        assert_eq!(load_rgb(&png).unwrap(), gradient());
+        save(&gradient(), &jpg, PictureFormat::Jpeg { quality: 95 }).unwrap();
+        let difference: u64 =
+            load_rgb(&jpg).unwrap().iter().zip(gradient().iter()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+        assert!(difference / (37 * 23 * 3) < 20);
+    }
+
+    #[test]
+    fn grey_is_expanded_and_opaque_alpha_dropped() {
+        let dir = tempfile::tempdir().unwrap();
+        let grey = dir.path().join("grey.png");
+        GrayImage::from_fn(5, 4, |x, y| Luma([(10 * x + y) as u8])).save(&grey).unwrap();
+        assert_eq!(*load_rgb(&grey).unwrap().get_pixel(3, 2), Rgb([32, 32, 32]));
+        let alpha = dir.path().join("alpha.png");
+        RgbaImage::from_pixel(5, 4, Rgba([1, 2, 3, 255])).save(&alpha).unwrap();
+        assert_eq!(*load_rgb(&alpha).unwrap().get_pixel(4, 3), Rgb([1, 2, 3]));
+        RgbaImage::from_pixel(5, 4, Rgba([1, 2, 3, 254])).save(&alpha).unwrap();
+        assert_eq!(problem(load_rgb(&alpha), "alpha.png"), ImageProblem::Transparent);
+    }
+
+    #[test]
+    fn sixteen_bits_are_refused_for_pictures_and_required_for_disparity() {
+        let dir = tempfile::tempdir().unwrap();
+        let deep = dir.path().join("deep.png");
+        ImageBuffer::<Luma<u16>, _>::from_raw(3, 2, vec![0_u16, 64, 96, 6400, 1, 65535]).unwrap().save(&deep).unwrap();
+        assert_eq!(problem(load_rgb(&deep), "deep.png"), ImageProblem::Depth { found: "L16".into() });
+        let map = DisparityMap::load(&deep).unwrap();
+        assert_eq!(
+            [(0, 0), (1, 0), (2, 0), (0, 1), (3, 0)].map(|(u, v)| map.at(u, v)),
+            [None, Some(1.0), Some(1.5), Some(100.0), None]
+        );
+        let flat = dir.path().join("flat.png");
+        save(&gradient(), &flat, PictureFormat::Png).unwrap();
+        let error = DisparityMap::load(&flat).unwrap_err();
+        assert_eq!(error.problem, ImageProblem::NotDisparity { found: "Rgb8".into() });
+    }
+
+    #[test]
+    fn a_file_cut_at_any_place_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        for format in [PictureFormat::Png, PictureFormat::Jpeg { quality: 90 }] {
+            let whole = encode(&gradient(), format).unwrap();
+            let file = dir.path().join(format!("cut.{}", format.extension()));
+            for length in (0..whole.len()).step_by(7) {
+                std::fs::write(&file, &whole[..length]).unwrap();
+                let found = problem(load_rgb(&file), "cut.");
+                assert!(
+                    found == ImageProblem::Damaged || (length < 16 && found == ImageProblem::UnknownFormat),
+                    "{length} of {}: {found:?}",
+                    whole.len()
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn wrong_things_are_named() {
+        let dir = tempfile::tempdir().unwrap();
+        assert_eq!(problem(load_rgb(&dir.path().join("none.png")), "none.png"), ImageProblem::Missing);
+        let text = dir.path().join("text.png");
+        std::fs::write(&text, "this is no picture").unwrap();
+        assert_eq!(problem(load_rgb(&text), "text.png"), ImageProblem::UnknownFormat);
+        let file = dir.path().join("small.png");
+        save(&gradient(), &file, PictureFormat::Png).unwrap();
+        let error = load_rgb_of_size(&file, ImageSize { width: 640, height: 480 }, "the calibration").unwrap_err();
+        let message = error.to_string();
+        for part in ["small.png", "37x23", "640x480", "the calibration"] {
+            assert!(message.contains(part), "{message} must contain {part}");
+        }
+    }
+}
