@@ -1,1 +1,20 @@
 //! Projection-based 3D perception: pose of an unknown object from one stereo pair.
+//!
+//! The method: a [photo model](photo_model) is taken from the left image, a [hypothesis](plane_hypothesis) puts it on a
+//! plane in space, the plane's homography puts it into the right image, and the [fitness] counts how many points find
+//! their own hue there. A [search] finds the hypothesis with the highest fitness.
+//!
+//! This crate knows images, calibration and geometry. It touches no file, clock, thread or environment; a caller who wants
+//! threads splits the work with the interfaces given here.
+
+pub mod cpu;
+pub mod error;
+pub mod fitness;
+pub mod hue;
+pub mod photo_model;
+pub mod plane_hypothesis;
+pub mod region;
+pub mod search;
+mod trig;
+
+pub use error::EstimationError;

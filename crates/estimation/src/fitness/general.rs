@@ -1,0 +1,62 @@
+//! General calibrated pairs: every point goes through the hypothesis' homography, with a division of its own.
+
+use super::batch::{Batch, Counts};
+use super::points::PointSet;
+use super::scalar;
+#[cfg(target_arch = "x86_64")]
+use crate::cpu::KernelSet;
+use crate::cpu::Kernels;
+use crate::hue::{HuePlane, PAD};
+
+/// The right image as kernels read it. Pixel (u, v) is element `base + v width + u`; element 0 has no hue and stands for
+/// everything outside.
+#[derive(Clone, Copy)]
+pub(super) struct PlaneView<'a> {
+    pub data: &'a [u16],
+    pub base: i32,
+    pub width: i32,
+    pub height: i32,
+}
+
+impl<'a> PlaneView<'a> {
+    fn of(plane: &'a HuePlane) -> Self {
+        let view =
+            Self { data: plane.padded(), base: PAD as i32, width: plane.width() as i32, height: plane.height() as i32 };
+        // The vector kernels read without further checks what lies inside these bounds.
+        assert!(view.data.len() >= PAD + plane.width() * plane.height() && view.data.len() < i32::MAX as usize);
+        view
+    }
+}
+
+/// Counts the matches of every hypothesis of a batch.
+pub(super) fn count(
+    kernels: Kernels,
+    right: &HuePlane,
+    tolerance: u16,
+    sets: [&PointSet; 2],
+    batch: &Batch,
+    counts: &mut Counts,
+) {
+    let view = PlaneView::of(right);
+    let [inner, outer] = sets;
+    for lane in 0..batch.len {
+        if batch.refused[lane] {
+            continue;
+        }
+        let homography = &batch.homographies[lane];
+        counts.inner[lane] = count_set(kernels, &view, tolerance, inner, homography);
+        counts.outer[lane] = count_set(kernels, &view, tolerance, outer, homography);
+    }
+}
+
+fn count_set(kernels: Kernels, view: &PlaneView<'_>, tolerance: u16, points: &PointSet, homography: &[f32; 8]) -> i32 {
+    match kernels.set() {
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: `Kernels` exists only for instruction sets that were detected on this processor.
+        KernelSet::Avx2 => unsafe { super::avx2::count_general(view, tolerance, points, homography) },
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: as above.
+        KernelSet::Avx512 => unsafe { super::avx512::count_general(view, tolerance, points, homography) },
+        _ => scalar::count_general(view, tolerance, points, homography),
+    }
+}
