@@ -1,1 +1,26 @@
-//! Visual-servo controller: control law and supervisor as step(state, now).
+//! The visual-servo controller: where the target is, how the hand should move, and whether it may, as a pure
+//! `step(joints, newest observation, now)`. No camera, no arm, no clock, no thread; time and data come from the caller.
+//!
+//! * [`Controller::step`] is the one entry: it returns a [`Command`] and the [`Mode`] with the reason why the arm rests.
+//! * [`TargetObservation`] is what the estimator says: pose of the model and time of exposure.
+//! * [`ControllerConfig`] holds all numbers; [`Controller::new`] refuses bad ones by key, value and allowed range.
+//!
+//! The way of a number: the hand's pose at the time of exposure comes from the [`joint_history`]; with it the observation is
+//! carried to `base`, gated and smoothed ([`target_filter`]); the [`law`] turns the error of the hand into a twist; the
+//! [`resolved_rate`] turns the twist into joint velocities within the limits.
+
+pub mod config;
+pub mod controller;
+pub mod joint_history;
+pub mod law;
+pub mod resolved_rate;
+pub mod target_filter;
+
+pub use config::{
+    AfterLoss, ApproachConfig, CartesianSpeed, ConfigError, ControllerConfig, DampingConfig, Gains, SpeedConfig,
+    TargetFilterConfig, Timeouts,
+};
+pub use controller::{Command, ControlStep, Controller, HoldReason, Mode};
+pub use joint_history::{JointHistory, NotInHistory};
+pub use resolved_rate::Limitation;
+pub use target_filter::{ObservationVerdict, TargetObservation};

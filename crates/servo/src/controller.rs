@@ -1,0 +1,356 @@
+//! The one entry: joints and observations in, a command with its reason out.
+
+use std::fmt;
+
+use pb3dp_geometry::frames::{Base, Hand, Model};
+use pb3dp_geometry::{MonotonicTime, Pose};
+use pb3dp_kinematics::{Chain, Damping, JointLimits, JointState, JointVector};
+
+use crate::config::{AfterLoss, ConfigError, ControllerConfig};
+use crate::joint_history::JointHistory;
+use crate::law::pose_based::{HandError, hand_twist};
+use crate::resolved_rate::{HandJacobian, Limitation, limit_joints, limit_twist};
+use crate::target_filter::{ObservationVerdict, TargetObservation, TargetTrack};
+
+/// What the arm shall do until the next step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Command {
+    /// Move each joint at this velocity, rad/s.
+    Velocity(JointVector),
+    /// Come to rest and stay.
+    Hold,
+}
+
+/// What the controller is doing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Mode {
+    /// No target yet.
+    Idle,
+    /// A target is seen; more observations must agree before the hand moves.
+    Locking,
+    /// The hand goes to the desired pose for the first time since the lock.
+    Approaching,
+    /// The hand follows.
+    Tracking,
+    /// The hand rests, and goes on when the reason is gone.
+    Holding(HoldReason),
+    /// The target is lost, see [`AfterLoss`].
+    Lost,
+}
+
+/// Why the hand rests.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum HoldReason {
+    /// No observation was accepted for longer than the time-out.
+    ObservationStale {
+        /// Seconds since the exposure of the last one.
+        age_s: f64,
+    },
+    /// The joints were measured too long ago.
+    JointsStale {
+        /// Seconds since then.
+        age_s: f64,
+    },
+    /// A measured angle or speed of a joint is not finite.
+    JointsNotFinite,
+    /// Time ran backwards, or the joints' time lies in the future; the target is lost by that, and observations count again
+    /// only when they are newer than all before the step.
+    ClockStepped,
+    /// A joint is at the end of its range and would have to go on.
+    JointRange {
+        /// Index from the base.
+        joint: usize,
+    },
+    /// The law gave a number that is not finite.
+    CommandNotFinite,
+}
+
+impl fmt::Display for Mode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Idle => write!(f, "idle: no target observed yet"),
+            Self::Locking => write!(f, "locking: waiting for observations that agree"),
+            Self::Approaching => write!(f, "approaching"),
+            Self::Tracking => write!(f, "tracking"),
+            Self::Holding(reason) => write!(f, "holding: {reason}"),
+            Self::Lost => write!(f, "lost: the target was not observed for too long"),
+        }
+    }
+}
+
+impl fmt::Display for HoldReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::ObservationStale { age_s } => write!(f, "the last accepted observation is {age_s:.3} s old"),
+            Self::JointsStale { age_s } => write!(f, "the joints were measured {age_s:.3} s ago"),
+            Self::JointsNotFinite => write!(f, "a measured joint angle or speed is not a finite number"),
+            Self::ClockStepped => write!(f, "the time of the joints or of the controller is not monotonic"),
+            Self::JointRange { joint } => write!(f, "joint {joint} is at the end of its range"),
+            Self::CommandNotFinite => write!(f, "the control law gave a number that is not finite"),
+        }
+    }
+}
+
+/// Result of one step. What can not be known in a mode is `None`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ControlStep {
+    /// What the arm shall do.
+    pub command: Command,
+    /// What the controller is doing, and why it does not move.
+    pub mode: Mode,
+    /// What became of the newest observation.
+    pub observation: ObservationVerdict,
+    /// Where the hand is, from the measured joints.
+    pub base_from_hand: Option<Pose<Base, Hand>>,
+    /// Where the target is, smoothed.
+    pub base_from_model: Option<Pose<Base, Model>>,
+    /// Where the hand should be.
+    pub base_from_hand_desired: Option<Pose<Base, Hand>>,
+    /// Seconds since the exposure of the last accepted observation.
+    pub observation_age_s: Option<f64>,
+    /// Distance of the hand from where it should be, metres.
+    pub position_error_m: Option<f64>,
+    /// Angle between the hand and the desired hand, radians.
+    pub orientation_error_rad: Option<f64>,
+    /// Smallest singular value of the hand's Jacobian, metres and radians.
+    pub smallest_singular_value: Option<f64>,
+    /// What makes the hand slower than the law wants.
+    pub limited_by: Option<Limitation>,
+}
+
+/// The controller of one arm with a camera on its hand.
+#[derive(Clone, Debug)]
+pub struct Controller {
+    config: ControllerConfig,
+    chain: Chain,
+    limits: JointLimits,
+    damping: Damping,
+    history: JointHistory,
+    track: Option<TargetTrack>,
+    /// The exposure of the newest observation that was looked at: none is used twice, none that is older.
+    handled_at: Option<MonotonicTime>,
+    stepped_at: Option<MonotonicTime>,
+    moving_since: Option<MonotonicTime>,
+    approached: bool,
+    lost: bool,
+}
+
+impl Controller {
+    /// A controller at rest, without a target. `limits` are the limits that count for this arm (its operating range).
+    ///
+    /// # Errors
+    /// The first setting that is out of its range.
+    pub fn new(config: ControllerConfig, chain: Chain, limits: JointLimits) -> Result<Self, ConfigError> {
+        config.validate()?;
+        let damping = Damping::new(config.damping.threshold, config.damping.factor_max)
+            .map_err(|error| ConfigError { key: "damping", value: error.value, allowed: "positive, finite numbers" })?;
+        let history = JointHistory::new(config.joint_history_samples, config.timeouts.joints_s);
+        Ok(Self {
+            config,
+            chain,
+            limits,
+            damping,
+            history,
+            track: None,
+            handled_at: None,
+            stepped_at: None,
+            moving_since: None,
+            approached: false,
+            lost: false,
+        })
+    }
+
+    /// Forgets the target and looks for a new one: the operator's word, at the beginning or after a loss. Observations that
+    /// were handed over before are not used again.
+    pub fn acquire(&mut self) {
+        self.forget();
+        self.lost = false;
+    }
+
+    /// One control cycle: never blocks, does not allocate. `newest` may be the same observation many times.
+    pub fn step(&mut self, joints: &JointState, newest: Option<&TargetObservation>, now: MonotonicTime) -> ControlStep {
+        if let Err(reason) = self.take_joints(joints, now) {
+            self.moving_since = None;
+            return self.resting(Mode::Holding(reason), now);
+        }
+        let observation = self.take_observation(newest, now);
+        let mode = self.next_mode(now);
+        let frames = self.chain.joint_frames(&joints.position_rad);
+        let base_from_hand = frames.base_from_flange * self.config.flange_from_hand;
+        let jacobian = HandJacobian::new(&self.chain, &frames, &base_from_hand.translation_m().into());
+        let mut step = ControlStep {
+            observation,
+            base_from_hand: Some(base_from_hand),
+            smallest_singular_value: Some(jacobian.smallest_singular_value()),
+            ..self.resting(mode, now)
+        };
+        let Some(track) = self.track else { return step };
+        let desired = track.base_from_hand_desired(&self.config.model_from_hand_desired);
+        let error = HandError::new(&base_from_hand, &desired);
+        step.base_from_hand_desired = Some(desired);
+        step.position_error_m = Some(error.position_in_base_m.norm());
+        step.orientation_error_rad = Some(error.angle_rad);
+        if matches!(mode, Mode::Approaching | Mode::Tracking) {
+            step.mode = self.note_approach(&error);
+            self.drive(&mut step, &track, &error, &jacobian, joints, now);
+        }
+        if step.command == Command::Hold {
+            self.moving_since = None;
+        }
+        step
+    }
+
+    /// Checks the joints and keeps them.
+    fn take_joints(&mut self, joints: &JointState, now: MonotonicTime) -> Result<(), HoldReason> {
+        let back = self.stepped_at.is_some_and(|before| now < before);
+        self.stepped_at = Some(now);
+        let finite = |vector: &JointVector| vector.iter().all(|x| x.is_finite());
+        if !finite(&joints.position_rad) || !finite(&joints.velocity_rad_per_s) {
+            return Err(HoldReason::JointsNotFinite);
+        }
+        let age_s = now.seconds_since(joints.at);
+        let ahead = age_s < -self.config.timeouts.joints_s;
+        if back || ahead || !self.history.push(*joints) {
+            self.history.clear();
+            self.lose();
+            return Err(HoldReason::ClockStepped);
+        }
+        if age_s > self.config.timeouts.joints_s {
+            return Err(HoldReason::JointsStale { age_s });
+        }
+        Ok(())
+    }
+
+    /// Looks at an observation that is newer than all before.
+    fn take_observation(&mut self, newest: Option<&TargetObservation>, now: MonotonicTime) -> ObservationVerdict {
+        let Some(observation) = newest else { return ObservationVerdict::NoneNew };
+        if self.handled_at.is_some_and(|handled| observation.at <= handled) {
+            return ObservationVerdict::NoneNew;
+        }
+        let age_s = now.seconds_since(observation.at);
+        if !(0.0..=self.config.timeouts.observation_s).contains(&age_s) {
+            return ObservationVerdict::WrongTime { age_s };
+        }
+        self.handled_at = Some(observation.at);
+        if self.lost && self.config.after_loss == AfterLoss::WaitForOperator {
+            return ObservationVerdict::NotWanted;
+        }
+        if !observation.cam_left_from_model.is_finite() {
+            return ObservationVerdict::NotFinite;
+        }
+        if !observation.trusted {
+            return ObservationVerdict::Untrusted;
+        }
+        match self.history.position_at(observation.at) {
+            Ok(position_rad) => self.place_target(observation, &position_rad),
+            Err(unknown) => ObservationVerdict::JointsUnknown(unknown),
+        }
+    }
+
+    /// Carries an observation to `base` with the joints at its time.
+    fn place_target(&mut self, observation: &TargetObservation, position_rad: &JointVector) -> ObservationVerdict {
+        let base_from_hand = self.chain.forward(position_rad) * self.config.flange_from_hand;
+        let observed = base_from_hand * self.config.hand_from_cam_left * observation.cam_left_from_model;
+        self.lost = false;
+        match &mut self.track {
+            Some(track) => track.update(&self.config.target_filter, &observed, observation.at),
+            None => {
+                self.track = Some(TargetTrack::begin(observed, observation.at));
+                ObservationVerdict::Accepted
+            }
+        }
+    }
+
+    fn next_mode(&mut self, now: MonotonicTime) -> Mode {
+        let Some(track) = &self.track else {
+            return if self.lost { Mode::Lost } else { Mode::Idle };
+        };
+        let age_s = now.seconds_since(track.observed_at());
+        if age_s > self.config.timeouts.lost_s {
+            self.lose();
+            if self.lost { Mode::Lost } else { Mode::Idle }
+        } else if age_s > self.config.timeouts.observation_s {
+            Mode::Holding(HoldReason::ObservationStale { age_s })
+        } else if !track.is_locked(&self.config.target_filter) {
+            Mode::Locking
+        } else if self.approached {
+            Mode::Tracking
+        } else {
+            Mode::Approaching
+        }
+    }
+
+    /// Ends the approach when the hand is there.
+    fn note_approach(&mut self, error: &HandError) -> Mode {
+        let near = error.position_in_base_m.norm() <= self.config.approach.done_within_m
+            && error.angle_rad <= self.config.approach.done_within_rad;
+        self.approached |= near;
+        if self.approached { Mode::Tracking } else { Mode::Approaching }
+    }
+
+    /// Law and limits; leaves `Hold` with the reason where there is no way on.
+    fn drive(
+        &mut self,
+        step: &mut ControlStep,
+        track: &TargetTrack,
+        error: &HandError,
+        jacobian: &HandJacobian,
+        joints: &JointState,
+        now: MonotonicTime,
+    ) {
+        let desired_twist = track.hand_desired_twist(&self.config.model_from_hand_desired);
+        let measured_twist = jacobian.twist(&joints.velocity_rad_per_s);
+        let wanted = hand_twist(&self.config.gains, error, &desired_twist, &measured_twist);
+        let most = if self.approached { self.config.speed.tracking } else { self.config.approach.speed };
+        let (twist, hand_share) = limit_twist(&wanted, &most);
+        let velocity = jacobian.joint_velocity(&twist, &self.damping);
+        let limited = limit_joints(&velocity, &joints.position_rad, &self.limits, &self.config.speed);
+        step.limited_by = limited.limited_by.or((hand_share < 1.0).then_some(Limitation::HandSpeed));
+        let started = *self.moving_since.get_or_insert(now);
+        let start_share = self.start_share(started, now);
+        if start_share < 1.0 {
+            step.limited_by = Some(Limitation::SoftStart);
+        }
+        let command = limited.velocity_rad_per_s * start_share;
+        if !command.iter().all(|x| x.is_finite()) {
+            step.mode = Mode::Holding(HoldReason::CommandNotFinite);
+        } else if let (Some(Limitation::JointRange { joint }), true) = (limited.limited_by, limited.share <= 0.0) {
+            step.mode = Mode::Holding(HoldReason::JointRange { joint });
+        } else {
+            step.command = Command::Velocity(command);
+        }
+    }
+
+    fn start_share(&self, started: MonotonicTime, now: MonotonicTime) -> f64 {
+        let soft_start_s = self.config.speed.soft_start_s;
+        if soft_start_s > 0.0 { (now.seconds_since(started) / soft_start_s).clamp(0.0, 1.0) } else { 1.0 }
+    }
+
+    /// A target that was locked is lost; one that never was is only forgotten.
+    fn lose(&mut self) {
+        self.lost |= self.track.is_some_and(|track| track.is_locked(&self.config.target_filter));
+        self.forget();
+    }
+
+    fn forget(&mut self) {
+        self.track = None;
+        self.approached = false;
+        self.moving_since = None;
+    }
+
+    fn resting(&self, mode: Mode, now: MonotonicTime) -> ControlStep {
+        ControlStep {
+            command: Command::Hold,
+            mode,
+            observation: ObservationVerdict::NoneNew,
+            base_from_hand: None,
+            base_from_model: self.track.map(|track| *track.base_from_model()),
+            base_from_hand_desired: None,
+            observation_age_s: self.track.map(|track| now.seconds_since(track.observed_at())),
+            position_error_m: None,
+            orientation_error_rad: None,
+            smallest_singular_value: None,
+            limited_by: None,
+        }
+    }
+}

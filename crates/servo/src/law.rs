@@ -1,0 +1,3 @@
+//! Control laws: from the error of the hand to its velocity.
+
+pub mod pose_based;
