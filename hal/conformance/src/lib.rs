@@ -1,1 +1,23 @@
 //! One test suite that each hardware backend must pass.
+//!
+//! [`stereo_camera_suite`], [`arm_suite`] and [`clock_suite`] hold a backend to the contract that its trait states "for backend
+//! authors" and return a [`Report`] with every rule that is broken:
+//!
+//! ```no_run
+//! # let camera = pb3dp_hal_conformance::mocks::MockScriptedCamera::new;
+//! use pb3dp_hal_conformance::{CameraExpectations, stereo_camera_suite};
+//! stereo_camera_suite(camera, &CameraExpectations::recording_of(12)).assert_passed();
+//! ```
+//!
+//! [`mocks`] are scripted doubles of the traits for unit tests. For tests only: nothing that is shipped depends on this crate.
+
+pub mod arm;
+pub mod camera;
+pub mod clock;
+pub mod mocks;
+mod report;
+
+pub use arm::{ArmExpectations, ArmHooks, arm_suite};
+pub use camera::{CameraExpectations, stereo_camera_suite};
+pub use clock::clock_suite;
+pub use report::{Report, Violation};

@@ -1,0 +1,315 @@
+//! An arm without hardware: simulated joints behind the state machine of a real arm, with faults on request.
+//!
+//! The joints are a [`JointPlant`] that is shared, so that a simulated camera sees the same arm; time comes from an injected
+//! clock. Whoever advances the shared plant may advance it to the clock's present, never beyond.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand};
+use pb3dp_kinematics::{DOF, JointState, JointVector};
+use pb3dp_sim::joint_dynamics::JointPlant;
+
+/// Slower than this in every joint is at rest, rad/s: the brakes close, the drives can be switched on.
+const AT_REST_RAD_PER_S: f64 = 1e-3;
+
+/// An arm that has not come to rest after this long never will.
+const STOP_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// What the mock arm claims to be.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MockArmConfig {
+    /// For messages: `vs-robot`.
+    pub name: String,
+    /// Time between two exchanges that the arm expects; also how long a lost reply is waited for.
+    pub cycle: Duration,
+    /// The arm stops and latches a fault if a velocity is not followed by another command for longer than this.
+    pub command_timeout: Duration,
+}
+
+/// A PA-10 without hardware.
+pub struct MockArm {
+    info: ArmInfo,
+    shared: Arc<Shared>,
+}
+
+/// Makes a [`MockArm`] fail, from anywhere: what the arm's environment and an operator at the emergency stop can do.
+#[derive(Clone)]
+pub struct MockArmFaults {
+    shared: Arc<Shared>,
+}
+
+struct Shared {
+    config: MockArmConfig,
+    plant: Arc<Mutex<JointPlant>>,
+    clock: Arc<dyn Clock>,
+    control: Mutex<Control>,
+}
+
+struct Control {
+    state: ArmState,
+    /// Why the arm is in `Fault`, for messages.
+    reason: String,
+    /// A fault whose cause is still there can not be reset.
+    fault_persists: bool,
+    e_stop_pressed: bool,
+    replies_to_drop: u32,
+    unplugged: bool,
+    /// When the last velocity was accepted, if nothing was since.
+    moving_since: Option<MonotonicTime>,
+}
+
+impl MockArm {
+    /// A disabled arm with these joints.
+    pub fn new(config: MockArmConfig, plant: Arc<Mutex<JointPlant>>, clock: Arc<dyn Clock>) -> Self {
+        let control = Control {
+            state: ArmState::Disabled,
+            reason: String::new(),
+            fault_persists: false,
+            e_stop_pressed: false,
+            replies_to_drop: 0,
+            unplugged: false,
+            moving_since: None,
+        };
+        let info = ArmInfo { name: format!("{} (pa10 mock)", config.name), cycle: config.cycle };
+        Self { info, shared: Arc::new(Shared { config, plant, clock, control: Mutex::new(control) }) }
+    }
+
+    /// A handle that makes this arm fail.
+    pub fn faults(&self) -> MockArmFaults {
+        MockArmFaults { shared: Arc::clone(&self.shared) }
+    }
+
+    /// The joints, to be shared with what else sees this arm.
+    pub fn plant(&self) -> Arc<Mutex<JointPlant>> {
+        Arc::clone(&self.shared.plant)
+    }
+}
+
+impl MockArmFaults {
+    /// Presses the emergency stop: the arm comes to rest and latches. It stays pressed until [`Self::release_e_stop`].
+    pub fn press_e_stop(&self) {
+        let mut control = self.shared.control();
+        control.e_stop_pressed = true;
+        self.shared.latch(&mut control, ArmState::EStop, "the emergency stop was pressed");
+    }
+
+    /// Releases the emergency stop; the state stays latched until it is reset.
+    pub fn release_e_stop(&self) {
+        self.shared.control().e_stop_pressed = false;
+    }
+
+    /// A fault of the arm, such as an overcurrent: it comes to rest and latches. The cause stays until
+    /// [`Self::remove_fault_cause`].
+    pub fn raise_fault(&self, reason: &str) {
+        let mut control = self.shared.control();
+        control.fault_persists = true;
+        self.shared.latch(&mut control, ArmState::Fault, reason);
+    }
+
+    /// The cause of a fault is gone; the state stays latched until it is reset.
+    pub fn remove_fault_cause(&self) {
+        self.shared.control().fault_persists = false;
+    }
+
+    /// The next `count` replies get lost.
+    pub fn drop_replies(&self, count: u32) {
+        self.shared.control().replies_to_drop = count;
+    }
+
+    /// The link breaks, for good; the arm comes to rest by itself.
+    pub fn unplug(&self) {
+        let mut control = self.shared.control();
+        control.unplugged = true;
+        self.shared.latch(&mut control, ArmState::Fault, "the link broke");
+    }
+}
+
+impl Shared {
+    fn control(&self) -> MutexGuard<'_, Control> {
+        self.control.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Always taken after `control`, never before it.
+    fn plant(&self) -> MutexGuard<'_, JointPlant> {
+        self.plant.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn error(&self, kind: ArmErrorKind, text: impl std::fmt::Display) -> ArmError {
+        ArmError::new(kind, format!("arm {} (pa10 mock): {text}", self.config.name))
+    }
+
+    /// Stops at once and latches; an emergency stop is not replaced by a fault.
+    fn latch(&self, control: &mut Control, state: ArmState, reason: &str) {
+        if control.state != ArmState::EStop {
+            control.state = state;
+            control.reason = reason.to_owned();
+        }
+        control.moving_since = None;
+        self.halt();
+    }
+
+    fn halt(&self) {
+        let mut plant = self.plant();
+        plant.halt(self.clock.now());
+    }
+
+    fn check_link(&self, control: &Control) -> Result<(), ArmError> {
+        if control.unplugged {
+            return Err(self.error(ArmErrorKind::Disconnected, "the link is gone; check the cable and connect anew"));
+        }
+        Ok(())
+    }
+
+    /// The drives notice by themselves that commands stay away; here it is noted at the next call.
+    fn check_watchdog(&self, control: &mut Control, now: MonotonicTime) {
+        let Some(last) = control.moving_since else { return };
+        let silent = now.saturating_since(last);
+        if silent > self.config.command_timeout {
+            let reason = format!("no command for {silent:?}, {:?} are allowed", self.config.command_timeout);
+            self.latch(control, ArmState::Fault, &reason);
+        }
+    }
+
+    /// The velocity that the drives are to follow, if the arm takes the command in its state.
+    fn accept(&self, control: &Control, command: JointCommand) -> Result<JointVector, ArmError> {
+        let JointCommand::Velocity(velocity) = command else { return Ok(JointVector::zeros()) };
+        let limits = *self.plant().config().limits.velocity_max_rad_per_s();
+        for joint in 0..DOF {
+            let (value, limit) = (velocity[joint], limits[joint]);
+            // The margin is rounding.
+            if !value.is_finite() || value.abs() > limit * (1.0 + 1e-9) {
+                let text = format!("joint {joint}: command {value} rad/s is not within +-{limit} rad/s; the arm holds");
+                return Err(self.error(ArmErrorKind::Rejected, text));
+            }
+        }
+        match control.state {
+            ArmState::Enabled => Ok(velocity),
+            ArmState::Disabled => Err(self.error(ArmErrorKind::NotEnabled, "disabled; enable it first")),
+            ArmState::Fault | ArmState::EStop => Err(self.latched(control)),
+        }
+    }
+
+    fn latched(&self, control: &Control) -> ArmError {
+        self.error(ArmErrorKind::Fault, format!("stopped: {}; remove the cause, then reset", control.reason))
+    }
+}
+
+impl Arm for MockArm {
+    fn info(&self) -> &ArmInfo {
+        &self.info
+    }
+
+    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        let shared = &self.shared;
+        let mut control = shared.control();
+        shared.check_link(&control)?;
+        let now = shared.clock.now();
+        shared.check_watchdog(&mut control, now);
+        let accepted = shared.accept(&control, command);
+        let reply_lost = control.replies_to_drop > 0;
+        let velocity =
+            if reply_lost { JointVector::zeros() } else { *accepted.as_ref().unwrap_or(&JointVector::zeros()) };
+        control.replies_to_drop = control.replies_to_drop.saturating_sub(1);
+        let moves = velocity != JointVector::zeros();
+        control.moving_since = moves.then_some(now);
+
+        let mut plant = shared.plant();
+        plant.advance_to(now);
+        let measured = plant.state();
+        let commanded = if moves {
+            plant.command_for(now, velocity, shared.config.command_timeout)
+        } else {
+            plant.command(now, velocity)
+        };
+        commanded.map_err(|e| ArmError::caused_by(ArmErrorKind::Rejected, "the joints refused the command", e))?;
+        drop((plant, control));
+
+        accepted?;
+        if reply_lost {
+            shared.clock.sleep_until(now + shared.config.cycle);
+            let text = format!("no reply within {:?}; the arm holds", shared.config.cycle);
+            return Err(shared.error(ArmErrorKind::Timeout, text));
+        }
+        Ok(measured)
+    }
+}
+
+impl ArmPower for MockArm {
+    fn state(&self) -> ArmState {
+        let mut control = self.shared.control();
+        self.shared.check_watchdog(&mut control, self.shared.clock.now());
+        control.state
+    }
+
+    fn enable(&mut self) -> Result<(), ArmError> {
+        let shared = &self.shared;
+        let mut control = shared.control();
+        shared.check_link(&control)?;
+        match control.state {
+            ArmState::Disabled => {}
+            ArmState::Enabled => return Err(shared.error(ArmErrorKind::Rejected, "already enabled")),
+            ArmState::Fault | ArmState::EStop => return Err(shared.latched(&control)),
+        }
+        let mut plant = shared.plant();
+        plant.advance_to(shared.clock.now());
+        let speed = plant.state().velocity_rad_per_s.amax();
+        if speed > AT_REST_RAD_PER_S {
+            let text = format!("still moving at {speed} rad/s; wait for it to come to rest, then enable");
+            return Err(shared.error(ArmErrorKind::Rejected, text));
+        }
+        control.state = ArmState::Enabled;
+        Ok(())
+    }
+
+    fn stop(&mut self) -> Result<(), ArmError> {
+        let shared = &self.shared;
+        {
+            let mut control = shared.control();
+            shared.check_link(&control)?;
+            if control.state == ArmState::Enabled {
+                control.state = ArmState::Disabled;
+            }
+            control.moving_since = None;
+            shared.halt();
+        }
+        let deadline = shared.clock.now() + STOP_TIMEOUT;
+        loop {
+            let now = shared.clock.now();
+            let mut plant = shared.plant();
+            plant.advance_to(now);
+            let speed = plant.state().velocity_rad_per_s.amax();
+            drop(plant);
+            if speed <= AT_REST_RAD_PER_S {
+                return Ok(());
+            }
+            if now >= deadline {
+                let text =
+                    format!("still moving at {speed} rad/s {STOP_TIMEOUT:?} after the stop; use the emergency stop");
+                return Err(shared.error(ArmErrorKind::Fault, text));
+            }
+            shared.clock.sleep_until(now + shared.config.cycle.max(Duration::from_millis(1)));
+        }
+    }
+
+    fn reset(&mut self) -> Result<(), ArmError> {
+        let shared = &self.shared;
+        let mut control = shared.control();
+        shared.check_link(&control)?;
+        if control.e_stop_pressed {
+            return Err(
+                shared.error(ArmErrorKind::Fault, "the emergency stop is still pressed; release it, then reset")
+            );
+        }
+        if control.fault_persists {
+            let text = format!("the fault is still there ({}); remove its cause, then reset", control.reason);
+            return Err(shared.error(ArmErrorKind::Fault, text));
+        }
+        if matches!(control.state, ArmState::Fault | ArmState::EStop) {
+            control.state = ArmState::Disabled;
+            control.reason.clear();
+        }
+        Ok(())
+    }
+}

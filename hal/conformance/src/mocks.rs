@@ -1,0 +1,51 @@
+//! Scripted doubles of the hardware traits, for unit tests of what uses them (see the `mockall` crate for how to script them).
+//!
+//! For an arm that behaves like one, use the mock arm of `pb3dp-arm-pa10`; for a clock, the virtual clock of `pb3dp-hal-clock`.
+
+#![allow(missing_docs, reason = "generated expectations; the methods are those of the traits")]
+
+use std::time::Duration;
+
+use mockall::mock;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{
+    Arm, ArmError, ArmInfo, ArmPower, ArmState, CameraError, Clock, FramePair, JointCommand, JointState, StereoCamera,
+    StereoCameraInfo,
+};
+
+mock! {
+    /// An arm and its power that do as scripted.
+    pub ScriptedArm {}
+
+    impl Arm for ScriptedArm {
+        fn info(&self) -> &ArmInfo;
+        fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError>;
+    }
+
+    impl ArmPower for ScriptedArm {
+        fn state(&self) -> ArmState;
+        fn enable(&mut self) -> Result<(), ArmError>;
+        fn stop(&mut self) -> Result<(), ArmError>;
+        fn reset(&mut self) -> Result<(), ArmError>;
+    }
+}
+
+mock! {
+    /// A camera that does as scripted.
+    pub ScriptedCamera {}
+
+    impl StereoCamera for ScriptedCamera {
+        fn info(&self) -> &StereoCameraInfo;
+        fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError>;
+    }
+}
+
+mock! {
+    /// A clock that tells the time as scripted.
+    pub ScriptedClock {}
+
+    impl Clock for ScriptedClock {
+        fn now(&self) -> MonotonicTime;
+        fn sleep_until(&self, deadline: MonotonicTime);
+    }
+}
