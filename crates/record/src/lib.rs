@@ -1,6 +1,7 @@
 //! Readers and writers of everything that pb3dp keeps in files: calibrations, datasets, pictures and reports; and the
 //! error measures that reports are made of.
 //!
+//! * [`calibration_files`]: stereo calibrations of ROS, Kalibr, OpenCV and our own;
 //! * [`dataset`]: case folders and sequence folders, checked;
 //! * [`images`]: pictures in files;
 //! * [`metrics`]: errors against truth, statistics, lag;
@@ -10,7 +11,9 @@
 //! Files hold millimetres and degrees where people read them; inside everything is metres and radians. This crate
 //! estimates nothing, reads no clock and no environment, and touches only the files it is told to.
 
+pub mod calibration_files;
 pub mod dataset;
 pub mod images;
 pub mod metrics;
 pub mod overlay;
+pub mod report;

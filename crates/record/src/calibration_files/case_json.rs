@@ -1,0 +1,112 @@
+//! Our `calib.json`: camera matrices, `R` and `t_mm` of `X_right = R X_left + t`, millimetres.
+
+use nalgebra::{Matrix3, Vector3};
+use pb3dp_geometry::{Camera, Distortion, ImageSize, StereoRig};
+use serde_json::json;
+
+use super::document::Node;
+use super::error::CalibrationFileError;
+use super::{checks, write};
+
+/// The only convention that is understood; files may say more after it.
+const CONVENTION: &str = "X_right = R X_left + t";
+
+pub(super) fn recognises(root: &Node<'_>) -> bool {
+    root.find("K_left").is_some() && root.find("t_mm").is_some() || root.find("convention").is_some()
+}
+
+pub(super) fn read(root: &Node<'_>) -> Result<StereoRig, CalibrationFileError> {
+    if let Some(convention) = root.find("convention")
+        && !convention.text()?.starts_with(CONVENTION)
+    {
+        return Err(convention.refuse(format!("must begin with {CONVENTION:?}")));
+    }
+    let size = root.get("image_size")?.size_pair()?;
+    let cameras = [camera(root, "left", size)?, camera(root, "right", size)?];
+    check_offset(root, &cameras)?;
+    let rotation_node = root.get("R")?;
+    let rotation: Matrix3<f64> = checks::rotation(&rotation_node, &rotation_node.matrix()?)?;
+    let translation = root.get("t_mm")?;
+    let translation_mm: Vector3<f64> = translation.matrix()?;
+    if let Some(node) = root.find("baseline_mm") {
+        let (stated, length) = (node.number()?, translation_mm.norm());
+        if (stated - length).abs() > 1e-3 * length {
+            return Err(node.refuse(format!("is {stated}, but t_mm is {length} long")));
+        }
+    }
+    let rig = checks::rig(&translation, cameras, &rotation, translation_mm * 1e-3)?;
+    if let Some(node) = root.find("rectified")
+        && node.truth()?
+        && !rig.is_rectified()
+    {
+        let reason =
+            "is true, but distortion, R, t_mm or the focal lengths and rows of K_left and K_right say otherwise";
+        return Err(node.refuse(reason));
+    }
+    Ok(rig)
+}
+
+fn camera(root: &Node<'_>, side: &str, size: ImageSize) -> Result<Camera, CalibrationFileError> {
+    let intrinsics = root.get(&format!("K_{side}"))?;
+    let distortion = match root.find(&format!("distortion_{side}")) {
+        Some(node) => {
+            let model = node.get("model")?;
+            checks::distortion(&model, model.text()?, &node.get("coefficients")?)?
+        }
+        None => {
+            check_undistorted(root, side)?;
+            Distortion::None
+        }
+    };
+    checks::camera(&intrinsics, size, checks::pinhole(&intrinsics)?, distortion)
+}
+
+/// The free text `distortion` must not speak of any if the coefficients are missing.
+fn check_undistorted(root: &Node<'_>, side: &str) -> Result<(), CalibrationFileError> {
+    let Some(node) = root.find("distortion") else {
+        return Ok(());
+    };
+    let text = node.text()?;
+    if text.starts_with("none") {
+        return Ok(());
+    }
+    Err(node.refuse(format!(
+        "is {text:?}, but distortion_{side} is missing: give model and coefficients there, or none here"
+    )))
+}
+
+fn check_offset(root: &Node<'_>, [left, right]: &[Camera; 2]) -> Result<(), CalibrationFileError> {
+    let Some(node) = root.find("doffs_px") else {
+        return Ok(());
+    };
+    let (stated, offset) = (node.number()?, right.pinhole().cx - left.pinhole().cx);
+    if (stated - offset).abs() > 0.01 {
+        return Err(node.refuse(format!("is {stated}, but cx of K_right minus cx of K_left is {offset}")));
+    }
+    Ok(())
+}
+
+pub(super) fn write(rig: &StereoRig) -> String {
+    let (left, right) = (rig.left(), rig.right());
+    let pose = rig.cam_right_from_cam_left();
+    let translation_mm = pose.translation_m() * 1e3;
+    let rows = |matrix: &Matrix3<f64>| write::row_major(matrix).chunks(3).map(<[f64]>::to_vec).collect::<Vec<_>>();
+    let mut value = json!({
+        "image_size": [left.size().width, left.size().height],
+        "rectified": rig.is_rectified(),
+        "K_left": rows(&left.pinhole().matrix()),
+        "K_right": rows(&right.pinhole().matrix()),
+        "R": rows(&pose.rotation_matrix()),
+        "t_mm": translation_mm.as_slice(),
+        "baseline_mm": translation_mm.norm(),
+        "doffs_px": right.pinhole().cx - left.pinhole().cx,
+        "convention": format!("{CONVENTION}; x right, y down, z forward; pixel centres at integers"),
+    });
+    for (key, camera) in [("distortion_left", left), ("distortion_right", right)] {
+        if *camera.distortion() != Distortion::None {
+            let (model, coefficients) = write::distortion(camera.distortion());
+            value[key] = json!({ "model": model, "coefficients": coefficients });
+        }
+    }
+    format!("{value:#}\n")
+}

@@ -1,0 +1,132 @@
+//! From the numbers of a file to cameras and rigs; every refusal is laid at a key's door.
+
+use nalgebra::{Matrix3, Vector3};
+use pb3dp_geometry::{Camera, CameraError, Distortion, ImageSize, Pinhole, Pose, StereoRig, StereoRigError};
+
+use super::document::Node;
+use super::error::CalibrationFileError;
+
+/// How far `R R^T` may be from the identity and the determinant from 1: files carry as few as four digits.
+const ROTATION_TOLERANCE: f64 = 1e-3;
+/// Shortest and longest baseline that a calibration may have, metres.
+const BASELINE_RANGE_M: std::ops::RangeInclusive<f64> = 1e-3..=10.0;
+/// How many image sides the principal point may lie outside the image.
+const OUTSIDE_MAX: f64 = 0.5;
+
+/// A pinhole from a 3x3 camera matrix.
+pub(super) fn pinhole(node: &Node<'_>) -> Result<Pinhole, CalibrationFileError> {
+    let k: Matrix3<f64> = node.matrix()?;
+    if k[(0, 1)].abs() > 1e-9 * k[(0, 0)].abs() {
+        return Err(node.refuse(format!("element [0][1], the skew, is {}: it must be 0", k[(0, 1)])));
+    }
+    if k[(1, 0)] != 0.0 || k[(2, 0)] != 0.0 || k[(2, 1)] != 0.0 || (k[(2, 2)] - 1.0).abs() > 1e-12 {
+        return Err(node.refuse("is no camera matrix: it must be [fx, 0, cx, 0, fy, cy, 0, 0, 1]"));
+    }
+    Ok(Pinhole { fx: k[(0, 0)], fy: k[(1, 1)], cx: k[(0, 2)], cy: k[(1, 2)] })
+}
+
+/// A camera; `node` is where its intrinsics stand.
+pub(super) fn camera(
+    node: &Node<'_>,
+    size: ImageSize,
+    pinhole: Pinhole,
+    distortion: Distortion,
+) -> Result<Camera, CalibrationFileError> {
+    let camera = Camera::new(size, pinhole, distortion).map_err(|error| match error {
+        CameraError::Parameter { name, value, expected } => node.refuse(format!("{name} is {value}: it {expected}")),
+        other => node.refuse(other),
+    })?;
+    let sides = [("cx", pinhole.cx, "width", size.width), ("cy", pinhole.cy, "height", size.height)];
+    for (name, value, side, length) in sides {
+        let length = f64::from(length);
+        if !(-OUTSIDE_MAX * length..=(1.0 + OUTSIDE_MAX) * length).contains(&value) {
+            let reason = format!(
+                "{name} is {value}, far outside the image, whose {side} is {length}: the calibration belongs to another image size, or the order of the numbers is wrong"
+            );
+            return Err(node.refuse(reason));
+        }
+    }
+    Ok(camera)
+}
+
+/// A distortion from a model's name and its coefficients in that model's order.
+///
+/// Brown-Conrady coefficients that are all zero give [`Distortion::None`].
+pub(super) fn distortion(
+    model: &Node<'_>,
+    name: &str,
+    coefficients: &Node<'_>,
+) -> Result<Distortion, CalibrationFileError> {
+    let numbers = coefficients.numbers()?;
+    let wrong_count = |needed: &str| {
+        Err(coefficients.refuse(format!("has {} coefficients, the model {name} has {needed}", numbers.len())))
+    };
+    match name {
+        "plumb_bob" | "radtan" => match numbers.as_slice() {
+            [k1, k2, p1, p2] => Ok(brown([*k1, *k2, *p1, *p2, 0.0])),
+            [k1, k2, p1, p2, k3] if name == "plumb_bob" => Ok(brown([*k1, *k2, *p1, *p2, *k3])),
+            _ if name == "radtan" => wrong_count("4 (k1 k2 p1 p2)"),
+            _ => wrong_count("5 (k1 k2 p1 p2 k3)"),
+        },
+        "rational_polynomial" => match <[f64; 8]>::try_from(numbers.as_slice()) {
+            Ok(zeros) if zeros == [0.0; 8] => Ok(Distortion::None),
+            Ok(coefficients) => Ok(Distortion::BrownConrady8 { coefficients }),
+            Err(_) => wrong_count("8 (k1 k2 p1 p2 k3 k4 k5 k6)"),
+        },
+        "equidistant" | "fisheye" => match <[f64; 4]>::try_from(numbers.as_slice()) {
+            Ok(coefficients) => Ok(Distortion::Equidistant { coefficients }),
+            Err(_) => wrong_count("4 (k1 k2 k3 k4)"),
+        },
+        "none" if numbers.iter().all(|number| *number == 0.0) => Ok(Distortion::None),
+        "none" => wrong_count("none"),
+        _ => Err(model.refuse(format!(
+            "the distortion model {name} is not known here: use plumb_bob or radtan, rational_polynomial, equidistant, or none"
+        ))),
+    }
+}
+
+fn brown(coefficients: [f64; 5]) -> Distortion {
+    if coefficients == [0.0; 5] { Distortion::None } else { Distortion::BrownConrady5 { coefficients } }
+}
+
+/// A rotation matrix, checked.
+pub(super) fn rotation(node: &Node<'_>, matrix: &Matrix3<f64>) -> Result<Matrix3<f64>, CalibrationFileError> {
+    let off = (matrix * matrix.transpose() - Matrix3::identity()).amax();
+    let determinant = matrix.determinant();
+    if determinant < 0.0 {
+        return Err(node.refuse(format!("is no rotation: its determinant is {determinant:.6}, it mirrors")));
+    }
+    if !(off <= ROTATION_TOLERANCE && (determinant - 1.0).abs() <= ROTATION_TOLERANCE) {
+        let reason = format!(
+            "is no rotation: R R^T is {off:.2e} off the identity ({ROTATION_TOLERANCE:.0e} allowed), the determinant is {determinant:.6}"
+        );
+        return Err(node.refuse(reason));
+    }
+    Ok(*matrix)
+}
+
+/// A rig from its cameras and `cam_right_from_cam_left`; `node` is where the translation stands.
+pub(super) fn rig(
+    node: &Node<'_>,
+    [left, right]: [Camera; 2],
+    rotation: &Matrix3<f64>,
+    translation_m: Vector3<f64>,
+) -> Result<StereoRig, CalibrationFileError> {
+    let (l, r) = (left.size(), right.size());
+    if l != r {
+        let reason = format!(
+            "the left images have {}x{} pixels and the right ones {}x{}: they must be equal",
+            l.width, l.height, r.width, r.height
+        );
+        return Err(node.refuse(reason));
+    }
+    let baseline_m = translation_m.norm();
+    if !BASELINE_RANGE_M.contains(&baseline_m) {
+        let reason = format!(
+            "the baseline comes to {baseline_m} m, it must be between 0.001 and 10 m: check the unit of length"
+        );
+        return Err(node.refuse(reason));
+    }
+    let cam_right_from_cam_left = Pose::from_rotation_matrix(rotation, translation_m);
+    StereoRig::new(left, right, cam_right_from_cam_left).map_err(|error: StereoRigError| node.refuse(error))
+}

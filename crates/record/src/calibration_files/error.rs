@@ -1,0 +1,91 @@
+//! Why a calibration file was refused.
+
+use std::path::PathBuf;
+
+/// Why a calibration could not be read or written. `Display` gives the whole story: file, key, reason.
+#[derive(Debug, thiserror::Error)]
+pub enum CalibrationFileError {
+    /// A file could not be read.
+    #[error("{}: can not be read: {reason}", file.display())]
+    Read {
+        /// The file.
+        file: PathBuf,
+        /// What the system says.
+        reason: String,
+    },
+    /// A file could not be written.
+    #[error("{}: can not be written: {reason}", file.display())]
+    Write {
+        /// The file.
+        file: PathBuf,
+        /// What the system says, on one line.
+        reason: String,
+        /// The system's error.
+        #[source]
+        source: std::io::Error,
+    },
+    /// A file is not YAML or JSON.
+    #[error("{}, line {line}: not valid {language}: {reason}", file.display())]
+    Syntax {
+        /// The file.
+        file: PathBuf,
+        /// Line, from 1.
+        line: u64,
+        /// `YAML` or `JSON`.
+        language: &'static str,
+        /// What the parser says.
+        reason: String,
+    },
+    /// A value is missing or wrong.
+    #[error("{}: {key}: {reason}", file.display())]
+    Key {
+        /// The file.
+        file: PathBuf,
+        /// The key, with its parents, joined by dots.
+        key: String,
+        /// What is wrong with it and what would be right.
+        reason: String,
+    },
+    /// A file holds something else.
+    #[error(
+        "{}: no stereo calibration that is known here (top-level keys: {found}); accepted are a pair of ROS camera_info YAML files (camera_matrix, projection_matrix), a Kalibr camchain (cam0, cam1), an OpenCV stereo YAML (M1, D1, M2, D2, R, T) and calib.json (K_left, K_right, R, t_mm)",
+        file.display()
+    )]
+    Format {
+        /// The file.
+        file: PathBuf,
+        /// Its keys.
+        found: String,
+    },
+    /// A directory without a calibration.
+    #[error("{}: holds neither left.yaml and right.yaml nor calib.json", directory.display())]
+    Directory {
+        /// The directory.
+        directory: PathBuf,
+    },
+    /// Too few or too many files.
+    #[error("{count} calibration files were named: name one file, a left and a right one, or a directory")]
+    Paths {
+        /// How many.
+        count: usize,
+    },
+    /// A rig that a format has no words for.
+    #[error("{format} can not hold this calibration: {reason}")]
+    NotRepresentable {
+        /// The format.
+        format: super::CalibrationFormat,
+        /// What it lacks.
+        reason: String,
+    },
+}
+
+/// An error and its causes on one line.
+pub(super) fn one_line(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        text = format!("{text}: {error}");
+        cause = error.source();
+    }
+    text
+}

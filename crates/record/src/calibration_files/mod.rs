@@ -1,0 +1,190 @@
+//! Stereo calibrations in files: ROS, Kalibr, OpenCV, and our own `calib.json`, read and written.
+//!
+//! [`load_stereo`] finds the format from the contents. What it returns has passed every check that a file allows: shapes
+//! and finite numbers, rotations that are rotations, cameras whose principal point lies near the image, a baseline between
+//! 1 mm and 10 m, the right camera on the right. Where a file says a thing twice the two must agree. A refusal names file,
+//! key and reason.
+//!
+//! | format | files | length unit | distortion |
+//! |---|---|---|---|
+//! | ROS `camera_info` | left and right YAML, or their directory | metres | `plumb_bob`, `rational_polynomial`, `equidistant` |
+//! | Kalibr camchain | one YAML with `cam0`, `cam1` | metres | `radtan`, `equidistant`, `none` |
+//! | OpenCV stereo | one YAML, or two (intrinsics, extrinsics) | see [`opencv`] | 4, 5 or 8 coefficients, or fisheye |
+//! | `calib.json` | one JSON | millimetres | optional, as ROS |
+//!
+//! `cam0` and the first camera of OpenCV are the left one. Distortion coefficients that are all zero make an undistorted
+//! camera, except for the equidistant model, for which zeros are an ideal fisheye lens.
+
+mod case_json;
+mod checks;
+mod document;
+mod error;
+mod kalibr;
+pub mod opencv;
+mod ros;
+mod write;
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use pb3dp_geometry::StereoRig;
+
+use document::Document;
+pub use error::CalibrationFileError;
+use error::one_line;
+
+/// A checked stereo calibration and where it came from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StereoCalibration {
+    /// The two cameras and their pose.
+    pub rig: StereoRig,
+    /// The format of the file or files.
+    pub format: CalibrationFormat,
+    /// The files, as the caller named them, for reports.
+    pub source: String,
+    /// What the reader had to assume or leave out and the user should know, such as a unit of length.
+    pub notes: Vec<String>,
+}
+
+/// The formats that are read and written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CalibrationFormat {
+    /// Two ROS `camera_info` YAML files.
+    RosPair,
+    /// A Kalibr camchain YAML file.
+    Kalibr,
+    /// An OpenCV `FileStorage` YAML file.
+    OpenCv,
+    /// Our `calib.json`.
+    CaseJson,
+}
+
+impl fmt::Display for CalibrationFormat {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::RosPair => "ROS camera_info pair",
+            Self::Kalibr => "Kalibr camchain",
+            Self::OpenCv => "OpenCV stereo YAML",
+            Self::CaseJson => "calib.json",
+        })
+    }
+}
+
+/// Names under which a directory holds its calibration, in the order in which they are looked for.
+const IN_DIRECTORY: [&[&str]; 3] = [&["left.yaml", "right.yaml"], &["left.yml", "right.yml"], &["calib.json"]];
+
+/// Reads a stereo calibration: one file, a left and a right file, or a directory with `left.yaml` and `right.yaml`
+/// (or `.yml`) or `calib.json` in it.
+///
+/// # Errors
+/// Anything that is wrong with the files; see [`CalibrationFileError`].
+pub fn load_stereo(paths: &[PathBuf]) -> Result<StereoCalibration, CalibrationFileError> {
+    let paths = match paths {
+        [directory] if directory.is_dir() => in_directory(directory)?,
+        paths => paths.to_vec(),
+    };
+    let documents = paths.iter().map(|path| Document::read(path)).collect::<Result<Vec<_>, _>>()?;
+    let (rig, format, notes) = match documents.as_slice() {
+        [one] => read_one(one)?,
+        [first, second] => read_two(first, second)?,
+        _ => return Err(CalibrationFileError::Paths { count: paths.len() }),
+    };
+    let source = paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ");
+    Ok(StereoCalibration { rig, format, source, notes })
+}
+
+/// Writes a ROS `camera_info` YAML file for each camera; the pose goes into the rectification and projection matrices.
+///
+/// # Errors
+/// A rig that can not be rectified, and so has no such matrices, or with images of unequal size; a file that can not be
+/// written.
+pub fn save_ros_pair(rig: &StereoRig, left: &Path, right: &Path) -> Result<(), CalibrationFileError> {
+    check_sizes(rig, CalibrationFormat::RosPair)?;
+    let [left_text, right_text] = ros::write(rig)?;
+    write_file(left, &left_text)?;
+    write_file(right, &right_text)
+}
+
+/// Writes a Kalibr camchain.
+///
+/// # Errors
+/// A lens with k3 or a rational term, which Kalibr's `radtan` has not; images of unequal size; a file that can not be
+/// written.
+pub fn save_kalibr(rig: &StereoRig, path: &Path) -> Result<(), CalibrationFileError> {
+    check_sizes(rig, CalibrationFormat::Kalibr)?;
+    write_file(path, &kalibr::write(rig)?)
+}
+
+/// Writes an OpenCV `FileStorage` YAML file, in metres, with the extra keys that [`opencv`] describes.
+///
+/// # Errors
+/// Images of unequal size; a file that can not be written.
+pub fn save_opencv(rig: &StereoRig, path: &Path) -> Result<(), CalibrationFileError> {
+    check_sizes(rig, CalibrationFormat::OpenCv)?;
+    write_file(path, &opencv::write(rig))
+}
+
+/// Writes our `calib.json`, in millimetres.
+///
+/// # Errors
+/// Images of unequal size; a file that can not be written.
+pub fn save_json(rig: &StereoRig, path: &Path) -> Result<(), CalibrationFileError> {
+    check_sizes(rig, CalibrationFormat::CaseJson)?;
+    write_file(path, &case_json::write(rig))
+}
+
+/// What a reader makes of its documents.
+type Parsed = (StereoRig, CalibrationFormat, Vec<String>);
+
+fn read_one(document: &Document) -> Result<Parsed, CalibrationFileError> {
+    let root = document.root();
+    if case_json::recognises(&root) {
+        Ok((case_json::read(&root)?, CalibrationFormat::CaseJson, Vec::new()))
+    } else if kalibr::recognises(&root) {
+        Ok((kalibr::read(&root)?, CalibrationFormat::Kalibr, Vec::new()))
+    } else if opencv::recognises(&root) {
+        let (rig, notes) = opencv::read(&[root])?;
+        Ok((rig, CalibrationFormat::OpenCv, notes))
+    } else if ros::recognises(&root) {
+        Err(root
+            .error("camera_matrix", "this is one camera of a ROS camera_info pair: name the left and the right file"))
+    } else {
+        Err(CalibrationFileError::Format { file: document.file().to_path_buf(), found: document.keys() })
+    }
+}
+
+fn read_two(first: &Document, second: &Document) -> Result<Parsed, CalibrationFileError> {
+    let (one, two) = (first.root(), second.root());
+    if ros::recognises(&one) && ros::recognises(&two) {
+        Ok((ros::read(&one, &two)?, CalibrationFormat::RosPair, Vec::new()))
+    } else if opencv::recognises(&one) || opencv::recognises(&two) {
+        let (rig, notes) = opencv::read(&[one, two])?;
+        Ok((rig, CalibrationFormat::OpenCv, notes))
+    } else {
+        let stranger = if ros::recognises(&one) { second } else { first };
+        Err(CalibrationFileError::Format { file: stranger.file().to_path_buf(), found: stranger.keys() })
+    }
+}
+
+fn in_directory(directory: &Path) -> Result<Vec<PathBuf>, CalibrationFileError> {
+    let candidates = IN_DIRECTORY.iter().map(|names| names.iter().map(|name| directory.join(name)).collect::<Vec<_>>());
+    let found = candidates.into_iter().find(|files| files.iter().any(|file| file.is_file()));
+    found.ok_or_else(|| CalibrationFileError::Directory { directory: directory.to_path_buf() })
+}
+
+/// Refuses what no reader here would take back.
+fn check_sizes(rig: &StereoRig, format: CalibrationFormat) -> Result<(), CalibrationFileError> {
+    if rig.left().size() == rig.right().size() {
+        return Ok(());
+    }
+    let reason = "the two cameras have images of different size".to_owned();
+    Err(CalibrationFileError::NotRepresentable { format, reason })
+}
+
+fn write_file(path: &Path, text: &str) -> Result<(), CalibrationFileError> {
+    std::fs::write(path, text).map_err(|source| CalibrationFileError::Write {
+        file: path.to_path_buf(),
+        reason: one_line(&source),
+        source,
+    })
+}

@@ -1,0 +1,196 @@
+//! OpenCV `FileStorage` YAML of a stereo calibration, in one file or split into intrinsics and extrinsics.
+//!
+//! OpenCV fixes no names, so several spellings are taken: `M1` `K1` `cameraMatrix1` ... for the camera matrices, `D1`
+//! `distCoeffs1` ... for the distortion, `R`, `T`, and `image_width` with `image_height` or `image_size` for the size. `R`
+//! and `T` map points of the first (left) camera to the second, `X2 = R X1 + T`.
+//!
+//! **Unit of `T`.** OpenCV's unit is whatever unit the board was measured in. The key `units` (`mm`, `cm` or `m`) decides
+//! if it is there. Otherwise a `T` shorter than 1 is taken as metres and one longer than 10 as millimetres, and a note
+//! says so; between 1 and 10 the file is refused, because centimetres, metres and board squares are all likely there.
+//!
+//! **Distortion.** 4, 5 or 8 coefficients, longer lists if the rest is zero (thin prism and tilt are not supported). A
+//! fisheye calibration can not be told from its 4 coefficients, so it must say `distortion_model: fisheye`, or
+//! `distortion_model1` and `distortion_model2` for cameras that differ. Files written here carry `units` and both models.
+
+use nalgebra::{Matrix3, Vector3};
+use pb3dp_geometry::{Camera, Distortion, ImageSize, StereoRig};
+
+use super::document::Node;
+use super::error::CalibrationFileError;
+use super::{checks, write};
+
+/// Spellings of each camera's matrix and distortion, left then right.
+const MATRIX: [[&str; 9]; 2] = [
+    [
+        "M1",
+        "K1",
+        "cameraMatrix1",
+        "camera_matrix_1",
+        "cameraMatrixL",
+        "camera_matrix_left",
+        "left_camera_matrix",
+        "KL",
+        "K_left",
+    ],
+    [
+        "M2",
+        "K2",
+        "cameraMatrix2",
+        "camera_matrix_2",
+        "cameraMatrixR",
+        "camera_matrix_right",
+        "right_camera_matrix",
+        "KR",
+        "K_right",
+    ],
+];
+const COEFFICIENTS: [[&str; 9]; 2] = [
+    [
+        "D1",
+        "distCoeffs1",
+        "dist_coeffs_1",
+        "distCoeffsL",
+        "dist_coeffs_left",
+        "left_distortion_coefficients",
+        "DL",
+        "D_left",
+        "distortion1",
+    ],
+    [
+        "D2",
+        "distCoeffs2",
+        "dist_coeffs_2",
+        "distCoeffsR",
+        "dist_coeffs_right",
+        "right_distortion_coefficients",
+        "DR",
+        "D_right",
+        "distortion2",
+    ],
+];
+const ROTATION: [&str; 3] = ["R", "rotation_matrix", "rotation"];
+const TRANSLATION: [&str; 4] = ["T", "translation_vector", "translation", "t"];
+const WIDTH: [&str; 3] = ["image_width", "imageWidth", "width"];
+const HEIGHT: [&str; 3] = ["image_height", "imageHeight", "height"];
+const SIZE: [&str; 4] = ["image_size", "imageSize", "img_size", "size"];
+const UNITS: [&str; 2] = ["units", "unit"];
+
+pub(super) fn recognises(root: &Node<'_>) -> bool {
+    let keys = MATRIX.iter().chain(&COEFFICIENTS).flatten();
+    keys.into_iter().any(|key| root.find(key).is_some())
+}
+
+/// Reads one file or the two halves of one.
+pub(super) fn read(roots: &[Node<'_>]) -> Result<(StereoRig, Vec<String>), CalibrationFileError> {
+    let size = image_size(roots)?;
+    let cameras = [camera(roots, 0, size)?, camera(roots, 1, size)?];
+    let rotation_node = get(roots, &ROTATION)?;
+    let rotation: Matrix3<f64> = checks::rotation(&rotation_node, &rotation_node.matrix()?)?;
+    let translation = get(roots, &TRANSLATION)?;
+    let in_file_units: Vector3<f64> = translation.matrix()?;
+    let (metres, note) = metres_per_unit(roots, &translation, in_file_units.norm())?;
+    let rig = checks::rig(&translation, cameras, &rotation, in_file_units * metres)?;
+    Ok((rig, note.into_iter().collect()))
+}
+
+fn find<'a>(roots: &[Node<'a>], keys: &[&str]) -> Option<Node<'a>> {
+    keys.iter().find_map(|key| roots.iter().find_map(|root| root.find(key)))
+}
+
+fn get<'a>(roots: &[Node<'a>], keys: &[&str]) -> Result<Node<'a>, CalibrationFileError> {
+    find(roots, keys).ok_or_else(|| match (roots, keys) {
+        ([.., last], [first, others @ ..]) => {
+            last.error(first, format!("is missing (other names that are looked for: {})", others.join(", ")))
+        }
+        _ => CalibrationFileError::Paths { count: roots.len() },
+    })
+}
+
+fn image_size(roots: &[Node<'_>]) -> Result<ImageSize, CalibrationFileError> {
+    match find(roots, &SIZE) {
+        Some(node) => node.size_pair(),
+        None => Node::size(&get(roots, &WIDTH)?, &get(roots, &HEIGHT)?),
+    }
+}
+
+fn camera(roots: &[Node<'_>], side: usize, size: ImageSize) -> Result<Camera, CalibrationFileError> {
+    let intrinsics = get(roots, &MATRIX[side])?;
+    let coefficients = get(roots, &COEFFICIENTS[side])?;
+    let model_keys = [["distortion_model1", "distortion_model"], ["distortion_model2", "distortion_model"]][side];
+    let distortion = match find(roots, &model_keys) {
+        Some(model) => checks::distortion(&model, model.text()?, &coefficients)?,
+        None => distortion(&coefficients)?,
+    };
+    checks::camera(&intrinsics, size, checks::pinhole(&intrinsics)?, distortion)
+}
+
+/// A Brown-Conrady model by the number of coefficients.
+fn distortion(node: &Node<'_>) -> Result<Distortion, CalibrationFileError> {
+    let numbers = node.numbers()?;
+    let wrong = format!("has {} coefficients, OpenCV knows 4, 5, 8, 12 and 14", numbers.len());
+    if ![4, 5, 8, 12, 14].contains(&numbers.len()) {
+        return Err(node.refuse(wrong));
+    }
+    if numbers.iter().skip(8).any(|number| *number != 0.0) {
+        return Err(
+            node.refuse("has a thin prism or tilt term, which is not supported: calibrate with 5 or 8 coefficients")
+        );
+    }
+    let mut eight = [0.0; 8];
+    for (to, from) in eight.iter_mut().zip(&numbers) {
+        *to = *from;
+    }
+    let [k1, k2, p1, p2, k3, rational @ ..] = eight;
+    Ok(match (eight == [0.0; 8], rational == [0.0; 3]) {
+        (true, _) => Distortion::None,
+        (_, true) => Distortion::BrownConrady5 { coefficients: [k1, k2, p1, p2, k3] },
+        _ => Distortion::BrownConrady8 { coefficients: eight },
+    })
+}
+
+/// Metres in the file's unit of length, and the note if it had to be guessed.
+fn metres_per_unit(
+    roots: &[Node<'_>],
+    translation: &Node<'_>,
+    length: f64,
+) -> Result<(f64, Option<String>), CalibrationFileError> {
+    if let Some(node) = find(roots, &UNITS) {
+        return match node.text()? {
+            "m" | "metre" | "metres" | "meter" | "meters" => Ok((1.0, None)),
+            "cm" => Ok((1e-2, None)),
+            "mm" | "millimetre" | "millimetres" | "millimeter" | "millimeters" => Ok((1e-3, None)),
+            other => Err(node.refuse(format!("{other:?} is not known: use mm, cm or m"))),
+        };
+    }
+    if length < 1.0 {
+        Ok((1.0, Some(format!("T is {length} long and the file gives no units: taken as metres"))))
+    } else if length > 10.0 {
+        Ok((1e-3, Some(format!("T is {length} long and the file gives no units: taken as millimetres"))))
+    } else {
+        let reason = format!(
+            "is {length} long, which may be metres, centimetres or squares: add the key units with mm, cm or m"
+        );
+        Err(translation.refuse(reason))
+    }
+}
+
+/// The text of the file; the keys are those of OpenCV's stereo sample.
+pub(super) fn write(rig: &StereoRig) -> String {
+    let size = rig.left().size();
+    let mut text = format!("%YAML:1.0\n---\nimage_width: {}\nimage_height: {}\n", size.width, size.height);
+    for (side, camera) in [(1, rig.left()), (2, rig.right())] {
+        let (model, coefficients) = write::distortion(camera.distortion());
+        text += &matrix(&format!("M{side}"), 3, &write::row_major(&camera.pinhole().matrix()));
+        text += &format!("distortion_model{side}: {model}\n");
+        text += &matrix(&format!("D{side}"), 1, &coefficients);
+    }
+    let pose = rig.cam_right_from_cam_left();
+    text += &matrix("R", 3, &write::row_major(&pose.rotation_matrix()));
+    text += &matrix("T", 3, pose.translation_m().as_slice());
+    text + "units: m\n"
+}
+
+fn matrix(key: &str, rows: usize, data: &[f64]) -> String {
+    let columns = data.len() / rows;
+    format!("{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: {}\n", write::list(data))
+}

@@ -1,0 +1,123 @@
+//! ROS `camera_info` pairs as `camera_calibration_parsers` writes them.
+//!
+//! The pose is not in the files as such. With the rectifying rotations `R1`, `R2` and the right projection matrix `P2`,
+//! whose element `[0][3]` is `-fx * B`, a point goes from left to right as `R2^T (R1 x + t)`, `t = (P2[0][3] / fx, 0, 0)`.
+
+use nalgebra::{Matrix3, Matrix3x4, Vector3};
+use pb3dp_geometry::{Camera, StereoRig};
+
+use super::document::Node;
+use super::error::{CalibrationFileError, one_line};
+use super::{CalibrationFormat, checks, write};
+
+/// How far apart the focal lengths of raw and rectified image may lie, as a ratio.
+const ZOOM_MAX: f64 = 5.0;
+
+pub(super) fn recognises(root: &Node<'_>) -> bool {
+    root.find("camera_matrix").is_some()
+}
+
+pub(super) fn read(left: &Node<'_>, right: &Node<'_>) -> Result<StereoRig, CalibrationFileError> {
+    let cameras = [camera(left)?, camera(right)?];
+    let (left_rotation, right_rotation) = (rectification(left)?, rectification(right)?);
+    let (left_projection, _) = projection(left, &cameras[0])?;
+    let (right_projection, node) = projection(right, &cameras[1])?;
+    if left_projection[(0, 3)] != 0.0 {
+        let reason = format!(
+            "element [0][3] of the left camera is {}, it must be 0: the files are exchanged, or the left camera is not the first of its pair",
+            left_projection[(0, 3)]
+        );
+        return Err(left.error("projection_matrix", reason));
+    }
+    if right_projection[(0, 3)] == 0.0 {
+        let reason = "element [0][3] of the right camera is 0, it must be -fx times the baseline in metres: the cameras were calibrated one by one, not as a pair";
+        return Err(node.refuse(reason));
+    }
+    for (row, column) in [(0, 0), (1, 1), (1, 2)] {
+        let (l, r) = (left_projection[(row, column)], right_projection[(row, column)]);
+        if (l - r).abs() > 1e-6 * l.abs().max(1.0) {
+            let reason = format!(
+                "element [{row}][{column}] is {r}, in the left file it is {l}: a rectified pair has equal ones"
+            );
+            return Err(node.refuse(reason));
+        }
+    }
+    let fx = right_projection[(0, 0)];
+    let translation_rect_m = Vector3::new(right_projection[(0, 3)] / fx, 0.0, 0.0);
+    let right_back = right_rotation.transpose();
+    checks::rig(&node, cameras, &(right_back * left_rotation), right_back * translation_rect_m)
+}
+
+fn camera(root: &Node<'_>) -> Result<Camera, CalibrationFileError> {
+    let size = Node::size(&root.get("image_width")?, &root.get("image_height")?)?;
+    let intrinsics = root.get("camera_matrix")?;
+    let model = root.get("distortion_model")?;
+    let name = model.text()?;
+    let coefficients = root.get("distortion_coefficients")?;
+    let distortion = checks::distortion(&model, name, &coefficients)?;
+    checks::camera(&intrinsics, size, checks::pinhole(&intrinsics)?, distortion)
+}
+
+fn rectification(root: &Node<'_>) -> Result<Matrix3<f64>, CalibrationFileError> {
+    let node = root.get("rectification_matrix")?;
+    checks::rotation(&node, &node.matrix()?)
+}
+
+/// The projection matrix, checked for its shape and against the camera matrix.
+fn projection<'a>(root: &Node<'a>, camera: &Camera) -> Result<(Matrix3x4<f64>, Node<'a>), CalibrationFileError> {
+    let node = root.get("projection_matrix")?;
+    let p: Matrix3x4<f64> = node.matrix()?;
+    let zeros = [(0, 1), (1, 0), (1, 3), (2, 0), (2, 1), (2, 3)];
+    if let Some((row, column)) = zeros.into_iter().find(|at| p[*at].abs() > 1e-9) {
+        let reason = format!(
+            "element [{row}][{column}] is {}, it must be 0: the matrix must be [fx, 0, cx, -fx B, 0, fy, cy, 0, 0, 0, 1, 0], for cameras side by side",
+            p[(row, column)]
+        );
+        return Err(node.refuse(reason));
+    }
+    if (p[(2, 2)] - 1.0).abs() > 1e-9 {
+        return Err(node.refuse(format!("element [2][2] is {}, it must be 1", p[(2, 2)])));
+    }
+    for (row, raw, name) in [(0, camera.pinhole().fx, "fx"), (1, camera.pinhole().fy, "fy")] {
+        let rectified = p[(row, row)];
+        if !(rectified > raw / ZOOM_MAX && rectified < raw * ZOOM_MAX) {
+            let reason = format!(
+                "its {name} is {rectified}, that of camera_matrix is {raw}: more than a factor of {ZOOM_MAX} apart, so they do not belong together"
+            );
+            return Err(node.refuse(reason));
+        }
+    }
+    Ok((p, node))
+}
+
+/// The texts of the left and the right file.
+pub(super) fn write(rig: &StereoRig) -> Result<[String; 2], CalibrationFileError> {
+    let rectified = rig.rectify().map_err(|error| CalibrationFileError::NotRepresentable {
+        format: CalibrationFormat::RosPair,
+        reason: format!("it needs a rectifiable pair, but {}", one_line(&error)),
+    })?;
+    let shift = -rectified.rig.left().pinhole().fx * rectified.rig.baseline_m();
+    let left_turn = rectified.cam_left_rect_from_cam_left.rotation_matrix();
+    let right_turn = rectified.cam_right_rect_from_cam_right.rotation_matrix();
+    Ok([
+        text("left", rig.left(), &left_turn, rectified.rig.left(), 0.0),
+        text("right", rig.right(), &right_turn, rectified.rig.right(), shift),
+    ])
+}
+
+fn text(name: &str, camera: &Camera, turn: &Matrix3<f64>, rectified: &Camera, shift: f64) -> String {
+    let (model, coefficients) = write::distortion(camera.distortion());
+    let p = rectified.pinhole();
+    let projection = Matrix3x4::new(p.fx, 0.0, p.cx, shift, 0.0, p.fy, p.cy, 0.0, 0.0, 0.0, 1.0, 0.0);
+    let matrix = |key: &str, rows: usize, columns: usize, data: &[f64]| {
+        format!("{key}:\n  rows: {rows}\n  cols: {columns}\n  data: {}\n", write::list(data))
+    };
+    let mut text = format!("image_width: {}\nimage_height: {}\n", camera.size().width, camera.size().height);
+    text += &format!("camera_name: {name}\n");
+    text += &matrix("camera_matrix", 3, 3, &write::row_major(&camera.pinhole().matrix()));
+    text += &format!("distortion_model: {model}\n");
+    text += &matrix("distortion_coefficients", 1, coefficients.len(), &coefficients);
+    text += &matrix("rectification_matrix", 3, 3, &write::row_major(turn));
+    text += &matrix("projection_matrix", 3, 4, &write::row_major(&projection));
+    text
+}
