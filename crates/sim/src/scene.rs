@@ -1,7 +1,14 @@
-//! What stands where in the simulated cell at one moment.
+//! What stands in the simulated cell, and where at one moment.
 
+use std::sync::Arc;
+
+use nalgebra::Vector3;
 use pb3dp_geometry::frames::{CamLeft, Target, World};
 use pb3dp_geometry::{MonotonicTime, Pose};
+
+use crate::targets::mesh::Mesh;
+use crate::targets::texture::Texture;
+use crate::targets::{self, BackdropConfig, TargetConfig, TargetModel};
 
 /// Where the moving things of the cell are at one moment. Metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,4 +25,203 @@ pub struct ScenePoses {
 pub trait PoseSource: Send {
     /// Poses at time `at`.
     fn poses_at(&mut self, at: MonotonicTime) -> ScenePoses;
+}
+
+/// Nothing moves.
+impl PoseSource for ScenePoses {
+    fn poses_at(&mut self, _at: MonotonicTime) -> ScenePoses {
+        *self
+    }
+}
+
+/// What a part of the scene is fixed to, and so the frame of its mesh.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Anchor {
+    /// The cell.
+    World,
+    /// The carried target.
+    Target,
+}
+
+/// What a pixel shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SceneObject {
+    /// Nothing at all.
+    Nothing,
+    /// Walls, floor, ceiling.
+    Room,
+    /// The panel behind the target.
+    Backdrop,
+    /// The target.
+    Target,
+}
+
+/// One textured surface.
+#[derive(Clone, Debug)]
+pub struct ScenePart {
+    /// The surface, in the frame of its anchor.
+    pub mesh: Mesh,
+    /// Its colours.
+    pub texture: Arc<Texture>,
+    /// What it is fixed to.
+    pub anchor: Anchor,
+    /// What it belongs to.
+    pub object: SceneObject,
+}
+
+/// Light in the cell: even light from everywhere and one wide lamp, without shadows and highlights.
+///
+/// A surface gets `ambient + lamp (1 + cos a) / 2`, with a the angle between its normal and the direction to the lamp: it
+/// is brightest towards the lamp, falls smoothly, and never gets black.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lighting {
+    /// Light from everywhere.
+    pub ambient: f64,
+    /// Light of the lamp on a surface that faces it.
+    pub lamp: f64,
+    /// Direction to the lamp in `world`; any length but zero.
+    pub towards_lamp_in_world: Vector3<f64>,
+}
+
+impl Default for Lighting {
+    /// Half of the light from a lamp under the ceiling, off to one side.
+    fn default() -> Self {
+        Self { ambient: 0.5, lamp: 0.62, towards_lamp_in_world: Vector3::new(-0.40, 0.35, 0.85) }
+    }
+}
+
+impl Lighting {
+    /// The same light everywhere, 1.
+    pub const EVEN: Self = Self { ambient: 1.0, lamp: 0.0, towards_lamp_in_world: Vector3::new(0.0, 0.0, 1.0) };
+
+    /// Light on a surface with the given unit normal.
+    pub fn on(&self, normal_in_world: &Vector3<f64>) -> f64 {
+        let length = self.towards_lamp_in_world.norm();
+        let cosine = if length > 0.0 { normal_in_world.dot(&self.towards_lamp_in_world) / length } else { 0.0 };
+        self.ambient + self.lamp * (0.5 + 0.5 * cosine)
+    }
+}
+
+/// What the cell holds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneConfig {
+    /// The target and its shape.
+    pub target: TargetConfig,
+    /// The panel behind it, if any.
+    pub backdrop: Option<BackdropConfig>,
+    /// Light.
+    pub lighting: Lighting,
+    /// Selects textures and bumps.
+    pub seed: u32,
+}
+
+impl SceneConfig {
+    /// `target` over the usual backdrop under the usual light.
+    pub fn new(target: TargetConfig) -> Self {
+        Self { target, backdrop: Some(BackdropConfig::default()), lighting: Lighting::default(), seed: 1 }
+    }
+}
+
+/// Why a scene was refused.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SceneError {
+    /// A number is out of its range.
+    #[error("scene parameter {name} is {value}: set it between {min} and {max}")]
+    Parameter {
+        /// Which parameter.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// Smallest allowed.
+        min: f64,
+        /// Largest allowed.
+        max: f64,
+    },
+    /// More surfaces than the renderer can tell apart.
+    #[error("the scene has {parts} surfaces with up to {triangles} triangles: 4000 and 500000 are possible")]
+    TooLarge {
+        /// Number of parts.
+        parts: usize,
+        /// Number of triangles in all parts.
+        triangles: usize,
+    },
+}
+
+pub(crate) fn check(name: &'static str, value: f64, min: f64, max: f64) -> Result<(), SceneError> {
+    if (min..=max).contains(&value) { Ok(()) } else { Err(SceneError::Parameter { name, value, min, max }) }
+}
+
+/// Everything that can be seen.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    parts: Vec<ScenePart>,
+    target: TargetModel,
+    lighting: Lighting,
+}
+
+impl Scene {
+    /// Makes the target, its backdrop and the room, with their textures. Takes some tenths of a second.
+    ///
+    /// # Errors
+    /// A number out of its range.
+    pub fn build(config: &SceneConfig) -> Result<Self, SceneError> {
+        let lighting = &config.lighting;
+        check("lighting.ambient", lighting.ambient, 0.0, 4.0)?;
+        check("lighting.lamp", lighting.lamp, 0.0, 4.0)?;
+        let (target, mut parts) = targets::build(&config.target, config.seed)?;
+        if let Some(backdrop) = &config.backdrop {
+            parts.extend(targets::backdrop::build(backdrop, target.rear_z_m, config.seed)?);
+        }
+        parts.extend(targets::room::build(config.seed));
+        Self::from_parts(parts, target, *lighting)
+    }
+
+    /// A scene of given parts, for tests and other targets; parts that are listed first are drawn first.
+    ///
+    /// # Errors
+    /// If there are too many surfaces.
+    pub fn from_parts(parts: Vec<ScenePart>, target: TargetModel, lighting: Lighting) -> Result<Self, SceneError> {
+        let triangles = parts.iter().map(|part| part.mesh.triangles.len()).sum();
+        if parts.len() > 4000 || triangles > 500_000 {
+            return Err(SceneError::TooLarge { parts: parts.len(), triangles });
+        }
+        Ok(Self { parts, target, lighting })
+    }
+
+    /// The surfaces.
+    pub fn parts(&self) -> &[ScenePart] {
+        &self.parts
+    }
+
+    /// The target.
+    pub fn target(&self) -> &TargetModel {
+        &self.target
+    }
+
+    /// The light.
+    pub fn lighting(&self) -> &Lighting {
+        &self.lighting
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn light_falls_smoothly_from_the_lamp() {
+        let light = Lighting { ambient: 0.3, lamp: 0.6, towards_lamp_in_world: Vector3::new(0.0, 4.0, 0.0) };
+        assert!((light.on(&Vector3::y()) - 0.9).abs() < 1e-12);
+        assert!((light.on(&Vector3::x()) - 0.6).abs() < 1e-12);
+        assert!((light.on(&-Vector3::y()) - 0.3).abs() < 1e-12);
+        assert_eq!(Lighting::EVEN.on(&Vector3::x()), 1.0);
+    }
+
+    #[test]
+    fn numbers_out_of_range_are_named() {
+        let mut config = SceneConfig::new(TargetConfig::crab(0.010));
+        config.lighting.ambient = -1.0;
+        let message = Scene::build(&config).unwrap_err().to_string();
+        assert_eq!(message, "scene parameter lighting.ambient is -1: set it between 0 and 4");
+    }
 }

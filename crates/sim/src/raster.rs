@@ -1,0 +1,263 @@
+//! The renderer: stereo pictures of a scene, with exact ground truth.
+//!
+//! Geometry is exact: each pixel centre (integer coordinates) has its own ray, lens distortion included, and textures are
+//! read where that ray meets the surface. Surfaces are smoothed by filtered textures; pixels on an edge between surfaces are
+//! sampled sixteen times. The same scene, poses, seed and frame index give the same bytes on every machine and in any order.
+
+mod coverage;
+mod shade;
+mod triangle;
+mod view;
+mod visibility;
+
+use image::RgbImage;
+use nalgebra::Isometry3;
+use pb3dp_geometry::{Camera, CameraError, ImageSize, StereoRig};
+
+use self::coverage::EdgePixels;
+use self::shade::{RUN_MAX, shade_run};
+use self::triangle::{PartPose, ScreenTriangle, collect_triangles};
+use self::view::View;
+use self::visibility::{NOTHING, TRIANGLE_BITS, Visibility, triangle_index};
+use crate::scene::{Anchor, Scene, SceneObject, ScenePart, ScenePoses};
+use crate::sensor::{Developer, NoiseKey, SensorConfig, SensorError};
+
+/// Light where nothing is seen, in 256ths of a grey level.
+const EMPTY: [u16; 3] = [96 << 8; 3];
+
+/// Why a renderer could not be made or used.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum RenderError {
+    /// A camera of the rig can not be rendered.
+    #[error("the {eye} camera can not be rendered")]
+    Camera {
+        /// `left` or `right`.
+        eye: &'static str,
+        /// Why.
+        #[source]
+        source: CameraError,
+    },
+    /// The pictures of the rig differ in size.
+    #[error("the left picture is {}x{} and the right one {}x{}: the simulated pair needs equal sizes",
+        left.width, left.height, right.width, right.height)]
+    Sizes {
+        /// Size of the left picture.
+        left: ImageSize,
+        /// Size of the right picture.
+        right: ImageSize,
+    },
+    /// A sensor parameter is out of its range.
+    #[error(transparent)]
+    Sensor(#[from] SensorError),
+    /// An exposure without poses.
+    #[error("an exposure needs at least one moment to be rendered: it has none")]
+    NoPoses,
+}
+
+/// What the left camera sees, exactly, per pixel centre.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GroundTruth {
+    /// Size of the maps.
+    pub size: ImageSize,
+    /// Depth (z in `cam_left`), metres, row-major; 0 where nothing is seen.
+    pub depth_m: Vec<f32>,
+    /// The object seen.
+    pub object: Vec<SceneObject>,
+}
+
+/// Renders stereo pairs of one scene with one rig.
+#[derive(Clone, Debug)]
+pub struct StereoRenderer {
+    scene: Scene,
+    rig: StereoRig,
+    seed: u32,
+    eyes: [Eye; 2],
+    visibility: Visibility,
+    edges: EdgePixels,
+    triangles: Vec<ScreenTriangle>,
+    light: Vec<u16>,
+    exposure_sum: Vec<u32>,
+}
+
+#[derive(Clone, Debug)]
+struct Eye {
+    view: View,
+    developer: Developer,
+}
+
+impl StereoRenderer {
+    /// Prepares rendering; `seed` selects the sensor noise.
+    ///
+    /// # Errors
+    /// A sensor parameter out of range, pictures of different size, or a camera with a pixel that has no ray.
+    pub fn new(scene: Scene, rig: StereoRig, sensor: &SensorConfig, seed: u32) -> Result<Self, RenderError> {
+        sensor.validate()?;
+        let (left, right) = (rig.left().size(), rig.right().size());
+        if left != right {
+            return Err(RenderError::Sizes { left, right });
+        }
+        let eye = |name: &'static str, camera: &Camera, response| {
+            let view = View::new(camera).map_err(|source| RenderError::Camera { eye: name, source })?;
+            Ok::<_, RenderError>(Eye { developer: Developer::new(sensor, response, view.width), view })
+        };
+        let eyes = [eye("left", rig.left(), &sensor.left)?, eye("right", rig.right(), &sensor.right)?];
+        let pixels = left.width as usize * left.height as usize;
+        Ok(Self {
+            scene,
+            rig,
+            seed,
+            eyes,
+            visibility: Visibility::new(pixels),
+            edges: EdgePixels::default(),
+            triangles: Vec::new(),
+            light: vec![0; 3 * pixels],
+            exposure_sum: Vec::new(),
+        })
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// The rig.
+    pub fn rig(&self) -> &StereoRig {
+        &self.rig
+    }
+
+    /// Size of both pictures.
+    pub fn size(&self) -> ImageSize {
+        self.rig.left().size()
+    }
+
+    /// Renders one pair, sharp: everything stands still at `poses`.
+    ///
+    /// `frame_index` selects the noise: use a new one for every pair. The pictures are made to size and overwritten.
+    pub fn render_pair(&mut self, poses: &ScenePoses, frame_index: u64, left: &mut RgbImage, right: &mut RgbImage) {
+        for (eye, picture) in [left, right].into_iter().enumerate() {
+            self.render_light(eye, poses);
+            self.develop(eye, frame_index, picture);
+        }
+    }
+
+    /// Renders one pair with motion blur: the mean of the light at several moments of the exposure.
+    ///
+    /// # Errors
+    /// If there is no moment.
+    pub fn render_exposure(
+        &mut self,
+        moments: &[ScenePoses],
+        frame_index: u64,
+        left: &mut RgbImage,
+        right: &mut RgbImage,
+    ) -> Result<(), RenderError> {
+        match moments {
+            [] => return Err(RenderError::NoPoses),
+            [poses] => self.render_pair(poses, frame_index, left, right),
+            _ => {
+                for (eye, picture) in [left, right].into_iter().enumerate() {
+                    self.gather_light(eye, moments);
+                    self.develop(eye, frame_index, picture);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// What the left camera sees at `poses`: depth and object of every pixel centre.
+    pub fn ground_truth(&mut self, poses: &ScenePoses) -> GroundTruth {
+        self.see(0, poses);
+        let depth_m = self.visibility.inv_z.iter().map(|&inv_z| if inv_z > 0.0 { 1.0 / inv_z } else { 0.0 }).collect();
+        let object = self.visibility.seen.iter().map(|&seen| self.object(seen)).collect();
+        GroundTruth { size: self.size(), depth_m, object }
+    }
+
+    fn object(&self, seen: u32) -> SceneObject {
+        if seen == NOTHING { SceneObject::Nothing } else { self.scene.parts()[(seen >> TRIANGLE_BITS) as usize].object }
+    }
+
+    /// Finds the visible triangles of one eye.
+    fn see(&mut self, eye: usize, poses: &ScenePoses) {
+        let cam_from_world = self.cam_from_world(eye, poses);
+        let view = &self.eyes[eye].view;
+        self.triangles.clear();
+        for (index, part) in self.scene.parts().iter().enumerate() {
+            let world_from_part = match part.anchor {
+                Anchor::World => Isometry3::identity(),
+                Anchor::Target => *poses.world_from_target.isometry(),
+            };
+            let pose = PartPose { cam_from_part: cam_from_world * world_from_part, world_from_part };
+            collect_triangles(part, index as u16, &pose, self.scene.lighting(), view, &mut self.triangles);
+        }
+        self.visibility.draw(view, &self.triangles);
+    }
+
+    fn cam_from_world(&self, eye: usize, poses: &ScenePoses) -> Isometry3<f64> {
+        let cam_left_from_world = *poses.world_from_cam_left.inverse().isometry();
+        if eye == 0 { cam_left_from_world } else { self.rig.cam_right_from_cam_left().isometry() * cam_left_from_world }
+    }
+
+    /// Renders the light on one sensor.
+    fn render_light(&mut self, eye: usize, poses: &ScenePoses) {
+        self.see(eye, poses);
+        let view = &self.eyes[eye].view;
+        self.edges.resolve(view, &self.visibility, &self.triangles);
+        shade_surfaces(view, &self.visibility, self.scene.parts(), &self.triangles, &mut self.light);
+        self.edges.shade(view, self.scene.parts(), &self.triangles, EMPTY, &mut self.light);
+    }
+
+    /// Renders the mean light of several moments.
+    fn gather_light(&mut self, eye: usize, moments: &[ScenePoses]) {
+        self.exposure_sum.clear();
+        self.exposure_sum.resize(self.light.len(), 0);
+        for poses in moments {
+            self.render_light(eye, poses);
+            for (sum, &light) in self.exposure_sum.iter_mut().zip(&self.light) {
+                *sum += u32::from(light);
+            }
+        }
+        let count = moments.len() as u32;
+        for (light, &sum) in self.light.iter_mut().zip(&self.exposure_sum) {
+            *light = ((sum + count / 2) / count) as u16;
+        }
+    }
+
+    fn develop(&mut self, eye: usize, frame_index: u64, picture: &mut RgbImage) {
+        let size = self.size();
+        if picture.dimensions() != (size.width, size.height) {
+            *picture = RgbImage::new(size.width, size.height);
+        }
+        let key = NoiseKey { seed: self.seed, frame_index, eye: eye as u32 };
+        self.eyes[eye].developer.develop(&self.light, &key, picture);
+    }
+}
+
+/// Shades every pixel at its centre, in runs of pixels that see the same triangle.
+fn shade_surfaces(
+    view: &View,
+    visibility: &Visibility,
+    parts: &[ScenePart],
+    triangles: &[ScreenTriangle],
+    light: &mut [u16],
+) {
+    for row in 0..view.height {
+        let start = row * view.width;
+        let seen = &visibility.seen[start..start + view.width];
+        let mut column = 0;
+        while column < view.width {
+            let code = seen[column];
+            let run = seen[column..].iter().take(RUN_MAX).take_while(|&&other| other == code).count();
+            let pixels = start + column..start + column + run;
+            let out = &mut light[3 * pixels.start..3 * pixels.end];
+            if code == NOTHING {
+                out.chunks_exact_mut(3).for_each(|pixel| pixel.copy_from_slice(&EMPTY));
+            } else {
+                let triangle = &triangles[triangle_index(code)];
+                let texture = &parts[usize::from(triangle.part)].texture;
+                let rays = (&view.ray_x[pixels.clone()], &view.ray_y[pixels]);
+                shade_run(triangle, texture, view.pixel_size, rays, out);
+            }
+            column += run;
+        }
+    }
+}

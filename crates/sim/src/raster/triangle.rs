@@ -1,0 +1,147 @@
+//! Triangles as seen by one camera.
+//!
+//! With the corners P0, P1, P2 in the camera's frame and a ray m = (x, y, 1), the numbers e = [P0 P1 P2]^-1 m are the
+//! barycentric coordinates divided by the depth: the ray meets the triangle where all three are positive, their sum is the
+//! inverse depth, and any attribute divided by depth is a linear function of (x, y) too. So perspective is exact, nothing is
+//! clipped and nothing is divided until a pixel is shaded.
+
+use nalgebra::{Isometry3, Point3, Vector3};
+
+use super::view::{PixelBox, View};
+use crate::scene::{Lighting, ScenePart};
+
+/// A linear function of the ray: `a x + b y + c`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Plane {
+    pub(crate) a: f32,
+    pub(crate) b: f32,
+    pub(crate) c: f32,
+}
+
+impl Plane {
+    pub(crate) fn at(&self, x: f32, y: f32) -> f32 {
+        self.a * x + self.b * y + self.c
+    }
+
+    fn from_vector(v: &Vector3<f64>) -> Self {
+        Self { a: v.x as f32, b: v.y as f32, c: v.z as f32 }
+    }
+}
+
+/// A triangle that the camera may see.
+#[derive(Clone, Debug)]
+pub(crate) struct ScreenTriangle {
+    /// Barycentric coordinates over depth; a hair too large, so that neighbours leave no gap.
+    pub(crate) edges: [Plane; 3],
+    /// 1 / depth, 1/m.
+    pub(crate) inv_z: Plane,
+    /// Texel column over depth.
+    pub(crate) u: Plane,
+    /// Texel row over depth.
+    pub(crate) v: Plane,
+    /// Light over depth.
+    pub(crate) light: Plane,
+    /// Index of the scene's part.
+    pub(crate) part: u16,
+    pub(crate) pixels: PixelBox,
+}
+
+/// Corners nearer than this are treated as behind the camera, metres.
+const NEAR_M: f64 = 1e-3;
+
+/// Largest rounding error of an edge function, relative to its largest term.
+const EDGE_ROUNDING: f32 = 3e-7;
+
+/// A vertex in the camera's frame.
+struct SeenVertex {
+    in_cam: Vector3<f64>,
+    texel: [f64; 2],
+    light: f64,
+}
+
+/// Collects the triangles of one part that face the camera.
+pub(crate) fn collect_triangles(
+    part: &ScenePart,
+    part_index: u16,
+    pose: &PartPose,
+    lighting: &Lighting,
+    view: &View,
+    triangles: &mut Vec<ScreenTriangle>,
+) {
+    let size = [f64::from(part.texture.width()), f64::from(part.texture.height())];
+    for corners in &part.mesh.triangles {
+        let positions = corners.map(|i| pose.cam_from_part.transform_point(&part.mesh.vertices[i as usize].position_m));
+        if faces_away(&positions) {
+            continue;
+        }
+        let Some(pixels) = pixel_box(&positions, view) else { continue };
+        let seen: [SeenVertex; 3] = std::array::from_fn(|k| {
+            let vertex = &part.mesh.vertices[corners[k] as usize];
+            SeenVertex {
+                in_cam: positions[k].coords,
+                texel: [vertex.texture.x * size[0], vertex.texture.y * size[1]],
+                light: lighting.on(&pose.world_from_part.transform_vector(&vertex.normal)),
+            }
+        });
+        if let Some(triangle) = ScreenTriangle::new(&seen, part_index, pixels) {
+            triangles.push(triangle);
+        }
+    }
+}
+
+/// Where a part is.
+pub(crate) struct PartPose {
+    pub(crate) cam_from_part: Isometry3<f64>,
+    pub(crate) world_from_part: Isometry3<f64>,
+}
+
+impl ScreenTriangle {
+    /// `None` for a triangle without area.
+    fn new(corners: &[SeenVertex; 3], part: u16, pixels: PixelBox) -> Option<Self> {
+        let [p0, p1, p2] = [&corners[0].in_cam, &corners[1].in_cam, &corners[2].in_cam];
+        let determinant = p0.dot(&p1.cross(p2));
+        if determinant.abs() < 1e-18 {
+            return None;
+        }
+        let e = [p1.cross(p2) / determinant, p2.cross(p0) / determinant, p0.cross(p1) / determinant];
+        let interpolate =
+            |values: [f64; 3]| Plane::from_vector(&(e[0] * values[0] + e[1] * values[1] + e[2] * values[2]));
+        let edges = e.map(|edge| {
+            let plane = Plane::from_vector(&edge);
+            let tolerance = EDGE_ROUNDING * (plane.a.abs() + plane.b.abs() + plane.c.abs());
+            Plane { c: plane.c + tolerance, ..plane }
+        });
+        let attribute = |value: fn(&SeenVertex) -> f64| interpolate([0, 1, 2].map(|i| value(&corners[i])));
+        Some(Self {
+            edges,
+            inv_z: interpolate([1.0; 3]),
+            u: attribute(|vertex| vertex.texel[0]),
+            v: attribute(|vertex| vertex.texel[1]),
+            light: attribute(|vertex| vertex.light),
+            part,
+            pixels,
+        })
+    }
+}
+
+fn faces_away(corners: &[Point3<f64>; 3]) -> bool {
+    let [a, b, c] = corners;
+    (b - a).cross(&(c - a)).dot(&a.coords) >= 0.0
+}
+
+/// `None` if the triangle is outside the picture.
+fn pixel_box(corners: &[Point3<f64>; 3], view: &View) -> Option<PixelBox> {
+    let whole = PixelBox { x: (0, view.width), y: (0, view.height) };
+    if corners.iter().all(|p| p.z < NEAR_M) {
+        return None;
+    }
+    if corners.iter().any(|p| p.z < NEAR_M) {
+        return Some(whole);
+    }
+    let range = |values: [f64; 3]| {
+        let [a, b, c] = values;
+        (a.min(b).min(c) as f32, a.max(b).max(c) as f32)
+    };
+    let found = view.pixel_box(range(corners.map(|p| p.x / p.z)), range(corners.map(|p| p.y / p.z)));
+    (found.x.0 < found.x.1 && found.y.0 < found.y.1).then_some(found)
+}

@@ -1,0 +1,102 @@
+//! Which triangle each pixel centre sees, and which pixels lie on an edge.
+
+use super::triangle::ScreenTriangle;
+use super::view::View;
+
+/// No triangle.
+pub(crate) const NOTHING: u32 = u32::MAX;
+
+/// Bits of a [`Visibility::seen`] entry below the part index.
+pub(crate) const TRIANGLE_BITS: u32 = 20;
+
+/// Neighbouring pixels of one surface whose inverse depths differ by more than this share are an edge.
+const DEPTH_STEP: f32 = 0.005;
+
+/// What every pixel centre sees.
+#[derive(Clone, Debug)]
+pub(crate) struct Visibility {
+    /// 1 / depth, 0 where nothing is seen.
+    pub(crate) inv_z: Vec<f32>,
+    /// Part index and triangle index (see [`TRIANGLE_BITS`]), or [`NOTHING`].
+    pub(crate) seen: Vec<u32>,
+}
+
+impl Visibility {
+    pub(crate) fn new(pixels: usize) -> Self {
+        Self { inv_z: vec![0.0; pixels], seen: vec![NOTHING; pixels] }
+    }
+
+    /// Finds the nearest triangle of every pixel centre.
+    pub(crate) fn draw(&mut self, view: &View, triangles: &[ScreenTriangle]) {
+        self.inv_z.fill(0.0);
+        self.seen.fill(NOTHING);
+        for (index, triangle) in triangles.iter().enumerate() {
+            let code = triangle_code(triangle.part, index);
+            let (first, end) = triangle.pixels.x;
+            for row in triangle.pixels.y.0..triangle.pixels.y.1 {
+                let span = row * view.width + first..row * view.width + end;
+                draw_span(
+                    triangle,
+                    code,
+                    (&view.ray_x[span.clone()], &view.ray_y[span.clone()]),
+                    (&mut self.inv_z[span.clone()], &mut self.seen[span]),
+                );
+            }
+        }
+    }
+
+    /// Whether a pixel and one of its eight neighbours see different surfaces.
+    fn is_edge(&self, view: &View, column: usize, row: usize) -> bool {
+        let here = row * view.width + column;
+        let (part, depth) = (self.seen[here] >> TRIANGLE_BITS, self.inv_z[here]);
+        let columns = column.saturating_sub(1)..(column + 2).min(view.width);
+        (row.saturating_sub(1)..(row + 2).min(view.height)).any(|r| {
+            columns.clone().any(|c| {
+                let there = r * view.width + c;
+                self.seen[there] >> TRIANGLE_BITS != part || (self.inv_z[there] - depth).abs() > DEPTH_STEP * depth
+            })
+        })
+    }
+
+    /// Lists the columns of a row's edge pixels, in order.
+    pub(crate) fn find_edges(&self, view: &View, row: usize, columns: &mut Vec<u16>) {
+        const BLOCK: usize = 32;
+        for first in (0..view.width).step_by(BLOCK) {
+            let end = (first + BLOCK).min(view.width);
+            if !self.is_plain(view, row, first, end) {
+                columns.extend((first..end).filter(|&column| self.is_edge(view, column, row)).map(|c| c as u16));
+            }
+        }
+    }
+
+    /// Whether a block of a row and everything around it see one triangle (of which no part can hide another).
+    fn is_plain(&self, view: &View, row: usize, first: usize, end: usize) -> bool {
+        let reference = self.seen[row * view.width + first];
+        let (from, to) = (first.saturating_sub(1), (end + 1).min(view.width));
+        (row.saturating_sub(1)..(row + 2).min(view.height)).all(|r| {
+            let block = &self.seen[r * view.width + from..r * view.width + to];
+            block.iter().fold(0, |different, &seen| different | (seen ^ reference)) == 0
+        })
+    }
+}
+
+/// Entry of [`Visibility::seen`].
+pub(crate) fn triangle_code(part: u16, triangle_index: usize) -> u32 {
+    (u32::from(part) << TRIANGLE_BITS) | (triangle_index as u32 & ((1 << TRIANGLE_BITS) - 1))
+}
+
+/// Index into the triangles of an entry of [`Visibility::seen`].
+pub(crate) fn triangle_index(code: u32) -> usize {
+    (code & ((1 << TRIANGLE_BITS) - 1)) as usize
+}
+
+fn draw_span(triangle: &ScreenTriangle, code: u32, rays: (&[f32], &[f32]), out: (&mut [f32], &mut [u32])) {
+    let [e0, e1, e2] = &triangle.edges;
+    for (((&x, &y), inv_z), seen) in rays.0.iter().zip(rays.1).zip(out.0).zip(out.1) {
+        let inside = e0.at(x, y).min(e1.at(x, y)).min(e2.at(x, y));
+        let nearness = triangle.inv_z.at(x, y);
+        let hit = (inside >= 0.0) & (nearness > *inv_z);
+        *inv_z = if hit { nearness } else { *inv_z };
+        *seen = if hit { code } else { *seen };
+    }
+}

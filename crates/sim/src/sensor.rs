@@ -1,0 +1,278 @@
+//! From the light on the sensor to the picture: lens blur, exposure, gain, noise, quantisation.
+//!
+//! Grey levels are proportional to light (no gamma): a surface of texture colour 200 under light 1 gives grey level 200.
+
+use crate::noise;
+
+/// What the two sensors do to the light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SensorConfig {
+    /// Standard deviation of the lens blur in pixels, 0 to 0.7.
+    pub lens_blur_px: f64,
+    /// Standard deviation of the noise in the dark, grey levels.
+    pub read_noise_grey: f64,
+    /// Variance of the noise added per grey level of light, grey levels.
+    pub shot_noise_grey: f64,
+    /// Response of the left camera.
+    pub left: EyeResponse,
+    /// Response of the right camera.
+    pub right: EyeResponse,
+}
+
+impl Default for SensorConfig {
+    /// A good machine-vision pair that is not photometrically calibrated: noise of 2 grey levels in mid-grey, and a right
+    /// camera that is a little brighter and warmer.
+    fn default() -> Self {
+        Self {
+            lens_blur_px: 0.5,
+            read_noise_grey: 1.2,
+            shot_noise_grey: 0.02,
+            left: EyeResponse::NEUTRAL,
+            right: EyeResponse { exposure: 1.02, gain: [1.02, 1.0, 0.98], offset_grey: [1.0, 0.0, -1.0] },
+        }
+    }
+}
+
+impl SensorConfig {
+    /// A perfect sensor: no blur, no noise, equal responses; only quantisation is left.
+    pub const IDEAL: Self = Self {
+        lens_blur_px: 0.0,
+        read_noise_grey: 0.0,
+        shot_noise_grey: 0.0,
+        left: EyeResponse::NEUTRAL,
+        right: EyeResponse::NEUTRAL,
+    };
+
+    /// Checks every number.
+    ///
+    /// # Errors
+    /// The first number out of its range.
+    pub fn validate(&self) -> Result<(), SensorError> {
+        let mut checks = vec![
+            ("lens_blur_px", self.lens_blur_px, 0.0, 0.7),
+            ("read_noise_grey", self.read_noise_grey, 0.0, 50.0),
+            ("shot_noise_grey", self.shot_noise_grey, 0.0, 10.0),
+        ];
+        for eye in [&self.left, &self.right] {
+            checks.push(("exposure", eye.exposure, 0.01, 16.0));
+            checks.extend(eye.gain.map(|gain| ("gain", gain, 0.01, 16.0)));
+            checks.extend(eye.offset_grey.map(|offset| ("offset_grey", offset, -128.0, 128.0)));
+        }
+        match checks.into_iter().find(|(_, value, min, max)| !(min..=max).contains(&value)) {
+            Some((name, value, min, max)) => Err(SensorError { name, value, min, max }),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Response of one camera: grey = exposure * gain * light + offset, per channel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EyeResponse {
+    /// Factor for all channels.
+    pub exposure: f64,
+    /// Factors of red, green, blue.
+    pub gain: [f64; 3],
+    /// Offsets of red, green, blue in grey levels.
+    pub offset_grey: [f64; 3],
+}
+
+impl EyeResponse {
+    /// Grey level equals light.
+    pub const NEUTRAL: Self = Self { exposure: 1.0, gain: [1.0; 3], offset_grey: [0.0; 3] };
+}
+
+/// A sensor parameter was refused.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("sensor parameter {name} is {value}: set it between {min} and {max}")]
+pub struct SensorError {
+    /// Which parameter.
+    pub name: &'static str,
+    /// Its value.
+    pub value: f64,
+    /// Smallest allowed.
+    pub min: f64,
+    /// Largest allowed.
+    pub max: f64,
+}
+
+/// Which noise a picture gets: every combination has noise of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct NoiseKey {
+    pub(crate) seed: u32,
+    pub(crate) frame_index: u64,
+    pub(crate) eye: u32,
+}
+
+/// Sum of four random bytes: mean, and 1 / standard deviation (variance 4 (256^2 - 1) / 12).
+const BYTES_MEAN: f32 = 510.0;
+const BYTES_INVERSE_SIGMA: f32 = 0.006_765_875;
+
+/// Adding this to a number below 2^22 leaves the number, rounded, in the low bits of the sum.
+const ROUNDING: f32 = 8_388_608.0;
+
+/// Turns light into pictures, one row at a time.
+#[derive(Clone, Debug)]
+pub(crate) struct Developer {
+    scale: [f32; 3],
+    offset: [f32; 3],
+    read_variance: f32,
+    shot_variance: f32,
+    /// Weight of each neighbour in the blur, in 1/65536.
+    blur_weight: u32,
+    /// One row, blurred along the columns, with one pixel more on either side.
+    row: Vec<u16>,
+    blurred: Vec<u16>,
+}
+
+impl Developer {
+    pub(crate) fn new(config: &SensorConfig, response: &EyeResponse, width: usize) -> Self {
+        let scale = response.gain.map(|gain| (gain * response.exposure / 256.0) as f32);
+        Self {
+            scale,
+            offset: response.offset_grey.map(|offset| offset as f32),
+            read_variance: (config.read_noise_grey * config.read_noise_grey) as f32,
+            shot_variance: config.shot_noise_grey as f32,
+            blur_weight: (config.lens_blur_px * config.lens_blur_px * 0.5 * 65536.0).round() as u32,
+            row: vec![0; 3 * (width + 2)],
+            blurred: vec![0; 3 * width],
+        }
+    }
+
+    /// Develops a whole picture: `light` in 256ths of a grey level, red, green, blue, row-major.
+    pub(crate) fn develop(&mut self, light: &[u16], key: &NoiseKey, picture: &mut [u8]) {
+        let stride = self.blurred.len();
+        let rows = light.len() / stride;
+        let keys = [0u32, 1].map(|word| {
+            noise::hash(&[key.seed, key.frame_index as u32, (key.frame_index >> 32) as u32, key.eye, word])
+        });
+        for (row, out) in picture.chunks_exact_mut(stride).enumerate() {
+            let line = |r: usize| &light[r * stride..(r + 1) * stride];
+            let neighbours = [line(row.saturating_sub(1)), line(row), line((row + 1).min(rows - 1))];
+            let source = if self.blur_weight > 0 {
+                blur_row(neighbours, self.blur_weight, &mut self.row, &mut self.blurred);
+                self.blurred.as_slice()
+            } else {
+                neighbours[1]
+            };
+            self.expose_row(source, keys, (row * stride) as u32, out);
+        }
+    }
+
+    fn expose_row(&self, light: &[u16], keys: [u32; 2], first_index: u32, out: &mut [u8]) {
+        // Twelve values are four whole pixels: a pattern of constant gains that vector units like.
+        const PERIOD: usize = 12;
+        let scale: [f32; PERIOD] = std::array::from_fn(|i| self.scale[i % 3]);
+        let offset: [f32; PERIOD] = std::array::from_fn(|i| self.offset[i % 3]);
+        let pieces = out.chunks_mut(PERIOD).zip(light.chunks(PERIOD));
+        for (piece, (out, light)) in pieces.enumerate() {
+            let first = first_index + (piece * PERIOD) as u32;
+            for (i, (out, &light)) in out.iter_mut().zip(light).enumerate() {
+                let signal = f32::from(light) * scale[i];
+                let sigma = (self.read_variance + self.shot_variance * signal).sqrt();
+                let grey = signal + offset[i] + sigma * standard_noise(first + i as u32, keys);
+                *out = (grey.clamp(0.0, 255.0) + ROUNDING).to_bits() as u8;
+            }
+        }
+    }
+}
+
+/// A nearly normal number: the sum of four random bytes, mean 0, variance 1, never beyond 3.46.
+fn standard_noise(index: u32, keys: [u32; 2]) -> f32 {
+    let mut x = index.wrapping_mul(0x9E37_79B1) ^ keys[0];
+    x = (x ^ (x >> 15)).wrapping_mul(0x85EB_CA77).wrapping_add(keys[1]);
+    x = (x ^ (x >> 13)).wrapping_mul(0xC2B2_AE3D);
+    x ^= x >> 16;
+    let pairs = (x & 0x00ff_00ff) + ((x >> 8) & 0x00ff_00ff);
+    let sum = (pairs & 0xffff) + (pairs >> 16);
+    (sum as i32 as f32 - BYTES_MEAN) * BYTES_INVERSE_SIGMA
+}
+
+/// Blurs with the kernel (w, 1 - 2w, w) along columns, then along rows; picture borders are repeated.
+fn blur_row(lines: [&[u16]; 3], weight: u32, padded: &mut [u16], out: &mut [u16]) {
+    let centre = 65536 - 2 * weight;
+    let mix = |a: u16, b: u16, c: u16| {
+        ((weight * (u32::from(a) + u32::from(c)) + centre * u32::from(b) + 32768) >> 16) as u16
+    };
+    let n = out.len();
+    let inner = &mut padded[3..3 + n];
+    for (((mixed, &a), &b), &c) in inner.iter_mut().zip(lines[0]).zip(lines[1]).zip(lines[2]) {
+        *mixed = mix(a, b, c);
+    }
+    padded.copy_within(3..6, 0);
+    padded.copy_within(n..n + 3, n + 3);
+    for (((out, &a), &b), &c) in out.iter_mut().zip(&padded[..n]).zip(&padded[3..n + 3]).zip(&padded[6..]) {
+        *out = mix(a, b, c);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const KEY: NoiseKey = NoiseKey { seed: 5, frame_index: 9, eye: 0 };
+
+    fn noise_picture(config: &SensorConfig, key: &NoiseKey, light_grey: u16) -> Vec<f64> {
+        let mut picture = vec![0; 3 * 160 * 100];
+        let light = vec![light_grey * 256; picture.len()];
+        Developer::new(config, &config.left, 160).develop(&light, key, &mut picture);
+        picture.iter().map(|&p| f64::from(p) - f64::from(light_grey)).collect()
+    }
+
+    fn correlation(a: &[f64], b: &[f64]) -> f64 {
+        let sum = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
+        sum(a, b) / (sum(a, a) * sum(b, b)).sqrt()
+    }
+
+    #[test]
+    fn noise_has_the_configured_variance_and_no_pattern() {
+        let config = SensorConfig { read_noise_grey: 3.0, shot_noise_grey: 0.05, ..SensorConfig::IDEAL };
+        let a = noise_picture(&config, &KEY, 100);
+        let n = a.len() as f64;
+        let (mean, variance) = (a.iter().sum::<f64>() / n, a.iter().map(|x| x * x).sum::<f64>() / n);
+        // 9 + 0.05 * 100, and 1/12 of quantisation.
+        assert!(mean.abs() < 0.08, "{mean}");
+        assert!((variance - 14.083).abs() < 0.35, "{variance}");
+        assert!(correlation(&a[..a.len() - 3], &a[3..]).abs() < 0.02);
+        assert!(correlation(&a[..a.len() - 480], &a[480..]).abs() < 0.02);
+        for other in [NoiseKey { frame_index: 10, ..KEY }, NoiseKey { eye: 1, ..KEY }, NoiseKey { seed: 6, ..KEY }] {
+            assert!(correlation(&a, &noise_picture(&config, &other, 100)).abs() < 0.02, "{other:?}");
+        }
+        assert_eq!(a, noise_picture(&config, &KEY, 100));
+    }
+
+    #[test]
+    fn response_is_gain_times_light_plus_offset() {
+        let response = EyeResponse { exposure: 0.5, gain: [1.0, 2.0, 3.0], offset_grey: [7.3, 0.0, -4.0] };
+        let mut picture = [0u8; 15];
+        Developer::new(&SensorConfig::IDEAL, &response, 5).develop(&[100 * 256; 15], &KEY, &mut picture);
+        assert_eq!(picture[12..], [57, 100, 146]);
+        Developer::new(&SensorConfig::IDEAL, &response, 5).develop(&[255 * 256; 15], &KEY, &mut picture);
+        assert_eq!(picture[..3], [135, 255, 255]);
+    }
+
+    #[test]
+    fn blur_spreads_a_point_by_its_variance() {
+        let config = SensorConfig { lens_blur_px: 0.6, ..SensorConfig::IDEAL };
+        let mut light = vec![0u16; 3 * 9 * 7];
+        light[3 * (9 * 3 + 4) + 1] = 200 * 256;
+        let mut picture = vec![0u8; light.len()];
+        Developer::new(&config, &config.left, 9).develop(&light, &KEY, &mut picture);
+        let grey = |column: usize, row: usize| picture[3 * (9 * row + column) + 1];
+        // Weights 0.18, 0.64, 0.18 in either direction.
+        assert_eq!((grey(4, 3), grey(3, 3), grey(4, 4), grey(5, 2)), (82, 23, 23, 6));
+        assert_eq!((grey(2, 3), picture[3 * (9 * 3 + 4)]), (0, 0));
+    }
+
+    #[test]
+    fn parameters_out_of_range_are_named() {
+        let config = SensorConfig { lens_blur_px: 1.5, ..SensorConfig::IDEAL };
+        assert_eq!(
+            config.validate().unwrap_err().to_string(),
+            "sensor parameter lens_blur_px is 1.5: set it between 0 and 0.7"
+        );
+        let mut config = SensorConfig::default();
+        config.validate().unwrap();
+        config.right.gain[2] = f64::NAN;
+        assert_eq!(config.validate().unwrap_err().name, "gain");
+    }
+}

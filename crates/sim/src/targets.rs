@@ -1,0 +1,199 @@
+//! Targets, backdrop and room: meshes and textures made from a seed. All are own work; there are no pictures in here.
+//!
+//! A target's frame `target` has its origin at the target's centre on its front plane, x right, y down and z away from the
+//! cameras when it is seen frontally: the axes of the `model` frame.
+
+pub mod backdrop;
+pub mod box_target;
+pub mod card;
+pub mod crab;
+pub mod mesh;
+pub mod outline;
+pub mod potato;
+pub mod room;
+pub mod texture;
+
+use std::sync::Arc;
+
+use nalgebra::{Point3, Vector3};
+
+pub use backdrop::BackdropConfig;
+
+use crate::scene::{Anchor, SceneError, SceneObject, ScenePart, check};
+use mesh::Mesh;
+use texture::Texture;
+
+/// Which target, and its shape.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum TargetConfig {
+    /// A crab, about 110 mm wide, mostly of one hue (14 degrees +- 8) with dark spots.
+    Crab {
+        /// Height of the shell over the rim, 0 (flat) to 0.04 m.
+        relief_m: f64,
+    },
+    /// A flat card with all hues.
+    Card {
+        /// Width and height, 0.02 to 0.4 m.
+        size_m: [f64; 2],
+    },
+    /// A grey textured box.
+    GreyBox {
+        /// Width, height, depth, 0.02 to 0.4 m.
+        size_m: [f64; 3],
+    },
+    /// A lumpy, rounded solid.
+    Potato {
+        /// Length, height, thickness, 0.02 to 0.4 m.
+        size_m: [f64; 3],
+    },
+}
+
+impl TargetConfig {
+    /// The crab with a relief of the given height, metres.
+    pub const fn crab(relief_m: f64) -> Self {
+        Self::Crab { relief_m }
+    }
+
+    /// The card in its usual size.
+    pub const fn card() -> Self {
+        Self::Card { size_m: [0.12, 0.09] }
+    }
+
+    /// The box in its usual size.
+    pub const fn grey_box() -> Self {
+        Self::GreyBox { size_m: [0.11, 0.085, 0.06] }
+    }
+
+    /// The potato in its usual size.
+    pub const fn potato() -> Self {
+        Self::Potato { size_m: [0.115, 0.08, 0.07] }
+    }
+
+    /// Name as it stands in configurations: `crab`, `card`, `box`, `potato`.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Crab { .. } => "crab",
+            Self::Card { .. } => "card",
+            Self::GreyBox { .. } => "box",
+            Self::Potato { .. } => "potato",
+        }
+    }
+}
+
+/// What is known about a target besides its picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TargetModel {
+    /// `crab`, `card`, `box`, `potato`.
+    pub name: &'static str,
+    /// The target's outline seen frontally from half a metre, as points on its surface in `target`, metres; the last point is
+    /// joined to the first. Projected into the left picture it is the region that an operator would draw.
+    ///
+    /// The front plane is z = 0: the front face of a flat target, the mean over the visible front of a relief or solid.
+    pub outline_m: Vec<Point3<f64>>,
+    /// z of the target's rearmost point in `target`, metres.
+    pub rear_z_m: f64,
+}
+
+/// A target in the making: any origin.
+pub(crate) struct Draft {
+    pub(crate) name: &'static str,
+    pub(crate) surfaces: Vec<(Mesh, Arc<Texture>)>,
+    pub(crate) outline_m: Vec<Point3<f64>>,
+}
+
+/// Makes a target.
+///
+/// # Errors
+/// A number out of its range.
+pub fn build(config: &TargetConfig, seed: u32) -> Result<(TargetModel, Vec<ScenePart>), SceneError> {
+    let sizes: &[f64] = match config {
+        TargetConfig::Crab { relief_m } => {
+            check("target.relief_m", *relief_m, 0.0, 0.04)?;
+            &[]
+        }
+        TargetConfig::Card { size_m } => size_m,
+        TargetConfig::GreyBox { size_m } | TargetConfig::Potato { size_m } => size_m,
+    };
+    for &size in sizes {
+        check("target.size_m", size, 0.02, 0.4)?;
+    }
+    let draft = match config {
+        TargetConfig::Crab { relief_m } => crab::build(*relief_m, seed),
+        TargetConfig::Card { size_m } => card::build(size_m, seed),
+        TargetConfig::GreyBox { size_m } => box_target::build(size_m, seed),
+        TargetConfig::Potato { size_m } => potato::build(size_m, seed),
+    };
+    Ok(finish(draft))
+}
+
+/// Moves the origin to the outline's centroid on the front plane.
+fn finish(mut draft: Draft) -> (TargetModel, Vec<ScenePart>) {
+    let (area, moments) = draft
+        .surfaces
+        .iter()
+        .map(|(mesh, _)| mesh.frontal_moments())
+        .fold((0.0, Vector3::zeros()), |(area, moments), (more_area, more_moments)| {
+            (area + more_area, moments + more_moments)
+        });
+    let centre = outline::centroid(&draft.outline_m);
+    let depth = if area > 0.0 { moments.z / area } else { 0.0 };
+    let offset = Vector3::new(-centre.x, -centre.y, -depth);
+    for point in &mut draft.outline_m {
+        *point += offset;
+    }
+    let mut rear_z_m = f64::NEG_INFINITY;
+    let mut parts = Vec::new();
+    for (mut mesh, texture) in draft.surfaces {
+        mesh.translate(&offset);
+        rear_z_m = mesh.vertices.iter().fold(rear_z_m, |rear, vertex| rear.max(vertex.position_m.z));
+        parts.push(ScenePart { mesh, texture, anchor: Anchor::Target, object: SceneObject::Target });
+    }
+    (TargetModel { name: draft.name, outline_m: draft.outline_m, rear_z_m }, parts)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ALL: [TargetConfig; 5] = [
+        TargetConfig::crab(0.0),
+        TargetConfig::crab(0.025),
+        TargetConfig::card(),
+        TargetConfig::grey_box(),
+        TargetConfig::potato(),
+    ];
+
+    #[test]
+    fn every_target_is_centred_on_its_front_plane() {
+        for config in ALL {
+            let (model, parts) = build(&config, 3).unwrap();
+            let centre = outline::centroid(&model.outline_m);
+            assert!(centre.x.abs() < 1e-9 && centre.y.abs() < 1e-9, "{}: {centre}", model.name);
+            let (area, moments) = parts
+                .iter()
+                .map(|part| part.mesh.frontal_moments())
+                .fold((0.0, 0.0), |(area, z), (more, moments)| (area + more, z + moments.z));
+            assert!((moments / area).abs() < 1e-9, "{}", model.name);
+            let width = model.outline_m.iter().map(|p| p.x).fold(f64::MIN, f64::max)
+                - model.outline_m.iter().map(|p| p.x).fold(f64::MAX, f64::min);
+            assert!((0.1..0.13).contains(&width), "{} is {width} m wide", model.name);
+            assert!(model.outline_m.len() >= 4 && model.outline_m.len() < 800, "{}", model.outline_m.len());
+            assert_eq!(model.name, config.name());
+        }
+    }
+
+    #[test]
+    fn flat_targets_are_flat() {
+        for config in [TargetConfig::crab(0.0), TargetConfig::card(), TargetConfig::grey_box()] {
+            let (model, _) = build(&config, 3).unwrap();
+            assert!(model.outline_m.iter().all(|p| p.z.abs() < 1e-9), "{}", model.name);
+        }
+    }
+
+    #[test]
+    fn sizes_out_of_range_are_refused() {
+        let error = build(&TargetConfig::Card { size_m: [0.12, 4.0] }, 1).unwrap_err().to_string();
+        assert_eq!(error, "scene parameter target.size_m is 4: set it between 0.02 and 0.4");
+        assert!(build(&TargetConfig::crab(f64::NAN), 1).is_err());
+    }
+}

@@ -1,0 +1,123 @@
+//! Textures with their mip-maps, made once from a function.
+
+/// Colour of a texel or a pixel: red, green, blue in grey levels, 0 to 255.
+pub type Colour = [f64; 3];
+
+/// A texture: repeats in both directions, sides are powers of two, with a chain of ever coarser copies.
+///
+/// Texel `i` covers `i` to `i + 1` in texel coordinates, so its centre is at `i + 0.5`. Every coarser copy averages 2 x 2
+/// texels, which keeps places exactly where they are.
+#[derive(Clone, Debug)]
+pub struct Texture {
+    levels: Vec<Level>,
+}
+
+/// One copy of a texture.
+#[derive(Clone, Debug)]
+pub(crate) struct Level {
+    pub(crate) width_log2: u32,
+    pub(crate) height_log2: u32,
+    /// Red, green, blue in 16-bit lanes, 0 to 255 each, lowest lane first.
+    pub(crate) texels: Vec<u64>,
+}
+
+impl Texture {
+    /// A texture of `2^width_log2` x `2^height_log2` texels (exponents are cut at 12).
+    ///
+    /// `colour` gets texture coordinates of texel centres, 0 to 1.
+    pub fn from_fn(width_log2: u32, height_log2: u32, mut colour: impl FnMut(f64, f64) -> Colour) -> Self {
+        let (width_log2, height_log2) = (width_log2.min(12), height_log2.min(12));
+        let (width, height) = (1usize << width_log2, 1usize << height_log2);
+        let mut fine = Vec::with_capacity(width * height);
+        for row in 0..height {
+            for column in 0..width {
+                fine.push(colour((column as f64 + 0.5) / width as f64, (row as f64 + 0.5) / height as f64));
+            }
+        }
+        let mut levels = vec![Level::new(width_log2, height_log2, &fine)];
+        let (mut w, mut h) = (width_log2, height_log2);
+        while w > 0 && h > 0 {
+            fine = halve(&fine, 1 << w);
+            (w, h) = (w - 1, h - 1);
+            levels.push(Level::new(w, h, &fine));
+        }
+        Self { levels }
+    }
+
+    /// Width of the finest copy in texels.
+    pub fn width(&self) -> u32 {
+        1 << self.levels[0].width_log2
+    }
+
+    /// Height of the finest copy in texels.
+    pub fn height(&self) -> u32 {
+        1 << self.levels[0].height_log2
+    }
+
+    /// The copies, finest first; at least one.
+    pub(crate) fn levels(&self) -> &[Level] {
+        &self.levels
+    }
+}
+
+impl Level {
+    fn new(width_log2: u32, height_log2: u32, colours: &[Colour]) -> Self {
+        let lane = |value: f64| value.round().clamp(0.0, 255.0) as u64;
+        let texels = colours.iter().map(|c| lane(c[0]) | lane(c[1]) << 16 | lane(c[2]) << 32).collect();
+        Self { width_log2, height_log2, texels }
+    }
+}
+
+fn halve(fine: &[Colour], width: usize) -> Vec<Colour> {
+    fine.chunks_exact(2 * width)
+        .flat_map(|rows| {
+            let (upper, lower) = rows.split_at(width);
+            upper.chunks_exact(2).zip(lower.chunks_exact(2)).map(|(u, l)| {
+                let mean = |channel: usize| (u[0][channel] + u[1][channel] + l[0][channel] + l[1][channel]) / 4.0;
+                [mean(0), mean(1), mean(2)]
+            })
+        })
+        .collect()
+}
+
+/// Colour of a hue (degrees, any turn), saturation and value (0 to 1): the HSV hexagon.
+pub fn colour_from_hsv(hue_deg: f64, saturation: f64, value: f64) -> Colour {
+    let sextant = hue_deg / 60.0;
+    let channel = |phase: f64| {
+        let k = phase + sextant;
+        let k = k - 6.0 * (k / 6.0).floor();
+        255.0 * value.clamp(0.0, 1.0) * (1.0 - saturation.clamp(0.0, 1.0) * k.min(4.0 - k).clamp(0.0, 1.0))
+    };
+    [channel(5.0), channel(3.0), channel(1.0)]
+}
+
+/// Mixture of two colours: `a` at 0, `b` at 1.
+pub fn mix_colours(a: &Colour, b: &Colour, share_of_b: f64) -> Colour {
+    std::array::from_fn(|channel| a[channel] + (b[channel] - a[channel]) * share_of_b)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn coarser_copies_keep_the_mean() {
+        let texture = Texture::from_fn(4, 3, |u, v| [255.0 * u, 255.0 * v, 40.0]);
+        assert_eq!((texture.width(), texture.height(), texture.levels().len()), (16, 8, 4));
+        let last = &texture.levels()[3];
+        assert_eq!((last.width_log2, last.height_log2), (1, 0));
+        let red: u64 = last.texels.iter().map(|t| t & 0xffff).sum();
+        assert_eq!(red, 64 + 191);
+        assert_eq!(last.texels[0] >> 32, 40);
+    }
+
+    #[test]
+    fn hues_are_those_of_the_hexagon() {
+        let check = |hue, rgb: Colour| assert_eq!(colour_from_hsv(hue, 1.0, 1.0), rgb);
+        check(0.0, [255.0, 0.0, 0.0]);
+        check(60.0, [255.0, 255.0, 0.0]);
+        check(-120.0, [0.0, 0.0, 255.0]);
+        check(480.0, [0.0, 255.0, 0.0]);
+        assert_eq!(colour_from_hsv(200.0, 0.0, 0.5), [127.5; 3]);
+    }
+}
