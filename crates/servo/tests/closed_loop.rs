@@ -136,7 +136,7 @@ fn smoothing_quiets_the_hand_before_a_target_that_is_seen_with_jitter() {
     let (raw, smooth) = (wander(0.0), wander(0.5));
     // White jitter of sigma at an interval h through a low-pass of T has sigma sqrt(h / 2 T); through a second one of tau it
     // becomes smaller by sqrt(T / (T + tau)). Here sigma is 0.1/sqrt(12) rad about two axes at a lever of 0.5 m; T = 1/3 s.
-    let expected = 0.1 / 6f64.sqrt() * 0.5 * (1.0 / 30.0 / (2.0 / 3.0)).sqrt();
+    let expected = 0.1 / 6f64.sqrt() * 0.5 * (1.0f64 / 30.0 / (2.0 / 3.0)).sqrt();
     assert!((raw / expected - 1.0).abs() < 0.15, "{raw} instead of {expected}");
     let quieter = (0.333f64 / 0.833).sqrt();
     assert!((smooth / raw / quieter - 1.0).abs() < 0.15, "{smooth} against {raw}");
