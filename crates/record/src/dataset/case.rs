@@ -7,6 +7,7 @@ use nalgebra::Vector3;
 
 use super::json::{JsonFile, Node};
 use super::{CASE_FILE, DatasetError, SearchRange, polygon, search_range};
+use crate::calibration_files::{StereoCalibration, load_stereo};
 use crate::images::{DisparityMap, load_rgb, load_rgb_of_size, size_of};
 
 /// What makes a planar case hard, as the key `hard` says.
@@ -197,6 +198,14 @@ impl Case {
         let left = load_rgb(&self.left)?;
         let right = load_rgb_of_size(&self.right, size_of(&left), &self.left.display().to_string())?;
         Ok(StereoPictures { left, right })
+    }
+
+    /// Loads the calibration.
+    ///
+    /// # Errors
+    /// If the file is missing or refused.
+    pub fn load_calibration(&self) -> Result<StereoCalibration, DatasetError> {
+        Ok(load_stereo(std::slice::from_ref(&self.calibration))?)
     }
 
     /// Loads the disparity truth, if the case has one.

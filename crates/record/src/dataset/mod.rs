@@ -5,7 +5,6 @@
 //! file. Keys that are not part of the format are tolerated and listed in `other_keys`, so that a program can point out
 //! a misspelt one.
 
-mod calibration;
 mod case;
 mod json;
 mod sequence;
@@ -13,11 +12,11 @@ mod writer;
 
 use std::path::{Path, PathBuf};
 
-pub use calibration::write_calibration;
 pub use case::{Case, Hardness, PlaneTruth, StereoPictures, load_case};
 pub use sequence::{FramePattern, Sequence, load_sequence};
 pub use writer::{CaseDraft, SequenceDraft, SequenceSummary, SequenceWriter, WrittenFrame, write_case};
 
+use crate::calibration_files::CalibrationFileError;
 use crate::images::ImageFileError;
 
 /// Name of the file that makes a folder a case.
@@ -86,6 +85,9 @@ pub enum DatasetError {
     /// A picture can not be used.
     #[error(transparent)]
     Image(#[from] ImageFileError),
+    /// A calibration can not be used.
+    #[error(transparent)]
+    Calibration(#[from] CalibrationFileError),
     /// A frame does not fit the frames before it.
     #[error("frame {frame} of the recording in {}: {reason}", folder.display())]
     Frame {

@@ -10,6 +10,7 @@ use pb3dp_geometry::{ImageSize, Pose};
 use super::case::StereoPictures;
 use super::json::{JsonFile, Node};
 use super::{DatasetError, SEQUENCE_FILE, SearchRange, polygon, search_range};
+use crate::calibration_files::{StereoCalibration, load_stereo};
 use crate::images::load_rgb_of_size;
 
 /// A file name with one number in it, written as in C: `left_%04d.png`.
@@ -165,6 +166,14 @@ impl Sequence {
     /// Files of a frame: left, right.
     pub fn picture_files(&self, frame: u64) -> (PathBuf, PathBuf) {
         (self.folder.join(self.left.name(frame)), self.folder.join(self.right.name(frame)))
+    }
+
+    /// Loads the calibration.
+    ///
+    /// # Errors
+    /// If the file is missing or refused.
+    pub fn load_calibration(&self) -> Result<StereoCalibration, DatasetError> {
+        Ok(load_stereo(std::slice::from_ref(&self.calibration))?)
     }
 
     /// Loads both pictures of a frame and checks their size, which the calibration tells.

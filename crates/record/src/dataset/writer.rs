@@ -10,7 +10,8 @@ use pb3dp_geometry::{ImageSize, MonotonicTime, Pose, StereoRig};
 use serde_json::{Value, json};
 
 use super::case::{Hardness, PlaneTruth};
-use super::{CALIBRATION_FILE, CASE_FILE, DatasetError, FramePattern, SEQUENCE_FILE, SearchRange, write_calibration};
+use super::{CALIBRATION_FILE, CASE_FILE, DatasetError, FramePattern, SEQUENCE_FILE, SearchRange};
+use crate::calibration_files::save_json;
 use crate::images::{PictureFormat, save, size_of};
 
 /// What a case says beside its pictures and calibration.
@@ -82,7 +83,7 @@ pub fn write_case(
     start_folder(folder, &file)?;
     save(left, &folder.join("left.png"), PictureFormat::Png)?;
     save(right, &folder.join("right.png"), PictureFormat::Png)?;
-    write_calibration(&folder.join(CALIBRATION_FILE), rig)?;
+    save_json(rig, &folder.join(CALIBRATION_FILE))?;
     let mut keys = vec![
         ("case", json!(draft.name)),
         ("left", json!("left.png")),
@@ -138,7 +139,7 @@ impl SequenceWriter {
     /// If the folder holds a sequence already, or can not be written to.
     pub fn create(folder: &Path, rig: &StereoRig, draft: SequenceDraft) -> Result<Self, DatasetError> {
         start_folder(folder, &folder.join(SEQUENCE_FILE))?;
-        write_calibration(&folder.join(CALIBRATION_FILE), rig)?;
+        save_json(rig, &folder.join(CALIBRATION_FILE))?;
         let extension = draft.pictures.extension();
         Ok(Self {
             folder: folder.to_owned(),
@@ -259,7 +260,7 @@ fn start_folder(folder: &Path, file: &Path) -> Result<(), DatasetError> {
 }
 
 /// Writes an object with one key per line, as a whole or not at all.
-pub(super) fn write_object(file: &Path, keys: &[(&str, Value)]) -> Result<(), DatasetError> {
+fn write_object(file: &Path, keys: &[(&str, Value)]) -> Result<(), DatasetError> {
     let mut text = String::from("{\n");
     for (i, (key, value)) in keys.iter().enumerate() {
         let comma = if i + 1 < keys.len() { "," } else { "" };

@@ -1,0 +1,293 @@
+//! Self-contained HTML reports: one file, no script, nothing loaded from elsewhere, readable in light and dark.
+//!
+//! ```
+//! use pb3dp_record::report::{LinePlot, Report, Series, SeriesColor, Table};
+//!
+//! let series = Series::line("hand", SeriesColor::Red, vec![[0.0, 1.0], [0.1, 1.5], [0.2, 1.2]]);
+//! let html = Report::new("Run of today")
+//!     .paragraph("The hand followed.")
+//!     .table(&Table::new(["axis", "rms, mm"]).row(["x", "1.2"]))
+//!     .plot(&LinePlot::new("x", ("time", "s"), ("position", "mm")).series(series))
+//!     .to_html()?;
+//! assert!(html.contains("<svg"));
+//! # Ok::<(), pb3dp_record::report::ReportError>(())
+//! ```
+
+mod axis;
+mod base64;
+mod line_plot;
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use image::RgbImage;
+
+use line_plot::PlotWidth;
+pub use line_plot::{LinePlot, Mark, Series, SeriesColor};
+
+use crate::images::{PictureFormat, encode};
+
+/// Why a report was not written.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// A picture can not be encoded.
+    #[error("picture `{caption}` of the report can not be encoded: it must have at least one pixel")]
+    Picture {
+        /// Its caption.
+        caption: String,
+        /// The cause.
+        #[source]
+        source: image::ImageError,
+    },
+    /// The file can not be written.
+    #[error("report {} can not be written: check the folder and free space", file.display())]
+    Write {
+        /// The file.
+        file: PathBuf,
+        /// The cause.
+        #[source]
+        source: std::io::Error,
+    },
+}
+
+/// A table; the first column is left-aligned, the others right-aligned.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Table {
+    headings: Vec<String>,
+    rows: Vec<Vec<String>>,
+}
+
+impl Table {
+    /// A table without rows. Units belong into the headings.
+    pub fn new<S: Into<String>>(headings: impl IntoIterator<Item = S>) -> Self {
+        Self { headings: headings.into_iter().map(Into::into).collect(), rows: Vec::new() }
+    }
+
+    /// Adds a row; missing cells stay empty, cells beyond the headings are left out.
+    #[must_use]
+    pub fn row<S: Into<String>>(mut self, cells: impl IntoIterator<Item = S>) -> Self {
+        let mut row: Vec<String> = cells.into_iter().map(Into::into).collect();
+        row.resize(self.headings.len(), String::new());
+        self.rows.push(row);
+        self
+    }
+}
+
+/// A picture of a report.
+#[derive(Clone, Debug)]
+pub enum ReportPicture<'a> {
+    /// Stored as JPEG: photographs.
+    Photo(&'a RgbImage),
+    /// Stored as PNG: drawings.
+    Drawing(&'a RgbImage),
+    /// The content of a PNG file, animated or not, stored as it is.
+    EncodedPng(&'a [u8]),
+}
+
+/// A report that is being put together, from top to bottom. Every text is escaped.
+#[derive(Debug)]
+pub struct Report {
+    title: String,
+    body: String,
+    failed: Option<ReportError>,
+}
+
+impl Report {
+    /// An empty report.
+    pub fn new(title: impl Into<String>) -> Self {
+        Self { title: title.into(), body: String::new(), failed: None }
+    }
+
+    fn add(mut self, html: std::fmt::Arguments<'_>) -> Self {
+        // Writing to a String does not fail.
+        let _ = self.body.write_fmt(html);
+        self.body.push('\n');
+        self
+    }
+
+    /// Starts a section.
+    #[must_use]
+    pub fn heading(self, text: &str) -> Self {
+        self.add(format_args!("<h2>{}</h2>", escape(text)))
+    }
+
+    /// A paragraph.
+    #[must_use]
+    pub fn paragraph(self, text: &str) -> Self {
+        self.add(format_args!("<p>{}</p>", escape(text)))
+    }
+
+    /// A row of large figures: name and value with its unit.
+    #[must_use]
+    pub fn figures(self, figures: &[(&str, String)]) -> Self {
+        let tile = |(name, value): &(&str, String)| {
+            format!("<div><strong>{}</strong><span>{}</span></div>", escape(value), escape(name))
+        };
+        let tiles: String = figures.iter().map(tile).collect();
+        self.add(format_args!("<div class=\"figures\">{tiles}</div>"))
+    }
+
+    /// A table.
+    #[must_use]
+    pub fn table(self, table: &Table) -> Self {
+        let cells = |tag: &str, row: &[String]| -> String {
+            row.iter().map(|cell| format!("<{tag}>{}</{tag}>", escape(cell))).collect()
+        };
+        let rows: String = table.rows.iter().map(|row| format!("<tr>{}</tr>", cells("td", row))).collect();
+        let head = cells("th", &table.headings);
+        self.add(format_args!(
+            "<div class=\"wide\"><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>"
+        ))
+    }
+
+    /// A plot over the whole width.
+    #[must_use]
+    pub fn plot(self, plot: &LinePlot) -> Self {
+        self.add(format_args!("{}", plot.to_html(PlotWidth::PAGE)))
+    }
+
+    /// Plots side by side where the window is wide enough, as the panels of a figure.
+    #[must_use]
+    pub fn panels(self, plots: &[LinePlot]) -> Self {
+        let panels: String = plots.iter().map(|plot| plot.to_html(PlotWidth::PANEL)).collect();
+        self.add(format_args!("<div class=\"panels\">{panels}</div>"))
+    }
+
+    /// A strip of pictures with captions.
+    #[must_use]
+    pub fn images(mut self, pictures: &[(ReportPicture<'_>, String)]) -> Self {
+        let mut strip = String::new();
+        for (picture, caption) in pictures {
+            match picture_tag(picture, caption) {
+                Ok(tag) => strip.push_str(&tag),
+                // Kept until the report is written, so that a report can be chained.
+                Err(error) => self.failed = self.failed.or(Some(error)),
+            }
+        }
+        self.add(format_args!("<div class=\"strip\">{strip}</div>"))
+    }
+
+    /// The whole report.
+    ///
+    /// # Errors
+    /// If a picture could not be encoded.
+    pub fn to_html(mut self) -> Result<String, ReportError> {
+        match self.failed.take() {
+            Some(error) => Err(error),
+            None => Ok(self.page()),
+        }
+    }
+
+    /// Writes the report.
+    ///
+    /// # Errors
+    /// If a picture could not be encoded or the file can not be written.
+    pub fn write(self, file: &Path) -> Result<(), ReportError> {
+        let html = self.to_html()?;
+        std::fs::write(file, html).map_err(|source| ReportError::Write { file: file.to_owned(), source })
+    }
+
+    fn page(&self) -> String {
+        let title = escape(&self.title);
+        format!(
+            "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n\
+             <style>\n{}</style>\n</head>\n<body>\n<main>\n<h1>{title}</h1>\n{}</main>\n</body>\n</html>\n",
+            include_str!("style.css"),
+            self.body
+        )
+    }
+}
+
+fn picture_tag(picture: &ReportPicture<'_>, caption: &str) -> Result<String, ReportError> {
+    let encoded = |picture, format| {
+        encode(picture, format).map_err(|source| ReportError::Picture { caption: caption.to_owned(), source })
+    };
+    let (kind, data) = match picture {
+        ReportPicture::Photo(picture) => {
+            ("jpeg", base64::encode(&encoded(picture, PictureFormat::Jpeg { quality: 85 })?))
+        }
+        ReportPicture::Drawing(picture) => ("png", base64::encode(&encoded(picture, PictureFormat::Png)?)),
+        ReportPicture::EncodedPng(bytes) => ("png", base64::encode(bytes)),
+    };
+    let caption = escape(caption);
+    Ok(format!(
+        "<figure><img alt=\"{caption}\" src=\"data:image/{kind};base64,{data}\"><figcaption>{caption}</figcaption></figure>"
+    ))
+}
+
+/// Text as HTML content or attribute value.
+fn escape(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for character in text.chars() {
+        match character {
+            '&' => escaped.push_str("&amp;"),
+            '<' => escaped.push_str("&lt;"),
+            '>' => escaped.push_str("&gt;"),
+            '"' => escaped.push_str("&quot;"),
+            '\'' => escaped.push_str("&#39;"),
+            other => escaped.push(other),
+        }
+    }
+    escaped
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_text_is_escaped_and_nothing_is_loaded() {
+        let nasty = "<script>alert('a & \"b\"')</script>";
+        let plot = LinePlot::new(nasty, (nasty, nasty), (nasty, nasty))
+            .series(Series::line(nasty, SeriesColor::Ink, vec![[0.0, 0.0], [1.0, 1.0]]))
+            .mark(0.5, nasty);
+        let picture = RgbImage::new(4, 3);
+        let html = Report::new(nasty)
+            .heading(nasty)
+            .paragraph(nasty)
+            .figures(&[(nasty, nasty.to_owned())])
+            .table(&Table::new([nasty]).row([nasty]))
+            .panels(&[plot])
+            .images(&[(ReportPicture::Photo(&picture), nasty.to_owned())])
+            .to_html()
+            .unwrap();
+        assert!(!html.contains("<script") && !html.contains("alert('"), "{html}");
+        assert!(html.contains("&lt;script&gt;alert(&#39;a &amp; &quot;b&quot;&#39;)&lt;/script&gt;"));
+        assert!(!html.contains("http"), "no external resource");
+    }
+
+    #[test]
+    fn rows_are_as_long_as_the_headings() {
+        let table = Table::new(["a", "b"]).row(["1"]).row(["1", "2", "3"]);
+        let html = Report::new("t").table(&table).to_html().unwrap();
+        assert!(html.contains("<tr><td>1</td><td></td></tr><tr><td>1</td><td>2</td></tr>"));
+    }
+
+    #[test]
+    fn pictures_are_embedded_and_an_empty_one_is_refused_by_caption() {
+        let picture = RgbImage::from_fn(6, 5, |x, y| image::Rgb([x as u8, y as u8, 9]));
+        let png = encode(&picture, PictureFormat::Png).unwrap();
+        let strip = [
+            (ReportPicture::Drawing(&picture), "one".to_owned()),
+            (ReportPicture::EncodedPng(&png), "two".to_owned()),
+            (ReportPicture::Photo(&picture), "three".to_owned()),
+        ];
+        let html = Report::new("t").images(&strip).to_html().unwrap();
+        assert_eq!(html.matches(&base64::encode(&png)).count(), 2);
+        assert_eq!(html.matches("data:image/jpeg;base64,/9j/").count(), 1);
+        let empty = RgbImage::new(0, 0);
+        let error = Report::new("t")
+            .images(&[(ReportPicture::Photo(&empty), "frame 3".into())])
+            .paragraph("more")
+            .to_html()
+            .unwrap_err();
+        assert!(error.to_string().contains("frame 3"), "{error}");
+    }
+
+    #[test]
+    fn a_report_that_can_not_be_written_names_its_file() {
+        let error = Report::new("t").write(Path::new("/nonexistent/report.html")).unwrap_err();
+        assert!(error.to_string().contains("report.html"));
+    }
+}

@@ -1,0 +1,252 @@
+//! The dataset format from outside: the test data of the repository, its schema, and what the writers write.
+
+use std::path::{Path, PathBuf};
+
+use image::{Rgb, RgbImage};
+use nalgebra::{UnitQuaternion, Vector2, Vector3};
+use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_geometry::{Camera, Distortion, ImageSize, MonotonicTime, Pinhole, Pose, StereoRig};
+use pb3dp_record::dataset::{
+    CaseDraft, DatasetError, Hardness, PlaneTruth, SearchRange, SequenceDraft, SequenceWriter, WrittenFrame,
+    find_cases, load_case, load_sequence, write_case,
+};
+use pb3dp_record::images::{ImageProblem, PictureFormat};
+use pb3dp_record::metrics::plane::disparity_plane;
+use pb3dp_record::metrics::{Group, PlaneEstimate};
+use serde_json::{Value, json};
+
+fn repository() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
+
+fn json_file(path: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+/// The schema of one of the three files.
+fn schema(of: &str) -> jsonschema::Validator {
+    let mut schema = json_file(&repository().join("docs/dataset.schema.json"));
+    let root = schema.as_object_mut().unwrap();
+    root.remove("anyOf");
+    root.insert("$ref".into(), json!(format!("#/$defs/{of}")));
+    jsonschema::draft202012::new(&schema).unwrap()
+}
+
+fn check_schema(of: &str, file: &Path) {
+    let value = json_file(file);
+    let errors: Vec<_> = schema(of).iter_errors(&value).map(|e| e.to_string()).collect();
+    assert!(errors.is_empty(), "{}: {errors:?}", file.display());
+}
+
+#[test]
+fn the_schema_is_a_valid_schema_and_refuses_what_the_reader_refuses() {
+    let text = json_file(&repository().join("docs/dataset.schema.json"));
+    jsonschema::draft202012::meta::validate(&text).unwrap();
+    let case = json!({"left": "l.png", "right": "r.png", "calib": "c.json",
+        "region_polygon_left_px": [[1, 2], [30, 4], [5, 60]],
+        "search": {"z_min_mm": 300, "z_max_mm": 900, "tilt_max_deg": 60}});
+    assert!(schema("case").is_valid(&case));
+    let changes = [
+        ("/left", json!(7)),
+        ("/region_polygon_left_px", json!([[1, 2], [3, 4]])),
+        ("/search/tilt_max_deg", json!(90)),
+        ("/search/z_min_mm", json!(-1)),
+        ("/region_polygon_left_px/1", json!([1, 2, 3])),
+    ];
+    let dir = tempfile::tempdir().unwrap();
+    for (place, value) in changes {
+        let mut wrong = case.clone();
+        *wrong.pointer_mut(place).unwrap() = value;
+        assert!(!schema("case").is_valid(&wrong), "{place}");
+        std::fs::write(dir.path().join("case.json"), wrong.to_string()).unwrap();
+        assert!(load_case(dir.path()).is_err(), "{place}");
+    }
+}
+
+#[test]
+fn the_test_data_load_and_follow_the_schema() {
+    let folders = find_cases(&repository().join("tests/data/cases")).unwrap();
+    assert_eq!(folders.len(), 4);
+    for folder in folders {
+        check_schema("case", &folder.join("case.json"));
+        check_schema("calib", &folder.join("calib.json"));
+        let case = load_case(&folder).unwrap();
+        assert_eq!(case.other_keys, [""; 0]);
+        assert_eq!(Group::of(&case), Group::Boards);
+        let pictures = case.load_pictures().unwrap();
+        assert_eq!(pictures.left.dimensions(), (640, 480));
+        assert_ne!(pictures.left, pictures.right);
+        let rig = case.load_calibration().unwrap().rig;
+        assert!(rig.is_rectified() && (rig.baseline_m() - 0.120_376_75).abs() < 1e-8);
+        check_truth_is_consistent(&case.truth.unwrap(), case.region_centroid_px.unwrap(), &rig);
+    }
+}
+
+/// The truth states one plane three times: as normal and depth, as normal and distance, and as disparities.
+fn check_truth_is_consistent(truth: &PlaneTruth, centroid_px: [f64; 2], rig: &StereoRig) {
+    let ray = rig.left().unproject(&Vector2::from(centroid_px)).unwrap();
+    let h_m = -truth.normal_in_cam_left.dot(&ray) * truth.z_m;
+    assert!((h_m - truth.h_m.unwrap()).abs() < 1e-6, "{h_m}");
+    let estimate = PlaneEstimate { z_m: truth.z_m, normal_in_cam_left: truth.normal_in_cam_left };
+    let found = disparity_plane(&estimate, centroid_px, rig).unwrap();
+    for (found, expected) in found.into_iter().zip(truth.disparity_plane.unwrap()) {
+        assert!((found - expected).abs() < 1e-3 * expected.abs().max(0.1), "{found} is not {expected}");
+    }
+}
+
+fn search() -> SearchRange {
+    SearchRange { z_min_m: 0.35, z_max_m: 0.8, tilt_max_rad: 0.75 }
+}
+
+fn rig() -> StereoRig {
+    let camera = |fx, cx, k1| {
+        let size = ImageSize { width: 32, height: 24 };
+        let pinhole = Pinhole { fx, fy: fx + 0.5, cx, cy: 11.25 };
+        Camera::new(size, pinhole, Distortion::BrownConrady5 { coefficients: [k1, 0.02, 1e-3, -2e-3, 0.1] }).unwrap()
+    };
+    let turn = UnitQuaternion::from_euler_angles(0.01, -0.02, 0.03);
+    let pose = Pose::from_parts(Vector3::new(-0.1, 0.002, -0.003), turn);
+    StereoRig::new(camera(40.0, 15.5, -0.1), camera(41.0, 16.0, -0.2), pose).unwrap()
+}
+
+fn picture(seed: u8) -> RgbImage {
+    RgbImage::from_fn(32, 24, |u, v| Rgb([seed, (7 * u) as u8, (9 * v) as u8]))
+}
+
+fn same_rig(a: &StereoRig, b: &StereoRig) {
+    assert_eq!((a.left(), a.right()), (b.left(), b.right()));
+    let difference = a.cam_right_from_cam_left().to_homogeneous() - b.cam_right_from_cam_left().to_homogeneous();
+    assert!(difference.amax() < 1e-12, "{difference}");
+}
+
+#[test]
+fn a_written_case_is_read_back() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("new/case");
+    let truth = PlaneTruth {
+        m_per_px_disparity: Some(0.002),
+        how: Some("made \"up\"".into()),
+        ..PlaneTruth::exact(Vector3::new(0.05, -0.02, 0.6), Vector3::new(0.2, -0.3, 0.9))
+    };
+    let draft = CaseDraft {
+        name: "made".into(),
+        region_polygon_left_px: vec![[1.5, 2.0], [20.0, 3.0], [18.0, 20.25]],
+        region_centroid_px: Some([13.0, 8.5]),
+        search: search(),
+        planar: false,
+        hard: Some(Hardness::LowTexture),
+        truth: Some(truth.clone()),
+    };
+    write_case(&folder, &draft, &rig(), &picture(1), &picture(2)).unwrap();
+    check_schema("case", &folder.join("case.json"));
+    check_schema("calib", &folder.join("calib.json"));
+    let case = load_case(&folder).unwrap();
+    assert_eq!((case.name.as_str(), case.planar, case.hard), ("made", false, Some(Hardness::LowTexture)));
+    assert_eq!(case.region_polygon_left_px, draft.region_polygon_left_px);
+    assert!((case.search.z_max_m - 0.8).abs() < 1e-12 && (case.search.tilt_max_rad - 0.75).abs() < 1e-12);
+    let read = case.truth.as_ref().unwrap();
+    assert!((read.normal_in_cam_left - truth.normal_in_cam_left).norm() < 1e-12);
+    assert!((read.h_m.unwrap() - truth.h_m.unwrap()).abs() < 1e-12);
+    assert_eq!(read.how, truth.how);
+    let pictures = case.load_pictures().unwrap();
+    assert_eq!((pictures.left, pictures.right), (picture(1), picture(2)));
+    same_rig(&case.load_calibration().unwrap().rig, &rig());
+    let again = write_case(&folder, &draft, &rig(), &picture(1), &picture(2)).unwrap_err();
+    assert!(matches!(again, DatasetError::Exists { .. }), "{again}");
+}
+
+fn pose(i: u64) -> Pose<CamLeft, Model> {
+    let s = i as f64;
+    let turn = UnitQuaternion::from_euler_angles(0.1 * s, 0.2, -0.3);
+    Pose::from_parts(Vector3::new(0.01 * s, -0.02, 0.5 + 0.003 * s), turn)
+}
+
+fn recorded(folder: &Path, pictures: PictureFormat) -> DatasetResult {
+    let region_polygon_left_px = vec![[1.0, 2.0], [20.0, 3.0], [18.0, 20.0]];
+    let mut writer =
+        SequenceWriter::create(folder, &rig(), SequenceDraft { region_polygon_left_px, search: search(), pictures })?;
+    for i in 0..3 {
+        writer.push(WrittenFrame {
+            left: &picture(10 * i as u8),
+            right: &picture(10 * i as u8 + 1),
+            exposed_at: MonotonicTime::from_nanos(5_000_000_000 + 33_333_333 * i),
+            skew_nanos: -250_000,
+            cam_left_from_model: Some(pose(i)),
+        })?;
+    }
+    Ok(writer.finish()?.frames)
+}
+
+type DatasetResult = Result<u64, DatasetError>;
+
+#[test]
+fn a_recorded_sequence_is_read_back() {
+    let dir = tempfile::tempdir().unwrap();
+    assert_eq!(recorded(dir.path(), PictureFormat::Png).unwrap(), 3);
+    check_schema("sequence", &dir.path().join("sequence.json"));
+    let sequence = load_sequence(dir.path()).unwrap();
+    let times_nanos: Vec<_> = sequence.times_s.iter().map(|t| MonotonicTime::from_secs_f64(*t).as_nanos()).collect();
+    assert_eq!(times_nanos, [5_000_000_000, 5_033_333_333, 5_066_666_666]);
+    assert_eq!(sequence.skew_s, [-0.000_25; 3]);
+    same_rig(&sequence.load_calibration().unwrap().rig, &rig());
+    let size = ImageSize { width: 32, height: 24 };
+    let pictures = sequence.load_pictures(2, size).unwrap();
+    assert_eq!((pictures.left, pictures.right), (picture(20), picture(21)));
+    for (i, read) in (0..).zip(sequence.cam_left_from_model.as_ref().unwrap()) {
+        assert!((read.to_homogeneous() - pose(i).to_homogeneous()).amax() < 1e-12);
+    }
+    let again = recorded(dir.path(), PictureFormat::Png).unwrap_err();
+    assert!(matches!(again, DatasetError::Exists { .. }), "{again}");
+}
+
+#[test]
+fn a_frame_that_does_not_fit_is_refused_and_leaves_the_recording_usable() {
+    let dir = tempfile::tempdir().unwrap();
+    let draft = SequenceDraft {
+        region_polygon_left_px: vec![[1.0, 2.0], [20.0, 3.0], [18.0, 20.0]],
+        search: search(),
+        pictures: PictureFormat::Jpeg { quality: 90 },
+    };
+    let mut writer = SequenceWriter::create(dir.path(), &rig(), draft).unwrap();
+    let (whole, small) = (picture(1), RgbImage::new(8, 8));
+    let frame = |right, at, truth| WrittenFrame {
+        left: &whole,
+        right,
+        exposed_at: MonotonicTime::from_nanos(at),
+        skew_nanos: 0,
+        cam_left_from_model: truth,
+    };
+    writer.push(frame(&whole, 100, None)).unwrap();
+    let mut check = |frame, part: &str| {
+        let message = writer.push(frame).unwrap_err().to_string();
+        assert!(message.contains("frame 1") && message.contains(part), "{message}");
+    };
+    check(frame(&whole, 100, None), "later");
+    check(frame(&small, 200, None), "right picture has 8x8");
+    check(frame(&whole, 200, Some(pose(0))), "all frames or in none");
+    writer.push(frame(&whole, 200, None)).unwrap();
+    assert_eq!(writer.finish().unwrap().frames, 2);
+    let sequence = load_sequence(dir.path()).unwrap();
+    assert!(sequence.cam_left_from_model.is_none() && sequence.skew_s.is_empty());
+    assert!(sequence.picture_files(1).0.ends_with("left_0001.jpg"));
+    assert!(sequence.load_pictures(1, ImageSize { width: 32, height: 24 }).is_ok());
+}
+
+#[test]
+fn a_bad_picture_costs_its_own_frame_only() {
+    let dir = tempfile::tempdir().unwrap();
+    recorded(dir.path(), PictureFormat::Png).unwrap();
+    let sequence = load_sequence(dir.path()).unwrap();
+    std::fs::write(dir.path().join("right_0001.png"), b"\x89PNG\r\n\x1a\n cut").unwrap();
+    let size = ImageSize { width: 32, height: 24 };
+    match sequence.load_pictures(1, size).unwrap_err() {
+        DatasetError::Image(error) => {
+            assert_eq!(error.problem, ImageProblem::Damaged);
+            assert!(error.file.ends_with("right_0001.png"));
+        }
+        other => panic!("{other}"),
+    }
+    assert!(sequence.load_pictures(0, size).is_ok() && sequence.load_pictures(2, size).is_ok());
+    let message = sequence.load_pictures(0, ImageSize { width: 640, height: 480 }).unwrap_err().to_string();
+    assert!(message.contains("left_0000.png") && message.contains("32x24") && message.contains("calib.json"));
+}
