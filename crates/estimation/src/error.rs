@@ -49,6 +49,26 @@ pub enum EstimationError {
         /// Name of the kernel set.
         kernel: &'static str,
     },
+    /// The region was refused.
+    #[error(transparent)]
+    Region(#[from] crate::region::RegionError),
+    /// An image could not be undistorted.
+    #[error("undistortion failed")]
+    Remap(#[from] pb3dp_geometry::maps::RemapError),
+    /// A pixel has no ray, or a camera is malformed.
+    #[error(transparent)]
+    Camera(#[from] pb3dp_geometry::CameraError),
+    /// No method of that name.
+    #[error("there is no method \"{name}\": known methods are {known}")]
+    UnknownMethod {
+        /// The name asked for.
+        name: String,
+        /// The names that exist.
+        known: String,
+    },
+    /// A tracker was asked for the next frame before the first.
+    #[error("the tracker has no target yet: call start with the first frame and its region")]
+    NotStarted,
 }
 
 /// Refuses a parameter that is not finite or outside `[min, max]`.

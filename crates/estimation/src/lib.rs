@@ -9,12 +9,24 @@
 
 pub mod cpu;
 pub mod error;
+pub mod estimate;
+pub mod estimator;
 pub mod fitness;
 pub mod hue;
+pub mod observability;
 pub mod photo_model;
 pub mod plane_hypothesis;
+pub mod published;
 pub mod region;
 pub mod search;
+pub mod status;
 mod trig;
+
+#[cfg(test)]
+#[path = "../tests/support/naive.rs"]
+mod naive;
+#[cfg(test)]
+#[path = "../tests/support/scene.rs"]
+mod scene;
 
 pub use error::EstimationError;
