@@ -16,7 +16,11 @@ const WORLDS: [World; 6] = [
         paths: &["std::fs", "std::os", "image::open", "image::ImageReader::open", "image::save_buffer", "File::open"],
         allowed_in: &["crates/record/", "crates/orchestrator/", "hal/camera-replay/"],
     },
-    World { what: "threads", paths: &["std::thread", "rayon"], allowed_in: &["crates/orchestrator/", "hal/clock/"] },
+    World {
+        what: "threads",
+        paths: &["std::thread", "rayon"],
+        allowed_in: &["crates/orchestrator/", "hal/clock/", "hal/conformance/"],
+    },
     World {
         what: "the wall clock",
         paths: &[
@@ -26,7 +30,7 @@ const WORLDS: [World; 6] = [
             "Instant::now",
             "SystemTime::now",
         ],
-        allowed_in: &["crates/orchestrator/", "hal/clock/"],
+        allowed_in: &["crates/orchestrator/", "hal/clock/", "hal/conformance/"],
     },
     World { what: "the environment", paths: &["std::env"], allowed_in: &["crates/orchestrator/"] },
     World { what: "other programs", paths: &["std::process"], allowed_in: &["crates/orchestrator/"] },
