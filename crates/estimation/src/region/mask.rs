@@ -162,10 +162,11 @@ impl RegionMask {
         };
         for y in -radius..height + radius {
             let mut start = 0_i64;
-            while y >= 0 && y < height {
-                let Some((first, last)) = self.next_run(y as u32, start as u32) else { break };
-                cut(y, if start == 0 { -radius } else { start }, i64::from(first) - 1);
-                start = i64::from(last) + 1;
+            if (0..height).contains(&y) {
+                while let Some((first, last)) = self.next_run(y as u32, start as u32) {
+                    cut(y, if start == 0 { -radius } else { start }, i64::from(first) - 1);
+                    start = i64::from(last) + 1;
+                }
             }
             cut(y, if start == 0 { -radius } else { start }, width - 1 + radius);
         }

@@ -1,0 +1,114 @@
+//! The answer to "where is this surface": a plane, a status, and why.
+
+use nalgebra::{Vector2, Vector3};
+use pb3dp_geometry::Camera;
+
+use crate::observability::Landscape;
+use crate::plane_hypothesis::PlaneHypothesis;
+use crate::region::RegionWarning;
+use crate::status::Status;
+
+/// What may make an estimate worse than it looks.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum EstimateWarning {
+    /// The region may serve badly.
+    #[error(transparent)]
+    Region(#[from] RegionWarning),
+    /// The search ended below a score that the probe has met by chance.
+    #[error(
+        "the search ended at fitness {found:.3}, a coarse grid found {grid:.3}: allow more generations or narrow the search range"
+    )]
+    SearchIncomplete {
+        /// Fitness of the answer.
+        found: f64,
+        /// Highest fitness of the probe.
+        grid: f64,
+    },
+    /// The answer lies at an end of the depth range.
+    #[error("the answer, z = {z_mm:.1} mm, lies at the end of the depth range: widen the range")]
+    EndOfRange {
+        /// Depth, millimetres.
+        z_mm: f64,
+    },
+}
+
+/// A plane in `cam_left`, as found on one pair.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlanePose {
+    /// Depth of the plane on the ray of the region's centroid, metres.
+    pub z_m: f64,
+    /// Unit normal in `cam_left`, towards the camera.
+    pub normal_in_cam_left: Vector3<f64>,
+    /// The inverse-depth plane: 1/depth on a ray `d` (third component 1) is `q . d`, 1/m.
+    pub inverse_depth_plane: Vector3<f64>,
+}
+
+impl PlanePose {
+    /// The plane of an inverse-depth plane; `z_m` is taken on `centre_ray` (third component 1). `None` if the plane is not
+    /// in front of the camera there.
+    pub fn from_inverse_depth_plane(q: Vector3<f64>, centre_ray: &Vector3<f64>) -> Option<Self> {
+        let inverse_depth = q.dot(centre_ray);
+        let length = q.norm();
+        (inverse_depth > 0.0 && length.is_finite()).then(|| Self {
+            z_m: 1.0 / inverse_depth,
+            normal_in_cam_left: -q / length,
+            inverse_depth_plane: q,
+        })
+    }
+
+    /// Depth of the plane on a ray of `cam_left` (third component 1), metres; `None` where it is not in front of the camera.
+    pub fn depth_on_ray(&self, ray: &Vector3<f64>) -> Option<f64> {
+        let inverse_depth = self.inverse_depth_plane.dot(ray);
+        (inverse_depth > 0.0).then(|| 1.0 / inverse_depth)
+    }
+}
+
+/// The outcome for one pair.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlaneEstimate {
+    /// How far the answer can be trusted.
+    pub status: Status,
+    /// What led to the status.
+    pub reason: String,
+    /// What may make the answer worse than it looks.
+    pub warnings: Vec<EstimateWarning>,
+    /// Centroid of the region's pixels, raw left image, pixels.
+    pub centroid_px: Vector2<f64>,
+    /// The plane; `None` where the method can not say: status `not-observable`.
+    pub pose: Option<PlanePose>,
+    /// The best hypothesis, also where it decides nothing; its depth is on the ray of the model's centre, which for images
+    /// with distortion differs from the centroid's ray by a fraction of a pixel. `None` if nothing was searched.
+    pub psi: Option<PlaneHypothesis>,
+    /// Fitness of `psi`, at most 1.
+    pub fitness: Option<f64>,
+    /// Standard deviation of the depth, metres; `None`: the method can not say.
+    pub z_sigma_m: Option<f64>,
+    /// Standard deviation of the normal, radians; `None`: the method can not say.
+    pub normal_sigma_rad: Option<f64>,
+    /// What the observability probe found; `None` if nothing was searched.
+    pub landscape: Option<Landscape>,
+    /// The highest fitness of all 2^24 chromosomes and where it is reached, if asked for. What lies between it and `psi` is
+    /// the fault of the search, what lies between it and the truth the fault of the fitness.
+    pub reference_optimum: Option<(PlaneHypothesis, f64)>,
+    /// The left camera of the raw image, for [`Self::depth_at_pixel`].
+    pub left_camera: Camera,
+}
+
+impl PlaneEstimate {
+    /// Depth of the plane on the ray of the region's centroid, metres.
+    pub fn z_m(&self) -> Option<f64> {
+        self.pose.map(|pose| pose.z_m)
+    }
+
+    /// Unit normal in `cam_left`, towards the camera.
+    pub fn normal_in_cam_left(&self) -> Option<Vector3<f64>> {
+        self.pose.map(|pose| pose.normal_in_cam_left)
+    }
+
+    /// Depth of the plane on the ray of a pixel of the raw left image, metres. `None` without a pose, where the pixel has no
+    /// ray, or where the plane is not in front of the camera.
+    pub fn depth_at_pixel(&self, pixel: &Vector2<f64>) -> Option<f64> {
+        let ray = self.left_camera.unproject(pixel).ok()?;
+        self.pose?.depth_on_ray(&ray)
+    }
+}

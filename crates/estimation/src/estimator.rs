@@ -1,0 +1,122 @@
+//! The entry: estimators and trackers by the name of their method.
+
+use std::fmt;
+use std::str::FromStr;
+
+use image::RgbImage;
+use pb3dp_geometry::StereoRig;
+
+use crate::error::EstimationError;
+use crate::estimate::PlaneEstimate;
+use crate::plane_hypothesis::SearchRange;
+use crate::published::PublishedConfig;
+use crate::region::Region;
+
+pub use crate::published::PublishedEstimator;
+
+/// A method of this crate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Method {
+    /// RM-GA on hue votes, as published.
+    Published,
+}
+
+impl Method {
+    /// All methods.
+    pub const ALL: [Self; 1] = [Self::Published];
+
+    /// Its name in commands, configurations and results.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Published => "published",
+        }
+    }
+
+    /// The method of a name.
+    ///
+    /// # Errors
+    /// An unknown name; the error lists the known ones.
+    pub fn from_name(name: &str) -> Result<Self, EstimationError> {
+        Self::ALL.into_iter().find(|method| method.name() == name).ok_or_else(|| EstimationError::UnknownMethod {
+            name: name.to_owned(),
+            known: Self::ALL.map(Self::name).join(", "),
+        })
+    }
+}
+
+impl FromStr for Method {
+    type Err = EstimationError;
+    fn from_str(name: &str) -> Result<Self, Self::Err> {
+        Self::from_name(name)
+    }
+}
+
+impl fmt::Display for Method {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+/// Parameters of every method.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct EstimatorConfig {
+    /// Of the published method.
+    pub published: PublishedConfig,
+}
+
+/// An estimator of any method, for single pairs.
+#[derive(Clone, Debug)]
+pub enum Estimator {
+    /// The published method.
+    Published(Box<PublishedEstimator>),
+}
+
+impl Estimator {
+    /// An estimator of `method` for a calibrated pair.
+    ///
+    /// # Errors
+    /// A parameter out of its range.
+    pub fn new(method: Method, rig: &StereoRig, config: &EstimatorConfig) -> Result<Self, EstimationError> {
+        match method {
+            Method::Published => Ok(Self::Published(Box::new(PublishedEstimator::new(rig, config.published.clone())?))),
+        }
+    }
+
+    /// The method.
+    pub fn method(&self) -> Method {
+        match self {
+            Self::Published(_) => Method::Published,
+        }
+    }
+
+    /// The plane of a region of one pair of raw images; see the methods' own `estimate`.
+    ///
+    /// # Errors
+    /// Images that do not fit the calibration, a region that can not serve, a bad range.
+    pub fn estimate(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+    ) -> Result<PlaneEstimate, EstimationError> {
+        match self {
+            Self::Published(estimator) => estimator.estimate(left, right, region, range),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn methods_are_found_by_name() {
+        for method in Method::ALL {
+            assert_eq!(Method::from_name(method.name()), Ok(method));
+            assert_eq!(method.to_string().parse(), Ok(method));
+        }
+        let error = Method::from_name("ViSP").expect_err("unknown");
+        assert_eq!(error.to_string(), "there is no method \"ViSP\": known methods are published");
+    }
+}

@@ -1,0 +1,491 @@
+//! The published method over time: the population, the region and the model frame carried from frame to frame.
+
+use image::RgbImage;
+use nalgebra::{Matrix6, Point3, UnitQuaternion, Vector2, Vector3};
+use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_geometry::{ImageSize, Pose, StereoRig};
+
+use super::PublishedConfig;
+use super::backprojection::Backprojection;
+use super::core::{Core, Found, Taken};
+use super::model_frame;
+use crate::cpu::Kernels;
+use crate::error::{EstimationError, check_range};
+use crate::estimate::PlanePose;
+use crate::observability::Landscape;
+use crate::plane_hypothesis::{PlaneHypothesis, SearchRange};
+use crate::region::{Region, RegionMask, polygon};
+use crate::search::rmga::{Population, RmGa};
+use crate::status::{Status, Verdict};
+
+/// Outline vertices are kept within this distance of the image's origin, pixels: beyond it the target is out of sight.
+const VERTEX_MAX_PX: f64 = 20_000.0;
+
+/// How the region is carried along, and when the target counts as lost. None of this is stated in the paper.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrackerConfig {
+    /// The window in which the target's pixels are looked for is the region grown by this much, pixels, 1 to 200.
+    /// Default 8.
+    pub window_margin_px: u32,
+    /// Most steps of the mean shift, 1 to 100. Default 8.
+    pub shift_steps_max: usize,
+    /// The region moves by at most this share of the square root of its area per frame, beyond the known motion, 0 to 2.
+    /// Default 0.3.
+    pub shift_max_share: f64,
+    /// The region is re-centred only if the mean weight of its pixels in the first frame reaches this: the target's hues
+    /// must differ from those around it. 0 to 1. Default 0.2.
+    pub contrast_min: f64,
+    /// Lost if fewer of the target's pixels are found, as a share of what the first frame lets expect, 0 to 1. Default 0.35.
+    pub mass_share_min: f64,
+    /// Lost if less of the region lies inside the image, as a share, 0 to 1. Default 0.5.
+    pub visible_share_min: f64,
+    /// Lost if the fitness falls below the first frame's median of the search range plus this share of its height above
+    /// that median, 0 to 1. Default 0.4.
+    pub height_share_min: f64,
+}
+
+impl Default for TrackerConfig {
+    fn default() -> Self {
+        Self {
+            window_margin_px: 8,
+            shift_steps_max: 8,
+            shift_max_share: 0.3,
+            contrast_min: 0.2,
+            mass_share_min: 0.35,
+            visible_share_min: 0.5,
+            height_share_min: 0.4,
+        }
+    }
+}
+
+impl TrackerConfig {
+    pub(super) fn validate(&self) -> Result<(), EstimationError> {
+        let share = |name, value| check_range(name, value, (0.0, 1.0), "must be between 0 and 1");
+        let margin = f64::from(self.window_margin_px);
+        check_range("tracker window_margin_px", margin, (1.0, 200.0), "must be between 1 and 200")?;
+        let steps = self.shift_steps_max as f64;
+        check_range("tracker shift_steps_max", steps, (1.0, 100.0), "must be between 1 and 100")?;
+        check_range("tracker shift_max_share", self.shift_max_share, (0.0, 2.0), "must be between 0 and 2")?;
+        share("tracker contrast_min", self.contrast_min)?;
+        share("tracker mass_share_min", self.mass_share_min)?;
+        share("tracker visible_share_min", self.visible_share_min)?;
+        share("tracker height_share_min", self.height_share_min)
+    }
+}
+
+/// The outcome for one frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrackEstimate {
+    /// How far the answer can be trusted; `lost` where there is none.
+    pub status: Status,
+    /// What led to the status.
+    pub reason: String,
+    /// Pose of the model in the left camera; `None` if lost or not observable.
+    ///
+    /// Model frame: origin at the plane point on the ray of the region's centroid in the first frame, z along the plane's
+    /// normal away from the camera, x the image's x axis projected into the plane in the first frame. Later the axes are
+    /// the first ones, carried by the known motion of the camera, and turned by the smallest rotation that brings z to the
+    /// normal found: the rotation about the normal is held, not measured.
+    pub cam_left_from_model: Option<Pose<CamLeft, Model>>,
+    /// Covariance of the pose; `None`: the method can not say.
+    pub covariance: Option<Matrix6<f64>>,
+    /// Best hypothesis, about the centre of this frame's region; `None` if nothing was searched.
+    pub psi: Option<PlaneHypothesis>,
+    /// Its fitness, at most 1.
+    pub fitness: Option<f64>,
+    /// Outline of the region in this frame, raw left image, pixels.
+    pub outline_px: Vec<Vector2<f64>>,
+    /// Whether the rotation about the normal was measured: never, by this method.
+    pub rotation_about_normal_observed: bool,
+}
+
+/// Follows one target from frame to frame with the published method.
+///
+/// Per frame: the last pose, moved by the known motion of the camera, puts the first frame's outline into the new left
+/// image; the pixels of the target's hues re-centre it (see [`TrackerConfig`]); the model is made anew inside it; the
+/// population, moved by the same known motion, evolves for the configured generations; all individuals, the elite
+/// included, are scored anew.
+///
+/// A lost target is looked for in the following frames in a window that doubles with every frame, up to the whole image,
+/// with a fresh population and the generations of a cold start.
+#[derive(Clone, Debug)]
+pub struct PublishedTracker {
+    core: Core,
+    start: Option<Start>,
+    target: Option<Target>,
+    mask: RegionMask,
+}
+
+/// What the tracker was asked to follow.
+#[derive(Clone, Debug)]
+struct Start {
+    region: Region,
+    range: SearchRange,
+}
+
+/// The target as of the last frame.
+#[derive(Clone, Debug)]
+struct Target {
+    rmga: RmGa,
+    cold_rmga: RmGa,
+    population: Population,
+    cam_left_from_model: Pose<CamLeft, Model>,
+    /// Rotation `cam_left_from_model` of the first frame, carried by the known motion of the camera.
+    reference_rotation: UnitQuaternion<f64>,
+    /// The first frame's outline on the plane, metres.
+    outline_in_model_m: Vec<Vector2<f64>>,
+    appearance: Appearance,
+    /// Below this fitness the target is lost.
+    fitness_floor: f64,
+    /// Frames since the target was last seen.
+    lost_frames: u32,
+}
+
+/// How the target is told from its surroundings.
+#[derive(Clone, Debug)]
+struct Appearance {
+    colours: Backprojection,
+    /// Centroid of the target's weights on the plane, metres.
+    mass_centre_in_model_m: Vector2<f64>,
+    /// Sum of the weights over the area of the region, first frame.
+    mass_per_area: f64,
+}
+
+/// A region carried to a new frame.
+struct Carried {
+    outline_px: Vec<Vector2<f64>>,
+    /// Where the model's origin is seen, undistorted left image.
+    origin_px: Vector2<f64>,
+}
+
+impl PublishedTracker {
+    /// A tracker for a calibrated pair, rectified or not, with lens distortion or without.
+    ///
+    /// # Errors
+    /// A parameter out of its range.
+    pub fn new(rig: &StereoRig, config: PublishedConfig) -> Result<Self, EstimationError> {
+        let core = Core::new(rig, config, Kernels::best())?;
+        let mask = RegionMask::empty(ImageSize { width: 0, height: 0 });
+        Ok(Self { core, start: None, target: None, mask })
+    }
+
+    /// The parameters.
+    pub fn config(&self) -> &PublishedConfig {
+        self.core.config()
+    }
+
+    /// Takes a new target: cold start on the first pair of raw images, the region given in the left one.
+    ///
+    /// If the pose is not observable there is no target yet: [`Self::update`] then tries the same region again.
+    ///
+    /// # Errors
+    /// Images that do not fit the calibration, a region that can not serve, a bad range.
+    pub fn start(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+    ) -> Result<TrackEstimate, EstimationError> {
+        range.validate()?;
+        self.target = None;
+        self.start = Some(Start { region: region.clone(), range: *range });
+        let taken = self.core.take(left, right, region)?;
+        let mut estimate = self.blank_estimate(&taken.outline_px);
+        if let Some(reason) = self.core.lack_of_hue() {
+            return Ok(TrackEstimate { reason, ..estimate });
+        }
+        let config = self.core.config().clone();
+        let mut cold_rmga = RmGa::new(config.cold_start_rmga(), *range)?;
+        let mut population = Population::random(&config.rmga);
+        let Some(found) = self.core.search(&mut cold_rmga, &mut population)? else {
+            return Ok(TrackEstimate { reason: no_hypothesis(), ..estimate });
+        };
+        let landscape = self.core.survey(&found, range)?;
+        let Verdict { status, reason } = landscape.verdict(&config.observability);
+        (estimate.status, estimate.reason) = (status, reason);
+        (estimate.psi, estimate.fitness) = (Some(found.psi), Some(found.fitness));
+        if status != Status::NotObservable {
+            let rmga = RmGa::new(config.rmga, *range)?;
+            let target = self.first_target(&taken, &found, &landscape, (rmga, cold_rmga, population));
+            estimate.cam_left_from_model = target.as_ref().map(|target| target.cam_left_from_model);
+            self.target = target;
+        }
+        Ok(estimate)
+    }
+
+    /// Follows the target into the next pair of raw images. `cam_left_prev_from_cam_left_now` is the motion of the left
+    /// camera between the two exposures, if known (from the arm): only the target's own motion is then left to find.
+    ///
+    /// # Errors
+    /// Images that do not fit the calibration, or no [`Self::start`] before. A lost target is not an error but a status.
+    pub fn update(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        cam_left_prev_from_cam_left_now: Option<&Pose<CamLeft, CamLeft>>,
+    ) -> Result<TrackEstimate, EstimationError> {
+        let Some(mut target) = self.target.take() else {
+            let Start { region, range } = self.start.clone().ok_or(EstimationError::NotStarted)?;
+            return self.start(left, right, &region, &range);
+        };
+        let outcome = self.follow(&mut target, left, right, cam_left_prev_from_cam_left_now);
+        self.target = Some(target);
+        outcome
+    }
+
+    fn follow(
+        &mut self,
+        target: &mut Target,
+        left: &RgbImage,
+        right: &RgbImage,
+        motion: Option<&Pose<CamLeft, CamLeft>>,
+    ) -> Result<TrackEstimate, EstimationError> {
+        self.core.load(left, right)?;
+        let old_centre_px = self.core.model_centre_px();
+        if let Some(motion) = motion {
+            target.move_camera(motion);
+        }
+        let carried = match self.carry_region(target) {
+            Ok(carried) => carried,
+            Err(reason) => return Ok(self.lost(target, reason, &[])),
+        };
+        self.core.remake_model(&self.mask);
+        if let Some(reason) = self.core.lack_of_hue() {
+            return Ok(self.lost(target, reason, &carried.outline_px));
+        }
+        let new_centre_px = self.core.model_centre_px();
+        if let Some(motion) = motion {
+            let rays = (self.core.pair().left_ray(&old_centre_px), self.core.pair().left_ray(&new_centre_px));
+            target.move_population(motion, &rays.0, &rays.1);
+        }
+        let rmga = if target.lost_frames > 0 {
+            target.population.scatter();
+            &mut target.cold_rmga
+        } else {
+            &mut target.rmga
+        };
+        let Some(found) = self.core.search(rmga, &mut target.population)? else {
+            return Ok(self.lost(target, no_hypothesis(), &carried.outline_px));
+        };
+        if found.fitness < target.fitness_floor {
+            let (fitness, floor) = (found.fitness, target.fitness_floor);
+            let reason = format!("the fitness has fallen to {fitness:.3}, below {floor:.3}");
+            let lost = self.lost(target, reason, &carried.outline_px);
+            return Ok(TrackEstimate { psi: Some(found.psi), fitness: Some(fitness), ..lost });
+        }
+        self.accept(target, &found, &carried)
+    }
+
+    /// Takes over what was found, and judges it.
+    fn accept(
+        &mut self,
+        target: &mut Target,
+        found: &Found,
+        carried: &Carried,
+    ) -> Result<TrackEstimate, EstimationError> {
+        let mut estimate = self.blank_estimate(&carried.outline_px);
+        let centre_ray = self.core.pair().left_ray(&self.core.model_centre_px());
+        let origin_ray = self.core.pair().left_ray(&carried.origin_px);
+        let plane = found.psi.inverse_depth_plane(&centre_ray);
+        let Some(plane) = plane.and_then(|q| PlanePose::from_inverse_depth_plane(q, &origin_ray)) else {
+            return Ok(self.lost(target, no_hypothesis(), &carried.outline_px));
+        };
+        let rotation = model_frame::with_normal(&target.reference_rotation, &-plane.normal_in_cam_left);
+        target.cam_left_from_model = Pose::from_parts(origin_ray * plane.z_m, rotation);
+        target.lost_frames = 0;
+        let range = *target.rmga.codec().range();
+        let spreads = self.core.survey_nearby(found, &range)?;
+        let verdict = self.core.config().observability.verdict_nearby(spreads);
+        (estimate.status, estimate.reason) = (verdict.status, verdict.reason);
+        estimate.cam_left_from_model = Some(target.cam_left_from_model);
+        (estimate.psi, estimate.fitness) = (Some(found.psi), Some(found.fitness));
+        Ok(estimate)
+    }
+
+    /// The region of the new frame, left in `self.mask`.
+    fn carry_region(&mut self, target: &Target) -> Result<Carried, String> {
+        let config = self.core.config().tracker;
+        let pinhole = *self.core.pair().left();
+        let pixel_of = |point: &Vector2<f64>| {
+            let point_in_cam_left = target.cam_left_from_model.transform_point(&Point3::new(point.x, point.y, 0.0));
+            let pixel = pinhole.pixel_from_normalized(&(point_in_cam_left.coords.xy() / point_in_cam_left.z));
+            (point_in_cam_left.z > 0.0 && pixel.iter().all(|c| c.abs() < VERTEX_MAX_PX)).then_some(pixel)
+        };
+        let out_of_sight = || "the target lies out of the camera's sight".to_owned();
+        let outline: Option<Vec<_>> = target.outline_in_model_m.iter().map(pixel_of).collect();
+        let mut outline_px = outline.ok_or_else(out_of_sight)?;
+        let mut origin_px = pixel_of(&Vector2::zeros()).ok_or_else(out_of_sight)?;
+        let expected_px = pixel_of(&target.appearance.mass_centre_in_model_m).ok_or_else(out_of_sight)?;
+        let covered_px = self.rasterize(&outline_px);
+        if let Some(shift_px) = self.recentre(target, &expected_px, covered_px)? {
+            outline_px.iter_mut().for_each(|vertex| *vertex += shift_px);
+            origin_px += shift_px;
+            self.rasterize(&outline_px);
+        }
+        let visible = self.mask.area_px() as f64 / covered_px.max(1) as f64;
+        if visible < config.visible_share_min {
+            let (percent, limit) = (100.0 * visible, 100.0 * config.visible_share_min);
+            return Err(format!("{percent:.0} % of the region is left in the image (limit {limit:.0} %)"));
+        }
+        Ok(Carried { outline_px, origin_px })
+    }
+
+    /// How far the target's pixels have moved; `None` if they can not be told from the background.
+    fn recentre(
+        &self,
+        target: &Target,
+        expected_px: &Vector2<f64>,
+        covered_px: usize,
+    ) -> Result<Option<Vector2<f64>>, String> {
+        let config = self.core.config().tracker;
+        let appearance = &target.appearance;
+        if appearance.mass_per_area < config.contrast_min {
+            return Ok(None);
+        }
+        let area = covered_px as f64;
+        let widening = f64::from(1_u32 << target.lost_frames.min(8));
+        let shift_max_px = config.shift_max_share * area.sqrt() * widening;
+        let limits = (config.shift_steps_max, shift_max_px);
+        let hue = self.core.left_hue();
+        let mut window = self.mask.dilate(config.window_margin_px);
+        let mut start_px = Vector2::zeros();
+        if target.lost_frames > 0 {
+            // First the middle of everything that looks like the target in a wide window, then as usual from there.
+            let wide = grown_box(&self.mask, (shift_max_px.ceil() as u32).max(config.window_margin_px));
+            if let Some((shift_px, _)) = appearance.colours.mean_shift(hue, &wide, expected_px, limits) {
+                start_px = shift_px;
+                window = window.translate(shift_px.x.round() as i32, shift_px.y.round() as i32);
+            }
+        }
+        let start_px = start_px.map(f64::round);
+        let found = appearance.colours.mean_shift(hue, &window, &(expected_px + start_px), limits);
+        let share = found.map_or(0.0, |(_, mass)| mass.sum_px / (appearance.mass_per_area * area.max(1.0)));
+        match found {
+            Some((shift_px, _)) if share >= config.mass_share_min => Ok(Some(start_px + shift_px)),
+            _ => {
+                let (percent, limit) = (100.0 * share, 100.0 * config.mass_share_min);
+                Err(format!("{percent:.0} % of the target's pixels are found by their hue (limit {limit:.0} %)"))
+            }
+        }
+    }
+
+    /// Rasterises an outline into `self.mask`; returns how many pixels it covers in and outside the image.
+    fn rasterize(&mut self, outline_px: &[Vector2<f64>]) -> usize {
+        self.mask.reset(self.core.pair().left_size());
+        polygon::fill(outline_px, &mut self.mask)
+    }
+
+    fn first_target(
+        &mut self,
+        taken: &Taken,
+        found: &Found,
+        landscape: &Landscape,
+        (rmga, cold_rmga, population): (RmGa, RmGa, Population),
+    ) -> Option<Target> {
+        let pair = *self.core.pair();
+        let centre_px = self.core.model_centre_px();
+        let centre_ray = pair.left_ray(&centre_px);
+        let q = found.psi.inverse_depth_plane(&centre_ray)?;
+        let plane = PlanePose::from_inverse_depth_plane(q, &centre_ray)?;
+        let reference_rotation = model_frame::first_rotation(&-plane.normal_in_cam_left);
+        let cam_left_from_model: Pose<CamLeft, Model> = Pose::from_parts(centre_ray * plane.z_m, reference_rotation);
+        let model_from_cam_left = cam_left_from_model.inverse();
+        let on_plane = |pixel: &Vector2<f64>| {
+            let ray = pair.left_ray(pixel);
+            let point_in_cam_left = Point3::from(ray * plane.depth_on_ray(&ray)?);
+            Some(model_from_cam_left.transform_point(&point_in_cam_left).coords.xy())
+        };
+        let outline_in_model_m: Option<Vec<_>> = taken.outline_px.iter().map(on_plane).collect();
+        self.mask = taken.mask.clone();
+        let config = self.core.config();
+        let window = taken.mask.dilate(config.tracker.window_margin_px);
+        let around = RegionMask::from_fn(window.size(), |x, y| {
+            window.contains(x as i32, y as i32) && !taken.mask.contains(x as i32, y as i32)
+        });
+        let colours = Backprojection::learn(self.core.left_hue(), &taken.mask, &around);
+        let mass = colours.mass(self.core.left_hue(), &window, &Vector2::zeros());
+        let (sum_px, mass_px) = mass.map_or((0.0, centre_px), |mass| (mass.sum_px, mass.centroid_px));
+        let height = landscape.fitness_highest - landscape.fitness_median;
+        Some(Target {
+            rmga,
+            cold_rmga,
+            population,
+            cam_left_from_model,
+            reference_rotation,
+            outline_in_model_m: outline_in_model_m?,
+            appearance: Appearance {
+                colours,
+                mass_centre_in_model_m: on_plane(&mass_px)?,
+                mass_per_area: sum_px / taken.mask.area_px().max(1) as f64,
+            },
+            fitness_floor: landscape.fitness_median + config.tracker.height_share_min * height,
+            lost_frames: 0,
+        })
+    }
+
+    fn lost(&self, target: &mut Target, reason: String, outline_px: &[Vector2<f64>]) -> TrackEstimate {
+        target.lost_frames = target.lost_frames.saturating_add(1);
+        TrackEstimate { status: Status::Lost, reason, ..self.blank_estimate(outline_px) }
+    }
+
+    fn blank_estimate(&self, undistorted_outline_px: &[Vector2<f64>]) -> TrackEstimate {
+        let camera = self.core.left_camera();
+        let raw = |pixel: &Vector2<f64>| camera.project(&Point3::from(self.core.pair().left_ray(pixel)));
+        TrackEstimate {
+            status: Status::NotObservable,
+            reason: String::new(),
+            cam_left_from_model: None,
+            covariance: None,
+            psi: None,
+            fitness: None,
+            outline_px: undistorted_outline_px.iter().filter_map(raw).collect(),
+            rotation_about_normal_observed: false,
+        }
+    }
+}
+
+impl Target {
+    /// Expresses the last pose in the camera of the new frame, the target taken as standing still.
+    fn move_camera(&mut self, cam_left_prev_from_cam_left_now: &Pose<CamLeft, CamLeft>) {
+        let cam_left_now_from_cam_left_prev = cam_left_prev_from_cam_left_now.inverse();
+        self.cam_left_from_model = cam_left_now_from_cam_left_prev * self.cam_left_from_model;
+        self.reference_rotation = cam_left_now_from_cam_left_prev.rotation() * self.reference_rotation;
+        self.reference_rotation.renormalize();
+    }
+
+    /// Does the same to every individual; those that the motion puts behind the camera stay as they are.
+    fn move_population(
+        &mut self,
+        cam_left_prev_from_cam_left_now: &Pose<CamLeft, CamLeft>,
+        old_centre_ray: &Vector3<f64>,
+        new_centre_ray: &Vector3<f64>,
+    ) {
+        let rotation = cam_left_prev_from_cam_left_now.rotation_matrix();
+        let translation_m = cam_left_prev_from_cam_left_now.translation_m();
+        let moved = |psi: &PlaneHypothesis| {
+            // A plane q . X = 1 seen from the new camera: X = R X' + t gives (RT q) . X' = 1 - q . t.
+            let q = psi.inverse_depth_plane(old_centre_ray)?;
+            let rest = 1.0 - q.dot(&translation_m);
+            let q_now = rotation.transpose() * q / rest;
+            (rest > 0.0).then(|| PlaneHypothesis::from_inverse_depth_plane(&q_now, new_centre_ray)).flatten()
+        };
+        self.population.shift(self.rmga.codec(), |psi| moved(&psi).unwrap_or(psi));
+    }
+}
+
+/// The mask's box, grown by `margin_px` on all sides.
+fn grown_box(mask: &RegionMask, margin_px: u32) -> RegionMask {
+    let mut grown = RegionMask::empty(mask.size());
+    if let Some(bounds) = mask.bbox() {
+        let (x, y, margin) = (i64::from(bounds.x), i64::from(bounds.y), i64::from(margin_px));
+        for row in (y - margin).max(0)..(y + i64::from(bounds.height) + margin).min(i64::from(mask.size().height)) {
+            grown.insert_span(row, x - margin, x + i64::from(bounds.width) + margin);
+        }
+    }
+    grown
+}
+
+fn no_hypothesis() -> String {
+    "every hypothesis of the search range lies behind a camera: check the range".to_owned()
+}
