@@ -5,6 +5,7 @@ mod dependencies;
 mod exceptions;
 mod layout;
 mod markdown;
+mod method_table;
 mod rust;
 mod text;
 
@@ -23,7 +24,8 @@ const TEXT_ENDINGS: [&str; 11] =
 ///   only shrink), no `todo!`, `unimplemented!`, `dbg!`, no ignored tests, no tests that expect a panic by attribute.
 /// * Text: no absolute paths of one machine, no paths out of the repository, `TODO(name, issue)` or none.
 /// * Markdown: one sentence per line.
-/// * configs/: every TOML file and every robot description parses.
+/// * configs/: every TOML file and every robot description parses; docs/method.md names each parameter of
+///   configs/estimator.toml with the same default.
 /// * Layout: the top level holds exactly the agreed entries; every package takes the workspace's lints, version and
 ///   dependencies, and its root file opens with a `//!` text; every third-party dependency is used, and has its reason in
 ///   docs/adr/0002-dependencies.md.
@@ -44,6 +46,7 @@ pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
         violations.extend(check_text(file, &mut exceptions));
     }
     violations.extend(dependencies::check(&texts));
+    violations.extend(method_table::check(&texts));
     violations.extend(exceptions.unused());
     conclude("tidy", &format!("{} files, {} of them text", files.len(), texts.len()), violations)
 }
