@@ -1,0 +1,243 @@
+//! The limiter.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_kinematics::{DOF, JointLimits, JointLimitsError, JointVector};
+
+use crate::shaping;
+
+/// Operating range of a PA-10, a few degrees within its servo limits, to both sides; degrees, base to tip.
+pub const PA10_OPERATING_RANGE_DEG: [f64; DOF] = [170.0, 88.0, 168.0, 131.0, 249.0, 159.0, 249.0];
+
+/// Speed scale of a real rig unless the operator sets another.
+pub const RIG_SPEED_SCALE: f64 = 0.10;
+
+/// Close to a limit the speed cap is distance / T: a control loop of gain 1/T, closed over the reaction time. Such a loop
+/// overshoots unless its gain is at most 1 / (e x delay), so T is e times the reaction time.
+const NO_OVERSHOOT: f64 = std::f64::consts::E;
+
+/// What the limiter lets pass.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LimiterConfig {
+    /// The arm's own limits, rad and rad/s: what must never be passed.
+    pub hard_limits: JointLimits,
+    /// The range within which the arm is to work, rad; within the hard limits. The limiter brakes ahead of its ends.
+    pub operating_min_rad: JointVector,
+    /// Upper ends of that range, rad.
+    pub operating_max_rad: JointVector,
+    /// Part of each joint's largest speed that is used, above 0 to 1.
+    pub speed_scale: f64,
+    /// Largest change of a commanded velocity, rad/s^2; what the drives can brake with, or less.
+    pub acceleration_max_rad_per_s2: JointVector,
+    /// Time from a sample to the effect of the next command on it: cycle, delay of the link, lag of the drives.
+    pub reaction_time: Duration,
+    /// Without a sample younger than this the arm is told to rest.
+    pub stale_after: Duration,
+}
+
+impl LimiterConfig {
+    /// The operating range of a PA-10 ([`PA10_OPERATING_RANGE_DEG`]) in rad: lower and upper ends.
+    pub fn pa10_operating_range_rad() -> (JointVector, JointVector) {
+        let max = JointVector::from(PA10_OPERATING_RANGE_DEG).map(f64::to_radians);
+        (-max, max)
+    }
+}
+
+/// Why numbers can not configure a limiter.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum LimiterError {
+    /// The operating range is no range within the hard limits.
+    #[error("the operating range does not fit")]
+    OperatingRange(#[source] JointLimitsError),
+    /// The speed scale is out of range.
+    #[error("speed scale {0} is out of range; above 0 to 1 is possible")]
+    SpeedScale(f64),
+    /// An acceleration is no limit.
+    #[error("joint {joint}: acceleration limit {value} rad/s^2 is not a positive, finite number")]
+    Acceleration {
+        /// Index from the base, 0 to 6.
+        joint: usize,
+        /// The number given, rad/s^2.
+        value: f64,
+    },
+    /// A time is zero.
+    #[error("{0} is zero; give the time that it takes")]
+    ZeroTime(&'static str),
+}
+
+/// How often the limiter stepped in.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LimiterStatistics {
+    /// Velocity commands that came in.
+    pub velocity_commands: u64,
+    /// Commands refused because a number was not finite.
+    pub refused_not_finite: u64,
+    /// Commands replaced by rest because the newest sample was too old, or there was none.
+    pub held_stale: u64,
+    /// Commands scaled down because a joint would have been too fast.
+    pub speed_limited: u64,
+    /// Commands scaled down because a joint came near the end of its range.
+    pub position_limited: u64,
+    /// Commands that the arm approaches at the largest acceleration.
+    pub acceleration_limited: u64,
+    /// Replies thrown away because a number was not finite.
+    pub samples_not_finite: u64,
+}
+
+/// An arm that no command can drive beyond its limits. It owns the arm: there is no way round it.
+///
+/// A velocity that is not finite is `Rejected`, and the arm is told to hold. Everything else is shaped: speeds and the way that
+/// is left to the ends of the operating range scale the whole vector, so that the hand keeps its direction; the change from
+/// one command to the next keeps within the acceleration limits. Without a fresh sample the arm is told to rest. Outside
+/// its operating range a joint can only return.
+pub struct Limiter<A> {
+    arm: A,
+    clock: Arc<dyn Clock>,
+    operating: JointLimits,
+    config: LimiterConfig,
+    newest: Option<JointState>,
+    /// The last velocity sent and when; none after anything that brings the arm to rest.
+    sent: Option<(MonotonicTime, JointVector)>,
+    statistics: LimiterStatistics,
+}
+
+impl<A: Arm> Limiter<A> {
+    /// Wraps an arm whose samples are stamped by `clock`.
+    ///
+    /// # Errors
+    /// If a number of the configuration is out of range; the error names it.
+    pub fn new(arm: A, config: LimiterConfig, clock: Arc<dyn Clock>) -> Result<Self, LimiterError> {
+        let operating = config
+            .hard_limits
+            .with_position_range(config.operating_min_rad, config.operating_max_rad)
+            .map_err(LimiterError::OperatingRange)?;
+        check(&config)?;
+        Ok(Self { arm, clock, operating, config, newest: None, sent: None, statistics: LimiterStatistics::default() })
+    }
+
+    /// How often the limiter stepped in so far.
+    pub fn statistics(&self) -> LimiterStatistics {
+        self.statistics
+    }
+
+    /// What this limiter lets pass.
+    pub fn config(&self) -> &LimiterConfig {
+        &self.config
+    }
+
+    /// The arm, to look at.
+    pub fn arm(&self) -> &A {
+        &self.arm
+    }
+
+    /// Hands a command on and remembers what came back. The arm rests after anything but an accepted velocity.
+    fn forward(&mut self, command: JointCommand, now: MonotonicTime) -> Result<JointState, ArmError> {
+        self.sent = None;
+        let sample = self.arm.exchange(command)?;
+        let mut numbers = sample.position_rad.iter().chain(sample.velocity_rad_per_s.iter());
+        if !numbers.all(|number| number.is_finite()) {
+            self.statistics.samples_not_finite += 1;
+            self.arm.exchange(JointCommand::Hold)?;
+            let text = "the reply holds joints that are not finite and is thrown away; the arm holds";
+            return Err(self.error(ArmErrorKind::Timeout, text));
+        }
+        self.newest = Some(sample);
+        if let JointCommand::Velocity(velocity) = command {
+            self.sent = Some((now, velocity));
+        }
+        Ok(sample)
+    }
+
+    fn refuse(&mut self, velocity: &JointVector, joint: usize) -> Result<JointState, ArmError> {
+        self.statistics.refused_not_finite += 1;
+        self.forward(JointCommand::Hold, self.clock.now())?;
+        let text = format!("joint {joint}: command {} rad/s is not finite; the arm holds", velocity[joint]);
+        Err(self.error(ArmErrorKind::Rejected, &text))
+    }
+
+    /// The velocity to send in place of `desired`.
+    fn limit(&mut self, desired: &JointVector, now: MonotonicTime) -> JointVector {
+        let age = self.newest.map(|sample| (now.saturating_since(sample.at), sample));
+        let Some((age, sample)) = age.filter(|(age, _)| *age <= self.config.stale_after) else {
+            self.statistics.held_stale += 1;
+            return JointVector::zeros();
+        };
+        let acceleration = &self.config.acceleration_max_rad_per_s2;
+        let reaction_s = NO_OVERSHOOT * (self.config.reaction_time + age).as_secs_f64();
+        let caps =
+            shaping::caps(&sample.position_rad, &self.operating, self.config.speed_scale, acceleration, reaction_s);
+        let (since, previous) = match self.sent {
+            Some((at, velocity)) => (now.saturating_since(at).min(self.config.stale_after), velocity),
+            None => (self.arm.info().cycle, JointVector::zeros()),
+        };
+        let shaped = shaping::shape(desired, &previous, &caps, &(acceleration * since.as_secs_f64()));
+        self.statistics.speed_limited += u64::from(shaped.speed_limited);
+        self.statistics.position_limited += u64::from(shaped.position_limited);
+        self.statistics.acceleration_limited += u64::from(shaped.acceleration_limited);
+        shaped.velocity
+    }
+
+    fn error(&self, kind: ArmErrorKind, text: &str) -> ArmError {
+        ArmError::new(kind, format!("limiter of arm {}: {text}", self.arm.info().name))
+    }
+}
+
+impl<A: Arm> Arm for Limiter<A> {
+    fn info(&self) -> &ArmInfo {
+        self.arm.info()
+    }
+
+    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        let now = self.clock.now();
+        let JointCommand::Velocity(desired) = command else { return self.forward(command, now) };
+        self.statistics.velocity_commands += 1;
+        if let Some(joint) = (0..DOF).find(|&joint| !desired[joint].is_finite()) {
+            return self.refuse(&desired, joint);
+        }
+        let velocity = self.limit(&desired, now);
+        self.forward(JointCommand::Velocity(velocity), now)
+    }
+}
+
+impl<A: Arm + ArmPower> ArmPower for Limiter<A> {
+    fn state(&self) -> ArmState {
+        self.arm.state()
+    }
+
+    fn enable(&mut self) -> Result<(), ArmError> {
+        self.sent = None;
+        self.arm.enable()
+    }
+
+    fn stop(&mut self) -> Result<(), ArmError> {
+        self.sent = None;
+        self.arm.stop()
+    }
+
+    fn reset(&mut self) -> Result<(), ArmError> {
+        self.sent = None;
+        self.arm.reset()
+    }
+}
+
+fn check(config: &LimiterConfig) -> Result<(), LimiterError> {
+    let scale = config.speed_scale;
+    if !(scale > 0.0 && scale <= 1.0) {
+        return Err(LimiterError::SpeedScale(scale));
+    }
+    for (joint, &value) in config.acceleration_max_rad_per_s2.iter().enumerate() {
+        if !(value.is_finite() && value > 0.0) {
+            return Err(LimiterError::Acceleration { joint, value });
+        }
+    }
+    for (name, time) in [("the reaction time", config.reaction_time), ("the age of a stale sample", config.stale_after)]
+    {
+        if time.is_zero() {
+            return Err(LimiterError::ZeroTime(name));
+        }
+    }
+    Ok(())
+}
