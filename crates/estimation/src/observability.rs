@@ -24,10 +24,9 @@ use crate::search::rng::SplitMix64;
 use crate::search::{PlaneScore, REFUSED};
 use crate::status::{Status, Verdict};
 
-/// Half the fine grid's nodes in depth; its step is half the coarse one.
-const FINE_DEPTH_HALF: i32 = 8;
-/// Half the fine grid's nodes in each tilt.
-const FINE_TILT_HALF: i32 = 8;
+/// Nodes of the fine grid on either side of the answer, in depth and in each tilt; beside a coarse grid, and alone.
+const FINE_HALF: i32 = 6;
+const FINE_HALF_ALONE: i32 = 4;
 
 /// Grids and limits of the probe.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,13 +38,13 @@ pub struct ObservabilityConfig {
     pub depth_nodes_max: usize,
     /// Largest tilt step of the coarse grid, radians. Default 15 degrees.
     pub coarse_tilt_step_rad: f64,
-    /// Tilt step of the fine grid, radians. Default 4 degrees.
+    /// Tilt step of the fine grid, radians. Default 5 degrees.
     pub fine_tilt_step_rad: f64,
     /// Blocks along each side of the region, 2 to 8. Default 4.
     pub blocks_per_side: u32,
     /// Number of resamples, 4 to 1000. Default 24.
     pub resamples: usize,
-    /// Number of hypotheses that take part in the resamples, the best of the grids, 100 to 100000. Default 3000.
+    /// Number of hypotheses that take part in the resamples, the best of the grids, 100 to 100000. Default 1000.
     pub candidates_max: usize,
     /// Hypotheses whose fitness is lower than a resample's highest by at most this share together with it. Default 0.01.
     pub fitness_tolerance: f64,
@@ -67,10 +66,10 @@ impl Default for ObservabilityConfig {
             disparity_step_px: 1.0,
             depth_nodes_max: 96,
             coarse_tilt_step_rad: 15.0_f64.to_radians(),
-            fine_tilt_step_rad: 4.0_f64.to_radians(),
+            fine_tilt_step_rad: 5.0_f64.to_radians(),
             blocks_per_side: 4,
             resamples: 24,
-            candidates_max: 3000,
+            candidates_max: 1000,
             fitness_tolerance: 0.01,
             height_min: 0.1,
             depth_spread_max: 0.05,
@@ -233,7 +232,7 @@ impl LandscapeProbe {
         self.hypotheses.clear();
         self.add_coarse_grid(target);
         let coarse = self.hypotheses.len();
-        self.add_fine_grid(target);
+        self.add_fine_grid(target, FINE_HALF);
         let coarse = self.score_whole(&whole.score, coarse);
         let fitness = |score: i32| f64::from(score) / f64::from(whole.score_max.max(1));
         let median = median(&mut self.whole[..coarse].to_vec());
@@ -262,7 +261,7 @@ impl LandscapeProbe {
         target: &ProbeTarget,
     ) -> (f64, f64) {
         self.hypotheses.clear();
-        self.add_fine_grid(target);
+        self.add_fine_grid(target, FINE_HALF_ALONE);
         self.score_whole(&whole.score, 0);
         self.keep_candidates();
         self.measure_deviations(&target.answer);
@@ -289,18 +288,18 @@ impl LandscapeProbe {
         }
     }
 
-    fn add_fine_grid(&mut self, target: &ProbeTarget) {
+    fn add_fine_grid(&mut self, target: &ProbeTarget, half: i32) {
         let answer = &target.answer;
         let disparity_px = target.focal_baseline_px_m / answer.z_m;
         self.hypotheses.push(*answer);
-        for i in -FINE_DEPTH_HALF..=FINE_DEPTH_HALF {
+        for i in -half..=half {
             let shifted_px = disparity_px + 0.5 * self.config.disparity_step_px * f64::from(i);
             if shifted_px <= 0.0 {
                 continue;
             }
             let z_m = target.focal_baseline_px_m / shifted_px;
-            for k in -FINE_TILT_HALF..=FINE_TILT_HALF {
-                for l in -FINE_TILT_HALF..=FINE_TILT_HALF {
+            for k in -half..=half {
+                for l in -half..=half {
                     let psi = PlaneHypothesis {
                         z_m,
                         theta_x_rad: answer.theta_x_rad + self.config.fine_tilt_step_rad * f64::from(k),

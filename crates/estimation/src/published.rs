@@ -26,6 +26,7 @@ mod backprojection;
 mod core;
 mod front_end;
 mod model_frame;
+mod outline_fit;
 mod tracker;
 
 use self::core::{Core, Found};
@@ -102,6 +103,11 @@ impl PublishedConfig {
         self.tracker.validate()?;
         let share = self.hue_support.coloured_share_min;
         check_range("hue support coloured_share_min", share, (0.0, 1.0), "must be between 0 and 1")
+    }
+
+    /// The limits for answers whose depth is known roughly from the frame before.
+    fn tracked_observability(&self) -> ObservabilityConfig {
+        ObservabilityConfig { depth_spread_sure: self.tracker.depth_spread_sure, ..self.observability }
     }
 
     /// The genetic algorithm of a cold start.

@@ -45,6 +45,13 @@ impl Backprojection {
         Self { weights }
     }
 
+    /// The weight of the pixel nearest to `pixel`; 0 outside the image.
+    pub(super) fn weight_at(&self, hue: &HuePlane, pixel: &Vector2<f64>) -> f64 {
+        let (u, v) = (pixel.x.round(), pixel.y.round());
+        let inside = u >= 0.0 && v >= 0.0 && u < hue.width() as f64 && v < hue.height() as f64;
+        if inside { self.weights[class(hue.at(u as i32, v as i32))] } else { 0.0 }
+    }
+
     /// The mass inside `window` moved by `shift_px` (rounded to pixels); `None` if there is none.
     pub(super) fn mass(&self, hue: &HuePlane, window: &RegionMask, shift_px: &Vector2<f64>) -> Option<Mass> {
         let (dx, dy) = (shift_px.x.round() as i32, shift_px.y.round() as i32);

@@ -1,14 +1,15 @@
 //! The published method over time: the population, the region and the model frame carried from frame to frame.
 
 use image::RgbImage;
-use nalgebra::{Matrix6, Point3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix6, Point3, Rotation2, UnitQuaternion, Vector2, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model};
-use pb3dp_geometry::{ImageSize, Pose, StereoRig};
+use pb3dp_geometry::{ImageSize, Pinhole, Pose, StereoRig};
 
 use super::PublishedConfig;
 use super::backprojection::Backprojection;
 use super::core::{Core, Found, Taken};
 use super::model_frame;
+use super::outline_fit::OutlineEdge;
 use crate::cpu::Kernels;
 use crate::error::{EstimationError, check_range};
 use crate::estimate::PlanePose;
@@ -39,6 +40,9 @@ pub struct TrackerConfig {
     pub mass_share_min: f64,
     /// Lost if less of the region lies inside the image, as a share, 0 to 1. Default 0.5.
     pub visible_share_min: f64,
+    /// Ambiguous if the depth is determined worse than to this share, 0 to 1. Wider than for single pairs: the other peaks are
+    /// ruled out by continuity, and what follows filters over time. Default 0.03.
+    pub depth_spread_sure: f64,
     /// Lost if the fitness falls below the first frame's median of the search range plus this share of its height above
     /// that median, 0 to 1. Default 0.4.
     pub height_share_min: f64,
@@ -53,6 +57,7 @@ impl Default for TrackerConfig {
             contrast_min: 0.2,
             mass_share_min: 0.35,
             visible_share_min: 0.5,
+            depth_spread_sure: 0.03,
             height_share_min: 0.4,
         }
     }
@@ -69,6 +74,7 @@ impl TrackerConfig {
         share("tracker contrast_min", self.contrast_min)?;
         share("tracker mass_share_min", self.mass_share_min)?;
         share("tracker visible_share_min", self.visible_share_min)?;
+        share("tracker depth_spread_sure", self.depth_spread_sure)?;
         share("tracker height_share_min", self.height_share_min)
     }
 }
@@ -134,6 +140,9 @@ struct Target {
     reference_rotation: UnitQuaternion<f64>,
     /// The first frame's outline on the plane, metres.
     outline_in_model_m: Vec<Vector2<f64>>,
+    outline_edge: OutlineEdge,
+    /// How far the outline has turned on the plane since the first frame, radians: of the region, not of the pose.
+    outline_roll_rad: f64,
     appearance: Appearance,
     /// Below this fitness the target is lost.
     fitness_floor: f64,
@@ -156,6 +165,16 @@ struct Carried {
     outline_px: Vec<Vector2<f64>>,
     /// Where the model's origin is seen, undistorted left image.
     origin_px: Vector2<f64>,
+    /// Where the centroid of the target's weights is expected.
+    mass_centre_px: Vector2<f64>,
+}
+
+impl Carried {
+    fn shift(&mut self, shift_px: &Vector2<f64>) {
+        self.outline_px.iter_mut().for_each(|vertex| *vertex += shift_px);
+        self.origin_px += shift_px;
+        self.mass_centre_px += shift_px;
+    }
 }
 
 impl PublishedTracker {
@@ -296,7 +315,7 @@ impl PublishedTracker {
         target.lost_frames = 0;
         let range = *target.rmga.codec().range();
         let spreads = self.core.survey_nearby(found, &range)?;
-        let verdict = self.core.config().observability.verdict_nearby(spreads);
+        let verdict = self.core.config().tracked_observability().verdict_nearby(spreads);
         (estimate.status, estimate.reason) = (verdict.status, verdict.reason);
         estimate.cam_left_from_model = Some(target.cam_left_from_model);
         (estimate.psi, estimate.fitness) = (Some(found.psi), Some(found.fitness));
@@ -304,31 +323,33 @@ impl PublishedTracker {
     }
 
     /// The region of the new frame, left in `self.mask`.
-    fn carry_region(&mut self, target: &Target) -> Result<Carried, String> {
-        let config = self.core.config().tracker;
-        let pinhole = *self.core.pair().left();
-        let pixel_of = |point: &Vector2<f64>| {
-            let point_in_cam_left = target.cam_left_from_model.transform_point(&Point3::new(point.x, point.y, 0.0));
-            let pixel = pinhole.pixel_from_normalized(&(point_in_cam_left.coords.xy() / point_in_cam_left.z));
-            (point_in_cam_left.z > 0.0 && pixel.iter().all(|c| c.abs() < VERTEX_MAX_PX)).then_some(pixel)
-        };
+    fn carry_region(&mut self, target: &mut Target) -> Result<Carried, String> {
+        let visible_share_min = self.core.config().tracker.visible_share_min;
         let out_of_sight = || "the target lies out of the camera's sight".to_owned();
-        let outline: Option<Vec<_>> = target.outline_in_model_m.iter().map(pixel_of).collect();
-        let mut outline_px = outline.ok_or_else(out_of_sight)?;
-        let mut origin_px = pixel_of(&Vector2::zeros()).ok_or_else(out_of_sight)?;
-        let expected_px = pixel_of(&target.appearance.mass_centre_in_model_m).ok_or_else(out_of_sight)?;
-        let covered_px = self.rasterize(&outline_px);
-        if let Some(shift_px) = self.recentre(target, &expected_px, covered_px)? {
-            outline_px.iter_mut().for_each(|vertex| *vertex += shift_px);
-            origin_px += shift_px;
-            self.rasterize(&outline_px);
+        let pinhole = *self.core.pair().left();
+        let mut carried = target.region_in(&pinhole).ok_or_else(out_of_sight)?;
+        let mut covered_px = self.rasterize(&carried.outline_px);
+        if let Some(shift_px) = self.recentre(target, &carried.mass_centre_px, covered_px)? {
+            target.outline_roll_rad = self.turn_outline(target, &pinhole, &shift_px);
+            carried = target.region_in(&pinhole).ok_or_else(out_of_sight)?;
+            carried.shift(&shift_px);
+            covered_px = self.rasterize(&carried.outline_px);
         }
         let visible = self.mask.area_px() as f64 / covered_px.max(1) as f64;
-        if visible < config.visible_share_min {
-            let (percent, limit) = (100.0 * visible, 100.0 * config.visible_share_min);
+        if visible < visible_share_min {
+            let (percent, limit) = (100.0 * visible, 100.0 * visible_share_min);
             return Err(format!("{percent:.0} % of the region is left in the image (limit {limit:.0} %)"));
         }
-        Ok(Carried { outline_px, origin_px })
+        Ok(carried)
+    }
+
+    /// How far the outline has turned, once it is re-centred.
+    fn turn_outline(&self, target: &Target, pinhole: &Pinhole, shift_px: &Vector2<f64>) -> f64 {
+        let hue = self.core.left_hue();
+        target.outline_edge.fit(target.outline_roll_rad, |point| {
+            let pixel = pixel_of(&target.cam_left_from_model, pinhole, point).map(|pixel| pixel + shift_px);
+            pixel.map_or(0.0, |pixel| target.appearance.colours.weight_at(hue, &pixel))
+        })
     }
 
     /// How far the target's pixels have moved; `None` if they can not be told from the background.
@@ -397,6 +418,7 @@ impl PublishedTracker {
             Some(model_from_cam_left.transform_point(&point_in_cam_left).coords.xy())
         };
         let outline_in_model_m: Option<Vec<_>> = taken.outline_px.iter().map(on_plane).collect();
+        let outline_in_model_m = outline_in_model_m?;
         self.mask = taken.mask.clone();
         let config = self.core.config();
         let window = taken.mask.dilate(config.tracker.window_margin_px);
@@ -413,7 +435,9 @@ impl PublishedTracker {
             population,
             cam_left_from_model,
             reference_rotation,
-            outline_in_model_m: outline_in_model_m?,
+            outline_edge: OutlineEdge::new(&outline_in_model_m, plane.z_m / pair.left().fx),
+            outline_in_model_m,
+            outline_roll_rad: 0.0,
             appearance: Appearance {
                 colours,
                 mass_centre_in_model_m: on_plane(&mass_px)?,
@@ -446,6 +470,17 @@ impl PublishedTracker {
 }
 
 impl Target {
+    /// The region as the last pose puts it into the image; `None` if a part of it is not in front of the camera.
+    fn region_in(&self, pinhole: &Pinhole) -> Option<Carried> {
+        let turn = Rotation2::new(self.outline_roll_rad);
+        let turned = |point: &Vector2<f64>| pixel_of(&self.cam_left_from_model, pinhole, &(turn * point));
+        Some(Carried {
+            outline_px: self.outline_in_model_m.iter().map(turned).collect::<Option<_>>()?,
+            origin_px: turned(&Vector2::zeros())?,
+            mass_centre_px: turned(&self.appearance.mass_centre_in_model_m)?,
+        })
+    }
+
     /// Expresses the last pose in the camera of the new frame, the target taken as standing still.
     fn move_camera(&mut self, cam_left_prev_from_cam_left_now: &Pose<CamLeft, CamLeft>) {
         let cam_left_now_from_cam_left_prev = cam_left_prev_from_cam_left_now.inverse();
@@ -472,6 +507,19 @@ impl Target {
         };
         self.population.shift(self.rmga.codec(), |psi| moved(&psi).unwrap_or(psi));
     }
+}
+
+/// Undistorted left pixel of a point of the model's plane, metres; `None` if it is not in front of the camera or far out
+/// of sight.
+fn pixel_of(
+    cam_left_from_model: &Pose<CamLeft, Model>,
+    pinhole: &Pinhole,
+    point_in_model_m: &Vector2<f64>,
+) -> Option<Vector2<f64>> {
+    let point_in_model = Point3::new(point_in_model_m.x, point_in_model_m.y, 0.0);
+    let point_in_cam_left = cam_left_from_model.transform_point(&point_in_model);
+    let pixel = pinhole.pixel_from_normalized(&(point_in_cam_left.coords.xy() / point_in_cam_left.z));
+    (point_in_cam_left.z > 0.0 && pixel.iter().all(|c| c.abs() < VERTEX_MAX_PX)).then_some(pixel)
 }
 
 /// The mask's box, grown by `margin_px` on all sides.
