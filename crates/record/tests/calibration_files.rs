@@ -1,0 +1,299 @@
+//! Calibration files: what independent software wrote, there and back, and nothing ever panics.
+
+#![allow(clippy::unwrap_used, reason = "helpers of tests may fail loudly, as tests do")]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use nalgebra::Vector3;
+use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig, so3};
+use pb3dp_record::calibration_files::{
+    CalibrationFileError, CalibrationFormat, StereoCalibration, load_stereo, save_json, save_kalibr, save_opencv,
+    save_ros_pair,
+};
+use proptest::prelude::*;
+
+const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
+
+fn data(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)
+}
+
+fn rig(lenses: [Distortion; 2]) -> StereoRig {
+    let camera = |pinhole, lens| Camera::new(SIZE, pinhole, lens).unwrap();
+    let left = camera(Pinhole { fx: 742.5, fy: 738.25, cx: 331.25, cy: 228.5 }, lenses[0]);
+    let right = camera(Pinhole { fx: 735.0, fy: 731.5, cx: 318.75, cy: 240.125 }, lenses[1]);
+    let rotation = so3::exp(&Vector3::new(0.013, -0.041, 0.007));
+    StereoRig::new(left, right, Pose::from_parts(Vector3::new(-0.0985, 0.00125, 0.00275), rotation)).unwrap()
+}
+
+const FIVE: Distortion = Distortion::BrownConrady5 { coefficients: [-0.31, 0.12, 0.0011, -0.0007, -0.018] };
+const FOUR: Distortion = Distortion::BrownConrady5 { coefficients: [-0.31, 0.12, 0.0011, -0.0007, 0.0] };
+const EIGHT: Distortion =
+    Distortion::BrownConrady8 { coefficients: [0.42, -0.21, -0.0009, 0.0013, 0.05, 0.71, -0.13, 0.02] };
+const WIDE: Distortion = Distortion::Equidistant { coefficients: [-0.012, 0.0043, -0.0021, 0.0004] };
+
+/// Largest relative difference of the pinholes, and of the pose in metres and radians; the lenses must be equal.
+fn difference(a: &StereoRig, b: &StereoRig) -> f64 {
+    let mut worst = 0.0_f64;
+    for (a, b) in [(a.left(), b.left()), (a.right(), b.right())] {
+        assert_eq!(a.distortion(), b.distortion());
+        assert_eq!(a.size(), b.size());
+        worst = worst.max((a.pinhole().matrix() - b.pinhole().matrix()).amax() / a.pinhole().fx);
+    }
+    let (a, b) = (a.cam_right_from_cam_left(), b.cam_right_from_cam_left());
+    worst.max((a.to_homogeneous() - b.to_homogeneous()).amax())
+}
+
+#[test]
+fn file_written_by_opencv_is_read() {
+    let calibration = load_stereo(&[data("opencv_4_14_stereo.yaml")]).unwrap();
+    assert_eq!(calibration.format, CalibrationFormat::OpenCv);
+    assert!(difference(&calibration.rig, &rig([FIVE, EIGHT])) < 1e-14);
+    assert_eq!(calibration.notes.len(), 1, "{:?}", calibration.notes);
+    assert!(calibration.notes[0].contains("taken as millimetres"), "{:?}", calibration.notes);
+    assert!(calibration.source.ends_with("opencv_4_14_stereo.yaml"));
+}
+
+#[test]
+fn ros_pair_rectified_by_opencv_gives_back_the_pose() {
+    let directory = load_stereo(&[data("ros_pair")]).unwrap();
+    assert_eq!(directory.format, CalibrationFormat::RosPair);
+    assert!(difference(&directory.rig, &rig([FIVE, EIGHT])) < 1e-12, "{:?}", directory.rig);
+    let files = load_stereo(&[data("ros_pair/left.yaml"), data("ros_pair/right.yaml")]).unwrap();
+    assert_eq!(files, directory);
+}
+
+/// As Kalibr's wiki shows a camchain, with the camera-IMU and topic keys that it adds; the transform is the one of the
+/// other files, from `cv2.Rodrigues([0.013, -0.041, 0.007])` of OpenCV 4.14.0.
+const KALIBR: &str = "cam0:
+  cam_overlaps: [1]
+  camera_model: pinhole
+  distortion_coeffs: [-0.31, 0.12, 0.0011, -0.0007]
+  distortion_model: radtan
+  intrinsics: [742.5, 738.25, 331.25, 228.5]
+  resolution: [640, 480]
+  rostopic: /cam0/image_raw
+cam1:
+  T_cn_cnm1:
+  - [0.99913513687758537, -0.0072642425393967137, -0.04094153193198221, -0.0985]
+  - [0.0067313268813077153, 0.99989101724815821, -0.013139363183216535, 0.00125]
+  - [0.041032517532143743, 0.012852408598091688, 0.99907514637198436, 0.00275]
+  - [0.0, 0.0, 0.0, 1.0]
+  cam_overlaps: [0]
+  camera_model: pinhole
+  distortion_coeffs: [-0.012, 0.0043, -0.0021, 0.0004]
+  distortion_model: equidistant
+  intrinsics: [735.0, 731.5, 318.75, 240.125]
+  resolution: [640, 480]
+  rostopic: /cam1/image_raw
+";
+
+const JSON: &str = r#"{
+ "image_size": [640, 480], "rectified": false, "distortion": "none (undistorted)",
+ "K_left": [[742.5, 0, 331.25], [0, 738.25, 228.5], [0, 0, 1]],
+ "K_right": [[735.0, 0, 318.75], [0, 731.5, 240.125], [0, 0, 1]],
+ "R": [[0.99913513687758537, -0.0072642425393967137, -0.04094153193198221],
+       [0.0067313268813077153, 0.99989101724815821, -0.013139363183216535],
+       [0.041032517532143743, 0.012852408598091688, 0.99907514637198436]],
+ "t_mm": [-98.5, 1.25, 2.75],
+ "baseline_mm": 98.546,
+ "doffs_px": -12.5,
+ "convention": "X_right = R X_left + t; x right, y down, z forward; pixel centres at integers",
+ "source": "made for this test"
+}
+"#;
+
+/// Loads texts as files.
+fn load_texts(files: &[(&str, &str)]) -> Result<StereoCalibration, CalibrationFileError> {
+    let directory = tempfile::tempdir().unwrap();
+    let paths = files.iter().map(|(name, text)| {
+        let path = directory.path().join(name);
+        fs::write(&path, text).unwrap();
+        path
+    });
+    load_stereo(&paths.collect::<Vec<_>>())
+}
+
+#[test]
+fn camchain_and_case_calibration_are_read() {
+    let kalibr = load_texts(&[("camchain.yaml", KALIBR)]).unwrap();
+    assert_eq!(kalibr.format, CalibrationFormat::Kalibr);
+    assert!(difference(&kalibr.rig, &rig([FOUR, WIDE])) < 1e-14);
+    let json = load_texts(&[("calib.json", JSON)]).unwrap();
+    assert_eq!(json.format, CalibrationFormat::CaseJson);
+    assert!(difference(&json.rig, &rig([Distortion::None, Distortion::None])) < 1e-14);
+    let lens = r#""distortion_right": {"model": "rational_polynomial", "coefficients":
+        [0.42, -0.21, -0.0009, 0.0013, 0.05, 0.71, -0.13, 0.02]}, "source""#;
+    let json = load_texts(&[("calib.json", &JSON.replace("\"source\"", lens))]).unwrap();
+    assert!(difference(&json.rig, &rig([Distortion::None, EIGHT])) < 1e-14);
+}
+
+#[test]
+fn other_spellings_of_opencv_files_are_read() {
+    let text = fs::read_to_string(data("opencv_4_14_stereo.yaml")).unwrap();
+    let spelled = text
+        .replace("M1:", "cameraMatrix1:")
+        .replace("M2:", "cameraMatrix2:")
+        .replace("D1:", "distCoeffs1:")
+        .replace("D2:", "distCoeffs2:")
+        .replace("image_width: 640\nimage_height: 480", "imageSize: [640, 480]\nunits: mm");
+    let calibration = load_texts(&[("stereo.yml", &spelled)]).unwrap();
+    assert!(difference(&calibration.rig, &rig([FIVE, EIGHT])) < 1e-14);
+    assert_eq!(calibration.notes, Vec::<String>::new(), "the unit is stated");
+    // Split as OpenCV's stereo sample does, and in metres.
+    let cut = text.find("R: !!").unwrap();
+    let extrinsics =
+        format!("%YAML:1.0\n---\n{}", text[cut..].replace("-98.5, 1.25, 2.75", "-0.0985, 0.00125, 0.00275"));
+    let calibration = load_texts(&[("intrinsics.yml", &text[..cut]), ("extrinsics.yml", &extrinsics)]).unwrap();
+    assert!(difference(&calibration.rig, &rig([FIVE, EIGHT])) < 1e-14);
+    assert!(calibration.notes[0].contains("taken as metres"));
+}
+
+/// Written and read again by one format.
+fn there_and_back(format: CalibrationFormat, rig: &StereoRig) -> StereoCalibration {
+    let directory = tempfile::tempdir().unwrap();
+    let (left, right) = (directory.path().join("left.yaml"), directory.path().join("right.yaml"));
+    let one = directory.path().join("calib.json");
+    match format {
+        CalibrationFormat::RosPair => {
+            save_ros_pair(rig, &left, &right).unwrap();
+            return load_stereo(&[left, right]).unwrap();
+        }
+        CalibrationFormat::Kalibr => save_kalibr(rig, &left).unwrap(),
+        CalibrationFormat::OpenCv => save_opencv(rig, &left).unwrap(),
+        CalibrationFormat::CaseJson => {
+            save_json(rig, &one).unwrap();
+            return load_stereo(&[directory.path().to_path_buf()]).unwrap();
+        }
+    }
+    load_stereo(&[left]).unwrap()
+}
+
+const FORMATS: [CalibrationFormat; 4] =
+    [CalibrationFormat::RosPair, CalibrationFormat::Kalibr, CalibrationFormat::OpenCv, CalibrationFormat::CaseJson];
+
+// The OpenCV file that `save_opencv` writes for `rig([FIVE, EIGHT])` was read once by OpenCV 4.14.0
+// (`cv2.FileStorage(path, cv2.FILE_STORAGE_READ)`, PyPI opencv-python-headless 4.14.0.94): `getNode("M1").mat()` and the
+// other matrices came back equal to the last bit, `getNode("units").string()` as "m". PyYAML 6.0.3 read the ROS pair.
+#[test]
+fn every_format_goes_there_and_back() {
+    for format in FORMATS {
+        for lenses in [[FOUR, WIDE], [Distortion::None, FOUR], [FIVE, EIGHT], [WIDE, FIVE]] {
+            if format == CalibrationFormat::Kalibr && lenses.iter().any(|lens| [FIVE, EIGHT].contains(lens)) {
+                continue;
+            }
+            let back = there_and_back(format, &rig(lenses));
+            assert_eq!(back.format, format);
+            assert!(back.notes.is_empty(), "{format}: {:?}", back.notes);
+            assert!(difference(&back.rig, &rig(lenses)) < 1e-12, "{format}: {:?}", back.rig);
+        }
+    }
+}
+
+#[test]
+fn rectified_rigs_stay_rectified() {
+    let rectified = rig([FIVE, EIGHT]).rectify().unwrap().rig;
+    for format in FORMATS {
+        let back = there_and_back(format, &rectified).rig;
+        assert!(back.is_rectified(), "{format}: {back:?}");
+        assert!(difference(&back, &rectified) < 1e-12);
+    }
+}
+
+#[test]
+fn what_a_format_can_not_hold_is_refused_on_writing() {
+    let path = tempfile::tempdir().unwrap().path().join("camchain.yaml");
+    let error = save_kalibr(&rig([FOUR, FIVE]), &path).unwrap_err();
+    assert!(
+        error.to_string().contains("Kalibr camchain can not hold this calibration: its radtan model has no k3"),
+        "{error}"
+    );
+    assert!(!path.exists());
+    let error = save_opencv(&rig([FOUR, FIVE]), &path).unwrap_err();
+    assert!(matches!(error, CalibrationFileError::Write { .. }), "the directory is gone: {error}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+
+    #[test]
+    fn any_rig_goes_there_and_back(
+        turn in prop::array::uniform3(-0.3..0.3_f64),
+        centre in (0.05..0.8_f64, -0.02..0.02_f64, -0.02..0.02_f64),
+        pinholes in prop::array::uniform2((500.0..900.0_f64, 500.0..900.0_f64, 250.0..390.0_f64, 190.0..290.0_f64)),
+        coefficients in prop::array::uniform4(-0.01..0.01_f64),
+        format in prop::sample::select(FORMATS.to_vec()),
+    ) {
+        let [a, b, c, d] = coefficients;
+        let lenses = [Distortion::Equidistant { coefficients }, Distortion::BrownConrady5 { coefficients: [a, b, c, d, 0.0] }];
+        let [left, right] = [0, 1].map(|i| {
+            let (fx, fy, cx, cy) = pinholes[i];
+            Camera::new(SIZE, Pinhole { fx, fy, cx, cy }, lenses[i]).unwrap()
+        });
+        let rotation = so3::exp(&Vector3::from(turn));
+        let translation_m = -(rotation * Vector3::new(centre.0, centre.1, centre.2));
+        let rig = StereoRig::new(left, right, Pose::from_parts(translation_m, rotation)).unwrap();
+        prop_assert!(difference(&there_and_back(format, &rig).rig, &rig) < 1e-12);
+    }
+}
+
+/// Base texts of the fuzz tests.
+fn good_files() -> Vec<(&'static str, String)> {
+    vec![
+        ("camchain.yaml", KALIBR.to_owned()),
+        ("calib.json", JSON.to_owned()),
+        ("stereo.yaml", fs::read_to_string(data("opencv_4_14_stereo.yaml")).unwrap()),
+        ("left.yaml", fs::read_to_string(data("ros_pair/left.yaml")).unwrap()),
+        ("right.yaml", fs::read_to_string(data("ros_pair/right.yaml")).unwrap()),
+    ]
+}
+
+/// Loads damaged bytes alone and beside a good file; an answer of any kind will do, a panic will not. A refusal must be
+/// one that names the file.
+fn load_damaged(name: &str, bytes: &[u8]) {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join(name);
+    fs::write(&path, bytes).unwrap();
+    let other = data("ros_pair/right.yaml");
+    for paths in [vec![path.clone()], vec![path.clone(), other.clone()], vec![other, path.clone()]] {
+        if let Err(error) = load_stereo(&paths) {
+            let text = error.to_string();
+            assert!(text.contains(name) || text.contains("right.yaml"), "{text}");
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(150))]
+
+    #[test]
+    fn random_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..200), json: bool) {
+        load_damaged(if json { "x.json" } else { "x.yaml" }, &bytes);
+    }
+
+    #[test]
+    fn mutated_files_never_panic(
+        which in 0_usize..5,
+        edits in prop::collection::vec((any::<prop::sample::Index>(), any::<prop::sample::Index>(), 0..4), 1..4),
+        token in prop::sample::select(vec![
+            "", "0", "-1", ".nan", ".inf", "1e400", "[", "]", "{", "}", ":", "\n", "- ", "null", "~", "\"", "&a ", "*a",
+            "!!x ", "99999999999999999999", "é", "\u{0}", "1e-320", "[[[[[[[[", "-",
+        ]),
+    ) {
+        let (name, text) = good_files().swap_remove(which);
+        let mut text: Vec<char> = text.chars().collect();
+        for (from, length, kind) in edits {
+            let at = from.index(text.len());
+            let end = (at + length.index(12)).min(text.len());
+            match kind {
+                0 => drop(text.splice(at..end, token.chars())),
+                1 => drop(text.splice(at..at, token.chars())),
+                2 => text.truncate(at.max(1)),
+                _ => { text.remove(at); }
+            }
+            if text.is_empty() { break }
+        }
+        load_damaged(name, text.into_iter().collect::<String>().as_bytes());
+    }
+}
