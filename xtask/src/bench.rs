@@ -1,6 +1,7 @@
 //! `cargo xtask bench`: measurements of speed.
 
 use std::io::{BufRead, BufReader};
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, bail};
@@ -16,14 +17,17 @@ const OUT: &str = "out/bench";
 /// speed   one frame of the published method: hue images, model, search; and the ratio to the naive scalar version
 /// raster  pairs of pictures per second and core from the simulator's rasteriser
 ///
-/// The programs are crates/estimation/examples/speed.rs and crates/sim/examples/raster_speed.rs; each prints its own table.
-/// The figures are also written to out/bench/<name>.json, with commit, processor and compiler. Measure on an idle machine.
+/// The programs are the examples `speed` of crates/estimation and `raster_speed` of crates/sim; each prints its own table.
+/// What they print is also kept in out/bench/<name>.json, with commit, processor and compiler. Measure on an idle machine.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {
     /// What to measure.
     #[arg(value_enum, default_value = "all")]
     what: What,
+    /// JSON instead of the table, from the programs that can; it is kept as figures, the table as text.
+    #[arg(long)]
+    json: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -38,7 +42,7 @@ struct Bench {
     name: &'static str,
     package: &'static str,
     example: &'static str,
-    source: &'static str,
+    folder: &'static str,
 }
 
 const BENCHES: [Bench; 2] = [
@@ -47,14 +51,14 @@ const BENCHES: [Bench; 2] = [
         name: "speed",
         package: "pb3dp-estimation",
         example: "speed",
-        source: "crates/estimation/examples/speed.rs",
+        folder: "crates/estimation/examples",
     },
     Bench {
         what: What::Raster,
         name: "raster",
         package: "pb3dp-sim",
         example: "raster_speed",
-        source: "crates/sim/examples/raster_speed.rs",
+        folder: "crates/sim/examples",
     },
 ];
 
@@ -62,48 +66,61 @@ const BENCHES: [Bench; 2] = [
 /// If a program does not build or fails, or its figures can not be written.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     for bench in BENCHES.iter().filter(|bench| args.what == What::All || args.what == bench.what) {
-        measure(workspace, bench).with_context(|| format!("bench {}", bench.name))?;
+        measure(workspace, bench, args.json).with_context(|| format!("bench {}", bench.name))?;
     }
     Ok(())
 }
 
-fn measure(workspace: &Workspace, bench: &Bench) -> anyhow::Result<()> {
-    let source = std::fs::read_to_string(workspace.root().join(bench.source))
-        .with_context(|| format!("cannot read {}", bench.source))?;
+fn measure(workspace: &Workspace, bench: &Bench, as_json: bool) -> anyhow::Result<()> {
     let mut command = workspace.cargo();
     command.args(["run", "--release", "--locked", "--quiet", "--package", bench.package, "--example", bench.example]);
-    if source.contains("\"--json\"") {
+    if offers_json(&workspace.root().join(bench.folder), bench.example)? && as_json {
         command.args(["--", "--json"]);
     }
     println!("== {} (cargo run --release -p {} --example {})", bench.name, bench.package, bench.example);
-    let results = run_and_collect(&mut command)?;
-    if results.is_empty() {
-        return Ok(());
-    }
+    let (results, table) = run_and_collect(&mut command)?;
     let folder = workspace.root().join(OUT);
     std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {OUT}"))?;
     let path = format!("{OUT}/{}.json", bench.name);
-    let text = format!("{:#}\n", json!({ "bench": bench.name, "where": circumstances(workspace), "results": results }));
-    std::fs::write(workspace.root().join(&path), text).with_context(|| format!("cannot write {path}"))?;
+    let kept = json!({ "bench": bench.name, "where": circumstances(workspace), "results": results, "printed": table });
+    std::fs::write(workspace.root().join(&path), format!("{kept:#}\n"))
+        .with_context(|| format!("cannot write {path}"))?;
     println!("kept in {path}");
     Ok(())
 }
 
-/// Runs the program, shows what it prints, and returns the lines that are JSON objects.
-fn run_and_collect(command: &mut Command) -> anyhow::Result<Vec<Value>> {
+/// Whether an example's source mentions the option `--json`; an example is one file or a folder.
+fn offers_json(folder: &Path, example: &str) -> anyhow::Result<bool> {
+    let (file, directory) = (folder.join(format!("{example}.rs")), folder.join(example));
+    let mut sources = vec![file];
+    if let Ok(entries) = std::fs::read_dir(&directory) {
+        sources.extend(entries.filter_map(|entry| Some(entry.ok()?.path())));
+    }
+    let texts: Vec<String> = sources.iter().filter_map(|path| std::fs::read_to_string(path).ok()).collect();
+    if texts.is_empty() {
+        bail!("there is no example `{example}` in {}", folder.display());
+    }
+    Ok(texts.iter().any(|text| text.contains("\"--json\"")))
+}
+
+/// Runs the program and shows what it prints; returns the lines that are JSON objects, and the other lines.
+fn run_and_collect(command: &mut Command) -> anyhow::Result<(Vec<Value>, Vec<String>)> {
     let mut child = command.stdout(Stdio::piped()).spawn().context("cannot start cargo")?;
     let stdout = child.stdout.take().context("the program has no output")?;
-    let mut results = Vec::new();
+    let (mut results, mut table) = (Vec::new(), Vec::new());
     for line in BufReader::new(stdout).lines() {
         let line = line.context("cannot read the program's output")?;
         println!("{line}");
-        results.extend(serde_json::from_str::<Value>(&line).ok().filter(Value::is_object));
+        match serde_json::from_str::<Value>(&line) {
+            Ok(result) if result.is_object() => results.push(result),
+            _ => table.push(line),
+        }
     }
     let status = child.wait().context("cannot wait for the program")?;
     if !status.success() {
         bail!("the program failed ({status})");
     }
-    Ok(results)
+    Ok((results, table))
 }
 
 /// Commit, processor and compiler; "unknown" where the machine does not tell.
@@ -138,11 +155,24 @@ mod tests {
     }
 
     #[test]
+    fn an_example_is_found_as_file_or_folder_and_missed_if_it_is_gone() {
+        let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../crates/sim/examples");
+        assert!(offers_json(&examples, "raster_speed").is_ok());
+        let error = offers_json(&examples, "no_such_example").expect_err("not there");
+        assert!(error.to_string().contains("no_such_example"), "{error}");
+        let own_sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+        assert!(offers_json(&own_sources, "bench").expect("this very file"));
+    }
+
+    #[test]
     fn json_lines_are_kept_and_failures_are_told() {
         let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
         cargo.args(["metadata", "--no-deps", "--format-version", "1"]);
-        let results = run_and_collect(&mut cargo).expect("cargo metadata prints one line of JSON");
-        assert!(results.len() == 1 && results[0]["packages"].is_array());
+        let (results, table) = run_and_collect(&mut cargo).expect("cargo metadata prints one line of JSON");
+        assert!(results.len() == 1 && results[0]["packages"].is_array() && table.is_empty());
+        let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+        let (results, table) = run_and_collect(cargo.arg("--version")).expect("cargo tells its version");
+        assert!(results.is_empty() && table[0].starts_with("cargo "));
         let mut broken = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
         assert!(run_and_collect(broken.arg("no-such-command-of-ours").stderr(Stdio::null())).is_err());
     }
