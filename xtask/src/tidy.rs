@@ -4,6 +4,7 @@ mod configs;
 mod dependencies;
 mod exceptions;
 mod layout;
+mod links;
 mod markdown;
 mod method_table;
 mod rust;
@@ -23,7 +24,7 @@ const TEXT_ENDINGS: [&str; 11] =
 /// * Rust: files of at most 600 lines, functions of at most 70 (exceptions only in xtask/tidy-exceptions.toml, and they may
 ///   only shrink), no `todo!`, `unimplemented!`, `dbg!`, no ignored tests, no tests that expect a panic by attribute.
 /// * Text: no absolute paths of one machine, no paths out of the repository, `TODO(name, issue)` or none.
-/// * Markdown: one sentence per line.
+/// * Markdown: one sentence per line; links and paths lead to something.
 /// * configs/: every TOML file and every robot description parses; docs/method.md names each parameter of
 ///   configs/estimator.toml with the same default.
 /// * Layout: the top level holds exactly the agreed entries; every package takes the workspace's lints, version and
@@ -43,7 +44,7 @@ pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
     let mut exceptions = Exceptions::load(workspace)?;
     let mut violations = layout::top_level(&files);
     for file in &texts {
-        violations.extend(check_text(file, &mut exceptions));
+        violations.extend(check_text(file, &files, &mut exceptions));
     }
     violations.extend(dependencies::check(&texts));
     violations.extend(method_table::check(&texts));
@@ -51,7 +52,7 @@ pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
     conclude("tidy", &format!("{} files, {} of them text", files.len(), texts.len()), violations)
 }
 
-fn check_text(file: &SourceFile, exceptions: &mut Exceptions) -> Vec<Violation> {
+fn check_text(file: &SourceFile, files: &[String], exceptions: &mut Exceptions) -> Vec<Violation> {
     let SourceFile { path, text } = file;
     let mut violations = text::check(path, text);
     if path.ends_with(".rs") {
@@ -60,6 +61,7 @@ fn check_text(file: &SourceFile, exceptions: &mut Exceptions) -> Vec<Violation> 
     }
     if path.ends_with(".md") {
         violations.extend(markdown::check(path, text));
+        violations.extend(links::check(path, text, files));
     }
     if path.ends_with("/Cargo.toml") {
         violations.extend(layout::manifest(path, text));

@@ -1,0 +1,90 @@
+//! Links and paths in Markdown lead to something.
+
+use crate::violation::Violation;
+
+/// First folders of paths that are checked where they stand in backticks.
+const ROOTS: [&str; 7] = ["crates/", "hal/", "configs/", "docs/", "tests/", "xtask/", ".ci/"];
+
+/// Checks the relative links of one Markdown file, and the paths from the root that stand alone in backticks.
+pub fn check(path: &str, text: &str, files: &[String]) -> Vec<Violation> {
+    let exists = |target: &str| {
+        let target = target.trim_end_matches('/');
+        target.is_empty() || files.iter().any(|file| file == target || file.starts_with(&format!("{target}/")))
+    };
+    let mut violations = Vec::new();
+    let mut in_code = false;
+    for (index, line) in text.lines().enumerate() {
+        if line.trim_start().starts_with("```") {
+            in_code = !in_code;
+        }
+        if in_code {
+            continue;
+        }
+        let links = links(line).filter_map(|link| resolve(path, link)).filter(|target| !exists(target));
+        let paths = code_spans(line).filter(|span| is_path(span) && !exists(span)).map(str::to_owned);
+        for target in links.chain(paths) {
+            violations.push(Violation::at(path, index + 1, "dead-link", format!("`{target}` is not there")));
+        }
+    }
+    violations
+}
+
+fn links(line: &str) -> impl Iterator<Item = &str> {
+    line.split("](").skip(1).filter_map(|rest| rest.split(')').next())
+}
+
+fn code_spans(line: &str) -> impl Iterator<Item = &str> {
+    line.split('`').skip(1).step_by(2)
+}
+
+fn is_path(span: &str) -> bool {
+    let plain = span.chars().all(|c| c.is_ascii_alphanumeric() || "/._-".contains(c));
+    plain && ROOTS.iter().any(|root| span.starts_with(root))
+}
+
+/// The path from the root that a link means; `None` for other sites and places in the same file.
+fn resolve(path: &str, link: &str) -> Option<String> {
+    let target = link.split('#').next().unwrap_or_default();
+    if target.is_empty() || target.contains("://") || target.starts_with("mailto:") {
+        return None;
+    }
+    let mut parts: Vec<&str> = path.split('/').collect();
+    parts.pop();
+    for part in target.split('/') {
+        match part {
+            "." | "" => {}
+            ".." => drop(parts.pop()),
+            name => parts.push(name),
+        }
+    }
+    Some(parts.join("/"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn messages(path: &str, text: &str) -> Vec<String> {
+        let files = ["README.md", "docs/units.md", "docs/adr/0001-a.md", "crates/a/src/lib.rs"].map(str::to_owned);
+        check(path, text, &files).into_iter().map(|v| v.message).collect()
+    }
+
+    #[test]
+    fn dead_links_and_paths_are_caught() {
+        assert_eq!(messages("README.md", "see [units](docs/unit.md)"), ["`docs/unit.md` is not there"]);
+        assert_eq!(messages("docs/adr/0001-a.md", "[u](../unit.md)"), ["`docs/unit.md` is not there"]);
+        assert_eq!(messages("README.md", "in `crates/a/src/main.rs`"), ["`crates/a/src/main.rs` is not there"]);
+    }
+
+    #[test]
+    fn living_links_pass() {
+        for (path, text) in [
+            ("README.md", "[u](docs/units.md#time), [adr](docs/adr), [web](https://example.org/x)"),
+            ("docs/adr/0001-a.md", "[u](../units.md) and [r](../../README.md) and [here](#context)"),
+            ("README.md", "`crates/a/` and `crates/*/src` and `cargo test -p a` and `docs/units.md`"),
+            ("README.md", "```\n[u](docs/unit.md)\n```"),
+        ] {
+            assert_eq!(messages(path, text), [""; 0], "{text}");
+        }
+    }
+}
