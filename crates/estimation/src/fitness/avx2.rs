@@ -3,7 +3,7 @@
 use std::arch::x86_64::*;
 
 use super::batch::{BATCH, Batch};
-use super::general::PlaneView;
+use super::general::{PlaneView, Scratch};
 use super::points::{CHUNK, PointSet};
 use super::rectified::{BITS_PER_WORD, FRACTION_BITS, TableView};
 
@@ -144,34 +144,31 @@ fn look_up<const ONE_BLOCK: bool>(table: &[[u32; LANES]], bit: __m256i) -> __m25
 
 /// See [`super::scalar::count_general`].
 #[target_feature(enable = "avx2")]
-pub(super) fn count_general(view: &PlaneView<'_>, tolerance: u16, points: &PointSet, homography: &[f32; 8]) -> i32 {
+pub(super) fn count_general(
+    view: &PlaneView<'_>,
+    tolerance: u16,
+    points: &PointSet,
+    homography: &[f32; 8],
+    scratch: &mut Scratch,
+) -> i32 {
     let h = homography.map(|x| _mm256_set1_ps(x));
-    let (du, _) = points.du_real.as_chunks::<CHUNK>();
-    let (dv, _) = points.dv_real.as_chunks::<CHUNK>();
-    let (hue, _) = points.hue.as_chunks::<CHUNK>();
     let mut count = 0;
-    for (index, ((du, dv), hue)) in du.iter().zip(dv).zip(hue).enumerate() {
-        let mut places = [0i32; CHUNK];
-        let (out, _) = places.as_chunks_mut::<LANES>();
-        for ((du, dv), out) in du.as_chunks::<LANES>().0.iter().zip(dv.as_chunks::<LANES>().0).zip(out) {
-            store_i32(out, addresses(view, &h, load_f32(du), load_f32(dv)));
+    for (block, start) in points.blocks() {
+        let (du, dv) = (block.du.as_chunks::<LANES>().0, block.dv.as_chunks::<LANES>().0);
+        let (places, _) = scratch.places.as_chunks_mut::<LANES>();
+        for ((du, dv), places) in du.iter().zip(dv).zip(places) {
+            store_i32(places, addresses(view, &h, load_f32(du), load_f32(dv)));
         }
-        let (hues, _) = hue.as_chunks::<16>();
-        let bits = match_bits(&read(view, &places), [load_u16(&hues[0]), load_u16(&hues[1])], tolerance);
-        count += (bits & points.chunk_mask(index * CHUNK)).count_ones();
+        // SAFETY: the loop above has written as many places as the block has points, all made by `addresses` for this view.
+        unsafe { scratch.read(view, block.hue.len()) };
+        let (hues, pixels) = (block.hue.as_chunks::<CHUNK>().0, scratch.pixels.as_chunks::<CHUNK>().0);
+        for (index, (hues, pixels)) in hues.iter().zip(pixels).enumerate() {
+            let (halves, _) = hues.as_chunks::<16>();
+            let bits = match_bits(pixels, [load_u16(&halves[0]), load_u16(&halves[1])], tolerance);
+            count += (bits & points.chunk_mask(start + index * CHUNK)).count_ones();
+        }
     }
     count.cast_signed()
-}
-
-/// Elements of the plane at addresses that `addresses` has made.
-#[inline(always)]
-pub(super) fn read(view: &PlaneView<'_>, places: &[i32; CHUNK]) -> [u16; CHUNK] {
-    places.map(|place| {
-        debug_assert!((place as usize) < view.data.len());
-        // SAFETY: an address is either 0 or `base + v width + u` with 0 <= u < width and 0 <= v < height, and
-        // `PlaneView::of` has checked that the data is at least `base + width height` long.
-        unsafe { *view.data.get_unchecked(place as usize) }
-    })
 }
 
 /// Address of the pixel that each of eight points falls on, 0 outside the image.

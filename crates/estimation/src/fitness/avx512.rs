@@ -2,9 +2,8 @@
 
 use std::arch::x86_64::*;
 
-use super::avx2::read;
 use super::batch::{BATCH, Batch};
-use super::general::PlaneView;
+use super::general::{PlaneView, Scratch};
 use super::points::{CHUNK, PointSet};
 use super::rectified::{BITS_PER_WORD, FRACTION_BITS, TableView};
 
@@ -147,20 +146,28 @@ fn look_up<const BLOCKS: usize>(table: &[u32], bit: __m512i) -> __m512i {
 
 /// See [`super::scalar::count_general`].
 #[target_feature(enable = "avx512f,avx512bw")]
-pub(super) fn count_general(view: &PlaneView<'_>, tolerance: u16, points: &PointSet, homography: &[f32; 8]) -> i32 {
+pub(super) fn count_general(
+    view: &PlaneView<'_>,
+    tolerance: u16,
+    points: &PointSet,
+    homography: &[f32; 8],
+    scratch: &mut Scratch,
+) -> i32 {
     let h = homography.map(|x| _mm512_set1_ps(x));
-    let (du, _) = points.du_real.as_chunks::<CHUNK>();
-    let (dv, _) = points.dv_real.as_chunks::<CHUNK>();
-    let (hue, _) = points.hue.as_chunks::<CHUNK>();
     let mut count = 0;
-    for (index, ((du, dv), hue)) in du.iter().zip(dv).zip(hue).enumerate() {
-        let mut places = [0i32; CHUNK];
-        let (out, _) = places.as_chunks_mut::<LANES>();
-        for ((du, dv), out) in du.as_chunks::<LANES>().0.iter().zip(dv.as_chunks::<LANES>().0).zip(out) {
-            store_i32(out, addresses(view, &h, load_f32(du), load_f32(dv)));
+    for (block, start) in points.blocks() {
+        let (du, dv) = (block.du.as_chunks::<LANES>().0, block.dv.as_chunks::<LANES>().0);
+        let (places, _) = scratch.places.as_chunks_mut::<LANES>();
+        for ((du, dv), places) in du.iter().zip(dv).zip(places) {
+            store_i32(places, addresses(view, &h, load_f32(du), load_f32(dv)));
         }
-        let bits = match_bits(&read(view, &places), load_u16(hue), tolerance);
-        count += (bits & points.chunk_mask(index * CHUNK)).count_ones();
+        // SAFETY: the loop above has written as many places as the block has points, all made by `addresses` for this view.
+        unsafe { scratch.read(view, block.hue.len()) };
+        let (hues, pixels) = (block.hue.as_chunks::<CHUNK>().0, scratch.pixels.as_chunks::<CHUNK>().0);
+        for (index, (hues, pixels)) in hues.iter().zip(pixels).enumerate() {
+            let bits = match_bits(pixels, load_u16(hues), tolerance);
+            count += (bits & points.chunk_mask(start + index * CHUNK)).count_ones();
+        }
     }
     count.cast_signed()
 }

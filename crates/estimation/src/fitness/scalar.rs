@@ -20,7 +20,7 @@ pub(super) fn compare(pixels: &[u16], hue: u16, tolerance: u16, words: &mut [u32
 
 /// Matches of each hypothesis, by table.
 pub(super) fn count_rectified(view: &TableView<'_>, batch: &Batch, counts: &mut [i32; BATCH]) {
-    for lane in 0..batch.len {
+    for (lane, total) in counts.iter_mut().enumerate().take(batch.len) {
         let (slope_u, slope_v, offset) = (batch.slope_u[lane], batch.slope_v[lane], batch.offset[lane]);
         let mut count = 0;
         let mut start = 0;
@@ -35,7 +35,7 @@ pub(super) fn count_rectified(view: &TableView<'_>, batch: &Batch, counts: &mut 
             }
             start = row.end;
         }
-        counts[lane] = count;
+        *total = count;
     }
 }
 
@@ -57,9 +57,10 @@ pub(super) fn count_general(view: &PlaneView<'_>, tolerance: u16, points: &Point
     count
 }
 
-/// Nearest integer, ties to even; what does not fit (or is not a number) is the lowest integer, as in the vector units.
+/// Nearest integer, ties to even, of a pixel coordinate; the lowest integer for what is far outside every image or not a
+/// number. (Adding and subtracting 3 * 2^22 rounds: there, neighbouring numbers are one apart.)
 #[inline]
 fn round_to_i32(x: f32) -> i32 {
-    let rounded = x.round_ties_even();
-    if rounded.abs() < 2_147_483_648.0 { rounded as i32 } else { i32::MIN }
+    const ROUNDER: f32 = 12_582_912.0;
+    if x.abs() < 4_194_304.0 { ((x + ROUNDER) - ROUNDER) as i32 } else { i32::MIN }
 }

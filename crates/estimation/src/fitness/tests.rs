@@ -297,10 +297,10 @@ fn wrong_inputs_are_refused_with_their_numbers() {
     let pair = PinholePair::from_rig(&scene::rectified_rig(SIZE)).expect("pair");
     let mut fitness = HueFitness::new(FitnessConfig::default(), Kernels::best()).expect("config");
     let model = plain_model(Hue::from_degrees(0.0), 3, 0);
-    let error = fitness.prepare(&pair, &model, &right, &range(0.3)).err().expect("refused");
+    let error = fitness.prepare(&pair, &model, &right, &range(0.3)).expect_err("refused");
     assert!(error.to_string().contains("300x240") && error.to_string().contains("320x240"), "{error}");
     let right = plain([255, 0, 0]);
-    let error = fitness.prepare(&pair, &PhotoModel::default(), &right, &range(0.3)).err().expect("refused");
+    let error = fitness.prepare(&pair, &PhotoModel::default(), &right, &range(0.3)).expect_err("refused");
     assert_eq!(error, EstimationError::EmptyModel { inner: 0, outer: 0 });
     let config = FitnessConfig { hue_tolerance_deg: 200.0, ..FitnessConfig::default() };
     assert!(HueFitness::new(config, Kernels::best()).is_err());

@@ -5,6 +5,9 @@ use super::Gate;
 /// Steps of 1/32768 turn in a sixth of a turn.
 pub(super) const STEPS_PER_SECTOR: f32 = 32768.0 / 6.0;
 
+/// 3 * 2^22.
+const ROUNDER: f32 = 12_582_912.0;
+
 /// Converts pixel by pixel.
 pub(super) fn convert(rgb: &[u8], gate: Gate, out: &mut [u16]) {
     for (pixel, hue) in rgb.chunks_exact(3).zip(out) {
@@ -32,6 +35,7 @@ fn stored_hue(r: u8, g: u8, b: u8, gate: Gate) -> u16 {
     } else {
         r - g + 4 * delta
     };
-    let steps = (sixths as f32 / delta as f32 * STEPS_PER_SECTOR).round_ties_even() as i32;
+    // At most 27307 in magnitude: adding and subtracting 3 * 2^22, where neighbouring numbers are one apart, rounds it.
+    let steps = ((sixths as f32 / delta as f32 * STEPS_PER_SECTOR + ROUNDER) - ROUNDER) as i32;
     ((steps << 1) as u16) | 1
 }

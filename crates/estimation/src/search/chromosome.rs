@@ -201,9 +201,10 @@ mod tests {
     fn layout_is_ten_seven_seven() {
         let codes = Codes { z: 0b10_0000_0001, theta_x: 0b100_0001, theta_y: 0b110_0001 };
         let chromosome = codec(Coding::Binary).chromosome(codes);
-        assert_eq!(chromosome.bits(), 0b1000000001_1000001_1100001);
+        assert_eq!(format!("{:024b}", chromosome.bits()), ["1000000001", "1000001", "1100001"].concat());
         // Gray: 1000000001 -> 1100000001, 1000001 -> 1100001, 1100001 -> 1010001.
-        assert_eq!(codec(Coding::Gray).chromosome(codes).bits(), 0b1100000001_1100001_1010001);
+        let gray = codec(Coding::Gray).chromosome(codes);
+        assert_eq!(format!("{:024b}", gray.bits()), ["1100000001", "1100001", "1010001"].concat());
     }
 
     #[test]

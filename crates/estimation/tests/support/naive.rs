@@ -129,7 +129,7 @@ impl Naive<'_> {
     }
 
     fn sees(&self, point: &Point, at: &Vector2<f64>, tolerance_deg: f64) -> bool {
-        let (u, v) = (at.x.round(), at.y.round());
+        let (u, v) = (at.x + 0.5, at.y + 0.5);
         if u < 0.0 || v < 0.0 || u >= f64::from(self.right.width()) || v >= f64::from(self.right.height()) {
             return false;
         }

@@ -70,6 +70,7 @@ impl Scene {
     }
 
     /// A point of the disc's plane, metres from its centre along its axes, in `cam_left`.
+    #[allow(dead_code, reason = "the speed example needs images alone")]
     pub fn point_in_cam_left(&self, rig: &StereoRig, along_x_m: f64, along_y_m: f64) -> Point3<f64> {
         let [x, y, _] = self.axes();
         Point3::from(self.centre_in_cam_left(rig) + x * along_x_m + y * along_y_m)

@@ -1,0 +1,100 @@
+//! The steady-state frame loop does not allocate: conversion, model, preparation, search.
+
+#[path = "support/scene.rs"]
+mod scene;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+use nalgebra::Vector2;
+use pb3dp_estimation::cpu::Kernels;
+use pb3dp_estimation::fitness::{FitnessConfig, HueFitness, Unseen};
+use pb3dp_estimation::hue::{HueConfig, HuePlane};
+use pb3dp_estimation::photo_model::{PhotoModel, PhotoModelConfig, PhotoModelScratch};
+use pb3dp_estimation::plane_hypothesis::{PinholePair, SearchRange};
+use pb3dp_estimation::region::RegionMask;
+use pb3dp_estimation::search::exhaustive;
+use pb3dp_estimation::search::rmga::{Population, RmGa, RmGaConfig};
+use pb3dp_geometry::{ImageSize, StereoRig};
+use scene::Scene;
+
+/// The system's allocator, counting what this thread asks for.
+struct Counting;
+
+thread_local! {
+    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
+}
+
+fn count_one() {
+    // A thread that is ending has nothing left to count.
+    let _ = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
+}
+
+// SAFETY: every call is passed on to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count_one();
+        // SAFETY: the caller's promise.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promise.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count_one();
+        // SAFETY: the caller's promise.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+const SIZE: ImageSize = ImageSize { width: 320, height: 240 };
+
+fn check(rig: &StereoRig, unseen: Unseen) {
+    let scene =
+        Scene { centre_px: Vector2::new(170.0, 120.0), z_m: 0.5, theta_x_rad: 0.1, theta_y_rad: -0.2, noise: 3.0 };
+    let (left_rgb, right_rgb) = scene.render(rig);
+    let region = RegionMask::from_fn(SIZE, |u, v| scene.sees_disc(rig, u, v));
+    let pair = PinholePair::from_rig(rig).expect("pair");
+    let range = SearchRange::new(0.4, 0.6, 0.5).expect("range");
+    let (hue_config, ga_config) = (HueConfig::default(), RmGaConfig::default());
+    for kernels in Kernels::available() {
+        let (mut left, mut right) = (HuePlane::default(), HuePlane::default());
+        let (mut model, mut scratch) = (PhotoModel::default(), PhotoModelScratch::default());
+        let config = FitnessConfig { unseen, ..FitnessConfig::default() };
+        let mut fitness = HueFitness::new(config, kernels).expect("config");
+        let mut search = RmGa::new(ga_config, range).expect("config");
+        let mut population = Population::random(&ga_config);
+        let mut frame = || {
+            left.update_from_rgb(&left_rgb, &hue_config, kernels);
+            right.update_from_rgb(&right_rgb, &hue_config, kernels);
+            model.resample(&left, &region, &PhotoModelConfig::default(), &mut scratch);
+            let prepared = fitness.prepare(&pair, &model, &right, &range).expect("frame");
+            let best = search.evolve(&mut population, &prepared);
+            exhaustive::optimum_in(&prepared, search.codec(), 500..502);
+            best
+        };
+        frame();
+        let before = ALLOCATIONS.get();
+        assert!(frame().is_scored());
+        frame();
+        assert_eq!(ALLOCATIONS.get() - before, 0, "{}", kernels.set().name());
+    }
+}
+
+#[test]
+fn a_rectified_frame_does_not_allocate() {
+    check(&scene::rectified_rig(SIZE), Unseen::Mismatch);
+    check(&scene::rectified_rig(SIZE), Unseen::Abstain);
+}
+
+#[test]
+fn a_general_frame_does_not_allocate() {
+    check(&scene::general_rig(SIZE), Unseen::Mismatch);
+    check(&scene::general_rig(SIZE), Unseen::Abstain);
+}
