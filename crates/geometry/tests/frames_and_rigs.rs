@@ -9,6 +9,7 @@ use pb3dp_geometry::frames::{Base, CamLeft, CamRight, Flange};
 use pb3dp_geometry::{
     Camera, Distortion, ImageSize, MonotonicTime, Pinhole, Pose, StereoRig, StereoRigError, Twist, so3,
 };
+use proptest::prelude::*;
 
 /// A quarter turn about z, then a shift: by hand, `(1, 2, 3)` goes to `(-2 + 10, 1 + 20, 3 + 30)`.
 fn base_from_flange() -> Pose<Base, Flange> {
@@ -59,6 +60,34 @@ fn times_neither_wrap_nor_lose_their_sign() {
     assert_eq!(MonotonicTime::from_secs_f64(-3.0), MonotonicTime::ZERO);
     assert_eq!(MonotonicTime::from_secs_f64(f64::NAN), MonotonicTime::ZERO);
     assert_eq!(MonotonicTime::from_nanos(u64::MAX) + Duration::from_secs(1), MonotonicTime::from_nanos(u64::MAX));
+}
+
+#[test]
+fn rotation_matrices_with_few_digits_become_the_nearest_rotation() {
+    // Half a turn about a skew axis, where conversions are most delicate, written with four digits.
+    let exact = so3::exp(&(Vector3::new(0.36, -0.48, 0.8) * std::f64::consts::PI)).to_rotation_matrix().into_inner();
+    let pose = Pose::<Base, Flange>::from_rotation_matrix(&exact, Vector3::zeros());
+    assert!((pose.rotation_matrix() - exact).amax() < 1e-15);
+    let written = exact.map(|element| (element * 1e4).round() / 1e4);
+    let rounded = Pose::<Base, Flange>::from_rotation_matrix(&written, Vector3::zeros()).rotation_matrix();
+    assert!((rounded - exact).amax() < 1e-4);
+    assert!((rounded * rounded.transpose() - Matrix3::identity()).amax() < 1e-15);
+    // Nearest: R^T M is symmetric, as the factors of a polar decomposition are.
+    let stretch = rounded.transpose() * written;
+    assert!((stretch - stretch.transpose()).amax() < 1e-15, "{stretch}");
+    // Without meaning, but it returns.
+    for bad in [Matrix3::zeros(), Matrix3::from_element(f64::NAN), -Matrix3::identity()] {
+        let _ = Pose::<Base, Flange>::from_rotation_matrix(&bad, Vector3::zeros());
+    }
+}
+
+proptest! {
+    #[test]
+    fn rotation_matrices_go_there_and_back(phi in prop::array::uniform3(-4.0..4.0_f64)) {
+        let matrix = so3::exp(&Vector3::from(phi)).to_rotation_matrix().into_inner();
+        let back = Pose::<Base, Flange>::from_rotation_matrix(&matrix, Vector3::zeros()).rotation_matrix();
+        prop_assert!((back - matrix).amax() < 2e-15);
+    }
 }
 
 fn rig(translation_m: [f64; 3]) -> Result<StereoRig, StereoRigError> {

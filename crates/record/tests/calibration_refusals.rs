@@ -1,6 +1,6 @@
 //! Wrong and inconsistent calibration files: each refusal names file, key and reason.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests may fail loudly, as tests do")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests may fail loudly, as tests do")]
 
 use std::fs;
 use std::path::{Path, PathBuf};
