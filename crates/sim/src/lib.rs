@@ -10,3 +10,4 @@ pub mod scene;
 pub mod sensor;
 pub mod targets;
 pub mod trajectory;
+mod wide;

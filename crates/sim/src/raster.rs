@@ -15,12 +15,13 @@ use nalgebra::Isometry3;
 use pb3dp_geometry::{Camera, CameraError, ImageSize, StereoRig};
 
 use self::coverage::EdgePixels;
-use self::shade::{RUN_MAX, shade_run};
+use self::shade::{RUN_MAX, Scratch, shade_run};
 use self::triangle::{PartPose, ScreenTriangle, collect_triangles};
 use self::view::View;
 use self::visibility::{NOTHING, TRIANGLE_BITS, Visibility, triangle_index};
 use crate::scene::{Anchor, Scene, SceneObject, ScenePart, ScenePoses};
 use crate::sensor::{Developer, NoiseKey, SensorConfig, SensorError};
+use crate::wide::wide;
 
 /// Light where nothing is seen, in 256ths of a grey level.
 const EMPTY: [u16; 3] = [96 << 8; 3];
@@ -202,8 +203,10 @@ impl StereoRenderer {
         self.see(eye, poses);
         let view = &self.eyes[eye].view;
         self.edges.resolve(view, &self.visibility, &self.triangles);
-        shade_surfaces(view, &self.visibility, self.scene.parts(), &self.triangles, &mut self.light);
-        self.edges.shade(view, self.scene.parts(), &self.triangles, EMPTY, &mut self.light);
+        let parts = self.scene.parts();
+        let seen = Seen { view, visibility: &self.visibility, parts, triangles: &self.triangles };
+        shade_surfaces(&seen, &mut self.light);
+        self.edges.shade(&seen, &mut self.light);
     }
 
     /// Renders the mean light of several moments.
@@ -232,30 +235,39 @@ impl StereoRenderer {
     }
 }
 
-/// Shades every pixel at its centre, in runs of pixels that see the same triangle.
-fn shade_surfaces(
-    view: &View,
-    visibility: &Visibility,
-    parts: &[ScenePart],
-    triangles: &[ScreenTriangle],
-    light: &mut [u16],
-) {
+/// What is shaded: the parts of the scene and their triangles as seen by one camera.
+struct Seen<'a> {
+    view: &'a View,
+    visibility: &'a Visibility,
+    parts: &'a [ScenePart],
+    triangles: &'a [ScreenTriangle],
+}
+
+wide! {
+    /// Shades every pixel at its centre, in runs of pixels that see the same triangle.
+    fn shade_surfaces(seen: &Seen<'_>, light: &mut [u16]) = shade_surfaces_kernel;
+}
+
+#[inline(always)]
+fn shade_surfaces_kernel(seen: &Seen<'_>, light: &mut [u16]) {
+    let view = seen.view;
+    let mut scratch = Scratch::new();
     for row in 0..view.height {
         let start = row * view.width;
-        let seen = &visibility.seen[start..start + view.width];
+        let codes = &seen.visibility.seen[start..start + view.width];
         let mut column = 0;
         while column < view.width {
-            let code = seen[column];
-            let run = seen[column..].iter().take(RUN_MAX).take_while(|&&other| other == code).count();
+            let code = codes[column];
+            let run = codes[column..].iter().take(RUN_MAX).take_while(|&&other| other == code).count();
             let pixels = start + column..start + column + run;
             let out = &mut light[3 * pixels.start..3 * pixels.end];
             if code == NOTHING {
                 out.chunks_exact_mut(3).for_each(|pixel| pixel.copy_from_slice(&EMPTY));
             } else {
-                let triangle = &triangles[triangle_index(code)];
-                let texture = &parts[usize::from(triangle.part)].texture;
+                let triangle = &seen.triangles[triangle_index(code)];
+                let texture = &seen.parts[usize::from(triangle.part)].texture;
                 let rays = (&view.ray_x[pixels.clone()], &view.ray_y[pixels]);
-                shade_run(triangle, texture, view.pixel_size, rays, out);
+                shade_run(triangle, texture, view.pixel_size, rays, &mut scratch, out);
             }
             column += run;
         }

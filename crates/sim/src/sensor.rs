@@ -3,6 +3,7 @@
 //! Grey levels are proportional to light (no gamma): a surface of texture colour 200 under light 1 gives grey level 200.
 
 use crate::noise;
+use crate::wide::wide;
 
 /// What the two sensors do to the light.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -140,6 +141,11 @@ impl Developer {
 
     /// Develops a whole picture: `light` in 256ths of a grey level, red, green, blue, row-major.
     pub(crate) fn develop(&mut self, light: &[u16], key: &NoiseKey, picture: &mut [u8]) {
+        develop(self, light, key, picture);
+    }
+
+    #[inline(always)]
+    fn develop_kernel(&mut self, light: &[u16], key: &NoiseKey, picture: &mut [u8]) {
         let stride = self.blurred.len();
         let rows = light.len() / stride;
         let keys = [0u32, 1].map(|word| {
@@ -158,25 +164,38 @@ impl Developer {
         }
     }
 
+    #[inline(always)]
     fn expose_row(&self, light: &[u16], keys: [u32; 2], first_index: u32, out: &mut [u8]) {
-        // Twelve values are four whole pixels: a pattern of constant gains that vector units like.
-        const PERIOD: usize = 12;
+        // Values of eight whole pixels: a pattern of gains that vector units of any width like.
+        const PERIOD: usize = 24;
         let scale: [f32; PERIOD] = std::array::from_fn(|i| self.scale[i % 3]);
         let offset: [f32; PERIOD] = std::array::from_fn(|i| self.offset[i % 3]);
-        let pieces = out.chunks_mut(PERIOD).zip(light.chunks(PERIOD));
-        for (piece, (out, light)) in pieces.enumerate() {
-            let first = first_index + (piece * PERIOD) as u32;
-            for (i, (out, &light)) in out.iter_mut().zip(light).enumerate() {
-                let signal = f32::from(light) * scale[i];
-                let sigma = (self.read_variance + self.shot_variance * signal).sqrt();
-                let grey = signal + offset[i] + sigma * standard_noise(first + i as u32, keys);
-                *out = (grey.clamp(0.0, 255.0) + ROUNDING).to_bits() as u8;
+        let expose = |i: usize, light: u16, index: u32| {
+            let signal = f32::from(light) * scale[i];
+            let sigma = (self.read_variance + self.shot_variance * signal).sqrt();
+            let grey = signal + offset[i] + sigma * standard_noise(index, keys);
+            (grey.clamp(0.0, 255.0) + ROUNDING).to_bits() as u8
+        };
+        let (mut pieces, mut lights) = (out.chunks_exact_mut(PERIOD), light.chunks_exact(PERIOD));
+        let mut index = first_index;
+        for (piece, light) in pieces.by_ref().zip(lights.by_ref()) {
+            for i in 0..PERIOD {
+                piece[i] = expose(i, light[i], index.wrapping_add(i as u32));
             }
+            index = index.wrapping_add(PERIOD as u32);
+        }
+        for (i, (out, &light)) in pieces.into_remainder().iter_mut().zip(lights.remainder()).enumerate() {
+            *out = expose(i, light, index.wrapping_add(i as u32));
         }
     }
 }
 
+wide! {
+    fn develop(developer: &mut Developer, light: &[u16], key: &NoiseKey, picture: &mut [u8]) = Developer::develop_kernel;
+}
+
 /// A nearly normal number: the sum of four random bytes, mean 0, variance 1, never beyond 3.46.
+#[inline(always)]
 fn standard_noise(index: u32, keys: [u32; 2]) -> f32 {
     let mut x = index.wrapping_mul(0x9E37_79B1) ^ keys[0];
     x = (x ^ (x >> 15)).wrapping_mul(0x85EB_CA77).wrapping_add(keys[1]);
@@ -188,6 +207,7 @@ fn standard_noise(index: u32, keys: [u32; 2]) -> f32 {
 }
 
 /// Blurs with the kernel (w, 1 - 2w, w) along columns, then along rows; picture borders are repeated.
+#[inline(always)]
 fn blur_row(lines: [&[u16]; 3], weight: u32, padded: &mut [u16], out: &mut [u16]) {
     let centre = 65536 - 2 * weight;
     let mix = |a: u16, b: u16, c: u16| {

@@ -1,10 +1,11 @@
 //! Edge pixels, sampled sixteen times.
 
-use super::shade::shade_run;
-use super::triangle::ScreenTriangle;
+use super::shade::{Scratch, shade_run};
+use super::triangle::{Plane, ScreenTriangle};
 use super::view::View;
 use super::visibility::{NOTHING, TRIANGLE_BITS, Visibility, triangle_code, triangle_index};
-use crate::scene::ScenePart;
+use super::{EMPTY, Seen};
+use crate::wide::wide;
 
 /// Samples per edge pixel.
 const SAMPLES: usize = 16;
@@ -29,28 +30,50 @@ pub(crate) struct EdgePixels {
 
 #[derive(Clone, Debug)]
 struct Samples {
+    /// Ray of the pixel's centre and its change from pixel to pixel (see [`View::ray_slopes`]).
+    ray: [f32; 2],
+    ray_slopes: [f32; 4],
     inv_z: [f32; SAMPLES],
     seen: [u32; SAMPLES],
+}
+
+impl Samples {
+    fn unseen(view: &View, column: usize, row: usize) -> Self {
+        let at = row * view.width + column;
+        Self {
+            ray: [view.ray_x[at], view.ray_y[at]],
+            ray_slopes: view.ray_slopes(column, row),
+            inv_z: [0.0; SAMPLES],
+            seen: [NOTHING; SAMPLES],
+        }
+    }
 }
 
 impl EdgePixels {
     /// Finds the edge pixels and what their samples see.
     pub(crate) fn resolve(&mut self, view: &View, visibility: &Visibility, triangles: &[ScreenTriangle]) {
+        resolve(self, view, visibility, triangles);
+    }
+
+    #[inline(always)]
+    fn resolve_kernel(&mut self, view: &View, visibility: &Visibility, triangles: &[ScreenTriangle]) {
         self.columns.clear();
         self.row_starts.clear();
+        self.samples.clear();
         for row in 0..view.height {
             self.row_starts.push(self.columns.len());
             visibility.find_edges(view, row, &mut self.columns);
+            let columns = &self.columns[self.row_starts[row]..];
+            self.samples.extend(columns.iter().map(|&column| Samples::unseen(view, usize::from(column), row)));
         }
         self.row_starts.push(self.columns.len());
-        self.samples.clear();
-        self.samples.resize(self.columns.len(), Samples { inv_z: [0.0; SAMPLES], seen: [NOTHING; SAMPLES] });
         for (index, triangle) in triangles.iter().enumerate() {
-            self.draw(view, triangle, triangle_code(triangle.part, index));
+            self.draw(triangle, triangle_code(triangle.part, index));
         }
     }
 
-    fn draw(&mut self, view: &View, triangle: &ScreenTriangle, code: u32) {
+    #[inline(always)]
+    fn draw(&mut self, triangle: &ScreenTriangle, code: u32) {
         for row in triangle.pixels.y.0..triangle.pixels.y.1 {
             let start = self.row_starts[row];
             let columns = &self.columns[start..self.row_starts[row + 1]];
@@ -59,35 +82,32 @@ impl EdgePixels {
                 if usize::from(column) >= triangle.pixels.x.1 {
                     break;
                 }
-                draw_pixel(view, triangle, code, (usize::from(column), row), &mut self.samples[start + offset]);
+                draw_pixel(triangle, code, &mut self.samples[start + offset]);
             }
         }
     }
 
     /// Writes the colours of all edge pixels: the mean of their samples, each surface shaded at the centre of its samples.
-    pub(crate) fn shade(
-        &self,
-        view: &View,
-        parts: &[ScenePart],
-        triangles: &[ScreenTriangle],
-        empty: [u16; 3],
-        out: &mut [u16],
-    ) {
-        for row in 0..view.height {
+    pub(crate) fn shade(&self, seen: &Seen<'_>, out: &mut [u16]) {
+        let mut scratch = Scratch::new();
+        for row in 0..seen.view.height {
             for index in self.row_starts[row]..self.row_starts[row + 1] {
-                let column = usize::from(self.columns[index]);
-                let colour = mean_colour(view, (column, row), &self.samples[index], parts, triangles, empty);
-                let at = 3 * (row * view.width + column);
-                out[at..at + 3].copy_from_slice(&colour);
+                let at = 3 * (row * seen.view.width + usize::from(self.columns[index]));
+                out[at..at + 3].copy_from_slice(&mean_colour(&self.samples[index], seen, &mut scratch));
             }
         }
     }
 }
 
-fn draw_pixel(view: &View, triangle: &ScreenTriangle, code: u32, pixel: (usize, usize), samples: &mut Samples) {
-    let (x, y) = centre_ray(view, pixel);
-    let slopes = view.ray_slopes(pixel.0, pixel.1).map(|slope| slope / 32.0);
-    let along = |plane: &super::triangle::Plane| {
+wide! {
+    fn resolve(edges: &mut EdgePixels, view: &View, visibility: &Visibility, triangles: &[ScreenTriangle])
+        = EdgePixels::resolve_kernel;
+}
+
+#[inline(always)]
+fn draw_pixel(triangle: &ScreenTriangle, code: u32, samples: &mut Samples) {
+    let ([x, y], slopes) = (samples.ray, samples.ray_slopes.map(|slope| slope / 32.0));
+    let along = |plane: &Plane| {
         (plane.at(x, y), plane.a * slopes[0] + plane.b * slopes[2], plane.a * slopes[1] + plane.b * slopes[3])
     };
     let edges = triangle.edges.each_ref().map(along);
@@ -99,50 +119,38 @@ fn draw_pixel(view: &View, triangle: &ScreenTriangle, code: u32, pixel: (usize, 
         let (u, v) = (SAMPLE_U[i], SAMPLE_V[i]);
         let [e0, e1, e2] = edges.map(|(centre, du, dv)| centre + du * u + dv * v);
         let nearness = depth + depth_du * u + depth_dv * v;
-        let hit = (e0.min(e1).min(e2) >= 0.0) & (nearness > samples.inv_z[i]);
-        samples.inv_z[i] = if hit { nearness } else { samples.inv_z[i] };
-        samples.seen[i] = if hit { code } else { samples.seen[i] };
+        let hit = (e0 >= 0.0) & (e1 >= 0.0) & (e2 >= 0.0) & (nearness > samples.inv_z[i]);
+        let mask = u32::from(hit).wrapping_neg();
+        samples.inv_z[i] = f32::from_bits((nearness.to_bits() & mask) | (samples.inv_z[i].to_bits() & !mask));
+        samples.seen[i] = (code & mask) | (samples.seen[i] & !mask);
     }
 }
 
-fn mean_colour(
-    view: &View,
-    pixel: (usize, usize),
-    samples: &Samples,
-    parts: &[ScenePart],
-    triangles: &[ScreenTriangle],
-    empty: [u16; 3],
-) -> [u16; 3] {
-    let slopes = view.ray_slopes(pixel.0, pixel.1);
-    let (x, y) = centre_ray(view, pixel);
+fn mean_colour(samples: &Samples, seen: &Seen<'_>, scratch: &mut Scratch) -> [u16; 3] {
+    let ([x, y], slopes) = (samples.ray, samples.ray_slopes);
     let (mut sum, mut todo) = ([0u32; 3], (1u32 << SAMPLES) - 1);
     while todo != 0 {
         let code = samples.seen[todo.trailing_zeros() as usize];
         let (mut count, mut u, mut v) = (0u32, 0.0f32, 0.0f32);
-        for i in (0..SAMPLES).filter(|i| samples.seen[*i] >> TRIANGLE_BITS == code >> TRIANGLE_BITS) {
+        for i in (0..SAMPLES).filter(|&i| samples.seen[i] >> TRIANGLE_BITS == code >> TRIANGLE_BITS) {
             todo &= !(1 << i);
             count += 1;
             u += SAMPLE_U[i];
             v += SAMPLE_V[i];
         }
-        let mut colour = empty;
+        let mut colour = EMPTY;
         if code != NOTHING {
             let (u, v) = (u / (32 * count) as f32, v / (32 * count) as f32);
             let ray = (x + slopes[0] * u + slopes[1] * v, y + slopes[2] * u + slopes[3] * v);
-            let triangle = &triangles[triangle_index(code)];
-            let texture = &parts[usize::from(triangle.part)].texture;
-            shade_run(triangle, texture, view.pixel_size, (&[ray.0], &[ray.1]), &mut colour);
+            let triangle = &seen.triangles[triangle_index(code)];
+            let texture = &seen.parts[usize::from(triangle.part)].texture;
+            shade_run(triangle, texture, seen.view.pixel_size, (&[ray.0], &[ray.1]), scratch, &mut colour);
         }
         for (sum, channel) in sum.iter_mut().zip(colour) {
             *sum += count * u32::from(channel);
         }
     }
     sum.map(|channel| (channel / SAMPLES as u32) as u16)
-}
-
-fn centre_ray(view: &View, pixel: (usize, usize)) -> (f32, f32) {
-    let at = pixel.1 * view.width + pixel.0;
-    (view.ray_x[at], view.ray_y[at])
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use super::view::{PixelBox, View};
+use super::view::{PixelBox, RayRange, View};
 use crate::scene::{Lighting, ScenePart};
 
 /// A linear function of the ray: `a x + b y + c`.
@@ -21,6 +21,13 @@ pub(crate) struct Plane {
 impl Plane {
     pub(crate) fn at(&self, x: f32, y: f32) -> f32 {
         self.a * x + self.b * y + self.c
+    }
+
+    /// Bounds of the values within a range of rays; rounding keeps them bounds.
+    pub(crate) fn bounds(&self, rays: &RayRange) -> (f32, f32) {
+        let ordered = |slope: f32, (min, max): (f32, f32)| if slope >= 0.0 { (min, max) } else { (max, min) };
+        let ((x_low, x_high), (y_low, y_high)) = (ordered(self.a, rays.x), ordered(self.b, rays.y));
+        (self.at(x_low, y_low), self.at(x_high, y_high))
     }
 
     fn from_vector(v: &Vector3<f64>) -> Self {
@@ -144,4 +151,49 @@ fn pixel_box(corners: &[Point3<f64>; 3], view: &View) -> Option<PixelBox> {
     };
     let found = view.pixel_box(range(corners.map(|p| p.x / p.z)), range(corners.map(|p| p.y / p.z)));
     (found.x.0 < found.x.1 && found.y.0 < found.y.1).then_some(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bounds_hold_every_value() {
+        let rays = RayRange { x: (-0.3, 0.2), y: (0.1, 0.4) };
+        for (a, b) in [(2.0, 3.0), (-2.0, 3.0), (2.0, -3.0), (-2.0, -3.0)] {
+            let plane = Plane { a, b, c: 0.7 };
+            let (low, high) = plane.bounds(&rays);
+            let corners = [(-0.3, 0.1), (-0.3, 0.4), (0.2, 0.1), (0.2, 0.4)].map(|(x, y)| plane.at(x, y));
+            assert_eq!(low, corners.into_iter().fold(f32::INFINITY, f32::min));
+            assert_eq!(high, corners.into_iter().fold(f32::NEG_INFINITY, f32::max));
+        }
+    }
+
+    #[test]
+    fn planes_give_depth_and_attributes_where_a_ray_meets_the_triangle() {
+        let corner = |x: f64, y: f64, z: f64, u: f64, v: f64, light: f64| SeenVertex {
+            in_cam: Vector3::new(x, y, z),
+            texel: [u, v],
+            light,
+        };
+        let corners = [
+            corner(-0.2, -0.1, 0.9, 3.0, 70.0, 0.4),
+            corner(0.3, -0.2, 0.5, 90.0, 10.0, 0.8),
+            corner(0.1, 0.4, 1.4, 40.0, 200.0, 1.1),
+        ];
+        let pixels = PixelBox { x: (0, 1), y: (0, 1) };
+        let triangle = ScreenTriangle::new(&corners, 7, pixels).unwrap();
+        let shares = [0.25, 0.35, 0.4];
+        let mean = |value: &dyn Fn(&SeenVertex) -> f64| (0..3).map(|i| shares[i] * value(&corners[i])).sum::<f64>();
+        let (x, y, z) = (mean(&|c| c.in_cam.x), mean(&|c| c.in_cam.y), mean(&|c| c.in_cam.z));
+        let at = |plane: &Plane| f64::from(plane.at((x / z) as f32, (y / z) as f32)) * z;
+        let check = |found: f64, expected: f64| assert!((found / expected - 1.0).abs() < 1e-5, "{found} {expected}");
+        check(at(&triangle.inv_z), 1.0);
+        check(at(&triangle.u), mean(&|c| c.texel[0]));
+        check(at(&triangle.v), mean(&|c| c.texel[1]));
+        check(at(&triangle.light), mean(&|c| c.light));
+        for (edge, share) in triangle.edges.iter().zip(shares) {
+            check(at(edge), share);
+        }
+    }
 }

@@ -16,8 +16,20 @@ pub(crate) struct View {
     pub(crate) ray_y: Vec<f32>,
     /// Pixel width and height in normalised coordinates, at the principal point.
     pub(crate) pixel_size: [f32; 2],
+    /// Range of the rays of each block of a row, row-major (see [`BLOCK`]).
+    blocks: Vec<RayRange>,
     columns: Bounds,
     rows: Bounds,
+}
+
+/// Pixels of a row that are tested together.
+pub(crate) const BLOCK: usize = 32;
+
+/// Smallest and largest coordinates of some rays.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct RayRange {
+    pub(crate) x: (f32, f32),
+    pub(crate) y: (f32, f32),
 }
 
 /// Which columns (or rows) can hold a normalised coordinate.
@@ -74,7 +86,13 @@ impl View {
         let rows = Bounds::new(ray_y.chunks_exact(width).map(|row| range(row.iter())));
         let columns = Bounds::new((0..width).map(|column| range(ray_x.iter().skip(column).step_by(width))));
         let pixel_size = [(1.0 / camera.pinhole().fx) as f32, (1.0 / camera.pinhole().fy) as f32];
-        Ok(Self { width, height, ray_x, ray_y, pixel_size, columns, rows })
+        let blocks = ray_x
+            .chunks_exact(width)
+            .zip(ray_y.chunks_exact(width))
+            .flat_map(|(x, y)| x.chunks(BLOCK).zip(y.chunks(BLOCK)))
+            .map(|(x, y)| RayRange { x: range(x.iter()), y: range(y.iter()) })
+            .collect();
+        Ok(Self { width, height, ray_x, ray_y, pixel_size, blocks, columns, rows })
     }
 
     /// Pixels whose rays, or any ray within their area, may lie in the given range of normalised coordinates.
@@ -84,6 +102,11 @@ impl View {
             x: self.columns.lines(x.0 - margin_x, x.1 + margin_x),
             y: self.rows.lines(y.0 - margin_y, y.1 + margin_y),
         }
+    }
+
+    /// Range of the rays of the block of a row that holds `column`.
+    pub(crate) fn block(&self, column: usize, row: usize) -> &RayRange {
+        &self.blocks[row * self.width.div_ceil(BLOCK) + column / BLOCK]
     }
 
     /// Change of the ray from one pixel to the next: `[dx/du, dx/dv, dy/du, dy/dv]`.

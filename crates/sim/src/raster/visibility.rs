@@ -1,7 +1,8 @@
 //! Which triangle each pixel centre sees, and which pixels lie on an edge.
 
 use super::triangle::ScreenTriangle;
-use super::view::View;
+use super::view::{BLOCK, View};
+use crate::wide::wide;
 
 /// No triangle.
 pub(crate) const NOTHING: u32 = u32::MAX;
@@ -30,19 +31,7 @@ impl Visibility {
     pub(crate) fn draw(&mut self, view: &View, triangles: &[ScreenTriangle]) {
         self.inv_z.fill(0.0);
         self.seen.fill(NOTHING);
-        for (index, triangle) in triangles.iter().enumerate() {
-            let code = triangle_code(triangle.part, index);
-            let (first, end) = triangle.pixels.x;
-            for row in triangle.pixels.y.0..triangle.pixels.y.1 {
-                let span = row * view.width + first..row * view.width + end;
-                draw_span(
-                    triangle,
-                    code,
-                    (&view.ray_x[span.clone()], &view.ray_y[span.clone()]),
-                    (&mut self.inv_z[span.clone()], &mut self.seen[span]),
-                );
-            }
-        }
+        draw_triangles(self, view, triangles);
     }
 
     /// Whether a pixel and one of its eight neighbours see different surfaces.
@@ -59,8 +48,8 @@ impl Visibility {
     }
 
     /// Lists the columns of a row's edge pixels, in order.
+    #[inline(always)]
     pub(crate) fn find_edges(&self, view: &View, row: usize, columns: &mut Vec<u16>) {
-        const BLOCK: usize = 32;
         for first in (0..view.width).step_by(BLOCK) {
             let end = (first + BLOCK).min(view.width);
             if !self.is_plain(view, row, first, end) {
@@ -70,6 +59,7 @@ impl Visibility {
     }
 
     /// Whether a block of a row and everything around it see one triangle (of which no part can hide another).
+    #[inline(always)]
     fn is_plain(&self, view: &View, row: usize, first: usize, end: usize) -> bool {
         let reference = self.seen[row * view.width + first];
         let (from, to) = (first.saturating_sub(1), (end + 1).min(view.width));
@@ -77,6 +67,54 @@ impl Visibility {
             let block = &self.seen[r * view.width + from..r * view.width + to];
             block.iter().fold(0, |different, &seen| different | (seen ^ reference)) == 0
         })
+    }
+}
+
+wide! {
+    fn draw_triangles(out: &mut Visibility, view: &View, triangles: &[ScreenTriangle]) = draw_triangles_kernel;
+}
+
+#[inline(always)]
+fn draw_triangles_kernel(out: &mut Visibility, view: &View, triangles: &[ScreenTriangle]) {
+    for (index, triangle) in triangles.iter().enumerate() {
+        let code = triangle_code(triangle.part, index);
+        let (first, end) = triangle.pixels.x;
+        for row in triangle.pixels.y.0..triangle.pixels.y.1 {
+            let mut column = first;
+            while column < end {
+                let block_end = if end - first <= BLOCK { end } else { ((column / BLOCK + 1) * BLOCK).min(end) };
+                let cover = if end - first <= BLOCK { Cover::Part } else { cover(triangle, view, column, row) };
+                let span = row * view.width + column..row * view.width + block_end;
+                let rays = (&view.ray_x[span.clone()], &view.ray_y[span.clone()]);
+                let out = (&mut out.inv_z[span.clone()], &mut out.seen[span]);
+                match cover {
+                    Cover::None => {}
+                    Cover::Part => draw_span::<false>(triangle, code, rays, out),
+                    Cover::Whole => draw_span::<true>(triangle, code, rays, out),
+                }
+                column = block_end;
+            }
+        }
+    }
+}
+
+/// How much of a block a triangle can cover.
+enum Cover {
+    None,
+    Part,
+    Whole,
+}
+
+#[inline(always)]
+fn cover(triangle: &ScreenTriangle, view: &View, column: usize, row: usize) -> Cover {
+    let rays = view.block(column, row);
+    let [(low0, high0), (low1, high1), (low2, high2)] = triangle.edges.each_ref().map(|edge| edge.bounds(rays));
+    if (high0 < 0.0) | (high1 < 0.0) | (high2 < 0.0) {
+        Cover::None
+    } else if (low0 >= 0.0) & (low1 >= 0.0) & (low2 >= 0.0) {
+        Cover::Whole
+    } else {
+        Cover::Part
     }
 }
 
@@ -90,13 +128,22 @@ pub(crate) fn triangle_index(code: u32) -> usize {
     (code & ((1 << TRIANGLE_BITS) - 1)) as usize
 }
 
-fn draw_span(triangle: &ScreenTriangle, code: u32, rays: (&[f32], &[f32]), out: (&mut [f32], &mut [u32])) {
+/// Draws a triangle into neighbouring pixels; `WHOLE` claims that it covers all of them.
+#[inline(always)]
+fn draw_span<const WHOLE: bool>(
+    triangle: &ScreenTriangle,
+    code: u32,
+    rays: (&[f32], &[f32]),
+    out: (&mut [f32], &mut [u32]),
+) {
     let [e0, e1, e2] = &triangle.edges;
     for (((&x, &y), inv_z), seen) in rays.0.iter().zip(rays.1).zip(out.0).zip(out.1) {
-        let inside = e0.at(x, y).min(e1.at(x, y)).min(e2.at(x, y));
         let nearness = triangle.inv_z.at(x, y);
-        let hit = (inside >= 0.0) & (nearness > *inv_z);
-        *inv_z = if hit { nearness } else { *inv_z };
-        *seen = if hit { code } else { *seen };
+        let inside = WHOLE | ((e0.at(x, y) >= 0.0) & (e1.at(x, y) >= 0.0) & (e2.at(x, y) >= 0.0));
+        let hit = inside & (nearness > *inv_z);
+        // Selected by bits, because a conditional store would not become a vector instruction.
+        let mask = u32::from(hit).wrapping_neg();
+        *inv_z = f32::from_bits((nearness.to_bits() & mask) | (inv_z.to_bits() & !mask));
+        *seen = (code & mask) | (*seen & !mask);
     }
 }

@@ -12,12 +12,15 @@ pub struct Texture {
     levels: Vec<Level>,
 }
 
+/// Width of a colour channel in a packed texel: leaves room for weights of up to 13 bits.
+pub(crate) const LANE_BITS: u32 = 21;
+
 /// One copy of a texture.
 #[derive(Clone, Debug)]
 pub(crate) struct Level {
     pub(crate) width_log2: u32,
     pub(crate) height_log2: u32,
-    /// Red, green, blue in 16-bit lanes, 0 to 255 each, lowest lane first.
+    /// Red, green, blue in 21-bit lanes, 0 to 255 each, lowest lane first; `2^(width_log2 + height_log2)` of them.
     pub(crate) texels: Vec<u64>,
 }
 
@@ -63,7 +66,8 @@ impl Texture {
 impl Level {
     fn new(width_log2: u32, height_log2: u32, colours: &[Colour]) -> Self {
         let lane = |value: f64| value.round().clamp(0.0, 255.0) as u64;
-        let texels = colours.iter().map(|c| lane(c[0]) | lane(c[1]) << 16 | lane(c[2]) << 32).collect();
+        let texels =
+            colours.iter().map(|c| lane(c[0]) | lane(c[1]) << LANE_BITS | lane(c[2]) << (2 * LANE_BITS)).collect();
         Self { width_log2, height_log2, texels }
     }
 }
@@ -106,9 +110,9 @@ mod tests {
         assert_eq!((texture.width(), texture.height(), texture.levels().len()), (16, 8, 4));
         let last = &texture.levels()[3];
         assert_eq!((last.width_log2, last.height_log2), (1, 0));
-        let red: u64 = last.texels.iter().map(|t| t & 0xffff).sum();
+        let red: u64 = last.texels.iter().map(|t| t & 0x1f_ffff).sum();
         assert_eq!(red, 64 + 191);
-        assert_eq!(last.texels[0] >> 32, 40);
+        assert_eq!(last.texels[0] >> 42, 40);
     }
 
     #[test]
