@@ -36,11 +36,12 @@ pub use tracker::{PublishedTracker, TrackEstimate, TrackerConfig};
 const END_OF_RANGE_SHARE: f64 = 0.004;
 
 /// Everything that the published method leaves open.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct PublishedConfig {
     /// When a pixel has a hue.
     pub hue: HueConfig,
-    /// Points of the model.
+    /// Points of the model. Default here: 600 on the target and 400 around it; fewer points cost less time and give a
+    /// rougher fitness.
     pub model: PhotoModelConfig,
     /// The votes.
     pub fitness: FitnessConfig,
@@ -58,6 +59,23 @@ pub struct PublishedConfig {
     pub tracker: TrackerConfig,
     /// Whether an estimate also looks up the best of all 2^24 chromosomes (about a second). Default false.
     pub reference_optimum: bool,
+}
+
+impl Default for PublishedConfig {
+    fn default() -> Self {
+        Self {
+            hue: HueConfig::default(),
+            model: PhotoModelConfig { inner_points: 600, outer_points: 400, ..PhotoModelConfig::default() },
+            fitness: FitnessConfig::default(),
+            rmga: RmGaConfig::default(),
+            cold_start: ColdStartConfig::default(),
+            region: RegionConfig::default(),
+            observability: ObservabilityConfig::default(),
+            hue_support: HueSupportConfig::default(),
+            tracker: TrackerConfig::default(),
+            reference_optimum: false,
+        }
+    }
 }
 
 /// The search from nothing.

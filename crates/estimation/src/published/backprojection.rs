@@ -134,12 +134,12 @@ mod tests {
 
     const SIZE: ImageSize = ImageSize { width: 120, height: 90 };
 
-    /// A two-coloured disc with a dark spot off its centre, on a background that has one of its colours in a corner.
+    /// A two-coloured disc with a spot of the background's hue off its centre, on a background that has one of its colours in a corner.
     fn scene(centre: (f64, f64)) -> HuePlane {
         let image = RgbImage::from_fn(SIZE.width, SIZE.height, |x, y| {
             let (dx, dy) = (f64::from(x) - centre.0, f64::from(y) - centre.1);
             if (dx + 6.0).hypot(dy - 4.0) < 5.0 {
-                Rgb([12, 12, 12])
+                Rgb([40, 110, 200])
             } else if dx.hypot(dy) < 18.0 {
                 if dx > 3.0 { Rgb([220, 60, 40]) } else { Rgb([210, 190, 30]) }
             } else if x < 20 && y < 20 {

@@ -37,13 +37,13 @@ impl OutlineEdge {
         let mut pairs = Vec::new();
         let next = |i: usize| outline_m[(i + 1) % outline_m.len()];
         let area: f64 = (0..outline_m.len()).map(|i| outline_m[i].perp(&next(i))).sum();
-        for i in 0..outline_m.len() {
-            let along = next(i) - outline_m[i];
+        for (i, corner) in outline_m.iter().enumerate() {
+            let along = next(i) - corner;
             let count = (along.norm() / (SPACING_PX * pixel_m)).round().min(10_000.0) as usize;
             // With a positive area the inside lies at +90 degrees from the direction of travel.
             let inwards = Vector2::new(-along.y, along.x).normalize() * area.signum();
             for k in 0..count {
-                let point = outline_m[i] + along * ((k as f64 + 0.5) / count as f64);
+                let point = corner + along * ((k as f64 + 0.5) / count as f64);
                 let offset = inwards * (OFFSET_PX * pixel_m);
                 pairs.push(EdgePair { inside: point + offset, outside: point - offset });
             }

@@ -1,0 +1,183 @@
+//! The published tracker on rendered sequences: moving targets, a moving camera, loss and recovery.
+
+#![allow(clippy::expect_used)]
+
+mod common;
+
+use common::{Look, Shot};
+use nalgebra::{UnitQuaternion, Vector3};
+use pb3dp_estimation::EstimationError;
+use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_estimation::published::{PublishedConfig, PublishedTracker, TrackEstimate};
+use pb3dp_estimation::region::Region;
+use pb3dp_estimation::status::Status;
+use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_geometry::{Pose, StereoRig};
+
+fn range() -> SearchRange {
+    SearchRange::new(0.35, 0.70, 45.0_f64.to_radians()).expect("a range")
+}
+
+fn start_pose() -> Pose<CamLeft, Model> {
+    common::target_at((-20.0, 8.0, 495.0), (-9.0, 14.0, 5.0))
+}
+
+/// A tracker that has seen the first frame, and what it said.
+fn started(rig: &StereoRig, look: Look) -> (PublishedTracker, TrackEstimate) {
+    let mut tracker = PublishedTracker::new(rig, PublishedConfig::default()).expect("a config");
+    let Shot { left, right } = common::render(rig, Some(&start_pose()), look);
+    let region = Region::Polygon { vertices_px: common::outline_px(rig, &start_pose()) };
+    let estimate = tracker.start(&left, &right, &region, &range()).expect("images that fit");
+    (tracker, estimate)
+}
+
+fn follow(
+    tracker: &mut PublishedTracker,
+    rig: &StereoRig,
+    target: Option<&Pose<CamLeft, Model>>,
+    motion: Option<&Pose<CamLeft, CamLeft>>,
+) -> TrackEstimate {
+    let Shot { left, right } = common::render(rig, target, Look::Colourful);
+    tracker.update(&left, &right, motion).expect("images that fit")
+}
+
+/// The target's point that the tracker calls its origin, in the frame of `target`.
+fn origin_on(target: &Pose<CamLeft, Model>, estimate: &TrackEstimate) -> Vector3<f64> {
+    let origin = estimate.cam_left_from_model.expect("a pose").translation_m();
+    target.inverse().transform_point(&origin.into()).coords
+}
+
+/// The origin sticks to the same point of the target within `origin_mm`, the normal is within `normal_deg` of the truth.
+#[track_caller]
+fn check(target: &Pose<CamLeft, Model>, first: Vector3<f64>, estimate: &TrackEstimate, (mm, degrees): (f64, f64)) {
+    let strayed_mm = 1000.0 * (origin_on(target, estimate) - first).norm();
+    assert!(strayed_mm < mm, "the origin has strayed by {strayed_mm:.2} mm: {estimate:?}");
+    let normal = estimate.cam_left_from_model.expect("a pose").transform_vector(&Vector3::z());
+    let error_deg = common::angle_deg(&normal, &target.transform_vector(&Vector3::z()));
+    assert!(error_deg < degrees, "the normal is {error_deg:.1} degrees off: {estimate:?}");
+    assert!(!estimate.rotation_about_normal_observed && estimate.covariance.is_none());
+}
+
+#[test]
+fn the_first_frame_defines_the_model() {
+    let rig = common::distorted_rig();
+    let (_, estimate) = started(&rig, Look::Colourful);
+    assert!(estimate.status.depth_is_sure(), "{estimate:?}");
+    let pose = estimate.cam_left_from_model.expect("a pose");
+    let [x, y, z] = [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| pose.transform_vector(&axis));
+    assert!(z.z > 0.8, "z points away from the camera");
+    assert!(x.x > 0.0 && x.dot(&Vector3::x().cross(&z)).abs() < 1e-9, "x is the image's x axis in the plane");
+    assert!((x.cross(&y) - z).norm() < 1e-12, "right-handed");
+    // The origin is seen at the region's centroid, and the outline is the one given.
+    let outline = common::outline_px(&rig, &start_pose());
+    for (given, seen) in outline.iter().zip(&estimate.outline_px) {
+        assert!((given - seen).norm() < 1e-3, "{given} {seen}");
+    }
+    assert!(origin_on(&start_pose(), &estimate).xy().norm() < 0.012, "near the target's middle");
+}
+
+#[test]
+fn a_moving_target_is_followed_by_every_kind_of_rig() {
+    for rig in [common::rectified_rig(), common::distorted_rig()] {
+        let (mut tracker, first) = started(&rig, Look::Colourful);
+        let origin = origin_on(&start_pose(), &first);
+        for step in 1..=5 {
+            let k = f64::from(step);
+            let target = common::target_at(
+                (-20.0 + 3.0 * k, 8.0 - 2.0 * k, 495.0 + 2.5 * k),
+                (-9.0 + k, 14.0 - 1.2 * k, 5.0 + 0.8 * k),
+            );
+            let estimate = follow(&mut tracker, &rig, Some(&target), None);
+            assert!(estimate.status.depth_is_sure(), "{step}: {estimate:?}");
+            check(&target, origin, &estimate, (6.0, 6.0));
+            for (truth, seen) in common::outline_px(&rig, &target).iter().zip(&estimate.outline_px) {
+                assert!((truth - seen).norm() < 4.0, "{step}: the region is at {seen} instead of {truth}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_known_motion_of_the_camera_carries_pose_region_and_population() {
+    let rig = common::general_rig();
+    // Per frame 14 mm, and 5 degrees of which most is about the optical axis.
+    let turn = UnitQuaternion::from_euler_angles(0.02, -0.03, 0.08);
+    let motion: Pose<CamLeft, CamLeft> = Pose::from_parts(Vector3::new(0.011, -0.006, 0.008), turn);
+    let (mut tracker, first) = started(&rig, Look::Colourful);
+    let (mut blind, _) = started(&rig, Look::Colourful);
+    let origin = origin_on(&start_pose(), &first);
+    let (mut target, mut axes) = (start_pose(), first.cam_left_from_model.expect("a pose"));
+    let x_of = |estimate: &TrackEstimate| estimate.cam_left_from_model.map(|pose| pose.transform_vector(&Vector3::x()));
+    for step in 1..=4 {
+        target = motion.inverse() * target;
+        axes = motion.inverse() * axes;
+        let x_true = axes.transform_vector(&Vector3::x());
+        let estimate = follow(&mut tracker, &rig, Some(&target), Some(&motion));
+        assert!(estimate.status.depth_is_sure(), "{estimate:?}");
+        check(&target, origin, &estimate, (6.0, 6.0));
+        // The target stands still, so its x axis does too, up to the error of the normal.
+        let x = x_of(&estimate).expect("a pose");
+        assert!(common::angle_deg(&x, &x_true) < 7.0, "{estimate:?}");
+        // Who does not know the motion holds the rotation about the normal in the camera.
+        let blind_x = x_of(&follow(&mut blind, &rig, Some(&target), None));
+        if step == 4 {
+            assert!(blind_x.is_none_or(|x| common::angle_deg(&x, &x_true) > 10.0), "{blind_x:?}");
+        }
+    }
+}
+
+#[test]
+fn a_target_that_disappears_is_lost_and_found_again() {
+    let rig = common::rectified_rig();
+    let (mut tracker, first) = started(&rig, Look::Colourful);
+    let origin = origin_on(&start_pose(), &first);
+    for _ in 0..2 {
+        let estimate = follow(&mut tracker, &rig, None, None);
+        assert_eq!(estimate.status, Status::Lost, "{estimate:?}");
+        assert_eq!(estimate.cam_left_from_model, None);
+        assert!(estimate.reason.contains("hue"), "{}", estimate.reason);
+    }
+    // It comes back 35 mm farther right.
+    let back = common::target_at((15.0, 8.0, 500.0), (-9.0, 14.0, 5.0));
+    let estimate = follow(&mut tracker, &rig, Some(&back), None);
+    assert!(estimate.status.depth_is_sure(), "{estimate:?}");
+    check(&back, origin, &estimate, (8.0, 8.0));
+}
+
+#[test]
+fn a_target_that_leaves_the_image_is_lost() {
+    let rig = common::rectified_rig();
+    let (mut tracker, _) = started(&rig, Look::Colourful);
+    let sideways: Pose<CamLeft, CamLeft> = Pose::from_translation(Vector3::new(0.26, 0.0, 0.0));
+    let target = sideways.inverse() * start_pose();
+    let estimate = follow(&mut tracker, &rig, Some(&target), Some(&sideways));
+    assert_eq!(estimate.status, Status::Lost, "{estimate:?}");
+    let behind: Pose<CamLeft, CamLeft> = Pose::from_translation(Vector3::new(0.0, 0.0, 2.0));
+    let estimate = follow(&mut tracker, &rig, None, Some(&behind));
+    assert_eq!(estimate.status, Status::Lost);
+    assert!(estimate.reason.contains("sight"), "{}", estimate.reason);
+}
+
+#[test]
+fn what_can_not_be_observed_is_tried_again_in_the_next_frame() {
+    let rig = common::rectified_rig();
+    let (mut tracker, first) = started(&rig, Look::Grey);
+    assert_eq!((first.status, first.cam_left_from_model), (Status::NotObservable, None));
+    let estimate = follow(&mut tracker, &rig, Some(&start_pose()), None);
+    assert!(estimate.status.depth_is_sure(), "a coloured target in the same region: {estimate:?}");
+    let mut unused = PublishedTracker::new(&rig, PublishedConfig::default()).expect("a config");
+    let Shot { left, right } = common::render(&rig, None, Look::Grey);
+    assert_eq!(unused.update(&left, &right, None), Err(EstimationError::NotStarted));
+}
+
+#[test]
+fn the_same_frames_give_the_same_track() {
+    let run = || {
+        let rig = common::rectified_rig();
+        let (mut tracker, first) = started(&rig, Look::Colourful);
+        let target = common::target_at((-18.0, 9.0, 497.0), (-8.0, 13.0, 5.0));
+        let second = follow(&mut tracker, &rig, Some(&target), None);
+        (first, second)
+    };
+    assert_eq!(run(), run());
+}
