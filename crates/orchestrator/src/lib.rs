@@ -1,1 +1,13 @@
-//! The pb3dp program: configuration, wiring, commands.
+//! The program `pb3dp`: command line, configuration, wiring of backends, threads and clock.
+//!
+//! This is the only crate that names backends, reads configuration files and the machine's clock. The library exists so
+//! that the system tests can run the commands; the binary is `pb3dp`.
+
+pub mod cli;
+pub mod commands;
+pub mod config;
+pub mod cpu_time;
+pub mod logging;
+pub mod picture;
+pub mod region_spec;
+pub mod run;

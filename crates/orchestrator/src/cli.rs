@@ -1,0 +1,171 @@
+//! The command line.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand};
+
+use crate::logging::LogFormat;
+use crate::region_spec::{REGION_HELP, RegionSpec};
+
+/// Robot vision that needs to know nothing about its target: pose of any object from one calibrated stereo pair.
+#[derive(Debug, Parser)]
+#[command(name = "pb3dp", version, about, propagate_version = true)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+    /// Log level or directives, for instance `debug` or `pb3dp_servo=trace,info`.
+    #[arg(long, global = true, default_value = "info", value_name = "FILTER")]
+    pub log: String,
+    /// Log lines as readable text or as JSON, always on standard error.
+    #[arg(long, global = true, value_enum, default_value = "human")]
+    pub log_format: LogFormat,
+}
+
+/// The subcommands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Run the whole loop: cameras, estimation, servo, arms.
+    Run(RunArgs),
+    /// Estimate the pose of a region in stereo pictures.
+    Estimate(EstimateArgs),
+    /// Track a region through a recorded stereo sequence.
+    Track(TrackArgs),
+}
+
+/// Arguments of `pb3dp run`.
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    /// The setup: one complete TOML file, for instance configs/sim.toml.
+    #[arg(long, value_name = "FILE")]
+    pub config: PathBuf,
+    /// Folder for report.html, summary.json and the recorded time series.
+    #[arg(long, value_name = "DIR", default_value = "out/run")]
+    pub out: PathBuf,
+    /// Another seed than the configuration's.
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// End after this many seconds of the experiment.
+    #[arg(long, value_name = "SECONDS")]
+    pub stop_after: Option<f64>,
+}
+
+/// Arguments that choose and tune the estimation method.
+#[derive(Debug, Args)]
+pub struct MethodArgs {
+    /// The estimation method by name; `published` is the method of the paper.
+    #[arg(long, value_name = "NAME", default_value = "published")]
+    pub method: String,
+    /// A TOML file with the method's parameters (see configs/estimator.toml); without it the documented defaults.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Another seed than the configuration's.
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Depths to search, millimetres; overrides what a case or sequence says.
+    #[arg(long, value_name = "MIN,MAX", value_parser = parse_z_range)]
+    pub z_range: Option<ZRange>,
+    /// Largest tilt to search, degrees; overrides what a case or sequence says.
+    #[arg(long, value_name = "DEGREES", value_parser = parse_tilt)]
+    pub tilt_max: Option<f64>,
+    /// One JSON object per line on standard output instead of a table.
+    #[arg(long)]
+    pub json: bool,
+    /// Write pictures with region, re-projected model and pose axes into this folder.
+    #[arg(long, value_name = "DIR")]
+    pub overlay: Option<PathBuf>,
+}
+
+/// Arguments of `pb3dp estimate`.
+#[derive(Debug, Args)]
+pub struct EstimateArgs {
+    /// Every case folder (one with a case.json) under DIR; the format is described in docs/dataset-format.md.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["left", "right", "calib", "region"], required_unless_present = "left")]
+    pub cases: Option<PathBuf>,
+    /// The left picture (PNG or JPEG).
+    #[arg(long, value_name = "FILE", requires_all = ["right", "calib", "region"])]
+    pub left: Option<PathBuf>,
+    /// The right picture.
+    #[arg(long, value_name = "FILE", requires = "left")]
+    pub right: Option<PathBuf>,
+    /// Calibration: our calib.json, a Kalibr camchain, an OpenCV stereo YAML, or a ROS camera_info pair (a folder, or two files with a comma between).
+    #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',', requires = "left")]
+    pub calib: Vec<PathBuf>,
+    /// The object in the left picture.
+    #[arg(long, value_name = "REGION", help = format!("The object in the left picture: {REGION_HELP}"), requires = "left")]
+    pub region: Option<RegionSpec>,
+    /// Also search every hypothesis that a chromosome can express, so that search error and fitness error are told apart (slow).
+    #[arg(long)]
+    pub reference_optimum: bool,
+    /// How to estimate.
+    #[command(flatten)]
+    pub method: MethodArgs,
+}
+
+/// Arguments of `pb3dp track`.
+#[derive(Debug, Args)]
+pub struct TrackArgs {
+    /// A sequence folder (one with a sequence.json); the format is described in docs/dataset-format.md.
+    #[arg(long, value_name = "DIR")]
+    pub sequence: PathBuf,
+    /// How to estimate.
+    #[command(flatten)]
+    pub method: MethodArgs,
+}
+
+/// Depths to search.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ZRange {
+    /// Nearest, millimetres.
+    pub min_mm: f64,
+    /// Farthest, millimetres.
+    pub max_mm: f64,
+}
+
+fn parse_z_range(text: &str) -> Result<ZRange, String> {
+    let refuse = || format!("{text:?} is not MIN,MAX in millimetres with 0 < MIN < MAX, for instance 350,650");
+    let (min, max) = text.split_once(',').ok_or_else(refuse)?;
+    match (min.trim().parse::<f64>(), max.trim().parse::<f64>()) {
+        (Ok(min_mm), Ok(max_mm)) if min_mm > 0.0 && min_mm < max_mm && max_mm.is_finite() => {
+            Ok(ZRange { min_mm, max_mm })
+        }
+        _ => Err(refuse()),
+    }
+}
+
+fn parse_tilt(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(degrees) if degrees > 0.0 && degrees < 90.0 => Ok(degrees),
+        _ => Err(format!("{text:?} is not a tilt between 0 and 90 degrees")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn ranges_are_checked() {
+        assert_eq!(parse_z_range("350, 650"), Ok(ZRange { min_mm: 350.0, max_mm: 650.0 }));
+        for bad in ["350", "650,350", "-1,5", "a,b", "1,inf"] {
+            assert!(parse_z_range(bad).unwrap_err().contains("MIN,MAX"), "{bad}");
+        }
+        assert!(parse_tilt("95").is_err() && parse_tilt("45") == Ok(45.0));
+    }
+
+    #[test]
+    fn one_pair_needs_all_of_its_parts() {
+        let parse = |args: &[&str]| Cli::try_parse_from([&["pb3dp", "estimate"], args].concat());
+        assert!(parse(&["--cases", "d"]).is_ok());
+        assert!(parse(&["--left", "l", "--right", "r", "--calib", "c", "--region", "click:1,2"]).is_ok());
+        let error = parse(&["--left", "l", "--right", "r", "--calib", "c"]).unwrap_err().to_string();
+        assert!(error.contains("--region"), "{error}");
+        assert!(parse(&[]).is_err());
+    }
+}

@@ -1,0 +1,168 @@
+//! What `pb3dp estimate` works on: cases of a dataset, or one pair of pictures.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use image::{GrayImage, RgbImage};
+use nalgebra::Vector2;
+use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_estimation::region::Region;
+use pb3dp_geometry::StereoRig;
+use pb3dp_record::calibration_files::load_stereo;
+use pb3dp_record::dataset::{Case, load_case};
+use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
+
+use crate::cli::{EstimateArgs, MethodArgs};
+use crate::region_spec::RegionSpec;
+
+/// Everything that an estimate needs, in memory.
+pub struct Job {
+    /// Name of the case, or of the left picture.
+    pub name: String,
+    /// Left picture.
+    pub left: RgbImage,
+    /// Right picture.
+    pub right: RgbImage,
+    /// Calibration.
+    pub rig: StereoRig,
+    /// What the user should know about the calibration.
+    pub notes: Vec<String>,
+    /// The object.
+    pub region: Region,
+    /// Where depth is reported; the region's centroid if it is not said.
+    pub centroid_px: Option<[f64; 2]>,
+    /// Where to search.
+    pub range: SearchRange,
+    /// The case with its truth, if this is one.
+    pub case: Option<Case>,
+}
+
+/// Tilts searched if nobody says anything, degrees.
+const TILT_MAX_DEFAULT_DEG: f64 = 60.0;
+
+impl Job {
+    /// Loads a case folder.
+    ///
+    /// # Errors
+    /// A file that is missing or damaged, or values that do not fit; by name.
+    pub fn from_case(folder: &Path, method: &MethodArgs) -> Result<Self> {
+        let case = load_case(folder)?;
+        let calibration = load_stereo(std::slice::from_ref(&case.calibration))?;
+        let pictures = case.load_pictures()?;
+        check_sizes(&calibration.rig, &pictures.left, &case.left, &calibration.source)?;
+        let given = SearchRange {
+            z_min_m: case.search.z_min_m,
+            z_max_m: case.search.z_max_m,
+            tilt_max_rad: case.search.tilt_max_rad,
+        };
+        let vertices_px = case.region_polygon_left_px.iter().map(|&[u, v]| Vector2::new(u, v)).collect();
+        Ok(Self {
+            name: case.name.clone(),
+            left: pictures.left,
+            right: pictures.right,
+            rig: calibration.rig,
+            notes: calibration.notes,
+            region: Region::Polygon { vertices_px },
+            centroid_px: case.region_centroid_px,
+            range: overridden(given, method),
+            case: Some(case),
+        })
+    }
+
+    /// Loads the pair that the command line names.
+    ///
+    /// # Errors
+    /// A file that is missing or damaged, or values that do not fit; by name.
+    pub fn from_files(args: &EstimateArgs) -> Result<Self> {
+        let (Some(left_file), Some(right_file), Some(region)) = (&args.left, &args.right, &args.region) else {
+            bail!("one pair needs --left, --right, --calib and --region");
+        };
+        let calibration = load_stereo(&args.calib)?;
+        let left = load_rgb(left_file)?;
+        check_sizes(&calibration.rig, &left, left_file, &calibration.source)?;
+        let right = load_rgb_of_size(right_file, size_of(&left), &left_file.display().to_string())?;
+        let mut notes = calibration.notes;
+        let given = default_range(&calibration.rig, args.method.z_range.is_none(), &mut notes);
+        Ok(Self {
+            name: left_file.file_stem().map_or_else(|| "pair".into(), |stem| stem.to_string_lossy().into_owned()),
+            region: load_region(region)?,
+            left,
+            right,
+            rig: calibration.rig,
+            notes,
+            centroid_px: None,
+            range: overridden(given, &args.method),
+            case: None,
+        })
+    }
+}
+
+/// Refuses a picture that the calibration was not made for.
+fn check_sizes(rig: &StereoRig, left: &RgbImage, file: &Path, source: &str) -> Result<()> {
+    let (is, calibrated) = (size_of(left), rig.left().size());
+    if is != calibrated {
+        bail!(
+            "{}: the picture is {}x{}, but the calibration ({source}) is for {}x{}: they do not belong together",
+            file.display(),
+            is.width,
+            is.height,
+            calibrated.width,
+            calibrated.height
+        );
+    }
+    Ok(())
+}
+
+/// Depths at which the disparity is 5 to 35 % of the picture's width.
+fn default_range(rig: &StereoRig, is_used: bool, notes: &mut Vec<String>) -> SearchRange {
+    let focal_baseline = rig.left().pinhole().fx * rig.baseline_m();
+    let width = f64::from(rig.left().size().width);
+    let (z_min_m, z_max_m) = (focal_baseline / (0.35 * width), focal_baseline / (0.05 * width));
+    if is_used {
+        notes.push(format!(
+            "no --z-range given: searching {:.0} to {:.0} mm (disparities of 35 to 5 % of the width); a narrower range is \
+             searched more finely",
+            z_min_m * 1e3,
+            z_max_m * 1e3
+        ));
+    }
+    SearchRange { z_min_m, z_max_m, tilt_max_rad: TILT_MAX_DEFAULT_DEG.to_radians() }
+}
+
+/// What the command line says counts more than what a file says.
+pub fn overridden(given: SearchRange, method: &MethodArgs) -> SearchRange {
+    let mut range = given;
+    if let Some(z) = method.z_range {
+        (range.z_min_m, range.z_max_m) = (z.min_mm * 1e-3, z.max_mm * 1e-3);
+    }
+    if let Some(tilt_max_deg) = method.tilt_max {
+        range.tilt_max_rad = tilt_max_deg.to_radians();
+    }
+    range
+}
+
+fn load_region(spec: &RegionSpec) -> Result<Region> {
+    Ok(match spec {
+        RegionSpec::Rectangle([x, y, width, height]) => {
+            let corners = [[*x, *y], [x + width, *y], [x + width, y + height], [*x, y + height]];
+            if *width <= 0.0 || *height <= 0.0 {
+                bail!("--region rect: width {width} and height {height} must be positive");
+            }
+            match corners[0].iter().chain([width, height]).all(|value| value.fract() == 0.0 && value.abs() < 1e6) {
+                true => Region::Rectangle { x: *x as i32, y: *y as i32, width: *width as u32, height: *height as u32 },
+                false => Region::Polygon { vertices_px: corners.map(|[u, v]| Vector2::new(u, v)).to_vec() },
+            }
+        }
+        RegionSpec::Polygon(vertices) => {
+            Region::Polygon { vertices_px: vertices.iter().map(|&[u, v]| Vector2::new(u, v)).collect() }
+        }
+        RegionSpec::Mask(file) => Region::Mask(load_mask(file)?),
+        RegionSpec::Click([x, y]) => Region::Click { x: x.round() as i32, y: y.round() as i32 },
+    })
+}
+
+fn load_mask(file: &PathBuf) -> Result<GrayImage> {
+    let picture = load_rgb(file).context("the mask of --region can not be used")?;
+    let any = |pixel: &image::Rgb<u8>| image::Luma([pixel.0.iter().copied().max().unwrap_or(0)]);
+    Ok(GrayImage::from_fn(picture.width(), picture.height(), |x, y| any(picture.get_pixel(x, y))))
+}

@@ -1,0 +1,5 @@
+//! The subcommands, one file each: arguments in, exit code out.
+
+pub mod estimate;
+pub mod run;
+pub mod track;

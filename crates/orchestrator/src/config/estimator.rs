@@ -1,0 +1,296 @@
+//! The estimator's parameters: the file `configs/estimator.toml`, and the table `[estimator]` of a setup.
+
+use std::path::Path;
+
+use pb3dp_estimation::estimator::EstimatorConfig;
+use pb3dp_estimation::fitness::{FitnessConfig, Unseen};
+use pb3dp_estimation::hue::HueConfig;
+use pb3dp_estimation::observability::ObservabilityConfig;
+use pb3dp_estimation::photo_model::PhotoModelConfig;
+use pb3dp_estimation::published::{ColdStartConfig, HueSupportConfig, PublishedConfig};
+use pb3dp_estimation::region::RegionConfig;
+use pb3dp_estimation::search::chromosome::Coding;
+use pb3dp_estimation::search::rmga::{Mutation, RmGaConfig};
+use serde::Deserialize;
+
+use super::load::{Checker, ConfigError, read_toml};
+
+/// The whole file `configs/estimator.toml`.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct EstimatorFile {
+    published: PublishedSection,
+}
+
+/// Reads a file of estimator parameters.
+///
+/// # Errors
+/// An unreadable file, unknown or missing keys, values out of range; the error names file, key and what is allowed.
+pub fn read_estimator(file: &Path) -> Result<EstimatorConfig, ConfigError> {
+    let raw: EstimatorFile = read_toml(file)?;
+    let mut check = Checker::default();
+    let config = raw.published.build("published", &mut check);
+    check.finish(file)?;
+    Ok(EstimatorConfig { published: config })
+}
+
+/// Parameters of the published method.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PublishedSection {
+    hue: HueSection,
+    model: ModelSection,
+    fitness: FitnessSection,
+    rmga: RmGaSection,
+    region: RegionSection,
+    status: StatusSection,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct HueSection {
+    saturation_min: f64,
+    value_min: f64,
+    coloured_share_min: f64,
+    coloured_points_min: usize,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ModelSection {
+    inner_points: usize,
+    outer_points: usize,
+    band_gap_px: usize,
+    band_width_px: usize,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FitnessSection {
+    hue_tolerance_deg: f64,
+    unseen: UnseenName,
+}
+
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum UnseenName {
+    Mismatch,
+    Abstain,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RmGaSection {
+    population: usize,
+    survivors: usize,
+    elite: usize,
+    generations_per_frame: usize,
+    generations_cold_start: usize,
+    mutation: MutationName,
+    mutation_rate: f64,
+    mutate_survivors: bool,
+    coding: CodingName,
+    seed: u64,
+}
+
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum MutationName {
+    PerBit,
+    PerIndividual,
+}
+
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum CodingName {
+    Gray,
+    Binary,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RegionSection {
+    area_min_px: usize,
+    click_hue_tolerance_deg: f64,
+    click_luminance_tolerance: f64,
+    click_chroma_min: f64,
+    click_area_share_max: f64,
+    coloured_share_warn: f64,
+    luminance_deviation_warn: f64,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StatusSection {
+    disparity_step_px: f64,
+    depth_nodes_max: usize,
+    coarse_tilt_step_deg: f64,
+    fine_tilt_step_deg: f64,
+    blocks_per_side: usize,
+    resamples: usize,
+    candidates_max: usize,
+    fitness_tolerance: f64,
+    height_min: f64,
+    depth_spread_max: f64,
+    depth_spread_sure: f64,
+    runner_up_max: f64,
+    tilt_spread_sure_deg: f64,
+}
+
+impl PublishedSection {
+    /// The parameters in the units of the estimator; what is out of range goes to `check` under `key`.
+    pub fn build(&self, key: &str, check: &mut Checker) -> PublishedConfig {
+        self.hue.check(&format!("{key}.hue"), check);
+        self.model.check(&format!("{key}.model"), check);
+        check.number(&format!("{key}.fitness.hue_tolerance_deg"), self.fitness.hue_tolerance_deg, 0.0..=180.0);
+        self.rmga.check(&format!("{key}.rmga"), check);
+        self.region.check(&format!("{key}.region"), check);
+        self.status.check(&format!("{key}.status"), check);
+        let config = PublishedConfig {
+            hue: HueConfig { saturation_min: self.hue.saturation_min, value_min: self.hue.value_min },
+            model: self.model.build(),
+            fitness: FitnessConfig {
+                hue_tolerance_deg: self.fitness.hue_tolerance_deg,
+                unseen: match self.fitness.unseen {
+                    UnseenName::Mismatch => Unseen::Mismatch,
+                    UnseenName::Abstain => Unseen::Abstain,
+                },
+            },
+            rmga: self.rmga.build(),
+            cold_start: ColdStartConfig { generations: self.rmga.generations_cold_start },
+            region: self.region.build(),
+            observability: self.status.build(),
+            hue_support: HueSupportConfig {
+                coloured_share_min: self.hue.coloured_share_min,
+                points_min: self.hue.coloured_points_min,
+            },
+            ..PublishedConfig::default()
+        };
+        if let (true, Err(error)) = (check.is_clean(), config.validate()) {
+            check.refuse(format!("{key}: {error}"));
+        }
+        config
+    }
+}
+
+impl HueSection {
+    fn check(&self, key: &str, check: &mut Checker) {
+        check.number(&format!("{key}.saturation_min"), self.saturation_min, 0.0..=1.0);
+        check.number(&format!("{key}.value_min"), self.value_min, 0.0..=1.0);
+        check.number(&format!("{key}.coloured_share_min"), self.coloured_share_min, 0.0..=1.0);
+        check.count(&format!("{key}.coloured_points_min"), self.coloured_points_min, 1..=20_000);
+    }
+}
+
+impl ModelSection {
+    fn check(&self, key: &str, check: &mut Checker) {
+        check.count(&format!("{key}.inner_points"), self.inner_points, 1..=20_000);
+        check.count(&format!("{key}.outer_points"), self.outer_points, 0..=20_000);
+        check.count(&format!("{key}.band_gap_px"), self.band_gap_px, 0..=200);
+        check.count(&format!("{key}.band_width_px"), self.band_width_px, 1..=200);
+    }
+
+    fn build(&self) -> PhotoModelConfig {
+        let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+        PhotoModelConfig {
+            inner_points: count(self.inner_points),
+            outer_points: count(self.outer_points),
+            band_gap_px: count(self.band_gap_px),
+            band_width_px: count(self.band_width_px),
+        }
+    }
+}
+
+impl RmGaSection {
+    fn check(&self, key: &str, check: &mut Checker) {
+        check.count(&format!("{key}.population"), self.population, 2..=10_000);
+        check.count(&format!("{key}.survivors"), self.survivors, 2..=self.population.max(2));
+        check.count(&format!("{key}.elite"), self.elite, 1..=self.survivors.max(1));
+        check.count(&format!("{key}.generations_per_frame"), self.generations_per_frame, 1..=100_000);
+        check.count(&format!("{key}.generations_cold_start"), self.generations_cold_start, 1..=100_000);
+        check.number(&format!("{key}.mutation_rate"), self.mutation_rate, 0.0..=1.0);
+    }
+
+    fn build(&self) -> RmGaConfig {
+        RmGaConfig {
+            population: self.population,
+            survivors: self.survivors,
+            elite: self.elite,
+            generations: self.generations_per_frame,
+            mutation: match self.mutation {
+                MutationName::PerBit => Mutation::PerBit(self.mutation_rate),
+                MutationName::PerIndividual => Mutation::PerIndividual(self.mutation_rate),
+            },
+            mutate_survivors: self.mutate_survivors,
+            coding: match self.coding {
+                CodingName::Gray => Coding::Gray,
+                CodingName::Binary => Coding::Binary,
+            },
+            seed: self.seed,
+        }
+    }
+}
+
+impl RegionSection {
+    fn check(&self, key: &str, check: &mut Checker) {
+        check.count(&format!("{key}.area_min_px"), self.area_min_px, 1..=10_000_000);
+        check.number(&format!("{key}.click_hue_tolerance_deg"), self.click_hue_tolerance_deg, 0.0..=180.0);
+        check.number(&format!("{key}.click_luminance_tolerance"), self.click_luminance_tolerance, 0.0..=255.0);
+        check.number(&format!("{key}.click_chroma_min"), self.click_chroma_min, 0.0..=255.0);
+        check.number(&format!("{key}.click_area_share_max"), self.click_area_share_max, 0.001..=1.0);
+        check.number(&format!("{key}.coloured_share_warn"), self.coloured_share_warn, 0.0..=1.0);
+        check.number(&format!("{key}.luminance_deviation_warn"), self.luminance_deviation_warn, 0.0..=127.0);
+    }
+
+    fn build(&self) -> RegionConfig {
+        RegionConfig {
+            area_min_px: self.area_min_px,
+            click_hue_tolerance_deg: self.click_hue_tolerance_deg,
+            click_luminance_tolerance: self.click_luminance_tolerance,
+            click_chroma_min: self.click_chroma_min,
+            click_area_share_max: self.click_area_share_max,
+            coloured_share_min: self.coloured_share_warn,
+            luminance_deviation_min: self.luminance_deviation_warn,
+        }
+    }
+}
+
+impl StatusSection {
+    fn check(&self, key: &str, check: &mut Checker) {
+        check.number(&format!("{key}.disparity_step_px"), self.disparity_step_px, 0.1..=20.0);
+        check.count(&format!("{key}.depth_nodes_max"), self.depth_nodes_max, 8..=1024);
+        check.number(&format!("{key}.coarse_tilt_step_deg"), self.coarse_tilt_step_deg, 1.0..=45.0);
+        check.number(&format!("{key}.fine_tilt_step_deg"), self.fine_tilt_step_deg, 0.5..=45.0);
+        check.count(&format!("{key}.blocks_per_side"), self.blocks_per_side, 2..=8);
+        check.count(&format!("{key}.resamples"), self.resamples, 4..=1000);
+        check.count(&format!("{key}.candidates_max"), self.candidates_max, 100..=100_000);
+        for (name, value) in [
+            ("fitness_tolerance", self.fitness_tolerance),
+            ("height_min", self.height_min),
+            ("depth_spread_max", self.depth_spread_max),
+            ("depth_spread_sure", self.depth_spread_sure),
+            ("runner_up_max", self.runner_up_max),
+        ] {
+            check.number(&format!("{key}.{name}"), value, 0.0..=1.0);
+        }
+        check.number(&format!("{key}.tilt_spread_sure_deg"), self.tilt_spread_sure_deg, 0.1..=90.0);
+    }
+
+    fn build(&self) -> ObservabilityConfig {
+        ObservabilityConfig {
+            disparity_step_px: self.disparity_step_px,
+            depth_nodes_max: self.depth_nodes_max,
+            coarse_tilt_step_rad: self.coarse_tilt_step_deg.to_radians(),
+            fine_tilt_step_rad: self.fine_tilt_step_deg.to_radians(),
+            blocks_per_side: u32::try_from(self.blocks_per_side).unwrap_or(u32::MAX),
+            resamples: self.resamples,
+            candidates_max: self.candidates_max,
+            fitness_tolerance: self.fitness_tolerance,
+            height_min: self.height_min,
+            depth_spread_max: self.depth_spread_max,
+            depth_spread_sure: self.depth_spread_sure,
+            runner_up_max: self.runner_up_max,
+            tilt_spread_sure_rad: self.tilt_spread_sure_deg.to_radians(),
+        }
+    }
+}

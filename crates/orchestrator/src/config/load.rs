@@ -1,0 +1,188 @@
+//! Reading a configuration file: TOML to raw structs, with errors that name the file, the key and what is allowed.
+
+use std::fmt::Write as _;
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
+
+use figment::Figment;
+use figment::error::Kind;
+use figment::providers::{Format, Toml};
+use serde::de::DeserializeOwned;
+
+/// Why a configuration was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file can not be read.
+    #[error("configuration {file}: can not be read", file = file.display())]
+    Unreadable {
+        /// The file.
+        file: PathBuf,
+        /// The reason.
+        #[source]
+        source: std::io::Error,
+    },
+    /// Keys are unknown, missing or of the wrong type. One line per key.
+    #[error("configuration {file}:\n{lines}", file = file.display())]
+    Keys {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong, one line per key.
+        lines: String,
+    },
+    /// Values are out of range. One line per key.
+    #[error("configuration {file}:\n{lines}", file = file.display())]
+    Values {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong, one line per key.
+        lines: String,
+    },
+}
+
+/// Reads `file` into the raw struct `T`, whose fields must match the file's keys exactly.
+///
+/// # Errors
+/// An unreadable file, bad TOML, unknown or missing keys, wrong types.
+pub fn read_toml<T: DeserializeOwned>(file: &Path) -> Result<T, ConfigError> {
+    let text =
+        std::fs::read_to_string(file).map_err(|source| ConfigError::Unreadable { file: file.to_path_buf(), source })?;
+    Figment::from(Toml::string(&text)).extract().map_err(|errors| {
+        let mut lines = String::new();
+        for error in errors {
+            let _ = writeln!(lines, "  {}", describe(&error));
+        }
+        ConfigError::Keys { file: file.to_path_buf(), lines: lines.trim_end().to_owned() }
+    })
+}
+
+/// One line for one figment error, key first.
+fn describe(error: &figment::Error) -> String {
+    let path = error.path.join(".");
+    let at = if path.is_empty() { String::from("(top level)") } else { path.clone() };
+    match &error.kind {
+        Kind::UnknownField(field, expected) => {
+            let key = if path.ends_with(field.as_str()) || path.is_empty() {
+                at_or(&path, field)
+            } else {
+                format!("{path}.{field}")
+            };
+            format!("{key}: unknown key; known here: {}", expected.join(", "))
+        }
+        Kind::MissingField(field) => {
+            let key = if path.is_empty() { field.to_string() } else { format!("{path}.{field}") };
+            format!("{key}: missing; the file must set it")
+        }
+        kind => format!("{at}: {kind}"),
+    }
+}
+
+fn at_or(path: &str, field: &str) -> String {
+    if path.is_empty() { field.to_owned() } else { path.to_owned() }
+}
+
+/// Collects what is out of range, so that a user sees everything at once.
+#[derive(Debug, Default)]
+pub struct Checker {
+    lines: Vec<String>,
+}
+
+impl Checker {
+    /// Refuses a value outside `allowed` or not finite.
+    pub fn number(&mut self, key: &str, value: f64, allowed: RangeInclusive<f64>) {
+        if !allowed.contains(&value) {
+            self.lines.push(format!("{key} = {value}: allowed are {} to {}", allowed.start(), allowed.end()));
+        }
+    }
+
+    /// Refuses each of several values outside `allowed` or not finite.
+    pub fn numbers(&mut self, key: &str, values: &[f64], allowed: RangeInclusive<f64>) {
+        for (index, value) in values.iter().enumerate() {
+            self.number(&format!("{key}[{index}]"), *value, allowed.clone());
+        }
+    }
+
+    /// Refuses a count outside `allowed`.
+    pub fn count(&mut self, key: &str, value: usize, allowed: RangeInclusive<usize>) {
+        if !allowed.contains(&value) {
+            self.lines.push(format!("{key} = {value}: allowed are {} to {}", allowed.start(), allowed.end()));
+        }
+    }
+
+    /// Whether nothing was refused so far.
+    pub fn is_clean(&self) -> bool {
+        self.lines.is_empty()
+    }
+
+    /// Refuses with a line that names key, value and what is allowed.
+    pub fn refuse(&mut self, line: String) {
+        self.lines.push(line);
+    }
+
+    /// Success, or all refusals in one error.
+    ///
+    /// # Errors
+    /// If anything was refused.
+    pub fn finish(self, file: &Path) -> Result<(), ConfigError> {
+        if self.lines.is_empty() {
+            return Ok(());
+        }
+        let lines = self.lines.iter().map(|line| format!("  {line}")).collect::<Vec<_>>().join("\n");
+        Err(ConfigError::Values { file: file.to_path_buf(), lines })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde::Deserialize;
+
+    #[derive(Debug, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Sample {
+        camera: SampleCamera,
+    }
+
+    #[derive(Debug, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct SampleCamera {
+        rate_hz: f64,
+    }
+
+    fn message(text: &str) -> String {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("x.toml");
+        std::fs::write(&file, text).unwrap();
+        match read_toml::<Sample>(&file) {
+            Ok(sample) => format!("ok {}", sample.camera.rate_hz),
+            Err(error) => error.to_string(),
+        }
+    }
+
+    #[test]
+    fn errors_name_file_and_key() {
+        assert_eq!(message("[camera]\nrate_hz = 30.0"), "ok 30");
+        let unknown = message("[camera]\nrate_hz = 30.0\nratio = 2");
+        assert!(
+            unknown.contains("x.toml") && unknown.contains("camera.ratio") && unknown.contains("rate_hz"),
+            "{unknown}"
+        );
+        let missing = message("[camera]\n");
+        assert!(missing.contains("camera.rate_hz: missing"), "{missing}");
+        let wrong = message("[camera]\nrate_hz = \"fast\"");
+        assert!(wrong.contains("camera.rate_hz") && wrong.contains("fast"), "{wrong}");
+        let syntax = message("[camera\n");
+        assert!(syntax.contains("x.toml"), "{syntax}");
+    }
+
+    #[test]
+    fn out_of_range_values_are_all_named() {
+        let mut check = Checker::default();
+        check.number("servo.gain", f64::NAN, 0.0..=10.0);
+        check.numbers("arm.speed", &[1.0, 7.5], 0.0..=5.0);
+        check.count("ga.population", 1, 4..=4096);
+        let text = check.finish(Path::new("c.toml")).unwrap_err().to_string();
+        for part in ["c.toml", "servo.gain = NaN", "0 to 10", "arm.speed[1] = 7.5", "ga.population = 1", "4 to 4096"] {
+            assert!(text.contains(part), "{part} not in {text}");
+        }
+    }
+}

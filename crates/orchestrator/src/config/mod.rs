@@ -1,0 +1,6 @@
+//! Configuration files: read, checked, and turned into the parameters of the parts.
+
+pub mod estimator;
+pub mod load;
+
+pub use load::ConfigError;

@@ -1,0 +1,23 @@
+//! The program `pb3dp`.
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use pb3dp_orchestrator::cli::{Cli, Command};
+use pb3dp_orchestrator::{commands, logging};
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let outcome = logging::init(cli.log_format, &cli.log).and_then(|()| match &cli.command {
+        Command::Run(args) => commands::run::run(args),
+        Command::Estimate(args) => commands::estimate::run(args),
+        Command::Track(args) => commands::track::run(args),
+    });
+    match outcome {
+        Ok(code) => code,
+        Err(error) => {
+            tracing::error!("{error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -1,0 +1,88 @@
+//! How a region is written on the command line.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+
+/// A region as the user typed it; files are not opened yet.
+#[derive(Clone, Debug, PartialEq)]
+pub enum RegionSpec {
+    /// `rect:x,y,width,height` in pixels.
+    Rectangle([f64; 4]),
+    /// `poly:x1,y1;x2,y2;...` in pixels.
+    Polygon(Vec<[f64; 2]>),
+    /// `mask:FILE`, a picture of the left picture's size, not black = inside.
+    Mask(PathBuf),
+    /// `click:x,y`: grown from that pixel.
+    Click([f64; 2]),
+}
+
+/// What a region may look like; shown with every error and in `--help`.
+pub const REGION_HELP: &str =
+    "rect:X,Y,WIDTH,HEIGHT | poly:X1,Y1;X2,Y2;X3,Y3... | mask:FILE | click:X,Y (pixels in the left picture)";
+
+impl FromStr for RegionSpec {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (kind, rest) =
+            text.split_once(':').ok_or_else(|| format!("region {text:?} has no kind; write one of: {REGION_HELP}"))?;
+        match kind {
+            "rect" => Ok(Self::Rectangle(numbers(text, rest)?)),
+            "click" => Ok(Self::Click(numbers(text, rest)?)),
+            "poly" => {
+                let vertices = rest
+                    .split(';')
+                    .filter(|p| !p.trim().is_empty())
+                    .map(|p| numbers(text, p))
+                    .collect::<Result<Vec<_>, _>>()?;
+                if vertices.len() < 3 {
+                    return Err(format!("region {text:?} has {} vertices; a polygon needs at least 3", vertices.len()));
+                }
+                Ok(Self::Polygon(vertices))
+            }
+            "mask" if !rest.is_empty() => Ok(Self::Mask(PathBuf::from(rest))),
+            _ => Err(format!("region {text:?} is not understood; write one of: {REGION_HELP}")),
+        }
+    }
+}
+
+/// Exactly `N` finite numbers with commas between them.
+fn numbers<const N: usize>(whole: &str, text: &str) -> Result<[f64; N], String> {
+    let values = text
+        .split(',')
+        .map(|part| match part.trim().parse::<f64>() {
+            Ok(value) if value.is_finite() => Ok(value),
+            _ => Err(format!("region {whole:?}: {part:?} is not a number")),
+        })
+        .collect::<Result<Vec<f64>, _>>()?;
+    let count = values.len();
+    values.try_into().map_err(|_| format!("region {whole:?}: expected {N} numbers, found {count} in {text:?}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_kind_is_read() {
+        assert_eq!("rect:10,20,30.5,40".parse(), Ok(RegionSpec::Rectangle([10.0, 20.0, 30.5, 40.0])));
+        assert_eq!("click:3, 4".parse(), Ok(RegionSpec::Click([3.0, 4.0])));
+        assert_eq!("poly:0,0;5,0;5,7".parse(), Ok(RegionSpec::Polygon(vec![[0.0, 0.0], [5.0, 0.0], [5.0, 7.0]])));
+        assert_eq!("mask:a:b.png".parse(), Ok(RegionSpec::Mask(PathBuf::from("a:b.png"))));
+    }
+
+    #[test]
+    fn refusals_name_the_text() {
+        for (text, part) in [
+            ("10,20,30,40", "no kind"),
+            ("rect:1,2,3", "expected 4 numbers, found 3"),
+            ("rect:1,2,3,NaN", "\"NaN\" is not a number"),
+            ("poly:1,2;3,4", "at least 3"),
+            ("circle:1,2,3", "not understood"),
+            ("mask:", "not understood"),
+        ] {
+            let error = text.parse::<RegionSpec>().unwrap_err();
+            assert!(error.contains(part) && error.contains(text), "{error}");
+        }
+    }
+}
