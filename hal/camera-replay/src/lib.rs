@@ -1,1 +1,228 @@
 //! Stereo camera backend that replays recorded pairs.
+//!
+//! [`ReplayCamera`] plays a sequence folder, a case folder (one pair), or a plain folder of pictures with a calibration;
+//! `docs/dataset-format.md` describes all three. It plays as fast as it is asked, in the original timing on an injected
+//! clock, or step by step; once or for ever. A pair with a picture that is missing, damaged or of another size is one
+//! error of kind `BadPair` that names the file; the next call goes on behind it.
+//!
+//! Pictures are delivered as they were recorded, not undistorted or rectified.
+
+mod folder;
+mod pacing;
+mod source;
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use image::RgbImage;
+use pb3dp_geometry::{ImageSize, MonotonicTime, StereoRig};
+use pb3dp_hal_api::{CameraError, CameraErrorKind, FramePair, StereoCamera, StereoCameraInfo};
+use pb3dp_record::calibration_files::{StereoCalibration, load_stereo};
+use pb3dp_record::dataset::{CALIBRATION_FILE, CASE_FILE, Case, SEQUENCE_FILE, Sequence, load_case, load_sequence};
+use pb3dp_record::images::{ImageFileError, load_rgb_of_size};
+
+pub use pacing::{Pacing, Stepper};
+use source::{RecordedPair, Source};
+
+/// What happens after the last pair.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Repeat {
+    /// The stream ends.
+    Once,
+    /// The recording starts again; sequence numbers and times go on increasing.
+    Forever,
+}
+
+/// How a recording is played.
+#[derive(Clone, Debug)]
+pub struct ReplayOptions {
+    /// When pairs are delivered.
+    pub pacing: Pacing,
+    /// What happens after the last pair.
+    pub repeat: Repeat,
+    /// Time between pairs where the recording has no times of its own (plain folders), and between the last and the first
+    /// pair of a recording with a single one.
+    pub period: Duration,
+}
+
+impl Default for ReplayOptions {
+    /// As fast as possible, once, 30 pairs per second.
+    fn default() -> Self {
+        Self { pacing: Pacing::Unpaced, repeat: Repeat::Once, period: Duration::from_nanos(33_333_333) }
+    }
+}
+
+/// Replays recorded pairs.
+#[derive(Debug)]
+pub struct ReplayCamera {
+    info: StereoCameraInfo,
+    calibration: StereoCalibration,
+    source: Source,
+    pacing: Pacing,
+    repeat: Repeat,
+    /// Pairs that were delivered or skipped, over all rounds.
+    position: u64,
+    /// Time of the first pair on the clock that `exposed_at` is told in; set by the first call.
+    started_at: Option<MonotonicTime>,
+}
+
+impl ReplayCamera {
+    /// Opens a folder of any of the three kinds: with a `sequence.json`, with a `case.json`, or with pictures and a
+    /// `calib.json` (or a ROS pair `left.yaml`, `right.yaml`).
+    ///
+    /// # Errors
+    /// Kind `Unusable` if the folder, its description or its calibration can not be used; pictures are looked at when
+    /// their turn comes.
+    pub fn open(folder: &Path, options: ReplayOptions) -> Result<Self, CameraError> {
+        if folder.join(SEQUENCE_FILE).is_file() {
+            Self::open_sequence(&load_sequence(folder).map_err(|e| unusable(folder, e))?, options)
+        } else if folder.join(CASE_FILE).is_file() {
+            Self::open_case(&load_case(folder).map_err(|e| unusable(folder, e))?, options)
+        } else {
+            Self::open_pictures(folder, &[folder.to_owned()], options)
+        }
+    }
+
+    /// Opens a plain folder of pictures with a calibration from elsewhere: one file, or a left and a right one.
+    ///
+    /// # Errors
+    /// Kind `Unusable` if there are no pictures, their names are ambiguous, or the calibration can not be used.
+    pub fn open_pictures(folder: &Path, calibration: &[PathBuf], options: ReplayOptions) -> Result<Self, CameraError> {
+        let pairs = folder::picture_pairs(folder)?;
+        let calibration = load_stereo(calibration).map_err(|e| {
+            let message = format!(
+                "can not replay the pictures in {}: give a calibration, or put a {CALIBRATION_FILE} there",
+                folder.display()
+            );
+            CameraError::caused_by(CameraErrorKind::Unusable, message, e)
+        })?;
+        Self::new(folder, Source::of_pictures(pairs, options.period), calibration, options)
+    }
+
+    /// Opens the one pair of a case; its time is zero.
+    ///
+    /// # Errors
+    /// Kind `Unusable` if the calibration can not be used.
+    pub fn open_case(case: &Case, options: ReplayOptions) -> Result<Self, CameraError> {
+        let calibration = case.load_calibration().map_err(|e| unusable(&case.folder, e))?;
+        let source = Source::of_pictures(vec![(case.left.clone(), case.right.clone())], options.period);
+        Self::new(&case.folder, source, calibration, options)
+    }
+
+    /// Opens a sequence.
+    ///
+    /// # Errors
+    /// Kind `Unusable` if the calibration can not be used.
+    pub fn open_sequence(sequence: &Sequence, options: ReplayOptions) -> Result<Self, CameraError> {
+        let calibration = sequence.load_calibration().map_err(|e| unusable(&sequence.folder, e))?;
+        Self::new(&sequence.folder, Source::of_sequence(sequence, options.period), calibration, options)
+    }
+
+    fn new(
+        folder: &Path,
+        source: Source,
+        calibration: StereoCalibration,
+        options: ReplayOptions,
+    ) -> Result<Self, CameraError> {
+        if options.period.is_zero() {
+            let message = format!("can not replay {}: the period must be longer than zero", folder.display());
+            return Err(CameraError::new(CameraErrorKind::Unusable, message));
+        }
+        let info = StereoCameraInfo {
+            name: format!("replay {}", folder.display()),
+            size: calibration.rig.left().size(),
+            period: source.period(),
+        };
+        let ReplayOptions { pacing, repeat, .. } = options;
+        Ok(Self { info, calibration, source, pacing, repeat, position: 0, started_at: None })
+    }
+
+    /// The two cameras and their pose.
+    pub fn rig(&self) -> &StereoRig {
+        &self.calibration.rig
+    }
+
+    /// The calibration with where it came from.
+    pub fn calibration(&self) -> &StereoCalibration {
+        &self.calibration
+    }
+
+    /// Number of pairs in the recording, good or bad.
+    pub fn pairs(&self) -> u64 {
+        self.source.pairs()
+    }
+
+    /// Waits until the pair at `position` is due and returns its time of exposure.
+    fn wait(&mut self, timeout: Duration) -> Result<MonotonicTime, CameraError> {
+        let since_start = self.source.since_start(self.position);
+        match &self.pacing {
+            Pacing::Unpaced => Ok(self.source.first_at() + since_start),
+            Pacing::Stepped(stepper) => match stepper.take(timeout) {
+                true => Ok(self.source.first_at() + since_start),
+                false => Err(self.timed_out(timeout)),
+            },
+            Pacing::Original(clock) => {
+                let now = clock.now();
+                let due = *self.started_at.get_or_insert(now) + since_start;
+                let deadline = now + timeout;
+                clock.sleep_until(due.min(deadline));
+                if due <= deadline { Ok(due) } else { Err(self.timed_out(timeout)) }
+            }
+        }
+    }
+
+    fn timed_out(&self, timeout: Duration) -> CameraError {
+        let message = format!("{}: pair {} is not due within {timeout:?}", self.info.name, self.position);
+        CameraError::new(CameraErrorKind::Timeout, message)
+    }
+
+    fn bad_pair(&self, error: ImageFileError) -> CameraError {
+        let message = format!("{}: pair {} is skipped: {}", self.info.name, self.position, error.file.display());
+        CameraError::caused_by(CameraErrorKind::BadPair, message, error)
+    }
+
+    fn load_into(&self, recorded: &RecordedPair, pair: &mut FramePair) -> Result<(), CameraError> {
+        let size = self.info.size;
+        load_into(&recorded.left, size, &self.calibration.source, &mut pair.left).map_err(|e| self.bad_pair(e))?;
+        load_into(&recorded.right, size, &self.calibration.source, &mut pair.right).map_err(|e| self.bad_pair(e))
+    }
+}
+
+impl StereoCamera for ReplayCamera {
+    fn info(&self) -> &StereoCameraInfo {
+        &self.info
+    }
+
+    fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
+        if self.repeat == Repeat::Once && self.position >= self.source.pairs() {
+            let message = format!("{}: all {} pairs are played", self.info.name, self.source.pairs());
+            return Err(CameraError::new(CameraErrorKind::EndOfStream, message));
+        }
+        let exposed_at = self.wait(timeout)?;
+        let recorded = self.source.pair(self.position);
+        let loaded = self.load_into(recorded, pair);
+        let (sequence, skew_nanos) = (self.position, recorded.skew_nanos);
+        // Good or bad, this pair is done: the next call goes on behind it.
+        self.position += 1;
+        loaded?;
+        pair.sequence = sequence;
+        pair.exposed_at = exposed_at;
+        pair.skew_nanos = skew_nanos;
+        Ok(())
+    }
+}
+
+/// Loads a picture into a buffer; the buffer's memory is kept if it has the right size.
+fn load_into(file: &Path, size: ImageSize, because_of: &str, buffer: &mut RgbImage) -> Result<(), ImageFileError> {
+    let picture = load_rgb_of_size(file, size, because_of)?;
+    if buffer.dimensions() == picture.dimensions() {
+        buffer.copy_from_slice(&picture);
+    } else {
+        *buffer = picture;
+    }
+    Ok(())
+}
+
+fn unusable(folder: &Path, error: pb3dp_record::dataset::DatasetError) -> CameraError {
+    CameraError::caused_by(CameraErrorKind::Unusable, format!("can not replay {}", folder.display()), error)
+}

@@ -1,0 +1,191 @@
+//! Pairing the pictures of a plain folder.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use pb3dp_hal_api::{CameraError, CameraErrorKind};
+
+/// Left and right file of one pair; one of them may be missing.
+#[derive(Debug, Default)]
+struct Half {
+    left: Option<PathBuf>,
+    right: Option<PathBuf>,
+}
+
+type Found = BTreeMap<NaturalName, Half>;
+
+/// The pairs of a folder in the order of their names. Either `left<name>` and `right<name>` in the folder itself, or
+/// `<name>` in its subfolders `left` and `right`. Where a picture has no partner, the file that should be there is
+/// returned, so that the pair is reported as missing it.
+pub(crate) fn picture_pairs(folder: &Path) -> Result<Vec<(PathBuf, PathBuf)>, CameraError> {
+    let mut flat = Found::new();
+    for file in pictures_in(folder)? {
+        let stem = stem(&file);
+        if let Some(name) = stem.strip_prefix("left") {
+            insert(&mut flat, name, true, file)?;
+        } else if let Some(name) = stem.strip_prefix("right") {
+            insert(&mut flat, name, false, file)?;
+        }
+    }
+    let mut nested = Found::new();
+    let (left, right) = (folder.join("left"), folder.join("right"));
+    for (subfolder, is_left) in [(&left, true), (&right, false)] {
+        if subfolder.is_dir() {
+            for file in pictures_in(subfolder)? {
+                let name = stem(&file);
+                insert(&mut nested, &name, is_left, file)?;
+            }
+        }
+    }
+    match (flat.is_empty(), nested.is_empty()) {
+        (false, true) => Ok(completed(flat, |name, side| folder.join(format!("{side}{name}")))),
+        (true, false) => Ok(completed(nested, |name, side| folder.join(side).join(name))),
+        (true, true) => Err(refuse(
+            folder,
+            "it has no pictures left_*.png and right_*.png (or .jpg), and no subfolders left and right with pictures",
+        )),
+        (false, false) => {
+            Err(refuse(folder, "it has pictures of its own and subfolders left and right: keep one of the two"))
+        }
+    }
+}
+
+fn refuse(folder: &Path, reason: &str) -> CameraError {
+    CameraError::new(CameraErrorKind::Unusable, format!("can not replay {}: {reason}", folder.display()))
+}
+
+fn pictures_in(folder: &Path) -> Result<Vec<PathBuf>, CameraError> {
+    let unreadable = |source: std::io::Error| {
+        let message = format!("can not read the folder {}: check that it exists", folder.display());
+        CameraError::caused_by(CameraErrorKind::Unusable, message, source)
+    };
+    let mut pictures = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(unreadable)? {
+        let path = entry.map_err(unreadable)?.path();
+        let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+        if matches!(extension.as_deref(), Some("png" | "jpg" | "jpeg")) && !path.is_dir() {
+            pictures.push(path);
+        }
+    }
+    Ok(pictures)
+}
+
+fn stem(file: &Path) -> String {
+    file.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn insert(found: &mut Found, name: &str, is_left: bool, file: PathBuf) -> Result<(), CameraError> {
+    let half = found.entry(NaturalName::new(name)).or_default();
+    let place = if is_left { &mut half.left } else { &mut half.right };
+    match place.replace(file.clone()) {
+        None => Ok(()),
+        Some(other) => {
+            let message = format!("{} and {} are one picture twice: keep one", other.display(), file.display());
+            Err(CameraError::new(CameraErrorKind::Unusable, message))
+        }
+    }
+}
+
+/// Fills in the name that a missing picture should have, with its partner's extension.
+fn completed(found: Found, path: impl Fn(&str, &str) -> PathBuf) -> Vec<(PathBuf, PathBuf)> {
+    let partner = |name: &str, side: &str, other: &Option<PathBuf>| {
+        let extension = other.as_ref().and_then(|file| file.extension()).unwrap_or_default().to_string_lossy();
+        let mut file = path(name, side).into_os_string();
+        file.push(format!(".{extension}"));
+        PathBuf::from(file)
+    };
+    let pair = |(name, half): (NaturalName, Half)| {
+        let left = half.left.clone().unwrap_or_else(|| partner(&name.text, "left", &half.right));
+        let right = half.right.unwrap_or_else(|| partner(&name.text, "right", &half.left));
+        (left, right)
+    };
+    found.into_iter().map(pair).collect()
+}
+
+/// A name that is ordered with its numbers by value: `a2` before `a10`.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct NaturalName {
+    parts: Vec<Part>,
+    text: String,
+}
+
+/// Numbers come before text; they are compared by their digits without leading zeros, longer ones being greater.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Part {
+    Number(usize, String),
+    Text(String),
+}
+
+impl NaturalName {
+    fn new(name: &str) -> Self {
+        let same_kind = |a: &u8, b: &u8| a.is_ascii_digit() == b.is_ascii_digit();
+        let part = |run: &[u8]| {
+            let text = String::from_utf8_lossy(run).into_owned();
+            match run.first().is_some_and(u8::is_ascii_digit) {
+                true => {
+                    let digits = text.trim_start_matches('0').to_owned();
+                    Part::Number(digits.len(), digits)
+                }
+                false => Part::Text(text),
+            }
+        };
+        Self { parts: name.as_bytes().chunk_by(same_kind).map(part).collect(), text: name.to_owned() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pairs_of(files: &[&str]) -> Result<Vec<(String, String)>, String> {
+        let dir = tempfile::tempdir().unwrap();
+        for file in files {
+            let path = dir.path().join(file);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, "").unwrap();
+        }
+        let relative = |path: PathBuf| path.strip_prefix(dir.path()).unwrap().to_string_lossy().into_owned();
+        let pairs = picture_pairs(dir.path()).map_err(|e| e.to_string())?;
+        Ok(pairs.into_iter().map(|(left, right)| (relative(left), relative(right))).collect())
+    }
+
+    fn check(files: &[&str], expected: &[(&str, &str)]) {
+        let expected: Vec<_> = expected.iter().map(|(l, r)| (l.to_string(), r.to_string())).collect();
+        assert_eq!(pairs_of(files).unwrap(), expected);
+    }
+
+    #[test]
+    fn names_are_ordered_by_the_value_of_their_numbers() {
+        check(
+            &["left_10.png", "left_9.png", "right_9.png", "right_10.png", "calib.json", "notes.txt", "leftover.txt"],
+            &[("left_9.png", "right_9.png"), ("left_10.png", "right_10.png")],
+        );
+        check(
+            &["left/b002.JPG", "left/b1.jpg", "right/b1.png", "right/b002.jpg"],
+            &[("left/b1.jpg", "right/b1.png"), ("left/b002.JPG", "right/b002.jpg")],
+        );
+        check(&["left.png", "right.jpeg"], &[("left.png", "right.jpeg")]);
+    }
+
+    #[test]
+    fn a_picture_without_partner_keeps_its_turn() {
+        check(
+            &["left_1.png", "right_1.png", "right_2.jpg", "left_3.png", "right_3.png"],
+            &[("left_1.png", "right_1.png"), ("left_2.jpg", "right_2.jpg"), ("left_3.png", "right_3.png")],
+        );
+        check(&["left/a.v2.png", "right/b.png"], &[("left/a.v2.png", "right/a.v2.png"), ("left/b.png", "right/b.png")]);
+    }
+
+    #[test]
+    fn ambiguous_and_empty_folders_are_refused() {
+        let refused = |files: &[&str], part: &str| {
+            let message = pairs_of(files).unwrap_err();
+            assert!(message.contains(part), "{message}");
+        };
+        refused(&["photo.png"], "no pictures left_*.png");
+        refused(&["left_1.png", "left_1.jpg", "right_1.png"], "one picture twice");
+        refused(&["left_1.png", "right_1.png", "left/1.png"], "keep one of the two");
+        let error = picture_pairs(Path::new("/nonexistent/folder")).unwrap_err();
+        assert!(error.to_string().contains("/nonexistent/folder"));
+    }
+}

@@ -1,0 +1,93 @@
+//! The pairs of a recording and their times.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_record::dataset::Sequence;
+
+/// Two files and their times.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct RecordedPair {
+    pub(crate) left: PathBuf,
+    pub(crate) right: PathBuf,
+    /// From the first pair of the recording to this one.
+    pub(crate) since_first: Duration,
+    pub(crate) skew_nanos: i64,
+}
+
+/// A recording: at least one pair, times strictly increasing.
+#[derive(Clone, Debug)]
+pub(crate) struct Source {
+    pairs: Vec<RecordedPair>,
+    first_at: MonotonicTime,
+    period: Option<Duration>,
+    /// From the first pair of one round to the first of the next.
+    round: Duration,
+}
+
+impl Source {
+    /// Pictures without times, one every `period`.
+    pub(crate) fn of_pictures(files: Vec<(PathBuf, PathBuf)>, period: Duration) -> Self {
+        let pairs: Vec<_> = (0..)
+            .zip(files)
+            .map(|(i, (left, right))| RecordedPair { left, right, since_first: period * i, skew_nanos: 0 })
+            .collect();
+        let round = period * pairs.len().max(1) as u32;
+        Self { pairs, first_at: MonotonicTime::ZERO, period: Some(period), round }
+    }
+
+    /// A sequence; `period` serves as the time to the next round if it has one frame only.
+    pub(crate) fn of_sequence(sequence: &Sequence, period: Duration) -> Self {
+        let first_s = sequence.times_s.first().copied().unwrap_or(0.0);
+        let since_first = |at_s: f64| Duration::from_nanos(((at_s - first_s) * 1e9).round().max(0.0) as u64);
+        let skew_nanos = |i: usize| sequence.skew_s.get(i).map_or(0, |skew_s| (skew_s * 1e9).round() as i64);
+        let pairs: Vec<_> = sequence
+            .times_s
+            .iter()
+            .enumerate()
+            .map(|(i, at_s)| {
+                let (left, right) = sequence.picture_files(i as u64);
+                RecordedPair { left, right, since_first: since_first(*at_s), skew_nanos: skew_nanos(i) }
+            })
+            .collect();
+        let steps: Vec<_> = pairs.windows(2).map(|w| w[1].since_first - w[0].since_first).collect();
+        let typical = typical_step(&steps);
+        let last = pairs.last().map_or(Duration::ZERO, |pair| pair.since_first);
+        let round = last + typical.unwrap_or(period);
+        let regular = typical.filter(|typical| steps.iter().all(|step| step.abs_diff(*typical) * 5 <= *typical));
+        Self { pairs, first_at: MonotonicTime::from_secs_f64(first_s), period: regular, round }
+    }
+
+    pub(crate) fn pairs(&self) -> u64 {
+        self.pairs.len() as u64
+    }
+
+    /// Time between pairs, if it is the same (to a fifth) between all.
+    pub(crate) fn period(&self) -> Option<Duration> {
+        self.period
+    }
+
+    /// Time of the first pair on the recording's own clock; zero if that was negative.
+    pub(crate) fn first_at(&self) -> MonotonicTime {
+        self.first_at
+    }
+
+    /// The pair at a position that counts on over all rounds.
+    pub(crate) fn pair(&self, position: u64) -> &RecordedPair {
+        &self.pairs[(position % self.pairs()) as usize]
+    }
+
+    /// From the very first pair to the one at a position that counts on over all rounds.
+    pub(crate) fn since_start(&self, position: u64) -> Duration {
+        let rounds = u32::try_from(position / self.pairs()).unwrap_or(u32::MAX);
+        self.round.saturating_mul(rounds).saturating_add(self.pair(position).since_first)
+    }
+}
+
+/// The median step, so that gaps of lost frames do not count.
+fn typical_step(steps: &[Duration]) -> Option<Duration> {
+    let mut sorted = steps.to_vec();
+    sorted.sort_unstable();
+    sorted.get(sorted.len() / 2).copied()
+}
