@@ -28,6 +28,9 @@ use crate::status::{Status, Verdict};
 const FINE_HALF: i32 = 6;
 const FINE_HALF_ALONE: i32 = 4;
 
+/// Steps of the climb to the summit of a rival.
+const CLIMB_STEPS_MAX: usize = 16;
+
 /// Grids and limits of the probe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ObservabilityConfig {
@@ -236,10 +239,15 @@ impl LandscapeProbe {
         let coarse = self.score_whole(&whole.score, coarse);
         let fitness = |score: i32| f64::from(score) / f64::from(whole.score_max.max(1));
         let median = median(&mut self.whole[..coarse].to_vec());
-        let highest = self.whole.iter().copied().max().unwrap_or(REFUSED);
         let hypotheses = self.hypotheses.len();
         self.measure_deviations(&target.answer);
-        let runner_up = self.runner_up().map(|(psi, score)| (psi, fitness(score)));
+        let rival = self.runner_up().map(|start| self.climb(&whole.score, start, target));
+        if let Some((psi, score)) = rival {
+            self.hypotheses.push(psi);
+            self.whole.push(score);
+        }
+        let highest = self.whole.iter().copied().max().unwrap_or(REFUSED);
+        let runner_up = rival.map(|(psi, score)| (psi, fitness(score)));
         self.keep_candidates();
         self.measure_deviations(&target.answer);
         let (depth_spread, tilt_spread_rad) = self.spreads(blocks);
@@ -375,6 +383,42 @@ impl LandscapeProbe {
             .map(|i| (self.hypotheses[i], self.whole[i]))
     }
 
+    /// The summit near a hypothesis of the coarse grid, which seldom meets a narrow peak itself: the best of the 26
+    /// neighbours again and again, with steps that are halved where none is better. Stays far from the answer in depth.
+    fn climb<S: PlaneScore>(
+        &self,
+        score: &S,
+        start: (PlaneHypothesis, i32),
+        target: &ProbeTarget,
+    ) -> (PlaneHypothesis, i32) {
+        let mut best = start;
+        let (mut disparity_step_px, mut tilt_step_rad) =
+            (0.5 * self.config.disparity_step_px, 0.5 * self.config.coarse_tilt_step_rad);
+        let mut scores = [REFUSED; 27];
+        for _ in 0..CLIMB_STEPS_MAX {
+            let disparity_px = target.focal_baseline_px_m / best.0.z_m;
+            let neighbours: [PlaneHypothesis; 27] = std::array::from_fn(|k| {
+                let offset = |divisor: usize| (k / divisor % 3) as f64 - 1.0;
+                PlaneHypothesis {
+                    z_m: target.focal_baseline_px_m / (disparity_px + offset(1) * disparity_step_px),
+                    theta_x_rad: best.0.theta_x_rad + offset(3) * tilt_step_rad,
+                    theta_y_rad: best.0.theta_y_rad + offset(9) * tilt_step_rad,
+                }
+            });
+            score.score(&neighbours, &mut scores);
+            let allowed = |psi: &PlaneHypothesis| {
+                let depth = psi.z_m / target.answer.z_m - 1.0;
+                target.range.contains(psi) && depth.abs() > self.config.depth_spread_max
+            };
+            let better = neighbours.iter().zip(scores).filter(|(psi, score)| *score > best.1 && allowed(psi));
+            match better.max_by_key(|(_, score)| *score) {
+                Some((psi, score)) => best = (*psi, score),
+                None => (disparity_step_px, tilt_step_rad) = (0.5 * disparity_step_px, 0.5 * tilt_step_rad),
+            }
+        }
+        best
+    }
+
     /// Rms deviation of the resampled summits from the answer: relative depth, and angle of the normal in radians.
     fn spreads<S: PlaneScore>(&mut self, blocks: &[Scored<S>]) -> (f64, f64) {
         let n = self.hypotheses.len();
@@ -441,3 +485,6 @@ fn median(scores: &mut [i32]) -> i32 {
     let middle = scores.len() / 2;
     *scores.select_nth_unstable(middle).1
 }
+
+#[cfg(test)]
+mod tests;
