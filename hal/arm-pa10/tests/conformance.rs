@@ -126,6 +126,23 @@ fn a_broken_link_stays_broken_and_the_arm_stops() {
 }
 
 #[test]
+fn an_emergency_stop_needs_no_exchange() {
+    let clock = Arc::new(VirtualClock::new());
+    let mut arm = arm(&clock);
+    arm.enable().unwrap();
+    exchange_for(&mut arm, &clock, velocity(0.2), 50);
+    arm.exchange(velocity(0.2)).unwrap();
+    arm.faults().press_e_stop();
+    // Sooner than the watchdog would see to it; S1 brakes at 2 rad/s^2 first, then with the lag.
+    clock.sleep_until(clock.now() + Duration::from_millis(45));
+    let plant = arm.plant();
+    let mut plant = plant.lock().unwrap();
+    plant.advance_to(clock.now());
+    let speed = plant.state().velocity_rad_per_s.amax();
+    assert!((0.1..0.12).contains(&speed), "0.2 - 2 x 0.045 = 0.11 rad/s: {speed}");
+}
+
+#[test]
 fn enabling_waits_for_rest() {
     let clock = Arc::new(VirtualClock::new());
     let mut arm = arm(&clock);

@@ -126,6 +126,22 @@ fn bounces_off_nothing_but_leaves_a_stop_on_command() {
     assert!(plant.state().position_rad[1] < 1.0, "and left: {}", plant.state().position_rad[1]);
 }
 
+/// A gentle turn, while the lag settles: free, S1 would turn 55 ms later and 1.3 mrad further on; the stop is 0.5 mrad away.
+#[test]
+fn a_stop_in_the_way_of_a_gentle_turn_is_met() {
+    let mut begin = start();
+    begin[0] = 3.1 - 0.06 * (1.0 - 0.04) - 0.0005;
+    let mut plant = JointPlant::new(config(), begin, millis(100)).unwrap();
+    let s1 = |value| JointVector::from([value, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    plant.command(millis(100), s1(0.06)).unwrap();
+    plant.command(millis(1100), s1(-0.02)).unwrap();
+    plant.advance_to(millis(1400));
+    let before = 3.1 - plant.position_at(millis(1112)).unwrap()[0];
+    assert!((before - 0.0005).abs() < 1e-9, "{before}");
+    let after_50_ms = plant.velocity_at(millis(1162)).unwrap()[0];
+    assert!(after_50_ms < -0.001, "it has met the stop and is on its way back: {after_50_ms}");
+}
+
 #[test]
 fn measured_angles_are_whole_counts() {
     let mut plant = plant(JointPlantConfig { angle_quantum_rad: PA10_ANGLE_QUANTUM_RAD, ..config() });
