@@ -4,15 +4,16 @@ use std::fmt;
 use std::str::FromStr;
 
 use image::RgbImage;
-use pb3dp_geometry::StereoRig;
+use pb3dp_geometry::frames::CamLeft;
+use pb3dp_geometry::{Pose, StereoRig};
 
 use crate::error::EstimationError;
 use crate::estimate::PlaneEstimate;
 use crate::plane_hypothesis::SearchRange;
-use crate::published::PublishedConfig;
+use crate::published::{PublishedConfig, TrackEstimate};
 use crate::region::Region;
 
-pub use crate::published::PublishedEstimator;
+pub use crate::published::{PublishedEstimator, PublishedTracker};
 
 /// A method of this crate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -102,6 +103,63 @@ impl Estimator {
     ) -> Result<PlaneEstimate, EstimationError> {
         match self {
             Self::Published(estimator) => estimator.estimate(left, right, region, range),
+        }
+    }
+}
+
+/// A tracker of any method, for sequences.
+#[derive(Clone, Debug)]
+pub enum Tracker {
+    /// The published method.
+    Published(Box<PublishedTracker>),
+}
+
+impl Tracker {
+    /// A tracker of `method` for a calibrated pair.
+    ///
+    /// # Errors
+    /// A parameter out of its range.
+    pub fn new(method: Method, rig: &StereoRig, config: &EstimatorConfig) -> Result<Self, EstimationError> {
+        match method {
+            Method::Published => Ok(Self::Published(Box::new(PublishedTracker::new(rig, config.published.clone())?))),
+        }
+    }
+
+    /// The method.
+    pub fn method(&self) -> Method {
+        match self {
+            Self::Published(_) => Method::Published,
+        }
+    }
+
+    /// Takes a new target in the first pair of raw images; see the methods' own `start`.
+    ///
+    /// # Errors
+    /// Images that do not fit the calibration, a region that can not serve, a bad range.
+    pub fn start(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+    ) -> Result<TrackEstimate, EstimationError> {
+        match self {
+            Self::Published(tracker) => tracker.start(left, right, region, range),
+        }
+    }
+
+    /// Follows the target into the next pair of raw images; see the methods' own `update`.
+    ///
+    /// # Errors
+    /// Images that do not fit the calibration, or no [`Self::start`] before.
+    pub fn update(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        cam_left_prev_from_cam_left_now: Option<&Pose<CamLeft, CamLeft>>,
+    ) -> Result<TrackEstimate, EstimationError> {
+        match self {
+            Self::Published(tracker) => tracker.update(left, right, cam_left_prev_from_cam_left_now),
         }
     }
 }

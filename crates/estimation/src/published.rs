@@ -27,10 +27,13 @@ mod core;
 mod front_end;
 mod model_frame;
 mod outline_fit;
+mod target;
 mod tracker;
+mod tracker_config;
 
 use self::core::{Core, Found};
-pub use tracker::{PublishedTracker, TrackEstimate, TrackerConfig};
+pub use tracker::{PublishedTracker, TrackEstimate};
+pub use tracker_config::TrackerConfig;
 
 /// The answer lies at an end of the depth range if it is this close to it, as a share of the range.
 const END_OF_RANGE_SHARE: f64 = 0.004;

@@ -7,6 +7,7 @@ mod common;
 use common::{Look, Shot};
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_estimation::EstimationError;
+use pb3dp_estimation::estimator::{EstimatorConfig, Method, Tracker};
 use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_estimation::published::{PublishedConfig, PublishedTracker, TrackEstimate};
 use pb3dp_estimation::region::Region;
@@ -168,6 +169,19 @@ fn what_can_not_be_observed_is_tried_again_in_the_next_frame() {
     let mut unused = PublishedTracker::new(&rig, PublishedConfig::default()).expect("a config");
     let Shot { left, right } = common::render(&rig, None, Look::Grey);
     assert_eq!(unused.update(&left, &right, None), Err(EstimationError::NotStarted));
+}
+
+#[test]
+fn a_tracker_by_name_gives_the_same_track() {
+    let rig = common::rectified_rig();
+    let (mut tracker, first) = started(&rig, Look::Colourful);
+    let method = Method::from_name("published").expect("a known name");
+    let mut named = Tracker::new(method, &rig, &EstimatorConfig::default()).expect("a config");
+    assert_eq!(named.method(), method);
+    let Shot { left, right } = common::render(&rig, Some(&start_pose()), Look::Colourful);
+    let region = Region::Polygon { vertices_px: common::outline_px(&rig, &start_pose()) };
+    assert_eq!(named.start(&left, &right, &region, &range()), Ok(first));
+    assert_eq!(named.update(&left, &right, None), tracker.update(&left, &right, None));
 }
 
 #[test]

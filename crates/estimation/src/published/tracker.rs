@@ -1,7 +1,7 @@
 //! The published method over time: the population, the region and the model frame carried from frame to frame.
 
 use image::RgbImage;
-use nalgebra::{Matrix6, Point3, Rotation2, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix6, Point3, Vector2};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{ImageSize, Pinhole, Pose, StereoRig};
 
@@ -10,74 +10,15 @@ use super::backprojection::Backprojection;
 use super::core::{Core, Found, Taken};
 use super::model_frame;
 use super::outline_fit::OutlineEdge;
+use super::target::{Appearance, Carried, Target, pixel_of};
 use crate::cpu::Kernels;
-use crate::error::{EstimationError, check_range};
+use crate::error::EstimationError;
 use crate::estimate::PlanePose;
 use crate::observability::Landscape;
 use crate::plane_hypothesis::{PlaneHypothesis, SearchRange};
 use crate::region::{Region, RegionMask, polygon};
 use crate::search::rmga::{Population, RmGa};
 use crate::status::{Status, Verdict};
-
-/// Outline vertices are kept within this distance of the image's origin, pixels: beyond it the target is out of sight.
-const VERTEX_MAX_PX: f64 = 20_000.0;
-
-/// How the region is carried along, and when the target counts as lost. None of this is stated in the paper.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TrackerConfig {
-    /// The window in which the target's pixels are looked for is the region grown by this much, pixels, 1 to 200.
-    /// Default 8.
-    pub window_margin_px: u32,
-    /// Most steps of the mean shift, 1 to 100. Default 8.
-    pub shift_steps_max: usize,
-    /// The region moves by at most this share of the square root of its area per frame, beyond the known motion, 0 to 2.
-    /// Default 0.3.
-    pub shift_max_share: f64,
-    /// The region is re-centred only if the mean weight of its pixels in the first frame reaches this: the target's hues
-    /// must differ from those around it. 0 to 1. Default 0.2.
-    pub contrast_min: f64,
-    /// Lost if fewer of the target's pixels are found, as a share of what the first frame lets expect, 0 to 1. Default 0.35.
-    pub mass_share_min: f64,
-    /// Lost if less of the region lies inside the image, as a share, 0 to 1. Default 0.5.
-    pub visible_share_min: f64,
-    /// Ambiguous if the depth is determined worse than to this share, 0 to 1. Wider than for single pairs: the other peaks are
-    /// ruled out by continuity, and what follows filters over time. Default 0.03.
-    pub depth_spread_sure: f64,
-    /// Lost if the fitness falls below the first frame's median of the search range plus this share of its height above
-    /// that median, 0 to 1. Default 0.4.
-    pub height_share_min: f64,
-}
-
-impl Default for TrackerConfig {
-    fn default() -> Self {
-        Self {
-            window_margin_px: 8,
-            shift_steps_max: 8,
-            shift_max_share: 0.3,
-            contrast_min: 0.2,
-            mass_share_min: 0.35,
-            visible_share_min: 0.5,
-            depth_spread_sure: 0.03,
-            height_share_min: 0.4,
-        }
-    }
-}
-
-impl TrackerConfig {
-    pub(super) fn validate(&self) -> Result<(), EstimationError> {
-        let share = |name, value| check_range(name, value, (0.0, 1.0), "must be between 0 and 1");
-        let margin = f64::from(self.window_margin_px);
-        check_range("tracker window_margin_px", margin, (1.0, 200.0), "must be between 1 and 200")?;
-        let steps = self.shift_steps_max as f64;
-        check_range("tracker shift_steps_max", steps, (1.0, 100.0), "must be between 1 and 100")?;
-        check_range("tracker shift_max_share", self.shift_max_share, (0.0, 2.0), "must be between 0 and 2")?;
-        share("tracker contrast_min", self.contrast_min)?;
-        share("tracker mass_share_min", self.mass_share_min)?;
-        share("tracker visible_share_min", self.visible_share_min)?;
-        share("tracker depth_spread_sure", self.depth_spread_sure)?;
-        share("tracker height_share_min", self.height_share_min)
-    }
-}
 
 /// The outcome for one frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -108,7 +49,7 @@ pub struct TrackEstimate {
 /// Follows one target from frame to frame with the published method.
 ///
 /// Per frame: the last pose, moved by the known motion of the camera, puts the first frame's outline into the new left
-/// image; the pixels of the target's hues re-centre it (see [`TrackerConfig`]); the model is made anew inside it; the
+/// image; the pixels of the target's hues re-centre it (see [`TrackerConfig`](super::TrackerConfig)); the model is made anew inside it; the
 /// population, moved by the same known motion, evolves for the configured generations; all individuals, the elite
 /// included, are scored anew.
 ///
@@ -127,54 +68,6 @@ pub struct PublishedTracker {
 struct Start {
     region: Region,
     range: SearchRange,
-}
-
-/// The target as of the last frame.
-#[derive(Clone, Debug)]
-struct Target {
-    rmga: RmGa,
-    cold_rmga: RmGa,
-    population: Population,
-    cam_left_from_model: Pose<CamLeft, Model>,
-    /// Rotation `cam_left_from_model` of the first frame, carried by the known motion of the camera.
-    reference_rotation: UnitQuaternion<f64>,
-    /// The first frame's outline on the plane, metres.
-    outline_in_model_m: Vec<Vector2<f64>>,
-    outline_edge: OutlineEdge,
-    /// How far the outline has turned on the plane since the first frame, radians: of the region, not of the pose.
-    outline_roll_rad: f64,
-    appearance: Appearance,
-    /// Below this fitness the target is lost.
-    fitness_floor: f64,
-    /// Frames since the target was last seen.
-    lost_frames: u32,
-}
-
-/// How the target is told from its surroundings.
-#[derive(Clone, Debug)]
-struct Appearance {
-    colours: Backprojection,
-    /// Centroid of the target's weights on the plane, metres.
-    mass_centre_in_model_m: Vector2<f64>,
-    /// Sum of the weights over the area of the region, first frame.
-    mass_per_area: f64,
-}
-
-/// A region carried to a new frame.
-struct Carried {
-    outline_px: Vec<Vector2<f64>>,
-    /// Where the model's origin is seen, undistorted left image.
-    origin_px: Vector2<f64>,
-    /// Where the centroid of the target's weights is expected.
-    mass_centre_px: Vector2<f64>,
-}
-
-impl Carried {
-    fn shift(&mut self, shift_px: &Vector2<f64>) {
-        self.outline_px.iter_mut().for_each(|vertex| *vertex += shift_px);
-        self.origin_px += shift_px;
-        self.mass_centre_px += shift_px;
-    }
 }
 
 impl PublishedTracker {
@@ -467,59 +360,6 @@ impl PublishedTracker {
             rotation_about_normal_observed: false,
         }
     }
-}
-
-impl Target {
-    /// The region as the last pose puts it into the image; `None` if a part of it is not in front of the camera.
-    fn region_in(&self, pinhole: &Pinhole) -> Option<Carried> {
-        let turn = Rotation2::new(self.outline_roll_rad);
-        let turned = |point: &Vector2<f64>| pixel_of(&self.cam_left_from_model, pinhole, &(turn * point));
-        Some(Carried {
-            outline_px: self.outline_in_model_m.iter().map(turned).collect::<Option<_>>()?,
-            origin_px: turned(&Vector2::zeros())?,
-            mass_centre_px: turned(&self.appearance.mass_centre_in_model_m)?,
-        })
-    }
-
-    /// Expresses the last pose in the camera of the new frame, the target taken as standing still.
-    fn move_camera(&mut self, cam_left_prev_from_cam_left_now: &Pose<CamLeft, CamLeft>) {
-        let cam_left_now_from_cam_left_prev = cam_left_prev_from_cam_left_now.inverse();
-        self.cam_left_from_model = cam_left_now_from_cam_left_prev * self.cam_left_from_model;
-        self.reference_rotation = cam_left_now_from_cam_left_prev.rotation() * self.reference_rotation;
-        self.reference_rotation.renormalize();
-    }
-
-    /// Does the same to every individual; those that the motion puts behind the camera stay as they are.
-    fn move_population(
-        &mut self,
-        cam_left_prev_from_cam_left_now: &Pose<CamLeft, CamLeft>,
-        old_centre_ray: &Vector3<f64>,
-        new_centre_ray: &Vector3<f64>,
-    ) {
-        let rotation = cam_left_prev_from_cam_left_now.rotation_matrix();
-        let translation_m = cam_left_prev_from_cam_left_now.translation_m();
-        let moved = |psi: &PlaneHypothesis| {
-            // A plane q . X = 1 seen from the new camera: X = R X' + t gives (RT q) . X' = 1 - q . t.
-            let q = psi.inverse_depth_plane(old_centre_ray)?;
-            let rest = 1.0 - q.dot(&translation_m);
-            let q_now = rotation.transpose() * q / rest;
-            (rest > 0.0).then(|| PlaneHypothesis::from_inverse_depth_plane(&q_now, new_centre_ray)).flatten()
-        };
-        self.population.shift(self.rmga.codec(), |psi| moved(&psi).unwrap_or(psi));
-    }
-}
-
-/// Undistorted left pixel of a point of the model's plane, metres; `None` if it is not in front of the camera or far out
-/// of sight.
-fn pixel_of(
-    cam_left_from_model: &Pose<CamLeft, Model>,
-    pinhole: &Pinhole,
-    point_in_model_m: &Vector2<f64>,
-) -> Option<Vector2<f64>> {
-    let point_in_model = Point3::new(point_in_model_m.x, point_in_model_m.y, 0.0);
-    let point_in_cam_left = cam_left_from_model.transform_point(&point_in_model);
-    let pixel = pinhole.pixel_from_normalized(&(point_in_cam_left.coords.xy() / point_in_cam_left.z));
-    (point_in_cam_left.z > 0.0 && pixel.iter().all(|c| c.abs() < VERTEX_MAX_PX)).then_some(pixel)
 }
 
 /// The mask's box, grown by `margin_px` on all sides.
