@@ -273,3 +273,40 @@ fn shade_surfaces_kernel(seen: &Seen<'_>, light: &mut [u16]) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::SceneConfig;
+    use crate::targets::TargetConfig;
+    use crate::wide::tests::without_avx2;
+    use nalgebra::Vector3;
+    use pb3dp_geometry::{Distortion, Pinhole, Pose};
+
+    #[test]
+    fn both_versions_of_the_kernels_give_the_same_bytes() {
+        let camera = |cx: f64| {
+            let pinhole = Pinhole { fx: 231.0, fy: 229.0, cx, cy: 73.0 };
+            let distortion = Distortion::BrownConrady5 { coefficients: [-0.2, 0.1, 0.001, -0.002, 0.0] };
+            // A width that is no multiple of any vector, so that remainders are used.
+            Camera::new(ImageSize { width: 205, height: 147 }, pinhole, distortion).unwrap()
+        };
+        let rig =
+            StereoRig::new(camera(99.0), camera(103.0), Pose::from_translation(Vector3::new(-0.1, 0.0, 0.0))).unwrap();
+        let scene = Scene::build(&SceneConfig::new(TargetConfig::crab(0.02))).unwrap();
+        let mut renderer = StereoRenderer::new(scene, rig, &SensorConfig::default(), 4).unwrap();
+        let turn = nalgebra::UnitQuaternion::from_scaled_axis(Vector3::new(0.2, -0.3, 0.1));
+        let poses = ScenePoses {
+            world_from_cam_left: Pose::from_translation(Vector3::new(0.0, 0.0, 0.1)),
+            world_from_target: Pose::from_parts(Vector3::new(0.04, 0.01, 0.6), turn),
+        };
+        let mut pair = || {
+            let (mut left, mut right) = (RgbImage::new(1, 1), RgbImage::new(1, 1));
+            renderer.render_pair(&poses, 8, &mut left, &mut right);
+            (left, right)
+        };
+        let widest = pair();
+        let plain = without_avx2(pair);
+        assert!(widest == plain);
+    }
+}

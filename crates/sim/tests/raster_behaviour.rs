@@ -1,0 +1,145 @@
+//! What the renderer promises beside geometry: reproducibility, ground truth, motion blur, colours, refusals.
+
+mod support;
+
+use image::RgbImage;
+use nalgebra::{Vector2, Vector3};
+use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
+use pb3dp_sim::raster::{RenderError, StereoRenderer};
+use pb3dp_sim::scene::{Scene, SceneConfig, SceneObject};
+use pb3dp_sim::sensor::SensorConfig;
+use pb3dp_sim::targets::TargetConfig;
+use support::{distorted_rig, poses, rectified_rig, square_scene, turned};
+
+fn crab_renderer(sensor: &SensorConfig, seed: u32) -> StereoRenderer {
+    let scene = Scene::build(&SceneConfig::new(TargetConfig::crab(0.015))).unwrap();
+    StereoRenderer::new(scene, rectified_rig(), sensor, seed).unwrap()
+}
+
+fn pair(renderer: &mut StereoRenderer, frame_index: u64, x_m: f64) -> [RgbImage; 2] {
+    let (mut left, mut right) = (RgbImage::new(1, 1), RgbImage::new(1, 1));
+    let poses = poses(turned([x_m, 0.01, 0.5], [0.05, -0.08, 0.02]));
+    renderer.render_pair(&poses, frame_index, &mut left, &mut right);
+    [left, right]
+}
+
+/// FNV-1a of the bytes of some pictures.
+fn fingerprint(pictures: &[RgbImage]) -> u64 {
+    let bytes = pictures.iter().flat_map(|picture| picture.as_raw());
+    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, &byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
+}
+
+#[test]
+fn pictures_of_a_seed_are_the_same_bytes_everywhere() {
+    let mut renderer = crab_renderer(&SensorConfig::default(), 5);
+    // Noted from the first rendering: whoever changes a picture on purpose writes the new number here.
+    assert_eq!(format!("{:016x}", fingerprint(&pair(&mut renderer, 3, 0.05))), "424f44b362437032");
+}
+
+#[test]
+fn pictures_depend_on_seed_and_frame_but_not_on_the_order() {
+    let mut renderer = crab_renderer(&SensorConfig::default(), 5);
+    let third = pair(&mut renderer, 3, 0.05);
+    let fourth = pair(&mut renderer, 4, 0.06);
+    assert_eq!(third, pair(&mut renderer, 3, 0.05));
+    assert_eq!(fourth, pair(&mut renderer.clone(), 4, 0.06));
+    assert_ne!(third, pair(&mut renderer, 4, 0.05));
+    assert_ne!(third, pair(&mut crab_renderer(&SensorConfig::default(), 6), 3, 0.05));
+}
+
+#[test]
+fn ground_truth_is_the_depth_on_every_ray() {
+    let cam_left_from_target = turned([0.03, -0.02, 0.55], [0.06, -0.09, 0.13]);
+    let scene = square_scene(0.2, 3, |_, _| [100.0; 3]);
+    let rig = distorted_rig();
+    let mut renderer = StereoRenderer::new(scene, rig, &SensorConfig::IDEAL, 1).unwrap();
+    let truth = renderer.ground_truth(&poses(cam_left_from_target));
+    let normal = cam_left_from_target.transform_vector(&Vector3::z());
+    let distance = normal.dot(&cam_left_from_target.translation_m());
+    let mut on_target = 0;
+    for row in (0..480).step_by(7) {
+        for column in (0..640).step_by(7) {
+            let ray = rig.left().unproject(&Vector2::new(f64::from(column), f64::from(row))).unwrap();
+            let z = distance / normal.dot(&ray);
+            let place = cam_left_from_target.inverse().transform_point(&(ray * z).into());
+            let at = (row * 640 + column) as usize;
+            if place.x.abs().max(place.y.abs()) < 0.0999 {
+                assert!((f64::from(truth.depth_m[at]) / z - 1.0).abs() < 1e-6, "{column}, {row}");
+                assert_eq!(truth.object[at], SceneObject::Target);
+                on_target += 1;
+            } else if place.x.abs().max(place.y.abs()) > 0.1001 {
+                assert_eq!((truth.depth_m[at], truth.object[at]), (0.0, SceneObject::Nothing));
+            }
+        }
+    }
+    assert!(on_target > 1000, "{on_target}");
+}
+
+#[test]
+fn the_crab_has_its_hue_and_nothing_is_black() {
+    let mut renderer = crab_renderer(&SensorConfig::IDEAL, 1);
+    let here = poses(turned([0.05, 0.0, 0.5], [0.0; 3]));
+    let truth = renderer.ground_truth(&here);
+    let (mut picture, mut right) = (RgbImage::new(1, 1), RgbImage::new(1, 1));
+    renderer.render_pair(&here, 0, &mut picture, &mut right);
+    assert!(picture.pixels().filter(|p| p.0.iter().all(|&channel| channel < 12)).count() < 50);
+    let (mut crab, mut in_range, mut backdrop) = (0u32, 0u32, 0u32);
+    for (pixel, object) in picture.pixels().zip(&truth.object) {
+        let [r, g, b] = pixel.0.map(f64::from);
+        match object {
+            SceneObject::Target if r - b > 25.0 => {
+                // In this sextant (red largest, blue smallest) hue = 60 (g - b) / (r - b) degrees.
+                let hue = 60.0 * (g - b) / (r - b);
+                crab += 1;
+                in_range += u32::from((4.0..=24.0).contains(&hue));
+            }
+            SceneObject::Backdrop => backdrop += 1,
+            _ => {}
+        }
+    }
+    assert!(crab > 5000 && backdrop > 100_000, "{crab} px of crab, {backdrop} px of backdrop");
+    assert!(f64::from(in_range) > 0.95 * f64::from(crab), "{in_range} of {crab}");
+}
+
+/// Sum of the differences between neighbouring columns.
+fn sharpness(picture: &RgbImage) -> f64 {
+    let row = |r: u32| (1..640).map(move |c| (c, r));
+    (0..480)
+        .flat_map(row)
+        .map(|(c, r)| (f64::from(picture.get_pixel(c, r)[0]) - f64::from(picture.get_pixel(c - 1, r)[0])).abs())
+        .sum()
+}
+
+#[test]
+fn motion_blur_is_the_mean_over_the_exposure() {
+    let mut renderer = crab_renderer(&SensorConfig::IDEAL, 1);
+    let at = |x: f64| poses(turned([x, 0.0, 0.5], [0.0; 3]));
+    let (mut left, mut right) = (RgbImage::new(1, 1), RgbImage::new(1, 1));
+    let mut expose = |moments: &[f64]| {
+        let moments: Vec<_> = moments.iter().map(|&x| at(x)).collect();
+        renderer.render_exposure(&moments, 0, &mut left, &mut right).map(|()| left.clone())
+    };
+    let (first, second) = (expose(&[0.050]).unwrap(), expose(&[0.054]).unwrap());
+    assert_eq!(first, expose(&[0.050, 0.050]).unwrap());
+    let both = expose(&[0.050, 0.054]).unwrap();
+    for ((mean, a), b) in both.iter().zip(first.iter()).zip(second.iter()) {
+        assert!((f64::from(*mean) - (f64::from(*a) + f64::from(*b)) / 2.0).abs() <= 1.01);
+    }
+    let swept = expose(&[0.050, 0.051, 0.052, 0.053, 0.054]).unwrap();
+    assert!(sharpness(&swept) < 0.8 * sharpness(&first));
+    assert_eq!(expose(&[]), Err(RenderError::NoPoses));
+}
+
+#[test]
+fn unusable_rigs_and_sensors_are_refused_by_name() {
+    let scene = || square_scene(0.1, 2, |_, _| [9.0; 3]);
+    let sensor = SensorConfig { read_noise_grey: -1.0, ..SensorConfig::IDEAL };
+    let error = StereoRenderer::new(scene(), rectified_rig(), &sensor, 1).unwrap_err();
+    assert!(error.to_string().contains("read_noise_grey is -1"), "{error}");
+    let pinhole = Pinhole { fx: 300.0, fy: 300.0, cx: 150.0, cy: 100.0 };
+    let small = Camera::new(ImageSize { width: 320, height: 240 }, pinhole, Distortion::None).unwrap();
+    let rig =
+        StereoRig::new(*rectified_rig().left(), small, Pose::from_translation(Vector3::new(-0.1, 0.0, 0.0))).unwrap();
+    let error = StereoRenderer::new(scene(), rig, &SensorConfig::IDEAL, 1).unwrap_err();
+    assert!(error.to_string().contains("640x480") && error.to_string().contains("320x240"), "{error}");
+}
