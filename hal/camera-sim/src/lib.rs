@@ -1,1 +1,180 @@
 //! Stereo camera backend that renders the simulated cell.
+//!
+//! [`SimStereoCamera`] exposes at fixed times of an injected clock, asks a `PoseSource` where everything was then, and renders
+//! the pair. It knows no arm: whoever simulates the arms implements `PoseSource`.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
+use pb3dp_sim::raster::StereoRenderer;
+use pb3dp_sim::scene::{PoseSource, ScenePoses};
+
+/// Most moments of one exposure.
+const BLUR_MOMENTS_MAX: u32 = 64;
+
+/// When the camera exposes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SimCameraConfig {
+    /// Time between exposures.
+    pub period: Duration,
+    /// Length of an exposure, at most `period`. Without motion blur it only sets the time at which a pair is ready.
+    pub exposure: Duration,
+    /// Moments of an exposure that are rendered and averaged: 1 for sharp pictures, more for motion blur (each costs a
+    /// rendering), at most 64.
+    pub blur_moments: u32,
+    /// Pairs until the end of the stream; `None` never ends.
+    pub pairs: Option<u64>,
+}
+
+impl Default for SimCameraConfig {
+    /// 30 pairs per second, 4 ms of exposure, sharp, endless.
+    fn default() -> Self {
+        Self {
+            period: Duration::from_nanos(33_333_333),
+            exposure: Duration::from_millis(4),
+            blur_moments: 1,
+            pairs: None,
+        }
+    }
+}
+
+impl SimCameraConfig {
+    fn validate(&self) -> Result<(), CameraError> {
+        let refuse = |message: String| Err(CameraError::new(CameraErrorKind::Unusable, message));
+        if self.period.is_zero() {
+            return refuse("the period of the simulated camera is 0: it must be positive".to_owned());
+        }
+        if self.exposure > self.period {
+            return refuse(format!(
+                "the exposure of the simulated camera is {:?}: it must not be longer than the period, {:?}",
+                self.exposure, self.period
+            ));
+        }
+        if !(1..=BLUR_MOMENTS_MAX).contains(&self.blur_moments) {
+            return refuse(format!(
+                "the simulated camera is to render {} moments per exposure: set 1 to {BLUR_MOMENTS_MAX}",
+                self.blur_moments
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// A simulated stereo camera with a global shutter and no skew.
+///
+/// Exposure `k` begins `k` periods after the camera was made. A call delivers the newest exposure that is complete and was
+/// not yet delivered, and otherwise waits for the next one: a caller that is late loses pairs (a gap in `sequence`) instead of
+/// falling behind, as with a real camera. So poses are asked for times up to one period and one exposure in the past of the
+/// clock, and never going back from pair to pair.
+///
+/// Rendering takes processor time in the call. With a clock that only moves when somebody sleeps, pictures and times depend
+/// on nothing but configuration, seed and poses.
+pub struct SimStereoCamera {
+    renderer: StereoRenderer,
+    poses: Box<dyn PoseSource>,
+    clock: Arc<dyn Clock>,
+    config: SimCameraConfig,
+    info: StereoCameraInfo,
+    start: MonotonicTime,
+    next_sequence: u64,
+    delivered: u64,
+    moments: Vec<ScenePoses>,
+}
+
+impl SimStereoCamera {
+    /// A camera whose first exposure begins now.
+    ///
+    /// # Errors
+    /// `Unusable` for a configuration out of its range, with the value.
+    pub fn new(
+        renderer: StereoRenderer,
+        poses: Box<dyn PoseSource>,
+        clock: Arc<dyn Clock>,
+        config: SimCameraConfig,
+    ) -> Result<Self, CameraError> {
+        config.validate()?;
+        let info = StereoCameraInfo {
+            name: format!("simulation of {}", renderer.scene().target().name),
+            size: renderer.size(),
+            period: Some(config.period),
+        };
+        let (start, moments) = (clock.now(), Vec::with_capacity(config.blur_moments as usize));
+        Ok(Self { renderer, poses, clock, config, info, start, next_sequence: 0, delivered: 0, moments })
+    }
+
+    /// The renderer, for its scene and ground truth.
+    pub fn renderer_mut(&mut self) -> &mut StereoRenderer {
+        &mut self.renderer
+    }
+
+    /// When an exposure begins.
+    fn exposure_start(&self, sequence: u64) -> MonotonicTime {
+        let nanos = self.config.period.as_nanos().saturating_mul(u128::from(sequence));
+        self.start + Duration::from_nanos(u64::try_from(nanos).unwrap_or(u64::MAX))
+    }
+
+    /// The newest exposure that is complete at `now`, or the next one that was not yet delivered.
+    fn due_sequence(&self, now: MonotonicTime) -> u64 {
+        let since_first_end = now.saturating_since(self.start + self.config.exposure);
+        let complete = since_first_end.as_nanos() / self.config.period.as_nanos();
+        self.next_sequence.max(u64::try_from(complete).unwrap_or(u64::MAX))
+    }
+
+    /// Asks where everything is during the exposure that begins at `start`.
+    fn gather_poses(&mut self, start: MonotonicTime) -> Result<(), CameraError> {
+        let (exposure, count) = (self.config.exposure, self.config.blur_moments);
+        self.moments.clear();
+        for moment in 0..count {
+            // Middles of equal slices, so that a single moment is mid-exposure.
+            let at = start + exposure * (2 * moment + 1) / (2 * count);
+            let poses = self.poses.poses_at(at);
+            if !(poses.world_from_cam_left.is_finite() && poses.world_from_target.is_finite()) {
+                let message =
+                    format!("{}: the poses at {} s are not finite: {poses:?}", self.info.name, at.as_secs_f64());
+                return Err(CameraError::new(CameraErrorKind::BadPair, message));
+            }
+            self.moments.push(poses);
+        }
+        Ok(())
+    }
+
+    fn end_of_stream(&self) -> CameraError {
+        let message = format!("{}: all {} pairs were delivered", self.info.name, self.delivered);
+        CameraError::new(CameraErrorKind::EndOfStream, message)
+    }
+}
+
+impl StereoCamera for SimStereoCamera {
+    fn info(&self) -> &StereoCameraInfo {
+        &self.info
+    }
+
+    fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
+        if self.config.pairs.is_some_and(|pairs| self.delivered >= pairs) {
+            return Err(self.end_of_stream());
+        }
+        let now = self.clock.now();
+        let sequence = self.due_sequence(now);
+        let start = self.exposure_start(sequence);
+        let ready = start + self.config.exposure;
+        if ready > now + timeout {
+            self.clock.sleep_until(now + timeout);
+            let message = format!("{}: no pair within {timeout:?}, the next one is due later", self.info.name);
+            return Err(CameraError::new(CameraErrorKind::Timeout, message));
+        }
+        self.clock.sleep_until(ready);
+        // Whatever becomes of this exposure, it is not offered again.
+        self.next_sequence = sequence.saturating_add(1);
+        self.gather_poses(start)?;
+        self.renderer
+            .render_exposure(&self.moments, sequence, &mut pair.left, &mut pair.right)
+            .map_err(|error| CameraError::caused_by(CameraErrorKind::BadPair, "the pair can not be rendered", error))?;
+        pair.sequence = sequence;
+        pair.exposed_at = start + self.config.exposure / 2;
+        pair.skew_nanos = 0;
+        self.delivered += 1;
+        Ok(())
+    }
+}
