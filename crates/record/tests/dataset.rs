@@ -1,5 +1,7 @@
 //! The dataset format from outside: the test data of the repository, its schema, and what the writers write.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests may fail the test")]
+
 use std::path::{Path, PathBuf};
 
 use image::{Rgb, RgbImage};

@@ -1,5 +1,7 @@
 //! The replay camera on recordings that the recorder of this repository wrote.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests may fail the test")]
+
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;

@@ -70,8 +70,8 @@ impl<'a> Node<'a> {
 
     /// Keys of this object that are not in `known`.
     pub(super) fn other_keys(&self, known: &[&str]) -> Vec<String> {
-        let keys = self.value.as_object().map(|map| map.keys().cloned().collect()).unwrap_or_else(Vec::new);
-        keys.into_iter().filter(|key| !known.contains(&key.as_str())).collect()
+        let keys = self.value.as_object().into_iter().flat_map(|map| map.keys());
+        keys.filter(|key| !known.contains(&key.as_str())).cloned().collect()
     }
 
     pub(super) fn text(&self) -> Result<&'a str, DatasetError> {

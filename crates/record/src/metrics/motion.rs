@@ -215,7 +215,7 @@ mod tests {
     fn jitter_is_the_standard_deviation_of_white_noise() {
         // Errors of +s, -s, +s, .. along one axis have second differences of 4 s: jitter 4 s / sqrt(6).
         let truth = vec![pose([0.0, 0.1, 0.6], [0.2, 0.0, -0.1]); 21];
-        let alternate = |i: usize| if i % 2 == 0 { 0.0005 } else { -0.0005 };
+        let alternate = |i: usize| if i.is_multiple_of(2) { 0.0005 } else { -0.0005 };
         let estimated: Vec<_> = truth
             .iter()
             .enumerate()

@@ -20,12 +20,13 @@ pub struct GroupSummary {
     pub z_median_mm: Option<f64>,
     /// Median of the absolute disparity error, pixels.
     pub disparity_median_px: Option<f64>,
-    /// Median angle between the normals, degrees.
+    /// Median angle between the normals, degrees; `None` for regions that are no plane.
     pub normal_median_deg: Option<f64>,
     /// 90th percentile of the same.
     pub normal_p90_deg: Option<f64>,
-    /// Share of all cases with depth within 1 % and normal within 5 degrees, percent.
-    pub good_percent: f64,
+    /// Share of all cases with depth within 1 % and normal within 5 degrees, percent; `None` for regions that are no
+    /// plane.
+    pub good_percent: Option<f64>,
     /// Median CPU time, milliseconds.
     pub median_millis: Option<f64>,
     /// 90th percentile of the same.
@@ -53,7 +54,9 @@ fn row(name: &'static str, cases: &[&EvaluatedCase]) -> GroupSummary {
     let errors: Vec<_> = cases.iter().filter_map(|case| case.error).collect();
     let z_percent: Vec<_> = errors.iter().map(|e| 100.0 * e.z_ratio.abs()).collect();
     let z_mm: Vec<_> = errors.iter().map(|e| 1e3 * e.z_m.abs()).collect();
-    let normal_deg: Vec<_> = errors.iter().map(|e| e.normal_rad.to_degrees()).collect();
+    // A plane through something that is none has no true normal.
+    let planar = cases.iter().all(|case| case.group != Group::NonPlanar);
+    let normal_deg: Vec<_> = errors.iter().filter(|_| planar).map(|e| e.normal_rad.to_degrees()).collect();
     let disparity_px: Vec<_> = errors.iter().filter_map(|e| e.disparity_px.map(f64::abs)).collect();
     let millis: Vec<_> = cases.iter().map(|case| case.cpu_millis).collect();
     let good = errors.iter().filter(|e| e.is_good()).count();
@@ -70,7 +73,7 @@ fn row(name: &'static str, cases: &[&EvaluatedCase]) -> GroupSummary {
         disparity_median_px: median(&disparity_px),
         normal_median_deg: median(&normal_deg),
         normal_p90_deg: percentile(&normal_deg, 90.0),
-        good_percent: if cases.is_empty() { 0.0 } else { 100.0 * good as f64 / cases.len() as f64 },
+        good_percent: (planar && !cases.is_empty()).then(|| 100.0 * good as f64 / cases.len() as f64),
         median_millis: median(&millis),
         p90_millis: percentile(&millis, 90.0),
         map_median_px: median(&map_px),
@@ -131,7 +134,7 @@ fn cells(row: &GroupSummary) -> [String; 12] {
         figure(row.disparity_median_px, 2),
         figure(row.normal_median_deg, 2),
         figure(row.normal_p90_deg, 1),
-        format!("{:.0}%", row.good_percent),
+        row.good_percent.map_or("-".into(), |percent| format!("{percent:.0}%")),
         figure(row.median_millis, 1),
         figure(row.p90_millis, 1),
     ]
@@ -173,9 +176,16 @@ mod tests {
         close(row.z_median_mm, 3.5);
         close(row.disparity_median_px, 0.07);
         close(row.normal_median_deg, 2.0);
-        close(Some(row.good_percent), 25.0);
+        close(row.good_percent, 25.0);
         close(row.median_millis, 5.0);
-        assert_eq!((rows[1].answered, rows[1].z_median_percent, rows[1].good_percent), (0, None, 0.0));
+        assert_eq!((rows[1].answered, rows[1].z_median_percent, rows[1].good_percent), (0, None, Some(0.0)));
+    }
+
+    #[test]
+    fn regions_that_are_no_plane_are_judged_by_depth_alone() {
+        let rows = summarize(&[case(Group::NonPlanar, 0.5, 40.0, 1.0)]);
+        assert_eq!((rows[0].normal_median_deg, rows[0].normal_p90_deg, rows[0].good_percent), (None, None, None));
+        assert!((rows[0].z_median_percent.unwrap() - 0.5).abs() < 1e-12);
     }
 
     #[test]
