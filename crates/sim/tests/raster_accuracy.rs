@@ -1,4 +1,5 @@
 //! The renderer is the ground truth for sub-pixel stereo: places in its pictures against the camera model.
+#![allow(clippy::unwrap_used, clippy::panic)] // clippy allows them in #[test] functions only, not in their helpers.
 
 mod support;
 

@@ -1,4 +1,5 @@
 //! What the renderer promises beside geometry: reproducibility, ground truth, motion blur, colours, refusals.
+#![allow(clippy::unwrap_used, clippy::panic)] // clippy allows them in #[test] functions only, not in their helpers.
 
 mod support;
 

@@ -1,4 +1,5 @@
 //! The simulated camera against the contract, its times, and what it does when its caller is late.
+#![allow(clippy::unwrap_used, clippy::panic)] // clippy allows them in #[test] functions only, not in their helpers.
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
