@@ -24,7 +24,15 @@ mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
 mod batch;
+#[cfg_attr(
+    not(target_arch = "x86_64"),
+    allow(dead_code, unused_variables, reason = "some of it is for the vector kernels alone")
+)]
 mod general;
+#[cfg_attr(
+    not(target_arch = "x86_64"),
+    allow(dead_code, unused_variables, reason = "some of it is for the vector kernels alone")
+)]
 mod points;
 mod rectified;
 mod scalar;
@@ -206,7 +214,8 @@ impl PreparedFitness<'_> {
         (self.memory.inner.len(), self.memory.outer.len())
     }
 
-    /// The votes of one hypothesis; `None` if it is refused.
+    /// The votes of one hypothesis; `None` if it is refused. For reports and tests: it allocates, unlike
+    /// [`PlaneScore::score`].
     pub fn votes(&self, psi: &PlaneHypothesis) -> Option<Votes> {
         let (mut matches, mut seen) = (Counts::default(), Counts::default());
         let batch = self.frame.batch(std::slice::from_ref(psi), self.window.as_ref());

@@ -23,8 +23,10 @@ const STEPS_PER_TURN: f64 = 65536.0;
 /// When a pixel has a hue. The paper does not say; hue is noise where these are small.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HueConfig {
-    /// Smallest saturation `(max - min) / max`, 0 to 1; applied in steps of 1/256. Default 0.15: below it, noise of 3 grey
-    /// levels at mid brightness moves the hue by more than half of the 20 degrees of eq. (8).
+    /// Smallest saturation `(max - min) / max`, 0 to 1; applied in steps of 1/256. Default 0.08: above grey cards and lamps
+    /// (0.04), and low enough for the faint colours of real scenes, on which a gate of 0.15 loses every tenth target and
+    /// makes the others worse (exhaustive optimum on 104 planar real cases: 87 instead of 79 usable, median depth error
+    /// 2.0 % instead of 2.8 %).
     pub saturation_min: f64,
     /// Smallest value `max / 255`, 0 to 1; applied in steps of 1/255. Default 0.10.
     pub value_min: f64,
@@ -32,7 +34,7 @@ pub struct HueConfig {
 
 impl Default for HueConfig {
     fn default() -> Self {
-        Self { saturation_min: 0.15, value_min: 0.10 }
+        Self { saturation_min: 0.08, value_min: 0.10 }
     }
 }
 

@@ -1,4 +1,5 @@
 //! The steady-state frame loop does not allocate: conversion, model, preparation, search.
+#![allow(clippy::expect_used, reason = "inputs that are valid")]
 
 #[path = "support/scene.rs"]
 mod scene;

@@ -3,7 +3,7 @@
 //!
 //! `cargo run --release -p pb3dp-estimation --example speed -- [--json] [--check] [--rounds N]`
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program that reports to its user")]
-#![allow(clippy::expect_used, reason = "the benchmark's own inputs are valid")]
+#![allow(clippy::expect_used, reason = "the inputs of the benchmark are valid")]
 
 mod machine;
 mod measure;

@@ -2,6 +2,7 @@
 //!
 //! Double precision, hue by the textbook formula at every sample, a branch for every case. Nothing of the estimators is
 //! used, so agreement means something; the time it takes is what their kernels are compared with.
+#![allow(clippy::expect_used, reason = "support code of tests, with inputs that are valid")]
 
 use image::RgbImage;
 use nalgebra::{Matrix3, Vector2, Vector3};

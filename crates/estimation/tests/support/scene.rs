@@ -2,6 +2,7 @@
 //!
 //! Both images are ray cast from the scene, pixel by pixel, with nothing of the estimators: neither the homography nor the
 //! inverse-depth plane is used here.
+#![allow(clippy::expect_used, reason = "support code of tests, with inputs that are valid")]
 
 use image::{Rgb, RgbImage};
 use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector2, Vector3};
