@@ -19,7 +19,7 @@ const HELP: &str = "\
 Measures the published method: ns per sample, a full frame in ms, ratio to the naive version.
 
   --json       one JSON object on stdout instead of the table
-  --check      exit with 1 if a goal of docs/benchmarks is missed
+  --check      exit with 1 if a goal is missed
   --rounds N   measurements per figure, 5 to 100000 (default 300); medians are reported
   --help       this text";
 
