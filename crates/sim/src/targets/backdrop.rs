@@ -61,7 +61,7 @@ pub fn build(config: &BackdropConfig, rear_z_m: f64, seed: u32) -> Result<Vec<Sc
 /// Sand with ripples, bluish patches, pebbles and shell fragments; features have their size in millimetres.
 fn paint(size_m: [f64; 2], seed: u32) -> Texture {
     let noise = |k: u32| ValueNoise::new(hash(&[seed, 0x5EA0, k]));
-    let (dunes, ripple_bend, grain, water) = (noise(1), noise(2), noise(3), noise(4));
+    let (dunes, ripple_bend, grain, water, chips) = (noise(1), noise(2), noise(3), noise(4), noise(7));
     let pebbles = ScatteredPoints::new(hash(&[seed, 0x5EA0, 5]));
     let shells = ScatteredPoints::new(hash(&[seed, 0x5EA0, 6]));
     Texture::from_fn(10, 9, |u, v| {
@@ -75,8 +75,11 @@ fn paint(size_m: [f64; 2], seed: u32) -> Texture {
         let blue = colour_from_hsv(208.0 + 20.0 * (fine - 0.5), 0.42, value * 0.88);
         let depth = water.fractal(x / 62.0 + 7.0, y / 55.0, 3);
         let ground = mix_colours(&sand, &blue, 0.9 * smooth_step(0.52, 0.62, depth));
-        let ground = pebble(&ground, &pebbles, x / 17.0, y / 14.0);
-        shell(&ground, &shells, x / 36.0, y / 36.0)
+        // Bent coordinates make irregular stones and fragments.
+        let bent = |k: f64| 2.6 * (chips.fractal(x / 5.0 + k, y / 5.0, 2) - 0.5);
+        let (x, y) = (x + bent(0.0), y + bent(31.0));
+        let ground = pebble(&ground, &pebbles, x / 17.0, y / 13.0);
+        shell(&ground, &shells, x / 30.0, y / 30.0)
     })
 }
 
@@ -93,10 +96,15 @@ fn pebble(ground: &Colour, pebbles: &ScatteredPoints, x: f64, y: f64) -> Colour 
     mix_colours(ground, &rounded, smooth_step(size, 0.88 * size, stone.distance))
 }
 
-/// Pale fragments of shells.
+/// Pale ribbed fragments of shells, in some of the cells.
 fn shell(ground: &Colour, shells: &ScatteredPoints, x: f64, y: f64) -> Colour {
     let piece = shells.nearest(x, y);
-    let bright = colour_from_hsv(30.0, 0.10, 0.92);
-    let ring = 0.75 + 0.25 * (1.0 - 2.0 * ((piece.distance * 26.0).rem_euclid(1.0) - 0.5).abs());
-    mix_colours(ground, &bright.map(|channel| channel * ring), smooth_step(0.10, 0.085, piece.distance))
+    let random = |shift: u32| f64::from((piece.id >> shift) & 0xff) / 255.0;
+    if random(0) < 0.45 {
+        return *ground;
+    }
+    let size = 0.06 + 0.06 * random(8);
+    let pale = colour_from_hsv(20.0 + 25.0 * random(16), 0.08 + 0.14 * random(20), 0.90);
+    let rib = 0.72 + 0.28 * (1.0 - 2.0 * ((piece.distance / size * 2.5).rem_euclid(1.0) - 0.5).abs());
+    mix_colours(ground, &pale.map(|channel| channel * rib), smooth_step(size, 0.82 * size, piece.distance))
 }

@@ -25,23 +25,23 @@ type Limb = [[f64; 3]; 2];
 /// Limbs of the right side; the left side mirrors them.
 const LIMBS: [Limb; 11] = [
     // Arm of the claw.
-    [[20.0, -10.0, 4.5], [37.0, -15.0, 4.2]],
-    [[37.0, -15.0, 4.2], [40.0, -26.0, 5.0]],
+    [[22.0, -10.0, 5.5], [41.0, -16.0, 4.8]],
+    [[41.0, -16.0, 4.8], [42.0, -27.0, 5.6]],
     // Four legs, two pieces each.
-    [[24.0, -2.0, 3.6], [44.0, -5.0, 2.8]],
-    [[44.0, -5.0, 2.8], [54.0, 3.0, 1.2]],
-    [[24.0, 5.0, 3.6], [45.0, 7.0, 2.8]],
-    [[45.0, 7.0, 2.8], [53.5, 17.0, 1.2]],
-    [[21.0, 11.0, 3.6], [41.0, 18.0, 2.7]],
-    [[41.0, 18.0, 2.7], [47.0, 29.0, 1.2]],
-    [[16.0, 16.0, 3.4], [30.0, 28.0, 2.6]],
-    [[30.0, 28.0, 2.6], [33.0, 39.0, 1.2]],
+    [[24.0, -1.0, 4.0], [46.0, -4.0, 3.2]],
+    [[46.0, -4.0, 3.2], [54.0, 5.0, 1.4]],
+    [[24.0, 7.0, 4.0], [45.0, 9.0, 3.2]],
+    [[45.0, 9.0, 3.2], [53.0, 19.0, 1.4]],
+    [[21.0, 13.0, 4.0], [41.0, 21.0, 3.1]],
+    [[41.0, 21.0, 3.1], [47.0, 32.0, 1.4]],
+    [[15.0, 18.0, 3.8], [31.0, 31.0, 3.0]],
+    [[31.0, 31.0, 3.0], [34.0, 42.0, 1.4]],
     // Eye stalk.
-    [[7.0, -16.0, 2.2], [9.0, -22.5, 2.4]],
+    [[8.0, -20.0, 2.4], [9.5, -27.0, 2.6]],
 ];
 
 /// The two fingers of the right claw.
-const FINGERS: [Limb; 2] = [[[41.0, -34.0, 5.0], [36.0, -46.0, 1.4]], [[44.0, -33.0, 5.0], [49.5, -45.0, 1.6]]];
+const FINGERS: [Limb; 2] = [[[42.5, -35.0, 5.8], [37.0, -48.0, 1.6]], [[45.5, -34.0, 5.8], [51.0, -47.0, 1.8]]];
 
 /// The crab, relief in metres.
 pub(super) fn build(relief_m: f64, seed: u32) -> Draft {
@@ -105,8 +105,8 @@ fn distance_mm(p: &Point2<f64>) -> f64 {
 
 /// The shell: wide in front, narrower behind.
 fn shell_distance(p: &Point2<f64>) -> f64 {
-    let front = ellipse_distance(p, &Point2::new(0.0, -3.0), [31.0, 15.5]);
-    let back = ellipse_distance(p, &Point2::new(0.0, 5.0), [22.0, 17.5]);
+    let front = ellipse_distance(p, &Point2::new(0.0, -4.0), [36.0, 18.5]);
+    let back = ellipse_distance(p, &Point2::new(0.0, 6.0), [26.0, 20.0]);
     smooth_min(front, back, 8.0)
 }
 
@@ -164,14 +164,14 @@ fn spotted(colour: &Colour, p: &Point2<f64>, hue: f64, density: f64, radius: f64
 /// Groove of the shell, dark rim, claw tips and eyes.
 fn features(colour: &Colour, p: &Point2<f64>, hue: f64, inside: f64) -> Colour {
     let right = Point2::new(p.x.abs(), p.y);
-    let groove = (ellipse_distance(&right, &Point2::new(0.0, 3.0), [11.0, 9.0]).abs() - 0.5).max(0.0);
+    let groove = (ellipse_distance(&right, &Point2::new(0.0, 3.0), [13.0, 10.0]).abs() - 0.5).max(0.0);
     let mut colour = mix_colours(colour, &colour_from_hsv(hue, 0.85, 0.30), 0.7 * smooth_step(1.0, 0.0, groove));
     colour = mix_colours(&colour, &colour_from_hsv(hue - 2.0, 0.80, 0.34), 0.7 * smooth_step(1.6, 0.0, inside));
-    let tips = smooth_step(-39.0, -45.0, p.y);
+    let tips = smooth_step(-41.0, -47.0, p.y);
     colour = mix_colours(&colour, &colour_from_hsv(hue + 2.0, 0.55, 0.17), 0.9 * tips);
-    let eye = (right - Point2::new(9.2, -23.0)).norm();
+    let eye = (right - Point2::new(9.7, -27.5)).norm();
     colour = mix_colours(&colour, &[22.0, 18.0, 16.0], smooth_step(2.4, 1.7, eye));
-    let glint = (p - Point2::new(9.2 * p.x.signum() - 0.7, -23.8)).norm();
+    let glint = (p - Point2::new(9.7 * p.x.signum() - 0.7, -28.3)).norm();
     mix_colours(&colour, &[235.0, 230.0, 220.0], smooth_step(0.7, 0.3, glint))
 }
 
