@@ -11,7 +11,7 @@ mod view;
 mod visibility;
 
 use image::RgbImage;
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector2};
 use pb3dp_geometry::{Camera, CameraError, ImageSize, StereoRig};
 
 use self::coverage::EdgePixels;
@@ -171,6 +171,15 @@ impl StereoRenderer {
         let depth_m = self.visibility.inv_z.iter().map(|&inv_z| if inv_z > 0.0 { 1.0 / inv_z } else { 0.0 }).collect();
         let object = self.visibility.seen.iter().map(|&seen| self.object(seen)).collect();
         GroundTruth { size: self.size(), depth_m, object }
+    }
+
+    /// The target's outline in the left picture, pixels, lens distortion included: the region that an operator would draw.
+    ///
+    /// `None` if a point of it is not in front of the camera. Points may lie outside the picture.
+    pub fn target_outline_px(&self, poses: &ScenePoses) -> Option<Vec<Vector2<f64>>> {
+        let cam_left_from_target = poses.world_from_cam_left.inverse() * poses.world_from_target;
+        let outline = &self.scene.target().outline_m;
+        outline.iter().map(|point| self.rig.left().project(&cam_left_from_target.transform_point(point))).collect()
     }
 
     fn object(&self, seen: u32) -> SceneObject {

@@ -102,6 +102,43 @@ fn the_crab_has_its_hue_and_nothing_is_black() {
     assert!(f64::from(in_range) > 0.95 * f64::from(crab), "{in_range} of {crab}");
 }
 
+/// Area of a polygon in pixels, and the range of its columns and rows.
+fn area_and_range(polygon: &[Vector2<f64>]) -> (f64, [f64; 4]) {
+    let area: f64 = polygon.iter().zip(polygon.iter().cycle().skip(1)).map(|(p, q)| p.perp(q) / 2.0).sum();
+    let fold = |start: f64, pick: fn(f64, f64) -> f64, axis: usize| polygon.iter().map(|p| p[axis]).fold(start, pick);
+    let range = [(f64::MAX, f64::min as fn(f64, f64) -> f64), (f64::MIN, f64::max)]
+        .map(|(start, pick)| [fold(start, pick, 0), fold(start, pick, 1)]);
+    (area.abs(), [range[0][0], range[0][1], range[1][0], range[1][1]])
+}
+
+#[test]
+fn outlines_frame_the_targets_in_the_picture() {
+    let targets = [
+        TargetConfig::crab(0.0),
+        TargetConfig::crab(0.02),
+        TargetConfig::card(),
+        TargetConfig::grey_box(),
+        TargetConfig::potato(),
+    ];
+    let here = poses(turned([0.01, -0.005, 0.5], [0.0, 0.0, 0.1]));
+    for target in targets {
+        let scene = Scene::build(&SceneConfig::new(target)).unwrap();
+        let mut renderer = StereoRenderer::new(scene, distorted_rig(), &SensorConfig::IDEAL, 1).unwrap();
+        let truth = renderer.ground_truth(&here);
+        let seen: Vec<_> = (0..640 * 480)
+            .filter(|&i| truth.object[i] == SceneObject::Target)
+            .map(|i| Vector2::new((i % 640) as f64, (i / 640) as f64))
+            .collect();
+        let (area, range) = area_and_range(&renderer.target_outline_px(&here).unwrap());
+        let seen_range = area_and_range(&seen).1;
+        for (outline, pixels) in range.iter().zip(seen_range) {
+            assert!((outline - pixels).abs() < 1.5, "{}: outline {range:?}, pixels {seen_range:?}", target.name());
+        }
+        let share = seen.len() as f64 / area;
+        assert!((0.97..1.03).contains(&share), "{}: {} px in an outline of {area} px", target.name(), seen.len());
+    }
+}
+
 /// Sum of the differences between neighbouring columns.
 fn sharpness(picture: &RgbImage) -> f64 {
     let row = |r: u32| (1..640).map(move |c| (c, r));
