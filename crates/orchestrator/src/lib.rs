@@ -11,3 +11,4 @@ pub mod logging;
 pub mod picture;
 pub mod region_spec;
 pub mod run;
+pub mod wiring;

@@ -1,6 +1,70 @@
-//! `pb3dp run`.
+//! `pb3dp run`: the whole loop of one setup.
+
+use std::process::ExitCode;
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use nalgebra::UnitQuaternion;
+use pb3dp_sim::trajectory::{ExperimentAxes, Trajectory};
+
+use super::estimate::output::print_line;
 use crate::cli::RunArgs;
-/// x
-pub fn run(_: &RunArgs) -> anyhow::Result<std::process::ExitCode> {
-    anyhow::bail!("x")
+use crate::config::setup::{Setup, read_setup};
+use crate::run::summary::{Plan, summarize};
+use crate::run::{lockstep, report};
+use crate::wiring::{Parts, wire};
+
+/// Runs the command: experiment, then report.
+///
+/// # Errors
+/// A configuration that is refused, an experiment that the arms can not follow, or a part that fails.
+pub fn run(args: &RunArgs) -> Result<ExitCode> {
+    let mut setup = read_setup(&args.config)?;
+    if let Some(seed) = args.seed {
+        setup.reseed(seed);
+    }
+    std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
+    let parts = wire(&setup)?;
+    let plan = plan(&setup, &parts);
+    let started = Instant::now();
+    let outcome = lockstep::run(&setup, parts, args.stop_after)?;
+    let wall_s = started.elapsed().as_secs_f64();
+    let summary = summarize(&outcome.log, &plan);
+    let provenance = provenance(args, &setup, summary.duration_s, wall_s);
+    report::write(&args.out, &outcome, &summary, &provenance)?;
+    print_line(&report::text_table(&summary))?;
+    print_line(&format!("report: {}", args.out.join("report.html").display()))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn plan(setup: &Setup, parts: &Parts) -> Plan {
+    let world_from_axes = match setup.experiment.axes {
+        ExperimentAxes::World => UnitQuaternion::identity(),
+        ExperimentAxes::TargetAtStart => parts.experiment.pose_at(0.0).rotation(),
+    };
+    Plan { channels: setup.experiment.channels.clone(), move_s: setup.experiment.move_s, world_from_axes }
+}
+
+/// What somebody needs to repeat the run.
+fn provenance(args: &RunArgs, setup: &Setup, simulated_s: f64, wall_s: f64) -> Vec<(String, String)> {
+    let line = |key: &str, value: String| (key.to_owned(), value);
+    vec![
+        line("program", format!("pb3dp {}", env!("CARGO_PKG_VERSION"))),
+        line("commit", option_env!("PB3DP_COMMIT").unwrap_or("unknown").to_owned()),
+        line("configuration", args.config.display().to_string()),
+        line("method", setup.method.name().to_owned()),
+        line("seed", setup.seed.to_string()),
+        line("machine", machine()),
+        line("duration", format!("{simulated_s:.1} s simulated in {wall_s:.1} s")),
+    ]
+}
+
+/// Processor and number of cores, as far as the system tells.
+fn machine() -> String {
+    let model = std::fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
+        let line = text.lines().find(|line| line.starts_with("model name"))?;
+        Some(line.split_once(':')?.1.trim().to_owned())
+    });
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    format!("{}, {cores} cores, {}", model.unwrap_or_else(|| "unknown processor".into()), std::env::consts::OS)
 }

@@ -1,6 +1,254 @@
-//! `pb3dp track`.
-use crate::cli::TrackArgs;
-/// x
-pub fn run(_: &TrackArgs) -> anyhow::Result<std::process::ExitCode> {
-    anyhow::bail!("x")
+//! `pb3dp track`: a region through a recorded stereo sequence.
+
+use std::process::ExitCode;
+
+use anyhow::{Context, Result};
+use nalgebra::Vector2;
+use pb3dp_estimation::EstimationError;
+use pb3dp_estimation::estimator::{Method, Tracker};
+use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_estimation::published::TrackEstimate;
+use pb3dp_estimation::region::Region;
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::StereoRig;
+use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_record::dataset::{Sequence, StereoPictures, load_sequence};
+use pb3dp_record::images::{PictureFormat, save};
+use pb3dp_record::metrics::{MotionSummary, compare_motion};
+use pb3dp_record::overlay::{Animation, AnimationLimits};
+use serde::Serialize;
+
+use super::estimate::estimator_config;
+use super::estimate::job::overridden;
+use super::estimate::output::print_line;
+use crate::cli::{MethodArgs, TrackArgs};
+use crate::cpu_time::timed;
+use crate::picture::{Annotation, annotate};
+
+/// Runs the command. The exit code is a failure if a frame could not be read; all others are worked on all the same.
+///
+/// # Errors
+/// Bad arguments or configuration, a sequence that can not be used at all, or a region that is refused.
+pub fn run(args: &TrackArgs) -> Result<ExitCode> {
+    let method = Method::from_name(&args.method.method)?;
+    let sequence = load_sequence(&args.sequence)?;
+    let calibration = sequence.load_calibration()?;
+    for note in &calibration.notes {
+        tracing::info!("{note}");
+    }
+    let config = estimator_config(&args.method, false)?;
+    let tracker = Tracker::new(method, &calibration.rig, &config)?;
+    let vertices_px = sequence.region_polygon_left_px.iter().map(|&[u, v]| Vector2::new(u, v)).collect();
+    let mut walk = Walk {
+        tracker,
+        region: Region::Polygon { vertices_px },
+        range: search_range(&sequence, &args.method),
+        is_started: false,
+    };
+    let mut overlays = Overlays::open(&args.method)?;
+    if !args.method.json {
+        print_line(TrackLine::HEADING)?;
+    }
+    let mut poses = Vec::new();
+    let mut unread = 0_usize;
+    for frame in 0..sequence.frames() {
+        let t_s = sequence.times_s[usize::try_from(frame)?];
+        let line = match sequence.load_pictures(frame, calibration.rig.left().size()) {
+            Ok(pictures) => {
+                let (estimate, millis) = timed(|| walk.step(&pictures));
+                let estimate = estimate.with_context(|| format!("frame {frame}"))?;
+                tell(frame, &estimate);
+                overlays.add(frame, t_s, &pictures, &calibration.rig, &estimate)?;
+                poses.push(estimate.cam_left_from_model);
+                TrackLine::of(frame, t_s, &estimate, millis)
+            }
+            Err(error) => {
+                unread += 1;
+                tracing::error!("frame {frame}: {error}");
+                poses.push(None);
+                TrackLine::of_error(frame, t_s)
+            }
+        };
+        print_line(&if args.method.json { serde_json::to_string(&line)? } else { line.human() })?;
+    }
+    overlays.close()?;
+    report_errors(&sequence, &poses);
+    Ok(if unread == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+fn search_range(sequence: &Sequence, args: &MethodArgs) -> SearchRange {
+    let given = SearchRange {
+        z_min_m: sequence.search.z_min_m,
+        z_max_m: sequence.search.z_max_m,
+        tilt_max_rad: sequence.search.tilt_max_rad,
+    };
+    overridden(given, args)
+}
+
+/// The tracker with what it starts from: the first frame that can be read.
+struct Walk {
+    tracker: Tracker,
+    region: Region,
+    range: SearchRange,
+    is_started: bool,
+}
+
+impl Walk {
+    fn step(&mut self, pictures: &StereoPictures) -> Result<TrackEstimate, EstimationError> {
+        if self.is_started {
+            return self.tracker.update(&pictures.left, &pictures.right, None);
+        }
+        let estimate = self.tracker.start(&pictures.left, &pictures.right, &self.region, &self.range)?;
+        self.is_started = true;
+        Ok(estimate)
+    }
+}
+
+/// The result of one frame, in the units of the interface; the order of the fields is that of the JSON line.
+#[derive(Clone, Debug, Serialize)]
+pub struct TrackLine {
+    /// Counts from 0.
+    pub frame: u64,
+    /// Mid-exposure, seconds.
+    pub t_s: f64,
+    /// `ok`, `weak-tilt`, `ambiguous`, `not-observable`, `lost` or `error`.
+    pub status: &'static str,
+    /// Row-major homogeneous matrix, millimetres.
+    pub cam_left_from_model: Option<[f64; 16]>,
+    /// Covariance of the pose, row-major, order translation (mm) then rotation (radians).
+    pub covariance: Option<Vec<f64>>,
+    /// Fitness, eq. (10).
+    pub fitness: Option<f64>,
+    /// CPU time of one thread from images in memory to pose, milliseconds.
+    pub ms: Option<f64>,
+}
+
+impl TrackLine {
+    const HEADING: &'static str =
+        "frame      t s  status           x mm      y mm      z mm  rotation vector deg         fitness       ms";
+
+    fn of_error(frame: u64, t_s: f64) -> Self {
+        Self { frame, t_s, status: "error", cam_left_from_model: None, covariance: None, fitness: None, ms: None }
+    }
+
+    fn of(frame: u64, t_s: f64, estimate: &TrackEstimate, ms: f64) -> Self {
+        Self {
+            status: estimate.status.as_str(),
+            cam_left_from_model: estimate.cam_left_from_model.as_ref().map(row_major_mm),
+            covariance: estimate.covariance.map(|m| {
+                let unit = |i: usize| if i < 3 { 1e3 } else { 1.0 };
+                (0..36).map(|k| m[(k / 6, k % 6)] * unit(k / 6) * unit(k % 6)).collect()
+            }),
+            fitness: estimate.fitness,
+            ms: Some(ms),
+            ..Self::of_error(frame, t_s)
+        }
+    }
+
+    fn human(&self) -> String {
+        let number = |value: Option<f64>, decimals: usize| value.map_or("-".into(), |x| format!("{x:.decimals$}"));
+        let at = |k: usize| number(self.cam_left_from_model.map(|m| m[k]), 2);
+        let turn = self.cam_left_from_model.map_or("-".into(), |m| {
+            let rotation = nalgebra::Matrix3::new(m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]);
+            let v = nalgebra::Rotation3::from_matrix_unchecked(rotation).scaled_axis().map(f64::to_degrees);
+            format!("{:+.2} {:+.2} {:+.2}", v.x, v.y, v.z)
+        });
+        format!(
+            "{:>5} {:>8.3}  {:<14} {:>9} {:>9} {:>9}  {:<25} {:>8} {:>8}",
+            self.frame,
+            self.t_s,
+            self.status,
+            at(3),
+            at(7),
+            at(11),
+            turn,
+            number(self.fitness, 3),
+            number(self.ms, 2)
+        )
+    }
+}
+
+/// The homogeneous matrix of a pose, row by row, translation in millimetres.
+pub fn row_major_mm(pose: &Pose<CamLeft, Model>) -> [f64; 16] {
+    let m = pose.to_homogeneous();
+    std::array::from_fn(|k| m[(k / 4, k % 4)] * if k % 4 == 3 && k < 12 { 1e3 } else { 1.0 })
+}
+
+fn tell(frame: u64, estimate: &TrackEstimate) {
+    if estimate.status.as_str() != "ok" {
+        tracing::debug!("frame {frame}: {}: {}", estimate.status, estimate.reason);
+    }
+}
+
+/// Pictures per frame and one animated picture of all.
+struct Overlays {
+    target: Option<(std::path::PathBuf, Animation)>,
+}
+
+impl Overlays {
+    fn open(args: &MethodArgs) -> Result<Self> {
+        let Some(folder) = &args.overlay else { return Ok(Self { target: None }) };
+        std::fs::create_dir_all(folder).with_context(|| format!("{}: can not be created", folder.display()))?;
+        Ok(Self { target: Some((folder.clone(), Animation::new(AnimationLimits::default()))) })
+    }
+
+    fn add(
+        &mut self,
+        frame: u64,
+        t_s: f64,
+        pictures: &StereoPictures,
+        rig: &StereoRig,
+        estimate: &TrackEstimate,
+    ) -> Result<()> {
+        let Some((folder, animation)) = &mut self.target else { return Ok(()) };
+        let outline_px: Vec<[f64; 2]> = estimate.outline_px.iter().map(|p| [p.x, p.y]).collect();
+        let fitness = estimate.fitness.map_or(String::new(), |fitness| format!("  fitness {fitness:.3}"));
+        let annotation = Annotation {
+            outline_px: &outline_px,
+            cam_left_from_model: estimate.cam_left_from_model,
+            label: format!("frame {frame}  {t_s:.3} s  {}{fitness}", estimate.status),
+            is_bad: estimate.cam_left_from_model.is_none(),
+        };
+        let picture = annotate(&pictures.left, &pictures.right, rig, &annotation);
+        save(&picture, &folder.join(format!("frame_{frame:04}.png")), PictureFormat::Png)?;
+        animation.push(t_s, &picture);
+        Ok(())
+    }
+
+    fn close(self) -> Result<()> {
+        let Some((folder, animation)) = self.target else { return Ok(()) };
+        if animation.frames() > 0 {
+            animation.write(&folder.join("sequence.png"))?;
+        }
+        Ok(())
+    }
+}
+
+/// The table of motion errors, on standard error.
+fn report_errors(sequence: &Sequence, poses: &[Option<Pose<CamLeft, Model>>]) {
+    let Some(truth) = &sequence.cam_left_from_model else { return };
+    let text = match MotionSummary::of(&compare_motion(poses, truth)) {
+        Some(summary) => summary.text_table(),
+        None => "no frame has a pose: nothing to compare with the truth\n".to_owned(),
+    };
+    let mut stderr = std::io::stderr().lock();
+    // Nobody can be told if standard error is closed.
+    let _ = std::io::Write::write_all(
+        &mut stderr,
+        format!("\nErrors of the motion since the first frame:\n{text}").as_bytes(),
+    );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    #[test]
+    fn matrices_are_row_major_in_millimetres() {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
+        let m = row_major_mm(&Pose::from_parts(Vector3::new(0.1, -0.2, 0.5), turn));
+        let expected = [0.0, -1.0, 0.0, 100.0, 1.0, 0.0, 0.0, -200.0, 0.0, 0.0, 1.0, 500.0, 0.0, 0.0, 0.0, 1.0];
+        assert!(m.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{m:?}");
+    }
 }

@@ -7,7 +7,7 @@ use pb3dp_estimation::fitness::{FitnessConfig, Unseen};
 use pb3dp_estimation::hue::HueConfig;
 use pb3dp_estimation::observability::ObservabilityConfig;
 use pb3dp_estimation::photo_model::PhotoModelConfig;
-use pb3dp_estimation::published::{ColdStartConfig, HueSupportConfig, PublishedConfig};
+use pb3dp_estimation::published::{ColdStartConfig, HueSupportConfig, PublishedConfig, TrackerConfig};
 use pb3dp_estimation::region::RegionConfig;
 use pb3dp_estimation::search::chromosome::Coding;
 use pb3dp_estimation::search::rmga::{Mutation, RmGaConfig};
@@ -44,6 +44,7 @@ pub struct PublishedSection {
     rmga: RmGaSection,
     region: RegionSection,
     status: StatusSection,
+    tracker: TrackerSection,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -137,6 +138,19 @@ struct StatusSection {
     tilt_spread_sure_deg: f64,
 }
 
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TrackerSection {
+    window_margin_px: usize,
+    shift_steps_max: usize,
+    shift_max_share: f64,
+    contrast_min: f64,
+    mass_share_min: f64,
+    visible_share_min: f64,
+    depth_spread_sure: f64,
+    height_share_min: f64,
+}
+
 impl PublishedSection {
     /// The parameters in the units of the estimator; what is out of range goes to `check` under `key`.
     pub fn build(&self, key: &str, check: &mut Checker) -> PublishedConfig {
@@ -146,6 +160,7 @@ impl PublishedSection {
         self.rmga.check(&format!("{key}.rmga"), check);
         self.region.check(&format!("{key}.region"), check);
         self.status.check(&format!("{key}.status"), check);
+        self.tracker.check(&format!("{key}.tracker"), check);
         let config = PublishedConfig {
             hue: HueConfig { saturation_min: self.hue.saturation_min, value_min: self.hue.value_min },
             model: self.model.build(),
@@ -164,7 +179,8 @@ impl PublishedSection {
                 coloured_share_min: self.hue.coloured_share_min,
                 points_min: self.hue.coloured_points_min,
             },
-            ..PublishedConfig::default()
+            tracker: self.tracker.build(),
+            reference_optimum: false,
         };
         if let (true, Err(error)) = (check.is_clean(), config.validate()) {
             check.refuse(format!("{key}: {error}"));
@@ -255,6 +271,36 @@ impl RegionSection {
     }
 }
 
+impl TrackerSection {
+    fn check(&self, key: &str, check: &mut Checker) {
+        check.count(&format!("{key}.window_margin_px"), self.window_margin_px, 1..=200);
+        check.count(&format!("{key}.shift_steps_max"), self.shift_steps_max, 1..=100);
+        check.number(&format!("{key}.shift_max_share"), self.shift_max_share, 0.0..=2.0);
+        for (name, value) in [
+            ("contrast_min", self.contrast_min),
+            ("mass_share_min", self.mass_share_min),
+            ("visible_share_min", self.visible_share_min),
+            ("depth_spread_sure", self.depth_spread_sure),
+            ("height_share_min", self.height_share_min),
+        ] {
+            check.number(&format!("{key}.{name}"), value, 0.0..=1.0);
+        }
+    }
+
+    fn build(&self) -> TrackerConfig {
+        TrackerConfig {
+            window_margin_px: u32::try_from(self.window_margin_px).unwrap_or(u32::MAX),
+            shift_steps_max: self.shift_steps_max,
+            shift_max_share: self.shift_max_share,
+            contrast_min: self.contrast_min,
+            mass_share_min: self.mass_share_min,
+            visible_share_min: self.visible_share_min,
+            depth_spread_sure: self.depth_spread_sure,
+            height_share_min: self.height_share_min,
+        }
+    }
+}
+
 impl StatusSection {
     fn check(&self, key: &str, check: &mut Checker) {
         check.number(&format!("{key}.disparity_step_px"), self.disparity_step_px, 0.1..=20.0);
@@ -292,5 +338,37 @@ impl StatusSection {
             runner_up_max: self.runner_up_max,
             tilt_spread_sure_rad: self.tilt_spread_sure_deg.to_radians(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FILE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/estimator.toml");
+
+    #[test]
+    fn the_file_states_the_defaults() {
+        assert_eq!(read_estimator(Path::new(FILE)).unwrap(), EstimatorConfig::default());
+    }
+
+    #[test]
+    fn values_out_of_range_are_named() {
+        let text = std::fs::read_to_string(FILE).unwrap();
+        let check = |from: &str, to: &str, expected: &[&str]| {
+            assert!(text.contains(from), "{from}");
+            let folder = tempfile::tempdir().unwrap();
+            let file = folder.path().join("e.toml");
+            std::fs::write(&file, text.replace(from, to)).unwrap();
+            let error = read_estimator(&file).unwrap_err().to_string();
+            assert!(error.contains("e.toml"), "{error}");
+            for part in expected {
+                assert!(error.contains(part), "{part} is not in {error}");
+            }
+        };
+        check("population = 60", "population = 1", &["published.rmga.population = 1", "2 to 10000"]);
+        check("hue_tolerance_deg = 20.0", "hue_tolerance_deg = nan", &["published.fitness.hue_tolerance_deg = NaN"]);
+        check("coding = \"gray\"", "coding = \"grey\"", &["published.rmga.coding", "grey", "gray"]);
+        check("seed = 1", "sed = 1", &["published.rmga.sed", "seed"]);
     }
 }

@@ -2,5 +2,6 @@
 
 pub mod estimator;
 pub mod load;
+pub mod setup;
 
 pub use load::ConfigError;

@@ -1,5 +1,10 @@
 //! `pb3dp run`: cameras, estimation, servo and arms in one loop.
 
+pub mod carrier;
 pub mod cell;
+pub mod lockstep;
 pub mod log;
+pub mod paced_clock;
+pub mod report;
+pub mod strip;
 pub mod summary;

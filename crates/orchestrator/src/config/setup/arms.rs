@@ -1,0 +1,170 @@
+//! The table `[arms]`: where the arms stand, what they are, how their simulated drives answer, and their limits.
+
+use std::path::Path;
+use std::time::Duration;
+
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, Target, World};
+use pb3dp_hal_middleware::LimiterConfig;
+use pb3dp_kinematics::{Chain, DOF, JointVector};
+use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
+use serde::Deserialize;
+
+use super::super::load::Checker;
+use super::{PoseEntry, millis};
+
+/// One arm, ready to be wired.
+#[derive(Clone, Debug)]
+pub struct ArmSetup {
+    /// Kinematics.
+    pub chain: Chain,
+    /// Where it stands.
+    pub world_from_base: Pose<World, Base>,
+    /// Joint angles at the beginning, rad.
+    pub start_rad: JointVector,
+    /// How the simulated drives answer.
+    pub plant: JointPlantConfig,
+    /// The limiter before them.
+    pub limiter: LimiterConfig,
+    /// The arm stops by itself if no command comes for longer than this.
+    pub command_timeout: Duration,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ArmsSection {
+    pub(super) speed_scale: f64,
+    pub(super) stale_after_millis: f64,
+    vs: ArmSection,
+    tc: ArmSection,
+}
+
+/// What is mounted where.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MountsSection {
+    flange_from_hand: PoseEntry,
+    hand_from_cam_left: PoseEntry,
+    flange_from_target: PoseEntry,
+}
+
+/// [`MountsSection`] as transforms.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Mounts {
+    pub(super) flange_from_hand: Pose<Flange, Hand>,
+    pub(super) hand_from_cam_left: Pose<Hand, CamLeft>,
+    pub(super) flange_from_target: Pose<Flange, Target>,
+}
+
+impl MountsSection {
+    pub(super) fn build(&self, check: &mut Checker) -> Mounts {
+        Mounts {
+            flange_from_hand: self.flange_from_hand.build("mounts.flange_from_hand", check),
+            hand_from_cam_left: self.hand_from_cam_left.build("mounts.hand_from_cam_left", check),
+            flange_from_target: self.flange_from_target.build("mounts.flange_from_target", check),
+        }
+    }
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ArmSection {
+    backend: ArmBackend,
+    robot: String,
+    base_link: String,
+    flange_link: String,
+    world_from_base: PoseEntry,
+    start_deg: [f64; DOF],
+    operating_range_deg: [f64; DOF],
+    acceleration_max_rad_per_s2: [f64; DOF],
+    velocity_time_constant_millis: f64,
+    command_delay_millis: f64,
+    command_timeout_millis: f64,
+}
+
+/// Which arm backend is wired in; others join by name.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum ArmBackend {
+    Mock,
+}
+
+/// The joints' past that the simulation keeps, so that the cameras can ask where the arms were.
+const PLANT_HISTORY: Duration = Duration::from_secs(1);
+
+impl ArmsSection {
+    /// Both arms; `None` if a file can not be read or a limit is refused.
+    pub(super) fn build(
+        &self,
+        config_file: &Path,
+        control_period_millis: f64,
+        check: &mut Checker,
+    ) -> Option<(ArmSetup, ArmSetup)> {
+        check.number("arms.speed_scale", self.speed_scale, 0.01..=1.0);
+        check.number("arms.stale_after_millis", self.stale_after_millis, control_period_millis..=200.0);
+        let vs = self.vs.build("arms.vs", self, config_file, control_period_millis, check);
+        let tc = self.tc.build("arms.tc", self, config_file, control_period_millis, check);
+        vs.zip(tc)
+    }
+}
+
+impl ArmSection {
+    fn build(
+        &self,
+        key: &str,
+        all: &ArmsSection,
+        config_file: &Path,
+        control_period_millis: f64,
+        check: &mut Checker,
+    ) -> Option<ArmSetup> {
+        let ArmBackend::Mock = self.backend;
+        check.numbers(&format!("{key}.start_deg"), &self.start_deg, -360.0..=360.0);
+        check.numbers(&format!("{key}.operating_range_deg"), &self.operating_range_deg, 1.0..=360.0);
+        let accelerations = &self.acceleration_max_rad_per_s2;
+        check.numbers(&format!("{key}.acceleration_max_rad_per_s2"), accelerations, 0.01..=100.0);
+        let lag = self.velocity_time_constant_millis;
+        check.number(&format!("{key}.velocity_time_constant_millis"), lag, 0.0..=1000.0);
+        check.number(&format!("{key}.command_delay_millis"), self.command_delay_millis, 0.0..=500.0);
+        let timeout = self.command_timeout_millis;
+        check.number(&format!("{key}.command_timeout_millis"), timeout, control_period_millis..=200.0);
+        let chain = self.chain(key, config_file, check)?;
+        let operating_max_rad = JointVector::from(self.operating_range_deg).map(f64::to_radians);
+        let acceleration_max_rad_per_s2 = JointVector::from(self.acceleration_max_rad_per_s2);
+        let hard_limits = *chain.limits();
+        let reaction_millis = control_period_millis + self.command_delay_millis + lag;
+        Some(ArmSetup {
+            world_from_base: self.world_from_base.build(&format!("{key}.world_from_base"), check),
+            start_rad: JointVector::from(self.start_deg).map(f64::to_radians),
+            plant: JointPlantConfig {
+                limits: hard_limits,
+                acceleration_max_rad_per_s2,
+                velocity_time_constant: millis(lag),
+                command_delay: millis(self.command_delay_millis),
+                angle_quantum_rad: PA10_ANGLE_QUANTUM_RAD,
+                history: PLANT_HISTORY,
+            },
+            limiter: LimiterConfig {
+                hard_limits,
+                operating_min_rad: -operating_max_rad,
+                operating_max_rad,
+                speed_scale: all.speed_scale,
+                acceleration_max_rad_per_s2,
+                reaction_time: millis(reaction_millis),
+                stale_after: millis(all.stale_after_millis),
+            },
+            command_timeout: millis(timeout),
+            chain,
+        })
+    }
+
+    /// The robot description, found beside the configuration file.
+    fn chain(&self, key: &str, config_file: &Path, check: &mut Checker) -> Option<Chain> {
+        let file = config_file.parent().unwrap_or(Path::new(".")).join(&self.robot);
+        let xml = std::fs::read_to_string(&file)
+            .inspect_err(|error| check.refuse(format!("{key}.robot: {} can not be read: {error}", file.display())))
+            .ok()?;
+        Chain::from_urdf_str(&xml, &self.base_link, &self.flange_link)
+            .inspect_err(|error| check.refuse(format!("{key}.robot: {}: {error}", file.display())))
+            .ok()
+    }
+}

@@ -1,0 +1,143 @@
+//! The tables `[camera]` and `[scene]`: the simulated stereo pair and what it sees.
+
+use pb3dp_camera_sim::SimCameraConfig;
+use pb3dp_geometry::frames::{CamLeft, CamRight};
+use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
+use pb3dp_sim::scene::SceneConfig;
+use pb3dp_sim::sensor::{EyeResponse, SensorConfig};
+use pb3dp_sim::targets::{BackdropConfig, TargetConfig};
+use serde::Deserialize;
+
+use super::super::load::Checker;
+use super::{fold_seed, millis};
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CameraSection {
+    backend: CameraBackend,
+    width_px: u32,
+    height_px: u32,
+    focal_px: f64,
+    baseline_mm: f64,
+    distortion: [f64; 5],
+    frame_rate_hz: f64,
+    exposure_millis: f64,
+    motion_blur_moments: u32,
+    lens_blur_px: f64,
+    read_noise_grey: f64,
+    shot_noise_grey: f64,
+    left: EyeSection,
+    right: EyeSection,
+}
+
+/// Which camera backend is wired in; others join by name.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum CameraBackend {
+    Sim,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct EyeSection {
+    exposure: f64,
+    gain: [f64; 3],
+    offset_grey: [f64; 3],
+}
+
+impl CameraSection {
+    pub(super) fn build(&self, check: &mut Checker) -> (Option<StereoRig>, SimCameraConfig, SensorConfig) {
+        let CameraBackend::Sim = self.backend;
+        check.number("camera.frame_rate_hz", self.frame_rate_hz, 1.0..=240.0);
+        check.number("camera.exposure_millis", self.exposure_millis, 0.01..=1000.0 / self.frame_rate_hz.max(1.0));
+        check.count("camera.motion_blur_moments", self.motion_blur_moments as usize, 1..=64);
+        check.count("camera.width_px", self.width_px as usize, 64..=4096);
+        check.count("camera.height_px", self.height_px as usize, 64..=4096);
+        check.number("camera.baseline_mm", self.baseline_mm, 5.0..=2000.0);
+        let camera = SimCameraConfig {
+            period: millis(1000.0 / self.frame_rate_hz),
+            exposure: millis(self.exposure_millis),
+            blur_moments: self.motion_blur_moments,
+            pairs: None,
+        };
+        let sensor = SensorConfig {
+            lens_blur_px: self.lens_blur_px,
+            read_noise_grey: self.read_noise_grey,
+            shot_noise_grey: self.shot_noise_grey,
+            left: self.left.build(),
+            right: self.right.build(),
+        };
+        if let Err(error) = sensor.validate() {
+            check.refuse(format!("camera: {error}"));
+        }
+        (self.rig(check), camera, sensor)
+    }
+
+    /// Two equal cameras side by side, the right one `baseline_mm` to the right.
+    fn rig(&self, check: &mut Checker) -> Option<StereoRig> {
+        let size = ImageSize { width: self.width_px, height: self.height_px };
+        let centre = |pixels: u32| (f64::from(pixels) - 1.0) / 2.0;
+        let (cx, cy) = (centre(self.width_px), centre(self.height_px));
+        let pinhole = Pinhole { fx: self.focal_px, fy: self.focal_px, cx, cy };
+        let distortion = match self.distortion {
+            [0.0, 0.0, 0.0, 0.0, 0.0] => Distortion::None,
+            coefficients => Distortion::BrownConrady5 { coefficients },
+        };
+        let baseline = nalgebra::Vector3::new(-self.baseline_mm * 1e-3, 0.0, 0.0);
+        let cam_right_from_cam_left = Pose::<CamRight, CamLeft>::from_translation(baseline);
+        let camera = match Camera::new(size, pinhole, distortion) {
+            Ok(camera) => camera,
+            Err(error) => {
+                check.refuse(format!("camera: {error}"));
+                return None;
+            }
+        };
+        StereoRig::new(camera, camera, cam_right_from_cam_left)
+            .inspect_err(|error| check.refuse(format!("camera: {error}")))
+            .ok()
+    }
+}
+
+impl EyeSection {
+    fn build(&self) -> EyeResponse {
+        EyeResponse { exposure: self.exposure, gain: self.gain, offset_grey: self.offset_grey }
+    }
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SceneSection {
+    target: TargetName,
+    relief_mm: f64,
+    backdrop: bool,
+    backdrop_size_mm: [f64; 2],
+    backdrop_gap_mm: f64,
+}
+
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum TargetName {
+    Crab,
+    Card,
+    Box,
+    Potato,
+}
+
+impl SceneSection {
+    pub(super) fn build(&self, seed: u64, check: &mut Checker) -> SceneConfig {
+        check.number("scene.relief_mm", self.relief_mm, 0.0..=40.0);
+        check.numbers("scene.backdrop_size_mm", &self.backdrop_size_mm, 50.0..=2000.0);
+        check.number("scene.backdrop_gap_mm", self.backdrop_gap_mm, 0.0..=1000.0);
+        let target = match self.target {
+            TargetName::Crab => TargetConfig::crab(self.relief_mm * 1e-3),
+            TargetName::Card => TargetConfig::card(),
+            TargetName::Box => TargetConfig::grey_box(),
+            TargetName::Potato => TargetConfig::potato(),
+        };
+        let backdrop = BackdropConfig {
+            size_m: self.backdrop_size_mm.map(|size| size * 1e-3),
+            gap_m: self.backdrop_gap_mm * 1e-3,
+        };
+        SceneConfig { backdrop: self.backdrop.then_some(backdrop), seed: fold_seed(seed), ..SceneConfig::new(target) }
+    }
+}

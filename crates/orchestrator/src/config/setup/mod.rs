@@ -1,0 +1,214 @@
+//! The file of one setup, for `pb3dp run`: every table, checked, and turned into the parameters of the parts.
+
+mod arms;
+mod camera;
+mod experiment;
+mod servo;
+
+use std::path::Path;
+use std::time::Duration;
+
+use nalgebra::{UnitQuaternion, Vector3};
+use pb3dp_camera_sim::SimCameraConfig;
+use pb3dp_estimation::estimator::{EstimatorConfig, Method};
+use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_geometry::frames::{Flange, Target};
+use pb3dp_geometry::{Frame, Pose, StereoRig};
+use pb3dp_servo::ControllerConfig;
+use pb3dp_sim::scene::SceneConfig;
+use pb3dp_sim::sensor::SensorConfig;
+use pb3dp_sim::trajectory::StepExperimentConfig;
+use serde::Deserialize;
+
+pub use self::arms::ArmSetup;
+use self::arms::{ArmsSection, MountsSection};
+use self::camera::{CameraSection, SceneSection};
+use self::experiment::ExperimentSection;
+use self::servo::ServoSection;
+use super::estimator::PublishedSection;
+use super::load::{Checker, ConfigError, read_toml};
+
+/// A setup whose every value has been checked.
+#[derive(Clone, Debug)]
+pub struct Setup {
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Whether the simulation waits for the wall clock.
+    pub pace: Pace,
+    /// Time between two control steps.
+    pub control_period: Duration,
+    /// Time from the end of an exposure to the moment at which its estimate reaches the controller.
+    pub estimate_latency: Duration,
+    /// The stereo pair.
+    pub rig: StereoRig,
+    /// When it exposes.
+    pub camera: SimCameraConfig,
+    /// What its sensors do to the light.
+    pub sensor: SensorConfig,
+    /// What stands in the cell.
+    pub scene: SceneConfig,
+    /// The method by which the pose is estimated.
+    pub method: Method,
+    /// Its parameters.
+    pub estimator: EstimatorConfig,
+    /// Where it searches.
+    pub range: SearchRange,
+    /// The visual-servo controller.
+    pub controller: ControllerConfig,
+    /// The arm that carries the cameras.
+    pub vs: ArmSetup,
+    /// The arm that carries the target, with the mounting of the target on its flange.
+    pub tc: ArmSetup,
+    /// Mounting of the target on the second arm.
+    pub flange_from_target: Pose<Flange, Target>,
+    /// How the target moves.
+    pub experiment: StepExperimentConfig,
+}
+
+/// Whether a simulated run waits for the wall clock. The results are the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Pace {
+    /// As fast as the machine can.
+    Fast,
+    /// One simulated second takes at least one second.
+    RealTime,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SetupFile {
+    run: RunSection,
+    camera: CameraSection,
+    scene: SceneSection,
+    estimator: EstimatorSection,
+    servo: ServoSection,
+    arms: ArmsSection,
+    mounts: MountsSection,
+    experiment: ExperimentSection,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RunSection {
+    seed: u64,
+    pace: Pace,
+    control_period_millis: f64,
+    estimate_latency_millis: f64,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct EstimatorSection {
+    method: String,
+    z_min_mm: f64,
+    z_max_mm: f64,
+    tilt_max_deg: f64,
+    published: PublishedSection,
+}
+
+/// A rigid transform in a file; the key names its frames.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PoseEntry {
+    translation_mm: [f64; 3],
+    rotation_vector_deg: [f64; 3],
+}
+
+impl PoseEntry {
+    fn build<To: Frame, From: Frame>(&self, key: &str, check: &mut Checker) -> Pose<To, From> {
+        check.numbers(&format!("{key}.translation_mm"), &self.translation_mm, -20_000.0..=20_000.0);
+        check.numbers(&format!("{key}.rotation_vector_deg"), &self.rotation_vector_deg, -360.0..=360.0);
+        let rotation = Vector3::from(self.rotation_vector_deg).map(f64::to_radians);
+        Pose::from_parts(Vector3::from(self.translation_mm) * 1e-3, UnitQuaternion::from_scaled_axis(rotation))
+    }
+}
+
+impl Setup {
+    /// The same setup with another seed.
+    pub fn reseed(&mut self, seed: u64) {
+        let rmga = &mut self.estimator.published.rmga.seed;
+        *rmga = rmga.wrapping_sub(self.seed).wrapping_add(seed);
+        self.scene.seed = fold_seed(seed);
+        self.seed = seed;
+    }
+}
+
+/// The 32 bits of seed that scene and sensor noise take; every bit of the run's seed stays in play.
+pub fn fold_seed(seed: u64) -> u32 {
+    (seed ^ (seed >> 32)) as u32
+}
+
+/// Reads and checks a setup.
+///
+/// # Errors
+/// An unreadable file, unknown or missing keys, values out of range; the error names file, key and what is allowed.
+pub fn read_setup(file: &Path) -> Result<Setup, ConfigError> {
+    let raw: SetupFile = read_toml(file)?;
+    let mut check = Checker::default();
+    let setup = raw.build(file, &mut check);
+    check.finish(file)?;
+    // Every way on which `build` gives nothing leaves a refusal behind.
+    setup.ok_or_else(|| ConfigError::Values { file: file.to_path_buf(), lines: "  the setup is not complete".into() })
+}
+
+impl SetupFile {
+    fn build(&self, file: &Path, check: &mut Checker) -> Option<Setup> {
+        check.number("run.control_period_millis", self.run.control_period_millis, 2.0..=20.0);
+        check.number("run.estimate_latency_millis", self.run.estimate_latency_millis, 0.0..=500.0);
+        let (method, estimator, range) = self.estimator.build(self.run.seed, check);
+        let (rig, camera, sensor) = self.camera.build(check);
+        let scene = self.scene.build(self.run.seed, check);
+        let experiment = self.experiment.build(check);
+        let arms = self.arms.build(file, self.run.control_period_millis, check);
+        let mounts = self.mounts.build(check);
+        let controller = self.servo.build(&mounts, self.arms.speed_scale, check);
+        let (vs, tc) = arms?;
+        if !check.is_clean() {
+            return None;
+        }
+        Some(Setup {
+            seed: self.run.seed,
+            pace: self.run.pace,
+            control_period: millis(self.run.control_period_millis),
+            estimate_latency: millis(self.run.estimate_latency_millis),
+            rig: rig?,
+            camera,
+            sensor,
+            scene,
+            method: method?,
+            estimator,
+            range,
+            controller,
+            vs,
+            tc,
+            flange_from_target: mounts.flange_from_target,
+            experiment,
+        })
+    }
+}
+
+impl EstimatorSection {
+    fn build(&self, seed: u64, check: &mut Checker) -> (Option<Method>, EstimatorConfig, SearchRange) {
+        let method = Method::from_name(&self.method);
+        if let Err(error) = &method {
+            check.refuse(format!("estimator.method = {:?}: {error}", self.method));
+        }
+        check.number("estimator.z_min_mm", self.z_min_mm, 10.0..=100_000.0);
+        check.number("estimator.z_max_mm", self.z_max_mm, self.z_min_mm.max(10.0) + 1.0..=100_000.0);
+        check.number("estimator.tilt_max_deg", self.tilt_max_deg, 1.0..=85.0);
+        let mut published = self.published.build("estimator.published", check);
+        published.rmga.seed = published.rmga.seed.wrapping_add(seed);
+        let range = SearchRange {
+            z_min_m: self.z_min_mm * 1e-3,
+            z_max_m: self.z_max_mm * 1e-3,
+            tilt_max_rad: self.tilt_max_deg.to_radians(),
+        };
+        (method.ok(), EstimatorConfig { published }, range)
+    }
+}
+
+/// A duration of a checked number of milliseconds; what is not a number gives zero.
+fn millis(value: f64) -> Duration {
+    Duration::try_from_secs_f64(value * 1e-3).unwrap_or_default()
+}

@@ -1,0 +1,150 @@
+//! The table `[servo]`: the place to keep, gains, smoothing, speeds and time-outs of the controller.
+
+use pb3dp_servo::{
+    AfterLoss, ApproachConfig, CartesianSpeed, ControllerConfig, DampingConfig, Gains, SpeedConfig, TargetFilterConfig,
+    Timeouts,
+};
+use serde::Deserialize;
+
+use super::super::load::Checker;
+use super::PoseEntry;
+use super::arms::Mounts;
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ServoSection {
+    model_from_hand_desired: PoseEntry,
+    gains: GainsSection,
+    smoothing: SmoothingSection,
+    damping: DampingSection,
+    speed: SpeedSection,
+    approach: ApproachSection,
+    timeouts: TimeoutsSection,
+    after_loss: AfterLossName,
+    joint_history_samples: usize,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct GainsSection {
+    position_per_s: f64,
+    velocity: f64,
+    orientation_per_s: f64,
+    angular_velocity: f64,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SmoothingSection {
+    position_time_constant_s: f64,
+    orientation_time_constant_s: f64,
+    gate_position_mm: f64,
+    gate_orientation_deg: f64,
+    observations_to_lock: u32,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DampingSection {
+    threshold: f64,
+    factor_max: f64,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SpeedSection {
+    linear_max_mm_per_s: f64,
+    angular_max_deg_per_s: f64,
+    limit_approach_per_s: f64,
+    soft_start_s: f64,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ApproachSection {
+    linear_max_mm_per_s: f64,
+    angular_max_deg_per_s: f64,
+    done_within_mm: f64,
+    done_within_deg: f64,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TimeoutsSection {
+    observation_s: f64,
+    lost_s: f64,
+    joints_s: f64,
+}
+
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum AfterLossName {
+    WaitForOperator,
+    Reacquire,
+}
+
+impl ServoSection {
+    pub(super) fn build(&self, mounts: &Mounts, joint_speed_scale: f64, check: &mut Checker) -> ControllerConfig {
+        let config = ControllerConfig {
+            model_from_hand_desired: self.model_from_hand_desired.build("servo.model_from_hand_desired", check),
+            hand_from_cam_left: mounts.hand_from_cam_left,
+            flange_from_hand: mounts.flange_from_hand,
+            gains: Gains {
+                position_per_s: self.gains.position_per_s,
+                velocity: self.gains.velocity,
+                orientation_per_s: self.gains.orientation_per_s,
+                angular_velocity: self.gains.angular_velocity,
+            },
+            target_filter: TargetFilterConfig {
+                position_time_constant_s: self.smoothing.position_time_constant_s,
+                orientation_time_constant_s: self.smoothing.orientation_time_constant_s,
+                gate_position_m: self.smoothing.gate_position_mm * 1e-3,
+                gate_orientation_rad: self.smoothing.gate_orientation_deg.to_radians(),
+                observations_to_lock: self.smoothing.observations_to_lock,
+            },
+            damping: DampingConfig { threshold: self.damping.threshold, factor_max: self.damping.factor_max },
+            speed: SpeedConfig {
+                tracking: speed(self.speed.linear_max_mm_per_s, self.speed.angular_max_deg_per_s),
+                joint_speed_scale,
+                limit_approach_per_s: self.speed.limit_approach_per_s,
+                soft_start_s: self.speed.soft_start_s,
+            },
+            approach: ApproachConfig {
+                speed: speed(self.approach.linear_max_mm_per_s, self.approach.angular_max_deg_per_s),
+                done_within_m: self.approach.done_within_mm * 1e-3,
+                done_within_rad: self.approach.done_within_deg.to_radians(),
+            },
+            timeouts: Timeouts {
+                observation_s: self.timeouts.observation_s,
+                lost_s: self.timeouts.lost_s,
+                joints_s: self.timeouts.joints_s,
+            },
+            after_loss: match self.after_loss {
+                AfterLossName::WaitForOperator => AfterLoss::WaitForOperator,
+                AfterLossName::Reacquire => AfterLoss::Reacquire,
+            },
+            joint_history_samples: self.joint_history_samples,
+        };
+        self.check(&config, check);
+        config
+    }
+
+    /// The keys whose unit differs from the controller's first, so that the user reads his own numbers.
+    fn check(&self, config: &ControllerConfig, check: &mut Checker) {
+        check.number("servo.smoothing.gate_position_mm", self.smoothing.gate_position_mm, 1.0..=10_000.0);
+        check.number("servo.smoothing.gate_orientation_deg", self.smoothing.gate_orientation_deg, 0.6..=180.0);
+        check.number("servo.speed.linear_max_mm_per_s", self.speed.linear_max_mm_per_s, 0.1..=2000.0);
+        check.number("servo.speed.angular_max_deg_per_s", self.speed.angular_max_deg_per_s, 0.1..=340.0);
+        check.number("servo.approach.linear_max_mm_per_s", self.approach.linear_max_mm_per_s, 0.1..=2000.0);
+        check.number("servo.approach.angular_max_deg_per_s", self.approach.angular_max_deg_per_s, 0.1..=340.0);
+        check.number("servo.approach.done_within_mm", self.approach.done_within_mm, 0.1..=1000.0);
+        check.number("servo.approach.done_within_deg", self.approach.done_within_deg, 0.06..=57.0);
+        if let (true, Err(error)) = (check.is_clean(), config.validate()) {
+            check.refuse(format!("servo: {error}"));
+        }
+    }
+}
+
+fn speed(linear_mm_per_s: f64, angular_deg_per_s: f64) -> CartesianSpeed {
+    CartesianSpeed { linear_m_per_s: linear_mm_per_s * 1e-3, angular_rad_per_s: angular_deg_per_s.to_radians() }
+}

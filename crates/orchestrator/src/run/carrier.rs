@@ -1,0 +1,30 @@
+//! Drives the arm that carries the target along its way: the path's own velocity, and a correction of what is missing.
+
+use nalgebra::Vector6;
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{Base, Flange};
+use pb3dp_kinematics::{Chain, Damping, JointVector, damped_pseudo_inverse};
+use pb3dp_sim::placement::FlangePath;
+
+/// What is missing to the path is made good with this rate, 1/s.
+const CORRECTION_PER_S: f64 = 2.0;
+
+/// Joint velocities (rad/s) that keep a flange on its path, `t_s` seconds after the path's beginning.
+pub fn carry(
+    chain: &Chain,
+    damping: &Damping,
+    path: &FlangePath<'_>,
+    t_s: f64,
+    position_rad: &JointVector,
+) -> JointVector {
+    let missing = error_between(&chain.forward(position_rad), &path.base_from_flange_at(t_s));
+    let twist = path.twist_at(t_s).to_vector() + missing * CORRECTION_PER_S;
+    damped_pseudo_inverse(&chain.jacobian(position_rad), damping) * twist
+}
+
+/// From `is` to `wanted`: way of the origin (metres), then rotation vector (radians), both in `base`.
+fn error_between(is: &Pose<Base, Flange>, wanted: &Pose<Base, Flange>) -> Vector6<f64> {
+    let way = wanted.translation_m() - is.translation_m();
+    let turn = (wanted.rotation() * is.rotation().inverse()).scaled_axis();
+    Vector6::new(way.x, way.y, way.z, turn.x, turn.y, turn.z)
+}

@@ -1,0 +1,275 @@
+//! The loop of a simulated run: one thread, stepped by one virtual clock, so that the same seed gives the same run.
+//!
+//! Two things happen, each at its own time, the earlier one first: a control step every control period, and a frame when
+//! its exposure has ended. An estimate reaches the controller only `estimate_latency` after its exposure has ended, however
+//! fast this machine computed it.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+use nalgebra::{Vector2, Vector3};
+use pb3dp_estimation::estimator::Tracker;
+use pb3dp_estimation::published::TrackEstimate;
+use pb3dp_estimation::region::Region;
+use pb3dp_geometry::frames::{Base, CamLeft, Model, Target};
+use pb3dp_geometry::{MonotonicTime, Pose};
+use pb3dp_hal_api::{CameraErrorKind, FramePair, JointCommand, JointState};
+use pb3dp_kinematics::{Damping, smallest_singular_value};
+use pb3dp_servo::{Command, Controller, JointHistory, TargetObservation};
+use pb3dp_sim::placement::FlangePath;
+use pb3dp_sim::trajectory::Trajectory;
+
+use super::carrier::carry;
+use super::log::{ControlSample, FrameSample, RunLog};
+use super::strip::Strip;
+use crate::config::setup::Setup;
+use crate::picture::model_frame_on_plane;
+use crate::wiring::Parts;
+
+/// Gap between joint samples up to which the hand's pose is interpolated, seconds.
+const JOINT_GAP_MAX_S: f64 = 0.1;
+/// How often progress is told, seconds of the experiment.
+const PROGRESS_EVERY_S: f64 = 5.0;
+
+/// What a run leaves behind.
+pub struct Outcome {
+    /// Everything written down.
+    pub log: RunLog,
+    /// Annotated pictures from moments of interest.
+    pub strip: Strip,
+}
+
+/// Runs the experiment to its end, or to `stop_after_s`. Both arms are stopped on every way out.
+///
+/// # Errors
+/// If an arm, the camera or the estimator fails for good; the arms are stopped first.
+pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>) -> Result<Outcome> {
+    let mut looped = Loop::new(setup, parts)?;
+    let outcome = looped.run_to_end(stop_after_s);
+    let stopped = looped.stop_arms();
+    outcome?;
+    stopped?;
+    let limited_steps = looped.parts.vs.limited_commands();
+    let mut log = looped.log;
+    log.limited_steps = limited_steps;
+    Ok(Outcome { log, strip: looped.strip })
+}
+
+struct Loop<'a> {
+    setup: &'a Setup,
+    parts: Parts,
+    tracker: Tracker,
+    controller: Controller,
+    damping: Damping,
+    begin: MonotonicTime,
+    joints: JointHistory,
+    vs_joints: JointState,
+    tc_joints: JointState,
+    /// Estimates on their way to the controller, with the time of arrival.
+    arriving: VecDeque<(MonotonicTime, TargetObservation)>,
+    newest: Option<TargetObservation>,
+    pair: FramePair,
+    base_from_cam_left_prev: Option<Pose<Base, CamLeft>>,
+    is_tracking: bool,
+    /// The true place of the model's frame on the target, once the first estimate has said where its origin is.
+    target_from_model: Option<Pose<Target, Model>>,
+    strip: Strip,
+    log: RunLog,
+    next_progress_s: f64,
+}
+
+impl<'a> Loop<'a> {
+    fn new(setup: &'a Setup, mut parts: Parts) -> Result<Self> {
+        let limiter = &setup.vs.limiter;
+        let limits = limiter.hard_limits.with_position_range(limiter.operating_min_rad, limiter.operating_max_rad)?;
+        let controller = Controller::new(setup.controller, setup.vs.chain.clone(), limits)?;
+        for arm in [&mut parts.vs, &mut parts.tc] {
+            arm.enable().context("an arm can not be enabled")?;
+        }
+        let vs_joints = parts.vs.exchange(JointCommand::Hold)?;
+        let tc_joints = parts.tc.exchange(JointCommand::Hold)?;
+        let log = RunLog { marks: parts.experiment.marks().to_vec(), ..RunLog::default() };
+        Ok(Self {
+            tracker: Tracker::new(setup.method, &setup.rig, &setup.estimator)?,
+            controller,
+            damping: Damping::new(setup.controller.damping.threshold, setup.controller.damping.factor_max)?,
+            begin: parts.clock.now(),
+            joints: JointHistory::new(setup.controller.joint_history_samples, JOINT_GAP_MAX_S),
+            vs_joints,
+            tc_joints,
+            arriving: VecDeque::new(),
+            newest: None,
+            pair: FramePair::black(parts.camera.info().size),
+            base_from_cam_left_prev: None,
+            is_tracking: false,
+            target_from_model: None,
+            strip: Strip::for_marks(&log.marks, setup.experiment.move_s),
+            log,
+            next_progress_s: 0.0,
+            setup,
+            parts,
+        })
+    }
+
+    /// Control steps and frames in the order of their times.
+    fn run_to_end(&mut self, stop_after_s: Option<f64>) -> Result<()> {
+        let duration_s = self.parts.experiment.duration_s();
+        let end = self.begin + Duration::from_secs_f64(stop_after_s.map_or(duration_s, |s| s.clamp(0.0, duration_s)));
+        let mut next_control = self.begin;
+        let mut next_frame = self.begin + self.setup.camera.exposure;
+        while next_control.min(next_frame) <= end {
+            if next_control <= next_frame {
+                self.parts.clock.sleep_until(next_control);
+                self.control_step(next_control)?;
+                next_control = next_control + self.setup.control_period;
+            } else {
+                self.frame_step()?;
+                next_frame = next_frame + self.setup.camera.period;
+            }
+        }
+        Ok(())
+    }
+
+    fn control_step(&mut self, now: MonotonicTime) -> Result<()> {
+        let t_s = now.seconds_since(self.begin);
+        let path = FlangePath::of_carrier(
+            &self.parts.experiment,
+            &self.setup.tc.world_from_base,
+            &self.setup.flange_from_target,
+        );
+        let velocity = carry(&self.setup.tc.chain, &self.damping, &path, t_s, &self.tc_joints.position_rad);
+        self.tc_joints = self.parts.tc.exchange(JointCommand::Velocity(velocity)).context("tc-robot")?;
+
+        while self.arriving.front().is_some_and(|(due, _)| *due <= now) {
+            self.newest = self.arriving.pop_front().map(|(_, observation)| observation);
+        }
+        let step = self.controller.step(&self.vs_joints, self.newest.as_ref(), now);
+        let command = match step.command {
+            Command::Velocity(velocity) => JointCommand::Velocity(velocity),
+            Command::Hold => JointCommand::Hold,
+        };
+        self.vs_joints = self.parts.vs.exchange(command).context("vs-robot")?;
+        self.joints.push(self.vs_joints);
+        self.note_control(t_s, now, step.mode.to_string());
+        Ok(())
+    }
+
+    /// Writes down where everything truly is.
+    fn note_control(&mut self, t_s: f64, now: MonotonicTime, mode: String) {
+        let last_mode = self.log.control.last().map(|sample| sample.mode.clone());
+        let word = |text: &str| text.split(':').next().unwrap_or_default().to_owned();
+        if last_mode.as_deref().map(word) != Some(word(&mode)) {
+            self.log.events.push((t_s, mode.clone()));
+            tracing::debug!("{t_s:7.2} s  {mode}");
+        }
+        if t_s >= self.next_progress_s {
+            self.next_progress_s += PROGRESS_EVERY_S;
+            tracing::info!("{t_s:5.1} of {:.1} s  {mode}", self.parts.experiment.duration_s());
+        }
+        let cell = &self.parts.cell;
+        let world_from_target = cell.world_from_target_at(now);
+        let target_from_model = self.target_from_model.unwrap_or_else(Pose::coincident);
+        let wanted = world_from_target * target_from_model * self.setup.controller.model_from_hand_desired;
+        let jacobian = self.setup.vs.chain.jacobian(&self.vs_joints.position_rad);
+        self.log.control.push(ControlSample {
+            t_s,
+            world_from_target,
+            world_from_hand: cell.world_from_hand_at(now),
+            world_from_hand_wanted: wanted,
+            mode,
+            smallest_singular_value: smallest_singular_value(&jacobian),
+        });
+    }
+
+    fn frame_step(&mut self) -> Result<()> {
+        match self.parts.camera.next_pair_into(&mut self.pair, self.setup.camera.period * 2) {
+            Ok(()) => {}
+            Err(error) if matches!(error.kind(), CameraErrorKind::Timeout | CameraErrorKind::BadPair) => {
+                self.log.pairs_lost += 1;
+                tracing::warn!("{error}");
+                return Ok(());
+            }
+            Err(error) => return Err(error).context("camera"),
+        }
+        let at = self.pair.exposed_at;
+        let started = Instant::now();
+        let base_from_cam_left = self.base_from_cam_left_at(at);
+        let motion = self.base_from_cam_left_prev.zip(base_from_cam_left).map(|(prev, now)| prev.inverse() * now);
+        let estimate = self.estimate(at, motion)?;
+        let latency_millis = started.elapsed().as_secs_f64() * 1e3;
+        self.base_from_cam_left_prev = base_from_cam_left;
+        if let Some(cam_left_from_model) = estimate.cam_left_from_model {
+            let observation = TargetObservation { at, cam_left_from_model, trusted: estimate.status.depth_is_sure() };
+            self.arriving.push_back((self.parts.clock.now() + self.setup.estimate_latency, observation));
+        }
+        self.note_frame(at, &estimate, latency_millis);
+        Ok(())
+    }
+
+    /// The pose of the left camera from the measured joints, as a rig without truth knows it.
+    fn base_from_cam_left_at(&self, at: MonotonicTime) -> Option<Pose<Base, CamLeft>> {
+        let position_rad = self.joints.position_at(at).ok()?;
+        let controller = &self.setup.controller;
+        Some(self.setup.vs.chain.forward(&position_rad) * controller.flange_from_hand * controller.hand_from_cam_left)
+    }
+
+    fn estimate(&mut self, at: MonotonicTime, motion: Option<Pose<CamLeft, CamLeft>>) -> Result<TrackEstimate> {
+        if self.is_tracking {
+            return Ok(self.tracker.update(&self.pair.left, &self.pair.right, motion.as_ref())?);
+        }
+        let region = self.operators_region(at)?;
+        let estimate = self.tracker.start(&self.pair.left, &self.pair.right, &region, &self.setup.range)?;
+        tracing::info!("target taken: {} {}", estimate.status, estimate.reason);
+        self.is_tracking = true;
+        Ok(estimate)
+    }
+
+    /// What an operator would draw around the target in the first left picture.
+    fn operators_region(&self, at: MonotonicTime) -> Result<Region> {
+        let cam_left_from_target = self.cam_left_from_target_at(at);
+        let pixel = |point: &nalgebra::Point3<f64>| -> Option<Vector2<f64>> {
+            self.setup.rig.left().project(&cam_left_from_target.transform_point(point))
+        };
+        let vertices_px: Option<Vec<_>> = self.parts.target_outline_m.iter().map(pixel).collect();
+        let vertices_px = vertices_px.context("the target is not in front of the camera at the beginning")?;
+        Ok(Region::Polygon { vertices_px })
+    }
+
+    fn cam_left_from_target_at(&self, at: MonotonicTime) -> Pose<CamLeft, Target> {
+        self.parts.cell.world_from_cam_left_at(at).inverse() * self.parts.cell.world_from_target_at(at)
+    }
+
+    /// Compares an estimate with the truth at the time of its exposure.
+    fn note_frame(&mut self, at: MonotonicTime, estimate: &TrackEstimate, latency_millis: f64) {
+        let cam_left_from_target = self.cam_left_from_target_at(at);
+        let away = cam_left_from_target.transform_vector(&Vector3::z());
+        let errors = estimate.cam_left_from_model.map(|pose| {
+            let estimated_origin = pose.translation_m();
+            let ray = estimated_origin / estimated_origin.z;
+            let true_depth_m = away.dot(&cam_left_from_target.translation_m()) / away.dot(&ray);
+            if self.target_from_model.is_none() {
+                let model = model_frame_on_plane(ray * true_depth_m, &-away);
+                self.target_from_model = model.map(|model| cam_left_from_target.inverse() * model);
+            }
+            (estimated_origin.z - true_depth_m, pose.transform_vector(&Vector3::z()).angle(&away))
+        });
+        let t_s = at.seconds_since(self.begin);
+        self.strip.offer(t_s, &self.pair, &self.setup.rig, estimate);
+        self.log.frames.push(FrameSample {
+            t_s,
+            status: estimate.status.to_string(),
+            fitness: estimate.fitness,
+            depth_error_m: errors.map(|(depth_m, _)| depth_m),
+            normal_error_rad: errors.map(|(_, normal_rad)| normal_rad),
+            latency_millis,
+        });
+    }
+
+    /// Both arms come to rest with brakes on, whatever happened; the first failure is told.
+    fn stop_arms(&mut self) -> Result<()> {
+        let vs = self.parts.vs.stop().context("vs-robot: stop");
+        let tc = self.parts.tc.stop().context("tc-robot: stop");
+        vs.and(tc)
+    }
+}

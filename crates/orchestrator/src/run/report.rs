@@ -1,0 +1,257 @@
+//! The report of a run: one self-contained page, and the same figures as text and JSON.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use nalgebra::{UnitQuaternion, Vector3};
+use pb3dp_record::report::{LinePlot, Report, ReportPicture, Series, SeriesColor, Table};
+
+use super::lockstep::Outcome;
+use super::log::{ControlSample, RunLog};
+use super::summary::{MedianP95, RmsMax, RunSummary, TrackingError};
+
+/// Writes `report.html`, `summary.json` and `timeseries.csv` into `folder`.
+///
+/// # Errors
+/// If a file can not be written.
+pub fn write(folder: &Path, outcome: &Outcome, summary: &RunSummary, provenance: &[(String, String)]) -> Result<()> {
+    let json = serde_json::json!({
+        "provenance": provenance.iter().cloned().collect::<std::collections::BTreeMap<_, _>>(),
+        "summary": summary,
+    });
+    let write = |name: &str, text: String| {
+        let file = folder.join(name);
+        fs::write(&file, text).with_context(|| format!("{}: can not be written", file.display()))
+    };
+    write("summary.json", serde_json::to_string_pretty(&json)? + "\n")?;
+    write("timeseries.csv", timeseries_csv(&outcome.log))?;
+    page(outcome, summary, provenance).write(&folder.join("report.html"))?;
+    Ok(())
+}
+
+fn page(outcome: &Outcome, summary: &RunSummary, provenance: &[(String, String)]) -> Report {
+    let log = &outcome.log;
+    let strip: Vec<_> = outcome
+        .strip
+        .pictures
+        .iter()
+        .map(|(picture, caption)| (ReportPicture::Photo(picture), caption.clone()))
+        .collect();
+    let origin =
+        provenance.iter().fold(Table::new(["run", ""]), |table, (key, value)| table.row([key.clone(), value.clone()]));
+    Report::new("pb3dp: a hand follows an unknown object")
+        .paragraph(
+            "The target moves along and about each axis in turn, out and back, at the marks (1) to (12). The hand that \
+             carries the two cameras knows nothing about it but the region marked in the first left picture, and keeps its \
+             place in front of it. Truth comes from the simulation.",
+        )
+        .figures(&figures(summary))
+        .heading("Target and hand")
+        .paragraph(
+            "Displacement since the beginning, along the axes of the world (z up), and vector part of the unit quaternion of \
+             the rotation since then. Wanted is where the hand should be in front of the true target.",
+        )
+        .panels(&motion_panels(log))
+        .heading("Each axis by itself")
+        .paragraph(
+            "Error of the hand along the axis that moves, and how far it trails. Lag is by cross-correlation over the way out \
+             and back; rise delay is the hand's 10 to 90 % rise time less that of its wanted way.",
+        )
+        .table(&channel_table(summary))
+        .paragraph("The published method does not observe the rotation about the model's normal (rz); it is held.")
+        .heading("Error and fitness over time")
+        .panels(&error_panels(log))
+        .heading("What the cameras saw")
+        .paragraph("Left: region and axes of the model. Right: where the estimated pose puts the region's outline.")
+        .images(&strip)
+        .heading("Events")
+        .table(&event_table(log))
+        .heading("How this run was made")
+        .table(&origin)
+}
+
+fn figures(summary: &RunSummary) -> Vec<(&'static str, String)> {
+    let rms = |value: Option<RmsMax>, unit: &str| value.map_or("-".into(), |v| format!("{:.1} {unit}", v.rms));
+    let median = |value: Option<MedianP95>, unit: &str| value.map_or("-".into(), |v| format!("{:.2} {unit}", v.median));
+    vec![
+        ("tracking, rms", rms(summary.tracking_position_mm, "mm")),
+        ("viewing direction, rms", rms(summary.tracking_tilt_deg, "deg")),
+        ("lag, median over the axes", summary.lag_s.map_or("-".into(), |lag| format!("{lag:.2} s"))),
+        ("estimated depth, median error", median(summary.estimation_depth_mm, "mm")),
+        ("estimated normal, median error", median(summary.estimation_normal_deg, "deg")),
+        ("frame to estimate, p50", summary.latency_p50_millis.map_or("-".into(), |ms| format!("{ms:.1} ms"))),
+    ]
+}
+
+/// The six panels of Fig. 7.
+fn motion_panels(log: &RunLog) -> Vec<LinePlot> {
+    let Some(first) = log.control.first() else { return Vec::new() };
+    type Way = fn(&ControlSample) -> (Vector3<f64>, UnitQuaternion<f64>);
+    let ways: [(&str, SeriesColor, Way); 3] = [
+        ("target", SeriesColor::Ink, |s| (s.world_from_target.translation_m(), s.world_from_target.rotation())),
+        ("wanted", SeriesColor::Grey, |s| {
+            (s.world_from_hand_wanted.translation_m(), s.world_from_hand_wanted.rotation())
+        }),
+        ("hand", SeriesColor::Red, |s| (s.world_from_hand.translation_m(), s.world_from_hand.rotation())),
+    ];
+    let position = |way: Way, axis: usize| -> Vec<[f64; 2]> {
+        log.control.iter().map(|s| [s.t_s, (way(s).0[axis] - way(first).0[axis]) * 1e3]).collect()
+    };
+    let orientation = |way: Way, axis: usize| -> Vec<[f64; 2]> {
+        let start = way(first).1.inverse();
+        log.control
+            .iter()
+            .map(|s| {
+                let turned = way(s).1 * start;
+                [s.t_s, turned.imag()[axis] * turned.w.signum()]
+            })
+            .collect()
+    };
+    let mut panels = Vec::new();
+    for (axis, name) in ["x", "y", "z"].iter().enumerate() {
+        let plot =
+            LinePlot::new(format!("({}) position {name}", ["a", "b", "c"][axis]), ("time", "s"), ("position", "mm"));
+        let plot =
+            ways.iter().fold(plot, |plot, (label, color, way)| plot.series(line(label, *color, position(*way, axis))));
+        panels.push(with_marks(plot, log));
+    }
+    for (axis, name) in ["1", "2", "3"].iter().enumerate() {
+        let title = format!("({}) orientation, quaternion part {name}", ["d", "e", "f"][axis]);
+        let plot = LinePlot::new(title, ("time", "s"), ("vector part", ""));
+        let plot = ways
+            .iter()
+            .fold(plot, |plot, (label, color, way)| plot.series(line(label, *color, orientation(*way, axis))));
+        panels.push(with_marks(plot, log));
+    }
+    panels
+}
+
+fn line(label: &str, color: SeriesColor, points: Vec<[f64; 2]>) -> Series {
+    let series = Series::line(label, color, points);
+    if color == SeriesColor::Grey { series.dashed() } else { series }
+}
+
+fn with_marks(plot: LinePlot, log: &RunLog) -> LinePlot {
+    log.marks.iter().fold(plot, |plot, mark| plot.mark(mark.at_s, format!("({})", mark.number)))
+}
+
+fn error_panels(log: &RunLog) -> Vec<LinePlot> {
+    let control = |pick: fn(&TrackingError) -> f64| -> Vec<[f64; 2]> {
+        log.control.iter().map(|s| [s.t_s, pick(&TrackingError::of(s))]).collect()
+    };
+    let frames = |pick: fn(&super::log::FrameSample) -> Option<f64>| -> Vec<[f64; 2]> {
+        log.frames.iter().map(|f| [f.t_s, pick(f).unwrap_or(f64::NAN)]).collect()
+    };
+    let plot = |title: &str, y: (&str, &str), color: SeriesColor, points: Vec<[f64; 2]>| {
+        with_marks(LinePlot::new(title, ("time", "s"), y).series(Series::line(title, color, points)), log)
+    };
+    vec![
+        plot("hand: position error", ("error", "mm"), SeriesColor::Red, control(|e| e.position_m * 1e3)),
+        plot("hand: viewing direction error", ("error", "deg"), SeriesColor::Red, control(|e| e.tilt_rad.to_degrees())),
+        plot("estimate: depth error", ("error", "mm"), SeriesColor::Blue, frames(|f| f.depth_error_m.map(|e| e * 1e3))),
+        plot(
+            "estimate: normal error",
+            ("error", "deg"),
+            SeriesColor::Blue,
+            frames(|f| f.normal_error_rad.map(f64::to_degrees)),
+        ),
+        plot("fitness", ("fitness", ""), SeriesColor::Green, frames(|f| f.fitness)),
+        plot("frame to estimate", ("wall time", "ms"), SeriesColor::Purple, frames(|f| Some(f.latency_millis))),
+    ]
+}
+
+fn channel_table(summary: &RunSummary) -> Table {
+    let headings = ["axis", "unit", "moving, rms", "moving, max", "hold, rms", "hold, max", "lag, s", "rise delay, s"];
+    let number = |value: Option<f64>| value.map_or("-".to_owned(), |x| format!("{x:.2}"));
+    summary.channels.iter().fold(Table::new(headings), |table, c| {
+        table.row([
+            c.channel.clone(),
+            c.unit.to_owned(),
+            number(c.moving.map(|e| e.rms)),
+            number(c.moving.map(|e| e.max)),
+            number(c.hold.map(|e| e.rms)),
+            number(c.hold.map(|e| e.max)),
+            number(c.lag_s),
+            number(c.rise_delay_s),
+        ])
+    })
+}
+
+fn event_table(log: &RunLog) -> Table {
+    const SHOWN: usize = 40;
+    let mut table = Table::new(["what the controller did", "time, s"]);
+    for (t_s, what) in log.events.iter().take(SHOWN) {
+        table = table.row([what.clone(), format!("{t_s:.2}")]);
+    }
+    match log.events.len().saturating_sub(SHOWN) {
+        0 => table,
+        more => table.row([format!("and {more} more"), String::new()]),
+    }
+}
+
+/// The summary as a plain table for a terminal.
+pub fn text_table(summary: &RunSummary) -> String {
+    let mut text = String::new();
+    let rms_max = |name: &str, value: Option<RmsMax>, unit: &str| {
+        let figures = value.map_or("-".to_owned(), |v| format!("rms {:.2}, max {:.2} {unit}", v.rms, v.max));
+        format!("{name:<34} {figures}\n")
+    };
+    let median_p95 = |name: &str, value: Option<MedianP95>, unit: &str| {
+        let figures = value.map_or("-".to_owned(), |v| format!("median {:.2}, p95 {:.2} {unit}", v.median, v.p95));
+        format!("{name:<34} {figures}\n")
+    };
+    text += &rms_max("hand, position", summary.tracking_position_mm, "mm");
+    text += &rms_max("hand, viewing direction", summary.tracking_tilt_deg, "deg");
+    text += &rms_max("hand, whole orientation", summary.tracking_orientation_deg, "deg");
+    text +=
+        &format!("{:<34} {}\n", "lag (median over x to ry)", summary.lag_s.map_or("-".into(), |s| format!("{s:.3} s")));
+    text += &median_p95("estimate, depth", summary.estimation_depth_mm, "mm");
+    text += &median_p95("estimate, normal", summary.estimation_normal_deg, "deg");
+    let latency = summary.latency_p50_millis.zip(summary.latency_p99_millis);
+    let latency = latency.map_or("-".into(), |(p50, p99)| format!("p50 {p50:.2}, p99 {p99:.2} ms"));
+    text += &format!("{:<34} {latency}\n", "frame in memory to estimate");
+    text += &format!("{:<34} {} of {}\n", "frames without a pose", summary.frames_without_pose, summary.frames);
+    let sigma = summary.smallest_singular_value.map_or("-".into(), |s| format!("{s:.3}"));
+    text += &format!("{:<34} {sigma}\n\n", "smallest singular value");
+    let _ = writeln!(text, "axis unit  moving rms    max   hold rms    max   lag s");
+    for c in &summary.channels {
+        let number = |value: Option<f64>| value.map_or("-".to_owned(), |x| format!("{x:.2}"));
+        let _ = writeln!(
+            text,
+            "{:<4} {:<4} {:>11} {:>6} {:>10} {:>6} {:>7}",
+            c.channel,
+            c.unit,
+            number(c.moving.map(|e| e.rms)),
+            number(c.moving.map(|e| e.max)),
+            number(c.hold.map(|e| e.rms)),
+            number(c.hold.map(|e| e.max)),
+            number(c.lag_s)
+        );
+    }
+    text
+}
+
+/// One line per control step: times in seconds, positions in millimetres, quaternions as x, y, z, w.
+fn timeseries_csv(log: &RunLog) -> String {
+    let mut text = String::from("t_s,mode");
+    for body in ["target", "hand", "wanted"] {
+        let _ = write!(text, ",{body}_x_mm,{body}_y_mm,{body}_z_mm,{body}_qx,{body}_qy,{body}_qz,{body}_qw");
+    }
+    text.push('\n');
+    for s in &log.control {
+        let _ = write!(text, "{:.4},{}", s.t_s, s.mode.split(':').next().unwrap_or_default());
+        let poses = [
+            (s.world_from_target.translation_m(), s.world_from_target.rotation()),
+            (s.world_from_hand.translation_m(), s.world_from_hand.rotation()),
+            (s.world_from_hand_wanted.translation_m(), s.world_from_hand_wanted.rotation()),
+        ];
+        for (p, q) in poses {
+            let _ = write!(text, ",{:.4},{:.4},{:.4}", p.x * 1e3, p.y * 1e3, p.z * 1e3);
+            let _ = write!(text, ",{:.7},{:.7},{:.7},{:.7}", q.i, q.j, q.k, q.w);
+        }
+        text.push('\n');
+    }
+    text
+}

@@ -1,0 +1,50 @@
+//! The strip of annotated stereo pictures in a run's report: the first frame, and one in each rest after a move out.
+
+use image::RgbImage;
+use image::imageops::{FilterType, resize};
+use pb3dp_estimation::published::TrackEstimate;
+use pb3dp_geometry::StereoRig;
+use pb3dp_hal_api::FramePair;
+use pb3dp_sim::trajectory::Mark;
+
+use crate::picture::{Annotation, annotate};
+
+/// Width of a stored picture, pixels.
+const WIDTH_PX: u32 = 800;
+
+/// Pictures with their captions.
+pub struct Strip {
+    /// Times at which a picture is still wanted, seconds, in order, with what happens then.
+    wanted: Vec<(f64, String)>,
+    /// What was taken.
+    pub pictures: Vec<(RgbImage, String)>,
+}
+
+impl Strip {
+    /// A strip for an experiment with these marks, two to each channel: out and back.
+    pub fn for_marks(marks: &[Mark], move_s: f64) -> Self {
+        let mut wanted = vec![(0.0, "the target is taken".to_owned())];
+        wanted.extend(marks.iter().step_by(2).map(|mark| (mark.at_s + move_s + 1.0, mark.label.clone())));
+        Self { wanted, pictures: Vec::new() }
+    }
+
+    /// Takes this frame if its time has come.
+    pub fn offer(&mut self, t_s: f64, pair: &FramePair, rig: &StereoRig, estimate: &TrackEstimate) {
+        if self.wanted.first().is_none_or(|(at_s, _)| t_s < *at_s) {
+            return;
+        }
+        let (_, what) = self.wanted.remove(0);
+        let outline_px: Vec<[f64; 2]> = estimate.outline_px.iter().map(|p| [p.x, p.y]).collect();
+        let annotation = Annotation {
+            outline_px: &outline_px,
+            cam_left_from_model: estimate.cam_left_from_model,
+            label: format!("{t_s:.1} s  {}", estimate.status),
+            is_bad: estimate.cam_left_from_model.is_none(),
+        };
+        let picture = annotate(&pair.left, &pair.right, rig, &annotation);
+        let height = WIDTH_PX * picture.height() / picture.width().max(1);
+        let fitness = estimate.fitness.map_or(String::new(), |fitness| format!(", fitness {fitness:.2}"));
+        let caption = format!("{t_s:.1} s, {what}: {}{fitness}", estimate.status);
+        self.pictures.push((resize(&picture, WIDTH_PX, height.max(1), FilterType::Triangle), caption));
+    }
+}
