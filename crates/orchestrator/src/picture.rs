@@ -34,7 +34,8 @@ pub fn annotate(left: &RgbImage, right: &RgbImage, rig: &StereoRig, what: &Annot
         overlay::pose_axes(&mut right, rig.right(), &cam_right_from_model, axis_m);
     }
     let color = if what.is_bad { colors::BAD } else { colors::ESTIMATE };
-    overlay::text(&mut left, [6.0, 6.0], &what.label, TextStyle::of(color));
+    let style = TextStyle { scale: 2, ..TextStyle::of(color) };
+    overlay::text(&mut left, [6.0, 6.0], &what.label, style);
     overlay::side_by_side(&left, &right)
 }
 

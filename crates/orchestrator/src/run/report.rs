@@ -206,7 +206,7 @@ pub fn text_table(summary: &RunSummary) -> String {
     text += &rms_max("hand, viewing direction", summary.tracking_tilt_deg, "deg");
     text += &rms_max("hand, whole orientation", summary.tracking_orientation_deg, "deg");
     text +=
-        &format!("{:<34} {}\n", "lag (median over x to ry)", summary.lag_s.map_or("-".into(), |s| format!("{s:.3} s")));
+        &format!("{:<34} {}\n", "lag, median over the axes", summary.lag_s.map_or("-".into(), |s| format!("{s:.3} s")));
     text += &median_p95("estimate, depth", summary.estimation_depth_mm, "mm");
     text += &median_p95("estimate, normal", summary.estimation_normal_deg, "deg");
     let latency = summary.latency_p50_millis.zip(summary.latency_p99_millis);

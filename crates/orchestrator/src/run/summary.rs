@@ -17,6 +17,8 @@ use super::log::{ControlSample, RunLog};
 const SETTLE_S: f64 = 1.0;
 /// Lags up to this are looked for, seconds.
 const LAG_MAX_S: f64 = 1.5;
+/// A hand that moves less like its wanted way than this does not follow it.
+const CORRELATION_MIN: f64 = 0.7;
 
 /// Root mean square and largest value of an error.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -76,7 +78,7 @@ pub struct RunSummary {
     pub tracking_orientation_deg: Option<RmsMax>,
     /// The same angle without the rotation about the model's normal, degrees.
     pub tracking_tilt_deg: Option<RmsMax>,
-    /// Median lag over the channels that the method observes, seconds.
+    /// Median lag over the channels that the hand follows, seconds.
     pub lag_s: Option<f64>,
     /// Each channel by itself.
     pub channels: Vec<ChannelSummary>,
@@ -135,7 +137,7 @@ pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
     let errors: Vec<TrackingError> = log.control.iter().map(TrackingError::of).collect();
     let column = |pick: fn(&TrackingError) -> f64| errors.iter().map(pick).collect::<Vec<f64>>();
     let channels = channel_summaries(log, plan);
-    let lags: Vec<f64> = channels.iter().filter(|c| c.channel != Channel::Rz.name()).filter_map(|c| c.lag_s).collect();
+    let lags: Vec<f64> = channels.iter().filter_map(|c| c.lag_s).collect();
     let latencies: Vec<f64> = log.frames.iter().map(|f| f.latency_millis).collect();
     let depth: Vec<f64> = log.frames.iter().filter_map(|f| f.depth_error_m).map(|e| e.abs() * 1e3).collect();
     let normal: Vec<f64> = log.frames.iter().filter_map(|f| f.normal_error_rad).map(f64::to_degrees).collect();
@@ -213,11 +215,18 @@ fn channel_summaries(log: &RunLog, plan: &Plan) -> Vec<ChannelSummary> {
             unit: if channel.is_rotation() { "deg" } else { "mm" },
             moving: RmsMax::of(&error_where(&moving)),
             hold: RmsMax::of(&error_where(&hold)),
-            lag_s: lag_by_cross_correlation(&wanted, &is, period_s, LAG_MAX_S).map(|lag| lag.lag_s),
+            lag_s: lag_s(&wanted, &is, period_s),
             rise_delay_s: rise_delay_s(&wanted[..way_out], &is[..way_out], period_s),
         });
     }
     summaries
+}
+
+/// The lag, if the response follows the reference at all; a channel that is not observed has none.
+fn lag_s(reference: &[f64], response: &[f64], period_s: f64) -> Option<f64> {
+    lag_by_cross_correlation(reference, response, period_s, LAG_MAX_S)
+        .filter(|lag| lag.correlation > CORRELATION_MIN)
+        .map(|lag| lag.lag_s)
 }
 
 /// 10-90 % rise time of the response less that of the reference; both measured against the reference's own way.

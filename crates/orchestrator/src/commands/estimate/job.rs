@@ -1,6 +1,6 @@
 //! What `pb3dp estimate` works on: cases of a dataset, or one pair of pictures.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use image::{GrayImage, RgbImage};
@@ -161,7 +161,7 @@ fn load_region(spec: &RegionSpec) -> Result<Region> {
     })
 }
 
-fn load_mask(file: &PathBuf) -> Result<GrayImage> {
+fn load_mask(file: &Path) -> Result<GrayImage> {
     let picture = load_rgb(file).context("the mask of --region can not be used")?;
     let any = |pixel: &image::Rgb<u8>| image::Luma([pixel.0.iter().copied().max().unwrap_or(0)]);
     Ok(GrayImage::from_fn(picture.width(), picture.height(), |x, y| any(picture.get_pixel(x, y))))

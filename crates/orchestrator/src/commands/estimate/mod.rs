@@ -3,7 +3,7 @@
 pub mod job;
 pub mod output;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, Result};
@@ -32,23 +32,18 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
     if let Some(folder) = &args.method.overlay {
         std::fs::create_dir_all(folder).with_context(|| format!("{}: can not be created", folder.display()))?;
     }
-    let jobs: Vec<(String, Box<dyn Fn() -> Result<Job> + '_>)> = match &args.cases {
-        Some(dir) => find_cases(dir)?
-            .into_iter()
-            .map(|folder| {
-                let name = folder.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-                (name, Box::new(move || Job::from_case(&folder, &args.method)) as Box<dyn Fn() -> Result<Job> + '_>)
-            })
-            .collect(),
-        None => vec![("pair".to_owned(), Box::new(|| Job::from_files(args)))],
+    let jobs = match &args.cases {
+        Some(dir) => find_cases(dir)?.into_iter().map(Source::Case).collect(),
+        None => vec![Source::Files],
     };
     if !args.method.json {
         print_line(EstimateLine::HEADING)?;
     }
     let mut evaluated = Vec::new();
     let mut refused = 0_usize;
-    for (name, load) in jobs {
-        let outcome = load().and_then(|job| work(&job, method, &config, &args.method));
+    for source in jobs {
+        let name = source.name();
+        let outcome = source.load(args).and_then(|job| work(&job, method, &config, &args.method));
         let line = match outcome {
             Ok((line, evaluation)) => {
                 evaluated.extend(evaluation);
@@ -64,6 +59,31 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
     }
     report_errors(&evaluated);
     Ok(if refused == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Where a job comes from.
+enum Source {
+    /// A case folder.
+    Case(PathBuf),
+    /// The pair that the command line names.
+    Files,
+}
+
+impl Source {
+    /// Its name, known before anything is read.
+    fn name(&self) -> String {
+        match self {
+            Self::Case(folder) => folder.file_name().unwrap_or(folder.as_os_str()).to_string_lossy().into_owned(),
+            Self::Files => "pair".to_owned(),
+        }
+    }
+
+    fn load(&self, args: &EstimateArgs) -> Result<Job> {
+        match self {
+            Self::Case(folder) => Job::from_case(folder, &args.method),
+            Self::Files => Job::from_files(args),
+        }
+    }
 }
 
 /// The method's parameters from the defaults, a file and the command line, in this order.
