@@ -1,0 +1,8 @@
+//! The program as its user meets it: arguments and files in, lines, pictures and exit code out.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests may fail the test")]
+
+mod estimate;
+mod refusals;
+mod run;
+mod support;
+mod track;

@@ -1,0 +1,181 @@
+//! What the program refuses, and how it says so.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use crate::support::*;
+
+/// One real pair, copied, with the words that estimate it.
+struct Pair {
+    dir: tempfile::TempDir,
+}
+
+impl Pair {
+    fn new() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        copy_of_real_cases(dir.path());
+        Self { dir }
+    }
+
+    fn file(&self, name: &str) -> PathBuf {
+        self.dir.path().join("bb201_c0").join(name)
+    }
+
+    fn words(&self, left: &Path, right: &Path, calibration: &Path, region: &str) -> Vec<OsString> {
+        words(&[
+            &"estimate",
+            &"--left",
+            &left,
+            &"--right",
+            &right,
+            &"--calib",
+            &calibration,
+            &"--region",
+            &region,
+            &"--json",
+        ])
+    }
+
+    fn estimate(&self, region: &str) -> Finished {
+        pb3dp(&self.words(&self.file("left.png"), &self.file("right.png"), &self.file("calib.json"), region))
+    }
+}
+
+const REGION: &str = "rect:340,110,140,190";
+
+#[test]
+fn missing_and_damaged_files_are_named() {
+    let pair = Pair::new();
+    pair.estimate(REGION).assert_success();
+    let (left, right, calibration) = (pair.file("left.png"), pair.file("right.png"), pair.file("calib.json"));
+    let absent = pair.file("absent.png");
+    for args in [
+        pair.words(&absent, &right, &calibration, REGION),
+        pair.words(&left, &absent, &calibration, REGION),
+        pair.words(&left, &right, &absent, REGION),
+        pair.words(&left, &right, &calibration, &format!("mask:{}", absent.display())),
+    ] {
+        pb3dp(&args).assert_refused(&["absent.png"]);
+    }
+    truncate(&right, 20_000);
+    pair.estimate(REGION).assert_refused(&["right.png", "truncated"]);
+    std::fs::write(&right, "no picture at all").unwrap();
+    pair.estimate(REGION).assert_refused(&["right.png"]);
+    std::fs::write(&calibration, "{\"image_size\": [640, 480]}").unwrap();
+    pair.estimate(REGION).assert_refused(&["calib.json"]);
+}
+
+#[test]
+fn sizes_that_do_not_fit_are_named_with_both_sizes() {
+    let pair = Pair::new();
+    let text = std::fs::read_to_string(pair.file("calib.json")).unwrap();
+    let mut value: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(numbers(&value["image_size"]), [640.0, 480.0]);
+    value["image_size"] = serde_json::json!([800, 600]);
+    let wrong = pair.file("wrong.json");
+    std::fs::write(&wrong, value.to_string()).unwrap();
+    pb3dp(&pair.words(&pair.file("left.png"), &pair.file("right.png"), &wrong, REGION)).assert_refused(&[
+        "left.png",
+        "wrong.json",
+        "640x480",
+        "800x600",
+    ]);
+    let small = pair.file("small.png");
+    image::open(pair.file("right.png")).unwrap().thumbnail_exact(320, 240).save(&small).unwrap();
+    pb3dp(&pair.words(&pair.file("left.png"), &small, &pair.file("calib.json"), REGION)).assert_refused(&[
+        "small.png",
+        "320",
+        "240",
+        "640",
+        "480",
+    ]);
+    let region = format!("mask:{}", small.display());
+    pair.estimate(&region).assert_refused(&["mask", "320", "240", "640", "480"]);
+}
+
+#[test]
+fn regions_that_can_not_serve_are_refused_with_what_to_do() {
+    let pair = Pair::new();
+    for (region, parts) in [
+        ("rect:2000,100,50,50", &["outside the left image", "640"][..]),
+        ("click:-5,10", &["(-5, 10)", "outside the left image"]),
+        ("poly:-90,-90;-20,-90;-20,-20", &["outside the left image"]),
+        ("rect:400,200,2,2", &["4 px", "larger area"]),
+        ("rect:400,200,-20,20", &["must be positive"]),
+        ("rect:1,2,3", &["expected 4 numbers, found 3"]),
+        ("circle:1,2,3", &["rect:", "poly:", "mask:", "click:"]),
+    ] {
+        pair.estimate(region).assert_refused(parts);
+    }
+}
+
+#[test]
+fn arguments_are_checked_before_anything_is_read() {
+    let cases = real_cases();
+    let with = |more: &[&str]| {
+        let mut args = words(&[&"estimate", &"--cases", &cases, &"--json"]);
+        args.extend(more.iter().map(OsString::from));
+        pb3dp(&args)
+    };
+    let unknown = with(&["--method", "magic"]);
+    unknown.assert_refused(&["\"magic\"", "published"]);
+    assert_eq!(unknown.stdout, "");
+    for bad in ["350", "650,350", "-1,5", "a,b", "0,100"] {
+        with(&[&format!("--z-range={bad}")]).assert_refused(&["MIN,MAX", "millimetres"]);
+    }
+    with(&["--tilt-max", "95"]).assert_refused(&["95", "90 degrees"]);
+    with(&["--left", "l.png"]).assert_refused(&["--cases", "--left"]);
+    pb3dp(&words(&[&"estimate", &"--left", &"l.png"])).assert_refused(&["--right", "--calib", "--region"]);
+}
+
+#[test]
+fn configurations_are_refused_with_file_key_and_what_is_allowed() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("mine.toml");
+    let good = std::fs::read_to_string(repository().join("configs/estimator.toml")).unwrap();
+    let run = |text: &str| {
+        std::fs::write(&file, text).unwrap();
+        pb3dp(&words(&[&"estimate", &"--cases", &real_cases(), &"--config", &file, &"--json"]))
+    };
+    run(&good).assert_success();
+    let unknown = run(&replaced(&good, "elite = 1\n", "elite = 1\nelites = 2\n"));
+    unknown.assert_refused(&["mine.toml", "published.rmga.elites", "unknown key", "survivors", "elite"]);
+    run(&replaced(&good, "elite = 1\n", "")).assert_refused(&["mine.toml", "published.rmga", "elite", "missing"]);
+    let far = run(&replaced(&good, "hue_tolerance_deg = 20.0\nunseen", "hue_tolerance_deg = 200.0\nunseen"));
+    far.assert_refused(&["mine.toml", "published.fitness.hue_tolerance_deg = 200", "0 to 180"]);
+    run("[published\n").assert_refused(&["mine.toml"]);
+    pb3dp(&words(&[&"estimate", &"--cases", &real_cases(), &"--config", &dir.path().join("none.toml")]))
+        .assert_refused(&["none.toml"]);
+}
+
+#[test]
+fn a_folder_without_cases_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let empty = dir.path().join("empty");
+    std::fs::create_dir(&empty).unwrap();
+    pb3dp(&words(&[&"estimate", &"--cases", &empty])).assert_refused(&["case.json", "empty"]);
+    pb3dp(&words(&[&"estimate", &"--cases", &dir.path().join("absent")])).assert_refused(&["absent"]);
+    pb3dp(&words(&[&"track", &"--sequence", &empty])).assert_refused(&["sequence.json", "empty"]);
+}
+
+#[test]
+fn a_damaged_case_costs_its_own_line_and_no_other() {
+    let dir = tempfile::tempdir().unwrap();
+    copy_of_real_cases(dir.path());
+    let estimate = || pb3dp(&words(&[&"estimate", &"--cases", &dir.path(), &"--json"]));
+    let whole = estimate().assert_success().json_lines(&ESTIMATE_KEYS);
+    truncate(&dir.path().join("bb204_c0/left.png"), 5_000);
+    std::fs::write(dir.path().join("bb209_c0/case.json"), "{ \"left\": ").unwrap();
+    let finished = estimate();
+    finished.assert_refused(&["bb204_c0", "left.png", "bb209_c0", "case.json"]);
+    let lines = finished.json_lines(&ESTIMATE_KEYS);
+    assert_eq!(lines.len(), whole.len());
+    for (line, before) in lines.into_iter().zip(whole) {
+        if ["bb204_c0", "bb209_c0"].contains(&line["case"].as_str().unwrap()) {
+            assert_eq!((&line["case"], &line["status"]), (&before["case"], &"error".into()));
+            assert!(ESTIMATE_KEYS[3..].iter().all(|key| line[key].is_null()), "{line}");
+        } else {
+            assert_eq!(without_time(line), without_time(before));
+        }
+    }
+}

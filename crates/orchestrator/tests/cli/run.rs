@@ -1,0 +1,84 @@
+//! `pb3dp run`: what it writes, and what it refuses to start.
+
+use std::path::{Path, PathBuf};
+
+use crate::support::*;
+
+/// The setup of the repository with other values, in a folder of its own.
+fn setup(dir: &Path, changes: &[(&str, &str)]) -> PathBuf {
+    let configs = repository().join("configs");
+    std::fs::create_dir_all(dir.join("robots")).unwrap();
+    std::fs::copy(configs.join("robots/pa10_gen2.urdf"), dir.join("robots/pa10_gen2.urdf")).unwrap();
+    let text = std::fs::read_to_string(configs.join("sim.toml")).unwrap();
+    let text = changes.iter().fold(text, |text, (from, to)| replaced(&text, from, to));
+    let file = dir.join("mine.toml");
+    std::fs::write(&file, text).unwrap();
+    file
+}
+
+const SMALL: [(&str, &str); 3] = [
+    ("width_px = 640", "width_px = 320"),
+    ("height_px = 480", "height_px = 240"),
+    ("focal_px = 740.0", "focal_px = 370.0"),
+];
+
+#[test]
+fn a_run_leaves_report_summary_and_time_series() {
+    let dir = tempfile::tempdir().unwrap();
+    let config = setup(dir.path(), &SMALL);
+    let out = dir.path().join("new/out");
+    let finished =
+        pb3dp(&words(&[&"run", &"--config", &config, &"--out", &out, &"--stop-after", &"0.4"])).assert_success();
+    assert!(
+        finished.stdout.contains("hand, position") && finished.stdout.contains("report.html"),
+        "{}",
+        finished.stdout
+    );
+    let page = std::fs::read_to_string(out.join("report.html")).unwrap();
+    assert!(page.contains("<svg") && page.contains("data:image/"), "plots and pictures are in the page itself");
+    assert!(!page.contains("<link") && !page.contains("<script src"), "nothing is loaded from elsewhere");
+    let text = std::fs::read_to_string(out.join("summary.json")).unwrap();
+    let summary: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(summary["provenance"]["seed"], "1");
+    assert!(summary["summary"]["smallest_singular_value"].as_f64().unwrap() > 0.05);
+    let csv = std::fs::read_to_string(out.join("timeseries.csv")).unwrap();
+    let columns: Vec<usize> = csv.lines().map(|line| line.split(',').count()).collect();
+    assert!(columns.len() > 40 && columns.iter().all(|&n| n == columns[0]), "a header and 41 steps of one width");
+}
+
+#[test]
+fn an_experiment_that_is_too_fast_is_refused_by_how_much() {
+    let dir = tempfile::tempdir().unwrap();
+    let config = setup(dir.path(), &[("speed_scale = 0.6 ", "speed_scale = 0.10 ")]);
+    let out = dir.path().join("out");
+    let finished = pb3dp(&words(&[&"run", &"--config", &config, &"--out", &out]));
+    finished.assert_refused(&["can not follow the experiment", "joint ", "speed scale 0.1", "times too fast"]);
+    assert!(!out.join("report.html").exists());
+}
+
+#[test]
+fn setups_are_refused_with_file_key_and_what_is_allowed() {
+    let dir = tempfile::tempdir().unwrap();
+    for (from, to, parts) in [
+        (
+            "baseline_mm = 100.0",
+            "baseline_mm = 100.0\nbaseline_m = 1",
+            &["camera.baseline_m", "unknown key", "baseline_mm"][..],
+        ),
+        ("frame_rate_hz = 30.0", "", &["camera.frame_rate_hz", "missing"]),
+        ("frame_rate_hz = 30.0", "frame_rate_hz = 300.0", &["camera.frame_rate_hz = 300", "1 to 240"]),
+        ("speed_scale = 0.6 ", "speed_scale = 1.5 ", &["arms.speed_scale = 1.5", "0.01 to 1"]),
+        ("method = \"published\"", "method = \"magic\"", &["estimator.method", "magic", "published"]),
+        ("target = \"crab\"", "target = \"lobster\"", &["scene.target", "lobster", "crab"]),
+        ("channels = [\"x\"", "channels = [\"u\"", &["experiment.channels", "\"u\"", "rz"]),
+    ] {
+        let config = setup(dir.path(), &[(from, to)]);
+        let finished = pb3dp(&words(&[&"run", &"--config", &config, &"--out", &dir.path().join("out")]));
+        finished.assert_refused(&["mine.toml"]);
+        finished.assert_refused(parts);
+    }
+    let config = setup(dir.path(), &[]);
+    std::fs::remove_file(dir.path().join("robots/pa10_gen2.urdf")).unwrap();
+    pb3dp(&words(&[&"run", &"--config", &config])).assert_refused(&["arms.vs.robot", "pa10_gen2.urdf"]);
+    assert!(!dir.path().join("out").exists(), "nothing is written before the setup is accepted");
+}

@@ -1,0 +1,9 @@
+//! The whole loop in the simulated cell: cameras, estimation, servo, limiter, arms. Pictures are small and the experiment
+//! short, so that the suite is quick; the setup is the repository's otherwise.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests may fail the test")]
+
+mod following;
+mod paths;
+mod repeatable;
+mod support;
+mod watched;

@@ -1,0 +1,93 @@
+//! Setups that are quick to run, and figures of what they leave.
+
+use nalgebra::Vector3;
+use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, StereoRig};
+use pb3dp_orchestrator::config::setup::{Setup, read_setup};
+use pb3dp_orchestrator::run::lockstep::{self, Outcome};
+use pb3dp_orchestrator::run::log::{ControlSample, RunLog};
+use pb3dp_orchestrator::run::summary::TrackingError;
+use pb3dp_orchestrator::wiring::wire;
+use pb3dp_sim::trajectory::{Channel, StepExperimentConfig};
+use system_tests::repository;
+
+/// The setup of the repository.
+pub fn whole_setup() -> Setup {
+    read_setup(&repository().join("configs/sim.toml")).unwrap()
+}
+
+/// How many pixels the cameras of a quick setup have; fewer are quicker and less exact.
+#[derive(Clone, Copy)]
+pub enum Pixels {
+    /// 320 x 240.
+    Few,
+    /// 480 x 360.
+    More,
+}
+
+/// The same with fewer pixels in the same field of view, and moves and rests of one second.
+pub fn quick_setup(pixels: Pixels, channels: &[Channel]) -> Setup {
+    let mut setup = whole_setup();
+    let share = match pixels {
+        Pixels::Few => 0.5,
+        Pixels::More => 0.75,
+    };
+    let whole = *setup.rig.left();
+    let scaled = |count: u32| (f64::from(count) * share) as u32;
+    let size = ImageSize { width: scaled(whole.size().width), height: scaled(whole.size().height) };
+    let centre = |count: u32| (f64::from(count) - 1.0) / 2.0;
+    let fx = whole.pinhole().fx * share;
+    let pinhole = Pinhole { fx, fy: fx, cx: centre(size.width), cy: centre(size.height) };
+    let camera = Camera::new(size, pinhole, Distortion::None).unwrap();
+    setup.rig = StereoRig::new(camera, camera, *setup.rig.cam_right_from_cam_left()).unwrap();
+    setup.experiment = StepExperimentConfig {
+        channels: channels.to_vec(),
+        move_s: 1.0,
+        hold_s: 1.0,
+        lead_in_s: 1.0,
+        ..setup.experiment
+    };
+    setup
+}
+
+/// Wires and runs a setup.
+pub fn run(setup: &Setup, stop_after_s: Option<f64>) -> Outcome {
+    lockstep::run(setup, wire(setup).unwrap(), stop_after_s).unwrap()
+}
+
+/// Distance of the hand (mm) and angle between the viewing axes (degrees) from the wanted pose between two times.
+pub struct Errors {
+    pub rms_mm: f64,
+    pub max_mm: f64,
+    pub rms_deg: f64,
+    pub max_deg: f64,
+}
+
+/// The errors between two times.
+pub fn errors(log: &RunLog, from_s: f64, to_s: f64) -> Errors {
+    let inside = log.control.iter().filter(|sample| (from_s..to_s).contains(&sample.t_s));
+    let errors: Vec<TrackingError> = inside.map(TrackingError::of).collect();
+    assert!(errors.len() > 10, "the run reached {from_s} to {to_s} s");
+    let largest = |of: fn(&TrackingError) -> f64| errors.iter().map(of).fold(0.0, f64::max);
+    let rms = |of: fn(&TrackingError) -> f64| {
+        (errors.iter().map(|e| of(e).powi(2)).sum::<f64>() / errors.len() as f64).sqrt()
+    };
+    Errors {
+        rms_mm: rms(|e| e.position_m) * 1e3,
+        max_mm: largest(|e| e.position_m) * 1e3,
+        rms_deg: rms(|e| e.tilt_rad).to_degrees(),
+        max_deg: largest(|e| e.tilt_rad).to_degrees(),
+    }
+}
+
+/// The sample at a time.
+pub fn at(log: &RunLog, t_s: f64) -> &ControlSample {
+    log.control.iter().find(|sample| sample.t_s >= t_s).unwrap()
+}
+
+/// Way of the hand, and of where it should be, between two times, mm in `world`.
+pub fn ways_mm(log: &RunLog, from_s: f64, to_s: f64) -> (Vector3<f64>, Vector3<f64>) {
+    let (from, to) = (at(log, from_s), at(log, to_s));
+    let hand = to.world_from_hand.translation_m() - from.world_from_hand.translation_m();
+    let wanted = to.world_from_hand_wanted.translation_m() - from.world_from_hand_wanted.translation_m();
+    (hand * 1e3, wanted * 1e3)
+}

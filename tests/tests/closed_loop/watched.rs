@@ -1,0 +1,66 @@
+//! Arms that write down what they were told and what they measured.
+
+use std::sync::{Arc, Mutex};
+
+use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
+use pb3dp_orchestrator::wiring::{DrivenArm, Parts};
+
+/// What one arm was told (before its limiter) and measured, one entry per control step.
+#[derive(Clone, Default)]
+pub struct Notes {
+    pub commands: Arc<Mutex<Vec<JointCommand>>>,
+    pub measured: Arc<Mutex<Vec<JointState>>>,
+}
+
+/// The parts with both arms watched: the arm with the cameras, the arm with the target.
+pub fn watched(parts: Parts) -> (Parts, Notes, Notes) {
+    let (vs, tc) = (Notes::default(), Notes::default());
+    let parts = Parts {
+        vs: Box::new(Watched { inner: parts.vs, notes: vs.clone() }),
+        tc: Box::new(Watched { inner: parts.tc, notes: tc.clone() }),
+        ..parts
+    };
+    (parts, vs, tc)
+}
+
+struct Watched {
+    inner: Box<dyn DrivenArm>,
+    notes: Notes,
+}
+
+impl Arm for Watched {
+    fn info(&self) -> &ArmInfo {
+        self.inner.info()
+    }
+
+    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        self.notes.commands.lock().unwrap().push(command.clone());
+        let state = self.inner.exchange(command)?;
+        self.notes.measured.lock().unwrap().push(state);
+        Ok(state)
+    }
+}
+
+impl ArmPower for Watched {
+    fn state(&self) -> ArmState {
+        self.inner.state()
+    }
+
+    fn enable(&mut self) -> Result<(), ArmError> {
+        self.inner.enable()
+    }
+
+    fn stop(&mut self) -> Result<(), ArmError> {
+        self.inner.stop()
+    }
+
+    fn reset(&mut self) -> Result<(), ArmError> {
+        self.inner.reset()
+    }
+}
+
+impl DrivenArm for Watched {
+    fn limited_commands(&self) -> u64 {
+        self.inner.limited_commands()
+    }
+}

@@ -1,0 +1,33 @@
+//! Every file in `configs/` is read by the part of the program that it is for.
+
+use pb3dp_kinematics::{Chain, DOF, JointVector};
+use pb3dp_orchestrator::config::estimator::read_estimator;
+use pb3dp_orchestrator::config::setup::read_setup;
+use system_tests::{files_below, repository};
+
+#[test]
+fn every_configuration_is_accepted_by_its_reader() {
+    let configs = repository().join("configs");
+    let files = files_below(&configs).unwrap();
+    let (mut setups, mut estimators, mut robots) = (0, 0, 0);
+    for file in &files {
+        let path = file.strip_prefix(&configs).unwrap().to_string_lossy().replace('\\', "/");
+        if path == "estimator.toml" {
+            read_estimator(file).unwrap_or_else(|error| panic!("{error}"));
+            estimators += 1;
+        } else if path.ends_with(".toml") && path.starts_with("sim") {
+            read_setup(file).unwrap_or_else(|error| panic!("{error}"));
+            setups += 1;
+        } else if path.starts_with("robots/") && path.ends_with(".urdf") {
+            let chain = Chain::from_urdf_str(&std::fs::read_to_string(file).unwrap(), "base_link", "flange")
+                .unwrap_or_else(|error| panic!("{path}: {error}"));
+            let stretched = chain.forward(&JointVector::zeros()).translation_m();
+            assert!(stretched.norm() > 1.0 && stretched.norm() < 1.6, "{path}: a PA-10 reaches {stretched}");
+            assert_eq!(chain.limits().velocity_max_rad_per_s().len(), DOF);
+            robots += 1;
+        } else {
+            panic!("{path}: no reader is known for this kind of file; name it in this test");
+        }
+    }
+    assert!(setups > 0 && estimators == 1 && robots > 0, "{files:?}");
+}
