@@ -14,6 +14,7 @@ pub mod estimator;
 pub mod fitness;
 pub mod hue;
 pub mod observability;
+pub mod pair_check;
 pub mod photo_model;
 pub mod plane_hypothesis;
 pub mod published;

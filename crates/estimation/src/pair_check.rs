@@ -1,0 +1,201 @@
+//! Whether two pictures fit the calibration that they came with.
+//!
+//! Sizes alone do not tell exchanged pictures or a calibration of another rig from the right ones, and a search on such
+//! input ends in a confusing status. So well-textured patches of the left picture are looked for in the right one, along
+//! the epipolar curve that the calibration predicts (distortion included) and beside it. The curve runs on through
+//! infinity to points behind the cameras: scenes are never there, but exchanged pictures look as if they were. What is
+//! judged is the inverse depth and not the sign of `u_left - u_right`, which says nothing if the principal columns differ.
+//!
+//! Two things can not be seen: a wrong focal length or baseline, which moves matches along their curves only; and an
+//! exchange if the principal columns differ by more than half of the scene's disparities, because the exchanged pictures
+//! then lie in front of the cameras as well.
+//!
+//! Only distinctive matches count, and only those that agree about their distance from the curve; repeated or missing
+//! texture thus leads to [`PairVerdict::Unknown`] and not to an alarm.
+
+mod matching;
+mod plane;
+
+#[cfg(test)]
+mod tests;
+
+use image::RgbImage;
+use pb3dp_geometry::StereoRig;
+
+use self::matching::{Match, Search, matches_of};
+
+/// Fewest well-textured patches to judge by.
+const PATCHES_MIN: usize = 30;
+/// Fewest agreeing matches to judge by.
+const AGREEING_MIN: usize = 16;
+/// Half width of the band of distances from the curve in which matches agree, pixels.
+const AGREEMENT_PX: f64 = 1.5;
+/// Matches agree by chance if a smaller share of them does; evenly spread ones give 0.12.
+const AGREEING_SHARE_MIN: f64 = 0.5;
+/// The median distance from the curve up to which rows agree, pixels.
+const ROW_OFFSET_MAX_PX: f64 = 1.5;
+/// A match is behind the cameras from this disparity on, pixels; far points and small errors of calibration stay below.
+const BEHIND_MIN_PX: f64 = 2.0;
+/// If at least this share of the agreeing matches lies behind the cameras, something is wrong: no scene is there.
+const BEHIND_SHARE_MAX: f64 = 0.25;
+/// Pictures are unrelated if fewer than this share of the patches has an agreeing match.
+const FOUND_SHARE_MIN: f64 = 0.1;
+/// Patches are compared without turning them, so cameras may be turned about their axis by this, degrees.
+const ROLL_MAX_DEG: f64 = 5.0;
+
+/// What the pictures say about the calibration.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PairVerdict {
+    /// The pictures fit the calibration, as far as the patches can tell.
+    Consistent,
+    /// The pictures do not fit, most often because they match behind the cameras, and are consistent once exchanged.
+    Swapped,
+    /// Patches match behind the cameras, and exchanging the pictures would not help.
+    BehindCameras,
+    /// The patches match beside their epipolar lines.
+    RowsDisagree {
+        /// Median distance, pixels of the right picture; positive is down.
+        offset_px: f64,
+    },
+    /// Hardly any patch is found where the calibration allows: other scene, other moment, or other cameras.
+    Unrelated,
+    /// Too little distinctive texture to say, or cameras turned against each other by more than 5 degrees.
+    Unknown,
+}
+
+/// The verdict and the figures behind it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PairCheck {
+    /// The verdict.
+    pub verdict: PairVerdict,
+    /// Well-textured patches of the left picture that were looked for.
+    pub patches: usize,
+    /// How many of them were found without a rival.
+    pub matches: usize,
+    /// How many matches agree about their distance from the epipolar line, within 1.5 px.
+    pub agreeing: usize,
+    /// How many of the agreeing matches lie behind the cameras, by more than 2 px of disparity.
+    pub behind: usize,
+    /// How many patches match in front of the cameras once the pictures are exchanged. Pictures that are consistent are
+    /// not tried the other way around: 0.
+    pub fitting_exchanged: usize,
+    /// Median distance of the agreeing matches from their epipolar lines, pixels of the right picture, positive is down.
+    pub row_offset_px: Option<f64>,
+    /// Spread of these distances: 1.4826 times the median of their deviations from the median, pixels.
+    pub row_spread_px: Option<f64>,
+}
+
+impl PairCheck {
+    /// Share of the agreeing matches in front of the cameras; `None` without matches.
+    pub fn share_in_front(&self) -> Option<f64> {
+        (self.agreeing > 0).then(|| 1.0 - self.behind as f64 / self.agreeing as f64)
+    }
+
+    fn unknown() -> Self {
+        Self {
+            verdict: PairVerdict::Unknown,
+            patches: 0,
+            matches: 0,
+            agreeing: 0,
+            behind: 0,
+            fitting_exchanged: 0,
+            row_offset_px: None,
+            row_spread_px: None,
+        }
+    }
+}
+
+/// Compares a pair of pictures with the calibration it came with.
+///
+/// Pictures whose sizes are not those of the rig are [`PairVerdict::Unknown`]: refuse them before.
+pub fn check_pair(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> PairCheck {
+    let fits = |camera: &pb3dp_geometry::Camera, picture: &RgbImage| {
+        (camera.size().width, camera.size().height) == picture.dimensions()
+    };
+    if !fits(rig.left(), left) || !fits(rig.right(), right) || roll_deg(rig).abs() > ROLL_MAX_DEG {
+        return PairCheck::unknown();
+    }
+    let check = check_in_this_order(rig, left, right);
+    if check.verdict == PairVerdict::Consistent || left.dimensions() != right.dimensions() {
+        return check;
+    }
+    let exchanged = check_in_this_order(rig, right, left);
+    let fitting_exchanged = exchanged.agreeing - exchanged.behind;
+    let verdict = if exchanged.verdict == PairVerdict::Consistent { PairVerdict::Swapped } else { check.verdict };
+    PairCheck { verdict, fitting_exchanged, ..check }
+}
+
+/// [`check_pair`] without a thought of exchanged pictures.
+fn check_in_this_order(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> PairCheck {
+    let Some(Search { patches, matches }) = matches_of(rig, left, right) else { return PairCheck::unknown() };
+    judge(patches, &matches)
+}
+
+/// Angle by which a vertical of the left camera is turned in the right one.
+fn roll_deg(rig: &StereoRig) -> f64 {
+    let down = rig.cam_right_from_cam_left().transform_vector(&nalgebra::Vector3::y());
+    (-down.x).atan2(down.y).to_degrees()
+}
+
+/// The verdict on a set of matches.
+fn judge(patches: usize, matches: &[Match]) -> PairCheck {
+    let agreeing = agreeing(matches);
+    let row_offset_px = median(agreeing.iter().map(|found| found.offset_px));
+    let row_spread_px =
+        row_offset_px.and_then(|centre| median(agreeing.iter().map(|found| 1.4826 * (found.offset_px - centre).abs())));
+    let mut check = PairCheck {
+        patches,
+        matches: matches.len(),
+        agreeing: agreeing.len(),
+        behind: agreeing.iter().filter(|found| found.disparity_px < -BEHIND_MIN_PX).count(),
+        row_offset_px,
+        row_spread_px,
+        ..PairCheck::unknown()
+    };
+    check.verdict = check.judged();
+    check
+}
+
+impl PairCheck {
+    /// The verdict that follows from the figures, exchanged pictures apart.
+    fn judged(&self) -> PairVerdict {
+        let agreeing = self.agreeing as f64;
+        match self.row_offset_px {
+            _ if self.patches < PATCHES_MIN => PairVerdict::Unknown,
+            Some(offset_px) if is_peak(self.agreeing, self.matches) => match offset_px {
+                _ if offset_px.abs() > ROW_OFFSET_MAX_PX => PairVerdict::RowsDisagree { offset_px },
+                _ if self.behind as f64 >= BEHIND_SHARE_MAX * agreeing => PairVerdict::BehindCameras,
+                _ => PairVerdict::Consistent,
+            },
+            _ if agreeing < FOUND_SHARE_MIN * self.patches as f64 => PairVerdict::Unrelated,
+            _ => PairVerdict::Unknown,
+        }
+    }
+}
+
+/// Whether so many of all matches agree that it is no chance.
+fn is_peak(count: usize, matches: usize) -> bool {
+    count >= AGREEING_MIN && count as f64 >= AGREEING_SHARE_MIN * matches as f64
+}
+
+/// The matches in the most populated band of distances from the curve.
+fn agreeing(matches: &[Match]) -> Vec<Match> {
+    let mut sorted = matches.to_vec();
+    sorted.sort_by(|a, b| a.offset_px.total_cmp(&b.offset_px));
+    let (mut best, mut end) = (0..0, 0);
+    for start in 0..sorted.len() {
+        while end < sorted.len() && sorted[end].offset_px - sorted[start].offset_px <= 2.0 * AGREEMENT_PX {
+            end += 1;
+        }
+        if end - start > best.len() {
+            best = start..end;
+        }
+    }
+    sorted[best].to_vec()
+}
+
+fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut sorted: Vec<f64> = values.collect();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied()
+}
