@@ -31,3 +31,12 @@ fn every_configuration_is_accepted_by_its_reader() {
     }
     assert!(setups > 0 && estimators == 1 && robots > 0, "{files:?}");
 }
+
+#[test]
+fn the_estimator_file_and_the_setup_hold_the_documented_defaults() {
+    let defaults = pb3dp_estimation::estimator::EstimatorConfig::default();
+    assert_eq!(read_estimator(&repository().join("configs/estimator.toml")).unwrap(), defaults);
+    let mut of_setup = read_setup(&repository().join("configs/sim.toml")).unwrap();
+    of_setup.estimator.published.rmga.seed = defaults.published.rmga.seed;
+    assert_eq!(of_setup.estimator, defaults);
+}

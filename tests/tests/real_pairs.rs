@@ -1,5 +1,5 @@
 //! The published method on the real pairs of the repository, which carry their truth.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests may fail the test")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests may fail the test")]
 
 use std::time::Duration;
 

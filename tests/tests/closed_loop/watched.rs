@@ -34,7 +34,7 @@ impl Arm for Watched {
     }
 
     fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
-        self.notes.commands.lock().unwrap().push(command.clone());
+        self.notes.commands.lock().unwrap().push(command);
         let state = self.inner.exchange(command)?;
         self.notes.measured.lock().unwrap().push(state);
         Ok(state)

@@ -1,5 +1,5 @@
 //! The program as its user meets it: arguments and files in, lines, pictures and exit code out.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests may fail the test")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests may fail the test")]
 
 mod estimate;
 mod refusals;
