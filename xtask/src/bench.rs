@@ -18,7 +18,7 @@ const OUT: &str = "out/bench";
 /// raster  pairs of pictures per second and core from the simulator's rasteriser
 ///
 /// The programs are the examples `speed` of crates/estimation and `raster_speed` of crates/sim; each prints its own table.
-/// What they print is also kept in out/bench/<name>.json, with commit, processor and compiler. Measure on an idle machine.
+/// What they print is also kept in `out/bench/*.json`, with commit, processor and compiler. Measure on an idle machine.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {

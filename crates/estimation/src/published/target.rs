@@ -31,6 +31,10 @@ pub(super) struct Target {
     pub fitness_floor: f64,
     /// Frames since the target was last seen.
     pub lost_frames: u32,
+    /// Whether the whole search range was surveyed since the target was last found, and held no rival.
+    pub is_assured: bool,
+    /// Whether that was ever so: until then the size of the outline may be that of a rival's depth.
+    pub was_assured: bool,
 }
 
 /// How the target is told from its surroundings.

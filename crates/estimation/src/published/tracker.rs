@@ -55,12 +55,17 @@ pub struct TrackEstimate {
 ///
 /// A lost target is looked for in the following frames in a window that doubles with every frame, up to the whole image,
 /// with a fresh population and the generations of a cold start.
+///
+/// An answer counts as sure only once a survey of the whole search range has found no rival, after the start and after every
+/// loss. A target that is never sure is given up after some frames and stays lost until it is marked again.
 #[derive(Clone, Debug)]
 pub struct PublishedTracker {
     core: Core,
     start: Option<Start>,
     target: Option<Target>,
     mask: RegionMask,
+    /// Frames since the start, or since the target was found again, in which it was not sure.
+    unsure_frames: u32,
 }
 
 /// What the tracker was asked to follow.
@@ -78,7 +83,7 @@ impl PublishedTracker {
     pub fn new(rig: &StereoRig, config: PublishedConfig) -> Result<Self, EstimationError> {
         let core = Core::new(rig, config, Kernels::best())?;
         let mask = RegionMask::empty(ImageSize { width: 0, height: 0 });
-        Ok(Self { core, start: None, target: None, mask })
+        Ok(Self { core, start: None, target: None, mask, unsure_frames: 0 })
     }
 
     /// The parameters.
@@ -88,7 +93,8 @@ impl PublishedTracker {
 
     /// Takes a new target: cold start on the first pair of raw images, the region given in the left one.
     ///
-    /// If the pose is not observable there is no target yet: [`Self::update`] then tries the same region again.
+    /// If the pose is not observable there is no target yet: [`Self::update`] then tries the same region again, for a few
+    /// frames.
     ///
     /// # Errors
     /// Images that do not fit the calibration, a region that can not serve, a bad range.
@@ -100,8 +106,19 @@ impl PublishedTracker {
         range: &SearchRange,
     ) -> Result<TrackEstimate, EstimationError> {
         range.validate()?;
-        self.target = None;
+        self.unsure_frames = 0;
         self.start = Some(Start { region: region.clone(), range: *range });
+        self.take_target(left, right, region, range)
+    }
+
+    fn take_target(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+    ) -> Result<TrackEstimate, EstimationError> {
+        self.target = None;
         let taken = self.core.take(left, right, region)?;
         let mut estimate = self.blank_estimate(&taken.outline_px);
         if let Some(reason) = self.core.lack_of_hue() {
@@ -137,9 +154,16 @@ impl PublishedTracker {
         right: &RgbImage,
         cam_left_prev_from_cam_left_now: Option<&Pose<CamLeft, CamLeft>>,
     ) -> Result<TrackEstimate, EstimationError> {
+        let limit = self.core.config().tracker.assure_frames_max;
+        if self.start.is_some() && self.unsure_frames >= limit {
+            self.target = None;
+            let reason = format!("the target was never sure within {limit} frames and is given up: mark it again");
+            return Ok(TrackEstimate { status: Status::Lost, reason, ..self.blank_estimate(&[]) });
+        }
         let Some(mut target) = self.target.take() else {
             let Start { region, range } = self.start.clone().ok_or(EstimationError::NotStarted)?;
-            return self.start(left, right, &region, &range);
+            self.unsure_frames += 1;
+            return self.take_target(left, right, &region, &range);
         };
         let outcome = self.follow(&mut target, left, right, cam_left_prev_from_cam_left_now);
         self.target = Some(target);
@@ -203,16 +227,58 @@ impl PublishedTracker {
         let Some(plane) = plane.and_then(|q| PlanePose::from_inverse_depth_plane(q, &origin_ray)) else {
             return Ok(self.lost(target, no_hypothesis(), &carried.outline_px));
         };
-        let rotation = model_frame::with_normal(&target.reference_rotation, &-plane.normal_in_cam_left);
-        target.cam_left_from_model = Pose::from_parts(origin_ray * plane.z_m, rotation);
+        let jump = plane.z_m / target.cam_left_from_model.translation_m().z - 1.0;
+        if !target.was_assured && jump.abs() > self.core.config().observability.depth_spread_max {
+            self.retake(target, found, carried)?;
+        } else {
+            let rotation = model_frame::with_normal(&target.reference_rotation, &-plane.normal_in_cam_left);
+            target.cam_left_from_model = Pose::from_parts(origin_ray * plane.z_m, rotation);
+        }
         target.lost_frames = 0;
-        let range = *target.rmga.codec().range();
-        let spreads = self.core.survey_nearby(found, &range)?;
-        let verdict = self.core.config().tracked_observability().verdict_nearby(spreads);
+        let verdict = self.judge(target, found)?;
+        estimate.cam_left_from_model = (verdict.status != Status::NotObservable).then_some(target.cam_left_from_model);
         (estimate.status, estimate.reason) = (verdict.status, verdict.reason);
-        estimate.cam_left_from_model = Some(target.cam_left_from_model);
         (estimate.psi, estimate.fitness) = (Some(found.psi), Some(found.fitness));
         Ok(estimate)
+    }
+
+    /// Takes the target anew from the region of this frame: where it was held for was a rival's depth, and with it the size
+    /// of the outline was wrong. The model frame begins here.
+    fn retake(&mut self, target: &mut Target, found: &Found, carried: &Carried) -> Result<(), EstimationError> {
+        let range = *target.rmga.codec().range();
+        let landscape = self.core.survey(found, &range)?;
+        let mask = self.mask.clone();
+        let centroid_px = mask.centroid_px().unwrap_or_default();
+        let taken = Taken { warnings: Vec::new(), centroid_px, mask, outline_px: carried.outline_px.clone() };
+        let search = (target.rmga.clone(), target.cold_rmga.clone(), target.population.clone());
+        if let Some(anew) = self.first_target(&taken, found, &landscape, search) {
+            *target = anew;
+        }
+        Ok(())
+    }
+
+    /// How far the answer for a frame can be trusted. Other peaks are ruled out by continuity only once the whole search
+    /// range has been surveyed and found without a rival; until then it is surveyed in every frame.
+    fn judge(&mut self, target: &mut Target, found: &Found) -> Result<Verdict, EstimationError> {
+        let range = *target.rmga.codec().range();
+        let config = self.core.config().tracked_observability();
+        let verdict = if target.is_assured {
+            config.verdict_nearby(self.core.survey_nearby(found, &range)?)
+        } else {
+            self.core.survey(found, &range)?.verdict(&config)
+        };
+        target.is_assured |= verdict.status.depth_is_sure();
+        target.was_assured |= target.is_assured;
+        self.unsure_frames = if target.is_assured { 0 } else { self.unsure_frames + 1 };
+        let contrast_min = self.core.config().tracker.contrast_min;
+        if verdict.status.depth_is_sure() && target.appearance.mass_per_area < contrast_min {
+            let reason = format!(
+                "the region can not be re-centred: its hues stand out from those around it by {:.2} only (limit {contrast_min:.2})",
+                target.appearance.mass_per_area
+            );
+            return Ok(Verdict { status: Status::Ambiguous, reason });
+        }
+        Ok(verdict)
     }
 
     /// The region of the new frame, left in `self.mask`.
@@ -322,6 +388,7 @@ impl PublishedTracker {
         let mass = colours.mass(self.core.left_hue(), &window, &Vector2::zeros());
         let (sum_px, mass_px) = mass.map_or((0.0, centre_px), |mass| (mass.sum_px, mass.centroid_px));
         let height = landscape.fitness_highest - landscape.fitness_median;
+        let is_assured = landscape.verdict(&config.observability).status.depth_is_sure();
         Some(Target {
             rmga,
             cold_rmga,
@@ -338,11 +405,14 @@ impl PublishedTracker {
             },
             fitness_floor: landscape.fitness_median + config.tracker.height_share_min * height,
             lost_frames: 0,
+            is_assured,
+            was_assured: is_assured,
         })
     }
 
     fn lost(&self, target: &mut Target, reason: String, outline_px: &[Vector2<f64>]) -> TrackEstimate {
         target.lost_frames = target.lost_frames.saturating_add(1);
+        target.is_assured = false;
         TrackEstimate { status: Status::Lost, reason, ..self.blank_estimate(outline_px) }
     }
 

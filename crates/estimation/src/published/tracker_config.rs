@@ -26,6 +26,10 @@ pub struct TrackerConfig {
     /// Lost if the fitness falls below the first frame's median of the search range plus this share of its height above
     /// that median, 0 to 1. Default 0.4.
     pub height_share_min: f64,
+    /// The target is given up, and stays lost until it is marked again, if its depth is not sure (by a survey of the whole
+    /// search range) within this many frames of its start or of being found again: what the region shows by then may be
+    /// something else. 1 to 10000. Default 15.
+    pub assure_frames_max: u32,
 }
 
 impl Default for TrackerConfig {
@@ -39,6 +43,7 @@ impl Default for TrackerConfig {
             visible_share_min: 0.5,
             depth_spread_sure: 0.03,
             height_share_min: 0.4,
+            assure_frames_max: 15,
         }
     }
 }
@@ -55,6 +60,8 @@ impl TrackerConfig {
         share("tracker mass_share_min", self.mass_share_min)?;
         share("tracker visible_share_min", self.visible_share_min)?;
         share("tracker depth_spread_sure", self.depth_spread_sure)?;
-        share("tracker height_share_min", self.height_share_min)
+        share("tracker height_share_min", self.height_share_min)?;
+        let frames = f64::from(self.assure_frames_max);
+        check_range("tracker assure_frames_max", frames, (1.0, 1e4), "must be between 1 and 10000")
     }
 }

@@ -149,6 +149,7 @@ struct TrackerSection {
     visible_share_min: f64,
     depth_spread_sure: f64,
     height_share_min: f64,
+    assure_frames_max: usize,
 }
 
 impl PublishedSection {
@@ -275,6 +276,7 @@ impl TrackerSection {
     fn check(&self, key: &str, check: &mut Checker) {
         check.count(&format!("{key}.window_margin_px"), self.window_margin_px, 1..=200);
         check.count(&format!("{key}.shift_steps_max"), self.shift_steps_max, 1..=100);
+        check.count(&format!("{key}.assure_frames_max"), self.assure_frames_max, 1..=10_000);
         check.number(&format!("{key}.shift_max_share"), self.shift_max_share, 0.0..=2.0);
         for (name, value) in [
             ("contrast_min", self.contrast_min),
@@ -297,6 +299,7 @@ impl TrackerSection {
             visible_share_min: self.visible_share_min,
             depth_spread_sure: self.depth_spread_sure,
             height_share_min: self.height_share_min,
+            assure_frames_max: u32::try_from(self.assure_frames_max).unwrap_or(u32::MAX),
         }
     }
 }
