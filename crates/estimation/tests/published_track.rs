@@ -10,7 +10,7 @@ use pb3dp_estimation::EstimationError;
 use pb3dp_estimation::estimator::{EstimatorConfig, Method, Tracker};
 use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_estimation::published::{PublishedConfig, PublishedTracker, TrackEstimate};
-use pb3dp_estimation::region::Region;
+use pb3dp_estimation::region::{Region, RegionWarning};
 use pb3dp_estimation::status::Status;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
@@ -164,11 +164,30 @@ fn what_can_not_be_observed_is_tried_again_in_the_next_frame() {
     let rig = common::rectified_rig();
     let (mut tracker, first) = started(&rig, Look::Grey);
     assert_eq!((first.status, first.cam_left_from_model), (Status::NotObservable, None));
+    let Shot { left, right } = common::render(&rig, Some(&start_pose()), Look::Grey);
+    let estimate = tracker.update(&left, &right, None).expect("images that fit");
+    assert_eq!(estimate.status, Status::NotObservable);
+    assert_eq!(estimate.warnings, [], "a warning is told once");
     let estimate = follow(&mut tracker, &rig, Some(&start_pose()), None);
     assert!(estimate.status.depth_is_sure(), "a coloured target in the same region: {estimate:?}");
     let mut unused = PublishedTracker::new(&rig, PublishedConfig::default()).expect("a config");
     let Shot { left, right } = common::render(&rig, None, Look::Grey);
     assert_eq!(unused.update(&left, &right, None), Err(EstimationError::NotStarted));
+}
+
+#[test]
+fn the_start_tells_why_a_region_may_serve_badly() {
+    let rig = common::rectified_rig();
+    let (mut tracker, fine) = started(&rig, Look::Colourful);
+    assert_eq!(fine.warnings, []);
+    let (_, grey) = started(&rig, Look::Grey);
+    assert!(matches!(grey.warnings[..], [RegionWarning::Grey { .. }]), "{:?}", grey.warnings);
+    let Shot { left, right } = common::render(&rig, Some(&start_pose()), Look::Colourful);
+    let outside = Region::Rectangle { x: -20, y: 80, width: 200, height: 70 };
+    let estimate = tracker.start(&left, &right, &outside, &range()).expect("images that fit");
+    let warning = RegionWarning::PartlyOffImage { outside_px: 20 * 70, covered_px: 200 * 70 };
+    assert_eq!(estimate.warnings, [warning]);
+    assert_eq!(follow(&mut tracker, &rig, Some(&start_pose()), None).warnings, []);
 }
 
 #[test]

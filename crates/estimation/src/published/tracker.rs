@@ -16,7 +16,7 @@ use crate::error::EstimationError;
 use crate::estimate::PlanePose;
 use crate::observability::Landscape;
 use crate::plane_hypothesis::{PlaneHypothesis, SearchRange};
-use crate::region::{Region, RegionMask, polygon};
+use crate::region::{Region, RegionMask, RegionWarning, polygon};
 use crate::search::rmga::{Population, RmGa};
 use crate::status::{Status, Verdict};
 
@@ -27,6 +27,8 @@ pub struct TrackEstimate {
     pub status: Status,
     /// What led to the status.
     pub reason: String,
+    /// Why the marked region may serve badly: told once, by [`PublishedTracker::start`]; empty in every later frame.
+    pub warnings: Vec<RegionWarning>,
     /// Pose of the model in the left camera; `None` if lost or not observable.
     ///
     /// Model frame: origin at the plane point on the ray of the region's centroid in the first frame, z along the plane's
@@ -120,7 +122,7 @@ impl PublishedTracker {
     ) -> Result<TrackEstimate, EstimationError> {
         self.target = None;
         let taken = self.core.take(left, right, region)?;
-        let mut estimate = self.blank_estimate(&taken.outline_px);
+        let mut estimate = TrackEstimate { warnings: taken.warnings.clone(), ..self.blank_estimate(&taken.outline_px) };
         if let Some(reason) = self.core.lack_of_hue() {
             return Ok(TrackEstimate { reason, ..estimate });
         }
@@ -163,7 +165,8 @@ impl PublishedTracker {
         let Some(mut target) = self.target.take() else {
             let Start { region, range } = self.start.clone().ok_or(EstimationError::NotStarted)?;
             self.unsure_frames += 1;
-            return self.take_target(left, right, &region, &range);
+            let again = self.take_target(left, right, &region, &range)?;
+            return Ok(TrackEstimate { warnings: Vec::new(), ..again });
         };
         let outcome = self.follow(&mut target, left, right, cam_left_prev_from_cam_left_now);
         self.target = Some(target);
@@ -422,6 +425,7 @@ impl PublishedTracker {
         TrackEstimate {
             status: Status::NotObservable,
             reason: String::new(),
+            warnings: Vec::new(),
             cam_left_from_model: None,
             covariance: None,
             psi: None,
