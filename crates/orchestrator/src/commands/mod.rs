@@ -1,5 +1,6 @@
 //! The subcommands, one file each: arguments in, exit code out.
 
 pub mod estimate;
+pub mod pair;
 pub mod run;
 pub mod track;

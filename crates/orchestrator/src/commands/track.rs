@@ -21,6 +21,7 @@ use serde::Serialize;
 use super::estimate::estimator_config;
 use super::estimate::job::overridden;
 use super::estimate::output::print_line;
+use super::pair::check_pictures;
 use crate::cli::{MethodArgs, TrackArgs};
 use crate::cpu_time::timed;
 use crate::picture::{Annotation, annotate};
@@ -55,6 +56,10 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         let t_s = sequence.times_s[usize::try_from(frame)?];
         let line = match sequence.load_pictures(frame, calibration.rig.left().size()) {
             Ok(pictures) => {
+                if !walk.is_started {
+                    check_pictures(&format!("frame {frame}"), &calibration.rig, &pictures.left, &pictures.right)
+                        .with_context(|| format!("frame {frame}"))?;
+                }
                 let (estimate, millis) = timed(|| walk.step(&pictures));
                 let estimate = estimate.with_context(|| format!("frame {frame}"))?;
                 tell(frame, &estimate);

@@ -17,6 +17,7 @@ use pb3dp_record::metrics::{self, DisparityAgreement, EvaluatedCase, Group, comp
 
 use self::job::Job;
 use self::output::{EstimateLine, print_line};
+use super::pair::check_pictures;
 use crate::cli::{EstimateArgs, MethodArgs};
 use crate::config::estimator::read_estimator;
 use crate::cpu_time::timed;
@@ -112,6 +113,7 @@ fn work(
     for note in &job.notes {
         tracing::info!("{}: {note}", job.name);
     }
+    check_pictures(&job.name, &job.rig, &job.left, &job.right)?;
     let mut estimator = Estimator::new(method, &job.rig, config)?;
     let (estimate, millis) = timed(|| estimator.estimate(&job.left, &job.right, &job.region, &job.range));
     let estimate = estimate?;
