@@ -63,6 +63,18 @@ impl PlanePose {
     }
 }
 
+/// The best of all 2^24 chromosomes: what lies between it and an answer is the fault of the search, what lies between it and
+/// the truth the fault of the fitness.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReferenceOptimum {
+    /// The hypothesis of the lowest chromosome that reaches the highest fitness.
+    pub psi: PlaneHypothesis,
+    /// The highest fitness, at most 1. An answer of this fitness has no search error, wherever on the plateau it lies.
+    pub fitness: f64,
+    /// How many chromosomes reach it, `psi` included: votes are counted, so the summit is a plateau.
+    pub ties: u64,
+}
+
 /// The outcome for one pair.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlaneEstimate {
@@ -87,9 +99,10 @@ pub struct PlaneEstimate {
     pub normal_sigma_rad: Option<f64>,
     /// What the observability probe found; `None` if nothing was searched.
     pub landscape: Option<Landscape>,
-    /// The highest fitness of all 2^24 chromosomes and where it is reached, if asked for. What lies between it and `psi` is
-    /// the fault of the search, what lies between it and the truth the fault of the fitness.
-    pub reference_optimum: Option<(PlaneHypothesis, f64)>,
+    /// The best of all chromosomes; `None` unless [`PublishedConfig::reference_optimum`] asks for it.
+    ///
+    /// [`PublishedConfig::reference_optimum`]: crate::published::PublishedConfig::reference_optimum
+    pub reference_optimum: Option<ReferenceOptimum>,
     /// The left camera of the raw image, for [`Self::depth_at_pixel`].
     pub left_camera: Camera,
 }

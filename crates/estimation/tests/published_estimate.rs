@@ -9,6 +9,7 @@ use nalgebra::Vector2;
 use pb3dp_estimation::EstimationError;
 use pb3dp_estimation::cpu::Kernels;
 use pb3dp_estimation::estimate::PlaneEstimate;
+use pb3dp_estimation::estimate::ReferenceOptimum;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation::photo_model::PhotoModelConfig;
 use pb3dp_estimation::plane_hypothesis::SearchRange;
@@ -140,9 +141,22 @@ fn the_reference_optimum_is_at_least_what_the_search_found() {
     let few = PhotoModelConfig { inner_points: 60, outer_points: 30, ..PhotoModelConfig::default() };
     let config = PublishedConfig { model: few, reference_optimum: true, ..PublishedConfig::default() };
     let found = estimate(&common::rectified_rig(), Look::Colourful, config);
-    let (psi, fitness) = found.reference_optimum.expect("asked for");
+    let ReferenceOptimum { psi, fitness, ties } = found.reference_optimum.expect("asked for");
     assert!(fitness >= found.fitness.expect("searched"));
     assert!((psi.z_m / 0.485 - 1.0).abs() < 0.03, "{psi:?}");
+    assert!((1..10_000).contains(&ties), "a summit, not a plain: {ties}");
+}
+
+#[test]
+fn the_reference_optimum_tells_how_wide_its_plateau_is() {
+    let few = PhotoModelConfig { inner_points: 60, outer_points: 0, ..PhotoModelConfig::default() };
+    let config = PublishedConfig { model: few, reference_optimum: true, ..PublishedConfig::default() };
+    let found = estimate(&common::rectified_rig(), Look::SameHue, config);
+    let ReferenceOptimum { psi, fitness, ties } = found.reference_optimum.expect("asked for");
+    // Everything has one hue: wherever the plane puts the region into the picture, all votes agree.
+    assert_eq!((fitness, found.fitness), (1.0, Some(1.0)));
+    assert_ne!(found.psi, Some(psi), "two of many that are equal");
+    assert!(ties > 1 << 20 && ties <= 1 << 24, "{ties}");
 }
 
 #[test]

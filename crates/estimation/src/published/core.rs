@@ -8,6 +8,7 @@ use super::PublishedConfig;
 use super::front_end::FrontEnd;
 use crate::cpu::Kernels;
 use crate::error::EstimationError;
+use crate::estimate::ReferenceOptimum;
 use crate::fitness::{HueFitness, PreparedFitness};
 use crate::hue::HuePlane;
 use crate::observability::{Landscape, LandscapeProbe, ProbeTarget, Scored};
@@ -15,7 +16,7 @@ use crate::photo_model::{ModelPoint, PhotoModel, PhotoModelScratch};
 use crate::plane_hypothesis::{PinholePair, PlaneHypothesis, SearchRange};
 use crate::region::{Region, RegionMask, RegionWarning};
 use crate::search::chromosome::Codec;
-use crate::search::exhaustive;
+use crate::search::exhaustive::{self, Optimum};
 use crate::search::rmga::{Population, RmGa};
 
 /// The best individual of a search.
@@ -160,14 +161,12 @@ impl Core {
     }
 
     /// The best of all chromosomes on the current frame.
-    pub(super) fn reference_optimum(
-        &mut self,
-        codec: &Codec,
-    ) -> Result<Option<(PlaneHypothesis, f64)>, EstimationError> {
+    pub(super) fn reference_optimum(&mut self, codec: &Codec) -> Result<Option<ReferenceOptimum>, EstimationError> {
         let Self { fitness, front, model, .. } = self;
         let prepared = fitness.prepare(front.pair(), model, front.right_hue(), codec.range())?;
-        let optimum = exhaustive::optimum(&prepared, codec);
-        Ok(prepared.fitness(optimum.score).map(|fitness| (codec.decode(optimum.chromosome), fitness)))
+        let Optimum { score, chromosome, ties } = exhaustive::optimum(&prepared, codec);
+        let psi = codec.decode(chromosome);
+        Ok(prepared.fitness(score).map(|fitness| ReferenceOptimum { psi, fitness, ties }))
     }
 
     fn probe_target(&self, found: &Found, range: &SearchRange) -> ProbeTarget {
