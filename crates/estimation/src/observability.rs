@@ -23,6 +23,7 @@ use crate::plane_hypothesis::{PlaneHypothesis, SearchRange};
 use crate::search::rng::SplitMix64;
 use crate::search::{PlaneScore, REFUSED};
 use crate::status::{Status, Verdict};
+use crate::trig;
 
 /// Nodes of the fine grid on either side of the answer, in depth and in each tilt; beside a coarse grid, and alone.
 const FINE_HALF: i32 = 6;
@@ -487,7 +488,7 @@ impl LandscapeProbe {
 }
 
 fn angle_between(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
-    a.cross(b).norm().atan2(a.dot(b))
+    trig::atan2(a.cross(b).norm(), a.dot(b))
 }
 
 fn median(scores: &mut [i32]) -> i32 {

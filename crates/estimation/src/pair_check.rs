@@ -23,6 +23,7 @@ use image::RgbImage;
 use pb3dp_geometry::StereoRig;
 
 use self::matching::{Match, Search, matches_of};
+use crate::trig;
 
 /// Fewest well-textured patches to judge by.
 const PATCHES_MIN: usize = 30;
@@ -134,7 +135,7 @@ fn check_in_this_order(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Pa
 /// Angle by which a vertical of the left camera is turned in the right one.
 fn roll_deg(rig: &StereoRig) -> f64 {
     let down = rig.cam_right_from_cam_left().transform_vector(&nalgebra::Vector3::y());
-    (-down.x).atan2(down.y).to_degrees()
+    trig::atan2(-down.x, down.y).to_degrees()
 }
 
 /// The verdict on a set of matches.

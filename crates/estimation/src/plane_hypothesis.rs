@@ -48,7 +48,8 @@ impl PlaneHypothesis {
         if !(inverse_depth > 0.0 && q.z > 0.0 && length.is_finite()) {
             return None;
         }
-        Some(Self { z_m: 1.0 / inverse_depth, theta_x_rad: (-q.y / length).asin(), theta_y_rad: q.x.atan2(q.z) })
+        let (theta_x_rad, theta_y_rad) = (trig::atan2(-q.y, q.xz().norm()), trig::atan2(q.x, q.z));
+        Some(Self { z_m: 1.0 / inverse_depth, theta_x_rad, theta_y_rad })
     }
 
     /// Depth of the plane on the ray of a left pixel, metres; `None` where the plane is not in front of the camera.

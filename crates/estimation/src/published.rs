@@ -167,7 +167,8 @@ impl PublishedEstimator {
 
     /// The plane of a region of one pair of raw images, from nothing: no start value, the whole `range` is searched.
     ///
-    /// The same input gives the same answer on every machine and after any other calls.
+    /// The same input gives the same answer after any other calls and, for pictures without lens distortion, on every machine;
+    /// with distortion the undistortion may differ in last bits between system libraries.
     ///
     /// # Errors
     /// Images that do not fit the calibration, a region that can not serve, a bad range. That a plane can not be determined

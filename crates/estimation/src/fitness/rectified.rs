@@ -11,6 +11,7 @@ use super::scalar;
 use crate::cpu::KernelSet;
 use crate::cpu::Kernels;
 use crate::hue::{HuePlane, PAD};
+use crate::trig;
 
 /// Fraction of a pixel in fixed-point shifts: 1/131072.
 pub(super) const FRACTION_BITS: u32 = 17;
@@ -60,8 +61,8 @@ impl Window {
 /// Smallest and largest inverse depth of a point in the search range, 1/m; infinite if the range reaches the horizon.
 fn inverse_depth_bounds(frame: &Frame) -> (f64, f64) {
     let range = frame.range();
-    let tan = range.tilt_max_rad.tan();
-    let (p_max, r_max) = (tan, tan / range.tilt_max_rad.cos());
+    let (tan, (_, cos)) = (trig::tan(range.tilt_max_rad), trig::sin_cos(range.tilt_max_rad));
+    let (p_max, r_max) = (tan, tan / cos);
     let centre = frame.centre_ray();
     let (mut low, mut high) = (f64::INFINITY, 0.0_f64);
     for (du, dv) in frame.corners() {

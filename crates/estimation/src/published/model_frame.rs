@@ -1,6 +1,6 @@
 //! The axes of the model frame, and how they are carried while the rotation about the normal is not observed.
 
-use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
 /// `cam_left_from_model` at the first frame: z along the plane's normal away from the camera, x the image's x axis
 /// projected into the plane, y completes the right-handed frame.
@@ -17,7 +17,11 @@ pub(super) fn first_rotation(normal_away: &Vector3<f64>) -> UnitQuaternion<f64> 
 /// that normal the one that turns least, so nothing is claimed about the rotation about the normal.
 pub(super) fn with_normal(reference: &UnitQuaternion<f64>, normal_away: &Vector3<f64>) -> UnitQuaternion<f64> {
     let z = reference * Vector3::z();
-    let mut turned = UnitQuaternion::rotation_between(&z, normal_away).unwrap_or_default() * reference;
+    // The quaternion (1 + cos a, sin a axis) is twice cos(a / 2) times that of the turn by a; no angle is needed.
+    let doubled = Quaternion::from_parts(1.0 + z.dot(normal_away), z.cross(normal_away));
+    // A normal that is turned around says nothing about the axis; no search range contains it.
+    let turn = UnitQuaternion::try_new(doubled, 1e-6).unwrap_or_default();
+    let mut turned = turn * reference;
     turned.renormalize();
     turned
 }

@@ -5,7 +5,9 @@
 //! outside should not. This turns the region only. The pose's rotation about the normal stays unobserved: an outline that
 //! is nearly round, or a background of the same hue, says nothing about it.
 
-use nalgebra::{Rotation2, Vector2};
+use nalgebra::Vector2;
+
+use crate::trig;
 
 /// Distance between pairs along the outline, pixels.
 const SPACING_PX: f64 = 2.0;
@@ -58,7 +60,7 @@ impl OutlineEdge {
             return roll_rad;
         }
         let contrast = |step: i32| {
-            let turn = Rotation2::new(roll_rad + f64::from(step) * STEP_RAD);
+            let turn = trig::rotation(roll_rad + f64::from(step) * STEP_RAD);
             let across = |pair: &EdgePair| weight(&(turn * pair.inside)) - weight(&(turn * pair.outside));
             self.pairs.iter().map(across).sum::<f64>() / self.pairs.len() as f64
         };
@@ -81,6 +83,8 @@ fn summit(values: &[f64]) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Rotation2;
+
     use super::*;
 
     /// A right-angled outline without symmetry, metres.

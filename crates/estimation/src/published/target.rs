@@ -1,6 +1,6 @@
 //! The target as the tracker knows it between two frames.
 
-use nalgebra::{Point3, Rotation2, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pinhole, Pose};
 
@@ -8,6 +8,7 @@ use super::backprojection::Backprojection;
 use super::outline_fit::OutlineEdge;
 use crate::plane_hypothesis::PlaneHypothesis;
 use crate::search::rmga::{Population, RmGa};
+use crate::trig;
 
 /// Outline vertices are kept within this distance of the image's origin, pixels: beyond it the target is out of sight.
 const VERTEX_MAX_PX: f64 = 20_000.0;
@@ -67,7 +68,7 @@ impl Carried {
 impl Target {
     /// The region as the last pose puts it into the image; `None` if a part of it is not in front of the camera.
     pub(super) fn region_in(&self, pinhole: &Pinhole) -> Option<Carried> {
-        let turn = Rotation2::new(self.outline_roll_rad);
+        let turn = trig::rotation(self.outline_roll_rad);
         let turned = |point: &Vector2<f64>| pixel_of(&self.cam_left_from_model, pinhole, &(turn * point));
         Some(Carried {
             outline_px: self.outline_in_model_m.iter().map(turned).collect::<Option<_>>()?,
