@@ -13,7 +13,7 @@ use pb3dp_estimation::search::chromosome::Coding;
 use pb3dp_estimation::search::rmga::{Mutation, RmGaConfig};
 use serde::Deserialize;
 
-use super::load::{Checker, ConfigError, read_toml};
+use super::load::{Checker, ConfigError, read_toml, whole};
 
 /// The whole file `configs/estimator.toml`.
 #[derive(Clone, Debug, Deserialize)]
@@ -53,16 +53,16 @@ struct HueSection {
     saturation_min: f64,
     value_min: f64,
     coloured_share_min: f64,
-    coloured_points_min: usize,
+    coloured_points_min: i64,
 }
 
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ModelSection {
-    inner_points: usize,
-    outer_points: usize,
-    band_gap_px: usize,
-    band_width_px: usize,
+    inner_points: i64,
+    outer_points: i64,
+    band_gap_px: i64,
+    band_width_px: i64,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -82,11 +82,11 @@ enum UnseenName {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RmGaSection {
-    population: usize,
-    survivors: usize,
-    elite: usize,
-    generations_per_frame: usize,
-    generations_cold_start: usize,
+    population: i64,
+    survivors: i64,
+    elite: i64,
+    generations_per_frame: i64,
+    generations_cold_start: i64,
     mutation: MutationName,
     mutation_rate: f64,
     mutate_survivors: bool,
@@ -111,7 +111,7 @@ enum CodingName {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RegionSection {
-    area_min_px: usize,
+    area_min_px: i64,
     click_hue_tolerance_deg: f64,
     click_luminance_tolerance: f64,
     click_chroma_min: f64,
@@ -124,32 +124,33 @@ struct RegionSection {
 #[serde(deny_unknown_fields)]
 struct StatusSection {
     disparity_step_px: f64,
-    depth_nodes_max: usize,
+    depth_nodes_max: i64,
     coarse_tilt_step_deg: f64,
     fine_tilt_step_deg: f64,
-    blocks_per_side: usize,
-    resamples: usize,
-    candidates_max: usize,
+    blocks_per_side: i64,
+    resamples: i64,
+    candidates_max: i64,
     fitness_tolerance: f64,
     height_min: f64,
     depth_spread_max: f64,
     depth_spread_sure: f64,
     runner_up_max: f64,
+    fitness_sure: f64,
     tilt_spread_sure_deg: f64,
 }
 
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct TrackerSection {
-    window_margin_px: usize,
-    shift_steps_max: usize,
+    window_margin_px: i64,
+    shift_steps_max: i64,
     shift_max_share: f64,
     contrast_min: f64,
     mass_share_min: f64,
     visible_share_min: f64,
     depth_spread_sure: f64,
     height_share_min: f64,
-    assure_frames_max: usize,
+    assure_frames_max: i64,
 }
 
 impl PublishedSection {
@@ -173,12 +174,12 @@ impl PublishedSection {
                 },
             },
             rmga: self.rmga.build(),
-            cold_start: ColdStartConfig { generations: self.rmga.generations_cold_start },
+            cold_start: ColdStartConfig { generations: whole(self.rmga.generations_cold_start) },
             region: self.region.build(),
             observability: self.status.build(),
             hue_support: HueSupportConfig {
                 coloured_share_min: self.hue.coloured_share_min,
-                points_min: self.hue.coloured_points_min,
+                points_min: whole(self.hue.coloured_points_min),
             },
             tracker: self.tracker.build(),
             reference_optimum: false,
@@ -208,12 +209,11 @@ impl ModelSection {
     }
 
     fn build(&self) -> PhotoModelConfig {
-        let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
         PhotoModelConfig {
-            inner_points: count(self.inner_points),
-            outer_points: count(self.outer_points),
-            band_gap_px: count(self.band_gap_px),
-            band_width_px: count(self.band_width_px),
+            inner_points: whole(self.inner_points),
+            outer_points: whole(self.outer_points),
+            band_gap_px: whole(self.band_gap_px),
+            band_width_px: whole(self.band_width_px),
         }
     }
 }
@@ -230,10 +230,10 @@ impl RmGaSection {
 
     fn build(&self) -> RmGaConfig {
         RmGaConfig {
-            population: self.population,
-            survivors: self.survivors,
-            elite: self.elite,
-            generations: self.generations_per_frame,
+            population: whole(self.population),
+            survivors: whole(self.survivors),
+            elite: whole(self.elite),
+            generations: whole(self.generations_per_frame),
             mutation: match self.mutation {
                 MutationName::PerBit => Mutation::PerBit(self.mutation_rate),
                 MutationName::PerIndividual => Mutation::PerIndividual(self.mutation_rate),
@@ -261,7 +261,7 @@ impl RegionSection {
 
     fn build(&self) -> RegionConfig {
         RegionConfig {
-            area_min_px: self.area_min_px,
+            area_min_px: whole(self.area_min_px),
             click_hue_tolerance_deg: self.click_hue_tolerance_deg,
             click_luminance_tolerance: self.click_luminance_tolerance,
             click_chroma_min: self.click_chroma_min,
@@ -291,15 +291,15 @@ impl TrackerSection {
 
     fn build(&self) -> TrackerConfig {
         TrackerConfig {
-            window_margin_px: u32::try_from(self.window_margin_px).unwrap_or(u32::MAX),
-            shift_steps_max: self.shift_steps_max,
+            window_margin_px: whole(self.window_margin_px),
+            shift_steps_max: whole(self.shift_steps_max),
             shift_max_share: self.shift_max_share,
             contrast_min: self.contrast_min,
             mass_share_min: self.mass_share_min,
             visible_share_min: self.visible_share_min,
             depth_spread_sure: self.depth_spread_sure,
             height_share_min: self.height_share_min,
-            assure_frames_max: u32::try_from(self.assure_frames_max).unwrap_or(u32::MAX),
+            assure_frames_max: whole(self.assure_frames_max),
         }
     }
 }
@@ -319,26 +319,28 @@ impl StatusSection {
             ("depth_spread_max", self.depth_spread_max),
             ("depth_spread_sure", self.depth_spread_sure),
             ("runner_up_max", self.runner_up_max),
+            ("fitness_sure", self.fitness_sure),
         ] {
             check.number(&format!("{key}.{name}"), value, 0.0..=1.0);
         }
-        check.number(&format!("{key}.tilt_spread_sure_deg"), self.tilt_spread_sure_deg, 0.1..=90.0);
+        check.number(&format!("{key}.tilt_spread_sure_deg"), self.tilt_spread_sure_deg, 0.3..=85.0);
     }
 
     fn build(&self) -> ObservabilityConfig {
         ObservabilityConfig {
             disparity_step_px: self.disparity_step_px,
-            depth_nodes_max: self.depth_nodes_max,
+            depth_nodes_max: whole(self.depth_nodes_max),
             coarse_tilt_step_rad: self.coarse_tilt_step_deg.to_radians(),
             fine_tilt_step_rad: self.fine_tilt_step_deg.to_radians(),
-            blocks_per_side: u32::try_from(self.blocks_per_side).unwrap_or(u32::MAX),
-            resamples: self.resamples,
-            candidates_max: self.candidates_max,
+            blocks_per_side: whole(self.blocks_per_side),
+            resamples: whole(self.resamples),
+            candidates_max: whole(self.candidates_max),
             fitness_tolerance: self.fitness_tolerance,
             height_min: self.height_min,
             depth_spread_max: self.depth_spread_max,
             depth_spread_sure: self.depth_spread_sure,
             runner_up_max: self.runner_up_max,
+            fitness_sure: self.fitness_sure,
             tilt_spread_sure_rad: self.tilt_spread_sure_deg.to_radians(),
         }
     }

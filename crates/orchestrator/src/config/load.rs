@@ -101,8 +101,9 @@ impl Checker {
         }
     }
 
-    /// Refuses a count outside `allowed`.
-    pub fn count(&mut self, key: &str, value: usize, allowed: RangeInclusive<usize>) {
+    /// Refuses a whole number outside `allowed`. Sections read whole numbers as `i64`, so that any of them is refused with its
+    /// range and not with the type it does not fit; [`whole`] turns them into what the parts want.
+    pub fn count(&mut self, key: &str, value: i64, allowed: RangeInclusive<i64>) {
         if !allowed.contains(&value) {
             self.lines.push(format!("{key} = {value}: allowed are {} to {}", allowed.start(), allowed.end()));
         }
@@ -129,6 +130,18 @@ impl Checker {
         let lines = self.lines.iter().map(|line| format!("  {line}")).collect::<Vec<_>>().join("\n");
         Err(ConfigError::Values { file: file.to_path_buf(), lines })
     }
+}
+
+/// The number nearest to `value` within `min` to `max` (not below `min`); `min` if it is none. For bounds that depend on another key: that key is
+/// refused by itself, and the bound stays sensible.
+pub fn within(value: f64, min: f64, max: f64) -> f64 {
+    if value.is_nan() { min } else { value.clamp(min, max) }
+}
+
+/// A whole number that [`Checker::count`] has checked, in the type that a part wants; 0 if it does not fit, which is refused
+/// by then.
+pub fn whole<T: TryFrom<i64> + Default>(checked: i64) -> T {
+    T::try_from(checked).unwrap_or_default()
 }
 
 #[cfg(test)]

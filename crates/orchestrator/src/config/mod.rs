@@ -1,6 +1,8 @@
 //! Configuration files: read, checked, and turned into the parameters of the parts.
 
 pub mod estimator;
+#[cfg(test)]
+mod every_key_tests;
 pub mod load;
 pub mod setup;
 

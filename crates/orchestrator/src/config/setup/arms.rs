@@ -1,17 +1,18 @@
 //! The table `[arms]`: where the arms stand, what they are, how their simulated drives answer, and their limits.
 
+use std::f64::consts::TAU;
 use std::path::Path;
 use std::time::Duration;
 
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, Target, World};
 use pb3dp_hal_middleware::LimiterConfig;
-use pb3dp_kinematics::{Chain, DOF, JointVector};
+use pb3dp_kinematics::{Chain, DOF, JointLimits, JointVector};
 use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 use serde::Deserialize;
 
-use super::super::load::Checker;
-use super::{PoseEntry, millis};
+use super::super::load::{Checker, within};
+use super::{IN_THE_CELL_MM, ON_THE_ARM_MM, PoseEntry, millis};
 
 /// One arm, ready to be wired.
 #[derive(Clone, Debug)]
@@ -59,9 +60,9 @@ pub(super) struct Mounts {
 impl MountsSection {
     pub(super) fn build(&self, check: &mut Checker) -> Mounts {
         Mounts {
-            flange_from_hand: self.flange_from_hand.build("mounts.flange_from_hand", check),
-            hand_from_cam_left: self.hand_from_cam_left.build("mounts.hand_from_cam_left", check),
-            flange_from_target: self.flange_from_target.build("mounts.flange_from_target", check),
+            flange_from_hand: self.flange_from_hand.build("mounts.flange_from_hand", ON_THE_ARM_MM, check),
+            hand_from_cam_left: self.hand_from_cam_left.build("mounts.hand_from_cam_left", ON_THE_ARM_MM, check),
+            flange_from_target: self.flange_from_target.build("mounts.flange_from_target", ON_THE_ARM_MM, check),
         }
     }
 }
@@ -118,8 +119,6 @@ impl ArmSection {
         check: &mut Checker,
     ) -> Option<ArmSetup> {
         let ArmBackend::Mock = self.backend;
-        check.numbers(&format!("{key}.start_deg"), &self.start_deg, -360.0..=360.0);
-        check.numbers(&format!("{key}.operating_range_deg"), &self.operating_range_deg, 1.0..=360.0);
         let accelerations = &self.acceleration_max_rad_per_s2;
         check.numbers(&format!("{key}.acceleration_max_rad_per_s2"), accelerations, 0.01..=100.0);
         let lag = self.velocity_time_constant_millis;
@@ -127,13 +126,16 @@ impl ArmSection {
         check.number(&format!("{key}.command_delay_millis"), self.command_delay_millis, 0.0..=500.0);
         let timeout = self.command_timeout_millis;
         check.number(&format!("{key}.command_timeout_millis"), timeout, control_period_millis..=200.0);
-        let chain = self.chain(key, config_file, check)?;
+        let world_from_base = self.world_from_base.build(&format!("{key}.world_from_base"), IN_THE_CELL_MM, check);
+        let chain = self.chain(key, config_file, check);
+        self.check_angles(key, chain.as_ref().map(Chain::limits), check);
+        let chain = chain?;
         let operating_max_rad = JointVector::from(self.operating_range_deg).map(f64::to_radians);
         let acceleration_max_rad_per_s2 = JointVector::from(self.acceleration_max_rad_per_s2);
         let hard_limits = *chain.limits();
         let reaction_millis = control_period_millis + self.command_delay_millis + lag;
         Some(ArmSetup {
-            world_from_base: self.world_from_base.build(&format!("{key}.world_from_base"), check),
+            world_from_base,
             start_rad: JointVector::from(self.start_deg).map(f64::to_radians),
             plant: JointPlantConfig {
                 limits: hard_limits,
@@ -155,6 +157,20 @@ impl ArmSection {
             command_timeout: millis(timeout),
             chain,
         })
+    }
+
+    /// The operating range lies within the limits of the robot's joints (if they are known), the start within the operating
+    /// range.
+    fn check_angles(&self, key: &str, limits: Option<&JointLimits>, check: &mut Checker) {
+        for (joint, (operating_deg, start_deg)) in self.operating_range_deg.into_iter().zip(self.start_deg).enumerate()
+        {
+            let hard_rad =
+                limits.map_or(TAU, |limits| limits.position_max_rad()[joint].min(-limits.position_min_rad()[joint]));
+            let hard_deg = ((hard_rad.to_degrees() * 100.0).floor() / 100.0).max(1.0);
+            check.number(&format!("{key}.operating_range_deg[{joint}]"), operating_deg, 1.0..=hard_deg);
+            let operating_deg = within(operating_deg, 1.0, hard_deg);
+            check.number(&format!("{key}.start_deg[{joint}]"), start_deg, -operating_deg..=operating_deg);
+        }
     }
 
     /// The robot description, found beside the configuration file.

@@ -8,21 +8,21 @@ use pb3dp_sim::sensor::{EyeResponse, SensorConfig};
 use pb3dp_sim::targets::{BackdropConfig, TargetConfig};
 use serde::Deserialize;
 
-use super::super::load::Checker;
+use super::super::load::{Checker, whole, within};
 use super::{fold_seed, millis};
 
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct CameraSection {
     backend: CameraBackend,
-    width_px: u32,
-    height_px: u32,
+    width_px: i64,
+    height_px: i64,
     focal_px: f64,
     baseline_mm: f64,
     distortion: [f64; 5],
     frame_rate_hz: f64,
     exposure_millis: f64,
-    motion_blur_moments: u32,
+    motion_blur_moments: i64,
     lens_blur_px: f64,
     read_noise_grey: f64,
     shot_noise_grey: f64,
@@ -48,16 +48,11 @@ struct EyeSection {
 impl CameraSection {
     pub(super) fn build(&self, check: &mut Checker) -> (Option<StereoRig>, SimCameraConfig, SensorConfig) {
         let CameraBackend::Sim = self.backend;
-        check.number("camera.frame_rate_hz", self.frame_rate_hz, 1.0..=240.0);
-        check.number("camera.exposure_millis", self.exposure_millis, 0.01..=1000.0 / self.frame_rate_hz.max(1.0));
-        check.count("camera.motion_blur_moments", self.motion_blur_moments as usize, 1..=64);
-        check.count("camera.width_px", self.width_px as usize, 64..=4096);
-        check.count("camera.height_px", self.height_px as usize, 64..=4096);
-        check.number("camera.baseline_mm", self.baseline_mm, 5.0..=2000.0);
+        self.check(check);
         let camera = SimCameraConfig {
             period: millis(1000.0 / self.frame_rate_hz),
             exposure: millis(self.exposure_millis),
-            blur_moments: self.motion_blur_moments,
+            blur_moments: whole(self.motion_blur_moments),
             pairs: None,
         };
         let sensor = SensorConfig {
@@ -67,17 +62,39 @@ impl CameraSection {
             left: self.left.build(),
             right: self.right.build(),
         };
-        if let Err(error) = sensor.validate() {
+        if let (true, Err(error)) = (check.is_clean(), sensor.validate()) {
             check.refuse(format!("camera: {error}"));
         }
         (self.rig(check), camera, sensor)
     }
 
+    /// Every key by itself. The ranges are those of the parts, which check again; focal length and distortion, which the parts
+    /// take in any finite size, keep to what lenses have.
+    fn check(&self, check: &mut Checker) {
+        check.count("camera.width_px", self.width_px, 64..=4096);
+        check.count("camera.height_px", self.height_px, 64..=4096);
+        check.number("camera.focal_px", self.focal_px, 50.0..=20_000.0);
+        check.number("camera.baseline_mm", self.baseline_mm, 5.0..=2000.0);
+        check.numbers("camera.distortion", &self.distortion, -10.0..=10.0);
+        check.number("camera.frame_rate_hz", self.frame_rate_hz, 1.0..=240.0);
+        let period_millis = 1000.0 / within(self.frame_rate_hz, 1.0, 240.0);
+        check.number("camera.exposure_millis", self.exposure_millis, 0.01..=period_millis);
+        check.count("camera.motion_blur_moments", self.motion_blur_moments, 1..=64);
+        check.number("camera.lens_blur_px", self.lens_blur_px, 0.0..=0.7);
+        check.number("camera.read_noise_grey", self.read_noise_grey, 0.0..=50.0);
+        check.number("camera.shot_noise_grey", self.shot_noise_grey, 0.0..=10.0);
+        self.left.check("camera.left", check);
+        self.right.check("camera.right", check);
+    }
+
     /// Two equal cameras side by side, the right one `baseline_mm` to the right.
     fn rig(&self, check: &mut Checker) -> Option<StereoRig> {
-        let size = ImageSize { width: self.width_px, height: self.height_px };
+        if !check.is_clean() {
+            return None;
+        }
+        let size = ImageSize { width: whole(self.width_px), height: whole(self.height_px) };
         let centre = |pixels: u32| (f64::from(pixels) - 1.0) / 2.0;
-        let (cx, cy) = (centre(self.width_px), centre(self.height_px));
+        let (cx, cy) = (centre(size.width), centre(size.height));
         let pinhole = Pinhole { fx: self.focal_px, fy: self.focal_px, cx, cy };
         let distortion = match self.distortion {
             [0.0, 0.0, 0.0, 0.0, 0.0] => Distortion::None,
@@ -99,6 +116,12 @@ impl CameraSection {
 }
 
 impl EyeSection {
+    fn check(&self, key: &str, check: &mut Checker) {
+        check.number(&format!("{key}.exposure"), self.exposure, 0.01..=16.0);
+        check.numbers(&format!("{key}.gain"), &self.gain, 0.01..=16.0);
+        check.numbers(&format!("{key}.offset_grey"), &self.offset_grey, -128.0..=128.0);
+    }
+
     fn build(&self) -> EyeResponse {
         EyeResponse { exposure: self.exposure, gain: self.gain, offset_grey: self.offset_grey }
     }

@@ -31,7 +31,8 @@ impl ExperimentSection {
         check.number("experiment.move_s", self.move_s, 0.05..=600.0);
         check.number("experiment.hold_s", self.hold_s, 0.0..=600.0);
         check.number("experiment.lead_in_s", self.lead_in_s, 0.0..=600.0);
-        check.count("experiment.channels (their number)", self.channels.len(), 1..=100);
+        let channels = i64::try_from(self.channels.len()).unwrap_or(i64::MAX);
+        check.count("experiment.channels (their number)", channels, 1..=100);
         let mut channels = Vec::new();
         for name in &self.channels {
             match Channel::from_name(name) {

@@ -26,7 +26,7 @@ use self::camera::{CameraSection, SceneSection};
 use self::experiment::ExperimentSection;
 use self::servo::ServoSection;
 use super::estimator::PublishedSection;
-use super::load::{Checker, ConfigError, read_toml};
+use super::load::{Checker, ConfigError, read_toml, within};
 
 /// A setup whose every value has been checked.
 #[derive(Clone, Debug)]
@@ -115,9 +115,19 @@ struct PoseEntry {
     rotation_vector_deg: [f64; 3],
 }
 
+/// Farthest that two frames on one arm, or on hand and target, may be apart: the controller's bound.
+const ON_THE_ARM_MM: f64 = 5000.0;
+/// Farthest that an arm may stand from the origin of the world.
+const IN_THE_CELL_MM: f64 = 20_000.0;
+
 impl PoseEntry {
-    fn build<To: Frame, From: Frame>(&self, key: &str, check: &mut Checker) -> Pose<To, From> {
-        check.numbers(&format!("{key}.translation_mm"), &self.translation_mm, -20_000.0..=20_000.0);
+    /// The transform; its origins are at most `length_max_mm` apart.
+    fn build<To: Frame, From: Frame>(&self, key: &str, length_max_mm: f64, check: &mut Checker) -> Pose<To, From> {
+        check.numbers(&format!("{key}.translation_mm"), &self.translation_mm, -length_max_mm..=length_max_mm);
+        if self.translation_mm.iter().all(|component| component.abs() <= length_max_mm) {
+            let length_mm = Vector3::from(self.translation_mm).norm();
+            check.number(&format!("{key}.translation_mm (its length)"), length_mm, 0.0..=length_max_mm);
+        }
         check.numbers(&format!("{key}.rotation_vector_deg"), &self.rotation_vector_deg, -360.0..=360.0);
         let rotation = Vector3::from(self.rotation_vector_deg).map(f64::to_radians);
         Pose::from_parts(Vector3::from(self.translation_mm) * 1e-3, UnitQuaternion::from_scaled_axis(rotation))
@@ -160,7 +170,8 @@ impl SetupFile {
         let (rig, camera, sensor) = self.camera.build(check);
         let scene = self.scene.build(self.run.seed, check);
         let experiment = self.experiment.build(check);
-        let arms = self.arms.build(file, self.run.control_period_millis, check);
+        let control_period_millis = within(self.run.control_period_millis, 2.0, 20.0);
+        let arms = self.arms.build(file, control_period_millis, check);
         let mounts = self.mounts.build(check);
         let controller = self.servo.build(&mounts, self.arms.speed_scale, check);
         let (vs, tc) = arms?;
@@ -195,15 +206,18 @@ impl EstimatorSection {
             check.refuse(format!("estimator.method = {:?}: {error}", self.method));
         }
         check.number("estimator.z_min_mm", self.z_min_mm, 10.0..=100_000.0);
-        check.number("estimator.z_max_mm", self.z_max_mm, self.z_min_mm.max(10.0) + 1.0..=100_000.0);
+        check.number("estimator.z_max_mm", self.z_max_mm, within(self.z_min_mm, 10.0, 99_999.0) + 1.0..=100_000.0);
         check.number("estimator.tilt_max_deg", self.tilt_max_deg, 1.0..=85.0);
-        let mut published = self.published.build("estimator.published", check);
-        published.rmga.seed = published.rmga.seed.wrapping_add(seed);
         let range = SearchRange {
             z_min_m: self.z_min_mm * 1e-3,
             z_max_m: self.z_max_mm * 1e-3,
             tilt_max_rad: self.tilt_max_deg.to_radians(),
         };
+        if let (true, Err(error)) = (check.is_clean(), range.validate()) {
+            check.refuse(format!("estimator: {error}"));
+        }
+        let mut published = self.published.build("estimator.published", check);
+        published.rmga.seed = published.rmga.seed.wrapping_add(seed);
         (method.ok(), EstimatorConfig { published }, range)
     }
 }

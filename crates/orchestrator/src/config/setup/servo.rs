@@ -1,14 +1,16 @@
 //! The table `[servo]`: the place to keep, gains, smoothing, speeds and time-outs of the controller.
 
+use std::ops::RangeInclusive;
+
 use pb3dp_servo::{
     AfterLoss, ApproachConfig, CartesianSpeed, ControllerConfig, DampingConfig, Gains, SpeedConfig, TargetFilterConfig,
     Timeouts,
 };
 use serde::Deserialize;
 
-use super::super::load::Checker;
-use super::PoseEntry;
+use super::super::load::{Checker, whole, within};
 use super::arms::Mounts;
+use super::{ON_THE_ARM_MM, PoseEntry};
 
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -21,7 +23,7 @@ pub(super) struct ServoSection {
     approach: ApproachSection,
     timeouts: TimeoutsSection,
     after_loss: AfterLossName,
-    joint_history_samples: usize,
+    joint_history_samples: i64,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -40,7 +42,7 @@ struct SmoothingSection {
     orientation_time_constant_s: f64,
     gate_position_mm: f64,
     gate_orientation_deg: f64,
-    observations_to_lock: u32,
+    observations_to_lock: i64,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -86,7 +88,11 @@ enum AfterLossName {
 impl ServoSection {
     pub(super) fn build(&self, mounts: &Mounts, joint_speed_scale: f64, check: &mut Checker) -> ControllerConfig {
         let config = ControllerConfig {
-            model_from_hand_desired: self.model_from_hand_desired.build("servo.model_from_hand_desired", check),
+            model_from_hand_desired: self.model_from_hand_desired.build(
+                "servo.model_from_hand_desired",
+                ON_THE_ARM_MM,
+                check,
+            ),
             hand_from_cam_left: mounts.hand_from_cam_left,
             flange_from_hand: mounts.flange_from_hand,
             gains: Gains {
@@ -100,7 +106,7 @@ impl ServoSection {
                 orientation_time_constant_s: self.smoothing.orientation_time_constant_s,
                 gate_position_m: self.smoothing.gate_position_mm * 1e-3,
                 gate_orientation_rad: self.smoothing.gate_orientation_deg.to_radians(),
-                observations_to_lock: self.smoothing.observations_to_lock,
+                observations_to_lock: whole(self.smoothing.observations_to_lock),
             },
             damping: DampingConfig { threshold: self.damping.threshold, factor_max: self.damping.factor_max },
             speed: SpeedConfig {
@@ -123,25 +129,58 @@ impl ServoSection {
                 AfterLossName::WaitForOperator => AfterLoss::WaitForOperator,
                 AfterLossName::Reacquire => AfterLoss::Reacquire,
             },
-            joint_history_samples: self.joint_history_samples,
+            joint_history_samples: whole(self.joint_history_samples),
         };
         self.check(&config, check);
         config
     }
 
-    /// The keys whose unit differs from the controller's first, so that the user reads his own numbers.
+    /// Every key by itself, so that the user reads his own keys and units; then the controller checks the whole again. The
+    /// ranges are the controller's, in the units of the file and rounded to within.
     fn check(&self, config: &ControllerConfig, check: &mut Checker) {
-        check.number("servo.smoothing.gate_position_mm", self.smoothing.gate_position_mm, 1.0..=10_000.0);
-        check.number("servo.smoothing.gate_orientation_deg", self.smoothing.gate_orientation_deg, 0.6..=180.0);
-        check.number("servo.speed.linear_max_mm_per_s", self.speed.linear_max_mm_per_s, 0.1..=2000.0);
-        check.number("servo.speed.angular_max_deg_per_s", self.speed.angular_max_deg_per_s, 0.1..=340.0);
-        check.number("servo.approach.linear_max_mm_per_s", self.approach.linear_max_mm_per_s, 0.1..=2000.0);
-        check.number("servo.approach.angular_max_deg_per_s", self.approach.angular_max_deg_per_s, 0.1..=340.0);
+        self.gains.check(check);
+        self.smoothing.check(check);
+        check.number("servo.damping.threshold", self.damping.threshold, 0.001..=0.5);
+        check.number("servo.damping.factor_max", self.damping.factor_max, 0.001..=0.5);
+        check.number("servo.speed.linear_max_mm_per_s", self.speed.linear_max_mm_per_s, LINEAR_MM_PER_S);
+        check.number("servo.speed.angular_max_deg_per_s", self.speed.angular_max_deg_per_s, ANGULAR_DEG_PER_S);
+        check.number("servo.speed.limit_approach_per_s", self.speed.limit_approach_per_s, 0.1..=20.0);
+        check.number("servo.speed.soft_start_s", self.speed.soft_start_s, 0.0..=10.0);
+        check.number("servo.approach.linear_max_mm_per_s", self.approach.linear_max_mm_per_s, LINEAR_MM_PER_S);
+        check.number("servo.approach.angular_max_deg_per_s", self.approach.angular_max_deg_per_s, ANGULAR_DEG_PER_S);
         check.number("servo.approach.done_within_mm", self.approach.done_within_mm, 0.1..=1000.0);
         check.number("servo.approach.done_within_deg", self.approach.done_within_deg, 0.06..=57.0);
+        let observation_s = self.timeouts.observation_s;
+        check.number("servo.timeouts.observation_s", observation_s, 0.02..=5.0);
+        check.number("servo.timeouts.lost_s", self.timeouts.lost_s, within(observation_s, 0.02, 5.0)..=60.0);
+        check.number("servo.timeouts.joints_s", self.timeouts.joints_s, 0.002..=0.5);
+        check.count("servo.joint_history_samples", self.joint_history_samples, 8..=10_000);
         if let (true, Err(error)) = (check.is_clean(), config.validate()) {
             check.refuse(format!("servo: {error}"));
         }
+    }
+}
+
+/// Speeds of the hand, in both [`SpeedSection`] and [`ApproachSection`].
+const LINEAR_MM_PER_S: RangeInclusive<f64> = 0.001..=2000.0;
+const ANGULAR_DEG_PER_S: RangeInclusive<f64> = 0.0001..=343.7;
+
+impl GainsSection {
+    fn check(&self, check: &mut Checker) {
+        check.number("servo.gains.position_per_s", self.position_per_s, 1e-6..=50.0);
+        check.number("servo.gains.velocity", self.velocity, 0.0..=0.9);
+        check.number("servo.gains.orientation_per_s", self.orientation_per_s, 1e-6..=100.0);
+        check.number("servo.gains.angular_velocity", self.angular_velocity, 0.0..=0.9);
+    }
+}
+
+impl SmoothingSection {
+    fn check(&self, check: &mut Checker) {
+        check.number("servo.smoothing.position_time_constant_s", self.position_time_constant_s, 0.0..=5.0);
+        check.number("servo.smoothing.orientation_time_constant_s", self.orientation_time_constant_s, 0.0..=5.0);
+        check.number("servo.smoothing.gate_position_mm", self.gate_position_mm, 1.0..=10_000.0);
+        check.number("servo.smoothing.gate_orientation_deg", self.gate_orientation_deg, 0.6..=180.0);
+        check.count("servo.smoothing.observations_to_lock", self.observations_to_lock, 1..=1000);
     }
 }
 

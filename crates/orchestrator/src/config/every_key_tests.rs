@@ -1,0 +1,153 @@
+//! Every number of the repository's configurations is checked by its own key: far out of range, it is refused with file, key
+//! and what is allowed; at either end of what is allowed, no part refuses it afterwards.
+
+use std::path::Path;
+
+use toml::{Table, Value};
+
+use super::estimator::read_estimator;
+use super::load::ConfigError;
+use super::setup::read_setup;
+
+/// Any number is a seed.
+const ANY_NUMBER: [&str; 3] = ["run.seed", "estimator.published.rmga.seed", "published.rmga.seed"];
+
+/// One of the repository's configurations, to be changed and read again.
+struct Sample {
+    folder: tempfile::TempDir,
+    name: &'static str,
+    table: Table,
+    read: fn(&Path) -> Result<(), ConfigError>,
+}
+
+impl Sample {
+    fn new(name: &'static str, read: fn(&Path) -> Result<(), ConfigError>) -> Self {
+        let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("robots")).unwrap();
+        let robot = "robots/pa10_gen2.urdf";
+        std::fs::copy(configs.join(robot), folder.path().join(robot)).unwrap();
+        let table = std::fs::read_to_string(configs.join(name)).unwrap().parse().unwrap();
+        Self { folder, name, table, read }
+    }
+
+    /// Paths of all numbers, elements of lists as `key[index]`.
+    fn numbers(&self) -> Vec<(String, Value)> {
+        let mut found = Vec::new();
+        collect(&Value::Table(self.table.clone()), "", &mut found);
+        found.retain(|(key, _)| !ANY_NUMBER.contains(&key.as_str()));
+        found
+    }
+
+    /// Reads the file with one number changed; `None` if it is accepted.
+    fn refusal(&self, key: &str, value: Value) -> Option<String> {
+        let mut root = Value::Table(self.table.clone());
+        *find(&mut root, key) = value;
+        let file = self.folder.path().join(self.name);
+        std::fs::write(&file, toml::to_string(&root).unwrap()).unwrap();
+        (self.read)(&file).err().map(|error| error.to_string())
+    }
+
+    /// The line of a refusal that is about this key.
+    fn line_about(&self, key: &str, value: Value) -> String {
+        let stated = format!("{key} = {value}");
+        let Some(text) = self.refusal(key, value) else { panic!("{stated} is accepted") };
+        assert!(text.contains(self.name), "{text}");
+        let line = text.lines().find(|line| line.trim_start().starts_with(&format!("{key} = ")));
+        line.unwrap_or_else(|| panic!("{stated}: the key is not named in {text}")).to_owned()
+    }
+}
+
+fn collect(value: &Value, key: &str, found: &mut Vec<(String, Value)>) {
+    match value {
+        Value::Table(table) => {
+            for (name, inner) in table {
+                let dot = if key.is_empty() { "" } else { "." };
+                collect(inner, &format!("{key}{dot}{name}"), found);
+            }
+        }
+        Value::Array(items) => {
+            for (index, inner) in items.iter().enumerate() {
+                collect(inner, &format!("{key}[{index}]"), found);
+            }
+        }
+        Value::Integer(_) | Value::Float(_) => found.push((key.to_owned(), value.clone())),
+        _ => {}
+    }
+}
+
+fn find<'a>(root: &'a mut Value, key: &str) -> &'a mut Value {
+    key.split('.').fold(root, |value, part| match part.strip_suffix(']').and_then(|part| part.split_once('[')) {
+        Some((name, index)) => &mut value[name][index.parse::<usize>().unwrap()],
+        None => &mut value[part],
+    })
+}
+
+/// A number of the same type as the one in the file.
+fn like(original: &Value, number: f64) -> Value {
+    match original {
+        Value::Integer(_) => Value::Integer(number as i64),
+        _ => Value::Float(number),
+    }
+}
+
+/// The ends of `... allowed are A to B`.
+fn ends(line: &str) -> [f64; 2] {
+    let (_, range) = line.split_once(": allowed are ").unwrap_or_else(|| panic!("no range in {line}"));
+    let (min, max) = range.split_once(" to ").unwrap();
+    [min, max].map(|end| end.parse().unwrap())
+}
+
+fn check_every_key(sample: &Sample, at_least: usize) {
+    let numbers = sample.numbers();
+    assert!(numbers.len() >= at_least, "only {} numbers in {}", numbers.len(), sample.name);
+    for (key, original) in &numbers {
+        assert_eq!(sample.refusal(key, original.clone()), None);
+        let mut absurd = vec![1e12, -1e12];
+        if original.is_float() {
+            absurd.extend([f64::NAN, f64::INFINITY]);
+        }
+        for number in absurd {
+            let line = sample.line_about(key, like(original, number));
+            let [min, max] = ends(&line);
+            assert!(min < max && min.abs() <= 1e7 && max.abs() <= 1e7, "{line}");
+        }
+        check_ends(sample, key, original);
+    }
+}
+
+/// What is stated as allowed is allowed: at the ends of a range, other keys may be refused (whose ranges depend on this one)
+/// or the list that it is in (the length of a vector), but not this key, and nothing by a name that is not in the file.
+fn check_ends(sample: &Sample, key: &str, original: &Value) {
+    let all: Vec<String> = sample.numbers().into_iter().map(|(key, _)| key).collect();
+    for end in ends(&sample.line_about(key, like(original, 1e12))) {
+        for line in sample.refusal(key, like(original, end)).iter().flat_map(|text| text.lines().skip(1)) {
+            let named = line.trim_start().split([' ', ':']).next().unwrap();
+            assert!(
+                named != key && all.iter().any(|key| key == named || key.starts_with(&format!("{named}["))),
+                "{key} = {end}: {line}"
+            );
+        }
+    }
+}
+
+#[test]
+fn every_number_of_the_setup_is_refused_by_its_own_key() {
+    check_every_key(&Sample::new("sim.toml", |file| read_setup(file).map(drop)), 190);
+}
+
+#[test]
+fn every_number_of_the_estimator_is_refused_by_its_own_key() {
+    check_every_key(&Sample::new("estimator.toml", |file| read_estimator(file).map(drop)), 40);
+}
+
+#[test]
+fn frames_that_are_far_apart_are_refused_by_length() {
+    let mut sample = Sample::new("sim.toml", |file| read_setup(file).map(drop));
+    // Each component is allowed, their length is not.
+    sample.table["mounts"]["flange_from_hand"]["translation_mm"] =
+        Value::Array([4000.0, -4000.0, 4000.0].map(Value::Float).to_vec());
+    let text = sample.refusal("run.seed", Value::Integer(1)).unwrap();
+    assert!(text.contains("mounts.flange_from_hand.translation_mm (its length) = 6928.2"), "{text}");
+    assert!(text.contains("allowed are 0 to 5000"), "{text}");
+}
