@@ -29,6 +29,9 @@ use crate::trig;
 const FINE_HALF: i32 = 6;
 const FINE_HALF_ALONE: i32 = 4;
 
+/// An answer nearer than this to an end of the search range, as a share of the depth, may be the foot of a summit outside.
+const END_OF_RANGE_ROOM: f64 = 0.005;
+
 /// Bands of disparity in which rivals are looked for.
 const RIVAL_BANDS: usize = 8;
 /// Steps of the climb to the summit of a rival.
@@ -63,6 +66,9 @@ pub struct ObservabilityConfig {
     pub depth_spread_sure: f64,
     /// Ambiguous if a depth farther away than `depth_spread_max` reaches this share of the summit's height. Default 0.85.
     pub runner_up_max: f64,
+    /// Ambiguous if the fitness of the answer is below this, 0 to 1: votes for and against nearly balance. A high fitness
+    /// proves nothing, a low one does. Below zero: not observable. Default 0.35.
+    pub fitness_sure: f64,
     /// Weak tilt if the spread of the normal is larger than this, radians. Default 6 degrees.
     pub tilt_spread_sure_rad: f64,
 }
@@ -82,6 +88,7 @@ impl Default for ObservabilityConfig {
             depth_spread_max: 0.05,
             depth_spread_sure: 0.008,
             runner_up_max: 0.85,
+            fitness_sure: 0.35,
             tilt_spread_sure_rad: 6.0_f64.to_radians(),
         }
     }
@@ -108,6 +115,7 @@ impl ObservabilityConfig {
         share("probe height_min", self.height_min)?;
         share("probe depth_spread_max", self.depth_spread_max)?;
         share("probe depth_spread_sure", self.depth_spread_sure)?;
+        share("probe fitness_sure", self.fitness_sure)?;
         share("probe runner_up_max", self.runner_up_max)
     }
 }
@@ -158,6 +166,8 @@ pub struct Landscape {
     pub depth_spread: f64,
     /// Spread of the normal, radians.
     pub tilt_spread_rad: f64,
+    /// Room between the answer and the nearer and the farther end of the search range, as shares of the depth.
+    pub range_room: (f64, f64),
 }
 
 impl Landscape {
@@ -166,6 +176,10 @@ impl Landscape {
         let height = self.fitness_highest - self.fitness_median;
         if height < config.height_min {
             return Verdict { status: Status::NotObservable, reason: self.flat_reason(height, config) };
+        }
+        if self.fitness_highest <= 0.0 {
+            let reason = format!("more points disagree than agree: fitness {:.3}", self.fitness_highest);
+            return Verdict { status: Status::NotObservable, reason };
         }
         let rival_min = self.fitness_median + config.runner_up_max * height;
         if let Some((psi, fitness)) = self.runner_up.filter(|(_, fitness)| *fitness >= rival_min) {
@@ -177,7 +191,27 @@ impl Landscape {
             let reason = depth_reason(self.depth_spread, config.depth_spread_max);
             return Verdict { status: Status::NotObservable, reason };
         }
+        if self.fitness_highest < config.fitness_sure {
+            let (found, limit) = (self.fitness_highest, config.fitness_sure);
+            let reason = format!("too few points agree: fitness {found:.3} (limit {limit:.2})");
+            return Verdict { status: Status::Ambiguous, reason };
+        }
+        let (near, far) = self.range_room;
+        if near.min(far) < END_OF_RANGE_ROOM || near + far < 2.0 * config.depth_spread_max {
+            return Verdict { status: Status::Ambiguous, reason: self.narrow_reason(config) };
+        }
         config.verdict_nearby((self.depth_spread, self.tilt_spread_rad))
+    }
+
+    fn narrow_reason(&self, config: &ObservabilityConfig) -> String {
+        let (near, far) = self.range_room;
+        format!(
+            "the search range leaves {:.1} % of the depth before and {:.1} % behind the answer: the target may lie outside; widen the range (at least {:.1} and together {:.0} % are needed)",
+            100.0 * near,
+            100.0 * far,
+            100.0 * END_OF_RANGE_ROOM,
+            200.0 * config.depth_spread_max
+        )
     }
 
     fn flat_reason(&self, height: f64, config: &ObservabilityConfig) -> String {
@@ -262,6 +296,10 @@ impl LandscapeProbe {
             runner_up,
             depth_spread,
             tilt_spread_rad,
+            range_room: (
+                1.0 - target.range.z_min_m / target.answer.z_m,
+                target.range.z_max_m / target.answer.z_m - 1.0,
+            ),
         }
     }
 

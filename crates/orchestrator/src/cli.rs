@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::logging::LogFormat;
 use crate::region_spec::{REGION_HELP, RegionSpec};
@@ -46,8 +46,11 @@ pub struct RunArgs {
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
     /// End after this many seconds of the experiment.
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = parse_seconds)]
     pub stop_after: Option<f64>,
+    /// Also write every stereo pair with its truth as a sequence folder, for `pb3dp track`.
+    #[arg(long, value_name = "DIR")]
+    pub record: Option<PathBuf>,
 }
 
 /// Arguments that choose and tune the estimation method.
@@ -56,7 +59,7 @@ pub struct MethodArgs {
     /// The estimation method by name; `published` is the method of the paper.
     #[arg(long, value_name = "NAME", default_value = "published")]
     pub method: String,
-    /// A TOML file with the method's parameters (see configs/estimator.toml); without it the documented defaults.
+    /// A TOML file with all of the method's parameters (copy configs/estimator.toml); without it the documented defaults.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Another seed than the configuration's.
@@ -88,7 +91,7 @@ pub struct EstimateArgs {
     /// The right picture.
     #[arg(long, value_name = "FILE", requires = "left")]
     pub right: Option<PathBuf>,
-    /// Calibration: our calib.json, a Kalibr camchain, an OpenCV stereo YAML, or a ROS camera_info pair (a folder, or two files with a comma between).
+    /// Calibration: our calib.json, a Kalibr camchain, an OpenCV stereo YAML (or intrinsics,extrinsics), or a ROS camera_info pair (a folder, or two files with a comma between).
     #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',', requires = "left")]
     pub calib: Vec<PathBuf>,
     /// The object in the left picture.
@@ -108,9 +111,21 @@ pub struct TrackArgs {
     /// A sequence folder (one with a sequence.json); the format is described in docs/dataset-format.md.
     #[arg(long, value_name = "DIR")]
     pub sequence: PathBuf,
+    /// Frames as fast as they are worked on, or at the times of the recording.
+    #[arg(long, value_enum, default_value = "fast")]
+    pub pace: ReplayPace,
     /// How to estimate.
     #[command(flatten)]
     pub method: MethodArgs,
+}
+
+/// When the frames of a recording are delivered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ReplayPace {
+    /// As fast as they are worked on.
+    Fast,
+    /// At the times of the recording.
+    Original,
 }
 
 /// Depths to search.
@@ -130,6 +145,13 @@ fn parse_z_range(text: &str) -> Result<ZRange, String> {
             Ok(ZRange { min_mm, max_mm })
         }
         _ => Err(refuse()),
+    }
+}
+
+fn parse_seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if (0.0..=1e6).contains(&seconds) => Ok(seconds),
+        _ => Err(format!("{text:?} is not a number of seconds between 0 and 1000000")),
     }
 }
 
@@ -156,6 +178,9 @@ mod tests {
         for bad in ["350", "650,350", "-1,5", "a,b", "1,inf"] {
             assert!(parse_z_range(bad).unwrap_err().contains("MIN,MAX"), "{bad}");
         }
+        assert!(
+            ["nan", "-1", "inf", "x"].iter().all(|bad| parse_seconds(bad).is_err()) && parse_seconds("2.5") == Ok(2.5)
+        );
         assert!(parse_tilt("95").is_err() && parse_tilt("45") == Ok(45.0));
     }
 

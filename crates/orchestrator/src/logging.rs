@@ -1,5 +1,7 @@
 //! Logs: human text or JSON, on standard error, so that standard output carries results alone.
 
+use std::io::IsTerminal;
+
 use clap::ValueEnum;
 use tracing_subscriber::EnvFilter;
 
@@ -20,7 +22,11 @@ pub fn init(format: LogFormat, filter: &str) -> anyhow::Result<()> {
     let filter = EnvFilter::builder().parse(filter).map_err(|error| {
         anyhow::anyhow!("--log {filter:?} is not understood ({error}); write error, warn, info, debug or trace")
     })?;
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_target(false);
+    let builder = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_writer(std::io::stderr)
+        .with_target(false);
     let installed = match format {
         LogFormat::Human => builder.compact().without_time().try_init(),
         LogFormat::Json => builder.json().try_init(),

@@ -1,5 +1,6 @@
 //! The program `pb3dp`.
 
+use std::io::Write;
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -8,11 +9,16 @@ use pb3dp_orchestrator::{commands, logging};
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
-    let outcome = logging::init(cli.log_format, &cli.log).and_then(|()| match &cli.command {
+    if let Err(error) = logging::init(cli.log_format, &cli.log) {
+        // There is no log yet that could carry this.
+        let _ = writeln!(std::io::stderr(), "error: {error:#}");
+        return ExitCode::FAILURE;
+    }
+    let outcome = match &cli.command {
         Command::Run(args) => commands::run::run(args),
         Command::Estimate(args) => commands::estimate::run(args),
         Command::Track(args) => commands::track::run(args),
-    });
+    };
     match outcome {
         Ok(code) => code,
         Err(error) => {

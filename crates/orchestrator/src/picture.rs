@@ -19,6 +19,11 @@ pub struct Annotation<'a> {
     pub is_bad: bool,
 }
 
+/// Corners for drawing.
+pub fn polygon_px(corners_px: &[Vector2<f64>]) -> Vec<[f64; 2]> {
+    corners_px.iter().map(|p| [p.x, p.y]).collect()
+}
+
 /// Left and right picture side by side with the annotation drawn in.
 pub fn annotate(left: &RgbImage, right: &RgbImage, rig: &StereoRig, what: &Annotation<'_>) -> RgbImage {
     let (mut left, mut right) = (left.clone(), right.clone());

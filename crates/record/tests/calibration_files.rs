@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use nalgebra::Vector3;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig, so3};
 use pb3dp_record::calibration_files::{
-    CalibrationFileError, CalibrationFormat, StereoCalibration, load_stereo, save_json, save_kalibr, save_opencv,
-    save_ros_pair,
+    CalibrationFileError, CalibrationFormat, StereoCalibration, load_stereo, load_stereo_for, save_json, save_kalibr,
+    save_opencv, save_ros_pair,
 };
 use proptest::prelude::*;
 
@@ -296,4 +296,19 @@ proptest! {
         }
         load_damaged(name, text.into_iter().collect::<String>().as_bytes());
     }
+}
+
+#[test]
+fn the_two_files_of_opencvs_stereo_sample_get_their_size_from_the_pictures() {
+    let text = std::fs::read_to_string(data("opencv_4_14_stereo.yaml")).unwrap();
+    let whole = load_stereo(&[data("opencv_4_14_stereo.yaml")]).unwrap();
+    let size = whole.rig.left().size();
+    let sizeless: String = text.lines().filter(|l| !l.contains("image_")).map(|l| format!("{l}\n")).collect();
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("stereo.yml");
+    std::fs::write(&file, sizeless).unwrap();
+    let read = load_stereo_for(std::slice::from_ref(&file), size).unwrap();
+    assert_eq!(read.rig, whole.rig);
+    assert!(read.notes.iter().any(|note| note.contains("image size")), "{:?}", read.notes);
+    assert!(load_stereo(&[file]).unwrap_err().to_string().contains("image_width"));
 }

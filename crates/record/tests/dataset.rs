@@ -51,7 +51,7 @@ fn the_schema_is_a_valid_schema_and_refuses_what_the_reader_refuses() {
     let changes = [
         ("/left", json!(7)),
         ("/region_polygon_left_px", json!([[1, 2], [3, 4]])),
-        ("/search/tilt_max_deg", json!(90)),
+        ("/search/tilt_max_deg", json!(85.01)),
         ("/search/z_min_mm", json!(-1)),
         ("/region_polygon_left_px/1", json!([1, 2, 3])),
     ];

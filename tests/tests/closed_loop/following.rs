@@ -15,7 +15,7 @@ use crate::watched::{Notes, watched};
 fn the_hand_follows_the_crab_and_both_arms_keep_their_limits() {
     let setup = quick_setup(Pixels::More, &[Channel::X, Channel::Ry]);
     let (parts, vs, tc) = watched(wire(&setup).unwrap());
-    let outcome = lockstep::run(&setup, parts, None).unwrap();
+    let outcome = lockstep::run(&setup, parts, None, None).unwrap();
     let log = &outcome.log;
     assert_eq!(log.marks.len(), 4);
     assert!(log.control.last().unwrap().t_s > 8.98 && log.frames.len() > 265, "to the end");
@@ -98,7 +98,7 @@ fn before_a_grey_box_the_hand_rests() {
     let mut setup = quick_setup(Pixels::Few, &[Channel::X]);
     setup.scene.target = TargetConfig::grey_box();
     let (parts, vs, _) = watched(wire(&setup).unwrap());
-    let log = lockstep::run(&setup, parts, Some(2.2)).unwrap().log;
+    let log = lockstep::run(&setup, parts, Some(2.2), None).unwrap().log;
     assert!(log.frames.len() > 60);
     for frame in &log.frames {
         assert!(!["ok", "weak-tilt"].contains(&frame.status.as_str()), "{} at {} s", frame.status, frame.t_s);

@@ -51,7 +51,7 @@ pub fn quick_setup(pixels: Pixels, channels: &[Channel]) -> Setup {
 
 /// Wires and runs a setup.
 pub fn run(setup: &Setup, stop_after_s: Option<f64>) -> Outcome {
-    lockstep::run(setup, wire(setup).unwrap(), stop_after_s).unwrap()
+    lockstep::run(setup, wire(setup).unwrap(), stop_after_s, None).unwrap()
 }
 
 /// Distance of the hand (mm) and angle between the viewing axes (degrees) from the wanted pose between two times.

@@ -14,6 +14,9 @@ use crate::run::summary::{Plan, summarize};
 use crate::run::{lockstep, report};
 use crate::wiring::{Parts, wire};
 
+/// A run in which the hand followed for a smaller share of the time is pointed out.
+const FOLLOWING_EXPECTED: f64 = 0.9;
+
 /// Runs the command: experiment, then report.
 ///
 /// # Errors
@@ -27,12 +30,19 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let parts = wire(&setup)?;
     let plan = plan(&setup, &parts);
     let started = Instant::now();
-    let outcome = lockstep::run(&setup, parts, args.stop_after)?;
+    let outcome = lockstep::run(&setup, parts, args.stop_after, args.record.as_deref())?;
     let wall_s = started.elapsed().as_secs_f64();
     let summary = summarize(&outcome.log, &plan);
     let provenance = provenance(args, &setup, summary.duration_s, wall_s);
     report::write(&args.out, &outcome, &summary, &provenance)?;
     print_line(&report::text_table(&summary))?;
+    let following = summary.share_following();
+    if following < FOLLOWING_EXPECTED {
+        tracing::warn!(
+            "the hand followed the target for {:.0} % of the time only; the statuses above and the events in the report say why",
+            100.0 * following
+        );
+    }
     print_line(&format!("report: {}", args.out.join("report.html").display()))?;
     Ok(ExitCode::SUCCESS)
 }

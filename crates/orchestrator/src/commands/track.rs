@@ -1,18 +1,22 @@
 //! `pb3dp track`: a region through a recorded stereo sequence.
 
 use std::process::ExitCode;
+use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::{Context, Result};
 use nalgebra::Vector2;
-use pb3dp_estimation::EstimationError;
+use pb3dp_camera_replay::{Pacing, ReplayCamera, ReplayOptions};
 use pb3dp_estimation::estimator::{Method, Tracker};
 use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_estimation::published::TrackEstimate;
 use pb3dp_estimation::region::Region;
-use pb3dp_geometry::Pose;
-use pb3dp_geometry::StereoRig;
+use pb3dp_estimation::status::Status;
 use pb3dp_geometry::frames::{CamLeft, Model};
-use pb3dp_record::dataset::{Sequence, StereoPictures, load_sequence};
+use pb3dp_geometry::{Pose, StereoRig};
+use pb3dp_hal_api::{CameraErrorKind, FramePair, StereoCamera};
+use pb3dp_hal_clock::SystemClock;
+use pb3dp_record::dataset::{Sequence, load_sequence};
 use pb3dp_record::images::{PictureFormat, save};
 use pb3dp_record::metrics::{MotionSummary, compare_motion};
 use pb3dp_record::overlay::{Animation, AnimationLimits};
@@ -22,63 +26,67 @@ use super::estimate::estimator_config;
 use super::estimate::job::overridden;
 use super::estimate::output::print_line;
 use super::pair::check_pictures;
-use crate::cli::{MethodArgs, TrackArgs};
+use crate::cli::{MethodArgs, ReplayPace, TrackArgs};
 use crate::cpu_time::timed;
-use crate::picture::{Annotation, annotate};
+use crate::picture::{Annotation, annotate, polygon_px};
 
 /// Runs the command. The exit code is a failure if a frame could not be read; all others are worked on all the same.
 ///
 /// # Errors
-/// Bad arguments or configuration, a sequence that can not be used at all, or a region that is refused.
+/// Bad arguments or configuration, a sequence that can not be used at all, exchanged pictures, or a region that is refused.
 pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     let method = Method::from_name(&args.method.method)?;
     let sequence = load_sequence(&args.sequence)?;
-    let calibration = sequence.load_calibration()?;
-    for note in &calibration.notes {
+    if !sequence.other_keys.is_empty() {
+        tracing::warn!("sequence.json has keys that are not known and not used: {}", sequence.other_keys.join(", "));
+    }
+    let mut camera = replay(&sequence, args.pace)?;
+    for note in &camera.calibration().notes {
         tracing::info!("{note}");
     }
-    let config = estimator_config(&args.method, false)?;
-    let tracker = Tracker::new(method, &calibration.rig, &config)?;
-    let vertices_px = sequence.region_polygon_left_px.iter().map(|&[u, v]| Vector2::new(u, v)).collect();
-    let mut walk = Walk {
-        tracker,
-        region: Region::Polygon { vertices_px },
-        range: search_range(&sequence, &args.method),
-        is_started: false,
-    };
+    let rig = *camera.rig();
+    let mut walk =
+        Walk::new(Tracker::new(method, &rig, &estimator_config(&args.method, false)?)?, &sequence, &args.method);
     let mut overlays = Overlays::open(&args.method)?;
     if !args.method.json {
         print_line(TrackLine::HEADING)?;
     }
+    let mut pair = FramePair::black(rig.left().size());
     let mut poses = Vec::new();
-    let mut unread = 0_usize;
-    for frame in 0..sequence.frames() {
-        let t_s = sequence.times_s[usize::try_from(frame)?];
-        let line = match sequence.load_pictures(frame, calibration.rig.left().size()) {
-            Ok(pictures) => {
-                if !walk.is_started {
-                    check_pictures(&format!("frame {frame}"), &calibration.rig, &pictures.left, &pictures.right)
-                        .with_context(|| format!("frame {frame}"))?;
+    for (frame, &t_s) in sequence.times_s.iter().enumerate() {
+        let line = match camera.next_pair_into(&mut pair, PAIR_TIMEOUT) {
+            Ok(()) => {
+                let (estimate, millis) = walk.step(frame, &rig, &pair)?;
+                if let Err(error) = overlays.add(frame, t_s, &pair, &rig, &estimate) {
+                    tracing::warn!("frame {frame}: no picture: {error:#}");
                 }
-                let (estimate, millis) = timed(|| walk.step(&pictures));
-                let estimate = estimate.with_context(|| format!("frame {frame}"))?;
-                tell(frame, &estimate);
-                overlays.add(frame, t_s, &pictures, &calibration.rig, &estimate)?;
                 poses.push(estimate.cam_left_from_model);
                 TrackLine::of(frame, t_s, &estimate, millis)
             }
-            Err(error) => {
-                unread += 1;
-                tracing::error!("frame {frame}: {error}");
+            Err(error) if error.kind() == CameraErrorKind::BadPair => {
+                walk.unread += 1;
+                tracing::error!("frame {frame}: {:#}", anyhow::Error::from(error));
                 poses.push(None);
                 TrackLine::of_error(frame, t_s)
             }
+            Err(error) => return Err(error.into()),
         };
         print_line(&if args.method.json { serde_json::to_string(&line)? } else { line.human() })?;
     }
     overlays.close()?;
-    report_errors(&sequence, &poses);
-    Ok(if unread == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    walk.report(&sequence, &poses);
+    Ok(if walk.unread == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// A replay does not wait for pictures, so this only bounds what can not happen.
+const PAIR_TIMEOUT: Duration = Duration::from_secs(10);
+
+fn replay(sequence: &Sequence, pace: ReplayPace) -> Result<ReplayCamera> {
+    let pacing = match pace {
+        ReplayPace::Fast => Pacing::Unpaced,
+        ReplayPace::Original => Pacing::Original(Arc::new(SystemClock::new())),
+    };
+    Ok(ReplayCamera::open_sequence(sequence, ReplayOptions { pacing, ..ReplayOptions::default() })?)
 }
 
 fn search_range(sequence: &Sequence, args: &MethodArgs) -> SearchRange {
@@ -90,22 +98,83 @@ fn search_range(sequence: &Sequence, args: &MethodArgs) -> SearchRange {
     overridden(given, args)
 }
 
-/// The tracker with what it starts from: the first frame that can be read.
+/// The tracker on its way through the frames.
 struct Walk {
     tracker: Tracker,
     region: Region,
     range: SearchRange,
-    is_started: bool,
+    /// The first frame that could be read.
+    first: Option<usize>,
+    last_status: Status,
+    rotation_about_normal_observed: bool,
+    /// Frames that could not be read.
+    unread: usize,
 }
 
 impl Walk {
-    fn step(&mut self, pictures: &StereoPictures) -> Result<TrackEstimate, EstimationError> {
-        if self.is_started {
-            return self.tracker.update(&pictures.left, &pictures.right, None);
+    fn new(tracker: Tracker, sequence: &Sequence, args: &MethodArgs) -> Self {
+        let vertices_px = sequence.region_polygon_left_px.iter().map(|&[u, v]| Vector2::new(u, v)).collect();
+        Self {
+            tracker,
+            region: Region::Polygon { vertices_px },
+            range: search_range(sequence, args),
+            first: None,
+            last_status: Status::Ok,
+            rotation_about_normal_observed: true,
+            unread: 0,
         }
-        let estimate = self.tracker.start(&pictures.left, &pictures.right, &self.region, &self.range)?;
-        self.is_started = true;
-        Ok(estimate)
+    }
+
+    /// The estimate for a frame with the CPU time that it took, milliseconds.
+    fn step(&mut self, frame: usize, rig: &StereoRig, pair: &FramePair) -> Result<(TrackEstimate, f64)> {
+        let context = || format!("frame {frame}");
+        let is_first = self.first.is_none();
+        if is_first {
+            check_pictures(&context(), rig, &pair.left, &pair.right).with_context(context)?;
+            if frame > 0 {
+                tracing::warn!("the region belongs to frame 0, which can not be read; it is used in frame {frame}");
+            }
+            self.first = Some(frame);
+        }
+        let (estimate, millis) = timed(|| match is_first {
+            true => self.tracker.start(&pair.left, &pair.right, &self.region, &self.range),
+            false => self.tracker.update(&pair.left, &pair.right, None),
+        });
+        let estimate = estimate.with_context(context)?;
+        self.tell(frame, &estimate);
+        Ok((estimate, millis))
+    }
+
+    /// Warnings, and the reason whenever the status changes.
+    fn tell(&mut self, frame: usize, estimate: &TrackEstimate) {
+        for warning in &estimate.warnings {
+            tracing::warn!("frame {frame}: {warning}");
+        }
+        if estimate.status != self.last_status {
+            match estimate.status {
+                Status::Ok => tracing::info!("frame {frame}: ok: {}", estimate.reason),
+                status => tracing::warn!("frame {frame}: {status}: {}", estimate.reason),
+            }
+        }
+        self.last_status = estimate.status;
+        self.rotation_about_normal_observed &= estimate.rotation_about_normal_observed;
+    }
+
+    /// The table of motion errors and what the method does not observe, on standard error.
+    fn report(&self, sequence: &Sequence, poses: &[Option<Pose<CamLeft, Model>>]) {
+        let mut text = String::new();
+        if let Some(truth) = &sequence.cam_left_from_model {
+            text += "\nErrors of the motion since the first frame with a pose:\n";
+            text += &match MotionSummary::of(&compare_motion(poses, truth)) {
+                Some(summary) => summary.text_table(),
+                None => "no frame has a pose: nothing to compare with the truth\n".to_owned(),
+            };
+        }
+        if !self.rotation_about_normal_observed {
+            text += "The rotation about the model's normal is not observed by this method: it is held at its first value.\n";
+        }
+        // Nobody can be told if standard error is closed.
+        let _ = std::io::Write::write_all(&mut std::io::stderr().lock(), text.as_bytes());
     }
 }
 
@@ -113,7 +182,7 @@ impl Walk {
 #[derive(Clone, Debug, Serialize)]
 pub struct TrackLine {
     /// Counts from 0.
-    pub frame: u64,
+    pub frame: usize,
     /// Mid-exposure, seconds.
     pub t_s: f64,
     /// `ok`, `weak-tilt`, `ambiguous`, `not-observable`, `lost` or `error`.
@@ -132,11 +201,11 @@ impl TrackLine {
     const HEADING: &'static str =
         "frame      t s  status           x mm      y mm      z mm  rotation vector deg         fitness       ms";
 
-    fn of_error(frame: u64, t_s: f64) -> Self {
+    fn of_error(frame: usize, t_s: f64) -> Self {
         Self { frame, t_s, status: "error", cam_left_from_model: None, covariance: None, fitness: None, ms: None }
     }
 
-    fn of(frame: u64, t_s: f64, estimate: &TrackEstimate, ms: f64) -> Self {
+    fn of(frame: usize, t_s: f64, estimate: &TrackEstimate, ms: f64) -> Self {
         Self {
             status: estimate.status.as_str(),
             cam_left_from_model: estimate.cam_left_from_model.as_ref().map(row_major_mm),
@@ -179,12 +248,6 @@ pub fn row_major_mm(pose: &Pose<CamLeft, Model>) -> [f64; 16] {
     std::array::from_fn(|k| m[(k / 4, k % 4)] * if k % 4 == 3 && k < 12 { 1e3 } else { 1.0 })
 }
 
-fn tell(frame: u64, estimate: &TrackEstimate) {
-    if estimate.status.as_str() != "ok" {
-        tracing::debug!("frame {frame}: {}: {}", estimate.status, estimate.reason);
-    }
-}
-
 /// Pictures per frame and one animated picture of all.
 struct Overlays {
     target: Option<(std::path::PathBuf, Animation)>,
@@ -199,14 +262,14 @@ impl Overlays {
 
     fn add(
         &mut self,
-        frame: u64,
+        frame: usize,
         t_s: f64,
-        pictures: &StereoPictures,
+        pair: &FramePair,
         rig: &StereoRig,
         estimate: &TrackEstimate,
     ) -> Result<()> {
         let Some((folder, animation)) = &mut self.target else { return Ok(()) };
-        let outline_px: Vec<[f64; 2]> = estimate.outline_px.iter().map(|p| [p.x, p.y]).collect();
+        let outline_px = polygon_px(&estimate.outline_px);
         let fitness = estimate.fitness.map_or(String::new(), |fitness| format!("  fitness {fitness:.3}"));
         let annotation = Annotation {
             outline_px: &outline_px,
@@ -214,7 +277,7 @@ impl Overlays {
             label: format!("frame {frame}  {t_s:.3} s  {}{fitness}", estimate.status),
             is_bad: estimate.cam_left_from_model.is_none(),
         };
-        let picture = annotate(&pictures.left, &pictures.right, rig, &annotation);
+        let picture = annotate(&pair.left, &pair.right, rig, &annotation);
         save(&picture, &folder.join(format!("frame_{frame:04}.png")), PictureFormat::Png)?;
         animation.push(t_s, &picture);
         Ok(())
@@ -227,21 +290,6 @@ impl Overlays {
         }
         Ok(())
     }
-}
-
-/// The table of motion errors, on standard error.
-fn report_errors(sequence: &Sequence, poses: &[Option<Pose<CamLeft, Model>>]) {
-    let Some(truth) = &sequence.cam_left_from_model else { return };
-    let text = match MotionSummary::of(&compare_motion(poses, truth)) {
-        Some(summary) => summary.text_table(),
-        None => "no frame has a pose: nothing to compare with the truth\n".to_owned(),
-    };
-    let mut stderr = std::io::stderr().lock();
-    // Nobody can be told if standard error is closed.
-    let _ = std::io::Write::write_all(
-        &mut stderr,
-        format!("\nErrors of the motion since the first frame:\n{text}").as_bytes(),
-    );
 }
 
 #[cfg(test)]

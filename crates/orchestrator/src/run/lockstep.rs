@@ -5,23 +5,25 @@
 //! fast this machine computed it.
 
 use std::collections::VecDeque;
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Point3, Vector2, Vector3};
 use pb3dp_estimation::estimator::Tracker;
 use pb3dp_estimation::published::TrackEstimate;
 use pb3dp_estimation::region::Region;
 use pb3dp_geometry::frames::{Base, CamLeft, Model, Target};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{CameraErrorKind, FramePair, JointCommand, JointState};
-use pb3dp_kinematics::{Damping, smallest_singular_value};
+use pb3dp_kinematics::{Damping, JointVector, smallest_singular_value};
 use pb3dp_servo::{Command, Controller, JointHistory, TargetObservation};
 use pb3dp_sim::placement::FlangePath;
 use pb3dp_sim::trajectory::Trajectory;
 
 use super::carrier::carry;
 use super::log::{ControlSample, FrameSample, RunLog};
+use super::recording::Recording;
 use super::strip::Strip;
 use crate::config::setup::Setup;
 use crate::picture::model_frame_on_plane;
@@ -40,20 +42,18 @@ pub struct Outcome {
     pub strip: Strip,
 }
 
-/// Runs the experiment to its end, or to `stop_after_s`. Both arms are stopped on every way out.
+/// Runs the experiment to its end, or to `stop_after_s`; every pair is also written to the folder `record`, if given. Both
+/// arms are stopped on every way out.
 ///
 /// # Errors
 /// If an arm, the camera or the estimator fails for good; the arms are stopped first.
-pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>) -> Result<Outcome> {
-    let mut looped = Loop::new(setup, parts)?;
-    let outcome = looped.run_to_end(stop_after_s);
+pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Option<&Path>) -> Result<Outcome> {
+    let mut looped = Loop::new(setup, parts, record)?;
+    let outcome = looped.enable_arms().and_then(|()| looped.run_to_end(stop_after_s));
     let stopped = looped.stop_arms();
     outcome?;
     stopped?;
-    let limited_steps = looped.parts.vs.limited_commands();
-    let mut log = looped.log;
-    log.limited_steps = limited_steps;
-    Ok(Outcome { log, strip: looped.strip })
+    looped.finish()
 }
 
 struct Loop<'a> {
@@ -77,18 +77,21 @@ struct Loop<'a> {
     strip: Strip,
     log: RunLog,
     next_progress_s: f64,
+    recording: Option<Recording>,
 }
 
 impl<'a> Loop<'a> {
-    fn new(setup: &'a Setup, mut parts: Parts) -> Result<Self> {
+    /// Everything that can be refused is made before an arm is switched on.
+    fn new(setup: &'a Setup, parts: Parts, record: Option<&Path>) -> Result<Self> {
         let limiter = &setup.vs.limiter;
         let limits = limiter.hard_limits.with_position_range(limiter.operating_min_rad, limiter.operating_max_rad)?;
         let controller = Controller::new(setup.controller, setup.vs.chain.clone(), limits)?;
-        for arm in [&mut parts.vs, &mut parts.tc] {
-            arm.enable().context("an arm can not be enabled")?;
-        }
-        let vs_joints = parts.vs.exchange(JointCommand::Hold)?;
-        let tc_joints = parts.tc.exchange(JointCommand::Hold)?;
+        let at_rest = |position_rad: JointVector| JointState {
+            at: parts.clock.now(),
+            position_rad,
+            velocity_rad_per_s: JointVector::zeros(),
+        };
+        let (vs_joints, tc_joints) = (at_rest(setup.vs.start_rad), at_rest(setup.tc.start_rad));
         let log = RunLog { marks: parts.experiment.marks().to_vec(), ..RunLog::default() };
         Ok(Self {
             tracker: Tracker::new(setup.method, &setup.rig, &setup.estimator)?,
@@ -107,9 +110,34 @@ impl<'a> Loop<'a> {
             strip: Strip::for_marks(&log.marks, setup.experiment.move_s),
             log,
             next_progress_s: 0.0,
+            recording: record.map(|folder| Recording::new(folder, setup)),
             setup,
             parts,
         })
+    }
+
+    /// Drives on, and where the joints really are.
+    fn enable_arms(&mut self) -> Result<()> {
+        self.parts.vs.enable().context("vs-robot: enable")?;
+        self.parts.tc.enable().context("tc-robot: enable")?;
+        self.vs_joints = self.parts.vs.exchange(JointCommand::Hold).context("vs-robot")?;
+        self.tc_joints = self.parts.tc.exchange(JointCommand::Hold).context("tc-robot")?;
+        Ok(())
+    }
+
+    /// What is left behind. Before the first estimate nobody knew where on the target the model is: those samples are
+    /// completed now.
+    fn finish(mut self) -> Result<Outcome> {
+        let target_from_model = self.target_from_model.unwrap_or_else(Pose::coincident);
+        let model_from_hand = self.setup.controller.model_from_hand_desired;
+        for sample in &mut self.log.control {
+            sample.world_from_hand_wanted = sample.world_from_target * target_from_model * model_from_hand;
+        }
+        self.log.limited_steps = self.parts.vs.limited_commands();
+        if let Some(recording) = self.recording {
+            recording.finish()?;
+        }
+        Ok(Outcome { log: self.log, strip: self.strip })
     }
 
     /// Control steps and frames in the order of their times.
@@ -169,14 +197,13 @@ impl<'a> Loop<'a> {
         }
         let cell = &self.parts.cell;
         let world_from_target = cell.world_from_target_at(now);
-        let target_from_model = self.target_from_model.unwrap_or_else(Pose::coincident);
-        let wanted = world_from_target * target_from_model * self.setup.controller.model_from_hand_desired;
         let jacobian = self.setup.vs.chain.jacobian(&self.vs_joints.position_rad);
         self.log.control.push(ControlSample {
             t_s,
             world_from_target,
             world_from_hand: cell.world_from_hand_at(now),
-            world_from_hand_wanted: wanted,
+            // Completed at the end of the run.
+            world_from_hand_wanted: Pose::coincident(),
             mode,
             smallest_singular_value: smallest_singular_value(&jacobian),
         });
@@ -204,7 +231,17 @@ impl<'a> Loop<'a> {
             self.arriving.push_back((self.parts.clock.now() + self.setup.estimate_latency, observation));
         }
         self.note_frame(at, &estimate, latency_millis);
-        Ok(())
+        self.record(at)
+    }
+
+    /// Writes the pair down with the truth, if a recording is wanted.
+    fn record(&mut self, at: MonotonicTime) -> Result<()> {
+        let cam_left_from_target = self.cam_left_from_target_at(at);
+        let outline = self.recording.as_ref().filter(|recording| !recording.is_open()).map(|_| self.outline_px(at));
+        match &mut self.recording {
+            Some(recording) => recording.push(&self.pair, &cam_left_from_target, outline.transpose()?),
+            None => Ok(()),
+        }
     }
 
     /// The pose of the left camera from the measured joints, as a rig without truth knows it.
@@ -218,22 +255,22 @@ impl<'a> Loop<'a> {
         if self.is_tracking {
             return Ok(self.tracker.update(&self.pair.left, &self.pair.right, motion.as_ref())?);
         }
-        let region = self.operators_region(at)?;
+        let region = Region::Polygon { vertices_px: self.outline_px(at)? };
         let estimate = self.tracker.start(&self.pair.left, &self.pair.right, &region, &self.setup.range)?;
-        tracing::info!("target taken: {} {}", estimate.status, estimate.reason);
+        for warning in &estimate.warnings {
+            tracing::warn!("{warning}");
+        }
+        tracing::info!("target taken: {}: {}", estimate.status, estimate.reason);
         self.is_tracking = true;
         Ok(estimate)
     }
 
-    /// What an operator would draw around the target in the first left picture.
-    fn operators_region(&self, at: MonotonicTime) -> Result<Region> {
+    /// What an operator would draw around the target in the left picture.
+    fn outline_px(&self, at: MonotonicTime) -> Result<Vec<Vector2<f64>>> {
         let cam_left_from_target = self.cam_left_from_target_at(at);
-        let pixel = |point: &nalgebra::Point3<f64>| -> Option<Vector2<f64>> {
-            self.setup.rig.left().project(&cam_left_from_target.transform_point(point))
-        };
+        let pixel = |point: &Point3<f64>| self.setup.rig.left().project(&cam_left_from_target.transform_point(point));
         let vertices_px: Option<Vec<_>> = self.parts.target_outline_m.iter().map(pixel).collect();
-        let vertices_px = vertices_px.context("the target is not in front of the camera at the beginning")?;
-        Ok(Region::Polygon { vertices_px })
+        vertices_px.context("the target is not in front of the camera at the beginning")
     }
 
     fn cam_left_from_target_at(&self, at: MonotonicTime) -> Pose<CamLeft, Target> {
@@ -255,6 +292,7 @@ impl<'a> Loop<'a> {
             (estimated_origin.z - true_depth_m, pose.transform_vector(&Vector3::z()).angle(&away))
         });
         let t_s = at.seconds_since(self.begin);
+        self.log.rotation_about_normal_observed |= estimate.rotation_about_normal_observed;
         self.strip.offer(t_s, &self.pair, &self.setup.rig, estimate);
         self.log.frames.push(FrameSample {
             t_s,

@@ -21,6 +21,13 @@ pub struct ControlSample {
     pub smallest_singular_value: f64,
 }
 
+impl ControlSample {
+    /// The mode without its reason.
+    pub fn mode_word(&self) -> &str {
+        self.mode.split(':').next().unwrap_or_default()
+    }
+}
+
 /// One frame pair.
 #[derive(Clone, Debug)]
 pub struct FrameSample {
@@ -53,4 +60,6 @@ pub struct RunLog {
     pub pairs_lost: u64,
     /// Control steps in which the limiter changed the command.
     pub limited_steps: u64,
+    /// Whether the method measured the rotation about the model's normal in any frame.
+    pub rotation_about_normal_observed: bool,
 }

@@ -5,6 +5,7 @@ pub mod cell;
 pub mod lockstep;
 pub mod log;
 pub mod paced_clock;
+pub mod recording;
 pub mod report;
 pub mod strip;
 pub mod summary;

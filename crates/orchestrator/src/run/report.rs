@@ -60,7 +60,7 @@ fn page(outcome: &Outcome, summary: &RunSummary, provenance: &[(String, String)]
              and back; rise delay is the hand's 10 to 90 % rise time less that of its wanted way.",
         )
         .table(&channel_table(summary))
-        .paragraph("The published method does not observe the rotation about the model's normal (rz); it is held.")
+        .paragraph(normal_note(summary))
         .heading("Error and fitness over time")
         .panels(&error_panels(log))
         .heading("What the cameras saw")
@@ -70,6 +70,15 @@ fn page(outcome: &Outcome, summary: &RunSummary, provenance: &[(String, String)]
         .table(&event_table(log))
         .heading("How this run was made")
         .table(&origin)
+}
+
+/// What the method says of the rotation about the normal.
+fn normal_note(summary: &RunSummary) -> &'static str {
+    if summary.rotation_about_normal_observed {
+        "The rotation about the model's normal (rz) is observed."
+    } else {
+        "The rotation about the model's normal (rz) was not observed by this method; it is held at its first value."
+    }
 }
 
 fn figures(summary: &RunSummary) -> Vec<(&'static str, String)> {
@@ -213,6 +222,11 @@ pub fn text_table(summary: &RunSummary) -> String {
     let latency = latency.map_or("-".into(), |(p50, p99)| format!("p50 {p50:.2}, p99 {p99:.2} ms"));
     text += &format!("{:<34} {latency}\n", "frame in memory to estimate");
     text += &format!("{:<34} {} of {}\n", "frames without a pose", summary.frames_without_pose, summary.frames);
+    let statuses: Vec<String> = summary.frames_by_status.iter().map(|(status, n)| format!("{n} {status}")).collect();
+    text += &format!("{:<34} {}\n", "frames by status", statuses.join(", "));
+    let modes: Vec<String> =
+        summary.share_by_mode.iter().map(|(mode, share)| format!("{mode} {:.0} %", 100.0 * share)).collect();
+    text += &format!("{:<34} {}\n", "controller", modes.join(", "));
     let sigma = summary.smallest_singular_value.map_or("-".into(), |s| format!("{s:.3}"));
     text += &format!("{:<34} {sigma}\n\n", "smallest singular value");
     let _ = writeln!(text, "axis unit  moving rms    max   hold rms    max   lag s");
@@ -230,6 +244,9 @@ pub fn text_table(summary: &RunSummary) -> String {
             number(c.lag_s)
         );
     }
+    if !summary.rotation_about_normal_observed {
+        text += "rz, the rotation about the normal, is not observed by this method: it is held\n";
+    }
     text
 }
 
@@ -241,7 +258,7 @@ fn timeseries_csv(log: &RunLog) -> String {
     }
     text.push('\n');
     for s in &log.control {
-        let _ = write!(text, "{:.4},{}", s.t_s, s.mode.split(':').next().unwrap_or_default());
+        let _ = write!(text, "{:.4},{}", s.t_s, s.mode_word());
         let poses = [
             (s.world_from_target.translation_m(), s.world_from_target.rotation()),
             (s.world_from_hand.translation_m(), s.world_from_hand.rotation()),

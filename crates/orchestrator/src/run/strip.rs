@@ -7,7 +7,7 @@ use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::FramePair;
 use pb3dp_sim::trajectory::Mark;
 
-use crate::picture::{Annotation, annotate};
+use crate::picture::{Annotation, annotate, polygon_px};
 
 /// Width of a stored picture, pixels.
 const WIDTH_PX: u32 = 800;
@@ -34,7 +34,7 @@ impl Strip {
             return;
         }
         let (_, what) = self.wanted.remove(0);
-        let outline_px: Vec<[f64; 2]> = estimate.outline_px.iter().map(|p| [p.x, p.y]).collect();
+        let outline_px = polygon_px(&estimate.outline_px);
         let annotation = Annotation {
             outline_px: &outline_px,
             cam_left_from_model: estimate.cam_left_from_model,

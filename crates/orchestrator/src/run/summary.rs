@@ -4,6 +4,8 @@
 //! compared with the way it should have gone. "Moving" is from a mark to the end of its move; "hold" begins one second
 //! after the move's end, when the hand should have settled, and ends with the next mark.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Hand, World};
@@ -88,14 +90,20 @@ pub struct RunSummary {
     pub estimation_normal_deg: Option<MedianP95>,
     /// Frames seen.
     pub frames: usize,
-    /// Frames without a usable pose.
+    /// Frames without a pose.
     pub frames_without_pose: usize,
+    /// Number of frames with each status.
+    pub frames_by_status: BTreeMap<String, usize>,
+    /// Whether the method measured the rotation about the model's normal.
+    pub rotation_about_normal_observed: bool,
     /// Pairs that the camera could not deliver.
     pub pairs_lost: u64,
     /// Wall time from the pair in memory to the estimate, milliseconds: median.
     pub latency_p50_millis: Option<f64>,
     /// The same, 99th percentile.
     pub latency_p99_millis: Option<f64>,
+    /// Share of the control steps in each mode of the controller, 0 to 1.
+    pub share_by_mode: BTreeMap<String, f64>,
     /// Smallest singular value of the Jacobian during the run.
     pub smallest_singular_value: Option<f64>,
     /// Control steps in which the limiter changed the command.
@@ -152,11 +160,33 @@ pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
         estimation_normal_deg: MedianP95::of(&normal),
         frames: log.frames.len(),
         frames_without_pose: log.frames.iter().filter(|f| f.depth_error_m.is_none()).count(),
+        frames_by_status: log.frames.iter().fold(BTreeMap::new(), |mut counts, frame| {
+            *counts.entry(frame.status.clone()).or_default() += 1;
+            counts
+        }),
+        rotation_about_normal_observed: log.rotation_about_normal_observed,
         pairs_lost: log.pairs_lost,
         latency_p50_millis: percentile(&latencies, 50.0),
         latency_p99_millis: percentile(&latencies, 99.0),
+        share_by_mode: shares(log.control.iter().map(ControlSample::mode_word)),
         smallest_singular_value: log.control.iter().map(|s| s.smallest_singular_value).reduce(f64::min),
         limited_steps: log.limited_steps,
+    }
+}
+
+/// How often each word occurs, as a share of all.
+fn shares<'a>(words: impl Iterator<Item = &'a str>) -> BTreeMap<String, f64> {
+    let mut counts = BTreeMap::<String, f64>::new();
+    words.for_each(|word| *counts.entry(word.to_owned()).or_default() += 1.0);
+    let total: f64 = counts.values().sum();
+    counts.values_mut().for_each(|count| *count /= total);
+    counts
+}
+
+impl RunSummary {
+    /// Share of the time in which the hand followed or approached, 0 to 1.
+    pub fn share_following(&self) -> f64 {
+        ["tracking", "approaching"].iter().filter_map(|mode| self.share_by_mode.get(*mode)).sum()
     }
 }
 

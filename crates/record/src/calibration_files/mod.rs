@@ -27,7 +27,7 @@ mod write;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use pb3dp_geometry::StereoRig;
+use pb3dp_geometry::{ImageSize, StereoRig};
 
 use document::Document;
 pub use error::CalibrationFileError;
@@ -79,14 +79,27 @@ const IN_DIRECTORY: [&[&str]; 3] = [&["left.yaml", "right.yaml"], &["left.yml", 
 /// # Errors
 /// Anything that is wrong with the files; see [`CalibrationFileError`].
 pub fn load_stereo(paths: &[PathBuf]) -> Result<StereoCalibration, CalibrationFileError> {
+    load(paths, None)
+}
+
+/// As [`load_stereo`], for pictures of a known size: files that may leave the size out (OpenCV's) get it from there. A
+/// size that a file does state is not compared with it.
+///
+/// # Errors
+/// As [`load_stereo`].
+pub fn load_stereo_for(paths: &[PathBuf], pictures: ImageSize) -> Result<StereoCalibration, CalibrationFileError> {
+    load(paths, Some(pictures))
+}
+
+fn load(paths: &[PathBuf], pictures: Option<ImageSize>) -> Result<StereoCalibration, CalibrationFileError> {
     let paths = match paths {
         [directory] if directory.is_dir() => in_directory(directory)?,
         paths => paths.to_vec(),
     };
     let documents = paths.iter().map(|path| Document::read(path)).collect::<Result<Vec<_>, _>>()?;
     let (rig, format, notes) = match documents.as_slice() {
-        [one] => read_one(one)?,
-        [first, second] => read_two(first, second)?,
+        [one] => read_one(one, pictures)?,
+        [first, second] => read_two(first, second, pictures)?,
         _ => return Err(CalibrationFileError::Paths { count: paths.len() }),
     };
     let source = paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ");
@@ -136,14 +149,14 @@ pub fn save_json(rig: &StereoRig, path: &Path) -> Result<(), CalibrationFileErro
 /// What a reader makes of its documents.
 type Parsed = (StereoRig, CalibrationFormat, Vec<String>);
 
-fn read_one(document: &Document) -> Result<Parsed, CalibrationFileError> {
+fn read_one(document: &Document, pictures: Option<ImageSize>) -> Result<Parsed, CalibrationFileError> {
     let root = document.root();
     if case_json::recognises(&root) {
         Ok((case_json::read(&root)?, CalibrationFormat::CaseJson, Vec::new()))
     } else if kalibr::recognises(&root) {
         Ok((kalibr::read(&root)?, CalibrationFormat::Kalibr, Vec::new()))
     } else if opencv::recognises(&root) {
-        let (rig, notes) = opencv::read(&[root])?;
+        let (rig, notes) = opencv::read(&[root], pictures)?;
         Ok((rig, CalibrationFormat::OpenCv, notes))
     } else if ros::recognises(&root) {
         Err(root
@@ -153,12 +166,12 @@ fn read_one(document: &Document) -> Result<Parsed, CalibrationFileError> {
     }
 }
 
-fn read_two(first: &Document, second: &Document) -> Result<Parsed, CalibrationFileError> {
+fn read_two(first: &Document, second: &Document, pictures: Option<ImageSize>) -> Result<Parsed, CalibrationFileError> {
     let (one, two) = (first.root(), second.root());
     if ros::recognises(&one) && ros::recognises(&two) {
         Ok((ros::read(&one, &two)?, CalibrationFormat::RosPair, Vec::new()))
     } else if opencv::recognises(&one) || opencv::recognises(&two) {
-        let (rig, notes) = opencv::read(&[one, two])?;
+        let (rig, notes) = opencv::read(&[one, two], pictures)?;
         Ok((rig, CalibrationFormat::OpenCv, notes))
     } else {
         let stranger = if ros::recognises(&one) { second } else { first };

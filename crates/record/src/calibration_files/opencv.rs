@@ -2,7 +2,8 @@
 //!
 //! OpenCV fixes no names, so several spellings are taken: `M1` `K1` `cameraMatrix1` ... for the camera matrices, `D1`
 //! `distCoeffs1` ... for the distortion, `R`, `T`, and `image_width` with `image_height` or `image_size` for the size. `R`
-//! and `T` map points of the first (left) camera to the second, `X2 = R X1 + T`.
+//! and `T` map points of the first (left) camera to the second, `X2 = R X1 + T`. A file without size (OpenCV's own stereo
+//! sample writes none) can be read where the size of the pictures is known.
 //!
 //! **Unit of `T`.** OpenCV's unit is whatever unit the board was measured in. The key `units` (`mm`, `cm` or `m`) decides
 //! if it is there. Otherwise a `T` shorter than 1 is taken as metres and one longer than 10 as millimetres, and a note
@@ -81,8 +82,11 @@ pub(super) fn recognises(root: &Node<'_>) -> bool {
 }
 
 /// Reads one file or the two halves of one.
-pub(super) fn read(roots: &[Node<'_>]) -> Result<(StereoRig, Vec<String>), CalibrationFileError> {
-    let size = image_size(roots)?;
+pub(super) fn read(
+    roots: &[Node<'_>],
+    pictures: Option<ImageSize>,
+) -> Result<(StereoRig, Vec<String>), CalibrationFileError> {
+    let (size, size_note) = image_size(roots, pictures)?;
     let cameras = [camera(roots, 0, size)?, camera(roots, 1, size)?];
     let rotation_node = get(roots, &ROTATION)?;
     let rotation: Matrix3<f64> = checks::rotation(&rotation_node, &rotation_node.matrix()?)?;
@@ -90,7 +94,7 @@ pub(super) fn read(roots: &[Node<'_>]) -> Result<(StereoRig, Vec<String>), Calib
     let in_file_units: Vector3<f64> = translation.matrix()?;
     let (metres, note) = metres_per_unit(roots, &translation, in_file_units.norm())?;
     let rig = checks::rig(&translation, cameras, &rotation, in_file_units * metres)?;
-    Ok((rig, note.into_iter().collect()))
+    Ok((rig, size_note.into_iter().chain(note).collect()))
 }
 
 fn find<'a>(roots: &[Node<'a>], keys: &[&str]) -> Option<Node<'a>> {
@@ -106,10 +110,18 @@ fn get<'a>(roots: &[Node<'a>], keys: &[&str]) -> Result<Node<'a>, CalibrationFil
     })
 }
 
-fn image_size(roots: &[Node<'_>]) -> Result<ImageSize, CalibrationFileError> {
-    match find(roots, &SIZE) {
-        Some(node) => node.size_pair(),
-        None => Node::size(&get(roots, &WIDTH)?, &get(roots, &HEIGHT)?),
+/// The size that the file states, or that of the pictures if it states none, with a note.
+fn image_size(
+    roots: &[Node<'_>],
+    pictures: Option<ImageSize>,
+) -> Result<(ImageSize, Option<String>), CalibrationFileError> {
+    match (find(roots, &SIZE), find(roots, &WIDTH), pictures) {
+        (Some(node), ..) => Ok((node.size_pair()?, None)),
+        (None, None, Some(size)) => {
+            let note = "the calibration states no image size: it is taken to be that of the pictures";
+            Ok((size, Some(note.to_owned())))
+        }
+        _ => Ok((Node::size(&get(roots, &WIDTH)?, &get(roots, &HEIGHT)?)?, None)),
     }
 }
 

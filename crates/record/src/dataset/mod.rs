@@ -10,6 +10,7 @@ mod json;
 mod sequence;
 mod writer;
 
+use std::collections::{HashSet, VecDeque};
 use std::path::{Path, PathBuf};
 
 pub use case::{Case, Hardness, PlaneTruth, StereoPictures, load_case};
@@ -23,6 +24,10 @@ use crate::images::ImageFileError;
 pub const CASE_FILE: &str = "case.json";
 /// Name of the file that makes a folder a sequence.
 pub const SEQUENCE_FILE: &str = "sequence.json";
+/// Largest tilt of a search range, degrees; that of the estimators.
+pub const TILT_LIMIT_DEG: f64 = 85.0;
+/// How many levels under the folder given cases are looked for.
+const FOLDERS_DEEP: usize = 8;
 /// Usual name of the calibration beside them.
 pub const CALIBRATION_FILE: &str = "calib.json";
 
@@ -71,7 +76,7 @@ pub enum DatasetError {
         expected: String,
     },
     /// There is no case below a folder.
-    #[error("no {CASE_FILE} in {} or in a folder directly below it: give the folder that holds the cases", folder.display())]
+    #[error("no {CASE_FILE} in {} or in the folders under it ({FOLDERS_DEEP} levels): give the folder that holds the cases", folder.display())]
     NoCases {
         /// The folder.
         folder: PathBuf,
@@ -111,20 +116,34 @@ pub struct SearchRange {
     pub tilt_max_rad: f64,
 }
 
-/// Every case folder under `dir`, sorted by path: `dir` itself, or the folders directly in it that hold a `case.json`.
+/// Every case folder under `dir`, sorted by path: `dir` itself if it is one, else the folders with a `case.json` at any depth
+/// up to eight levels.
+///
+/// A case is not searched for further ones. Hidden folders (those with a name that begins with a dot) are left out. Links
+/// to folders are followed; a folder that can be reached in more ways than one is taken once.
 ///
 /// # Errors
 /// A folder that can not be read, or one without any case.
 pub fn find_cases(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
-    if dir.join(CASE_FILE).is_file() {
-        return Ok(vec![dir.to_owned()]);
-    }
-    let unreadable = |source| DatasetError::Io { file: dir.to_owned(), action: "read", source };
     let mut cases = Vec::new();
-    for entry in std::fs::read_dir(dir).map_err(unreadable)? {
-        let folder = entry.map_err(unreadable)?.path();
+    let mut seen = HashSet::new();
+    let mut pending = VecDeque::from([(dir.to_owned(), 0)]);
+    while let Some((folder, depth)) = pending.pop_front() {
+        let unreadable = |source| DatasetError::Io { file: folder.clone(), action: "read", source };
+        if !seen.insert(folder.canonicalize().map_err(unreadable)?) {
+            continue;
+        }
         if folder.join(CASE_FILE).is_file() {
             cases.push(folder);
+        } else if depth < FOLDERS_DEEP {
+            for subfolder in subfolders(&folder).map_err(unreadable)? {
+                // Links come last: a folder that is also in its own place is named by that.
+                if subfolder.is_symlink() {
+                    pending.push_back((subfolder, depth + 1));
+                } else {
+                    pending.push_front((subfolder, depth + 1));
+                }
+            }
         }
     }
     if cases.is_empty() {
@@ -132,6 +151,20 @@ pub fn find_cases(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
     }
     cases.sort();
     Ok(cases)
+}
+
+/// The folders in a folder that are not hidden, links to folders included, sorted.
+fn subfolders(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder)? {
+        let entry = entry?;
+        let is_hidden = entry.file_name().as_encoded_bytes().first() == Some(&b'.');
+        if !is_hidden && entry.path().is_dir() {
+            found.push(entry.path());
+        }
+    }
+    found.sort();
+    Ok(found)
 }
 
 /// Reads the polygon of a region; pixels, integer coordinates are pixel centres.
@@ -162,9 +195,9 @@ fn search_range(node: &json::Node<'_>) -> Result<SearchRange, DatasetError> {
         return Err(z_max.refuse(format!("must be greater than z_min_mm, {z_min_mm}")));
     }
     let tilt = node.get("tilt_max_deg")?;
-    let tilt_max_deg = tilt.positive()?;
-    if tilt_max_deg >= 90.0 {
-        return Err(tilt.refuse("must be less than 90 degrees"));
+    let tilt_max_deg = tilt.number()?;
+    if !(0.0..=TILT_LIMIT_DEG).contains(&tilt_max_deg) {
+        return Err(tilt.refuse(format!("must be between 0 and {TILT_LIMIT_DEG} degrees")));
     }
     Ok(SearchRange { z_min_m: z_min_mm * 1e-3, z_max_m: z_max_mm * 1e-3, tilt_max_rad: tilt_max_deg.to_radians() })
 }
@@ -182,19 +215,53 @@ mod tests {
         assert!((polygon_area_px(&reversed) - 9.0).abs() < 1e-12);
     }
 
+    /// Makes folders, those with a `+` as cases.
+    fn make(dir: &Path, names: &[&str]) {
+        for name in names {
+            let folder = dir.join(name.trim_start_matches('+'));
+            std::fs::create_dir_all(&folder).unwrap();
+            if name.starts_with('+') {
+                std::fs::write(folder.join(CASE_FILE), "{}").unwrap();
+            }
+        }
+    }
+
+    #[track_caller]
+    fn check_found(dir: &Path, expected: &[&str]) {
+        let expected: Vec<_> = expected.iter().map(|name| dir.join(name)).collect();
+        assert_eq!(find_cases(dir).unwrap(), expected);
+    }
+
     #[test]
-    fn cases_are_found_sorted_and_a_case_is_its_own_folder() {
+    fn cases_are_found_at_any_depth_sorted_and_not_inside_cases() {
         let dir = tempfile::tempdir().unwrap();
-        for name in ["b", "a", "_scenes", "c/deeper"] {
-            std::fs::create_dir_all(dir.path().join(name)).unwrap();
-        }
+        make(dir.path(), &["b", "_scenes/pictures", "empty"]);
         let error = find_cases(dir.path()).unwrap_err();
-        assert!(matches!(error, DatasetError::NoCases { .. }), "{error}");
-        for name in ["b", "a", "c/deeper"] {
-            std::fs::write(dir.path().join(name).join(CASE_FILE), "{}").unwrap();
-        }
-        assert_eq!(find_cases(dir.path()).unwrap(), [dir.path().join("a"), dir.path().join("b")]);
+        assert!(matches!(error, DatasetError::NoCases { .. }) && error.to_string().contains("8 levels"), "{error}");
+        make(dir.path(), &["+b", "+a/z", "+c/deeper/still", "+_scenes/one", "+.hidden/x", "+b/inside", "+a/.trash"]);
+        check_found(dir.path(), &["_scenes/one", "a/z", "b", "c/deeper/still"]);
         assert_eq!(find_cases(&dir.path().join("b")).unwrap(), [dir.path().join("b")]);
         assert!(matches!(find_cases(&dir.path().join("none")), Err(DatasetError::Io { .. })));
+    }
+
+    #[test]
+    fn cases_are_looked_for_eight_levels_down() {
+        let dir = tempfile::tempdir().unwrap();
+        make(dir.path(), &["+1/2/3/4/5/6/7/8", "+1/2/3/4/5/6/7/x/9"]);
+        check_found(dir.path(), &["1/2/3/4/5/6/7/8"]);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_are_followed_once_and_never_in_a_circle() {
+        use std::os::unix::fs::symlink;
+        let (dir, elsewhere) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        make(dir.path(), &["+m/one", "n"]);
+        make(elsewhere.path(), &["+two"]);
+        symlink(dir.path(), dir.path().join("n/circle")).unwrap();
+        symlink(dir.path().join("m/one"), dir.path().join("a")).unwrap();
+        symlink(elsewhere.path(), dir.path().join("linked")).unwrap();
+        symlink(dir.path().join("gone"), dir.path().join("dangling")).unwrap();
+        check_found(dir.path(), &["linked/two", "m/one"]);
     }
 }

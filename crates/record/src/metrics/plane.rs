@@ -110,7 +110,7 @@ pub struct EvaluatedCase {
     pub error: Option<PlaneError>,
     /// Against the disparity map, where there is one.
     pub disparity: Option<DisparityAgreement>,
-    /// Single-thread CPU time from images in memory to pose, milliseconds.
+    /// Single-thread CPU time from images in memory to pose, milliseconds; not finite if the method was never run.
     pub cpu_millis: f64,
 }
 

@@ -58,7 +58,7 @@ fn row(name: &'static str, cases: &[&EvaluatedCase]) -> GroupSummary {
     let planar = cases.iter().all(|case| case.group != Group::NonPlanar);
     let normal_deg: Vec<_> = errors.iter().filter(|_| planar).map(|e| e.normal_rad.to_degrees()).collect();
     let disparity_px: Vec<_> = errors.iter().filter_map(|e| e.disparity_px.map(f64::abs)).collect();
-    let millis: Vec<_> = cases.iter().map(|case| case.cpu_millis).collect();
+    let millis: Vec<_> = cases.iter().map(|case| case.cpu_millis).filter(|ms| ms.is_finite()).collect();
     let good = errors.iter().filter(|e| e.is_good()).count();
     let maps: Vec<_> = cases.iter().filter(|c| c.error.is_some()).filter_map(|c| c.disparity).collect();
     let map_px: Vec<_> = maps.iter().map(|m| m.median_abs_px).collect();

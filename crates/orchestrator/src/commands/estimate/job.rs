@@ -8,7 +8,7 @@ use nalgebra::Vector2;
 use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_estimation::region::Region;
 use pb3dp_geometry::StereoRig;
-use pb3dp_record::calibration_files::load_stereo;
+use pb3dp_record::calibration_files::{load_stereo, load_stereo_for};
 use pb3dp_record::dataset::{Case, load_case};
 use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
 
@@ -77,14 +77,14 @@ impl Job {
         let (Some(left_file), Some(right_file), Some(region)) = (&args.left, &args.right, &args.region) else {
             bail!("one pair needs --left, --right, --calib and --region");
         };
-        let calibration = load_stereo(&args.calib)?;
         let left = load_rgb(left_file)?;
+        let calibration = load_stereo_for(&args.calib, size_of(&left))?;
         check_sizes(&calibration.rig, &left, left_file, &calibration.source)?;
         let right = load_rgb_of_size(right_file, size_of(&left), &left_file.display().to_string())?;
         let mut notes = calibration.notes;
         let given = default_range(&calibration.rig, args.method.z_range.is_none(), &mut notes);
         Ok(Self {
-            name: left_file.file_stem().map_or_else(|| "pair".into(), |stem| stem.to_string_lossy().into_owned()),
+            name: pair_name(left_file),
             region: load_region(region)?,
             left,
             right,
@@ -95,6 +95,11 @@ impl Job {
             case: None,
         })
     }
+}
+
+/// Name of a pair of picture files: the left one's, without its ending.
+pub fn pair_name(left_file: &Path) -> String {
+    left_file.file_stem().map_or_else(|| "pair".into(), |stem| stem.to_string_lossy().into_owned())
 }
 
 /// Refuses a picture that the calibration was not made for.

@@ -3,6 +3,7 @@
 pub mod job;
 pub mod output;
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -10,18 +11,18 @@ use anyhow::{Context, Result};
 use nalgebra::Vector2;
 use pb3dp_estimation::estimate::PlaneEstimate;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
-use pb3dp_estimation::region::Region;
-use pb3dp_record::dataset::find_cases;
+use pb3dp_estimation::region::RegionConfig;
+use pb3dp_record::dataset::{find_cases, load_case};
 use pb3dp_record::images::{PictureFormat, save};
 use pb3dp_record::metrics::{self, DisparityAgreement, EvaluatedCase, Group, compare_plane, table};
 
-use self::job::Job;
+use self::job::{Job, pair_name};
 use self::output::{EstimateLine, print_line};
 use super::pair::check_pictures;
 use crate::cli::{EstimateArgs, MethodArgs};
 use crate::config::estimator::read_estimator;
 use crate::cpu_time::timed;
-use crate::picture::{Annotation, annotate, model_frame_on_plane};
+use crate::picture::{Annotation, annotate, model_frame_on_plane, polygon_px};
 
 /// Runs the command. The exit code is a failure if a case could not be worked on; all others are worked on all the same.
 ///
@@ -30,12 +31,10 @@ use crate::picture::{Annotation, annotate, model_frame_on_plane};
 pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
     let method = Method::from_name(&args.method.method)?;
     let config = estimator_config(&args.method, args.reference_optimum)?;
-    if let Some(folder) = &args.method.overlay {
-        std::fs::create_dir_all(folder).with_context(|| format!("{}: can not be created", folder.display()))?;
-    }
+    let mut overlays = Overlays::open(args.method.overlay.as_deref())?;
     let jobs = match &args.cases {
         Some(dir) => find_cases(dir)?.into_iter().map(Source::Case).collect(),
-        None => vec![Source::Files],
+        None => vec![Source::Files(args.left.clone().unwrap_or_default())],
     };
     if !args.method.json {
         print_line(EstimateLine::HEADING)?;
@@ -44,7 +43,7 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
     let mut refused = 0_usize;
     for source in jobs {
         let name = source.name();
-        let outcome = source.load(args).and_then(|job| work(&job, method, &config, &args.method));
+        let outcome = source.load(args).and_then(|job| work(&job, method, &config, &mut overlays));
         let line = match outcome {
             Ok((line, evaluation)) => {
                 evaluated.extend(evaluation);
@@ -53,6 +52,7 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
             Err(error) => {
                 refused += 1;
                 tracing::error!("{name}: {error:#}");
+                evaluated.extend(source.refused());
                 EstimateLine::of_error(&name, method.name())
             }
         };
@@ -66,23 +66,33 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
 enum Source {
     /// A case folder.
     Case(PathBuf),
-    /// The pair that the command line names.
-    Files,
+    /// The pair that the command line names, by its left picture.
+    Files(PathBuf),
 }
 
 impl Source {
-    /// Its name, known before anything is read.
+    /// Its name, which is the same whether the pictures can be used or not.
     fn name(&self) -> String {
         match self {
-            Self::Case(folder) => folder.file_name().unwrap_or(folder.as_os_str()).to_string_lossy().into_owned(),
-            Self::Files => "pair".to_owned(),
+            Self::Case(folder) => load_case(folder).map_or_else(
+                |_| folder.file_name().unwrap_or(folder.as_os_str()).to_string_lossy().into_owned(),
+                |case| case.name,
+            ),
+            Self::Files(left) => pair_name(left),
         }
+    }
+
+    /// The entry of a refused case in the table of errors: it counts, without an answer.
+    fn refused(&self) -> Option<EvaluatedCase> {
+        let Self::Case(folder) = self else { return None };
+        let case = load_case(folder).ok().filter(|case| case.truth.is_some())?;
+        Some(EvaluatedCase { group: Group::of(&case), error: None, disparity: None, cpu_millis: f64::NAN })
     }
 
     fn load(&self, args: &EstimateArgs) -> Result<Job> {
         match self {
             Self::Case(folder) => Job::from_case(folder, &args.method),
-            Self::Files => Job::from_files(args),
+            Self::Files(_) => Job::from_files(args),
         }
     }
 }
@@ -108,10 +118,17 @@ fn work(
     job: &Job,
     method: Method,
     config: &EstimatorConfig,
-    args: &MethodArgs,
+    overlays: &mut Overlays<'_>,
 ) -> Result<(EstimateLine, Option<EvaluatedCase>)> {
     for note in &job.notes {
         tracing::info!("{}: {note}", job.name);
+    }
+    if let Some(case) = job.case.as_ref().filter(|case| !case.other_keys.is_empty()) {
+        tracing::warn!(
+            "{}: case.json has keys that are not known and not used: {}",
+            job.name,
+            case.other_keys.join(", ")
+        );
     }
     check_pictures(&job.name, &job.rig, &job.left, &job.right)?;
     let mut estimator = Estimator::new(method, &job.rig, config)?;
@@ -123,8 +140,8 @@ fn work(
     };
     tell(&job.name, &estimate);
     let line = EstimateLine::of(&job.name, method.name(), &estimate, z_m, millis);
-    if let Some(folder) = &args.overlay {
-        draw(job, &estimate, &line, folder)?;
+    if let Err(error) = overlays.draw(job, &estimate, &line, &config.published.region) {
+        tracing::warn!("{}: no picture: {error:#}", job.name);
     }
     Ok((line, evaluate(job, &estimate, z_m, millis)?))
 }
@@ -137,17 +154,23 @@ fn tell(name: &str, estimate: &PlaneEstimate) {
     for warning in &estimate.warnings {
         tracing::warn!("{name}: {warning}");
     }
-    if let (Some((best, fitness)), Some(psi), Some(found)) =
-        (estimate.reference_optimum, estimate.psi, estimate.fitness)
-    {
+    if let (Some(optimum), Some(psi), Some(found)) = (estimate.reference_optimum, estimate.psi, estimate.fitness) {
+        let (best, fitness) = (optimum.psi, optimum.fitness);
+        let search = if found >= fitness {
+            format!("search error: none (equal fitness; {} chromosomes tie)", optimum.ties)
+        } else {
+            format!(
+                "search error: fitness {:.4} short, {:+.2} mm and {:.2} deg away",
+                fitness - found,
+                (psi.z_m - best.z_m) * 1e3,
+                psi.normal().angle(&best.normal()).to_degrees()
+            )
+        };
         tracing::info!(
-            "{name}: reference optimum of all chromosomes: fitness {fitness:.4}, z {:.2} mm, tilts {:.2} and {:.2} deg; the \
-             search reached {found:.4}, off by {:.2} mm and {:.2} deg",
+            "{name}: reference optimum of all chromosomes: fitness {fitness:.4}, z {:.2} mm, tilts {:.2} and {:.2} deg; {search}",
             best.z_m * 1e3,
             best.theta_x_rad.to_degrees(),
             best.theta_y_rad.to_degrees(),
-            (psi.z_m - best.z_m) * 1e3,
-            psi.normal().angle(&best.normal()).to_degrees()
         );
     }
 }
@@ -183,30 +206,74 @@ fn report_errors(evaluated: &[EvaluatedCase]) {
         std::io::Write::write_all(&mut stderr, format!("\nErrors against the truth of the cases:\n{text}").as_bytes());
 }
 
-/// Writes the picture of a case.
-fn draw(job: &Job, estimate: &PlaneEstimate, line: &EstimateLine, folder: &Path) -> Result<()> {
-    let outline_px = outline(&job.region, &job.left, estimate);
-    let frame = estimate.pose.and_then(|pose| {
-        let ray = job.rig.left().unproject(&estimate.centroid_px).ok()?;
-        model_frame_on_plane(ray * pose.depth_on_ray(&ray)?, &pose.normal_in_cam_left)
-    });
-    let depth = line.z_mm.map_or(String::new(), |z| format!("  z {z:.1} mm"));
-    let fitness = line.fitness.map_or(String::new(), |fitness| format!("  fitness {fitness:.3}"));
-    let annotation = Annotation {
-        outline_px: &outline_px,
-        cam_left_from_model: frame,
-        label: format!("{} {}{depth}{fitness}", line.case, line.status),
-        is_bad: frame.is_none(),
-    };
-    let file = folder.join(format!("{}.png", line.case));
-    save(&annotate(&job.left, &job.right, &job.rig, &annotation), &file, PictureFormat::Png)?;
-    Ok(())
+/// The pictures of all cases.
+struct Overlays<'a> {
+    folder: Option<&'a Path>,
+    /// File names that are taken.
+    taken: HashSet<String>,
+}
+
+impl<'a> Overlays<'a> {
+    fn open(folder: Option<&'a Path>) -> Result<Self> {
+        if let Some(folder) = folder {
+            std::fs::create_dir_all(folder).with_context(|| format!("{}: can not be created", folder.display()))?;
+        }
+        Ok(Self { folder, taken: HashSet::new() })
+    }
+
+    /// Writes the picture of a case, if pictures are wanted.
+    fn draw(&mut self, job: &Job, estimate: &PlaneEstimate, line: &EstimateLine, regions: &RegionConfig) -> Result<()> {
+        let Some(folder) = self.folder else { return Ok(()) };
+        let outline_px = outline(job, estimate, regions);
+        let frame = estimate.pose.and_then(|pose| {
+            let ray = job.rig.left().unproject(&estimate.centroid_px).ok()?;
+            model_frame_on_plane(ray * pose.depth_on_ray(&ray)?, &pose.normal_in_cam_left)
+        });
+        let depth = line.z_mm.map_or(String::new(), |z| format!("  z {z:.1} mm"));
+        let fitness = line.fitness.map_or(String::new(), |fitness| format!("  fitness {fitness:.3}"));
+        let annotation = Annotation {
+            outline_px: &outline_px,
+            cam_left_from_model: frame,
+            label: format!("{} {}{depth}{fitness}", line.case, line.status),
+            is_bad: frame.is_none(),
+        };
+        let picture = annotate(&job.left, &job.right, &job.rig, &annotation);
+        save(&picture, &folder.join(self.file_name(&line.case)), PictureFormat::Png)?;
+        Ok(())
+    }
+
+    /// A file name for a case, inside the folder whatever the case is called, and unlike all before.
+    fn file_name(&mut self, case: &str) -> String {
+        let plain = |c: char| if c.is_alphanumeric() || "-_ ".contains(c) { c } else { '_' };
+        let stem: String = case.chars().map(plain).collect();
+        let mut name = format!("{stem}.png");
+        let mut number = 2_usize;
+        while !self.taken.insert(name.clone()) {
+            name = format!("{stem}-{number}.png");
+            number += 1;
+        }
+        name
+    }
 }
 
 /// Outline of a region for drawing.
-fn outline(region: &Region, left: &image::RgbImage, estimate: &PlaneEstimate) -> Vec<[f64; 2]> {
-    match region.rasterize(left, &Default::default()) {
-        Ok(mask) => region.outline_px(&mask).iter().map(|p| [p.x, p.y]).collect(),
+fn outline(job: &Job, estimate: &PlaneEstimate, regions: &RegionConfig) -> Vec<[f64; 2]> {
+    match job.region.rasterize(&job.left, regions) {
+        Ok(mask) => polygon_px(&job.region.outline_px(&mask)),
         Err(_) => vec![[estimate.centroid_px.x, estimate.centroid_px.y]],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_stay_in_their_folder_and_apart() {
+        let mut overlays = Overlays::open(None).unwrap();
+        assert_eq!(overlays.file_name("bb201_c0"), "bb201_c0.png");
+        assert_eq!(overlays.file_name("bb201_c0"), "bb201_c0-2.png");
+        assert_eq!(overlays.file_name("x/../../evil"), "x_______evil.png");
+        assert_eq!(overlays.file_name(".."), "__.png");
     }
 }
