@@ -4,12 +4,16 @@
 //! flange is rigidly tied to the target's ([`FlangePath`]), and [`check_experiment`] follows it by resolved rates, the same
 //! way in which the arms are driven: damped pseudo-inverse, without use of the redundant joint.
 
-use nalgebra::Vector6;
+mod refusal;
+
+use nalgebra::{Vector3, Vector6};
 use pb3dp_geometry::frames::{Base, Flange, Hand, Model, Target, World};
 use pb3dp_geometry::{Pose, Twist};
 use pb3dp_kinematics::{Chain, DOF, Damping, JointLimits, JointVector, damped_pseudo_inverse, smallest_singular_value};
 
 use crate::trajectory::Trajectory;
+
+pub use self::refusal::{PathRefusal, ToolSpeed};
 
 /// The drift of the integration is led back with this rate, 1/s.
 const CORRECTION_PER_S: f64 = 10.0;
@@ -21,27 +25,29 @@ const START_STEP_MAX_RAD: f64 = 0.05;
 /// The beginning is reached when position (m) and angle (rad) are this near.
 const START_REACHED: f64 = 1e-9;
 
-/// The way of a flange that is rigidly tied to a moving target.
+/// The way of a flange that is rigidly tied to a moving target, and of the tool on it.
 #[derive(Clone, Copy)]
 pub struct FlangePath<'a> {
     trajectory: &'a dyn Trajectory,
     base_from_world: Pose<Base, World>,
     target_from_flange: Pose<Target, Flange>,
+    tool_in_target_m: Vector3<f64>,
 }
 
 impl<'a> FlangePath<'a> {
-    /// The flange of the arm that carries the target at `flange_from_target` and stands at `world_from_base`.
+    /// The flange of the arm that carries the target at `flange_from_target` and stands at `world_from_base`; the tool is the
+    /// target.
     pub fn of_carrier(
         trajectory: &'a dyn Trajectory,
         world_from_base: &Pose<World, Base>,
         flange_from_target: &Pose<Flange, Target>,
     ) -> Self {
         let (base_from_world, target_from_flange) = (world_from_base.inverse(), flange_from_target.inverse());
-        Self { trajectory, base_from_world, target_from_flange }
+        Self { trajectory, base_from_world, target_from_flange, tool_in_target_m: Vector3::zeros() }
     }
 
     /// The flange of the arm that stands at `world_from_base` and keeps its hand at `model_from_hand` before the target,
-    /// without lag or error. `target_from_model` says where on the target the model's frame is.
+    /// without lag or error; the tool is the hand. `target_from_model` says where on the target the model's frame is.
     pub fn of_follower(
         trajectory: &'a dyn Trajectory,
         world_from_base: &Pose<World, Base>,
@@ -49,8 +55,13 @@ impl<'a> FlangePath<'a> {
         model_from_hand: &Pose<Model, Hand>,
         flange_from_hand: &Pose<Flange, Hand>,
     ) -> Self {
-        let target_from_flange = *target_from_model * *model_from_hand * flange_from_hand.inverse();
-        Self { trajectory, base_from_world: world_from_base.inverse(), target_from_flange }
+        let target_from_hand = *target_from_model * *model_from_hand;
+        Self {
+            trajectory,
+            base_from_world: world_from_base.inverse(),
+            target_from_flange: target_from_hand * flange_from_hand.inverse(),
+            tool_in_target_m: target_from_hand.translation_m(),
+        }
     }
 
     /// Pose of the flange `t_s` seconds after the beginning.
@@ -60,10 +71,21 @@ impl<'a> FlangePath<'a> {
 
     /// Velocity of the flange's origin and its angular velocity at that time, in `base`.
     pub fn twist_at(&self, t_s: f64) -> Twist<Base> {
+        let (linear, angular) = self.velocity_at(t_s, &self.target_from_flange.translation_m());
+        Twist::<World>::new(linear, angular).expressed_in(&self.base_from_world)
+    }
+
+    /// Speed of the tool's origin (m/s) and its angular speed (rad/s) at that time.
+    pub fn tool_speed_at(&self, t_s: f64) -> (f64, f64) {
+        let (linear, angular) = self.velocity_at(t_s, &self.tool_in_target_m);
+        (linear.norm(), angular.norm())
+    }
+
+    /// Linear and angular velocity of a point on the target or rigidly tied to it, in `world`.
+    fn velocity_at(&self, t_s: f64, point_in_target_m: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
         let target = self.trajectory.twist_at(t_s);
-        let lever = self.trajectory.pose_at(t_s).transform_vector(&self.target_from_flange.translation_m());
-        let linear = target.linear_m_per_s + target.angular_rad_per_s.cross(&lever);
-        Twist::<World>::new(linear, target.angular_rad_per_s).expressed_in(&self.base_from_world)
+        let lever = self.trajectory.pose_at(t_s).transform_vector(point_in_target_m);
+        (target.linear_m_per_s + target.angular_rad_per_s.cross(&lever), target.angular_rad_per_s)
     }
 
     /// Seconds from beginning to end.
@@ -81,15 +103,35 @@ pub struct PathRequirements {
     pub singular_value_min: f64,
     /// Distance that each joint keeps from the ends of its range, rad.
     pub limit_margin_rad: f64,
+    /// Largest acceleration of each joint, rad/s^2, above 0; `None`: any.
+    pub acceleration_max_rad_per_s2: Option<JointVector>,
+    /// Largest speeds of the tool; `None`: any.
+    pub tool_speed_max: Option<ToolSpeedMax>,
     /// Time between two checked points, seconds, 0.0005 to 0.1.
     pub step_s: f64,
 }
 
+/// Largest speeds of a tool.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ToolSpeedMax {
+    /// Of its origin, m/s, above 0.
+    pub linear_m_per_s: f64,
+    /// Angular, rad/s, above 0.
+    pub angular_rad_per_s: f64,
+}
+
 impl PathRequirements {
     /// The requirements of the experiment at this share of the joint speeds: singular value 0.05, 3 degrees of margin,
-    /// steps of 10 ms.
+    /// steps of 10 ms. Accelerations and the tool's speed are not limited.
     pub fn at_speed_scale(speed_scale: f64) -> Self {
-        Self { speed_scale, singular_value_min: 0.05, limit_margin_rad: 3f64.to_radians(), step_s: 0.01 }
+        Self {
+            speed_scale,
+            singular_value_min: 0.05,
+            limit_margin_rad: 3f64.to_radians(),
+            acceleration_max_rad_per_s2: None,
+            tool_speed_max: None,
+            step_s: 0.01,
+        }
     }
 }
 
@@ -116,103 +158,14 @@ pub struct PathReport {
     pub speed_ratio_max: [Extreme; DOF],
     /// Largest joint acceleration per joint, rad/s^2.
     pub acceleration_max_rad_per_s2: [Extreme; DOF],
+    /// Largest speed of the tool's origin, m/s.
+    pub tool_linear_max_m_per_s: Extreme,
+    /// Largest angular speed of the tool, rad/s.
+    pub tool_angular_max_rad_per_s: Extreme,
     /// Smallest distance to an end of the range per joint, rad.
     pub limit_margin_min_rad: [Extreme; DOF],
     /// Largest distance between the flange and its path in the numerical integration, m.
     pub position_error_max_m: Extreme,
-}
-
-/// Why an arm can not follow a path. Joints count from 0 at the base.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum PathRefusal {
-    /// A requirement is out of its range.
-    #[error("{key} is {value}: allowed is {allowed}")]
-    Requirement {
-        /// Which requirement.
-        key: &'static str,
-        /// Its value.
-        value: f64,
-        /// What is allowed.
-        allowed: &'static str,
-    },
-    /// The beginning of the path can not be reached from the given joint angles.
-    #[error(
-        "the arm does not reach the beginning of the path: {position_error_m:.4} m and {angle_error_rad:.4} rad are missing; \
-         move its base or choose other start angles"
-    )]
-    BeginUnreachable {
-        /// Missing distance, m.
-        position_error_m: f64,
-        /// Missing angle, rad.
-        angle_error_rad: f64,
-    },
-    /// The path leads out of the reach of the arm.
-    #[error(
-        "the path leads out of reach after {at_s:.2} s: {position_error_m:.4} m and {angle_error_rad:.4} rad are missing; \
-         move the base or make the motion smaller"
-    )]
-    OutOfReach {
-        /// Seconds after the beginning of the path.
-        at_s: f64,
-        /// Missing distance, m.
-        position_error_m: f64,
-        /// Missing angle, rad.
-        angle_error_rad: f64,
-    },
-    /// A joint comes too near an end of its range.
-    #[error(
-        "joint {joint} would be at {position_rad:.4} rad after {at_s:.2} s, allowed is {min_rad:.4} to {max_rad:.4} rad \
-         (limits less margin): {excess_rad:.4} rad too far; change base, start angles or the direction of the motion"
-    )]
-    JointRange {
-        /// Index from the base.
-        joint: usize,
-        /// Seconds after the beginning of the path.
-        at_s: f64,
-        /// Where the joint would be, rad.
-        position_rad: f64,
-        /// Lower end of its range plus margin, rad.
-        min_rad: f64,
-        /// Upper end of its range less margin, rad.
-        max_rad: f64,
-        /// How far it would be outside, rad.
-        excess_rad: f64,
-    },
-    /// The arm comes too near a singular pose.
-    #[error(
-        "the smallest singular value of the Jacobian falls to {value:.4} after {at_s:.2} s, required is {required}; \
-         change base or start angles"
-    )]
-    Singular {
-        /// Seconds after the beginning of the path.
-        at_s: f64,
-        /// The singular value, metres and radians.
-        value: f64,
-        /// What is required.
-        required: f64,
-    },
-    /// A joint would have to move faster than it may; the worst one is named.
-    #[error(
-        "joint {joint} would have to move at {needed_rad_per_s:.3} rad/s after {at_s:.2} s, allowed are \
-         {allowed_rad_per_s:.3} rad/s at speed scale {speed_scale}: {ratio:.2} times too fast; lengthen the moves or raise \
-         the speed scale to {speed_scale_needed:.2}"
-    )]
-    TooFast {
-        /// Index from the base.
-        joint: usize,
-        /// Seconds after the beginning of the path.
-        at_s: f64,
-        /// Speed that the path demands, rad/s.
-        needed_rad_per_s: f64,
-        /// Limit times speed scale, rad/s.
-        allowed_rad_per_s: f64,
-        /// Needed over allowed.
-        ratio: f64,
-        /// The speed scale that was given.
-        speed_scale: f64,
-        /// The speed scale at which it would be just possible (above 1: not possible at all).
-        speed_scale_needed: f64,
-    },
 }
 
 /// Follows `path` with the arm and states how near it comes to its limits.
@@ -221,8 +174,8 @@ pub enum PathRefusal {
 /// rates. `limits` are the limits that count (the operating tier of the configuration, usually narrower than the chain's).
 ///
 /// # Errors
-/// The first place at which reach, joint range or singular value break a requirement; else, if a joint must be too fast, the
-/// worst such place of the whole path.
+/// The first place at which reach, joint range or singular value break a requirement; else the worst place of the whole path
+/// at which a joint must be too fast, or else the tool, or else a joint's change of speed.
 pub fn check_experiment(
     chain: &Chain,
     limits: &JointLimits,
@@ -248,6 +201,7 @@ pub fn check_experiment(
         let inverse = damped_pseudo_inverse(&jacobian, &damping);
         let velocity = inverse * path.twist_at(at_s).to_vector();
         report.singular_value_min.lower(singular_value, at_s);
+        report.note_tool(path.tool_speed_at(at_s), at_s);
         report.position_error_max_m.raise(error.fixed_rows::<3>(0).norm(), at_s);
         report.note_joints(limits, requirements, at_s, &position_rad, &velocity, &last_velocity);
         let half_way_rad = position_rad + velocity * (0.5 * requirements.step_s);
@@ -257,6 +211,8 @@ pub fn check_experiment(
         last_velocity = velocity;
     }
     check_speed(&report, limits, requirements.speed_scale)?;
+    check_tool_speed(&report, requirements.tool_speed_max)?;
+    check_acceleration(&report, requirements.acceleration_max_rad_per_s2)?;
     Ok(report)
 }
 
@@ -270,6 +226,8 @@ impl PathReport {
             singular_value_min: far,
             speed_ratio_max: [zero; DOF],
             acceleration_max_rad_per_s2: [zero; DOF],
+            tool_linear_max_m_per_s: zero,
+            tool_angular_max_rad_per_s: zero,
             limit_margin_min_rad: [far; DOF],
             position_error_max_m: zero,
         }
@@ -294,6 +252,11 @@ impl PathReport {
             self.limit_margin_min_rad[joint].lower(margin_rad[joint], at_s);
         }
         self.end_rad = *position_rad;
+    }
+
+    fn note_tool(&mut self, (linear_m_per_s, angular_rad_per_s): (f64, f64), at_s: f64) {
+        self.tool_linear_max_m_per_s.raise(linear_m_per_s, at_s);
+        self.tool_angular_max_rad_per_s.raise(angular_rad_per_s, at_s);
     }
 
     /// The joint that uses most of its allowed speed, and how much of it.
@@ -415,12 +378,49 @@ fn check_speed(report: &PathReport, limits: &JointLimits, speed_scale: f64) -> R
     })
 }
 
+fn check_tool_speed(report: &PathReport, most: Option<ToolSpeedMax>) -> Result<(), PathRefusal> {
+    let Some(most) = most else { return Ok(()) };
+    let speeds = [
+        (ToolSpeed::Linear, report.tool_linear_max_m_per_s, most.linear_m_per_s),
+        (ToolSpeed::Angular, report.tool_angular_max_rad_per_s, most.angular_rad_per_s),
+    ];
+    let ratio = |speed: &(ToolSpeed, Extreme, f64)| speed.1.value / speed.2;
+    let worst = if ratio(&speeds[1]) > ratio(&speeds[0]) { speeds[1] } else { speeds[0] };
+    let (quantity, Extreme { value: needed, at_s }, allowed) = worst;
+    if needed <= allowed {
+        return Ok(());
+    }
+    Err(PathRefusal::ToolTooFast { quantity, at_s, needed, allowed, ratio: needed / allowed })
+}
+
+fn check_acceleration(report: &PathReport, most: Option<JointVector>) -> Result<(), PathRefusal> {
+    let Some(most) = most else { return Ok(()) };
+    let ratio = |joint: usize| {
+        let Extreme { value, at_s } = report.acceleration_max_rad_per_s2[joint];
+        Extreme { value: value / most[joint], at_s }
+    };
+    let (joint, Extreme { value: ratio, at_s }) = worst(&std::array::from_fn(ratio), |a, b| a > b);
+    if ratio <= 1.0 {
+        return Ok(());
+    }
+    let allowed_rad_per_s2 = most[joint];
+    let needed_rad_per_s2 = report.acceleration_max_rad_per_s2[joint].value;
+    Err(PathRefusal::TooAbrupt { joint, at_s, needed_rad_per_s2, allowed_rad_per_s2, ratio })
+}
+
 fn check_requirements(requirements: &PathRequirements) -> Result<(), PathRefusal> {
-    let PathRequirements { speed_scale, singular_value_min, limit_margin_rad, step_s } = *requirements;
+    let PathRequirements { speed_scale, singular_value_min, limit_margin_rad, step_s, .. } = *requirements;
+    let acceleration = requirements.acceleration_max_rad_per_s2;
+    let acceleration =
+        acceleration.and_then(|most| most.iter().copied().find(|one| one.is_nan() || *one <= 0.0)).unwrap_or(1.0);
+    let tool = requirements.tool_speed_max.unwrap_or(ToolSpeedMax { linear_m_per_s: 1.0, angular_rad_per_s: 1.0 });
     let checks = [
         ("speed_scale", speed_scale, speed_scale > 0.0 && speed_scale <= 1.0, "above 0 to 1"),
         ("singular_value_min", singular_value_min, (1e-4..=1.0).contains(&singular_value_min), "0.0001 to 1"),
         ("limit_margin_rad", limit_margin_rad, (0.0..=1.0).contains(&limit_margin_rad), "0 to 1 rad"),
+        ("acceleration_max_rad_per_s2", acceleration, acceleration > 0.0, "above 0 rad/s^2"),
+        ("tool_speed_max.linear_m_per_s", tool.linear_m_per_s, tool.linear_m_per_s > 0.0, "above 0 m/s"),
+        ("tool_speed_max.angular_rad_per_s", tool.angular_rad_per_s, tool.angular_rad_per_s > 0.0, "above 0 rad/s"),
         ("step_s", step_s, (5e-4..=0.1).contains(&step_s), "0.0005 to 0.1 s"),
     ];
     match checks.into_iter().find(|(_, _, good, _)| !good) {

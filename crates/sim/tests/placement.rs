@@ -8,7 +8,9 @@ use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Flange, Hand, Model, Target, World};
 use pb3dp_kinematics::{Chain, JointLimits, JointVector};
-use pb3dp_sim::placement::{FlangePath, PathRefusal, PathReport, PathRequirements, check_experiment};
+use pb3dp_sim::placement::{
+    FlangePath, PathRefusal, PathReport, PathRequirements, ToolSpeed, ToolSpeedMax, check_experiment,
+};
 use pb3dp_sim::trajectory::{
     Channel, ExperimentAxes, Sine, SineConfig, StepExperiment, StepExperimentConfig, Trajectory,
 };
@@ -65,8 +67,15 @@ enum CellArm {
 }
 
 fn check(arm: CellArm, trajectory: &dyn Trajectory, speed_scale: f64) -> Result<PathReport, PathRefusal> {
+    check_for(arm, trajectory, &PathRequirements::at_speed_scale(speed_scale))
+}
+
+fn check_for(
+    arm: CellArm,
+    trajectory: &dyn Trajectory,
+    requirements: &PathRequirements,
+) -> Result<PathReport, PathRefusal> {
     let chain = chain();
-    let requirements = PathRequirements::at_speed_scale(speed_scale);
     let (path, start) = match arm {
         CellArm::Tc => (FlangePath::of_carrier(trajectory, &world_from_tc_base(), &flange_from_target()), TC_START_RAD),
         CellArm::Vs => {
@@ -76,7 +85,7 @@ fn check(arm: CellArm, trajectory: &dyn Trajectory, speed_scale: f64) -> Result<
             (path, VS_START_RAD)
         }
     };
-    check_experiment(&chain, &operating_limits(&chain), &start.into(), &path, &requirements)
+    check_experiment(&chain, &operating_limits(&chain), &start.into(), &path, requirements)
 }
 
 fn steps(config: StepExperimentConfig) -> StepExperiment {
@@ -160,6 +169,78 @@ fn a_speed_scale_that_is_too_low_is_refused_by_joint_and_ratio() {
     assert!((speed_scale_needed - 0.6 * fastest.value).abs() < 1e-9);
     assert!(message.contains("joint 1") && message.contains("times too fast"), "{message}");
     assert!(check(CellArm::Vs, &experiment, speed_scale_needed * 1.0001).is_ok());
+}
+
+/// Moves of `move_s` along (100 mm) and about (20 degrees) one axis.
+fn one_axis(channel: Channel, move_s: f64) -> StepExperiment {
+    steps(StepExperimentConfig { channels: vec![channel], move_s, ..Default::default() })
+}
+
+#[test]
+fn a_change_of_speed_that_the_drives_do_not_allow_is_refused_by_joint_and_ratio() {
+    // At the full joint speeds the moves may take 1 s; the accelerations are four times those of 2 s.
+    let unlimited = PathRequirements::at_speed_scale(1.0);
+    let free = check_for(CellArm::Vs, &one_axis(Channel::Rx, 1.0), &unlimited).unwrap();
+    let slow = check_for(CellArm::Vs, &one_axis(Channel::Rx, 2.0), &unlimited).unwrap();
+    let peak = free.acceleration_max_rad_per_s2[1];
+    assert!((peak.value / slow.acceleration_max_rad_per_s2[1].value - 4.0).abs() < 0.1, "{free:#?} {slow:#?}");
+
+    let mut most = JointVector::from_element(100.0);
+    most[1] = 0.8 * peak.value;
+    let limited = PathRequirements { acceleration_max_rad_per_s2: Some(most), ..unlimited };
+    let refusal = check_for(CellArm::Vs, &one_axis(Channel::Rx, 1.0), &limited).unwrap_err();
+    let message = refusal.to_string();
+    let PathRefusal::TooAbrupt { joint, at_s, needed_rad_per_s2, allowed_rad_per_s2, ratio } = refusal else {
+        panic!("{message}")
+    };
+    assert_eq!((joint, at_s, needed_rad_per_s2, allowed_rad_per_s2), (1, peak.at_s, peak.value, most[1]));
+    assert!((ratio - 1.25).abs() < 1e-12, "{message}");
+    assert!(message.contains("1.25 times too much") && message.contains("1.12-fold"), "{message}");
+    // What the message advises helps.
+    assert!(check_for(CellArm::Vs, &one_axis(Channel::Rx, 1.13), &limited).is_ok());
+
+    for value in [0.0, -1.0, f64::NAN] {
+        most[5] = value;
+        let limited = PathRequirements { acceleration_max_rad_per_s2: Some(most), ..unlimited };
+        let refusal = check_for(CellArm::Vs, &one_axis(Channel::Rx, 2.0), &limited).unwrap_err();
+        assert!(
+            matches!(refusal, PathRefusal::Requirement { key: "acceleration_max_rad_per_s2", .. }),
+            "{value}: {refusal}"
+        );
+    }
+}
+
+#[test]
+fn a_tool_that_would_be_too_fast_is_refused_by_quantity_and_ratio() {
+    // The speed of a smooth move is at most 15/8 of its mean; turning the target swings the hand about it at 500 mm.
+    let angular = 15.0 / 8.0 * 20f64.to_radians() / 2.0;
+    let most = |linear_m_per_s, angular_rad_per_s| PathRequirements {
+        tool_speed_max: Some(ToolSpeedMax { linear_m_per_s, angular_rad_per_s }),
+        ..PathRequirements::at_speed_scale(0.6)
+    };
+    let cases = [
+        (Channel::Rx, most(0.8 * angular * 0.5, 10.0), ToolSpeed::Linear, angular * 0.5, "m/s"),
+        (Channel::Rx, most(10.0, 0.8 * angular), ToolSpeed::Angular, angular, "rad/s"),
+        (Channel::Y, most(0.075, 10.0), ToolSpeed::Linear, 0.09375, "m/s"),
+    ];
+    for (channel, requirements, expected, speed, unit) in cases {
+        let refusal = check_for(CellArm::Vs, &one_axis(channel, 2.0), &requirements).unwrap_err();
+        let message = refusal.to_string();
+        let PathRefusal::ToolTooFast { quantity, at_s, needed, allowed, ratio } = refusal else { panic!("{message}") };
+        assert_eq!(quantity, expected, "{message}");
+        assert!((needed - speed).abs() < 1e-6 && (allowed - 0.8 * speed).abs() < 1e-12, "{message}");
+        assert!((ratio - 1.25).abs() < 1e-4 && at_s > 3.0, "{message}");
+        assert!(message.contains(unit) && message.contains("1.25 times too fast"), "{message}");
+        // Enough is enough, and the arm that carries the target does not swing with it.
+        assert!(check_for(CellArm::Vs, &one_axis(channel, 2.51), &requirements).is_ok());
+    }
+    let carrier = check_for(CellArm::Tc, &one_axis(Channel::Rx, 2.0), &most(0.01, 1.0)).unwrap();
+    assert!(carrier.tool_linear_max_m_per_s.value < 1e-9, "{carrier:?}");
+    assert!((carrier.tool_angular_max_rad_per_s.value - angular).abs() < 1e-6, "{carrier:?}");
+    for bad in [most(0.0, 1.0), most(1.0, f64::NAN)] {
+        let refusal = check_for(CellArm::Vs, &one_axis(Channel::Rx, 2.0), &bad).unwrap_err();
+        assert!(matches!(refusal, PathRefusal::Requirement { .. }), "{refusal}");
+    }
 }
 
 #[test]
