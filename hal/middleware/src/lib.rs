@@ -6,4 +6,4 @@
 mod limiter;
 mod shaping;
 
-pub use limiter::{Limiter, LimiterConfig, LimiterError, LimiterStatistics, PA10_OPERATING_RANGE_DEG, RIG_SPEED_SCALE};
+pub use limiter::{Limiter, LimiterConfig, LimiterError, LimiterStatistics, PA10_OPERATING_RANGE_DEG};

@@ -12,9 +12,6 @@ use crate::shaping;
 /// Operating range of a PA-10, a few degrees within its servo limits, to both sides; degrees, base to tip.
 pub const PA10_OPERATING_RANGE_DEG: [f64; DOF] = [170.0, 88.0, 168.0, 131.0, 249.0, 159.0, 249.0];
 
-/// Speed scale of a real rig unless the operator sets another.
-pub const RIG_SPEED_SCALE: f64 = 0.10;
-
 /// Close to a limit the speed cap is distance / T: a control loop of gain 1/T, closed over the reaction time. Such a loop
 /// overshoots unless its gain is at most 1 / (e x delay), so T is e times the reaction time.
 const NO_OVERSHOOT: f64 = std::f64::consts::E;
