@@ -222,7 +222,7 @@ impl SearchRange {
             "search range tilt_max_rad",
             self.tilt_max_rad,
             (0.0, tilt_limit),
-            "must be between 0 and 1.4835 rad (85 degrees)",
+            "must be between 0 and 85 degrees (1.4835 rad)",
         )
     }
 

@@ -119,6 +119,22 @@ fn a_depth_outside_the_range_is_never_a_sure_answer() {
 }
 
 #[test]
+fn the_smallest_and_the_largest_range_of_tilts_serve() {
+    let rig = common::rectified_rig();
+    let facing = common::target_at((5.0, 10.0, 485.0), (0.0, 0.0, 12.0));
+    let Shot { left, right } = common::render(&rig, Some(&facing), Look::Colourful);
+    let region = Region::Polygon { vertices_px: common::outline_px(&rig, &facing) };
+    for tilt_max_deg in [0.0_f64, 85.0] {
+        let mut estimator = PublishedEstimator::new(&rig, PublishedConfig::default()).expect("a config");
+        let range = SearchRange::new(0.35, 0.65, tilt_max_deg.to_radians()).expect("a range");
+        let found = estimator.estimate(&left, &right, &region, &range).expect("images that fit");
+        assert!(found.status.depth_is_sure(), "{tilt_max_deg}: {found:?}");
+        assert!((found.z_m().expect("a pose") / 0.485 - 1.0).abs() < 0.012, "{tilt_max_deg}: {found:?}");
+    }
+    assert!(SearchRange::new(0.35, 0.65, 85.01_f64.to_radians()).is_err());
+}
+
+#[test]
 fn the_answer_depends_on_the_input_alone() {
     let rig = common::general_rig();
     let Shot { left, right } = common::render(&rig, Some(&pose()), Look::Colourful);

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use pb3dp_record::dataset::TILT_LIMIT_DEG;
 
 use crate::logging::LogFormat;
 use crate::region_spec::{REGION_HELP, RegionSpec};
@@ -157,8 +158,8 @@ fn parse_seconds(text: &str) -> Result<f64, String> {
 
 fn parse_tilt(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
-        Ok(degrees) if degrees > 0.0 && degrees < 90.0 => Ok(degrees),
-        _ => Err(format!("{text:?} is not a tilt between 0 and 90 degrees")),
+        Ok(degrees) if (0.0..=TILT_LIMIT_DEG).contains(&degrees) => Ok(degrees),
+        _ => Err(format!("{text:?}: must be between 0 and {TILT_LIMIT_DEG} degrees")),
     }
 }
 
@@ -181,7 +182,16 @@ mod tests {
         assert!(
             ["nan", "-1", "inf", "x"].iter().all(|bad| parse_seconds(bad).is_err()) && parse_seconds("2.5") == Ok(2.5)
         );
-        assert!(parse_tilt("95").is_err() && parse_tilt("45") == Ok(45.0));
+        assert!(["85.01", "-1", "nan", "x"].iter().all(|bad| parse_tilt(bad).is_err()) && parse_tilt("45") == Ok(45.0));
+    }
+
+    #[test]
+    fn the_largest_tilt_is_that_of_the_estimators() {
+        let search = |deg: f64| pb3dp_estimation::plane_hypothesis::SearchRange::new(0.3, 0.6, deg.to_radians());
+        assert!(parse_tilt("85").is_ok_and(|deg| search(deg).is_ok()) && search(85.01).is_err());
+        let message = "must be between 0 and 85 degrees";
+        assert!(parse_tilt("85.01").is_err_and(|error| error.contains(message)));
+        assert!(search(85.01).is_err_and(|error| error.to_string().contains(message)));
     }
 
     #[test]

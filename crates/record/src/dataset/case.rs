@@ -289,7 +289,7 @@ mod tests {
         check_refused(|v| v["calib"] = json!(7), &["`calib`", "7", "text"]);
         check_refused(|v| drop(v["search"].as_object_mut().unwrap().remove("z_min_mm")), &["`search.z_min_mm`"]);
         check_refused(|v| v["search"]["z_max_mm"] = json!(300), &["`search.z_max_mm`", "300", "greater"]);
-        check_refused(|v| v["search"]["tilt_max_deg"] = json!(85.01), &["`search.tilt_max_deg`", "between 0 and 85 degrees"]);
+        check_refused(|v| v["search"]["tilt_max_deg"] = json!(85.01), &["`search.tilt_max_deg`", "0 and 85 degrees"]);
         check_refused(|v| v["region_polygon_left_px"] = json!([[1, 2], [3, 4]]), &["at least 3 corners", "not 2"]);
         check_refused(|v| v["region_polygon_left_px"] = json!([[1, 2], [3, 4], [5, 6]]), &["0.00 square pixels"]);
         check_refused(|v| v["region_polygon_left_px"][2][1] = json!("x"), &["`region_polygon_left_px[2][1]`", "\"x\""]);

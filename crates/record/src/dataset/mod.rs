@@ -112,7 +112,7 @@ pub struct SearchRange {
     pub z_min_m: f64,
     /// Farthest depth in `cam_left`, metres.
     pub z_max_m: f64,
-    /// Largest angle between the plane's normal and the optical axis, radians.
+    /// Largest tilt of the plane about x and about y, radians.
     pub tilt_max_rad: f64,
 }
 
