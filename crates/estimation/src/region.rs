@@ -218,7 +218,7 @@ pub enum RegionWarning {
     },
     /// Hue means little here.
     #[error(
-        "only {coloured_percent:.0} % of the region's pixels are coloured (limit {limit_percent:.0} %): hue means little on grey; choose a coloured target or a method that uses luminance"
+        "only {coloured_percent:.0} % of the region's pixels are coloured (limit {limit_percent:.0} %): hue means little on grey; choose a coloured target"
     )]
     Grey {
         /// Share of coloured pixels, percent.

@@ -15,7 +15,8 @@ pub struct TargetObservation {
     /// Pose of the model in the left camera. What the estimator does not observe (the rotation about the normal of the
     /// published method) stays at the value that the estimator holds it at.
     pub cam_left_from_model: Pose<CamLeft, Model>,
-    /// Whether the estimator stands by this pose (status `ok`); others are not followed.
+    /// Whether the estimator stands by the depth (status `ok` or `weak-tilt`); others are not followed. A weak tilt is
+    /// noisy, not wrong: the smoothing of the target is there for it.
     pub trusted: bool,
 }
 

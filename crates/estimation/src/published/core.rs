@@ -127,7 +127,7 @@ impl Core {
             return None;
         }
         Some(format!(
-            "{points} of {} model points ({:.0} %) have a hue, at least {} and {:.0} % are needed: the target is grey, dark or too small for a method that compares hue; choose a coloured target or another method",
+            "{points} of {} model points ({:.0} %) have a hue, at least {} and {:.0} % are needed: the target is grey, dark or too small for a method that compares hue; choose a coloured target",
             self.model.inner_sampled(),
             100.0 * share,
             limits.points_min,

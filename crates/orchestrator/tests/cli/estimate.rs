@@ -236,3 +236,44 @@ fn swapped_pictures_are_never_a_sure_answer() {
     assert_eq!(lines.len(), 1);
     assert_ne!(lines[0]["status"], "ok", "{}", lines[0]);
 }
+
+#[test]
+fn swapped_real_pictures_are_refused_with_what_to_do() {
+    let folder = real_cases().join("bb201_c0");
+    let case = pb3dp_record::dataset::load_case(&folder).unwrap();
+    let finished = pb3dp(&words(&[
+        &"estimate",
+        &"--left",
+        &case.right,
+        &"--right",
+        &case.left,
+        &"--calib",
+        &case.calibration,
+        &"--region",
+        &"rect:340,110,140,190",
+    ]));
+    finished.assert_refused(&["left and right look exchanged", "swap --left and --right"]);
+}
+
+#[test]
+fn a_range_that_misses_the_target_gives_no_sure_depth() {
+    let case = pb3dp_record::dataset::load_case(&real_cases().join("bb201_c0")).unwrap();
+    for range in ["399,401", "420,425", "1000,1010"] {
+        let finished = pb3dp(&words(&[
+            &"estimate",
+            &"--left",
+            &case.left,
+            &"--right",
+            &case.right,
+            &"--calib",
+            &case.calibration,
+            &"--region",
+            &"rect:340,110,140,190",
+            &"--json",
+            &"--z-range",
+            &range,
+        ]));
+        let line = &finished.json_lines(&ESTIMATE_KEYS)[0];
+        assert!(line["status"] == "ambiguous" || line["status"] == "not-observable", "{range}: {line}");
+    }
+}

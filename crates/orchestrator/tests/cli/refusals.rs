@@ -126,7 +126,7 @@ fn arguments_are_checked_before_anything_is_read() {
     for bad in ["350", "650,350", "-1,5", "a,b", "0,100"] {
         with(&[&format!("--z-range={bad}")]).assert_refused(&["MIN,MAX", "millimetres"]);
     }
-    with(&["--tilt-max", "95"]).assert_refused(&["95", "90 degrees"]);
+    with(&["--tilt-max", "95"]).assert_refused(&["95", "85 degrees"]);
     with(&["--left", "l.png"]).assert_refused(&["--cases", "--left"]);
     pb3dp(&words(&[&"estimate", &"--left", &"l.png"])).assert_refused(&["--right", "--calib", "--region"]);
 }

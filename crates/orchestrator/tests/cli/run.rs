@@ -82,3 +82,51 @@ fn setups_are_refused_with_file_key_and_what_is_allowed() {
     pb3dp(&words(&[&"run", &"--config", &config])).assert_refused(&["arms.vs.robot", "pa10_gen2.urdf"]);
     assert!(!dir.path().join("out").exists(), "nothing is written before the setup is accepted");
 }
+
+#[test]
+fn a_recorded_run_can_be_tracked() {
+    let dir = tempfile::tempdir().unwrap();
+    let config = setup(dir.path(), &SMALL);
+    let (out, recording) = (dir.path().join("out"), dir.path().join("recording"));
+    let finished = pb3dp(&words(&[
+        &"run",
+        &"--config",
+        &config,
+        &"--out",
+        &out,
+        &"--stop-after",
+        &"0.2",
+        &"--record",
+        &recording,
+    ]))
+    .assert_success();
+    assert!(finished.stderr.contains("frames recorded"), "{}", finished.stderr);
+    let tracked = pb3dp(&words(&[&"track", &"--sequence", &recording, &"--json"])).assert_success();
+    assert!(tracked.json_lines(&TRACK_KEYS).len() >= 5, "{}", tracked.stdout);
+    assert!(
+        tracked.stderr.contains("motion error") && tracked.stderr.contains("normal is not observed"),
+        "{}",
+        tracked.stderr
+    );
+    let again = pb3dp(&words(&[
+        &"run",
+        &"--config",
+        &config,
+        &"--out",
+        &out,
+        &"--stop-after",
+        &"0.1",
+        &"--record",
+        &recording,
+    ]));
+    again.assert_refused(&["--record"]);
+}
+
+#[test]
+fn times_that_are_none_are_refused() {
+    for bad in ["nan", "inf", "-1", "soon"] {
+        let argument = format!("--stop-after={bad}");
+        pb3dp(&words(&[&"run", &"--config", &"x.toml", &argument])).assert_refused(&["--stop-after", bad]);
+    }
+    pb3dp(&words(&[&"--log", &"shout=loud", &"run", &"--config", &"x.toml"])).assert_refused(&["--log", "shout=loud"]);
+}
