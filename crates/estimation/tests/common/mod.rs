@@ -28,6 +28,10 @@ pub enum Look {
     Grey,
     /// Target and backdrop of one hue, with texture in brightness only.
     SameHue,
+    /// Many warm hues on the target, as many cold ones on the backdrop.
+    TwoLayers,
+    /// Speckles of many hues on the target, the same hues everywhere, a blue backdrop.
+    Speckled,
 }
 
 /// A pair of raw images with the target at a known pose.
@@ -149,6 +153,7 @@ fn trace(
     let brightness = 0.55 + 0.35 * smooth_noise(hit.x / 0.012, hit.y / 0.012, 7);
     match look {
         Look::SameHue => hsv(24.0, 0.8, brightness),
+        Look::TwoLayers => hsv(180.0 + 150.0 * smooth_noise(hit.x / 0.0135, hit.y / 0.0135, 9), 0.85, brightness),
         _ => hsv(214.0 + 14.0 * smooth_noise(hit.x / 0.02, hit.y / 0.02, 8), 0.7, brightness),
     }
 }
@@ -162,6 +167,8 @@ fn target_colour(x: f64, y: f64, look: Look) -> [f64; 3] {
             hsv(26.0, 0.85, if spot { 0.05 } else { brightness })
         }
         Look::Grey => hsv(0.0, 0.02, brightness),
+        Look::Speckled => hsv(220.0 * smooth_noise(x / 0.005, y / 0.005, 6), 0.85, brightness),
+        Look::TwoLayers => hsv(150.0 * smooth_noise(x / 0.009, y / 0.009, 6), 0.85, brightness),
         Look::SameHue => hsv(24.0, 0.8, brightness),
     }
 }
