@@ -5,7 +5,7 @@
 mod common;
 
 use common::{Look, Shot};
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_estimation::photo_model::PhotoModelConfig;
 use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_estimation::published::{PublishedConfig, PublishedTracker, TrackEstimate, TrackerConfig};
@@ -134,11 +134,19 @@ fn a_target_found_again_at_another_depth_keeps_its_model_frame() {
         target.inverse() * estimate.cam_left_from_model.expect("a pose")
     };
     let first_in_target = in_target(&pose(0), &first);
+    // The camera turns by 20 degrees about its axis: from here on the model's x axis is not the image's.
+    let motion: Pose<CamLeft, CamLeft> =
+        Pose::from_parts(Vector3::new(0.004, -0.003, 0.002), UnitQuaternion::from_euler_angles(0.0, 0.01, 0.35));
+    let turned = motion.inverse() * pose(0);
+    let Shot { left, right } = common::render(&rig, Some(&turned), Look::Colourful);
+    let estimate = tracker.update(&left, &right, Some(&motion)).expect("images that fit");
+    assert!(estimate.status.depth_is_sure(), "{estimate:?}");
     for _ in 0..2 {
         assert_eq!(update(&mut tracker, &rig, None, Look::Colourful).status, Status::Lost);
     }
     // A fifth farther away, and tilted otherwise; nobody has turned it about its normal.
-    let back = common::target_at((4.0, -6.0, 590.0), (3.0, -5.0, 5.0));
+    let tilt = UnitQuaternion::from_euler_angles(0.1, -0.12, 0.0);
+    let back: Pose<CamLeft, Model> = Pose::from_parts(Vector3::new(0.004, -0.006, 0.590), tilt * turned.rotation());
     for _ in 0..3 {
         let estimate = update(&mut tracker, &rig, Some(&back), Look::Colourful);
         assert_ne!(estimate.status, Status::Lost, "{estimate:?}");
