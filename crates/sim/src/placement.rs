@@ -190,14 +190,16 @@ pub fn check_experiment(
     let steps = (path.duration_s() / requirements.step_s).ceil() as usize;
     let mut position_rad = begin_rad;
     let mut last_velocity = JointVector::zeros();
+    let mut range = WorstRange::default();
     for step in 0..=steps {
         let at_s = step as f64 * requirements.step_s;
         let error = twist_between(&chain.forward(&position_rad), &path.base_from_flange_at(at_s));
-        check_follows(&error, at_s)?;
-        check_range(limits, requirements.limit_margin_rad, &position_rad, at_s)?;
+        check_follows(&error, at_s).map_err(|refusal| range.or(refusal))?;
+        range.note(check_range(limits, requirements.limit_margin_rad, &position_rad, at_s));
         let jacobian = chain.jacobian(&position_rad);
         let singular_value = smallest_singular_value(&jacobian);
-        check_singular_value(singular_value, requirements.singular_value_min, at_s)?;
+        check_singular_value(singular_value, requirements.singular_value_min, at_s)
+            .map_err(|refusal| range.or(refusal))?;
         let inverse = damped_pseudo_inverse(&jacobian, &damping);
         let velocity = inverse * path.twist_at(at_s).to_vector();
         report.singular_value_min.lower(singular_value, at_s);
@@ -210,6 +212,7 @@ pub fn check_experiment(
         position_rad += inverse * twist * requirements.step_s;
         last_velocity = velocity;
     }
+    range.check()?;
     check_speed(&report, limits, requirements.speed_scale)?;
     check_tool_speed(&report, requirements.tool_speed_max)?;
     check_acceleration(&report, requirements.acceleration_max_rad_per_s2)?;
@@ -355,6 +358,32 @@ fn check_range(
         max_rad: limits.position_max_rad()[joint] - margin_rad,
         excess_rad: margin_rad - least_rad,
     })
+}
+
+/// The worst excess of a joint's range along the path: the first one says little about how much is missing.
+#[derive(Default)]
+struct WorstRange {
+    excess_rad: f64,
+    refusal: Option<PathRefusal>,
+}
+
+impl WorstRange {
+    fn note(&mut self, checked: Result<(), PathRefusal>) {
+        if let Err(refusal @ PathRefusal::JointRange { excess_rad, .. }) = checked
+            && excess_rad > self.excess_rad
+        {
+            (self.excess_rad, self.refusal) = (excess_rad, Some(refusal));
+        }
+    }
+
+    /// A joint that had left its range before is the cause of what followed.
+    fn or(&self, refusal: PathRefusal) -> PathRefusal {
+        self.refusal.clone().unwrap_or(refusal)
+    }
+
+    fn check(self) -> Result<(), PathRefusal> {
+        self.refusal.map_or(Ok(()), Err)
+    }
 }
 
 fn check_singular_value(value: f64, required: f64, at_s: f64) -> Result<(), PathRefusal> {

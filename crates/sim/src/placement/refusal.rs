@@ -75,7 +75,8 @@ pub enum PathRefusal {
     #[error(
         "joint {joint} would have to move at {needed_rad_per_s:.3} rad/s after {at_s:.2} s, allowed are \
          {allowed_rad_per_s:.3} rad/s at speed scale {speed_scale}: {ratio:.2} times too fast; lengthen the moves or raise \
-         the speed scale to {speed_scale_needed:.2}"
+         the speed scale to {:.2}",
+        (speed_scale_needed * 100.0).ceil() / 100.0
     )]
     TooFast {
         /// Index from the base.
