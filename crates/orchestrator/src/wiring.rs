@@ -4,12 +4,15 @@ use std::sync::{Arc, Mutex};
 
 use anyhow::{Context, Result};
 use pb3dp_arm_pa10::mock::{MockArm, MockArmConfig};
+use pb3dp_camera_replay::{Pacing, ReplayCamera, ReplayOptions};
 use pb3dp_camera_sim::SimStereoCamera;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Model, Target};
 use pb3dp_hal_api::{Arm, ArmPower, Clock, StereoCamera};
-use pb3dp_hal_clock::VirtualClock;
+use pb3dp_hal_clock::{SystemClock, VirtualClock};
 use pb3dp_hal_middleware::Limiter;
+use pb3dp_record::calibration_files::StereoCalibration;
+use pb3dp_record::dataset::Sequence;
 use pb3dp_sim::joint_dynamics::JointPlant;
 use pb3dp_sim::placement::{
     FlangePath, PathRefusal, PathReport, PathRequirements, ToolSpeed, ToolSpeedMax, check_experiment,
@@ -18,6 +21,7 @@ use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::Scene;
 use pb3dp_sim::trajectory::{StepExperiment, Trajectory};
 
+use crate::cli::ReplayPace;
 use crate::config::setup::{ArmSetup, Pace, Setup, fold_seed};
 use crate::run::cell::{ArmSite, SimulatedCell};
 use crate::run::paced_clock::PacedClock;
@@ -88,6 +92,20 @@ pub fn wire(setup: &Setup) -> Result<Parts> {
         StereoRenderer::new(scene, setup.rig, &setup.sensor, fold_seed(setup.seed)).context("table [camera]")?;
     let camera = SimStereoCamera::new(renderer, Box::new(cell.clone()), Arc::clone(&clock), setup.camera.clone())?;
     Ok(Parts { clock, camera: Box::new(camera), vs, tc, cell, experiment, target_outline_m })
+}
+
+/// The camera that plays a recorded sequence, and its calibration.
+///
+/// # Errors
+/// If the calibration can not be used.
+pub fn wire_replay(sequence: &Sequence, pace: ReplayPace) -> Result<(Box<dyn StereoCamera>, StereoCalibration)> {
+    let pacing = match pace {
+        ReplayPace::Fast => Pacing::Unpaced,
+        ReplayPace::Original => Pacing::Original(Arc::new(SystemClock::new())),
+    };
+    let camera = ReplayCamera::open_sequence(sequence, ReplayOptions { pacing, ..ReplayOptions::default() })?;
+    let calibration = camera.calibration().clone();
+    Ok((Box::new(camera), calibration))
 }
 
 fn wire_arm(

@@ -1,12 +1,10 @@
 //! `pb3dp track`: a region through a recorded stereo sequence.
 
 use std::process::ExitCode;
-use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
 use nalgebra::Vector2;
-use pb3dp_camera_replay::{Pacing, ReplayCamera, ReplayOptions};
 use pb3dp_estimation::estimator::{Method, Tracker};
 use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_estimation::published::TrackEstimate;
@@ -14,8 +12,7 @@ use pb3dp_estimation::region::Region;
 use pb3dp_estimation::status::Status;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
-use pb3dp_hal_api::{CameraErrorKind, FramePair, StereoCamera};
-use pb3dp_hal_clock::SystemClock;
+use pb3dp_hal_api::{CameraErrorKind, FramePair};
 use pb3dp_record::dataset::{Sequence, load_sequence};
 use pb3dp_record::images::{PictureFormat, save};
 use pb3dp_record::metrics::{MotionSummary, compare_motion};
@@ -26,9 +23,10 @@ use super::estimate::estimator_config;
 use super::estimate::job::overridden;
 use super::estimate::output::print_line;
 use super::pair::check_pictures;
-use crate::cli::{MethodArgs, ReplayPace, TrackArgs};
+use crate::cli::{MethodArgs, TrackArgs};
 use crate::cpu_time::timed;
 use crate::picture::{Annotation, annotate, polygon_px};
+use crate::wiring::wire_replay;
 
 /// Runs the command. The exit code is a failure if a frame could not be read; all others are worked on all the same.
 ///
@@ -40,11 +38,11 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     if !sequence.other_keys.is_empty() {
         tracing::warn!("sequence.json has keys that are not known and not used: {}", sequence.other_keys.join(", "));
     }
-    let mut camera = replay(&sequence, args.pace)?;
-    for note in &camera.calibration().notes {
+    let (mut camera, calibration) = wire_replay(&sequence, args.pace)?;
+    for note in &calibration.notes {
         tracing::info!("{note}");
     }
-    let rig = *camera.rig();
+    let rig = calibration.rig;
     let mut walk =
         Walk::new(Tracker::new(method, &rig, &estimator_config(&args.method, false)?)?, &sequence, &args.method);
     let mut overlays = Overlays::open(&args.method)?;
@@ -80,14 +78,6 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
 
 /// A replay does not wait for pictures, so this only bounds what can not happen.
 const PAIR_TIMEOUT: Duration = Duration::from_secs(10);
-
-fn replay(sequence: &Sequence, pace: ReplayPace) -> Result<ReplayCamera> {
-    let pacing = match pace {
-        ReplayPace::Fast => Pacing::Unpaced,
-        ReplayPace::Original => Pacing::Original(Arc::new(SystemClock::new())),
-    };
-    Ok(ReplayCamera::open_sequence(sequence, ReplayOptions { pacing, ..ReplayOptions::default() })?)
-}
 
 fn search_range(sequence: &Sequence, args: &MethodArgs) -> SearchRange {
     let given = SearchRange {
