@@ -43,8 +43,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         tracing::info!("{note}");
     }
     let rig = calibration.rig;
-    let mut walk =
-        Walk::new(Tracker::new(method, &rig, &estimator_config(&args.method, false)?)?, &sequence, &args.method);
+    let mut walk = Walk::new(Tracker::new(method, &rig, &estimator_config(&args.method)?)?, &sequence, &args.method);
     let mut overlays = Overlays::open(&args.method)?;
     if !args.method.json {
         print_line(TrackLine::HEADING)?;

@@ -91,6 +91,8 @@ fn sizes_that_do_not_fit_are_named_with_both_sizes() {
     ]);
     let region = format!("mask:{}", small.display());
     pair.estimate(&region).assert_refused(&["mask", "320", "240", "640", "480"]);
+    let photograph = format!("mask:{}", pair.file("left.png").display());
+    pair.estimate(&photograph).assert_refused(&["left.png", "no black pixel"]);
 }
 
 #[test]

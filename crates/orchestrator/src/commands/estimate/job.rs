@@ -7,7 +7,7 @@ use image::{GrayImage, RgbImage};
 use nalgebra::Vector2;
 use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_estimation::region::Region;
-use pb3dp_geometry::StereoRig;
+use pb3dp_geometry::{ImageSize, StereoRig};
 use pb3dp_record::calibration_files::{load_stereo, load_stereo_for};
 use pb3dp_record::dataset::{Case, load_case};
 use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
@@ -85,7 +85,7 @@ impl Job {
         let given = default_range(&calibration.rig, args.method.z_range.is_none(), &mut notes);
         Ok(Self {
             name: pair_name(left_file),
-            region: load_region(region)?,
+            region: load_region(region, size_of(&left))?,
             left,
             right,
             rig: calibration.rig,
@@ -146,7 +146,7 @@ pub fn overridden(given: SearchRange, method: &MethodArgs) -> SearchRange {
     range
 }
 
-fn load_region(spec: &RegionSpec) -> Result<Region> {
+fn load_region(spec: &RegionSpec, pictures: ImageSize) -> Result<Region> {
     Ok(match spec {
         RegionSpec::Rectangle([x, y, width, height]) => {
             let corners = [[*x, *y], [x + width, *y], [x + width, y + height], [*x, y + height]];
@@ -161,7 +161,17 @@ fn load_region(spec: &RegionSpec) -> Result<Region> {
         RegionSpec::Polygon(vertices) => {
             Region::Polygon { vertices_px: vertices.iter().map(|&[u, v]| Vector2::new(u, v)).collect() }
         }
-        RegionSpec::Mask(file) => Region::Mask(load_mask(file)?),
+        RegionSpec::Mask(file) => {
+            let mask = load_mask(file)?;
+            let is_full = mask.pixels().all(|pixel| pixel.0[0] > 0);
+            if is_full && mask.dimensions() == (pictures.width, pictures.height) {
+                bail!(
+                    "{}: the mask has no black pixel, so everything would be the object: is it a mask?",
+                    file.display()
+                );
+            }
+            Region::Mask(mask)
+        }
         RegionSpec::Click([x, y]) => Region::Click { x: x.round() as i32, y: y.round() as i32 },
     })
 }

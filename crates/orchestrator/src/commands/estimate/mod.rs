@@ -9,7 +9,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use nalgebra::Vector2;
-use pb3dp_estimation::estimate::PlaneEstimate;
+use pb3dp_estimation::estimate::{PlaneEstimate, ReferenceOptimum};
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation::region::RegionConfig;
 use pb3dp_record::dataset::{find_cases, load_case};
@@ -30,7 +30,7 @@ use crate::picture::{Annotation, annotate, model_frame_on_plane, polygon_px};
 /// Bad arguments or configuration, or a folder without cases.
 pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
     let method = Method::from_name(&args.method.method)?;
-    let config = estimator_config(&args.method, args.reference_optimum)?;
+    let config = estimator_config(&args.method)?;
     let mut overlays = Overlays::open(args.method.overlay.as_deref())?;
     let jobs = match &args.cases {
         Some(dir) => find_cases(dir)?.into_iter().map(Source::Case).collect(),
@@ -43,7 +43,8 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
     let mut refused = 0_usize;
     for source in jobs {
         let name = source.name();
-        let outcome = source.load(args).and_then(|job| work(&job, method, &config, &mut overlays));
+        let outcome =
+            source.load(args).and_then(|job| work(&job, (method, &config), args.reference_optimum, &mut overlays));
         let line = match outcome {
             Ok((line, evaluation)) => {
                 evaluated.extend(evaluation);
@@ -101,12 +102,11 @@ impl Source {
 ///
 /// # Errors
 /// If the file is refused.
-pub fn estimator_config(args: &MethodArgs, reference_optimum: bool) -> Result<EstimatorConfig> {
+pub fn estimator_config(args: &MethodArgs) -> Result<EstimatorConfig> {
     let mut config = match &args.config {
         Some(file) => read_estimator(file)?,
         None => EstimatorConfig::default(),
     };
-    config.published.reference_optimum = reference_optimum;
     if let Some(seed) = args.seed {
         config.published.rmga.seed = seed;
     }
@@ -116,8 +116,8 @@ pub fn estimator_config(args: &MethodArgs, reference_optimum: bool) -> Result<Es
 /// One case: estimate, compare with the truth, draw.
 fn work(
     job: &Job,
-    method: Method,
-    config: &EstimatorConfig,
+    (method, config): (Method, &EstimatorConfig),
+    with_optimum: bool,
     overlays: &mut Overlays<'_>,
 ) -> Result<(EstimateLine, Option<EvaluatedCase>)> {
     for note in &job.notes {
@@ -133,7 +133,10 @@ fn work(
     check_pictures(&job.name, &job.rig, &job.left, &job.right)?;
     let mut estimator = Estimator::new(method, &job.rig, config)?;
     let (estimate, millis) = timed(|| estimator.estimate(&job.left, &job.right, &job.region, &job.range));
-    let estimate = estimate?;
+    let mut estimate = estimate?;
+    if with_optimum {
+        estimate.reference_optimum = reference_optimum(job, method, config)?;
+    }
     let z_m = match job.centroid_px {
         Some([u, v]) => estimate.depth_at_pixel(&Vector2::new(u, v)),
         None => estimate.z_m(),
@@ -144,6 +147,14 @@ fn work(
         tracing::warn!("{}: no picture: {error:#}", job.name);
     }
     Ok((line, evaluate(job, &estimate, z_m, millis)?))
+}
+
+/// The best of all chromosomes, apart from the estimate, so that its time is not counted.
+fn reference_optimum(job: &Job, method: Method, config: &EstimatorConfig) -> Result<Option<ReferenceOptimum>> {
+    let mut config = config.clone();
+    config.published.reference_optimum = true;
+    let mut estimator = Estimator::new(method, &job.rig, &config)?;
+    Ok(estimator.estimate(&job.left, &job.right, &job.region, &job.range)?.reference_optimum)
 }
 
 /// Status, reason and warnings to the log, and how far search and fitness are to blame.
