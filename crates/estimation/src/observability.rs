@@ -139,7 +139,7 @@ impl ObservabilityConfig {
 }
 
 fn depth_reason(spread: f64, limit: f64) -> String {
-    format!("the depth is determined to {:.1} % only (limit {:.1} %)", 100.0 * spread, 100.0 * limit)
+    format!("the depth is determined to {:.2} % only (limit {:.2} %)", 100.0 * spread, 100.0 * limit)
 }
 
 /// A score and the highest value that it can reach.

@@ -307,7 +307,7 @@ fn reach_range_and_requirements_are_refused_by_name() {
     let refusal = refused_from(start_deg, StepExperimentConfig::default(), narrow_deg);
     let message = refusal.to_string();
     assert!(matches!(refusal, PathRefusal::JointRange { joint: 3, at_s, .. } if at_s > 3.0), "{message}");
-    assert!(message.contains("rad too far"), "{message}");
+    assert!(message.contains("deg too far"), "{message}");
     for scale in [0.0, 1.5, f64::NAN] {
         let refusal = check(CellArm::Tc, &steps(StepExperimentConfig::default()), scale).unwrap_err();
         assert!(matches!(refusal, PathRefusal::Requirement { key: "speed_scale", .. }), "{refusal}");

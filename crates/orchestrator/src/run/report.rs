@@ -85,8 +85,8 @@ fn figures(summary: &RunSummary) -> Vec<(&'static str, String)> {
     let rms = |value: Option<RmsMax>, unit: &str| value.map_or("-".into(), |v| format!("{:.1} {unit}", v.rms));
     let median = |value: Option<MedianP95>, unit: &str| value.map_or("-".into(), |v| format!("{:.2} {unit}", v.median));
     vec![
-        ("tracking, rms", rms(summary.tracking_position_mm, "mm")),
-        ("viewing direction, rms", rms(summary.tracking_tilt_deg, "deg")),
+        ("hand position error, rms", rms(summary.tracking_position_mm, "mm")),
+        ("hand viewing direction error, rms", rms(summary.tracking_tilt_deg, "deg")),
         ("lag, median over the axes", summary.lag_s.map_or("-".into(), |lag| format!("{lag:.2} s"))),
         ("estimated depth, median error", median(summary.estimation_depth_mm, "mm")),
         ("estimated normal, median error", median(summary.estimation_normal_deg, "deg")),

@@ -41,8 +41,12 @@ pub enum PathRefusal {
     },
     /// A joint comes too near an end of its range.
     #[error(
-        "joint {joint} would be at {position_rad:.4} rad after {at_s:.2} s, allowed is {min_rad:.4} to {max_rad:.4} rad \
-         (limits less margin): {excess_rad:.4} rad too far; change base, start angles or the direction of the motion"
+        "joint {joint} (from 0) would be at {:.2} deg after {at_s:.2} s, allowed is {:.2} to {:.2} deg (limits less margin): \
+         {:.2} deg too far; change base, start angles or the direction of the motion",
+        position_rad.to_degrees(),
+        min_rad.to_degrees(),
+        max_rad.to_degrees(),
+        excess_rad.to_degrees()
     )]
     JointRange {
         /// Index from the base.
