@@ -19,6 +19,9 @@ pub struct PhotoModelConfig {
     pub inner_points: u32,
     /// Wanted number of points in the band, 0 (no band) to 20000. Default 80.
     pub outer_points: u32,
+    /// Grid points of either set are never closer to each other than this, pixels, 1 to 100. Default 1. With counts that are
+    /// out of reach, this alone sets the spacing.
+    pub spacing_min_px: u32,
     /// Distance between the region and the band, pixels, 0 to 200: keeps the blurred outline out. Default 2.
     pub band_gap_px: u32,
     /// Width of the band, pixels, 1 to 200. Default 8.
@@ -27,7 +30,7 @@ pub struct PhotoModelConfig {
 
 impl Default for PhotoModelConfig {
     fn default() -> Self {
-        Self { inner_points: 240, outer_points: 80, band_gap_px: 2, band_width_px: 8 }
+        Self { inner_points: 240, outer_points: 80, spacing_min_px: 1, band_gap_px: 2, band_width_px: 8 }
     }
 }
 
@@ -40,6 +43,7 @@ impl PhotoModelConfig {
         let check = |name, value, range, expected| check_range(name, f64::from(value), range, expected);
         check("photo model inner_points", self.inner_points, (1.0, 2e4), "must be between 1 and 20000")?;
         check("photo model outer_points", self.outer_points, (0.0, 2e4), "must be between 0 and 20000")?;
+        check("photo model spacing_min_px", self.spacing_min_px, (1.0, 100.0), "must be between 1 and 100")?;
         check("photo model band_gap_px", self.band_gap_px, (0.0, 200.0), "must be between 0 and 200")?;
         check("photo model band_width_px", self.band_width_px, (1.0, 200.0), "must be between 1 and 200")
     }
@@ -101,7 +105,7 @@ impl PhotoModel {
         (self.inner_sampled, self.outer_sampled) = (0, 0);
         let Some(centre_px) = region.centroid_px() else { return };
         self.centre_px = centre_px;
-        let inner_grid = Grid::new(centre_px, region.area_px(), config.inner_points);
+        let inner_grid = Grid::new(centre_px, region.area_px(), config.inner_points, config.spacing_min_px);
         self.inner_sampled = inner_grid.sample(region, |_, _| false, hue, &mut self.inner);
         if config.outer_points == 0 {
             return;
@@ -109,7 +113,7 @@ impl PhotoModel {
         dilate_into(region, config.band_gap_px, &mut scratch.near);
         dilate_into(region, config.band_gap_px + config.band_width_px, &mut scratch.far);
         let band_area_px = scratch.far.area_px() - scratch.near.area_px();
-        let outer_grid = Grid::new(centre_px, band_area_px, config.outer_points);
+        let outer_grid = Grid::new(centre_px, band_area_px, config.outer_points, config.spacing_min_px);
         let near = &scratch.near;
         self.outer_sampled = outer_grid.sample(&scratch.far, |u, v| near.contains(u, v), hue, &mut self.outer);
     }
@@ -159,9 +163,9 @@ struct Grid {
 }
 
 impl Grid {
-    /// One point per `area_px / points`, but never closer than one pixel.
-    fn new(centre_px: Vector2<f64>, area_px: usize, points: u32) -> Self {
-        let spacing_px = (area_px as f64 / f64::from(points.max(1))).sqrt().max(1.0);
+    /// One point per `area_px / points`, but never closer than `spacing_min_px`, nor than one pixel.
+    fn new(centre_px: Vector2<f64>, area_px: usize, points: u32, spacing_min_px: u32) -> Self {
+        let spacing_px = (area_px as f64 / f64::from(points.max(1))).sqrt().max(f64::from(spacing_min_px.max(1)));
         Self { origin: (centre_px.x.round() as i32, centre_px.y.round() as i32), spacing_px }
     }
 

@@ -81,6 +81,17 @@ fn a_tiny_region_gives_one_point_per_pixel() {
 }
 
 #[test]
+fn a_spacing_can_be_asked_for_instead_of_a_count() {
+    let config =
+        PhotoModelConfig { inner_points: 20_000, outer_points: 20_000, spacing_min_px: 7, ..Default::default() };
+    let model = PhotoModel::sample(&left_image(), &disc(90, 60, 30), &config);
+    for points in [model.inner(), model.outer()] {
+        assert!(points.len() > 10);
+        assert!(points.iter().all(|p| (p.u - 90) % 7 == 0 && (p.v - 60) % 7 == 0), "{points:?}");
+    }
+}
+
+#[test]
 fn a_band_at_the_border_stays_in_the_image() {
     let model = PhotoModel::sample(&left_image(), &disc(8, 9, 12), &PhotoModelConfig::default());
     assert!(!model.outer().is_empty());
@@ -103,6 +114,8 @@ fn parameters_out_of_range_are_refused() {
     for config in [
         PhotoModelConfig { inner_points: 0, ..good },
         PhotoModelConfig { outer_points: 20_001, ..good },
+        PhotoModelConfig { spacing_min_px: 0, ..good },
+        PhotoModelConfig { spacing_min_px: 101, ..good },
         PhotoModelConfig { band_gap_px: 201, ..good },
         PhotoModelConfig { band_width_px: 0, ..good },
     ] {

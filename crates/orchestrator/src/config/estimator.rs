@@ -61,6 +61,7 @@ struct HueSection {
 struct ModelSection {
     inner_points: i64,
     outer_points: i64,
+    spacing_min_px: i64,
     band_gap_px: i64,
     band_width_px: i64,
 }
@@ -204,6 +205,7 @@ impl ModelSection {
     fn check(&self, key: &str, check: &mut Checker) {
         check.count(&format!("{key}.inner_points"), self.inner_points, 1..=20_000);
         check.count(&format!("{key}.outer_points"), self.outer_points, 0..=20_000);
+        check.count(&format!("{key}.spacing_min_px"), self.spacing_min_px, 1..=100);
         check.count(&format!("{key}.band_gap_px"), self.band_gap_px, 0..=200);
         check.count(&format!("{key}.band_width_px"), self.band_width_px, 1..=200);
     }
@@ -212,6 +214,7 @@ impl ModelSection {
         PhotoModelConfig {
             inner_points: whole(self.inner_points),
             outer_points: whole(self.outer_points),
+            spacing_min_px: whole(self.spacing_min_px),
             band_gap_px: whole(self.band_gap_px),
             band_width_px: whole(self.band_width_px),
         }
