@@ -1,8 +1,8 @@
-//! Arms that write down what they were told and what they measured.
+//! Arms that write down what they were told and what they measured, and fail if asked to.
 
 use std::sync::{Arc, Mutex};
 
-use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
 use pb3dp_orchestrator::wiring::{DrivenArm, Parts};
 
 /// What one arm was told (before its limiter) and measured, one entry per control step.
@@ -10,6 +10,8 @@ use pb3dp_orchestrator::wiring::{DrivenArm, Parts};
 pub struct Notes {
     pub commands: Arc<Mutex<Vec<JointCommand>>>,
     pub measured: Arc<Mutex<Vec<JointState>>>,
+    /// After so many exchanges every further one fails.
+    pub fail_after: Arc<Mutex<Option<usize>>>,
 }
 
 /// The parts with both arms watched: the arm with the cameras, the arm with the target.
@@ -34,7 +36,11 @@ impl Arm for Watched {
     }
 
     fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
-        self.notes.commands.lock().unwrap().push(command);
+        let mut commands = self.notes.commands.lock().unwrap();
+        if self.notes.fail_after.lock().unwrap().is_some_and(|limit| commands.len() >= limit) {
+            return Err(ArmError::new(ArmErrorKind::Disconnected, "the link was cut by the test"));
+        }
+        commands.push(command);
         let state = self.inner.exchange(command)?;
         self.notes.measured.lock().unwrap().push(state);
         Ok(state)

@@ -20,7 +20,7 @@ use pb3dp_record::overlay::{Animation, AnimationLimits};
 use serde::Serialize;
 
 use super::estimate::estimator_config;
-use super::estimate::job::overridden;
+use super::estimate::job::{overridden, range_of_dataset};
 use super::estimate::output::print_line;
 use super::pair::check_pictures;
 use crate::cli::{MethodArgs, TrackArgs};
@@ -78,15 +78,6 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
 /// A replay does not wait for pictures, so this only bounds what can not happen.
 const PAIR_TIMEOUT: Duration = Duration::from_secs(10);
 
-fn search_range(sequence: &Sequence, args: &MethodArgs) -> SearchRange {
-    let given = SearchRange {
-        z_min_m: sequence.search.z_min_m,
-        z_max_m: sequence.search.z_max_m,
-        tilt_max_rad: sequence.search.tilt_max_rad,
-    };
-    overridden(given, args)
-}
-
 /// The tracker on its way through the frames.
 struct Walk {
     tracker: Tracker,
@@ -106,7 +97,7 @@ impl Walk {
         Self {
             tracker,
             region: Region::Polygon { vertices_px },
-            range: search_range(sequence, args),
+            range: overridden(range_of_dataset(&sequence.search), args),
             first: None,
             last_status: Status::Ok,
             rotation_about_normal_observed: true,

@@ -51,9 +51,10 @@ pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Optio
     let mut looped = Loop::new(setup, parts, record)?;
     let outcome = looped.enable_arms().and_then(|()| looped.run_to_end(stop_after_s));
     let stopped = looped.stop_arms();
-    outcome?;
-    stopped?;
-    looped.finish()
+    // What was recorded until a failure is the best hint at its cause.
+    let recorded = looped.recording.take().map_or(Ok(()), Recording::finish);
+    outcome.and(stopped).and(recorded)?;
+    Ok(looped.finish())
 }
 
 struct Loop<'a> {
@@ -127,17 +128,14 @@ impl<'a> Loop<'a> {
 
     /// What is left behind. Before the first estimate nobody knew where on the target the model is: those samples are
     /// completed now.
-    fn finish(mut self) -> Result<Outcome> {
+    fn finish(mut self) -> Outcome {
         let target_from_model = self.target_from_model.unwrap_or_else(Pose::coincident);
         let model_from_hand = self.setup.controller.model_from_hand_desired;
         for sample in &mut self.log.control {
             sample.world_from_hand_wanted = sample.world_from_target * target_from_model * model_from_hand;
         }
         self.log.limited_steps = self.parts.vs.limited_commands();
-        if let Some(recording) = self.recording {
-            recording.finish()?;
-        }
-        Ok(Outcome { log: self.log, strip: self.strip })
+        Outcome { log: self.log, strip: self.strip }
     }
 
     /// Control steps and frames in the order of their times.
@@ -236,12 +234,11 @@ impl<'a> Loop<'a> {
 
     /// Writes the pair down with the truth, if a recording is wanted.
     fn record(&mut self, at: MonotonicTime) -> Result<()> {
-        let cam_left_from_target = self.cam_left_from_target_at(at);
-        let outline = self.recording.as_ref().filter(|recording| !recording.is_open()).map(|_| self.outline_px(at));
-        match &mut self.recording {
-            Some(recording) => recording.push(&self.pair, &cam_left_from_target, outline.transpose()?),
-            None => Ok(()),
-        }
+        let Some(mut recording) = self.recording.take() else { return Ok(()) };
+        let outline_px = if recording.is_open() { None } else { Some(self.outline_px(at)?) };
+        let pushed = recording.push(&self.pair, &self.cam_left_from_target_at(at), outline_px);
+        self.recording = Some(recording);
+        pushed
     }
 
     /// The pose of the left camera from the measured joints, as a rig without truth knows it.

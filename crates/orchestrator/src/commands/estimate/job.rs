@@ -8,8 +8,8 @@ use nalgebra::Vector2;
 use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_estimation::region::Region;
 use pb3dp_geometry::{ImageSize, StereoRig};
-use pb3dp_record::calibration_files::{load_stereo, load_stereo_for};
-use pb3dp_record::dataset::{Case, load_case};
+use pb3dp_record::calibration_files::load_stereo_for;
+use pb3dp_record::dataset::{self, Case, load_case};
 use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
 
 use crate::cli::{EstimateArgs, MethodArgs};
@@ -47,14 +47,9 @@ impl Job {
     /// A file that is missing or damaged, or values that do not fit; by name.
     pub fn from_case(folder: &Path, method: &MethodArgs) -> Result<Self> {
         let case = load_case(folder)?;
-        let calibration = load_stereo(std::slice::from_ref(&case.calibration))?;
+        let calibration = case.load_calibration()?;
         let pictures = case.load_pictures()?;
         check_sizes(&calibration.rig, &pictures.left, &case.left, &calibration.source)?;
-        let given = SearchRange {
-            z_min_m: case.search.z_min_m,
-            z_max_m: case.search.z_max_m,
-            tilt_max_rad: case.search.tilt_max_rad,
-        };
         let vertices_px = case.region_polygon_left_px.iter().map(|&[u, v]| Vector2::new(u, v)).collect();
         Ok(Self {
             name: case.name.clone(),
@@ -64,7 +59,7 @@ impl Job {
             notes: calibration.notes,
             region: Region::Polygon { vertices_px },
             centroid_px: case.region_centroid_px,
-            range: overridden(given, method),
+            range: overridden(range_of_dataset(&case.search), method),
             case: Some(case),
         })
     }
@@ -132,6 +127,11 @@ fn default_range(rig: &StereoRig, is_used: bool, notes: &mut Vec<String>) -> Sea
         ));
     }
     SearchRange { z_min_m, z_max_m, tilt_max_rad: TILT_MAX_DEFAULT_DEG.to_radians() }
+}
+
+/// The search range of a case or sequence, as the estimator takes it.
+pub fn range_of_dataset(range: &dataset::SearchRange) -> SearchRange {
+    SearchRange { z_min_m: range.z_min_m, z_max_m: range.z_max_m, tilt_max_rad: range.tilt_max_rad }
 }
 
 /// What the command line says counts more than what a file says.
