@@ -1,0 +1,30 @@
+//! Measures what the estimators reach: against exact truth on rendered scenes, and against other tools on real pairs.
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program that reports to its user")]
+
+mod accuracy;
+mod common;
+mod real;
+
+use clap::{Parser, Subcommand};
+
+/// Measurements of the estimators.
+#[derive(Parser)]
+struct Cli {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Subcommand)]
+enum What {
+    /// Rendered scenes with exact truth, beside the Cramér-Rao bound.
+    Accuracy(accuracy::Args),
+    /// Real stereo cases, beside other tools.
+    Real(real::Args),
+}
+
+fn main() -> anyhow::Result<()> {
+    match Cli::parse().what {
+        What::Accuracy(args) => accuracy::run(&args),
+        What::Real(args) => real::run(&args),
+    }
+}
