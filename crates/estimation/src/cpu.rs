@@ -9,7 +9,7 @@ pub enum KernelSet {
     Scalar,
     /// 256-bit vectors (x86-64 with AVX2).
     Avx2,
-    /// 512-bit vectors (x86-64 with AVX-512 F and BW).
+    /// 512-bit vectors (x86-64 with AVX-512 F, BW, VL and DQ).
     Avx512,
 }
 
@@ -30,7 +30,10 @@ impl KernelSet {
             Self::Avx2 => std::arch::is_x86_feature_detected!("avx2"),
             #[cfg(target_arch = "x86_64")]
             Self::Avx512 => {
-                std::arch::is_x86_feature_detected!("avx512f") && std::arch::is_x86_feature_detected!("avx512bw")
+                std::arch::is_x86_feature_detected!("avx512f")
+                    && std::arch::is_x86_feature_detected!("avx512bw")
+                    && std::arch::is_x86_feature_detected!("avx512vl")
+                    && std::arch::is_x86_feature_detected!("avx512dq")
             }
             #[cfg(not(target_arch = "x86_64"))]
             Self::Avx2 | Self::Avx512 => false,

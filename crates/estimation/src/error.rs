@@ -55,6 +55,9 @@ pub enum EstimationError {
     /// An image could not be undistorted.
     #[error("undistortion failed")]
     Remap(#[from] pb3dp_geometry::maps::RemapError),
+    /// The rig has no common image plane.
+    #[error("the pair can not be rectified")]
+    Rectification(#[from] pb3dp_geometry::RectificationError),
     /// A pixel has no ray, or a camera is malformed.
     #[error(transparent)]
     Camera(#[from] pb3dp_geometry::CameraError),

@@ -8,6 +8,7 @@
 //! threads splits the work with the interfaces given here.
 
 pub mod cpu;
+pub mod direct;
 pub mod error;
 pub mod estimate;
 pub mod estimator;
@@ -22,6 +23,7 @@ pub mod region;
 pub mod search;
 pub mod status;
 mod trig;
+mod wide;
 
 #[cfg(test)]
 #[path = "../tests/support/naive.rs"]
