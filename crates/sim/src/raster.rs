@@ -78,6 +78,8 @@ pub struct StereoRenderer {
     triangles: Vec<ScreenTriangle>,
     light: Vec<u16>,
     exposure_sum: Vec<u32>,
+    /// How far each camera is out of focus, pixels.
+    defocus_px: [f64; 2],
 }
 
 #[derive(Clone, Debug)]
@@ -113,7 +115,21 @@ impl StereoRenderer {
             triangles: Vec::new(),
             light: vec![0; 3 * pixels],
             exposure_sum: Vec::new(),
+            defocus_px: [0.0; 2],
         })
+    }
+
+    /// The same with cameras out of focus: standard deviation of a blur that comes on top of the sensor's
+    /// [`lens_blur_px`](SensorConfig::lens_blur_px), for the left and the right camera, pixels, 0 to 4.
+    ///
+    /// # Errors
+    /// A blur out of range.
+    pub fn with_defocus_px(mut self, left: f64, right: f64) -> Result<Self, RenderError> {
+        if let Some(value) = [left, right].into_iter().find(|value| !(0.0..=4.0).contains(value)) {
+            return Err(SensorError { name: "defocus_px", value, min: 0.0, max: 4.0 }.into());
+        }
+        self.defocus_px = [left, right];
+        Ok(self)
     }
 
     /// The scene.
@@ -165,6 +181,15 @@ impl StereoRenderer {
         Ok(())
     }
 
+    /// The left picture without noise, quantisation and limits: red, green, blue, row-major, grey levels.
+    ///
+    /// The limit that the renderer's pictures approach with many exposures; for what depends on exact gradients.
+    pub fn ideal_left(&mut self, poses: &ScenePoses, picture: &mut Vec<f32>) {
+        self.render_light(0, poses);
+        self.blur(0);
+        self.eyes[0].developer.develop_ideal(&self.light, picture);
+    }
+
     /// What the left camera sees at `poses`: depth and object of every pixel centre.
     pub fn ground_truth(&mut self, poses: &ScenePoses) -> GroundTruth {
         self.see(0, poses);
@@ -196,7 +221,11 @@ impl StereoRenderer {
                 Anchor::World => Isometry3::identity(),
                 Anchor::Target => *poses.world_from_target.isometry(),
             };
-            let pose = PartPose { cam_from_part: cam_from_world * world_from_part, world_from_part };
+            let pose = PartPose {
+                cam_from_part: cam_from_world * world_from_part,
+                world_from_part,
+                world_from_cam: cam_from_world.inverse(),
+            };
             collect_triangles(part, index as u16, &pose, self.scene.lighting(), view, &mut self.triangles);
         }
         self.visibility.draw(view, &self.triangles);
@@ -234,7 +263,14 @@ impl StereoRenderer {
         }
     }
 
+    fn blur(&mut self, eye: usize) {
+        if self.defocus_px[eye] > 0.0 {
+            self.eyes[eye].developer.defocus(&mut self.light, self.defocus_px[eye]);
+        }
+    }
+
     fn develop(&mut self, eye: usize, frame_index: u64, picture: &mut RgbImage) {
+        self.blur(eye);
         let size = self.size();
         if picture.dimensions() != (size.width, size.height) {
             *picture = RgbImage::new(size.width, size.height);

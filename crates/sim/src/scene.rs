@@ -70,7 +70,7 @@ pub struct ScenePart {
     pub object: SceneObject,
 }
 
-/// Light in the cell: even light from everywhere and one wide lamp, without shadows and highlights.
+/// Light in the cell: even light from everywhere and one wide lamp, without shadows.
 ///
 /// A surface gets `ambient + lamp (1 + cos a) / 2`, with a the angle between its normal and the direction to the lamp: it
 /// is brightest towards the lamp, falls smoothly, and never gets black.
@@ -82,24 +82,55 @@ pub struct Lighting {
     pub lamp: f64,
     /// Direction to the lamp in `world`; any length but zero.
     pub towards_lamp_in_world: Vector3<f64>,
+    /// The lamp's reflection on the surfaces; `None`: all surfaces are matt.
+    pub highlight: Option<Highlight>,
+}
+
+/// The reflection of the lamp, as Phong has it: `strength (r . v)^exponent`, with r the mirrored direction to the lamp and
+/// v the direction to the camera. White, added to the surface's own colour, and different for the two cameras.
+///
+/// It is computed at the corners of the triangles and blended in between: triangles must be small beside the highlight.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Highlight {
+    /// Light in the middle of the reflection, grey levels, 0 to 255.
+    pub strength_grey: f64,
+    /// How narrow it is, 1 to 200: at 40 it has fallen to a half 11 degrees from its middle.
+    pub exponent: i32,
 }
 
 impl Default for Lighting {
     /// Half of the light from a lamp under the ceiling, off to one side.
     fn default() -> Self {
-        Self { ambient: 0.5, lamp: 0.62, towards_lamp_in_world: Vector3::new(-0.40, 0.35, 0.85) }
+        Self { ambient: 0.5, lamp: 0.62, towards_lamp_in_world: Vector3::new(-0.40, 0.35, 0.85), highlight: None }
     }
 }
 
 impl Lighting {
     /// The same light everywhere, 1.
-    pub const EVEN: Self = Self { ambient: 1.0, lamp: 0.0, towards_lamp_in_world: Vector3::new(0.0, 0.0, 1.0) };
+    pub const EVEN: Self =
+        Self { ambient: 1.0, lamp: 0.0, towards_lamp_in_world: Vector3::new(0.0, 0.0, 1.0), highlight: None };
 
     /// Light on a surface with the given unit normal.
     pub fn on(&self, normal_in_world: &Vector3<f64>) -> f64 {
         let length = self.towards_lamp_in_world.norm();
         let cosine = if length > 0.0 { normal_in_world.dot(&self.towards_lamp_in_world) / length } else { 0.0 };
         self.ambient + self.lamp * (0.5 + 0.5 * cosine)
+    }
+
+    /// The reflection towards a camera at `towards_camera_in_world` (any length) on a surface with the given unit normal,
+    /// grey levels.
+    pub fn shine_on(
+        &self,
+        highlight: &Highlight,
+        normal_in_world: &Vector3<f64>,
+        towards_camera_in_world: &Vector3<f64>,
+    ) -> f64 {
+        let lengths = self.towards_lamp_in_world.norm() * towards_camera_in_world.norm();
+        let to_lamp = &self.towards_lamp_in_world;
+        let facing = normal_in_world.dot(to_lamp);
+        let mirrored = normal_in_world * (2.0 * facing) - to_lamp;
+        let cosine = mirrored.dot(towards_camera_in_world) / lengths;
+        if facing > 0.0 && cosine > 0.0 { highlight.strength_grey * cosine.powi(highlight.exponent) } else { 0.0 }
     }
 }
 
@@ -169,6 +200,10 @@ impl Scene {
         let lighting = &config.lighting;
         check("lighting.ambient", lighting.ambient, 0.0, 4.0)?;
         check("lighting.lamp", lighting.lamp, 0.0, 4.0)?;
+        if let Some(highlight) = &lighting.highlight {
+            check("lighting.highlight.strength_grey", highlight.strength_grey, 0.0, 255.0)?;
+            check("lighting.highlight.exponent", f64::from(highlight.exponent), 1.0, 200.0)?;
+        }
         let (target, mut parts) = targets::build(&config.target, config.seed)?;
         if let Some(backdrop) = &config.backdrop {
             parts.extend(targets::backdrop::build(backdrop, target.rear_z_m, config.seed)?);
@@ -211,11 +246,26 @@ mod tests {
 
     #[test]
     fn light_falls_smoothly_from_the_lamp() {
-        let light = Lighting { ambient: 0.3, lamp: 0.6, towards_lamp_in_world: Vector3::new(0.0, 4.0, 0.0) };
+        let light =
+            Lighting { ambient: 0.3, lamp: 0.6, towards_lamp_in_world: Vector3::new(0.0, 4.0, 0.0), highlight: None };
         assert!((light.on(&Vector3::y()) - 0.9).abs() < 1e-12);
         assert!((light.on(&Vector3::x()) - 0.6).abs() < 1e-12);
         assert!((light.on(&-Vector3::y()) - 0.3).abs() < 1e-12);
         assert_eq!(Lighting::EVEN.on(&Vector3::x()), 1.0);
+    }
+
+    #[test]
+    fn the_reflection_is_brightest_in_the_mirrored_direction() {
+        let highlight = Highlight { strength_grey: 64.0, exponent: 40 };
+        let light = Lighting { towards_lamp_in_world: Vector3::new(3.0, 0.0, 3.0), ..Lighting::EVEN };
+        let shine = |x: f64, y: f64, z: f64| light.shine_on(&highlight, &Vector3::z(), &Vector3::new(x, y, z));
+        assert!((shine(-2.0, 0.0, 2.0) - 64.0).abs() < 1e-9);
+        // 10 degrees off the mirrored direction: cos(10 deg)^40 = 0.5423.
+        let (sin, cos) = 55.0f64.to_radians().sin_cos();
+        assert!((shine(-sin, 0.0, cos) - 64.0 * 0.5423).abs() < 0.01, "{}", shine(-sin, 0.0, cos));
+        assert_eq!(shine(1.0, 0.0, 1.0), 0.0);
+        let from_behind = Lighting { towards_lamp_in_world: Vector3::new(3.0, 0.0, -3.0), ..Lighting::EVEN };
+        assert_eq!(from_behind.shine_on(&highlight, &Vector3::z(), &Vector3::new(-1.0, 0.0, -1.0)), 0.0);
     }
 
     #[test]

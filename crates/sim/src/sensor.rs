@@ -139,6 +139,43 @@ impl Developer {
         }
     }
 
+    /// Spreads the light of a whole picture by a lens that is out of focus: standard deviation `sigma_px`, on top of the
+    /// blur of the sensor's own lens. `light` as in [`Self::develop`].
+    pub(crate) fn defocus(&mut self, light: &mut [u16], sigma_px: f64) {
+        // Passes of a kernel (w, 1 - 2w, w) add their variances, 2w each; up to 0.49 the kernel has no side lobes.
+        let variance = sigma_px * sigma_px;
+        let passes = (variance / 0.49).ceil() as u32;
+        let weight = (variance / f64::from(passes.max(1)) * 0.5 * 65536.0).round() as u32;
+        let stride = self.blurred.len();
+        for _ in 0..passes {
+            let mut above: Vec<u16> = light[..stride].to_vec();
+            let mut here = above.clone();
+            for start in (0..light.len()).step_by(stride) {
+                here.copy_from_slice(&light[start..start + stride]);
+                let next = if start + stride < light.len() { start + stride } else { start };
+                let below = &light[next..next + stride];
+                blur_row([&above, &here, below], weight, &mut self.row, &mut self.blurred);
+                light[start..start + stride].copy_from_slice(&self.blurred);
+                std::mem::swap(&mut above, &mut here);
+            }
+        }
+    }
+
+    /// The picture without noise, quantisation and limits, grey levels; `light` as in [`Self::develop`].
+    pub(crate) fn develop_ideal(&mut self, light: &[u16], picture: &mut Vec<f32>) {
+        let stride = self.blurred.len();
+        let rows = light.len() / stride;
+        picture.clear();
+        picture.reserve(light.len());
+        for row in 0..rows {
+            let line = |r: usize| &light[r * stride..(r + 1) * stride];
+            let neighbours = [line(row.saturating_sub(1)), line(row), line((row + 1).min(rows - 1))];
+            blur_row(neighbours, self.blur_weight, &mut self.row, &mut self.blurred);
+            let exposed = self.blurred.iter().enumerate();
+            picture.extend(exposed.map(|(i, &value)| f32::from(value) * self.scale[i % 3] + self.offset[i % 3]));
+        }
+    }
+
     /// Develops a whole picture: `light` in 256ths of a grey level, red, green, blue, row-major.
     pub(crate) fn develop(&mut self, light: &[u16], key: &NoiseKey, picture: &mut [u8]) {
         develop(self, light, key, picture);
@@ -281,6 +318,53 @@ mod tests {
         // Weights 0.18, 0.64, 0.18 in either direction.
         assert_eq!((grey(4, 3), grey(3, 3), grey(4, 4), grey(5, 2)), (82, 23, 23, 6));
         assert_eq!((grey(2, 3), picture[3 * (9 * 3 + 4)]), (0, 0));
+    }
+
+    #[test]
+    fn defocus_spreads_a_point_by_its_variance_and_keeps_its_light() {
+        let (width, height) = (31usize, 27usize);
+        let mut light = vec![0u16; 3 * width * height];
+        light[3 * (width * 12 + 17) + 2] = 65_000;
+        let mut developer = Developer::new(&SensorConfig::IDEAL, &EyeResponse::NEUTRAL, width);
+        developer.defocus(&mut light, 1.5);
+        let mut picture = Vec::new();
+        developer.develop_ideal(&light, &mut picture);
+        let (mut sum, mut moments) = (0.0, [0.0f64; 4]);
+        for row in 0..height {
+            for column in 0..width {
+                let (value, dx, dy) =
+                    (f64::from(picture[3 * (row * width + column) + 2]), column as f64 - 17.0, row as f64 - 12.0);
+                sum += value;
+                moments[0] += value * dx;
+                moments[1] += value * dy;
+                moments[2] += value * dx * dx;
+                moments[3] += value * dy * dy;
+            }
+        }
+        let [x, y, xx, yy] = moments.map(|moment| moment / sum);
+        assert!((sum - 65_000.0 / 256.0).abs() < 1.0, "{sum}");
+        assert!(x.abs() < 0.01 && y.abs() < 0.01, "{x} {y}");
+        assert!((xx - 2.25).abs() < 0.03 && (yy - 2.25).abs() < 0.03, "{xx} {yy}");
+        assert!(picture.iter().skip(1).step_by(3).all(|&green| green == 0.0));
+    }
+
+    #[test]
+    fn the_ideal_picture_is_the_mean_of_noisy_ones() {
+        let response = EyeResponse { exposure: 0.9, gain: [1.1, 1.0, 0.8], offset_grey: [5.0, -3.0, 0.0] };
+        let config = SensorConfig { lens_blur_px: 0.6, read_noise_grey: 2.0, ..SensorConfig::IDEAL };
+        let light: Vec<u16> = (0..3 * 8 * 5u32).map(|i| (9000 + (i * 7919) % 23_000) as u16).collect();
+        let mut developer = Developer::new(&config, &response, 8);
+        let mut ideal = Vec::new();
+        developer.develop_ideal(&light, &mut ideal);
+        let mut sum = vec![0.0; light.len()];
+        let mut picture = vec![0; light.len()];
+        for frame_index in 0..400 {
+            developer.develop(&light, &NoiseKey { frame_index, ..KEY }, &mut picture);
+            sum.iter_mut().zip(&picture).for_each(|(sum, &grey)| *sum += f64::from(grey));
+        }
+        for (mean, ideal) in sum.iter().map(|sum| sum / 400.0).zip(ideal) {
+            assert!((mean - f64::from(ideal)).abs() < 0.45, "{mean} {ideal}");
+        }
     }
 
     #[test]

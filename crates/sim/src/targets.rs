@@ -9,6 +9,7 @@ pub mod card;
 pub mod crab;
 pub mod mesh;
 pub mod outline;
+pub mod paint;
 pub mod potato;
 pub mod room;
 pub mod texture;
@@ -18,6 +19,7 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 
 pub use backdrop::BackdropConfig;
+pub use paint::Paint;
 
 use crate::scene::{Anchor, SceneError, SceneObject, ScenePart, check};
 use mesh::Mesh;
@@ -124,6 +126,17 @@ pub fn build(config: &TargetConfig, seed: u32) -> Result<(TargetModel, Vec<Scene
         TargetConfig::Potato { size_m } => potato::build(size_m, seed),
     };
     Ok(finish(draft))
+}
+
+/// Makes a target of the crab's outline and relief (metres, 0 to 0.04) in any paint: for measurements in which only the
+/// texture differs.
+///
+/// # Errors
+/// A relief out of its range.
+pub fn build_painted(paint: Paint, relief_m: f64, seed: u32) -> Result<(TargetModel, Vec<ScenePart>), SceneError> {
+    check("target.relief_m", relief_m, 0.0, 0.04)?;
+    let texture = Arc::new(paint.texture(seed));
+    Ok(finish(Draft { name: paint.name(), ..crab::build_with(relief_m, seed, texture) }))
 }
 
 /// Moves the origin to the outline's centroid on the front plane.

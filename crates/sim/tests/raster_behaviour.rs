@@ -7,7 +7,7 @@ use image::RgbImage;
 use nalgebra::{Vector2, Vector3};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 use pb3dp_sim::raster::{RenderError, StereoRenderer};
-use pb3dp_sim::scene::{Scene, SceneConfig, SceneObject};
+use pb3dp_sim::scene::{Highlight, Lighting, Scene, SceneConfig, SceneObject};
 use pb3dp_sim::sensor::SensorConfig;
 use pb3dp_sim::targets::TargetConfig;
 use support::{distorted_rig, poses, rectified_rig, square_scene, turned};
@@ -180,4 +180,61 @@ fn unusable_rigs_and_sensors_are_refused_by_name() {
         StereoRig::new(*rectified_rig().left(), small, Pose::from_translation(Vector3::new(-0.1, 0.0, 0.0))).unwrap();
     let error = StereoRenderer::new(scene(), rig, &SensorConfig::IDEAL, 1).unwrap_err();
     assert!(error.to_string().contains("640x480") && error.to_string().contains("320x240"), "{error}");
+}
+
+#[test]
+fn only_the_camera_that_is_out_of_focus_is_blurred() {
+    let sharp = pair(&mut crab_renderer(&SensorConfig::IDEAL, 5), 0, 0.05);
+    let renderer = crab_renderer(&SensorConfig::IDEAL, 5);
+    let blurred = pair(&mut renderer.clone().with_defocus_px(0.0, 1.5).unwrap(), 0, 0.05);
+    assert_eq!(sharp[0], blurred[0]);
+    let contrast = |picture: &RgbImage| {
+        let greens: Vec<f64> = picture.pixels().map(|pixel| f64::from(pixel[1])).collect();
+        greens.windows(2).map(|pair| (pair[1] - pair[0]).powi(2)).sum::<f64>()
+    };
+    assert!(contrast(&blurred[1]) < 0.5 * contrast(&sharp[1]));
+    let error = renderer.with_defocus_px(0.0, 5.0).unwrap_err().to_string();
+    assert_eq!(error, "sensor parameter defocus_px is 5: set it between 0 and 4");
+}
+
+#[test]
+fn the_ideal_picture_is_the_picture_of_an_ideal_sensor() {
+    let mut renderer = crab_renderer(&SensorConfig { lens_blur_px: 0.6, ..SensorConfig::IDEAL }, 5);
+    let [left, _] = pair(&mut renderer, 0, 0.05);
+    let mut ideal = Vec::new();
+    renderer.ideal_left(&poses(turned([0.05, 0.01, 0.5], [0.05, -0.08, 0.02])), &mut ideal);
+    assert!(left.as_raw().iter().zip(&ideal).all(|(&grey, &ideal)| (f32::from(grey) - ideal).abs() <= 0.501));
+}
+
+#[test]
+fn a_reflection_lies_where_the_mirror_would_show_the_lamp() {
+    // In `cam_left` the target faces the camera; in `world` that is a normal along -x.
+    let in_cam = Vector3::new(0.03, 0.02, -1.0);
+    let lamp = |highlight| Lighting {
+        highlight,
+        towards_lamp_in_world: Vector3::new(in_cam.z, -in_cam.x, -in_cam.y),
+        ..Lighting::EVEN
+    };
+    let ideal = |lighting| {
+        let config = SceneConfig { lighting, ..SceneConfig::new(TargetConfig::crab(0.0)) };
+        let scene = Scene::build(&config).unwrap();
+        let mut renderer = StereoRenderer::new(scene, rectified_rig(), &SensorConfig::IDEAL, 5).unwrap();
+        let mut ideal = Vec::new();
+        renderer.ideal_left(&poses(turned([0.0, 0.0, 0.5], [0.0; 3])), &mut ideal);
+        ideal
+    };
+    let (matt, glossy) = (ideal(lamp(None)), ideal(lamp(Some(Highlight { strength_grey: 60.0, exponent: 200 }))));
+    let (mut sum, mut weights) = (Vector2::zeros(), 0.0);
+    for (pixel, (matt, glossy)) in matt.chunks_exact(3).zip(glossy.chunks_exact(3)).enumerate() {
+        let added = f64::from(glossy[0] - matt[0]);
+        // Its middle, which lies on the shell.
+        if added > 45.0 {
+            sum += Vector2::new((pixel % 640) as f64, (pixel / 640) as f64) * added;
+            weights += added;
+        }
+    }
+    // The camera sees the lamp mirrored where its ray is (0.03, 0.02, 1).
+    let expected = Vector2::new(319.5 + 740.0 * 0.03, 239.5 + 740.0 * 0.02);
+    let found = sum / weights;
+    assert!((found - expected).norm() < 4.0, "{found} instead of {expected}");
 }

@@ -3,7 +3,7 @@
 //! A texture is read from two neighbouring mip-map copies at once: eight texels whose weights sum to 4096. The three channels
 //! of a texel lie side by side in one number, so one multiplication weighs all of them.
 
-use super::triangle::ScreenTriangle;
+use super::triangle::{Plane, ScreenTriangle};
 use crate::targets::texture::{LANE_BITS, Level, Texture};
 
 /// Pixels shaded in one go.
@@ -82,6 +82,20 @@ pub(crate) fn shade_run(
             // 255 * 4096 in the lane, halved and quartered to 16 bits, times a light of at most 15.
             let albedo = ((colour >> (lane * LANE_BITS + 4)) & 0xffff) as u32;
             *channel = ((albedo * light as u32) >> 12).min(0xffff) as u16;
+        }
+    }
+    if let Some(shine) = &triangle.shine {
+        add_shine(shine, triangle, rays, out);
+    }
+}
+
+/// Adds the lamp's reflection to every channel.
+#[inline(always)]
+fn add_shine(shine: &Plane, triangle: &ScreenTriangle, rays: (&[f32], &[f32]), out: &mut [u16]) {
+    for ((pixel, &x), &y) in out.chunks_exact_mut(3).zip(rays.0).zip(rays.1) {
+        let added = (shine.at(x, y) / triangle.inv_z.at(x, y) * 256.0).clamp(0.0, 65_535.0) as u16;
+        for channel in pixel {
+            *channel = channel.saturating_add(added);
         }
     }
 }

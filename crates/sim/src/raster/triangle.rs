@@ -48,6 +48,8 @@ pub(crate) struct ScreenTriangle {
     pub(crate) v: Plane,
     /// Light over depth.
     pub(crate) light: Plane,
+    /// The lamp's reflection over depth, grey levels; `None` where there is none.
+    pub(crate) shine: Option<Plane>,
     /// Index of the scene's part.
     pub(crate) part: u16,
     pub(crate) pixels: PixelBox,
@@ -64,6 +66,7 @@ struct SeenVertex {
     in_cam: Vector3<f64>,
     texel: [f64; 2],
     light: f64,
+    shine: f64,
 }
 
 /// Collects the triangles of one part that face the camera.
@@ -88,6 +91,11 @@ pub(crate) fn collect_triangles(
                 in_cam: positions[k].coords,
                 texel: [vertex.texture.x * size[0], vertex.texture.y * size[1]],
                 light: lighting.on(&pose.world_from_part.transform_vector(&vertex.normal)),
+                shine: lighting.highlight.map_or(0.0, |highlight| {
+                    let normal = pose.world_from_part.transform_vector(&vertex.normal);
+                    let to_camera = pose.world_from_cam.transform_vector(&-positions[k].coords);
+                    lighting.shine_on(&highlight, &normal, &to_camera)
+                }),
             }
         });
         if let Some(triangle) = ScreenTriangle::new(&seen, part_index, pixels) {
@@ -100,6 +108,7 @@ pub(crate) fn collect_triangles(
 pub(crate) struct PartPose {
     pub(crate) cam_from_part: Isometry3<f64>,
     pub(crate) world_from_part: Isometry3<f64>,
+    pub(crate) world_from_cam: Isometry3<f64>,
 }
 
 impl ScreenTriangle {
@@ -125,6 +134,7 @@ impl ScreenTriangle {
             u: attribute(|vertex| vertex.texel[0]),
             v: attribute(|vertex| vertex.texel[1]),
             light: attribute(|vertex| vertex.light),
+            shine: corners.iter().any(|corner| corner.shine > 0.0).then(|| attribute(|vertex| vertex.shine)),
             part,
             pixels,
         })
@@ -175,6 +185,7 @@ mod tests {
             in_cam: Vector3::new(x, y, z),
             texel: [u, v],
             light,
+            shine: 100.0 * light,
         };
         let corners = [
             corner(-0.2, -0.1, 0.9, 3.0, 70.0, 0.4),
@@ -192,6 +203,7 @@ mod tests {
         check(at(&triangle.u), mean(&|c| c.texel[0]));
         check(at(&triangle.v), mean(&|c| c.texel[1]));
         check(at(&triangle.light), mean(&|c| c.light));
+        check(at(&triangle.shine.unwrap()), 100.0 * mean(&|c| c.light));
         for (edge, share) in triangle.edges.iter().zip(shares) {
             check(at(edge), share);
         }

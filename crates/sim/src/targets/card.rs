@@ -33,12 +33,16 @@ pub(super) fn whole_face(face: &Face) -> Mesh {
     mesh
 }
 
-/// Patches of every hue, large and small, with grain.
 fn paint(seed: u32) -> Texture {
+    Texture::from_fn(9, 9, colours(seed))
+}
+
+/// Patches of every hue, large and small, with grain; the arguments are shares of the card's width and height.
+pub(super) fn colours(seed: u32) -> impl Fn(f64, f64) -> Colour {
     let warp = [1, 2].map(|k| ValueNoise::new(hash(&[seed, 0xCA2D, k])));
     let grain = ValueNoise::new(hash(&[seed, 0xCA2D, 3]));
     let patches = [(7.0, 5u32), (16.0, 6)].map(|(scale, k)| (scale, ScatteredPoints::new(hash(&[seed, 0xCA2D, k]))));
-    Texture::from_fn(9, 9, |u, v| {
+    move |u, v| {
         let (x, y) = (u * 1.33, v);
         let bend = |k: usize| 0.10 * (warp[k].fractal(x * 6.0, y * 6.0, 3) - 0.5);
         let (x, y) = (x + bend(0), y + bend(1));
@@ -46,7 +50,7 @@ fn paint(seed: u32) -> Texture {
         let mixed = mix_colours(&layers[0].0, &layers[1].0, if layers[1].1 { 0.9 } else { 0.25 });
         let tone = 0.82 + 0.36 * (grain.fractal(u * 60.0, v * 45.0, 3) - 0.5);
         mixed.map(|channel| channel * tone)
-    })
+    }
 }
 
 /// Colour of the patch at a place, and whether the patch stands out.

@@ -43,9 +43,13 @@ const LIMBS: [Limb; 11] = [
 /// The two fingers of the right claw.
 const FINGERS: [Limb; 2] = [[[42.5, -35.0, 5.8], [37.0, -48.0, 1.6]], [[45.5, -34.0, 5.8], [51.0, -47.0, 1.8]]];
 
-/// The crab, relief in metres.
+/// The crab, relief in metres, in its own colours.
 pub(super) fn build(relief_m: f64, seed: u32) -> Draft {
-    let texture = Arc::new(paint(seed));
+    build_with(relief_m, seed, Arc::new(paint(seed, HUE_DEG)))
+}
+
+/// The crab's shape with any texture, whose middle lies at the origin; see [`place_mm`].
+pub(super) fn build_with(relief_m: f64, seed: u32, texture: Arc<Texture>) -> Draft {
     let shape = Shape { relief_m, bumps: ValueNoise::new(hash(&[seed, 0xC2AB])) };
     let cut = cut_grid(GridArea { half_size_m: HALF_SIZE_M, cells: 60 }, |p| distance_mm(&(p * 1e3)) * 1e-3);
     let mut front = Mesh::default();
@@ -131,16 +135,24 @@ fn smooth_min(a: f64, b: f64, width: f64) -> f64 {
     a.min(b) - overlap * overlap * width * 0.25
 }
 
-/// Hue 14 degrees +- 8 with dark spots, pale joints, dark claw tips and eyes.
-fn paint(seed: u32) -> Texture {
+/// Where texture coordinates lie on the crab, millimetres.
+pub(super) fn place_mm(u: f64, v: f64) -> Point2<f64> {
+    Point2::new((u - 0.5) * 2e3 * HALF_SIZE_M, (v - 0.5) * 2e3 * HALF_SIZE_M)
+}
+
+/// The crab's own hue.
+pub(super) const HUE_DEG: f64 = 14.0;
+
+/// A hue (degrees) +- 8 with dark spots, pale joints, dark claw tips and eyes.
+pub(super) fn paint(seed: u32, middle_hue_deg: f64) -> Texture {
     let noise = |k: u32| ValueNoise::new(hash(&[seed, 0x9A11, k]));
     let (tone, grain, light) = (noise(1), noise(2), noise(3));
     let spots =
         [(0.22, 0.30), (0.55, 0.24)].map(|(density, radius)| (density, radius, hash(&[seed, (density * 1e3) as u32])));
     Texture::from_fn(9, 9, |u, v| {
-        let p = Point2::new((u - 0.5) * 2e3 * HALF_SIZE_M, (v - 0.5) * 2e3 * HALF_SIZE_M);
+        let p = place_mm(u, v);
         let inside = -distance_mm(&p);
-        let hue = 14.0 + 16.0 * (tone.fractal(p.x * 0.11, p.y * 0.11, 3) - 0.5).clamp(-0.5, 0.5);
+        let hue = middle_hue_deg + 16.0 * (tone.fractal(p.x * 0.11, p.y * 0.11, 3) - 0.5).clamp(-0.5, 0.5);
         let mottle = light.fractal(p.x * 0.16 + 40.0, p.y * 0.16, 4);
         let speckle = grain.fractal(p.x * 0.8, p.y * 0.8, 2);
         let saturation = 0.86 - 0.22 * mottle + 0.06 * speckle;
