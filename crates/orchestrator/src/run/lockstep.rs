@@ -22,7 +22,8 @@ use pb3dp_sim::placement::FlangePath;
 use pb3dp_sim::trajectory::Trajectory;
 
 use super::carrier::carry;
-use super::log::{ControlSample, FrameSample, RunLog};
+use super::compared::{Frame, Onlooker};
+use super::log::{ControlSample, MethodLog, RunLog};
 use super::recording::Recording;
 use super::strip::Strip;
 use crate::config::setup::Setup;
@@ -61,6 +62,7 @@ struct Loop<'a> {
     setup: &'a Setup,
     parts: Parts,
     tracker: Tracker,
+    onlookers: Vec<Onlooker>,
     controller: Controller,
     damping: Damping,
     begin: MonotonicTime,
@@ -93,9 +95,11 @@ impl<'a> Loop<'a> {
             velocity_rad_per_s: JointVector::zeros(),
         };
         let (vs_joints, tc_joints) = (at_rest(setup.vs.start_rad), at_rest(setup.tc.start_rad));
-        let log = RunLog { marks: parts.experiment.marks().to_vec(), ..RunLog::default() };
+        let leading = MethodLog { method: setup.method.name().to_owned(), ..MethodLog::default() };
+        let log = RunLog { marks: parts.experiment.marks().to_vec(), leading, ..RunLog::default() };
         Ok(Self {
             tracker: Tracker::new(setup.method, &setup.rig, &setup.estimator)?,
+            onlookers: Onlooker::all_of(setup)?,
             controller,
             damping: Damping::new(setup.controller.damping.threshold, setup.controller.damping.factor_max)?,
             begin: parts.clock.now(),
@@ -134,6 +138,7 @@ impl<'a> Loop<'a> {
         for sample in &mut self.log.control {
             sample.world_from_hand_wanted = sample.world_from_target * target_from_model * model_from_hand;
         }
+        self.log.compared = self.onlookers.into_iter().map(Onlooker::into_log).collect();
         self.log.limited_steps = self.parts.vs.limited_commands();
         Outcome { log: self.log, strip: self.strip }
     }
@@ -218,17 +223,19 @@ impl<'a> Loop<'a> {
             Err(error) => return Err(error).context("camera"),
         }
         let at = self.pair.exposed_at;
-        let started = Instant::now();
         let base_from_cam_left = self.base_from_cam_left_at(at);
         let motion = self.base_from_cam_left_prev.zip(base_from_cam_left).map(|(prev, now)| prev.inverse() * now);
-        let estimate = self.estimate(at, motion)?;
-        let latency_millis = started.elapsed().as_secs_f64() * 1e3;
         self.base_from_cam_left_prev = base_from_cam_left;
+        let is_first = !self.is_tracking;
+        let region = if is_first { Some(Region::Polygon { vertices_px: self.outline_px(at)? }) } else { None };
+        let started = Instant::now();
+        let estimate = self.estimate(region.as_ref(), motion)?;
+        let latency_millis = started.elapsed().as_secs_f64() * 1e3;
         if let Some(cam_left_from_model) = estimate.cam_left_from_model {
             let observation = TargetObservation { at, cam_left_from_model, trusted: estimate.status.depth_is_sure() };
             self.arriving.push_back((self.parts.clock.now() + self.setup.estimate_latency, observation));
         }
-        self.note_frame(at, &estimate, latency_millis);
+        self.note_frame(at, (region.as_ref(), motion.as_ref()), &estimate, latency_millis);
         self.record(at)
     }
 
@@ -248,12 +255,12 @@ impl<'a> Loop<'a> {
         Some(self.setup.vs.chain.forward(&position_rad) * controller.flange_from_hand * controller.hand_from_cam_left)
     }
 
-    fn estimate(&mut self, at: MonotonicTime, motion: Option<Pose<CamLeft, CamLeft>>) -> Result<TrackEstimate> {
-        if self.is_tracking {
+    /// Follows the target, or takes the one in `region`.
+    fn estimate(&mut self, region: Option<&Region>, motion: Option<Pose<CamLeft, CamLeft>>) -> Result<TrackEstimate> {
+        let Some(region) = region else {
             return Ok(self.tracker.update(&self.pair.left, &self.pair.right, motion.as_ref())?);
-        }
-        let region = Region::Polygon { vertices_px: self.outline_px(at)? };
-        let estimate = self.tracker.start(&self.pair.left, &self.pair.right, &region, &self.setup.range)?;
+        };
+        let estimate = self.tracker.start(&self.pair.left, &self.pair.right, region, &self.setup.range)?;
         for warning in &estimate.warnings {
             tracing::warn!("{warning}");
         }
@@ -274,31 +281,25 @@ impl<'a> Loop<'a> {
         self.parts.cell.world_from_cam_left_at(at).inverse() * self.parts.cell.world_from_target_at(at)
     }
 
-    /// Compares an estimate with the truth at the time of its exposure.
-    fn note_frame(&mut self, at: MonotonicTime, estimate: &TrackEstimate, latency_millis: f64) {
+    /// Compares the estimate with the truth at the time of its exposure, and lets the onlookers look at the same pair.
+    fn note_frame(
+        &mut self,
+        at: MonotonicTime,
+        (region, motion): (Option<&Region>, Option<&Pose<CamLeft, CamLeft>>),
+        estimate: &TrackEstimate,
+        latency_millis: f64,
+    ) {
         let cam_left_from_target = self.cam_left_from_target_at(at);
-        let away = cam_left_from_target.transform_vector(&Vector3::z());
-        let errors = estimate.cam_left_from_model.map(|pose| {
-            let estimated_origin = pose.translation_m();
-            let ray = estimated_origin / estimated_origin.z;
-            let true_depth_m = away.dot(&cam_left_from_target.translation_m()) / away.dot(&ray);
-            if self.target_from_model.is_none() {
-                let model = model_frame_on_plane(ray * true_depth_m, &-away);
-                self.target_from_model = model.map(|model| cam_left_from_target.inverse() * model);
-            }
-            (estimated_origin.z - true_depth_m, pose.transform_vector(&Vector3::z()).angle(&away))
-        });
+        if let (None, Some(pose)) = (self.target_from_model, estimate.cam_left_from_model) {
+            self.target_from_model = true_model_frame(&pose, &cam_left_from_target);
+        }
         let t_s = at.seconds_since(self.begin);
-        self.log.rotation_about_normal_observed |= estimate.rotation_about_normal_observed;
         self.strip.offer(t_s, &self.pair, &self.setup.rig, estimate);
-        self.log.frames.push(FrameSample {
-            t_s,
-            status: estimate.status.to_string(),
-            fitness: estimate.fitness,
-            depth_error_m: errors.map(|(depth_m, _)| depth_m),
-            normal_error_rad: errors.map(|(_, normal_rad)| normal_rad),
-            latency_millis,
-        });
+        let frame = Frame { t_s, pair: &self.pair, region, motion, cam_left_from_target };
+        self.log.leading.push(&frame, estimate, latency_millis);
+        for onlooker in &mut self.onlookers {
+            onlooker.look(&frame, self.setup);
+        }
     }
 
     /// Both arms come to rest with brakes on, whatever happened; the first failure is told.
@@ -307,4 +308,16 @@ impl<'a> Loop<'a> {
         let tc = self.parts.tc.stop().context("tc-robot: stop");
         vs.and(tc)
     }
+}
+
+/// Where on the target the model's frame truly is: on the target's plane, on the ray of the estimated origin.
+fn true_model_frame(
+    cam_left_from_model: &Pose<CamLeft, Model>,
+    cam_left_from_target: &Pose<CamLeft, Target>,
+) -> Option<Pose<Target, Model>> {
+    let away = cam_left_from_target.transform_vector(&Vector3::z());
+    let origin = cam_left_from_model.translation_m();
+    let ray = origin / origin.z;
+    let true_depth_m = away.dot(&cam_left_from_target.translation_m()) / away.dot(&ray);
+    Some(cam_left_from_target.inverse() * model_frame_on_plane(ray * true_depth_m, &-away)?)
 }

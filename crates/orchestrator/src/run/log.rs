@@ -1,7 +1,7 @@
 //! What a run writes down: one sample per control step, one per frame. Only the run fills it; summary and report read it.
 
 use pb3dp_geometry::Pose;
-use pb3dp_geometry::frames::{Hand, Target, World};
+use pb3dp_geometry::frames::{CamLeft, Hand, Model, Target, World};
 use pb3dp_sim::trajectory::Mark;
 
 /// One control step.
@@ -45,13 +45,30 @@ pub struct FrameSample {
     pub latency_millis: f64,
 }
 
+/// What one method said of every frame, beside the truth.
+#[derive(Clone, Debug, Default)]
+pub struct MethodLog {
+    /// Name of the method.
+    pub method: String,
+    /// Frames in order of time.
+    pub frames: Vec<FrameSample>,
+    /// The pose of each frame, if there is one.
+    pub estimated: Vec<Option<Pose<CamLeft, Model>>>,
+    /// The true pose of each frame, of another frame on the same body.
+    pub truth: Vec<Pose<CamLeft, Model>>,
+    /// Whether the method measured the rotation about the model's normal in any frame.
+    pub rotation_about_normal_observed: bool,
+}
+
 /// Everything written down in one run.
 #[derive(Clone, Debug, Default)]
 pub struct RunLog {
     /// Control steps in order of time.
     pub control: Vec<ControlSample>,
-    /// Frames in order of time.
-    pub frames: Vec<FrameSample>,
+    /// What the method that leads the hand said.
+    pub leading: MethodLog,
+    /// What the methods said that only looked on.
+    pub compared: Vec<MethodLog>,
     /// Begin of each move of the target.
     pub marks: Vec<Mark>,
     /// What happened besides, with seconds since the beginning.
@@ -60,6 +77,4 @@ pub struct RunLog {
     pub pairs_lost: u64,
     /// Control steps in which the limiter changed the command.
     pub limited_steps: u64,
-    /// Whether the method measured the rotation about the model's normal in any frame.
-    pub rotation_about_normal_observed: bool,
 }

@@ -2,8 +2,10 @@
 
 pub mod carrier;
 pub mod cell;
+pub mod compared;
 pub mod lockstep;
 pub mod log;
+pub mod methods;
 pub mod paced_clock;
 pub mod recording;
 pub mod report;

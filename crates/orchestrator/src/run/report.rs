@@ -10,6 +10,7 @@ use pb3dp_record::report::{LinePlot, Report, ReportPicture, Series, SeriesColor,
 
 use super::lockstep::Outcome;
 use super::log::{ControlSample, RunLog};
+use super::methods;
 use super::summary::{MedianP95, RmsMax, RunSummary, TrackingError};
 
 /// Writes `report.html`, `summary.json` and `timeseries.csv` into `folder`.
@@ -61,6 +62,14 @@ fn page(outcome: &Outcome, summary: &RunSummary, provenance: &[(String, String)]
         )
         .table(&channel_table(summary))
         .paragraph(normal_note(summary))
+        .heading("Methods side by side")
+        .paragraph(
+            "All methods saw the same pairs; the leading one moved the hand, the others looked on. Depth and normal against \
+             the true plane of the target (a flat model on a target with relief can not be exact), motion and rotation since \
+             the first pose: median / p95.",
+        )
+        .table(&methods::table(&summary.methods))
+        .panels(&methods::panels(log))
         .heading("Error and fitness over time")
         .panels(&error_panels(log))
         .heading("What the cameras saw")
@@ -142,7 +151,8 @@ fn line(label: &str, color: SeriesColor, points: Vec<[f64; 2]>) -> Series {
     if color == SeriesColor::Grey { series.dashed() } else { series }
 }
 
-fn with_marks(plot: LinePlot, log: &RunLog) -> LinePlot {
+/// The plot with the marks of the experiment.
+pub fn with_marks(plot: LinePlot, log: &RunLog) -> LinePlot {
     log.marks.iter().fold(plot, |plot, mark| plot.mark(mark.at_s, format!("({})", mark.number)))
 }
 
@@ -151,7 +161,7 @@ fn error_panels(log: &RunLog) -> Vec<LinePlot> {
         log.control.iter().map(|s| [s.t_s, pick(&TrackingError::of(s))]).collect()
     };
     let frames = |pick: fn(&super::log::FrameSample) -> Option<f64>| -> Vec<[f64; 2]> {
-        log.frames.iter().map(|f| [f.t_s, pick(f).unwrap_or(f64::NAN)]).collect()
+        log.leading.frames.iter().map(|f| [f.t_s, pick(f).unwrap_or(f64::NAN)]).collect()
     };
     let plot = |title: &str, y: (&str, &str), color: SeriesColor, points: Vec<[f64; 2]>| {
         with_marks(LinePlot::new(title, ("time", "s"), y).series(Series::line(title, color, points)), log)
@@ -159,13 +169,6 @@ fn error_panels(log: &RunLog) -> Vec<LinePlot> {
     vec![
         plot("hand: position error", ("error", "mm"), SeriesColor::Red, control(|e| e.position_m * 1e3)),
         plot("hand: viewing direction error", ("error", "deg"), SeriesColor::Red, control(|e| e.tilt_rad.to_degrees())),
-        plot("estimate: depth error", ("error", "mm"), SeriesColor::Blue, frames(|f| f.depth_error_m.map(|e| e * 1e3))),
-        plot(
-            "estimate: normal error",
-            ("error", "deg"),
-            SeriesColor::Blue,
-            frames(|f| f.normal_error_rad.map(f64::to_degrees)),
-        ),
         plot("fitness", ("fitness", ""), SeriesColor::Green, frames(|f| f.fitness)),
         plot("frame to estimate", ("wall time", "ms"), SeriesColor::Purple, frames(|f| Some(f.latency_millis))),
     ]
@@ -229,6 +232,8 @@ pub fn text_table(summary: &RunSummary) -> String {
     text += &format!("{:<34} {}\n", "controller", modes.join(", "));
     let sigma = summary.smallest_singular_value.map_or("-".into(), |s| format!("{s:.3}"));
     text += &format!("{:<34} {sigma}\n\n", "smallest singular value");
+    text += &methods::text_table(&summary.methods);
+    text.push('\n');
     let _ = writeln!(text, "axis unit  moving rms    max   hold rms    max   lag s");
     for c in &summary.channels {
         let number = |value: Option<f64>| value.map_or("-".to_owned(), |x| format!("{x:.2}"));

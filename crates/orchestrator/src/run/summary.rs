@@ -14,6 +14,7 @@ use pb3dp_sim::trajectory::Channel;
 use serde::Serialize;
 
 use super::log::{ControlSample, RunLog};
+use super::methods::{self, MethodSummary};
 
 /// The hand settles for this long after each move before "hold" is judged, seconds.
 const SETTLE_S: f64 = 1.0;
@@ -47,7 +48,8 @@ pub struct MedianP95 {
 }
 
 impl MedianP95 {
-    fn of(samples: &[f64]) -> Option<Self> {
+    /// Of absolute errors; `None` without any.
+    pub fn of(samples: &[f64]) -> Option<Self> {
         Statistics::of(samples).map(|s| Self { median: s.median, p95: s.p95 })
     }
 }
@@ -88,6 +90,8 @@ pub struct RunSummary {
     pub estimation_depth_mm: Option<MedianP95>,
     /// Normal error of the estimates, degrees.
     pub estimation_normal_deg: Option<MedianP95>,
+    /// The leading method and those that looked on, side by side.
+    pub methods: Vec<MethodSummary>,
     /// Frames seen.
     pub frames: usize,
     /// Frames without a pose.
@@ -146,9 +150,9 @@ pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
     let column = |pick: fn(&TrackingError) -> f64| errors.iter().map(pick).collect::<Vec<f64>>();
     let channels = channel_summaries(log, plan);
     let lags: Vec<f64> = channels.iter().filter_map(|c| c.lag_s).collect();
-    let latencies: Vec<f64> = log.frames.iter().map(|f| f.latency_millis).collect();
-    let depth: Vec<f64> = log.frames.iter().filter_map(|f| f.depth_error_m).map(|e| e.abs() * 1e3).collect();
-    let normal: Vec<f64> = log.frames.iter().filter_map(|f| f.normal_error_rad).map(f64::to_degrees).collect();
+    let latencies: Vec<f64> = log.leading.frames.iter().map(|f| f.latency_millis).collect();
+    let depth: Vec<f64> = log.leading.frames.iter().filter_map(|f| f.depth_error_m).map(|e| e.abs() * 1e3).collect();
+    let normal: Vec<f64> = log.leading.frames.iter().filter_map(|f| f.normal_error_rad).map(f64::to_degrees).collect();
     RunSummary {
         duration_s: log.control.last().map_or(0.0, |sample| sample.t_s),
         tracking_position_mm: RmsMax::of(&column(|e| e.position_m * 1e3)),
@@ -158,13 +162,14 @@ pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
         channels,
         estimation_depth_mm: MedianP95::of(&depth),
         estimation_normal_deg: MedianP95::of(&normal),
-        frames: log.frames.len(),
-        frames_without_pose: log.frames.iter().filter(|f| f.depth_error_m.is_none()).count(),
-        frames_by_status: log.frames.iter().fold(BTreeMap::new(), |mut counts, frame| {
+        methods: methods::summaries(log),
+        frames: log.leading.frames.len(),
+        frames_without_pose: log.leading.frames.iter().filter(|f| f.depth_error_m.is_none()).count(),
+        frames_by_status: log.leading.frames.iter().fold(BTreeMap::new(), |mut counts, frame| {
             *counts.entry(frame.status.clone()).or_default() += 1;
             counts
         }),
-        rotation_about_normal_observed: log.rotation_about_normal_observed,
+        rotation_about_normal_observed: log.leading.rotation_about_normal_observed,
         pairs_lost: log.pairs_lost,
         latency_p50_millis: percentile(&latencies, 50.0),
         latency_p99_millis: percentile(&latencies, 99.0),

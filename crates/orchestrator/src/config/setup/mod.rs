@@ -49,7 +49,9 @@ pub struct Setup {
     pub scene: SceneConfig,
     /// The method by which the pose is estimated.
     pub method: Method,
-    /// Its parameters.
+    /// Methods that get the same pairs and only look on.
+    pub compared: Vec<Method>,
+    /// Parameters of all methods.
     pub estimator: EstimatorConfig,
     /// Where it searches.
     pub range: SearchRange,
@@ -101,6 +103,7 @@ struct RunSection {
 #[serde(deny_unknown_fields)]
 struct EstimatorSection {
     method: String,
+    compare: Vec<String>,
     z_min_mm: f64,
     z_max_mm: f64,
     tilt_max_deg: f64,
@@ -166,7 +169,7 @@ impl SetupFile {
     fn build(&self, file: &Path, check: &mut Checker) -> Option<Setup> {
         check.number("run.control_period_millis", self.run.control_period_millis, 2.0..=20.0);
         check.number("run.estimate_latency_millis", self.run.estimate_latency_millis, 0.0..=500.0);
-        let (method, estimator, range) = self.estimator.build(self.run.seed, check);
+        let (method, compared, estimator, range) = self.estimator.build(self.run.seed, check);
         let (rig, camera, sensor) = self.camera.build(check);
         let scene = self.scene.build(self.run.seed, check);
         let experiment = self.experiment.build(check);
@@ -188,6 +191,7 @@ impl SetupFile {
             sensor,
             scene,
             method: method?,
+            compared,
             estimator,
             range,
             controller,
@@ -200,10 +204,21 @@ impl SetupFile {
 }
 
 impl EstimatorSection {
-    fn build(&self, seed: u64, check: &mut Checker) -> (Option<Method>, EstimatorConfig, SearchRange) {
-        let method = Method::from_name(&self.method);
-        if let Err(error) = &method {
-            check.refuse(format!("estimator.method = {:?}: {error}", self.method));
+    fn build(&self, seed: u64, check: &mut Checker) -> (Option<Method>, Vec<Method>, EstimatorConfig, SearchRange) {
+        let mut named = |key: &str, name: &str| match Method::from_name(name) {
+            Ok(method) => Some(method),
+            Err(error) => {
+                check.refuse(format!("{key} = {name:?}: {error}"));
+                None
+            }
+        };
+        let method = named("estimator.method", &self.method);
+        let compared: Vec<Method> = self.compare.iter().filter_map(|name| named("estimator.compare", name)).collect();
+        if compared.iter().enumerate().any(|(i, other)| Some(*other) == method || compared[..i].contains(other)) {
+            let names = self.compare.join(", ");
+            check.refuse(format!(
+                "estimator.compare = [{names}]: name every other method once, and not `method` itself"
+            ));
         }
         check.number("estimator.z_min_mm", self.z_min_mm, 10.0..=100_000.0);
         check.number("estimator.z_max_mm", self.z_max_mm, within(self.z_min_mm, 10.0, 99_999.0) + 1.0..=100_000.0);
@@ -218,7 +233,7 @@ impl EstimatorSection {
         }
         let mut published = self.published.build("estimator.published", check);
         published.rmga.seed = published.rmga.seed.wrapping_add(seed);
-        (method.ok(), EstimatorConfig { published }, range)
+        (method, compared, EstimatorConfig { published }, range)
     }
 }
 

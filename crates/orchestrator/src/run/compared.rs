@@ -1,0 +1,122 @@
+//! Methods that look on: they get the same pairs as the method that leads the hand, and have no say in where it goes.
+
+use std::time::Instant;
+
+use anyhow::Result;
+use nalgebra::Vector3;
+use pb3dp_estimation::estimator::{Method, Tracker};
+use pb3dp_estimation::published::TrackEstimate;
+use pb3dp_estimation::region::Region;
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{CamLeft, Target};
+use pb3dp_hal_api::FramePair;
+
+use super::log::{FrameSample, MethodLog};
+use crate::config::setup::Setup;
+
+/// One method that looks on.
+pub struct Onlooker {
+    method: Method,
+    tracker: Tracker,
+    is_tracking: bool,
+    log: MethodLog,
+}
+
+impl Onlooker {
+    /// The methods that a setup compares with the leading one.
+    ///
+    /// # Errors
+    /// A parameter of a method out of its range.
+    pub fn all_of(setup: &Setup) -> Result<Vec<Self>> {
+        let onlooker = |&method: &Method| {
+            let tracker = Tracker::new(method, &setup.rig, &setup.estimator)?;
+            Ok(Self { method, tracker, is_tracking: false, log: MethodLog::new(method) })
+        };
+        setup.compared.iter().map(onlooker).collect()
+    }
+
+    /// Looks at a pair: at the first with the operator's region, later with the known motion of the camera. What it can not
+    /// work on is written down as an error and leaves the run alone.
+    pub fn look(&mut self, frame: &Frame<'_>, setup: &Setup) {
+        let (left, right) = (&frame.pair.left, &frame.pair.right);
+        let started = Instant::now();
+        let outcome = match frame.region.filter(|_| !self.is_tracking) {
+            Some(region) => self.tracker.start(left, right, region, &setup.range),
+            None => self.tracker.update(left, right, frame.motion),
+        };
+        let latency_millis = started.elapsed().as_secs_f64() * 1e3;
+        match outcome {
+            Ok(estimate) => {
+                self.is_tracking = true;
+                self.log.push(frame, &estimate, latency_millis);
+            }
+            Err(error) => {
+                tracing::warn!("{}, which looks on: {error}", self.method);
+                self.log.push_error(frame, latency_millis);
+            }
+        }
+    }
+
+    /// What it has seen.
+    pub fn into_log(self) -> MethodLog {
+        self.log
+    }
+}
+
+/// One pair and what is known about it.
+pub struct Frame<'a> {
+    /// Seconds since the experiment began.
+    pub t_s: f64,
+    /// The pictures.
+    pub pair: &'a FramePair,
+    /// What the operator marks in the first pair.
+    pub region: Option<&'a Region>,
+    /// Motion of the camera since the pair before, from the joints.
+    pub motion: Option<&'a Pose<CamLeft, CamLeft>>,
+    /// The truth.
+    pub cam_left_from_target: Pose<CamLeft, Target>,
+}
+
+/// Depth error (metres, on the ray of the estimated origin) and angle between the normals (radians) of an estimate.
+pub fn plane_errors(estimate: &TrackEstimate, cam_left_from_target: &Pose<CamLeft, Target>) -> Option<(f64, f64)> {
+    let pose = estimate.cam_left_from_model?;
+    let away = cam_left_from_target.transform_vector(&Vector3::z());
+    let origin = pose.translation_m();
+    let true_depth_m = away.dot(&cam_left_from_target.translation_m()) / away.dot(&(origin / origin.z));
+    Some((origin.z - true_depth_m, pose.transform_vector(&Vector3::z()).angle(&away)))
+}
+
+impl MethodLog {
+    fn new(method: Method) -> Self {
+        Self { method: method.name().to_owned(), ..Self::default() }
+    }
+
+    /// Adds what a method says of a frame.
+    pub fn push(&mut self, frame: &Frame<'_>, estimate: &TrackEstimate, latency_millis: f64) {
+        let errors = plane_errors(estimate, &frame.cam_left_from_target);
+        self.rotation_about_normal_observed |= estimate.rotation_about_normal_observed;
+        self.estimated.push(estimate.cam_left_from_model);
+        self.truth.push(frame.cam_left_from_target.relabel());
+        self.frames.push(FrameSample {
+            t_s: frame.t_s,
+            status: estimate.status.to_string(),
+            fitness: estimate.fitness,
+            depth_error_m: errors.map(|(depth_m, _)| depth_m),
+            normal_error_rad: errors.map(|(_, normal_rad)| normal_rad),
+            latency_millis,
+        });
+    }
+
+    fn push_error(&mut self, frame: &Frame<'_>, latency_millis: f64) {
+        self.estimated.push(None);
+        self.truth.push(frame.cam_left_from_target.relabel());
+        self.frames.push(FrameSample {
+            t_s: frame.t_s,
+            status: "error".to_owned(),
+            fitness: None,
+            depth_error_m: None,
+            normal_error_rad: None,
+            latency_millis,
+        });
+    }
+}
