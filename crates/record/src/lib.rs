@@ -6,6 +6,7 @@
 //! * [`images`]: pictures in files;
 //! * [`metrics`]: errors against truth, statistics, lag;
 //! * [`overlay`]: drawing on pictures, animated pictures;
+//! * [`point_cloud`]: coloured surface points as PLY;
 //! * [`report`]: self-contained HTML reports with SVG plots.
 //!
 //! Files hold millimetres and degrees where people read them; inside everything is metres and radians. This crate
@@ -16,4 +17,5 @@ pub mod dataset;
 pub mod images;
 pub mod metrics;
 pub mod overlay;
+pub mod point_cloud;
 pub mod report;

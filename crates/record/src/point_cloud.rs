@@ -1,0 +1,141 @@
+//! Coloured surface points in PLY files, as MeshLab, CloudCompare and Open3D read them.
+//!
+//! Binary little-endian; per vertex `x y z nx ny nz` (single precision, millimetres and unit vectors) and
+//! `red green blue` (bytes). A comment in the header names the frame and the unit.
+
+use std::fs::File;
+use std::io::{BufWriter, Write as _};
+use std::path::{Path, PathBuf};
+
+use nalgebra::{Point3, Vector3};
+use pb3dp_geometry::Frame;
+use ply_rs_bw::ply::{
+    Addable, DefaultElement, ElementDef, Encoding, Ply, Property, PropertyDef, PropertyType, ScalarType,
+};
+use ply_rs_bw::writer::Writer;
+
+/// A point of a surface with its colour.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfacePoint {
+    /// Position, metres, in the frame of the cloud.
+    pub position_m: Point3<f64>,
+    /// Unit normal, in the frame of the cloud.
+    pub normal: Vector3<f64>,
+    /// Red, green, blue.
+    pub rgb: [u8; 3],
+}
+
+/// Why a cloud could not be written.
+#[derive(Debug, thiserror::Error)]
+pub enum PointCloudError {
+    /// A point is not a number.
+    #[error("{}: point {index} is not finite: the cloud is not written", file.display())]
+    NotFinite {
+        /// The file.
+        file: PathBuf,
+        /// Which point.
+        index: usize,
+    },
+    /// The file can not be written.
+    #[error("{}: can not be written", file.display())]
+    Write {
+        /// The file.
+        file: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+}
+
+const FLOATS: [&str; 6] = ["x", "y", "z", "nx", "ny", "nz"];
+const BYTES: [&str; 3] = ["red", "green", "blue"];
+
+/// Writes a cloud whose coordinates are in the frame `F`.
+///
+/// # Errors
+/// A point that is not finite, or a file that can not be written.
+pub fn write_ply<F: Frame>(file: &Path, points: &[SurfacePoint]) -> Result<(), PointCloudError> {
+    let is_finite = |point: &SurfacePoint| point.position_m.iter().chain(point.normal.iter()).all(|x| x.is_finite());
+    if let Some(index) = points.iter().position(|point| !is_finite(point)) {
+        return Err(PointCloudError::NotFinite { file: file.to_path_buf(), index });
+    }
+    let failed = |source| PointCloudError::Write { file: file.to_path_buf(), source };
+    let mut out = BufWriter::new(File::create(file).map_err(failed)?);
+    Writer::new().write_ply(&mut out, &mut cloud(F::NAME, points)).map_err(failed)?;
+    out.flush().map_err(failed)
+}
+
+fn cloud(frame: &str, points: &[SurfacePoint]) -> Ply<DefaultElement> {
+    let mut ply = Ply::<DefaultElement>::new();
+    ply.header.encoding = Encoding::BinaryLittleEndian;
+    ply.header.comments.push(format!("surface seen by pb3dp, frame {frame}, millimetres"));
+    let mut vertex = ElementDef::new("vertex".to_owned());
+    for (names, scalar) in [(&FLOATS[..], ScalarType::Float), (&BYTES[..], ScalarType::UChar)] {
+        for name in names {
+            vertex.properties.add(PropertyDef::new((*name).to_owned(), PropertyType::Scalar(scalar.clone())));
+        }
+    }
+    ply.header.elements.add(vertex);
+    ply.payload.insert("vertex".to_owned(), points.iter().map(element).collect());
+    ply
+}
+
+fn element(point: &SurfacePoint) -> DefaultElement {
+    let mut element = DefaultElement::new();
+    let (p, n) = (point.position_m * 1e3, point.normal);
+    for (name, value) in FLOATS.iter().zip([p.x, p.y, p.z, n.x, n.y, n.z]) {
+        element.insert((*name).to_owned(), Property::Float(value as f32));
+    }
+    for (name, value) in BYTES.iter().zip(point.rgb) {
+        element.insert((*name).to_owned(), Property::UChar(value));
+    }
+    element
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pb3dp_geometry::frames::Model;
+
+    fn points() -> Vec<SurfacePoint> {
+        let point = |x: f64, rgb| SurfacePoint {
+            position_m: Point3::new(x, -0.0125, 0.5),
+            normal: Vector3::new(0.0, 0.6, -0.8),
+            rgb,
+        };
+        vec![point(0.25, [255, 0, 128]), point(-0.001, [1, 2, 3])]
+    }
+
+    /// The bytes of the format, by hand: an ASCII header, then 27 bytes per vertex.
+    #[test]
+    fn the_file_is_what_the_format_says() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("surface.ply");
+        write_ply::<Model>(&file, &points()).unwrap();
+        let bytes = std::fs::read(&file).unwrap();
+        let end = b"end_header\n";
+        let at = bytes.windows(end.len()).position(|window| window == end).unwrap() + end.len();
+        let header = String::from_utf8(bytes[..at].to_vec()).unwrap();
+        let lines: Vec<&str> = header.lines().collect();
+        assert_eq!(lines[0..2], ["ply", "format binary_little_endian 1.0"]);
+        assert!(header.contains("frame model, millimetres") && lines.contains(&"element vertex 2"), "{header}");
+        let properties: Vec<&str> = lines.iter().copied().filter(|line| line.starts_with("property")).collect();
+        let names: Vec<&str> = properties.iter().filter_map(|line| line.split(' ').nth(2)).collect();
+        assert_eq!(names, ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"]);
+        assert_eq!(bytes.len() - at, 2 * 27);
+        let float = |i: usize| f32::from_le_bytes(bytes[at + i..at + i + 4].try_into().unwrap());
+        assert_eq!([float(0), float(4), float(8), float(16)], [250.0, -12.5, 500.0, 0.6]);
+        assert_eq!((&bytes[at + 24..at + 27], float(27)), (&[255, 0, 128][..], -1.0));
+    }
+
+    #[test]
+    fn what_can_not_be_written_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut bad = points();
+        bad[1].position_m.y = f64::NAN;
+        let file = folder.path().join("x.ply");
+        assert!(write_ply::<Model>(&file, &bad).unwrap_err().to_string().contains("point 1"));
+        assert!(!file.exists());
+        let nowhere = folder.path().join("missing/x.ply");
+        assert!(write_ply::<Model>(&nowhere, &points()).unwrap_err().to_string().contains("x.ply"));
+    }
+}
