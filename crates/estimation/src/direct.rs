@@ -7,3 +7,6 @@ pub mod colour_planes;
 pub mod disparity_plane;
 pub mod front_end;
 pub mod image_plane;
+pub mod region_pyramid;
+pub mod row_offset;
+mod row_shift;

@@ -1,0 +1,375 @@
+//! The region of one pair as both eyes show it, at full size and halved again and again.
+//!
+//! Every level lies on a fixed grid: pixel `X` of the grid of scale `s` covers the rectified pixels `s X .. s X + s`, so its
+//! centre is at `s (X + 0.5) - 0.5`. Windows start on the grid of the coarsest level. The rows of the right eye are moved by
+//! the pair's [`RowOffset`] when they are loaded, so that on every level equal grid rows show the same, up to what the row
+//! offset does not know.
+
+use image::RgbImage;
+use nalgebra::Vector2;
+
+use super::colour_planes::{ColourPlanes, UNSEEN, Wanted};
+use super::disparity_plane::DisparityPlane;
+use super::front_end::{Eye, StereoFrontEnd};
+use super::image_plane::PixelWindow;
+use super::row_offset::RowOffset;
+use super::row_shift::shift_rows;
+use crate::region::{PixelBox, RegionMask};
+
+/// Most levels of a pyramid.
+pub const LEVELS_MAX: usize = 6;
+/// A level is halved if its part of the region has more pixels than this.
+const HALVED_FROM_PX: usize = 600;
+/// Pixels of the search level that the windows reach over the region: half a patch and a filter.
+const MARGIN_PX: u32 = 10;
+
+/// What a pyramid is made of.
+#[derive(Clone, Copy, Debug)]
+pub struct PyramidSource<'a> {
+    /// Raw left image.
+    pub left: &'a RgbImage,
+    /// Raw right image.
+    pub right: &'a RgbImage,
+    /// The region in the rectified left image.
+    pub region: &'a RegionMask,
+    /// Disparities that the right window must hold, pixels: lowest and highest.
+    pub disparity_px: (f64, f64),
+    /// What is known of the rows.
+    pub rows: RowOffset,
+    /// Which channels.
+    pub wanted: Wanted,
+    /// The search runs on the first level on which the region has at most this many pixels.
+    pub search_area_px: usize,
+}
+
+/// One level.
+#[derive(Clone, Debug, Default)]
+pub struct RegionLevel {
+    /// Rectified pixels per pixel of this level: 1, 2, 4, ...
+    pub scale: usize,
+    /// The left eye; its `window` counts pixels of this level's grid.
+    pub left: ColourPlanes,
+    /// The right eye; its `window` counts pixels of this level's grid.
+    pub right: ColourPlanes,
+    /// Per pixel of the left window: 1 if it belongs to the region.
+    pub region: Vec<u8>,
+    /// Per pixel of the left window: 1 if it is to be used for refinement. The region, until somebody knows better.
+    pub support: Vec<u8>,
+    /// Number of pixels of the region.
+    pub area_px: usize,
+}
+
+/// A disparity plane in pixels of one level: left pixel `(x, y)` of the window corresponds to the right pixel
+/// `(x - (c + a x + b y), y + row)` of the right window.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LevelPlane {
+    /// Slope along columns, pixel per pixel.
+    pub a: f64,
+    /// Slope along rows, pixel per pixel.
+    pub b: f64,
+    /// Shift at the left window's first pixel, pixels of the level.
+    pub c: f64,
+    /// First row of the left window minus first row of the right one, pixels of the level.
+    pub row: i32,
+}
+
+impl RegionLevel {
+    /// The rectified left pixel of a place in the left window.
+    pub fn full_from_level(&self, at: &Vector2<f64>) -> Vector2<f64> {
+        let origin = Vector2::new(f64::from(self.left.window.x), f64::from(self.left.window.y));
+        ((at + origin).add_scalar(0.5) * self.scale as f64).add_scalar(-0.5)
+    }
+
+    /// The place in the left window of a rectified left pixel.
+    pub fn level_from_full(&self, pixel: &Vector2<f64>) -> Vector2<f64> {
+        let origin = Vector2::new(f64::from(self.left.window.x), f64::from(self.left.window.y));
+        (pixel.add_scalar(0.5) / self.scale as f64).add_scalar(-0.5) - origin
+    }
+
+    /// First column of the left window minus first column of the right one, pixels of the level: what is taken from a grid
+    /// disparity to get a shift between the windows.
+    pub fn column_shift(&self) -> i32 {
+        self.left.window.x - self.right.window.x
+    }
+
+    /// A plane in this level's pixels.
+    pub fn level_plane(&self, plane: &DisparityPlane) -> LevelPlane {
+        let at_origin = plane.at(&self.full_from_level(&Vector2::zeros()));
+        LevelPlane {
+            a: plane.slope.x,
+            b: plane.slope.y,
+            c: at_origin / self.scale as f64 - f64::from(self.column_shift()),
+            row: self.left.window.y - self.right.window.y,
+        }
+    }
+
+    /// A plane from this level's pixels, described at `centre_px`.
+    pub fn full_plane(&self, plane: &LevelPlane, centre_px: Vector2<f64>) -> DisparityPlane {
+        let d0_px = (plane.c + f64::from(self.column_shift())) * self.scale as f64;
+        let centre = self.full_from_level(&Vector2::zeros());
+        DisparityPlane { centre_px: centre, d0_px, slope: Vector2::new(plane.a, plane.b) }.centred_at(centre_px)
+    }
+
+    /// Uses the whole region for refinement again.
+    pub fn reset_support(&mut self) {
+        self.support.clone_from(&self.region);
+    }
+}
+
+/// The levels of one region of one pair. Allocates only when a region is larger than all before.
+#[derive(Clone, Debug, Default)]
+pub struct RegionPyramid {
+    levels: Vec<RegionLevel>,
+    used: usize,
+    search_level: usize,
+    centroid_px: Vector2<f64>,
+    area_px: usize,
+    box_px: PixelBox,
+    unshifted: ColourPlanes,
+}
+
+impl RegionPyramid {
+    /// The levels, full size first.
+    pub fn levels(&self) -> &[RegionLevel] {
+        &self.levels[..self.used]
+    }
+
+    /// The levels, full size first.
+    pub fn levels_mut(&mut self) -> &mut [RegionLevel] {
+        &mut self.levels[..self.used]
+    }
+
+    /// Index of the level for the search over all disparities.
+    pub fn search_level(&self) -> usize {
+        self.search_level
+    }
+
+    /// Centroid of the region, rectified left pixels.
+    pub fn centroid_px(&self) -> Vector2<f64> {
+        self.centroid_px
+    }
+
+    /// Pixels of the region in the rectified left image.
+    pub fn area_px(&self) -> usize {
+        self.area_px
+    }
+
+    /// The region's box in the rectified left image.
+    pub fn box_px(&self) -> PixelBox {
+        self.box_px
+    }
+
+    /// Takes the region from a pair of images; `false`, and no levels, if the rectified region is empty or the right image
+    /// holds none of the disparities.
+    pub fn update(&mut self, front_end: &StereoFrontEnd, source: &PyramidSource<'_>) -> bool {
+        self.used = 0;
+        let (Some(box_px), Some(centroid_px)) = (source.region.bbox(), source.region.centroid_px()) else {
+            return false;
+        };
+        (self.box_px, self.centroid_px, self.area_px) = (box_px, centroid_px, source.region.area_px());
+        let halvings = |limit: usize| (0..LEVELS_MAX - 1).take_while(|&i| self.area_px >> (2 * i) > limit).count();
+        self.search_level = halvings(source.search_area_px);
+        let count = 1 + halvings(HALVED_FROM_PX).max(self.search_level);
+        if self.levels.len() < count {
+            self.levels.resize_with(count, RegionLevel::default);
+        }
+        let [left, right] = self.windows(front_end, source, count);
+        self.load(front_end, source, left, right);
+        let first = &self.levels[0];
+        if first.area_px == 0 || first.right.flags.is_empty() {
+            return false;
+        }
+        for i in 1..count {
+            let (finer, coarser) = self.levels.split_at_mut(i);
+            coarser[0].halve(&finer[i - 1]);
+        }
+        self.used = (1..count).find(|&i| self.levels[i].area_px == 0).unwrap_or(count);
+        self.search_level = self.search_level.min(self.used - 1);
+        true
+    }
+
+    /// Windows of both eyes that start on the coarsest grid.
+    fn windows(&self, front_end: &StereoFrontEnd, source: &PyramidSource<'_>, count: usize) -> [PixelWindow; 2] {
+        let margin = i64::from(MARGIN_PX << self.search_level);
+        let grid = 1_i64 << (count - 1);
+        let b = self.box_px;
+        let size = front_end.size(Eye::Left);
+        let rows = size.height.min(front_end.size(Eye::Right).height);
+        let span = |first: i64, last: i64, limit: u32| {
+            let start = (first.max(0) / grid) * grid;
+            (start as i32, (last.min(i64::from(limit) - 1) - start + 1).max(0) as usize)
+        };
+        let (left, right) = (i64::from(b.x) - margin, i64::from(b.x + b.width) - 1 + margin);
+        let (y, height) = span(i64::from(b.y) - margin, i64::from(b.y + b.height) - 1 + margin, rows);
+        let (x, width) = span(left, right, size.width);
+        let (low, high) = (source.disparity_px.0.floor() as i64, source.disparity_px.1.ceil() as i64);
+        let (x_right, width_right) = span(left - high, right - low, front_end.size(Eye::Right).width);
+        [PixelWindow { x, y, width, height }, PixelWindow { x: x_right, y, width: width_right, height }]
+    }
+
+    fn load(&mut self, front: &StereoFrontEnd, source: &PyramidSource<'_>, left: PixelWindow, right: PixelWindow) {
+        let level = &mut self.levels[0];
+        level.scale = 1;
+        front.load(Eye::Left, source.left, left, source.wanted, &mut level.left);
+        if source.rows.is_zero() {
+            front.load(Eye::Right, source.right, right, source.wanted, &mut level.right);
+        } else {
+            front.load(Eye::Right, source.right, right, source.wanted, &mut self.unshifted);
+            shift_rows(&self.unshifted, &source.rows, front.kernels(), &mut level.right);
+        }
+        let window = level.left.window;
+        level.region.clear();
+        level.region.resize(window.width * window.height, 0);
+        let mut area_px = 0;
+        source.region.for_each_run(|y, first, last| {
+            let row = i64::from(y) - i64::from(window.y);
+            if row < 0 || row >= window.height as i64 {
+                return;
+            }
+            let column = |x: u32| (i64::from(x) - i64::from(window.x)).clamp(0, window.width as i64) as usize;
+            let (first, end) = (column(first), column(last + 1));
+            level.region[row as usize * window.width..][first..end].fill(1);
+            area_px += end - first;
+        });
+        level.area_px = area_px;
+        level.reset_support();
+    }
+}
+
+impl RegionLevel {
+    fn halve(&mut self, finer: &Self) {
+        self.scale = 2 * finer.scale;
+        halve_eye(&finer.left, &mut self.left);
+        halve_eye(&finer.right, &mut self.right);
+        let (width, fine_width) = (self.left.window.width, finer.left.window.width);
+        self.region.clear();
+        let mut area_px = 0;
+        for y in 0..self.left.window.height {
+            let rows = &finer.region[2 * y * fine_width..(2 * y + 2) * fine_width];
+            let (upper, lower) = rows.split_at(fine_width);
+            for x in 0..width {
+                let count = upper[2 * x] + upper[2 * x + 1] + lower[2 * x] + lower[2 * x + 1];
+                self.region.push(u8::from(count >= 2));
+                area_px += usize::from(count >= 2);
+            }
+        }
+        self.area_px = area_px;
+        self.reset_support();
+    }
+}
+
+fn halve_eye(finer: &ColourPlanes, out: &mut ColourPlanes) {
+    let window = PixelWindow {
+        x: finer.window.x / 2,
+        y: finer.window.y / 2,
+        width: finer.window.width / 2,
+        height: finer.window.height / 2,
+    };
+    let wanted = if finer.planes[1].width() > 0 { Wanted::Colour } else { Wanted::Luminance };
+    out.resize(window, wanted);
+    for (finer, out) in finer.planes.iter().zip(&mut out.planes) {
+        finer.halve_into(out);
+    }
+    let fine_width = finer.window.width;
+    for y in 0..window.height {
+        let rows = &finer.flags[2 * y * fine_width..(2 * y + 2) * fine_width];
+        let (upper, lower) = rows.split_at(fine_width);
+        let pairs = upper.chunks_exact(2).zip(lower.chunks_exact(2));
+        for (out, (upper, lower)) in out.flags[y * window.width..][..window.width].iter_mut().zip(pairs) {
+            *out = upper[0] | upper[1] | lower[0] | lower[1];
+        }
+    }
+}
+
+/// Whether a pixel with these flags is shown by the image at all.
+pub fn is_seen(flags: u8) -> bool {
+    flags & UNSEEN == 0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cpu::Kernels;
+    use nalgebra::Vector3;
+    use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
+
+    fn front_end() -> StereoFrontEnd {
+        let size = ImageSize { width: 300, height: 200 };
+        let camera = |cx| Camera::new(size, Pinhole { fx: 310.0, fy: 305.0, cx, cy: 90.0 }, Distortion::None).unwrap();
+        let pose = Pose::from_parts(Vector3::new(-0.1, 0.0, 0.0), nalgebra::UnitQuaternion::identity());
+        StereoFrontEnd::new(&StereoRig::new(camera(140.0), camera(152.0), pose).unwrap(), Kernels::best()).unwrap()
+    }
+
+    /// Sum of channels `3 (0.4 u + 0.3 v)`: luminance is `sqrt 3` times the bracket, up to rounding.
+    fn ramp(offset: f64) -> RgbImage {
+        RgbImage::from_fn(300, 200, |u, v| {
+            image::Rgb([(0.4 * f64::from(u) + 0.3 * (f64::from(v) - offset)).round() as u8; 3])
+        })
+    }
+
+    fn pyramid(rows: RowOffset, offset: f64) -> RegionPyramid {
+        let front_end = front_end();
+        let size = front_end.size(Eye::Left);
+        let region = RegionMask::from_fn(size, |x, y| (121..201).contains(&x) && (50..110).contains(&y) && x + y > 190);
+        let mut pyramid = RegionPyramid::default();
+        let source = PyramidSource {
+            left: &ramp(0.0),
+            right: &ramp(offset),
+            region: &region,
+            disparity_px: (5.0, 40.0),
+            rows,
+            wanted: Wanted::Luminance,
+            search_area_px: 2000,
+        };
+        assert!(pyramid.update(&front_end, &source));
+        pyramid
+    }
+
+    #[test]
+    fn places_keep_their_meaning_on_every_level() {
+        let pyramid = pyramid(RowOffset::default(), 0.0);
+        assert_eq!((pyramid.levels().len(), pyramid.search_level()), (3, 1));
+        for (i, level) in pyramid.levels().iter().enumerate() {
+            assert_eq!(level.scale, 1 << i);
+            let at = Vector2::new(14.0, 11.0);
+            let full = level.full_from_level(&at);
+            let shown = f64::from(level.left.luminance().row(11)[14]) / 3f64.sqrt();
+            assert!((shown - (0.4 * full.x + 0.3 * full.y)).abs() < 0.6, "level {i}: {shown} at {full}");
+            assert!((level.level_from_full(&full) - at).norm() < 1e-12);
+            let expected = pyramid.area_px() as f64 / (level.scale * level.scale) as f64;
+            assert!((level.area_px as f64 / expected - 1.0).abs() < 0.06, "level {i}: {}", level.area_px);
+            assert_eq!(level.area_px, level.region.iter().map(|&inside| usize::from(inside)).sum::<usize>());
+        }
+    }
+
+    #[test]
+    fn a_plane_is_the_same_on_every_level() {
+        let plane =
+            DisparityPlane { centre_px: Vector2::new(150.0, 70.0), d0_px: 17.3, slope: Vector2::new(0.07, -0.12) };
+        for level in pyramid(RowOffset::default(), 0.0).levels() {
+            let here = level.level_plane(&plane);
+            let (x, y) = (9.0, 13.0);
+            let full = level.full_from_level(&Vector2::new(x, y));
+            let x_right = x - (here.c + here.a * x + here.b * y);
+            let full_right = level.scale as f64 * (x_right + f64::from(level.right.window.x) + 0.5) - 0.5;
+            assert!((full.x - full_right - plane.at(&full)).abs() < 1e-9);
+            let back = level.full_plane(&here, plane.centre_px);
+            assert!((back.parameters() - plane.parameters()).norm() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn known_row_offsets_are_taken_out() {
+        let rows = RowOffset { centre_px: Vector2::new(20.0, 20.0), offset_px: 1.6, slope: Vector2::zeros() };
+        let pyramid = pyramid(rows, 1.6);
+        for level in pyramid.levels() {
+            let (left, right) = (level.left.luminance(), level.right.luminance());
+            let shift = level.column_shift();
+            for y in [4, 8] {
+                // The same grid column in both eyes.
+                let (x, x_right) = (20, (20 + shift) as usize);
+                assert!((left.row(y)[x] - right.row(y)[x_right]).abs() < 1.0, "{} {y}", level.scale);
+            }
+        }
+    }
+}
