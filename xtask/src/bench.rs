@@ -1,4 +1,4 @@
-//! `cargo xtask bench`: measurements of speed.
+//! `cargo xtask bench`: measurements of speed, and of what the estimators reach.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -12,13 +12,17 @@ use crate::workspace::Workspace;
 
 const OUT: &str = "out/bench";
 
-/// Measures speed, with optimisation, and keeps the figures beside the commit and the machine.
+/// Measures, with optimisation, and keeps the figures beside the commit and the machine.
 ///
 /// speed   one frame of the published method: hue images, model, search; and the ratio to the naive scalar version
 /// raster  pairs of pictures per second and core from the simulator's rasteriser
+/// real    every method on real stereo cases, beside other tools if they are given: --cases DIR, --peers DIR;
+///         `cargo xtask bench real -- --help` lists the options. Writes docs/benchmarks/real.md
+/// all     speed and raster
 ///
-/// The programs are the examples `speed` of crates/estimation and `raster_speed` of crates/sim; each prints its own table.
-/// What they print is also kept in `out/bench/*.json`, with commit, processor and compiler. Measure on an idle machine.
+/// The first two are the examples `speed` of crates/estimation and `raster_speed` of crates/sim, the third is
+/// `pb3dp-bench` of crates/benchmarks; each prints its own table. The figures are also kept in `out/bench/*.json`, with
+/// commit, processor and compiler. Measure on an idle machine.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {
@@ -28,14 +32,21 @@ pub struct Args {
     /// JSON instead of the table, from the programs that can; it is kept as figures, the table as text.
     #[arg(long)]
     json: bool,
+    /// Further options, which go to the program: real only.
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "OPTIONS")]
+    options: Vec<String>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum What {
     Speed,
     Raster,
+    Real,
     All,
 }
+
+/// Subcommands of `pb3dp-bench` in crates/benchmarks: they take options and write what they find themselves.
+const PROGRAMS: [(What, &str); 1] = [(What::Real, "real")];
 
 struct Bench {
     what: What,
@@ -65,8 +76,28 @@ const BENCHES: [Bench; 2] = [
 /// # Errors
 /// If a program does not build or fails, or its figures can not be written.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
+    if let Some((_, subcommand)) = PROGRAMS.iter().find(|(what, _)| *what == args.what) {
+        return run_program(workspace, subcommand, args);
+    }
+    if let Some(option) = args.options.first() {
+        bail!("`{option}`: only `real` takes further options");
+    }
     for bench in BENCHES.iter().filter(|bench| args.what == What::All || args.what == bench.what) {
         measure(workspace, bench, args.json).with_context(|| format!("bench {}", bench.name))?;
+    }
+    Ok(())
+}
+
+/// Runs a subcommand of `pb3dp-bench` where the user stands, so that the folders which are given mean what they say.
+fn run_program(workspace: &Workspace, subcommand: &str, args: &Args) -> anyhow::Result<()> {
+    let mut command = workspace.cargo();
+    command.current_dir(std::env::current_dir().context("the current folder is gone")?);
+    command.args(["run", "--release", "--locked", "--quiet", "--package", "pb3dp-benchmarks", "--manifest-path"]);
+    command.arg(workspace.root().join("Cargo.toml")).args(["--bin", "pb3dp-bench", "--", subcommand, "--root"]);
+    command.arg(workspace.root()).args(args.json.then_some("--json")).args(&args.options);
+    let status = command.status().context("can not start cargo")?;
+    if !status.success() {
+        bail!("bench {subcommand} failed ({status})");
     }
     Ok(())
 }
@@ -152,6 +183,33 @@ mod tests {
         let text = "processor\t: 0\nmodel name\t: Some CPU 3000\nmodel name\t: Other\n";
         assert_eq!(processor_name(text).as_deref(), Some("Some CPU 3000"));
         assert_eq!(processor_name("nothing"), None);
+    }
+
+    #[derive(clap::Parser)]
+    struct Cli {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    #[test]
+    fn options_go_to_the_program_and_are_refused_where_there_is_none() {
+        let parse = |words: &[&str]| {
+            <Cli as clap::Parser>::try_parse_from(std::iter::once("bench").chain(words.iter().copied()))
+                .expect("valid")
+                .args
+        };
+        let real = parse(&["real", "--cases", "a b", "--json", "--peers=c"]);
+        assert_eq!(
+            (real.what, real.options.as_slice()),
+            (What::Real, ["--cases", "a b", "--json", "--peers=c"].map(str::to_owned).as_slice())
+        );
+        let speed = parse(&["speed", "--json"]);
+        assert!(speed.json && speed.options.is_empty());
+        let here = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a parent");
+        assert!(here.join("crates/benchmarks/src/real.rs").is_file());
+        let workspace = Workspace::find().expect("under cargo");
+        let error = run(&workspace, &parse(&["raster", "--cases", "x"])).expect_err("nobody takes it");
+        assert!(error.to_string().contains("--cases"), "{error}");
     }
 
     #[test]

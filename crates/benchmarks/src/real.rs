@@ -1,11 +1,221 @@
-//! In the making.
+//! Real stereo cases: what our methods and other tools reach on pairs whose truth is known.
+//!
+//! Every method gets the same input: both pictures, the region, the calibration and the case's own search range. What
+//! counts as passed is in [`score`]; [`table`] makes rows of it, [`page`] the document and [`plot`] its figure.
+
+mod cases;
+mod circumstances;
+mod ours;
+mod page;
+mod peers;
+mod plot;
+mod score;
+mod table;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use pb3dp_estimation::estimator::Method;
+use serde_json::{Value, json};
+
+use self::circumstances::Circumstances;
+use self::score::Entry;
+
+/// The boards of this repository, used where no other cases are given.
+const OWN_CASES: &str = "tests/data/cases";
+const KEPT: &str = "out/bench/real.json";
+const PAGE: &str = "docs/benchmarks/real.md";
+const FIGURE: &str = "docs/benchmarks/real.svg";
 
 /// Options.
 #[derive(clap::Args)]
-pub struct Args {}
+pub struct Args {
+    /// Folder with cases (docs/dataset-format.md); without it the few boards in this repository.
+    #[arg(long, value_name = "DIR")]
+    cases: Option<PathBuf>,
+    /// Folder with `peers.py`, which runs other tools on the same cases; it prints one JSON line per case and tool.
+    #[arg(long, value_name = "DIR")]
+    peers: Option<PathBuf>,
+    /// The Python that runs `peers.py`; it needs OpenCV and NumPy.
+    #[arg(long, value_name = "PROGRAM", default_value = "python3")]
+    python: PathBuf,
+    /// Lines that an earlier run of `peers.py` printed for these cases, instead of running it again.
+    #[arg(long, value_name = "FILE", conflicts_with = "peers")]
+    peer_results: Vec<PathBuf>,
+    /// Methods of ours, separated by commas; all if not given.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    methods: Vec<Method>,
+    /// Only cases whose name contains this.
+    #[arg(long, value_name = "TEXT")]
+    filter: Option<String>,
+    /// Calls per case and method; the time is their median.
+    #[arg(long, value_name = "NUMBER", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
+    repeat: u32,
+    /// One JSON line per case and method instead of the tables.
+    #[arg(long)]
+    json: bool,
+    /// After the tables, every case that one of our methods did not pass.
+    #[arg(long)]
+    failures: bool,
+    /// Leaves docs/benchmarks as it is.
+    #[arg(long)]
+    no_docs: bool,
+    /// Folder of the workspace, where results are kept.
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    root: PathBuf,
+}
 
+/// Runs our methods, and other tools if they are given, and writes down what came out.
+///
 /// # Errors
-/// Always, until it is there.
-pub fn run(_args: &Args) -> anyhow::Result<()> {
-    anyhow::bail!("this measurement is not there yet")
+/// A folder or file that can not be used, by name; an unknown method; other tools that fail.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    check_root(&args.root)?;
+    let folder = args.cases.clone().unwrap_or_else(|| args.root.join(OWN_CASES));
+    if args.cases.is_none() {
+        eprintln!("no --cases given: measuring on the boards of this repository, {OWN_CASES}");
+    }
+    let peers_script = args.peers.as_deref().map(peers::script_in).transpose()?;
+    let entries = measure(args, &folder, peers_script.as_deref())?;
+    if args.json {
+        entries.iter().for_each(|entry| println!("{}", entry.to_json()));
+    } else {
+        print!("{}", table::text(&entries));
+    }
+    if args.failures {
+        eprint!("{}", table::failures(&entries));
+    }
+    keep(args, &entries)
+}
+
+fn check_root(root: &Path) -> anyhow::Result<()> {
+    if !root.join("Cargo.toml").is_file() {
+        bail!("--root {} is not the workspace (it has no Cargo.toml): give the folder of the clone", root.display());
+    }
+    Ok(())
+}
+
+/// Every case by every method of ours, then the other tools.
+fn measure(args: &Args, folder: &Path, peers_script: Option<&Path>) -> anyhow::Result<Vec<Entry>> {
+    let found = cases::find(folder, args.filter.as_deref())?;
+    let methods = if args.methods.is_empty() { Method::ALL.to_vec() } else { args.methods.clone() };
+    let (mut entries, mut facts) = (Vec::new(), Vec::new());
+    for (index, case) in found.iter().enumerate() {
+        let Some(prepared) = cases::load(case)? else {
+            eprintln!("{}: no truth, left out", case.display());
+            continue;
+        };
+        entries.extend(methods.iter().map(|method| ours::run(&prepared, *method, args.repeat)));
+        facts.push(prepared.facts);
+        if (index + 1) % 25 == 0 {
+            eprintln!("{} of {} cases", index + 1, found.len());
+        }
+    }
+    if facts.is_empty() {
+        bail!("no case in {} has a `truth`: there is nothing to measure against", folder.display());
+    }
+    if let Some(script) = peers_script {
+        let lines = peers::run(&args.python, script, folder, args.repeat)?;
+        entries.extend(peers::entries(&lines, &facts, "peers.py")?);
+    }
+    for file in &args.peer_results {
+        let text = std::fs::read_to_string(file)
+            .with_context(|| format!("--peer-results {} can not be read", file.display()))?;
+        entries.extend(peers::entries(&text, &facts, &file.display().to_string())?);
+    }
+    Ok(entries)
+}
+
+/// The figures with their circumstances, and, for cases that were given, the page and its figure.
+fn keep(args: &Args, entries: &[Entry]) -> anyhow::Result<()> {
+    let circumstances = Circumstances::of(&args.root);
+    let results: Vec<Value> = entries.iter().map(Entry::to_json).collect();
+    let kept = json!({
+        "bench": "real",
+        "cases": args.cases.as_ref().map_or(OWN_CASES, |_| "given"),
+        "where": circumstances.to_json(),
+        "summary": table::summary_json(entries),
+        "results": results,
+    });
+    write(&args.root, KEPT, &format!("{kept:#}\n"))?;
+    if args.no_docs || args.cases.is_none() || args.filter.is_some() {
+        return Ok(());
+    }
+    write(&args.root, FIGURE, &plot::svg(entries))?;
+    write(&args.root, PAGE, &page::markdown(entries, &circumstances, &command_line(args)))
+}
+
+fn write(root: &Path, path: &str, text: &str) -> anyhow::Result<()> {
+    let file = root.join(path);
+    if let Some(folder) = file.parent() {
+        std::fs::create_dir_all(folder).with_context(|| format!("can not make {}", folder.display()))?;
+    }
+    std::fs::write(&file, text).with_context(|| format!("can not write {}", file.display()))?;
+    eprintln!("written: {path}");
+    Ok(())
+}
+
+/// The command that makes the page again; folders of one machine are not named.
+fn command_line(args: &Args) -> String {
+    let mut words = vec!["cargo xtask bench real --cases DIR".to_owned()];
+    if args.peers.is_some() {
+        words.push("--peers DIR".into());
+    }
+    if !args.peer_results.is_empty() {
+        words.push("--peer-results FILE".into());
+    }
+    if !args.methods.is_empty() {
+        words.push(format!("--methods {}", args.methods.iter().map(|m| m.name()).collect::<Vec<_>>().join(",")));
+    }
+    if args.repeat != 3 {
+        words.push(format!("--repeat {}", args.repeat));
+    }
+    words.join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Cli {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    fn args(words: &[&str]) -> Args {
+        Cli::try_parse_from(std::iter::once("real").chain(words.iter().copied())).expect("valid").args
+    }
+
+    fn root() -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+    }
+
+    #[test]
+    fn wrong_paths_are_named() {
+        let check = |words: &[&str], parts: &[&str]| {
+            let mut given = args(words);
+            if given.root == Path::new(".") {
+                given.root = root();
+            }
+            let message = format!("{:#}", run(&given).expect_err("refused"));
+            parts.iter().for_each(|part| assert!(message.contains(part), "{message:?} must contain {part:?}"));
+        };
+        check(&["--root", "no/such/clone"], &["no/such/clone", "Cargo.toml"]);
+        check(&["--cases", "no/such/cases"], &["no/such/cases"]);
+        check(&["--peers", "no/such/peers"], &["no/such/peers", "peers.py"]);
+        check(&["--filter", "no-such-name"], &["no-such-name"]);
+        check(
+            &["--filter", "bb201", "--peer-results", "no/lines.jsonl", "--methods", "published"],
+            &["no/lines.jsonl"],
+        );
+        assert!(Cli::try_parse_from(["real", "--methods", "magic"]).is_err());
+    }
+
+    #[test]
+    fn the_command_on_the_page_names_no_folder_of_this_machine() {
+        let given = args(&["--cases", "/somewhere/cases", "--peers", "/else/peers", "--methods", "published"]);
+        assert_eq!(command_line(&given), "cargo xtask bench real --cases DIR --peers DIR --methods published");
+    }
 }

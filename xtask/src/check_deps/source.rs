@@ -14,7 +14,7 @@ const WORLDS: [World; 6] = [
     World {
         what: "files",
         paths: &["std::fs", "std::os", "image::open", "image::ImageReader::open", "image::save_buffer", "File::open"],
-        allowed_in: &["crates/record/", "crates/orchestrator/", "hal/camera-replay/"],
+        allowed_in: &["crates/record/", "crates/orchestrator/", "crates/benchmarks/", "hal/camera-replay/"],
     },
     World {
         what: "threads",
@@ -33,7 +33,11 @@ const WORLDS: [World; 6] = [
         allowed_in: &["crates/orchestrator/", "hal/clock/", "hal/conformance/"],
     },
     World { what: "the environment", paths: &["std::env"], allowed_in: &["crates/orchestrator/"] },
-    World { what: "other programs", paths: &["std::process"], allowed_in: &["crates/orchestrator/"] },
+    World {
+        what: "other programs",
+        paths: &["std::process"],
+        allowed_in: &["crates/orchestrator/", "crates/benchmarks/"],
+    },
     World { what: "the network", paths: &["std::net"], allowed_in: &[] },
 ];
 

@@ -1,0 +1,92 @@
+//! Our own methods on a case.
+
+use std::rc::Rc;
+
+use nalgebra::Vector2;
+use pb3dp_estimation::estimate::PlaneEstimate;
+use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
+use pb3dp_record::metrics::{self, DisparityAgreement, compare_plane};
+
+use super::cases::Prepared;
+use super::score::{Answer, Entry, Maker};
+use crate::common::cpu_time::timed;
+
+/// Runs a method with its default parameters: one estimator, called `repeat` times. The answer is that of the first call,
+/// the time the median of all. A refused case has no answer; the reason goes to standard error.
+pub fn run(case: &Prepared, method: Method, repeat: u32) -> Entry {
+    let mut entry = Entry {
+        case: Rc::clone(&case.facts),
+        method: method.name().to_owned(),
+        maker: Maker::Ours,
+        status: Some("error"),
+        answer: None,
+        ms: None,
+        first_ms: None,
+    };
+    if let Err(error) = fill(&mut entry, case, method, repeat) {
+        eprintln!("{}: {method}: {error:#}", case.facts.name);
+    }
+    entry
+}
+
+fn fill(entry: &mut Entry, case: &Prepared, method: Method, repeat: u32) -> anyhow::Result<()> {
+    let mut estimator = Estimator::new(method, &case.rig, &EstimatorConfig::default())?;
+    let mut estimate_timed =
+        || timed(|| estimator.estimate(&case.pictures.left, &case.pictures.right, &case.region, &case.range));
+    let (first, first_ms) = estimate_timed();
+    let first = first?;
+    let mut times = vec![first_ms];
+    for _ in 1..repeat {
+        let (again, ms) = estimate_timed();
+        again?;
+        times.push(ms);
+    }
+    entry.status = Some(first.status.as_str());
+    entry.answer = answer_of(case, &first);
+    entry.ms = metrics::median(&times);
+    entry.first_ms = Some(first_ms);
+    Ok(())
+}
+
+fn answer_of(case: &Prepared, estimate: &PlaneEstimate) -> Option<Answer> {
+    let [u, v] = case.centroid_px;
+    let plane = metrics::PlaneEstimate {
+        z_m: estimate.depth_at_pixel(&Vector2::new(u, v))?,
+        normal_in_cam_left: estimate.normal_in_cam_left()?,
+    };
+    let error = compare_plane(&plane, &case.truth);
+    let agreement = case
+        .disparity
+        .as_ref()
+        .and_then(|map| DisparityAgreement::of(&plane, case.centroid_px, &case.rig, &case.polygon_px, map));
+    Some(Answer {
+        z_m: error.z_m,
+        normal_rad: error.normal_rad,
+        disparity_px: error.disparity_px,
+        z_sigma_m: estimate.z_sigma_m,
+        normal_sigma_rad: estimate.normal_sigma_rad,
+        map: agreement.map(|found| (found.median_abs_px, found.share_within_1px)),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::real::cases::load;
+    use crate::real::score::Grade;
+
+    #[test]
+    fn a_plane_is_compared_at_the_centroid_of_the_case() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/cases/bb201_c0");
+        let case = load(&folder).expect("loads").expect("has a truth");
+        let entry = run(&case, Method::Published, 1);
+        assert!(entry.status != Some("error") && entry.ms == entry.first_ms && entry.ms > Some(0.0), "{entry:?}");
+        // A colourless board is hard for the published method; wherever it answers, its own errors are consistent.
+        if let Some(answer) = entry.answer {
+            let grade = entry.grade().expect("there is an answer");
+            assert_eq!(grade == Grade::Pass, answer.z_m.abs() <= 0.01 * case.truth.z_m && answer.normal_rad < 0.0873);
+        }
+    }
+}
