@@ -5,6 +5,8 @@ mod accuracy;
 mod common;
 mod real;
 
+use std::process::ExitCode;
+
 use clap::{Parser, Subcommand};
 
 /// Measurements of the estimators.
@@ -22,9 +24,16 @@ enum What {
     Real(real::Args),
 }
 
-fn main() -> anyhow::Result<()> {
-    match Cli::parse().what {
+fn main() -> ExitCode {
+    let outcome = match Cli::parse().what {
         What::Accuracy(args) => accuracy::run(&args),
         What::Real(args) => real::run(&args),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
     }
 }

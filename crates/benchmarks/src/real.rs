@@ -98,6 +98,8 @@ fn check_root(root: &Path) -> anyhow::Result<()> {
 /// Every case by every method of ours, then the other tools.
 fn measure(args: &Args, folder: &Path, peers_script: Option<&Path>) -> anyhow::Result<Vec<Entry>> {
     let found = cases::find(folder, args.filter.as_deref())?;
+    // The other tools first: a Python that lacks something is found out at once.
+    let peers = peers_script.map(|script| peers::run(&args.python, script, folder, args.repeat)).transpose()?;
     let methods = if args.methods.is_empty() { Method::ALL.to_vec() } else { args.methods.clone() };
     let (mut entries, mut facts) = (Vec::new(), Vec::new());
     for (index, case) in found.iter().enumerate() {
@@ -114,8 +116,7 @@ fn measure(args: &Args, folder: &Path, peers_script: Option<&Path>) -> anyhow::R
     if facts.is_empty() {
         bail!("no case in {} has a `truth`: there is nothing to measure against", folder.display());
     }
-    if let Some(script) = peers_script {
-        let lines = peers::run(&args.python, script, folder, args.repeat)?;
+    if let Some(lines) = peers {
         entries.extend(peers::entries(&lines, &facts, "peers.py")?);
     }
     for file in &args.peer_results {

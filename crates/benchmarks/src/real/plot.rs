@@ -14,7 +14,7 @@ const WIDTH: f64 = 420.0;
 const TOP: f64 = 30.0;
 const RIGHT: f64 = 60.0;
 
-const STYLE: &str = "text { font: 12px sans-serif; fill: #1c1f24; } .soft { fill: #5b6470; } .grid { stroke: #d9dde3; } \
+const STYLE: &str = "text { font: 12px sans-serif; fill: #1c1f24; } .head { font-weight: bold; } .soft { fill: #5b6470; } .grid { stroke: #d9dde3; } \
     .ours { fill: #0b62c4; } .peer { fill: #a3abb6; } .paper { fill: #ffffff; } \
     @media (prefers-color-scheme: dark) { text { fill: #e8eaed; } .soft { fill: #a3abb6; } .grid { stroke: #39404a; } \
     .ours { fill: #6cb0ff; } .peer { fill: #68707c; } .paper { fill: #15181d; } }";
@@ -28,7 +28,7 @@ pub fn svg(entries: &[Entry]) -> String {
     for (name, rows) in &groups {
         let cases = rows.iter().map(|row| row.cases).max().unwrap_or(0);
         // Writing to a String does not fail.
-        let _ = write!(body, "<text x=\"8\" y=\"{:.0}\" font-weight=\"bold\">{name}, {cases}</text>", y + 11.0);
+        let _ = write!(body, "<text x=\"8\" y=\"{:.0}\" class=\"head\">{name}, {cases}</text>", y + 11.0);
         y += 18.0;
         for row in rows.iter().filter(|row| drawn.contains(&row.method)) {
             bar(&mut body, row, y);
