@@ -1,0 +1,182 @@
+//! Separable smoothing of planes.
+
+use super::image_plane::ImagePlane;
+use crate::cpu::Kernels;
+use crate::wide::{LANES, wide};
+
+/// Most weights of a smoothing kernel on either side of its centre.
+pub const RADIUS_MAX: usize = 15;
+
+/// A row of weights that sum up to 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Taps {
+    radius: usize,
+    weights: [f32; 2 * RADIUS_MAX + 1],
+}
+
+impl Taps {
+    /// A Gaussian of standard deviation `sigma_px`, looked up `shift_px` further on: the filtered signal at `i` is the smooth
+    /// signal at `i + shift_px`. A shift of up to half a pixel is meant, which needs a sigma of 0.6 px or more.
+    pub fn gaussian(sigma_px: f64, shift_px: f64) -> Self {
+        let radius = ((3.0 * sigma_px + shift_px.abs()).ceil() as usize).clamp(1, RADIUS_MAX);
+        let value = |i: usize| {
+            let x = (i as f64 - radius as f64 - shift_px) / sigma_px.max(1e-3);
+            if i <= 2 * radius { (-0.5 * x * x).exp() } else { 0.0 }
+        };
+        let sum: f64 = (0..=2 * radius).map(value).sum();
+        Self { radius, weights: std::array::from_fn(|i| (value(i) / sum) as f32) }
+    }
+
+    /// Weights on either side of the centre.
+    pub fn radius(&self) -> usize {
+        self.radius
+    }
+
+    /// The weights, first to last.
+    pub fn weights(&self) -> &[f32] {
+        &self.weights[..=2 * self.radius]
+    }
+
+    /// Sum of the squared weights: what is left of the variance of white noise along one direction.
+    pub fn noise_gain(&self) -> f64 {
+        self.weights().iter().map(|w| f64::from(*w).powi(2)).sum()
+    }
+}
+
+/// Smooths planes; keeps its buffers.
+#[derive(Clone, Debug, Default)]
+pub struct Smoother {
+    row: Vec<f32>,
+    between: ImagePlane,
+}
+
+impl Smoother {
+    /// Writes `source`, smoothed along rows and along columns, into `out`; beyond its edges the plane is taken to go on as
+    /// its outermost pixels.
+    pub fn smooth(&mut self, source: &ImagePlane, rows: &Taps, columns: &Taps, out: &mut ImagePlane, kernels: Kernels) {
+        let (width, height) = (source.width(), source.height());
+        self.between.resize(width, height);
+        out.resize(width, height);
+        if width == 0 || height == 0 {
+            return;
+        }
+        self.row.resize(width + 2 * RADIUS_MAX, 0.0);
+        for y in 0..height {
+            let line = source.row(y);
+            let (before, rest) = self.row.split_at_mut(rows.radius);
+            before.fill(line[0]);
+            rest[..width].copy_from_slice(line);
+            rest[width..width + rows.radius].fill(line[width - 1]);
+            filter_row(kernels, &self.row, rows, self.between.row_mut(y));
+        }
+        filter_columns(kernels, &self.between, columns, out);
+    }
+}
+
+wide! {
+    fn filter_row(padded: &[f32], taps: &Taps, out: &mut [f32]) = filter_row_kernel;
+}
+
+wide! {
+    fn filter_columns(source: &ImagePlane, taps: &Taps, out: &mut ImagePlane) = filter_columns_kernel;
+}
+
+/// First columns of groups of `LANES` that cover a row; the last group may overlap the one before.
+#[inline(always)]
+fn group_starts(width: usize) -> impl Iterator<Item = usize> {
+    let full = width / LANES;
+    let last = (width % LANES != 0 && full > 0).then(|| width - LANES);
+    (0..full).map(|g| g * LANES).chain(last)
+}
+
+#[inline(always)]
+fn filter_row_kernel(padded: &[f32], taps: &Taps, out: &mut [f32]) {
+    for start in group_starts(out.len()) {
+        let mut sum = [0.0_f32; LANES];
+        for (j, weight) in taps.weights().iter().enumerate() {
+            let values = &padded[start + j..start + j + LANES];
+            for i in 0..LANES {
+                sum[i] += weight * values[i];
+            }
+        }
+        out[start..start + LANES].copy_from_slice(&sum);
+    }
+    if out.len() < LANES {
+        for (x, out) in out.iter_mut().enumerate() {
+            *out = taps.weights().iter().zip(&padded[x..]).fold(0.0, |sum, (weight, value)| sum + weight * value);
+        }
+    }
+}
+
+#[inline(always)]
+fn filter_columns_kernel(source: &ImagePlane, taps: &Taps, out: &mut ImagePlane) {
+    let (width, height, radius) = (source.width(), source.height(), taps.radius as isize);
+    let row_at = |y: usize, j: usize| (y as isize + j as isize - radius).clamp(0, height as isize - 1) as usize * width;
+    for y in 0..height {
+        for start in group_starts(width) {
+            let mut sum = [0.0_f32; LANES];
+            for (j, weight) in taps.weights().iter().enumerate() {
+                let at = row_at(y, j) + start;
+                let values = &source.values()[at..at + LANES];
+                for i in 0..LANES {
+                    sum[i] += weight * values[i];
+                }
+            }
+            out.row_mut(y)[start..start + LANES].copy_from_slice(&sum);
+        }
+        if width < LANES {
+            for x in 0..width {
+                let taps = taps.weights().iter().enumerate();
+                out.row_mut(y)[x] = taps.fold(0.0, |sum, (j, weight)| sum + weight * source.values()[row_at(y, j) + x]);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gaussians_keep_the_mean_and_move_by_their_shift() {
+        for (sigma, shift) in [(0.7, 0.0), (0.8, 0.5), (1.5, -0.31), (3.0, 0.2)] {
+            let taps = Taps::gaussian(sigma, shift);
+            let moment = |power: i32| -> f64 {
+                let at = |i: usize| i as f64 - taps.radius() as f64;
+                taps.weights().iter().enumerate().map(|(i, w)| f64::from(*w) * at(i).powi(power)).sum()
+            };
+            assert!((moment(0) - 1.0).abs() < 1e-6);
+            assert!((moment(1) - shift).abs() < 0.01, "{} for {shift}", moment(1));
+            assert!((moment(2) - shift * shift - sigma * sigma).abs() < 0.1 * sigma * sigma);
+        }
+    }
+
+    #[test]
+    fn every_kernel_smooths_as_a_plain_sum_does() {
+        let value = |x: i32, y: i32| ((x * 37 + y * 101) % 97) as f32 - 40.0;
+        for (width, height) in [(61, 23), (16, 5), (9, 7), (1, 1)] {
+            let plane = ImagePlane::from_fn(width, height, |x, y| value(x as i32, y as i32));
+            let (rows, columns) = (Taps::gaussian(1.1, 0.0), Taps::gaussian(0.8, 0.4));
+            let expected = |x: usize, y: usize| -> f64 {
+                let mut sum = 0.0;
+                for (j, b) in columns.weights().iter().enumerate() {
+                    for (i, a) in rows.weights().iter().enumerate() {
+                        let u = (x as i32 + i as i32 - rows.radius() as i32).clamp(0, width as i32 - 1);
+                        let v = (y as i32 + j as i32 - columns.radius() as i32).clamp(0, height as i32 - 1);
+                        sum += f64::from(a * b * value(u, v));
+                    }
+                }
+                sum
+            };
+            let mut first: Option<ImagePlane> = None;
+            for kernels in Kernels::available() {
+                let mut out = ImagePlane::default();
+                Smoother::default().smooth(&plane, &rows, &columns, &mut out, kernels);
+                for (x, y) in (0..width).flat_map(|x| (0..height).map(move |y| (x, y))) {
+                    assert!((f64::from(out.row(y)[x]) - expected(x, y)).abs() < 1e-3);
+                }
+                assert_eq!(*first.get_or_insert(out.clone()), out, "{}", kernels.set().name());
+            }
+        }
+    }
+}

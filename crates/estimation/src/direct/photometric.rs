@@ -1,0 +1,492 @@
+//! Refinement of a plane: the right eye, seen through the plane, is made to look like the left eye.
+//!
+//! Gauss-Newton in the disparity plane `(d0, du, dv)` and a small row offset, from coarse to fine. Each channel (luminance,
+//! its difference of Gaussians, and chroma where it has texture) has a gain and an offset of its own, which are eliminated in
+//! every step. Tukey's weights keep what does not belong to the plane out. The covariance is that of the scores of blocks
+//! of pixels (sandwich), not the inverse of the Gauss-Newton matrix.
+
+mod covariance;
+mod kernel;
+mod points;
+mod prepare;
+mod solve;
+
+use nalgebra::{Matrix3, Vector2, Vector4};
+
+use super::disparity_plane::DisparityPlane;
+use super::image_plane::PixelWindow;
+use super::region_pyramid::{RegionLevel, RegionPyramid};
+use crate::cpu::Kernels;
+use kernel::{CHANNELS_MAX, ChannelState, PointSet, Sums, Warp};
+use points::{RightRows, Selection};
+pub use prepare::Channel;
+use prepare::{EyeChannels, Preparation, Smoothing, Wish};
+use solve::{Normal, reliability, tukey_limit, tukey_moments};
+
+/// Fewest points that are refined.
+const POINTS_MIN: usize = 40;
+/// Tukey's limit of a single residual starts no lower, grey levels.
+const START_LIMIT_GREY: f64 = 15.0;
+/// Residuals are never taken to be better than this, grey levels.
+const SIGMA_MIN_GREY: f64 = 0.3;
+
+/// Parameters of the refinement.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RefineConfig {
+    /// Most levels that are used, the finest first.
+    pub levels_max: usize,
+    /// The finest level is the first on which the region has at most this many pixels.
+    pub area_max_px: usize,
+    /// Most points per level; those with the strongest gradients are taken.
+    pub points_max: usize,
+    /// Most steps on the finest level.
+    pub iterations_max: usize,
+    /// A plane that moves further than this at the region's centroid has not converged, pixels.
+    pub jump_max_px: f64,
+    /// Width of the border of the region that is left out where the region is large enough, pixels.
+    pub erosion_max_px: f64,
+    /// Share of the square root of the region's area that may be left out at each side.
+    pub erosion_share_max: f64,
+    /// Standard deviation of the smoothing, pixels of a level.
+    pub smoothing_px: f64,
+    /// Standard deviation of what is taken off luminance to get its detail, pixels of a level.
+    pub detail_px: f64,
+    /// Standard deviation of where a pixel samples the scene, pixels: gradient times this counts as noise.
+    pub place_sigma_px: f64,
+    /// Standard deviation of the row offset that is left after the pair's known offset, pixels; 0 keeps the rows fixed.
+    pub row_sigma_px: f64,
+    /// Standard deviation of disparity that a calibration error leaves at the region's centroid and, as a slope, over half
+    /// the region's side, pixels.
+    pub calibration_sigma_px: f64,
+}
+
+impl Default for RefineConfig {
+    fn default() -> Self {
+        Self {
+            levels_max: 3,
+            area_max_px: 24_000,
+            points_max: 5000,
+            iterations_max: 8,
+            jump_max_px: 1.5,
+            erosion_max_px: 6.0,
+            erosion_share_max: 0.06,
+            smoothing_px: 0.7,
+            detail_px: 2.0,
+            place_sigma_px: 0.1,
+            row_sigma_px: 0.3,
+            calibration_sigma_px: 0.01,
+        }
+    }
+}
+
+/// A refined plane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RefinedPlane {
+    /// The plane, at the region's centroid.
+    pub plane: DisparityPlane,
+    /// Covariance of `(d0, du, dv)` of [`Self::plane`]: pixels, and pixel per pixel.
+    pub covariance: Matrix3<f64>,
+    /// Row of the right image minus row of the left one, beyond what the pyramid knows, pixels.
+    pub row_offset_px: f64,
+    /// Share of the points that agree with the plane, 0 to 1.
+    pub inlier_share: f64,
+    /// Share of the points that the right window shows, 0 to 1.
+    pub seen_share: f64,
+    /// Standard deviation of the residuals of points that agree, grey levels of the first channel.
+    pub residual_sigma: f64,
+    /// Gain of the right eye over the left one: a right value is this times the left one.
+    pub gain: f64,
+    /// How many points were compared on the finest level.
+    pub points: usize,
+    /// Steps on all levels.
+    pub iterations: usize,
+    /// Whether the last step was small and the plane has stayed near its start.
+    pub converged: bool,
+}
+
+/// Refines planes; keeps its buffers, so that it allocates only when a region is larger than all before.
+#[derive(Clone, Debug, Default)]
+pub struct PlaneRefiner {
+    config: RefineConfig,
+    kernels: Kernels,
+    preparation: Preparation,
+    selection: Selection,
+    left: EyeChannels,
+    right: EyeChannels,
+    points: PointSet,
+    scores: [Vec<f32>; 4],
+}
+
+/// What goes from level to level.
+#[derive(Clone, Copy, Debug)]
+struct Progress {
+    plane: DisparityPlane,
+    row_px: f64,
+    states: Option<[ChannelState; CHANNELS_MAX]>,
+    weights: [f64; CHANNELS_MAX],
+    iterations: usize,
+    settled: bool,
+}
+
+/// A level that is ready to be compared.
+struct Prepared {
+    /// The centre of the points, place in the left window.
+    centre: Vector2<f64>,
+    scale: f64,
+    channels: usize,
+    /// Half the extent of the points, pixels of the level.
+    half: Vector2<f64>,
+    /// Right column of the right planes minus the left column of the left window, at shift zero.
+    column_shift: f64,
+    /// Row offset in the right planes, pixels of the level.
+    row_applied: f64,
+    count: usize,
+}
+
+impl PlaneRefiner {
+    /// A refiner with these parameters.
+    pub fn new(config: RefineConfig, kernels: Kernels) -> Self {
+        Self { config, kernels, ..Self::default() }
+    }
+
+    /// The parameters.
+    pub fn config(&self) -> &RefineConfig {
+        &self.config
+    }
+
+    /// Refines a plane on the supported pixels of a region; `None` if there are too few of them or the right window does not
+    /// show them.
+    pub fn refine(&mut self, pyramid: &RegionPyramid, start: &DisparityPlane) -> Option<RefinedPlane> {
+        let levels = pyramid.levels();
+        let finest =
+            levels.iter().position(|l| l.area_px <= self.config.area_max_px).unwrap_or(levels.len().max(1) - 1);
+        let coarsest = (finest + self.config.levels_max.max(1) - 1).min(levels.len().max(1) - 1);
+        let mut progress = Progress {
+            plane: start.centred_at(pyramid.centroid_px()),
+            row_px: 0.0,
+            states: None,
+            weights: [1.0; CHANNELS_MAX],
+            iterations: 0,
+            settled: false,
+        };
+        for index in (finest..=coarsest).rev() {
+            let level = levels.get(index)?;
+            let Some(prepared) = self.prepare(level, &progress) else {
+                if index == finest {
+                    return None;
+                }
+                continue;
+            };
+            self.descend(level, &prepared, &mut progress, index == finest);
+            if index == finest {
+                return self.finish(level, &prepared, &progress, start);
+            }
+        }
+        None
+    }
+
+    fn channels(level: &RegionLevel) -> &'static [Channel] {
+        use Channel::{ChromaA, ChromaB, Detail, Luminance};
+        if level.left.planes[1].width() > 0 { &[Luminance, Detail, ChromaA, ChromaB] } else { &[Luminance, Detail] }
+    }
+
+    /// Smooths both eyes around the region as the plane maps it, and takes the points.
+    fn prepare(&mut self, level: &RegionLevel, progress: &Progress) -> Option<Prepared> {
+        let scale = level.scale as f64;
+        let side_px = (level.area_px as f64).sqrt();
+        let erosion =
+            (self.config.erosion_max_px / scale).min(self.config.erosion_share_max * side_px).round() as usize;
+        let (bounds, count) = self.selection.mark(level, erosion)?;
+        if count < POINTS_MIN {
+            return None;
+        }
+        let channels = Self::channels(level);
+        let smoothing = Smoothing { light_px: self.config.smoothing_px, wide_px: self.config.detail_px };
+        let margin = smoothing.reach_px() as u32 + 1;
+        let row = progress.row_px / scale;
+        let part = inside(&bounds.grown(margin), &level.left.window);
+        let right_part = self.right_part(level, progress, &bounds, margin + 3, row.round() as i32)?;
+        let levels = mean_levels(level, &self.selection.mask);
+        let wish = |right, part, row_shift| Wish { right, part, row_shift, channels, levels, smoothing };
+        self.preparation.prepare(level, &wish(false, part, 0.0), self.kernels, &mut self.left);
+        self.preparation.prepare(level, &wish(true, right_part, row - row.round()), self.kernels, &mut self.right);
+        let window_shift = level.left.window.y - level.right.window.y;
+        let rows = RightRows {
+            shift: window_shift + row.round() as i32 - right_part.y,
+            width: right_part.width,
+            height: right_part.height,
+        };
+        let points = &mut self.points;
+        let count = self.selection.collect(level, &self.left, channels.len(), self.config.points_max, &rows, points);
+        let centre = Vector2::new(f64::from(part.x), f64::from(part.y))
+            + Vector2::new(part.width as f64 - 1.0, part.height as f64 - 1.0) / 2.0;
+        (count >= POINTS_MIN).then_some(Prepared {
+            centre,
+            scale,
+            channels: channels.len(),
+            half: Vector2::new(bounds.width as f64, bounds.height as f64) / 2.0,
+            column_shift: -f64::from(right_part.x),
+            row_applied: row,
+            count,
+        })
+    }
+
+    /// The part of the right window that the points can need.
+    fn right_part(
+        &self,
+        level: &RegionLevel,
+        progress: &Progress,
+        bounds: &PixelWindow,
+        margin: u32,
+        row: i32,
+    ) -> Option<PixelWindow> {
+        let plane = level.level_plane(&progress.plane);
+        let (x0, y0) = (f64::from(bounds.x), f64::from(bounds.y));
+        let (x1, y1) = (x0 + bounds.width as f64, y0 + bounds.height as f64);
+        let corners = [(x0, y0), (x1, y0), (x0, y1), (x1, y1)].map(|(x, y)| x - (plane.c + plane.a * x + plane.b * y));
+        let (low, high) = corners.iter().fold((f64::MAX, f64::MIN), |(low, high), &x| (low.min(x), high.max(x)));
+        if !(low.abs() < 1e6 && high.abs() < 1e6) {
+            return None;
+        }
+        let reach = (self.config.jump_max_px / level.scale as f64).ceil();
+        let (low, high) = ((low - reach).floor() as i32, (high + reach).ceil() as i32);
+        let wanted = PixelWindow {
+            x: low,
+            y: bounds.y + plane.row + row,
+            width: (high - low + 1).max(1) as usize,
+            height: bounds.height,
+        };
+        let part = inside(&wanted.grown(margin), &level.right.window);
+        (part.width >= 6 && part.height >= 1).then_some(part)
+    }
+
+    fn warp(&self, level: &RegionLevel, prepared: &Prepared, progress: &Progress, states: &[ChannelState]) -> Warp {
+        let plane = level.level_plane(&progress.plane);
+        let at = prepared.centre;
+        let column = at.x - (plane.c + plane.a * at.x + plane.b * at.y) + prepared.column_shift;
+        Warp {
+            column: column as f32,
+            per_x: (1.0 - plane.a) as f32,
+            per_y: -plane.b as f32,
+            row: (progress.row_px / prepared.scale - prepared.row_applied) as f32,
+            width: self.right.part.width,
+            channels: prepared.channels,
+            states: std::array::from_fn(|c| states.get(c).copied().unwrap_or_default()),
+            place_variance: self.config.place_sigma_px.powi(2) as f32,
+            limit: tukey_limit(prepared.channels) as f32,
+        }
+    }
+
+    fn accumulate(&self, warp: &Warp) -> Sums {
+        kernel::accumulate(self.kernels, &self.points, &self.right_planes(), warp)
+    }
+
+    fn right_planes(&self) -> [&[f32]; CHANNELS_MAX] {
+        std::array::from_fn(|c| self.right.planes[c].values())
+    }
+
+    /// Gauss-Newton steps on one level.
+    fn descend(&mut self, level: &RegionLevel, prepared: &Prepared, progress: &mut Progress, finest: bool) {
+        let channels = prepared.channels;
+        let mut states = self.start_states(level, prepared, progress);
+        let steps = if finest { self.config.iterations_max } else { self.config.iterations_max.min(5) };
+        let tolerance_px = if finest { 0.002 } else { 0.03 };
+        progress.settled = false;
+        for step_index in 0..steps {
+            let warp = self.warp(level, prepared, progress, &states);
+            let sums = self.accumulate(&warp);
+            let normal = self.normal(&sums, prepared, progress, &states);
+            let Some(step) = bounded_step(&normal, &prepared.half) else { break };
+            normal.move_states(&step, channels, &mut states);
+            self.follow_scale(&sums, channels, &mut states, &mut progress.weights);
+            apply(level, prepared, &step, progress);
+            progress.iterations += 1;
+            let size = step.x.abs() + (step.y * prepared.half.x).abs() + (step.z * prepared.half.y).abs();
+            progress.settled = size < tolerance_px && step_index > 0;
+            if progress.settled {
+                break;
+            }
+        }
+        progress.states = Some(states);
+    }
+
+    fn normal(
+        &self,
+        sums: &Sums,
+        prepared: &Prepared,
+        progress: &Progress,
+        states: &[ChannelState; CHANNELS_MAX],
+    ) -> Normal {
+        let mut normal = Normal::of(sums, prepared.channels, states, &progress.weights);
+        let sigma = self.config.row_sigma_px.max(1e-6) / prepared.scale;
+        normal.matrix[(3, 3)] += sigma.powi(-2);
+        normal.slope[3] += progress.row_px / prepared.scale * sigma.powi(-2);
+        normal
+    }
+
+    /// Variances and weights of the channels as the residuals and gradients say.
+    fn follow_scale(
+        &self,
+        sums: &Sums,
+        channels: usize,
+        states: &mut [ChannelState; CHANNELS_MAX],
+        weights: &mut [f64; CHANNELS_MAX],
+    ) {
+        let (_, squared) = tukey_moments(channels);
+        for c in 0..channels {
+            let s = &sums.channel[c];
+            let ratio = if sums.weight > 0.0 { s[21] / (squared * sums.weight) } else { 1.0 };
+            states[c].variance = (states[c].variance * ratio.clamp(0.1, 2.0)).max(SIGMA_MIN_GREY.powi(2));
+            weights[c] = reliability(s);
+        }
+    }
+
+    /// Gains, offsets and variances to start a level with.
+    fn start_states(
+        &self,
+        level: &RegionLevel,
+        prepared: &Prepared,
+        progress: &Progress,
+    ) -> [ChannelState; CHANNELS_MAX] {
+        let lowest = (START_LIMIT_GREY / tukey_limit(1).sqrt()).powi(2);
+        if let Some(mut states) = progress.states {
+            for state in &mut states {
+                state.variance = (4.0 * state.variance).max(lowest);
+            }
+            return states;
+        }
+        let plain = [ChannelState { gain_root: 1.0, offset: 0.0, variance: 1.0 }; CHANNELS_MAX];
+        let warp = self.warp(level, prepared, progress, &plain);
+        std::array::from_fn(|c| match c < prepared.channels {
+            true => first_state(&self.points, self.right.planes[c].values(), &warp, c, lowest),
+            false => plain[c],
+        })
+    }
+
+    fn finish(
+        &mut self,
+        level: &RegionLevel,
+        prepared: &Prepared,
+        progress: &Progress,
+        start: &DisparityPlane,
+    ) -> Option<RefinedPlane> {
+        let states = progress.states?;
+        let warp = self.warp(level, prepared, progress, &states);
+        let sums = self.accumulate(&warp);
+        let normal = self.normal(&sums, prepared, progress, &states);
+        let length = self.points.x.len();
+        for scores in &mut self.scores {
+            scores.resize(length, 0.0);
+        }
+        kernel::scores(
+            self.kernels,
+            &self.points,
+            &std::array::from_fn(|c| self.right.planes[c].values()),
+            &warp,
+            &normal.projections(),
+            &mut self.scores,
+        );
+        let row_information = (self.config.row_sigma_px.max(1e-6) / prepared.scale).powi(-2);
+        let (ends, places) = (&self.selection.block_ends, &self.selection.block_places);
+        let local = covariance::sandwich(&normal.matrix, &self.scores, ends, places, row_information)?;
+        let centre_px = level.full_from_level(&prepared.centre);
+        let floor = covariance::calibration(self.config.calibration_sigma_px, &(prepared.half * prepared.scale));
+        let covariance = covariance::at_full_size(&local, prepared.scale) + floor;
+        let covariance = covariance::moved(&covariance, &(progress.plane.centre_px - centre_px));
+        let jump_px = (progress.plane.at(&progress.plane.centre_px) - start.at(&progress.plane.centre_px)).abs();
+        let (mean_weight, _) = tukey_moments(prepared.channels);
+        let finite = covariance.iter().chain(progress.plane.parameters().iter()).all(|value| value.is_finite());
+        finite.then_some(RefinedPlane {
+            plane: progress.plane,
+            covariance,
+            row_offset_px: progress.row_px,
+            inlier_share: (sums.weight / (mean_weight * sums.seen.max(1.0))).min(1.0),
+            seen_share: sums.seen / prepared.count as f64,
+            residual_sigma: states[0].variance.sqrt(),
+            gain: states[0].gain_root.powi(-2),
+            points: prepared.count,
+            iterations: progress.iterations,
+            converged: progress.settled && jump_px <= self.config.jump_max_px,
+        })
+    }
+}
+
+/// The part of a box (relative to a window) inside the window.
+fn inside(part: &PixelWindow, window: &PixelWindow) -> PixelWindow {
+    part.clipped(window.width as u32, window.height as u32)
+}
+
+/// Means of Y, A and B' of the left eye over the marked pixels, taken off both eyes to keep sums small.
+fn mean_levels(level: &RegionLevel, mask: &[u8]) -> [f32; 3] {
+    std::array::from_fn(|c| {
+        let plane = level.left.planes[c].values();
+        let step = (mask.len() / 2000).max(1);
+        let used = plane.iter().zip(mask).step_by(step).filter(|(_, mask)| **mask != 0);
+        let (sum, count) = used.fold((0.0, 0.0_f32), |(sum, count), (value, _)| (sum + value, count + 1.0));
+        if count > 0.0 { sum / count } else { 0.0 }
+    })
+}
+
+/// A step in the parameters at the centre of the points; `None` where the equations have no answer.
+fn bounded_step(normal: &Normal, half: &Vector2<f64>) -> Option<Vector4<f64>> {
+    let scale = nalgebra::Matrix4::from_diagonal(&Vector4::new(1.0, 1.0 / half.x, 1.0 / half.y, 1.0));
+    let scaled = scale * normal.matrix * scale;
+    let ridge = nalgebra::Matrix4::identity() * (1e-9 * scaled.trace());
+    let step = -((scaled + ridge).cholesky()?.solve(&(scale * normal.slope)));
+    let size = step.xyz().amax();
+    let step = if size > 1.0 { step / size } else { step };
+    step.iter().all(|value| value.is_finite()).then(|| scale * step)
+}
+
+fn apply(level: &RegionLevel, prepared: &Prepared, step: &Vector4<f64>, progress: &mut Progress) {
+    let centre_px = progress.plane.centre_px;
+    let at = progress.plane.centred_at(level.full_from_level(&prepared.centre));
+    let change = nalgebra::Vector3::new(step.x * prepared.scale, step.y, step.z);
+    progress.plane = at.with_parameters(&(at.parameters() + change)).centred_at(centre_px);
+    progress.row_px += step.w * prepared.scale;
+}
+
+/// Gain and offset from spreads and middles of some points, variance from what is left.
+fn first_state(points: &PointSet, right: &[f32], warp: &Warp, channel: usize, lowest: f64) -> ChannelState {
+    const COUNT: usize = 256;
+    let (mut own, mut shown) = ([0.0_f32; COUNT], [0.0_f32; COUNT]);
+    let step = (points.x.len() / COUNT).max(1);
+    let mut count = 0;
+    for i in (0..points.x.len()).step_by(step) {
+        let column = warp.column + warp.per_x * points.x[i] + warp.per_y * points.y[i];
+        if count == COUNT || points.unit[i] == 0.0 || !(column >= 0.0 && column < warp.width as f32 - 0.5) {
+            continue;
+        }
+        let value = right.get(points.row_start[i] as usize + column.round() as usize).copied().unwrap_or(0.0);
+        (own[count], shown[count]) = (points.value[channel][i], value);
+        count += 1;
+    }
+    if count < 16 {
+        return ChannelState { gain_root: 1.0, offset: 0.0, variance: lowest };
+    }
+    let (own, shown) = (&own[..count], &shown[..count]);
+    let mut scratch = [0.0_f32; COUNT];
+    let scratch = &mut scratch[..count];
+    scratch.copy_from_slice(own);
+    let (own_middle, own_spread) = spread(scratch);
+    scratch.copy_from_slice(shown);
+    let (shown_middle, shown_spread) = spread(scratch);
+    let ratio = (own_spread.max(0.5) / shown_spread.max(0.5)).clamp(0.5, 2.0);
+    let root = ratio.sqrt();
+    let offset = own_middle / root - shown_middle * root;
+    for ((difference, own), shown) in scratch.iter_mut().zip(own).zip(shown) {
+        *difference = (shown * root - own / root + offset).abs();
+    }
+    let sigma = 1.4826 * f64::from(*scratch.select_nth_unstable_by(count / 2, f32::total_cmp).1);
+    ChannelState { gain_root: f64::from(root), offset: f64::from(offset), variance: (sigma * sigma).max(lowest) }
+}
+
+/// Median and 1.4826 times the median distance from it.
+fn spread(values: &mut [f32]) -> (f32, f32) {
+    let half = values.len() / 2;
+    let middle = *values.select_nth_unstable_by(half, f32::total_cmp).1;
+    for value in values.iter_mut() {
+        *value = (*value - middle).abs();
+    }
+    (middle, 1.4826 * *values.select_nth_unstable_by(half, f32::total_cmp).1)
+}

@@ -1,0 +1,219 @@
+//! Which pixels of the left eye take part.
+
+use super::super::image_plane::PixelWindow;
+use super::super::region_pyramid::RegionLevel;
+use super::kernel::{CHANNELS_MAX, PointSet};
+use super::prepare::EyeChannels;
+use crate::wide::LANES;
+
+/// Side of the blocks in which points are ordered, pixels of the level.
+pub(super) const BLOCK: usize = 8;
+/// Number of pixels from which the limit of the gradient is taken.
+const SAMPLE: usize = 1024;
+
+/// Pixels to use, and how they are ordered into points; keeps its buffers.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Selection {
+    /// Per pixel of the level's left window: 1 if it may be used.
+    pub mask: Vec<u8>,
+    scratch: Vec<u8>,
+    candidates: Vec<Candidate>,
+    sample: Vec<f32>,
+    /// One past the last point of every block.
+    pub block_ends: Vec<usize>,
+    /// Block column and row of every block.
+    pub block_places: Vec<(u32, u32)>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Candidate {
+    x: u16,
+    y: u16,
+    energy: f32,
+}
+
+/// How the rows of the left part and the right planes go together.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct RightRows {
+    /// Row of the right planes minus row of the left level window.
+    pub shift: i32,
+    pub width: usize,
+    pub height: usize,
+}
+
+impl Selection {
+    /// Uses the supported pixels of a level, without those closer than `erosion_px` to the region's outline. Returns the
+    /// smallest window around them (pixels of the level's window) and their number.
+    pub fn mark(&mut self, level: &RegionLevel, erosion_px: usize) -> Option<(PixelWindow, usize)> {
+        let (width, height) = (level.left.window.width, level.left.window.height);
+        self.mask.clone_from(&level.region);
+        for _ in 0..erosion_px {
+            erode(&mut self.mask, &mut self.scratch, width, height);
+        }
+        for ((mask, support), flag) in self.mask.iter_mut().zip(&level.support).zip(&level.left.flags) {
+            *mask &= support & u8::from(*flag == 0);
+        }
+        bounds(&self.mask, width)
+    }
+
+    /// Orders the marked pixels into points: all of them, or the `points_max` with the strongest gradients along rows.
+    /// Returns the number of points.
+    pub fn collect(
+        &mut self,
+        level: &RegionLevel,
+        left: &EyeChannels,
+        channels: usize,
+        points_max: usize,
+        rows: &RightRows,
+        out: &mut PointSet,
+    ) -> usize {
+        let part = left.part;
+        self.find_candidates(level.left.window.width, left, channels);
+        let limit = self.energy_limit(points_max);
+        out.clear();
+        (self.block_ends.clear(), self.block_places.clear());
+        let centre = ((part.width as f32 - 1.0) / 2.0, (part.height as f32 - 1.0) / 2.0);
+        let mut place = (u32::MAX, 0);
+        for at in self.candidates.iter().filter(|at| at.energy >= limit) {
+            let (x, y) = (usize::from(at.x), usize::from(at.y));
+            let row = y as i32 + part.y + rows.shift;
+            if row < 0 || row >= rows.height as i32 {
+                continue;
+            }
+            let here = ((x / BLOCK) as u32, (y / BLOCK) as u32);
+            if here != place {
+                if !out.x.is_empty() {
+                    self.block_ends.push(out.x.len());
+                }
+                self.block_places.push(here);
+                place = here;
+            }
+            out.push(left, channels, (x, y), centre, row as u32 * rows.width as u32);
+        }
+        let count = out.x.len();
+        if count > 0 {
+            self.block_ends.push(count);
+        }
+        out.fill_up(channels);
+        count
+    }
+
+    /// Number of marked pixels that were looked at.
+    pub fn candidates(&self) -> usize {
+        self.candidates.len()
+    }
+
+    fn find_candidates(&mut self, stride: usize, left: &EyeChannels, channels: usize) {
+        let part = left.part;
+        self.candidates.clear();
+        for (first_y, first_x) in blocks(part.height).flat_map(|y| blocks(part.width).map(move |x| (y, x))) {
+            for y in first_y.max(1)..(first_y + BLOCK).min(part.height - 1) {
+                let mask = &self.mask[(part.y as usize + y) * stride + part.x as usize..][..part.width];
+                for x in first_x.max(1)..(first_x + BLOCK).min(part.width - 1) {
+                    if mask[x] != 0 {
+                        let energy = left.planes[..channels].iter().map(|plane| {
+                            let row = plane.row(y);
+                            (row[x + 1] - row[x - 1]).powi(2)
+                        });
+                        self.candidates.push(Candidate { x: x as u16, y: y as u16, energy: energy.sum() });
+                    }
+                }
+            }
+        }
+    }
+
+    fn energy_limit(&mut self, points_max: usize) -> f32 {
+        let count = self.candidates.len();
+        if count <= points_max {
+            return 0.0;
+        }
+        self.sample.clear();
+        let step = (count / SAMPLE).max(1);
+        self.sample.extend(self.candidates.iter().step_by(step).map(|at| at.energy));
+        let dropped = (self.sample.len() as f64 * (1.0 - points_max as f64 / count as f64)) as usize;
+        let last = self.sample.len() - 1;
+        *self.sample.select_nth_unstable_by(dropped.min(last), f32::total_cmp).1
+    }
+}
+
+impl PointSet {
+    fn clear(&mut self) {
+        for values in [&mut self.x, &mut self.y, &mut self.unit] {
+            values.clear();
+        }
+        self.row_start.clear();
+        for c in 0..CHANNELS_MAX {
+            self.value[c].clear();
+            self.gradient_x[c].clear();
+            self.gradient_y[c].clear();
+        }
+    }
+
+    fn push(&mut self, left: &EyeChannels, channels: usize, at: (usize, usize), centre: (f32, f32), row_start: u32) {
+        let (x, y) = at;
+        self.x.push(x as f32 - centre.0);
+        self.y.push(y as f32 - centre.1);
+        self.unit.push(1.0);
+        self.row_start.push(row_start);
+        for (c, plane) in left.planes.iter().enumerate().take(channels) {
+            let row = plane.row(y);
+            self.value[c].push(row[x]);
+            self.gradient_x[c].push(0.5 * (row[x + 1] - row[x - 1]));
+            self.gradient_y[c].push(0.5 * (plane.row(y + 1)[x] - plane.row(y - 1)[x]));
+        }
+    }
+
+    fn fill_up(&mut self, channels: usize) {
+        let length = self.x.len().next_multiple_of(LANES);
+        for values in [&mut self.x, &mut self.y, &mut self.unit] {
+            values.resize(length, 0.0);
+        }
+        self.row_start.resize(length, 0);
+        for c in 0..channels {
+            for values in [&mut self.value[c], &mut self.gradient_x[c], &mut self.gradient_y[c]] {
+                values.resize(length, 0.0);
+            }
+        }
+    }
+}
+
+fn blocks(length: usize) -> impl Iterator<Item = usize> {
+    (0..length).step_by(BLOCK)
+}
+
+/// Takes the outermost pixels off a mask; what the window cuts off has its outline there.
+fn erode(mask: &mut [u8], scratch: &mut Vec<u8>, width: usize, height: usize) {
+    scratch.clear();
+    scratch.resize(mask.len(), 0);
+    for (row, out) in mask.chunks_exact(width).zip(scratch.chunks_exact_mut(width)) {
+        for ((out, before), (here, after)) in out[1..].iter_mut().zip(row).zip(row[1..].iter().zip(&row[2..])) {
+            *out = before & here & after;
+        }
+    }
+    mask.fill(0);
+    for y in 1..height.saturating_sub(1) {
+        let rows = scratch[(y - 1) * width..].iter().zip(&scratch[y * width..]).zip(&scratch[(y + 1) * width..]);
+        for (out, ((above, here), below)) in mask[y * width..(y + 1) * width].iter_mut().zip(rows) {
+            *out = above & here & below;
+        }
+    }
+}
+
+fn bounds(mask: &[u8], width: usize) -> Option<(PixelWindow, usize)> {
+    let (mut first, mut last, mut count) = ((usize::MAX, usize::MAX), (0, 0), 0);
+    for (y, row) in mask.chunks_exact(width.max(1)).enumerate() {
+        let inside = row.iter().map(|&m| usize::from(m)).sum::<usize>();
+        if inside == 0 {
+            continue;
+        }
+        count += inside;
+        let left = row.iter().position(|&m| m != 0).unwrap_or(0);
+        let right = row.iter().rposition(|&m| m != 0).unwrap_or(0);
+        first = (first.0.min(left), first.1.min(y));
+        last = (last.0.max(right), y);
+    }
+    (count > 0).then(|| {
+        let (width, height) = (last.0 - first.0 + 1, last.1 - first.1 + 1);
+        (PixelWindow { x: first.0 as i32, y: first.1 as i32, width, height }, count)
+    })
+}

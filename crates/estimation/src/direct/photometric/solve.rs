@@ -1,0 +1,107 @@
+//! From sums to a step: gain and offset of every channel are eliminated, the channels added up.
+
+use nalgebra::{Matrix2, Matrix4, Matrix4x2, Vector2, Vector4};
+
+use super::kernel::{CHANNELS_MAX, ChannelState, Projection, SUMS, Sums};
+
+/// Standard deviation of the logarithm of the gain between the cameras; keeps channels without contrast in bounds.
+const LOG_GAIN_SIGMA: f64 = 0.7;
+/// Bounds of the square root of the gain.
+const GAIN_ROOT: (f64, f64) = (0.5, 2.0);
+/// Bounds of how much of the squared gradients is texture and not noise.
+const RELIABILITY: (f64, f64) = (0.05, 1.0);
+
+/// The normal equations of `(d0, du, dv, row)` of one level.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Normal {
+    /// Gauss-Newton matrix with the noise of the gradients taken out.
+    pub matrix: Matrix4<f64>,
+    /// Derivative of half the cost.
+    pub slope: Vector4<f64>,
+    parts: [Part; CHANNELS_MAX],
+}
+
+/// One channel's gain and offset.
+#[derive(Clone, Copy, Debug, Default)]
+struct Part {
+    cross: Matrix4x2<f64>,
+    inverse: Matrix2<f64>,
+    slope: Vector2<f64>,
+    weight: f64,
+}
+
+/// How much of the squared gradients of a channel is texture: the gradients of both eyes agree, their noise does not.
+pub(super) fn reliability(sums: &[f64; SUMS]) -> f64 {
+    let ratio = if sums[0] > 0.0 { sums[20] / sums[0] } else { 0.0 };
+    ratio.clamp(RELIABILITY.0, RELIABILITY.1)
+}
+
+impl Normal {
+    /// From the sums of `channels` channels with their states and weights.
+    pub fn of(
+        sums: &Sums,
+        channels: usize,
+        states: &[ChannelState; CHANNELS_MAX],
+        weights: &[f64; CHANNELS_MAX],
+    ) -> Self {
+        let mut normal = Self { matrix: Matrix4::zeros(), slope: Vector4::zeros(), parts: Default::default() };
+        for c in 0..channels {
+            let s = &sums.channel[c];
+            let own = Matrix4::new(
+                s[0], s[1], s[2], -s[22], //
+                s[1], s[3], s[4], -s[23], //
+                s[2], s[4], s[5], -s[24], //
+                -s[22], -s[23], -s[24], s[25],
+            );
+            let cross = Matrix4x2::new(-s[9], -s[12], -s[10], -s[13], -s[11], -s[14], s[26], s[27]);
+            let log_gain = 2.0 * states[c].gain_root.ln();
+            let prior = LOG_GAIN_SIGMA.powi(-2);
+            let shade = Matrix2::new(s[15] + prior, s[16], s[16], s[17] + 1e-9);
+            let inverse = shade.try_inverse().unwrap_or_else(Matrix2::zeros);
+            let slope = Vector2::new(s[18] + prior * log_gain, s[19]);
+            let taken = cross * inverse;
+            normal.matrix += (own - taken * cross.transpose()) * (weights[c] * reliability(s));
+            normal.slope += (Vector4::new(-s[6], -s[7], -s[8], s[28]) - taken * slope) * weights[c];
+            normal.parts[c] = Part { cross, inverse, slope, weight: weights[c] };
+        }
+        normal
+    }
+
+    /// Moves gains and offsets along with a step of the plane and the row offset.
+    pub fn move_states(&self, step: &Vector4<f64>, channels: usize, states: &mut [ChannelState; CHANNELS_MAX]) {
+        for (part, state) in self.parts.iter().zip(states).take(channels) {
+            let change = -(part.inverse * (part.slope + part.cross.transpose() * step));
+            if change.iter().all(|value| value.is_finite()) {
+                let root = state.gain_root * (0.5 * change.x.clamp(-1.0, 1.0)).exp();
+                state.gain_root = root.clamp(GAIN_ROOT.0, GAIN_ROOT.1);
+                state.offset += change.y;
+            }
+        }
+    }
+
+    /// What the scores of single points need.
+    pub fn projections(&self) -> [Projection; CHANNELS_MAX] {
+        self.parts.map(|part| {
+            let taken = part.cross * part.inverse;
+            Projection {
+                weight: part.weight as f32,
+                mean: std::array::from_fn(|k| taken[(k, 0)] as f32),
+                one: std::array::from_fn(|k| taken[(k, 1)] as f32),
+            }
+        })
+    }
+}
+
+/// Tukey's limit for the sum of squared normalised residuals of `channels` channels (95 % efficiency, Gaussian noise).
+pub(super) fn tukey_limit(channels: usize) -> f64 {
+    [4.685_f64, 5.123, 5.49, 5.82][channels.clamp(1, 4) - 1].powi(2)
+}
+
+/// Mean of the weight, and mean of weight times squared normalised residual over mean weight, for Gaussian residuals.
+pub(super) fn tukey_moments(channels: usize) -> (f64, f64) {
+    let (n, k) = (channels as f64, tukey_limit(channels));
+    let (m1, m2) = (n, n * (n + 2.0));
+    let m3 = m2 * (n + 4.0);
+    let mean = 1.0 - 2.0 * m1 / k + m2 / (k * k);
+    (mean, (m1 - 2.0 * m2 / k + m3 / (k * k)) / (n * mean))
+}
