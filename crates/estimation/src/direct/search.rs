@@ -1,0 +1,167 @@
+//! From the whole range of depths to a few candidate planes, on one level of the pyramid.
+
+pub mod aggregate;
+pub mod hypotheses;
+pub mod volume;
+
+use nalgebra::Vector3;
+
+use self::aggregate::{Aggregation, Penalties, WinnerRules};
+use self::hypotheses::{Candidate, DisparityPoints, HypothesisRules, HypothesisSearch, PlaneCoefficients};
+use self::volume::{COST_NEUTRAL, CostVolume, LevelBox};
+use super::region_pyramid::{LevelPlane, RegionLevel};
+use crate::cpu::Kernels;
+
+/// Pixels around the region's box that take part in the aggregation.
+const MARGIN: usize = 2;
+
+/// Parameters of the search.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaneSearchConfig {
+    /// Noise of a pixel in the normalisation of neighbourhoods, luminance.
+    pub noise: f64,
+    /// Costs of changes of disparity; a pixel without agreement costs 63.
+    pub penalties: Penalties,
+    /// When a disparity counts.
+    pub winner: WinnerRules,
+    /// How planes are drawn.
+    pub hypotheses: HypothesisRules,
+}
+
+impl Default for PlaneSearchConfig {
+    fn default() -> Self {
+        Self {
+            noise: 2.0,
+            penalties: Penalties { small: 8, large: 40 },
+            winner: WinnerRules { uniqueness: 0.05, left_right_max: 1 },
+            hypotheses: HypothesisRules { draws: 300, tolerance_px: 0.5, distinct_px: 1.0, kept: 6, steps: 3 },
+        }
+    }
+}
+
+/// A candidate plane in pixels of the level that was searched.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaneCandidate {
+    /// The plane.
+    pub plane: LevelPlane,
+    /// Share of the region's clear disparities that lie on it, soft.
+    pub share: f64,
+}
+
+/// Searches planes; keeps its buffers.
+#[derive(Clone, Debug, Default)]
+pub struct PlaneSearch {
+    volume: CostVolume,
+    aggregation: Aggregation,
+    points: DisparityPoints,
+    hypotheses: HypothesisSearch,
+    seeds: Vec<PlaneCoefficients>,
+    histogram: Vec<u32>,
+    column: Vec<u32>,
+    /// The candidates, best first.
+    pub candidates: Vec<PlaneCandidate>,
+    /// Share of the region's pixels that have a clear disparity.
+    pub valid_share: f64,
+}
+
+impl PlaneSearch {
+    /// Searches disparities `range_px` (full size) on `level`. `allowed` says which planes are within the range of tilts.
+    pub fn run(
+        &mut self,
+        level: &RegionLevel,
+        range_px: (f64, f64),
+        config: &PlaneSearchConfig,
+        allowed: impl Fn(&LevelPlane) -> bool,
+        kernels: Kernels,
+    ) {
+        let area = region_box(level, MARGIN);
+        let scale = level.scale as f64;
+        let range = ((range_px.0 / scale).floor() as i32 - 1, (range_px.1 / scale).ceil() as i32 + 1);
+        self.volume.compute(level, area, range, config.noise as f32, kernels);
+        self.aggregation.run(&self.volume, config.penalties, config.winner, kernels);
+        self.collect(level, area);
+        self.make_seeds(level, area);
+        let size = (area.width as f64, area.height as f64);
+        let from_box = |p: &PlaneCoefficients| {
+            let c = p.x - p.y * area.x as f64 - p.z * area.y as f64 + f64::from(self.volume.first)
+                - f64::from(level.column_shift());
+            LevelPlane { a: p.y, b: p.z, c, row: level.left.window.y - level.right.window.y }
+        };
+        self.hypotheses.run(&self.points, &self.seeds, size, &config.hypotheses, |p| allowed(&from_box(p)), kernels);
+        self.candidates.clear();
+        let kept = self.hypotheses.kept.iter();
+        self.candidates
+            .extend(kept.map(|&Candidate { plane, share }| PlaneCandidate { plane: from_box(&plane), share }));
+    }
+
+    /// Clear disparities of the region, in pixels of the box and steps of the volume.
+    fn collect(&mut self, level: &RegionLevel, area: LevelBox) {
+        self.points.clear();
+        let stride = level.left.window.width;
+        for y in 0..area.height {
+            let inside = &level.region[(area.y + y) * stride + area.x..][..area.width];
+            let values = &self.aggregation.disparity[y * area.width..][..area.width];
+            for (x, (&inside, &d)) in inside.iter().zip(values).enumerate() {
+                if inside != 0 && d.is_finite() {
+                    self.points.push(x as f32, y as f32, d);
+                }
+            }
+        }
+        self.points.finish();
+        self.valid_share = self.points.len() as f64 / level.area_px.max(1) as f64;
+    }
+
+    /// Fronto-parallel planes: where most pixels have their disparity, and where the region as a whole agrees best.
+    fn make_seeds(&mut self, level: &RegionLevel, area: LevelBox) {
+        self.seeds.clear();
+        self.histogram.clear();
+        self.histogram.resize(self.volume.count, 0);
+        for d in self.points.disparities() {
+            self.histogram[d.round() as usize] += 1;
+        }
+        push_peaks(&self.histogram, 4, &mut self.seeds);
+        self.column.clear();
+        self.column.resize(self.volume.count, 0);
+        let stride = level.left.window.width;
+        for y in 0..area.height {
+            for x in 0..area.width {
+                if level.region[(area.y + y) * stride + area.x + x] != 0 {
+                    let costs = &self.volume.costs[(y * area.width + x) * self.volume.stride..];
+                    for (sum, cost) in self.column.iter_mut().zip(costs) {
+                        *sum += u32::from(2 * COST_NEUTRAL).saturating_sub(u32::from(*cost));
+                    }
+                }
+            }
+        }
+        push_peaks(&self.column, 4, &mut self.seeds);
+    }
+}
+
+/// The `count` highest local maxima of a histogram, as fronto-parallel planes.
+fn push_peaks(histogram: &[u32], count: usize, out: &mut Vec<PlaneCoefficients>) {
+    let mut limit = (u32::MAX, 0);
+    for _ in 0..count {
+        let at = |i: usize| histogram.get(i).copied().unwrap_or(0);
+        let is_peak = |i: usize| at(i) > 0 && at(i) >= at(i.wrapping_sub(1)) && at(i) >= at(i + 1);
+        let below = |i: usize| at(i) < limit.0 || (at(i) == limit.0 && i > limit.1);
+        let next = (0..histogram.len()).filter(|&i| is_peak(i) && below(i)).max_by_key(|&i| (at(i), usize::MAX - i));
+        let Some(i) = next else { return };
+        out.push(Vector3::new(i as f64, 0.0, 0.0));
+        limit = (at(i), i);
+    }
+}
+
+/// The box of the region in the left window of a level, with a margin where the window has it.
+pub(super) fn region_box(level: &RegionLevel, margin: usize) -> LevelBox {
+    let (width, height) = (level.left.window.width, level.left.window.height);
+    let (mut x, mut y) = ((width, 0), (height, 0));
+    for (row, inside) in level.region.chunks_exact(width.max(1)).enumerate() {
+        if let (Some(first), Some(last)) = (inside.iter().position(|&i| i != 0), inside.iter().rposition(|&i| i != 0)) {
+            x = (x.0.min(first), x.1.max(last));
+            y = (y.0.min(row), y.1.max(row));
+        }
+    }
+    let (x0, y0) = (x.0.saturating_sub(margin), y.0.saturating_sub(margin));
+    let (x1, y1) = ((x.1 + 1 + margin).min(width), (y.1 + 1 + margin).min(height));
+    LevelBox { x: x0, y: y0, width: x1.saturating_sub(x0), height: y1.saturating_sub(y0) }
+}
