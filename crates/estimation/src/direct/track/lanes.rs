@@ -1,0 +1,91 @@
+//! Arithmetic on the lanes of a vector, written once for every vector width; see [`crate::wide`].
+
+use std::ops::{Add, AddAssign, Mul, Neg, Sub};
+
+use crate::wide::{LANES, sum_lanes};
+
+/// One value for each of [`LANES`] points.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(align(64))]
+pub(super) struct Lanes(pub [f32; LANES]);
+
+impl Default for Lanes {
+    fn default() -> Self {
+        Self::ZERO
+    }
+}
+
+impl Lanes {
+    pub(super) const ZERO: Self = Self([0.0; LANES]);
+
+    #[inline(always)]
+    pub(super) fn splat(value: f32) -> Self {
+        Self([value; LANES])
+    }
+
+    /// `self + a * b`, rounded twice.
+    #[inline(always)]
+    pub(super) fn plus(self, a: Self, b: Self) -> Self {
+        Self(std::array::from_fn(|i| self.0[i] + a.0[i] * b.0[i]))
+    }
+
+    #[inline(always)]
+    pub(super) fn scale(self, factor: f32) -> Self {
+        Self(std::array::from_fn(|i| self.0[i] * factor))
+    }
+
+    #[inline(always)]
+    pub(super) fn reciprocal(self) -> Self {
+        Self(std::array::from_fn(|i| 1.0 / self.0[i]))
+    }
+
+    #[inline(always)]
+    pub(super) fn max(self, other: f32) -> Self {
+        Self(std::array::from_fn(|i| if self.0[i] > other { self.0[i] } else { other }))
+    }
+
+    /// The sum over the lanes, always in the same order.
+    #[inline(always)]
+    pub(super) fn sum(&self) -> f32 {
+        sum_lanes(&self.0)
+    }
+}
+
+impl Add for Lanes {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        Self(std::array::from_fn(|i| self.0[i] + other.0[i]))
+    }
+}
+
+impl AddAssign for Lanes {
+    #[inline(always)]
+    fn add_assign(&mut self, other: Self) {
+        *self = *self + other;
+    }
+}
+
+impl Sub for Lanes {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        Self(std::array::from_fn(|i| self.0[i] - other.0[i]))
+    }
+}
+
+impl Mul for Lanes {
+    type Output = Self;
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        Self(std::array::from_fn(|i| self.0[i] * other.0[i]))
+    }
+}
+
+impl Neg for Lanes {
+    type Output = Self;
+    #[inline(always)]
+    fn neg(self) -> Self {
+        Self(std::array::from_fn(|i| -self.0[i]))
+    }
+}

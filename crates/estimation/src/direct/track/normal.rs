@@ -1,0 +1,248 @@
+//! The normal equations of one step: from sums to a step, a covariance, and what the step leaves of the surface.
+
+use nalgebra::{SMatrix, SVector};
+
+use super::kernels::{CHANNELS, NormalSums, PATCH, PairWeights, SHAPE, TERMS, UNKNOWNS};
+
+/// Gain and offset of both eyes in every channel.
+const GAINS: usize = 4 * CHANNELS;
+/// All unknowns of a step.
+const ALL: usize = UNKNOWNS + GAINS;
+
+pub(super) type Unknowns = SVector<f64, UNKNOWNS>;
+pub(super) type UnknownsMatrix = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+type AllMatrix = SMatrix<f64, ALL, ALL>;
+type AllVector = SVector<f64, ALL>;
+
+/// Standard deviation that a gain may differ from the last one, and an offset in grey levels.
+const GAIN_SIGMA: f64 = 0.3;
+const OFFSET_SIGMA: f64 = 40.0;
+
+/// Which unknowns a step may move.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Free {
+    /// The motion and the row offset.
+    Motion,
+    /// Everything.
+    Everything,
+    /// The surface and the row offset: the first pair, where the motion is none by definition.
+    Surface,
+}
+
+impl Free {
+    fn holds(self, unknown: usize) -> bool {
+        match self {
+            Self::Motion => unknown >= SHAPE,
+            Self::Everything => false,
+            Self::Surface => unknown < 6,
+        }
+    }
+}
+
+/// What is known beforehand: information and where it points (information times deviation).
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Prior {
+    pub(super) information: UnknownsMatrix,
+    pub(super) pull: Unknowns,
+}
+
+/// A step.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Step {
+    pub(super) unknowns: Unknowns,
+    pub(super) gain: [[f64; CHANNELS]; 2],
+    pub(super) offset: [[f64; CHANNELS]; 2],
+}
+
+/// The normal equations of all points.
+#[derive(Clone, Debug)]
+pub(super) struct NormalEquations {
+    matrix: AllMatrix,
+    rhs: AllVector,
+}
+
+impl NormalEquations {
+    /// Equations without observations.
+    pub(super) fn empty() -> Self {
+        Self { matrix: AllMatrix::zeros(), rhs: AllVector::zeros() }
+    }
+
+    /// Adds sums over points.
+    pub(super) fn add(&mut self, sums: &NormalSums) {
+        let mut entry = 0;
+        for i in 0..UNKNOWNS {
+            for j in i..UNKNOWNS {
+                self.matrix[(i, j)] += f64::from(sums.hessian[entry].sum());
+                entry += 1;
+            }
+            self.rhs[i] -= f64::from(sums.slope[i].sum());
+        }
+        for c in 0..CHANNELS {
+            let at = |k: usize| UNKNOWNS + 4 * c + k;
+            for i in 0..UNKNOWNS {
+                for k in 0..4 {
+                    self.matrix[(i, at(k))] -= f64::from(sums.cross[c][i][k].sum());
+                }
+            }
+            let blocks = [(0, 0), (0, 2), (2, 2)];
+            for ((row, column), sums) in blocks.into_iter().zip(&sums.gains[c]) {
+                let [square, value, one] = [0, 1, 2].map(|i| f64::from(sums[i].sum()));
+                self.matrix[(at(row), at(column))] += square;
+                self.matrix[(at(row), at(column + 1))] += value;
+                self.matrix[(at(row + 1), at(column + 1))] += one;
+                if row != column {
+                    self.matrix[(at(row + 1), at(column))] += value;
+                }
+            }
+            for k in 0..4 {
+                self.rhs[at(k)] += f64::from(sums.gain_slope[c][k].sum());
+            }
+        }
+    }
+
+    /// Takes out an offset of each patch, common to both eyes, of standard deviation `sigma` grey levels: shading that does
+    /// not turn with the target.
+    pub(super) fn remove_patch_offsets(&mut self, patches: &[[f32; PATCH]], sigma: f64) {
+        let prior = 1.0 / (sigma * sigma);
+        const TOUCHED: usize = UNKNOWNS + 4;
+        for patch in patches {
+            let factor = 1.0 / (f64::from(patch[UNKNOWNS + 4]) + prior);
+            let line: [f64; TOUCHED] =
+                std::array::from_fn(|i| if i < UNKNOWNS { -f64::from(patch[i]) } else { f64::from(patch[i]) });
+            let residual = f64::from(patch[UNKNOWNS + 5]);
+            for i in 0..TOUCHED {
+                let scaled = line[i] * factor;
+                for j in i..TOUCHED {
+                    self.matrix[(i, j)] -= scaled * line[j];
+                }
+                self.rhs[i] -= scaled * residual;
+            }
+        }
+    }
+
+    /// The matrix as a whole, with priors, and with the unknowns that are held taken out.
+    fn closed(&self, prior: &Prior, free: Free) -> (AllMatrix, AllVector) {
+        let (mut matrix, mut rhs) = (self.matrix, self.rhs);
+        matrix.fill_lower_triangle_with_upper_triangle();
+        for i in 0..UNKNOWNS {
+            for j in 0..UNKNOWNS {
+                matrix[(i, j)] += prior.information[(i, j)];
+            }
+            rhs[i] += prior.pull[i];
+        }
+        for k in 0..GAINS {
+            let sigma = if k % 2 == 0 { GAIN_SIGMA } else { OFFSET_SIGMA };
+            matrix[(UNKNOWNS + k, UNKNOWNS + k)] += 1.0 / (sigma * sigma);
+        }
+        for i in (0..UNKNOWNS).filter(|&i| free.holds(i)) {
+            matrix.row_mut(i).fill(0.0);
+            matrix.column_mut(i).fill(0.0);
+            (matrix[(i, i)], rhs[i]) = (1.0, 0.0);
+        }
+        (matrix, rhs)
+    }
+
+    /// The step to the minimum; `None` if the equations determine none.
+    pub(super) fn solve(&self, prior: &Prior, free: Free) -> Option<Step> {
+        let (matrix, rhs) = self.closed(prior, free);
+        let solution = matrix.cholesky()?.solve(&rhs);
+        let gains =
+            |k: usize| std::array::from_fn(|eye| std::array::from_fn(|c| solution[UNKNOWNS + 4 * c + 2 * eye + k]));
+        let step = Step { unknowns: solution.fixed_rows::<UNKNOWNS>(0).into_owned(), gain: gains(0), offset: gains(1) };
+        solution.iter().all(|x| x.is_finite()).then_some(step)
+    }
+
+    /// Inverse of the whole matrix: rows and columns of the unknowns are their covariance for independent noise.
+    fn inverse(&self, prior: &Prior, free: Free) -> Option<AllMatrix> {
+        let inverse = self.closed(prior, free).0.cholesky()?.inverse();
+        inverse.iter().all(|x| x.is_finite()).then_some(inverse)
+    }
+
+    /// Covariance of the unknowns for independent noise of the assumed size.
+    pub(super) fn covariance(&self, prior: &Prior) -> Option<UnknownsMatrix> {
+        Some(self.inverse(prior, Free::Everything)?.fixed_view::<UNKNOWNS, UNKNOWNS>(0, 0).into_owned())
+    }
+
+    /// Information about the surface's plane with everything else unknown: what this frame adds to the filter.
+    pub(super) fn surface_information(&self, prior: &Prior, free: Free) -> Option<nalgebra::Matrix3<f64>> {
+        let mut without = *prior;
+        for i in SHAPE..UNKNOWNS {
+            for j in SHAPE..UNKNOWNS {
+                without.information[(i, j)] = if i == j { 1e-6 } else { 0.0 };
+            }
+        }
+        let covariance = self.inverse(&without, free)?;
+        covariance.fixed_view::<3, 3>(SHAPE, SHAPE).into_owned().cholesky().map(|c| c.inverse())
+    }
+
+    /// How much more the scores of the patches vary than independent noise would let them, 1 if not at all: the factor of
+    /// the covariance. `scores` are the patches' own equations.
+    pub(super) fn inflation(&self, patches: &[PatchScore], prior: &Prior) -> Option<f64> {
+        let inverse = self.inverse(prior, Free::Motion)?;
+        let mut sum = 0.0;
+        for patch in patches {
+            let score = patch.score();
+            let moved = inverse.fixed_view::<UNKNOWNS, ALL>(0, 0) * score;
+            for i in 0..6 {
+                sum += moved[i] * moved[i] / inverse[(i, i)];
+            }
+        }
+        let count = patches.len() as f64;
+        Some(sum / 6.0 * count / (count - 2.0).max(1.0))
+    }
+}
+
+/// The equations' right-hand side of one patch.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PatchScore {
+    slope: [f32; UNKNOWNS],
+    gain_slope: [f32; GAINS],
+    /// Second derivative by the inverse depth of the patch.
+    pub(super) depth_information: f32,
+}
+
+impl PatchScore {
+    /// The score of one patch's sums, after its own offset has been taken out.
+    pub(super) fn of(sums: &NormalSums, patch: &[f32; PATCH], sigma: f64) -> Self {
+        let factor = patch[UNKNOWNS + 5] / (patch[UNKNOWNS + 4] + 1.0 / (sigma * sigma) as f32);
+        let slope = std::array::from_fn(|i| sums.slope[i].sum() - patch[i] * factor);
+        let mut gain_slope: [f32; GAINS] = std::array::from_fn(|k| sums.gain_slope[k / 4][k % 4].sum());
+        for (k, gain) in gain_slope.iter_mut().take(4).enumerate() {
+            *gain -= patch[UNKNOWNS + k] * factor;
+        }
+        let last = sums.hessian.len() - 1;
+        let own = patch[UNKNOWNS - 1];
+        let depth_information =
+            sums.hessian[last].sum() - own * own / (patch[UNKNOWNS + 4] + 1.0 / (sigma * sigma) as f32);
+        Self { slope, gain_slope, depth_information }
+    }
+
+    fn score(&self) -> AllVector {
+        AllVector::from_fn(|i, _| match i {
+            i if i < UNKNOWNS => -f64::from(self.slope[i]),
+            i => f64::from(self.gain_slope[i - UNKNOWNS]),
+        })
+    }
+
+    /// Pull of the residuals on the inverse depth of the patch.
+    pub(super) fn depth_pull(&self) -> f32 {
+        -self.slope[UNKNOWNS - 1]
+    }
+}
+
+impl PairWeights {
+    /// Weights for the variances of the three differences between a kept view, a left and a right image that have noise of
+    /// their own each: the inverse of the joint covariance, written as weights of the three differences.
+    pub(super) fn of(variance: &[[f32; CHANNELS]; TERMS]) -> Self {
+        let mut by_term = [[0.0; CHANNELS]; TERMS];
+        for c in 0..CHANNELS {
+            let [left, right, pair] = [variance[0][c], variance[1][c], variance[2][c]];
+            let floor = 0.1 * left.min(right);
+            let kept = (0.5 * (left + right - pair)).max(floor);
+            let (a, b) = ((left - kept).max(floor), (right - kept).max(floor));
+            let determinant = a * b + kept * (a + b);
+            (by_term[0][c], by_term[1][c], by_term[2][c]) = (b / determinant, a / determinant, kept / determinant);
+        }
+        Self { by_term }
+    }
+}

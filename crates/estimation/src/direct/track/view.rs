@@ -1,0 +1,61 @@
+//! Kept views: how the surface looked from somewhere.
+
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{CamLeft, Model};
+
+use super::images::{EyeImages, LEVELS};
+use super::kernels::{SeenGroup, ViewGroup, texel_at};
+use crate::wide::LANES;
+
+/// The surface's channels, as the left camera showed them once.
+#[derive(Clone, Debug)]
+pub(super) struct View {
+    pub(super) cam_left_from_model: Pose<CamLeft, Model>,
+    pub(super) levels: [Vec<ViewGroup>; LEVELS],
+    /// Frame in which it last served.
+    pub(super) last_used: u64,
+}
+
+impl View {
+    /// Room for views of a surface with so many groups per level.
+    pub(super) fn empty(groups: [usize; LEVELS]) -> Self {
+        Self {
+            cam_left_from_model: Pose::coincident(),
+            levels: groups.map(|count| vec![ViewGroup::default(); count]),
+            last_used: 0,
+        }
+    }
+
+    /// Takes one level from the left image; `seen` are the groups projected with this view's pose.
+    pub(super) fn take_level(&mut self, level: usize, left: &EyeImages, seen: &[[SeenGroup; 2]]) {
+        let origin_px = left.origin_px();
+        let plane = &left.levels[level];
+        let step = (1_u32 << level) as f32;
+        for (view, seen) in self.levels[level].iter_mut().zip(seen) {
+            *view = ViewGroup::default();
+            for i in (0..LANES).filter(|&i| seen[0].valid.0[i] > 0.0) {
+                let pixel = seen[0].pixel.map(|x| x.0[i]);
+                let at = |du: f32, dv: f32| texel_at(plane, level, &origin_px, [pixel[0] + du, pixel[1] + dv]);
+                let samples = [at(0.0, 0.0), at(step, 0.0), at(-step, 0.0), at(0.0, step), at(0.0, -step)];
+                let [Some(centre), Some(right), Some(left), Some(down), Some(up)] = samples else { continue };
+                if centre[3] + left[3] + right[3] + up[3] + down[3] > 0.3 {
+                    continue;
+                }
+                view.valid.0[i] = 1.0;
+                let warp = inverse_2x2(seen[0].unwarp.map(|x| x.0[i]));
+                for c in 0..view.value.len() {
+                    view.value[c].0[i] = centre[c];
+                    let by_u = (right[c] - left[c]) * (0.5 / step);
+                    let by_v = (down[c] - up[c]) * (0.5 / step);
+                    view.gradient[c][0].0[i] = by_u * warp[0] + by_v * warp[2];
+                    view.gradient[c][1].0[i] = by_u * warp[1] + by_v * warp[3];
+                }
+            }
+        }
+    }
+}
+
+fn inverse_2x2([a, b, c, d]: [f32; 4]) -> [f32; 4] {
+    let inverse = 1.0 / (a * d - b * c);
+    [d * inverse, -b * inverse, -c * inverse, a * inverse]
+}
