@@ -5,6 +5,7 @@
 //! sampled sixteen times. The same scene, poses, seed and frame index give the same bytes on every machine and in any order.
 
 mod coverage;
+mod fine;
 mod shade;
 mod triangle;
 mod view;
@@ -15,6 +16,7 @@ use nalgebra::{Isometry3, Vector2};
 use pb3dp_geometry::{Camera, CameraError, ImageSize, StereoRig};
 
 use self::coverage::EdgePixels;
+use self::fine::Fine;
 use self::shade::{RUN_MAX, Scratch, shade_run};
 use self::triangle::{PartPose, ScreenTriangle, collect_triangles};
 use self::view::View;
@@ -78,8 +80,11 @@ pub struct StereoRenderer {
     triangles: Vec<ScreenTriangle>,
     light: Vec<u16>,
     exposure_sum: Vec<u32>,
-    /// How far each camera is out of focus, pixels.
+    /// Blur of both lenses, and how far each camera is out of focus on top, pixels.
+    lens_blur_px: f64,
     defocus_px: [f64; 2],
+    /// Finer sampling, if wanted.
+    fine: Option<Box<Fine>>,
 }
 
 #[derive(Clone, Debug)]
@@ -115,8 +120,24 @@ impl StereoRenderer {
             triangles: Vec::new(),
             light: vec![0; 3 * pixels],
             exposure_sum: Vec::new(),
+            lens_blur_px: sensor.lens_blur_px,
             defocus_px: [0.0; 2],
+            fine: None,
         })
+    }
+
+    /// The same with surfaces sampled twice as fine along either axis and blurred by the lens before the pixels integrate
+    /// them, as light is: textures finer than a pixel make hardly any false patterns then. For measurements of thousandths
+    /// of a pixel; takes about five times as long.
+    ///
+    /// # Errors
+    /// A camera with a pixel that has no ray.
+    pub fn with_fine_sampling(mut self) -> Result<Self, RenderError> {
+        self.fine = Some(Box::new(Fine::new(&self.rig)?));
+        for eye in &mut self.eyes {
+            eye.developer.leave_blur_out();
+        }
+        Ok(self)
     }
 
     /// The same with cameras out of focus: standard deviation of a blur that comes on top of the sensor's
@@ -213,8 +234,14 @@ impl StereoRenderer {
 
     /// Finds the visible triangles of one eye.
     fn see(&mut self, eye: usize, poses: &ScenePoses) {
+        self.collect(eye, poses, None);
+        self.visibility.draw(&self.eyes[eye].view, &self.triangles);
+    }
+
+    /// Collects the triangles that one eye may see, for its own view or a finer one.
+    fn collect(&mut self, eye: usize, poses: &ScenePoses, view: Option<&View>) {
         let cam_from_world = self.cam_from_world(eye, poses);
-        let view = &self.eyes[eye].view;
+        let view = view.unwrap_or(&self.eyes[eye].view);
         self.triangles.clear();
         for (index, part) in self.scene.parts().iter().enumerate() {
             let world_from_part = match part.anchor {
@@ -228,7 +255,6 @@ impl StereoRenderer {
             };
             collect_triangles(part, index as u16, &pose, self.scene.lighting(), view, &mut self.triangles);
         }
-        self.visibility.draw(view, &self.triangles);
     }
 
     fn cam_from_world(&self, eye: usize, poses: &ScenePoses) -> Isometry3<f64> {
@@ -238,13 +264,18 @@ impl StereoRenderer {
 
     /// Renders the light on one sensor.
     fn render_light(&mut self, eye: usize, poses: &ScenePoses) {
+        if let Some(mut fine) = self.fine.take() {
+            let (view, visibility, light) = fine.parts(eye);
+            self.collect(eye, poses, Some(view));
+            visibility.draw(view, &self.triangles);
+            shade(&mut self.edges, view, visibility, (self.scene.parts(), &self.triangles), light);
+            fine.integrate(self.lens_blur_px.hypot(self.defocus_px[eye]), &mut self.light);
+            self.fine = Some(fine);
+            return;
+        }
         self.see(eye, poses);
-        let view = &self.eyes[eye].view;
-        self.edges.resolve(view, &self.visibility, &self.triangles);
-        let parts = self.scene.parts();
-        let seen = Seen { view, visibility: &self.visibility, parts, triangles: &self.triangles };
-        shade_surfaces(&seen, &mut self.light);
-        self.edges.shade(&seen, &mut self.light);
+        let surfaces = (self.scene.parts(), self.triangles.as_slice());
+        shade(&mut self.edges, &self.eyes[eye].view, &self.visibility, surfaces, &mut self.light);
     }
 
     /// Renders the mean light of several moments.
@@ -264,7 +295,7 @@ impl StereoRenderer {
     }
 
     fn blur(&mut self, eye: usize) {
-        if self.defocus_px[eye] > 0.0 {
+        if self.defocus_px[eye] > 0.0 && self.fine.is_none() {
             self.eyes[eye].developer.defocus(&mut self.light, self.defocus_px[eye]);
         }
     }
@@ -278,6 +309,20 @@ impl StereoRenderer {
         let key = NoiseKey { seed: self.seed, frame_index, eye: eye as u32 };
         self.eyes[eye].developer.develop(&self.light, &key, picture);
     }
+}
+
+/// Shades everything that one view sees.
+fn shade(
+    edges: &mut EdgePixels,
+    view: &View,
+    visibility: &Visibility,
+    (parts, triangles): (&[ScenePart], &[ScreenTriangle]),
+    light: &mut [u16],
+) {
+    edges.resolve(view, visibility, triangles);
+    let seen = Seen { view, visibility, parts, triangles };
+    shade_surfaces(&seen, light);
+    edges.shade(&seen, light);
 }
 
 /// What is shaded: the parts of the scene and their triangles as seen by one camera.

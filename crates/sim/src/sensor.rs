@@ -142,23 +142,12 @@ impl Developer {
     /// Spreads the light of a whole picture by a lens that is out of focus: standard deviation `sigma_px`, on top of the
     /// blur of the sensor's own lens. `light` as in [`Self::develop`].
     pub(crate) fn defocus(&mut self, light: &mut [u16], sigma_px: f64) {
-        // Passes of a kernel (w, 1 - 2w, w) add their variances, 2w each; up to 0.49 the kernel has no side lobes.
-        let variance = sigma_px * sigma_px;
-        let passes = (variance / 0.49).ceil() as u32;
-        let weight = (variance / f64::from(passes.max(1)) * 0.5 * 65536.0).round() as u32;
-        let stride = self.blurred.len();
-        for _ in 0..passes {
-            let mut above: Vec<u16> = light[..stride].to_vec();
-            let mut here = above.clone();
-            for start in (0..light.len()).step_by(stride) {
-                here.copy_from_slice(&light[start..start + stride]);
-                let next = if start + stride < light.len() { start + stride } else { start };
-                let below = &light[next..next + stride];
-                blur_row([&above, &here, below], weight, &mut self.row, &mut self.blurred);
-                light[start..start + stride].copy_from_slice(&self.blurred);
-                std::mem::swap(&mut above, &mut here);
-            }
-        }
+        spread(light, self.blurred.len(), sigma_px);
+    }
+
+    /// The light comes blurred: the lens adds nothing.
+    pub(crate) fn leave_blur_out(&mut self) {
+        self.blur_weight = 0;
     }
 
     /// The picture without noise, quantisation and limits, grey levels; `light` as in [`Self::develop`].
@@ -229,6 +218,30 @@ impl Developer {
 
 wide! {
     fn develop(developer: &mut Developer, light: &[u16], key: &NoiseKey, picture: &mut [u8]) = Developer::develop_kernel;
+}
+
+/// Spreads the light of a picture whose rows have `stride` values by a standard deviation `sigma_px`.
+pub(crate) fn spread(light: &mut [u16], stride: usize, sigma_px: f64) {
+    // Passes of a kernel (w, 1 - 2w, w) add their variances, 2w each; up to 0.49 the kernel has no side lobes.
+    let variance = sigma_px * sigma_px;
+    let passes = (variance / 0.49).ceil() as u32;
+    let weight = (variance / f64::from(passes.max(1)) * 0.5 * 65536.0).round() as u32;
+    let (mut padded, mut blurred) = (vec![0; stride + 6], vec![0; stride]);
+    let (mut above, mut here) = (vec![0; stride], vec![0; stride]);
+    for _ in 0..passes {
+        above.copy_from_slice(&light[..stride]);
+        for start in (0..light.len()).step_by(stride) {
+            here.copy_from_slice(&light[start..start + stride]);
+            let next = if start + stride < light.len() { start + stride } else { start };
+            blur_line([&above, &here, &light[next..next + stride]], weight, &mut padded, &mut blurred);
+            light[start..start + stride].copy_from_slice(&blurred);
+            std::mem::swap(&mut above, &mut here);
+        }
+    }
+}
+
+wide! {
+    fn blur_line(lines: [&[u16]; 3], weight: u32, padded: &mut [u16], out: &mut [u16]) = blur_row;
 }
 
 /// A nearly normal number: the sum of four random bytes, mean 0, variance 1, never beyond 3.46.

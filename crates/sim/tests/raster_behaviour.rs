@@ -238,3 +238,42 @@ fn a_reflection_lies_where_the_mirror_would_show_the_lamp() {
     let found = sum / weights;
     assert!((found - expected).norm() < 4.0, "{found} instead of {expected}");
 }
+
+#[test]
+fn fine_sampling_shows_the_same_places_with_fewer_false_patterns() {
+    // Soft stripes of 1.6 px: the fine pictures must show hardly anything, the plain ones show beats.
+    let stripes = |x: f64, _: f64| [130.0 + 90.0 * (x / 0.00108 * std::f64::consts::TAU).sin(); 3];
+    let scene = square_scene(0.25, 11, stripes);
+    let poses = poses(turned([0.0, 0.0, 0.5], [0.01, -0.02, 0.0]));
+    let sensor = SensorConfig { lens_blur_px: 0.6, ..SensorConfig::IDEAL };
+    let plain = StereoRenderer::new(scene, rectified_rig(), &sensor, 1).unwrap();
+    let contrast = |mut renderer: StereoRenderer| {
+        let mut ideal = Vec::new();
+        renderer.ideal_left(&poses, &mut ideal);
+        let inner: Vec<f64> = (200..280)
+            .flat_map(|row| (220..420).map(move |column| 3 * (640 * row + column)))
+            .map(|at| f64::from(ideal[at]))
+            .collect();
+        let mean = inner.iter().sum::<f64>() / inner.len() as f64;
+        (inner.iter().map(|grey| (grey - mean).powi(2)).sum::<f64>() / inner.len() as f64).sqrt()
+    };
+    let (coarse, fine) = (contrast(plain.clone()), contrast(plain.with_fine_sampling().unwrap()));
+    assert!(fine < 0.3 * coarse && fine < 4.0, "{fine} {coarse}");
+
+    let pictures = |fine: bool| {
+        let renderer = crab_renderer(&sensor, 5);
+        let mut renderer = if fine { renderer.with_fine_sampling().unwrap() } else { renderer };
+        pair(&mut renderer, 0, 0.05)
+    };
+    let (coarse, fine) = (pictures(false), pictures(true));
+    for (a, b) in coarse.iter().zip(&fine) {
+        let difference = |a: &RgbImage, b: &RgbImage, shift: u32| {
+            let row = 3 * 640 * 240..3 * 640 * 300;
+            let (a, b) = (&a.as_raw()[row.clone()], &b.as_raw()[row]);
+            let pairs = a.iter().zip(&b[3 * shift as usize..]);
+            pairs.map(|(&a, &b)| (f64::from(a) - f64::from(b)).powi(2)).sum::<f64>()
+        };
+        // Half a pixel off would make it as different as its neighbours are.
+        assert!(difference(a, b, 0) < 0.15 * difference(a, b, 1), "{} {}", difference(a, b, 0), difference(a, b, 1));
+    }
+}
