@@ -10,21 +10,23 @@ use super::kernels::{
     SeenGroup, TERMS,
 };
 use super::normal::{Free, NormalEquations, PatchScore, Prior, Step, Unknowns, UnknownsMatrix};
+use super::relief::Correlation;
 use super::surface::Surface;
 use super::view::View;
 use crate::cpu::Kernels;
+use crate::wide::LANES;
 
 /// Variance that residuals start with before anything is known, grey levels squared: small starts reject everything where
 /// the cameras differ in gain.
 const VARIANCE_START: f32 = 225.0;
 /// Smallest variance, grey levels squared: below, quantisation counts.
 const VARIANCE_MIN: f32 = 0.5;
-/// A level starts with its last known variance times this.
-const VARIANCE_WIDER: f32 = 6.0;
 /// What the robust weights take off the variance of normal residuals.
 const TUKEY_LOSS: f32 = 1.25;
 /// A level is done when a step moves the points by less, pixels of that level.
 const STEP_DONE_PX: [f64; LEVELS] = [0.006, 0.03, 0.06, 0.1];
+/// A view resembles the images from this correlation on.
+const RESEMBLANCE_MIN: f64 = 0.6;
 /// Fewer points in sight than this determine nothing.
 const POINTS_MIN: f32 = 24.0;
 /// Standard deviations of a motion between frames that is not believed in at all: metres and radians.
@@ -37,8 +39,8 @@ pub(super) struct Estimate {
     pub(super) row_offset_px: f64,
     pub(super) gain: [[f32; CHANNELS]; 2],
     pub(super) offset: [[f32; CHANNELS]; 2],
-    /// By level, of the last frame that fitted.
-    pub(super) variance: [[[f32; CHANNELS]; TERMS]; LEVELS],
+    /// Of the residuals at full resolution.
+    pub(super) variance: [[f32; CHANNELS]; TERMS],
     /// Standard deviation of a patch's offset against the kept view, grey levels.
     pub(super) patch_sigma: f64,
 }
@@ -50,7 +52,7 @@ impl Estimate {
             row_offset_px: 0.0,
             gain: [[1.0; CHANNELS]; 2],
             offset: [[0.0; CHANNELS]; 2],
-            variance: [[[VARIANCE_START; CHANNELS]; TERMS]; LEVELS],
+            variance: [[VARIANCE_START; CHANNELS]; TERMS],
             patch_sigma: 1.0,
         }
     }
@@ -120,12 +122,13 @@ impl Aligner {
     ) -> Option<Aligned> {
         let mut aligned = None;
         let mut steps = 0;
+        let levels = *levels.start()..=self.first_level(problem, estimate, levels);
         for level in levels.rev() {
             if problem.surface.levels[level].groups.is_empty() {
                 continue;
             }
             problem.linearise_lenses(level, &estimate.cam_left_from_model);
-            let mut photometry = estimate.photometry(level);
+            let mut photometry = estimate.photometry();
             let first = self.look(problem, estimate, level, &photometry)?;
             photometry.learn(&first);
             for _ in 0..steps_max {
@@ -140,9 +143,43 @@ impl Aligner {
                     break;
                 }
             }
-            estimate.variance[level] = photometry.variance;
+            if level == 0 {
+                estimate.variance = photometry.variance;
+            }
         }
         aligned
+    }
+
+    /// The finest level at which the view already resembles both images: from there Gauss-Newton finds the way, and coarser
+    /// levels, which know less, would only lead astray.
+    fn first_level(
+        &mut self,
+        problem: &mut Problem<'_>,
+        estimate: &Estimate,
+        levels: std::ops::RangeInclusive<usize>,
+    ) -> usize {
+        for level in levels.clone() {
+            problem.linearise_lenses(level, &estimate.cam_left_from_model);
+            if self.look(problem, estimate, level, &estimate.photometry()).is_some()
+                && self.resemblance(problem, level) >= RESEMBLANCE_MIN
+            {
+                return level;
+            }
+        }
+        *levels.end()
+    }
+
+    /// Correlation of the view with the image that it resembles less.
+    fn resemblance(&self, problem: &Problem<'_>, level: usize) -> f64 {
+        let mut correlations = [Correlation::default(); 2];
+        for (seen, view) in self.seen[level].iter().zip(&problem.view.levels[level]) {
+            for (seen, correlation) in seen.iter().zip(&mut correlations) {
+                for i in (0..LANES).filter(|&i| seen.valid.0[i] * view.valid.0[i] > 0.0) {
+                    correlation.add(1.0, view.value.map(|v| v.0[i]), seen.value.map(|v| v.0[i]));
+                }
+            }
+        }
+        correlations[0].value().min(correlations[1].value())
     }
 
     /// One step.
@@ -208,14 +245,20 @@ impl Aligner {
         );
     }
 
-    /// The equations at the estimate, patch by patch, at full resolution: for covariance and relief.
+    /// The equations at the estimate, patch by patch, at full resolution: for covariance, relief and judgement. Variances
+    /// are held below `variance_max`.
     pub(super) fn examine(
         &mut self,
         problem: &Problem<'_>,
         estimate: &Estimate,
-    ) -> Option<(NormalEquations, ResidualSums)> {
-        let photometry = Photometry { variance: estimate.variance[0], ..estimate.photometry(0) };
-        let sums = self.look(problem, estimate, 0, &photometry)?;
+        variance_max: &[[f32; CHANNELS]; TERMS],
+    ) -> Option<NormalEquations> {
+        let mut variance = estimate.variance;
+        for (own, most) in variance.iter_mut().flatten().zip(variance_max.iter().flatten()) {
+            *own = own.min(*most);
+        }
+        let photometry = estimate.photometry_with(variance);
+        self.look(problem, estimate, 0, &photometry)?;
         let weights = PairWeights::of(&photometry.variance);
         let mut equations = NormalEquations::empty();
         self.scores.clear();
@@ -227,13 +270,13 @@ impl Aligner {
             self.scores.push(PatchScore::of(&self.sums, &self.patches[group], estimate.patch_sigma));
         }
         equations.remove_patch_offsets(&self.patches[..count], estimate.patch_sigma);
-        Some((equations, sums))
+        Some(equations)
     }
 
     /// Mean residual of each patch against the kept view: how far shading departs, as a standard deviation in grey levels.
-    pub(super) fn patch_spread(&self, count: usize, variance: f64) -> f64 {
+    pub(super) fn patch_spread(&self) -> f64 {
         let (mut sum, mut weight) = (0.0, 0.0);
-        for patch in &self.patches[..count] {
+        for patch in &self.patches[..self.scores.len()] {
             let own = f64::from(patch[PATCH - 2]);
             if own > 0.0 {
                 let mean = f64::from(patch[PATCH - 1]) / own;
@@ -241,7 +284,6 @@ impl Aligner {
                 weight += own;
             }
         }
-        let _ = variance;
         if weight > 0.0 { (sum / weight).max(0.0).sqrt() } else { 0.0 }
     }
 
@@ -267,8 +309,12 @@ impl Free {
 }
 
 impl Estimate {
-    pub(super) fn photometry(&self, level: usize) -> Photometry {
-        let variance = self.variance[level].map(|term| term.map(|v| VARIANCE_START.max(0.0 * v)));
+    /// As a level begins: nothing is known of its residuals.
+    pub(super) fn photometry(&self) -> Photometry {
+        self.photometry_with([[VARIANCE_START; CHANNELS]; TERMS])
+    }
+
+    fn photometry_with(&self, variance: [[f32; CHANNELS]; TERMS]) -> Photometry {
         Photometry { gain: self.gain, offset: self.offset, variance }
     }
 
@@ -316,16 +362,7 @@ impl Problem<'_> {
     }
 
     pub(super) fn prior(&self, estimate: &Estimate) -> Prior {
-        let mut information = UnknownsMatrix::zeros();
-        for i in 0..6 {
-            let sigma = if i < 3 { MOTION_SIGMA.0 } else { MOTION_SIGMA.1 };
-            information[(i, i)] = 1.0 / (sigma * sigma);
-        }
-        information[(ROW, ROW)] = self.knowledge.row_information;
-        information.fixed_view_mut::<3, 3>(SHAPE, SHAPE).copy_from(&self.knowledge.shape_information);
-        let mut pull = Unknowns::zeros();
-        pull[ROW] = self.knowledge.row_information * (self.knowledge.row_offset_px - estimate.row_offset_px);
-        Prior { information, pull }
+        self.knowledge.prior(estimate)
     }
 
     /// How far a step moves the points, pixels.
@@ -333,6 +370,21 @@ impl Problem<'_> {
         let scale = self.rig.left().pinhole().fx / estimate.cam_left_from_model.translation_m().z.abs().max(1e-3);
         let (rho, phi) = (unknowns.fixed_rows::<3>(0).norm(), unknowns.fixed_rows::<3>(3).norm());
         scale * (rho + phi * 0.5 * self.surface.radius_m)
+    }
+}
+
+impl Knowledge {
+    pub(super) fn prior(&self, estimate: &Estimate) -> Prior {
+        let mut information = UnknownsMatrix::zeros();
+        for i in 0..6 {
+            let sigma = if i < 3 { MOTION_SIGMA.0 } else { MOTION_SIGMA.1 };
+            information[(i, i)] = 1.0 / (sigma * sigma);
+        }
+        information[(ROW, ROW)] = self.row_information;
+        information.fixed_view_mut::<3, 3>(SHAPE, SHAPE).copy_from(&self.shape_information);
+        let mut pull = Unknowns::zeros();
+        pull[ROW] = self.row_information * (self.row_offset_px - estimate.row_offset_px);
+        Prior { information, pull }
     }
 }
 

@@ -15,7 +15,7 @@ pub struct DirectTrackerConfig {
     pub steps_max: usize,
     /// Most kept views, 1 to 100; the first one is never given up. Default 12.
     pub views_max: usize,
-    /// A new view is kept when every kept one is turned by more than this, degrees, 2 to 60. Default 22.
+    /// A new view is kept when every kept one is turned by more than this, degrees, 2 to 60. Default 16.
     pub view_turn_deg: f64,
     /// A new view is kept when every kept one is larger or smaller by more than this factor, 1.05 to 4. Default 1.4.
     pub view_scale: f64,
@@ -37,7 +37,7 @@ impl Default for DirectTrackerConfig {
             erosion_px: 6,
             steps_max: 6,
             views_max: 12,
-            view_turn_deg: 22.0,
+            view_turn_deg: 16.0,
             view_scale: 1.4,
             relief_sigma_px: 1.5,
             inlier_share_min: 0.35,

@@ -48,6 +48,14 @@ impl EyeImages {
         }
     }
 
+    /// Makes room for whole images of this size.
+    pub(super) fn reserve(&mut self, width: usize, height: usize) {
+        for (level, plane) in self.levels.iter_mut().enumerate() {
+            plane.reserve(width >> level, height >> level);
+        }
+        self.line.reserve(width + 2);
+    }
+
     /// Origin of the window in raw pixels.
     pub(super) fn origin_px(&self) -> [f32; 2] {
         [self.window.x as f32, self.window.y as f32]

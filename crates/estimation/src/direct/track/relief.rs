@@ -1,6 +1,20 @@
 //! The relief: by how much the surface leaves its plane, per patch of the first view, in pixels of disparity.
 
+use nalgebra::{Matrix3, Vector3};
+
+use super::kernels::CHANNELS;
+use super::normal::PatchScore;
 use super::surface::Cells;
+
+/// Most that a patch moves at a time, pixels.
+const MOVE_MAX_PX: f64 = 0.5;
+/// What is known of a patch is never held for surer than this, 1/px^2.
+const INFORMATION_MAX: f64 = 1e5;
+/// Neighbours differ by about this much, pixels; much larger steps cost no more.
+const NEIGHBOUR_SIGMA_PX: f64 = 0.7;
+const NEIGHBOUR_COST_MAX: f64 = 6.0;
+/// Rounds in which neighbours tell each other what they believe.
+const ROUNDS: usize = 12;
 
 /// Offsets on a grid of patches, bilinear in between. Patches without points take the mean of their neighbours.
 #[derive(Clone, Debug)]
@@ -17,6 +31,8 @@ pub(super) struct Relief {
     patch_of_group: Vec<usize>,
     /// Inverse depth of a pixel of disparity, 1/m.
     inverse_depth_per_px: f64,
+    /// Of the last refinement: patch, move, information.
+    moves: Vec<(usize, f64, f64)>,
 }
 
 impl Relief {
@@ -32,6 +48,95 @@ impl Relief {
             information: vec![0.0; count.max(1)],
             patch_of_group: cells.cells.iter().map(|cell| cell.row * cells.columns + cell.column).collect(),
             inverse_depth_per_px,
+            moves: Vec::with_capacity(cells.cells.len()),
+        }
+    }
+
+    /// Number of patches with points.
+    pub(super) fn patches(&self) -> usize {
+        self.patch_of_group.len()
+    }
+
+    /// Puts the whole surface off its plane by this disparity, pixels.
+    pub(super) fn set_all(&mut self, offset_px: f64) {
+        self.offset_px.fill(offset_px);
+    }
+
+    /// Patch of a raw pixel of the first view.
+    fn patch_at(&self, pixel: [f64; 2]) -> usize {
+        let place = |axis: usize, count: usize| {
+            let x = (pixel[axis] - self.first_centre_px[axis]) / self.side_px;
+            (x.round().max(0.0) as usize).min(count - 1)
+        };
+        place(1, self.rows) * self.columns + place(0, self.columns)
+    }
+
+    /// Takes the offsets of the candidates that explain the pair best, `costs` (negative log likelihoods) by patch and
+    /// candidate, between neighbours that differ little.
+    pub(super) fn take_best(&mut self, candidates_px: &[f64], costs: &[Vec<f64>], sigma_px: f64) {
+        let labels = beliefs(self, candidates_px, costs, sigma_px);
+        for &patch in &self.patch_of_group {
+            self.offset_px[patch] = lowest(candidates_px, &labels[patch]);
+            self.information[patch] = 1.0 / (sigma_px * sigma_px);
+        }
+        self.fill();
+    }
+
+    /// Moves each patch by what its residuals ask for, and keeps in mind `share` of what they know. Whatever a plane could
+    /// do is left to the plane. Returns the largest move, pixels.
+    pub(super) fn refine(&mut self, scores: &[PatchScore], share: f64, is_gauge_free: bool) -> f64 {
+        let scale = self.inverse_depth_per_px;
+        self.moves.clear();
+        for (score, &patch) in scores.iter().zip(&self.patch_of_group) {
+            let gained = f64::from(score.depth_information).max(0.0) * scale * scale;
+            let information = self.information[patch] + gained;
+            let step = f64::from(score.depth_pull()) * scale / information.max(1e-9);
+            self.moves.push((patch, step.clamp(-MOVE_MAX_PX, MOVE_MAX_PX), information));
+            self.information[patch] = (self.information[patch] + share * gained).min(INFORMATION_MAX);
+        }
+        let plane = if is_gauge_free { Vector3::zeros() } else { self.plane_of_moves() };
+        let mut largest = 0.0_f64;
+        for &(patch, step, _) in &self.moves {
+            let step = step - plane.dot(&self.column_and_row(patch));
+            self.offset_px[patch] += step;
+            largest = largest.max(step.abs());
+        }
+        self.fill();
+        largest
+    }
+
+    fn column_and_row(&self, patch: usize) -> Vector3<f64> {
+        Vector3::new((patch % self.columns) as f64, (patch / self.columns) as f64, 1.0)
+    }
+
+    /// The plane that the moves of all patches have in common.
+    fn plane_of_moves(&self) -> Vector3<f64> {
+        let (mut matrix, mut rhs) = (Matrix3::identity() * 1e-6, Vector3::zeros());
+        for &(patch, step, information) in &self.moves {
+            let place = self.column_and_row(patch);
+            matrix += place * place.transpose() * information;
+            rhs += place * (information * step);
+        }
+        matrix.cholesky().map(|c| c.solve(&rhs)).unwrap_or_default()
+    }
+
+    /// Patches without points take the mean of their neighbours.
+    fn fill(&mut self) {
+        for _ in 0..3 {
+            for patch in 0..self.offset_px.len() {
+                if self.information[patch] > 0.0 {
+                    continue;
+                }
+                let (mut sum, mut count) = (0.0, 0.0);
+                for neighbour in neighbours(patch, self.columns, self.rows) {
+                    if self.information[neighbour] > 0.0 || self.offset_px[neighbour] != 0.0 {
+                        (sum, count) = (sum + self.offset_px[neighbour], count + 1.0);
+                    }
+                }
+                if count > 0.0 {
+                    self.offset_px[patch] = sum / count;
+                }
+            }
         }
     }
 
@@ -52,4 +157,136 @@ impl Relief {
         let by_v = (lower - upper) * scale / self.side_px;
         ((upper + b * (lower - upper)) * scale, [by_u, by_v])
     }
+}
+
+/// Patches above, below, left and right.
+fn neighbours(patch: usize, columns: usize, rows: usize) -> impl Iterator<Item = usize> {
+    let (x, y) = (patch % columns, patch / columns);
+    let left = (x > 0).then(|| patch - 1);
+    let right = (x + 1 < columns).then_some(patch + 1);
+    let up = (y > 0).then(|| patch - columns);
+    let down = (y + 1 < rows).then_some(patch + columns);
+    [left, right, up, down].into_iter().flatten()
+}
+
+/// Lowest cost of each candidate at each patch together with all other patches: min-sum messages between neighbours.
+fn beliefs(relief: &Relief, candidates_px: &[f64], costs: &[Vec<f64>], sigma_px: f64) -> Vec<Vec<f64>> {
+    let (count, labels) = (relief.offset_px.len(), candidates_px.len());
+    let mut own = vec![vec![0.0; labels]; count];
+    for (cost, &patch) in costs.iter().zip(&relief.patch_of_group) {
+        own[patch].copy_from_slice(cost);
+    }
+    for own in &mut own {
+        for (cost, candidate) in own.iter_mut().zip(candidates_px) {
+            *cost += 0.5 * (candidate / sigma_px).powi(2);
+        }
+    }
+    // Message to a patch from each side: left, right, up, down.
+    let mut belief = own.clone();
+    let mut messages = vec![vec![[0.0; 4]; labels]; count];
+    for _ in 0..ROUNDS {
+        let mut next = vec![vec![[0.0; 4]; labels]; count];
+        for patch in 0..count {
+            for from in neighbours(patch, relief.columns, relief.rows) {
+                let (side, back) = sides(patch, from, relief.columns);
+                for (to_label, to) in candidates_px.iter().enumerate() {
+                    let mut least = f64::MAX;
+                    for (from_label, at) in candidates_px.iter().enumerate() {
+                        let bend = (0.5 * ((to - at) / NEIGHBOUR_SIGMA_PX).powi(2)).min(NEIGHBOUR_COST_MAX);
+                        least = least.min(belief[from][from_label] - messages[from][from_label][back] + bend);
+                    }
+                    next[patch][to_label][side] = least;
+                }
+                let lowest = next[patch].iter().map(|m| m[side]).fold(f64::MAX, f64::min);
+                next[patch].iter_mut().for_each(|m| m[side] -= lowest);
+            }
+        }
+        messages = next;
+        for patch in 0..count {
+            for label in 0..labels {
+                belief[patch][label] = own[patch][label] + messages[patch][label].iter().sum::<f64>();
+            }
+        }
+    }
+    belief
+}
+
+/// On which side of `patch` its neighbour lies, and on which side of the neighbour the patch.
+fn sides(patch: usize, neighbour: usize, columns: usize) -> (usize, usize) {
+    match neighbour {
+        n if n + 1 == patch && columns > 1 => (0, 1),
+        n if n == patch + 1 && columns > 1 => (1, 0),
+        n if n < patch => (2, 3),
+        _ => (3, 2),
+    }
+}
+
+/// Place of the minimum between candidates at equal distances.
+fn lowest(candidates_px: &[f64], costs: &[f64]) -> f64 {
+    let best = (0..costs.len()).min_by(|&a, &b| costs[a].total_cmp(&costs[b])).unwrap_or(0);
+    if best == 0 || best + 1 >= costs.len() {
+        return candidates_px[best];
+    }
+    let (before, at, after) = (costs[best - 1], costs[best], costs[best + 1]);
+    let bend = before - 2.0 * at + after;
+    let shift = if bend > 1e-12 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 };
+    candidates_px[best] + shift * (candidates_px[best + 1] - candidates_px[best])
+}
+
+/// Sums for a correlation between a view and an image.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Correlation {
+    count: f64,
+    sums: [[f64; 5]; CHANNELS],
+}
+
+impl Correlation {
+    /// Adds a point with a weight.
+    pub(super) fn add(&mut self, weight: f64, view: [f32; CHANNELS], image: [f32; CHANNELS]) {
+        self.count += weight;
+        for ((sums, a), b) in self.sums.iter_mut().zip(view).zip(image) {
+            let (a, b) = (f64::from(a), f64::from(b));
+            for (sum, term) in sums.iter_mut().zip([a, b, a * a, b * b, a * b]) {
+                *sum += weight * term;
+            }
+        }
+    }
+
+    /// The number of points, by weight.
+    pub(super) fn count(&self) -> f64 {
+        self.count
+    }
+
+    /// Variances of view and image and their covariance, summed over the channels, grey levels squared.
+    pub(super) fn moments(&self) -> [f64; 3] {
+        let n = self.count.max(1e-9);
+        let mut moments = [0.0; 3];
+        for [a, b, aa, bb, ab] in self.sums {
+            moments[0] += aa / n - a * a / (n * n);
+            moments[1] += bb / n - b * b / (n * n);
+            moments[2] += ab / n - a * b / (n * n);
+        }
+        moments
+    }
+
+    /// Normalised cross-correlation over all channels, -1 to 1; 0 where nothing varies.
+    pub(super) fn value(&self) -> f64 {
+        let [a, b, ab] = self.moments();
+        if a > 1e-9 && b > 1e-9 { (ab / (a * b).sqrt()).clamp(-1.0, 1.0) } else { 0.0 }
+    }
+
+    /// Negative log likelihood of the image given the view, for unknown gain, offset and noise.
+    pub(super) fn cost(&self) -> f64 {
+        let value = self.value().max(0.0);
+        0.5 * self.count * (1.0 - value * value + 0.01).ln()
+    }
+}
+
+/// Patch of each group of a level, for levels whose groups are not the patches.
+pub(super) fn patches_of(relief: &Relief, pixels: impl Iterator<Item = [f64; 2]>) -> Vec<usize> {
+    let mut group_of_patch = vec![usize::MAX; relief.offset_px.len()];
+    for (group, &patch) in relief.patch_of_group.iter().enumerate() {
+        group_of_patch[patch] = group;
+    }
+    pixels.map(|pixel| group_of_patch[relief.patch_at(pixel)]).collect()
 }

@@ -1,62 +1,132 @@
-//! From frame to frame.
+//! From frame to frame: the tracker that callers see.
+
+use std::fmt::Write;
 
 use image::RgbImage;
-use nalgebra::{Matrix3, Matrix6, Point3, Vector2, Vector3};
+use nalgebra::{Matrix6, Point3, Vector2};
 use pb3dp_geometry::frames::{CamLeft, Model};
-use pb3dp_geometry::{Camera, Pose, StereoRig};
+use pb3dp_geometry::{Pose, StereoRig};
 
-use super::align::{Aligner, Estimate, Knowledge, Problem};
 use super::config::DirectTrackerConfig;
-use super::images::{EyeImages, LEVELS};
-use super::normal::Free;
-use super::predict::{FramePrior, Motion};
+use super::images::EyeImages;
+use super::judge::Fit;
+use super::predict::FramePrior;
 use super::surface::{Surface, model_frame};
-use super::view::View;
+use super::target::{Ending, Frame, Target};
 use crate::cpu::Kernels;
+use crate::direct::estimator::{DirectConfig, DirectEstimator};
 use crate::direct::image_plane::PixelWindow;
 use crate::error::EstimationError;
-use crate::estimate::PlanePose;
+use crate::estimate::{EstimateWarning, PlanePose};
+use crate::plane_hypothesis::SearchRange;
 use crate::published::TrackEstimate;
-use crate::region::{Region, RegionConfig};
+use crate::region::{Region, RegionConfig, RegionMask};
 use crate::status::Status;
 
-/// Follows one target.
+/// Margins of the windows about the predicted target, pixels: with a velocity known, and without.
+const MARGIN_PX: u32 = 24;
+const MARGIN_UNSURE_PX: u32 = 48;
+/// Margin at the start: the relief may reach beyond the plane's outline in the right image.
+const MARGIN_START_PX: u32 = 40;
+
+/// Follows one target in six degrees of freedom.
+///
+/// [`Self::start`] finds the target's plane and relief in the first pair and keeps its view. Each [`Self::update`] finds the
+/// pose at which a kept view explains both images of the next pair (gains and offsets of both cameras, the row offset of the
+/// right one, and what is still open about the surface are unknowns beside the pose), judges it, and keeps a new view where
+/// none is near. A pose that does not fit is not given: the status is `lost`, and from that very frame on the target is
+/// looked for in the whole image.
+///
+/// Frame `model`: origin in the plane on the ray of the region's centroid in the first left image, z along the plane's normal
+/// away from the camera, x the image's x axis projected into the plane. The pose of the first frame is this definition; all
+/// later ones are measured.
+///
+/// The covariance is that of `xi = [rho; phi]` (metres, radians; axes of `model`) in `true = found * exp(xi)`, see
+/// [`Pose::perturbed_in_from`]; it contains what is open about the surface since the first frame, and is widened where
+/// residuals of neighbouring points agree more than noise would.
+///
+/// Several targets are several trackers on the same pair: they share nothing, and cost adds up.
 #[derive(Clone, Debug)]
 pub struct DirectTracker {
     rig: StereoRig,
     config: DirectTrackerConfig,
     kernels: Kernels,
+    estimator: DirectEstimator,
+    region_config: RegionConfig,
     images: [EyeImages; 2],
     target: Option<Target>,
 }
 
-#[derive(Clone, Debug)]
-struct Target {
-    surface: Surface,
-    views: Vec<View>,
-    aligner: Aligner,
-    estimate: Estimate,
-    knowledge: Knowledge,
-    motion: Motion,
-    frame: u64,
-    outline_in_model: Vec<Point3<f64>>,
-    covariance: Option<Matrix6<f64>>,
-}
-
 impl DirectTracker {
-    /// A tracker for a calibrated pair.
+    /// A tracker for a calibrated pair, rectified or not, with lens distortion or without.
     ///
     /// # Errors
-    /// A parameter out of its range.
-    pub fn new(rig: &StereoRig, config: DirectTrackerConfig) -> Result<Self, EstimationError> {
-        config.validate()?;
-        Ok(Self { rig: *rig, config, kernels: Kernels::best(), images: Default::default(), target: None })
+    /// A parameter out of its range, or a rig that can not be rectified.
+    pub fn new(rig: &StereoRig, start: DirectConfig, track: DirectTrackerConfig) -> Result<Self, EstimationError> {
+        Self::with_kernels(rig, start, track, Kernels::best())
     }
 
-    /// Takes a target whose plane is known.
+    /// As [`Self::new`], with given kernels; the answers are the same, the speed is not.
     ///
     /// # Errors
-    /// A region that can not serve.
+    /// As [`Self::new`].
+    pub fn with_kernels(
+        rig: &StereoRig,
+        start: DirectConfig,
+        track: DirectTrackerConfig,
+        kernels: Kernels,
+    ) -> Result<Self, EstimationError> {
+        track.validate()?;
+        let region_config = start.region;
+        let estimator = DirectEstimator::with_kernels(rig, start, kernels)?;
+        let mut images: [EyeImages; 2] = Default::default();
+        for (images, camera) in images.iter_mut().zip([rig.left(), rig.right()]) {
+            images.reserve(camera.size().width as usize, camera.size().height as usize);
+        }
+        Ok(Self { rig: *rig, config: track, kernels, estimator, region_config, images, target: None })
+    }
+
+    /// The parameters.
+    pub fn config(&self) -> &DirectTrackerConfig {
+        &self.config
+    }
+
+    /// Takes a new target: cold start in the first pair of raw images, the region given in the left one.
+    ///
+    /// If the plane is not observable there is no target, and the status says so.
+    ///
+    /// # Errors
+    /// Images that do not fit the calibration, a region that can not serve, a bad range.
+    pub fn start(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+    ) -> Result<TrackEstimate, EstimationError> {
+        self.target = None;
+        let found = self.estimator.estimate(left, right, region, range)?;
+        let warnings = found
+            .warnings
+            .iter()
+            .filter_map(|warning| match warning {
+                EstimateWarning::Region(warning) => Some(warning.clone()),
+                _ => None,
+            })
+            .collect();
+        let Some(plane) = found.pose.filter(|_| found.status.depth_is_sure()) else {
+            return Ok(TrackEstimate { status: found.status, reason: found.reason, warnings, ..blank() });
+        };
+        let estimate = self.start_from_plane(left, right, region, &plane)?;
+        let is_worse = estimate.status == Status::Ok && found.status != Status::Ok;
+        let (status, reason) = if is_worse { (found.status, found.reason) } else { (estimate.status, estimate.reason) };
+        Ok(TrackEstimate { status, reason, warnings, ..estimate })
+    }
+
+    /// As [`Self::start`], where the plane of the region is known to a few pixels of disparity.
+    ///
+    /// # Errors
+    /// Images that do not fit the calibration, a region that can not serve.
     pub fn start_from_plane(
         &mut self,
         left: &RgbImage,
@@ -64,170 +134,224 @@ impl DirectTracker {
         region: &Region,
         plane: &PlanePose,
     ) -> Result<TrackEstimate, EstimationError> {
-        let mask = region.rasterize(left, &RegionConfig::default())?;
+        self.target = None;
+        check_sizes(&self.rig, left, right)?;
+        let mask = region.rasterize(left, &self.region_config)?;
         let outline_px = region.outline_px(&mask);
-        let centroid = mask.centroid_px().unwrap_or_default();
-        let eroded = mask.erode(self.config.erosion_px);
-        let bounds = mask.bbox().unwrap_or(crate::region::PixelBox { x: 0, y: 0, width: 1, height: 1 });
+        let Some((surface, pose)) = self.first_surface(left, &mask, plane)? else {
+            let reason = "the region has too little to hold on to once its border is left out".to_owned();
+            return Ok(TrackEstimate { reason, ..blank() });
+        };
+        let model_from_first = pose.inverse();
+        let on_plane = |px: &Vector2<f64>| {
+            let ray = self.rig.left().unproject(px).ok()?;
+            Some(model_from_first.transform_point(&Point3::from(ray * plane.depth_on_ray(&ray)?)))
+        };
+        let outline_in_model: Vec<Point3<f64>> = outline_px.iter().filter_map(on_plane).collect();
+        self.load(left, right, &pose, &outline_in_model, MARGIN_START_PX);
+        let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
+        let target = Target::first(surface, pose, outline_in_model, &frame, self.kernels);
+        let mut estimate = blank();
+        self.target = Some(target);
+        self.report(Ending::Found, &mut estimate);
+        Ok(estimate)
+    }
+
+    /// Points of the first left image, and where the model's frame lies; `None` if there are too few.
+    fn first_surface(
+        &mut self,
+        left: &RgbImage,
+        mask: &RegionMask,
+        plane: &PlanePose,
+    ) -> Result<Option<(Surface, Pose<CamLeft, Model>)>, EstimationError> {
+        let (Some(centroid_px), Some(bounds)) = (mask.centroid_px(), mask.bbox()) else { return Ok(None) };
         let window = PixelWindow {
             x: bounds.x as i32,
             y: bounds.y as i32,
             width: bounds.width as usize,
             height: bounds.height as usize,
         };
-        self.images[0].update(left, window.grown(16), self.kernels);
+        self.images[0].update(left, window.grown(MARGIN_START_PX), self.kernels);
         let q = plane.inverse_depth_plane;
-        let centre_ray = self.rig.left().unproject(&centroid)?;
-        let pose = model_frame(&q, &centre_ray).ok_or(EstimationError::NotStarted)?;
-        let mut surface = Surface::choose(&self.images[0], &eroded, &self.rig, q, &pose, self.config.points);
-        let mut aligner = Aligner::new(&surface, self.kernels);
-        let mut view = View::empty(std::array::from_fn(|level| surface.levels[level].groups.len()));
-        view.cam_left_from_model = pose;
-        for level in 0..LEVELS {
-            aligner.project_left(&mut surface, level, &self.rig, &pose);
-            view.take_level(level, &self.images[0], &aligner.seen[level]);
-        }
-        let model_from_first = pose.inverse();
-        let outline_in_model = outline_px
-            .iter()
-            .filter_map(|px| {
-                let ray = self.rig.left().unproject(px).ok()?;
-                Some(model_from_first.transform_point(&Point3::from(ray * plane.depth_on_ray(&ray)?)))
-            })
-            .collect();
-        let mut target = Target {
-            surface,
-            views: vec![view],
-            aligner,
-            estimate: Estimate::at(pose),
-            knowledge: Knowledge {
-                row_offset_px: 0.0,
-                row_information: 1.0 / (0.5 * 0.5),
-                shape_information: Matrix3::identity() * 1e-3,
-            },
-            motion: Motion::resting(pose),
-            frame: 0,
-            outline_in_model,
-            covariance: None,
-        };
-        self.load(left, right, &target, &pose, 24);
-        for _ in 0..3 {
-            let Target { surface, views, aligner, estimate, knowledge, .. } = &mut target;
-            let mut problem = Problem { surface, view: &views[0], images: &self.images, rig: &self.rig, knowledge };
-            let aligned = aligner.align(&mut problem, estimate, 0..=2, (Free::Surface, 6), &mut || true);
-            if let Some(aligned) = aligned {
-                let step: Vector3<f64> = aligned.last.unknowns.fixed_rows::<3>(7).into_owned();
-                target.surface.plane += step;
-                target.surface.rebuild();
-            }
-        }
-        target.learn(&self.images, &self.rig, Free::Surface, Vector3::zeros());
-        let estimate = target.report(&self.rig);
-        self.target = Some(target);
-        Ok(estimate)
+        let Some(pose) = model_frame(&q, &self.rig.left().unproject(&centroid_px)?) else { return Ok(None) };
+        let eroded = mask.erode(self.config.erosion_px);
+        let surface = Surface::choose(&self.images[0], &eroded, &self.rig, q, &pose, self.config.points);
+        Ok((surface.points() >= POINTS_MIN).then_some((surface, pose)))
     }
 
-    fn load(&mut self, left: &RgbImage, right: &RgbImage, target: &Target, pose: &Pose<CamLeft, Model>, margin: u32) {
-        let right_pose = *self.rig.cam_right_from_cam_left() * *pose;
-        for (eye, (image, camera, isometry)) in
-            [(left, self.rig.left(), pose.isometry()), (right, self.rig.right(), right_pose.isometry())]
-                .into_iter()
-                .enumerate()
-        {
-            let window = target.window(camera, isometry).grown(margin);
-            self.images[eye].update(image, window, self.kernels);
-        }
-    }
-
-    /// Follows the target into the next pair.
+    /// Follows the target into the next pair of raw images.
     ///
     /// # Errors
-    /// Not started.
+    /// Images that do not fit the calibration, or no [`Self::start`] before. A lost target is not an error but a status.
     pub fn update(
         &mut self,
         left: &RgbImage,
         right: &RgbImage,
         prior: &FramePrior,
     ) -> Result<TrackEstimate, EstimationError> {
+        let mut estimate = blank();
+        self.update_into(left, right, prior, &mut || true, &mut estimate)?;
+        Ok(estimate)
+    }
+
+    /// As [`Self::update`], for a loop that must not allocate and has a deadline: the answer is written into `estimate`,
+    /// whose buffers are used again, and `may_continue` is asked before each further step; once it says no, what has been
+    /// reached is judged and given.
+    ///
+    /// # Errors
+    /// As [`Self::update`].
+    pub fn update_into(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        prior: &FramePrior,
+        may_continue: &mut dyn FnMut() -> bool,
+        estimate: &mut TrackEstimate,
+    ) -> Result<(), EstimationError> {
+        check_sizes(&self.rig, left, right)?;
         let mut target = self.target.take().ok_or(EstimationError::NotStarted)?;
+        let ending = self.follow(&mut target, left, right, prior, may_continue);
+        self.target = Some(target);
+        self.report(ending, estimate);
+        Ok(())
+    }
+
+    fn follow(
+        &mut self,
+        target: &mut Target,
+        left: &RgbImage,
+        right: &RgbImage,
+        prior: &FramePrior,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Ending {
         target.frame += 1;
         let predicted = target.motion.predict(prior);
-        self.load(left, right, &target, &predicted, if target.motion.is_known() { 24 } else { 40 });
-        target.estimate.cam_left_from_model = predicted;
-        let report = {
-            let Target { surface, views, aligner, estimate, knowledge, .. } = &mut target;
-            let mut problem = Problem { surface, view: &views[0], images: &self.images, rig: &self.rig, knowledge };
-            aligner.align(
-                &mut problem,
-                estimate,
-                0..=LEVELS - 1,
-                (Free::Everything, self.config.steps_max),
-                &mut || true,
-            )
-        };
-        if let Some(aligned) = report {
-            let shape = aligned.last.unknowns.fixed_rows::<3>(7).into_owned();
-            target.learn(&self.images, &self.rig, Free::Everything, shape);
-            let found = target.estimate.cam_left_from_model;
-            target.motion.learn(&found, prior);
+        let mut ending = Ending::OutOfSight;
+        if target.lost_frames == 0 {
+            let margin = if target.motion.is_known() { MARGIN_PX } else { MARGIN_UNSURE_PX };
+            self.load(left, right, &predicted, &target.outline_in_model, margin);
+            let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
+            let before = target.estimate;
+            ending = target.follow(&predicted, &frame, may_continue);
+            if ending != Ending::Found {
+                target.estimate = before;
+            }
         }
-        let estimate = target.report(&self.rig);
-        self.target = Some(target);
-        Ok(estimate)
+        if ending != Ending::Found {
+            target.lost_frames += 1;
+            if may_continue() {
+                let whole = |image: &RgbImage| PixelWindow {
+                    x: 0,
+                    y: 0,
+                    width: image.width() as usize,
+                    height: image.height() as usize,
+                };
+                self.images[0].update(left, whole(left), self.kernels);
+                self.images[1].update(right, whole(right), self.kernels);
+                let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
+                ending = target.search(&predicted, &frame, may_continue);
+            }
+        }
+        if ending == Ending::Found {
+            let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
+            target.accept(&frame, prior);
+        }
+        ending
+    }
+
+    /// Converts the windows around the expected target.
+    fn load(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        pose: &Pose<CamLeft, Model>,
+        outline: &[Point3<f64>],
+        margin: u32,
+    ) {
+        let right_pose = *self.rig.cam_right_from_cam_left() * *pose;
+        let eyes = [(left, self.rig.left(), pose.isometry()), (right, self.rig.right(), right_pose.isometry())];
+        for (images, (image, camera, cam_from_model)) in self.images.iter_mut().zip(eyes) {
+            let window = super::target::window(outline, camera, cam_from_model).grown(margin);
+            images.update(image, window, self.kernels);
+        }
+    }
+
+    /// How well the kept view fits the last frame; `None` before a start.
+    pub fn fit(&self) -> Option<&Fit> {
+        self.target.as_ref().map(|target| &target.fit)
+    }
+
+    /// How many views are kept.
+    pub fn views(&self) -> usize {
+        self.target.as_ref().map_or(0, |target| target.views.len())
+    }
+
+    fn report(&self, ending: Ending, out: &mut TrackEstimate) {
+        (out.psi, out.fitness, out.rotation_about_normal_observed) = (None, None, true);
+        out.warnings.clear();
+        out.reason.clear();
+        out.outline_px.clear();
+        (out.cam_left_from_model, out.covariance) = (None, None);
+        let Some(target) = &self.target else { return };
+        // Writing into a string can not fail.
+        let _ = match ending {
+            Ending::Misfit(misfit) => write!(out.reason, "{misfit}"),
+            Ending::OutOfSight => write!(out.reason, "the target is not in sight of both cameras"),
+            Ending::Found => Ok(()),
+        };
+        out.status = Status::Lost;
+        if ending == Ending::Found {
+            let pose = target.estimate.cam_left_from_model;
+            out.cam_left_from_model = Some(pose);
+            out.covariance = target.covariance;
+            (out.status, _) = self.judge_covariance(target.covariance.as_ref(), &mut out.reason);
+            let project = |point: &Point3<f64>| self.rig.left().project(&pose.transform_point(point));
+            out.outline_px.extend(target.outline_in_model.iter().filter_map(project));
+        }
+    }
+
+    fn judge_covariance(&self, covariance: Option<&Matrix6<f64>>, reason: &mut String) -> (Status, ()) {
+        let limit = self.config.tilt_sigma_sure_deg;
+        let tilt_deg = covariance.map_or(f64::INFINITY, |c| (c[(3, 3)] + c[(4, 4)]).sqrt().to_degrees());
+        let sure = tilt_deg <= limit;
+        let verb = if sure { "is determined" } else { "is not" };
+        let _ = write!(
+            reason,
+            "the normal's standard deviation is {tilt_deg:.2} degrees (limit {limit:.2}): the tilt {verb}"
+        );
+        (if sure { Status::Ok } else { Status::WeakTilt }, ())
     }
 }
 
-impl Target {
-    fn window(&self, camera: &Camera, cam_from_model: &nalgebra::Isometry3<f64>) -> PixelWindow {
-        let (mut low, mut high) = (Vector2::repeat(f64::MAX), Vector2::repeat(f64::MIN));
-        for point in &self.outline_in_model {
-            if let Some(px) = camera.project(&(cam_from_model * point)) {
-                (low, high) = (low.inf(&px), high.sup(&px));
-            }
-        }
-        if low.x > high.x {
-            return PixelWindow::default();
-        }
-        PixelWindow {
-            x: low.x.floor() as i32,
-            y: low.y.floor() as i32,
-            width: (high.x - low.x).ceil() as usize + 1,
-            height: (high.y - low.y).ceil() as usize + 1,
+/// Fewer points than this are no target.
+const POINTS_MIN: usize = 40;
+
+fn check_sizes(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Result<(), EstimationError> {
+    for (eye, image, camera) in [("left", left, rig.left()), ("right", right, rig.right())] {
+        let expected = camera.size();
+        if image.width() != expected.width || image.height() != expected.height {
+            return Err(EstimationError::ImageSize {
+                eye,
+                width: image.width() as usize,
+                height: image.height() as usize,
+                expected_width: expected.width as usize,
+                expected_height: expected.height as usize,
+            });
         }
     }
+    Ok(())
+}
 
-    fn learn(&mut self, images: &[EyeImages; 2], rig: &StereoRig, free: Free, shape: Vector3<f64>) {
-        let Self { surface, views, aligner, estimate, knowledge, .. } = self;
-        let problem = Problem { surface, view: &views[0], images, rig, knowledge };
-        let Some((equations, _sums)) = aligner.examine(&problem, estimate) else { return };
-        let prior = problem.prior(estimate);
-        self.covariance = equations.covariance(&prior).map(|c| c.fixed_view::<6, 6>(0, 0).into_owned());
-        if let Some(gained) = equations.surface_information(&prior, free) {
-            let share = if free == Free::Surface { 1.0 } else { 0.1 };
-            self.knowledge.shape_information += gained * share;
-        }
-        if free != Free::Surface {
-            self.surface.plane += shape;
-            self.surface.rebuild();
-        }
-    }
-
-    fn report(&self, rig: &StereoRig) -> TrackEstimate {
-        let pose = self.estimate.cam_left_from_model;
-        TrackEstimate {
-            status: Status::Ok,
-            reason: String::new(),
-            warnings: Vec::new(),
-            cam_left_from_model: Some(pose),
-            covariance: self.covariance,
-            psi: None,
-            fitness: None,
-            outline_px: self
-                .outline_in_model
-                .iter()
-                .filter_map(|p| rig.left().project(&pose.transform_point(p)))
-                .collect(),
-            rotation_about_normal_observed: true,
-        }
+fn blank() -> TrackEstimate {
+    TrackEstimate {
+        status: Status::NotObservable,
+        reason: String::new(),
+        warnings: Vec::new(),
+        cam_left_from_model: None,
+        covariance: None,
+        psi: None,
+        fitness: None,
+        outline_px: Vec::new(),
+        rotation_about_normal_observed: true,
     }
 }

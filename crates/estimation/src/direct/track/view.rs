@@ -4,7 +4,7 @@ use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model};
 
 use super::images::{EyeImages, LEVELS};
-use super::kernels::{SeenGroup, ViewGroup, texel_at};
+use super::kernels::{ResidualGroup, SeenGroup, ViewGroup, texel_at};
 use crate::wide::LANES;
 
 /// The surface's channels, as the left camera showed them once.
@@ -26,14 +26,33 @@ impl View {
         }
     }
 
-    /// Takes one level from the left image; `seen` are the groups projected with this view's pose.
-    pub(super) fn take_level(&mut self, level: usize, left: &EyeImages, seen: &[[SeenGroup; 2]]) {
+    /// How far the view is from a pose: turn over `turn_rad`, plus scale over `scale`; turning about the axis of sight
+    /// counts half, because it hides nothing.
+    pub(super) fn distance(&self, pose: &Pose<CamLeft, Model>, turn_rad: f64, scale: f64) -> f64 {
+        let turn = pose.rotation() * self.cam_left_from_model.rotation().inverse();
+        let axis = turn.scaled_axis();
+        let turned = nalgebra::Vector3::new(axis.x, axis.y, 0.5 * axis.z).norm() / turn_rad;
+        let (here, there) = (pose.translation_m().z, self.cam_left_from_model.translation_m().z);
+        let scaled = (here / there).abs().max(1e-6).ln().abs() / scale.ln();
+        turned.hypot(scaled)
+    }
+
+    /// Takes one level from the left image; `seen` are the groups projected with this view's pose. Points that do not fit
+    /// (residuals given) are hidden by something, also by the target itself, and left out.
+    pub(super) fn take_level(
+        &mut self,
+        level: usize,
+        left: &EyeImages,
+        seen: &[[SeenGroup; 2]],
+        residuals: Option<&[ResidualGroup]>,
+    ) {
         let origin_px = left.origin_px();
         let plane = &left.levels[level];
-        let step = (1_u32 << level) as f32;
-        for (view, seen) in self.levels[level].iter_mut().zip(seen) {
+        let step = 0.5 * (1_u32 << level) as f32;
+        for (index, (view, seen)) in self.levels[level].iter_mut().zip(seen).enumerate() {
             *view = ViewGroup::default();
-            for i in (0..LANES).filter(|&i| seen[0].valid.0[i] > 0.0) {
+            let fits = |i: usize| residuals.is_none_or(|groups| groups[index].weight[0].0[i] > 0.0);
+            for i in (0..LANES).filter(|&i| seen[0].valid.0[i] > 0.0 && fits(i)) {
                 let pixel = seen[0].pixel.map(|x| x.0[i]);
                 let at = |du: f32, dv: f32| texel_at(plane, level, &origin_px, [pixel[0] + du, pixel[1] + dv]);
                 let samples = [at(0.0, 0.0), at(step, 0.0), at(-step, 0.0), at(0.0, step), at(0.0, -step)];

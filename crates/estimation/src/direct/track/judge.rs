@@ -1,0 +1,124 @@
+//! Whether what was found is the target.
+
+use std::fmt;
+
+use super::kernels::{CHANNELS, ResidualGroup, SeenGroup, TERMS, ViewGroup};
+use super::relief::Correlation;
+use crate::wide::LANES;
+
+/// A point fits if its robust weight reaches this.
+const FITS_FROM: f32 = 0.3;
+
+/// How well a kept view fits both images.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Fit {
+    /// Share of the model's points that the view and each image show, left and right, 0 to 1.
+    pub visible_share: [f64; 2],
+    /// Share of those that fit within the noise: view against left image, view against right image, left against right.
+    pub inlier_share: [f64; TERMS],
+    /// Correlation of the view with each image over the points that fit, -1 to 1.
+    pub correlation: [f64; 2],
+    /// What the correlation would be if noise alone disturbed it.
+    pub correlation_expected: [f64; 2],
+}
+
+/// Limits for a fit.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Limits {
+    pub(super) inlier_share_min: f64,
+    /// As a share of what is expected.
+    pub(super) correlation_min: f64,
+    pub(super) visible_share_min: f64,
+}
+
+/// What a fit lacks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Misfit {
+    what: &'static str,
+    percent: f64,
+    limit_percent: f64,
+}
+
+impl fmt::Display for Misfit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} is {:.0} % (limit {:.0} %)", self.what, self.percent, self.limit_percent)
+    }
+}
+
+impl Fit {
+    /// Of one level; `reference` are the variances of residuals of a target that fits.
+    pub(super) fn measure(
+        seen: &[[SeenGroup; 2]],
+        view: &[ViewGroup],
+        residuals: &[ResidualGroup],
+        points: f64,
+        reference: &[[f32; CHANNELS]; TERMS],
+    ) -> Self {
+        let mut correlations = [Correlation::default(); 2];
+        let (mut visible, mut inliers) = ([0.0_f64; TERMS], [0.0_f64; TERMS]);
+        for ((seen, view), residual) in seen.iter().zip(view).zip(residuals) {
+            for i in 0..LANES {
+                let valid = [0, 1].map(|eye| seen[eye].valid.0[i] * view.valid.0[i] > 0.0);
+                let valid = [valid[0], valid[1], valid[0] && valid[1]];
+                for term in (0..TERMS).filter(|&term| valid[term]) {
+                    let weight = residual.weight[term].0[i];
+                    visible[term] += 1.0;
+                    inliers[term] += f64::from(u8::from(weight >= FITS_FROM));
+                    if term < 2 {
+                        let (kept, now) = (view.value.map(|v| v.0[i]), seen[term].value.map(|v| v.0[i]));
+                        correlations[term].add(f64::from(weight), kept, now);
+                    }
+                }
+            }
+        }
+        let expected = |eye: usize| {
+            let [kept, now, _] = correlations[eye].moments();
+            let noise: f64 = reference[eye].iter().map(|&v| f64::from(v)).sum();
+            (1.0 - 0.5 * noise / (kept * now).sqrt().max(1e-9)).max(0.05)
+        };
+        Self {
+            visible_share: [0, 1].map(|eye| visible[eye] / points.max(1.0)),
+            inlier_share: std::array::from_fn(|term| inliers[term] / visible[term].max(1.0)),
+            correlation: [0, 1].map(|eye| correlations[eye].value()),
+            correlation_expected: [0, 1].map(expected),
+        }
+    }
+
+    /// The first limit that the fit misses.
+    pub(super) fn misfit(&self, limits: &Limits) -> Option<Misfit> {
+        const EYES: [&str; 2] = ["left", "right"];
+        const VISIBLE: [&str; 2] =
+            ["the part of the target in the left image", "the part of the target in the right image"];
+        const INLIERS: [&str; TERMS] = [
+            "the share of the target's points that fit the left image",
+            "the share of the target's points that fit the right image",
+            "the share of the target's points that fit each other in left and right image",
+        ];
+        const CORRELATION: [&str; 2] = [
+            "the correlation with the left image, of what noise allows,",
+            "the correlation with the right image, of what noise allows,",
+        ];
+        let short = |what, value: f64, limit: f64| {
+            (value.is_nan() || value < limit).then_some(Misfit {
+                what,
+                percent: 100.0 * value,
+                limit_percent: 100.0 * limit,
+            })
+        };
+        for eye in 0..EYES.len() {
+            let relative = self.correlation[eye] / self.correlation_expected[eye];
+            let misfit = short(VISIBLE[eye], self.visible_share[eye], limits.visible_share_min)
+                .or_else(|| short(INLIERS[eye], self.inlier_share[eye], limits.inlier_share_min))
+                .or_else(|| short(CORRELATION[eye], relative, limits.correlation_min));
+            if misfit.is_some() {
+                return misfit;
+            }
+        }
+        short(INLIERS[2], self.inlier_share[2], limits.inlier_share_min)
+    }
+
+    /// One number for comparing fits of the same surface.
+    pub(super) fn goodness(&self) -> f64 {
+        self.inlier_share[0] * self.inlier_share[1] * self.correlation[0].max(0.0) * self.correlation[1].max(0.0)
+    }
+}

@@ -1,0 +1,376 @@
+//! One target: its surface, its views, and what is known of it.
+
+use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector2, Vector3};
+use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_geometry::{Camera, Pose, StereoRig};
+
+use super::align::{Aligner, Estimate, Knowledge, Problem};
+use super::config::DirectTrackerConfig;
+use super::images::{EyeImages, LEVELS};
+use super::judge::{Fit, Limits, Misfit};
+use super::kernels::{CHANNELS, ROW, SHAPE, TERMS};
+use super::normal::{Free, NormalEquations};
+use super::predict::{FramePrior, Motion};
+use super::search::{PLACES, Place, Searcher, depth_by_stereo, hypotheses, hypothesis};
+use super::stereo_relief;
+use super::surface::Surface;
+use super::view::View;
+use crate::cpu::Kernels;
+use crate::direct::image_plane::PixelWindow;
+
+/// Share of a frame's information about the surface that is taken over: frames share the noise of the kept view.
+const SURFACE_SHARE: f64 = 0.1;
+/// As above, about the row offset, and the most that is believed of it (0.01 px).
+const ROW_SHARE: f64 = 0.02;
+const ROW_INFORMATION_MAX: f64 = 1e4;
+/// Variances of residuals are judged by those of frames that fitted, times this.
+const VARIANCE_SLACK: f32 = 3.0;
+/// How fast the reference follows.
+const REFERENCE_RATE: f32 = 0.05;
+/// Least share of the model that must be visible.
+const VISIBLE_MIN: f64 = 0.35;
+/// A view is kept only of a target that fits at least this well.
+const VIEW_INLIERS_MIN: f64 = 0.6;
+/// Templates per frame while the target is lost, and places that are looked into.
+const TEMPLATES_PER_FRAME: usize = 5;
+const CANDIDATES: usize = 3;
+/// A target that is found again must fit by this much better than one that was never lost.
+const FOUND_AGAIN_STRICTER: f64 = 1.25;
+/// Range of the shading's standard deviation, grey levels.
+const PATCH_SIGMA: (f64, f64) = (0.5, 30.0);
+const PATCH_SIGMA_RATE: f64 = 0.2;
+
+/// What a frame is looked at with.
+pub(super) struct Frame<'a> {
+    pub(super) images: &'a [EyeImages; 2],
+    pub(super) rig: &'a StereoRig,
+    pub(super) config: &'a DirectTrackerConfig,
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct Target {
+    pub(super) surface: Surface,
+    /// Views in use; the first is the start.
+    pub(super) views: Vec<View>,
+    /// Views to come, made beforehand so that keeping one takes no memory.
+    spare_views: Vec<View>,
+    view: usize,
+    aligner: Aligner,
+    searcher: Searcher,
+    pub(super) estimate: Estimate,
+    knowledge: Knowledge,
+    pub(super) motion: Motion,
+    pub(super) frame: u64,
+    pub(super) lost_frames: u32,
+    pub(super) outline_in_model: Vec<Point3<f64>>,
+    pub(super) covariance: Option<Matrix6<f64>>,
+    pub(super) fit: Fit,
+    reference: [[f32; CHANNELS]; TERMS],
+}
+
+/// How a frame ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Ending {
+    /// The pose was found and fits.
+    Found,
+    /// It does not fit.
+    Misfit(Misfit),
+    /// Too little of the target is in sight to say anything.
+    OutOfSight,
+}
+
+impl Target {
+    /// A target whose surface is near `surface`'s plane, in the first pair (both windows loaded).
+    pub(super) fn first(
+        mut surface: Surface,
+        pose: Pose<CamLeft, Model>,
+        outline_in_model: Vec<Point3<f64>>,
+        frame: &Frame<'_>,
+        kernels: Kernels,
+    ) -> Self {
+        let aligner = Aligner::new(&surface, kernels);
+        let blank = View::empty(std::array::from_fn(|level| surface.levels[level].groups.len()));
+        surface.rebuild();
+        let size = frame.rig.left().size();
+        let mut target = Self {
+            surface,
+            views: Vec::with_capacity(frame.config.views_max),
+            spare_views: vec![blank; frame.config.views_max],
+            view: 0,
+            aligner,
+            searcher: Searcher::new(size.width, size.height),
+            estimate: Estimate::at(pose),
+            knowledge: Knowledge {
+                row_offset_px: 0.0,
+                row_information: 4.0,
+                shape_information: Matrix3::identity() * 1e-3,
+            },
+            motion: Motion::resting(pose),
+            frame: 0,
+            lost_frames: 0,
+            outline_in_model,
+            covariance: None,
+            fit: Fit::default(),
+            reference: [[0.0; CHANNELS]; TERMS],
+        };
+        target.keep_view(frame, false);
+        target.find_relief(frame);
+        target
+    }
+
+    fn find_relief(&mut self, frame: &Frame<'_>) {
+        let Self { surface, views, aligner, estimate, knowledge, .. } = self;
+        let Some(view) = views.first() else { return };
+        let mut problem = Problem { surface, view, images: frame.images, rig: frame.rig, knowledge };
+        stereo_relief::find(aligner, &mut problem, estimate, frame.config.relief_sigma_px);
+        // The view is the left image itself: it differs from it as little as from the right one by noise alone.
+        estimate.variance[0] = estimate.variance[1];
+        self.reference = self.estimate.variance;
+        if let Some(equations) = self.examine(frame) {
+            self.learn(&equations, Free::Surface, &Vector3::zeros());
+            self.judge(frame);
+        }
+    }
+
+    /// Aligns from a predicted pose, and judges.
+    pub(super) fn follow(
+        &mut self,
+        predicted: &Pose<CamLeft, Model>,
+        frame: &Frame<'_>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Ending {
+        self.view = self.nearest_view(predicted, frame.config).0;
+        self.estimate.cam_left_from_model = *predicted;
+        let free = if self.view == 0 { Free::Everything } else { Free::Motion };
+        let Some(shape) = self.align(frame, LEVELS - 1, free, may_continue) else { return Ending::OutOfSight };
+        let Some(equations) = self.examine(frame) else { return Ending::OutOfSight };
+        if let Some(misfit) = self.judge(frame) {
+            return Ending::Misfit(misfit);
+        }
+        self.learn(&equations, free, &shape);
+        Ending::Found
+    }
+
+    fn problem<'a>(&'a mut self, frame: &'a Frame<'_>) -> (Problem<'a>, &'a mut Aligner, &'a mut Estimate) {
+        let Self { surface, views, view, aligner, estimate, knowledge, .. } = self;
+        (Problem { surface, view: &views[*view], images: frame.images, rig: frame.rig, knowledge }, aligner, estimate)
+    }
+
+    fn align(
+        &mut self,
+        frame: &Frame<'_>,
+        coarsest: usize,
+        free: Free,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Option<Vector3<f64>> {
+        let steps_max = frame.config.steps_max;
+        let (mut problem, aligner, estimate) = self.problem(frame);
+        let aligned = aligner.align(&mut problem, estimate, 0..=coarsest, (free, steps_max), may_continue)?;
+        Some(aligned.last.unknowns.fixed_rows::<3>(SHAPE).into_owned())
+    }
+
+    fn examine(&mut self, frame: &Frame<'_>) -> Option<NormalEquations> {
+        let most = self.reference.map(|term| term.map(|v| v * VARIANCE_SLACK));
+        let (problem, aligner, estimate) = self.problem(frame);
+        let equations = aligner.examine(&problem, estimate, &most)?;
+        let prior = problem.prior(estimate);
+        let inflation = equations.inflation(&aligner.scores, &prior).unwrap_or(1.0).clamp(1.0, 25.0);
+        let covariance = equations.covariance(&prior)?;
+        self.covariance = Some(covariance.fixed_view::<6, 6>(0, 0) * inflation);
+        Some(equations)
+    }
+
+    fn limits(&self, config: &DirectTrackerConfig) -> Limits {
+        let stricter = if self.lost_frames > 0 { FOUND_AGAIN_STRICTER } else { 1.0 };
+        Limits {
+            inlier_share_min: (config.inlier_share_min * stricter).min(0.95),
+            correlation_min: (config.correlation_min * stricter).min(0.95),
+            visible_share_min: VISIBLE_MIN,
+        }
+    }
+
+    fn judge(&mut self, frame: &Frame<'_>) -> Option<Misfit> {
+        let view = &self.views[self.view].levels[0];
+        let points = self.surface.points() as f64;
+        self.fit = Fit::measure(&self.aligner.seen[0], view, &self.aligner.residuals, points, &self.reference);
+        self.fit.misfit(&self.limits(frame.config))
+    }
+
+    /// Takes over what the frame says about surface, row offset, noise and shading.
+    fn learn(&mut self, equations: &NormalEquations, free: Free, shape: &Vector3<f64>) {
+        let Self { surface, aligner, estimate, knowledge, reference, .. } = self;
+        let at_start = free == Free::Surface;
+        let prior = knowledge.prior(estimate);
+        if free != Free::Motion
+            && let Some(gained) = equations.surface_information(&prior, free)
+        {
+            knowledge.shape_information += gained * if at_start { 1.0 } else { SURFACE_SHARE };
+        }
+        if free == Free::Everything {
+            surface.plane += shape;
+            surface.relief.refine(&aligner.scores, SURFACE_SHARE, false);
+            surface.rebuild();
+        }
+        if let Some(covariance) = equations.covariance(&prior) {
+            let gained = (1.0 / covariance[(ROW, ROW)] - knowledge.row_information).max(0.0);
+            let information = knowledge.row_information + ROW_SHARE * gained;
+            knowledge.row_information = information.min(ROW_INFORMATION_MAX);
+            knowledge.row_offset_px = estimate.row_offset_px;
+        }
+        for (old, new) in reference.iter_mut().flatten().zip(estimate.variance.iter().flatten()) {
+            *old += REFERENCE_RATE * (new.min(VARIANCE_SLACK * *old) - *old);
+        }
+        let spread = aligner.patch_spread().clamp(PATCH_SIGMA.0, PATCH_SIGMA.1);
+        estimate.patch_sigma += PATCH_SIGMA_RATE * (spread - estimate.patch_sigma);
+    }
+
+    /// The view nearest to a pose, and how far it is: 1 where a new view is due.
+    fn nearest_view(&self, pose: &Pose<CamLeft, Model>, config: &DirectTrackerConfig) -> (usize, f64) {
+        let distance = |view: &View| view.distance(pose, config.view_turn_deg.to_radians(), config.view_scale);
+        let mut best = (0, f64::MAX);
+        for (index, view) in self.views.iter().enumerate() {
+            let distance = distance(view);
+            if distance < best.1 {
+                best = (index, distance);
+            }
+        }
+        best
+    }
+
+    /// Ends a frame in which the target was found: motion, and a new view if all are far.
+    pub(super) fn accept(&mut self, frame: &Frame<'_>, prior: &FramePrior) {
+        let pose = self.estimate.cam_left_from_model;
+        if self.lost_frames > 0 {
+            self.motion.restart(&pose);
+        } else {
+            self.motion.learn(&pose, prior);
+        }
+        self.lost_frames = 0;
+        self.views[self.view].last_used = self.frame;
+        let fits = self.fit.inlier_share[0].min(self.fit.inlier_share[1]) >= VIEW_INLIERS_MIN;
+        if fits && self.nearest_view(&pose, frame.config).1 > 1.0 {
+            self.keep_view(frame, true);
+        }
+    }
+
+    /// Keeps the present left image as a view; with all places taken, in the place of the one that served longest ago.
+    fn keep_view(&mut self, frame: &Frame<'_>, only_fitting: bool) {
+        let pose = self.estimate.cam_left_from_model;
+        let index = if let Some(view) = self.spare_views.pop() {
+            self.views.push(view);
+            self.views.len() - 1
+        } else {
+            let oldest = (1..self.views.len()).min_by_key(|&i| self.views[i].last_used);
+            let Some(oldest) = oldest else { return };
+            oldest
+        };
+        for level in 0..LEVELS {
+            self.aligner.project_left(&mut self.surface, level, frame.rig, &pose);
+            let fitting = (only_fitting && level == 0).then_some(self.aligner.residuals.as_slice());
+            self.views[index].take_level(level, &frame.images[0], &self.aligner.seen[level], fitting);
+        }
+        self.views[index].cam_left_from_model = pose;
+        self.views[index].last_used = self.frame;
+    }
+
+    /// Looks for a lost target in whole images.
+    pub(super) fn search(
+        &mut self,
+        predicted: &Pose<CamLeft, Model>,
+        frame: &Frame<'_>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Ending {
+        let before = self.estimate;
+        let mut ending = Ending::OutOfSight;
+        let mut candidates: [Option<(Place, bool)>; CANDIDATES + 1] = [None; CANDIDATES + 1];
+        candidates[0] = Some((Place { cam_left_from_model: *predicted, correlation: 1.0 }, false));
+        for place in self.places(frame).into_iter().flatten() {
+            insert(&mut candidates, place);
+        }
+        for (place, with_depth) in candidates.into_iter().flatten() {
+            if !may_continue() {
+                break;
+            }
+            self.estimate = before;
+            let start = if with_depth {
+                self.with_depth(&place.cam_left_from_model, frame)
+            } else {
+                Some(place.cam_left_from_model)
+            };
+            let Some(start) = start else { continue };
+            match self.follow(&start, frame, may_continue) {
+                Ending::Found => return Ending::Found,
+                misfit => ending = misfit,
+            }
+        }
+        self.estimate = before;
+        ending
+    }
+
+    fn with_depth(&self, pose: &Pose<CamLeft, Model>, frame: &Frame<'_>) -> Option<Pose<CamLeft, Model>> {
+        const LEVEL: usize = 2;
+        let view = self.nearest_view(pose, frame.config).0;
+        let (groups, view) = (&self.surface.levels[LEVEL].groups, &self.views[view].levels[LEVEL]);
+        depth_by_stereo(groups, view, LEVEL, pose, &frame.images[1], frame.rig)
+    }
+
+    /// Places that this frame's share of the templates finds.
+    fn places(&mut self, frame: &Frame<'_>) -> [Option<Place>; PLACES * TEMPLATES_PER_FRAME] {
+        let mut all = [None; PLACES * TEMPLATES_PER_FRAME];
+        let count = hypotheses(self.views.len());
+        let last = self.motion.cam_left_from_model;
+        let nearest = self.nearest_view(&last, frame.config).0;
+        for turn in 0..TEMPLATES_PER_FRAME.min(count) {
+            let others = (self.lost_frames as usize * (TEMPLATES_PER_FRAME - 1) + turn).saturating_sub(1);
+            let index = if turn == 0 { 0 } else { 1 + others % (count - 1) };
+            let (source, pose) = hypothesis(index, &last, &self.views);
+            let view = if source == 0 { nearest } else { source - 1 };
+            const LEVEL: usize = LEVELS - 1;
+            let (groups, view) = (&self.surface.levels[LEVEL].groups, &self.views[view].levels[LEVEL]);
+            let found = self.searcher.places(groups, view, &pose, &frame.images[0], frame.rig.left());
+            all[turn * PLACES..(turn + 1) * PLACES].copy_from_slice(&found);
+        }
+        all
+    }
+}
+
+/// Keeps the best places behind the prediction, best first; a place next to a better one is not kept.
+fn insert(candidates: &mut [Option<(Place, bool)>; CANDIDATES + 1], place: Place) {
+    let at = place.cam_left_from_model.translation_m();
+    let near = |other: &Place| (other.cam_left_from_model.translation_m() - at).norm() < 0.02 * at.z.abs();
+    let Some(index) =
+        (1..=CANDIDATES).find(|&i| candidates[i].is_none_or(|(other, _)| other.correlation < place.correlation))
+    else {
+        return;
+    };
+    if (1..index).any(|i| candidates[i].is_some_and(|(other, _)| near(&other))) {
+        return;
+    }
+    candidates[index..].rotate_right(1);
+    candidates[index] = Some((place, true));
+}
+
+/// Box around the target in an image.
+pub(super) fn window(
+    outline_in_model: &[Point3<f64>],
+    camera: &Camera,
+    cam_from_model: &Isometry3<f64>,
+) -> PixelWindow {
+    let (mut low, mut high) = (Vector2::repeat(f64::MAX), Vector2::repeat(f64::MIN));
+    for point in outline_in_model {
+        if let Some(px) = camera.project(&(cam_from_model * point)) {
+            (low, high) = (low.inf(&px), high.sup(&px));
+        }
+    }
+    if low.x > high.x {
+        return PixelWindow::default();
+    }
+    let most = 2.0 * f64::from(camera.size().width.max(camera.size().height));
+    let (low, high) = (low.map(|x| x.clamp(-most, most)), high.map(|x| x.clamp(-most, most)));
+    PixelWindow {
+        x: low.x.floor() as i32,
+        y: low.y.floor() as i32,
+        width: (high.x - low.x).ceil() as usize + 1,
+        height: (high.y - low.y).ceil() as usize + 1,
+    }
+}
