@@ -1,0 +1,8 @@
+//! Every method of the estimation crate on whatever the fuzzer makes up.
+#![no_main]
+
+#[allow(dead_code, reason = "the property tests use more of it")]
+#[path = "../../../crates/estimation/tests/support/abuse.rs"]
+mod abuse;
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| abuse::every_method_survives(bytes));
