@@ -17,7 +17,8 @@ use super::disparity_plane::DisparityPlane;
 use super::image_plane::PixelWindow;
 use super::region_pyramid::{RegionLevel, RegionPyramid};
 use crate::cpu::Kernels;
-use kernel::{CHANNELS_MAX, ChannelState, PointSet, Sums, Warp};
+use covariance::BlockPulls;
+use kernel::{CHANNELS_MAX, ChannelState, PointSet, Sums, UNUSABLE, Warp};
 use points::{RightRows, Selection};
 pub use prepare::Channel;
 use prepare::{EyeChannels, Preparation, Smoothing, Wish};
@@ -27,6 +28,14 @@ use solve::{Normal, reliability, tukey_limit, tukey_moments};
 const POINTS_MIN: usize = 40;
 /// Tukey's limit of a single residual starts no lower, grey levels.
 const START_LIMIT_GREY: f64 = 15.0;
+/// The border is judged if it and the rest have this many points.
+const BORDER_POINTS_MIN: f64 = 200.0;
+/// The border is bad if its points have less than this of the weight of others, or more than this of their squared
+/// residuals.
+const BORDER_WEIGHT_MIN: f64 = 0.9;
+const BORDER_SQUARES_MAX: f64 = 1.25;
+/// The plane has converged if the last step moved no point of the region further, pixels of the level.
+const SETTLED_PX: f64 = 0.03;
 /// Residuals are never taken to be better than this, grey levels.
 const SIGMA_MIN_GREY: f64 = 0.3;
 
@@ -43,7 +52,9 @@ pub struct RefineConfig {
     pub iterations_max: usize,
     /// A plane that moves further than this at the region's centroid has not converged, pixels.
     pub jump_max_px: f64,
-    /// Width of the border of the region that is left out where the region is large enough, pixels.
+    /// Width of the border of the region that is always left out, pixels.
+    pub erosion_min_px: f64,
+    /// Width of the border that is left out if it agrees worse than the rest, pixels.
     pub erosion_max_px: f64,
     /// Share of the square root of the region's area that may be left out at each side.
     pub erosion_share_max: f64,
@@ -68,13 +79,14 @@ impl Default for RefineConfig {
             points_max: 5000,
             iterations_max: 8,
             jump_max_px: 1.5,
+            erosion_min_px: 2.0,
             erosion_max_px: 6.0,
             erosion_share_max: 0.06,
             smoothing_px: 0.7,
             detail_px: 2.0,
             place_sigma_px: 0.1,
             row_sigma_px: 0.3,
-            calibration_sigma_px: 0.01,
+            calibration_sigma_px: 0.002,
         }
     }
 }
@@ -115,6 +127,7 @@ pub struct PlaneRefiner {
     right: EyeChannels,
     points: PointSet,
     scores: [Vec<f32>; 4],
+    pulls: BlockPulls,
 }
 
 /// What goes from level to level.
@@ -194,9 +207,9 @@ impl PlaneRefiner {
     fn prepare(&mut self, level: &RegionLevel, progress: &Progress) -> Option<Prepared> {
         let scale = level.scale as f64;
         let side_px = (level.area_px as f64).sqrt();
-        let erosion =
-            (self.config.erosion_max_px / scale).min(self.config.erosion_share_max * side_px).round() as usize;
-        let (bounds, count) = self.selection.mark(level, erosion)?;
+        let rim = |px: f64| (px / scale).min(self.config.erosion_share_max * side_px).round() as usize;
+        let rims = (rim(self.config.erosion_min_px), rim(self.config.erosion_max_px));
+        let (bounds, count) = self.selection.mark(level, (rims.0, rims.1.max(rims.0)))?;
         if count < POINTS_MIN {
             return None;
         }
@@ -302,12 +315,33 @@ impl PlaneRefiner {
             apply(level, prepared, &step, progress);
             progress.iterations += 1;
             let size = step.x.abs() + (step.y * prepared.half.x).abs() + (step.z * prepared.half.y).abs();
-            progress.settled = size < tolerance_px && step_index > 0;
-            if progress.settled {
+            if finest && step_index == 1 {
+                let warp = self.warp(level, prepared, progress, &states);
+                self.drop_bad_border(&warp);
+            }
+            progress.settled = size < SETTLED_PX;
+            if size < tolerance_px && step_index > 1 {
                 break;
             }
         }
         progress.states = Some(states);
+    }
+
+    /// Leaves the border of the region out if it agrees worse than the rest: there the background shines in when a camera
+    /// is out of focus.
+    fn drop_bad_border(&mut self, warp: &Warp) {
+        let all = self.accumulate(warp);
+        std::mem::swap(&mut self.points.unit, &mut self.points.inner);
+        let inner = self.accumulate(warp);
+        let squares = |sums: &Sums| sums.channel.iter().take(warp.channels).map(|s| s[21]).sum::<f64>();
+        let border_seen = all.seen - inner.seen;
+        let (border_weight, border_squares) = (all.weight - inner.weight, squares(&all) - squares(&inner));
+        let enough = inner.seen >= BORDER_POINTS_MIN && border_seen >= BORDER_POINTS_MIN;
+        let lost = border_weight / border_seen < BORDER_WEIGHT_MIN * inner.weight / inner.seen;
+        let worse = border_squares * inner.weight > BORDER_SQUARES_MAX * squares(&inner) * border_weight;
+        if !(enough && (lost || worse)) {
+            std::mem::swap(&mut self.points.unit, &mut self.points.inner);
+        }
     }
 
     fn normal(
@@ -332,7 +366,7 @@ impl PlaneRefiner {
         states: &mut [ChannelState; CHANNELS_MAX],
         weights: &mut [f64; CHANNELS_MAX],
     ) {
-        let (_, squared) = tukey_moments(channels);
+        let squared = tukey_moments(channels).square;
         for c in 0..channels {
             let s = &sums.channel[c];
             let ratio = if sums.weight > 0.0 { s[21] / (squared * sums.weight) } else { 1.0 };
@@ -387,21 +421,23 @@ impl PlaneRefiner {
             &mut self.scores,
         );
         let row_information = (self.config.row_sigma_px.max(1e-6) / prepared.scale).powi(-2);
-        let (ends, places) = (&self.selection.block_ends, &self.selection.block_places);
-        let local = covariance::sandwich(&normal.matrix, &self.scores, ends, places, row_information)?;
+        self.pulls.sum(&self.scores, &self.selection.block_ends, &self.selection.block_places);
+        let response = normal.matrix * tukey_moments(prepared.channels).response;
+        let local = self.pulls.covariance(&response, row_information)?;
         let centre_px = level.full_from_level(&prepared.centre);
         let floor = covariance::calibration(self.config.calibration_sigma_px, &(prepared.half * prepared.scale));
         let covariance = covariance::at_full_size(&local, prepared.scale) + floor;
         let covariance = covariance::moved(&covariance, &(progress.plane.centre_px - centre_px));
         let jump_px = (progress.plane.at(&progress.plane.centre_px) - start.at(&progress.plane.centre_px)).abs();
-        let (mean_weight, _) = tukey_moments(prepared.channels);
+        let used: f64 = self.points.unit.iter().map(|&unit| f64::from(unit)).sum();
+        let mean_weight = tukey_moments(prepared.channels).weight;
         let finite = covariance.iter().chain(progress.plane.parameters().iter()).all(|value| value.is_finite());
         finite.then_some(RefinedPlane {
             plane: progress.plane,
             covariance,
             row_offset_px: progress.row_px,
             inlier_share: (sums.weight / (mean_weight * sums.seen.max(1.0))).min(1.0),
-            seen_share: sums.seen / prepared.count as f64,
+            seen_share: sums.seen / used.max(1.0),
             residual_sigma: states[0].variance.sqrt(),
             gain: states[0].gain_root.powi(-2),
             points: prepared.count,
@@ -457,7 +493,10 @@ fn first_state(points: &PointSet, right: &[f32], warp: &Warp, channel: usize, lo
         if count == COUNT || points.unit[i] == 0.0 || !(column >= 0.0 && column < warp.width as f32 - 0.5) {
             continue;
         }
-        let value = right.get(points.row_start[i] as usize + column.round() as usize).copied().unwrap_or(0.0);
+        let value = right.get(points.row_start[i] as usize + column.round() as usize).copied().unwrap_or(UNUSABLE);
+        if value >= UNUSABLE {
+            continue;
+        }
         (own[count], shown[count]) = (points.value[channel][i], value);
         count += 1;
     }

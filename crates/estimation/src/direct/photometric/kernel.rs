@@ -23,6 +23,8 @@ pub(crate) struct PointSet {
     pub y: Vec<f32>,
     /// 1, or 0 for a point that only fills up a group.
     pub unit: Vec<f32>,
+    /// 1 for a point well inside the region, else 0.
+    pub inner: Vec<f32>,
     /// First index of the point's row in the right planes.
     pub row_start: Vec<u32>,
     /// Value, and gradients along columns and rows, per channel.

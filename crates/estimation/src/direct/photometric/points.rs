@@ -14,8 +14,9 @@ const SAMPLE: usize = 1024;
 /// Pixels to use, and how they are ordered into points; keeps its buffers.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Selection {
-    /// Per pixel of the level's left window: 1 if it may be used.
+    /// Per pixel of the level's left window: 0 if it must not be used, 2 if it is well inside the region, else 1.
     pub mask: Vec<u8>,
+    inner: Vec<u8>,
     scratch: Vec<u8>,
     candidates: Vec<Candidate>,
     sample: Vec<f32>,
@@ -29,6 +30,7 @@ pub(super) struct Selection {
 struct Candidate {
     x: u16,
     y: u16,
+    inner: bool,
     energy: f32,
 }
 
@@ -42,16 +44,22 @@ pub(super) struct RightRows {
 }
 
 impl Selection {
-    /// Uses the supported pixels of a level, without those closer than `erosion_px` to the region's outline. Returns the
-    /// smallest window around them (pixels of the level's window) and their number.
-    pub fn mark(&mut self, level: &RegionLevel, erosion_px: usize) -> Option<(PixelWindow, usize)> {
+    /// Marks the supported pixels of a level that are at least `rim.0` pixels inside the region's outline: with 2 where they
+    /// are at least `rim.1` pixels inside, else with 1. Returns the smallest window around them (pixels of the level's
+    /// window) and their number.
+    pub fn mark(&mut self, level: &RegionLevel, rim: (usize, usize)) -> Option<(PixelWindow, usize)> {
         let (width, height) = (level.left.window.width, level.left.window.height);
         self.mask.clone_from(&level.region);
-        for _ in 0..erosion_px {
+        for _ in 0..rim.0 {
             erode(&mut self.mask, &mut self.scratch, width, height);
         }
-        for ((mask, support), flag) in self.mask.iter_mut().zip(&level.support).zip(&level.left.flags) {
-            *mask &= support & u8::from(*flag == 0);
+        self.inner.clone_from(&self.mask);
+        for _ in rim.0..rim.1 {
+            erode(&mut self.inner, &mut self.scratch, width, height);
+        }
+        let pixels = self.mask.iter_mut().zip(&self.inner).zip(level.support.iter().zip(&level.left.flags));
+        for ((mask, inner), (support, flag)) in pixels {
+            *mask = (*mask + inner) * (support & u8::from(*flag == 0));
         }
         bounds(&self.mask, width)
     }
@@ -89,6 +97,7 @@ impl Selection {
                 place = here;
             }
             out.push(left, channels, (x, y), centre, row as u32 * rows.width as u32);
+            out.inner.push(f32::from(u8::from(at.inner)));
         }
         let count = out.x.len();
         if count > 0 {
@@ -96,11 +105,6 @@ impl Selection {
         }
         out.fill_up(channels);
         count
-    }
-
-    /// Number of marked pixels that were looked at.
-    pub fn candidates(&self) -> usize {
-        self.candidates.len()
     }
 
     fn find_candidates(&mut self, stride: usize, left: &EyeChannels, channels: usize) {
@@ -115,7 +119,12 @@ impl Selection {
                             let row = plane.row(y);
                             (row[x + 1] - row[x - 1]).powi(2)
                         });
-                        self.candidates.push(Candidate { x: x as u16, y: y as u16, energy: energy.sum() });
+                        self.candidates.push(Candidate {
+                            x: x as u16,
+                            y: y as u16,
+                            inner: mask[x] == 2,
+                            energy: energy.sum(),
+                        });
                     }
                 }
             }
@@ -138,7 +147,7 @@ impl Selection {
 
 impl PointSet {
     fn clear(&mut self) {
-        for values in [&mut self.x, &mut self.y, &mut self.unit] {
+        for values in [&mut self.x, &mut self.y, &mut self.unit, &mut self.inner] {
             values.clear();
         }
         self.row_start.clear();
@@ -165,7 +174,7 @@ impl PointSet {
 
     fn fill_up(&mut self, channels: usize) {
         let length = self.x.len().next_multiple_of(LANES);
-        for values in [&mut self.x, &mut self.y, &mut self.unit] {
+        for values in [&mut self.x, &mut self.y, &mut self.unit, &mut self.inner] {
             values.resize(length, 0.0);
         }
         self.row_start.resize(length, 0);
@@ -202,7 +211,7 @@ fn erode(mask: &mut [u8], scratch: &mut Vec<u8>, width: usize, height: usize) {
 fn bounds(mask: &[u8], width: usize) -> Option<(PixelWindow, usize)> {
     let (mut first, mut last, mut count) = ((usize::MAX, usize::MAX), (0, 0), 0);
     for (y, row) in mask.chunks_exact(width.max(1)).enumerate() {
-        let inside = row.iter().map(|&m| usize::from(m)).sum::<usize>();
+        let inside = row.iter().map(|&m| usize::from(m != 0)).sum::<usize>();
         if inside == 0 {
             continue;
         }

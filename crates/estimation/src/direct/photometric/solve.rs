@@ -97,11 +97,27 @@ pub(super) fn tukey_limit(channels: usize) -> f64 {
     [4.685_f64, 5.123, 5.49, 5.82][channels.clamp(1, 4) - 1].powi(2)
 }
 
-/// Mean of the weight, and mean of weight times squared normalised residual over mean weight, for Gaussian residuals.
-pub(super) fn tukey_moments(channels: usize) -> (f64, f64) {
+/// What Tukey's weights do to Gaussian residuals.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct TukeyMoments {
+    /// Mean weight.
+    pub weight: f64,
+    /// Mean of weight times squared normalised residual, over the mean weight.
+    pub square: f64,
+    /// How the sum of weighted residuals answers to a shift of all residuals, over the mean weight: the residuals that are
+    /// shifted outwards lose weight.
+    pub response: f64,
+}
+
+/// For `channels` channels of independent residuals.
+pub(super) fn tukey_moments(channels: usize) -> TukeyMoments {
     let (n, k) = (channels as f64, tukey_limit(channels));
     let (m1, m2) = (n, n * (n + 2.0));
     let m3 = m2 * (n + 4.0);
-    let mean = 1.0 - 2.0 * m1 / k + m2 / (k * k);
-    (mean, (m1 - 2.0 * m2 / k + m3 / (k * k)) / (n * mean))
+    let weight = 1.0 - 2.0 * m1 / k + m2 / (k * k);
+    TukeyMoments {
+        weight,
+        square: (m1 - 2.0 * m2 / k + m3 / (k * k)) / (n * weight),
+        response: 1.0 - 4.0 * (m1 - m2 / k) / (n * k * weight),
+    }
 }
