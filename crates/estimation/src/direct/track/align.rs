@@ -6,27 +6,28 @@ use pb3dp_geometry::{Pose, StereoRig};
 
 use super::images::{EyeImages, LEVELS};
 use super::kernels::{
-    self, CHANNELS, CameraRows, NormalSums, PATCH, PairWeights, Photometry, ROW, ResidualGroup, ResidualSums, SHAPE,
-    SeenGroup, TERMS,
+    self, CHANNELS, CameraRows, GroupScore, NormalSums, PATCH, PairWeights, Photometry, ROW, ResidualGroup, ResidualSums, SHAPE,
+    SeenGroup, TERMS, ViewGroup,
 };
 use super::normal::{Free, NormalEquations, PatchScore, Prior, Step, Unknowns, UnknownsMatrix};
 use super::relief::Correlation;
 use super::surface::Surface;
 use super::view::View;
 use crate::cpu::Kernels;
-use crate::wide::LANES;
 
 /// Variance that residuals start with before anything is known, grey levels squared: small starts reject everything where
 /// the cameras differ in gain.
-const VARIANCE_START: f32 = 225.0;
+const VARIANCE_START: f32 = 1600.0;
 /// Smallest variance, grey levels squared: below, quantisation counts.
 const VARIANCE_MIN: f32 = 0.5;
 /// What the robust weights take off the variance of normal residuals.
 const TUKEY_LOSS: f32 = 1.25;
 /// A level is done when a step moves the points by less, pixels of that level.
-const STEP_DONE_PX: [f64; LEVELS] = [0.006, 0.03, 0.06, 0.1];
-/// A view resembles the images from this correlation on.
-const RESEMBLANCE_MIN: f64 = 0.6;
+const STEP_DONE_PX: [f64; LEVELS] = [0.012, 0.05, 0.1, 0.15];
+/// Rounds in which weights and variances find each other, in each step.
+const SCALE_ROUNDS: usize = 3;
+/// A view resembles the images from this correlation on, by level.
+const RESEMBLANCE_MIN: [f64; LEVELS] = [0.75, 0.7, 0.6, 0.0];
 /// Fewer points in sight than this determine nothing.
 const POINTS_MIN: f32 = 24.0;
 /// Standard deviations of a motion between frames that is not believed in at all: metres and radians.
@@ -68,6 +69,15 @@ pub(super) struct Problem<'a> {
     pub(super) knowledge: &'a Knowledge,
 }
 
+/// Where an alignment begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum StartLevel {
+    /// At the finest level at which view and images already resemble each other.
+    Resembling,
+    /// At the coarsest level.
+    Coarsest,
+}
+
 /// What earlier frames know.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Knowledge {
@@ -82,6 +92,8 @@ pub(super) struct Knowledge {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Aligned {
     pub(super) steps: usize,
+    /// Whether the last step moved nothing.
+    pub(super) has_converged: bool,
     /// The last step, for the surface.
     pub(super) last: Step,
 }
@@ -93,6 +105,7 @@ pub(super) struct Aligner {
     pub(super) seen: [Vec<[SeenGroup; 2]>; LEVELS],
     pub(super) residuals: Vec<ResidualGroup>,
     patches: Vec<[f32; PATCH]>,
+    group_scores: Vec<GroupScore>,
     pub(super) scores: Vec<PatchScore>,
     sums: Box<NormalSums>,
 }
@@ -105,6 +118,7 @@ impl Aligner {
             seen: std::array::from_fn(|level| vec![Default::default(); surface.levels[level].groups.len()]),
             residuals: vec![ResidualGroup::default(); count],
             patches: vec![[0.0; PATCH]; count],
+            group_scores: vec![GroupScore::default(); count],
             scores: Vec::with_capacity(count),
             sums: Box::default(),
         }
@@ -117,29 +131,36 @@ impl Aligner {
         problem: &mut Problem<'_>,
         estimate: &mut Estimate,
         levels: std::ops::RangeInclusive<usize>,
-        (free, steps_max): (Free, usize),
+        (start, free, steps_max): (StartLevel, Free, usize),
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Option<Aligned> {
         let mut aligned = None;
         let mut steps = 0;
-        let levels = *levels.start()..=self.first_level(problem, estimate, levels);
+        let (first, mut is_fresh) = match start {
+            StartLevel::Coarsest => (*levels.end(), false),
+            StartLevel::Resembling => self.first_level(problem, estimate, levels.clone()),
+        };
+        let levels = *levels.start()..=first;
         for level in levels.rev() {
             if problem.surface.levels[level].groups.is_empty() {
                 continue;
             }
-            problem.linearise_lenses(level, &estimate.cam_left_from_model);
+            if !is_fresh {
+                problem.linearise_lenses(level, &estimate.cam_left_from_model);
+            }
             let mut photometry = estimate.photometry();
-            let first = self.look(problem, estimate, level, &photometry)?;
-            photometry.learn(&first);
             for _ in 0..steps_max {
                 if steps > 0 && !may_continue() {
                     return aligned;
                 }
                 let free = if level == 0 { free } else { free.without_shape() };
-                let last = self.step(problem, estimate, level, &mut photometry, free)?;
+                let last = self.step(problem, estimate, level, &mut photometry, (free, is_fresh))?;
+                is_fresh = false;
                 steps += 1;
-                aligned = Some(Aligned { steps, last });
-                if problem.moved_px(estimate, &last.unknowns) < STEP_DONE_PX[level] * f64::from(1_u32 << level) {
+                let moved_px = problem.moved_px(estimate, &last.unknowns);
+                let has_converged = moved_px < STEP_DONE_PX[level] * f64::from(1_u32 << level);
+                aligned = Some(Aligned { steps, has_converged, last });
+                if has_converged {
                     break;
                 }
             }
@@ -157,29 +178,27 @@ impl Aligner {
         problem: &mut Problem<'_>,
         estimate: &Estimate,
         levels: std::ops::RangeInclusive<usize>,
-    ) -> usize {
+    ) -> (usize, bool) {
         for level in levels.clone() {
             problem.linearise_lenses(level, &estimate.cam_left_from_model);
             if self.look(problem, estimate, level, &estimate.photometry()).is_some()
-                && self.resemblance(problem, level) >= RESEMBLANCE_MIN
+                && self.resemblance(problem, level) >= RESEMBLANCE_MIN[level]
             {
-                return level;
+                return (level, true);
             }
         }
-        *levels.end()
+        (*levels.end(), true)
     }
 
     /// Correlation of the view with the image that it resembles less.
     fn resemblance(&self, problem: &Problem<'_>, level: usize) -> f64 {
-        let mut correlations = [Correlation::default(); 2];
-        for (seen, view) in self.seen[level].iter().zip(&problem.view.levels[level]) {
-            for (seen, correlation) in seen.iter().zip(&mut correlations) {
-                for i in (0..LANES).filter(|&i| seen.valid.0[i] * view.valid.0[i] > 0.0) {
-                    correlation.add(1.0, view.value.map(|v| v.0[i]), seen.value.map(|v| v.0[i]));
-                }
-            }
-        }
-        correlations[0].value().min(correlations[1].value())
+        let [left, right] = kernels::correlate(self.kernels, &self.seen[level], &problem.view.levels[level], None);
+        left.value().min(right.value())
+    }
+
+    /// Weighted correlations of the view with both images at full resolution.
+    pub(super) fn correlate(&self, view: &[ViewGroup]) -> [Correlation; 2] {
+        kernels::correlate(self.kernels, &self.seen[0], view, Some(&self.residuals))
     }
 
     /// One step.
@@ -189,9 +208,17 @@ impl Aligner {
         estimate: &mut Estimate,
         level: usize,
         photometry: &mut Photometry,
-        free: Free,
+        (free, is_fresh): (Free, bool),
     ) -> Option<Step> {
-        let sums = self.look(problem, estimate, level, photometry)?;
+        let mut sums = if is_fresh {
+            self.weigh(problem, level, photometry)
+        } else {
+            self.look(problem, estimate, level, photometry)?
+        };
+        for _ in 0..SCALE_ROUNDS {
+            photometry.learn(&sums);
+            sums = self.weigh(problem, level, photometry);
+        }
         let count = problem.surface.levels[level].groups.len();
         let weights = PairWeights::of(&photometry.variance);
         *self.sums = NormalSums::default();
@@ -202,7 +229,6 @@ impl Aligner {
         let step = equations.solve(&problem.prior(estimate), free)?;
         estimate.apply(&step, free);
         (photometry.gain, photometry.offset) = (estimate.gain, estimate.offset);
-        photometry.learn(&sums);
         Some(step)
     }
 
@@ -220,10 +246,15 @@ impl Aligner {
             let rows = camera_rows(&problem.cam_from_model(eye, &estimate.cam_left_from_model));
             let row_offset = if eye == 1 { estimate.row_offset_px as f32 } else { 0.0 };
             kernels::project(kernels, &surface.groups, &surface.lens[eye], &rows, row_offset, seen, eye);
-            kernels::sample(kernels, &images.levels[level], level, &images.origin_px(), seen, eye);
+            kernels::sample(kernels, images, level, seen, eye);
         }
-        let sums = kernels::weigh(kernels, seen, &problem.view.levels[level], photometry, &mut self.residuals);
+        let sums = self.weigh(problem, level, photometry);
         (sums.points[0].max(sums.points[1]) >= POINTS_MIN).then_some(sums)
+    }
+
+    fn weigh(&mut self, problem: &Problem<'_>, level: usize, photometry: &Photometry) -> ResidualSums {
+        let view = &problem.view.levels[level];
+        kernels::weigh(self.kernels, &self.seen[level], view, photometry, &mut self.residuals)
     }
 
     fn accumulate(
@@ -246,30 +277,43 @@ impl Aligner {
     }
 
     /// The equations at the estimate, patch by patch, at full resolution: for covariance, relief and judgement. Variances
-    /// are held below `variance_max`.
+    /// are held below `variance_max`. What the last step has sampled is used again if it `is_fresh`: if that step moved nothing.
     pub(super) fn examine(
         &mut self,
         problem: &Problem<'_>,
         estimate: &Estimate,
         variance_max: &[[f32; CHANNELS]; TERMS],
+        is_fresh: bool,
     ) -> Option<NormalEquations> {
         let mut variance = estimate.variance;
         for (own, most) in variance.iter_mut().flatten().zip(variance_max.iter().flatten()) {
             *own = own.min(*most);
         }
         let photometry = estimate.photometry_with(variance);
-        self.look(problem, estimate, 0, &photometry)?;
-        let weights = PairWeights::of(&photometry.variance);
-        let mut equations = NormalEquations::empty();
-        self.scores.clear();
-        let count = problem.surface.levels[0].groups.len();
-        for group in 0..count {
-            *self.sums = NormalSums::default();
-            self.accumulate(problem, 0, group..group + 1, &weights);
-            equations.add(&self.sums);
-            self.scores.push(PatchScore::of(&self.sums, &self.patches[group], estimate.patch_sigma));
+        if is_fresh {
+            self.weigh(problem, 0, &photometry);
+        } else {
+            self.look(problem, estimate, 0, &photometry)?;
         }
+        let weights = PairWeights::of(&photometry.variance);
+        let count = problem.surface.levels[0].groups.len();
+        *self.sums = NormalSums::default();
+        self.accumulate(problem, 0, 0..count, &weights);
+        let mut equations = NormalEquations::empty();
+        equations.add(&self.sums);
         equations.remove_patch_offsets(&self.patches[..count], estimate.patch_sigma);
+        kernels::score(
+            self.kernels,
+            &problem.surface.levels[0].groups,
+            &self.seen[0],
+            &problem.view.levels[0],
+            &self.residuals,
+            &weights,
+            &mut self.group_scores[..count],
+        );
+        self.scores.clear();
+        let groups = self.group_scores[..count].iter().zip(&self.patches);
+        self.scores.extend(groups.map(|(group, patch)| PatchScore::of(group, patch, estimate.patch_sigma)));
         Some(equations)
     }
 

@@ -11,7 +11,7 @@ pub struct DirectTrackerConfig {
     /// Pixels that are left out along the region's outline, where a defocused camera mixes target and background, 0 to 50.
     /// Default 6.
     pub erosion_px: u32,
-    /// Most steps of Gauss-Newton per frame and level, 1 to 50. Default 6.
+    /// Most steps of Gauss-Newton per frame and level, 1 to 50. Default 16.
     pub steps_max: usize,
     /// Most kept views, 1 to 100; the first one is never given up. Default 12.
     pub views_max: usize,
@@ -35,7 +35,7 @@ impl Default for DirectTrackerConfig {
         Self {
             points: 1024,
             erosion_px: 6,
-            steps_max: 6,
+            steps_max: 16,
             views_max: 12,
             view_turn_deg: 16.0,
             view_scale: 1.4,

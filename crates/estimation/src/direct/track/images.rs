@@ -21,12 +21,27 @@ pub(super) struct TexelPlane {
     pub(super) texels: Vec<Texel>,
 }
 
+/// The window itself, as it came: a quarter of the memory of texels, and the points that are looked at are few.
+#[derive(Clone, Debug, Default)]
+pub(super) struct RgbPlane {
+    width: usize,
+    height: usize,
+    /// Rows of red, green, blue, and [`PADDING`] more bytes.
+    rgb: Vec<u8>,
+}
+
+/// Bytes behind the last pixel, so that sixteen bytes can be read from any of the last four.
+const PADDING: usize = 16;
+
 /// A window of a raw image and its halves.
 #[derive(Clone, Debug, Default)]
 pub(super) struct EyeImages {
     /// Where level 0 lies in the raw image.
     pub(super) window: PixelWindow,
+    pub(super) full: RgbPlane,
+    /// The levels from 1 on; 0 stays empty.
     pub(super) levels: [TexelPlane; LEVELS],
+    mixed: Vec<f32>,
     line: Vec<Texel>,
 }
 
@@ -35,24 +50,48 @@ impl EyeImages {
     pub(super) fn update(&mut self, image: &RgbImage, window: PixelWindow, kernels: Kernels) {
         let window = aligned(window).clipped(image.width(), image.height());
         self.window = window;
-        self.levels[0].resize(window.width, window.height);
-        let stride = image.width() as usize * 3;
-        for y in 0..window.height {
-            let start = (window.y as usize + y) * stride + window.x as usize * 3;
-            let rgb = &image.as_raw()[start..start + window.width * 3];
-            convert_row(kernels, rgb, &mut self.levels[0].texels[y * window.width..(y + 1) * window.width]);
-        }
-        for level in 1..LEVELS {
+        self.full.copy(image, window);
+        self.full.halve_into(&mut self.levels[1], &mut self.mixed, kernels);
+        for level in 2..LEVELS {
             let (finer, coarser) = self.levels.split_at_mut(level);
             finer[level - 1].halve_into(&mut coarser[0], &mut self.line, kernels);
         }
     }
 
+    /// Columns and rows of a level.
+    pub(super) fn size(&self, level: usize) -> (usize, usize) {
+        match level {
+            0 => (self.full.width, self.full.height),
+            _ => (self.levels[level].width, self.levels[level].height),
+        }
+    }
+
+    /// A pixel of a level.
+    pub(super) fn texel(&self, level: usize, x: usize, y: usize) -> Texel {
+        match level {
+            0 => {
+                let at = 3 * (y * self.full.width + x);
+                let [r, g, b] = [self.full.rgb[at], self.full.rgb[at + 1], self.full.rgb[at + 2]];
+                let saturated = r.max(g).max(b) >= SATURATED_FROM;
+                opponent([f32::from(r), f32::from(g), f32::from(b)], f32::from(u8::from(saturated)))
+            }
+            _ => self.levels[level].texels[y * self.levels[level].width + x],
+        }
+    }
+
+    /// The texel at a place between pixel centres of a level; `None` where the kernel would reach over the border.
+    #[inline(always)]
+    pub(super) fn sample(&self, level: usize, x: f32, y: f32) -> Option<Texel> {
+        if level == 0 { cubic_rgb(&self.full, x, y) } else { cubic(&self.levels[level], x, y) }
+    }
+
     /// Makes room for whole images of this size.
     pub(super) fn reserve(&mut self, width: usize, height: usize) {
-        for (level, plane) in self.levels.iter_mut().enumerate() {
+        for (level, plane) in self.levels.iter_mut().enumerate().skip(1) {
             plane.reserve(width >> level, height >> level);
         }
+        self.full.rgb.reserve(3 * width * height + PADDING);
+        self.mixed.reserve(3 * (width + 2));
         self.line.reserve(width + 2);
     }
 
@@ -105,8 +144,48 @@ impl TexelPlane {
     }
 }
 
+impl RgbPlane {
+    fn copy(&mut self, image: &RgbImage, window: PixelWindow) {
+        (self.width, self.height) = (window.width, window.height);
+        let (row, bytes) = (3 * window.width, 3 * window.width * window.height + PADDING);
+        if self.rgb.len() < bytes {
+            self.rgb.resize(bytes, 0);
+        }
+        let stride = image.width() as usize * 3;
+        for y in 0..window.height {
+            let start = (window.y as usize + y) * stride + window.x as usize * 3;
+            self.rgb[y * row..(y + 1) * row].copy_from_slice(&image.as_raw()[start..start + row]);
+        }
+    }
+
+    /// As [`TexelPlane::halve_into`].
+    fn halve_into(&self, out: &mut TexelPlane, line: &mut Vec<f32>, kernels: Kernels) {
+        out.resize(self.width / 2, self.height / 2);
+        let (length, width) = (3 * self.width, out.width);
+        if line.len() < length + 6 {
+            line.resize(length + 6, 0.0);
+        }
+        if width == 0 {
+            return;
+        }
+        for y in 0..out.height {
+            let row = |y: usize| &self.rgb[y * length..(y + 1) * length];
+            let rows = [row((2 * y).saturating_sub(1)), row(2 * y), row(2 * y + 1), row((2 * y + 2).min(self.height - 1))];
+            mix_rgb_rows(kernels, rows[0], rows[1], rows[2], rows[3], &mut line[3..length + 3]);
+            for c in 0..3 {
+                (line[c], line[length + 3 + c]) = (line[3 + c], line[length + c]);
+            }
+            halve_rgb_row(kernels, &line[..length + 6], &mut out.texels[y * width..(y + 1) * width]);
+        }
+    }
+}
+
 wide! {
-    fn convert_row(rgb: &[u8], out: &mut [Texel]) = convert_row_kernel;
+    fn mix_rgb_rows(a: &[u8], b: &[u8], c: &[u8], d: &[u8], out: &mut [f32]) = mix_rgb_rows_kernel;
+}
+
+wide! {
+    fn halve_rgb_row(line: &[f32], out: &mut [Texel]) = halve_rgb_row_kernel;
 }
 
 wide! {
@@ -118,17 +197,31 @@ wide! {
 }
 
 #[inline(always)]
-fn convert_row_kernel(rgb: &[u8], out: &mut [Texel]) {
-    for (rgb, out) in rgb.chunks_exact(3).zip(out) {
-        *out = texel_of(rgb[0], rgb[1], rgb[2]);
+fn mix_rgb_rows_kernel(a: &[u8], b: &[u8], c: &[u8], d: &[u8], out: &mut [f32]) {
+    for ((((a, b), c), d), out) in a.iter().zip(b).zip(c).zip(d).zip(out) {
+        let (outer, inner) = (i32::from(*a) + i32::from(*d), i32::from(*b) + i32::from(*c));
+        *out = (outer + 3 * inner) as f32;
     }
 }
 
+/// `line` begins one pixel before the row.
 #[inline(always)]
-fn texel_of(r: u8, g: u8, b: u8) -> Texel {
-    let saturated = f32::from(u8::from(r.max(g).max(b) >= SATURATED_FROM));
-    let (r, g, b) = (f32::from(r), f32::from(g), f32::from(b));
-    let turn = |row: &[f32; 3]| row[0] * r + row[1] * g + row[2] * b;
+fn halve_rgb_row_kernel(line: &[f32], out: &mut [Texel]) {
+    for (x, out) in out.iter_mut().enumerate() {
+        let four = &line[6 * x..6 * x + 12];
+        let rgb: [f32; 3] =
+            std::array::from_fn(|c| ((four[c] + four[9 + c]) + 3.0 * (four[3 + c] + four[6 + c])) * (1.0 / 64.0));
+        let saturated = rgb[0] >= SATURATED_MEAN || rgb[1] >= SATURATED_MEAN || rgb[2] >= SATURATED_MEAN;
+        *out = opponent(rgb, f32::from(u8::from(saturated)));
+    }
+}
+
+/// A mean of pixels that is as bright as this has saturated pixels among them, or nearly.
+const SATURATED_MEAN: f32 = 250.0;
+
+#[inline(always)]
+fn opponent(rgb: [f32; 3], saturated: f32) -> Texel {
+    let turn = |row: &[f32; 3]| row[0] * rgb[0] + row[1] * rgb[1] + row[2] * rgb[2];
     [turn(&OPPONENT_FROM_RGB[0]), turn(&OPPONENT_FROM_RGB[1]), turn(&OPPONENT_FROM_RGB[2]), saturated]
 }
 
@@ -155,23 +248,51 @@ fn halve_row_kernel(line: &[Texel], out: &mut [Texel]) {
 /// The texel at a place between pixel centres with a cubic kernel (Keys 1981, a = -1/2); `None` where the kernel would
 /// reach over the border.
 #[inline(always)]
-pub(super) fn cubic(plane: &TexelPlane, x: f32, y: f32) -> Option<Texel> {
+fn cubic(plane: &TexelPlane, x: f32, y: f32) -> Option<Texel> {
     let (column, row) = (x.floor(), y.floor());
     if !(column >= 1.0 && row >= 1.0 && column <= plane.width as f32 - 3.0 && row <= plane.height as f32 - 3.0) {
         return None;
     }
     let (columns, rows) = (keys(x - column), keys(y - row));
     let start = (row as usize - 1) * plane.width + column as usize - 1;
-    let mut sum = [0.0; 4];
+    // Four texels of four channels are sixteen lanes: first the rows are mixed, then the columns.
+    let mut mixed = [0.0_f32; 16];
     for (j, weight) in rows.iter().enumerate() {
-        let line = &plane.texels[start + j * plane.width..][..4];
-        for c in 0..4 {
-            let value = (columns[0] * line[0][c] + columns[1] * line[1][c])
-                + (columns[2] * line[2][c] + columns[3] * line[3][c]);
-            sum[c] += weight * value;
+        let line = plane.texels[start + j * plane.width..].first_chunk::<4>()?.as_flattened();
+        for (mixed, value) in mixed.iter_mut().zip(line) {
+            *mixed += weight * value;
         }
     }
-    Some(sum)
+    let weighted: [f32; 16] = std::array::from_fn(|i| mixed[i] * columns[i / 4]);
+    Some(std::array::from_fn(|c| (weighted[c] + weighted[4 + c]) + (weighted[8 + c] + weighted[12 + c])))
+}
+
+/// As [`cubic`], from bytes.
+#[inline(always)]
+fn cubic_rgb(plane: &RgbPlane, x: f32, y: f32) -> Option<Texel> {
+    let (column, row) = (x.floor(), y.floor());
+    if !(column >= 1.0 && row >= 1.0 && column <= plane.width as f32 - 3.0 && row <= plane.height as f32 - 3.0) {
+        return None;
+    }
+    let (columns, rows) = (keys(x - column), keys(y - row));
+    let start = 3 * ((row as usize - 1) * plane.width + column as usize - 1);
+    // Four pixels of three bytes are twelve of sixteen lanes: first the rows are mixed, then the columns.
+    let (mut mixed, mut brightest) = ([0.0_f32; 16], [0_u8; 16]);
+    for (j, weight) in rows.iter().enumerate() {
+        let line = plane.rgb[start + 3 * j * plane.width..].first_chunk::<16>()?;
+        for i in 0..16 {
+            mixed[i] += weight * f32::from(line[i]);
+            brightest[i] = brightest[i].max(line[i]);
+        }
+    }
+    let mut saturated = 0;
+    for (i, brightest) in brightest.iter().enumerate() {
+        saturated |= u8::from(i < 12 && *brightest >= SATURATED_FROM);
+    }
+    let rgb = std::array::from_fn(|c| {
+        (mixed[c] * columns[0] + mixed[3 + c] * columns[1]) + (mixed[6 + c] * columns[2] + mixed[9 + c] * columns[3])
+    });
+    Some(opponent(rgb, f32::from(saturated)))
 }
 
 #[inline(always)]

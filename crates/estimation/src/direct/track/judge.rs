@@ -46,31 +46,27 @@ impl fmt::Display for Misfit {
 }
 
 impl Fit {
-    /// Of one level; `reference` are the variances of residuals of a target that fits.
+    /// Of one level; `correlations` are weighted, `reference` are the variances of residuals of a target that fits.
     pub(super) fn measure(
         seen: &[[SeenGroup; 2]],
         view: &[ViewGroup],
         residuals: &[ResidualGroup],
+        correlations: &[Correlation; 2],
         points: f64,
         reference: &[[f32; CHANNELS]; TERMS],
     ) -> Self {
-        let mut correlations = [Correlation::default(); 2];
-        let (mut visible, mut inliers) = ([0.0_f64; TERMS], [0.0_f64; TERMS]);
+        let (mut visible, mut inliers) = ([0_u32; TERMS], [0_u32; TERMS]);
         for ((seen, view), residual) in seen.iter().zip(view).zip(residuals) {
-            for i in 0..LANES {
-                let valid = [0, 1].map(|eye| seen[eye].valid.0[i] * view.valid.0[i] > 0.0);
-                let valid = [valid[0], valid[1], valid[0] && valid[1]];
-                for term in (0..TERMS).filter(|&term| valid[term]) {
-                    let weight = residual.weight[term].0[i];
-                    visible[term] += 1.0;
-                    inliers[term] += f64::from(u8::from(weight >= FITS_FROM));
-                    if term < 2 {
-                        let (kept, now) = (view.value.map(|v| v.0[i]), seen[term].value.map(|v| v.0[i]));
-                        correlations[term].add(f64::from(weight), kept, now);
-                    }
+            let valid = [0, 1].map(|eye| seen[eye].valid * view.valid);
+            let valid = [valid[0], valid[1], valid[0] * valid[1]];
+            for term in 0..TERMS {
+                for i in 0..LANES {
+                    visible[term] += u32::from(valid[term].0[i] > 0.0);
+                    inliers[term] += u32::from(residual.weight[term].0[i] >= FITS_FROM);
                 }
             }
         }
+        let (visible, inliers) = (visible.map(f64::from), inliers.map(f64::from));
         let expected = |eye: usize| {
             let [kept, now, _] = correlations[eye].moments();
             let noise: f64 = reference[eye].iter().map(|&v| f64::from(v)).sum();

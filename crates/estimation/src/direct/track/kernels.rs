@@ -1,7 +1,8 @@
 //! The inner loops: points into both images, residuals, weights, normal equations.
 
-use super::images::{Texel, TexelPlane, cubic};
+use super::images::{EyeImages, Texel};
 use super::lanes::Lanes;
+use super::relief::Correlation;
 use crate::wide::{LANES, wide};
 
 /// Unknowns beside gains: the motion `[rho; phi]` of the model in its own frame (metres, radians), the row offset of the
@@ -105,7 +106,7 @@ wide! {
 
 wide! {
     /// Reads the channels where the groups are seen.
-    pub(super) fn sample(plane: &TexelPlane, level: usize, origin_px: &[f32; 2], seen: &mut [[SeenGroup; 2]], eye: usize) = sample_kernel;
+    pub(super) fn sample(images: &EyeImages, level: usize, seen: &mut [[SeenGroup; 2]], eye: usize) = sample_kernel;
 }
 
 wide! {
@@ -116,6 +117,104 @@ wide! {
 wide! {
     /// Adds the normal equations of groups to `sums`; the part of each group's own offset goes to `patches`.
     pub(super) fn accumulate(surface: &[SurfaceGroup], seen: &[[SeenGroup; 2]], view: &[ViewGroup], residuals: &[ResidualGroup], weights: &PairWeights, sums: &mut NormalSums, patches: &mut [[f32; PATCH]]) = accumulate_kernel;
+}
+
+wide! {
+    /// Sums for the correlation of a view with both images: over all points seen, or by their weights.
+    pub(super) fn correlate(seen: &[[SeenGroup; 2]], view: &[ViewGroup], residuals: Option<&[ResidualGroup]>) -> [Correlation; 2] = correlate_kernel;
+}
+
+wide! {
+    /// The right-hand side of each group by itself, and its second derivative by the inverse depth.
+    pub(super) fn score(surface: &[SurfaceGroup], seen: &[[SeenGroup; 2]], view: &[ViewGroup], residuals: &[ResidualGroup], weights: &PairWeights, scores: &mut [GroupScore]) = score_kernel;
+}
+
+/// The right-hand side of a group.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct GroupScore {
+    /// Derivative times residual.
+    pub(super) slope: [f32; UNKNOWNS],
+    /// By channel: residual with (gain left, offset left, gain right, offset right).
+    pub(super) gain_slope: [[f32; 4]; CHANNELS],
+    /// Second derivative by the inverse depth.
+    pub(super) depth_information: f32,
+}
+
+impl Default for GroupScore {
+    fn default() -> Self {
+        Self { slope: [0.0; UNKNOWNS], gain_slope: [[0.0; 4]; CHANNELS], depth_information: 0.0 }
+    }
+}
+
+#[inline(always)]
+fn correlate_kernel(
+    seen: &[[SeenGroup; 2]],
+    view: &[ViewGroup],
+    residuals: Option<&[ResidualGroup]>,
+) -> [Correlation; 2] {
+    let mut sums = [[[Lanes::ZERO; 5]; CHANNELS]; 2];
+    let mut counts = [Lanes::ZERO; 2];
+    for (index, (seen, view)) in seen.iter().zip(view).enumerate() {
+        for eye in 0..2 {
+            let weight = match residuals {
+                Some(residuals) => residuals[index].weight[eye],
+                None => seen[eye].valid * view.valid,
+            };
+            counts[eye] += weight;
+            for c in 0..CHANNELS {
+                let (a, b) = (view.value[c], seen[eye].value[c]);
+                let (wa, wb) = (weight * a, weight * b);
+                let sums = &mut sums[eye][c];
+                sums[0] += wa;
+                sums[1] += wb;
+                sums[2] = sums[2].plus(wa, a);
+                sums[3] = sums[3].plus(wb, b);
+                sums[4] = sums[4].plus(wa, b);
+            }
+        }
+    }
+    std::array::from_fn(|eye| {
+        let sums = std::array::from_fn(|c| std::array::from_fn(|i| f64::from(sums[eye][c][i].sum())));
+        Correlation::of_sums(f64::from(counts[eye].sum()), sums)
+    })
+}
+
+#[inline(always)]
+fn score_kernel(
+    surface: &[SurfaceGroup],
+    seen: &[[SeenGroup; 2]],
+    view: &[ViewGroup],
+    residuals: &[ResidualGroup],
+    weights: &PairWeights,
+    scores: &mut [GroupScore],
+) {
+    let groups = surface.iter().zip(seen).zip(view).zip(residuals).zip(scores);
+    for ((((surface, seen), view), residual), score) in groups {
+        let mut slope = [Lanes::ZERO; UNKNOWNS];
+        let mut depth = Lanes::ZERO;
+        for c in 0..CHANNELS {
+            let [left, right, pair]: [Lanes; 3] =
+                std::array::from_fn(|term| residual.weight[term].scale(weights.by_term[term][c]));
+            let [in_left, in_right] = [0, 1].map(|eye| derivatives(surface, &seen[eye], &view.gradient[c], eye));
+            let (r_left, r_right) = (residual.residual[0][c], residual.residual[1][c]);
+            let to_left = (left + pair) * r_left - pair * r_right;
+            let to_right = (right + pair) * r_right - pair * r_left;
+            for i in 0..UNKNOWNS {
+                slope[i] = slope[i].plus(in_left[i], to_left).plus(in_right[i], to_right);
+            }
+            let (a, b) = (in_left[UNKNOWNS - 1], in_right[UNKNOWNS - 1]);
+            let between = b - a;
+            depth = depth.plus(left * a, a).plus(right * b, b).plus(pair * between, between);
+            score.gain_slope[c] = [
+                (to_left * view.value[c]).sum(),
+                to_left.sum(),
+                (to_right * view.value[c]).sum(),
+                to_right.sum(),
+            ];
+        }
+        score.slope = slope.map(|lanes| lanes.sum());
+        score.depth_information = depth.sum();
+    }
 }
 
 #[inline(always)]
@@ -171,7 +270,8 @@ const EDGE_ON: f32 = 0.08;
 const SATURATED_MAX: f32 = 0.15;
 
 #[inline(always)]
-fn sample_kernel(plane: &TexelPlane, level: usize, origin_px: &[f32; 2], seen: &mut [[SeenGroup; 2]], eye: usize) {
+fn sample_kernel(images: &EyeImages, level: usize, seen: &mut [[SeenGroup; 2]], eye: usize) {
+    let origin_px = images.origin_px();
     let factor = 1.0 / (1_u32 << level) as f32;
     for seen in seen {
         let seen = &mut seen[eye];
@@ -181,7 +281,7 @@ fn sample_kernel(plane: &TexelPlane, level: usize, origin_px: &[f32; 2], seen: &
             }
             let x = (seen.pixel[0].0[i] - origin_px[0] + 0.5) * factor - 0.5;
             let y = (seen.pixel[1].0[i] - origin_px[1] + 0.5) * factor - 0.5;
-            match cubic(plane, x, y) {
+            match images.sample(level, x, y) {
                 Some([luminance, a, b, saturated]) if saturated < SATURATED_MAX => {
                     (seen.value[0].0[i], seen.value[1].0[i], seen.value[2].0[i]) = (luminance, a, b);
                 }
@@ -192,10 +292,11 @@ fn sample_kernel(plane: &TexelPlane, level: usize, origin_px: &[f32; 2], seen: &
 }
 
 /// The texel at a raw pixel of a level, for making views.
-pub(super) fn texel_at(plane: &TexelPlane, level: usize, origin_px: &[f32; 2], pixel: [f32; 2]) -> Option<Texel> {
+pub(super) fn texel_at(images: &EyeImages, level: usize, pixel: [f32; 2]) -> Option<Texel> {
+    let origin_px = images.origin_px();
     let factor = 1.0 / (1_u32 << level) as f32;
     let [x, y] = std::array::from_fn(|i| (pixel[i] - origin_px[i] + 0.5) * factor - 0.5);
-    cubic(plane, x, y)
+    images.sample(level, x, y)
 }
 
 /// Beyond this many standard deviations (root mean square over the channels) a residual has no weight.

@@ -2,7 +2,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use super::kernels::{CHANNELS, NormalSums, PATCH, PairWeights, SHAPE, TERMS, UNKNOWNS};
+use super::kernels::{CHANNELS, GroupScore, NormalSums, PATCH, PairWeights, SHAPE, TERMS, UNKNOWNS};
 
 /// Gain and offset of both eyes in every channel.
 const GAINS: usize = 4 * CHANNELS;
@@ -202,19 +202,17 @@ pub(super) struct PatchScore {
 }
 
 impl PatchScore {
-    /// The score of one patch's sums, after its own offset has been taken out.
-    pub(super) fn of(sums: &NormalSums, patch: &[f32; PATCH], sigma: f64) -> Self {
-        let factor = patch[UNKNOWNS + 5] / (patch[UNKNOWNS + 4] + 1.0 / (sigma * sigma) as f32);
-        let slope = std::array::from_fn(|i| sums.slope[i].sum() - patch[i] * factor);
-        let mut gain_slope: [f32; GAINS] = std::array::from_fn(|k| sums.gain_slope[k / 4][k % 4].sum());
+    /// The score of a group, after its own offset has been taken out.
+    pub(super) fn of(group: &GroupScore, patch: &[f32; PATCH], sigma: f64) -> Self {
+        let own = 1.0 / (patch[UNKNOWNS + 4] + 1.0 / (sigma * sigma) as f32);
+        let factor = patch[UNKNOWNS + 5] * own;
+        let slope = std::array::from_fn(|i| group.slope[i] - patch[i] * factor);
+        let mut gain_slope: [f32; GAINS] = std::array::from_fn(|k| group.gain_slope[k / 4][k % 4]);
         for (k, gain) in gain_slope.iter_mut().take(4).enumerate() {
             *gain -= patch[UNKNOWNS + k] * factor;
         }
-        let last = sums.hessian.len() - 1;
-        let own = patch[UNKNOWNS - 1];
-        let depth_information =
-            sums.hessian[last].sum() - own * own / (patch[UNKNOWNS + 4] + 1.0 / (sigma * sigma) as f32);
-        Self { slope, gain_slope, depth_information }
+        let common = patch[UNKNOWNS - 1];
+        Self { slope, gain_slope, depth_information: group.depth_information - common * common * own }
     }
 
     fn score(&self) -> AllVector {

@@ -241,6 +241,11 @@ pub(super) struct Correlation {
 }
 
 impl Correlation {
+    /// Of sums by channel: view, image, view squared, image squared, view times image.
+    pub(super) fn of_sums(count: f64, sums: [[f64; 5]; CHANNELS]) -> Self {
+        Self { count, sums }
+    }
+
     /// Adds a point with a weight.
     pub(super) fn add(&mut self, weight: f64, view: [f32; CHANNELS], image: [f32; CHANNELS]) {
         self.count += weight;

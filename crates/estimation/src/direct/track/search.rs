@@ -221,7 +221,6 @@ fn right_correlation(
 ) -> f64 {
     let moved: Pose<CamLeft, Model> = Pose::from_parts(pose.translation_m() * scale, pose.rotation());
     let cam_right: Isometry3<f64> = *(*rig.cam_right_from_cam_left() * moved).isometry();
-    let origin_px = right.origin_px();
     let (mut correlation, mut tried) = (Correlation::default(), 0.0);
     for (group, view) in groups.iter().zip(view) {
         for i in (0..LANES).step_by(2).filter(|&i| view.valid.0[i] * group.mask.0[i] > 0.0) {
@@ -229,7 +228,7 @@ fn right_correlation(
             let point = cam_right * Point3::from(group.point.map(|x| f64::from(x.0[i])));
             let Some(pixel) = rig.right().project(&point) else { continue };
             let at = [pixel.x as f32, pixel.y as f32];
-            if let Some([y, a, b, _]) = texel_at(&right.levels[level], level, &origin_px, at) {
+            if let Some([y, a, b, _]) = texel_at(right, level, at) {
                 correlation.add(1.0, view.value.map(|v| v.0[i]), [y, a, b]);
             }
         }

@@ -4,7 +4,7 @@ use nalgebra::{Point3, Vector2, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Camera, Distortion, Pose, StereoRig};
 
-use super::images::{EyeImages, LEVELS, TexelPlane};
+use super::images::{EyeImages, LEVELS};
 use super::kernels::{LensGroup, SurfaceGroup};
 use super::lanes::Lanes;
 use super::relief::Relief;
@@ -68,7 +68,7 @@ impl Surface {
     ) -> Self {
         let disparity_scale = 1.0 / (rig.left().pinhole().fx * rig.baseline_m());
         let (cells, relief) = {
-            let chosen = choose_cells(&left.levels[0], left, region, 0, points);
+            let chosen = choose_cells(left, region, 0, points);
             let relief = Relief::over(&chosen, disparity_scale);
             (chosen, relief)
         };
@@ -78,7 +78,7 @@ impl Surface {
             let cells = if level == 0 {
                 &cells
             } else {
-                coarser = choose_cells(&left.levels[level], left, region, level, points >> level);
+                coarser = choose_cells(left, region, level, points >> level);
                 &coarser
             };
             out.fill(cells, rig);
@@ -218,16 +218,17 @@ struct Candidate {
     sharpness: f32,
 }
 
-fn choose_cells(plane: &TexelPlane, images: &EyeImages, region: &RegionMask, level: usize, wanted: usize) -> Cells {
+fn choose_cells(images: &EyeImages, region: &RegionMask, level: usize, wanted: usize) -> Cells {
     let factor = f64::from(1_u32 << level);
     let raw = |x: f64, origin: i32| f64::from(origin) + (x + 0.5) * factor - 0.5;
     let (origin_x, origin_y) = (images.window.x, images.window.y);
     let mut candidates = Vec::new();
-    for y in 1..plane.height.saturating_sub(2) {
-        for x in 1..plane.width.saturating_sub(2) {
+    let (width, height) = images.size(level);
+    for y in 1..height.saturating_sub(2) {
+        for x in 1..width.saturating_sub(2) {
             let (u, v) = (raw(x as f64, origin_x), raw(y as f64, origin_y));
             if region.contains(u.round() as i32, v.round() as i32) {
-                if let Some(sharpness) = sharpness(plane, x, y) {
+                if let Some(sharpness) = sharpness(images, level, x, y) {
                     candidates.push(Candidate { x, y, sharpness });
                 }
             }
@@ -265,8 +266,8 @@ fn choose_cells(plane: &TexelPlane, images: &EyeImages, region: &RegionMask, lev
 }
 
 /// Squared gradient of all channels; `None` next to saturated pixels.
-fn sharpness(plane: &TexelPlane, x: usize, y: usize) -> Option<f32> {
-    let at = |x: usize, y: usize| &plane.texels[y * plane.width + x];
+fn sharpness(images: &EyeImages, level: usize, x: usize, y: usize) -> Option<f32> {
+    let at = |x: usize, y: usize| images.texel(level, x, y);
     let (left, right, up, down) = (at(x - 1, y), at(x + 1, y), at(x, y - 1), at(x, y + 1));
     let saturated = at(x, y)[3] + left[3] + right[3] + up[3] + down[3];
     let square = |c: usize| (right[c] - left[c]).powi(2) + (down[c] - up[c]).powi(2);

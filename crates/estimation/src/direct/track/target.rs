@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector2, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Camera, Pose, StereoRig};
 
-use super::align::{Aligner, Estimate, Knowledge, Problem};
+use super::align::{Aligned, Aligner, StartLevel, Estimate, Knowledge, Problem};
 use super::config::DirectTrackerConfig;
 use super::images::{EyeImages, LEVELS};
 use super::judge::{Fit, Limits, Misfit};
@@ -29,8 +29,9 @@ const VARIANCE_SLACK: f32 = 3.0;
 const REFERENCE_RATE: f32 = 0.05;
 /// Least share of the model that must be visible.
 const VISIBLE_MIN: f64 = 0.35;
-/// A view is kept only of a target that fits at least this well.
-const VIEW_INLIERS_MIN: f64 = 0.6;
+/// A fit is as good as noise allows from these shares on: of the expected correlation, of inliers.
+const WELL_CORRELATED: f64 = 0.96;
+const WELL_FITTING: f64 = 0.88;
 /// Templates per frame while the target is lost, and places that are looked into.
 const TEMPLATES_PER_FRAME: usize = 5;
 const CANDIDATES: usize = 3;
@@ -126,9 +127,9 @@ impl Target {
         // The view is the left image itself: it differs from it as little as from the right one by noise alone.
         estimate.variance[0] = estimate.variance[1];
         self.reference = self.estimate.variance;
-        if let Some(equations) = self.examine(frame) {
+        if let Some(equations) = self.examine(frame, false) {
             self.learn(&equations, Free::Surface, &Vector3::zeros());
-            self.judge(frame);
+            self.judge();
         }
     }
 
@@ -140,15 +141,48 @@ impl Target {
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Ending {
         self.view = self.nearest_view(predicted, frame.config).0;
-        self.estimate.cam_left_from_model = *predicted;
         let free = if self.view == 0 { Free::Everything } else { Free::Motion };
-        let Some(shape) = self.align(frame, LEVELS - 1, free, may_continue) else { return Ending::OutOfSight };
-        let Some(equations) = self.examine(frame) else { return Ending::OutOfSight };
-        if let Some(misfit) = self.judge(frame) {
+        let mut found = self.attempt(predicted, StartLevel::Resembling, free, frame, may_continue);
+        if !found.as_ref().is_some_and(|_| self.fits_well()) && may_continue() {
+            let (first, estimate) = (found.map(|found| (found, self.fit.goodness())), self.estimate);
+            let (fit, covariance) = (self.fit, self.covariance);
+            found = self.attempt(predicted, StartLevel::Coarsest, free, frame, may_continue);
+            let second = found.as_ref().map_or(-1.0, |_| self.fit.goodness());
+            if let Some((first, goodness)) = first
+                && goodness >= second
+            {
+                (found, self.estimate, self.fit, self.covariance) = (Some(first), estimate, fit, covariance);
+            }
+        }
+        let Some((equations, shape)) = found else { return Ending::OutOfSight };
+        if let Some(misfit) = self.fit.misfit(&self.limits(frame.config)) {
             return Ending::Misfit(misfit);
         }
         self.learn(&equations, free, &shape);
         Ending::Found
+    }
+
+    /// One alignment from a pose, examined and judged by [`Self::fit`].
+    fn attempt(
+        &mut self,
+        from: &Pose<CamLeft, Model>,
+        start: StartLevel,
+        free: Free,
+        frame: &Frame<'_>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Option<(NormalEquations, Vector3<f64>)> {
+        self.estimate.cam_left_from_model = *from;
+        let aligned = self.align(frame, start, free, may_continue)?;
+        let equations = self.examine(frame, aligned.has_converged)?;
+        self.judge();
+        Some((equations, aligned.last.unknowns.fixed_rows::<3>(SHAPE).into_owned()))
+    }
+
+    /// Whether the fit is as good as noise allows, so that nothing better is to be looked for.
+    fn fits_well(&self) -> bool {
+        let relative = |eye: usize| self.fit.correlation[eye] / self.fit.correlation_expected[eye];
+        relative(0).min(relative(1)) >= WELL_CORRELATED
+            && self.fit.inlier_share[0].min(self.fit.inlier_share[1]) >= WELL_FITTING
     }
 
     fn problem<'a>(&'a mut self, frame: &'a Frame<'_>) -> (Problem<'a>, &'a mut Aligner, &'a mut Estimate) {
@@ -159,20 +193,19 @@ impl Target {
     fn align(
         &mut self,
         frame: &Frame<'_>,
-        coarsest: usize,
+        start: StartLevel,
         free: Free,
         may_continue: &mut dyn FnMut() -> bool,
-    ) -> Option<Vector3<f64>> {
+    ) -> Option<Aligned> {
         let steps_max = frame.config.steps_max;
         let (mut problem, aligner, estimate) = self.problem(frame);
-        let aligned = aligner.align(&mut problem, estimate, 0..=coarsest, (free, steps_max), may_continue)?;
-        Some(aligned.last.unknowns.fixed_rows::<3>(SHAPE).into_owned())
+        aligner.align(&mut problem, estimate, 0..=LEVELS - 1, (start, free, steps_max), may_continue)
     }
 
-    fn examine(&mut self, frame: &Frame<'_>) -> Option<NormalEquations> {
+    fn examine(&mut self, frame: &Frame<'_>, is_fresh: bool) -> Option<NormalEquations> {
         let most = self.reference.map(|term| term.map(|v| v * VARIANCE_SLACK));
         let (problem, aligner, estimate) = self.problem(frame);
-        let equations = aligner.examine(&problem, estimate, &most)?;
+        let equations = aligner.examine(&problem, estimate, &most, is_fresh)?;
         let prior = problem.prior(estimate);
         let inflation = equations.inflation(&aligner.scores, &prior).unwrap_or(1.0).clamp(1.0, 25.0);
         let covariance = equations.covariance(&prior)?;
@@ -189,11 +222,12 @@ impl Target {
         }
     }
 
-    fn judge(&mut self, frame: &Frame<'_>) -> Option<Misfit> {
+    fn judge(&mut self) {
         let view = &self.views[self.view].levels[0];
         let points = self.surface.points() as f64;
-        self.fit = Fit::measure(&self.aligner.seen[0], view, &self.aligner.residuals, points, &self.reference);
-        self.fit.misfit(&self.limits(frame.config))
+        let Aligner { seen, residuals, .. } = &self.aligner;
+        let correlations = self.aligner.correlate(view);
+        self.fit = Fit::measure(&seen[0], view, residuals, &correlations, points, &self.reference);
     }
 
     /// Takes over what the frame says about surface, row offset, noise and shading.
@@ -247,8 +281,7 @@ impl Target {
         }
         self.lost_frames = 0;
         self.views[self.view].last_used = self.frame;
-        let fits = self.fit.inlier_share[0].min(self.fit.inlier_share[1]) >= VIEW_INLIERS_MIN;
-        if fits && self.nearest_view(&pose, frame.config).1 > 1.0 {
+        if self.fits_well() && self.nearest_view(&pose, frame.config).1 > 1.0 {
             self.keep_view(frame, true);
         }
     }

@@ -46,15 +46,13 @@ impl View {
         seen: &[[SeenGroup; 2]],
         residuals: Option<&[ResidualGroup]>,
     ) {
-        let origin_px = left.origin_px();
-        let plane = &left.levels[level];
         let step = 0.5 * (1_u32 << level) as f32;
         for (index, (view, seen)) in self.levels[level].iter_mut().zip(seen).enumerate() {
             *view = ViewGroup::default();
             let fits = |i: usize| residuals.is_none_or(|groups| groups[index].weight[0].0[i] > 0.0);
             for i in (0..LANES).filter(|&i| seen[0].valid.0[i] > 0.0 && fits(i)) {
                 let pixel = seen[0].pixel.map(|x| x.0[i]);
-                let at = |du: f32, dv: f32| texel_at(plane, level, &origin_px, [pixel[0] + du, pixel[1] + dv]);
+                let at = |du: f32, dv: f32| texel_at(left, level, [pixel[0] + du, pixel[1] + dv]);
                 let samples = [at(0.0, 0.0), at(step, 0.0), at(-step, 0.0), at(0.0, step), at(0.0, -step)];
                 let [Some(centre), Some(right), Some(left), Some(down), Some(up)] = samples else { continue };
                 if centre[3] + left[3] + right[3] + up[3] + down[3] > 0.3 {
