@@ -18,9 +18,11 @@ const OUT: &str = "out/bench";
 /// raster  pairs of pictures per second and core from the simulator's rasteriser
 /// real    every method on real stereo cases, beside other tools if they are given: --cases DIR, --peers DIR;
 ///         `cargo xtask bench real -- --help` lists the options. Writes docs/benchmarks/real.md
+/// accuracy  every method on rendered scenes with exact truth, beside the Cramér-Rao bound (up to 20 minutes on two cores;
+///           --quick: 3); `cargo xtask bench accuracy -- --help` lists the options. Writes docs/benchmarks/accuracy.md
 /// all     speed and raster
 ///
-/// The first two are the examples `speed` of crates/estimation and `raster_speed` of crates/sim, the third is
+/// The first two are the examples `speed` of crates/estimation and `raster_speed` of crates/sim, the others are
 /// `pb3dp-bench` of crates/benchmarks; each prints its own table. The figures are also kept in `out/bench/*.json`, with
 /// commit, processor and compiler. Measure on an idle machine.
 #[derive(clap::Args)]
@@ -32,7 +34,7 @@ pub struct Args {
     /// JSON instead of the table, from the programs that can; it is kept as figures, the table as text.
     #[arg(long)]
     json: bool,
-    /// Further options, which go to the program: real only.
+    /// Further options, which go to the program: real and accuracy only.
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "OPTIONS")]
     options: Vec<String>,
 }
@@ -42,11 +44,12 @@ enum What {
     Speed,
     Raster,
     Real,
+    Accuracy,
     All,
 }
 
 /// Subcommands of `pb3dp-bench` in crates/benchmarks: they take options and write what they find themselves.
-const PROGRAMS: [(What, &str); 1] = [(What::Real, "real")];
+const PROGRAMS: [(What, &str); 2] = [(What::Real, "real"), (What::Accuracy, "accuracy")];
 
 struct Bench {
     what: What,
@@ -80,7 +83,7 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
         return run_program(workspace, subcommand, args);
     }
     if let Some(option) = args.options.first() {
-        bail!("`{option}`: only `real` takes further options");
+        bail!("`{option}`: only `real` and `accuracy` take further options");
     }
     for bench in BENCHES.iter().filter(|bench| args.what == What::All || args.what == bench.what) {
         measure(workspace, bench, args.json).with_context(|| format!("bench {}", bench.name))?;

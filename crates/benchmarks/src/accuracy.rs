@@ -1,11 +1,228 @@
-//! In the making.
+//! How exact the estimators are on rendered scenes, whose truth is known, beside the Cramér-Rao bound.
+//!
+//! [`cells`] says what is measured on single pairs and [`sequences`] on moving targets; [`bound`] is the limit of what can
+//! be reached, [`limits`] what must be reached; [`page`] makes the document.
+
+mod bound;
+mod cell;
+mod cells;
+#[path = "real/circumstances.rs"]
+mod circumstances;
+pub mod dump;
+mod limits;
+mod measure;
+mod page;
+mod plot;
+mod random;
+mod scenes;
+mod sequence_summary;
+mod sequences;
+mod summary;
+mod table;
+mod track;
+mod trial;
+
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use anyhow::{Context, bail};
+use pb3dp_estimation::estimator::Method;
+use serde_json::json;
+
+use circumstances::Circumstances;
+use limits::Check;
+use measure::Options;
+use page::Findings;
+use scenes::SceneStore;
+use sequence_summary::SequenceSummary;
+use sequences::SequenceSpec;
+use summary::Summary;
+
+const KEPT: &str = "out/bench/accuracy.json";
+const PAGE: &str = "docs/benchmarks/accuracy.md";
+
+/// The sequence of the second figure.
+const DRAWN_SEQUENCE: &str = "track/crab-30fps";
 
 /// Options.
 #[derive(clap::Args)]
-pub struct Args {}
+pub struct Args {
+    /// Fewer poses and sequences, for a check in minutes; docs/benchmarks stays as it is.
+    #[arg(long)]
+    quick: bool,
+    /// Only cells and sequences whose name contains one of these texts, separated by commas.
+    #[arg(long, value_delimiter = ',', value_name = "TEXTS")]
+    only: Vec<String>,
+    /// Methods, separated by commas; all if not given.
+    #[arg(long, value_delimiter = ',', value_name = "NAMES")]
+    methods: Vec<Method>,
+    /// Poses per cell.
+    #[arg(long, value_name = "NUMBER")]
+    poses: Option<usize>,
+    /// Also the run of 10000 frames.
+    #[arg(long)]
+    long: bool,
+    /// Threads.
+    #[arg(long, default_value_t = 2, value_name = "NUMBER")]
+    threads: usize,
+    /// Seed of poses and noise.
+    #[arg(long, default_value_t = 1, value_name = "NUMBER")]
+    seed: u32,
+    /// One JSON line per row instead of the tables.
+    #[arg(long)]
+    json: bool,
+    /// Leaves docs/benchmarks as it is.
+    #[arg(long)]
+    no_docs: bool,
+    /// Folder of the workspace.
+    #[arg(long, default_value = ".", value_name = "DIR")]
+    root: PathBuf,
+}
+
+impl Args {
+    fn wants(&self, name: &str) -> bool {
+        self.only.is_empty() || self.only.iter().any(|only| name.contains(only.as_str()))
+    }
+
+    fn is_full(&self) -> bool {
+        !self.quick && self.only.is_empty() && self.methods.is_empty() && self.poses.is_none()
+    }
+
+    fn sequences(&self) -> Vec<SequenceSpec> {
+        let all = sequences::all().into_iter().chain(self.long.then(sequences::long));
+        let wanted = all.filter(|sequence| self.wants(&sequence.name));
+        if self.quick { wanted.filter_map(SequenceSpec::quick).collect() } else { wanted.collect() }
+    }
+}
 
 /// # Errors
-/// Always, until it is there.
-pub fn run(_args: &Args) -> anyhow::Result<()> {
-    anyhow::bail!("this measurement is not there yet")
+/// If a part fails, or a limit is not kept.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let methods = if args.methods.is_empty() { Method::ALL.to_vec() } else { args.methods.clone() };
+    let options = Options { methods, seed: args.seed, threads: args.threads, poses: args.poses, quick: args.quick };
+    let cells: Vec<_> = cells::all().into_iter().filter(|cell| args.wants(&cell.name)).collect();
+    let specs = args.sequences();
+    if cells.is_empty() && specs.is_empty() {
+        bail!("no cell and no sequence has a name with {}", args.only.join(" or "));
+    }
+    let summaries = measure_cells(&cells, &options, args.json)?;
+    let sequences = measure_sequences(&specs, &options, args.json)?;
+    let checks = limits::checks(&summaries, &sequences);
+    let findings = Findings { cells, summaries, sequences, checks, seed: args.seed, quick: args.quick };
+    let circumstances = Circumstances::of(&args.root);
+    keep(&args.root, &findings, &circumstances)?;
+    if args.is_full() && !args.no_docs {
+        document(&args.root, &findings, &circumstances)?;
+    }
+    conclude(&findings.checks, args.quick)
+}
+
+fn measure_cells(cells: &[cell::Cell], options: &Options, as_json: bool) -> anyhow::Result<Vec<Summary>> {
+    let mut scenes = SceneStore::default();
+    let mut summaries = Vec::new();
+    if !cells.is_empty() && !as_json {
+        println!("{}", table::line(&table::HEADINGS.map(str::to_owned)));
+    }
+    for cell in cells {
+        let measured = measure::measure_cell(cell, options, &mut scenes)?;
+        for (index, method) in options.methods.iter().enumerate() {
+            let summary = Summary::of(cell, method.name(), index, &measured);
+            if as_json {
+                println!("{}", summary.to_json());
+            } else {
+                println!("{}", table::line(&table::row(&summary)));
+            }
+            summaries.push(summary);
+        }
+    }
+    Ok(summaries)
+}
+
+/// Runs the sequences, one per thread at a time.
+fn measure_sequences(specs: &[SequenceSpec], options: &Options, as_json: bool) -> anyhow::Result<Vec<SequenceSummary>> {
+    if !specs.is_empty() && !as_json {
+        println!("\n{}", sequence_summary::line(&sequence_summary::HEADINGS.map(str::to_owned)));
+    }
+    let queue = Mutex::new(specs.iter().enumerate());
+    let found = Mutex::new(Vec::new());
+    let work = || -> anyhow::Result<()> {
+        let mut scenes = SceneStore::default();
+        loop {
+            let next = queue.lock().ok().and_then(|mut queue| queue.next());
+            let Some((index, spec)) = next else { return Ok(()) };
+            let rows = track::run_sequence(spec, &options.methods, options.seed, &mut scenes)
+                .with_context(|| format!("sequence {}", spec.name))?;
+            for row in &rows {
+                if as_json {
+                    println!("{}", row.to_json());
+                } else {
+                    println!("{}", sequence_summary::line(&sequence_summary::row(row)));
+                }
+            }
+            if let Ok(mut found) = found.lock() {
+                found.push((index, rows));
+            }
+        }
+    };
+    std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..options.threads.max(1)).map(|_| scope.spawn(work)).collect();
+        threads.into_iter().try_for_each(|thread| match thread.join() {
+            Ok(result) => result,
+            Err(panic) => std::panic::resume_unwind(panic),
+        })
+    })?;
+    let mut found = found.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    found.sort_by_key(|(index, _)| *index);
+    Ok(found.into_iter().flat_map(|(_, rows)| rows).collect())
+}
+
+/// Keeps the figures as JSON.
+fn keep(root: &Path, findings: &Findings, circumstances: &Circumstances) -> anyhow::Result<()> {
+    let checks: Vec<_> = findings
+        .checks
+        .iter()
+        .map(|check| {
+            json!({
+                "name": check.name, "method": check.method, "figure": check.figure,
+                "measured": check.measured.is_finite().then_some(check.measured), "max": check.max,
+                "kept": check.holds(findings.quick),
+            })
+        })
+        .collect();
+    let kept = json!({
+        "bench": "accuracy", "where": circumstances.to_json(), "seed": findings.seed, "quick": findings.quick,
+        "pairs": findings.summaries.iter().map(Summary::to_json).collect::<Vec<_>>(),
+        "sequences": findings.sequences.iter().map(SequenceSummary::to_json).collect::<Vec<_>>(),
+        "limits": checks,
+    });
+    write(&root.join(KEPT), &format!("{kept:#}\n"))
+}
+
+fn document(root: &Path, findings: &Findings, circumstances: &Circumstances) -> anyhow::Result<()> {
+    let page = root.join(PAGE);
+    write(&page, &page::page(findings, circumstances))?;
+    write(&page.with_extension("svg"), &page::accuracy_figure(findings))?;
+    write(&page.with_file_name("accuracy_sequence.svg"), &page::sequence_figure(findings, DRAWN_SEQUENCE))
+}
+
+fn write(path: &Path, text: &str) -> anyhow::Result<()> {
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).with_context(|| format!("can not make {}", folder.display()))?;
+    }
+    std::fs::write(path, text).with_context(|| format!("can not write {}", path.display()))
+}
+
+/// Tells which limits are not kept.
+fn conclude(checks: &[Check], quick: bool) -> anyhow::Result<()> {
+    let broken: Vec<_> = checks.iter().filter(|check| !check.holds(quick)).collect();
+    for check in &broken {
+        eprintln!(
+            "{} {}: {} is {:.3}, must be at most {:.3}",
+            check.method, check.name, check.figure, check.measured, check.max
+        );
+    }
+    if !broken.is_empty() {
+        bail!("{} of {} limits are not kept", broken.len(), checks.len());
+    }
+    Ok(())
 }

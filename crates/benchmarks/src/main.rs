@@ -20,6 +20,8 @@ struct Cli {
 enum What {
     /// Rendered scenes with exact truth, beside the Cramér-Rao bound.
     Accuracy(accuracy::Args),
+    /// Writes the pairs of one cell of `accuracy` as case folders, or one of its sequences as a sequence folder.
+    Dump(accuracy::dump::Args),
     /// Real stereo cases, beside other tools.
     Real(real::Args),
 }
@@ -27,6 +29,7 @@ enum What {
 fn main() -> ExitCode {
     let outcome = match Cli::parse().what {
         What::Accuracy(args) => accuracy::run(&args),
+        What::Dump(args) => accuracy::dump::run(&args),
         What::Real(args) => real::run(&args),
     };
     match outcome {

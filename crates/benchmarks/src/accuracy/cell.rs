@@ -1,0 +1,219 @@
+//! What a measurement is made of: one factor varied from the nominal set-up.
+
+use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_sim::targets::Paint;
+
+use super::random::Random;
+
+/// Cameras.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum RigKind {
+    /// Two equal pinholes, fx = fy = 740 px, 640 x 480, the right one beside the left one.
+    Parallel {
+        /// Distance of the cameras, metres.
+        baseline_m: f64,
+    },
+    /// Different focal lengths, lens distortion, 5 degrees of vergence, all axes turned; 100 mm apart.
+    Unequal,
+}
+
+/// What is looked at.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Shape {
+    /// The crab's outline with a relief of this height, metres; 0 is flat.
+    Crab {
+        /// Height, metres.
+        relief_m: f64,
+    },
+    /// A wall that fills the picture.
+    Wall,
+}
+
+/// What stands behind the target.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Backdrop {
+    /// Sand with bluish patches, this far behind the target's rear, metres.
+    Sand {
+        /// Distance, metres.
+        gap_m: f64,
+    },
+    /// A panel with the crab's own hues, 30 mm behind.
+    SameHue,
+    /// Nothing but even grey.
+    Nothing,
+}
+
+/// Light.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Light {
+    /// The same everywhere.
+    Even,
+    /// One lamp near the cameras that does not move with the target: shading by the angle to it.
+    Shaded,
+    /// The same with a highlight.
+    Glossy,
+}
+
+/// What the operator marks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RegionKind {
+    /// The target's outline.
+    Outline,
+    /// The rectangle around the outline.
+    Rectangle,
+    /// An ellipse well inside the target.
+    Interior,
+}
+
+/// A set-up; the default is the nominal one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Setup {
+    /// Texture of the target.
+    pub paint: Paint,
+    /// Its shape.
+    pub shape: Shape,
+    /// Behind it.
+    pub backdrop: Backdrop,
+    /// Light.
+    pub light: Light,
+    /// Cameras.
+    pub rig: RigKind,
+    /// How far the right picture lies below what the calibration says, pixels.
+    pub rows_off_px: f64,
+    /// Standard deviation of the noise, grey levels.
+    pub noise_grey: f64,
+    /// Gain of the right camera, red, green, blue.
+    pub gain: [f64; 3],
+    /// How far the right camera is out of focus, standard deviation of the blur, pixels.
+    pub defocus_px: f64,
+    /// Share of the target's pixels in the left picture that something in front hides.
+    pub occluded_share: f64,
+    /// The region.
+    pub region: RegionKind,
+}
+
+/// Offset of the right camera, grey levels.
+pub const OFFSET_GREY: [f64; 3] = [3.0, 0.0, -2.0];
+
+/// Blur of both lenses, pixels.
+pub const LENS_BLUR_PX: f64 = 0.6;
+
+impl Default for Setup {
+    fn default() -> Self {
+        Self {
+            paint: Paint::Crab,
+            shape: Shape::Crab { relief_m: 0.0 },
+            backdrop: Backdrop::Sand { gap_m: 0.03 },
+            light: Light::Even,
+            rig: RigKind::Parallel { baseline_m: 0.1 },
+            rows_off_px: 0.0,
+            noise_grey: 3.0,
+            gain: [1.06, 0.98, 0.93],
+            defocus_px: 0.0,
+            occluded_share: 0.0,
+            region: RegionKind::Outline,
+        }
+    }
+}
+
+impl Setup {
+    /// Distance of the cameras, metres.
+    pub fn baseline_m(&self) -> f64 {
+        match self.rig {
+            RigKind::Parallel { baseline_m } => baseline_m,
+            RigKind::Unequal => 0.1,
+        }
+    }
+
+    /// Whether the target is a plane, so that the bound is that of the truth.
+    pub fn is_planar(&self) -> bool {
+        !matches!(self.shape, Shape::Crab { relief_m } if relief_m > 0.0)
+    }
+}
+
+/// How the target is turned.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Tilt {
+    /// Both tilts evenly within plus and minus this, degrees.
+    Box(f64),
+    /// Exactly this, in any direction, degrees.
+    Exactly(f64),
+    /// Evenly up to this, in any direction, degrees.
+    UpTo(f64),
+}
+
+/// Where the target is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseRange {
+    /// Nearest depth of the target's origin, metres.
+    pub z_min_m: f64,
+    /// Farthest, metres.
+    pub z_max_m: f64,
+    /// Turns.
+    pub tilt: Tilt,
+}
+
+impl PoseRange {
+    /// 420 to 650 mm, both tilts up to 25 degrees.
+    pub const NOMINAL: Self = Self { z_min_m: 0.42, z_max_m: 0.65, tilt: Tilt::Box(25.0) };
+
+    /// A random tilt: the two angles of the plane hypothesis' order of rotation, radians.
+    pub fn tilt_rad(&self, random: &mut Random) -> [f64; 2] {
+        let (magnitude_deg, direction) = match self.tilt {
+            Tilt::Box(limit) => {
+                return [(); 2].map(|()| random.between(-limit, limit).to_radians());
+            }
+            Tilt::Exactly(degrees) => (degrees, random.between(0.0, std::f64::consts::TAU)),
+            Tilt::UpTo(degrees) => (random.between(0.0, degrees), random.between(0.0, std::f64::consts::TAU)),
+        };
+        let (sin, cos) = magnitude_deg.to_radians().sin_cos();
+        // The normal (sin cos d, sin sin d, cos) as Ry(theta_y) Rx(theta_x) e_z.
+        let (nx, ny) = (sin * direction.cos(), sin * direction.sin());
+        [-ny.asin(), nx.atan2(cos)]
+    }
+}
+
+/// What is asked of a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Question {
+    /// How exact are the answers.
+    Accuracy,
+    /// How often is the target found from nothing; a thousand poses.
+    ColdStart,
+    /// Is it said that nothing can be known; a thousand poses.
+    Unobservable,
+}
+
+/// One measurement.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cell {
+    /// `noise/8`: the factor, and its value.
+    pub name: String,
+    /// The value as a number, for the figures; 0 where it is none.
+    pub value: f64,
+    /// The set-up.
+    pub setup: Setup,
+    /// The poses.
+    pub poses: PoseRange,
+    /// Depths and tilts that the methods are told to search.
+    pub search: SearchRange,
+    /// What is asked.
+    pub question: Question,
+}
+
+impl Cell {
+    /// The factor that is varied.
+    pub fn factor(&self) -> &str {
+        self.name.split('/').next().unwrap_or_default()
+    }
+
+    /// Number of poses of a full or a quick run.
+    pub fn pose_count(&self, quick: bool) -> usize {
+        match (self.question, quick) {
+            (Question::Accuracy, false) => 200,
+            (_, false) => 1000,
+            (Question::Accuracy, true) => 32,
+            (_, true) => 64,
+        }
+    }
+}

@@ -1,0 +1,191 @@
+//! Runs the methods on every pose of a cell.
+
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use anyhow::Context;
+use image::RgbImage;
+use nalgebra::{Matrix3, Vector3};
+use pb3dp_estimation::estimate::PlaneEstimate;
+use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
+use pb3dp_estimation::region::RegionConfig;
+use pb3dp_estimation::status::Status;
+use pb3dp_sim::raster::StereoRenderer;
+use pb3dp_sim::scene::Scene;
+
+use super::bound::BoundMaker;
+use super::cell::{Cell, Question};
+use super::random::hash_of;
+use super::scenes::{Rigs, SceneStore, rigs, sensor};
+use super::trial::{PlaneErrors, Trial, plane_errors, trial};
+use crate::common::cpu_time::timed;
+
+/// What one method said of one pose.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// Its status.
+    pub status: Status,
+    /// Its errors; `None` where it gave no plane.
+    pub errors: Option<PlaneErrors>,
+    /// The covariance that it claims for (depth, two tilts): metres, radians.
+    pub claimed: Option<Matrix3<f64>>,
+    /// Processor time, milliseconds.
+    pub cpu_millis: f64,
+}
+
+/// One pose.
+#[derive(Clone, Debug)]
+pub struct Measured {
+    /// The Cramér-Rao bound as a covariance of (depth, two tilts); `None` if the scene does not determine the plane.
+    pub bound: Option<Matrix3<f64>>,
+    /// One outcome per method.
+    pub outcomes: Vec<Outcome>,
+}
+
+/// How to run.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The methods.
+    pub methods: Vec<Method>,
+    /// Seed of poses and noise.
+    pub seed: u32,
+    /// Threads.
+    pub threads: usize,
+    /// Poses per cell, instead of the cell's own number.
+    pub poses: Option<usize>,
+    /// Fewer poses.
+    pub quick: bool,
+}
+
+impl Options {
+    /// Number of poses of a cell.
+    pub fn pose_count(&self, cell: &Cell) -> usize {
+        self.poses.unwrap_or_else(|| cell.pose_count(self.quick))
+    }
+}
+
+/// What one thread needs for a cell.
+pub struct Worker<'a> {
+    cell: &'a Cell,
+    seed: u32,
+    rigs: Rigs,
+    renderer: StereoRenderer,
+    bounds: BoundMaker,
+    estimators: Vec<Estimator>,
+}
+
+/// A rendered pose.
+pub struct Rendered {
+    /// Where everything is, and what is true.
+    pub trial: Trial,
+    /// The left picture.
+    pub left: RgbImage,
+    /// The right picture.
+    pub right: RgbImage,
+}
+
+impl<'a> Worker<'a> {
+    /// Prepares renderers and estimators.
+    ///
+    /// # Errors
+    /// If simulator, geometry or an estimator refuses the set-up.
+    pub fn new(cell: &'a Cell, scene: &Scene, seed: u32, methods: &[Method]) -> anyhow::Result<Self> {
+        let rigs = rigs(&cell.setup)?;
+        let renderer =
+            StereoRenderer::new(scene.clone(), rigs.real.clone(), &sensor(&cell.setup), seed ^ hash_of(&cell.name))?
+                .with_defocus_px(0.0, cell.setup.defocus_px)?;
+        // Where millimetres are asked for, thousandths of a pixel do not matter.
+        let renderer = if cell.question == Question::Accuracy { renderer.with_fine_sampling()? } else { renderer };
+        let config = EstimatorConfig::default();
+        let estimators =
+            methods.iter().map(|method| Estimator::new(*method, &rigs.told, &config)).collect::<Result<_, _>>()?;
+        let bounds = BoundMaker::new(&cell.setup, scene, &rigs.told)?;
+        Ok(Self { cell, seed, rigs, renderer, bounds, estimators })
+    }
+
+    /// The rig that the estimators are told.
+    pub fn told_rig(&self) -> &pb3dp_geometry::StereoRig {
+        &self.rigs.told
+    }
+
+    /// Renders pose number `index`.
+    ///
+    /// # Errors
+    /// If the target is not in front of the camera.
+    pub fn render(&mut self, index: usize) -> anyhow::Result<Rendered> {
+        let trial = trial(self.cell, self.seed, index, &mut self.renderer)
+            .with_context(|| format!("pose {index} of {} does not show the target", self.cell.name))?;
+        let (mut left, mut right) = (RgbImage::new(1, 1), RgbImage::new(1, 1));
+        self.renderer.render_pair(&trial.poses, index as u64, &mut left, &mut right);
+        Ok(Rendered { trial, left, right })
+    }
+
+    fn measure(&mut self, index: usize) -> anyhow::Result<Measured> {
+        let Rendered { trial, left, right } = self.render(index)?;
+        let mask = trial.region.rasterize(&left, &RegionConfig::default())?;
+        let centroid_px = mask.centroid_px().context("the region is empty")?;
+        let ray = self.rigs.told.left().unproject(&centroid_px)?;
+        let bound = if self.cell.question == Question::Unobservable {
+            None
+        } else {
+            self.bounds.bound(&trial.poses, &trial.seen, &trial.plane, &ray)
+        };
+        let search = &self.cell.search;
+        let outcomes = self
+            .estimators
+            .iter_mut()
+            .map(|estimator| {
+                let (answer, cpu_millis) = timed(|| estimator.estimate(&left, &right, &trial.region, search));
+                match answer {
+                    Ok(estimate) => outcome(&estimate, &trial.plane, &ray, cpu_millis),
+                    Err(_) => Outcome { status: Status::Error, errors: None, claimed: None, cpu_millis },
+                }
+            })
+            .collect();
+        Ok(Measured { bound, outcomes })
+    }
+}
+
+fn outcome(estimate: &PlaneEstimate, truth: &Vector3<f64>, ray: &Vector3<f64>, cpu_millis: f64) -> Outcome {
+    let errors = estimate.pose.and_then(|pose| plane_errors(&pose.inverse_depth_plane, truth, ray));
+    Outcome { status: estimate.status, errors, claimed: claimed_covariance(estimate), cpu_millis }
+}
+
+/// What an estimate claims of itself; the deviation of the normal is split evenly between the two tilts.
+fn claimed_covariance(estimate: &PlaneEstimate) -> Option<Matrix3<f64>> {
+    let (z, normal) = (estimate.z_sigma_m?, estimate.normal_sigma_rad?);
+    Some(Matrix3::from_diagonal(&Vector3::new(z * z, 0.5 * normal * normal, 0.5 * normal * normal)))
+}
+
+/// Measures all poses of a cell, in order of their numbers.
+///
+/// # Errors
+/// If a part refuses the set-up; the first error of any thread.
+pub fn measure_cell(cell: &Cell, options: &Options, scenes: &mut SceneStore) -> anyhow::Result<Vec<Measured>> {
+    let scene = scenes.scene(&cell.setup)?;
+    let count = options.pose_count(cell);
+    let (next, results) = (AtomicUsize::new(0), Mutex::new(vec![None; count]));
+    let work = || -> anyhow::Result<()> {
+        let mut worker = Worker::new(cell, &scene, options.seed, &options.methods)?;
+        loop {
+            let index = next.fetch_add(1, Ordering::Relaxed);
+            if index >= count {
+                return Ok(());
+            }
+            let measured = worker.measure(index)?;
+            if let Ok(mut results) = results.lock() {
+                results[index] = Some(measured);
+            }
+        }
+    };
+    std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..options.threads.max(1)).map(|_| scope.spawn(work)).collect();
+        threads.into_iter().try_for_each(|thread| match thread.join() {
+            Ok(result) => result,
+            Err(panic) => std::panic::resume_unwind(panic),
+        })
+    })
+    .with_context(|| format!("cell {}", cell.name))?;
+    let results = results.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    Ok(results.into_iter().flatten().collect())
+}

@@ -1,0 +1,222 @@
+//! The document and its figures.
+
+use std::fmt::Write as _;
+
+use super::cell::Cell;
+use super::circumstances::Circumstances;
+use super::limits::Check;
+use super::plot::{Line, Panel, svg};
+use super::sequence_summary::{self, SequenceSummary};
+use super::summary::Summary;
+use super::table;
+
+/// Everything that a run found.
+pub struct Findings {
+    /// The cells that were measured.
+    pub cells: Vec<Cell>,
+    /// Their rows.
+    pub summaries: Vec<Summary>,
+    /// Rows of the sequences.
+    pub sequences: Vec<SequenceSummary>,
+    /// Limits and whether they are kept.
+    pub checks: Vec<Check>,
+    /// Seed.
+    pub seed: u32,
+    /// Fewer poses: limits have slack.
+    pub quick: bool,
+}
+
+/// Factors with a figure: name, label of the axis.
+const FIGURES: [(&str, &str); 3] =
+    [("noise", "noise, grey levels"), ("distance", "distance, mm"), ("baseline", "baseline, mm")];
+
+/// Depth and angle against noise, distance and baseline: rms of each method, and the bound.
+pub fn accuracy_figure(findings: &Findings) -> String {
+    let mut panels = Vec::new();
+    for (quantity, index) in [("depth, rms, mm", 0), ("normal, rms, degrees", 1)] {
+        for (factor, label) in FIGURES {
+            panels.push(panel(findings, factor, (quantity, index), label));
+        }
+    }
+    svg(&panels, FIGURES.len())
+}
+
+fn panel(findings: &Findings, factor: &str, (quantity, index): (&str, usize), label: &str) -> Panel {
+    let cells: Vec<&Cell> = findings.cells.iter().filter(|cell| cell.factor() == factor).collect();
+    let mut methods: Vec<&'static str> = findings.summaries.iter().map(|row| row.method).collect();
+    methods.sort_unstable();
+    methods.dedup();
+    let value = |row: &Summary| if index == 0 { row.z_m[2] * 1e3 } else { row.angle_rad[2].to_degrees() };
+    let bound = |row: &Summary| {
+        let [z, angle] = row.bound.unwrap_or([f64::NAN; 2]);
+        if index == 0 { z * 1e3 } else { angle.to_degrees() }
+    };
+    let points = |method: &str, of: &dyn Fn(&Summary) -> f64| {
+        let row = |cell: &&Cell| findings.summaries.iter().find(|row| row.cell == cell.name && row.method == method);
+        cells.iter().filter_map(|cell| row(cell).map(|row| [cell.value, of(row)])).collect::<Vec<_>>()
+    };
+    let mut lines: Vec<Line> = methods
+        .iter()
+        .map(|method| Line { name: (*method).to_owned(), points: points(method, &value), is_bound: false })
+        .collect();
+    if let Some(method) = methods.first() {
+        lines.push(Line { name: "bound".to_owned(), points: points(method, &bound), is_bound: true });
+    }
+    Panel { title: quantity.to_owned(), x: label.to_owned(), lines }
+}
+
+/// Depth and rotation error of each frame of one sequence.
+pub fn sequence_figure(findings: &Findings, name: &str) -> String {
+    let rows: Vec<_> = findings.sequences.iter().filter(|row| row.sequence == name).collect();
+    let line = |row: &SequenceSummary, values: &[f64], scale: f64| Line {
+        name: row.method.to_owned(),
+        points: (1..).zip(values).map(|(frame, value)| [f64::from(frame), value.abs() * scale]).collect(),
+        is_bound: false,
+    };
+    let panel = |title: &str, of: &dyn Fn(&SequenceSummary) -> Line| Panel {
+        title: format!("{name}: {title}"),
+        x: "frame".to_owned(),
+        lines: rows.iter().map(|row| of(row)).collect(),
+    };
+    svg(
+        &[
+            panel("depth, mm", &|row| line(row, &row.z_errors_m, 1e3)),
+            panel("rotation, degrees", &|row| line(row, &row.rotation_errors_rad, 1f64.to_degrees())),
+        ],
+        2,
+    )
+}
+
+/// What stands before the tables.
+const INTRODUCTION: &str = "\
+This file is written by `cargo xtask bench accuracy`; edit the program, not the file.
+
+## What is measured
+
+Each cell differs from the nominal one in one factor, which its name tells.
+The nominal cell: a flat target of 110 mm with the crab's outline and texture, 30 mm before a panel of sand; 420 to 650 mm away, both tilts evenly within 25 degrees, any rotation about the normal; two cameras of 640 x 480 px and 740 px focal length, 100 mm apart; noise of 3 grey levels, lens blur of 0.6 px, and a right camera with the gains 1.06, 0.98, 0.93 and the offsets 3, 0, -2 grey levels.
+Every answer is a cold start from one pair: the methods are told the depth range (330 to 840 mm, 300 to 1150 mm in the cells `distance`), tilts of up to 45 degrees, and the region.
+The region is the target's true outline, except in the cells `rectangle`, where it is the box around it, and `unobservable/uniform-interior`, where it lies within the target.
+
+Pictures are sampled at twice the resolution and blurred before the pixels integrate them.
+All methods see the same pictures; the seed of a pose depends on the cell's name and the pose's number only.
+
+| column | meaning |
+|---|---|
+| sure | status `ok` or `weak-tilt` |
+| right | depth and normal within 2 mm and 3 degrees, or within four times the bound where that is more, whatever the status |
+| wrong ok | `ok` with an error beyond those, or `weak-tilt` with a depth error beyond them |
+| z | absolute depth error on the ray of the region's centroid, of the sure answers |
+| angle | between the true and the found normal, of the answers that are `ok` |
+| bound | the Cramér-Rao bound, rms over the poses |
+| rms / bound | rms of the errors over the bound of the same poses |
+| NEES | mean squared error, normalised by the covariance that the method claims, over its expected value: 1 is honest |
+| ms | processor time of one call, median |
+
+For a relief the true plane is the least-squares plane of the inverse depths of the target's visible pixels; the bound, which is that of a plane, is then out of reach.
+
+## The bound
+
+At a left pixel x on the target, `I_R(W(x; q)) = g I_L(x) + o`, with the plane q, the map W between the pictures, and gain and offset of each channel, which are unknown.
+Both pictures are noisy, so a difference of them has the variance `s^2 (1 + g^2)`, quantisation included.
+The information about q is the sum over pixels and channels of the squared slopes of that difference over its variance, less what gain and offset take; its inverse is the bound.
+Assumed: white normal noise, exact calibration, the target's pixels are known and only they tell anything (those within 2 px of the outline, and saturated ones, do not), and both pictures are equally sharp.
+Slopes are differences of two renderings without noise whose left camera is moved by a quarter of a pixel either way.
+A test fits a plane to every pixel, started at the truth: its rms lies between 1.0 and 1.7 times the bound, so the bound is neither too high nor far from what can be reached; what is missing is lost in the interpolation between pixels.
+
+## Sequences
+
+The target moves along and about all axes at once (50 mm, 35 mm up and down, 20 degrees; periods of 4 to 7 s), in `fig7` along and about one axis after the other (100 mm, 20 degrees).
+Errors are those of the motion since the first frame, at the target's origin, of the sure poses.
+Nothing is predicted for the trackers.
+In `hidden` something slides in front for 30 frames; `until back` counts the frames from the target's being free again to the first right pose.
+In `shaded` the lamp does not turn with the target.
+";
+
+/// The document.
+pub fn page(findings: &Findings, circumstances: &Circumstances) -> String {
+    let mut text = String::from("# Accuracy on rendered scenes\n\n");
+    text.push_str(INTRODUCTION);
+    // Writing to a String does not fail.
+    let _ = write!(
+        text,
+        "\n## Run\n\nSeed {}, commit `{}`{}, {}, {}.\n",
+        findings.seed,
+        circumstances.commit,
+        if circumstances.changed { " with uncommitted changes" } else { "" },
+        circumstances.processor,
+        circumstances.compiler,
+    );
+    text.push_str("\n![rms of depth and normal against noise, distance and baseline](accuracy.svg)\n");
+    let _ = write!(
+        text,
+        "\n### Single pairs\n\n{}",
+        table::markdown(&table::HEADINGS, findings.summaries.iter().map(table::row))
+    );
+    let rows = findings.sequences.iter().map(sequence_summary::row);
+    let _ = write!(text, "\n### Tracking\n\n{}", table::markdown(&sequence_summary::HEADINGS, rows));
+    text.push_str("\n![errors of each frame](accuracy_sequence.svg)\n");
+    let _ = write!(text, "\n### Limits\n\n{}", limits_table(findings));
+    text
+}
+
+fn limits_table(findings: &Findings) -> String {
+    let row = |check: &Check| {
+        let kept = if check.holds(findings.quick) { "yes" } else { "no" };
+        [
+            check.name.clone(),
+            check.method.to_owned(),
+            check.figure.clone(),
+            format!("{:.3}", check.measured),
+            format!("{:.3}", check.max),
+            kept.to_owned(),
+        ]
+    };
+    table::markdown(&["cell", "method", "figure", "measured", "limit", "kept"], findings.checks.iter().map(row))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::measure::{Measured, Outcome};
+    use super::super::trial::PlaneErrors;
+    use super::*;
+    use nalgebra::{Matrix3, Vector2};
+    use pb3dp_estimation::status::Status;
+
+    fn findings() -> Findings {
+        let cells: Vec<Cell> = super::super::cells::all().into_iter().filter(|cell| cell.factor() == "noise").collect();
+        let summaries = cells
+            .iter()
+            .map(|cell| {
+                let errors = Some(PlaneErrors { z_m: 1e-5 * cell.value, tilt_rad: Vector2::new(1e-3, 0.0) });
+                let outcome = Outcome { status: Status::Ok, errors, claimed: None, cpu_millis: 1.0 };
+                let bound = Some(Matrix3::identity() * 1e-10);
+                Summary::of(cell, "direct", 0, &[Measured { bound, outcomes: vec![outcome] }])
+            })
+            .collect::<Vec<_>>();
+        let checks = super::super::limits::checks(&summaries, &[]);
+        Findings { cells, summaries, sequences: Vec::new(), checks, seed: 4, quick: false }
+    }
+
+    #[test]
+    fn figures_show_methods_and_bound() {
+        let svg = accuracy_figure(&findings());
+        // Depth and angle against noise; six points each. The other panels are empty.
+        assert_eq!(svg.matches("<circle").count(), 12);
+        assert!(svg.contains(">bound<") && svg.contains(">direct<"));
+    }
+
+    #[test]
+    fn the_page_tells_what_was_not_kept_and_where_it_was_measured() {
+        let circumstances = Circumstances {
+            commit: "abc".into(),
+            changed: true,
+            processor: "Some CPU".into(),
+            compiler: "rustc 9".into(),
+        };
+        let text = page(&findings(), &circumstances);
+        assert!(text.contains("commit `abc` with uncommitted changes, Some CPU, rustc 9"), "{text}");
+        // 0.08 mm against a bound of 0.01 mm.
+        assert!(text.contains("| noise/8 | direct | ZRatio | 8.000 | 1.500 | no |"), "{text}");
+    }
+}

@@ -1,0 +1,149 @@
+//! Figures with logarithmic axes, as SVG files of their own that follow light and dark pages.
+
+use std::fmt::Write as _;
+
+/// A named line.
+pub struct Line {
+    /// Its name.
+    pub name: String,
+    /// Its points; those that are not positive and finite are left out.
+    pub points: Vec<[f64; 2]>,
+    /// Dashed and grey: the bound.
+    pub is_bound: bool,
+}
+
+/// One panel.
+pub struct Panel {
+    /// Heading.
+    pub title: String,
+    /// Label of the x axis.
+    pub x: String,
+    /// Its lines.
+    pub lines: Vec<Line>,
+}
+
+const WIDTH: f64 = 300.0;
+const HEIGHT: f64 = 210.0;
+const LEFT: f64 = 52.0;
+const TOP: f64 = 54.0;
+const BOTTOM: f64 = 40.0;
+const RIGHT: f64 = 16.0;
+
+const STYLE: &str = "text { font: 11px sans-serif; fill: #5b6470; } .head { font-weight: bold; fill: #1c1f24; } \
+    .grid { stroke: #e3e6ea; } .line { fill: none; stroke: currentColor; stroke-width: 1.8; } .paper { fill: #ffffff; } \
+    .dot { fill: currentColor; } .dashed { stroke-dasharray: 5 3; } .c0 { color: #d1242f; } .c1 { color: #0b62c4; } \
+    .c2 { color: #1a7f37; } .c3 { color: #b35900; } .cb { color: #6b7480; } \
+    @media (prefers-color-scheme: dark) { text { fill: #a3abb6; } .head { fill: #e8eaed; } .grid { stroke: #2b313a; } \
+    .paper { fill: #15181d; } .c0 { color: #ff6b6b; } .c1 { color: #6cb0ff; } .c2 { color: #58c97b; } .c3 { color: #ffa84d; } }";
+
+/// Panels in rows of `columns`.
+pub fn svg(panels: &[Panel], columns: usize) -> String {
+    let (cell_width, cell_height) = (LEFT + WIDTH + RIGHT, TOP + HEIGHT + BOTTOM);
+    let rows = panels.len().div_ceil(columns);
+    let (width, height) = (cell_width * columns as f64, cell_height * rows as f64);
+    let mut body = String::new();
+    for (index, panel) in panels.iter().enumerate() {
+        let (x, y) = (cell_width * (index % columns) as f64, cell_height * (index / columns) as f64);
+        // Writing to a String does not fail.
+        let _ = write!(body, "<g transform=\"translate({x} {y})\">{}</g>", draw(panel));
+    }
+    format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" role=\"img\"><style>{STYLE}</style>\
+         <rect class=\"paper\" width=\"{width}\" height=\"{height}\"/>{body}</svg>\n"
+    )
+}
+
+/// A logarithmic axis over whole decades or parts of them.
+struct Axis {
+    low: f64,
+    high: f64,
+}
+
+impl Axis {
+    fn of(values: impl Iterator<Item = f64> + Clone) -> Self {
+        let low = values.clone().fold(f64::INFINITY, f64::min);
+        let high = values.fold(f64::NEG_INFINITY, f64::max);
+        if low > high {
+            return Self { low: 0.1, high: 10.0 };
+        }
+        Self { low: low / 1.15, high: high * 1.15 }
+    }
+
+    fn share(&self, value: f64) -> f64 {
+        (value / self.low).ln() / (self.high / self.low).ln()
+    }
+
+    /// Values with a line and a number: 1, 2 and 5 of each decade, fewer where there are many decades.
+    fn ticks(&self) -> Vec<f64> {
+        let many = self.high / self.low > 300.0;
+        let steps: &[f64] = if many { &[1.0] } else { &[1.0, 2.0, 5.0] };
+        (-6..6)
+            .flat_map(|decade| steps.iter().map(move |step| step * 10f64.powi(decade)))
+            .filter(|tick| (self.low..=self.high).contains(tick))
+            .collect()
+    }
+}
+
+fn draw(panel: &Panel) -> String {
+    let shown = |point: &&[f64; 2]| point.iter().all(|value| *value > 0.0 && value.is_finite());
+    let points: Vec<&[f64; 2]> = panel.lines.iter().flat_map(|line| line.points.iter().filter(shown)).collect();
+    let (x, y) = (Axis::of(points.iter().map(|p| p[0])), Axis::of(points.iter().map(|p| p[1])));
+    let place = |point: &[f64; 2]| (LEFT + WIDTH * x.share(point[0]), TOP + HEIGHT * (1.0 - y.share(point[1])));
+    let mut svg = format!("<text x=\"{LEFT}\" y=\"16\" class=\"head\">{}</text>", panel.title);
+    for tick in x.ticks() {
+        let (at, _) = place(&[tick, y.low]);
+        let (bottom, below) = (TOP + HEIGHT, TOP + HEIGHT + 14.0);
+        let _ = write!(svg, "<path class=\"grid\" d=\"M{at:.1} {TOP}V{bottom}\"/>");
+        let _ = write!(svg, "<text x=\"{at:.1}\" y=\"{below}\" text-anchor=\"middle\">{tick}</text>");
+    }
+    for tick in y.ticks() {
+        let (_, at) = place(&[x.low, tick]);
+        let (right, base) = (LEFT + WIDTH, at + 4.0);
+        let label = format!("{tick:.4}");
+        let label = label.trim_end_matches('0').trim_end_matches('.');
+        let _ = write!(svg, "<path class=\"grid\" d=\"M{LEFT} {at:.1}H{right}\"/>");
+        let _ = write!(svg, "<text x=\"{}\" y=\"{base:.1}\" text-anchor=\"end\">{label}</text>", LEFT - 6.0);
+    }
+    let (middle, base) = (LEFT + WIDTH / 2.0, TOP + HEIGHT + 32.0);
+    let _ = write!(svg, "<text x=\"{middle}\" y=\"{base}\" text-anchor=\"middle\">{}</text>", panel.x);
+    for (index, line) in panel.lines.iter().enumerate() {
+        let class = if line.is_bound { "cb".to_owned() } else { format!("c{}", index % 4) };
+        let dashed = if line.is_bound { " dashed" } else { "" };
+        let places: Vec<_> = line.points.iter().filter(shown).map(place).collect();
+        let path: Vec<String> = places.iter().map(|(u, v)| format!("{u:.1} {v:.1}")).collect();
+        let key = LEFT + 100.0 * index as f64;
+        let _ = write!(svg, "<g class=\"{class}\"><path class=\"line{dashed}\" d=\"M{key} 34h18\"/>");
+        if !path.is_empty() {
+            let _ = write!(svg, "<path class=\"line{dashed}\" d=\"M{}\"/>", path.join("L"));
+        }
+        for (u, v) in places.iter().filter(|_| !line.is_bound) {
+            let _ = write!(svg, "<circle class=\"dot\" cx=\"{u:.1}\" cy=\"{v:.1}\" r=\"2.6\"/>");
+        }
+        let _ = write!(svg, "</g><text x=\"{}\" y=\"38\">{}</text>", key + 22.0, line.name);
+    }
+    svg
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_stand_where_logarithms_put_them_and_gaps_are_left_out() {
+        let points = vec![[1.0, 1.0], [3.0, f64::NAN], [10.0, 10.0], [100.0, 100.0]];
+        let line = Line { name: "direct".into(), points, is_bound: false };
+        let svg = svg(&[Panel { title: "t".into(), x: "noise".into(), lines: vec![line] }], 1);
+        // The middle of both axes.
+        let (x, y) = (LEFT + WIDTH / 2.0, TOP + HEIGHT / 2.0);
+        assert!(svg.contains(&format!("<circle class=\"dot\" cx=\"{x:.1}\" cy=\"{y:.1}\"")), "{svg}");
+        assert_eq!(svg.matches("<circle").count(), 3);
+        assert!(!svg.contains("NaN") && !svg.contains("inf"));
+    }
+
+    #[test]
+    fn a_panel_without_points_is_still_drawn() {
+        let line = Line { name: "none".into(), points: vec![[0.0, -1.0]], is_bound: true };
+        let svg = svg(&[Panel { title: "t".into(), x: "x".into(), lines: vec![line] }], 2);
+        assert!(svg.contains(">none<") && !svg.contains("NaN"), "{svg}");
+    }
+}
