@@ -19,3 +19,4 @@ pub mod row_offset;
 mod row_shift;
 pub mod search;
 pub mod track;
+pub mod verdict;

@@ -1,6 +1,6 @@
 //! The answer to "where is this surface": a plane, a status, and why.
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 use pb3dp_geometry::Camera;
 
 use crate::observability::Landscape;
@@ -75,6 +75,15 @@ pub struct ReferenceOptimum {
     pub ties: u64,
 }
 
+/// Another surface in the same region.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SecondPlane {
+    /// The plane in `cam_left`; its depth is on the ray of the region's centroid, like that of the first.
+    pub pose: PlanePose,
+    /// Share of the region's pixels that lie on this plane and not on the first, 0 to 1.
+    pub share: f64,
+}
+
 /// The outcome for one pair.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlaneEstimate {
@@ -97,6 +106,14 @@ pub struct PlaneEstimate {
     pub z_sigma_m: Option<f64>,
     /// Standard deviation of the normal, radians; `None`: the method can not say.
     pub normal_sigma_rad: Option<f64>,
+    /// Covariance of `(z, theta_x, theta_y)` of the plane (metres and radians; see
+    /// [`PlaneHypothesis`] for the angles); `None`: the method can not say.
+    pub plane_covariance: Option<Matrix3<f64>>,
+    /// The other surface of a region that straddles a depth edge; `None` if none was found, or the method does not look.
+    pub second_plane: Option<SecondPlane>,
+    /// Row of the right image minus row of the left one at the region, of the rectified pair, pixels; `None`: the method
+    /// takes the rows as they are.
+    pub row_offset_px: Option<f64>,
     /// What the observability probe found; `None` if nothing was searched.
     pub landscape: Option<Landscape>,
     /// The best of all chromosomes; `None` unless [`PublishedConfig::reference_optimum`] asks for it.

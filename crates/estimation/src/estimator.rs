@@ -7,6 +7,7 @@ use image::RgbImage;
 use pb3dp_geometry::frames::CamLeft;
 use pb3dp_geometry::{Pose, StereoRig};
 
+use crate::direct::estimator::{DirectConfig, DirectEstimator};
 use crate::error::EstimationError;
 use crate::estimate::PlaneEstimate;
 use crate::plane_hypothesis::SearchRange;
@@ -20,16 +21,19 @@ pub use crate::published::{PublishedEstimator, PublishedTracker};
 pub enum Method {
     /// RM-GA on hue votes, as published.
     Published,
+    /// Semi-global search, slanted patches and photometric refinement, of any texture.
+    Direct,
 }
 
 impl Method {
     /// All methods.
-    pub const ALL: [Self; 1] = [Self::Published];
+    pub const ALL: [Self; 2] = [Self::Published, Self::Direct];
 
     /// Its name in commands, configurations and results.
     pub fn name(self) -> &'static str {
         match self {
             Self::Published => "published",
+            Self::Direct => "direct",
         }
     }
 
@@ -63,6 +67,8 @@ impl fmt::Display for Method {
 pub struct EstimatorConfig {
     /// Of the published method.
     pub published: PublishedConfig,
+    /// Of the direct method.
+    pub direct: DirectConfig,
 }
 
 /// An estimator of any method, for single pairs.
@@ -70,6 +76,8 @@ pub struct EstimatorConfig {
 pub enum Estimator {
     /// The published method.
     Published(Box<PublishedEstimator>),
+    /// The direct method.
+    Direct(Box<DirectEstimator>),
 }
 
 impl Estimator {
@@ -80,6 +88,7 @@ impl Estimator {
     pub fn new(method: Method, rig: &StereoRig, config: &EstimatorConfig) -> Result<Self, EstimationError> {
         match method {
             Method::Published => Ok(Self::Published(Box::new(PublishedEstimator::new(rig, config.published.clone())?))),
+            Method::Direct => Ok(Self::Direct(Box::new(DirectEstimator::new(rig, config.direct.clone())?))),
         }
     }
 
@@ -87,6 +96,7 @@ impl Estimator {
     pub fn method(&self) -> Method {
         match self {
             Self::Published(_) => Method::Published,
+            Self::Direct(_) => Method::Direct,
         }
     }
 
@@ -103,6 +113,7 @@ impl Estimator {
     ) -> Result<PlaneEstimate, EstimationError> {
         match self {
             Self::Published(estimator) => estimator.estimate(left, right, region, range),
+            Self::Direct(estimator) => estimator.estimate(left, right, region, range),
         }
     }
 }
@@ -122,6 +133,7 @@ impl Tracker {
     pub fn new(method: Method, rig: &StereoRig, config: &EstimatorConfig) -> Result<Self, EstimationError> {
         match method {
             Method::Published => Ok(Self::Published(Box::new(PublishedTracker::new(rig, config.published.clone())?))),
+            Method::Direct => Err(EstimationError::NoTracker { method: method.name() }),
         }
     }
 
@@ -175,6 +187,6 @@ mod tests {
             assert_eq!(method.to_string().parse(), Ok(method));
         }
         let error = Method::from_name("ViSP").expect_err("unknown");
-        assert_eq!(error.to_string(), "there is no method \"ViSP\": known methods are published");
+        assert_eq!(error.to_string(), "there is no method \"ViSP\": known methods are published, direct");
     }
 }

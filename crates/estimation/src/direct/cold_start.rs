@@ -1,16 +1,17 @@
 //! From a region and a range of depths to one refined plane: search, patches, refinement.
 //!
-//! Works in the rectified pair; see [`super::estimator`] for what makes an answer of it.
+//! Works in the rectified pair; [`super::estimator`] makes an answer of what is found here.
 
 use nalgebra::Vector2;
 
 use super::disparity_plane::DisparityPlane;
 use super::front_end::StereoFrontEnd;
-use super::patches::{PatchConfig, PatchOutcome, SlantedPatches};
+use super::patches::{PatchConfig, PatchOutcome, SUPPORTS, SlantedPatches};
 use super::photometric::{PlaneRefiner, RefineConfig, RefinedPlane};
 use super::region_pyramid::{LevelPlane, PyramidSource, RegionPyramid};
 use super::search::{PlaneSearch, PlaneSearchConfig};
 use crate::cpu::Kernels;
+use crate::error::{EstimationError, check_range};
 
 /// Parameters of the cold start.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,12 +31,27 @@ pub struct ColdStartConfig {
 impl Default for ColdStartConfig {
     fn default() -> Self {
         Self {
-            search_area_px: 6000,
+            search_area_px: 12_000,
             patch_area_px: 24_000,
             search: PlaneSearchConfig::default(),
             patches: PatchConfig::default(),
-            refine: RefineConfig::default(),
+            refine: RefineConfig { levels_max: 1, erosion_max_px: 2.0, ..RefineConfig::default() },
         }
+    }
+}
+
+impl ColdStartConfig {
+    /// Checks all ranges.
+    ///
+    /// # Errors
+    /// The parameter that is out of its range.
+    pub fn validate(&self) -> Result<(), EstimationError> {
+        let area =
+            |name, value: usize| check_range(name, value as f64, (200.0, 1e6), "must be between 200 and 1000000");
+        area("direct search area_max_px", self.search_area_px)?;
+        area("direct patches area_max_px", self.patch_area_px)?;
+        self.search.validate()?;
+        self.patches.validate()
     }
 }
 
@@ -44,12 +60,27 @@ impl Default for ColdStartConfig {
 pub struct Surface {
     /// The plane in the rectified pair.
     pub plane: DisparityPlane,
-    /// Share of the region's clear disparities on it.
+    /// Share of the region's clear disparities on it, soft.
     pub share: f64,
     /// What the patches said of it on the search level.
     pub patches: PatchOutcome,
-    /// What orders the surfaces.
+    /// What orders the surfaces: at most 2.
     pub score: f64,
+    /// Index of its patches' votes.
+    mask: usize,
+}
+
+/// How another surface stands to the best one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rival {
+    /// The plane in the rectified pair.
+    pub plane: DisparityPlane,
+    /// Its score over that of the best.
+    pub score_ratio: f64,
+    /// Share of the region's pixels that support it and not the best.
+    pub own_share: f64,
+    /// Of the pixels that support the one of both with fewer, the share that supports both.
+    pub overlap: f64,
 }
 
 /// What a cold start found.
@@ -57,8 +88,10 @@ pub struct Surface {
 pub struct ColdStartOutcome {
     /// The best surface of the search level.
     pub first: Surface,
-    /// The next best that is another surface.
-    pub second: Option<Surface>,
+    /// The surface that most of the other pixels lie on, if there is another.
+    pub second: Option<Rival>,
+    /// The best of the planes that explain the pixels of the first as something else, if there is one.
+    pub alias: Option<Rival>,
     /// Share of the region's pixels with a clear disparity.
     pub valid_share: f64,
     /// What the patches said of the plane on the finest level that they looked at.
@@ -79,6 +112,7 @@ pub struct ColdStart {
     patches: SlantedPatches,
     refiner: PlaneRefiner,
     surfaces: Vec<Surface>,
+    masks: Vec<Vec<u8>>,
 }
 
 impl ColdStart {
@@ -103,8 +137,8 @@ impl ColdStart {
         &self.surfaces
     }
 
-    /// Searches the plane of a region; `allowed` says which planes are within the search range. `None` if nothing can be
-    /// compared.
+    /// Searches the plane of a region; `allowed` says which planes are within the search range. `None` if there is no
+    /// candidate.
     pub fn run(
         &mut self,
         front_end: &StereoFrontEnd,
@@ -121,22 +155,27 @@ impl ColdStart {
         self.search.run(level, source.disparity_px, &self.config.search, is_allowed, self.kernels);
         self.judge_candidates(index, centre);
         let first = *self.surfaces.first()?;
+        let (second, alias) = self.rivals(&first);
         let (patch_plane, finest) = self.descend(first.plane);
         let refined = self.refiner.refine(&self.pyramid, &patch_plane);
-        let second = self.second_surface(&first);
-        Some(ColdStartOutcome { first, second, valid_share: self.search.valid_share, finest, patch_plane, refined })
+        let valid_share = self.search.valid_share;
+        Some(ColdStartOutcome { first, second, alias, valid_share, finest, patch_plane, refined })
     }
 
     /// Looks at the patches of every candidate, twice, and puts the candidates into order.
     fn judge_candidates(&mut self, index: usize, centre: Vector2<f64>) {
-        for candidate in &self.search.candidates {
+        if self.masks.len() < self.search.candidates.len() {
+            self.masks.resize_with(self.search.candidates.len(), Vec::new);
+        }
+        for (mask, candidate) in self.search.candidates.iter().enumerate() {
             let level = &mut self.pyramid.levels_mut()[index];
             let before = self.patches.run(level, &candidate.plane, &self.config.patches, self.kernels);
             let patches = self.patches.run(level, &before.plane, &self.config.patches, self.kernels);
             let share = patches.textured_share * patches.support_share;
             let score = share * patches.mean_correlation + self.search.valid_share * candidate.share;
             let plane = level.full_plane(&before.plane, centre);
-            self.surfaces.push(Surface { plane, share: candidate.share, patches, score });
+            self.masks[mask].clone_from(&level.support);
+            self.surfaces.push(Surface { plane, share: candidate.share, patches, score, mask });
         }
         self.surfaces.sort_by(|a, b| b.score.total_cmp(&a.score));
     }
@@ -166,14 +205,53 @@ impl ColdStart {
         (plane, outcome.unwrap_or(blank))
     }
 
-    /// The best surface that differs from the first by more than two pixels of the search level somewhere in the region.
-    fn second_surface(&self, first: &Surface) -> Option<Surface> {
-        let scale = (1 << self.pyramid.search_level()) as f64;
-        let b = self.pyramid.box_px();
-        let corners = [(0, 0), (b.width, 0), (0, b.height), (b.width, b.height)]
-            .map(|(x, y)| Vector2::new(f64::from(b.x + x), f64::from(b.y + y)));
-        let differs =
-            |other: &Surface| corners.iter().any(|c| (other.plane.at(c) - first.plane.at(c)).abs() > 2.0 * scale);
-        self.surfaces.iter().skip(1).find(|s| differs(s)).copied()
+    /// The other surface with the most pixels of its own, and the best other explanation of the same pixels.
+    fn rivals(&self, first: &Surface) -> (Option<Rival>, Option<Rival>) {
+        let (mut second, mut alias): (Option<Rival>, Option<Rival>) = (None, None);
+        for other in self.surfaces.iter().skip(1).filter(|other| self.differs(&first.plane, &other.plane)) {
+            let rival = self.rival(first, other);
+            if rival.overlap > OVERLAP_OF_ALIAS {
+                if alias.is_none_or(|known| rival.score_ratio > known.score_ratio) {
+                    alias = Some(rival);
+                }
+            } else if rival.own_share >= OWN_SHARE_MIN && second.is_none_or(|known| rival.own_share > known.own_share) {
+                second = Some(rival);
+            }
+        }
+        (second, alias)
+    }
+
+    fn rival(&self, first: &Surface, other: &Surface) -> Rival {
+        let (mut a, mut b, mut both) = (0_usize, 0_usize, 0_usize);
+        for (p, q) in self.masks[first.mask].iter().zip(&self.masks[other.mask]) {
+            let (p, q) = (usize::from(p & SUPPORTS != 0), usize::from(q & SUPPORTS != 0));
+            a += p;
+            b += q;
+            both += p & q;
+        }
+        let area_px = self.pyramid.levels()[self.pyramid.search_level()].area_px.max(1);
+        Rival {
+            plane: other.plane,
+            score_ratio: other.score / first.score.max(1e-9),
+            own_share: (b - both) as f64 / area_px as f64,
+            overlap: both as f64 / a.min(b).max(1) as f64,
+        }
+    }
+
+    /// Whether two planes differ by more than two pixels of the search level in the middle of the region or, on average, at
+    /// the corners of its box.
+    fn differs(&self, a: &DisparityPlane, b: &DisparityPlane) -> bool {
+        let limit = 2.0 * (1 << self.pyramid.search_level()) as f64;
+        let box_px = self.pyramid.box_px();
+        let corner = |x: u32, y: u32| Vector2::new(f64::from(box_px.x + x), f64::from(box_px.y + y));
+        let (w, h) = (box_px.width, box_px.height);
+        let gap = |at: &Vector2<f64>| (a.at(at) - b.at(at)).abs();
+        let corners = [corner(0, 0), corner(w, 0), corner(0, h), corner(w, h)];
+        gap(&self.pyramid.centroid_px()) > limit || corners.iter().map(gap).sum::<f64>() > 4.0 * limit
     }
 }
+
+/// A rival that shares more than this of its pixels with the first is another explanation of the same surface.
+const OVERLAP_OF_ALIAS: f64 = 0.5;
+/// A second surface has at least this share of the region for itself.
+const OWN_SHARE_MIN: f64 = 0.08;

@@ -4,30 +4,47 @@ use image::RgbImage;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use pb3dp_geometry::StereoRig;
 
-use super::cold_start::{ColdStart, ColdStartConfig, ColdStartOutcome};
+use super::cold_start::{ColdStart, ColdStartConfig, ColdStartOutcome, Rival};
 use super::colour_planes::Wanted;
-use super::disparity_plane::{DisparityPlane, inverse_depth_from_disparity};
+use super::disparity_plane::{DisparityPlane, RectifiedGeometry, inverse_depth_from_disparity};
 use super::front_end::StereoFrontEnd;
 use super::region_pyramid::PyramidSource;
 use super::row_measurement::{RowMeasurement, measure_rows};
 use super::row_offset::RowOffset;
+use super::verdict::{DirectVerdictConfig, judge};
 use crate::cpu::Kernels;
 use crate::error::EstimationError;
-use crate::estimate::{EstimateWarning, PlaneEstimate, PlanePose};
+use crate::estimate::{EstimateWarning, PlaneEstimate, PlanePose, SecondPlane};
 use crate::plane_hypothesis::{PlaneHypothesis, SearchRange};
 use crate::region::{Region, RegionConfig};
 use crate::status::Status;
 
-/// Parameters of the direct method.
+/// Parameters of the direct method on single pairs.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DirectConfig {
     /// Regions.
     pub region: RegionConfig,
     /// From nothing to a plane.
     pub cold_start: ColdStartConfig,
+    /// The judgement of answers.
+    pub verdict: DirectVerdictConfig,
+}
+
+impl DirectConfig {
+    /// Checks all ranges.
+    ///
+    /// # Errors
+    /// The parameter that is out of its range.
+    pub fn validate(&self) -> Result<(), EstimationError> {
+        self.cold_start.validate()?;
+        self.verdict.validate()
+    }
 }
 
 /// The direct method on single pairs.
+///
+/// A rig whose rows are misaligned by some tenths of a pixel costs accuracy: measure its row offset once with
+/// [`Self::measure_rows`], or give it with [`Self::set_rows`]. A small rest is found with every plane.
 #[derive(Clone, Debug)]
 pub struct DirectEstimator {
     front_end: StereoFrontEnd,
@@ -35,6 +52,25 @@ pub struct DirectEstimator {
     cold_start: ColdStart,
     rows: RowOffset,
     outcome: Option<ColdStartOutcome>,
+}
+
+/// What turns a plane of the rectified pair into one of the raw left camera.
+struct RawView {
+    geometry: RectifiedGeometry,
+    /// Rotation `cam_left_from_cam_left_rect`.
+    turn: Matrix3<f64>,
+    /// Ray of the region's centroid, third component 1.
+    ray: Vector3<f64>,
+}
+
+impl RawView {
+    fn inverse_depth_plane(&self, plane: &DisparityPlane) -> Vector3<f64> {
+        self.turn * plane.inverse_depth_plane(&self.geometry)
+    }
+
+    fn pose(&self, plane: &DisparityPlane) -> Option<PlanePose> {
+        PlanePose::from_inverse_depth_plane(self.inverse_depth_plane(plane), &self.ray)
+    }
 }
 
 impl DirectEstimator {
@@ -51,9 +87,27 @@ impl DirectEstimator {
     /// # Errors
     /// As [`Self::new`].
     pub fn with_kernels(rig: &StereoRig, config: DirectConfig, kernels: Kernels) -> Result<Self, EstimationError> {
+        config.validate()?;
         let front_end = StereoFrontEnd::new(rig, kernels)?;
         let cold_start = ColdStart::new(config.cold_start.clone(), kernels);
         Ok(Self { front_end, config, cold_start, rows: RowOffset::default(), outcome: None })
+    }
+
+    /// The parameters.
+    pub fn config(&self) -> &DirectConfig {
+        &self.config
+    }
+
+    /// Measures the row offset of the rig on a pair of raw images and uses it from now on. It takes some tens of
+    /// milliseconds, and is for once per rig or per scene. Where too few points are found again the offset is zero.
+    ///
+    /// # Errors
+    /// Images that do not fit the calibration.
+    pub fn measure_rows(&mut self, left: &RgbImage, right: &RgbImage) -> Result<RowMeasurement, EstimationError> {
+        self.front_end.check(left, right)?;
+        let measured = measure_rows(&self.front_end, left, right);
+        self.rows = measured.rows;
+        Ok(measured)
     }
 
     /// The row offset in use.
@@ -64,18 +118,6 @@ impl DirectEstimator {
     /// Uses a row offset that is known.
     pub fn set_rows(&mut self, rows: RowOffset) {
         self.rows = rows;
-    }
-
-    /// Measures the row offset of the rig on a pair of raw images, and uses it from now on if enough points were found.
-    /// Takes some tens of milliseconds: once per rig, or per scene.
-    ///
-    /// # Errors
-    /// Images that do not fit the calibration.
-    pub fn measure_rows(&mut self, left: &RgbImage, right: &RgbImage) -> Result<RowMeasurement, EstimationError> {
-        self.front_end.check(left, right)?;
-        let measured = measure_rows(&self.front_end, left, right);
-        self.rows = measured.rows;
-        Ok(measured)
     }
 
     /// What the cold start of the last pair found.
@@ -89,6 +131,8 @@ impl DirectEstimator {
     }
 
     /// The plane of a region of one pair of raw images, from nothing: no start value, the whole `range` is searched.
+    ///
+    /// The same input gives the same answer after any other calls that do not change the row offset.
     ///
     /// # Errors
     /// Images that do not fit the calibration, a region that can not serve, a bad range. That a plane can not be determined
@@ -104,13 +148,9 @@ impl DirectEstimator {
         self.front_end.check(left, right)?;
         let raw_mask = region.rasterize(left, &self.config.region)?;
         let centroid_px = raw_mask.centroid_px().unwrap_or_default();
-        let raw_ray = self.front_end.raw_rig().left().unproject(&centroid_px)?;
+        let view = self.view(&centroid_px)?;
         let mask = self.front_end.rectified_region(raw_mask)?;
-        let turn = self.front_end.cam_left_rect_from_cam_left();
-        let depth_factor = turn.transform_vector(&raw_ray).z;
-        let geometry = *self.front_end.geometry();
-        let disparity = |z_m: f64| geometry.disparity_px(z_m * depth_factor);
-        let disparity_px = (disparity(range.z_max_m), disparity(range.z_min_m));
+        let disparity_px = disparity_range(&view, range);
         let source = PyramidSource {
             left,
             right,
@@ -121,41 +161,63 @@ impl DirectEstimator {
             search_area_px: self.config.cold_start.search_area_px,
         };
         let limits = TiltLimits::new(range);
-        let turn_back = turn.inverse();
         let allowed = |plane: &DisparityPlane| {
-            let q = turn_back.transform_vector(&plane.inverse_depth_plane(&geometry));
-            plane.d0_px >= disparity_px.0 - 1.0 && plane.d0_px <= disparity_px.1 + 1.0 && limits.allow(&q)
+            let within = plane.d0_px >= disparity_px.0 - 1.0 && plane.d0_px <= disparity_px.1 + 1.0;
+            within && limits.allow(&view.inverse_depth_plane(plane))
         };
         self.outcome = self.cold_start.run(&self.front_end, &source, allowed);
         let mut estimate = self.blank(centroid_px);
-        if let Some(outcome) = &self.outcome {
-            let (plane, covariance) = match &outcome.refined {
-                Some(refined) if refined.converged => (refined.plane, Some(refined.covariance)),
-                _ => (outcome.patch_plane, None),
-            };
-            let to_raw = |plane: &DisparityPlane| turn_back.transform_vector(&plane.inverse_depth_plane(&geometry));
-            let q = to_raw(&plane);
-            estimate.pose = PlanePose::from_inverse_depth_plane(q, &raw_ray);
-            estimate.psi = PlaneHypothesis::from_inverse_depth_plane(&q, &raw_ray);
-            if let (Some(covariance), Some(pose)) = (covariance, &estimate.pose) {
-                let rotation: Matrix3<f64> = Matrix3::from_columns(&[
-                    turn_back.transform_vector(&Vector3::x()),
-                    turn_back.transform_vector(&Vector3::y()),
-                    turn_back.transform_vector(&Vector3::z()),
-                ]);
-                let j = rotation * inverse_depth_from_disparity(&geometry, &plane.centre_px);
-                let q_covariance = j * covariance * j.transpose();
-                let dz = raw_ray * (-pose.z_m * pose.z_m);
-                estimate.z_sigma_m = Some((dz.transpose() * q_covariance * dz).x.sqrt());
-                let n = q / q.norm();
-                let across = (Matrix3::identity() - n * n.transpose()) / q.norm();
-                estimate.normal_sigma_rad = Some((across * q_covariance * across.transpose()).trace().sqrt());
+        match &self.outcome {
+            Some(outcome) => self.fill(&mut estimate, outcome, &view, range),
+            None => {
+                estimate.reason = "no plane within the search range can be compared in both images: check range, region and calibration".to_owned();
             }
-            estimate.status = Status::Ok;
-            estimate.fitness = Some(outcome.finest.mean_correlation);
         }
-        let _ = EstimateWarning::EndOfRange { z_mm: 0.0 };
         Ok(estimate)
+    }
+
+    fn view(&self, centroid_px: &Vector2<f64>) -> Result<RawView, EstimationError> {
+        let back = self.front_end.cam_left_rect_from_cam_left().inverse();
+        let columns = [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| back.transform_vector(&axis));
+        Ok(RawView {
+            geometry: *self.front_end.geometry(),
+            turn: Matrix3::from_columns(&columns),
+            ray: self.front_end.raw_rig().left().unproject(centroid_px)?,
+        })
+    }
+
+    fn fill(&self, estimate: &mut PlaneEstimate, outcome: &ColdStartOutcome, view: &RawView, range: &SearchRange) {
+        let (plane, covariance) = answer(outcome);
+        let Some(pose) = view.pose(&plane) else {
+            estimate.reason = "the best plane lies behind the camera: check range and calibration".to_owned();
+            return;
+        };
+        let spread = covariance.map(|covariance| Spread::of(&covariance, &plane, &pose, view));
+        let normal_sigma_rad = spread.map(|spread| spread.normal_sigma_rad);
+        let verdict = judge(outcome, normal_sigma_rad, &self.config.verdict);
+        (estimate.status, estimate.reason) = (verdict.status, verdict.reason);
+        estimate.psi = PlaneHypothesis::from_inverse_depth_plane(&pose.inverse_depth_plane, &view.ray);
+        estimate.fitness = Some(outcome.finest.mean_correlation);
+        estimate.row_offset_px = Some(self.row_offset_px(outcome, &plane));
+        if estimate.status == Status::NotObservable {
+            return;
+        }
+        estimate.pose = Some(pose);
+        estimate.z_sigma_m = spread.map(|spread| spread.covariance[(0, 0)].sqrt());
+        estimate.normal_sigma_rad = normal_sigma_rad;
+        estimate.plane_covariance = spread.map(|spread| spread.covariance);
+        let second = |rival: &Rival| Some(SecondPlane { pose: view.pose(&rival.plane)?, share: rival.own_share });
+        estimate.second_plane = outcome.second.as_ref().and_then(second);
+        let margin_m = END_OF_RANGE_SHARE * (range.z_max_m - range.z_min_m);
+        if pose.z_m < range.z_min_m + margin_m || pose.z_m > range.z_max_m - margin_m {
+            estimate.warnings.push(EstimateWarning::EndOfRange { z_mm: 1000.0 * pose.z_m });
+        }
+    }
+
+    /// Known and found row offset at the region's centroid.
+    fn row_offset_px(&self, outcome: &ColdStartOutcome, plane: &DisparityPlane) -> f64 {
+        let right_px = plane.centre_px - Vector2::new(plane.d0_px, 0.0);
+        self.rows.at(&right_px) + outcome.refined.map_or(0.0, |refined| refined.row_offset_px)
     }
 
     fn blank(&self, centroid_px: Vector2<f64>) -> PlaneEstimate {
@@ -169,10 +231,64 @@ impl DirectEstimator {
             fitness: None,
             z_sigma_m: None,
             normal_sigma_rad: None,
+            plane_covariance: None,
+            second_plane: None,
+            row_offset_px: None,
             landscape: None,
             reference_optimum: None,
             left_camera: *self.front_end.raw_rig().left(),
         }
+    }
+}
+
+/// An answer so near to an end of the depth range is warned of, as a share of the range.
+const END_OF_RANGE_SHARE: f64 = 0.005;
+
+/// The plane of an outcome with the covariance of `(d0, du, dv)`: the refined one if the refinement came to rest near the
+/// patches' plane, else the patches', whose error is taken to be as large as what the refinement made of it.
+fn answer(outcome: &ColdStartOutcome) -> (DisparityPlane, Option<Matrix3<f64>>) {
+    match &outcome.refined {
+        Some(refined) if refined.converged => (refined.plane, Some(refined.covariance)),
+        Some(refined) => {
+            let plane = outcome.patch_plane.centred_at(refined.plane.centre_px);
+            let gap = refined.plane.parameters() - plane.parameters();
+            (plane, Some(refined.covariance + gap * gap.transpose()))
+        }
+        None => (outcome.patch_plane, None),
+    }
+}
+
+/// Disparities of the ends of a depth range on the centroid's ray, lowest first.
+fn disparity_range(view: &RawView, range: &SearchRange) -> (f64, f64) {
+    let depth_factor = (view.turn.transpose() * view.ray).z;
+    let at = |z_m: f64| view.geometry.disparity_px(z_m * depth_factor);
+    (at(range.z_max_m), at(range.z_min_m))
+}
+
+/// Uncertainty of a plane in `cam_left`.
+#[derive(Clone, Copy, Debug)]
+struct Spread {
+    /// Of `(z, theta_x, theta_y)`: metres and radians.
+    covariance: Matrix3<f64>,
+    normal_sigma_rad: f64,
+}
+
+impl Spread {
+    fn of(covariance: &Matrix3<f64>, plane: &DisparityPlane, pose: &PlanePose, view: &RawView) -> Self {
+        let j = view.turn * inverse_depth_from_disparity(&view.geometry, &plane.centre_px);
+        let q_covariance = j * covariance * j.transpose();
+        let q = pose.inverse_depth_plane;
+        // z = 1 / (q . ray), theta_x = atan2(-qy, r) with r = |(qx, qz)|, theta_y = atan2(qx, qz).
+        let (r2, n2) = (q.x * q.x + q.z * q.z, q.norm_squared());
+        let r = r2.sqrt();
+        let dz = view.ray * (-pose.z_m * pose.z_m);
+        let dx = Vector3::new(q.x * q.y / r, -r, q.z * q.y / r) / n2;
+        let dy = Vector3::new(q.z, 0.0, -q.x) / r2;
+        let jacobian = Matrix3::from_rows(&[dz.transpose(), dx.transpose(), dy.transpose()]);
+        let normal = q / q.norm();
+        let across = (Matrix3::identity() - normal * normal.transpose()) / q.norm();
+        let normal_sigma_rad = (across * q_covariance * across.transpose()).trace().max(0.0).sqrt();
+        Self { covariance: jacobian * q_covariance * jacobian.transpose(), normal_sigma_rad }
     }
 }
 
@@ -191,5 +307,72 @@ impl TiltLimits {
     /// Whether an inverse-depth plane in `cam_left` is tilted by no more.
     fn allow(&self, q: &Vector3<f64>) -> bool {
         q.z > 0.0 && q.x.abs() <= self.tangent * q.z && q.y.abs() <= self.sine * q.norm()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn view() -> RawView {
+        let turn = pb3dp_geometry::so3::exp(&Vector3::new(0.03, -0.06, 0.02)).to_rotation_matrix();
+        RawView {
+            geometry: RectifiedGeometry {
+                focal_px: Vector2::new(740.0, 755.0),
+                left_principal_px: Vector2::new(311.0, 252.0),
+                disparity_offset_px: 12.5,
+                baseline_m: 0.1,
+            },
+            turn: *turn.matrix(),
+            ray: Vector3::new(0.12, -0.07, 1.0),
+        }
+    }
+
+    fn plane() -> DisparityPlane {
+        DisparityPlane { centre_px: Vector2::new(380.0, 210.0), d0_px: 133.0, slope: Vector2::new(0.06, -0.04) }
+    }
+
+    /// Differences of the plane's own parameters, not the formula's.
+    #[test]
+    fn the_covariance_is_that_of_small_changes() {
+        let (view, plane) = (view(), plane());
+        let psi = |p: &Vector3<f64>| {
+            let q = view.inverse_depth_plane(&plane.with_parameters(p));
+            let psi = PlaneHypothesis::from_inverse_depth_plane(&q, &view.ray).unwrap();
+            Vector3::new(psi.z_m, psi.theta_x_rad, psi.theta_y_rad)
+        };
+        let p0 = plane.parameters();
+        let steps = [1e-4, 1e-7, 1e-7];
+        let jacobian = Matrix3::from_columns(&[0, 1, 2].map(|i| {
+            let step = Vector3::ith(i, steps[i]);
+            (psi(&(p0 + step)) - psi(&(p0 - step))) / (2.0 * steps[i])
+        }));
+        let root = Matrix3::new(0.05, 0.0, 0.0, 1e-4, 3e-4, 0.0, -2e-4, 1e-4, 4e-4);
+        let covariance = root * root.transpose();
+        let pose = view.pose(&plane).unwrap();
+        let spread = Spread::of(&covariance, &plane, &pose, &view);
+        let expected = jacobian * covariance * jacobian.transpose();
+        for i in 0..3 {
+            for j in 0..3 {
+                let scale = (expected[(i, i)] * expected[(j, j)]).sqrt();
+                assert!((spread.covariance[(i, j)] - expected[(i, j)]).abs() < 1e-4 * scale, "{i} {j}");
+            }
+        }
+        // A turn by theta_y moves the normal by cos theta_x of it.
+        let cosine = psi(&p0).y.cos();
+        let sum = expected[(1, 1)] + cosine * cosine * expected[(2, 2)];
+        assert!((spread.normal_sigma_rad - sum.sqrt()).abs() < 1e-4 * sum.sqrt());
+    }
+
+    #[test]
+    fn tilts_beyond_the_range_are_not_allowed() {
+        let limits = TiltLimits::new(&SearchRange::new(0.3, 0.9, 0.5).unwrap());
+        let ray = Vector3::new(0.1, 0.05, 1.0);
+        for (theta_x_rad, theta_y_rad, allowed) in
+            [(0.49, 0.0, true), (0.51, 0.1, false), (-0.3, -0.49, true), (0.2, 0.52, false)]
+        {
+            let psi = PlaneHypothesis { z_m: 0.5, theta_x_rad, theta_y_rad };
+            assert_eq!(limits.allow(&psi.inverse_depth_plane(&ray).unwrap()), allowed);
+        }
     }
 }

@@ -13,6 +13,7 @@ use super::colour_planes::ColourPlanes;
 use super::region_pyramid::{LevelPlane, RegionLevel, is_seen};
 use super::search::volume::LevelBox;
 use crate::cpu::Kernels;
+use crate::error::{EstimationError, check_range};
 
 /// Pixels from the centre of a patch to its side.
 pub const RADIUS: usize = 7;
@@ -22,6 +23,11 @@ pub(super) const SIDE: usize = 2 * RADIUS + 1;
 pub const REACH_MAX: usize = 3;
 /// Number of pixels of a patch.
 pub(super) const PATCH_PX: f32 = (SIDE * SIDE) as f32;
+
+/// Bit of [`RegionLevel::support`]: the pixel may be used, as far as its patch can tell.
+pub const USABLE: u8 = 1;
+/// Bit of [`RegionLevel::support`]: the pixel's patch has texture and agrees with the plane.
+pub const SUPPORTS: u8 = 2;
 
 /// Parameters of the patches.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,7 +47,23 @@ pub struct PatchConfig {
 
 impl Default for PatchConfig {
     fn default() -> Self {
-        Self { reach: 2, support_px: 0.75, correlation_min: 0.5, texture_min: 2.0, gradient_half: 3.0 }
+        Self { reach: 2, support_px: 0.5, correlation_min: 0.5, texture_min: 2.0, gradient_half: 1.0 }
+    }
+}
+
+impl PatchConfig {
+    /// Checks all ranges.
+    ///
+    /// # Errors
+    /// The parameter that is out of its range.
+    pub fn validate(&self) -> Result<(), EstimationError> {
+        let reach = (1.0, REACH_MAX as f64);
+        check_range("direct patches reach_px", self.reach as f64, reach, "must be between 1 and 3 pixels")?;
+        check_range("direct patches support_px", self.support_px, (0.1, 2.0), "must be between 0.1 and 2 pixels")?;
+        let correlation = self.correlation_min;
+        check_range("direct patches correlation_min", correlation, (0.0, 1.0), "must be between 0 and 1")?;
+        check_range("direct patches texture_min", self.texture_min, (0.0, 100.0), "must be between 0 and 100")?;
+        check_range("direct patches gradient_half", self.gradient_half, (0.0, 100.0), "must be between 0 and 100")
     }
 }
 
@@ -210,7 +232,7 @@ fn keep_unseen_pixels(level: &mut RegionLevel, area: &LevelBox) {
     );
     for (i, (support, region)) in level.support.iter_mut().zip(&level.region).enumerate() {
         if *region != 0 && !(columns.contains(&(i % width)) && rows.contains(&(i / width))) {
-            *support = 1;
+            *support = USABLE;
         }
         if *support != 0 && !is_seen(level.left.flags[i]) {
             *support = 0;
@@ -240,7 +262,7 @@ impl Tally {
     /// Counts a pixel and says whether it is to be used.
     fn add(&mut self, peak: &Peak, config: &PatchConfig) -> u8 {
         if peak.weight <= 0.0 {
-            return 1;
+            return USABLE;
         }
         self.textured += 1;
         let supports =
@@ -249,7 +271,7 @@ impl Tally {
             self.supporting += 1;
             self.correlation += f64::from(peak.correlation);
         }
-        u8::from(supports)
+        if supports { SUPPORTS | USABLE } else { 0 }
     }
 
     fn outcome(&self, area_px: usize, plane: LevelPlane) -> PatchOutcome {

@@ -53,7 +53,8 @@ pub struct RegionLevel {
     pub right: ColourPlanes,
     /// Per pixel of the left window: 1 if it belongs to the region.
     pub region: Vec<u8>,
-    /// Per pixel of the left window: 1 if it is to be used for refinement. The region, until somebody knows better.
+    /// Per pixel of the left window: bit 0 is set if it is to be used for refinement. The region, until the patches know
+    /// better; see [`USABLE`](super::patches::USABLE) and [`SUPPORTS`](super::patches::SUPPORTS).
     pub support: Vec<u8>,
     /// Number of pixels of the region.
     pub area_px: usize,

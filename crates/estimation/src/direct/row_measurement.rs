@@ -108,10 +108,8 @@ fn find_again(levels: &[RegionLevel], (x, y): (usize, usize)) -> Option<RowMatch
     let (left, right) = (levels[0].left.luminance(), levels[0].right.luminance());
     let shift = refine(left, right, at, place)?;
     let window = levels[0].right.window;
-    let right_px = Vector2::new(
-        place.0 as f64 + shift.x + f64::from(window.x),
-        place.1 as f64 + shift.y + f64::from(window.y),
-    );
+    let right_px =
+        Vector2::new(place.0 as f64 + shift.x + f64::from(window.x), place.1 as f64 + shift.y + f64::from(window.y));
     let offset_px = right_px.y - (at.1 as f64 + f64::from(levels[0].left.window.y));
     (offset_px.abs() <= OFFSET_MAX_PX).then_some(RowMatch { right_px, offset_px })
 }
@@ -193,11 +191,9 @@ fn refine(left: &ImagePlane, right: &ImagePlane, at: (i64, i64), place: (i64, i6
             for i in 1..SIDE - 1 {
                 let k = j * SIDE + i;
                 let gradient = Vector2::new(
-                    0.25 * (sampled[k + 1] - sampled[k - 1]
-                        + f64::from(template.values[k + 1])
+                    0.25 * (sampled[k + 1] - sampled[k - 1] + f64::from(template.values[k + 1])
                         - f64::from(template.values[k - 1])),
-                    0.25 * (sampled[k + SIDE] - sampled[k - SIDE]
-                        + f64::from(template.values[k + SIDE])
+                    0.25 * (sampled[k + SIDE] - sampled[k - SIDE] + f64::from(template.values[k + SIDE])
                         - f64::from(template.values[k - SIDE])),
                 );
                 h += gradient * gradient.transpose();

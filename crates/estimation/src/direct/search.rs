@@ -11,9 +11,12 @@ use self::hypotheses::{Candidate, DisparityPoints, HypothesisRules, HypothesisSe
 use self::volume::{COST_NEUTRAL, CostVolume, LevelBox};
 use super::region_pyramid::{LevelPlane, RegionLevel};
 use crate::cpu::Kernels;
+use crate::error::{EstimationError, check_range};
 
 /// Pixels around the region's box that take part in the aggregation.
 const MARGIN: usize = 2;
+/// A plane moved along the rows is looked at if the region agrees with it at least so well, compared to the best.
+const ALIAS_SHARE: f64 = 0.5;
 
 /// Parameters of the search.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,6 +39,24 @@ impl Default for PlaneSearchConfig {
             winner: WinnerRules { uniqueness: 0.05, left_right_max: 1 },
             hypotheses: HypothesisRules { draws: 300, tolerance_px: 0.5, distinct_px: 1.0, kept: 6, steps: 3 },
         }
+    }
+}
+
+impl PlaneSearchConfig {
+    /// Checks all ranges.
+    ///
+    /// # Errors
+    /// The parameter that is out of its range.
+    pub fn validate(&self) -> Result<(), EstimationError> {
+        let Penalties { small, large } = self.penalties;
+        check_range("direct search noise_grey", self.noise, (0.1, 50.0), "must be between 0.1 and 50 grey levels")?;
+        check_range("direct search penalty_large", large.into(), (1.0, 120.0), "must be between 1 and 120")?;
+        let limit = (0.0, large.into());
+        check_range("direct search penalty_small", small.into(), limit, "must be at most penalty_large")?;
+        let tolerance = self.hypotheses.tolerance_px;
+        check_range("direct search tolerance_px", tolerance, (0.1, 5.0), "must be between 0.1 and 5 pixels")?;
+        let draws = self.hypotheses.draws as f64;
+        check_range("direct search draws", draws, (1.0, 100_000.0), "must be between 1 and 100000")
     }
 }
 
@@ -82,16 +103,62 @@ impl PlaneSearch {
         self.collect(level, area);
         self.make_seeds(level, area);
         let size = (area.width as f64, area.height as f64);
-        let from_box = |p: &PlaneCoefficients| {
-            let c = p.x - p.y * area.x as f64 - p.z * area.y as f64 + f64::from(self.volume.first)
+        let from_box = |volume: &CostVolume, p: &PlaneCoefficients| {
+            let c = p.x - p.y * area.x as f64 - p.z * area.y as f64 + f64::from(volume.first)
                 - f64::from(level.column_shift());
             LevelPlane { a: p.y, b: p.z, c, row: level.left.window.y - level.right.window.y }
         };
-        self.hypotheses.run(&self.points, &self.seeds, size, &config.hypotheses, |p| allowed(&from_box(p)), kernels);
+        self.hypotheses.run(
+            &self.points,
+            &self.seeds,
+            size,
+            &config.hypotheses,
+            |p| allowed(&from_box(&self.volume, p)),
+            kernels,
+        );
         self.candidates.clear();
         let kept = self.hypotheses.kept.iter();
-        self.candidates
-            .extend(kept.map(|&Candidate { plane, share }| PlaneCandidate { plane: from_box(&plane), share }));
+        self.candidates.extend(
+            kept.map(|&Candidate { plane, share }| PlaneCandidate { plane: from_box(&self.volume, &plane), share }),
+        );
+        if let Some(best) = self.hypotheses.kept.first().map(|best| best.plane) {
+            self.sweep(level, area, &best);
+            let aliases = self.seeds.iter().map(|shift| best + shift);
+            let aliases = aliases.map(|plane| PlaneCandidate { plane: from_box(&self.volume, &plane), share: 0.0 });
+            self.candidates.extend(aliases.filter(|alias| allowed(&alias.plane)));
+        }
+    }
+
+    /// Moves the best plane through all disparities: where else the region as a whole agrees well is left in the seeds, as
+    /// shifts. A repetitive texture has such places.
+    fn sweep(&mut self, level: &RegionLevel, area: LevelBox, plane: &PlaneCoefficients) {
+        let count = self.volume.count;
+        self.column.clear();
+        self.column.resize(2 * count + 1, 0);
+        let stride = level.left.window.width;
+        for y in 0..area.height {
+            for x in 0..area.width {
+                let start = (plane.x + plane.y * x as f64 + plane.z * y as f64).round();
+                let inside = level.region[(area.y + y) * stride + area.x + x] != 0;
+                if inside && start >= 0.0 && start < count as f64 {
+                    let costs = &self.volume.costs[(y * area.width + x) * self.volume.stride..][..count];
+                    for (sum, cost) in self.column[count - start as usize..].iter_mut().zip(costs) {
+                        *sum += u32::from(COST_NEUTRAL).saturating_sub(u32::from(*cost));
+                    }
+                }
+            }
+        }
+        let own = (count - 1..=count + 1).map(|i| self.column[i]).max().unwrap_or(0);
+        for sum in &mut self.column[count - 1..=count + 1] {
+            *sum = 0;
+        }
+        self.seeds.clear();
+        push_peaks(&self.column, 2, &mut self.seeds);
+        let column = &self.column;
+        self.seeds.retain(|peak| f64::from(column[peak.x as usize]) > ALIAS_SHARE * f64::from(own));
+        for peak in &mut self.seeds {
+            peak.x -= count as f64;
+        }
     }
 
     /// Clear disparities of the region, in pixels of the box and steps of the volume.

@@ -31,7 +31,7 @@ pub fn read_estimator(file: &Path) -> Result<EstimatorConfig, ConfigError> {
     let mut check = Checker::default();
     let config = raw.published.build("published", &mut check);
     check.finish(file)?;
-    Ok(EstimatorConfig { published: config })
+    Ok(EstimatorConfig { published: config, ..EstimatorConfig::default() })
 }
 
 /// Parameters of the published method.

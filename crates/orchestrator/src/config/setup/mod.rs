@@ -233,7 +233,7 @@ impl EstimatorSection {
         }
         let mut published = self.published.build("estimator.published", check);
         published.rmga.seed = published.rmga.seed.wrapping_add(seed);
-        (method, compared, EstimatorConfig { published }, range)
+        (method, compared, EstimatorConfig { published, ..EstimatorConfig::default() }, range)
     }
 }
 
