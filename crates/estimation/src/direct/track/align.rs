@@ -6,8 +6,8 @@ use pb3dp_geometry::{Pose, StereoRig};
 
 use super::images::{EyeImages, LEVELS};
 use super::kernels::{
-    self, CHANNELS, CameraRows, GroupScore, NormalSums, PATCH, PairWeights, Photometry, ROW, ResidualGroup, ResidualSums, SHAPE,
-    SeenGroup, TERMS, ViewGroup,
+    self, CHANNELS, CameraRows, GroupScore, NormalSums, PATCH, PairWeights, Photometry, ROW, ResidualGroup,
+    ResidualSums, SHAPE, SeenGroup, TERMS, ViewGroup,
 };
 use super::normal::{Free, NormalEquations, PatchScore, Prior, Step, Unknowns, UnknownsMatrix};
 use super::relief::Correlation;

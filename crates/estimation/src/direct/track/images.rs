@@ -170,7 +170,8 @@ impl RgbPlane {
         }
         for y in 0..out.height {
             let row = |y: usize| &self.rgb[y * length..(y + 1) * length];
-            let rows = [row((2 * y).saturating_sub(1)), row(2 * y), row(2 * y + 1), row((2 * y + 2).min(self.height - 1))];
+            let rows =
+                [row((2 * y).saturating_sub(1)), row(2 * y), row(2 * y + 1), row((2 * y + 2).min(self.height - 1))];
             mix_rgb_rows(kernels, rows[0], rows[1], rows[2], rows[3], &mut line[3..length + 3]);
             for c in 0..3 {
                 (line[c], line[length + 3 + c]) = (line[3 + c], line[length + c]);

@@ -125,7 +125,7 @@ wide! {
 }
 
 wide! {
-    /// The right-hand side of each group by itself, and its second derivative by the inverse depth.
+    /// The right-hand side of each group by itself, and its second derivatives by its inverse depth.
     pub(super) fn score(surface: &[SurfaceGroup], seen: &[[SeenGroup; 2]], view: &[ViewGroup], residuals: &[ResidualGroup], weights: &PairWeights, scores: &mut [GroupScore]) = score_kernel;
 }
 
@@ -136,13 +136,13 @@ pub(super) struct GroupScore {
     pub(super) slope: [f32; UNKNOWNS],
     /// By channel: residual with (gain left, offset left, gain right, offset right).
     pub(super) gain_slope: [[f32; 4]; CHANNELS],
-    /// Second derivative by the inverse depth.
-    pub(super) depth_information: f32,
+    /// Second derivatives by the inverse depth of the group and each unknown; the last one is by itself twice.
+    pub(super) by_depth: [f32; UNKNOWNS],
 }
 
 impl Default for GroupScore {
     fn default() -> Self {
-        Self { slope: [0.0; UNKNOWNS], gain_slope: [[0.0; 4]; CHANNELS], depth_information: 0.0 }
+        Self { slope: [0.0; UNKNOWNS], gain_slope: [[0.0; 4]; CHANNELS], by_depth: [0.0; UNKNOWNS] }
     }
 }
 
@@ -191,7 +191,7 @@ fn score_kernel(
     let groups = surface.iter().zip(seen).zip(view).zip(residuals).zip(scores);
     for ((((surface, seen), view), residual), score) in groups {
         let mut slope = [Lanes::ZERO; UNKNOWNS];
-        let mut depth = Lanes::ZERO;
+        let mut by_depth = [Lanes::ZERO; UNKNOWNS];
         for c in 0..CHANNELS {
             let [left, right, pair]: [Lanes; 3] =
                 std::array::from_fn(|term| residual.weight[term].scale(weights.by_term[term][c]));
@@ -199,21 +199,17 @@ fn score_kernel(
             let (r_left, r_right) = (residual.residual[0][c], residual.residual[1][c]);
             let to_left = (left + pair) * r_left - pair * r_right;
             let to_right = (right + pair) * r_right - pair * r_left;
+            let (a, b) = (in_left[UNKNOWNS - 1], in_right[UNKNOWNS - 1]);
+            let depth = [(left + pair) * a - pair * b, (right + pair) * b - pair * a];
             for i in 0..UNKNOWNS {
                 slope[i] = slope[i].plus(in_left[i], to_left).plus(in_right[i], to_right);
+                by_depth[i] = by_depth[i].plus(in_left[i], depth[0]).plus(in_right[i], depth[1]);
             }
-            let (a, b) = (in_left[UNKNOWNS - 1], in_right[UNKNOWNS - 1]);
-            let between = b - a;
-            depth = depth.plus(left * a, a).plus(right * b, b).plus(pair * between, between);
-            score.gain_slope[c] = [
-                (to_left * view.value[c]).sum(),
-                to_left.sum(),
-                (to_right * view.value[c]).sum(),
-                to_right.sum(),
-            ];
+            score.gain_slope[c] =
+                [(to_left * view.value[c]).sum(), to_left.sum(), (to_right * view.value[c]).sum(), to_right.sum()];
         }
         score.slope = slope.map(|lanes| lanes.sum());
-        score.depth_information = depth.sum();
+        score.by_depth = by_depth.map(|lanes| lanes.sum());
     }
 }
 

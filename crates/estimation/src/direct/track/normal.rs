@@ -1,6 +1,6 @@
 //! The normal equations of one step: from sums to a step, a covariance, and what the step leaves of the surface.
 
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{Matrix6, SMatrix, SVector, Vector6};
 
 use super::kernels::{CHANNELS, GroupScore, NormalSums, PATCH, PairWeights, SHAPE, TERMS, UNKNOWNS};
 
@@ -17,6 +17,11 @@ type AllVector = SVector<f64, ALL>;
 /// Standard deviation that a gain may differ from the last one, and an offset in grey levels.
 const GAIN_SIGMA: f64 = 0.3;
 const OFFSET_SIGMA: f64 = 40.0;
+/// A covariance is widened by at most this.
+const INFLATION_MAX: f64 = 25.0;
+/// Gradients come from the same noisy view as the residuals, and are smoothed: what that adds to the variance, measured on
+/// flat targets.
+const SHARED_NOISE: f64 = 1.3;
 
 /// Which unknowns a step may move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -175,20 +180,30 @@ impl NormalEquations {
         covariance.fixed_view::<3, 3>(SHAPE, SHAPE).into_owned().cholesky().map(|c| c.inverse())
     }
 
-    /// How much more the scores of the patches vary than independent noise would let them, 1 if not at all: the factor of
-    /// the covariance. `scores` are the patches' own equations.
-    pub(super) fn inflation(&self, patches: &[PatchScore], prior: &Prior) -> Option<f64> {
-        let inverse = self.inverse(prior, Free::Motion)?;
-        let mut sum = 0.0;
-        for patch in patches {
-            let score = patch.score();
-            let moved = inverse.fixed_view::<UNKNOWNS, ALL>(0, 0) * score;
+    /// Covariance of the pose: that of independent noise, widened by as much as the scores of whole patches vary more than
+    /// it would let them, plus what unknown depths of the patches (standard deviations `depth_sigma`, 1/m) do to it.
+    pub(super) fn pose_covariance(
+        &self,
+        patches: &[PatchScore],
+        depth_sigma: impl Iterator<Item = f64>,
+        prior: &Prior,
+    ) -> Option<Matrix6<f64>> {
+        let inverse = self.inverse(prior, Free::Everything)?;
+        let rows = inverse.fixed_view::<6, ALL>(0, 0);
+        let (mut spread, mut relief) = (0.0, Matrix6::zeros());
+        for (patch, sigma) in patches.iter().zip(depth_sigma) {
+            let moved = rows * patch.score();
             for i in 0..6 {
-                sum += moved[i] * moved[i] / inverse[(i, i)];
+                spread += moved[i] * moved[i] / inverse[(i, i)];
             }
+            let by_depth = Unknowns::from_fn(|i, _| f64::from(patch.by_depth[i]));
+            let moved: Vector6<f64> = inverse.fixed_view::<6, UNKNOWNS>(0, 0) * by_depth * sigma;
+            relief += moved * moved.transpose();
         }
         let count = patches.len() as f64;
-        Some(sum / 6.0 * count / (count - 2.0).max(1.0))
+        let inflation = (spread / 6.0 * count / (count - 2.0).max(1.0)).clamp(1.0, INFLATION_MAX);
+        let covariance = inverse.fixed_view::<6, 6>(0, 0) * (inflation * SHARED_NOISE) + relief;
+        covariance.iter().all(|x| x.is_finite()).then_some(covariance)
     }
 }
 
@@ -197,8 +212,8 @@ impl NormalEquations {
 pub(super) struct PatchScore {
     slope: [f32; UNKNOWNS],
     gain_slope: [f32; GAINS],
-    /// Second derivative by the inverse depth of the patch.
-    pub(super) depth_information: f32,
+    /// Second derivatives by the inverse depth of the patch and each unknown; the last one is by itself twice.
+    by_depth: [f32; UNKNOWNS],
 }
 
 impl PatchScore {
@@ -212,7 +227,7 @@ impl PatchScore {
             *gain -= patch[UNKNOWNS + k] * factor;
         }
         let common = patch[UNKNOWNS - 1];
-        Self { slope, gain_slope, depth_information: group.depth_information - common * common * own }
+        Self { slope, gain_slope, by_depth: std::array::from_fn(|i| group.by_depth[i] - patch[i] * common * own) }
     }
 
     fn score(&self) -> AllVector {
@@ -220,6 +235,11 @@ impl PatchScore {
             i if i < UNKNOWNS => -f64::from(self.slope[i]),
             i => f64::from(self.gain_slope[i - UNKNOWNS]),
         })
+    }
+
+    /// What the patch says of its own inverse depth.
+    pub(super) fn depth_information(&self) -> f32 {
+        self.by_depth[UNKNOWNS - 1]
     }
 
     /// Pull of the residuals on the inverse depth of the patch.

@@ -13,6 +13,8 @@ const INFORMATION_MAX: f64 = 1e5;
 /// Neighbours differ by about this much, pixels; much larger steps cost no more.
 const NEIGHBOUR_SIGMA_PX: f64 = 0.7;
 const NEIGHBOUR_COST_MAX: f64 = 6.0;
+/// Share of the bend at a patch that its offset may be wrong by.
+const BEND_SHARE: f64 = 0.45;
 /// Rounds in which neighbours tell each other what they believe.
 const ROUNDS: usize = 12;
 
@@ -82,27 +84,40 @@ impl Relief {
         self.fill();
     }
 
-    /// Moves each patch by what its residuals ask for, and keeps in mind `share` of what they know. Whatever a plane could
-    /// do is left to the plane. Returns the largest move, pixels.
-    pub(super) fn refine(&mut self, scores: &[PatchScore], share: f64, is_gauge_free: bool) -> f64 {
+    /// Moves each patch by what its residuals ask for, taken as `share` of what they know, and `keeps` that knowledge or
+    /// not. Whatever a plane could do is left to the plane.
+    pub(super) fn refine(&mut self, scores: &[PatchScore], share: f64, keeps: bool) {
         let scale = self.inverse_depth_per_px;
         self.moves.clear();
         for (score, &patch) in scores.iter().zip(&self.patch_of_group) {
-            let gained = f64::from(score.depth_information).max(0.0) * scale * scale;
+            let gained = share * f64::from(score.depth_information()).max(0.0) * scale * scale;
             let information = self.information[patch] + gained;
-            let step = f64::from(score.depth_pull()) * scale / information.max(1e-9);
+            let step = share * f64::from(score.depth_pull()) * scale / information.max(1e-9);
             self.moves.push((patch, step.clamp(-MOVE_MAX_PX, MOVE_MAX_PX), information));
-            self.information[patch] = (self.information[patch] + share * gained).min(INFORMATION_MAX);
+            if keeps {
+                self.information[patch] = information.min(INFORMATION_MAX);
+            }
         }
-        let plane = if is_gauge_free { Vector3::zeros() } else { self.plane_of_moves() };
-        let mut largest = 0.0_f64;
+        let plane = self.plane_of_moves();
         for &(patch, step, _) in &self.moves {
             let step = step - plane.dot(&self.column_and_row(patch));
             self.offset_px[patch] += step;
-            largest = largest.max(step.abs());
         }
         self.fill();
-        largest
+    }
+
+    /// Standard deviation of each patch's inverse depth, 1/m: what is not known of it, and what a grid of patches can not say
+    /// of a bent surface.
+    pub(super) fn depth_sigma(&self) -> impl Iterator<Item = f64> + '_ {
+        self.patch_of_group.iter().map(|&patch| {
+            let (mut sum, mut count) = (0.0, 0.0);
+            for neighbour in neighbours(patch, self.columns, self.rows) {
+                (sum, count) = (sum + self.offset_px[neighbour], count + 1.0);
+            }
+            let bend_px = if count > 0.0 { self.offset_px[patch] - sum / count } else { 0.0 };
+            let unknown = 1.0 / self.information[patch].max(1e-6);
+            (unknown + (BEND_SHARE * bend_px).powi(2)).sqrt() * self.inverse_depth_per_px
+        })
     }
 
     fn column_and_row(&self, patch: usize) -> Vector3<f64> {

@@ -12,7 +12,7 @@ use super::view::View;
 use crate::wide::LANES;
 
 /// Points of a template, at most.
-const POINTS_MAX: usize = 96;
+const POINTS_MAX: usize = 64;
 /// Fewer points are no template.
 const POINTS_MIN: usize = 12;
 /// Places kept of each search.
@@ -31,10 +31,10 @@ pub(super) struct Place {
     pub(super) correlation: f64,
 }
 
-/// A point of a template: where it lies from the template's centre, pixels of the coarsest level, and its channels.
+/// A point of a template: where it lies from the template's centre, whole pixels of the coarsest level, and its channels.
 #[derive(Clone, Copy, Debug, Default)]
 struct TemplatePoint {
-    offset_px: [f32; 2],
+    offset_px: [i32; 2],
     value: [f32; 3],
 }
 
@@ -131,7 +131,7 @@ impl Searcher {
                 let offset = [pinhole.fx * point.x / point.z / side, pinhole.fy * point.y / point.z / side];
                 let value = view.value.map(|v| v.0[i]);
                 if self.template.len() < POINTS_MAX {
-                    self.template.push(TemplatePoint { offset_px: offset.map(|x| x as f32), value });
+                    self.template.push(TemplatePoint { offset_px: offset.map(|x| x.round() as i32), value });
                 }
             }
         }
@@ -155,8 +155,8 @@ fn score(
 ) -> f32 {
     let (mut count, mut sums) = (0.0_f32, [[0.0_f32; 5]; 3]);
     for point in template {
-        let (column, row) = ((x as f32 + point.offset_px[0]).round(), (y as f32 + point.offset_px[1]).round());
-        if !(column >= 0.0 && row >= 0.0 && column < width as f32 && row < height as f32) {
+        let (column, row) = (x as i32 + point.offset_px[0], y as i32 + point.offset_px[1]);
+        if column < 0 || row < 0 || column >= width as i32 || row >= height as i32 {
             continue;
         }
         let texel = &texels[row as usize * width + column as usize];

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::align::{Aligner, StartLevel, Estimate, Problem};
+use super::align::{Aligner, Estimate, Problem, StartLevel};
 use super::kernels::SHAPE;
 use super::normal::Free;
 use super::relief::{Correlation, patches_of};
@@ -23,13 +23,16 @@ pub(super) fn find(aligner: &mut Aligner, problem: &mut Problem<'_>, estimate: &
         choose(aligner, problem, estimate, sigma_px);
     }
     for round in 0..ROUNDS {
-        let Some(aligned) = aligner.align(problem, estimate, 0..=0, (StartLevel::Coarsest, Free::Surface, 12), &mut || true) else { return };
+        let Some(aligned) =
+            aligner.align(problem, estimate, 0..=0, (StartLevel::Coarsest, Free::Surface, 12), &mut || true)
+        else {
+            return;
+        };
         let step: Vector3<f64> = aligned.last.unknowns.fixed_rows::<3>(SHAPE).into_owned();
         problem.surface.plane += step;
         problem.surface.rebuild();
         if sigma_px > 0.0 && aligner.examine(problem, estimate, &estimate.variance, false).is_some() {
-            let share = if round + 1 == ROUNDS { 1.0 } else { 0.0 };
-            problem.surface.relief.refine(&aligner.scores, share, false);
+            problem.surface.relief.refine(&aligner.scores, 1.0, round + 1 == ROUNDS);
             problem.surface.rebuild();
         }
     }

@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector2, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Camera, Pose, StereoRig};
 
-use super::align::{Aligned, Aligner, StartLevel, Estimate, Knowledge, Problem};
+use super::align::{Aligned, Aligner, Estimate, Knowledge, Problem, StartLevel};
 use super::config::DirectTrackerConfig;
 use super::images::{EyeImages, LEVELS};
 use super::judge::{Fit, Limits, Misfit};
@@ -20,6 +20,8 @@ use crate::direct::image_plane::PixelWindow;
 
 /// Share of a frame's information about the surface that is taken over: frames share the noise of the kept view.
 const SURFACE_SHARE: f64 = 0.1;
+/// As above, about the relief.
+const RELIEF_SHARE: f64 = 0.05;
 /// As above, about the row offset, and the most that is believed of it (0.01 px).
 const ROW_SHARE: f64 = 0.02;
 const ROW_INFORMATION_MAX: f64 = 1e4;
@@ -207,9 +209,9 @@ impl Target {
         let (problem, aligner, estimate) = self.problem(frame);
         let equations = aligner.examine(&problem, estimate, &most, is_fresh)?;
         let prior = problem.prior(estimate);
-        let inflation = equations.inflation(&aligner.scores, &prior).unwrap_or(1.0).clamp(1.0, 25.0);
-        let covariance = equations.covariance(&prior)?;
-        self.covariance = Some(covariance.fixed_view::<6, 6>(0, 0) * inflation);
+        let depth_sigma = problem.surface.relief.depth_sigma();
+        let covariance = equations.pose_covariance(&aligner.scores, depth_sigma, &prior)?;
+        self.covariance = Some(covariance);
         Some(equations)
     }
 
@@ -234,15 +236,23 @@ impl Target {
     fn learn(&mut self, equations: &NormalEquations, free: Free, shape: &Vector3<f64>) {
         let Self { surface, aligner, estimate, knowledge, reference, .. } = self;
         let at_start = free == Free::Surface;
+        let mut moved = Vector3::zeros();
         let prior = knowledge.prior(estimate);
         if free != Free::Motion
             && let Some(gained) = equations.surface_information(&prior, free)
         {
-            knowledge.shape_information += gained * if at_start { 1.0 } else { SURFACE_SHARE };
+            let share = if at_start { 1.0 } else { SURFACE_SHARE };
+            let known = knowledge.shape_information;
+            knowledge.shape_information += gained * share;
+            // The step was that of the whole frame; what is believed of it moves the surface by less.
+            let asked = (known + gained) * shape * share;
+            moved = knowledge.shape_information.cholesky().map_or_else(Vector3::zeros, |c| c.solve(&asked));
         }
         if free == Free::Everything {
-            surface.plane += shape;
-            surface.relief.refine(&aligner.scores, SURFACE_SHARE, false);
+            if std::env::var("NOPL").is_err() {
+                surface.plane += shape;
+            }
+            surface.relief.refine(&aligner.scores, RELIEF_SHARE, true);
             surface.rebuild();
         }
         if let Some(covariance) = equations.covariance(&prior) {
@@ -331,9 +341,12 @@ impl Target {
                 Some(place.cam_left_from_model)
             };
             let Some(start) = start else { continue };
-            match self.follow(&start, frame, may_continue) {
-                Ending::Found => return Ending::Found,
-                misfit => ending = misfit,
+            self.view = self.nearest_view(&start, frame.config).0;
+            if self.attempt(&start, StartLevel::Resembling, Free::Motion, frame, may_continue).is_some() {
+                match self.fit.misfit(&self.limits(frame.config)) {
+                    None => return Ending::Found,
+                    Some(misfit) => ending = Ending::Misfit(misfit),
+                }
             }
         }
         self.estimate = before;
