@@ -36,11 +36,6 @@ impl Taps {
     pub fn weights(&self) -> &[f32] {
         &self.weights[..=2 * self.radius]
     }
-
-    /// Sum of the squared weights: what is left of the variance of white noise along one direction.
-    pub fn noise_gain(&self) -> f64 {
-        self.weights().iter().map(|w| f64::from(*w).powi(2)).sum()
-    }
 }
 
 /// Smooths planes; keeps its buffers.
@@ -85,7 +80,7 @@ wide! {
 #[inline(always)]
 fn group_starts(width: usize) -> impl Iterator<Item = usize> {
     let full = width / LANES;
-    let last = (width % LANES != 0 && full > 0).then(|| width - LANES);
+    let last = (!width.is_multiple_of(LANES) && full > 0).then(|| width - LANES);
     (0..full).map(|g| g * LANES).chain(last)
 }
 

@@ -18,7 +18,7 @@ use super::image_plane::PixelWindow;
 use super::region_pyramid::{RegionLevel, RegionPyramid};
 use crate::cpu::Kernels;
 use covariance::BlockPulls;
-use kernel::{CHANNELS_MAX, ChannelState, PointSet, Sums, UNUSABLE, Warp};
+use kernel::{CHANNELS_MAX, ChannelState, PointSet, Shade, Sums, UNUSABLE, Warp};
 use points::{RightRows, Selection};
 pub use prepare::Channel;
 use prepare::{EyeChannels, Preparation, Smoothing, Wish};
@@ -28,6 +28,8 @@ use solve::{Normal, reliability, tukey_limit, tukey_moments};
 const POINTS_MIN: usize = 40;
 /// Tukey's limit of a single residual starts no lower, grey levels.
 const START_LIMIT_GREY: f64 = 15.0;
+/// The border is judged at this step on the finest level.
+const BORDER_JUDGED_AT: usize = 2;
 /// The border is judged if it and the rest have this many points.
 const BORDER_POINTS_MIN: f64 = 200.0;
 /// The border is bad if its points have less than this of the weight of others, or more than this of their squared
@@ -52,7 +54,7 @@ pub struct RefineConfig {
     pub iterations_max: usize,
     /// A plane that moves further than this at the region's centroid has not converged, pixels.
     pub jump_max_px: f64,
-    /// Width of the border of the region that is always left out, pixels.
+    /// Width of the border of the region that is always left out, pixels; half of the share below at most.
     pub erosion_min_px: f64,
     /// Width of the border that is left out if it agrees worse than the rest, pixels.
     pub erosion_max_px: f64,
@@ -74,7 +76,7 @@ pub struct RefineConfig {
 impl Default for RefineConfig {
     fn default() -> Self {
         Self {
-            levels_max: 3,
+            levels_max: 2,
             area_max_px: 24_000,
             points_max: 5000,
             iterations_max: 8,
@@ -207,8 +209,9 @@ impl PlaneRefiner {
     fn prepare(&mut self, level: &RegionLevel, progress: &Progress) -> Option<Prepared> {
         let scale = level.scale as f64;
         let side_px = (level.area_px as f64).sqrt();
-        let rim = |px: f64| (px / scale).min(self.config.erosion_share_max * side_px).round() as usize;
-        let rims = (rim(self.config.erosion_min_px), rim(self.config.erosion_max_px));
+        let rim = |px: f64, share: f64| (px / scale).min(share * side_px).round() as usize;
+        let c = &self.config;
+        let rims = (rim(c.erosion_min_px, 0.5 * c.erosion_share_max), rim(c.erosion_max_px, c.erosion_share_max));
         let (bounds, count) = self.selection.mark(level, (rims.0, rims.1.max(rims.0)))?;
         if count < POINTS_MIN {
             return None;
@@ -284,7 +287,7 @@ impl PlaneRefiner {
             row: (progress.row_px / prepared.scale - prepared.row_applied) as f32,
             width: self.right.part.width,
             channels: prepared.channels,
-            states: std::array::from_fn(|c| states.get(c).copied().unwrap_or_default()),
+            shades: std::array::from_fn(|c| states.get(c).map(Shade::from).unwrap_or_default()),
             place_variance: self.config.place_sigma_px.powi(2) as f32,
             limit: tukey_limit(prepared.channels) as f32,
         }
@@ -303,11 +306,14 @@ impl PlaneRefiner {
         let channels = prepared.channels;
         let mut states = self.start_states(level, prepared, progress);
         let steps = if finest { self.config.iterations_max } else { self.config.iterations_max.min(5) };
-        let tolerance_px = if finest { 0.002 } else { 0.03 };
+        let tolerance_px = if finest { 0.006 } else { 0.05 };
         progress.settled = false;
         for step_index in 0..steps {
             let warp = self.warp(level, prepared, progress, &states);
-            let sums = self.accumulate(&warp);
+            let mut sums = self.accumulate(&warp);
+            if finest && step_index == BORDER_JUDGED_AT {
+                sums = self.drop_bad_border(&warp, sums);
+            }
             let normal = self.normal(&sums, prepared, progress, &states);
             let Some(step) = bounded_step(&normal, &prepared.half) else { break };
             normal.move_states(&step, channels, &mut states);
@@ -315,12 +321,8 @@ impl PlaneRefiner {
             apply(level, prepared, &step, progress);
             progress.iterations += 1;
             let size = step.x.abs() + (step.y * prepared.half.x).abs() + (step.z * prepared.half.y).abs();
-            if finest && step_index == 1 {
-                let warp = self.warp(level, prepared, progress, &states);
-                self.drop_bad_border(&warp);
-            }
             progress.settled = size < SETTLED_PX;
-            if size < tolerance_px && step_index > 1 {
+            if size < tolerance_px && step_index >= BORDER_JUDGED_AT {
                 break;
             }
         }
@@ -329,8 +331,7 @@ impl PlaneRefiner {
 
     /// Leaves the border of the region out if it agrees worse than the rest: there the background shines in when a camera
     /// is out of focus.
-    fn drop_bad_border(&mut self, warp: &Warp) {
-        let all = self.accumulate(warp);
+    fn drop_bad_border(&mut self, warp: &Warp, all: Sums) -> Sums {
         std::mem::swap(&mut self.points.unit, &mut self.points.inner);
         let inner = self.accumulate(warp);
         let squares = |sums: &Sums| sums.channel.iter().take(warp.channels).map(|s| s[21]).sum::<f64>();
@@ -339,9 +340,11 @@ impl PlaneRefiner {
         let enough = inner.seen >= BORDER_POINTS_MIN && border_seen >= BORDER_POINTS_MIN;
         let lost = border_weight / border_seen < BORDER_WEIGHT_MIN * inner.weight / inner.seen;
         let worse = border_squares * inner.weight > BORDER_SQUARES_MAX * squares(&inner) * border_weight;
-        if !(enough && (lost || worse)) {
-            std::mem::swap(&mut self.points.unit, &mut self.points.inner);
+        if enough && (lost || worse) {
+            return inner;
         }
+        std::mem::swap(&mut self.points.unit, &mut self.points.inner);
+        all
     }
 
     fn normal(

@@ -99,7 +99,7 @@ impl Texture {
 
 /// A periodic sum of waves with wavelengths between two limits, of mean 0 and variance 1.
 fn field(random: &mut Random, shortest_mm: f64, longest_mm: f64) -> Vec<f32> {
-    const WAVES: usize = 48;
+    const WAVES: usize = 32;
     let mut values = vec![0.0_f32; GRID * GRID];
     for _ in 0..WAVES {
         let wavelength = shortest_mm * (longest_mm / shortest_mm).powf(random.uniform(0.0, 1.0));
@@ -234,7 +234,10 @@ fn outline(setup: &Setup, x_mm: f64, y_mm: f64) -> bool {
 
 pub fn render(setup: &Setup, target: &Texture, background: &Texture) -> Pair {
     let rig = rig(setup.baseline_m);
-    let ray_of = |camera: &Camera, at: &Vector2<f64>| camera.unproject(at).unwrap();
+    let ray_of = |camera: &Camera, at: &Vector2<f64>| {
+        let p = camera.pinhole();
+        Vector3::new((at.x - p.cx) / p.fx, (at.y - p.cy) / p.fy, 1.0)
+    };
     let centre_ray = ray_of(rig.left(), &setup.centre_px);
     let plane = Plane::new(centre_ray * setup.z_m, setup.tilt_x_rad, setup.tilt_y_rad);
     let behind = Plane::new(centre_ray * (setup.z_m + setup.background_m), 0.0, 0.0);
@@ -282,8 +285,10 @@ pub fn render(setup: &Setup, target: &Texture, background: &Texture) -> Pair {
     let (clean_left, target_mask, hidden) = draw(rig.left(), Vector3::zeros(), setup.centre_px, 0.0);
     let right_centre = setup.centre_px - Vector2::new(disparity, 0.0);
     let right = draw(rig.right(), Vector3::new(setup.baseline_m, 0.0, 0.0), right_centre, setup.row_offset_px).0;
-    let lens = |picture: &[[f32; 3]], extra: f64| blurred(picture, (0.6_f64.powi(2) + extra * extra).sqrt());
-    let clean_left = lens(&clean_left, 0.0);
+    let lens = |picture: &[[f32; 3]], centre: Vector2<f64>, extra: f64| {
+        blurred(picture, (0.6_f64.powi(2) + extra * extra).sqrt(), centre, reach)
+    };
+    let clean_left = lens(&clean_left, setup.centre_px, 0.0);
     let mut random = Random::new(setup.seed ^ 0x5EED);
     let mut develop = |picture: &[[f32; 3]], gain: [f64; 3], bias: [f64; 3]| {
         let mut raw = Vec::with_capacity(picture.len() * 3);
@@ -296,7 +301,7 @@ pub fn render(setup: &Setup, target: &Texture, background: &Texture) -> Pair {
         RgbImage::from_raw(SIZE.width, SIZE.height, raw).unwrap()
     };
     let left = develop(&clean_left, [1.0; 3], [0.0; 3]);
-    let right = develop(&lens(&right, setup.right_blur_px), setup.gain, setup.bias);
+    let right = develop(&lens(&right, right_centre, setup.right_blur_px), setup.gain, setup.bias);
     let region = if setup.boxed { boxed(&target_mask) } else { target_mask.clone() };
     let target = target_mask.iter().zip(&hidden).map(|(on, hidden)| *on && !hidden).collect();
     Pair { rig, left, right, clean_left, plane, target, region, setup: setup.clone() }
@@ -310,26 +315,28 @@ fn boxed(mask: &[bool]) -> Vec<bool> {
     (0..mask.len()).map(|i| (x0..=x1).contains(&at(i).0) && (y0..=y1).contains(&at(i).1)).collect()
 }
 
-fn blurred(picture: &[[f32; 3]], sigma_px: f64) -> Vec<[f32; 3]> {
+/// Blurs a square around a pixel; the rest has one colour.
+fn blurred(picture: &[[f32; 3]], sigma_px: f64, centre: Vector2<f64>, reach: i32) -> Vec<[f32; 3]> {
     let radius = (3.0 * sigma_px).ceil() as i32;
     let weights: Vec<f32> =
         (-radius..=radius).map(|i| (-0.5 * (f64::from(i) / sigma_px).powi(2)).exp() as f32).collect();
     let sum: f32 = weights.iter().sum();
     let (width, height) = (SIZE.width as i32, SIZE.height as i32);
+    let (x0, y0) = ((centre.x as i32 - reach - 8).max(0), (centre.y as i32 - reach - 8).max(0));
+    let (x1, y1) = ((centre.x as i32 + reach + 8).min(width), (centre.y as i32 + reach + 8).min(height));
     let pass = |source: &[[f32; 3]], step: (i32, i32)| -> Vec<[f32; 3]> {
-        (0..width * height)
-            .map(|i| {
-                let (x, y) = (i % width, i / width);
-                let mut out = [0.0_f32; 3];
-                for (j, weight) in weights.iter().enumerate() {
-                    let by = j as i32 - radius;
-                    let (u, v) = ((x + by * step.0).clamp(0, width - 1), (y + by * step.1).clamp(0, height - 1));
-                    let rgb = source[(v * width + u) as usize];
-                    (0..3).for_each(|c| out[c] += weight / sum * rgb[c]);
-                }
-                out
-            })
-            .collect()
+        let mut blurred = source.to_vec();
+        for (y, x) in (y0..y1).flat_map(|y| (x0..x1).map(move |x| (y, x))) {
+            let mut out = [0.0_f32; 3];
+            for (j, weight) in weights.iter().enumerate() {
+                let by = j as i32 - radius;
+                let (u, v) = ((x + by * step.0).clamp(0, width - 1), (y + by * step.1).clamp(0, height - 1));
+                let rgb = source[(v * width + u) as usize];
+                (0..3).for_each(|c| out[c] += weight / sum * rgb[c]);
+            }
+            blurred[(y * width + x) as usize] = out;
+        }
+        blurred
     };
     pass(&pass(picture, (1, 0)), (0, 1))
 }

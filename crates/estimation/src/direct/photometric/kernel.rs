@@ -5,6 +5,7 @@
 //! derivative by the logarithm of the gain is the mean of both values, and the derivative by the disparity the mean of both
 //! gradients (efficient second-order minimisation). Noise of a value is independent of the noise of a central difference
 //! at the same place, so noisy gradients do not move the place where the sums of `gradient x residual` vanish.
+#![allow(clippy::needless_range_loop, reason = "several arrays are walked in step")]
 
 use crate::wide::{LANES, sum_lanes, wide};
 
@@ -44,6 +45,27 @@ pub(crate) struct ChannelState {
     pub variance: f64,
 }
 
+/// A [`ChannelState`] for the inner loop.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Shade {
+    /// Right values and left values are multiplied by these.
+    pub right: f32,
+    pub left: f32,
+    pub offset: f32,
+    pub variance: f32,
+}
+
+impl From<&ChannelState> for Shade {
+    fn from(state: &ChannelState) -> Self {
+        Self {
+            right: state.gain_root as f32,
+            left: (1.0 / state.gain_root) as f32,
+            offset: state.offset as f32,
+            variance: state.variance as f32,
+        }
+    }
+}
+
 /// Where the points are looked up and how they are weighted.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Warp {
@@ -58,7 +80,7 @@ pub(crate) struct Warp {
     pub width: usize,
     /// Number of channels.
     pub channels: usize,
-    pub states: [ChannelState; CHANNELS_MAX],
+    pub shades: [Shade; CHANNELS_MAX],
     /// Variance of the place at which a pixel samples the scene, squared pixels: gradient times this is noise.
     pub place_variance: f32,
     /// Tukey's limit of the sum over the channels of squared residuals over variances.
@@ -68,7 +90,7 @@ pub(crate) struct Warp {
 /// Sums over all points.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sums {
-    /// Per channel; the names of the indices are those of [`accumulate_kernel`].
+    /// Per channel; the order is that of [`terms`].
     pub channel: [[f64; SUMS]; CHANNELS_MAX],
     /// Sum of Tukey's weights.
     pub weight: f64,
@@ -76,15 +98,15 @@ pub(crate) struct Sums {
     pub seen: f64,
 }
 
-/// One group of points after the comparison.
-struct Group {
-    residual: [[f32; LANES]; CHANNELS_MAX],
-    gradient: [[f32; LANES]; CHANNELS_MAX],
+/// One group of points after the comparison, in `N` channels.
+struct Group<const N: usize> {
+    residual: [[f32; LANES]; N],
+    gradient: [[f32; LANES]; N],
     /// Product of left and right gradient.
-    product: [[f32; LANES]; CHANNELS_MAX],
-    mean: [[f32; LANES]; CHANNELS_MAX],
+    product: [[f32; LANES]; N],
+    mean: [[f32; LANES]; N],
     /// 1 / variance of the residual.
-    certainty: [[f32; LANES]; CHANNELS_MAX],
+    certainty: [[f32; LANES]; N],
     /// Tukey's weight.
     weight: [f32; LANES],
     seen: [f32; LANES],
@@ -107,13 +129,13 @@ fn gather(plane: &[f32], at: &[u32; LANES], taps: &mut [[f32; LANES]; 4]) {
 }
 
 #[inline(always)]
-fn compare(points: &PointSet, start: usize, right: &[&[f32]; CHANNELS_MAX], warp: &Warp) -> Group {
+fn compare<const N: usize>(points: &PointSet, start: usize, right: &[&[f32]; CHANNELS_MAX], warp: &Warp) -> Group<N> {
     let mut group = Group {
-        residual: [[0.0; LANES]; CHANNELS_MAX],
-        gradient: [[0.0; LANES]; CHANNELS_MAX],
-        product: [[0.0; LANES]; CHANNELS_MAX],
-        mean: [[0.0; LANES]; CHANNELS_MAX],
-        certainty: [[0.0; LANES]; CHANNELS_MAX],
+        residual: [[0.0; LANES]; N],
+        gradient: [[0.0; LANES]; N],
+        product: [[0.0; LANES]; N],
+        mean: [[0.0; LANES]; N],
+        certainty: [[0.0; LANES]; N],
         weight: [0.0; LANES],
         seen: [0.0; LANES],
     };
@@ -132,25 +154,22 @@ fn compare(points: &PointSet, start: usize, right: &[&[f32]; CHANNELS_MAX], warp
     }
     let mut distance = [0.0_f32; LANES];
     let mut taps = [[0.0_f32; LANES]; 4];
-    for c in 0..warp.channels {
+    for c in 0..N {
         gather(right[c], &at, &mut taps);
-        let state = &warp.states[c];
-        let (gain, back) = (state.gain_root as f32, (1.0 / state.gain_root) as f32);
-        let (offset, variance) = (state.offset as f32, state.variance as f32);
+        let shade = warp.shades[c];
         let (value, gx, gy) =
             (lanes(&points.value[c], start), lanes(&points.gradient_x[c], start), lanes(&points.gradient_y[c], start));
         for i in 0..LANES {
             // Catmull-Rom between the middle taps, and its slope.
             let (p0, p1, p2, p3) = (taps[0][i], taps[1][i], taps[2][i], taps[3][i]);
             let (c1, c2, c3) = (p2 - p0, 2.0 * p0 - 5.0 * p1 + 4.0 * p2 - p3, 3.0 * (p1 - p2) + p3 - p0);
-            let shown = gain * (p1 + 0.5 * t[i] * (c1 + t[i] * (c2 + t[i] * c3)));
-            let slope = gain * (0.5 * c1 + t[i] * (c2 + 1.5 * t[i] * c3));
-            let (own, own_slope) = (back * value[i], back * gx[i]);
-            let residual = shown - own + offset + warp.row * back * gy[i];
-            let gradient = 0.5 * (slope + own_slope);
-            let certainty = 1.0 / (variance + warp.place_variance * (own_slope * own_slope));
+            let shown = shade.right * (p1 + 0.5 * t[i] * (c1 + t[i] * (c2 + t[i] * c3)));
+            let slope = shade.right * (0.5 * c1 + t[i] * (c2 + 1.5 * t[i] * c3));
+            let (own, own_slope) = (shade.left * value[i], shade.left * gx[i]);
+            let residual = shown - own + shade.offset + warp.row * shade.left * gy[i];
+            let certainty = 1.0 / (shade.variance + warp.place_variance * (own_slope * own_slope));
             group.residual[c][i] = residual;
-            group.gradient[c][i] = gradient;
+            group.gradient[c][i] = 0.5 * (slope + own_slope);
             group.product[c][i] = slope * own_slope;
             group.mean[c][i] = 0.5 * (shown + own);
             group.certainty[c][i] = certainty;
@@ -165,69 +184,93 @@ fn compare(points: &PointSet, start: usize, right: &[&[f32]; CHANNELS_MAX], warp
     group
 }
 
+/// Half the lanes of a group: what is summed up is folded once before.
+const HALF: usize = LANES / 2;
+
 #[inline(always)]
 fn accumulate_kernel(points: &PointSet, right: &[&[f32]; CHANNELS_MAX], warp: &Warp) -> Sums {
-    let mut sums = [[[0.0_f32; LANES]; SUMS]; CHANNELS_MAX];
+    match warp.channels {
+        1 => accumulate_channels::<1>(points, right, warp),
+        2 => accumulate_channels::<2>(points, right, warp),
+        3 => accumulate_channels::<3>(points, right, warp),
+        _ => accumulate_channels::<4>(points, right, warp),
+    }
+}
+
+#[inline(always)]
+fn accumulate_channels<const N: usize>(points: &PointSet, right: &[&[f32]; CHANNELS_MAX], warp: &Warp) -> Sums {
+    let mut sums = [[[0.0_f32; HALF]; SUMS]; N];
     let (mut weight, mut seen) = ([0.0_f32; LANES], [0.0_f32; LANES]);
     for start in (0..points.x.len() / LANES).map(|g| g * LANES) {
-        let group = compare(points, start, right, warp);
+        let group = compare::<N>(points, start, right, warp);
         let (x, y) = (lanes(&points.x, start), lanes(&points.y, start));
         for i in 0..LANES {
             weight[i] += group.weight[i];
             seen[i] += group.seen[i];
         }
-        for (c, sums) in sums.iter_mut().enumerate().take(warp.channels) {
-            let back = (1.0 / warp.states[c].gain_root) as f32;
+        for c in 0..N {
             let gy = lanes(&points.gradient_y[c], start);
-            let (g, m, r) = (&group.gradient[c], &group.mean[c], &group.residual[c]);
-            for i in 0..LANES {
-                let w = group.weight[i] * group.certainty[c][i];
-                let (x, y) = (x[i], y[i]);
-                let (wg, h) = (w * g[i], back * gy[i]);
-                let (wgx, wgy, wh) = (wg * x, wg * y, w * h);
-                let (wm, wr) = (w * m[i], w * r[i]);
-                // Gradient by gradient, times 1, x, y, x x, x y, y y.
-                sums[0][i] += wg * g[i];
-                sums[1][i] += wgx * g[i];
-                sums[2][i] += wgy * g[i];
-                sums[3][i] += wgx * g[i] * x;
-                sums[4][i] += wgx * g[i] * y;
-                sums[5][i] += wgy * g[i] * y;
-                // Gradient by residual, by mean and alone, times 1, x, y.
-                sums[6][i] += wg * r[i];
-                sums[7][i] += wgx * r[i];
-                sums[8][i] += wgy * r[i];
-                sums[9][i] += wg * m[i];
-                sums[10][i] += wgx * m[i];
-                sums[11][i] += wgy * m[i];
-                sums[12][i] += wg;
-                sums[13][i] += wgx;
-                sums[14][i] += wgy;
-                // Gain and offset.
-                sums[15][i] += wm * m[i];
-                sums[16][i] += wm;
-                sums[17][i] += w;
-                sums[18][i] += wm * r[i];
-                sums[19][i] += wr;
-                // Left by right gradient, and the squared residual.
-                sums[20][i] += w * group.product[c][i];
-                sums[21][i] += wr * r[i];
-                // Row offset by gradient (times 1, x, y), itself, mean, one, residual.
-                sums[22][i] += wh * g[i];
-                sums[23][i] += wgx * h;
-                sums[24][i] += wgy * h;
-                sums[25][i] += wh * h;
-                sums[26][i] += wh * m[i];
-                sums[27][i] += wh;
-                sums[28][i] += wh * r[i];
+            let left = warp.shades[c].left;
+            for i in 0..HALF {
+                let one = terms(&group, c, i, x[i], y[i], left * gy[i]);
+                let j = i + HALF;
+                let other = terms(&group, c, j, x[j], y[j], left * gy[j]);
+                for k in 0..SUMS {
+                    sums[c][k][i] += one[k] + other[k];
+                }
             }
         }
     }
-    Sums {
-        channel: sums.map(|channel| channel.map(|lanes| f64::from(sum_lanes(&lanes)))),
-        weight: f64::from(sum_lanes(&weight)),
-        seen: f64::from(sum_lanes(&seen)),
+    let mut channel = [[0.0; SUMS]; CHANNELS_MAX];
+    for (channel, sums) in channel.iter_mut().zip(&sums) {
+        *channel = sums.map(|lanes| lanes.iter().map(|&lane| f64::from(lane)).sum());
     }
+    Sums { channel, weight: f64::from(sum_lanes(&weight)), seen: f64::from(sum_lanes(&seen)) }
+}
+
+/// What one point adds to the sums of a channel; `h` is the gradient along rows.
+#[inline(always)]
+fn terms<const N: usize>(group: &Group<N>, c: usize, i: usize, x: f32, y: f32, h: f32) -> [f32; SUMS] {
+    let (g, m, r) = (group.gradient[c][i], group.mean[c][i], group.residual[c][i]);
+    let w = group.weight[i] * group.certainty[c][i];
+    let wg = w * g;
+    let (wgx, wgy, wh, wm, wr) = (wg * x, wg * y, w * h, w * m, w * r);
+    [
+        // Gradient by gradient, times 1, x, y, x x, x y, y y.
+        wg * g,
+        wgx * g,
+        wgy * g,
+        wgx * g * x,
+        wgx * g * y,
+        wgy * g * y,
+        // Gradient by residual, by mean and alone, times 1, x, y.
+        wg * r,
+        wgx * r,
+        wgy * r,
+        wg * m,
+        wgx * m,
+        wgy * m,
+        wg,
+        wgx,
+        wgy,
+        // Gain and offset.
+        wm * m,
+        wm,
+        w,
+        wm * r,
+        wr,
+        // Left by right gradient, and the squared residual.
+        w * group.product[c][i],
+        wr * r,
+        // Row offset by gradient (times 1, x, y), itself, mean, one, residual.
+        wh * g,
+        wgx * h,
+        wgy * h,
+        wh * h,
+        wh * m,
+        wh,
+        wh * r,
+    ]
 }
 
 wide! {
@@ -252,17 +295,33 @@ fn scores_kernel(
     projections: &[Projection; CHANNELS_MAX],
     scores: &mut [Vec<f32>; 4],
 ) {
+    match warp.channels {
+        1 => score_channels::<1>(points, right, warp, projections, scores),
+        2 => score_channels::<2>(points, right, warp, projections, scores),
+        3 => score_channels::<3>(points, right, warp, projections, scores),
+        _ => score_channels::<4>(points, right, warp, projections, scores),
+    }
+}
+
+#[inline(always)]
+fn score_channels<const N: usize>(
+    points: &PointSet,
+    right: &[&[f32]; CHANNELS_MAX],
+    warp: &Warp,
+    projections: &[Projection; CHANNELS_MAX],
+    scores: &mut [Vec<f32>; 4],
+) {
     for start in (0..points.x.len() / LANES).map(|g| g * LANES) {
-        let group = compare(points, start, right, warp);
+        let group = compare::<N>(points, start, right, warp);
         let (x, y) = (lanes(&points.x, start), lanes(&points.y, start));
         let mut sums = [[0.0_f32; LANES]; 4];
-        for (c, p) in projections.iter().enumerate().take(warp.channels) {
-            let back = (1.0 / warp.states[c].gain_root) as f32;
+        for (c, p) in projections.iter().enumerate().take(N) {
+            let left = warp.shades[c].left;
             let gy = lanes(&points.gradient_y[c], start);
             for i in 0..LANES {
                 let wr = p.weight * group.weight[i] * group.certainty[c][i] * group.residual[c][i];
                 let (g, m) = (-group.gradient[c][i], group.mean[c][i]);
-                let own = [g, g * x[i], g * y[i], back * gy[i]];
+                let own = [g, g * x[i], g * y[i], left * gy[i]];
                 for k in 0..4 {
                     sums[k][i] += wr * (own[k] - p.mean[k] * m - p.one[k]);
                 }

@@ -2,7 +2,7 @@
 
 use super::super::image_plane::PixelWindow;
 use super::super::region_pyramid::RegionLevel;
-use super::kernel::{CHANNELS_MAX, PointSet};
+use super::kernel::PointSet;
 use super::prepare::EyeChannels;
 use crate::wide::LANES;
 
@@ -78,31 +78,29 @@ impl Selection {
         let part = left.part;
         self.find_candidates(level.left.window.width, left, channels);
         let limit = self.energy_limit(points_max);
-        out.clear();
-        (self.block_ends.clear(), self.block_places.clear());
-        let centre = ((part.width as f32 - 1.0) / 2.0, (part.height as f32 - 1.0) / 2.0);
+        self.block_ends.clear();
+        self.block_places.clear();
+        let inside = |row: i32| row >= 0 && row < rows.height as i32;
+        let row_of = |at: &Candidate| i32::from(at.y) + part.y + rows.shift;
+        self.candidates.retain(|at| at.energy >= limit && inside(row_of(at)));
         let mut place = (u32::MAX, 0);
-        for at in self.candidates.iter().filter(|at| at.energy >= limit) {
-            let (x, y) = (usize::from(at.x), usize::from(at.y));
-            let row = y as i32 + part.y + rows.shift;
-            if row < 0 || row >= rows.height as i32 {
-                continue;
-            }
-            let here = ((x / BLOCK) as u32, (y / BLOCK) as u32);
+        for (i, at) in self.candidates.iter().enumerate() {
+            let here = (u32::from(at.x) / BLOCK as u32, u32::from(at.y) / BLOCK as u32);
             if here != place {
-                if !out.x.is_empty() {
-                    self.block_ends.push(out.x.len());
+                if i > 0 {
+                    self.block_ends.push(i);
                 }
                 self.block_places.push(here);
                 place = here;
             }
-            out.push(left, channels, (x, y), centre, row as u32 * rows.width as u32);
-            out.inner.push(f32::from(u8::from(at.inner)));
         }
-        let count = out.x.len();
+        let count = self.candidates.len();
         if count > 0 {
             self.block_ends.push(count);
         }
+        out.take(&self.candidates, left, channels);
+        out.row_start.clear();
+        out.row_start.extend(self.candidates.iter().map(|at| row_of(at) as u32 * rows.width as u32));
         out.fill_up(channels);
         count
     }
@@ -146,29 +144,22 @@ impl Selection {
 }
 
 impl PointSet {
-    fn clear(&mut self) {
-        for values in [&mut self.x, &mut self.y, &mut self.unit, &mut self.inner] {
-            values.clear();
-        }
-        self.row_start.clear();
-        for c in 0..CHANNELS_MAX {
-            self.value[c].clear();
-            self.gradient_x[c].clear();
-            self.gradient_y[c].clear();
-        }
-    }
-
-    fn push(&mut self, left: &EyeChannels, channels: usize, at: (usize, usize), centre: (f32, f32), row_start: u32) {
-        let (x, y) = at;
-        self.x.push(x as f32 - centre.0);
-        self.y.push(y as f32 - centre.1);
-        self.unit.push(1.0);
-        self.row_start.push(row_start);
+    /// Takes places, values and gradients of candidates.
+    fn take(&mut self, candidates: &[Candidate], left: &EyeChannels, channels: usize) {
+        let (width, height) = (left.part.width, left.part.height);
+        let centre = ((width as f32 - 1.0) / 2.0, (height as f32 - 1.0) / 2.0);
+        refill(&mut self.x, candidates.iter().map(|at| f32::from(at.x) - centre.0));
+        refill(&mut self.y, candidates.iter().map(|at| f32::from(at.y) - centre.1));
+        refill(&mut self.unit, candidates.iter().map(|_| 1.0));
+        refill(&mut self.inner, candidates.iter().map(|at| f32::from(u8::from(at.inner))));
         for (c, plane) in left.planes.iter().enumerate().take(channels) {
-            let row = plane.row(y);
-            self.value[c].push(row[x]);
-            self.gradient_x[c].push(0.5 * (row[x + 1] - row[x - 1]));
-            self.gradient_y[c].push(0.5 * (plane.row(y + 1)[x] - plane.row(y - 1)[x]));
+            let values = plane.values();
+            let index = |at: &Candidate| usize::from(at.y) * width + usize::from(at.x);
+            refill(&mut self.value[c], candidates.iter().map(|at| values[index(at)]));
+            let across = |at: &Candidate| 0.5 * (values[index(at) + 1] - values[index(at) - 1]);
+            refill(&mut self.gradient_x[c], candidates.iter().map(across));
+            let down = |at: &Candidate| 0.5 * (values[index(at) + width] - values[index(at) - width]);
+            refill(&mut self.gradient_y[c], candidates.iter().map(down));
         }
     }
 
@@ -184,6 +175,11 @@ impl PointSet {
             }
         }
     }
+}
+
+fn refill(values: &mut Vec<f32>, with: impl Iterator<Item = f32>) {
+    values.clear();
+    values.extend(with);
 }
 
 fn blocks(length: usize) -> impl Iterator<Item = usize> {
