@@ -6,8 +6,6 @@
 mod bound;
 mod cell;
 mod cells;
-#[path = "real/circumstances.rs"]
-mod circumstances;
 pub mod dump;
 mod limits;
 mod measure;
@@ -29,7 +27,7 @@ use anyhow::{Context, bail};
 use pb3dp_estimation::estimator::Method;
 use serde_json::json;
 
-use circumstances::Circumstances;
+use crate::common::circumstances::Circumstances;
 use limits::Check;
 use measure::Options;
 use page::Findings;

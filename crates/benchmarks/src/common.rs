@@ -1,3 +1,4 @@
 //! What the measurements share.
 
+pub mod circumstances;
 pub mod cpu_time;

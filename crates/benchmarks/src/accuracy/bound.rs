@@ -103,7 +103,7 @@ impl BoundMaker {
             Ok(StereoRenderer::new(scene.clone(), rig, &sensor, 0)?.with_fine_sampling()?)
         };
         let moved = steps.map(renderer).collect::<anyhow::Result<Vec<_>>>().context("the moved cameras")?;
-        Ok(Self { pictures: vec![Vec::new(); moved.len()], moved, rig: rig.clone(), setup: *setup })
+        Ok(Self { pictures: vec![Vec::new(); moved.len()], moved, rig: *rig, setup: *setup })
     }
 
     /// The covariance of an ideal estimate, as [`covariance_of_errors`] gives it. `None` if the scene does not determine

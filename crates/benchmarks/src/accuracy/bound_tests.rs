@@ -146,7 +146,7 @@ fn a_fit_of_every_pixel_comes_near_the_bound_and_not_below() {
         let cell = Cell { setup, ..super::super::cells::all().remove(0) };
         let scene = super::super::scenes::SceneStore::default().scene(&setup).unwrap();
         let mut worker = Worker::new(&cell, &scene, 1, &[]).unwrap();
-        let rig = worker.told_rig().clone();
+        let rig = *worker.told_rig();
         let mut maker = BoundMaker::new(&setup, &scene, &rig).unwrap();
         let (mut squares, poses) = ([0.0; 2], 12);
         for index in 0..poses {
@@ -224,7 +224,7 @@ fn the_bound_grows_with_noise_and_falls_with_the_baseline() {
     // A prototype's own bound for such a target was 0.025 mm (rms over poses from 420 to 650 mm).
     assert!((0.004..0.05).contains(&nominal), "{nominal} mm");
     let noisy = sigma_mm(0.1, 6.0) / nominal;
-    assert!((noisy - ((36.0 + 1.0 / 12.0) / (9.0 + 1.0 / 12.0) as f64).sqrt()).abs() < 1e-9, "{noisy}");
+    assert!((noisy - f64::sqrt((36.0 + 1.0 / 12.0) / (9.0 + 1.0 / 12.0))).abs() < 1e-9, "{noisy}");
     let wide = sigma_mm(0.15, 3.0) / nominal;
     assert!((0.6..0.75).contains(&wide), "{wide}");
 }

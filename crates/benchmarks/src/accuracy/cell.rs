@@ -125,9 +125,17 @@ impl Setup {
         }
     }
 
+    /// Height of the target's relief, metres.
+    pub fn relief_m(&self) -> f64 {
+        match self.shape {
+            Shape::Crab { relief_m } => relief_m,
+            Shape::Wall => 0.0,
+        }
+    }
+
     /// Whether the target is a plane, so that the bound is that of the truth.
     pub fn is_planar(&self) -> bool {
-        !matches!(self.shape, Shape::Crab { relief_m } if relief_m > 0.0)
+        self.relief_m() == 0.0
     }
 }
 

@@ -8,6 +8,7 @@ use image::RgbImage;
 use nalgebra::{Matrix3, Vector3};
 use pb3dp_estimation::estimate::PlaneEstimate;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
+use pb3dp_estimation::plane_hypothesis::PlaneHypothesis;
 use pb3dp_estimation::region::RegionConfig;
 use pb3dp_estimation::status::Status;
 use pb3dp_sim::raster::StereoRenderer;
@@ -27,8 +28,8 @@ pub struct Outcome {
     pub status: Status,
     /// Its errors; `None` where it gave no plane.
     pub errors: Option<PlaneErrors>,
-    /// The covariance that it claims for (depth, two tilts): metres, radians.
-    pub claimed: Option<Matrix3<f64>>,
+    /// Its squared error, normalised by the covariance that it claims, over its expected value 3; `None` if it claims none.
+    pub normalised_error: Option<f64>,
     /// Processor time, milliseconds.
     pub cpu_millis: f64,
 }
@@ -91,9 +92,8 @@ impl<'a> Worker<'a> {
     /// If simulator, geometry or an estimator refuses the set-up.
     pub fn new(cell: &'a Cell, scene: &Scene, seed: u32, methods: &[Method]) -> anyhow::Result<Self> {
         let rigs = rigs(&cell.setup)?;
-        let renderer =
-            StereoRenderer::new(scene.clone(), rigs.real.clone(), &sensor(&cell.setup), seed ^ hash_of(&cell.name))?
-                .with_defocus_px(0.0, cell.setup.defocus_px)?;
+        let renderer = StereoRenderer::new(scene.clone(), rigs.real, &sensor(&cell.setup), seed ^ hash_of(&cell.name))?
+            .with_defocus_px(0.0, cell.setup.defocus_px)?;
         // Where millimetres are asked for, thousandths of a pixel do not matter.
         let renderer = if cell.question == Question::Accuracy { renderer.with_fine_sampling()? } else { renderer };
         let config = EstimatorConfig::default();
@@ -138,7 +138,7 @@ impl<'a> Worker<'a> {
                 let (answer, cpu_millis) = timed(|| estimator.estimate(&left, &right, &trial.region, search));
                 match answer {
                     Ok(estimate) => outcome(&estimate, &trial.plane, &ray, cpu_millis),
-                    Err(_) => Outcome { status: Status::Error, errors: None, claimed: None, cpu_millis },
+                    Err(_) => Outcome { status: Status::Error, errors: None, normalised_error: None, cpu_millis },
                 }
             })
             .collect();
@@ -148,13 +148,25 @@ impl<'a> Worker<'a> {
 
 fn outcome(estimate: &PlaneEstimate, truth: &Vector3<f64>, ray: &Vector3<f64>, cpu_millis: f64) -> Outcome {
     let errors = estimate.pose.and_then(|pose| plane_errors(&pose.inverse_depth_plane, truth, ray));
-    Outcome { status: estimate.status, errors, claimed: claimed_covariance(estimate), cpu_millis }
+    let normalised_error = estimate.pose.zip(errors).and_then(|(pose, errors)| {
+        let (covariance, error) = match estimate.plane_covariance {
+            Some(covariance) => (covariance, psi(truth, ray)? - psi(&pose.inverse_depth_plane, ray)?),
+            // The deviation of the normal is split evenly between the two tilts.
+            None => {
+                let (z, normal) = (estimate.z_sigma_m?, estimate.normal_sigma_rad?);
+                let variances = Vector3::new(z * z, 0.5 * normal * normal, 0.5 * normal * normal);
+                (Matrix3::from_diagonal(&variances), Vector3::new(errors.z_m, errors.tilt_rad.x, errors.tilt_rad.y))
+            }
+        };
+        Some(error.dot(&covariance.cholesky()?.solve(&error)) / 3.0)
+    });
+    Outcome { status: estimate.status, errors, normalised_error, cpu_millis }
 }
 
-/// What an estimate claims of itself; the deviation of the normal is split evenly between the two tilts.
-fn claimed_covariance(estimate: &PlaneEstimate) -> Option<Matrix3<f64>> {
-    let (z, normal) = (estimate.z_sigma_m?, estimate.normal_sigma_rad?);
-    Some(Matrix3::from_diagonal(&Vector3::new(z * z, 0.5 * normal * normal, 0.5 * normal * normal)))
+/// Depth on a ray and the two tilts of a plane.
+fn psi(plane: &Vector3<f64>, ray: &Vector3<f64>) -> Option<Vector3<f64>> {
+    let psi = PlaneHypothesis::from_inverse_depth_plane(plane, ray)?;
+    Some(Vector3::new(psi.z_m, psi.theta_x_rad, psi.theta_y_rad))
 }
 
 /// Measures all poses of a cell, in order of their numbers.

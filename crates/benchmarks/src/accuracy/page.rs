@@ -3,12 +3,12 @@
 use std::fmt::Write as _;
 
 use super::cell::Cell;
-use super::circumstances::Circumstances;
 use super::limits::Check;
 use super::plot::{Line, Panel, svg};
 use super::sequence_summary::{self, SequenceSummary};
 use super::summary::Summary;
 use super::table;
+use crate::common::circumstances::Circumstances;
 
 /// Everything that a run found.
 pub struct Findings {
@@ -114,6 +114,7 @@ All methods see the same pictures; the seed of a pose depends on the cell's name
 | ms | processor time of one call, median |
 
 For a relief the true plane is the least-squares plane of the inverse depths of the target's visible pixels; the bound, which is that of a plane, is then out of reach.
+A method that takes the larger surface of a relief finds another plane than least squares, so there a plane is right within the relief's height, and within the tilt that this height makes over half of the target.
 
 ## The bound
 
@@ -189,7 +190,7 @@ mod tests {
             .iter()
             .map(|cell| {
                 let errors = Some(PlaneErrors { z_m: 1e-5 * cell.value, tilt_rad: Vector2::new(1e-3, 0.0) });
-                let outcome = Outcome { status: Status::Ok, errors, claimed: None, cpu_millis: 1.0 };
+                let outcome = Outcome { status: Status::Ok, errors, normalised_error: None, cpu_millis: 1.0 };
                 let bound = Some(Matrix3::identity() * 1e-10);
                 Summary::of(cell, "direct", 0, &[Measured { bound, outcomes: vec![outcome] }])
             })

@@ -6,10 +6,13 @@ use serde_json::{Value, json};
 
 use super::cell::{Cell, Question};
 use super::measure::{Measured, Outcome};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Matrix3;
 
 /// Errors that are never called wrong: metres, radians.
 const TOLERANCE: (f64, f64) = (2e-3, 3.0 * std::f64::consts::PI / 180.0);
+
+/// Half the width of the target, metres.
+const HALF_WIDTH_M: f64 = 0.055;
 
 /// Errors within this many standard deviations of the bound are never called wrong either.
 const SIGMAS: f64 = 4.0;
@@ -57,7 +60,7 @@ impl Summary {
     /// Of one method, which is number `index` of those measured.
     pub fn of(cell: &Cell, method: &'static str, index: usize, measured: &[Measured]) -> Self {
         let outcomes: Vec<_> = measured.iter().map(|m| (&m.outcomes[index], m.bound.as_ref())).collect();
-        let bounded = cell.question != Question::Unobservable;
+        let tolerance = Tolerance::of(cell);
         let sure: Vec<_> = outcomes.iter().filter(|(o, _)| o.status.depth_is_sure() && o.errors.is_some()).collect();
         let z = |(o, _): &&(&Outcome, _)| o.errors.map(|errors| errors.z_m.abs());
         let angle = |(o, _): &&(&Outcome, _)| o.errors.map(|errors| errors.tilt_rad.norm());
@@ -74,15 +77,15 @@ impl Summary {
             }
             _ => None,
         };
-        let nees: Vec<f64> = ok.iter().filter_map(|(o, _)| normalised_error(o)).collect();
+        let nees: Vec<f64> = ok.iter().filter_map(|(o, _)| o.normalised_error).collect();
         let times: Vec<f64> = outcomes.iter().map(|(o, _)| o.cpu_millis).collect();
         Self {
             cell: cell.name.clone(),
             method,
             count: outcomes.len(),
             sure: sure.len(),
-            right: outcomes.iter().filter(|(o, bound)| is_right(o, *bound, bounded)).count(),
-            wrong_ok: outcomes.iter().filter(|(o, bound)| is_wrong_ok(o, *bound, bounded)).count(),
+            right: outcomes.iter().filter(|(o, bound)| is_right(o, tolerance.with(*bound))).count(),
+            wrong_ok: outcomes.iter().filter(|(o, bound)| is_wrong_ok(o, tolerance.with(*bound))).count(),
             z_m: three(&z_errors),
             angle_rad: three(&angles),
             bound: all_bounds,
@@ -123,24 +126,40 @@ fn bound_rms(bounds: &[&Matrix3<f64>]) -> Option<[f64; 2]> {
     (!bounds.is_empty()).then(|| [mean(|b| b[(0, 0)]).sqrt(), mean(|b| b[(1, 1)] + b[(2, 2)]).sqrt()])
 }
 
-/// What is tolerated: the larger of 2 mm and 3 degrees, and four times the bound where there is one.
-fn tolerances(bound: Option<&Matrix3<f64>>, bounded: bool) -> (f64, f64) {
-    let sigma = |variance: f64| SIGMAS * variance.sqrt();
-    match bound {
-        Some(b) => (TOLERANCE.0.max(sigma(b[(0, 0)])), TOLERANCE.1.max(sigma(b[(1, 1)] + b[(2, 2)]))),
-        // Nothing tells the plane: any answer is as right as another, unless the cell asks just for that.
-        None if bounded => (f64::INFINITY, f64::INFINITY),
-        None => TOLERANCE,
+/// What is tolerated.
+#[derive(Clone, Copy, Debug)]
+struct Tolerance {
+    /// Depth in metres and angle in radians, without regard to the bound.
+    fixed: (f64, f64),
+    /// Whether the bound is known where there is one.
+    bounded: bool,
+}
+
+impl Tolerance {
+    /// 2 mm and 3 degrees. A plane through a relief is a matter of definition, so there a plane within the relief will do.
+    fn of(cell: &Cell) -> Self {
+        let relief_m = cell.setup.relief_m();
+        let fixed = (TOLERANCE.0.max(relief_m), TOLERANCE.1.max(relief_m / HALF_WIDTH_M));
+        Self { fixed, bounded: cell.question != Question::Unobservable }
+    }
+
+    /// At a pose: four times the bound where that is more.
+    fn with(self, bound: Option<&Matrix3<f64>>) -> (f64, f64) {
+        let sigma = |variance: f64| SIGMAS * variance.sqrt();
+        match bound {
+            Some(b) => (self.fixed.0.max(sigma(b[(0, 0)])), self.fixed.1.max(sigma(b[(1, 1)] + b[(2, 2)]))),
+            // Nothing tells the plane: any answer is as right as another, unless the cell asks just for that.
+            None if self.bounded => (f64::INFINITY, f64::INFINITY),
+            None => self.fixed,
+        }
     }
 }
 
-fn is_right(outcome: &Outcome, bound: Option<&Matrix3<f64>>, bounded: bool) -> bool {
-    let (z, angle) = tolerances(bound, bounded);
+fn is_right(outcome: &Outcome, (z, angle): (f64, f64)) -> bool {
     outcome.errors.is_some_and(|errors| errors.z_m.abs() <= z && errors.tilt_rad.norm() <= angle)
 }
 
-fn is_wrong_ok(outcome: &Outcome, bound: Option<&Matrix3<f64>>, bounded: bool) -> bool {
-    let (z, angle) = tolerances(bound, bounded);
+fn is_wrong_ok(outcome: &Outcome, (z, angle): (f64, f64)) -> bool {
     match (outcome.status, outcome.errors) {
         (Status::Ok, Some(errors)) => !(errors.z_m.abs() <= z && errors.tilt_rad.norm() <= angle),
         (Status::WeakTilt, Some(errors)) => errors.z_m.is_nan() || errors.z_m.abs() > z,
@@ -150,33 +169,25 @@ fn is_wrong_ok(outcome: &Outcome, bound: Option<&Matrix3<f64>>, bounded: bool) -
     }
 }
 
-/// Squared error, normalised by the claimed covariance, over its expected value 3.
-fn normalised_error(outcome: &Outcome) -> Option<f64> {
-    let errors = outcome.errors?;
-    let errors = Vector3::new(errors.z_m, errors.tilt_rad.x, errors.tilt_rad.y);
-    let solved = outcome.claimed?.cholesky()?.solve(&errors);
-    Some(errors.dot(&solved) / 3.0)
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::trial::PlaneErrors;
     use super::*;
-    use nalgebra::Vector2;
+    use nalgebra::{Vector2, Vector3};
 
     fn outcome(status: Status, z_mm: f64, tilt_deg: f64) -> Outcome {
         let tilt_rad = Vector2::new(0.6, -0.8) * tilt_deg.to_radians();
-        let claimed = Matrix3::from_diagonal(&Vector3::new(1e-6, 1e-4, 1e-4));
         let errors = Some(PlaneErrors { z_m: z_mm * 1e-3, tilt_rad });
-        Outcome { status, errors, claimed: Some(claimed), cpu_millis: 2.0 }
+        Outcome { status, errors, normalised_error: Some(z_mm.abs()), cpu_millis: 2.0 }
     }
 
     #[test]
     fn confident_errors_are_counted_by_what_the_bound_allows() {
         let bound = Matrix3::from_diagonal(&Vector3::new(1e-6, 1e-6, 1e-6));
+        let flat = Tolerance { fixed: TOLERANCE, bounded: true };
         let check = |status, z_mm, tilt_deg, expected| {
             assert_eq!(
-                is_wrong_ok(&outcome(status, z_mm, tilt_deg), Some(&bound), true),
+                is_wrong_ok(&outcome(status, z_mm, tilt_deg), flat.with(Some(&bound))),
                 expected,
                 "{z_mm} {tilt_deg}"
             );
@@ -187,9 +198,18 @@ mod tests {
         check(Status::WeakTilt, 0.0, 40.0, false);
         check(Status::WeakTilt, 4.1, 0.0, true);
         check(Status::Ambiguous, 400.0, 40.0, false);
-        assert!(is_wrong_ok(&outcome(Status::Ok, 2.1, 0.0), None, false));
-        assert!(!is_wrong_ok(&outcome(Status::Ok, 2.1, 0.0), None, true));
-        assert!(is_wrong_ok(&Outcome { errors: None, ..outcome(Status::Ok, 0.0, 0.0) }, Some(&bound), true));
+        let blind = Tolerance { bounded: false, ..flat };
+        assert!(is_wrong_ok(&outcome(Status::Ok, 2.1, 0.0), blind.with(None)));
+        assert!(!is_wrong_ok(&outcome(Status::Ok, 2.1, 0.0), flat.with(None)));
+        let nothing = Outcome { errors: None, ..outcome(Status::Ok, 0.0, 0.0) };
+        assert!(is_wrong_ok(&nothing, flat.with(Some(&bound))));
+        let relief = super::super::cells::all().into_iter().find(|cell| cell.name == "relief/10mm").unwrap();
+        let relief = Tolerance::of(&relief).with(Some(&bound));
+        assert!(!is_wrong_ok(&outcome(Status::Ok, 9.9, 10.0), relief));
+        assert!(
+            is_wrong_ok(&outcome(Status::Ok, 10.1, 0.0), relief)
+                && is_wrong_ok(&outcome(Status::Ok, 0.0, 11.0), relief)
+        );
     }
 
     #[test]
@@ -213,9 +233,6 @@ mod tests {
         let [z, angle] = summary.ratio.unwrap();
         assert!((z - (14.0f64 / 3.0).sqrt() / 2.0).abs() < 1e-9, "{z}");
         assert!((angle - (0.625f64.sqrt().to_radians()) / 2e-3).abs() < 1e-9, "{angle}");
-        // (1 + (0.5 deg)^2 / 1e-4) / 3 and (4 + (1 deg)^2 / 1e-4) / 3, their mean.
-        let squared = |deg: f64| deg.to_radians().powi(2) / 1e-4;
-        let expected = (5.0 + squared(0.5) + squared(1.0)) / 6.0;
-        assert!((summary.nees.unwrap() - expected).abs() < 1e-9);
+        assert_eq!(summary.nees, Some(1.5));
     }
 }

@@ -3,7 +3,7 @@
 use anyhow::Context;
 use image::RgbImage;
 use nalgebra::Vector6;
-use pb3dp_estimation::estimator::{EstimatorConfig, Method, Tracker};
+use pb3dp_estimation::estimator::{EstimatorConfig, FramePrior, Method, Tracker};
 use pb3dp_estimation::published::TrackEstimate;
 use pb3dp_estimation::region::{Region, RegionConfig};
 use pb3dp_estimation::status::Status;
@@ -71,7 +71,7 @@ pub fn run_sequence(
         methods.iter().map(|method| Tracker::new(*method, &frames.rig, &config)).collect::<Result<Vec<_>, _>>()?;
     let region = Region::Polygon { vertices_px: frames.outline_px()? };
     let (mut left, mut right) = (RgbImage::new(1, 1), RgbImage::new(1, 1));
-    let mut tracked = vec![Vec::with_capacity(spec.frames); methods.len()];
+    let mut tracked = vec![Vec::with_capacity(spec.frames); trackers.len()];
     let first = spec.cam_left_from_target(0);
     let mut model_first = None;
     for frame in 0..spec.frames {
@@ -88,18 +88,15 @@ pub fn run_sequence(
         for (tracker, tracked) in trackers.iter_mut().zip(&mut tracked) {
             let (answer, cpu_millis) = timed(|| match frame {
                 0 => tracker.start(&left, &right, &region, &SEARCH),
-                _ => tracker.update(&left, &right, None),
+                _ => tracker.update(&left, &right, &FramePrior::default()),
             });
             tracked.push(answer_of(answer.ok(), &truth, cpu_millis));
         }
     }
     let truth: Vec<_> =
         (0..spec.frames).map(|frame| spec.cam_left_from_target(frame).relabel::<CamLeft, Model>()).collect();
-    Ok(methods
-        .iter()
-        .zip(&tracked)
-        .map(|(method, tracked)| SequenceSummary::of(spec, method.name(), tracked, &truth))
-        .collect())
+    let rows = trackers.iter().zip(&tracked);
+    Ok(rows.map(|(tracker, tracked)| SequenceSummary::of(spec, tracker.method().name(), tracked, &truth)).collect())
 }
 
 fn answer_of(answer: Option<TrackEstimate>, truth: &Pose<CamLeft, Model>, cpu_millis: f64) -> Tracked {
