@@ -4,8 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use image::RgbImage;
-use pb3dp_geometry::frames::CamLeft;
-use pb3dp_geometry::{Pose, StereoRig};
+use pb3dp_geometry::StereoRig;
 
 use crate::direct::estimator::{DirectConfig, DirectEstimator};
 use crate::error::EstimationError;
@@ -14,6 +13,7 @@ use crate::plane_hypothesis::SearchRange;
 use crate::published::{PublishedConfig, TrackEstimate};
 use crate::region::Region;
 
+pub use crate::direct::track::{DirectTracker, FramePrior};
 pub use crate::published::{PublishedEstimator, PublishedTracker};
 
 /// A method of this crate.
@@ -123,6 +123,8 @@ impl Estimator {
 pub enum Tracker {
     /// The published method.
     Published(Box<PublishedTracker>),
+    /// The direct method.
+    Direct(Box<DirectTracker>),
 }
 
 impl Tracker {
@@ -133,7 +135,7 @@ impl Tracker {
     pub fn new(method: Method, rig: &StereoRig, config: &EstimatorConfig) -> Result<Self, EstimationError> {
         match method {
             Method::Published => Ok(Self::Published(Box::new(PublishedTracker::new(rig, config.published.clone())?))),
-            Method::Direct => Err(EstimationError::NoTracker { method: method.name() }),
+            Method::Direct => Ok(Self::Direct(Box::new(DirectTracker::new(rig, config.direct.clone())?))),
         }
     }
 
@@ -141,6 +143,7 @@ impl Tracker {
     pub fn method(&self) -> Method {
         match self {
             Self::Published(_) => Method::Published,
+            Self::Direct(_) => Method::Direct,
         }
     }
 
@@ -157,10 +160,12 @@ impl Tracker {
     ) -> Result<TrackEstimate, EstimationError> {
         match self {
             Self::Published(tracker) => tracker.start(left, right, region, range),
+            Self::Direct(tracker) => tracker.start(left, right, region, range),
         }
     }
 
-    /// Follows the target into the next pair of raw images; see the methods' own `update`.
+    /// Follows the target into the next pair of raw images; see the methods' own `update`. The published method uses of
+    /// `prior` the motion of the camera.
     ///
     /// # Errors
     /// Images that do not fit the calibration, or no [`Self::start`] before.
@@ -168,10 +173,11 @@ impl Tracker {
         &mut self,
         left: &RgbImage,
         right: &RgbImage,
-        cam_left_prev_from_cam_left_now: Option<&Pose<CamLeft, CamLeft>>,
+        prior: &FramePrior,
     ) -> Result<TrackEstimate, EstimationError> {
         match self {
-            Self::Published(tracker) => tracker.update(left, right, cam_left_prev_from_cam_left_now),
+            Self::Published(tracker) => tracker.update(left, right, prior.cam_left_prev_from_cam_left_now.as_ref()),
+            Self::Direct(tracker) => tracker.update(left, right, prior),
         }
     }
 }

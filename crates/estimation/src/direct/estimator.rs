@@ -11,6 +11,7 @@ use super::front_end::StereoFrontEnd;
 use super::region_pyramid::PyramidSource;
 use super::row_measurement::{RowMeasurement, measure_rows};
 use super::row_offset::RowOffset;
+use super::track::DirectTrackerConfig;
 use super::verdict::{DirectVerdictConfig, judge};
 use crate::cpu::Kernels;
 use crate::error::EstimationError;
@@ -19,7 +20,7 @@ use crate::plane_hypothesis::{PlaneHypothesis, SearchRange};
 use crate::region::{Region, RegionConfig};
 use crate::status::Status;
 
-/// Parameters of the direct method on single pairs.
+/// Parameters of the direct method.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DirectConfig {
     /// Regions.
@@ -28,6 +29,8 @@ pub struct DirectConfig {
     pub cold_start: ColdStartConfig,
     /// The judgement of answers.
     pub verdict: DirectVerdictConfig,
+    /// Sequences.
+    pub track: DirectTrackerConfig,
 }
 
 impl DirectConfig {
@@ -37,7 +40,8 @@ impl DirectConfig {
     /// The parameter that is out of its range.
     pub fn validate(&self) -> Result<(), EstimationError> {
         self.cold_start.validate()?;
-        self.verdict.validate()
+        self.verdict.validate()?;
+        self.track.validate()
     }
 }
 

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use nalgebra::Vector2;
-use pb3dp_estimation::estimator::{Method, Tracker};
+use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
 use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_estimation::published::TrackEstimate;
 use pb3dp_estimation::region::Region;
@@ -118,7 +118,7 @@ impl Walk {
         }
         let (estimate, millis) = timed(|| match is_first {
             true => self.tracker.start(&pair.left, &pair.right, &self.region, &self.range),
-            false => self.tracker.update(&pair.left, &pair.right, None),
+            false => self.tracker.update(&pair.left, &pair.right, &FramePrior::default()),
         });
         let estimate = estimate.with_context(context)?;
         self.tell(frame, &estimate);

@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use nalgebra::Vector3;
-use pb3dp_estimation::estimator::{Method, Tracker};
+use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
 use pb3dp_estimation::published::TrackEstimate;
 use pb3dp_estimation::region::Region;
 use pb3dp_geometry::Pose;
@@ -42,7 +42,7 @@ impl Onlooker {
         let started = Instant::now();
         let outcome = match frame.region.filter(|_| !self.is_tracking) {
             Some(region) => self.tracker.start(left, right, region, &setup.range),
-            None => self.tracker.update(left, right, frame.motion),
+            None => self.tracker.update(left, right, &FramePrior::of_motion(frame.motion)),
         };
         let latency_millis = started.elapsed().as_secs_f64() * 1e3;
         match outcome {

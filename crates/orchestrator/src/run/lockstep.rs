@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use nalgebra::{Point3, Vector2, Vector3};
-use pb3dp_estimation::estimator::Tracker;
+use pb3dp_estimation::estimator::{FramePrior, Tracker};
 use pb3dp_estimation::published::TrackEstimate;
 use pb3dp_estimation::region::Region;
 use pb3dp_geometry::frames::{Base, CamLeft, Model, Target};
@@ -258,7 +258,8 @@ impl<'a> Loop<'a> {
     /// Follows the target, or takes the one in `region`.
     fn estimate(&mut self, region: Option<&Region>, motion: Option<Pose<CamLeft, CamLeft>>) -> Result<TrackEstimate> {
         let Some(region) = region else {
-            return Ok(self.tracker.update(&self.pair.left, &self.pair.right, motion.as_ref())?);
+            let prior = FramePrior::of_motion(motion.as_ref());
+            return Ok(self.tracker.update(&self.pair.left, &self.pair.right, &prior)?);
         };
         let estimate = self.tracker.start(&self.pair.left, &self.pair.right, region, &self.setup.range)?;
         for warning in &estimate.warnings {

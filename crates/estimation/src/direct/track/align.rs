@@ -91,7 +91,6 @@ pub(super) struct Knowledge {
 /// What came out.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Aligned {
-    pub(super) steps: usize,
     /// Whether the last step moved nothing.
     pub(super) has_converged: bool,
     /// The last step, for the surface.
@@ -159,7 +158,7 @@ impl Aligner {
                 steps += 1;
                 let moved_px = problem.moved_px(estimate, &last.unknowns);
                 let has_converged = moved_px < STEP_DONE_PX[level] * f64::from(1_u32 << level);
-                aligned = Some(Aligned { steps, has_converged, last });
+                aligned = Some(Aligned { has_converged, last });
                 if has_converged {
                     break;
                 }

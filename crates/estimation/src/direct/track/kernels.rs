@@ -147,6 +147,7 @@ impl Default for GroupScore {
 }
 
 #[inline(always)]
+#[allow(clippy::needless_range_loop, reason = "eyes and channels index several arrays")]
 fn correlate_kernel(
     seen: &[[SeenGroup; 2]],
     view: &[ViewGroup],
@@ -299,6 +300,7 @@ pub(super) fn texel_at(images: &EyeImages, level: usize, pixel: [f32; 2]) -> Opt
 const TUKEY: f32 = 3.0;
 
 #[inline(always)]
+#[allow(clippy::needless_range_loop, reason = "eyes and channels index several arrays")]
 fn weigh_kernel(
     seen: &[[SeenGroup; 2]],
     view: &[ViewGroup],
@@ -465,3 +467,7 @@ fn accumulate_kernel(
         }
     }
 }
+
+#[cfg(test)]
+#[path = "kernels_tests.rs"]
+mod tests;

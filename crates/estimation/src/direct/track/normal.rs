@@ -117,8 +117,8 @@ impl NormalEquations {
             let residual = f64::from(patch[UNKNOWNS + 5]);
             for i in 0..TOUCHED {
                 let scaled = line[i] * factor;
-                for j in i..TOUCHED {
-                    self.matrix[(i, j)] -= scaled * line[j];
+                for (j, other) in line.iter().enumerate().skip(i) {
+                    self.matrix[(i, j)] -= scaled * other;
                 }
                 self.rhs[i] -= scaled * residual;
             }

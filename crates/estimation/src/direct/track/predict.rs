@@ -16,6 +16,13 @@ pub struct FramePrior {
     pub dt_s: Option<f64>,
 }
 
+impl FramePrior {
+    /// Nothing is known but, perhaps, the motion of the camera.
+    pub fn of_motion(cam_left_prev_from_cam_left_now: Option<&Pose<CamLeft, CamLeft>>) -> Self {
+        Self { cam_left_prev_from_cam_left_now: cam_left_prev_from_cam_left_now.copied(), ..Self::default() }
+    }
+}
+
 /// The last pose and how the target moved: its origin at a constant velocity, its axes at a constant angular velocity, both
 /// in a frame that does not move with the camera.
 #[derive(Clone, Copy, Debug)]
@@ -27,6 +34,8 @@ pub(super) struct Motion {
     interval: f64,
 }
 
+/// What is left of the velocity after each frame without the target.
+const COASTING: f64 = 0.6;
 /// Longest step that is extrapolated, as a multiple of the last one.
 const STRETCH_MAX: f64 = 8.0;
 
@@ -71,6 +80,16 @@ impl Motion {
         let turn = prev_from_now.rotation().inverse();
         self.velocity = Some((turn * linear, turn * angular));
         (self.cam_left_from_model, self.interval) = (*found, step);
+    }
+
+    /// The target was not found: it is expected where it would have gone, ever slower.
+    pub(super) fn coast(&mut self, prior: &FramePrior) {
+        let (found, step) = (self.predict(prior), self.step(prior));
+        let now_from_prev = prior.cam_left_prev_from_cam_left_now.unwrap_or_else(Pose::coincident).inverse().rotation();
+        self.velocity = self
+            .velocity
+            .map(|(linear, angular)| (now_from_prev * linear * COASTING, now_from_prev * angular * COASTING));
+        (self.cam_left_from_model, self.interval) = (found, step);
     }
 
     /// The target was found again: where it is known, how it moves not.

@@ -201,7 +201,7 @@ fn beliefs(relief: &Relief, candidates_px: &[f64], costs: &[Vec<f64>], sigma_px:
     let mut messages = vec![vec![[0.0; 4]; labels]; count];
     for _ in 0..ROUNDS {
         let mut next = vec![vec![[0.0; 4]; labels]; count];
-        for patch in 0..count {
+        for (patch, next) in next.iter_mut().enumerate() {
             for from in neighbours(patch, relief.columns, relief.rows) {
                 let (side, back) = sides(patch, from, relief.columns);
                 for (to_label, to) in candidates_px.iter().enumerate() {
@@ -210,10 +210,10 @@ fn beliefs(relief: &Relief, candidates_px: &[f64], costs: &[Vec<f64>], sigma_px:
                         let bend = (0.5 * ((to - at) / NEIGHBOUR_SIGMA_PX).powi(2)).min(NEIGHBOUR_COST_MAX);
                         least = least.min(belief[from][from_label] - messages[from][from_label][back] + bend);
                     }
-                    next[patch][to_label][side] = least;
+                    next[to_label][side] = least;
                 }
-                let lowest = next[patch].iter().map(|m| m[side]).fold(f64::MAX, f64::min);
-                next[patch].iter_mut().for_each(|m| m[side] -= lowest);
+                let lowest = next.iter().map(|m| m[side]).fold(f64::MAX, f64::min);
+                next.iter_mut().for_each(|m| m[side] -= lowest);
             }
         }
         messages = next;

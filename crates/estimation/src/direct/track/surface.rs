@@ -227,10 +227,10 @@ fn choose_cells(images: &EyeImages, region: &RegionMask, level: usize, wanted: u
     for y in 1..height.saturating_sub(2) {
         for x in 1..width.saturating_sub(2) {
             let (u, v) = (raw(x as f64, origin_x), raw(y as f64, origin_y));
-            if region.contains(u.round() as i32, v.round() as i32) {
-                if let Some(sharpness) = sharpness(images, level, x, y) {
-                    candidates.push(Candidate { x, y, sharpness });
-                }
+            if region.contains(u.round() as i32, v.round() as i32)
+                && let Some(sharpness) = sharpness(images, level, x, y)
+            {
+                candidates.push(Candidate { x, y, sharpness });
             }
         }
     }

@@ -234,6 +234,7 @@ impl Target {
 
     /// Takes over what the frame says about surface, row offset, noise and shading.
     fn learn(&mut self, equations: &NormalEquations, free: Free, shape: &Vector3<f64>) {
+        let fits_well = self.fits_well();
         let Self { surface, aligner, estimate, knowledge, reference, .. } = self;
         let at_start = free == Free::Surface;
         let mut moved = Vector3::zeros();
@@ -249,9 +250,7 @@ impl Target {
             moved = knowledge.shape_information.cholesky().map_or_else(Vector3::zeros, |c| c.solve(&asked));
         }
         if free == Free::Everything {
-            if std::env::var("NOPL").is_err() {
-                surface.plane += shape;
-            }
+            surface.plane += moved;
             surface.relief.refine(&aligner.scores, RELIEF_SHARE, true);
             surface.rebuild();
         }
@@ -260,6 +259,9 @@ impl Target {
             let information = knowledge.row_information + ROW_SHARE * gained;
             knowledge.row_information = information.min(ROW_INFORMATION_MAX);
             knowledge.row_offset_px = estimate.row_offset_px;
+        }
+        if !fits_well {
+            return;
         }
         for (old, new) in reference.iter_mut().flatten().zip(estimate.variance.iter().flatten()) {
             *old += REFERENCE_RATE * (new.min(VARIANCE_SLACK * *old) - *old);

@@ -62,23 +62,18 @@ impl DirectTracker {
     ///
     /// # Errors
     /// A parameter out of its range, or a rig that can not be rectified.
-    pub fn new(rig: &StereoRig, start: DirectConfig, track: DirectTrackerConfig) -> Result<Self, EstimationError> {
-        Self::with_kernels(rig, start, track, Kernels::best())
+    pub fn new(rig: &StereoRig, config: DirectConfig) -> Result<Self, EstimationError> {
+        Self::with_kernels(rig, config, Kernels::best())
     }
 
     /// As [`Self::new`], with given kernels; the answers are the same, the speed is not.
     ///
     /// # Errors
     /// As [`Self::new`].
-    pub fn with_kernels(
-        rig: &StereoRig,
-        start: DirectConfig,
-        track: DirectTrackerConfig,
-        kernels: Kernels,
-    ) -> Result<Self, EstimationError> {
-        track.validate()?;
-        let region_config = start.region;
-        let estimator = DirectEstimator::with_kernels(rig, start, kernels)?;
+    pub fn with_kernels(rig: &StereoRig, config: DirectConfig, kernels: Kernels) -> Result<Self, EstimationError> {
+        config.validate()?;
+        let (region_config, track) = (config.region, config.track);
+        let estimator = DirectEstimator::with_kernels(rig, config, kernels)?;
         let mut images: [EyeImages; 2] = Default::default();
         for (images, camera) in images.iter_mut().zip([rig.left(), rig.right()]) {
             images.reserve(camera.size().width as usize, camera.size().height as usize);
@@ -163,7 +158,7 @@ impl DirectTracker {
         left: &RgbImage,
         mask: &RegionMask,
         plane: &PlanePose,
-    ) -> Result<Option<(Surface, Pose<CamLeft, Model>)>, EstimationError> {
+    ) -> Result<Option<FirstSurface>, EstimationError> {
         let (Some(centroid_px), Some(bounds)) = (mask.centroid_px(), mask.bbox()) else { return Ok(None) };
         let window = PixelWindow {
             x: bounds.x as i32,
@@ -238,7 +233,7 @@ impl DirectTracker {
             }
         }
         if ending != Ending::Found {
-            target.lost_frames += 1;
+            target.lost_frames = target.lost_frames.saturating_add(1);
             if may_continue() {
                 let whole = |image: &RgbImage| PixelWindow {
                     x: 0,
@@ -255,6 +250,8 @@ impl DirectTracker {
         if ending == Ending::Found {
             let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
             target.accept(&frame, prior);
+        } else {
+            target.motion.coast(prior);
         }
         ending
     }
@@ -304,13 +301,13 @@ impl DirectTracker {
             let pose = target.estimate.cam_left_from_model;
             out.cam_left_from_model = Some(pose);
             out.covariance = target.covariance;
-            (out.status, _) = self.judge_covariance(target.covariance.as_ref(), &mut out.reason);
+            out.status = self.judge_covariance(target.covariance.as_ref(), &mut out.reason);
             let project = |point: &Point3<f64>| self.rig.left().project(&pose.transform_point(point));
             out.outline_px.extend(target.outline_in_model.iter().filter_map(project));
         }
     }
 
-    fn judge_covariance(&self, covariance: Option<&Matrix6<f64>>, reason: &mut String) -> (Status, ()) {
+    fn judge_covariance(&self, covariance: Option<&Matrix6<f64>>, reason: &mut String) -> Status {
         let limit = self.config.tilt_sigma_sure_deg;
         let tilt_deg = covariance.map_or(f64::INFINITY, |c| (c[(3, 3)] + c[(4, 4)]).sqrt().to_degrees());
         let sure = tilt_deg <= limit;
@@ -319,9 +316,12 @@ impl DirectTracker {
             reason,
             "the normal's standard deviation is {tilt_deg:.2} degrees (limit {limit:.2}): the tilt {verb}"
         );
-        (if sure { Status::Ok } else { Status::WeakTilt }, ())
+        if sure { Status::Ok } else { Status::WeakTilt }
     }
 }
+
+/// A surface and the pose of its frame.
+type FirstSurface = (Surface, Pose<CamLeft, Model>);
 
 /// Fewer points than this are no target.
 const POINTS_MIN: usize = 40;

@@ -1,0 +1,175 @@
+//! The direct tracker on small rendered sequences.
+#![allow(clippy::expect_used, reason = "inputs that are valid")]
+
+#[path = "support/moving_plane.rs"]
+mod moving_plane;
+
+use moving_plane::{Shot, general_rig, moving, plane, rectified_rig, region, render};
+use nalgebra::Vector3;
+use pb3dp_estimation::direct::estimator::DirectConfig;
+use pb3dp_estimation::direct::track::{DirectTracker, DirectTrackerConfig, FramePrior};
+use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_estimation::published::TrackEstimate;
+use pb3dp_estimation::status::Status;
+use pb3dp_geometry::frames::{CamLeft, Model, Target};
+use pb3dp_geometry::{Pose, StereoRig, so3};
+
+/// A tracker, and what it should say.
+struct Run {
+    rig: StereoRig,
+    tracker: DirectTracker,
+    target_from_model: Pose<Target, Model>,
+    frame: u32,
+}
+
+impl Run {
+    fn start(rig: StereoRig, first: Pose<CamLeft, Target>, track: DirectTrackerConfig) -> Self {
+        let config = DirectConfig { track, ..DirectConfig::default() };
+        let mut tracker = DirectTracker::new(&rig, config).expect("tracker");
+        let (left, right) = render(&rig, &Shot { cam_left_from_target: Some(first), frame: 0, right_gain: 0.9 });
+        let estimate = tracker.start_from_plane(&left, &right, &region(&rig, &first), &plane(&first)).expect("start");
+        assert_eq!(estimate.status, Status::Ok, "{}", estimate.reason);
+        let target_from_model = first.inverse() * estimate.cam_left_from_model.expect("pose");
+        Self { rig, tracker, target_from_model, frame: 0 }
+    }
+
+    fn update(&mut self, pose: Option<Pose<CamLeft, Target>>, dt_s: f64) -> TrackEstimate {
+        self.frame += 1;
+        let shot = Shot { cam_left_from_target: pose, frame: self.frame, right_gain: 0.9 };
+        let (left, right) = render(&self.rig, &shot);
+        let prior = FramePrior { dt_s: Some(dt_s), ..FramePrior::default() };
+        self.tracker.update(&left, &right, &prior).expect("update")
+    }
+
+    /// Distance (mm) and angle (degrees) from the truth.
+    fn error(&self, estimate: &TrackEstimate, pose: &Pose<CamLeft, Target>) -> (f64, f64) {
+        let found = estimate.cam_left_from_model.expect("a pose");
+        let truth = *pose * self.target_from_model;
+        let distance_m = (found.translation_m() - truth.translation_m()).norm();
+        (1e3 * distance_m, (truth.inverse() * found).rotation_angle_rad().to_degrees())
+    }
+}
+
+fn check_motion(rig: StereoRig, fps: f64, frames: u32) {
+    let track = DirectTrackerConfig { points: 512, ..DirectTrackerConfig::default() };
+    let mut run = Run::start(rig, moving(0.0), track);
+    for frame in 1..=frames {
+        let pose = moving(f64::from(frame) / fps);
+        let estimate = run.update(Some(pose), 1.0 / fps);
+        assert_eq!(estimate.status, Status::Ok, "frame {frame}: {}", estimate.reason);
+        assert!(estimate.rotation_about_normal_observed);
+        let (distance_mm, angle_deg) = run.error(&estimate, &pose);
+        assert!(distance_mm < 0.5 && angle_deg < 0.6, "frame {frame}: {distance_mm} mm, {angle_deg} degrees");
+        // One standard deviation says where it may be: no error is far outside.
+        let sigma = estimate.covariance.expect("covariance");
+        let error =
+            (run.target_from_model.inverse() * (pose.inverse() * estimate.cam_left_from_model.expect("pose"))).log();
+        let normalised = error.dot(&sigma.cholesky().expect("positive").solve(&error)) / 6.0;
+        assert!(normalised < 12.0, "frame {frame}: normalised error squared {normalised}");
+    }
+}
+
+#[test]
+fn all_six_degrees_of_freedom_are_followed() {
+    check_motion(rectified_rig(), 30.0, 12);
+}
+
+#[test]
+fn few_frames_per_second_are_enough() {
+    check_motion(rectified_rig(), 7.5, 8);
+}
+
+#[test]
+fn unequal_turned_cameras_with_lens_distortion_serve_as_well() {
+    check_motion(general_rig(), 15.0, 8);
+}
+
+#[test]
+fn a_hidden_target_is_lost_and_found_again() {
+    let mut run = Run::start(rectified_rig(), moving(0.0), DirectTrackerConfig::default());
+    for frame in 1..5 {
+        let estimate = run.update(Some(moving(f64::from(frame) / 30.0)), 1.0 / 30.0);
+        assert_eq!(estimate.status, Status::Ok, "frame {frame}: {}", estimate.reason);
+    }
+    for frame in 5..10 {
+        let estimate = run.update(None, 1.0 / 30.0);
+        assert_eq!(estimate.status, Status::Lost, "frame {frame}");
+        assert!(estimate.cam_left_from_model.is_none() && !estimate.reason.is_empty());
+    }
+    let mut found_after = 0;
+    for frame in 10..15 {
+        let pose = moving(f64::from(frame) / 30.0);
+        let estimate = run.update(Some(pose), 1.0 / 30.0);
+        if estimate.status == Status::Lost {
+            found_after += 1;
+            continue;
+        }
+        let (distance_mm, angle_deg) = run.error(&estimate, &pose);
+        assert!(distance_mm < 0.5 && angle_deg < 0.6, "frame {frame}: {distance_mm} mm, {angle_deg} degrees");
+    }
+    assert!(found_after < 3, "found after {found_after} frames");
+}
+
+/// Turns the target out and back: views are kept on the way out, and serve again on the way back.
+#[test]
+fn views_are_kept_and_used_again() {
+    let track = DirectTrackerConfig { points: 512, view_turn_deg: 8.0, ..DirectTrackerConfig::default() };
+    let first = moving(0.0);
+    let turned = |angle: f64| {
+        Pose::from_parts(first.translation_m(), so3::exp(&Vector3::new(0.3 * angle, angle, 0.0)) * first.rotation())
+    };
+    let mut run = Run::start(rectified_rig(), first, track);
+    assert_eq!(run.tracker.views(), 1);
+    let angles: Vec<f64> = (1..=7).map(|i| 0.07 * f64::from(i)).collect();
+    let pass = |run: &mut Run, angles: &mut dyn Iterator<Item = f64>| {
+        let mut last = (0.0, 0.0);
+        for angle in angles {
+            let estimate = run.update(Some(turned(angle)), 1.0 / 30.0);
+            assert_eq!(estimate.status, Status::Ok, "at {angle}: {}", estimate.reason);
+            last = run.error(&estimate, &turned(angle));
+        }
+        last
+    };
+    pass(&mut run, &mut angles.iter().copied());
+    let kept = run.tracker.views();
+    assert!((3..=6).contains(&kept), "{kept} views");
+    let back = pass(&mut run, &mut angles.iter().rev().copied().chain([0.0]));
+    assert_eq!(run.tracker.views(), kept, "no view is kept twice");
+    assert!(back.0 < 0.15 && back.1 < 0.2, "back at the start: {back:?}");
+}
+
+#[test]
+fn a_cold_start_needs_no_plane() {
+    let (rig, first) = (rectified_rig(), moving(0.0));
+    let mut tracker = DirectTracker::new(&rig, DirectConfig::default()).expect("tracker");
+    let (left, right) = render(&rig, &Shot { cam_left_from_target: Some(first), frame: 0, right_gain: 0.9 });
+    assert!(tracker.update(&left, &right, &FramePrior::default()).is_err(), "nothing to follow yet");
+    let range = SearchRange::new(0.35, 0.7, 0.7).expect("range");
+    let estimate = tracker.start(&left, &right, &region(&rig, &first), &range).expect("start");
+    assert_eq!(estimate.status, Status::Ok, "{}", estimate.reason);
+    let found = estimate.cam_left_from_model.expect("pose");
+    let normal = found.rotation() * Vector3::z();
+    assert!(normal.angle(&(first.rotation() * Vector3::z())).to_degrees() < 0.5);
+    assert!(!estimate.outline_px.is_empty());
+}
+
+/// A deadline that is over at once still gives an answer, and a judged one.
+#[test]
+fn a_deadline_gives_the_best_answer_so_far() {
+    let (rig, first) = (rectified_rig(), moving(0.0));
+    let mut run = Run::start(rig, first, DirectTrackerConfig::default());
+    let pose = moving(1.0 / 30.0);
+    let (left, right) = render(&rig, &Shot { cam_left_from_target: Some(pose), frame: 9, right_gain: 0.9 });
+    let mut estimate = run.update(Some(first), 1.0 / 30.0);
+    let mut asked = 0;
+    let mut over = || {
+        asked += 1;
+        asked < 2
+    };
+    run.tracker.update_into(&left, &right, &FramePrior::default(), &mut over, &mut estimate).expect("update");
+    assert!(asked >= 1);
+    if estimate.status == Status::Ok {
+        let (distance_mm, _) = run.error(&estimate, &pose);
+        assert!(distance_mm < 2.0, "{distance_mm} mm");
+    }
+}

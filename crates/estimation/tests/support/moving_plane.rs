@@ -1,0 +1,123 @@
+//! A painted disc that moves with six degrees of freedom before a painted wall: pictures from rays, one sample per pixel.
+#![allow(dead_code, clippy::expect_used, reason = "shared by tests that use different parts")]
+
+use image::RgbImage;
+use nalgebra::{Isometry3, Point3, Vector2, Vector3};
+use pb3dp_estimation::estimate::PlanePose;
+use pb3dp_estimation::region::Region;
+use pb3dp_geometry::frames::{CamLeft, Target};
+use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig, so3};
+
+pub const SIZE: ImageSize = ImageSize { width: 320, height: 240 };
+/// Radius of the disc, metres.
+pub const RADIUS_M: f64 = 0.055;
+const WALL_Z_M: f64 = 0.75;
+
+/// Equal cameras side by side.
+pub fn rectified_rig() -> StereoRig {
+    let camera = |cx| {
+        let pinhole = Pinhole { fx: 390.0, fy: 390.0, cx, cy: 121.0 };
+        Camera::new(SIZE, pinhole, Distortion::None).expect("camera")
+    };
+    StereoRig::new(camera(158.0), camera(163.0), Pose::from_translation(Vector3::new(-0.1, 0.0, 0.0))).expect("rig")
+}
+
+/// Unequal cameras with lens distortion, turned towards each other.
+pub fn general_rig() -> StereoRig {
+    let camera = |f, cx, k1| {
+        let pinhole = Pinhole { fx: f, fy: f * 0.995, cx, cy: 118.0 };
+        let distortion = Distortion::BrownConrady5 { coefficients: [k1, 0.05, 0.0006, -0.0004, 0.0] };
+        Camera::new(SIZE, pinhole, distortion).expect("camera")
+    };
+    let turn = so3::exp(&Vector3::new(0.012, 0.06, -0.008));
+    let pose = Pose::from_parts(turn * Vector3::new(-0.1, 0.002, 0.004), turn);
+    StereoRig::new(camera(390.0, 158.0, -0.10), camera(402.0, 163.0, -0.13), pose).expect("rig")
+}
+
+/// Where the disc is at a time, seconds: all axes at once.
+pub fn moving(t: f64) -> Pose<CamLeft, Target> {
+    let swing = |period: f64, size: f64| size * (std::f64::consts::TAU * t / period).sin();
+    let turn = so3::exp(&Vector3::new(swing(4.1, 0.25), swing(5.3, 0.3), swing(3.7, 0.3)));
+    let first = so3::exp(&Vector3::new(0.1, -0.15, 0.05));
+    Pose::from_parts(Vector3::new(0.03 + swing(4.7, 0.03), swing(5.9, 0.02), 0.45 + swing(6.1, 0.04)), turn * first)
+}
+
+/// Colour at a place of a surface, metres: waves of several lengths, none of them a multiple of another.
+fn paint(x: f64, y: f64, seed: f64) -> [f64; 3] {
+    let wave = |a: f64, b: f64, phase: f64| (a * x + b * y + phase + seed).sin();
+    let (coarse, middle) = (wave(90.0, 130.0, 0.3), wave(-310.0, 170.0, 1.1));
+    let (fine, cross) = (wave(420.0, 520.0, 2.0), wave(230.0, -460.0, 0.7) * wave(610.0, 90.0, 1.9));
+    let grey = 118.0 + 22.0 * coarse + 24.0 * middle + 18.0 * fine + 20.0 * cross;
+    [grey + 20.0 * wave(70.0, -50.0, 0.1), grey, grey - 25.0 * wave(40.0, 110.0, 0.9)]
+}
+
+/// What a picture shows.
+#[derive(Clone, Copy)]
+pub struct Shot {
+    /// Where the disc is; `None`: hidden behind a board.
+    pub cam_left_from_target: Option<Pose<CamLeft, Target>>,
+    /// Selects the noise.
+    pub frame: u32,
+    /// Gain of the right camera.
+    pub right_gain: f64,
+}
+
+/// The pictures of a pair.
+pub fn render(rig: &StereoRig, shot: &Shot) -> (RgbImage, RgbImage) {
+    let left = picture(rig.left(), &Isometry3::identity(), shot, 1.0, 0);
+    let right = picture(rig.right(), rig.cam_right_from_cam_left().isometry(), shot, shot.right_gain, 1);
+    (left, right)
+}
+
+fn picture(camera: &Camera, cam_from_left: &Isometry3<f64>, shot: &Shot, gain: f64, eye: u32) -> RgbImage {
+    let left_from_cam = cam_from_left.inverse();
+    let origin = left_from_cam * Point3::origin();
+    let target_from_left = shot.cam_left_from_target.map(|pose| *pose.inverse().isometry());
+    RgbImage::from_fn(SIZE.width, SIZE.height, |x, y| {
+        let ray = camera.unproject(&Vector2::new(f64::from(x), f64::from(y))).expect("ray");
+        let ray = left_from_cam * ray;
+        let disc = target_from_left.and_then(|to_target| {
+            let (from, along) = (to_target * origin, to_target * ray);
+            let at = from - along * (from.z / along.z);
+            (at.x.hypot(at.y) < RADIUS_M).then(|| paint(at.x, at.y, 0.0))
+        });
+        let colour = disc.unwrap_or_else(|| {
+            let wall = origin + ray * ((WALL_Z_M - origin.z) / ray.z);
+            // A board in front of everything hides the target.
+            let (scale, seed) = if target_from_left.is_some() { (0.5, 5.0) } else { (0.21, 9.0) };
+            paint(wall.x * scale, wall.y * scale, seed)
+        });
+        let noise = |c: u32| noise(x, y, shot.frame * 6 + eye * 3 + c);
+        image::Rgb(std::array::from_fn(|c| (colour[c] * gain + 1.5 * noise(c as u32)).round().clamp(0.0, 255.0) as u8))
+    })
+}
+
+/// About normal, unit variance.
+fn noise(x: u32, y: u32, stream: u32) -> f64 {
+    let mut h = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77) ^ stream.wrapping_mul(0xC2B2_AE3D);
+    h ^= h >> 15;
+    h = h.wrapping_mul(0x2C1B_3C6D);
+    h ^= h >> 12;
+    h = h.wrapping_mul(0x297A_2D39);
+    h ^= h >> 15;
+    let sum: u32 = h.to_le_bytes().iter().map(|&b| u32::from(b)).sum();
+    (f64::from(sum) - 510.0) / 147.8
+}
+
+/// What an operator would draw.
+pub fn region(rig: &StereoRig, pose: &Pose<CamLeft, Target>) -> Region {
+    let vertices_px = (0..40).map(|i| {
+        let angle = std::f64::consts::TAU * f64::from(i) / 40.0;
+        let point = Point3::new(RADIUS_M * angle.cos(), RADIUS_M * angle.sin(), 0.0);
+        rig.left().project(&pose.transform_point(&point)).expect("in front")
+    });
+    Region::Polygon { vertices_px: vertices_px.collect() }
+}
+
+/// The disc's plane, a little wrong.
+pub fn plane(pose: &Pose<CamLeft, Target>) -> PlanePose {
+    let normal = so3::exp(&Vector3::new(0.004, -0.003, 0.0)) * (pose.rotation() * Vector3::z());
+    let ray = pose.translation_m() / pose.translation_m().z;
+    let q = normal / (normal.dot(&pose.translation_m()) + 1e-4);
+    PlanePose::from_inverse_depth_plane(q, &ray).expect("in front")
+}
