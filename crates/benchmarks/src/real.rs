@@ -4,7 +4,6 @@
 //! counts as passed is in [`score`]; [`table`] makes rows of it, [`page`] the document and [`plot`] its figure.
 
 mod cases;
-mod circumstances;
 mod ours;
 mod page;
 mod peers;
@@ -18,7 +17,7 @@ use anyhow::{Context, bail};
 use pb3dp_estimation::estimator::Method;
 use serde_json::{Value, json};
 
-use self::circumstances::Circumstances;
+use crate::common::circumstances::Circumstances;
 use self::score::Entry;
 
 /// The boards of this repository, used where no other cases are given.

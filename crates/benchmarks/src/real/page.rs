@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::circumstances::Circumstances;
+use crate::common::circumstances::Circumstances;
 use super::score::{Entry, Maker};
 use super::table::{HEADINGS, Row, best_peer, groups, times_by_size};
 
