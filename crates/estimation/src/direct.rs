@@ -8,7 +8,7 @@ pub mod colour_planes;
 pub mod cramer_rao;
 pub mod disparity_plane;
 pub mod estimator;
-mod filters;
+pub(crate) mod filters;
 pub mod front_end;
 pub mod image_plane;
 pub mod patches;

@@ -12,27 +12,32 @@ use crate::estimate::PlaneEstimate;
 use crate::plane_hypothesis::SearchRange;
 use crate::published::{PublishedConfig, TrackEstimate};
 use crate::region::Region;
+use crate::rmga_photometric::RmgaPhotometricConfig;
 
 pub use crate::direct::track::{DirectTracker, FramePrior};
 pub use crate::published::{PublishedEstimator, PublishedTracker};
+pub use crate::rmga_photometric::RmgaPhotometricEstimator;
 
 /// A method of this crate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Method {
     /// RM-GA on hue votes, as published.
     Published,
+    /// The same search with a photometric score; single pairs only.
+    RmgaPhotometric,
     /// Semi-global search, slanted patches and photometric refinement, of any texture.
     Direct,
 }
 
 impl Method {
     /// All methods.
-    pub const ALL: [Self; 2] = [Self::Published, Self::Direct];
+    pub const ALL: [Self; 3] = [Self::Published, Self::RmgaPhotometric, Self::Direct];
 
     /// Its name in commands, configurations and results.
     pub fn name(self) -> &'static str {
         match self {
             Self::Published => "published",
+            Self::RmgaPhotometric => "rmga-photometric",
             Self::Direct => "direct",
         }
     }
@@ -67,6 +72,8 @@ impl fmt::Display for Method {
 pub struct EstimatorConfig {
     /// Of the published method.
     pub published: PublishedConfig,
+    /// Of RM-GA with a photometric score.
+    pub rmga_photometric: RmgaPhotometricConfig,
     /// Of the direct method.
     pub direct: DirectConfig,
 }
@@ -76,6 +83,8 @@ pub struct EstimatorConfig {
 pub enum Estimator {
     /// The published method.
     Published(Box<PublishedEstimator>),
+    /// RM-GA with a photometric score.
+    RmgaPhotometric(Box<RmgaPhotometricEstimator>),
     /// The direct method.
     Direct(Box<DirectEstimator>),
 }
@@ -88,6 +97,10 @@ impl Estimator {
     pub fn new(method: Method, rig: &StereoRig, config: &EstimatorConfig) -> Result<Self, EstimationError> {
         match method {
             Method::Published => Ok(Self::Published(Box::new(PublishedEstimator::new(rig, config.published.clone())?))),
+            Method::RmgaPhotometric => {
+                let config = config.rmga_photometric.clone();
+                Ok(Self::RmgaPhotometric(Box::new(RmgaPhotometricEstimator::new(rig, config)?)))
+            }
             Method::Direct => Ok(Self::Direct(Box::new(DirectEstimator::new(rig, config.direct.clone())?))),
         }
     }
@@ -96,6 +109,7 @@ impl Estimator {
     pub fn method(&self) -> Method {
         match self {
             Self::Published(_) => Method::Published,
+            Self::RmgaPhotometric(_) => Method::RmgaPhotometric,
             Self::Direct(_) => Method::Direct,
         }
     }
@@ -113,6 +127,7 @@ impl Estimator {
     ) -> Result<PlaneEstimate, EstimationError> {
         match self {
             Self::Published(estimator) => estimator.estimate(left, right, region, range),
+            Self::RmgaPhotometric(estimator) => estimator.estimate(left, right, region, range),
             Self::Direct(estimator) => estimator.estimate(left, right, region, range),
         }
     }
@@ -135,6 +150,7 @@ impl Tracker {
     pub fn new(method: Method, rig: &StereoRig, config: &EstimatorConfig) -> Result<Self, EstimationError> {
         match method {
             Method::Published => Ok(Self::Published(Box::new(PublishedTracker::new(rig, config.published.clone())?))),
+            Method::RmgaPhotometric => Err(EstimationError::NoTracker { method: method.name() }),
             Method::Direct => Ok(Self::Direct(Box::new(DirectTracker::new(rig, config.direct.clone())?))),
         }
     }
@@ -193,6 +209,9 @@ mod tests {
             assert_eq!(method.to_string().parse(), Ok(method));
         }
         let error = Method::from_name("ViSP").expect_err("unknown");
-        assert_eq!(error.to_string(), "there is no method \"ViSP\": known methods are published, direct");
+        assert_eq!(
+            error.to_string(),
+            "there is no method \"ViSP\": known methods are published, rmga-photometric, direct"
+        );
     }
 }
