@@ -13,6 +13,16 @@ const INFORMATION_MAX: f64 = 1e5;
 /// Neighbours differ by about this much, pixels; much larger steps cost no more.
 const NEIGHBOUR_SIGMA_PX: f64 = 0.7;
 const NEIGHBOUR_COST_MAX: f64 = 6.0;
+/// Least information of a patch with points, 1/px^2.
+const INFORMATION_MIN: f64 = 1e-3;
+/// Differences between neighbours are tried this many standard deviations of chance before they count as a relief.
+const CHANCE_SIGMAS: f64 = 3.0;
+/// A single pair of neighbours counts for at most this, in variances of their noise.
+const CHI_SQUARE_MAX: f64 = 400.0;
+/// Variance of the difference between neighbours on a flat surface, pixels squared.
+const ROUGHNESS_MIN: f64 = 1e-5;
+/// Sweeps over all patches until they agree.
+const SWEEPS: usize = 80;
 /// Share of the bend at a patch that its offset may be wrong by.
 const BEND_SHARE: f64 = 0.45;
 /// Rounds in which neighbours tell each other what they believe.
@@ -82,6 +92,60 @@ impl Relief {
             self.information[patch] = 1.0 / (sigma_px * sigma_px);
         }
         self.fill();
+    }
+
+    /// Takes the offsets that residuals ask for, as smooth as the surface shows itself to be: how much neighbours differ
+    /// beyond what noise explains is measured first, and where that is nothing the surface stays flat.
+    pub(super) fn settle(&mut self, scores: &[PatchScore], sigma_px: f64) {
+        let scale = self.inverse_depth_per_px;
+        self.moves.clear();
+        for (score, &patch) in scores.iter().zip(&self.patch_of_group) {
+            let information = (f64::from(score.depth_information()) * scale * scale).max(INFORMATION_MIN);
+            let step = f64::from(score.depth_pull()) * scale / information;
+            let wanted = self.offset_px[patch] + step.clamp(-MOVE_MAX_PX, MOVE_MAX_PX);
+            self.moves.push((patch, wanted, information));
+        }
+        let plane = self.plane_of_moves();
+        let count = self.offset_px.len();
+        let (mut wanted, mut known) = (vec![0.0; count], vec![0.0; count]);
+        for &(patch, offset, information) in &self.moves {
+            (wanted[patch], known[patch]) = (offset - plane.dot(&self.column_and_row(patch)), information);
+        }
+        let stiffness = 1.0 / self.roughness(&wanted, &known);
+        let own = 1.0 / (sigma_px * sigma_px);
+        self.offset_px.copy_from_slice(&wanted);
+        for _ in 0..SWEEPS {
+            for patch in (0..count).filter(|&patch| known[patch] > 0.0) {
+                let (mut sum, mut weight) = (known[patch] * wanted[patch], known[patch] + own);
+                for neighbour in neighbours(patch, self.columns, self.rows).filter(|&n| known[n] > 0.0) {
+                    sum += stiffness * self.offset_px[neighbour];
+                    weight += stiffness;
+                }
+                self.offset_px[patch] = sum / weight;
+            }
+        }
+        for patch in (0..count).filter(|&patch| known[patch] > 0.0) {
+            self.information[patch] = known[patch] + own + stiffness;
+            self.offset_px[patch] += plane.dot(&self.column_and_row(patch));
+        }
+        self.fill();
+    }
+
+    /// Variance of the difference between neighbours beyond their noise, pixels squared; as good as nothing where chance
+    /// alone may explain the differences.
+    fn roughness(&self, offset_px: &[f64], information: &[f64]) -> f64 {
+        let (mut excess, mut weights, mut count) = (0.0, 0.0, 0.0_f64);
+        for patch in (0..offset_px.len()).filter(|&patch| information[patch] > 0.0) {
+            let after = neighbours(patch, self.columns, self.rows).filter(|&n| n > patch && information[n] > 0.0);
+            for neighbour in after {
+                let weight = 1.0 / (1.0 / information[patch] + 1.0 / information[neighbour]);
+                let square = (offset_px[patch] - offset_px[neighbour]).powi(2);
+                excess += (weight * square).min(CHI_SQUARE_MAX) - 1.0;
+                (weights, count) = (weights + weight, count + 1.0);
+            }
+        }
+        let by_chance = CHANCE_SIGMAS * (2.0 * count).sqrt();
+        ((excess - by_chance).max(0.0) / weights.max(1e-9)).max(ROUGHNESS_MIN)
     }
 
     /// Moves each patch by what its residuals ask for, taken as `share` of what they know, and `keeps` that knowledge or

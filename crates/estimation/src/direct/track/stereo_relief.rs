@@ -14,7 +14,7 @@ const REACH_SIGMAS: f64 = 5.0;
 /// Levels whose points take part in the choice between candidates.
 const LEVELS_USED: usize = 2;
 /// Rounds of refinement.
-const ROUNDS: usize = 4;
+const ROUNDS: usize = 5;
 
 /// Finds the relief between candidates, then refines plane and patches in turn. The pose is held: it is the definition of
 /// the frame `model`.
@@ -22,7 +22,7 @@ pub(super) fn find(aligner: &mut Aligner, problem: &mut Problem<'_>, estimate: &
     if sigma_px > 0.0 {
         choose(aligner, problem, estimate, sigma_px);
     }
-    for round in 0..ROUNDS {
+    for _ in 0..ROUNDS {
         let Some(aligned) =
             aligner.align(problem, estimate, 0..=0, (StartLevel::Coarsest, Free::Surface, 12), &mut || true)
         else {
@@ -32,7 +32,7 @@ pub(super) fn find(aligner: &mut Aligner, problem: &mut Problem<'_>, estimate: &
         problem.surface.plane += step;
         problem.surface.rebuild();
         if sigma_px > 0.0 && aligner.examine(problem, estimate, &estimate.variance, false).is_some() {
-            problem.surface.relief.refine(&aligner.scores, 1.0, round + 1 == ROUNDS);
+            problem.surface.relief.settle(&aligner.scores, sigma_px);
             problem.surface.rebuild();
         }
     }
