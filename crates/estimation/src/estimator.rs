@@ -14,6 +14,7 @@ use crate::published::{PublishedConfig, TrackEstimate};
 use crate::region::Region;
 use crate::rmga_photometric::RmgaPhotometricConfig;
 
+pub use crate::direct::row_measurement::RowMeasurement;
 pub use crate::direct::track::{DirectTracker, FramePrior};
 pub use crate::published::{PublishedEstimator, PublishedTracker};
 pub use crate::rmga_photometric::RmgaPhotometricEstimator;
@@ -111,6 +112,27 @@ impl Estimator {
             Self::Published(_) => Method::Published,
             Self::RmgaPhotometric(_) => Method::RmgaPhotometric,
             Self::Direct(_) => Method::Direct,
+        }
+    }
+
+    /// Learns from a pair of raw images what belongs to the rig or the scene and not to a region: the direct method measures
+    /// by how much the rows of the right image are off. It takes some tens of milliseconds, is for once per rig or scene, and
+    /// all later estimates use what was found. `None`: the method takes rigs as they are.
+    ///
+    /// # Errors
+    /// Images that do not fit the calibration.
+    pub fn prepare(&mut self, left: &RgbImage, right: &RgbImage) -> Result<Option<RowMeasurement>, EstimationError> {
+        match self {
+            Self::Published(_) | Self::RmgaPhotometric(_) => Ok(None),
+            Self::Direct(estimator) => estimator.measure_rows(left, right).map(Some),
+        }
+    }
+
+    /// Uses what [`Self::prepare`] found on another pair of the same rig or scene.
+    pub fn use_rows(&mut self, measured: &RowMeasurement) {
+        match self {
+            Self::Published(_) | Self::RmgaPhotometric(_) => {}
+            Self::Direct(estimator) => estimator.set_rows(measured.rows),
         }
     }
 

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use pb3dp_estimation::estimator::Method;
 use pb3dp_record::dataset::TILT_LIMIT_DEG;
 
 use crate::logging::LogFormat;
@@ -57,8 +58,8 @@ pub struct RunArgs {
 /// Arguments that choose and tune the estimation method.
 #[derive(Debug, Args)]
 pub struct MethodArgs {
-    /// The estimation method by name; `published` is the method of the paper.
-    #[arg(long, value_name = "NAME", default_value = "published")]
+    /// The estimation method by name.
+    #[arg(long, value_name = "NAME", default_value = Method::Direct.name(), help = method_help())]
     pub method: String,
     /// A TOML file with all of the method's parameters (copy configs/estimator.toml); without it the documented defaults.
     #[arg(long, value_name = "FILE")]
@@ -106,8 +107,21 @@ pub struct EstimateArgs {
     pub method: MethodArgs,
 }
 
+/// What the numbers of `pb3dp track --json` are.
+const TRACK_JSON: &str =
+    "Lines of --json (one per frame; one per frame and target, with the key `target`, if there are several):
+  frame                counts from 0
+  t_s                  mid-exposure, seconds
+  status               ok, weak-tilt, ambiguous, not-observable, lost or error
+  cam_left_from_model  16 numbers, row by row, millimetres: maps the model's coordinates to the left camera's
+  covariance           36 numbers, row by row, or null: of xi = (x, y, z in mm, then a rotation vector in radians), both
+                       along the axes of the model, with true pose = cam_left_from_model * exp(xi)
+  fitness              how well the pictures agree, at most 1, or null
+  ms                   CPU time of one thread from the pictures in memory to the pose, milliseconds";
+
 /// Arguments of `pb3dp track`.
 #[derive(Debug, Args)]
+#[command(after_long_help = TRACK_JSON)]
 pub struct TrackArgs {
     /// A sequence folder (one with a sequence.json); the format is described in docs/dataset-format.md.
     #[arg(long, value_name = "DIR")]
@@ -115,6 +129,12 @@ pub struct TrackArgs {
     /// Frames as fast as they are worked on, or at the times of the recording.
     #[arg(long, value_enum, default_value = "fast")]
     pub pace: ReplayPace,
+    /// Further targets in the left picture of frame 0, beside that of the sequence.
+    #[arg(long, value_name = "REGION", help = format!("A further target in the left picture of frame 0, beside that of the sequence; may be given more than once: {REGION_HELP}"))]
+    pub region: Vec<RegionSpec>,
+    /// Write the recovered surface with its colours into this PLY file, in the frame of the model (direct only).
+    #[arg(long, value_name = "FILE")]
+    pub surface: Option<PathBuf>,
     /// How to estimate.
     #[command(flatten)]
     pub method: MethodArgs,
@@ -136,6 +156,17 @@ pub struct ZRange {
     pub min_mm: f64,
     /// Farthest, millimetres.
     pub max_mm: f64,
+}
+
+/// The methods by name, with what each is for.
+fn method_help() -> String {
+    let what = |method: Method| match method {
+        Method::Published => "RM-GA on hue votes, the method of the paper",
+        Method::RmgaPhotometric => "the same search with a photometric score, single pairs only",
+        Method::Direct => "photometric, of any texture, with covariances; tracks in six degrees of freedom",
+    };
+    let all: Vec<String> = Method::ALL.iter().map(|&method| format!("{method} ({})", what(method))).collect();
+    format!("The estimation method by name: {}", all.join(", "))
 }
 
 fn parse_z_range(text: &str) -> Result<ZRange, String> {

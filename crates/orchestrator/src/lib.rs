@@ -7,6 +7,7 @@ pub mod cli;
 pub mod commands;
 pub mod config;
 pub mod cpu_time;
+pub mod follower;
 pub mod logging;
 pub mod picture;
 pub mod region_spec;

@@ -6,11 +6,11 @@ use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
 use pb3dp_record::overlay::{self, Stroke, TextStyle, colors};
 
-/// What is drawn into a stereo pair.
+/// What is drawn of one target into a stereo pair.
 #[derive(Clone, Debug)]
-pub struct Annotation<'a> {
+pub struct Annotation {
     /// Outline of the region in the raw left picture, pixels.
-    pub outline_px: &'a [[f64; 2]],
+    pub outline_px: Vec<[f64; 2]>,
     /// The estimated plane, if there is one: pose of a frame in it, z along its normal away from the camera.
     pub cam_left_from_model: Option<Pose<CamLeft, Model>>,
     /// One line of text: status and figures.
@@ -24,23 +24,31 @@ pub fn polygon_px(corners_px: &[Vector2<f64>]) -> Vec<[f64; 2]> {
     corners_px.iter().map(|p| [p.x, p.y]).collect()
 }
 
-/// Left and right picture side by side with the annotation drawn in.
-pub fn annotate(left: &RgbImage, right: &RgbImage, rig: &StereoRig, what: &Annotation<'_>) -> RgbImage {
+/// Distance between the labels of two targets, pixels.
+const LABEL_STEP_PX: f64 = 24.0;
+
+/// Left and right picture side by side with all targets drawn in.
+pub fn annotate(left: &RgbImage, right: &RgbImage, rig: &StereoRig, targets: &[Annotation]) -> RgbImage {
     let (mut left, mut right) = (left.clone(), right.clone());
-    overlay::polygon(&mut left, what.outline_px, Stroke::of(colors::REGION));
-    if let Some(pose) = &what.cam_left_from_model {
-        let outline_right = reprojected(what.outline_px, rig, pose);
-        if let Some(outline_right) = outline_right {
-            overlay::polygon(&mut right, &outline_right, Stroke::of(colors::ESTIMATE));
+    for what in targets {
+        overlay::polygon(&mut left, &what.outline_px, Stroke::of(colors::REGION));
+        if let Some(pose) = &what.cam_left_from_model {
+            let outline_right = reprojected(&what.outline_px, rig, pose);
+            if let Some(outline_right) = outline_right {
+                overlay::polygon(&mut right, &outline_right, Stroke::of(colors::ESTIMATE));
+            }
+            let axis_m = 0.12 * pose.translation_m().z;
+            overlay::pose_axes(&mut left, rig.left(), pose, axis_m);
+            let cam_right_from_model = *rig.cam_right_from_cam_left() * *pose;
+            overlay::pose_axes(&mut right, rig.right(), &cam_right_from_model, axis_m);
         }
-        let axis_m = 0.12 * pose.translation_m().z;
-        overlay::pose_axes(&mut left, rig.left(), pose, axis_m);
-        let cam_right_from_model = *rig.cam_right_from_cam_left() * *pose;
-        overlay::pose_axes(&mut right, rig.right(), &cam_right_from_model, axis_m);
     }
-    let color = if what.is_bad { colors::BAD } else { colors::ESTIMATE };
-    let style = TextStyle { scale: 2, ..TextStyle::of(color) };
-    overlay::text(&mut left, [6.0, 6.0], &what.label, style);
+    // Labels last, over everything else.
+    for (row, what) in (0_u32..).zip(targets) {
+        let color = if what.is_bad { colors::BAD } else { colors::ESTIMATE };
+        let style = TextStyle { scale: 2, ..TextStyle::of(color) };
+        overlay::text(&mut left, [6.0, 6.0 + LABEL_STEP_PX * f64::from(row)], &what.label, style);
+    }
     overlay::side_by_side(&left, &right)
 }
 

@@ -13,12 +13,12 @@ use pb3dp_hal_api::FramePair;
 
 use super::log::{FrameSample, MethodLog};
 use crate::config::setup::Setup;
+use crate::follower::Follower;
 
 /// One method that looks on.
 pub struct Onlooker {
     method: Method,
-    tracker: Tracker,
-    is_tracking: bool,
+    follower: Follower,
     log: MethodLog,
 }
 
@@ -30,26 +30,19 @@ impl Onlooker {
     pub fn all_of(setup: &Setup) -> Result<Vec<Self>> {
         let onlooker = |&method: &Method| {
             let tracker = Tracker::new(method, &setup.rig, &setup.estimator)?;
-            Ok(Self { method, tracker, is_tracking: false, log: MethodLog::new(method) })
+            Ok(Self { method, follower: Follower::new(tracker, setup.range), log: MethodLog::new(method) })
         };
         setup.compared.iter().map(onlooker).collect()
     }
 
     /// Looks at a pair: at the first with the operator's region, later with the known motion of the camera. What it can not
     /// work on is written down as an error and leaves the run alone.
-    pub fn look(&mut self, frame: &Frame<'_>, setup: &Setup) {
-        let (left, right) = (&frame.pair.left, &frame.pair.right);
+    pub fn look(&mut self, frame: &Frame<'_>) {
         let started = Instant::now();
-        let outcome = match frame.region.filter(|_| !self.is_tracking) {
-            Some(region) => self.tracker.start(left, right, region, &setup.range),
-            None => self.tracker.update(left, right, &FramePrior::of_motion(frame.motion)),
-        };
+        let outcome = self.follower.look(&frame.pair.left, &frame.pair.right, frame.region, frame.prior);
         let latency_millis = started.elapsed().as_secs_f64() * 1e3;
         match outcome {
-            Ok(estimate) => {
-                self.is_tracking = true;
-                self.log.push(frame, &estimate, latency_millis);
-            }
+            Ok(estimate) => self.log.push(frame, &estimate, latency_millis),
             Err(error) => {
                 tracing::warn!("{}, which looks on: {error}", self.method);
                 self.log.push_error(frame, latency_millis);
@@ -71,8 +64,8 @@ pub struct Frame<'a> {
     pub pair: &'a FramePair,
     /// What the operator marks in the first pair.
     pub region: Option<&'a Region>,
-    /// Motion of the camera since the pair before, from the joints.
-    pub motion: Option<&'a Pose<CamLeft, CamLeft>>,
+    /// What is known of it beforehand: the motion of the camera since the pair before, from the joints, and the time.
+    pub prior: &'a FramePrior,
     /// The truth.
     pub cam_left_from_target: Pose<CamLeft, Target>,
 }

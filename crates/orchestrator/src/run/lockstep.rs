@@ -27,6 +27,7 @@ use super::log::{ControlSample, MethodLog, RunLog};
 use super::recording::Recording;
 use super::strip::Strip;
 use crate::config::setup::Setup;
+use crate::follower::Follower;
 use crate::picture::model_frame_on_plane;
 use crate::wiring::Parts;
 
@@ -61,7 +62,7 @@ pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Optio
 struct Loop<'a> {
     setup: &'a Setup,
     parts: Parts,
-    tracker: Tracker,
+    follower: Follower,
     onlookers: Vec<Onlooker>,
     controller: Controller,
     damping: Damping,
@@ -73,8 +74,8 @@ struct Loop<'a> {
     arriving: VecDeque<(MonotonicTime, TargetObservation)>,
     newest: Option<TargetObservation>,
     pair: FramePair,
-    base_from_cam_left_prev: Option<Pose<Base, CamLeft>>,
-    is_tracking: bool,
+    /// When the pair before was exposed, and where the camera was, as far as the joints tell.
+    previous: Option<(MonotonicTime, Option<Pose<Base, CamLeft>>)>,
     /// The true place of the model's frame on the target, once the first estimate has said where its origin is.
     target_from_model: Option<Pose<Target, Model>>,
     strip: Strip,
@@ -98,7 +99,7 @@ impl<'a> Loop<'a> {
         let leading = MethodLog { method: setup.method.name().to_owned(), ..MethodLog::default() };
         let log = RunLog { marks: parts.experiment.marks().to_vec(), leading, ..RunLog::default() };
         Ok(Self {
-            tracker: Tracker::new(setup.method, &setup.rig, &setup.estimator)?,
+            follower: Follower::new(Tracker::new(setup.method, &setup.rig, &setup.estimator)?, setup.range),
             onlookers: Onlooker::all_of(setup)?,
             controller,
             damping: Damping::new(setup.controller.damping.threshold, setup.controller.damping.factor_max)?,
@@ -109,8 +110,7 @@ impl<'a> Loop<'a> {
             arriving: VecDeque::new(),
             newest: None,
             pair: FramePair::black(parts.camera.info().size),
-            base_from_cam_left_prev: None,
-            is_tracking: false,
+            previous: None,
             target_from_model: None,
             strip: Strip::for_marks(&log.marks, setup.experiment.move_s),
             log,
@@ -223,19 +223,19 @@ impl<'a> Loop<'a> {
             Err(error) => return Err(error).context("camera"),
         }
         let at = self.pair.exposed_at;
-        let base_from_cam_left = self.base_from_cam_left_at(at);
-        let motion = self.base_from_cam_left_prev.zip(base_from_cam_left).map(|(prev, now)| prev.inverse() * now);
-        self.base_from_cam_left_prev = base_from_cam_left;
-        let is_first = !self.is_tracking;
-        let region = if is_first { Some(Region::Polygon { vertices_px: self.outline_px(at)? }) } else { None };
+        let prior = self.prior(at);
+        let region = match self.follower.is_started() {
+            true => None,
+            false => Some(Region::Polygon { vertices_px: self.outline_px(at)? }),
+        };
         let started = Instant::now();
-        let estimate = self.estimate(region.as_ref(), motion)?;
+        let estimate = self.estimate(region.as_ref(), &prior)?;
         let latency_millis = started.elapsed().as_secs_f64() * 1e3;
         if let Some(cam_left_from_model) = estimate.cam_left_from_model {
             let observation = TargetObservation { at, cam_left_from_model, trusted: estimate.status.depth_is_sure() };
             self.arriving.push_back((self.parts.clock.now() + self.setup.estimate_latency, observation));
         }
-        self.note_frame(at, (region.as_ref(), motion.as_ref()), &estimate, latency_millis);
+        self.note_frame(at, (region.as_ref(), &prior), &estimate, latency_millis);
         self.record(at)
     }
 
@@ -255,18 +255,24 @@ impl<'a> Loop<'a> {
         Some(self.setup.vs.chain.forward(&position_rad) * controller.flange_from_hand * controller.hand_from_cam_left)
     }
 
+    /// What the joints and the clock tell about the new frame before it is looked at.
+    fn prior(&mut self, at: MonotonicTime) -> FramePrior {
+        let base_from_cam_left = self.base_from_cam_left_at(at);
+        let previous = self.previous.replace((at, base_from_cam_left));
+        let motion = previous.and_then(|(_, prev)| Some(prev?.inverse() * base_from_cam_left?));
+        let dt_s = previous.map(|(before, _)| at.seconds_since(before));
+        FramePrior { dt_s, ..FramePrior::of_motion(motion.as_ref()) }
+    }
+
     /// Follows the target, or takes the one in `region`.
-    fn estimate(&mut self, region: Option<&Region>, motion: Option<Pose<CamLeft, CamLeft>>) -> Result<TrackEstimate> {
-        let Some(region) = region else {
-            let prior = FramePrior::of_motion(motion.as_ref());
-            return Ok(self.tracker.update(&self.pair.left, &self.pair.right, &prior)?);
-        };
-        let estimate = self.tracker.start(&self.pair.left, &self.pair.right, region, &self.setup.range)?;
-        for warning in &estimate.warnings {
-            tracing::warn!("{warning}");
+    fn estimate(&mut self, region: Option<&Region>, prior: &FramePrior) -> Result<TrackEstimate> {
+        let estimate = self.follower.look(&self.pair.left, &self.pair.right, region, prior)?;
+        if region.is_some() {
+            for warning in &estimate.warnings {
+                tracing::warn!("{warning}");
+            }
+            tracing::info!("target taken: {}: {}", estimate.status, estimate.reason);
         }
-        tracing::info!("target taken: {}: {}", estimate.status, estimate.reason);
-        self.is_tracking = true;
         Ok(estimate)
     }
 
@@ -286,7 +292,7 @@ impl<'a> Loop<'a> {
     fn note_frame(
         &mut self,
         at: MonotonicTime,
-        (region, motion): (Option<&Region>, Option<&Pose<CamLeft, CamLeft>>),
+        (region, prior): (Option<&Region>, &FramePrior),
         estimate: &TrackEstimate,
         latency_millis: f64,
     ) {
@@ -296,10 +302,10 @@ impl<'a> Loop<'a> {
         }
         let t_s = at.seconds_since(self.begin);
         self.strip.offer(t_s, &self.pair, &self.setup.rig, estimate);
-        let frame = Frame { t_s, pair: &self.pair, region, motion, cam_left_from_target };
+        let frame = Frame { t_s, pair: &self.pair, region, prior, cam_left_from_target };
         self.log.leading.push(&frame, estimate, latency_millis);
         for onlooker in &mut self.onlookers {
-            onlooker.look(&frame, self.setup);
+            onlooker.look(&frame);
         }
     }
 

@@ -34,14 +34,13 @@ impl Strip {
             return;
         }
         let (_, what) = self.wanted.remove(0);
-        let outline_px = polygon_px(&estimate.outline_px);
         let annotation = Annotation {
-            outline_px: &outline_px,
+            outline_px: polygon_px(&estimate.outline_px),
             cam_left_from_model: estimate.cam_left_from_model,
             label: format!("{t_s:.1} s  {}", estimate.status),
             is_bad: estimate.cam_left_from_model.is_none(),
         };
-        let picture = annotate(&pair.left, &pair.right, rig, &annotation);
+        let picture = annotate(&pair.left, &pair.right, rig, &[annotation]);
         let height = WIDTH_PX * picture.height() / picture.width().max(1);
         let fitness = estimate.fitness.map_or(String::new(), |fitness| format!(", fitness {fitness:.2}"));
         let caption = format!("{t_s:.1} s, {what}: {}{fitness}", estimate.status);

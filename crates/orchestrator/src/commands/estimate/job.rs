@@ -1,6 +1,6 @@
 //! What `pb3dp estimate` works on: cases of a dataset, or one pair of pictures.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use image::{GrayImage, RgbImage};
@@ -25,6 +25,8 @@ pub struct Job {
     pub right: RgbImage,
     /// Calibration.
     pub rig: StereoRig,
+    /// The files that it was read from.
+    pub calibration_files: Vec<PathBuf>,
     /// What the user should know about the calibration.
     pub notes: Vec<String>,
     /// The object.
@@ -56,6 +58,7 @@ impl Job {
             left: pictures.left,
             right: pictures.right,
             rig: calibration.rig,
+            calibration_files: vec![case.calibration.clone()],
             notes: calibration.notes,
             region: Region::Polygon { vertices_px },
             centroid_px: case.region_centroid_px,
@@ -84,6 +87,7 @@ impl Job {
             left,
             right,
             rig: calibration.rig,
+            calibration_files: args.calib.clone(),
             notes,
             centroid_px: None,
             range: overridden(given, &args.method),
@@ -146,7 +150,11 @@ pub fn overridden(given: SearchRange, method: &MethodArgs) -> SearchRange {
     range
 }
 
-fn load_region(spec: &RegionSpec, pictures: ImageSize) -> Result<Region> {
+/// The region that the command line names, in pictures of this size.
+///
+/// # Errors
+/// A mask that can not be read or marks everything, or a rectangle without area.
+pub fn load_region(spec: &RegionSpec, pictures: ImageSize) -> Result<Region> {
     Ok(match spec {
         RegionSpec::Rectangle([x, y, width, height]) => {
             let corners = [[*x, *y], [x + width, *y], [x + width, y + height], [*x, y + height]];

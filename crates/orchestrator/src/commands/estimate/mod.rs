@@ -2,6 +2,7 @@
 
 pub mod job;
 pub mod output;
+mod rigs;
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -9,15 +10,17 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use nalgebra::Vector2;
-use pb3dp_estimation::estimate::{PlaneEstimate, ReferenceOptimum};
+use pb3dp_estimation::estimate::{PlaneEstimate, ReferenceOptimum, SecondPlane};
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation::region::RegionConfig;
+use pb3dp_estimation::status::Status;
 use pb3dp_record::dataset::{find_cases, load_case};
 use pb3dp_record::images::{PictureFormat, save};
 use pb3dp_record::metrics::{self, DisparityAgreement, EvaluatedCase, Group, compare_plane, table};
 
 use self::job::{Job, pair_name};
 use self::output::{EstimateLine, print_line};
+use self::rigs::Rigs;
 use super::pair::check_pictures;
 use crate::cli::{EstimateArgs, MethodArgs};
 use crate::config::estimator::read_estimator;
@@ -39,12 +42,14 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
     if !args.method.json {
         print_line(EstimateLine::HEADING)?;
     }
+    let mut rigs = Rigs::default();
     let mut evaluated = Vec::new();
     let mut refused = 0_usize;
     for source in jobs {
         let name = source.name();
-        let outcome =
-            source.load(args).and_then(|job| work(&job, (method, &config), args.reference_optimum, &mut overlays));
+        let outcome = source
+            .load(args)
+            .and_then(|job| work(&job, (method, &config), args.reference_optimum, &mut rigs, &mut overlays));
         let line = match outcome {
             Ok((line, evaluation)) => {
                 evaluated.extend(evaluation);
@@ -118,6 +123,7 @@ fn work(
     job: &Job,
     (method, config): (Method, &EstimatorConfig),
     with_optimum: bool,
+    rigs: &mut Rigs,
     overlays: &mut Overlays<'_>,
 ) -> Result<(EstimateLine, Option<EvaluatedCase>)> {
     for note in &job.notes {
@@ -131,7 +137,7 @@ fn work(
         );
     }
     check_pictures(&job.name, &job.rig, &job.left, &job.right)?;
-    let mut estimator = Estimator::new(method, &job.rig, config)?;
+    let mut estimator = rigs.estimator(job, (method, config))?;
     let (estimate, millis) = timed(|| estimator.estimate(&job.left, &job.right, &job.region, &job.range));
     let mut estimate = estimate?;
     if with_optimum {
@@ -157,13 +163,22 @@ fn reference_optimum(job: &Job, method: Method, config: &EstimatorConfig) -> Res
     Ok(estimator.estimate(&job.left, &job.right, &job.region, &job.range)?.reference_optimum)
 }
 
-/// Status, reason and warnings to the log, and how far search and fitness are to blame.
+/// Status, reason, warnings and a second surface to the log, and how far search and fitness are to blame.
 fn tell(name: &str, estimate: &PlaneEstimate) {
-    if estimate.status.as_str() != "ok" {
-        tracing::warn!("{name}: {}: {}", estimate.status, estimate.reason);
+    match estimate.status {
+        Status::Ok => tracing::info!("{name}: ok: {}", estimate.reason),
+        status => tracing::warn!("{name}: {status}: {}", estimate.reason),
     }
     for warning in &estimate.warnings {
         tracing::warn!("{name}: {warning}");
+    }
+    if let Some(SecondPlane { pose, share }) = &estimate.second_plane {
+        let [x, y, z]: [f64; 3] = pose.normal_in_cam_left.into();
+        tracing::info!(
+            "{name}: {:.0} % of the region lie on another surface: z {:.2} mm, normal {x:+.3} {y:+.3} {z:+.3}",
+            100.0 * share,
+            1e3 * pose.z_m
+        );
     }
     if let (Some(optimum), Some(psi), Some(found)) = (estimate.reference_optimum, estimate.psi, estimate.fitness) {
         let (best, fitness) = (optimum.psi, optimum.fitness);
@@ -243,12 +258,12 @@ impl<'a> Overlays<'a> {
         let depth = line.z_mm.map_or(String::new(), |z| format!("  z {z:.1} mm"));
         let fitness = line.fitness.map_or(String::new(), |fitness| format!("  fitness {fitness:.3}"));
         let annotation = Annotation {
-            outline_px: &outline_px,
+            outline_px,
             cam_left_from_model: frame,
             label: format!("{} {}{depth}{fitness}", line.case, line.status),
             is_bad: frame.is_none(),
         };
-        let picture = annotate(&job.left, &job.right, &job.rig, &annotation);
+        let picture = annotate(&job.left, &job.right, &job.rig, &[annotation]);
         save(&picture, &folder.join(self.file_name(&line.case)), PictureFormat::Png)?;
         Ok(())
     }

@@ -1,0 +1,60 @@
+//! What is measured once per rig or scene and used for all of its cases.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method, RowMeasurement};
+
+use super::job::Job;
+use crate::cpu_time::timed;
+
+/// What is known of the rigs so far, by their calibration files.
+#[derive(Default)]
+pub struct Rigs {
+    rows: HashMap<Vec<PathBuf>, RowMeasurement>,
+}
+
+impl Rigs {
+    /// An estimator for a job; the first job of a calibration pays for what is measured once.
+    ///
+    /// # Errors
+    /// A parameter out of its range, or pictures that do not fit.
+    pub fn estimator(&mut self, job: &Job, (method, config): (Method, &EstimatorConfig)) -> Result<Estimator> {
+        let mut estimator = Estimator::new(method, &job.rig, config)?;
+        let files: Vec<PathBuf> = job.calibration_files.iter().map(canonical).collect();
+        if let Some(known) = self.rows.get(&files) {
+            estimator.use_rows(known);
+            return Ok(estimator);
+        }
+        let (measured, millis) = timed(|| estimator.prepare(&job.left, &job.right));
+        let Some(measured) = measured? else { return Ok(estimator) };
+        if measured.rows.is_zero() {
+            // Another pair of this rig may show more.
+            tracing::info!(
+                "{}: row offset not measured: only {} points are found in both pictures ({millis:.1} ms)",
+                job.name,
+                measured.matches
+            );
+            return Ok(estimator);
+        }
+        let size = job.rig.right().size();
+        tracing::info!(
+            "{}: the right picture is {:.2} px {} at its centre, at most {:.2} px anywhere (rectified; {} points, \
+             {millis:.1} ms, once per calibration): taken into account",
+            job.name,
+            measured.rows.offset_px.abs(),
+            if measured.rows.offset_px > 0.0 { "too low" } else { "too high" },
+            measured.rows.magnitude_max_px(size.width, size.height),
+            measured.matches
+        );
+        self.rows.insert(files, measured);
+        Ok(estimator)
+    }
+}
+
+/// The same file by one name.
+fn canonical(file: impl AsRef<Path>) -> PathBuf {
+    let file = file.as_ref();
+    file.canonicalize().unwrap_or_else(|_| file.to_path_buf())
+}

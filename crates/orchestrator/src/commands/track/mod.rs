@@ -1,0 +1,102 @@
+//! `pb3dp track`: regions through a recorded stereo sequence.
+
+mod output;
+mod overlays;
+mod walk;
+
+use std::process::ExitCode;
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use pb3dp_estimation::estimator::Method;
+use pb3dp_hal_api::{CameraErrorKind, FramePair};
+use pb3dp_record::dataset::{Sequence, load_sequence};
+use pb3dp_record::metrics::{MotionSummary, compare_motion};
+
+use self::output::TrackLine;
+use self::overlays::Overlays;
+use self::walk::Walk;
+use super::estimate::output::print_line;
+use crate::cli::TrackArgs;
+use crate::wiring::wire_replay;
+
+/// A replay does not wait for pictures, so this only bounds what can not happen.
+const PAIR_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// Runs the command. The exit code is a failure if a frame could not be read; all others are worked on all the same.
+///
+/// # Errors
+/// Bad arguments or configuration, a sequence that can not be used at all, exchanged pictures, or a region that is refused.
+pub fn run(args: &TrackArgs) -> Result<ExitCode> {
+    let method = Method::from_name(&args.method.method)?;
+    let sequence = load_sequence(&args.sequence)?;
+    if !sequence.other_keys.is_empty() {
+        tracing::warn!("sequence.json has keys that are not known and not used: {}", sequence.other_keys.join(", "));
+    }
+    let (mut camera, calibration) = wire_replay(&sequence, args.pace)?;
+    for note in &calibration.notes {
+        tracing::info!("{note}");
+    }
+    let rig = calibration.rig;
+    let mut walk = Walk::new(method, &rig, &sequence, args)?;
+    let mut overlays = Overlays::open(&args.method)?;
+    let mut pair = FramePair::black(rig.left().size());
+    let mut unread = 0_usize;
+    if !args.method.json {
+        print_line(&TrackLine::heading(walk.targets().len() > 1))?;
+    }
+    for (frame, &t_s) in sequence.times_s.iter().enumerate() {
+        let lines = match camera.next_pair_into(&mut pair, PAIR_TIMEOUT) {
+            Ok(()) => {
+                let found = walk.step(frame, t_s, &pair)?;
+                if let Err(error) = overlays.add(frame, t_s, &pair, &rig, &found) {
+                    tracing::warn!("frame {frame}: no picture: {error:#}");
+                }
+                TrackLine::all_of(frame, t_s, &found)
+            }
+            Err(error) if error.kind() == CameraErrorKind::BadPair => {
+                unread += 1;
+                tracing::error!("frame {frame}: {:#}", anyhow::Error::from(error));
+                walk.skip();
+                TrackLine::all_of_error(frame, t_s, walk.targets().len())
+            }
+            Err(error) => return Err(error.into()),
+        };
+        for line in &lines {
+            print_line(&if args.method.json { serde_json::to_string(line)? } else { line.human() })?;
+        }
+    }
+    overlays.close()?;
+    report(&sequence, &walk);
+    Ok(if unread == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// The table of motion errors and what the method does not observe, on standard error. The truth of a sequence is that of its
+/// own region, the first target.
+fn report(sequence: &Sequence, walk: &Walk) {
+    let mut text = String::new();
+    if let (Some(truth), Some(target)) = (&sequence.cam_left_from_model, walk.targets().first()) {
+        text += "\nErrors of the motion since the first frame with a pose:\n";
+        text += &match MotionSummary::of(&compare_motion(target.poses(), truth)) {
+            Some(summary) => summary.text_table(),
+            None => "no frame has a pose: nothing to compare with the truth\n".to_owned(),
+        };
+    }
+    if !walk.rotation_about_normal_observed() {
+        text +=
+            "The rotation about the model's normal is not observed by this method: it is held at its first value.\n";
+    }
+    // Nobody can be told if standard error is closed.
+    let _ = std::io::Write::write_all(&mut std::io::stderr().lock(), text.as_bytes());
+}
+
+/// The context of an error that belongs to a target; the only target of a run is not counted.
+fn with_target<T, E>(result: Result<T, E>, frame: usize, target: Option<usize>) -> Result<T>
+where
+    Result<T, E>: Context<T, E>,
+{
+    result.with_context(|| match target {
+        Some(index) => format!("frame {frame}, target {index}"),
+        None => format!("frame {frame}"),
+    })
+}

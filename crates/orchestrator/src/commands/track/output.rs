@@ -1,0 +1,135 @@
+//! What `pb3dp track` prints: a line per frame and target.
+
+use pb3dp_estimation::published::TrackEstimate;
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{CamLeft, Model};
+use serde::Serialize;
+
+use super::walk::Found;
+
+/// The result of one frame, in the units of the interface; the order of the fields is that of the JSON line.
+#[derive(Clone, Debug, Serialize)]
+pub struct TrackLine {
+    /// Counts from 0.
+    pub frame: usize,
+    /// Which target, only if there are several: 0 is that of the sequence, then those of the command line in their order.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub target: Option<usize>,
+    /// Mid-exposure, seconds.
+    pub t_s: f64,
+    /// `ok`, `weak-tilt`, `ambiguous`, `not-observable`, `lost` or `error`.
+    pub status: &'static str,
+    /// Row-major homogeneous matrix, millimetres.
+    pub cam_left_from_model: Option<[f64; 16]>,
+    /// Covariance of the pose, row-major, of `xi` = translation (mm), then rotation (radians), along the axes of `model`:
+    /// true pose = pose exp(xi).
+    pub covariance: Option<Vec<f64>>,
+    /// How well the pictures agree, at most 1; eq. (10) for the published method.
+    pub fitness: Option<f64>,
+    /// CPU time of one thread from images in memory to pose, milliseconds.
+    pub ms: Option<f64>,
+}
+
+impl TrackLine {
+    /// Heading of the human table, with a column for the target if there are several.
+    pub fn heading(several: bool) -> String {
+        let target = if several { " target" } else { "" };
+        format!(
+            "frame{target}      t s  status           x mm      y mm      z mm  rotation vector deg         fitness       ms"
+        )
+    }
+
+    /// A line for each target of a frame.
+    pub fn all_of(frame: usize, t_s: f64, found: &[Found]) -> Vec<Self> {
+        found.iter().map(|f| Self { target: f.target, ..Self::of(frame, t_s, &f.estimate, f.millis) }).collect()
+    }
+
+    /// The lines of a frame that could not be read.
+    pub fn all_of_error(frame: usize, t_s: f64, targets: usize) -> Vec<Self> {
+        let number = |index: usize| (targets > 1).then_some(index);
+        (0..targets).map(|index| Self { target: number(index), ..Self::of_error(frame, t_s) }).collect()
+    }
+
+    fn of_error(frame: usize, t_s: f64) -> Self {
+        Self {
+            frame,
+            target: None,
+            t_s,
+            status: "error",
+            cam_left_from_model: None,
+            covariance: None,
+            fitness: None,
+            ms: None,
+        }
+    }
+
+    fn of(frame: usize, t_s: f64, estimate: &TrackEstimate, ms: f64) -> Self {
+        Self {
+            status: estimate.status.as_str(),
+            cam_left_from_model: estimate.cam_left_from_model.as_ref().map(row_major_mm),
+            covariance: estimate.covariance.map(|m| {
+                let unit = |i: usize| if i < 3 { 1e3 } else { 1.0 };
+                (0..36).map(|k| m[(k / 6, k % 6)] * unit(k / 6) * unit(k % 6)).collect()
+            }),
+            fitness: estimate.fitness,
+            ms: Some(ms),
+            ..Self::of_error(frame, t_s)
+        }
+    }
+
+    /// The line of the human table.
+    pub fn human(&self) -> String {
+        let number = |value: Option<f64>, decimals: usize| value.map_or("-".into(), |x| format!("{x:.decimals$}"));
+        let at = |k: usize| number(self.cam_left_from_model.map(|m| m[k]), 2);
+        let turn = self.cam_left_from_model.map_or("-".into(), |m| {
+            let rotation = nalgebra::Matrix3::new(m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]);
+            let v = nalgebra::Rotation3::from_matrix_unchecked(rotation).scaled_axis().map(f64::to_degrees);
+            format!("{:+.2} {:+.2} {:+.2}", v.x, v.y, v.z)
+        });
+        format!(
+            "{:>5}{} {:>8.3}  {:<14} {:>9} {:>9} {:>9}  {:<25} {:>8} {:>8}",
+            self.frame,
+            self.target.map_or(String::new(), |target| format!(" {target:>6}")),
+            self.t_s,
+            self.status,
+            at(3),
+            at(7),
+            at(11),
+            turn,
+            number(self.fitness, 3),
+            number(self.ms, 2)
+        )
+    }
+}
+
+/// The homogeneous matrix of a pose, row by row, translation in millimetres.
+pub fn row_major_mm(pose: &Pose<CamLeft, Model>) -> [f64; 16] {
+    let m = pose.to_homogeneous();
+    std::array::from_fn(|k| m[(k / 4, k % 4)] * if k % 4 == 3 && k < 12 { 1e3 } else { 1.0 })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    #[test]
+    fn matrices_are_row_major_in_millimetres() {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
+        let m = row_major_mm(&Pose::from_parts(Vector3::new(0.1, -0.2, 0.5), turn));
+        let expected = [0.0, -1.0, 0.0, 100.0, 1.0, 0.0, 0.0, -200.0, 0.0, 0.0, 1.0, 500.0, 0.0, 0.0, 0.0, 1.0];
+        assert!(m.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{m:?}");
+    }
+
+    #[test]
+    fn the_target_is_counted_only_if_there_are_several() {
+        let json = |lines: &[TrackLine]| -> Vec<String> {
+            lines.iter().map(|line| serde_json::to_string(line).unwrap()).collect()
+        };
+        let one = json(&TrackLine::all_of_error(4, 0.25, 1));
+        assert_eq!(one.len(), 1);
+        assert!(one[0].starts_with(r#"{"frame":4,"t_s":0.25,"status":"error","#) && !one[0].contains("target"));
+        let two = json(&TrackLine::all_of_error(4, 0.25, 2));
+        assert!(two[1].starts_with(r#"{"frame":4,"target":1,"t_s":0.25,"#), "{two:?}");
+    }
+}

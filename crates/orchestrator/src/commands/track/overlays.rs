@@ -1,0 +1,66 @@
+//! Pictures of every frame with what was found, and one animated picture of all.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use pb3dp_geometry::StereoRig;
+use pb3dp_hal_api::FramePair;
+use pb3dp_record::images::{PictureFormat, save};
+use pb3dp_record::overlay::{Animation, AnimationLimits};
+
+use super::walk::Found;
+use crate::cli::MethodArgs;
+use crate::picture::{Annotation, annotate, polygon_px};
+
+/// Pictures per frame and one animated picture of all, if they are wanted.
+pub struct Overlays {
+    wanted: Option<(PathBuf, Animation)>,
+}
+
+impl Overlays {
+    /// Makes the folder.
+    ///
+    /// # Errors
+    /// If it can not be made.
+    pub fn open(args: &MethodArgs) -> Result<Self> {
+        let Some(folder) = &args.overlay else { return Ok(Self { wanted: None }) };
+        std::fs::create_dir_all(folder).with_context(|| format!("{}: can not be created", folder.display()))?;
+        Ok(Self { wanted: Some((folder.clone(), Animation::new(AnimationLimits::default()))) })
+    }
+
+    /// Draws all targets of a frame.
+    ///
+    /// # Errors
+    /// If the picture can not be written.
+    pub fn add(&mut self, frame: usize, t_s: f64, pair: &FramePair, rig: &StereoRig, targets: &[Found]) -> Result<()> {
+        let Some((folder, animation)) = &mut self.wanted else { return Ok(()) };
+        let annotation = |found: &Found| {
+            let estimate = &found.estimate;
+            let target = found.target.map_or(String::new(), |target| format!("target {target}  "));
+            let fitness = estimate.fitness.map_or(String::new(), |fitness| format!("  fitness {fitness:.3}"));
+            Annotation {
+                outline_px: polygon_px(&estimate.outline_px),
+                cam_left_from_model: estimate.cam_left_from_model,
+                label: format!("frame {frame}  {t_s:.3} s  {target}{}{fitness}", estimate.status),
+                is_bad: estimate.cam_left_from_model.is_none(),
+            }
+        };
+        let annotations: Vec<Annotation> = targets.iter().map(annotation).collect();
+        let picture = annotate(&pair.left, &pair.right, rig, &annotations);
+        save(&picture, &folder.join(format!("frame_{frame:04}.png")), PictureFormat::Png)?;
+        animation.push(t_s, &picture);
+        Ok(())
+    }
+
+    /// Writes the animated picture.
+    ///
+    /// # Errors
+    /// If it can not be written.
+    pub fn close(self) -> Result<()> {
+        let Some((folder, animation)) = self.wanted else { return Ok(()) };
+        if animation.frames() > 0 {
+            animation.write(&folder.join("sequence.png"))?;
+        }
+        Ok(())
+    }
+}

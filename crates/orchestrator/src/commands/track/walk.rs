@@ -1,0 +1,184 @@
+//! The targets on their way through the frames.
+
+use anyhow::Result;
+use image::RgbImage;
+use nalgebra::Vector2;
+use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
+use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_estimation::published::TrackEstimate;
+use pb3dp_estimation::region::Region;
+use pb3dp_estimation::status::Status;
+use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_geometry::{Pose, StereoRig};
+use pb3dp_hal_api::FramePair;
+use pb3dp_record::dataset::Sequence;
+use pb3dp_record::images::size_of;
+
+use super::super::estimate::estimator_config;
+use super::super::estimate::job::{load_region, overridden, range_of_dataset};
+use super::super::pair::check_pictures;
+use super::with_target;
+use crate::cli::TrackArgs;
+use crate::cpu_time::timed;
+use crate::follower::Follower;
+use crate::region_spec::RegionSpec;
+
+/// All targets of a sequence.
+pub struct Walk {
+    rig: StereoRig,
+    targets: Vec<TrackedTarget>,
+    /// The first frame that could be read.
+    first: Option<usize>,
+    /// Time of the last frame that could be read.
+    last_t_s: Option<f64>,
+    rotation_about_normal_observed: bool,
+}
+
+/// One target.
+pub struct TrackedTarget {
+    mark: Mark,
+    follower: Follower,
+    last_status: Status,
+    poses: Vec<Option<Pose<CamLeft, Model>>>,
+    /// The first left picture with a pose, and the pose.
+    taken: Option<(RgbImage, Pose<CamLeft, Model>)>,
+    keeps_picture: bool,
+}
+
+/// How a target was marked.
+enum Mark {
+    /// In the sequence's own file.
+    Polygon(Region),
+    /// On the command line.
+    Spec(RegionSpec),
+}
+
+/// What was found of one target in one frame.
+pub struct Found {
+    /// Its number, if there are several.
+    pub target: Option<usize>,
+    /// The estimate.
+    pub estimate: TrackEstimate,
+    /// CPU time that it took, milliseconds.
+    pub millis: f64,
+}
+
+impl TrackedTarget {
+    fn new(mark: Mark, tracker: Tracker, range: SearchRange, keeps_picture: bool) -> Self {
+        let follower = Follower::new(tracker, range);
+        Self { mark, follower, last_status: Status::Ok, poses: Vec::new(), taken: None, keeps_picture }
+    }
+
+    /// The pose in each frame so far.
+    pub fn poses(&self) -> &[Option<Pose<CamLeft, Model>>] {
+        &self.poses
+    }
+
+    /// Its tracker.
+    pub fn tracker(&self) -> &Tracker {
+        self.follower.tracker()
+    }
+
+    /// The first left picture with a pose, and the pose.
+    pub fn taken(&self) -> Option<(&RgbImage, &Pose<CamLeft, Model>)> {
+        self.taken.as_ref().map(|(picture, pose)| (picture, pose))
+    }
+
+    fn region(&self, left: &RgbImage) -> Result<Region> {
+        match &self.mark {
+            Mark::Polygon(region) => Ok(region.clone()),
+            Mark::Spec(spec) => load_region(spec, size_of(left)),
+        }
+    }
+
+    fn step(&mut self, pair: &FramePair, prior: &FramePrior) -> Result<(TrackEstimate, f64)> {
+        let region = if self.follower.is_started() { None } else { Some(self.region(&pair.left)?) };
+        let (estimate, millis) = timed(|| self.follower.look(&pair.left, &pair.right, region.as_ref(), prior));
+        let estimate = estimate?;
+        self.poses.push(estimate.cam_left_from_model);
+        if let (true, None, Some(pose)) = (self.keeps_picture, &self.taken, estimate.cam_left_from_model) {
+            self.taken = Some((pair.left.clone(), pose));
+        }
+        Ok((estimate, millis))
+    }
+
+    /// Warnings, and the reason whenever the status changes.
+    fn tell(&mut self, what: &str, estimate: &TrackEstimate) {
+        for warning in &estimate.warnings {
+            tracing::warn!("{what}: {warning}");
+        }
+        if estimate.status != self.last_status {
+            match estimate.status {
+                Status::Ok => tracing::info!("{what}: ok: {}", estimate.reason),
+                status => tracing::warn!("{what}: {status}: {}", estimate.reason),
+            }
+        }
+        self.last_status = estimate.status;
+    }
+}
+
+impl Walk {
+    /// The region of the sequence, then those of the command line.
+    ///
+    /// # Errors
+    /// A configuration that is refused, or a method that does not track.
+    pub fn new(method: Method, rig: &StereoRig, sequence: &Sequence, args: &TrackArgs) -> Result<Self> {
+        let config = estimator_config(&args.method)?;
+        let vertices_px = sequence.region_polygon_left_px.iter().map(|&[u, v]| Vector2::new(u, v)).collect();
+        let range = overridden(range_of_dataset(&sequence.search), &args.method);
+        let own = Mark::Polygon(Region::Polygon { vertices_px });
+        let marks = std::iter::once(own).chain(args.region.iter().cloned().map(Mark::Spec));
+        let target =
+            |mark| Ok(TrackedTarget::new(mark, Tracker::new(method, rig, &config)?, range, args.surface.is_some()));
+        Ok(Self {
+            rig: *rig,
+            targets: marks.map(target).collect::<Result<_>>()?,
+            first: None,
+            last_t_s: None,
+            rotation_about_normal_observed: true,
+        })
+    }
+
+    /// All targets, that of the sequence first.
+    pub fn targets(&self) -> &[TrackedTarget] {
+        &self.targets
+    }
+
+    /// Whether the rotation about the normal was measured in every frame.
+    pub fn rotation_about_normal_observed(&self) -> bool {
+        self.rotation_about_normal_observed
+    }
+
+    /// What is found of each target in a frame.
+    ///
+    /// # Errors
+    /// Exchanged pictures or a region that is refused, both in the first frame.
+    pub fn step(&mut self, frame: usize, t_s: f64, pair: &FramePair) -> Result<Vec<Found>> {
+        if self.first.is_none() {
+            with_target(check_pictures(&format!("frame {frame}"), &self.rig, &pair.left, &pair.right), frame, None)?;
+            if frame > 0 {
+                tracing::warn!("the regions belong to frame 0, which can not be read; they are used in frame {frame}");
+            }
+            self.first = Some(frame);
+        }
+        let prior = FramePrior { dt_s: self.last_t_s.map(|last| t_s - last), ..FramePrior::default() };
+        self.last_t_s = Some(t_s);
+        let several = self.targets.len() > 1;
+        let mut all = Vec::with_capacity(self.targets.len());
+        for (index, target) in self.targets.iter_mut().enumerate() {
+            let index = several.then_some(index);
+            let (estimate, millis) = with_target(target.step(pair, &prior), frame, index)?;
+            let what = index.map_or(format!("frame {frame}"), |index| format!("frame {frame}, target {index}"));
+            target.tell(&what, &estimate);
+            self.rotation_about_normal_observed &=
+                estimate.rotation_about_normal_observed || estimate.cam_left_from_model.is_none();
+            all.push(Found { target: index, estimate, millis });
+        }
+        Ok(all)
+    }
+
+    /// A frame that could not be read.
+    pub fn skip(&mut self) {
+        self.targets.iter_mut().for_each(|target| target.poses.push(None));
+    }
+}

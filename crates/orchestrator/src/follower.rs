@@ -1,0 +1,83 @@
+//! One target through a sequence of pairs: a tracker with the region that was marked for it.
+
+use image::RgbImage;
+use pb3dp_estimation::EstimationError;
+use pb3dp_estimation::estimator::{FramePrior, Tracker};
+use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_estimation::published::TrackEstimate;
+use pb3dp_estimation::region::Region;
+use pb3dp_estimation::status::Status;
+
+/// A target that is in none of so many pairs after it was marked is given up: by then its region may show something else.
+const TRIES_MAX: u32 = 15;
+
+/// A tracker with its region.
+///
+/// A tracker that could take nothing from the first pair is given the same region in the pairs that follow, as long as it
+/// may still show the target.
+pub struct Follower {
+    tracker: Tracker,
+    range: SearchRange,
+    /// The region, once it was marked, and in how many pairs nothing was taken from it.
+    marked: Option<(Region, u32)>,
+}
+
+impl Follower {
+    /// A follower that searches in `range`.
+    pub fn new(tracker: Tracker, range: SearchRange) -> Self {
+        Self { tracker, range, marked: None }
+    }
+
+    /// Whether a region was marked, and was not refused.
+    pub fn is_started(&self) -> bool {
+        self.marked.is_some()
+    }
+
+    /// Its tracker.
+    pub fn tracker(&self) -> &Tracker {
+        &self.tracker
+    }
+
+    /// Looks at the next pair. The first one needs a `region`; it is not used afterwards.
+    ///
+    /// # Errors
+    /// Images that do not fit the calibration, a region that can not serve, a bad range, or no region yet.
+    pub fn look(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: Option<&Region>,
+        prior: &FramePrior,
+    ) -> Result<TrackEstimate, EstimationError> {
+        let Some((region, tries)) = &mut self.marked else {
+            let region = region.ok_or(EstimationError::NotStarted)?;
+            let estimate = self.tracker.start(left, right, region, &self.range)?;
+            self.marked = Some((region.clone(), 1));
+            return Ok(estimate);
+        };
+        match self.tracker.update(left, right, prior) {
+            Err(EstimationError::NotStarted) if *tries < TRIES_MAX => {
+                *tries += 1;
+                self.tracker.start(left, right, region, &self.range)
+            }
+            Err(EstimationError::NotStarted) => Ok(given_up()),
+            outcome => outcome,
+        }
+    }
+}
+
+fn given_up() -> TrackEstimate {
+    TrackEstimate {
+        status: Status::Lost,
+        reason: format!(
+            "no target was found in its region in {TRIES_MAX} pairs: mark it again where it is seen better"
+        ),
+        warnings: Vec::new(),
+        cam_left_from_model: None,
+        covariance: None,
+        psi: None,
+        fitness: None,
+        outline_px: Vec::new(),
+        rotation_about_normal_observed: false,
+    }
+}
