@@ -16,8 +16,12 @@ use crate::error::{EstimationError, check_range};
 /// Parameters of the cold start.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ColdStartConfig {
-    /// The search over all disparities runs on the first level on which the region has at most this many pixels.
+    /// The search over all disparities runs first on the first level on which the region has at most this many pixels.
+    pub quick_area_px: usize,
+    /// Where that does not decide, it runs on the first level on which the region has at most this many pixels.
     pub search_area_px: usize,
+    /// Share of the region's pixels that must lie on one plane for the quick search to decide.
+    pub quick_share_min: f64,
     /// Patches are looked at down to the first level on which the region has at most this many pixels.
     pub patch_area_px: usize,
     /// The search.
@@ -31,7 +35,9 @@ pub struct ColdStartConfig {
 impl Default for ColdStartConfig {
     fn default() -> Self {
         Self {
+            quick_area_px: 3000,
             search_area_px: 12_000,
+            quick_share_min: 0.8,
             patch_area_px: 24_000,
             search: PlaneSearchConfig::default(),
             patches: PatchConfig::default(),
@@ -49,7 +55,10 @@ impl ColdStartConfig {
         let area =
             |name, value: usize| check_range(name, value as f64, (200.0, 1e6), "must be between 200 and 1000000");
         area("direct search area_max_px", self.search_area_px)?;
+        area("direct search quick_area_max_px", self.quick_area_px)?;
         area("direct patches area_max_px", self.patch_area_px)?;
+        let share = self.quick_share_min;
+        check_range("direct search quick_share_min", share, (0.0, 1.0), "must be between 0 and 1")?;
         self.search.validate()?;
         self.patches.validate()
     }
@@ -100,6 +109,8 @@ pub struct ColdStartOutcome {
     pub patch_plane: DisparityPlane,
     /// The refined plane; `None` if it had too few points.
     pub refined: Option<RefinedPlane>,
+    /// What the patches said of the refined plane, on the same level.
+    pub at_refined: Option<PatchOutcome>,
 }
 
 /// Finds planes; keeps its buffers.
@@ -113,6 +124,7 @@ pub struct ColdStart {
     refiner: PlaneRefiner,
     surfaces: Vec<Surface>,
     masks: Vec<Vec<u8>>,
+    searched: usize,
 }
 
 impl ColdStart {
@@ -149,60 +161,80 @@ impl ColdStart {
         if !self.pyramid.update(front_end, source) {
             return None;
         }
-        let (centre, index) = (self.pyramid.centroid_px(), self.pyramid.search_level());
-        let level = &self.pyramid.levels()[index];
-        let is_allowed = |p: &LevelPlane| allowed(&level.full_plane(p, centre));
-        self.search.run(level, source.disparity_px, &self.config.search, is_allowed, self.kernels);
-        self.judge_candidates(index, centre);
+        let full = self.pyramid.search_level();
+        let levels = self.pyramid.levels();
+        let quick =
+            levels.iter().position(|level| level.area_px <= self.config.quick_area_px).unwrap_or(full).max(full);
+        self.search_level(quick, source.disparity_px, &allowed);
+        if quick > full && !self.is_decided() {
+            self.search_level(full, source.disparity_px, &allowed);
+        }
         let first = *self.surfaces.first()?;
         let (second, alias) = self.rivals(&first);
-        let (patch_plane, finest) = self.descend(first.plane);
+        let (patch_plane, finest, level) = self.descend(first.plane);
         let refined = self.refiner.refine(&self.pyramid, &patch_plane);
+        let at_refined = refined.map(|refined| self.look(level, &refined.plane));
         let valid_share = self.search.valid_share;
-        Some(ColdStartOutcome { first, second, alias, valid_share, finest, patch_plane, refined })
+        Some(ColdStartOutcome { first, second, alias, valid_share, finest, patch_plane, refined, at_refined })
     }
 
-    /// Looks at the patches of every candidate, twice, and puts the candidates into order.
+    /// Looks at the patches around a plane.
+    fn look(&mut self, index: usize, plane: &DisparityPlane) -> PatchOutcome {
+        let level = &mut self.pyramid.levels_mut()[index];
+        self.patches.run(level, &level.level_plane(plane), &self.config.patches, self.kernels)
+    }
+
+    /// Finds and judges the candidates on one level.
+    fn search_level(&mut self, index: usize, disparity_px: (f64, f64), allowed: impl Fn(&DisparityPlane) -> bool) {
+        self.searched = index;
+        self.surfaces.clear();
+        let (centre, level) = (self.pyramid.centroid_px(), &self.pyramid.levels()[index]);
+        let is_allowed = |p: &LevelPlane| allowed(&level.full_plane(p, centre));
+        self.search.run(level, disparity_px, &self.config.search, is_allowed, self.kernels);
+        self.judge_candidates(index, centre);
+    }
+
+    /// Whether the best surface has so much of the region that a finer search would find the same.
+    fn is_decided(&self) -> bool {
+        self.surfaces.first().is_some_and(|first| {
+            let agreeing = first.patches.textured_share * first.patches.support_share;
+            let clear = self.search.valid_share * first.share;
+            agreeing.min(DECIDED_CLEAR * clear) >= self.config.quick_share_min
+        })
+    }
+
+    /// Looks at the patches of every candidate and puts the candidates into order.
     fn judge_candidates(&mut self, index: usize, centre: Vector2<f64>) {
         if self.masks.len() < self.search.candidates.len() {
             self.masks.resize_with(self.search.candidates.len(), Vec::new);
         }
         for (mask, candidate) in self.search.candidates.iter().enumerate() {
             let level = &mut self.pyramid.levels_mut()[index];
-            let before = self.patches.run(level, &candidate.plane, &self.config.patches, self.kernels);
-            let patches = self.patches.run(level, &before.plane, &self.config.patches, self.kernels);
+            let patches = self.patches.run(level, &candidate.plane, &self.config.patches, self.kernels);
             let share = patches.textured_share * patches.support_share;
             let score = share * patches.mean_correlation + self.search.valid_share * candidate.share;
-            let plane = level.full_plane(&before.plane, centre);
+            let plane = level.full_plane(&patches.plane, centre);
             self.masks[mask].clone_from(&level.support);
             self.surfaces.push(Surface { plane, share: candidate.share, patches, score, mask });
         }
         self.surfaces.sort_by(|a, b| b.score.total_cmp(&a.score));
     }
 
-    /// From the search level to the finest one for patches, two looks each.
-    fn descend(&mut self, start: DisparityPlane) -> (DisparityPlane, PatchOutcome) {
-        let centre = self.pyramid.centroid_px();
-        let coarsest = self.pyramid.search_level();
-        let limit = self.config.patch_area_px;
+    /// From the level that was searched to the finest one for patches, two looks each. Returns the plane, what the patches
+    /// said of it, and the finest level.
+    fn descend(&mut self, start: DisparityPlane) -> (DisparityPlane, PatchOutcome, usize) {
+        let (centre, coarsest, limit) = (self.pyramid.centroid_px(), self.searched, self.config.patch_area_px);
         let finest = self.pyramid.levels().iter().position(|l| l.area_px <= limit).unwrap_or(coarsest).min(coarsest);
         let mut plane = start;
-        let mut outcome = None;
-        for index in (finest..=coarsest).rev() {
-            let level = &mut self.pyramid.levels_mut()[index];
+        for index in (finest + 1..=coarsest).rev() {
             for _ in 0..2 {
-                let found = self.patches.run(level, &level.level_plane(&plane), &self.config.patches, self.kernels);
-                plane = level.full_plane(&found.plane, centre);
-                outcome = Some(found);
+                let found = self.look(index, &plane);
+                plane = self.pyramid.levels()[index].full_plane(&found.plane, centre);
             }
         }
-        let blank = PatchOutcome {
-            plane: self.pyramid.levels()[coarsest].level_plane(&plane),
-            textured_share: 0.0,
-            support_share: 0.0,
-            mean_correlation: 0.0,
-        };
-        (plane, outcome.unwrap_or(blank))
+        let before = self.look(finest, &plane);
+        let outcome = self.look(finest, &self.pyramid.levels()[finest].full_plane(&before.plane, centre));
+        (self.pyramid.levels()[finest].full_plane(&outcome.plane, centre), outcome, finest)
     }
 
     /// The other surface with the most pixels of its own, and the best other explanation of the same pixels.
@@ -229,7 +261,7 @@ impl ColdStart {
             b += q;
             both += p & q;
         }
-        let area_px = self.pyramid.levels()[self.pyramid.search_level()].area_px.max(1);
+        let area_px = self.pyramid.levels()[self.searched].area_px.max(1);
         Rival {
             plane: other.plane,
             score_ratio: other.score / first.score.max(1e-9),
@@ -241,7 +273,7 @@ impl ColdStart {
     /// Whether two planes differ by more than two pixels of the search level in the middle of the region or, on average, at
     /// the corners of its box.
     fn differs(&self, a: &DisparityPlane, b: &DisparityPlane) -> bool {
-        let limit = 2.0 * (1 << self.pyramid.search_level()) as f64;
+        let limit = 2.0 * (1 << self.searched) as f64;
         let box_px = self.pyramid.box_px();
         let corner = |x: u32, y: u32| Vector2::new(f64::from(box_px.x + x), f64::from(box_px.y + y));
         let (w, h) = (box_px.width, box_px.height);
@@ -253,5 +285,7 @@ impl ColdStart {
 
 /// A rival that shares more than this of its pixels with the first is another explanation of the same surface.
 const OVERLAP_OF_ALIAS: f64 = 0.5;
+/// So much more of the region agrees with a plane by its patches than by single clear disparities.
+const DECIDED_CLEAR: f64 = 1.5;
 /// A second surface has at least this share of the region for itself.
 const OWN_SHARE_MIN: f64 = 0.08;

@@ -8,6 +8,7 @@ use super::cold_start::{ColdStart, ColdStartConfig, ColdStartOutcome, Rival};
 use super::colour_planes::Wanted;
 use super::disparity_plane::{DisparityPlane, RectifiedGeometry, inverse_depth_from_disparity};
 use super::front_end::StereoFrontEnd;
+use super::patches::PatchOutcome;
 use super::region_pyramid::PyramidSource;
 use super::row_measurement::{RowMeasurement, measure_rows};
 use super::row_offset::RowOffset;
@@ -248,18 +249,25 @@ impl DirectEstimator {
 /// An answer so near to an end of the depth range is warned of, as a share of the range.
 const END_OF_RANGE_SHARE: f64 = 0.005;
 
-/// The plane of an outcome with the covariance of `(d0, du, dv)`: the refined one if the refinement came to rest near the
-/// patches' plane, else the patches', whose error is taken to be as large as what the refinement made of it.
+/// The patches agree with a plane as well as with their own if support times correlation is worse by no more than this.
+const AGREEMENT_TOLERANCE: f64 = 0.005;
+
+/// The plane of an outcome with the covariance of `(d0, du, dv)`: the refined plane if the refinement came to rest near the
+/// patches' plane. Where the patches agree with it clearly less than with their own, the surface or its shading is not what
+/// the model says, both planes err on their own, and the answer lies half-way. What the answer is moved by counts as error.
 fn answer(outcome: &ColdStartOutcome) -> (DisparityPlane, Option<Matrix3<f64>>) {
-    match &outcome.refined {
-        Some(refined) if refined.converged => (refined.plane, Some(refined.covariance)),
-        Some(refined) => {
-            let plane = outcome.patch_plane.centred_at(refined.plane.centre_px);
-            let gap = refined.plane.parameters() - plane.parameters();
-            (plane, Some(refined.covariance + gap * gap.transpose()))
-        }
-        None => (outcome.patch_plane, None),
-    }
+    let Some(refined) = &outcome.refined else { return (outcome.patch_plane, None) };
+    let own = refined.plane.parameters();
+    let gap = outcome.patch_plane.centred_at(refined.plane.centre_px).parameters() - own;
+    let agreement = |patches: &PatchOutcome| patches.support_share * patches.mean_correlation;
+    let lost = outcome.at_refined.map_or(0.0, |found| agreement(&outcome.finest) - agreement(&found));
+    let moved_by = match refined.converged {
+        true if lost <= AGREEMENT_TOLERANCE => 0.0,
+        true => 0.5,
+        false => 1.0,
+    };
+    let moved = gap * moved_by;
+    (refined.plane.with_parameters(&(own + moved)), Some(refined.covariance + moved * moved.transpose()))
 }
 
 /// Disparities of the ends of a depth range on the centroid's ray, lowest first.

@@ -14,6 +14,7 @@ use super::region_pyramid::{LevelPlane, RegionLevel, is_seen};
 use super::search::volume::LevelBox;
 use crate::cpu::Kernels;
 use crate::error::{EstimationError, check_range};
+use crate::wide::wide;
 
 /// Pixels from the centre of a patch to its side.
 pub const RADIUS: usize = 7;
@@ -106,7 +107,7 @@ impl SlantedPatches {
             level.reset_support();
             return Tally::default().outcome(level.area_px, *plane);
         }
-        self.load(level, &area, plane, reach);
+        self.load(level, &area, plane, reach, kernels);
         self.votes.clear();
         level.support.fill(0);
         let window_width = level.left.window.width;
@@ -138,7 +139,7 @@ impl SlantedPatches {
     }
 
     /// Copies the left window's part and warps the right window onto it, `reach` columns wider on both sides.
-    fn load(&mut self, level: &RegionLevel, area: &LevelBox, plane: &LevelPlane, reach: usize) {
+    fn load(&mut self, level: &RegionLevel, area: &LevelBox, plane: &LevelPlane, reach: usize, kernels: Kernels) {
         let (width, wide) = (area.width, area.width + 2 * reach);
         self.left.resize(width * area.height, 0.0);
         self.gradient.resize(width * area.height, 0.0);
@@ -158,7 +159,7 @@ impl SlantedPatches {
                 *out = 0.5 * (around[2] - around[0]);
             }
             let out = &mut self.warped[y * wide..(y + 1) * wide];
-            warp_row(&level.right, area, y, plane, reach, mean, out);
+            warp_row(&level.right, area, y, plane, reach, mean, kernels, out);
         }
     }
 }
@@ -184,6 +185,7 @@ fn warp_row(
     plane: &LevelPlane,
     reach: usize,
     mean: f32,
+    kernels: Kernels,
     out: &mut [f32],
 ) {
     let y_left = (area.y + y) as f64;
@@ -193,18 +195,55 @@ fn warp_row(
     let first_x = area.x as f64 - reach as f64;
     let start = (first_x - (plane.c + plane.a * first_x + plane.b * y_left)) as f32;
     let step = (1.0 - plane.a) as f32;
-    for (i, out) in out.iter_mut().enumerate() {
-        let at = (start + step * i as f32).clamp(0.0, last);
-        let floor = (at as usize).min(source.len().saturating_sub(2));
-        let t = at - floor as f32;
-        *out = if floor >= 1 && floor + 2 < source.len() {
-            let [a, b, c, d] = [source[floor - 1], source[floor], source[floor + 1], source[floor + 2]];
-            let (p, q) = (c - a, 2.0 * a - 5.0 * b + 4.0 * c - d);
-            b + 0.5 * t * (p + t * (q + t * (3.0 * (b - c) + d - a))) - mean
-        } else {
-            source[floor] + t * (source[(floor + 1).min(source.len() - 1)] - source[floor]) - mean
-        };
+    let mut first = 0;
+    while first < out.len() {
+        let at = start + step * first as f32;
+        let floor = at.floor();
+        if floor < 1.0 || floor + 2.0 > last {
+            out[first] = border_value(source, at) - mean;
+            first += 1;
+            continue;
+        }
+        // As long as every pixel is one further on, up to half a pixel to both sides, the neighbours are in a row.
+        let drift = (step - 1.0).abs().max(1e-6);
+        let room = ((last - 2.0 - floor) as usize).min(out.len() - first - 1) + 1;
+        let count = ((0.5 / drift) as usize).clamp(1, room);
+        let base = floor as usize - 1;
+        warp_run(
+            kernels,
+            &source[base..base + count + 3],
+            (at - floor, step - 1.0),
+            mean,
+            &mut out[first..first + count],
+        );
+        first += count;
     }
+}
+
+wide! {
+    fn warp_run(source: &[f32], place: (f32, f32), mean: f32, out: &mut [f32]) = warp_run_kernel;
+}
+
+/// Cubic values (Keys 1981, a = -1/2) at `1 + t`, `2 + t + drift`, `3 + t + 2 drift` ... of `source`.
+#[inline(always)]
+fn warp_run_kernel(source: &[f32], (t, drift): (f32, f32), mean: f32, out: &mut [f32]) {
+    let count = out.len();
+    let (a, b, c, d) = (&source[..count], &source[1..count + 1], &source[2..count + 2], &source[3..count + 3]);
+    for i in 0..count {
+        let t = t + drift * i as f32;
+        let (a, b, c, d) = (a[i], b[i], c[i], d[i]);
+        let (p, q) = (c - a, 2.0 * a - 5.0 * b + 4.0 * c - d);
+        out[i] = b + 0.5 * t * (p + t * (q + t * (3.0 * (b - c) + d - a))) - mean;
+    }
+}
+
+/// Linear near the ends of a row, whose last values are repeated.
+fn border_value(source: &[f32], at: f32) -> f32 {
+    let last = source.len() - 1;
+    let at = at.clamp(0.0, last as f32);
+    let floor = (at as usize).min(last.saturating_sub(1));
+    let next = source[(floor + 1).min(last)];
+    source[floor] + (at - floor as f32) * (next - source[floor])
 }
 
 /// The region's box, larger by a patch's radius where the window allows it.
@@ -281,5 +320,95 @@ impl Tally {
             support_share: self.supporting as f64 / self.textured.max(1) as f64,
             mean_correlation: self.correlation / self.supporting.max(1) as f64,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::direct::colour_planes::Wanted;
+    use crate::direct::image_plane::PixelWindow;
+
+    const TRUTH: LevelPlane = LevelPlane { a: 0.06, b: -0.03, c: 9.3, row: 0 };
+
+    /// A smooth texture without symmetry.
+    fn texture(x: f64, y: f64) -> f64 {
+        let waves = [(0.9, 0.4, 0.3), (0.35, -0.7, 1.1), (-0.6, 0.25, 2.0), (0.15, 0.9, 0.7), (1.3, 0.8, 0.2)];
+        100.0 + waves.iter().map(|(u, v, phase)| 20.0 * (u * x + v * y + phase).sin()).sum::<f64>()
+    }
+
+    /// A level of 70 x 50 pixels whose right eye shows the texture through `TRUTH`, but for columns from `edge` on, which
+    /// are 4 pixels nearer.
+    fn level(edge: f64) -> RegionLevel {
+        let mut level = RegionLevel { scale: 1, ..RegionLevel::default() };
+        let window = PixelWindow { x: 0, y: 0, width: 70, height: 50 };
+        level.left.resize(window, Wanted::Luminance);
+        level.right.resize(window, Wanted::Luminance);
+        for y in 0..50 {
+            for x in 0..70 {
+                level.left.planes[0].row_mut(y)[x] = texture(x as f64, y as f64) as f32;
+                // The left column that meets this right one: x_left - (c + a x_left + b y) = x.
+                let from = |nearer: f64| (x as f64 + TRUTH.c + nearer + TRUTH.b * y as f64) / (1.0 - TRUTH.a);
+                let source = if from(4.0) >= edge { from(4.0) } else { from(0.0) };
+                level.right.planes[0].row_mut(y)[x] = (1.2 * texture(source, y as f64) - 15.0) as f32;
+            }
+        }
+        level.left.flags.fill(0);
+        level.region = (0..70 * 50).map(|i| u8::from(i % 70 >= 22 && (8..42).contains(&(i / 70)))).collect();
+        level.area_px = level.region.iter().map(|&inside| usize::from(inside)).sum();
+        level.reset_support();
+        level
+    }
+
+    #[test]
+    fn a_plane_that_is_a_little_off_is_put_right_with_every_kernel() {
+        let start = LevelPlane { a: 0.05, b: -0.025, c: 9.6, row: 0 };
+        let mut bits = Vec::new();
+        for kernels in Kernels::available() {
+            let (mut level, mut patches) = (level(f64::MAX), SlantedPatches::default());
+            let config = PatchConfig { support_px: 1.5, ..PatchConfig::default() };
+            let first = patches.run(&mut level, &start, &config, kernels);
+            let second = patches.run(&mut level, &first.plane, &config, kernels);
+            let found = second.plane;
+            for (x, y) in [(25.0, 10.0), (65.0, 10.0), (25.0, 40.0), (65.0, 40.0)] {
+                let gap = (found.c - TRUTH.c) + (found.a - TRUTH.a) * x + (found.b - TRUTH.b) * y;
+                assert!(gap.abs() < 0.03, "{gap} at {x} {y}: {found:?}");
+            }
+            assert!(second.support_share > 0.98 && second.mean_correlation > 0.98, "{second:?}");
+            bits.push([found.a.to_bits(), found.b.to_bits(), found.c.to_bits()]);
+        }
+        assert!(bits.windows(2).all(|pair| pair[0] == pair[1]), "kernels differ: {bits:?}");
+    }
+
+    #[test]
+    fn pixels_of_another_surface_do_not_support_the_plane() {
+        let (mut level, mut patches) = (level(48.0), SlantedPatches::default());
+        let outcome = patches.run(&mut level, &TRUTH, &PatchConfig::default(), Kernels::best());
+        let at = |x: usize, y: usize| level.support[y * 70 + x];
+        assert_eq!(at(32, 25), USABLE | SUPPORTS);
+        assert_eq!(at(58, 25), 0);
+        assert!((0.3..0.7).contains(&outcome.support_share), "{outcome:?}");
+        let gap = outcome.plane.c - TRUTH.c + (outcome.plane.a - TRUTH.a) * 35.0 + (outcome.plane.b - TRUTH.b) * 25.0;
+        assert!(gap.abs() < 0.1, "{gap}");
+    }
+
+    #[test]
+    fn without_texture_nothing_supports_and_everything_is_usable() {
+        let (mut level, mut patches) = (level(f64::MAX), SlantedPatches::default());
+        level.left.planes[0].values_mut().fill(77.0);
+        let outcome = patches.run(&mut level, &TRUTH, &PatchConfig::default(), Kernels::best());
+        assert_eq!((outcome.textured_share, outcome.support_share, outcome.plane), (0.0, 0.0, TRUTH));
+        assert!(level.support.iter().zip(&level.region).all(|(support, region)| *support == region * USABLE));
+    }
+
+    #[test]
+    fn regions_smaller_than_a_patch_say_nothing() {
+        let mut level = level(f64::MAX);
+        level.left.resize(PixelWindow { x: 0, y: 0, width: 12, height: 9 }, Wanted::Luminance);
+        level.region = vec![1; 12 * 9];
+        level.area_px = 12 * 9;
+        level.reset_support();
+        let outcome = SlantedPatches::default().run(&mut level, &TRUTH, &PatchConfig::default(), Kernels::best());
+        assert_eq!((outcome.textured_share, outcome.plane), (0.0, TRUTH));
     }
 }

@@ -21,12 +21,42 @@ pub struct Penalties {
 pub struct Aggregation {
     /// Sums of the four directions; layout as in the volume.
     sums: Vec<u16>,
-    /// Path costs of the row before, per pixel with one impossible disparity before and after.
-    vertical: Vec<u8>,
-    horizontal: [Vec<u8>; 2],
+    /// Path costs of the row before and their lowest: per pixel with one impossible disparity before and after.
+    down: Paths,
+    /// The same of the column before, for some rows at a time.
+    across: Paths,
     /// Per pixel: disparity index at a fraction of a pixel; NaN where there is no clear one.
     pub disparity: Vec<f32>,
     seen_from_right: Vec<(u16, u16)>,
+}
+
+/// Rows whose horizontal paths are followed side by side: the costs of one step must have left the processor's store
+/// buffer before the next step reads them with other alignment.
+const ROWS: usize = 8;
+
+/// The ends of some paths: their costs with one impossible disparity before and after, and the lowest of each.
+#[derive(Clone, Debug, Default)]
+struct Paths {
+    costs: Vec<u8>,
+    /// Where the next step's costs go: they are not written over those that they come from, because a processor waits when
+    /// it reads at another alignment what it has just written.
+    next: Vec<u8>,
+    lowest: Vec<u8>,
+}
+
+impl Paths {
+    /// Paths that begin here.
+    fn start(&mut self, count: usize, stride: usize) {
+        let padded = stride + 2;
+        self.next.clear();
+        self.next.resize(count * padded, COST_IMPOSSIBLE);
+        self.costs.clone_from(&self.next);
+        for path in self.costs.chunks_exact_mut(padded) {
+            path[1..=stride].fill(0);
+        }
+        self.lowest.clear();
+        self.lowest.resize(count, 0);
+    }
 }
 
 /// When a winner counts.
@@ -44,24 +74,21 @@ impl Aggregation {
         let (width, height, stride) = (volume.area.width, volume.area.height, volume.stride);
         self.sums.resize(volume.costs.len(), 0);
         self.disparity.resize(width * height, f32::NAN);
-        let row = width * stride;
-        let padded = stride + 2;
-        for buffer in &mut self.horizontal {
-            buffer.clear();
-            buffer.resize(padded, COST_IMPOSSIBLE);
+        if width == 0 || height == 0 {
+            return;
         }
+        let row = width * stride;
         for forward in [true, false] {
-            self.vertical.clear();
-            self.vertical.resize(width * padded, COST_IMPOSSIBLE);
-            for pixel in self.vertical.chunks_exact_mut(padded) {
-                pixel[1..=stride].fill(0);
-            }
-            for i in 0..height {
-                let y = if forward { i } else { height - 1 - i };
-                let costs = &volume.costs[y * row..(y + 1) * row];
-                let sums = &mut self.sums[y * row..(y + 1) * row];
-                let [a, b] = &mut self.horizontal;
-                sweep_row(kernels, costs, stride, penalties, forward, &mut self.vertical, a, b, sums);
+            self.down.start(width, stride);
+            let blocks = height.div_ceil(ROWS);
+            for i in 0..blocks {
+                let block = if forward { i } else { blocks - 1 - i };
+                let (first, end) = (block * ROWS, (block * ROWS + ROWS).min(height));
+                let costs = &volume.costs[first * row..end * row];
+                let sums = &mut self.sums[first * row..end * row];
+                self.across.start(end - first, stride);
+                let shape = BlockShape { width, rows: end - first, stride, penalties, forward };
+                sweep_block(kernels, costs, shape, &mut self.across, &mut self.down, sums);
             }
         }
         for y in 0..height {
@@ -89,66 +116,97 @@ impl Aggregation {
     }
 }
 
-wide! {
-    fn sweep_row(costs: &[u8], stride: usize, penalties: Penalties, forward: bool, vertical: &mut [u8],
-        horizontal: &mut Vec<u8>, scratch: &mut Vec<u8>, sums: &mut [u16]) = sweep_row_kernel;
-}
-
-#[inline(always)]
-#[allow(clippy::too_many_arguments, reason = "a kernel takes its buffers one by one")]
-fn sweep_row_kernel(
-    costs: &[u8],
+/// Some rows of a volume and how they are worked on.
+#[derive(Clone, Copy, Debug)]
+struct BlockShape {
+    width: usize,
+    rows: usize,
     stride: usize,
     penalties: Penalties,
     forward: bool,
-    vertical: &mut [u8],
-    horizontal: &mut Vec<u8>,
-    scratch: &mut Vec<u8>,
-    sums: &mut [u16],
-) {
-    let (count, padded) = (costs.len() / stride, stride + 2);
-    horizontal[1..=stride].fill(0);
-    for i in 0..count {
-        let x = if forward { i } else { count - 1 - i };
-        let costs = &costs[x * stride..(x + 1) * stride];
-        let sums = &mut sums[x * stride..(x + 1) * stride];
-        step(costs, penalties, &horizontal[..padded], &mut scratch[1..=stride]);
-        std::mem::swap(horizontal, scratch);
-        let here = &mut vertical[x * padded..(x + 1) * padded];
-        step(costs, penalties, here, &mut scratch[1..=stride]);
-        here[1..=stride].copy_from_slice(&scratch[1..=stride]);
-        let (a, b) = (&horizontal[1..=stride], &scratch[1..=stride]);
-        for ((sums, a), b) in sums.chunks_exact_mut(GROUP).zip(a.chunks_exact(GROUP)).zip(b.chunks_exact(GROUP)) {
-            for i in 0..GROUP {
-                let sum = u16::from(a[i]) + u16::from(b[i]);
-                sums[i] = if forward { sum } else { sums[i] + sum };
-            }
-        }
+}
+
+wide! {
+    fn sweep_block(costs: &[u8], shape: BlockShape, across: &mut Paths, down: &mut Paths, sums: &mut [u16]) = sweep_block_kernel;
+}
+
+#[inline(always)]
+fn sweep_block_kernel(costs: &[u8], shape: BlockShape, across: &mut Paths, down: &mut Paths, sums: &mut [u16]) {
+    match shape.stride / GROUP {
+        1 => sweep_groups::<1>(costs, shape, across, down, sums),
+        2 => sweep_groups::<2>(costs, shape, across, down, sums),
+        3 => sweep_groups::<3>(costs, shape, across, down, sums),
+        4 => sweep_groups::<4>(costs, shape, across, down, sums),
+        _ => sweep_groups::<0>(costs, shape, across, down, sums),
     }
 }
 
-/// One step along a path: `previous` has an impossible disparity at both ends.
+/// With `N` groups of disparities per pixel; 0: any number.
 #[inline(always)]
-fn step(costs: &[u8], penalties: Penalties, previous: &[u8], out: &mut [u8]) {
+fn sweep_groups<const N: usize>(
+    costs: &[u8],
+    shape: BlockShape,
+    across: &mut Paths,
+    down: &mut Paths,
+    sums: &mut [u16],
+) {
+    let stride = if N == 0 { shape.stride } else { N * GROUP };
+    let (padded, row) = (stride + 2, shape.width * stride);
+    let turn = |i: usize, count: usize| if shape.forward { i } else { count - 1 - i };
+    for x in (0..shape.width).map(|i| turn(i, shape.width)) {
+        for y in 0..shape.rows {
+            let at = y * row + x * stride;
+            let (costs, sums) = (&costs[at..at + stride], &mut sums[at..at + stride]);
+            let (path, next) = (&across.costs[y * padded..][..padded], &mut across.next[y * padded + 1..][..stride]);
+            let lowest = across.lowest[y];
+            across.lowest[y] = match shape.forward {
+                true => step::<true>(costs, shape.penalties, lowest, path, next, sums),
+                false => step::<false>(costs, shape.penalties, lowest, path, next, sums),
+            };
+        }
+        std::mem::swap(&mut across.costs, &mut across.next);
+    }
+    for y in (0..shape.rows).map(|i| turn(i, shape.rows)) {
+        for x in 0..shape.width {
+            let at = y * row + x * stride;
+            let (costs, sums) = (&costs[at..at + stride], &mut sums[at..at + stride]);
+            let (path, next) = (&down.costs[x * padded..][..padded], &mut down.next[x * padded + 1..][..stride]);
+            down.lowest[x] = step::<false>(costs, shape.penalties, down.lowest[x], path, next, sums);
+        }
+        std::mem::swap(&mut down.costs, &mut down.next);
+    }
+}
+
+/// One step along a path: from the costs so far (with an impossible disparity at both ends) to the next, which are written
+/// to the sums if they are the `FIRST` of their pixel, else added. Returns the new lowest cost.
+#[inline(always)]
+fn step<const FIRST: bool>(
+    costs: &[u8],
+    penalties: Penalties,
+    lowest: u8,
+    path: &[u8],
+    next: &mut [u8],
+    sums: &mut [u16],
+) -> u8 {
+    let jump = lowest.saturating_add(penalties.large);
     let mut least = [u8::MAX; GROUP];
-    for group in previous[1..=costs.len()].chunks_exact(GROUP) {
+    let outs = next.chunks_exact_mut(GROUP).zip(sums.chunks_exact_mut(GROUP));
+    for (group, (costs, (out, sums))) in costs.chunks_exact(GROUP).zip(outs).enumerate() {
+        let path = &path[group * GROUP..group * GROUP + GROUP + 2];
         for i in 0..GROUP {
-            least[i] = least[i].min(group[i]);
+            let beside = path[i].min(path[i + 2]).saturating_add(penalties.small);
+            let best = path[i + 1].min(beside).min(jump);
+            let cost = costs[i].saturating_add(best - lowest);
+            least[i] = least[i].min(cost);
+            out[i] = cost;
+            sums[i] = if FIRST { u16::from(cost) } else { sums[i] + u16::from(cost) };
         }
     }
     let mut lowest = u8::MAX;
     for value in least {
         lowest = lowest.min(value);
     }
-    let jump = lowest.saturating_add(penalties.large);
-    for (group, (costs, out)) in costs.chunks_exact(GROUP).zip(out.chunks_exact_mut(GROUP)).enumerate() {
-        let previous = &previous[group * GROUP..group * GROUP + GROUP + 2];
-        for i in 0..GROUP {
-            let beside = previous[i].min(previous[i + 2]).saturating_add(penalties.small);
-            let best = previous[i + 1].min(beside).min(jump);
-            out[i] = costs[i].saturating_add(best - lowest);
-        }
-    }
+    lowest
 }
 
 wide! {
@@ -176,16 +234,17 @@ fn pick_kernel(
         for value in least {
             lowest = lowest.min(value);
         }
-        let best = sums.iter().position(|&s| s == lowest).unwrap_or(0);
         let limit = lowest + (f32::from(lowest) * rules.uniqueness) as u16;
-        let mut rivals = 0_u32;
-        for group in sums.chunks_exact(GROUP) {
-            let mut found = 0_u16;
+        let (mut places, mut below) = ([u16::MAX; GROUP], [0_u16; GROUP]);
+        for (group, sums) in sums.chunks_exact(GROUP).enumerate() {
             for i in 0..GROUP {
-                found += u16::from(group[i] < limit);
+                let place = (group * GROUP + i) as u16;
+                places[i] = places[i].min(if sums[i] == lowest { place } else { u16::MAX });
+                below[i] += u16::from(sums[i] < limit);
             }
-            rivals += u32::from(found);
         }
+        let best = places.iter().fold(u16::MAX, |a, &b| a.min(b)) as usize;
+        let mut rivals: u32 = below.iter().map(|&count| u32::from(count)).sum();
         for near in best.saturating_sub(1)..(best + 2).min(stride) {
             rivals -= u32::from(sums[near] < limit);
         }
@@ -203,4 +262,88 @@ fn vertex(sums: &[u16], best: usize) -> f32 {
     let [before, at, after] = [sums[best - 1], sums[best], sums[best + 1]].map(f32::from);
     let curvature = before + after - 2.0 * at;
     best as f32 + if curvature > 0.0 { 0.5 * (before - after) / curvature } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::direct::search::volume::{COST_NEUTRAL, LevelBox};
+
+    const PENALTIES: Penalties = Penalties { small: 8, large: 40 };
+    const RULES: WinnerRules = WinnerRules { uniqueness: 0.05, left_right_max: 1 };
+
+    /// Random costs, the true disparity `12 + x / 8` cheap at two of three pixels.
+    fn volume(count: usize) -> CostVolume {
+        let (width, height) = (40, 21);
+        let stride = count.div_ceil(GROUP) * GROUP;
+        let mut volume = CostVolume::default();
+        volume.area = LevelBox { x: 0, y: 0, width, height };
+        (volume.count, volume.stride) = (count, stride);
+        volume.costs = vec![COST_IMPOSSIBLE; width * height * stride];
+        for i in 0..width * height {
+            let (x, y) = (i % width, i / width);
+            for d in 0..count {
+                let noise = ((i * 2_654_435 + d * 40_503) >> 7) as u8 % 20;
+                let good = d == 12 + x / 8 && (x + 2 * y) % 3 != 0;
+                volume.costs[i * stride + d] = if good { 10 } else { COST_NEUTRAL - 10 + noise };
+            }
+        }
+        volume
+    }
+
+    /// Hirschmüller's recursion in whole numbers, straight from the paper, for one direction.
+    fn path_costs(volume: &CostVolume, (dx, dy): (i64, i64)) -> Vec<i64> {
+        let LevelBox { width, height, .. } = volume.area;
+        let mut costs = vec![0_i64; width * height * volume.count];
+        let order = |length: usize, step: i64| -> Vec<usize> {
+            if step < 0 { (0..length).rev().collect() } else { (0..length).collect() }
+        };
+        for y in order(height, dy) {
+            for x in order(width, dx) {
+                let (px, py) = (x as i64 - dx, y as i64 - dy);
+                let inside = px >= 0 && py >= 0 && px < width as i64 && py < height as i64;
+                let from = (py * width as i64 + px) * volume.count as i64;
+                let before: Vec<i64> =
+                    (0..volume.count as i64).map(|d| if inside { costs[(from + d) as usize] } else { 0 }).collect();
+                let lowest = before.iter().copied().min().unwrap();
+                for d in 0..volume.count {
+                    let beside = |at: Option<usize>| {
+                        at.and_then(|at| before.get(at)).map_or(i64::MAX, |cost| cost + i64::from(PENALTIES.small))
+                    };
+                    let best = before[d]
+                        .min(beside(d.checked_sub(1)))
+                        .min(beside(Some(d + 1)))
+                        .min(lowest + i64::from(PENALTIES.large));
+                    let own = i64::from(volume.costs[(y * width + x) * volume.stride + d]);
+                    costs[(y * width + x) * volume.count + d] = own + best - lowest;
+                }
+            }
+        }
+        costs
+    }
+
+    #[test]
+    fn sums_are_those_of_the_recursion_with_every_kernel() {
+        for (count, kernels) in [20, 64, 150].into_iter().flat_map(|n| Kernels::available().map(move |k| (n, k))) {
+            let volume = volume(count);
+            let mut aggregation = Aggregation::default();
+            aggregation.run(&volume, PENALTIES, RULES, kernels);
+            let paths = [(1, 0), (-1, 0), (0, 1), (0, -1)].map(|direction| path_costs(&volume, direction));
+            for i in 0..volume.area.width * volume.area.height {
+                for d in 0..count {
+                    let expected: i64 = paths.iter().map(|path| path[i * count + d]).sum();
+                    assert_eq!(i64::from(aggregation.sums[i * volume.stride + d]), expected, "{i} {d}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn winners_bridge_pixels_that_say_nothing() {
+        let mut aggregation = Aggregation::default();
+        aggregation.run(&volume(40), PENALTIES, RULES, Kernels::best());
+        let clear = aggregation.disparity.iter().enumerate().filter(|(_, d)| d.is_finite());
+        let right = clear.clone().filter(|(i, d)| (*d - (12 + i % 40 / 8) as f32).abs() <= 1.0).count();
+        assert!(right > 700 && right as f64 > 0.99 * clear.count() as f64, "{right}");
+    }
 }

@@ -96,15 +96,23 @@ pub struct HypothesisRules {
 /// Finds planes in points; keeps its buffers.
 #[derive(Clone, Debug, Default)]
 pub struct HypothesisSearch {
-    /// A part of the points, for counting.
+    /// A part of the points, for counting; at last those that no kept plane explains.
     sample: DisparityPoints,
+    rest: DisparityPoints,
     drawn: Vec<Candidate>,
+    improved: Vec<Candidate>,
     /// The best planes, best first.
     pub kept: Vec<Candidate>,
 }
 
 /// Points that planes are counted on.
 const SAMPLE_MAX: usize = 1024;
+/// Planes of the highest counts that are improved, if they differ from those already improved.
+const IMPROVED_MAX: usize = 6;
+/// Further surfaces that are looked for among the points that the best planes do not explain.
+const SURFACES_MAX: usize = 3;
+/// Fewer points of the sample than this are no surface.
+const REST_MIN: usize = 32;
 
 impl HypothesisSearch {
     /// Finds the planes of `points` that `allowed` lets pass; `seeds` are taken into account as they are. `size` is the box
@@ -132,21 +140,76 @@ impl HypothesisSearch {
                 self.count(&plane, rules, kernels);
             }
         }
+        self.keep_best(points, size, rules, &allowed, kernels);
+        for _ in 0..SURFACES_MAX {
+            if self.kept.len() >= rules.kept || !self.leave_explained_out(rules, kernels) {
+                break;
+            }
+            let best = self.drawn.iter().copied().max_by(|a, b| a.share.total_cmp(&b.share));
+            let Some(found) = best.filter(|best| best.share > 0.0) else { break };
+            let improved = self.improve(found, points, rules, &allowed, kernels);
+            self.push_distinct(improved, size, rules.distinct_px);
+        }
+        self.kept.sort_by(|a, b| b.share.total_cmp(&a.share));
+    }
+
+    /// Improves the planes with the highest counts, and keeps what stays distinct.
+    fn keep_best(
+        &mut self,
+        points: &DisparityPoints,
+        size: (f64, f64),
+        rules: &HypothesisRules,
+        allowed: &impl Fn(&PlaneCoefficients) -> bool,
+        kernels: Kernels,
+    ) {
         // Stable, so that of equal planes the earlier is first.
         self.drawn.sort_by(|a, b| b.share.total_cmp(&a.share));
+        self.improved.clear();
         for i in 0..self.drawn.len() {
-            if self.kept.len() == rules.kept {
+            if self.improved.len() == IMPROVED_MAX {
                 break;
             }
             let drawn = self.drawn[i];
-            let known = self.kept.iter().any(|k| difference(&k.plane, &drawn.plane, size) < rules.distinct_px);
-            if !known {
-                let improved = self.improve(drawn, points, rules, &allowed, kernels);
-                self.kept.push(improved);
+            let near = |known: &Candidate| difference(&known.plane, &drawn.plane, size) < rules.distinct_px;
+            if !self.improved.iter().any(near) {
+                let improved = self.improve(drawn, points, rules, allowed, kernels);
+                self.improved.push(improved);
             }
         }
-        self.kept.sort_by(|a, b| b.share.total_cmp(&a.share));
-        self.unite(size, rules.distinct_px);
+        self.improved.sort_by(|a, b| b.share.total_cmp(&a.share));
+        for i in 0..self.improved.len() {
+            self.push_distinct(self.improved[i], size, rules.distinct_px);
+        }
+        self.kept.truncate(rules.kept);
+    }
+
+    fn push_distinct(&mut self, candidate: Candidate, size: (f64, f64), distinct_px: f64) {
+        match self.kept.iter_mut().find(|kept| difference(&kept.plane, &candidate.plane, size) < distinct_px) {
+            Some(known) if candidate.share > known.share => *known = candidate,
+            Some(_) => {}
+            None => self.kept.push(candidate),
+        }
+    }
+
+    /// Counts all planes again, on the points of the sample that no kept plane explains; `false` if hardly any is left.
+    fn leave_explained_out(&mut self, rules: &HypothesisRules, kernels: Kernels) -> bool {
+        let limit = 2.0 * rules.tolerance_px;
+        let explained = |p: &Vector3<f64>| {
+            self.kept.iter().any(|k| (p.z - (k.plane.x + k.plane.y * p.x + k.plane.z * p.y)).abs() < limit)
+        };
+        self.rest.clear();
+        for i in 0..self.sample.len() {
+            let point = self.sample.point(i);
+            if !explained(&point) {
+                self.rest.push(point.x as f32, point.y as f32, point.z as f32);
+            }
+        }
+        self.rest.finish();
+        std::mem::swap(&mut self.sample, &mut self.rest);
+        for drawn in &mut self.drawn {
+            drawn.share = inlier_share(&self.sample, &drawn.plane, rules.tolerance_px, kernels);
+        }
+        self.sample.len() >= REST_MIN
     }
 
     fn take_sample(&mut self, points: &DisparityPoints) {
@@ -187,22 +250,6 @@ impl HypothesisSearch {
             }
         }
         best
-    }
-
-    fn unite(&mut self, size: (f64, f64), distinct_px: f64) {
-        let mut i = 0;
-        while i < self.kept.len() {
-            let plane = self.kept[i].plane;
-            let mut j = i + 1;
-            while j < self.kept.len() {
-                if difference(&self.kept[j].plane, &plane, size) < distinct_px {
-                    self.kept.remove(j);
-                } else {
-                    j += 1;
-                }
-            }
-            i += 1;
-        }
     }
 }
 
@@ -294,4 +341,59 @@ fn normal_equations_kernel(x: &[f32], y: &[f32], d: &[f32], plane: [f32; 3], sca
         }
     }
     std::array::from_fn(|k| sum_lanes(&sums[k]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two thirds of the points on one plane, the rest on another, and some far off.
+    fn two_planes() -> DisparityPoints {
+        let mut points = DisparityPoints::default();
+        for y in 0..40 {
+            for x in 0..60 {
+                let (fx, fy) = (x as f32, y as f32);
+                let d = match x {
+                    0..40 => 20.0 + 0.05 * fx - 0.03 * fy + 0.1 * ((x * 7 + y * 3) % 5) as f32 - 0.2,
+                    _ => 11.0 - 0.02 * fx + 0.04 * fy,
+                };
+                points.push(fx, fy, if (x + 11 * y) % 13 == 0 { ((x * y) % 40) as f32 } else { d });
+            }
+        }
+        points.finish();
+        points
+    }
+
+    const RULES: HypothesisRules =
+        HypothesisRules { draws: 300, tolerance_px: 0.5, distinct_px: 1.0, kept: 6, steps: 3 };
+
+    #[test]
+    fn both_planes_are_found_the_larger_first_with_every_kernel() {
+        let points = two_planes();
+        for kernels in Kernels::available() {
+            let mut search = HypothesisSearch::default();
+            search.run(&points, &[], (60.0, 40.0), &RULES, |_| true, kernels);
+            let expected = [Vector3::new(20.0, 0.05, -0.03), Vector3::new(11.0, -0.02, 0.04)];
+            for (found, expected) in search.kept.iter().zip(expected) {
+                assert!(difference(&found.plane, &expected, (60.0, 40.0)) < 0.15, "{found:?}");
+            }
+            assert!(search.kept[0].share > 0.5 && search.kept[1].share < 0.35);
+        }
+    }
+
+    #[test]
+    fn planes_that_are_not_allowed_are_not_found() {
+        let mut search = HypothesisSearch::default();
+        search.run(&two_planes(), &[], (60.0, 40.0), &RULES, |p| p.y < 0.0, Kernels::best());
+        assert!((search.kept[0].plane.x - 11.0).abs() < 0.2, "{:?}", search.kept[0]);
+    }
+
+    #[test]
+    fn no_points_give_the_seeds_without_support() {
+        let mut points = DisparityPoints::default();
+        points.finish();
+        let mut search = HypothesisSearch::default();
+        search.run(&points, &[Vector3::new(5.0, 0.0, 0.0)], (60.0, 40.0), &RULES, |_| true, Kernels::best());
+        assert_eq!(search.kept.iter().map(|c| c.share).collect::<Vec<_>>(), [0.0]);
+    }
 }

@@ -7,7 +7,7 @@
 use crate::cpu::Kernels;
 use crate::direct::colour_planes::ColourPlanes;
 use crate::direct::region_pyramid::{RegionLevel, is_seen};
-use crate::wide::wide;
+use crate::wide::{LANES, wide};
 
 /// Pixels of a neighbourhood.
 const DESCRIPTOR: usize = 9;
@@ -46,7 +46,9 @@ pub struct CostVolume {
     pub stride: usize,
     /// Pixel by pixel, row-major, [`Self::stride`] costs each.
     pub costs: Vec<u8>,
+    /// Descriptors of a row: left, right, and right mirrored.
     left: Vec<i16>,
+    described: Vec<i16>,
     right: Vec<i16>,
 }
 
@@ -63,18 +65,22 @@ impl CostVolume {
         let padding = area.width + self.stride + GROUP + level.left.window.width;
         let row_length = right_width + 2 * padding;
         self.left.resize(area.width * DESCRIPTOR, 0);
+        self.right.clear();
+        self.right.resize(row_length * DESCRIPTOR, 0);
+        self.described.resize(right_width * DESCRIPTOR, 0);
         let row_shift = level.left.window.y - level.right.window.y;
         for y in 0..area.height {
             let y_left = area.y + y;
-            describe(&level.left, y_left as i64, noise, (area.x, area.width), |x, k, value| {
-                self.left[(x - area.x) * DESCRIPTOR + k] = value;
-            });
-            self.right.clear();
-            self.right.resize(row_length * DESCRIPTOR, 0);
+            describe(&level.left, y_left as i64, noise, (area.x, area.width), kernels, &mut self.left);
             let y_right = y_left as i64 + i64::from(row_shift);
-            describe(&level.right, y_right, noise, (0, right_width), |x, k, value| {
-                self.right[k * row_length + padding + right_width - 1 - x] = value;
-            });
+            describe(&level.right, y_right, noise, (0, right_width), kernels, &mut self.described);
+            for k in 0..DESCRIPTOR {
+                let mirrored = &mut self.right[k * row_length + padding..][..right_width];
+                let described = &self.described[k * right_width..(k + 1) * right_width];
+                for (to, from) in mirrored.iter_mut().rev().zip(described) {
+                    *to = *from;
+                }
+            }
             // Left column x at disparity d meets the right column x - d + shift, mirrored width - 1 - that.
             let first_mirrored = padding as i64 + right_width as i64 - 1 - area.x as i64 + i64::from(self.first)
                 - i64::from(level.column_shift());
@@ -89,31 +95,66 @@ impl CostVolume {
     }
 }
 
-/// Descriptors of columns `first..first + count` of row `y`; zero where the neighbourhood is not in the window.
-fn describe(
-    eye: &ColourPlanes,
-    y: i64,
-    noise: f32,
-    (first, count): (usize, usize),
-    mut store: impl FnMut(usize, usize, i16),
-) {
+/// Descriptors of columns `first..first + count` of row `y`, component by component; zero where the neighbourhood is not in
+/// the window.
+fn describe(eye: &ColourPlanes, y: i64, noise: f32, (first, count): (usize, usize), kernels: Kernels, out: &mut [i16]) {
     let (plane, width) = (eye.luminance(), eye.window.width);
-    let floor = DESCRIPTOR as f32 * noise * noise;
+    // Columns whose neighbours are in the window.
+    let (start, end) = (first.max(1), (first + count).min(width.saturating_sub(1)));
+    if y < 1 || y + 1 >= eye.window.height as i64 || start >= end {
+        out.fill(0);
+        return;
+    }
+    let rows: [&[f32]; 3] = std::array::from_fn(|j| &plane.row(y as usize + j - 1)[start - 1..end + 1]);
+    describe_row(kernels, rows, DESCRIPTOR as f32 * noise * noise, count, start - first, out);
+    let flags = &eye.flags[y as usize * width..(y as usize + 1) * width];
     for x in first..first + count {
-        let mut v = [0.0_f32; DESCRIPTOR];
-        let inside = x >= 1 && x + 1 < width && y >= 1 && y + 1 < eye.window.height as i64;
-        if inside && is_seen(eye.flags[y as usize * width + x]) {
-            for j in 0..3 {
-                v[3 * j..3 * j + 3].copy_from_slice(&plane.row(y as usize + j - 1)[x - 1..x + 2]);
+        if x < start || x >= end || !is_seen(flags[x]) {
+            for k in 0..DESCRIPTOR {
+                out[k * count + x - first] = 0;
             }
-            let mean = v.iter().sum::<f32>() / DESCRIPTOR as f32;
-            let energy = v.iter().map(|v| (v - mean) * (v - mean)).sum::<f32>();
-            let scale = DESCRIPTOR_LENGTH / (energy + floor).sqrt();
-            v = v.map(|v| ((v - mean) * scale).round());
         }
+    }
+}
+
+wide! {
+    fn describe_row(rows: [&[f32]; 3], floor: f32, stride: usize, first: usize, out: &mut [i16]) = describe_row_kernel;
+}
+
+#[inline(always)]
+fn describe_row_kernel(rows: [&[f32]; 3], floor: f32, stride: usize, first: usize, out: &mut [i16]) {
+    let count = rows[0].len() - 2;
+    let wide = count / LANES * LANES;
+    let mut at = 0;
+    while at < count {
+        let lanes = if at < wide { LANES } else { count - at };
+        let mut v = [[0.0_f32; LANES]; DESCRIPTOR];
+        for (k, v) in v.iter_mut().enumerate() {
+            v[..lanes].copy_from_slice(&rows[k / 3][at + k % 3..][..lanes]);
+        }
+        let (mut sum, mut energy) = ([0.0_f32; LANES], [0.0_f32; LANES]);
+        for v in &v {
+            for i in 0..LANES {
+                sum[i] += v[i];
+            }
+        }
+        for v in &mut v {
+            for i in 0..LANES {
+                v[i] -= sum[i] * (1.0 / DESCRIPTOR as f32);
+                energy[i] += v[i] * v[i];
+            }
+        }
+        let scale: [f32; LANES] = std::array::from_fn(|i| DESCRIPTOR_LENGTH / (energy[i] + floor).sqrt());
         for (k, v) in v.iter().enumerate() {
-            store(x, k, *v as i16);
+            let mut rounded = [0_i16; LANES];
+            for i in 0..LANES {
+                // Adding and taking off 1.5 * 2^23 rounds to whole numbers.
+                let value = v[i] * scale[i] + 12_582_912.0;
+                rounded[i] = (value.to_bits() as i32).wrapping_sub(0x4B40_0000) as i16;
+            }
+            out[k * stride + first + at..][..lanes].copy_from_slice(&rounded[..lanes]);
         }
+        at += lanes;
     }
 }
 
@@ -132,7 +173,9 @@ fn cost_row_kernel(
 ) {
     let perfect = (DESCRIPTOR_LENGTH * DESCRIPTOR_LENGTH) as i16;
     let rows: [&[i16]; DESCRIPTOR] = std::array::from_fn(|k| &right[k * row_length..(k + 1) * row_length]);
-    for (x, (left, costs)) in left.chunks_exact(DESCRIPTOR).zip(costs.chunks_exact_mut(stride)).enumerate() {
+    let width = left.len() / DESCRIPTOR;
+    for (x, costs) in costs.chunks_exact_mut(stride).enumerate() {
+        let left: [i16; DESCRIPTOR] = std::array::from_fn(|k| left[k * width + x]);
         for (group, costs) in costs.chunks_exact_mut(GROUP).enumerate() {
             let start = (first_mirrored - x as i64 + (group * GROUP) as i64).clamp(0, (row_length - GROUP) as i64);
             let mut sum = [0_i16; GROUP];
