@@ -6,6 +6,7 @@ use crate::workspace::SourceFile;
 
 const DOCUMENT: &str = "docs/method.md";
 const FILE: &str = "configs/estimator.toml";
+/// Keys of this table stand in the document without its name, those of others with it.
 const SECTION: &str = "published";
 
 /// Compares document and file; says nothing while the file is not there.
@@ -14,8 +15,8 @@ pub fn check(texts: &[SourceFile]) -> Vec<Violation> {
     let (Some(document), Some(file)) = (find(DOCUMENT), find(FILE)) else { return Vec::new() };
     let Ok(table) = file.parse::<toml::Table>() else { return Vec::new() };
     let mut parameters = Vec::new();
-    if let Some(section) = table.get(SECTION) {
-        flatten("", section, &mut parameters);
+    for (name, section) in &table {
+        flatten(if name == SECTION { "" } else { name }, section, &mut parameters);
     }
     let rows: Vec<(&str, &str)> = document.lines().filter_map(row).collect();
     let mut violations = Vec::new();
@@ -79,5 +80,8 @@ mod tests {
         assert_eq!(messages(document, file), [""; 0]);
         assert!(messages(&document.replace("0.150", "0.2"), file)[0].contains("0.2 here and 0.15"));
         assert!(messages(&document.replace("rmga.coding", "rmga.code"), file).len() == 2);
+        let both = format!("{file}[other]\npoints = 7\n");
+        assert_eq!(messages(document, &both), ["`other.points` of configs/estimator.toml has no row"]);
+        assert_eq!(messages(&format!("{document}| `other.points` | 7 | count |\n"), &both), [""; 0]);
     }
 }

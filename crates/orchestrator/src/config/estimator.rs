@@ -14,12 +14,14 @@ use pb3dp_estimation::search::rmga::{Mutation, RmGaConfig};
 use serde::Deserialize;
 
 use super::load::{Checker, ConfigError, read_toml, whole};
+use super::rmga_photometric::RmgaPhotometricSection;
 
 /// The whole file `configs/estimator.toml`.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct EstimatorFile {
     published: PublishedSection,
+    rmga_photometric: RmgaPhotometricSection,
 }
 
 /// Reads a file of estimator parameters.
@@ -29,9 +31,10 @@ struct EstimatorFile {
 pub fn read_estimator(file: &Path) -> Result<EstimatorConfig, ConfigError> {
     let raw: EstimatorFile = read_toml(file)?;
     let mut check = Checker::default();
-    let config = raw.published.build("published", &mut check);
+    let published = raw.published.build("published", &mut check);
+    let rmga_photometric = raw.rmga_photometric.build("rmga_photometric", &published, &mut check);
     check.finish(file)?;
-    Ok(EstimatorConfig { published: config, ..EstimatorConfig::default() })
+    Ok(EstimatorConfig { published, rmga_photometric, ..EstimatorConfig::default() })
 }
 
 /// Parameters of the published method.

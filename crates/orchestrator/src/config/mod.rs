@@ -4,6 +4,7 @@ pub mod estimator;
 #[cfg(test)]
 mod every_key_tests;
 pub mod load;
+pub mod rmga_photometric;
 pub mod setup;
 
 pub use load::ConfigError;
