@@ -290,21 +290,24 @@ pub fn render(setup: &Setup, target: &Texture, background: &Texture) -> Pair {
     };
     let clean_left = lens(&clean_left, setup.centre_px, 0.0);
     let mut random = Random::new(setup.seed ^ 0x5EED);
-    let mut develop = |picture: &[[f32; 3]], gain: [f64; 3], bias: [f64; 3]| {
-        let mut raw = Vec::with_capacity(picture.len() * 3);
-        for rgb in picture {
-            for c in 0..3 {
-                let value = f64::from(rgb[c]) * gain[c] + bias[c] + setup.noise_sigma * random.normal();
-                raw.push(value.round().clamp(0.0, 255.0) as u8);
-            }
-        }
-        RgbImage::from_raw(SIZE.width, SIZE.height, raw).unwrap()
-    };
-    let left = develop(&clean_left, [1.0; 3], [0.0; 3]);
-    let right = develop(&lens(&right, right_centre, setup.right_blur_px), setup.gain, setup.bias);
+    let (noise, right) = (setup.noise_sigma, lens(&right, right_centre, setup.right_blur_px));
+    let left = develop(&clean_left, [1.0; 3], [0.0; 3], noise, &mut random);
+    let right = develop(&right, setup.gain, setup.bias, noise, &mut random);
     let region = if setup.boxed { boxed(&target_mask) } else { target_mask.clone() };
     let target = target_mask.iter().zip(&hidden).map(|(on, hidden)| *on && !hidden).collect();
     Pair { rig, left, right, clean_left, plane, target, region, setup: setup.clone() }
+}
+
+/// What the sensor makes of a picture.
+fn develop(picture: &[[f32; 3]], gain: [f64; 3], bias: [f64; 3], noise: f64, random: &mut Random) -> RgbImage {
+    let mut raw = Vec::with_capacity(picture.len() * 3);
+    for rgb in picture {
+        for c in 0..3 {
+            let value = f64::from(rgb[c]) * gain[c] + bias[c] + noise * random.normal();
+            raw.push(value.round().clamp(0.0, 255.0) as u8);
+        }
+    }
+    RgbImage::from_raw(SIZE.width, SIZE.height, raw).unwrap()
 }
 
 fn boxed(mask: &[bool]) -> Vec<bool> {
