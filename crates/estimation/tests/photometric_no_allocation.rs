@@ -1,0 +1,81 @@
+//! The refinement of a plane does not allocate once it has seen a region of the size.
+#![allow(clippy::unwrap_used, reason = "inputs that are valid")]
+
+#[path = "support/plane_pair.rs"]
+mod plane_pair;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+use pb3dp_estimation::cpu::Kernels;
+use pb3dp_estimation::direct::colour_planes::Wanted;
+use pb3dp_estimation::direct::disparity_plane::DisparityPlane;
+use pb3dp_estimation::direct::front_end::StereoFrontEnd;
+use pb3dp_estimation::direct::photometric::{PlaneRefiner, RefineConfig};
+use pb3dp_estimation::direct::region_pyramid::{PyramidSource, RegionPyramid};
+use pb3dp_estimation::direct::row_offset::RowOffset;
+use pb3dp_estimation::region::RegionMask;
+use plane_pair::{Paint, SIZE, Setup, Texture, render};
+
+/// The system's allocator, counting what this thread asks for.
+struct Counting;
+
+thread_local! {
+    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
+}
+
+fn count_one() {
+    // A thread that is ending has nothing left to count.
+    let _ = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
+}
+
+// SAFETY: every call is passed on to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count_one();
+        // SAFETY: the caller's promise.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promise.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count_one();
+        // SAFETY: the caller's promise.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+#[test]
+fn a_second_refinement_allocates_nothing() {
+    let pair = render(&Setup::default(), &Texture::new(Paint::Crab, 5), &Texture::new(Paint::Sand, 9));
+    let front_end = StereoFrontEnd::new(&pair.rig, Kernels::best()).unwrap();
+    let g = *front_end.geometry();
+    let region = RegionMask::from_fn(SIZE, |x, y| pair.region[(y * SIZE.width + x) as usize]);
+    let mut pyramid = RegionPyramid::default();
+    let source = PyramidSource {
+        left: &pair.left,
+        right: &pair.right,
+        region: &region,
+        disparity_px: (g.disparity_px(0.9).floor(), g.disparity_px(0.35).ceil()),
+        rows: RowOffset::default(),
+        wanted: Wanted::Colour,
+        search_area_px: 6000,
+    };
+    assert!(pyramid.update(&front_end, &source));
+    let q = pair.plane.normal / pair.plane.normal.dot(&pair.plane.point);
+    let truth = DisparityPlane::from_inverse_depth_plane(&q, &g, pyramid.centroid_px());
+    let start = DisparityPlane { d0_px: truth.d0_px + 0.4, ..truth };
+    let mut refiner = PlaneRefiner::new(RefineConfig::default(), Kernels::best());
+    let first = refiner.refine(&pyramid, &start).unwrap();
+    let before = ALLOCATIONS.get();
+    let second = refiner.refine(&pyramid, &start).unwrap();
+    assert_eq!(ALLOCATIONS.get() - before, 0);
+    assert_eq!(first, second);
+}
