@@ -151,6 +151,14 @@ fn a_cold_start_needs_no_plane() {
     let normal = found.rotation() * Vector3::z();
     assert!(normal.angle(&(first.rotation() * Vector3::z())).to_degrees() < 0.5);
     assert!(!estimate.outline_px.is_empty());
+    let surface = tracker.surface();
+    assert!(surface.len() > 300, "{} points", surface.len());
+    for point in &surface {
+        // The disc is flat, and the model's z axis points away from the camera.
+        assert!(point.position_in_model_m.z.abs() < 1e-3 && point.position_in_model_m.coords.norm() < 0.06);
+        assert!(point.normal_in_model.z < -0.99, "{}", point.normal_in_model);
+        assert!(point.rgb.iter().all(|&c| (20..=240).contains(&c)), "{:?}", point.rgb);
+    }
 }
 
 /// A deadline that is over at once still gives an answer, and a judged one.

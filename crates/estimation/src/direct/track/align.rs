@@ -190,7 +190,7 @@ impl Aligner {
     }
 
     /// Correlation of the view with the image that it resembles less.
-    fn resemblance(&self, problem: &Problem<'_>, level: usize) -> f64 {
+    pub(super) fn resemblance(&self, problem: &Problem<'_>, level: usize) -> f64 {
         let [left, right] = kernels::correlate(self.kernels, &self.seen[level], &problem.view.levels[level], None);
         left.value().min(right.value())
     }

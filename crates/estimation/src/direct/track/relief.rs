@@ -69,6 +69,12 @@ impl Relief {
         self.patch_of_group.len()
     }
 
+    /// Holds that there is no relief.
+    pub(super) fn hold_flat(&mut self) {
+        self.offset_px.fill(0.0);
+        self.patch_of_group.iter().for_each(|&patch| self.information[patch] = INFORMATION_MAX);
+    }
+
     /// Puts the whole surface off its plane by this disparity, pixels.
     pub(super) fn set_all(&mut self, offset_px: f64) {
         self.offset_px.fill(offset_px);

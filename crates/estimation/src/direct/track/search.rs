@@ -5,11 +5,12 @@ use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Camera, Pose, StereoRig, so3};
 
-use super::images::{EyeImages, LEVELS};
+use super::images::{EyeImages, LEVELS, Texel};
 use super::kernels::{SurfaceGroup, ViewGroup, texel_at};
 use super::relief::Correlation;
 use super::view::View;
-use crate::wide::LANES;
+use crate::cpu::Kernels;
+use crate::wide::{LANES, wide};
 
 /// Points of a template, at most.
 const POINTS_MAX: usize = 64;
@@ -35,21 +36,23 @@ pub(super) struct Place {
 #[derive(Clone, Copy, Debug, Default)]
 struct TemplatePoint {
     offset_px: [i32; 2],
-    value: [f32; 3],
+    value: Texel,
 }
 
 /// Buffers of the search.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Searcher {
+    kernels: Kernels,
     template: Vec<TemplatePoint>,
     scores: Vec<f32>,
 }
 
 impl Searcher {
     /// Room for images of this size.
-    pub(super) fn new(width: u32, height: u32) -> Self {
+    pub(super) fn new(width: u32, height: u32, kernels: Kernels) -> Self {
         let side = 1_usize << (LEVELS - 1);
         Self {
+            kernels,
             template: Vec::with_capacity(POINTS_MAX),
             scores: Vec::with_capacity((width as usize / side + 1) * (height as usize / side + 1)),
         }
@@ -71,10 +74,8 @@ impl Searcher {
         let (width, height) = (plane.width, plane.height);
         self.scores.clear();
         self.scores.resize(width * height, -1.0);
-        for y in 0..height {
-            for x in 0..width {
-                self.scores[y * width + x] = score(&self.template, &plane.texels, (width, height), (x, y));
-            }
+        for (y, scores) in self.scores.chunks_exact_mut(width.max(1)).enumerate() {
+            score_row(self.kernels, &self.template, &plane.texels, (width, height), y, scores);
         }
         let mut places = [None; PLACES];
         for place in &mut places {
@@ -129,7 +130,8 @@ impl Searcher {
                     continue;
                 }
                 let offset = [pinhole.fx * point.x / point.z / side, pinhole.fy * point.y / point.z / side];
-                let value = view.value.map(|v| v.0[i]);
+                let [y, a, b] = view.value.map(|v| v.0[i]);
+                let value = [y, a, b, 0.0];
                 if self.template.len() < POINTS_MAX {
                     self.template.push(TemplatePoint { offset_px: offset.map(|x| x.round() as i32), value });
                 }
@@ -146,40 +148,47 @@ fn moved_to_ray(hypothesis: &Pose<CamLeft, Model>, ray: &Vector3<f64>) -> Pose<C
     Pose::from_parts(ray * from.z, turn * hypothesis.rotation())
 }
 
-/// Correlation of the template at a pixel, over all channels.
-fn score(
+wide! {
+    /// Correlation of the template at the pixels of a row, over all channels.
+    fn score_row(template: &[TemplatePoint], texels: &[Texel], size: (usize, usize), y: usize, scores: &mut [f32]) = score_row_kernel;
+}
+
+#[inline(always)]
+fn score_row_kernel(
     template: &[TemplatePoint],
-    texels: &[[f32; 4]],
+    texels: &[Texel],
     (width, height): (usize, usize),
-    (x, y): (usize, usize),
-) -> f32 {
-    let (mut count, mut sums) = (0.0_f32, [[0.0_f32; 5]; 3]);
-    for point in template {
-        let (column, row) = (x as i32 + point.offset_px[0], y as i32 + point.offset_px[1]);
-        if column < 0 || row < 0 || column >= width as i32 || row >= height as i32 {
-            continue;
+    y: usize,
+    scores: &mut [f32],
+) {
+    for (x, score) in scores.iter_mut().enumerate() {
+        let mut count = 0.0_f32;
+        let mut sums = [[0.0_f32; 4]; 5];
+        for point in template {
+            let (column, row) = (x as i32 + point.offset_px[0], y as i32 + point.offset_px[1]);
+            if column < 0 || row < 0 || column >= width as i32 || row >= height as i32 {
+                continue;
+            }
+            let (a, b) = (&point.value, &texels[row as usize * width + column as usize]);
+            count += 1.0;
+            for c in 0..4 {
+                sums[0][c] += a[c];
+                sums[1][c] += b[c];
+                sums[2][c] += a[c] * a[c];
+                sums[3][c] += b[c] * b[c];
+                sums[4][c] += a[c] * b[c];
+            }
         }
-        let texel = &texels[row as usize * width + column as usize];
-        count += 1.0;
+        // The fourth lane counts saturated pixels.
+        let (mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0);
         for c in 0..3 {
-            let (a, b) = (point.value[c], texel[c]);
-            sums[c][0] += a;
-            sums[c][1] += b;
-            sums[c][2] += a * a;
-            sums[c][3] += b * b;
-            sums[c][4] += a * b;
+            aa += sums[2][c] - sums[0][c] * sums[0][c] / count;
+            bb += sums[3][c] - sums[1][c] * sums[1][c] / count;
+            ab += sums[4][c] - sums[0][c] * sums[1][c] / count;
         }
+        let is_visible = count >= template.len() as f32 * VISIBLE_MIN as f32;
+        *score = if is_visible && aa > 1.0 && bb > 1.0 { ab / (aa * bb).sqrt() } else { -1.0 };
     }
-    if count < template.len() as f32 * VISIBLE_MIN as f32 {
-        return -1.0;
-    }
-    let (mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0);
-    for [a, b, a2, b2, product] in sums {
-        aa += a2 - a * a / count;
-        bb += b2 - b * b / count;
-        ab += product - a * b / count;
-    }
-    if aa > 1.0 && bb > 1.0 { ab / (aa * bb).sqrt() } else { -1.0 }
 }
 
 /// A pose moved along its ray to the distance at which the right image fits the view best.

@@ -21,6 +21,8 @@ const ROUNDS: usize = 5;
 pub(super) fn find(aligner: &mut Aligner, problem: &mut Problem<'_>, estimate: &mut Estimate, sigma_px: f64) {
     if sigma_px > 0.0 {
         choose(aligner, problem, estimate, sigma_px);
+    } else {
+        problem.surface.relief.hold_flat();
     }
     for _ in 0..ROUNDS {
         let Some(aligned) =

@@ -6,6 +6,7 @@ use pb3dp_geometry::{Camera, Pose, StereoRig};
 
 use super::align::{Aligned, Aligner, Estimate, Knowledge, Problem, StartLevel};
 use super::config::DirectTrackerConfig;
+use super::export::SurfacePoint;
 use super::images::{EyeImages, LEVELS};
 use super::judge::{Fit, Limits, Misfit};
 use super::kernels::{CHANNELS, ROW, SHAPE, TERMS};
@@ -17,6 +18,7 @@ use super::surface::Surface;
 use super::view::View;
 use crate::cpu::Kernels;
 use crate::direct::image_plane::PixelWindow;
+use crate::wide::LANES;
 
 /// Share of a frame's information about the surface that is taken over: frames share the noise of the kept view.
 const SURFACE_SHARE: f64 = 0.1;
@@ -35,8 +37,11 @@ const VISIBLE_MIN: f64 = 0.35;
 const WELL_CORRELATED: f64 = 0.96;
 const WELL_FITTING: f64 = 0.88;
 /// Templates per frame while the target is lost, and places that are looked into.
-const TEMPLATES_PER_FRAME: usize = 5;
-const CANDIDATES: usize = 3;
+const TEMPLATES_PER_FRAME: usize = 7;
+const CANDIDATES: usize = 4;
+/// Steps per level of a first look into a place, and the correlation that it must reach.
+const ROUGH_STEPS: usize = 6;
+const ROUGH_RESEMBLANCE_MIN: f64 = 0.5;
 /// A target that is found again must fit by this much better than one that was never lost.
 const FOUND_AGAIN_STRICTER: f64 = 1.25;
 /// Range of the shading's standard deviation, grey levels.
@@ -101,7 +106,7 @@ impl Target {
             spare_views: vec![blank; frame.config.views_max],
             view: 0,
             aligner,
-            searcher: Searcher::new(size.width, size.height),
+            searcher: Searcher::new(size.width, size.height, kernels),
             estimate: Estimate::at(pose),
             knowledge: Knowledge {
                 row_offset_px: 0.0,
@@ -133,6 +138,15 @@ impl Target {
             self.learn(&equations, Free::Surface, &Vector3::zeros());
             self.judge();
         }
+    }
+
+    /// The points of the surface, as the first view showed them.
+    pub(super) fn surface_points(&self) -> Vec<SurfacePoint> {
+        let (groups, view) = (&self.surface.levels[0].groups, &self.views[0].levels[0]);
+        let lanes = groups.iter().zip(view).flat_map(|(group, view)| {
+            (0..LANES).filter(|&i| group.mask.0[i] > 0.0).map(move |i| SurfacePoint::of(group, view, i))
+        });
+        lanes.collect()
     }
 
     /// Aligns from a predicted pose, and judges.
@@ -344,7 +358,9 @@ impl Target {
             };
             let Some(start) = start else { continue };
             self.view = self.nearest_view(&start, frame.config).0;
-            if self.attempt(&start, StartLevel::Resembling, Free::Motion, frame, may_continue).is_some() {
+            let Some(rough) = self.rough(&start, frame, may_continue) else { continue };
+            self.estimate = before;
+            if self.attempt(&rough, StartLevel::Resembling, Free::Motion, frame, may_continue).is_some() {
                 match self.fit.misfit(&self.limits(frame.config)) {
                     None => return Ending::Found,
                     Some(misfit) => ending = Ending::Misfit(misfit),
@@ -353,6 +369,21 @@ impl Target {
         }
         self.estimate = before;
         ending
+    }
+
+    /// A few steps at coarse levels: a place that then does not resemble the target is not worth more.
+    fn rough(
+        &mut self,
+        start: &Pose<CamLeft, Model>,
+        frame: &Frame<'_>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Option<Pose<CamLeft, Model>> {
+        self.estimate.cam_left_from_model = *start;
+        let (mut problem, aligner, estimate) = self.problem(frame);
+        let how = (StartLevel::Coarsest, Free::Motion, ROUGH_STEPS);
+        aligner.align(&mut problem, estimate, 1..=LEVELS - 1, how, may_continue)?;
+        aligner.look(&problem, estimate, 1, &estimate.photometry())?;
+        (aligner.resemblance(&problem, 1) >= ROUGH_RESEMBLANCE_MIN).then_some(estimate.cam_left_from_model)
     }
 
     fn with_depth(&self, pose: &Pose<CamLeft, Model>, frame: &Frame<'_>) -> Option<Pose<CamLeft, Model>> {

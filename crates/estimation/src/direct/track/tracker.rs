@@ -8,6 +8,7 @@ use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
 
 use super::config::DirectTrackerConfig;
+use super::export::SurfacePoint;
 use super::images::EyeImages;
 use super::judge::Fit;
 use super::predict::FramePrior;
@@ -276,6 +277,12 @@ impl DirectTracker {
     /// How well the kept view fits the last frame; `None` before a start.
     pub fn fit(&self) -> Option<&Fit> {
         self.target.as_ref().map(|target| &target.fit)
+    }
+
+    /// The target's surface as far as it is known: its points with normals and the colours of the first frame, in `model`.
+    /// Empty before a start.
+    pub fn surface(&self) -> Vec<SurfacePoint> {
+        self.target.as_ref().map_or_else(Vec::new, Target::surface_points)
     }
 
     /// How many views are kept.
