@@ -41,7 +41,12 @@ impl Default for ColdStartConfig {
             patch_area_px: 24_000,
             search: PlaneSearchConfig::default(),
             patches: PatchConfig::default(),
-            refine: RefineConfig { levels_max: 1, erosion_max_px: 2.0, ..RefineConfig::default() },
+            refine: RefineConfig {
+                levels_max: 1,
+                erosion_max_px: 2.0,
+                erosion_share_max: 0.12,
+                ..RefineConfig::default()
+            },
         }
     }
 }

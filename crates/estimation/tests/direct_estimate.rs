@@ -1,0 +1,94 @@
+//! The direct method on single pairs: rendered discs of known depth and tilt, and what must not be answered.
+
+#[path = "support/scene.rs"]
+mod scene;
+
+use image::RgbImage;
+use nalgebra::Vector2;
+use pb3dp_estimation::direct::estimator::{DirectConfig, DirectEstimator};
+use pb3dp_estimation::estimate::PlaneEstimate;
+use pb3dp_estimation::plane_hypothesis::{PlaneHypothesis, SearchRange};
+use pb3dp_estimation::region::{Region, RegionMask};
+use pb3dp_estimation::status::Status;
+use pb3dp_geometry::{ImageSize, StereoRig};
+use scene::Scene;
+
+const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
+
+fn range() -> SearchRange {
+    SearchRange::new(0.35, 0.8, 60f64.to_radians()).unwrap()
+}
+
+fn region_of(mask: &RegionMask) -> Region {
+    let mut image = image::GrayImage::new(SIZE.width, SIZE.height);
+    mask.for_each(|x, y| image.put_pixel(x, y, image::Luma([255])));
+    Region::Mask(image)
+}
+
+fn estimate(rig: &StereoRig, left: &RgbImage, right: &RgbImage, region: &Region) -> PlaneEstimate {
+    let mut estimator = DirectEstimator::new(rig, DirectConfig::default()).unwrap();
+    estimator.estimate(left, right, region, &range()).unwrap()
+}
+
+fn check(rig: &StereoRig, scene: &Scene) {
+    let (left, right) = scene.render(rig);
+    let mask = RegionMask::from_fn(SIZE, |u, v| scene.sees_disc(rig, u, v));
+    let found = estimate(rig, &left, &right, &region_of(&mask));
+    assert_eq!(found.status, Status::Ok, "{}", found.reason);
+    let truth = PlaneHypothesis { z_m: scene.z_m, theta_x_rad: scene.theta_x_rad, theta_y_rad: scene.theta_y_rad };
+    let centre_ray = rig.left().unproject(&scene.centre_px).unwrap();
+    let z_m = found.pose.unwrap().depth_on_ray(&centre_ray).unwrap();
+    assert!((z_m - scene.z_m).abs() < 0.5e-3, "{z_m} for {}", scene.z_m);
+    let turn_deg = found.normal_in_cam_left().unwrap().angle(&-truth.normal()).to_degrees();
+    assert!(turn_deg < 0.8, "{turn_deg} degrees off");
+    let covariance = found.plane_covariance.unwrap();
+    assert!((covariance[(0, 0)].sqrt() - found.z_sigma_m.unwrap()).abs() < 1e-9 && covariance.determinant() > 0.0);
+}
+
+#[test]
+fn discs_are_found_where_they_are() {
+    let centre_px = Vector2::new(352.0, 236.0);
+    for (z_m, theta_x_rad, theta_y_rad) in [(0.5, 0.2, -0.3), (0.42, -0.35, 0.1), (0.65, 0.05, 0.45)] {
+        let scene = Scene { centre_px, z_m, theta_x_rad, theta_y_rad, noise: 3.0 };
+        check(&scene::rectified_rig(SIZE), &scene);
+    }
+}
+
+#[test]
+fn cameras_that_are_not_rectified_serve_as_well() {
+    let scene =
+        Scene { centre_px: Vector2::new(340.0, 250.0), z_m: 0.52, theta_x_rad: -0.15, theta_y_rad: 0.25, noise: 3.0 };
+    check(&scene::general_rig(SIZE), &scene);
+}
+
+#[test]
+fn blank_walls_and_noise_are_refused_with_a_reason() {
+    let rig = scene::rectified_rig(SIZE);
+    let region = Region::Rectangle { x: 250, y: 180, width: 120, height: 100 };
+    let mut state = 1_u32;
+    let mut noise = |amplitude: u32| {
+        RgbImage::from_fn(SIZE.width, SIZE.height, |_, _| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            image::Rgb([(120 + (state >> 16) % (2 * amplitude + 1)) as u8; 3])
+        })
+    };
+    for amplitude in [0, 2, 20] {
+        let found = estimate(&rig, &noise(amplitude), &noise(amplitude), &region);
+        assert_eq!((found.status, found.pose), (Status::NotObservable, None), "{amplitude}: {}", found.reason);
+        assert!(!found.reason.is_empty());
+    }
+}
+
+#[test]
+fn the_same_pair_gives_the_same_answer_after_another() {
+    let rig = scene::rectified_rig(SIZE);
+    let scene =
+        Scene { centre_px: Vector2::new(352.0, 236.0), z_m: 0.5, theta_x_rad: 0.2, theta_y_rad: -0.3, noise: 3.0 };
+    let (left, right) = scene.render(&rig);
+    let mut estimator = DirectEstimator::new(&rig, DirectConfig::default()).unwrap();
+    let region = Region::Rectangle { x: 300, y: 190, width: 100, height: 90 };
+    let other = Region::Rectangle { x: 100, y: 60, width: 400, height: 330 };
+    let first = estimator.estimate(&left, &right, &region, &range()).unwrap();
+    estimator.estimate(&left, &right, &other, &range()).unwrap();
+    assert_eq!(estimator.estimate(&left, &right, &region, &range()).unwrap(), first);
+}
