@@ -178,6 +178,7 @@ fn corrected(plane: &LevelPlane, correction: Option<[f64; 3]>) -> LevelPlane {
 }
 
 /// Columns of the right image at the places of one row, cubic; the border is repeated.
+#[allow(clippy::too_many_arguments, reason = "a kernel takes its buffers and settings one by one")]
 fn warp_row(
     right: &ColourPlanes,
     area: &LevelBox,

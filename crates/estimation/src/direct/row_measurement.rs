@@ -202,7 +202,7 @@ fn refine(left: &ImagePlane, right: &ImagePlane, at: (i64, i64), place: (i64, i6
         }
         let update = h.cholesky()?.solve(&g);
         shift += update;
-        if !(shift.norm() <= 1.5) || (step + 1 == STEPS && update.norm() > 0.05) {
+        if shift.norm().is_nan() || shift.norm() > 1.5 || (step + 1 == STEPS && update.norm() > 0.05) {
             return None;
         }
     }

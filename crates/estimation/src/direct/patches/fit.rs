@@ -30,7 +30,7 @@ impl PatchVotes {
 
     /// Fills the last group with votes that do not count.
     fn pad(&mut self) {
-        while self.x.len() % LANES != 0 {
+        while !self.x.len().is_multiple_of(LANES) {
             self.push(0.0, 0.0, 0.0, 0.0);
         }
     }

@@ -245,8 +245,8 @@ fn pick_kernel(
         }
         let best = places.iter().fold(u16::MAX, |a, &b| a.min(b)) as usize;
         let mut rivals: u32 = below.iter().map(|&count| u32::from(count)).sum();
-        for near in best.saturating_sub(1)..(best + 2).min(stride) {
-            rivals -= u32::from(sums[near] < limit);
+        for &near in &sums[best.saturating_sub(1)..(best + 2).min(stride)] {
+            rivals -= u32::from(near < limit);
         }
         let seen = &mut seen_from_right[x + stride - 1 - best];
         if lowest < seen.0 {
