@@ -181,3 +181,21 @@ fn a_deadline_gives_the_best_answer_so_far() {
         assert!(distance_mm < 2.0, "{distance_mm} mm");
     }
 }
+
+/// Nothing but noise: the start says so, and what follows is neither an error nor a pose.
+#[test]
+fn a_blank_wall_is_no_target() {
+    let rig = rectified_rig();
+    let mut tracker = DirectTracker::new(&rig, DirectConfig::default()).expect("tracker");
+    let blank = |seed: u32| {
+        image::RgbImage::from_fn(moving_plane::SIZE.width, moving_plane::SIZE.height, |x, y| {
+            image::Rgb([0, 1, 2].map(|c| (120.0 + 2.0 * moving_plane::noise(x, y, 3 * seed + c)).round() as u8))
+        })
+    };
+    let region = region(&rig, &moving(0.0));
+    let range = SearchRange::new(0.35, 0.7, 0.7).expect("range");
+    let estimate = tracker.start(&blank(1), &blank(2), &region, &range).expect("start");
+    assert!(!estimate.status.depth_is_sure() && estimate.cam_left_from_model.is_none(), "{}", estimate.reason);
+    let next = tracker.update(&blank(3), &blank(4), &FramePrior::default()).expect("update");
+    assert!(next.status == Status::NotObservable && next.cam_left_from_model.is_none() && !next.reason.is_empty());
+}

@@ -93,7 +93,7 @@ fn picture(camera: &Camera, cam_from_left: &Isometry3<f64>, shot: &Shot, gain: f
 }
 
 /// About normal, unit variance.
-fn noise(x: u32, y: u32, stream: u32) -> f64 {
+pub fn noise(x: u32, y: u32, stream: u32) -> f64 {
     let mut h = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77) ^ stream.wrapping_mul(0xC2B2_AE3D);
     h ^= h >> 15;
     h = h.wrapping_mul(0x2C1B_3C6D);

@@ -9,6 +9,10 @@ use crate::wide::LANES;
 /// A point fits if its robust weight reaches this.
 const FITS_FROM: f32 = 0.3;
 
+/// Shares that plane and relief must reach in the first pair where no plane was found by itself.
+const SURFACE_INLIERS_MIN: f64 = 0.7;
+const SURFACE_CORRELATION_MIN: f64 = 0.85;
+
 /// How well a kept view fits both images.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Fit {
@@ -111,6 +115,11 @@ impl Fit {
             }
         }
         short(INLIERS[2], self.inlier_share[2], limits.inlier_share_min)
+    }
+
+    /// Whether the first pair shows one surface beyond doubt: to be asked where no plane was found.
+    pub(super) fn is_a_surface(&self) -> bool {
+        self.inlier_share[1] >= SURFACE_INLIERS_MIN && self.correlation[1] >= SURFACE_CORRELATION_MIN
     }
 
     /// One number for comparing fits of the same surface.

@@ -6,7 +6,7 @@ use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Camera, Pose, StereoRig, so3};
 
 use super::images::{EyeImages, LEVELS, Texel};
-use super::kernels::{SurfaceGroup, ViewGroup, texel_at};
+use super::kernels::{CHANNELS, SurfaceGroup, ViewGroup, texel_at};
 use super::relief::Correlation;
 use super::view::View;
 use crate::cpu::Kernels;
@@ -181,10 +181,11 @@ fn score_row_kernel(
         }
         // The fourth lane counts saturated pixels.
         let (mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0);
-        for c in 0..3 {
-            aa += sums[2][c] - sums[0][c] * sums[0][c] / count;
-            bb += sums[3][c] - sums[1][c] * sums[1][c] / count;
-            ab += sums[4][c] - sums[0][c] * sums[1][c] / count;
+        let [a, b, a2, b2, product] = &sums;
+        for c in 0..CHANNELS {
+            aa += a2[c] - a[c] * a[c] / count;
+            bb += b2[c] - b[c] * b[c] / count;
+            ab += product[c] - a[c] * b[c] / count;
         }
         let is_visible = count >= template.len() as f32 * VISIBLE_MIN as f32;
         *score = if is_visible && aa > 1.0 && bb > 1.0 { ab / (aa * bb).sqrt() } else { -1.0 };

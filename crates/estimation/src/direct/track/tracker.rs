@@ -18,10 +18,10 @@ use crate::cpu::Kernels;
 use crate::direct::estimator::{DirectConfig, DirectEstimator};
 use crate::direct::image_plane::PixelWindow;
 use crate::error::EstimationError;
-use crate::estimate::{EstimateWarning, PlanePose};
+use crate::estimate::{EstimateWarning, PlaneEstimate, PlanePose};
 use crate::plane_hypothesis::SearchRange;
 use crate::published::TrackEstimate;
-use crate::region::{Region, RegionConfig, RegionMask};
+use crate::region::{Region, RegionConfig, RegionMask, RegionWarning};
 use crate::status::Status;
 
 /// Margins of the windows about the predicted target, pixels: with a velocity known, and without.
@@ -56,6 +56,7 @@ pub struct DirectTracker {
     region_config: RegionConfig,
     images: [EyeImages; 2],
     target: Option<Target>,
+    was_started: bool,
 }
 
 impl DirectTracker {
@@ -79,7 +80,16 @@ impl DirectTracker {
         for (images, camera) in images.iter_mut().zip([rig.left(), rig.right()]) {
             images.reserve(camera.size().width as usize, camera.size().height as usize);
         }
-        Ok(Self { rig: *rig, config: track, kernels, estimator, region_config, images, target: None })
+        Ok(Self {
+            rig: *rig,
+            config: track,
+            kernels,
+            estimator,
+            region_config,
+            images,
+            target: None,
+            was_started: false,
+        })
     }
 
     /// The parameters.
@@ -89,7 +99,8 @@ impl DirectTracker {
 
     /// Takes a new target: cold start in the first pair of raw images, the region given in the left one.
     ///
-    /// If the plane is not observable there is no target, and the status says so.
+    /// If the plane is not observable there is no target, and the status says so; unless what kept it from being one is a
+    /// relief, and plane and relief together explain both images.
     ///
     /// # Errors
     /// Images that do not fit the calibration, a region that can not serve, a bad range.
@@ -101,22 +112,32 @@ impl DirectTracker {
         range: &SearchRange,
     ) -> Result<TrackEstimate, EstimationError> {
         self.target = None;
+        self.was_started = true;
         let found = self.estimator.estimate(left, right, region, range)?;
-        let warnings = found
-            .warnings
-            .iter()
-            .filter_map(|warning| match warning {
-                EstimateWarning::Region(warning) => Some(warning.clone()),
-                _ => None,
-            })
-            .collect();
-        let Some(plane) = found.pose.filter(|_| found.status.depth_is_sure()) else {
-            return Ok(TrackEstimate { status: found.status, reason: found.reason, warnings, ..blank() });
+        let refused = TrackEstimate {
+            status: found.status,
+            reason: found.reason.clone(),
+            warnings: warnings_of(&found),
+            ..blank()
         };
+        let sure = found.pose.filter(|_| found.status.depth_is_sure());
+        let Some(plane) = sure.or_else(|| self.unsure_plane(&found)) else { return Ok(refused) };
         let estimate = self.start_from_plane(left, right, region, &plane)?;
+        if sure.is_none() {
+            let is_solid = estimate.status == Status::Ok && self.fit().is_some_and(Fit::is_a_surface);
+            self.target = self.target.take().filter(|_| is_solid);
+            return Ok(if is_solid { TrackEstimate { warnings: refused.warnings, ..estimate } } else { refused });
+        }
         let is_worse = estimate.status == Status::Ok && found.status != Status::Ok;
         let (status, reason) = if is_worse { (found.status, found.reason) } else { (estimate.status, estimate.reason) };
-        Ok(TrackEstimate { status, reason, warnings, ..estimate })
+        Ok(TrackEstimate { status, reason, warnings: refused.warnings, ..estimate })
+    }
+
+    /// The plane of a region that is not one plane: a start for its relief, which then decides.
+    fn unsure_plane(&self, found: &PlaneEstimate) -> Option<PlanePose> {
+        let psi = found.psi.filter(|_| found.status == Status::NotObservable)?;
+        let ray = self.rig.left().unproject(&found.centroid_px).ok()?;
+        PlanePose::from_inverse_depth_plane(psi.inverse_depth_plane(&ray)?, &ray)
     }
 
     /// As [`Self::start`], where the plane of the region is known to a few pixels of disparity.
@@ -131,6 +152,7 @@ impl DirectTracker {
         plane: &PlanePose,
     ) -> Result<TrackEstimate, EstimationError> {
         self.target = None;
+        self.was_started = true;
         check_sizes(&self.rig, left, right)?;
         let mask = region.rasterize(left, &self.region_config)?;
         let outline_px = region.outline_px(&mask);
@@ -178,7 +200,8 @@ impl DirectTracker {
     /// Follows the target into the next pair of raw images.
     ///
     /// # Errors
-    /// Images that do not fit the calibration, or no [`Self::start`] before. A lost target is not an error but a status.
+    /// Images that do not fit the calibration, or no [`Self::start`] before. A lost target is not an error but a status, and
+    /// so is a target that the start did not find: `not-observable` until the next start.
     pub fn update(
         &mut self,
         left: &RgbImage,
@@ -205,7 +228,15 @@ impl DirectTracker {
         estimate: &mut TrackEstimate,
     ) -> Result<(), EstimationError> {
         check_sizes(&self.rig, left, right)?;
-        let mut target = self.target.take().ok_or(EstimationError::NotStarted)?;
+        let Some(mut target) = self.target.take() else {
+            if !self.was_started {
+                return Err(EstimationError::NotStarted);
+            }
+            self.report(Ending::OutOfSight, estimate);
+            estimate.status = Status::NotObservable;
+            estimate.reason.push_str("the start found no target to follow: mark it again");
+            return Ok(());
+        };
         let ending = self.follow(&mut target, left, right, prior, may_continue);
         self.target = Some(target);
         self.report(ending, estimate);
@@ -347,6 +378,14 @@ fn check_sizes(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Result<(),
         }
     }
     Ok(())
+}
+
+fn warnings_of(found: &PlaneEstimate) -> Vec<RegionWarning> {
+    let of_region = |warning: &EstimateWarning| match warning {
+        EstimateWarning::Region(warning) => Some(warning.clone()),
+        _ => None,
+    };
+    found.warnings.iter().filter_map(of_region).collect()
 }
 
 fn blank() -> TrackEstimate {
