@@ -226,6 +226,9 @@ struct Look {
 #[inline(always)]
 fn correlate_kernel(points: &PointBlocks, block: usize, right: &[&[f32]; CHANNELS], look: &Look) -> f32 {
     let own = points.blocks[block];
+    if look.width < 2 {
+        return 0.0;
+    }
     let first = block.checked_sub(1).map_or(0, |before| points.blocks[before].end);
     let mut seen = [0.0_f32; LANES];
     let mut sums = [[[0.0_f32; LANES]; 5]; CHANNELS];
@@ -240,7 +243,7 @@ fn correlate_kernel(points: &PointBlocks, block: usize, right: &[&[f32]; CHANNEL
             let column = column.max(0.0).min(last - 1.0);
             let whole = column as i32;
             t[i] = column - whole as f32;
-            at[i] = rows[i] + whole as u32;
+            at[i] = rows[i].wrapping_add(whole as u32);
             seen[i] += w[i];
         }
         for c in 0..CHANNELS {

@@ -5,7 +5,7 @@
 use image::{Rgb, RgbImage};
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use pb3dp_estimation::estimate::PlaneEstimate;
-use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method, Tracker};
+use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, FramePrior, Method, Tracker};
 use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_estimation::published::TrackEstimate;
 use pb3dp_estimation::region::Region;
@@ -210,7 +210,7 @@ fn track(method: Method, abuse: &Abuse) {
     for (index, (left, right)) in abuse.pairs.iter().enumerate() {
         let outcome = match index {
             0 => tracker.start(left, right, &abuse.region, &abuse.range),
-            _ => tracker.update(left, right, abuse.motion.as_ref()),
+            _ => tracker.update(left, right, &FramePrior::of_motion(abuse.motion.as_ref())),
         };
         match outcome {
             Ok(estimate) => check_track(method, &estimate),
