@@ -36,7 +36,35 @@ fn every_configuration_is_accepted_by_its_reader() {
 fn the_estimator_file_and_the_setup_hold_the_documented_defaults() {
     let defaults = pb3dp_estimation::estimator::EstimatorConfig::default();
     assert_eq!(read_estimator(&repository().join("configs/estimator.toml")).unwrap(), defaults);
-    let mut of_setup = read_setup(&repository().join("configs/sim.toml")).unwrap();
-    of_setup.estimator.published.rmga.seed = defaults.published.rmga.seed;
-    assert_eq!(of_setup.estimator, defaults);
+    for file in ["sim.toml", "sim_published.toml"] {
+        let mut of_setup = read_setup(&repository().join("configs").join(file)).unwrap();
+        of_setup.estimator.published.rmga.seed = defaults.published.rmga.seed;
+        assert_eq!(of_setup.estimator, defaults, "{file}");
+    }
+}
+
+/// The two setups are the same cell and the same experiment, so that their figures can be compared.
+#[test]
+fn the_setups_differ_in_who_leads_and_in_what_his_jitter_needs() {
+    let values = |file: &str| -> Vec<String> {
+        let text = std::fs::read_to_string(repository().join("configs").join(file)).unwrap();
+        let value = |line: &str| line.split('#').next().unwrap_or_default().trim().to_owned();
+        text.lines().map(value).filter(|line| !line.is_empty()).collect()
+    };
+    let (direct, published) = (values("sim.toml"), values("sim_published.toml"));
+    assert_eq!(direct.len(), published.len());
+    let other: Vec<&str> = direct.iter().zip(&published).filter(|(a, b)| a != b).map(|(a, _)| key(a)).collect();
+    let expected = [
+        "method",
+        "compare",
+        "position_per_s",
+        "orientation_per_s",
+        "position_time_constant_s",
+        "orientation_time_constant_s",
+    ];
+    assert_eq!(other, expected);
+}
+
+fn key(line: &str) -> &str {
+    line.split(" = ").next().unwrap_or_default()
 }

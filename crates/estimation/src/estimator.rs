@@ -15,7 +15,7 @@ use crate::region::Region;
 use crate::rmga_photometric::RmgaPhotometricConfig;
 
 pub use crate::direct::row_measurement::RowMeasurement;
-pub use crate::direct::track::{DirectTracker, FramePrior};
+pub use crate::direct::track::{DirectTracker, FramePrior, SurfacePoint};
 pub use crate::published::{PublishedEstimator, PublishedTracker};
 pub use crate::rmga_photometric::RmgaPhotometricEstimator;
 
@@ -41,6 +41,11 @@ impl Method {
             Self::RmgaPhotometric => "rmga-photometric",
             Self::Direct => "direct",
         }
+    }
+
+    /// Whether its tracker recovers the surface of the target: [`Tracker::surface`].
+    pub fn recovers_surface(self) -> bool {
+        self == Self::Direct
     }
 
     /// The method of a name.
@@ -199,6 +204,24 @@ impl Tracker {
         match self {
             Self::Published(tracker) => tracker.start(left, right, region, range),
             Self::Direct(tracker) => tracker.start(left, right, region, range),
+        }
+    }
+
+    /// Whether the last [`Self::start`] took no target, so that the region has to be given again. Never of the published
+    /// method, which tries its region again by itself.
+    pub fn wants_region(&self) -> bool {
+        match self {
+            Self::Published(_) => false,
+            Self::Direct(tracker) => tracker.fit().is_none(),
+        }
+    }
+
+    /// The target's surface in `model`, as far as it is known; empty before a target was found, and for a method that does
+    /// not recover it.
+    pub fn surface(&self) -> Vec<SurfacePoint> {
+        match self {
+            Self::Published(_) => Vec::new(),
+            Self::Direct(tracker) => tracker.surface(),
         }
     }
 

@@ -55,14 +55,14 @@ impl Follower {
             self.marked = Some((region.clone(), 1));
             return Ok(estimate);
         };
-        match self.tracker.update(left, right, prior) {
-            Err(EstimationError::NotStarted) if *tries < TRIES_MAX => {
-                *tries += 1;
-                self.tracker.start(left, right, region, &self.range)
-            }
-            Err(EstimationError::NotStarted) => Ok(given_up()),
-            outcome => outcome,
+        if !self.tracker.wants_region() {
+            return self.tracker.update(left, right, prior);
         }
+        if *tries == TRIES_MAX {
+            return Ok(given_up());
+        }
+        *tries += 1;
+        self.tracker.start(left, right, region, &self.range)
     }
 }
 

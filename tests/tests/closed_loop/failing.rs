@@ -1,5 +1,6 @@
 //! What is left when a part fails in the middle of a run: arms at rest, and the recording so far.
 
+use pb3dp_estimation::estimator::Method;
 use pb3dp_orchestrator::run::lockstep;
 use pb3dp_orchestrator::wiring::wire;
 use pb3dp_record::dataset::load_sequence;
@@ -10,7 +11,7 @@ use crate::watched::watched;
 
 /// Runs until one arm fails in the middle of the target's first move.
 fn check(which: &str) {
-    let setup = quick_setup(Pixels::Few, &[Channel::X]);
+    let setup = quick_setup(Method::Direct, Pixels::Few, &[Channel::X]);
     let (parts, vs, tc) = watched(wire(&setup).unwrap());
     let (cell, clock) = (parts.cell.clone(), parts.clock.clone());
     let failing = if which == "vs-robot" { &vs } else { &tc };

@@ -2,6 +2,7 @@
 //! experiment that the limits do not allow is refused.
 
 use nalgebra::{Matrix6, SMatrix, Vector6};
+use pb3dp_estimation::estimator::Method;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Flange, Target, World};
 use pb3dp_kinematics::{Chain, DOF, JointVector};
@@ -21,7 +22,7 @@ fn experiment(setup: &Setup) -> StepExperiment {
 
 #[test]
 fn both_arms_stay_away_from_singular_poses_along_the_whole_experiment() {
-    let setup = whole_setup();
+    let setup = whole_setup(Method::Direct);
     let experiment = experiment(&setup);
     assert_eq!((experiment.marks().len(), &setup.experiment.channels[..]), (12, &Channel::ALL[..]));
     for (name, report) in check_paths(&setup, &experiment).unwrap() {
@@ -115,7 +116,7 @@ fn jacobian(chain: &Chain, position_rad: &JointVector) -> SMatrix<f64, 6, DOF> {
 
 #[test]
 fn the_rigs_default_speed_is_refused_for_this_experiment_by_how_much() {
-    let mut setup = whole_setup();
+    let mut setup = whole_setup(Method::Direct);
     setup.vs.limiter.speed_scale = 0.10;
     setup.tc.limiter.speed_scale = 0.10;
     let Err(error) = wire(&setup) else { panic!("at a tenth of the speeds the arms can not follow") };
@@ -130,7 +131,7 @@ fn the_rigs_default_speed_is_refused_for_this_experiment_by_how_much() {
 
 #[test]
 fn the_zero_pose_does_not_serve() {
-    let mut setup = whole_setup();
+    let mut setup = whole_setup(Method::Direct);
     setup.vs.start_rad = JointVector::zeros();
     setup.tc.start_rad = JointVector::zeros();
     let Err(error) = wire(&setup) else { panic!("a stretched arm is singular") };

@@ -1,6 +1,7 @@
 //! Setups that are quick to run, and figures of what they leave.
 
 use nalgebra::Vector3;
+use pb3dp_estimation::estimator::Method;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, StereoRig};
 use pb3dp_orchestrator::config::setup::{Setup, read_setup};
 use pb3dp_orchestrator::run::lockstep::{self, Outcome};
@@ -10,9 +11,15 @@ use pb3dp_orchestrator::wiring::wire;
 use pb3dp_sim::trajectory::{Channel, StepExperimentConfig};
 use system_tests::repository;
 
-/// The setup of the repository.
-pub fn whole_setup() -> Setup {
-    read_setup(&repository().join("configs/sim.toml")).unwrap()
+/// The setup of the repository in which a method leads the hand; none looks on.
+pub fn whole_setup(method: Method) -> Setup {
+    let file = match method {
+        Method::Published => "configs/sim_published.toml",
+        _ => "configs/sim.toml",
+    };
+    let setup = read_setup(&repository().join(file)).unwrap();
+    assert_eq!(setup.method, method, "{file}");
+    Setup { compared: Vec::new(), ..setup }
 }
 
 /// How many pixels the cameras of a quick setup have; fewer are quicker and less exact.
@@ -25,8 +32,8 @@ pub enum Pixels {
 }
 
 /// The same with fewer pixels in the same field of view, and moves and rests of one second.
-pub fn quick_setup(pixels: Pixels, channels: &[Channel]) -> Setup {
-    let mut setup = whole_setup();
+pub fn quick_setup(method: Method, pixels: Pixels, channels: &[Channel]) -> Setup {
+    let mut setup = whole_setup(method);
     let share = match pixels {
         Pixels::Few => 0.5,
         Pixels::More => 0.75,

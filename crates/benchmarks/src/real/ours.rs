@@ -12,7 +12,7 @@ use super::score::{Answer, Entry, Maker};
 use crate::common::cpu_time::timed;
 
 /// Runs a method with its default parameters: one estimator, called `repeat` times. The answer is that of the first call,
-/// the time the median of all. A refused case has no answer; the reason goes to standard error.
+/// the time the median of all. What is measured once per rig or scene comes before, with a time of its own. A refused case has no answer; the reason goes to standard error.
 pub fn run(case: &Prepared, method: Method, repeat: u32) -> Entry {
     let mut entry = Entry {
         case: Rc::clone(&case.facts),
@@ -22,6 +22,7 @@ pub fn run(case: &Prepared, method: Method, repeat: u32) -> Entry {
         answer: None,
         ms: None,
         first_ms: None,
+        rows_ms: None,
     };
     if let Err(error) = fill(&mut entry, case, method, repeat) {
         eprintln!("{}: {method}: {error:#}", case.facts.name);
@@ -31,6 +32,8 @@ pub fn run(case: &Prepared, method: Method, repeat: u32) -> Entry {
 
 fn fill(entry: &mut Entry, case: &Prepared, method: Method, repeat: u32) -> anyhow::Result<()> {
     let mut estimator = Estimator::new(method, &case.rig, &EstimatorConfig::default())?;
+    let (prepared, rows_ms) = timed(|| estimator.prepare(&case.pictures.left, &case.pictures.right));
+    entry.rows_ms = prepared?.map(|_| rows_ms);
     let mut estimate_timed =
         || timed(|| estimator.estimate(&case.pictures.left, &case.pictures.right, &case.region, &case.range));
     let (first, first_ms) = estimate_timed();
@@ -76,6 +79,16 @@ mod tests {
     use super::*;
     use crate::real::cases::load;
     use crate::real::score::Grade;
+
+    #[test]
+    fn what_is_measured_once_per_rig_has_a_time_of_its_own() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/cases/bb209_c0");
+        let case = load(&folder).expect("loads").expect("has a truth");
+        let entry = run(&case, Method::Direct, 1);
+        assert_eq!(entry.grade(), Some(Grade::Pass), "{entry:?}");
+        assert!(entry.rows_ms > entry.ms, "a survey of both pictures is longer than an estimate: {entry:?}");
+        assert_eq!(run(&case, Method::Published, 1).rows_ms, None);
+    }
 
     #[test]
     fn a_plane_is_compared_at_the_centroid_of_the_case() {

@@ -2,9 +2,9 @@
 
 use std::fmt::Write as _;
 
-use crate::common::circumstances::Circumstances;
 use super::score::{Entry, Maker};
-use super::table::{HEADINGS, Row, best_peer, groups, times_by_size};
+use super::table::{HEADINGS, Row, best_peer, groups, rows_notes, times_by_size};
+use crate::common::circumstances::Circumstances;
 
 /// What stands above the figures.
 const HEAD: &str = "\
@@ -39,6 +39,11 @@ pub fn markdown(entries: &[Entry], circumstances: &Circumstances, command: &str)
         table(&mut page, rows);
     }
     sizes(&mut page, entries);
+    let notes = rows_notes(entries, |_| true);
+    if !notes.is_empty() {
+        page.push_str("\nApart from these times, over all cases:\n\n");
+        notes.iter().for_each(|note| page.push_str(&format!("* {note}\n")));
+    }
     page
 }
 

@@ -93,6 +93,7 @@ fn entry_of(line: &str, cases: &HashMap<&str, &Rc<CaseFacts>>) -> anyhow::Result
         answer,
         ms: number("ms"),
         first_ms: None,
+        rows_ms: None,
     }))
 }
 

@@ -120,6 +120,9 @@ pub struct Entry {
     pub ms: Option<f64>,
     /// The same of the first call, which may do what is done once per rig.
     pub first_ms: Option<f64>,
+    /// CPU time of what is measured once per rig or scene, and not in `ms`, milliseconds; `None` if the method measures
+    /// nothing.
+    pub rows_ms: Option<f64>,
 }
 
 impl Entry {
@@ -165,6 +168,7 @@ impl Entry {
             "gt_disp_within_1px": answer.and_then(|a| a.map).map(|(_, share)| share),
             "ms": self.ms,
             "first_ms": self.first_ms,
+            "rows_ms": self.rows_ms,
             "z_sigma_mm": 1e3 * case.sigma.z_m,
             "normal_sigma_deg": case.sigma.normal_rad.to_degrees(),
             "own_z_sigma_mm": answer.and_then(|a| a.z_sigma_m).map(|sigma| 1e3 * sigma),
@@ -207,7 +211,7 @@ pub(super) mod tests {
     pub fn entry(case: &Rc<CaseFacts>, method: &str, answer: Option<Answer>) -> Entry {
         let status = Some(if answer.is_some() { "ok" } else { "not-observable" });
         let (case, method) = (Rc::clone(case), method.to_owned());
-        Entry { case, method, maker: Maker::Ours, status, answer, ms: Some(2.0), first_ms: Some(3.0) }
+        Entry { case, method, maker: Maker::Ours, status, answer, ms: Some(2.0), first_ms: Some(3.0), rows_ms: None }
     }
 
     #[track_caller]

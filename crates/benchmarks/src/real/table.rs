@@ -202,9 +202,28 @@ pub fn text(entries: &[Entry]) -> String {
         if let Some(best) = best_peer(&rows) {
             let _ = writeln!(text, "best of the others: {}", best.method);
         }
+        for line in rows_notes(entries, |e| name == "all planar" && e.case.is_planar() || name == group_name(e)) {
+            let _ = writeln!(text, "{line}");
+        }
         text.push('\n');
     }
     text
+}
+
+/// Name of an entry's group.
+fn group_name(entry: &Entry) -> &'static str {
+    GROUPS.iter().find(|(group, _)| *group == entry.case.group).map_or("", |(_, name)| *name)
+}
+
+/// What the methods that measure something once per rig or scene take for it, a line for each: that time is in no other.
+pub fn rows_notes(entries: &[Entry], belongs: impl Fn(&Entry) -> bool) -> Vec<String> {
+    let note = |method: &str| {
+        let chosen = entries.iter().filter(|e| e.method == method && belongs(e));
+        let times: Vec<f64> = chosen.filter_map(|e| e.rows_ms).collect();
+        let [median, p90] = pair(&times, 90.0)?;
+        Some(format!("{method}: rows_ms {median:.1} / {p90:.1} (row offset, once per rig or scene, median / p90)"))
+    };
+    methods(entries).into_iter().filter_map(note).collect()
 }
 
 /// Lines of cells under each other; columns without any figure are left out.
@@ -276,6 +295,18 @@ mod tests {
 
     fn peer(entry: Entry) -> Entry {
         Entry { maker: Maker::Peer, status: None, ..entry }
+    }
+
+    #[test]
+    fn what_is_measured_once_is_told_below_the_table() {
+        let known = [case("a", Group::Small, (0.0, 0.0)), case("b", Group::Textured, (0.0, 0.0))];
+        let timed = |index: usize, ms: f64| Entry { rows_ms: Some(ms), ..entry(&known[index], "m", None) };
+        let entries = [timed(0, 50.0), timed(1, 70.0), entry(&known[0], "n", None)];
+        assert_eq!(rows_notes(&entries, |_| true).len(), 1);
+        let text = text(&entries);
+        for part in ["m: rows_ms 50.0 / 50.0", "m: rows_ms 70.0 / 70.0", "m: rows_ms 60.0 / 68.0"] {
+            assert!(text.contains(part), "{part} is not in\n{text}");
+        }
     }
 
     #[test]

@@ -58,11 +58,13 @@ fn plan(setup: &Setup, parts: &Parts) -> Plan {
 /// What somebody needs to repeat the run.
 fn provenance(args: &RunArgs, setup: &Setup, simulated_s: f64, wall_s: f64) -> Vec<(String, String)> {
     let line = |key: &str, value: String| (key.to_owned(), value);
+    let compared: Vec<&str> = setup.compared.iter().map(|method| method.name()).collect();
     vec![
         line("program", format!("pb3dp {}", env!("CARGO_PKG_VERSION"))),
         line("commit", option_env!("PB3DP_COMMIT").unwrap_or("unknown").to_owned()),
         line("configuration", args.config.display().to_string()),
         line("method", setup.method.name().to_owned()),
+        line("compared", if compared.is_empty() { "none".to_owned() } else { compared.join(", ") }),
         line("seed", setup.seed.to_string()),
         line("machine", machine()),
         line("duration", format!("{simulated_s:.1} s simulated in {wall_s:.1} s")),

@@ -74,8 +74,11 @@ impl MethodSummary {
     }
 
     fn cells(&self) -> [String; 9] {
-        let pair = |value: Option<MedianP95>| value.map_or("-".into(), |v| format!("{:.2} / {:.2}", v.median, v.p95));
-        let number = |value: Option<f64>| value.map_or("-".into(), |x| format!("{x:.2}"));
+        let digits = |x: f64| if x.abs() < 0.1 { format!("{x:.3}") } else { format!("{x:.2}") };
+        let pair = |value: Option<MedianP95>| {
+            value.map_or("-".into(), |v| format!("{} / {}", digits(v.median), digits(v.p95)))
+        };
+        let number = |value: Option<f64>| value.map_or("-".into(), digits);
         let statuses: Vec<String> = self.frames_by_status.iter().map(|(status, n)| format!("{n} {status}")).collect();
         [
             format!("{}{}", self.method, if self.leads { " (leads)" } else { "" }),

@@ -58,10 +58,12 @@ fn page(outcome: &Outcome, summary: &RunSummary, provenance: &[(String, String)]
         .heading("Each axis by itself")
         .paragraph(
             "Error of the hand along the axis that moves, and how far it trails. Lag is by cross-correlation over the way out \
-             and back; rise delay is the hand's 10 to 90 % rise time less that of its wanted way.",
+             and back; rise delay is the hand's 10 to 90 % rise time less that of its wanted way. The wanted place is in front of \
+             the target's true plane: on a target with relief, what is left at rest contains the distance to the plane that \
+             the method laid through it.",
         )
         .table(&channel_table(summary))
-        .paragraph(normal_note(summary))
+        .paragraph(&normal_note(summary))
         .heading("Methods side by side")
         .paragraph(
             "All methods saw the same pairs; the leading one moved the hand, the others looked on. Depth and normal against \
@@ -70,8 +72,8 @@ fn page(outcome: &Outcome, summary: &RunSummary, provenance: &[(String, String)]
         )
         .table(&methods::table(&summary.methods))
         .panels(&methods::panels(log))
-        .heading("Error and fitness over time")
-        .panels(&error_panels(log))
+        .heading("Errors over time")
+        .panels(&error_panels(log, summary))
         .heading("What the cameras saw")
         .paragraph("Left: region and axes of the model. Right: where the estimated pose puts the region's outline.")
         .images(&strip)
@@ -81,21 +83,40 @@ fn page(outcome: &Outcome, summary: &RunSummary, provenance: &[(String, String)]
         .table(&origin)
 }
 
-/// What the method says of the rotation about the normal.
-fn normal_note(summary: &RunSummary) -> &'static str {
-    if summary.rotation_about_normal_observed {
+/// What the methods say of the rotation about the normal.
+fn normal_note(summary: &RunSummary) -> String {
+    let leading = if summary.rotation_about_normal_observed {
         "The rotation about the model's normal (rz) is observed."
     } else {
-        "The rotation about the model's normal (rz) was not observed by this method; it is held at its first value."
+        "The rotation about the model's normal (rz) was not observed by the leading method; it is held at its first value."
+    };
+    let blind: Vec<&str> = summary
+        .methods
+        .iter()
+        .filter(|method| !method.leads && !method.rotation_about_normal_observed)
+        .map(|method| method.method.as_str())
+        .collect();
+    match blind.is_empty() {
+        true => leading.to_owned(),
+        false => format!("{leading} Of the methods that looked on, it is not observed by: {}.", blind.join(", ")),
+    }
+}
+
+/// The hand's error of orientation as far as the method can know it: whole, or without the rotation about the normal.
+fn orientation(summary: &RunSummary) -> (&'static str, Option<RmsMax>) {
+    match summary.rotation_about_normal_observed {
+        true => ("hand orientation error, rms", summary.tracking_orientation_deg),
+        false => ("hand viewing direction error, rms", summary.tracking_tilt_deg),
     }
 }
 
 fn figures(summary: &RunSummary) -> Vec<(&'static str, String)> {
     let rms = |value: Option<RmsMax>, unit: &str| value.map_or("-".into(), |v| format!("{:.1} {unit}", v.rms));
     let median = |value: Option<MedianP95>, unit: &str| value.map_or("-".into(), |v| format!("{:.2} {unit}", v.median));
+    let (orientation_name, orientation) = orientation(summary);
     vec![
         ("hand position error, rms", rms(summary.tracking_position_mm, "mm")),
-        ("hand viewing direction error, rms", rms(summary.tracking_tilt_deg, "deg")),
+        (orientation_name, rms(orientation, "deg")),
         ("lag, median over the axes", summary.lag_s.map_or("-".into(), |lag| format!("{lag:.2} s"))),
         ("estimated depth, median error", median(summary.estimation_depth_mm, "mm")),
         ("estimated normal, median error", median(summary.estimation_normal_deg, "deg")),
@@ -156,7 +177,7 @@ pub fn with_marks(plot: LinePlot, log: &RunLog) -> LinePlot {
     log.marks.iter().fold(plot, |plot, mark| plot.mark(mark.at_s, format!("({})", mark.number)))
 }
 
-fn error_panels(log: &RunLog) -> Vec<LinePlot> {
+fn error_panels(log: &RunLog, summary: &RunSummary) -> Vec<LinePlot> {
     let control = |pick: fn(&TrackingError) -> f64| -> Vec<[f64; 2]> {
         log.control.iter().map(|s| [s.t_s, pick(&TrackingError::of(s))]).collect()
     };
@@ -166,12 +187,21 @@ fn error_panels(log: &RunLog) -> Vec<LinePlot> {
     let plot = |title: &str, y: (&str, &str), color: SeriesColor, points: Vec<[f64; 2]>| {
         with_marks(LinePlot::new(title, ("time", "s"), y).series(Series::line(title, color, points)), log)
     };
-    vec![
+    let orientation = match summary.rotation_about_normal_observed {
+        true => ("hand: orientation error", control(|e| e.orientation_rad.to_degrees())),
+        false => ("hand: viewing direction error", control(|e| e.tilt_rad.to_degrees())),
+    };
+    let mut panels = vec![
         plot("hand: position error", ("error", "mm"), SeriesColor::Red, control(|e| e.position_m * 1e3)),
-        plot("hand: viewing direction error", ("error", "deg"), SeriesColor::Red, control(|e| e.tilt_rad.to_degrees())),
-        plot("fitness", ("fitness", ""), SeriesColor::Green, frames(|f| f.fitness)),
-        plot("frame to estimate", ("wall time", "ms"), SeriesColor::Purple, frames(|f| Some(f.latency_millis))),
-    ]
+        plot(orientation.0, ("error", "deg"), SeriesColor::Red, orientation.1),
+    ];
+    // Not every method has a fitness.
+    if log.leading.frames.iter().any(|f| f.fitness.is_some()) {
+        panels.push(plot("fitness", ("fitness", ""), SeriesColor::Green, frames(|f| f.fitness)));
+    }
+    let latency = frames(|f| Some(f.latency_millis));
+    panels.push(plot("frame to estimate", ("wall time", "ms"), SeriesColor::Purple, latency));
+    panels
 }
 
 fn channel_table(summary: &RunSummary) -> Table {

@@ -191,7 +191,8 @@ fn shares<'a>(words: impl Iterator<Item = &'a str>) -> BTreeMap<String, f64> {
 impl RunSummary {
     /// Share of the time in which the hand followed or approached, 0 to 1.
     pub fn share_following(&self) -> f64 {
-        ["tracking", "approaching"].iter().filter_map(|mode| self.share_by_mode.get(*mode)).sum()
+        // A sum of nothing would be -0.
+        ["tracking", "approaching"].iter().filter_map(|mode| self.share_by_mode.get(*mode)).fold(0.0, |sum, x| sum + x)
     }
 }
 

@@ -40,6 +40,22 @@ fn a_run_leaves_report_summary_and_time_series() {
     let text = std::fs::read_to_string(out.join("summary.json")).unwrap();
     let summary: serde_json::Value = serde_json::from_str(&text).unwrap();
     assert_eq!(summary["provenance"]["seed"], "1");
+    assert_eq!(
+        (&summary["provenance"]["method"], &summary["provenance"]["compared"]),
+        (&"direct".into(), &"published".into())
+    );
+    let methods = summary["summary"]["methods"].as_array().unwrap();
+    let leads: Vec<_> =
+        methods.iter().map(|m| (m["method"].as_str().unwrap(), m["leads"].as_bool().unwrap())).collect();
+    assert_eq!(leads, [("direct", true), ("published", false)], "both methods saw the same run");
+    for method in methods {
+        assert!(method["depth_mm"]["median"].as_f64().unwrap() < 20.0, "{method}");
+        assert!(method["latency_p50_millis"].as_f64().unwrap() > 0.0, "{method}");
+    }
+    assert_eq!(methods[0]["rotation_about_normal_observed"], true);
+    assert_eq!(methods[1]["rotation_about_normal_observed"], false);
+    assert!(page.contains("direct (leads)") && page.contains(">published<"), "the report shows both methods");
+    assert!(finished.stdout.contains("direct (leads)") && finished.stdout.contains("published"), "{}", finished.stdout);
     assert!(summary["summary"]["smallest_singular_value"].as_f64().unwrap() > 0.05);
     let csv = std::fs::read_to_string(out.join("timeseries.csv")).unwrap();
     let columns: Vec<usize> = csv.lines().map(|line| line.split(',').count()).collect();
@@ -68,7 +84,14 @@ fn setups_are_refused_with_file_key_and_what_is_allowed() {
         ("frame_rate_hz = 30.0", "", &["camera.frame_rate_hz", "missing"]),
         ("frame_rate_hz = 30.0", "frame_rate_hz = 300.0", &["camera.frame_rate_hz = 300", "1 to 240"]),
         ("speed_scale = 0.6 ", "speed_scale = 1.5 ", &["arms.speed_scale = 1.5", "0.01 to 1"]),
-        ("method = \"published\"", "method = \"magic\"", &["estimator.method", "magic", "published"]),
+        ("method = \"direct\"", "method = \"magic\"", &["estimator.method", "magic", "published"]),
+        ("method = \"direct\"", "method = \"published\"", &["estimator.compare = [published]", "not `method` itself"]),
+        (
+            "compare = [\"published\"]",
+            "compare = [\"published\", \"published\"]",
+            &["estimator.compare = [published, published]", "once"],
+        ),
+        ("compare = [\"published\"]", "compare = [\"publish\"]", &["estimator.compare", "publish", "known methods"]),
         ("target = \"crab\"", "target = \"lobster\"", &["scene.target", "lobster", "crab"]),
         ("channels = [\"x\"", "channels = [\"u\"", &["experiment.channels", "\"u\"", "rz"]),
     ] {
@@ -101,13 +124,13 @@ fn a_recorded_run_can_be_tracked() {
     ]))
     .assert_success();
     assert!(finished.stderr.contains("frames recorded"), "{}", finished.stderr);
-    let tracked = pb3dp(&words(&[&"track", &"--sequence", &recording, &"--json"])).assert_success();
-    assert!(tracked.json_lines(&TRACK_KEYS).len() >= 5, "{}", tracked.stdout);
-    assert!(
-        tracked.stderr.contains("motion error") && tracked.stderr.contains("normal is not observed"),
-        "{}",
-        tracked.stderr
-    );
+    for (method, observed) in [("published", false), ("direct", true)] {
+        let tracked =
+            pb3dp(&words(&[&"track", &"--method", &method, &"--sequence", &recording, &"--json"])).assert_success();
+        assert!(tracked.json_lines(&TRACK_KEYS).len() >= 5, "{}", tracked.stdout);
+        assert!(tracked.stderr.contains("motion error"), "{}", tracked.stderr);
+        assert_eq!(tracked.stderr.contains("normal is not observed"), !observed, "{method}: {}", tracked.stderr);
+    }
     let again = pb3dp(&words(&[
         &"run",
         &"--config",

@@ -45,13 +45,32 @@ fn record(folder: &Path) -> Vec<Pose<CamLeft, Target>> {
     truth
 }
 
+/// How far a method may be off, in position (mm), normal and rotation since the first frame (degrees).
+struct Limits {
+    method: &'static str,
+    moved_mm: f64,
+    normal_deg: f64,
+    turned_deg: f64,
+}
+
 #[test]
-fn a_drifting_card_is_followed_and_a_missing_frame_costs_only_itself() {
+fn the_published_method_follows_a_drifting_card_and_a_missing_frame_costs_only_itself() {
+    check_drifting_card(&Limits { method: "published", moved_mm: 6.0, normal_deg: 8.0, turned_deg: 8.0 });
+}
+
+#[test]
+fn the_direct_method_follows_a_drifting_card_and_a_missing_frame_costs_only_itself() {
+    check_drifting_card(&Limits { method: "direct", moved_mm: 0.3, normal_deg: 1.0, turned_deg: 0.5 });
+}
+
+fn check_drifting_card(limits: &Limits) {
     let dir = tempfile::tempdir().unwrap();
     let sequence = dir.path().join("sequence");
     let truth = record(&sequence);
-    let track =
-        |overlay: &Path| pb3dp(&words(&[&"track", &"--sequence", &sequence, &"--json", &"--overlay", &overlay]));
+    let track = |overlay: &Path| {
+        let method = &limits.method;
+        pb3dp(&words(&[&"track", &"--method", method, &"--sequence", &sequence, &"--json", &"--overlay", &overlay]))
+    };
     let whole = track(&dir.path().join("whole")).assert_success();
     let lines = whole.json_lines(&TRACK_KEYS);
     assert_eq!(lines.len(), FRAMES);
@@ -65,14 +84,18 @@ fn a_drifting_card_is_followed_and_a_missing_frame_costs_only_itself() {
         for axis in 0..3 {
             let (moved, true_moved) = (m[4 * axis + 3] - first[4 * axis + 3], STEP_MM[axis] * i as f64);
             assert!(
-                (moved - true_moved).abs() < 6.0,
+                (moved - true_moved).abs() < limits.moved_mm,
                 "frame {i}, axis {axis}: moved {moved} mm, truly {true_moved} mm"
             );
         }
         let normal = nalgebra::Vector3::new(m[2], m[6], m[10]);
         let off_deg = normal.angle(&truth[i].transform_vector(&nalgebra::Vector3::z())).to_degrees();
-        assert!(off_deg < 8.0, "frame {i}: z of the model frame is off by {off_deg} degrees");
-        assert!(line["covariance"].is_null() || numbers(&line["covariance"]).len() == 36, "{line}");
+        assert!(off_deg < limits.normal_deg, "frame {i}: z of the model frame is off by {off_deg} degrees");
+        // The card does not turn.
+        let turn = rotation(&m) * rotation(&first).transpose();
+        let turned_deg = nalgebra::Rotation3::from_matrix_unchecked(turn).angle().to_degrees();
+        assert!(turned_deg < limits.turned_deg, "frame {i}: turned by {turned_deg} degrees");
+        check_covariance(limits.method, line);
     }
     for part in ["translation, mm", "tilt, deg", "jitter", &format!("lost 0 of {FRAMES} frames")] {
         assert!(whole.stderr.contains(part), "{part:?} is missing in:\n{}", whole.stderr);
@@ -94,6 +117,27 @@ fn a_drifting_card_is_followed_and_a_missing_frame_costs_only_itself() {
     assert_animated(&dir.path().join("gap/sequence.png"), FRAMES as u32 - 1);
 }
 
+fn rotation(m: &[f64]) -> nalgebra::Matrix3<f64> {
+    nalgebra::Matrix3::new(m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10])
+}
+
+/// In mm and radians: symmetric, and of the size that such pictures allow. The published method gives none.
+fn check_covariance(method: &str, line: &serde_json::Value) {
+    if method == "published" {
+        assert!(line["covariance"].is_null(), "{line}");
+        return;
+    }
+    let c = numbers(&line["covariance"]);
+    assert_eq!(c.len(), 36);
+    for i in 0..6 {
+        let sigma = c[7 * i].sqrt();
+        let (least, most) = if i < 3 { (1e-4, 1.0) } else { (1e-6, 2e-2) };
+        assert!((least..most).contains(&sigma), "sigma {i} is {sigma}: {line}");
+        let scale = |j: usize| (c[7 * i] * c[7 * j]).sqrt();
+        assert!((0..6).all(|j| (c[6 * i + j] - c[6 * j + i]).abs() < 1e-9 * scale(j)), "{line}");
+    }
+}
+
 /// An animated PNG with so many frames: the number stands behind the name of its `acTL` chunk.
 fn assert_animated(file: &Path, frames: u32) {
     let bytes = std::fs::read(file).unwrap();
@@ -107,9 +151,97 @@ fn a_sequence_without_its_first_frame_starts_with_the_second() {
     let dir = tempfile::tempdir().unwrap();
     record(dir.path());
     std::fs::write(dir.path().join("left_0000.png"), "").unwrap();
-    let finished = pb3dp(&words(&[&"track", &"--sequence", &dir.path(), &"--json"]));
-    finished.assert_refused(&["frame 0", "left_0000.png"]);
-    let lines = finished.json_lines(&TRACK_KEYS);
-    assert_eq!((lines.len(), lines[0]["status"].as_str()), (FRAMES, Some("error")));
-    assert!(lines[1..].iter().all(|line| !line["cam_left_from_model"].is_null()), "{}", finished.stdout);
+    for method in ["published", "direct"] {
+        let finished = pb3dp(&words(&[&"track", &"--method", &method, &"--sequence", &dir.path(), &"--json"]));
+        finished.assert_refused(&["frame 0", "left_0000.png"]);
+        let lines = finished.json_lines(&TRACK_KEYS);
+        assert_eq!((lines.len(), lines[0]["status"].as_str()), (FRAMES, Some("error")));
+        assert!(lines[1..].iter().all(|line| !line["cam_left_from_model"].is_null()), "{}", finished.stdout);
+    }
+}
+
+/// Keys of a line if there are several targets.
+const KEYS_OF_SEVERAL: [&str; 8] =
+    ["frame", "target", "t_s", "status", "cam_left_from_model", "covariance", "fitness", "ms"];
+
+/// The second target is a part of the same card: both move alike, and the first is what it is alone.
+#[test]
+fn several_targets_are_told_apart_and_do_not_disturb_each_other() {
+    let dir = tempfile::tempdir().unwrap();
+    let sequence = dir.path().join("sequence");
+    let truth = record(&sequence);
+    let centre = rig().left().project(&truth[0].translation_m().into()).unwrap();
+    let region = format!("rect:{:.0},{:.0},60,50", centre.x - 10.0, centre.y - 20.0);
+    let overlay = dir.path().join("overlay");
+    let alone = pb3dp(&words(&[&"track", &"--sequence", &sequence, &"--json"])).assert_success();
+    let both =
+        pb3dp(&words(&[&"track", &"--sequence", &sequence, &"--region", &region, &"--json", &"--overlay", &overlay]))
+            .assert_success();
+    let lines = both.json_lines(&KEYS_OF_SEVERAL);
+    assert_eq!(lines.len(), 2 * FRAMES);
+    for (i, (pair, alone)) in lines.chunks(2).zip(alone.json_lines(&TRACK_KEYS)).enumerate() {
+        assert!(pair[0]["frame"] == i && pair[0]["target"] == 0 && pair[1]["frame"] == i && pair[1]["target"] == 1);
+        let mut first = without_time(pair[0].clone());
+        first.as_object_mut().unwrap().remove("target");
+        assert_eq!(first, without_time(alone));
+        let way = |k: usize| {
+            let at = |line: &serde_json::Value| numbers(&line["cam_left_from_model"])[4 * k + 3];
+            at(&pair[1]) - at(&lines[1])
+        };
+        let off_mm = (0..3).map(|k| (way(k) - STEP_MM[k] * i as f64).powi(2)).sum::<f64>().sqrt();
+        assert!(off_mm < 0.5, "frame {i}: the second target is off by {off_mm} mm");
+    }
+    assert!(overlay.join("frame_0006.png").exists());
+    let refused = pb3dp(&words(&[&"track", &"--sequence", &sequence, &"--region", &"rect:5,5,3,3", &"--json"]));
+    refused.assert_refused(&["frame 0, target 1", "region"]);
+}
+
+/// The card is flat: its points lie in the plane z = 0 of the model, within the card, and have its colours.
+#[test]
+fn the_surface_of_a_flat_card_is_a_flat_coloured_cloud() {
+    let dir = tempfile::tempdir().unwrap();
+    let (sequence, file) = (dir.path().join("sequence"), dir.path().join("card.ply"));
+    record(&sequence);
+    pb3dp(&words(&[&"track", &"--sequence", &sequence, &"--surface", &file])).assert_success();
+    let points = vertices(&file);
+    assert!(points.len() > 400, "{} points", points.len());
+    let rms_mm = (points.iter().map(|p| p.z_mm.powi(2)).sum::<f32>() / points.len() as f32).sqrt();
+    assert!(rms_mm < 1.0, "rms of {rms_mm} mm about the plane");
+    assert!(points.iter().all(|p| p.x_mm.abs() < 120.0 && p.y_mm.abs() < 120.0 && p.nz < -0.8), "on the card");
+    let colourful = points.iter().filter(|p| p.rgb.iter().max().unwrap() - p.rgb.iter().min().unwrap() > 40).count();
+    assert!(colourful * 4 > points.len(), "{colourful} of {} are coloured", points.len());
+
+    let refused = pb3dp(&words(&[&"track", &"--method", &"published", &"--sequence", &sequence, &"--surface", &file]));
+    refused.assert_refused(&["--surface", "published", "--method direct"]);
+    let region = &"rect:300,200,60,50";
+    let two = dir.path().join("two.ply");
+    pb3dp(&words(&[&"track", &"--sequence", &sequence, &"--surface", &two, &"--region", region])).assert_success();
+    assert!(!vertices(&dir.path().join("two-0.ply")).is_empty() && !vertices(&dir.path().join("two-1.ply")).is_empty());
+    assert!(!two.exists());
+}
+
+struct Vertex {
+    x_mm: f32,
+    y_mm: f32,
+    z_mm: f32,
+    nz: f32,
+    rgb: [u8; 3],
+}
+
+/// Reads what `write_ply` writes: six little-endian floats and three bytes per vertex.
+fn vertices(file: &Path) -> Vec<Vertex> {
+    let bytes = std::fs::read(file).unwrap();
+    let end = b"end_header\n";
+    let at = bytes.windows(end.len()).position(|window| window == end).unwrap() + end.len();
+    assert!(String::from_utf8_lossy(&bytes[..at]).contains("frame model"), "the header names the frame");
+    assert_eq!((bytes.len() - at) % 27, 0);
+    let float = |chunk: &[u8], k: usize| f32::from_le_bytes(chunk[4 * k..4 * k + 4].try_into().unwrap());
+    let vertex = |chunk: &[u8]| Vertex {
+        x_mm: float(chunk, 0),
+        y_mm: float(chunk, 1),
+        z_mm: float(chunk, 2),
+        nz: float(chunk, 5),
+        rgb: chunk[24..27].try_into().unwrap(),
+    };
+    bytes[at..].chunks(27).map(vertex).collect()
 }

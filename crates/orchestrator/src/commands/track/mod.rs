@@ -2,12 +2,13 @@
 
 mod output;
 mod overlays;
+mod surface;
 mod walk;
 
 use std::process::ExitCode;
 use std::time::Duration;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use pb3dp_estimation::estimator::Method;
 use pb3dp_hal_api::{CameraErrorKind, FramePair};
 use pb3dp_record::dataset::{Sequence, load_sequence};
@@ -29,6 +30,9 @@ const PAIR_TIMEOUT: Duration = Duration::from_secs(10);
 /// Bad arguments or configuration, a sequence that can not be used at all, exchanged pictures, or a region that is refused.
 pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     let method = Method::from_name(&args.method.method)?;
+    if args.surface.is_some() && !method.recovers_surface() {
+        bail!("--surface: the method {method} recovers no surface: use --method {}", Method::Direct);
+    }
     let sequence = load_sequence(&args.sequence)?;
     if !sequence.other_keys.is_empty() {
         tracing::warn!("sequence.json has keys that are not known and not used: {}", sequence.other_keys.join(", "));
@@ -67,6 +71,9 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         }
     }
     overlays.close()?;
+    if let Some(file) = &args.surface {
+        surface::write_all(file, walk.targets())?;
+    }
     report(&sequence, &walk);
     Ok(if unread == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }

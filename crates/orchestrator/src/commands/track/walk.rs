@@ -40,9 +40,6 @@ pub struct TrackedTarget {
     follower: Follower,
     last_status: Status,
     poses: Vec<Option<Pose<CamLeft, Model>>>,
-    /// The first left picture with a pose, and the pose.
-    taken: Option<(RgbImage, Pose<CamLeft, Model>)>,
-    keeps_picture: bool,
 }
 
 /// How a target was marked.
@@ -64,9 +61,8 @@ pub struct Found {
 }
 
 impl TrackedTarget {
-    fn new(mark: Mark, tracker: Tracker, range: SearchRange, keeps_picture: bool) -> Self {
-        let follower = Follower::new(tracker, range);
-        Self { mark, follower, last_status: Status::Ok, poses: Vec::new(), taken: None, keeps_picture }
+    fn new(mark: Mark, tracker: Tracker, range: SearchRange) -> Self {
+        Self { mark, follower: Follower::new(tracker, range), last_status: Status::Ok, poses: Vec::new() }
     }
 
     /// The pose in each frame so far.
@@ -77,11 +73,6 @@ impl TrackedTarget {
     /// Its tracker.
     pub fn tracker(&self) -> &Tracker {
         self.follower.tracker()
-    }
-
-    /// The first left picture with a pose, and the pose.
-    pub fn taken(&self) -> Option<(&RgbImage, &Pose<CamLeft, Model>)> {
-        self.taken.as_ref().map(|(picture, pose)| (picture, pose))
     }
 
     fn region(&self, left: &RgbImage) -> Result<Region> {
@@ -96,9 +87,6 @@ impl TrackedTarget {
         let (estimate, millis) = timed(|| self.follower.look(&pair.left, &pair.right, region.as_ref(), prior));
         let estimate = estimate?;
         self.poses.push(estimate.cam_left_from_model);
-        if let (true, None, Some(pose)) = (self.keeps_picture, &self.taken, estimate.cam_left_from_model) {
-            self.taken = Some((pair.left.clone(), pose));
-        }
         Ok((estimate, millis))
     }
 
@@ -128,8 +116,7 @@ impl Walk {
         let range = overridden(range_of_dataset(&sequence.search), &args.method);
         let own = Mark::Polygon(Region::Polygon { vertices_px });
         let marks = std::iter::once(own).chain(args.region.iter().cloned().map(Mark::Spec));
-        let target =
-            |mark| Ok(TrackedTarget::new(mark, Tracker::new(method, rig, &config)?, range, args.surface.is_some()));
+        let target = |mark| Ok(TrackedTarget::new(mark, Tracker::new(method, rig, &config)?, range));
         Ok(Self {
             rig: *rig,
             targets: marks.map(target).collect::<Result<_>>()?,
