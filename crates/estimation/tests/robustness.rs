@@ -42,3 +42,18 @@ fn most_abuses_reach_the_methods() {
     }
     assert!(worked >= 8, "{worked} of 40");
 }
+
+/// What the fuzzer has found, each with what it was.
+#[test]
+fn every_method_survives_what_fuzzing_found() {
+    let found: [&[u8]; 1] = [
+        // Intrinsics that turn the depth range into 10^9 pixels of disparity, for which memory was asked.
+        &[
+            10, 114, 255, 255, 33, 0, 0, 0, 255, 255, 255, 255, 255, 255, 33, 0, 0, 0, 255, 255, 255, 219, 72, 0, 0, 0,
+            219, 218,
+        ],
+    ];
+    for bytes in found {
+        abuse::every_method_survives(bytes);
+    }
+}

@@ -97,7 +97,11 @@ impl PlaneSearch {
     ) {
         let area = region_box(level, MARGIN);
         let scale = level.scale as f64;
-        let range = ((range_px.0 / scale).floor() as i32 - 1, (range_px.1 / scale).ceil() as i32 + 1);
+        self.candidates.clear();
+        let Some(range) = visible(level, ((range_px.0 / scale).floor() as i32, (range_px.1 / scale).ceil() as i32))
+        else {
+            return;
+        };
         self.volume.compute(level, area, range, config.noise as f32, kernels);
         self.aggregation.run(&self.volume, config.penalties, config.winner, kernels);
         self.collect(level, area);
@@ -116,7 +120,6 @@ impl PlaneSearch {
             |p| allowed(&from_box(&self.volume, p)),
             kernels,
         );
-        self.candidates.clear();
         let kept = self.hypotheses.kept.iter();
         self.candidates.extend(
             kept.map(|&Candidate { plane, share }| PlaneCandidate { plane: from_box(&self.volume, &plane), share }),
@@ -231,4 +234,13 @@ pub(super) fn region_box(level: &RegionLevel, margin: usize) -> LevelBox {
     let (x0, y0) = (x.0.saturating_sub(margin), y.0.saturating_sub(margin));
     let (x1, y1) = ((x.1 + 1 + margin).min(width), (y.1 + 1 + margin).min(height));
     LevelBox { x: x0, y: y0, width: x1.saturating_sub(x0), height: y1.saturating_sub(y0) }
+}
+/// The disparities of a range, and one more at either end, at which the right window shows some of the left one; `None` if
+/// there are none. A calibration that fits nothing must not ask for more than the images have.
+fn visible(level: &RegionLevel, range: (i32, i32)) -> Option<(i32, i32)> {
+    let (left, right) = (&level.left.window, &level.right.window);
+    let lowest = left.x.saturating_sub(right.x.saturating_add(right.width as i32));
+    let highest = left.x.saturating_add(left.width as i32).saturating_sub(right.x);
+    let (first, last) = (range.0.saturating_sub(1).max(lowest), range.1.saturating_add(1).min(highest));
+    (first <= last).then_some((first, last))
 }
