@@ -12,9 +12,14 @@ use crate::workspace::Workspace;
 
 const OUT: &str = "out/bench";
 
+/// Rounds of the example `speed` in a quick run.
+const QUICK_ROUNDS: &str = "40";
+
 /// Measures, with optimisation, and keeps the figures beside the commit and the machine.
 ///
-/// speed   one frame of the published method: hue images, model, search; and the ratio to the naive scalar version
+/// speed   the published method (kernels, a frame, ratio to the naive scalar version), then the direct one: cold start,
+///         tracking, kernels, and what the times depend on; --cases DIR adds real cases, --quick takes half a minute;
+///         `cargo xtask bench speed -- --help` lists the options. Writes docs/benchmarks/speed.md
 /// raster  pairs of pictures per second and core from the simulator's rasteriser
 /// real    every method on real stereo cases, beside other tools if they are given: --cases DIR, --peers DIR;
 ///         `cargo xtask bench real -- --help` lists the options. Writes docs/benchmarks/real.md
@@ -22,8 +27,8 @@ const OUT: &str = "out/bench";
 ///           --quick: 3); `cargo xtask bench accuracy -- --help` lists the options. Writes docs/benchmarks/accuracy.md
 /// all     speed and raster
 ///
-/// The first two are the examples `speed` of crates/estimation and `raster_speed` of crates/sim, the others are
-/// `pb3dp-bench` of crates/benchmarks; each prints its own table. The figures are also kept in `out/bench/*.json`, with
+/// The examples `speed` of crates/estimation and `raster_speed` of crates/sim measure the published method and the
+/// rasteriser, `pb3dp-bench` of crates/benchmarks all others; each prints its own table. The figures are also kept in `out/bench/*.json`, with
 /// commit, processor and compiler. Measure on an idle machine.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -34,7 +39,7 @@ pub struct Args {
     /// JSON instead of the table, from the programs that can; it is kept as figures, the table as text.
     #[arg(long)]
     json: bool,
-    /// Further options, which go to the program: real and accuracy only.
+    /// Further options, which go to the program: not for raster and all.
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "OPTIONS")]
     options: Vec<String>,
 }
@@ -49,7 +54,10 @@ enum What {
 }
 
 /// Subcommands of `pb3dp-bench` in crates/benchmarks: they take options and write what they find themselves.
-const PROGRAMS: [(What, &str); 2] = [(What::Real, "real"), (What::Accuracy, "accuracy")];
+const PROGRAMS: [(What, &str); 3] = [(What::Speed, "speed"), (What::Real, "real"), (What::Accuracy, "accuracy")];
+
+/// What `all` stands for.
+const OF_ALL: [What; 2] = [What::Speed, What::Raster];
 
 struct Bench {
     what: What,
@@ -62,7 +70,7 @@ struct Bench {
 const BENCHES: [Bench; 2] = [
     Bench {
         what: What::Speed,
-        name: "speed",
+        name: "speed_published",
         package: "pb3dp-estimation",
         example: "speed",
         folder: "crates/estimation/examples",
@@ -79,14 +87,17 @@ const BENCHES: [Bench; 2] = [
 /// # Errors
 /// If a program does not build or fails, or its figures can not be written.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
-    if let Some((_, subcommand)) = PROGRAMS.iter().find(|(what, _)| *what == args.what) {
-        return run_program(workspace, subcommand, args);
+    let wanted = |what: What| args.what == What::All && OF_ALL.contains(&what) || args.what == what;
+    let takes_options = PROGRAMS.iter().any(|(what, _)| *what == args.what);
+    if let Some(option) = args.options.first().filter(|_| !takes_options) {
+        bail!("`{option}`: only `speed`, `real` and `accuracy` take further options");
     }
-    if let Some(option) = args.options.first() {
-        bail!("`{option}`: only `real` and `accuracy` take further options");
+    let asks_for_help = args.options.iter().any(|option| option == "--help" || option == "-h");
+    for bench in BENCHES.iter().filter(|bench| wanted(bench.what) && !asks_for_help) {
+        measure(workspace, bench, args).with_context(|| format!("bench {}", bench.name))?;
     }
-    for bench in BENCHES.iter().filter(|bench| args.what == What::All || args.what == bench.what) {
-        measure(workspace, bench, args.json).with_context(|| format!("bench {}", bench.name))?;
+    for (_, subcommand) in PROGRAMS.iter().filter(|(what, _)| wanted(*what)) {
+        run_program(workspace, subcommand, args)?;
     }
     Ok(())
 }
@@ -105,11 +116,18 @@ fn run_program(workspace: &Workspace, subcommand: &str, args: &Args) -> anyhow::
     Ok(())
 }
 
-fn measure(workspace: &Workspace, bench: &Bench, as_json: bool) -> anyhow::Result<()> {
+/// Runs an example and keeps its figures; those of the published method go onto the page of `pb3dp-bench speed`, which
+/// reads them as figures.
+fn measure(workspace: &Workspace, bench: &Bench, args: &Args) -> anyhow::Result<()> {
     let mut command = workspace.cargo();
     command.args(["run", "--release", "--locked", "--quiet", "--package", bench.package, "--example", bench.example]);
+    let as_json = args.json || bench.what == What::Speed;
+    command.arg("--");
     if offers_json(&workspace.root().join(bench.folder), bench.example)? && as_json {
-        command.args(["--", "--json"]);
+        command.arg("--json");
+    }
+    if bench.what == What::Speed && args.options.iter().any(|option| option == "--quick") {
+        command.args(["--rounds", QUICK_ROUNDS]);
     }
     println!("== {} (cargo run --release -p {} --example {})", bench.name, bench.package, bench.example);
     let (results, table) = run_and_collect(&mut command)?;

@@ -4,6 +4,7 @@
 mod accuracy;
 mod common;
 mod real;
+mod speed;
 
 use std::process::ExitCode;
 
@@ -24,6 +25,8 @@ enum What {
     Dump(accuracy::dump::Args),
     /// Real stereo cases, beside other tools.
     Real(real::Args),
+    /// How long the direct method takes.
+    Speed(speed::Args),
 }
 
 fn main() -> ExitCode {
@@ -31,6 +34,7 @@ fn main() -> ExitCode {
         What::Accuracy(args) => accuracy::run(&args),
         What::Dump(args) => accuracy::dump::run(&args),
         What::Real(args) => real::run(&args),
+        What::Speed(args) => speed::run(&args),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

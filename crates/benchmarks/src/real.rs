@@ -3,7 +3,7 @@
 //! Every method gets the same input: both pictures, the region, the calibration and the case's own search range. What
 //! counts as passed is in [`score`]; [`table`] makes rows of it, [`page`] the document and [`plot`] its figure.
 
-mod cases;
+pub mod cases;
 mod ours;
 mod page;
 mod peers;
@@ -17,8 +17,8 @@ use anyhow::{Context, bail};
 use pb3dp_estimation::estimator::Method;
 use serde_json::{Value, json};
 
-use crate::common::circumstances::Circumstances;
 use self::score::Entry;
+use crate::common::circumstances::Circumstances;
 
 /// The boards of this repository, used where no other cases are given.
 const OWN_CASES: &str = "tests/data/cases";

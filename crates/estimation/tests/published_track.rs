@@ -7,7 +7,7 @@ mod common;
 use common::{Look, Shot};
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_estimation::EstimationError;
-use pb3dp_estimation::estimator::{EstimatorConfig, Method, Tracker};
+use pb3dp_estimation::estimator::{EstimatorConfig, FramePrior, Method, Tracker};
 use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_estimation::published::{PublishedConfig, PublishedTracker, TrackEstimate};
 use pb3dp_estimation::region::{Region, RegionWarning};
@@ -201,7 +201,7 @@ fn a_tracker_by_name_gives_the_same_track() {
     let Shot { left, right } = common::render(&rig, Some(&start_pose()), Look::Colourful);
     let region = Region::Polygon { vertices_px: common::outline_px(&rig, &start_pose()) };
     assert_eq!(named.start(&left, &right, &region, &range()), Ok(first));
-    assert_eq!(named.update(&left, &right, None), tracker.update(&left, &right, None));
+    assert_eq!(named.update(&left, &right, &FramePrior::default()), tracker.update(&left, &right, None));
 }
 
 #[test]

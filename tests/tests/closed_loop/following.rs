@@ -129,7 +129,8 @@ fn with_the_direct_method_card_and_grey_box_are_followed_to_a_millimetre() {
 /// The potato's hue is near that of the sand behind it, and it is no plane: a method may doubt, and then the hand rests.
 #[test]
 fn the_potato_is_followed_or_the_hand_rests() {
-    [Method::Published, Method::Direct].map(check_potato);
+    check_potato(Method::Published);
+    check_potato(Method::Direct);
 }
 
 fn check_potato(method: Method) {

@@ -45,6 +45,7 @@ impl Default for ColdStartConfig {
                 levels_max: 1,
                 erosion_max_px: 2.0,
                 erosion_share_max: 0.12,
+                calibration_sigma_px: CALIBRATION_SIGMA_PX,
                 ..RefineConfig::default()
             },
         }
@@ -65,9 +66,29 @@ impl ColdStartConfig {
         let share = self.quick_share_min;
         check_range("direct search quick_share_min", share, (0.0, 1.0), "must be between 0 and 1")?;
         self.search.validate()?;
-        self.patches.validate()
+        self.patches.validate()?;
+        validate_refine(&self.refine)
     }
 }
+
+/// The ranges of the refinement that may be set from outside.
+fn validate_refine(refine: &RefineConfig) -> Result<(), EstimationError> {
+    let area = refine.area_max_px as f64;
+    check_range("direct refine area_max_px", area, (200.0, 1e6), "must be between 200 and 1000000")?;
+    let points = refine.points_max as f64;
+    check_range("direct refine points_max", points, (100.0, 1e6), "must be between 100 and 1000000")?;
+    let steps = refine.iterations_max as f64;
+    check_range("direct refine iterations_max", steps, (1.0, 100.0), "must be between 1 and 100")?;
+    let place = refine.place_sigma_px;
+    check_range("direct refine place_sigma_px", place, (0.0, 2.0), "must be between 0 and 2 pixels")?;
+    let pixels = |name, value| check_range(name, value, (0.0, 5.0), "must be between 0 and 5 pixels");
+    pixels("direct refine row_sigma_px", refine.row_sigma_px)?;
+    pixels("direct refine calibration_sigma_px", refine.calibration_sigma_px)
+}
+
+/// What the calibration of real rigs leaves of disparity, pixels: on real pairs with known truth, covariances without it are
+/// too small. Where the calibration is exact, as on rendered pairs, it is to be set to what is right there.
+const CALIBRATION_SIGMA_PX: f64 = 0.03;
 
 /// A candidate with what the patches say of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -147,6 +168,11 @@ impl ColdStart {
     /// The region of the last pair.
     pub fn pyramid(&self) -> &RegionPyramid {
         &self.pyramid
+    }
+
+    /// Index of the level that the last answer was searched on.
+    pub fn searched_level(&self) -> usize {
+        self.searched
     }
 
     /// Candidate surfaces of the last pair, best first.

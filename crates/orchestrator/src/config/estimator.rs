@@ -13,6 +13,7 @@ use pb3dp_estimation::search::chromosome::Coding;
 use pb3dp_estimation::search::rmga::{Mutation, RmGaConfig};
 use serde::Deserialize;
 
+use super::direct::DirectSection;
 use super::load::{Checker, ConfigError, read_toml, whole};
 use super::rmga_photometric::RmgaPhotometricSection;
 
@@ -22,6 +23,7 @@ use super::rmga_photometric::RmgaPhotometricSection;
 struct EstimatorFile {
     published: PublishedSection,
     rmga_photometric: RmgaPhotometricSection,
+    direct: DirectSection,
 }
 
 /// Reads a file of estimator parameters.
@@ -33,8 +35,9 @@ pub fn read_estimator(file: &Path) -> Result<EstimatorConfig, ConfigError> {
     let mut check = Checker::default();
     let published = raw.published.build("published", &mut check);
     let rmga_photometric = raw.rmga_photometric.build("rmga_photometric", &published, &mut check);
+    let direct = raw.direct.build("direct", published.region, &mut check);
     check.finish(file)?;
-    Ok(EstimatorConfig { published, rmga_photometric, ..EstimatorConfig::default() })
+    Ok(EstimatorConfig { published, rmga_photometric, direct })
 }
 
 /// Parameters of the published method.
@@ -381,5 +384,8 @@ mod tests {
         check("hue_tolerance_deg = 20.0", "hue_tolerance_deg = nan", &["published.fitness.hue_tolerance_deg = NaN"]);
         check("coding = \"gray\"", "coding = \"grey\"", &["published.rmga.coding", "grey", "gray"]);
         check("seed = 1", "sed = 1", &["published.rmga.sed", "seed"]);
+        check("views_max = 12", "views_max = 0", &["direct.tracker.views_max = 0", "1 to 100"]);
+        check("row_sigma_px = 0.3", "row_sigma_px = -0.3", &["direct.refine.row_sigma_px = -0.3", "0 to 5"]);
+        check("[direct.status]", "[direct.verdict]", &["direct.verdict", "status"]);
     }
 }

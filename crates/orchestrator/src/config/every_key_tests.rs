@@ -133,12 +133,12 @@ fn check_ends(sample: &Sample, key: &str, original: &Value) {
 
 #[test]
 fn every_number_of_the_setup_is_refused_by_its_own_key() {
-    check_every_key(&Sample::new("sim.toml", |file| read_setup(file).map(drop)), 190);
+    check_every_key(&Sample::new("sim.toml", |file| read_setup(file).map(drop)), 220);
 }
 
 #[test]
 fn every_number_of_the_estimator_is_refused_by_its_own_key() {
-    check_every_key(&Sample::new("estimator.toml", |file| read_estimator(file).map(drop)), 40);
+    check_every_key(&Sample::new("estimator.toml", |file| read_estimator(file).map(drop)), 80);
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! Configuration files: read, checked, and turned into the parameters of the parts.
 
+pub mod direct;
 pub mod estimator;
 #[cfg(test)]
 mod every_key_tests;

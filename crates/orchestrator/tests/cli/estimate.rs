@@ -215,10 +215,16 @@ fn every_calibration_format_gives_the_same_answer() {
 #[test]
 fn the_same_seed_gives_the_same_lines() {
     let line = |seed: &str| -> Vec<Value> {
-        let published = [&"--method" as &dyn AsRef<std::ffi::OsStr>, &"published"];
-        let finished = pb3dp(&words(
-            &[&[&"estimate" as _, &"--cases", &real_cases(), &"--json", &"--seed", &seed], &published[..]].concat(),
-        ));
+        let finished = pb3dp(&words(&[
+            &"estimate",
+            &"--method",
+            &"published",
+            &"--cases",
+            &real_cases(),
+            &"--json",
+            &"--seed",
+            &seed,
+        ]));
         finished.assert_success().json_lines(&ESTIMATE_KEYS).into_iter().map(without_time).collect()
     };
     assert_eq!(line("5"), line("5"));

@@ -160,6 +160,37 @@ fn a_sequence_without_its_first_frame_starts_with_the_second() {
     }
 }
 
+/// Pictures that show nothing: the region is tried for half a second, then the user is told what to do.
+#[test]
+fn a_target_that_is_never_seen_is_given_up() {
+    let dir = tempfile::tempdir().unwrap();
+    let draft = SequenceDraft {
+        region_polygon_left_px: vec![[300.0, 200.0], [380.0, 210.0], [360.0, 290.0]],
+        search: SearchRange { z_min_m: 0.35, z_max_m: 0.65, tilt_max_rad: 0.6 },
+        pictures: PictureFormat::Png,
+    };
+    let mut writer = SequenceWriter::create(dir.path(), &rig(), draft).unwrap();
+    let wall = image::RgbImage::from_pixel(640, 480, image::Rgb([90, 100, 80]));
+    for i in 0..18 {
+        let exposed_at = MonotonicTime::from_nanos(33_000_000 * i);
+        let frame = WrittenFrame { left: &wall, right: &wall, exposed_at, skew_nanos: 0, cam_left_from_model: None };
+        writer.push(frame).unwrap();
+    }
+    writer.finish().unwrap();
+    let finished = pb3dp(&words(&[&"track", &"--sequence", &dir.path(), &"--json"])).assert_success();
+    let statuses: Vec<String> = finished
+        .json_lines(&TRACK_KEYS)
+        .iter()
+        .map(|line| {
+            assert!(line["cam_left_from_model"].is_null(), "{line}");
+            line["status"].as_str().unwrap().to_owned()
+        })
+        .collect();
+    assert!(statuses[..15].iter().all(|status| status == "not-observable"), "{statuses:?}");
+    assert!(statuses[15..].iter().all(|status| status == "lost"), "{statuses:?}");
+    assert!(finished.stderr.contains("mark it again"), "{}", finished.stderr);
+}
+
 /// Keys of a line if there are several targets.
 const KEYS_OF_SEVERAL: [&str; 8] =
     ["frame", "target", "t_s", "status", "cam_left_from_model", "covariance", "fitness", "ms"];

@@ -25,6 +25,7 @@ use self::arms::{ArmsSection, MountsSection};
 use self::camera::{CameraSection, SceneSection};
 use self::experiment::ExperimentSection;
 use self::servo::ServoSection;
+use super::direct::DirectSection;
 use super::estimator::PublishedSection;
 use super::load::{Checker, ConfigError, read_toml, within};
 
@@ -108,6 +109,7 @@ struct EstimatorSection {
     z_max_mm: f64,
     tilt_max_deg: f64,
     published: PublishedSection,
+    direct: DirectSection,
 }
 
 /// A rigid transform in a file; the key names its frames.
@@ -233,7 +235,8 @@ impl EstimatorSection {
         }
         let mut published = self.published.build("estimator.published", check);
         published.rmga.seed = published.rmga.seed.wrapping_add(seed);
-        (method, compared, EstimatorConfig { published, ..EstimatorConfig::default() }, range)
+        let direct = self.direct.build("estimator.direct", published.region, check);
+        (method, compared, EstimatorConfig { published, direct, ..EstimatorConfig::default() }, range)
     }
 }
 

@@ -1,0 +1,199 @@
+//! How fast the direct method is: cold start, tracking, kernels, and what the times depend on.
+//!
+//! [`cold`] measures single pairs, with [`stages`] for the parts, [`tracking`] sequences and [`scaling`] what they depend
+//! on; [`clips`] are the pictures, [`goals`] the limits, [`page`] the document.
+
+mod clips;
+mod cold;
+mod goals;
+mod page;
+mod scaling;
+mod stages;
+mod times;
+mod tracking;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use serde_json::{Value, json};
+
+use crate::common::circumstances::Circumstances;
+
+const KEPT: &str = "out/bench/speed.json";
+const PAGE: &str = "docs/benchmarks/speed.md";
+/// Where the figures of the published method are, if they were measured before.
+const PUBLISHED: &str = "out/bench/speed_published.json";
+
+/// Options.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Also real cases: a folder with cases (docs/dataset-format.md).
+    #[arg(long, value_name = "DIR")]
+    cases: Option<PathBuf>,
+    /// Fewer calls and every tenth case, for a check in half a minute; docs/benchmarks stays as it is.
+    #[arg(long)]
+    quick: bool,
+    /// Calls per figure; of each real case, a twentieth of it.
+    #[arg(long, value_name = "NUMBER", default_value_t = 300, value_parser = clap::value_parser!(u32).range(20..=100_000))]
+    rounds: u32,
+    /// Exit with an error if a goal is missed.
+    #[arg(long)]
+    check: bool,
+    /// One JSON object instead of the tables.
+    #[arg(long)]
+    json: bool,
+    /// Leaves docs/benchmarks as it is.
+    #[arg(long)]
+    no_docs: bool,
+    /// Folder of the workspace.
+    #[arg(long, default_value = ".", value_name = "DIR")]
+    root: PathBuf,
+}
+
+/// Everything that was measured.
+pub struct Findings {
+    sizes: Vec<cold::SizeRow>,
+    real: Option<cold::RealRows>,
+    tracking: tracking::TrackingRow,
+    kernels: Vec<cold::KernelRow>,
+    scaling: Vec<scaling::ScalingRow>,
+}
+
+/// Rounds of a quick run.
+const QUICK_ROUNDS: usize = 40;
+/// Of the cases, a quick run takes every so manieth.
+const QUICK_EVERY: usize = 10;
+
+/// Measures, prints, and writes down what came out.
+///
+/// # Errors
+/// A folder or file that can not be used, by name; with `--check` a goal that is missed.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    if !args.root.join("Cargo.toml").is_file() {
+        bail!(
+            "--root {} is not the workspace (it has no Cargo.toml): give the folder of the clone",
+            args.root.display()
+        );
+    }
+    let findings = measure(args)?;
+    let circumstances = Circumstances::of(&args.root);
+    let published = published(&args.root);
+    let page = page::markdown(&findings, published.as_ref(), &circumstances, &command_line(args));
+    let kept = kept(&findings, published.as_ref(), &circumstances);
+    if args.json {
+        println!("{kept}");
+    } else {
+        print!("{page}");
+    }
+    write(&args.root, KEPT, &format!("{kept:#}\n"))?;
+    if !args.quick && !args.no_docs {
+        write(&args.root, PAGE, &page)?;
+    }
+    let missed: Vec<_> = goals::goals(&findings).into_iter().filter(|goal| !goal.is_reached()).collect();
+    for goal in &missed {
+        eprintln!("missed: {} is {:.2} ms, the goal is {:.2} ms", goal.name, goal.found_ms, goal.limit_ms);
+    }
+    if args.check && !missed.is_empty() {
+        bail!("{} of the goals are missed", missed.len());
+    }
+    Ok(())
+}
+
+fn measure(args: &Args) -> anyhow::Result<Findings> {
+    let rounds = if args.quick { QUICK_ROUNDS } else { args.rounds as usize };
+    let every = if args.quick { QUICK_EVERY } else { 1 };
+    let real = args.cases.as_deref().map(|folder| {
+        eprintln!("real cases");
+        cold::real(folder, (rounds / 20).max(3), every)
+    });
+    let real = real.transpose()?;
+    eprintln!("cold start by size");
+    let sizes = cold::sizes(rounds)?;
+    eprintln!("tracking");
+    let tracking = tracking::tracking(4 * rounds)?;
+    eprintln!("kernels");
+    let mut kernels = cold::kernels(rounds)?;
+    kernels.push(tracking::kernels(rounds)?);
+    eprintln!("scaling");
+    let scaling = scaling::scaling(rounds)?;
+    Ok(Findings { sizes, real, tracking, kernels, scaling })
+}
+
+fn kept(findings: &Findings, published: Option<&Value>, circumstances: &Circumstances) -> Value {
+    let list = |values: Vec<Value>| Value::Array(values);
+    json!({
+        "bench": "speed",
+        "where": circumstances.to_json(),
+        "goals": list(goals::goals(findings).iter().map(goals::Goal::to_json).collect()),
+        "cold_start_by_size": list(findings.sizes.iter().map(cold::SizeRow::to_json).collect()),
+        "cold_start_on_cases": findings.real.as_ref().map(|real| json!({
+            "rows": list(real.rows.iter().map(cold::CasesRow::to_json).collect()),
+            "row_measurement": real.row_measurement.to_json(),
+        })),
+        "tracking": findings.tracking.to_json(),
+        "kernels": list(findings.kernels.iter().map(cold::KernelRow::to_json).collect()),
+        "scaling": list(findings.scaling.iter().map(scaling::ScalingRow::to_json).collect()),
+        "published": published,
+    })
+}
+
+/// The JSON object of the published method's program, if it ran.
+fn published(root: &Path) -> Option<Value> {
+    let text = std::fs::read_to_string(root.join(PUBLISHED)).ok()?;
+    let kept: Value = serde_json::from_str(&text).ok()?;
+    kept["results"].get(0).filter(|found| found["pairs"].is_array()).cloned()
+}
+
+fn write(root: &Path, path: &str, text: &str) -> anyhow::Result<()> {
+    let file = root.join(path);
+    if let Some(folder) = file.parent() {
+        std::fs::create_dir_all(folder).with_context(|| format!("can not make {}", folder.display()))?;
+    }
+    std::fs::write(&file, text).with_context(|| format!("can not write {}", file.display()))?;
+    eprintln!("written: {path}");
+    Ok(())
+}
+
+/// The command that makes the page again; folders of one machine are not named.
+fn command_line(args: &Args) -> String {
+    let mut words = vec!["cargo xtask bench speed".to_owned()];
+    if args.cases.is_some() {
+        words.push("--cases DIR".into());
+    }
+    if args.quick {
+        words.push("--quick".into());
+    }
+    if args.rounds != 300 {
+        words.push(format!("--rounds {}", args.rounds));
+    }
+    words.join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Cli {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    fn args(words: &[&str]) -> Args {
+        Cli::try_parse_from(std::iter::once("speed").chain(words.iter().copied())).expect("valid").args
+    }
+
+    #[test]
+    fn the_command_on_the_page_names_no_folder_of_this_machine() {
+        assert_eq!(command_line(&args(&["--cases", "/some/where"])), "cargo xtask bench speed --cases DIR");
+        assert_eq!(command_line(&args(&["--rounds", "50", "--json"])), "cargo xtask bench speed --rounds 50");
+    }
+
+    #[test]
+    fn wrong_paths_and_numbers_are_refused() {
+        let error = run(&args(&["--root", "no/such/clone"])).expect_err("refused").to_string();
+        assert!(error.contains("no/such/clone") && error.contains("Cargo.toml"), "{error}");
+        assert!(Cli::try_parse_from(["speed", "--rounds", "3"]).is_err());
+    }
+}

@@ -1,0 +1,170 @@
+//! Pairs to measure on: rendered once and kept in memory.
+
+use std::sync::Arc;
+
+use image::RgbImage;
+use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
+use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_estimation::region::Region;
+use pb3dp_geometry::frames::{CamLeft, Target, World};
+use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
+use pb3dp_sim::raster::StereoRenderer;
+use pb3dp_sim::scene::{Anchor, Lighting, Scene, SceneObject, ScenePart, ScenePoses};
+use pb3dp_sim::sensor::SensorConfig;
+use pb3dp_sim::targets::mesh::Mesh;
+use pb3dp_sim::targets::{BackdropConfig, Paint, TargetModel, backdrop, build_painted};
+
+/// Seed of textures and noise.
+const SEED: u32 = 11;
+/// Columns of the pictures of usual size.
+const WIDTH: f64 = 640.0;
+/// Half width and height of the textured wall, and of one copy of its texture, metres.
+const WALL_M: [f64; 2] = [0.48, 0.36];
+const COPY_M: [f64; 2] = [0.06, 0.045];
+/// Frames per second of the moving targets.
+const RATE_HZ: f64 = 30.0;
+
+/// Some consecutive pairs of one rig.
+pub struct Clip {
+    /// The cameras.
+    pub rig: StereoRig,
+    /// Left and right pictures.
+    pub pairs: Vec<(RgbImage, RgbImage)>,
+    /// What is marked in the first left picture.
+    pub regions: Vec<Region>,
+}
+
+/// 60 px of disparity in pictures of 640 columns: 118 to 178 px.
+pub const SEARCH: SearchRange = SearchRange { z_min_m: 74.0 / 178.0, z_max_m: 74.0 / 118.0, tilt_max_rad: 0.785 };
+
+impl Clip {
+    /// The frames forwards and backwards, for ever: neighbours in time stay neighbours.
+    pub fn pair(&self, frame: usize) -> &(RgbImage, RgbImage) {
+        let last = self.pairs.len() - 1;
+        let place = if last == 0 { 0 } else { frame % (2 * last) };
+        &self.pairs[place.min(2 * last - place)]
+    }
+}
+
+/// A textured wall that fills pictures of `size`, moving a little; `regions` are marked by the caller.
+///
+/// # Errors
+/// If the simulator refuses the set-up.
+pub fn wall(size: ImageSize, frames: usize) -> anyhow::Result<Clip> {
+    let texture = Arc::new(Paint::Colourful.texture(SEED));
+    let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(x, y)| {
+        let place = Point3::new(x * WALL_M[0], y * WALL_M[1], 0.0);
+        let copies = Vector2::new(WALL_M[0] / COPY_M[0], WALL_M[1] / COPY_M[1]);
+        (place, Vector2::new(x + 1.0, y + 1.0).component_mul(&copies) * 0.5)
+    });
+    let mut mesh = Mesh::default();
+    mesh.add_quad(corners);
+    let outline_m = corners.iter().map(|(place, _)| *place).collect();
+    let part = ScenePart { mesh, texture, anchor: Anchor::Target, object: SceneObject::Target };
+    let target = TargetModel { name: "wall", outline_m, rear_z_m: 0.0 };
+    render(vec![part], target, size, (0.0, 0.25), frames)
+}
+
+/// A square of the wall, `side_px` wide in pictures of 640 columns, marked in pictures of `size`.
+pub fn square(size: ImageSize, centre: (i32, i32), side_px: u32) -> Region {
+    let factor = size.width / WIDTH as u32;
+    let side = side_px * factor;
+    let corner = |centre: i32| centre * factor as i32 - side as i32 / 2;
+    Region::Rectangle { x: corner(centre.0), y: corner(centre.1), width: side, height: side }
+}
+
+/// The flat crab in front of sand, moving along and about all axes; its outline is marked.
+///
+/// # Errors
+/// If the simulator refuses the set-up.
+pub fn crab(size: ImageSize, frames: usize) -> anyhow::Result<Clip> {
+    let (target, mut parts) = build_painted(Paint::Crab, 0.0, SEED)?;
+    let config = BackdropConfig { size_m: [0.6, 0.45], gap_m: 0.03 };
+    parts.extend(backdrop::build(&config, target.rear_z_m, SEED)?);
+    render(parts, target, size, (0.05, 1.0), frames)
+}
+
+/// The same place without the crab: what a tracker sees when the target is hidden.
+///
+/// # Errors
+/// If the simulator refuses the set-up.
+pub fn empty_place(size: ImageSize, frames: usize) -> anyhow::Result<Clip> {
+    let (target, _) = build_painted(Paint::Crab, 0.0, SEED)?;
+    let config = BackdropConfig { size_m: [0.6, 0.45], gap_m: 0.03 };
+    let parts = backdrop::build(&config, target.rear_z_m, SEED)?;
+    render(parts, target, size, (0.05, 1.0), frames)
+}
+
+fn render(
+    parts: Vec<ScenePart>,
+    target: TargetModel,
+    size: ImageSize,
+    (x_m, motion): (f64, f64),
+    frames: usize,
+) -> anyhow::Result<Clip> {
+    let scene = Scene::from_parts(parts, target, Lighting::EVEN)?;
+    let rig = rig(size)?;
+    let mut renderer = StereoRenderer::new(scene, rig, &SensorConfig::default(), SEED)?;
+    let world_from_cam_left = Pose::<World, CamLeft>::coincident();
+    let poses = |frame: usize| ScenePoses {
+        world_from_cam_left,
+        world_from_target: world_from_cam_left * pose(frame, x_m, motion),
+    };
+    let outline = renderer.target_outline_px(&poses(0));
+    let pairs = (0..frames.max(1)).map(|frame| {
+        let (mut left, mut right) = (RgbImage::new(1, 1), RgbImage::new(1, 1));
+        renderer.render_pair(&poses(frame), frame as u64, &mut left, &mut right);
+        (left, right)
+    });
+    let pairs = pairs.collect();
+    let regions = outline.map(|vertices_px| Region::Polygon { vertices_px }).into_iter().collect();
+    Ok(Clip { rig, pairs, regions })
+}
+
+/// Two equal cameras, 100 mm apart, with the same field of view at every size.
+fn rig(size: ImageSize) -> anyhow::Result<StereoRig> {
+    let factor = f64::from(size.width) / WIDTH;
+    let centre = |length: u32| (f64::from(length) - 1.0) / 2.0;
+    let f = 740.0 * factor;
+    let pinhole = Pinhole { fx: f, fy: f, cx: centre(size.width), cy: centre(size.height) };
+    let camera = Camera::new(size, pinhole, Distortion::None)?;
+    Ok(StereoRig::new(camera, camera, Pose::from_translation(Vector3::new(-0.1, 0.0, 0.0)))?)
+}
+
+/// `motion` times 50 mm and 20 degrees along and about all axes, periods of 4 to 7 s, half a metre away.
+fn pose(frame: usize, x_m: f64, motion: f64) -> Pose<CamLeft, Target> {
+    let t = frame as f64 / RATE_HZ;
+    let wave = |size: f64, period_s: f64| motion * size * (std::f64::consts::TAU * t / period_s).sin();
+    let shift = Vector3::new(x_m + wave(0.05, 4.0), wave(0.035, 5.6), 0.5 + wave(0.04, 7.0));
+    let turn =
+        |axis: Vector3<f64>, period_s: f64| UnitQuaternion::from_scaled_axis(axis * wave(20f64.to_radians(), period_s));
+    let start = UnitQuaternion::from_scaled_axis(Vector3::new(0.12, -0.15, 0.0));
+    Pose::from_parts(shift, turn(Vector3::y(), 5.0) * turn(Vector3::x(), 6.0) * turn(Vector3::z(), 4.5) * start)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn clips_run_forwards_and_backwards() {
+        let pair = |grey: u8| (RgbImage::from_pixel(1, 1, image::Rgb([grey; 3])), RgbImage::new(1, 1));
+        let rig = rig(ImageSize { width: 1280, height: 1024 }).expect("a rig");
+        let mut clip = Clip { rig, pairs: (0..3).map(pair).collect(), regions: Vec::new() };
+        let order: Vec<_> = (0..7).map(|frame| clip.pair(frame).0.get_pixel(0, 0)[0]).collect();
+        assert_eq!(order, [0, 1, 2, 1, 0, 1, 2]);
+        clip.pairs.truncate(1);
+        assert_eq!(clip.pair(5).0.get_pixel(0, 0)[0], 0);
+    }
+
+    #[test]
+    fn the_range_has_sixty_pixels_of_disparity_and_holds_the_wall() {
+        let rig = rig(ImageSize { width: 640, height: 480 }).expect("a rig");
+        let disparity = |z_m: f64| rig.left().pinhole().fx * rig.baseline_m() / z_m;
+        assert!((disparity(SEARCH.z_min_m) - disparity(SEARCH.z_max_m) - 60.0).abs() < 1e-9);
+        for frame in 0..300 {
+            let z_m = pose(frame, 0.0, 0.25).translation_m().z;
+            assert!(z_m > SEARCH.z_min_m && z_m < SEARCH.z_max_m, "{frame}: {z_m}");
+        }
+    }
+}

@@ -1,0 +1,44 @@
+//! What must be reached.
+
+use serde_json::{Value, json};
+
+/// A figure beside its limit.
+pub struct Goal {
+    /// What is limited.
+    pub name: &'static str,
+    /// Milliseconds.
+    pub limit_ms: f64,
+    /// Milliseconds.
+    pub found_ms: f64,
+}
+
+impl Goal {
+    /// Whether it is reached.
+    pub fn is_reached(&self) -> bool {
+        self.found_ms <= self.limit_ms
+    }
+
+    /// As kept.
+    pub fn to_json(&self) -> Value {
+        json!({
+            "name": self.name,
+            "limit_ms": self.limit_ms,
+            "found_ms": self.found_ms,
+            "is_reached": self.is_reached(),
+        })
+    }
+}
+
+/// The limits of everything that was measured.
+pub fn goals(findings: &super::Findings) -> Vec<Goal> {
+    let mut goals = Vec::new();
+    if let Some(all) = findings.real.as_ref().and_then(|real| real.rows.first()) {
+        let times = &all.whole;
+        goals.push(Goal { name: "cold start on real cases, median", limit_ms: 1.5, found_ms: times.median_ms });
+        goals.push(Goal { name: "cold start on real cases, 90th percentile", limit_ms: 4.0, found_ms: times.p90_ms });
+    }
+    let followed = &findings.tracking.followed;
+    goals.push(Goal { name: "tracking frame, median", limit_ms: 1.0, found_ms: followed.median_ms });
+    goals.push(Goal { name: "tracking frame, 99th percentile", limit_ms: 2.0, found_ms: followed.p99_ms });
+    goals
+}

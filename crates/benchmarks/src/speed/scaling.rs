@@ -1,0 +1,158 @@
+//! What the times depend on: points, size of the pictures, number of targets, threads.
+
+use anyhow::Context;
+use pb3dp_estimation::cpu::Kernels;
+use pb3dp_estimation::direct::estimator::{DirectConfig, DirectEstimator};
+use pb3dp_geometry::ImageSize;
+use serde_json::{Value, json};
+
+use super::clips::{Clip, SEARCH, square, wall};
+use super::cold::SIZE;
+use super::times::{Times, repeat};
+use super::tracking::{Follower, POINTS};
+
+const LARGE: ImageSize = ImageSize { width: 1280, height: 1024 };
+const POINTS_TRIED: [usize; 3] = [250, 1000, 4000];
+const TARGETS_TRIED: [usize; 4] = [1, 2, 4, 8];
+const THREADS_TRIED: [usize; 2] = [1, 2];
+/// Side of a target on the wall, pixels of a picture with 640 columns.
+const SIDE_PX: u32 = 100;
+/// Frames that are rendered of the small and the large wall.
+const FRAMES: usize = 20;
+/// Frames before those that count.
+const WARM_UP: usize = 6;
+
+/// One measurement.
+pub struct ScalingRow {
+    /// What was varied.
+    pub varied: &'static str,
+    /// To what.
+    pub value: String,
+    /// What was done.
+    pub what: &'static str,
+    /// CPU time of one thread; of several targets, all together.
+    pub times: Times,
+    /// Median, as a multiple of the first row that varies the same.
+    pub ratio: f64,
+}
+
+impl ScalingRow {
+    /// As kept.
+    pub fn to_json(&self) -> Value {
+        json!({
+            "varied": self.varied,
+            "value": self.value,
+            "what": self.what,
+            "times": self.times.to_json(),
+            "ratio_to_first": self.ratio,
+        })
+    }
+}
+
+struct Table(Vec<ScalingRow>);
+
+impl Table {
+    fn add(&mut self, varied: &'static str, value: String, what: &'static str, times: Times) {
+        let first = self.0.iter().find(|row| (row.varied, row.what) == (varied, what));
+        let ratio = times.median_ms / first.map_or(times.median_ms, |row| row.times.median_ms);
+        self.0.push(ScalingRow { varied, value, what, times, ratio });
+    }
+}
+
+const FRAME: &str = "tracking frame";
+const COLD: &str = "cold start";
+
+/// Everything.
+///
+/// # Errors
+/// If simulator, estimator or tracker refuse the set-up, or a target is lost.
+pub fn scaling(rounds: usize) -> anyhow::Result<Vec<ScalingRow>> {
+    let mut table = Table(Vec::new());
+    let mut clip = targets_on_wall(SIZE, 8)?;
+    clip.regions.push(square(SIZE, (430, 240), 160));
+    for points in POINTS_TRIED {
+        table.add("points", points.to_string(), FRAME, frames(&clip, &[8], points, rounds)?);
+    }
+    for count in TARGETS_TRIED {
+        let targets: Vec<usize> = (0..count).collect();
+        table.add("targets", count.to_string(), FRAME, frames(&clip, &targets, POINTS, rounds)?);
+        table.add("targets", count.to_string(), COLD, cold_starts(&clip, &targets, rounds)?);
+    }
+    for threads in THREADS_TRIED {
+        table.add("threads", threads.to_string(), FRAME, on_threads(&clip, threads, rounds)?);
+    }
+    drop(clip);
+    for size in [SIZE, LARGE] {
+        let clip = targets_on_wall(size, 1)?;
+        let name = format!("{} x {}", size.width, size.height);
+        table.add("pictures", name.clone(), FRAME, frames(&clip, &[0], POINTS, rounds)?);
+        table.add("pictures", name, COLD, cold_starts(&clip, &[0], rounds)?);
+    }
+    Ok(table.0)
+}
+
+/// The wall with up to eight targets on it, which the right camera sees as well.
+fn targets_on_wall(size: ImageSize, count: usize) -> anyhow::Result<Clip> {
+    let mut clip = wall(size, FRAMES)?;
+    let centre = |i: usize| (250 + 105 * (i % 4) as i32, 150 + 180 * (i / 4) as i32);
+    clip.regions = (0..count).map(|i| square(size, centre(i), SIDE_PX)).collect();
+    Ok(clip)
+}
+
+/// Frames in which all `targets` are followed one after the other.
+fn frames(clip: &Clip, targets: &[usize], points: usize, rounds: usize) -> anyhow::Result<Times> {
+    let followers = targets.iter().map(|index| Follower::start(clip, *index, points, Kernels::best()));
+    let mut followers = followers.collect::<anyhow::Result<Vec<_>>>()?;
+    let mut samples = Vec::with_capacity(rounds);
+    for frame in 0..WARM_UP + rounds {
+        let mut sum = 0.0;
+        for follower in &mut followers {
+            sum += follower.follow(clip)?;
+        }
+        if frame >= WARM_UP {
+            samples.push(sum);
+        }
+    }
+    Times::of(&samples).context("no frame was counted")
+}
+
+fn cold_starts(clip: &Clip, targets: &[usize], rounds: usize) -> anyhow::Result<Times> {
+    let (left, right) = clip.pair(0);
+    let mut estimator = DirectEstimator::new(&clip.rig, DirectConfig::default())?;
+    repeat(rounds, || {
+        for index in targets {
+            estimator.estimate(left, right, &clip.regions[*index], &SEARCH)?;
+        }
+        Ok(())
+    })
+}
+
+/// One target per thread, at the same time: what a frame costs each of them.
+fn on_threads(clip: &Clip, threads: usize, rounds: usize) -> anyhow::Result<Times> {
+    let one = |target: usize| -> anyhow::Result<Vec<f64>> {
+        let mut follower = Follower::start(clip, target, POINTS, Kernels::best())?;
+        (0..WARM_UP + rounds).map(|_| follower.follow(clip)).skip(WARM_UP).collect()
+    };
+    let samples = std::thread::scope(|scope| {
+        let running: Vec<_> = (0..threads).map(|target| scope.spawn(move || one(target))).collect();
+        let ended = running.into_iter().map(|thread| thread.join().map_err(|_| anyhow::anyhow!("a thread failed"))?);
+        ended.collect::<anyhow::Result<Vec<_>>>()
+    })?;
+    Times::of(&samples.concat()).context("no frame was counted")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ratios_are_to_the_first_row_of_a_kind() {
+        let times = |ms: f64| Times::of(&[ms]).expect("not empty");
+        let mut table = Table(Vec::new());
+        table.add("targets", "1".into(), FRAME, times(2.0));
+        table.add("targets", "1".into(), COLD, times(5.0));
+        table.add("targets", "2".into(), FRAME, times(3.0));
+        table.add("points", "250".into(), FRAME, times(1.0));
+        assert_eq!(table.0.iter().map(|row| row.ratio).collect::<Vec<_>>(), [1.0, 1.0, 1.5, 1.0]);
+    }
+}
