@@ -107,7 +107,6 @@ fn the_direct_method_finds_every_board_to_a_tenth_of_a_percent_and_half_a_degree
                 found.z_sigma_m,
                 found.normal_sigma_rad
             );
-            println!("{what}");
             assert_eq!(found.status.as_str(), "ok", "{what}: {}", found.reason);
             assert!(depth.abs() < 1e-3 && normal_deg < 0.5, "{what}");
             assert!(found.z_sigma_m.unwrap() < 1e-3 && found.normal_sigma_rad.unwrap() < 0.01, "{what}");

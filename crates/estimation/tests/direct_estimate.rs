@@ -1,4 +1,5 @@
 //! The direct method on single pairs: rendered discs of known depth and tilt, and what must not be answered.
+#![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
 #[path = "support/scene.rs"]
 mod scene;

@@ -56,8 +56,9 @@ fn follow_the_crab(method: Method, limits: &Limits) -> RunLog {
     assert_eq!(log.pairs_lost, 0);
     for (number, mark) in log.marks.iter().enumerate() {
         let Errors { rms_mm, max_mm, rms_deg, max_deg } = errors(log, mark.at_s + 1.6, mark.at_s + 2.0);
-        let what = format!("rest {number}: rms {rms_mm:.1} mm, {rms_deg:.1} deg; max {max_mm:.1} mm, {max_deg:.1} deg");
-        println!("{method}, {what}");
+        let what = format!(
+            "{method}, rest {number}: rms {rms_mm:.1} mm, {rms_deg:.1} deg; max {max_mm:.1} mm, {max_deg:.1} deg"
+        );
         assert!(rms_mm < limits.rms_mm && rms_deg < limits.rms_deg, "{what}");
         assert!(max_mm < limits.max_mm && max_deg < limits.max_deg, "{what}");
     }
@@ -111,13 +112,12 @@ fn with_the_published_method_the_card_is_followed_as_well() {
 fn with_the_direct_method_card_and_grey_box_are_followed_to_a_millimetre() {
     for target in [TargetConfig::card(), TargetConfig::grey_box()] {
         let mut setup = quick_setup(Method::Direct, Pixels::Few, &[Channel::Rz]);
-        setup.scene.target = target.clone();
+        setup.scene.target = target;
         let log = run(&setup, Some(3.0)).log;
         let Errors { rms_mm, rms_deg, .. } = errors(&log, 2.7, 3.0);
         let last = TrackingError::of(log.control.last().unwrap());
         let about_deg = last.orientation_rad.to_degrees();
         let what = format!("{target:?}: off by {rms_mm:.2} mm, tilt {rms_deg:.2}, in all {about_deg:.2} degrees");
-        println!("{what}");
         assert!(rms_mm < 2.0 && rms_deg < 0.3 && about_deg < 0.3, "{what}");
         assert!(log.leading.frames.iter().all(|frame| frame.status == "ok"), "{what}");
         let turned =
