@@ -25,7 +25,7 @@ const TEXT_ENDINGS: [&str; 11] =
 ///   only shrink), no `todo!`, `unimplemented!`, `dbg!`, no ignored tests, no tests that expect a panic by attribute.
 /// * Text: no absolute paths of one machine, no paths out of the repository, `TODO(name, issue)` or none.
 /// * Markdown: one sentence per line; links and paths lead to something.
-/// * configs/: every TOML file and every robot description parses; docs/method.md names each parameter of
+/// * configs/: every TOML file and every robot description parses; docs/parameters.md names each parameter of
 ///   configs/estimator.toml with the same default.
 /// * Layout: the top level holds exactly the agreed entries; every package takes the workspace's lints, version and
 ///   dependencies, and its root file opens with a `//!` text; every third-party dependency is used, and has its reason in

@@ -1,18 +1,25 @@
-//! The published parameter tables and the configuration say the same: every key of the estimator's file stands in the
-//! method's document, with the same default.
+//! The parameter tables and the configuration say the same: every key of the estimator's file stands in the document of
+//! the parameters, with the same default.
 
 use crate::violation::Violation;
 use crate::workspace::SourceFile;
 
-const DOCUMENT: &str = "docs/method.md";
+const DOCUMENT: &str = "docs/parameters.md";
 const FILE: &str = "configs/estimator.toml";
 /// Keys of this table stand in the document without its name, those of others with it.
 const SECTION: &str = "published";
 
-/// Compares document and file; says nothing while the file is not there.
+/// Compares document and file; neither may be without the other.
 pub fn check(texts: &[SourceFile]) -> Vec<Violation> {
     let find = |path: &str| texts.iter().find(|file| file.path == path).map(|file| file.text.as_str());
-    let (Some(document), Some(file)) = (find(DOCUMENT), find(FILE)) else { return Vec::new() };
+    let (document, file) = match (find(DOCUMENT), find(FILE)) {
+        (Some(document), Some(file)) => (document, file),
+        (None, None) => return Vec::new(),
+        (found, _) => {
+            let missing = if found.is_none() { DOCUMENT } else { FILE };
+            return vec![Violation::of(missing, "method-table", "is not there: the tables and the file go together")];
+        }
+    };
     let Ok(table) = file.parse::<toml::Table>() else { return Vec::new() };
     let mut parameters = Vec::new();
     for (name, section) in &table {
@@ -83,5 +90,15 @@ mod tests {
         let both = format!("{file}[other]\npoints = 7\n");
         assert_eq!(messages(document, &both), ["`other.points` of configs/estimator.toml has no row"]);
         assert_eq!(messages(&format!("{document}| `other.points` | 7 | count |\n"), &both), [""; 0]);
+    }
+
+    #[test]
+    fn neither_document_nor_file_may_go_alone() {
+        for path in [DOCUMENT, FILE] {
+            let alone = [SourceFile { path: path.to_owned(), text: String::new() }];
+            let missing: Vec<_> = check(&alone).into_iter().map(|v| v.to_string()).collect();
+            assert!(missing.len() == 1 && missing[0].contains("is not there"), "{missing:?}");
+        }
+        assert!(check(&[]).is_empty());
     }
 }
