@@ -24,6 +24,9 @@ pub enum EstimateWarning {
         /// Highest fitness of the probe.
         grid: f64,
     },
+    /// The caller's time was over before the method had done everything.
+    #[error("cut short by the deadline: this is the best answer so far")]
+    CutShort,
     /// The answer lies at an end of the depth range.
     #[error("the answer, z = {z_mm:.1} mm, lies at the end of the depth range: widen the range")]
     EndOfRange {

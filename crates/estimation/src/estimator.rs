@@ -8,7 +8,7 @@ use pb3dp_geometry::StereoRig;
 
 use crate::direct::estimator::{DirectConfig, DirectEstimator};
 use crate::error::EstimationError;
-use crate::estimate::PlaneEstimate;
+use crate::estimate::{EstimateWarning, PlaneEstimate};
 use crate::plane_hypothesis::SearchRange;
 use crate::published::{PublishedConfig, TrackEstimate};
 use crate::region::Region;
@@ -152,11 +152,34 @@ impl Estimator {
         region: &Region,
         range: &SearchRange,
     ) -> Result<PlaneEstimate, EstimationError> {
-        match self {
-            Self::Published(estimator) => estimator.estimate(left, right, region, range),
-            Self::RmgaPhotometric(estimator) => estimator.estimate(left, right, region, range),
-            Self::Direct(estimator) => estimator.estimate(left, right, region, range),
+        self.estimate_while(left, right, region, range, &mut || true)
+    }
+
+    /// As [`Self::estimate`], with a deadline: `may_continue` is asked between the steps of the search, and once it says no,
+    /// the best answer so far is judged and given, with the warning [`EstimateWarning::CutShort`]. The first step and the
+    /// judgement always take place.
+    ///
+    /// # Errors
+    /// As [`Self::estimate`].
+    pub fn estimate_while(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<PlaneEstimate, EstimationError> {
+        let mut asked = Asked::new(may_continue);
+        let ask = &mut || asked.may_continue();
+        let mut estimate = match self {
+            Self::Published(estimator) => estimator.estimate_while(left, right, region, range, ask),
+            Self::RmgaPhotometric(estimator) => estimator.estimate_while(left, right, region, range, ask),
+            Self::Direct(estimator) => estimator.estimate_while(left, right, region, range, ask),
+        }?;
+        if asked.was_refused {
+            estimate.warnings.push(EstimateWarning::CutShort);
         }
+        Ok(estimate)
     }
 }
 
@@ -201,10 +224,28 @@ impl Tracker {
         region: &Region,
         range: &SearchRange,
     ) -> Result<TrackEstimate, EstimationError> {
-        match self {
-            Self::Published(tracker) => tracker.start(left, right, region, range),
-            Self::Direct(tracker) => tracker.start(left, right, region, range),
-        }
+        self.start_while(left, right, region, range, &mut || true)
+    }
+
+    /// As [`Self::start`], with a deadline, see [`Estimator::estimate_while`]; the reason tells of an answer cut short.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub fn start_while(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<TrackEstimate, EstimationError> {
+        let mut asked = Asked::new(may_continue);
+        let ask = &mut || asked.may_continue();
+        let found = match self {
+            Self::Published(tracker) => tracker.start_while(left, right, region, range, ask),
+            Self::Direct(tracker) => tracker.start_while(left, right, region, range, ask),
+        }?;
+        Ok(asked.mark(found))
     }
 
     /// Whether the last [`Self::start`] took no target, so that the region has to be given again. Never of the published
@@ -236,10 +277,54 @@ impl Tracker {
         right: &RgbImage,
         prior: &FramePrior,
     ) -> Result<TrackEstimate, EstimationError> {
-        match self {
-            Self::Published(tracker) => tracker.update(left, right, prior.cam_left_prev_from_cam_left_now.as_ref()),
-            Self::Direct(tracker) => tracker.update(left, right, prior),
+        self.update_while(left, right, prior, &mut || true)
+    }
+
+    /// As [`Self::update`], with a deadline, see [`Estimator::estimate_while`]; the reason tells of an answer cut short.
+    ///
+    /// # Errors
+    /// As [`Self::update`].
+    pub fn update_while(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        prior: &FramePrior,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<TrackEstimate, EstimationError> {
+        let mut asked = Asked::new(may_continue);
+        let ask = &mut || asked.may_continue();
+        let found = match self {
+            Self::Published(tracker) => {
+                tracker.update_while(left, right, prior.cam_left_prev_from_cam_left_now.as_ref(), ask)
+            }
+            Self::Direct(tracker) => tracker.update_while(left, right, prior, ask),
+        }?;
+        Ok(asked.mark(found))
+    }
+}
+
+/// Remembers whether the caller's time was over; once it is, it stays so.
+struct Asked<'a> {
+    may_continue: &'a mut dyn FnMut() -> bool,
+    was_refused: bool,
+}
+
+impl<'a> Asked<'a> {
+    fn new(may_continue: &'a mut dyn FnMut() -> bool) -> Self {
+        Self { may_continue, was_refused: false }
+    }
+
+    fn may_continue(&mut self) -> bool {
+        self.was_refused = self.was_refused || !(self.may_continue)();
+        !self.was_refused
+    }
+
+    fn mark(&self, mut estimate: TrackEstimate) -> TrackEstimate {
+        if self.was_refused {
+            estimate.reason.push_str("; ");
+            estimate.reason.push_str(&EstimateWarning::CutShort.to_string());
         }
+        estimate
     }
 }
 

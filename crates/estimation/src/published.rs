@@ -180,6 +180,21 @@ impl PublishedEstimator {
         region: &Region,
         range: &SearchRange,
     ) -> Result<PlaneEstimate, EstimationError> {
+        self.estimate_while(left, right, region, range, &mut || true)
+    }
+
+    /// As [`Self::estimate`]; once `may_continue` says no, the best of the generations so far is judged and given.
+    ///
+    /// # Errors
+    /// As [`Self::estimate`].
+    pub fn estimate_while(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<PlaneEstimate, EstimationError> {
         range.validate()?;
         let taken = self.core.take(left, right, region)?;
         let warnings = taken.warnings.into_iter().map(EstimateWarning::Region).collect();
@@ -191,7 +206,7 @@ impl PublishedEstimator {
         let rmga_config = self.core.config().cold_start_rmga();
         let mut rmga = RmGa::new(rmga_config, *range)?;
         let mut population = Population::random(&rmga_config);
-        let Some(found) = self.core.search(&mut rmga, &mut population)? else {
+        let Some(found) = self.core.search(&mut rmga, &mut population, may_continue)? else {
             estimate.reason = "every hypothesis of the search range lies behind a camera: check the range".to_owned();
             return Ok(estimate);
         };

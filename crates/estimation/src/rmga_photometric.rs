@@ -156,6 +156,21 @@ impl RmgaPhotometricEstimator {
         region: &Region,
         range: &SearchRange,
     ) -> Result<PlaneEstimate, EstimationError> {
+        self.estimate_while(left, right, region, range, &mut || true)
+    }
+
+    /// As [`Self::estimate`]; once `may_continue` says no, the best of the generations so far is judged and given.
+    ///
+    /// # Errors
+    /// As [`Self::estimate`].
+    pub fn estimate_while(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<PlaneEstimate, EstimationError> {
         range.validate()?;
         self.front_end.check(left, right)?;
         let mask = region.rasterize(left, &self.config.region)?;
@@ -192,12 +207,17 @@ impl RmgaPhotometricEstimator {
             corners_px: [corner(0, 0), corner(b.width, 0), corner(0, b.height), corner(b.width, b.height)],
             range: *range,
         };
-        self.search(&mut estimate, &mapping)?;
+        self.search(&mut estimate, &mapping, may_continue)?;
         Ok(estimate)
     }
 
     /// Evolves on coarse levels first, where the summit is wide, and carries the population on to the finest.
-    fn search(&mut self, estimate: &mut PlaneEstimate, mapping: &Mapping) -> Result<(), EstimationError> {
+    fn search(
+        &mut self,
+        estimate: &mut PlaneEstimate,
+        mapping: &Mapping,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<(), EstimationError> {
         let finest = self.pyramid.search_level();
         let coarsest = (finest + self.config.coarse_levels).min(self.pyramid.levels().len().max(1) - 1);
         let mut rmga = RmGa::new(self.config.rmga, mapping.range)?;
@@ -216,8 +236,8 @@ impl RmgaPhotometricEstimator {
             let Some(level) = self.pyramid.levels().get(index) else { continue };
             let (points, right) = (&self.points, &self.right);
             let score = CorrelationScore { points, level, right, mapping, kernels, block: None };
-            let best = rmga.evolve(&mut population, &score);
-            if index > finest {
+            let best = rmga.evolve_while(&mut population, &score, may_continue);
+            if index > finest && may_continue() {
                 continue;
             }
             if !best.is_scored() {
@@ -227,6 +247,7 @@ impl RmgaPhotometricEstimator {
             }
             let landscape = survey(&mut self.probe, &score, &best, level.scale);
             fill(estimate, &best, &landscape, &mapping.raw_ray, &self.config.observability, &mapping.range);
+            break;
         }
         Ok(())
     }

@@ -73,6 +73,9 @@ pub struct MethodArgs {
     /// Largest tilt to search, degrees; overrides what a case or sequence says.
     #[arg(long, value_name = "DEGREES", value_parser = parse_tilt)]
     pub tilt_max: Option<f64>,
+    /// Give the best answer so far once a pair has taken this much time, milliseconds; the reason tells of it.
+    #[arg(long, value_name = "MS", value_parser = parse_deadline)]
+    pub deadline: Option<f64>,
     /// One JSON object per line on standard output instead of a table.
     #[arg(long)]
     pub json: bool,
@@ -191,6 +194,13 @@ fn parse_tilt(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(degrees) if (0.0..=TILT_LIMIT_DEG).contains(&degrees) => Ok(degrees),
         _ => Err(format!("{text:?}: must be between 0 and {TILT_LIMIT_DEG} degrees")),
+    }
+}
+
+fn parse_deadline(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(millis) if (0.0..=1e6).contains(&millis) => Ok(millis),
+        _ => Err(format!("{text:?}: must be between 0 and 1000000 milliseconds")),
     }
 }
 

@@ -15,6 +15,13 @@ pub fn timed<T>(work: impl FnOnce() -> T) -> (T, f64) {
     (result, thread_cpu_millis() - start)
 }
 
+/// A question for methods that may be cut short: yes, until `limit_millis` of CPU time of this thread are used from now on.
+/// Without a limit always yes.
+pub fn within(limit_millis: Option<f64>) -> impl FnMut() -> bool {
+    let end = limit_millis.map(|limit| thread_cpu_millis() + limit);
+    move || end.is_none_or(|end| thread_cpu_millis() < end)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -49,20 +49,35 @@ impl Follower {
         region: Option<&Region>,
         prior: &FramePrior,
     ) -> Result<TrackEstimate, EstimationError> {
+        self.look_while(left, right, region, prior, &mut || true)
+    }
+
+    /// As [`Self::look`]; once `may_continue` says no, the best answer so far is given.
+    ///
+    /// # Errors
+    /// As [`Self::look`].
+    pub fn look_while(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: Option<&Region>,
+        prior: &FramePrior,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<TrackEstimate, EstimationError> {
         let Some((region, tries)) = &mut self.marked else {
             let region = region.ok_or(EstimationError::NotStarted)?;
-            let estimate = self.tracker.start(left, right, region, &self.range)?;
+            let estimate = self.tracker.start_while(left, right, region, &self.range, may_continue)?;
             self.marked = Some((region.clone(), 1));
             return Ok(estimate);
         };
         if !self.tracker.wants_region() {
-            return self.tracker.update(left, right, prior);
+            return self.tracker.update_while(left, right, prior, may_continue);
         }
         if *tries == TRIES_MAX {
             return Ok(given_up());
         }
         *tries += 1;
-        self.tracker.start(left, right, region, &self.range)
+        self.tracker.start_while(left, right, region, &self.range, may_continue)
     }
 }
 

@@ -180,13 +180,14 @@ impl ColdStart {
         &self.surfaces
     }
 
-    /// Searches the plane of a region; `allowed` says which planes are within the search range. `None` if there is no
-    /// candidate.
+    /// Searches the plane of a region; `allowed` says which planes are within the search range. Once
+    /// `may_continue` says no, finer levels and the refinement are left out. `None` if there is no candidate.
     pub fn run(
         &mut self,
         front_end: &StereoFrontEnd,
         source: &PyramidSource<'_>,
         allowed: impl Fn(&DisparityPlane) -> bool,
+        may_continue: &mut dyn FnMut() -> bool,
     ) -> Option<ColdStartOutcome> {
         self.surfaces.clear();
         if !self.pyramid.update(front_end, source) {
@@ -197,13 +198,13 @@ impl ColdStart {
         let quick =
             levels.iter().position(|level| level.area_px <= self.config.quick_area_px).unwrap_or(full).max(full);
         self.search_level(quick, source.disparity_px, &allowed);
-        if quick > full && !self.is_decided() {
+        if quick > full && !self.is_decided() && may_continue() {
             self.search_level(full, source.disparity_px, &allowed);
         }
         let first = *self.surfaces.first()?;
         let (second, alias) = self.rivals(&first);
-        let (patch_plane, finest, level) = self.descend(first.plane);
-        let refined = self.refiner.refine(&self.pyramid, &patch_plane);
+        let (patch_plane, finest, level) = self.descend(first.plane, may_continue);
+        let refined = if may_continue() { self.refiner.refine(&self.pyramid, &patch_plane) } else { None };
         let at_refined = refined.map(|refined| self.look(level, &refined.plane));
         let valid_share = self.search.valid_share;
         Some(ColdStartOutcome { first, second, alias, valid_share, finest, patch_plane, refined, at_refined })
@@ -252,20 +253,25 @@ impl ColdStart {
     }
 
     /// From the level that was searched to the finest one for patches, two looks each. Returns the plane, what the patches
-    /// said of it, and the finest level.
-    fn descend(&mut self, start: DisparityPlane) -> (DisparityPlane, PatchOutcome, usize) {
+    /// said of it, and the finest level reached.
+    fn descend(
+        &mut self,
+        start: DisparityPlane,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> (DisparityPlane, PatchOutcome, usize) {
         let (centre, coarsest, limit) = (self.pyramid.centroid_px(), self.searched, self.config.patch_area_px);
         let finest = self.pyramid.levels().iter().position(|l| l.area_px <= limit).unwrap_or(coarsest).min(coarsest);
         let mut plane = start;
-        for index in (finest + 1..=coarsest).rev() {
-            for _ in 0..2 {
-                let found = self.look(index, &plane);
-                plane = self.pyramid.levels()[index].full_plane(&found.plane, centre);
+        let mut index = coarsest;
+        loop {
+            let before = self.look(index, &plane);
+            let outcome = self.look(index, &self.pyramid.levels()[index].full_plane(&before.plane, centre));
+            plane = self.pyramid.levels()[index].full_plane(&outcome.plane, centre);
+            if index == finest || !may_continue() {
+                return (plane, outcome, index);
             }
+            index -= 1;
         }
-        let before = self.look(finest, &plane);
-        let outcome = self.look(finest, &self.pyramid.levels()[finest].full_plane(&before.plane, centre));
-        (self.pyramid.levels()[finest].full_plane(&outcome.plane, centre), outcome, finest)
     }
 
     /// The other surface with the most pixels of its own, and the best other explanation of the same pixels.

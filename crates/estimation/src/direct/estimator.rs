@@ -149,6 +149,22 @@ impl DirectEstimator {
         region: &Region,
         range: &SearchRange,
     ) -> Result<PlaneEstimate, EstimationError> {
+        self.estimate_while(left, right, region, range, &mut || true)
+    }
+
+    /// As [`Self::estimate`]; once `may_continue` says no, what the stages so far have found is judged and given: without
+    /// the refinement there is no standard deviation, and the status is `weak-tilt` at best.
+    ///
+    /// # Errors
+    /// As [`Self::estimate`].
+    pub fn estimate_while(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<PlaneEstimate, EstimationError> {
         range.validate()?;
         self.front_end.check(left, right)?;
         let raw_mask = region.rasterize(left, &self.config.region)?;
@@ -170,7 +186,7 @@ impl DirectEstimator {
             let within = plane.d0_px >= disparity_px.0 - 1.0 && plane.d0_px <= disparity_px.1 + 1.0;
             within && limits.allow(&view.inverse_depth_plane(plane))
         };
-        self.outcome = self.cold_start.run(&self.front_end, &source, allowed);
+        self.outcome = self.cold_start.run(&self.front_end, &source, allowed, may_continue);
         let mut estimate = self.blank(centroid_px);
         match &self.outcome {
             Some(outcome) => self.fill(&mut estimate, outcome, &view, range),

@@ -1,7 +1,7 @@
 //! The direct method over time: six degrees of freedom from kept views.
 //!
-//! The target is a [`surface`] (points of the first view on a plane with a relief) and a few kept [`view`]s of it. A frame is
-//! one small problem ([`align`]): at which pose does the nearest view explain both images? Unknown beside the pose are gain
+//! The target is a `surface` (points of the first view on a plane with a relief) and a few kept `view`s of it. A frame is
+//! one small problem (`align`): at which pose does the nearest view explain both images? Unknown beside the pose are gain
 //! and offset of each channel of each camera, the row offset of the right camera, an offset of each patch that both cameras
 //! share (shading that does not turn with the target), and what the first pair left open about the plane of the surface.
 //! View, left and right image have noise of their own each, so three differences are weighed together: view against left,

@@ -135,16 +135,17 @@ impl Core {
         ))
     }
 
-    /// Evolves the population on the current frame; `None` if nobody could be scored.
+    /// Evolves the population on the current frame, as long as it may; `None` if nobody could be scored.
     pub(super) fn search(
         &mut self,
         rmga: &mut RmGa,
         population: &mut Population,
+        may_continue: &mut dyn FnMut() -> bool,
     ) -> Result<Option<Found>, EstimationError> {
         let Self { fitness, front, model, .. } = self;
         let range = *rmga.codec().range();
         let prepared = fitness.prepare(front.pair(), model, front.right_hue(), &range)?;
-        let best = rmga.evolve(population, &prepared);
+        let best = rmga.evolve_while(population, &prepared, may_continue);
         Ok(prepared.fitness(best.score).map(|fitness| Found { psi: best.hypothesis, fitness }))
     }
 

@@ -107,10 +107,25 @@ impl PublishedTracker {
         region: &Region,
         range: &SearchRange,
     ) -> Result<TrackEstimate, EstimationError> {
+        self.start_while(left, right, region, range, &mut || true)
+    }
+
+    /// As [`Self::start`]; once `may_continue` says no, the best of the generations so far is judged and given.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub fn start_while(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<TrackEstimate, EstimationError> {
         range.validate()?;
         self.unsure_frames = 0;
         self.start = Some(Start { region: region.clone(), range: *range });
-        self.take_target(left, right, region, range)
+        self.take_target(left, right, region, range, may_continue)
     }
 
     fn take_target(
@@ -119,6 +134,7 @@ impl PublishedTracker {
         right: &RgbImage,
         region: &Region,
         range: &SearchRange,
+        may_continue: &mut dyn FnMut() -> bool,
     ) -> Result<TrackEstimate, EstimationError> {
         self.target = None;
         let taken = self.core.take(left, right, region)?;
@@ -129,7 +145,7 @@ impl PublishedTracker {
         let config = self.core.config().clone();
         let mut cold_rmga = RmGa::new(config.cold_start_rmga(), *range)?;
         let mut population = Population::random(&config.rmga);
-        let Some(found) = self.core.search(&mut cold_rmga, &mut population)? else {
+        let Some(found) = self.core.search(&mut cold_rmga, &mut population, may_continue)? else {
             return Ok(TrackEstimate { reason: no_hypothesis(), ..estimate });
         };
         let landscape = self.core.survey(&found, range)?;
@@ -156,6 +172,20 @@ impl PublishedTracker {
         right: &RgbImage,
         cam_left_prev_from_cam_left_now: Option<&Pose<CamLeft, CamLeft>>,
     ) -> Result<TrackEstimate, EstimationError> {
+        self.update_while(left, right, cam_left_prev_from_cam_left_now, &mut || true)
+    }
+
+    /// As [`Self::update`]; once `may_continue` says no, the best of the generations so far is judged and given.
+    ///
+    /// # Errors
+    /// As [`Self::update`].
+    pub fn update_while(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        cam_left_prev_from_cam_left_now: Option<&Pose<CamLeft, CamLeft>>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<TrackEstimate, EstimationError> {
         let limit = self.core.config().tracker.assure_frames_max;
         if self.start.is_some() && self.unsure_frames >= limit {
             self.target = None;
@@ -165,10 +195,10 @@ impl PublishedTracker {
         let Some(mut target) = self.target.take() else {
             let Start { region, range } = self.start.clone().ok_or(EstimationError::NotStarted)?;
             self.unsure_frames += 1;
-            let again = self.take_target(left, right, &region, &range)?;
+            let again = self.take_target(left, right, &region, &range, may_continue)?;
             return Ok(TrackEstimate { warnings: Vec::new(), ..again });
         };
-        let outcome = self.follow(&mut target, left, right, cam_left_prev_from_cam_left_now);
+        let outcome = self.follow(&mut target, (left, right), cam_left_prev_from_cam_left_now, may_continue);
         self.target = Some(target);
         outcome
     }
@@ -176,9 +206,9 @@ impl PublishedTracker {
     fn follow(
         &mut self,
         target: &mut Target,
-        left: &RgbImage,
-        right: &RgbImage,
+        (left, right): (&RgbImage, &RgbImage),
         motion: Option<&Pose<CamLeft, CamLeft>>,
+        may_continue: &mut dyn FnMut() -> bool,
     ) -> Result<TrackEstimate, EstimationError> {
         self.core.load(left, right)?;
         let old_centre_px = self.core.model_centre_px();
@@ -204,7 +234,7 @@ impl PublishedTracker {
         } else {
             &mut target.rmga
         };
-        let Some(found) = self.core.search(rmga, &mut target.population)? else {
+        let Some(found) = self.core.search(rmga, &mut target.population, may_continue)? else {
             return Ok(self.lost(target, no_hypothesis(), &carried.outline_px));
         };
         if found.fitness < target.fitness_floor {

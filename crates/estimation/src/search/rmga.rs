@@ -189,9 +189,22 @@ impl RmGa {
     /// One frame: the configured number of generations. The population is left as bred after the last sorting, the best
     /// individual first: it is the start of the next frame.
     pub fn evolve(&mut self, population: &mut Population, score: &impl PlaneScore) -> Best {
+        self.evolve_while(population, score, &mut || true)
+    }
+
+    /// As [`Self::evolve`], as long as `may_continue` says so before each generation; the first one always takes place.
+    pub fn evolve_while(
+        &mut self,
+        population: &mut Population,
+        score: &impl PlaneScore,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Best {
         self.fit(population);
         self.best_scores.clear();
-        for _ in 0..self.config.generations {
+        for generation in 0..self.config.generations {
+            if generation > 0 && !may_continue() {
+                break;
+            }
             self.evaluate(&population.individuals, score);
             self.ranking.sort_unstable();
             self.best_scores.push(self.ranking[0].0.0);

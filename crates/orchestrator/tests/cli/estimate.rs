@@ -213,6 +213,28 @@ fn every_calibration_format_gives_the_same_answer() {
 }
 
 #[test]
+fn a_deadline_gives_the_best_answer_so_far_and_says_so() {
+    for method in METHODS {
+        let run = |deadline: &str| {
+            let words = words(&[
+                &"estimate",
+                &"--method",
+                &method,
+                &"--cases",
+                &real_cases(),
+                &"--json",
+                &"--deadline",
+                &deadline,
+            ]);
+            let finished = pb3dp(&words).assert_success();
+            (finished.json_lines(&ESTIMATE_KEYS).len(), finished.stderr.matches("cut short by the deadline").count())
+        };
+        let cases = folders(&real_cases()).len();
+        assert_eq!((run("0"), run("1000000")), ((cases, cases), (cases, 0)), "{method}");
+    }
+}
+
+#[test]
 fn the_same_seed_gives_the_same_lines() {
     let line = |seed: &str| -> Vec<Value> {
         let finished = pb3dp(&words(&[

@@ -1,6 +1,6 @@
 //! How well every pixel of the region agrees with every pixel of its row in the other eye.
 //!
-//! The neighbourhood of a pixel becomes a vector of mean zero and length [`DESCRIPTOR_LENGTH`] in whole numbers; the product
+//! The neighbourhood of a pixel becomes a vector of mean zero and length `DESCRIPTOR_LENGTH` in whole numbers; the product
 //! of two such vectors is their zero-mean normalised cross-correlation. A term for the noise of the camera in the
 //! normalisation makes a neighbourhood without texture agree with nothing, instead of with anything at random.
 

@@ -111,9 +111,24 @@ impl DirectTracker {
         region: &Region,
         range: &SearchRange,
     ) -> Result<TrackEstimate, EstimationError> {
+        self.start_while(left, right, region, range, &mut || true)
+    }
+
+    /// As [`Self::start`]; once `may_continue` says no, the cold start gives what it has. The relief is found all the same.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub fn start_while(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<TrackEstimate, EstimationError> {
         self.target = None;
         self.was_started = true;
-        let found = self.estimator.estimate(left, right, region, range)?;
+        let found = self.estimator.estimate_while(left, right, region, range, may_continue)?;
         let refused = TrackEstimate {
             status: found.status,
             reason: found.reason.clone(),
@@ -208,14 +223,28 @@ impl DirectTracker {
         right: &RgbImage,
         prior: &FramePrior,
     ) -> Result<TrackEstimate, EstimationError> {
+        self.update_while(left, right, prior, &mut || true)
+    }
+
+    /// As [`Self::update`]; `may_continue` is asked before each further step, and once it says no, what has been reached is
+    /// judged and given.
+    ///
+    /// # Errors
+    /// As [`Self::update`].
+    pub fn update_while(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        prior: &FramePrior,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<TrackEstimate, EstimationError> {
         let mut estimate = blank();
-        self.update_into(left, right, prior, &mut || true, &mut estimate)?;
+        self.update_into(left, right, prior, may_continue, &mut estimate)?;
         Ok(estimate)
     }
 
-    /// As [`Self::update`], for a loop that must not allocate and has a deadline: the answer is written into `estimate`,
-    /// whose buffers are used again, and `may_continue` is asked before each further step; once it says no, what has been
-    /// reached is judged and given.
+    /// As [`Self::update_while`], for a loop that must not allocate: the answer is written into `estimate`, whose buffers are
+    /// used again.
     ///
     /// # Errors
     /// As [`Self::update`].

@@ -24,7 +24,7 @@ use self::rigs::Rigs;
 use super::pair::check_pictures;
 use crate::cli::{EstimateArgs, MethodArgs};
 use crate::config::estimator::read_estimator;
-use crate::cpu_time::timed;
+use crate::cpu_time::{timed, within};
 use crate::picture::{Annotation, annotate, model_frame_on_plane, polygon_px};
 
 /// Runs the command. The exit code is a failure if a case could not be worked on; all others are worked on all the same.
@@ -47,9 +47,7 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
     let mut refused = 0_usize;
     for source in jobs {
         let name = source.name();
-        let outcome = source
-            .load(args)
-            .and_then(|job| work(&job, (method, &config), args.reference_optimum, &mut rigs, &mut overlays));
+        let outcome = source.load(args).and_then(|job| work(&job, (method, &config), args, &mut rigs, &mut overlays));
         let line = match outcome {
             Ok((line, evaluation)) => {
                 evaluated.extend(evaluation);
@@ -122,7 +120,7 @@ pub fn estimator_config(args: &MethodArgs) -> Result<EstimatorConfig> {
 fn work(
     job: &Job,
     (method, config): (Method, &EstimatorConfig),
-    with_optimum: bool,
+    args: &EstimateArgs,
     rigs: &mut Rigs,
     overlays: &mut Overlays<'_>,
 ) -> Result<(EstimateLine, Option<EvaluatedCase>)> {
@@ -138,9 +136,12 @@ fn work(
     }
     check_pictures(&job.name, &job.rig, &job.left, &job.right)?;
     let mut estimator = rigs.estimator(job, (method, config))?;
-    let (estimate, millis) = timed(|| estimator.estimate(&job.left, &job.right, &job.region, &job.range));
+    let (estimate, millis) = timed(|| {
+        let mut may_continue = within(args.method.deadline);
+        estimator.estimate_while(&job.left, &job.right, &job.region, &job.range, &mut may_continue)
+    });
     let mut estimate = estimate?;
-    if with_optimum {
+    if args.reference_optimum {
         estimate.reference_optimum = reference_optimum(job, method, config)?;
     }
     let z_m = match job.centroid_px {

@@ -19,7 +19,7 @@ use super::super::estimate::job::{load_region, overridden, range_of_dataset};
 use super::super::pair::check_pictures;
 use super::with_target;
 use crate::cli::TrackArgs;
-use crate::cpu_time::timed;
+use crate::cpu_time::{timed, within};
 use crate::follower::Follower;
 use crate::region_spec::RegionSpec;
 
@@ -32,6 +32,8 @@ pub struct Walk {
     /// Time of the last frame that could be read.
     last_t_s: Option<f64>,
     rotation_about_normal_observed: bool,
+    /// CPU time for one target in one frame, milliseconds.
+    deadline_millis: Option<f64>,
 }
 
 /// One target.
@@ -82,9 +84,17 @@ impl TrackedTarget {
         }
     }
 
-    fn step(&mut self, pair: &FramePair, prior: &FramePrior) -> Result<(TrackEstimate, f64)> {
+    fn step(
+        &mut self,
+        pair: &FramePair,
+        prior: &FramePrior,
+        deadline_millis: Option<f64>,
+    ) -> Result<(TrackEstimate, f64)> {
         let region = if self.follower.is_started() { None } else { Some(self.region(&pair.left)?) };
-        let (estimate, millis) = timed(|| self.follower.look(&pair.left, &pair.right, region.as_ref(), prior));
+        let (estimate, millis) = timed(|| {
+            let mut may_continue = within(deadline_millis);
+            self.follower.look_while(&pair.left, &pair.right, region.as_ref(), prior, &mut may_continue)
+        });
         let estimate = estimate?;
         self.poses.push(estimate.cam_left_from_model);
         Ok((estimate, millis))
@@ -123,6 +133,7 @@ impl Walk {
             first: None,
             last_t_s: None,
             rotation_about_normal_observed: true,
+            deadline_millis: args.method.deadline,
         })
     }
 
@@ -154,7 +165,7 @@ impl Walk {
         let mut all = Vec::with_capacity(self.targets.len());
         for (index, target) in self.targets.iter_mut().enumerate() {
             let index = several.then_some(index);
-            let (estimate, millis) = with_target(target.step(pair, &prior), frame, index)?;
+            let (estimate, millis) = with_target(target.step(pair, &prior, self.deadline_millis), frame, index)?;
             let what = index.map_or(format!("frame {frame}"), |index| format!("frame {frame}, target {index}"));
             target.tell(&what, &estimate);
             self.rotation_about_normal_observed &=
