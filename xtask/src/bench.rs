@@ -25,6 +25,7 @@ const QUICK_ROUNDS: &str = "40";
 ///         `cargo xtask bench real -- --help` lists the options. Writes docs/benchmarks/real.md
 /// accuracy  every method on rendered scenes with exact truth, beside the Cramér-Rao bound (up to 20 minutes on two cores;
 ///           --quick: 3); `cargo xtask bench accuracy -- --help` lists the options. Writes docs/benchmarks/accuracy.md
+/// figures  the figures of docs/method.md, on rendered scenes: some minutes. Writes docs/images/score.svg, noise.svg, track.svg
 /// all     speed and raster
 ///
 /// The examples `speed` of crates/estimation and `raster_speed` of crates/sim measure the published method and the
@@ -50,11 +51,13 @@ enum What {
     Raster,
     Real,
     Accuracy,
+    Figures,
     All,
 }
 
 /// Subcommands of `pb3dp-bench` in crates/benchmarks: they take options and write what they find themselves.
-const PROGRAMS: [(What, &str); 3] = [(What::Speed, "speed"), (What::Real, "real"), (What::Accuracy, "accuracy")];
+const PROGRAMS: [(What, &str); 4] =
+    [(What::Speed, "speed"), (What::Real, "real"), (What::Accuracy, "accuracy"), (What::Figures, "figures")];
 
 /// What `all` stands for.
 const OF_ALL: [What; 2] = [What::Speed, What::Raster];
@@ -90,7 +93,7 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     let wanted = |what: What| args.what == What::All && OF_ALL.contains(&what) || args.what == what;
     let takes_options = PROGRAMS.iter().any(|(what, _)| *what == args.what);
     if let Some(option) = args.options.first().filter(|_| !takes_options) {
-        bail!("`{option}`: only `speed`, `real` and `accuracy` take further options");
+        bail!("`{option}`: only `speed`, `real`, `accuracy` and `figures` take further options");
     }
     let asks_for_help = args.options.iter().any(|option| option == "--help" || option == "-h");
     for bench in BENCHES.iter().filter(|bench| wanted(bench.what) && !asks_for_help) {

@@ -23,6 +23,8 @@ enum What {
     Accuracy(accuracy::Args),
     /// Writes the pairs of one cell of `accuracy` as case folders, or one of its sequences as a sequence folder.
     Dump(accuracy::dump::Args),
+    /// The figures of docs/method.md.
+    Figures(accuracy::figures::Args),
     /// Real stereo cases, beside other tools.
     Real(real::Args),
     /// How long the direct method takes.
@@ -33,6 +35,7 @@ fn main() -> ExitCode {
     let outcome = match Cli::parse().what {
         What::Accuracy(args) => accuracy::run(&args),
         What::Dump(args) => accuracy::dump::run(&args),
+        What::Figures(args) => accuracy::figures::run(&args),
         What::Real(args) => real::run(&args),
         What::Speed(args) => speed::run(&args),
     };

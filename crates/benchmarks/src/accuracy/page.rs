@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use super::cell::Cell;
 use super::limits::Check;
-use super::plot::{Line, Panel, svg};
+use super::plot::{AxisKind, Line, Panel, svg};
 use super::sequence_summary::{self, SequenceSummary};
 use super::summary::Summary;
 use super::table;
@@ -35,15 +35,16 @@ pub fn accuracy_figure(findings: &Findings) -> String {
     let mut panels = Vec::new();
     for (quantity, index) in [("depth, rms, mm", 0), ("normal, rms, degrees", 1)] {
         for (factor, label) in FIGURES {
-            panels.push(panel(findings, factor, (quantity, index), label));
+            let cells: Vec<Cell> = findings.cells.iter().filter(|cell| cell.factor() == factor).cloned().collect();
+            panels.push(cell_panel(&cells, &findings.summaries, (quantity, index), label));
         }
     }
     svg(&panels, FIGURES.len())
 }
 
-fn panel(findings: &Findings, factor: &str, (quantity, index): (&str, usize), label: &str) -> Panel {
-    let cells: Vec<&Cell> = findings.cells.iter().filter(|cell| cell.factor() == factor).collect();
-    let mut methods: Vec<&'static str> = findings.summaries.iter().map(|row| row.method).collect();
+/// Rms of depth (0) or normal (1) over the values of one factor, with the bound.
+pub fn cell_panel(cells: &[Cell], summaries: &[Summary], (quantity, index): (&str, usize), label: &str) -> Panel {
+    let mut methods: Vec<&'static str> = summaries.iter().map(|row| row.method).collect();
     methods.sort_unstable();
     methods.dedup();
     let value = |row: &Summary| if index == 0 { row.z_m[2] * 1e3 } else { row.angle_rad[2].to_degrees() };
@@ -52,7 +53,7 @@ fn panel(findings: &Findings, factor: &str, (quantity, index): (&str, usize), la
         if index == 0 { z * 1e3 } else { angle.to_degrees() }
     };
     let points = |method: &str, of: &dyn Fn(&Summary) -> f64| {
-        let row = |cell: &&Cell| findings.summaries.iter().find(|row| row.cell == cell.name && row.method == method);
+        let row = |cell: &Cell| summaries.iter().find(|row| row.cell == cell.name && row.method == method);
         cells.iter().filter_map(|cell| row(cell).map(|row| [cell.value, of(row)])).collect::<Vec<_>>()
     };
     let mut lines: Vec<Line> = methods
@@ -62,7 +63,7 @@ fn panel(findings: &Findings, factor: &str, (quantity, index): (&str, usize), la
     if let Some(method) = methods.first() {
         lines.push(Line { name: "bound".to_owned(), points: points(method, &bound), is_bound: true });
     }
-    Panel { title: quantity.to_owned(), x: label.to_owned(), lines }
+    Panel { title: quantity.to_owned(), x: label.to_owned(), axes: [AxisKind::Logarithmic; 2], lines }
 }
 
 /// Depth and rotation error of each frame of one sequence.
@@ -76,6 +77,7 @@ pub fn sequence_figure(findings: &Findings, name: &str) -> String {
     let panel = |title: &str, of: &dyn Fn(&SequenceSummary) -> Line| Panel {
         title: format!("{name}: {title}"),
         x: "frame".to_owned(),
+        axes: [AxisKind::Linear, AxisKind::Logarithmic],
         lines: rows.iter().map(|row| of(row)).collect(),
     };
     svg(

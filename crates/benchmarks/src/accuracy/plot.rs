@@ -1,4 +1,4 @@
-//! Figures with logarithmic axes, as SVG files of their own that follow light and dark pages.
+//! Figures as SVG files of their own that follow light and dark pages.
 
 use std::fmt::Write as _;
 
@@ -6,10 +6,19 @@ use std::fmt::Write as _;
 pub struct Line {
     /// Its name.
     pub name: String,
-    /// Its points; those that are not positive and finite are left out.
+    /// Its points; those that are not finite, or not positive on a logarithmic axis, are left out.
     pub points: Vec<[f64; 2]>,
     /// Dashed and grey: the bound.
     pub is_bound: bool,
+}
+
+/// How numbers become places.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AxisKind {
+    /// Equal factors, equal distances.
+    Logarithmic,
+    /// Equal differences, equal distances.
+    Linear,
 }
 
 /// One panel.
@@ -18,6 +27,8 @@ pub struct Panel {
     pub title: String,
     /// Label of the x axis.
     pub x: String,
+    /// Kinds of the x and the y axis.
+    pub axes: [AxisKind; 2],
     /// Its lines.
     pub lines: Vec<Line>,
 }
@@ -28,6 +39,10 @@ const LEFT: f64 = 52.0;
 const TOP: f64 = 54.0;
 const BOTTOM: f64 = 40.0;
 const RIGHT: f64 = 16.0;
+/// Height of a line of the caption.
+const CAPTION: f64 = 16.0;
+/// Lines with more points than this are drawn without dots.
+const DOTS_MAX: usize = 40;
 
 const STYLE: &str = "text { font: 11px sans-serif; fill: #5b6470; } .head { font-weight: bold; fill: #1c1f24; } \
     .grid { stroke: #e3e6ea; } .line { fill: none; stroke: currentColor; stroke-width: 1.8; } .paper { fill: #ffffff; } \
@@ -38,14 +53,25 @@ const STYLE: &str = "text { font: 11px sans-serif; fill: #5b6470; } .head { font
 
 /// Panels in rows of `columns`.
 pub fn svg(panels: &[Panel], columns: usize) -> String {
+    svg_with_caption(panels, columns, &[])
+}
+
+/// The same with lines of text below.
+pub fn svg_with_caption(panels: &[Panel], columns: usize, caption: &[String]) -> String {
     let (cell_width, cell_height) = (LEFT + WIDTH + RIGHT, TOP + HEIGHT + BOTTOM);
     let rows = panels.len().div_ceil(columns);
-    let (width, height) = (cell_width * columns as f64, cell_height * rows as f64);
+    let width = cell_width * columns as f64;
+    let below = cell_height * rows as f64;
+    let height = below + if caption.is_empty() { 0.0 } else { CAPTION * (caption.len() as f64 + 0.5) };
     let mut body = String::new();
     for (index, panel) in panels.iter().enumerate() {
         let (x, y) = (cell_width * (index % columns) as f64, cell_height * (index / columns) as f64);
         // Writing to a String does not fail.
         let _ = write!(body, "<g transform=\"translate({x} {y})\">{}</g>", draw(panel));
+    }
+    for (index, line) in caption.iter().enumerate() {
+        let base = below + CAPTION * (index as f64 + 0.8);
+        let _ = write!(body, "<text x=\"12\" y=\"{base:.1}\">{}</text>", escaped(line));
     }
     format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" role=\"img\"><style>{STYLE}</style>\
@@ -53,28 +79,51 @@ pub fn svg(panels: &[Panel], columns: usize) -> String {
     )
 }
 
-/// A logarithmic axis over whole decades or parts of them.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;")
+}
+
+/// The range of an axis.
 struct Axis {
+    kind: AxisKind,
     low: f64,
     high: f64,
 }
 
+/// Ticks of a linear axis, about.
+const TICKS: f64 = 6.0;
+
 impl Axis {
-    fn of(values: impl Iterator<Item = f64> + Clone) -> Self {
+    fn of(kind: AxisKind, values: impl Iterator<Item = f64> + Clone) -> Self {
         let low = values.clone().fold(f64::INFINITY, f64::min);
         let high = values.fold(f64::NEG_INFINITY, f64::max);
-        if low > high {
-            return Self { low: 0.1, high: 10.0 };
+        match kind {
+            _ if low > high => Self { kind, low: 0.1, high: 10.0 },
+            AxisKind::Logarithmic => Self { kind, low: low / 1.15, high: high * 1.15 },
+            AxisKind::Linear => {
+                let margin = 0.03 * (high - low).max(1e-6 * high.abs()).max(1e-9);
+                Self { kind, low: low - margin, high: high + margin }
+            }
         }
-        Self { low: low / 1.15, high: high * 1.15 }
     }
 
     fn share(&self, value: f64) -> f64 {
-        (value / self.low).ln() / (self.high / self.low).ln()
+        match self.kind {
+            AxisKind::Logarithmic => (value / self.low).ln() / (self.high / self.low).ln(),
+            AxisKind::Linear => (value - self.low) / (self.high - self.low),
+        }
     }
 
-    /// Values with a line and a number: 1, 2 and 5 of each decade, fewer where there are many decades.
+    /// Values with a line and a number: 1, 2 and 5 of each decade, fewer where there are many decades; on a linear axis
+    /// multiples of one of these.
     fn ticks(&self) -> Vec<f64> {
+        if self.kind == AxisKind::Linear {
+            let least = (self.high - self.low) / TICKS;
+            let power = 10f64.powf(least.log10().floor());
+            let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|s| *s >= least).unwrap_or(least);
+            let (first, last) = ((self.low / step).ceil() as i64, (self.high / step).floor() as i64);
+            return (first..=last).map(|i| i as f64 * step).collect();
+        }
         let many = self.high / self.low > 300.0;
         let steps: &[f64] = if many { &[1.0] } else { &[1.0, 2.0, 5.0] };
         (-6..6)
@@ -84,25 +133,31 @@ impl Axis {
     }
 }
 
+/// A number without zeros at its end.
+fn label(value: f64) -> String {
+    let text = format!("{value:.4}");
+    let short = text.trim_end_matches('0').trim_end_matches('.');
+    if short == "-0" { "0".to_owned() } else { short.to_owned() }
+}
+
 fn draw(panel: &Panel) -> String {
-    let shown = |point: &&[f64; 2]| point.iter().all(|value| *value > 0.0 && value.is_finite());
+    let fits = |value: f64, kind| value.is_finite() && (kind == AxisKind::Linear || value > 0.0);
+    let shown = |point: &&[f64; 2]| point.iter().zip(panel.axes).all(|(value, kind)| fits(*value, kind));
     let points: Vec<&[f64; 2]> = panel.lines.iter().flat_map(|line| line.points.iter().filter(shown)).collect();
-    let (x, y) = (Axis::of(points.iter().map(|p| p[0])), Axis::of(points.iter().map(|p| p[1])));
+    let [x, y] = [0, 1].map(|i| Axis::of(panel.axes[i], points.iter().map(|p| p[i])));
     let place = |point: &[f64; 2]| (LEFT + WIDTH * x.share(point[0]), TOP + HEIGHT * (1.0 - y.share(point[1])));
     let mut svg = format!("<text x=\"{LEFT}\" y=\"16\" class=\"head\">{}</text>", panel.title);
     for tick in x.ticks() {
         let (at, _) = place(&[tick, y.low]);
         let (bottom, below) = (TOP + HEIGHT, TOP + HEIGHT + 14.0);
         let _ = write!(svg, "<path class=\"grid\" d=\"M{at:.1} {TOP}V{bottom}\"/>");
-        let _ = write!(svg, "<text x=\"{at:.1}\" y=\"{below}\" text-anchor=\"middle\">{tick}</text>");
+        let _ = write!(svg, "<text x=\"{at:.1}\" y=\"{below}\" text-anchor=\"middle\">{}</text>", label(tick));
     }
     for tick in y.ticks() {
         let (_, at) = place(&[x.low, tick]);
         let (right, base) = (LEFT + WIDTH, at + 4.0);
-        let label = format!("{tick:.4}");
-        let label = label.trim_end_matches('0').trim_end_matches('.');
         let _ = write!(svg, "<path class=\"grid\" d=\"M{LEFT} {at:.1}H{right}\"/>");
-        let _ = write!(svg, "<text x=\"{}\" y=\"{base:.1}\" text-anchor=\"end\">{label}</text>", LEFT - 6.0);
+        let _ = write!(svg, "<text x=\"{}\" y=\"{base:.1}\" text-anchor=\"end\">{}</text>", LEFT - 6.0, label(tick));
     }
     let (middle, base) = (LEFT + WIDTH / 2.0, TOP + HEIGHT + 32.0);
     let _ = write!(svg, "<text x=\"{middle}\" y=\"{base}\" text-anchor=\"middle\">{}</text>", panel.x);
@@ -116,7 +171,7 @@ fn draw(panel: &Panel) -> String {
         if !path.is_empty() {
             let _ = write!(svg, "<path class=\"line{dashed}\" d=\"M{}\"/>", path.join("L"));
         }
-        for (u, v) in places.iter().filter(|_| !line.is_bound) {
+        for (u, v) in places.iter().filter(|_| !line.is_bound && line.points.len() <= DOTS_MAX) {
             let _ = write!(svg, "<circle class=\"dot\" cx=\"{u:.1}\" cy=\"{v:.1}\" r=\"2.6\"/>");
         }
         let _ = write!(svg, "</g><text x=\"{}\" y=\"38\">{}</text>", key + 22.0, line.name);
@@ -132,7 +187,10 @@ mod tests {
     fn points_stand_where_logarithms_put_them_and_gaps_are_left_out() {
         let points = vec![[1.0, 1.0], [3.0, f64::NAN], [10.0, 10.0], [100.0, 100.0]];
         let line = Line { name: "direct".into(), points, is_bound: false };
-        let svg = svg(&[Panel { title: "t".into(), x: "noise".into(), lines: vec![line] }], 1);
+        let svg = svg(
+            &[Panel { title: "t".into(), x: "noise".into(), axes: [AxisKind::Logarithmic; 2], lines: vec![line] }],
+            1,
+        );
         // The middle of both axes.
         let (x, y) = (LEFT + WIDTH / 2.0, TOP + HEIGHT / 2.0);
         assert!(svg.contains(&format!("<circle class=\"dot\" cx=\"{x:.1}\" cy=\"{y:.1}\"")), "{svg}");
@@ -143,7 +201,23 @@ mod tests {
     #[test]
     fn a_panel_without_points_is_still_drawn() {
         let line = Line { name: "none".into(), points: vec![[0.0, -1.0]], is_bound: true };
-        let svg = svg(&[Panel { title: "t".into(), x: "x".into(), lines: vec![line] }], 2);
+        let svg =
+            svg(&[Panel { title: "t".into(), x: "x".into(), axes: [AxisKind::Logarithmic; 2], lines: vec![line] }], 2);
         assert!(svg.contains(">none<") && !svg.contains("NaN"), "{svg}");
+    }
+
+    #[test]
+    fn linear_axes_hold_what_is_not_positive_and_captions_stand_below() {
+        let points = vec![[-1.0, -0.5], [0.0, 0.0], [1.0, 0.5]];
+        let line = Line { name: "F".into(), points, is_bound: false };
+        let panel = Panel { title: "t".into(), x: "px".into(), axes: [AxisKind::Linear; 2], lines: vec![line] };
+        let svg = svg_with_caption(&[panel], 1, &["a < b".to_owned()]);
+        let (x, y) = (LEFT + WIDTH / 2.0, TOP + HEIGHT / 2.0);
+        assert!(svg.contains(&format!("<circle class=\"dot\" cx=\"{x:.1}\" cy=\"{y:.1}\"")), "{svg}");
+        assert!(svg.contains(">-0.5<") && svg.contains(">0<") && !svg.contains(">-0<"), "{svg}");
+        assert!(svg.contains("a &lt; b"), "{svg}");
+        let many = Line { name: "F".into(), points: (0..100).map(|i| [f64::from(i), 1.0]).collect(), is_bound: false };
+        let panel = Panel { title: "t".into(), x: "px".into(), axes: [AxisKind::Linear; 2], lines: vec![many] };
+        assert!(!super::svg(&[panel], 1).contains("<circle"));
     }
 }
