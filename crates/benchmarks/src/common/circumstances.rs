@@ -5,12 +5,15 @@ use std::process::Command;
 
 use serde_json::{Value, json};
 
+/// What the measurements write themselves: one page must not make the next say that files have changed.
+const WRITTEN: [&str; 2] = [":(exclude)docs/benchmarks", ":(exclude)docs/images"];
+
 /// Where and with what the figures were made; `unknown` where the machine does not tell.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Circumstances {
     /// Commit of the workspace.
     pub commit: String,
-    /// Whether files differ from the commit.
+    /// Whether files differ from the commit, but for those that measurements write.
     pub changed: bool,
     /// Name of the processor.
     pub processor: String,
@@ -30,7 +33,11 @@ impl Circumstances {
         let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").ok();
         Self {
             commit: told("git", &["rev-parse", "--short=12", "HEAD"]).unwrap_or_else(unknown),
-            changed: told("git", &["status", "--porcelain"]).is_some_and(|changes| !changes.is_empty()),
+            changed: told(
+                "git",
+                &["status", "--porcelain", "--untracked-files=all", "--", ".", WRITTEN[0], WRITTEN[1]],
+            )
+            .is_some_and(|changes| !changes.is_empty()),
             processor: cpuinfo.as_deref().and_then(processor_name).unwrap_or_else(unknown),
             compiler: told("rustc", &["--version"]).unwrap_or_else(unknown),
         }
@@ -55,6 +62,21 @@ fn processor_name(cpuinfo: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn pages_that_were_written_are_no_change_and_others_are() {
+        let root = std::env::temp_dir().join(format!("pb3dp-bench-circumstances-{}", std::process::id()));
+        std::fs::create_dir_all(root.join("docs/benchmarks")).unwrap();
+        let made = Command::new("git").args(["init", "--quiet"]).current_dir(&root).status();
+        // Without git nothing is known of changes.
+        if made.is_ok_and(|status| status.success()) {
+            std::fs::write(root.join("docs/benchmarks/speed.md"), "1 ms").unwrap();
+            assert!(!Circumstances::of(&root).changed);
+            std::fs::write(root.join("docs/method.md"), "x").unwrap();
+            assert!(Circumstances::of(&root).changed);
+        }
+        std::fs::remove_dir_all(&root).unwrap();
+    }
 
     #[test]
     fn the_processor_is_the_first_that_is_named() {
