@@ -9,7 +9,7 @@ use crate::{check_deps, licences, test, tidy};
 
 /// Runs every check, the cheapest first, and stops at the first that fails.
 ///
-/// fmt, tidy, check-deps, licences, clippy, rustdoc, tests: warnings of clippy and rustdoc are errors here. At the end stands
+/// fmt, tidy, check-deps, licences, clippy, rustdoc, tests, a quick run of the accuracy benchmark: warnings of clippy and rustdoc are errors here. At the end stands
 /// a table with the time of each; after a failure, the command that repeats it alone. Needs the rustup components rustfmt and
 /// clippy (the failure says what to type), and nothing else beside rustc, cargo and cc.
 #[derive(clap::Args)]
@@ -25,7 +25,7 @@ struct Step {
     run: fn(&Workspace) -> anyhow::Result<()>,
 }
 
-const STEPS: [Step; 7] = [
+const STEPS: [Step; 8] = [
     Step { name: "fmt", run: fmt },
     Step { name: "tidy", run: |workspace| tidy::run(workspace, &tidy::Args {}) },
     Step { name: "check-deps", run: |workspace| check_deps::run(workspace, &check_deps::Args {}) },
@@ -33,6 +33,7 @@ const STEPS: [Step; 7] = [
     Step { name: "clippy", run: clippy },
     Step { name: "doc", run: doc },
     Step { name: "test", run: |workspace| run_visibly(&mut test::all_tests(workspace)) },
+    Step { name: "accuracy", run: accuracy },
 ];
 
 /// # Errors
@@ -91,6 +92,12 @@ fn doc(workspace: &Workspace) -> anyhow::Result<()> {
     let mut command = workspace.cargo();
     command.args(["doc", "--workspace", "--no-deps", "--locked"]).env("RUSTDOCFLAGS", "-D warnings");
     run_visibly(&mut command)
+}
+
+/// The accuracy benchmark with few poses, with optimisation: fails if a limit is not kept.
+fn accuracy(workspace: &Workspace) -> anyhow::Result<()> {
+    let package = ["run", "--release", "--locked", "--package", "pb3dp-benchmarks"];
+    run_visibly(workspace.cargo().args(package).args(["--bin", "pb3dp-bench", "--", "accuracy", "--quick"]))
 }
 
 #[cfg(test)]

@@ -98,6 +98,20 @@ pub const LIMITS: &[Limit] = &[
     direct("target/", Figure::Nees, 1.5),
 ];
 
+/// A goal that is not reached yet, of a cell or sequence of exactly this name: what it must not get worse than meanwhile.
+#[derive(Clone, Copy, Debug)]
+pub struct OpenGoal {
+    /// Cell or sequence.
+    pub name: &'static str,
+    /// The figure, by its name in the tables.
+    pub figure: &'static str,
+    /// Its largest value, above the limit.
+    pub ceiling: f64,
+}
+
+/// The goals of the direct method that are not reached. The page says `open` of them; a run fails only above the ceiling.
+pub const OPEN: &[OpenGoal] = &[];
+
 /// What a method claims for tracked sequences whose name starts with a text: median and 95th percentile.
 #[derive(Clone, Copy, Debug)]
 pub struct SequenceLimit {
@@ -155,7 +169,31 @@ pub struct Check {
     pub max: f64,
 }
 
+/// How a check ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Standing {
+    /// The limit is kept.
+    Kept,
+    /// A goal that is known not to be reached, and no worse than its ceiling.
+    Open(f64),
+    /// Neither.
+    Broken,
+}
+
 impl Check {
+    /// How it ended, see [`Self::holds`].
+    pub fn standing(&self, quick: bool) -> Standing {
+        if self.holds(quick) {
+            return Standing::Kept;
+        }
+        let is_this =
+            |goal: &&OpenGoal| self.method == "direct" && goal.name == self.name && goal.figure == self.figure;
+        match OPEN.iter().find(is_this).map(|goal| goal.ceiling) {
+            Some(ceiling) if (Self { max: ceiling, ..self.clone() }).holds(quick) => Standing::Open(ceiling),
+            _ => Standing::Broken,
+        }
+    }
+
     /// Whether the limit is kept. With few poses the value may be as far beyond it as chance brings it.
     pub fn holds(&self, quick: bool) -> bool {
         // Of 32 poses, a 95th percentile scatters by a third and a median or an rms by a seventh.
@@ -240,6 +278,20 @@ mod tests {
         let sequences = super::super::sequences::all();
         for limit in SEQUENCE_LIMITS {
             assert!(sequences.iter().any(|sequence| sequence.name.starts_with(limit.sequence)), "{limit:?}");
+        }
+    }
+
+    #[test]
+    fn every_open_goal_is_a_limit_with_a_ceiling_above_it() {
+        let cells = super::super::cells::all();
+        let sequences = super::super::sequences::all();
+        for goal in OPEN {
+            let limit = LIMITS
+                .iter()
+                .find(|limit| goal.name.starts_with(limit.cell) && format!("{:?}", limit.figure) == goal.figure);
+            let is_cell = cells.iter().any(|cell| cell.name == goal.name);
+            let is_sequence = sequences.iter().any(|sequence| sequence.name == goal.name);
+            assert!(is_cell && limit.is_some_and(|limit| limit.max < goal.ceiling) || is_sequence, "{goal:?}");
         }
     }
 

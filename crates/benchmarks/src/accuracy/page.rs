@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::cell::Cell;
-use super::limits::Check;
+use super::limits::{Check, Standing};
 use super::plot::{AxisKind, Line, Panel, svg};
 use super::sequence_summary::{self, SequenceSummary};
 use super::summary::Summary;
@@ -165,14 +165,18 @@ pub fn page(findings: &Findings, circumstances: &Circumstances) -> String {
 
 fn limits_table(findings: &Findings) -> String {
     let row = |check: &Check| {
-        let kept = if check.holds(findings.quick) { "yes" } else { "no" };
+        let kept = match check.standing(findings.quick) {
+            Standing::Kept => "yes".to_owned(),
+            Standing::Open(ceiling) => format!("open, at most {ceiling:.3}"),
+            Standing::Broken => "no".to_owned(),
+        };
         [
             check.name.clone(),
             check.method.to_owned(),
             check.figure.clone(),
             format!("{:.3}", check.measured),
             format!("{:.3}", check.max),
-            kept.to_owned(),
+            kept,
         ]
     };
     table::markdown(&["cell", "method", "figure", "measured", "limit", "kept"], findings.checks.iter().map(row))
