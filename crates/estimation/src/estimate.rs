@@ -24,6 +24,12 @@ pub enum EstimateWarning {
         /// Highest fitness of the probe.
         grid: f64,
     },
+    /// The answer is tilted by more than was to be searched.
+    #[error("the answer is tilted beyond the {limit_deg:.0} degrees that were searched: allow more tilt")]
+    BeyondTilt {
+        /// Largest tilt of the search range, degrees.
+        limit_deg: f64,
+    },
     /// The caller's time was over before the method had done everything.
     #[error("cut short by the deadline: this is the best answer so far")]
     CutShort,

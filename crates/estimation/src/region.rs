@@ -263,6 +263,13 @@ impl Region {
 
     /// What may make the region serve badly; `mask` is the outcome of [`Self::rasterize`] on the same image.
     pub fn inspect(&self, left: &RgbImage, mask: &RegionMask, config: &RegionConfig) -> Vec<RegionWarning> {
+        let mut warnings = self.inspect_shape(mask);
+        warnings.extend(appearance_warnings(left, mask, config));
+        warnings
+    }
+
+    /// As [`Self::inspect`], of the shape alone: for methods that judge texture by themselves.
+    pub fn inspect_shape(&self, mask: &RegionMask) -> Vec<RegionWarning> {
         let mut warnings = Vec::new();
         let covered_px = match self {
             Self::Rectangle { width, height, .. } => *width as usize * *height as usize,
@@ -278,7 +285,6 @@ impl Region {
         {
             warnings.push(RegionWarning::SelfIntersecting { first_edge, second_edge });
         }
-        warnings.extend(appearance_warnings(left, mask, config));
         warnings
     }
 

@@ -174,7 +174,7 @@ impl RmgaPhotometricEstimator {
         range.validate()?;
         self.front_end.check(left, right)?;
         let mask = region.rasterize(left, &self.config.region)?;
-        let warnings = region.inspect(left, &mask, &self.config.region);
+        let warnings = region.inspect_shape(&mask);
         let centroid_px = mask.centroid_px().unwrap_or_default();
         let raw_ray = self.front_end.raw_rig().left().unproject(&centroid_px)?;
         let mut estimate = self.blank(centroid_px, warnings.into_iter().map(EstimateWarning::Region).collect());

@@ -93,3 +93,23 @@ fn the_same_pair_gives_the_same_answer_after_another() {
     estimator.estimate(&left, &right, &other, &range()).unwrap();
     assert_eq!(estimator.estimate(&left, &right, &region, &range()).unwrap(), first);
 }
+
+/// A region that is wrong in itself is told of, and so is an answer that the range should not have let through.
+#[test]
+fn warnings_tell_of_the_region_and_of_tilts_beyond_the_range() {
+    let rig = scene::rectified_rig(SIZE);
+    let scene =
+        Scene { centre_px: Vector2::new(352.0, 236.0), z_m: 0.5, theta_x_rad: 0.05, theta_y_rad: 0.405, noise: 3.0 };
+    let (left, right) = scene.render(&rig);
+    let crossed = [(300.0, 190.0), (400.0, 280.0), (400.0, 190.0), (300.0, 280.0)];
+    let region = Region::Polygon { vertices_px: crossed.map(|(u, v)| Vector2::new(u, v)).to_vec() };
+    let warnings = |tilt_max_rad: f64| {
+        let mut estimator = DirectEstimator::new(&rig, DirectConfig::default()).unwrap();
+        let range = SearchRange::new(0.35, 0.8, tilt_max_rad).unwrap();
+        let found = estimator.estimate(&left, &right, &region, &range).unwrap();
+        let texts: Vec<String> = found.warnings.iter().map(ToString::to_string).collect();
+        assert!(texts.iter().any(|text| text.contains("of the region polygon cross")), "{texts:?}");
+        texts.iter().any(|text| text.contains("beyond the 23 degrees"))
+    };
+    assert!(warnings(0.4014) && !warnings(0.7));
+}

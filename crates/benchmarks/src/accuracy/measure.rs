@@ -85,6 +85,14 @@ pub struct Rendered {
     pub right: RgbImage,
 }
 
+/// The methods as they are, for cameras whose calibration is exact: the direct method allows for what calibrations of real
+/// rigs leave, which is not there to be found in rendered pairs.
+pub fn config() -> EstimatorConfig {
+    let mut config = EstimatorConfig::default();
+    config.direct.cold_start.refine.calibration_sigma_px = 0.0;
+    config
+}
+
 impl<'a> Worker<'a> {
     /// Prepares renderers and estimators.
     ///
@@ -96,7 +104,7 @@ impl<'a> Worker<'a> {
             .with_defocus_px(0.0, cell.setup.defocus_px)?;
         // Where millimetres are asked for, thousandths of a pixel do not matter.
         let renderer = if cell.question == Question::Accuracy { renderer.with_fine_sampling()? } else { renderer };
-        let config = EstimatorConfig::default();
+        let config = config();
         let estimators =
             methods.iter().map(|method| Estimator::new(*method, &rigs.told, &config)).collect::<Result<_, _>>()?;
         let bounds = BoundMaker::new(&cell.setup, scene, &rigs.told)?;

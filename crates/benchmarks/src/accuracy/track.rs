@@ -3,7 +3,7 @@
 use anyhow::Context;
 use image::RgbImage;
 use nalgebra::Vector6;
-use pb3dp_estimation::estimator::{EstimatorConfig, FramePrior, Method, Tracker};
+use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
 use pb3dp_estimation::published::TrackEstimate;
 use pb3dp_estimation::region::{Region, RegionConfig};
 use pb3dp_estimation::status::Status;
@@ -66,7 +66,7 @@ pub fn run_sequence(
     scenes: &mut SceneStore,
 ) -> anyhow::Result<Vec<SequenceSummary>> {
     let mut frames = Frames::new(spec, seed, scenes)?;
-    let config = EstimatorConfig::default();
+    let config = super::measure::config();
     let mut trackers =
         methods.iter().map(|method| Tracker::new(*method, &frames.rig, &config)).collect::<Result<Vec<_>, _>>()?;
     let region = Region::Polygon { vertices_px: frames.outline_px()? };

@@ -60,11 +60,11 @@ impl ColdStartConfig {
     pub fn validate(&self) -> Result<(), EstimationError> {
         let area =
             |name, value: usize| check_range(name, value as f64, (200.0, 1e6), "must be between 200 and 1000000");
-        area("direct search area_max_px", self.search_area_px)?;
-        area("direct search quick_area_max_px", self.quick_area_px)?;
-        area("direct patches area_max_px", self.patch_area_px)?;
+        area("direct.search.area_max_px", self.search_area_px)?;
+        area("direct.search.quick_area_max_px", self.quick_area_px)?;
+        area("direct.patches.area_max_px", self.patch_area_px)?;
         let share = self.quick_share_min;
-        check_range("direct search quick_share_min", share, (0.0, 1.0), "must be between 0 and 1")?;
+        check_range("direct.search.quick_share_min", share, (0.0, 1.0), "must be between 0 and 1")?;
         self.search.validate()?;
         self.patches.validate()?;
         validate_refine(&self.refine)
@@ -74,16 +74,16 @@ impl ColdStartConfig {
 /// The ranges of the refinement that may be set from outside.
 fn validate_refine(refine: &RefineConfig) -> Result<(), EstimationError> {
     let area = refine.area_max_px as f64;
-    check_range("direct refine area_max_px", area, (200.0, 1e6), "must be between 200 and 1000000")?;
+    check_range("direct.refine.area_max_px", area, (200.0, 1e6), "must be between 200 and 1000000")?;
     let points = refine.points_max as f64;
-    check_range("direct refine points_max", points, (100.0, 1e6), "must be between 100 and 1000000")?;
+    check_range("direct.refine.points_max", points, (100.0, 1e6), "must be between 100 and 1000000")?;
     let steps = refine.iterations_max as f64;
-    check_range("direct refine iterations_max", steps, (1.0, 100.0), "must be between 1 and 100")?;
+    check_range("direct.refine.iterations_max", steps, (1.0, 100.0), "must be between 1 and 100")?;
     let place = refine.place_sigma_px;
-    check_range("direct refine place_sigma_px", place, (0.0, 2.0), "must be between 0 and 2 pixels")?;
+    check_range("direct.refine.place_sigma_px", place, (0.0, 2.0), "must be between 0 and 2 pixels")?;
     let pixels = |name, value| check_range(name, value, (0.0, 5.0), "must be between 0 and 5 pixels");
-    pixels("direct refine row_sigma_px", refine.row_sigma_px)?;
-    pixels("direct refine calibration_sigma_px", refine.calibration_sigma_px)
+    pixels("direct.refine.row_sigma_px", refine.row_sigma_px)?;
+    pixels("direct.refine.calibration_sigma_px", refine.calibration_sigma_px)
 }
 
 /// What the calibration of real rigs leaves of disparity, pixels: on real pairs with known truth, covariances without it are

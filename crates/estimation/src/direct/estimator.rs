@@ -169,6 +169,7 @@ impl DirectEstimator {
         self.front_end.check(left, right)?;
         let raw_mask = region.rasterize(left, &self.config.region)?;
         let centroid_px = raw_mask.centroid_px().unwrap_or_default();
+        let warnings = region.inspect_shape(&raw_mask).into_iter().map(EstimateWarning::Region).collect();
         let view = self.view(&centroid_px)?;
         let mask = self.front_end.rectified_region(raw_mask)?;
         let disparity_px = disparity_range(&view, range);
@@ -187,7 +188,7 @@ impl DirectEstimator {
             within && limits.allow(&view.inverse_depth_plane(plane))
         };
         self.outcome = self.cold_start.run(&self.front_end, &source, allowed, may_continue);
-        let mut estimate = self.blank(centroid_px);
+        let mut estimate = PlaneEstimate { warnings, ..self.blank(centroid_px) };
         match &self.outcome {
             Some(outcome) => self.fill(&mut estimate, outcome, &view, range),
             None => {
@@ -232,6 +233,11 @@ impl DirectEstimator {
         let margin_m = END_OF_RANGE_SHARE * (range.z_max_m - range.z_min_m);
         if pose.z_m < range.z_min_m + margin_m || pose.z_m > range.z_max_m - margin_m {
             estimate.warnings.push(EstimateWarning::EndOfRange { z_mm: 1000.0 * pose.z_m });
+        }
+        // What is exactly at the limit may be found a little beyond it.
+        if !TiltLimits::new(range).allow(&view.inverse_depth_plane(&plane)) {
+            let limit_deg = range.tilt_max_rad.to_degrees();
+            estimate.warnings.push(EstimateWarning::BeyondTilt { limit_deg });
         }
     }
 

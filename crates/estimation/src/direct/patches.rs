@@ -59,12 +59,12 @@ impl PatchConfig {
     /// The parameter that is out of its range.
     pub fn validate(&self) -> Result<(), EstimationError> {
         let reach = (1.0, REACH_MAX as f64);
-        check_range("direct patches reach_px", self.reach as f64, reach, "must be between 1 and 3 pixels")?;
-        check_range("direct patches support_px", self.support_px, (0.1, 2.0), "must be between 0.1 and 2 pixels")?;
+        check_range("direct.patches.reach_px", self.reach as f64, reach, "must be between 1 and 3 pixels")?;
+        check_range("direct.patches.support_px", self.support_px, (0.1, 2.0), "must be between 0.1 and 2 pixels")?;
         let correlation = self.correlation_min;
-        check_range("direct patches correlation_min", correlation, (0.0, 1.0), "must be between 0 and 1")?;
-        check_range("direct patches texture_min", self.texture_min, (0.0, 100.0), "must be between 0 and 100")?;
-        check_range("direct patches gradient_half", self.gradient_half, (0.0, 100.0), "must be between 0 and 100")
+        check_range("direct.patches.correlation_min", correlation, (0.0, 1.0), "must be between 0 and 1")?;
+        check_range("direct.patches.texture_min", self.texture_min, (0.0, 100.0), "must be between 0 and 100")?;
+        check_range("direct.patches.gradient_half", self.gradient_half, (0.0, 100.0), "must be between 0 and 100")
     }
 }
 

@@ -49,14 +49,14 @@ impl PlaneSearchConfig {
     /// The parameter that is out of its range.
     pub fn validate(&self) -> Result<(), EstimationError> {
         let Penalties { small, large } = self.penalties;
-        check_range("direct search noise_grey", self.noise, (0.1, 50.0), "must be between 0.1 and 50 grey levels")?;
-        check_range("direct search penalty_large", large.into(), (1.0, 120.0), "must be between 1 and 120")?;
+        check_range("direct.search.noise_grey", self.noise, (0.1, 50.0), "must be between 0.1 and 50 grey levels")?;
+        check_range("direct.search.penalty_large", large.into(), (1.0, 120.0), "must be between 1 and 120")?;
         let limit = (0.0, large.into());
-        check_range("direct search penalty_small", small.into(), limit, "must be at most penalty_large")?;
+        check_range("direct.search.penalty_small", small.into(), limit, "must be at most penalty_large")?;
         let tolerance = self.hypotheses.tolerance_px;
-        check_range("direct search tolerance_px", tolerance, (0.1, 5.0), "must be between 0.1 and 5 pixels")?;
+        check_range("direct.search.tolerance_px", tolerance, (0.1, 5.0), "must be between 0.1 and 5 pixels")?;
         let draws = self.hypotheses.draws as f64;
-        check_range("direct search draws", draws, (1.0, 100_000.0), "must be between 1 and 100000")
+        check_range("direct.search.draws", draws, (1.0, 100_000.0), "must be between 1 and 100000")
     }
 }
 

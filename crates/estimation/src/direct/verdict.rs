@@ -33,11 +33,11 @@ impl DirectVerdictConfig {
     /// The parameter that is out of its range.
     pub fn validate(&self) -> Result<(), EstimationError> {
         let share = |name, value| check_range(name, value, (0.0, 1.0), "must be between 0 and 1");
-        share("direct verdict support_min", self.support_min)?;
-        share("direct verdict alias_score_max", self.alias_score_max)?;
-        share("direct verdict second_share_max", self.second_share_max)?;
+        share("direct.status.support_min", self.support_min)?;
+        share("direct.status.alias_score_max", self.alias_score_max)?;
+        share("direct.status.second_share_max", self.second_share_max)?;
         let degrees = self.normal_sigma_max_deg;
-        check_range("direct verdict normal_sigma_max_deg", degrees, (0.0, 90.0), "must be between 0 and 90 degrees")
+        check_range("direct.status.normal_sigma_max_deg", degrees, (0.0, 90.0), "must be between 0 and 90 degrees")
     }
 }
 
@@ -51,17 +51,17 @@ pub(super) fn judge(
     let finest = &outcome.finest;
     let support = finest.textured_share * finest.support_share;
     if support < limits.support_min {
-        let why = if finest.textured_share < limits.support_min {
-            format!("only {:.0} % of the region have texture", 100.0 * finest.textured_share)
+        let (textured, agreeing) = (100.0 * finest.textured_share, 100.0 * support);
+        let seen = if finest.textured_share < limits.support_min {
+            format!("only {textured:.0} % of the region have texture, {agreeing:.0} % agree with one plane")
         } else {
-            format!("{:.0} % of the region have texture, but", 100.0 * finest.textured_share)
+            format!("{textured:.0} % of the region have texture, but {agreeing:.0} % agree with one plane")
         };
-        let rest = format!(
-            "{:.0} % agree with one plane (limit {:.0} %): choose a target with texture, or check range and calibration",
-            100.0 * support,
-            100.0 * limits.support_min
+        let limit = 100.0 * limits.support_min;
+        return say(
+            Status::NotObservable,
+            format!("{seen} (limit {limit:.0} %): choose a target with texture, or check range and calibration"),
         );
-        return say(Status::NotObservable, format!("{why}, {rest}").replace("but,", "but"));
     }
     if let Some(alias) = outcome.alias.filter(|alias| alias.score_ratio > limits.alias_score_max) {
         let gap_px = alias.plane.d0_px - outcome.patch_plane.d0_px;

@@ -53,15 +53,25 @@ impl DirectTrackerConfig {
     /// # Errors
     /// The parameter that is out of its range.
     pub fn validate(&self) -> Result<(), EstimationError> {
-        check_range("track points", self.points as f64, (64.0, 16_384.0), "must be between 64 and 16384")?;
-        check_range("track erosion_px", f64::from(self.erosion_px), (0.0, 50.0), "must be between 0 and 50")?;
-        check_range("track steps_max", self.steps_max as f64, (1.0, 50.0), "must be between 1 and 50")?;
-        check_range("track views_max", self.views_max as f64, (1.0, 100.0), "must be between 1 and 100")?;
-        check_range("track view_turn_deg", self.view_turn_deg, (2.0, 60.0), "must be between 2 and 60")?;
-        check_range("track view_scale", self.view_scale, (1.05, 4.0), "must be between 1.05 and 4")?;
-        check_range("track relief_sigma_px", self.relief_sigma_px, (0.0, 10.0), "must be between 0 and 10")?;
-        check_range("track inlier_share_min", self.inlier_share_min, (0.05, 0.95), "must be between 0.05 and 0.95")?;
-        check_range("track correlation_min", self.correlation_min, (0.0, 1.0), "must be between 0 and 1")?;
-        check_range("track tilt_sigma_sure_deg", self.tilt_sigma_sure_deg, (0.01, 90.0), "must be between 0.01 and 90")
+        check_range("direct.tracker.points", self.points as f64, (64.0, 16_384.0), "must be between 64 and 16384")?;
+        check_range("direct.tracker.erosion_px", f64::from(self.erosion_px), (0.0, 50.0), "must be between 0 and 50")?;
+        check_range("direct.tracker.steps_max", self.steps_max as f64, (1.0, 50.0), "must be between 1 and 50")?;
+        check_range("direct.tracker.views_max", self.views_max as f64, (1.0, 100.0), "must be between 1 and 100")?;
+        check_range("direct.tracker.view_turn_deg", self.view_turn_deg, (2.0, 60.0), "must be between 2 and 60")?;
+        check_range("direct.tracker.view_scale", self.view_scale, (1.05, 4.0), "must be between 1.05 and 4")?;
+        check_range("direct.tracker.relief_sigma_px", self.relief_sigma_px, (0.0, 10.0), "must be between 0 and 10")?;
+        check_range(
+            "direct.tracker.inlier_share_min",
+            self.inlier_share_min,
+            (0.05, 0.95),
+            "must be between 0.05 and 0.95",
+        )?;
+        check_range("direct.tracker.correlation_min", self.correlation_min, (0.0, 1.0), "must be between 0 and 1")?;
+        check_range(
+            "direct.tracker.tilt_sigma_sure_deg",
+            self.tilt_sigma_sure_deg,
+            (0.01, 90.0),
+            "must be between 0.01 and 90",
+        )
     }
 }
