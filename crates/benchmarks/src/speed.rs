@@ -1,12 +1,13 @@
 //! How fast the direct method is: cold start, tracking, kernels, and what the times depend on.
 //!
 //! [`cold`] measures single pairs, with [`stages`] for the parts, [`tracking`] sequences and [`scaling`] what they depend
-//! on; [`clips`] are the pictures, [`goals`] the limits, [`page`] the document.
+//! on; [`clips`] are the pictures, [`goals`] the limits, [`page`] the document, [`plot`] its figure.
 
 mod clips;
 mod cold;
 mod goals;
 mod page;
+mod plot;
 mod scaling;
 mod stages;
 mod times;
@@ -21,6 +22,7 @@ use crate::common::circumstances::Circumstances;
 
 const KEPT: &str = "out/bench/speed.json";
 const PAGE: &str = "docs/benchmarks/speed.md";
+const FIGURE: &str = "docs/benchmarks/speed.svg";
 /// Where the figures of the published method are, if they were measured before.
 const PUBLISHED: &str = "out/bench/speed_published.json";
 
@@ -88,6 +90,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     write(&args.root, KEPT, &format!("{kept:#}\n"))?;
     if !args.quick && !args.no_docs {
         write(&args.root, PAGE, &page)?;
+        write(&args.root, FIGURE, &plot::svg(&findings.sizes))?;
     }
     let missed: Vec<_> = goals::goals(&findings).into_iter().filter(|goal| !goal.is_reached()).collect();
     for goal in &missed {
@@ -129,6 +132,7 @@ fn kept(findings: &Findings, published: Option<&Value>, circumstances: &Circumst
         "cold_start_on_cases": findings.real.as_ref().map(|real| json!({
             "rows": list(real.rows.iter().map(cold::CasesRow::to_json).collect()),
             "row_measurement": real.row_measurement.to_json(),
+            "first_call": real.first_call.to_json(),
         })),
         "tracking": findings.tracking.to_json(),
         "kernels": list(findings.kernels.iter().map(cold::KernelRow::to_json).collect()),

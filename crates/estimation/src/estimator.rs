@@ -111,6 +111,20 @@ impl Estimator {
         }
     }
 
+    /// As [`Self::new`] with the same method, in the memory of an estimator that is no longer needed where the method can
+    /// use it.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn for_rig(self, rig: &StereoRig, config: &EstimatorConfig) -> Result<Self, EstimationError> {
+        match self {
+            Self::Direct(estimator) if *estimator.config() == config.direct => {
+                Ok(Self::Direct(Box::new(estimator.for_rig(rig)?)))
+            }
+            other => Self::new(other.method(), rig, config),
+        }
+    }
+
     /// The method.
     pub fn method(&self) -> Method {
         match self {
@@ -121,7 +135,7 @@ impl Estimator {
     }
 
     /// Learns from a pair of raw images what belongs to the rig or the scene and not to a region: the direct method measures
-    /// by how much the rows of the right image are off. It takes some tens of milliseconds, is for once per rig or scene, and
+    /// by how much the rows of the right image are off. It takes some milliseconds, is for once per rig or scene, and
     /// all later estimates use what was found. `None`: the method takes rigs as they are.
     ///
     /// # Errors

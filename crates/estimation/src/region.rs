@@ -244,12 +244,35 @@ impl Region {
     /// # Errors
     /// Regions that can not serve: off the image, too small, malformed; see [`RegionError`].
     pub fn rasterize(&self, left: &RgbImage, config: &RegionConfig) -> Result<RegionMask, RegionError> {
+        let mut mask = RegionMask::empty(ImageSize { width: 0, height: 0 });
+        self.rasterize_into(left, config, &mut mask)?;
+        Ok(mask)
+    }
+
+    /// As [`Self::rasterize`]; the pixels of a rectangle or polygon are written into the memory that `mask` has.
+    ///
+    /// # Errors
+    /// As [`Self::rasterize`]; what the mask holds then is arbitrary.
+    pub fn rasterize_into(
+        &self,
+        left: &RgbImage,
+        config: &RegionConfig,
+        mask: &mut RegionMask,
+    ) -> Result<(), RegionError> {
         let size = size_of(left);
-        let (mask, covered_px) = match self {
-            Self::Rectangle { x, y, width, height } => rectangle(*x, *y, *width, *height, size)?,
-            Self::Polygon { vertices_px } => polygon_mask(vertices_px, size)?,
-            Self::Mask(image) => mask_of_image(image, size)?,
-            Self::Click { x, y } => return click(left, *x, *y, config),
+        mask.reset(size);
+        let covered_px = match self {
+            Self::Rectangle { x, y, width, height } => rectangle(*x, *y, *width, *height, mask)?,
+            Self::Polygon { vertices_px } => polygon_mask(vertices_px, mask)?,
+            Self::Mask(image) => {
+                let (found, covered_px) = mask_of_image(image, size)?;
+                *mask = found;
+                covered_px
+            }
+            Self::Click { x, y } => {
+                *mask = click(left, *x, *y, config)?;
+                return Ok(());
+            }
         };
         let area_px = mask.area_px();
         if area_px == 0 && covered_px > 0 {
@@ -258,7 +281,7 @@ impl Region {
         if area_px < config.area_min_px {
             return Err(RegionError::TooSmall { area_px, area_min_px: config.area_min_px });
         }
-        Ok(mask)
+        Ok(())
     }
 
     /// What may make the region serve badly; `mask` is the outcome of [`Self::rasterize`] on the same image.
@@ -273,7 +296,7 @@ impl Region {
         let mut warnings = Vec::new();
         let covered_px = match self {
             Self::Rectangle { width, height, .. } => *width as usize * *height as usize,
-            Self::Polygon { vertices_px } => polygon::fill(vertices_px, &mut RegionMask::empty(mask.size())),
+            Self::Polygon { vertices_px } => polygon::covered_px(vertices_px),
             Self::Mask(_) | Self::Click { .. } => mask.area_px(),
         };
         let outside_px = covered_px.saturating_sub(mask.area_px());
@@ -307,20 +330,19 @@ fn size_of(image: &RgbImage) -> ImageSize {
     ImageSize { width: image.width(), height: image.height() }
 }
 
-fn rectangle(x: i32, y: i32, width: u32, height: u32, size: ImageSize) -> Result<(RegionMask, usize), RegionError> {
+fn rectangle(x: i32, y: i32, width: u32, height: u32, mask: &mut RegionMask) -> Result<usize, RegionError> {
     let far = |v: i64| v.unsigned_abs() as f64 > COORDINATE_MAX_PX;
     let (right, bottom) = (i64::from(x) + i64::from(width), i64::from(y) + i64::from(height));
     if [i64::from(x), i64::from(y), right, bottom].into_iter().any(far) {
         return Err(RegionError::Rectangle { x, y, width, height });
     }
-    let mut mask = RegionMask::empty(size);
     for row in i64::from(y)..bottom {
         mask.insert_span(row, i64::from(x), right - 1);
     }
-    Ok((mask, width as usize * height as usize))
+    Ok(width as usize * height as usize)
 }
 
-fn polygon_mask(vertices_px: &[Vector2<f64>], size: ImageSize) -> Result<(RegionMask, usize), RegionError> {
+fn polygon_mask(vertices_px: &[Vector2<f64>], mask: &mut RegionMask) -> Result<usize, RegionError> {
     if vertices_px.len() < 3 {
         return Err(RegionError::TooFewVertices { count: vertices_px.len() });
     }
@@ -328,9 +350,7 @@ fn polygon_mask(vertices_px: &[Vector2<f64>], size: ImageSize) -> Result<(Region
     if let Some(index) = vertices_px.iter().position(out_of_range) {
         return Err(RegionError::Vertex { index, x: vertices_px[index].x, y: vertices_px[index].y });
     }
-    let mut mask = RegionMask::empty(size);
-    let covered_px = polygon::fill(vertices_px, &mut mask);
-    Ok((mask, covered_px))
+    Ok(polygon::fill(vertices_px, mask))
 }
 
 fn mask_of_image(image: &GrayImage, size: ImageSize) -> Result<(RegionMask, usize), RegionError> {

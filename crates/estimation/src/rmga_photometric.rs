@@ -178,7 +178,7 @@ impl RmgaPhotometricEstimator {
         let centroid_px = mask.centroid_px().unwrap_or_default();
         let raw_ray = self.front_end.raw_rig().left().unproject(&centroid_px)?;
         let mut estimate = self.blank(centroid_px, warnings.into_iter().map(EstimateWarning::Region).collect());
-        let mask = self.front_end.rectified_region(mask)?;
+        let mask = self.front_end.rectified_region(&mask)?;
         let geometry = *self.front_end.geometry();
         let turn = self.front_end.cam_left_rect_from_cam_left().rotation();
         let depth_factor = (turn * raw_ray).z;

@@ -162,6 +162,8 @@ pub struct RealRows {
     pub rows: Vec<CasesRow>,
     /// Over the cases.
     pub row_measurement: Times,
+    /// The first call of a new estimator, which also pays for its memory; over the cases.
+    pub first_call: Times,
 }
 
 /// Medians of one case.
@@ -169,6 +171,7 @@ struct CaseTimes {
     group: &'static str,
     whole_ms: f64,
     rows_ms: f64,
+    first_ms: f64,
     stages_ms: Vec<(Stage, f64)>,
 }
 
@@ -190,8 +193,9 @@ pub fn real(folder: &Path, rounds: usize, every: usize) -> anyhow::Result<RealRo
     let whole = std::iter::once(("all", times.iter().collect::<Vec<_>>()));
     let rows = whole.chain(groups).map(|(name, cases)| summary(name, &cases)).collect::<Option<Vec<_>>>();
     let rows_ms: Vec<f64> = times.iter().map(|case| case.rows_ms).collect();
-    rows.zip(Times::of(&rows_ms))
-        .map(|(rows, row_measurement)| RealRows { rows, row_measurement })
+    let first_ms: Vec<f64> = times.iter().map(|case| case.first_ms).collect();
+    rows.zip(Times::of(&rows_ms).zip(Times::of(&first_ms)))
+        .map(|(rows, (row_measurement, first_call))| RealRows { rows, row_measurement, first_call })
         .with_context(|| format!("no case in {} has a `truth`: there is nothing to measure", folder.display()))
 }
 
@@ -200,6 +204,8 @@ fn case_times(case: &cases::Prepared, rounds: usize) -> anyhow::Result<CaseTimes
     let mut estimator = DirectEstimator::new(&case.rig, DirectConfig::default())?;
     let (measured, rows_ms) = timed(|| estimator.measure_rows(left, right));
     let rows = measured?.rows;
+    let (first, first_ms) = timed(|| estimator.estimate(left, right, &case.region, &case.range));
+    first?;
     let whole = repeat(rounds, || {
         estimator.estimate(left, right, &case.region, &case.range)?;
         Ok(())
@@ -213,7 +219,7 @@ fn case_times(case: &cases::Prepared, rounds: usize) -> anyhow::Result<CaseTimes
         let parts = Stage::ALL.into_iter().filter(|stage| *stage != Stage::Whole);
         stages_ms = parts.filter_map(|stage| Some((stage, benches[0].times(stage)?.median_ms))).collect();
     }
-    Ok(CaseTimes { group: case.facts.group.name(), whole_ms: whole.median_ms, rows_ms, stages_ms })
+    Ok(CaseTimes { group: case.facts.group.name(), whole_ms: whole.median_ms, rows_ms, first_ms, stages_ms })
 }
 
 fn summary(name: &'static str, cases: &[&CaseTimes]) -> Option<CasesRow> {

@@ -37,6 +37,10 @@ pub fn goals(findings: &super::Findings) -> Vec<Goal> {
         goals.push(Goal { name: "cold start on real cases, median", limit_ms: 1.5, found_ms: times.median_ms });
         goals.push(Goal { name: "cold start on real cases, 90th percentile", limit_ms: 4.0, found_ms: times.p90_ms });
     }
+    if let Some(real) = &findings.real {
+        let found_ms = real.row_measurement.median_ms;
+        goals.push(Goal { name: "row offset, once per rig, median", limit_ms: 20.0, found_ms });
+    }
     let followed = &findings.tracking.followed;
     goals.push(Goal { name: "tracking frame, median", limit_ms: 1.0, found_ms: followed.median_ms });
     goals.push(Goal { name: "tracking frame, 99th percentile", limit_ms: 2.0, found_ms: followed.p99_ms });

@@ -92,6 +92,12 @@ fn real_cases(page: &mut String, findings: &Findings) {
         "\nThe row offset of the rig is measured once before, apart from these times: median {:.1} ms, p90 {:.1} ms, max {:.1} ms.\n",
         rows.median_ms, rows.p90_ms, rows.max_ms
     );
+    let first = &real.first_call;
+    let _ = writeln!(
+        page,
+        "The first call of an estimator also pays for its memory: median {:.2} ms, p90 {:.2} ms, max {:.2} ms.",
+        first.median_ms, first.p90_ms, first.max_ms
+    );
 }
 
 fn sizes(page: &mut String, findings: &Findings) {
@@ -106,6 +112,7 @@ fn sizes(page: &mut String, findings: &Findings) {
         cells.extend(found.stages.iter().map(|(_, times)| format!("{:.3}", times.median_ms)));
         row(page, &cells);
     }
+    page.push_str("\n![Time of a cold start by size of the region](speed.svg)\n");
 }
 
 fn tracking(page: &mut String, findings: &Findings) {

@@ -121,7 +121,8 @@ impl<'a> StageBench<'a> {
         let found = estimator.estimate(problem.left, problem.right, problem.region, problem.range)?;
         let Some(outcome) = estimator.outcome() else { bail!("nothing to measure: {}", found.reason) };
         let front_end = StereoFrontEnd::new(problem.rig, kernels)?;
-        let mask = front_end.rectified_region(problem.region.rasterize(problem.left, &config.region)?)?;
+        let raw = problem.region.rasterize(problem.left, &config.region)?;
+        let mask = front_end.rectified_region(&raw)?.into_owned();
         let disparity = |z_m: f64| front_end.geometry().disparity_px(z_m);
         Ok(Self {
             disparity_px: (disparity(problem.range.z_max_m), disparity(problem.range.z_min_m)),
@@ -132,7 +133,7 @@ impl<'a> StageBench<'a> {
             pyramid: estimator.cold_start().pyramid().clone(),
             searched: estimator.cold_start().searched_level(),
             plane: outcome.patch_plane,
-            loaded: RegionPyramid::default(),
+            loaded: RegionPyramid::up_to(config.cold_start.finest_area_px()),
             volume: CostVolume::default(),
             aggregation: Aggregation::default(),
             search: PlaneSearch::default(),

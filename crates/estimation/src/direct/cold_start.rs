@@ -35,9 +35,9 @@ pub struct ColdStartConfig {
 impl Default for ColdStartConfig {
     fn default() -> Self {
         Self {
-            quick_area_px: 3000,
+            quick_area_px: 6000,
             search_area_px: 12_000,
-            quick_share_min: 0.8,
+            quick_share_min: 0.6,
             patch_area_px: 24_000,
             search: PlaneSearchConfig::default(),
             patches: PatchConfig::default(),
@@ -53,6 +53,11 @@ impl Default for ColdStartConfig {
 }
 
 impl ColdStartConfig {
+    /// Levels on which the region has more pixels than this are not needed.
+    pub fn finest_area_px(&self) -> usize {
+        self.patch_area_px.max(self.refine.area_max_px)
+    }
+
     /// Checks all ranges.
     ///
     /// # Errors
@@ -157,7 +162,8 @@ impl ColdStart {
     /// With all buffers empty.
     pub fn new(config: ColdStartConfig, kernels: Kernels) -> Self {
         let refiner = PlaneRefiner::new(config.refine.clone(), kernels);
-        Self { config, kernels, refiner, ..Self::default() }
+        let pyramid = RegionPyramid::up_to(config.finest_area_px());
+        Self { config, kernels, pyramid, refiner, ..Self::default() }
     }
 
     /// The parameters.
@@ -205,7 +211,10 @@ impl ColdStart {
         let (second, alias) = self.rivals(&first);
         let (patch_plane, finest, level) = self.descend(first.plane, may_continue);
         let refined = if may_continue() { self.refiner.refine(&self.pyramid, &patch_plane) } else { None };
-        let at_refined = refined.map(|refined| self.look(level, &refined.plane));
+        let at_refined = refined.map(|refined| match self.is_settled(level, &patch_plane, &refined.plane) {
+            true => finest,
+            false => self.look(level, &refined.plane),
+        });
         let valid_share = self.search.valid_share;
         Some(ColdStartOutcome { first, second, alias, valid_share, finest, patch_plane, refined, at_refined })
     }
@@ -250,9 +259,31 @@ impl ColdStart {
             self.surfaces.push(Surface { plane, share: candidate.share, patches, score, mask });
         }
         self.surfaces.sort_by(|a, b| b.score.total_cmp(&a.score));
+        self.look_again_at_near_equals(index, centre);
     }
 
-    /// From the level that was searched to the finest one for patches, two looks each. Returns the plane, what the patches
+    /// Candidates are looked at where single pixels have put them. Where another is nearly as good as the best, that is not
+    /// fair to the one that was farther off, so those are looked at again where their patches have put them.
+    fn look_again_at_near_equals(&mut self, index: usize, centre: Vector2<f64>) {
+        let Some(first) = self.surfaces.first().copied() else { return };
+        let is_near = |other: &Surface| other.score >= NEARLY_EQUAL * first.score;
+        let count = self.surfaces.iter().take_while(|other| is_near(other)).count();
+        if !self.surfaces[..count].iter().any(|other| self.differs(&first.plane, &other.plane)) {
+            return;
+        }
+        for i in 0..count {
+            let old = self.surfaces[i];
+            let patches = self.look(index, &old.plane);
+            let share = patches.textured_share * patches.support_share;
+            let score = share * patches.mean_correlation + self.search.valid_share * old.share;
+            let level = &self.pyramid.levels()[index];
+            self.masks[old.mask].clone_from(&level.support);
+            self.surfaces[i] = Surface { plane: level.full_plane(&patches.plane, centre), patches, score, ..old };
+        }
+        self.surfaces.sort_by(|a, b| b.score.total_cmp(&a.score));
+    }
+
+    /// From the level that was searched to the finest one for patches, one or two looks each. Returns the plane, what the patches
     /// said of it, and the finest level reached.
     fn descend(
         &mut self,
@@ -264,14 +295,38 @@ impl ColdStart {
         let mut plane = start;
         let mut index = coarsest;
         loop {
-            let before = self.look(index, &plane);
-            let outcome = self.look(index, &self.pyramid.levels()[index].full_plane(&before.plane, centre));
-            plane = self.pyramid.levels()[index].full_plane(&outcome.plane, centre);
+            let outcome = self.look_twice(index, &mut plane, centre);
             if index == finest || !may_continue() {
                 return (plane, outcome, index);
             }
             index -= 1;
         }
+    }
+
+    /// Looks at the patches around a plane, and puts it right; once more if that has moved it.
+    fn look_twice(&mut self, index: usize, plane: &mut DisparityPlane, centre: Vector2<f64>) -> PatchOutcome {
+        let mut outcome = self.look(index, plane);
+        let found = self.pyramid.levels()[index].full_plane(&outcome.plane, centre);
+        let is_settled = self.is_settled(index, plane, &found);
+        *plane = found;
+        if !is_settled {
+            outcome = self.look(index, plane);
+            *plane = self.pyramid.levels()[index].full_plane(&outcome.plane, centre);
+        }
+        outcome
+    }
+
+    /// Whether what the patches of a level say of one plane holds for another.
+    fn is_settled(&self, index: usize, a: &DisparityPlane, b: &DisparityPlane) -> bool {
+        let limit = SETTLED_PX * self.pyramid.levels()[index].scale as f64;
+        self.box_corners().iter().all(|at| (a.at(at) - b.at(at)).abs() <= limit)
+    }
+
+    fn box_corners(&self) -> [Vector2<f64>; 4] {
+        let box_px = self.pyramid.box_px();
+        let corner = |x: u32, y: u32| Vector2::new(f64::from(box_px.x + x), f64::from(box_px.y + y));
+        let (w, h) = (box_px.width, box_px.height);
+        [corner(0, 0), corner(w, 0), corner(0, h), corner(w, h)]
     }
 
     /// The other surface with the most pixels of its own, and the best other explanation of the same pixels.
@@ -310,18 +365,19 @@ impl ColdStart {
     /// Whether two planes differ by more than two pixels of the search level in the middle of the region or, on average, at
     /// the corners of its box.
     fn differs(&self, a: &DisparityPlane, b: &DisparityPlane) -> bool {
-        let limit = 2.0 * (1 << self.searched) as f64;
-        let box_px = self.pyramid.box_px();
-        let corner = |x: u32, y: u32| Vector2::new(f64::from(box_px.x + x), f64::from(box_px.y + y));
-        let (w, h) = (box_px.width, box_px.height);
+        let limit = 2.0 * self.pyramid.levels()[self.searched].scale as f64;
         let gap = |at: &Vector2<f64>| (a.at(at) - b.at(at)).abs();
-        let corners = [corner(0, 0), corner(w, 0), corner(0, h), corner(w, h)];
-        gap(&self.pyramid.centroid_px()) > limit || corners.iter().map(gap).sum::<f64>() > 4.0 * limit
+        gap(&self.pyramid.centroid_px()) > limit || self.box_corners().iter().map(gap).sum::<f64>() > 4.0 * limit
     }
 }
 
 /// A rival that shares more than this of its pixels with the first is another explanation of the same surface.
 const OVERLAP_OF_ALIAS: f64 = 0.5;
+/// What the patches say of a plane holds for another that differs by no more than this at the corners of the region's box,
+/// pixels of the level: the top of a correlation is flat.
+const SETTLED_PX: f64 = 0.1;
+/// Candidates whose score is at least this share of the best one's are nearly as good.
+const NEARLY_EQUAL: f64 = 0.9;
 /// So much more of the region agrees with a plane by its patches than by single clear disparities.
 const DECIDED_CLEAR: f64 = 1.5;
 /// A second surface has at least this share of the region for itself.

@@ -78,6 +78,58 @@ impl ColourPlanes {
     }
 }
 
+impl ColourPlanes {
+    /// Takes the luminance of the part of `window` inside an image at half the size: means of 2 x 2 pixels, and their flags.
+    /// The window counts full pixels and starts at even ones.
+    pub fn update_halved(&mut self, image: &RgbImage, window: PixelWindow, kernels: Kernels) {
+        let full = window.clipped(image.width(), image.height());
+        let window = full.halved();
+        self.resize(window, Wanted::Luminance);
+        let stride = image.width() as usize * 3;
+        for y in 0..window.height {
+            let start = (full.y as usize + 2 * y) * stride + full.x as usize * 3;
+            let row = |start: usize| &image.as_raw()[start..start + window.width * 6];
+            let flags = &mut self.flags[y * window.width..(y + 1) * window.width];
+            halved_row(kernels, row(start), row(start + stride), self.planes[0].row_mut(y), flags);
+        }
+    }
+}
+
+/// Pixels of a halved row that are worked on at a time.
+const HALVED: usize = 64;
+
+wide! {
+    fn halved_row(upper: &[u8], lower: &[u8], luminance: &mut [f32], flags: &mut [u8]) = halved_row_kernel;
+}
+
+#[inline(always)]
+fn halved_row_kernel(upper: &[u8], lower: &[u8], luminance: &mut [f32], flags: &mut [u8]) {
+    let (mut sums, mut threes) = ([0_u16; 6 * HALVED + 5], [0_u16; 6 * HALVED + 2]);
+    let parts = upper.chunks(6 * HALVED).zip(lower.chunks(6 * HALVED));
+    let outs = luminance.chunks_mut(HALVED).zip(flags.chunks_mut(HALVED));
+    for ((upper, lower), (luminance, flags)) in parts.zip(outs) {
+        let mut highest = 0;
+        for ((sum, upper), lower) in sums.iter_mut().zip(upper).zip(lower) {
+            *sum = u16::from(*upper) + u16::from(*lower);
+            highest = highest.max((*upper).max(*lower));
+        }
+        // Sums of three bytes that stand side by side in both rows, wherever they start; every sixth pair is wanted.
+        for (i, three) in threes.iter_mut().enumerate() {
+            *three = sums[i] + sums[i + 1] + sums[i + 2];
+        }
+        for (i, luminance) in luminance.iter_mut().enumerate() {
+            *luminance = f32::from(threes[6 * i] + threes[6 * i + 3]) * (0.25 * OPPONENT_FROM_RGB[0][0]);
+        }
+        flags.fill(0);
+        if highest >= SATURATED_FROM {
+            for (flag, (upper, lower)) in flags.iter_mut().zip(upper.chunks_exact(6).zip(lower.chunks_exact(6))) {
+                let highest = upper.iter().chain(lower).fold(0, |a, &b| a.max(b));
+                *flag = u8::from(highest >= SATURATED_FROM) * SATURATED;
+            }
+        }
+    }
+}
+
 wide! {
     fn luminance_row(rgb: &[u8], luminance: &mut [f32], flags: &mut [u8]) = luminance_row_kernel;
 }

@@ -18,7 +18,7 @@ use crate::cpu::Kernels;
 use crate::error::EstimationError;
 use crate::estimate::{EstimateWarning, PlaneEstimate, PlanePose, SecondPlane};
 use crate::plane_hypothesis::{PlaneHypothesis, SearchRange};
-use crate::region::{Region, RegionConfig};
+use crate::region::{Region, RegionConfig, RegionMask};
 use crate::status::Status;
 
 /// Parameters of the direct method.
@@ -57,6 +57,7 @@ pub struct DirectEstimator {
     cold_start: ColdStart,
     rows: RowOffset,
     outcome: Option<ColdStartOutcome>,
+    mask: RegionMask,
 }
 
 /// What turns a plane of the rectified pair into one of the raw left camera.
@@ -95,7 +96,17 @@ impl DirectEstimator {
         config.validate()?;
         let front_end = StereoFrontEnd::new(rig, kernels)?;
         let cold_start = ColdStart::new(config.cold_start.clone(), kernels);
-        Ok(Self { front_end, config, cold_start, rows: RowOffset::default(), outcome: None })
+        let mask = RegionMask::empty(rig.left().size());
+        Ok(Self { front_end, config, cold_start, rows: RowOffset::default(), outcome: None, mask })
+    }
+
+    /// The same estimator for another rig: parameters and memory are kept, the row offset is not.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn for_rig(self, rig: &StereoRig) -> Result<Self, EstimationError> {
+        let front_end = StereoFrontEnd::new(rig, self.front_end.kernels())?;
+        Ok(Self { front_end, rows: RowOffset::default(), outcome: None, ..self })
     }
 
     /// The parameters.
@@ -103,7 +114,7 @@ impl DirectEstimator {
         &self.config
     }
 
-    /// Measures the row offset of the rig on a pair of raw images and uses it from now on. It takes some tens of
+    /// Measures the row offset of the rig on a pair of raw images and uses it from now on. It takes some
     /// milliseconds, and is for once per rig or per scene. Where too few points are found again the offset is zero.
     ///
     /// # Errors
@@ -167,11 +178,11 @@ impl DirectEstimator {
     ) -> Result<PlaneEstimate, EstimationError> {
         range.validate()?;
         self.front_end.check(left, right)?;
-        let raw_mask = region.rasterize(left, &self.config.region)?;
-        let centroid_px = raw_mask.centroid_px().unwrap_or_default();
-        let warnings = region.inspect_shape(&raw_mask).into_iter().map(EstimateWarning::Region).collect();
+        region.rasterize_into(left, &self.config.region, &mut self.mask)?;
+        let centroid_px = self.mask.centroid_px().unwrap_or_default();
+        let warnings = region.inspect_shape(&self.mask).into_iter().map(EstimateWarning::Region).collect();
         let view = self.view(&centroid_px)?;
-        let mask = self.front_end.rectified_region(raw_mask)?;
+        let mask = self.front_end.rectified_region(&self.mask)?;
         let disparity_px = disparity_range(&view, range);
         let source = PyramidSource {
             left,

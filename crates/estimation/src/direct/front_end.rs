@@ -3,6 +3,8 @@
 //! Images of a rectified rig are used as they are. Those of any other rig are resampled, window by window, with a cubic
 //! kernel (Keys 1981, a = -1/2), which costs less sharpness than a linear one.
 
+use std::borrow::Cow;
+
 use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_geometry::frames::{CamLeft, CamLeftRect};
@@ -12,6 +14,7 @@ use pb3dp_geometry::{Camera, ImageSize, Pose, StereoRig};
 use super::colour_planes::{ColourPlanes, OPPONENT_FROM_RGB, SATURATED, SATURATED_FROM, UNSEEN, Wanted};
 use super::disparity_plane::RectifiedGeometry;
 use super::image_plane::PixelWindow;
+use super::region_pyramid::halve_eye;
 use crate::cpu::Kernels;
 use crate::error::EstimationError;
 use crate::region::RegionMask;
@@ -113,14 +116,14 @@ impl StereoFrontEnd {
     ///
     /// # Errors
     /// A mask of another size than the left image.
-    pub fn rectified_region(&self, raw: RegionMask) -> Result<RegionMask, EstimationError> {
-        let Some([map, _]) = &self.maps else { return Ok(raw) };
+    pub fn rectified_region<'a>(&self, raw: &'a RegionMask) -> Result<Cow<'a, RegionMask>, EstimationError> {
+        let Some([map, _]) = &self.maps else { return Ok(Cow::Borrowed(raw)) };
         let (source_size, size) = (raw.size(), map.size());
         let mut source = vec![0; source_size.width as usize * source_size.height as usize];
         raw.for_each(|x, y| source[(y * source_size.width + x) as usize] = 255);
         let mut destination = vec![0; size.width as usize * size.height as usize];
         map.remap_mask(&source, source_size, &mut destination)?;
-        Ok(RegionMask::from_fn(size, |x, y| destination[(y * size.width + x) as usize] != 0))
+        Ok(Cow::Owned(RegionMask::from_fn(size, |x, y| destination[(y * size.width + x) as usize] != 0)))
     }
 
     /// The rectified left pixel of a raw one.
@@ -142,6 +145,24 @@ impl StereoFrontEnd {
         match &self.maps {
             None => out.update(raw, window, wanted, self.kernels),
             Some(maps) => resample(&maps[eye as usize], raw, window, wanted, out),
+        }
+    }
+
+    /// As [`Self::load`] at half the size: `window` counts full pixels and starts at even ones.
+    pub fn load_halved(
+        &self,
+        eye: Eye,
+        raw: &RgbImage,
+        window: PixelWindow,
+        wanted: Wanted,
+        scratch: &mut ColourPlanes,
+        out: &mut ColourPlanes,
+    ) {
+        if self.maps.is_none() && wanted == Wanted::Luminance {
+            out.update_halved(raw, window, self.kernels);
+        } else {
+            self.load(eye, raw, window, wanted, scratch);
+            halve_eye(scratch, self.kernels, out);
         }
     }
 
@@ -278,7 +299,7 @@ mod tests {
         let size = ImageSize { width: 320, height: 240 };
         let raw = RegionMask::from_fn(size, |x, y| (140..190).contains(&x) && (80..121).contains(&y));
         let centre = front.rectified_left_pixel(&raw.centroid_px().unwrap()).unwrap();
-        let mapped = front.rectified_region(raw).unwrap().centroid_px().unwrap();
+        let mapped = front.rectified_region(&raw).unwrap().centroid_px().unwrap();
         assert!((mapped - centre).norm() < 1.0, "{mapped} {centre}");
     }
 

@@ -27,6 +27,11 @@ impl PixelWindow {
         Self { x, y, width, height }
     }
 
+    /// The window on a grid of twice the pixel; its start must be even.
+    pub fn halved(&self) -> Self {
+        Self { x: self.x / 2, y: self.y / 2, width: self.width / 2, height: self.height / 2 }
+    }
+
     /// The window with `margin` more pixels on every side.
     pub fn grown(&self, margin: u32) -> Self {
         Self {

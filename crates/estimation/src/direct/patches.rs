@@ -14,7 +14,7 @@ use super::region_pyramid::{LevelPlane, RegionLevel, is_seen};
 use super::search::volume::LevelBox;
 use crate::cpu::Kernels;
 use crate::error::{EstimationError, check_range};
-use crate::wide::wide;
+use crate::wide::{LANES, sum_lanes, wide};
 
 /// Pixels from the centre of a patch to its side.
 pub const RADIUS: usize = 7;
@@ -24,6 +24,8 @@ pub(super) const SIDE: usize = 2 * RADIUS + 1;
 pub const REACH_MAX: usize = 3;
 /// Number of pixels of a patch.
 pub(super) const PATCH_PX: f32 = (SIDE * SIDE) as f32;
+/// Patches are looked at around the pixels of every so manieth row: the next rows have nearly the same patches.
+const ROW_STEP: usize = 2;
 
 /// Bit of [`RegionLevel::support`]: the pixel may be used, as far as its patch can tell.
 pub const USABLE: u8 = 1;
@@ -110,32 +112,41 @@ impl SlantedPatches {
         self.load(level, &area, plane, reach, kernels);
         self.votes.clear();
         level.support.fill(0);
-        let window_width = level.left.window.width;
         let mut tally = Tally::default();
         self.rows.start(area.width, reach);
         for y in 0..area.height {
             self.rows.advance(y, area.width, &self.left, &self.gradient, &self.warped, kernels);
-            if y + 1 < SIDE {
-                continue;
-            }
-            self.rows.peaks(config, kernels);
-            let (row, first) = (area.y + y - RADIUS, area.x + RADIUS);
-            let range = row * window_width + first..row * window_width + area.x + area.width - RADIUS;
-            let inside = &level.region[range.clone()];
-            let support = &mut level.support[range];
-            for (i, (inside, support)) in inside.iter().zip(support).enumerate() {
-                if *inside != 0 {
-                    let peak = self.rows.peak(i);
-                    *support = tally.add(&peak, config);
-                    if peak.weight > 0.0 && (i + y) % 2 == 0 {
-                        self.votes.push((first + i) as f32, row as f32, peak.offset, peak.weight);
-                    }
-                }
+            if y + 1 >= SIDE && (y + 1 - SIDE).is_multiple_of(ROW_STEP) {
+                self.rows.peaks(config, kernels);
+                self.judge_rows(level, &area, area.y + y - RADIUS, config, &mut tally, kernels);
             }
         }
         keep_unseen_pixels(level, &area);
         let correction = fit_votes(&mut self.votes, config.support_px, kernels);
         tally.outcome(level.area_px, corrected(plane, correction))
+    }
+
+    /// Writes what the patches of one row say for that row and the next.
+    fn judge_rows(
+        &mut self,
+        level: &mut RegionLevel,
+        area: &LevelBox,
+        row: usize,
+        config: &PatchConfig,
+        tally: &mut Tally,
+        kernels: Kernels,
+    ) {
+        let (stride, first) = (level.left.window.width, area.x + RADIUS);
+        let (count, end) = (area.width - 2 * RADIUS, area.y + area.height - RADIUS);
+        let limits = (config.support_px as f32, config.correlation_min as f32);
+        self.rows.judge(limits, kernels);
+        for row_here in row..(row + ROW_STEP).min(end) {
+            let range = row_here * stride + first..row_here * stride + first + count;
+            let (inside, support) = (&level.region[range.clone()], &mut level.support[range]);
+            tally.add(&self.rows.spread_row(inside, support, kernels));
+        }
+        let inside = &level.region[row * stride + first..][..count];
+        self.votes.extend_row((first, row), inside, self.rows.offsets(), self.rows.weights());
     }
 
     /// Copies the left window's part and warps the right window onto it, `reach` columns wider on both sides.
@@ -148,19 +159,29 @@ impl SlantedPatches {
         let mean = mean_of(&level.left, area);
         for y in 0..area.height {
             let row = &source.row(area.y + y)[area.x..area.x + width];
-            let out = &mut self.left[y * width..(y + 1) * width];
-            for (out, value) in out.iter_mut().zip(row) {
-                *out = value - mean;
-            }
-            let gradient = &mut self.gradient[y * width..(y + 1) * width];
-            gradient[0] = 0.0;
-            gradient[width - 1] = 0.0;
-            for (out, around) in gradient[1..width - 1].iter_mut().zip(row.windows(3)) {
-                *out = 0.5 * (around[2] - around[0]);
-            }
+            let here = y * width..(y + 1) * width;
+            centre_row(kernels, row, mean, &mut self.left[here.clone()], &mut self.gradient[here]);
             let out = &mut self.warped[y * wide..(y + 1) * wide];
             warp_row(&level.right, area, y, plane, reach, mean, kernels, out);
         }
+    }
+}
+
+wide! {
+    fn centre_row(row: &[f32], mean: f32, left: &mut [f32], gradient: &mut [f32]) = centre_row_kernel;
+}
+
+/// Values without the mean, and gradients along the row, 0 at its ends.
+#[inline(always)]
+fn centre_row_kernel(row: &[f32], mean: f32, left: &mut [f32], gradient: &mut [f32]) {
+    let width = row.len();
+    for (out, value) in left.iter_mut().zip(row) {
+        *out = value - mean;
+    }
+    gradient[0] = 0.0;
+    gradient[width - 1] = 0.0;
+    for ((out, before), after) in gradient[1..width - 1].iter_mut().zip(row).zip(&row[2..]) {
+        *out = 0.5 * (after - before);
     }
 }
 
@@ -192,49 +213,69 @@ fn warp_row(
     let y_left = (area.y + y) as f64;
     let row = (y_left as i64 + i64::from(plane.row)).clamp(0, right.window.height as i64 - 1) as usize;
     let source = right.luminance().row(row);
-    let last = source.len() as f32 - 1.0;
     let first_x = area.x as f64 - reach as f64;
     let start = (first_x - (plane.c + plane.a * first_x + plane.b * y_left)) as f32;
     let step = (1.0 - plane.a) as f32;
-    let mut first = 0;
-    while first < out.len() {
-        let at = start + step * first as f32;
-        let floor = at.floor();
-        if floor < 1.0 || floor + 2.0 > last {
-            out[first] = border_value(source, at) - mean;
-            first += 1;
-            continue;
-        }
-        // As long as every pixel is one further on, up to half a pixel to both sides, the neighbours are in a row.
-        let drift = (step - 1.0).abs().max(1e-6);
-        let room = ((last - 2.0 - floor) as usize).min(out.len() - first - 1) + 1;
-        let count = ((0.5 / drift) as usize).clamp(1, room);
-        let base = floor as usize - 1;
-        warp_run(
-            kernels,
-            &source[base..base + count + 3],
-            (at - floor, step - 1.0),
-            mean,
-            &mut out[first..first + count],
-        );
-        first += count;
-    }
+    warp_places(kernels, source, (start, step), mean, out);
 }
 
 wide! {
-    fn warp_run(source: &[f32], place: (f32, f32), mean: f32, out: &mut [f32]) = warp_run_kernel;
+    fn warp_places(source: &[f32], places: (f32, f32), mean: f32, out: &mut [f32]) = warp_places_kernel;
 }
 
-/// Cubic values (Keys 1981, a = -1/2) at `1 + t`, `2 + t + drift`, `3 + t + 2 drift` ... of `source`.
+/// Values at the places `start`, `start + step`, ... less the mean.
 #[inline(always)]
-fn warp_run_kernel(source: &[f32], (t, drift): (f32, f32), mean: f32, out: &mut [f32]) {
-    let count = out.len();
-    let (a, b, c, d) = (&source[..count], &source[1..count + 1], &source[2..count + 2], &source[3..count + 3]);
-    for i in 0..count {
-        let t = t + drift * i as f32;
-        let (a, b, c, d) = (a[i], b[i], c[i], d[i]);
-        let (p, q) = (c - a, 2.0 * a - 5.0 * b + 4.0 * c - d);
-        out[i] = b + 0.5 * t * (p + t * (q + t * (3.0 * (b - c) + d - a))) - mean;
+fn warp_places_kernel(source: &[f32], (start, step): (f32, f32), mean: f32, out: &mut [f32]) {
+    // Over a group, places drift by less than a pixel from one column per column.
+    match (step - 1.0).abs() {
+        drift if drift < 1.0 / 16.0 => warp_groups::<16>(source, start, step, mean, out),
+        drift if drift < 1.0 / 8.0 => warp_groups::<8>(source, start, step, mean, out),
+        drift if drift < 1.0 / 4.0 => warp_groups::<4>(source, start, step, mean, out),
+        _ => warp_groups::<1>(source, start, step, mean, out),
+    }
+}
+
+/// In groups of `G` places: the four neighbours of each begin at one of two columns.
+#[inline(always)]
+fn warp_groups<const G: usize>(source: &[f32], start: f32, step: f32, mean: f32, out: &mut [f32]) {
+    let (drift, last) = (step - 1.0, source.len() as f32 - 1.0);
+    let mut first = 0;
+    while first < out.len() {
+        // The last group may overlap the one before.
+        let k = first.min(out.len().saturating_sub(G));
+        let from = start + step * k as f32;
+        let low = from.min(from + drift * (G - 1) as f32).floor();
+        if G > out.len() || !(low >= 1.0 && low + G as f32 + 2.0 <= last) {
+            out[first] = value_at(source, start + step * first as f32) - mean;
+            first += 1;
+            continue;
+        }
+        let base = low as usize - 1;
+        let (near, t) = (&source[base..base + G + 4], from - low);
+        for (i, out) in out[k..k + G].iter_mut().enumerate() {
+            let place = t + drift * i as f32;
+            let is_next = place >= 1.0;
+            let four: [f32; 4] = std::array::from_fn(|j| if is_next { near[i + j + 1] } else { near[i + j] });
+            *out = cubic(four, if is_next { place - 1.0 } else { place }) - mean;
+        }
+        first = k + G;
+    }
+}
+
+/// The value `t` after the second of four neighbours (Keys 1981, a = -1/2).
+#[inline(always)]
+fn cubic([a, b, c, d]: [f32; 4], t: f32) -> f32 {
+    let (p, q) = (c - a, 2.0 * a - 5.0 * b + 4.0 * c - d);
+    b + 0.5 * t * (p + t * (q + t * (3.0 * (b - c) + d - a)))
+}
+
+/// The value at any place of a row.
+#[inline(always)]
+fn value_at(source: &[f32], at: f32) -> f32 {
+    let floor = at.floor();
+    match source.get((floor as usize).wrapping_sub(1)..).and_then(|rest| rest.first_chunk()) {
+        Some(four) if floor >= 1.0 => cubic(*four, at - floor),
+        _ => border_value(source, at),
     }
 }
 
@@ -254,72 +295,61 @@ fn patch_box(level: &RegionLevel) -> LevelBox {
 
 fn mean_of(eye: &ColourPlanes, area: &LevelBox) -> f32 {
     let rows = (area.y..area.y + area.height).step_by(4);
-    let (mut sum, mut count) = (0.0, 0);
+    let (mut sums, mut count) = ([0.0_f32; LANES], 0);
     for y in rows {
-        let row = &eye.luminance().row(y)[area.x..area.x + area.width];
-        sum += row.iter().sum::<f32>();
-        count += row.len();
+        let (groups, rest) = eye.luminance().row(y)[area.x..area.x + area.width].as_chunks::<LANES>();
+        for group in groups {
+            for i in 0..LANES {
+                sums[i] += group[i];
+            }
+        }
+        sums[0] += rest.iter().sum::<f32>();
+        count += area.width;
     }
-    sum / count.max(1) as f32
+    sum_lanes(&sums) / count.max(1) as f32
 }
 
 /// Pixels too near to the window's border for a patch keep the right to speak for themselves.
 fn keep_unseen_pixels(level: &mut RegionLevel, area: &LevelBox) {
     let width = level.left.window.width;
-    let (columns, rows) = (
-        area.x + RADIUS..area.x + area.width - RADIUS.min(area.width),
-        area.y + RADIUS..area.y + area.height - RADIUS.min(area.height),
-    );
-    for (i, (support, region)) in level.support.iter_mut().zip(&level.region).enumerate() {
-        if *region != 0 && !(columns.contains(&(i % width)) && rows.contains(&(i / width))) {
-            *support = USABLE;
+    let columns = area.x + RADIUS..area.x + area.width - RADIUS.min(area.width);
+    let rows = area.y + RADIUS..area.y + area.height - RADIUS.min(area.height);
+    let pixels = level.support.chunks_exact_mut(width).zip(level.region.chunks_exact(width));
+    for (y, ((support, region), flags)) in pixels.zip(level.left.flags.chunks_exact(width)).enumerate() {
+        let judged = if rows.contains(&y) { columns.clone() } else { 0..0 };
+        for part in [0..judged.start, judged.end..width] {
+            for (support, region) in support[part.clone()].iter_mut().zip(&region[part]) {
+                *support = region * USABLE;
+            }
         }
-        if *support != 0 && !is_seen(level.left.flags[i]) {
-            *support = 0;
+        for (support, flags) in support.iter_mut().zip(flags) {
+            *support = if is_seen(*flags) { *support } else { 0 };
         }
     }
 }
 
-/// What one patch says.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Peak {
-    /// Columns to the best agreement; beyond the reach if it lies at its end.
-    pub offset: f32,
-    /// Correlation there.
-    pub correlation: f32,
-    /// How much it counts; 0 without texture.
-    pub weight: f32,
-}
-
+/// Counts of pixels of the region.
 #[derive(Clone, Copy, Debug, Default)]
 struct Tally {
-    textured: usize,
-    supporting: usize,
+    textured: f64,
+    supporting: f64,
     correlation: f64,
 }
 
 impl Tally {
-    /// Counts a pixel and says whether it is to be used.
-    fn add(&mut self, peak: &Peak, config: &PatchConfig) -> u8 {
-        if peak.weight <= 0.0 {
-            return USABLE;
-        }
-        self.textured += 1;
-        let supports =
-            f64::from(peak.offset.abs()) <= config.support_px && f64::from(peak.correlation) >= config.correlation_min;
-        if supports {
-            self.supporting += 1;
-            self.correlation += f64::from(peak.correlation);
-        }
-        if supports { SUPPORTS | USABLE } else { 0 }
+    /// Adds a row: its textured pixels, its supporting ones, and their correlations.
+    fn add(&mut self, row: &[f32; 3]) {
+        self.textured += f64::from(row[0]);
+        self.supporting += f64::from(row[1]);
+        self.correlation += f64::from(row[2]);
     }
 
     fn outcome(&self, area_px: usize, plane: LevelPlane) -> PatchOutcome {
         PatchOutcome {
             plane,
-            textured_share: self.textured as f64 / area_px.max(1) as f64,
-            support_share: self.supporting as f64 / self.textured.max(1) as f64,
-            mean_correlation: self.correlation / self.supporting.max(1) as f64,
+            textured_share: self.textured / area_px.max(1) as f64,
+            support_share: self.supporting / self.textured.max(1.0),
+            mean_correlation: self.correlation / self.supporting.max(1.0),
         }
     }
 }

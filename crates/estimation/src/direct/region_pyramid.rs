@@ -14,7 +14,9 @@ use super::front_end::{Eye, StereoFrontEnd};
 use super::image_plane::PixelWindow;
 use super::row_offset::RowOffset;
 use super::row_shift::shift_rows;
+use crate::cpu::Kernels;
 use crate::region::{PixelBox, RegionMask};
+use crate::wide::wide;
 
 /// Most levels of a pyramid.
 pub const LEVELS_MAX: usize = 6;
@@ -117,7 +119,7 @@ impl RegionLevel {
     }
 }
 
-/// The levels of one region of one pair. Allocates only when a region is larger than all before.
+/// The levels of one region of one pair, the finest first. Allocates only when a region is larger than all before.
 #[derive(Clone, Debug, Default)]
 pub struct RegionPyramid {
     levels: Vec<RegionLevel>,
@@ -126,16 +128,26 @@ pub struct RegionPyramid {
     centroid_px: Vector2<f64>,
     area_px: usize,
     box_px: PixelBox,
-    unshifted: ColourPlanes,
+    /// Levels on which the region has more pixels are left out, if there is a limit.
+    area_max_px: Option<usize>,
+    loaded: ColourPlanes,
+    halved: [ColourPlanes; 2],
+    regions: [Vec<u8>; 2],
 }
 
 impl RegionPyramid {
-    /// The levels, full size first.
+    /// A pyramid without the levels on which the region has more than `area_max_px` pixels: its finest level may be a halved
+    /// one.
+    pub fn up_to(area_max_px: usize) -> Self {
+        Self { area_max_px: Some(area_max_px), ..Self::default() }
+    }
+
+    /// The levels, finest first.
     pub fn levels(&self) -> &[RegionLevel] {
         &self.levels[..self.used]
     }
 
-    /// The levels, full size first.
+    /// The levels, finest first.
     pub fn levels_mut(&mut self) -> &mut [RegionLevel] {
         &mut self.levels[..self.used]
     }
@@ -169,20 +181,21 @@ impl RegionPyramid {
         };
         (self.box_px, self.centroid_px, self.area_px) = (box_px, centroid_px, source.region.area_px());
         let halvings = |limit: usize| (0..LEVELS_MAX - 1).take_while(|&i| self.area_px >> (2 * i) > limit).count();
-        self.search_level = halvings(source.search_area_px);
-        let count = 1 + halvings(HALVED_FROM_PX).max(self.search_level);
+        let finest = self.area_max_px.map_or(0, halvings).min(halvings(source.search_area_px));
+        self.search_level = halvings(source.search_area_px) - finest;
+        let count = 1 + halvings(HALVED_FROM_PX).max(finest + self.search_level) - finest;
         if self.levels.len() < count {
             self.levels.resize_with(count, RegionLevel::default);
         }
-        let [left, right] = self.windows(front_end, source, count);
-        self.load(front_end, source, left, right);
+        let [left, right] = self.windows(front_end, source, finest, count);
+        self.load(front_end, source, left, right, finest);
         let first = &self.levels[0];
         if first.area_px == 0 || first.right.flags.is_empty() {
             return false;
         }
         for i in 1..count {
             let (finer, coarser) = self.levels.split_at_mut(i);
-            coarser[0].halve(&finer[i - 1]);
+            coarser[0].halve(&finer[i - 1], front_end.kernels());
         }
         self.used = (1..count).find(|&i| self.levels[i].area_px == 0).unwrap_or(count);
         self.search_level = self.search_level.min(self.used - 1);
@@ -190,9 +203,15 @@ impl RegionPyramid {
     }
 
     /// Windows of both eyes that start on the coarsest grid.
-    fn windows(&self, front_end: &StereoFrontEnd, source: &PyramidSource<'_>, count: usize) -> [PixelWindow; 2] {
-        let margin = i64::from(MARGIN_PX << self.search_level);
-        let grid = 1_i64 << (count - 1);
+    fn windows(
+        &self,
+        front_end: &StereoFrontEnd,
+        source: &PyramidSource<'_>,
+        finest: usize,
+        count: usize,
+    ) -> [PixelWindow; 2] {
+        let margin = i64::from(MARGIN_PX << (finest + self.search_level));
+        let grid = 1_i64 << (finest + count - 1);
         let b = self.box_px;
         let size = front_end.size(Eye::Left);
         let rows = size.height.min(front_end.size(Eye::Right).height);
@@ -208,77 +227,139 @@ impl RegionPyramid {
         [PixelWindow { x, y, width, height }, PixelWindow { x: x_right, y, width: width_right, height }]
     }
 
-    fn load(&mut self, front: &StereoFrontEnd, source: &PyramidSource<'_>, left: PixelWindow, right: PixelWindow) {
-        let level = &mut self.levels[0];
-        level.scale = 1;
-        front.load(Eye::Left, source.left, left, source.wanted, &mut level.left);
+    /// Fills the finest level, which is the full size halved `halvings` times.
+    fn load(
+        &mut self,
+        front: &StereoFrontEnd,
+        source: &PyramidSource<'_>,
+        left: PixelWindow,
+        right: PixelWindow,
+        halvings: usize,
+    ) {
+        let Self { levels, loaded, halved, regions, .. } = self;
+        let level = &mut levels[0];
+        level.scale = 1 << halvings;
+        load_eye(front, (Eye::Left, source.left), left, source.wanted, halvings, halved, &mut level.left);
         if source.rows.is_zero() {
-            front.load(Eye::Right, source.right, right, source.wanted, &mut level.right);
+            load_eye(front, (Eye::Right, source.right), right, source.wanted, halvings, halved, &mut level.right);
         } else {
-            front.load(Eye::Right, source.right, right, source.wanted, &mut self.unshifted);
-            shift_rows(&self.unshifted, &source.rows, front.kernels(), &mut level.right);
+            load_eye(front, (Eye::Right, source.right), right, source.wanted, halvings, halved, loaded);
+            shift_rows(loaded, &source.rows.at_scale(level.scale as f64), front.kernels(), &mut level.right);
         }
-        let window = level.left.window;
-        level.region.clear();
-        level.region.resize(window.width * window.height, 0);
-        let mut area_px = 0;
-        source.region.for_each_run(|y, first, last| {
-            let row = i64::from(y) - i64::from(window.y);
-            if row < 0 || row >= window.height as i64 {
-                return;
-            }
-            let column = |x: u32| (i64::from(x) - i64::from(window.x)).clamp(0, window.width as i64) as usize;
-            let (first, end) = (column(first), column(last + 1));
-            level.region[row as usize * window.width..][first..end].fill(1);
-            area_px += end - first;
-        });
-        level.area_px = area_px;
+        let full = left.clipped(front.size(Eye::Left).width, front.size(Eye::Left).height);
+        let first = if halvings == 0 { &mut level.region } else { &mut regions[0] };
+        mark_region(source.region, &full, first);
+        let (mut width, mut height) = (full.width, full.height);
+        for i in 0..halvings {
+            let [finer, coarser] = regions;
+            let out = if i + 1 == halvings { &mut level.region } else { &mut *coarser };
+            halve_region(finer, width, front.kernels(), out);
+            regions.swap(0, 1);
+            (width, height) = (width / 2, height / 2);
+        }
+        debug_assert_eq!((width, height), (level.left.window.width, level.left.window.height));
+        level.area_px = level.region.iter().map(|&inside| usize::from(inside)).sum();
         level.reset_support();
     }
 }
 
-impl RegionLevel {
-    fn halve(&mut self, finer: &Self) {
-        self.scale = 2 * finer.scale;
-        halve_eye(&finer.left, &mut self.left);
-        halve_eye(&finer.right, &mut self.right);
-        let (width, fine_width) = (self.left.window.width, finer.left.window.width);
-        self.region.clear();
-        let mut area_px = 0;
-        for y in 0..self.left.window.height {
-            let rows = &finer.region[2 * y * fine_width..(2 * y + 2) * fine_width];
-            let (upper, lower) = rows.split_at(fine_width);
-            for x in 0..width {
-                let count = upper[2 * x] + upper[2 * x + 1] + lower[2 * x] + lower[2 * x + 1];
-                self.region.push(u8::from(count >= 2));
-                area_px += usize::from(count >= 2);
+/// The channels of a window (full size) of an eye, halved so many times.
+fn load_eye(
+    front: &StereoFrontEnd,
+    (eye, raw): (Eye, &RgbImage),
+    window: PixelWindow,
+    wanted: Wanted,
+    halvings: usize,
+    scratch: &mut [ColourPlanes; 2],
+    out: &mut ColourPlanes,
+) {
+    let [finer, coarser] = scratch;
+    match halvings {
+        0 => front.load(eye, raw, window, wanted, out),
+        1 => front.load_halved(eye, raw, window, wanted, finer, out),
+        _ => {
+            front.load_halved(eye, raw, window, wanted, coarser, finer);
+            for _ in 2..halvings {
+                halve_eye(finer, front.kernels(), coarser);
+                std::mem::swap(finer, coarser);
             }
+            halve_eye(finer, front.kernels(), out);
         }
-        self.area_px = area_px;
+    }
+}
+
+/// 1 for every pixel of the window that belongs to the region, else 0.
+fn mark_region(region: &RegionMask, window: &PixelWindow, out: &mut Vec<u8>) {
+    out.clear();
+    out.resize(window.width * window.height, 0);
+    region.for_each_run(|y, first, last| {
+        let row = i64::from(y) - i64::from(window.y);
+        if row < 0 || row >= window.height as i64 {
+            return;
+        }
+        let column = |x: u32| (i64::from(x) - i64::from(window.x)).clamp(0, window.width as i64) as usize;
+        out[row as usize * window.width..][column(first)..column(last + 1)].fill(1);
+    });
+}
+
+impl RegionLevel {
+    fn halve(&mut self, finer: &Self, kernels: Kernels) {
+        self.scale = 2 * finer.scale;
+        halve_eye(&finer.left, kernels, &mut self.left);
+        halve_eye(&finer.right, kernels, &mut self.right);
+        halve_region(&finer.region, finer.left.window.width, kernels, &mut self.region);
+        self.area_px = self.region.iter().map(|&inside| usize::from(inside)).sum();
         self.reset_support();
     }
 }
 
-fn halve_eye(finer: &ColourPlanes, out: &mut ColourPlanes) {
-    let window = PixelWindow {
-        x: finer.window.x / 2,
-        y: finer.window.y / 2,
-        width: finer.window.width / 2,
-        height: finer.window.height / 2,
-    };
+/// Channels and flags at half the size.
+pub(super) fn halve_eye(finer: &ColourPlanes, kernels: Kernels, out: &mut ColourPlanes) {
+    let window = finer.window.halved();
     let wanted = if finer.planes[1].width() > 0 { Wanted::Colour } else { Wanted::Luminance };
     out.resize(window, wanted);
     for (finer, out) in finer.planes.iter().zip(&mut out.planes) {
         finer.halve_into(out);
     }
     let fine_width = finer.window.width;
-    for y in 0..window.height {
-        let rows = &finer.flags[2 * y * fine_width..(2 * y + 2) * fine_width];
-        let (upper, lower) = rows.split_at(fine_width);
-        let pairs = upper.chunks_exact(2).zip(lower.chunks_exact(2));
-        for (out, (upper, lower)) in out.flags[y * window.width..][..window.width].iter_mut().zip(pairs) {
-            *out = upper[0] | upper[1] | lower[0] | lower[1];
-        }
+    for (y, out) in out.flags.chunks_exact_mut(window.width.max(1)).enumerate() {
+        let (upper, lower) = finer.flags[2 * y * fine_width..(2 * y + 2) * fine_width].split_at(fine_width);
+        halve_flags_row(kernels, upper, lower, out);
+    }
+}
+
+/// A pixel of half the size belongs to the region if half of its four pixels do.
+fn halve_region(finer: &[u8], fine_width: usize, kernels: Kernels, out: &mut Vec<u8>) {
+    let (width, height) = (fine_width / 2, finer.len() / fine_width.max(1) / 2);
+    out.clear();
+    out.resize(width * height, 0);
+    for (y, out) in out.chunks_exact_mut(width.max(1)).enumerate() {
+        let (upper, lower) = finer[2 * y * fine_width..(2 * y + 2) * fine_width].split_at(fine_width);
+        halve_region_row(kernels, upper, lower, out);
+    }
+}
+
+wide! {
+    fn halve_flags_row(upper: &[u8], lower: &[u8], out: &mut [u8]) = halve_flags_row_kernel;
+}
+
+#[inline(always)]
+fn halve_flags_row_kernel(upper: &[u8], lower: &[u8], out: &mut [u8]) {
+    let pairs = upper.chunks_exact(2).zip(lower.chunks_exact(2));
+    for (out, (upper, lower)) in out.iter_mut().zip(pairs) {
+        *out = (upper[0] | upper[1]) | (lower[0] | lower[1]);
+    }
+}
+
+wide! {
+    fn halve_region_row(upper: &[u8], lower: &[u8], out: &mut [u8]) = halve_region_row_kernel;
+}
+
+#[inline(always)]
+fn halve_region_row_kernel(upper: &[u8], lower: &[u8], out: &mut [u8]) {
+    let pairs = upper.chunks_exact(2).zip(lower.chunks_exact(2));
+    for (out, (upper, lower)) in out.iter_mut().zip(pairs) {
+        *out = u8::from((upper[0] + upper[1]) + (lower[0] + lower[1]) >= 2);
     }
 }
 
@@ -290,7 +371,6 @@ pub fn is_seen(flags: u8) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cpu::Kernels;
     use nalgebra::Vector3;
     use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 
@@ -309,10 +389,15 @@ mod tests {
     }
 
     fn pyramid(rows: RowOffset, offset: f64) -> RegionPyramid {
+        let mut pyramid = RegionPyramid::default();
+        fill(&mut pyramid, rows, offset);
+        pyramid
+    }
+
+    fn fill(pyramid: &mut RegionPyramid, rows: RowOffset, offset: f64) {
         let front_end = front_end();
         let size = front_end.size(Eye::Left);
         let region = RegionMask::from_fn(size, |x, y| (121..201).contains(&x) && (50..110).contains(&y) && x + y > 190);
-        let mut pyramid = RegionPyramid::default();
         let source = PyramidSource {
             left: &ramp(0.0),
             right: &ramp(offset),
@@ -323,7 +408,6 @@ mod tests {
             search_area_px: 2000,
         };
         assert!(pyramid.update(&front_end, &source));
-        pyramid
     }
 
     #[test]
@@ -340,6 +424,28 @@ mod tests {
             let expected = pyramid.area_px() as f64 / (level.scale * level.scale) as f64;
             assert!((level.area_px as f64 / expected - 1.0).abs() < 0.12, "level {i}: {}", level.area_px);
             assert_eq!(level.area_px, level.region.iter().map(|&inside| usize::from(inside)).sum::<usize>());
+        }
+    }
+
+    #[test]
+    fn what_is_halved_at_once_is_what_is_halved_level_by_level() {
+        let rows = RowOffset { centre_px: Vector2::new(20.0, 20.0), offset_px: 1.6, slope: Vector2::new(0.001, 0.002) };
+        for rows in [RowOffset::default(), rows] {
+            let all = pyramid(rows, 1.6);
+            let mut some = RegionPyramid::up_to(2000);
+            fill(&mut some, rows, 1.6);
+            assert_eq!((some.levels().len(), some.levels()[0].scale, some.search_level()), (2, 2, 0));
+            for (a, b) in all.levels()[1..].iter().zip(some.levels()) {
+                assert_eq!((a.scale, a.area_px, &a.region), (b.scale, b.area_px, &b.region));
+                assert_eq!((a.left.window, &a.left.flags), (b.left.window, &b.left.flags));
+                let gap = |p: &ColourPlanes, q: &ColourPlanes| {
+                    let pairs = p.luminance().values().iter().zip(q.luminance().values());
+                    // Rows at the border of the window are moved from other sides.
+                    let inner = pairs.skip(4 * p.window.width).take((p.window.height - 8) * p.window.width);
+                    inner.map(|(p, q)| (p - q).abs()).fold(0.0, f32::max)
+                };
+                assert!(gap(&a.left, &b.left) < 1e-3 && gap(&a.right, &b.right) < 0.5, "{}", gap(&a.right, &b.right));
+            }
         }
     }
 

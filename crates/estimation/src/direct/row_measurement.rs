@@ -2,17 +2,18 @@
 //!
 //! Points with texture in both directions are found again in the other eye: over all disparities on a quarter of the size,
 //! then closer and closer, at last between pixels (Lucas and Kanade, with means and gains taken out). A robust affine fit
-//! through their row differences is the offset. It takes some tens of milliseconds and is meant for once per rig or scene.
+//! through their row differences is the offset. It takes some milliseconds and is meant for once per rig or scene.
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
-use pb3dp_geometry::ImageSize;
 
 use super::colour_planes::Wanted;
 use super::front_end::{Eye, StereoFrontEnd};
 use super::image_plane::ImagePlane;
 use super::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
 use super::row_offset::RowOffset;
+use crate::cpu::Kernels;
 use crate::region::RegionMask;
+use crate::wide::wide;
 use image::RgbImage;
 
 /// Level of the exhaustive search.
@@ -55,7 +56,10 @@ struct RowMatch {
 /// Measures the row offset of a pair of raw images that the front end has checked.
 pub(super) fn measure_rows(front_end: &StereoFrontEnd, left: &RgbImage, right: &RgbImage) -> RowMeasurement {
     let size = front_end.size(Eye::Left);
-    let whole = RegionMask::from_fn(ImageSize { width: size.width, height: size.height }, |_, _| true);
+    let mut whole = RegionMask::empty(size);
+    for y in 0..i64::from(size.height) {
+        whole.insert_span(y, 0, i64::from(size.width) - 1);
+    }
     let width = f64::from(size.width);
     let source = PyramidSource {
         left,
@@ -73,34 +77,31 @@ pub(super) fn measure_rows(front_end: &StereoFrontEnd, left: &RgbImage, right: &
     let level = &pyramid.levels()[COARSE];
     let (columns, rows) = (level.left.window.width, level.left.window.height);
     let margin = RADIUS + 2;
+    let mut search = CoarseSearch::new(level, front_end.kernels());
     let mut matches = Vec::new();
     for y in (margin..rows.saturating_sub(margin)).step_by(SPACING) {
         for x in (margin..columns.saturating_sub(margin)).step_by(SPACING) {
-            matches.extend(find_again(pyramid.levels(), (x, y)));
+            matches.extend(find_again(pyramid.levels(), &mut search, (x, y)));
         }
     }
     fit(&matches)
 }
 
-fn find_again(levels: &[RegionLevel], (x, y): (usize, usize)) -> Option<RowMatch> {
-    let coarse = &levels[COARSE];
-    let patch = Patch::take(coarse.left.luminance(), x as i64, y as i64)?;
+fn find_again(levels: &[RegionLevel], search: &mut CoarseSearch<'_>, (x, y): (usize, usize)) -> Option<RowMatch> {
+    let patch = Patch::take(levels[COARSE].left.luminance(), x as i64, y as i64)?;
     if !patch.has_texture {
         return None;
     }
-    let mut place = search_coarse(coarse, &patch, y as i64)?;
+    let mut place = search.find(&patch, y as i64)?;
     let mut at = (x as i64, y as i64);
     for level in levels[..COARSE].iter().rev() {
         at = (2 * at.0, 2 * at.1);
         let patch = Patch::take(level.left.luminance(), at.0, at.1)?;
         let (x0, y0) = (2 * place.0, 2 * place.1);
         let around = (-2..=2).flat_map(|dy| (-2..=2).map(move |dx| (x0 + dx, y0 + dy)));
-        let scored = around.filter_map(|p| {
-            let other = Patch::take(level.right.luminance(), p.0, p.1)?;
-            Some((patch.correlation(&other), p))
-        });
+        let scored = around.filter_map(|p| Some((patch.correlation_at(level.right.luminance(), p)?, p)));
         let (best, found) = scored.max_by(|a, b| a.0.total_cmp(&b.0))?;
-        if best < CORRELATION_MIN[1] {
+        if f64::from(best) < CORRELATION_MIN[1] {
             return None;
         }
         place = found;
@@ -114,25 +115,106 @@ fn find_again(levels: &[RegionLevel], (x, y): (usize, usize)) -> Option<RowMatch
     (offset_px.abs() <= OFFSET_MAX_PX).then_some(RowMatch { right_px, offset_px })
 }
 
-/// The best place on the coarse level, if it is clearly the best.
-fn search_coarse(level: &RegionLevel, patch: &Patch, y: i64) -> Option<(i64, i64)> {
-    let right = level.right.luminance();
-    let mut best = (f64::NEG_INFINITY, (0, 0));
-    let mut scores = Vec::with_capacity(3 * right.width());
-    for row in y - 1..=y + 1 {
-        for x in 0..right.width() as i64 {
-            if let Some(other) = Patch::take(right, x, row) {
-                let score = patch.correlation(&other);
-                scores.push((score, x));
+/// Finds patches again on the coarse level of the right eye.
+struct CoarseSearch<'a> {
+    right: &'a ImagePlane,
+    /// Per place of a patch, by its first column and row: 1 over the length of the patch's deviations from its mean.
+    certainty: ImagePlane,
+    /// Correlations along the rows looked at.
+    scores: [Vec<f32>; 3],
+    kernels: Kernels,
+}
+
+impl<'a> CoarseSearch<'a> {
+    fn new(level: &'a RegionLevel, kernels: Kernels) -> Self {
+        let right = level.right.luminance();
+        let size = |length: usize| (length + 1).saturating_sub(SIDE);
+        let mut certainty = ImagePlane::new(size(right.width()), size(right.height()));
+        let mut columns = [vec![0.0; right.width()], vec![0.0; right.width()]];
+        for y in 0..certainty.height() {
+            let rows: [&[f32]; SIDE] = std::array::from_fn(|j| right.row(y + j));
+            let [sums, squares] = &mut columns;
+            certainty_row(kernels, &rows, sums, squares, certainty.row_mut(y));
+        }
+        Self { right, certainty, scores: Default::default(), kernels }
+    }
+
+    /// The best place of a patch on its row and the rows beside it, if it is clearly the best.
+    fn find(&mut self, patch: &Patch, y: i64) -> Option<(i64, i64)> {
+        let mut best = (f32::NEG_INFINITY, (0, 0));
+        for (scores, row) in self.scores.iter_mut().zip(y - 1..=y + 1) {
+            scores.clear();
+            let top = usize::try_from(row - RADIUS as i64).ok().filter(|&top| top < self.certainty.height());
+            let Some(top) = top else { continue };
+            scores.resize(self.certainty.width(), 0.0);
+            let rows: [&[f32]; SIDE] = std::array::from_fn(|j| self.right.row(top + j));
+            correlate_row(self.kernels, &patch.values, &rows, self.certainty.row(top), scores);
+            for (x, &score) in scores.iter().enumerate() {
                 if score > best.0 {
                     best = (score, (x, row));
                 }
             }
         }
+        let (highest, (column, row)) = best;
+        let others = self.scores.iter().flat_map(|scores| {
+            let near = column.saturating_sub(1)..(column + 2).min(scores.len());
+            scores[..near.start.min(scores.len())].iter().chain(&scores[near.end..])
+        });
+        let rival = others.fold(f32::NEG_INFINITY, |a, &b| a.max(b));
+        let is_clear = f64::from(highest) >= CORRELATION_MIN[0] && f64::from(highest - rival) >= MARGIN_MIN;
+        is_clear.then_some((column as i64 + RADIUS as i64, row))
     }
-    let rival = scores.iter().filter(|(_, x)| (x - best.1.0).abs() > 1).map(|(s, _)| *s);
-    let rival = rival.fold(f64::NEG_INFINITY, f64::max);
-    (best.0 >= CORRELATION_MIN[0] && best.0 - rival >= MARGIN_MIN).then_some(best.1)
+}
+
+wide! {
+    fn certainty_row(rows: &[&[f32]; SIDE], sums: &mut [f32], squares: &mut [f32], out: &mut [f32]) = certainty_row_kernel;
+}
+
+#[inline(always)]
+fn certainty_row_kernel(rows: &[&[f32]; SIDE], sums: &mut [f32], squares: &mut [f32], out: &mut [f32]) {
+    // Grey levels about the middle of luminance, so that single precision is enough for the difference of the squares.
+    const MIDDLE: f32 = 220.0;
+    sums.fill(0.0);
+    squares.fill(0.0);
+    for row in rows {
+        for ((sum, square), value) in sums.iter_mut().zip(squares.iter_mut()).zip(*row) {
+            let value = value - MIDDLE;
+            *sum += value;
+            *square += value * value;
+        }
+    }
+    for ((out, sums), squares) in out.iter_mut().zip(sums.windows(SIDE)).zip(squares.windows(SIDE)) {
+        let (mut sum, mut square) = (0.0, 0.0);
+        for i in 0..SIDE {
+            sum += sums[i];
+            square += squares[i];
+        }
+        let variation = square - sum * sum * (1.0 / PATCH as f32);
+        *out = if variation > 1.0 { 1.0 / variation.sqrt() } else { 0.0 };
+    }
+}
+
+wide! {
+    fn correlate_row(patch: &[f32; PATCH], rows: &[&[f32]; SIDE], certainty: &[f32], scores: &mut [f32]) = correlate_row_kernel;
+}
+
+/// Correlations of a patch of mean 0 and length 1 with all places along a row.
+#[inline(always)]
+fn correlate_row_kernel(patch: &[f32; PATCH], rows: &[&[f32]; SIDE], certainty: &[f32], scores: &mut [f32]) {
+    let width = scores.len();
+    for (weights, row) in patch.chunks_exact(SIDE).zip(rows) {
+        let shifted: [&[f32]; SIDE] = std::array::from_fn(|i| &row[i..i + width]);
+        for (x, score) in scores.iter_mut().enumerate() {
+            let mut sum = 0.0;
+            for i in 0..SIDE {
+                sum += weights[i] * shifted[i][x];
+            }
+            *score += sum;
+        }
+    }
+    for (score, certainty) in scores.iter_mut().zip(certainty) {
+        *score *= certainty;
+    }
 }
 
 /// A patch, normalised to mean 0 and length 1.
@@ -172,8 +254,27 @@ impl Patch {
         Some(Self { values, has_texture: along >= enough && down >= enough })
     }
 
-    fn correlation(&self, other: &Self) -> f64 {
-        f64::from(self.values.iter().zip(&other.values).map(|(a, b)| a * b).sum::<f32>())
+    /// Correlation with the patch of another plane around a place; `None` where that has no patch or it is uniform.
+    fn correlation_at(&self, plane: &ImagePlane, (x, y): (i64, i64)) -> Option<f32> {
+        let r = RADIUS as i64;
+        if x < r || y < r || x + r >= plane.width() as i64 || y + r >= plane.height() as i64 {
+            return None;
+        }
+        let (x, y) = (x as usize - RADIUS, y as usize - RADIUS);
+        let middle = plane.row(y + RADIUS)[x + RADIUS];
+        let (mut product, mut sum, mut square) = ([0.0_f32; SIDE], [0.0_f32; SIDE], [0.0_f32; SIDE]);
+        for (j, own) in self.values.chunks_exact(SIDE).enumerate() {
+            let row = &plane.row(y + j)[x..x + SIDE];
+            for i in 0..SIDE {
+                let value = row[i] - middle;
+                product[i] += own[i] * value;
+                sum[i] += value;
+                square[i] += value * value;
+            }
+        }
+        let total = |values: [f32; SIDE]| values.iter().sum::<f32>();
+        let variation = total(square) - total(sum).powi(2) / PATCH as f32;
+        (variation > 0.0).then(|| total(product) / variation.sqrt())
     }
 }
 
@@ -211,12 +312,19 @@ fn refine(left: &ImagePlane, right: &ImagePlane, at: (i64, i64), place: (i64, i6
 
 /// A patch of the right image at a fraction of a pixel, normalised.
 fn sample(right: &ImagePlane, place: (i64, i64), shift: &Vector2<f64>) -> Option<[f64; PATCH]> {
+    let floor = shift.map(f64::floor);
+    let (a, b) = (shift.x - floor.x, shift.y - floor.y);
+    let first = (place.0 - RADIUS as i64 + floor.x as i64, place.1 - RADIUS as i64 + floor.y as i64);
+    let (x, y) = (usize::try_from(first.0).ok()?, usize::try_from(first.1).ok()?);
+    if x + SIDE >= right.width() || y + SIDE >= right.height() {
+        return None;
+    }
     let mut values = [0.0; PATCH];
-    for j in 0..SIDE {
-        for i in 0..SIDE {
-            let x = (place.0 + i as i64) as f64 - RADIUS as f64 + shift.x;
-            let y = (place.1 + j as i64) as f64 - RADIUS as f64 + shift.y;
-            values[j * SIDE + i] = right.sample(&Vector2::new(x, y))?;
+    for (j, values) in values.chunks_exact_mut(SIDE).enumerate() {
+        let (upper, lower) = (&right.row(y + j)[x..=x + SIDE], &right.row(y + j + 1)[x..=x + SIDE]);
+        let down = |i: usize| f64::from(upper[i]) * (1.0 - b) + f64::from(lower[i]) * b;
+        for (i, value) in values.iter_mut().enumerate() {
+            *value = down(i) * (1.0 - a) + down(i + 1) * a;
         }
     }
     let mean = values.iter().sum::<f64>() / PATCH as f64;

@@ -22,6 +22,12 @@ impl RowOffset {
         self.offset_px + self.slope.dot(&(right_px - self.centre_px))
     }
 
+    /// The offset in pixels of an image whose pixels are `scale` full ones wide.
+    pub fn at_scale(&self, scale: f64) -> Self {
+        let centre_px = (self.centre_px.add_scalar(0.5) / scale).add_scalar(-0.5);
+        Self { centre_px, offset_px: self.offset_px / scale, slope: self.slope }
+    }
+
     /// Whether there is nothing to correct.
     pub fn is_zero(&self) -> bool {
         self.offset_px == 0.0 && self.slope == Vector2::zeros()

@@ -12,6 +12,7 @@ use self::volume::{COST_NEUTRAL, CostVolume, LevelBox};
 use super::region_pyramid::{LevelPlane, RegionLevel};
 use crate::cpu::Kernels;
 use crate::error::{EstimationError, check_range};
+use crate::wide::wide;
 
 /// Pixels around the region's box that take part in the aggregation.
 const MARGIN: usize = 2;
@@ -79,6 +80,7 @@ pub struct PlaneSearch {
     seeds: Vec<PlaneCoefficients>,
     histogram: Vec<u32>,
     column: Vec<u32>,
+    row_sums: Vec<u16>,
     /// The candidates, best first.
     pub candidates: Vec<PlaneCandidate>,
     /// Share of the region's pixels that have a clear disparity.
@@ -105,7 +107,7 @@ impl PlaneSearch {
         self.volume.compute(level, area, range, config.noise as f32, kernels);
         self.aggregation.run(&self.volume, config.penalties, config.winner, kernels);
         self.collect(level, area);
-        self.make_seeds(level, area);
+        self.make_seeds(level, area, kernels);
         let size = (area.width as f64, area.height as f64);
         let from_box = |volume: &CostVolume, p: &PlaneCoefficients| {
             let c = p.x - p.y * area.x as f64 - p.z * area.y as f64 + f64::from(volume.first)
@@ -125,7 +127,7 @@ impl PlaneSearch {
             kept.map(|&Candidate { plane, share }| PlaneCandidate { plane: from_box(&self.volume, &plane), share }),
         );
         if let Some(best) = self.hypotheses.kept.first().map(|best| best.plane) {
-            self.sweep(level, area, &best);
+            self.sweep(level, area, &best, kernels);
             let aliases = self.seeds.iter().map(|shift| best + shift);
             let aliases = aliases.map(|plane| PlaneCandidate { plane: from_box(&self.volume, &plane), share: 0.0 });
             self.candidates.extend(aliases.filter(|alias| allowed(&alias.plane)));
@@ -134,22 +136,16 @@ impl PlaneSearch {
 
     /// Moves the best plane through all disparities: where else the region as a whole agrees well is left in the seeds, as
     /// shifts. A repetitive texture has such places.
-    fn sweep(&mut self, level: &RegionLevel, area: LevelBox, plane: &PlaneCoefficients) {
+    fn sweep(&mut self, level: &RegionLevel, area: LevelBox, plane: &PlaneCoefficients, kernels: Kernels) {
         let count = self.volume.count;
         self.column.clear();
         self.column.resize(2 * count + 1, 0);
-        let stride = level.left.window.width;
+        let (p, stride) = (plane.map(|p| p as f32), self.volume.stride);
         for y in 0..area.height {
-            for x in 0..area.width {
-                let start = (plane.x + plane.y * x as f64 + plane.z * y as f64).round();
-                let inside = level.region[(area.y + y) * stride + area.x + x] != 0;
-                if inside && start >= 0.0 && start < count as f64 {
-                    let costs = &self.volume.costs[(y * area.width + x) * self.volume.stride..][..count];
-                    for (sum, cost) in self.column[count - start as usize..].iter_mut().zip(costs) {
-                        *sum += u32::from(COST_NEUTRAL).saturating_sub(u32::from(*cost));
-                    }
-                }
-            }
+            let inside = &level.region[(area.y + y) * level.left.window.width + area.x..][..area.width];
+            let costs = &self.volume.costs[y * area.width * stride..][..area.width * stride];
+            let start = (p.x + p.z * y as f32, p.y);
+            add_swept(kernels, costs, inside, (stride, count), start, &mut self.row_sums, &mut self.column);
         }
         let own = (count - 1..=count + 1).map(|i| self.column[i]).max().unwrap_or(0);
         for sum in &mut self.column[count - 1..=count + 1] {
@@ -182,28 +178,83 @@ impl PlaneSearch {
     }
 
     /// Fronto-parallel planes: where most pixels have their disparity, and where the region as a whole agrees best.
-    fn make_seeds(&mut self, level: &RegionLevel, area: LevelBox) {
+    fn make_seeds(&mut self, level: &RegionLevel, area: LevelBox, kernels: Kernels) {
         self.seeds.clear();
         self.histogram.clear();
         self.histogram.resize(self.volume.count, 0);
         for d in self.points.disparities() {
-            self.histogram[d.round() as usize] += 1;
+            self.histogram[(d + 0.5) as usize] += 1;
         }
         push_peaks(&self.histogram, 4, &mut self.seeds);
         self.column.clear();
         self.column.resize(self.volume.count, 0);
-        let stride = level.left.window.width;
+        let stride = self.volume.stride;
         for y in 0..area.height {
-            for x in 0..area.width {
-                if level.region[(area.y + y) * stride + area.x + x] != 0 {
-                    let costs = &self.volume.costs[(y * area.width + x) * self.volume.stride..];
-                    for (sum, cost) in self.column.iter_mut().zip(costs) {
-                        *sum += u32::from(2 * COST_NEUTRAL).saturating_sub(u32::from(*cost));
-                    }
+            let inside = &level.region[(area.y + y) * level.left.window.width + area.x..][..area.width];
+            let costs = &self.volume.costs[y * area.width * stride..][..area.width * stride];
+            add_agreement(kernels, costs, inside, stride, &mut self.row_sums, &mut self.column);
+        }
+        push_peaks(&self.column, 4, &mut self.seeds);
+    }
+}
+
+/// Pixels whose agreement is summed up in 16 bits.
+const SUMMED_PX: usize = 512;
+
+wide! {
+    fn add_agreement(costs: &[u8], inside: &[u8], stride: usize, sums: &mut Vec<u16>, column: &mut [u32]) = add_agreement_kernel;
+}
+
+/// Adds, disparity by disparity, by how much the pixels of a row that are inside agree better than not at all, plus
+/// [`COST_NEUTRAL`].
+#[inline(always)]
+fn add_agreement_kernel(costs: &[u8], inside: &[u8], stride: usize, sums: &mut Vec<u16>, column: &mut [u32]) {
+    for (costs, inside) in costs.chunks(SUMMED_PX * stride).zip(inside.chunks(SUMMED_PX)) {
+        sums.clear();
+        sums.resize(stride, 0);
+        for (costs, _) in costs.chunks_exact(stride).zip(inside).filter(|(_, inside)| **inside != 0) {
+            for (sum, cost) in sums.iter_mut().zip(costs) {
+                *sum += u16::from((2 * COST_NEUTRAL).saturating_sub(*cost));
+            }
+        }
+        add_sums(sums, column);
+    }
+}
+
+wide! {
+    fn add_swept(costs: &[u8], inside: &[u8], shape: (usize, usize), start: (f32, f32), sums: &mut Vec<u16>,
+        column: &mut [u32]) = add_swept_kernel;
+}
+
+/// The same, each pixel from the disparity that a plane has there, `start.0 + start.1 x`: `count` before to `count` after.
+#[inline(always)]
+fn add_swept_kernel(
+    costs: &[u8],
+    inside: &[u8],
+    (stride, count): (usize, usize),
+    start: (f32, f32),
+    sums: &mut Vec<u16>,
+    column: &mut [u32],
+) {
+    for (part, (costs, inside)) in costs.chunks(SUMMED_PX * stride).zip(inside.chunks(SUMMED_PX)).enumerate() {
+        sums.clear();
+        sums.resize(2 * count + 1, 0);
+        for (x, (costs, inside)) in costs.chunks_exact(stride).zip(inside).enumerate() {
+            let at = start.0 + start.1 * (part * SUMMED_PX + x) as f32 + 0.5;
+            if *inside != 0 && at >= 0.0 && at < count as f32 {
+                for (sum, cost) in sums[count - at as usize..].iter_mut().zip(&costs[..count]) {
+                    *sum += u16::from(COST_NEUTRAL.saturating_sub(*cost));
                 }
             }
         }
-        push_peaks(&self.column, 4, &mut self.seeds);
+        add_sums(sums, column);
+    }
+}
+
+#[inline(always)]
+fn add_sums(sums: &[u16], column: &mut [u32]) {
+    for (column, sum) in column.iter_mut().zip(sums) {
+        *column += u32::from(*sum);
     }
 }
 

@@ -14,6 +14,16 @@ const ON_OUTLINE_PX: f64 = 1e-9;
 ///
 /// The vertices must be finite. Rows far outside the image cost time, so callers bound the coordinates.
 pub(crate) fn fill(vertices: &[Vector2<f64>], mask: &mut RegionMask) -> usize {
+    for_each_span(vertices, |y, first, last| mask.insert_span(y, first, last))
+}
+
+/// How many pixels, inside and outside the image, the polygon covers; as in [`fill`].
+pub(crate) fn covered_px(vertices: &[Vector2<f64>]) -> usize {
+    for_each_span(vertices, |_, _, _| {})
+}
+
+/// Calls `visit(y, first, last)` for every span of pixels; returns how many pixels they have.
+fn for_each_span(vertices: &[Vector2<f64>], mut visit: impl FnMut(i64, i64, i64)) -> usize {
     let mut crossings = Vec::new();
     let mut spans = Vec::new();
     let Some((first_row, last_row)) = rows(vertices) else { return 0 };
@@ -22,7 +32,7 @@ pub(crate) fn fill(vertices: &[Vector2<f64>], mask: &mut RegionMask) -> usize {
         row_spans(vertices, y as f64, &mut crossings, &mut spans);
         for (first, last) in &spans {
             covered += (last - first + 1) as usize;
-            mask.insert_span(y, *first, *last);
+            visit(y, *first, *last);
         }
     }
     covered

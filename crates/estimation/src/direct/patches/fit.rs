@@ -21,11 +21,19 @@ impl PatchVotes {
         }
     }
 
-    pub(super) fn push(&mut self, x: f32, y: f32, offset: f32, weight: f32) {
+    fn push(&mut self, x: f32, y: f32, offset: f32, weight: f32) {
         self.x.push(x);
         self.y.push(y);
         self.offset.push(offset);
         self.weight.push(weight);
+    }
+
+    /// Adds the votes of a row from pixel `first` on; those outside the region have no weight.
+    pub(super) fn extend_row(&mut self, first: (usize, usize), inside: &[u8], offset: &[f32], weight: &[f32]) {
+        self.x.extend((first.0..first.0 + inside.len()).map(|x| x as f32));
+        self.y.resize(self.x.len(), first.1 as f32);
+        self.offset.extend_from_slice(offset);
+        self.weight.extend(inside.iter().zip(weight).map(|(inside, weight)| f32::from(*inside) * weight));
     }
 
     /// Fills the last group with votes that do not count.

@@ -1,8 +1,8 @@
 //! Running sums over patches, row by row.
 
-use super::{PATCH_PX, PatchConfig, Peak, REACH_MAX, SIDE};
+use super::{PATCH_PX, PatchConfig, REACH_MAX, SIDE, SUPPORTS, USABLE};
 use crate::cpu::Kernels;
-use crate::wide::wide;
+use crate::wide::{LANES, sum_lanes, wide};
 
 /// Shifts at most.
 const SHIFTS_MAX: usize = 2 * REACH_MAX + 1;
@@ -23,6 +23,7 @@ pub(super) struct Rows {
     offset: Vec<f32>,
     correlation: Vec<f32>,
     weight: Vec<f32>,
+    verdict: Vec<u8>,
     ones: Vec<f32>,
     zeros: Vec<f32>,
 }
@@ -39,6 +40,7 @@ impl Rows {
         for values in [&mut self.offset, &mut self.correlation, &mut self.weight] {
             values.resize(patches, 0.0);
         }
+        self.verdict.resize(patches, 0);
         for (k, sums) in self.patches.iter_mut().enumerate() {
             sums.resize(if k >= RIGHT { patches + 2 * reach } else { patches }, 0.0);
         }
@@ -98,9 +100,83 @@ impl Rows {
         weigh(kernels, left, left_squared, gradient, texture, half, &mut self.weight);
     }
 
-    pub(super) fn peak(&self, i: usize) -> Peak {
-        Peak { offset: self.offset[i], correlation: self.correlation[i], weight: self.weight[i] }
+    /// Says of every patch of the row whether its pixel is usable and supports the plane: a peak no farther than `limits.0`,
+    /// with a correlation of at least `limits.1`.
+    pub(super) fn judge(&mut self, limits: (f32, f32), kernels: Kernels) {
+        judge(kernels, &self.offset, &self.correlation, &self.weight, limits, &mut self.verdict);
     }
+
+    /// Takes the verdicts over to the pixels of a row of the region. Returns its textured pixels, the supporting ones, and
+    /// the sum of their correlations.
+    pub(super) fn spread_row(&self, inside: &[u8], support: &mut [u8], kernels: Kernels) -> [f32; 3] {
+        spread_row(kernels, inside, &self.verdict, &self.correlation, &self.weight, support)
+    }
+
+    /// Columns to the best agreement of every patch of the row; beyond the reach if it lies at its end.
+    pub(super) fn offsets(&self) -> &[f32] {
+        &self.offset
+    }
+
+    /// How much every patch of the row counts; 0 without texture.
+    pub(super) fn weights(&self) -> &[f32] {
+        &self.weight
+    }
+}
+
+wide! {
+    fn judge(offset: &[f32], correlation: &[f32], weight: &[f32], limits: (f32, f32), verdict: &mut [u8]) = judge_kernel;
+}
+
+#[inline(always)]
+fn judge_kernel(offset: &[f32], correlation: &[f32], weight: &[f32], limits: (f32, f32), verdict: &mut [u8]) {
+    let peaks = offset.iter().zip(correlation).zip(weight);
+    for (verdict, ((offset, correlation), weight)) in verdict.iter_mut().zip(peaks) {
+        let agrees = (offset.abs() <= limits.0) & (*correlation >= limits.1);
+        let textured = if agrees { SUPPORTS | USABLE } else { 0 };
+        *verdict = if *weight > 0.0 { textured } else { USABLE };
+    }
+}
+
+wide! {
+    fn spread_row(inside: &[u8], verdict: &[u8], correlation: &[f32], weight: &[f32], support: &mut [u8]) -> [f32; 3] = spread_row_kernel;
+}
+
+#[inline(always)]
+fn spread_row_kernel(
+    inside: &[u8],
+    verdict: &[u8],
+    correlation: &[f32],
+    weight: &[f32],
+    support: &mut [u8],
+) -> [f32; 3] {
+    for ((support, inside), verdict) in support.iter_mut().zip(inside).zip(verdict) {
+        *support = inside * verdict;
+    }
+    let mut sums = [[0.0_f32; LANES]; 3];
+    let pixels = inside.chunks_exact(LANES).zip(support.chunks_exact(LANES));
+    let patches = correlation.chunks_exact(LANES).zip(weight.chunks_exact(LANES));
+    for ((inside, support), (correlation, weight)) in pixels.zip(patches) {
+        for i in 0..LANES {
+            let one = counted(inside[i], support[i], correlation[i], weight[i]);
+            sums[0][i] += one[0];
+            sums[1][i] += one[1];
+            sums[2][i] += one[2];
+        }
+    }
+    for at in inside.len() / LANES * LANES..inside.len() {
+        let one = counted(inside[at], support[at], correlation[at], weight[at]);
+        for (sums, one) in sums.iter_mut().zip(one) {
+            sums[0] += one;
+        }
+    }
+    sums.map(|lanes| sum_lanes(&lanes))
+}
+
+/// Whether a pixel is inside with texture, whether it supports, and then its correlation.
+#[inline(always)]
+fn counted(inside: u8, support: u8, correlation: f32, weight: f32) -> [f32; 3] {
+    let supports = if support & SUPPORTS != 0 { 1.0 } else { 0.0 };
+    [if weight > 0.0 { f32::from(inside) } else { 0.0 }, supports, supports * correlation]
 }
 
 wide! {

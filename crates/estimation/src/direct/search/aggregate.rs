@@ -105,9 +105,9 @@ impl Aggregation {
         self.seen_from_right.resize(width + stride, (u16::MAX, 0));
         pick(kernels, sums, stride, volume.count, rules, out, &mut self.seen_from_right);
         for (x, value) in out.iter_mut().enumerate() {
-            let index = value.round();
-            if index >= 0.0 {
-                let (_, other) = self.seen_from_right[x + stride - 1 - index as usize];
+            if *value >= 0.0 {
+                let index = (*value + 0.5) as usize;
+                let (_, other) = self.seen_from_right[x + stride - 1 - index];
                 if other.abs_diff(index as u16) > rules.left_right_max {
                     *value = f32::NAN;
                 }

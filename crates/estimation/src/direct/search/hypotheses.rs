@@ -100,6 +100,8 @@ pub struct HypothesisSearch {
     sample: DisparityPoints,
     rest: DisparityPoints,
     drawn: Vec<Candidate>,
+    /// Indices of the drawn ones, best first.
+    order: Vec<usize>,
     improved: Vec<Candidate>,
     /// The best planes, best first.
     pub kept: Vec<Candidate>,
@@ -162,14 +164,17 @@ impl HypothesisSearch {
         allowed: &impl Fn(&PlaneCoefficients) -> bool,
         kernels: Kernels,
     ) {
-        // Stable, so that of equal planes the earlier is first.
-        self.drawn.sort_by(|a, b| b.share.total_cmp(&a.share));
+        let Self { drawn, order, .. } = self;
+        order.clear();
+        order.extend(0..drawn.len());
+        // Of equal planes the earlier is first.
+        order.sort_unstable_by(|&a, &b| drawn[b].share.total_cmp(&drawn[a].share).then(a.cmp(&b)));
         self.improved.clear();
-        for i in 0..self.drawn.len() {
+        for i in 0..self.order.len() {
             if self.improved.len() == IMPROVED_MAX {
                 break;
             }
-            let drawn = self.drawn[i];
+            let drawn = self.drawn[self.order[i]];
             let near = |known: &Candidate| difference(&known.plane, &drawn.plane, size) < rules.distinct_px;
             if !self.improved.iter().any(near) {
                 let improved = self.improve(drawn, points, rules, allowed, kernels);

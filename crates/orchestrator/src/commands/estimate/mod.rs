@@ -140,6 +140,7 @@ fn work(
         let mut may_continue = within(args.method.deadline);
         estimator.estimate_while(&job.left, &job.right, &job.region, &job.range, &mut may_continue)
     });
+    rigs.give_back(estimator);
     let mut estimate = estimate?;
     if args.reference_optimum {
         estimate.reference_optimum = reference_optimum(job, method, config)?;

@@ -13,6 +13,8 @@ use crate::cpu_time::timed;
 #[derive(Default)]
 pub struct Rigs {
     rows: HashMap<Vec<PathBuf>, RowMeasurement>,
+    /// An estimator of the same method whose job is done: its memory serves the next.
+    idle: Option<Estimator>,
 }
 
 impl Rigs {
@@ -21,7 +23,10 @@ impl Rigs {
     /// # Errors
     /// A parameter out of its range, or pictures that do not fit.
     pub fn estimator(&mut self, job: &Job, (method, config): (Method, &EstimatorConfig)) -> Result<Estimator> {
-        let mut estimator = Estimator::new(method, &job.rig, config)?;
+        let mut estimator = match self.idle.take().filter(|idle| idle.method() == method) {
+            Some(idle) => idle.for_rig(&job.rig, config)?,
+            None => Estimator::new(method, &job.rig, config)?,
+        };
         let files: Vec<PathBuf> = job.calibration_files.iter().map(canonical).collect();
         if let Some(known) = self.rows.get(&files) {
             estimator.use_rows(known);
@@ -50,6 +55,11 @@ impl Rigs {
         );
         self.rows.insert(files, measured);
         Ok(estimator)
+    }
+
+    /// Takes an estimator back whose job is done.
+    pub fn give_back(&mut self, estimator: Estimator) {
+        self.idle = Some(estimator);
     }
 }
 

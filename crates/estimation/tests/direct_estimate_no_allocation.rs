@@ -1,0 +1,79 @@
+//! Once it has seen regions of all sizes, an estimate of the direct method asks for no memory but for the words of its
+//! answer.
+#![allow(clippy::unwrap_used, reason = "inputs that are valid")]
+
+#[path = "support/plane_pair.rs"]
+mod plane_pair;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+use nalgebra::Vector2;
+use pb3dp_estimation::direct::estimator::{DirectConfig, DirectEstimator};
+use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_estimation::region::Region;
+use pb3dp_estimation::status::Status;
+use plane_pair::{Paint, Setup, Texture, render};
+
+/// The system's allocator, adding up what this thread asks for.
+struct Counting;
+
+thread_local! {
+    static BYTES: Cell<usize> = const { Cell::new(0) };
+}
+
+fn count(bytes: usize) {
+    // A thread that is ending has nothing left to count.
+    let _ = BYTES.try_with(|sum| sum.set(sum.get() + bytes));
+}
+
+// SAFETY: every call is passed on to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count(layout.size());
+        // SAFETY: the caller's promise.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promise.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count(size);
+        // SAFETY: the caller's promise.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// The words of an answer, and the crossings of a row with a polygon.
+const WORDS_MAX: usize = 1500;
+
+#[test]
+fn a_later_estimate_asks_for_the_words_of_its_answer_only() {
+    let pair = render(&Setup::default(), &Texture::new(Paint::Crab, 5), &Texture::new(Paint::Sand, 9));
+    let range = SearchRange { z_min_m: 0.35, z_max_m: 0.9, tilt_max_rad: 60_f64.to_radians() };
+    // The target with some of what is behind it, so that both searches run; and a smaller region.
+    let around = |half: f64| {
+        let corners = [(-half, -half), (half, -half), (half, half), (-half, half)];
+        Region::Polygon { vertices_px: corners.map(|(x, y)| Vector2::new(330.0 + x, 240.0 + y)).to_vec() }
+    };
+    let regions = [around(30.0), around(60.0), around(130.0)];
+    let mut estimator = DirectEstimator::new(&pair.rig, DirectConfig::default()).unwrap();
+    let first = regions.each_ref().map(|region| estimator.estimate(&pair.left, &pair.right, region, &range).unwrap());
+    assert!(first.iter().any(|estimate| estimate.status == Status::Ok), "{:?}", first.each_ref().map(|e| &e.reason));
+    for region in &regions {
+        estimator.estimate(&pair.left, &pair.right, region, &range).unwrap();
+    }
+    for (region, first) in regions.iter().zip(&first) {
+        let before = BYTES.get();
+        let second = estimator.estimate(&pair.left, &pair.right, region, &range).unwrap();
+        let bytes = BYTES.get() - before;
+        assert!(bytes < WORDS_MAX, "{bytes} bytes: {}", second.reason);
+        assert_eq!(first, &second);
+    }
+}
