@@ -199,3 +199,60 @@ fn a_blank_wall_is_no_target() {
     let next = tracker.update(&blank(3), &blank(4), &FramePrior::default()).expect("update");
     assert!(next.status == Status::NotObservable && next.cam_left_from_model.is_none() && !next.reason.is_empty());
 }
+
+/// A picture with a sixth of its contrast, and noise of three grey levels.
+fn faint(image: &image::RgbImage, seed: u32) -> image::RgbImage {
+    let mut state = seed;
+    let mut noise = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        f64::from(state >> 16) / 65_536.0 - 0.5
+    };
+    let mut faint = image.clone();
+    for value in faint.iter_mut() {
+        // The sum of four numbers of variance 1/12.
+        let sum: f64 = (0..4).map(|_| noise()).sum();
+        *value = (118.0 + (f64::from(*value) - 118.0) / 6.0 + 3.0 * 3_f64.sqrt() * sum).round() as u8;
+    }
+    faint
+}
+
+/// The start goes on until plane and relief stand still, also on faint texture: a surface that stopped halfway would tilt
+/// all later poses.
+#[test]
+fn the_start_forgets_the_plane_that_it_was_given() {
+    let rig = rectified_rig();
+    let first = moving(0.0);
+    let (left, right) = render(&rig, &Shot { cam_left_from_target: Some(first), frame: 0, right_gain: 0.9 });
+    let (left, right) = (faint(&left, 1), faint(&right, 2));
+    let normal = |turn: Vector3<f64>| {
+        let turned = Pose::from_parts(first.translation_m(), so3::exp(&turn) * first.rotation());
+        let mut tracker = DirectTracker::new(&rig, DirectConfig::default()).expect("tracker");
+        let estimate = tracker.start_from_plane(&left, &right, &region(&rig, &first), &plane(&turned)).expect("start");
+        let pose = estimate.cam_left_from_model.expect("pose");
+        let points: Vec<Vector3<f64>> =
+            tracker.surface().iter().map(|p| pose.transform_point(&p.position_in_model_m).coords).collect();
+        let mean = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
+        let spread: nalgebra::Matrix3<f64> = points.iter().map(|p| (p - mean) * (p - mean).transpose()).sum();
+        let axes = spread.symmetric_eigen();
+        axes.eigenvectors.column(axes.eigenvalues.imin()).into_owned()
+    };
+    let degrees = |a: &Vector3<f64>, b: &Vector3<f64>| a.dot(b).abs().min(1.0).acos().to_degrees();
+    let (one, other) = (normal(Vector3::new(0.05, 0.0, 0.0)), normal(Vector3::new(-0.03, 0.04, 0.0)));
+    let truth = first.transform_vector(&Vector3::z());
+    assert!(degrees(&one, &other) < 0.05, "starts apart: {} degrees", degrees(&one, &other));
+    assert!(degrees(&one, &truth) < 1.5, "{} degrees", degrees(&one, &truth));
+}
+
+/// With many points several patches share what is known of the surface.
+#[test]
+fn many_points_are_followed_as_well() {
+    let track = DirectTrackerConfig { points: 8192, ..DirectTrackerConfig::default() };
+    let mut run = Run::start(rectified_rig(), moving(0.0), track);
+    for frame in 1..4 {
+        let pose = moving(f64::from(frame) / 30.0);
+        let estimate = run.update(Some(pose), 1.0 / 30.0);
+        assert_eq!(estimate.status, Status::Ok, "frame {frame}: {}", estimate.reason);
+        let (distance_mm, angle_deg) = run.error(&estimate, &pose);
+        assert!(distance_mm < 0.3 && angle_deg < 0.4, "frame {frame}: {distance_mm} mm, {angle_deg} degrees");
+    }
+}

@@ -14,6 +14,7 @@
 
 mod align;
 mod config;
+mod dense;
 mod export;
 mod images;
 mod judge;
@@ -23,6 +24,7 @@ mod normal;
 mod predict;
 mod relief;
 mod search;
+mod shape;
 mod stereo_relief;
 mod surface;
 mod target;

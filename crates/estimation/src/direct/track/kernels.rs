@@ -138,11 +138,14 @@ pub(super) struct GroupScore {
     pub(super) gain_slope: [[f32; 4]; CHANNELS],
     /// Second derivatives by the inverse depth of the group and each unknown; the last one is by itself twice.
     pub(super) by_depth: [f32; UNKNOWNS],
+    /// By channel: second derivatives by the inverse depth and each gain and offset, with the opposite sign.
+    pub(super) gain_by_depth: [[f32; 4]; CHANNELS],
 }
 
 impl Default for GroupScore {
     fn default() -> Self {
-        Self { slope: [0.0; UNKNOWNS], gain_slope: [[0.0; 4]; CHANNELS], by_depth: [0.0; UNKNOWNS] }
+        let gains = [[0.0; 4]; CHANNELS];
+        Self { slope: [0.0; UNKNOWNS], gain_slope: gains, by_depth: [0.0; UNKNOWNS], gain_by_depth: gains }
     }
 }
 
@@ -208,6 +211,9 @@ fn score_kernel(
             }
             score.gain_slope[c] =
                 [(to_left * view.value[c]).sum(), to_left.sum(), (to_right * view.value[c]).sum(), to_right.sum()];
+            let value = view.value[c];
+            score.gain_by_depth[c] =
+                [(depth[0] * value).sum(), depth[0].sum(), (depth[1] * value).sum(), depth[1].sum()];
         }
         score.slope = slope.map(|lanes| lanes.sum());
         score.by_depth = by_depth.map(|lanes| lanes.sum());

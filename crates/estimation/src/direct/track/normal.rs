@@ -2,17 +2,17 @@
 
 use nalgebra::{Matrix6, SMatrix, SVector, Vector6};
 
-use super::kernels::{CHANNELS, GroupScore, NormalSums, PATCH, PairWeights, SHAPE, TERMS, UNKNOWNS};
+use super::kernels::{CHANNELS, GroupScore, NormalSums, PATCH, PairWeights, ROW, SHAPE, TERMS, UNKNOWNS};
 
 /// Gain and offset of both eyes in every channel.
 const GAINS: usize = 4 * CHANNELS;
 /// All unknowns of a step.
-const ALL: usize = UNKNOWNS + GAINS;
+pub(super) const ALL: usize = UNKNOWNS + GAINS;
 
 pub(super) type Unknowns = SVector<f64, UNKNOWNS>;
 pub(super) type UnknownsMatrix = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
-type AllMatrix = SMatrix<f64, ALL, ALL>;
-type AllVector = SVector<f64, ALL>;
+pub(super) type AllMatrix = SMatrix<f64, ALL, ALL>;
+pub(super) type AllVector = SVector<f64, ALL>;
 
 /// Standard deviation that a gain may differ from the last one, and an offset in grey levels.
 const GAIN_SIGMA: f64 = 0.3;
@@ -32,6 +32,8 @@ pub(super) enum Free {
     Everything,
     /// The surface and the row offset: the first pair, where the motion is none by definition.
     Surface,
+    /// The row offset alone, beside the gains.
+    Row,
 }
 
 impl Free {
@@ -40,6 +42,7 @@ impl Free {
             Self::Motion => unknown >= SHAPE,
             Self::Everything => false,
             Self::Surface => unknown < 6,
+            Self::Row => unknown != ROW,
         }
     }
 }
@@ -157,52 +160,48 @@ impl NormalEquations {
         solution.iter().all(|x| x.is_finite()).then_some(step)
     }
 
-    /// Inverse of the whole matrix: rows and columns of the unknowns are their covariance for independent noise.
-    fn inverse(&self, prior: &Prior, free: Free) -> Option<AllMatrix> {
-        let inverse = self.closed(prior, free).0.cholesky()?.inverse();
-        inverse.iter().all(|x| x.is_finite()).then_some(inverse)
+    /// The equations solved as far as they can be without the surface; `None` if they determine nothing.
+    pub(super) fn inverse(&self, prior: &Prior, free: Free) -> Option<Equations> {
+        let (matrix, rhs) = self.closed(prior, free);
+        let inverse = matrix.cholesky()?.inverse();
+        let held = |i: usize| i < UNKNOWNS && free.holds(i);
+        inverse.iter().all(|x| x.is_finite()).then(|| Equations {
+            inverse: AllMatrix::from_fn(|i, j| if held(i) || held(j) { 0.0 } else { inverse[(i, j)] }),
+            rhs,
+        })
     }
+}
 
-    /// Covariance of the unknowns for independent noise of the assumed size.
-    pub(super) fn covariance(&self, prior: &Prior) -> Option<UnknownsMatrix> {
-        Some(self.inverse(prior, Free::Everything)?.fixed_view::<UNKNOWNS, UNKNOWNS>(0, 0).into_owned())
-    }
+/// Covariance of pose, row offset and gains for independent noise of the assumed size and a surface that is known, zero for
+/// what is held; and the right-hand side.
+#[derive(Clone, Debug)]
+pub(super) struct Equations {
+    pub(super) inverse: AllMatrix,
+    pub(super) rhs: AllVector,
+}
 
-    /// Information about the surface's plane with everything else unknown: what this frame adds to the filter.
-    pub(super) fn surface_information(&self, prior: &Prior, free: Free) -> Option<nalgebra::Matrix3<f64>> {
-        let mut without = *prior;
-        for i in SHAPE..UNKNOWNS {
-            for j in SHAPE..UNKNOWNS {
-                without.information[(i, j)] = if i == j { 1e-6 } else { 0.0 };
-            }
-        }
-        let covariance = self.inverse(&without, free)?;
-        covariance.fixed_view::<3, 3>(SHAPE, SHAPE).into_owned().cholesky().map(|c| c.inverse())
-    }
-
-    /// Covariance of the pose: that of independent noise, widened by as much as the scores of whole patches vary more than
-    /// it would let them, plus what unknown depths of the patches (standard deviations `depth_sigma`, 1/m) do to it.
+impl Equations {
+    /// Covariance of the pose on a known surface: that of independent noise, widened by as much as the scores of whole
+    /// patches vary more than it would let them, plus what errors of the patches' depths do to it, of standard deviations
+    /// `depth_sigma` (1/m) and independent.
     pub(super) fn pose_covariance(
         &self,
         patches: &[PatchScore],
         depth_sigma: impl Iterator<Item = f64>,
-        prior: &Prior,
     ) -> Option<Matrix6<f64>> {
-        let inverse = self.inverse(prior, Free::Everything)?;
-        let rows = inverse.fixed_view::<6, ALL>(0, 0);
+        let rows = self.inverse.fixed_view::<6, ALL>(0, 0);
         let (mut spread, mut relief) = (0.0, Matrix6::zeros());
         for (patch, sigma) in patches.iter().zip(depth_sigma) {
             let moved = rows * patch.score();
             for i in 0..6 {
-                spread += moved[i] * moved[i] / inverse[(i, i)];
+                spread += moved[i] * moved[i] / self.inverse[(i, i)];
             }
-            let by_depth = Unknowns::from_fn(|i, _| f64::from(patch.by_depth[i]));
-            let moved: Vector6<f64> = inverse.fixed_view::<6, UNKNOWNS>(0, 0) * by_depth * sigma;
+            let moved: Vector6<f64> = rows * patch.cross() * sigma;
             relief += moved * moved.transpose();
         }
         let count = patches.len() as f64;
         let inflation = (spread / 6.0 * count / (count - 2.0).max(1.0)).clamp(1.0, INFLATION_MAX);
-        let covariance = inverse.fixed_view::<6, 6>(0, 0) * (inflation * SHARED_NOISE) + relief;
+        let covariance = self.inverse.fixed_view::<6, 6>(0, 0) * (inflation * SHARED_NOISE) + relief;
         covariance.iter().all(|x| x.is_finite()).then_some(covariance)
     }
 }
@@ -214,6 +213,7 @@ pub(super) struct PatchScore {
     gain_slope: [f32; GAINS],
     /// Second derivatives by the inverse depth of the patch and each unknown; the last one is by itself twice.
     by_depth: [f32; UNKNOWNS],
+    gain_by_depth: [f32; GAINS],
 }
 
 impl PatchScore {
@@ -227,7 +227,12 @@ impl PatchScore {
             *gain -= patch[UNKNOWNS + k] * factor;
         }
         let common = patch[UNKNOWNS - 1];
-        Self { slope, gain_slope, by_depth: std::array::from_fn(|i| group.by_depth[i] - patch[i] * common * own) }
+        let by_depth = std::array::from_fn(|i| group.by_depth[i] - patch[i] * common * own);
+        let mut gain_by_depth: [f32; GAINS] = std::array::from_fn(|k| group.gain_by_depth[k / 4][k % 4]);
+        for (k, gain) in gain_by_depth.iter_mut().take(4).enumerate() {
+            *gain -= patch[UNKNOWNS + k] * common * own;
+        }
+        Self { slope, gain_slope, by_depth, gain_by_depth }
     }
 
     fn score(&self) -> AllVector {
@@ -237,14 +242,22 @@ impl PatchScore {
         })
     }
 
+    /// Second derivatives by the inverse depth of the patch and everything else.
+    pub(super) fn cross(&self) -> AllVector {
+        AllVector::from_fn(|i, _| match i {
+            i if i < UNKNOWNS => f64::from(self.by_depth[i]),
+            i => -f64::from(self.gain_by_depth[i - UNKNOWNS]),
+        })
+    }
+
     /// What the patch says of its own inverse depth.
-    pub(super) fn depth_information(&self) -> f32 {
-        self.by_depth[UNKNOWNS - 1]
+    pub(super) fn depth_information(&self) -> f64 {
+        f64::from(self.by_depth[UNKNOWNS - 1])
     }
 
     /// Pull of the residuals on the inverse depth of the patch.
-    pub(super) fn depth_pull(&self) -> f32 {
-        -self.slope[UNKNOWNS - 1]
+    pub(super) fn depth_pull(&self) -> f64 {
+        -f64::from(self.slope[UNKNOWNS - 1])
     }
 }
 

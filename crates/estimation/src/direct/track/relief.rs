@@ -1,28 +1,17 @@
 //! The relief: by how much the surface leaves its plane, per patch of the first view, in pixels of disparity.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Vector2, Vector3};
+use pb3dp_geometry::Camera;
 
 use super::kernels::CHANNELS;
-use super::normal::PatchScore;
+use super::shape::Grid;
 use super::surface::Cells;
 
-/// Most that a patch moves at a time, pixels.
-const MOVE_MAX_PX: f64 = 0.5;
-/// What is known of a patch is never held for surer than this, 1/px^2.
-const INFORMATION_MAX: f64 = 1e5;
 /// Neighbours differ by about this much, pixels; much larger steps cost no more.
 const NEIGHBOUR_SIGMA_PX: f64 = 0.7;
 const NEIGHBOUR_COST_MAX: f64 = 6.0;
-/// Least information of a patch with points, 1/px^2.
-const INFORMATION_MIN: f64 = 1e-3;
-/// Differences between neighbours are tried this many standard deviations of chance before they count as a relief.
-const CHANCE_SIGMAS: f64 = 3.0;
-/// A single pair of neighbours counts for at most this, in variances of their noise.
-const CHI_SQUARE_MAX: f64 = 400.0;
-/// Variance of the difference between neighbours on a flat surface, pixels squared.
-const ROUGHNESS_MIN: f64 = 1e-5;
-/// Sweeps over all patches until they agree.
-const SWEEPS: usize = 80;
+/// Most nodes: a frame's time grows with their third power.
+const NODES_MAX: usize = 121;
 /// Share of the bend at a patch that its offset may be wrong by.
 const BEND_SHARE: f64 = 0.45;
 /// Rounds in which neighbours tell each other what they believe.
@@ -37,30 +26,32 @@ pub(super) struct Relief {
     rows: usize,
     /// Disparity that the surface has more than its plane, pixels.
     offset_px: Vec<f64>,
-    /// What is known of it, 1/px^2; 0 for a patch without points.
-    information: Vec<f64>,
+    /// Whether it has points.
+    is_known: Vec<bool>,
     /// Patch of each group of the finest level.
     patch_of_group: Vec<usize>,
+    /// Node of each group, see [`Self::grid`].
+    node_of_group: Vec<usize>,
     /// Inverse depth of a pixel of disparity, 1/m.
     inverse_depth_per_px: f64,
-    /// Of the last refinement: patch, move, information.
-    moves: Vec<(usize, f64, f64)>,
 }
 
 impl Relief {
     /// No relief.
     pub(super) fn over(cells: &Cells, inverse_depth_per_px: f64) -> Self {
         let count = cells.columns * cells.rows;
+        let mut is_known = vec![false; count.max(1)];
+        cells.cells.iter().for_each(|cell| is_known[cell.row * cells.columns + cell.column] = true);
         Self {
             first_centre_px: cells.first_centre_px,
             side_px: cells.side_px.max(1.0),
             columns: cells.columns.max(1),
             rows: cells.rows.max(1),
             offset_px: vec![0.0; count.max(1)],
-            information: vec![0.0; count.max(1)],
+            is_known,
             patch_of_group: cells.cells.iter().map(|cell| cell.row * cells.columns + cell.column).collect(),
+            node_of_group: Vec::new(),
             inverse_depth_per_px,
-            moves: Vec::with_capacity(cells.cells.len()),
         }
     }
 
@@ -72,7 +63,6 @@ impl Relief {
     /// Holds that there is no relief.
     pub(super) fn hold_flat(&mut self) {
         self.offset_px.fill(0.0);
-        self.patch_of_group.iter().for_each(|&patch| self.information[patch] = INFORMATION_MAX);
     }
 
     /// Puts the whole surface off its plane by this disparity, pixels.
@@ -95,89 +85,11 @@ impl Relief {
         let labels = beliefs(self, candidates_px, costs, sigma_px);
         for &patch in &self.patch_of_group {
             self.offset_px[patch] = lowest(candidates_px, &labels[patch]);
-            self.information[patch] = 1.0 / (sigma_px * sigma_px);
         }
         self.fill();
     }
 
-    /// Takes the offsets that residuals ask for, as smooth as the surface shows itself to be: how much neighbours differ
-    /// beyond what noise explains is measured first, and where that is nothing the surface stays flat.
-    pub(super) fn settle(&mut self, scores: &[PatchScore], sigma_px: f64) {
-        let scale = self.inverse_depth_per_px;
-        self.moves.clear();
-        for (score, &patch) in scores.iter().zip(&self.patch_of_group) {
-            let information = (f64::from(score.depth_information()) * scale * scale).max(INFORMATION_MIN);
-            let step = f64::from(score.depth_pull()) * scale / information;
-            let wanted = self.offset_px[patch] + step.clamp(-MOVE_MAX_PX, MOVE_MAX_PX);
-            self.moves.push((patch, wanted, information));
-        }
-        let plane = self.plane_of_moves();
-        let count = self.offset_px.len();
-        let (mut wanted, mut known) = (vec![0.0; count], vec![0.0; count]);
-        for &(patch, offset, information) in &self.moves {
-            (wanted[patch], known[patch]) = (offset - plane.dot(&self.column_and_row(patch)), information);
-        }
-        let stiffness = 1.0 / self.roughness(&wanted, &known);
-        let own = 1.0 / (sigma_px * sigma_px);
-        self.offset_px.copy_from_slice(&wanted);
-        for _ in 0..SWEEPS {
-            for patch in (0..count).filter(|&patch| known[patch] > 0.0) {
-                let (mut sum, mut weight) = (known[patch] * wanted[patch], known[patch] + own);
-                for neighbour in neighbours(patch, self.columns, self.rows).filter(|&n| known[n] > 0.0) {
-                    sum += stiffness * self.offset_px[neighbour];
-                    weight += stiffness;
-                }
-                self.offset_px[patch] = sum / weight;
-            }
-        }
-        for patch in (0..count).filter(|&patch| known[patch] > 0.0) {
-            self.information[patch] = known[patch] + own + stiffness;
-            self.offset_px[patch] += plane.dot(&self.column_and_row(patch));
-        }
-        self.fill();
-    }
-
-    /// Variance of the difference between neighbours beyond their noise, pixels squared; as good as nothing where chance
-    /// alone may explain the differences.
-    fn roughness(&self, offset_px: &[f64], information: &[f64]) -> f64 {
-        let (mut excess, mut weights, mut count) = (0.0, 0.0, 0.0_f64);
-        for patch in (0..offset_px.len()).filter(|&patch| information[patch] > 0.0) {
-            let after = neighbours(patch, self.columns, self.rows).filter(|&n| n > patch && information[n] > 0.0);
-            for neighbour in after {
-                let weight = 1.0 / (1.0 / information[patch] + 1.0 / information[neighbour]);
-                let square = (offset_px[patch] - offset_px[neighbour]).powi(2);
-                excess += (weight * square).min(CHI_SQUARE_MAX) - 1.0;
-                (weights, count) = (weights + weight, count + 1.0);
-            }
-        }
-        let by_chance = CHANCE_SIGMAS * (2.0 * count).sqrt();
-        ((excess - by_chance).max(0.0) / weights.max(1e-9)).max(ROUGHNESS_MIN)
-    }
-
-    /// Moves each patch by what its residuals ask for, taken as `share` of what they know, and `keeps` that knowledge or
-    /// not. Whatever a plane could do is left to the plane.
-    pub(super) fn refine(&mut self, scores: &[PatchScore], share: f64, keeps: bool) {
-        let scale = self.inverse_depth_per_px;
-        self.moves.clear();
-        for (score, &patch) in scores.iter().zip(&self.patch_of_group) {
-            let gained = share * f64::from(score.depth_information()).max(0.0) * scale * scale;
-            let information = self.information[patch] + gained;
-            let step = share * f64::from(score.depth_pull()) * scale / information.max(1e-9);
-            self.moves.push((patch, step.clamp(-MOVE_MAX_PX, MOVE_MAX_PX), information));
-            if keeps {
-                self.information[patch] = information.min(INFORMATION_MAX);
-            }
-        }
-        let plane = self.plane_of_moves();
-        for &(patch, step, _) in &self.moves {
-            let step = step - plane.dot(&self.column_and_row(patch));
-            self.offset_px[patch] += step;
-        }
-        self.fill();
-    }
-
-    /// Standard deviation of each patch's inverse depth, 1/m: what is not known of it, and what a grid of patches can not say
-    /// of a bent surface.
+    /// Standard deviation of each group's inverse depth, 1/m, for what a grid of patches can not say of a bent surface.
     pub(super) fn depth_sigma(&self) -> impl Iterator<Item = f64> + '_ {
         self.patch_of_group.iter().map(|&patch| {
             let (mut sum, mut count) = (0.0, 0.0);
@@ -185,36 +97,103 @@ impl Relief {
                 (sum, count) = (sum + self.offset_px[neighbour], count + 1.0);
             }
             let bend_px = if count > 0.0 { self.offset_px[patch] - sum / count } else { 0.0 };
-            let unknown = 1.0 / self.information[patch].max(1e-6);
-            (unknown + (BEND_SHARE * bend_px).powi(2)).sqrt() * self.inverse_depth_per_px
+            (BEND_SHARE * bend_px).abs() * self.inverse_depth_per_px
         })
     }
 
-    fn column_and_row(&self, patch: usize) -> Vector3<f64> {
-        Vector3::new((patch % self.columns) as f64, (patch / self.columns) as f64, 1.0)
+    /// The patches with points as nodes, several patches to a node where there are many; `pixels` are those of each group, raw
+    /// pixels of the first view.
+    pub(super) fn grid(&mut self, pixels: impl Iterator<Item = Vec<[f64; 2]>>, camera: &Camera) -> Grid {
+        let side = (self.patch_of_group.len() as f64 / NODES_MAX as f64).sqrt().ceil().max(1.0) as usize;
+        let across = self.columns.div_ceil(side);
+        let place = |patch: usize| patch / self.columns / side * across + patch % self.columns / side;
+        let mut places: Vec<usize> = self.patch_of_group.iter().map(|&patch| place(patch)).collect();
+        let every_place = places.clone();
+        places.sort_unstable();
+        places.dedup();
+        let node_at = |place: &usize| places.binary_search(place).unwrap_or(0);
+        self.node_of_group = every_place.iter().map(node_at).collect();
+        let mut node_of_patch = vec![usize::MAX; self.offset_px.len()];
+        for (&node, &patch) in self.node_of_group.iter().zip(&self.patch_of_group) {
+            node_of_patch[patch] = node;
+        }
+        let known = |patch: usize| Some(node_of_patch[patch]).filter(|&node| node != usize::MAX);
+        let shares = pixels.zip(&self.patch_of_group).map(|(pixels, &own)| {
+            let mut shares: Vec<(usize, f64)> = Vec::new();
+            let mut add = |node: usize, share: f64| match shares.iter_mut().find(|(at, _)| *at == node) {
+                Some((_, sum)) => *sum += share,
+                None => shares.push((node, share)),
+            };
+            let each = 1.0 / pixels.len().max(1) as f64;
+            for pixel in &pixels {
+                for (patch, share) in self.corners(*pixel) {
+                    // A patch without points is the mean of its neighbours.
+                    let around: Vec<usize> = match known(patch) {
+                        Some(node) => vec![node],
+                        None => neighbours(patch, self.columns, self.rows).filter_map(known).collect(),
+                    };
+                    for &node in &around {
+                        add(node, each * share / around.len() as f64);
+                    }
+                    if around.is_empty() {
+                        known(own).into_iter().for_each(|node| add(node, each * share));
+                    }
+                }
+            }
+            shares
+        });
+        let after = |patch: usize| neighbours(patch, self.columns, self.rows).filter(move |&n| n > patch);
+        let mut edges: Vec<(usize, usize)> = Vec::new();
+        for (&node, &patch) in self.node_of_group.iter().zip(&self.patch_of_group) {
+            let others = after(patch).filter_map(known).filter(|&other| other != node);
+            edges.extend(others.map(|other| (node.min(other), node.max(other))));
+        }
+        edges.sort_unstable();
+        edges.dedup();
+        let mut plane = vec![(Vector3::zeros(), 0.0); places.len()];
+        for (&node, &patch) in self.node_of_group.iter().zip(&self.patch_of_group) {
+            let place = |axis: usize, index: usize| self.first_centre_px[axis] + self.side_px * index as f64;
+            let centre = Vector2::new(place(0, patch % self.columns), place(1, patch / self.columns));
+            plane[node].0 += camera.unproject(&centre).unwrap_or_else(|_| Vector3::z());
+            plane[node].1 += 1.0;
+        }
+        let plane = plane.into_iter().map(|(sum, count): (Vector3<f64>, f64)| sum / count.max(1.0)).collect();
+        Grid { shares: shares.collect(), edges, plane }
     }
 
-    /// The plane that the moves of all patches have in common.
-    fn plane_of_moves(&self) -> Vector3<f64> {
-        let (mut matrix, mut rhs) = (Matrix3::identity() * 1e-6, Vector3::zeros());
-        for &(patch, step, information) in &self.moves {
-            let place = self.column_and_row(patch);
-            matrix += place * place.transpose() * information;
-            rhs += place * (information * step);
+    /// Mean offset of the patches of each node, pixels.
+    pub(super) fn nodes(&self, count: usize) -> Vec<f64> {
+        let mut sums = vec![(0.0, 0.0); count];
+        for (&node, &patch) in self.node_of_group.iter().zip(&self.patch_of_group) {
+            sums[node].0 += self.offset_px[patch];
+            sums[node].1 += 1.0;
         }
-        matrix.cholesky().map(|c| c.solve(&rhs)).unwrap_or_default()
+        sums.into_iter().map(|(sum, count): (f64, f64)| sum / count.max(1.0)).collect()
+    }
+
+    /// Sets the offsets of the patches with points to those of their nodes, pixels.
+    pub(super) fn set_nodes(&mut self, offset_px: impl Fn(usize) -> f64) {
+        for (&patch, &node) in self.patch_of_group.iter().zip(&self.node_of_group) {
+            self.offset_px[patch] = offset_px(node);
+        }
+        self.fill();
+    }
+
+    /// Inverse depth of a pixel of disparity, 1/m.
+    pub(super) fn inverse_depth_per_px(&self) -> f64 {
+        self.inverse_depth_per_px
     }
 
     /// Patches without points take the mean of their neighbours.
     fn fill(&mut self) {
         for _ in 0..3 {
             for patch in 0..self.offset_px.len() {
-                if self.information[patch] > 0.0 {
+                if self.is_known[patch] {
                     continue;
                 }
                 let (mut sum, mut count) = (0.0, 0.0);
                 for neighbour in neighbours(patch, self.columns, self.rows) {
-                    if self.information[neighbour] > 0.0 || self.offset_px[neighbour] != 0.0 {
+                    if self.is_known[neighbour] || self.offset_px[neighbour] != 0.0 {
                         (sum, count) = (sum + self.offset_px[neighbour], count + 1.0);
                     }
                 }
@@ -225,14 +204,31 @@ impl Relief {
         }
     }
 
-    /// What is added to the plane's inverse depth at a raw pixel of the first view, 1/m, and its slope by u and v.
-    pub(super) fn at(&self, pixel: [f64; 2]) -> (f64, [f64; 2]) {
+    /// The patches that a raw pixel of the first view lies between, with their shares.
+    fn corners(&self, pixel: [f64; 2]) -> [(usize, f64); 4] {
+        let ((left, right, a), (top, bottom, b)) = self.place(pixel);
+        let at = |column: usize, row: usize| row * self.columns + column;
+        [
+            (at(left, top), (1.0 - a) * (1.0 - b)),
+            (at(right, top), a * (1.0 - b)),
+            (at(left, bottom), (1.0 - a) * b),
+            (at(right, bottom), a * b),
+        ]
+    }
+
+    /// Columns and rows on either side of a pixel, and how far it is between them, 0 to 1.
+    fn place(&self, pixel: [f64; 2]) -> ((usize, usize, f64), (usize, usize, f64)) {
         let place = |axis: usize, count: usize| {
             let x = ((pixel[axis] - self.first_centre_px[axis]) / self.side_px).clamp(0.0, (count - 1) as f64);
             let first = (x as usize).min(count.saturating_sub(2));
             (first, (first + 1).min(count - 1), x - first as f64)
         };
-        let ((left, right, a), (top, bottom, b)) = (place(0, self.columns), place(1, self.rows));
+        (place(0, self.columns), place(1, self.rows))
+    }
+
+    /// What is added to the plane's inverse depth at a raw pixel of the first view, 1/m, and its slope by u and v.
+    pub(super) fn at(&self, pixel: [f64; 2]) -> (f64, [f64; 2]) {
+        let ((left, right, a), (top, bottom, b)) = self.place(pixel);
         let node = |column: usize, row: usize| self.offset_px[row * self.columns + column];
         let (tl, tr, bl, br) = (node(left, top), node(right, top), node(left, bottom), node(right, bottom));
         let upper = tl + a * (tr - tl);

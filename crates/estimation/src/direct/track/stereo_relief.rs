@@ -13,8 +13,9 @@ const STEP_PX: f64 = 0.5;
 const REACH_SIGMAS: f64 = 5.0;
 /// Levels whose points take part in the choice between candidates.
 const LEVELS_USED: usize = 2;
-/// Rounds of refinement.
-const ROUNDS: usize = 5;
+/// Most rounds of refinement, and the move (root mean square over the patches, pixels) after which none follows.
+const ROUNDS: usize = 40;
+const MOVE_DONE_PX: f64 = 0.003;
 
 /// Finds the relief between candidates, then refines plane and patches in turn. The pose is held: it is the definition of
 /// the frame `model`.
@@ -26,16 +27,24 @@ pub(super) fn find(aligner: &mut Aligner, problem: &mut Problem<'_>, estimate: &
     }
     for _ in 0..ROUNDS {
         let Some(aligned) =
-            aligner.align(problem, estimate, 0..=0, (StartLevel::Coarsest, Free::Surface, 12), &mut || true)
+            aligner.align(problem, estimate, 0..=0, (StartLevel::Coarsest, Free::Surface, 1), &mut || true)
         else {
             return;
         };
         let step: Vector3<f64> = aligned.last.unknowns.fixed_rows::<3>(SHAPE).into_owned();
         problem.surface.plane += step;
         problem.surface.rebuild();
-        if sigma_px > 0.0 && aligner.examine(problem, estimate, &estimate.variance, false).is_some() {
-            problem.surface.relief.settle(&aligner.scores, sigma_px);
-            problem.surface.rebuild();
+        let Some(equations) = aligner.examine(problem, estimate, &estimate.variance, false) else { return };
+        let Some(equations) = equations.inverse(&problem.prior(estimate), Free::Row) else { return };
+        let surface = &mut *problem.surface;
+        surface.restart_shape();
+        surface.shape.read(&equations, &aligner.scores, surface.relief.inverse_depth_per_px());
+        if !surface.shape.learn(1.0, 1.0) {
+            return;
+        }
+        surface.take_shape();
+        if surface.shape.moved_px() < MOVE_DONE_PX {
+            return;
         }
     }
 }

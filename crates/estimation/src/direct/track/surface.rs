@@ -8,6 +8,7 @@ use super::images::{EyeImages, LEVELS};
 use super::kernels::{LensGroup, SurfaceGroup};
 use super::lanes::Lanes;
 use super::relief::Relief;
+use super::shape::Shape;
 use crate::region::RegionMask;
 use crate::wide::LANES;
 
@@ -40,6 +41,10 @@ pub(super) struct Surface {
     /// The plane in the first left camera: inverse depth is `plane . ray`, plus the relief.
     pub(super) plane: Vector3<f64>,
     pub(super) relief: Relief,
+    /// What is known of both.
+    pub(super) shape: Shape,
+    /// The plane that disparities in [`Self::shape`] are counted from.
+    plane_of_shape: Vector3<f64>,
     pub(super) model_from_first: Pose<Model, CamLeft>,
     /// Distance of the farthest point from the origin of `model`, metres.
     pub(super) radius_m: f64,
@@ -64,10 +69,10 @@ impl Surface {
         rig: &StereoRig,
         plane: Vector3<f64>,
         first_from_model: &Pose<CamLeft, Model>,
-        points: usize,
+        (points, relief_sigma_px): (usize, f64),
     ) -> Self {
         let disparity_scale = 1.0 / (rig.left().pinhole().fx * rig.baseline_m());
-        let (cells, relief) = {
+        let (cells, mut relief) = {
             let chosen = choose_cells(left, region, 0, points);
             let relief = Relief::over(&chosen, disparity_scale);
             (chosen, relief)
@@ -83,10 +88,32 @@ impl Surface {
             };
             out.fill(cells, rig);
         }
-        let mut surface = Self { levels, plane, relief, model_from_first: first_from_model.inverse(), radius_m: 0.0 };
+        let pixels = levels[0].groups.iter().zip(&levels[0].places).map(|(group, place)| {
+            let lanes = (0..LANES).filter(|&i| group.mask.0[i] > 0.0);
+            lanes.map(|i| place.pixel.map(|x| f64::from(x.0[i]))).collect()
+        });
+        let shape = Shape::over(relief.grid(pixels, rig.left()), relief_sigma_px);
+        let model_from_first = first_from_model.inverse();
+        let mut surface = Self { levels, plane, relief, shape, plane_of_shape: plane, model_from_first, radius_m: 0.0 };
         surface.rebuild();
         surface.radius_m = surface.radius();
         surface
+    }
+
+    /// Forgets what is known of the surface; it stays where it is.
+    pub(super) fn restart_shape(&mut self) {
+        self.plane_of_shape = self.plane;
+        let nodes = self.relief.nodes(self.shape.mean.len());
+        self.shape.restart(&nodes);
+    }
+
+    /// Moves plane and relief to where the shape is now.
+    pub(super) fn take_shape(&mut self) {
+        let plane = self.shape.common_plane();
+        self.plane = self.plane_of_shape + plane * self.relief.inverse_depth_per_px();
+        let Self { relief, shape, .. } = self;
+        relief.set_nodes(|node| shape.beyond(node, &plane));
+        self.rebuild();
     }
 
     /// Positions of all points from plane and relief.

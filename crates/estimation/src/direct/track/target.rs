@@ -1,6 +1,6 @@
 //! One target: its surface, its views, and what is known of it.
 
-use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector2, Vector3};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector2};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Camera, Pose, StereoRig};
 
@@ -9,7 +9,7 @@ use super::config::DirectTrackerConfig;
 use super::export::SurfacePoint;
 use super::images::{EyeImages, LEVELS};
 use super::judge::{Fit, Limits, Misfit};
-use super::kernels::{CHANNELS, ROW, SHAPE, TERMS};
+use super::kernels::{CHANNELS, ROW, TERMS};
 use super::normal::{Free, NormalEquations};
 use super::predict::{FramePrior, Motion};
 use super::search::{PLACES, Place, Searcher, depth_by_stereo, hypotheses, hypothesis};
@@ -20,10 +20,11 @@ use crate::cpu::Kernels;
 use crate::direct::image_plane::PixelWindow;
 use crate::wide::LANES;
 
-/// Share of a frame's information about the surface that is taken over: frames share the noise of the kept view.
-const SURFACE_SHARE: f64 = 0.1;
-/// As above, about the relief.
-const RELIEF_SHARE: f64 = 0.05;
+/// Share of a frame's information about the relief that is taken over, and about its plane: all frames share the noise of
+/// the kept view. Disparities between left and right, which tell the relief, hardly have any of it; what tells the plane's
+/// tilt from the pose's is the view alone.
+const RELIEF_SHARE: f64 = 0.5;
+const PLANE_SHARE: f64 = 0.15;
 /// As above, about the row offset, and the most that is believed of it (0.01 px).
 const ROW_SHARE: f64 = 0.02;
 const ROW_INFORMATION_MAX: f64 = 1e4;
@@ -135,8 +136,8 @@ impl Target {
         estimate.variance[0] = estimate.variance[1];
         self.reference = self.estimate.variance;
         if let Some(equations) = self.examine(frame, false) {
-            self.learn(&equations, Free::Surface, &Vector3::zeros());
             self.judge();
+            self.conclude(&equations, false);
         }
     }
 
@@ -157,24 +158,24 @@ impl Target {
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Ending {
         self.view = self.nearest_view(predicted, frame.config).0;
-        let free = if self.view == 0 { Free::Everything } else { Free::Motion };
-        let mut found = self.attempt(predicted, StartLevel::Resembling, free, frame, may_continue);
+        let mut found = self.attempt(predicted, StartLevel::Resembling, frame, may_continue);
         if !found.as_ref().is_some_and(|_| self.fits_well()) && may_continue() {
             let (first, estimate) = (found.map(|found| (found, self.fit.goodness())), self.estimate);
-            let (fit, covariance) = (self.fit, self.covariance);
-            found = self.attempt(predicted, StartLevel::Coarsest, free, frame, may_continue);
+            let fit = self.fit;
+            found = self.attempt(predicted, StartLevel::Coarsest, frame, may_continue);
             let second = found.as_ref().map_or(-1.0, |_| self.fit.goodness());
             if let Some((first, goodness)) = first
                 && goodness >= second
             {
-                (found, self.estimate, self.fit, self.covariance) = (Some(first), estimate, fit, covariance);
+                (self.estimate, self.fit) = (estimate, fit);
+                found = self.examine(frame, false).map_or(Some(first), Some);
             }
         }
-        let Some((equations, shape)) = found else { return Ending::OutOfSight };
+        let Some(equations) = found else { return Ending::OutOfSight };
         if let Some(misfit) = self.fit.misfit(&self.limits(frame.config)) {
             return Ending::Misfit(misfit);
         }
-        self.learn(&equations, free, &shape);
+        self.learn(&equations);
         Ending::Found
     }
 
@@ -183,15 +184,14 @@ impl Target {
         &mut self,
         from: &Pose<CamLeft, Model>,
         start: StartLevel,
-        free: Free,
         frame: &Frame<'_>,
         may_continue: &mut dyn FnMut() -> bool,
-    ) -> Option<(NormalEquations, Vector3<f64>)> {
+    ) -> Option<NormalEquations> {
         self.estimate.cam_left_from_model = *from;
-        let aligned = self.align(frame, start, free, may_continue)?;
+        let aligned = self.align(frame, start, Free::Motion, may_continue)?;
         let equations = self.examine(frame, aligned.has_converged)?;
         self.judge();
-        Some((equations, aligned.last.unknowns.fixed_rows::<3>(SHAPE).into_owned()))
+        Some(equations)
     }
 
     /// Whether the fit is as good as noise allows, so that nothing better is to be looked for.
@@ -221,12 +221,7 @@ impl Target {
     fn examine(&mut self, frame: &Frame<'_>, is_fresh: bool) -> Option<NormalEquations> {
         let most = self.reference.map(|term| term.map(|v| v * VARIANCE_SLACK));
         let (problem, aligner, estimate) = self.problem(frame);
-        let equations = aligner.examine(&problem, estimate, &most, is_fresh)?;
-        let prior = problem.prior(estimate);
-        let depth_sigma = problem.surface.relief.depth_sigma();
-        let covariance = equations.pose_covariance(&aligner.scores, depth_sigma, &prior)?;
-        self.covariance = Some(covariance);
-        Some(equations)
+        aligner.examine(&problem, estimate, &most, is_fresh)
     }
 
     fn limits(&self, config: &DirectTrackerConfig) -> Limits {
@@ -246,34 +241,36 @@ impl Target {
         self.fit = Fit::measure(&seen[0], view, residuals, &correlations, points, &self.reference);
     }
 
-    /// Takes over what the frame says about surface, row offset, noise and shading.
-    fn learn(&mut self, equations: &NormalEquations, free: Free, shape: &Vector3<f64>) {
+    /// Says how sure the pose is; if the frame `learns`, takes over what it says about the surface, and corrects the pose.
+    fn conclude(&mut self, equations: &NormalEquations, learns: bool) {
+        let Self { surface, aligner, estimate, knowledge, .. } = self;
+        self.covariance = None;
+        let Some(equations) = equations.inverse(&knowledge.prior(estimate), Free::Motion) else { return };
+        let depth_sigma = surface.relief.depth_sigma();
+        let Some(covariance) = equations.pose_covariance(&aligner.scores, depth_sigma) else { return };
+        surface.shape.read(&equations, &aligner.scores, surface.relief.inverse_depth_per_px());
+        let is_known = if learns { surface.shape.learn(RELIEF_SHARE, PLANE_SHARE) } else { surface.shape.hold() };
+        if !is_known {
+            return;
+        }
+        let (step, open) = surface.shape.pose();
+        self.covariance = Some(covariance + open);
+        if learns {
+            estimate.cam_left_from_model = estimate.cam_left_from_model.perturbed_in_from(&step);
+            surface.take_shape();
+        }
+        let row = equations.inverse[(ROW, ROW)];
+        let gained = (1.0 / row - knowledge.row_information).max(0.0);
+        knowledge.row_information = (knowledge.row_information + ROW_SHARE * gained).min(ROW_INFORMATION_MAX);
+        knowledge.row_offset_px = estimate.row_offset_px;
+    }
+
+    /// Takes over what the frame says about surface, row offset, noise and shading. Later views hang on poses that were
+    /// found, errors included, so they say nothing about the surface: what they would say is their own error.
+    fn learn(&mut self, equations: &NormalEquations) {
         let fits_well = self.fits_well();
-        let Self { surface, aligner, estimate, knowledge, reference, .. } = self;
-        let at_start = free == Free::Surface;
-        let mut moved = Vector3::zeros();
-        let prior = knowledge.prior(estimate);
-        if free != Free::Motion
-            && let Some(gained) = equations.surface_information(&prior, free)
-        {
-            let share = if at_start { 1.0 } else { SURFACE_SHARE };
-            let known = knowledge.shape_information;
-            knowledge.shape_information += gained * share;
-            // The step was that of the whole frame; what is believed of it moves the surface by less.
-            let asked = (known + gained) * shape * share;
-            moved = knowledge.shape_information.cholesky().map_or_else(Vector3::zeros, |c| c.solve(&asked));
-        }
-        if free == Free::Everything {
-            surface.plane += moved;
-            surface.relief.refine(&aligner.scores, RELIEF_SHARE, true);
-            surface.rebuild();
-        }
-        if let Some(covariance) = equations.covariance(&prior) {
-            let gained = (1.0 / covariance[(ROW, ROW)] - knowledge.row_information).max(0.0);
-            let information = knowledge.row_information + ROW_SHARE * gained;
-            knowledge.row_information = information.min(ROW_INFORMATION_MAX);
-            knowledge.row_offset_px = estimate.row_offset_px;
-        }
+        self.conclude(equations, fits_well && self.view == 0);
+        let Self { aligner, estimate, reference, .. } = self;
         if !fits_well {
             return;
         }
@@ -360,9 +357,12 @@ impl Target {
             self.view = self.nearest_view(&start, frame.config).0;
             let Some(rough) = self.rough(&start, frame, may_continue) else { continue };
             self.estimate = before;
-            if self.attempt(&rough, StartLevel::Resembling, Free::Motion, frame, may_continue).is_some() {
+            if let Some(equations) = self.attempt(&rough, StartLevel::Resembling, frame, may_continue) {
                 match self.fit.misfit(&self.limits(frame.config)) {
-                    None => return Ending::Found,
+                    None => {
+                        self.conclude(&equations, false);
+                        return Ending::Found;
+                    }
                     Some(misfit) => ending = Ending::Misfit(misfit),
                 }
             }

@@ -208,7 +208,14 @@ impl DirectTracker {
         let q = plane.inverse_depth_plane;
         let Some(pose) = model_frame(&q, &self.rig.left().unproject(&centroid_px)?) else { return Ok(None) };
         let eroded = mask.erode(self.config.erosion_px);
-        let surface = Surface::choose(&self.images[0], &eroded, &self.rig, q, &pose, self.config.points);
+        let surface = Surface::choose(
+            &self.images[0],
+            &eroded,
+            &self.rig,
+            q,
+            &pose,
+            (self.config.points, self.config.relief_sigma_px),
+        );
         Ok((surface.points() >= POINTS_MIN).then_some((surface, pose)))
     }
 

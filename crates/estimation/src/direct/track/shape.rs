@@ -1,0 +1,360 @@
+//! What all frames together know of the surface: an information filter over the nodes of the relief.
+//!
+//! A frame says something about every patch's depth, and about its own pose, gains and row offset, and the two are not
+//! independent: a wrong tilt of the surface is a wrong tilt of the pose. So pose, gains and row offset are taken out of each
+//! frame's equations together (Schur complement) and what is left, information about all nodes at once, is added up. With it
+//! the pose of a frame is corrected for what it shares with the surface, and its covariance holds what is still open.
+//!
+//! Unknowns are the disparities of the nodes in the first view beyond the plane of the start, pixels. A surface is as smooth
+//! as it shows itself to be: differences between neighbours are normal with a variance that maximises the evidence of all
+//! frames. Planes are free.
+
+use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
+
+use super::dense::{cholesky, log_determinant, solve_lower, solve_upper};
+use super::normal::{ALL, AllVector, Equations, PatchScore};
+
+/// Range of the variance of the difference between neighbours, pixels squared, and the factor between those compared.
+const ROUGHNESS: (f64, f64) = (1e-6, 1.0);
+const ROUGHNESS_STEP: f64 = 2.0;
+/// Where the search begins, and in how many steps it must end at the start of a target.
+const ROUGHNESS_START: f64 = 0.02;
+const STEPS_AT_START: usize = 8;
+/// Logarithm of how much likelier the data must be with a relief than without one.
+const EVIDENCE_MIN: f64 = 5.0;
+/// Roughness is looked at again when this much more is known.
+const NEWS: f64 = 1.5;
+/// Most that a node moves in a frame, pixels.
+const MOVE_MAX_PX: f64 = 0.5;
+/// A node is never held for surer than this on average, 1/px^2: what is left is not noise.
+const INFORMATION_MAX: f64 = 2e4;
+
+/// The nodes of a relief that have points, and how groups of points hang on them.
+#[derive(Clone, Debug)]
+pub(super) struct Grid {
+    /// By group: nodes and their shares.
+    pub(super) shares: Vec<Vec<(usize, f64)>>,
+    /// Pairs of neighbours.
+    pub(super) edges: Vec<(usize, usize)>,
+    /// Disparity at a node for each number of a plane (x, y, 1), up to a common factor.
+    pub(super) plane: Vec<Vector3<f64>>,
+}
+
+/// See the module.
+#[derive(Clone, Debug)]
+pub(super) struct Shape {
+    grid: Grid,
+    /// Of the data alone: information, 1/px^2 (row-major), and information times disparity.
+    information: Vec<f64>,
+    vector: Vec<f64>,
+    prior: Vec<f64>,
+    roughness: f64,
+    may_be_rough: bool,
+    /// 1/px^2, that no node leaves the plane.
+    own: f64,
+    evidence_of_prior: f64,
+    known_at_roughness: f64,
+    /// Disparities, pixels.
+    pub(super) mean: Vec<f64>,
+    /// Cholesky factor of information and prior.
+    factor: Vec<f64>,
+    frame: FrameShape,
+    /// The means before the last frame, and rows of the prior.
+    before: Vec<f64>,
+    rows: Vec<f64>,
+}
+
+/// What a frame says about the nodes.
+#[derive(Clone, Debug, Default)]
+struct FrameShape {
+    /// Second derivatives by node and the other unknowns, and those times their covariance; [`ALL`] per node.
+    cross: Vec<f64>,
+    scaled: Vec<f64>,
+    information: Vec<f64>,
+    pull: Vec<f64>,
+    column: Vec<f64>,
+}
+
+impl Shape {
+    /// Nothing is known; `sigma_px` is the standard deviation of the surface about its plane, 0 for a flat one.
+    pub(super) fn over(grid: Grid, sigma_px: f64) -> Self {
+        let n = grid.plane.len();
+        let is_flat = sigma_px <= 0.0;
+        let mut shape = Self {
+            information: vec![0.0; n * n],
+            vector: vec![0.0; n],
+            prior: vec![0.0; n * n],
+            roughness: if is_flat { ROUGHNESS.0 } else { ROUGHNESS_START },
+            may_be_rough: !is_flat,
+            own: if is_flat { 1.0 / ROUGHNESS.0 } else { 1.0 / (sigma_px * sigma_px) },
+            evidence_of_prior: 0.0,
+            known_at_roughness: 0.0,
+            mean: vec![0.0; n],
+            factor: vec![0.0; n * n],
+            frame: FrameShape {
+                cross: vec![0.0; n * ALL],
+                scaled: vec![0.0; n * ALL],
+                information: vec![0.0; n * n],
+                pull: vec![0.0; n],
+                column: vec![0.0; n],
+            },
+            before: vec![0.0; n],
+            rows: vec![0.0; 3 * n],
+            grid,
+        };
+        shape.set_prior(shape.roughness);
+        shape
+    }
+
+    fn count(&self) -> usize {
+        self.mean.len()
+    }
+
+    /// Forgets everything; the surface is at `mean`.
+    pub(super) fn restart(&mut self, mean: &[f64]) {
+        self.information.fill(0.0);
+        self.vector.fill(0.0);
+        self.known_at_roughness = 0.0;
+        self.mean.copy_from_slice(mean);
+    }
+
+    /// Reads a frame's equations: `equations` about pose, gains and row offset, `scores` of the groups, `px` the inverse depth
+    /// of a pixel of disparity.
+    pub(super) fn read(&mut self, equations: &Equations, scores: &[PatchScore], px: f64) {
+        let n = self.count();
+        let frame = &mut self.frame;
+        frame.cross.fill(0.0);
+        frame.information.fill(0.0);
+        frame.pull.fill(0.0);
+        for (score, shares) in scores.iter().zip(&self.grid.shares) {
+            let (cross, own, pull) = (score.cross() * px, score.depth_information() * px * px, score.depth_pull() * px);
+            for &(node, share) in shares {
+                let row = &mut frame.cross[node * ALL..(node + 1) * ALL];
+                row.iter_mut().zip(cross.iter()).for_each(|(out, cross)| *out += share * cross);
+                frame.pull[node] += share * pull;
+                for &(other, with) in shares {
+                    frame.information[node * n + other] += share * with * own;
+                }
+            }
+        }
+        for node in 0..n {
+            let cross = AllVector::from_column_slice(&frame.cross[node * ALL..(node + 1) * ALL]);
+            let scaled = equations.inverse * cross;
+            frame.scaled[node * ALL..(node + 1) * ALL].copy_from_slice(scaled.as_slice());
+            frame.pull[node] -= scaled.dot(&equations.rhs);
+        }
+        for i in 0..n {
+            let left = &frame.scaled[i * ALL..(i + 1) * ALL];
+            for j in 0..=i {
+                let right = &frame.cross[j * ALL..(j + 1) * ALL];
+                let taken: f64 = left.iter().zip(right).map(|(a, b)| a * b).sum();
+                frame.information[i * n + j] -= taken;
+                if i != j {
+                    frame.information[j * n + i] = frame.information[i * n + j];
+                }
+            }
+        }
+    }
+
+    /// Takes a share of what the frame last read says about the relief, and another one about the plane, and moves the
+    /// surface; `false` if that determines nothing.
+    pub(super) fn learn(&mut self, share: f64, plane_share: f64) -> bool {
+        let n = self.count();
+        self.weigh_plane(share, plane_share);
+        for i in 0..n {
+            let line = &self.frame.information[i * n..(i + 1) * n];
+            let at: f64 = line.iter().zip(&self.mean).map(|(a, b)| a * b).sum();
+            self.vector[i] += at + self.frame.pull[i];
+            let own = &mut self.information[i * n..(i + 1) * n];
+            own.iter_mut().zip(line).for_each(|(own, new)| *own += new);
+        }
+        let known: f64 = (0..n).map(|i| self.information[i * n + i]).sum();
+        if known > INFORMATION_MAX * n as f64 {
+            let less = INFORMATION_MAX * n as f64 / known;
+            self.information.iter_mut().chain(&mut self.vector).for_each(|x| *x *= less);
+        }
+        if known > NEWS * self.known_at_roughness && self.may_be_rough {
+            let steps = if self.known_at_roughness > 0.0 { 1 } else { STEPS_AT_START };
+            self.known_at_roughness = known;
+            self.find_roughness(steps);
+        }
+        if !self.solve() {
+            return false;
+        }
+        self.before.copy_from_slice(&self.mean);
+        for (mean, found) in self.mean.iter_mut().zip(&self.frame.column) {
+            *mean += (found - *mean).clamp(-MOVE_MAX_PX, MOVE_MAX_PX);
+        }
+        true
+    }
+
+    /// Weighs what the frame last read says about the relief, whatever the plane, and the rest.
+    fn weigh_plane(&mut self, share: f64, plane_share: f64) {
+        let n = self.count();
+        let Self { grid, frame, rows, .. } = self;
+        let (mut stiffness, mut pull) = (Matrix3::zeros(), Vector3::zeros());
+        for (i, plane) in grid.plane.iter().enumerate() {
+            let line = &frame.information[i * n..(i + 1) * n];
+            let row: Vector3<f64> = line.iter().zip(&grid.plane).map(|(weight, plane)| plane * *weight).sum();
+            stiffness += plane * row.transpose();
+            pull += plane * frame.pull[i];
+            rows[3 * i..3 * i + 3].copy_from_slice(row.as_slice());
+        }
+        stiffness += Matrix3::identity() * (1e-9 * stiffness.trace().abs() + 1e-9);
+        let inverse = stiffness.cholesky().map(|c| c.inverse()).unwrap_or_default();
+        for i in 0..n {
+            let row = inverse * Vector3::from_column_slice(&rows[3 * i..3 * i + 3]) * (plane_share - share);
+            frame.pull[i] = share * frame.pull[i] + row.dot(&pull);
+            for j in 0..n {
+                let by_plane = row.dot(&Vector3::from_column_slice(&rows[3 * j..3 * j + 3]));
+                frame.information[i * n + j] = share * frame.information[i * n + j] + by_plane;
+            }
+        }
+    }
+
+    /// Nothing is learnt from the frame last read.
+    pub(super) fn hold(&mut self) -> bool {
+        self.before.copy_from_slice(&self.mean);
+        self.solve()
+    }
+
+    /// Correction of the pose last read for a surface that has moved since, and what the surface leaves open of it.
+    pub(super) fn pose(&mut self) -> (Vector6<f64>, Matrix6<f64>) {
+        let n = self.count();
+        let (mut step, mut covariance) = (Vector6::zeros(), Matrix6::zeros());
+        for node in 0..n {
+            let scaled = Vector6::from_column_slice(&self.frame.scaled[node * ALL..node * ALL + 6]);
+            step -= scaled * (self.mean[node] - self.before[node]);
+        }
+        // L^-1 of the six columns; their products are the covariance.
+        let mut columns: [&mut [f64]; 6] = {
+            let (used, _) = self.frame.cross.split_at_mut(6 * n);
+            let mut parts = used.chunks_exact_mut(n);
+            std::array::from_fn(|_| parts.next().unwrap_or_default())
+        };
+        for (axis, column) in columns.iter_mut().enumerate() {
+            for (node, out) in column.iter_mut().enumerate() {
+                *out = self.frame.scaled[node * ALL + axis];
+            }
+            solve_lower(&self.factor, n, column);
+        }
+        for i in 0..6 {
+            for j in 0..6 {
+                covariance[(i, j)] = columns[i].iter().zip(columns[j].iter()).map(|(a, b)| a * b).sum();
+            }
+        }
+        (step, covariance)
+    }
+
+    /// The mean of data and prior, into `frame.column`; the factor is left for [`Self::pose`].
+    fn solve(&mut self) -> bool {
+        let n = self.count();
+        self.factor.iter_mut().zip(self.information.iter().zip(&self.prior)).for_each(|(f, (a, b))| *f = a + b);
+        if !cholesky(&mut self.factor, n) {
+            return false;
+        }
+        self.frame.column.copy_from_slice(&self.vector);
+        solve_lower(&self.factor, n, &mut self.frame.column);
+        solve_upper(&self.factor, n, &mut self.frame.column);
+        self.frame.column.iter().all(|x| x.is_finite())
+    }
+
+    /// Looks for the roughness of the largest evidence, in at most `steps` steps from the last one; a flat surface stays flat
+    /// unless the evidence against it is strong.
+    fn find_roughness(&mut self, steps: usize) {
+        let start = if self.is_flat() { ROUGHNESS_START } else { self.roughness };
+        let (mut found, mut best) = (start, self.evidence(start).unwrap_or(f64::MIN));
+        'directions: for factor in [ROUGHNESS_STEP, 1.0 / ROUGHNESS_STEP] {
+            for step in 0..steps {
+                let next = found * factor;
+                match self.evidence(next) {
+                    Some(evidence) if evidence > best => (found, best) = (next, evidence),
+                    _ if step > 0 => break 'directions,
+                    _ => break,
+                }
+            }
+        }
+        let flat = self.evidence(ROUGHNESS.0).unwrap_or(f64::MIN);
+        self.roughness = if best > flat + EVIDENCE_MIN { found } else { ROUGHNESS.0 };
+        self.set_prior(self.roughness);
+    }
+
+    fn is_flat(&self) -> bool {
+        self.roughness <= ROUGHNESS.0
+    }
+
+    /// Log likelihood of the data for a roughness, up to a constant.
+    fn evidence(&mut self, roughness: f64) -> Option<f64> {
+        if !(ROUGHNESS.0..=ROUGHNESS.1).contains(&roughness) {
+            return None;
+        }
+        self.set_prior(roughness);
+        let n = self.count();
+        if !self.solve() {
+            return None;
+        }
+        let explained: f64 = self.frame.column.iter().zip(&self.vector).map(|(a, b)| a * b).sum();
+        Some(self.evidence_of_prior + 0.5 * (explained - log_determinant(&self.factor, n)))
+    }
+
+    /// The prior for a roughness: neighbours differ little, and nodes leave the plane little, whatever the plane.
+    fn set_prior(&mut self, roughness: f64) {
+        let n = self.count();
+        let Self { prior, factor, grid, own, rows, .. } = self;
+        prior.fill(0.0);
+        for &(i, j) in &grid.edges {
+            for (row, column, sign) in [(i, i, 1.0), (j, j, 1.0), (i, j, -1.0), (j, i, -1.0)] {
+                prior[row * n + column] += sign / roughness;
+            }
+        }
+        (0..n).for_each(|i| prior[i * n + i] += *own);
+        factor.copy_from_slice(prior);
+        if !cholesky(factor, n) {
+            return;
+        }
+        let with_plane = |i: usize| -> Vector3<f64> {
+            prior[i * n..(i + 1) * n].iter().zip(&grid.plane).map(|(weight, plane)| plane * *weight).sum()
+        };
+        let mut stiffness = Matrix3::zeros();
+        for (i, plane) in grid.plane.iter().enumerate() {
+            let row = with_plane(i);
+            stiffness += plane * row.transpose();
+            rows[3 * i..3 * i + 3].copy_from_slice(row.as_slice());
+        }
+        let Some(stiffness) = stiffness.cholesky() else { return };
+        self.evidence_of_prior = 0.5 * log_determinant(factor, n) - stiffness.l().diagonal().map(f64::ln).sum();
+        let inverse = stiffness.inverse();
+        for i in 0..n {
+            let row = inverse * Vector3::from_column_slice(&rows[3 * i..3 * i + 3]);
+            for j in 0..n {
+                prior[i * n + j] -= row.dot(&Vector3::from_column_slice(&rows[3 * j..3 * j + 3]));
+            }
+        }
+    }
+
+    /// The plane that the nodes have in common, by what is known of each, as a factor of [`Grid::plane`].
+    pub(super) fn common_plane(&self) -> Vector3<f64> {
+        let n = self.count();
+        let (mut matrix, mut rhs) = (Matrix3::identity() * 1e-9, Vector3::zeros());
+        for (i, (plane, mean)) in self.grid.plane.iter().zip(&self.mean).enumerate() {
+            let weight = self.information[i * n + i];
+            matrix += plane * plane.transpose() * weight;
+            rhs += plane * (weight * mean);
+        }
+        matrix.cholesky().map(|c| c.solve(&rhs)).unwrap_or_default()
+    }
+
+    /// What a node has beyond a plane, pixels.
+    pub(super) fn beyond(&self, node: usize, plane: &Vector3<f64>) -> f64 {
+        self.mean[node] - self.grid.plane[node].dot(plane)
+    }
+    /// By how much the nodes moved last, root mean square, pixels.
+    pub(super) fn moved_px(&self) -> f64 {
+        let squares = self.mean.iter().zip(&self.before).map(|(now, before)| (now - before).powi(2));
+        (squares.sum::<f64>() / self.count().max(1) as f64).sqrt()
+    }
+}
+
+#[cfg(test)]
+#[path = "shape_tests.rs"]
+mod tests;
