@@ -78,14 +78,18 @@ impl OnePair {
 
     /// The one line, which must be an answer as near to the truth as the method can tell.
     fn assert_near_truth(&self, method: &str, finished: Finished, what: &str) -> Value {
+        self.assert_near_truth_at(self.centre_px(), method, finished, what)
+    }
+
+    /// The same for a region whose centroid, where the depth is told, is not the centre of the target.
+    fn assert_near_truth_at(&self, at_px: [f64; 2], method: &str, finished: Finished, what: &str) -> Value {
         let (depth_share_max, normal_max_deg) = if method == "direct" { (0.001, 0.6) } else { (0.03, 10.0) };
         let finished = finished.assert_success();
         let lines = finished.json_lines(&ESTIMATE_KEYS);
         let [line] = &lines[..] else { panic!("{what}: one line for one pair: {}", finished.stdout) };
         assert!(["ok", "weak-tilt"].contains(&line["status"].as_str().unwrap()), "{what}: {line}\n{}", finished.stderr);
-        let (z_mm, true_mm) =
-            (line["z_mm"].as_f64().unwrap(), true_depth_mm(&self.cam_left_from_target, self.centre_px()));
-        assert!((z_mm / true_mm - 1.0).abs() < depth_share_max, "{what}: {z_mm} mm, true at the centre {true_mm} mm");
+        let (z_mm, true_mm) = (line["z_mm"].as_f64().unwrap(), true_depth_mm(&self.cam_left_from_target, at_px));
+        assert!((z_mm / true_mm - 1.0).abs() < depth_share_max, "{what}: {z_mm} mm, true there {true_mm} mm");
         let normal = nalgebra::Vector3::from_vec(numbers(&line["normal"]));
         let away = self.cam_left_from_target.transform_vector(&nalgebra::Vector3::z());
         assert!((normal.norm() - 1.0).abs() < 1e-9 && normal.z < 0.0, "{what}: {normal}");
@@ -166,6 +170,18 @@ fn the_table_is_for_people_and_has_a_line_per_case() {
     assert!(lines[1..].iter().all(|line| line.starts_with("bb") && !line.contains('{')), "{}", finished.stdout);
 }
 
+/// Centroid of a polygon's area.
+fn centroid(vertices: &[[f64; 2]]) -> [f64; 2] {
+    let next = vertices.iter().cycle().skip(1);
+    let (mut area, mut sum) = (0.0, [0.0; 2]);
+    for (a, b) in vertices.iter().zip(next) {
+        let cross = a[0] * b[1] - b[0] * a[1];
+        area += 3.0 * cross;
+        sum = [sum[0] + (a[0] + b[0]) * cross, sum[1] + (a[1] + b[1]) * cross];
+    }
+    sum.map(|value| value / area)
+}
+
 #[test]
 fn a_region_is_given_in_four_ways() {
     let card = OnePair::of(TargetConfig::card());
@@ -173,13 +189,16 @@ fn a_region_is_given_in_four_ways() {
     card.mask.save(&mask).unwrap();
     let [u, v] = card.centre_px();
     let vertices: Vec<String> = card.outline_px.iter().map(|[u, v]| format!("{u:.2},{v:.2}")).collect();
-    for region in [
-        format!("rect:{:.0},{:.0},110,80", u - 55.0, v - 40.0),
-        format!("poly:{}", vertices.join(";")),
-        format!("mask:{}", mask.display()),
+    // Perspective moves the centroid of the outline away from the picture of the centre.
+    let centroid_px = centroid(&card.outline_px);
+    for (region, at_px) in [
+        (format!("rect:{:.0},{:.0},110,80", u - 55.0, v - 40.0), [u, v]),
+        (format!("poly:{}", vertices.join(";")), centroid_px),
+        (format!("mask:{}", mask.display()), centroid_px),
     ] {
         for method in METHODS {
-            card.assert_near_truth(method, card.estimate(method, &card.file("calib.json"), &region), &region);
+            let finished = card.estimate(method, &card.file("calib.json"), &region);
+            card.assert_near_truth_at(at_px, method, finished, &region);
         }
     }
     let crab = OnePair::of(TargetConfig::crab(0.0));
@@ -230,7 +249,10 @@ fn a_deadline_gives_the_best_answer_so_far_and_says_so() {
             (finished.json_lines(&ESTIMATE_KEYS).len(), finished.stderr.matches("cut short by the deadline").count())
         };
         let cases = folders(&real_cases()).len();
-        assert_eq!((run("0"), run("1000000")), ((cases, cases), (cases, 0)), "{method}");
+        let ((lines, cut), whole) = (run("0"), run("1000000"));
+        // To the published method most of the boards have no hue, and there is no search to be cut.
+        assert!(lines == cases && cut >= 1 && (cut == cases || method == "published"), "{method}: {cut} of {lines}");
+        assert_eq!(whole, (cases, 0), "{method}");
     }
 }
 

@@ -93,7 +93,7 @@ fn check_drifting_card(limits: &Limits) {
         assert!(off_deg < limits.normal_deg, "frame {i}: z of the model frame is off by {off_deg} degrees");
         // The card does not turn.
         let turn = rotation(&m) * rotation(&first).transpose();
-        let turned_deg = nalgebra::Rotation3::from_matrix_unchecked(turn).angle().to_degrees();
+        let turned_deg = nalgebra::UnitQuaternion::from_matrix(&turn).angle().to_degrees();
         assert!(turned_deg < limits.turned_deg, "frame {i}: turned by {turned_deg} degrees");
         check_covariance(limits.method, line);
     }
