@@ -18,29 +18,41 @@ use plane_pair::{Paint, Pair, Random, SIZE, Setup, Texture, render};
 
 /// A pair, taken in, and its true plane.
 struct Taken {
+    front_end: StereoFrontEnd,
+    region: RegionMask,
     pyramid: RegionPyramid,
     geometry: RectifiedGeometry,
     truth: DisparityPlane,
 }
 
-fn take(pair: &Pair, wanted: Wanted, kernels: Kernels) -> Taken {
+fn take(pair: &Pair, kernels: Kernels) -> Taken {
     let front_end = StereoFrontEnd::new(&pair.rig, kernels).unwrap();
     let geometry = *front_end.geometry();
     let region = RegionMask::from_fn(SIZE, |x, y| pair.region[(y * SIZE.width + x) as usize]);
     let mut pyramid = RegionPyramid::default();
-    let source = PyramidSource {
-        left: &pair.left,
-        right: &pair.right,
-        region: &region,
-        disparity_px: (geometry.disparity_px(0.9).floor(), geometry.disparity_px(0.35).ceil()),
-        rows: RowOffset::default(),
-        wanted,
-        search_area_px: 6000,
-    };
-    assert!(pyramid.update(&front_end, &source));
+    assert!(pyramid.update(&front_end, &source(pair, &region, &geometry)));
     let q = pair.plane.normal / pair.plane.normal.dot(&pair.plane.point);
     let truth = DisparityPlane::from_inverse_depth_plane(&q, &geometry, pyramid.centroid_px());
-    Taken { pyramid, geometry, truth }
+    Taken { front_end, region, pyramid, geometry, truth }
+}
+
+fn source<'a>(pair: &'a Pair, region: &'a RegionMask, geometry: &RectifiedGeometry) -> PyramidSource<'a> {
+    PyramidSource {
+        left: &pair.left,
+        right: &pair.right,
+        region,
+        disparity_px: (geometry.disparity_px(0.9).floor(), geometry.disparity_px(0.35).ceil()),
+        rows: RowOffset::default(),
+        wanted: Wanted::Luminance,
+        search_area_px: 6000,
+    }
+}
+
+impl Taken {
+    fn refine(&self, refiner: &mut PlaneRefiner, pair: &Pair, start: &DisparityPlane) -> Option<RefinedPlane> {
+        let source = source(pair, &self.region, &self.geometry);
+        refiner.refine(&self.front_end, &source, &self.pyramid, start)
+    }
 }
 
 /// Errors of one answer.
@@ -106,10 +118,10 @@ fn run(paint: Paint, poses: u64, setup: impl Fn(&mut Random) -> Setup) -> Summar
         (setup.seed, setup.z_m) = (seed, random.uniform(0.47, 0.55));
         (setup.tilt_x_rad, setup.tilt_y_rad) = (random.uniform(-0.42, 0.42), random.uniform(-0.42, 0.42));
         let pair = render(&setup, &target, &sand);
-        let taken = take(&pair, Wanted::Colour, Kernels::best());
+        let taken = take(&pair, Kernels::best());
         let push = Vector3::new(random.uniform(-0.7, 0.7), random.uniform(-0.01, 0.01), random.uniform(-0.01, 0.01));
         let start = taken.truth.with_parameters(&(taken.truth.parameters() + push));
-        let found = refiner.refine(&taken.pyramid, &start).unwrap();
+        let found = taken.refine(&mut refiner, &pair, &start).unwrap();
         assert!(found.converged, "seed {seed}: {found:?}");
         let (e, bound) = (errors(&taken, &found), bound(&pair, &taken));
         sum.z_mm += e.z_mm.powi(2);
@@ -190,9 +202,9 @@ fn a_blank_target_has_no_answer_that_looks_sure() {
     let setup = Setup { noise_sigma: 2.0, background_m: 0.0, ..Setup::default() };
     let plain = Texture::new(Paint::Plain, 1);
     let pair = render(&setup, &plain, &plain);
-    let taken = take(&pair, Wanted::Colour, Kernels::best());
+    let taken = take(&pair, Kernels::best());
     let mut refiner = PlaneRefiner::new(RefineConfig::default(), Kernels::best());
-    if let Some(found) = refiner.refine(&taken.pyramid, &taken.truth) {
+    if let Some(found) = taken.refine(&mut refiner, &pair, &taken.truth) {
         let sigma = plane_sigma(&found.covariance, &found.plane, &taken.geometry);
         assert!(sigma.is_none_or(|s| s.normal_rad.to_degrees() > 5.0), "{found:?}");
     }
@@ -201,10 +213,10 @@ fn a_blank_target_has_no_answer_that_looks_sure() {
 #[test]
 fn a_start_far_off_is_not_called_converged() {
     let pair = render(&Setup::default(), &Texture::new(Paint::Grey, 3), &Texture::new(Paint::Sand, 9));
-    let taken = take(&pair, Wanted::Luminance, Kernels::best());
+    let taken = take(&pair, Kernels::best());
     let mut refiner = PlaneRefiner::new(RefineConfig::default(), Kernels::best());
     let start = taken.truth.with_parameters(&(taken.truth.parameters() + Vector3::new(9.0, 0.0, 0.0)));
-    if let Some(found) = refiner.refine(&taken.pyramid, &start) {
+    if let Some(found) = taken.refine(&mut refiner, &pair, &start) {
         assert!(!found.converged, "{found:?}");
     }
 }
@@ -215,10 +227,10 @@ fn every_kernel_gives_the_same_bits() {
     let pair = render(&setup, &Texture::new(Paint::Colour, 3), &Texture::new(Paint::Sand, 9));
     let mut first: Option<RefinedPlane> = None;
     for kernels in Kernels::available() {
-        let taken = take(&pair, Wanted::Colour, kernels);
+        let taken = take(&pair, kernels);
         let push = Vector3::new(0.4, -0.006, 0.004);
         let start = taken.truth.with_parameters(&(taken.truth.parameters() + push));
-        let found = PlaneRefiner::new(RefineConfig::default(), kernels).refine(&taken.pyramid, &start).unwrap();
+        let found = taken.refine(&mut PlaneRefiner::new(RefineConfig::default(), kernels), &pair, &start).unwrap();
         assert_eq!(*first.get_or_insert(found), found, "{}", kernels.set().name());
     }
 }

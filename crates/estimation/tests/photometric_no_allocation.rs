@@ -73,9 +73,9 @@ fn a_second_refinement_allocates_nothing() {
     let truth = DisparityPlane::from_inverse_depth_plane(&q, &g, pyramid.centroid_px());
     let start = DisparityPlane { d0_px: truth.d0_px + 0.4, ..truth };
     let mut refiner = PlaneRefiner::new(RefineConfig::default(), Kernels::best());
-    let first = refiner.refine(&pyramid, &start).unwrap();
+    let first = refiner.refine(&front_end, &source, &pyramid, &start).unwrap();
     let before = ALLOCATIONS.get();
-    let second = refiner.refine(&pyramid, &start).unwrap();
+    let second = refiner.refine(&front_end, &source, &pyramid, &start).unwrap();
     assert_eq!(ALLOCATIONS.get() - before, 0);
     assert_eq!(first, second);
 }

@@ -169,18 +169,18 @@ impl<'a> StageBench<'a> {
     fn run(&mut self, stage: Stage) -> anyhow::Result<()> {
         let Self { problem, kernels, pyramid, config, .. } = self;
         let (search, kernels) = (&config.cold_start.search, *kernels);
+        let Problem { left, right, rows, .. } = *problem;
+        let source = PyramidSource {
+            left,
+            right,
+            region: &self.mask,
+            disparity_px: self.disparity_px,
+            rows,
+            wanted: Wanted::Luminance,
+            search_area_px: config.cold_start.search_area_px,
+        };
         match stage {
             Stage::Windows => {
-                let Problem { left, right, rows, .. } = *problem;
-                let source = PyramidSource {
-                    left,
-                    right,
-                    region: &self.mask,
-                    disparity_px: self.disparity_px,
-                    rows,
-                    wanted: Wanted::Luminance,
-                    search_area_px: config.cold_start.search_area_px,
-                };
                 self.loaded.update(&self.front_end, &source);
             }
             Stage::Costs => {
@@ -199,12 +199,12 @@ impl<'a> StageBench<'a> {
                 self.patches.run(level, &plane, &config.cold_start.patches, kernels);
             }
             Stage::Refinement => {
-                if let Some(refined) = self.refiner.refine(pyramid, &self.plane) {
+                if let Some(refined) = self.refiner.refine(&self.front_end, &source, pyramid, &self.plane) {
                     self.steps = refined.points * refined.iterations;
                 }
             }
             Stage::Whole => {
-                let Problem { left, right, region, range, .. } = *problem;
+                let Problem { region, range, .. } = *problem;
                 self.estimator.estimate(left, right, region, range)?;
             }
         }

@@ -142,6 +142,8 @@ pub struct ColdStartOutcome {
     pub refined: Option<RefinedPlane>,
     /// What the patches said of the refined plane, on the same level.
     pub at_refined: Option<PatchOutcome>,
+    /// Where the patches around the refined plane would have it.
+    pub plane_at_refined: Option<DisparityPlane>,
 }
 
 /// Finds planes; keeps its buffers.
@@ -210,13 +212,27 @@ impl ColdStart {
         let first = *self.surfaces.first()?;
         let (second, alias) = self.rivals(&first);
         let (patch_plane, finest, level) = self.descend(first.plane, may_continue);
-        let refined = if may_continue() { self.refiner.refine(&self.pyramid, &patch_plane) } else { None };
+        let refined = match may_continue() {
+            true => self.refiner.refine(front_end, source, &self.pyramid, &patch_plane),
+            false => None,
+        };
         let at_refined = refined.map(|refined| match self.is_settled(level, &patch_plane, &refined.plane) {
             true => finest,
             false => self.look(level, &refined.plane),
         });
-        let valid_share = self.search.valid_share;
-        Some(ColdStartOutcome { first, second, alias, valid_share, finest, patch_plane, refined, at_refined })
+        let (centre, valid_share) = (self.pyramid.centroid_px(), self.search.valid_share);
+        let plane_at_refined = at_refined.map(|found| self.pyramid.levels()[level].full_plane(&found.plane, centre));
+        Some(ColdStartOutcome {
+            first,
+            second,
+            alias,
+            valid_share,
+            finest,
+            patch_plane,
+            refined,
+            at_refined,
+            plane_at_refined,
+        })
     }
 
     /// Looks at the patches around a plane.

@@ -27,6 +27,15 @@ pub enum Wanted {
     Luminance,
     /// `Y`, `A` and `B'`.
     Colour,
+    /// Red, green and blue as they are, in the places of `Y`, `A` and `B'`.
+    Rgb,
+}
+
+impl Wanted {
+    /// Number of planes.
+    pub fn planes(self) -> usize {
+        if self == Self::Luminance { 1 } else { 3 }
+    }
 }
 
 /// The channels of one window of one image.
@@ -34,7 +43,7 @@ pub enum Wanted {
 pub struct ColourPlanes {
     /// Where the planes lie in the (rectified) image.
     pub window: PixelWindow,
-    /// Luminance Y, then A and B' (of no size if only the luminance was wanted).
+    /// Luminance Y, then A and B' (of no size if only the luminance was wanted); or red, green and blue.
     pub planes: [ImagePlane; 3],
     /// Per pixel: 0 if it can be used, else [`SATURATED`] or [`UNSEEN`].
     pub flags: Vec<u8>,
@@ -54,7 +63,7 @@ impl ColourPlanes {
     pub(super) fn resize(&mut self, window: PixelWindow, wanted: Wanted) {
         self.window = window;
         self.planes[0].resize(window.width, window.height);
-        let (width, height) = if wanted == Wanted::Colour { (window.width, window.height) } else { (0, 0) };
+        let (width, height) = if wanted.planes() == 3 { (window.width, window.height) } else { (0, 0) };
         self.planes[1].resize(width, height);
         self.planes[2].resize(width, height);
         self.flags.resize(window.width * window.height, 0);
@@ -73,6 +82,7 @@ impl ColourPlanes {
             match wanted {
                 Wanted::Luminance => luminance_row(kernels, rgb, luminance.row_mut(y), flags),
                 Wanted::Colour => colour_row(kernels, rgb, luminance.row_mut(y), a.row_mut(y), b.row_mut(y), flags),
+                Wanted::Rgb => rgb_row(kernels, rgb, luminance.row_mut(y), a.row_mut(y), b.row_mut(y), flags),
             }
         }
     }
@@ -136,6 +146,19 @@ wide! {
 
 wide! {
     fn colour_row(rgb: &[u8], luminance: &mut [f32], a: &mut [f32], b: &mut [f32], flags: &mut [u8]) = colour_row_kernel;
+}
+
+wide! {
+    fn rgb_row(rgb: &[u8], red: &mut [f32], green: &mut [f32], blue: &mut [f32], flags: &mut [u8]) = rgb_row_kernel;
+}
+
+#[inline(always)]
+fn rgb_row_kernel(rgb: &[u8], red: &mut [f32], green: &mut [f32], blue: &mut [f32], flags: &mut [u8]) {
+    let out = red.iter_mut().zip(green).zip(blue).zip(flags);
+    for (rgb, (((red, green), blue), flag)) in rgb.chunks_exact(3).zip(out) {
+        (*red, *green, *blue) = (f32::from(rgb[0]), f32::from(rgb[1]), f32::from(rgb[2]));
+        *flag = flag_of(rgb[0], rgb[1], rgb[2]);
+    }
 }
 
 #[inline(always)]
@@ -207,6 +230,10 @@ mod tests {
                     assert!((plane.row(y)[x] - expected).abs() < 1e-3);
                 }
             }
+            let mut rgb = ColourPlanes::default();
+            rgb.update(&image, window, Wanted::Rgb, kernels);
+            let pixel = [0, 1, 2].map(|c| rgb.planes[c].row(3)[17]);
+            assert_eq!((pixel, &rgb.flags), (image.get_pixel(20, 3).0.map(f32::from), &planes.flags));
             let mut luminance = ColourPlanes::default();
             luminance.update(&image, window, Wanted::Luminance, kernels);
             assert_eq!((luminance.luminance(), &luminance.flags), (planes.luminance(), &planes.flags));

@@ -220,7 +220,8 @@ impl DirectEstimator {
     }
 
     fn fill(&self, estimate: &mut PlaneEstimate, outcome: &ColdStartOutcome, view: &RawView, range: &SearchRange) {
-        let (plane, covariance) = answer(outcome);
+        let side_px = (self.cold_start.pyramid().area_px() as f64).sqrt();
+        let (plane, covariance) = answer(outcome, side_px);
         let Some(pose) = view.pose(&plane) else {
             estimate.reason = "the best plane lies behind the camera: check range and calibration".to_owned();
             return;
@@ -284,18 +285,29 @@ const END_OF_RANGE_SHARE: f64 = 0.005;
 
 /// The patches agree with a plane as well as with their own if support times correlation is worse by no more than this.
 const AGREEMENT_TOLERANCE: f64 = 0.005;
+/// The planes are the same to the patches if they differ by no more than this at the border of the region, pixels.
+const PATCH_PRECISION_PX: f64 = 0.25;
+/// Patches compare rows as they are: with rows farther off than this they are wrong themselves, pixels.
+const PATCH_ROWS_PX: f64 = 0.2;
 
 /// The plane of an outcome with the covariance of `(d0, du, dv)`: the refined plane if the refinement came to rest near the
-/// patches' plane. Where the patches agree with it clearly less than with their own, the surface or its shading is not what
-/// the model says, both planes err on their own, and the answer lies half-way. What the answer is moved by counts as error.
-fn answer(outcome: &ColdStartOutcome) -> (DisparityPlane, Option<Matrix3<f64>>) {
+/// patches' plane. Where that is farther off than patches can be wrong on a plane, and they agree with it clearly less than
+/// with their own, the surface or its shading is not what the model says, both planes err on their own, and the answer lies
+/// half-way. What the answer is moved by counts as error.
+fn answer(outcome: &ColdStartOutcome, side_px: f64) -> (DisparityPlane, Option<Matrix3<f64>>) {
     let Some(refined) = &outcome.refined else { return (outcome.patch_plane, None) };
     let own = refined.plane.parameters();
-    let gap = outcome.patch_plane.centred_at(refined.plane.centre_px).parameters() - own;
+    let theirs = match outcome.plane_at_refined {
+        Some(plane) if refined.converged => plane,
+        _ => outcome.patch_plane,
+    };
+    let gap = theirs.centred_at(refined.plane.centre_px).parameters() - own;
     let agreement = |patches: &PatchOutcome| patches.support_share * patches.mean_correlation;
     let lost = outcome.at_refined.map_or(0.0, |found| agreement(&outcome.finest) - agreement(&found));
+    let apart_px = gap.x.abs() + 0.5 * side_px * (gap.y.abs() + gap.z.abs());
+    let rows_off = refined.row_offset_px.abs() > PATCH_ROWS_PX;
     let moved_by = match refined.converged {
-        true if lost <= AGREEMENT_TOLERANCE => 0.0,
+        true if lost <= AGREEMENT_TOLERANCE || apart_px <= PATCH_PRECISION_PX || rows_off => 0.0,
         true => 0.5,
         false => 1.0,
     };

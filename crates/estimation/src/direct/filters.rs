@@ -7,6 +7,9 @@ use crate::wide::{LANES, wide};
 /// Most weights of a smoothing kernel on either side of its centre.
 pub const RADIUS_MAX: usize = 15;
 
+/// Weights of the spline's prefilter beyond this are below a thousandth, and smoothing makes them smaller.
+const SPLINE_RADIUS: usize = 5;
+
 /// A row of weights that sum up to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Taps {
@@ -25,6 +28,23 @@ impl Taps {
         };
         let sum: f64 = (0..=2 * radius).map(value).sum();
         Self { radius, weights: std::array::from_fn(|i| (value(i) / sum) as f32) }
+    }
+
+    /// A Gaussian of standard deviation `sigma_px`, then from values to the coefficients of the cubic spline through them:
+    /// with the coefficients `c`, the filtered signal at `i` is `(c[i - 1] + 4 c[i] + c[i + 1]) / 6`.
+    pub fn spline(sigma_px: f64) -> Self {
+        let smooth = Self::gaussian(sigma_px, 0.0);
+        // The impulse response of the spline's prefilter: pole sqrt(3) - 2 (Unser 1999).
+        let pole = 3f64.sqrt() - 2.0;
+        let response = |k: i32| 3f64.sqrt() * pole.powi(k.abs());
+        let radius = (smooth.radius + SPLINE_RADIUS).min(RADIUS_MAX);
+        let value = |i: usize| -> f64 {
+            let at = i as i32 - radius as i32;
+            let parts = smooth.weights().iter().enumerate();
+            parts.map(|(j, weight)| f64::from(*weight) * response(at + smooth.radius as i32 - j as i32)).sum()
+        };
+        let sum: f64 = (0..=2 * radius).map(value).sum();
+        Self { radius, weights: std::array::from_fn(|i| if i <= 2 * radius { (value(i) / sum) as f32 } else { 0.0 }) }
     }
 
     /// Weights on either side of the centre.
@@ -143,6 +163,21 @@ mod tests {
             assert!((moment(0) - 1.0).abs() < 1e-6);
             assert!((moment(1) - shift).abs() < 0.01, "{} for {shift}", moment(1));
             assert!((moment(2) - shift * shift - sigma * sigma).abs() < 0.1 * sigma * sigma);
+        }
+    }
+
+    #[test]
+    fn splines_go_through_the_smooth_values() {
+        for sigma in [0.4, 0.6, 1.3] {
+            let (spline, plain) = (Taps::spline(sigma), Taps::gaussian(sigma, 0.0));
+            let tap = |taps: &Taps, at: i32| {
+                let index = at + taps.radius() as i32;
+                usize::try_from(index).ok().and_then(|i| taps.weights().get(i)).map_or(0.0, |w| f64::from(*w))
+            };
+            for at in -8..=8 {
+                let through = (tap(&spline, at - 1) + 4.0 * tap(&spline, at) + tap(&spline, at + 1)) / 6.0;
+                assert!((through - tap(&plain, at)).abs() < 1e-3, "{sigma} {at}: {through}");
+            }
         }
     }
 

@@ -175,15 +175,18 @@ impl StereoFrontEnd {
     }
 }
 
+/// Rows of the turn that leaves colours as they are.
+const PLAIN: [[f32; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+
 fn resample(map: &RemapTable, raw: &RgbImage, window: PixelWindow, wanted: Wanted, out: &mut ColourPlanes) {
     let window = window.clipped(map.size().width, map.size().height);
     out.resize(window, wanted);
-    let channels = if wanted == Wanted::Colour { 3 } else { 1 };
+    let turns = if wanted == Wanted::Rgb { PLAIN } else { OPPONENT_FROM_RGB };
     for y in 0..window.height {
         for x in 0..window.width {
             let source = map.source((window.x as usize + x) as u32, (window.y as usize + y) as u32);
             let (rgb, flag) = source.and_then(|at| cubic(raw, &at)).unwrap_or(([0.0; 3], UNSEEN));
-            for (plane, turn) in out.planes.iter_mut().zip(OPPONENT_FROM_RGB).take(channels) {
+            for (plane, turn) in out.planes.iter_mut().zip(turns).take(wanted.planes()) {
                 plane.row_mut(y)[x] = turn[0] * rgb[0] + turn[1] * rgb[1] + turn[2] * rgb[2];
             }
             out.flags[y * window.width + x] = flag;

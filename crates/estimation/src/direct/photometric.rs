@@ -1,27 +1,30 @@
 //! Refinement of a plane: the right eye, seen through the plane, is made to look like the left eye.
 //!
-//! Gauss-Newton in the disparity plane `(d0, du, dv)` and a small row offset, from coarse to fine. Each channel (luminance,
-//! its difference of Gaussians, and chroma where it has texture) has a gain and an offset of its own, which are eliminated in
-//! every step. Tukey's weights keep what does not belong to the plane out. The covariance is that of the scores of blocks
-//! of pixels (sandwich), not the inverse of the Gauss-Newton matrix.
+//! Gauss-Newton in the disparity plane `(d0, du, dv)` and a small row offset, from coarse to fine. Each channel (red, green,
+//! blue) has a gain and an offset of its own, which are eliminated in every step. Tukey's weights keep what does not belong
+//! to the plane out. Where the rows turn out to be off, or one eye is less sharp than the other, the channels are made anew
+//! with the rows moved and the sharper eye smoothed, and the steps go on. The covariance is that of the scores of blocks of
+//! pixels (sandwich), not the inverse of the Gauss-Newton matrix.
 
 mod covariance;
 mod kernel;
 mod points;
 mod prepare;
+mod sharpness;
 mod solve;
 
 use nalgebra::{Matrix3, Vector2, Vector4};
 
 use super::disparity_plane::DisparityPlane;
+use super::front_end::StereoFrontEnd;
 use super::image_plane::PixelWindow;
-use super::region_pyramid::{RegionLevel, RegionPyramid};
+use super::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
 use crate::cpu::Kernels;
 use covariance::BlockPulls;
-use kernel::{CHANNELS_MAX, ChannelState, PointSet, Shade, Sums, UNUSABLE, Warp};
+use kernel::{CHANNELS_MAX, ChannelState, PointSet, Shade, Sums, TOUCHED, UNUSABLE, Warp};
 use points::{RightRows, Selection};
-pub use prepare::Channel;
-use prepare::{EyeChannels, Preparation, Smoothing, Wish};
+use prepare::{EyeChannels, Pair, Preparation, Wish, reach_px};
+use sharpness::Sharpness;
 use solve::{Normal, reliability, tukey_limit, tukey_moments};
 
 /// Fewest points that are refined.
@@ -38,6 +41,20 @@ const BORDER_WEIGHT_MIN: f64 = 0.9;
 const BORDER_SQUARES_MAX: f64 = 1.25;
 /// The plane has converged if the last step moved no point of the region further, pixels of the level.
 const SETTLED_PX: f64 = 0.03;
+/// The channels are made anew at most so often.
+const PASSES_MAX: usize = 4;
+/// Rows are moved if they are off by this, pixels: less is linear.
+const ROWS_MOVED_FROM_PX: f64 = 0.1;
+/// The sharper eye is smoothed if the variances of both eyes' blur differ by this, squared pixels of the level.
+const BLUR_EVENED_FROM_PX2: f64 = 0.3;
+/// Noise may make so much of the squared gradients of texture; more, and both eyes are smoothed more.
+const NOISE_SHARE_MAX: f64 = 0.5;
+/// The smoothing is chosen so that noise makes this share.
+const NOISE_SHARE: f64 = 0.3;
+/// Largest smoothing, pixels of the level.
+const SMOOTHING_MAX_PX: f64 = 1.6;
+/// So many standard deviations of the blur beyond a common one, the background is mixed into the region's border.
+const MIXED_SIGMAS: f64 = 2.0;
 /// Residuals are never taken to be better than this, grey levels.
 const SIGMA_MIN_GREY: f64 = 0.3;
 
@@ -62,8 +79,6 @@ pub struct RefineConfig {
     pub erosion_share_max: f64,
     /// Standard deviation of the smoothing, pixels of a level.
     pub smoothing_px: f64,
-    /// Standard deviation of what is taken off luminance to get its detail, pixels of a level.
-    pub detail_px: f64,
     /// Standard deviation of where a pixel samples the scene, pixels: gradient times this counts as noise.
     pub place_sigma_px: f64,
     /// Standard deviation of the row offset that is left after the pair's known offset, pixels; 0 keeps the rows fixed.
@@ -84,9 +99,8 @@ impl Default for RefineConfig {
             erosion_min_px: 2.0,
             erosion_max_px: 6.0,
             erosion_share_max: 0.06,
-            smoothing_px: 0.7,
-            detail_px: 2.0,
-            place_sigma_px: 0.1,
+            smoothing_px: 0.5,
+            place_sigma_px: 0.05,
             row_sigma_px: 0.3,
             calibration_sigma_px: 0.002,
         }
@@ -102,6 +116,8 @@ pub struct RefinedPlane {
     pub covariance: Matrix3<f64>,
     /// Row of the right image minus row of the left one, beyond what the pyramid knows, pixels.
     pub row_offset_px: f64,
+    /// Variance of the right eye's blur minus that of the left one's, as far as it was evened out, squared pixels.
+    pub blur_px2: f64,
     /// Share of the points that agree with the plane, 0 to 1.
     pub inlier_share: f64,
     /// Share of the points that the right window shows, 0 to 1.
@@ -137,10 +153,22 @@ pub struct PlaneRefiner {
 struct Progress {
     plane: DisparityPlane,
     row_px: f64,
+    /// Variance of the right eye's blur minus that of the left one's, squared pixels of the level.
+    blur_px2: f64,
+    /// Smoothing of the sharper eye, pixels of the level.
+    smoothing_px: f64,
     states: Option<[ChannelState; CHANNELS_MAX]>,
     weights: [f64; CHANNELS_MAX],
     iterations: usize,
     settled: bool,
+}
+
+impl Progress {
+    /// Standard deviations of the smoothing of the left and the right eye that make both equally sharp, pixels of the level.
+    fn smoothings_px(&self) -> (f64, f64) {
+        let own = self.smoothing_px.powi(2);
+        ((own + self.blur_px2.max(0.0)).sqrt(), (own - self.blur_px2.min(0.0)).sqrt())
+    }
 }
 
 /// A level that is ready to be compared.
@@ -155,6 +183,8 @@ struct Prepared {
     column_shift: f64,
     /// Row offset in the right planes, pixels of the level.
     row_applied: f64,
+    /// Whether some points lie on a border that may turn out bad.
+    has_border: bool,
     count: usize,
 }
 
@@ -169,9 +199,16 @@ impl PlaneRefiner {
         &self.config
     }
 
-    /// Refines a plane on the supported pixels of a region; `None` if there are too few of them or the right window does not
-    /// show them.
-    pub fn refine(&mut self, pyramid: &RegionPyramid, start: &DisparityPlane) -> Option<RefinedPlane> {
+    /// Refines a plane on the supported pixels of a region; `pyramid` is made of `source`. `None` if there are too few of
+    /// them or the right window does not show them.
+    pub fn refine(
+        &mut self,
+        front_end: &StereoFrontEnd,
+        source: &PyramidSource<'_>,
+        pyramid: &RegionPyramid,
+        start: &DisparityPlane,
+    ) -> Option<RefinedPlane> {
+        let pair = Pair { front_end, source };
         let levels = pyramid.levels();
         let finest =
             levels.iter().position(|l| l.area_px <= self.config.area_max_px).unwrap_or(levels.len().max(1) - 1);
@@ -179,70 +216,106 @@ impl PlaneRefiner {
         let mut progress = Progress {
             plane: start.centred_at(pyramid.centroid_px()),
             row_px: 0.0,
+            blur_px2: 0.0,
+            smoothing_px: self.config.smoothing_px,
             states: None,
             weights: [1.0; CHANNELS_MAX],
             iterations: 0,
             settled: false,
         };
-        for index in (finest..=coarsest).rev() {
+        for index in (finest + 1..=coarsest).rev() {
             let level = levels.get(index)?;
-            let Some(prepared) = self.prepare(level, &progress) else {
-                if index == finest {
-                    return None;
-                }
-                continue;
-            };
-            self.descend(level, &prepared, &mut progress, index == finest);
-            if index == finest {
-                return self.finish(level, &prepared, &progress, start);
+            if let Some(prepared) = self.prepare(&pair, level, &progress) {
+                self.descend(level, &prepared, &mut progress, false);
             }
         }
-        None
+        let level = levels.get(finest)?;
+        let mut prepared = self.prepare(&pair, level, &progress)?;
+        if self.smooth_more(level, &prepared, &mut progress) {
+            prepared = self.prepare(&pair, level, &progress)?;
+        }
+        for _ in 1..PASSES_MAX {
+            self.descend(level, &prepared, &mut progress, true);
+            if !self.adapt(level, &prepared, &mut progress) {
+                return self.finish(level, &prepared, &progress, start);
+            }
+            prepared = self.prepare(&pair, level, &progress)?;
+        }
+        self.descend(level, &prepared, &mut progress, true);
+        self.finish(level, &prepared, &progress, start)
     }
 
-    fn channels(level: &RegionLevel) -> &'static [Channel] {
-        use Channel::{ChromaA, ChromaB, Detail, Luminance};
-        if level.left.planes[1].width() > 0 { &[Luminance, Detail, ChromaA, ChromaB] } else { &[Luminance, Detail] }
+    /// Chooses a stronger smoothing where noise makes much of the gradients; says whether it does.
+    fn smooth_more(&self, level: &RegionLevel, prepared: &Prepared, progress: &mut Progress) -> bool {
+        let states = self.start_states(level, prepared, progress);
+        let sums = self.accumulate(&self.warp(level, prepared, progress, &states));
+        let (texture, all) = sums
+            .channel
+            .iter()
+            .take(prepared.channels)
+            .fold((0.0, 0.0), |(texture, all), s| (texture + s[20], all + s[0]));
+        let noise_share = (all - texture) / texture.max(0.02 * all);
+        if noise_share <= NOISE_SHARE_MAX {
+            return false;
+        }
+        let wanted_px = progress.smoothing_px * (noise_share / NOISE_SHARE).powf(0.25);
+        progress.smoothing_px = wanted_px.min(SMOOTHING_MAX_PX).max(progress.smoothing_px);
+        true
+    }
+
+    /// Says whether the channels must be made anew: rows or sharpness are not what they were made for, or the plane moves.
+    fn adapt(&self, level: &RegionLevel, prepared: &Prepared, progress: &mut Progress) -> bool {
+        let Some(states) = progress.states else { return false };
+        let warp = self.warp(level, prepared, progress, &states);
+        let sums = kernel::sharpness(self.kernels, &self.points, &self.right_planes(), &warp);
+        let (left, right) = progress.smoothings_px();
+        let change = Sharpness { left_px: left, right_px: right }.difference_px2(&sums);
+        let blurred = change.abs() > BLUR_EVENED_FROM_PX2;
+        if blurred {
+            progress.blur_px2 += change;
+        }
+        !progress.settled
+            || blurred
+            || (progress.row_px - prepared.row_applied * prepared.scale).abs() > ROWS_MOVED_FROM_PX
     }
 
     /// Smooths both eyes around the region as the plane maps it, and takes the points.
-    fn prepare(&mut self, level: &RegionLevel, progress: &Progress) -> Option<Prepared> {
+    fn prepare(&mut self, pair: &Pair<'_>, level: &RegionLevel, progress: &Progress) -> Option<Prepared> {
         let scale = level.scale as f64;
         let side_px = (level.area_px as f64).sqrt();
-        let rim = |px: f64, share: f64| (px / scale).min(share * side_px).round() as usize;
+        let mixed_px = MIXED_SIGMAS * progress.blur_px2.abs().sqrt();
+        let rim = |px: f64, share: f64| (px / scale + mixed_px).min(share * side_px).round() as usize;
         let c = &self.config;
         let rims = (rim(c.erosion_min_px, 0.5 * c.erosion_share_max), rim(c.erosion_max_px, c.erosion_share_max));
         let (bounds, count) = self.selection.mark(level, (rims.0, rims.1.max(rims.0)))?;
         if count < POINTS_MIN {
             return None;
         }
-        let channels = Self::channels(level);
-        let smoothing = Smoothing { light_px: self.config.smoothing_px, wide_px: self.config.detail_px };
-        let margin = smoothing.reach_px() as u32 + 1;
-        let row = progress.row_px / scale;
+        let (left_px, right_px) = progress.smoothings_px();
+        let margin = reach_px(left_px.max(right_px)) as u32 + 1;
         let part = inside(&bounds.grown(margin), &level.left.window);
-        let right_part = self.right_part(level, progress, &bounds, margin + 3, row.round() as i32)?;
-        let levels = mean_levels(level, &self.selection.mask);
-        let wish = |right, part, row_shift| Wish { right, part, row_shift, channels, levels, smoothing };
-        self.preparation.prepare(level, &wish(false, part, 0.0), self.kernels, &mut self.left);
-        self.preparation.prepare(level, &wish(true, right_part, row - row.round()), self.kernels, &mut self.right);
-        let window_shift = level.left.window.y - level.right.window.y;
+        let right_part = self.right_part(level, progress, &bounds, margin + 3)?;
+        let channels = self.preparation.left(pair, level, &Wish { part, smoothing_px: left_px }, &mut self.left);
+        let wish = Wish { part: right_part, smoothing_px: right_px };
+        let row_px = if progress.row_px.abs() > ROWS_MOVED_FROM_PX { progress.row_px } else { 0.0 };
+        self.preparation.right(pair, level, (&wish, row_px), channels, &mut self.right);
         let rows = RightRows {
-            shift: window_shift + row.round() as i32 - right_part.y,
+            shift: level.left.window.y - level.right.window.y - right_part.y,
             width: right_part.width,
             height: right_part.height,
         };
         let points = &mut self.points;
-        let count = self.selection.collect(level, &self.left, channels.len(), self.config.points_max, &rows, points);
+        let count = self.selection.collect(level, &self.left, channels, self.config.points_max, &rows, points);
         let centre = Vector2::new(f64::from(part.x), f64::from(part.y))
             + Vector2::new(part.width as f64 - 1.0, part.height as f64 - 1.0) / 2.0;
         (count >= POINTS_MIN).then_some(Prepared {
             centre,
             scale,
-            channels: channels.len(),
+            channels,
             half: Vector2::new(bounds.width as f64, bounds.height as f64) / 2.0,
             column_shift: -f64::from(right_part.x),
-            row_applied: row,
+            row_applied: row_px / scale,
+            has_border: rims.1 > rims.0,
             count,
         })
     }
@@ -254,7 +327,6 @@ impl PlaneRefiner {
         progress: &Progress,
         bounds: &PixelWindow,
         margin: u32,
-        row: i32,
     ) -> Option<PixelWindow> {
         let plane = level.level_plane(&progress.plane);
         let (x0, y0) = (f64::from(bounds.x), f64::from(bounds.y));
@@ -268,7 +340,7 @@ impl PlaneRefiner {
         let (low, high) = ((low - reach).floor() as i32, (high + reach).ceil() as i32);
         let wanted = PixelWindow {
             x: low,
-            y: bounds.y + plane.row + row,
+            y: bounds.y + plane.row,
             width: (high - low + 1).max(1) as usize,
             height: bounds.height,
         };
@@ -311,7 +383,7 @@ impl PlaneRefiner {
         for step_index in 0..steps {
             let warp = self.warp(level, prepared, progress, &states);
             let mut sums = self.accumulate(&warp);
-            if finest && step_index == BORDER_JUDGED_AT {
+            if finest && prepared.has_border && step_index == BORDER_JUDGED_AT {
                 sums = self.drop_bad_border(&warp, sums);
             }
             let normal = self.normal(&sums, prepared, progress, &states);
@@ -322,7 +394,8 @@ impl PlaneRefiner {
             progress.iterations += 1;
             let size = step.x.abs() + (step.y * prepared.half.x).abs() + (step.z * prepared.half.y).abs();
             progress.settled = size < SETTLED_PX;
-            if size < tolerance_px && step_index >= BORDER_JUDGED_AT {
+            let earliest = if prepared.has_border { BORDER_JUDGED_AT } else { 1 };
+            if size < tolerance_px && step_index >= earliest {
                 break;
             }
         }
@@ -372,7 +445,7 @@ impl PlaneRefiner {
         let squared = tukey_moments(channels).square;
         for c in 0..channels {
             let s = &sums.channel[c];
-            let ratio = if sums.weight > 0.0 { s[21] / (squared * sums.weight) } else { 1.0 };
+            let ratio = if s[29] > 0.0 { s[21] / (squared * s[29]) } else { 1.0 };
             states[c].variance = (states[c].variance * ratio.clamp(0.1, 2.0)).max(SIGMA_MIN_GREY.powi(2));
             weights[c] = reliability(s);
         }
@@ -439,6 +512,7 @@ impl PlaneRefiner {
             plane: progress.plane,
             covariance,
             row_offset_px: progress.row_px,
+            blur_px2: progress.blur_px2 * prepared.scale * prepared.scale,
             inlier_share: (sums.weight / (mean_weight * sums.seen.max(1.0))).min(1.0),
             seen_share: sums.seen / used.max(1.0),
             residual_sigma: states[0].variance.sqrt(),
@@ -453,17 +527,6 @@ impl PlaneRefiner {
 /// The part of a box (relative to a window) inside the window.
 fn inside(part: &PixelWindow, window: &PixelWindow) -> PixelWindow {
     part.clipped(window.width as u32, window.height as u32)
-}
-
-/// Means of Y, A and B' of the left eye over the marked pixels, taken off both eyes to keep sums small.
-fn mean_levels(level: &RegionLevel, mask: &[u8]) -> [f32; 3] {
-    std::array::from_fn(|c| {
-        let plane = level.left.planes[c].values();
-        let step = (mask.len() / 2000).max(1);
-        let used = plane.iter().zip(mask).step_by(step).filter(|(_, mask)| **mask != 0);
-        let (sum, count) = used.fold((0.0, 0.0_f32), |(sum, count), (value, _)| (sum + value, count + 1.0));
-        if count > 0.0 { sum / count } else { 0.0 }
-    })
 }
 
 /// A step in the parameters at the centre of the points; `None` where the equations have no answer.
@@ -493,14 +556,16 @@ fn first_state(points: &PointSet, right: &[f32], warp: &Warp, channel: usize, lo
     let mut count = 0;
     for i in (0..points.x.len()).step_by(step) {
         let column = warp.column + warp.per_x * points.x[i] + warp.per_y * points.y[i];
-        if count == COUNT || points.unit[i] == 0.0 || !(column >= 0.0 && column < warp.width as f32 - 0.5) {
+        if count == COUNT || points.unit[i] == 0.0 || !(column >= 1.0 && column < warp.width as f32 - 1.5) {
             continue;
         }
-        let value = right.get(points.row_start[i] as usize + column.round() as usize).copied().unwrap_or(UNUSABLE);
-        if value >= UNUSABLE {
+        let first = points.row_start[i] as usize + column.round() as usize - 1;
+        let three: [f32; 3] = right.get(first..).and_then(|rest| rest.first_chunk().copied()).unwrap_or([UNUSABLE; 3]);
+        let (value, mine) = ((three[0] + 4.0 * three[1] + three[2]) / 6.0, points.value[channel][i]);
+        if value.max(mine) >= TOUCHED {
             continue;
         }
-        (own[count], shown[count]) = (points.value[channel][i], value);
+        (own[count], shown[count]) = (mine, value);
         count += 1;
     }
     if count < 16 {

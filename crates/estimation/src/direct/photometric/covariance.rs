@@ -42,16 +42,18 @@ impl BlockPulls {
     /// `row_information` is what was known of the row offset before. `None` where the matrix has no inverse.
     pub fn covariance(&mut self, matrix: &Matrix4<f64>, row_information: f64) -> Option<Matrix3<f64>> {
         let inverse = matrix.try_inverse()?;
-        let mut middle = spread(self.small.iter().map(|(_, pull)| pull));
-        let growth = self.growth(&inverse, &middle);
-        middle *= growth.powf(DOUBLINGS);
+        let sum = products(self.small.iter().map(|(_, pull)| pull));
+        let growth = self.growth(&inverse, &sum);
+        let count = self.small.len() as f64;
+        let mut middle = sum * (count / (count - FITTED).max(1.0)) * growth.powf(DOUBLINGS);
         middle[(3, 3)] += row_information;
         let full = inverse * middle * inverse.transpose();
         let covariance = full.fixed_view::<3, 3>(0, 0).into_owned();
         Some((covariance + covariance.transpose()) * 0.5)
     }
 
-    /// By how much blocks of twice the side make the covariance larger, at least 1.
+    /// By how much blocks of twice the side make the covariance larger, beyond chance, at least 1; `small` is the sum of the
+    /// products of the small blocks.
     fn growth(&mut self, inverse: &Matrix4<f64>, small: &Matrix4<f64>) -> f64 {
         let columns = self.small.iter().map(|(place, _)| place.0 / 2 + 1).max().unwrap_or(0) as usize;
         let rows = self.small.iter().map(|(place, _)| place.1 / 2 + 1).max().unwrap_or(0) as usize;
@@ -65,20 +67,21 @@ impl BlockPulls {
             self.used[at] = true;
         }
         let used = self.large.iter().zip(&self.used).filter(|(_, used)| **used).map(|(pull, _)| pull);
-        if used.clone().count() < LARGE_BLOCKS_MIN {
+        let count = used.clone().count();
+        if count < LARGE_BLOCKS_MIN {
             return 1.0;
         }
         let size = |middle: &Matrix4<f64>| (inverse * middle).fixed_view::<3, 3>(0, 0).trace();
-        let ratio = size(&spread(used)) / size(small);
+        // Chance makes one standard deviation of a sum of squares of three numbers per block.
+        let chance = (2.0 / (3.0 * count as f64)).sqrt();
+        let ratio = size(&products(used)) / size(small) - chance;
         if ratio.is_finite() { ratio.clamp(1.0, GROWTH_MAX) } else { 1.0 }
     }
 }
 
-/// Sum of the outer products, corrected for what the fit has taken.
-fn spread<'a>(pulls: impl Iterator<Item = &'a Vector4<f64>>) -> Matrix4<f64> {
-    let (sum, count) =
-        pulls.fold((Matrix4::zeros(), 0.0), |(sum, count), pull| (sum + pull * pull.transpose(), count + 1.0));
-    sum * (count / (count - FITTED).max(1.0))
+/// Sum of the outer products.
+fn products<'a>(pulls: impl Iterator<Item = &'a Vector4<f64>>) -> Matrix4<f64> {
+    pulls.fold(Matrix4::zeros(), |sum, pull| sum + pull * pull.transpose())
 }
 
 /// From pixels of a level to full pixels.

@@ -1,20 +1,26 @@
 //! The inner loop: compares points of the left eye with the right eye and sums up the normal equations.
 //!
-//! Unknown are the plane `(d0, du, dv)` and a row offset, shared by all channels, and a gain and an offset of each channel.
-//! With the gain split between the eyes, `r = s R(x - d, y + row) - L / s + offset`, both eyes are treated alike: the
-//! derivative by the logarithm of the gain is the mean of both values, and the derivative by the disparity the mean of both
-//! gradients (efficient second-order minimisation). Noise of a value is independent of the noise of a central difference
-//! at the same place, so noisy gradients do not move the place where the sums of `gradient x residual` vanish.
+//! Unknown are the plane `(d0, du, dv)` and a row offset, shared by all channels, and of each channel a gain, and an offset for
+//! every 128 points: light that does not turn with the surface, and highlights, differ between the eyes, but smoothly. What is
+//! summed up is what these offsets leave of values, gradients and residuals.
+//! With the gain split between the eyes, `r = s R(x - d, y + row) - L / s + offset`, the derivative by the logarithm of the
+//! gain is the mean of both values. The derivative by the disparity is the gradient of the left eye alone: at a pixel, noise
+//! of a value is independent of the noise of the slope, so noisy gradients do not move the place where the sums of `gradient x
+//! residual` vanish. Between pixels it is not, because interpolation smooths noise by more the farther a pixel is: with the
+//! right gradients a plane that faces the cameras, where all points lie at one fraction of a pixel, would be drawn to whole
+//! pixels.
 #![allow(clippy::needless_range_loop, reason = "several arrays are walked in step")]
 
 use crate::wide::{LANES, sum_lanes, wide};
 
 /// Most channels.
-pub(crate) const CHANNELS_MAX: usize = 4;
+pub(crate) const CHANNELS_MAX: usize = 3;
 /// Number of sums per channel.
-pub(crate) const SUMS: usize = 29;
-/// Value of right pixels that must not be used: whatever touches one is an outlier beyond doubt.
+pub(crate) const SUMS: usize = 30;
+/// Value of pixels that must not be used in a channel; whatever touches one is left out.
 pub(crate) const UNUSABLE: f32 = 1e6;
+/// Values from here on have been touched.
+pub(crate) const TOUCHED: f32 = 0.01 * UNUSABLE;
 
 /// Points of the left eye, in groups of [`LANES`]; the last group is filled up with points of no weight.
 #[derive(Clone, Debug, Default)]
@@ -28,10 +34,11 @@ pub(crate) struct PointSet {
     pub inner: Vec<f32>,
     /// First index of the point's row in the right planes.
     pub row_start: Vec<u32>,
-    /// Value, and gradients along columns and rows, per channel.
+    /// Value (or [`UNUSABLE`]), gradients along columns and rows, and second derivative along columns, per channel.
     pub value: [Vec<f32>; CHANNELS_MAX],
     pub gradient_x: [Vec<f32>; CHANNELS_MAX],
     pub gradient_y: [Vec<f32>; CHANNELS_MAX],
+    pub curvature: [Vec<f32>; CHANNELS_MAX],
 }
 
 /// What a channel is compared with.
@@ -105,8 +112,14 @@ struct Group<const N: usize> {
     /// Product of left and right gradient.
     product: [[f32; LANES]; N],
     mean: [[f32; LANES]; N],
-    /// 1 / variance of the residual.
+    /// 1 / variance of the residual; 0 where the channel can not be used.
     certainty: [[f32; LANES]; N],
+    /// 1, or 0 where the channel can not be used.
+    usable: [[f32; LANES]; N],
+    /// Right gradient squared minus left gradient squared.
+    excess: [[f32; LANES]; N],
+    /// Second derivative of the right eye along columns.
+    bend: [[f32; LANES]; N],
     /// Tukey's weight.
     weight: [f32; LANES],
     seen: [f32; LANES],
@@ -128,17 +141,15 @@ fn gather(plane: &[f32], at: &[u32; LANES], taps: &mut [[f32; LANES]; 4]) {
     }
 }
 
+/// Compares a group of points; `group` is overwritten.
 #[inline(always)]
-fn compare<const N: usize>(points: &PointSet, start: usize, right: &[&[f32]; CHANNELS_MAX], warp: &Warp) -> Group<N> {
-    let mut group = Group {
-        residual: [[0.0; LANES]; N],
-        gradient: [[0.0; LANES]; N],
-        product: [[0.0; LANES]; N],
-        mean: [[0.0; LANES]; N],
-        certainty: [[0.0; LANES]; N],
-        weight: [0.0; LANES],
-        seen: [0.0; LANES],
-    };
+fn compare<const N: usize>(
+    points: &PointSet,
+    start: usize,
+    right: &[&[f32]; CHANNELS_MAX],
+    warp: &Warp,
+    group: &mut Group<N>,
+) {
     let (x, y, unit) = (lanes(&points.x, start), lanes(&points.y, start), lanes(&points.unit, start));
     let rows: &[u32; LANES] = points.row_start[start..].first_chunk().unwrap_or(&[0; LANES]);
     let (mut at, mut t) = ([0_u32; LANES], [0.0_f32; LANES]);
@@ -153,6 +164,7 @@ fn compare<const N: usize>(points: &PointSet, start: usize, right: &[&[f32]; CHA
         group.seen[i] = inside;
     }
     let mut distance = [0.0_f32; LANES];
+    let mut any = [0.0_f32; LANES];
     let mut taps = [[0.0_f32; LANES]; 4];
     for c in 0..N {
         gather(right[c], &at, &mut taps);
@@ -160,116 +172,230 @@ fn compare<const N: usize>(points: &PointSet, start: usize, right: &[&[f32]; CHA
         let (value, gx, gy) =
             (lanes(&points.value[c], start), lanes(&points.gradient_x[c], start), lanes(&points.gradient_y[c], start));
         for i in 0..LANES {
-            // Catmull-Rom between the middle taps, and its slope.
+            // The uniform cubic B-spline of the four coefficients, its slope and its second derivative.
             let (p0, p1, p2, p3) = (taps[0][i], taps[1][i], taps[2][i], taps[3][i]);
-            let (c1, c2, c3) = (p2 - p0, 2.0 * p0 - 5.0 * p1 + 4.0 * p2 - p3, 3.0 * (p1 - p2) + p3 - p0);
-            let shown = shade.right * (p1 + 0.5 * t[i] * (c1 + t[i] * (c2 + t[i] * c3)));
-            let slope = shade.right * (0.5 * c1 + t[i] * (c2 + 1.5 * t[i] * c3));
+            let worst = p0.max(p1).max(p2).max(p3).max(value[i]);
+            let usable = if worst < TOUCHED { 1.0 } else { 0.0 };
+            let (c0, c1) = ((p0 + 4.0 * p1 + p2) * (1.0 / 6.0), 0.5 * (p2 - p0));
+            let (c2, c3) = (0.5 * (p0 + p2) - p1, (p3 - p0) * (1.0 / 6.0) + 0.5 * (p1 - p2));
+            let shown = shade.right * (c0 + t[i] * (c1 + t[i] * (c2 + t[i] * c3)));
+            let slope = shade.right * (c1 + t[i] * (2.0 * c2 + 3.0 * t[i] * c3));
             let (own, own_slope) = (shade.left * value[i], shade.left * gx[i]);
             let residual = shown - own + shade.offset + warp.row * shade.left * gy[i];
-            let certainty = 1.0 / (shade.variance + warp.place_variance * (own_slope * own_slope));
+            let certainty = usable / (shade.variance + warp.place_variance * (own_slope * own_slope));
             group.residual[c][i] = residual;
-            group.gradient[c][i] = 0.5 * (slope + own_slope);
+            group.gradient[c][i] = own_slope;
             group.product[c][i] = slope * own_slope;
             group.mean[c][i] = 0.5 * (shown + own);
             group.certainty[c][i] = certainty;
+            group.usable[c][i] = usable;
+            group.excess[c][i] = slope * slope - own_slope * own_slope;
+            group.bend[c][i] = shade.right * (2.0 * c2 + 6.0 * t[i] * c3);
             distance[i] += residual * residual * certainty;
+            any[i] = usable.max(any[i]);
         }
     }
     let inverse_limit = 1.0 / warp.limit;
     for i in 0..LANES {
         let inner = (1.0 - distance[i] * inverse_limit).max(0.0);
+        group.seen[i] *= any[i];
         group.weight[i] = group.seen[i] * inner * inner;
     }
-    group
+}
+
+impl<const N: usize> Group<N> {
+    #[inline(always)]
+    fn empty() -> Self {
+        Self {
+            residual: [[0.0; LANES]; N],
+            gradient: [[0.0; LANES]; N],
+            product: [[0.0; LANES]; N],
+            mean: [[0.0; LANES]; N],
+            certainty: [[0.0; LANES]; N],
+            usable: [[0.0; LANES]; N],
+            excess: [[0.0; LANES]; N],
+            bend: [[0.0; LANES]; N],
+            weight: [0.0; LANES],
+            seen: [0.0; LANES],
+        }
+    }
 }
 
 /// Half the lanes of a group: what is summed up is folded once before.
 const HALF: usize = LANES / 2;
+/// Points that share an offset: they are ordered by blocks of 8 x 8 pixels, so these are neighbours.
+const SHARING: usize = 8 * LANES;
 
 #[inline(always)]
 fn accumulate_kernel(points: &PointSet, right: &[&[f32]; CHANNELS_MAX], warp: &Warp) -> Sums {
     match warp.channels {
         1 => accumulate_channels::<1>(points, right, warp),
         2 => accumulate_channels::<2>(points, right, warp),
-        3 => accumulate_channels::<3>(points, right, warp),
-        _ => accumulate_channels::<4>(points, right, warp),
+        _ => accumulate_channels::<3>(points, right, warp),
     }
 }
 
 #[inline(always)]
 fn accumulate_channels<const N: usize>(points: &PointSet, right: &[&[f32]; CHANNELS_MAX], warp: &Warp) -> Sums {
+    let mut channel = [[0.0_f64; SUMS]; CHANNELS_MAX];
+    let mut group = Group::<N>::empty();
     let mut sums = [[[0.0_f32; HALF]; SUMS]; N];
     let (mut weight, mut seen) = ([0.0_f32; LANES], [0.0_f32; LANES]);
-    for start in (0..points.x.len() / LANES).map(|g| g * LANES) {
-        let group = compare::<N>(points, start, right, warp);
-        let (x, y) = (lanes(&points.x, start), lanes(&points.y, start));
-        for i in 0..LANES {
-            weight[i] += group.weight[i];
-            seen[i] += group.seen[i];
-        }
-        for c in 0..N {
-            let gy = lanes(&points.gradient_y[c], start);
-            let left = warp.shades[c].left;
-            for i in 0..HALF {
-                let one = terms(&group, c, i, x[i], y[i], left * gy[i]);
-                let j = i + HALF;
-                let other = terms(&group, c, j, x[j], y[j], left * gy[j]);
-                for k in 0..SUMS {
-                    sums[c][k][i] += one[k] + other[k];
+    let length = points.x.len();
+    let mut first = 0;
+    while first < length {
+        let end = (first + SHARING).min(length);
+        let mut start = first;
+        while start + LANES <= end {
+            compare::<N>(points, start, right, warp, &mut group);
+            let (x, y) = (lanes(&points.x, start), lanes(&points.y, start));
+            for i in 0..LANES {
+                weight[i] += group.weight[i];
+                seen[i] += group.seen[i];
+            }
+            for c in 0..N {
+                let gy = lanes(&points.gradient_y[c], start);
+                let left = warp.shades[c].left;
+                for half in [0, HALF] {
+                    let new = terms(&group, c, half, x, y, gy, left);
+                    for k in 0..SUMS {
+                        for i in 0..HALF {
+                            sums[c][k][i] += new[k][i];
+                        }
+                    }
                 }
             }
+            start += LANES;
         }
-    }
-    let mut channel = [[0.0; SUMS]; CHANNELS_MAX];
-    for (channel, sums) in channel.iter_mut().zip(&sums) {
-        *channel = sums.map(|lanes| lanes.iter().map(|&lane| f64::from(lane)).sum());
+        for c in 0..N {
+            let mut own = [0.0_f64; SUMS];
+            for k in 0..SUMS {
+                let s = &mut sums[c][k];
+                let sum = ((s[0] + s[4]) + (s[2] + s[6])) + ((s[1] + s[5]) + (s[3] + s[7]));
+                own[k] = f64::from(sum);
+                *s = [0.0; HALF];
+            }
+            eliminate_offset(&mut own);
+            for k in 0..SUMS {
+                channel[c][k] += own[k];
+            }
+        }
+        first = end;
     }
     Sums { channel, weight: f64::from(sum_lanes(&weight)), seen: f64::from(sum_lanes(&seen)) }
 }
 
-/// What one point adds to the sums of a channel; `h` is the gradient along rows.
+/// Takes what one common offset of all points takes off the sums of products; the sums of single factors stay.
 #[inline(always)]
-fn terms<const N: usize>(group: &Group<N>, c: usize, i: usize, x: f32, y: f32, h: f32) -> [f32; SUMS] {
-    let (g, m, r) = (group.gradient[c][i], group.mean[c][i], group.residual[c][i]);
-    let w = group.weight[i] * group.certainty[c][i];
-    let wg = w * g;
-    let (wgx, wgy, wh, wm, wr) = (wg * x, wg * y, w * h, w * m, w * r);
+fn eliminate_offset(s: &mut [f64; SUMS]) {
+    if s[17] <= 0.0 {
+        return;
+    }
+    let by = 1.0 / s[17];
+    let ([g, gx, gy], [h, m, r]) = ([s[12], s[13], s[14]], [s[27], s[16], s[19]]);
+    let taken = [
+        (0, g * g),
+        (1, g * gx),
+        (2, g * gy),
+        (3, gx * gx),
+        (4, gx * gy),
+        (5, gy * gy),
+        (6, g * r),
+        (7, gx * r),
+        (8, gy * r),
+        (9, g * m),
+        (10, gx * m),
+        (11, gy * m),
+        (15, m * m),
+        (18, m * r),
+        // Both eyes show the same gradients.
+        (20, g * g),
+        (22, h * g),
+        (23, h * gx),
+        (24, h * gy),
+        (25, h * h),
+        (26, h * m),
+        (28, h * r),
+    ];
+    for (k, product) in taken {
+        s[k] -= by * product;
+    }
+}
+
+/// Half the lanes from a place on.
+#[inline(always)]
+fn half_of(lanes: &[f32; LANES], from: usize) -> [f32; HALF] {
+    let mut out = [0.0; HALF];
+    out.copy_from_slice(&lanes[from..from + HALF]);
+    out
+}
+
+/// Products lane by lane.
+#[inline(always)]
+fn times(a: &[f32; HALF], b: &[f32; HALF]) -> [f32; HALF] {
+    let mut out = [0.0; HALF];
+    for i in 0..HALF {
+        out[i] = a[i] * b[i];
+    }
+    out
+}
+
+/// What half a group of points adds to the sums of a channel, lane by lane; the gradients along rows are `left` times `gy`.
+#[inline(always)]
+fn terms<const N: usize>(
+    group: &Group<N>,
+    c: usize,
+    half: usize,
+    x: &[f32; LANES],
+    y: &[f32; LANES],
+    gy: &[f32; LANES],
+    left: f32,
+) -> [[f32; HALF]; SUMS] {
+    let pick = |lanes: &[f32; LANES]| half_of(lanes, half);
+    let (x, y, h) = (pick(x), pick(y), times(&[left; HALF], &pick(gy)));
+    let (g, m, r) = (pick(&group.gradient[c]), pick(&group.mean[c]), pick(&group.residual[c]));
+    let w = times(&pick(&group.weight), &pick(&group.certainty[c]));
+    let wg = times(&w, &g);
+    let (wgx, wgy, wh) = (times(&wg, &x), times(&wg, &y), times(&w, &h));
+    let (wm, wr) = (times(&w, &m), times(&w, &r));
+    let (wgxg, wgyg) = (times(&wgx, &g), times(&wgy, &g));
     [
         // Gradient by gradient, times 1, x, y, x x, x y, y y.
-        wg * g,
-        wgx * g,
-        wgy * g,
-        wgx * g * x,
-        wgx * g * y,
-        wgy * g * y,
+        times(&wg, &g),
+        wgxg,
+        wgyg,
+        times(&wgxg, &x),
+        times(&wgxg, &y),
+        times(&wgyg, &y),
         // Gradient by residual, by mean and alone, times 1, x, y.
-        wg * r,
-        wgx * r,
-        wgy * r,
-        wg * m,
-        wgx * m,
-        wgy * m,
+        times(&wg, &r),
+        times(&wgx, &r),
+        times(&wgy, &r),
+        times(&wg, &m),
+        times(&wgx, &m),
+        times(&wgy, &m),
         wg,
         wgx,
         wgy,
         // Gain and offset.
-        wm * m,
+        times(&wm, &m),
         wm,
         w,
-        wm * r,
+        times(&wm, &r),
         wr,
         // Left by right gradient, and the squared residual.
-        w * group.product[c][i],
-        wr * r,
+        times(&w, &pick(&group.product[c])),
+        times(&wr, &r),
         // Row offset by gradient (times 1, x, y), itself, mean, one, residual.
-        wh * g,
-        wgx * h,
-        wgy * h,
-        wh * h,
-        wh * m,
+        times(&wh, &g),
+        times(&wgx, &h),
+        times(&wgy, &h),
+        times(&wh, &h),
+        times(&wh, &m),
         wh,
-        wh * r,
+        times(&wh, &r),
+        // Tukey's weight where the channel can be used.
+        times(&pick(&group.weight), &pick(&group.usable[c])),
     ]
 }
 
@@ -278,13 +404,59 @@ wide! {
     pub(crate) fn accumulate(points: &PointSet, right: &[&[f32]; CHANNELS_MAX], warp: &Warp) -> Sums = accumulate_kernel;
 }
 
-/// How the derivatives of a point become its score: weight of the channel, and what gain and offset take up of each of the
-/// four derivatives.
+/// What tells how much less sharp one eye is than the other: sums over points and channels, in units of the residuals'
+/// variances.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct SharpnessSums {
+    /// Squared gradients along columns of the right eye minus those of the left one.
+    pub excess: f64,
+    /// Products of both eyes' second derivatives along columns.
+    pub curvature: f64,
+    /// Weights.
+    pub weight: f64,
+}
+
+#[inline(always)]
+fn sharpness_kernel(points: &PointSet, right: &[&[f32]; CHANNELS_MAX], warp: &Warp) -> SharpnessSums {
+    match warp.channels {
+        1 => sharpness_channels::<1>(points, right, warp),
+        2 => sharpness_channels::<2>(points, right, warp),
+        _ => sharpness_channels::<3>(points, right, warp),
+    }
+}
+
+#[inline(always)]
+fn sharpness_channels<const N: usize>(points: &PointSet, right: &[&[f32]; CHANNELS_MAX], warp: &Warp) -> SharpnessSums {
+    let mut sums = [[0.0_f32; LANES]; 3];
+    let mut group = Group::<N>::empty();
+    for start in (0..points.x.len() / LANES).map(|g| g * LANES) {
+        compare::<N>(points, start, right, warp, &mut group);
+        for c in 0..N {
+            let (left, curvature) = (warp.shades[c].left, lanes(&points.curvature[c], start));
+            for i in 0..LANES {
+                let w = group.weight[i] * group.certainty[c][i];
+                sums[0][i] += w * group.excess[c][i];
+                sums[1][i] += w * group.bend[c][i] * (left * curvature[i]);
+                sums[2][i] += group.weight[i] * group.usable[c][i];
+            }
+        }
+    }
+    let [excess, curvature, weight] = sums.map(|lanes| f64::from(sum_lanes(&lanes)));
+    SharpnessSums { excess, curvature, weight }
+}
+
+wide! {
+    /// How the sharpness of both eyes compares.
+    pub(crate) fn sharpness(points: &PointSet, right: &[&[f32]; CHANNELS_MAX], warp: &Warp) -> SharpnessSums
+        = sharpness_kernel;
+}
+
+/// How the derivatives of a point become its score: weight of the channel, and what the gain takes up of each of the four
+/// derivatives.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Projection {
     pub weight: f32,
     pub mean: [f32; 4],
-    pub one: [f32; 4],
 }
 
 #[inline(always)]
@@ -298,8 +470,7 @@ fn scores_kernel(
     match warp.channels {
         1 => score_channels::<1>(points, right, warp, projections, scores),
         2 => score_channels::<2>(points, right, warp, projections, scores),
-        3 => score_channels::<3>(points, right, warp, projections, scores),
-        _ => score_channels::<4>(points, right, warp, projections, scores),
+        _ => score_channels::<3>(points, right, warp, projections, scores),
     }
 }
 
@@ -311,30 +482,77 @@ fn score_channels<const N: usize>(
     projections: &[Projection; CHANNELS_MAX],
     scores: &mut [Vec<f32>; 4],
 ) {
-    for start in (0..points.x.len() / LANES).map(|g| g * LANES) {
-        let group = compare::<N>(points, start, right, warp);
-        let (x, y) = (lanes(&points.x, start), lanes(&points.y, start));
-        let mut sums = [[0.0_f32; LANES]; 4];
-        for (c, p) in projections.iter().enumerate().take(N) {
-            let left = warp.shades[c].left;
-            let gy = lanes(&points.gradient_y[c], start);
-            for i in 0..LANES {
-                let wr = p.weight * group.weight[i] * group.certainty[c][i] * group.residual[c][i];
-                let (g, m) = (-group.gradient[c][i], group.mean[c][i]);
-                let own = [g, g * x[i], g * y[i], left * gy[i]];
-                for k in 0..4 {
-                    sums[k][i] += wr * (own[k] - p.mean[k] * m - p.one[k]);
+    let length = points.x.len();
+    let mut group = Group::<N>::empty();
+    let mut first = 0;
+    while first < length {
+        let end = (first + SHARING).min(length);
+        // Sums of weights, and of residuals and derivatives times weights.
+        let mut sums = [[[0.0_f32; LANES]; 6]; N];
+        let mut start = first;
+        while start + LANES <= end {
+            compare::<N>(points, start, right, warp, &mut group);
+            for c in 0..N {
+                for i in 0..LANES {
+                    let w = group.weight[i] * group.certainty[c][i];
+                    let own = derivatives(points, &group, c, (start, i), warp, &projections[c]);
+                    sums[c][0][i] += w;
+                    sums[c][1][i] += w * group.residual[c][i];
+                    for k in 0..4 {
+                        sums[c][2 + k][i] += w * own[k];
+                    }
                 }
             }
+            start += LANES;
         }
-        for (scores, sums) in scores.iter_mut().zip(&sums) {
-            scores[start..start + LANES].copy_from_slice(sums);
+        let mut means = [[0.0_f32; 6]; N];
+        for c in 0..N {
+            let weight = sum_lanes(&sums[c][0]).max(f32::MIN_POSITIVE);
+            for k in 1..6 {
+                means[c][k] = sum_lanes(&sums[c][k]) / weight;
+            }
         }
+        let mut start = first;
+        while start + LANES <= end {
+            compare::<N>(points, start, right, warp, &mut group);
+            let mut out = [[0.0_f32; LANES]; 4];
+            for c in 0..N {
+                for i in 0..LANES {
+                    let w = projections[c].weight * group.weight[i] * group.certainty[c][i];
+                    let wr = w * (group.residual[c][i] - means[c][1]);
+                    let own = derivatives(points, &group, c, (start, i), warp, &projections[c]);
+                    for k in 0..4 {
+                        out[k][i] += wr * (own[k] - means[c][2 + k]);
+                    }
+                }
+            }
+            for k in 0..4 {
+                scores[k][start..start + LANES].copy_from_slice(&out[k]);
+            }
+            start += LANES;
+        }
+        first = end;
     }
 }
 
+/// Derivatives of a residual by `(d0, du, dv, row)` without what the gain takes up of them.
+#[inline(always)]
+fn derivatives<const N: usize>(
+    points: &PointSet,
+    group: &Group<N>,
+    c: usize,
+    (start, i): (usize, usize),
+    warp: &Warp,
+    p: &Projection,
+) -> [f32; 4] {
+    let (x, y, gy) = (lanes(&points.x, start), lanes(&points.y, start), lanes(&points.gradient_y[c], start));
+    let (g, m) = (-group.gradient[c][i], group.mean[c][i]);
+    let own = [g, g * x[i], g * y[i], warp.shades[c].left * gy[i]];
+    [own[0] - p.mean[0] * m, own[1] - p.mean[1] * m, own[2] - p.mean[2] * m, own[3] - p.mean[3] * m]
+}
+
 wide! {
-    /// The gradient of the cost by `(d0, du, dv, row)`, point by point, with gain and offset eliminated.
+    /// The gradient of the cost by `(d0, du, dv, row)`, point by point, with gains and offsets eliminated.
     pub(crate) fn scores(
         points: &PointSet,
         right: &[&[f32]; CHANNELS_MAX],

@@ -1,8 +1,8 @@
 //! Which pixels of the left eye take part.
 
 use super::super::image_plane::PixelWindow;
-use super::super::region_pyramid::RegionLevel;
-use super::kernel::PointSet;
+use super::super::region_pyramid::{RegionLevel, is_seen};
+use super::kernel::{PointSet, TOUCHED, UNUSABLE};
 use super::prepare::EyeChannels;
 use crate::wide::LANES;
 
@@ -59,7 +59,7 @@ impl Selection {
         }
         let pixels = self.mask.iter_mut().zip(&self.inner).zip(level.support.iter().zip(&level.left.flags));
         for ((mask, inner), (support, flag)) in pixels {
-            *mask = (*mask + inner) * (support & u8::from(*flag == 0));
+            *mask = (*mask + inner) * (support & u8::from(is_seen(*flag)));
         }
         bounds(&self.mask, width)
     }
@@ -115,7 +115,8 @@ impl Selection {
                     if mask[x] != 0 {
                         let energy = left.planes[..channels].iter().map(|plane| {
                             let row = plane.row(y);
-                            (row[x + 1] - row[x - 1]).powi(2)
+                            let usable = row[x - 1].max(row[x]).max(row[x + 1]) < TOUCHED;
+                            if usable { (row[x + 1] - row[x - 1]).powi(2) } else { 0.0 }
                         });
                         self.candidates.push(Candidate {
                             x: x as u16,
@@ -155,11 +156,34 @@ impl PointSet {
         for (c, plane) in left.planes.iter().enumerate().take(channels) {
             let values = plane.values();
             let index = |at: &Candidate| usize::from(at.y) * width + usize::from(at.x);
-            refill(&mut self.value[c], candidates.iter().map(|at| values[index(at)]));
-            let across = |at: &Candidate| 0.5 * (values[index(at) + 1] - values[index(at) - 1]);
-            refill(&mut self.gradient_x[c], candidates.iter().map(across));
-            let down = |at: &Candidate| 0.5 * (values[index(at) + width] - values[index(at) - width]);
-            refill(&mut self.gradient_y[c], candidates.iter().map(down));
+            let smooth = |i: usize| (values[i - 1] + 4.0 * values[i] + values[i + 1]) * (1.0 / 6.0);
+            let derivatives = |at: &Candidate| {
+                let i = index(at);
+                let (above, below) = (smooth(i - width), smooth(i + width));
+                let worst = values[i - 1].max(values[i]).max(values[i + 1]).max(above).max(below);
+                match worst < TOUCHED {
+                    true => [
+                        smooth(i),
+                        0.5 * (values[i + 1] - values[i - 1]),
+                        0.5 * (below - above),
+                        values[i - 1] - 2.0 * values[i] + values[i + 1],
+                    ],
+                    false => [UNUSABLE, 0.0, 0.0, 0.0],
+                }
+            };
+            let lists = [&mut self.value[c], &mut self.gradient_x[c], &mut self.gradient_y[c], &mut self.curvature[c]];
+            let [value, gradient_x, gradient_y, curvature] = lists;
+            for list in [&mut *value, &mut *gradient_x, &mut *gradient_y, &mut *curvature] {
+                list.clear();
+                list.reserve(candidates.len());
+            }
+            for at in candidates {
+                let [v, x, y, xx] = derivatives(at);
+                value.push(v);
+                gradient_x.push(x);
+                gradient_y.push(y);
+                curvature.push(xx);
+            }
         }
     }
 
@@ -170,7 +194,8 @@ impl PointSet {
         }
         self.row_start.resize(length, 0);
         for c in 0..channels {
-            for values in [&mut self.value[c], &mut self.gradient_x[c], &mut self.gradient_y[c]] {
+            for values in [&mut self.value[c], &mut self.gradient_x[c], &mut self.gradient_y[c], &mut self.curvature[c]]
+            {
                 values.resize(length, 0.0);
             }
         }

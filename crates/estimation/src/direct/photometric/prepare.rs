@@ -1,46 +1,32 @@
-//! From the windows of a level to smooth channels.
+//! From raw images to the channels of one eye: red, green and blue of the part that is needed, smoothed, as coefficients of
+//! cubic splines along the rows.
+//!
+//! The channels are those of the sensor: each has a gain and a noise of its own, which a turn of the colours would mix. An
+//! image whose three channels are equal has one.
+//! A cubic spline (Unser, "Splines: a perfect fit for signal and image processing", 1999) costs as much per point as cubic
+//! convolution, but its errors of phase and the change of its noise between pixels are far smaller: where a whole region lies
+//! at one fraction of a pixel, as on a plane that faces the cameras, these errors do not cancel.
 
+use super::super::colour_planes::{ColourPlanes, SATURATED, UNSEEN, Wanted};
 use super::super::filters::{Smoother, Taps};
+use super::super::front_end::{Eye, StereoFrontEnd};
 use super::super::image_plane::{ImagePlane, PixelWindow};
-use super::super::region_pyramid::RegionLevel;
+use super::super::region_pyramid::{PyramidSource, RegionLevel};
+use super::super::row_offset::RowOffset;
+use super::super::row_shift::shift_rows;
 use super::kernel::{CHANNELS_MAX, UNUSABLE};
 use crate::cpu::Kernels;
 
-/// What a channel is made of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Channel {
-    /// Luminance, lightly smoothed.
-    Luminance,
-    /// Luminance, lightly smoothed, minus a smoother copy: free of shading.
-    Detail,
-    /// Red against green and blue, smoothed.
-    ChromaA,
-    /// Green against blue, smoothed.
-    ChromaB,
-}
-
-/// How channels are smoothed, pixels of the level.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Smoothing {
-    /// Standard deviation of the light smoothing.
-    pub light_px: f64,
-    /// Standard deviation of what is taken off for [`Channel::Detail`], on top of the light one.
-    pub wide_px: f64,
-}
-
-impl Smoothing {
-    /// Pixels around a point that take part in it.
-    pub fn reach_px(&self) -> usize {
-        Taps::gaussian(self.light_px, 0.5).radius() + Taps::gaussian(self.wide_px, 0.0).radius()
-    }
-}
+/// Of a pixel with a saturated channel, channels from this value on are not used, grey levels: interpolation may have taken
+/// some of the brightness away.
+const NEARLY_SATURATED_GREY: f32 = 240.0;
 
 /// The channels of one eye of one level.
 #[derive(Clone, Debug, Default)]
 pub(super) struct EyeChannels {
     /// Part of the level's window that the planes hold.
     pub part: PixelWindow,
-    /// A plane per channel, in the order asked for.
+    /// Spline coefficients along rows, one plane per channel; [`UNUSABLE`] where a channel can not be used.
     pub planes: [ImagePlane; CHANNELS_MAX],
 }
 
@@ -48,78 +34,160 @@ pub(super) struct EyeChannels {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Preparation {
     smoother: Smoother,
+    loaded: ColourPlanes,
+    unshifted: ColourPlanes,
     raw: ImagePlane,
-    light: ImagePlane,
-    wide: ImagePlane,
+    unusable: Vec<bool>,
+    /// Taken off the channels of both eyes to keep sums small, grey levels.
+    middle: [f32; CHANNELS_MAX],
 }
 
-/// Which eye, which part of it, and how.
-pub(super) struct Wish<'a> {
-    pub right: bool,
+/// The pair that the channels are made of.
+#[derive(Clone, Copy)]
+pub(super) struct Pair<'a> {
+    pub front_end: &'a StereoFrontEnd,
+    pub source: &'a PyramidSource<'a>,
+}
+
+/// Which part of an eye, and how.
+#[derive(Clone, Copy)]
+pub(super) struct Wish {
     /// Part of the level's window.
     pub part: PixelWindow,
-    /// The planes show what the window shows this many rows further down (at most half a pixel is meant).
-    pub row_shift: f64,
-    pub channels: &'a [Channel],
-    /// Taken off Y, A, B'.
-    pub levels: [f32; 3],
-    pub smoothing: Smoothing,
+    /// Standard deviation of the smoothing, pixels of the level.
+    pub smoothing_px: f64,
+}
+
+/// Pixels around a point that take part in it.
+pub(super) fn reach_px(smoothing_px: f64) -> usize {
+    Taps::spline(smoothing_px).radius()
 }
 
 impl Preparation {
-    /// Fills the channels of one eye.
-    pub fn prepare(&mut self, level: &RegionLevel, wish: &Wish<'_>, kernels: Kernels, out: &mut EyeChannels) {
-        let eye = if wish.right { &level.right } else { &level.left };
+    /// Fills the channels of the left eye and returns their number.
+    pub fn left(&mut self, pair: &Pair<'_>, level: &RegionLevel, wish: &Wish, out: &mut EyeChannels) -> usize {
+        let window = full_window(&level.left.window, &wish.part, level.scale);
+        pair.front_end.load(Eye::Left, pair.source.left, window, Wanted::Rgb, &mut self.loaded);
+        let [red, green, blue] = &self.loaded.planes;
+        let channels = if red == green && green == blue { 1 } else { CHANNELS_MAX };
+        for c in 0..channels {
+            self.middle[c] = mean(self.loaded.planes[c].values());
+        }
+        self.fill(level.scale, &window, wish, channels, pair.front_end.kernels(), out);
+        channels
+    }
+
+    /// Fills the channels of the right eye, its rows moved by the pair's row offset and `row_px` more.
+    pub fn right(
+        &mut self,
+        pair: &Pair<'_>,
+        level: &RegionLevel,
+        (wish, row_px): (&Wish, f64),
+        channels: usize,
+        out: &mut EyeChannels,
+    ) {
+        let (front, image) = (pair.front_end, pair.source.right);
+        let window = full_window(&level.right.window, &wish.part, level.scale);
+        let rows = RowOffset { offset_px: pair.source.rows.offset_px + row_px, ..pair.source.rows };
+        if rows.is_zero() {
+            front.load(Eye::Right, image, window, Wanted::Rgb, &mut self.loaded);
+        } else {
+            // The offset of the pair is small, or the search would not have found anything.
+            let margin = rows.magnitude_max_px(image.width(), image.height()).ceil().min(64.0) as u32 + 2;
+            let grown =
+                PixelWindow { x: window.x, width: window.width, ..window.grown(margin) }.clipped(u32::MAX, u32::MAX);
+            front.load(Eye::Right, image, grown, Wanted::Rgb, &mut self.unshifted);
+            shift_rows(&self.unshifted, &rows, front.kernels(), &mut self.loaded);
+        }
+        self.fill(level.scale, &window, wish, channels, front.kernels(), out);
+    }
+
+    /// Means over the pixels of a level, smoothed.
+    fn fill(
+        &mut self,
+        scale: usize,
+        window: &PixelWindow,
+        wish: &Wish,
+        channels: usize,
+        kernels: Kernels,
+        out: &mut EyeChannels,
+    ) {
         out.part = wish.part;
-        let rows = Taps::gaussian(wish.smoothing.light_px, 0.0);
-        let columns = Taps::gaussian(wish.smoothing.light_px, wish.row_shift);
-        let wide = Taps::gaussian(wish.smoothing.wide_px, 0.0);
-        let mut light_is_luminance = false;
-        for (channel, plane) in wish.channels.iter().zip(&mut out.planes) {
-            let source = match channel {
-                Channel::Luminance | Channel::Detail => 0,
-                Channel::ChromaA => 1,
-                Channel::ChromaB => 2,
-            };
-            if source != 0 || !light_is_luminance {
-                crop(&eye.planes[source], &wish.part, wish.levels[source], &mut self.raw);
-                self.smoother.smooth(&self.raw, &rows, &columns, &mut self.light, kernels);
-                light_is_luminance = source == 0;
+        let (along, across) = (Taps::spline(wish.smoothing_px), Taps::gaussian(wish.smoothing_px, 0.0));
+        for c in 0..channels {
+            let any = self.average(scale, window, &wish.part, c);
+            self.smoother.smooth(&self.raw, &along, &across, &mut out.planes[c], kernels);
+            if any {
+                mark_unusable(&self.unusable, &mut out.planes[c]);
             }
-            plane.resize(wish.part.width, wish.part.height);
-            plane.values_mut().copy_from_slice(self.light.values());
-            if *channel == Channel::Detail {
-                self.smoother.smooth(&self.light, &wide, &wide, &mut self.wide, kernels);
-                for (value, smooth) in plane.values_mut().iter_mut().zip(self.wide.values()) {
-                    *value -= smooth;
+        }
+    }
+
+    /// The means of a channel over squares of `scale` x `scale` pixels, and which of them can not be used; says whether any
+    /// is such.
+    fn average(&mut self, scale: usize, window: &PixelWindow, part: &PixelWindow, channel: usize) -> bool {
+        let loaded = &self.loaded;
+        let plane = &loaded.planes[channel];
+        self.raw.resize(part.width, part.height);
+        self.unusable.clear();
+        self.unusable.resize(part.width * part.height, false);
+        let skipped = ((window.x - loaded.window.x) as usize, (window.y - loaded.window.y) as usize);
+        let share = 1.0 / (scale * scale) as f32;
+        let mut any = false;
+        for y in 0..part.height {
+            let out = self.raw.row_mut(y);
+            let middle = self.middle[channel];
+            out.fill(-middle);
+            for v in 0..scale {
+                let row = skipped.1 + y * scale + v;
+                let values = &plane.row(row)[skipped.0..][..part.width * scale];
+                let flags = &loaded.flags[row * loaded.window.width + skipped.0..][..part.width * scale];
+                if scale == 1 {
+                    for (out, value) in out.iter_mut().zip(values) {
+                        *out = value - middle;
+                    }
+                } else {
+                    for (out, values) in out.iter_mut().zip(values.chunks_exact(scale)) {
+                        *out += share * values.iter().sum::<f32>();
+                    }
+                }
+                if flags.iter().all(|&flag| flag == 0) {
+                    continue;
+                }
+                any = true;
+                let unusable = &mut self.unusable[y * part.width..][..part.width];
+                for (at, (value, flag)) in values.iter().zip(flags).enumerate() {
+                    let saturated = flag & SATURATED != 0 && *value >= NEARLY_SATURATED_GREY;
+                    unusable[at / scale] |= saturated || flag & UNSEEN != 0;
                 }
             }
         }
-        if wish.right {
-            mark_unusable(&eye.flags, eye.window.width, &wish.part, &mut out.planes[0]);
-        }
+        any
     }
 }
 
-fn crop(source: &ImagePlane, part: &PixelWindow, level: f32, out: &mut ImagePlane) {
-    out.resize(part.width, part.height);
-    for y in 0..part.height {
-        let row = &source.row(part.y as usize + y)[part.x as usize..][..part.width];
-        for (out, value) in out.row_mut(y).iter_mut().zip(row) {
-            *out = value - level;
-        }
+/// A part of a level's window in full pixels.
+fn full_window(window: &PixelWindow, part: &PixelWindow, scale: usize) -> PixelWindow {
+    let s = scale as i32;
+    PixelWindow {
+        x: (window.x + part.x) * s,
+        y: (window.y + part.y) * s,
+        width: part.width * scale,
+        height: part.height * scale,
     }
 }
 
-/// Pixels with a flag, and their neighbours, which smoothing has touched.
-fn mark_unusable(flags: &[u8], stride: usize, part: &PixelWindow, plane: &mut ImagePlane) {
-    let (width, height) = (part.width, part.height);
-    for y in 0..height {
-        let row = &flags[(part.y as usize + y) * stride + part.x as usize..][..width];
-        if row.iter().all(|&flag| flag == 0) {
-            continue;
-        }
-        for (x, _) in row.iter().enumerate().filter(|(_, flag)| **flag != 0) {
+fn mean(values: &[f32]) -> f32 {
+    let step = (values.len() / 2000).max(1);
+    let (sum, count) = values.iter().step_by(step).fold((0.0, 0.0_f32), |(sum, count), v| (sum + v, count + 1.0));
+    if count > 0.0 { sum / count } else { 0.0 }
+}
+
+/// Marks pixels that can not be used, and their neighbours, which smoothing has touched.
+fn mark_unusable(unusable: &[bool], plane: &mut ImagePlane) {
+    let (width, height) = (plane.width(), plane.height());
+    for (y, row) in unusable.chunks_exact(width.max(1)).enumerate() {
+        for (x, _) in row.iter().enumerate().filter(|(_, unusable)| **unusable) {
             for v in y.saturating_sub(1)..(y + 2).min(height) {
                 plane.row_mut(v)[x.saturating_sub(1)..(x + 2).min(width)].fill(UNUSABLE);
             }

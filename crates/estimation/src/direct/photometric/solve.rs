@@ -1,6 +1,6 @@
-//! From sums to a step: gain and offset of every channel are eliminated, the channels added up.
+//! From sums to a step: the gain of every channel is eliminated (its offsets are already), the channels are added up.
 
-use nalgebra::{Matrix2, Matrix4, Matrix4x2, Vector2, Vector4};
+use nalgebra::{Matrix4, Vector4};
 
 use super::kernel::{CHANNELS_MAX, ChannelState, Projection, SUMS, Sums};
 
@@ -21,12 +21,16 @@ pub(super) struct Normal {
     parts: [Part; CHANNELS_MAX],
 }
 
-/// One channel's gain and offset.
+/// One channel's gain, and the offset about which residuals are weighted.
 #[derive(Clone, Copy, Debug, Default)]
 struct Part {
-    cross: Matrix4x2<f64>,
-    inverse: Matrix2<f64>,
-    slope: Vector2<f64>,
+    /// Of the logarithm of the gain: with the parameters, inverse of its own, and derivative.
+    cross: Vector4<f64>,
+    inverse: f64,
+    slope: f64,
+    /// How the sum of weighted residuals changes with the parameters and with the logarithm of the gain, that sum, and the
+    /// sum of weights: what moves the offset.
+    residual: (Vector4<f64>, f64, f64, f64),
     weight: f64,
 }
 
@@ -53,16 +57,16 @@ impl Normal {
                 s[2], s[4], s[5], -s[24], //
                 -s[22], -s[23], -s[24], s[25],
             );
-            let cross = Matrix4x2::new(-s[9], -s[12], -s[10], -s[13], -s[11], -s[14], s[26], s[27]);
+            let cross = Vector4::new(-s[9], -s[10], -s[11], s[26]);
             let log_gain = 2.0 * states[c].gain_root.ln();
             let prior = LOG_GAIN_SIGMA.powi(-2);
-            let shade = Matrix2::new(s[15] + prior, s[16], s[16], s[17] + 1e-9);
-            let inverse = shade.try_inverse().unwrap_or_else(Matrix2::zeros);
-            let slope = Vector2::new(s[18] + prior * log_gain, s[19]);
+            let inverse = 1.0 / (s[15].max(0.0) + prior);
+            let slope = s[18] + prior * log_gain;
             let taken = cross * inverse;
             normal.matrix += (own - taken * cross.transpose()) * (weights[c] * reliability(s));
             normal.slope += (Vector4::new(-s[6], -s[7], -s[8], s[28]) - taken * slope) * weights[c];
-            normal.parts[c] = Part { cross, inverse, slope, weight: weights[c] };
+            let residual = (Vector4::new(-s[12], -s[13], -s[14], s[27]), s[16], s[19], s[17] + 1e-9);
+            normal.parts[c] = Part { cross, inverse, slope, residual, weight: weights[c] };
         }
         normal
     }
@@ -70,11 +74,13 @@ impl Normal {
     /// Moves gains and offsets along with a step of the plane and the row offset.
     pub fn move_states(&self, step: &Vector4<f64>, channels: usize, states: &mut [ChannelState; CHANNELS_MAX]) {
         for (part, state) in self.parts.iter().zip(states).take(channels) {
-            let change = -(part.inverse * (part.slope + part.cross.transpose() * step));
-            if change.iter().all(|value| value.is_finite()) {
-                let root = state.gain_root * (0.5 * change.x.clamp(-1.0, 1.0)).exp();
+            let log_gain = -(part.inverse * (part.slope + part.cross.dot(step)));
+            let (by_step, by_gain, sum, weight) = &part.residual;
+            let offset = -(sum + by_step.dot(step) + by_gain * log_gain) / weight;
+            if log_gain.is_finite() && offset.is_finite() {
+                let root = state.gain_root * (0.5 * log_gain.clamp(-1.0, 1.0)).exp();
                 state.gain_root = root.clamp(GAIN_ROOT.0, GAIN_ROOT.1);
-                state.offset += change.y;
+                state.offset += offset;
             }
         }
     }
@@ -83,18 +89,14 @@ impl Normal {
     pub fn projections(&self) -> [Projection; CHANNELS_MAX] {
         self.parts.map(|part| {
             let taken = part.cross * part.inverse;
-            Projection {
-                weight: part.weight as f32,
-                mean: std::array::from_fn(|k| taken[(k, 0)] as f32),
-                one: std::array::from_fn(|k| taken[(k, 1)] as f32),
-            }
+            Projection { weight: part.weight as f32, mean: std::array::from_fn(|k| taken[k] as f32) }
         })
     }
 }
 
 /// Tukey's limit for the sum of squared normalised residuals of `channels` channels (95 % efficiency, Gaussian noise).
 pub(super) fn tukey_limit(channels: usize) -> f64 {
-    [4.685_f64, 5.123, 5.49, 5.82][channels.clamp(1, 4) - 1].powi(2)
+    [4.685_f64, 5.123, 5.49][channels.clamp(1, 3) - 1].powi(2)
 }
 
 /// What Tukey's weights do to Gaussian residuals.

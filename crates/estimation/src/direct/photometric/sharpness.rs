@@ -1,0 +1,67 @@
+//! By how much one eye is less sharp than the other.
+//!
+//! A Gaussian blur of variance `v` takes `v |grad (dI/dx)|^2` off the squared gradients `(dI/dx)^2`, to first order in `v`. In
+//! a texture without a direction `(d2I/dxdy)^2` is a third of `(d2I/dx2)^2`, so `v` is the difference of the squared gradients
+//! of both eyes over `4/3` of the squared second derivatives. The latter are taken as products of both eyes, which noise does
+//! not enlarge; noise adds to the squared gradients of both, equally where both are equally smoothed.
+
+use super::kernel::SharpnessSums;
+
+/// Squared gradients of all directions over those along columns, of second order.
+const ISOTROPY: f64 = 4.0 / 3.0;
+/// Smallest sum of second derivatives, in standard deviations of the differences that noise makes, that tells.
+const SURE: f64 = 2.5;
+/// Largest change that is believed at once, squared pixels.
+const CHANGE_MAX_PX2: f64 = 4.0;
+
+/// Standard deviations of the smoothing of both eyes, pixels.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sharpness {
+    pub left_px: f64,
+    pub right_px: f64,
+}
+
+impl Sharpness {
+    /// Variance of the blur of the smoothed right eye minus that of the smoothed left one, squared pixels; 0 where the
+    /// texture does not tell.
+    pub fn difference_px2(&self, sums: &SharpnessSums) -> f64 {
+        // Of white noise of variance 1 a Gaussian leaves the variance 1 / (4 pi s^2), and squared gradients 1 / (8 pi s^4).
+        let value = |s: f64| 1.0 / (4.0 * std::f64::consts::PI * s * s);
+        let slope = |s: f64| 1.0 / (8.0 * std::f64::consts::PI * s.powi(4));
+        let noise = value(self.left_px) + value(self.right_px);
+        let excess = sums.excess - sums.weight * (slope(self.right_px) - slope(self.left_px)) / noise;
+        // The squared gradients of noise scatter as much as they are; neighbours within the smoothing share theirs.
+        let per_point = (slope(self.left_px) + slope(self.right_px)) / noise;
+        let shared = (4.0 * std::f64::consts::PI * self.left_px * self.right_px).max(1.0);
+        let scatter = per_point * (2.0 * shared * sums.weight).sqrt();
+        if sums.curvature * BELIEVED_PX2 < SURE * scatter || sums.weight <= 0.0 {
+            return 0.0;
+        }
+        (-excess / (ISOTROPY * sums.curvature)).clamp(-CHANGE_MAX_PX2, CHANGE_MAX_PX2)
+    }
+}
+
+/// A difference as small as this should stand out of the noise, squared pixels.
+const BELIEVED_PX2: f64 = 0.5;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_small_blur_is_what_waves_lose() {
+        // Waves of many directions, seen sharp by the left eye and through a blur of variance v by the right one.
+        let (v, mut sums) = (0.2_f64, SharpnessSums { weight: 5000.0, ..SharpnessSums::default() });
+        for i in 0..360 {
+            let angle = f64::from(i).to_radians();
+            let k2 = 0.25;
+            let (kx2, kept) = (k2 * angle.cos().powi(2), (-0.5 * v * k2).exp());
+            sums.excess += 1e4 * kx2 * (kept * kept - 1.0);
+            sums.curvature += 1e4 * kx2 * kx2 * kept;
+        }
+        let equal = Sharpness { left_px: 0.5, right_px: 0.5 };
+        assert!((equal.difference_px2(&sums) - v).abs() < 0.02 * v, "{}", equal.difference_px2(&sums));
+        let blank = SharpnessSums { curvature: 10.0, ..sums };
+        assert_eq!(equal.difference_px2(&blank), 0.0);
+    }
+}
