@@ -18,5 +18,6 @@ pub mod row_measurement;
 pub mod row_offset;
 mod row_shift;
 pub mod search;
+mod surroundings;
 pub mod track;
 pub mod verdict;

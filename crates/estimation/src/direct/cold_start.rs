@@ -10,6 +10,7 @@ use super::patches::{PatchConfig, PatchOutcome, SUPPORTS, SlantedPatches};
 use super::photometric::{PlaneRefiner, RefineConfig, RefinedPlane};
 use super::region_pyramid::{LevelPlane, PyramidSource, RegionPyramid};
 use super::search::{PlaneSearch, PlaneSearchConfig};
+use super::surroundings::{self, Surroundings};
 use crate::cpu::Kernels;
 use crate::error::{EstimationError, check_range};
 
@@ -30,6 +31,9 @@ pub struct ColdStartConfig {
     pub patches: PatchConfig,
     /// The refinement.
     pub refine: RefineConfig,
+    /// A small region whose tilt is uncertain is refined together with what agrees with its plane up to so many pixels
+    /// around it, 0 to 16; 0: the region alone.
+    pub surroundings_px: usize,
 }
 
 impl Default for ColdStartConfig {
@@ -48,6 +52,7 @@ impl Default for ColdStartConfig {
                 calibration_sigma_px: CALIBRATION_SIGMA_PX,
                 ..RefineConfig::default()
             },
+            surroundings_px: 16,
         }
     }
 }
@@ -70,6 +75,8 @@ impl ColdStartConfig {
         area("direct.patches.area_max_px", self.patch_area_px)?;
         let share = self.quick_share_min;
         check_range("direct.search.quick_share_min", share, (0.0, 1.0), "must be between 0 and 1")?;
+        let (reach, reach_max) = (self.surroundings_px as f64, surroundings::REACH_MAX_PX as f64);
+        check_range("direct.refine.surroundings_px", reach, (0.0, reach_max), "must be between 0 and 16 pixels")?;
         self.search.validate()?;
         self.patches.validate()?;
         validate_refine(&self.refine)
@@ -155,6 +162,7 @@ pub struct ColdStart {
     search: PlaneSearch,
     patches: SlantedPatches,
     refiner: PlaneRefiner,
+    surroundings: Surroundings,
     surfaces: Vec<Surface>,
     masks: Vec<Vec<u8>>,
     searched: usize,
@@ -216,6 +224,10 @@ impl ColdStart {
             true => self.refiner.refine(front_end, source, &self.pyramid, &patch_plane),
             false => None,
         };
+        let refined = match refined {
+            Some(own) if may_continue() => Some(self.with_surroundings(own, front_end, source)),
+            _ => refined,
+        };
         let at_refined = refined.map(|refined| match self.is_settled(level, &patch_plane, &refined.plane) {
             true => finest,
             false => self.look(level, &refined.plane),
@@ -233,6 +245,26 @@ impl ColdStart {
             at_refined,
             plane_at_refined,
         })
+    }
+
+    /// The plane of a small region with what agrees around it, if that is known better; see [`super::surroundings`].
+    fn with_surroundings(
+        &mut self,
+        own: RefinedPlane,
+        front_end: &StereoFrontEnd,
+        source: &PyramidSource<'_>,
+    ) -> RefinedPlane {
+        let reach = self.config.surroundings_px.min(surroundings::REACH_MAX_PX);
+        let is_full_size = self.pyramid.levels().first().is_some_and(|level| level.scale == 1);
+        let is_small = is_full_size && self.pyramid.area_px() <= surroundings::AREA_MAX_PX;
+        if reach == 0 || !is_small || !surroundings::are_wanted(&own, front_end.geometry()) {
+            return own;
+        }
+        let level = &mut self.pyramid.levels_mut()[0];
+        let added = self.surroundings.extend(level, &own, reach);
+        let wide = if added > 0 { self.refiner.refine(front_end, source, &self.pyramid, &own.plane) } else { None };
+        self.surroundings.restore(&mut self.pyramid.levels_mut()[0]);
+        wide.filter(|wide| surroundings::replaces(wide, &own)).unwrap_or(own)
     }
 
     /// Looks at the patches around a plane.

@@ -14,6 +14,7 @@ use super::front_end::{Eye, StereoFrontEnd};
 use super::image_plane::PixelWindow;
 use super::row_offset::RowOffset;
 use super::row_shift::shift_rows;
+use super::surroundings;
 use crate::cpu::Kernels;
 use crate::region::{PixelBox, RegionMask};
 use crate::wide::wide;
@@ -24,6 +25,8 @@ pub const LEVELS_MAX: usize = 6;
 const HALVED_FROM_PX: usize = 600;
 /// Pixels of the search level that the windows reach over the region: half a patch and a filter.
 const MARGIN_PX: u32 = 10;
+/// Pixels that the windows reach over a small region, whose surroundings may help.
+const SURROUNDINGS_PX: u32 = (surroundings::REACH_MAX_PX + surroundings::MARGIN_PX) as u32;
 
 /// What a pyramid is made of.
 #[derive(Clone, Copy, Debug)]
@@ -210,7 +213,8 @@ impl RegionPyramid {
         finest: usize,
         count: usize,
     ) -> [PixelWindow; 2] {
-        let margin = i64::from(MARGIN_PX << (finest + self.search_level));
+        let around = if self.area_px <= surroundings::AREA_MAX_PX { SURROUNDINGS_PX } else { 0 };
+        let margin = i64::from((MARGIN_PX << (finest + self.search_level)).max(around));
         let grid = 1_i64 << (finest + count - 1);
         let b = self.box_px;
         let size = front_end.size(Eye::Left);

@@ -55,6 +55,7 @@ struct RefineSection {
     place_sigma_px: f64,
     row_sigma_px: f64,
     calibration_sigma_px: f64,
+    surroundings_px: i64,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -96,6 +97,7 @@ impl DirectSection {
                 search: self.search.build(&format!("{key}.search"), defaults.search, check),
                 patches: self.patches.build(&format!("{key}.patches"), defaults.patches, check),
                 refine: self.refine.build(&format!("{key}.refine"), defaults.refine, check),
+                surroundings_px: whole(self.refine.surroundings_px),
             },
             verdict: self.status.build(&format!("{key}.status"), check),
             track: self.tracker.build(&format!("{key}.tracker"), check),
@@ -150,6 +152,7 @@ impl RefineSection {
         check.number(&format!("{key}.place_sigma_px"), self.place_sigma_px, 0.0..=2.0);
         check.number(&format!("{key}.row_sigma_px"), self.row_sigma_px, 0.0..=5.0);
         check.number(&format!("{key}.calibration_sigma_px"), self.calibration_sigma_px, 0.0..=5.0);
+        check.count(&format!("{key}.surroundings_px"), self.surroundings_px, 0..=16);
         RefineConfig {
             area_max_px: whole(self.area_max_px),
             points_max: whole(self.points_max),
