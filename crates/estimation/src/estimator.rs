@@ -43,6 +43,11 @@ impl Method {
         }
     }
 
+    /// Whether it follows a target through a sequence: [`Tracker::new`].
+    pub fn tracks(self) -> bool {
+        self != Self::RmgaPhotometric
+    }
+
     /// Whether its tracker recovers the surface of the target: [`Tracker::surface`].
     pub fn recovers_surface(self) -> bool {
         self == Self::Direct

@@ -14,7 +14,7 @@ pub struct DirectVerdictConfig {
     /// `ambiguous`. 0 to 1. Default 0.85.
     pub alias_score_max: f64,
     /// Another surface with this share of the number of pixels of the first makes the answer `ambiguous`. 0 to 1.
-    /// Default 0.9.
+    /// Default 0.65.
     pub second_share_max: f64,
     /// Largest standard deviation of the normal, degrees; above: `weak-tilt`. 0 to 90. Default 5.
     pub normal_sigma_max_deg: f64,
@@ -22,7 +22,7 @@ pub struct DirectVerdictConfig {
 
 impl Default for DirectVerdictConfig {
     fn default() -> Self {
-        Self { support_min: 0.3, alias_score_max: 0.85, second_share_max: 0.9, normal_sigma_max_deg: 5.0 }
+        Self { support_min: 0.3, alias_score_max: 0.85, second_share_max: 0.65, normal_sigma_max_deg: 5.0 }
     }
 }
 
