@@ -89,7 +89,7 @@ impl Args {
     }
 
     fn is_full(&self) -> bool {
-        !self.quick && self.only.is_empty() && self.methods.is_empty() && self.poses.is_none()
+        !self.quick && self.only.is_empty() && self.methods.is_empty()
     }
 
     fn sequences(&self) -> Vec<SequenceSpec> {

@@ -68,7 +68,7 @@ pub struct MethodArgs {
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
     /// Depths to search, millimetres; overrides what a case or sequence says.
-    #[arg(long, value_name = "MIN,MAX", value_parser = parse_z_range)]
+    #[arg(long, value_name = "MIN,MAX", value_parser = parse_z_range, allow_hyphen_values = true)]
     pub z_range: Option<ZRange>,
     /// Largest tilt to search, degrees; overrides what a case or sequence says.
     #[arg(long, value_name = "DEGREES", value_parser = parse_tilt)]

@@ -245,6 +245,10 @@ impl DirectEstimator {
         let margin_m = END_OF_RANGE_SHARE * (range.z_max_m - range.z_min_m);
         if pose.z_m < range.z_min_m + margin_m || pose.z_m > range.z_max_m - margin_m {
             estimate.warnings.push(EstimateWarning::EndOfRange { z_mm: 1000.0 * pose.z_m });
+            if estimate.status.depth_is_sure() {
+                estimate.status = Status::Ambiguous;
+                estimate.reason.push_str(", but it lies at the end of the depth range: the target may lie beyond");
+            }
         }
         // What is exactly at the limit may be found a little beyond it.
         if !TiltLimits::new(range).allow(&view.inverse_depth_plane(&plane)) {

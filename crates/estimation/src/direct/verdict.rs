@@ -99,6 +99,9 @@ pub(super) fn judge(
                 limits.normal_sigma_max_deg
             ),
         ),
-        None => say(Status::WeakTilt, format!("{agreed}, but too few pixels have texture to refine the tilt")),
+        None => say(
+            Status::WeakTilt,
+            format!("{agreed}, but the tilt was not refined: too few pixels with texture, or no time"),
+        ),
     }
 }

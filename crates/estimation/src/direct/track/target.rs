@@ -71,11 +71,25 @@ pub(super) struct Target {
     pub(super) motion: Motion,
     pub(super) frame: u64,
     pub(super) lost_frames: u32,
+    /// Time since the target was last found, seconds.
+    pub(super) away_s: f64,
     pub(super) outline_in_model: Vec<Point3<f64>>,
     pub(super) covariance: Option<Matrix6<f64>>,
     pub(super) fit: Fit,
     reference: [[f32; CHANNELS]; TERMS],
 }
+
+/// A lost target is not believed to have gone farther than this, and this much per second more.
+const REACH_M: f64 = 0.05;
+const SPEED_MAX_M_PER_S: f64 = 2.0;
+const REACH_RAD: f64 = 0.35;
+const SPEED_MAX_RAD_PER_S: f64 = 6.0;
+/// Within this of where it is expected a target need not be seen more clearly than noise allows; elsewhere both images must
+/// correlate with the view by at least this, and show it at this share of its points.
+const NEAR_M: f64 = 0.02;
+const NEAR_RAD: f64 = 0.15;
+const AFAR_CORRELATION_MIN: f64 = 0.75;
+const AFAR_INLIERS_MIN: f64 = 0.65;
 
 /// How a frame ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -86,6 +100,8 @@ pub(super) enum Ending {
     Misfit(Misfit),
     /// Too little of the target is in sight to say anything.
     OutOfSight,
+    /// What resembles the target is farther from where it was than it can have moved, or resembles it too little for that.
+    OutOfReach,
 }
 
 impl Target {
@@ -117,6 +133,7 @@ impl Target {
             motion: Motion::resting(pose),
             frame: 0,
             lost_frames: 0,
+            away_s: 0.0,
             outline_in_model,
             covariance: None,
             fit: Fit::default(),
@@ -302,7 +319,7 @@ impl Target {
         } else {
             self.motion.learn(&pose, prior);
         }
-        self.lost_frames = 0;
+        (self.lost_frames, self.away_s) = (0, 0.0);
         self.views[self.view].last_used = self.frame;
         if self.fits_well() && self.nearest_view(&pose, frame.config).1 > 1.0 {
             self.keep_view(frame, true);
@@ -359,16 +376,31 @@ impl Target {
             self.estimate = before;
             if let Some(equations) = self.attempt(&rough, StartLevel::Resembling, frame, may_continue) {
                 match self.fit.misfit(&self.limits(frame.config)) {
-                    None => {
+                    None if self.can_be_there(predicted) => {
                         self.conclude(&equations, false);
                         return Ending::Found;
                     }
+                    None => ending = Ending::OutOfReach,
                     Some(misfit) => ending = Ending::Misfit(misfit),
                 }
             }
         }
         self.estimate = before;
         ending
+    }
+
+    /// Whether the target can have come from `expected` to its estimate since it was last found; and where it is not near
+    /// that place, whether it is seen clearly: noise must not be the excuse for a poor correlation there.
+    fn can_be_there(&self, expected: &Pose<CamLeft, Model>) -> bool {
+        let found = &self.estimate.cam_left_from_model;
+        let way_m = (found.translation_m() - expected.translation_m()).norm();
+        let turn_rad = found.rotation().angle_to(&expected.rotation());
+        let is_near = way_m <= NEAR_M && turn_rad <= NEAR_RAD;
+        let is_within_reach = way_m <= REACH_M + SPEED_MAX_M_PER_S * self.away_s
+            && turn_rad <= REACH_RAD + SPEED_MAX_RAD_PER_S * self.away_s;
+        let is_clear = self.fit.correlation.iter().all(|&value| value >= AFAR_CORRELATION_MIN)
+            && self.fit.inlier_share.iter().all(|&share| share >= AFAR_INLIERS_MIN);
+        is_near || is_within_reach && is_clear
     }
 
     /// A few steps at coarse levels: a place that then does not resemble the target is not worth more.

@@ -27,6 +27,8 @@ use crate::status::Status;
 /// Margins of the windows about the predicted target, pixels: with a velocity known, and without.
 const MARGIN_PX: u32 = 24;
 const MARGIN_UNSURE_PX: u32 = 48;
+/// Time between frames where the caller does not tell it, seconds.
+const USUAL_INTERVAL_S: f64 = 1.0 / 30.0;
 /// Margin at the start: the relief may reach beyond the plane's outline in the right image.
 const MARGIN_START_PX: u32 = 40;
 
@@ -273,7 +275,16 @@ impl DirectTracker {
             estimate.reason.push_str("the start found no target to follow: mark it again");
             return Ok(());
         };
-        let ending = self.follow(&mut target, left, right, prior, may_continue);
+        let mut was_stopped = false;
+        let mut ask = || {
+            was_stopped = was_stopped || !may_continue();
+            !was_stopped
+        };
+        let ending = self.follow(&mut target, left, right, prior, &mut ask);
+        if was_stopped {
+            // The equations of a pose that has not come to rest say how sure one that has would be.
+            target.covariance = None;
+        }
         self.target = Some(target);
         self.report(ending, estimate);
         Ok(())
@@ -302,6 +313,7 @@ impl DirectTracker {
         }
         if ending != Ending::Found {
             target.lost_frames = target.lost_frames.saturating_add(1);
+            target.away_s += prior.dt_s.filter(|dt| dt.is_finite()).map_or(USUAL_INTERVAL_S, |dt| dt.max(0.0));
             if may_continue() {
                 let whole = |image: &RgbImage| PixelWindow {
                     x: 0,
@@ -368,6 +380,12 @@ impl DirectTracker {
         let _ = match ending {
             Ending::Misfit(misfit) => write!(out.reason, "{misfit}"),
             Ending::OutOfSight => write!(out.reason, "the target is not in sight of both cameras"),
+            Ending::OutOfReach => {
+                write!(
+                    out.reason,
+                    "what resembles the target is too far from where it was, or too unlike it to be believed there"
+                )
+            }
             Ending::Found => Ok(()),
         };
         out.status = Status::Lost;
