@@ -94,6 +94,25 @@ fn the_same_pair_gives_the_same_answer_after_another() {
     assert_eq!(estimator.estimate(&left, &right, &region, &range()).unwrap(), first);
 }
 
+/// A target at the end of the range may lie beyond it.
+#[test]
+fn an_answer_at_the_end_of_the_range_is_ambiguous() {
+    let rig = scene::rectified_rig(SIZE);
+    let scene =
+        Scene { centre_px: Vector2::new(352.0, 236.0), z_m: 0.5, theta_x_rad: 0.2, theta_y_rad: -0.3, noise: 3.0 };
+    let (left, right) = scene.render(&rig);
+    let region = region_of(&RegionMask::from_fn(SIZE, |u, v| scene.sees_disc(&rig, u, v)));
+    let found = |z_max_m: f64| {
+        let mut estimator = DirectEstimator::new(&rig, DirectConfig::default()).unwrap();
+        estimator.estimate(&left, &right, &region, &SearchRange::new(0.35, z_max_m, 1.0).unwrap()).unwrap()
+    };
+    let within = found(0.8);
+    assert_eq!(within.status, Status::Ok, "{}", within.reason);
+    let near_the_end = found(within.pose.unwrap().z_m + 1e-4);
+    assert_eq!(near_the_end.status, Status::Ambiguous, "{}", near_the_end.reason);
+    assert!(near_the_end.reason.ends_with("the target may lie beyond"), "{}", near_the_end.reason);
+}
+
 /// A region that is wrong in itself is told of, and so is an answer that the range should not have let through.
 #[test]
 fn warnings_tell_of_the_region_and_of_tilts_beyond_the_range() {
