@@ -2,11 +2,10 @@
 //! answer.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
+#[path = "support/counting.rs"]
+mod counting;
 #[path = "support/plane_pair.rs"]
 mod plane_pair;
-
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 
 use nalgebra::Vector2;
 use pb3dp_estimation::direct::estimator::{DirectConfig, DirectEstimator};
@@ -14,41 +13,6 @@ use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_estimation::region::Region;
 use pb3dp_estimation::status::Status;
 use plane_pair::{Paint, Setup, Texture, render};
-
-/// The system's allocator, adding up what this thread asks for.
-struct Counting;
-
-thread_local! {
-    static BYTES: Cell<usize> = const { Cell::new(0) };
-}
-
-fn count(bytes: usize) {
-    // A thread that is ending has nothing left to count.
-    let _ = BYTES.try_with(|sum| sum.set(sum.get() + bytes));
-}
-
-// SAFETY: every call is passed on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count(layout.size());
-        // SAFETY: the caller's promise.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        count(size);
-        // SAFETY: the caller's promise.
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 /// The words of an answer, and the crossings of a row with a polygon.
 const WORDS_MAX: usize = 1500;
@@ -70,9 +34,9 @@ fn a_later_estimate_asks_for_the_words_of_its_answer_only() {
         estimator.estimate(&pair.left, &pair.right, region, &range).unwrap();
     }
     for (region, first) in regions.iter().zip(&first) {
-        let before = BYTES.get();
+        let before = counting::bytes();
         let second = estimator.estimate(&pair.left, &pair.right, region, &range).unwrap();
-        let bytes = BYTES.get() - before;
+        let bytes = counting::bytes() - before;
         assert!(bytes < WORDS_MAX, "{bytes} bytes: {}", second.reason);
         assert_eq!(first, &second);
     }

@@ -1,51 +1,15 @@
 //! A tracked frame of the direct method does not allocate, nor does a lost one.
 #![allow(clippy::expect_used, reason = "inputs that are valid")]
 
+#[path = "support/counting.rs"]
+mod counting;
 #[path = "support/moving_plane.rs"]
 mod moving_plane;
-
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 
 use moving_plane::{Shot, moving, plane, rectified_rig, region, render};
 use pb3dp_estimation::direct::estimator::DirectConfig;
 use pb3dp_estimation::direct::track::{DirectTracker, FramePrior};
 use pb3dp_estimation::status::Status;
-
-/// The system's allocator, counting what this thread asks for.
-struct Counting;
-
-thread_local! {
-    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
-}
-
-fn count_one() {
-    // A thread that is ending has nothing left to count.
-    let _ = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
-}
-
-// SAFETY: every call is passed on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count_one();
-        // SAFETY: the caller's promise.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        count_one();
-        // SAFETY: the caller's promise.
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 #[test]
 fn frames_do_not_allocate() {
@@ -63,9 +27,9 @@ fn frames_do_not_allocate() {
     estimate.reason.reserve(400);
     let mut counts = Vec::with_capacity(frames.len());
     for (left, right) in &frames[1..] {
-        let before = ALLOCATIONS.get();
+        let before = counting::requests();
         tracker.update_into(left, right, &prior, &mut || true, &mut estimate).expect("update");
-        counts.push((estimate.status, ALLOCATIONS.get() - before));
+        counts.push((estimate.status, counting::requests() - before));
     }
     assert!(counts.iter().any(|(status, _)| *status == Status::Ok));
     assert!(counts.iter().any(|(status, _)| *status == Status::Lost));

@@ -1,11 +1,10 @@
 //! The steady-state frame loop does not allocate: conversion, model, preparation, search.
 #![allow(clippy::expect_used, reason = "inputs that are valid")]
 
+#[path = "support/counting.rs"]
+mod counting;
 #[path = "support/scene.rs"]
 mod scene;
-
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 
 use nalgebra::Vector2;
 use pb3dp_estimation::cpu::Kernels;
@@ -18,41 +17,6 @@ use pb3dp_estimation::search::exhaustive;
 use pb3dp_estimation::search::rmga::{Population, RmGa, RmGaConfig};
 use pb3dp_geometry::{ImageSize, StereoRig};
 use scene::Scene;
-
-/// The system's allocator, counting what this thread asks for.
-struct Counting;
-
-thread_local! {
-    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
-}
-
-fn count_one() {
-    // A thread that is ending has nothing left to count.
-    let _ = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
-}
-
-// SAFETY: every call is passed on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count_one();
-        // SAFETY: the caller's promise.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        count_one();
-        // SAFETY: the caller's promise.
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 const SIZE: ImageSize = ImageSize { width: 320, height: 240 };
 
@@ -81,10 +45,10 @@ fn check(rig: &StereoRig, unseen: Unseen) {
             best
         };
         frame();
-        let before = ALLOCATIONS.get();
+        let before = counting::requests();
         assert!(frame().is_scored());
         frame();
-        assert_eq!(ALLOCATIONS.get() - before, 0, "{}", kernels.set().name());
+        assert_eq!(counting::requests() - before, 0, "{}", kernels.set().name());
     }
 }
 

@@ -1,11 +1,10 @@
 //! The refinement of a plane does not allocate once it has seen a region of the size.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
+#[path = "support/counting.rs"]
+mod counting;
 #[path = "support/plane_pair.rs"]
 mod plane_pair;
-
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 
 use pb3dp_estimation::cpu::Kernels;
 use pb3dp_estimation::direct::colour_planes::Wanted;
@@ -16,41 +15,6 @@ use pb3dp_estimation::direct::region_pyramid::{PyramidSource, RegionPyramid};
 use pb3dp_estimation::direct::row_offset::RowOffset;
 use pb3dp_estimation::region::RegionMask;
 use plane_pair::{Paint, SIZE, Setup, Texture, render};
-
-/// The system's allocator, counting what this thread asks for.
-struct Counting;
-
-thread_local! {
-    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
-}
-
-fn count_one() {
-    // A thread that is ending has nothing left to count.
-    let _ = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
-}
-
-// SAFETY: every call is passed on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count_one();
-        // SAFETY: the caller's promise.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        count_one();
-        // SAFETY: the caller's promise.
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 #[test]
 fn a_second_refinement_allocates_nothing() {
@@ -74,8 +38,8 @@ fn a_second_refinement_allocates_nothing() {
     let start = DisparityPlane { d0_px: truth.d0_px + 0.4, ..truth };
     let mut refiner = PlaneRefiner::new(RefineConfig::default(), Kernels::best());
     let first = refiner.refine(&front_end, &source, &pyramid, &start).unwrap();
-    let before = ALLOCATIONS.get();
+    let before = counting::requests();
     let second = refiner.refine(&front_end, &source, &pyramid, &start).unwrap();
-    assert_eq!(ALLOCATIONS.get() - before, 0);
+    assert_eq!(counting::requests() - before, 0);
     assert_eq!(first, second);
 }
