@@ -45,10 +45,10 @@ pub struct RunArgs {
     #[arg(long, value_name = "DIR", default_value = "out/run")]
     pub out: PathBuf,
     /// Another seed than the configuration's.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = parse_seed, allow_hyphen_values = true)]
     pub seed: Option<u64>,
     /// End after this many seconds of the experiment.
-    #[arg(long, value_name = "SECONDS", value_parser = parse_seconds)]
+    #[arg(long, value_name = "SECONDS", value_parser = parse_seconds, allow_hyphen_values = true)]
     pub stop_after: Option<f64>,
     /// Also write every stereo pair with its truth as a sequence folder, for `pb3dp track`.
     #[arg(long, value_name = "DIR")]
@@ -65,16 +65,16 @@ pub struct MethodArgs {
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Another seed than the configuration's.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = parse_seed, allow_hyphen_values = true)]
     pub seed: Option<u64>,
     /// Depths to search, millimetres; overrides what a case or sequence says.
     #[arg(long, value_name = "MIN,MAX", value_parser = parse_z_range, allow_hyphen_values = true)]
     pub z_range: Option<ZRange>,
     /// Largest tilt to search, degrees; overrides what a case or sequence says.
-    #[arg(long, value_name = "DEGREES", value_parser = parse_tilt)]
+    #[arg(long, value_name = "DEGREES", value_parser = parse_tilt, allow_hyphen_values = true)]
     pub tilt_max: Option<f64>,
     /// Give the best answer so far once a pair has taken this much time, milliseconds; the reason tells of it.
-    #[arg(long, value_name = "MS", value_parser = parse_deadline)]
+    #[arg(long, value_name = "MS", value_parser = parse_deadline, allow_hyphen_values = true)]
     pub deadline: Option<f64>,
     /// One JSON object per line on standard output instead of a table.
     #[arg(long)]
@@ -183,6 +183,10 @@ fn parse_z_range(text: &str) -> Result<ZRange, String> {
     }
 }
 
+fn parse_seed(text: &str) -> Result<u64, String> {
+    text.parse().map_err(|_| format!("{text:?} is not a whole number from 0 to {}", u64::MAX))
+}
+
 fn parse_seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(seconds) if (0.0..=1e6).contains(&seconds) => Ok(seconds),
@@ -223,6 +227,7 @@ mod tests {
         assert!(
             ["nan", "-1", "inf", "x"].iter().all(|bad| parse_seconds(bad).is_err()) && parse_seconds("2.5") == Ok(2.5)
         );
+        assert!(["-1", "1.5", "x", ""].iter().all(|bad| parse_seed(bad).is_err()) && parse_seed("7") == Ok(7));
         assert!(["85.01", "-1", "nan", "x"].iter().all(|bad| parse_tilt(bad).is_err()) && parse_tilt("45") == Ok(45.0));
     }
 

@@ -14,7 +14,7 @@ use pb3dp_estimation::search::rmga::{Mutation, RmGaConfig};
 use serde::Deserialize;
 
 use super::direct::DirectSection;
-use super::load::{Checker, ConfigError, read_toml, whole};
+use super::load::{Checker, ConfigError, FileKind, read_toml, whole};
 use super::rmga_photometric::RmgaPhotometricSection;
 
 /// The whole file `configs/estimator.toml`.
@@ -31,7 +31,7 @@ struct EstimatorFile {
 /// # Errors
 /// An unreadable file, unknown or missing keys, values out of range; the error names file, key and what is allowed.
 pub fn read_estimator(file: &Path) -> Result<EstimatorConfig, ConfigError> {
-    let raw: EstimatorFile = read_toml(file)?;
+    let raw: EstimatorFile = read_toml(file, FileKind::Estimator)?;
     let mut check = Checker::default();
     let published = raw.published.build("published", &mut check);
     let rmga_photometric = raw.rmga_photometric.build("rmga_photometric", &published, &mut check);

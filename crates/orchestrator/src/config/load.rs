@@ -21,6 +21,14 @@ pub enum ConfigError {
         #[source]
         source: std::io::Error,
     },
+    /// The file is the other kind of configuration.
+    #[error("configuration {file}: this is {found}, but {wanted} is needed here", file = file.display(), found = wanted.other())]
+    OtherKind {
+        /// The file.
+        file: PathBuf,
+        /// What it should be.
+        wanted: FileKind,
+    },
     /// Keys are unknown, missing or of the wrong type. One line per key.
     #[error("configuration {file}:\n{lines}", file = file.display())]
     Keys {
@@ -39,14 +47,53 @@ pub enum ConfigError {
     },
 }
 
-/// Reads `file` into the raw struct `T`, whose fields must match the file's keys exactly.
+/// What a configuration file is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FileKind {
+    /// Parameters of the estimators, for `pb3dp estimate` and `pb3dp track`.
+    Estimator,
+    /// A whole setup, for `pb3dp run`.
+    Setup,
+}
+
+impl FileKind {
+    fn other(self) -> Self {
+        match self {
+            Self::Estimator => Self::Setup,
+            Self::Setup => Self::Estimator,
+        }
+    }
+
+    /// A table that this kind has, and the other has not.
+    fn own_table(self) -> &'static str {
+        match self {
+            Self::Estimator => "published",
+            Self::Setup => "arms",
+        }
+    }
+}
+
+impl std::fmt::Display for FileKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Estimator => "a file of estimator parameters (as configs/estimator.toml)",
+            Self::Setup => "a setup of `pb3dp run` (as configs/sim.toml)",
+        })
+    }
+}
+
+/// Reads `file`, which should be of the kind `wanted`, into the raw struct `T`, whose fields must match the file's keys exactly.
 ///
 /// # Errors
-/// An unreadable file, bad TOML, unknown or missing keys, wrong types.
-pub fn read_toml<T: DeserializeOwned>(file: &Path) -> Result<T, ConfigError> {
+/// An unreadable file, bad TOML, a file of the other kind, unknown or missing keys, wrong types.
+pub fn read_toml<T: DeserializeOwned>(file: &Path, wanted: FileKind) -> Result<T, ConfigError> {
     let text =
         std::fs::read_to_string(file).map_err(|source| ConfigError::Unreadable { file: file.to_path_buf(), source })?;
-    Figment::from(Toml::string(&text)).extract().map_err(|errors| {
+    let figment = Figment::from(Toml::string(&text));
+    figment.extract().map_err(|errors| {
+        if figment.find_value(wanted.other().own_table()).is_ok() {
+            return ConfigError::OtherKind { file: file.to_path_buf(), wanted };
+        }
         let mut lines = String::new();
         for error in errors {
             let _ = writeln!(lines, "  {}", describe(&error));
@@ -165,7 +212,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("x.toml");
         std::fs::write(&file, text).unwrap();
-        match read_toml::<Sample>(&file) {
+        match read_toml::<Sample>(&file, FileKind::Setup) {
             Ok(sample) => format!("ok {}", sample.camera.rate_hz),
             Err(error) => error.to_string(),
         }
@@ -185,6 +232,18 @@ mod tests {
         assert!(wrong.contains("camera.rate_hz") && wrong.contains("fast"), "{wrong}");
         let syntax = message("[camera\n");
         assert!(syntax.contains("x.toml"), "{syntax}");
+    }
+
+    #[test]
+    fn a_file_of_the_other_kind_is_named() {
+        let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        for (file, wanted, parts) in [
+            ("configs/sim.toml", FileKind::Estimator, ["sim.toml: this is a setup", "configs/estimator.toml"]),
+            ("configs/estimator.toml", FileKind::Setup, ["estimator.toml: this is a file of est", "configs/sim.toml"]),
+        ] {
+            let text = read_toml::<Sample>(&repository.join(file), wanted).map(|_| ()).unwrap_err().to_string();
+            assert!(parts.iter().all(|part| text.contains(part)), "{text}");
+        }
     }
 
     #[test]

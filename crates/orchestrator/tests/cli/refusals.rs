@@ -128,6 +128,8 @@ fn arguments_are_checked_before_anything_is_read() {
     for bad in ["350", "650,350", "-1,5", "a,b", "0,100"] {
         with(&[&format!("--z-range={bad}")]).assert_refused(&["MIN,MAX", "millimetres"]);
     }
+    with(&["--seed", "-1"]).assert_refused(&["-1", "whole number from 0"]);
+    with(&["--deadline", "-1"]).assert_refused(&["-1", "milliseconds"]);
     with(&["--tilt-max", "95"]).assert_refused(&["95", "85 degrees"]);
     with(&["--left", "l.png"]).assert_refused(&["--cases", "--left"]);
     pb3dp(&words(&[&"estimate", &"--left", &"l.png"])).assert_refused(&["--right", "--calib", "--region"]);
@@ -149,6 +151,9 @@ fn configurations_are_refused_with_file_key_and_what_is_allowed() {
     let far = run(&replaced(&good, "hue_tolerance_deg = 20.0\nunseen", "hue_tolerance_deg = 200.0\nunseen"));
     far.assert_refused(&["mine.toml", "published.fitness.hue_tolerance_deg = 200", "0 to 180"]);
     run("[published\n").assert_refused(&["mine.toml"]);
+    let setup = repository().join("configs/sim.toml");
+    pb3dp(&words(&[&"estimate", &"--cases", &real_cases(), &"--config", &setup]))
+        .assert_refused(&["sim.toml: this is a setup of `pb3dp run`", "configs/estimator.toml"]);
     pb3dp(&words(&[&"estimate", &"--cases", &real_cases(), &"--config", &dir.path().join("none.toml")]))
         .assert_refused(&["none.toml"]);
 }

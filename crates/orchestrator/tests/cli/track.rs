@@ -222,7 +222,7 @@ fn several_targets_are_told_apart_and_do_not_disturb_each_other() {
         let off_mm = (0..3).map(|k| (way(k) - STEP_MM[k] * i as f64).powi(2)).sum::<f64>().sqrt();
         assert!(off_mm < 0.5, "frame {i}: the second target is off by {off_mm} mm");
     }
-    assert!(overlay.join("frame_0006.png").exists());
+    assert!(overlay.join("frame_0006.png").exists() && both.stderr.contains("motion of target 0 since"));
     let refused = pb3dp(&words(&[&"track", &"--sequence", &sequence, &"--region", &"rect:5,5,3,3", &"--json"]));
     refused.assert_refused(&["frame 0, target 1", "region"]);
 }
@@ -244,10 +244,16 @@ fn the_surface_of_a_flat_card_is_a_flat_coloured_cloud() {
 
     let refused = pb3dp(&words(&[&"track", &"--method", &"published", &"--sequence", &sequence, &"--surface", &file]));
     refused.assert_refused(&["--surface", "published", "--method direct"]);
+    // Before any frame is worked on.
+    for (bad, why) in [(dir.path().to_path_buf(), "is a folder"), (file.join("a.ply"), "can not be written")] {
+        let refused = pb3dp(&words(&[&"track", &"--sequence", &sequence, &"--surface", &bad, &"--json"]));
+        refused.assert_refused(&["--surface", why]);
+        assert_eq!(refused.stdout, "");
+    }
     let region = &"rect:300,200,60,50";
-    let two = dir.path().join("two.ply");
+    let two = dir.path().join("new/two.ply");
     pb3dp(&words(&[&"track", &"--sequence", &sequence, &"--surface", &two, &"--region", region])).assert_success();
-    assert!(!vertices(&dir.path().join("two-0.ply")).is_empty() && !vertices(&dir.path().join("two-1.ply")).is_empty());
+    assert!(["new/two-0.ply", "new/two-1.ply"].iter().all(|name| !vertices(&dir.path().join(name)).is_empty()));
     assert!(!two.exists());
 }
 

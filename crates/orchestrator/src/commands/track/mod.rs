@@ -34,6 +34,9 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         bail!("--surface: the method {method} recovers no surface: use --method {}", Method::Direct);
     }
     let sequence = load_sequence(&args.sequence)?;
+    if let Some(file) = &args.surface {
+        surface::check_writable(file)?;
+    }
     if !sequence.other_keys.is_empty() {
         tracing::warn!("sequence.json has keys that are not known and not used: {}", sequence.other_keys.join(", "));
     }
@@ -83,7 +86,8 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
 fn report(sequence: &Sequence, walk: &Walk) {
     let mut text = String::new();
     if let (Some(truth), Some(target)) = (&sequence.cam_left_from_model, walk.targets().first()) {
-        text += "\nErrors of the motion since the first frame with a pose:\n";
+        let of = if walk.targets().len() > 1 { " of target 0" } else { "" };
+        text += &format!("\nErrors of the motion{of} since the first frame with a pose:\n");
         text += &match MotionSummary::of(&compare_motion(target.poses(), truth)) {
             Some(summary) => summary.text_table(),
             None => "no frame has a pose: nothing to compare with the truth\n".to_owned(),

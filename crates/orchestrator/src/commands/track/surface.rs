@@ -2,12 +2,30 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Result;
+use anyhow::{Context, Result, bail};
 use pb3dp_estimation::estimator;
 use pb3dp_geometry::frames::Model;
 use pb3dp_record::point_cloud::{SurfacePoint, write_ply};
 
 use super::walk::TrackedTarget;
+
+/// Makes the folder of `file`, and finds out before the work begins whether something can be written there.
+///
+/// # Errors
+/// If not.
+pub fn check_writable(file: &Path) -> Result<()> {
+    let refused = || format!("--surface {}: can not be written", file.display());
+    if file.is_dir() {
+        bail!("--surface {}: is a folder: give the name of a file", file.display());
+    }
+    std::fs::create_dir_all(file.parent().unwrap_or(Path::new(""))).with_context(refused)?;
+    let existed = file.exists();
+    std::fs::OpenOptions::new().append(true).create(true).open(file).with_context(refused)?;
+    if !existed {
+        std::fs::remove_file(file).with_context(refused)?;
+    }
+    Ok(())
+}
 
 /// Writes the surface of each target into `file`, or, if there are several, into one file for each that is numbered before
 /// the ending: `crab.ply` becomes `crab-0.ply`, `crab-1.ply`. Positions and normals are in `model`, colours those of the

@@ -27,7 +27,7 @@ use self::experiment::ExperimentSection;
 use self::servo::ServoSection;
 use super::direct::DirectSection;
 use super::estimator::PublishedSection;
-use super::load::{Checker, ConfigError, read_toml, within};
+use super::load::{Checker, ConfigError, FileKind, read_toml, within};
 
 /// A setup whose every value has been checked.
 #[derive(Clone, Debug)]
@@ -159,7 +159,7 @@ pub fn fold_seed(seed: u64) -> u32 {
 /// # Errors
 /// An unreadable file, unknown or missing keys, values out of range; the error names file, key and what is allowed.
 pub fn read_setup(file: &Path) -> Result<Setup, ConfigError> {
-    let raw: SetupFile = read_toml(file)?;
+    let raw: SetupFile = read_toml(file, FileKind::Setup)?;
     let mut check = Checker::default();
     let setup = raw.build(file, &mut check);
     check.finish(file)?;
