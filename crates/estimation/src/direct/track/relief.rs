@@ -17,7 +17,7 @@ const BEND_SHARE: f64 = 0.45;
 /// Rounds in which neighbours tell each other what they believe.
 const ROUNDS: usize = 12;
 
-/// Offsets on a grid of patches, bilinear in between. Patches without points take the mean of their neighbours.
+/// Offsets on a grid of patches, bilinear in between. Patches without points take the mean of those with points next to them.
 #[derive(Clone, Debug)]
 pub(super) struct Relief {
     first_centre_px: [f64; 2],
@@ -26,8 +26,8 @@ pub(super) struct Relief {
     rows: usize,
     /// Disparity that the surface has more than its plane, pixels.
     offset_px: Vec<f64>,
-    /// Whether it has points.
-    is_known: Vec<bool>,
+    /// Patches without points, and those with points that stand in for each.
+    stand_ins: Vec<(usize, Vec<usize>)>,
     /// Patch of each group of the finest level.
     patch_of_group: Vec<usize>,
     /// Node of each group, see [`Self::grid`].
@@ -39,17 +39,16 @@ pub(super) struct Relief {
 impl Relief {
     /// No relief.
     pub(super) fn over(cells: &Cells, inverse_depth_per_px: f64) -> Self {
-        let count = cells.columns * cells.rows;
-        let mut is_known = vec![false; count.max(1)];
-        cells.cells.iter().for_each(|cell| is_known[cell.row * cells.columns + cell.column] = true);
+        let (columns, rows) = (cells.columns.max(1), cells.rows.max(1));
+        let patch_of_group: Vec<usize> = cells.cells.iter().map(|cell| cell.row * columns + cell.column).collect();
         Self {
             first_centre_px: cells.first_centre_px,
             side_px: cells.side_px.max(1.0),
-            columns: cells.columns.max(1),
-            rows: cells.rows.max(1),
-            offset_px: vec![0.0; count.max(1)],
-            is_known,
-            patch_of_group: cells.cells.iter().map(|cell| cell.row * cells.columns + cell.column).collect(),
+            columns,
+            rows,
+            offset_px: vec![0.0; columns * rows],
+            stand_ins: stand_ins(&patch_of_group, columns, rows),
+            patch_of_group,
             node_of_group: Vec::new(),
             inverse_depth_per_px,
         }
@@ -118,7 +117,8 @@ impl Relief {
             node_of_patch[patch] = node;
         }
         let known = |patch: usize| Some(node_of_patch[patch]).filter(|&node| node != usize::MAX);
-        let shares = pixels.zip(&self.patch_of_group).map(|(pixels, &own)| {
+        let instead = |patch: usize| self.stand_ins.iter().find(|(without, _)| *without == patch);
+        let shares = pixels.map(|pixels| {
             let mut shares: Vec<(usize, f64)> = Vec::new();
             let mut add = |node: usize, share: f64| match shares.iter_mut().find(|(at, _)| *at == node) {
                 Some((_, sum)) => *sum += share,
@@ -127,29 +127,25 @@ impl Relief {
             let each = 1.0 / pixels.len().max(1) as f64;
             for pixel in &pixels {
                 for (patch, share) in self.corners(*pixel) {
-                    // A patch without points is the mean of its neighbours.
-                    let around: Vec<usize> = match known(patch) {
-                        Some(node) => vec![node],
-                        None => neighbours(patch, self.columns, self.rows).filter_map(known).collect(),
-                    };
-                    for &node in &around {
-                        add(node, each * share / around.len() as f64);
-                    }
-                    if around.is_empty() {
-                        known(own).into_iter().for_each(|node| add(node, each * share));
+                    let own = std::slice::from_ref(&patch);
+                    let patches = instead(patch).map_or(own, |(_, known)| known.as_slice());
+                    for node in patches.iter().copied().filter_map(known) {
+                        add(node, each * share / patches.len() as f64);
                     }
                 }
             }
             shares
         });
         let after = |patch: usize| neighbours(patch, self.columns, self.rows).filter(move |&n| n > patch);
-        let mut edges: Vec<(usize, usize)> = Vec::new();
+        let mut neighbours: Vec<(usize, usize)> = Vec::new();
         for (&node, &patch) in self.node_of_group.iter().zip(&self.patch_of_group) {
             let others = after(patch).filter_map(known).filter(|&other| other != node);
-            edges.extend(others.map(|other| (node.min(other), node.max(other))));
+            neighbours.extend(others.map(|other| (node.min(other), node.max(other))));
         }
-        edges.sort_unstable();
-        edges.dedup();
+        neighbours.sort_unstable();
+        neighbours.dedup();
+        let centres: Vec<[f64; 2]> = places.iter().map(|&at| [(at % across) as f64, (at / across) as f64]).collect();
+        let edges = hang_together(&neighbours, &centres);
         let mut plane = vec![(Vector3::zeros(), 0.0); places.len()];
         for (&node, &patch) in self.node_of_group.iter().zip(&self.patch_of_group) {
             let place = |axis: usize, index: usize| self.first_centre_px[axis] + self.side_px * index as f64;
@@ -184,23 +180,11 @@ impl Relief {
         self.inverse_depth_per_px
     }
 
-    /// Patches without points take the mean of their neighbours.
+    /// Gives the patches without points what stands in for them.
     fn fill(&mut self) {
-        for _ in 0..3 {
-            for patch in 0..self.offset_px.len() {
-                if self.is_known[patch] {
-                    continue;
-                }
-                let (mut sum, mut count) = (0.0, 0.0);
-                for neighbour in neighbours(patch, self.columns, self.rows) {
-                    if self.is_known[neighbour] || self.offset_px[neighbour] != 0.0 {
-                        (sum, count) = (sum + self.offset_px[neighbour], count + 1.0);
-                    }
-                }
-                if count > 0.0 {
-                    self.offset_px[patch] = sum / count;
-                }
-            }
+        for (patch, known) in &self.stand_ins {
+            let sum: f64 = known.iter().map(|&other| self.offset_px[other]).sum();
+            self.offset_px[*patch] = sum / known.len().max(1) as f64;
         }
     }
 
@@ -238,6 +222,48 @@ impl Relief {
         let by_v = (lower - upper) * scale / self.side_px;
         ((upper + b * (lower - upper)) * scale, [by_u, by_v])
     }
+}
+
+/// For each patch without points those with points beside, above and below it, or else across its corners.
+fn stand_ins(patch_of_group: &[usize], columns: usize, rows: usize) -> Vec<(usize, Vec<usize>)> {
+    let mut has_points = vec![false; columns * rows];
+    patch_of_group.iter().for_each(|&patch| has_points[patch] = true);
+    let without = (0..columns * rows).filter(|&patch| !has_points[patch]);
+    let known =
+        |patches: &mut dyn Iterator<Item = usize>| -> Vec<usize> { patches.filter(|&p| has_points[p]).collect() };
+    without
+        .map(|patch| {
+            let beside = known(&mut neighbours(patch, columns, rows));
+            if !beside.is_empty() {
+                return (patch, beside);
+            }
+            let (x, y) = (patch % columns, patch / columns);
+            let across = (y.saturating_sub(1)..(y + 2).min(rows))
+                .flat_map(|row| (x.saturating_sub(1)..(x + 2).min(columns)).map(move |column| row * columns + column));
+            (patch, known(&mut { across }))
+        })
+        .collect()
+}
+
+/// The edges between neighbours, and the shortest ones that join what they leave apart: a target's parts are one surface
+/// also where the region between them is too narrow for a patch.
+fn hang_together(neighbours: &[(usize, usize)], centres: &[[f64; 2]]) -> Vec<(usize, usize, f64)> {
+    let mut part: Vec<usize> = (0..centres.len()).collect();
+    let mut edges = Vec::with_capacity(neighbours.len());
+    let mut join = |(i, j, distance): (usize, usize, f64), only_apart: bool| {
+        let (from, to) = (part[i], part[j]);
+        if from != to || !only_apart {
+            edges.push((i, j, distance));
+            part.iter_mut().filter(|part| **part == from).for_each(|part| *part = to);
+        }
+    };
+    neighbours.iter().for_each(|&(i, j)| join((i, j, 1.0), false));
+    let distance = |i: usize, j: usize| (centres[i][0] - centres[j][0]).hypot(centres[i][1] - centres[j][1]);
+    let pairs = (0..centres.len()).flat_map(|j| (0..j).map(move |i| (i, j)));
+    let mut pairs: Vec<(usize, usize, f64)> = pairs.map(|(i, j)| (i, j, distance(i, j))).collect();
+    pairs.sort_by(|a, b| a.2.total_cmp(&b.2));
+    pairs.into_iter().for_each(|pair| join(pair, true));
+    edges
 }
 
 /// Patches above, below, left and right.
@@ -376,3 +402,7 @@ pub(super) fn patches_of(relief: &Relief, pixels: impl Iterator<Item = [f64; 2]>
     }
     pixels.map(|pixel| group_of_patch[relief.patch_at(pixel)]).collect()
 }
+
+#[cfg(test)]
+#[path = "relief_tests.rs"]
+mod tests;

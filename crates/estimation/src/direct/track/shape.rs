@@ -34,8 +34,8 @@ const INFORMATION_MAX: f64 = 2e4;
 pub(super) struct Grid {
     /// By group: nodes and their shares.
     pub(super) shares: Vec<Vec<(usize, f64)>>,
-    /// Pairs of neighbours.
-    pub(super) edges: Vec<(usize, usize)>,
+    /// Pairs of neighbours and how far they are from each other, in patches. All nodes hang together.
+    pub(super) edges: Vec<(usize, usize, f64)>,
     /// Disparity at a node for each number of a plane (x, y, 1), up to a common factor.
     pub(super) plane: Vec<Vector3<f64>>,
 }
@@ -302,9 +302,9 @@ impl Shape {
         let n = self.count();
         let Self { prior, factor, grid, own, rows, .. } = self;
         prior.fill(0.0);
-        for &(i, j) in &grid.edges {
+        for &(i, j, distance) in &grid.edges {
             for (row, column, sign) in [(i, i, 1.0), (j, j, 1.0), (i, j, -1.0), (j, i, -1.0)] {
-                prior[row * n + column] += sign / roughness;
+                prior[row * n + column] += sign / (roughness * distance);
             }
         }
         (0..n).for_each(|i| prior[i * n + i] += *own);

@@ -10,8 +10,8 @@ fn grid() -> Grid {
     let nodes = SIDE * SIDE;
     let place = |node: usize| ((node % SIDE) as f64, (node / SIDE) as f64);
     let edges = (0..nodes).flat_map(|i| {
-        let right = (i % SIDE + 1 < SIDE).then_some((i, i + 1));
-        let below = (i + SIDE < nodes).then_some((i, i + SIDE));
+        let right = (i % SIDE + 1 < SIDE).then_some((i, i + 1, 1.0));
+        let below = (i + SIDE < nodes).then_some((i, i + SIDE, 1.0));
         right.into_iter().chain(below)
     });
     Grid {
