@@ -145,7 +145,7 @@ impl<'a> Worker<'a> {
             .map(|estimator| {
                 let (answer, cpu_millis) = timed(|| estimator.estimate(&left, &right, &trial.region, search));
                 match answer {
-                    Ok(estimate) => outcome(&estimate, &trial.plane, &ray, cpu_millis),
+                    Ok(estimate) => outcome(&estimate, &trial.truth_for(&estimate, &ray), &ray, cpu_millis),
                     Err(_) => Outcome { status: Status::Error, errors: None, normalised_error: None, cpu_millis },
                 }
             })

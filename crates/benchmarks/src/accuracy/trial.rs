@@ -1,9 +1,10 @@
 //! One pose of one cell: where everything is, what is true, and what the operator marks.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
+use pb3dp_estimation::estimate::PlaneEstimate;
 use pb3dp_estimation::region::Region;
 use pb3dp_geometry::frames::{CamLeft, Target, World};
-use pb3dp_geometry::{Camera, Pose};
+use pb3dp_geometry::{Camera, Frame, Pose};
 use pb3dp_sim::raster::{GroundTruth, StereoRenderer};
 use pb3dp_sim::scene::{SceneObject, ScenePoses};
 
@@ -22,10 +23,21 @@ pub struct Trial {
     /// The true inverse-depth plane: the target's own plane, or for a relief the least-squares plane of the inverse depths
     /// of its visible pixels.
     pub plane: Vector3<f64>,
+    /// The plane of what hides the target, if it fills more of what is marked than the target: it is a right answer too.
+    pub larger_plane: Option<Vector3<f64>>,
     /// What the operator marks.
     pub region: Region,
     /// The marked polygon, pixels.
     pub outline_px: Vec<Vector2<f64>>,
+}
+
+impl Trial {
+    /// The plane that an answer is compared with: of the right ones the nearest on a ray.
+    pub fn truth_for(&self, answer: &PlaneEstimate, ray: &Vector3<f64>) -> Vector3<f64> {
+        let (Some(larger), Some(answer)) = (self.larger_plane, answer.pose) else { return self.plane };
+        let off = |plane: &Vector3<f64>| (answer.inverse_depth_plane - plane).dot(ray).abs();
+        if off(&larger) < off(&self.plane) { larger } else { self.plane }
+    }
 }
 
 /// The pose number `index` of a cell. `None` if the target is not wholly in front of the camera.
@@ -49,8 +61,9 @@ pub fn trial(cell: &Cell, seed: u32, index: usize, renderer: &mut StereoRenderer
         RegionKind::Rectangle => rectangle_around(&renderer.target_outline_px(&poses)?),
         RegionKind::Outline | RegionKind::Interior => renderer.target_outline_px(&poses)?,
     };
+    let larger_plane = occluder_is_larger(&seen, &outline_px).then(|| plane_of(&poses.world_from_cam_left.inverse()));
     let region = Region::Polygon { vertices_px: outline_px.clone() };
-    Some(Trial { poses, seen, plane, region, outline_px })
+    Some(Trial { poses, seen, plane, larger_plane, region, outline_px })
 }
 
 fn random_pose(cell: &Cell, random: &mut Random) -> Pose<CamLeft, Target> {
@@ -64,10 +77,23 @@ fn random_pose(cell: &Cell, random: &mut Random) -> Pose<CamLeft, Target> {
     Pose::from_parts(Vector3::new(0.5 * cell.setup.baseline_m() + x_m, y_m, z_m), rotation)
 }
 
-/// The inverse-depth plane of the target's front plane, z = 0 in `target`.
-pub fn plane_of(cam_left_from_target: &Pose<CamLeft, Target>) -> Vector3<f64> {
-    let normal = cam_left_from_target.transform_vector(&Vector3::z());
-    normal / normal.dot(&cam_left_from_target.translation_m())
+/// The inverse-depth plane of z = 0 in a frame, such as the front plane of the target.
+pub fn plane_of<F: Frame>(cam_left_from_it: &Pose<CamLeft, F>) -> Vector3<f64> {
+    let normal = cam_left_from_it.transform_vector(&Vector3::z());
+    normal / normal.dot(&cam_left_from_it.translation_m())
+}
+
+/// Whether the rectangle around an outline shows more of what hides the target than of the target.
+fn occluder_is_larger(seen: &GroundTruth, outline_px: &[Vector2<f64>]) -> bool {
+    let corners_px = rectangle_around(outline_px);
+    let (low, high) = (corners_px[0], corners_px[2]);
+    let width = seen.size.width as usize;
+    let count = |wanted: SceneObject| {
+        let shown = seen.object.iter().enumerate().filter(|(_, object)| **object == wanted);
+        let pixels = shown.map(|(index, _)| ((index % width) as f64, (index / width) as f64));
+        pixels.filter(|(u, v)| (low.x..=high.x).contains(u) && (low.y..=high.y).contains(v)).count()
+    };
+    count(SceneObject::Room) > count(SceneObject::Target)
 }
 
 /// Poses in `world`, the frame of what hides the target, so that it hides a share of the target's pixels: its edge crosses
@@ -159,6 +185,36 @@ pub fn plane_errors(found: &Vector3<f64>, truth: &Vector3<f64>, ray: &Vector3<f6
 mod tests {
     use super::*;
     use pb3dp_estimation::plane_hypothesis::PlaneHypothesis;
+
+    /// A rectangle with something behind and something before the target: what fills more of it is seen on its plane.
+    #[test]
+    fn what_hides_more_than_is_left_of_the_target_has_a_plane() {
+        use super::super::scenes::{SceneStore, rigs, sensor};
+        let cells = super::super::cells::all();
+        let cell = cells.iter().find(|cell| cell.name == "rectangle/100mm-behind-20%-hidden").unwrap();
+        let (scene, rig) = (SceneStore::default().scene(&cell.setup).unwrap(), rigs(&cell.setup).unwrap().real);
+        let mut renderer = StereoRenderer::new(scene, rig, &sensor(&cell.setup), 1).unwrap();
+        let mut others = 0;
+        for index in 65..75 {
+            let trial = trial(cell, 1, index, &mut renderer).unwrap();
+            let seen = renderer.ground_truth(&trial.poses);
+            let [width, height] = [seen.size.width, seen.size.height].map(|size| size as usize);
+            for v in (0..height).step_by(20) {
+                for u in (0..width).step_by(20) {
+                    let (at, ray) = (v * width + u, rig.left().unproject(&Vector2::new(u as f64, v as f64)).unwrap());
+                    let plane = match seen.object[at] {
+                        SceneObject::Target => Some(trial.plane),
+                        SceneObject::Room => trial.larger_plane,
+                        _ => None,
+                    };
+                    let Some(plane) = plane else { continue };
+                    assert!((plane.dot(&ray) * f64::from(seen.depth_m[at]) - 1.0).abs() < 1e-4, "{index}: {u}, {v}");
+                }
+            }
+            others += usize::from(trial.larger_plane.is_some());
+        }
+        assert!((1..10).contains(&others), "in {others} of 10 rectangles");
+    }
 
     #[test]
     fn errors_are_depth_on_the_ray_and_angle_between_normals() {
