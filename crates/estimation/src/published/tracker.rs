@@ -40,7 +40,7 @@ pub struct TrackEstimate {
     pub covariance: Option<Matrix6<f64>>,
     /// Best hypothesis, about the centre of this frame's region; `None` if nothing was searched.
     pub psi: Option<PlaneHypothesis>,
-    /// Its fitness, at most 1.
+    /// Its fitness, at most 1; for the direct method the smaller of the correlations of its view with both images.
     pub fitness: Option<f64>,
     /// Outline of the region in this frame, raw left image, pixels.
     pub outline_px: Vec<Vector2<f64>>,

@@ -95,6 +95,8 @@ fn check_drifting_card(limits: &Limits) {
         let turn = rotation(&m) * rotation(&first).transpose();
         let turned_deg = nalgebra::UnitQuaternion::from_matrix(&turn).angle().to_degrees();
         assert!(turned_deg < limits.turned_deg, "frame {i}: turned by {turned_deg} degrees");
+        let fitness = line["fitness"].as_f64().unwrap();
+        assert!((0.5..=1.0).contains(&fitness), "{line}");
         check_covariance(limits.method, line);
     }
     for part in ["translation, mm", "tilt, deg", "jitter", &format!("lost 0 of {FRAMES} frames")] {

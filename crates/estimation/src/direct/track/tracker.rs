@@ -393,6 +393,7 @@ impl DirectTracker {
             let pose = target.estimate.cam_left_from_model;
             out.cam_left_from_model = Some(pose);
             out.covariance = target.covariance;
+            out.fitness = Some(target.fit.correlation[0].min(target.fit.correlation[1]));
             out.status = self.judge_covariance(target.covariance.as_ref(), &mut out.reason);
             let project = |point: &Point3<f64>| self.rig.left().project(&pose.transform_point(point));
             out.outline_px.extend(target.outline_in_model.iter().filter_map(project));
