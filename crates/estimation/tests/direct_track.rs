@@ -110,6 +110,30 @@ fn a_hidden_target_is_lost_and_found_again() {
     assert!(found_after < 3, "found after {found_after} frames");
 }
 
+/// A small plane looks nearly the same to one eye with its tilt mirrored: a start at the wrong one of the two must not end
+/// there.
+#[test]
+fn a_tilt_that_is_foretold_mirrored_is_set_right() {
+    let first = moving(0.0);
+    let mut run = Run::start(rectified_rig(), first, DirectTrackerConfig { points: 512, ..Default::default() });
+    let turned = |turn: [f64; 3]| Pose::from_parts(first.translation_m(), so3::exp(&turn.into()) * first.rotation());
+    for turn in [[0.0, 0.5, 0.0], [0.3, -0.3, 0.0], [-0.5, 0.0, 0.1], [0.35, 0.35, 0.0]] {
+        let pose = turned(turn);
+        let (normal, sight) = (pose.rotation() * Vector3::z(), pose.translation_m().normalize());
+        let opposite = sight * (2.0 * normal.dot(&sight)) - normal;
+        let mirror = nalgebra::UnitQuaternion::rotation_between(&normal, &opposite).expect("a turn");
+        let mirrored = Pose::from_parts(pose.translation_m(), mirror * pose.rotation()) * run.target_from_model;
+        run.frame += 1;
+        let shot = Shot { cam_left_from_target: Some(pose), frame: run.frame, right_gain: 0.9 };
+        let (left, right) = render(&run.rig, &shot);
+        let prior = FramePrior { cam_left_from_model: Some(mirrored), ..FramePrior::default() };
+        let estimate = run.tracker.update(&left, &right, &prior).expect("update");
+        assert_eq!(estimate.status, Status::Ok, "{turn:?}: {}", estimate.reason);
+        let (distance_mm, angle_deg) = run.error(&estimate, &pose);
+        assert!(distance_mm < 1.0 && angle_deg < 1.0, "{turn:?}: {distance_mm} mm, {angle_deg} degrees");
+    }
+}
+
 /// Turns the target out and back: views are kept on the way out, and serve again on the way back.
 #[test]
 fn views_are_kept_and_used_again() {

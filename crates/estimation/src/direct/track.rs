@@ -15,6 +15,7 @@
 mod align;
 mod config;
 mod dense;
+mod distinct;
 mod export;
 mod images;
 mod judge;
@@ -22,6 +23,7 @@ mod kernels;
 mod lanes;
 mod normal;
 mod predict;
+mod reach;
 mod relief;
 mod search;
 mod shape;

@@ -12,6 +12,8 @@ const FITS_FROM: f32 = 0.3;
 /// Shares that plane and relief must reach in the first pair where no plane was found by itself.
 const SURFACE_INLIERS_MIN: f64 = 0.7;
 const SURFACE_CORRELATION_MIN: f64 = 0.85;
+/// Images disagree if one of them fits at less than this share of the points that fit another.
+const AGREEMENT_MIN: f64 = 0.85;
 
 /// How well a kept view fits both images.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -120,6 +122,12 @@ impl Fit {
     /// Whether the first pair shows one surface beyond doubt: to be asked where no plane was found.
     pub(super) fn is_a_surface(&self) -> bool {
         self.inlier_share[1] >= SURFACE_INLIERS_MIN && self.correlation[1] >= SURFACE_CORRELATION_MIN
+    }
+
+    /// Whether the view fits one image clearly better than the other, or than they fit each other.
+    pub(super) fn images_disagree(&self) -> bool {
+        let (low, high) = self.inlier_share.iter().fold((1.0_f64, 0.0_f64), |(a, b), &x| (a.min(x), b.max(x)));
+        low < AGREEMENT_MIN * high
     }
 
     /// One number for comparing fits of the same surface.

@@ -259,7 +259,33 @@ pub(super) fn hypothesis(index: usize, last: &Pose<CamLeft, Model>, views: &[Vie
     (source, pose)
 }
 
+/// The pose with its tilt mirrored: the normal is on the other side of the axis of sight.
+pub(super) fn mirrored(pose: &Pose<CamLeft, Model>) -> Pose<CamLeft, Model> {
+    let normal = pose.rotation() * Vector3::z();
+    let sight = pose.translation_m().try_normalize(1e-9).unwrap_or_else(Vector3::z);
+    let opposite = sight * (2.0 * normal.dot(&sight)) - normal;
+    let turn = nalgebra::UnitQuaternion::rotation_between(&normal, &opposite).unwrap_or_default();
+    Pose::from_parts(pose.translation_m(), turn * pose.rotation())
+}
+
 /// How many different guesses there are.
 pub(super) fn hypotheses(views: usize) -> usize {
     (views + 1) * ROLLS.len()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mirrored_tilt_is_as_large_on_the_other_side() {
+        let pose: Pose<CamLeft, Model> =
+            Pose::from_parts(Vector3::new(0.1, -0.05, 0.5), so3::exp(&Vector3::new(0.3, -0.2, 0.6)));
+        let other = mirrored(&pose);
+        let sight = pose.translation_m().normalize();
+        let [own, opposite] = [&pose, &other].map(|pose| pose.rotation() * Vector3::z());
+        assert!((own.dot(&sight) - opposite.dot(&sight)).abs() < 1e-12);
+        assert!((own + opposite).cross(&sight).norm() < 1e-12 && own.angle(&opposite) > 0.3);
+        assert!((mirrored(&other).inverse() * pose).log().norm() < 1e-9, "twice is nothing");
+    }
 }

@@ -6,13 +6,15 @@ use pb3dp_geometry::{Camera, Pose, StereoRig};
 
 use super::align::{Aligned, Aligner, Estimate, Knowledge, Problem, StartLevel};
 use super::config::DirectTrackerConfig;
+use super::distinct::independent_points;
 use super::export::SurfacePoint;
 use super::images::{EyeImages, LEVELS};
 use super::judge::{Fit, Limits, Misfit};
 use super::kernels::{CHANNELS, ROW, TERMS};
 use super::normal::{Free, NormalEquations};
 use super::predict::{FramePrior, Motion};
-use super::search::{PLACES, Place, Searcher, depth_by_stereo, hypotheses, hypothesis};
+use super::reach::Sighting;
+use super::search::{PLACES, Place, Searcher, depth_by_stereo, hypotheses, hypothesis, mirrored};
 use super::stereo_relief;
 use super::surface::Surface;
 use super::view::View;
@@ -77,19 +79,9 @@ pub(super) struct Target {
     pub(super) covariance: Option<Matrix6<f64>>,
     pub(super) fit: Fit,
     reference: [[f32; CHANNELS]; TERMS],
+    /// How many independent points the texture is worth.
+    independent_points: f64,
 }
-
-/// A lost target is not believed to have gone farther than this, and this much per second more.
-const REACH_M: f64 = 0.05;
-const SPEED_MAX_M_PER_S: f64 = 2.0;
-const REACH_RAD: f64 = 0.35;
-const SPEED_MAX_RAD_PER_S: f64 = 6.0;
-/// Within this of where it is expected a target need not be seen more clearly than noise allows; elsewhere both images must
-/// correlate with the view by at least this, and show it at this share of its points.
-const NEAR_M: f64 = 0.02;
-const NEAR_RAD: f64 = 0.15;
-const AFAR_CORRELATION_MIN: f64 = 0.75;
-const AFAR_INLIERS_MIN: f64 = 0.65;
 
 /// How a frame ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -138,8 +130,10 @@ impl Target {
             covariance: None,
             fit: Fit::default(),
             reference: [[0.0; CHANNELS]; TERMS],
+            independent_points: 0.0,
         };
         target.keep_view(frame, false);
+        target.independent_points = independent_points(&target.surface.levels[0], &target.views[0].levels[0]);
         target.find_relief(frame);
         target
     }
@@ -177,23 +171,51 @@ impl Target {
         self.view = self.nearest_view(predicted, frame.config).0;
         let mut found = self.attempt(predicted, StartLevel::Resembling, frame, may_continue);
         if !found.as_ref().is_some_and(|_| self.fits_well()) && may_continue() {
-            let (first, estimate) = (found.map(|found| (found, self.fit.goodness())), self.estimate);
-            let fit = self.fit;
-            found = self.attempt(predicted, StartLevel::Coarsest, frame, may_continue);
-            let second = found.as_ref().map_or(-1.0, |_| self.fit.goodness());
-            if let Some((first, goodness)) = first
-                && goodness >= second
-            {
-                (self.estimate, self.fit) = (estimate, fit);
-                found = self.examine(frame, false).map_or(Some(first), Some);
-            }
+            found = self.or_better(found, (predicted, StartLevel::Coarsest), frame, may_continue);
         }
+        let found = self.or_mirrored(found, frame, may_continue);
         let Some(equations) = found else { return Ending::OutOfSight };
         if let Some(misfit) = self.fit.misfit(&self.limits(frame.config)) {
             return Ending::Misfit(misfit);
         }
+        if !self.fits_well() && !self.sighting(predicted).can_have_moved() {
+            return Ending::OutOfReach;
+        }
         self.learn(&equations);
         Ending::Found
+    }
+
+    /// What was found, or what another start finds if that fits better.
+    fn or_better(
+        &mut self,
+        found: Option<NormalEquations>,
+        (from, start): (&Pose<CamLeft, Model>, StartLevel),
+        frame: &Frame<'_>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Option<NormalEquations> {
+        let (estimate, fit) = (self.estimate, self.fit);
+        let other = self.attempt(from, start, frame, may_continue);
+        let Some(found) = found else { return other };
+        if other.is_some() && self.fit.goodness() > fit.goodness() {
+            return other;
+        }
+        (self.estimate, self.fit) = (estimate, fit);
+        Some(self.examine(frame, false).unwrap_or(found))
+    }
+
+    /// What was found, or the same with the tilt mirrored if that fits better. To one eye a small target looks nearly the
+    /// same either way; if the images do not agree, an alignment may have ended at the wrong one of the two.
+    fn or_mirrored(
+        &mut self,
+        found: Option<NormalEquations>,
+        frame: &Frame<'_>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Option<NormalEquations> {
+        let mirrored = mirrored(&self.estimate.cam_left_from_model);
+        if found.is_none() || self.fits_well() || !self.fit.images_disagree() || !may_continue() {
+            return found;
+        }
+        self.or_better(found, (&mirrored, StartLevel::Resembling), frame, may_continue)
     }
 
     /// One alignment from a pose, examined and judged by [`Self::fit`].
@@ -374,9 +396,10 @@ impl Target {
             self.view = self.nearest_view(&start, frame.config).0;
             let Some(rough) = self.rough(&start, frame, may_continue) else { continue };
             self.estimate = before;
-            if let Some(equations) = self.attempt(&rough, StartLevel::Resembling, frame, may_continue) {
+            let found = self.attempt(&rough, StartLevel::Resembling, frame, may_continue);
+            if let Some(equations) = self.or_mirrored(found, frame, may_continue) {
                 match self.fit.misfit(&self.limits(frame.config)) {
-                    None if self.can_be_there(predicted) => {
+                    None if self.sighting(predicted).can_be_the_target() => {
                         self.conclude(&equations, false);
                         return Ending::Found;
                     }
@@ -389,18 +412,16 @@ impl Target {
         ending
     }
 
-    /// Whether the target can have come from `expected` to its estimate since it was last found; and where it is not near
-    /// that place, whether it is seen clearly: noise must not be the excuse for a poor correlation there.
-    fn can_be_there(&self, expected: &Pose<CamLeft, Model>) -> bool {
+    /// The estimate, where the target was expected elsewhere.
+    fn sighting(&self, expected: &Pose<CamLeft, Model>) -> Sighting<'_> {
         let found = &self.estimate.cam_left_from_model;
-        let way_m = (found.translation_m() - expected.translation_m()).norm();
-        let turn_rad = found.rotation().angle_to(&expected.rotation());
-        let is_near = way_m <= NEAR_M && turn_rad <= NEAR_RAD;
-        let is_within_reach = way_m <= REACH_M + SPEED_MAX_M_PER_S * self.away_s
-            && turn_rad <= REACH_RAD + SPEED_MAX_RAD_PER_S * self.away_s;
-        let is_clear = self.fit.correlation.iter().all(|&value| value >= AFAR_CORRELATION_MIN)
-            && self.fit.inlier_share.iter().all(|&share| share >= AFAR_INLIERS_MIN);
-        is_near || is_within_reach && is_clear
+        Sighting {
+            fit: &self.fit,
+            independent: self.independent_points,
+            way_m: (found.translation_m() - expected.translation_m()).norm(),
+            turn_rad: found.rotation().angle_to(&expected.rotation()),
+            away_s: self.away_s,
+        }
     }
 
     /// A few steps at coarse levels: a place that then does not resemble the target is not worth more.

@@ -1,0 +1,108 @@
+//! Whether a lost target can be where something resembles it.
+
+use super::distinct::beyond_chance;
+use super::judge::Fit;
+
+/// A lost target is not believed to have gone farther than this, and this much per second more.
+const REACH_M: f64 = 0.05;
+const SPEED_MAX_M_PER_S: f64 = 2.0;
+const REACH_RAD: f64 = 0.35;
+const SPEED_MAX_RAD_PER_S: f64 = 6.0;
+/// Within this of where it is expected a target need not be seen more clearly than noise allows; elsewhere both images must
+/// correlate with the view by at least this, and show it at this share of its points.
+const NEAR_M: f64 = 0.02;
+const NEAR_RAD: f64 = 0.15;
+const AFAR_CORRELATION_MIN: f64 = 0.75;
+const AFAR_INLIERS_MIN: f64 = 0.65;
+/// Elsewhere the correlation must also be this many standard deviations more than chance would show: a search tries some
+/// hundred thousand places.
+const BEYOND_CHANCE_MIN: f64 = 5.0;
+
+/// Something that resembles a lost target.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sighting<'a> {
+    pub(super) fit: &'a Fit,
+    /// How many independent points the target's texture is worth.
+    pub(super) independent: f64,
+    /// How far it is from where the target is expected, metres and radians.
+    pub(super) way_m: f64,
+    pub(super) turn_rad: f64,
+    /// Time since the target was last found, seconds.
+    pub(super) away_s: f64,
+}
+
+impl Sighting<'_> {
+    /// Whether a target that was never lost can have moved there between two frames: what fits poorly far from where it is
+    /// expected is something else, or the wrong way round.
+    pub(super) fn can_have_moved(&self) -> bool {
+        self.is_near() || self.is_clear()
+    }
+
+    /// Whether the target can have come there since it was last found; and where that is not near the place where it is
+    /// expected, whether it is seen clearly. Noise must not be the excuse for a poor correlation there, and a texture that has
+    /// little to tell it by is not told there.
+    pub(super) fn can_be_the_target(&self) -> bool {
+        let is_within_reach = self.way_m <= REACH_M + SPEED_MAX_M_PER_S * self.away_s
+            && self.turn_rad <= REACH_RAD + SPEED_MAX_RAD_PER_S * self.away_s;
+        self.is_near() || is_within_reach && self.is_clear()
+    }
+
+    fn is_near(&self) -> bool {
+        self.way_m <= NEAR_M && self.turn_rad <= NEAR_RAD
+    }
+
+    fn is_clear(&self) -> bool {
+        let lowest = |values: &[f64]| values.iter().copied().fold(f64::INFINITY, f64::min);
+        let (correlation, share) = (lowest(&self.fit.correlation), lowest(&self.fit.inlier_share));
+        correlation >= AFAR_CORRELATION_MIN
+            && share >= AFAR_INLIERS_MIN
+            && beyond_chance(correlation, share, self.independent) >= BEYOND_CHANCE_MIN
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fit(correlation: f64, share: f64) -> Fit {
+        Fit { correlation: [0.97, correlation], inlier_share: [0.95, share, 0.95], ..Fit::default() }
+    }
+
+    fn can_be(fit: &Fit, independent: f64, (way_m, turn_rad): (f64, f64), away_s: f64) -> bool {
+        Sighting { fit, independent, way_m, turn_rad, away_s }.can_be_the_target()
+    }
+
+    #[test]
+    fn where_it_is_expected_noise_may_hide_much_of_it() {
+        assert!(can_be(&fit(0.5, 0.5), 5.0, (0.01, 0.1), 0.03));
+        assert!(!can_be(&fit(0.5, 0.9), 300.0, (0.03, 0.1), 0.03));
+        assert!(!can_be(&fit(0.9, 0.5), 300.0, (0.01, 0.2), 0.03));
+    }
+
+    #[test]
+    fn it_is_not_believed_to_fly() {
+        let clear = fit(0.97, 0.95);
+        assert!(can_be(&clear, 300.0, (0.1, 0.5), 0.033));
+        assert!(!can_be(&clear, 300.0, (0.2, 0.1), 0.033));
+        assert!(!can_be(&clear, 300.0, (0.1, 1.0), 0.033));
+        assert!(can_be(&clear, 300.0, (0.2, 1.0), 0.3), "with time it may have come there");
+    }
+
+    #[test]
+    fn what_fits_poorly_has_not_moved_far_in_a_frame() {
+        let moved = |fit: &Fit, way_m, turn_rad| {
+            Sighting { fit, independent: 300.0, way_m, turn_rad, away_s: 0.0 }.can_have_moved()
+        };
+        assert!(moved(&fit(0.7, 0.6), 0.01, 0.05), "half hidden");
+        assert!(!moved(&fit(0.7, 0.6), 0.01, 0.6) && !moved(&fit(0.7, 0.6), 0.06, 0.05));
+        assert!(moved(&fit(0.97, 0.95), 0.06, 0.6), "few frames per second");
+    }
+
+    #[test]
+    fn smooth_texture_is_not_told_from_other_smooth_texture() {
+        for independent in [2.0, 8.0, 13.0] {
+            assert!(!can_be(&fit(0.94, 0.75), independent, (0.1, 0.3), 0.2), "{independent}");
+        }
+        assert!(can_be(&fit(0.97, 0.95), 17.0, (0.1, 0.3), 0.2));
+    }
+}
