@@ -21,7 +21,7 @@ use super::image_plane::PixelWindow;
 use super::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
 use crate::cpu::Kernels;
 use covariance::BlockPulls;
-use kernel::{CHANNELS_MAX, ChannelState, PointSet, Shade, Sums, TOUCHED, UNUSABLE, Warp};
+use kernel::{CHANNELS_MAX, ChannelState, PointSet, Shade, Sums, TOUCHED, Thinning, UNUSABLE, Warp};
 use points::{RightRows, Selection};
 use prepare::{EyeChannels, Pair, Preparation, Wish, reach_px};
 use sharpness::Sharpness;
@@ -267,7 +267,7 @@ impl PlaneRefiner {
     fn adapt(&self, level: &RegionLevel, prepared: &Prepared, progress: &mut Progress) -> bool {
         let Some(states) = progress.states else { return false };
         let warp = self.warp(level, prepared, progress, &states);
-        let sums = kernel::sharpness(self.kernels, &self.points, &self.right_planes(), &warp);
+        let sums = self.accumulate(&warp).sharpness;
         let (left, right) = progress.smoothings_px();
         let change = Sharpness { left_px: left, right_px: right }.difference_px2(&sums);
         let blurred = change.abs() > BLUR_EVENED_FROM_PX2;
@@ -366,7 +366,7 @@ impl PlaneRefiner {
     }
 
     fn accumulate(&self, warp: &Warp) -> Sums {
-        kernel::accumulate(self.kernels, &self.points, &self.right_planes(), warp)
+        kernel::accumulate(self.kernels, &self.points, &self.right_planes(), warp, Thinning::NONE)
     }
 
     fn right_planes(&self) -> [&[f32]; CHANNELS_MAX] {

@@ -2,9 +2,8 @@
 
 use super::super::image_plane::PixelWindow;
 use super::super::region_pyramid::{RegionLevel, is_seen};
-use super::kernel::{PointSet, TOUCHED, UNUSABLE};
+use super::kernel::{PointSet, SHARING, TOUCHED, UNUSABLE};
 use super::prepare::EyeChannels;
-use crate::wide::LANES;
 
 /// Side of the blocks in which points are ordered, pixels of the level.
 pub(super) const BLOCK: usize = 8;
@@ -188,7 +187,7 @@ impl PointSet {
     }
 
     fn fill_up(&mut self, channels: usize) {
-        let length = self.x.len().next_multiple_of(LANES);
+        let length = self.x.len().next_multiple_of(SHARING);
         for values in [&mut self.x, &mut self.y, &mut self.unit, &mut self.inner] {
             values.resize(length, 0.0);
         }
