@@ -154,10 +154,22 @@ wide! {
 
 #[inline(always)]
 fn rgb_row_kernel(rgb: &[u8], red: &mut [f32], green: &mut [f32], blue: &mut [f32], flags: &mut [u8]) {
-    let out = red.iter_mut().zip(green).zip(blue).zip(flags);
-    for (rgb, (((red, green), blue), flag)) in rgb.chunks_exact(3).zip(out) {
-        (*red, *green, *blue) = (f32::from(rgb[0]), f32::from(rgb[1]), f32::from(rgb[2]));
-        *flag = flag_of(rgb[0], rgb[1], rgb[2]);
+    let wide = red.len() / LANES * LANES;
+    for start in (0..wide).step_by(LANES) {
+        let rgb = &rgb[3 * start..3 * (start + LANES)];
+        let ends = start..start + LANES;
+        let (red, green) = (&mut red[ends.clone()], &mut green[ends.clone()]);
+        let (blue, flags) = (&mut blue[ends.clone()], &mut flags[ends]);
+        for i in 0..LANES {
+            let (r, g, b) = (rgb[3 * i], rgb[3 * i + 1], rgb[3 * i + 2]);
+            (red[i], green[i], blue[i]) = (f32::from(r), f32::from(g), f32::from(b));
+            flags[i] = flag_of(r, g, b);
+        }
+    }
+    for i in wide..red.len() {
+        let (r, g, b) = (rgb[3 * i], rgb[3 * i + 1], rgb[3 * i + 2]);
+        (red[i], green[i], blue[i]) = (f32::from(r), f32::from(g), f32::from(b));
+        flags[i] = flag_of(r, g, b);
     }
 }
 

@@ -12,6 +12,7 @@ mod points;
 mod prepare;
 mod sharpness;
 mod solve;
+mod start;
 
 use nalgebra::{Matrix3, Vector2, Vector4};
 
@@ -21,11 +22,12 @@ use super::image_plane::PixelWindow;
 use super::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
 use crate::cpu::Kernels;
 use covariance::BlockPulls;
-use kernel::{CHANNELS_MAX, ChannelState, PointSet, Shade, Sums, TOUCHED, Thinning, UNUSABLE, Warp};
+use kernel::{CHANNELS_MAX, ChannelState, PointSet, Shade, Sums, Thinning, Warp};
 use points::{RightRows, Selection};
 use prepare::{EyeChannels, Pair, Preparation, Wish, reach_px};
 use sharpness::Sharpness;
 use solve::{Normal, reliability, tukey_limit, tukey_moments};
+use start::first_state;
 
 /// Fewest points that are refined.
 const POINTS_MIN: usize = 40;
@@ -41,6 +43,11 @@ const BORDER_WEIGHT_MIN: f64 = 0.9;
 const BORDER_SQUARES_MAX: f64 = 1.25;
 /// The plane has converged if the last step moved no point of the region further, pixels of the level.
 const SETTLED_PX: f64 = 0.03;
+/// The first steps are taken on every so manieth group of points, as long as that many points are left,
+const THINNING_MAX: usize = 4;
+const THINNED_POINTS: usize = 1200;
+/// and until a step moves no point of the region further than this, pixels of the level.
+const THINNED_TO_PX: f64 = 0.1;
 /// The channels are made anew at most so often.
 const PASSES_MAX: usize = 4;
 /// Rows are moved if they are off by this, pixels: less is linear.
@@ -158,6 +165,8 @@ struct Progress {
     /// Smoothing of the sharper eye, pixels of the level.
     smoothing_px: f64,
     states: Option<[ChannelState; CHANNELS_MAX]>,
+    /// States to start with, if they are known already.
+    first: Option<[ChannelState; CHANNELS_MAX]>,
     weights: [f64; CHANNELS_MAX],
     iterations: usize,
     settled: bool,
@@ -185,6 +194,8 @@ struct Prepared {
     row_applied: f64,
     /// Whether some points lie on a border that may turn out bad.
     has_border: bool,
+    /// For the first steps.
+    thinning: Thinning,
     count: usize,
 }
 
@@ -219,6 +230,7 @@ impl PlaneRefiner {
             blur_px2: 0.0,
             smoothing_px: self.config.smoothing_px,
             states: None,
+            first: None,
             weights: [1.0; CHANNELS_MAX],
             iterations: 0,
             settled: false,
@@ -236,19 +248,27 @@ impl PlaneRefiner {
         }
         for _ in 1..PASSES_MAX {
             self.descend(level, &prepared, &mut progress, true);
-            if !self.adapt(level, &prepared, &mut progress) {
-                return self.finish(level, &prepared, &progress, start);
+            let sums = self.sums_there(level, &prepared, &progress)?;
+            if !self.adapt(&sums, &prepared, &mut progress) {
+                return self.finish(level, &prepared, &progress, &sums, start);
             }
             prepared = self.prepare(&pair, level, &progress)?;
         }
         self.descend(level, &prepared, &mut progress, true);
-        self.finish(level, &prepared, &progress, start)
+        let sums = self.sums_there(level, &prepared, &progress)?;
+        self.finish(level, &prepared, &progress, &sums, start)
+    }
+
+    /// The sums over all points at the place reached; `None` before the first step.
+    fn sums_there(&self, level: &RegionLevel, prepared: &Prepared, progress: &Progress) -> Option<Sums> {
+        let states = progress.states?;
+        Some(self.accumulate(&self.warp(level, prepared, progress, &states), Thinning::NONE))
     }
 
     /// Chooses a stronger smoothing where noise makes much of the gradients; says whether it does.
     fn smooth_more(&self, level: &RegionLevel, prepared: &Prepared, progress: &mut Progress) -> bool {
         let states = self.start_states(level, prepared, progress);
-        let sums = self.accumulate(&self.warp(level, prepared, progress, &states));
+        let sums = self.accumulate(&self.warp(level, prepared, progress, &states), prepared.thinning);
         let (texture, all) = sums
             .channel
             .iter()
@@ -256,6 +276,7 @@ impl PlaneRefiner {
             .fold((0.0, 0.0), |(texture, all), s| (texture + s[20], all + s[0]));
         let noise_share = (all - texture) / texture.max(0.02 * all);
         if noise_share <= NOISE_SHARE_MAX {
+            progress.first = Some(states);
             return false;
         }
         let wanted_px = progress.smoothing_px * (noise_share / NOISE_SHARE).powf(0.25);
@@ -264,12 +285,9 @@ impl PlaneRefiner {
     }
 
     /// Says whether the channels must be made anew: rows or sharpness are not what they were made for, or the plane moves.
-    fn adapt(&self, level: &RegionLevel, prepared: &Prepared, progress: &mut Progress) -> bool {
-        let Some(states) = progress.states else { return false };
-        let warp = self.warp(level, prepared, progress, &states);
-        let sums = self.accumulate(&warp).sharpness;
+    fn adapt(&self, sums: &Sums, prepared: &Prepared, progress: &mut Progress) -> bool {
         let (left, right) = progress.smoothings_px();
-        let change = Sharpness { left_px: left, right_px: right }.difference_px2(&sums);
+        let change = Sharpness { left_px: left, right_px: right }.difference_px2(&sums.sharpness);
         let blurred = change.abs() > BLUR_EVENED_FROM_PX2;
         if blurred {
             progress.blur_px2 += change;
@@ -304,8 +322,8 @@ impl PlaneRefiner {
             width: right_part.width,
             height: right_part.height,
         };
-        let points = &mut self.points;
-        let count = self.selection.collect(level, &self.left, channels, self.config.points_max, &rows, points);
+        let (left, points, wanted) = (&self.left, &mut self.points, (count, self.config.points_max));
+        let count = self.selection.collect(level, left, channels, wanted, &rows, self.kernels, points);
         let centre = Vector2::new(f64::from(part.x), f64::from(part.y))
             + Vector2::new(part.width as f64 - 1.0, part.height as f64 - 1.0) / 2.0;
         (count >= POINTS_MIN).then_some(Prepared {
@@ -316,6 +334,7 @@ impl PlaneRefiner {
             column_shift: -f64::from(right_part.x),
             row_applied: row_px / scale,
             has_border: rims.1 > rims.0,
+            thinning: Thinning { step: (count / THINNED_POINTS).clamp(1, THINNING_MAX) },
             count,
         })
     }
@@ -365,8 +384,8 @@ impl PlaneRefiner {
         }
     }
 
-    fn accumulate(&self, warp: &Warp) -> Sums {
-        kernel::accumulate(self.kernels, &self.points, &self.right_planes(), warp, Thinning::NONE)
+    fn accumulate(&self, warp: &Warp, thinning: Thinning) -> Sums {
+        kernel::accumulate(self.kernels, &self.points, &self.right_planes(), warp, thinning)
     }
 
     fn right_planes(&self) -> [&[f32]; CHANNELS_MAX] {
@@ -376,13 +395,17 @@ impl PlaneRefiner {
     /// Gauss-Newton steps on one level.
     fn descend(&mut self, level: &RegionLevel, prepared: &Prepared, progress: &mut Progress, finest: bool) {
         let channels = prepared.channels;
-        let mut states = self.start_states(level, prepared, progress);
+        let mut thinning = if progress.states.is_none() { prepared.thinning } else { Thinning::NONE };
+        let mut states = progress.first.take().unwrap_or_else(|| self.start_states(level, prepared, progress));
         let steps = if finest { self.config.iterations_max } else { self.config.iterations_max.min(5) };
         let tolerance_px = if finest { 0.006 } else { 0.05 };
         progress.settled = false;
         for step_index in 0..steps {
             let warp = self.warp(level, prepared, progress, &states);
-            let mut sums = self.accumulate(&warp);
+            if step_index >= BORDER_JUDGED_AT {
+                thinning = Thinning::NONE;
+            }
+            let mut sums = self.accumulate(&warp, thinning);
             if finest && prepared.has_border && step_index == BORDER_JUDGED_AT {
                 sums = self.drop_bad_border(&warp, sums);
             }
@@ -395,8 +418,11 @@ impl PlaneRefiner {
             let size = step.x.abs() + (step.y * prepared.half.x).abs() + (step.z * prepared.half.y).abs();
             progress.settled = size < SETTLED_PX;
             let earliest = if prepared.has_border { BORDER_JUDGED_AT } else { 1 };
-            if size < tolerance_px && step_index >= earliest {
+            if size < tolerance_px && step_index >= earliest && thinning == Thinning::NONE {
                 break;
+            }
+            if size < THINNED_TO_PX {
+                thinning = Thinning::NONE;
             }
         }
         progress.states = Some(states);
@@ -406,7 +432,7 @@ impl PlaneRefiner {
     /// is out of focus.
     fn drop_bad_border(&mut self, warp: &Warp, all: Sums) -> Sums {
         std::mem::swap(&mut self.points.unit, &mut self.points.inner);
-        let inner = self.accumulate(warp);
+        let inner = self.accumulate(warp, Thinning::NONE);
         let squares = |sums: &Sums| sums.channel.iter().take(warp.channels).map(|s| s[21]).sum::<f64>();
         let border_seen = all.seen - inner.seen;
         let (border_weight, border_squares) = (all.weight - inner.weight, squares(&all) - squares(&inner));
@@ -478,12 +504,12 @@ impl PlaneRefiner {
         level: &RegionLevel,
         prepared: &Prepared,
         progress: &Progress,
+        sums: &Sums,
         start: &DisparityPlane,
     ) -> Option<RefinedPlane> {
         let states = progress.states?;
         let warp = self.warp(level, prepared, progress, &states);
-        let sums = self.accumulate(&warp);
-        let normal = self.normal(&sums, prepared, progress, &states);
+        let normal = self.normal(sums, prepared, progress, &states);
         let length = self.points.x.len();
         for scores in &mut self.scores {
             scores.resize(length, 0.0);
@@ -546,54 +572,4 @@ fn apply(level: &RegionLevel, prepared: &Prepared, step: &Vector4<f64>, progress
     let change = nalgebra::Vector3::new(step.x * prepared.scale, step.y, step.z);
     progress.plane = at.with_parameters(&(at.parameters() + change)).centred_at(centre_px);
     progress.row_px += step.w * prepared.scale;
-}
-
-/// Gain and offset from spreads and middles of some points, variance from what is left.
-fn first_state(points: &PointSet, right: &[f32], warp: &Warp, channel: usize, lowest: f64) -> ChannelState {
-    const COUNT: usize = 256;
-    let (mut own, mut shown) = ([0.0_f32; COUNT], [0.0_f32; COUNT]);
-    let step = (points.x.len() / COUNT).max(1);
-    let mut count = 0;
-    for i in (0..points.x.len()).step_by(step) {
-        let column = warp.column + warp.per_x * points.x[i] + warp.per_y * points.y[i];
-        if count == COUNT || points.unit[i] == 0.0 || !(column >= 1.0 && column < warp.width as f32 - 1.5) {
-            continue;
-        }
-        let first = points.row_start[i] as usize + column.round() as usize - 1;
-        let three: [f32; 3] = right.get(first..).and_then(|rest| rest.first_chunk().copied()).unwrap_or([UNUSABLE; 3]);
-        let (value, mine) = ((three[0] + 4.0 * three[1] + three[2]) / 6.0, points.value[channel][i]);
-        if value.max(mine) >= TOUCHED {
-            continue;
-        }
-        (own[count], shown[count]) = (mine, value);
-        count += 1;
-    }
-    if count < 16 {
-        return ChannelState { gain_root: 1.0, offset: 0.0, variance: lowest };
-    }
-    let (own, shown) = (&own[..count], &shown[..count]);
-    let mut scratch = [0.0_f32; COUNT];
-    let scratch = &mut scratch[..count];
-    scratch.copy_from_slice(own);
-    let (own_middle, own_spread) = spread(scratch);
-    scratch.copy_from_slice(shown);
-    let (shown_middle, shown_spread) = spread(scratch);
-    let ratio = (own_spread.max(0.5) / shown_spread.max(0.5)).clamp(0.5, 2.0);
-    let root = ratio.sqrt();
-    let offset = own_middle / root - shown_middle * root;
-    for ((difference, own), shown) in scratch.iter_mut().zip(own).zip(shown) {
-        *difference = (shown * root - own / root + offset).abs();
-    }
-    let sigma = 1.4826 * f64::from(*scratch.select_nth_unstable_by(count / 2, f32::total_cmp).1);
-    ChannelState { gain_root: f64::from(root), offset: f64::from(offset), variance: (sigma * sigma).max(lowest) }
-}
-
-/// Median and 1.4826 times the median distance from it.
-fn spread(values: &mut [f32]) -> (f32, f32) {
-    let half = values.len() / 2;
-    let middle = *values.select_nth_unstable_by(half, f32::total_cmp).1;
-    for value in values.iter_mut() {
-        *value = (*value - middle).abs();
-    }
-    (middle, 1.4826 * *values.select_nth_unstable_by(half, f32::total_cmp).1)
 }

@@ -17,45 +17,65 @@ pub(super) fn shift_rows(source: &ColourPlanes, rows: &RowOffset, kernels: Kerne
     let window = source.window;
     let wanted = if source.planes[1].width() > 0 { Wanted::Colour } else { Wanted::Luminance };
     out.resize(window, wanted);
+    let flagged = source.flags.iter().fold(0, |all, flag| all | flag) != 0;
+    let last = window.height as f64 - 1.0;
+    let step = rows.slope.x * BLOCK as f64;
     for y in 0..window.height {
-        for first in (0..window.width).step_by(BLOCK) {
-            let end = (first + BLOCK).min(window.width);
-            let centre =
-                Vector2::new(f64::from(window.x) + (first + end - 1) as f64 / 2.0, f64::from(window.y) + y as f64);
-            let at = y as f64 + rows.at(&centre);
-            for (source, out) in source.planes.iter().zip(&mut out.planes).filter(|(source, _)| source.width() > 0) {
-                shift_block(source, at, (first, end), kernels, &mut out.row_mut(y)[first..end]);
-            }
-            let row = at.round();
-            let inside = row >= 0.0 && row < window.height as f64;
-            let flags = &mut out.flags[y * window.width..][first..end];
-            match inside {
-                true => flags.copy_from_slice(&source.flags[row as usize * window.width..][first..end]),
+        // Of the first block, in the middle of its columns; every further block is a step on.
+        let centre = Vector2::new(f64::from(window.x) + (BLOCK - 1) as f64 / 2.0, f64::from(window.y) + y as f64);
+        let first = y as f64 + rows.at(&centre);
+        for (source, out) in source.planes.iter().zip(&mut out.planes).filter(|(source, _)| source.width() > 0) {
+            shift_row(kernels, source, (first, step), out.row_mut(y));
+        }
+        let blocks = window.width.div_ceil(BLOCK);
+        let ends = [first, first + step * blocks.saturating_sub(1) as f64].map(f64::round);
+        let flags = &mut out.flags[y * window.width..][..window.width];
+        if !flagged && ends.iter().all(|row| (0.0..=last).contains(row)) {
+            flags.fill(0);
+            continue;
+        }
+        for (block, flags) in flags.chunks_mut(BLOCK).enumerate() {
+            let row = (first + step * block as f64).round();
+            match (0.0..=last).contains(&row) {
+                true => {
+                    let from = row as usize * window.width + block * BLOCK;
+                    flags.copy_from_slice(&source.flags[from..][..flags.len()]);
+                }
                 false => flags.fill(UNSEEN),
             }
         }
     }
 }
 
-/// One row's block at the fractional row `at`; rows beyond the border repeat the border.
-fn shift_block(source: &ImagePlane, at: f64, (first, end): (usize, usize), kernels: Kernels, out: &mut [f32]) {
-    let last = source.height() as f64 - 1.0;
-    let at = at.clamp(0.0, last);
-    let floor = at.floor();
-    let row = |i: f64| &source.row((floor + i).clamp(0.0, last) as usize)[first..end];
-    let weights = keys((at - floor) as f32);
-    mix_rows(kernels, [row(-1.0), row(0.0), row(1.0), row(2.0)], weights, out);
-}
-
 wide! {
-    fn mix_rows(rows: [&[f32]; 4], weights: [f32; 4], out: &mut [f32]) = mix_rows_kernel;
+    /// One row, whose blocks lie at the fractional rows `first`, `first + step`, ...; rows beyond the border repeat the border.
+    fn shift_row(source: &ImagePlane, places: (f64, f64), out: &mut [f32]) = shift_row_kernel;
 }
 
 #[inline(always)]
-fn mix_rows_kernel(rows: [&[f32]; 4], weights: [f32; 4], out: &mut [f32]) {
-    let [a, b, c, d] = rows;
-    for ((((out, a), b), c), d) in out.iter_mut().zip(a).zip(b).zip(c).zip(d) {
-        *out = (weights[0] * a + weights[1] * b) + (weights[2] * c + weights[3] * d);
+fn shift_row_kernel(source: &ImagePlane, (first, step): (f64, f64), out: &mut [f32]) {
+    let (width, last) = (source.width(), source.height() as i64 - 1);
+    for (block, out) in out.chunks_mut(BLOCK).enumerate() {
+        let at = (first + step * block as f64).clamp(0.0, last as f64);
+        let floor = at as i64;
+        let weights = keys((at - floor as f64) as f32);
+        let row = |i: i64| &source.values()[(floor + i).clamp(0, last) as usize * width + block * BLOCK..][..out.len()];
+        let [a, b, c, d] = [row(-1), row(0), row(1), row(2)];
+        match (a.first_chunk::<BLOCK>(), b.first_chunk(), c.first_chunk(), d.first_chunk(), out.first_chunk_mut()) {
+            (Some(a), Some(b), Some(c), Some(d), Some(out)) => mix([a, b, c, d], weights, out),
+            _ => {
+                for (i, out) in out.iter_mut().enumerate() {
+                    mix([&[a[i]], &[b[i]], &[c[i]], &[d[i]]], weights, std::array::from_mut(out));
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn mix<const N: usize>([a, b, c, d]: [&[f32; N]; 4], weights: [f32; 4], out: &mut [f32; N]) {
+    for i in 0..N {
+        out[i] = (weights[0] * a[i] + weights[1] * b[i]) + (weights[2] * c[i] + weights[3] * d[i]);
     }
 }
 

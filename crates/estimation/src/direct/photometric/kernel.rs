@@ -40,6 +40,8 @@ pub(crate) struct PointSet {
     pub unit: Vec<f32>,
     /// 1 for a point well inside the region, else 0.
     pub inner: Vec<f32>,
+    /// Index of the point in the planes of the left part.
+    pub at: Vec<u32>,
     /// First index of the point's row in the right planes.
     pub row_start: Vec<u32>,
     /// Value (or [`UNUSABLE`]), gradients along columns and rows, and second derivative along columns, per channel.

@@ -1,9 +1,11 @@
 //! Which pixels of the left eye take part.
 
-use super::super::image_plane::PixelWindow;
+use super::super::image_plane::{ImagePlane, PixelWindow};
 use super::super::region_pyramid::{RegionLevel, is_seen};
 use super::kernel::{PointSet, SHARING, TOUCHED, UNUSABLE};
 use super::prepare::EyeChannels;
+use crate::cpu::Kernels;
+use crate::wide::wide;
 
 /// Side of the blocks in which points are ordered, pixels of the level.
 pub(super) const BLOCK: usize = 8;
@@ -17,20 +19,15 @@ pub(super) struct Selection {
     pub mask: Vec<u8>,
     inner: Vec<u8>,
     scratch: Vec<u8>,
-    candidates: Vec<Candidate>,
+    /// Columns and rows of the points in the left part.
+    places: Vec<[u16; 2]>,
+    /// Squared gradients along rows of the left part, summed up over the channels.
+    energy: ImagePlane,
     sample: Vec<f32>,
     /// One past the last point of every block.
     pub block_ends: Vec<usize>,
     /// Block column and row of every block.
     pub block_places: Vec<(u32, u32)>,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Candidate {
-    x: u16,
-    y: u16,
-    inner: bool,
-    energy: f32,
 }
 
 /// How the rows of the left part and the right planes go together.
@@ -63,147 +60,215 @@ impl Selection {
         bounds(&self.mask, width)
     }
 
-    /// Orders the marked pixels into points: all of them, or the `points_max` with the strongest gradients along rows.
-    /// Returns the number of points.
+    /// Orders the marked pixels into points: all of them, or the `points_max` with the strongest gradients along rows; `marked`
+    /// is how many there are. Returns the number of points.
+    #[allow(clippy::too_many_arguments, reason = "what the points are made of comes from three places")]
     pub fn collect(
         &mut self,
         level: &RegionLevel,
         left: &EyeChannels,
         channels: usize,
-        points_max: usize,
+        (marked, points_max): (usize, usize),
         rows: &RightRows,
+        kernels: Kernels,
         out: &mut PointSet,
     ) -> usize {
+        let stride = level.left.window.width;
+        let limit = if marked > points_max {
+            self.measure_energy(left, channels, kernels);
+            Some(self.energy_limit(stride, left, marked, points_max))
+        } else {
+            None
+        };
+        self.order(stride, left, limit, rows);
+        out.take(self, stride, left, channels, rows, kernels);
+        self.places.len()
+    }
+
+    fn measure_energy(&mut self, left: &EyeChannels, channels: usize, kernels: Kernels) {
+        let (width, height) = (left.part.width, left.part.height);
+        self.energy.resize(width, height);
+        for y in 0..height {
+            let out = self.energy.row_mut(y);
+            out.fill(0.0);
+            for plane in &left.planes[..channels] {
+                add_energy(kernels, plane.row(y), out);
+            }
+        }
+    }
+
+    /// The marks of a row of the left part.
+    fn marks(&self, stride: usize, left: &EyeChannels, y: usize) -> &[u8] {
+        &self.mask[(left.part.y as usize + y) * stride + left.part.x as usize..][..left.part.width]
+    }
+
+    fn energy_limit(&mut self, stride: usize, left: &EyeChannels, marked: usize, points_max: usize) -> f32 {
+        let mut sample = std::mem::take(&mut self.sample);
+        sample.clear();
+        // A step that shares no factor with the width of a region spreads over its columns.
+        let (step, mut skip) = ((marked / SAMPLE).max(1), 0);
+        for y in 1..left.part.height.saturating_sub(1) {
+            let energies = self.energy.row(y).iter().zip(self.marks(stride, left, y));
+            for (energy, _) in energies.filter(|(_, mark)| **mark != 0) {
+                if skip == 0 {
+                    sample.push(*energy);
+                    skip = step;
+                }
+                skip -= 1;
+            }
+        }
+        let dropped = (sample.len() as f64 * (1.0 - points_max as f64 / marked as f64)) as usize;
+        let last = sample.len().saturating_sub(1);
+        let limit =
+            if sample.is_empty() { 0.0 } else { *sample.select_nth_unstable_by(dropped.min(last), f32::total_cmp).1 };
+        self.sample = sample;
+        limit
+    }
+
+    /// Puts the marked pixels, of these the ones with an energy of `limit` or more, into the order of the blocks.
+    fn order(&mut self, stride: usize, left: &EyeChannels, limit: Option<f32>, rows: &RightRows) {
         let part = left.part;
-        self.find_candidates(level.left.window.width, left, channels);
-        let limit = self.energy_limit(points_max);
+        let mut places = std::mem::take(&mut self.places);
+        places.clear();
         self.block_ends.clear();
         self.block_places.clear();
-        let inside = |row: i32| row >= 0 && row < rows.height as i32;
-        let row_of = |at: &Candidate| i32::from(at.y) + part.y + rows.shift;
-        self.candidates.retain(|at| at.energy >= limit && inside(row_of(at)));
-        let mut place = (u32::MAX, 0);
-        for (i, at) in self.candidates.iter().enumerate() {
-            let here = (u32::from(at.x) / BLOCK as u32, u32::from(at.y) / BLOCK as u32);
-            if here != place {
-                if i > 0 {
-                    self.block_ends.push(i);
-                }
-                self.block_places.push(here);
-                place = here;
-            }
-        }
-        let count = self.candidates.len();
-        if count > 0 {
-            self.block_ends.push(count);
-        }
-        out.take(&self.candidates, left, channels);
-        out.row_start.clear();
-        out.row_start.extend(self.candidates.iter().map(|at| row_of(at) as u32 * rows.width as u32));
-        out.fill_up(channels);
-        count
-    }
-
-    fn find_candidates(&mut self, stride: usize, left: &EyeChannels, channels: usize) {
-        let part = left.part;
-        self.candidates.clear();
+        // Rows that the right planes have.
+        let shown = |y: usize| (0..rows.height as i32).contains(&(y as i32 + part.y + rows.shift));
         for (first_y, first_x) in blocks(part.height).flat_map(|y| blocks(part.width).map(move |x| (y, x))) {
-            for y in first_y.max(1)..(first_y + BLOCK).min(part.height - 1) {
-                let mask = &self.mask[(part.y as usize + y) * stride + part.x as usize..][..part.width];
-                for x in first_x.max(1)..(first_x + BLOCK).min(part.width - 1) {
-                    if mask[x] != 0 {
-                        let energy = left.planes[..channels].iter().map(|plane| {
-                            let row = plane.row(y);
-                            let usable = row[x - 1].max(row[x]).max(row[x + 1]) < TOUCHED;
-                            if usable { (row[x + 1] - row[x - 1]).powi(2) } else { 0.0 }
-                        });
-                        self.candidates.push(Candidate {
-                            x: x as u16,
-                            y: y as u16,
-                            inner: mask[x] == 2,
-                            energy: energy.sum(),
-                        });
-                    }
+            let before = places.len();
+            let columns = first_x.max(1)..(first_x + BLOCK).min(part.width - 1);
+            for y in (first_y.max(1)..(first_y + BLOCK).min(part.height - 1)).filter(|&y| shown(y)) {
+                let marks = &self.marks(stride, left, y)[columns.clone()];
+                if let Some(limit) = limit {
+                    let energies = &self.energy.row(y)[columns.clone()];
+                    push_places(
+                        columns.start,
+                        y,
+                        marks.iter().zip(energies).map(|(&m, &e)| m != 0 && e >= limit),
+                        &mut places,
+                    );
+                } else {
+                    push_places(columns.start, y, marks.iter().map(|&m| m != 0), &mut places);
                 }
             }
+            if places.len() > before {
+                self.block_ends.push(places.len());
+                self.block_places.push(((first_x / BLOCK) as u32, (first_y / BLOCK) as u32));
+            }
         }
-    }
-
-    fn energy_limit(&mut self, points_max: usize) -> f32 {
-        let count = self.candidates.len();
-        if count <= points_max {
-            return 0.0;
-        }
-        self.sample.clear();
-        let step = (count / SAMPLE).max(1);
-        self.sample.extend(self.candidates.iter().step_by(step).map(|at| at.energy));
-        let dropped = (self.sample.len() as f64 * (1.0 - points_max as f64 / count as f64)) as usize;
-        let last = self.sample.len() - 1;
-        *self.sample.select_nth_unstable_by(dropped.min(last), f32::total_cmp).1
+        self.places = places;
     }
 }
 
-impl PointSet {
-    /// Takes places, values and gradients of candidates.
-    fn take(&mut self, candidates: &[Candidate], left: &EyeChannels, channels: usize) {
-        let (width, height) = (left.part.width, left.part.height);
-        let centre = ((width as f32 - 1.0) / 2.0, (height as f32 - 1.0) / 2.0);
-        refill(&mut self.x, candidates.iter().map(|at| f32::from(at.x) - centre.0));
-        refill(&mut self.y, candidates.iter().map(|at| f32::from(at.y) - centre.1));
-        refill(&mut self.unit, candidates.iter().map(|_| 1.0));
-        refill(&mut self.inner, candidates.iter().map(|at| f32::from(u8::from(at.inner))));
-        for (c, plane) in left.planes.iter().enumerate().take(channels) {
-            let values = plane.values();
-            let index = |at: &Candidate| usize::from(at.y) * width + usize::from(at.x);
-            let smooth = |i: usize| (values[i - 1] + 4.0 * values[i] + values[i + 1]) * (1.0 / 6.0);
-            let derivatives = |at: &Candidate| {
-                let i = index(at);
-                let (above, below) = (smooth(i - width), smooth(i + width));
-                let worst = values[i - 1].max(values[i]).max(values[i + 1]).max(above).max(below);
-                match worst < TOUCHED {
-                    true => [
-                        smooth(i),
-                        0.5 * (values[i + 1] - values[i - 1]),
-                        0.5 * (below - above),
-                        values[i - 1] - 2.0 * values[i] + values[i + 1],
-                    ],
-                    false => [UNUSABLE, 0.0, 0.0, 0.0],
-                }
-            };
-            let lists = [&mut self.value[c], &mut self.gradient_x[c], &mut self.gradient_y[c], &mut self.curvature[c]];
-            let [value, gradient_x, gradient_y, curvature] = lists;
-            for list in [&mut *value, &mut *gradient_x, &mut *gradient_y, &mut *curvature] {
-                list.clear();
-                list.reserve(candidates.len());
-            }
-            for at in candidates {
-                let [v, x, y, xx] = derivatives(at);
-                value.push(v);
-                gradient_x.push(x);
-                gradient_y.push(y);
-                curvature.push(xx);
-            }
-        }
+/// Adds the places of a part of a row that are wanted.
+#[inline(always)]
+fn push_places(first_x: usize, y: usize, wanted: impl Iterator<Item = bool>, out: &mut Vec<[u16; 2]>) {
+    let mut found = [[0_u16; 2]; BLOCK];
+    let mut count = 0;
+    for (i, wanted) in wanted.enumerate().take(BLOCK) {
+        // Written over by the next one if it is not wanted.
+        found[count.min(BLOCK - 1)] = [(first_x + i) as u16, y as u16];
+        count += usize::from(wanted);
     }
+    out.extend_from_slice(&found[..count]);
+}
 
-    fn fill_up(&mut self, channels: usize) {
-        let length = self.x.len().next_multiple_of(SHARING);
+impl PointSet {
+    /// Takes places, values and gradients of the selected pixels; the last one, without weight, fills up the last group.
+    fn take(
+        &mut self,
+        selection: &Selection,
+        stride: usize,
+        left: &EyeChannels,
+        channels: usize,
+        rows: &RightRows,
+        kernels: Kernels,
+    ) {
+        let (width, height) = (left.part.width, left.part.height);
+        let places = &selection.places;
+        let (count, length) = (places.len(), places.len().next_multiple_of(SHARING));
+        let centre = ((width as f32 - 1.0) / 2.0, (height as f32 - 1.0) / 2.0);
         for values in [&mut self.x, &mut self.y, &mut self.unit, &mut self.inner] {
             values.resize(length, 0.0);
         }
         self.row_start.resize(length, 0);
+        self.at.resize(length, 0);
+        for i in 0..length {
+            let [x, y] = places[i.min(count - 1)];
+            self.x[i] = f32::from(x) - centre.0;
+            self.y[i] = f32::from(y) - centre.1;
+            self.unit[i] = if i < count { 1.0 } else { 0.0 };
+            let inner = selection.mask
+                [(left.part.y as usize + usize::from(y)) * stride + left.part.x as usize + usize::from(x)]
+                == 2;
+            self.inner[i] = if inner { self.unit[i] } else { 0.0 };
+            self.row_start[i] = (i32::from(y) + left.part.y + rows.shift) as u32 * rows.width as u32;
+            self.at[i] = u32::from(y) * width as u32 + u32::from(x);
+        }
         for c in 0..channels {
             for values in [&mut self.value[c], &mut self.gradient_x[c], &mut self.gradient_y[c], &mut self.curvature[c]]
             {
                 values.resize(length, 0.0);
             }
+            let out = [&mut self.value[c], &mut self.gradient_x[c], &mut self.gradient_y[c], &mut self.curvature[c]];
+            take_channel(kernels, left.planes[c].values(), width, &self.at, out.map(Vec::as_mut_slice));
         }
     }
 }
 
-fn refill(values: &mut Vec<f32>, with: impl Iterator<Item = f32>) {
-    values.clear();
-    values.extend(with);
+wide! {
+    /// Adds the squared gradients of a row, 0 where a value can not be used.
+    fn add_energy(row: &[f32], out: &mut [f32]) = add_energy_kernel;
+}
+
+#[inline(always)]
+fn add_energy_kernel(row: &[f32], out: &mut [f32]) {
+    let width = row.len().min(out.len());
+    if width < 3 {
+        return;
+    }
+    let neighbours = row.iter().zip(&row[1..]).zip(&row[2..]);
+    for (out, ((before, here), after)) in out[1..width - 1].iter_mut().zip(neighbours) {
+        let step = after - before;
+        let usable = *before < TOUCHED && *here < TOUCHED && *after < TOUCHED;
+        *out += if usable { step * step } else { 0.0 };
+    }
+}
+
+wide! {
+    /// Value, gradients along columns and rows, and second derivative along columns at the places `at` of a plane.
+    fn take_channel(plane: &[f32], width: usize, at: &[u32], out: [&mut [f32]; 4]) = take_channel_kernel;
+}
+
+#[inline(always)]
+fn take_channel_kernel(plane: &[f32], width: usize, at: &[u32], out: [&mut [f32]; 4]) {
+    let [value, gradient_x, gradient_y, curvature] = out;
+    let mut near = [[[0.0_f32; 4]; SHARING]; 3];
+    let groups =
+        at.chunks_exact(SHARING).zip(value.chunks_exact_mut(SHARING)).zip(gradient_x.chunks_exact_mut(SHARING));
+    let others = gradient_y.chunks_exact_mut(SHARING).zip(curvature.chunks_exact_mut(SHARING));
+    for (((at, value), gradient_x), (gradient_y, curvature)) in groups.zip(others) {
+        for (j, near) in near.iter_mut().enumerate() {
+            for (near, at) in near.iter_mut().zip(at) {
+                let first = *at as usize + j * width - width - 1;
+                match plane.get(first..first + 4) {
+                    Some(four) => near.copy_from_slice(four),
+                    // The last place of the plane has no fourth value, which is not needed.
+                    None => near[..3].copy_from_slice(&plane[first..first + 3]),
+                }
+            }
+        }
+        for i in 0..SHARING {
+            let [[a, b, c, _], [p, q, r, _], [u, v, w, _]] = [near[0][i], near[1][i], near[2][i]];
+            let (above, below) = ((a + 4.0 * b + c) * (1.0 / 6.0), (u + 4.0 * v + w) * (1.0 / 6.0));
+            let usable = p < TOUCHED && q < TOUCHED && r < TOUCHED && above < TOUCHED && below < TOUCHED;
+            let keep = |value: f32, otherwise: f32| if usable { value } else { otherwise };
+            value[i] = keep((p + 4.0 * q + r) * (1.0 / 6.0), UNUSABLE);
+            gradient_x[i] = keep(0.5 * (r - p), 0.0);
+            gradient_y[i] = keep(0.5 * (below - above), 0.0);
+            curvature[i] = keep(p - 2.0 * q + r, 0.0);
+        }
+    }
 }
 
 fn blocks(length: usize) -> impl Iterator<Item = usize> {

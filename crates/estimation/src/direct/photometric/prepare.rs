@@ -16,6 +16,7 @@ use super::super::row_offset::RowOffset;
 use super::super::row_shift::shift_rows;
 use super::kernel::{CHANNELS_MAX, UNUSABLE};
 use crate::cpu::Kernels;
+use crate::wide::wide;
 
 /// Of a pixel with a saturated channel, channels from this value on are not used, grey levels: interpolation may have taken
 /// some of the brightness away.
@@ -114,55 +115,92 @@ impl Preparation {
     ) {
         out.part = wish.part;
         let (along, across) = (Taps::spline(wish.smoothing_px), Taps::gaussian(wish.smoothing_px, 0.0));
+        let flagged = any_flag(&self.loaded.flags);
         for c in 0..channels {
-            let any = self.average(scale, window, &wish.part, c);
+            self.average(scale, window, &wish.part, (c, kernels));
             self.smoother.smooth(&self.raw, &along, &across, &mut out.planes[c], kernels);
-            if any {
+            if flagged && self.find_unusable(scale, window, &wish.part, c) {
                 mark_unusable(&self.unusable, &mut out.planes[c]);
             }
         }
     }
 
-    /// The means of a channel over squares of `scale` x `scale` pixels, and which of them can not be used; says whether any
-    /// is such.
-    fn average(&mut self, scale: usize, window: &PixelWindow, part: &PixelWindow, channel: usize) -> bool {
+    /// The means of a channel over squares of `scale` x `scale` pixels, less the middle.
+    fn average(
+        &mut self,
+        scale: usize,
+        window: &PixelWindow,
+        part: &PixelWindow,
+        (channel, kernels): (usize, Kernels),
+    ) {
         let loaded = &self.loaded;
-        let plane = &loaded.planes[channel];
         self.raw.resize(part.width, part.height);
-        self.unusable.clear();
-        self.unusable.resize(part.width * part.height, false);
         let skipped = ((window.x - loaded.window.x) as usize, (window.y - loaded.window.y) as usize);
-        let share = 1.0 / (scale * scale) as f32;
-        let mut any = false;
         for y in 0..part.height {
             let out = self.raw.row_mut(y);
-            let middle = self.middle[channel];
-            out.fill(-middle);
+            out.fill(-self.middle[channel]);
             for v in 0..scale {
                 let row = skipped.1 + y * scale + v;
-                let values = &plane.row(row)[skipped.0..][..part.width * scale];
-                let flags = &loaded.flags[row * loaded.window.width + skipped.0..][..part.width * scale];
-                if scale == 1 {
-                    for (out, value) in out.iter_mut().zip(values) {
-                        *out = value - middle;
-                    }
-                } else {
-                    for (out, values) in out.iter_mut().zip(values.chunks_exact(scale)) {
-                        *out += share * values.iter().sum::<f32>();
-                    }
-                }
-                if flags.iter().all(|&flag| flag == 0) {
-                    continue;
-                }
-                any = true;
-                let unusable = &mut self.unusable[y * part.width..][..part.width];
-                for (at, (value, flag)) in values.iter().zip(flags).enumerate() {
-                    let saturated = flag & SATURATED != 0 && *value >= NEARLY_SATURATED_GREY;
-                    unusable[at / scale] |= saturated || flag & UNSEEN != 0;
-                }
+                let values = &loaded.planes[channel].row(row)[skipped.0..][..part.width * scale];
+                add_means(kernels, values, scale, out);
+            }
+        }
+    }
+
+    /// Finds the pixels of a channel that can not be used; says whether there are any.
+    fn find_unusable(&mut self, scale: usize, window: &PixelWindow, part: &PixelWindow, channel: usize) -> bool {
+        let loaded = &self.loaded;
+        let skipped = ((window.x - loaded.window.x) as usize, (window.y - loaded.window.y) as usize);
+        self.unusable.clear();
+        self.unusable.resize(part.width * part.height, false);
+        let mut any = false;
+        for y in 0..part.height * scale {
+            let row = skipped.1 + y;
+            let flags = &loaded.flags[row * loaded.window.width + skipped.0..][..part.width * scale];
+            if !any_flag(flags) {
+                continue;
+            }
+            any = true;
+            let values = &loaded.planes[channel].row(row)[skipped.0..][..part.width * scale];
+            let unusable = &mut self.unusable[(y / scale) * part.width..][..part.width];
+            for (at, (value, flag)) in values.iter().zip(flags).enumerate() {
+                let saturated = flag & SATURATED != 0 && *value >= NEARLY_SATURATED_GREY;
+                unusable[at / scale] |= saturated || flag & UNSEEN != 0;
             }
         }
         any
+    }
+}
+
+/// Whether any of some flags is set.
+fn any_flag(flags: &[u8]) -> bool {
+    flags.iter().fold(0, |all, flag| all | flag) != 0
+}
+
+wide! {
+    /// Adds to every value of `out` its share of the mean over a square, from one row of `scale` of them.
+    fn add_means(values: &[f32], scale: usize, out: &mut [f32]) = add_means_kernel;
+}
+
+#[inline(always)]
+fn add_means_kernel(values: &[f32], scale: usize, out: &mut [f32]) {
+    let share = 1.0 / (scale * scale) as f32;
+    match scale {
+        1 => {
+            for (out, value) in out.iter_mut().zip(values) {
+                *out += value;
+            }
+        }
+        2 => {
+            for (out, two) in out.iter_mut().zip(values.as_chunks::<2>().0) {
+                *out += share * (two[0] + two[1]);
+            }
+        }
+        _ => {
+            for (out, values) in out.iter_mut().zip(values.chunks_exact(scale)) {
+                *out += share * values.iter().sum::<f32>();
+            }
+        }
     }
 }
 

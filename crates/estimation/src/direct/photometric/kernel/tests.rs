@@ -18,6 +18,7 @@ fn points() -> PointSet {
         y: list(&|i| (i / 8) as f32 - 24.0),
         unit: list(&|i| f32::from(u8::from(i < count - 21))),
         inner: list(&|i| f32::from(u8::from(i % 3 == 0))),
+        at: vec![0; count],
         row_start: (0..count).map(|i| (i / 8 * WIDTH) as u32).collect(),
         value: std::array::from_fn(|c| list(&|i| if i % 29 == c { UNUSABLE } else { value(i, c) })),
         gradient_x: std::array::from_fn(|c| list(&|i| 0.2 * value(i, 10 + c))),
