@@ -261,7 +261,7 @@ impl ColdStart {
             return own;
         }
         let level = &mut self.pyramid.levels_mut()[0];
-        let added = self.surroundings.extend(level, &own, reach);
+        let added = self.surroundings.extend(level, &own, reach, self.kernels);
         let wide = if added > 0 { self.refiner.refine(front_end, source, &self.pyramid, &own.plane) } else { None };
         self.surroundings.restore(&mut self.pyramid.levels_mut()[0]);
         wide.filter(|wide| surroundings::replaces(wide, &own)).unwrap_or(own)

@@ -26,7 +26,7 @@ use kernel::{CHANNELS_MAX, ChannelState, PointSet, Shade, Sums, Thinning, Warp};
 use points::{RightRows, Selection};
 use prepare::{EyeChannels, Pair, Preparation, Wish, reach_px};
 use sharpness::Sharpness;
-use solve::{Normal, reliability, tukey_limit, tukey_moments};
+use solve::{Normal, bounded_step, reliability, tukey_limit, tukey_moments};
 use start::first_state;
 
 /// Fewest points that are refined.
@@ -151,6 +151,7 @@ pub struct PlaneRefiner {
     left: EyeChannels,
     right: EyeChannels,
     points: PointSet,
+    made: Option<Made>,
     scores: [Vec<f32>; 4],
     pulls: BlockPulls,
 }
@@ -178,6 +179,17 @@ impl Progress {
         let own = self.smoothing_px.powi(2);
         ((own + self.blur_px2.max(0.0)).sqrt(), (own - self.blur_px2.min(0.0)).sqrt())
     }
+}
+
+/// What the points of the left eye were made of: they serve again where only the right eye changes.
+#[derive(Clone, Copy, Debug)]
+struct Made {
+    scale: usize,
+    rims: (usize, usize),
+    /// The box of the marked pixels and their number.
+    marked: (PixelWindow, usize),
+    wish: Wish,
+    channels: usize,
 }
 
 /// A level that is ready to be compared.
@@ -220,6 +232,7 @@ impl PlaneRefiner {
         start: &DisparityPlane,
     ) -> Option<RefinedPlane> {
         let pair = Pair { front_end, source };
+        self.made = None;
         let levels = pyramid.levels();
         let finest =
             levels.iter().position(|l| l.area_px <= self.config.area_max_px).unwrap_or(levels.len().max(1) - 1);
@@ -305,7 +318,12 @@ impl PlaneRefiner {
         let rim = |px: f64, share: f64| (px / scale + mixed_px).min(share * side_px).round() as usize;
         let c = &self.config;
         let rims = (rim(c.erosion_min_px, 0.5 * c.erosion_share_max), rim(c.erosion_max_px, c.erosion_share_max));
-        let (bounds, count) = self.selection.mark(level, (rims.0, rims.1.max(rims.0)))?;
+        let rims = (rims.0, rims.1.max(rims.0));
+        let known = self.made.filter(|made| (made.scale, made.rims) == (level.scale, rims));
+        let (bounds, count) = match known {
+            Some(made) => made.marked,
+            None => self.selection.mark(level, rims)?,
+        };
         if count < POINTS_MIN {
             return None;
         }
@@ -313,7 +331,13 @@ impl PlaneRefiner {
         let margin = reach_px(left_px.max(right_px)) as u32 + 1;
         let part = inside(&bounds.grown(margin), &level.left.window);
         let right_part = self.right_part(level, progress, &bounds, margin + 3)?;
-        let channels = self.preparation.left(pair, level, &Wish { part, smoothing_px: left_px }, &mut self.left);
+        let wish = Wish { part, smoothing_px: left_px };
+        let known = known.filter(|made| made.wish == wish);
+        let channels = match known {
+            Some(made) => made.channels,
+            None => self.preparation.left(pair, level, &wish, &mut self.left),
+        };
+        self.made = Some(Made { scale: level.scale, rims, marked: (bounds, count), wish, channels });
         let wish = Wish { part: right_part, smoothing_px: right_px };
         let row_px = if progress.row_px.abs() > ROWS_MOVED_FROM_PX { progress.row_px } else { 0.0 };
         self.preparation.right(pair, level, (&wish, row_px), channels, &mut self.right);
@@ -322,8 +346,15 @@ impl PlaneRefiner {
             width: right_part.width,
             height: right_part.height,
         };
-        let (left, points, wanted) = (&self.left, &mut self.points, (count, self.config.points_max));
-        let count = self.selection.collect(level, left, channels, wanted, &rows, self.kernels, points);
+        if known.is_none() {
+            let wanted = (count, self.config.points_max);
+            self.selection.collect(level, &self.left, channels, wanted, &rows, self.kernels);
+        }
+        self.points.place(&self.selection, level, &part, &rows);
+        if known.is_none() {
+            self.points.take(&self.left, channels, self.kernels);
+        }
+        let count = self.selection.count();
         let centre = Vector2::new(f64::from(part.x), f64::from(part.y))
             + Vector2::new(part.width as f64 - 1.0, part.height as f64 - 1.0) / 2.0;
         (count >= POINTS_MIN).then_some(Prepared {
@@ -553,17 +584,6 @@ impl PlaneRefiner {
 /// The part of a box (relative to a window) inside the window.
 fn inside(part: &PixelWindow, window: &PixelWindow) -> PixelWindow {
     part.clipped(window.width as u32, window.height as u32)
-}
-
-/// A step in the parameters at the centre of the points; `None` where the equations have no answer.
-fn bounded_step(normal: &Normal, half: &Vector2<f64>) -> Option<Vector4<f64>> {
-    let scale = nalgebra::Matrix4::from_diagonal(&Vector4::new(1.0, 1.0 / half.x, 1.0 / half.y, 1.0));
-    let scaled = scale * normal.matrix * scale;
-    let ridge = nalgebra::Matrix4::identity() * (1e-9 * scaled.trace());
-    let step = -((scaled + ridge).cholesky()?.solve(&(scale * normal.slope)));
-    let size = step.xyz().amax();
-    let step = if size > 1.0 { step / size } else { step };
-    step.iter().all(|value| value.is_finite()).then(|| scale * step)
 }
 
 fn apply(level: &RegionLevel, prepared: &Prepared, step: &Vector4<f64>, progress: &mut Progress) {

@@ -15,6 +15,8 @@ use super::disparity_plane::RectifiedGeometry;
 use super::patches::USABLE;
 use super::photometric::RefinedPlane;
 use super::region_pyramid::{LevelPlane, RegionLevel};
+use crate::cpu::Kernels;
+use crate::wide::wide;
 
 /// Regions with more pixels have lever enough.
 pub(super) const AREA_MAX_PX: usize = 2500;
@@ -55,6 +57,9 @@ pub(super) struct Surroundings {
     area_px: usize,
     reached: Vec<u8>,
     scratch: Vec<u8>,
+    wanted: Vec<u8>,
+    taps: Vec<[f32; 4]>,
+    terms: Vec<[f32; TERMS]>,
     sums: Vec<TileFit>,
     tiles: Vec<Tile>,
 }
@@ -74,21 +79,20 @@ enum Tile {
 impl Surroundings {
     /// Adds to the region and support of a level of full size what agrees with `refined` up to `reach` pixels around it.
     /// Returns the number of pixels added; [`Self::restore`] takes them away again.
-    pub fn extend(&mut self, level: &mut RegionLevel, refined: &RefinedPlane, reach: usize) -> usize {
+    pub fn extend(&mut self, level: &mut RegionLevel, refined: &RefinedPlane, reach: usize, kernels: Kernels) -> usize {
         self.region.clone_from(&level.region);
         self.support.clone_from(&level.support);
         self.area_px = level.area_px;
         let (width, height) = (level.left.window.width, level.left.window.height);
         self.reached.clone_from(&level.region);
-        for _ in 0..reach {
-            dilate(&mut self.reached, &mut self.scratch, width, height);
-        }
+        dilate(&mut self.reached, &mut self.scratch, width, reach.min(REACH_MAX_PX) as u8);
         let (columns, rows) = (width.div_ceil(TILE), height.div_ceil(TILE));
         let plane = level.level_plane(&refined.plane);
         self.sums.clear();
-        for (row, column) in (0..rows).flat_map(|row| (0..columns).map(move |column| (row, column))) {
-            let sum = self.sum(level, &plane, (column * TILE, row * TILE));
-            self.sums.push(sum);
+        self.sums.resize(columns * rows, TileFit::default());
+        let middle = middle_of(level);
+        for y in 0..height {
+            self.add_row(level, &plane, y, middle, kernels);
         }
         self.tiles.clear();
         for (row, column) in (0..rows).flat_map(|row| (0..columns).map(move |column| (row, column))) {
@@ -118,23 +122,33 @@ impl Surroundings {
         level.area_px = self.area_px;
     }
 
-    /// What the pixels of a tile have to say.
-    fn sum(&self, level: &RegionLevel, plane: &LevelPlane, (x0, y0): (usize, usize)) -> TileFit {
-        let (width, height) = (level.left.window.width, level.left.window.height);
-        let mut fit = TileFit::default();
-        for y in y0..(y0 + TILE).min(height) {
-            for x in x0..(x0 + TILE).min(width) {
-                let i = y * width + x;
-                if self.reached[i] != 0 {
-                    fit.own += usize::from(level.region[i]);
-                    fit.pixels += 1;
-                    if x > 0 && x + 1 < width {
-                        fit.add(level, plane, x, y);
-                    }
-                }
+    /// Adds what the pixels of a row have to say to their tiles.
+    fn add_row(&mut self, level: &RegionLevel, plane: &LevelPlane, y: usize, middle: f32, kernels: Kernels) {
+        let width = level.left.window.width;
+        let (region, reached) = (&level.region[y * width..][..width], &self.reached[y * width..][..width]);
+        let tiles = &mut self.sums[(y / TILE) * width.div_ceil(TILE)..][..width.div_ceil(TILE)];
+        for ((tile, region), reached) in tiles.iter_mut().zip(region.chunks(TILE)).zip(reached.chunks(TILE)) {
+            for (region, reached) in region.iter().zip(reached) {
+                tile.pixels += usize::from(*reached);
+                tile.own += usize::from(*reached & *region);
             }
         }
-        fit
+        let row = y as i64 + i64::from(plane.row);
+        if row < 0 || row >= level.right.window.height as i64 || width < 3 {
+            return;
+        }
+        let (left, right) = (level.left.luminance().row(y), level.right.luminance().row(row as usize));
+        self.wanted.clear();
+        let flags = &level.left.flags[y * width..][..width];
+        self.wanted.extend(reached.iter().zip(flags).map(|(reached, flag)| u8::from(*reached != 0 && *flag == 0)));
+        (self.wanted[0], self.wanted[width - 1]) = (0, 0);
+        self.taps.resize(width, [0.0; 4]);
+        self.terms.resize(width, [0.0; TERMS]);
+        let line = RowLine { start: -(plane.c + plane.b * y as f64) as f32, step: (1.0 - plane.a) as f32, middle };
+        row_terms(kernels, left, right, &self.wanted, line, &mut self.taps, &mut self.terms);
+        for (i, (tile, terms)) in tiles.iter_mut().zip(self.terms.chunks(TILE)).enumerate() {
+            tile.add(terms, i * TILE, y);
+        }
     }
 
     /// Judges a tile by its own pixels and those of the tiles around it.
@@ -192,6 +206,69 @@ impl Surroundings {
     }
 }
 
+/// Terms of a pixel.
+const TERMS: usize = 10;
+
+/// Where the right eye shows a row of the left one: column `start + step x`.
+#[derive(Clone, Copy, Debug)]
+struct RowLine {
+    start: f32,
+    step: f32,
+    /// Taken off both eyes, which changes only the offset between them and keeps sums small.
+    middle: f32,
+}
+
+wide! {
+    /// Of every pixel of a row the products of gradient, left value, 1 and right value: zero for those not `wanted`.
+    fn row_terms(left: &[f32], right: &[f32], wanted: &[u8], line: RowLine, taps: &mut [[f32; 4]],
+        terms: &mut [[f32; TERMS]]) = row_terms_kernel;
+}
+
+#[inline(always)]
+fn row_terms_kernel(
+    left: &[f32],
+    right: &[f32],
+    wanted: &[u8],
+    line: RowLine,
+    taps: &mut [[f32; 4]],
+    terms: &mut [[f32; TERMS]],
+) {
+    let last = right.len() as f32 - 2.0;
+    for (x, taps) in taps.iter_mut().enumerate() {
+        let at = line.start + line.step * x as f32;
+        // Beyond the ends nothing is used.
+        let first = if at >= 1.0 && at < last { at as usize - 1 } else { usize::MAX };
+        match right.get(first..first.saturating_add(4)) {
+            Some(four) => taps.copy_from_slice(four),
+            None => *taps = [f32::NAN; 4],
+        }
+    }
+    terms[0] = [0.0; TERMS];
+    terms[left.len() - 1] = [0.0; TERMS];
+    for x in 1..left.len() - 1 {
+        let at = line.start + line.step * x as f32;
+        let t = at - at.floor();
+        let [before, here, next, after] = taps[x];
+        let is_wanted = wanted[x] != 0 && !here.is_nan();
+        let r = here + t * (next - here) - line.middle;
+        // What a shift of the right eye by one column adds.
+        let (own, other) =
+            (0.5 * (left[x + 1] - left[x - 1]), 0.5 * ((next - before) * (1.0 - t) + (after - here) * t));
+        let (d, l) = (0.5 * (own + other), left[x] - line.middle);
+        let all = [d * d, d * l, d, l * l, l, 1.0, d * r, l * r, r, r * r];
+        for k in 0..TERMS {
+            terms[x][k] = if is_wanted { all[k] } else { 0.0 };
+        }
+    }
+}
+
+/// A value in the middle of those of the left eye.
+fn middle_of(level: &RegionLevel) -> f32 {
+    let values = level.left.luminance().values();
+    let (sum, count) = values.iter().step_by(37).fold((0.0, 0.0_f32), |(sum, count), value| (sum + value, count + 1.0));
+    sum / count.max(1.0)
+}
+
 /// Sums of a tile's equations `shift * gradient + gain * left + offset = right`.
 #[derive(Clone, Copy, Debug, Default)]
 struct TileFit {
@@ -208,31 +285,23 @@ struct TileFit {
 }
 
 impl TileFit {
-    fn add(&mut self, level: &RegionLevel, plane: &LevelPlane, x: usize, y: usize) {
-        let row = y as i64 + i64::from(plane.row);
-        if row < 0 || row >= level.right.window.height as i64 || level.left.flags[y * level.left.window.width + x] != 0
-        {
-            return;
+    /// Adds the terms of pixels side by side from `x` on.
+    fn add(&mut self, pixels: &[[f32; TERMS]], x: usize, y: usize) {
+        let mut sum = [0.0_f32; TERMS];
+        let mut columns = 0.0;
+        for (i, terms) in pixels.iter().enumerate() {
+            for (sum, term) in sum.iter_mut().zip(terms) {
+                *sum += term;
+            }
+            columns += f64::from(terms[5]) * (x + i) as f64;
         }
-        let at = x as f64 - (plane.c + plane.a * x as f64 + plane.b * y as f64);
-        let source = level.right.luminance().row(row as usize);
-        if !(at >= 1.0 && at < source.len() as f64 - 2.0) {
-            return;
-        }
-        let left = level.left.luminance().row(y);
-        let floor = at as usize;
-        let (t, b) = ((at - floor as f64) as f32, source[floor]);
-        let right = f64::from(b + t * (source[floor + 1] - b));
-        // What a shift of the right eye by one column adds.
-        let own = f64::from(left[x + 1] - left[x - 1]) * 0.5;
-        let other = f64::from((source[floor + 1] - source[floor - 1]) * (1.0 - t) + (source[floor + 2] - b) * t) * 0.5;
-        let terms = Vector3::new(0.5 * (own + other), f64::from(left[x]), 1.0);
-        self.matrix += terms * terms.transpose();
-        self.slope += terms * right;
-        self.squares += right * right;
-        self.sum += right;
-        self.count += 1.0;
-        self.middle += Vector2::new(x as f64, y as f64);
+        let [dd, dl, d, ll, l, one, dr, lr, r, rr] = sum.map(f64::from);
+        self.matrix += Matrix3::new(dd, dl, d, dl, ll, l, d, l, one);
+        self.slope += Vector3::new(dr, lr, r);
+        self.squares += rr;
+        self.sum += r;
+        self.count += one;
+        self.middle += Vector2::new(columns, one * y as f64);
     }
 
     fn join(&mut self, other: &Self) {
@@ -286,22 +355,33 @@ pub(super) fn replaces(wide: &RefinedPlane, own: &RefinedPlane) -> bool {
     wide.converged && distance <= DISTANCE_MAX && slopes(wide) < SHRINKAGE_MAX * slopes(own)
 }
 
-/// Adds the pixels around a mask.
-fn dilate(mask: &mut [u8], scratch: &mut Vec<u8>, width: usize, height: usize) {
-    scratch.clear();
-    scratch.extend_from_slice(mask);
-    for y in 0..height {
-        let row = &mut scratch[y * width..(y + 1) * width];
-        let old = &mask[y * width..(y + 1) * width];
-        for x in 0..width {
-            row[x] = old[x] | old[x.saturating_sub(1)] | old[(x + 1).min(width - 1)];
+/// Adds the pixels up to `reach` columns and rows around a mask of zeros and ones.
+fn dilate(mask: &mut [u8], distance: &mut Vec<u8>, width: usize, reach: u8) {
+    for row in mask.chunks_exact_mut(width.max(1)) {
+        let (mut before, mut after) = (u8::MAX, u8::MAX);
+        for pixel in row.iter_mut() {
+            before = if *pixel != 0 { 0 } else { before.saturating_add(1) };
+            *pixel |= u8::from(before <= reach) << 1;
+        }
+        for pixel in row.iter_mut().rev() {
+            after = if *pixel & 1 != 0 { 0 } else { after.saturating_add(1) };
+            *pixel = u8::from(after <= reach) | (*pixel >> 1);
         }
     }
-    for y in 0..height {
-        for x in 0..width {
-            let at = |y: usize| scratch[y * width + x];
-            mask[y * width + x] = at(y) | at(y.saturating_sub(1)) | at((y + 1).min(height - 1));
+    for is_upward in [false, true] {
+        distance.clear();
+        distance.resize(width, u8::MAX);
+        let rows = mask.len() / width.max(1);
+        for y in (0..rows).map(|y| if is_upward { rows - 1 - y } else { y }) {
+            // Bit 0 is the mask, bit 1 what is added to it.
+            for (pixel, distance) in mask[y * width..(y + 1) * width].iter_mut().zip(distance.iter_mut()) {
+                *distance = if *pixel & 1 != 0 { 0 } else { distance.saturating_add(1) };
+                *pixel |= u8::from(*distance <= reach) << 1;
+            }
         }
+    }
+    for pixel in mask {
+        *pixel >>= 1;
     }
 }
 
@@ -366,7 +446,7 @@ mod tests {
     fn added(level: &mut RegionLevel, refined: &RefinedPlane) -> (usize, usize) {
         let own = level.clone();
         let mut surroundings = Surroundings::default();
-        let count = surroundings.extend(level, refined, 12);
+        let count = surroundings.extend(level, refined, 12, Kernels::best());
         let new = |x: usize| (0..SIZE).filter(|y| level.region[y * SIZE + x] > own.region[y * SIZE + x]).count();
         let sides = ((0..25).map(new).sum::<usize>(), (55..SIZE).map(new).sum::<usize>());
         assert_eq!(level.area_px, own.area_px + count);
@@ -374,6 +454,23 @@ mod tests {
         surroundings.restore(level);
         assert!(level.region == own.region && level.support == own.support && level.area_px == own.area_px);
         sides
+    }
+
+    #[test]
+    fn masks_grow_by_their_reach_to_all_sides() {
+        let (width, height) = (23, 17);
+        let seeds = [(0, 3), (5, 9), (11, 2), (22, 16)];
+        for reach in [0, 1, 4] {
+            let mut mask = vec![0; width * height];
+            for (x, y) in seeds {
+                mask[y * width + x] = 1;
+            }
+            dilate(&mut mask, &mut Vec::new(), width, reach);
+            for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
+                let near = |(u, v): &(usize, usize)| u.abs_diff(x).max(v.abs_diff(y)) <= usize::from(reach);
+                assert_eq!(mask[y * width + x], u8::from(seeds.iter().any(near)), "{x} {y} by {reach}");
+            }
+        }
     }
 
     #[test]

@@ -61,8 +61,7 @@ impl Selection {
     }
 
     /// Orders the marked pixels into points: all of them, or the `points_max` with the strongest gradients along rows; `marked`
-    /// is how many there are. Returns the number of points.
-    #[allow(clippy::too_many_arguments, reason = "what the points are made of comes from three places")]
+    /// is how many there are.
     pub fn collect(
         &mut self,
         level: &RegionLevel,
@@ -71,8 +70,7 @@ impl Selection {
         (marked, points_max): (usize, usize),
         rows: &RightRows,
         kernels: Kernels,
-        out: &mut PointSet,
-    ) -> usize {
+    ) {
         let stride = level.left.window.width;
         let limit = if marked > points_max {
             self.measure_energy(left, channels, kernels);
@@ -81,7 +79,10 @@ impl Selection {
             None
         };
         self.order(stride, left, limit, rows);
-        out.take(self, stride, left, channels, rows, kernels);
+    }
+
+    /// Number of points.
+    pub fn count(&self) -> usize {
         self.places.len()
     }
 
@@ -174,44 +175,38 @@ fn push_places(first_x: usize, y: usize, wanted: impl Iterator<Item = bool>, out
 }
 
 impl PointSet {
-    /// Takes places, values and gradients of the selected pixels; the last one, without weight, fills up the last group.
-    fn take(
-        &mut self,
-        selection: &Selection,
-        stride: usize,
-        left: &EyeChannels,
-        channels: usize,
-        rows: &RightRows,
-        kernels: Kernels,
-    ) {
-        let (width, height) = (left.part.width, left.part.height);
+    /// Takes the places of the selected pixels; the last one, without weight, fills up the last group.
+    pub fn place(&mut self, selection: &Selection, level: &RegionLevel, part: &PixelWindow, rows: &RightRows) {
         let places = &selection.places;
         let (count, length) = (places.len(), places.len().next_multiple_of(SHARING));
-        let centre = ((width as f32 - 1.0) / 2.0, (height as f32 - 1.0) / 2.0);
+        let centre = ((part.width as f32 - 1.0) / 2.0, (part.height as f32 - 1.0) / 2.0);
         for values in [&mut self.x, &mut self.y, &mut self.unit, &mut self.inner] {
             values.resize(length, 0.0);
         }
         self.row_start.resize(length, 0);
         self.at.resize(length, 0);
+        let marks = &selection.mask[part.y as usize * level.left.window.width + part.x as usize..];
         for i in 0..length {
             let [x, y] = places[i.min(count - 1)];
             self.x[i] = f32::from(x) - centre.0;
             self.y[i] = f32::from(y) - centre.1;
             self.unit[i] = if i < count { 1.0 } else { 0.0 };
-            let inner = selection.mask
-                [(left.part.y as usize + usize::from(y)) * stride + left.part.x as usize + usize::from(x)]
-                == 2;
+            let inner = marks[usize::from(y) * level.left.window.width + usize::from(x)] == 2;
             self.inner[i] = if inner { self.unit[i] } else { 0.0 };
-            self.row_start[i] = (i32::from(y) + left.part.y + rows.shift) as u32 * rows.width as u32;
-            self.at[i] = u32::from(y) * width as u32 + u32::from(x);
+            self.row_start[i] = (i32::from(y) + part.y + rows.shift) as u32 * rows.width as u32;
+            self.at[i] = u32::from(y) * part.width as u32 + u32::from(x);
         }
+    }
+
+    /// Takes the values and gradients of the points.
+    pub fn take(&mut self, left: &EyeChannels, channels: usize, kernels: Kernels) {
         for c in 0..channels {
-            for values in [&mut self.value[c], &mut self.gradient_x[c], &mut self.gradient_y[c], &mut self.curvature[c]]
-            {
-                values.resize(length, 0.0);
-            }
             let out = [&mut self.value[c], &mut self.gradient_x[c], &mut self.gradient_y[c], &mut self.curvature[c]];
-            take_channel(kernels, left.planes[c].values(), width, &self.at, out.map(Vec::as_mut_slice));
+            let out = out.map(|values| {
+                values.resize(self.at.len(), 0.0);
+                values.as_mut_slice()
+            });
+            take_channel(kernels, left.planes[c].values(), left.part.width, &self.at, out);
         }
     }
 }

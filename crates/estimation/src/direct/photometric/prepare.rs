@@ -38,7 +38,9 @@ pub(super) struct Preparation {
     loaded: ColourPlanes,
     unshifted: ColourPlanes,
     raw: ImagePlane,
-    unusable: Vec<bool>,
+    /// 1 for pixels that can not be used, else 0; and a row of them.
+    unusable: Vec<u8>,
+    unusable_row: Vec<u8>,
     /// Taken off the channels of both eyes to keep sums small, grey levels.
     middle: [f32; CHANNELS_MAX],
 }
@@ -51,7 +53,7 @@ pub(super) struct Pair<'a> {
 }
 
 /// Which part of an eye, and how.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Wish {
     /// Part of the level's window.
     pub part: PixelWindow,
@@ -119,8 +121,8 @@ impl Preparation {
         for c in 0..channels {
             self.average(scale, window, &wish.part, (c, kernels));
             self.smoother.smooth(&self.raw, &along, &across, &mut out.planes[c], kernels);
-            if flagged && self.find_unusable(scale, window, &wish.part, c) {
-                mark_unusable(&self.unusable, &mut out.planes[c]);
+            if flagged && self.find_unusable(scale, window, &wish.part, (c, kernels)) {
+                mark_unusable(&self.unusable, &mut self.unusable_row, &mut out.planes[c], kernels);
             }
         }
     }
@@ -148,11 +150,18 @@ impl Preparation {
     }
 
     /// Finds the pixels of a channel that can not be used; says whether there are any.
-    fn find_unusable(&mut self, scale: usize, window: &PixelWindow, part: &PixelWindow, channel: usize) -> bool {
+    fn find_unusable(
+        &mut self,
+        scale: usize,
+        window: &PixelWindow,
+        part: &PixelWindow,
+        (channel, kernels): (usize, Kernels),
+    ) -> bool {
         let loaded = &self.loaded;
         let skipped = ((window.x - loaded.window.x) as usize, (window.y - loaded.window.y) as usize);
         self.unusable.clear();
-        self.unusable.resize(part.width * part.height, false);
+        self.unusable.resize(part.width * part.height, 0);
+        self.unusable_row.resize(part.width * scale, 0);
         let mut any = false;
         for y in 0..part.height * scale {
             let row = skipped.1 + y;
@@ -160,15 +169,33 @@ impl Preparation {
             if !any_flag(flags) {
                 continue;
             }
-            any = true;
             let values = &loaded.planes[channel].row(row)[skipped.0..][..part.width * scale];
-            let unusable = &mut self.unusable[(y / scale) * part.width..][..part.width];
-            for (at, (value, flag)) in values.iter().zip(flags).enumerate() {
-                let saturated = flag & SATURATED != 0 && *value >= NEARLY_SATURATED_GREY;
-                unusable[at / scale] |= saturated || flag & UNSEEN != 0;
+            unusable_row(kernels, values, flags, &mut self.unusable_row);
+            any = any || any_flag(&self.unusable_row);
+            let out = &mut self.unusable[(y / scale) * part.width..][..part.width];
+            match scale {
+                1 => out.copy_from_slice(&self.unusable_row),
+                _ => {
+                    for (out, of) in out.iter_mut().zip(self.unusable_row.chunks_exact(scale)) {
+                        *out |= of.iter().fold(0, |all, one| all | one);
+                    }
+                }
             }
         }
         any
+    }
+}
+
+wide! {
+    /// 1 for every pixel of a row that can not be used, else 0.
+    fn unusable_row(values: &[f32], flags: &[u8], out: &mut [u8]) = unusable_row_kernel;
+}
+
+#[inline(always)]
+fn unusable_row_kernel(values: &[f32], flags: &[u8], out: &mut [u8]) {
+    for ((out, value), flag) in out.iter_mut().zip(values).zip(flags) {
+        let saturated = u8::from(flag & SATURATED != 0) & u8::from(*value >= NEARLY_SATURATED_GREY);
+        *out = saturated | u8::from(flag & UNSEEN != 0);
     }
 }
 
@@ -222,13 +249,32 @@ fn mean(values: &[f32]) -> f32 {
 }
 
 /// Marks pixels that can not be used, and their neighbours, which smoothing has touched.
-fn mark_unusable(unusable: &[bool], plane: &mut ImagePlane) {
+fn mark_unusable(unusable: &[u8], touched: &mut Vec<u8>, plane: &mut ImagePlane, kernels: Kernels) {
     let (width, height) = (plane.width(), plane.height());
-    for (y, row) in unusable.chunks_exact(width.max(1)).enumerate() {
-        for (x, _) in row.iter().enumerate().filter(|(_, unusable)| **unusable) {
-            for v in y.saturating_sub(1)..(y + 2).min(height) {
-                plane.row_mut(v)[x.saturating_sub(1)..(x + 2).min(width)].fill(UNUSABLE);
+    for y in 0..height {
+        touched.clear();
+        touched.resize(width + 2, 0);
+        // One column further right, with room for both neighbours.
+        for row in unusable[y.saturating_sub(1) * width..(y + 2).min(height) * width].chunks_exact(width) {
+            for (touched, unusable) in touched[1..].iter_mut().zip(row) {
+                *touched |= unusable;
             }
         }
+        if any_flag(touched) {
+            mark_row(kernels, touched, plane.row_mut(y));
+        }
+    }
+}
+
+wide! {
+    /// Marks the values beside a touched column; `touched` begins one column earlier.
+    fn mark_row(touched: &[u8], values: &mut [f32]) = mark_row_kernel;
+}
+
+#[inline(always)]
+fn mark_row_kernel(touched: &[u8], values: &mut [f32]) {
+    let beside = touched.iter().zip(&touched[1..]).zip(&touched[2..]);
+    for (value, ((before, here), after)) in values.iter_mut().zip(beside) {
+        *value = if before | here | after != 0 { UNUSABLE } else { *value };
     }
 }

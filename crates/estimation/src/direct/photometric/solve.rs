@@ -1,6 +1,6 @@
 //! From sums to a step: the gain of every channel is eliminated (its offsets are already), the channels are added up.
 
-use nalgebra::{Matrix4, Vector4};
+use nalgebra::{Matrix4, Vector2, Vector4};
 
 use super::kernel::{CHANNELS_MAX, ChannelState, Projection, SUMS, Sums};
 
@@ -92,6 +92,17 @@ impl Normal {
             Projection { weight: part.weight as f32, mean: std::array::from_fn(|k| taken[k] as f32) }
         })
     }
+}
+
+/// A step in the parameters at the centre of the points; `None` where the equations have no answer.
+pub(super) fn bounded_step(normal: &Normal, half: &Vector2<f64>) -> Option<Vector4<f64>> {
+    let scale = Matrix4::from_diagonal(&Vector4::new(1.0, 1.0 / half.x, 1.0 / half.y, 1.0));
+    let scaled = scale * normal.matrix * scale;
+    let ridge = Matrix4::identity() * (1e-9 * scaled.trace());
+    let step = -((scaled + ridge).cholesky()?.solve(&(scale * normal.slope)));
+    let size = step.xyz().amax();
+    let step = if size > 1.0 { step / size } else { step };
+    step.iter().all(|value| value.is_finite()).then(|| scale * step)
 }
 
 /// Tukey's limit for the sum of squared normalised residuals of `channels` channels (95 % efficiency, Gaussian noise).

@@ -224,26 +224,14 @@ fn pick_kernel(
     seen_from_right: &mut [(u16, u16)],
 ) {
     for (x, (sums, out)) in sums.chunks_exact(stride).zip(out.iter_mut()).enumerate() {
-        let mut least = [u16::MAX; GROUP];
+        let (lowest, best) = if stride <= PACKED { lowest_packed(sums) } else { lowest_of(sums) };
+        let limit = lowest + (f32::from(lowest) * rules.uniqueness) as u16;
+        let mut below = [0_u16; GROUP];
         for group in sums.chunks_exact(GROUP) {
             for i in 0..GROUP {
-                least[i] = least[i].min(group[i]);
+                below[i] += u16::from(group[i] < limit);
             }
         }
-        let mut lowest = u16::MAX;
-        for value in least {
-            lowest = lowest.min(value);
-        }
-        let limit = lowest + (f32::from(lowest) * rules.uniqueness) as u16;
-        let (mut places, mut below) = ([u16::MAX; GROUP], [0_u16; GROUP]);
-        for (group, sums) in sums.chunks_exact(GROUP).enumerate() {
-            for i in 0..GROUP {
-                let place = (group * GROUP + i) as u16;
-                places[i] = places[i].min(if sums[i] == lowest { place } else { u16::MAX });
-                below[i] += u16::from(sums[i] < limit);
-            }
-        }
-        let best = places.iter().fold(u16::MAX, |a, &b| a.min(b)) as usize;
         let mut rivals: u32 = below.iter().map(|&count| u32::from(count)).sum();
         for &near in &sums[best.saturating_sub(1)..(best + 2).min(stride)] {
             rivals -= u32::from(near < limit);
@@ -254,6 +242,42 @@ fn pick_kernel(
         }
         *out = if rivals == 0 && best > 0 && best + 1 < count { vertex(sums, best) } else { f32::NAN };
     }
+}
+
+/// Disparities whose index fits beside a sum of four saturated bytes into 16 bits.
+const PACKED: usize = 64;
+
+/// The lowest sum and its first place, of at most [`PACKED`] sums.
+#[inline(always)]
+fn lowest_packed(sums: &[u16]) -> (u16, usize) {
+    let mut least = [u16::MAX; GROUP];
+    for (group, sums) in sums.chunks_exact(GROUP).enumerate() {
+        for i in 0..GROUP {
+            least[i] = least[i].min(sums[i] * PACKED as u16 + (group * GROUP + i) as u16);
+        }
+    }
+    let least = least.iter().fold(u16::MAX, |a, &b| a.min(b));
+    (least / PACKED as u16, usize::from(least) % PACKED)
+}
+
+/// The lowest sum and its first place.
+#[inline(always)]
+fn lowest_of(sums: &[u16]) -> (u16, usize) {
+    let mut least = [u16::MAX; GROUP];
+    for group in sums.chunks_exact(GROUP) {
+        for i in 0..GROUP {
+            least[i] = least[i].min(group[i]);
+        }
+    }
+    let lowest = least.iter().fold(u16::MAX, |a, &b| a.min(b));
+    let mut places = [u16::MAX; GROUP];
+    for (group, sums) in sums.chunks_exact(GROUP).enumerate() {
+        for i in 0..GROUP {
+            let place = (group * GROUP + i) as u16;
+            places[i] = places[i].min(if sums[i] == lowest { place } else { u16::MAX });
+        }
+    }
+    (lowest, places.iter().fold(u16::MAX, |a, &b| a.min(b)) as usize)
 }
 
 /// Where the parabola through three sums has its lowest point.
@@ -336,6 +360,19 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn the_first_of_equal_sums_is_the_lowest() {
+        for seed in 0..200_usize {
+            let sums: Vec<u16> = (0..PACKED).map(|i| ((i * 7919 + seed * 104_729) >> 3) as u16 % 1021).collect();
+            let sums: Vec<u16> = sums.iter().map(|&sum| if seed % 3 == 0 { sum / 100 } else { sum }).collect();
+            let lowest = *sums.iter().min().unwrap();
+            let expected = (lowest, sums.iter().position(|&sum| sum == lowest).unwrap());
+            assert_eq!((lowest_packed(&sums), lowest_of(&sums)), (expected, expected));
+        }
+        let last = [vec![1020; PACKED - 1], vec![1019]].concat();
+        assert_eq!((lowest_packed(&last), lowest_packed(&[1020; PACKED])), ((1019, PACKED - 1), (1020, 0)));
     }
 
     #[test]
