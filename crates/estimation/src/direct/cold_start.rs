@@ -151,6 +151,11 @@ pub struct ColdStartOutcome {
     pub at_refined: Option<PatchOutcome>,
     /// Where the patches around the refined plane would have it.
     pub plane_at_refined: Option<DisparityPlane>,
+    /// Where no plane fits the region: the plane that explains the most disparities within a pixel.
+    pub widest: Option<DisparityPlane>,
+    /// Where the plane explains little: the plane of any depth and tilt that explains the most, with its share of the
+    /// region's pixels.
+    pub unlimited: Option<(DisparityPlane, f64)>,
 }
 
 /// Finds planes; keeps its buffers.
@@ -234,6 +239,14 @@ impl ColdStart {
         });
         let (centre, valid_share) = (self.pyramid.centroid_px(), self.search.valid_share);
         let plane_at_refined = at_refined.map(|found| self.pyramid.levels()[level].full_plane(&found.plane, centre));
+        let reached = refined.map_or(patch_plane, |refined| refined.plane);
+        let (mut widest, mut unlimited) = (None, None);
+        if support_of(&finest) < PLANE_SUPPORT_MIN && may_continue() {
+            if finest.mean_correlation >= PLANE_CORRELATION_MIN {
+                widest = self.widest(&[reached, patch_plane], allowed);
+            }
+            unlimited = self.unlimited();
+        }
         Some(ColdStartOutcome {
             first,
             second,
@@ -244,6 +257,8 @@ impl ColdStart {
             refined,
             at_refined,
             plane_at_refined,
+            widest,
+            unlimited,
         })
     }
 
@@ -265,6 +280,42 @@ impl ColdStart {
         let wide = if added > 0 { self.refiner.refine(front_end, source, &self.pyramid, &own.plane) } else { None };
         self.surroundings.restore(&mut self.pyramid.levels_mut()[0]);
         wide.filter(|wide| surroundings::replaces(wide, &own)).unwrap_or(own)
+    }
+
+    /// Where the clear disparities lie spread around the first of `known` and not on it, the plane that explains the most of
+    /// them within a pixel.
+    fn widest(
+        &mut self,
+        known: &[DisparityPlane],
+        allowed: impl Fn(&DisparityPlane) -> bool,
+    ) -> Option<DisparityPlane> {
+        let (centre, level) = (self.pyramid.centroid_px(), &self.pyramid.levels()[self.searched]);
+        let tolerance_px = (WIDEST_PX / level.scale as f64).max(WIDEST_LEVEL_PX_MIN);
+        let own = level.level_plane(known.first()?);
+        let share = |tolerance_px| self.search.share_within(level, &own, tolerance_px, self.kernels);
+        let is_spread = share(0.5 * tolerance_px) < SPREAD_NEAR_MAX * share(tolerance_px);
+        if self.search.valid_share < WIDEST_VALID_MIN || !is_spread {
+            return None;
+        }
+        let seeds = known.iter().chain(self.surfaces.iter().map(|surface| &surface.plane));
+        let found = self.search.widest(
+            level,
+            seeds.map(|plane| level.level_plane(plane)),
+            (&self.config.search, tolerance_px),
+            |plane| allowed(&level.full_plane(plane, centre)),
+            self.kernels,
+        )?;
+        let found = level.full_plane(&found.plane, centre);
+        let apart = |at: &Vector2<f64>| (found.at(at) - known[0].at(at)).abs() > WIDEST_APART_PX;
+        self.box_corners().iter().any(apart).then_some(found)
+    }
+
+    /// The plane that explains the most clear disparities, whatever its depth and tilt, with its share of the region.
+    fn unlimited(&mut self) -> Option<(DisparityPlane, f64)> {
+        let (centre, level) = (self.pyramid.centroid_px(), &self.pyramid.levels()[self.searched]);
+        let rules = (&self.config.search, self.config.search.hypotheses.tolerance_px);
+        let found = self.search.widest(level, std::iter::empty(), rules, |_| true, self.kernels)?;
+        Some((level.full_plane(&found.plane, centre), found.share * self.search.valid_share))
     }
 
     /// Looks at the patches around a plane.
@@ -419,6 +470,25 @@ impl ColdStart {
     }
 }
 
+/// Share of the region's pixels whose patch has texture and agrees.
+pub(super) fn support_of(patches: &PatchOutcome) -> f64 {
+    patches.textured_share * patches.support_share
+}
+
+/// With less support than this, the region may be no plane.
+const PLANE_SUPPORT_MIN: f64 = 0.5;
+/// If what agrees with a plane correlates less, noise may be why the rest does not.
+const PLANE_CORRELATION_MIN: f64 = 0.8;
+/// Disparities this near to a plane are explained by it, pixels; and at least, pixels of the level that was searched.
+const WIDEST_PX: f64 = 1.0;
+const WIDEST_LEVEL_PX_MIN: f64 = 0.5;
+/// It replaces a refined plane that is off by more at a corner of the region's box, pixels.
+const WIDEST_APART_PX: f64 = 0.5;
+/// Clear disparities speak for the region if at least this share of its pixels has one.
+const WIDEST_VALID_MIN: f64 = 0.5;
+/// If half of the tolerance holds less than this share of what the whole holds, disparities lie spread around the plane; evenly
+/// spread ones give one half, those of a plane nearly one.
+const SPREAD_NEAR_MAX: f64 = 0.6;
 /// A rival that shares more than this of its pixels with the first is another explanation of the same surface.
 const OVERLAP_OF_ALIAS: f64 = 0.5;
 /// What the patches say of a plane holds for another that differs by no more than this at the corners of the region's box,

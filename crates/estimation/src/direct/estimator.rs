@@ -13,7 +13,7 @@ use super::region_pyramid::PyramidSource;
 use super::row_measurement::{RowMeasurement, measure_rows};
 use super::row_offset::RowOffset;
 use super::track::DirectTrackerConfig;
-use super::verdict::{DirectVerdictConfig, judge};
+use super::verdict::{DirectVerdictConfig, Searched, Steeper, judge, nothing_found};
 use crate::cpu::Kernels;
 use crate::error::EstimationError;
 use crate::estimate::{EstimateWarning, PlaneEstimate, PlanePose, SecondPlane};
@@ -202,9 +202,7 @@ impl DirectEstimator {
         let mut estimate = PlaneEstimate { warnings, ..self.blank(centroid_px) };
         match &self.outcome {
             Some(outcome) => self.fill(&mut estimate, outcome, &view, range),
-            None => {
-                estimate.reason = "no plane within the search range can be compared in both images: check range, region and calibration".to_owned();
-            }
+            None => estimate.reason = nothing_found(range),
         }
         Ok(estimate)
     }
@@ -228,7 +226,8 @@ impl DirectEstimator {
         };
         let spread = covariance.map(|covariance| Spread::of(&covariance, &plane, &pose, view));
         let normal_sigma_rad = spread.map(|spread| spread.normal_sigma_rad);
-        let verdict = judge(outcome, normal_sigma_rad, &self.config.verdict);
+        let searched = Searched { range: *range, steeper: steeper(outcome, view, range) };
+        let verdict = judge(outcome, normal_sigma_rad, &searched, &self.config.verdict);
         (estimate.status, estimate.reason) = (verdict.status, verdict.reason);
         estimate.psi = PlaneHypothesis::from_inverse_depth_plane(&pose.inverse_depth_plane, &view.ray);
         estimate.fitness = Some(outcome.finest.mean_correlation);
@@ -297,10 +296,15 @@ const PATCH_ROWS_PX: f64 = 0.2;
 /// The plane of an outcome with the covariance of `(d0, du, dv)`: the refined plane if the refinement came to rest near the
 /// patches' plane. Where that is farther off than patches can be wrong on a plane, and they agree with it clearly less than
 /// with their own, the surface or its shading is not what the model says, both planes err on their own, and the answer lies
-/// half-way. What the answer is moved by counts as error.
+/// half-way. Where no plane fits, the answer is the one that explains the most disparities. What the answer is moved by
+/// counts as error.
 fn answer(outcome: &ColdStartOutcome, side_px: f64) -> (DisparityPlane, Option<Matrix3<f64>>) {
-    let Some(refined) = &outcome.refined else { return (outcome.patch_plane, None) };
+    let Some(refined) = &outcome.refined else { return (outcome.widest.unwrap_or(outcome.patch_plane), None) };
     let own = refined.plane.parameters();
+    if let Some(widest) = outcome.widest {
+        let moved = widest.centred_at(refined.plane.centre_px).parameters() - own;
+        return (refined.plane.with_parameters(&(own + moved)), Some(refined.covariance + moved * moved.transpose()));
+    }
     let theirs = match outcome.plane_at_refined {
         Some(plane) if refined.converged => plane,
         _ => outcome.patch_plane,
@@ -318,6 +322,21 @@ fn answer(outcome: &ColdStartOutcome, side_px: f64) -> (DisparityPlane, Option<M
     let moved = gap * moved_by;
     (refined.plane.with_parameters(&(own + moved)), Some(refined.covariance + moved * moved.transpose()))
 }
+
+/// The plane that explains the most, if it lies within the depths of the range but is tilted by more than it allows.
+fn steeper(outcome: &ColdStartOutcome, view: &RawView, range: &SearchRange) -> Option<Steeper> {
+    let (plane, share) = outcome.unlimited?;
+    let pose = view.pose(&plane)?;
+    let q = &pose.inverse_depth_plane;
+    let is_within = (range.z_min_m..=range.z_max_m).contains(&pose.z_m) && q.z > 0.0;
+    let is_better = share > STEEPER_GAIN_MIN * outcome.valid_share * outcome.first.share;
+    let tilt_rad = (q.x.abs() / q.z).atan().max((q.y.abs() / q.norm()).asin());
+    (is_within && is_better && !TiltLimits::new(range).allow(q))
+        .then_some(Steeper { tilt_deg: tilt_rad.to_degrees(), share })
+}
+
+/// A plane that is steeper than allowed is named if it explains so many times as many pixels.
+const STEEPER_GAIN_MIN: f64 = 1.5;
 
 /// Disparities of the ends of a depth range on the centroid's ray, lowest first.
 fn disparity_range(view: &RawView, range: &SearchRange) -> (f64, f64) {

@@ -7,7 +7,9 @@ pub mod volume;
 use nalgebra::Vector3;
 
 use self::aggregate::{Aggregation, Penalties, WinnerRules};
-use self::hypotheses::{Candidate, DisparityPoints, HypothesisRules, HypothesisSearch, PlaneCoefficients};
+use self::hypotheses::{
+    Candidate, DisparityPoints, HypothesisRules, HypothesisSearch, PlaneCoefficients, inlier_share,
+};
 use self::volume::{COST_NEUTRAL, CostVolume, LevelBox};
 use super::region_pyramid::{LevelPlane, RegionLevel};
 use crate::cpu::Kernels;
@@ -109,29 +111,56 @@ impl PlaneSearch {
         self.collect(level, area);
         self.make_seeds(level, area, kernels);
         let size = (area.width as f64, area.height as f64);
-        let from_box = |volume: &CostVolume, p: &PlaneCoefficients| {
-            let c = p.x - p.y * area.x as f64 - p.z * area.y as f64 + f64::from(volume.first)
-                - f64::from(level.column_shift());
-            LevelPlane { a: p.y, b: p.z, c, row: level.left.window.y - level.right.window.y }
-        };
         self.hypotheses.run(
             &self.points,
             &self.seeds,
             size,
             &config.hypotheses,
-            |p| allowed(&from_box(&self.volume, p)),
+            |p| allowed(&level_plane(&self.volume, level, p)),
             kernels,
         );
         let kept = self.hypotheses.kept.iter();
-        self.candidates.extend(
-            kept.map(|&Candidate { plane, share }| PlaneCandidate { plane: from_box(&self.volume, &plane), share }),
-        );
+        self.candidates.extend(kept.map(|&Candidate { plane, share }| PlaneCandidate {
+            plane: level_plane(&self.volume, level, &plane),
+            share,
+        }));
         if let Some(best) = self.hypotheses.kept.first().map(|best| best.plane) {
             self.sweep(level, area, &best, kernels);
-            let aliases = self.seeds.iter().map(|shift| best + shift);
-            let aliases = aliases.map(|plane| PlaneCandidate { plane: from_box(&self.volume, &plane), share: 0.0 });
+            let aliases = self.seeds.iter().map(|shift| level_plane(&self.volume, level, &(best + shift)));
+            let aliases = aliases.map(|plane| PlaneCandidate { plane, share: 0.0 });
             self.candidates.extend(aliases.filter(|alias| allowed(&alias.plane)));
         }
+    }
+
+    /// The plane that most of the clear disparities of the last search lie on, counted with `tolerance_px` (pixels of the
+    /// level); `seeds` are counted whether they are allowed or not.
+    pub fn widest(
+        &mut self,
+        level: &RegionLevel,
+        seeds: impl Iterator<Item = LevelPlane>,
+        (config, tolerance_px): (&PlaneSearchConfig, f64),
+        allowed: impl Fn(&LevelPlane) -> bool,
+        kernels: Kernels,
+    ) -> Option<PlaneCandidate> {
+        self.seeds.clear();
+        self.seeds.extend(seeds.map(|plane| coefficients(&self.volume, level, &plane)));
+        let size = (self.volume.area.width as f64, self.volume.area.height as f64);
+        let rules = HypothesisRules { tolerance_px, ..config.hypotheses };
+        self.hypotheses.run(
+            &self.points,
+            &self.seeds,
+            size,
+            &rules,
+            |p| allowed(&level_plane(&self.volume, level, p)),
+            kernels,
+        );
+        let best = self.hypotheses.kept.first()?;
+        Some(PlaneCandidate { plane: level_plane(&self.volume, level, &best.plane), share: best.share })
+    }
+
+    /// Share of the clear disparities of the last search that lie on a plane, soft, with a tolerance in pixels of the level.
+    pub fn share_within(&self, level: &RegionLevel, plane: &LevelPlane, tolerance_px: f64, kernels: Kernels) -> f64 {
+        inlier_share(&self.points, &coefficients(&self.volume, level, plane), tolerance_px, kernels)
     }
 
     /// Moves the best plane through all disparities: where else the region as a whole agrees well is left in the seeds, as
@@ -196,6 +225,19 @@ impl PlaneSearch {
         }
         push_peaks(&self.column, 4, &mut self.seeds);
     }
+}
+
+/// From pixels of the box and steps of the volume to a plane of the level.
+fn level_plane(volume: &CostVolume, level: &RegionLevel, p: &PlaneCoefficients) -> LevelPlane {
+    let at_origin = p.x - p.y * volume.area.x as f64 - p.z * volume.area.y as f64;
+    let c = at_origin + f64::from(volume.first) - f64::from(level.column_shift());
+    LevelPlane { a: p.y, b: p.z, c, row: level.left.window.y - level.right.window.y }
+}
+
+/// The way back.
+fn coefficients(volume: &CostVolume, level: &RegionLevel, plane: &LevelPlane) -> PlaneCoefficients {
+    let at_corner = plane.c + plane.a * volume.area.x as f64 + plane.b * volume.area.y as f64;
+    Vector3::new(at_corner - f64::from(volume.first) + f64::from(level.column_shift()), plane.a, plane.b)
 }
 
 /// Pixels whose agreement is summed up in 16 bits.

@@ -1,15 +1,19 @@
 //! How far an answer of the direct method can be trusted, and why.
 
-use super::cold_start::ColdStartOutcome;
+use super::cold_start::{ColdStartOutcome, support_of};
 use crate::error::{EstimationError, check_range};
+use crate::plane_hypothesis::SearchRange;
 use crate::status::{Status, Verdict};
 
 /// Limits between the statuses. They were chosen on real pairs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DirectVerdictConfig {
     /// Smallest share of the region's pixels whose patch has texture and agrees with the plane; below: `not-observable`.
-    /// 0 to 1. Default 0.3.
+    /// 0 to 1. Default 0.15.
     pub support_min: f64,
+    /// With a smaller share than this the answer is `ambiguous` at best, because the region is no plane, and
+    /// `not-observable` if it is not the plane but texture that is missing. 0 to 1. Default 0.3.
+    pub support_sure_min: f64,
     /// Another explanation of the same pixels whose score reaches this share of the best one's makes the answer
     /// `ambiguous`. 0 to 1. Default 0.85.
     pub alias_score_max: f64,
@@ -22,7 +26,13 @@ pub struct DirectVerdictConfig {
 
 impl Default for DirectVerdictConfig {
     fn default() -> Self {
-        Self { support_min: 0.3, alias_score_max: 0.85, second_share_max: 0.65, normal_sigma_max_deg: 5.0 }
+        Self {
+            support_min: 0.15,
+            support_sure_min: 0.3,
+            alias_score_max: 0.85,
+            second_share_max: 0.65,
+            normal_sigma_max_deg: 5.0,
+        }
     }
 }
 
@@ -34,6 +44,7 @@ impl DirectVerdictConfig {
     pub fn validate(&self) -> Result<(), EstimationError> {
         let share = |name, value| check_range(name, value, (0.0, 1.0), "must be between 0 and 1");
         share("direct.status.support_min", self.support_min)?;
+        share("direct.status.support_sure_min", self.support_sure_min)?;
         share("direct.status.alias_score_max", self.alias_score_max)?;
         share("direct.status.second_share_max", self.second_share_max)?;
         let degrees = self.normal_sigma_max_deg;
@@ -41,26 +52,96 @@ impl DirectVerdictConfig {
     }
 }
 
+/// A plane that the search was not to look for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Steeper {
+    /// The larger of its two tilts, degrees.
+    pub tilt_deg: f64,
+    /// Share of the region's pixels that lie on it.
+    pub share: f64,
+}
+
+/// What was searched.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Searched {
+    /// Depths and tilts.
+    pub range: SearchRange,
+    /// A plane within the depths that explains more, but is tilted by more than the range allows.
+    pub steeper: Option<Steeper>,
+}
+
+/// Why the search found nothing to begin with.
+pub(super) fn nothing_found(range: &SearchRange) -> String {
+    format!(
+        "at {:.0} to {:.0} mm the right picture shows nothing of the region: check the depth range (--z-range), the region and the calibration",
+        1e3 * range.z_min_m,
+        1e3 * range.z_max_m
+    )
+}
+
+/// Why few pixels agree with one plane, and what to do.
+fn cause(outcome: &ColdStartOutcome, searched: &Searched) -> String {
+    let range = &searched.range;
+    if let Some(Steeper { tilt_deg, share }) = searched.steeper {
+        return format!(
+            "a plane tilted by {tilt_deg:.0} degrees explains {:.0} %, but the largest tilt is {:.0} degrees: raise it (--tilt-max)",
+            100.0 * share,
+            range.tilt_max_rad.to_degrees()
+        );
+    }
+    if outcome.unlimited.is_none_or(|(_, share)| share < ANY_SHARE_MIN) {
+        return format!(
+            "at {:.0} to {:.0} mm the right picture shows nothing that matches: check the depth range (--z-range) and the calibration; noise and blur do the same",
+            1e3 * range.z_min_m,
+            1e3 * range.z_max_m
+        );
+    }
+    "it is not flat, or shows several surfaces: mark a part that is flat".to_owned()
+}
+
+/// If no plane explains this share of the region, the range, the calibration or the pictures are to blame and not the surface.
+const ANY_SHARE_MIN: f64 = 0.1;
+
+/// What is said where too little of the region has texture or agrees with the plane.
+fn too_little(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdictConfig) -> Option<Verdict> {
+    let (textured, support) = (outcome.finest.textured_share, support_of(&outcome.finest));
+    let sure_min = limits.support_sure_min;
+    if support >= sure_min {
+        return None;
+    }
+    if textured < sure_min {
+        let (textured, limit) = (100.0 * textured, 100.0 * sure_min);
+        let seen = format!("only {textured:.0} % of the region have texture (limit {limit:.0} %)");
+        let reason = format!("{seen}: choose a target with texture, or more light");
+        return Some(Verdict { status: Status::NotObservable, reason });
+    }
+    let (status, limit) = match support < limits.support_min {
+        true => (Status::NotObservable, 100.0 * limits.support_min),
+        false => (Status::Ambiguous, 100.0 * sure_min),
+    };
+    let seen = format!("only {:.0} % of the region agree with one plane (limit {limit:.0} %)", 100.0 * support);
+    Some(Verdict { status, reason: format!("{seen}; {}", cause(outcome, searched)) })
+}
+
 /// The status of an outcome; `normal_sigma_rad` is the standard deviation of the answer's normal.
 pub(super) fn judge(
     outcome: &ColdStartOutcome,
     normal_sigma_rad: Option<f64>,
+    searched: &Searched,
     limits: &DirectVerdictConfig,
 ) -> Verdict {
     let say = |status, reason: String| Verdict { status, reason };
+    if let Some(verdict) = too_little(outcome, searched, limits) {
+        return verdict;
+    }
     let finest = &outcome.finest;
-    let support = finest.textured_share * finest.support_share;
-    if support < limits.support_min {
-        let (textured, agreeing) = (100.0 * finest.textured_share, 100.0 * support);
-        let seen = if finest.textured_share < limits.support_min {
-            format!("only {textured:.0} % of the region have texture, {agreeing:.0} % agree with one plane")
-        } else {
-            format!("{textured:.0} % of the region have texture, but {agreeing:.0} % agree with one plane")
-        };
-        let limit = 100.0 * limits.support_min;
+    let support = support_of(finest);
+    let agreeing = 100.0 * support;
+    if outcome.widest.is_some() {
+        let seen = "disparities lie spread around every plane, and the one that explains the most is given";
         return say(
-            Status::NotObservable,
-            format!("{seen} (limit {limit:.0} %): choose a target with texture, or check range and calibration"),
+            Status::Ambiguous,
+            format!("{seen} ({agreeing:.0} % of the region agree): mark a part that is flat"),
         );
     }
     if let Some(alias) = outcome.alias.filter(|alias| alias.score_ratio > limits.alias_score_max) {
@@ -74,7 +155,7 @@ pub(super) fn judge(
             ),
         );
     }
-    let first_share = outcome.first.patches.textured_share * outcome.first.patches.support_share;
+    let first_share = support_of(&outcome.first.patches);
     if let Some(second) = outcome.second.filter(|second| second.own_share > limits.second_share_max * first_share) {
         return say(
             Status::Ambiguous,

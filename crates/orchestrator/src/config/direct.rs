@@ -62,6 +62,7 @@ struct RefineSection {
 #[serde(deny_unknown_fields)]
 struct StatusSection {
     support_min: f64,
+    support_sure_min: f64,
     alias_score_max: f64,
     second_share_max: f64,
     normal_sigma_max_deg: f64,
@@ -168,11 +169,13 @@ impl RefineSection {
 impl StatusSection {
     fn build(&self, key: &str, check: &mut Checker) -> DirectVerdictConfig {
         check.number(&format!("{key}.support_min"), self.support_min, 0.0..=1.0);
+        check.number(&format!("{key}.support_sure_min"), self.support_sure_min, 0.0..=1.0);
         check.number(&format!("{key}.alias_score_max"), self.alias_score_max, 0.0..=1.0);
         check.number(&format!("{key}.second_share_max"), self.second_share_max, 0.0..=1.0);
         check.number(&format!("{key}.normal_sigma_max_deg"), self.normal_sigma_max_deg, 0.0..=90.0);
         DirectVerdictConfig {
             support_min: self.support_min,
+            support_sure_min: self.support_sure_min,
             alias_score_max: self.alias_score_max,
             second_share_max: self.second_share_max,
             normal_sigma_max_deg: self.normal_sigma_max_deg,

@@ -279,7 +279,12 @@ pub fn difference(p: &PlaneCoefficients, q: &PlaneCoefficients, (width, height):
 }
 
 /// Mean over all points of `1 - min(residual^2 / tolerance^2, 1)`.
-fn inlier_share(points: &DisparityPoints, plane: &PlaneCoefficients, tolerance_px: f64, kernels: Kernels) -> f64 {
+pub(super) fn inlier_share(
+    points: &DisparityPoints,
+    plane: &PlaneCoefficients,
+    tolerance_px: f64,
+    kernels: Kernels,
+) -> f64 {
     if points.is_empty() {
         return 0.0;
     }

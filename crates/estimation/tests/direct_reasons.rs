@@ -1,0 +1,105 @@
+//! What the direct method says where no plane, or none that was allowed, fits the region.
+#![allow(clippy::unwrap_used, reason = "inputs that are valid")]
+
+#[path = "support/scene.rs"]
+#[allow(dead_code, reason = "shared with tests that use more of it")]
+mod scene;
+
+use image::{Rgb, RgbImage};
+use nalgebra::Vector2;
+use pb3dp_estimation::direct::estimator::{DirectConfig, DirectEstimator};
+use pb3dp_estimation::estimate::PlaneEstimate;
+use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_estimation::region::Region;
+use pb3dp_estimation::status::Status;
+use pb3dp_geometry::{ImageSize, StereoRig};
+use scene::Scene;
+
+const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
+
+fn estimate(rig: &StereoRig, (left, right): (&RgbImage, &RgbImage), region: &Region, range: [f64; 3]) -> PlaneEstimate {
+    let mut estimator = DirectEstimator::new(rig, DirectConfig::default()).unwrap();
+    let range = SearchRange::new(range[0], range[1], range[2].to_radians()).unwrap();
+    estimator.estimate(left, right, region, &range).unwrap()
+}
+
+/// A smooth texture without symmetry.
+fn texture(x: f64, y: f64) -> f64 {
+    let waves =
+        [(0.9, 0.4, 0.3), (0.35, -0.7, 1.1), (-0.6, 0.25, 2.0), (0.15, 0.9, 0.7), (1.1, 0.8, 0.2), (0.07, 0.1, 0.0)];
+    128.0 + waves.iter().map(|(u, v, phase)| 16.0 * (u * x + v * y + phase).sin()).sum::<f64>()
+}
+
+/// The pair of a texture in the right picture and disparities in the left one.
+fn pair(disparity_px: impl Fn(f64, f64) -> f64) -> (RgbImage, RgbImage) {
+    let render = |at: &dyn Fn(f64, f64) -> f64| {
+        RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| {
+            let (u, v) = (f64::from(u), f64::from(v));
+            Rgb([texture(at(u, v), v).round().clamp(0.0, 255.0) as u8; 3])
+        })
+    };
+    (render(&|u, v| u - disparity_px(u, v)), render(&|u, _| u))
+}
+
+/// Disparities of a parabola: half of the tolerance of a pixel takes in two thirds as many as the plane half-way up does.
+#[test]
+fn of_a_curved_surface_the_plane_that_explains_most_is_given_as_ambiguous() {
+    const CURVATURE: f64 = 0.0015;
+    let rig = scene::rectified_rig(SIZE);
+    let disparity_px = |u: f64| 135.0 + CURVATURE * (u - 320.0).powi(2);
+    let (left, right) = pair(|u, _| disparity_px(u));
+    let region = Region::Rectangle { x: 250, y: 170, width: 140, height: 140 };
+    let found = estimate(&rig, (&left, &right), &region, [0.4, 0.7, 60.0]);
+    assert_eq!(found.status, Status::Ambiguous, "{}", found.reason);
+    assert!(found.reason.contains("flat"), "{}", found.reason);
+    let (fb, offset) = (rig.left().pinhole().fx * 0.1, rig.right().pinhole().cx - rig.left().pinhole().cx);
+    let pixels = (250..390).flat_map(|u| (170..310).map(move |v| Vector2::new(f64::from(u), f64::from(v))));
+    let explained = pixels.filter(|at| {
+        let shown_px = fb / found.depth_at_pixel(at).unwrap() - offset;
+        (shown_px - disparity_px(at.x)).abs() < 1.0
+    });
+    let most = 2.0 * (2.0 / CURVATURE).sqrt() * 140.0;
+    let share = explained.count() as f64 / most;
+    assert!(share > 0.92, "{share} of what one plane can explain");
+}
+
+#[test]
+fn a_limit_of_the_tilt_that_is_too_small_is_named() {
+    let rig = scene::rectified_rig(SIZE);
+    let scene =
+        Scene { centre_px: Vector2::new(352.0, 236.0), z_m: 0.5, theta_x_rad: 0.1, theta_y_rad: 0.95, noise: 3.0 };
+    let (left, right) = scene.render(&rig);
+    let region = Region::Rectangle { x: 322, y: 190, width: 60, height: 90 };
+    let found = |tilt_deg: f64| estimate(&rig, (&left, &right), &region, [0.35, 0.8, tilt_deg]);
+    assert_eq!(found(75.0).status, Status::Ok, "{}", found(75.0).reason);
+    let limited = found(12.0);
+    assert!(!limited.status.depth_is_sure(), "{:?} {}", limited.status, limited.reason);
+    assert!(limited.reason.contains("the largest tilt is 12 degrees: raise it (--tilt-max)"), "{}", limited.reason);
+}
+
+#[test]
+fn a_range_that_misses_the_target_is_named() {
+    let rig = scene::rectified_rig(SIZE);
+    let scene =
+        Scene { centre_px: Vector2::new(352.0, 236.0), z_m: 0.5, theta_x_rad: 0.2, theta_y_rad: -0.3, noise: 3.0 };
+    let (left, right) = scene.render(&rig);
+    let region = Region::Rectangle { x: 312, y: 196, width: 80, height: 80 };
+    let found = |range: [f64; 3]| estimate(&rig, (&left, &right), &region, range);
+    assert_eq!(found([0.35, 0.8, 60.0]).status, Status::Ok, "{}", found([0.35, 0.8, 60.0]).reason);
+    let missed = found([0.65, 0.95, 60.0]);
+    assert!(!missed.status.depth_is_sure(), "{:?} {}", missed.status, missed.reason);
+    assert!(missed.reason.contains("(--z-range)"), "{}", missed.reason);
+    let outside = found([0.05, 0.08, 60.0]);
+    assert_eq!(outside.status, Status::NotObservable);
+    assert!(outside.reason.contains("at 50 to 80 mm"), "{}", outside.reason);
+}
+
+#[test]
+fn missing_texture_is_named() {
+    let rig = scene::rectified_rig(SIZE);
+    let blank = RgbImage::from_pixel(SIZE.width, SIZE.height, Rgb([120; 3]));
+    let region = Region::Rectangle { x: 250, y: 180, width: 120, height: 100 };
+    let found = estimate(&rig, (&blank, &blank), &region, [0.35, 0.8, 60.0]);
+    assert_eq!(found.status, Status::NotObservable);
+    assert!(found.reason.contains("choose a target with texture"), "{}", found.reason);
+}
