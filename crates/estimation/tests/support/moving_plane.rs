@@ -64,19 +64,30 @@ pub struct Shot {
 
 /// The pictures of a pair.
 pub fn render(rig: &StereoRig, shot: &Shot) -> (RgbImage, RgbImage) {
-    let left = picture(rig.left(), &Isometry3::identity(), shot, 1.0, 0);
-    let right = picture(rig.right(), rig.cam_right_from_cam_left().isometry(), shot, shot.right_gain, 1);
+    render_all(rig, shot.cam_left_from_target.as_slice(), shot)
+}
+
+/// The pictures of a pair with several equal discs that hide each other in this order, wherever `shot` has its own.
+pub fn render_all(rig: &StereoRig, discs: &[Pose<CamLeft, Target>], shot: &Shot) -> (RgbImage, RgbImage) {
+    let left = picture(rig.left(), &Isometry3::identity(), (discs, shot), 1.0, 0);
+    let right = picture(rig.right(), rig.cam_right_from_cam_left().isometry(), (discs, shot), shot.right_gain, 1);
     (left, right)
 }
 
-fn picture(camera: &Camera, cam_from_left: &Isometry3<f64>, shot: &Shot, gain: f64, eye: u32) -> RgbImage {
+fn picture(
+    camera: &Camera,
+    cam_from_left: &Isometry3<f64>,
+    (discs, shot): (&[Pose<CamLeft, Target>], &Shot),
+    gain: f64,
+    eye: u32,
+) -> RgbImage {
     let left_from_cam = cam_from_left.inverse();
     let origin = left_from_cam * Point3::origin();
-    let target_from_left = shot.cam_left_from_target.map(|pose| *pose.inverse().isometry());
+    let discs_from_left: Vec<Isometry3<f64>> = discs.iter().map(|pose| *pose.inverse().isometry()).collect();
     RgbImage::from_fn(SIZE.width, SIZE.height, |x, y| {
         let ray = camera.unproject(&Vector2::new(f64::from(x), f64::from(y))).expect("ray");
         let ray = left_from_cam * ray;
-        let disc = target_from_left.and_then(|to_target| {
+        let disc = discs_from_left.iter().find_map(|to_target| {
             let (from, along) = (to_target * origin, to_target * ray);
             let at = from - along * (from.z / along.z);
             (at.x.hypot(at.y) < RADIUS_M).then(|| paint(at.x, at.y, 0.0))
@@ -84,7 +95,7 @@ fn picture(camera: &Camera, cam_from_left: &Isometry3<f64>, shot: &Shot, gain: f
         let colour = disc.unwrap_or_else(|| {
             let wall = origin + ray * ((WALL_Z_M - origin.z) / ray.z);
             // A board in front of everything hides the target.
-            let (scale, seed) = if target_from_left.is_some() { (0.5, 5.0) } else { (0.21, 9.0) };
+            let (scale, seed) = if !discs.is_empty() { (0.5, 5.0) } else { (0.21, 9.0) };
             paint(wall.x * scale, wall.y * scale, seed)
         });
         let noise = |c: u32| noise(x, y, shot.frame * 6 + eye * 3 + c);

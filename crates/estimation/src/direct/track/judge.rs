@@ -37,6 +37,17 @@ pub(super) struct Limits {
     pub(super) visible_share_min: f64,
 }
 
+impl Limits {
+    /// The same for what must fit better by this factor.
+    pub(super) fn stricter(self, factor: f64) -> Self {
+        Self {
+            inlier_share_min: (self.inlier_share_min * factor).min(0.95),
+            correlation_min: (self.correlation_min * factor).min(0.95),
+            ..self
+        }
+    }
+}
+
 /// What a fit lacks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Misfit {

@@ -29,6 +29,8 @@ pub(super) struct Sighting<'a> {
     pub(super) turn_rad: f64,
     /// Time since the target was last found, seconds.
     pub(super) away_s: f64,
+    /// Whether something else is known that looks like the target.
+    pub(super) has_twin: bool,
 }
 
 impl Sighting<'_> {
@@ -42,9 +44,22 @@ impl Sighting<'_> {
     /// expected, whether it is seen clearly. Noise must not be the excuse for a poor correlation there, and a texture that has
     /// little to tell it by is not told there.
     pub(super) fn can_be_the_target(&self) -> bool {
-        let is_within_reach = self.way_m <= REACH_M + SPEED_MAX_M_PER_S * self.away_s
-            && self.turn_rad <= REACH_RAD + SPEED_MAX_RAD_PER_S * self.away_s;
-        self.is_near() || is_within_reach && self.is_clear()
+        self.is_near() || self.is_within_reach() && self.is_clear() && !self.has_twin
+    }
+
+    /// Whether it is either the target or its twin.
+    pub(super) fn is_one_of_two(&self) -> bool {
+        self.has_twin && self.is_within_reach() && self.is_clear()
+    }
+
+    fn is_within_reach(&self) -> bool {
+        self.way_m <= REACH_M + SPEED_MAX_M_PER_S * self.away_s
+            && self.turn_rad <= REACH_RAD + SPEED_MAX_RAD_PER_S * self.away_s
+    }
+
+    /// Whether what is seen beside the target could be taken for it.
+    pub(super) fn is_another(&self) -> bool {
+        self.way_m > NEAR_M && self.is_clear()
     }
 
     fn is_near(&self) -> bool {
@@ -69,7 +84,7 @@ mod tests {
     }
 
     fn can_be(fit: &Fit, independent: f64, (way_m, turn_rad): (f64, f64), away_s: f64) -> bool {
-        Sighting { fit, independent, way_m, turn_rad, away_s }.can_be_the_target()
+        Sighting { fit, independent, way_m, turn_rad, away_s, has_twin: false }.can_be_the_target()
     }
 
     #[test]
@@ -91,11 +106,20 @@ mod tests {
     #[test]
     fn what_fits_poorly_has_not_moved_far_in_a_frame() {
         let moved = |fit: &Fit, way_m, turn_rad| {
-            Sighting { fit, independent: 300.0, way_m, turn_rad, away_s: 0.0 }.can_have_moved()
+            Sighting { fit, independent: 300.0, way_m, turn_rad, away_s: 0.0, has_twin: false }.can_have_moved()
         };
         assert!(moved(&fit(0.7, 0.6), 0.01, 0.05), "half hidden");
         assert!(!moved(&fit(0.7, 0.6), 0.01, 0.6) && !moved(&fit(0.7, 0.6), 0.06, 0.05));
         assert!(moved(&fit(0.97, 0.95), 0.06, 0.6), "few frames per second");
+    }
+
+    #[test]
+    fn a_target_with_a_twin_is_believed_only_where_it_is_expected() {
+        let clear = fit(0.97, 0.95);
+        let seen =
+            |way_m| Sighting { fit: &clear, independent: 300.0, way_m, turn_rad: 0.0, away_s: 0.1, has_twin: true };
+        assert!(seen(0.01).can_be_the_target() && !seen(0.1).can_be_the_target());
+        assert!(seen(0.1).is_another() && !seen(0.01).is_another());
     }
 
     #[test]

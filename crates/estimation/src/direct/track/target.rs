@@ -45,6 +45,9 @@ const CANDIDATES: usize = 4;
 /// Steps per level of a first look into a place, and the correlation that it must reach.
 const ROUGH_STEPS: usize = 6;
 const ROUGH_RESEMBLANCE_MIN: f64 = 0.5;
+/// A target and its twin are farther apart than this, metres, and one is clearly nearer than the other by this factor.
+const APART_M: f64 = 0.02;
+const CLEARLY_NEARER: f64 = 2.0;
 /// A target that is found again must fit by this much better than one that was never lost.
 const FOUND_AGAIN_STRICTER: f64 = 1.25;
 /// Range of the shading's standard deviation, grey levels.
@@ -81,6 +84,8 @@ pub(super) struct Target {
     reference: [[f32; CHANNELS]; TERMS],
     /// How many independent points the texture is worth.
     independent_points: f64,
+    /// Whether the first pair shows something else that could be taken for the target.
+    has_twin: bool,
 }
 
 /// How a frame ended.
@@ -131,6 +136,7 @@ impl Target {
             fit: Fit::default(),
             reference: [[0.0; CHANNELS]; TERMS],
             independent_points: 0.0,
+            has_twin: false,
         };
         target.keep_view(frame, false);
         target.independent_points = independent_points(&target.surface.levels[0], &target.views[0].levels[0]);
@@ -150,6 +156,23 @@ impl Target {
             self.judge();
             self.conclude(&equations, false);
         }
+    }
+
+    /// Looks for others that look the same, in the whole first pair.
+    pub(super) fn look_for_twins(&mut self, frame: &Frame<'_>) {
+        let (estimate, fit) = (self.estimate, self.fit);
+        let own = estimate.cam_left_from_model;
+        let limits = self.limits(frame.config).stricter(FOUND_AGAIN_STRICTER);
+        for index in 0..hypotheses(0) {
+            let (_, turned) = hypothesis(index, &own, &[]);
+            for place in self.places_of(0, &turned, frame).into_iter().flatten() {
+                self.estimate = estimate;
+                let fits = self.look_into((place, true), frame, &mut || true).is_ok();
+                self.has_twin |= fits && self.fit.misfit(&limits).is_none() && self.sighting(&own).is_another();
+            }
+        }
+        self.view = 0;
+        (self.estimate, self.fit) = (estimate, fit);
     }
 
     /// The points of the surface, as the first view showed them.
@@ -264,12 +287,12 @@ impl Target {
     }
 
     fn limits(&self, config: &DirectTrackerConfig) -> Limits {
-        let stricter = if self.lost_frames > 0 { FOUND_AGAIN_STRICTER } else { 1.0 };
-        Limits {
-            inlier_share_min: (config.inlier_share_min * stricter).min(0.95),
-            correlation_min: (config.correlation_min * stricter).min(0.95),
+        let limits = Limits {
+            inlier_share_min: config.inlier_share_min,
+            correlation_min: config.correlation_min,
             visible_share_min: VISIBLE_MIN,
-        }
+        };
+        limits.stricter(if self.lost_frames > 0 { FOUND_AGAIN_STRICTER } else { 1.0 })
     }
 
     fn judge(&mut self) {
@@ -382,34 +405,54 @@ impl Target {
         for place in self.places(frame).into_iter().flatten() {
             insert(&mut candidates, place);
         }
-        for (place, with_depth) in candidates.into_iter().flatten() {
+        let mut alike: [Option<Alike>; CANDIDATES + 1] = [None; CANDIDATES + 1];
+        for (candidate, alike) in candidates.into_iter().flatten().zip(&mut alike) {
             if !may_continue() {
                 break;
             }
             self.estimate = before;
-            let start = if with_depth {
-                self.with_depth(&place.cam_left_from_model, frame)
-            } else {
-                Some(place.cam_left_from_model)
-            };
-            let Some(start) = start else { continue };
-            self.view = self.nearest_view(&start, frame.config).0;
-            let Some(rough) = self.rough(&start, frame, may_continue) else { continue };
-            self.estimate = before;
-            let found = self.attempt(&rough, StartLevel::Resembling, frame, may_continue);
-            if let Some(equations) = self.or_mirrored(found, frame, may_continue) {
-                match self.fit.misfit(&self.limits(frame.config)) {
-                    None if self.sighting(predicted).can_be_the_target() => {
-                        self.conclude(&equations, false);
-                        return Ending::Found;
-                    }
-                    None => ending = Ending::OutOfReach,
-                    Some(misfit) => ending = Ending::Misfit(misfit),
+            match self.look_into(candidate, frame, may_continue) {
+                Ok(equations) if self.sighting(predicted).can_be_the_target() => {
+                    self.conclude(&equations, false);
+                    return Ending::Found;
                 }
+                Ok(_) => {
+                    ending = Ending::OutOfReach;
+                    let sighting = self.sighting(predicted);
+                    let (view, way_m, estimate, fit) = (self.view, sighting.way_m, self.estimate, self.fit);
+                    *alike = sighting.is_one_of_two().then_some(Alike { view, way_m, estimate, fit });
+                }
+                Err(Ending::OutOfSight) => {}
+                Err(other) => ending = other,
+            }
+        }
+        if let Some(own) = nearest_of_several(&alike) {
+            (self.view, self.estimate, self.fit) = (own.view, own.estimate, own.fit);
+            if let Some(equations) = self.examine(frame, false) {
+                self.conclude(&equations, false);
+                return Ending::Found;
             }
         }
         self.estimate = before;
         ending
+    }
+
+    /// Aligns at a place of the search, and judges.
+    fn look_into(
+        &mut self,
+        (place, with_depth): (Place, bool),
+        frame: &Frame<'_>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<NormalEquations, Ending> {
+        let before = self.estimate;
+        let at = place.cam_left_from_model;
+        let start = if with_depth { self.with_depth(&at, frame) } else { Some(at) }.ok_or(Ending::OutOfSight)?;
+        self.view = self.nearest_view(&start, frame.config).0;
+        let rough = self.rough(&start, frame, may_continue).ok_or(Ending::OutOfSight)?;
+        self.estimate = before;
+        let found = self.attempt(&rough, StartLevel::Resembling, frame, may_continue);
+        let equations = self.or_mirrored(found, frame, may_continue).ok_or(Ending::OutOfSight)?;
+        self.fit.misfit(&self.limits(frame.config)).map_or(Ok(equations), |misfit| Err(Ending::Misfit(misfit)))
     }
 
     /// The estimate, where the target was expected elsewhere.
@@ -421,6 +464,7 @@ impl Target {
             way_m: (found.translation_m() - expected.translation_m()).norm(),
             turn_rad: found.rotation().angle_to(&expected.rotation()),
             away_s: self.away_s,
+            has_twin: self.has_twin,
         }
     }
 
@@ -457,13 +501,38 @@ impl Target {
             let index = if turn == 0 { 0 } else { 1 + others % (count - 1) };
             let (source, pose) = hypothesis(index, &last, &self.views);
             let view = if source == 0 { nearest } else { source - 1 };
-            const LEVEL: usize = LEVELS - 1;
-            let (groups, view) = (&self.surface.levels[LEVEL].groups, &self.views[view].levels[LEVEL]);
-            let found = self.searcher.places(groups, view, &pose, &frame.images[0], frame.rig.left());
+            let found = self.places_of(view, &pose, frame);
             all[turn * PLACES..(turn + 1) * PLACES].copy_from_slice(&found);
         }
         all
     }
+
+    /// Places in the left image that look like a view of the target from this pose.
+    fn places_of(&mut self, view: usize, pose: &Pose<CamLeft, Model>, frame: &Frame<'_>) -> [Option<Place>; PLACES] {
+        const LEVEL: usize = LEVELS - 1;
+        let (groups, view) = (&self.surface.levels[LEVEL].groups, &self.views[view].levels[LEVEL]);
+        self.searcher.places(groups, view, pose, &frame.images[0], frame.rig.left())
+    }
+}
+
+/// Something that looks like the target as much as its twin does.
+#[derive(Clone, Copy, Debug)]
+struct Alike {
+    view: usize,
+    /// From where the target is expected, metres.
+    way_m: f64,
+    estimate: Estimate,
+    fit: Fit,
+}
+
+/// The target, if it and its twin are both in sight and it is clearly nearer to where it is expected. One alone may be either.
+fn nearest_of_several(alike: &[Option<Alike>]) -> Option<Alike> {
+    let all = || alike.iter().flatten();
+    let nearest = all().min_by(|a, b| a.way_m.total_cmp(&b.way_m))?;
+    let place = |alike: &Alike| alike.estimate.cam_left_from_model.translation_m();
+    let mut others = all().filter(|other| (place(other) - place(nearest)).norm() > APART_M).peekable();
+    let is_clear = others.peek().is_some() && others.all(|other| other.way_m > CLEARLY_NEARER * nearest.way_m);
+    is_clear.then_some(*nearest)
 }
 
 /// Keeps the best places behind the prediction, best first; a place next to a better one is not kept.

@@ -185,7 +185,9 @@ impl DirectTracker {
         let outline_in_model: Vec<Point3<f64>> = outline_px.iter().filter_map(on_plane).collect();
         self.load(left, right, &pose, &outline_in_model, MARGIN_START_PX);
         let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
-        let target = Target::first(surface, pose, outline_in_model, &frame, self.kernels);
+        let mut target = Target::first(surface, pose, outline_in_model, &frame, self.kernels);
+        self.load_whole(left, right);
+        target.look_for_twins(&Frame { images: &self.images, rig: &self.rig, config: &self.config });
         let mut estimate = blank();
         self.target = Some(target);
         self.report(Ending::Found, &mut estimate);
@@ -315,14 +317,7 @@ impl DirectTracker {
             target.lost_frames = target.lost_frames.saturating_add(1);
             target.away_s += prior.dt_s.filter(|dt| dt.is_finite()).map_or(USUAL_INTERVAL_S, |dt| dt.max(0.0));
             if may_continue() {
-                let whole = |image: &RgbImage| PixelWindow {
-                    x: 0,
-                    y: 0,
-                    width: image.width() as usize,
-                    height: image.height() as usize,
-                };
-                self.images[0].update(left, whole(left), self.kernels);
-                self.images[1].update(right, whole(right), self.kernels);
+                self.load_whole(left, right);
                 let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
                 ending = target.search(&predicted, &frame, may_continue);
             }
@@ -334,6 +329,14 @@ impl DirectTracker {
             target.motion.coast(prior);
         }
         ending
+    }
+
+    /// Converts whole images.
+    fn load_whole(&mut self, left: &RgbImage, right: &RgbImage) {
+        for (images, image) in self.images.iter_mut().zip([left, right]) {
+            let (width, height) = (image.width() as usize, image.height() as usize);
+            images.update(image, PixelWindow { x: 0, y: 0, width, height }, self.kernels);
+        }
     }
 
     /// Converts the windows around the expected target.
@@ -383,7 +386,8 @@ impl DirectTracker {
             Ending::OutOfReach => {
                 write!(
                     out.reason,
-                    "what resembles the target is too far from where it was, or too unlike it to be believed there"
+                    "what resembles the target is too far from where it was, too unlike it to be believed there, or not the only \
+                     one of its kind"
                 )
             }
             Ending::Found => Ok(()),
