@@ -114,6 +114,21 @@ fn the_direct_method_finds_every_board_to_a_tenth_of_a_percent_and_half_a_degree
     }
 }
 
+/// A board two squares off looks like itself, so in a range without the truth its alias fits most of what both share.
+#[test]
+fn a_board_outside_the_depth_range_is_not_sure_of_its_alias() {
+    let mut case = cases().into_iter().find(|case| case.name == "bb204_c0").unwrap();
+    let pictures = case.load_pictures().unwrap();
+    let z_m = case.truth.as_ref().unwrap().z_m;
+    for (z_min_m, z_max_m) in [(0.5, 1.0), (0.16, 0.32)] {
+        (case.search.z_min_m, case.search.z_max_m) = (z_min_m, z_max_m);
+        assert!(!(z_min_m..z_max_m).contains(&z_m), "the truth, {z_m} m, is outside");
+        let found = direct(&case, &pictures, false);
+        assert_eq!(found.status.as_str(), "ambiguous", "{z_min_m} to {z_max_m} m: {}", found.reason);
+        assert!(found.reason.contains("widen it (--z-range)"), "{}", found.reason);
+    }
+}
+
 #[test]
 fn replayed_pictures_are_those_of_the_files() {
     for case in cases() {

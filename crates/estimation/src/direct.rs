@@ -14,6 +14,7 @@ pub mod image_plane;
 pub mod patches;
 pub mod photometric;
 pub mod region_pyramid;
+mod repetition;
 pub mod row_measurement;
 pub mod row_offset;
 mod row_shift;

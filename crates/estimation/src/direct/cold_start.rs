@@ -9,6 +9,7 @@ use super::front_end::StereoFrontEnd;
 use super::patches::{PatchConfig, PatchOutcome, SUPPORTS, SlantedPatches};
 use super::photometric::{PlaneRefiner, RefineConfig, RefinedPlane};
 use super::region_pyramid::{LevelPlane, PyramidSource, RegionPyramid};
+use super::repetition::Repetition;
 use super::search::{PlaneSearch, PlaneSearchConfig};
 use super::surroundings::{self, Surroundings};
 use crate::cpu::Kernels;
@@ -156,6 +157,9 @@ pub struct ColdStartOutcome {
     /// Where the plane explains little: the plane of any depth and tilt that explains the most, with its share of the
     /// region's pixels.
     pub unlimited: Option<(DisparityPlane, f64)>,
+    /// Where the plane has not all of the region: the period along the rows of a texture that repeats, if that many pixels
+    /// away the disparity is outside the searched range.
+    pub repeats_px: Option<f64>,
 }
 
 /// Finds planes; keeps its buffers.
@@ -168,6 +172,7 @@ pub struct ColdStart {
     patches: SlantedPatches,
     refiner: PlaneRefiner,
     surroundings: Surroundings,
+    repetition: Repetition,
     surfaces: Vec<Surface>,
     masks: Vec<Vec<u8>>,
     searched: usize,
@@ -247,6 +252,10 @@ impl ColdStart {
             }
             unlimited = self.unlimited();
         }
+        let repeats_px = match support_of(&finest) < WHOLE_SUPPORT_MIN && may_continue() {
+            true => self.repeats_px(&reached, source.disparity_px, front_end.geometry().disparity_offset_px),
+            false => None,
+        };
         Some(ColdStartOutcome {
             first,
             second,
@@ -259,6 +268,7 @@ impl ColdStart {
             plane_at_refined,
             widest,
             unlimited,
+            repeats_px,
         })
     }
 
@@ -316,6 +326,16 @@ impl ColdStart {
         let rules = (&self.config.search, self.config.search.hypotheses.tolerance_px);
         let found = self.search.widest(level, std::iter::empty(), rules, |_| true, self.kernels)?;
         Some((level.full_plane(&found.plane, centre), found.share * self.search.valid_share))
+    }
+
+    /// The period of the region's texture, if a plane that is off by it would lie outside the searched disparities.
+    fn repeats_px(&mut self, plane: &DisparityPlane, searched_px: (f64, f64), infinity_px: f64) -> Option<f64> {
+        let level = &self.pyramid.levels()[self.searched];
+        let scale = level.scale as f64;
+        let own_px = plane.at(&self.pyramid.centroid_px());
+        let leaves_px = (own_px - searched_px.0).min(searched_px.1 - own_px).max(0.0);
+        let places = (own_px / scale, infinity_px / scale);
+        Some(scale * self.repetition.period_px(level, &level.level_plane(plane), places, leaves_px / scale)?)
     }
 
     /// Looks at the patches around a plane.
@@ -475,6 +495,8 @@ pub(super) fn support_of(patches: &PatchOutcome) -> f64 {
     patches.textured_share * patches.support_share
 }
 
+/// A plane with more support than this has its outline in its place, and is no alias.
+const WHOLE_SUPPORT_MIN: f64 = 0.7;
 /// With less support than this, the region may be no plane.
 const PLANE_SUPPORT_MIN: f64 = 0.5;
 /// If what agrees with a plane correlates less, noise may be why the rest does not.
@@ -485,7 +507,7 @@ const WIDEST_LEVEL_PX_MIN: f64 = 0.5;
 /// It replaces a refined plane that is off by more at a corner of the region's box, pixels.
 const WIDEST_APART_PX: f64 = 0.5;
 /// Clear disparities speak for the region if at least this share of its pixels has one.
-const WIDEST_VALID_MIN: f64 = 0.5;
+const WIDEST_VALID_MIN: f64 = 0.6;
 /// If half of the tolerance holds less than this share of what the whole holds, disparities lie spread around the plane; evenly
 /// spread ones give one half, those of a plane nearly one.
 const SPREAD_NEAR_MAX: f64 = 0.6;

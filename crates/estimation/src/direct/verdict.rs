@@ -155,6 +155,11 @@ pub(super) fn judge(
             ),
         );
     }
+    if let Some(period_px) = outcome.repeats_px {
+        let seen = format!("the texture repeats every {period_px:.0} px, and only {agreeing:.0} % of the region agree");
+        let advice = "the target may lie outside the depth range: widen it (--z-range)";
+        return say(Status::Ambiguous, format!("{seen}: {advice}"));
+    }
     let first_share = support_of(&outcome.first.patches);
     if let Some(second) = outcome.second.filter(|second| second.own_share > limits.second_share_max * first_share) {
         return say(
