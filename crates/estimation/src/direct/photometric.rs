@@ -48,6 +48,8 @@ const THINNING_MAX: usize = 4;
 const THINNED_POINTS: usize = 1200;
 /// and until a step moves no point of the region further than this, pixels of the level.
 const THINNED_TO_PX: f64 = 0.1;
+/// A step of so many standard deviations, by the noise of single pixels alone, is small enough.
+const SIGMAS_LEFT: f64 = 0.1;
 /// The channels are made anew at most so often.
 const PASSES_MAX: usize = 4;
 /// Rows are moved if they are off by this, pixels: less is linear.
@@ -449,7 +451,8 @@ impl PlaneRefiner {
             let size = step.x.abs() + (step.y * prepared.half.x).abs() + (step.z * prepared.half.y).abs();
             progress.settled = size < SETTLED_PX;
             let earliest = if prepared.has_border { BORDER_JUDGED_AT } else { 1 };
-            if size < tolerance_px && step_index >= earliest && thinning == Thinning::NONE {
+            let is_small = size < tolerance_px || (progress.settled && normal.sigmas(&step) < SIGMAS_LEFT);
+            if is_small && step_index >= earliest && thinning == Thinning::NONE {
                 break;
             }
             if size < THINNED_TO_PX {
@@ -462,18 +465,17 @@ impl PlaneRefiner {
     /// Leaves the border of the region out if it agrees worse than the rest: there the background shines in when a camera
     /// is out of focus.
     fn drop_bad_border(&mut self, warp: &Warp, all: Sums) -> Sums {
-        std::mem::swap(&mut self.points.unit, &mut self.points.inner);
-        let inner = self.accumulate(warp, Thinning::NONE);
         let squares = |sums: &Sums| sums.channel.iter().take(warp.channels).map(|s| s[21]).sum::<f64>();
+        let inner = &all.inner;
         let border_seen = all.seen - inner.seen;
-        let (border_weight, border_squares) = (all.weight - inner.weight, squares(&all) - squares(&inner));
+        let (border_weight, border_squares) = (all.weight - inner.weight, squares(&all) - inner.squares);
         let enough = inner.seen >= BORDER_POINTS_MIN && border_seen >= BORDER_POINTS_MIN;
         let lost = border_weight / border_seen < BORDER_WEIGHT_MIN * inner.weight / inner.seen;
-        let worse = border_squares * inner.weight > BORDER_SQUARES_MAX * squares(&inner) * border_weight;
+        let worse = border_squares * inner.weight > BORDER_SQUARES_MAX * inner.squares * border_weight;
         if enough && (lost || worse) {
-            return inner;
+            std::mem::swap(&mut self.points.unit, &mut self.points.inner);
+            return self.accumulate(warp, Thinning::NONE);
         }
-        std::mem::swap(&mut self.points.unit, &mut self.points.inner);
         all
     }
 

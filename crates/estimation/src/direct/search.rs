@@ -319,7 +319,7 @@ pub(super) fn region_box(level: &RegionLevel, margin: usize) -> LevelBox {
     let (width, height) = (level.left.window.width, level.left.window.height);
     let (mut x, mut y) = ((width, 0), (height, 0));
     for (row, inside) in level.region.chunks_exact(width.max(1)).enumerate() {
-        if let (Some(first), Some(last)) = (inside.iter().position(|&i| i != 0), inside.iter().rposition(|&i| i != 0)) {
+        if let Some((first, last)) = ends_of(inside) {
             x = (x.0.min(first), x.1.max(last));
             y = (y.0.min(row), y.1.max(row));
         }
@@ -328,6 +328,19 @@ pub(super) fn region_box(level: &RegionLevel, margin: usize) -> LevelBox {
     let (x1, y1) = ((x.1 + 1 + margin).min(width), (y.1 + 1 + margin).min(height));
     LevelBox { x: x0, y: y0, width: x1.saturating_sub(x0), height: y1.saturating_sub(y0) }
 }
+
+/// The first and the last place of a row that is not zero.
+pub(super) fn ends_of(row: &[u8]) -> Option<(usize, usize)> {
+    // Most of a row is zeros before and behind: these are passed over in blocks.
+    const BLOCK: usize = 16;
+    let is_clear = |block: &[u8]| block.iter().fold(0, |all, one| all | one) == 0;
+    let before = BLOCK * row.chunks(BLOCK).take_while(|block| is_clear(block)).count();
+    let behind = BLOCK * row.rchunks(BLOCK).take_while(|block| is_clear(block)).count();
+    let first = before + row.get(before..)?.iter().position(|&at| at != 0)?;
+    let last = row[..row.len() - behind].iter().rposition(|&at| at != 0)?;
+    Some((first, last))
+}
+
 /// The disparities of a range, and one more at either end, at which the right window shows some of the left one; `None` if
 /// there are none. A calibration that fits nothing must not ask for more than the images have.
 fn visible(level: &RegionLevel, range: (i32, i32)) -> Option<(i32, i32)> {

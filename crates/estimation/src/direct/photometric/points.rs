@@ -2,6 +2,7 @@
 
 use super::super::image_plane::{ImagePlane, PixelWindow};
 use super::super::region_pyramid::{RegionLevel, is_seen};
+use super::super::search::ends_of;
 use super::kernel::{PointSet, SHARING, TOUCHED, UNUSABLE};
 use super::prepare::EyeChannels;
 use crate::cpu::Kernels;
@@ -291,13 +292,8 @@ fn erode(mask: &mut [u8], scratch: &mut Vec<u8>, width: usize, height: usize) {
 fn bounds(mask: &[u8], width: usize) -> Option<(PixelWindow, usize)> {
     let (mut first, mut last, mut count) = ((usize::MAX, usize::MAX), (0, 0), 0);
     for (y, row) in mask.chunks_exact(width.max(1)).enumerate() {
-        let inside = row.iter().map(|&m| usize::from(m != 0)).sum::<usize>();
-        if inside == 0 {
-            continue;
-        }
-        count += inside;
-        let left = row.iter().position(|&m| m != 0).unwrap_or(0);
-        let right = row.iter().rposition(|&m| m != 0).unwrap_or(0);
+        let Some((left, right)) = ends_of(row) else { continue };
+        count += row.iter().map(|&mark| usize::from(mark != 0)).sum::<usize>();
         first = (first.0.min(left), first.1.min(y));
         last = (last.0.max(right), y);
     }

@@ -71,6 +71,11 @@ impl Normal {
         normal
     }
 
+    /// How far a step is, in standard deviations.
+    pub fn sigmas(&self, step: &Vector4<f64>) -> f64 {
+        step.dot(&(self.matrix * step)).max(0.0).sqrt()
+    }
+
     /// Moves gains and offsets along with a step of the plane and the row offset.
     pub fn move_states(&self, step: &Vector4<f64>, channels: usize, states: &mut [ChannelState; CHANNELS_MAX]) {
         for (part, state) in self.parts.iter().zip(states).take(channels) {

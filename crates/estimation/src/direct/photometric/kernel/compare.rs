@@ -89,6 +89,12 @@ impl<const N: usize> Group<N> {
         }
     }
 
+    /// Squared residuals over variances, summed up over the channels.
+    #[inline(always)]
+    pub fn squares(&self) -> &Row {
+        &self.distance
+    }
+
     /// Where the points are in the right planes.
     #[inline(always)]
     fn locate(&mut self, points: &PointSet, first: usize, warp: &Warp) {

@@ -19,6 +19,19 @@ pub(crate) struct Sums {
     /// Number of points inside the right planes.
     pub seen: f64,
     pub sharpness: SharpnessSums,
+    /// The same over the points well inside the region.
+    pub inner: InnerSums,
+}
+
+/// Sums over the points well inside the region, and over the channels.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct InnerSums {
+    /// Sum of Tukey's weights.
+    pub weight: f64,
+    /// Number of points inside the right planes.
+    pub seen: f64,
+    /// Squared residuals by their weights.
+    pub squares: f64,
 }
 
 /// What tells how much less sharp one eye is than the other: sums over points and channels, in units of the residuals'
@@ -72,17 +85,24 @@ fn accumulate_channels<const N: usize>(
     let mut sharpness = SharpnessSums::default();
     let mut group = Group::<N>::empty();
     let mut products = [Products::NONE; N];
-    let (mut weight, mut seen) = ([0.0_f32; LANES], [0.0_f32; LANES]);
+    // Weight, seen, and both once more of the inner points, with their squared residuals.
+    let mut counts = [[0.0_f32; LANES]; 5];
     let groups = points.x.len() / SHARING;
     let mut folded = 0;
     for index in (0..groups).step_by(thinning.step.max(1)) {
         let first = index * SHARING;
         group.compare(points, first, right, warp);
+        let squares = group.squares();
+        let inner = row(&points.inner, first);
         for k in 0..SHARING / LANES {
-            let (new_weight, new_seen) = (lanes(&group.weight, k), lanes(&group.seen, k));
+            let (weight, seen) = (lanes(&group.weight, k), lanes(&group.seen, k));
+            let (inner, squares) = (lanes(inner, k), lanes(squares, k));
             for i in 0..LANES {
-                weight[i] += new_weight[i];
-                seen[i] += new_seen[i];
+                counts[0][i] += weight[i];
+                counts[1][i] += seen[i];
+                counts[2][i] += weight[i] * inner[i];
+                counts[3][i] += seen[i] * inner[i];
+                counts[4][i] += weight[i] * inner[i] * squares[i];
             }
         }
         for c in 0..N {
@@ -100,7 +120,8 @@ fn accumulate_channels<const N: usize>(
         }
     }
     fold(&mut products, &mut channel, &mut sharpness);
-    Sums { channel, weight: f64::from(sum_lanes(&weight)), seen: f64::from(sum_lanes(&seen)), sharpness }
+    let [weight, seen, inner_weight, inner_seen, squares] = counts.map(|lanes| f64::from(sum_lanes(&lanes)));
+    Sums { channel, weight, seen, sharpness, inner: InnerSums { weight: inner_weight, seen: inner_seen, squares } }
 }
 
 /// Moves the sums of products on, and starts them again.
