@@ -1,7 +1,7 @@
 //! The inner loops: points into both images, residuals, weights, normal equations.
 
 use super::images::{EyeImages, Texel};
-use super::lanes::Lanes;
+use super::lanes::{Lanes, each_lane};
 use super::relief::Correlation;
 use crate::wide::{LANES, wide};
 
@@ -197,9 +197,9 @@ fn score_kernel(
         let mut slope = [Lanes::ZERO; UNKNOWNS];
         let mut by_depth = [Lanes::ZERO; UNKNOWNS];
         for c in 0..CHANNELS {
-            let [left, right, pair]: [Lanes; 3] =
-                std::array::from_fn(|term| residual.weight[term].scale(weights.by_term[term][c]));
-            let [in_left, in_right] = [0, 1].map(|eye| derivatives(surface, &seen[eye], &view.gradient[c], eye));
+            let [left, right, pair] = pair_weights(residual, weights, c);
+            let in_left = derivatives(surface, &seen[0], &view.gradient[c], 0);
+            let in_right = derivatives(surface, &seen[1], &view.gradient[c], 1);
             let (r_left, r_right) = (residual.residual[0][c], residual.residual[1][c]);
             let to_left = (left + pair) * r_left - pair * r_right;
             let to_right = (right + pair) * r_right - pair * r_left;
@@ -233,12 +233,10 @@ fn project_kernel(
         |i: usize| [Lanes::splat(camera[4 * i]), Lanes::splat(camera[4 * i + 1]), Lanes::splat(camera[4 * i + 2])];
     let (r0, r1, r2) = (row(0), row(1), row(2));
     for ((group, lens), seen) in surface.iter().zip(lens).zip(seen) {
-        let at = |r: &[Lanes; 3], t: f32| {
-            Lanes::splat(t).plus(r[0], group.point[0]).plus(r[1], group.point[1]).plus(r[2], group.point[2])
-        };
-        let z = at(&r2, camera[11]);
+        let z = Lanes::splat(camera[11]) + dot(&r2, &group.point);
         let inverse_z = z.max(1e-3).reciprocal();
-        let (x, y) = (at(&r0, camera[3]) * inverse_z, at(&r1, camera[7]) * inverse_z);
+        let x = (Lanes::splat(camera[3]) + dot(&r0, &group.point)) * inverse_z;
+        let y = (Lanes::splat(camera[7]) + dot(&r1, &group.point)) * inverse_z;
         let (dx, dy) = (x - lens[0], y - lens[1]);
         let out = &mut seen[eye];
         out.pixel = [
@@ -250,21 +248,21 @@ fn project_kernel(
             out.by_point[i] = lens[4] * by_x + lens[5] * by_y;
             out.by_point[3 + i] = lens[6] * by_x + lens[7] * by_y;
         }
-        let warp = |row: usize, column: usize| {
-            let (m, b) = (&out.by_point[3 * row..], &group.base[3 * column..]);
-            m[0] * b[0] + m[1] * b[1] + m[2] * b[2]
-        };
-        let (a, b, c, d) = (warp(0, 0), warp(0, 1), warp(1, 0), warp(1, 1));
+        let [u0, u1, u2, v0, v1, v2] = out.by_point;
+        let [x0, x1, x2, y0, y1, y2] = group.base;
+        let (by_u, by_v, along_x, along_y) = ([u0, u1, u2], [v0, v1, v2], [x0, x1, x2], [y0, y1, y2]);
+        let (a, b) = (dot(&by_u, &along_x), dot(&by_u, &along_y));
+        let (c, d) = (dot(&by_v, &along_x), dot(&by_v, &along_y));
         let determinant = a * d - b * c;
         let inverse = determinant.max(EDGE_ON).reciprocal();
         out.unwarp = [d * inverse, -b * inverse, -c * inverse, a * inverse];
-        out.valid =
-            Lanes(std::array::from_fn(
-                |i| {
-                    if z.0[i] > 2e-3 && determinant.0[i] > EDGE_ON { group.mask.0[i] } else { 0.0 }
-                },
-            ));
+        out.valid = each_lane!(i => if z.0[i] > 2e-3 && determinant.0[i] > EDGE_ON { group.mask.0[i] } else { 0.0 });
     }
+}
+
+#[inline(always)]
+fn dot(a: &[Lanes; 3], b: &[Lanes; 3]) -> Lanes {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 /// A surface patch that shrinks to less of its area in the first view is not used.
@@ -328,15 +326,14 @@ fn weigh_kernel(
         let valid = [seen[0].valid * view.valid, seen[1].valid * view.valid];
         let valid = [valid[0], valid[1], valid[0] * valid[1]];
         for term in 0..TERMS {
-            let square: [Lanes; CHANNELS] = std::array::from_fn(|c| {
+            let mut square = [Lanes::ZERO; CHANNELS];
+            let mut distance = Lanes::ZERO;
+            for c in 0..CHANNELS {
                 let r = match term {
                     0 | 1 => out.residual[term][c],
                     _ => out.residual[1][c] - out.residual[0][c],
                 };
-                r * r
-            });
-            let mut distance = Lanes::ZERO;
-            for c in 0..CHANNELS {
+                square[c] = r * r;
                 distance += square[c].scale(inverse[term][c]);
             }
             let near = (Lanes::splat(1.0) - distance).max(0.0);
@@ -389,12 +386,20 @@ impl Default for NormalSums {
     }
 }
 
+/// Weights of the three differences of a channel.
+#[inline(always)]
+fn pair_weights(residual: &ResidualGroup, weights: &PairWeights, channel: usize) -> [Lanes; TERMS] {
+    let ([left, right, pair], by_term) = (&residual.weight, &weights.by_term);
+    [left.scale(by_term[0][channel]), right.scale(by_term[1][channel]), pair.scale(by_term[2][channel])]
+}
+
 /// Derivatives of a channel of one image by the unknowns.
 #[inline(always)]
 fn derivatives(surface: &SurfaceGroup, seen: &SeenGroup, gradient: &[Lanes; 2], eye: usize) -> [Lanes; UNKNOWNS] {
     let by_u = gradient[0] * seen.unwarp[0] + gradient[1] * seen.unwarp[2];
     let by_v = gradient[0] * seen.unwarp[1] + gradient[1] * seen.unwarp[3];
-    let m: [Lanes; 3] = std::array::from_fn(|i| by_u * seen.by_point[i] + by_v * seen.by_point[3 + i]);
+    let by = &seen.by_point;
+    let m = [by_u * by[0] + by_v * by[3], by_u * by[1] + by_v * by[4], by_u * by[2] + by_v * by[5]];
     let p = &surface.point;
     let slide = m[0] * surface.slide[0] + m[1] * surface.slide[1] + m[2] * surface.slide[2];
     [
@@ -424,10 +429,10 @@ fn accumulate_kernel(
     let groups = surface.iter().zip(seen).zip(view).zip(residuals).zip(patches);
     for ((((surface, seen), view), residual), patch) in groups {
         for c in 0..CHANNELS {
-            let [left, right, pair]: [Lanes; 3] =
-                std::array::from_fn(|term| residual.weight[term].scale(weights.by_term[term][c]));
+            let [left, right, pair] = pair_weights(residual, weights, c);
             let (ll, rr) = (left + pair, right + pair);
-            let [in_left, in_right] = [0, 1].map(|eye| derivatives(surface, &seen[eye], &view.gradient[c], eye));
+            let in_left = derivatives(surface, &seen[0], &view.gradient[c], 0);
+            let in_right = derivatives(surface, &seen[1], &view.gradient[c], 1);
             let (r_left, r_right) = (residual.residual[0][c], residual.residual[1][c]);
             let value = view.value[c];
             let weighted = [ll * r_left - pair * r_right, rr * r_right - pair * r_left];

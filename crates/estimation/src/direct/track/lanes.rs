@@ -4,6 +4,21 @@ use std::ops::{Add, AddAssign, Mul, Neg, Sub};
 
 use crate::wide::{LANES, sum_lanes};
 
+/// The lanes made one by one. Not by a closure: those are not always inlined into functions of wider vectors, and then cost a
+/// call per lane.
+macro_rules! each_lane {
+    ($i:ident => $value:expr) => {{
+        let mut lanes = [0.0; $crate::wide::LANES];
+        let mut $i = 0;
+        while $i < $crate::wide::LANES {
+            lanes[$i] = $value;
+            $i += 1;
+        }
+        $crate::direct::track::lanes::Lanes(lanes)
+    }};
+}
+pub(super) use each_lane;
+
 /// One value for each of [`LANES`] points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(align(64))]
@@ -26,22 +41,22 @@ impl Lanes {
     /// `self + a * b`, rounded twice.
     #[inline(always)]
     pub(super) fn plus(self, a: Self, b: Self) -> Self {
-        Self(std::array::from_fn(|i| self.0[i] + a.0[i] * b.0[i]))
+        each_lane!(i => self.0[i] + a.0[i] * b.0[i])
     }
 
     #[inline(always)]
     pub(super) fn scale(self, factor: f32) -> Self {
-        Self(std::array::from_fn(|i| self.0[i] * factor))
+        each_lane!(i => self.0[i] * factor)
     }
 
     #[inline(always)]
     pub(super) fn reciprocal(self) -> Self {
-        Self(std::array::from_fn(|i| 1.0 / self.0[i]))
+        each_lane!(i => 1.0 / self.0[i])
     }
 
     #[inline(always)]
     pub(super) fn max(self, other: f32) -> Self {
-        Self(std::array::from_fn(|i| if self.0[i] > other { self.0[i] } else { other }))
+        each_lane!(i => if self.0[i] > other { self.0[i] } else { other })
     }
 
     /// The sum over the lanes, always in the same order.
@@ -55,7 +70,7 @@ impl Add for Lanes {
     type Output = Self;
     #[inline(always)]
     fn add(self, other: Self) -> Self {
-        Self(std::array::from_fn(|i| self.0[i] + other.0[i]))
+        each_lane!(i => self.0[i] + other.0[i])
     }
 }
 
@@ -70,7 +85,7 @@ impl Sub for Lanes {
     type Output = Self;
     #[inline(always)]
     fn sub(self, other: Self) -> Self {
-        Self(std::array::from_fn(|i| self.0[i] - other.0[i]))
+        each_lane!(i => self.0[i] - other.0[i])
     }
 }
 
@@ -78,7 +93,7 @@ impl Mul for Lanes {
     type Output = Self;
     #[inline(always)]
     fn mul(self, other: Self) -> Self {
-        Self(std::array::from_fn(|i| self.0[i] * other.0[i]))
+        each_lane!(i => self.0[i] * other.0[i])
     }
 }
 
@@ -86,6 +101,6 @@ impl Neg for Lanes {
     type Output = Self;
     #[inline(always)]
     fn neg(self) -> Self {
-        Self(std::array::from_fn(|i| -self.0[i]))
+        each_lane!(i => -self.0[i])
     }
 }
