@@ -30,6 +30,9 @@ pub enum EstimateWarning {
         /// Largest tilt of the search range, degrees.
         limit_deg: f64,
     },
+    /// The region is no plane.
+    #[error("the region is no plane: mark a part that is flat, or track it, which recovers its surface")]
+    NoPlane,
     /// The caller's time was over before the method had done everything.
     #[error("cut short by the deadline: this is the best answer so far")]
     CutShort,

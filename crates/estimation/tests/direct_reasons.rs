@@ -8,7 +8,8 @@ mod scene;
 use image::{Rgb, RgbImage};
 use nalgebra::Vector2;
 use pb3dp_estimation::direct::estimator::{DirectConfig, DirectEstimator};
-use pb3dp_estimation::estimate::PlaneEstimate;
+use pb3dp_estimation::direct::track::DirectTracker;
+use pb3dp_estimation::estimate::{EstimateWarning, PlaneEstimate};
 use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_estimation::region::Region;
 use pb3dp_estimation::status::Status;
@@ -61,6 +62,13 @@ fn of_a_curved_surface_the_plane_that_explains_most_is_given_as_ambiguous() {
     let most = 2.0 * (2.0 / CURVATURE).sqrt() * 140.0;
     let share = explained.count() as f64 / most;
     assert!(share > 0.92, "{share} of what one plane can explain");
+
+    // It is a surface beyond doubt all the same.
+    assert!(found.warnings.contains(&EstimateWarning::NoPlane), "{:?}", found.warnings);
+    let mut tracker = DirectTracker::new(&rig, DirectConfig::default()).unwrap();
+    let range = SearchRange::new(0.4, 0.7, 60_f64.to_radians()).unwrap();
+    let started = tracker.start(&left, &right, &region, &range).unwrap();
+    assert_eq!(started.status, Status::Ok, "{}", started.reason);
 }
 
 #[test]

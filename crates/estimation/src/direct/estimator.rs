@@ -13,7 +13,7 @@ use super::region_pyramid::PyramidSource;
 use super::row_measurement::{RowMeasurement, measure_rows};
 use super::row_offset::RowOffset;
 use super::track::DirectTrackerConfig;
-use super::verdict::{DirectVerdictConfig, Searched, Steeper, judge, nothing_found};
+use super::verdict::{DirectVerdictConfig, Searched, Steeper, is_no_plane, judge, nothing_found};
 use crate::cpu::Kernels;
 use crate::error::EstimationError;
 use crate::estimate::{EstimateWarning, PlaneEstimate, PlanePose, SecondPlane};
@@ -234,6 +234,9 @@ impl DirectEstimator {
         estimate.row_offset_px = Some(self.row_offset_px(outcome, &plane));
         if estimate.status == Status::NotObservable {
             return;
+        }
+        if is_no_plane(outcome, &self.config.verdict) {
+            estimate.warnings.push(EstimateWarning::NoPlane);
         }
         estimate.pose = Some(pose);
         estimate.z_sigma_m = spread.map(|spread| spread.covariance[(0, 0)].sqrt());

@@ -123,6 +123,14 @@ fn too_little(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVe
     Some(Verdict { status, reason: format!("{seen}; {}", cause(outcome, searched)) })
 }
 
+/// Whether the region has texture, but not enough of it agrees with one plane for a sure answer, or its disparities lie
+/// spread around every plane.
+pub(super) fn is_no_plane(outcome: &ColdStartOutcome, limits: &DirectVerdictConfig) -> bool {
+    let sure_min = limits.support_sure_min;
+    let lacks_support = outcome.finest.textured_share >= sure_min && support_of(&outcome.finest) < sure_min;
+    outcome.widest.is_some() || lacks_support
+}
+
 /// The status of an outcome; `normal_sigma_rad` is the standard deviation of the answer's normal.
 pub(super) fn judge(
     outcome: &ColdStartOutcome,

@@ -152,7 +152,8 @@ impl DirectTracker {
 
     /// The plane of a region that is not one plane: a start for its relief, which then decides.
     fn unsure_plane(&self, found: &PlaneEstimate) -> Option<PlanePose> {
-        let psi = found.psi.filter(|_| found.status == Status::NotObservable)?;
+        let is_no_plane = found.status == Status::NotObservable || found.warnings.contains(&EstimateWarning::NoPlane);
+        let psi = found.psi.filter(|_| is_no_plane)?;
         let ray = self.rig.left().unproject(&found.centroid_px).ok()?;
         PlanePose::from_inverse_depth_plane(psi.inverse_depth_plane(&ray)?, &ray)
     }
