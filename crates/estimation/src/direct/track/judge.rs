@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use super::distinct::beyond_chance;
 use super::kernels::{CHANNELS, ResidualGroup, SeenGroup, TERMS, ViewGroup};
 use super::relief::Correlation;
 use crate::wide::LANES;
@@ -12,6 +13,11 @@ const FITS_FROM: f32 = 0.3;
 /// Shares that plane and relief must reach in the first pair where no plane was found by itself.
 const SURFACE_INLIERS_MIN: f64 = 0.7;
 const SURFACE_CORRELATION_MIN: f64 = 0.85;
+/// Share of the points that the right image must show there.
+const SURFACE_VISIBLE_MIN: f64 = 0.8;
+/// By how many standard deviations the correlation must be more than chance would show there: each patch of the relief is
+/// tried at many disparities.
+const SURFACE_BEYOND_CHANCE_MIN: f64 = 8.0;
 /// Images disagree if one of them fits at less than this share of the points that fit another.
 const AGREEMENT_MIN: f64 = 0.85;
 
@@ -130,9 +136,14 @@ impl Fit {
         short(INLIERS[2], self.inlier_share[2], limits.inlier_share_min)
     }
 
-    /// Whether the first pair shows one surface beyond doubt: to be asked where no plane was found.
-    pub(super) fn is_a_surface(&self) -> bool {
-        self.inlier_share[1] >= SURFACE_INLIERS_MIN && self.correlation[1] >= SURFACE_CORRELATION_MIN
+    /// Whether the first pair shows one surface beyond doubt: to be asked where no plane was found. Its texture is worth so
+    /// many `independent` points; a relief can be bent until soft texture fits any other.
+    pub(super) fn is_a_surface(&self, independent: f64) -> bool {
+        let (share, correlation) = (self.inlier_share[1], self.correlation[1]);
+        share >= SURFACE_INLIERS_MIN
+            && correlation >= SURFACE_CORRELATION_MIN
+            && self.visible_share[1] >= SURFACE_VISIBLE_MIN
+            && beyond_chance(correlation, share * self.visible_share[1], independent) >= SURFACE_BEYOND_CHANCE_MIN
     }
 
     /// Whether the view fits one image clearly better than the other, or than they fit each other.

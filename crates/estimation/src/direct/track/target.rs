@@ -455,6 +455,11 @@ impl Target {
         self.fit.misfit(&self.limits(frame.config)).map_or(Ok(equations), |misfit| Err(Ending::Misfit(misfit)))
     }
 
+    /// Whether the first pair shows one surface beyond doubt.
+    pub(super) fn is_a_surface(&self) -> bool {
+        self.fit.is_a_surface(self.independent_points)
+    }
+
     /// The estimate, where the target was expected elsewhere.
     fn sighting(&self, expected: &Pose<CamLeft, Model>) -> Sighting<'_> {
         let found = &self.estimate.cam_left_from_model;

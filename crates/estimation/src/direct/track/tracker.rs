@@ -141,7 +141,7 @@ impl DirectTracker {
         let Some(plane) = sure.or_else(|| self.unsure_plane(&found)) else { return Ok(refused) };
         let estimate = self.start_from_plane(left, right, region, &plane)?;
         if sure.is_none() {
-            let is_solid = estimate.status == Status::Ok && self.fit().is_some_and(Fit::is_a_surface);
+            let is_solid = estimate.status == Status::Ok && self.target.as_ref().is_some_and(Target::is_a_surface);
             self.target = self.target.take().filter(|_| is_solid);
             return Ok(if is_solid { TrackEstimate { warnings: refused.warnings, ..estimate } } else { refused });
         }

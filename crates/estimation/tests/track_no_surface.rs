@@ -1,0 +1,55 @@
+//! What is no surface is not tracked: two pictures that do not belong together, of soft texture.
+#![allow(clippy::unwrap_used, reason = "inputs that are valid")]
+
+#[path = "support/scene.rs"]
+#[allow(dead_code, reason = "shared with tests that use more of it")]
+mod scene;
+
+use image::{Rgb, RgbImage};
+use pb3dp_estimation::direct::estimator::DirectConfig;
+use pb3dp_estimation::direct::track::DirectTracker;
+use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_estimation::region::Region;
+use pb3dp_estimation::status::Status;
+use pb3dp_geometry::ImageSize;
+
+const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
+
+/// Waves of 60 to 200 px without symmetry, others for every seed.
+fn soft_picture(seed: u32) -> RgbImage {
+    let mut state = seed.wrapping_mul(2_654_435_761).wrapping_add(12_345);
+    let mut random = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        f64::from(state >> 8) / f64::from(1 << 24)
+    };
+    let waves: Vec<[f64; 3]> = (0..12)
+        .map(|_| {
+            let (turn, length) = (random() * std::f64::consts::TAU, 60.0 + 140.0 * random());
+            let speed = std::f64::consts::TAU / length;
+            [speed * turn.cos(), speed * turn.sin(), random() * std::f64::consts::TAU]
+        })
+        .collect();
+    RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| {
+        let wave = |w: &[f64; 3]| 9.0 * (w[0] * f64::from(u) + w[1] * f64::from(v) + w[2]).sin();
+        Rgb([(120.0 + waves.iter().map(wave).sum::<f64>()).round().clamp(0.0, 255.0) as u8; 3])
+    })
+}
+
+#[test]
+fn soft_texture_of_another_scene_is_not_taken_for_a_surface() {
+    let rig = scene::rectified_rig(SIZE);
+    let range = SearchRange::new(0.35, 0.8, 45_f64.to_radians()).unwrap();
+    let mut tracker = DirectTracker::new(&rig, DirectConfig::default()).unwrap();
+    let mut taken = Vec::new();
+    for seed in 0..5 {
+        let (left, right) = (soft_picture(seed), soft_picture(seed + 100));
+        for x in [72, 330, 480] {
+            let region = Region::Rectangle { x, y: 120 + 20 * seed as i32, width: 40, height: 90 };
+            let found = tracker.start(&left, &right, &region, &range).unwrap();
+            if found.status == Status::Ok || found.status == Status::WeakTilt {
+                taken.push((seed, x, found.reason));
+            }
+        }
+    }
+    assert!(taken.is_empty(), "{} of 15 were taken: {taken:?}", taken.len());
+}
