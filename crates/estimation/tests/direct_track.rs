@@ -111,6 +111,44 @@ fn a_hidden_target_is_lost_and_found_again() {
 }
 
 /// With a twin in sight from the start a lost target is found again beside it, and the twin alone is not taken for it.
+/// A camera that delivers its last picture again and again: the pose would be wrong by more with every frame.
+#[test]
+fn a_frozen_eye_is_no_evidence() {
+    for frozen_eye in [0, 1] {
+        let mut run = Run::start(rectified_rig(), moving(0.0), DirectTrackerConfig::default());
+        let mut frozen = None;
+        for frame in 1..16 {
+            run.frame += 1;
+            let pose = moving(f64::from(frame) / 30.0);
+            let shot = Shot { cam_left_from_target: Some(pose), frame, right_gain: 0.9 };
+            let (left, right) = render(&run.rig, &shot);
+            let mut pictures = [left, right];
+            if frame == 5 {
+                frozen = Some(pictures[frozen_eye].clone());
+            }
+            let is_frozen = (6..12).contains(&frame);
+            if let Some(old) = frozen.as_ref().filter(|_| is_frozen) {
+                pictures[frozen_eye] = old.clone();
+            }
+            let prior = FramePrior { dt_s: Some(1.0 / 30.0), ..FramePrior::default() };
+            let estimate = run.tracker.update(&pictures[0], &pictures[1], &prior).expect("update");
+            if is_frozen {
+                assert_eq!(estimate.status, Status::Lost, "eye {frozen_eye}, frame {frame}");
+                let name = ["left", "right"][frozen_eye];
+                assert!(
+                    estimate.reason.contains(&format!("the {name} picture is the last one")),
+                    "{}",
+                    estimate.reason
+                );
+            } else if frame < 6 || frame > 13 {
+                assert_eq!(estimate.status, Status::Ok, "eye {frozen_eye}, frame {frame}: {}", estimate.reason);
+                let (distance_mm, angle_deg) = run.error(&estimate, &pose);
+                assert!(distance_mm < 0.5 && angle_deg < 0.6, "frame {frame}: {distance_mm} mm, {angle_deg} degrees");
+            }
+        }
+    }
+}
+
 #[test]
 fn a_twin_is_not_taken_for_a_hidden_target() {
     let rig = rectified_rig();

@@ -25,6 +25,7 @@ mod normal;
 mod predict;
 mod reach;
 mod relief;
+mod repeated;
 mod search;
 mod shape;
 mod stereo_relief;

@@ -97,6 +97,8 @@ pub(super) enum Ending {
     Misfit(Misfit),
     /// Too little of the target is in sight to say anything.
     OutOfSight,
+    /// An eye (0 left, 1 right) delivers its last picture again.
+    Stuck(usize),
     /// What resembles the target is farther from where it was than it can have moved, or resembles it too little for that.
     OutOfReach,
 }

@@ -12,6 +12,7 @@ use super::export::SurfacePoint;
 use super::images::EyeImages;
 use super::judge::Fit;
 use super::predict::FramePrior;
+use super::repeated::{Remembered, stuck_eye};
 use super::surface::{Surface, model_frame};
 use super::target::{Ending, Frame, Target};
 use crate::cpu::Kernels;
@@ -57,6 +58,8 @@ pub struct DirectTracker {
     estimator: DirectEstimator,
     region_config: RegionConfig,
     images: [EyeImages; 2],
+    /// Where the last frame showed the target.
+    remembered: [Remembered; 2],
     target: Option<Target>,
     was_started: bool,
 }
@@ -79,8 +82,11 @@ impl DirectTracker {
         let (region_config, track) = (config.region, config.track);
         let estimator = DirectEstimator::with_kernels(rig, config, kernels)?;
         let mut images: [EyeImages; 2] = Default::default();
-        for (images, camera) in images.iter_mut().zip([rig.left(), rig.right()]) {
-            images.reserve(camera.size().width as usize, camera.size().height as usize);
+        let mut remembered: [Remembered; 2] = Default::default();
+        for (eye, camera) in [rig.left(), rig.right()].into_iter().enumerate() {
+            let (width, height) = (camera.size().width as usize, camera.size().height as usize);
+            images[eye].reserve(width, height);
+            remembered[eye].reserve(width * height);
         }
         Ok(Self {
             rig: *rig,
@@ -89,6 +95,7 @@ impl DirectTracker {
             estimator,
             region_config,
             images,
+            remembered,
             target: None,
             was_started: false,
         })
@@ -189,6 +196,7 @@ impl DirectTracker {
         let mut target = Target::first(surface, pose, outline_in_model, &frame, self.kernels);
         self.load_whole(left, right);
         target.look_for_twins(&Frame { images: &self.images, rig: &self.rig, config: &self.config });
+        self.remember(&target, left, right);
         let mut estimate = blank();
         self.target = Some(target);
         self.report(Ending::Found, &mut estimate);
@@ -302,6 +310,11 @@ impl DirectTracker {
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Ending {
         target.frame += 1;
+        if let Some(eye) = stuck_eye(&self.remembered, [left, right]) {
+            target.away_s += passed_s(prior);
+            target.motion.coast(prior);
+            return Ending::Stuck(eye);
+        }
         let predicted = target.motion.predict(prior);
         let mut ending = Ending::OutOfSight;
         if target.lost_frames == 0 {
@@ -316,7 +329,7 @@ impl DirectTracker {
         }
         if ending != Ending::Found {
             target.lost_frames = target.lost_frames.saturating_add(1);
-            target.away_s += prior.dt_s.filter(|dt| dt.is_finite()).map_or(USUAL_INTERVAL_S, |dt| dt.max(0.0));
+            target.away_s += passed_s(prior);
             if may_continue() {
                 self.load_whole(left, right);
                 let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
@@ -329,7 +342,18 @@ impl DirectTracker {
         } else {
             target.motion.coast(prior);
         }
+        self.remember(target, left, right);
         ending
+    }
+
+    /// Keeps what both eyes show where the target was found last.
+    fn remember(&mut self, target: &Target, left: &RgbImage, right: &RgbImage) {
+        let pose = target.estimate.cam_left_from_model;
+        let right_pose = *self.rig.cam_right_from_cam_left() * pose;
+        let eyes = [(left, self.rig.left(), pose.isometry()), (right, self.rig.right(), right_pose.isometry())];
+        for (remembered, (image, camera, cam_from_model)) in self.remembered.iter_mut().zip(eyes) {
+            remembered.keep(image, &super::target::window(&target.outline_in_model, camera, cam_from_model));
+        }
     }
 
     /// Converts whole images.
@@ -383,6 +407,13 @@ impl DirectTracker {
         // Writing into a string can not fail.
         let _ = match ending {
             Ending::Misfit(misfit) => write!(out.reason, "{misfit}"),
+            Ending::Stuck(eye) => {
+                let (stuck, other) = if eye == 0 { ("left", "right") } else { ("right", "left") };
+                write!(
+                    out.reason,
+                    "the {stuck} picture is the last one again while the {other} one is new: check that camera"
+                )
+            }
             Ending::OutOfSight => write!(out.reason, "the target is not in sight of both cameras"),
             Ending::OutOfReach => {
                 write!(
@@ -446,6 +477,11 @@ fn warnings_of(found: &PlaneEstimate) -> Vec<RegionWarning> {
         _ => None,
     };
     found.warnings.iter().filter_map(of_region).collect()
+}
+
+/// Time since the last frame, seconds.
+fn passed_s(prior: &FramePrior) -> f64 {
+    prior.dt_s.filter(|dt| dt.is_finite()).map_or(USUAL_INTERVAL_S, |dt| dt.max(0.0))
 }
 
 fn blank() -> TrackEstimate {
