@@ -140,7 +140,7 @@ fn a_frozen_eye_is_no_evidence() {
                     "{}",
                     estimate.reason
                 );
-            } else if frame < 6 || frame > 13 {
+            } else if !(6..=13).contains(&frame) {
                 assert_eq!(estimate.status, Status::Ok, "eye {frozen_eye}, frame {frame}: {}", estimate.reason);
                 let (distance_mm, angle_deg) = run.error(&estimate, &pose);
                 assert!(distance_mm < 0.5 && angle_deg < 0.6, "frame {frame}: {distance_mm} mm, {angle_deg} degrees");
