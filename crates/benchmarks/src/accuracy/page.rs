@@ -133,6 +133,7 @@ The target moves along and about all axes at once (50 mm, 35 mm up and down, 20 
 Errors are those of the motion since the first frame, at the target's origin, of the sure poses.
 Nothing is predicted for the trackers.
 In `hidden` something slides in front for 30 frames; `until back` counts the frames from the target's being free again to the first right pose.
+`jitter` is explained in [method.md](../method.md#jitter); `drift`, of long runs only, is the median error of the last tenth of the frames over that of the first.
 In `shaded` the lamp does not turn with the target.
 ";
 
