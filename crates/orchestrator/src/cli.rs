@@ -102,7 +102,7 @@ pub struct EstimateArgs {
     /// The object in the left picture.
     #[arg(long, value_name = "REGION", help = format!("The object in the left picture: {REGION_HELP}"), requires = "left")]
     pub region: Option<RegionSpec>,
-    /// Also search every hypothesis that a chromosome can express, so that search error and fitness error are told apart (slow).
+    /// Also search every hypothesis that a chromosome can express, so that search error and fitness error are told apart (slow; --method published only).
     #[arg(long)]
     pub reference_optimum: bool,
     /// How to estimate.
@@ -120,7 +120,9 @@ const TRACK_JSON: &str =
   covariance           36 numbers, row by row, or null: of xi = (x, y, z in mm, then a rotation vector in radians), both
                        along the axes of the model, with true pose = cam_left_from_model * exp(xi)
   fitness              how well the pictures agree, at most 1, or null
-  ms                   CPU time of one thread from the pictures in memory to the pose, milliseconds";
+  ms                   CPU time of one thread from the pictures in memory to the pose, milliseconds
+  reason               what led to the status
+  warnings             what may make the pose worse than it looks";
 
 /// Arguments of `pb3dp track`.
 #[derive(Debug, Args)]

@@ -1,6 +1,6 @@
 //! Pictures that show what was estimated: the region and the pose's axes left, the re-projected model right.
 
-use image::RgbImage;
+use image::{RgbImage, imageops};
 use nalgebra::{Point3, Unit, UnitQuaternion, Vector2, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
@@ -24,10 +24,7 @@ pub fn polygon_px(corners_px: &[Vector2<f64>]) -> Vec<[f64; 2]> {
     corners_px.iter().map(|p| [p.x, p.y]).collect()
 }
 
-/// Distance between the labels of two targets, pixels.
-const LABEL_STEP_PX: f64 = 24.0;
-
-/// Left and right picture side by side with all targets drawn in.
+/// Left and right picture side by side with all targets drawn in, below a strip with a line of text for each target.
 pub fn annotate(left: &RgbImage, right: &RgbImage, rig: &StereoRig, targets: &[Annotation]) -> RgbImage {
     let (mut left, mut right) = (left.clone(), right.clone());
     for what in targets {
@@ -43,13 +40,28 @@ pub fn annotate(left: &RgbImage, right: &RgbImage, rig: &StereoRig, targets: &[A
             overlay::pose_axes(&mut right, rig.right(), &cam_right_from_model, axis_m);
         }
     }
-    // Labels last, over everything else.
-    for (row, what) in (0_u32..).zip(targets) {
+    below_labels(&overlay::side_by_side(&left, &right), targets)
+}
+
+/// Space around the labels, pixels.
+const LABEL_MARGIN_PX: u32 = 6;
+
+/// The picture below its labels, whose letters are as large as the width allows.
+fn below_labels(picture: &RgbImage, targets: &[Annotation]) -> RgbImage {
+    let width_px = |scale| targets.iter().map(|what| overlay::text_size(&what.label, scale).0).max().unwrap_or(0);
+    let scale = if width_px(2) + 2 * LABEL_MARGIN_PX <= picture.width() { 2 } else { 1 };
+    let line_px = |what: &Annotation| overlay::text_size(&what.label, scale).1 + LABEL_MARGIN_PX;
+    let strip_px = LABEL_MARGIN_PX + targets.iter().map(line_px).sum::<u32>();
+    let mut both = RgbImage::new(picture.width(), strip_px + picture.height());
+    imageops::replace(&mut both, picture, 0, i64::from(strip_px));
+    let mut top_px = LABEL_MARGIN_PX;
+    for what in targets {
         let color = if what.is_bad { colors::BAD } else { colors::ESTIMATE };
-        let style = TextStyle { scale: 2, ..TextStyle::of(color) };
-        overlay::text(&mut left, [6.0, 6.0 + LABEL_STEP_PX * f64::from(row)], &what.label, style);
+        let style = TextStyle { scale, background: None, ..TextStyle::of(color) };
+        overlay::text(&mut both, [f64::from(LABEL_MARGIN_PX), f64::from(top_px)], &what.label, style);
+        top_px += line_px(what);
     }
-    overlay::side_by_side(&left, &right)
+    both
 }
 
 /// The outline carried to the right picture by the plane of `pose`; `None` if a vertex is not seen there.
@@ -86,6 +98,30 @@ pub fn model_frame_on_plane(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn labels_stand_above_the_picture_and_are_whole() {
+        let picture = RgbImage::from_pixel(402, 50, image::Rgb([9, 99, 200]));
+        let label = |text: &str| Annotation {
+            outline_px: Vec::new(),
+            cam_left_from_model: None,
+            label: text.to_owned(),
+            is_bad: false,
+        };
+        let lit = |both: &RgbImage, rows: u32| {
+            let is_lit = |&(u, v): &(u32, u32)| *both.get_pixel(u, v) != image::Rgb([0, 0, 0]);
+            (0..rows).flat_map(|v| (0..both.width()).map(move |u| (u, v))).filter(is_lit).map(|(u, _)| u).max()
+        };
+        for (text, scale) in [("short HH", 2), ("a label of more letters than fit HH", 1)] {
+            let both = below_labels(&picture, &[label(text), label("b")]);
+            let strip_px = both.height() - picture.height();
+            assert_eq!(strip_px, 3 * LABEL_MARGIN_PX + 2 * 10 * scale);
+            assert_eq!(imageops::crop_imm(&both, 0, strip_px, 402, 50).to_image(), picture, "nothing is hidden");
+            let last_px = lit(&both, strip_px).unwrap();
+            let end_px = LABEL_MARGIN_PX + overlay::text_size(text, scale).0;
+            assert!(last_px < end_px && last_px + 3 * scale >= end_px, "{text}: ends at {last_px} of {end_px}");
+        }
+    }
 
     #[test]
     fn the_frame_lies_in_the_plane_and_looks_away() {

@@ -95,8 +95,11 @@ impl ImageFileError {
     }
 
     fn io(file: &Path, source: std::io::Error) -> Self {
-        let missing = source.kind() == std::io::ErrorKind::NotFound;
-        Self::caused_by(file, if missing { ImageProblem::Missing } else { ImageProblem::Io }, source)
+        match source.kind() {
+            // The system's words would only repeat it.
+            std::io::ErrorKind::NotFound => Self::new(file, ImageProblem::Missing),
+            _ => Self::caused_by(file, ImageProblem::Io, source),
+        }
     }
 }
 

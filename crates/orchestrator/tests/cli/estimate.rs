@@ -345,6 +345,15 @@ fn the_second_surface_of_a_region_is_told_with_its_share() {
     let told = finished.stderr.lines().find(|line| line.contains("lie on another surface"));
     let told = told.unwrap_or_else(|| panic!("no second surface in:\n{}", finished.stderr));
     assert!(told.contains("% of the region") && told.contains("normal"), "{told}");
+    let line = &finished.json_lines(&ESTIMATE_KEYS)[0];
+    let second = &line["second_plane"];
+    let [u, v] = [numbers(&line["centroid_px"])[0], numbers(&line["centroid_px"])[1]];
+    assert!((u - (right_edge - 20.5)).abs() < 1.0 && (v - pair.centre_px()[1]).abs() < 1.0, "{line}");
+    assert!(told.contains(&format!("z {:.2} mm", second["z_mm"].as_f64().unwrap())), "{told} but {line}");
+    assert!((0.1..0.5).contains(&second["share"].as_f64().unwrap()), "{line}");
+    assert!(numbers(&second["normal"])[2] < 0.0, "{line}");
+    assert!(line["row_offset_px"].as_f64().unwrap().abs() < 0.5, "{line}");
+    assert!(line["reason"].as_str().unwrap().contains("of the region agree"), "{line}");
 }
 
 #[test]

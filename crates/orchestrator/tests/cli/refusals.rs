@@ -55,8 +55,13 @@ fn missing_and_damaged_files_are_named() {
         pair.words(&left, &right, &absent, REGION),
         pair.words(&left, &right, &calibration, &format!("mask:{}", absent.display())),
     ] {
-        pb3dp(&args).assert_refused(&["absent.png"]);
+        let finished = pb3dp(&args);
+        finished.assert_refused(&["absent.png"]);
+        assert_eq!(finished.stderr.to_lowercase().matches("no such file").count(), 1, "{}", finished.stderr);
     }
+    let mut optimum = pair.words(&left, &right, &calibration, REGION);
+    optimum.push("--reference-optimum".into());
+    pb3dp(&optimum).assert_refused(&["--reference-optimum", "direct", "--method published"]);
     truncate(&right, 20_000);
     pair.estimate(REGION).assert_refused(&["right.png", "truncated"]);
     std::fs::write(&right, "no picture at all").unwrap();
@@ -183,7 +188,8 @@ fn a_damaged_case_costs_its_own_line_and_no_other() {
     for (line, before) in lines.into_iter().zip(whole) {
         if ["bb204_c0", "bb209_c0"].contains(&line["case"].as_str().unwrap()) {
             assert_eq!((&line["case"], &line["status"]), (&before["case"], &"error".into()));
-            assert!(ESTIMATE_KEYS[3..].iter().all(|key| line[key].is_null()), "{line}");
+            assert!(ESTIMATE_KEYS[3..12].iter().all(|key| line[key].is_null()), "{line}");
+            assert!(!line["reason"].as_str().unwrap().is_empty(), "{line}");
         } else {
             assert_eq!(without_time(line), without_time(before));
         }

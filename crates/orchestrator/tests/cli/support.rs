@@ -15,10 +15,25 @@ use pb3dp_sim::targets::TargetConfig;
 use serde_json::Value;
 
 /// Keys of a line of `estimate --json`, in order.
-pub const ESTIMATE_KEYS: [&str; 9] =
-    ["case", "method", "status", "z_mm", "normal", "fitness", "z_sigma_mm", "normal_sigma_deg", "ms"];
+pub const ESTIMATE_KEYS: [&str; 14] = [
+    "case",
+    "method",
+    "status",
+    "z_mm",
+    "normal",
+    "fitness",
+    "z_sigma_mm",
+    "normal_sigma_deg",
+    "ms",
+    "centroid_px",
+    "second_plane",
+    "row_offset_px",
+    "reason",
+    "warnings",
+];
 /// Keys of a line of `track --json`, in order.
-pub const TRACK_KEYS: [&str; 7] = ["frame", "t_s", "status", "cam_left_from_model", "covariance", "fitness", "ms"];
+pub const TRACK_KEYS: [&str; 9] =
+    ["frame", "t_s", "status", "cam_left_from_model", "covariance", "fitness", "ms", "reason", "warnings"];
 /// What `estimate` may say of a case.
 pub const STATUSES: [&str; 5] = ["ok", "weak-tilt", "ambiguous", "not-observable", "error"];
 

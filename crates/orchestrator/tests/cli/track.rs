@@ -110,7 +110,8 @@ fn check_drifting_card(limits: &Limits) {
     let with_gap = finished.json_lines(&TRACK_KEYS);
     assert_eq!(with_gap.len(), FRAMES);
     assert_eq!(with_gap[3]["status"], "error");
-    assert!(TRACK_KEYS[3..].iter().all(|key| with_gap[3][key].is_null()), "{}", with_gap[3]);
+    assert!(TRACK_KEYS[3..7].iter().all(|key| with_gap[3][key].is_null()), "{}", with_gap[3]);
+    assert!(with_gap[3]["reason"].as_str().unwrap().contains("right_0003.png"), "{}", with_gap[3]);
     for i in (0..FRAMES).filter(|&i| i != 3) {
         assert!(["ok", "weak-tilt"].contains(&with_gap[i]["status"].as_str().unwrap()), "{}", with_gap[i]);
         assert!(dir.path().join(format!("gap/frame_{i:04}.png")).exists());
@@ -194,8 +195,8 @@ fn a_target_that_is_never_seen_is_given_up() {
 }
 
 /// Keys of a line if there are several targets.
-const KEYS_OF_SEVERAL: [&str; 8] =
-    ["frame", "target", "t_s", "status", "cam_left_from_model", "covariance", "fitness", "ms"];
+const KEYS_OF_SEVERAL: [&str; 10] =
+    ["frame", "target", "t_s", "status", "cam_left_from_model", "covariance", "fitness", "ms", "reason", "warnings"];
 
 /// The second target is a part of the same card: both move alike, and the first is what it is alone.
 #[test]
@@ -225,8 +226,29 @@ fn several_targets_are_told_apart_and_do_not_disturb_each_other() {
         assert!(off_mm < 0.5, "frame {i}: the second target is off by {off_mm} mm");
     }
     assert!(overlay.join("frame_0006.png").exists() && both.stderr.contains("motion of target 0 since"));
-    let refused = pb3dp(&words(&[&"track", &"--sequence", &sequence, &"--region", &"rect:5,5,3,3", &"--json"]));
-    refused.assert_refused(&["frame 0, target 1", "region"]);
+}
+
+/// The target of a region that can not serve has an error in each frame; the other is what it is alone.
+#[test]
+fn a_region_that_is_refused_leaves_the_other_targets_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    record(dir.path());
+    let track = |arguments: &[&str]| {
+        let mut all = words(&[&"track", &"--sequence", &dir.path(), &"--json"]);
+        all.extend(arguments.iter().map(std::ffi::OsString::from));
+        pb3dp(&all)
+    };
+    let alone = track(&[]).assert_success().json_lines(&TRACK_KEYS);
+    let refused = track(&["--region", "rect:5,5,3,3"]);
+    refused.assert_refused(&["frame 0, target 1", "region", "left out"]);
+    assert_eq!(refused.stderr.matches("left out").count(), 1, "{}", refused.stderr);
+    let lines = refused.json_lines(&KEYS_OF_SEVERAL);
+    assert_eq!(lines.len(), 2 * FRAMES);
+    for (pair, alone) in lines.chunks(2).zip(alone) {
+        assert_eq!(pair[0]["cam_left_from_model"], alone["cam_left_from_model"]);
+        assert_eq!(pair[1]["status"], "error");
+        assert!(pair[1]["cam_left_from_model"].is_null() && pair[1]["reason"].as_str().unwrap().contains("region"));
+    }
 }
 
 /// The card is flat: its points lie in the plane z = 0 of the model, within the card, and have its colours.

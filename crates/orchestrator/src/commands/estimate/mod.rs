@@ -8,7 +8,7 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use nalgebra::Vector2;
 use pb3dp_estimation::estimate::{PlaneEstimate, ReferenceOptimum, SecondPlane};
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
@@ -33,6 +33,9 @@ use crate::picture::{Annotation, annotate, model_frame_on_plane, polygon_px};
 /// Bad arguments or configuration, or a folder without cases.
 pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
     let method = Method::from_name(&args.method.method)?;
+    if args.reference_optimum && method != Method::Published {
+        bail!("--reference-optimum: the method {method} searches no chromosomes: use --method {}", Method::Published);
+    }
     let config = estimator_config(&args.method)?;
     let mut overlays = Overlays::open(args.method.overlay.as_deref())?;
     let jobs = match &args.cases {
@@ -57,7 +60,7 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
                 refused += 1;
                 tracing::error!("{name}: {error:#}");
                 evaluated.extend(source.refused());
-                EstimateLine::of_error(&name, method.name())
+                EstimateLine::of_error(&name, method.name(), format!("{error:#}"))
             }
         };
         print_line(&if args.method.json { serde_json::to_string(&line)? } else { line.human() })?;
@@ -145,12 +148,12 @@ fn work(
     if args.reference_optimum {
         estimate.reference_optimum = reference_optimum(job, method, config)?;
     }
-    let z_m = match job.centroid_px {
-        Some([u, v]) => estimate.depth_at_pixel(&Vector2::new(u, v)),
-        None => estimate.z_m(),
+    let (centroid_px, z_m) = match job.centroid_px.map(Vector2::from) {
+        Some(centroid_px) => (centroid_px, estimate.depth_at_pixel(&centroid_px)),
+        None => (estimate.centroid_px, estimate.z_m()),
     };
     tell(&job.name, &estimate);
-    let line = EstimateLine::of(&job.name, method.name(), &estimate, z_m, millis);
+    let line = EstimateLine::of(&job.name, method.name(), &estimate, (centroid_px, z_m), millis);
     if let Err(error) = overlays.draw(job, &estimate, &line, &config.published.region) {
         tracing::warn!("{}: no picture: {error:#}", job.name);
     }

@@ -2,7 +2,8 @@
 
 use std::io::{self, Write};
 
-use pb3dp_estimation::estimate::PlaneEstimate;
+use nalgebra::Vector2;
+use pb3dp_estimation::estimate::{PlaneEstimate, SecondPlane};
 use serde::Serialize;
 
 /// The result of one case, in the units of the interface; the order of the fields is that of the JSON line.
@@ -26,11 +27,43 @@ pub struct EstimateLine {
     pub normal_sigma_deg: Option<f64>,
     /// CPU time of one thread from images in memory to pose, milliseconds.
     pub ms: Option<f64>,
+    /// The point of the raw left picture on whose ray the depths are given, pixels.
+    pub centroid_px: Option<[f64; 2]>,
+    /// The other surface of a region that straddles a depth edge.
+    pub second_plane: Option<SecondPlaneLine>,
+    /// Row of the right picture minus row of the left one, of the rectified pair, pixels.
+    pub row_offset_px: Option<f64>,
+    /// What led to the status.
+    pub reason: String,
+    /// What may make the answer worse than it looks.
+    pub warnings: Vec<String>,
+}
+
+/// Another surface in the region.
+#[derive(Clone, Debug, Serialize)]
+pub struct SecondPlaneLine {
+    /// Depth on the ray of the region's centroid, millimetres; `None` if that ray does not meet the plane.
+    pub z_mm: Option<f64>,
+    /// Unit normal in `cam_left`, towards the camera.
+    pub normal: [f64; 3],
+    /// Share of the region's pixels that lie on this plane and not on the first, 0 to 1.
+    pub share: f64,
+}
+
+impl SecondPlaneLine {
+    fn of(plane: &SecondPlane, estimate: &PlaneEstimate, centroid_px: &Vector2<f64>) -> Self {
+        let ray = estimate.left_camera.unproject(centroid_px).ok();
+        Self {
+            z_mm: ray.and_then(|ray| plane.pose.depth_on_ray(&ray)).map(|z| z * 1e3),
+            normal: plane.pose.normal_in_cam_left.into(),
+            share: plane.share,
+        }
+    }
 }
 
 impl EstimateLine {
-    /// A case that could not be worked on.
-    pub fn of_error(case: &str, method: &'static str) -> Self {
+    /// A case that could not be worked on, and why.
+    pub fn of_error(case: &str, method: &'static str, reason: String) -> Self {
         Self {
             case: case.to_owned(),
             method,
@@ -41,11 +74,23 @@ impl EstimateLine {
             z_sigma_mm: None,
             normal_sigma_deg: None,
             ms: None,
+            centroid_px: None,
+            second_plane: None,
+            row_offset_px: None,
+            reason,
+            warnings: Vec::new(),
         }
     }
 
-    /// The line of an estimate; `z_m` is the depth where it is to be reported.
-    pub fn of(case: &str, method: &'static str, estimate: &PlaneEstimate, z_m: Option<f64>, ms: f64) -> Self {
+    /// The line of an estimate; `z_m` is the depth on the ray of `centroid_px`.
+    pub fn of(
+        case: &str,
+        method: &'static str,
+        estimate: &PlaneEstimate,
+        (centroid_px, z_m): (Vector2<f64>, Option<f64>),
+        ms: f64,
+    ) -> Self {
+        let second = estimate.second_plane.as_ref();
         Self {
             status: estimate.status.as_str(),
             z_mm: z_m.map(|z| z * 1e3),
@@ -54,7 +99,11 @@ impl EstimateLine {
             z_sigma_mm: estimate.z_sigma_m.map(|sigma| sigma * 1e3),
             normal_sigma_deg: estimate.normal_sigma_rad.map(f64::to_degrees),
             ms: Some(ms),
-            ..Self::of_error(case, method)
+            centroid_px: Some(centroid_px.into()),
+            second_plane: second.map(|plane| SecondPlaneLine::of(plane, estimate, &centroid_px)),
+            row_offset_px: estimate.row_offset_px,
+            warnings: estimate.warnings.iter().map(ToString::to_string).collect(),
+            ..Self::of_error(case, method, estimate.reason.clone())
         }
     }
 

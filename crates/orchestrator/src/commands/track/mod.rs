@@ -24,10 +24,12 @@ use crate::wiring::wire_replay;
 /// A replay does not wait for pictures, so this only bounds what can not happen.
 const PAIR_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Runs the command. The exit code is a failure if a frame could not be read; all others are worked on all the same.
+/// Runs the command. The exit code is a failure if a frame could not be read or the region of one of several targets is
+/// refused; all others are worked on all the same.
 ///
 /// # Errors
-/// Bad arguments or configuration, a sequence that can not be used at all, exchanged pictures, or a region that is refused.
+/// Bad arguments or configuration, a sequence that can not be used at all, exchanged pictures, or regions that are all
+/// refused.
 pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     let method = Method::from_name(&args.method.method)?;
     if args.surface.is_some() && !method.recovers_surface() {
@@ -63,9 +65,10 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
             }
             Err(error) if error.kind() == CameraErrorKind::BadPair => {
                 unread += 1;
-                tracing::error!("frame {frame}: {:#}", anyhow::Error::from(error));
+                let reason = format!("{:#}", anyhow::Error::from(error));
+                tracing::error!("frame {frame}: {reason}");
                 walk.skip();
-                TrackLine::all_of_error(frame, t_s, walk.targets().len())
+                TrackLine::all_of_error(frame, t_s, walk.targets().len(), &reason)
             }
             Err(error) => return Err(error.into()),
         };
@@ -78,7 +81,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         surface::write_all(file, walk.targets())?;
     }
     report(&sequence, &walk);
-    Ok(if unread == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    Ok(if unread == 0 && !walk.has_refused() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
 /// The table of motion errors and what the method does not observe, on standard error. The truth of a sequence is that of its

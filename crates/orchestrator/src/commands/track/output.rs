@@ -5,7 +5,7 @@ use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use serde::Serialize;
 
-use super::walk::Found;
+use super::walk::{Found, Outcome};
 
 /// The result of one frame, in the units of the interface; the order of the fields is that of the JSON line.
 #[derive(Clone, Debug, Serialize)]
@@ -28,6 +28,10 @@ pub struct TrackLine {
     pub fitness: Option<f64>,
     /// CPU time of one thread from images in memory to pose, milliseconds.
     pub ms: Option<f64>,
+    /// What led to the status.
+    pub reason: String,
+    /// What may make the pose worse than it looks.
+    pub warnings: Vec<String>,
 }
 
 impl TrackLine {
@@ -41,16 +45,20 @@ impl TrackLine {
 
     /// A line for each target of a frame.
     pub fn all_of(frame: usize, t_s: f64, found: &[Found]) -> Vec<Self> {
-        found.iter().map(|f| Self { target: f.target, ..Self::of(frame, t_s, &f.estimate, f.millis) }).collect()
+        let line = |found: &Found| match &found.outcome {
+            Outcome::Estimate { estimate, millis } => Self::of(frame, t_s, estimate, *millis),
+            Outcome::Refused { reason } => Self::of_error(frame, t_s, reason),
+        };
+        found.iter().map(|found| Self { target: found.target, ..line(found) }).collect()
     }
 
-    /// The lines of a frame that could not be read.
-    pub fn all_of_error(frame: usize, t_s: f64, targets: usize) -> Vec<Self> {
+    /// The lines of a frame that could not be read, and why.
+    pub fn all_of_error(frame: usize, t_s: f64, targets: usize, reason: &str) -> Vec<Self> {
         let number = |index: usize| (targets > 1).then_some(index);
-        (0..targets).map(|index| Self { target: number(index), ..Self::of_error(frame, t_s) }).collect()
+        (0..targets).map(|index| Self { target: number(index), ..Self::of_error(frame, t_s, reason) }).collect()
     }
 
-    fn of_error(frame: usize, t_s: f64) -> Self {
+    fn of_error(frame: usize, t_s: f64, reason: &str) -> Self {
         Self {
             frame,
             target: None,
@@ -60,6 +68,8 @@ impl TrackLine {
             covariance: None,
             fitness: None,
             ms: None,
+            reason: reason.to_owned(),
+            warnings: Vec::new(),
         }
     }
 
@@ -73,7 +83,8 @@ impl TrackLine {
             }),
             fitness: estimate.fitness,
             ms: Some(ms),
-            ..Self::of_error(frame, t_s)
+            warnings: estimate.warnings.iter().map(ToString::to_string).collect(),
+            ..Self::of_error(frame, t_s, &estimate.reason)
         }
     }
 
@@ -126,10 +137,10 @@ mod tests {
         let json = |lines: &[TrackLine]| -> Vec<String> {
             lines.iter().map(|line| serde_json::to_string(line).unwrap()).collect()
         };
-        let one = json(&TrackLine::all_of_error(4, 0.25, 1));
+        let one = json(&TrackLine::all_of_error(4, 0.25, 1, "no file"));
         assert_eq!(one.len(), 1);
         assert!(one[0].starts_with(r#"{"frame":4,"t_s":0.25,"status":"error","#) && !one[0].contains("target"));
-        let two = json(&TrackLine::all_of_error(4, 0.25, 2));
+        let two = json(&TrackLine::all_of_error(4, 0.25, 2, "no file"));
         assert!(two[1].starts_with(r#"{"frame":4,"target":1,"t_s":0.25,"#), "{two:?}");
     }
 }

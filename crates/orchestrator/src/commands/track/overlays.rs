@@ -8,7 +8,7 @@ use pb3dp_hal_api::FramePair;
 use pb3dp_record::images::{PictureFormat, save};
 use pb3dp_record::overlay::{Animation, AnimationLimits};
 
-use super::walk::Found;
+use super::walk::{Found, Outcome};
 use crate::cli::MethodArgs;
 use crate::picture::{Annotation, annotate, polygon_px};
 
@@ -35,8 +35,11 @@ impl Overlays {
     pub fn add(&mut self, frame: usize, t_s: f64, pair: &FramePair, rig: &StereoRig, targets: &[Found]) -> Result<()> {
         let Some((folder, animation)) = &mut self.wanted else { return Ok(()) };
         let annotation = |found: &Found| {
-            let estimate = &found.estimate;
             let target = found.target.map_or(String::new(), |target| format!("target {target}  "));
+            let Outcome::Estimate { estimate, .. } = &found.outcome else {
+                let label = format!("frame {frame}  {t_s:.3} s  {target}error");
+                return Annotation { outline_px: Vec::new(), cam_left_from_model: None, label, is_bad: true };
+            };
             let fitness = estimate.fitness.map_or(String::new(), |fitness| format!("  fitness {fitness:.3}"));
             Annotation {
                 outline_px: polygon_px(&estimate.outline_px),

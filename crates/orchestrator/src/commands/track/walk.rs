@@ -1,6 +1,6 @@
 //! The targets on their way through the frames.
 
-use anyhow::Result;
+use anyhow::{Error, Result};
 use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
@@ -42,6 +42,8 @@ pub struct TrackedTarget {
     follower: Follower,
     last_status: Status,
     poses: Vec<Option<Pose<CamLeft, Model>>>,
+    /// Why the region can not serve.
+    refused: Option<String>,
 }
 
 /// How a target was marked.
@@ -56,15 +58,35 @@ enum Mark {
 pub struct Found {
     /// Its number, if there are several.
     pub target: Option<usize>,
-    /// The estimate.
-    pub estimate: TrackEstimate,
-    /// CPU time that it took, milliseconds.
-    pub millis: f64,
+    /// What came of it.
+    pub outcome: Outcome,
+}
+
+/// What came of a target in a frame.
+pub enum Outcome {
+    /// It was looked for.
+    Estimate {
+        /// The estimate.
+        estimate: Box<TrackEstimate>,
+        /// CPU time that it took, milliseconds.
+        millis: f64,
+    },
+    /// Its region can not serve, so it is not looked for.
+    Refused {
+        /// Why.
+        reason: String,
+    },
 }
 
 impl TrackedTarget {
     fn new(mark: Mark, tracker: Tracker, range: SearchRange) -> Self {
-        Self { mark, follower: Follower::new(tracker, range), last_status: Status::Ok, poses: Vec::new() }
+        Self {
+            mark,
+            follower: Follower::new(tracker, range),
+            last_status: Status::Ok,
+            poses: Vec::new(),
+            refused: None,
+        }
     }
 
     /// The pose in each frame so far.
@@ -75,6 +97,19 @@ impl TrackedTarget {
     /// Its tracker.
     pub fn tracker(&self) -> &Tracker {
         self.follower.tracker()
+    }
+
+    /// One frame; an error is that of the region, whose target is then not looked for again.
+    fn look(&mut self, pair: &FramePair, prior: &FramePrior, deadline_millis: Option<f64>) -> Result<Outcome> {
+        if let Some(reason) = &self.refused {
+            self.poses.push(None);
+            return Ok(Outcome::Refused { reason: reason.clone() });
+        }
+        let found = self.step(pair, prior, deadline_millis);
+        let pose = found.as_ref().ok().and_then(|(estimate, _)| estimate.cam_left_from_model);
+        self.poses.push(pose);
+        let (estimate, millis) = found.inspect_err(|error| self.refused = Some(format!("{error:#}")))?;
+        Ok(Outcome::Estimate { estimate: Box::new(estimate), millis })
     }
 
     fn region(&self, left: &RgbImage) -> Result<Region> {
@@ -95,9 +130,7 @@ impl TrackedTarget {
             let mut may_continue = within(deadline_millis);
             self.follower.look_while(&pair.left, &pair.right, region.as_ref(), prior, &mut may_continue)
         });
-        let estimate = estimate?;
-        self.poses.push(estimate.cam_left_from_model);
-        Ok((estimate, millis))
+        Ok((estimate?, millis))
     }
 
     /// Warnings, and the reason whenever the status changes.
@@ -142,15 +175,20 @@ impl Walk {
         &self.targets
     }
 
+    /// Whether the region of a target was refused.
+    pub fn has_refused(&self) -> bool {
+        self.targets.iter().any(|target| target.refused.is_some())
+    }
+
     /// Whether the rotation about the normal was measured in every frame.
     pub fn rotation_about_normal_observed(&self) -> bool {
         self.rotation_about_normal_observed
     }
 
-    /// What is found of each target in a frame.
+    /// What is found of each target in a frame. The region of one of several targets may be refused; the others go on.
     ///
     /// # Errors
-    /// Exchanged pictures or a region that is refused, both in the first frame.
+    /// Exchanged pictures in the first frame, or regions that are all refused.
     pub fn step(&mut self, frame: usize, t_s: f64, pair: &FramePair) -> Result<Vec<Found>> {
         if self.first.is_none() {
             with_target(check_pictures(&format!("frame {frame}"), &self.rig, &pair.left, &pair.right), frame, None)?;
@@ -163,16 +201,38 @@ impl Walk {
         self.last_t_s = Some(t_s);
         let several = self.targets.len() > 1;
         let mut all = Vec::with_capacity(self.targets.len());
+        let mut refused: Vec<Error> = Vec::new();
         for (index, target) in self.targets.iter_mut().enumerate() {
             let index = several.then_some(index);
-            let (estimate, millis) = with_target(target.step(pair, &prior, self.deadline_millis), frame, index)?;
-            let what = index.map_or(format!("frame {frame}"), |index| format!("frame {frame}, target {index}"));
-            target.tell(&what, &estimate);
-            self.rotation_about_normal_observed &=
-                estimate.rotation_about_normal_observed || estimate.cam_left_from_model.is_none();
-            all.push(Found { target: index, estimate, millis });
+            let outcome = match with_target(target.look(pair, &prior, self.deadline_millis), frame, index) {
+                Ok(outcome) => outcome,
+                Err(error) => {
+                    let reason = format!("{error:#}");
+                    refused.push(error);
+                    Outcome::Refused { reason }
+                }
+            };
+            if let Outcome::Estimate { estimate, .. } = &outcome {
+                let what = index.map_or(format!("frame {frame}"), |index| format!("frame {frame}, target {index}"));
+                target.tell(&what, estimate);
+                self.rotation_about_normal_observed &=
+                    estimate.rotation_about_normal_observed || estimate.cam_left_from_model.is_none();
+            }
+            all.push(Found { target: index, outcome });
         }
+        self.tell_refused(refused)?;
         Ok(all)
+    }
+
+    /// Regions that are refused are said; if none is left, that is an error.
+    fn tell_refused(&self, mut refused: Vec<Error>) -> Result<()> {
+        if !refused.is_empty() && self.targets.iter().all(|target| target.refused.is_some()) {
+            return Err(refused.swap_remove(0));
+        }
+        for error in refused {
+            tracing::error!("{error:#}: this target is left out");
+        }
+        Ok(())
     }
 
     /// A frame that could not be read.
