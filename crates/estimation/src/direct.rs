@@ -3,6 +3,7 @@
 //! Everything that looks for planes works on rectified images, where a plane is an affine disparity
 //! ([`disparity_plane`]): images of a rectified pair as they are, others through a map ([`front_end`]).
 
+mod beyond;
 pub mod cold_start;
 pub mod colour_planes;
 pub mod cramer_rao;

@@ -111,3 +111,44 @@ fn missing_texture_is_named() {
     assert_eq!(found.status, Status::NotObservable);
     assert!(found.reason.contains("choose a target with texture"), "{}", found.reason);
 }
+
+/// Stripes across the rows, 40 px apart, 112 px of disparity away, on a background without texture.
+fn stripes(at: impl Fn(f64) -> f64) -> RgbImage {
+    let brightness = |x: f64, y: f64| match (x / 20.0).floor() + (y / 24.0).floor() {
+        field if !(180.0..480.0).contains(&x) || !(60.0..420.0).contains(&y) => 120.0 + 0.0 * field,
+        field if field % 2.0 == 0.0 => 200.0,
+        _ => 60.0,
+    };
+    RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| Rgb([brightness(at(f64::from(u)), f64::from(v)) as u8; 3]))
+}
+
+#[test]
+fn a_repetitive_target_outside_the_range_is_not_taken_for_its_alias() {
+    let rig = scene::rectified_rig(SIZE);
+    let (fb, offset) = (rig.left().pinhole().fx * 0.1, rig.right().pinhole().cx - rig.left().pinhole().cx);
+    let (left, right) = (stripes(|u| u), stripes(|u| u + 112.0));
+    let z_m = |disparity_px: f64| fb / (disparity_px + offset);
+    // Alone in the range are the places one or two periods further on; near the left end of the board these show only a
+    // part of the region.
+    for (x, width, [low_px, high_px]) in [(190, 90, [130.0, 190.0]), (380, 90, [50.0, 95.0])] {
+        let region = Region::Rectangle { x, y: 150, width, height: 110 };
+        let missed = estimate(&rig, (&left, &right), &region, [z_m(high_px), z_m(low_px), 60.0]);
+        assert!(!missed.status.depth_is_sure(), "{} to {} px: {:?} {}", low_px, high_px, missed.status, missed.reason);
+        let held = estimate(&rig, (&left, &right), &region, [z_m(125.0), z_m(100.0), 60.0]);
+        assert_eq!(held.status, Status::Ok, "{}", held.reason);
+        assert!((held.pose.unwrap().z_m - z_m(112.0)).abs() < 1e-3 * z_m(112.0));
+    }
+}
+
+#[test]
+fn the_same_picture_twice_says_nothing() {
+    let rig = scene::rectified_rig(SIZE);
+    let scene =
+        Scene { centre_px: Vector2::new(352.0, 236.0), z_m: 0.5, theta_x_rad: 0.2, theta_y_rad: -0.3, noise: 3.0 };
+    let (left, _) = scene.render(&rig);
+    let region = Region::Rectangle { x: 312, y: 196, width: 80, height: 80 };
+    // Disparity zero is in the range.
+    let found = estimate(&rig, (&left, &left), &region, [0.35, 100.0, 60.0]);
+    assert_eq!(found.status, Status::NotObservable, "{}", found.reason);
+    assert!(found.pose.is_none() && found.reason.contains("the same picture"), "{}", found.reason);
+}

@@ -4,6 +4,7 @@
 
 use nalgebra::Vector2;
 
+use super::beyond::{Beyond, BeyondRange, is_doubtful};
 use super::disparity_plane::DisparityPlane;
 use super::front_end::StereoFrontEnd;
 use super::patches::{PatchConfig, PatchOutcome, SUPPORTS, SlantedPatches};
@@ -173,6 +174,7 @@ pub struct ColdStart {
     refiner: PlaneRefiner,
     surroundings: Surroundings,
     repetition: Repetition,
+    beyond: Beyond,
     surfaces: Vec<Surface>,
     masks: Vec<Vec<u8>>,
     searched: usize,
@@ -206,15 +208,19 @@ impl ColdStart {
         &self.surfaces
     }
 
-    /// Searches the plane of a region; `allowed` says which planes are within the search range. Once
-    /// `may_continue` says no, finer levels and the refinement are left out. `None` if there is no candidate.
+    /// Searches the plane of a region within the disparities of `source`; `is_tilt_allowed` says which planes are tilted by
+    /// no more than the search range allows. Once `may_continue` says no, finer levels and the refinement are left out. `None` if there is no candidate.
     pub fn run(
         &mut self,
         front_end: &StereoFrontEnd,
         source: &PyramidSource<'_>,
-        allowed: impl Fn(&DisparityPlane) -> bool,
+        is_tilt_allowed: impl Fn(&DisparityPlane) -> bool,
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Option<ColdStartOutcome> {
+        let allowed = |plane: &DisparityPlane| {
+            let within = plane.d0_px >= source.disparity_px.0 - 1.0 && plane.d0_px <= source.disparity_px.1 + 1.0;
+            within && is_tilt_allowed(plane)
+        };
         self.surfaces.clear();
         if !self.pyramid.update(front_end, source) {
             return None;
@@ -223,9 +229,9 @@ impl ColdStart {
         let levels = self.pyramid.levels();
         let quick =
             levels.iter().position(|level| level.area_px <= self.config.quick_area_px).unwrap_or(full).max(full);
-        self.search_level(quick, source.disparity_px, &allowed);
+        self.search_level(quick, source.disparity_px, allowed);
         if quick > full && !self.is_decided() && may_continue() {
-            self.search_level(full, source.disparity_px, &allowed);
+            self.search_level(full, source.disparity_px, allowed);
         }
         let first = *self.surfaces.first()?;
         let (second, alias) = self.rivals(&first);
@@ -270,6 +276,19 @@ impl ColdStart {
             unlimited,
             repeats_px,
         })
+    }
+
+    /// The best plane beyond the searched disparities, if the best surface of the last pair leaves doubts and the right picture
+    /// shows one; the arguments are those of [`Self::run`].
+    pub fn look_beyond(
+        &mut self,
+        front_end: &StereoFrontEnd,
+        source: &PyramidSource<'_>,
+        is_tilt_allowed: impl Fn(&DisparityPlane) -> bool,
+    ) -> Option<BeyondRange> {
+        let first = self.surfaces.first().filter(|first| is_doubtful(first))?;
+        let configs = (&self.config.search, &self.config.patches);
+        self.beyond.best(front_end, source, &first.plane, configs, is_tilt_allowed, self.kernels)
     }
 
     /// The plane of a small region with what agrees around it, if that is known better; see [`super::surroundings`].
@@ -333,7 +352,9 @@ impl ColdStart {
         let level = &self.pyramid.levels()[self.searched];
         let scale = level.scale as f64;
         let own_px = plane.at(&self.pyramid.centroid_px());
-        let leaves_px = (own_px - searched_px.0).min(searched_px.1 - own_px).max(0.0);
+        // Nearer than this the right picture does not show the middle of the region.
+        let nearest_px = searched_px.1.min(self.pyramid.centroid_px().x);
+        let leaves_px = (own_px - searched_px.0).min(nearest_px - own_px).max(0.0);
         let places = (own_px / scale, infinity_px / scale);
         Some(scale * self.repetition.period_px(level, &level.level_plane(plane), places, leaves_px / scale)?)
     }
@@ -371,8 +392,7 @@ impl ColdStart {
         for (mask, candidate) in self.search.candidates.iter().enumerate() {
             let level = &mut self.pyramid.levels_mut()[index];
             let patches = self.patches.run(level, &candidate.plane, &self.config.patches, self.kernels);
-            let share = patches.textured_share * patches.support_share;
-            let score = share * patches.mean_correlation + self.search.valid_share * candidate.share;
+            let score = surface_score(&patches, self.search.valid_share * candidate.share);
             let plane = level.full_plane(&patches.plane, centre);
             self.masks[mask].clone_from(&level.support);
             self.surfaces.push(Surface { plane, share: candidate.share, patches, score, mask });
@@ -393,8 +413,7 @@ impl ColdStart {
         for i in 0..count {
             let old = self.surfaces[i];
             let patches = self.look(index, &old.plane);
-            let share = patches.textured_share * patches.support_share;
-            let score = share * patches.mean_correlation + self.search.valid_share * old.share;
+            let score = surface_score(&patches, self.search.valid_share * old.share);
             let level = &self.pyramid.levels()[index];
             self.masks[old.mask].clone_from(&level.support);
             self.surfaces[i] = Surface { plane: level.full_plane(&patches.plane, centre), patches, score, ..old };
@@ -488,6 +507,11 @@ impl ColdStart {
         let gap = |at: &Vector2<f64>| (a.at(at) - b.at(at)).abs();
         gap(&self.pyramid.centroid_px()) > limit || self.box_corners().iter().map(gap).sum::<f64>() > 4.0 * limit
     }
+}
+
+/// What orders surfaces; `clear_share` is the share of the region's pixels with a clear disparity on the plane.
+pub(super) fn surface_score(patches: &PatchOutcome, clear_share: f64) -> f64 {
+    support_of(patches) * patches.mean_correlation + clear_share
 }
 
 /// Share of the region's pixels whose patch has texture and agrees.

@@ -13,7 +13,10 @@ use super::region_pyramid::PyramidSource;
 use super::row_measurement::{RowMeasurement, measure_rows};
 use super::row_offset::RowOffset;
 use super::track::DirectTrackerConfig;
-use super::verdict::{DirectVerdictConfig, Searched, Steeper, is_no_plane, judge, nothing_found};
+use super::verdict::{
+    DirectVerdictConfig, SAME_PICTURE, Searched, Steeper, UNSEEN_CORRELATION_MIN, is_no_plane, judge, lies_beyond,
+    may_be_unseen, nothing_found,
+};
 use crate::cpu::Kernels;
 use crate::error::EstimationError;
 use crate::estimate::{EstimateWarning, PlaneEstimate, PlanePose, SecondPlane};
@@ -194,15 +197,28 @@ impl DirectEstimator {
             search_area_px: self.config.cold_start.search_area_px,
         };
         let limits = TiltLimits::new(range);
-        let allowed = |plane: &DisparityPlane| {
-            let within = plane.d0_px >= disparity_px.0 - 1.0 && plane.d0_px <= disparity_px.1 + 1.0;
-            within && limits.allow(&view.inverse_depth_plane(plane))
-        };
+        let allowed = |plane: &DisparityPlane| limits.allow(&view.inverse_depth_plane(plane));
         self.outcome = self.cold_start.run(&self.front_end, &source, allowed, may_continue);
         let mut estimate = PlaneEstimate { warnings, ..self.blank(centroid_px) };
         match &self.outcome {
             Some(outcome) => self.fill(&mut estimate, outcome, &view, range),
             None => estimate.reason = nothing_found(range),
+        }
+        if estimate.pose.is_some() && left.as_raw() == right.as_raw() {
+            return Ok(PlaneEstimate {
+                reason: SAME_PICTURE.to_owned(),
+                warnings: estimate.warnings,
+                ..self.blank(centroid_px)
+            });
+        }
+        let limit = self.config.verdict.alias_score_max;
+        if estimate.status.depth_is_sure()
+            && may_continue()
+            && let Some(outcome) = &self.outcome
+            && let Some(reason) =
+                objection(&mut self.cold_start, outcome, (&self.front_end, &source), allowed, (&view, limit))
+        {
+            (estimate.status, estimate.reason) = (Status::Ambiguous, reason);
         }
         Ok(estimate)
     }
@@ -219,7 +235,8 @@ impl DirectEstimator {
 
     fn fill(&self, estimate: &mut PlaneEstimate, outcome: &ColdStartOutcome, view: &RawView, range: &SearchRange) {
         let side_px = (self.cold_start.pyramid().area_px() as f64).sqrt();
-        let (plane, covariance) = answer(outcome, side_px);
+        let is_exact = self.config.cold_start.refine.calibration_sigma_px == 0.0;
+        let (plane, covariance) = answer(outcome, side_px, is_exact);
         let Some(pose) = view.pose(&plane) else {
             estimate.reason = "the best plane lies behind the camera: check range and calibration".to_owned();
             return;
@@ -286,6 +303,28 @@ impl DirectEstimator {
     }
 }
 
+/// What speaks against a sure answer and lies outside of what was searched: depths at which the right picture does not show the
+/// region, and those beyond the range, where a plane may reach `score_max` of the answer's score.
+fn objection(
+    cold_start: &mut ColdStart,
+    outcome: &ColdStartOutcome,
+    (front_end, source): (&StereoFrontEnd, &PyramidSource<'_>),
+    allowed: impl Fn(&DisparityPlane) -> bool,
+    (view, score_max): (&RawView, f64),
+) -> Option<String> {
+    let centre_px = cold_start.pyramid().centroid_px();
+    // From this disparity on, the middle of the region is out of the right picture.
+    let leaves_px = centre_px.x;
+    let correlation = outcome.finest.mean_correlation;
+    if source.disparity_px.1 > leaves_px && correlation < UNSEEN_CORRELATION_MIN {
+        let nearest = view.pose(&DisparityPlane { centre_px, d0_px: leaves_px, slope: Vector2::zeros() })?;
+        return Some(may_be_unseen(nearest.z_m, correlation));
+    }
+    let found = cold_start.look_beyond(front_end, source, allowed)?;
+    let z_m = view.pose(&found.plane).map(|pose| pose.z_m);
+    (found.score_ratio > score_max).then(|| lies_beyond(z_m, found.score_ratio))
+}
+
 /// An answer so near to an end of the depth range is warned of, as a share of the range.
 const END_OF_RANGE_SHARE: f64 = 0.005;
 
@@ -296,12 +335,18 @@ const PATCH_PRECISION_PX: f64 = 0.25;
 /// Patches compare rows as they are: with rows farther off than this they are wrong themselves, pixels.
 const PATCH_ROWS_PX: f64 = 0.2;
 
+/// Of two planes that err on their own, equally far, the variance of each is this share of their squared difference.
+const EQUAL_ERRORS: f64 = 0.5;
+
 /// The plane of an outcome with the covariance of `(d0, du, dv)`: the refined plane if the refinement came to rest near the
 /// patches' plane. Where that is farther off than patches can be wrong on a plane, and they agree with it clearly less than
 /// with their own, the surface or its shading is not what the model says, both planes err on their own, and the answer lies
 /// half-way. Where no plane fits, the answer is the one that explains the most disparities. What the answer is moved by
 /// counts as error.
-fn answer(outcome: &ColdStartOutcome, side_px: f64) -> (DisparityPlane, Option<Matrix3<f64>>) {
+///
+/// Two planes of the same pixels that differ by `gap` and err on their own, equally far, have half of `gap gap^T` as variance.
+/// Where pictures hold no errors but noise (`is_exact`), that of the refinement is known to be the smaller one.
+fn answer(outcome: &ColdStartOutcome, side_px: f64, is_exact: bool) -> (DisparityPlane, Option<Matrix3<f64>>) {
     let Some(refined) = &outcome.refined else { return (outcome.widest.unwrap_or(outcome.patch_plane), None) };
     let own = refined.plane.parameters();
     if let Some(widest) = outcome.widest {
@@ -322,8 +367,11 @@ fn answer(outcome: &ColdStartOutcome, side_px: f64) -> (DisparityPlane, Option<M
         true => 0.5,
         false => 1.0,
     };
-    let moved = gap * moved_by;
-    (refined.plane.with_parameters(&(own + moved)), Some(refined.covariance + moved * moved.transpose()))
+    let counted = match is_exact || rows_off {
+        true => moved_by * moved_by,
+        false => EQUAL_ERRORS.max(moved_by * moved_by),
+    };
+    (refined.plane.with_parameters(&(own + gap * moved_by)), Some(refined.covariance + gap * gap.transpose() * counted))
 }
 
 /// The plane that explains the most, if it lies within the depths of the range but is tilted by more than it allows.
@@ -348,6 +396,10 @@ fn disparity_range(view: &RawView, range: &SearchRange) -> (f64, f64) {
     (at(range.z_max_m), at(range.z_min_m))
 }
 
+/// Root mean square angle between the middle of a half-sphere and normals spread evenly over it, `sqrt(pi - 2)`, radians: a
+/// normal that faces the camera can not be known worse.
+const ANY_NORMAL_RAD: f64 = 1.0684;
+
 /// Uncertainty of a plane in `cam_left`.
 #[derive(Clone, Copy, Debug)]
 struct Spread {
@@ -370,7 +422,7 @@ impl Spread {
         let jacobian = Matrix3::from_rows(&[dz.transpose(), dx.transpose(), dy.transpose()]);
         let normal = q / q.norm();
         let across = (Matrix3::identity() - normal * normal.transpose()) / q.norm();
-        let normal_sigma_rad = (across * q_covariance * across.transpose()).trace().max(0.0).sqrt();
+        let normal_sigma_rad = (across * q_covariance * across.transpose()).trace().max(0.0).sqrt().min(ANY_NORMAL_RAD);
         Self { covariance: jacobian * q_covariance * jacobian.transpose(), normal_sigma_rad }
     }
 }

@@ -14,7 +14,7 @@ pub struct DirectVerdictConfig {
     /// With a smaller share than this the answer is `ambiguous` at best, because the region is no plane, and
     /// `not-observable` if it is not the plane but texture that is missing. 0 to 1. Default 0.3.
     pub support_sure_min: f64,
-    /// Another explanation of the same pixels whose score reaches this share of the best one's makes the answer
+    /// Another explanation of the same pixels, in the range or beyond it, whose score reaches this share of the best one's makes the answer
     /// `ambiguous`. 0 to 1. Default 0.85.
     pub alias_score_max: f64,
     /// Another surface with this share of the number of pixels of the first makes the answer `ambiguous`. 0 to 1.
@@ -78,6 +78,32 @@ pub(super) fn nothing_found(range: &SearchRange) -> String {
         1e3 * range.z_max_m
     )
 }
+
+/// What is said where a plane beyond the range of depths, at `z_m` if it lies in front of the camera, explains the region as
+/// well as the answer or better.
+pub(super) fn lies_beyond(z_m: Option<f64>, score_ratio: f64) -> String {
+    let place = z_m.map_or("far away".to_owned(), |z_m| format!("at about {:.0} mm", 1e3 * z_m));
+    format!(
+        "a plane {place}, outside the depth range, explains the region with {:.0} % of the score: the target may lie there, widen the range (--z-range)",
+        100.0 * score_ratio
+    )
+}
+
+/// Where some of the searched depths are out of the right picture's sight, the patches that agree must correlate so well: a
+/// texture that resembles itself correlates less with another part of it.
+pub(super) const UNSEEN_CORRELATION_MIN: f64 = 0.75;
+
+/// What is said where the region may be at a depth nearer than `z_m`, at which the right picture does not show it.
+pub(super) fn may_be_unseen(z_m: f64, correlation: f64) -> String {
+    format!(
+        "nearer than {:.0} mm the right picture would not show the middle of the region, and what it shows correlates by {correlation:.2} only (limit {UNSEEN_CORRELATION_MIN}): mark what both cameras see, or narrow the range (--z-range)",
+        1e3 * z_m
+    )
+}
+
+/// What is said where both pictures are one.
+pub(super) const SAME_PICTURE: &str =
+    "left and right are the same picture: they say nothing of depth; check the file names or the cameras";
 
 /// Why few pixels agree with one plane, and what to do.
 fn cause(outcome: &ColdStartOutcome, searched: &Searched) -> String {

@@ -18,6 +18,9 @@ const GROWTH_MAX: f64 = 3.0;
 /// Parameters and shades that the points have been fitted with.
 const FITTED: f64 = 6.0;
 
+/// Mean square over squared mean of the sizes of pulls at four parameters that differ by chance alone.
+const CHANCE_OF_SIZES: f64 = 1.5;
+
 /// What every block of points pulls at `(d0, du, dv, row)`.
 #[derive(Clone, Debug, Default)]
 pub(super) struct BlockPulls {
@@ -44,12 +47,20 @@ impl BlockPulls {
         let inverse = matrix.try_inverse()?;
         let sum = products(self.small.iter().map(|(_, pull)| pull));
         let growth = self.growth(&inverse, &sum);
-        let count = self.small.len() as f64;
+        let count = self.effective_count(&inverse);
         let mut middle = sum * (count / (count - FITTED).max(1.0)) * growth.powf(DOUBLINGS);
         middle[(3, 3)] += row_information;
         let full = inverse * middle * inverse.transpose();
         let covariance = full.fixed_view::<3, 3>(0, 0).into_owned();
         Some((covariance + covariance.transpose()) * 0.5)
+    }
+
+    /// How many blocks that pull equally hard would say as much: few edges in an otherwise blank region are few blocks.
+    fn effective_count(&self, inverse: &Matrix4<f64>) -> f64 {
+        let sizes = self.small.iter().map(|(_, pull)| pull.dot(&(inverse * pull)));
+        let (sum, squares) = sizes.fold((0.0, 0.0), |(sum, squares), size| (sum + size, squares + size * size));
+        let count = self.small.len() as f64;
+        if squares > 0.0 { (CHANCE_OF_SIZES * sum * sum / squares).min(count) } else { count }
     }
 
     /// By how much blocks of twice the side make the covariance larger, beyond chance, at least 1; `small` is the sum of the
