@@ -47,7 +47,6 @@ impl View {
         residuals: Option<&[ResidualGroup]>,
     ) {
         let step = (1_u32 << level) as f32;
-        let outer = [(step, step), (step, -step), (-step, step), (-step, -step)];
         for (index, (view, seen)) in self.levels[level].iter_mut().zip(seen).enumerate() {
             *view = ViewGroup::default();
             let fits = |i: usize| residuals.is_none_or(|groups| groups[index].weight[0].0[i] > 0.0);
@@ -59,14 +58,12 @@ impl View {
                 if centre[3] + left[3] + right[3] + up[3] + down[3] > 0.3 {
                     continue;
                 }
-                let [Some(rd), Some(ru), Some(ld), Some(lu)] = outer.map(|(du, dv)| at(du, dv)) else { continue };
                 view.valid.0[i] = 1.0;
                 let warp = inverse_2x2(seen[0].unwarp.map(|x| x.0[i]));
                 for c in 0..view.value.len() {
                     view.value[c].0[i] = centre[c];
-                    // Sobel's weights: a gradient's noise slows the steps down and passes for texture.
-                    let by_u = (rd[c] + ru[c] - ld[c] - lu[c] + 2.0 * (right[c] - left[c])) * (0.125 / step);
-                    let by_v = (rd[c] + ld[c] - ru[c] - lu[c] + 2.0 * (down[c] - up[c])) * (0.125 / step);
+                    let by_u = (right[c] - left[c]) * (0.5 / step);
+                    let by_v = (down[c] - up[c]) * (0.5 / step);
                     view.gradient[c][0].0[i] = by_u * warp[0] + by_v * warp[2];
                     view.gradient[c][1].0[i] = by_u * warp[1] + by_v * warp[3];
                 }
