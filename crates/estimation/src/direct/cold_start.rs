@@ -132,6 +132,15 @@ pub struct Rival {
     pub overlap: f64,
 }
 
+/// The plane that explains the most clear disparities within a pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WidestPlane {
+    /// The plane in the rectified pair.
+    pub plane: DisparityPlane,
+    /// Whether the disparities lie spread around the refined plane instead of on it: then the region is no plane.
+    pub is_spread: bool,
+}
+
 /// What a cold start found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ColdStartOutcome {
@@ -154,7 +163,7 @@ pub struct ColdStartOutcome {
     /// Where the patches around the refined plane would have it.
     pub plane_at_refined: Option<DisparityPlane>,
     /// Where no plane fits the region: the plane that explains the most disparities within a pixel.
-    pub widest: Option<DisparityPlane>,
+    pub widest: Option<WidestPlane>,
     /// Where the plane explains little: the plane of any depth and tilt that explains the most, with its share of the
     /// region's pixels.
     pub unlimited: Option<(DisparityPlane, f64)>,
@@ -311,21 +320,16 @@ impl ColdStart {
         wide.filter(|wide| surroundings::replaces(wide, &own)).unwrap_or(own)
     }
 
-    /// Where the clear disparities lie spread around the first of `known` and not on it, the plane that explains the most of
-    /// them within a pixel.
-    fn widest(
-        &mut self,
-        known: &[DisparityPlane],
-        allowed: impl Fn(&DisparityPlane) -> bool,
-    ) -> Option<DisparityPlane> {
+    /// The plane that explains the most clear disparities within a pixel, if there are many and it is not the first of `known`.
+    fn widest(&mut self, known: &[DisparityPlane], allowed: impl Fn(&DisparityPlane) -> bool) -> Option<WidestPlane> {
         let (centre, level) = (self.pyramid.centroid_px(), &self.pyramid.levels()[self.searched]);
         let tolerance_px = (WIDEST_PX / level.scale as f64).max(WIDEST_LEVEL_PX_MIN);
+        if self.search.valid_share < WIDEST_VALID_MIN {
+            return None;
+        }
         let own = level.level_plane(known.first()?);
         let share = |tolerance_px| self.search.share_within(level, &own, tolerance_px, self.kernels);
         let is_spread = share(0.5 * tolerance_px) < SPREAD_NEAR_MAX * share(tolerance_px);
-        if self.search.valid_share < WIDEST_VALID_MIN || !is_spread {
-            return None;
-        }
         let seeds = known.iter().chain(self.surfaces.iter().map(|surface| &surface.plane));
         let found = self.search.widest(
             level,
@@ -334,9 +338,9 @@ impl ColdStart {
             |plane| allowed(&level.full_plane(plane, centre)),
             self.kernels,
         )?;
-        let found = level.full_plane(&found.plane, centre);
-        let apart = |at: &Vector2<f64>| (found.at(at) - known[0].at(at)).abs() > WIDEST_APART_PX;
-        self.box_corners().iter().any(apart).then_some(found)
+        let plane = level.full_plane(&found.plane, centre);
+        let apart = |at: &Vector2<f64>| (plane.at(at) - known[0].at(at)).abs() > WIDEST_APART_PX;
+        self.box_corners().iter().any(apart).then_some(WidestPlane { plane, is_spread })
     }
 
     /// The plane that explains the most clear disparities, whatever its depth and tilt, with its share of the region.

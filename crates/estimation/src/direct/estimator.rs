@@ -338,19 +338,27 @@ const PATCH_ROWS_PX: f64 = 0.2;
 /// Of two planes that err on their own, equally far, the variance of each is this share of their squared difference.
 const EQUAL_ERRORS: f64 = 0.5;
 
-/// The plane of an outcome with the covariance of `(d0, du, dv)`: the refined plane if the refinement came to rest near the
-/// patches' plane. Where that is farther off than patches can be wrong on a plane, and they agree with it clearly less than
-/// with their own, the surface or its shading is not what the model says, both planes err on their own, and the answer lies
-/// half-way. Where no plane fits, the answer is the one that explains the most disparities. What the answer is moved by
-/// counts as error.
+/// At the border of the region patches are right to this, pixels: the top of a correlation is flat.
+const PATCH_SIGMA_PX: f64 = 0.1;
+/// Where patches correlate less, noise moves them further than the refinement.
+const CLEAR_CORRELATION_MIN: f64 = 0.9;
+
+/// The plane of an outcome with the covariance of `(d0, du, dv)`: between the refined plane, if the refinement came to rest near
+/// the patches' plane, and that of the patches. On real surfaces both err on their own and equally far, so the mean of both is
+/// better than either; but patches can not tell planes apart that are as near as they are precise, so the answer goes the less
+/// towards their plane the nearer it is. Where that is farther off, and they agree with the refined plane clearly less than with
+/// their own, the answer lies half-way. Where no plane fits, the answer is the one that explains the most disparities.
 ///
-/// Two planes of the same pixels that differ by `gap` and err on their own, equally far, have half of `gap gap^T` as variance.
-/// Where pictures hold no errors but noise (`is_exact`), that of the refinement is known to be the smaller one.
+/// Two planes of the same pixels that differ by `gap` and err on their own, equally far, have half of `gap gap^T` as variance
+/// each, and their mean a quarter. Where pictures hold no errors but noise (`is_exact`), that of the refinement is known to be
+/// the smaller one, and it is the answer if the patches agree with it.
 fn answer(outcome: &ColdStartOutcome, side_px: f64, is_exact: bool) -> (DisparityPlane, Option<Matrix3<f64>>) {
-    let Some(refined) = &outcome.refined else { return (outcome.widest.unwrap_or(outcome.patch_plane), None) };
+    let Some(refined) = &outcome.refined else {
+        return (outcome.widest.map_or(outcome.patch_plane, |widest| widest.plane), None);
+    };
     let own = refined.plane.parameters();
     if let Some(widest) = outcome.widest {
-        let moved = widest.centred_at(refined.plane.centre_px).parameters() - own;
+        let moved = widest.plane.centred_at(refined.plane.centre_px).parameters() - own;
         return (refined.plane.with_parameters(&(own + moved)), Some(refined.covariance + moved * moved.transpose()));
     }
     let theirs = match outcome.plane_at_refined {
@@ -362,16 +370,31 @@ fn answer(outcome: &ColdStartOutcome, side_px: f64, is_exact: bool) -> (Disparit
     let lost = outcome.at_refined.map_or(0.0, |found| agreement(&outcome.finest) - agreement(&found));
     let apart_px = gap.x.abs() + 0.5 * side_px * (gap.y.abs() + gap.z.abs());
     let rows_off = refined.row_offset_px.abs() > PATCH_ROWS_PX;
-    let moved_by = match refined.converged {
-        true if lost <= AGREEMENT_TOLERANCE || apart_px <= PATCH_PRECISION_PX || rows_off => 0.0,
-        true => 0.5,
-        false => 1.0,
-    };
-    let counted = match is_exact || rows_off {
-        true => moved_by * moved_by,
-        false => EQUAL_ERRORS.max(moved_by * moved_by),
+    let (moved_by, counted) = if refined.converged {
+        let is_better = lost > AGREEMENT_TOLERANCE && !rows_off;
+        let is_clear = outcome.finest.mean_correlation >= CLEAR_CORRELATION_MIN && !rows_off && !is_exact;
+        let moved_by = towards_patches(apart_px, is_better, is_clear);
+        (moved_by, if rows_off || is_exact { moved_by * moved_by } else { variance_between(moved_by) })
+    } else {
+        (1.0, 1.0)
     };
     (refined.plane.with_parameters(&(own + gap * moved_by)), Some(refined.covariance + gap * gap.transpose() * counted))
+}
+
+/// Which share of the way to the patches' plane the answer goes if the planes are `apart_px` apart at the region's border:
+/// `is_better` says that the patches agree with their own plane clearly more, `is_clear` that noise moves them little.
+fn towards_patches(apart_px: f64, is_better: bool, is_clear: bool) -> f64 {
+    match is_better && apart_px > PATCH_PRECISION_PX {
+        true => 0.5,
+        false if is_clear => 0.5 * apart_px.powi(2) / (apart_px.powi(2) + PATCH_SIGMA_PX.powi(2)),
+        false => 0.0,
+    }
+}
+
+/// Variance of what lies a share of the way from one estimate to another that errs on its own and equally far, over the squared
+/// difference of both.
+fn variance_between(share: f64) -> f64 {
+    EQUAL_ERRORS * ((1.0 - share).powi(2) + share.powi(2))
 }
 
 /// The plane that explains the most, if it lies within the depths of the range but is tilted by more than it allows.
@@ -497,6 +520,38 @@ mod tests {
         let cosine = psi(&p0).y.cos();
         let sum = expected[(1, 1)] + cosine * cosine * expected[(2, 2)];
         assert!((spread.normal_sigma_rad - sum.sqrt()).abs() < 1e-4 * sum.sqrt());
+    }
+
+    /// Where two estimates err on their own and equally far, the mean has half the variance of each.
+    #[test]
+    fn the_answer_goes_at_most_half_way_to_the_patches() {
+        assert_eq!((variance_between(0.0), variance_between(0.5)), (0.5, 0.25));
+        let shares = [0.0, 0.02, 0.1, 0.3, 2.0].map(|apart_px| towards_patches(apart_px, false, true));
+        assert!(
+            shares[0] == 0.0 && shares[1] < 0.02 && (shares[2] - 0.25).abs() < 1e-12 && shares[4] < 0.5,
+            "{shares:?}"
+        );
+        assert!(shares.windows(2).all(|pair| pair[0] < pair[1]), "{shares:?}");
+        assert_eq!(
+            [(0.2, true), (0.3, true), (0.3, false)].map(|(px, b)| towards_patches(px, b, false)),
+            [0.0, 0.5, 0.0]
+        );
+    }
+
+    #[test]
+    fn no_normal_is_known_worse_than_one_that_may_be_any() {
+        let (view, plane) = (view(), plane());
+        let pose = view.pose(&plane).unwrap();
+        let sigma = |scale: f64| Spread::of(&(Matrix3::identity() * scale), &plane, &pose, &view).normal_sigma_rad;
+        assert!(sigma(1e-8) < 0.01 && sigma(1.0) == ANY_NORMAL_RAD, "{} {}", sigma(1e-8), sigma(1.0));
+        // Simpson's rule over the squared angle, weighted by the ring of normals at that angle.
+        let value = |i: usize| {
+            (std::f64::consts::FRAC_PI_2 * i as f64 / 1000.0).powi(2)
+                * (std::f64::consts::FRAC_PI_2 * i as f64 / 1000.0).sin()
+        };
+        let inner: f64 = (1..1000).map(|i| value(i) * if i % 2 == 1 { 4.0 } else { 2.0 }).sum();
+        let mean = (value(0) + inner + value(1000)) * std::f64::consts::FRAC_PI_2 / 3000.0;
+        assert!((mean.sqrt() - ANY_NORMAL_RAD).abs() < 1e-4, "{}", mean.sqrt());
     }
 
     #[test]

@@ -154,7 +154,11 @@ fn too_little(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVe
 pub(super) fn is_no_plane(outcome: &ColdStartOutcome, limits: &DirectVerdictConfig) -> bool {
     let sure_min = limits.support_sure_min;
     let lacks_support = outcome.finest.textured_share >= sure_min && support_of(&outcome.finest) < sure_min;
-    outcome.widest.is_some() || lacks_support
+    lies_spread(outcome) || lacks_support
+}
+
+fn lies_spread(outcome: &ColdStartOutcome) -> bool {
+    outcome.widest.is_some_and(|widest| widest.is_spread)
 }
 
 /// The status of an outcome; `normal_sigma_rad` is the standard deviation of the answer's normal.
@@ -171,7 +175,7 @@ pub(super) fn judge(
     let finest = &outcome.finest;
     let support = support_of(finest);
     let agreeing = 100.0 * support;
-    if outcome.widest.is_some() {
+    if lies_spread(outcome) {
         let seen = "disparities lie spread around every plane, and the one that explains the most is given";
         return say(
             Status::Ambiguous,

@@ -158,6 +158,14 @@ mod tests {
         assert!((290.0..1200.0).contains(&far), "{far}");
     }
 
+    /// Nine of 144 blocks have all that pulls: with the six things fitted that is little, and it counts.
+    #[test]
+    fn few_edges_are_few_blocks() {
+        let is_edge = |x: usize, y: usize| (x / 8).is_multiple_of(4) && (y / 8).is_multiple_of(4);
+        let blank = covariance(|x, y| if is_edge(x, y) { 4.0 * noise(x, y) } else { 0.0 }) * 9216.0;
+        assert!((1.4..9.0).contains(&blank), "{blank}, evenly spread 1");
+    }
+
     #[test]
     fn a_covariance_moves_with_the_plane() {
         let c = calibration(0.1, &Vector2::new(40.0, 20.0));
