@@ -294,7 +294,8 @@ impl Aligner {
         } else {
             self.look(problem, estimate, 0, &photometry)?;
         }
-        let weights = PairWeights::of(&photometry.variance);
+        let sharing = problem.surface.noise_sharing as f32;
+        let weights = PairWeights::of(&photometry.variance.map(|term| term.map(|v| v * sharing)));
         let count = problem.surface.levels[0].groups.len();
         *self.sums = NormalSums::default();
         self.accumulate(problem, 0, 0..count, &weights);

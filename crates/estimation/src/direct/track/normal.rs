@@ -21,7 +21,7 @@ const OFFSET_SIGMA: f64 = 40.0;
 const INFLATION_MAX: f64 = 25.0;
 /// Gradients come from the same noisy view as the residuals, and are smoothed, as is what neighbouring points see; robust
 /// weights count a point that fits for less than it tells. What all this does to the variance, measured on flat targets.
-const SHARED_NOISE: f64 = 1.05;
+const SHARED_NOISE: f64 = 1.25;
 
 /// Which unknowns a step may move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -14,6 +14,11 @@ use crate::wide::LANES;
 
 /// Sub-cells along a side of a cell: each gives its sharpest pixel, a cell is a group.
 const SUB_CELLS: usize = 4;
+/// Correlation of the noise of two points by the distance of their columns or rows, pixels: of white noise, read through a
+/// cubic B-spline.
+const SHARED_BY_DISTANCE: [f64; 3] = [1.0, 8.0 / 18.0, 1.0 / 18.0];
+/// What that makes of the sharpest thousand of ten thousand pixels, see [`Surface::noise_sharing`].
+const SHARING_USUAL: f64 = 1.5;
 /// A cell with fewer points is left out.
 const CELL_POINTS_MIN: usize = 4;
 
@@ -48,6 +53,9 @@ pub(super) struct Surface {
     pub(super) model_from_first: Pose<Model, CamLeft>,
     /// Distance of the farthest point from the origin of `model`, metres.
     pub(super) radius_m: f64,
+    /// By how much less the points say because they share noise, beyond what they do on targets with ten pixels for each
+    /// point: what is known of those is measured.
+    pub(super) noise_sharing: f64,
 }
 
 /// Where the frame `model` lies in the first left camera: origin on `centre_ray` in the plane, z along the normal away from
@@ -94,9 +102,19 @@ impl Surface {
         });
         let shape = Shape::over(relief.grid(pixels, rig.left()), relief_sigma_px);
         let model_from_first = first_from_model.inverse();
-        let mut surface = Self { levels, plane, relief, shape, plane_of_shape: plane, model_from_first, radius_m: 0.0 };
+        let mut surface = Self {
+            levels,
+            plane,
+            relief,
+            shape,
+            plane_of_shape: plane,
+            model_from_first,
+            radius_m: 0.0,
+            noise_sharing: 1.0,
+        };
         surface.rebuild();
         surface.radius_m = surface.radius();
+        surface.noise_sharing = (surface.shared_noise() / SHARING_USUAL).max(1.0);
         surface
     }
 
@@ -126,6 +144,16 @@ impl Surface {
                 }
             }
         }
+    }
+
+    /// By how much the points at full resolution say less than as many with noise of their own.
+    fn shared_noise(&self) -> f64 {
+        let places = self.levels[0].groups.iter().zip(&self.levels[0].places);
+        let pixels = places.flat_map(|(group, place)| {
+            let lanes = (0..LANES).filter(|&i| group.mask.0[i] > 0.0);
+            lanes.map(|i| [place.pixel[1].0[i].round() as i32, place.pixel[0].0[i].round() as i32])
+        });
+        shared_noise(pixels.collect())
     }
 
     fn radius(&self) -> f64 {
@@ -167,6 +195,20 @@ impl Surface {
             }
         }
     }
+}
+
+/// By how much points (row, column) say less than as many with noise of their own: each is read with its surroundings
+/// (`images.rs`), which neighbours share.
+fn shared_noise(mut pixels: Vec<[i32; 2]>) -> f64 {
+    pixels.sort_unstable();
+    let reach = SHARED_BY_DISTANCE.len() as i32 - 1;
+    let shared = |[row, column]: [i32; 2]| -> f64 {
+        let around = (-reach..=reach).flat_map(|dv| (-reach..=reach).map(move |du| (dv, du)));
+        let points = around.filter(|(dv, du)| pixels.binary_search(&[row + dv, column + du]).is_ok());
+        let by = |distance: i32| SHARED_BY_DISTANCE[distance.unsigned_abs() as usize];
+        points.map(|(dv, du)| by(dv) * by(du)).sum()
+    };
+    pixels.iter().map(|&pixel| shared(pixel)).sum::<f64>() / pixels.len().max(1) as f64
 }
 
 fn set_lens(lens: &mut LensGroup, i: usize, camera: &Camera, xy: &Vector2<f64>) {
@@ -330,5 +372,22 @@ fn set_place(group: &mut SurfaceGroup, place: &mut PlaceGroup, i: usize, camera:
     (place.pixel[0].0[i], place.pixel[1].0[i]) = (pixel[0] as f32, pixel[1] as f32);
     for (out, number) in place.ray_by_pixel.iter_mut().zip([by_u.x, by_v.x, by_u.y, by_v.y]) {
         out.0[i] = number as f32;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn grid(step: i32) -> Vec<[i32; 2]> {
+        (0..40).flat_map(|y| (0..40).map(move |x| [step * y, 7 + step * x])).collect()
+    }
+
+    #[test]
+    fn points_next_to_each_other_share_their_noise() {
+        let [dense, loose, far] = [1, 2, 4].map(|step| shared_noise(grid(step)));
+        assert!((3.5..=4.0).contains(&dense), "{dense}: sixteen pixels are read for each, with unequal weights");
+        assert!((1.1..1.3).contains(&loose), "{loose}");
+        assert!((far - 1.0).abs() < 1e-12 && shared_noise(Vec::new()) == 0.0);
     }
 }
