@@ -95,6 +95,7 @@ fn a_hidden_target_is_lost_and_found_again() {
         let estimate = run.update(None, 1.0 / 30.0);
         assert_eq!(estimate.status, Status::Lost, "frame {frame}");
         assert!(estimate.cam_left_from_model.is_none() && !estimate.reason.is_empty());
+        assert!(!estimate.reason.contains("sight"), "hidden in the middle of the picture: {}", estimate.reason);
     }
     let mut found_after = 0;
     for frame in 10..15 {
@@ -254,6 +255,19 @@ fn a_cold_start_needs_no_plane() {
         assert!(point.normal_in_model.z < -0.99, "{}", point.normal_in_model);
         assert!(point.rgb.iter().all(|&c| (20..=240).contains(&c)), "{:?}", point.rgb);
     }
+}
+
+#[test]
+fn a_start_beyond_the_tilt_that_was_searched_says_so() {
+    let (rig, first) = (rectified_rig(), moving(0.0));
+    let (left, right) = render(&rig, &Shot { cam_left_from_target: Some(first), frame: 0, right_gain: 0.9 });
+    let start = |tilt_max_rad: f64| {
+        let mut tracker = DirectTracker::new(&rig, DirectConfig::default()).expect("tracker");
+        let range = SearchRange::new(0.35, 0.7, tilt_max_rad).expect("range");
+        tracker.start(&left, &right, &region(&rig, &first), &range).expect("start").reason
+    };
+    assert!(start(0.01).contains("allow more tilt"), "{}", start(0.01));
+    assert!(!start(0.7).contains("allow more tilt"), "{}", start(0.7));
 }
 
 /// A deadline that is over at once still gives an answer, and a judged one.

@@ -1,5 +1,9 @@
 //! Whether a lost target can be where something resembles it.
 
+use nalgebra::Point3;
+use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_geometry::{Pose, StereoRig};
+
 use super::distinct::beyond_chance;
 use super::judge::Fit;
 
@@ -73,6 +77,21 @@ impl Sighting<'_> {
             && share >= AFAR_INLIERS_MIN
             && beyond_chance(correlation, share, self.independent) >= BEYOND_CHANCE_MIN
     }
+}
+
+/// Share of an outline's points that lie within the picture that shows fewer of them, hidden or not.
+pub(super) fn in_sight(outline: &[Point3<f64>], pose: &Pose<CamLeft, Model>, rig: &StereoRig) -> f64 {
+    let right_pose = *rig.cam_right_from_cam_left() * *pose;
+    let eyes = [(rig.left(), pose.isometry()), (rig.right(), right_pose.isometry())];
+    let shares = eyes.map(|(camera, cam_from_model)| {
+        let (width, height) = (f64::from(camera.size().width), f64::from(camera.size().height));
+        let inside = |point: &&Point3<f64>| {
+            let px = camera.project(&(cam_from_model * **point));
+            px.is_some_and(|px| (0.0..width).contains(&px.x) && (0.0..height).contains(&px.y))
+        };
+        outline.iter().filter(inside).count() as f64 / outline.len().max(1) as f64
+    });
+    shares[0].min(shares[1])
 }
 
 #[cfg(test)]

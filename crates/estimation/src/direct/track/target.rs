@@ -13,7 +13,7 @@ use super::judge::{Fit, Limits, Misfit};
 use super::kernels::{CHANNELS, ROW, TERMS};
 use super::normal::{Free, NormalEquations};
 use super::predict::{FramePrior, Motion};
-use super::reach::Sighting;
+use super::reach::{Sighting, in_sight};
 use super::search::{PLACES, Place, Searcher, depth_by_stereo, hypotheses, hypothesis, mirrored};
 use super::stereo_relief;
 use super::surface::Surface;
@@ -95,8 +95,10 @@ pub(super) enum Ending {
     Found,
     /// It does not fit.
     Misfit(Misfit),
-    /// Too little of the target is in sight to say anything.
+    /// Too little of where the target is expected is in sight to say anything.
     OutOfSight,
+    /// The target is expected in sight, and nothing resembles it.
+    NothingAlike,
     /// An eye (0 left, 1 right) delivers its last picture again.
     Stuck(usize),
     /// What resembles the target is farther from where it was than it can have moved, or resembles it too little for that.
@@ -401,7 +403,8 @@ impl Target {
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Ending {
         let before = self.estimate;
-        let mut ending = Ending::OutOfSight;
+        let is_outside = in_sight(&self.outline_in_model, predicted, frame.rig) < VISIBLE_MIN;
+        let mut ending = if is_outside { Ending::OutOfSight } else { Ending::NothingAlike };
         let mut candidates: [Option<(Place, bool)>; CANDIDATES + 1] = [None; CANDIDATES + 1];
         candidates[0] = Some((Place { cam_left_from_model: *predicted, correlation: 1.0 }, false));
         for place in self.places(frame).into_iter().flatten() {

@@ -153,7 +153,9 @@ impl DirectTracker {
             return Ok(if is_solid { TrackEstimate { warnings: refused.warnings, ..estimate } } else { refused });
         }
         let is_worse = estimate.status == Status::Ok && found.status != Status::Ok;
+        let told = warnings_in_words(&found);
         let (status, reason) = if is_worse { (found.status, found.reason) } else { (estimate.status, estimate.reason) };
+        let reason = reason + &told;
         Ok(TrackEstimate { status, reason, warnings: refused.warnings, ..estimate })
     }
 
@@ -333,7 +335,11 @@ impl DirectTracker {
             if may_continue() {
                 self.load_whole(left, right);
                 let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
-                ending = target.search(&predicted, &frame, may_continue);
+                let again = target.search(&predicted, &frame, may_continue);
+                // What the target lacks where it is expected says more than that it is nowhere else.
+                if again == Ending::Found || ending == Ending::OutOfSight {
+                    ending = again;
+                }
             }
         }
         if ending == Ending::Found {
@@ -414,7 +420,13 @@ impl DirectTracker {
                     "the {stuck} picture is the last one again while the {other} one is new: check that camera"
                 )
             }
-            Ending::OutOfSight => write!(out.reason, "the target is not in sight of both cameras"),
+            Ending::OutOfSight => {
+                write!(out.reason, "the target is expected out of sight of at least one camera")
+            }
+            Ending::NothingAlike => write!(
+                out.reason,
+                "nothing resembles the target, neither where it is expected nor elsewhere: it is hidden, or looks different"
+            ),
             Ending::OutOfReach => {
                 write!(
                     out.reason,
@@ -477,6 +489,15 @@ fn warnings_of(found: &PlaneEstimate) -> Vec<RegionWarning> {
         _ => None,
     };
     found.warnings.iter().filter_map(of_region).collect()
+}
+
+/// What else the cold start warns of, to be added to its reason.
+fn warnings_in_words(found: &PlaneEstimate) -> String {
+    let others = found
+        .warnings
+        .iter()
+        .filter(|warning| matches!(warning, EstimateWarning::BeyondTilt { .. } | EstimateWarning::EndOfRange { .. }));
+    others.map(|warning| format!("; {warning}")).collect()
 }
 
 /// Time since the last frame, seconds.
