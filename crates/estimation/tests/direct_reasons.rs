@@ -152,3 +152,29 @@ fn the_same_picture_twice_says_nothing() {
     assert_eq!(found.status, Status::NotObservable, "{}", found.reason);
     assert!(found.pose.is_none() && found.reason.contains("the same picture"), "{}", found.reason);
 }
+
+/// The right picture holds the target out of range and, within it, something that only resembles it.
+#[test]
+fn what_resembles_a_target_outside_the_range_is_not_taken_for_it() {
+    let rig = scene::rectified_rig(SIZE);
+    let (fb, offset) = (rig.left().pinhole().fx * 0.1, rig.right().pinhole().cx - rig.left().pinhole().cx);
+    let other = |x: f64, y: f64| texture(1.2 * y + 40.0, 1.1 * x - 17.0);
+    let draw = |at: &dyn Fn(f64, f64) -> f64| {
+        RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| Rgb([at(f64::from(u), f64::from(v)).round() as u8; 3]))
+    };
+    let left = draw(&texture);
+    let right = draw(&|u, v| match u {
+        180.0.. => texture(u + 112.0, v),
+        _ => 0.62 * texture(u + 212.0, v) + 0.38 * other(u, v),
+    });
+    let region = Region::Rectangle { x: 300, y: 190, width: 80, height: 80 };
+    let found = |low_px: f64, high_px: f64| {
+        estimate(&rig, (&left, &right), &region, [fb / (high_px + offset), fb / (low_px + offset), 60.0])
+    };
+    let missed = found(190.0, 235.0);
+    assert_eq!(missed.status, Status::Ambiguous, "{}", missed.reason);
+    assert!(missed.reason.contains("outside the depth range, explains the region"), "{}", missed.reason);
+    let held = found(95.0, 235.0);
+    assert_eq!(held.status, Status::Ok, "{}", held.reason);
+    assert!((held.pose.unwrap().z_m * (112.0 + offset) / fb - 1.0).abs() < 1e-3);
+}

@@ -15,7 +15,7 @@ use super::search::{PlaneSearch, PlaneSearchConfig};
 use crate::cpu::Kernels;
 
 /// The comparison runs on the first level on which the region has at most this many pixels.
-const AREA_MAX_PX: usize = 1600;
+const AREA_MAX_PX: usize = 900;
 /// Planes whose disparity at the centroid is off the range by no more than this are not beyond it, pixels: what lies at an end
 /// of the range is told apart from what lies in it.
 const END_PX: f64 = 2.0;
@@ -97,10 +97,11 @@ impl Beyond {
     }
 }
 
-/// A surface with this score has no need of a comparison.
+/// A surface with this score and correlation has no need of a comparison.
 const DECISIVE_SCORE: f64 = 1.2;
+const DECISIVE_CORRELATION: f64 = 0.9;
 
 /// Whether a surface leaves doubts.
 pub(super) fn is_doubtful(first: &Surface) -> bool {
-    first.score < DECISIVE_SCORE
+    first.score < DECISIVE_SCORE || first.patches.mean_correlation < DECISIVE_CORRELATION
 }
