@@ -2,6 +2,8 @@
 //!
 //! Works in the rectified pair; [`super::estimator`] makes an answer of what is found here.
 
+mod levels;
+
 use nalgebra::Vector2;
 
 use super::beyond::{Beyond, BeyondRange, is_doubtful};
@@ -9,7 +11,7 @@ use super::disparity_plane::DisparityPlane;
 use super::front_end::StereoFrontEnd;
 use super::patches::{PatchConfig, PatchOutcome, SUPPORTS, SlantedPatches};
 use super::photometric::{PlaneRefiner, RefineConfig, RefinedPlane};
-use super::region_pyramid::{LevelPlane, PyramidSource, RegionPyramid};
+use super::region_pyramid::{PyramidSource, RegionPyramid};
 use super::repetition::Repetition;
 use super::search::{PlaneSearch, PlaneSearchConfig};
 use super::surroundings::{self, Surroundings};
@@ -234,14 +236,7 @@ impl ColdStart {
         if !self.pyramid.update(front_end, source) {
             return None;
         }
-        let full = self.pyramid.search_level();
-        let levels = self.pyramid.levels();
-        let quick =
-            levels.iter().position(|level| level.area_px <= self.config.quick_area_px).unwrap_or(full).max(full);
-        self.search_level(quick, source.disparity_px, allowed);
-        if quick > full && !self.is_decided() && may_continue() {
-            self.search_level(full, source.disparity_px, allowed);
-        }
+        self.search(source.disparity_px, &allowed, may_continue);
         let first = *self.surfaces.first()?;
         let (second, alias) = self.rivals(&first);
         let (patch_plane, finest, level) = self.descend(first.plane, may_continue);
@@ -367,25 +362,6 @@ impl ColdStart {
     fn look(&mut self, index: usize, plane: &DisparityPlane) -> PatchOutcome {
         let level = &mut self.pyramid.levels_mut()[index];
         self.patches.run(level, &level.level_plane(plane), &self.config.patches, self.kernels)
-    }
-
-    /// Finds and judges the candidates on one level.
-    fn search_level(&mut self, index: usize, disparity_px: (f64, f64), allowed: impl Fn(&DisparityPlane) -> bool) {
-        self.searched = index;
-        self.surfaces.clear();
-        let (centre, level) = (self.pyramid.centroid_px(), &self.pyramid.levels()[index]);
-        let is_allowed = |p: &LevelPlane| allowed(&level.full_plane(p, centre));
-        self.search.run(level, disparity_px, &self.config.search, is_allowed, self.kernels);
-        self.judge_candidates(index, centre);
-    }
-
-    /// Whether the best surface has so much of the region that a finer search would find the same.
-    fn is_decided(&self) -> bool {
-        self.surfaces.first().is_some_and(|first| {
-            let agreeing = first.patches.textured_share * first.patches.support_share;
-            let clear = self.search.valid_share * first.share;
-            agreeing.min(DECIDED_CLEAR * clear) >= self.config.quick_share_min
-        })
     }
 
     /// Looks at the patches of every candidate and puts the candidates into order.
@@ -546,7 +522,5 @@ const OVERLAP_OF_ALIAS: f64 = 0.5;
 const SETTLED_PX: f64 = 0.1;
 /// Candidates whose score is at least this share of the best one's are nearly as good.
 const NEARLY_EQUAL: f64 = 0.9;
-/// So much more of the region agrees with a plane by its patches than by single clear disparities.
-const DECIDED_CLEAR: f64 = 1.5;
 /// A second surface has at least this share of the region for itself.
 const OWN_SHARE_MIN: f64 = 0.08;

@@ -96,55 +96,69 @@ wide! {
     fn filter_columns(source: &ImagePlane, taps: &Taps, out: &mut ImagePlane) = filter_columns_kernel;
 }
 
-/// First columns of groups of `LANES` that cover a row; the last group may overlap the one before.
+/// Columns that are filtered side by side where the row is long enough: so many sums need not wait for each other.
+const SIDE_BY_SIDE: usize = 4 * LANES;
+
+/// Writes `N` neighbouring columns from `first` on: weight `j` meets the values from `starts[j] + first` on.
 #[inline(always)]
-fn group_starts(width: usize) -> impl Iterator<Item = usize> {
-    let full = width / LANES;
-    let last = (!width.is_multiple_of(LANES) && full > 0).then(|| width - LANES);
-    (0..full).map(|g| g * LANES).chain(last)
+fn filter_group<const N: usize>(values: &[f32], starts: &Starts, taps: &Taps, first: usize, out: &mut [f32]) {
+    let mut sums = [0.0_f32; N];
+    for (start, weight) in starts.iter().zip(taps.weights()) {
+        let values = &values[start + first..][..N];
+        for i in 0..N {
+            sums[i] += weight * values[i];
+        }
+    }
+    out[first..first + N].copy_from_slice(&sums);
+}
+
+/// Where the values of the weights begin.
+type Starts = [usize; 2 * RADIUS_MAX + 1];
+
+/// In a row, every weight begins one value further on.
+const ROW_STARTS: Starts = {
+    let mut starts = [0; 2 * RADIUS_MAX + 1];
+    let mut j = 0;
+    while j < starts.len() {
+        starts[j] = j;
+        j += 1;
+    }
+    starts
+};
+
+/// Writes all columns of a row; the last group may overlap the one before.
+#[inline(always)]
+fn filter_groups(values: &[f32], starts: &Starts, taps: &Taps, out: &mut [f32]) {
+    let width = out.len();
+    let mut first = 0;
+    while first + SIDE_BY_SIDE <= width {
+        filter_group::<SIDE_BY_SIDE>(values, starts, taps, first, out);
+        first += SIDE_BY_SIDE;
+    }
+    while first < width && width >= LANES {
+        filter_group::<LANES>(values, starts, taps, first.min(width - LANES), out);
+        first += LANES;
+    }
+    while first < width {
+        filter_group::<1>(values, starts, taps, first, out);
+        first += 1;
+    }
 }
 
 #[inline(always)]
 fn filter_row_kernel(padded: &[f32], taps: &Taps, out: &mut [f32]) {
-    for start in group_starts(out.len()) {
-        let mut sum = [0.0_f32; LANES];
-        for (j, weight) in taps.weights().iter().enumerate() {
-            let values = &padded[start + j..start + j + LANES];
-            for i in 0..LANES {
-                sum[i] += weight * values[i];
-            }
-        }
-        out[start..start + LANES].copy_from_slice(&sum);
-    }
-    if out.len() < LANES {
-        for (x, out) in out.iter_mut().enumerate() {
-            *out = taps.weights().iter().zip(&padded[x..]).fold(0.0, |sum, (weight, value)| sum + weight * value);
-        }
-    }
+    filter_groups(padded, &ROW_STARTS, taps, out);
 }
 
 #[inline(always)]
 fn filter_columns_kernel(source: &ImagePlane, taps: &Taps, out: &mut ImagePlane) {
     let (width, height, radius) = (source.width(), source.height(), taps.radius as isize);
-    let row_at = |y: usize, j: usize| (y as isize + j as isize - radius).clamp(0, height as isize - 1) as usize * width;
+    let mut starts = [0; 2 * RADIUS_MAX + 1];
     for y in 0..height {
-        for start in group_starts(width) {
-            let mut sum = [0.0_f32; LANES];
-            for (j, weight) in taps.weights().iter().enumerate() {
-                let at = row_at(y, j) + start;
-                let values = &source.values()[at..at + LANES];
-                for i in 0..LANES {
-                    sum[i] += weight * values[i];
-                }
-            }
-            out.row_mut(y)[start..start + LANES].copy_from_slice(&sum);
+        for (j, start) in starts.iter_mut().enumerate().take(taps.weights().len()) {
+            *start = (y as isize + j as isize - radius).clamp(0, height as isize - 1) as usize * width;
         }
-        if width < LANES {
-            for x in 0..width {
-                let taps = taps.weights().iter().enumerate();
-                out.row_mut(y)[x] = taps.fold(0.0, |sum, (j, weight)| sum + weight * source.values()[row_at(y, j) + x]);
-            }
-        }
+        filter_groups(source.values(), &starts, taps, out.row_mut(y));
     }
 }
 

@@ -251,12 +251,15 @@ fn warp_groups<const G: usize>(source: &[f32], start: f32, step: f32, mean: f32,
             continue;
         }
         let base = low as usize - 1;
-        let (near, t) = (&source[base..base + G + 4], from - low);
-        for (i, out) in out[k..k + G].iter_mut().enumerate() {
+        let near: [&[f32; G]; 5] = std::array::from_fn(|j| source[base + j..].first_chunk().unwrap_or(&[0.0; G]));
+        let out: &mut [f32] = &mut out[k..k + G];
+        let t = from - low;
+        for i in 0..G {
             let place = t + drift * i as f32;
             let is_next = place >= 1.0;
-            let four: [f32; 4] = std::array::from_fn(|j| if is_next { near[i + j + 1] } else { near[i + j] });
-            *out = cubic(four, if is_next { place - 1.0 } else { place }) - mean;
+            let values = near.map(|near| near[i]);
+            let four: [f32; 4] = std::array::from_fn(|j| if is_next { values[j + 1] } else { values[j] });
+            out[i] = cubic(four, if is_next { place - 1.0 } else { place }) - mean;
         }
         first = k + G;
     }

@@ -24,9 +24,9 @@ pub(super) fn shift_rows(source: &ColourPlanes, rows: &RowOffset, kernels: Kerne
         // Of the first block, in the middle of its columns; every further block is a step on.
         let centre = Vector2::new(f64::from(window.x) + (BLOCK - 1) as f64 / 2.0, f64::from(window.y) + y as f64);
         let first = y as f64 + rows.at(&centre);
-        for (source, out) in source.planes.iter().zip(&mut out.planes).filter(|(source, _)| source.width() > 0) {
-            shift_row(kernels, source, (first, step), out.row_mut(y));
-        }
+        let sources = source.planes.each_ref().map(ImagePlane::values);
+        let out_rows = out.planes.each_mut().map(|plane| if plane.width() > 0 { plane.row_mut(y) } else { &mut [] });
+        shift_row(kernels, sources, (window.width, window.height), (first, step), out_rows);
         let blocks = window.width.div_ceil(BLOCK);
         let ends = [first, first + step * blocks.saturating_sub(1) as f64].map(f64::round);
         let flags = &mut out.flags[y * window.width..][..window.width];
@@ -48,24 +48,37 @@ pub(super) fn shift_rows(source: &ColourPlanes, rows: &RowOffset, kernels: Kerne
 }
 
 wide! {
-    /// One row, whose blocks lie at the fractional rows `first`, `first + step`, ...; rows beyond the border repeat the border.
-    fn shift_row(source: &ImagePlane, places: (f64, f64), out: &mut [f32]) = shift_row_kernel;
+    /// One row of all planes, whose blocks lie at the fractional rows `first`, `first + step`, ...; rows beyond the border
+    /// repeat the border.
+    fn shift_row(sources: [&[f32]; 3], size: (usize, usize), places: (f64, f64), out: [&mut [f32]; 3]) = shift_row_kernel;
 }
 
 #[inline(always)]
-fn shift_row_kernel(source: &ImagePlane, (first, step): (f64, f64), out: &mut [f32]) {
-    let (width, last) = (source.width(), source.height() as i64 - 1);
-    for (block, out) in out.chunks_mut(BLOCK).enumerate() {
+fn shift_row_kernel(
+    sources: [&[f32]; 3],
+    (width, height): (usize, usize),
+    (first, step): (f64, f64),
+    mut out: [&mut [f32]; 3],
+) {
+    let last = height as i64 - 1;
+    for block in 0..width.div_ceil(BLOCK) {
         let at = (first + step * block as f64).clamp(0.0, last as f64);
         let floor = at as i64;
         let weights = keys((at - floor as f64) as f32);
-        let row = |i: i64| &source.values()[(floor + i).clamp(0, last) as usize * width + block * BLOCK..][..out.len()];
-        let [a, b, c, d] = [row(-1), row(0), row(1), row(2)];
-        match (a.first_chunk::<BLOCK>(), b.first_chunk(), c.first_chunk(), d.first_chunk(), out.first_chunk_mut()) {
-            (Some(a), Some(b), Some(c), Some(d), Some(out)) => mix([a, b, c, d], weights, out),
-            _ => {
-                for (i, out) in out.iter_mut().enumerate() {
-                    mix([&[a[i]], &[b[i]], &[c[i]], &[d[i]]], weights, std::array::from_mut(out));
+        let (start, count) = (block * BLOCK, BLOCK.min(width - block * BLOCK));
+        let rows = [-1, 0, 1, 2].map(|i| (floor + i).clamp(0, last) as usize * width + start);
+        for (source, out) in sources.iter().zip(&mut out) {
+            if out.is_empty() {
+                continue;
+            }
+            let [a, b, c, d] = rows.map(|row| &source[row..row + count]);
+            let out = &mut out[start..start + count];
+            match (a.first_chunk::<BLOCK>(), b.first_chunk(), c.first_chunk(), d.first_chunk(), out.first_chunk_mut()) {
+                (Some(a), Some(b), Some(c), Some(d), Some(out)) => mix([a, b, c, d], weights, out),
+                _ => {
+                    for (i, out) in out.iter_mut().enumerate() {
+                        mix([&[a[i]], &[b[i]], &[c[i]], &[d[i]]], weights, std::array::from_mut(out));
+                    }
                 }
             }
         }

@@ -99,16 +99,58 @@ impl PlaneSearch {
         allowed: impl Fn(&LevelPlane) -> bool,
         kernels: Kernels,
     ) {
+        if self.match_pixels(level, range_px, config, kernels) {
+            self.find_planes(level, config, allowed, kernels);
+        }
+    }
+
+    /// The first half of [`Self::run`]: finds the clear disparities; `false` if the right window shows none of the range.
+    pub fn match_pixels(
+        &mut self,
+        level: &RegionLevel,
+        range_px: (f64, f64),
+        config: &PlaneSearchConfig,
+        kernels: Kernels,
+    ) -> bool {
         let area = region_box(level, MARGIN);
         let scale = level.scale as f64;
         self.candidates.clear();
-        let Some(range) = visible(level, ((range_px.0 / scale).floor() as i32, (range_px.1 / scale).ceil() as i32))
-        else {
-            return;
-        };
+        self.valid_share = 0.0;
+        let range = ((range_px.0 / scale).floor() as i32, (range_px.1 / scale).ceil() as i32);
+        let Some(range) = visible(level, range) else { return false };
         self.volume.compute(level, area, range, config.noise as f32, kernels);
         self.aggregation.run(&self.volume, config.penalties, config.winner, kernels);
         self.collect(level, area);
+        true
+    }
+
+    /// Whether at least `share` of the clear disparities lies on one plane; if so, the answer is no with a probability of
+    /// less than one in a million.
+    pub fn has_plane(
+        &mut self,
+        level: &RegionLevel,
+        (config, share): (&PlaneSearchConfig, f64),
+        allowed: impl Fn(&LevelPlane) -> bool,
+        kernels: Kernels,
+    ) -> bool {
+        let size = (self.volume.area.width as f64, self.volume.area.height as f64);
+        // Of three points all lie on it with this probability.
+        let misses = 1e-6_f64.ln() / (1.0 - share.powi(3)).max(1e-9).ln();
+        let rules =
+            HypothesisRules { draws: (misses.ceil() as usize).min(config.hypotheses.draws), ..config.hypotheses };
+        let allowed = |p: &PlaneCoefficients| allowed(&level_plane(&self.volume, level, p));
+        self.hypotheses.best_share(&self.points, size, &rules, allowed, kernels) >= share
+    }
+
+    /// The second half of [`Self::run`]: finds the planes through the clear disparities.
+    pub fn find_planes(
+        &mut self,
+        level: &RegionLevel,
+        config: &PlaneSearchConfig,
+        allowed: impl Fn(&LevelPlane) -> bool,
+        kernels: Kernels,
+    ) {
+        let area = self.volume.area;
         self.make_seeds(level, area, kernels);
         let size = (area.width as f64, area.height as f64);
         self.hypotheses.run(

@@ -27,7 +27,10 @@ pub struct Aggregation {
     across: Paths,
     /// Per pixel: disparity index at a fraction of a pixel; NaN where there is no clear one.
     pub disparity: Vec<f32>,
-    seen_from_right: Vec<(u16, u16)>,
+    /// Per right column: the lowest sum that meets it, and in the lower half its disparity.
+    seen_from_right: Vec<u32>,
+    /// Per lowest sum: what no other may lie below.
+    limits: Vec<u16>,
 }
 
 /// Rows whose horizontal paths are followed side by side: the costs of one step must have left the processor's store
@@ -91,6 +94,8 @@ impl Aggregation {
                 sweep_block(kernels, costs, shape, &mut self.across, &mut self.down, sums);
             }
         }
+        self.limits.clear();
+        self.limits.extend((0..=SUM_MAX).map(|lowest| lowest + (f32::from(lowest) * rules.uniqueness) as u16));
         for y in 0..height {
             self.pick_row(volume, y, rules, kernels);
         }
@@ -102,12 +107,12 @@ impl Aggregation {
         let out = &mut self.disparity[y * width..(y + 1) * width];
         // Right columns of this row: the box's columns less all disparities.
         self.seen_from_right.clear();
-        self.seen_from_right.resize(width + stride, (u16::MAX, 0));
-        pick(kernels, sums, stride, volume.count, rules, out, &mut self.seen_from_right);
+        self.seen_from_right.resize(width + stride, u32::MAX << 16);
+        pick(kernels, sums, stride, volume.count, &self.limits, out, &mut self.seen_from_right);
         for (x, value) in out.iter_mut().enumerate() {
             if *value >= 0.0 {
                 let index = (*value + 0.5) as usize;
-                let (_, other) = self.seen_from_right[x + stride - 1 - index];
+                let other = self.seen_from_right[x + stride - 1 - index] as u16;
                 if other.abs_diff(index as u16) > rules.left_right_max {
                     *value = f32::NAN;
                 }
@@ -210,8 +215,8 @@ fn step<const FIRST: bool>(
 }
 
 wide! {
-    fn pick(sums: &[u16], stride: usize, count: usize, rules: WinnerRules, out: &mut [f32],
-        seen_from_right: &mut [(u16, u16)]) = pick_kernel;
+    fn pick(sums: &[u16], stride: usize, count: usize, limits: &[u16], out: &mut [f32], seen_from_right: &mut [u32])
+        = pick_kernel;
 }
 
 #[inline(always)]
@@ -219,29 +224,55 @@ fn pick_kernel(
     sums: &[u16],
     stride: usize,
     count: usize,
-    rules: WinnerRules,
+    limits: &[u16],
     out: &mut [f32],
-    seen_from_right: &mut [(u16, u16)],
+    seen_from_right: &mut [u32],
 ) {
-    for (x, (sums, out)) in sums.chunks_exact(stride).zip(out.iter_mut()).enumerate() {
-        let (lowest, best) = if stride <= PACKED { lowest_packed(sums) } else { lowest_of(sums) };
-        let limit = lowest + (f32::from(lowest) * rules.uniqueness) as u16;
-        let mut below = [0_u16; GROUP];
-        for group in sums.chunks_exact(GROUP) {
-            for i in 0..GROUP {
-                below[i] += u16::from(group[i] < limit);
+    // Some pixels at a time: what is done for all of them alike becomes vector instructions.
+    for (batch, (sums, out)) in sums.chunks(PICKED * stride).zip(out.chunks_mut(PICKED)).enumerate() {
+        let (mut lowest, mut best, mut limit) = ([0_u16; PICKED], [0_u16; PICKED], [0_u16; PICKED]);
+        let (mut three, mut below) = ([[0_u16; PICKED]; 3], [0_u16; PICKED]);
+        for (k, sums) in sums.chunks_exact(stride).enumerate() {
+            (lowest[k], best[k]) = if stride <= PACKED { lowest_packed(sums) } else { lowest_of(sums) };
+            limit[k] = limits[usize::from(lowest[k])];
+        }
+        for (k, sums) in sums.chunks_exact(stride).enumerate() {
+            below[k] = count_below(sums, limit[k]);
+            let at = usize::from(best[k]).clamp(1, stride - 2);
+            for (three, sum) in three.iter_mut().zip(&sums[at - 1..=at + 1]) {
+                three[k] = *sum;
             }
+            let seen = &mut seen_from_right[batch * PICKED + k + stride - 1 - usize::from(best[k])];
+            // Of equal sums the lower disparity, which is that of the first column.
+            *seen = (*seen).min(u32::from(lowest[k]) << 16 | u32::from(best[k]));
         }
-        let mut rivals: u32 = below.iter().map(|&count| u32::from(count)).sum();
-        for &near in &sums[best.saturating_sub(1)..(best + 2).min(stride)] {
-            rivals -= u32::from(near < limit);
+        let mut places = [f32::NAN; PICKED];
+        for k in 0..PICKED {
+            let [before, at, after] = three.map(|three| three[k]);
+            // The winner and its neighbours are no rivals.
+            let near = u16::from(before < limit[k]) + u16::from(at < limit[k]) + u16::from(after < limit[k]);
+            let is_clear = (below[k] == near) & (best[k] > 0) & (usize::from(best[k]) + 1 < count);
+            places[k] = if is_clear { vertex([before, at, after], best[k]) } else { f32::NAN };
         }
-        let seen = &mut seen_from_right[x + stride - 1 - best];
-        if lowest < seen.0 {
-            *seen = (lowest, best as u16);
-        }
-        *out = if rivals == 0 && best > 0 && best + 1 < count { vertex(sums, best) } else { f32::NAN };
+        out.copy_from_slice(&places[..out.len()]);
     }
+}
+
+/// Four saturated path costs.
+const SUM_MAX: u16 = 4 * COST_IMPOSSIBLE as u16;
+/// Pixels whose winners are picked side by side.
+const PICKED: usize = 16;
+
+/// How many sums are below a limit.
+#[inline(always)]
+fn count_below(sums: &[u16], limit: u16) -> u16 {
+    let mut below = [0_u16; GROUP];
+    for group in sums.chunks_exact(GROUP) {
+        for i in 0..GROUP {
+            below[i] += u16::from(group[i] < limit);
+        }
+    }
+    below.iter().sum()
 }
 
 /// Disparities whose index fits beside a sum of four saturated bytes into 16 bits.
@@ -249,7 +280,7 @@ const PACKED: usize = 64;
 
 /// The lowest sum and its first place, of at most [`PACKED`] sums.
 #[inline(always)]
-fn lowest_packed(sums: &[u16]) -> (u16, usize) {
+fn lowest_packed(sums: &[u16]) -> (u16, u16) {
     let mut least = [u16::MAX; GROUP];
     for (group, sums) in sums.chunks_exact(GROUP).enumerate() {
         for i in 0..GROUP {
@@ -257,12 +288,12 @@ fn lowest_packed(sums: &[u16]) -> (u16, usize) {
         }
     }
     let least = least.iter().fold(u16::MAX, |a, &b| a.min(b));
-    (least / PACKED as u16, usize::from(least) % PACKED)
+    (least / PACKED as u16, least % PACKED as u16)
 }
 
 /// The lowest sum and its first place.
 #[inline(always)]
-fn lowest_of(sums: &[u16]) -> (u16, usize) {
+fn lowest_of(sums: &[u16]) -> (u16, u16) {
     let mut least = [u16::MAX; GROUP];
     for group in sums.chunks_exact(GROUP) {
         for i in 0..GROUP {
@@ -277,15 +308,16 @@ fn lowest_of(sums: &[u16]) -> (u16, usize) {
             places[i] = places[i].min(if sums[i] == lowest { place } else { u16::MAX });
         }
     }
-    (lowest, places.iter().fold(u16::MAX, |a, &b| a.min(b)) as usize)
+    (lowest, places.iter().fold(u16::MAX, |a, &b| a.min(b)))
 }
 
-/// Where the parabola through three sums has its lowest point.
+/// Where the parabola through the sums around `best` has its lowest point.
 #[inline(always)]
-fn vertex(sums: &[u16], best: usize) -> f32 {
-    let [before, at, after] = [sums[best - 1], sums[best], sums[best + 1]].map(f32::from);
+fn vertex(sums: [u16; 3], best: u16) -> f32 {
+    let [before, at, after] = sums.map(f32::from);
     let curvature = before + after - 2.0 * at;
-    best as f32 + if curvature > 0.0 { 0.5 * (before - after) / curvature } else { 0.0 }
+    let fraction = 0.5 * (before - after) / curvature;
+    f32::from(best) + if curvature > 0.0 { fraction } else { 0.0 }
 }
 
 #[cfg(test)]
@@ -368,11 +400,42 @@ mod tests {
             let sums: Vec<u16> = (0..PACKED).map(|i| ((i * 7919 + seed * 104_729) >> 3) as u16 % 1021).collect();
             let sums: Vec<u16> = sums.iter().map(|&sum| if seed % 3 == 0 { sum / 100 } else { sum }).collect();
             let lowest = *sums.iter().min().unwrap();
-            let expected = (lowest, sums.iter().position(|&sum| sum == lowest).unwrap());
+            let expected = (lowest, sums.iter().position(|&sum| sum == lowest).unwrap() as u16);
             assert_eq!((lowest_packed(&sums), lowest_of(&sums)), (expected, expected));
         }
         let last = [vec![1020; PACKED - 1], vec![1019]].concat();
-        assert_eq!((lowest_packed(&last), lowest_packed(&[1020; PACKED])), ((1019, PACKED - 1), (1020, 0)));
+        assert_eq!((lowest_packed(&last), lowest_packed(&[1020; PACKED])), ((1019, PACKED as u16 - 1), (1020, 0)));
+    }
+
+    /// Straight from the words: lowest sum, no rival, the same winner from the right, vertex of the parabola.
+    #[test]
+    fn winners_are_those_of_a_plain_search_with_every_kernel() {
+        for (count, kernels) in [20, 64, 150].into_iter().flat_map(|n| Kernels::available().map(move |k| (n, k))) {
+            let volume = volume(count);
+            let mut aggregation = Aggregation::default();
+            aggregation.run(&volume, PENALTIES, RULES, kernels);
+            let LevelBox { width, height, .. } = volume.area;
+            let sums = |x: usize, y: usize| &aggregation.sums[(y * width + x) * volume.stride..][..count];
+            let winner = |x: usize, y: usize| (0..count).min_by_key(|&d| (sums(x, y)[d], d)).unwrap();
+            for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
+                let (sums_here, best) = (sums(x, y), winner(x, y));
+                let lowest = sums_here[best];
+                let limit = lowest + (f32::from(lowest) * RULES.uniqueness) as u16;
+                let rival = (0..count).any(|d| d.abs_diff(best) > 1 && sums_here[d] < limit);
+                let inside = best > 0 && best + 1 < count;
+                // Columns whose winner meets the same right column.
+                let met = (0..width).filter(|&other| other as i64 - winner(other, y) as i64 == x as i64 - best as i64);
+                let seen = met.min_by_key(|&other| (sums(other, y)[winner(other, y)], other)).unwrap();
+                let agrees = winner(seen, y).abs_diff(best) <= usize::from(RULES.left_right_max);
+                let found = aggregation.disparity[y * width + x];
+                assert_eq!(found.is_finite(), inside && !rival && agrees, "{x} {y} of {count}");
+                if found.is_finite() {
+                    let [a, b, c] = [best - 1, best, best + 1].map(|d| f64::from(sums_here[d]));
+                    let expected = best as f64 + if a + c > 2.0 * b { 0.5 * (a - c) / (a + c - 2.0 * b) } else { 0.0 };
+                    assert!((f64::from(found) - expected).abs() < 1e-4, "{found} {expected}");
+                }
+            }
+        }
     }
 
     #[test]

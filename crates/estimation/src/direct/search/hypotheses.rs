@@ -134,14 +134,7 @@ impl HypothesisSearch {
         for plane in seeds {
             self.count(plane, rules, kernels);
         }
-        let mut rng = SplitMix64::new(0x5eed_0001);
-        for _ in 0..rules.draws * usize::from(points.len() >= 3) {
-            if let Some(plane) = draw(points, size, &mut rng)
-                && allowed(&plane)
-            {
-                self.count(&plane, rules, kernels);
-            }
-        }
+        self.draw_planes(points, size, rules, &allowed, kernels);
         self.keep_best(points, size, rules, &allowed, kernels);
         for _ in 0..SURFACES_MAX {
             if self.kept.len() >= rules.kept || !self.leave_explained_out(rules, kernels) {
@@ -153,6 +146,41 @@ impl HypothesisSearch {
             self.push_distinct(improved, size, rules.distinct_px);
         }
         self.kept.sort_by(|a, b| b.share.total_cmp(&a.share));
+    }
+
+    /// The share of the points on the best plane that some draws have found, improved; 0 if there is none.
+    pub fn best_share(
+        &mut self,
+        points: &DisparityPoints,
+        size: (f64, f64),
+        rules: &HypothesisRules,
+        allowed: impl Fn(&PlaneCoefficients) -> bool,
+        kernels: Kernels,
+    ) -> f64 {
+        self.drawn.clear();
+        self.take_sample(points);
+        self.draw_planes(points, size, rules, &allowed, kernels);
+        let best = self.drawn.iter().copied().max_by(|a, b| a.share.total_cmp(&b.share));
+        best.map_or(0.0, |best| self.improve(best, points, rules, &allowed, kernels).share)
+    }
+
+    /// Draws planes through three points and counts them.
+    fn draw_planes(
+        &mut self,
+        points: &DisparityPoints,
+        size: (f64, f64),
+        rules: &HypothesisRules,
+        allowed: &impl Fn(&PlaneCoefficients) -> bool,
+        kernels: Kernels,
+    ) {
+        let mut rng = SplitMix64::new(0x5eed_0001);
+        for _ in 0..rules.draws * usize::from(points.len() >= 3) {
+            if let Some(plane) = draw(points, size, &mut rng)
+                && allowed(&plane)
+            {
+                self.count(&plane, rules, kernels);
+            }
+        }
     }
 
     /// Improves the planes with the highest counts, and keeps what stays distinct.
@@ -388,6 +416,22 @@ mod tests {
                 assert!(difference(&found.plane, &expected, (60.0, 40.0)) < 0.15, "{found:?}");
             }
             assert!(search.kept[0].share > 0.5 && search.kept[1].share < 0.35);
+        }
+    }
+
+    #[test]
+    fn few_draws_tell_how_much_one_plane_explains() {
+        let (points, rules) = (two_planes(), HypothesisRules { draws: 30, ..RULES });
+        let mut search = HypothesisSearch::default();
+        search.run(&points, &[], (60.0, 40.0), &RULES, |_| true, Kernels::best());
+        let best = search.kept[0].share;
+        for kernels in Kernels::available() {
+            let mut search = HypothesisSearch::default();
+            let share = search.best_share(&points, (60.0, 40.0), &rules, |_| true, kernels);
+            assert!((share - best).abs() < 0.01, "{share} of {best}");
+            let second = search.best_share(&points, (60.0, 40.0), &rules, |p| p.y < 0.0, kernels);
+            assert!(second < 0.35 && second > 0.2, "{second}");
+            assert_eq!(search.best_share(&points, (60.0, 40.0), &rules, |_| false, kernels), 0.0);
         }
     }
 
