@@ -5,7 +5,7 @@
 //! compared with the best plane of all depths at which the right picture shows anything. Both are judged in the same way and
 //! on the same level, a coarser one than that of the search.
 
-use super::cold_start::{Surface, surface_score};
+use super::cold_start::{ColdStartOutcome, surface_score};
 use super::disparity_plane::DisparityPlane;
 use super::front_end::StereoFrontEnd;
 use super::patches::{PatchConfig, SlantedPatches};
@@ -97,11 +97,13 @@ impl Beyond {
     }
 }
 
-/// A surface with this score and correlation has no need of a comparison.
+/// A surface with this score and these correlations has no need of a comparison.
 const DECISIVE_SCORE: f64 = 1.2;
 const DECISIVE_CORRELATION: f64 = 0.9;
 
-/// Whether a surface leaves doubts.
-pub(super) fn is_doubtful(first: &Surface) -> bool {
-    first.score < DECISIVE_SCORE || first.patches.mean_correlation < DECISIVE_CORRELATION
+/// Whether an answer leaves doubts. What only resembles the target may correlate well on the coarse level that was searched;
+/// so the finest one that the patches looked at counts as well.
+pub(super) fn is_doubtful(outcome: &ColdStartOutcome) -> bool {
+    let correlation = outcome.first.patches.mean_correlation.min(outcome.finest.mean_correlation);
+    outcome.first.score < DECISIVE_SCORE || correlation < DECISIVE_CORRELATION
 }

@@ -282,17 +282,20 @@ impl ColdStart {
         })
     }
 
-    /// The best plane beyond the searched disparities, if the best surface of the last pair leaves doubts and the right picture
-    /// shows one; the arguments are those of [`Self::run`].
+    /// The best plane beyond the searched disparities, if what was found in the last pair leaves doubts and the right picture
+    /// shows one; the other arguments are those of [`Self::run`].
     pub fn look_beyond(
         &mut self,
+        outcome: &ColdStartOutcome,
         front_end: &StereoFrontEnd,
         source: &PyramidSource<'_>,
         is_tilt_allowed: impl Fn(&DisparityPlane) -> bool,
     ) -> Option<BeyondRange> {
-        let first = self.surfaces.first().filter(|first| is_doubtful(first))?;
+        if !is_doubtful(outcome) {
+            return None;
+        }
         let configs = (&self.config.search, &self.config.patches);
-        self.beyond.best(front_end, source, &first.plane, configs, is_tilt_allowed, self.kernels)
+        self.beyond.best(front_end, source, &outcome.first.plane, configs, is_tilt_allowed, self.kernels)
     }
 
     /// The plane of a small region with what agrees around it, if that is known better; see [`super::surroundings`].

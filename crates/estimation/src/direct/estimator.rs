@@ -320,7 +320,7 @@ fn objection(
         let nearest = view.pose(&DisparityPlane { centre_px, d0_px: leaves_px, slope: Vector2::zeros() })?;
         return Some(may_be_unseen(nearest.z_m, correlation));
     }
-    let found = cold_start.look_beyond(front_end, source, allowed)?;
+    let found = cold_start.look_beyond(outcome, front_end, source, allowed)?;
     let z_m = view.pose(&found.plane).map(|pose| pose.z_m);
     (found.score_ratio > score_max).then(|| lies_beyond(z_m, found.score_ratio))
 }
