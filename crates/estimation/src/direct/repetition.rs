@@ -27,7 +27,12 @@ const TEXTURED_MIN: f32 = 40.0;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Repetition {
     points: Vec<(usize, usize)>,
-    own: Vec<Neighbourhood>,
+    /// Of every point: its neighbourhood, its agreement with itself, and its disparity to infinity.
+    own: Vec<(Neighbourhood, f32, f64)>,
+    /// Of every pixel in a row with points: its neighbourhood, where the region has it.
+    table: Vec<Neighbourhood>,
+    /// Where the table's part of a row of the window begins.
+    starts: Vec<usize>,
 }
 
 impl Repetition {
@@ -41,19 +46,16 @@ impl Repetition {
         (middle_px, infinity_px): (f64, f64),
         shortest_px: f64,
     ) -> Option<f64> {
-        let longest = self.take(level) / 2;
-        let all: f32 = self.own.iter().map(|own| own.agreement(own)).sum();
+        let longest = self.take(level, plane, infinity_px) / 2;
+        let all: f32 = self.own.iter().map(|own| own.1).sum();
         if shortest_px > longest as f64 || all.is_nan() || all < TEXTURED_MIN {
             return None;
         }
+        self.describe_rows(level);
         // What is dark here and bright there half a period away is seen as a valley.
         let (mut valley, mut summit) = (f32::MAX, None::<(usize, f32)>);
         for shift in (0.5 * shortest_px).max(1.0) as usize..=longest {
-            let relative = |at: f64| shift as f64 * (at + infinity_px) / (middle_px + infinity_px);
-            let value = self.resemblance(level, all, |x, y| {
-                let own_px = plane.c + f64::from(level.column_shift()) + plane.a * x as f64 + plane.b * y as f64;
-                x as f64 + relative(own_px)
-            });
+            let value = self.resemblance(level, all, shift as f64 / (middle_px + infinity_px));
             match summit {
                 Some((at, best)) if value < best && shift > at + 1 => return Some(at as f64),
                 Some((_, best)) if value < best => {}
@@ -67,7 +69,7 @@ impl Repetition {
     }
 
     /// Takes the points, and returns how many columns they cover.
-    fn take(&mut self, level: &RegionLevel) -> usize {
+    fn take(&mut self, level: &RegionLevel, plane: &LevelPlane, infinity_px: f64) -> usize {
         let (width, height) = (level.left.window.width, level.left.window.height);
         let step = level.area_px.div_ceil(POINTS_MAX).max(1);
         let is_whole = |&(x, y): &(usize, usize)| {
@@ -79,23 +81,48 @@ impl Repetition {
         self.points.clear();
         self.points.extend(pixels.filter(is_whole).step_by(step));
         self.own.clear();
-        self.own.extend(self.points.iter().map(|&(x, y)| neighbourhood(level, x, y)));
+        let at_origin = plane.c + f64::from(level.column_shift()) + infinity_px;
+        self.own.extend(self.points.iter().map(|&(x, y)| {
+            let own = neighbourhood(&rows_around(level, y), x);
+            (own, own.agreement(&own), at_origin + plane.a * x as f64 + plane.b * y as f64)
+        }));
         let (low, high) =
             self.points.iter().fold((width, 0), |(low, high), point| (low.min(point.0), high.max(point.0)));
         high.saturating_sub(low)
     }
 
-    /// Mean correlation of the points with those in the columns `there`, over that with themselves; 0 if too few of these lie
-    /// in the region.
-    fn resemblance(&self, level: &RegionLevel, all: f32, there: impl Fn(usize, usize) -> f64) -> f32 {
+    /// Takes the neighbourhoods of all pixels of the region in the rows that have points.
+    fn describe_rows(&mut self, level: &RegionLevel) {
+        let width = level.left.window.width;
+        self.table.clear();
+        self.starts.clear();
+        for &(_, y) in &self.points {
+            if y < self.starts.len() {
+                continue;
+            }
+            self.starts.resize(y + 1, self.table.len());
+            let rows = rows_around(level, y);
+            let inside = &level.region[y * width..(y + 1) * width];
+            self.table.extend(inside.iter().enumerate().map(|(x, &inside)| {
+                match inside != 0 && x > 0 && x + 1 < width {
+                    true => neighbourhood(&rows, x),
+                    false => Neighbourhood([0.0; 9]),
+                }
+            }));
+        }
+    }
+
+    /// Mean correlation of the points with those that are farther right by `shift` of their disparity to infinity, over that
+    /// with themselves; 0 if too few of these lie in the region.
+    fn resemblance(&self, level: &RegionLevel, all: f32, shift: f64) -> f32 {
         let width = level.left.window.width;
         let (mut sum, mut own) = (0.0, 0.0);
-        for (&(x, y), here) in self.points.iter().zip(&self.own) {
-            let at = there(x, y);
-            let column = at.round() as usize;
+        for (&(x, y), (here, agreement, disparity_px)) in self.points.iter().zip(&self.own) {
+            let at = x as f64 + shift * disparity_px;
+            let column = (at + 0.5) as usize;
             if at >= 1.0 && column + 1 < width && level.region[y * width + column] != 0 {
-                sum += here.agreement(&neighbourhood(level, column, y));
-                own += here.agreement(here);
+                sum += here.agreement(&self.table[self.starts[y] + column]);
+                own += agreement;
             }
         }
         if own >= PARTNERS_MIN * all { sum / own } else { 0.0 }
@@ -112,9 +139,15 @@ impl Neighbourhood {
     }
 }
 
-fn neighbourhood(level: &RegionLevel, x: usize, y: usize) -> Neighbourhood {
+/// The rows around one that is neither the first nor the last.
+fn rows_around(level: &RegionLevel, y: usize) -> [&[f32]; 3] {
     let plane = level.left.luminance();
-    let mut values: [f32; 9] = std::array::from_fn(|k| plane.row(y + k / 3 - 1)[x + k % 3 - 1]);
+    std::array::from_fn(|j| plane.row(y + j - 1))
+}
+
+fn neighbourhood(rows: &[&[f32]; 3], x: usize) -> Neighbourhood {
+    let rows = rows.map(|row| &row[x - 1..x + 2]);
+    let mut values: [f32; 9] = std::array::from_fn(|k| rows[k / 3][k % 3]);
     let mean = values.iter().sum::<f32>() / 9.0;
     for value in &mut values {
         *value -= mean;

@@ -188,14 +188,8 @@ impl PlaneSearch {
         self.seeds.extend(seeds.map(|plane| coefficients(&self.volume, level, &plane)));
         let size = (self.volume.area.width as f64, self.volume.area.height as f64);
         let rules = HypothesisRules { tolerance_px, ..config.hypotheses };
-        self.hypotheses.run(
-            &self.points,
-            &self.seeds,
-            size,
-            &rules,
-            |p| allowed(&level_plane(&self.volume, level, p)),
-            kernels,
-        );
+        let allowed = |p: &PlaneCoefficients| allowed(&level_plane(&self.volume, level, p));
+        self.hypotheses.run_once(&self.points, &self.seeds, size, &rules, &allowed, kernels);
         let best = self.hypotheses.kept.first()?;
         Some(PlaneCandidate { plane: level_plane(&self.volume, level, &best.plane), share: best.share })
     }

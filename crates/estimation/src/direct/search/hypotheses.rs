@@ -2,6 +2,8 @@
 //!
 //! Torr and Zisserman's MSAC (2000): a point counts by its squared residual, at most the tolerance's square. Sums of a score
 //! over the region would prefer a plane that bridges two surfaces; counts with a tight tolerance do not.
+//!
+//! All planes are counted on few points, and those that may be the best on more.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -99,9 +101,11 @@ pub struct HypothesisSearch {
     /// A part of the points, for counting; at last those that no kept plane explains.
     sample: DisparityPoints,
     rest: DisparityPoints,
+    /// A part of the sample, for the first count.
+    few: DisparityPoints,
     drawn: Vec<Candidate>,
-    /// Indices of the drawn ones, best first.
-    order: Vec<usize>,
+    /// The drawn ones, best first: what sorts them, and in the lower half their indices.
+    order: Vec<u64>,
     improved: Vec<Candidate>,
     /// The best planes, best first.
     pub kept: Vec<Candidate>,
@@ -109,6 +113,10 @@ pub struct HypothesisSearch {
 
 /// Points that planes are counted on.
 const SAMPLE_MAX: usize = 1024;
+/// Points of the first count.
+const FEW_MAX: usize = 256;
+/// A plane may be the best if its first count lies below the best one by no more than so many standard deviations.
+const COUNT_SIGMAS: f64 = 3.0;
 /// Planes of the highest counts that are improved, if they differ from those already improved.
 const IMPROVED_MAX: usize = 6;
 /// Further surfaces that are looked for among the points that the best planes do not explain.
@@ -128,14 +136,7 @@ impl HypothesisSearch {
         allowed: impl Fn(&PlaneCoefficients) -> bool,
         kernels: Kernels,
     ) {
-        self.drawn.clear();
-        self.kept.clear();
-        self.take_sample(points);
-        for plane in seeds {
-            self.count(plane, rules, kernels);
-        }
-        self.draw_planes(points, size, rules, &allowed, kernels);
-        self.keep_best(points, size, rules, &allowed, kernels);
+        self.run_once(points, seeds, size, rules, &allowed, kernels);
         for _ in 0..SURFACES_MAX {
             if self.kept.len() >= rules.kept || !self.leave_explained_out(rules, kernels) {
                 break;
@@ -148,6 +149,25 @@ impl HypothesisSearch {
         self.kept.sort_by(|a, b| b.share.total_cmp(&a.share));
     }
 
+    /// The same without looking for further surfaces among the points that the best planes do not explain.
+    pub fn run_once(
+        &mut self,
+        points: &DisparityPoints,
+        seeds: &[PlaneCoefficients],
+        size: (f64, f64),
+        rules: &HypothesisRules,
+        allowed: &impl Fn(&PlaneCoefficients) -> bool,
+        kernels: Kernels,
+    ) {
+        self.kept.clear();
+        take_every(points, SAMPLE_MAX, &mut self.sample);
+        self.drawn.clear();
+        self.drawn.extend(seeds.iter().map(|&plane| Candidate { plane, share: 0.0 }));
+        self.draw_planes(points, size, rules, allowed);
+        self.count_drawn(rules, kernels);
+        self.keep_best(points, size, rules, allowed, kernels);
+    }
+
     /// The share of the points on the best plane that some draws have found, improved; 0 if there is none.
     pub fn best_share(
         &mut self,
@@ -158,28 +178,46 @@ impl HypothesisSearch {
         kernels: Kernels,
     ) -> f64 {
         self.drawn.clear();
-        self.take_sample(points);
-        self.draw_planes(points, size, rules, &allowed, kernels);
+        take_every(points, SAMPLE_MAX, &mut self.sample);
+        self.draw_planes(points, size, rules, &allowed);
+        self.count_drawn(rules, kernels);
         let best = self.drawn.iter().copied().max_by(|a, b| a.share.total_cmp(&b.share));
         best.map_or(0.0, |best| self.improve(best, points, rules, &allowed, kernels).share)
     }
 
-    /// Draws planes through three points and counts them.
+    /// Draws planes through three points.
     fn draw_planes(
         &mut self,
         points: &DisparityPoints,
         size: (f64, f64),
         rules: &HypothesisRules,
         allowed: &impl Fn(&PlaneCoefficients) -> bool,
-        kernels: Kernels,
     ) {
         let mut rng = SplitMix64::new(0x5eed_0001);
         for _ in 0..rules.draws * usize::from(points.len() >= 3) {
             if let Some(plane) = draw(points, size, &mut rng)
                 && allowed(&plane)
             {
-                self.count(&plane, rules, kernels);
+                self.drawn.push(Candidate { plane, share: 0.0 });
             }
+        }
+    }
+
+    /// Counts all planes on a part of the sample, and those that may be the best on the whole.
+    fn count_drawn(&mut self, rules: &HypothesisRules, kernels: Kernels) {
+        let tolerance_px = rules.tolerance_px;
+        take_every(&self.sample, FEW_MAX, &mut self.few);
+        let mut best = 0.0_f64;
+        for drawn in &mut self.drawn {
+            drawn.share = inlier_share(&self.few, &drawn.plane, tolerance_px, kernels);
+            best = best.max(drawn.share);
+        }
+        if self.few.len() == self.sample.len() {
+            return;
+        }
+        let limit = best - COUNT_SIGMAS * (best * (1.0 - best) / self.few.len() as f64).sqrt();
+        for drawn in self.drawn.iter_mut().filter(|drawn| drawn.share >= limit) {
+            drawn.share = inlier_share(&self.sample, &drawn.plane, tolerance_px, kernels);
         }
     }
 
@@ -194,15 +232,16 @@ impl HypothesisSearch {
     ) {
         let Self { drawn, order, .. } = self;
         order.clear();
-        order.extend(0..drawn.len());
-        // Of equal planes the earlier is first.
-        order.sort_unstable_by(|&a, &b| drawn[b].share.total_cmp(&drawn[a].share).then(a.cmp(&b)));
+        // The bits of numbers that are not negative are in their order. Of equal planes the earlier is first.
+        let key = |share: f64| u64::from(!(share as f32).to_bits()) << 32;
+        order.extend(drawn.iter().enumerate().map(|(i, drawn)| key(drawn.share) | i as u64));
+        order.sort_unstable();
         self.improved.clear();
         for i in 0..self.order.len() {
             if self.improved.len() == IMPROVED_MAX {
                 break;
             }
-            let drawn = self.drawn[self.order[i]];
+            let drawn = self.drawn[self.order[i] as u32 as usize];
             let near = |known: &Candidate| difference(&known.plane, &drawn.plane, size) < rules.distinct_px;
             if !self.improved.iter().any(near) {
                 let improved = self.improve(drawn, points, rules, allowed, kernels);
@@ -239,24 +278,11 @@ impl HypothesisSearch {
         }
         self.rest.finish();
         std::mem::swap(&mut self.sample, &mut self.rest);
-        for drawn in &mut self.drawn {
-            drawn.share = inlier_share(&self.sample, &drawn.plane, rules.tolerance_px, kernels);
+        let is_enough = self.sample.len() >= REST_MIN;
+        if is_enough {
+            self.count_drawn(rules, kernels);
         }
-        self.sample.len() >= REST_MIN
-    }
-
-    fn take_sample(&mut self, points: &DisparityPoints) {
-        self.sample.clear();
-        let step = points.len().div_ceil(SAMPLE_MAX).max(1);
-        for i in (0..points.len()).step_by(step) {
-            self.sample.push(points.x[i], points.y[i], points.d[i]);
-        }
-        self.sample.finish();
-    }
-
-    fn count(&mut self, plane: &PlaneCoefficients, rules: &HypothesisRules, kernels: Kernels) {
-        let share = inlier_share(&self.sample, plane, rules.tolerance_px, kernels);
-        self.drawn.push(Candidate { plane: *plane, share });
+        is_enough
     }
 
     /// Steps of least squares over what lies within the tolerance, as long as they help.
@@ -284,6 +310,16 @@ impl HypothesisSearch {
         }
         best
     }
+}
+
+/// At most `count` points, evenly spread.
+fn take_every(points: &DisparityPoints, count: usize, out: &mut DisparityPoints) {
+    out.clear();
+    let step = points.len().div_ceil(count).max(1);
+    for i in (0..points.len()).step_by(step) {
+        out.push(points.x[i], points.y[i], points.d[i]);
+    }
+    out.finish();
 }
 
 /// The plane through three points of the cloud; `None` if they lie too close to a line.
