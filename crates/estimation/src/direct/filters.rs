@@ -88,6 +88,109 @@ impl Smoother {
     }
 }
 
+impl Smoother {
+    /// As [`Self::smooth`] for pixels of as many values as there are planes in `out`, which stand side by side in the rows of
+    /// `source`; `middle` is taken off them.
+    pub fn smooth_pixels(
+        &mut self,
+        source: &PixelRows<'_>,
+        (rows, columns): (&Taps, &Taps),
+        middle: &[f32],
+        out: &mut [ImagePlane],
+        kernels: Kernels,
+    ) {
+        for plane in out.iter_mut() {
+            plane.resize(source.size.0, source.size.1);
+        }
+        let width = source.size.0 * out.len();
+        self.row.resize(2 * width + 2 * RADIUS_MAX * out.len(), 0.0);
+        if source.size.0 == 0 {
+            return;
+        }
+        match (out, middle) {
+            ([out], [middle, ..]) => smooth_one(kernels, source, [rows, columns], [*middle], [out], &mut self.row),
+            ([r, g, b], &[x, y, z, ..]) => {
+                smooth_three(kernels, source, [rows, columns], [x, y, z], [r, g, b], &mut self.row);
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Rows of pixels that are to be smoothed.
+#[derive(Clone, Copy, Debug)]
+pub struct PixelRows<'a> {
+    /// Columns and rows of the whole, pixels.
+    pub size: (usize, usize),
+    /// Some rows of it; further columns are not used.
+    pub rows: &'a ImagePlane,
+    /// Which row of the whole they begin with.
+    pub first: usize,
+    /// First row that is wanted, and one past the last: only those are written.
+    pub wanted: (usize, usize),
+}
+
+wide! {
+    fn smooth_one(source: &PixelRows<'_>, taps: [&Taps; 2], middle: [f32; 1], out: [&mut ImagePlane; 1], scratch: &mut [f32])
+        = smooth_pixels_kernel::<1>;
+}
+
+wide! {
+    fn smooth_three(source: &PixelRows<'_>, taps: [&Taps; 2], middle: [f32; 3], out: [&mut ImagePlane; 3], scratch: &mut [f32])
+        = smooth_pixels_kernel::<3>;
+}
+
+#[inline(always)]
+fn smooth_pixels_kernel<const N: usize>(
+    source: &PixelRows<'_>,
+    [along, across]: [&Taps; 2],
+    middle: [f32; N],
+    mut out: [&mut ImagePlane; N],
+    scratch: &mut [f32],
+) {
+    let (width, stride) = (source.size.0 * N, source.rows.width());
+    let (padded, mixed) = scratch.split_at_mut(width + 2 * RADIUS_MAX * N);
+    let mixed = &mut mixed[..width];
+    let (side, last) = (along.radius * N, source.size.1 as isize - 1);
+    let mut row_starts = ROW_STARTS;
+    for start in &mut row_starts {
+        *start *= N;
+    }
+    let mut starts = [0; 2 * RADIUS_MAX + 1];
+    for y in source.wanted.0..source.wanted.1 {
+        for (j, start) in starts.iter_mut().enumerate().take(across.weights().len()) {
+            let row = (y as isize + j as isize - across.radius as isize).clamp(0, last) as usize;
+            *start = (row - source.first) * stride;
+        }
+        filter_symmetric(source.rows.values(), &starts, across, &mut padded[side..side + width]);
+        for k in 0..side {
+            padded[k] = padded[side + k % N];
+            padded[side + width + k] = padded[side + width - N + k % N];
+        }
+        filter_symmetric(padded, &row_starts, along, mixed);
+        take_apart(mixed, &middle, out.each_mut().map(|plane| plane.row_mut(y)));
+    }
+}
+
+/// Writes the values of pixels, less the middles, each into a row of its own.
+#[inline(always)]
+fn take_apart<const N: usize>(pixels: &[f32], middle: &[f32; N], mut out: [&mut [f32]; N]) {
+    let (pixels, _) = pixels.as_chunks::<N>();
+    let (groups, rest) = pixels.as_chunks::<LANES>();
+    for (k, group) in groups.iter().enumerate() {
+        for (c, out) in out.iter_mut().enumerate() {
+            // A whole group at a time: its places are known, so it is shuffled, not gathered.
+            let values: [f32; LANES] = std::array::from_fn(|i| group[i][c] - middle[c]);
+            out[k * LANES..][..LANES].copy_from_slice(&values);
+        }
+    }
+    for (i, pixel) in rest.iter().enumerate() {
+        for (c, out) in out.iter_mut().enumerate() {
+            out[groups.len() * LANES + i] = pixel[c] - middle[c];
+        }
+    }
+}
+
 wide! {
     fn filter_row(padded: &[f32], taps: &Taps, out: &mut [f32]) = filter_row_kernel;
 }
@@ -143,6 +246,43 @@ fn filter_groups(values: &[f32], starts: &Starts, taps: &Taps, out: &mut [f32]) 
         filter_group::<1>(values, starts, taps, first, out);
         first += 1;
     }
+}
+
+/// As [`filter_groups`] for weights that are the same on both sides of their centre.
+#[inline(always)]
+fn filter_symmetric(values: &[f32], starts: &Starts, taps: &Taps, out: &mut [f32]) {
+    let width = out.len();
+    let mut first = 0;
+    while first + SIDE_BY_SIDE <= width {
+        filter_symmetric_group::<SIDE_BY_SIDE>(values, starts, taps, first, out);
+        first += SIDE_BY_SIDE;
+    }
+    while first < width && width >= LANES {
+        filter_symmetric_group::<LANES>(values, starts, taps, first.min(width - LANES), out);
+        first += LANES;
+    }
+    while first < width {
+        filter_symmetric_group::<1>(values, starts, taps, first, out);
+        first += 1;
+    }
+}
+
+#[inline(always)]
+fn filter_symmetric_group<const N: usize>(values: &[f32], starts: &Starts, taps: &Taps, first: usize, out: &mut [f32]) {
+    let (weights, radius) = (taps.weights(), taps.radius);
+    let mut sums = [0.0_f32; N];
+    let centre = &values[starts[radius] + first..][..N];
+    for i in 0..N {
+        sums[i] = weights[radius] * centre[i];
+    }
+    for (k, weight) in weights[radius + 1..].iter().enumerate() {
+        let before = &values[starts[radius - 1 - k] + first..][..N];
+        let after = &values[starts[radius + 1 + k] + first..][..N];
+        for i in 0..N {
+            sums[i] += weight * (before[i] + after[i]);
+        }
+    }
+    out[first..first + N].copy_from_slice(&sums);
 }
 
 #[inline(always)]
@@ -218,6 +358,33 @@ mod tests {
                 Smoother::default().smooth(&plane, &rows, &columns, &mut out, kernels);
                 for (x, y) in (0..width).flat_map(|x| (0..height).map(move |y| (x, y))) {
                     assert!((f64::from(out.row(y)[x]) - expected(x, y)).abs() < 1e-3);
+                }
+                assert_eq!(*first.get_or_insert(out.clone()), out, "{}", kernels.set().name());
+            }
+        }
+    }
+
+    #[test]
+    fn pixels_are_smoothed_as_planes_are_with_every_kernel() {
+        let value = |x: usize, y: usize, c: usize| ((x * 37 + y * 101 + c * 53) % 97) as f32;
+        let (along, across, middle) = (Taps::spline(0.6), Taps::gaussian(0.6, 0.0), [3.0, -5.0, 40.0]);
+        for (width, height) in [(91, 20), (16, 9), (5, 7)] {
+            let rows = ImagePlane::from_fn(3 * width + 1, height - 2, |i, y| {
+                if i < 3 * width { value(i / 3, y + 1, i % 3) } else { f32::NAN }
+            });
+            let source = PixelRows { size: (width, height), rows: &rows, first: 1, wanted: (4, height - 3) };
+            let mut first: Option<[ImagePlane; 3]> = None;
+            for kernels in Kernels::available() {
+                let (mut smoother, mut out) = (Smoother::default(), <[ImagePlane; 3]>::default());
+                smoother.smooth_pixels(&source, (&along, &across), &middle, &mut out, kernels);
+                for (c, out) in out.iter().enumerate() {
+                    let (mut plain, plane) =
+                        (ImagePlane::default(), ImagePlane::from_fn(width, height, |x, y| value(x, y, c)));
+                    smoother.smooth(&plane, &along, &across, &mut plain, kernels);
+                    for (x, y) in (0..width).flat_map(|x| (4..height - 3).map(move |y| (x, y))) {
+                        let difference = out.row(y)[x] + middle[c] - plain.row(y)[x];
+                        assert!(difference.abs() < 1e-3, "{width} {x} {y} {c}: {difference}");
+                    }
                 }
                 assert_eq!(*first.get_or_insert(out.clone()), out, "{}", kernels.set().name());
             }

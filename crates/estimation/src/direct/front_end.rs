@@ -139,6 +139,11 @@ impl StereoFrontEnd {
         Ok((ray.xy() / ray.z).component_mul(&g.focal_px) + g.left_principal_px)
     }
 
+    /// Whether raw images are resampled, or used as they are.
+    pub fn resamples(&self) -> bool {
+        self.maps.is_some()
+    }
+
     /// The channels of the part of `window` (rectified pixels) inside the rectified image of an eye; `raw` is the image as
     /// it came, of the size that [`Self::check`] has seen.
     pub fn load(&self, eye: Eye, raw: &RgbImage, window: PixelWindow, wanted: Wanted, out: &mut ColourPlanes) {

@@ -8,6 +8,7 @@
 
 mod covariance;
 mod kernel;
+mod level_rows;
 mod points;
 mod prepare;
 mod sharpness;
@@ -24,7 +25,7 @@ use crate::cpu::Kernels;
 use covariance::BlockPulls;
 use kernel::{CHANNELS_MAX, ChannelState, PointSet, Shade, Sums, Thinning, Warp};
 use points::{RightRows, Selection};
-use prepare::{EyeChannels, Pair, Preparation, Wish, reach_px};
+use prepare::{EyeChannels, Pair, Preparation, Wish, reach_px, rows_of};
 use sharpness::Sharpness;
 use solve::{Normal, bounded_step, reliability, tukey_limit, tukey_moments};
 use start::first_state;
@@ -333,14 +334,16 @@ impl PlaneRefiner {
         let margin = reach_px(left_px.max(right_px)) as u32 + 1;
         let part = inside(&bounds.grown(margin), &level.left.window);
         let right_part = self.right_part(level, progress, &bounds, margin + 3)?;
-        let wish = Wish { part, smoothing_px: left_px };
+        // Gradients along columns need one row more on either side.
+        let wish = Wish { part, rows: rows_of(&bounds.grown(1), 0, &part), smoothing_px: left_px };
         let known = known.filter(|made| made.wish == wish);
         let channels = match known {
             Some(made) => made.channels,
             None => self.preparation.left(pair, level, &wish, &mut self.left),
         };
         self.made = Some(Made { scale: level.scale, rims, marked: (bounds, count), wish, channels });
-        let wish = Wish { part: right_part, smoothing_px: right_px };
+        let rows = rows_of(&bounds, level.left.window.y - level.right.window.y, &right_part);
+        let wish = Wish { part: right_part, rows, smoothing_px: right_px };
         let row_px = if progress.row_px.abs() > ROWS_MOVED_FROM_PX { progress.row_px } else { 0.0 };
         self.preparation.right(pair, level, (&wish, row_px), channels, &mut self.right);
         let rows = RightRows {

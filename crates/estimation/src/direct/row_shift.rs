@@ -9,7 +9,7 @@ use crate::cpu::Kernels;
 use crate::wide::{LANES, wide};
 
 /// Columns that are moved by one and the same offset.
-const BLOCK: usize = 2 * LANES;
+pub(super) const BLOCK: usize = 2 * LANES;
 
 /// Writes `source` into `out` so that row `v` holds what `source` shows at row `v + offset`: cubic between rows, flagged as
 /// unseen where `source` has no such row.
@@ -93,7 +93,8 @@ fn mix<const N: usize>([a, b, c, d]: [&[f32; N]; 4], weights: [f32; 4], out: &mu
 }
 
 /// Weights of the four rows at -1, 0, 1, 2 for a place `t` in 0..1 (Keys 1981, a = -1/2).
-fn keys(t: f32) -> [f32; 4] {
+#[inline(always)]
+pub(super) fn keys(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
     [0.5 * (2.0 * t2 - t - t3), 0.5 * (3.0 * t3 - 5.0 * t2 + 2.0), 0.5 * (4.0 * t2 + t - 3.0 * t3), 0.5 * (t3 - t2)]
 }
