@@ -102,6 +102,28 @@ fn a_range_that_misses_the_target_is_named() {
     assert!(outside.reason.contains("at 50 to 80 mm"), "{}", outside.reason);
 }
 
+/// The end of a range is a matter of disparity: 21 m of depth do not make what is 20 mm inside of it doubtful, and 16 mm from
+/// the far end of a narrow one half a pixel is all that is left.
+#[test]
+fn the_end_of_a_range_is_half_a_pixel_of_disparity() {
+    let rig = scene::rectified_rig(SIZE);
+    let found = |z_m: f64, range: [f64; 3]| {
+        let scene =
+            Scene { centre_px: Vector2::new(352.0, 236.0), z_m, theta_x_rad: 0.2, theta_y_rad: -0.3, noise: 3.0 };
+        let (left, right) = scene.render(&rig);
+        let region = Region::Rectangle { x: 312, y: 196, width: 80, height: 80 };
+        estimate(&rig, (&left, &right), &region, range)
+    };
+    let wide = found(0.42, [0.4, 21.0, 60.0]);
+    assert_eq!(wide.status, Status::Ok, "{}", wide.reason);
+    assert!(wide.warnings.is_empty(), "{:?}", wide.warnings);
+    for (z_m, range) in [(1.6, [0.4, 1.605, 60.0]), (0.42, [0.4199, 0.7, 60.0])] {
+        let at_end = found(z_m, range);
+        assert!(matches!(at_end.warnings[..], [EstimateWarning::EndOfRange { .. }]), "{:?}", at_end.warnings);
+        assert!(!at_end.status.depth_is_sure(), "{:?} {}", at_end.status, at_end.reason);
+    }
+}
+
 #[test]
 fn missing_texture_is_named() {
     let rig = scene::rectified_rig(SIZE);

@@ -261,8 +261,8 @@ impl DirectEstimator {
         estimate.plane_covariance = spread.map(|spread| spread.covariance);
         let second = |rival: &Rival| Some(SecondPlane { pose: view.pose(&rival.plane)?, share: rival.own_share });
         estimate.second_plane = outcome.second.as_ref().and_then(second);
-        let margin_m = END_OF_RANGE_SHARE * (range.z_max_m - range.z_min_m);
-        if pose.z_m < range.z_min_m + margin_m || pose.z_m > range.z_max_m - margin_m {
+        let (farthest_px, nearest_px) = disparity_range(view, range);
+        if plane.d0_px < farthest_px + END_OF_RANGE_PX || plane.d0_px > nearest_px - END_OF_RANGE_PX {
             estimate.warnings.push(EstimateWarning::EndOfRange { z_mm: 1000.0 * pose.z_m });
             if estimate.status.depth_is_sure() {
                 estimate.status = Status::Ambiguous;
@@ -325,8 +325,8 @@ fn objection(
     (found.score_ratio > score_max).then(|| lies_beyond(z_m, found.score_ratio))
 }
 
-/// An answer so near to an end of the depth range is warned of, as a share of the range.
-const END_OF_RANGE_SHARE: f64 = 0.005;
+/// An answer so near to an end of the depth range is warned of, pixels of disparity: the search sees hardly less beyond it.
+const END_OF_RANGE_PX: f64 = 0.5;
 
 /// The patches agree with a plane as well as with their own if support times correlation is worse by no more than this.
 const AGREEMENT_TOLERANCE: f64 = 0.005;

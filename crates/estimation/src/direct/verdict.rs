@@ -106,9 +106,11 @@ pub(super) const SAME_PICTURE: &str =
     "left and right are the same picture: they say nothing of depth; check the file names or the cameras";
 
 /// Why few pixels agree with one plane, and what to do.
-fn cause(outcome: &ColdStartOutcome, searched: &Searched) -> String {
+fn cause(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdictConfig) -> String {
     let range = &searched.range;
-    if let Some(Steeper { tilt_deg, share }) = searched.steeper {
+    // With less it would be no answer either.
+    let steeper = searched.steeper.filter(|steeper| steeper.share >= limits.support_min);
+    if let Some(Steeper { tilt_deg, share }) = steeper {
         return format!(
             "a plane tilted by {tilt_deg:.0} degrees explains {:.0} %, but the largest tilt is {:.0} degrees: raise it (--tilt-max)",
             100.0 * share,
@@ -146,7 +148,7 @@ fn too_little(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVe
         false => (Status::Ambiguous, 100.0 * sure_min),
     };
     let seen = format!("only {:.0} % of the region agree with one plane (limit {limit:.0} %)", 100.0 * support);
-    Some(Verdict { status, reason: format!("{seen}; {}", cause(outcome, searched)) })
+    Some(Verdict { status, reason: format!("{seen}; {}", cause(outcome, searched, limits)) })
 }
 
 /// Whether the region has texture, but not enough of it agrees with one plane for a sure answer, or its disparities lie
