@@ -338,8 +338,9 @@ const PATCH_ROWS_PX: f64 = 0.2;
 /// Of two planes that err on their own, equally far, the variance of each is this share of their squared difference.
 const EQUAL_ERRORS: f64 = 0.5;
 
-/// At the border of the region patches are right to this, pixels: the top of a correlation is flat.
-const PATCH_SIGMA_PX: f64 = 0.1;
+/// Planes much nearer than this at the border of the region, pixels, differ by noise, which moves the patches more than the
+/// refined plane. With half of it the errors on rendered grey targets grow by a quarter.
+const PATCH_SIGMA_PX: f64 = 0.2;
 /// Where patches correlate less, noise moves them further than the refinement.
 const CLEAR_CORRELATION_MIN: f64 = 0.9;
 
@@ -528,7 +529,7 @@ mod tests {
         assert_eq!((variance_between(0.0), variance_between(0.5)), (0.5, 0.25));
         let shares = [0.0, 0.02, 0.1, 0.3, 2.0].map(|apart_px| towards_patches(apart_px, false, true));
         assert!(
-            shares[0] == 0.0 && shares[1] < 0.02 && (shares[2] - 0.25).abs() < 1e-12 && shares[4] < 0.5,
+            shares[0] == 0.0 && shares[1] < 0.01 && (shares[2] - 0.1).abs() < 1e-12 && shares[4] < 0.5,
             "{shares:?}"
         );
         assert!(shares.windows(2).all(|pair| pair[0] < pair[1]), "{shares:?}");
