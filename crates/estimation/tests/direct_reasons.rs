@@ -71,6 +71,25 @@ fn of_a_curved_surface_the_plane_that_explains_most_is_given_as_ambiguous() {
     assert_eq!(started.status, Status::Ok, "{}", started.reason);
 }
 
+/// A target that has less than half of the region, before something farther away, with something in front of both.
+#[test]
+fn the_answer_is_not_another_surface_than_the_first() {
+    let rig = scene::rectified_rig(SIZE);
+    let disparity_px = |u: f64, v: f64| match u {
+        ..297.0 => 160.0,
+        ..363.0 => 135.0 + 0.03 * (u - 320.0) + 0.05 * (v - 240.0),
+        _ => 112.0,
+    };
+    let (left, right) = pair(disparity_px);
+    let region = Region::Rectangle { x: 262, y: 170, width: 140, height: 140 };
+    let found = estimate(&rig, (&left, &right), &region, [0.35, 0.8, 60.0]);
+    let (fb, offset) = (rig.left().pinhole().fx * 0.1, rig.right().pinhole().cx - rig.left().pinhole().cx);
+    for at in [Vector2::new(320.0, 190.0), Vector2::new(340.0, 290.0)] {
+        let off_px = fb / found.depth_at_pixel(&at).unwrap() - offset - disparity_px(at.x, at.y);
+        assert!(off_px.abs() < 1.0, "{off_px} px off: {} {}", found.status, found.reason);
+    }
+}
+
 #[test]
 fn a_limit_of_the_tilt_that_is_too_small_is_named() {
     let rig = scene::rectified_rig(SIZE);

@@ -318,7 +318,8 @@ impl ColdStart {
         wide.filter(|wide| surroundings::replaces(wide, &own)).unwrap_or(own)
     }
 
-    /// The plane that explains the most clear disparities within a pixel, if there are many and it is not the first of `known`.
+    /// The plane that explains the most clear disparities within a pixel, if there are many, it is not the first of `known`, and
+    /// it is not another surface.
     fn widest(&mut self, known: &[DisparityPlane], allowed: impl Fn(&DisparityPlane) -> bool) -> Option<WidestPlane> {
         let (centre, level) = (self.pyramid.centroid_px(), &self.pyramid.levels()[self.searched]);
         let tolerance_px = (WIDEST_PX / level.scale as f64).max(WIDEST_LEVEL_PX_MIN);
@@ -337,6 +338,10 @@ impl ColdStart {
             self.kernels,
         )?;
         let plane = level.full_plane(&found.plane, centre);
+        // Where disparities lie on a plane and not around it, one that is farther from it is another surface.
+        if !is_spread && (plane.at(&centre) - known[0].at(&centre)).abs() > WIDEST_PX {
+            return None;
+        }
         let apart = |at: &Vector2<f64>| (plane.at(at) - known[0].at(at)).abs() > WIDEST_APART_PX;
         self.box_corners().iter().any(apart).then_some(WidestPlane { plane, is_spread })
     }
