@@ -25,7 +25,7 @@ pub enum EstimateWarning {
         grid: f64,
     },
     /// The answer is tilted by more than was to be searched.
-    #[error("the answer is tilted beyond the {limit_deg:.0} degrees that were searched: allow more tilt")]
+    #[error("the answer is tilted beyond the {limit_deg:.0} degrees that were searched: allow more tilt (--tilt-max)")]
     BeyondTilt {
         /// Largest tilt of the search range, degrees.
         limit_deg: f64,

@@ -71,6 +71,32 @@ fn of_a_curved_surface_the_plane_that_explains_most_is_given_as_ambiguous() {
     assert_eq!(started.status, Status::Ok, "{}", started.reason);
 }
 
+/// A range that misses the target leaves planes that are none; a relief reaches the target from some of them, but the
+/// model would lie where nothing is.
+#[test]
+fn a_surface_outside_the_range_is_not_tracked() {
+    let rig = scene::rectified_rig(SIZE);
+    let scene =
+        Scene { centre_px: Vector2::new(352.0, 236.0), z_m: 0.5, theta_x_rad: 0.2, theta_y_rad: -0.3, noise: 3.0 };
+    let (left, right) = scene.render(&rig);
+    let region = Region::Rectangle { x: 312, y: 196, width: 80, height: 80 };
+    let started = |z_min_m: f64, z_max_m: f64| {
+        let mut tracker = DirectTracker::new(&rig, DirectConfig::default()).unwrap();
+        let range = SearchRange::new(z_min_m, z_max_m, 60_f64.to_radians()).unwrap();
+        tracker.start(&left, &right, &region, &range).unwrap()
+    };
+    let held = started(0.35, 0.8);
+    assert_eq!(held.status, Status::Ok, "{}", held.reason);
+    let mut told = 0;
+    for gap in [0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1] {
+        for missed in [started(0.35, 0.5 * (1.0 - gap)), started(0.5 * (1.0 + gap), 0.8)] {
+            assert!(!missed.status.depth_is_sure(), "{gap}: {} {}", missed.status, missed.reason);
+            told += usize::from(missed.reason.contains("the surface that fits lies"));
+        }
+    }
+    assert!(told > 0, "no relief has reached the target");
+}
+
 /// A target that has less than half of the region, before something farther away, with something in front of both.
 #[test]
 fn the_answer_is_not_another_surface_than_the_first() {

@@ -70,10 +70,10 @@ pub struct MethodArgs {
     /// Depths to search, millimetres; overrides what a case or sequence says.
     #[arg(long, value_name = "MIN,MAX", value_parser = parse_z_range, allow_hyphen_values = true)]
     pub z_range: Option<ZRange>,
-    /// Largest tilt to search, degrees; overrides what a case or sequence says.
+    /// Largest tilt to search, degrees; overrides what a case or sequence says. Without either 60.
     #[arg(long, value_name = "DEGREES", value_parser = parse_tilt, allow_hyphen_values = true)]
     pub tilt_max: Option<f64>,
-    /// Give the best answer so far once a pair has taken this much time, milliseconds; the reason tells of it.
+    /// Give the best answer so far once a pair has taken this much time, milliseconds; a warning tells of it.
     #[arg(long, value_name = "MS", value_parser = parse_deadline, allow_hyphen_values = true)]
     pub deadline: Option<f64>,
     /// One JSON object per line on standard output instead of a table.

@@ -149,14 +149,36 @@ impl DirectTracker {
         let estimate = self.start_from_plane(left, right, region, &plane)?;
         if sure.is_none() {
             let is_solid = estimate.status == Status::Ok && self.target.as_ref().is_some_and(Target::is_a_surface);
-            self.target = self.target.take().filter(|_| is_solid);
-            return Ok(if is_solid { TrackEstimate { warnings: refused.warnings, ..estimate } } else { refused });
+            let outside = estimate.cam_left_from_model.and_then(|pose| self.surface_outside(&pose, range));
+            self.target = self.target.take().filter(|_| is_solid && outside.is_none());
+            return Ok(match outside {
+                _ if !is_solid => refused,
+                Some(reason) => TrackEstimate { reason, ..refused },
+                None => TrackEstimate { warnings: refused.warnings, ..estimate },
+            });
         }
         let is_worse = estimate.status == Status::Ok && found.status != Status::Ok;
         let told = warnings_in_words(&found);
         let (status, reason) = if is_worse { (found.status, found.reason) } else { (estimate.status, estimate.reason) };
         let reason = reason + &told;
         Ok(TrackEstimate { status, reason, warnings: refused.warnings, ..estimate })
+    }
+
+    /// What is said if half of the recovered surface lies nearer or farther than the depth range allows: a relief may reach
+    /// a target that the range misses, from a plane that is none.
+    fn surface_outside(&self, pose: &Pose<CamLeft, Model>, range: &SearchRange) -> Option<String> {
+        let depth_m = |point: &SurfacePoint| pose.transform_point(&point.position_in_model_m).z;
+        let mut depths_m: Vec<f64> = self.surface().iter().map(depth_m).collect();
+        depths_m.sort_unstable_by(f64::total_cmp);
+        let z_m = *depths_m.get(depths_m.len() / 2)?;
+        (!(range.z_min_m..=range.z_max_m).contains(&z_m)).then(|| {
+            format!(
+                "the surface that fits lies {:.0} mm away, outside of the depth range of {:.0} to {:.0} mm: widen it (--z-range)",
+                1e3 * z_m,
+                1e3 * range.z_min_m,
+                1e3 * range.z_max_m
+            )
+        })
     }
 
     /// The plane of a region that is not one plane: a start for its relief, which then decides.
