@@ -1,7 +1,9 @@
 //! Mitsubishi PA-10 arm backends.
 //!
-//! [`mock`] is an arm without hardware: the state machine and the contract of a real one over simulated joints.
+//! * [`codec`]: the two wire formats of the servo controller, its messages, replies and alarms. Pure functions.
+//! * [`mock`]: an arm without hardware: the state machine and the contract of a real one over simulated joints.
 
+pub mod codec;
 pub mod mock;
 
 pub use mock::{MockArm, MockArmConfig, MockArmFaults};

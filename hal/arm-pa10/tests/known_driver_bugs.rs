@@ -1,0 +1,184 @@
+//! Mistakes that were made in public PA-10 drivers, each with a test that finds it here. Named after what goes wrong.
+
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+use pb3dp_arm_pa10::codec::{
+    AngleCounts, ArmCommand, Axis, AxisCommand, CodecError, ControlMessage, ControlPacket, Letter, ReplyMessage,
+    ReplyPacket, SequenceCounter, SequenceModulus, ServoAlarm, ServoWord, SpeedCounts, Supervision, WireFormat,
+};
+use pb3dp_kinematics::JointVector;
+
+fn moving(velocity_rad_per_s: [f64; 7]) -> ControlMessage {
+    let velocity = JointVector::from(velocity_rad_per_s);
+    ControlMessage::Cyclic(ArmCommand::velocities(&velocity, Supervision::default()).unwrap())
+}
+
+fn cyclic_reply(format: WireFormat, sequence: u8, axis_bytes: &[u8]) -> Vec<u8> {
+    let mut bytes = vec![sequence, b'C'];
+    bytes.extend(axis_bytes.repeat(7));
+    bytes.extend([0, 0]);
+    assert_eq!(bytes.len(), 2 + format.reply_length());
+    bytes
+}
+
+/// SDU: the packet that ends the control mode was malformed, so the arm was not stopped.
+#[test]
+fn the_end_message_is_well_formed() {
+    for format in WireFormat::ALL {
+        let packet = ControlPacket { sequence: 0x21, message: ControlMessage::End }.encode(format).unwrap();
+        assert_eq!(packet.as_slice(), [0x21, b'E']);
+    }
+}
+
+/// RobWork: the torque of the second axis was never set, and went out with whatever the memory held.
+#[test]
+fn no_axis_carries_a_left_over_torque() {
+    let message = moving([1.0, -1.0, 2.0, -2.0, 6.0, -6.0, 0.5]);
+    let a = message.encode_data(WireFormat::LittleEndian5x8).unwrap();
+    let b = message.encode_data(WireFormat::BigEndian6x10).unwrap();
+    for axis in 0..7 {
+        assert_eq!(a[5 * axis + 1..5 * axis + 3], [0, 0], "axis {axis}");
+        assert_eq!(b[6 * axis + 2..6 * axis + 4], [0, 0], "axis {axis}");
+    }
+}
+
+/// RobWork: a negative speed was cast to an unsigned number, which is undefined.
+#[test]
+fn negative_speeds_keep_their_sign() {
+    for joint in 0..7 {
+        let mut velocity = [0.0; 7];
+        velocity[joint] = -0.7;
+        for format in WireFormat::ALL {
+            let packet = ControlPacket { sequence: 0, message: moving(velocity) };
+            let back = ControlPacket::decode(format, &packet.encode(format).unwrap()).unwrap();
+            let ControlMessage::Cyclic(command) = back.message else { panic!("{back:?}") };
+            assert_eq!(command.axes[joint], AxisCommand::Speed(SpeedCounts(-3500)), "{format}");
+        }
+    }
+}
+
+/// RobWork: every message had sequence number 0, so an old reply could not be told from a new one.
+#[test]
+fn a_stale_reply_is_noticed() {
+    for modulus in [SequenceModulus::Modulo128, SequenceModulus::Modulo256] {
+        let mut counter = SequenceCounter::new(modulus);
+        let format = WireFormat::LittleEndian5x8;
+        for _ in 0..300 {
+            let old = ControlPacket { sequence: counter.take(), message: moving([0.0; 7]) };
+            let new = ControlPacket { sequence: counter.take(), message: moving([0.0; 7]) };
+            let late = cyclic_reply(format, old.sequence, &[0; 8]);
+            let expected = CodecError::Sequence { got: old.sequence, expected: new.sequence };
+            assert_eq!(ReplyPacket::decode(format, &new, &late), Err(expected));
+        }
+    }
+}
+
+/// Orca: alarm codes were tested as bit masks, which takes one alarm for another.
+#[test]
+fn alarms_are_codes_and_not_masks() {
+    for &raised in ServoAlarm::LISTED {
+        let word = ServoWord(0xC003).with_alarm(raised);
+        assert_eq!(word.alarm(), Some(raised));
+        assert!(
+            word.at_positive_limit() && word.at_negative_limit() && word.is_uncontrollable() && word.is_power_off()
+        );
+    }
+    // Over-current has all bits of the velocity deviation, a communication time-out those of every alarm.
+    assert_eq!(ServoWord(0x00E0).alarm(), Some(ServoAlarm::OverCurrent));
+    assert_eq!(ServoWord(0x0060).alarm(), Some(ServoAlarm::VelocityDeviation));
+    assert_eq!(ServoWord(0x0FF0).alarm(), Some(ServoAlarm::CommunicationTimeout));
+    assert_eq!(ServoWord(0xF00F).alarm(), None);
+    // And a code that nobody lists is an alarm all the same.
+    assert_eq!(ServoWord(0x0420).alarm(), Some(ServoAlarm::Unlisted(0x42)));
+}
+
+/// Orca: the test program cleared the alarms of axes 0 to 6, the controller counts 1 to 7.
+#[test]
+fn alarms_are_cleared_on_axes_one_to_seven() {
+    let numbers =
+        Axis::ALL.map(|axis| ControlMessage::ClearAlarm(axis).encode_data(WireFormat::BigEndian6x10).unwrap());
+    let expected: [[u8; 2]; 7] = [[0, 1], [0, 2], [0, 3], [0, 4], [0, 5], [0, 6], [0, 7]];
+    assert_eq!(numbers.map(|data| [data[0], data[1]]), expected);
+    assert_eq!(Axis::from_number(0), Err(CodecError::AxisNumber { got: 0 }));
+    assert_eq!(Axis::from_number(8), Err(CodecError::AxisNumber { got: 8 }));
+    assert_eq!(Axis::from_index(7), Err(CodecError::AxisIndex { got: 7 }));
+    let decoded = ControlMessage::decode_data(WireFormat::BigEndian6x10, Letter::ClearAlarm, &[0, 0]);
+    assert_eq!(decoded, Err(CodecError::AxisNumber { got: 0 }));
+}
+
+/// SDU: measured torques were put together as unsigned numbers and never were negative.
+#[test]
+fn torques_are_signed() {
+    let a = WireFormat::LittleEndian5x8;
+    let b = WireFormat::BigEndian6x10;
+    for (format, axis_bytes) in
+        [(a, &[0, 0, 0, 0, 0, 0, 0x18, 0xFC][..]), (b, &[0, 0, 0, 0, 0, 0, 0, 0, 0xFC, 0x18][..])]
+    {
+        let asked = ControlPacket { sequence: 1, message: moving([0.0; 7]) };
+        let reply = ReplyPacket::decode(format, &asked, &cyclic_reply(format, 1, axis_bytes)).unwrap();
+        let ReplyMessage::Cyclic(arm) = reply.message else { panic!("{reply:?}") };
+        assert_eq!(arm.axes.map(|axis| axis.torque.0), [-1000; 7], "{format}");
+    }
+}
+
+/// NTUA: differences of angles were wrapped to half a turn, although E2 and W2 turn by 255 degrees both ways.
+#[test]
+fn angles_beyond_half_a_turn_are_not_wrapped() {
+    for degrees in [181.0f64, 254.9, -254.9, 539.0] {
+        let counts = AngleCounts::from_rad(Axis::ALL[4], degrees.to_radians()).unwrap();
+        assert!((counts.to_rad().to_degrees() - degrees).abs() < 0.001, "{degrees}");
+    }
+}
+
+/// Orca put the same number into the torque and the speed field.
+#[test]
+fn a_command_with_an_unused_field_in_use_is_refused() {
+    let format = WireFormat::BigEndian6x10;
+    let mut data = moving([0.1; 7]).encode_data(format).unwrap().as_slice().to_vec();
+    data[6 * 4 + 2..6 * 4 + 4].copy_from_slice(&500i16.to_be_bytes());
+    let error = ControlMessage::decode_data(format, Letter::Cyclic, &data).unwrap_err();
+    assert_eq!(error, CodecError::NotZero { axis: Axis::ALL[4], field: "torque", value: 500 });
+}
+
+/// A speed that the field can not hold was clamped, wrapped or undefined elsewhere: here it is refused, and named.
+#[test]
+fn impossible_speeds_are_refused() {
+    for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 6.5536, -6.5538, 1e300] {
+        let mut velocity = JointVector::repeat(0.1);
+        velocity[5] = bad;
+        let error = ArmCommand::velocities(&velocity, Supervision::default()).unwrap_err();
+        assert!(matches!(error, CodecError::SpeedRange { axis, .. } if axis == Axis::ALL[5]), "{bad}: {error}");
+        assert!(error.to_string().starts_with("axis 6 (W1): "), "{error}");
+    }
+}
+
+/// An axis with neither brake nor servo falls; torque control and bits whose meaning is disputed are not in use.
+#[test]
+fn modes_that_let_an_axis_fall_are_refused() {
+    let a = WireFormat::LittleEndian5x8;
+    for mode in [0x00, 0x04, 0x06, 0x08, 0x0A, 0xFF] {
+        let mut data = moving([0.0; 7]).encode_data(a).unwrap().as_slice().to_vec();
+        data[5 * 2] = mode;
+        let error = ControlMessage::decode_data(a, Letter::Cyclic, &data).unwrap_err();
+        assert_eq!(error, CodecError::Mode { axis: Axis::ALL[2], mode: u16::from(mode) });
+    }
+    let mut data = moving([0.0; 7]).encode_data(a).unwrap().as_slice().to_vec();
+    data[0] = 0x01;
+    data[3] = 1;
+    let error = ControlMessage::decode_data(a, Letter::Cyclic, &data).unwrap_err();
+    assert_eq!(error, CodecError::NotZero { axis: Axis::ALL[0], field: "speed against the brake", value: 1 });
+}
+
+/// Letters that change what the controller keeps (M, W, P) do not exist, and T only in a build that asks for it.
+#[test]
+fn dangerous_letters_do_not_exist() {
+    let allowed: &[u8] = if cfg!(feature = "brake-release") { b"SCEART" } else { b"SCEAR" };
+    for byte in 0..=u8::MAX {
+        assert_eq!(Letter::from_byte(byte).is_ok(), allowed.contains(&byte), "{byte:#04x}");
+        if let Ok(letter) = Letter::from_byte(byte) {
+            assert_eq!(letter.byte(), byte);
+        }
+    }
+    let error = ControlPacket::decode(WireFormat::BigEndian6x10, &[0, b'M', 0, 0]).unwrap_err();
+    assert_eq!(error, CodecError::Letter { got: b'M' });
+}
