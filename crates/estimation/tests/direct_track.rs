@@ -8,6 +8,7 @@ use moving_plane::{Shot, general_rig, moving, plane, rectified_rig, region, rend
 use nalgebra::Vector3;
 use pb3dp_estimation::direct::estimator::DirectConfig;
 use pb3dp_estimation::direct::track::{DirectTracker, DirectTrackerConfig, FramePrior};
+use pb3dp_estimation::estimate::EstimateWarning;
 use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_estimation::published::TrackEstimate;
 use pb3dp_estimation::status::Status;
@@ -264,10 +265,10 @@ fn a_start_beyond_the_tilt_that_was_searched_says_so() {
     let start = |tilt_max_rad: f64| {
         let mut tracker = DirectTracker::new(&rig, DirectConfig::default()).expect("tracker");
         let range = SearchRange::new(0.35, 0.7, tilt_max_rad).expect("range");
-        tracker.start(&left, &right, &region(&rig, &first), &range).expect("start").reason
+        tracker.start(&left, &right, &region(&rig, &first), &range).expect("start").warnings
     };
-    assert!(start(0.01).contains("allow more tilt"), "{}", start(0.01));
-    assert!(!start(0.7).contains("allow more tilt"), "{}", start(0.7));
+    assert!(matches!(start(0.01)[..], [EstimateWarning::BeyondTilt { .. }]), "{:?}", start(0.01));
+    assert_eq!(start(0.7), []);
 }
 
 /// A deadline that is over at once still gives an answer, and a judged one.

@@ -7,6 +7,7 @@ mod common;
 use common::{Look, Shot};
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_estimation::EstimationError;
+use pb3dp_estimation::estimate::EstimateWarning;
 use pb3dp_estimation::estimator::{EstimatorConfig, FramePrior, Method, Tracker};
 use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_estimation::published::{PublishedConfig, PublishedTracker, TrackEstimate};
@@ -182,12 +183,12 @@ fn the_start_tells_why_a_region_may_serve_badly() {
     let (mut tracker, fine) = started(&rig, Look::Colourful);
     assert_eq!(fine.warnings, []);
     let (_, grey) = started(&rig, Look::Grey);
-    assert!(matches!(grey.warnings[..], [RegionWarning::Grey { .. }]), "{:?}", grey.warnings);
+    assert!(matches!(grey.warnings[..], [EstimateWarning::Region(RegionWarning::Grey { .. })]), "{:?}", grey.warnings);
     let Shot { left, right } = common::render(&rig, Some(&start_pose()), Look::Colourful);
     let outside = Region::Rectangle { x: -20, y: 80, width: 200, height: 70 };
     let estimate = tracker.start(&left, &right, &outside, &range()).expect("images that fit");
     let warning = RegionWarning::PartlyOffImage { outside_px: 20 * 70, covered_px: 200 * 70 };
-    assert_eq!(estimate.warnings, [warning]);
+    assert_eq!(estimate.warnings, [EstimateWarning::Region(warning)]);
     assert_eq!(follow(&mut tracker, &rig, Some(&start_pose()), None).warnings, []);
 }
 

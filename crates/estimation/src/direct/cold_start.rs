@@ -164,7 +164,7 @@ pub struct ColdStartOutcome {
     pub at_refined: Option<PatchOutcome>,
     /// Where the patches around the refined plane would have it.
     pub plane_at_refined: Option<DisparityPlane>,
-    /// Where no plane fits the region: the plane that explains the most disparities within a pixel.
+    /// Where less than half of the region agrees with the plane: the plane that explains the most disparities within a pixel.
     pub widest: Option<WidestPlane>,
     /// Where the plane explains little: the plane of any depth and tilt that explains the most, with its share of the
     /// region's pixels.
@@ -220,7 +220,8 @@ impl ColdStart {
     }
 
     /// Searches the plane of a region within the disparities of `source`; `is_tilt_allowed` says which planes are tilted by
-    /// no more than the search range allows. Once `may_continue` says no, finer levels and the refinement are left out. `None` if there is no candidate.
+    /// no more than the search range allows. Once `may_continue` says no, finer levels and the refinement are left out.
+    /// `None` if there is no candidate.
     pub fn run(
         &mut self,
         front_end: &StereoFrontEnd,

@@ -184,6 +184,9 @@ impl DirectEstimator {
         region.rasterize_into(left, &self.config.region, &mut self.mask)?;
         let centroid_px = self.mask.centroid_px().unwrap_or_default();
         let warnings = region.inspect_shape(&self.mask).into_iter().map(EstimateWarning::Region).collect();
+        if is_same_picture(left, right) {
+            return Ok(PlaneEstimate { reason: SAME_PICTURE.to_owned(), warnings, ..self.blank(centroid_px) });
+        }
         let view = self.view(&centroid_px)?;
         let mask = self.front_end.rectified_region(&self.mask)?;
         let disparity_px = disparity_range(&view, range);
@@ -203,13 +206,6 @@ impl DirectEstimator {
         match &self.outcome {
             Some(outcome) => self.fill(&mut estimate, outcome, &view, range),
             None => estimate.reason = nothing_found(range),
-        }
-        if estimate.pose.is_some() && left.as_raw() == right.as_raw() {
-            return Ok(PlaneEstimate {
-                reason: SAME_PICTURE.to_owned(),
-                warnings: estimate.warnings,
-                ..self.blank(centroid_px)
-            });
         }
         let limit = self.config.verdict.alias_score_max;
         if estimate.status.depth_is_sure()
@@ -301,6 +297,12 @@ impl DirectEstimator {
             left_camera: *self.front_end.raw_rig().left(),
         }
     }
+}
+
+/// Whether both pictures are one; two that show nothing, each of one colour, may well be equal.
+fn is_same_picture(left: &RgbImage, right: &RgbImage) -> bool {
+    let shows_something = || left.pixels().any(|pixel| Some(pixel) != left.pixels().next());
+    left.as_raw() == right.as_raw() && shows_something()
 }
 
 /// What speaks against a sure answer and lies outside of what was searched: depths at which the right picture does not show the

@@ -90,7 +90,7 @@ impl Smoother {
 
 impl Smoother {
     /// As [`Self::smooth`] for pixels of as many values as there are planes in `out`, which stand side by side in the rows of
-    /// `source`; `middle` is taken off them.
+    /// `source`; `middle` is taken off them. The weights must be the same on both sides of their centre.
     pub fn smooth_pixels(
         &mut self,
         source: &PixelRows<'_>,
@@ -162,12 +162,12 @@ fn smooth_pixels_kernel<const N: usize>(
             let row = (y as isize + j as isize - across.radius as isize).clamp(0, last) as usize;
             *start = (row - source.first) * stride;
         }
-        filter_symmetric(source.rows.values(), &starts, across, &mut padded[side..side + width]);
+        filter_groups::<true>(source.rows.values(), &starts, across, &mut padded[side..side + width]);
         for k in 0..side {
             padded[k] = padded[side + k % N];
             padded[side + width + k] = padded[side + width - N + k % N];
         }
-        filter_symmetric(padded, &row_starts, along, mixed);
+        filter_groups::<true>(padded, &row_starts, along, mixed);
         take_apart(mixed, &middle, out.each_mut().map(|plane| plane.row_mut(y)));
     }
 }
@@ -215,6 +215,20 @@ fn filter_group<const N: usize>(values: &[f32], starts: &Starts, taps: &Taps, fi
     out[first..first + N].copy_from_slice(&sums);
 }
 
+#[inline(always)]
+fn filter<const N: usize, const SYMMETRIC: bool>(
+    values: &[f32],
+    starts: &Starts,
+    taps: &Taps,
+    first: usize,
+    out: &mut [f32],
+) {
+    match SYMMETRIC {
+        true => filter_symmetric_group::<N>(values, starts, taps, first, out),
+        false => filter_group::<N>(values, starts, taps, first, out),
+    }
+}
+
 /// Where the values of the weights begin.
 type Starts = [usize; 2 * RADIUS_MAX + 1];
 
@@ -229,44 +243,27 @@ const ROW_STARTS: Starts = {
     starts
 };
 
-/// Writes all columns of a row; the last group may overlap the one before.
+/// Writes all columns of a row; the last group may overlap the one before. `SYMMETRIC` weights are the same on both sides of
+/// their centre.
 #[inline(always)]
-fn filter_groups(values: &[f32], starts: &Starts, taps: &Taps, out: &mut [f32]) {
+fn filter_groups<const SYMMETRIC: bool>(values: &[f32], starts: &Starts, taps: &Taps, out: &mut [f32]) {
     let width = out.len();
     let mut first = 0;
     while first + SIDE_BY_SIDE <= width {
-        filter_group::<SIDE_BY_SIDE>(values, starts, taps, first, out);
+        filter::<SIDE_BY_SIDE, SYMMETRIC>(values, starts, taps, first, out);
         first += SIDE_BY_SIDE;
     }
     while first < width && width >= LANES {
-        filter_group::<LANES>(values, starts, taps, first.min(width - LANES), out);
+        filter::<LANES, SYMMETRIC>(values, starts, taps, first.min(width - LANES), out);
         first += LANES;
     }
     while first < width {
-        filter_group::<1>(values, starts, taps, first, out);
+        filter::<1, SYMMETRIC>(values, starts, taps, first, out);
         first += 1;
     }
 }
 
-/// As [`filter_groups`] for weights that are the same on both sides of their centre.
-#[inline(always)]
-fn filter_symmetric(values: &[f32], starts: &Starts, taps: &Taps, out: &mut [f32]) {
-    let width = out.len();
-    let mut first = 0;
-    while first + SIDE_BY_SIDE <= width {
-        filter_symmetric_group::<SIDE_BY_SIDE>(values, starts, taps, first, out);
-        first += SIDE_BY_SIDE;
-    }
-    while first < width && width >= LANES {
-        filter_symmetric_group::<LANES>(values, starts, taps, first.min(width - LANES), out);
-        first += LANES;
-    }
-    while first < width {
-        filter_symmetric_group::<1>(values, starts, taps, first, out);
-        first += 1;
-    }
-}
-
+/// As [`filter_group`] for weights that are the same on both sides of their centre.
 #[inline(always)]
 fn filter_symmetric_group<const N: usize>(values: &[f32], starts: &Starts, taps: &Taps, first: usize, out: &mut [f32]) {
     let (weights, radius) = (taps.weights(), taps.radius);
@@ -287,7 +284,7 @@ fn filter_symmetric_group<const N: usize>(values: &[f32], starts: &Starts, taps:
 
 #[inline(always)]
 fn filter_row_kernel(padded: &[f32], taps: &Taps, out: &mut [f32]) {
-    filter_groups(padded, &ROW_STARTS, taps, out);
+    filter_groups::<false>(padded, &ROW_STARTS, taps, out);
 }
 
 #[inline(always)]
@@ -298,7 +295,7 @@ fn filter_columns_kernel(source: &ImagePlane, taps: &Taps, out: &mut ImagePlane)
         for (j, start) in starts.iter_mut().enumerate().take(taps.weights().len()) {
             *start = (y as isize + j as isize - radius).clamp(0, height as isize - 1) as usize * width;
         }
-        filter_groups(source.values(), &starts, taps, out.row_mut(y));
+        filter_groups::<false>(source.values(), &starts, taps, out.row_mut(y));
     }
 }
 

@@ -14,8 +14,8 @@ pub struct DirectVerdictConfig {
     /// With a smaller share than this the answer is `ambiguous` at best, because the region is no plane, and
     /// `not-observable` if it is not the plane but texture that is missing. 0 to 1. Default 0.3.
     pub support_sure_min: f64,
-    /// Another explanation of the same pixels, in the range or beyond it, whose score reaches this share of the best one's makes the answer
-    /// `ambiguous`. 0 to 1. Default 0.85.
+    /// Another explanation of the same pixels, in the range or beyond it, whose score reaches this share of the best one's
+    /// makes the answer `ambiguous`. 0 to 1. Default 0.85.
     pub alias_score_max: f64,
     /// Another surface with this share of the number of pixels of the first makes the answer `ambiguous`. 0 to 1.
     /// Default 0.65.

@@ -13,10 +13,11 @@ use super::outline_fit::OutlineEdge;
 use super::target::{Appearance, Carried, Target, pixel_of};
 use crate::cpu::Kernels;
 use crate::error::EstimationError;
+use crate::estimate::EstimateWarning;
 use crate::estimate::PlanePose;
 use crate::observability::Landscape;
 use crate::plane_hypothesis::{PlaneHypothesis, SearchRange};
-use crate::region::{Region, RegionMask, RegionWarning, polygon};
+use crate::region::{Region, RegionMask, polygon};
 use crate::search::rmga::{Population, RmGa};
 use crate::status::{Status, Verdict};
 
@@ -27,8 +28,8 @@ pub struct TrackEstimate {
     pub status: Status,
     /// What led to the status.
     pub reason: String,
-    /// Why the marked region may serve badly: told once, by [`PublishedTracker::start`]; empty in every later frame.
-    pub warnings: Vec<RegionWarning>,
+    /// Why the marked region or what was found in it may serve badly: told once, by the start; empty in every later frame.
+    pub warnings: Vec<EstimateWarning>,
     /// Pose of the model in the left camera; `None` if lost or not observable.
     ///
     /// Model frame: origin at the plane point on the ray of the region's centroid in the first frame, z along the plane's
@@ -138,7 +139,10 @@ impl PublishedTracker {
     ) -> Result<TrackEstimate, EstimationError> {
         self.target = None;
         let taken = self.core.take(left, right, region)?;
-        let mut estimate = TrackEstimate { warnings: taken.warnings.clone(), ..self.blank_estimate(&taken.outline_px) };
+        let mut estimate = TrackEstimate {
+            warnings: taken.warnings.iter().cloned().map(EstimateWarning::Region).collect(),
+            ..self.blank_estimate(&taken.outline_px)
+        };
         if let Some(reason) = self.core.lack_of_hue() {
             return Ok(TrackEstimate { reason, ..estimate });
         }

@@ -22,7 +22,7 @@ use crate::error::EstimationError;
 use crate::estimate::{EstimateWarning, PlaneEstimate, PlanePose};
 use crate::plane_hypothesis::SearchRange;
 use crate::published::TrackEstimate;
-use crate::region::{Region, RegionConfig, RegionMask, RegionWarning};
+use crate::region::{Region, RegionConfig, RegionMask};
 use crate::status::Status;
 
 /// Margins of the windows about the predicted target, pixels: with a velocity known, and without.
@@ -149,18 +149,16 @@ impl DirectTracker {
         let estimate = self.start_from_plane(left, right, region, &plane)?;
         if sure.is_none() {
             let is_solid = estimate.status == Status::Ok && self.target.as_ref().is_some_and(Target::is_a_surface);
-            let outside = estimate.cam_left_from_model.and_then(|pose| self.surface_outside(&pose, range));
-            self.target = self.target.take().filter(|_| is_solid && outside.is_none());
-            return Ok(match outside {
-                _ if !is_solid => refused,
-                Some(reason) => TrackEstimate { reason, ..refused },
-                None => TrackEstimate { warnings: refused.warnings, ..estimate },
-            });
+            let solid_pose = estimate.cam_left_from_model.filter(|_| is_solid);
+            let outside = solid_pose.and_then(|pose| self.surface_outside(&pose, range));
+            if solid_pose.is_some() && outside.is_none() {
+                return Ok(TrackEstimate { warnings: refused.warnings, ..estimate });
+            }
+            self.target = None;
+            return Ok(TrackEstimate { reason: outside.unwrap_or(refused.reason), ..refused });
         }
         let is_worse = estimate.status == Status::Ok && found.status != Status::Ok;
-        let told = warnings_in_words(&found);
         let (status, reason) = if is_worse { (found.status, found.reason) } else { (estimate.status, estimate.reason) };
-        let reason = reason + &told;
         Ok(TrackEstimate { status, reason, warnings: refused.warnings, ..estimate })
     }
 
@@ -505,21 +503,9 @@ fn check_sizes(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Result<(),
     Ok(())
 }
 
-fn warnings_of(found: &PlaneEstimate) -> Vec<RegionWarning> {
-    let of_region = |warning: &EstimateWarning| match warning {
-        EstimateWarning::Region(warning) => Some(warning.clone()),
-        _ => None,
-    };
-    found.warnings.iter().filter_map(of_region).collect()
-}
-
-/// What else the cold start warns of, to be added to its reason.
-fn warnings_in_words(found: &PlaneEstimate) -> String {
-    let others = found
-        .warnings
-        .iter()
-        .filter(|warning| matches!(warning, EstimateWarning::BeyondTilt { .. } | EstimateWarning::EndOfRange { .. }));
-    others.map(|warning| format!("; {warning}")).collect()
+/// What the cold start warns of; a tracked surface need be no plane.
+fn warnings_of(found: &PlaneEstimate) -> Vec<EstimateWarning> {
+    found.warnings.iter().filter(|warning| **warning != EstimateWarning::NoPlane).cloned().collect()
 }
 
 /// Time since the last frame, seconds.

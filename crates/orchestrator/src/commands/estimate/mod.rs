@@ -34,7 +34,7 @@ use crate::picture::{Annotation, annotate, model_frame_on_plane, polygon_px};
 pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
     let method = Method::from_name(&args.method.method)?;
     if args.reference_optimum && method != Method::Published {
-        bail!("--reference-optimum: the method {method} searches no chromosomes: use --method {}", Method::Published);
+        bail!("--reference-optimum: the method {method} has no reference optimum: use --method {}", Method::Published);
     }
     let config = estimator_config(&args.method)?;
     let mut overlays = Overlays::open(args.method.overlay.as_deref())?;

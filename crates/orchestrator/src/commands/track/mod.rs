@@ -8,7 +8,7 @@ mod walk;
 use std::process::ExitCode;
 use std::time::Duration;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use pb3dp_estimation::estimator::Method;
 use pb3dp_hal_api::{CameraErrorKind, FramePair};
 use pb3dp_record::dataset::{Sequence, load_sequence};
@@ -102,15 +102,4 @@ fn report(sequence: &Sequence, walk: &Walk) {
     }
     // Nobody can be told if standard error is closed.
     let _ = std::io::Write::write_all(&mut std::io::stderr().lock(), text.as_bytes());
-}
-
-/// The context of an error that belongs to a target; the only target of a run is not counted.
-fn with_target<T, E>(result: Result<T, E>, frame: usize, target: Option<usize>) -> Result<T>
-where
-    Result<T, E>: Context<T, E>,
-{
-    result.with_context(|| match target {
-        Some(index) => format!("frame {frame}, target {index}"),
-        None => format!("frame {frame}"),
-    })
 }

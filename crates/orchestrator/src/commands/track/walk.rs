@@ -1,6 +1,6 @@
 //! The targets on their way through the frames.
 
-use anyhow::{Error, Result};
+use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
@@ -17,7 +17,6 @@ use pb3dp_record::images::size_of;
 use super::super::estimate::estimator_config;
 use super::super::estimate::job::{load_region, overridden, range_of_dataset};
 use super::super::pair::check_pictures;
-use super::with_target;
 use crate::cli::TrackArgs;
 use crate::cpu_time::{timed, within};
 use crate::follower::Follower;
@@ -99,17 +98,23 @@ impl TrackedTarget {
         self.follower.tracker()
     }
 
-    /// One frame; an error is that of the region, whose target is then not looked for again.
-    fn look(&mut self, pair: &FramePair, prior: &FramePrior, deadline_millis: Option<f64>) -> Result<Outcome> {
-        if let Some(reason) = &self.refused {
-            self.poses.push(None);
-            return Ok(Outcome::Refused { reason: reason.clone() });
+    /// One frame; a target whose region is refused is not looked for again.
+    fn look(&mut self, pair: &FramePair, prior: &FramePrior, deadline_millis: Option<f64>) -> Outcome {
+        let outcome = match &self.refused {
+            Some(reason) => Outcome::Refused { reason: reason.clone() },
+            None => match self.step(pair, prior, deadline_millis) {
+                Ok((estimate, millis)) => Outcome::Estimate { estimate: Box::new(estimate), millis },
+                Err(error) => Outcome::Refused { reason: format!("{error:#}") },
+            },
+        };
+        match &outcome {
+            Outcome::Estimate { estimate, .. } => self.poses.push(estimate.cam_left_from_model),
+            Outcome::Refused { reason } => {
+                self.poses.push(None);
+                self.refused = Some(reason.clone());
+            }
         }
-        let found = self.step(pair, prior, deadline_millis);
-        let pose = found.as_ref().ok().and_then(|(estimate, _)| estimate.cam_left_from_model);
-        self.poses.push(pose);
-        let (estimate, millis) = found.inspect_err(|error| self.refused = Some(format!("{error:#}")))?;
-        Ok(Outcome::Estimate { estimate: Box::new(estimate), millis })
+        outcome
     }
 
     fn region(&self, left: &RgbImage) -> Result<Region> {
@@ -191,7 +196,8 @@ impl Walk {
     /// Exchanged pictures in the first frame, or regions that are all refused.
     pub fn step(&mut self, frame: usize, t_s: f64, pair: &FramePair) -> Result<Vec<Found>> {
         if self.first.is_none() {
-            with_target(check_pictures(&format!("frame {frame}"), &self.rig, &pair.left, &pair.right), frame, None)?;
+            let what = format!("frame {frame}");
+            check_pictures(&what, &self.rig, &pair.left, &pair.right).context(what)?;
             if frame > 0 {
                 tracing::warn!("the regions belong to frame 0, which can not be read; they are used in frame {frame}");
             }
@@ -201,38 +207,29 @@ impl Walk {
         self.last_t_s = Some(t_s);
         let several = self.targets.len() > 1;
         let mut all = Vec::with_capacity(self.targets.len());
-        let mut refused: Vec<Error> = Vec::new();
         for (index, target) in self.targets.iter_mut().enumerate() {
             let index = several.then_some(index);
-            let outcome = match with_target(target.look(pair, &prior, self.deadline_millis), frame, index) {
-                Ok(outcome) => outcome,
-                Err(error) => {
-                    let reason = format!("{error:#}");
-                    refused.push(error);
-                    Outcome::Refused { reason }
+            let what = index.map_or(format!("frame {frame}"), |index| format!("frame {frame}, target {index}"));
+            let was_refused = target.refused.is_some();
+            let outcome = target.look(pair, &prior, self.deadline_millis);
+            match &outcome {
+                Outcome::Estimate { estimate, .. } => {
+                    target.tell(&what, estimate);
+                    self.rotation_about_normal_observed &=
+                        estimate.rotation_about_normal_observed || estimate.cam_left_from_model.is_none();
                 }
-            };
-            if let Outcome::Estimate { estimate, .. } = &outcome {
-                let what = index.map_or(format!("frame {frame}"), |index| format!("frame {frame}, target {index}"));
-                target.tell(&what, estimate);
-                self.rotation_about_normal_observed &=
-                    estimate.rotation_about_normal_observed || estimate.cam_left_from_model.is_none();
+                Outcome::Refused { reason } if !several => bail!("{what}: {reason}"),
+                Outcome::Refused { reason } if !was_refused => {
+                    tracing::error!("{what}: {reason}: this target is left out");
+                }
+                Outcome::Refused { .. } => {}
             }
             all.push(Found { target: index, outcome });
         }
-        self.tell_refused(refused)?;
+        if self.targets.iter().all(|target| target.refused.is_some()) {
+            bail!("frame {frame}: the regions of all targets are refused");
+        }
         Ok(all)
-    }
-
-    /// Regions that are refused are said; if none is left, that is an error.
-    fn tell_refused(&self, mut refused: Vec<Error>) -> Result<()> {
-        if !refused.is_empty() && self.targets.iter().all(|target| target.refused.is_some()) {
-            return Err(refused.swap_remove(0));
-        }
-        for error in refused {
-            tracing::error!("{error:#}: this target is left out");
-        }
-        Ok(())
     }
 
     /// A frame that could not be read.
