@@ -36,6 +36,15 @@ pub enum EstimateWarning {
     /// The caller's time was over before the method had done everything.
     #[error("cut short by the deadline: this is the best answer so far")]
     CutShort,
+    /// The rows of the two pictures are further apart than those of a calibrated rig.
+    #[error(
+        "rows of the right picture lie up to {offset_max_px:.1} px off: this is taken into account, but depth and normal rest \
+         on the same calibration: see that both cameras are triggered at the same moment, or calibrate again"
+    )]
+    RowsOff {
+        /// Largest offset anywhere in the rectified pictures, pixels.
+        offset_max_px: f64,
+    },
     /// The answer lies at an end of the depth range.
     #[error("the answer, z = {z_mm:.1} mm, lies at the end of the depth range: widen the range")]
     EndOfRange {

@@ -106,33 +106,7 @@ fn the_answer_is_not_another_surface_than_the_first() {
         ..363.0 => 135.0 + 0.03 * (u - 320.0) + 0.05 * (v - 240.0),
         _ => 112.0,
     };
-    // What is farther away has the stronger texture, and so more clear disparities than pixels that agree.
-    let noise = |x: i64, y: i64, k: i64| {
-        let mixed = (x.wrapping_mul(0x9e37_79b9) ^ y.wrapping_mul(0x85eb_ca6b) ^ k.wrapping_mul(0xc2b2_ae35)) as u32;
-        let mixed = (mixed ^ (mixed >> 15)).wrapping_mul(0x2c1b_3c6d);
-        f64::from((mixed ^ (mixed >> 12)) >> 8 & 0xffff) / 65_535.0 - 0.5
-    };
-    let value_noise = |x: f64, y: f64, k: i64| {
-        let (i, j) = ((x / 3.0).floor(), (y / 3.0).floor());
-        let (s, t) = (x / 3.0 - i, y / 3.0 - j);
-        let at = |di: i64, dj: i64| noise(i as i64 + di, j as i64 + dj, k);
-        (1.0 - t) * ((1.0 - s) * at(0, 0) + s * at(1, 0)) + t * ((1.0 - s) * at(0, 1) + s * at(1, 1))
-    };
-    let contrast = |u: f64| if (297.0..363.0).contains(&u) { 12.0 } else { 160.0 };
-    let render = |eye: i64| {
-        RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| {
-            let (u, v) = (f64::from(u), f64::from(v));
-            // The right picture shows each surface where its texture lies.
-            let value = if eye == 0 {
-                contrast(u) * value_noise(u - disparity_px(u, v), v, 7)
-            } else {
-                let left_u = (200..440).map(f64::from).find(|&l| l - disparity_px(l, v) >= u).unwrap_or(u + 112.0);
-                contrast(left_u) * value_noise(u, v, 7)
-            };
-            Rgb([(128.0 + value + 10.0 * noise(u as i64, v as i64, 11 + eye)).round().clamp(0.0, 255.0) as u8; 3])
-        })
-    };
-    let (left, right) = (render(0), render(1));
+    let (left, right) = pair(disparity_px);
     let region = Region::Rectangle { x: 262, y: 170, width: 140, height: 140 };
     let found = estimate(&rig, (&left, &right), &region, [0.35, 0.8, 60.0]);
     let (fb, offset) = (rig.left().pinhole().fx * 0.1, rig.right().pinhole().cx - rig.left().pinhole().cx);
@@ -245,6 +219,29 @@ fn the_same_picture_twice_says_nothing() {
         let found = estimate(&rig, (&left, &left), &region, [0.35, z_max_m, 60.0]);
         assert_eq!(found.status, Status::NotObservable, "{}", found.reason);
         assert!(found.pose.is_none() && found.reason.contains("the same picture"), "{}", found.reason);
+    }
+}
+
+/// Rows that are off are corrected; so far off the calibration can not be trusted.
+#[test]
+fn rows_that_no_calibrated_rig_has_are_told() {
+    let rig = scene::rectified_rig(SIZE);
+    let scene =
+        Scene { centre_px: Vector2::new(352.0, 236.0), z_m: 0.5, theta_x_rad: 0.2, theta_y_rad: -0.3, noise: 3.0 };
+    let (left, right) = scene.render(&rig);
+    let lowered =
+        |rows: u32| RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| *right.get_pixel(u, v.saturating_sub(rows)));
+    let region = Region::Rectangle { x: 312, y: 196, width: 80, height: 80 };
+    let range = SearchRange::new(0.35, 0.8, 1.0).unwrap();
+    for (rows, is_told) in [(0, false), (1, false), (4, true)] {
+        let right = lowered(rows);
+        let mut estimator = DirectEstimator::new(&rig, DirectConfig::default()).unwrap();
+        let measured = estimator.measure_rows(&left, &right).unwrap();
+        assert!((measured.rows.offset_px - f64::from(rows)).abs() < 0.1, "{measured:?}");
+        let found = estimator.estimate(&left, &right, &region, &range).unwrap();
+        assert_eq!(found.status, Status::Ok, "{}", found.reason);
+        let told = found.warnings.iter().any(|warning| matches!(warning, EstimateWarning::RowsOff { .. }));
+        assert_eq!(told, is_told, "{rows}: {:?}", found.warnings);
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
 use pb3dp_estimation::estimator::Method;
 use pb3dp_record::dataset::TILT_LIMIT_DEG;
 
@@ -11,7 +11,7 @@ use crate::region_spec::{REGION_HELP, RegionSpec};
 
 /// Robot vision that needs to know nothing about its target: pose of any object from one calibrated stereo pair.
 #[derive(Debug, Parser)]
-#[command(name = "pb3dp", version, about, propagate_version = true)]
+#[command(name = "pb3dp", version, propagate_version = true)]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]
@@ -79,16 +79,33 @@ pub struct MethodArgs {
     /// One JSON object per line on standard output instead of a table.
     #[arg(long)]
     pub json: bool,
-    /// Write pictures with region, re-projected model and pose axes into this folder.
+    /// Write pictures with region, re-projected model and pose axes into this folder; `track` also writes one animated PNG, sequence.png.
     #[arg(long, value_name = "DIR")]
     pub overlay: Option<PathBuf>,
 }
 
+/// What the numbers of `pb3dp estimate --json` are.
+const ESTIMATE_JSON: &str = "Lines of --json (one per case):
+  case, method      their names
+  status            ok, weak-tilt, ambiguous, not-observable or error
+  z_mm              depth of the plane on the ray of the region's centroid, millimetres, or null
+  normal            3 numbers or null: unit normal of the plane along the axes of the left camera, towards the camera
+  fitness           how well the pictures agree, at most 1, or null
+  z_sigma_mm        standard deviation of z_mm, or null
+  normal_sigma_deg  standard deviation of the normal, degrees, or null
+  ms                CPU time of one thread from the pictures in memory to the pose, milliseconds
+  centroid_px       the point of the left picture on whose ray the depths are given
+  second_plane      z_mm, normal and share of another surface in the region, or null
+  row_offset_px     row of the right picture minus row of the left one (rectified), as measured, or null
+  reason            what led to the status
+  warnings          what may make the answer worse than it looks";
+
 /// Arguments of `pb3dp estimate`.
 #[derive(Debug, Args)]
+#[command(after_long_help = ESTIMATE_JSON, group = ArgGroup::new("pictures").required(true).args(["cases", "left"]))]
 pub struct EstimateArgs {
     /// Every case folder (one with a case.json) under DIR; the format is described in docs/dataset-format.md.
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["left", "right", "calib", "region"], required_unless_present = "left")]
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["left", "right", "calib", "region"])]
     pub cases: Option<PathBuf>,
     /// The left picture (PNG or JPEG).
     #[arg(long, value_name = "FILE", requires_all = ["right", "calib", "region"])]
@@ -114,6 +131,7 @@ pub struct EstimateArgs {
 const TRACK_JSON: &str =
     "Lines of --json (one per frame; one per frame and target, with the key `target`, if there are several):
   frame                counts from 0
+  target               only with --region: 0 is the target of the sequence, then those of --region in their order
   t_s                  mid-exposure, seconds
   status               ok, weak-tilt, ambiguous, not-observable, lost or error
   cam_left_from_model  16 numbers, row by row, millimetres: maps the model's coordinates to the left camera's

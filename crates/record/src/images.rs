@@ -31,6 +31,8 @@ pub struct ImageFileError {
 pub enum ImageProblem {
     /// There is no such file.
     Missing,
+    /// It is a folder.
+    Folder,
     /// The file can not be read or written.
     Io,
     /// It is neither PNG nor JPEG.
@@ -64,6 +66,7 @@ impl fmt::Display for ImageProblem {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Missing => write!(f, "no such file; check the name and the folder"),
+            Self::Folder => write!(f, "is a folder; name the picture file in it"),
             Self::Io => write!(f, "can not be read or written; check permissions and free space"),
             Self::UnknownFormat => write!(f, "neither PNG nor JPEG; convert it"),
             Self::Damaged => write!(f, "truncated or damaged; copy or record it again"),
@@ -98,6 +101,7 @@ impl ImageFileError {
         match source.kind() {
             // The system's words would only repeat it.
             std::io::ErrorKind::NotFound => Self::new(file, ImageProblem::Missing),
+            _ if file.is_dir() => Self::new(file, ImageProblem::Folder),
             _ => Self::caused_by(file, ImageProblem::Io, source),
         }
     }

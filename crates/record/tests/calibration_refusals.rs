@@ -171,7 +171,8 @@ fn files_that_are_no_calibrations() {
     assert!(missing.to_string().starts_with("no/such/calib.yaml: can not be read: "), "{missing}");
     let empty = tempfile::tempdir().unwrap();
     let error = load_stereo(&[empty.path().to_path_buf()]).unwrap_err().to_string();
-    assert!(error.ends_with("holds neither left.yaml and right.yaml nor calib.json"), "{error}");
+    let expected = "holds neither left.yaml and right.yaml nor calib.json: name the file of the calibration itself";
+    assert!(error.ends_with(expected), "{error}");
     fs::copy(data("ros_pair/left.yaml"), empty.path().join("left.yaml")).unwrap();
     let error = load_stereo(&[empty.path().to_path_buf()]).unwrap_err().to_string();
     assert!(error.contains("right.yaml: can not be read: "), "{error}");
@@ -186,5 +187,5 @@ fn files_that_are_no_calibrations() {
     let directory = tempfile::tempdir().unwrap();
     fs::write(directory.path().join("x.yaml"), [0xff, 0xfe, 0x00]).unwrap();
     let error = load_stereo(&[directory.path().join("x.yaml")]).unwrap_err().to_string();
-    assert!(error.contains("x.yaml: can not be read: ") && error.contains("UTF-8"), "{error}");
+    assert!(error.ends_with("x.yaml: is no text, so no calibration: name a YAML or JSON file"), "{error}");
 }

@@ -187,6 +187,7 @@ fn a_recorded_sequence_is_read_back() {
     assert_eq!(recorded(dir.path(), PictureFormat::Png).unwrap(), 3);
     check_schema("sequence", &dir.path().join("sequence.json"));
     let sequence = load_sequence(dir.path()).unwrap();
+    assert_eq!(load_sequence(&dir.path().join("sequence.json")).unwrap(), sequence);
     let times_nanos: Vec<_> = sequence.times_s.iter().map(|t| MonotonicTime::from_secs_f64(*t).as_nanos()).collect();
     assert_eq!(times_nanos, [5_000_000_000, 5_033_333_333, 5_066_666_666]);
     assert_eq!(sequence.skew_s, [-0.000_25; 3]);

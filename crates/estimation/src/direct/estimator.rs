@@ -139,6 +139,11 @@ impl DirectEstimator {
         self.rows = rows;
     }
 
+    fn rows_warning(&self, right: &RgbImage) -> Option<EstimateWarning> {
+        let offset_max_px = self.rows.magnitude_max_px(right.width(), right.height());
+        (offset_max_px > ROWS_OFF_MAX_PX).then_some(EstimateWarning::RowsOff { offset_max_px })
+    }
+
     /// What the cold start of the last pair found.
     pub fn outcome(&self) -> Option<&ColdStartOutcome> {
         self.outcome.as_ref()
@@ -183,7 +188,8 @@ impl DirectEstimator {
         self.front_end.check(left, right)?;
         region.rasterize_into(left, &self.config.region, &mut self.mask)?;
         let centroid_px = self.mask.centroid_px().unwrap_or_default();
-        let warnings = region.inspect_shape(&self.mask).into_iter().map(EstimateWarning::Region).collect();
+        let of_region = region.inspect_shape(&self.mask).into_iter().map(EstimateWarning::Region);
+        let warnings = of_region.chain(self.rows_warning(right)).collect();
         if is_same_picture(left, right) {
             return Ok(PlaneEstimate { reason: SAME_PICTURE.to_owned(), warnings, ..self.blank(centroid_px) });
         }
@@ -298,6 +304,10 @@ impl DirectEstimator {
         }
     }
 }
+
+/// Rows that are further off than this tell of a calibration that does not hold, pixels: those of real rigs are off by up to
+/// half a pixel.
+const ROWS_OFF_MAX_PX: f64 = 1.5;
 
 /// Whether both pictures are one; two that show nothing, each of one colour, may well be equal.
 fn is_same_picture(left: &RgbImage, right: &RgbImage) -> bool {

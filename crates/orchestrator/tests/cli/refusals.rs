@@ -59,6 +59,12 @@ fn missing_and_damaged_files_are_named() {
         finished.assert_refused(&["absent.png"]);
         assert_eq!(finished.stderr.to_lowercase().matches("no such file").count(), 1, "{}", finished.stderr);
     }
+    let folder = pair.dir.path();
+    pb3dp(&pair.words(folder, &right, &calibration, REGION)).assert_refused(&["is a folder; name the picture file"]);
+    pb3dp(&pair.words(&left, &right, &left, REGION)).assert_refused(&["left.png: is no text", "YAML or JSON"]);
+    let mut overlay = pair.words(&left, &right, &calibration, REGION);
+    overlay.extend(["--overlay".into(), left.clone().into()]);
+    pb3dp(&overlay).assert_refused(&["--overlay", "left.png: is no folder"]);
     let mut optimum = pair.words(&left, &right, &calibration, REGION);
     optimum.push("--reference-optimum".into());
     pb3dp(&optimum).assert_refused(&["--reference-optimum", "direct", "--method published"]);
@@ -137,6 +143,7 @@ fn arguments_are_checked_before_anything_is_read() {
     with(&["--deadline", "-1"]).assert_refused(&["-1", "milliseconds"]);
     with(&["--tilt-max", "95"]).assert_refused(&["95", "85 degrees"]);
     with(&["--left", "l.png"]).assert_refused(&["--cases", "--left"]);
+    pb3dp(&words(&[&"estimate"])).assert_refused(&["--cases", "--left"]);
     pb3dp(&words(&[&"estimate", &"--left", &"l.png"])).assert_refused(&["--right", "--calib", "--region"]);
 }
 

@@ -99,14 +99,14 @@ fn check_drifting_card(limits: &Limits) {
         assert!((0.5..=1.0).contains(&fitness), "{line}");
         check_covariance(limits.method, line);
     }
-    for part in ["translation, mm", "tilt, deg", "jitter", &format!("lost 0 of {FRAMES} frames")] {
+    for part in ["translation, mm", "tilt, deg", "jitter", &format!("no pose in 0 of {FRAMES} frames")] {
         assert!(whole.stderr.contains(part), "{part:?} is missing in:\n{}", whole.stderr);
     }
     assert_animated(&dir.path().join("whole/sequence.png"), FRAMES as u32);
 
     std::fs::remove_file(sequence.join("right_0003.png")).unwrap();
     let finished = track(&dir.path().join("gap"));
-    finished.assert_refused(&["frame 3", "right_0003.png", &format!("lost 1 of {FRAMES} frames")]);
+    finished.assert_refused(&["frame 3", "right_0003.png", &format!("no pose in 1 of {FRAMES} frames")]);
     let with_gap = finished.json_lines(&TRACK_KEYS);
     assert_eq!(with_gap.len(), FRAMES);
     assert_eq!(with_gap[3]["status"], "error");

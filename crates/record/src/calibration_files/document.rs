@@ -34,13 +34,15 @@ impl Document {
         if file.is_dir() {
             return Err(refuse("it is a directory".to_owned()));
         }
-        let mut text = String::new();
+        let mut bytes = Vec::new();
         let open = std::fs::File::open(file).map_err(|error| refuse(one_line(&error)))?;
-        let bytes = open.take(BYTES_MAX + 1).read_to_string(&mut text).map_err(|error| refuse(one_line(&error)))?;
-        if bytes as u64 > BYTES_MAX {
+        open.take(BYTES_MAX + 1).read_to_end(&mut bytes).map_err(|error| refuse(one_line(&error)))?;
+        if bytes.len() as u64 > BYTES_MAX {
             return Err(refuse(format!("it is longer than {BYTES_MAX} bytes, so it is no calibration")));
         }
-        Self::parse(file, &text)
+        let text =
+            std::str::from_utf8(&bytes).map_err(|_| CalibrationFileError::NoText { file: file.to_path_buf() })?;
+        Self::parse(file, text)
     }
 
     /// Parses a file's text.

@@ -13,6 +13,12 @@ pub enum CalibrationFileError {
         /// What the system says.
         reason: String,
     },
+    /// A file holds no text, but a picture, say.
+    #[error("{}: is no text, so no calibration: name a YAML or JSON file", file.display())]
+    NoText {
+        /// The file.
+        file: PathBuf,
+    },
     /// A file could not be written.
     #[error("{}: can not be written: {reason}", file.display())]
     Write {
@@ -25,7 +31,7 @@ pub enum CalibrationFileError {
         source: std::io::Error,
     },
     /// A file is not YAML or JSON.
-    #[error("{}, line {line}: not valid {language}: {reason}", file.display())]
+    #[error("{}, line {line}: not valid {language}, as which a calibration is read: {reason}", file.display())]
     Syntax {
         /// The file.
         file: PathBuf,
@@ -58,7 +64,10 @@ pub enum CalibrationFileError {
         found: String,
     },
     /// A directory without a calibration.
-    #[error("{}: holds neither left.yaml and right.yaml nor calib.json", directory.display())]
+    #[error(
+        "{}: holds neither left.yaml and right.yaml nor calib.json: name the file of the calibration itself",
+        directory.display()
+    )]
     Directory {
         /// The directory.
         directory: PathBuf,

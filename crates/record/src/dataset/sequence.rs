@@ -88,6 +88,9 @@ const SEQUENCE_KEYS: [&str; 9] =
 /// # Errors
 /// A missing or unreadable file, a missing key, or a value that is not allowed; the message names file, key and value.
 pub fn load_sequence(folder: &Path) -> Result<Sequence, DatasetError> {
+    // The file itself is as good as its folder.
+    let is_the_file = folder.ends_with(SEQUENCE_FILE) && folder.is_file();
+    let folder = folder.parent().filter(|_| is_the_file).unwrap_or(folder);
     let file = JsonFile::read(&folder.join(SEQUENCE_FILE))?;
     let root = file.root();
     let frames = root.get("frames")?.count()?;

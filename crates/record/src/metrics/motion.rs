@@ -41,8 +41,8 @@ pub struct MotionErrors {
 pub struct MotionSummary {
     /// Number of frames.
     pub frames: usize,
-    /// Frames without an estimate.
-    pub lost: usize,
+    /// Frames without a pose, whatever the reason.
+    pub without_pose: usize,
     /// Length of the translation error, metres.
     pub translation_m: Statistics,
     /// Angle of the rotation error, radians.
@@ -104,7 +104,7 @@ impl MotionSummary {
             |of: &dyn Fn(&MotionErrors) -> f64| Statistics::of(&tracked.iter().map(|e| of(e)).collect::<Vec<_>>());
         Some(Self {
             frames: errors.len(),
-            lost: errors.len() - tracked.len(),
+            without_pose: errors.len() - tracked.len(),
             translation_m: statistics(&|e| e.translation_m.norm())?,
             rotation_rad: statistics(&|e| e.rotation_rad.norm())?,
             tilt_rad: statistics(&|e| e.tilt_rad)?,
@@ -128,10 +128,10 @@ impl MotionSummary {
         text += &row("tilt, deg", &self.tilt_rad, degrees);
         text += &row("about the normal, deg", &self.about_normal_rad, degrees);
         text += &format!(
-            "jitter {} mm, {} deg; lost {} of {} frames\n",
+            "jitter {} mm, {} deg; no pose in {} of {} frames\n",
             jitter(self.translation_jitter_m, 1e3),
             jitter(self.rotation_jitter_rad, degrees),
-            self.lost,
+            self.without_pose,
             self.frames
         );
         text
@@ -206,7 +206,7 @@ mod tests {
         estimated[12] = None;
         let errors = compare_motion(&estimated, &truth());
         let summary = MotionSummary::of(&errors).unwrap();
-        assert_eq!((summary.frames, summary.lost), (30, 2));
+        assert_eq!((summary.frames, summary.without_pose), (30, 2));
         assert!(errors[0].is_none() && summary.translation_m.max < 1e-12);
         assert_eq!(MotionSummary::of(&compare_motion(&[None, None], &truth())), None);
     }
@@ -228,7 +228,7 @@ mod tests {
         assert!((summary.translation_jitter_m.unwrap() - expected).abs() < 1e-12);
         assert!(summary.rotation_jitter_rad.unwrap() < 1e-12);
         let text = summary.text_table();
-        assert!(text.contains("jitter 0.816 mm, 0.000 deg; lost 0 of 21 frames"), "{text}");
+        assert!(text.contains("jitter 0.816 mm, 0.000 deg; no pose in 0 of 21 frames"), "{text}");
     }
 
     #[test]

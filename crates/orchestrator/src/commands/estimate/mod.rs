@@ -8,11 +8,11 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use nalgebra::Vector2;
 use pb3dp_estimation::estimate::{PlaneEstimate, ReferenceOptimum, SecondPlane};
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
-use pb3dp_estimation::region::RegionConfig;
+use pb3dp_estimation::region::{Region, RegionConfig};
 use pb3dp_estimation::status::Status;
 use pb3dp_record::dataset::{find_cases, load_case};
 use pb3dp_record::images::{PictureFormat, save};
@@ -21,7 +21,7 @@ use pb3dp_record::metrics::{self, DisparityAgreement, EvaluatedCase, Group, comp
 use self::job::{Job, pair_name};
 use self::output::{EstimateLine, print_line};
 use self::rigs::Rigs;
-use super::pair::check_pictures;
+use super::pair::{check_pictures, make_overlay_folder};
 use crate::cli::{EstimateArgs, MethodArgs};
 use crate::config::estimator::read_estimator;
 use crate::cpu_time::{timed, within};
@@ -137,7 +137,8 @@ fn work(
             case.other_keys.join(", ")
         );
     }
-    check_pictures(&job.name, &job.rig, &job.left, &job.right)?;
+    let pair_warning = check_pictures(&job.name, &job.rig, &job.left, &job.right)?;
+    tell_click(job, &config.published.region);
     let mut estimator = rigs.estimator(job, (method, config))?;
     let (estimate, millis) = timed(|| {
         let mut may_continue = within(args.method.deadline);
@@ -153,7 +154,8 @@ fn work(
         None => (estimate.centroid_px, estimate.z_m()),
     };
     tell(&job.name, &estimate);
-    let line = EstimateLine::of(&job.name, method.name(), &estimate, (centroid_px, z_m), millis);
+    let mut line = EstimateLine::of(&job.name, method.name(), &estimate, (centroid_px, z_m), millis);
+    line.warnings.extend(pair_warning);
     if let Err(error) = overlays.draw(job, &estimate, &line, &config.published.region) {
         tracing::warn!("{}: no picture: {error:#}", job.name);
     }
@@ -166,6 +168,24 @@ fn reference_optimum(job: &Job, method: Method, config: &EstimatorConfig) -> Res
     config.published.reference_optimum = true;
     let mut estimator = Estimator::new(method, &job.rig, &config)?;
     Ok(estimator.estimate(&job.left, &job.right, &job.region, &job.range)?.reference_optimum)
+}
+
+/// What a click has taken: the user may have meant more, or less.
+fn tell_click(job: &Job, regions: &RegionConfig) {
+    if let Region::Click { .. } = job.region
+        && let Ok(mask) = job.region.rasterize(&job.left, regions)
+        && let Some(bounds) = mask.bbox()
+    {
+        tracing::info!(
+            "{}: the click has taken {} px within rect:{},{},{},{} (--overlay shows them)",
+            job.name,
+            mask.area_px(),
+            bounds.x,
+            bounds.y,
+            bounds.width,
+            bounds.height
+        );
+    }
 }
 
 /// Status, reason, warnings and a second surface to the log, and how far search and fitness are to blame.
@@ -247,7 +267,7 @@ struct Overlays<'a> {
 impl<'a> Overlays<'a> {
     fn open(folder: Option<&'a Path>) -> Result<Self> {
         if let Some(folder) = folder {
-            std::fs::create_dir_all(folder).with_context(|| format!("{}: can not be created", folder.display()))?;
+            make_overlay_folder(folder)?;
         }
         Ok(Self { folder, taken: HashSet::new() })
     }

@@ -45,11 +45,10 @@ impl Rigs {
         }
         let size = job.rig.right().size();
         tracing::info!(
-            "{}: the right picture is {:.2} px {} at its centre, at most {:.2} px anywhere (rectified; {} points, \
+            "{}: the right picture is {:+.2} px too low at its centre, at most {:.2} px off anywhere (rectified; {} points, \
              {millis:.1} ms, once per calibration): taken into account",
             job.name,
-            measured.rows.offset_px.abs(),
-            if measured.rows.offset_px > 0.0 { "too low" } else { "too high" },
+            measured.rows.offset_px,
             measured.rows.magnitude_max_px(size.width, size.height),
             measured.matches
         );

@@ -45,11 +45,15 @@ impl TrackLine {
 
     /// A line for each target of a frame.
     pub fn all_of(frame: usize, t_s: f64, found: &[Found]) -> Vec<Self> {
-        let line = |found: &Found| match &found.outcome {
-            Outcome::Estimate { estimate, millis } => Self::of(frame, t_s, estimate, *millis),
-            Outcome::Refused { reason } => Self::of_error(frame, t_s, reason),
+        let line = |found: &Found| {
+            let mut line = match &found.outcome {
+                Outcome::Estimate { estimate, millis } => Self::of(frame, t_s, estimate, *millis),
+                Outcome::Refused { reason } => Self::of_error(frame, t_s, reason),
+            };
+            line.warnings.extend(found.pair_warning.clone());
+            Self { target: found.target, ..line }
         };
-        found.iter().map(|found| Self { target: found.target, ..line(found) }).collect()
+        found.iter().map(line).collect()
     }
 
     /// The lines of a frame that could not be read, and why.

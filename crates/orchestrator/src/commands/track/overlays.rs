@@ -2,12 +2,13 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::FramePair;
 use pb3dp_record::images::{PictureFormat, save};
 use pb3dp_record::overlay::{Animation, AnimationLimits};
 
+use super::super::pair::make_overlay_folder;
 use super::walk::{Found, Outcome};
 use crate::cli::MethodArgs;
 use crate::picture::{Annotation, annotate, polygon_px};
@@ -24,7 +25,7 @@ impl Overlays {
     /// If it can not be made.
     pub fn open(args: &MethodArgs) -> Result<Self> {
         let Some(folder) = &args.overlay else { return Ok(Self { wanted: None }) };
-        std::fs::create_dir_all(folder).with_context(|| format!("{}: can not be created", folder.display()))?;
+        make_overlay_folder(folder)?;
         Ok(Self { wanted: Some((folder.clone(), Animation::new(AnimationLimits::default()))) })
     }
 

@@ -59,6 +59,8 @@ pub struct Found {
     pub target: Option<usize>,
     /// What came of it.
     pub outcome: Outcome,
+    /// What does not fit between the pictures and their calibration; told once, with the first frame.
+    pub pair_warning: Option<String>,
 }
 
 /// What came of a target in a frame.
@@ -195,9 +197,10 @@ impl Walk {
     /// # Errors
     /// Exchanged pictures in the first frame, or regions that are all refused.
     pub fn step(&mut self, frame: usize, t_s: f64, pair: &FramePair) -> Result<Vec<Found>> {
+        let mut pair_warning = None;
         if self.first.is_none() {
             let what = format!("frame {frame}");
-            check_pictures(&what, &self.rig, &pair.left, &pair.right).context(what)?;
+            pair_warning = check_pictures(&what, &self.rig, &pair.left, &pair.right).context(what)?;
             if frame > 0 {
                 tracing::warn!("the regions belong to frame 0, which can not be read; they are used in frame {frame}");
             }
@@ -224,7 +227,7 @@ impl Walk {
                 }
                 Outcome::Refused { .. } => {}
             }
-            all.push(Found { target: index, outcome });
+            all.push(Found { target: index, outcome, pair_warning: pair_warning.clone() });
         }
         if self.targets.iter().all(|target| target.refused.is_some()) {
             bail!("frame {frame}: the regions of all targets are refused");
