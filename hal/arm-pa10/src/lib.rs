@@ -2,10 +2,14 @@
 //!
 //! * [`codec`]: the two wire formats of the servo controller, its messages, replies and alarms. Pure functions.
 //! * [`arcnet`]: the frames in which Linux passes these messages through an ARCNET card.
+//! * [`gateway_protocol`]: the framed protocol between a host and the gateway that owns the bus of an arm.
+//! * [`watchdog`]: what becomes of a velocity whose successor stays away.
 //! * [`mock`]: an arm without hardware: the state machine and the contract of a real one over simulated joints.
 
 pub mod arcnet;
 pub mod codec;
+pub mod gateway_protocol;
 pub mod mock;
+pub mod watchdog;
 
 pub use mock::{MockArm, MockArmConfig, MockArmFaults};

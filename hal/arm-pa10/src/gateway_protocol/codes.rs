@@ -1,0 +1,165 @@
+//! Numbers that stand for something.
+
+macro_rules! codes {
+    ($(#[$doc:meta])* $name:ident { $($(#[$variant_doc:meta])* $variant:ident = $byte:literal, $text:literal;)* }) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        pub enum $name {
+            $($(#[$variant_doc])* $variant,)*
+        }
+
+        impl $name {
+            /// All of them.
+            pub const ALL: &[Self] = &[$(Self::$variant,)*];
+
+            /// The number on the wire.
+            pub const fn byte(self) -> u8 {
+                match self {
+                    $(Self::$variant => $byte,)*
+                }
+            }
+
+            /// What a number on the wire stands for.
+            pub fn from_byte(byte: u8) -> Option<Self> {
+                match byte {
+                    $($byte => Some(Self::$variant),)*
+                    _ => None,
+                }
+            }
+        }
+
+        impl std::fmt::Display for $name {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str(match self {
+                    $(Self::$variant => $text,)*
+                })
+            }
+        }
+    };
+}
+
+codes! {
+    /// Which payloads commands and states have.
+    Dialect {
+        /// The data of the servo controller as it is, in one of its two wire formats.
+        Transparent = 1, "transparent";
+        /// Whole numbers in SI units.
+        GatewayV1 = 2, "gateway-v1";
+    }
+}
+
+codes! {
+    /// What a command asks of brakes and servos.
+    DriveMode {
+        /// Brakes on, servos off.
+        Off = 0, "off";
+        /// Brakes on, servos on.
+        Braked = 1, "braked";
+        /// Brakes off, servos follow the speeds.
+        Follow = 2, "follow";
+    }
+}
+
+codes! {
+    /// What a control message asks for.
+    ControlOperation {
+        /// Start the control mode (letter S), brakes on.
+        Start = 1, "start";
+        /// End the control mode (letter E).
+        End = 2, "end";
+        /// Clear the alarm of one axis (letter A).
+        ClearAlarm = 3, "clear-alarm";
+        /// Read the limits of one axis (letter R).
+        ReadEeprom = 4, "read-eeprom";
+        /// Come to rest, brakes on, servos off, end the control mode.
+        Stop = 5, "stop";
+        /// Clear the latched state of the gateway itself.
+        Reset = 6, "reset";
+    }
+}
+
+codes! {
+    /// What the gateway is doing.
+    GatewayState {
+        /// Control mode off, brakes on.
+        Idle = 0, "idle";
+        /// Control mode on, brakes on.
+        Started = 1, "started";
+        /// Brakes opening or open, speed 0.
+        Holding = 2, "holding";
+        /// Brakes open, speeds are followed.
+        Moving = 3, "moving";
+        /// On the way to rest, brakes and `idle`.
+        Stopping = 4, "stopping";
+        /// Stopped by a fault, latched.
+        Fault = 5, "fault";
+        /// Stopped by an emergency stop, latched.
+        EmergencyStop = 6, "emergency-stop";
+    }
+}
+
+codes! {
+    /// Why the gateway stopped the arm.
+    StopCause {
+        /// It did not.
+        None = 0, "none";
+        /// The host's commands stayed away.
+        HostSilent = 1, "host-silent";
+        /// The servo controller did not answer.
+        ControllerSilent = 2, "controller-silent";
+        /// An axis raised an alarm.
+        ServoAlarm = 3, "servo-alarm";
+        /// The controller raised an alarm.
+        ControllerAlarm = 4, "controller-alarm";
+        /// Emergency stop, dead-man switch or limit switch.
+        EmergencyStop = 5, "emergency-stop";
+        /// An axis lost its power or does not follow.
+        AxisUncontrollable = 6, "axis-uncontrollable";
+        /// Replies of the controller make no sense.
+        ReplyUnusable = 7, "reply-unusable";
+        /// The gateway missed its own cycle.
+        CycleMissed = 8, "cycle-missed";
+        /// An error inside of the gateway.
+        Internal = 9, "internal";
+    }
+}
+
+codes! {
+    /// Why the gateway refused a frame.
+    RejectReason {
+        /// No HELLO came before it.
+        NotConnected = 1, "not-connected";
+        /// The frame is for another arm.
+        WrongArm = 2, "wrong-arm";
+        /// The type is unknown.
+        UnknownType = 3, "unknown-type";
+        /// The payload does not have the length of its type.
+        WrongLength = 4, "wrong-length";
+        /// A field has a value that is not allowed.
+        BadValue = 5, "bad-value";
+        /// Not in this state.
+        WrongState = 6, "wrong-state";
+        /// Repeated, overtaken or too old.
+        Stale = 7, "stale";
+        /// Not in this dialect.
+        WrongDialect = 8, "wrong-dialect";
+        /// The letter is never passed on.
+        ForbiddenLetter = 9, "forbidden-letter";
+        /// The servo controller did not answer.
+        NoAnswer = 10, "no-answer";
+        /// The cause of the latched state is still there.
+        CausePresent = 11, "cause-present";
+    }
+}
+
+codes! {
+    /// Which geometry the arm has.
+    Geometry {
+        /// Nobody told the gateway.
+        Unknown = 0, "unknown";
+        /// 315, 450, 500, 80 mm.
+        FirstGeneration = 1, "first-generation";
+        /// 317, 450, 480, 70 mm.
+        SecondGeneration = 2, "second-generation";
+    }
+}
