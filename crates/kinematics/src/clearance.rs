@@ -1,0 +1,261 @@
+//! Room between two arms: each is a set of capsules, and the room is the smallest distance between any two of them.
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{Base, World};
+
+use crate::{DOF, JointFrames};
+
+/// All points within `radius_m` of a straight line between two points. Metres; the frame is the owner's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Capsule {
+    /// Ends of the line.
+    pub ends_m: [Point3<f64>; 2],
+    /// Distance of the surface from the line.
+    pub radius_m: f64,
+}
+
+impl Capsule {
+    /// Distance between the surfaces, metres; negative where the capsules overlap, by how deep at most.
+    pub fn distance_m(&self, other: &Self) -> f64 {
+        segment_distance(&self.ends_m, &other.ends_m) - self.radius_m - other.radius_m
+    }
+
+    fn moved(&self, motion: &Isometry3<f64>) -> Self {
+        Self { ends_m: self.ends_m.map(|end| motion * end), radius_m: self.radius_m }
+    }
+}
+
+/// What a part of an arm is fixed to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Carrier {
+    /// The base: it does not move.
+    Base,
+    /// The link behind a joint, counted from the base, 0 to 6.
+    Joint(usize),
+    /// The flange, with all that is mounted there: a tool, cameras, a target.
+    Flange,
+}
+
+/// A part of an arm, as large as whatever it stands for, cables included.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ArmPart {
+    /// For messages: `upper arm`.
+    pub name: String,
+    /// What it is fixed to.
+    pub carrier: Carrier,
+    /// Its shape in the carrier's frame, metres.
+    pub capsule: Capsule,
+}
+
+/// Why parts can not be the shape of an arm.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ArmShapeError {
+    /// No part at all: nothing would ever be too near.
+    #[error("the shape of the arm has no parts; give at least one capsule")]
+    Empty,
+    /// A number is no length.
+    #[error("part `{part}`: {value} m is not possible; radii must be above 0 and all numbers finite")]
+    Number {
+        /// Name of the part.
+        part: String,
+        /// The number given, metres.
+        value: f64,
+    },
+    /// A joint that the arm does not have.
+    #[error("part `{part}` is fixed to joint {joint}; joints are counted from the base, 0 to 6")]
+    NoSuchJoint {
+        /// Name of the part.
+        part: String,
+        /// The index given.
+        joint: usize,
+    },
+}
+
+/// The parts of an arm.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ArmShape {
+    parts: Vec<ArmPart>,
+}
+
+/// The two parts that are nearest to each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Clearance<'a> {
+    /// Room between them, metres; negative where they overlap.
+    pub distance_m: f64,
+    /// Part of the first arm.
+    pub first: &'a str,
+    /// Part of the second arm.
+    pub second: &'a str,
+}
+
+/// An arm at one moment: its shape, where it stands, and where its joints are.
+#[derive(Clone, Copy, Debug)]
+pub struct PlacedArm<'a> {
+    /// The shape.
+    pub shape: &'a ArmShape,
+    /// Where the base stands.
+    pub world_from_base: &'a Pose<World, Base>,
+    /// Joint frames of the arm's own chain.
+    pub frames: &'a JointFrames,
+}
+
+impl ArmShape {
+    /// A shape of these parts.
+    ///
+    /// # Errors
+    /// No part, a radius that is not positive, a number that is not finite, or a joint that does not exist.
+    pub fn new(parts: Vec<ArmPart>) -> Result<Self, ArmShapeError> {
+        if parts.is_empty() {
+            return Err(ArmShapeError::Empty);
+        }
+        for ArmPart { name, carrier, capsule } in &parts {
+            let part = || name.clone();
+            let coordinates = capsule.ends_m.iter().flat_map(|end| end.iter());
+            if let Some(&value) = coordinates.chain([&capsule.radius_m]).find(|value| !value.is_finite()) {
+                return Err(ArmShapeError::Number { part: part(), value });
+            }
+            if capsule.radius_m <= 0.0 {
+                return Err(ArmShapeError::Number { part: part(), value: capsule.radius_m });
+            }
+            if let Carrier::Joint(joint @ DOF..) = *carrier {
+                return Err(ArmShapeError::NoSuchJoint { part: part(), joint });
+            }
+        }
+        Ok(Self { parts })
+    }
+
+    /// The parts.
+    pub fn parts(&self) -> &[ArmPart] {
+        &self.parts
+    }
+}
+
+impl PlacedArm<'_> {
+    fn in_world(&self, part: &ArmPart) -> Capsule {
+        let base_from_part = match part.carrier {
+            Carrier::Base => Isometry3::identity(),
+            Carrier::Joint(joint) => self.frames.base_from_joint[joint],
+            Carrier::Flange => *self.frames.base_from_flange.isometry(),
+        };
+        part.capsule.moved(&(self.world_from_base.isometry() * base_from_part))
+    }
+}
+
+/// The room between two arms. Where a place is not a number it is minus infinity.
+pub fn clearance<'a>(first: &PlacedArm<'a>, second: &PlacedArm<'a>) -> Clearance<'a> {
+    let mut nearest: Option<Clearance<'a>> = None;
+    for one in &first.shape.parts {
+        let one_in_world = first.in_world(one);
+        for other in &second.shape.parts {
+            let distance_m = one_in_world.distance_m(&second.in_world(other));
+            // What is no number is no room.
+            let distance_m = if distance_m.is_nan() { f64::NEG_INFINITY } else { distance_m };
+            if nearest.is_none_or(|so_far| distance_m < so_far.distance_m) {
+                nearest = Some(Clearance { distance_m, first: &one.name, second: &other.name });
+            }
+        }
+    }
+    // A shape has at least one part.
+    nearest.unwrap_or(Clearance { distance_m: f64::NEG_INFINITY, first: "", second: "" })
+}
+
+/// Distance between two line segments.
+///
+/// The smallest value of a convex quadratic form of two numbers within 0 to 1: at the minimum of the whole form if that lies
+/// inside, else on one of the four edges, where an end of one segment is nearest to the other segment.
+fn segment_distance(a: &[Point3<f64>; 2], b: &[Point3<f64>; 2]) -> f64 {
+    let ends = [
+        distance_to_segment(&a[0], b),
+        distance_to_segment(&a[1], b),
+        distance_to_segment(&b[0], a),
+        distance_to_segment(&b[1], a),
+    ];
+    let on_an_edge = ends.into_iter().fold(f64::INFINITY, |least, distance| match distance {
+        // `min` would drop what is no number.
+        _ if distance.is_nan() => distance,
+        _ if distance < least => distance,
+        _ => least,
+    });
+    inner_distance(a, b).map_or(on_an_edge, |inner| inner.min(on_an_edge))
+}
+
+/// Distance of the common perpendicular of two segments, if its feet lie within both.
+fn inner_distance(a: &[Point3<f64>; 2], b: &[Point3<f64>; 2]) -> Option<f64> {
+    let (along_a, along_b, between) = (a[1] - a[0], b[1] - b[0], b[0] - a[0]);
+    let normal: Vector3<f64> = along_a.cross(&along_b);
+    let squared = normal.norm_squared();
+    // Of parallel segments an end is among the nearest points.
+    if squared <= 1e-18 * along_a.norm_squared() * along_b.norm_squared() || squared == 0.0 {
+        return None;
+    }
+    let at_a = between.cross(&along_b).dot(&normal) / squared;
+    let at_b = between.cross(&along_a).dot(&normal) / squared;
+    let within = |share: f64| (0.0..=1.0).contains(&share);
+    (within(at_a) && within(at_b)).then(|| (between.dot(&normal) / squared.sqrt()).abs())
+}
+
+fn distance_to_segment(point: &Point3<f64>, segment: &[Point3<f64>; 2]) -> f64 {
+    let (along, to_point) = (segment[1] - segment[0], point - segment[0]);
+    let squared = along.norm_squared();
+    let share = if squared > 0.0 { (to_point.dot(&along) / squared).clamp(0.0, 1.0) } else { 0.0 };
+    (to_point - along * share).norm()
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn capsule(a: [f64; 3], b: [f64; 3], radius_m: f64) -> Capsule {
+        Capsule { ends_m: [a.into(), b.into()], radius_m }
+    }
+
+    #[test]
+    fn distances_by_hand() {
+        let rod = capsule([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], 0.1);
+        for (other, expected, what) in [
+            (capsule([0.5, -1.0, 0.4], [0.5, 1.0, 0.4], 0.05), 0.25, "crossing above the middle"),
+            (capsule([0.2, 0.5, 0.0], [0.7, 0.5, 0.0], 0.05), 0.35, "parallel, side by side"),
+            (capsule([1.5, 0.0, 0.0], [2.5, 0.0, 0.0], 0.05), 0.35, "in line, behind each other"),
+            (capsule([1.3, 0.4, 0.0], [1.3, 0.4, 5.0], 0.05), 0.35, "past the end: 3, 4, 5"),
+            (capsule([0.5, 0.3, 0.0], [0.5, 0.3, 0.0], 0.1), 0.1, "a ball"),
+            (capsule([0.5, -1.0, 0.0], [0.5, 1.0, 0.0], 0.05), -0.15, "through each other"),
+        ] {
+            assert!((rod.distance_m(&other) - expected).abs() < 1e-12, "{what}: {}", rod.distance_m(&other));
+            assert!((other.distance_m(&rod) - expected).abs() < 1e-12, "{what}, exchanged");
+        }
+    }
+
+    #[test]
+    fn what_is_no_number_is_never_room() {
+        let rod = capsule([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], 0.1);
+        let lost = capsule([f64::NAN, 3.0, 0.0], [0.0, 4.0, 0.0], 0.1);
+        assert!(rod.distance_m(&lost).is_nan() && lost.distance_m(&rod).is_nan());
+    }
+
+    fn any_point() -> impl Strategy<Value = Point3<f64>> {
+        prop::array::uniform3(-1.0..1.0f64).prop_map(Point3::from)
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(500) })]
+
+        /// No pair of points on a fine grid is nearer, and some is nearly as near.
+        #[test]
+        fn segments_are_as_far_apart_as_their_points(
+            a in [any_point(), any_point()], b in [any_point(), any_point()],
+        ) {
+            const STEPS: u32 = 100;
+            let found = segment_distance(&a, &b);
+            let on = |segment: &[Point3<f64>; 2], k: u32| segment[0] + (segment[1] - segment[0]) * (f64::from(k) / f64::from(STEPS));
+            let mut least = f64::INFINITY;
+            for (i, j) in (0..=STEPS).flat_map(|i| (0..=STEPS).map(move |j| (i, j))) {
+                least = least.min((on(&a, i) - on(&b, j)).norm());
+            }
+            let step = ((a[1] - a[0]).norm() + (b[1] - b[0]).norm()) / f64::from(STEPS);
+            prop_assert!(found <= least + 1e-12 && found >= least - step, "{found} {least}");
+        }
+    }
+}
