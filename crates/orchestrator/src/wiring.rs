@@ -10,7 +10,7 @@ use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Model, Target};
 use pb3dp_hal_api::{Arm, ArmPower, Clock, StereoCamera};
 use pb3dp_hal_clock::{SystemClock, VirtualClock};
-use pb3dp_hal_middleware::Limiter;
+use pb3dp_hal_middleware::{Guard, Limiter};
 use pb3dp_record::calibration_files::StereoCalibration;
 use pb3dp_record::dataset::Sequence;
 use pb3dp_sim::joint_dynamics::JointPlant;
@@ -120,8 +120,9 @@ fn wire_arm(
     let config =
         MockArmConfig { name: name.to_owned(), cycle: setup.control_period, command_timeout: arm.command_timeout };
     let mock = MockArm::new(config, Arc::clone(&plant), Arc::clone(clock));
+    let guard = Guard::new(mock, arm.guard.clone()).with_context(|| format!("{name}: guard"))?;
     let limiter =
-        Limiter::new(mock, arm.limiter.clone(), Arc::clone(clock)).with_context(|| format!("{name}: limiter"))?;
+        Limiter::new(guard, arm.limiter.clone(), Arc::clone(clock)).with_context(|| format!("{name}: limiter"))?;
     let site = ArmSite { chain: arm.chain.clone(), world_from_base: arm.world_from_base, plant };
     Ok((site, Box::new(limiter)))
 }

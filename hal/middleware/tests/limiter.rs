@@ -2,31 +2,22 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
+mod common;
+
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use common::{CYCLE, acceleration, hard_limits, mock_arm, velocity};
 use mockall::predicate::eq;
-use pb3dp_arm_pa10::{MockArm, MockArmConfig};
+use pb3dp_arm_pa10::MockArm;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_hal_conformance::mocks::MockScriptedArm;
 use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, arm_suite};
 use pb3dp_hal_middleware::{Limiter, LimiterConfig, LimiterError};
-use pb3dp_kinematics::{Chain, DOF, JointLimits, JointLimitsError, JointVector};
-use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
+use pb3dp_kinematics::{DOF, JointLimitsError, JointVector};
 use proptest::prelude::*;
-
-const CYCLE: Duration = Duration::from_millis(10);
-
-fn hard_limits() -> JointLimits {
-    let urdf = include_str!("../../../configs/robots/pa10_gen2.urdf");
-    *Chain::from_urdf_str(urdf, "base_link", "flange").unwrap().limits()
-}
-
-fn acceleration() -> JointVector {
-    JointVector::from([2.0, 2.0, 2.0, 2.0, 5.0, 5.0, 5.0])
-}
 
 fn config(speed_scale: f64) -> LimiterConfig {
     let (operating_min_rad, operating_max_rad) = LimiterConfig::pa10_operating_range_rad();
@@ -40,12 +31,6 @@ fn config(speed_scale: f64) -> LimiterConfig {
         reaction_time: Duration::from_millis(65),
         stale_after: Duration::from_millis(50),
     }
-}
-
-fn velocity(joint: usize, value: f64) -> JointCommand {
-    let mut velocity = JointVector::zeros();
-    velocity[joint] = value;
-    JointCommand::Velocity(velocity)
 }
 
 fn rest() -> JointCommand {
@@ -199,22 +184,6 @@ fn refuses_numbers_that_are_no_limits() {
     assert_eq!(weak, Some(LimiterError::Acceleration { joint: 5, value: -1.0 }));
     assert_eq!(refused(|c| c.stale_after = Duration::ZERO), Some(LimiterError::ZeroTime("the age of a stale sample")));
     assert_eq!(refused(|_| {}), None);
-}
-
-/// The drives are as strong as the limiter takes them to be.
-fn mock_arm(clock: &Arc<VirtualClock>, start: JointVector) -> MockArm {
-    let config = JointPlantConfig {
-        limits: hard_limits(),
-        acceleration_max_rad_per_s2: acceleration(),
-        velocity_time_constant: Duration::from_millis(30),
-        command_delay: Duration::from_millis(15),
-        angle_quantum_rad: PA10_ANGLE_QUANTUM_RAD,
-        history: Duration::from_secs(120),
-    };
-    let plant = Arc::new(Mutex::new(JointPlant::new(config, start, clock.now()).unwrap()));
-    let config =
-        MockArmConfig { name: "vs-robot".to_owned(), cycle: CYCLE, command_timeout: Duration::from_millis(60) };
-    MockArm::new(config, plant, Arc::clone(clock) as Arc<dyn Clock>)
 }
 
 #[test]

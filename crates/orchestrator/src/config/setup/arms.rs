@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, Target, World};
-use pb3dp_hal_middleware::LimiterConfig;
+use pb3dp_hal_middleware::{GuardConfig, LimiterConfig};
 use pb3dp_kinematics::{Chain, DOF, JointLimits, JointVector};
 use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 use serde::Deserialize;
@@ -27,6 +27,8 @@ pub struct ArmSetup {
     pub plant: JointPlantConfig,
     /// The limiter before them.
     pub limiter: LimiterConfig,
+    /// The guard behind it.
+    pub guard: GuardConfig,
     /// The arm stops by itself if no command comes for longer than this.
     pub command_timeout: Duration,
 }
@@ -36,6 +38,8 @@ pub struct ArmSetup {
 pub(super) struct ArmsSection {
     pub(super) speed_scale: f64,
     pub(super) stale_after_millis: f64,
+    tracking_error_max_deg: f64,
+    tracking_error_millis: f64,
     vs: ArmSection,
     tc: ArmSection,
 }
@@ -103,6 +107,8 @@ impl ArmsSection {
     ) -> Option<(ArmSetup, ArmSetup)> {
         check.number("arms.speed_scale", self.speed_scale, 0.01..=1.0);
         check.number("arms.stale_after_millis", self.stale_after_millis, control_period_millis..=200.0);
+        check.number("arms.tracking_error_max_deg", self.tracking_error_max_deg, 0.1..=10.0);
+        check.number("arms.tracking_error_millis", self.tracking_error_millis, control_period_millis..=500.0);
         let vs = self.vs.build("arms.vs", self, config_file, control_period_millis, check);
         let tc = self.tc.build("arms.tc", self, config_file, control_period_millis, check);
         vs.zip(tc)
@@ -153,6 +159,14 @@ impl ArmSection {
                 acceleration_max_rad_per_s2,
                 reaction_time: millis(reaction_millis),
                 stale_after: millis(all.stale_after_millis),
+            },
+            guard: GuardConfig {
+                hard_limits,
+                speed_scale: all.speed_scale,
+                acceleration_max_rad_per_s2,
+                lag: millis(self.command_delay_millis + lag),
+                tracking_error_max_rad: all.tracking_error_max_deg.to_radians(),
+                tracking_error_for: millis(all.tracking_error_millis),
             },
             command_timeout: millis(timeout),
             chain,

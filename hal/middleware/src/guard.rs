@@ -1,0 +1,307 @@
+//! The guard: what an arm does is compared with what it was told, and with what an arm can do at all.
+
+use std::time::Duration;
+
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
+use pb3dp_kinematics::{DOF, JointLimits, JointVector};
+
+use crate::expectation::Expectation;
+
+/// What the guard takes for right.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GuardConfig {
+    /// The arm's own limits, rad and rad/s: no joint is ever beyond these angles.
+    pub hard_limits: JointLimits,
+    /// Part of each joint's largest speed that commands use, above 0 to 1.
+    pub speed_scale: f64,
+    /// What the drives accelerate and brake with, rad/s^2.
+    pub acceleration_max_rad_per_s2: JointVector,
+    /// Delay of the link and lag of the drives together.
+    pub lag: Duration,
+    /// How far a joint may be from where its commands lead, rad ...
+    pub tracking_error_max_rad: f64,
+    /// ... for this long.
+    pub tracking_error_for: Duration,
+}
+
+impl GuardConfig {
+    /// Tolerances of tracking for a PA-10: 0.05 rad for 100 ms.
+    pub const TRACKING_ERROR_MAX_RAD: f64 = 0.05;
+    /// See [`Self::TRACKING_ERROR_MAX_RAD`].
+    pub const TRACKING_ERROR_FOR: Duration = Duration::from_millis(100);
+}
+
+/// Why numbers can not configure a guard.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum GuardError {
+    /// The speed scale is out of range.
+    #[error("speed scale {0} is out of range; above 0 to 1 is possible")]
+    SpeedScale(f64),
+    /// An acceleration is no limit.
+    #[error("joint {joint}: acceleration {value} rad/s^2 is not a positive, finite number")]
+    Acceleration {
+        /// Index from the base, 0 to 6.
+        joint: usize,
+        /// The number given, rad/s^2.
+        value: f64,
+    },
+    /// The tolerance of tracking is none.
+    #[error("largest tracking error {0} rad is not a positive, finite number")]
+    TrackingError(f64),
+}
+
+/// A joint that is faster than allowed by this factor ...
+const OVER_SPEED: f64 = 1.1;
+/// ... in this many samples in a row is out of control.
+const OVER_SPEED_SAMPLES: u32 = 2;
+/// Between two samples a joint moves at most by this many times its largest speed allows ...
+const JUMP_FACTOR: f64 = 1.5;
+/// ... and by this much more, rad; what is beyond is a wrong sample.
+const JUMP_MARGIN_RAD: f64 = 0.002;
+/// So many wrong samples in a row are a fault and not a disturbance of the link.
+const JUMPS_TO_FAULT: u32 = 2;
+/// Angles may be beyond a hard limit by this much without being a fault: rounding of the description and of the encoder, rad.
+const LIMIT_ROUNDING_RAD: f64 = 1e-4;
+
+/// An arm whose answers are watched: it stops and stays stopped when a joint is where none can be, is faster than it may be,
+/// or does not go where it is told. Only [`ArmPower::reset`] ends that, and only an operator's action calls it.
+///
+/// A single sample that jumps is thrown away and the arm told to hold; two in a row are a fault. Belongs inside of the
+/// [`Limiter`](crate::Limiter), so that it sees what is really sent.
+pub struct Guard<A> {
+    arm: A,
+    config: GuardConfig,
+    newest: Option<JointState>,
+    expectation: Expectation,
+    too_fast: [u32; DOF],
+    off_track_for: [Duration; DOF],
+    jumps: u32,
+    /// Why the arm was stopped.
+    latched: Option<String>,
+}
+
+impl<A: Arm> Guard<A> {
+    /// Watches an arm.
+    ///
+    /// # Errors
+    /// If a number of the configuration is out of range; the error names it.
+    pub fn new(arm: A, config: GuardConfig) -> Result<Self, GuardError> {
+        check(&config)?;
+        let expectation = Expectation::new(config.acceleration_max_rad_per_s2, config.lag);
+        Ok(Self {
+            arm,
+            config,
+            newest: None,
+            expectation,
+            too_fast: [0; DOF],
+            off_track_for: [Duration::ZERO; DOF],
+            jumps: 0,
+            latched: None,
+        })
+    }
+
+    /// The arm, to look at.
+    pub fn arm(&self) -> &A {
+        &self.arm
+    }
+
+    /// Why the guard has stopped the arm, if it has.
+    pub fn latched(&self) -> Option<&str> {
+        self.latched.as_deref()
+    }
+
+    /// Stops at once. What the arm answers to that is of no use any more.
+    fn stop_for(&mut self, reason: String) -> ArmError {
+        let told = self.arm.exchange(JointCommand::Hold);
+        self.expectation.command(&JointVector::zeros());
+        let link = told.err().map_or(String::new(), |error| format!(" (and it could not be told to hold: {error})"));
+        let error = self.error(ArmErrorKind::Fault, &format!("{reason}; the arm holds{link}"));
+        self.latched = Some(reason);
+        error
+    }
+
+    /// Takes a sample that jumps out of the account: the arm holds, and the next one is compared with the last good one.
+    fn refuse_jump(&mut self, joint: usize, moved_rad: f64, dt: Duration) -> ArmError {
+        self.jumps += 1;
+        let text = format!("joint {joint} seems to have moved by {moved_rad:+.4} rad within {dt:?}, which it can not");
+        if self.jumps >= JUMPS_TO_FAULT {
+            return self.stop_for(format!("{text}, {} times in a row: check its encoder and the link", self.jumps));
+        }
+        match self.arm.exchange(JointCommand::Hold) {
+            Ok(_) => {
+                self.expectation.command(&JointVector::zeros());
+                self.error(ArmErrorKind::Timeout, &format!("{text}; the sample is thrown away and the arm holds"))
+            }
+            Err(error) => error,
+        }
+    }
+
+    fn jump(&self, sample: &JointState, last: &JointState, dt: Duration) -> Option<(usize, f64)> {
+        let speeds = self.config.hard_limits.velocity_max_rad_per_s();
+        (0..DOF).find_map(|joint| {
+            let moved_rad = sample.position_rad[joint] - last.position_rad[joint];
+            let possible_rad = JUMP_FACTOR * speeds[joint] * dt.as_secs_f64() + JUMP_MARGIN_RAD;
+            let is_possible = moved_rad.abs() <= possible_rad;
+            (!is_possible).then_some((joint, moved_rad))
+        })
+    }
+
+    fn beyond_limit(&self, sample: &JointState) -> Option<String> {
+        let limits = &self.config.hard_limits;
+        (0..DOF).find_map(|joint| {
+            let (angle, min, max) =
+                (sample.position_rad[joint], limits.position_min_rad()[joint], limits.position_max_rad()[joint]);
+            let is_inside = (min - LIMIT_ROUNDING_RAD..=max + LIMIT_ROUNDING_RAD).contains(&angle);
+            (!is_inside)
+                .then(|| format!("joint {joint} is at {angle:.4} rad, beyond its limits {min:.4} to {max:.4} rad"))
+        })
+    }
+
+    fn over_speed(&mut self, sample: &JointState) -> Option<String> {
+        let speeds = self.config.hard_limits.velocity_max_rad_per_s();
+        let mut reason = None;
+        for joint in 0..DOF {
+            let (speed, allowed) = (sample.velocity_rad_per_s[joint], self.config.speed_scale * speeds[joint]);
+            let is_slow = speed.abs() <= OVER_SPEED * allowed;
+            self.too_fast[joint] = if is_slow { 0 } else { self.too_fast[joint] + 1 };
+            if self.too_fast[joint] >= OVER_SPEED_SAMPLES && reason.is_none() {
+                reason = Some(format!("joint {joint} moves at {speed:+.3} rad/s, {allowed:.3} rad/s are allowed"));
+            }
+        }
+        reason
+    }
+
+    fn off_track(&mut self, moved_rad: &JointVector, dt: Duration) -> Option<String> {
+        let error_rad = self.expectation.error_after(moved_rad, dt);
+        let mut reason = None;
+        for joint in 0..DOF {
+            let is_on_track = error_rad[joint].abs() <= self.config.tracking_error_max_rad;
+            self.off_track_for[joint] = if is_on_track { Duration::ZERO } else { self.off_track_for[joint] + dt };
+            if self.off_track_for[joint] >= self.config.tracking_error_for && reason.is_none() {
+                reason = Some(format!(
+                    "joint {joint} is {:+.3} rad from where its commands lead, for {:?}: it is blocked, pushed or not driven",
+                    error_rad[joint], self.off_track_for[joint]
+                ));
+            }
+        }
+        reason
+    }
+
+    /// Judges a sample; it becomes the newest unless it jumps.
+    fn judge(&mut self, sample: JointState) -> Result<JointState, ArmError> {
+        if let Some(reason) = self.beyond_limit(&sample) {
+            // A wrong sample may well be out of every limit.
+            if self.newest.is_none_or(|last| self.jump(&sample, &last, sample.at.saturating_since(last.at)).is_none()) {
+                return Err(self.stop_for(reason));
+            }
+        }
+        if let Some(last) = self.newest {
+            let dt = sample.at.saturating_since(last.at);
+            if let Some((joint, moved_rad)) = self.jump(&sample, &last, dt) {
+                return Err(self.refuse_jump(joint, moved_rad, dt));
+            }
+            if !dt.is_zero() {
+                let moved_rad = sample.position_rad - last.position_rad;
+                let (over_speed, off_track) = (self.over_speed(&sample), self.off_track(&moved_rad, dt));
+                if let Some(reason) = over_speed.or(off_track) {
+                    return Err(self.stop_for(reason));
+                }
+            }
+        }
+        self.jumps = 0;
+        self.newest = Some(sample);
+        Ok(sample)
+    }
+
+    /// Nothing of before counts any more.
+    fn forget(&mut self) {
+        self.newest = None;
+        self.expectation.forget();
+        self.too_fast = [0; DOF];
+        self.off_track_for = [Duration::ZERO; DOF];
+        self.jumps = 0;
+    }
+
+    fn error(&self, kind: ArmErrorKind, text: &str) -> ArmError {
+        ArmError::new(kind, format!("guard of arm {}: {text}", self.arm.info().name))
+    }
+}
+
+impl<A: Arm> Arm for Guard<A> {
+    fn info(&self) -> &ArmInfo {
+        self.arm.info()
+    }
+
+    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        if let Some(reason) = self.latched.clone() {
+            let sample = self.arm.exchange(JointCommand::Hold)?;
+            return match command {
+                JointCommand::Hold => Ok(sample),
+                JointCommand::Velocity(_) => {
+                    let text = format!("stopped: {reason}; remove the cause, then reset");
+                    Err(self.error(ArmErrorKind::Fault, &text))
+                }
+            };
+        }
+        let sample = self.arm.exchange(command);
+        // What is measured now came about by the command before this one.
+        let judged = sample.and_then(|sample| self.judge(sample));
+        self.expectation.command(&match (&judged, command) {
+            (Ok(_), JointCommand::Velocity(velocity)) => velocity,
+            _ => JointVector::zeros(),
+        });
+        judged
+    }
+}
+
+impl<A: Arm + ArmPower> ArmPower for Guard<A> {
+    fn state(&self) -> ArmState {
+        match self.arm.state() {
+            ArmState::EStop => ArmState::EStop,
+            _ if self.latched.is_some() => ArmState::Fault,
+            state => state,
+        }
+    }
+
+    fn enable(&mut self) -> Result<(), ArmError> {
+        if let Some(reason) = &self.latched {
+            let text = format!("stopped: {reason}; remove the cause, then reset");
+            return Err(self.error(ArmErrorKind::Fault, &text));
+        }
+        self.forget();
+        self.arm.enable()
+    }
+
+    fn stop(&mut self) -> Result<(), ArmError> {
+        self.forget();
+        self.arm.stop()
+    }
+
+    fn reset(&mut self) -> Result<(), ArmError> {
+        if self.latched.is_some() {
+            // The brakes close before anything is forgiven.
+            self.arm.stop()?;
+        }
+        self.arm.reset()?;
+        self.forget();
+        self.latched = None;
+        Ok(())
+    }
+}
+
+fn check(config: &GuardConfig) -> Result<(), GuardError> {
+    let scale = config.speed_scale;
+    if !(scale > 0.0 && scale <= 1.0) {
+        return Err(GuardError::SpeedScale(scale));
+    }
+    for (joint, &value) in config.acceleration_max_rad_per_s2.iter().enumerate() {
+        if !(value.is_finite() && value > 0.0) {
+            return Err(GuardError::Acceleration { joint, value });
+        }
+    }
+    let error_max = config.tracking_error_max_rad;
+    if !(error_max.is_finite() && error_max > 0.0) {
+        return Err(GuardError::TrackingError(error_max));
+    }
+    Ok(())
+}

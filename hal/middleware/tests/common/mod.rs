@@ -1,0 +1,43 @@
+//! A mock PA-10 as the tests of the wrappers use it.
+
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use pb3dp_arm_pa10::{MockArm, MockArmConfig};
+use pb3dp_hal_api::{Clock, JointCommand};
+use pb3dp_hal_clock::VirtualClock;
+use pb3dp_kinematics::{Chain, JointLimits, JointVector};
+use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
+
+pub const CYCLE: Duration = Duration::from_millis(10);
+
+pub fn hard_limits() -> JointLimits {
+    let urdf = include_str!("../../../../configs/robots/pa10_gen2.urdf");
+    *Chain::from_urdf_str(urdf, "base_link", "flange").unwrap().limits()
+}
+
+pub fn acceleration() -> JointVector {
+    JointVector::from([2.0, 2.0, 2.0, 2.0, 5.0, 5.0, 5.0])
+}
+
+pub fn velocity(joint: usize, value: f64) -> JointCommand {
+    let mut velocity = JointVector::zeros();
+    velocity[joint] = value;
+    JointCommand::Velocity(velocity)
+}
+
+/// The drives are as strong as the wrappers take them to be.
+pub fn mock_arm(clock: &Arc<VirtualClock>, start: JointVector) -> MockArm {
+    let config = JointPlantConfig {
+        limits: hard_limits(),
+        acceleration_max_rad_per_s2: acceleration(),
+        velocity_time_constant: Duration::from_millis(30),
+        command_delay: Duration::from_millis(15),
+        angle_quantum_rad: PA10_ANGLE_QUANTUM_RAD,
+        history: Duration::from_secs(120),
+    };
+    let plant = Arc::new(Mutex::new(JointPlant::new(config, start, clock.now()).unwrap()));
+    let config =
+        MockArmConfig { name: "vs-robot".to_owned(), cycle: CYCLE, command_timeout: Duration::from_millis(60) };
+    MockArm::new(config, plant, Arc::clone(clock) as Arc<dyn Clock>)
+}

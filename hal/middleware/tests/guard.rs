@@ -1,0 +1,325 @@
+//! The guard around a mock arm whose answers are tampered with.
+
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+mod common;
+
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use common::{CYCLE, acceleration, hard_limits, mock_arm, velocity};
+use pb3dp_arm_pa10::MockArm;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_hal_clock::VirtualClock;
+use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, arm_suite};
+use pb3dp_hal_middleware::{Guard, GuardConfig, GuardError, Limiter, LimiterConfig};
+use pb3dp_kinematics::{DOF, JointVector};
+use proptest::prelude::*;
+
+const START: [f64; DOF] = [0.2, -0.5, 0.3, 1.1, -0.7, 0.9, 0.1];
+
+fn config(speed_scale: f64) -> GuardConfig {
+    GuardConfig {
+        hard_limits: hard_limits(),
+        speed_scale,
+        acceleration_max_rad_per_s2: acceleration(),
+        lag: Duration::from_millis(45),
+        tracking_error_max_rad: GuardConfig::TRACKING_ERROR_MAX_RAD,
+        tracking_error_for: GuardConfig::TRACKING_ERROR_FOR,
+    }
+}
+
+type Tamper = Box<dyn FnMut(&mut JointState) + Send>;
+
+/// Changes what the arm answers, and notes what it is told.
+struct Tampered {
+    arm: MockArm,
+    tamper: Arc<Mutex<Option<Tamper>>>,
+    told: Arc<Mutex<Vec<JointCommand>>>,
+}
+
+impl Arm for Tampered {
+    fn info(&self) -> &ArmInfo {
+        self.arm.info()
+    }
+
+    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        self.told.lock().unwrap().push(command);
+        let mut sample = self.arm.exchange(command)?;
+        if let Some(tamper) = self.tamper.lock().unwrap().as_mut() {
+            tamper(&mut sample);
+        }
+        Ok(sample)
+    }
+}
+
+impl ArmPower for Tampered {
+    fn state(&self) -> ArmState {
+        self.arm.state()
+    }
+
+    fn enable(&mut self) -> Result<(), ArmError> {
+        self.arm.enable()
+    }
+
+    fn stop(&mut self) -> Result<(), ArmError> {
+        self.arm.stop()
+    }
+
+    fn reset(&mut self) -> Result<(), ArmError> {
+        self.arm.reset()
+    }
+}
+
+/// A guarded arm that is enabled, and the handles to disturb it.
+struct Bench {
+    guard: Guard<Tampered>,
+    clock: Arc<VirtualClock>,
+    tamper: Arc<Mutex<Option<Tamper>>>,
+    told: Arc<Mutex<Vec<JointCommand>>>,
+}
+
+impl Bench {
+    fn new(start: [f64; DOF], speed_scale: f64) -> Self {
+        let clock = Arc::new(VirtualClock::new());
+        let (tamper, told) = (Arc::new(Mutex::new(None)), Arc::new(Mutex::new(Vec::new())));
+        let arm =
+            Tampered { arm: mock_arm(&clock, start.into()), tamper: Arc::clone(&tamper), told: Arc::clone(&told) };
+        let mut guard = Guard::new(arm, config(speed_scale)).unwrap();
+        guard.enable().unwrap();
+        Self { guard, clock, tamper, told }
+    }
+
+    fn tamper(&self, with: impl FnMut(&mut JointState) + Send + 'static) {
+        *self.tamper.lock().unwrap() = Some(Box::new(with));
+    }
+
+    fn step(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        self.clock.sleep_until(self.clock.now() + CYCLE);
+        self.guard.exchange(command)
+    }
+
+    /// Commands the velocity until it is refused; time until then.
+    fn until_refused(&mut self, command: JointCommand, at_most: Duration) -> Option<(Duration, ArmError)> {
+        let begin = self.clock.now();
+        while self.clock.now() < begin + at_most {
+            if let Err(error) = self.step(command) {
+                return Some((self.clock.now().saturating_since(begin), error));
+            }
+        }
+        None
+    }
+
+    fn last_told(&self) -> JointCommand {
+        *self.told.lock().unwrap().last().unwrap()
+    }
+
+    /// Stopped for good: velocities are refused and do not reach the arm, holding works, only a reset helps, and not further
+    /// than to `Disabled`.
+    fn assert_latched_until_reset(&mut self) {
+        assert_eq!(self.last_told(), JointCommand::Hold);
+        assert_eq!(self.guard.state(), ArmState::Fault);
+        let error = self.step(velocity(2, 0.05)).unwrap_err();
+        assert_eq!(error.kind(), ArmErrorKind::Fault);
+        assert!(error.to_string().contains("remove the cause, then reset"), "{error}");
+        assert_eq!(self.last_told(), JointCommand::Hold);
+        self.step(JointCommand::Hold).unwrap();
+        assert_eq!(self.guard.enable().unwrap_err().kind(), ArmErrorKind::Fault);
+        *self.tamper.lock().unwrap() = None;
+        self.guard.reset().unwrap();
+        assert_eq!((self.guard.state(), self.guard.latched()), (ArmState::Disabled, None));
+        self.guard.enable().unwrap();
+        self.step(velocity(2, 0.05)).unwrap();
+    }
+}
+
+#[test]
+fn a_joint_that_does_not_go_where_it_is_told_stops_the_arm() {
+    let mut bench = Bench::new(START, 0.6);
+    bench.step(JointCommand::Hold).unwrap();
+    let stuck_at = START[3];
+    bench.tamper(move |sample| {
+        sample.position_rad[3] = stuck_at;
+        sample.velocity_rad_per_s[3] = 0.0;
+    });
+    // At 0.5 rad/s, after a ramp of a quarter of a second, 0.05 rad are missing after 0.05 / 0.5 + 0.125 s and the lag, and
+    // that is held against the joint 0.1 s later.
+    let (after, error) = bench.until_refused(velocity(3, 0.5), Duration::from_secs(2)).unwrap();
+    assert_eq!(error.kind(), ArmErrorKind::Fault);
+    assert!(error.to_string().contains("joint 3 is -0.") && error.to_string().contains("commands lead"), "{error}");
+    let expected = Duration::from_millis(100 + 125 + 45 + 100);
+    assert!(after > expected - Duration::from_millis(60) && after < expected + Duration::from_millis(60), "{after:?}");
+    bench.assert_latched_until_reset();
+}
+
+#[test]
+fn a_joint_that_moves_by_itself_stops_the_arm() {
+    let mut bench = Bench::new(START, 0.6);
+    let mut drift = 0.0;
+    bench.tamper(move |sample| {
+        drift += 0.002;
+        sample.position_rad[1] -= drift;
+        sample.velocity_rad_per_s[1] -= 0.2;
+    });
+    let (_, error) = bench.until_refused(JointCommand::Hold, Duration::from_secs(2)).unwrap();
+    assert!(error.to_string().contains("joint 1 is -0.") && error.to_string().contains("pushed"), "{error}");
+    bench.assert_latched_until_reset();
+}
+
+#[test]
+fn one_sample_that_jumps_is_thrown_away_and_two_stop_the_arm() {
+    let mut bench = Bench::new(START, 0.6);
+    bench.step(velocity(6, 0.3)).unwrap();
+    let bad = |times: u32| {
+        let mut left = times;
+        move |sample: &mut JointState| {
+            if left > 0 {
+                left -= 1;
+                sample.position_rad[6] += 0.3;
+            }
+        }
+    };
+    bench.tamper(bad(1));
+    let error = bench.step(velocity(6, 0.3)).unwrap_err();
+    assert_eq!(error.kind(), ArmErrorKind::Timeout);
+    assert!(error.to_string().contains("joint 6 seems to have moved by +0.30"), "{error}");
+    assert_eq!(bench.last_told(), JointCommand::Hold);
+    bench.step(velocity(6, 0.3)).unwrap();
+    assert_eq!(bench.guard.latched(), None);
+    // The guard asks the arm to hold after each of them, and that answer is bad as well.
+    bench.tamper(bad(3));
+    assert_eq!(bench.step(velocity(6, 0.3)).unwrap_err().kind(), ArmErrorKind::Timeout);
+    assert_eq!(bench.step(velocity(6, 0.3)).unwrap_err().kind(), ArmErrorKind::Fault);
+    bench.assert_latched_until_reset();
+}
+
+#[test]
+fn a_sample_that_is_no_number_is_no_sample() {
+    let mut bench = Bench::new(START, 0.6);
+    bench.step(velocity(0, 0.1)).unwrap();
+    let mut left = 1;
+    bench.tamper(move |sample| {
+        if left > 0 {
+            left -= 1;
+            sample.position_rad[5] = f64::NAN;
+        }
+    });
+    assert_eq!(bench.step(velocity(0, 0.1)).unwrap_err().kind(), ArmErrorKind::Timeout);
+    bench.step(velocity(0, 0.1)).unwrap();
+    bench.tamper(|sample| sample.velocity_rad_per_s[5] = f64::NAN);
+    assert!(bench.until_refused(velocity(0, 0.1), CYCLE * 3).is_some());
+    bench.assert_latched_until_reset();
+}
+
+#[test]
+fn a_joint_that_is_too_fast_twice_stops_the_arm() {
+    let mut bench = Bench::new(START, 0.1);
+    bench.step(JointCommand::Hold).unwrap();
+    // 0.1 x 2 rad/s are allowed for joint 2, and 1.1 times that for a moment.
+    for (speed, samples, is_stopped) in [(0.219, 50, false), (0.3, 1, false), (0.221, 2, true)] {
+        let mut left = samples;
+        bench.tamper(move |sample| {
+            if left > 0 {
+                left -= 1;
+                sample.velocity_rad_per_s[2] = -speed;
+            }
+        });
+        let refused = bench.until_refused(JointCommand::Hold, CYCLE * (samples + 1));
+        assert_eq!(refused.is_some(), is_stopped, "{speed} rad/s in {samples} samples: {refused:?}");
+        if let Some((_, error)) = refused {
+            let text = error.to_string();
+            assert!(text.contains("joint 2 moves at -0.221 rad/s, 0.200 rad/s are allowed"), "{text}");
+        }
+    }
+    bench.assert_latched_until_reset();
+}
+
+#[test]
+fn a_joint_beyond_its_limits_stops_the_arm() {
+    let mut bench = Bench::new(START, 0.6);
+    bench.tamper(|sample| sample.position_rad[1] = 91.5_f64.to_radians());
+    let error = bench.step(JointCommand::Hold).unwrap_err();
+    assert_eq!(error.kind(), ArmErrorKind::Fault);
+    assert!(error.to_string().contains("joint 1 is at 1.5970 rad, beyond its limits -1.5882 to 1.5882"), "{error}");
+    bench.assert_latched_until_reset();
+}
+
+#[test]
+fn the_emergency_stop_and_the_arms_own_faults_come_first() {
+    let mut bench = Bench::new(START, 0.6);
+    bench.guard.arm().arm.faults().press_e_stop();
+    assert_eq!(bench.guard.state(), ArmState::EStop);
+    assert!(bench.guard.reset().is_err(), "it is still pressed");
+    bench.tamper(|sample| sample.position_rad[1] = 2.0);
+    assert!(bench.step(JointCommand::Hold).is_err());
+    assert_eq!(bench.guard.state(), ArmState::EStop);
+    assert!(bench.guard.reset().is_err() && bench.guard.latched().is_some());
+}
+
+#[test]
+fn refuses_numbers_that_are_none() {
+    let refused = |change: fn(&mut GuardConfig)| {
+        let mut config = config(0.6);
+        change(&mut config);
+        Guard::new(mock_arm(&Arc::new(VirtualClock::new()), START.into()), config).err()
+    };
+    assert_eq!(refused(|c| c.speed_scale = 1.5), Some(GuardError::SpeedScale(1.5)));
+    let weak = refused(|c| c.acceleration_max_rad_per_s2[6] = 0.0);
+    assert_eq!(weak, Some(GuardError::Acceleration { joint: 6, value: 0.0 }));
+    assert!(matches!(refused(|c| c.tracking_error_max_rad = f64::NAN), Some(GuardError::TrackingError(_))));
+    assert_eq!(refused(|_| {}), None);
+}
+
+#[test]
+fn guarded_mock_arm_keeps_the_contract() {
+    let clock = Arc::new(VirtualClock::new());
+    let make = || Guard::new(mock_arm(&clock, START.into()), config(0.6)).unwrap();
+    let hooks = ArmHooks::<Guard<MockArm>> {
+        lose_reply: Some(Box::new(|guard| guard.arm().faults().drop_replies(1))),
+        raise_fault: Some(Box::new(|guard| guard.arm().faults().raise_fault("overcurrent in E1"))),
+        remove_fault_cause: Some(Box::new(|guard| guard.arm().faults().remove_fault_cause())),
+        press_e_stop: Some(Box::new(|guard| guard.arm().faults().press_e_stop())),
+        release_e_stop: Some(Box::new(|guard| guard.arm().faults().release_e_stop())),
+    };
+    let expectations = ArmExpectations { speed_rad_per_s: 0.1, settles_within: Duration::from_millis(400) };
+    arm_suite(make, clock.as_ref(), &expectations, &hooks).assert_passed();
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(100) })]
+
+    /// Behind the limiter, an arm that does what it is told is never stopped, whatever that is.
+    #[test]
+    fn an_arm_that_follows_is_left_alone(
+        start in prop::array::uniform7(-1.2..1.2f64),
+        drive in prop::collection::vec((prop::array::uniform7(-8.0..8.0f64), 5..20u64, 1..150usize, any::<bool>()), 1..20),
+        scale in prop::sample::select(vec![0.1, 0.6, 1.0]),
+    ) {
+        let clock = Arc::new(VirtualClock::new());
+        let guard = Guard::new(mock_arm(&clock, start.into()), config(scale)).unwrap();
+        let (operating_min_rad, operating_max_rad) = LimiterConfig::pa10_operating_range_rad();
+        let limits = LimiterConfig {
+            hard_limits: hard_limits(),
+            operating_min_rad,
+            operating_max_rad,
+            speed_scale: scale,
+            acceleration_max_rad_per_s2: acceleration(),
+            reaction_time: Duration::from_millis(65),
+            stale_after: Duration::from_millis(50),
+        };
+        let mut limiter = Limiter::new(guard, limits, Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
+        limiter.enable().unwrap();
+        limiter.exchange(JointCommand::Hold).unwrap();
+        let mut at = MonotonicTime::ZERO;
+        for (velocity, cycle_ms, cycles, holds) in drive {
+            for _ in 0..cycles {
+                at = at + Duration::from_millis(cycle_ms);
+                clock.sleep_until(at);
+                let command = if holds { JointCommand::Hold } else { JointCommand::Velocity(JointVector::from(velocity)) };
+                let answer = limiter.exchange(command);
+                prop_assert!(answer.is_ok(), "{:?}", answer.map_err(|error| error.to_string()));
+            }
+        }
+    }
+}
