@@ -3,11 +3,13 @@
 //! * [`codec`]: the two wire formats of the servo controller, its messages, replies and alarms. Pure functions.
 //! * [`arcnet`]: the frames in which Linux passes these messages through an ARCNET card.
 //! * [`gateway_protocol`]: the framed protocol between a host and the gateway that owns the bus of an arm.
+//! * [`driver`]: the host side of one arm as a state machine without I/O and clock.
 //! * [`watchdog`]: what becomes of a velocity whose successor stays away.
 //! * [`mock`]: an arm without hardware: the state machine and the contract of a real one over simulated joints.
 
 pub mod arcnet;
 pub mod codec;
+pub mod driver;
 pub mod gateway_protocol;
 pub mod mock;
 pub mod watchdog;

@@ -2,10 +2,16 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
+mod common;
+
+use std::time::Duration;
+
+use common::{Bench, CYCLE, Kind, velocity};
 use pb3dp_arm_pa10::codec::{
     AngleCounts, ArmCommand, Axis, AxisCommand, CodecError, ControlMessage, ControlPacket, Letter, ReplyMessage,
     ReplyPacket, SequenceCounter, SequenceModulus, ServoAlarm, ServoWord, SpeedCounts, Supervision, WireFormat,
 };
+use pb3dp_arm_pa10::driver::{DriverState, FaultCause, Request, Trip};
 use pb3dp_kinematics::JointVector;
 
 fn moving(velocity_rad_per_s: [f64; 7]) -> ControlMessage {
@@ -181,4 +187,65 @@ fn dangerous_letters_do_not_exist() {
     }
     let error = ControlPacket::decode(WireFormat::BigEndian6x10, &[0, b'M', 0, 0]).unwrap_err();
     assert_eq!(error, CodecError::Letter { got: b'M' });
+}
+
+/// RobWork: waits for a reply for ever.
+#[test]
+fn a_reply_that_never_comes_is_not_waited_for_for_ever() {
+    let mut bench = Bench::new();
+    bench.peer.answers = false;
+    bench.request(Request::Connect);
+    bench.run(Duration::from_secs(2));
+    assert_eq!(bench.driver.state(), DriverState::Fault);
+    assert_eq!(
+        bench.driver.latched().map(|latched| latched.trip),
+        Some(Trip::Fault(FaultCause::LinkLost { misses: 3 }))
+    );
+}
+
+/// Orca: the predicate for warnings was tested twice and that for faults never, so servo faults went unnoticed.
+#[test]
+fn a_servo_fault_stops_the_arm() {
+    for axis in 0..7 {
+        for &alarm in ServoAlarm::LISTED {
+            let mut bench = Bench::in_state(DriverState::Holding);
+            bench.peer.servo[axis] = ServoWord(0).with_alarm(alarm);
+            bench.run(CYCLE * 3);
+            assert!(bench.driver.state().is_latched(), "axis {axis}: {alarm}");
+        }
+    }
+}
+
+/// Orca: the destructor sent the stop only when motion was not enabled.
+#[test]
+fn a_stop_is_sent_while_the_arm_moves() {
+    let mut bench = Bench::in_state(DriverState::Moving);
+    let from = bench.sent.len();
+    bench.request(Request::Stop);
+    bench.settle();
+    let kinds = bench.only_kinds_since(from);
+    assert_eq!(kinds, [Kind::Motion, Kind::Rest, Kind::Braked, Kind::Off, Kind::End]);
+}
+
+/// PA10ros: sent E and S before every command, which closes and opens the brakes each time.
+#[test]
+fn commands_follow_each_other_without_leaving_the_control_mode() {
+    let mut bench = Bench::in_state(DriverState::Moving);
+    let from = bench.sent.len();
+    bench.run_moving(Duration::from_secs(1));
+    bench.request(Request::Hold);
+    bench.run(Duration::from_secs(1));
+    bench.request(Request::Move(velocity()));
+    bench.run_moving(Duration::from_secs(1));
+    assert_eq!(bench.only_kinds_since(from), [Kind::Motion, Kind::Rest, Kind::Motion]);
+}
+
+/// NTUA: an error of the link ended the program without a stop.
+#[test]
+fn a_broken_link_does_not_end_without_a_stop() {
+    let mut bench = Bench::in_state(DriverState::Moving);
+    let from = bench.sent.len();
+    bench.driver.handle_unplugged(bench.now);
+    bench.settle();
+    assert_eq!(bench.only_kinds_since(from).last(), Some(&Kind::End));
 }

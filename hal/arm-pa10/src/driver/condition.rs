@@ -1,0 +1,260 @@
+//! What a reply tells of the arm, whichever link it came by.
+
+use std::time::Duration;
+
+use pb3dp_kinematics::JointVector;
+
+use crate::codec::{ArmReply, Axis, AxisStatus, CommAlarm, CommStatus, ServoAlarm};
+use crate::gateway_protocol::{GatewayState, RejectReason, State, StopCause};
+
+/// A measurement of the arm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// How old it was when the reply came, as far as the link tells.
+    pub age: Duration,
+    /// Joint angles, rad, never wrapped.
+    pub position_rad: JointVector,
+    /// Joint speeds, rad/s, where they are measured.
+    pub velocity_rad_per_s: Option<JointVector>,
+    /// Flags and alarms.
+    pub condition: ArmCondition,
+}
+
+/// Flags and alarms of a measurement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ArmCondition {
+    /// Of each axis.
+    pub axes: [AxisStatus; Axis::COUNT],
+    /// Of the controller.
+    pub comm: CommStatus,
+    /// Of the gateway, if there is one: what it is doing and why it stopped.
+    pub gateway: Option<(GatewayState, StopCause)>,
+}
+
+/// Why the arm was stopped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Trip {
+    /// By a fault.
+    Fault(FaultCause),
+    /// By an emergency stop.
+    EStop(EmergencyStopCause),
+}
+
+/// A fault. The text names the check that failed and what to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FaultCause {
+    /// Too many exchanges in a row without a usable reply.
+    #[error("{misses} exchanges in a row without a usable reply; check cable, power and gateway, then reset")]
+    LinkLost {
+        /// How many.
+        misses: u32,
+    },
+    /// The link is gone.
+    #[error("the link is gone (unplugged, closed); connect it again, then reset")]
+    Unplugged,
+    /// A sound frame of another arm came.
+    #[error("a reply came from arm {got}: the links of two arms are swapped; correct the configuration, then reset")]
+    WrongArm {
+        /// The arm in the frame.
+        got: u8,
+    },
+    /// The control loop stayed away.
+    #[error(
+        "no velocity for {age:?}, the watchdog allows {allowed:?}; find out what held the control loop up, then reset"
+    )]
+    CommandTimeout {
+        /// Age of the last velocity.
+        age: Duration,
+        /// What the watchdog allows.
+        allowed: Duration,
+    },
+    /// An axis raised an alarm.
+    #[error("{axis}: {alarm}; remove the cause, then reset")]
+    ServoAlarm {
+        /// Which axis.
+        axis: Axis,
+        /// Which alarm.
+        alarm: ServoAlarm,
+    },
+    /// The controller raised an alarm.
+    #[error("controller: {alarm}; remove the cause, then reset")]
+    ControllerAlarm {
+        /// Which alarm.
+        alarm: CommAlarm,
+    },
+    /// An axis has no power or does not follow.
+    #[error(
+        "{axis}: status word 0x{word:04x} says power off or uncontrollable while the brakes are open; check its power, then reset"
+    )]
+    AxisUncontrollable {
+        /// Which axis.
+        axis: Axis,
+        /// Its status word.
+        word: u16,
+    },
+    /// The gateway stopped the arm.
+    #[error("the gateway stopped the arm: {0}; remove the cause, then reset")]
+    Gateway(StopCause),
+    /// The gateway refused what the driver sent.
+    #[error(
+        "the gateway refused a message: {0}; was it restarted, or told to stop by somebody else? Find out, then reset"
+    )]
+    Rejected(RejectReason),
+    /// An activity took too long.
+    #[error("{activity} was not done within {allowed:?}; check the arm's answers, then reset")]
+    ActivityTimeout {
+        /// Which activity.
+        activity: super::Activity,
+        /// What was allowed.
+        allowed: Duration,
+    },
+    /// The state machine met an event that its table does not have.
+    #[error("the driver met {event:?} while {state}: a mistake of the program; report it, then reset")]
+    Internal {
+        /// The event.
+        event: super::Event,
+        /// The state.
+        state: super::DriverState,
+    },
+}
+
+/// An emergency stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum EmergencyStopCause {
+    /// Told by an axis.
+    #[error("{axis}: {alarm}; release it, then reset")]
+    Axis {
+        /// Which axis.
+        axis: Axis,
+        /// Emergency stop, dead-man switch or limit switch.
+        alarm: ServoAlarm,
+    },
+    /// Told by the controller.
+    #[error("controller: {alarm}; release it, then reset")]
+    Controller {
+        /// Emergency stop, dead-man switch or limit switch.
+        alarm: CommAlarm,
+    },
+    /// Told by a switch bit of the controller.
+    #[error(
+        "controller: status word 0x{word:04x} has a switch bit that the configuration calls an emergency stop; release it, then reset"
+    )]
+    Switch {
+        /// The status word.
+        word: u16,
+    },
+    /// Told by the gateway.
+    #[error("the gateway reports an emergency stop; release it, then reset")]
+    Gateway,
+}
+
+impl Sample {
+    /// From a reply on the bus.
+    pub fn from_reply(reply: &ArmReply) -> Self {
+        Self {
+            age: Duration::ZERO,
+            position_rad: reply.position_rad(),
+            velocity_rad_per_s: reply.velocity_rad_per_s(),
+            condition: ArmCondition { axes: reply.axes.map(|axis| axis.status), comm: reply.comm, gateway: None },
+        }
+    }
+
+    /// From a state of the gateway.
+    pub fn from_state(state: &State) -> Self {
+        Self {
+            age: Duration::from_micros(u64::from(state.sample_age_us)),
+            position_rad: state.position_rad(),
+            velocity_rad_per_s: state.velocity_rad_per_s(),
+            condition: ArmCondition {
+                axes: Axis::ALL.map(|axis| state.axis_status(axis)),
+                comm: state.comm_status(),
+                gateway: Some((state.gateway, state.cause)),
+            },
+        }
+    }
+}
+
+impl ArmCondition {
+    /// What stops the arm, an emergency stop before a fault. Status words of format A tell nothing, as their meaning is not public.
+    ///
+    /// `emergency_stop_bits` of the controller's word mean an emergency stop.
+    pub(super) fn trip(&self, emergency_stop_bits: u16) -> Option<Trip> {
+        let emergency_stop = self.emergency_stop(emergency_stop_bits).map(Trip::EStop);
+        emergency_stop.or_else(|| self.fault().map(Trip::Fault))
+    }
+
+    /// An axis that can not be held by its servo, where all should be.
+    pub(super) fn uncontrollable(&self) -> Option<FaultCause> {
+        let lost = |axis: &Axis| match self.axes[axis.index()] {
+            AxisStatus::Servo(word) if word.is_power_off() || word.is_uncontrollable() => {
+                Some(FaultCause::AxisUncontrollable { axis: *axis, word: word.0 })
+            }
+            _ => None,
+        };
+        Axis::ALL.iter().find_map(lost)
+    }
+
+    /// The power supply of the controller says that it is too warm.
+    pub fn is_power_too_warm(&self) -> bool {
+        matches!(self.comm, CommStatus::Comm(word) if word.is_power_too_warm())
+    }
+
+    fn servo_alarms(&self) -> impl Iterator<Item = (Axis, ServoAlarm)> {
+        Axis::ALL.into_iter().filter_map(|axis| match self.axes[axis.index()] {
+            AxisStatus::Servo(word) => word.alarm().map(|alarm| (axis, alarm)),
+            AxisStatus::Undocumented(_) => None,
+        })
+    }
+
+    fn comm_alarm(&self) -> Option<CommAlarm> {
+        match self.comm {
+            CommStatus::Comm(word) => word.alarm(),
+            CommStatus::Undocumented(_) => None,
+        }
+    }
+
+    fn emergency_stop(&self, bits: u16) -> Option<EmergencyStopCause> {
+        let of_axis = |(axis, alarm)| match alarm {
+            ServoAlarm::EmergencyStop | ServoAlarm::DeadManOff | ServoAlarm::LimitSwitch => {
+                Some(EmergencyStopCause::Axis { axis, alarm })
+            }
+            _ => None,
+        };
+        let of_controller = || match self.comm_alarm()? {
+            alarm @ (CommAlarm::EmergencyStop | CommAlarm::DeadManOff | CommAlarm::LimitSwitch) => {
+                Some(EmergencyStopCause::Controller { alarm })
+            }
+            _ => None,
+        };
+        let of_switch = || match self.comm {
+            CommStatus::Comm(word) if word.0 & bits != 0 => Some(EmergencyStopCause::Switch { word: word.0 }),
+            _ => None,
+        };
+        let of_gateway = || {
+            let (state, cause) = self.gateway?;
+            let stopped = state == GatewayState::EmergencyStop || cause == StopCause::EmergencyStop;
+            stopped.then_some(EmergencyStopCause::Gateway)
+        };
+        self.servo_alarms().find_map(of_axis).or_else(of_controller).or_else(of_switch).or_else(of_gateway)
+    }
+
+    fn fault(&self) -> Option<FaultCause> {
+        let of_axis = self.servo_alarms().next().map(|(axis, alarm)| FaultCause::ServoAlarm { axis, alarm });
+        let of_controller = || self.comm_alarm().map(|alarm| FaultCause::ControllerAlarm { alarm });
+        let of_gateway = || {
+            let (state, cause) = self.gateway?;
+            let stopped = state == GatewayState::Fault || cause != StopCause::None;
+            stopped.then_some(FaultCause::Gateway(cause))
+        };
+        of_axis.or_else(of_controller).or_else(of_gateway)
+    }
+}
+
+impl std::fmt::Display for Trip {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Fault(cause) => write!(f, "fault: {cause}"),
+            Self::EStop(cause) => write!(f, "emergency stop: {cause}"),
+        }
+    }
+}

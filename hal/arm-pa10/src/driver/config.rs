@@ -1,0 +1,142 @@
+//! What a driver is told about its arm and link.
+
+use std::time::Duration;
+
+use pb3dp_kinematics::{DOF, JointVector};
+
+use crate::codec::Supervision;
+use crate::watchdog::CommandWatchdog;
+
+/// Fewest exchanges before brakes open.
+const WARM_UP_MIN: u32 = 100;
+
+/// Fewest cycles at speed 0 before the brakes close.
+const REST_CYCLES_MIN: u32 = 5;
+
+/// What a driver is told about its arm and link.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DriverConfig {
+    /// Time between two cyclic commands: 10 ms to a gateway, 2 ms on the bus.
+    pub cycle: Duration,
+    /// How long the reply to a cyclic command is waited for: at most one cycle.
+    pub reply_timeout: Duration,
+    /// How long the reply to any other message is waited for.
+    pub control_timeout: Duration,
+    /// When a velocity whose successor stays away fades and stops.
+    pub watchdog: CommandWatchdog,
+    /// Exchanges with brakes on that prove the link before they may open: at least 100.
+    pub warm_up_exchanges: u32,
+    /// How long brakes take to open, and to close.
+    pub brake_time: Duration,
+    /// Cycles at speed 0 before the brakes close: at least 5.
+    pub rest_cycles: u32,
+    /// How quickly joints come to rest on `Hold` and `Stop`, rad/s^2. All joints together, so the hand keeps its way.
+    pub deceleration_rad_per_s2: JointVector,
+    /// How quickly joints come to rest on a fault.
+    pub emergency_ramp: Duration,
+    /// How long an activity may take: then it is a fault.
+    pub activity_timeout: Duration,
+    /// What the controller itself is to watch (format B).
+    pub supervision: Supervision,
+    /// Bits of the controller's status word (format B) that mean an emergency stop when they are set. Sources do not tell the
+    /// polarity of the switches: none until the rig has shown it. Alarms count in any case.
+    pub emergency_stop_bits: u16,
+}
+
+/// Why a configuration is none.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum DriverConfigError {
+    /// The cycle is zero or so long that the watchdog would trip by itself.
+    #[error(
+        "a cycle of {cycle:?} with a watchdog that slows down after {ramp_after:?}: give a cycle above 0 and at most half of that"
+    )]
+    Cycle {
+        /// The cycle given.
+        cycle: Duration,
+        /// Of the watchdog given.
+        ramp_after: Duration,
+    },
+    /// Replies may take no time, or longer than a cycle.
+    #[error("a reply time-out of {reply_timeout:?} in a cycle of {cycle:?}: give more than 0 and at most the cycle")]
+    ReplyTimeout {
+        /// The time-out given.
+        reply_timeout: Duration,
+        /// The cycle given.
+        cycle: Duration,
+    },
+    /// Too few exchanges or cycles.
+    #[error("{what}: {got}, at least {least} are needed")]
+    TooFew {
+        /// Name of the field.
+        what: &'static str,
+        /// The number given.
+        got: u32,
+        /// The least one.
+        least: u32,
+    },
+    /// A deceleration is not a positive number.
+    #[error("joint {joint}: a deceleration of {got} rad/s^2 is not a positive, finite number")]
+    Deceleration {
+        /// Index from the base, 0 to 6.
+        joint: usize,
+        /// The number given, rad/s^2.
+        got: f64,
+    },
+    /// An activity has less time than it needs.
+    #[error("{got:?} for an activity: enabling and opening the brakes need {least:?}")]
+    ActivityTimeout {
+        /// The time given.
+        got: Duration,
+        /// What is needed.
+        least: Duration,
+    },
+}
+
+impl DriverConfig {
+    /// A link with this cycle; the rest as the sources suggest it.
+    pub fn with_cycle(cycle: Duration) -> Self {
+        Self {
+            cycle,
+            reply_timeout: cycle,
+            control_timeout: Duration::from_millis(100),
+            watchdog: CommandWatchdog::default(),
+            warm_up_exchanges: WARM_UP_MIN,
+            brake_time: Duration::from_millis(200),
+            rest_cycles: REST_CYCLES_MIN,
+            deceleration_rad_per_s2: JointVector::from([2.0, 2.0, 2.0, 2.0, 5.0, 5.0, 5.0]),
+            emergency_ramp: Duration::from_millis(30),
+            activity_timeout: Duration::from_secs(10),
+            supervision: Supervision::default(),
+            emergency_stop_bits: 0,
+        }
+    }
+
+    pub(super) fn check(&self) -> Result<(), DriverConfigError> {
+        let (cycle, ramp_after) = (self.cycle, self.watchdog.ramp_after());
+        if cycle.is_zero() || cycle * 2 > ramp_after {
+            return Err(DriverConfigError::Cycle { cycle, ramp_after });
+        }
+        if self.reply_timeout.is_zero() || self.reply_timeout > cycle {
+            return Err(DriverConfigError::ReplyTimeout { reply_timeout: self.reply_timeout, cycle });
+        }
+        for (what, got, least) in [
+            ("warm-up exchanges", self.warm_up_exchanges, WARM_UP_MIN),
+            ("cycles at rest before the brakes close", self.rest_cycles, REST_CYCLES_MIN),
+        ] {
+            if got < least {
+                return Err(DriverConfigError::TooFew { what, got, least });
+            }
+        }
+        for joint in 0..DOF {
+            let got = self.deceleration_rad_per_s2[joint];
+            if !(got.is_finite() && got > 0.0) {
+                return Err(DriverConfigError::Deceleration { joint, got });
+            }
+        }
+        let least = self.cycle * self.warm_up_exchanges * 2 + self.brake_time * 2;
+        if self.activity_timeout < least {
+            return Err(DriverConfigError::ActivityTimeout { got: self.activity_timeout, least });
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,397 @@
+//! The driver: what it knows, what it is asked, what it sends.
+
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_kinematics::{JointState, JointVector};
+
+use super::link::LinkMonitor;
+use super::motion::Motion;
+use super::phase::{LookStep, Phase, StopStep};
+use super::table::{Activity, DriverState, Event, Outcome, outcome};
+use super::{
+    BadReply, DriverConfig, DriverConfigError, FaultCause, LinkCounters, Refusal, Request, Sample, Trip, WarmUpFailure,
+};
+use crate::codec::{ArmCommand, Axis, AxisCommand, CodecError, ControlMessage, Letter};
+use crate::gateway_protocol::RejectReason;
+
+/// A message that is due.
+///
+/// A link to a gateway sends its RESET before a START while the driver is clearing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Transmit {
+    /// Counts messages from 0: the link makes its sequence number of it.
+    pub exchange: u64,
+    /// The message.
+    pub message: ControlMessage,
+}
+
+/// The reply to the last message. The link has checked that it answers that message and no earlier one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Reply {
+    /// To a cyclic command.
+    Sample(Sample),
+    /// To any other message.
+    Done,
+    /// The gateway refused the message.
+    Rejected(RejectReason),
+}
+
+/// Why and since when the driver is latched.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Latched {
+    /// Why. After a reset that failed: why it failed.
+    pub trip: Trip,
+    /// Since when.
+    pub at: MonotonicTime,
+    /// The state before.
+    pub state_before: DriverState,
+}
+
+/// The host's side of one arm.
+#[derive(Clone, Debug)]
+pub struct Driver {
+    pub(super) config: DriverConfig,
+    pub(super) state: DriverState,
+    pub(super) phase: Phase,
+    pub(super) phase_since: MonotonicTime,
+    pub(super) latched: Option<Latched>,
+    pub(super) motion: Motion,
+    pub(super) link: LinkMonitor,
+    pub(super) warm_up_failure: Option<WarmUpFailure>,
+    pub(super) sample: Option<Sample>,
+    pub(super) joints: Option<JointState>,
+    pub(super) outstanding: Option<Outstanding>,
+    next_transmit: MonotonicTime,
+    exchange: u64,
+    /// S was sent, and no E was answered since.
+    pub(super) control_started: bool,
+    /// The last cyclic command opened the brakes.
+    pub(super) brakes_open: bool,
+}
+
+/// A message whose reply is waited for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Outstanding {
+    pub letter: Letter,
+    pub sent: MonotonicTime,
+    pub deadline: MonotonicTime,
+}
+
+impl Driver {
+    /// A disconnected driver.
+    ///
+    /// # Errors
+    /// If the configuration contradicts itself or leaves less than the requirements allow.
+    pub fn new(config: DriverConfig) -> Result<Self, DriverConfigError> {
+        config.check()?;
+        Ok(Self {
+            config,
+            state: DriverState::Disconnected,
+            phase: Phase::Steady,
+            phase_since: MonotonicTime::ZERO,
+            latched: None,
+            motion: Motion::Rest,
+            link: LinkMonitor::default(),
+            warm_up_failure: None,
+            sample: None,
+            joints: None,
+            outstanding: None,
+            next_transmit: MonotonicTime::ZERO,
+            exchange: 0,
+            control_started: false,
+            brakes_open: false,
+        })
+    }
+
+    /// Where the driver is.
+    pub fn state(&self) -> DriverState {
+        self.state
+    }
+
+    /// What is going on besides.
+    pub fn activity(&self) -> Activity {
+        self.phase.activity()
+    }
+
+    /// Why the driver is latched, if it is.
+    pub fn latched(&self) -> Option<&Latched> {
+        self.latched.as_ref()
+    }
+
+    /// Why the last enabling failed, until the next one.
+    pub fn warm_up_failure(&self) -> Option<&WarmUpFailure> {
+        self.warm_up_failure.as_ref()
+    }
+
+    /// The newest measurement since the arm was connected.
+    pub fn sample(&self) -> Option<&Sample> {
+        self.sample.as_ref()
+    }
+
+    /// The newest joints. Where the arm does not measure speeds they are differences of angles, 0 at first.
+    pub fn joints(&self) -> Option<&JointState> {
+        self.joints.as_ref()
+    }
+
+    /// What happened on the link.
+    pub fn counters(&self) -> &LinkCounters {
+        &self.link.counters
+    }
+
+    /// What operator or control loop want.
+    ///
+    /// # Errors
+    /// If it is not possible now: nothing is sent for it. After a refused velocity the arm holds.
+    pub fn handle_request(&mut self, now: MonotonicTime, request: Request) -> Result<(), Refusal> {
+        let event = request.event();
+        let activity = self.activity();
+        let answer = outcome(self.state, event);
+        if answer == Outcome::Refuse {
+            return Err(Refusal::NotInState { request: event, state: self.state });
+        }
+        if activity != Activity::None && event != Event::Stop {
+            // Coming to rest is what every activity does anyway.
+            return if event == Event::Hold { Ok(()) } else { Err(Refusal::Busy { request: event, activity }) };
+        }
+        if let Request::Move(velocity_rad_per_s) = request {
+            self.follow(now, velocity_rad_per_s)?;
+        }
+        match answer {
+            Outcome::To(next) => self.go(now, next),
+            Outcome::Begin(Activity::Stopping) => self.begin_stop(now, false),
+            Outcome::Begin(activity) => self.begin(now, activity),
+            Outcome::Stay if event == Event::Stop && activity != Activity::None => self.begin_stop(now, false),
+            Outcome::Stay | Outcome::Refuse => {}
+        }
+        Ok(())
+    }
+
+    /// A reply to the last message.
+    pub fn handle_reply(&mut self, now: MonotonicTime, reply: &Reply) {
+        let Some(outstanding) = self.outstanding else {
+            self.link.handle_bad(BadReply::Mismatched);
+            return;
+        };
+        let is_cyclic = outstanding.letter == Letter::Cyclic;
+        let fits = match reply {
+            Reply::Sample(_) => is_cyclic,
+            Reply::Done => !is_cyclic,
+            Reply::Rejected(_) => true,
+        };
+        if !fits {
+            self.link.handle_bad(BadReply::Mismatched);
+            return;
+        }
+        self.end_waiting(now, outstanding);
+        match reply {
+            Reply::Rejected(RejectReason::Stale | RejectReason::NoAnswer) => self.handle_miss(now),
+            Reply::Rejected(reason) => {
+                self.link.handle_answer(now.saturating_since(outstanding.sent));
+                self.handle_rejection(now, *reason);
+            }
+            Reply::Sample(sample) => {
+                self.link.handle_answer(now.saturating_since(outstanding.sent));
+                self.handle_sample(now, sample);
+            }
+            Reply::Done => {
+                self.link.handle_answer(now.saturating_since(outstanding.sent));
+                self.handle_done(now);
+            }
+        }
+    }
+
+    /// Bytes came that are no reply to the last message. It is still waited for.
+    pub fn handle_bad_reply(&mut self, bad: BadReply) {
+        self.link.handle_bad(bad);
+    }
+
+    /// The link is gone.
+    pub fn handle_unplugged(&mut self, now: MonotonicTime) {
+        self.trip(now, Trip::Fault(FaultCause::Unplugged));
+    }
+
+    /// A sound frame of another arm came.
+    pub fn handle_wrong_arm(&mut self, now: MonotonicTime, got: u8) {
+        self.trip(now, Trip::Fault(FaultCause::WrongArm { got }));
+    }
+
+    /// Something else found that the arm must stop: a limit, a monitor, the other arm.
+    pub fn handle_trip(&mut self, now: MonotonicTime, trip: Trip) {
+        self.trip(now, trip);
+    }
+
+    /// Time has passed: what waited for too long is lost. [`Self::poll_transmit`] does this by itself.
+    pub fn handle_timeout(&mut self, now: MonotonicTime) {
+        if let Some(outstanding) = self.outstanding.filter(|outstanding| now >= outstanding.deadline) {
+            self.end_waiting(now, outstanding);
+            self.handle_miss(now);
+        }
+        if let (DriverState::Moving, Phase::Steady) = (self.state, self.phase)
+            && let Some(age) = self.motion.expired(now, &self.config.watchdog)
+        {
+            let allowed = self.config.watchdog.stop_after();
+            self.trip(now, Trip::Fault(FaultCause::CommandTimeout { age, allowed }));
+        }
+        let allowed = self.config.activity_timeout;
+        if self.phase != Phase::Steady && now.saturating_since(self.phase_since) > allowed {
+            let was_stopping = self.activity() == Activity::Stopping;
+            self.trip(now, Trip::Fault(FaultCause::ActivityTimeout { activity: self.activity(), allowed }));
+            if was_stopping {
+                self.finish_stop(now);
+            }
+        }
+    }
+
+    /// The message that is due at this time, if one is. It counts as sent.
+    pub fn poll_transmit(&mut self, now: MonotonicTime) -> Option<Transmit> {
+        self.handle_timeout(now);
+        if self.outstanding.is_some() || now < self.next_transmit {
+            return None;
+        }
+        self.advance_stop(now);
+        let message = self.due_message(now)?;
+        self.note_sent(now, &message);
+        let exchange = self.exchange;
+        self.exchange += 1;
+        Some(Transmit { exchange, message })
+    }
+
+    /// When the driver wants to be asked again, if it waits for anything but a request.
+    pub fn next_deadline(&self) -> Option<MonotonicTime> {
+        let sends = self.phase != Phase::Steady || self.is_cycling();
+        let transmit = (sends && self.outstanding.is_none()).then_some(self.next_transmit);
+        let reply = self.outstanding.map(|outstanding| outstanding.deadline);
+        let command = match self.motion {
+            Motion::Follow { since, .. } => Some(since + self.config.watchdog.stop_after()),
+            Motion::Rest | Motion::Ramp { .. } => None,
+        };
+        [transmit, reply, command].into_iter().flatten().min()
+    }
+
+    /// No reply is waited for any more. Cycles that passed while a slow message was under way were not missed.
+    fn end_waiting(&mut self, now: MonotonicTime, outstanding: Outstanding) {
+        self.outstanding = None;
+        if outstanding.letter != Letter::Cyclic {
+            self.next_transmit = self.next_transmit.max(now);
+        }
+    }
+
+    /// Takes a velocity, or holds if it can not be sent.
+    fn follow(&mut self, now: MonotonicTime, velocity_rad_per_s: JointVector) -> Result<(), CodecError> {
+        match ArmCommand::velocities(&velocity_rad_per_s, self.config.supervision) {
+            Ok(_) => {
+                self.motion = Motion::Follow { velocity_rad_per_s, since: now };
+                Ok(())
+            }
+            Err(error) => {
+                if self.state == DriverState::Moving {
+                    self.go(now, DriverState::Holding);
+                }
+                Err(error)
+            }
+        }
+    }
+
+    /// Changes the state on request.
+    fn go(&mut self, now: MonotonicTime, next: DriverState) {
+        match next {
+            DriverState::Holding => {
+                let velocity = self.velocity_rad_per_s(now);
+                self.motion = Motion::decelerate(velocity, &self.config.deceleration_rad_per_s2, now);
+            }
+            DriverState::Disconnected => {
+                self.sample = None;
+                self.joints = None;
+            }
+            _ => {}
+        }
+        self.state = next;
+    }
+
+    fn begin(&mut self, now: MonotonicTime, activity: Activity) {
+        let phase = match activity {
+            Activity::Connecting => Phase::Looking { step: LookStep::Start, activity },
+            Activity::Clearing => Phase::Looking { step: LookStep::Clear(0), activity },
+            Activity::Enabling => {
+                self.warm_up_failure = None;
+                Phase::Enabling { started: false }
+            }
+            Activity::Releasing => {
+                self.motion = Motion::Rest;
+                Phase::Releasing { since: now }
+            }
+            Activity::None | Activity::Stopping => return,
+        };
+        self.phase = phase;
+        self.phase_since = now;
+        self.next_transmit = self.next_transmit.max(now);
+        self.link.forget_misses();
+    }
+
+    pub(super) fn velocity_rad_per_s(&self, now: MonotonicTime) -> JointVector {
+        self.motion.velocity_rad_per_s(now, &self.config.watchdog)
+    }
+
+    /// Whether the state alone demands cyclic commands.
+    fn is_cycling(&self) -> bool {
+        matches!(self.state, DriverState::Enabled | DriverState::Holding | DriverState::Moving)
+    }
+
+    fn uniform(&self, command: AxisCommand) -> ControlMessage {
+        ControlMessage::Cyclic(ArmCommand::uniform(command, self.config.supervision))
+    }
+
+    fn due_message(&mut self, now: MonotonicTime) -> Option<ControlMessage> {
+        Some(match self.phase {
+            Phase::Steady => match self.state {
+                DriverState::Enabled => self.uniform(AxisCommand::Braked),
+                DriverState::Holding | DriverState::Moving => self.velocity_message(now),
+                DriverState::Disconnected | DriverState::Connected | DriverState::Fault | DriverState::EStop => {
+                    return None;
+                }
+            },
+            Phase::Looking { step, .. } => match step {
+                LookStep::Clear(index) => ControlMessage::ClearAlarm(Axis::ALL[index]),
+                LookStep::Start => ControlMessage::Start,
+                LookStep::Look => self.uniform(AxisCommand::Off),
+                LookStep::End => ControlMessage::End,
+            },
+            Phase::Enabling { started: false } => ControlMessage::Start,
+            Phase::Enabling { started: true } => self.uniform(AxisCommand::Braked),
+            Phase::Releasing { .. } => self.velocity_message(now),
+            Phase::Stopping(step) => match step {
+                StopStep::Ramp | StopStep::Rest { .. } => self.velocity_message(now),
+                StopStep::Brake { .. } => self.uniform(AxisCommand::Braked),
+                StopStep::Off => self.uniform(AxisCommand::Off),
+                StopStep::End { .. } => ControlMessage::End,
+            },
+        })
+    }
+
+    fn velocity_message(&self, now: MonotonicTime) -> ControlMessage {
+        let velocity = self.velocity_rad_per_s(now);
+        // Parts of a velocity that was checked when it came can be sent, too.
+        let command = ArmCommand::velocities(&velocity, self.config.supervision);
+        command.map_or_else(|_| self.uniform(AxisCommand::Braked), ControlMessage::Cyclic)
+    }
+
+    fn note_sent(&mut self, now: MonotonicTime, message: &ControlMessage) {
+        let letter = message.letter();
+        let timeout = if letter == Letter::Cyclic { self.config.reply_timeout } else { self.config.control_timeout };
+        self.outstanding = Some(Outstanding { letter, sent: now, deadline: now + timeout });
+        self.link.handle_sent();
+        match message {
+            ControlMessage::Start => self.control_started = true,
+            ControlMessage::Cyclic(command) => {
+                self.brakes_open = matches!(command.axes[0], AxisCommand::Speed(_));
+            }
+            _ => {}
+        }
+        self.note_stop_sent(now);
+        // Cycles keep their times; those that were missed are left out and counted.
+        self.next_transmit = self.next_transmit + self.config.cycle;
+        if self.next_transmit <= now {
+            self.link.counters.overruns += u64::from(letter == Letter::Cyclic);
+            self.next_transmit = now + self.config.cycle;
+        }
+    }
+}

@@ -1,0 +1,60 @@
+//! How far an activity has come, and what it sends next.
+
+use pb3dp_geometry::MonotonicTime;
+
+use super::Activity;
+
+/// How far an activity has come.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Phase {
+    /// No activity: the state alone says what is sent.
+    Steady,
+    /// Connecting, or the second half of clearing.
+    Looking { step: LookStep, activity: Activity },
+    /// Enabling: first S, then cycles with brakes on.
+    Enabling { started: bool },
+    /// Opening the brakes.
+    Releasing { since: MonotonicTime },
+    /// Going through the stop order.
+    Stopping(StopStep),
+}
+
+/// Steps of looking at the arm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum LookStep {
+    /// Clear the alarm of this axis, 0 to 6 (clearing only).
+    Clear(usize),
+    /// S.
+    Start,
+    /// One cycle with brakes on and servos off.
+    Look,
+    /// E.
+    End,
+}
+
+/// Steps of the stop order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum StopStep {
+    /// Down to speed 0.
+    Ramp,
+    /// Speed 0 for so many more cycles.
+    Rest { left: u32 },
+    /// Brakes on, servos on, until this time (from the first command on).
+    Brake { until: Option<MonotonicTime> },
+    /// Brakes on, servos off, once.
+    Off,
+    /// E, tried so often.
+    End { tries: u32 },
+}
+
+impl Phase {
+    pub fn activity(&self) -> Activity {
+        match self {
+            Self::Steady => Activity::None,
+            Self::Looking { activity, .. } => *activity,
+            Self::Enabling { .. } => Activity::Enabling,
+            Self::Releasing { .. } => Activity::Releasing,
+            Self::Stopping(_) => Activity::Stopping,
+        }
+    }
+}

@@ -1,0 +1,243 @@
+//! How activities go on: by replies, by time, and by what was found.
+
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_kinematics::{JointState, JointVector};
+
+use super::machine::{Driver, Latched};
+use super::motion::Motion;
+use super::phase::{LookStep, Phase, StopStep};
+use super::table::{Activity, DriverState, Event, Outcome, outcome};
+use super::{FaultCause, Sample, Trip, WarmUpFailure};
+use crate::codec::{Axis, Letter};
+use crate::gateway_protocol::RejectReason;
+
+/// How often E is sent without an answer.
+const END_TRIES_MAX: u32 = 3;
+
+impl Driver {
+    pub(super) fn handle_sample(&mut self, now: MonotonicTime, sample: &Sample) {
+        self.keep(now, sample);
+        let found = sample.condition.trip(self.config.emergency_stop_bits);
+        let uncontrollable = || {
+            let must_follow = self.state.has_open_brakes() && self.phase == Phase::Steady;
+            must_follow.then(|| sample.condition.uncontrollable()).flatten().map(Trip::Fault)
+        };
+        if let Some(trip) = found.or_else(uncontrollable) {
+            self.trip(now, trip);
+            return;
+        }
+        match self.phase {
+            Phase::Looking { step: LookStep::Look, activity } => {
+                self.phase = Phase::Looking { step: LookStep::End, activity };
+            }
+            Phase::Enabling { started: true } => self.judge_warm_up(now, sample),
+            Phase::Releasing { since } if now.saturating_since(since) >= self.config.brake_time => {
+                self.complete(now, Event::Released);
+            }
+            _ => {}
+        }
+    }
+
+    pub(super) fn handle_done(&mut self, now: MonotonicTime) {
+        match self.phase {
+            Phase::Looking { step, activity } => {
+                let next = match step {
+                    LookStep::Clear(index) if index + 1 < Axis::COUNT => LookStep::Clear(index + 1),
+                    LookStep::Clear(_) => LookStep::Start,
+                    LookStep::Start | LookStep::Look => LookStep::Look,
+                    LookStep::End => {
+                        self.control_started = false;
+                        let done = if activity == Activity::Clearing { Event::Cleared } else { Event::Seen };
+                        self.complete(now, done);
+                        return;
+                    }
+                };
+                self.phase = Phase::Looking { step: next, activity };
+            }
+            Phase::Enabling { started: false } => {
+                self.link.begin_warm_up(self.config.watchdog.stop_after() / 2);
+                self.phase = Phase::Enabling { started: true };
+            }
+            Phase::Stopping(StopStep::End { .. }) => self.finish_stop(now),
+            _ => {}
+        }
+    }
+
+    /// An exchange without a usable reply.
+    pub(super) fn handle_miss(&mut self, now: MonotonicTime) {
+        let too_many = self.link.handle_miss();
+        if let Phase::Looking { step: LookStep::Clear(_), .. } = self.phase {
+            // Not every controller knows this letter.
+            self.link.forget_misses();
+            self.handle_done(now);
+            return;
+        }
+        if let (Some(misses), false) = (too_many, self.is_stopping_latched()) {
+            self.trip(now, Trip::Fault(FaultCause::LinkLost { misses }));
+        }
+        if let Phase::Stopping(StopStep::End { tries }) = self.phase
+            && tries >= END_TRIES_MAX
+        {
+            self.finish_stop(now);
+        }
+    }
+
+    pub(super) fn handle_rejection(&mut self, now: MonotonicTime, reason: RejectReason) {
+        match self.phase {
+            Phase::Stopping(StopStep::End { .. }) => self.finish_stop(now),
+            // The gateway may have stopped the arm by itself before: the order goes on by count and time.
+            Phase::Stopping(_) if self.state.is_latched() => {}
+            Phase::Looking { step: LookStep::Clear(_), .. } => self.handle_done(now),
+            _ => self.trip(now, Trip::Fault(FaultCause::Rejected(reason))),
+        }
+    }
+
+    /// Stops the arm and latches, unless a reason at least as strong has done so before.
+    pub(super) fn trip(&mut self, now: MonotonicTime, trip: Trip) {
+        let event = match trip {
+            Trip::Fault(_) => Event::FaultFound,
+            Trip::EStop(_) => Event::EStopFound,
+        };
+        let clearing = self.activity() == Activity::Clearing;
+        match outcome(self.state, event) {
+            Outcome::To(next) => {
+                self.latched = Some(Latched { trip, at: now, state_before: self.state });
+                self.state = next;
+            }
+            // A reset that found the cause still there, or another one.
+            _ if clearing => {
+                if let Some(latched) = &mut self.latched {
+                    latched.trip = trip;
+                }
+            }
+            _ => return,
+        }
+        self.begin_stop(now, true);
+    }
+
+    /// Begins the stop order where it has to begin; harmless when repeated.
+    pub(super) fn begin_stop(&mut self, now: MonotonicTime, emergency: bool) {
+        // After an emergency stop the arm stands already: nothing is ramped.
+        let first = match self.state {
+            DriverState::EStop => StopStep::Rest { left: self.config.rest_cycles },
+            _ => StopStep::Ramp,
+        };
+        if let Phase::Stopping(step) = self.phase {
+            if emergency && step == StopStep::Ramp {
+                self.motion = self.stopping_motion(now, emergency);
+                self.phase = Phase::Stopping(first);
+            }
+            return;
+        }
+        self.cancel_waiting();
+        self.phase_since = now;
+        self.motion = self.stopping_motion(now, emergency);
+        if self.brakes_open {
+            self.phase = Phase::Stopping(first);
+        } else if self.control_started {
+            self.phase = Phase::Stopping(StopStep::Off);
+        } else {
+            self.finish_stop(now);
+        }
+    }
+
+    /// Goes to the next step of the stop order where the present one is over.
+    pub(super) fn advance_stop(&mut self, now: MonotonicTime) {
+        let Phase::Stopping(step) = self.phase else { return };
+        let next = match step {
+            StopStep::Ramp if self.motion.is_at_rest(now) => StopStep::Rest { left: self.config.rest_cycles },
+            StopStep::Rest { left: 0 } => StopStep::Brake { until: None },
+            StopStep::Brake { until: Some(until) } if now >= until => StopStep::Off,
+            _ => return,
+        };
+        self.phase = Phase::Stopping(next);
+    }
+
+    /// Counts what the stop order has sent.
+    pub(super) fn note_stop_sent(&mut self, now: MonotonicTime) {
+        let Phase::Stopping(step) = self.phase else { return };
+        let next = match step {
+            StopStep::Ramp => return,
+            StopStep::Rest { left } => StopStep::Rest { left: left.saturating_sub(1) },
+            StopStep::Brake { until } => StopStep::Brake { until: Some(until.unwrap_or(now + self.config.brake_time)) },
+            StopStep::Off => StopStep::End { tries: 0 },
+            StopStep::End { tries } => StopStep::End { tries: tries + 1 },
+        };
+        self.phase = Phase::Stopping(next);
+    }
+
+    pub(super) fn finish_stop(&mut self, now: MonotonicTime) {
+        self.control_started = false;
+        self.brakes_open = false;
+        self.motion = Motion::Rest;
+        self.complete(now, Event::Stopped);
+    }
+
+    /// An activity is done.
+    fn complete(&mut self, now: MonotonicTime, event: Event) {
+        self.phase = Phase::Steady;
+        match outcome(self.state, event) {
+            Outcome::To(next) => {
+                if self.state.is_latched() {
+                    self.latched = None;
+                }
+                self.state = next;
+            }
+            Outcome::Stay => {}
+            Outcome::Begin(_) | Outcome::Refuse => {
+                self.trip(now, Trip::Fault(FaultCause::Internal { event, state: self.state }));
+            }
+        }
+    }
+
+    fn judge_warm_up(&mut self, now: MonotonicTime, sample: &Sample) {
+        let verdict = self.link.warm_up(self.config.warm_up_exchanges);
+        let verdict = match verdict {
+            Some(Ok(())) if sample.condition.is_power_too_warm() => Some(Err(WarmUpFailure::PowerTooWarm)),
+            other => other,
+        };
+        match verdict {
+            None => {}
+            Some(Ok(())) => self.complete(now, Event::Warmed),
+            Some(Err(failure)) => {
+                self.warm_up_failure = Some(failure);
+                self.begin_stop(now, false);
+            }
+        }
+    }
+
+    fn keep(&mut self, now: MonotonicTime, sample: &Sample) {
+        let at = now - sample.age;
+        let position_rad = sample.position_rad;
+        let differences = || match &self.joints {
+            Some(before) if at > before.at => (position_rad - before.position_rad) / at.seconds_since(before.at),
+            _ => JointVector::zeros(),
+        };
+        let velocity_rad_per_s = sample.velocity_rad_per_s.unwrap_or_else(differences);
+        // Samples never go back in time.
+        if self.joints.as_ref().is_none_or(|before| at > before.at) {
+            self.joints = Some(JointState { at, position_rad, velocity_rad_per_s });
+        }
+        self.sample = Some(*sample);
+    }
+
+    fn stopping_motion(&self, now: MonotonicTime, emergency: bool) -> Motion {
+        let from_rad_per_s = self.velocity_rad_per_s(now);
+        if self.state == DriverState::EStop || from_rad_per_s == JointVector::zeros() {
+            Motion::Rest
+        } else if emergency {
+            Motion::Ramp { from_rad_per_s, since: now, duration: self.config.emergency_ramp }
+        } else {
+            Motion::decelerate(from_rad_per_s, &self.config.deceleration_rad_per_s2, now)
+        }
+    }
+
+    /// A stop does not wait for the answer to a slow message; the link takes that answer for a late one.
+    fn cancel_waiting(&mut self) {
+        self.outstanding = self.outstanding.filter(|outstanding| outstanding.letter == Letter::Cyclic);
+    }
+
+    fn is_stopping_latched(&self) -> bool {
+        self.state.is_latched() && self.activity() == Activity::Stopping
+    }
+}

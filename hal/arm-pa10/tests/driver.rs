@@ -1,0 +1,548 @@
+//! What the driver sends and when, with an arm that answers as it is told.
+
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+mod common;
+
+use std::time::Duration;
+
+use common::{Bench, CYCLE, Kind, kind, velocity};
+use pb3dp_arm_pa10::codec::{
+    AngleCounts, ArmReply, AxisReply, AxisStatus, CommAlarm, CommStatus, CommWord, ControlMessage, ServoAlarm,
+    ServoWord, SpeedCounts, TorqueCounts, TorqueScale, WireFormat,
+};
+use pb3dp_arm_pa10::driver::{
+    Activity, BadReply, Driver, DriverConfig, DriverConfigError, DriverState, EmergencyStopCause, FaultCause, Refusal,
+    Reply, Request, Sample, Trip, WarmUpFailure,
+};
+use pb3dp_arm_pa10::gateway_protocol::{GatewayState, RejectReason, State, StopCause};
+use pb3dp_kinematics::JointVector;
+
+const fn ms(ms: u64) -> Duration {
+    Duration::from_millis(ms)
+}
+
+fn trip(bench: &Bench) -> Trip {
+    bench.driver.latched().unwrap().trip
+}
+
+/// Speeds sent from an index on, as the largest part of the velocity asked for.
+fn parts_since(bench: &Bench, from: usize) -> Vec<f64> {
+    let sent = bench.sent[from..].iter();
+    sent.filter_map(|(_, message)| match message {
+        ControlMessage::Cyclic(command) => Some(command.velocity_rad_per_s()[6] / velocity()[6]),
+        _ => None,
+    })
+    .collect()
+}
+
+#[test]
+fn the_way_up_sends_what_the_sources_ask_for() {
+    let mut bench = Bench::new();
+    bench.run(ms(100));
+    assert!(bench.sent.is_empty());
+    bench.request(Request::Connect);
+    bench.settle();
+    assert_eq!(bench.kinds_since(0), [(Kind::Start, 1), (Kind::Off, 1), (Kind::End, 1)]);
+    assert_eq!(bench.driver.state(), DriverState::Connected);
+
+    let from = bench.sent.len();
+    bench.run(ms(100));
+    assert_eq!(bench.sent.len(), from, "a connected arm is left alone");
+    bench.request(Request::Enable);
+    bench.settle();
+    assert_eq!(bench.kinds_since(from), [(Kind::Start, 1), (Kind::Braked, 100)]);
+    assert_eq!(bench.driver.state(), DriverState::Enabled);
+
+    let from = bench.sent.len();
+    bench.request(Request::ReleaseBrakes);
+    bench.settle();
+    assert_eq!(bench.kinds_since(from), [(Kind::Rest, 21)], "200 ms at speed 0");
+    assert_eq!(bench.driver.state(), DriverState::Holding);
+
+    let from = bench.sent.len();
+    bench.request(Request::Move(velocity()));
+    bench.run_moving(ms(100));
+    assert_eq!(bench.only_kinds_since(from), [Kind::Motion]);
+    assert!((parts_since(&bench, from)[0] - 1.0).abs() < 1e-9);
+    assert_eq!(bench.driver.counters().lost, 0);
+    assert_eq!(bench.driver.counters().overruns, 0);
+}
+
+#[test]
+fn cycles_keep_their_times() {
+    let mut bench = Bench::in_state(DriverState::Holding);
+    let from = bench.sent.len();
+    bench.run(ms(500));
+    for pair in bench.sent[from..].windows(2) {
+        assert_eq!(pair[1].0.saturating_since(pair[0].0), CYCLE);
+    }
+    assert_eq!(bench.sent.len() - from, 50);
+}
+
+/// R8: down to speed 0, at least 5 cycles there, brakes on, servos off, end.
+#[test]
+fn a_stop_has_its_order() {
+    for state in [DriverState::Moving, DriverState::Holding, DriverState::Enabled] {
+        let mut bench = Bench::in_state(state);
+        let from = bench.sent.len();
+        bench.request(Request::Stop);
+        bench.settle();
+        assert_eq!(bench.driver.state(), DriverState::Connected);
+        let runs = bench.kinds_since(from);
+        match state {
+            DriverState::Moving => {
+                // The quickest joint against its deceleration: 0.4 rad/s by 2 rad/s^2 is 200 ms.
+                assert_eq!(runs[0], (Kind::Motion, 20), "{runs:?}");
+                assert_eq!(runs[1..], [(Kind::Rest, 5), (Kind::Braked, 20), (Kind::Off, 1), (Kind::End, 1)]);
+                let parts = parts_since(&bench, from);
+                assert!(parts.windows(2).all(|pair| pair[1] <= pair[0]), "{parts:?}");
+            }
+            DriverState::Holding => {
+                assert_eq!(runs, [(Kind::Rest, 5), (Kind::Braked, 20), (Kind::Off, 1), (Kind::End, 1)]);
+            }
+            _ => assert_eq!(runs, [(Kind::Off, 1), (Kind::End, 1)]),
+        }
+        let from = bench.sent.len();
+        bench.run(ms(100));
+        assert_eq!(bench.sent.len(), from, "nothing is sent after the end");
+    }
+}
+
+#[test]
+fn a_second_stop_changes_nothing() {
+    let mut once = Bench::in_state(DriverState::Moving);
+    once.request(Request::Stop);
+    let mut often = once.clone();
+    once.settle();
+    while often.driver.activity() != Activity::None {
+        often.request(Request::Stop);
+        often.run(ms(1));
+    }
+    assert_eq!(once.sent, often.sent);
+    often.request(Request::Stop);
+    assert_eq!(often.driver.state(), DriverState::Connected);
+}
+
+#[test]
+fn stopping_ends_whatever_goes_on() {
+    for (state, request) in [
+        (DriverState::Disconnected, Request::Connect),
+        (DriverState::Connected, Request::Enable),
+        (DriverState::Enabled, Request::ReleaseBrakes),
+        (DriverState::Fault, Request::Reset),
+    ] {
+        for wait in [0, 2, 15, 25] {
+            let mut bench = Bench::in_state(state);
+            bench.peer.delay = ms(9);
+            bench.request(request);
+            bench.run(ms(wait));
+            let was_started = bench.sent.iter().rev().find_map(|(_, message)| match kind(message) {
+                Kind::Start => Some(true),
+                Kind::End => Some(false),
+                _ => None,
+            });
+            let from = bench.sent.len();
+            bench.request(Request::Stop);
+            bench.settle();
+            let after = if state == DriverState::Enabled { DriverState::Connected } else { state };
+            assert_eq!(bench.driver.state(), after, "{request:?} for {wait} ms");
+            if was_started == Some(true) {
+                assert_eq!(bench.only_kinds_since(from).last(), Some(&Kind::End), "{request:?} for {wait} ms");
+            }
+        }
+    }
+}
+
+/// R4: one or two lost replies in a row are tolerated, the third is a fault within 30 ms.
+#[test]
+fn the_third_lost_reply_in_a_row_is_a_fault() {
+    for drop in 1..=2 {
+        let mut bench = Bench::in_state(DriverState::Moving);
+        for _ in 0..5 {
+            bench.peer.drop_next = drop;
+            bench.run_moving(ms(60));
+            assert_eq!(bench.driver.state(), DriverState::Moving, "{drop} lost");
+        }
+        assert_eq!(bench.driver.counters().lost, 5 * u64::from(drop));
+    }
+    let mut bench = Bench::in_state(DriverState::Moving);
+    bench.run_moving(ms(50));
+    bench.peer.drop_next = 3;
+    let from = bench.sent.len();
+    bench.run_moving(ms(100));
+    assert_eq!(trip(&bench), Trip::Fault(FaultCause::LinkLost { misses: 3 }));
+    let after = bench.driver.latched().unwrap().at.saturating_since(bench.sent[from].0);
+    assert!(after <= ms(30), "{after:?}");
+}
+
+#[test]
+fn a_dead_link_is_stopped_in_bounded_time_in_the_same_order() {
+    let mut bench = Bench::in_state(DriverState::Moving);
+    bench.peer.answers = false;
+    let (from, start) = (bench.sent.len(), bench.now);
+    bench.run_moving(ms(100));
+    bench.settle();
+    assert_eq!(bench.driver.state(), DriverState::Fault);
+    assert!(bench.now.saturating_since(start) < ms(800), "{:?}", bench.now.saturating_since(start));
+    let runs = bench.kinds_since(from);
+    assert_eq!(runs[1..], [(Kind::Rest, 5), (Kind::Braked, 20), (Kind::Off, 1), (Kind::End, 3)], "{runs:?}");
+    let from = bench.sent.len();
+    bench.run(ms(1000));
+    assert_eq!(bench.sent.len(), from);
+}
+
+#[test]
+fn an_arm_that_never_answers_is_no_endless_wait() {
+    for state in [DriverState::Disconnected, DriverState::Connected, DriverState::Fault] {
+        let mut bench = Bench::in_state(state);
+        bench.peer.answers = false;
+        bench.request(match state {
+            DriverState::Disconnected => Request::Connect,
+            DriverState::Connected => Request::Enable,
+            _ => Request::Reset,
+        });
+        let start = bench.now;
+        bench.settle();
+        assert_eq!(bench.driver.state(), DriverState::Fault);
+        assert_eq!(trip(&bench), Trip::Fault(FaultCause::LinkLost { misses: 3 }));
+        assert!(bench.now.saturating_since(start) < ms(1800), "{state:?}: {:?}", bench.now.saturating_since(start));
+    }
+}
+
+#[test]
+fn an_activity_that_drags_on_is_a_fault() {
+    let mut bench = Bench::new();
+    bench.request(Request::Connect);
+    bench.run(ms(1));
+    // The driver was not asked for longer than an activity may take.
+    bench.now = bench.now + ms(10_001);
+    bench.settle();
+    let Trip::Fault(FaultCause::ActivityTimeout { activity, allowed }) = trip(&bench) else {
+        panic!("{}", trip(&bench))
+    };
+    assert_eq!((activity, allowed), (Activity::Connecting, ms(10_000)));
+    assert_eq!(bench.kinds_since(0).last().map(|(kind, _)| *kind), Some(Kind::End));
+}
+
+#[test]
+fn every_alarm_stops_the_arm_by_its_name() {
+    for &alarm in ServoAlarm::LISTED.iter().chain(&[ServoAlarm::Unlisted(0x42)]) {
+        let mut bench = Bench::in_state(DriverState::Moving);
+        bench.peer.servo[4] = ServoWord(0).with_alarm(alarm);
+        bench.run_moving(ms(40));
+        let is_stop = matches!(alarm, ServoAlarm::EmergencyStop | ServoAlarm::DeadManOff | ServoAlarm::LimitSwitch);
+        match trip(&bench) {
+            Trip::EStop(EmergencyStopCause::Axis { axis, alarm: found }) => {
+                assert!(is_stop && axis.index() == 4 && found == alarm, "{alarm}");
+                assert_eq!(bench.driver.state(), DriverState::EStop);
+            }
+            Trip::Fault(FaultCause::ServoAlarm { axis, alarm: found }) => {
+                assert!(!is_stop && axis.index() == 4 && found == alarm, "{alarm}");
+                assert_eq!(bench.driver.state(), DriverState::Fault);
+                assert!(trip(&bench).to_string().contains("axis 5 (E2): alarm 0x"), "{}", trip(&bench));
+            }
+            other => panic!("{alarm}: {other}"),
+        }
+        assert_eq!(bench.driver.latched().unwrap().state_before, DriverState::Moving);
+    }
+    for &alarm in CommAlarm::LISTED {
+        let mut bench = Bench::in_state(DriverState::Holding);
+        bench.peer.comm = CommWord(0).with_alarm(alarm);
+        bench.run(ms(40));
+        let is_stop = matches!(alarm, CommAlarm::EmergencyStop | CommAlarm::DeadManOff | CommAlarm::LimitSwitch);
+        let expected = if is_stop {
+            Trip::EStop(EmergencyStopCause::Controller { alarm })
+        } else {
+            Trip::Fault(FaultCause::ControllerAlarm { alarm })
+        };
+        assert_eq!(trip(&bench), expected);
+    }
+}
+
+#[test]
+fn a_switch_bit_stops_the_arm_where_the_configuration_says_so() {
+    for (bits, state) in [(0, DriverState::Holding), (0x0008, DriverState::EStop)] {
+        let mut config = DriverConfig::with_cycle(CYCLE);
+        config.emergency_stop_bits = bits;
+        let mut bench = Bench::with_config(config);
+        bench.lead_to(DriverState::Holding);
+        bench.peer.comm = CommWord(0x0008);
+        bench.run(ms(30));
+        assert_eq!(bench.driver.state(), state);
+    }
+}
+
+#[test]
+fn an_axis_without_power_is_a_fault_once_the_brakes_are_open() {
+    let mut bench = Bench::new();
+    bench.peer.servo = [ServoWord(0xC000); 7];
+    bench.lead_to(DriverState::Enabled);
+    bench.peer.servo = [ServoWord(0); 7];
+    bench.request(Request::ReleaseBrakes);
+    bench.settle();
+    bench.peer.servo[1] = ServoWord(0x8000);
+    bench.run(ms(30));
+    assert!(
+        matches!(trip(&bench), Trip::Fault(FaultCause::AxisUncontrollable { axis, word: 0x8000 }) if axis.index() == 1)
+    );
+}
+
+/// R7: latched until a reset finds the cause gone, and then connected and no further.
+#[test]
+fn a_reset_succeeds_only_when_the_cause_is_gone() {
+    let mut bench = Bench::in_state(DriverState::Moving);
+    bench.peer.servo[2] = ServoWord(0).with_alarm(ServoAlarm::OverCurrent);
+    bench.run_moving(ms(40));
+    bench.settle();
+    let first = *bench.driver.latched().unwrap();
+    bench.run(ms(5000));
+    assert_eq!(bench.driver.latched(), Some(&first), "nothing clears by itself");
+
+    bench.request(Request::Reset);
+    bench.settle();
+    assert_eq!(bench.driver.state(), DriverState::Fault);
+    let from = bench.sent.len();
+    bench.peer.servo[2] = ServoWord(0);
+    bench.request(Request::Reset);
+    bench.settle();
+    let expected = [(Kind::Clear, 7), (Kind::Start, 1), (Kind::Off, 1), (Kind::End, 1)];
+    assert_eq!(bench.kinds_since(from), expected);
+    assert_eq!((bench.driver.state(), bench.driver.latched()), (DriverState::Connected, None));
+    let from = bench.sent.len();
+    bench.run(ms(1000));
+    assert_eq!(bench.sent.len(), from, "nothing moves by itself");
+}
+
+#[test]
+fn a_reset_does_not_need_a_controller_that_knows_how_to_clear_alarms() {
+    let mut bench = Bench::in_state(DriverState::EStop);
+    bench.peer.knows_clear_alarm = false;
+    bench.request(Request::Reset);
+    bench.settle();
+    assert_eq!(bench.driver.state(), DriverState::Connected);
+}
+
+#[test]
+fn an_emergency_stop_outranks_a_fault_and_not_the_other_way() {
+    let over_current = ServoWord(0).with_alarm(ServoAlarm::OverCurrent);
+    let pressed = ServoWord(0).with_alarm(ServoAlarm::EmergencyStop);
+    let mut bench = Bench::in_state(DriverState::Moving);
+    bench.peer.servo[0] = over_current;
+    bench.run_moving(ms(30));
+    assert_eq!(bench.driver.state(), DriverState::Fault);
+    bench.peer.servo[6] = pressed;
+    bench.run(ms(30));
+    assert_eq!(bench.driver.state(), DriverState::EStop);
+
+    let mut bench = Bench::in_state(DriverState::EStop);
+    let first = *bench.driver.latched().unwrap();
+    bench.driver.handle_unplugged(bench.now);
+    assert_eq!(bench.driver.latched(), Some(&first));
+}
+
+#[test]
+fn an_emergency_stop_ends_motion_without_a_ramp() {
+    let mut bench = Bench::in_state(DriverState::Moving);
+    bench.run_moving(ms(50));
+    bench.peer.comm = CommWord(0).with_alarm(CommAlarm::EmergencyStop);
+    let from = bench.sent.len();
+    bench.run_moving(ms(50));
+    bench.settle();
+    let runs = bench.kinds_since(from);
+    assert_eq!(runs[1..], [(Kind::Rest, 5), (Kind::Braked, 20), (Kind::Off, 1), (Kind::End, 1)], "{runs:?}");
+}
+
+/// R2: a velocity without a successor fades from 20 ms on and is gone at 50 ms.
+#[test]
+fn a_velocity_whose_successor_stays_away_fades_and_stops() {
+    let mut bench = Bench::in_state(DriverState::Holding);
+    let from = bench.sent.len();
+    let asked = bench.now;
+    bench.request(Request::Move(velocity()));
+    bench.run(ms(200));
+    assert_eq!(bench.driver.state(), DriverState::Fault);
+    let Trip::Fault(FaultCause::CommandTimeout { age, allowed }) = trip(&bench) else { panic!("{}", trip(&bench)) };
+    assert!(allowed == ms(50) && age >= ms(50) && age <= ms(51), "{age:?}");
+    let sent = bench.sent[from..].iter().zip(parts_since(&bench, from));
+    for ((at, _), part) in sent {
+        let age_ms = at.saturating_since(asked).as_secs_f64() * 1e3;
+        let expected = ((50.0 - age_ms) / 30.0).clamp(0.0, 1.0);
+        assert!((part - expected).abs() < 1e-3, "{age_ms} ms: {part}");
+    }
+}
+
+#[test]
+fn holding_comes_to_rest_with_the_deceleration_of_the_slowest_joint() {
+    let mut bench = Bench::in_state(DriverState::Moving);
+    bench.run_moving(ms(50));
+    let from = bench.sent.len();
+    bench.request(Request::Hold);
+    bench.run(ms(300));
+    assert_eq!(bench.driver.state(), DriverState::Holding);
+    let parts = parts_since(&bench, from);
+    assert!((parts[10] - 0.5).abs() < 0.06 && parts[25] == 0.0, "{parts:?}");
+    bench.run(ms(5000));
+    assert_eq!(bench.driver.state(), DriverState::Holding, "a held arm may be left alone");
+}
+
+#[test]
+fn a_velocity_that_can_not_be_sent_makes_the_arm_hold() {
+    let mut bad = velocity();
+    bad[2] = f64::NAN;
+    for bad in [bad, JointVector::repeat(7.0)] {
+        let mut bench = Bench::in_state(DriverState::Moving);
+        bench.run_moving(ms(50));
+        let from = bench.sent.len();
+        let refusal = bench.driver.handle_request(bench.now, Request::Move(bad)).unwrap_err();
+        assert!(matches!(refusal, Refusal::Velocity(_)), "{refusal}");
+        assert_eq!(bench.driver.state(), DriverState::Holding);
+        bench.run(ms(300));
+        let parts = parts_since(&bench, from);
+        assert!(parts.iter().all(|part| (0.0..=1.0).contains(part)) && parts[25] == 0.0, "{parts:?}");
+    }
+}
+
+/// R5: brakes stay on unless 100 exchanges show a sound and quick link.
+#[test]
+fn a_bad_link_is_refused_before_the_brakes_open() {
+    let mut bench = Bench::in_state(DriverState::Connected);
+    bench.request(Request::Enable);
+    bench.run(ms(500));
+    bench.driver.handle_bad_reply(BadReply::Damaged);
+    bench.settle();
+    assert_eq!(bench.driver.state(), DriverState::Connected);
+    assert_eq!(bench.driver.warm_up_failure(), Some(&WarmUpFailure::Damaged { bad: 1, exchanges: 100 }));
+    assert_eq!(bench.kinds_since(0).last(), Some(&(Kind::End, 1)));
+
+    bench.request(Request::Enable);
+    assert_eq!(bench.driver.warm_up_failure(), None);
+    bench.run(ms(500));
+    bench.peer.drop_next = 1;
+    bench.settle();
+    assert_eq!(bench.driver.state(), DriverState::Enabled, "one lost reply in 100 is tolerated");
+
+    bench.request(Request::Stop);
+    bench.settle();
+    bench.request(Request::Enable);
+    for _ in 0..2 {
+        bench.run(ms(300));
+        bench.peer.drop_next = 1;
+    }
+    bench.settle();
+    let failure = bench.driver.warm_up_failure().unwrap();
+    assert!(matches!(failure, WarmUpFailure::Slow { slow: 2, exchanges: 100, .. }), "{failure}");
+
+    bench.peer.comm = CommWord(0x0002);
+    bench.request(Request::Enable);
+    bench.settle();
+    assert_eq!(bench.driver.warm_up_failure(), Some(&WarmUpFailure::PowerTooWarm));
+}
+
+#[test]
+fn unplugging_and_swapped_links_stop_at_once() {
+    let mut bench = Bench::in_state(DriverState::Moving);
+    bench.driver.handle_unplugged(bench.now);
+    assert_eq!(trip(&bench), Trip::Fault(FaultCause::Unplugged));
+    let mut bench = Bench::in_state(DriverState::Moving);
+    bench.driver.handle_wrong_arm(bench.now, 3);
+    assert_eq!(trip(&bench), Trip::Fault(FaultCause::WrongArm { got: 3 }));
+    assert!(trip(&bench).to_string().contains("a reply came from arm 3"), "{}", trip(&bench));
+}
+
+#[test]
+fn a_gateway_that_refuses_is_a_fault_with_its_reason() {
+    let mut bench = Bench::in_state(DriverState::Holding);
+    bench.now = bench.now + CYCLE;
+    assert!(bench.driver.poll_transmit(bench.now).is_some());
+    bench.driver.handle_reply(bench.now, &Reply::Rejected(RejectReason::Stale));
+    assert_eq!(bench.driver.state(), DriverState::Holding, "a frame that was late is one lost exchange");
+    let mut waited = bench.clone();
+    waited.now = waited.now + CYCLE;
+    assert!(waited.driver.poll_transmit(waited.now).is_some());
+    waited.driver.handle_reply(waited.now, &Reply::Rejected(RejectReason::WrongState));
+    assert_eq!(trip(&waited), Trip::Fault(FaultCause::Rejected(RejectReason::WrongState)));
+}
+
+#[test]
+fn replies_that_nobody_waits_for_are_counted_and_not_used() {
+    let mut bench = Bench::new();
+    let sample = bench.peer.sample();
+    bench.driver.handle_reply(bench.now, &Reply::Sample(sample));
+    assert_eq!((bench.driver.sample(), bench.driver.counters().mismatched), (None, 1));
+    bench.request(Request::Connect);
+    assert!(bench.driver.poll_transmit(bench.now).is_some());
+    bench.driver.handle_reply(bench.now, &Reply::Sample(sample));
+    assert_eq!((bench.driver.sample(), bench.driver.counters().mismatched), (None, 2));
+}
+
+#[test]
+fn speeds_that_are_not_measured_are_differences_of_angles() {
+    let mut bench = Bench::new();
+    bench.peer.documented = false;
+    bench.lead_to(DriverState::Holding);
+    assert_eq!(bench.driver.joints().unwrap().velocity_rad_per_s, JointVector::zeros());
+    for _ in 0..20 {
+        bench.peer.position_rad[5] += 0.002;
+        bench.run(CYCLE);
+    }
+    let joints = bench.driver.joints().unwrap();
+    assert!((joints.velocity_rad_per_s[5] - 0.2).abs() < 1e-9, "{joints:?}");
+}
+
+#[test]
+fn a_configuration_that_is_unsafe_is_refused() {
+    let good = DriverConfig::with_cycle(CYCLE);
+    let refused = |change: fn(&mut DriverConfig)| {
+        let mut config = good;
+        change(&mut config);
+        Driver::new(config).map(|_| ()).unwrap_err()
+    };
+    assert!(matches!(refused(|c| c.cycle = ms(20)), DriverConfigError::Cycle { .. }));
+    assert!(matches!(refused(|c| c.reply_timeout = ms(11)), DriverConfigError::ReplyTimeout { .. }));
+    assert!(matches!(refused(|c| c.warm_up_exchanges = 99), DriverConfigError::TooFew { got: 99, .. }));
+    assert!(matches!(refused(|c| c.rest_cycles = 4), DriverConfigError::TooFew { got: 4, .. }));
+    assert!(matches!(
+        refused(|c| c.deceleration_rad_per_s2[3] = 0.0),
+        DriverConfigError::Deceleration { joint: 3, .. }
+    ));
+    assert!(matches!(refused(|c| c.activity_timeout = ms(2000)), DriverConfigError::ActivityTimeout { .. }));
+}
+
+fn arm_reply() -> ArmReply {
+    let axis = AxisReply {
+        status: AxisStatus::Servo(ServoWord(0)),
+        angle: AngleCounts(580_267),
+        speed: Some(SpeedCounts(-500)),
+        torque: TorqueCounts(7),
+    };
+    ArmReply { axes: [axis; 7], comm: CommStatus::Comm(CommWord(0x0001)) }
+}
+
+#[test]
+fn a_measurement_is_the_same_from_the_bus_and_from_a_gateway() {
+    let state = State::from_reply(&arm_reply(), &TorqueScale::of_format(WireFormat::BigEndian6x10), 1500).unwrap();
+    let (bus, gateway) = (Sample::from_reply(&arm_reply()), Sample::from_state(&state));
+    assert!((bus.position_rad - gateway.position_rad).amax() <= 0.5e-6);
+    assert_eq!(bus.velocity_rad_per_s, gateway.velocity_rad_per_s);
+    assert_eq!((bus.condition.axes, bus.condition.comm), (gateway.condition.axes, gateway.condition.comm));
+    assert_eq!((bus.age, gateway.age), (Duration::ZERO, Duration::from_micros(1500)));
+}
+
+#[test]
+fn a_gateway_that_stopped_the_arm_is_a_fault_with_its_cause() {
+    for (state, cause, expected) in [
+        (GatewayState::Stopping, StopCause::HostSilent, Trip::Fault(FaultCause::Gateway(StopCause::HostSilent))),
+        (GatewayState::Fault, StopCause::CycleMissed, Trip::Fault(FaultCause::Gateway(StopCause::CycleMissed))),
+        (GatewayState::EmergencyStop, StopCause::EmergencyStop, Trip::EStop(EmergencyStopCause::Gateway)),
+    ] {
+        let mut bench = Bench::in_state(DriverState::Holding);
+        bench.now = bench.now + CYCLE;
+        assert!(bench.driver.poll_transmit(bench.now).is_some());
+        let scale = TorqueScale::of_format(WireFormat::BigEndian6x10);
+        let mut told = State::from_reply(&arm_reply(), &scale, 0).unwrap();
+        (told.gateway, told.cause) = (state, cause);
+        bench.driver.handle_reply(bench.now, &Reply::Sample(Sample::from_state(&told)));
+        assert_eq!(trip(&bench), expected);
+    }
+}

@@ -1,0 +1,70 @@
+//! The cycle of driver, codec and link does not touch the heap.
+#![allow(clippy::unwrap_used)] // In helpers of tests.
+
+mod common;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+use common::{Bench, CYCLE, velocity};
+use pb3dp_arm_pa10::arcnet::{self, Route};
+use pb3dp_arm_pa10::codec::{ControlPacket, SequenceModulus, WireFormat};
+use pb3dp_arm_pa10::driver::{DriverState, Reply, Request};
+use pb3dp_arm_pa10::gateway_protocol::{ArmId, DriveCommand, FrameParser, HostMessage, Received};
+
+/// The system's allocator, counting the calls of each thread.
+struct Counting;
+
+thread_local! {
+    static CALLS: Cell<usize> = const { Cell::new(0) };
+}
+
+// SAFETY: every call goes to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        CALLS.with(|calls| calls.set(calls.get() + 1));
+        // SAFETY: the caller keeps the contract of `alloc`.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: `pointer` came from `System.alloc` with this layout.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+#[test]
+fn cycles_do_not_allocate() {
+    let mut bench = Bench::in_state(DriverState::Moving);
+    let mut parser = FrameParser::new(ArmId(1));
+    let sample = bench.peer.sample();
+    let before = CALLS.with(Cell::get);
+    let mut frames = 0;
+    for cycle in 0..1000u16 {
+        bench.now = bench.now + CYCLE;
+        let request = if cycle % 100 == 50 { Request::Hold } else { Request::Move(velocity()) };
+        bench.driver.handle_request(bench.now, request).unwrap();
+        let transmit = bench.driver.poll_transmit(bench.now).unwrap();
+        for format in WireFormat::ALL {
+            let sequence = SequenceModulus::Modulo128.reduce(transmit.exchange);
+            let packet = ControlPacket { sequence, message: transmit.message }.encode(format).unwrap();
+            let frame = arcnet::encode(Route::TO_CONTROLLER, &packet).unwrap();
+            let bytes = arcnet::decode(Route::TO_CONTROLLER, &frame).unwrap();
+            assert_eq!(ControlPacket::decode(format, bytes).unwrap().message, transmit.message);
+        }
+        let command = HostMessage::Command(DriveCommand::follow(&velocity()).unwrap());
+        let bytes = command.frame(ArmId(1), cycle, 0).encode();
+        parser.feed(&[0xA5, 0x5A, 0xFF], |_| {});
+        parser.feed(&bytes, |received| frames += u32::from(matches!(received, Received::Frame(_))));
+        bench.driver.handle_reply(bench.now, &Reply::Sample(sample));
+    }
+    assert_eq!(CALLS.with(Cell::get), before);
+    // The last frames wait in the parser for a few bytes more.
+    assert!(frames >= 999, "{frames}");
+    let probe = CALLS.with(Cell::get);
+    drop(std::hint::black_box(Box::new([0u8; 64])));
+    assert!(CALLS.with(Cell::get) > probe, "the counter counts");
+}
