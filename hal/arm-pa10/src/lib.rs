@@ -4,6 +4,7 @@
 //! * [`arcnet`]: the frames in which Linux passes these messages through an ARCNET card.
 //! * [`gateway_protocol`]: the framed protocol between a host and the gateway that owns the bus of an arm.
 //! * [`driver`]: the host side of one arm as a state machine without I/O and clock.
+//! * [`link`]: between the driver and the bytes of the bus or of a gateway.
 //! * [`watchdog`]: what becomes of a velocity whose successor stays away.
 //! * [`mock`]: an arm without hardware: the state machine and the contract of a real one over simulated joints.
 
@@ -11,6 +12,7 @@ pub mod arcnet;
 pub mod codec;
 pub mod driver;
 pub mod gateway_protocol;
+pub mod link;
 pub mod mock;
 pub mod watchdog;
 

@@ -33,7 +33,7 @@ pub use packet::{
     packet_pointer,
 };
 pub use reply::{ArmReply, AxisReply};
-pub use sequence::{SequenceCounter, SequenceModulus};
+pub use sequence::SequenceModulus;
 pub use status::{AxisStatus, CommAlarm, CommStatus, CommWord, ServoAlarm, ServoWord};
 
 /// How a cyclic command and its reply are laid out.

@@ -144,7 +144,7 @@ impl ControlMessage {
 /// A message to the controller with its sequence number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ControlPacket {
-    /// From a [`super::SequenceCounter`].
+    /// From [`super::SequenceModulus::reduce`]: never that of the message before.
     pub sequence: u8,
     /// What is said.
     pub message: ControlMessage,

@@ -10,33 +10,12 @@ pub enum SequenceModulus {
 }
 
 impl SequenceModulus {
-    /// The number of a message, from any count of messages.
+    /// The number of a message, from the count of messages before it.
     pub fn reduce(self, count: u64) -> u8 {
         let mask: u8 = match self {
             Self::Modulo128 => 0x7F,
             Self::Modulo256 => 0xFF,
         };
         count.to_le_bytes()[0] & mask
-    }
-}
-
-/// Counts messages.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SequenceCounter {
-    modulus: SequenceModulus,
-    next: u8,
-}
-
-impl SequenceCounter {
-    /// Starts at 0.
-    pub fn new(modulus: SequenceModulus) -> Self {
-        Self { modulus, next: 0 }
-    }
-
-    /// The number of the next message: never that of the message before.
-    pub fn take(&mut self) -> u8 {
-        let taken = self.next;
-        self.next = self.modulus.reduce(u64::from(taken) + 1);
-        taken
     }
 }

@@ -1,0 +1,81 @@
+//! The link to the servo controller itself.
+
+use pb3dp_geometry::MonotonicTime;
+
+use crate::arcnet::{self, Frame, FrameError, Route};
+use crate::codec::{CodecError, ControlPacket, ReplyMessage, ReplyPacket, SequenceModulus, WireFormat};
+use crate::driver::{BadReply, Driver, Reply, Sample, Transmit};
+
+/// Puts messages into ARCNET frames, and takes replies out of them.
+#[derive(Clone, Copy, Debug)]
+pub struct BusLink {
+    format: WireFormat,
+    modulus: SequenceModulus,
+    last: Option<ControlPacket>,
+}
+
+impl BusLink {
+    /// A link to a controller with this wire format, which counts messages like this.
+    pub fn new(format: WireFormat, modulus: SequenceModulus) -> Self {
+        Self { format, modulus, last: None }
+    }
+
+    /// The frame of a message.
+    ///
+    /// # Errors
+    /// If the wire format can not express it: supervision by the controller in format A.
+    pub fn send(&mut self, transmit: &Transmit) -> Result<Frame, CodecError> {
+        let packet = ControlPacket { sequence: self.modulus.reduce(transmit.exchange), message: transmit.message };
+        let frame = arcnet::encode(Route::TO_CONTROLLER, &packet.encode(self.format)?)?;
+        self.last = Some(packet);
+        Ok(frame)
+    }
+
+    /// Hands a frame from the bus to the driver. Frames of other nodes are left alone.
+    ///
+    /// # Errors
+    /// Why the frame is no reply to the last message, for the log; the driver has counted it.
+    pub fn handle_frame(&mut self, now: MonotonicTime, frame: &[u8], driver: &mut Driver) -> Result<(), BusFrameError> {
+        let packet = match arcnet::decode(Route::TO_HOST, frame) {
+            Ok(packet) => packet,
+            Err(FrameError::Route { .. }) => return Ok(()),
+            Err(error) => {
+                driver.handle_bad_reply(BadReply::Damaged);
+                return Err(error.into());
+            }
+        };
+        let Some(asked) = &self.last else {
+            driver.handle_bad_reply(BadReply::Mismatched);
+            return Ok(());
+        };
+        match ReplyPacket::decode(self.format, asked, packet) {
+            Ok(reply) => {
+                let reply = match &reply.message {
+                    ReplyMessage::Cyclic(arm) => Reply::Sample(Sample::from_reply(arm)),
+                    ReplyMessage::Eeprom(_) | ReplyMessage::Done(_) => Reply::Done,
+                };
+                driver.handle_reply(now, &reply);
+                Ok(())
+            }
+            Err(error) => {
+                driver.handle_bad_reply(match error {
+                    CodecError::Sequence { .. } => BadReply::Late,
+                    CodecError::ReplyLetter { .. } => BadReply::Mismatched,
+                    _ => BadReply::Damaged,
+                });
+                Err(error.into())
+            }
+        }
+    }
+}
+
+/// Why a frame is no reply to the last message.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum BusFrameError {
+    /// No frame with a packet.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+    /// No packet that answers the last message.
+    #[error(transparent)]
+    Packet(#[from] CodecError),
+}

@@ -1,0 +1,344 @@
+//! The link to a gateway.
+
+use std::time::Duration;
+
+use pb3dp_geometry::MonotonicTime;
+
+use crate::codec::{
+    Axis, AxisCommand, CodecError, CommAlarm, ControlMessage, ReplyMessage, ServoAlarm, ServoWord, WireFormat,
+};
+use crate::driver::{Activity, BadReply, Driver, EmergencyStopCause, FaultCause, Reply, Sample, Transmit, Trip};
+use crate::gateway_protocol::{
+    ArmId, ArmOperation, Control, ControlReply, DelayMeter, Dialect, DriveCommand, DriveMode, FaultReport, Frame,
+    FrameBytes, FrameParser, GatewayMessage, Hello, HelloReply, HostMessage, ParserCounters, RawMessage, Received,
+    Reject, RejectReason, StopCause,
+};
+
+/// Without an answer to HELLO for this long there is no gateway.
+pub const HELLO_TIMEOUT: Duration = Duration::from_millis(500);
+
+/// A line that is silent for this long completes no frame.
+pub const SILENCE: Duration = Duration::from_millis(20);
+
+/// A host that has nothing to say shows this often that it is there.
+pub const HEARTBEAT_INTERVAL: Duration = Duration::from_millis(250);
+
+/// What a link is told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GatewayLinkConfig {
+    /// The arm at the other end.
+    pub arm: ArmId,
+    /// How to speak.
+    pub dialect: Dialect,
+    /// The wire format of the arm, in the dialect transparent; in `gateway-v1` what the gateway must not contradict.
+    pub format: WireFormat,
+    /// Time between two commands.
+    pub cycle: Duration,
+}
+
+/// Why something can not be sent.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum LinkError {
+    /// No gateway has answered.
+    #[error("the gateway has not answered HELLO; open the link first")]
+    NotOpen,
+    /// The message can not be expressed.
+    #[error("the message can not be expressed")]
+    Codec(#[from] CodecError),
+    /// The dialect has no place for what single axes are told.
+    #[error("the dialect gateway-v1 gives one mode for all axes; give the axes one mode, or speak transparent")]
+    MixedModes,
+}
+
+/// What is being waited for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Waiting {
+    Nothing,
+    Hello,
+    /// RESET before this message, which begins a control mode after a fault.
+    ResetBefore(ControlMessage),
+    Message(ControlMessage),
+}
+
+/// Puts messages into frames of the gateway's protocol, and takes answers out of a stream of bytes.
+#[derive(Clone, Debug)]
+pub struct GatewayLink {
+    config: GatewayLinkConfig,
+    parser: FrameParser,
+    delay: DelayMeter,
+    sequence: u16,
+    /// Sequence of the frame whose answer is waited for.
+    asked: u16,
+    waiting: Waiting,
+    hello: Option<HelloReply>,
+    output: Option<FrameBytes>,
+    heartbeat: Option<u16>,
+    last_sent: MonotonicTime,
+    last_received: MonotonicTime,
+    /// Damaged frames that the driver knows of.
+    damaged_told: u64,
+}
+
+impl GatewayLink {
+    /// A link that is not open.
+    pub fn new(config: GatewayLinkConfig) -> Self {
+        Self {
+            config,
+            parser: FrameParser::new(config.arm),
+            delay: DelayMeter::default(),
+            sequence: 0,
+            asked: 0,
+            waiting: Waiting::Nothing,
+            hello: None,
+            output: None,
+            heartbeat: None,
+            last_sent: MonotonicTime::ZERO,
+            last_received: MonotonicTime::ZERO,
+            damaged_told: 0,
+        }
+    }
+
+    /// Says HELLO; also after the link was closed or broken. Without an answer within [`HELLO_TIMEOUT`] there is no gateway.
+    pub fn open(&mut self, now: MonotonicTime) {
+        self.hello = None;
+        self.heartbeat = None;
+        self.parser.restart();
+        let cycle_us = u32::try_from(self.config.cycle.as_micros()).unwrap_or(u32::MAX);
+        let hello = HostMessage::Hello(Hello { dialect: self.config.dialect, cycle_us });
+        self.waiting = Waiting::Hello;
+        self.asked = self.emit(now, &hello);
+    }
+
+    /// What the gateway is and can, once it has answered.
+    pub fn hello(&self) -> Option<&HelloReply> {
+        self.hello.as_ref()
+    }
+
+    /// How much of the stream was damaged.
+    pub fn counters(&self) -> &ParserCounters {
+        self.parser.counters()
+    }
+
+    /// Sends a message of a driver with this activity.
+    ///
+    /// # Errors
+    /// If the link is not open, or the message can not be expressed: nothing is sent.
+    pub fn send(&mut self, now: MonotonicTime, transmit: &Transmit, activity: Activity) -> Result<(), LinkError> {
+        if self.hello.is_none() {
+            return Err(LinkError::NotOpen);
+        }
+        let message = transmit.message;
+        if activity == Activity::Clearing && message == ControlMessage::Start {
+            // The gateway has a latch of its own, and looks at the arm itself before it lets go of it.
+            self.waiting = Waiting::ResetBefore(message);
+            self.asked = self.emit(now, &HostMessage::Control(Control::Arm(ArmOperation::Reset)));
+            return Ok(());
+        }
+        self.say(now, message)
+    }
+
+    /// The bytes that are to be written now: ask again until there are none.
+    pub fn poll_output(&mut self, now: MonotonicTime) -> Option<FrameBytes> {
+        if let Some(bytes) = self.output.take() {
+            return Some(bytes);
+        }
+        let idle = now.saturating_since(self.last_sent) >= HEARTBEAT_INTERVAL;
+        if self.hello.is_some() && idle {
+            self.heartbeat = Some(self.emit(now, &HostMessage::Heartbeat));
+        }
+        self.output.take()
+    }
+
+    /// Bytes from the line, in pieces of any size.
+    pub fn handle_bytes(&mut self, now: MonotonicTime, bytes: &[u8], driver: &mut Driver) {
+        if !bytes.is_empty() {
+            self.last_received = now;
+        }
+        // The parser is taken out so that its frames can change the rest of the link.
+        let mut parser = self.parser.clone();
+        parser.feed(bytes, |received| self.handle_received(now, &received, driver));
+        self.parser = parser;
+        self.tell_damage(driver);
+    }
+
+    /// Time has passed: a frame whose rest stayed away is given up.
+    pub fn handle_timeout(&mut self, now: MonotonicTime, driver: &mut Driver) {
+        if !self.parser.is_within_frame() || now.saturating_since(self.last_received) < SILENCE {
+            return;
+        }
+        let mut parser = self.parser.clone();
+        parser.handle_silence(|received| self.handle_received(now, &received, driver));
+        self.parser = parser;
+        self.tell_damage(driver);
+    }
+
+    fn say(&mut self, now: MonotonicTime, message: ControlMessage) -> Result<(), LinkError> {
+        let said = match self.config.dialect {
+            Dialect::Transparent => transparent(self.config.format, &message)?,
+            Dialect::GatewayV1 => gateway_v1(&message)?,
+        };
+        self.waiting = Waiting::Message(message);
+        self.asked = self.emit(now, &said);
+        Ok(())
+    }
+
+    fn emit(&mut self, now: MonotonicTime, message: &HostMessage) -> u16 {
+        let sequence = self.sequence;
+        self.sequence = sequence.wrapping_add(1);
+        self.output = Some(message.frame(self.config.arm, sequence, now.as_nanos() / 1000).encode());
+        self.last_sent = now;
+        sequence
+    }
+
+    fn tell_damage(&mut self, driver: &mut Driver) {
+        let counters = self.parser.counters();
+        let damaged = counters.crc_errors + counters.header_errors + counters.truncated + counters.other_version;
+        for _ in self.damaged_told..damaged {
+            driver.handle_bad_reply(BadReply::Damaged);
+        }
+        self.damaged_told = damaged;
+    }
+
+    fn handle_received(&mut self, now: MonotonicTime, received: &Received, driver: &mut Driver) {
+        let frame = match received {
+            Received::Frame(frame) => frame,
+            Received::OtherArm(frame) => {
+                driver.handle_wrong_arm(now, frame.arm.0);
+                return;
+            }
+        };
+        let late = self.delay.handle(frame.timestamp_us, now.as_nanos() / 1000);
+        match GatewayMessage::decode(frame) {
+            Err(_) => driver.handle_bad_reply(BadReply::Damaged),
+            Ok(GatewayMessage::Fault(report)) => driver.handle_trip(now, trip(&report)),
+            Ok(GatewayMessage::Health(_)) if self.heartbeat.take_if(|asked| *asked == frame.sequence).is_some() => {}
+            Ok(answer) => self.handle_answer(now, frame, &answer, late, driver),
+        }
+    }
+
+    fn handle_answer(
+        &mut self,
+        now: MonotonicTime,
+        frame: &Frame,
+        answer: &GatewayMessage,
+        late: Duration,
+        driver: &mut Driver,
+    ) {
+        if frame.sequence != self.asked || self.waiting == Waiting::Nothing {
+            driver.handle_bad_reply(BadReply::Late);
+            return;
+        }
+        match (std::mem::replace(&mut self.waiting, Waiting::Nothing), answer) {
+            (Waiting::Hello, GatewayMessage::HelloReply(reply)) => self.hello = Some(*reply),
+            (Waiting::ResetBefore(message), GatewayMessage::ControlReply(reply)) if is_reset(reply) => {
+                // What was said once before can be said again.
+                if self.say(now, message).is_err() {
+                    driver.handle_bad_reply(BadReply::Mismatched);
+                }
+            }
+            (Waiting::ResetBefore(_) | Waiting::Message(_), GatewayMessage::Reject(Reject { reason, .. })) => {
+                if *reason == RejectReason::NotConnected {
+                    // It was restarted: it has to be greeted anew.
+                    self.hello = None;
+                }
+                driver.handle_reply(now, &Reply::Rejected(*reason));
+            }
+            (Waiting::Message(message), answer) => match self.reply(&message, answer, late) {
+                Ok(reply) => driver.handle_reply(now, &reply),
+                Err(bad) => driver.handle_bad_reply(bad),
+            },
+            _ => driver.handle_bad_reply(BadReply::Mismatched),
+        }
+    }
+
+    fn reply(&self, asked: &ControlMessage, answer: &GatewayMessage, late: Duration) -> Result<Reply, BadReply> {
+        let is_cyclic = matches!(asked, ControlMessage::Cyclic(_));
+        match answer {
+            GatewayMessage::State(state) if is_cyclic => {
+                let sample = Sample::from_state(state);
+                Ok(Reply::Sample(Sample { age: sample.age + late, ..sample }))
+            }
+            GatewayMessage::ControlReply(reply) if control_of(asked) == Some(reply.control) => Ok(Reply::Done),
+            GatewayMessage::RawReply(raw) => {
+                match ReplyMessage::decode_data(self.config.format, asked, raw.letter, &raw.data) {
+                    Ok(ReplyMessage::Cyclic(arm)) => {
+                        Ok(Reply::Sample(Sample { age: late, ..Sample::from_reply(&arm) }))
+                    }
+                    Ok(ReplyMessage::Eeprom(_) | ReplyMessage::Done(_)) => Ok(Reply::Done),
+                    Err(CodecError::ReplyLetter { .. }) => Err(BadReply::Mismatched),
+                    Err(_) => Err(BadReply::Damaged),
+                }
+            }
+            _ => Err(BadReply::Mismatched),
+        }
+    }
+}
+
+fn is_reset(reply: &ControlReply) -> bool {
+    reply.control == Control::Arm(ArmOperation::Reset)
+}
+
+/// The control message of a message that is not cyclic.
+fn control_of(message: &ControlMessage) -> Option<Control> {
+    Some(match message {
+        ControlMessage::Start => Control::Arm(ArmOperation::Start),
+        ControlMessage::End => Control::Arm(ArmOperation::End),
+        ControlMessage::ClearAlarm(axis) => Control::ClearAlarm(*axis),
+        ControlMessage::ReadEeprom(axis) => Control::ReadEeprom(*axis),
+        ControlMessage::Cyclic(_) => return None,
+        #[cfg(feature = "brake-release")]
+        ControlMessage::ReleaseBrakes => return None,
+    })
+}
+
+fn transparent(format: WireFormat, message: &ControlMessage) -> Result<HostMessage, LinkError> {
+    let data = message.encode_data(format)?;
+    let too_long = CodecError::PacketLength { got: data.len() };
+    let data = crate::codec::ByteBuffer::from_slice(&data).ok_or(too_long)?;
+    Ok(HostMessage::Raw(RawMessage { letter: message.letter().byte(), data }))
+}
+
+fn gateway_v1(message: &ControlMessage) -> Result<HostMessage, LinkError> {
+    if let Some(control) = control_of(message) {
+        return Ok(HostMessage::Control(control));
+    }
+    let ControlMessage::Cyclic(command) = message else {
+        return Err(CodecError::Letter { got: message.letter().byte() }.into());
+    };
+    let mode = match command.axes[0] {
+        AxisCommand::Off => DriveMode::Off,
+        AxisCommand::Braked => DriveMode::Braked,
+        AxisCommand::Speed(_) => DriveMode::Follow,
+    };
+    let same = |axis: &AxisCommand| std::mem::discriminant(axis) == std::mem::discriminant(&command.axes[0]);
+    if !command.axes.iter().all(same) {
+        return Err(LinkError::MixedModes);
+    }
+    Ok(HostMessage::Command(match mode {
+        DriveMode::Follow => DriveCommand::follow(&command.velocity_rad_per_s())?,
+        DriveMode::Off | DriveMode::Braked => DriveCommand::at_rest(mode),
+    }))
+}
+
+/// Why the gateway stopped the arm, as exactly as its report tells.
+fn trip(report: &FaultReport) -> Trip {
+    let servo = |axis: Axis| ServoWord(report.word).alarm().map(|alarm: ServoAlarm| (axis, alarm));
+    let controller = || crate::codec::CommWord(report.word).alarm();
+    match report.cause {
+        StopCause::EmergencyStop => Trip::EStop(match report.axis {
+            Some(axis) => servo(axis)
+                .map_or(EmergencyStopCause::Gateway, |(axis, alarm)| EmergencyStopCause::Axis { axis, alarm }),
+            None => controller()
+                .map_or(EmergencyStopCause::Gateway, |alarm: CommAlarm| EmergencyStopCause::Controller { alarm }),
+        }),
+        StopCause::ServoAlarm => {
+            let named = report.axis.and_then(servo).map(|(axis, alarm)| FaultCause::ServoAlarm { axis, alarm });
+            Trip::Fault(named.unwrap_or(FaultCause::Gateway(report.cause)))
+        }
+        StopCause::ControllerAlarm => {
+            let named = controller().map(|alarm| FaultCause::ControllerAlarm { alarm });
+            Trip::Fault(named.unwrap_or(FaultCause::Gateway(report.cause)))
+        }
+        cause => Trip::Fault(FaultCause::Gateway(cause)),
+    }
+}

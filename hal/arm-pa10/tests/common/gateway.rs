@@ -1,0 +1,221 @@
+//! A gateway as docs/arm-protocol.md describes it, without a watchdog: it answers, and keeps to its table.
+
+use pb3dp_arm_pa10::codec::{
+    AngleCounts, ArmReply, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord, ControlMessage, Letter,
+    ReplyMessage, ReplyPacket, ServoWord, SpeedCounts, TorqueCounts, TorqueScale, WireFormat,
+};
+use pb3dp_arm_pa10::gateway_protocol::{
+    ArmId, ArmOperation, Control, ControlReply, Dialect, DriveMode, Firmware, Frame, FrameParser, GatewayMessage,
+    GatewayState, Geometry, Health, HelloReply, HostMessage, RawMessage, Received, Reject, RejectReason, State,
+    StopCause,
+};
+use pb3dp_kinematics::JointVector;
+
+/// A gateway with its arm.
+pub struct FakeGateway {
+    pub arm: ArmId,
+    pub format: WireFormat,
+    pub state: GatewayState,
+    pub cause: StopCause,
+    /// What keeps a reset from succeeding.
+    pub cause_present: bool,
+    pub servo: [ServoWord; 7],
+    /// The last speeds that were accepted, rad/s.
+    pub speeds: JointVector,
+    pub heard: Vec<HostMessage>,
+    pub rejected: Vec<RejectReason>,
+    /// Its own clock, µs.
+    pub clock_us: u64,
+    dialect: Option<Dialect>,
+    parser: FrameParser,
+}
+
+impl FakeGateway {
+    pub fn new(arm: ArmId, format: WireFormat) -> Self {
+        Self {
+            arm,
+            format,
+            state: GatewayState::Idle,
+            cause: StopCause::None,
+            cause_present: false,
+            servo: [ServoWord(0); 7],
+            speeds: JointVector::zeros(),
+            heard: Vec::new(),
+            rejected: Vec::new(),
+            clock_us: 0,
+            dialect: None,
+            parser: FrameParser::new(arm),
+        }
+    }
+
+    pub fn latch(&mut self, cause: StopCause) {
+        (self.state, self.cause, self.speeds) = (GatewayState::Fault, cause, JointVector::zeros());
+    }
+
+    pub fn restart(&mut self) {
+        *self = Self::new(self.arm, self.format);
+    }
+
+    /// The answers to these bytes.
+    pub fn answer(&mut self, bytes: &[u8]) -> Vec<u8> {
+        let mut frames = Vec::new();
+        self.parser.feed(bytes, |received| frames.push(received));
+        let mut answers = Vec::new();
+        for received in frames {
+            let Received::Frame(frame) = received else { continue };
+            let message = HostMessage::decode(&frame).unwrap();
+            self.heard.push(message);
+            let answer = self.handle(&message).unwrap_or_else(|reason| {
+                self.rejected.push(reason);
+                GatewayMessage::Reject(Reject { reason, frame_type: frame.frame_type, detail: 0 })
+            });
+            answers.extend(self.frame(&answer, frame.sequence).encode().as_slice());
+        }
+        answers
+    }
+
+    pub fn frame(&self, message: &GatewayMessage, sequence: u16) -> Frame {
+        message.frame(self.arm, sequence, self.clock_us)
+    }
+
+    fn handle(&mut self, message: &HostMessage) -> Result<GatewayMessage, RejectReason> {
+        if let HostMessage::Hello(hello) = message {
+            self.dialect = Some(hello.dialect);
+            return Ok(GatewayMessage::HelloReply(self.hello_reply(hello.dialect)));
+        }
+        let dialect = self.dialect.ok_or(RejectReason::NotConnected)?;
+        match message {
+            HostMessage::Command(command) if dialect == Dialect::GatewayV1 => {
+                self.command(command.mode, command.velocity_rad_per_s())?;
+                let scale = TorqueScale::of_format(self.format);
+                let mut state = State::from_reply(&self.arm_reply(), &scale, 100).unwrap();
+                (state.gateway, state.cause) = (self.state, self.cause);
+                Ok(GatewayMessage::State(state))
+            }
+            HostMessage::Control(control) => {
+                self.control(*control)?;
+                Ok(GatewayMessage::ControlReply(ControlReply { control: *control, state: self.state }))
+            }
+            HostMessage::Heartbeat => Ok(GatewayMessage::Health(self.health())),
+            HostMessage::Raw(raw) if dialect == Dialect::Transparent => self.raw(raw),
+            _ => Err(RejectReason::WrongDialect),
+        }
+    }
+
+    fn command(&mut self, mode: DriveMode, speeds: JointVector) -> Result<(), RejectReason> {
+        use GatewayState::{EmergencyStop, Fault, Holding, Idle, Moving, Started, Stopping};
+        let moves = speeds != JointVector::zeros();
+        self.state = match (self.state, mode) {
+            (Fault | EmergencyStop | Stopping, _) => return Ok(()),
+            (Started, DriveMode::Off | DriveMode::Braked) => Started,
+            (Holding, DriveMode::Off | DriveMode::Braked) => Started,
+            (Started, DriveMode::Follow) if !moves => Holding,
+            (Holding | Moving, DriveMode::Follow) => {
+                if moves {
+                    Moving
+                } else {
+                    Holding
+                }
+            }
+            (Idle | Started | Moving, _) => return Err(RejectReason::WrongState),
+        };
+        self.speeds = speeds;
+        Ok(())
+    }
+
+    fn control(&mut self, control: Control) -> Result<(), RejectReason> {
+        let latched = matches!(self.state, GatewayState::Fault | GatewayState::EmergencyStop);
+        self.state = match (control, self.state) {
+            (Control::Arm(ArmOperation::Start), GatewayState::Idle) => GatewayState::Started,
+            (Control::Arm(ArmOperation::End), GatewayState::Idle | GatewayState::Started) => GatewayState::Idle,
+            (Control::Arm(ArmOperation::Stop), _) if !latched => GatewayState::Idle,
+            (Control::Arm(ArmOperation::Reset), GatewayState::Idle) => GatewayState::Idle,
+            (Control::Arm(ArmOperation::Reset), _) if latched && self.cause_present => {
+                return Err(RejectReason::CausePresent);
+            }
+            (Control::Arm(ArmOperation::Reset), _) if latched => {
+                self.cause = StopCause::None;
+                GatewayState::Idle
+            }
+            (Control::ClearAlarm(_) | Control::ReadEeprom(_), state) if latched || state == GatewayState::Idle => state,
+            _ => return Err(RejectReason::WrongState),
+        };
+        Ok(())
+    }
+
+    fn raw(&mut self, raw: &RawMessage) -> Result<GatewayMessage, RejectReason> {
+        let letter = Letter::from_byte(raw.letter).map_err(|_| RejectReason::ForbiddenLetter)?;
+        let message =
+            ControlMessage::decode_data(self.format, letter, &raw.data).map_err(|_| RejectReason::BadValue)?;
+        let reply = match message {
+            ControlMessage::Cyclic(command) => {
+                let speeds = command.velocity_rad_per_s();
+                let follows = matches!(command.axes[0], pb3dp_arm_pa10::codec::AxisCommand::Speed(_));
+                let latched = matches!(self.state, GatewayState::Fault | GatewayState::EmergencyStop);
+                if latched {
+                    return Err(RejectReason::WrongState);
+                }
+                self.command(if follows { DriveMode::Follow } else { DriveMode::Off }, speeds)?;
+                ReplyMessage::Cyclic(self.arm_reply())
+            }
+            ControlMessage::Start => {
+                self.control(Control::Arm(ArmOperation::Start))?;
+                ReplyMessage::Done(letter)
+            }
+            ControlMessage::End => {
+                self.control(Control::Arm(ArmOperation::End))?;
+                ReplyMessage::Done(letter)
+            }
+            _ => ReplyMessage::Done(letter),
+        };
+        let packet = ReplyPacket { sequence: 0, message: reply }.encode(self.format).unwrap();
+        let data = ByteBuffer::from_slice(&packet[2..]).unwrap();
+        Ok(GatewayMessage::RawReply(RawMessage { letter: raw.letter, data }))
+    }
+
+    fn arm_reply(&self) -> ArmReply {
+        let documented = self.format == WireFormat::BigEndian6x10;
+        let axes = std::array::from_fn(|index| AxisReply {
+            status: if documented { AxisStatus::Servo(self.servo[index]) } else { AxisStatus::Undocumented(0x0110) },
+            angle: AngleCounts(1000 * (index as i32 + 1)),
+            speed: documented.then_some(SpeedCounts(0)),
+            torque: TorqueCounts(-1),
+        });
+        let comm = if documented { CommStatus::Comm(CommWord(1)) } else { CommStatus::Undocumented(0x0110) };
+        ArmReply { axes, comm }
+    }
+
+    fn hello_reply(&self, dialect: Dialect) -> HelloReply {
+        HelloReply {
+            has_transparent: true,
+            has_gateway_v1: true,
+            dialect,
+            wire_format: Some(self.format),
+            geometry: Geometry::SecondGeneration,
+            state: self.state,
+            cause: self.cause,
+            cycle_us: 2000,
+            ramp_after_us: 20_000,
+            stop_after_us: 50_000,
+            controller_watchdog_us: 0,
+            brake_release_us: 200_000,
+            firmware: Firmware::new("fake").unwrap(),
+        }
+    }
+
+    fn health(&self) -> Health {
+        Health {
+            state: self.state,
+            cause: self.cause,
+            exchanges: 0,
+            replies_lost: 0,
+            replies_late: 0,
+            replies_mismatched: 0,
+            overruns: 0,
+            worst_cycle_us: 2000,
+            host_damaged: 0,
+            host_lost: 0,
+            host_stale: 0,
+        }
+    }
+}
