@@ -12,8 +12,8 @@ use pb3dp_arm_pa10::codec::{
     ServoWord, SpeedCounts, TorqueCounts, TorqueScale, WireFormat,
 };
 use pb3dp_arm_pa10::driver::{
-    Activity, BadReply, Driver, DriverConfig, DriverConfigError, DriverState, EmergencyStopCause, FaultCause, Refusal,
-    Reply, Request, Sample, Trip, WarmUpFailure,
+    Activity, BadReply, Driver, DriverConfig, DriverConfigError, DriverState, EmergencyStopCause, FaultCause,
+    LimitsCheck, Refusal, Reply, Request, Sample, Trip, WarmUpFailure,
 };
 use pb3dp_arm_pa10::gateway_protocol::{GatewayState, RejectReason, State, StopCause};
 use pb3dp_kinematics::JointVector;
@@ -488,6 +488,54 @@ fn speeds_that_are_not_measured_are_differences_of_angles() {
     }
     let joints = bench.driver.joints().unwrap();
     assert!((joints.velocity_rad_per_s[5] - 0.2).abs() < 1e-9, "{joints:?}");
+}
+
+/// R19: the limits that the controller keeps are compared before the arm counts as connected.
+#[test]
+fn an_arm_with_other_limits_is_not_connected() {
+    let mut config = DriverConfig::with_cycle(CYCLE);
+    let tolerance_rad = 0.5f64.to_radians();
+    config.limits = LimitsCheck::Compare {
+        lower_rad: JointVector::repeat(-3.0),
+        upper_rad: JointVector::repeat(3.0),
+        tolerance_rad,
+    };
+    let mut bench = Bench::with_config(config);
+    bench.peer.limits_rad = [-3.0 + 0.9 * tolerance_rad, 3.0 - 0.9 * tolerance_rad];
+    bench.lead_to(DriverState::Connected);
+    assert_eq!(bench.only_kinds_since(0), [Kind::Limits, Kind::Start, Kind::Off, Kind::End]);
+    assert!(bench.driver.limits().iter().all(|limits| limits.is_some_and(|limits| limits.lower_rad > -3.0)));
+
+    for bad in [[-3.0, 3.0 + 1.1 * tolerance_rad], [f64::NAN, 3.0]] {
+        let mut bench = Bench::with_config(config);
+        bench.peer.limits_rad = bad;
+        bench.request(Request::Connect);
+        bench.settle();
+        let Trip::Fault(FaultCause::LimitsDiffer { axis, .. }) = trip(&bench) else { panic!("{}", trip(&bench)) };
+        assert_eq!(axis.index(), 0);
+        bench.request(Request::Reset);
+        bench.settle();
+        assert!(matches!(trip(&bench), Trip::Fault(FaultCause::LimitsDiffer { .. })), "a reset does not get around it");
+        bench.peer.limits_rad = [-3.0, 3.0];
+        bench.request(Request::Reset);
+        bench.settle();
+        assert_eq!(bench.driver.state(), DriverState::Connected);
+    }
+}
+
+/// R8: whatever happens, the brakes are told to close within 100 ms.
+#[test]
+fn after_a_fault_the_brakes_are_told_to_close_within_100_ms() {
+    for word in [0x00E0, 0x0110] {
+        let mut bench = Bench::in_state(DriverState::Moving);
+        bench.run_moving(ms(50));
+        bench.peer.servo[0] = ServoWord(word);
+        bench.run_moving(ms(50));
+        bench.settle();
+        let at = bench.driver.latched().unwrap().at;
+        let first = bench.sent.iter().find(|(when, message)| *when >= at && kind(message) == Kind::Braked).unwrap();
+        assert!(first.0.saturating_since(at) <= ms(100), "{word:#06x}: {:?}", first.0.saturating_since(at));
+    }
 }
 
 #[test]

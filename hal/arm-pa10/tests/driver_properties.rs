@@ -103,7 +103,7 @@ fn check_order(kinds: &[Kind]) -> Result<(), TestCaseError> {
                 prop_assert!(!open, "{index}: the control mode ends with open brakes");
                 braked = 0;
             }
-            Kind::Clear => prop_assert!(!open, "{index}: alarms are cleared with open brakes"),
+            Kind::Clear | Kind::Limits => prop_assert!(!open, "{index}: alarms are cleared with open brakes"),
             Kind::Other => prop_assert!(false, "{index}: a message that nobody expects"),
         }
     }

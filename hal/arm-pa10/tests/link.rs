@@ -14,13 +14,14 @@ use pb3dp_arm_pa10::codec::{
     ReplyMessage, ReplyPacket, SequenceModulus, ServoAlarm, ServoWord, TorqueCounts, WireFormat,
 };
 use pb3dp_arm_pa10::driver::{
-    Activity, Driver, DriverConfig, DriverState, EmergencyStopCause, FaultCause, Request, Trip, WarmUpFailure,
+    Activity, Driver, DriverConfig, DriverState, EmergencyStopCause, FaultCause, LimitsCheck, Request, Trip,
+    WarmUpFailure,
 };
 use pb3dp_arm_pa10::gateway_protocol::{
-    ArmId, ArmOperation, Control, Dialect, FaultReport, GatewayMessage, GatewayState, HostMessage, RejectReason,
-    StopCause,
+    ArmId, ArmOperation, Control, Dialect, FaultReport, GatewayMessage, GatewayState, Geometry, HostMessage,
+    RejectReason, StopCause,
 };
-use pb3dp_arm_pa10::link::{BusFrameError, BusLink, GatewayLink, GatewayLinkConfig, LinkError};
+use pb3dp_arm_pa10::link::{BusFrameError, BusLink, GatewayLink, GatewayLinkConfig, HelloError, LinkError};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
 
@@ -33,6 +34,17 @@ const fn ms(ms: u64) -> Duration {
 
 fn velocity() -> JointVector {
     JointVector::from([0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 0.7])
+}
+
+fn link_config(dialect: Dialect, format: WireFormat) -> GatewayLinkConfig {
+    GatewayLinkConfig { arm: ARM, dialect, format, geometry: Geometry::SecondGeneration, cycle: CYCLE }
+}
+
+/// All axes of the arms here have limits of 3 rad.
+fn driver_config() -> DriverConfig {
+    let limit = JointVector::repeat(3.0);
+    let limits = LimitsCheck::Compare { lower_rad: -limit, upper_rad: limit, tolerance_rad: 1e-4 };
+    DriverConfig { limits, ..DriverConfig::with_cycle(CYCLE) }
 }
 
 /// Driver, link and gateway in virtual time; bytes take a millisecond each way.
@@ -48,9 +60,9 @@ struct Rig {
 
 impl Rig {
     fn new(dialect: Dialect, format: WireFormat) -> Self {
-        let config = GatewayLinkConfig { arm: ARM, dialect, format, cycle: CYCLE };
+        let config = link_config(dialect, format);
         let mut rig = Self {
-            driver: Driver::new(DriverConfig::with_cycle(CYCLE)).unwrap(),
+            driver: Driver::new(driver_config()).unwrap(),
             link: GatewayLink::new(config),
             gateway: FakeGateway::new(ARM, format),
             now: MonotonicTime::from_nanos(5_000_000_000),
@@ -155,15 +167,36 @@ fn an_arm_goes_up_and_down_over_a_gateway_in_every_dialect() {
 
 #[test]
 fn a_link_that_nobody_answered_sends_nothing() {
-    let config =
-        GatewayLinkConfig { arm: ARM, dialect: Dialect::GatewayV1, format: WireFormat::BigEndian6x10, cycle: CYCLE };
-    let mut link = GatewayLink::new(config);
+    let mut link = GatewayLink::new(link_config(Dialect::GatewayV1, WireFormat::BigEndian6x10));
     let mut driver = Driver::new(DriverConfig::with_cycle(CYCLE)).unwrap();
     let now = MonotonicTime::from_nanos(1_000_000_000);
     driver.handle_request(now, Request::Connect).unwrap();
     let transmit = driver.poll_transmit(now).unwrap();
     assert_eq!(link.send(now, &transmit, driver.activity()), Err(LinkError::NotOpen));
     assert_eq!(link.poll_output(now), None);
+}
+
+#[test]
+fn a_gateway_of_another_arm_or_format_is_refused_by_name() {
+    let greet = |config| {
+        let mut link = GatewayLink::new(config);
+        let mut driver = Driver::new(driver_config()).unwrap();
+        let mut gateway = FakeGateway::new(ARM, WireFormat::BigEndian6x10);
+        let now = MonotonicTime::from_nanos(1_000_000_000);
+        link.open(now);
+        let answer = gateway.answer(&link.poll_output(now).unwrap());
+        link.handle_bytes(now, &answer, &mut driver);
+        assert_eq!(link.hello(), None);
+        assert_eq!(link.poll_output(now), None);
+        *link.hello_error().unwrap()
+    };
+    let good = link_config(Dialect::GatewayV1, WireFormat::BigEndian6x10);
+    let (a, b) = (WireFormat::LittleEndian5x8, WireFormat::BigEndian6x10);
+    assert_eq!(greet(GatewayLinkConfig { format: a, ..good }), HelloError::Format { got: b, configured: a });
+    let geometry = Geometry::FirstGeneration;
+    let expected = HelloError::Geometry { got: Geometry::SecondGeneration, configured: geometry };
+    assert_eq!(greet(GatewayLinkConfig { geometry, ..good }), expected);
+    assert!(expected.to_string().contains("told a second-generation arm"), "{expected}");
 }
 
 #[test]

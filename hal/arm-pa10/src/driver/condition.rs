@@ -32,7 +32,7 @@ pub struct ArmCondition {
 }
 
 /// Why the arm was stopped.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Trip {
     /// By a fault.
     Fault(FaultCause),
@@ -41,7 +41,7 @@ pub enum Trip {
 }
 
 /// A fault. The text names the check that failed and what to do.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum FaultCause {
     /// Too many exchanges in a row without a usable reply.
     #[error("{misses} exchanges in a row without a usable reply; check cable, power and gateway, then reset")]
@@ -100,6 +100,19 @@ pub enum FaultCause {
         "the gateway refused a message: {0}; was it restarted, or told to stop by somebody else? Find out, then reset"
     )]
     Rejected(RejectReason),
+    /// The limits of an axis are not those of the configuration.
+    #[error(
+        "{axis}: the controller keeps a limit of {found_deg:.3} degrees where the configuration says {expected_deg:.3}; find out \
+         whether this is the arm of the configuration, correct it, then reset"
+    )]
+    LimitsDiffer {
+        /// Which axis.
+        axis: Axis,
+        /// The limit in the controller, degrees.
+        found_deg: f64,
+        /// The limit in the configuration, degrees.
+        expected_deg: f64,
+    },
     /// An activity took too long.
     #[error("{activity} was not done within {allowed:?}; check the arm's answers, then reset")]
     ActivityTimeout {

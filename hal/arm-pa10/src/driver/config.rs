@@ -36,11 +36,31 @@ pub struct DriverConfig {
     pub emergency_ramp: Duration,
     /// How long an activity may take: then it is a fault.
     pub activity_timeout: Duration,
+    /// What to do about the limits in the EEPROM.
+    pub limits: LimitsCheck,
     /// What the controller itself is to watch (format B).
     pub supervision: Supervision,
     /// Bits of the controller's status word (format B) that mean an emergency stop when they are set. Sources do not tell the
     /// polarity of the switches: none until the rig has shown it. Alarms count in any case.
     pub emergency_stop_bits: u16,
+}
+
+/// What to do about the limits that the controller keeps in its EEPROM.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LimitsCheck {
+    /// Nothing: for arms that do not answer, and for a gateway that speaks for them.
+    Skip,
+    /// Read them before the arm counts as connected.
+    Read,
+    /// Read them, and stop at an axis that differs from these.
+    Compare {
+        /// Lower limits, rad.
+        lower_rad: JointVector,
+        /// Upper limits, rad.
+        upper_rad: JointVector,
+        /// By how much they may differ, rad.
+        tolerance_rad: f64,
+    },
 }
 
 /// Why a configuration is none.
@@ -106,6 +126,7 @@ impl DriverConfig {
             deceleration_rad_per_s2: JointVector::from([2.0, 2.0, 2.0, 2.0, 5.0, 5.0, 5.0]),
             emergency_ramp: Duration::from_millis(30),
             activity_timeout: Duration::from_secs(10),
+            limits: LimitsCheck::Skip,
             supervision: Supervision::default(),
             emergency_stop_bits: 0,
         }

@@ -29,14 +29,27 @@ pub struct Transmit {
 pub enum Reply {
     /// To a cyclic command.
     Sample(Sample),
+    /// To a request for the limits of an axis.
+    Limits(AxisLimits),
     /// To any other message.
     Done,
     /// The gateway refused the message.
     Rejected(RejectReason),
 }
 
+/// Limits of an axis as the controller keeps them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxisLimits {
+    /// Which axis.
+    pub axis: Axis,
+    /// Lower limit, rad.
+    pub lower_rad: f64,
+    /// Upper limit, rad.
+    pub upper_rad: f64,
+}
+
 /// Why and since when the driver is latched.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Latched {
     /// Why. After a reset that failed: why it failed.
     pub trip: Trip,
@@ -59,6 +72,7 @@ pub struct Driver {
     pub(super) warm_up_failure: Option<WarmUpFailure>,
     pub(super) sample: Option<Sample>,
     pub(super) joints: Option<JointState>,
+    pub(super) limits: [Option<AxisLimits>; Axis::COUNT],
     pub(super) outstanding: Option<Outstanding>,
     next_transmit: MonotonicTime,
     exchange: u64,
@@ -94,6 +108,7 @@ impl Driver {
             warm_up_failure: None,
             sample: None,
             joints: None,
+            limits: [None; Axis::COUNT],
             outstanding: None,
             next_transmit: MonotonicTime::ZERO,
             exchange: 0,
@@ -130,6 +145,11 @@ impl Driver {
     /// The newest joints. Where the arm does not measure speeds they are differences of angles, 0 at first.
     pub fn joints(&self) -> Option<&JointState> {
         self.joints.as_ref()
+    }
+
+    /// The limits that were read from the controller since it was connected, if they were.
+    pub fn limits(&self) -> &[Option<AxisLimits>; Axis::COUNT] {
+        &self.limits
     }
 
     /// What happened on the link.
@@ -171,10 +191,10 @@ impl Driver {
             self.link.handle_bad(BadReply::Mismatched);
             return;
         };
-        let is_cyclic = outstanding.letter == Letter::Cyclic;
         let fits = match reply {
-            Reply::Sample(_) => is_cyclic,
-            Reply::Done => !is_cyclic,
+            Reply::Sample(_) => outstanding.letter == Letter::Cyclic,
+            Reply::Limits(_) => outstanding.letter == Letter::ReadEeprom,
+            Reply::Done => !matches!(outstanding.letter, Letter::Cyclic | Letter::ReadEeprom),
             Reply::Rejected(_) => true,
         };
         if !fits {
@@ -182,20 +202,16 @@ impl Driver {
             return;
         }
         self.end_waiting(now, outstanding);
+        if let Reply::Rejected(RejectReason::Stale | RejectReason::NoAnswer) = reply {
+            self.handle_miss(now);
+            return;
+        }
+        self.link.handle_answer(now.saturating_since(outstanding.sent));
         match reply {
-            Reply::Rejected(RejectReason::Stale | RejectReason::NoAnswer) => self.handle_miss(now),
-            Reply::Rejected(reason) => {
-                self.link.handle_answer(now.saturating_since(outstanding.sent));
-                self.handle_rejection(now, *reason);
-            }
-            Reply::Sample(sample) => {
-                self.link.handle_answer(now.saturating_since(outstanding.sent));
-                self.handle_sample(now, sample);
-            }
-            Reply::Done => {
-                self.link.handle_answer(now.saturating_since(outstanding.sent));
-                self.handle_done(now);
-            }
+            Reply::Rejected(reason) => self.handle_rejection(now, *reason),
+            Reply::Sample(sample) => self.handle_sample(now, sample),
+            Reply::Limits(limits) => self.handle_limits(now, limits),
+            Reply::Done => self.handle_done(now),
         }
     }
 
@@ -301,6 +317,7 @@ impl Driver {
             DriverState::Disconnected => {
                 self.sample = None;
                 self.joints = None;
+                self.limits = [None; Axis::COUNT];
             }
             _ => {}
         }
@@ -309,7 +326,7 @@ impl Driver {
 
     fn begin(&mut self, now: MonotonicTime, activity: Activity) {
         let phase = match activity {
-            Activity::Connecting => Phase::Looking { step: LookStep::Start, activity },
+            Activity::Connecting => Phase::Looking { step: self.first_look(), activity },
             Activity::Clearing => Phase::Looking { step: LookStep::Clear(0), activity },
             Activity::Enabling => {
                 self.warm_up_failure = None;
@@ -351,6 +368,7 @@ impl Driver {
             },
             Phase::Looking { step, .. } => match step {
                 LookStep::Clear(index) => ControlMessage::ClearAlarm(Axis::ALL[index]),
+                LookStep::Limits(index) => ControlMessage::ReadEeprom(Axis::ALL[index]),
                 LookStep::Start => ControlMessage::Start,
                 LookStep::Look => self.uniform(AxisCommand::Off),
                 LookStep::End => ControlMessage::End,

@@ -26,8 +26,8 @@ mod requests;
 pub mod table;
 
 pub use condition::{ArmCondition, EmergencyStopCause, FaultCause, Sample, Trip};
-pub use config::{DriverConfig, DriverConfigError};
+pub use config::{DriverConfig, DriverConfigError, LimitsCheck};
 pub use link::{BadReply, LinkCounters, WarmUpFailure};
-pub use machine::{Driver, Latched, Reply, Transmit};
+pub use machine::{AxisLimits, Driver, Latched, Reply, Transmit};
 pub use requests::{Refusal, Request};
 pub use table::{Activity, DriverState, Event, Outcome};

@@ -24,6 +24,8 @@ pub(super) enum Phase {
 pub(super) enum LookStep {
     /// Clear the alarm of this axis, 0 to 6 (clearing only).
     Clear(usize),
+    /// Read the limits of this axis, 0 to 6 (where the configuration wants it).
+    Limits(usize),
     /// S.
     Start,
     /// One cycle with brakes on and servos off.

@@ -3,7 +3,8 @@
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::{JointState, JointVector};
 
-use super::machine::{Driver, Latched};
+use super::config::LimitsCheck;
+use super::machine::{AxisLimits, Driver, Latched};
 use super::motion::Motion;
 use super::phase::{LookStep, Phase, StopStep};
 use super::table::{Activity, DriverState, Event, Outcome, outcome};
@@ -43,7 +44,9 @@ impl Driver {
             Phase::Looking { step, activity } => {
                 let next = match step {
                     LookStep::Clear(index) if index + 1 < Axis::COUNT => LookStep::Clear(index + 1),
-                    LookStep::Clear(_) => LookStep::Start,
+                    LookStep::Clear(_) => self.first_look(),
+                    LookStep::Limits(index) if index + 1 < Axis::COUNT => LookStep::Limits(index + 1),
+                    LookStep::Limits(_) => LookStep::Start,
                     LookStep::Start | LookStep::Look => LookStep::Look,
                     LookStep::End => {
                         self.control_started = false;
@@ -61,6 +64,30 @@ impl Driver {
             Phase::Stopping(StopStep::End { .. }) => self.finish_stop(now),
             _ => {}
         }
+    }
+
+    /// Limits that were read: those of the axis that was asked for, and as the configuration has them.
+    pub(super) fn handle_limits(&mut self, now: MonotonicTime, found: &AxisLimits) {
+        self.limits[found.axis.index()] = Some(*found);
+        if let LimitsCheck::Compare { lower_rad, upper_rad, tolerance_rad } = &self.config.limits {
+            let joint = found.axis.index();
+            for (found_rad, expected_rad) in [(found.lower_rad, lower_rad[joint]), (found.upper_rad, upper_rad[joint])]
+            {
+                let near = (found_rad - expected_rad).abs() <= *tolerance_rad;
+                // What is no number is not near.
+                if !near {
+                    let (found_deg, expected_deg) = (found_rad.to_degrees(), expected_rad.to_degrees());
+                    self.trip(now, Trip::Fault(FaultCause::LimitsDiffer { axis: found.axis, found_deg, expected_deg }));
+                    return;
+                }
+            }
+        }
+        self.handle_done(now);
+    }
+
+    /// What looking at the arm begins with.
+    pub(super) fn first_look(&self) -> LookStep {
+        if self.config.limits == LimitsCheck::Skip { LookStep::Start } else { LookStep::Limits(0) }
     }
 
     /// An exchange without a usable reply.

@@ -3,8 +3,8 @@
 use pb3dp_geometry::MonotonicTime;
 
 use crate::arcnet::{self, Frame, FrameError, Route};
-use crate::codec::{CodecError, ControlPacket, ReplyMessage, ReplyPacket, SequenceModulus, WireFormat};
-use crate::driver::{BadReply, Driver, Reply, Sample, Transmit};
+use crate::codec::{CodecError, ControlPacket, ReplyPacket, SequenceModulus, WireFormat};
+use crate::driver::{BadReply, Driver, Transmit};
 
 /// Puts messages into ARCNET frames, and takes replies out of them.
 #[derive(Clone, Copy, Debug)]
@@ -50,11 +50,7 @@ impl BusLink {
         };
         match ReplyPacket::decode(self.format, asked, packet) {
             Ok(reply) => {
-                let reply = match &reply.message {
-                    ReplyMessage::Cyclic(arm) => Reply::Sample(Sample::from_reply(arm)),
-                    ReplyMessage::Eeprom(_) | ReplyMessage::Done(_) => Reply::Done,
-                };
-                driver.handle_reply(now, &reply);
+                driver.handle_reply(now, &super::reply_of(&reply.message));
                 Ok(())
             }
             Err(error) => {

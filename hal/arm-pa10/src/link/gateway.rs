@@ -7,11 +7,13 @@ use pb3dp_geometry::MonotonicTime;
 use crate::codec::{
     Axis, AxisCommand, CodecError, CommAlarm, ControlMessage, ReplyMessage, ServoAlarm, ServoWord, WireFormat,
 };
-use crate::driver::{Activity, BadReply, Driver, EmergencyStopCause, FaultCause, Reply, Sample, Transmit, Trip};
+use crate::driver::{
+    Activity, AxisLimits, BadReply, Driver, EmergencyStopCause, FaultCause, Reply, Sample, Transmit, Trip,
+};
 use crate::gateway_protocol::{
     ArmId, ArmOperation, Control, ControlReply, DelayMeter, Dialect, DriveCommand, DriveMode, FaultReport, Frame,
-    FrameBytes, FrameParser, GatewayMessage, Hello, HelloReply, HostMessage, ParserCounters, RawMessage, Received,
-    Reject, RejectReason, StopCause,
+    FrameBytes, FrameParser, GatewayMessage, Geometry, Hello, HelloReply, HostMessage, ParserCounters, RawMessage,
+    Received, Reject, RejectReason, StopCause,
 };
 
 /// Without an answer to HELLO for this long there is no gateway.
@@ -30,10 +32,46 @@ pub struct GatewayLinkConfig {
     pub arm: ArmId,
     /// How to speak.
     pub dialect: Dialect,
-    /// The wire format of the arm, in the dialect transparent; in `gateway-v1` what the gateway must not contradict.
+    /// The wire format of the arm. A gateway that knows another one is refused.
     pub format: WireFormat,
+    /// The geometry of the arm. A gateway that is told another one is refused.
+    pub geometry: Geometry,
     /// Time between two commands.
     pub cycle: Duration,
+}
+
+/// Why a gateway is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum HelloError {
+    /// It goes on in another dialect.
+    #[error("the gateway speaks {got}, the configuration says {configured}; choose a dialect that it has")]
+    Dialect {
+        /// Of the gateway.
+        got: Dialect,
+        /// Of the configuration.
+        configured: Dialect,
+    },
+    /// It has seen another wire format.
+    #[error("the arm at the gateway answers in {got}, the configuration says {configured}; find out which arm it is")]
+    Format {
+        /// Of the gateway.
+        got: WireFormat,
+        /// Of the configuration.
+        configured: WireFormat,
+    },
+    /// It stands at an arm of another geometry.
+    #[error(
+        "the gateway is told a {got} arm, the configuration says {configured}; measure the arm and correct one of them"
+    )]
+    Geometry {
+        /// Of the gateway.
+        got: Geometry,
+        /// Of the configuration.
+        configured: Geometry,
+    },
+    /// It refused the host.
+    #[error("the gateway refused the host: {0}; compare the configurations and versions of both sides")]
+    Rejected(RejectReason),
 }
 
 /// Why something can not be sent.
@@ -71,6 +109,7 @@ pub struct GatewayLink {
     asked: u16,
     waiting: Waiting,
     hello: Option<HelloReply>,
+    hello_error: Option<HelloError>,
     output: Option<FrameBytes>,
     heartbeat: Option<u16>,
     last_sent: MonotonicTime,
@@ -90,6 +129,7 @@ impl GatewayLink {
             asked: 0,
             waiting: Waiting::Nothing,
             hello: None,
+            hello_error: None,
             output: None,
             heartbeat: None,
             last_sent: MonotonicTime::ZERO,
@@ -101,12 +141,18 @@ impl GatewayLink {
     /// Says HELLO; also after the link was closed or broken. Without an answer within [`HELLO_TIMEOUT`] there is no gateway.
     pub fn open(&mut self, now: MonotonicTime) {
         self.hello = None;
+        self.hello_error = None;
         self.heartbeat = None;
         self.parser.restart();
         let cycle_us = u32::try_from(self.config.cycle.as_micros()).unwrap_or(u32::MAX);
         let hello = HostMessage::Hello(Hello { dialect: self.config.dialect, cycle_us });
         self.waiting = Waiting::Hello;
         self.asked = self.emit(now, &hello);
+    }
+
+    /// Why the gateway that answered was refused.
+    pub fn hello_error(&self) -> Option<&HelloError> {
+        self.hello_error.as_ref()
     }
 
     /// What the gateway is and can, once it has answered.
@@ -229,7 +275,13 @@ impl GatewayLink {
             return;
         }
         match (std::mem::replace(&mut self.waiting, Waiting::Nothing), answer) {
-            (Waiting::Hello, GatewayMessage::HelloReply(reply)) => self.hello = Some(*reply),
+            (Waiting::Hello, GatewayMessage::HelloReply(reply)) => match self.judge(reply) {
+                Ok(()) => self.hello = Some(*reply),
+                Err(error) => self.hello_error = Some(error),
+            },
+            (Waiting::Hello, GatewayMessage::Reject(Reject { reason, .. })) => {
+                self.hello_error = Some(HelloError::Rejected(*reason));
+            }
             (Waiting::ResetBefore(message), GatewayMessage::ControlReply(reply)) if is_reset(reply) => {
                 // What was said once before can be said again.
                 if self.say(now, message).is_err() {
@@ -251,6 +303,22 @@ impl GatewayLink {
         }
     }
 
+    /// Whether this is the gateway of the configuration.
+    fn judge(&self, hello: &HelloReply) -> Result<(), HelloError> {
+        let GatewayLinkConfig { dialect, format, geometry, .. } = self.config;
+        if hello.dialect != dialect {
+            return Err(HelloError::Dialect { got: hello.dialect, configured: dialect });
+        }
+        if let Some(got) = hello.wire_format.filter(|got| *got != format) {
+            return Err(HelloError::Format { got, configured: format });
+        }
+        let told = |geometry| geometry != Geometry::Unknown;
+        if told(hello.geometry) && told(geometry) && hello.geometry != geometry {
+            return Err(HelloError::Geometry { got: hello.geometry, configured: geometry });
+        }
+        Ok(())
+    }
+
     fn reply(&self, asked: &ControlMessage, answer: &GatewayMessage, late: Duration) -> Result<Reply, BadReply> {
         let is_cyclic = matches!(asked, ControlMessage::Cyclic(_));
         match answer {
@@ -259,12 +327,17 @@ impl GatewayLink {
                 Ok(Reply::Sample(Sample { age: sample.age + late, ..sample }))
             }
             GatewayMessage::ControlReply(reply) if control_of(asked) == Some(reply.control) => Ok(Reply::Done),
+            GatewayMessage::EepromLimits(limits) if *asked == ControlMessage::ReadEeprom(limits.axis) => {
+                let rad = |angle_urad: i32| f64::from(angle_urad) * 1e-6;
+                let (lower_rad, upper_rad) = (rad(limits.negative_limit_urad), rad(limits.positive_limit_urad));
+                Ok(Reply::Limits(AxisLimits { axis: limits.axis, lower_rad, upper_rad }))
+            }
             GatewayMessage::RawReply(raw) => {
                 match ReplyMessage::decode_data(self.config.format, asked, raw.letter, &raw.data) {
-                    Ok(ReplyMessage::Cyclic(arm)) => {
-                        Ok(Reply::Sample(Sample { age: late, ..Sample::from_reply(&arm) }))
-                    }
-                    Ok(ReplyMessage::Eeprom(_) | ReplyMessage::Done(_)) => Ok(Reply::Done),
+                    Ok(message) => Ok(match super::reply_of(&message) {
+                        Reply::Sample(sample) => Reply::Sample(Sample { age: late, ..sample }),
+                        other => other,
+                    }),
                     Err(CodecError::ReplyLetter { .. }) => Err(BadReply::Mismatched),
                     Err(_) => Err(BadReply::Damaged),
                 }

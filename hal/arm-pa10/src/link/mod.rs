@@ -7,4 +7,20 @@ mod bus;
 mod gateway;
 
 pub use bus::{BusFrameError, BusLink};
-pub use gateway::{GatewayLink, GatewayLinkConfig, HEARTBEAT_INTERVAL, HELLO_TIMEOUT, LinkError, SILENCE};
+pub use gateway::{GatewayLink, GatewayLinkConfig, HEARTBEAT_INTERVAL, HELLO_TIMEOUT, HelloError, LinkError, SILENCE};
+
+use crate::codec::ReplyMessage;
+use crate::driver::{AxisLimits, Reply, Sample};
+
+/// What a reply of the servo controller tells the driver.
+fn reply_of(message: &ReplyMessage) -> Reply {
+    match message {
+        ReplyMessage::Cyclic(arm) => Reply::Sample(Sample::from_reply(arm)),
+        ReplyMessage::Eeprom(table) => Reply::Limits(AxisLimits {
+            axis: table.axis,
+            lower_rad: table.negative_limit.to_rad(),
+            upper_rad: table.positive_limit.to_rad(),
+        }),
+        ReplyMessage::Done(_) => Reply::Done,
+    }
+}

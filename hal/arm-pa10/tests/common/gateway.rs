@@ -1,13 +1,13 @@
 //! A gateway as docs/arm-protocol.md describes it, without a watchdog: it answers, and keeps to its table.
 
 use pb3dp_arm_pa10::codec::{
-    AngleCounts, ArmReply, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord, ControlMessage, Letter,
+    AngleCounts, ArmReply, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord, ControlMessage, EepromAxis, Letter,
     ReplyMessage, ReplyPacket, ServoWord, SpeedCounts, TorqueCounts, TorqueScale, WireFormat,
 };
 use pb3dp_arm_pa10::gateway_protocol::{
-    ArmId, ArmOperation, Control, ControlReply, Dialect, DriveMode, Firmware, Frame, FrameParser, GatewayMessage,
-    GatewayState, Geometry, Health, HelloReply, HostMessage, RawMessage, Received, Reject, RejectReason, State,
-    StopCause,
+    ArmId, ArmOperation, Control, ControlReply, Dialect, DriveMode, EepromLimits, Firmware, Frame, FrameParser,
+    GatewayMessage, GatewayState, Geometry, Health, HelloReply, HostMessage, RawMessage, Received, Reject,
+    RejectReason, State, StopCause,
 };
 use pb3dp_kinematics::JointVector;
 
@@ -92,6 +92,11 @@ impl FakeGateway {
                 (state.gateway, state.cause) = (self.state, self.cause);
                 Ok(GatewayMessage::State(state))
             }
+            HostMessage::Control(control @ Control::ReadEeprom(axis)) => {
+                self.control(*control)?;
+                let (positive_limit_urad, negative_limit_urad) = (3_000_000, -3_000_000);
+                Ok(GatewayMessage::EepromLimits(EepromLimits { axis: *axis, positive_limit_urad, negative_limit_urad }))
+            }
             HostMessage::Control(control) => {
                 self.control(*control)?;
                 Ok(GatewayMessage::ControlReply(ControlReply { control: *control, state: self.state }))
@@ -166,6 +171,13 @@ impl FakeGateway {
                 self.control(Control::Arm(ArmOperation::End))?;
                 ReplyMessage::Done(letter)
             }
+            ControlMessage::ReadEeprom(axis) => ReplyMessage::Eeprom(EepromAxis {
+                axis,
+                positive_limit: AngleCounts(391_139),
+                negative_limit: AngleCounts(-391_139),
+                zero_offset_raw: 0,
+                poles: 2,
+            }),
             _ => ReplyMessage::Done(letter),
         };
         let packet = ReplyPacket { sequence: 0, message: reply }.encode(self.format).unwrap();

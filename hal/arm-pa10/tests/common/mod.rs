@@ -9,7 +9,7 @@ use pb3dp_arm_pa10::codec::{
     AxisCommand, AxisStatus, CommStatus, CommWord, ControlMessage, Letter, ServoWord, SpeedCounts,
 };
 use pb3dp_arm_pa10::driver::{
-    Activity, ArmCondition, Driver, DriverConfig, DriverState, Reply, Request, Sample, Transmit,
+    Activity, ArmCondition, AxisLimits, Driver, DriverConfig, DriverState, Reply, Request, Sample, Transmit,
 };
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
@@ -36,6 +36,8 @@ pub struct Peer {
     pub comm: CommWord,
     pub documented: bool,
     pub position_rad: JointVector,
+    /// Limits of all axes, lower and upper, rad.
+    pub limits_rad: [f64; 2],
 }
 
 /// A driver, its peer and what was sent.
@@ -54,6 +56,7 @@ pub enum Kind {
     Start,
     End,
     Clear,
+    Limits,
     Off,
     Braked,
     Rest,
@@ -66,6 +69,7 @@ pub fn kind(message: &ControlMessage) -> Kind {
         ControlMessage::Start => Kind::Start,
         ControlMessage::End => Kind::End,
         ControlMessage::ClearAlarm(_) => Kind::Clear,
+        ControlMessage::ReadEeprom(_) => Kind::Limits,
         ControlMessage::Cyclic(command) => match command.axes {
             axes if axes == [AxisCommand::Off; 7] => Kind::Off,
             axes if axes == [AxisCommand::Braked; 7] => Kind::Braked,
@@ -73,7 +77,8 @@ pub fn kind(message: &ControlMessage) -> Kind {
             axes if axes.iter().all(|axis| matches!(axis, AxisCommand::Speed(_))) => Kind::Motion,
             _ => Kind::Other,
         },
-        _ => Kind::Other,
+        #[cfg(feature = "brake-release")]
+        ControlMessage::ReleaseBrakes => Kind::Other,
     }
 }
 
@@ -88,6 +93,7 @@ impl Peer {
             comm: CommWord(0),
             documented: true,
             position_rad: JointVector::from([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]),
+            limits_rad: [-3.0, 3.0],
         }
     }
 
@@ -115,6 +121,10 @@ impl Peer {
         }
         Some(match message {
             ControlMessage::Cyclic(_) => Reply::Sample(self.sample()),
+            ControlMessage::ReadEeprom(axis) => {
+                let [lower_rad, upper_rad] = self.limits_rad;
+                Reply::Limits(AxisLimits { axis: *axis, lower_rad, upper_rad })
+            }
             _ => Reply::Done,
         })
     }
