@@ -162,6 +162,8 @@ impl Driver {
     /// # Errors
     /// If it is not possible now: nothing is sent for it. After a refused velocity the arm holds.
     pub fn handle_request(&mut self, now: MonotonicTime, request: Request) -> Result<(), Refusal> {
+        // What has run out runs out before a new velocity could hide it.
+        self.handle_timeout(now);
         let event = request.event();
         let activity = self.activity();
         let answer = outcome(self.state, event);
@@ -199,6 +201,12 @@ impl Driver {
         };
         if !fits {
             self.link.handle_bad(BadReply::Mismatched);
+            return;
+        }
+        if now > outstanding.deadline {
+            // Nobody may have looked at the link for a while: what it tells is old all the same.
+            self.link.handle_bad(BadReply::Late);
+            self.handle_timeout(now);
             return;
         }
         self.end_waiting(now, outstanding);

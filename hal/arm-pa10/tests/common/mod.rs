@@ -211,7 +211,9 @@ impl Bench {
         let end = self.now + time;
         let moves = |driver: &Driver| (driver.state(), driver.activity()) == (DriverState::Moving, Activity::None);
         while self.now < end && moves(&self.driver) {
-            self.request(Request::Move(velocity()));
+            if self.driver.handle_request(self.now, Request::Move(velocity())).is_err() {
+                return;
+            }
             self.run(CYCLE);
         }
     }
