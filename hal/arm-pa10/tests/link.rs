@@ -2,20 +2,18 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-#[path = "common/gateway.rs"]
-mod gateway;
+#[path = "common/rig.rs"]
+mod rig;
 
 use std::time::Duration;
 
-use gateway::FakeGateway;
 use pb3dp_arm_pa10::arcnet::{self, Route};
 use pb3dp_arm_pa10::codec::{
     AngleCounts, ArmReply, AxisReply, AxisStatus, CodecError, CommStatus, ControlMessage, ControlPacket, Packet,
     ReplyMessage, ReplyPacket, SequenceModulus, ServoAlarm, ServoWord, TorqueCounts, WireFormat,
 };
 use pb3dp_arm_pa10::driver::{
-    Activity, Driver, DriverConfig, DriverState, EmergencyStopCause, FaultCause, LimitsCheck, Request, Trip,
-    WarmUpFailure,
+    Activity, Driver, DriverConfig, DriverState, EmergencyStopCause, FaultCause, Request, Trip, WarmUpFailure,
 };
 use pb3dp_arm_pa10::gateway_protocol::{
     ArmId, ArmOperation, Control, Dialect, FaultReport, GatewayMessage, GatewayState, Geometry, HostMessage,
@@ -23,121 +21,7 @@ use pb3dp_arm_pa10::gateway_protocol::{
 };
 use pb3dp_arm_pa10::link::{BusFrameError, BusLink, GatewayLink, GatewayLinkConfig, HelloError, LinkError};
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_kinematics::JointVector;
-
-const CYCLE: Duration = Duration::from_millis(10);
-const ARM: ArmId = ArmId(2);
-
-const fn ms(ms: u64) -> Duration {
-    Duration::from_millis(ms)
-}
-
-fn velocity() -> JointVector {
-    JointVector::from([0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 0.7])
-}
-
-fn link_config(dialect: Dialect, format: WireFormat) -> GatewayLinkConfig {
-    GatewayLinkConfig { arm: ARM, dialect, format, geometry: Geometry::SecondGeneration, cycle: CYCLE }
-}
-
-/// All axes of the arms here have limits of 3 rad.
-fn driver_config() -> DriverConfig {
-    let limit = JointVector::repeat(3.0);
-    let limits = LimitsCheck::Compare { lower_rad: -limit, upper_rad: limit, tolerance_rad: 1e-4 };
-    DriverConfig { limits, ..DriverConfig::with_cycle(CYCLE) }
-}
-
-/// Driver, link and gateway in virtual time; bytes take a millisecond each way.
-struct Rig {
-    driver: Driver,
-    link: GatewayLink,
-    gateway: FakeGateway,
-    now: MonotonicTime,
-    /// Put before the next bytes from the gateway.
-    noise: Vec<u8>,
-    under_way: Vec<(MonotonicTime, Vec<u8>)>,
-}
-
-impl Rig {
-    fn new(dialect: Dialect, format: WireFormat) -> Self {
-        let config = link_config(dialect, format);
-        let mut rig = Self {
-            driver: Driver::new(driver_config()).unwrap(),
-            link: GatewayLink::new(config),
-            gateway: FakeGateway::new(ARM, format),
-            now: MonotonicTime::from_nanos(5_000_000_000),
-            noise: Vec::new(),
-            under_way: Vec::new(),
-        };
-        rig.open();
-        rig
-    }
-
-    fn open(&mut self) {
-        self.link.open(self.now);
-        self.run(ms(10));
-        assert!(self.link.hello().is_some());
-    }
-
-    fn run(&mut self, time: Duration) {
-        let end = self.now + time;
-        while self.now < end {
-            self.tick();
-        }
-    }
-
-    fn tick(&mut self) {
-        let now = self.now;
-        let arrived = self.under_way.extract_if(.., |(at, _)| *at <= now).collect::<Vec<_>>();
-        for (_, bytes) in arrived {
-            self.link.handle_bytes(now, &bytes, &mut self.driver);
-        }
-        self.link.handle_timeout(now, &mut self.driver);
-        if let Some(transmit) = self.driver.poll_transmit(now) {
-            match self.link.send(now, &transmit, self.driver.activity()) {
-                Ok(()) | Err(LinkError::NotOpen) => {}
-                Err(error) => panic!("{error}"),
-            }
-        }
-        self.gateway.clock_us = now.as_nanos() / 1000 - 4_000_000;
-        while let Some(bytes) = self.link.poll_output(now) {
-            let mut answer = std::mem::take(&mut self.noise);
-            answer.extend(self.gateway.answer(&bytes));
-            self.under_way.push((now + ms(2), answer));
-        }
-        self.now = now + Duration::from_micros(500);
-    }
-
-    fn request(&mut self, request: Request) {
-        self.driver.handle_request(self.now, request).unwrap();
-    }
-
-    fn settle(&mut self) {
-        for _ in 0..40_000 {
-            if self.driver.activity() == Activity::None {
-                return;
-            }
-            self.tick();
-        }
-        panic!("{:?}", self.driver);
-    }
-
-    fn lead_to_moving(&mut self) {
-        for request in [Request::Connect, Request::Enable, Request::ReleaseBrakes] {
-            self.request(request);
-            self.settle();
-        }
-        for _ in 0..10 {
-            self.request(Request::Move(velocity()));
-            self.run(CYCLE);
-        }
-        assert_eq!(self.driver.state(), DriverState::Moving);
-    }
-
-    fn trip(&self) -> Trip {
-        self.driver.latched().unwrap().trip
-    }
-}
+use rig::{ARM, CYCLE, FakeGateway, Rig, driver_config, link_config, ms, velocity};
 
 fn rigs() -> [Rig; 3] {
     [

@@ -1,0 +1,211 @@
+//! Everything that a line can do wrong, in virtual time: what is tolerated is counted, what is not stops the arm in time.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+#[path = "common/rig.rs"]
+mod rig;
+
+use std::time::Duration;
+
+use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::driver::{Activity, DriverState, FaultCause, Request, Trip};
+use pb3dp_arm_pa10::gateway_protocol::Dialect;
+use proptest::prelude::*;
+use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
+use rig::{CYCLE, Line, Rig, TICK, Way, good_line, ms, velocity};
+
+fn rig() -> Rig {
+    Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10)
+}
+
+/// Follows for so long, as long as it is possible.
+fn follow(rig: &mut Rig, time: Duration) {
+    let end = rig.now + time;
+    while rig.now < end && (rig.driver.state(), rig.driver.activity()) == (DriverState::Moving, Activity::None) {
+        if rig.driver.handle_request(rig.now, Request::Move(velocity())).is_err() {
+            return;
+        }
+        rig.run(CYCLE);
+    }
+}
+
+/// What is done to a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Harm {
+    Drop,
+    Corrupt,
+    Truncate,
+    Delay,
+    Duplicate,
+    Garbage,
+    WrongArm,
+    WrongSequence,
+}
+
+const HARMS: [Harm; 8] = [
+    Harm::Drop,
+    Harm::Corrupt,
+    Harm::Truncate,
+    Harm::Delay,
+    Harm::Duplicate,
+    Harm::Garbage,
+    Harm::WrongArm,
+    Harm::WrongSequence,
+];
+
+impl Harm {
+    /// Whether the frame is of no use afterwards.
+    fn costs_the_frame(self) -> bool {
+        !matches!(self, Self::Duplicate | Self::Garbage)
+    }
+
+    fn apply(self, bytes: Vec<u8>) -> Vec<(Duration, Vec<u8>)> {
+        let usual = ms(2);
+        match self {
+            Self::Drop => Vec::new(),
+            Self::Corrupt => vec![(usual, changed(bytes, 20))],
+            Self::Truncate => vec![(usual, bytes[..bytes.len() / 2].to_vec())],
+            Self::Delay => vec![(ms(14), bytes)],
+            Self::Duplicate => vec![(usual, bytes.clone()), (ms(4), bytes)],
+            Self::Garbage => vec![(usual, [vec![0xA5, 0x5A, 1, 2, 0x82, 108, 0, 0], bytes].concat())],
+            Self::WrongArm => vec![(usual, signed(changed(bytes, 3)))],
+            Self::WrongSequence => vec![(usual, signed(changed(bytes, 7)))],
+        }
+    }
+}
+
+fn changed(mut bytes: Vec<u8>, at: usize) -> Vec<u8> {
+    bytes[at] ^= 0x11;
+    bytes
+}
+
+/// With checks that are right again: a frame that is sound and wrong. The checks are computed bit by bit, as the specification
+/// of the protocol describes them.
+fn signed(mut bytes: Vec<u8>) -> Vec<u8> {
+    let crc = |data: &[u8], width: u32, polynomial: u32, initial: u32| {
+        let top = 1u32 << (width - 1);
+        data.iter().fold(initial, |crc, byte| {
+            (0..8).fold(crc ^ u32::from(*byte) << (width - 8), |crc, _| {
+                let shifted = crc << 1 & ((top << 1) - 1);
+                if crc & top != 0 { shifted ^ polynomial } else { shifted }
+            })
+        })
+    };
+    bytes[16] = (crc(&bytes[2..16], 8, 0x2F, 0xFF) ^ 0xFF) as u8;
+    let end = bytes.len() - 2;
+    let check = crc(&bytes[2..end], 16, 0x1021, 0xFFFF) as u16;
+    bytes[end..].copy_from_slice(&check.to_le_bytes());
+    bytes
+}
+
+/// Harms so many answers in a row, then none.
+fn harm_answers(harm: Harm, count: u32) -> Line {
+    let mut left = count;
+    let mut good = good_line();
+    Box::new(move |way, bytes| {
+        if way == Way::ToHost && left > 0 && !bytes.is_empty() {
+            left -= 1;
+            return harm.apply(bytes);
+        }
+        good(way, bytes)
+    })
+}
+
+#[test]
+fn two_harmed_answers_in_a_row_are_tolerated_and_counted() {
+    for harm in HARMS.into_iter().filter(|harm| *harm != Harm::WrongArm) {
+        let mut rig = rig();
+        rig.lead_to_moving();
+        let before = *rig.driver.counters();
+        rig.line = harm_answers(harm, 2);
+        follow(&mut rig, ms(300));
+        assert_eq!(rig.driver.state(), DriverState::Moving, "{harm:?}: {:?}", rig.driver.latched());
+        let after = rig.driver.counters();
+        let lost = after.lost - before.lost;
+        assert_eq!(lost, if harm.costs_the_frame() { 2 } else { 0 }, "{harm:?}");
+        let noticed = (after.damaged - before.damaged) + (after.late - before.late) + lost;
+        assert!(noticed >= 2, "{harm:?}: {after:?}");
+    }
+}
+
+#[test]
+fn three_harmed_answers_in_a_row_stop_the_arm_within_30_ms() {
+    for harm in HARMS.into_iter().filter(|harm| harm.costs_the_frame()) {
+        let mut rig = rig();
+        rig.lead_to_moving();
+        // The next exchange begins one cycle after the one that is seen here.
+        let sent = rig.driver.counters().sent;
+        while rig.driver.counters().sent == sent {
+            rig.run(TICK);
+        }
+        let from = rig.now - TICK + CYCLE;
+        rig.line = harm_answers(harm, 3);
+        follow(&mut rig, ms(300));
+        let latched = *rig.driver.latched().unwrap_or_else(|| panic!("{harm:?} did not stop the arm"));
+        match harm {
+            Harm::WrongArm => assert_eq!(latched.trip, Trip::Fault(FaultCause::WrongArm { got: 2 ^ 0x11 })),
+            _ => assert_eq!(latched.trip, Trip::Fault(FaultCause::LinkLost { misses: 3 }), "{harm:?}"),
+        }
+        let after = latched.at.saturating_since(from);
+        assert!(after <= ms(30), "{harm:?}: {after:?}");
+        rig.settle();
+        assert_eq!(rig.gateway.speeds.amax(), 0.0, "{harm:?}");
+    }
+}
+
+/// 10 minutes at 100 Hz with 1 % of the exchanges lost, never three in a row: no fault.
+#[test]
+fn one_lost_exchange_in_a_hundred_is_no_fault() {
+    for way in [Way::ToGateway, Way::ToHost] {
+        let mut rig = rig();
+        rig.lead_to_moving();
+        let before = *rig.driver.counters();
+        let mut rng = TestRng::deterministic_rng(RngAlgorithm::ChaCha);
+        let mut row = 0;
+        let mut good = good_line();
+        rig.line = Box::new(move |this_way, bytes| {
+            if this_way == way {
+                let lost = rng.next_u32().is_multiple_of(100) && row < 2;
+                row = if lost { row + 1 } else { 0 };
+                if lost {
+                    return Vec::new();
+                }
+            }
+            good(this_way, bytes)
+        });
+        follow(&mut rig, Duration::from_secs(600));
+        assert_eq!(rig.driver.state(), DriverState::Moving, "{:?}", rig.driver.latched());
+        let lost = rig.driver.counters().lost - before.lost;
+        assert!((450..750).contains(&lost), "{way:?}: {lost} of 60000");
+    }
+}
+
+/// Any mixture of harm in both directions: nothing panics, the gateway never hears what its table refuses but for what the harm
+/// itself made it miss, and a stop ends it all.
+#[test]
+fn any_mixture_of_harm_ends_in_a_stop() {
+    let harms = prop::collection::vec((0usize..16, any::<bool>()), 1..200);
+    let mut runner = TestRunner::new(Config { failure_persistence: None, ..Config::with_cases(100) });
+    let result = runner.run(&harms, |harms| {
+        let mut rig = rig();
+        rig.lead_to_moving();
+        let mut plan = harms.into_iter();
+        let mut good = good_line();
+        rig.line = Box::new(move |way, bytes| {
+            let harmed = plan.next().and_then(|(harm, to_host)| Some((*HARMS.get(harm)?, to_host)));
+            match harmed {
+                Some((harm, to_host)) if to_host == (way == Way::ToHost) && !bytes.is_empty() => harm.apply(bytes),
+                _ => good(way, bytes),
+            }
+        });
+        follow(&mut rig, ms(1500));
+        rig.line = good_line();
+        prop_assert_eq!(rig.driver.handle_request(rig.now, Request::Stop), Ok(()));
+        rig.run(Duration::from_secs(3));
+        prop_assert_eq!(rig.driver.activity(), Activity::None);
+        prop_assert!(matches!(rig.driver.state(), DriverState::Connected | DriverState::Fault | DriverState::EStop));
+        prop_assert_eq!(rig.gateway.speeds.amax(), 0.0);
+        Ok(())
+    });
+    assert_eq!(result, Ok(()));
+}
