@@ -270,3 +270,67 @@ fn what_resembles_a_target_outside_the_range_is_not_taken_for_it() {
     assert_eq!(held.status, Status::Ok, "{}", held.reason);
     assert!((held.pose.unwrap().z_m * (112.0 + offset) / fb - 1.0).abs() < 1e-3);
 }
+
+/// The tilt is a part of the range as the depth is: what lies beyond it by more than its own uncertainty was not searched.
+#[test]
+fn an_answer_tilted_beyond_the_range_is_not_sure() {
+    let rig = scene::rectified_rig(SIZE);
+    let scene =
+        Scene { centre_px: Vector2::new(352.0, 236.0), z_m: 0.5, theta_x_rad: 0.05, theta_y_rad: 0.25, noise: 3.0 };
+    let (left, right) = scene.render(&rig);
+    let region = Region::Rectangle { x: 312, y: 196, width: 80, height: 80 };
+    let found = |tilt_deg: f64| estimate(&rig, (&left, &right), &region, [0.35, 0.8, tilt_deg]);
+    let tilt_deg = 0.25_f64.to_degrees();
+    for beyond in [found(tilt_deg - 6.0), found(tilt_deg - 3.0)] {
+        assert!(matches!(beyond.warnings[..], [EstimateWarning::BeyondTilt { .. }]), "{:?}", beyond.warnings);
+        assert_eq!(beyond.status, Status::Ambiguous, "{}", beyond.reason);
+        assert!(beyond.reason.contains("raise the limit (--tilt-max)"), "{}", beyond.reason);
+    }
+    for within in [found(tilt_deg - 0.02), found(tilt_deg + 3.0)] {
+        assert_eq!(within.status, Status::Ok, "{}", within.reason);
+    }
+}
+
+/// A flat part of a region that is something else for the most part.
+#[test]
+fn a_plane_that_has_little_of_the_region_is_not_sure() {
+    let rig = scene::rectified_rig(SIZE);
+    let disparity_px = |u: f64, v: f64| match u {
+        ..330.0 => 128.0 + 0.03 * (u - 320.0) + 0.02 * (v - 240.0),
+        _ => 131.0 + 3.0 * (((u - 330.0) / 14.0).floor() + 2.0 * ((v - 160.0) / 20.0).floor()).rem_euclid(5.0),
+    };
+    let (left, right) = pair(disparity_px);
+    let found = |width: u32| {
+        let region = Region::Rectangle { x: 280, y: 170, width, height: 140 };
+        estimate(&rig, (&left, &right), &region, [0.35, 0.8, 60.0])
+    };
+    let little = found(140);
+    assert!(!little.status.depth_is_sure(), "{} {}", little.status, little.reason);
+    assert!(little.reason.contains("mark a part that is flat"), "{}", little.reason);
+    assert_eq!(found(50).status, Status::Ok, "{}", found(50).reason);
+}
+
+/// Where pixels are joined, most of the region looks more like another place in the range than like its own, whose shading
+/// differs there; what is fine agrees in its own place alone.
+#[test]
+fn what_resembles_a_target_on_coarse_levels_alone_is_not_taken_for_it() {
+    let rig = scene::rectified_rig(SIZE);
+    let (fb, offset) = (rig.left().pinhole().fx * 0.1, rig.right().pinhole().cx - rig.left().pinhole().cx);
+    let shading = |x: f64, y: f64| texture(0.6 * y + 40.0, 0.5 * x - 17.0);
+    let fine = |x: f64, y: f64, k: f64| 30.0 * ((2.6 * k * x + 1.9 * y).sin() + (2.1 * x - 2.8 * k * y + k).sin());
+    let draw = |at: &dyn Fn(f64, f64) -> f64| {
+        RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| {
+            Rgb([at(f64::from(u), f64::from(v)).round().clamp(0.0, 255.0) as u8; 3])
+        })
+    };
+    let left = draw(&|u, v| texture(u, v) + fine(u, v, 1.0));
+    let mixed = |x: f64, y: f64, share: f64| (1.0 - share) * texture(x, y) + share * shading(x, y);
+    let right = draw(&|u, v| match u {
+        175.0.. => mixed(u + 112.0, v, if u + 112.0 > 334.0 { 0.25 } else { 0.0 }) + fine(u + 112.0, v, 1.0),
+        _ => mixed(u + 212.0, v, if u + 212.0 > 334.0 { 0.0 } else { 0.25 }) + fine(u + 212.0, v, 0.93),
+    });
+    let region = Region::Rectangle { x: 290, y: 180, width: 96, height: 96 };
+    let found = estimate(&rig, (&left, &right), &region, [fb / (240.0 + offset), fb / (90.0 + offset), 60.0]);
+    let off_px = fb / found.pose.unwrap().z_m - offset - 112.0;
+    assert!(off_px.abs() < 0.5, "{off_px} px off: {} {}", found.status, found.reason);
+}

@@ -2,6 +2,7 @@
 //!
 //! Works in the rectified pair; [`super::estimator`] makes an answer of what is found here.
 
+mod contest;
 mod levels;
 
 use nalgebra::Vector2;
@@ -152,6 +153,9 @@ pub struct ColdStartOutcome {
     pub second: Option<Rival>,
     /// The best of the planes that explain the pixels of the first as something else, if there is one.
     pub alias: Option<Rival>,
+    /// The best of the other explanations of the same pixels that are near the first on the level of the search, with its score over that of the first on the
+    /// finest level.
+    pub contender: Option<Rival>,
     /// Share of the region's pixels with a clear disparity.
     pub valid_share: f64,
     /// What the patches said of the plane on the finest level that they looked at.
@@ -238,6 +242,7 @@ impl ColdStart {
             return None;
         }
         self.search(source.disparity_px, &allowed, may_continue);
+        let contender = self.contest(may_continue);
         let first = *self.surfaces.first()?;
         let (second, alias) = self.rivals(&first);
         let (patch_plane, finest, level) = self.descend(first.plane, may_continue);
@@ -271,6 +276,7 @@ impl ColdStart {
             first,
             second,
             alias,
+            contender,
             valid_share,
             finest,
             patch_plane,
@@ -424,10 +430,28 @@ impl ColdStart {
         loop {
             let outcome = self.look_twice(index, &mut plane, centre);
             if index == finest || !may_continue() {
+                let (plane, outcome) = self.closest(index, (plane, outcome), centre);
                 return (plane, outcome, index);
             }
             index -= 1;
         }
+    }
+
+    /// What was found on a level, or the plane that clearly more of its patches lie closely on, if no fewer support that one.
+    fn closest(
+        &mut self,
+        index: usize,
+        found: (DisparityPlane, PatchOutcome),
+        centre: Vector2<f64>,
+    ) -> (DisparityPlane, PatchOutcome) {
+        let Some(closest) = self.patches.closest_plane(self.kernels) else { return found };
+        let mut plane = self.pyramid.levels()[index].full_plane(&closest, centre);
+        let outcome = self.look_twice(index, &mut plane, centre);
+        if support_of(&outcome) >= support_of(&found.1) {
+            return (plane, outcome);
+        }
+        self.look(index, &found.0);
+        found
     }
 
     /// Looks at the patches around a plane, and puts it right; once more if that has moved it.

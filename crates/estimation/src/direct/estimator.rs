@@ -275,6 +275,11 @@ impl DirectEstimator {
         if !TiltLimits::new(range).allow(&view.inverse_depth_plane(&plane)) {
             let limit_deg = range.tilt_max_rad.to_degrees();
             estimate.warnings.push(EstimateWarning::BeyondTilt { limit_deg });
+            let is_beyond = spread.is_some_and(|spread| spread.is_tilted_beyond(&pose, range.tilt_max_rad));
+            if is_beyond && estimate.status.depth_is_sure() {
+                estimate.status = Status::Ambiguous;
+                estimate.reason.push_str(", but it is tilted beyond the range: raise the limit (--tilt-max)");
+            }
         }
     }
 
@@ -436,6 +441,9 @@ fn disparity_range(view: &RawView, range: &SearchRange) -> (f64, f64) {
 /// normal that faces the camera can not be known worse.
 const ANY_NORMAL_RAD: f64 = 1.0684;
 
+/// An answer is tilted beyond the range if it exceeds the limit by so many standard deviations.
+const TILT_SIGMAS: f64 = 2.0;
+
 /// Uncertainty of a plane in `cam_left`.
 #[derive(Clone, Copy, Debug)]
 struct Spread {
@@ -460,6 +468,16 @@ impl Spread {
         let across = (Matrix3::identity() - normal * normal.transpose()) / q.norm();
         let normal_sigma_rad = (across * q_covariance * across.transpose()).trace().max(0.0).sqrt().min(ANY_NORMAL_RAD);
         Self { covariance: jacobian * q_covariance * jacobian.transpose(), normal_sigma_rad }
+    }
+
+    /// Whether a tilt of `pose` exceeds a limit by more than its uncertainty.
+    fn is_tilted_beyond(&self, pose: &PlanePose, limit_rad: f64) -> bool {
+        let q = pose.inverse_depth_plane;
+        let tilts_rad = [(-q.y).atan2(q.x.hypot(q.z)), q.x.atan2(q.z)];
+        let is_beyond = |(axis, tilt_rad): (usize, f64)| {
+            tilt_rad.abs() - limit_rad > TILT_SIGMAS * self.covariance[(axis + 1, axis + 1)].max(0.0).sqrt()
+        };
+        tilts_rad.into_iter().enumerate().any(is_beyond)
     }
 }
 

@@ -5,9 +5,11 @@
 //! plane's slope along columns). The agreement is the zero-mean normalised cross-correlation of all whole shifts within a
 //! reach, from running sums; a parabola gives the fraction.
 
+mod closest;
 mod fit;
 mod kernels;
 
+use self::closest::Sampled;
 use self::fit::{PatchVotes, fit_votes};
 use super::colour_planes::ColourPlanes;
 use super::region_pyramid::{LevelPlane, RegionLevel, is_seen};
@@ -91,6 +93,9 @@ pub struct SlantedPatches {
     warped: Vec<f32>,
     rows: kernels::Rows,
     votes: PatchVotes,
+    sampled: Sampled,
+    /// The plane that was looked at last.
+    given: Option<LevelPlane>,
 }
 
 impl SlantedPatches {
@@ -105,12 +110,15 @@ impl SlantedPatches {
     ) -> PatchOutcome {
         let area = patch_box(level);
         let reach = config.reach.clamp(1, REACH_MAX);
+        self.given = None;
         if area.width < SIDE || area.height < SIDE || level.right.window.width < 4 {
             level.reset_support();
             return Tally::default().outcome(level.area_px, *plane);
         }
         self.load(level, &area, plane, reach, kernels);
         self.votes.clear();
+        self.sampled.start(level.area_px, ROW_STEP);
+        self.given = Some(*plane);
         level.support.fill(0);
         let mut tally = Tally::default();
         self.rows.start(area.width, reach);
@@ -124,6 +132,13 @@ impl SlantedPatches {
         keep_unseen_pixels(level, &area);
         let correction = fit_votes(&mut self.votes, config.support_px, kernels);
         tally.outcome(level.area_px, corrected(plane, correction))
+    }
+
+    /// A plane that clearly more of the patches of the last run lie closely on than on the one that was given there, if there is
+    /// one.
+    pub fn closest_plane(&mut self, kernels: Kernels) -> Option<LevelPlane> {
+        let given = self.given?;
+        Some(corrected(&given, Some(self.sampled.closest(kernels)?)))
     }
 
     /// Writes what the patches of one row say for that row and the next.
@@ -147,6 +162,11 @@ impl SlantedPatches {
         }
         let inside = &level.region[row * stride + first..][..count];
         self.votes.extend_row((first, row), inside, self.rows.offsets(), self.rows.weights());
+        if self.sampled.takes_row(row - area.y - RADIUS) {
+            let patches = (self.rows.offsets(), self.rows.weights(), self.rows.correlations());
+            let limits = (config.reach.clamp(1, REACH_MAX) as f32, limits.1);
+            self.sampled.take_row((first, row), inside, patches, limits);
+        }
     }
 
     /// Copies the left window's part and warps the right window onto it, `reach` columns wider on both sides.

@@ -11,11 +11,11 @@ pub struct DirectVerdictConfig {
     /// Smallest share of the region's pixels whose patch has texture and agrees with the plane; below: `not-observable`.
     /// 0 to 1. Default 0.15.
     pub support_min: f64,
-    /// With a smaller share than this the answer is `ambiguous` at best, because the region is no plane, and
-    /// `not-observable` if it is not the plane but texture that is missing. 0 to 1. Default 0.3.
+    /// With a smaller share than this the answer is `ambiguous` at best, because the region is no plane. 0 to 1. Default 0.4.
     pub support_sure_min: f64,
     /// Another explanation of the same pixels, in the range or beyond it, whose score reaches this share of the best one's
-    /// makes the answer `ambiguous`. 0 to 1. Default 0.85.
+    /// makes the answer `ambiguous`, on the level of the search or on the finest one. 0 to 1.
+    /// Default 0.85.
     pub alias_score_max: f64,
     /// Another surface with this share of the number of pixels of the first makes the answer `ambiguous`. 0 to 1.
     /// Default 0.65.
@@ -28,7 +28,7 @@ impl Default for DirectVerdictConfig {
     fn default() -> Self {
         Self {
             support_min: 0.15,
-            support_sure_min: 0.3,
+            support_sure_min: 0.4,
             alias_score_max: 0.85,
             second_share_max: 0.65,
             normal_sigma_max_deg: 5.0,
@@ -130,6 +130,9 @@ fn cause(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdict
 /// If no plane explains this share of the region, the range, the calibration or the pictures are to blame and not the surface.
 const ANY_SHARE_MIN: f64 = 0.1;
 
+/// Too little of a region has texture if its share is smaller than this.
+const TEXTURED_MIN: f64 = 0.3;
+
 /// What is said where too little of the region has texture or agrees with the plane.
 fn too_little(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdictConfig) -> Option<Verdict> {
     let (textured, support) = (outcome.finest.textured_share, support_of(&outcome.finest));
@@ -137,8 +140,8 @@ fn too_little(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVe
     if support >= sure_min {
         return None;
     }
-    if textured < sure_min {
-        let (textured, limit) = (100.0 * textured, 100.0 * sure_min);
+    if textured < TEXTURED_MIN {
+        let (textured, limit) = (100.0 * textured, 100.0 * TEXTURED_MIN);
         let seen = format!("only {textured:.0} % of the region have texture (limit {limit:.0} %)");
         let reason = format!("{seen}: choose a target with texture, or more light");
         return Some(Verdict { status: Status::NotObservable, reason });
@@ -155,12 +158,23 @@ fn too_little(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVe
 /// spread around every plane.
 pub(super) fn is_no_plane(outcome: &ColdStartOutcome, limits: &DirectVerdictConfig) -> bool {
     let sure_min = limits.support_sure_min;
-    let lacks_support = outcome.finest.textured_share >= sure_min && support_of(&outcome.finest) < sure_min;
+    let lacks_support = outcome.finest.textured_share >= TEXTURED_MIN && support_of(&outcome.finest) < sure_min;
     lies_spread(outcome) || lacks_support
 }
 
 fn lies_spread(outcome: &ColdStartOutcome) -> bool {
     outcome.widest.is_some_and(|widest| widest.is_spread)
+}
+
+/// What is said where another plane is nearly as good on the finest level.
+fn contested(outcome: &ColdStartOutcome, limits: &DirectVerdictConfig) -> Option<String> {
+    let other = outcome.contender.filter(|other| other.score_ratio > limits.alias_score_max)?;
+    let gap_px = other.plane.d0_px - outcome.patch_plane.d0_px;
+    Some(format!(
+        "a plane {gap_px:+.1} px of disparity away is nearly as good, with {:.0} % of the score (limit {:.0} %): the texture resembles itself",
+        100.0 * other.score_ratio,
+        100.0 * limits.alias_score_max
+    ))
 }
 
 /// The status of an outcome; `normal_sigma_rad` is the standard deviation of the answer's normal.
@@ -194,6 +208,9 @@ pub(super) fn judge(
                 100.0 * limits.alias_score_max
             ),
         );
+    }
+    if let Some(reason) = contested(outcome, limits) {
+        return say(Status::Ambiguous, reason);
     }
     if let Some(period_px) = outcome.repeats_px {
         let seen = format!("the texture repeats every {period_px:.0} px, and only {agreeing:.0} % of the region agree");

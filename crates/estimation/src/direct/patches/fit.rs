@@ -21,7 +21,7 @@ impl PatchVotes {
         }
     }
 
-    fn push(&mut self, x: f32, y: f32, offset: f32, weight: f32) {
+    pub(super) fn push(&mut self, x: f32, y: f32, offset: f32, weight: f32) {
         self.x.push(x);
         self.y.push(y);
         self.offset.push(offset);
@@ -36,8 +36,31 @@ impl PatchVotes {
         self.weight.extend(inside.iter().zip(weight).map(|(inside, weight)| f32::from(*inside) * weight));
     }
 
+    pub(super) fn len(&self) -> usize {
+        self.x.len()
+    }
+
+    /// The plane through three votes; `None` if they stand in a line.
+    pub(super) fn through(&self, votes: [usize; 3]) -> Option<[f64; 3]> {
+        let row = |i: usize| [1.0, f64::from(self.x[i]), f64::from(self.y[i])];
+        let offset = Vector3::from(votes.map(|i| f64::from(self.offset[i])));
+        let plane = Matrix3::from(votes.map(row)).transpose().try_inverse()? * offset;
+        plane.iter().all(|v| v.is_finite()).then(|| plane.into())
+    }
+
+    /// How far two planes are apart, at most, at the corners of the box around all votes that count.
+    pub(super) fn gap(&self, a: &[f64; 3], b: &[f64; 3]) -> f64 {
+        let places = || self.x.iter().zip(&self.y).zip(&self.weight).filter(|(_, weight)| **weight > 0.0);
+        let ends = |values: &mut dyn Iterator<Item = f32>| {
+            values.fold((f32::MAX, f32::MIN), |(low, high), value| (low.min(value), high.max(value)))
+        };
+        let (x, y) = (ends(&mut places().map(|((x, _), _)| *x)), ends(&mut places().map(|((_, y), _)| *y)));
+        let gap = |x: f32, y: f32| (a[0] - b[0] + (a[1] - b[1]) * f64::from(x) + (a[2] - b[2]) * f64::from(y)).abs();
+        gap(x.0, y.0).max(gap(x.1, y.0)).max(gap(x.0, y.1)).max(gap(x.1, y.1))
+    }
+
     /// Fills the last group with votes that do not count.
-    fn pad(&mut self) {
+    pub(super) fn pad(&mut self) {
         while !self.x.len().is_multiple_of(LANES) {
             self.push(0.0, 0.0, 0.0, 0.0);
         }
@@ -65,6 +88,25 @@ pub(super) fn fit_votes(votes: &mut PatchVotes, width_px: f64, kernels: Kernels)
         plane += h.cholesky()?.solve(&Vector3::new(s[6], s[7], s[8]));
     }
     plane.iter().all(|v| v.is_finite()).then(|| plane.into())
+}
+
+/// The weight of the votes near a plane, by Tukey's weights of this width.
+pub(super) fn weight_near(votes: &PatchVotes, plane: &[f64; 3], width_px: f64, kernels: Kernels) -> f64 {
+    f64::from(weighted(votes, plane, width_px, kernels)[0])
+}
+
+/// A plane moved to the middle of the votes near it; `None` if these do not determine one.
+pub(super) fn improve(votes: &PatchVotes, plane: &[f64; 3], width_px: f64, kernels: Kernels) -> Option<[f64; 3]> {
+    let s = weighted(votes, plane, width_px, kernels).map(f64::from);
+    let h = Matrix3::new(s[0], s[1], s[2], s[1], s[3], s[4], s[2], s[4], s[5]);
+    let moved = Vector3::from(*plane) + h.cholesky()?.solve(&Vector3::new(s[6], s[7], s[8]));
+    moved.iter().all(|v| v.is_finite()).then(|| moved.into())
+}
+
+/// Sums over padded votes.
+fn weighted(votes: &PatchVotes, plane: &[f64; 3], width_px: f64, kernels: Kernels) -> [f32; 9] {
+    let scale = (1.0 / (width_px * width_px)) as f32;
+    sums(kernels, &votes.x, &votes.y, &votes.offset, &votes.weight, plane.map(|p| p as f32), scale)
 }
 
 wide! {

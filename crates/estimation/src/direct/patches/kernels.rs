@@ -117,6 +117,11 @@ impl Rows {
         &self.offset
     }
 
+    /// Best agreement of every patch of the row.
+    pub(super) fn correlations(&self) -> &[f32] {
+        &self.correlation
+    }
+
     /// How much every patch of the row counts; 0 without texture.
     pub(super) fn weights(&self) -> &[f32] {
         &self.weight
