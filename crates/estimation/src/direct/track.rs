@@ -22,6 +22,7 @@ mod judge;
 mod kernels;
 mod lanes;
 mod normal;
+mod one_surface;
 mod predict;
 mod reach;
 mod relief;

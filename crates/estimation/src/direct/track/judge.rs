@@ -8,7 +8,7 @@ use super::relief::Correlation;
 use crate::wide::LANES;
 
 /// A point fits if its robust weight reaches this.
-const FITS_FROM: f32 = 0.3;
+pub(super) const FITS_FROM: f32 = 0.3;
 
 /// Shares that plane and relief must reach in the first pair where no plane was found by itself.
 const SURFACE_INLIERS_MIN: f64 = 0.7;

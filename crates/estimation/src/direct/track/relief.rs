@@ -60,6 +60,23 @@ impl Relief {
         self.patch_of_group.len()
     }
 
+    /// Node of each group.
+    pub(super) fn node_of_group(&self) -> &[usize] {
+        &self.node_of_group
+    }
+
+    /// By patch: whether its node is among those `kept`; where it has no points, whether those of all that stand in for it are.
+    pub(super) fn patches_of(&self, kept: &[bool]) -> Vec<bool> {
+        let mut patches = vec![false; self.offset_px.len()];
+        for (&node, &patch) in self.node_of_group.iter().zip(&self.patch_of_group) {
+            patches[patch] = kept[node];
+        }
+        for (patch, known) in &self.stand_ins {
+            patches[*patch] = known.iter().all(|&other| patches[other]);
+        }
+        patches
+    }
+
     /// Holds that there is no relief.
     pub(super) fn hold_flat(&mut self) {
         self.offset_px.fill(0.0);
@@ -71,7 +88,7 @@ impl Relief {
     }
 
     /// Patch of a raw pixel of the first view.
-    fn patch_at(&self, pixel: [f64; 2]) -> usize {
+    pub(super) fn patch_at(&self, pixel: [f64; 2]) -> usize {
         let place = |axis: usize, count: usize| {
             let x = (pixel[axis] - self.first_centre_px[axis]) / self.side_px;
             (x.round().max(0.0) as usize).min(count - 1)

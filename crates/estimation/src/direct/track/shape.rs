@@ -344,6 +344,16 @@ impl Shape {
         matrix.cholesky().map(|c| c.solve(&rhs)).unwrap_or_default()
     }
 
+    /// Pairs of neighbours and how far they are from each other, in patches.
+    pub(super) fn edges(&self) -> &[(usize, usize, f64)] {
+        &self.grid.edges
+    }
+
+    /// Rays of the nodes in the first left camera; the third component is 1.
+    pub(super) fn rays(&self) -> &[Vector3<f64>] {
+        &self.grid.plane
+    }
+
     /// What a node has beyond a plane, pixels.
     pub(super) fn beyond(&self, node: usize, plane: &Vector3<f64>) -> f64 {
         self.mean[node] - self.grid.plane[node].dot(plane)

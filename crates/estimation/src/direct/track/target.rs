@@ -12,6 +12,7 @@ use super::images::{EyeImages, LEVELS};
 use super::judge::{Fit, Limits, Misfit};
 use super::kernels::{CHANNELS, ROW, TERMS};
 use super::normal::{Free, NormalEquations};
+use super::one_surface::{Part, largest_part};
 use super::predict::{FramePrior, Motion};
 use super::reach::{Sighting, in_sight};
 use super::search::{PLACES, Place, Searcher, depth_by_stereo, hypotheses, hypothesis, mirrored};
@@ -160,6 +161,12 @@ impl Target {
             self.judge();
             self.conclude(&equations, false);
         }
+    }
+
+    /// The largest part of the region that is one surface, where that is not all of it; `of_several`: of what is left of
+    /// several surfaces.
+    pub(super) fn largest_part(&self, of_several: bool) -> Option<Part> {
+        largest_part(&self.surface, &self.views[0].levels[0], &self.aligner.residuals, of_several)
     }
 
     /// Looks for others that look the same, in the whole first pair.

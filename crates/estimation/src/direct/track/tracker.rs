@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use image::RgbImage;
-use nalgebra::{Matrix6, Point3, Vector2};
+use nalgebra::{Matrix6, Point3, Vector2, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
 
@@ -43,7 +43,8 @@ const MARGIN_START_PX: u32 = 40;
 ///
 /// Frame `model`: origin in the plane on the ray of the region's centroid in the first left image, z along the plane's normal
 /// away from the camera, x the image's x axis projected into the plane. The pose of the first frame is this definition; all
-/// later ones are measured.
+/// later ones are measured. Where the region shows several surfaces, one of them is followed, and the centroid is that of
+/// its pixels.
 ///
 /// The covariance is that of `xi = [rho; phi]` (metres, radians; axes of `model`) in `true = found * exp(xi)`, see
 /// [`Pose::perturbed_in_from`]; it contains what is open about the surface since the first frame, and is widened where
@@ -202,20 +203,26 @@ impl DirectTracker {
         self.was_started = true;
         check_sizes(&self.rig, left, right)?;
         let mask = region.rasterize(left, &self.region_config)?;
+        let inner = mask.erode(self.config.erosion_px);
         let outline_px = region.outline_px(&mask);
-        let Some((surface, pose)) = self.first_surface(left, &mask, plane)? else {
+        let q = plane.inverse_depth_plane;
+        let Some(mut target) = self.first_target((left, right), &outline_px, (&mask, &inner), q)? else {
             let reason = "the region has too little to hold on to once its border is left out".to_owned();
             return Ok(TrackEstimate { reason, ..blank() });
         };
-        let model_from_first = pose.inverse();
-        let on_plane = |px: &Vector2<f64>| {
-            let ray = self.rig.left().unproject(px).ok()?;
-            Some(model_from_first.transform_point(&Point3::from(ray * plane.depth_on_ray(&ray)?)))
-        };
-        let outline_in_model: Vec<Point3<f64>> = outline_px.iter().filter_map(on_plane).collect();
-        self.load(left, right, &pose, &outline_in_model, MARGIN_START_PX);
-        let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
-        let mut target = Target::first(surface, pose, outline_in_model, &frame, self.kernels);
+        let mut pixels = [mask, inner];
+        for round in 0..PARTS_MAX {
+            let Some(part) = target.largest_part(round > 0) else { break };
+            pixels = part.pixels(&target.surface.relief, &pixels, self.config.erosion_px / 2);
+            let [own, inside] = &pixels;
+            let Some(next) = self.first_target((left, right), &outline_px, (own, inside), part.plane)? else {
+                let reason =
+                    "the region shows several surfaces, and of each too little to hold on to: mark one of them";
+                let reason = reason.to_owned();
+                return Ok(TrackEstimate { reason, ..blank() });
+            };
+            target = next;
+        }
         self.load_whole(left, right);
         target.look_for_twins(&Frame { images: &self.images, rig: &self.rig, config: &self.config });
         self.remember(&target, left, right);
@@ -225,12 +232,33 @@ impl DirectTracker {
         Ok(estimate)
     }
 
+    /// A target whose points lie in `inner` pixels of a region, near a plane; `None` if there are too few.
+    fn first_target(
+        &mut self,
+        (left, right): (&RgbImage, &RgbImage),
+        outline_px: &[Vector2<f64>],
+        (mask, inner): (&RegionMask, &RegionMask),
+        q: Vector3<f64>,
+    ) -> Result<Option<Target>, EstimationError> {
+        let Some((surface, pose)) = self.first_surface(left, (mask, inner), q)? else { return Ok(None) };
+        let model_from_first = pose.inverse();
+        let on_plane = |px: &Vector2<f64>| {
+            let ray = self.rig.left().unproject(px).ok()?;
+            let inverse_depth = q.dot(&ray);
+            (inverse_depth > 0.0).then(|| model_from_first.transform_point(&Point3::from(ray / inverse_depth)))
+        };
+        let outline_in_model: Vec<Point3<f64>> = outline_px.iter().filter_map(on_plane).collect();
+        self.load(left, right, &pose, &outline_in_model, MARGIN_START_PX);
+        let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
+        Ok(Some(Target::first(surface, pose, outline_in_model, &frame, self.kernels)))
+    }
+
     /// Points of the first left image, and where the model's frame lies; `None` if there are too few.
     fn first_surface(
         &mut self,
         left: &RgbImage,
-        mask: &RegionMask,
-        plane: &PlanePose,
+        (mask, inner): (&RegionMask, &RegionMask),
+        q: Vector3<f64>,
     ) -> Result<Option<FirstSurface>, EstimationError> {
         let (Some(centroid_px), Some(bounds)) = (mask.centroid_px(), mask.bbox()) else { return Ok(None) };
         let window = PixelWindow {
@@ -240,12 +268,10 @@ impl DirectTracker {
             height: bounds.height as usize,
         };
         self.images[0].update(left, window.grown(MARGIN_START_PX), self.kernels);
-        let q = plane.inverse_depth_plane;
         let Some(pose) = model_frame(&q, &self.rig.left().unproject(&centroid_px)?) else { return Ok(None) };
-        let eroded = mask.erode(self.config.erosion_px);
         let surface = Surface::choose(
             &self.images[0],
-            &eroded,
+            inner,
             &self.rig,
             q,
             &pose,
@@ -484,6 +510,8 @@ impl DirectTracker {
 /// A surface and the pose of its frame.
 type FirstSurface = (Surface, Pose<CamLeft, Model>);
 
+/// How often the surface of a region that shows several is looked for again among what is left.
+const PARTS_MAX: usize = 4;
 /// Fewer points than this are no target.
 const POINTS_MIN: usize = 40;
 
