@@ -153,6 +153,27 @@ fn three_harmed_answers_in_a_row_stop_the_arm_within_30_ms() {
     }
 }
 
+/// The gateway answers as done what is done already, so every message can be said again.
+#[test]
+fn one_lost_answer_anywhere_on_the_way_up_and_down_is_tolerated() {
+    for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
+        for lost in 0..170 {
+            let mut rig = Rig::new(dialect, WireFormat::BigEndian6x10);
+            let (mut count, mut good) = (0, good_line());
+            rig.line = Box::new(move |way, bytes| {
+                count += u32::from(way == Way::ToHost);
+                if way == Way::ToHost && count == lost + 1 { Vec::new() } else { good(way, bytes) }
+            });
+            rig.lead_to_moving();
+            rig.request(Request::Stop);
+            rig.settle();
+            assert_eq!(rig.driver.state(), DriverState::Connected, "{dialect}, {lost}: {:?}", rig.driver.latched());
+            assert_eq!(rig.driver.counters().lost, 1, "{dialect}, {lost}");
+            assert!(rig.gateway.rejected.is_empty(), "{dialect}, {lost}: {:?}", rig.gateway.rejected);
+        }
+    }
+}
+
 /// 10 minutes at 100 Hz with 1 % of the exchanges lost, never three in a row: no fault.
 #[test]
 fn one_lost_exchange_in_a_hundred_is_no_fault() {

@@ -131,7 +131,7 @@ impl FakeGateway {
     fn control(&mut self, control: Control) -> Result<(), RejectReason> {
         let latched = matches!(self.state, GatewayState::Fault | GatewayState::EmergencyStop);
         self.state = match (control, self.state) {
-            (Control::Arm(ArmOperation::Start), GatewayState::Idle) => GatewayState::Started,
+            (Control::Arm(ArmOperation::Start), GatewayState::Idle | GatewayState::Started) => GatewayState::Started,
             (Control::Arm(ArmOperation::End), GatewayState::Idle | GatewayState::Started) => GatewayState::Idle,
             (Control::Arm(ArmOperation::Stop), _) if !latched => GatewayState::Idle,
             (Control::Arm(ArmOperation::Reset), GatewayState::Idle) => GatewayState::Idle,
