@@ -11,8 +11,8 @@ use pb3dp_arm_pa10::codec::{
 use pb3dp_arm_pa10::gateway_protocol::{
     ArmId, ArmOperation, AxisState, Control, ControlOperation, ControlReply, Dialect, DriveCommand, DriveMode,
     EepromLimits, FRAME_BYTES_MAX, FaultReport, Firmware, Frame, FrameParser, GatewayMessage, GatewayState, Geometry,
-    Health, Hello, HelloReply, HostMessage, MessageError, OVERHEAD, Payload, RawMessage, Received, Reject,
-    RejectReason, State, StopCause,
+    Health, Hello, HelloReply, HostMessage, MessageError, Payload, RawMessage, Received, Reject, RejectReason, State,
+    StopCause, check_line, exchange_bytes, exchange_time,
 };
 use pb3dp_arm_pa10::watchdog::CommandWatchdog;
 use pb3dp_kinematics::JointVector;
@@ -212,16 +212,31 @@ fn the_lengths_of_the_specification_are_ours() {
         }
     }
     assert!(SPECIFICATION.contains(&format!("The buffer needs {FRAME_BYTES_MAX} bytes.")));
+}
+
+#[test]
+fn the_times_of_the_specification_are_ours() {
+    let (a, b) = (WireFormat::LittleEndian5x8, WireFormat::BigEndian6x10);
     let command = HostMessage::Command(DriveCommand::at_rest(DriveMode::Off)).frame(ARM, 0, 0).encode().len();
     let answer = GatewayMessage::State(state()).frame(ARM, 0, 0).encode().len();
-    assert!(SPECIFICATION.contains(&format!("take {} bytes in the dialect `gateway-v1`", command + answer)));
-    for (format, end) in [
-        (WireFormat::LittleEndian5x8, " in `transparent` with format A"),
-        (WireFormat::BigEndian6x10, " with format B"),
-    ] {
-        let bytes = 2 * (OVERHEAD + 1) + format.command_length() + format.reply_length();
-        assert!(SPECIFICATION.contains(&format!("{bytes}{end}")), "{format}: {bytes}");
+    assert_eq!(exchange_bytes(Dialect::GatewayV1, b), command + answer);
+    let [v1, format_a, format_b] = [(Dialect::GatewayV1, b), (Dialect::Transparent, a), (Dialect::Transparent, b)]
+        .map(|(dialect, format)| exchange_bytes(dialect, format));
+    let sentence = format!(
+        "take {v1} bytes in the dialect `gateway-v1`, {format_a} in `transparent` with format A and {format_b} with format B"
+    );
+    assert!(SPECIFICATION.contains(&sentence), "{sentence}");
+    for (baud, shortest_ms) in [(115_200, None), (460_800, Some(8)), (921_600, Some(4)), (3_000_000, Some(2))] {
+        let check = |cycle_ms| check_line(Dialect::GatewayV1, b, baud, std::time::Duration::from_millis(cycle_ms));
+        let time_ms = exchange_time(Dialect::GatewayV1, b, baud).as_secs_f64() * 1e3;
+        let shortest = shortest_ms.map_or("none: too slow".to_owned(), |shortest| format!("{shortest} ms"));
+        let row = format!("| {baud} | {time_ms:.1} ms | {shortest} |");
+        assert!(SPECIFICATION.contains(&row), "{row}");
+        assert_eq!(check(shortest_ms.unwrap_or(10)).is_ok(), shortest_ms.is_some(), "{baud}");
     }
+    let refused = check_line(Dialect::GatewayV1, b, 115_200, std::time::Duration::from_millis(10)).unwrap_err();
+    assert!(refused.to_string().starts_with("115200 baud take 15.19"), "{refused}");
+    assert!(check_line(Dialect::Transparent, a, 0, std::time::Duration::from_millis(10)).is_err());
 }
 
 #[test]

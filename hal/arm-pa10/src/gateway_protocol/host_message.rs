@@ -12,6 +12,9 @@ const CONTROL: u8 = 0x03;
 const HEARTBEAT: u8 = 0x04;
 const RAW: u8 = 0x05;
 
+/// Length of the payload of COMMAND.
+pub(super) const COMMAND_LENGTH: usize = 1 + Axis::COUNT * 4;
+
 /// Times between two commands that make sense, µs: slower ones would trip the watchdogs by themselves.
 const HOST_CYCLE_US: std::ops::RangeInclusive<u32> = 2_000..=10_000;
 
@@ -186,7 +189,7 @@ impl HostMessage {
                 Self::Hello(Hello { dialect, cycle_us })
             }
             COMMAND => {
-                let mut fields = fields(29)?;
+                let mut fields = fields(COMMAND_LENGTH)?;
                 let mode = fields.code("mode", DriveMode::from_byte)?;
                 let command = DriveCommand { mode, speed_urad_per_s: std::array::from_fn(|_| fields.i32()) };
                 command.check(&fields)?;

@@ -10,6 +10,7 @@ mod frame;
 mod freshness;
 mod gateway_message;
 mod host_message;
+mod line;
 mod parser;
 mod sequence;
 mod state;
@@ -21,6 +22,7 @@ pub use gateway_message::{
     ControlReply, EepromLimits, FaultReport, Firmware, GatewayMessage, Health, HelloReply, Reject,
 };
 pub use host_message::{ArmOperation, Control, DriveCommand, Hello, HostMessage, RawMessage};
+pub use line::{LineTooSlow, check_line, exchange_bytes, exchange_time};
 pub use parser::{FrameParser, ParserCounters, Received};
 pub use sequence::{Arrival, SequenceTracker};
 pub use state::{AxisState, State};
