@@ -126,6 +126,32 @@ fn a_gateway_that_latches_during_motion_stops_the_driver_with_its_cause() {
     rig.settle();
 }
 
+/// The other arm stopped, or a monitor found something: the gateway is led to rest by messages that its table allows.
+#[test]
+fn a_stop_from_outside_brings_the_gateway_to_rest_without_a_refusal() {
+    for mut rig in rigs() {
+        for trip in [
+            Trip::Fault(FaultCause::CommandTimeout { age: ms(60), allowed: ms(50) }),
+            Trip::EStop(EmergencyStopCause::Gateway),
+        ] {
+            if rig.driver.state().is_latched() {
+                rig.request(Request::Reset);
+                rig.settle();
+            }
+            if rig.driver.state() == DriverState::Disconnected {
+                rig.lead_to_moving();
+            } else {
+                rig.lead_on_to_moving();
+            }
+            rig.driver.handle_trip(rig.now, trip);
+            rig.settle();
+            assert_eq!(rig.trip(), trip);
+            assert_eq!(rig.gateway.state, GatewayState::Idle);
+            assert!(rig.gateway.rejected.is_empty(), "{trip}: {:?}", rig.gateway.rejected);
+        }
+    }
+}
+
 #[test]
 fn a_restarted_gateway_is_greeted_anew_before_a_reset_can_succeed() {
     let mut rig = Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10);

@@ -139,7 +139,14 @@ impl Rig {
     }
 
     pub fn lead_to_moving(&mut self) {
-        for request in [Request::Connect, Request::Enable, Request::ReleaseBrakes] {
+        self.request(Request::Connect);
+        self.settle();
+        self.lead_on_to_moving();
+    }
+
+    /// From connected on.
+    pub fn lead_on_to_moving(&mut self) {
+        for request in [Request::Enable, Request::ReleaseBrakes] {
             self.request(request);
             self.settle();
         }
