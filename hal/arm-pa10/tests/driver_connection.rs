@@ -159,3 +159,35 @@ fn replies_that_nobody_waits_for_are_counted_and_not_used() {
     bench.driver.handle_reply(bench.now, &Reply::Sample(sample));
     assert_eq!((bench.driver.sample(), bench.driver.counters().mismatched), (None, 2));
 }
+
+#[test]
+fn joints_never_go_back_in_time() {
+    let mut bench = Bench::in_state(DriverState::Holding);
+    let mut exchange = |age: Duration, position_rad: f64| {
+        bench.now = bench.now + CYCLE;
+        assert!(bench.driver.poll_transmit(bench.now).is_some());
+        let mut sample = bench.peer.sample();
+        (sample.age, sample.position_rad) = (age, JointVector::repeat(position_rad));
+        bench.driver.handle_reply(bench.now, &Reply::Sample(sample));
+        *bench.driver.joints().unwrap()
+    };
+    let newest = exchange(Duration::ZERO, 1.0);
+    assert_eq!(exchange(ms(25), 0.9), newest, "an answer with an older measurement");
+    let next = exchange(Duration::ZERO, 1.1);
+    assert!(next.at > newest.at && next.position_rad[0] == 1.1);
+}
+
+#[test]
+fn an_arm_whose_control_mode_is_off_is_sent_nothing_on_a_fault() {
+    for leads_down in [false, true] {
+        let mut bench = Bench::in_state(if leads_down { DriverState::Holding } else { DriverState::Connected });
+        if leads_down {
+            bench.request(Request::Stop);
+            bench.settle();
+        }
+        let from = bench.sent.len();
+        bench.driver.handle_unplugged(bench.now);
+        bench.run(ms(500));
+        assert_eq!((bench.driver.state(), bench.sent.len()), (DriverState::Fault, from));
+    }
+}

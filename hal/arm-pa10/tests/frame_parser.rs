@@ -100,7 +100,7 @@ proptest! {
     }
 
     #[test]
-    fn a_truncated_frame_costs_itself_alone(
+    fn a_truncated_frame_costs_one_frame(
         before in frames(), hit in frames(), after in prop::collection::vec(frames(), 1..4), keep in 0usize..FRAME_BYTES_MAX,
         piece in 1usize..300
     ) {
@@ -110,9 +110,10 @@ proptest! {
         bytes.extend(&whole[..keep]);
         bytes.extend(stream(&after));
         let (found, _) = parse(&bytes, piece);
-        let mut expected = vec![before];
-        expected.extend(after);
-        prop_assert_eq!(found, expected);
+        let without_hit: Vec<Frame> = [before].into_iter().chain(after.iter().copied()).collect();
+        // Where the missing end is the same as the beginning of the next frame, it is that one whose beginning is missing.
+        let without_next: Vec<Frame> = [before, hit].into_iter().chain(after[1..].iter().copied()).collect();
+        prop_assert!(found == without_hit || found == without_next, "{found:?}");
     }
 
     #[test]
@@ -129,7 +130,8 @@ proptest! {
         bytes.extend(&damaged);
         bytes.extend(stream(&[after]));
         let (found, _) = parse(&bytes, 64);
-        prop_assert!(found.contains(&before) && found.contains(&after), "{found:?}");
+        let lost = [before, hit, after].iter().filter(|frame| !found.contains(frame)).count();
+        prop_assert!(found.contains(&before) && lost <= 1, "{found:?}");
     }
 
     #[test]
@@ -170,6 +172,16 @@ fn each_kind_of_damage_has_its_counter() {
     assert_eq!(counters(&good[..good.len() - 1]).truncated, 1);
     let other = Frame { arm: ArmId(8), ..frame(&[1]) }.encode();
     assert_eq!((counters(&other).wrong_arm, counters(&other).frames, counters(&other).skipped_bytes), (1, 0, 0));
+}
+
+#[test]
+fn a_missing_end_that_the_next_frame_begins_with_costs_one_frame() {
+    let ends_like_sync = |frame: &Frame| frame.encode().last() == Some(&0xA5);
+    let hit = (0..=u8::MAX).map(|byte| frame(&[byte])).find(ends_like_sync).unwrap();
+    let (whole, next, last) = (hit.encode(), frame(&[1]), frame(&[2]));
+    let mut bytes = whole[..whole.len() - 1].to_vec();
+    bytes.extend(stream(&[next, last]));
+    assert_eq!(parse(&bytes, 64).0, [hit, last]);
 }
 
 #[test]

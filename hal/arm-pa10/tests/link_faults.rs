@@ -153,6 +153,23 @@ fn three_harmed_answers_in_a_row_stop_the_arm_within_30_ms() {
     }
 }
 
+#[test]
+fn an_answer_that_took_longer_holds_an_older_measurement() {
+    let mut rig = rig();
+    rig.lead_to_moving();
+    follow(&mut rig, ms(200));
+    let mut good = good_line();
+    rig.line = Box::new(move |way, bytes| if way == Way::ToHost { vec![(ms(8), bytes)] } else { good(way, bytes) });
+    follow(&mut rig, ms(200));
+    let mut least = Duration::MAX;
+    for _ in 0..20 {
+        rig.run(TICK);
+        least = least.min(rig.now.saturating_since(rig.driver.joints().unwrap().at));
+    }
+    // 6 ms more than the quickest answers, which the link can not tell from the difference of the clocks, and 0.1 ms at the gateway.
+    assert!(least >= Duration::from_micros(6_100) && least <= ms(7), "{least:?}");
+}
+
 /// The gateway answers as done what is done already, so every message can be said again.
 #[test]
 fn one_lost_answer_anywhere_on_the_way_up_and_down_is_tolerated() {
