@@ -222,6 +222,43 @@ fn the_same_picture_twice_says_nothing() {
     }
 }
 
+/// One edge across the rows and one nearly along them, as of a chessboard, blurred more by the right camera: the width of an
+/// edge looks like a slope, and noise does not tell the difference.
+#[test]
+fn the_width_of_an_edge_is_not_taken_for_a_sure_slope() {
+    let rig = scene::rectified_rig(SIZE);
+    let (fb, offset) = (rig.left().pinhole().fx * 0.1, rig.right().pinhole().cx - rig.left().pinhole().cx);
+    let step = |distance: f64, blur_px: f64| (1.7 * distance / (2.0 * blur_px)).tanh();
+    let render = |shift_px: f64, blur_px: f64| {
+        RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| {
+            let (x, y) = (f64::from(u) + shift_px - 322.3, f64::from(v) - 247.6);
+            let noise = (f64::from((u * 7919 + v * 104_729 + u * v * 31) % 997) / 997.0 - 0.5) * 5.0;
+            let value = 128.0 + 90.0 * step(x - 0.06 * y, blur_px) * step(y + 0.07 * x, blur_px) + noise;
+            Rgb([value.round() as u8; 3])
+        })
+    };
+    let depth = |disparity_px: f64| fb / (disparity_px + offset);
+    let mut unaware = DirectConfig::default();
+    unaware.cold_start.refine.blur_sigma_px2 = 0.0;
+    let mut wrong = [0; 2];
+    for blur_px in [0.75, 0.85, 0.95] {
+        let (left, right) = (render(0.0, 0.85), render(112.0, blur_px));
+        for (x, y, side) in [(304, 228, 36), (298, 226, 40), (308, 224, 44)] {
+            let region = Region::Rectangle { x, y, width: side, height: side };
+            let range = SearchRange::new(depth(150.0), depth(90.0), 1.0).unwrap();
+            for (config, wrong) in [DirectConfig::default(), unaware.clone()].into_iter().zip(&mut wrong) {
+                let mut estimator = DirectEstimator::new(&rig, config).unwrap();
+                let found = estimator.estimate(&left, &right, &region, &range).unwrap();
+                let (Some(pose), Some(sigma_rad)) = (found.pose, found.normal_sigma_rad) else { continue };
+                let off_rad = pose.normal_in_cam_left.angle(&-nalgebra::Vector3::z());
+                *wrong +=
+                    u32::from(found.status == Status::Ok && off_rad.to_degrees() > 5.0 && off_rad > 3.0 * sigma_rad);
+            }
+        }
+    }
+    assert!(wrong[0] == 0 && wrong[1] > 0, "sure and wrong: {}, and {} without", wrong[0], wrong[1]);
+}
+
 /// Rows that are off are corrected; so far off the calibration can not be trusted.
 #[test]
 fn rows_that_no_calibrated_rig_has_are_told() {

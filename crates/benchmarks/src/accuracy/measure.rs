@@ -85,11 +85,12 @@ pub struct Rendered {
     pub right: RgbImage,
 }
 
-/// The methods as they are, for cameras whose calibration is exact: the direct method allows for what calibrations of real
-/// rigs leave, which is not there to be found in rendered pairs.
+/// The methods as they are, for cameras whose calibration is exact: the direct method allows for what calibrations and lenses
+/// of real rigs leave, which is not there to be found in rendered pairs.
 pub fn config() -> EstimatorConfig {
     let mut config = EstimatorConfig::default();
     config.direct.cold_start.refine.calibration_sigma_px = 0.0;
+    config.direct.cold_start.refine.blur_sigma_px2 = 0.0;
     config
 }
 

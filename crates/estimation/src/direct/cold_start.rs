@@ -55,6 +55,7 @@ impl Default for ColdStartConfig {
                 erosion_max_px: 2.0,
                 erosion_share_max: 0.12,
                 calibration_sigma_px: CALIBRATION_SIGMA_PX,
+                blur_sigma_px2: BLUR_SIGMA_PX2,
                 ..RefineConfig::default()
             },
             surroundings_px: 16,
@@ -100,12 +101,16 @@ fn validate_refine(refine: &RefineConfig) -> Result<(), EstimationError> {
     check_range("direct.refine.place_sigma_px", place, (0.0, 2.0), "must be between 0 and 2 pixels")?;
     let pixels = |name, value| check_range(name, value, (0.0, 5.0), "must be between 0 and 5 pixels");
     pixels("direct.refine.row_sigma_px", refine.row_sigma_px)?;
-    pixels("direct.refine.calibration_sigma_px", refine.calibration_sigma_px)
+    pixels("direct.refine.calibration_sigma_px", refine.calibration_sigma_px)?;
+    let blur = refine.blur_sigma_px2;
+    check_range("direct.refine.blur_sigma_px2", blur, (0.0, 5.0), "must be between 0 and 5 squared pixels")
 }
 
 /// What the calibration of real rigs leaves of disparity, pixels: on real pairs with known truth, covariances without it are
 /// too small. Where the calibration is exact, as on rendered pairs, it is to be set to what is right there.
 const CALIBRATION_SIGMA_PX: f64 = 0.03;
+/// Lenses, focus and the demosaicing of colours make edges of real pairs differ by this much, squared pixels.
+const BLUR_SIGMA_PX2: f64 = 0.2;
 
 /// A candidate with what the patches say of it.
 #[derive(Clone, Copy, Debug, PartialEq)]

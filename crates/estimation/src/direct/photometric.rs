@@ -25,7 +25,7 @@ use crate::cpu::Kernels;
 use covariance::BlockPulls;
 use kernel::{CHANNELS_MAX, ChannelState, PointSet, Shade, Sums, Thinning, Warp};
 use points::{RightRows, Selection};
-use prepare::{EyeChannels, Pair, Preparation, Wish, reach_px, rows_of};
+use prepare::{EyeChannels, Pair, Preparation, Wish, inside, reach_px, rows_of};
 use sharpness::Sharpness;
 use solve::{Normal, bounded_step, reliability, tukey_limit, tukey_moments};
 use start::first_state;
@@ -96,6 +96,9 @@ pub struct RefineConfig {
     /// Standard deviation of disparity that a calibration error leaves at the region's centroid and, as a slope, over half
     /// the region's side, pixels.
     pub calibration_sigma_px: f64,
+    /// Standard deviation of the difference between the variances of both eyes' blur at an edge, squared pixels. The width of
+    /// an edge must not be taken for a slope.
+    pub blur_sigma_px2: f64,
 }
 
 impl Default for RefineConfig {
@@ -113,6 +116,7 @@ impl Default for RefineConfig {
             place_sigma_px: 0.05,
             row_sigma_px: 0.3,
             calibration_sigma_px: 0.002,
+            blur_sigma_px2: 0.0,
         }
     }
 }
@@ -550,7 +554,7 @@ impl PlaneRefiner {
         for scores in &mut self.scores {
             scores.resize(length, 0.0);
         }
-        kernel::scores(
+        let unmodelled = kernel::scores(
             self.kernels,
             &self.points,
             &std::array::from_fn(|c| self.right.planes[c].values()),
@@ -561,7 +565,9 @@ impl PlaneRefiner {
         let row_information = (self.config.row_sigma_px.max(1e-6) / prepared.scale).powi(-2);
         self.pulls.sum(&self.scores, &self.selection.block_ends, &self.selection.block_places);
         let response = normal.matrix * tukey_moments(prepared.channels).response;
-        let local = self.pulls.covariance(&response, row_information)?;
+        let inverse = normal.matrix.try_inverse()?;
+        let local = self.pulls.covariance(&response, row_information)?
+            + covariance::unmodelled(&inverse, &unmodelled, &self.config, &prepared.half, prepared.scale);
         let centre_px = level.full_from_level(&prepared.centre);
         let floor = covariance::calibration(self.config.calibration_sigma_px, &(prepared.half * prepared.scale));
         let covariance = covariance::at_full_size(&local, prepared.scale) + floor;
@@ -586,15 +592,9 @@ impl PlaneRefiner {
     }
 }
 
-/// The part of a box (relative to a window) inside the window.
-fn inside(part: &PixelWindow, window: &PixelWindow) -> PixelWindow {
-    part.clipped(window.width as u32, window.height as u32)
-}
-
 fn apply(level: &RegionLevel, prepared: &Prepared, step: &Vector4<f64>, progress: &mut Progress) {
-    let centre_px = progress.plane.centre_px;
     let at = progress.plane.centred_at(level.full_from_level(&prepared.centre));
     let change = nalgebra::Vector3::new(step.x * prepared.scale, step.y, step.z);
-    progress.plane = at.with_parameters(&(at.parameters() + change)).centred_at(centre_px);
+    progress.plane = at.with_parameters(&(at.parameters() + change)).centred_at(progress.plane.centre_px);
     progress.row_px += step.w * prepared.scale;
 }

@@ -55,6 +55,7 @@ struct RefineSection {
     place_sigma_px: f64,
     row_sigma_px: f64,
     calibration_sigma_px: f64,
+    blur_sigma_px2: f64,
     surroundings_px: i64,
 }
 
@@ -153,6 +154,7 @@ impl RefineSection {
         check.number(&format!("{key}.place_sigma_px"), self.place_sigma_px, 0.0..=2.0);
         check.number(&format!("{key}.row_sigma_px"), self.row_sigma_px, 0.0..=5.0);
         check.number(&format!("{key}.calibration_sigma_px"), self.calibration_sigma_px, 0.0..=5.0);
+        check.number(&format!("{key}.blur_sigma_px2"), self.blur_sigma_px2, 0.0..=5.0);
         check.count(&format!("{key}.surroundings_px"), self.surroundings_px, 0..=16);
         RefineConfig {
             area_max_px: whole(self.area_max_px),
@@ -161,6 +163,7 @@ impl RefineSection {
             place_sigma_px: self.place_sigma_px,
             row_sigma_px: self.row_sigma_px,
             calibration_sigma_px: self.calibration_sigma_px,
+            blur_sigma_px2: self.blur_sigma_px2,
             ..defaults
         }
     }

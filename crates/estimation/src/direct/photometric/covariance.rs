@@ -9,6 +9,9 @@
 
 use nalgebra::{Matrix3, Matrix4, Vector2, Vector4};
 
+use super::RefineConfig;
+use super::kernel::Unmodelled;
+
 /// Fewest large blocks that say something about long-range correlation.
 const LARGE_BLOCKS_MIN: usize = 16;
 /// How often the excess of the large blocks over the small ones is taken to repeat.
@@ -105,6 +108,26 @@ pub(super) fn at_full_size(covariance: &Matrix3<f64>, scale: f64) -> Matrix3<f64
 pub(super) fn moved(covariance: &Matrix3<f64>, by: &Vector2<f64>) -> Matrix3<f64> {
     let m = Matrix3::new(1.0, by.x, by.y, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0);
     m * covariance * m.transpose()
+}
+
+/// What differences between the eyes that are not modelled leave of `(d0, du, dv)`, in pixels of a level of this scale: rows that
+/// are off by as much more at the ends of the region, of these half sides, than in its middle as calibration leaves, and edges
+/// that are blurred differently. `inverse` is that of the normal equations.
+pub(super) fn unmodelled(
+    inverse: &Matrix4<f64>,
+    scores: &Unmodelled,
+    config: &RefineConfig,
+    half: &Vector2<f64>,
+    scale: f64,
+) -> Matrix3<f64> {
+    let by_half = half.map(|half| config.calibration_sigma_px / scale / half.max(1.0));
+    let blur_px2 = config.blur_sigma_px2 / (scale * scale);
+    let Unmodelled { row_by_column, row_by_row, blur } = *scores;
+    let parts = [(row_by_column, by_half.x), (row_by_row, by_half.y), (blur, blur_px2)];
+    parts.into_iter().fold(Matrix3::zeros(), |sum, (scores, sigma)| {
+        let moved = (inverse * Vector4::from(scores) * sigma).xyz();
+        sum + moved * moved.transpose()
+    })
 }
 
 /// What an error of calibration of `sigma_px` at the centre, and as much over half the region's side, leaves.

@@ -18,7 +18,7 @@ mod sums;
 mod tests;
 
 use crate::wide::LANES;
-pub(crate) use scores::{Projection, scores};
+pub(crate) use scores::{Projection, Unmodelled, scores};
 pub(crate) use sums::{SUMS, SharpnessSums, Sums, accumulate};
 
 /// Most channels.

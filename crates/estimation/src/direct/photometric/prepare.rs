@@ -78,6 +78,11 @@ pub(super) fn reach_px(smoothing_px: f64) -> usize {
     Taps::spline(smoothing_px).radius()
 }
 
+/// The part of a box (relative to a window) inside the window.
+pub(super) fn inside(part: &PixelWindow, window: &PixelWindow) -> PixelWindow {
+    part.clipped(window.width as u32, window.height as u32)
+}
+
 /// The rows of a part that a box, moved down by `shift`, has in common with it: the first, and one past the last.
 pub(super) fn rows_of(bounds: &PixelWindow, shift: i32, part: &PixelWindow) -> (usize, usize) {
     let first = bounds.y + shift - part.y;

@@ -221,10 +221,10 @@ fn scores_add_up_to_the_slope_with_every_kernel() {
         [(0.8, 0.01), (1.0, -0.02), (0.3, 0.0)].map(|(weight, m)| Projection { weight, mean: [m, 0.1, -0.2, m] });
     let run = |kernels| {
         let mut scores: [Vec<f32>; 4] = std::array::from_fn(|_| vec![0.0; points.x.len()]);
-        super::scores(kernels, &points, &right, &warp, &projections, &mut scores);
-        scores
+        let unmodelled = super::scores(kernels, &points, &right, &warp, &projections, &mut scores);
+        (scores, unmodelled)
     };
-    let plain = run(Kernels::available().next().unwrap());
+    let (plain, unmodelled) = run(Kernels::available().next().unwrap());
     let sums = accumulate(Kernels::best(), &points, &right, &warp, Thinning::NONE);
     for k in 0..4 {
         let by_residual = |s: &[f64; SUMS]| [-s[6], -s[7], -s[8], s[28]][k];
@@ -239,7 +239,35 @@ fn scores_add_up_to_the_slope_with_every_kernel() {
         assert!((sum - expected).abs() < 1e-4 * size, "{k}: {sum}, not {expected}");
     }
     for kernels in Kernels::available() {
-        assert_eq!(run(kernels), plain, "{}", kernels.set().name());
+        assert_eq!(run(kernels), (plain.clone(), unmodelled), "{}", kernels.set().name());
+    }
+}
+
+/// Blurring one eye by a bit moves the scores as the kernel says, but for the weights, which follow the residuals.
+#[test]
+fn what_is_not_modelled_pulls_as_if_it_were_in_the_pictures() {
+    let (points, planes) = (points(), planes());
+    let right: [&[f32]; CHANNELS_MAX] = std::array::from_fn(|c| planes[c].as_slice());
+    // So wide a limit that all weights are 1, and a variance that the gradients do not add to.
+    let warp = Warp { limit: 1e9, place_variance: 0.0, ..warp(3) };
+    let projections = [(0.8, 0.01), (1.0, -0.02), (0.3, 0.0)].map(|(weight, m)| Projection { weight, mean: [m; 4] });
+    let run = |points: &PointSet| {
+        let mut scores: [Vec<f32>; 4] = std::array::from_fn(|_| vec![0.0; points.x.len()]);
+        let unmodelled = super::scores(Kernels::best(), points, &right, &warp, &projections, &mut scores);
+        (scores.map(|scores| scores.iter().map(|s| f64::from(*s)).sum::<f64>()), unmodelled)
+    };
+    let (before, unmodelled) = run(&points);
+    let mut blurred = points.clone();
+    for c in 0..CHANNELS_MAX {
+        for i in 0..points.x.len() {
+            blurred.value[c][i] -= 0.01 * 0.5 * points.curvature[c][i];
+        }
+    }
+    let (after, _) = run(&blurred);
+    for k in 0..4 {
+        let (moved, said) = ((after[k] - before[k]) / 0.01, unmodelled.blur[k]);
+        // The mean of both values, by which the gain is taken up, moves as well.
+        assert!((moved - said).abs() < 0.05 * said.abs() + 1e-2 * before[k].abs(), "{k}: {moved}, not {said}");
     }
 }
 
