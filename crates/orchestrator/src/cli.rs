@@ -196,6 +196,9 @@ fn parse_z_range(text: &str) -> Result<ZRange, String> {
     let refuse = || format!("{text:?} is not MIN,MAX in millimetres with 0 < MIN < MAX, for instance 350,650");
     let (min, max) = text.split_once(',').ok_or_else(refuse)?;
     match (min.trim().parse::<f64>(), max.trim().parse::<f64>()) {
+        (Ok(min), Ok(max)) if min > 0.0 && min < max && max < 20.0 => {
+            Err(format!("{text:?} is in millimetres; did you mean {},{}?", 1e3 * min, 1e3 * max))
+        }
         (Ok(min_mm), Ok(max_mm)) if min_mm > 0.0 && min_mm < max_mm && max_mm.is_finite() => {
             Ok(ZRange { min_mm, max_mm })
         }
@@ -241,6 +244,7 @@ mod tests {
     #[test]
     fn ranges_are_checked() {
         assert_eq!(parse_z_range("350, 650"), Ok(ZRange { min_mm: 350.0, max_mm: 650.0 }));
+        assert!(parse_z_range("0.25,0.55").unwrap_err().contains("millimetres; did you mean 250,550?"));
         for bad in ["350", "650,350", "-1,5", "a,b", "1,inf"] {
             assert!(parse_z_range(bad).unwrap_err().contains("MIN,MAX"), "{bad}");
         }

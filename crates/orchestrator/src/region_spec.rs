@@ -17,8 +17,7 @@ pub enum RegionSpec {
 }
 
 /// What a region may look like; shown with every error and in `--help`.
-pub const REGION_HELP: &str =
-    "rect:X,Y,WIDTH,HEIGHT | poly:X1,Y1;X2,Y2;X3,Y3... | mask:FILE | click:X,Y (pixels in the left picture)";
+pub const REGION_HELP: &str = "rect:X,Y,WIDTH,HEIGHT | poly:X1,Y1;X2,Y2;X3,Y3... | mask:FILE | click:X,Y (pixels in the left picture; quote what has a `;`)";
 
 impl FromStr for RegionSpec {
     type Err = String;
@@ -36,7 +35,10 @@ impl FromStr for RegionSpec {
                     .map(|p| numbers(text, p))
                     .collect::<Result<Vec<_>, _>>()?;
                 if vertices.len() < 3 {
-                    return Err(format!("region {text:?} has {} vertices; a polygon needs at least 3", vertices.len()));
+                    return Err(format!(
+                        "region {text:?} has {} vertices; a polygon needs at least 3 (a shell ends commands at `;`: quote the region)",
+                        vertices.len()
+                    ));
                 }
                 Ok(Self::Polygon(vertices))
             }

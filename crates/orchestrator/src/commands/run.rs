@@ -34,7 +34,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let wall_s = started.elapsed().as_secs_f64();
     let summary = summarize(&outcome.log, &plan);
     let provenance = provenance(args, &setup, summary.duration_s, wall_s);
-    report::write(&args.out, &outcome, &summary, &provenance)?;
+    report::write(&args.out, &outcome, &summary, (&provenance, &plan.world_from_axes))?;
     print_line(&report::text_table(&summary))?;
     let following = summary.share_following();
     if following < FOLLOWING_EXPECTED {

@@ -17,7 +17,12 @@ use super::summary::{MedianP95, RmsMax, RunSummary, TrackingError};
 ///
 /// # Errors
 /// If a file can not be written.
-pub fn write(folder: &Path, outcome: &Outcome, summary: &RunSummary, provenance: &[(String, String)]) -> Result<()> {
+pub fn write(
+    folder: &Path,
+    outcome: &Outcome,
+    summary: &RunSummary,
+    (provenance, world_from_axes): (&[(String, String)], &UnitQuaternion<f64>),
+) -> Result<()> {
     let json = serde_json::json!({
         "provenance": provenance.iter().cloned().collect::<std::collections::BTreeMap<_, _>>(),
         "summary": summary,
@@ -28,11 +33,15 @@ pub fn write(folder: &Path, outcome: &Outcome, summary: &RunSummary, provenance:
     };
     write("summary.json", serde_json::to_string_pretty(&json)? + "\n")?;
     write("timeseries.csv", timeseries_csv(&outcome.log))?;
-    page(outcome, summary, provenance).write(&folder.join("report.html"))?;
+    page(outcome, summary, (provenance, world_from_axes)).write(&folder.join("report.html"))?;
     Ok(())
 }
 
-fn page(outcome: &Outcome, summary: &RunSummary, provenance: &[(String, String)]) -> Report {
+fn page(
+    outcome: &Outcome,
+    summary: &RunSummary,
+    (provenance, world_from_axes): (&[(String, String)], &UnitQuaternion<f64>),
+) -> Report {
     let log = &outcome.log;
     let strip: Vec<_> = outcome
         .strip
@@ -51,24 +60,26 @@ fn page(outcome: &Outcome, summary: &RunSummary, provenance: &[(String, String)]
         .figures(&figures(summary))
         .heading("Target and hand")
         .paragraph(
-            "Displacement since the beginning, along the axes of the world (z up), and vector part of the unit quaternion of \
-             the rotation since then. Wanted is where the hand should be in front of the true target.",
+            "Displacement since the beginning and vector part of the unit quaternion of the rotation since then, along the axes \
+             in which the experiment is described (unless it says otherwise those of the target at the start: x right, y down, z \
+             away from the cameras); of a turn by 20 degrees the part is 0.17. When the target turns, the hand has to swing \
+             around it. Wanted is where the hand should be in front of the true target.",
         )
-        .panels(&motion_panels(log))
+        .panels(&motion_panels(log, world_from_axes))
         .heading("Each axis by itself")
         .paragraph(
             "Error of the hand along the axis that moves, and how far it trails. Lag is by cross-correlation over the way out \
              and back; rise delay is the hand's 10 to 90 % rise time less that of its wanted way. The wanted place is in front of \
-             the target's true plane: on a target with relief, what is left at rest contains the distance to the plane that \
-             the method laid through it.",
+             the target's true plane: what is left at rest contains how far the plane that the method laid through the target in \
+             the first pair is off, in depth, and in tilt times the distance of the hand.",
         )
         .table(&channel_table(summary))
         .paragraph(&normal_note(summary))
         .heading("Methods side by side")
         .paragraph(
             "All methods saw the same pairs; the leading one moved the hand, the others looked on. Depth and normal against \
-             the true plane of the target (a flat model on a target with relief can not be exact), motion and rotation since \
-             the first pose: median / p95.",
+             the true plane of the target: a constant that the first pair leaves, larger on a target with relief, which is no \
+             plane. Motion and rotation since the first pose: median / p95.",
         )
         .table(&methods::table(&summary.methods))
         .panels(&methods::panels(log))
@@ -125,7 +136,7 @@ fn figures(summary: &RunSummary) -> Vec<(&'static str, String)> {
 }
 
 /// The six panels of Fig. 7.
-fn motion_panels(log: &RunLog) -> Vec<LinePlot> {
+fn motion_panels(log: &RunLog, world_from_axes: &UnitQuaternion<f64>) -> Vec<LinePlot> {
     let Some(first) = log.control.first() else { return Vec::new() };
     type Way = fn(&ControlSample) -> (Vector3<f64>, UnitQuaternion<f64>);
     let ways: [(&str, SeriesColor, Way); 3] = [
@@ -136,7 +147,8 @@ fn motion_panels(log: &RunLog) -> Vec<LinePlot> {
         ("hand", SeriesColor::Red, |s| (s.world_from_hand.translation_m(), s.world_from_hand.rotation())),
     ];
     let position = |way: Way, axis: usize| -> Vec<[f64; 2]> {
-        log.control.iter().map(|s| [s.t_s, (way(s).0[axis] - way(first).0[axis]) * 1e3]).collect()
+        let moved = |s| world_from_axes.inverse() * (way(s).0 - way(first).0) * 1e3;
+        log.control.iter().map(|s| [s.t_s, moved(s)[axis]]).collect()
     };
     let orientation = |way: Way, axis: usize| -> Vec<[f64; 2]> {
         let start = way(first).1.inverse();
@@ -144,7 +156,8 @@ fn motion_panels(log: &RunLog) -> Vec<LinePlot> {
             .iter()
             .map(|s| {
                 let turned = way(s).1 * start;
-                [s.t_s, turned.imag()[axis] * turned.w.signum()]
+                let about = world_from_axes.inverse() * turned.imag();
+                [s.t_s, about[axis] * turned.w.signum()]
             })
             .collect()
     };

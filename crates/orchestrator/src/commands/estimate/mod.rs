@@ -39,7 +39,11 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
     let config = estimator_config(&args.method)?;
     let mut overlays = Overlays::open(args.method.overlay.as_deref())?;
     let jobs = match &args.cases {
-        Some(dir) => find_cases(dir)?.into_iter().map(Source::Case).collect(),
+        Some(dir) => {
+            let folders = find_cases(dir)?;
+            tracing::info!("{}: {} cases", dir.display(), folders.len());
+            folders.into_iter().map(Source::Case).collect()
+        }
         None => vec![Source::Files(args.left.clone().unwrap_or_default())],
     };
     if !args.method.json {
@@ -58,7 +62,7 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
             }
             Err(error) => {
                 refused += 1;
-                tracing::error!("{name}: {error:#}");
+                tracing::error!("{}: {error:#}", source.label());
                 evaluated.extend(source.refused());
                 EstimateLine::of_error(&name, method.name(), format!("{error:#}"))
             }
@@ -86,6 +90,14 @@ impl Source {
                 |case| case.name,
             ),
             Self::Files(left) => pair_name(left),
+        }
+    }
+
+    /// What messages call it: the folder of a case, or the left picture.
+    fn label(&self) -> String {
+        match self {
+            Self::Case(folder) => folder.display().to_string(),
+            Self::Files(left) => left.display().to_string(),
         }
     }
 

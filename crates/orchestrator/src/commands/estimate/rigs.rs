@@ -45,8 +45,8 @@ impl Rigs {
         }
         let size = job.rig.right().size();
         tracing::info!(
-            "{}: the right picture is {:+.2} px too low at its centre, at most {:.2} px off anywhere (rectified; {} points, \
-             {millis:.1} ms, once per calibration): taken into account",
+            "{}: rows of the right picture lie {:+.2} px lower at its centre, and at most {:.2} px off anywhere (rectified; {} \
+             points, {millis:.1} ms, once per calibration): taken into account",
             job.name,
             measured.rows.offset_px,
             measured.rows.magnitude_max_px(size.width, size.height),

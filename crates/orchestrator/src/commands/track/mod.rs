@@ -8,7 +8,7 @@ mod walk;
 use std::process::ExitCode;
 use std::time::Duration;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use pb3dp_estimation::estimator::Method;
 use pb3dp_hal_api::{CameraErrorKind, FramePair};
 use pb3dp_record::dataset::{Sequence, load_sequence};
@@ -35,7 +35,9 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     if args.surface.is_some() && !method.recovers_surface() {
         bail!("--surface: the method {method} recovers no surface: use --method {}", Method::Direct);
     }
-    let sequence = load_sequence(&args.sequence)?;
+    let sequence = load_sequence(&args.sequence).with_context(|| {
+        format!("--sequence {}: a folder as docs/dataset-format.md describes is needed", args.sequence.display())
+    })?;
     if let Some(file) = &args.surface {
         surface::check_writable(file)?;
     }
