@@ -24,7 +24,7 @@ fn traces(setup: &Setup) -> (String, String) {
         move_s: setup.experiment.move_s,
         world_from_axes: UnitQuaternion::identity(),
     };
-    report::write(dir.path(), &outcome, &summarize(&outcome.log, &plan), &[]).unwrap();
+    report::write(dir.path(), &outcome, &summarize(&outcome.log, &plan), (&[], &plan.world_from_axes)).unwrap();
     assert!(dir.path().join("report.html").exists() && dir.path().join("summary.json").exists());
     let series = std::fs::read_to_string(dir.path().join("timeseries.csv")).unwrap();
     assert_eq!(series.lines().count(), 1 + outcome.log.control.len());
