@@ -1,5 +1,6 @@
 //! Where joints should be after the commands that they got.
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use pb3dp_kinematics::{DOF, JointVector};
@@ -14,36 +15,58 @@ const STEP_S: f64 = 1e-3;
 /// No more steps than this at once: after a longer silence the model is at rest with its command anyhow.
 const STEPS_MAX: usize = 1000;
 
-/// Drives that follow a velocity with a lag of first order and a limited acceleration, and how far the measured joints have
+/// Commands that are on their way at most; more would come within a delay only if cycles were shorter than any arm's.
+const PENDING_MAX: usize = 256;
+
+/// Drives that follow a velocity after a delay, with a lag of first order and a limited acceleration, and how far the measured joints have
 /// moved away from what these would have done.
 pub(crate) struct Expectation {
     acceleration_max_rad_per_s2: JointVector,
+    delay_s: f64,
     lag_s: f64,
+    /// Since the first sample, seconds.
+    now_s: f64,
+    /// Commands that have not arrived yet, and when they do.
+    pending: VecDeque<(f64, JointVector)>,
     commanded_rad_per_s: JointVector,
     velocity_rad_per_s: JointVector,
     error_rad: JointVector,
 }
 
 impl Expectation {
-    pub(crate) fn new(acceleration_max_rad_per_s2: JointVector, lag: Duration) -> Self {
+    pub(crate) fn new(acceleration_max_rad_per_s2: JointVector, delay: Duration, lag: Duration) -> Self {
         let zeros = JointVector::zeros();
         Self {
             acceleration_max_rad_per_s2,
+            delay_s: delay.as_secs_f64(),
             lag_s: lag.as_secs_f64().max(STEP_S),
+            now_s: 0.0,
+            pending: VecDeque::with_capacity(PENDING_MAX),
             commanded_rad_per_s: zeros,
             velocity_rad_per_s: zeros,
             error_rad: zeros,
         }
     }
 
-    /// From now on the joints are told to move like this, rad/s.
+    /// From now on, the time of the last sample, the joints are told to move like this, rad/s.
     pub(crate) fn command(&mut self, velocity_rad_per_s: &JointVector) {
-        self.commanded_rad_per_s = *velocity_rad_per_s;
+        if self.pending.len() == PENDING_MAX {
+            self.arrive();
+        }
+        self.pending.push_back((self.now_s + self.delay_s, *velocity_rad_per_s));
+    }
+
+    fn arrive(&mut self) {
+        if let Some((_, velocity_rad_per_s)) = self.pending.pop_front() {
+            self.commanded_rad_per_s = velocity_rad_per_s;
+        }
     }
 
     /// At rest, and where it should be.
     pub(crate) fn forget(&mut self) {
-        *self = Self::new(self.acceleration_max_rad_per_s2, Duration::from_secs_f64(self.lag_s));
+        let zeros = JointVector::zeros();
+        self.pending.clear();
+        (self.commanded_rad_per_s, self.velocity_rad_per_s, self.error_rad) = (zeros, zeros, zeros);
     }
 
     /// How far the joints are from where their commands lead, rad, after they have moved by `moved_rad` within `dt`.
@@ -52,7 +75,11 @@ impl Expectation {
         let steps = ((dt_s / STEP_S).ceil() as usize).clamp(1, STEPS_MAX);
         let step_s = (dt_s / steps as f64).min(STEP_S);
         let mut expected_rad = JointVector::zeros();
-        for _ in 0..steps {
+        for step in 0..steps {
+            let at_s = self.now_s + step_s * step as f64;
+            while self.pending.front().is_some_and(|(arrives_s, _)| *arrives_s <= at_s) {
+                self.arrive();
+            }
             for joint in 0..DOF {
                 let most = self.acceleration_max_rad_per_s2[joint];
                 let wanted = (self.commanded_rad_per_s[joint] - self.velocity_rad_per_s[joint]) / self.lag_s;
@@ -61,6 +88,7 @@ impl Expectation {
                 expected_rad[joint] += 0.5 * (before + self.velocity_rad_per_s[joint]) * step_s;
             }
         }
+        self.now_s += dt_s;
         // What is left of a silence that is longer than the steps.
         expected_rad += self.velocity_rad_per_s * (dt_s - step_s * steps as f64).max(0.0);
         self.error_rad = self.error_rad * (-dt_s / MEMORY_S).exp() + (moved_rad - expected_rad);
@@ -73,7 +101,7 @@ mod tests {
     use super::*;
 
     fn expectation() -> Expectation {
-        Expectation::new(JointVector::repeat(2.0), Duration::from_millis(30))
+        Expectation::new(JointVector::repeat(2.0), Duration::ZERO, Duration::from_millis(30))
     }
 
     /// By hand: told to move at 1 rad/s, a joint that stays where it is falls behind by what fades with 2 s; after 10 s that is
@@ -109,6 +137,33 @@ mod tests {
                 largest = largest.max(error.amax());
             }
             assert!(largest < 5e-4, "steps of {step_ms} ms: {largest} rad");
+        }
+    }
+
+    /// Ramps take seconds: a delay that is taken for a lag makes drives seem to be ahead all the while.
+    #[test]
+    fn a_delay_is_not_a_lag() {
+        let drives = |delay_ms: u64, lag_ms: u64| {
+            Expectation::new(JointVector::repeat(5.0), Duration::from_millis(delay_ms), Duration::from_millis(lag_ms))
+        };
+        for (delay_ms, lag_ms, is_right) in [(15, 30, true), (0, 45, false)] {
+            let mut expectation = drives(delay_ms, lag_ms);
+            let (mut velocity, mut largest) = (0.0_f64, 0.0_f64);
+            for k in 0..600 {
+                // Full speed there and back again; what the drives hear is 15 ms old.
+                let command_at = |ms: i64| if (ms.max(0) / 2000) % 2 == 0 { 6.0 } else { -6.0 };
+                expectation.command(&JointVector::repeat(command_at(10 * k)));
+                let mut moved = 0.0;
+                for tenth in 0..100 {
+                    let heard = if 10 * k + tenth / 10 < 15 { 0.0 } else { command_at((100 * k + tenth) / 10 - 15) };
+                    velocity += ((heard - velocity) / 0.03).clamp(-5.0, 5.0) * 1e-4;
+                    moved += velocity * 1e-4;
+                }
+                let error = expectation.error_after(&JointVector::repeat(moved), Duration::from_millis(10));
+                largest = largest.max(error.amax());
+            }
+            assert_eq!(largest < 0.02, is_right, "delay {delay_ms} ms, lag {lag_ms} ms: {largest} rad");
+            assert_eq!(largest > 0.05, !is_right, "delay {delay_ms} ms, lag {lag_ms} ms: {largest} rad");
         }
     }
 

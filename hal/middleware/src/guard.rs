@@ -16,7 +16,9 @@ pub struct GuardConfig {
     pub speed_scale: f64,
     /// What the drives accelerate and brake with, rad/s^2.
     pub acceleration_max_rad_per_s2: JointVector,
-    /// Delay of the link and lag of the drives together.
+    /// Time from a command to the moment at which the drives begin to follow it.
+    pub delay: Duration,
+    /// First-order lag of the drives.
     pub lag: Duration,
     /// How far a joint may be from where its commands lead, rad ...
     pub tracking_error_max_rad: f64,
@@ -87,7 +89,7 @@ impl<A: Arm> Guard<A> {
     /// If a number of the configuration is out of range; the error names it.
     pub fn new(arm: A, config: GuardConfig) -> Result<Self, GuardError> {
         check(&config)?;
-        let expectation = Expectation::new(config.acceleration_max_rad_per_s2, config.lag);
+        let expectation = Expectation::new(config.acceleration_max_rad_per_s2, config.delay, config.lag);
         Ok(Self {
             arm,
             config,

@@ -24,7 +24,8 @@ fn config(speed_scale: f64) -> GuardConfig {
         hard_limits: hard_limits(),
         speed_scale,
         acceleration_max_rad_per_s2: acceleration(),
-        lag: Duration::from_millis(45),
+        delay: Duration::from_millis(15),
+        lag: Duration::from_millis(30),
         tracking_error_max_rad: GuardConfig::TRACKING_ERROR_MAX_RAD,
         tracking_error_for: GuardConfig::TRACKING_ERROR_FOR,
     }
@@ -287,7 +288,7 @@ fn guarded_mock_arm_keeps_the_contract() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(100) })]
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(300) })]
 
     /// Behind the limiter, an arm that does what it is told is never stopped, whatever that is.
     #[test]
