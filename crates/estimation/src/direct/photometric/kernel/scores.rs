@@ -1,6 +1,6 @@
 //! What every point pulls.
 
-use super::compare::{Group, Row, lanes};
+use super::compare::{Group, Lanes, lanes};
 use super::sums::Places;
 use super::{CHANNELS_MAX, PointSet, SHARING, Warp};
 use crate::wide::{LANES, sum_lanes, wide};
@@ -23,6 +23,9 @@ pub(crate) struct Unmodelled {
     /// One eye blurred along the rows by a variance of one squared pixel more.
     pub blur: [f64; 4],
 }
+
+/// Lane sums over a group: a weighted difference between the eyes, alone and times each of the four derivatives.
+type DifferenceSums = [Lanes; 5];
 
 #[inline(always)]
 fn scores_kernel(
@@ -55,8 +58,7 @@ fn score_channels<const N: usize>(
         let mut out = [[0.0_f32; SHARING]; 4];
         for c in 0..N {
             let places = Places::new(points, first, c, warp);
-            add_scores(&group, c, &places, &projections[c], &group.channel[c].residual, &mut out);
-            add_unmodelled(&group, c, &places, &projections[c], &mut unmodelled);
+            add_scores(&group, c, &places, &projections[c], &mut out, &mut unmodelled);
         }
         for (scores, out) in scores.iter_mut().zip(&out) {
             scores[first..first + SHARING].copy_from_slice(out);
@@ -65,56 +67,36 @@ fn score_channels<const N: usize>(
     unmodelled
 }
 
-/// Adds what a channel of a group would pull in all with the residuals of each of these differences.
-#[inline(always)]
-fn add_unmodelled<const N: usize>(
-    group: &Group<N>,
-    c: usize,
-    places: &Places<'_>,
-    p: &Projection,
-    unmodelled: &mut Unmodelled,
-) {
-    let (mut by_column, mut by_row, mut blurred) = ([0.0; SHARING], [0.0; SHARING], [0.0; SHARING]);
-    for i in 0..SHARING {
-        let gradient_y = places.left * places.gradient_y[i];
-        by_column[i] = gradient_y * places.x[i];
-        by_row[i] = gradient_y * places.y[i];
-        blurred[i] = places.left * 0.5 * places.curvature[i];
-    }
-    let Unmodelled { row_by_column, row_by_row, blur } = unmodelled;
-    for (sums, residuals) in [(row_by_column, &by_column), (row_by_row, &by_row), (blur, &blurred)] {
-        let mut out = [[0.0; SHARING]; 4];
-        add_scores(group, c, places, p, residuals, &mut out);
-        for (sum, out) in sums.iter_mut().zip(&out) {
-            *sum += out.iter().map(|score| f64::from(*score)).sum::<f64>();
-        }
-    }
-}
-
-/// Adds what a channel of a group with these residuals pulls at `(d0, du, dv, row)`, without what the gain and the group's
-/// offset take up.
+/// Adds what a channel of a group pulls at `(d0, du, dv, row)`, and what it would pull with each of the differences that are
+/// not modelled as its residuals, without what the gain and the group's offset take up.
 #[inline(always)]
 fn add_scores<const N: usize>(
     group: &Group<N>,
     c: usize,
     places: &Places<'_>,
     p: &Projection,
-    residuals: &Row,
     out: &mut [[f32; SHARING]; 4],
+    unmodelled: &mut Unmodelled,
 ) {
     let own = &group.channel[c];
     // Sums of weights, and of residuals and derivatives times weights.
     let mut sums = [[0.0_f32; LANES]; 6];
     let mut derivatives = [[0.0_f32; SHARING]; 4];
+    let mut differences = [[0.0_f32; SHARING]; 3];
+    let mut difference_sums: [DifferenceSums; 3] = [[[0.0; LANES]; 5]; 3];
     for i in 0..SHARING {
-        let (g, m) = (own.gradient[i], own.mean[i]);
+        let (g, m, gy) = (own.gradient[i], own.mean[i], places.left * places.gradient_y[i]);
         derivatives[0][i] = -g - p.mean[0] * m;
         derivatives[1][i] = -g * places.x[i] - p.mean[1] * m;
         derivatives[2][i] = -g * places.y[i] - p.mean[2] * m;
-        derivatives[3][i] = places.left * places.gradient_y[i] - p.mean[3] * m;
+        derivatives[3][i] = gy - p.mean[3] * m;
+        differences[0][i] = gy * places.x[i];
+        differences[1][i] = gy * places.y[i];
+        differences[2][i] = places.left * 0.5 * places.curvature[i];
     }
     for k in 0..SHARING / LANES {
-        let (weight, certainty, residual) = (lanes(&group.weight, k), lanes(&own.certainty, k), lanes(residuals, k));
+        let (weight, certainty, residual) =
+            (lanes(&group.weight, k), lanes(&own.certainty, k), lanes(&own.residual, k));
         let [d0, d1, d2, d3] = [0, 1, 2, 3].map(|j| lanes(&derivatives[j], k));
         for i in 0..LANES {
             let w = weight[i] * certainty[i];
@@ -125,13 +107,31 @@ fn add_scores<const N: usize>(
             sums[4][i] += w * d2[i];
             sums[5][i] += w * d3[i];
         }
+        for (difference, sums) in differences.iter().zip(&mut difference_sums) {
+            let difference = lanes(difference, k);
+            for i in 0..LANES {
+                let pull = weight[i] * certainty[i] * difference[i];
+                sums[0][i] += pull;
+                sums[1][i] += pull * d0[i];
+                sums[2][i] += pull * d1[i];
+                sums[3][i] += pull * d2[i];
+                sums[4][i] += pull * d3[i];
+            }
+        }
     }
     let weight = sum_lanes(&sums[0]).max(f32::MIN_POSITIVE);
     let means: [f32; 6] = std::array::from_fn(|k| sum_lanes(&sums[k]) / weight);
     for i in 0..SHARING {
-        let pull = p.weight * (group.weight[i] * own.certainty[i]) * (residuals[i] - means[1]);
+        let pull = p.weight * (group.weight[i] * own.certainty[i]) * (own.residual[i] - means[1]);
         for j in 0..4 {
             out[j][i] += pull * (derivatives[j][i] - means[2 + j]);
+        }
+    }
+    let Unmodelled { row_by_column, row_by_row, blur } = unmodelled;
+    for (scores, sums) in [row_by_column, row_by_row, blur].into_iter().zip(&difference_sums) {
+        let pull = sum_lanes(&sums[0]);
+        for j in 0..4 {
+            scores[j] += f64::from(p.weight * (sum_lanes(&sums[1 + j]) - pull * means[2 + j]));
         }
     }
 }
