@@ -5,6 +5,7 @@
 //! * [`gateway_protocol`]: the framed protocol between a host and the gateway that owns the bus of an arm.
 //! * [`driver`]: the host side of one arm as a state machine without I/O and clock.
 //! * [`link`]: between the driver and the bytes of the bus or of a gateway.
+//! * [`io`]: what touches the world: byte links, threads and clocks stand there and nowhere else.
 //! * [`watchdog`]: what becomes of a velocity whose successor stays away.
 //! * [`mock`]: an arm without hardware: the state machine and the contract of a real one over simulated joints.
 
@@ -12,6 +13,7 @@ pub mod arcnet;
 pub mod codec;
 pub mod driver;
 pub mod gateway_protocol;
+pub mod io;
 pub mod link;
 pub mod mock;
 pub mod watchdog;

@@ -10,16 +10,19 @@ struct World {
     allowed_in: &'static [&'static str],
 }
 
+/// The one folder of the arm's crate that does I/O; the rest is told bytes and time.
+const ARM_IO: &str = "hal/arm-pa10/src/io/";
+
 const WORLDS: [World; 6] = [
     World {
         what: "files",
         paths: &["std::fs", "std::os", "image::open", "image::ImageReader::open", "image::save_buffer", "File::open"],
-        allowed_in: &["crates/record/", "crates/orchestrator/", "crates/benchmarks/", "hal/camera-replay/"],
+        allowed_in: &["crates/record/", "crates/orchestrator/", "crates/benchmarks/", "hal/camera-replay/", ARM_IO],
     },
     World {
         what: "threads",
         paths: &["std::thread", "rayon"],
-        allowed_in: &["crates/orchestrator/", "crates/benchmarks/", "hal/clock/", "hal/conformance/"],
+        allowed_in: &["crates/orchestrator/", "crates/benchmarks/", "hal/clock/", "hal/conformance/", ARM_IO],
     },
     World {
         what: "the wall clock",
@@ -30,7 +33,7 @@ const WORLDS: [World; 6] = [
             "Instant::now",
             "SystemTime::now",
         ],
-        allowed_in: &["crates/orchestrator/", "hal/clock/", "hal/conformance/"],
+        allowed_in: &["crates/orchestrator/", "hal/clock/", "hal/conformance/", ARM_IO],
     },
     World { what: "the environment", paths: &["std::env"], allowed_in: &["crates/orchestrator/"] },
     World {
@@ -38,7 +41,7 @@ const WORLDS: [World; 6] = [
         paths: &["std::process"],
         allowed_in: &["crates/orchestrator/", "crates/benchmarks/"],
     },
-    World { what: "the network", paths: &["std::net"], allowed_in: &[] },
+    World { what: "the network", paths: &["std::net"], allowed_in: &[ARM_IO] },
 ];
 
 /// Crate names of the backends; only the orchestrator wires them.
@@ -155,6 +158,18 @@ mod tests {
     fn the_clock_is_not_read_outside_its_rooms() {
         for path in ["crates/sim/src/scene.rs", "crates/servo/src/law.rs", "hal/camera-replay/src/lib.rs"] {
             assert_eq!(rules(path, "use std::time::Instant;"), ["outside-world"], "{path}");
+        }
+    }
+
+    #[test]
+    fn the_arm_does_io_in_one_folder() {
+        for text in
+            ["use std::thread;", "use std::os::fd::AsFd;", "use std::net::TcpStream;", "use std::time::Instant;"]
+        {
+            assert!(rules("hal/arm-pa10/src/io/arm.rs", text).is_empty(), "{text}");
+            for path in ["hal/arm-pa10/src/driver/machine.rs", "hal/arm-pa10/src/io.rs", "hal/arm-pa10/src/lib.rs"] {
+                assert_eq!(rules(path, text), ["outside-world"], "{path}: {text}");
+            }
         }
     }
 

@@ -1,0 +1,9 @@
+//! What touches the world: byte links, threads and clocks. The rest of the crate is told bytes and time.
+//!
+//! * [`transport`]: what all byte links have in common, and a pair of them in one process.
+//! * [`pty`]: a pseudo-terminal, for a gateway or a controller without hardware.
+//!
+//! Linux only, as far as it waits: `ppoll`, `eventfd`.
+
+pub mod pty;
+pub mod transport;

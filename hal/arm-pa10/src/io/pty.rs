@@ -1,0 +1,69 @@
+//! A pseudo-terminal: a serial line without hardware, whose far end is this process.
+
+use std::fs::File;
+use std::io::{Read, Write};
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::path::{Path, PathBuf};
+
+use rustix::fs::{Mode, OFlags};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+
+use super::transport::{ByteLink, Unplugged, judge};
+
+/// The far end of a pseudo-terminal. Who opens [`Self::path`] as a serial port talks with the owner of this.
+///
+/// The line is raw from the start, so bytes that come before anybody has opened it are kept and not echoed. It stays there when the
+/// other side closes and opens again, as a cable does; dropping this unplugs it.
+#[derive(Debug)]
+pub struct Pty {
+    master: File,
+    /// Kept open, so that the line lives while nobody else has it open.
+    _line: OwnedFd,
+    path: PathBuf,
+    name: String,
+}
+
+impl Pty {
+    /// A new pseudo-terminal.
+    ///
+    /// # Errors
+    /// If the operating system gives none.
+    pub fn open() -> std::io::Result<Self> {
+        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
+        grantpt(&master)?;
+        unlockpt(&master)?;
+        let name = ptsname(&master, Vec::new())?.to_string_lossy().into_owned();
+        let path = PathBuf::from(&name);
+        let line =
+            rustix::fs::open(&path, OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC, Mode::empty())?;
+        let mut settings = tcgetattr(&line)?;
+        settings.make_raw();
+        tcsetattr(&line, OptionalActions::Now, &settings)?;
+        rustix::io::ioctl_fionbio(&master, true)?;
+        Ok(Self { master: File::from(master), _line: line, path, name })
+    }
+
+    /// What the other side opens.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+impl ByteLink for Pty {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn try_read(&mut self, buffer: &mut [u8]) -> Result<usize, Unplugged> {
+        judge(self.master.read(buffer), !buffer.is_empty())
+    }
+
+    fn try_write(&mut self, bytes: &[u8]) -> Result<usize, Unplugged> {
+        judge(self.master.write(bytes), false)
+    }
+
+    fn fd(&self) -> BorrowedFd<'_> {
+        self.master.as_fd()
+    }
+}

@@ -1,0 +1,150 @@
+//! Byte links: what serial lines, TCP connections and pseudo-terminals have in common.
+
+use std::io::{ErrorKind, Read, Write};
+use std::os::fd::{AsFd, BorrowedFd};
+use std::os::unix::net::UnixStream;
+use std::time::Duration;
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
+
+/// A byte link to one peer. Nothing here blocks; [`wait`] does, with a bound.
+///
+/// # For backend authors
+/// * A link that is gone tells so with every call from then on, whatever the symptom: the end of the stream, `EIO`, `EPIPE`,
+///   `ENODEV`. It never comes back; another one is opened instead.
+/// * Bytes are delivered in order, in pieces of any size. What was taken may still get lost on the way.
+/// * The file descriptor becomes readable when there are bytes, and when the link breaks.
+pub trait ByteLink: Send {
+    /// For messages: `/dev/ttyUSB0`, `tcp 10.0.0.2:4534`.
+    fn name(&self) -> &str;
+
+    /// The bytes that are there, as many as fit; 0 if there are none.
+    ///
+    /// # Errors
+    /// If the link is gone.
+    fn try_read(&mut self, buffer: &mut [u8]) -> Result<usize, Unplugged>;
+
+    /// Hands over as many bytes as there is room for; 0 if there is none.
+    ///
+    /// # Errors
+    /// If the link is gone.
+    fn try_write(&mut self, bytes: &[u8]) -> Result<usize, Unplugged>;
+
+    /// What [`wait`] waits for.
+    fn fd(&self) -> BorrowedFd<'_>;
+}
+
+/// The link is gone: unplugged, closed by the other side, or broken. The symptom is for the log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the link is gone ({symptom}); connect it again, then reset the arm")]
+pub struct Unplugged {
+    /// How it showed.
+    pub symptom: Symptom,
+}
+
+/// How it showed that a link is gone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Symptom {
+    /// Reading met the end of the stream.
+    #[error("end of the stream")]
+    EndOfStream,
+    /// An error of the operating system.
+    #[error("{0}")]
+    Os(Errno),
+    /// An error without a number.
+    #[error("{0}")]
+    Other(ErrorKind),
+}
+
+/// What a call of [`std::io`] on a link that does not block says about the link.
+///
+/// `end_is_gone`: reading 0 bytes is the end of the stream.
+///
+/// # Errors
+/// If the link is gone. "Nothing there", "no room" and "interrupted" are 0 bytes and no error.
+pub fn judge(result: std::io::Result<usize>, end_is_gone: bool) -> Result<usize, Unplugged> {
+    match result {
+        Ok(0) if end_is_gone => Err(Unplugged { symptom: Symptom::EndOfStream }),
+        Ok(count) => Ok(count),
+        Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => Ok(0),
+        Err(error) => {
+            let symptom = Errno::from_io_error(&error).map_or(Symptom::Other(error.kind()), Symptom::Os);
+            Err(Unplugged { symptom })
+        }
+    }
+}
+
+/// What [`wait`] found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Ready {
+    /// The link has bytes, or is gone.
+    pub readable: bool,
+    /// The link has room, or is gone. Only where it was asked for.
+    pub writable: bool,
+    /// The other file descriptor has something.
+    pub woken: bool,
+}
+
+/// Waits until the link has bytes, or room if `for_room`, or is gone, or `waker` is readable, or `timeout` has passed.
+///
+/// A signal ends the wait early, with nothing ready.
+pub fn wait(link: &dyn ByteLink, for_room: bool, waker: Option<BorrowedFd<'_>>, timeout: Duration) -> Ready {
+    let interest = if for_room { PollFlags::IN | PollFlags::OUT } else { PollFlags::IN };
+    let link_fd = link.fd();
+    let waker_fd = waker.unwrap_or(link_fd);
+    let mut fds = [PollFd::from_borrowed_fd(link_fd, interest), PollFd::from_borrowed_fd(waker_fd, PollFlags::IN)];
+    let count = if waker.is_some() { 2 } else { 1 };
+    let timeout = Timespec {
+        tv_sec: i64::try_from(timeout.as_secs()).unwrap_or(i64::MAX),
+        tv_nsec: i64::from(timeout.subsec_nanos()),
+    };
+    if !matches!(poll(&mut fds[..count], Some(&timeout)), Ok(1..)) {
+        return Ready::default();
+    }
+    let gone = PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL;
+    let (of_link, of_waker) = (fds[0].revents(), fds[1].revents());
+    Ready {
+        readable: of_link.intersects(PollFlags::IN | gone),
+        writable: for_room && of_link.intersects(PollFlags::OUT | gone),
+        woken: count == 2 && !of_waker.is_empty(),
+    }
+}
+
+/// One end of a pair of links in one process.
+#[derive(Debug)]
+pub struct PairLink {
+    stream: UnixStream,
+    name: String,
+}
+
+/// Two links that are each other's peer; dropping one unplugs the other.
+///
+/// # Errors
+/// If the operating system has no more file descriptors.
+pub fn pair(name: &str) -> std::io::Result<(PairLink, PairLink)> {
+    let (one, other) = UnixStream::pair()?;
+    let link = |stream: UnixStream, end: &str| -> std::io::Result<PairLink> {
+        stream.set_nonblocking(true)?;
+        Ok(PairLink { stream, name: format!("{name} ({end})") })
+    };
+    Ok((link(one, "host")?, link(other, "peer")?))
+}
+
+impl ByteLink for PairLink {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn try_read(&mut self, buffer: &mut [u8]) -> Result<usize, Unplugged> {
+        judge(self.stream.read(buffer), !buffer.is_empty())
+    }
+
+    fn try_write(&mut self, bytes: &[u8]) -> Result<usize, Unplugged> {
+        judge(self.stream.write(bytes), false)
+    }
+
+    fn fd(&self) -> BorrowedFd<'_> {
+        self.stream.as_fd()
+    }
+}
