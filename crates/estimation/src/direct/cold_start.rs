@@ -158,8 +158,8 @@ pub struct ColdStartOutcome {
     pub second: Option<Rival>,
     /// The best of the planes that explain the pixels of the first as something else, if there is one.
     pub alias: Option<Rival>,
-    /// The best of the other explanations of the same pixels that are near the first on the level of the search, with its score over that of the first on the
-    /// finest level.
+    /// The best of the other explanations of the same pixels that are near the first on the level of the search, with its score
+    /// over that of the first on the finest level.
     pub contender: Option<Rival>,
     /// Share of the region's pixels with a clear disparity.
     pub valid_share: f64,

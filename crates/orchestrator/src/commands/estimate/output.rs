@@ -109,18 +109,20 @@ impl EstimateLine {
 
     /// Heading of the human table.
     pub const HEADING: &'static str =
-        "case                      status              z mm  normal (x, y, z)         fitness       ms";
+        "case                      status              z mm    +-mm  normal (x, y, z)         +-deg  fitness       ms";
 
-    /// The line of the human table.
+    /// The line of the human table; behind "+-" stand standard deviations.
     pub fn human(&self) -> String {
         let number = |value: Option<f64>, decimals: usize| value.map_or("-".into(), |x| format!("{x:.decimals$}"));
         let normal = self.normal.map_or("-".into(), |[x, y, z]| format!("{x:+.3} {y:+.3} {z:+.3}"));
         format!(
-            "{:<25} {:<14} {:>9}  {:<24} {:>7} {:>8}",
+            "{:<25} {:<14} {:>9} {:>7}  {:<23} {:>6}  {:>7} {:>8}",
             self.case,
             self.status,
             number(self.z_mm, 2),
+            number(self.z_sigma_mm, 2),
             normal,
+            number(self.normal_sigma_deg, 2),
             number(self.fitness, 3),
             number(self.ms, 2)
         )
