@@ -12,6 +12,8 @@ use crate::workspace::{Workspace, run_visibly};
 #[derive(Debug)]
 struct Policy {
     licences: Vec<String>,
+    /// Licences of single crates besides.
+    exceptions: Vec<(String, Vec<String>)>,
     banned: Vec<(String, String)>,
     registries: Vec<String>,
 }
@@ -51,15 +53,34 @@ impl Policy {
             let name = key("crate").context("[bans] deny: an entry has no `crate`")?;
             banned.push((name, key("reason").context("[bans] deny: an entry has no `reason`")?));
         }
-        Ok(Self { licences: words("licenses", "allow")?, banned, registries: words("sources", "allow-registry")? })
+        let mut exceptions = Vec::new();
+        for entry in list("licenses", "exceptions")? {
+            let name = entry.get("crate").and_then(toml::Value::as_str);
+            let licences = entry.get("allow").and_then(toml::Value::as_array);
+            let (Some(name), Some(licences)) = (name, licences) else {
+                bail!("[licenses] exceptions: an entry needs `crate` and `allow`");
+            };
+            let licences = licences.iter().filter_map(toml::Value::as_str).map(str::to_owned).collect();
+            exceptions.push((name.to_owned(), licences));
+        }
+        let (licences, registries) = (words("licenses", "allow")?, words("sources", "allow-registry")?);
+        Ok(Self { licences, exceptions, banned, registries })
     }
 
     fn check(&self, package: &Value) -> Vec<Violation> {
         let text = |key: &str| package[key].as_str();
         let place = format!("package {} {}", text("name").unwrap_or("?"), text("version").unwrap_or("?"));
         let mut violations = Vec::new();
+        let excepted = |licence: &str| {
+            let of_this = |(name, _): &&(String, Vec<String>)| Some(name.as_str()) == text("name");
+            self.exceptions
+                .iter()
+                .filter(of_this)
+                .any(|(_, licences)| licences.iter().any(|allowed| allowed == licence))
+        };
         match text("license").map(|licence| self.accepts(licence)) {
             Some(Ok(true)) => {}
+            Some(Ok(false)) if text("license").is_some_and(excepted) => {}
             Some(Ok(false)) => {
                 let message =
                     format!("its licence `{}` is not allowed by deny.toml", text("license").unwrap_or_default());
@@ -147,6 +168,7 @@ mod tests {
 
     fn policy() -> Policy {
         let text = "[licenses]\nallow = [\"MIT\", \"Zlib\", \"Unicode-3.0\"]\n\
+            exceptions = [{ crate = \"port\", allow = [\"MPL-2.0\"] }]\n\
             [bans]\ndeny = [{ crate = \"clang-sys\", reason = \"needs libclang\" }]\n\
             [sources]\nallow-registry = [\"https://example.org/index\"]\n";
         Policy::parse(text).expect("valid")
@@ -187,6 +209,16 @@ mod tests {
             bad[key] = value;
             let rules: Vec<_> = policy().check(&bad).into_iter().map(|v| v.rule).collect();
             assert_eq!(rules, [rule], "{key}");
+        }
+    }
+
+    #[test]
+    fn an_exception_is_for_one_crate_and_one_licence() {
+        let package = |name: &str, licence: &str| json!({"name": name, "version": "1.0.0", "license": licence, "source": "registry+https://example.org/index"});
+        assert_eq!(policy().check(&package("port", "MPL-2.0")), []);
+        for (name, licence) in [("port", "GPL-3.0"), ("other", "MPL-2.0")] {
+            let rules: Vec<_> = policy().check(&package(name, licence)).into_iter().map(|v| v.rule).collect();
+            assert_eq!(rules, ["licence"], "{name} {licence}");
         }
     }
 

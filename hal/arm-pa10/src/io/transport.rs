@@ -33,7 +33,27 @@ pub trait ByteLink: Send {
 
     /// What [`wait`] waits for.
     fn fd(&self) -> BorrowedFd<'_>;
+
+    /// What the operator should know about this link, found when it was opened.
+    fn warning(&self) -> Option<String> {
+        None
+    }
 }
+
+/// Opens a link, and opens it again when an operator has plugged it in again.
+pub trait Connector: Send {
+    /// Opens the link, in bounded time.
+    ///
+    /// # Errors
+    /// Why it can not be opened, and what to do.
+    fn connect(&mut self) -> Result<Box<dyn ByteLink>, ConnectError>;
+
+    /// For messages: where it leads.
+    fn target(&self) -> String;
+}
+
+/// Why a link can not be opened.
+pub type ConnectError = Box<dyn std::error::Error + Send + Sync>;
 
 /// The link is gone: unplugged, closed by the other side, or broken. The symptom is for the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
