@@ -4,7 +4,10 @@
 //! this has a closed form, and [`JointPlant`] keeps these pieces instead of stepping: the answer at a time depends on the
 //! commands alone, to the last bit, and not on how often or in what steps the plant was advanced; a past time is answered as
 //! exactly as the present one.
+//!
+//! Joints that are not held by their drive ([`AxisMode`]) follow the same law with other numbers ([`JointMechanics`]).
 
+mod mechanics;
 mod motion;
 
 use std::collections::VecDeque;
@@ -13,6 +16,7 @@ use std::time::Duration;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::{DOF, JointLimits, JointState, JointVector, PositionViolation};
 
+pub use mechanics::{AxisMode, JointMechanics};
 use motion::{Drive, JointPath};
 
 /// Angle of one resolver count of the PA-10, rad: 360 degrees / (16384 counts x gear 50).
@@ -67,7 +71,11 @@ pub enum JointPlantError {
 #[derive(Clone, Debug)]
 pub struct JointPlant {
     config: JointPlantConfig,
+    mechanics: JointMechanics,
     now: MonotonicTime,
+    /// What holds or moves each joint, and the velocity that those with a drive follow.
+    modes: [AxisMode; DOF],
+    velocity_rad_per_s: JointVector,
     /// Reaches into the future until the next command takes effect.
     current: Piece,
     /// The pieces before it, oldest first.
@@ -89,6 +97,7 @@ struct Pending {
 #[derive(Clone, Debug)]
 struct Piece {
     start: MonotonicTime,
+    drives: [Drive; DOF],
     paths: [JointPath; DOF],
 }
 
@@ -106,9 +115,23 @@ impl JointPlant {
         if let Some(violation) = config.limits.violation(&position_rad) {
             return Err(JointPlantError::Start(violation));
         }
+        let mechanics = JointMechanics::default();
+        let modes = [AxisMode::Servo; DOF];
         let rest = JointVector::zeros();
-        let current = Piece::new(&drives(&config), at, &position_rad, &rest, &rest);
-        Ok(Self { config, now: at, current, past: VecDeque::new(), pending: VecDeque::new() })
+        let drives = mechanics.drives(&config, &modes, &position_rad);
+        let current = Piece::new(drives, at, &position_rad, &rest, &mechanics.targets(&modes, &position_rad, &rest));
+        let (past, pending) = (VecDeque::new(), VecDeque::new());
+        Ok(Self { config, mechanics, now: at, modes, velocity_rad_per_s: rest, current, past, pending })
+    }
+
+    /// The same joints with friction, brakes and gravity; before anything was commanded.
+    ///
+    /// # Errors
+    /// If a number is out of range.
+    pub fn with_mechanics(mut self, mechanics: JointMechanics) -> Result<Self, JointPlantError> {
+        mechanics.check()?;
+        self.mechanics = mechanics;
+        Ok(self)
     }
 
     /// What this plant was made from.
@@ -163,7 +186,39 @@ impl JointPlant {
     pub fn halt(&mut self, at: MonotonicTime) {
         self.advance_to(at);
         self.pending.clear();
-        self.take_effect(self.now, &JointVector::zeros());
+        self.velocity_rad_per_s = JointVector::zeros();
+        self.take_effect(self.now);
+    }
+
+    /// Changes what holds or moves each joint, from `at` (or [`Self::now`], if that is later) on and without command delay.
+    /// Velocity commands are kept, and joints with a drive follow them.
+    ///
+    /// # Errors
+    /// If a velocity is not finite; nothing is changed then.
+    pub fn set_modes(&mut self, at: MonotonicTime, modes: [AxisMode; DOF]) -> Result<(), JointPlantError> {
+        for (joint, mode) in modes.iter().enumerate() {
+            if let AxisMode::Driven { velocity_rad_per_s } = *mode
+                && !velocity_rad_per_s.is_finite()
+            {
+                return Err(JointPlantError::Command { joint, velocity_rad_per_s });
+            }
+        }
+        self.advance_to(at);
+        if self.modes != modes {
+            self.modes = modes;
+            self.take_effect(self.now);
+        }
+        Ok(())
+    }
+
+    /// The velocity command on its way or in effect that was given last, rad/s.
+    pub fn commanded_rad_per_s(&self) -> &JointVector {
+        self.pending.back().map_or(&self.velocity_rad_per_s, |last| &last.velocity_rad_per_s)
+    }
+
+    /// What holds or moves each joint.
+    pub fn modes(&self) -> &[AxisMode; DOF] {
+        &self.modes
     }
 
     /// Lets time pass up to `at`; a time before [`Self::now`] does nothing.
@@ -171,7 +226,8 @@ impl JointPlant {
         self.now = self.now.max(at);
         while let Some(next) = self.pending.front().copied().filter(|next| next.effective <= self.now) {
             self.pending.pop_front();
-            self.take_effect(next.effective, &next.velocity_rad_per_s);
+            self.velocity_rad_per_s = next.velocity_rad_per_s;
+            self.take_effect(next.effective);
         }
         let oldest_wanted = self.now - self.config.history;
         let still_wanted = |plant: &Self| plant.past.get(1).unwrap_or(&plant.current).start > oldest_wanted;
@@ -182,7 +238,7 @@ impl JointPlant {
 
     /// Measured joints at the present: angles quantised, velocities exact.
     pub fn state(&self) -> JointState {
-        let (position_rad, velocity_rad_per_s) = self.current.at(&drives(&self.config), self.now);
+        let (position_rad, velocity_rad_per_s) = self.current.at(self.now);
         let quantum = self.config.angle_quantum_rad;
         let measured = |angle: f64| if quantum > 0.0 { (angle / quantum).round() * quantum } else { angle };
         JointState { at: self.now, position_rad: position_rad.map(measured), velocity_rad_per_s }
@@ -205,14 +261,14 @@ impl JointPlant {
         }
         let pieces = std::iter::once(&self.current).chain(self.past.iter().rev());
         let piece = pieces.into_iter().find(|piece| piece.start <= at)?;
-        Some(piece.at(&drives(&self.config), at))
+        Some(piece.at(at))
     }
 
-    fn take_effect(&mut self, at: MonotonicTime, velocity_rad_per_s: &JointVector) {
-        let drives = drives(&self.config);
-        let (position, velocity) = self.current.at(&drives, at);
-        let next = Piece::new(&drives, at, &position, &velocity, velocity_rad_per_s);
-        let replaced = std::mem::replace(&mut self.current, next);
+    fn take_effect(&mut self, at: MonotonicTime) {
+        let (position, velocity) = self.current.at(at);
+        let drives = self.mechanics.drives(&self.config, &self.modes, &position);
+        let targets = self.mechanics.targets(&self.modes, &position, &self.velocity_rad_per_s);
+        let replaced = std::mem::replace(&mut self.current, Piece::new(drives, at, &position, &velocity, &targets));
         // Of two commands at one moment the later one counts.
         if replaced.start < at {
             self.past.push_back(replaced);
@@ -222,7 +278,7 @@ impl JointPlant {
 
 impl Piece {
     fn new(
-        drives: &[Drive; DOF],
+        drives: [Drive; DOF],
         start: MonotonicTime,
         position: &JointVector,
         velocity: &JointVector,
@@ -231,41 +287,22 @@ impl Piece {
         let paths = std::array::from_fn(|i| {
             JointPath::new(&drives[i], position[i], velocity[i], drives[i].saturate(command[i]))
         });
-        Self { start, paths }
+        Self { start, drives, paths }
     }
 
     /// Positions and velocities at a time of this piece.
-    fn at(&self, drives: &[Drive; DOF], at: MonotonicTime) -> (JointVector, JointVector) {
+    fn at(&self, at: MonotonicTime) -> (JointVector, JointVector) {
         let elapsed = at.seconds_since(self.start);
         let (mut position, mut velocity) = (JointVector::zeros(), JointVector::zeros());
         for i in 0..DOF {
-            (position[i], velocity[i]) = self.paths[i].at(&drives[i], elapsed);
+            (position[i], velocity[i]) = self.paths[i].at(&self.drives[i], elapsed);
         }
         (position, velocity)
     }
 }
 
-fn drives(config: &JointPlantConfig) -> [Drive; DOF] {
-    let limits = &config.limits;
-    std::array::from_fn(|i| Drive {
-        acceleration_max: config.acceleration_max_rad_per_s2[i],
-        time_constant: config.velocity_time_constant.as_secs_f64(),
-        velocity_max: limits.velocity_max_rad_per_s()[i],
-        stops: [limits.position_min_rad()[i], limits.position_max_rad()[i]],
-    })
-}
-
 fn check(config: &JointPlantConfig) -> Result<(), JointPlantError> {
-    for (joint, &value) in config.acceleration_max_rad_per_s2.iter().enumerate() {
-        if !(value.is_finite() && value > 0.0) {
-            return Err(JointPlantError::Config {
-                name: "acceleration_max_rad_per_s2",
-                joint: Some(joint),
-                value,
-                allowed: "a positive, finite number",
-            });
-        }
-    }
+    mechanics::positive("acceleration_max_rad_per_s2", &config.acceleration_max_rad_per_s2)?;
     let value = config.angle_quantum_rad;
     if !(value.is_finite() && value >= 0.0) {
         let allowed = "zero or a positive, finite number";
@@ -274,5 +311,7 @@ fn check(config: &JointPlantConfig) -> Result<(), JointPlantError> {
     Ok(())
 }
 
+#[cfg(test)]
+mod mechanics_tests;
 #[cfg(test)]
 mod tests;

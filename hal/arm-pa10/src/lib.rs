@@ -7,6 +7,7 @@
 //! * [`link`]: between the driver and the bytes of the bus or of a gateway.
 //! * [`io`]: what touches the world: byte links, threads and clocks stand there and nowhere else.
 //! * [`watchdog`]: what becomes of a velocity whose successor stays away.
+//! * [`mock_controller`]: the servo controller at the far end of the bus, emulated byte by byte, with faults on request.
 //! * [`mock`]: an arm without hardware: the state machine and the contract of a real one over simulated joints.
 
 pub mod arcnet;
@@ -16,6 +17,7 @@ pub mod gateway_protocol;
 pub mod io;
 pub mod link;
 pub mod mock;
+pub mod mock_controller;
 pub mod watchdog;
 
 pub use mock::{MockArm, MockArmConfig, MockArmFaults};

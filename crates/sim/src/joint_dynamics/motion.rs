@@ -9,6 +9,8 @@ pub(super) struct Drive {
     pub acceleration_max: f64,
     pub time_constant: f64,
     pub velocity_max: f64,
+    /// Dry friction, as the speed by which it makes the joint miss its command; a smaller command does not move it.
+    pub friction: f64,
     /// Lower and upper end stop.
     pub stops: [f64; 2],
 }
@@ -17,16 +19,25 @@ impl Drive {
     pub fn saturate(&self, velocity: f64) -> f64 {
         velocity.clamp(-self.velocity_max, self.velocity_max)
     }
+
+    /// The velocity that a joint tends to against its friction, which points against its motion.
+    fn against_friction(&self, velocity: f64, command: f64) -> f64 {
+        if velocity == 0.0 {
+            command - command.clamp(-self.friction, self.friction)
+        } else {
+            command - self.friction.copysign(velocity)
+        }
+    }
 }
 
 /// The path of a joint from a state under a constant command, end stops included.
 ///
-/// At a stop the joint is at rest; it leaves it if the command leads away. So there are at most three parts: to a stop, from it
-/// to the other, and rest there.
+/// At a stop the joint is at rest; it leaves it if the command leads away. With friction it may come to rest at a turn. So there
+/// are at most four parts: to a turn, to a stop, from it to the other, and rest there.
 #[derive(Clone, Debug)]
 pub(super) struct JointPath {
     first: Part,
-    then: [Option<Part>; 2],
+    then: [Option<Part>; 3],
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -38,15 +49,18 @@ struct Part {
 
 impl JointPath {
     pub fn new(drive: &Drive, position: f64, velocity: f64, command: f64) -> Self {
-        let first = Part { from: 0.0, motion: Motion::new(drive, position, velocity, command) };
-        let mut then = [None; 2];
+        let towards = drive.against_friction(velocity, command);
+        let first = Part { from: 0.0, motion: Motion::new(drive, position, velocity, towards) };
+        let mut then = [None; 3];
         let mut part = first;
         for slot in &mut then {
-            let Some((after, stop)) = part.motion.reaches_stop(drive) else { break };
-            // Against the stop the drive pushes in vain: as if it were told to rest.
-            let leads_away = if stop == drive.stops[1] { command < 0.0 } else { command > 0.0 };
-            let command = if leads_away { command } else { 0.0 };
-            part = Part { from: part.from + after, motion: Motion::new(drive, stop, 0.0, command) };
+            let Some((after, position)) = part.motion.ends(drive) else { break };
+            let mut towards = drive.against_friction(0.0, command);
+            // Against a stop the drive pushes in vain: as if it were told to rest.
+            if (position == drive.stops[1] && towards >= 0.0) || (position == drive.stops[0] && towards <= 0.0) {
+                towards = 0.0;
+            }
+            part = Part { from: part.from + after, motion: Motion::new(drive, position, 0.0, towards) };
             *slot = Some(part);
         }
         Self { first, then }
@@ -103,6 +117,17 @@ impl Motion {
         let settled = -(-t / drive.time_constant).exp_m1();
         let position = self.position_then + self.command * t - self.error_then * drive.time_constant * settled;
         (position, self.command - self.error_then * (1.0 - settled))
+    }
+
+    /// After how many seconds the motion ends, and where: at a stop, or where friction changes its direction.
+    fn ends(&self, drive: &Drive) -> Option<(f64, f64)> {
+        let turn = self.turns_after(drive);
+        if drive.friction == 0.0 || turn.is_infinite() {
+            return self.reaches_stop(drive);
+        }
+        let stop = drive.stops[usize::from(self.velocity > 0.0)];
+        let stopped = self.reaches(drive, stop, 0.0, turn).map(|after| (after, stop));
+        Some(stopped.unwrap_or_else(|| (turn, self.at(drive, turn).0)))
     }
 
     /// After how many seconds the motion first runs into a stop, and into which.

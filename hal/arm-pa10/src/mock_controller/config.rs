@@ -1,0 +1,77 @@
+//! What an emulated controller is told about itself.
+
+use std::time::Duration;
+
+use pb3dp_kinematics::JointVector;
+
+use crate::codec::{AngleCounts, Axis, COUNTS_PER_TURN, WireFormat};
+
+/// Limits that MHI's model data and two drivers give for a PA10-7C(E): +-177, 94, 174, 137, 255, 165, 255 degrees.
+const SERVO_LIMITS_DEG: [f64; Axis::COUNT] = [177.0, 94.0, 174.0, 137.0, 255.0, 165.0, 255.0];
+
+/// What an emulated controller is told about itself.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MockControllerConfig {
+    /// How it speaks.
+    pub format: WireFormat,
+    /// How long it goes without a message in control mode before it stops by itself: sources say 6, 10 or 400 ms. `None`: it goes on
+    /// with the last velocities, which one source reports, too.
+    pub watchdog: Option<Duration>,
+    /// From a message to its reply, on the bus and in the controller.
+    pub reply_delay: Duration,
+    /// How long a brake takes to open: until then it holds.
+    pub brake_open: Duration,
+    /// How long a brake takes to close: until then it does not hold.
+    pub brake_close: Duration,
+    /// Lower software limits in the EEPROM, rad.
+    pub lower_limit_rad: JointVector,
+    /// Upper software limits in the EEPROM, rad.
+    pub upper_limit_rad: JointVector,
+    /// Whether it answers the letter A. If not, S clears the alarms whose cause is gone.
+    pub knows_clear_alarm: bool,
+}
+
+/// Why a controller can not be emulated.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum MockControllerError {
+    /// A time-out of zero.
+    #[error("a watchdog of 0 s would stop the arm between two commands: give 6 ms or more, or none")]
+    Watchdog,
+    /// Limits that are no range around zero.
+    #[error("{axis}: limits of {lower_rad} to {upper_rad} rad are no range around 0 within two turns; correct them")]
+    Limits {
+        /// Which axis.
+        axis: Axis,
+        /// The lower limit given, rad.
+        lower_rad: f64,
+        /// The upper limit given, rad.
+        upper_rad: f64,
+    },
+}
+
+impl MockControllerConfig {
+    /// A controller with this format and its time-out at 6 ms; the rest as the sources suggest it.
+    pub fn new(format: WireFormat) -> Self {
+        let limits = JointVector::from(SERVO_LIMITS_DEG.map(f64::to_radians));
+        Self {
+            format,
+            watchdog: Some(Duration::from_millis(6)),
+            reply_delay: Duration::from_micros(400),
+            brake_open: Duration::from_millis(150),
+            brake_close: Duration::from_millis(50),
+            lower_limit_rad: -limits,
+            upper_limit_rad: limits,
+            knows_clear_alarm: true,
+        }
+    }
+
+    /// Lower and upper limit of an axis as the EEPROM keeps them.
+    pub(super) fn limits(&self, axis: Axis) -> Result<[AngleCounts; 2], MockControllerError> {
+        let (lower_rad, upper_rad) = (self.lower_limit_rad[axis.index()], self.upper_limit_rad[axis.index()]);
+        let wrong = MockControllerError::Limits { axis, lower_rad, upper_rad };
+        let counts = |angle_rad| AngleCounts::from_rad(axis, angle_rad).map_err(|_| wrong);
+        let (lower, upper) = (counts(lower_rad)?, counts(upper_rad)?);
+        let possible = lower.0 < 0 && upper.0 > 0 && lower.0 >= -2 * COUNTS_PER_TURN && upper.0 <= 2 * COUNTS_PER_TURN;
+        if possible { Ok([lower, upper]) } else { Err(wrong) }
+    }
+}

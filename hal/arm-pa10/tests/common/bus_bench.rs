@@ -1,0 +1,149 @@
+//! A driver on the bus of an emulated controller, in virtual time that goes from event to event.
+
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use pb3dp_arm_pa10::codec::{SequenceModulus, WireFormat};
+use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, Request};
+use pb3dp_arm_pa10::link::BusLink;
+use pb3dp_arm_pa10::mock_controller::{MockController, MockControllerConfig};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_kinematics::{JointLimits, JointVector};
+use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
+
+/// Of the bus.
+pub const BUS_CYCLE: Duration = Duration::from_millis(2);
+
+/// How often the host gives a velocity.
+pub const HOST_CYCLE: Duration = Duration::from_millis(10);
+
+/// Slower than this in every joint is at rest, rad/s.
+pub const AT_REST_RAD_PER_S: f64 = 1e-3;
+
+pub const START: MonotonicTime = MonotonicTime::from_nanos(3_000_000_000);
+
+pub fn home() -> JointVector {
+    JointVector::from([0.3, 0.4, -0.2, 1.1, 0.5, 0.7, -0.6])
+}
+
+/// Joints of a PA-10 as far as sources know them; drives as quick as a stop within some 10 ms needs.
+pub fn plant_config() -> JointPlantConfig {
+    let max = JointVector::from([180.0f64, 97.0, 180.0, 143.0, 270.0, 180.0, 270.0].map(f64::to_radians));
+    let speed = JointVector::from([1.0, 1.0, 2.0, 2.0, 2.0, 6.2, 6.2]);
+    JointPlantConfig {
+        limits: JointLimits::new(-max, max, speed).unwrap(),
+        acceleration_max_rad_per_s2: JointVector::repeat(40.0),
+        velocity_time_constant: Duration::from_millis(5),
+        command_delay: Duration::ZERO,
+        angle_quantum_rad: 0.0,
+        history: Duration::from_secs(1),
+    }
+}
+
+pub fn plant() -> JointPlant {
+    JointPlant::new(plant_config(), home(), START).unwrap()
+}
+
+pub struct BusBench {
+    pub driver: Driver,
+    pub link: BusLink,
+    pub controller: MockController,
+    pub plant: Arc<Mutex<JointPlant>>,
+    pub now: MonotonicTime,
+    /// What the host asks for in each of its cycles.
+    pub wanted: Option<JointVector>,
+    pub next_host_cycle: MonotonicTime,
+}
+
+impl BusBench {
+    pub fn new(format: WireFormat) -> Self {
+        Self::with(DriverConfig::with_cycle(BUS_CYCLE), MockControllerConfig::new(format), 1)
+    }
+
+    pub fn with(driver: DriverConfig, controller: MockControllerConfig, seed: u64) -> Self {
+        let plant = Arc::new(Mutex::new(plant()));
+        let link = BusLink::new(controller.format, SequenceModulus::Modulo128);
+        let controller = MockController::new(controller, Arc::clone(&plant), seed, START).unwrap();
+        let driver = Driver::new(driver).unwrap();
+        Self { driver, link, controller, plant, now: START, wanted: None, next_host_cycle: START }
+    }
+
+    /// Moving with this velocity, by the way that leads there.
+    pub fn moving(mut self, velocity_rad_per_s: JointVector) -> Self {
+        for request in [Request::Connect, Request::Enable, Request::ReleaseBrakes] {
+            self.request(request);
+            self.settle();
+        }
+        assert_eq!(self.driver.state(), DriverState::Holding, "{:?}", self.driver.latched());
+        self.wanted = Some(velocity_rad_per_s);
+        self.next_host_cycle = self.now;
+        self
+    }
+
+    pub fn request(&mut self, request: Request) {
+        self.driver.handle_request(self.now, request).unwrap();
+    }
+
+    pub fn settle(&mut self) {
+        let end = self.now + Duration::from_secs(15);
+        while self.driver.activity() != Activity::None {
+            assert!(self.now < end, "{:?}", self.driver);
+            self.run(BUS_CYCLE);
+        }
+    }
+
+    pub fn inject(&mut self, line: &str) {
+        self.controller.command_line(self.now, line).unwrap();
+    }
+
+    pub fn run(&mut self, time: Duration) {
+        let end = self.now + time;
+        self.run_until(end, |_| false);
+    }
+
+    /// Runs until a time or something; whether it happened.
+    pub fn run_until(&mut self, end: MonotonicTime, mut happened: impl FnMut(&Self) -> bool) -> bool {
+        loop {
+            self.work();
+            if happened(self) {
+                return true;
+            }
+            let host = self.wanted.is_some().then_some(self.next_host_cycle);
+            let next = [self.driver.next_deadline(), self.controller.next_deadline(), host].into_iter().flatten().min();
+            let Some(next) = next.filter(|next| *next <= end) else { break };
+            self.now = next.max(self.now + Duration::from_nanos(1));
+        }
+        self.now = end;
+        self.controller.advance(end);
+        false
+    }
+
+    /// Everything that is due now.
+    fn work(&mut self) {
+        if self.wanted.is_some() && self.now >= self.next_host_cycle {
+            self.next_host_cycle = self.next_host_cycle + HOST_CYCLE;
+            if let Some(velocity) = self.wanted
+                && self.driver.handle_request(self.now, Request::Move(velocity)).is_err()
+            {
+                self.wanted = None;
+            }
+        }
+        while let Some(frame) = self.controller.poll_frame(self.now) {
+            self.link.handle_frame(self.now, &frame, &mut self.driver).ok();
+        }
+        if let Some(transmit) = self.driver.poll_transmit(self.now) {
+            let frame = self.link.send(&transmit).unwrap();
+            self.controller.handle_frame(self.now, &frame);
+        }
+    }
+
+    /// True speed of the fastest joint, rad/s.
+    pub fn speed(&self) -> f64 {
+        let plant = self.plant.lock().unwrap();
+        plant.velocity_at(plant.now()).unwrap().amax()
+    }
+
+    pub fn is_at_rest(&self) -> bool {
+        self.speed() < AT_REST_RAD_PER_S
+    }
+}
