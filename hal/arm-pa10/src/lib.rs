@@ -3,6 +3,7 @@
 //! * [`codec`]: the two wire formats of the servo controller, its messages, replies and alarms. Pure functions.
 //! * [`arcnet`]: the frames in which Linux passes these messages through an ARCNET card.
 //! * [`gateway_protocol`]: the framed protocol between a host and the gateway that owns the bus of an arm.
+//! * [`gateway`]: that device without its hardware: bytes of the host on one side, ARCNET frames on the other.
 //! * [`driver`]: the host side of one arm as a state machine without I/O and clock.
 //! * [`link`]: between the driver and the bytes of the bus or of a gateway.
 //! * [`io`]: what touches the world: byte links, threads and clocks stand there and nowhere else.
@@ -13,6 +14,7 @@
 pub mod arcnet;
 pub mod codec;
 pub mod driver;
+pub mod gateway;
 pub mod gateway_protocol;
 pub mod io;
 pub mod link;

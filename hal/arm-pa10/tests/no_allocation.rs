@@ -2,15 +2,19 @@
 #![allow(clippy::unwrap_used)] // In helpers of tests.
 
 mod common;
+#[path = "common/gateway_bench.rs"]
+mod gateway_bench;
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use common::{Bench, CYCLE, velocity};
 use pb3dp_arm_pa10::arcnet::{self, Route};
-use pb3dp_arm_pa10::codec::{ControlPacket, SequenceModulus, WireFormat};
+use pb3dp_arm_pa10::codec::{ControlPacket, ReplyMessage, ReplyPacket, SequenceModulus, WireFormat};
 use pb3dp_arm_pa10::driver::{DriverState, Reply, Request};
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, DriveCommand, FrameParser, HostMessage, Received};
+use pb3dp_arm_pa10::gateway_protocol::{
+    ArmId, ArmOperation, DriveCommand, DriveMode, FrameParser, GatewayState, HostMessage, Received,
+};
 
 /// The system's allocator, counting the calls of each thread.
 struct Counting;
@@ -67,4 +71,41 @@ fn cycles_do_not_allocate() {
     let probe = CALLS.with(Cell::get);
     drop(std::hint::black_box(Box::new([0u8; 64])));
     assert!(CALLS.with(Cell::get) > probe, "the counter counts");
+}
+
+#[test]
+fn cycles_of_a_gateway_do_not_allocate() {
+    let mut bench = gateway_bench::Bench::new();
+    bench.lead_to(GatewayState::Moving);
+    let format = bench.controller.format;
+    let message = ReplyMessage::Cyclic(bench.controller.arm_reply(format));
+    let messages = [
+        bench.command(DriveMode::Follow, velocity()),
+        HostMessage::Heartbeat,
+        gateway_bench::control(ArmOperation::Start),
+    ];
+    let mut gateway = bench.gateway.clone();
+    let (mut now, mut sequence, mut answers) = (bench.now, bench.sequence, 0);
+    let before = CALLS.with(Cell::get);
+    for cycle in 0..5000u32 {
+        now = now + gateway_bench::CYCLE;
+        if let Some(frame) = gateway.poll_bus_frame(now) {
+            let asked = arcnet::decode(Route::TO_CONTROLLER, &frame).unwrap();
+            let reply = ReplyPacket { sequence: asked[0], message }.encode(format).unwrap();
+            gateway.handle_bus_frame(now, &arcnet::encode(Route::TO_HOST, &reply).unwrap());
+        }
+        if cycle.is_multiple_of(5) && cycle < 4000 {
+            for message in &messages {
+                sequence = sequence.wrapping_add(1);
+                let frame = message.frame(gateway_bench::ARM, sequence, now.as_nanos() / 1000 + bench.host_clock_us);
+                gateway.handle_host_bytes(now, &frame.encode());
+            }
+        }
+        while gateway.poll_host_output(now).is_some() {
+            answers += 1;
+        }
+    }
+    assert_eq!(CALLS.with(Cell::get), before);
+    // All that was said, and FAULT of the silence at the end.
+    assert_eq!((answers, gateway.status().state), (3 * 800 + 1, GatewayState::Fault));
 }

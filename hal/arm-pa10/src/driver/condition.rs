@@ -191,13 +191,13 @@ impl ArmCondition {
     /// What stops the arm, an emergency stop before a fault. Status words of format A tell nothing, as their meaning is not public.
     ///
     /// `emergency_stop_bits` of the controller's word mean an emergency stop.
-    pub(super) fn trip(&self, emergency_stop_bits: u16) -> Option<Trip> {
+    pub(crate) fn trip(&self, emergency_stop_bits: u16) -> Option<Trip> {
         let emergency_stop = self.emergency_stop(emergency_stop_bits).map(Trip::EStop);
         emergency_stop.or_else(|| self.fault().map(Trip::Fault))
     }
 
     /// An axis that can not be held by its servo, where all should be.
-    pub(super) fn uncontrollable(&self) -> Option<FaultCause> {
+    pub(crate) fn uncontrollable(&self) -> Option<FaultCause> {
         let lost = |axis: &Axis| match self.axes[axis.index()] {
             AxisStatus::Servo(word) if word.is_power_off() || word.is_uncontrollable() => {
                 Some(FaultCause::AxisUncontrollable { axis: *axis, word: word.0 })

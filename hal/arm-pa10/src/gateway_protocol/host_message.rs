@@ -6,7 +6,8 @@ use super::fields::{Fields, Put};
 use super::{ArmId, ControlOperation, Dialect, DriveMode, Frame, MessageError, PAYLOAD_LENGTH_MAX, Payload};
 use crate::codec::{Axis, ByteBuffer, CodecError, SpeedCounts};
 
-const HELLO: u8 = 0x01;
+/// The type of HELLO, which alone may come first.
+pub(crate) const HELLO: u8 = 0x01;
 const COMMAND: u8 = 0x02;
 const CONTROL: u8 = 0x03;
 const HEARTBEAT: u8 = 0x04;
@@ -210,6 +211,11 @@ impl HostMessage {
 }
 
 impl Control {
+    /// What is asked for, without its axis.
+    pub fn operation(self) -> ControlOperation {
+        self.bytes().0
+    }
+
     /// Operation and axis number, 0 where none belongs to it.
     pub(super) fn bytes(self) -> (ControlOperation, u8) {
         match self {

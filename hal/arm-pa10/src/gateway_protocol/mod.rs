@@ -21,6 +21,7 @@ pub use freshness::DelayMeter;
 pub use gateway_message::{
     ControlReply, EepromLimits, FaultReport, Firmware, GatewayMessage, Health, HelloReply, Reject,
 };
+pub(crate) use host_message::HELLO;
 pub use host_message::{ArmOperation, Control, DriveCommand, Hello, HostMessage, RawMessage};
 pub use line::{LineTooSlow, check_line, exchange_bytes, exchange_time};
 pub use parser::{FrameParser, ParserCounters, Received};

@@ -1,0 +1,337 @@
+//! What a gateway never does, whatever host, controller and clock do.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+#[path = "common/gateway_bench.rs"]
+mod bench;
+
+use std::time::Duration;
+
+use bench::{Bench, CYCLE, Sent, config, control, hello, ms, raw, raw_command, velocity};
+use pb3dp_arm_pa10::codec::{
+    AngleCounts, ArmCommand, AxisCommand, CommWord, ControlMessage, ServoWord, SpeedCounts, Supervision, WireFormat,
+};
+use pb3dp_arm_pa10::gateway_protocol::{
+    ArmOperation, Control, Dialect, DriveMode, GatewayMessage, GatewayState, HostMessage,
+};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_kinematics::JointVector;
+use proptest::prelude::*;
+
+const BRAKE_TIME: Duration = Duration::from_millis(200);
+const STOP_AFTER: Duration = Duration::from_millis(50);
+
+/// What can happen to a gateway.
+#[derive(Clone, Debug)]
+enum Happening {
+    Wait(u64),
+    Hello(Dialect),
+    Heartbeat,
+    Control(ArmOperation),
+    ClearAlarm(usize),
+    ReadLimits(usize),
+    /// Of this kind, so often, every 10 ms.
+    Commands(DriveMode, i8, u32),
+    /// Of each axis its own mode and speed.
+    Mixed(Vec<(u8, i16)>),
+    Raw(u8, Vec<u8>),
+    Bytes(Vec<u8>),
+    HostGone,
+    /// The way to motion.
+    Up,
+    DropReplies(u32),
+    Deaf(bool),
+    Servo(usize, u16),
+    Comm(u16),
+    Angle(i32),
+    OtherFormat(bool),
+    WrongNumbers(u8),
+    SlowReplies(u64),
+    /// Nobody asks the gateway for so long.
+    Stall(u64),
+    Stop,
+}
+
+fn happening() -> impl Strategy<Value = Happening> {
+    use ArmOperation::{End, Reset, Start, Stop};
+    let dialect = prop_oneof![Just(Dialect::GatewayV1), Just(Dialect::Transparent)];
+    let mode = prop_oneof![Just(DriveMode::Off), Just(DriveMode::Braked), Just(DriveMode::Follow)];
+    let mixed = prop::collection::vec((1u8..4, prop_oneof![Just(0i16), -300i16..300]), 7);
+    let words = prop_oneof![Just(0u16), Just(0x00E0), Just(0x0110), Just(0x4000), any::<u16>()];
+    prop_oneof![
+        4 => (0u64..300).prop_map(Happening::Wait),
+        2 => dialect.prop_map(Happening::Hello),
+        1 => Just(Happening::Heartbeat),
+        3 => prop_oneof![Just(Start), Just(End), Just(Stop), Just(Reset)].prop_map(Happening::Control),
+        2 => Just(Happening::Control(Reset)),
+        1 => (0usize..7).prop_map(Happening::ClearAlarm),
+        1 => (0usize..7).prop_map(Happening::ReadLimits),
+        4 => (mode, -3i8..4, 1u32..40).prop_map(|(mode, speed, count)| Happening::Commands(mode, speed, count)),
+        2 => mixed.prop_map(Happening::Mixed),
+        1 => (any::<u8>(), prop::collection::vec(any::<u8>(), 0..50)).prop_map(|(letter, data)| Happening::Raw(letter, data)),
+        1 => prop::collection::vec(any::<u8>(), 0..60).prop_map(Happening::Bytes),
+        1 => Just(Happening::HostGone),
+        4 => Just(Happening::Up),
+        1 => (1u32..6).prop_map(Happening::DropReplies),
+        1 => any::<bool>().prop_map(Happening::Deaf),
+        1 => (0usize..7, words.clone()).prop_map(|(axis, word)| Happening::Servo(axis, word)),
+        1 => words.prop_map(Happening::Comm),
+        1 => prop_oneof![Just(1000), any::<i32>()].prop_map(Happening::Angle),
+        1 => any::<bool>().prop_map(Happening::OtherFormat),
+        1 => (0u8..3).prop_map(Happening::WrongNumbers),
+        1 => (0u64..4).prop_map(Happening::SlowReplies),
+        1 => (1u64..120).prop_map(Happening::Stall),
+        1 => Just(Happening::Stop),
+    ]
+}
+
+/// A bench with what has to be remembered of its past.
+struct Watched {
+    bench: Bench,
+    /// When the last command was said, whether or not it was accepted.
+    commanded: MonotonicTime,
+    /// Frames that must get one answer each.
+    told: Vec<u16>,
+    checked: usize,
+    heard: usize,
+    last: Option<Sent>,
+    opened: [Option<MonotonicTime>; 7],
+    latched: Option<MonotonicTime>,
+}
+
+impl Watched {
+    fn new(format: WireFormat) -> Self {
+        let bench = Bench::silent(config(format));
+        let commanded = bench.now;
+        Self { bench, commanded, told: Vec::new(), checked: 0, heard: 0, last: None, opened: [None; 7], latched: None }
+    }
+
+    fn tell(&mut self, message: HostMessage) {
+        if matches!(message, HostMessage::Command(_) | HostMessage::Raw(_)) {
+            self.commanded = self.bench.now;
+        }
+        let sequence = self.bench.tell(message);
+        self.told.push(sequence);
+    }
+
+    fn run(&mut self, time: Duration) {
+        let end = self.bench.now + time;
+        while self.bench.now < end {
+            self.bench.tick();
+            self.check();
+        }
+    }
+
+    fn commands(&mut self, mode: DriveMode, velocity: JointVector, count: u32) {
+        for _ in 0..count {
+            let command = self.bench.command(mode, velocity);
+            self.tell(command);
+            self.check();
+            self.run(ms(10));
+        }
+    }
+
+    fn happen(&mut self, happening: &Happening) {
+        let format = self.bench.controller.format;
+        match happening {
+            Happening::Wait(millis) => self.run(ms(*millis)),
+            Happening::Hello(dialect) => self.tell(hello(*dialect)),
+            Happening::Heartbeat => self.tell(HostMessage::Heartbeat),
+            Happening::Control(operation) => self.tell(control(*operation)),
+            Happening::ClearAlarm(axis) => {
+                self.tell(HostMessage::Control(Control::ClearAlarm(pb3dp_arm_pa10::codec::Axis::ALL[*axis])));
+            }
+            Happening::ReadLimits(axis) => {
+                self.tell(HostMessage::Control(Control::ReadEeprom(pb3dp_arm_pa10::codec::Axis::ALL[*axis])));
+            }
+            Happening::Commands(mode, speed, count) => {
+                self.commands(*mode, velocity() * f64::from(*speed), *count);
+            }
+            Happening::Mixed(axes) => self.tell(raw_command(format, mixed(axes))),
+            Happening::Raw(letter, data) => self.tell(raw(*letter, data)),
+            Happening::Bytes(bytes) => self.bench.bytes(bytes),
+            Happening::HostGone => {
+                self.bench.gateway.handle_host_gone(self.bench.now);
+                // What was asked for is answered to nobody.
+                self.told.clear();
+            }
+            Happening::Up => self.go_up(),
+            Happening::DropReplies(count) => self.bench.controller.drop_next = *count,
+            Happening::Deaf(deaf) => self.bench.controller.answers = !deaf,
+            Happening::Servo(axis, word) => self.bench.controller.servo[*axis] = ServoWord(*word),
+            Happening::Comm(word) => self.bench.controller.comm = CommWord(*word),
+            Happening::Angle(counts) => self.bench.controller.angle = AngleCounts(*counts),
+            Happening::OtherFormat(lies) => self.bench.controller.lies_about_format = *lies,
+            Happening::WrongNumbers(error) => self.bench.controller.sequence_error = *error,
+            Happening::SlowReplies(millis) => self.bench.controller.delay = ms(*millis),
+            Happening::Stall(millis) => self.bench.now = self.bench.now + ms(*millis),
+            Happening::Stop => self.bench.gateway.stop(self.bench.now),
+        }
+        self.check();
+    }
+
+    /// With a controller that answers: HELLO, reset, start, brakes open, motion.
+    fn go_up(&mut self) {
+        self.heal();
+        self.run(ms(450));
+        self.tell(hello(self.bench.gateway.status().host.unwrap_or(Dialect::GatewayV1)));
+        self.tell(control(ArmOperation::Reset));
+        self.run(ms(60));
+        let transparent = self.bench.gateway.status().host == Some(Dialect::Transparent);
+        self.tell(if transparent { raw(b'S', &[]) } else { control(ArmOperation::Start) });
+        self.run(ms(20));
+        self.commands(DriveMode::Follow, JointVector::zeros(), 22);
+        self.commands(DriveMode::Follow, velocity(), 3);
+    }
+
+    fn heal(&mut self) {
+        let healthy = bench::Controller::new(self.bench.controller.format);
+        self.bench.controller = healthy;
+    }
+
+    /// Everything that must be true of what was sent since the last look.
+    fn check(&mut self) {
+        while let Some(sent) = self.bench.sent.get(self.checked).copied() {
+            self.checked += 1;
+            self.check_sent(&sent);
+        }
+        let state = self.bench.state();
+        let latched = matches!(state, GatewayState::Fault | GatewayState::EmergencyStop);
+        let heard = &self.bench.heard[self.heard..];
+        let was_reset = heard.iter().any(|(_, message)| {
+            matches!(message, GatewayMessage::ControlReply(reply) if reply.control == Control::Arm(ArmOperation::Reset))
+        });
+        self.heard = self.bench.heard.len();
+        match (self.latched, latched) {
+            (None, true) => self.latched = Some(self.bench.now),
+            (Some(_), false) => {
+                assert!(was_reset, "the latch was left without a reset, to {state}");
+                let controller = &self.bench.controller;
+                assert!(controller.answers && controller.deaf_to.is_empty(), "reset without a controller");
+                self.latched = None;
+            }
+            _ => {}
+        }
+    }
+
+    fn check_sent(&mut self, sent: &Sent) {
+        let ControlMessage::Cyclic(command) = &sent.message else { return };
+        for (index, axis) in command.axes.iter().enumerate() {
+            let before = self.last.map(|last| match last.message {
+                ControlMessage::Cyclic(command) => command.axes[index],
+                _ => AxisCommand::Off,
+            });
+            let what = format!("axis {index} {axis:?} after {before:?} in {}: {sent:?}", sent.state);
+            let moving_before = before.is_some_and(|before| before.speed() != SpeedCounts::ZERO);
+            let AxisCommand::Speed(speed) = axis else {
+                assert!(!moving_before, "a brake closes on a moving axis: {what}");
+                self.opened[index] = None;
+                continue;
+            };
+            use GatewayState::{EmergencyStop, Fault, Holding, Moving, Stopping};
+            assert!(matches!(sent.state, Holding | Moving | Stopping | Fault | EmergencyStop), "brakes open: {what}");
+            if let Some(latched) = self.latched {
+                // Ramp, five cycles, and the stall after which it was found.
+                let since = sent.at.saturating_since(latched);
+                assert!(since <= ms(30 + 120) + CYCLE * 8, "brakes open {since:?} after the latch: {what}");
+            }
+            let opened = *self.opened[index].get_or_insert(sent.at);
+            if speed.0 != 0 {
+                let open = sent.at.saturating_since(opened);
+                assert!(open >= BRAKE_TIME, "a speed against a brake that opened {open:?} ago: {what}");
+                let age = sent.at.saturating_since(self.commanded);
+                assert!(age < STOP_AFTER, "a speed {age:?} after the last command: {what}");
+            }
+        }
+        self.last = Some(*sent);
+    }
+
+    /// A silent host, whatever was before: brakes on, control mode off, everything answered once.
+    fn finish(&mut self) {
+        self.heal();
+        self.run(ms(1600));
+        let state = self.bench.state();
+        use GatewayState::{EmergencyStop, Fault, Idle};
+        assert!(matches!(state, Idle | Fault | EmergencyStop), "{state} after a long silence");
+        assert!(self.bench.gateway.is_at_rest());
+        if let Some(Sent { message: ControlMessage::Cyclic(command), .. }) = self.last {
+            assert!(command.axes.iter().all(|axis| !matches!(axis, AxisCommand::Speed(_))), "{command:?}");
+        }
+        for sequence in &self.told {
+            let answers =
+                self.bench.heard.iter().filter(|(frame, message)| {
+                    frame.sequence == *sequence && !matches!(message, GatewayMessage::Fault(_))
+                });
+            assert_eq!(answers.count(), 1, "answers to frame {sequence}");
+        }
+        assert_eq!(self.bench.gateway.status().answers_dropped, 0);
+    }
+}
+
+fn mixed(axes: &[(u8, i16)]) -> ArmCommand {
+    let mut command = ArmCommand::uniform(AxisCommand::Off, Supervision::default());
+    for (axis, (mode, speed)) in command.axes.iter_mut().zip(axes) {
+        *axis = match mode {
+            1 => AxisCommand::Off,
+            2 => AxisCommand::Speed(SpeedCounts(*speed)),
+            _ => AxisCommand::Braked,
+        };
+    }
+    command
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(400) })]
+
+    #[test]
+    fn nothing_forbidden_happens(
+        format in prop_oneof![Just(WireFormat::LittleEndian5x8), Just(WireFormat::BigEndian6x10)],
+        happenings in prop::collection::vec(happening(), 1..25),
+    ) {
+        let mut watched = Watched::new(format);
+        for happening in &happenings {
+            watched.happen(happening);
+        }
+        watched.finish();
+    }
+
+    /// A gateway in motion that hears random bytes, damaged frames and repetitions of good ones, and nothing else, stops.
+    #[test]
+    fn noise_in_the_place_of_commands_stops_the_arm(
+        noise in prop::collection::vec((prop::collection::vec(any::<u8>(), 0..200), any::<bool>()), 1..30),
+    ) {
+        let mut bench = Bench::new();
+        bench.lead_to(GatewayState::Moving);
+        let from = bench.now;
+        let command = bench.command(DriveMode::Follow, velocity());
+        let frame = command.frame(bench::ARM, bench.sequence, 0).encode();
+        bench.sent.clear();
+        for (bytes, repeat) in &noise {
+            bench.bytes(bytes);
+            if *repeat {
+                bench.bytes(&frame);
+            }
+            bench.run(ms(5));
+        }
+        bench.run(ms(400));
+        prop_assert_eq!(bench.state(), GatewayState::Fault);
+        for sent in &bench.sent {
+            if let ControlMessage::Cyclic(command) = sent.message {
+                let age = sent.at.saturating_since(from);
+                let rests = command.axes.iter().all(|axis| axis.speed() == SpeedCounts::ZERO);
+                prop_assert!(rests || age < STOP_AFTER, "{:?}", sent);
+            }
+        }
+    }
+}
+
+#[test]
+fn the_properties_are_tried_on_arms_that_move() {
+    // The happenings above reach motion: without that they would prove nothing.
+    let mut watched = Watched::new(WireFormat::BigEndian6x10);
+    watched.happen(&Happening::Up);
+    assert_eq!(watched.bench.state(), GatewayState::Moving);
+    assert!(watched.last.is_some_and(
+        |sent| matches!(sent.message, ControlMessage::Cyclic(command) if command.axes[6].speed().0 > 3000)
+    ));
+}
