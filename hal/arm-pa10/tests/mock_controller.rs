@@ -1,74 +1,34 @@
 //! The emulated controller, byte by byte. Bytes are those of the sources (docs of each wire format), written by hand.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
-#![allow(clippy::duplicate_mod, unused_imports, reason = "helpers of tests")]
-
 #[path = "common/bus_bench.rs"]
 #[allow(dead_code, reason = "each test file uses its part")]
 mod bus_bench;
+#[path = "common/byte_bus.rs"]
+mod byte_bus;
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use bus_bench::{BusBench, START, home, plant};
-use pb3dp_arm_pa10::codec::{Axis, WireFormat};
+use byte_bus::Bus;
+use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{DriverState, Request};
-use pb3dp_arm_pa10::mock_controller::{ControlMode, MockController, MockControllerConfig, MockControllerError, Script};
-use pb3dp_geometry::MonotonicTime;
+use pb3dp_arm_pa10::mock_controller::{ControlMode, MockController, MockControllerConfig};
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::AxisMode;
 
 const A: WireFormat = WireFormat::LittleEndian5x8;
 const B: WireFormat = WireFormat::BigEndian6x10;
 
-/// A controller that is spoken to in bytes.
-struct Bus {
-    controller: MockController,
-    now: MonotonicTime,
-}
-
-impl Bus {
-    fn new(config: MockControllerConfig) -> Self {
-        let plant = Arc::new(Mutex::new(plant()));
-        Self { controller: MockController::new(config, plant, 7, START).unwrap(), now: START }
-    }
-
-    /// Sends a packet in a frame, and gives the packet that comes back within 1 ms.
-    fn exchange(&mut self, packet: &[u8]) -> Option<Vec<u8>> {
-        let mut frame = vec![0xFF, 0xFE, u8::try_from(256 - packet.len()).unwrap(), 0x00];
-        frame.extend(packet);
-        self.controller.handle_frame(self.now, &frame);
-        self.wait(Duration::from_millis(1));
-        let reply = self.controller.poll_frame(self.now)?;
-        assert_eq!(self.controller.poll_frame(self.now), None, "one message, one reply");
-        let length = reply.len() - 4;
-        assert_eq!(reply[..3], [0xFE, 0xFF, u8::try_from(256 - length).unwrap()], "{reply:?}");
-        Some(reply[4..].to_vec())
-    }
-
-    fn wait(&mut self, time: Duration) {
-        self.now = self.now + time;
-        self.controller.advance(self.now);
-    }
-
-    fn cyclic(&mut self, sequence: u8, axis: &[u8], tail: &[u8]) -> Vec<u8> {
-        let mut packet = vec![sequence, b'C'];
-        packet.extend(axis.repeat(7));
-        packet.extend(tail);
-        self.exchange(&packet).unwrap()
-    }
-
-    fn position(&self) -> JointVector {
-        let plant = self.controller.plant();
-        let plant = plant.lock().unwrap();
-        plant.position_at(plant.now()).unwrap()
-    }
+fn bus(config: MockControllerConfig) -> Bus {
+    Bus::new(config, plant())
 }
 
 #[test]
 fn control_messages_are_answered_with_their_number_and_letter() {
     for format in WireFormat::ALL {
-        let mut bus = Bus::new(MockControllerConfig::new(format));
+        let mut bus = bus(MockControllerConfig::new(format));
         assert_eq!(bus.exchange(&[0x11, b'A', 0, 7]), Some(vec![0x11, b'A']));
         assert_eq!(bus.controller.mode(), ControlMode::Adjustment);
         assert_eq!(bus.exchange(&[0x12, b'S']), Some(vec![0x12, b'S']));
@@ -86,11 +46,11 @@ fn cyclic_replies_have_the_bytes_of_their_format() {
         (A, vec![1u8, 0, 0, 0, 0], [[0x00, 0x20, 0x03, 0x00], [0x00, 0xe0, 0xfc, 0xff]]),
         (B, vec![0u8, 1, 0, 0, 0, 0], [[0x00, 0x03, 0x20, 0x00], [0xff, 0xfc, 0xe0, 0x00]]),
     ] {
-        let mut bus = Bus::new(MockControllerConfig::new(format));
+        let mut bus = bus(MockControllerConfig::new(format));
         let quarter = std::f64::consts::FRAC_PI_2;
         for (axis, angle) in [(1, quarter), (2, -quarter)] {
             let by = angle - home()[axis - 1];
-            bus.controller.command_line(START, &format!("jump {axis} {by}rad")).unwrap();
+            bus.fault(&format!("jump {axis} {by}rad"));
         }
         let tail: &[u8] = if format == A { &[] } else { &[0, 0] };
         let reply = bus.cyclic(0x2A, &mode, tail);
@@ -108,7 +68,7 @@ fn cyclic_replies_have_the_bytes_of_their_format() {
 /// Limits as the words 19 to 22 of the table, high word first; +177 degrees is 402773 counts = 0x00062555.
 #[test]
 fn the_eeprom_has_the_limits_of_each_axis() {
-    let mut bus = Bus::new(MockControllerConfig::new(A));
+    let mut bus = bus(MockControllerConfig::new(A));
     let reply = bus.exchange(&[3, b'R', 1, 0]).unwrap();
     assert_eq!(reply[..4], [3, b'R', 1, 0]);
     assert_eq!(reply[4 + 2 * 19..][..8], [0x06, 0x00, 0x55, 0x25, 0xF9, 0xFF, 0xAB, 0xDA]);
@@ -123,7 +83,7 @@ fn the_eeprom_has_the_limits_of_each_axis() {
 
 #[test]
 fn what_must_never_come_is_refused_and_counted() {
-    let mut bus = Bus::new(MockControllerConfig::new(B));
+    let mut bus = bus(MockControllerConfig::new(B));
     bus.exchange(&[1, b'S']).unwrap();
     for (letter, data) in [(b'M', vec![0, 0]), (b'W', vec![]), (b'P', vec![1, 2, 3])] {
         let mut packet = vec![2, letter];
@@ -143,7 +103,7 @@ fn what_must_never_come_is_refused_and_counted() {
 /// Brakes hold until they had their time to open, and do not hold until they had their time to close.
 #[test]
 fn an_axis_without_brake_and_servo_falls() {
-    let mut bus = Bus::new(MockControllerConfig { watchdog: None, ..MockControllerConfig::new(A) });
+    let mut bus = bus(MockControllerConfig { watchdog: None, ..MockControllerConfig::new(A) });
     bus.exchange(&[1, b'S']).unwrap();
     bus.cyclic(2, &[0x02, 0, 0, 0, 0], &[]);
     bus.wait(Duration::from_millis(140));
@@ -172,7 +132,7 @@ fn an_axis_without_brake_and_servo_falls() {
 fn silence_ends_the_control_mode_where_there_is_a_watchdog() {
     for watchdog in [Some(6), Some(10), Some(400), None] {
         let watchdog = watchdog.map(Duration::from_millis);
-        let mut bus = Bus::new(MockControllerConfig { watchdog, ..MockControllerConfig::new(B) });
+        let mut bus = bus(MockControllerConfig { watchdog, ..MockControllerConfig::new(B) });
         let speed = [0x00, 0x02, 0, 0, 0x01, 0xF4];
         bus.cyclic(1, &speed, &[0, 0]);
         bus.wait(Duration::from_millis(500));
@@ -204,13 +164,13 @@ fn silence_ends_the_control_mode_where_there_is_a_watchdog() {
 /// Alarms keep the axis from moving until they are cleared, which they can not be while their cause is there.
 #[test]
 fn alarms_stay_until_their_cause_is_gone_and_they_are_cleared() {
-    let mut bus = Bus::new(MockControllerConfig { watchdog: None, ..MockControllerConfig::new(B) });
+    let mut bus = bus(MockControllerConfig { watchdog: None, ..MockControllerConfig::new(B) });
     let word = |bus: &mut Bus| bus.cyclic(9, &[0, 1, 0, 0, 0, 0], &[0, 0])[2 + 30..][..2].to_vec();
-    bus.controller.command_line(START, "alarm 4 0x0e").unwrap();
+    bus.fault("alarm 4 0x0e");
     assert_eq!(word(&mut bus), [0x40, 0xE0]);
     bus.exchange(&[1, b'A', 0, 4]).unwrap();
     assert_eq!(word(&mut bus), [0x40, 0xE0]);
-    bus.controller.command_line(bus.now, "alarm 4 off").unwrap();
+    bus.fault("alarm 4 off");
     assert_eq!(word(&mut bus), [0x40, 0xE0]);
     bus.exchange(&[2, b'S']).unwrap();
     bus.cyclic(3, &[0, 2, 0, 0, 0, 0], &[0, 0]);
