@@ -33,7 +33,7 @@ fn read_exactly(link: &mut dyn ByteLink, count: usize) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut buffer = [0; 64];
     while bytes.len() < count {
-        assert!(wait(link, false, None, LONG).readable, "{} of {count}", bytes.len());
+        assert!(wait(Some(&*link), false, None, LONG).readable, "{} of {count}", bytes.len());
         let got = link.try_read(&mut buffer).unwrap();
         bytes.extend_from_slice(&buffer[..got]);
     }
@@ -135,7 +135,7 @@ fn an_unplugged_link_is_noticed_at_once_and_stays_gone() {
         });
         let mut gone = false;
         while !gone {
-            assert!(wait(here.as_ref(), false, None, LONG).readable, "{}", here.name());
+            assert!(wait(Some(here.as_ref()), false, None, LONG).readable, "{}", here.name());
             gone = here.try_read(&mut [0; 8]).is_err();
         }
         let after = unplug.join().unwrap().elapsed();

@@ -168,6 +168,23 @@ fn a_restarted_gateway_is_greeted_anew_before_a_reset_can_succeed() {
 }
 
 #[test]
+fn a_restarted_gateway_counts_time_anew_and_its_measurements_are_not_taken_for_old() {
+    let mut rig = Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10);
+    rig.lead_to_moving();
+    rig.gateway.restart();
+    rig.gateway_behind = rig.now.saturating_since(MonotonicTime::ZERO);
+    rig.run(ms(20));
+    assert_eq!(rig.driver.state(), DriverState::Fault);
+    rig.settle();
+    rig.open();
+    rig.request(Request::Reset);
+    rig.settle();
+    rig.lead_on_to_moving();
+    let age = rig.now.saturating_since(rig.driver.joints().unwrap().at);
+    assert!(age <= ms(12), "{age:?}");
+}
+
+#[test]
 fn a_fault_report_names_axis_and_alarm() {
     let over_current = ServoWord(0).with_alarm(ServoAlarm::OverCurrent).0;
     let axis = pb3dp_arm_pa10::codec::Axis::ALL[3];

@@ -121,6 +121,21 @@ pub enum FaultCause {
         /// What was allowed.
         allowed: Duration,
     },
+    /// The other arm of the cell stopped.
+    #[error("arm {arm} of the same cell stopped, and stops this one too; see what it says, then reset both")]
+    OtherArm {
+        /// Number of the other arm.
+        arm: u8,
+    },
+    /// A supervisor of the program stopped the arm.
+    #[error("the program's supervisor stopped the arm; see what it says, then reset")]
+    Supervisor,
+    /// The program ended or let go of the arm while its brakes were open.
+    #[error("the program let go of the arm while its brakes were open; stop the arm before")]
+    LetGo,
+    /// The thread that watches the arm failed.
+    #[error("the thread that watches the arm failed: a mistake of the program; report it, and start the program again")]
+    Program,
     /// The state machine met an event that its table does not have.
     #[error("the driver met {event:?} while {state}: a mistake of the program; report it, then reset")]
     Internal {

@@ -1,5 +1,7 @@
 //! The driver: what it knows, what it is asked, what it sends.
 
+use std::time::Duration;
+
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::{JointState, JointVector};
 
@@ -289,6 +291,16 @@ impl Driver {
             Motion::Rest | Motion::Ramp { .. } => None,
         };
         [transmit, reply, command].into_iter().flatten().min()
+    }
+
+    /// When the next message may be sent: cycles keep their times.
+    pub fn transmit_due(&self) -> MonotonicTime {
+        self.next_transmit
+    }
+
+    /// The gateway tells that brakes take so long to open: waits at least for that.
+    pub fn raise_brake_time(&mut self, least: Duration) {
+        self.config.brake_time = self.config.brake_time.max(least);
     }
 
     /// No reply is waited for any more. Cycles that passed while a slow message was under way were not missed.

@@ -1,11 +1,13 @@
 //! What touches the world: byte links, threads and clocks. The rest of the crate is told bytes and time.
 //!
+//! * [`arm`]: a real PA-10 behind a gateway.
 //! * [`transport`]: what all byte links have in common, and a pair of them in one process.
 //! * [`serial`], [`tcp`]: the two ways to a gateway.
 //! * [`pty`]: a pseudo-terminal, for a gateway or a controller without hardware.
 //!
 //! Linux only, as far as it waits: `ppoll`, `eventfd`.
 
+pub mod arm;
 pub mod pty;
 pub mod serial;
 pub mod tcp;

@@ -109,25 +109,39 @@ pub struct Ready {
 /// Waits until the link has bytes, or room if `for_room`, or is gone, or `waker` is readable, or `timeout` has passed.
 ///
 /// A signal ends the wait early, with nothing ready.
-pub fn wait(link: &dyn ByteLink, for_room: bool, waker: Option<BorrowedFd<'_>>, timeout: Duration) -> Ready {
+pub fn wait(link: Option<&dyn ByteLink>, for_room: bool, waker: Option<BorrowedFd<'_>>, timeout: Duration) -> Ready {
     let interest = if for_room { PollFlags::IN | PollFlags::OUT } else { PollFlags::IN };
-    let link_fd = link.fd();
-    let waker_fd = waker.unwrap_or(link_fd);
-    let mut fds = [PollFd::from_borrowed_fd(link_fd, interest), PollFd::from_borrowed_fd(waker_fd, PollFlags::IN)];
-    let count = if waker.is_some() { 2 } else { 1 };
+    let of_link = link.map(|link| PollFd::from_borrowed_fd(link.fd(), interest));
+    let of_waker = waker.map(|waker| PollFd::from_borrowed_fd(waker, PollFlags::IN));
     let timeout = Timespec {
         tv_sec: i64::try_from(timeout.as_secs()).unwrap_or(i64::MAX),
         tv_nsec: i64::from(timeout.subsec_nanos()),
     };
-    if !matches!(poll(&mut fds[..count], Some(&timeout)), Ok(1..)) {
-        return Ready::default();
-    }
+    let (link, waker) = match (of_link, of_waker) {
+        (Some(link), Some(waker)) => {
+            let [link, waker] = poll_all([link, waker], &timeout);
+            (link, waker)
+        }
+        (Some(link), None) => (poll_all([link], &timeout)[0], PollFlags::empty()),
+        (None, Some(waker)) => (PollFlags::empty(), poll_all([waker], &timeout)[0]),
+        (None, None) => {
+            poll_all([], &timeout);
+            (PollFlags::empty(), PollFlags::empty())
+        }
+    };
     let gone = PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL;
-    let (of_link, of_waker) = (fds[0].revents(), fds[1].revents());
     Ready {
-        readable: of_link.intersects(PollFlags::IN | gone),
-        writable: for_room && of_link.intersects(PollFlags::OUT | gone),
-        woken: count == 2 && !of_waker.is_empty(),
+        readable: link.intersects(PollFlags::IN | gone),
+        writable: for_room && link.intersects(PollFlags::OUT | gone),
+        woken: !waker.is_empty(),
+    }
+}
+
+/// What each of these has; nothing if the time passes first.
+fn poll_all<const N: usize>(mut fds: [PollFd<'_>; N], timeout: &Timespec) -> [PollFlags; N] {
+    match poll(&mut fds, Some(timeout)) {
+        Ok(1..) => fds.map(|fd| fd.revents()),
+        Ok(0) | Err(_) => [PollFlags::empty(); N],
     }
 }
 

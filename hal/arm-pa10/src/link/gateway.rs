@@ -144,6 +144,8 @@ impl GatewayLink {
         self.hello_error = None;
         self.heartbeat = None;
         self.parser.restart();
+        // The gateway may have been started anew, and its clock with it.
+        self.delay = DelayMeter::default();
         let cycle_us = u32::try_from(self.config.cycle.as_micros()).unwrap_or(u32::MAX);
         let hello = HostMessage::Hello(Hello { dialect: self.config.dialect, cycle_us });
         self.waiting = Waiting::Hello;
@@ -216,6 +218,13 @@ impl GatewayLink {
         parser.handle_silence(|received| self.handle_received(now, &received, driver));
         self.parser = parser;
         self.tell_damage(driver);
+    }
+
+    /// When the link wants to be asked again: for a heartbeat, or because the line fell silent within a frame.
+    pub fn next_deadline(&self) -> Option<MonotonicTime> {
+        let heartbeat = self.hello.is_some().then(|| self.last_sent + HEARTBEAT_INTERVAL);
+        let silence = self.parser.is_within_frame().then(|| self.last_received + SILENCE);
+        [heartbeat, silence].into_iter().flatten().min()
     }
 
     fn say(&mut self, now: MonotonicTime, message: ControlMessage) -> Result<(), LinkError> {

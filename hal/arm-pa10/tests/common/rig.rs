@@ -65,6 +65,8 @@ pub struct Rig {
     /// Put before the next bytes from the gateway.
     pub noise: Vec<u8>,
     pub line: Line,
+    /// By how much the gateway's clock is behind.
+    pub gateway_behind: Duration,
     under_way: Vec<(MonotonicTime, Vec<u8>)>,
 }
 
@@ -78,6 +80,7 @@ impl Rig {
             now: MonotonicTime::from_nanos(5_000_000_000),
             noise: Vec::new(),
             line: good_line(),
+            gateway_behind: Duration::from_secs(4),
             under_way: Vec::new(),
         };
         rig.open();
@@ -110,7 +113,7 @@ impl Rig {
                 Err(error) => panic!("{error}"),
             }
         }
-        self.gateway.clock_us = now.as_nanos() / 1000 - 4_000_000;
+        self.gateway.clock_us = (now - self.gateway_behind).as_nanos() / 1000;
         while let Some(bytes) = self.link.poll_output(now) {
             // What is late on the way there is late on the way back as well.
             for (delay, bytes) in (self.line)(Way::ToGateway, bytes.as_slice().to_vec()) {

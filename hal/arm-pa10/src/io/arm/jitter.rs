@@ -1,0 +1,104 @@
+//! How punctual a cycle is.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+/// Parts into which each doubling of the lateness is divided: figures are exact to an eighth.
+const PARTS: usize = 8;
+
+/// Enough for lateness of up to a minute.
+const BUCKETS: usize = PARTS * 24;
+
+/// How late cycles began.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Jitter {
+    /// Cycles.
+    pub cycles: u64,
+    /// Half of them were at most this late.
+    pub p50: Duration,
+    /// 99 of 100 were at most this late.
+    pub p99: Duration,
+    /// The latest one.
+    pub max: Duration,
+}
+
+/// Counts how late cycles begin. Written by one thread and read by any, without waiting.
+#[derive(Debug)]
+pub(super) struct JitterMeter {
+    buckets: [AtomicU64; BUCKETS],
+    max_nanos: AtomicU64,
+}
+
+impl JitterMeter {
+    pub fn new() -> Self {
+        Self { buckets: [const { AtomicU64::new(0) }; BUCKETS], max_nanos: AtomicU64::new(0) }
+    }
+
+    pub fn record(&self, late: Duration) {
+        let nanos = u64::try_from(late.as_nanos()).unwrap_or(u64::MAX);
+        self.buckets[bucket(nanos / 1000)].fetch_add(1, Ordering::Relaxed);
+        self.max_nanos.fetch_max(nanos, Ordering::Relaxed);
+    }
+
+    pub fn summary(&self) -> Jitter {
+        let counts = self.buckets.each_ref().map(|count| count.load(Ordering::Relaxed));
+        let cycles: u64 = counts.iter().sum();
+        let max = Duration::from_nanos(self.max_nanos.load(Ordering::Relaxed));
+        let at_most = |percent: u64| {
+            let wanted = (cycles * percent).div_ceil(100);
+            let mut seen = 0;
+            let found = counts.iter().position(|count| {
+                seen += count;
+                seen >= wanted
+            });
+            found.map_or(max, |index| Duration::from_micros(upper_bound_us(index)).min(max))
+        };
+        Jitter { cycles, p50: at_most(50), p99: at_most(99), max }
+    }
+}
+
+fn bucket(us: u64) -> usize {
+    if us < PARTS as u64 {
+        return us as usize;
+    }
+    let octave = us.ilog2();
+    let part = (us >> (octave - PARTS.ilog2())) as usize % PARTS;
+    let index = (octave - PARTS.ilog2() + 1) as usize * PARTS + part;
+    index.min(BUCKETS - 1)
+}
+
+fn upper_bound_us(index: usize) -> u64 {
+    let (octave, part) = (index / PARTS, (index % PARTS) as u64);
+    if octave == 0 { part + 1 } else { (PARTS as u64 + part + 1) << (octave - 1) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_lateness_falls_below_the_bound_of_its_bucket_and_above_the_one_before() {
+        for us in (0..5000).chain((12..25).map(|power| (1 << power) + 77)) {
+            let index = bucket(us);
+            assert!(us < upper_bound_us(index), "{us} in {index}");
+            assert!(index == 0 || us >= upper_bound_us(index - 1), "{us} in {index}");
+            assert!(upper_bound_us(index) <= us + 1 + us / 8, "{us}: {}", upper_bound_us(index));
+        }
+        assert_eq!(bucket(u64::MAX), BUCKETS - 1);
+    }
+
+    #[test]
+    fn figures_are_those_of_the_cycles() {
+        let meter = JitterMeter::new();
+        assert_eq!(meter.summary(), Jitter::default());
+        for cycle in 0..1000 {
+            let late_us = if cycle % 100 == 0 { 3000 } else { 40 };
+            meter.record(Duration::from_micros(late_us));
+        }
+        meter.record(Duration::from_nanos(7_654_321));
+        let Jitter { cycles, p50, p99, max } = meter.summary();
+        assert_eq!((cycles, max), (1001, Duration::from_nanos(7_654_321)));
+        assert!(p50 > Duration::from_micros(40) && p50 <= Duration::from_micros(45), "{p50:?}");
+        assert!(p99 > Duration::from_micros(3000) && p99 <= Duration::from_micros(3375), "{p99:?}");
+    }
+}

@@ -1,0 +1,337 @@
+//! A real PA-10 behind a gateway: the arm traits over a thread of its own.
+//!
+//! The thread owns the driver, the link and the bytes. It cycles by absolute time, notices what happens on the line at once, keeps the
+//! gateway informed while nothing moves, and stops the arm when its owner stays away. [`Pa10Arm`] hands commands to it and takes
+//! samples from it; [`ArmMonitor`] looks on; [`TripHandle`] stops it; a [`trip_line`] makes the arms of a cell stop each other.
+
+mod jitter;
+mod port;
+mod shared;
+mod trip_line;
+mod wish;
+mod worker;
+
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand};
+use pb3dp_kinematics::JointState;
+
+use self::port::GatewayPort;
+use self::shared::{Shared, Wish};
+use self::worker::{LET_GO_MAX, Progress, WishEnd, Worker};
+use super::transport::Connector;
+use crate::codec::ArmCommand;
+use crate::driver::{Activity, Driver, DriverConfig, DriverConfigError};
+use crate::link::GatewayLinkConfig;
+
+pub use jitter::Jitter;
+pub use shared::{ArmMonitor, ArmSnapshot};
+pub use trip_line::{TripHandle, TripSeat, trip_line};
+pub use wish::WishError;
+
+/// How long an exchange waits for a measurement that is newer than the last one, in cycles. The contract allows two.
+const SAMPLE_WAIT_CYCLES: f64 = 1.5;
+
+/// Activities in a row that a wish may take at most.
+const ACTIVITIES_MAX: u32 = 3;
+
+/// Opening and greeting a link, at most.
+const OPEN_MAX: Duration = Duration::from_secs(2);
+
+/// What an arm is told.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pa10ArmConfig {
+    /// For messages: `vs-robot`.
+    pub name: String,
+    /// Of the driver.
+    pub driver: DriverConfig,
+    /// Of the link.
+    pub link: GatewayLinkConfig,
+}
+
+/// Why there is no arm.
+#[derive(Debug, thiserror::Error)]
+pub enum ArmOpenError {
+    /// The configuration contradicts itself.
+    #[error("arm {arm}")]
+    Config {
+        /// Its name.
+        arm: String,
+        /// How.
+        #[source]
+        source: DriverConfigError,
+    },
+    /// Driver and link have different cycles.
+    #[error("arm {arm}: a cycle of {driver:?} in the driver and of {link:?} in the link: give one to both")]
+    Cycles {
+        /// Its name.
+        arm: String,
+        /// Of the driver.
+        driver: Duration,
+        /// Of the link.
+        link: Duration,
+    },
+    /// The link can not be opened.
+    #[error("arm {arm}: {target} can not be opened")]
+    Open {
+        /// Its name.
+        arm: String,
+        /// Where it leads.
+        target: String,
+        /// Why not.
+        #[source]
+        source: super::transport::ConnectError,
+    },
+    /// The operating system gives no thread.
+    #[error("arm {arm}: no thread for it")]
+    Thread {
+        /// Its name.
+        arm: String,
+        /// Why not.
+        #[source]
+        source: std::io::Error,
+    },
+    /// There is no arm at the end of the link.
+    #[error("arm {arm}")]
+    Connect {
+        /// Its name.
+        arm: String,
+        /// Why not.
+        #[source]
+        source: WishError,
+    },
+}
+
+/// A real PA-10 behind a gateway.
+///
+/// `exchange` returns one measurement per cycle: at once where a newer one than the last is there, else when it comes, after at most
+/// 1.5 cycles. A single lost reply is no error to a loop with the arm's own cycle; it is counted. In a state in which nothing is
+/// measured `Hold` returns the last measurement with the time at which it was made.
+///
+/// Dropping it stops the arm: it is at rest within its emergency ramp, and the brakes are told to close within 100 ms.
+pub struct Pa10Arm {
+    config: Pa10ArmConfig,
+    info: ArmInfo,
+    clock: Arc<dyn Clock>,
+    shared: Arc<Shared>,
+    trip: TripHandle,
+    ends: Receiver<WishEnd>,
+    thread: Option<JoinHandle<()>>,
+    warning: Option<String>,
+    /// Of the last measurement that was returned.
+    samples_seen: u64,
+}
+
+impl Pa10Arm {
+    /// Opens the link, greets the gateway and looks at the arm, which stays as it is: brakes on.
+    ///
+    /// An arm that is stopped by a fault or an emergency stop is opened, too, so that an operator can reset it: its state tells.
+    /// `clock` is a real clock. Each arm of a cell has one place of the same [`trip_line`].
+    ///
+    /// # Errors
+    /// If the link can not be opened, nobody answers, or it is not the gateway of the configuration.
+    pub fn open(
+        config: Pa10ArmConfig,
+        mut connector: Box<dyn Connector>,
+        clock: Arc<dyn Clock>,
+        seat: TripSeat,
+    ) -> Result<Self, ArmOpenError> {
+        let arm = || config.name.clone();
+        let driver = Driver::new(config.driver).map_err(|source| ArmOpenError::Config { arm: arm(), source })?;
+        if config.driver.cycle != config.link.cycle {
+            let (driver, link) = (config.driver.cycle, config.link.cycle);
+            return Err(ArmOpenError::Cycles { arm: arm(), driver, link });
+        }
+        let target = connector.target();
+        let opened = connector.connect();
+        let bytes = opened.map_err(|source| ArmOpenError::Open { arm: arm(), target: target.clone(), source })?;
+        let warning = bytes.warning();
+        let shared = Arc::new(Shared::new());
+        let trip = seat.handle();
+        let (ends_out, ends) = channel();
+        let worker = Worker {
+            arm: config.link.arm,
+            cycle: config.driver.cycle,
+            driver,
+            port: GatewayPort::new(config.link, bytes),
+            connector,
+            clock: Arc::clone(&clock),
+            seat,
+            shared: Arc::clone(&shared),
+            ends: ends_out,
+            progress: Progress::default(),
+        };
+        let thread = std::thread::Builder::new().name(format!("arm {}", config.name)).spawn(|| worker::run(worker));
+        let thread = thread.map_err(|source| ArmOpenError::Thread { arm: arm(), source })?;
+        let info = ArmInfo { name: format!("{} (pa10 at {target})", config.name), cycle: config.driver.cycle };
+        let mut opened =
+            Self { config, info, clock, shared, trip, ends, thread: Some(thread), warning, samples_seen: 0 };
+        match opened.fulfil(Wish::Connect) {
+            Ok(()) => Ok(opened),
+            Err(source) => Err(ArmOpenError::Connect { arm: opened.config.name.clone(), source }),
+        }
+    }
+
+    /// What the operator should know about the link.
+    pub fn warning(&self) -> Option<&str> {
+        self.warning.as_deref()
+    }
+
+    /// Looks on.
+    pub fn monitor(&self) -> ArmMonitor {
+        ArmMonitor { shared: Arc::clone(&self.shared) }
+    }
+
+    /// Stops this arm from anywhere.
+    pub fn trip_handle(&self) -> TripHandle {
+        self.trip.clone()
+    }
+
+    /// Has a wish fulfilled, and waits for its end.
+    fn fulfil(&mut self, wish: Wish) -> Result<(), WishError> {
+        let number = self.shared.put_wish(wish);
+        self.trip.wake();
+        // The thread ends each wish in bounded time; this is for a thread that does not run.
+        let patience = OPEN_MAX + self.config.driver.activity_timeout * ACTIVITIES_MAX;
+        let deadline = self.clock.now() + patience;
+        loop {
+            match self.ends.recv_timeout(deadline.saturating_since(self.clock.now())) {
+                Ok((ended, end)) if ended == number => return end,
+                Ok(_) => {}
+                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => return Err(WishError::NoThread),
+            }
+        }
+    }
+
+    /// The error of a wish that was not fulfilled.
+    fn wish_error(&self, what: &str, error: WishError) -> ArmError {
+        let kind = match &error {
+            WishError::Refused(_) | WishError::WarmUp(_) => ArmErrorKind::Rejected,
+            WishError::Unplugged(_) | WishError::Connect(_) | WishError::NoGateway => ArmErrorKind::Disconnected,
+            WishError::Stopped(_) | WishError::Gateway(_) | WishError::Stuck(_) | WishError::NoThread => {
+                if self.shared.snapshot().unplugged.is_some() {
+                    ArmErrorKind::Disconnected
+                } else {
+                    ArmErrorKind::Fault
+                }
+            }
+        };
+        ArmError::caused_by(kind, format!("arm {}: {what}: {error}", self.info.name), error)
+    }
+
+    fn error(&self, kind: ArmErrorKind, text: impl std::fmt::Display) -> ArmError {
+        ArmError::new(kind, format!("arm {}: {text}", self.info.name))
+    }
+
+    /// Why no command reaches the arm, where it is stopped or its link is gone.
+    fn stopped(&self, now: &ArmSnapshot) -> ArmError {
+        if now.failed {
+            return self.error(ArmErrorKind::Fault, crate::driver::FaultCause::Program);
+        }
+        if let Some(gone) = now.unplugged {
+            return self.error(ArmErrorKind::Disconnected, gone);
+        }
+        match now.latched {
+            Some(latched) => self.error(ArmErrorKind::Fault, latched.trip),
+            None => self.error(ArmErrorKind::NotEnabled, format_args!("it is {}; enable it first", now.state)),
+        }
+    }
+
+    /// Whether nothing of this command may be sent.
+    fn refuse(&self, command: &JointCommand) -> Result<(), ArmError> {
+        let JointCommand::Velocity(velocity) = command else { return Ok(()) };
+        let sendable = ArmCommand::velocities(velocity, self.config.driver.supervision);
+        sendable.map(|_| ()).map_err(|error| {
+            let message = format!("arm {}: the velocity is refused as a whole: {error}", self.info.name);
+            ArmError::caused_by(ArmErrorKind::Rejected, message, error)
+        })
+    }
+
+    /// The next measurement of an arm that is being measured, or the last one of an arm that is not.
+    fn take_sample(&mut self, command: &JointCommand) -> Result<JointState, ArmError> {
+        let seen = self.samples_seen;
+        let timeout = self.info.cycle.mul_f64(SAMPLE_WAIT_CYCLES);
+        let snapshot = self.shared.wait_for(timeout, |now| now.samples != seen || !is_followed(now));
+        let is_new = snapshot.samples != seen;
+        self.samples_seen = snapshot.samples;
+        if !is_followed(&snapshot) && (matches!(command, JointCommand::Velocity(_)) || is_gone(&snapshot)) {
+            return Err(self.stopped(&snapshot));
+        }
+        match snapshot.joints {
+            Some(joints) if is_new || !is_followed(&snapshot) => Ok(joints),
+            Some(joints) => {
+                let age = self.clock.now().saturating_since(joints.at);
+                let text = format_args!(
+                    "no measurement since {age:?}, a cycle has {:?}; it holds, try again",
+                    self.info.cycle
+                );
+                Err(self.error(ArmErrorKind::Timeout, text))
+            }
+            None => Err(self.stopped(&snapshot)),
+        }
+    }
+}
+
+/// Whether velocities reach the arm.
+fn is_followed(now: &ArmSnapshot) -> bool {
+    now.state.has_open_brakes() && now.activity == Activity::None && !is_gone(now)
+}
+
+fn is_gone(now: &ArmSnapshot) -> bool {
+    now.failed || now.unplugged.is_some()
+}
+
+impl Arm for Pa10Arm {
+    fn info(&self) -> &ArmInfo {
+        &self.info
+    }
+
+    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        let result = self.refuse(&command).and_then(|()| {
+            self.shared.put_command(self.clock.now(), command);
+            self.take_sample(&command)
+        });
+        if result.is_err() {
+            // Any error cancels the motion.
+            self.shared.put_command(self.clock.now(), JointCommand::Hold);
+        }
+        result
+    }
+}
+
+impl ArmPower for Pa10Arm {
+    fn state(&self) -> ArmState {
+        self.shared.snapshot().arm_state()
+    }
+
+    fn enable(&mut self) -> Result<(), ArmError> {
+        self.fulfil(Wish::Enable).map_err(|error| self.wish_error("it is not enabled", error))
+    }
+
+    fn stop(&mut self) -> Result<(), ArmError> {
+        self.fulfil(Wish::Stop).map_err(|error| self.wish_error("stopping", error))
+    }
+
+    fn reset(&mut self) -> Result<(), ArmError> {
+        self.fulfil(Wish::Reset).map_err(|error| self.wish_error("it is not reset", error))
+    }
+}
+
+impl Drop for Pa10Arm {
+    fn drop(&mut self) {
+        self.shared.let_go();
+        self.trip.wake();
+        let Some(thread) = self.thread.take() else { return };
+        // The program may end right after this: the thread gets its time. It needs no more than this, unless it does not run.
+        let deadline = self.clock.now() + LET_GO_MAX + Duration::from_millis(500);
+        while !thread.is_finished() && self.clock.now() < deadline {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        if thread.is_finished() {
+            let _ = thread.join();
+        }
+    }
+}

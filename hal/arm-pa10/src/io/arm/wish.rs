@@ -1,0 +1,228 @@
+//! What an operator wants, step by step: each wish takes several activities of the driver.
+
+use pb3dp_geometry::MonotonicTime;
+
+use super::port::{GatewayPort, Greeted};
+use super::shared::Wish;
+use crate::driver::{
+    Activity, Driver, DriverState, EmergencyStopCause, FaultCause, Latched, Refusal, Request, Trip, WarmUpFailure,
+};
+use crate::gateway_protocol::{GatewayState, HelloReply};
+use crate::io::transport::{ConnectError, Connector, Unplugged};
+use crate::link::HelloError;
+
+/// Cycles by which the host waits longer for the brakes than the gateway, which counts from a later moment.
+const BRAKE_MARGIN_CYCLES: u32 = 3;
+
+/// Why a wish was not fulfilled.
+#[derive(Debug, thiserror::Error)]
+pub enum WishError {
+    /// Not possible now.
+    #[error(transparent)]
+    Refused(#[from] Refusal),
+    /// The arm is stopped.
+    #[error("{}", .0.trip)]
+    Stopped(Latched),
+    /// The link is not good enough for open brakes.
+    #[error("the brakes stay closed: {0}")]
+    WarmUp(WarmUpFailure),
+    /// The gateway does not answer.
+    #[error("no gateway answers within 0.5 s; check its power, the cable, the rate and the number of the arm")]
+    NoGateway,
+    /// The gateway is not that of the configuration.
+    #[error(transparent)]
+    Gateway(HelloError),
+    /// The link can not be opened again.
+    #[error("the link can not be opened")]
+    Connect(#[source] ConnectError),
+    /// The link is gone.
+    #[error(transparent)]
+    Unplugged(#[from] Unplugged),
+    /// The thread of the arm does not answer.
+    #[error(
+        "the thread that watches the arm does not answer: a mistake of the program; report it, and start the program again"
+    )]
+    NoThread,
+    /// The driver did nothing of what it was asked for.
+    #[error("the driver stays {0}: a mistake of the program; report it")]
+    Stuck(DriverState),
+}
+
+/// Where a wish stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    /// Nothing was done for it.
+    New,
+    /// HELLO was said.
+    Greeting,
+    /// The driver was asked for this wish's activity.
+    Asked,
+}
+
+/// A wish that is being fulfilled.
+#[derive(Debug)]
+pub(super) struct Running {
+    pub number: u64,
+    wish: Wish,
+    stage: Stage,
+}
+
+/// What a wish may use.
+pub(super) struct Means<'a> {
+    pub driver: &'a mut Driver,
+    pub port: &'a mut GatewayPort,
+    pub connector: &'a mut dyn Connector,
+    /// Of the host.
+    pub cycle: std::time::Duration,
+}
+
+impl Running {
+    pub fn new(number: u64, wish: Wish) -> Self {
+        Self { number, wish, stage: Stage::New }
+    }
+
+    /// Does what can be done now. `Some` when the wish is fulfilled or can not be.
+    pub fn advance(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Option<Result<(), WishError>> {
+        let done = match self.wish {
+            Wish::Connect => self.connect(now, means),
+            Wish::Enable => self.enable(now, means),
+            Wish::Stop => self.stop(now, means),
+            Wish::Reset => self.reset(now, means),
+        };
+        done.transpose()
+    }
+
+    /// `Ok(Some(()))` when done, `Ok(None)` when it goes on.
+    fn connect(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<()>, WishError> {
+        match self.stage {
+            Stage::New => {
+                means.port.greet(now);
+                self.stage = Stage::Greeting;
+            }
+            Stage::Greeting => {
+                if let Some(hello) = greeted(now, means)? {
+                    if let Some(trip) = stopped_before(&hello) {
+                        // The operator has to see it, and to reset it.
+                        means.driver.handle_trip(now, trip);
+                        return Ok(Some(()));
+                    }
+                    means.driver.handle_request(now, Request::Connect)?;
+                    self.stage = Stage::Asked;
+                }
+            }
+            Stage::Asked if means.driver.activity() != Activity::None => {}
+            Stage::Asked => return Ok(Some(())),
+        }
+        still_plugged(means)?;
+        Ok(None)
+    }
+
+    fn enable(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<()>, WishError> {
+        let driver = &mut *means.driver;
+        if driver.activity() != Activity::None {
+            return Ok(None);
+        }
+        let request = match (driver.state(), self.stage) {
+            (DriverState::Holding | DriverState::Moving, Stage::Asked) => return Ok(Some(())),
+            // Refused by the driver, with its reason.
+            (DriverState::Holding | DriverState::Moving, _) => Request::Enable,
+            (DriverState::Fault | DriverState::EStop, _) => return Err(stopped(driver)),
+            (DriverState::Disconnected, _) => Request::Connect,
+            (DriverState::Connected, Stage::Asked) => {
+                return Err(driver
+                    .warm_up_failure()
+                    .map_or(WishError::Stuck(driver.state()), |why| WishError::WarmUp(*why)));
+            }
+            (DriverState::Connected, _) => {
+                self.stage = Stage::Asked;
+                Request::Enable
+            }
+            (DriverState::Enabled, _) => {
+                self.stage = Stage::Asked;
+                Request::ReleaseBrakes
+            }
+        };
+        driver.handle_request(now, request)?;
+        Ok(None)
+    }
+
+    fn stop(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<()>, WishError> {
+        if self.stage == Stage::New {
+            means.driver.handle_request(now, Request::Stop)?;
+            self.stage = Stage::Asked;
+        }
+        if means.driver.activity() != Activity::None {
+            return Ok(None);
+        }
+        still_plugged(means)?;
+        Ok(Some(()))
+    }
+
+    fn reset(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<()>, WishError> {
+        if means.driver.activity() != Activity::None {
+            // It comes to rest, or is being cleared.
+            return Ok(None);
+        }
+        match self.stage {
+            Stage::New if !means.driver.state().is_latched() => {
+                // Refused by the driver, with its reason.
+                means.driver.handle_request(now, Request::Reset)?;
+                return Ok(Some(()));
+            }
+            Stage::New => {
+                if means.port.gone().is_some() {
+                    means.port.replace(means.connector.connect().map_err(WishError::Connect)?);
+                }
+                means.port.greet(now);
+                self.stage = Stage::Greeting;
+            }
+            Stage::Greeting => {
+                if greeted(now, means)?.is_some() {
+                    means.driver.handle_request(now, Request::Reset)?;
+                    self.stage = Stage::Asked;
+                }
+            }
+            Stage::Asked if means.driver.state().is_latched() => return Err(stopped(means.driver)),
+            Stage::Asked => return Ok(Some(())),
+        }
+        still_plugged(means)?;
+        Ok(None)
+    }
+}
+
+/// The gateway's answer to HELLO, once it is there.
+fn greeted(now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<HelloReply>, WishError> {
+    match means.port.greeted(now) {
+        Greeted::Waiting => Ok(None),
+        Greeted::Silent => {
+            still_plugged(means)?;
+            Err(WishError::NoGateway)
+        }
+        Greeted::Refused(error) => Err(WishError::Gateway(error)),
+        Greeted::Done => {
+            let hello = means.port.hello().copied();
+            if let Some(hello) = &hello {
+                let brakes = std::time::Duration::from_micros(u64::from(hello.brake_release_us));
+                means.driver.raise_brake_time(brakes + means.cycle * BRAKE_MARGIN_CYCLES);
+            }
+            Ok(hello)
+        }
+    }
+}
+
+/// Why the gateway has stopped the arm before this host came, if it has: after a host that died, for one.
+fn stopped_before(hello: &HelloReply) -> Option<Trip> {
+    match hello.state {
+        GatewayState::Fault | GatewayState::Stopping => Some(Trip::Fault(FaultCause::Gateway(hello.cause))),
+        GatewayState::EmergencyStop => Some(Trip::EStop(EmergencyStopCause::Gateway)),
+        GatewayState::Idle | GatewayState::Started | GatewayState::Holding | GatewayState::Moving => None,
+    }
+}
+
+fn still_plugged(means: &Means<'_>) -> Result<(), WishError> {
+    means.port.gone().map_or(Ok(()), |gone| Err(gone.into()))
+}
+
+fn stopped(driver: &Driver) -> WishError {
+    driver.latched().map_or(WishError::Stuck(driver.state()), |latched| WishError::Stopped(*latched))
+}

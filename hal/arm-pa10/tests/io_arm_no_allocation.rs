@@ -1,0 +1,105 @@
+//! Neither the exchange of a real arm nor its thread touches the heap once it moves.
+#![allow(clippy::unwrap_used)] // In helpers of tests.
+
+#[path = "common/far_end.rs"]
+mod far_end;
+#[allow(dead_code, reason = "each test file uses its part")]
+#[path = "common/gateway.rs"]
+mod gateway;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+use far_end::FarEnd;
+use gateway::FakeGateway;
+use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::driver::DriverConfig;
+use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Geometry};
+use pb3dp_arm_pa10::io::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
+use pb3dp_arm_pa10::io::pty::Pty;
+use pb3dp_arm_pa10::io::serial::SerialConfig;
+use pb3dp_arm_pa10::io::transport::ByteLink;
+use pb3dp_arm_pa10::link::GatewayLinkConfig;
+use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, JointCommand};
+use pb3dp_hal_clock::SystemClock;
+use pb3dp_kinematics::JointVector;
+
+/// The system's allocator, counting the calls of all threads but those that are told apart.
+struct Counting;
+
+static CALLS: AtomicUsize = AtomicUsize::new(0);
+
+thread_local! {
+    static IS_FAR_END: Cell<bool> = const { Cell::new(false) };
+}
+
+// SAFETY: every call goes to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        if !IS_FAR_END.with(Cell::get) {
+            CALLS.fetch_add(1, Ordering::SeqCst);
+        }
+        // SAFETY: the caller keeps the contract of `alloc`.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: `pointer` came from `System.alloc` with this layout.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+#[test]
+fn exchanges_do_not_allocate() {
+    const CYCLE: Duration = Duration::from_millis(10);
+    let (dialect, format) = (Dialect::GatewayV1, WireFormat::BigEndian6x10);
+    let pty = Pty::open().unwrap();
+    let serial = SerialConfig { path: pty.name().to_owned(), baud: 460_800, dialect, format, cycle: CYCLE };
+    let _far = FarEnd::serve_after(Box::new(pty), FakeGateway::new(ArmId(2), format), || IS_FAR_END.set(true));
+    let config = Pa10ArmConfig {
+        name: "arm".to_owned(),
+        driver: DriverConfig::with_cycle(CYCLE),
+        link: GatewayLinkConfig { arm: ArmId(2), dialect, format, geometry: Geometry::Unknown, cycle: CYCLE },
+    };
+    let seat = trip_line(1).unwrap().remove(0);
+    let mut arm = Pa10Arm::open(config, Box::new(serial), Arc::new(SystemClock::new()), seat).unwrap_or_else(|error| {
+        panic!("{error}: {:?}", std::error::Error::source(&error));
+    });
+    let monitor = arm.monitor();
+    // On a loaded machine the link may need more than one try to show that it is quick enough.
+    assert!((0..20).any(|_| arm.enable().is_ok()));
+    let velocity = JointCommand::Velocity(JointVector::from([0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 0.7]));
+    let exchange = |arm: &mut Pa10Arm, cycle: i32| {
+        let command = if cycle % 50 == 20 { JointCommand::Hold } else { velocity };
+        // A loaded machine may be late; the text of that error is on the heap.
+        arm.exchange(command).map(|_| ()).map_err(|error| match error.kind() {
+            ArmErrorKind::Timeout => (),
+            _ => panic!("{error}"),
+        })
+    };
+    for cycle in 0..20 {
+        let _ = exchange(&mut arm, cycle);
+    }
+    let (mut quiet, mut late) = (0, 0);
+    for cycle in 0..300 {
+        let before = CALLS.load(Ordering::SeqCst);
+        match exchange(&mut arm, cycle) {
+            Ok(()) => {
+                assert_eq!(CALLS.load(Ordering::SeqCst), before, "exchange {cycle}");
+                quiet += 1;
+            }
+            Err(()) => late += 1,
+        }
+        let _ = std::hint::black_box((monitor.snapshot(), monitor.jitter()));
+    }
+    assert!(quiet > 200, "{quiet} exchanges, {late} late");
+    let probe = CALLS.load(Ordering::SeqCst);
+    drop(std::hint::black_box(Box::new([0u8; 64])));
+    assert!(CALLS.load(Ordering::SeqCst) > probe, "the counter counts");
+}
