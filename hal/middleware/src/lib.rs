@@ -1,13 +1,15 @@
 //! Wrappers around hardware backends; each implements the trait that it wraps.
 //!
 //! [`Limiter`] stands between every controller and every arm: no velocity reaches the arm that is not finite, too fast, too
-//! sudden, or too fast for the way that is left to a joint's limit. [`Guard`] stands behind it and watches what the arm makes
+//! sudden, or too fast for the way that is left to a joint's limit (docs/arm-limits.md). [`Guard`] stands behind it and watches what the arm makes
 //! of it: a joint that jumps, is too fast or does not go where it is told stops the arm until an operator resets it.
 
 mod expectation;
 mod guard;
+mod last_command;
 mod limiter;
 mod shaping;
+mod stopping;
 
 pub use guard::{Guard, GuardConfig, GuardError};
 pub use limiter::{Limiter, LimiterConfig, LimiterError, LimiterStatistics, PA10_OPERATING_RANGE_DEG};

@@ -7,7 +7,9 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_kinematics::{DOF, JointLimits, JointLimitsError, JointVector};
 
-use crate::shaping;
+use crate::last_command::LastCommand;
+use crate::shaping::{self, Caps, Room, SetPoint, Step};
+use crate::stopping::DriveLimits;
 
 /// Operating range of a PA-10, a few degrees within its servo limits, to both sides; degrees, base to tip.
 pub const PA10_OPERATING_RANGE_DEG: [f64; DOF] = [170.0, 88.0, 168.0, 131.0, 249.0, 159.0, 249.0];
@@ -29,8 +31,12 @@ pub struct LimiterConfig {
     pub speed_scale: f64,
     /// Largest change of a commanded velocity, rad/s^2; what the drives can brake with, or less.
     pub acceleration_max_rad_per_s2: JointVector,
+    /// Largest change of that change, rad/s^3.
+    pub jerk_max_rad_per_s3: JointVector,
     /// Time from a sample to the effect of the next command on it: cycle, delay of the link, lag of the drives.
     pub reaction_time: Duration,
+    /// The arm comes to rest by itself if no command follows for longer than this.
+    pub command_timeout: Duration,
     /// Without a sample younger than this the arm is told to rest.
     pub stale_after: Duration,
 }
@@ -60,6 +66,14 @@ pub enum LimiterError {
         /// The number given, rad/s^2.
         value: f64,
     },
+    /// A jerk is no limit.
+    #[error("joint {joint}: jerk limit {value} rad/s^3 is not a positive, finite number")]
+    Jerk {
+        /// Index from the base, 0 to 6.
+        joint: usize,
+        /// The number given, rad/s^3.
+        value: f64,
+    },
     /// A time is zero.
     #[error("{0} is zero; give the time that it takes")]
     ZeroTime(&'static str),
@@ -78,7 +92,7 @@ pub struct LimiterStatistics {
     pub speed_limited: u64,
     /// Commands scaled down because a joint came near the end of its range.
     pub position_limited: u64,
-    /// Commands that the arm approaches at the largest acceleration.
+    /// Commands that the arm approaches as quickly as acceleration and jerk allow.
     pub acceleration_limited: u64,
     /// Replies thrown away because a number was not finite.
     pub samples_not_finite: u64,
@@ -87,17 +101,18 @@ pub struct LimiterStatistics {
 /// An arm that no command can drive beyond its limits. It owns the arm: there is no way round it.
 ///
 /// A velocity that is not finite is `Rejected`, and the arm is told to hold. Everything else is shaped: speeds and the way that
-/// is left to the ends of the operating range scale the whole vector, so that the hand keeps its direction; the change from
-/// one command to the next keeps within the acceleration limits. Without a fresh sample the arm is told to rest. Outside
-/// its operating range a joint can only return.
+/// is left to the ends of the operating range scale the whole vector, so that the hand keeps its direction; what is sent
+/// changes within the limits of acceleration and jerk, and always so that from there every joint can be brought to rest
+/// within its operating range. Without a fresh sample each joint is brought to rest. Outside its operating range a joint can
+/// only return. `Hold` is the arm's own ramp, and passes as it is.
 pub struct Limiter<A> {
     arm: A,
     clock: Arc<dyn Clock>,
     operating: JointLimits,
     config: LimiterConfig,
+    drives: DriveLimits,
     newest: Option<JointState>,
-    /// The last velocity sent and when; none after anything that brings the arm to rest.
-    sent: Option<(MonotonicTime, JointVector)>,
+    last: LastCommand,
     statistics: LimiterStatistics,
 }
 
@@ -112,7 +127,9 @@ impl<A: Arm> Limiter<A> {
             .with_position_range(config.operating_min_rad, config.operating_max_rad)
             .map_err(LimiterError::OperatingRange)?;
         check(&config)?;
-        Ok(Self { arm, clock, operating, config, newest: None, sent: None, statistics: LimiterStatistics::default() })
+        let drives = DriveLimits { acceleration: config.acceleration_max_rad_per_s2, jerk: config.jerk_max_rad_per_s3 };
+        let last = LastCommand::new(&config);
+        Ok(Self { arm, clock, operating, config, drives, newest: None, last, statistics: LimiterStatistics::default() })
     }
 
     /// How often the limiter stepped in so far.
@@ -132,18 +149,18 @@ impl<A: Arm> Limiter<A> {
 
     /// Hands a command on and remembers what came back. The arm rests after anything but an accepted velocity.
     fn forward(&mut self, command: JointCommand, now: MonotonicTime) -> Result<JointState, ArmError> {
-        self.sent = None;
-        let sample = self.arm.exchange(command)?;
+        let sample = self.arm.exchange(command).inspect_err(|_| self.last.note_hold(now))?;
         let mut numbers = sample.position_rad.iter().chain(sample.velocity_rad_per_s.iter());
         if !numbers.all(|number| number.is_finite()) {
             self.statistics.samples_not_finite += 1;
+            self.last.note_hold(now);
             self.arm.exchange(JointCommand::Hold)?;
             let text = "the reply holds joints that are not finite and is thrown away; the arm holds";
             return Err(self.error(ArmErrorKind::Timeout, text));
         }
         self.newest = Some(sample);
-        if let JointCommand::Velocity(velocity) = command {
-            self.sent = Some((now, velocity));
+        if command == JointCommand::Hold {
+            self.last.note_hold(now);
         }
         Ok(sample)
     }
@@ -155,26 +172,34 @@ impl<A: Arm> Limiter<A> {
         Err(self.error(ArmErrorKind::Rejected, &text))
     }
 
-    /// The velocity to send in place of `desired`.
-    fn limit(&mut self, desired: &JointVector, now: MonotonicTime) -> JointVector {
-        let age = self.newest.map(|sample| (now.saturating_since(sample.at), sample));
-        let Some((age, sample)) = age.filter(|(age, _)| *age <= self.config.stale_after) else {
+    /// What to send in place of `desired`.
+    fn limit(&mut self, desired: &JointVector, now: MonotonicTime) -> SetPoint {
+        let config = &self.config;
+        let fresh = self.newest.map(|sample| (now.saturating_since(sample.at), sample));
+        let fresh = fresh.filter(|(age, _)| *age <= config.stale_after);
+        let (previous, since) = self.last.at(now, self.arm.info().cycle);
+        let speeds = config.hard_limits.velocity_max_rad_per_s() * config.speed_scale;
+        let step = Step { previous: &previous, dt_s: since.as_secs_f64(), drives: &self.drives, speeds: &speeds };
+        let Some((age, sample)) = fresh else {
             self.statistics.held_stale += 1;
-            return JointVector::zeros();
+            let nowhere = Caps { lower: -speeds, upper: speeds, by_position: [[false; 2]; DOF] };
+            return shaping::shape(desired, &nowhere, &step, None).set_point;
         };
-        let acceleration = &self.config.acceleration_max_rad_per_s2;
-        let reaction_s = NO_OVERSHOOT * (self.config.reaction_time + age).as_secs_f64();
-        let caps =
-            shaping::caps(&sample.position_rad, &self.operating, self.config.speed_scale, acceleration, reaction_s);
-        let (since, previous) = match self.sent {
-            Some((at, velocity)) => (now.saturating_since(at).min(self.config.stale_after), velocity),
-            None => (self.arm.info().cycle, JointVector::zeros()),
+        let reaction = config.reaction_time + age;
+        let position = &sample.position_rad;
+        let near_s = NO_OVERSHOOT * reaction.as_secs_f64();
+        let caps = shaping::caps(position, &self.operating, config.speed_scale, &self.drives, near_s);
+        let room = Room {
+            to_ends: [position - self.operating.position_min_rad(), self.operating.position_max_rad() - position],
+            peaks: self.last.peaks_since(now - reaction),
+            // A command that is the last one for a while.
+            reaction_s: (reaction + config.command_timeout).as_secs_f64(),
         };
-        let shaped = shaping::shape(desired, &previous, &caps, &(acceleration * since.as_secs_f64()));
+        let shaped = shaping::shape(desired, &caps, &step, Some(&room));
         self.statistics.speed_limited += u64::from(shaped.speed_limited);
         self.statistics.position_limited += u64::from(shaped.position_limited);
         self.statistics.acceleration_limited += u64::from(shaped.acceleration_limited);
-        shaped.velocity
+        shaped.set_point
     }
 
     fn error(&self, kind: ArmErrorKind, text: &str) -> ArmError {
@@ -194,8 +219,10 @@ impl<A: Arm> Arm for Limiter<A> {
         if let Some(joint) = (0..DOF).find(|&joint| !desired[joint].is_finite()) {
             return self.refuse(&desired, joint);
         }
-        let velocity = self.limit(&desired, now);
-        self.forward(JointCommand::Velocity(velocity), now)
+        let set_point = self.limit(&desired, now);
+        let sample = self.forward(JointCommand::Velocity(set_point.velocity), now)?;
+        self.last.note_velocity(now, set_point);
+        Ok(sample)
     }
 }
 
@@ -205,17 +232,17 @@ impl<A: Arm + ArmPower> ArmPower for Limiter<A> {
     }
 
     fn enable(&mut self) -> Result<(), ArmError> {
-        self.sent = None;
+        self.last.note_rest();
         self.arm.enable()
     }
 
     fn stop(&mut self) -> Result<(), ArmError> {
-        self.sent = None;
+        self.last.note_rest();
         self.arm.stop()
     }
 
     fn reset(&mut self) -> Result<(), ArmError> {
-        self.sent = None;
+        self.last.note_rest();
         self.arm.reset()
     }
 }
@@ -230,8 +257,16 @@ fn check(config: &LimiterConfig) -> Result<(), LimiterError> {
             return Err(LimiterError::Acceleration { joint, value });
         }
     }
-    for (name, time) in [("the reaction time", config.reaction_time), ("the age of a stale sample", config.stale_after)]
-    {
+    for (joint, &value) in config.jerk_max_rad_per_s3.iter().enumerate() {
+        if !(value.is_finite() && value > 0.0) {
+            return Err(LimiterError::Jerk { joint, value });
+        }
+    }
+    for (name, time) in [
+        ("the reaction time", config.reaction_time),
+        ("the time-out of commands", config.command_timeout),
+        ("the age of a stale sample", config.stale_after),
+    ] {
         if time.is_zero() {
             return Err(LimiterError::ZeroTime(name));
         }

@@ -7,13 +7,13 @@ mod common;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use common::{CYCLE, acceleration, hard_limits, mock_arm, velocity};
+use common::{CYCLE, acceleration, hard_limits, limiter_config, mock_arm, velocity};
 use pb3dp_arm_pa10::MockArm;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, arm_suite};
-use pb3dp_hal_middleware::{Guard, GuardConfig, GuardError, Limiter, LimiterConfig};
+use pb3dp_hal_middleware::{Guard, GuardConfig, GuardError, Limiter};
 use pb3dp_kinematics::{DOF, JointVector};
 use proptest::prelude::*;
 
@@ -299,17 +299,7 @@ proptest! {
     ) {
         let clock = Arc::new(VirtualClock::new());
         let guard = Guard::new(mock_arm(&clock, start.into()), config(scale)).unwrap();
-        let (operating_min_rad, operating_max_rad) = LimiterConfig::pa10_operating_range_rad();
-        let limits = LimiterConfig {
-            hard_limits: hard_limits(),
-            operating_min_rad,
-            operating_max_rad,
-            speed_scale: scale,
-            acceleration_max_rad_per_s2: acceleration(),
-            reaction_time: Duration::from_millis(65),
-            stale_after: Duration::from_millis(50),
-        };
-        let mut limiter = Limiter::new(guard, limits, Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
+        let mut limiter = Limiter::new(guard, limiter_config(scale), Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
         limiter.enable().unwrap();
         limiter.exchange(JointCommand::Hold).unwrap();
         let mut at = MonotonicTime::ZERO;

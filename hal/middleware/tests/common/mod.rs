@@ -6,6 +6,7 @@ use std::time::Duration;
 use pb3dp_arm_pa10::{MockArm, MockArmConfig};
 use pb3dp_hal_api::{Clock, JointCommand};
 use pb3dp_hal_clock::VirtualClock;
+use pb3dp_hal_middleware::LimiterConfig;
 use pb3dp_kinematics::{Chain, JointLimits, JointVector};
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 
@@ -18,6 +19,30 @@ pub fn hard_limits() -> JointLimits {
 
 pub fn acceleration() -> JointVector {
     JointVector::from([2.0, 2.0, 2.0, 2.0, 5.0, 5.0, 5.0])
+}
+
+/// A twentieth of a second to the largest acceleration.
+pub fn jerk() -> JointVector {
+    acceleration() * 20.0
+}
+
+/// The mock arm rests when it hears nothing for so long.
+pub const COMMAND_TIMEOUT: Duration = Duration::from_millis(60);
+
+/// For an arm in cycles of up to 20 ms, with 15 ms of delay and 30 ms of lag.
+pub fn limiter_config(speed_scale: f64) -> LimiterConfig {
+    let (operating_min_rad, operating_max_rad) = LimiterConfig::pa10_operating_range_rad();
+    LimiterConfig {
+        hard_limits: hard_limits(),
+        operating_min_rad,
+        operating_max_rad,
+        speed_scale,
+        acceleration_max_rad_per_s2: acceleration(),
+        jerk_max_rad_per_s3: jerk(),
+        reaction_time: Duration::from_millis(65),
+        command_timeout: COMMAND_TIMEOUT,
+        stale_after: Duration::from_millis(50),
+    }
 }
 
 pub fn velocity(joint: usize, value: f64) -> JointCommand {
@@ -37,7 +62,6 @@ pub fn mock_arm(clock: &Arc<VirtualClock>, start: JointVector) -> MockArm {
         history: Duration::from_secs(120),
     };
     let plant = Arc::new(Mutex::new(JointPlant::new(config, start, clock.now()).unwrap()));
-    let config =
-        MockArmConfig { name: "vs-robot".to_owned(), cycle: CYCLE, command_timeout: Duration::from_millis(60) };
+    let config = MockArmConfig { name: "vs-robot".to_owned(), cycle: CYCLE, command_timeout: COMMAND_TIMEOUT };
     MockArm::new(config, plant, Arc::clone(clock) as Arc<dyn Clock>)
 }

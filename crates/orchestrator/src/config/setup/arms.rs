@@ -82,6 +82,7 @@ struct ArmSection {
     start_deg: [f64; DOF],
     operating_range_deg: [f64; DOF],
     acceleration_max_rad_per_s2: [f64; DOF],
+    jerk_max_rad_per_s3: [f64; DOF],
     velocity_time_constant_millis: f64,
     command_delay_millis: f64,
     command_timeout_millis: f64,
@@ -127,6 +128,7 @@ impl ArmSection {
         let ArmBackend::Mock = self.backend;
         let accelerations = &self.acceleration_max_rad_per_s2;
         check.numbers(&format!("{key}.acceleration_max_rad_per_s2"), accelerations, 0.01..=100.0);
+        check.numbers(&format!("{key}.jerk_max_rad_per_s3"), &self.jerk_max_rad_per_s3, 0.1..=10_000.0);
         let lag = self.velocity_time_constant_millis;
         check.number(&format!("{key}.velocity_time_constant_millis"), lag, 0.0..=1000.0);
         check.number(&format!("{key}.command_delay_millis"), self.command_delay_millis, 0.0..=500.0);
@@ -157,7 +159,9 @@ impl ArmSection {
                 operating_max_rad,
                 speed_scale: all.speed_scale,
                 acceleration_max_rad_per_s2,
+                jerk_max_rad_per_s3: JointVector::from(self.jerk_max_rad_per_s3),
                 reaction_time: millis(reaction_millis),
+                command_timeout: millis(timeout),
                 stale_after: millis(all.stale_after_millis),
             },
             guard: GuardConfig {

@@ -1,0 +1,150 @@
+//! How far a joint still goes, and how fast it may therefore be. Pure functions of one joint; rad, rad/s, rad/s^2, rad/s^3, s.
+
+use pb3dp_kinematics::JointVector;
+
+/// How hard velocities may change.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct DriveLimits {
+    /// Largest acceleration of each joint, rad/s^2.
+    pub acceleration: JointVector,
+    /// Largest change of it, rad/s^3.
+    pub jerk: JointVector,
+}
+
+/// The same for one joint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct DriveLimit {
+    pub acceleration: f64,
+    pub jerk: f64,
+}
+
+impl DriveLimits {
+    pub(crate) fn of(&self, joint: usize) -> DriveLimit {
+        DriveLimit { acceleration: self.acceleration[joint], jerk: self.jerk[joint] }
+    }
+}
+
+impl DriveLimit {
+    /// Time by which a ramp of velocity takes longer than without a limit of jerk: half at its beginning, half at its end.
+    pub(crate) fn rounding_s(&self) -> f64 {
+        self.acceleration / (2.0 * self.jerk)
+    }
+
+    /// The acceleration to go on with for `dt` towards a velocity that is `difference` away, so that afterwards, with the
+    /// acceleration going back to 0 as the jerk allows, the velocity is met and not passed: a dt + a^2 / (2 j) = |difference|.
+    /// Later steps may be of any length: a sum over steps of a falling acceleration is less than its integral.
+    pub(crate) fn towards(&self, difference: f64, dt: f64) -> f64 {
+        let size = difference.abs();
+        let acceleration = 2.0 * size / (dt + (dt * dt + 2.0 * size / self.jerk).sqrt());
+        if size > 0.0 { acceleration.min(self.acceleration).copysign(difference) } else { 0.0 }
+    }
+
+    /// Farthest that a joint with this velocity and acceleration comes upwards (0 or more) if from now on it is brought to rest
+    /// as acceleration and jerk allow. An upper bound, and exact where the acceleration does not lead through rest.
+    pub(crate) fn way_to_rest(&self, velocity: f64, acceleration: f64) -> f64 {
+        let (most, jerk) = (self.acceleration, self.jerk);
+        if acceleration > 0.0 {
+            // First the acceleration has to go: for a / j.
+            let peak = velocity + acceleration * acceleration / (2.0 * jerk);
+            let meanwhile = velocity.max(0.0) * acceleration / jerk + acceleration.powi(3) / (3.0 * jerk * jerk);
+            return if peak > 0.0 { meanwhile + self.way_from_steady(peak) } else { 0.0 };
+        }
+        if velocity <= 0.0 {
+            return 0.0;
+        }
+        let braking = (-acceleration).min(most);
+        let taken_by_fading = braking * braking / (2.0 * jerk);
+        if velocity < taken_by_fading {
+            // Braking harder than is needed any more: it fades so as to end at rest.
+            return velocity * (2.0 * velocity / jerk).sqrt() / 3.0;
+        }
+        // As if it had braked for braking / j already, less the way of that time.
+        let began_with = velocity + taken_by_fading;
+        let before = braking / jerk * (began_with - braking * braking / (6.0 * jerk));
+        (self.way_from_steady(began_with) - before).max(0.0)
+    }
+
+    /// Way to rest from a velocity that does not change: jerk, acceleration at its limit, jerk; or without the middle part.
+    fn way_from_steady(&self, velocity: f64) -> f64 {
+        let (most, jerk) = (self.acceleration, self.jerk);
+        if velocity >= most * most / jerk {
+            velocity * velocity / (2.0 * most) + velocity * self.rounding_s()
+        } else {
+            velocity * (velocity / jerk).sqrt()
+        }
+    }
+}
+
+/// Largest speed towards a limit from which a joint, after going on for the reaction time, still stops within `distance`:
+/// the solution v = a (-T + sqrt(T^2 + 2 d / a)) of v T + v^2 / (2 a) = d, in a form without cancellation.
+pub(crate) fn braking_speed(distance: f64, acceleration: f64, reaction_s: f64) -> f64 {
+    if distance <= 0.0 {
+        return 0.0;
+    }
+    2.0 * distance / (reaction_s + (reaction_s * reaction_s + 2.0 * distance / acceleration).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const LIMIT: DriveLimit = DriveLimit { acceleration: 2.0, jerk: 20.0 };
+
+    /// By hand: a = 2, T = 0.1, d = 0.15 gives 2 (-0.1 + sqrt(0.01 + 0.15)) = 0.6; then 0.06 + 0.36/4 = 0.15.
+    #[test]
+    fn braking_speed_by_hand() {
+        assert!((braking_speed(0.15, 2.0, 0.1) - 0.6).abs() < 1e-15);
+        assert!((braking_speed(0.25, 2.0, 0.0) - 1.0).abs() < 1e-15, "v^2 = 2 a d without reaction time");
+        assert_eq!(braking_speed(0.0, 2.0, 0.1), 0.0);
+        assert_eq!(braking_speed(-0.1, 2.0, 0.0), 0.0);
+        let close = braking_speed(1e-9, 2.0, 0.1);
+        assert!((close / 1e-8 - 1.0).abs() < 1e-6, "d/T close to the limit: {close}");
+    }
+
+    /// By hand: from 0.6 rad/s with 2 rad/s^2 and 20 rad/s^3 it takes 0.1 s to brake fully, 0.2 s at full braking, 0.1 s to
+    /// let go: 0.36/4 + 0.6 x 0.05 = 0.12 rad. From 0.1 rad/s full braking is not reached: 0.1 sqrt(0.1/20).
+    #[test]
+    fn ways_to_rest_by_hand() {
+        assert!((LIMIT.way_to_rest(0.6, 0.0) - 0.12).abs() < 1e-15);
+        assert!((LIMIT.way_to_rest(0.1, 0.0) - 0.1 * 0.005f64.sqrt()).abs() < 1e-15);
+        // Half a tenth into that braking: v = 0.6 - 20 x 0.05^2 / 2, a = -1, and 0.6 x 0.05 - 20 x 0.05^3 / 6 done.
+        let done = 0.6 * 0.05 - 20.0 * 0.05f64.powi(3) / 6.0;
+        assert!((LIMIT.way_to_rest(0.575, -1.0) - (0.12 - done)).abs() < 1e-15);
+        // Letting go at full acceleration takes 0.1 s and 0.1 rad/s.
+        let meanwhile = 0.5 * 0.1 + 2.0 * 0.01 / 2.0 - 20.0 * 0.001 / 6.0;
+        assert!((LIMIT.way_to_rest(0.5, 2.0) - (meanwhile + 0.12)).abs() < 1e-15);
+        assert_eq!(LIMIT.way_to_rest(-0.6, 0.0), 0.0);
+        assert_eq!(LIMIT.way_to_rest(-0.6, 2.0), 0.0, "it is at -0.5 when the acceleration is gone");
+        assert!(LIMIT.way_to_rest(-0.05, 2.0) > 0.0, "it is at +0.05 when the acceleration is gone");
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(500) })]
+
+        /// Steps of any length towards rest keep the limits of acceleration and jerk, never pass rest, and end within the way.
+        #[test]
+        fn steps_to_rest_end_within_the_way(
+            velocity in 0.0..6.0f64, part in -1.0..1.0f64, steps in prop::collection::vec(0.002..0.02f64, 3000),
+        ) {
+            let mut acceleration = part * LIMIT.acceleration;
+            let mut velocity = if acceleration < 0.0 { velocity + part * part * 0.1 } else { velocity };
+            let (way, longest) = (LIMIT.way_to_rest(velocity, acceleration), 0.02);
+            let (mut gone, mut fastest) = (0.0, velocity);
+            for dt in steps {
+                let next = LIMIT
+                    .towards(-velocity, dt)
+                    .clamp(acceleration - LIMIT.jerk * dt, acceleration + LIMIT.jerk * dt);
+                prop_assert!(next.abs() <= LIMIT.acceleration + 1e-12, "{next}");
+                velocity += next * dt;
+                acceleration = next;
+                fastest = f64::max(fastest, velocity);
+                gone += velocity * dt;
+                prop_assert!(velocity > -1e-9, "{velocity}");
+            }
+            prop_assert!(velocity < 1e-3, "{velocity}");
+            prop_assert!(gone <= way + fastest * longest + 1e-9, "{gone} {way}");
+        }
+    }
+}
