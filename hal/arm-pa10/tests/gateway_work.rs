@@ -1,0 +1,464 @@
+//! What the gateway does between host and controller: faults of the arm, resets, operations, measurements, counts.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+#[path = "common/gateway_bench.rs"]
+mod bench;
+
+use bench::{Bench, config, control, hello, ms, raw, raw_command, rejected, velocity};
+use pb3dp_arm_pa10::codec::{
+    AngleCounts, ArmCommand, Axis, AxisCommand, COUNTS_PER_TURN, CommAlarm, CommWord, ControlMessage, Letter,
+    ServoAlarm, ServoWord, SpeedCounts, Supervision, WireFormat,
+};
+use pb3dp_arm_pa10::gateway::GatewayConfig;
+use pb3dp_arm_pa10::gateway_protocol::{
+    ArmOperation, Control, Dialect, DriveMode, FaultReport, GatewayMessage, GatewayState, Health, HostMessage,
+    RejectReason, StopCause,
+};
+use pb3dp_kinematics::JointVector;
+
+fn faults(bench: &Bench) -> Vec<FaultReport> {
+    let report =
+        |message: &GatewayMessage| if let GatewayMessage::Fault(report) = message { Some(*report) } else { None };
+    bench.heard.iter().filter_map(|(_, message)| report(message)).collect()
+}
+
+fn transparent(format: WireFormat) -> Bench {
+    Bench::greeted(config(format), Dialect::Transparent)
+}
+
+#[test]
+fn every_alarm_stops_the_arm_and_is_told_once_with_axis_and_word() {
+    use GatewayState::{EmergencyStop, Fault};
+    let of_axis = ServoAlarm::LISTED.iter().map(|alarm| {
+        let stops = matches!(alarm, ServoAlarm::EmergencyStop | ServoAlarm::DeadManOff | ServoAlarm::LimitSwitch);
+        (Some(Axis::ALL[4]), u16::from(alarm.code()) << 4 | 1, stops)
+    });
+    let of_arm = CommAlarm::LISTED.iter().map(|alarm| {
+        let stops = matches!(alarm, CommAlarm::EmergencyStop | CommAlarm::DeadManOff | CommAlarm::LimitSwitch);
+        (None, u16::from(alarm.code()) << 4 | 4, stops)
+    });
+    for (axis, word, is_emergency_stop) in of_axis.chain(of_arm).chain([(Some(Axis::ALL[4]), 0x0550, false)]) {
+        for state_before in [GatewayState::Started, GatewayState::Moving, GatewayState::Stopping] {
+            let mut bench = Bench::new();
+            bench.lead_to(state_before);
+            match axis {
+                Some(axis) => bench.controller.servo[axis.index()] = ServoWord(word),
+                None => bench.controller.comm = CommWord(word),
+            }
+            bench.run(ms(5));
+            let cause = match axis {
+                _ if is_emergency_stop => StopCause::EmergencyStop,
+                Some(_) => StopCause::ServoAlarm,
+                None => StopCause::ControllerAlarm,
+            };
+            let state = if is_emergency_stop { EmergencyStop } else { Fault };
+            assert_eq!((bench.state(), bench.cause()), (state, cause), "{word:04x} {state_before}");
+            bench.run(ms(400));
+            assert_eq!(faults(&bench), [FaultReport { cause, state_before, axis, word }]);
+            assert!(bench.gateway.is_at_rest());
+            // A latched cause is not replaced by a later one.
+            bench.controller.comm = CommWord(0x0030);
+            bench.run(ms(10));
+            assert_eq!(bench.cause(), cause);
+        }
+    }
+}
+
+#[test]
+fn switches_count_as_the_configuration_says() {
+    for (bits, expected) in [(0, StopCause::None), (0x0008, StopCause::EmergencyStop)] {
+        let told = GatewayConfig { emergency_stop_bits: bits, ..config(WireFormat::BigEndian6x10) };
+        let mut bench = Bench::greeted(told, Dialect::GatewayV1);
+        bench.start();
+        bench.controller.comm = CommWord(0x0009);
+        bench.run(ms(5));
+        assert_eq!(bench.cause(), expected);
+    }
+}
+
+#[test]
+fn an_axis_without_power_stops_the_arm_where_brakes_are_open() {
+    for (state, word, expected) in [
+        (GatewayState::Started, 0x8000, StopCause::None),
+        (GatewayState::Holding, 0x8000, StopCause::AxisUncontrollable),
+        (GatewayState::Moving, 0x4000, StopCause::AxisUncontrollable),
+    ] {
+        let mut bench = Bench::new();
+        bench.lead_to(state);
+        bench.controller.servo[6] = ServoWord(word);
+        bench.run(ms(4));
+        assert_eq!(bench.cause(), expected, "{state}");
+        if expected != StopCause::None {
+            assert_eq!(faults(&bench)[0].axis, Some(Axis::ALL[6]));
+            assert_eq!(faults(&bench)[0].word, word);
+        }
+    }
+}
+
+#[test]
+fn status_words_of_format_a_are_passed_on_and_not_acted_on() {
+    let mut bench = Bench::greeted(config(WireFormat::LittleEndian5x8), Dialect::GatewayV1);
+    bench.start();
+    bench.controller.servo[2] = ServoWord(0x0110);
+    bench.controller.comm = CommWord(0xFFFF);
+    bench.run(ms(20));
+    assert_eq!(bench.state(), GatewayState::Started);
+    let GatewayMessage::State(state) = bench.ask(bench.command(DriveMode::Off, JointVector::zeros())) else { panic!() };
+    assert_eq!((state.axes[2].status, state.comm), (0x0110, 0xFFFF));
+    assert!(!state.has_speeds && !state.has_documented_status);
+}
+
+#[test]
+fn a_reply_that_makes_no_sense_stops_the_arm() {
+    let mut bench = Bench::new();
+    bench.lead_to(GatewayState::Moving);
+    bench.controller.lies_about_format = true;
+    bench.run(ms(4));
+    assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::ReplyUnusable));
+    let GatewayMessage::HelloReply(reply) = bench.ask(hello(Dialect::GatewayV1)) else { panic!() };
+    assert_eq!(reply.wire_format, Some(WireFormat::LittleEndian5x8));
+
+    // Two turns are possible, by name at least; one count more is not. The seventh axis has seven times the first one's angle.
+    for (counts, expected) in [(2 * COUNTS_PER_TURN / 7, StopCause::None), (i32::MIN, StopCause::ReplyUnusable)] {
+        let mut bench = Bench::new();
+        bench.start();
+        bench.controller.angle = AngleCounts(counts);
+        bench.run(ms(5));
+        assert_eq!(bench.cause(), expected, "{counts}");
+    }
+}
+
+#[test]
+fn a_reset_needs_a_controller_that_shows_that_the_cause_is_gone() {
+    for state in [GatewayState::Fault, GatewayState::EmergencyStop] {
+        let mut bench = Bench::new();
+        bench.lead_to(state);
+        let cause = bench.cause();
+        // Still there, or something else is.
+        for (servo, comm, found) in [
+            (0x00E0, 0, StopCause::ServoAlarm),
+            (0, 0x0110, StopCause::EmergencyStop),
+            (0, 0x0030, StopCause::ControllerAlarm),
+        ] {
+            (bench.controller.servo[0], bench.controller.comm) = (ServoWord(servo), CommWord(comm));
+            bench.sent.clear();
+            let answer = bench.ask(control(ArmOperation::Reset));
+            assert_eq!(rejected(answer), (RejectReason::CausePresent, found.byte().into()));
+            assert_eq!((bench.state(), bench.cause(), bench.letters().as_str()), (state, cause, "SCE"));
+        }
+        (bench.controller.servo[0], bench.controller.comm) = (ServoWord(0), CommWord(0));
+        // A controller that does not answer one of the three, and one of another kind.
+        for letter in [Letter::Start, Letter::Cyclic, Letter::End] {
+            bench.controller.deaf_to = vec![letter];
+            let asked = bench.now;
+            assert_eq!(rejected(bench.ask(control(ArmOperation::Reset))), (RejectReason::NoAnswer, 0), "{letter:?}");
+            assert!(bench.now.saturating_since(asked) <= ms(50));
+            assert_eq!((bench.state(), bench.cause()), (state, cause));
+            bench.sent.clear();
+            bench.run(ms(60));
+            assert_eq!(bench.letters().trim_end_matches('E'), "", "E is sent whatever failed");
+        }
+        bench.controller.deaf_to.clear();
+        bench.controller.lies_about_format = true;
+        let found = StopCause::ReplyUnusable.byte().into();
+        assert_eq!(rejected(bench.ask(control(ArmOperation::Reset))), (RejectReason::CausePresent, found));
+        bench.controller.lies_about_format = false;
+        assert!(matches!(bench.ask(control(ArmOperation::Reset)), GatewayMessage::ControlReply(_)));
+        assert_eq!((bench.state(), bench.cause()), (GatewayState::Idle, StopCause::None));
+        bench.lead_to(GatewayState::Moving);
+    }
+}
+
+#[test]
+fn before_the_stop_order_is_done_nothing_is_reset_or_read() {
+    let mut bench = Bench::new();
+    bench.lead_to(GatewayState::Moving);
+    bench.gateway.handle_host_gone(bench.now);
+    bench.ask(hello(Dialect::GatewayV1));
+    let axis = Axis::ALL[0];
+    for asked in [control(ArmOperation::Reset), HostMessage::Control(Control::ClearAlarm(axis))] {
+        assert_eq!(rejected(bench.ask(asked)), (RejectReason::WrongState, GatewayState::Fault.byte().into()));
+    }
+    assert!(matches!(bench.ask(control(ArmOperation::Stop)), GatewayMessage::ControlReply(_)));
+    bench.run(ms(400));
+    assert!(matches!(bench.ask(control(ArmOperation::Reset)), GatewayMessage::ControlReply(_)));
+}
+
+#[test]
+fn a_stop_cuts_short_what_is_under_way() {
+    // While S is under way.
+    let mut bench = Bench::new();
+    bench.controller.delay = ms(4);
+    let start = bench.tell(control(ArmOperation::Start));
+    bench.run(ms(2));
+    let stop = bench.tell(control(ArmOperation::Stop));
+    bench.run(ms(60));
+    assert_eq!((bench.state(), bench.letters().as_str()), (GatewayState::Idle, "SE"));
+    let answers = bench.heard.iter().rev().take(2).map(|(frame, message)| (frame.sequence, *message));
+    let answers = answers.collect::<Vec<_>>();
+    assert_eq!((answers[1].0, answers[0].0), (start, stop));
+    assert_eq!(rejected(answers[1].1), (RejectReason::WrongState, GatewayState::Stopping.byte().into()));
+    // While a reset looks at the arm.
+    let mut bench = Bench::new();
+    bench.lead_to(GatewayState::Fault);
+    bench.sent.clear();
+    let reset = bench.tell(control(ArmOperation::Reset));
+    bench.run(ms(2));
+    assert!(matches!(bench.ask(control(ArmOperation::Stop)), GatewayMessage::ControlReply(_)));
+    bench.run(ms(60));
+    assert_eq!((bench.state(), bench.letters().as_str()), (GatewayState::Fault, "SE"));
+    let answer = bench.heard.iter().find(|(frame, _)| frame.sequence == reset).unwrap();
+    assert_eq!(rejected(answer.1).0, RejectReason::WrongState);
+}
+
+#[test]
+fn a_start_that_nobody_answers_is_ended() {
+    let mut bench = Bench::new();
+    bench.controller.deaf_to = vec![Letter::Start];
+    assert_eq!(rejected(bench.ask(control(ArmOperation::Start))), (RejectReason::NoAnswer, 0));
+    bench.run(ms(10));
+    assert_eq!((bench.state(), bench.letters().as_str()), (GatewayState::Idle, "SE"));
+    assert!(bench.gateway.is_at_rest());
+    // A letter that the controller does not know is no fault.
+    bench.controller.deaf_to = vec![Letter::ClearAlarm];
+    let asked = bench.ask(HostMessage::Control(Control::ClearAlarm(Axis::ALL[1])));
+    assert_eq!(rejected(asked), (RejectReason::NoAnswer, 0));
+    assert_eq!((bench.state(), bench.cause()), (GatewayState::Idle, StopCause::None));
+    // An end that is not answered is a controller that fell silent.
+    bench.start();
+    bench.controller.deaf_to = vec![Letter::End];
+    assert_eq!(rejected(bench.ask(control(ArmOperation::End))), (RejectReason::NoAnswer, 0));
+    assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::ControllerSilent));
+}
+
+#[test]
+fn one_operation_at_a_time() {
+    let mut bench = Bench::new();
+    bench.controller.delay = ms(5);
+    let first = bench.tell(control(ArmOperation::Start));
+    bench.run(ms(2));
+    for other in [control(ArmOperation::Start), HostMessage::Control(Control::ReadEeprom(Axis::ALL[0]))] {
+        assert_eq!(rejected(bench.ask(other)), (RejectReason::WrongState, 0));
+    }
+    bench.controller.delay = ms(1);
+    bench.run(ms(30));
+    let answer = bench.heard.iter().find(|(frame, _)| frame.sequence == first).unwrap().1;
+    assert!(matches!(answer, GatewayMessage::ControlReply(reply) if reply.state == GatewayState::Started));
+}
+
+#[test]
+fn a_command_before_the_first_measurement_is_not_answered_with_an_old_one() {
+    let mut bench = Bench::new();
+    bench.start();
+    assert!(matches!(bench.ask(control(ArmOperation::End)), GatewayMessage::ControlReply(_)));
+    bench.controller.deaf_to = vec![Letter::Cyclic];
+    let start = bench.tell(control(ArmOperation::Start));
+    bench.run(ms(3));
+    assert_eq!(bench.state(), GatewayState::Started);
+    let command = bench.command(DriveMode::Off, JointVector::zeros());
+    assert_eq!(rejected(bench.ask(command)).0, RejectReason::WrongState);
+    bench.run(ms(10));
+    assert_eq!(bench.cause(), StopCause::ControllerSilent);
+    let answer = bench.heard.iter().find(|(frame, _)| frame.sequence == start).unwrap().1;
+    assert_eq!(rejected(answer), (RejectReason::NoAnswer, 0));
+    assert_eq!(rejected(bench.ask(command)), (RejectReason::NoAnswer, 0));
+}
+
+#[test]
+fn a_state_carries_what_was_measured_and_when() {
+    let mut bench = Bench::new();
+    bench.start();
+    bench.controller.angle = AngleCounts(102_400);
+    bench.controller.servo[1] = ServoWord(0x0002);
+    bench.run(ms(4));
+    while bench.gateway.next_deadline() > bench.now + ms(1) {
+        bench.tick();
+    }
+    let GatewayMessage::State(state) = bench.ask(bench.command(DriveMode::Off, JointVector::zeros())) else { panic!() };
+    assert_eq!(state.axes[0].angle_urad, 785_398);
+    assert_eq!(state.axes[2].angle_urad, 2_356_194);
+    assert_eq!((state.axes[1].status, state.axes[3].speed_urad_per_s), (0x0002, 600));
+    // -3 counts of 50 * 4.64 / 4096 N m.
+    assert_eq!(state.axes[0].torque_mn_m, -170);
+    assert!((500..=1500).contains(&state.sample_age_us), "{}", state.sample_age_us);
+    // What waits to be written grows older.
+    let frame = bench.frame_of(&bench.command(DriveMode::Off, JointVector::zeros()));
+    bench.gateway.handle_host_bytes(bench.now, &frame.encode());
+    bench.now = bench.now + ms(7);
+    bench.tick();
+    let answer = bench.heard.iter().find(|(answer, _)| answer.sequence == frame.sequence).unwrap();
+    let GatewayMessage::State(later) = answer.1 else { panic!() };
+    assert!((7000..=8500).contains(&later.sample_age_us), "{}", later.sample_age_us);
+}
+
+#[test]
+fn speeds_go_on_a_straight_line_within_one_cycle_of_the_host() {
+    let mut bench = Bench::new();
+    bench.lead_to(GatewayState::Holding);
+    let command = bench.command(DriveMode::Follow, velocity());
+    bench.sent.clear();
+    bench.ask(command);
+    let said = bench.now;
+    bench.run(ms(18));
+    for sent in &bench.sent {
+        let ControlMessage::Cyclic(command) = sent.message else { panic!() };
+        let part = (sent.at.saturating_since(said).as_secs_f64() / 0.010).min(1.0);
+        assert!((command.velocity_rad_per_s() - velocity() * part).amax() <= 1.01e-4, "{sent:?}");
+    }
+    // In the dialect that passes the data on they are passed on.
+    let mut bench = transparent(WireFormat::BigEndian6x10);
+    bench.lead_to(GatewayState::Holding);
+    bench.sent.clear();
+    bench.tell(command_of(&bench, velocity()));
+    bench.run(ms(4));
+    let ControlMessage::Cyclic(command) = bench.sent[1].message else { panic!() };
+    assert!((command.velocity_rad_per_s() - velocity()).amax() < 1e-9);
+}
+
+fn command_of(bench: &Bench, velocity: JointVector) -> HostMessage {
+    bench.command(DriveMode::Follow, velocity)
+}
+
+#[test]
+fn speeds_are_rounded_to_the_nearest_count_and_neither_clamped_nor_wrapped() {
+    let plain = GatewayConfig { interpolates: false, ..config(WireFormat::LittleEndian5x8) };
+    let mut bench = Bench::greeted(plain, Dialect::GatewayV1);
+    bench.lead_to(GatewayState::Holding);
+    let speeds = [-6.5536, 6.5534, 0.00009, 0.00011, -0.00029, -0.00031, 0.2];
+    bench.tell(command_of(&bench, JointVector::from(speeds)));
+    bench.run(ms(3));
+    let ControlMessage::Cyclic(command) = bench.sent.last().unwrap().message else { panic!() };
+    let counts = command.axes.map(|axis| axis.speed().0);
+    assert_eq!(counts, [i16::MIN, i16::MAX, 0, 1, -1, -2, 1000]);
+}
+
+#[test]
+fn raw_data_goes_through_unchanged_with_the_modes_of_each_axis() {
+    let mut bench = transparent(WireFormat::BigEndian6x10);
+    bench.start();
+    let supervision = Supervision { other_axes: true, dead_man: true };
+    let with = |first: AxisCommand, rest: AxisCommand| {
+        let mut command = ArmCommand::uniform(rest, supervision);
+        command.axes[0] = first;
+        command
+    };
+    let say = |bench: &mut Bench, command: ArmCommand| {
+        let answer = bench.ask(raw_command(WireFormat::BigEndian6x10, command));
+        if !matches!(answer, GatewayMessage::Reject(_)) {
+            let ControlMessage::Cyclic(sent) = bench.sent.last().unwrap().message else { panic!() };
+            assert_eq!(sent, command);
+        }
+        answer
+    };
+    let speed = |counts| AxisCommand::Speed(SpeedCounts(counts));
+    // One brake opens; the others stay on.
+    for _ in 0..60 {
+        let answer = say(&mut bench, with(speed(0), AxisCommand::Braked));
+        let GatewayMessage::RawReply(reply) = answer else { panic!("{answer:?}") };
+        assert_eq!(reply.data.len(), 72);
+        bench.run(ms(4));
+    }
+    assert_eq!(bench.state(), GatewayState::Holding);
+    let wrong = (RejectReason::WrongState, 2);
+    // An axis whose brake has just been told to open may not move.
+    assert_eq!(rejected(say(&mut bench, with(speed(5), speed(5)))), wrong);
+    assert!(matches!(say(&mut bench, with(speed(5), AxisCommand::Braked)), GatewayMessage::RawReply(_)));
+    assert_eq!(bench.state(), GatewayState::Moving);
+    // In motion no brake opens, and none closes on a moving axis.
+    let wrong = (RejectReason::WrongState, 3);
+    assert_eq!(rejected(say(&mut bench, with(speed(5), speed(0)))), wrong);
+    assert_eq!(rejected(say(&mut bench, with(AxisCommand::Braked, AxisCommand::Braked))), wrong);
+    // The stop order opens none either.
+    bench.sent.clear();
+    bench.tell(control(ArmOperation::Stop));
+    bench.run(ms(400));
+    for sent in &bench.sent {
+        let ControlMessage::Cyclic(command) = sent.message else { continue };
+        assert!(command.axes[1..].iter().all(|axis| !matches!(axis, AxisCommand::Speed(_))), "{command:?}");
+    }
+    assert_eq!(bench.state(), GatewayState::Idle);
+}
+
+#[test]
+fn raw_commands_within_one_cycle_share_its_reply() {
+    let mut bench = transparent(WireFormat::LittleEndian5x8);
+    bench.start();
+    let command = bench.command(DriveMode::Off, JointVector::zeros());
+    bench.heard.clear();
+    let told = (0..6).map(|_| bench.tell(command)).collect::<Vec<_>>();
+    bench.run(ms(10));
+    let answers = told.iter().map(|sequence| {
+        let mut of_it = bench.heard.iter().filter(|(frame, _)| frame.sequence == *sequence);
+        let answer = of_it.next().unwrap().1;
+        assert!(of_it.next().is_none());
+        matches!(answer, GatewayMessage::RawReply(_))
+    });
+    assert_eq!(answers.collect::<Vec<_>>(), [false, false, true, true, true, true]);
+    // And one that the controller does not answer.
+    bench.controller.drop_next = 1;
+    assert_eq!(rejected(bench.ask(command)), (RejectReason::NoAnswer, 0));
+    assert!(matches!(bench.ask(command), GatewayMessage::RawReply(_)));
+}
+
+#[test]
+fn an_eeprom_table_of_another_layout_is_passed_on_in_transparent() {
+    let mut bench = transparent(WireFormat::BigEndian6x10);
+    let GatewayMessage::RawReply(reply) = bench.ask(raw(b'R', &[1, 0])) else { panic!() };
+    assert_eq!((reply.letter, &reply.data[..2], reply.data.len()), (b'R', &[1, 0][..], 66));
+}
+
+#[test]
+fn health_counts_what_happened() {
+    let mut bench = Bench::silent(config(WireFormat::BigEndian6x10));
+    assert!(matches!(bench.ask(hello(Dialect::GatewayV1)), GatewayMessage::HelloReply(_)));
+    bench.lead_to(GatewayState::Moving);
+    bench.controller.drop_next = 1;
+    bench.run(ms(2));
+    bench.controller.sequence_error = 50;
+    bench.run(ms(2));
+    bench.controller.sequence_error = 0;
+    bench.command_for(DriveMode::Follow, velocity(), ms(10));
+    bench.bytes(&[0xA5, 0x5A, 7, 7, 7, 7, 7, 7, 7, 7, 7, 7, 7, 7, 7, 7, 7]);
+    bench.sequence += 3;
+    bench.ask(HostMessage::Heartbeat);
+    let repeated = HostMessage::Heartbeat.frame(bench::ARM, bench.sequence, 0);
+    bench.ask_frame(&repeated);
+    bench.now = bench.gateway.next_deadline() + ms(1);
+    bench.tick();
+    let GatewayMessage::Health(health) = bench.ask(HostMessage::Heartbeat) else { panic!() };
+    let expected = Health {
+        state: GatewayState::Moving,
+        cause: StopCause::None,
+        exchanges: health.exchanges,
+        replies_lost: 2,
+        replies_late: 0,
+        replies_mismatched: 1,
+        overruns: 1,
+        worst_cycle_us: 3000,
+        host_damaged: 1,
+        host_lost: 3,
+        host_stale: 1,
+    };
+    assert_eq!(health, expected);
+    assert!(u64::from(health.exchanges) >= 100 && u64::from(health.exchanges) == bench.gateway.status().bus.exchanges);
+    // The longest cycle is that since the last HEALTH.
+    bench.command_for(DriveMode::Follow, velocity(), ms(10));
+    let GatewayMessage::Health(health) = bench.ask(HostMessage::Heartbeat) else { panic!() };
+    assert_eq!((health.worst_cycle_us, health.overruns), (2000, 1));
+}
+
+#[test]
+fn numbers_of_the_bus_count_up_by_one() {
+    use pb3dp_arm_pa10::codec::SequenceModulus::{Modulo128, Modulo256};
+    for (modulus, last) in [(Modulo128, 0x7F), (Modulo256, 0xFF)] {
+        let counting = GatewayConfig { modulus, ..config(WireFormat::BigEndian6x10) };
+        let mut bench = Bench::greeted(counting, Dialect::GatewayV1);
+        bench.lead_to(GatewayState::Fault);
+        assert!(bench.sent.len() > 200);
+        for pair in bench.sent.windows(2) {
+            let expected = if pair[0].sequence == last { 0 } else { pair[0].sequence + 1 };
+            assert_eq!(pair[1].sequence, expected);
+        }
+    }
+}
