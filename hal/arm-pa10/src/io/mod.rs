@@ -1,6 +1,8 @@
 //! What touches the world: byte links, threads and clocks. The rest of the crate is told bytes and time.
 //!
 //! * [`arm`]: a real PA-10 behind a gateway.
+//! * [`bus`]: the ARCNET bus of an arm, and a socket in its place.
+//! * [`realtime`]: what the thread of a cycle needs.
 //! * [`transport`]: what all byte links have in common, and a pair of them in one process.
 //! * [`serial`], [`tcp`]: the two ways to a gateway.
 //! * [`pty`]: a pseudo-terminal, for a gateway or a controller without hardware.
@@ -8,7 +10,9 @@
 //! Linux only, as far as it waits: `ppoll`, `eventfd`.
 
 pub mod arm;
+pub mod bus;
 pub mod pty;
+pub mod realtime;
 pub mod serial;
 pub mod tcp;
 pub mod transport;

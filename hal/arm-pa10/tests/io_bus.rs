@@ -1,0 +1,180 @@
+//! The bus through the kernel: a packet socket on an ARCNET interface whose other end is a tunnel, and a socket in its place.
+
+#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "tests, which say what they can not do here")]
+
+use std::fs::File;
+use std::io::{Read, Write};
+use std::os::fd::AsRawFd;
+use std::time::Duration;
+
+use pb3dp_arm_pa10::arcnet::{self, Route};
+use pb3dp_arm_pa10::codec::{ArmCommand, AxisCommand, ControlMessage, ControlPacket, Supervision, WireFormat};
+use pb3dp_arm_pa10::io::bus::{
+    ArcnetError, ArcnetSocket, BusPort, FRAME_ROOM, FrameListener, FrameSocket, FrameSocketError,
+};
+use pb3dp_arm_pa10::io::transport::Symptom;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+
+/// Without something for this long a test fails.
+const LONG: Timespec = Timespec { tv_sec: 5, tv_nsec: 0 };
+
+fn frame(format: WireFormat) -> arcnet::Frame {
+    let command = ArmCommand::uniform(AxisCommand::Off, Supervision::default());
+    let packet = ControlPacket { sequence: 9, message: ControlMessage::Cyclic(command) }.encode(format).unwrap();
+    arcnet::encode(Route::TO_CONTROLLER, &packet).unwrap()
+}
+
+fn receive(port: &mut dyn BusPort) -> Vec<u8> {
+    let mut buffer = [0; FRAME_ROOM];
+    loop {
+        if let Some(count) = port.try_receive(&mut buffer).unwrap() {
+            return buffer[..count].to_vec();
+        }
+        let mut fds = [PollFd::from_borrowed_fd(port.fd(), PollFlags::IN)];
+        assert_eq!(poll(&mut fds, Some(&LONG)), Ok(1), "nothing came");
+    }
+}
+
+/// A tunnel that the kernel takes for an ARCNET card: frames that are sent on the interface can be read here, and the reverse.
+struct Tunnel {
+    file: File,
+    control: std::os::fd::OwnedFd,
+    request: libc::ifreq,
+}
+
+impl Tunnel {
+    /// In a network of its own, so that nothing of the machine is touched; for the thread that calls.
+    fn open(name: &str, kind: u16) -> Result<Self, String> {
+        // SAFETY: no arguments that live in memory; the thread alone changes its network.
+        if unsafe { libc::unshare(libc::CLONE_NEWNET) } != 0 {
+            return Err(format!("no network of its own: {}", std::io::Error::last_os_error()));
+        }
+        let file =
+            File::options().read(true).write(true).open("/dev/net/tun").map_err(|e| format!("no tunnel: {e}"))?;
+        // SAFETY: all zeros are a valid request.
+        let mut request: libc::ifreq = unsafe { std::mem::zeroed() };
+        for (place, byte) in request.ifr_name.iter_mut().zip(name.bytes()) {
+            *place = byte.cast_signed();
+        }
+        request.ifr_ifru.ifru_flags = libc::IFF_TUN as libc::c_short;
+        let tunnel = |call: libc::c_ulong, argument: *const libc::c_void| {
+            // SAFETY: the tunnel is open and the argument is what the call takes: a request, or a number.
+            let result = unsafe { libc::ioctl(file.as_raw_fd(), call as _, argument) };
+            if result == 0 { Ok(()) } else { Err(format!("{call:x}: {}", std::io::Error::last_os_error())) }
+        };
+        tunnel(libc::TUNSETIFF as libc::c_ulong, (&raw const request).cast())?;
+        tunnel(libc::TUNSETLINK as libc::c_ulong, std::ptr::without_provenance(usize::from(kind)))?;
+        use rustix::net::{AddressFamily, SocketType, socket};
+        let control = socket(AddressFamily::INET, SocketType::DGRAM, None).unwrap();
+        Ok(Self { file, control, request })
+    }
+
+    fn switch(&mut self, on: bool) {
+        self.request.ifr_ifru.ifru_flags = if on { (libc::IFF_UP | libc::IFF_RUNNING) as libc::c_short } else { 0 };
+        // SAFETY: the socket is open and the request is whole.
+        let result = unsafe { libc::ioctl(self.control.as_raw_fd(), libc::SIOCSIFFLAGS as _, &raw const self.request) };
+        assert_eq!(result, 0, "{}", std::io::Error::last_os_error());
+    }
+}
+
+#[test]
+fn frames_go_through_an_arcnet_interface_whole() {
+    let Ok(mut tunnel) = Tunnel::open("arctest0", libc::ARPHRD_ARCNET).map_err(|why| eprintln!("skipped: {why}"))
+    else {
+        return;
+    };
+    assert_eq!(ArcnetSocket::open("arctest0").unwrap_err(), ArcnetError::Down { name: "arctest0".into() });
+    tunnel.switch(true);
+    let mut port = ArcnetSocket::open("arctest0").unwrap();
+    for format in WireFormat::ALL {
+        let frame = frame(format);
+        assert_eq!(port.try_send(&frame), Ok(true));
+        let mut got = [0; 600];
+        let count = tunnel.file.read(&mut got).unwrap();
+        // The tunnel puts flags and protocol before each frame.
+        let envelope = [0, 0, 0, 0x1A];
+        assert_eq!(&got[..count], [&envelope, frame.as_slice()].concat());
+        tunnel.file.write_all(&[&envelope, frame.as_slice()].concat()).unwrap();
+        assert_eq!(receive(&mut port), frame.as_slice());
+    }
+    assert_eq!(port.try_receive(&mut [0; FRAME_ROOM]), Ok(None));
+    tunnel.switch(false);
+    let down = port.try_send(&frame(WireFormat::ALL[0])).unwrap_err();
+    assert!(down.to_string().contains("the bus is down"), "{down}");
+}
+
+#[test]
+fn an_interface_that_is_none_is_refused_by_name() {
+    for name in ["", "no-such-if0", "../../etc", "a\0b", "a-name-that-is-too-long"] {
+        let error = ArcnetSocket::open(name).unwrap_err();
+        assert_eq!(error, ArcnetError::Missing { name: name.into() });
+        assert!(error.to_string().contains("arc_rawmode"), "{error}");
+    }
+    let error = ArcnetSocket::open("lo").unwrap_err();
+    assert_eq!(error, ArcnetError::OtherKind { name: "lo".into(), got: 772 });
+}
+
+#[test]
+fn a_socket_in_the_place_of_the_bus_keeps_frames_apart() {
+    let folder = std::env::temp_dir().join(format!("pb3dp-bus-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("bus");
+    assert_eq!(FrameSocket::connect(&path).unwrap_err(), FrameSocketError::Nobody { path: path.clone() });
+    let listener = FrameListener::bind(&path).unwrap();
+    assert!(listener.try_accept().unwrap().is_none());
+    let mut gateway = FrameSocket::connect(&path).unwrap();
+    let mut controller = listener.try_accept().unwrap().unwrap();
+    assert_eq!(FrameListener::bind(&path).unwrap_err(), FrameSocketError::InUse { path: path.clone() });
+    for count in 1..=3u8 {
+        assert_eq!(gateway.try_send(&vec![count; 40 * usize::from(count)]), Ok(true));
+    }
+    for count in 1..=3u8 {
+        assert_eq!(receive(&mut controller), vec![count; 40 * usize::from(count)]);
+    }
+    assert_eq!(controller.try_send(&[7, 8]), Ok(true));
+    assert_eq!(receive(&mut gateway), [7, 8]);
+    assert_eq!(gateway.try_receive(&mut [0; FRAME_ROOM]), Ok(None));
+    // A controller that does not read: frames are lost, and nothing waits.
+    let mut sent = 0;
+    while gateway.try_send(&[0; 40]).unwrap() {
+        sent += 1;
+        assert!(sent < 1_000_000);
+    }
+    drop(controller);
+    let gone = gateway.try_receive(&mut [0; FRAME_ROOM]).unwrap_err();
+    assert!(matches!(gone.symptom, Symptom::EndOfStream | Symptom::Os(_)), "{gone}");
+    assert!(gateway.try_send(&[1]).is_err());
+    drop(listener);
+    assert!(!path.exists());
+    // What is left of a program that was killed is replaced; what is no socket is left alone.
+    drop(std::os::unix::net::UnixListener::bind(&path).unwrap());
+    drop(FrameListener::bind(&path).unwrap());
+    std::fs::write(&path, "notes").unwrap();
+    assert!(matches!(FrameListener::bind(&path).unwrap_err(), FrameSocketError::Os { .. }));
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), "notes");
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn sleeping_to_a_moment_ends_after_it_and_soon() {
+    use pb3dp_arm_pa10::io::realtime::{Realtime, enter, now, sleep_until};
+    let shortfalls = std::thread::spawn(|| {
+        let wanted = Realtime { priority: Some(10), locks_memory: false, cpu: Some(0) };
+        enter(&wanted)
+    });
+    for shortfall in shortfalls.join().unwrap() {
+        let text = shortfall.to_string();
+        assert!(text.contains("is not to be had"), "{text}");
+    }
+    let never = Realtime { priority: Some(0), locks_memory: false, cpu: Some(1 << 20) };
+    let texts = enter(&never).iter().map(ToString::to_string).collect::<Vec<_>>();
+    assert!(texts[0].contains("SCHED_FIFO with priority 0") && texts[0].contains("CAP_SYS_NICE"), "{texts:?}");
+    assert!(texts[1].contains("processor 1048576"), "{texts:?}");
+    for _ in 0..20 {
+        let deadline = now() + Duration::from_millis(3);
+        sleep_until(deadline);
+        assert!(now() >= deadline);
+        assert!(now().saturating_since(deadline) < Duration::from_secs(2));
+        sleep_until(deadline);
+    }
+}
