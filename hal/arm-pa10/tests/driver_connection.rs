@@ -6,16 +6,16 @@ mod common;
 
 use std::time::Duration;
 
-use common::{Bench, CYCLE, Kind};
+use common::{Bench, CYCLE, Kind, kind};
 use pb3dp_arm_pa10::codec::{
     AngleCounts, ArmReply, AxisReply, AxisStatus, CommStatus, CommWord, ServoWord, SpeedCounts, TorqueCounts,
     TorqueScale, WireFormat,
 };
 use pb3dp_arm_pa10::driver::{
-    BadReply, Driver, DriverConfig, DriverConfigError, DriverState, FaultCause, LimitsCheck, Reply, Request, Sample,
-    Trip, WarmUpFailure,
+    Activity, BadReply, Driver, DriverConfig, DriverConfigError, DriverState, FaultCause, LimitsCheck, Reply, Request,
+    Sample, Trip, WarmUpFailure,
 };
-use pb3dp_arm_pa10::gateway_protocol::State;
+use pb3dp_arm_pa10::gateway_protocol::{RejectReason, State};
 use pb3dp_kinematics::JointVector;
 
 const fn ms(ms: u64) -> Duration {
@@ -189,5 +189,27 @@ fn an_arm_whose_control_mode_is_off_is_sent_nothing_on_a_fault() {
         bench.driver.handle_unplugged(bench.now);
         bench.run(ms(500));
         assert_eq!((bench.driver.state(), bench.sent.len()), (DriverState::Fault, from));
+    }
+}
+
+/// The brakes of a gateway may have begun to close later than the driver counts: E is refused then, and said again.
+#[test]
+fn an_end_that_is_refused_is_said_again() {
+    for refusals in 1..=5 {
+        let mut bench = Bench::in_state(DriverState::Moving);
+        bench.request(Request::Stop);
+        let mut refused = 0;
+        let ends = |bench: &Bench| bench.sent.iter().filter(|(_, message)| kind(message) == Kind::End).count();
+        let before = ends(&bench);
+        while bench.driver.activity() != Activity::None {
+            let said = ends(&bench);
+            bench.run(Duration::from_micros(500));
+            if ends(&bench) > said && refused < refusals {
+                bench.driver.handle_reply(bench.now, &Reply::Rejected(RejectReason::WrongState));
+                refused += 1;
+            }
+        }
+        assert_eq!(ends(&bench) - before, (refusals + 1).min(3), "{refusals}");
+        assert_eq!(bench.driver.state(), DriverState::Connected);
     }
 }

@@ -111,7 +111,9 @@ impl Driver {
 
     pub(super) fn handle_rejection(&mut self, now: MonotonicTime, reason: RejectReason) {
         match self.phase {
-            Phase::Stopping(StopStep::End { .. }) => self.finish_stop(now),
+            // It may have stopped the arm by itself before, or its brakes may have begun to close later than was counted here.
+            Phase::Stopping(StopStep::End { tries }) if tries >= END_TRIES_MAX => self.finish_stop(now),
+            Phase::Stopping(StopStep::End { .. }) => {}
             // The gateway may have stopped the arm by itself before: the order goes on by count and time.
             Phase::Stopping(_) if self.state.is_latched() => {}
             Phase::Looking { step: LookStep::Clear(_), .. } => self.handle_done(now),

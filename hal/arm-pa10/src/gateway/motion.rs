@@ -77,8 +77,15 @@ impl Motion {
         self.follow(now, ArmCommand { supervision, ..off() }, Duration::ZERO);
     }
 
-    /// A command came; speeds take this long to get there.
+    /// A command came; speeds take this long to get there. One that only repeats the last one leaves its way as long as it was.
     pub fn follow(&mut self, now: MonotonicTime, target: ArmCommand, over: Duration) {
+        self.over = if target == self.target { (self.since + self.over).saturating_since(now) } else { over };
+        (self.target, self.since) = (target, now);
+        self.from = self.sent.axes.map(|axis| axis.speed());
+    }
+
+    /// As [`Self::follow`], after the watchdog has slowed the arm down: the way begins anew.
+    pub fn follow_anew(&mut self, now: MonotonicTime, target: ArmCommand, over: Duration) {
         (self.target, self.since, self.over) = (target, now, over);
         self.from = self.sent.axes.map(|axis| axis.speed());
     }

@@ -144,7 +144,11 @@ impl Machine {
         let state = self.arm_state(now).ok_or(Refused(RejectReason::NoAnswer, 0))?;
         if let Some(next) = next {
             let over = if self.config.interpolates { self.host.cycle } else { Duration::ZERO };
-            self.motion.follow(now, asked, over);
+            if self.slowed {
+                self.motion.follow_anew(now, asked, over);
+            } else {
+                self.motion.follow(now, asked, over);
+            }
             self.state = next;
         }
         self.host.answer(now, asker, GatewayMessage::State(State { gateway: self.state, ..state }));

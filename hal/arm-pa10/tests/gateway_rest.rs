@@ -1,0 +1,64 @@
+//! A line of speeds ends where it is to end, however often the host repeats itself.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+#[path = "common/gateway_bench.rs"]
+mod bench;
+
+use bench::{Bench, HOST_CYCLE, TICK, ms};
+use pb3dp_arm_pa10::codec::{ArmCommand, ControlMessage};
+use pb3dp_arm_pa10::gateway_protocol::{DriveMode, GatewayMessage, GatewayState};
+use pb3dp_kinematics::JointVector;
+
+/// What was sent on the bus last.
+fn sent(bench: &Bench) -> ArmCommand {
+    match bench.sent.last().unwrap().message {
+        ControlMessage::Cyclic(command) => command,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// Each command came a little before the last cycle of the line before it, so a rest of the speed was left each time, and the
+/// brakes were refused although the host had asked for speed 0 five times.
+#[test]
+fn brakes_may_close_after_the_host_has_asked_for_rest_for_five_cycles() {
+    for phase in 0..4 {
+        let mut bench = Bench::new();
+        bench.lead_to(GatewayState::Moving);
+        (0..phase).for_each(|_| bench.tick());
+        let fast = JointVector::from([1.0, -1.0, 2.0, -2.0, 6.0, -6.2, 6.2]);
+        bench.command_for(DriveMode::Follow, fast, ms(50));
+        bench.command_for(DriveMode::Follow, JointVector::zeros(), HOST_CYCLE * 5);
+        let answer = bench.ask(bench.command(DriveMode::Braked, JointVector::zeros()));
+        assert!(matches!(answer, GatewayMessage::State(_)), "phase {phase}: {answer:?}");
+    }
+}
+
+/// One cycle of the host after a command its speeds are sent, exactly.
+#[test]
+fn a_speed_that_is_repeated_is_reached_within_one_cycle_of_the_host() {
+    let mut bench = Bench::new();
+    bench.lead_to(GatewayState::Moving);
+    let fast = JointVector::from([1.0, -1.0, 2.0, -2.0, 6.0, -6.2, 6.2]);
+    bench.command_for(DriveMode::Follow, fast, ms(20));
+    bench.run(TICK * 4);
+    assert_eq!(sent(&bench).velocity_rad_per_s(), fast);
+}
+
+/// After a gap in which the watchdog has slowed the arm down the speed comes back on a line, and not at once.
+#[test]
+fn a_speed_that_has_faded_comes_back_on_a_line() {
+    let mut bench = Bench::new();
+    bench.lead_to(GatewayState::Moving);
+    let speed = JointVector::repeat(1.0);
+    bench.command_for(DriveMode::Follow, speed, ms(50));
+    bench.run(ms(30));
+    let faded = sent(&bench).velocity_rad_per_s()[0];
+    assert!((0.1..0.6).contains(&faded), "{faded}");
+    bench.tell(bench.command(DriveMode::Follow, speed));
+    bench.run(ms(2));
+    let first = sent(&bench).velocity_rad_per_s()[0];
+    assert!(first < faded + 0.35, "{faded} to {first} in a cycle");
+    bench.run(HOST_CYCLE);
+    assert!((sent(&bench).velocity_rad_per_s()[0] - 1.0).abs() < 1e-9);
+}
