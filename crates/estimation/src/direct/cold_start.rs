@@ -183,6 +183,17 @@ pub struct ColdStartOutcome {
     pub repeats_px: Option<f64>,
 }
 
+/// A candidate on the finest level.
+#[derive(Clone, Copy, Debug)]
+struct Descent {
+    /// The plane that the patches make of the candidate's.
+    plane: DisparityPlane,
+    /// What they say of it.
+    patches: PatchOutcome,
+    /// Index of the level.
+    level: usize,
+}
+
 /// Finds planes; keeps its buffers.
 #[derive(Clone, Debug, Default)]
 pub struct ColdStart {
@@ -247,10 +258,9 @@ impl ColdStart {
             return None;
         }
         self.search(source.disparity_px, &allowed, may_continue);
-        let contender = self.contest(may_continue);
+        let (Descent { plane: patch_plane, patches: finest, level }, contender) = self.contest(may_continue)?;
         let first = *self.surfaces.first()?;
         let (second, alias) = self.rivals(&first);
-        let (patch_plane, finest, level) = self.descend(first.plane, may_continue);
         let refined = match may_continue() {
             true => self.refiner.refine(front_end, source, &self.pyramid, &patch_plane),
             false => None,
@@ -421,13 +431,9 @@ impl ColdStart {
         self.surfaces.sort_by(|a, b| b.score.total_cmp(&a.score));
     }
 
-    /// From the level that was searched to the finest one for patches, one or two looks each. Returns the plane, what the patches
-    /// said of it, and the finest level reached.
-    fn descend(
-        &mut self,
-        start: DisparityPlane,
-        may_continue: &mut dyn FnMut() -> bool,
-    ) -> (DisparityPlane, PatchOutcome, usize) {
+    /// From the level that was searched to the finest one for patches, one or two looks each. The levels are left with the
+    /// pixels marked that agree with the plane.
+    fn descend(&mut self, start: DisparityPlane, may_continue: &mut dyn FnMut() -> bool) -> Descent {
         let (centre, coarsest, limit) = (self.pyramid.centroid_px(), self.searched, self.config.patch_area_px);
         let finest = self.pyramid.levels().iter().position(|l| l.area_px <= limit).unwrap_or(coarsest).min(coarsest);
         let mut plane = start;
@@ -435,8 +441,8 @@ impl ColdStart {
         loop {
             let outcome = self.look_twice(index, &mut plane, centre);
             if index == finest || !may_continue() {
-                let (plane, outcome) = self.closest(index, (plane, outcome), centre);
-                return (plane, outcome, index);
+                let (plane, patches) = self.closest(index, (plane, outcome), centre);
+                return Descent { plane, patches, level: index };
             }
             index -= 1;
         }

@@ -5,46 +5,54 @@
 //! more. What they say decides, and where the levels disagree, or finer pixels leave two of them nearly equal, the outcome
 //! names the other one.
 
-use super::{ColdStart, OVERLAP_OF_ALIAS, Rival, Surface, surface_score};
+use super::{ColdStart, Descent, OVERLAP_OF_ALIAS, Rival, Surface, surface_score};
 
-/// Candidates with this share of the best one's score are compared again.
+/// Candidates with this share of the best one's score, on the level where that is lower, are compared again.
 const NEAR_SCORE: f64 = 0.6;
 
 impl ColdStart {
-    /// Puts the surface first that is best on the finest level, of those that are near the best one on the level of the
-    /// search and explain mostly the same pixels. Returns the best of the others, with the larger of its score ratios on both levels if they
-    /// disagree on which one is better, else with that on the finest; `None` if none is near.
-    pub(super) fn contest(&mut self, may_continue: &mut dyn FnMut() -> bool) -> Option<Rival> {
+    /// Puts the surface first that is best on the finest level, of those that are near the best one of the level of the search
+    /// and explain mostly the same pixels, and says how it looks there. Where there are others, also returns the best of them,
+    /// with the larger of its score ratios on both levels if they disagree on which one is better, else with that on the
+    /// finest. `None` without surfaces.
+    pub(super) fn contest(&mut self, may_continue: &mut dyn FnMut() -> bool) -> Option<(Descent, Option<Rival>)> {
         let first = *self.surfaces.first()?;
-        let is_near = |other: &Surface| other.score >= NEAR_SCORE * first.score;
-        let count = self.surfaces.iter().take_while(|other| is_near(other)).count();
+        let descent = self.descend(first.plane, may_continue);
+        let own = self.finest_score(&first, &descent);
+        let least = NEAR_SCORE * first.score.min(own);
         let is_other = |other: &Surface| {
-            self.differs(&first.plane, &other.plane) && self.rival(&first, other).overlap > OVERLAP_OF_ALIAS
+            other.score >= least
+                && self.differs(&first.plane, &other.plane)
+                && self.rival(&first, other).overlap > OVERLAP_OF_ALIAS
         };
-        let others = (1..count).filter(|&i| is_other(&self.surfaces[i])).collect::<Vec<_>>();
-        if others.is_empty() || !may_continue() {
-            return None;
-        }
-        let own = self.finest_score(&first, may_continue);
+        let others = (1..self.surfaces.len()).filter(|&i| is_other(&self.surfaces[i])).collect::<Vec<_>>();
         let mut best: Option<(usize, f64)> = None;
         for i in others {
-            let score = self.finest_score(&self.surfaces[i].clone(), may_continue);
+            if !may_continue() {
+                break;
+            }
+            let other = self.surfaces[i];
+            let descent = self.descend(other.plane, may_continue);
+            let score = self.finest_score(&other, &descent);
             if best.is_none_or(|(_, known)| score > known) {
                 best = Some((i, score));
             }
         }
-        let (at, score) = best?;
+        let Some((at, score)) = best else { return Some((descent, None)) };
         let other = self.surfaces[at];
-        if score <= own {
-            return Some(Rival { score_ratio: score / own.max(1e-9), ..self.rival(&first, &other) });
-        }
-        self.surfaces[..=at].rotate_right(1);
-        let rival = self.rival(&other, &first);
-        Some(Rival { score_ratio: rival.score_ratio.max(own / score), ..rival })
+        let rival = if score <= own {
+            Rival { score_ratio: score / own.max(1e-9), ..self.rival(&first, &other) }
+        } else {
+            self.surfaces[..=at].rotate_right(1);
+            let rival = self.rival(&other, &first);
+            Rival { score_ratio: rival.score_ratio.max(own / score), ..rival }
+        };
+        // The levels are left as the best one marks them.
+        let plane = self.surfaces[0].plane;
+        Some((self.descend(plane, may_continue), Some(rival)))
     }
 
-    fn finest_score(&mut self, surface: &Surface, may_continue: &mut dyn FnMut() -> bool) -> f64 {
-        let (_, patches, _) = self.descend(surface.plane, may_continue);
-        surface_score(&patches, self.search.valid_share * surface.share)
+    fn finest_score(&self, surface: &Surface, descent: &Descent) -> f64 {
+        surface_score(&descent.patches, self.search.valid_share * surface.share)
     }
 }
