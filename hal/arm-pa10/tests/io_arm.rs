@@ -1,6 +1,6 @@
 //! A real arm over real lines, with a gateway that answers and does not move.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
 
 #[path = "common/far_end.rs"]
 mod far_end;
@@ -34,17 +34,15 @@ const FORMAT: WireFormat = WireFormat::BigEndian6x10;
 fn config(arm: u8) -> Pa10ArmConfig {
     let limit = JointVector::repeat(3.0);
     let limits = LimitsCheck::Compare { lower_rad: -limit, upper_rad: limit, tolerance_rad: 1e-4 };
-    Pa10ArmConfig {
-        name: format!("arm-{arm}"),
-        driver: DriverConfig { limits, ..DriverConfig::with_cycle(CYCLE) },
-        link: GatewayLinkConfig {
-            arm: ArmId(arm),
-            dialect: Dialect::GatewayV1,
-            format: FORMAT,
-            geometry: Geometry::SecondGeneration,
-            cycle: CYCLE,
-        },
-    }
+    let driver = DriverConfig { limits, ..DriverConfig::with_cycle(CYCLE) };
+    let link = GatewayLinkConfig {
+        arm: ArmId(arm),
+        dialect: Dialect::GatewayV1,
+        format: FORMAT,
+        geometry: Geometry::SecondGeneration,
+        cycle: CYCLE,
+    };
+    Pa10ArmConfig::new(&format!("arm-{arm}"), driver, link)
 }
 
 fn serial(pty: &Pty) -> SerialConfig {

@@ -62,11 +62,8 @@ fn exchanges_do_not_allocate() {
     let pty = Pty::open().unwrap();
     let serial = SerialConfig { path: pty.name().to_owned(), baud: 460_800, dialect, format, cycle: CYCLE };
     let _far = FarEnd::serve_after(Box::new(pty), FakeGateway::new(ArmId(2), format), || IS_FAR_END.set(true));
-    let config = Pa10ArmConfig {
-        name: "arm".to_owned(),
-        driver: DriverConfig::with_cycle(CYCLE),
-        link: GatewayLinkConfig { arm: ArmId(2), dialect, format, geometry: Geometry::Unknown, cycle: CYCLE },
-    };
+    let link = GatewayLinkConfig { arm: ArmId(2), dialect, format, geometry: Geometry::Unknown, cycle: CYCLE };
+    let config = Pa10ArmConfig::new("arm", DriverConfig::with_cycle(CYCLE), link);
     let seat = trip_line(1).unwrap().remove(0);
     let mut arm = Pa10Arm::open(config, Box::new(serial), Arc::new(SystemClock::new()), seat).unwrap_or_else(|error| {
         panic!("{error}: {:?}", std::error::Error::source(&error));

@@ -153,6 +153,17 @@ fn a_stop_from_outside_brings_the_gateway_to_rest_without_a_refusal() {
 }
 
 #[test]
+fn a_gateway_whose_brakes_need_a_little_longer_is_asked_again_to_end() {
+    for mut rig in rigs() {
+        rig.lead_to_moving();
+        rig.gateway.refuse_end = 2;
+        rig.request(Request::Stop);
+        rig.settle();
+        assert_eq!((rig.driver.state(), rig.gateway.state), (DriverState::Connected, GatewayState::Idle));
+    }
+}
+
+#[test]
 fn a_restarted_gateway_is_greeted_anew_before_a_reset_can_succeed() {
     let mut rig = Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10);
     rig.lead_to_moving();

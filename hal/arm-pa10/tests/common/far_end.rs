@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
 use pb3dp_arm_pa10::io::transport::{ByteLink, wait};
 
 use super::gateway::FakeGateway;
@@ -43,6 +44,8 @@ impl FarEnd {
         let (of_thread, line_of_thread) = (Arc::clone(&gateway), Arc::clone(&line));
         let thread = std::thread::spawn(move || {
             begin();
+            // Where the machine gives it: this stands for a device of its own.
+            enter(&Realtime { priority: Some(40), locks_memory: false, cpu: None });
             pump(bytes, &of_thread, &line_of_thread)
         });
         Self { gateway, line, thread: Some(thread) }

@@ -19,6 +19,8 @@ pub struct FakeGateway {
     pub cause: StopCause,
     /// What keeps a reset from succeeding.
     pub cause_present: bool,
+    /// E is refused so often, as the brakes have not had their time.
+    pub refuse_end: u32,
     pub servo: [ServoWord; 7],
     /// The last speeds that were accepted, rad/s.
     pub speeds: JointVector,
@@ -38,6 +40,7 @@ impl FakeGateway {
             state: GatewayState::Idle,
             cause: StopCause::None,
             cause_present: false,
+            refuse_end: 0,
             servo: [ServoWord(0); 7],
             speeds: JointVector::zeros(),
             heard: Vec::new(),
@@ -130,6 +133,10 @@ impl FakeGateway {
 
     fn control(&mut self, control: Control) -> Result<(), RejectReason> {
         let latched = matches!(self.state, GatewayState::Fault | GatewayState::EmergencyStop);
+        if control == Control::Arm(ArmOperation::End) && self.refuse_end > 0 {
+            self.refuse_end -= 1;
+            return Err(RejectReason::WrongState);
+        }
         self.state = match (control, self.state) {
             (Control::Arm(ArmOperation::Start), GatewayState::Idle | GatewayState::Started) => GatewayState::Started,
             (Control::Arm(ArmOperation::End), GatewayState::Idle | GatewayState::Started) => GatewayState::Idle,

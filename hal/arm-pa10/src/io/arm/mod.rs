@@ -22,6 +22,7 @@ use pb3dp_kinematics::JointState;
 use self::port::GatewayPort;
 use self::shared::{Shared, Wish};
 use self::worker::{LET_GO_MAX, Progress, WishEnd, Worker};
+use super::realtime::{Realtime, enter};
 use super::transport::Connector;
 use crate::codec::ArmCommand;
 use crate::driver::{Activity, Driver, DriverConfig, DriverConfigError};
@@ -33,7 +34,10 @@ pub use trip_line::{TripHandle, TripSeat, trip_line};
 pub use wish::WishError;
 
 /// How long an exchange waits for a measurement that is newer than the last one, in cycles. The contract allows two.
-const SAMPLE_WAIT_CYCLES: f64 = 1.5;
+const SAMPLE_WAIT_CYCLES: f64 = 1.75;
+
+/// Above ordinary programs, below the interrupts of the system.
+const PRIORITY: u8 = 50;
 
 /// Activities in a row that a wish may take at most.
 const ACTIVITIES_MAX: u32 = 3;
@@ -50,6 +54,16 @@ pub struct Pa10ArmConfig {
     pub driver: DriverConfig,
     /// Of the link.
     pub link: GatewayLinkConfig,
+    /// What the thread asks the system for. Without it other programs delay its cycles.
+    pub realtime: Realtime,
+}
+
+impl Pa10ArmConfig {
+    /// An arm with this name; its thread asks for real time.
+    pub fn new(name: &str, driver: DriverConfig, link: GatewayLinkConfig) -> Self {
+        let realtime = Realtime { priority: Some(PRIORITY), locks_memory: true, cpu: None };
+        Self { name: name.to_owned(), driver, link, realtime }
+    }
 }
 
 /// Why there is no arm.
@@ -108,7 +122,7 @@ pub enum ArmOpenError {
 /// A real PA-10 behind a gateway.
 ///
 /// `exchange` returns one measurement per cycle: at once where a newer one than the last is there, else when it comes, after at most
-/// 1.5 cycles. A single lost reply is no error to a loop with the arm's own cycle; it is counted. In a state in which nothing is
+/// 1.75 cycles. A single lost reply is no error to a loop with the arm's own cycle; it is counted. In a state in which nothing is
 /// measured `Hold` returns the last measurement with the time at which it was made.
 ///
 /// Dropping it stops the arm: it is at rest within its emergency ramp, and the brakes are told to close within 100 ms.
@@ -120,7 +134,7 @@ pub struct Pa10Arm {
     trip: TripHandle,
     ends: Receiver<WishEnd>,
     thread: Option<JoinHandle<()>>,
-    warning: Option<String>,
+    warnings: Vec<String>,
     /// Of the last measurement that was returned.
     samples_seen: u64,
 }
@@ -148,7 +162,7 @@ impl Pa10Arm {
         let target = connector.target();
         let opened = connector.connect();
         let bytes = opened.map_err(|source| ArmOpenError::Open { arm: arm(), target: target.clone(), source })?;
-        let warning = bytes.warning();
+        let mut warnings: Vec<_> = bytes.warning().into_iter().collect();
         let shared = Arc::new(Shared::new());
         let trip = seat.handle();
         let (ends_out, ends) = channel();
@@ -164,20 +178,28 @@ impl Pa10Arm {
             ends: ends_out,
             progress: Progress::default(),
         };
-        let thread = std::thread::Builder::new().name(format!("arm {}", config.name)).spawn(|| worker::run(worker));
+        let (wanted, (shortfalls_out, shortfalls)) = (config.realtime, channel());
+        let serve = move || {
+            // Nobody can be gone who waits for it.
+            let _ = shortfalls_out.send(enter(&wanted));
+            worker::run(worker);
+        };
+        let thread = std::thread::Builder::new().name(format!("arm {}", config.name)).spawn(serve);
         let thread = thread.map_err(|source| ArmOpenError::Thread { arm: arm(), source })?;
+        let shortfalls = shortfalls.recv_timeout(OPEN_MAX).unwrap_or_default();
+        warnings.extend(shortfalls.iter().map(|shortfall| format!("arm {}: {shortfall}", config.name)));
         let info = ArmInfo { name: format!("{} (pa10 at {target})", config.name), cycle: config.driver.cycle };
         let mut opened =
-            Self { config, info, clock, shared, trip, ends, thread: Some(thread), warning, samples_seen: 0 };
+            Self { config, info, clock, shared, trip, ends, thread: Some(thread), warnings, samples_seen: 0 };
         match opened.fulfil(Wish::Connect) {
             Ok(()) => Ok(opened),
             Err(source) => Err(ArmOpenError::Connect { arm: opened.config.name.clone(), source }),
         }
     }
 
-    /// What the operator should know about the link.
-    pub fn warning(&self) -> Option<&str> {
-        self.warning.as_deref()
+    /// What the operator should know: of the link, and of what the system did not give to the thread.
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
     }
 
     /// Looks on.

@@ -1,0 +1,265 @@
+//! What the joints do: a real arm over a pseudo-terminal, with the project's gateway before an emulated servo controller.
+
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
+
+#[path = "common/cell_end.rs"]
+mod cell_end;
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use cell_end::{Cell, CellEnd};
+use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, FaultCause, LimitsCheck, Trip};
+use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, GatewayState, Geometry, StopCause};
+use pb3dp_arm_pa10::io::arm::{Pa10Arm, Pa10ArmConfig, TripSeat, trip_line};
+use pb3dp_arm_pa10::io::pty::Pty;
+use pb3dp_arm_pa10::io::serial::SerialConfig;
+use pb3dp_arm_pa10::io::transport::ByteLink;
+use pb3dp_arm_pa10::link::GatewayLinkConfig;
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
+use pb3dp_hal_clock::SystemClock;
+use pb3dp_kinematics::JointVector;
+
+const CYCLE: Duration = Duration::from_millis(10);
+const LONG: Duration = Duration::from_secs(5);
+const B: WireFormat = WireFormat::BigEndian6x10;
+
+/// One test at a time: they want their threads to be run in time.
+fn turn() -> MutexGuard<'static, ()> {
+    static TURN: Mutex<()> = Mutex::new(());
+    TURN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn velocity() -> JointVector {
+    JointVector::from([0.1, -0.2, 0.3, -0.15, 0.25, -0.1, 0.2])
+}
+
+fn limits() -> JointVector {
+    JointVector::from([177.0f64, 94.0, 174.0, 137.0, 255.0, 165.0, 255.0].map(f64::to_radians))
+}
+
+struct Rig {
+    arm: Pa10Arm,
+    end: CellEnd,
+    clock: Arc<SystemClock>,
+}
+
+impl Rig {
+    fn new(arm: u8, dialect: Dialect, format: WireFormat, seat: TripSeat, clock: &Arc<SystemClock>) -> Self {
+        let pty = Pty::open().unwrap();
+        let serial = SerialConfig { path: pty.name().to_owned(), baud: 921_600, dialect, format, cycle: CYCLE };
+        let home = JointVector::from([0.2, -0.5, 0.3, 1.1, 3.1, 0.9, 0.1]);
+        let end = CellEnd::serve(Box::new(pty), Cell::new(ArmId(arm), format, home));
+        let tolerance_rad = 0.5f64.to_radians();
+        let limits = LimitsCheck::Compare { lower_rad: -limits(), upper_rad: limits(), tolerance_rad };
+        let driver = DriverConfig { limits, ..DriverConfig::with_cycle(CYCLE) };
+        let geometry = Geometry::Unknown;
+        let link = GatewayLinkConfig { arm: ArmId(arm), dialect, format, geometry, cycle: CYCLE };
+        let config = Pa10ArmConfig::new(&format!("arm-{arm}"), driver, link);
+        let opened = Pa10Arm::open(config, Box::new(serial), Arc::clone(clock) as Arc<_>, seat);
+        let arm = opened.unwrap_or_else(|error| panic!("{error}: {:?}", std::error::Error::source(&error)));
+        Self { arm, end, clock: Arc::clone(clock) }
+    }
+
+    fn one() -> Self {
+        let seat = trip_line(1).unwrap().remove(0);
+        Self::new(2, Dialect::GatewayV1, B, seat, &Arc::new(SystemClock::new()))
+    }
+
+    /// On a loaded machine the link may need more than one try to show that it is quick enough.
+    fn enable(&mut self) {
+        for _ in 0..20 {
+            match self.arm.enable() {
+                Ok(()) => return,
+                Err(error) if error.to_string().contains("the brakes stay closed") => {}
+                Err(error) if error.to_string().contains("in a row without a usable reply") => {
+                    self.arm.reset().unwrap();
+                }
+                Err(error) => panic!("{error}"),
+            }
+        }
+        panic!("the machine is too loaded to enable an arm");
+    }
+
+    /// On a loaded machine answers may be late.
+    fn exchange(&mut self, command: JointCommand, cycles: u32) {
+        for _ in 0..cycles {
+            match self.arm.exchange(command) {
+                Err(error) if error.kind() != ArmErrorKind::Timeout => panic!("{error}"),
+                _ => {}
+            }
+        }
+    }
+
+    fn enable_and_move(&mut self) {
+        self.enable();
+        self.exchange(JointCommand::Velocity(velocity()), 30);
+        assert_eq!(self.end.state(), GatewayState::Moving);
+    }
+
+    fn trip(&self) -> Trip {
+        self.arm.monitor().snapshot().latched.unwrap().trip
+    }
+
+    fn wait_until(&self, what: &str, happened: impl Fn(&Self) -> bool) {
+        let begin = Instant::now();
+        while !happened(self) {
+            assert!(begin.elapsed() < LONG, "{what}: {:?}, {:?}", self.arm.monitor().snapshot(), self.end.status());
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    /// Commands motion until the arm refuses it for good.
+    fn exchange_until_stopped(&mut self) -> ArmError {
+        let begin = Instant::now();
+        loop {
+            match self.arm.exchange(JointCommand::Velocity(velocity())) {
+                Err(error) if error.kind() != ArmErrorKind::Timeout => return error,
+                _ => assert!(begin.elapsed() < LONG, "{:?}", self.arm.monitor().snapshot()),
+            }
+        }
+    }
+}
+
+/// The brakes have closed, and the true joints stand.
+fn is_at_rest(end: &CellEnd) -> bool {
+    let (before, braked) = {
+        let cell = end.cell();
+        (cell.position(), cell.controller.is_braked())
+    };
+    std::thread::sleep(Duration::from_millis(20));
+    braked && (end.cell().position() - before).amax() < 1e-6
+}
+
+#[test]
+fn joints_go_where_they_are_told_in_every_dialect_and_format() {
+    let _turn = turn();
+    let kinds =
+        [(Dialect::GatewayV1, B), (Dialect::Transparent, B), (Dialect::Transparent, WireFormat::LittleEndian5x8)];
+    for (dialect, format) in kinds {
+        let seat = trip_line(1).unwrap().remove(0);
+        let mut rig = Rig::new(3, dialect, format, seat, &Arc::new(SystemClock::new()));
+        let read = rig.arm.monitor().snapshot().limits[1].unwrap();
+        assert!((read.upper_rad - 94f64.to_radians()).abs() < 1e-4, "{read:?}");
+        rig.enable_and_move();
+        let (from, begin) = (rig.end.cell().position(), rig.clock.now());
+        rig.exchange(JointCommand::Velocity(velocity()), 50);
+        let (to, end) = (rig.end.cell().position(), rig.clock.now());
+        let moved = (to - from) / end.seconds_since(begin);
+        // What a loaded machine loses of the time is lost to all joints alike.
+        let part = moved.dot(&velocity()) / velocity().norm_squared();
+        assert!((moved - velocity() * part).amax() < 0.01, "{dialect:?}: {moved}");
+        assert!((0.3..1.1).contains(&part), "{dialect:?}: {part}");
+        let measured = rig.arm.exchange(JointCommand::Hold).map(|joints| joints.position_rad);
+        if let Ok(measured) = measured {
+            assert!((measured - to).amax() < 0.05, "{measured}");
+        }
+        rig.arm.stop().unwrap();
+        assert!(is_at_rest(&rig.end), "{dialect:?}");
+        assert_eq!(rig.end.state(), GatewayState::Idle);
+        let status = rig.end.status();
+        println!("{dialect:?} {format}: {part:.3} of the way, {:?}, {:?}", rig.arm.monitor().jitter(), status.cycle);
+    }
+}
+
+#[test]
+fn unplugging_in_motion_stops_the_joints() {
+    let _turn = turn();
+    let mut rig = Rig::one();
+    rig.enable_and_move();
+    let unplugged = rig.end.unplug();
+    let stopped = unplugged.elapsed();
+    // The gateway has gone through its stop order before its thread ends.
+    assert!(is_at_rest(&rig.end));
+    assert_eq!(rig.end.status().cause, StopCause::HostSilent);
+    rig.wait_until("unplugged", |rig| rig.arm.state() == ArmState::Fault);
+    assert_eq!(rig.trip(), Trip::Fault(FaultCause::Unplugged));
+    println!("unplugged: the stop order was over after {stopped:?}");
+    assert!(stopped < Duration::from_secs(3), "{stopped:?}");
+}
+
+#[test]
+fn an_arm_that_is_dropped_in_motion_has_its_brakes_closed_afterwards() {
+    let _turn = turn();
+    let mut rig = Rig::one();
+    rig.enable_and_move();
+    let Rig { arm, end, .. } = rig;
+    drop(arm);
+    assert!(is_at_rest(&end));
+    assert_eq!((end.state(), end.status().cause), (GatewayState::Idle, StopCause::None));
+}
+
+#[test]
+fn a_control_loop_that_stays_away_has_the_joints_stopped() {
+    let _turn = turn();
+    let mut rig = Rig::one();
+    rig.enable_and_move();
+    rig.wait_until("stopped", |rig| rig.arm.state() == ArmState::Fault);
+    rig.wait_until("at rest", |rig| is_at_rest(&rig.end));
+    assert!(matches!(rig.trip(), Trip::Fault(FaultCause::CommandTimeout { .. })), "{:?}", rig.trip());
+    // The gateway sees a sound stop order, and nothing to latch.
+    rig.wait_until("ended", |rig| rig.end.state() == GatewayState::Idle);
+    assert_eq!(rig.end.status().cause, StopCause::None);
+}
+
+#[test]
+fn a_fault_of_the_arm_is_told_with_axis_and_alarm_and_reset_when_it_is_gone() {
+    let _turn = turn();
+    let mut rig = Rig::one();
+    rig.enable_and_move();
+    rig.end.inject("alarm 4 0x0e");
+    let error = rig.exchange_until_stopped();
+    assert_eq!(error.kind(), ArmErrorKind::Fault);
+    for part in ["arm arm-2", "E1", "over-current", "remove the cause, then reset"] {
+        assert!(error.to_string().contains(part), "{part}: {error}");
+    }
+    let error = rig.arm.reset().unwrap_err();
+    assert_eq!((error.kind(), rig.arm.state()), (ArmErrorKind::Fault, ArmState::Fault), "{error}");
+    rig.end.inject("alarm 4 off");
+    rig.arm.reset().unwrap();
+    assert_eq!(rig.arm.state(), ArmState::Disabled);
+    rig.enable_and_move();
+}
+
+#[test]
+fn two_arms_stop_each_other_and_each_is_reset_by_itself() {
+    let _turn = turn();
+    let clock = Arc::new(SystemClock::new());
+    let mut seats = trip_line(2).unwrap();
+    let mut second = Rig::new(2, Dialect::GatewayV1, B, seats.pop().unwrap(), &clock);
+    let mut first = Rig::new(1, Dialect::GatewayV1, B, seats.pop().unwrap(), &clock);
+    first.enable();
+    second.enable();
+    for _ in 0..20 {
+        first.exchange(JointCommand::Velocity(velocity()), 1);
+        second.exchange(JointCommand::Velocity(velocity()), 1);
+    }
+    second.end.inject("e-stop press");
+    second.wait_until("stopped", |rig| rig.arm.state() == ArmState::EStop);
+    first.wait_until("stopped", |rig| rig.arm.state() == ArmState::Fault);
+    assert_eq!(first.trip(), Trip::Fault(FaultCause::OtherArm { arm: 2 }));
+    first.wait_until("at rest", |rig| is_at_rest(&rig.end));
+    assert!(is_at_rest(&second.end));
+    first.arm.reset().unwrap();
+    assert!(second.arm.reset().is_err());
+    second.end.inject("e-stop release");
+    second.arm.reset().unwrap();
+    assert_eq!(second.arm.monitor().snapshot().state, DriverState::Connected);
+    first.enable_and_move();
+}
+
+#[test]
+fn single_lost_answers_are_borne() {
+    let _turn = turn();
+    let mut rig = Rig::one();
+    rig.enable_and_move();
+    let before = rig.arm.monitor().snapshot().counters.lost;
+    for _ in 0..10 {
+        rig.end.cell().answers_lost = 1;
+        rig.exchange(JointCommand::Velocity(velocity()), 5);
+    }
+    let after = rig.arm.monitor().snapshot();
+    assert!(after.counters.lost - before >= 10, "{after:?}");
+    assert_eq!(after.state, DriverState::Moving, "{:?}", after.latched);
+}
