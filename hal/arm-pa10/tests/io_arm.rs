@@ -8,7 +8,7 @@ mod far_end;
 #[path = "common/gateway.rs"]
 mod gateway;
 
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -24,7 +24,8 @@ use pb3dp_arm_pa10::io::pty::Pty;
 use pb3dp_arm_pa10::io::serial::SerialConfig;
 use pb3dp_arm_pa10::io::tcp::{TcpConfig, TcpLink};
 use pb3dp_arm_pa10::link::GatewayLinkConfig;
-use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, JointCommand};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_kinematics::JointVector;
 
@@ -376,6 +377,46 @@ fn a_panic_in_the_control_thread_stops_the_arm() {
     });
     assert!(control.join().is_err());
     let gateway = far.gateway.lock().unwrap();
+    assert_eq!(gateway.state, GatewayState::Idle);
+    assert!(was_stopped_in_order(&gateway.heard));
+}
+
+/// A clock that breaks the arm's own thread once.
+struct BreakingClock {
+    clock: SystemClock,
+    breaks: AtomicBool,
+}
+
+impl Clock for BreakingClock {
+    fn now(&self) -> MonotonicTime {
+        let is_arm = std::thread::current().name().is_some_and(|name| name.starts_with("arm "));
+        assert!(!(is_arm && self.breaks.swap(false, Ordering::SeqCst)), "a mistake in the arm's thread");
+        self.clock.now()
+    }
+
+    fn sleep_until(&self, deadline: MonotonicTime) {
+        self.clock.sleep_until(deadline);
+    }
+}
+
+#[test]
+fn a_panic_in_the_arm_s_own_thread_stops_the_arm() {
+    let turn = turn();
+    let pty = Pty::open().unwrap();
+    let connector = serial(&pty);
+    let far = FarEnd::serve(Box::new(pty), FakeGateway::new(ArmId(2), FORMAT));
+    let clock = Arc::new(BreakingClock { clock: SystemClock::new(), breaks: AtomicBool::new(false) });
+    let arm = Pa10Arm::open(config(2), Box::new(connector), Arc::clone(&clock) as Arc<_>, seat());
+    let mut rig = Rig { arm: arm.map_err(|error| error.to_string()).unwrap(), far, _turn: turn };
+    rig.enable_and_move();
+    clock.breaks.store(true, Ordering::SeqCst);
+    let error = rig.exchange_until_stopped();
+    assert!(error.to_string().contains("the thread that watches the arm failed"), "{error}");
+    assert_eq!(rig.arm.state(), ArmState::Fault);
+    for result in [rig.arm.enable(), rig.arm.reset(), rig.arm.stop()] {
+        assert_eq!(result.unwrap_err().kind(), ArmErrorKind::Fault);
+    }
+    let gateway = rig.far.gateway.lock().unwrap();
     assert_eq!(gateway.state, GatewayState::Idle);
     assert!(was_stopped_in_order(&gateway.heard));
 }

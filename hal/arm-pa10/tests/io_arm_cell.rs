@@ -250,6 +250,24 @@ fn two_arms_stop_each_other_and_each_is_reset_by_itself() {
 }
 
 #[test]
+fn a_line_that_takes_no_more_bytes_has_the_joints_stopped_by_both_sides() {
+    let _turn = turn();
+    let mut rig = Rig::one();
+    rig.enable_and_move();
+    rig.end.cell().stalled = true;
+    let error = rig.exchange_until_stopped();
+    assert!(error.to_string().contains("3 exchanges in a row without a usable reply"), "{error}");
+    rig.wait_until("at rest", |rig| is_at_rest(&rig.end));
+    assert_eq!(rig.end.status().cause, StopCause::HostSilent);
+    rig.end.cell().stalled = false;
+    // What waited in the line is old, and moves nothing.
+    std::thread::sleep(Duration::from_millis(100));
+    assert!(is_at_rest(&rig.end));
+    rig.arm.reset().unwrap();
+    rig.enable_and_move();
+}
+
+#[test]
 fn single_lost_answers_are_borne() {
     let _turn = turn();
     let mut rig = Rig::one();

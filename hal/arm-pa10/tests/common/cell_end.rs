@@ -28,6 +28,8 @@ pub struct Cell {
     pub controller: MockController,
     /// Bytes for the host get lost while this is set.
     pub answers_lost: u32,
+    /// The line is neither read nor written.
+    pub stalled: bool,
     /// The time of both.
     pub now: MonotonicTime,
 }
@@ -59,7 +61,7 @@ impl Cell {
         // The emulated brakes and the watchdog are those of the sources, and the gateway knows of the slower brake.
         let controller = MockController::new(MockControllerConfig::new(format), plant, 7, now).unwrap();
         let config = GatewayConfig::new(arm, format, Firmware::new("test cell 1").unwrap());
-        Self { gateway: Gateway::new(config, now).unwrap(), controller, answers_lost: 0, now }
+        Self { gateway: Gateway::new(config, now).unwrap(), controller, answers_lost: 0, stalled: false, now }
     }
 
     /// Everything that is due until then, each thing at its time.
@@ -171,6 +173,11 @@ fn pump(bytes: Box<dyn ByteLink>, cell: &Mutex<Cell>, closed: &AtomicBool) -> In
             if closed.load(Ordering::SeqCst) && bytes.take().is_some() {
                 unplugged = Instant::now();
                 cell.gateway.handle_host_gone(now);
+            }
+            if cell.stalled {
+                drop(cell);
+                std::thread::sleep(Duration::from_millis(1));
+                continue;
             }
             if let Some(bytes) = &mut bytes {
                 let count = bytes.try_read(&mut buffer).unwrap_or(0);
