@@ -68,6 +68,26 @@ fn the_way_up_sends_what_the_sources_ask_for() {
     assert_eq!(bench.driver.counters().overruns, 0);
 }
 
+/// A gateway counts the time of the brakes from the first command that opens them, which it gets later than the driver is asked.
+#[test]
+fn brakes_have_their_time_from_the_first_answered_command_on() {
+    for wait_us in [0, 500, 3_000, 3_500, 6_000, 9_500] {
+        for drop_next in [0, 1, 2] {
+            let mut bench = Bench::in_state(DriverState::Enabled);
+            bench.run(Duration::from_micros(wait_us));
+            let from = bench.sent.len();
+            bench.request(Request::ReleaseBrakes);
+            bench.peer.drop_next = drop_next;
+            bench.settle();
+            assert_eq!(bench.driver.state(), DriverState::Holding);
+            let mut opening = bench.sent[from..].iter().filter(|(_, message)| kind(message) == Kind::Rest);
+            let (answered, _) = *opening.nth(usize::try_from(drop_next).unwrap()).unwrap();
+            let since = bench.now.saturating_since(answered + bench.peer.delay);
+            assert!(since >= ms(200), "{wait_us} us, {drop_next} lost: {since:?}");
+        }
+    }
+}
+
 #[test]
 fn cycles_keep_their_times() {
     let mut bench = Bench::in_state(DriverState::Holding);

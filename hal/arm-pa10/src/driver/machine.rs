@@ -354,7 +354,7 @@ impl Driver {
             }
             Activity::Releasing => {
                 self.motion = Motion::Rest;
-                Phase::Releasing { since: now }
+                Phase::Releasing { since: None }
             }
             Activity::None | Activity::Stopping => return,
         };

@@ -13,8 +13,8 @@ pub(super) enum Phase {
     Looking { step: LookStep, activity: Activity },
     /// Enabling: first S, then cycles with brakes on.
     Enabling { started: bool },
-    /// Opening the brakes.
-    Releasing { since: MonotonicTime },
+    /// Opening the brakes, since the first answer to a command that opens them.
+    Releasing { since: Option<MonotonicTime> },
     /// Going through the stop order.
     Stopping(StopStep),
 }

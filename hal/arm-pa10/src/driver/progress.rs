@@ -32,7 +32,11 @@ impl Driver {
                 self.phase = Phase::Looking { step: LookStep::End, activity };
             }
             Phase::Enabling { started: true } => self.judge_warm_up(now, sample),
-            Phase::Releasing { since } if now.saturating_since(since) >= self.config.brake_time => {
+            // From the first answer on: a gateway counts from the command that it got, not from the one that was lost.
+            Phase::Releasing { since: None } if self.brakes_open => {
+                self.phase = Phase::Releasing { since: Some(now) };
+            }
+            Phase::Releasing { since: Some(since) } if now.saturating_since(since) >= self.config.brake_time => {
                 self.complete(now, Event::Released);
             }
             _ => {}

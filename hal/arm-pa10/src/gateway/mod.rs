@@ -75,6 +75,11 @@ impl Gateway {
         Ok(Self { parser: FrameParser::new(config.arm), last_bytes: now, machine: Machine::new(config, now) })
     }
 
+    /// What it was told.
+    pub fn config(&self) -> &GatewayConfig {
+        &self.machine.config
+    }
+
     /// Bytes from the host, in pieces of any size up to 600 bytes: answers of more frames than that holds may find no place
     /// unless [`Self::poll_host_output`] takes them in between.
     pub fn handle_host_bytes(&mut self, now: MonotonicTime, bytes: &[u8]) {

@@ -2,7 +2,8 @@
 //!
 //! * [`arm`]: a real PA-10 behind a gateway.
 //! * [`bus`]: the ARCNET bus of an arm, and a socket in its place.
-//! * [`realtime`]: what the thread of a cycle needs.
+//! * [`gateway`]: a gateway that runs, with a thread that keeps the cycle.
+//! * [`realtime`], [`signals`]: what the thread of a cycle needs, and how it is asked to end.
 //! * [`transport`]: what all byte links have in common, and a pair of them in one process.
 //! * [`serial`], [`tcp`]: the two ways to a gateway.
 //! * [`pty`]: a pseudo-terminal, for a gateway or a controller without hardware.
@@ -11,8 +12,10 @@
 
 pub mod arm;
 pub mod bus;
+pub mod gateway;
 pub mod pty;
 pub mod realtime;
 pub mod serial;
+pub mod signals;
 pub mod tcp;
 pub mod transport;

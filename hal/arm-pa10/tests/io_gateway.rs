@@ -1,0 +1,234 @@
+//! A gateway that runs, between an emulated controller and a host, through the kernel and in real time.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+#[path = "common/world.rs"]
+mod world;
+
+use std::net::{SocketAddr, TcpListener};
+use std::time::Instant;
+
+use pb3dp_arm_pa10::driver::{DriverState, FaultCause, Request, Trip};
+use pb3dp_arm_pa10::gateway_protocol::{Dialect, GatewayState, StopCause};
+use pb3dp_arm_pa10::io::bus::{BusPort, FrameListener, FrameSocket};
+use pb3dp_arm_pa10::io::gateway::{
+    BusOpener, GatewayEvent, GatewayServer, GatewayServerConfig, GatewayServerError, Happened, HostSide,
+};
+use pb3dp_arm_pa10::io::pty::Pty;
+use pb3dp_arm_pa10::io::realtime::Realtime;
+use pb3dp_arm_pa10::io::serial::SerialConfig;
+use pb3dp_arm_pa10::io::tcp::{TcpConfig, TcpLink};
+use pb3dp_arm_pa10::mock_controller::ControlMode;
+use world::{Emulation, FORMAT, Host, LONG, calm, gateway_config, home, ms, velocity};
+
+/// Real-time where it is permitted: the tests run without as well.
+const REALTIME: Realtime = Realtime { priority: Some(20), locks_memory: false, cpu: None };
+
+fn server(host: HostSide) -> (GatewayServer, Emulation) {
+    let (gateway, controller) = FrameSocket::pair("bus").unwrap();
+    let emulation = Emulation::start(Box::new(controller), Some(ms(400)));
+    (start(once(gateway), host), emulation)
+}
+
+/// Opens what is open already, and nothing more.
+fn once(port: FrameSocket) -> BusOpener {
+    let mut port = Some(port);
+    Box::new(move || Ok(Box::new(port.take().ok_or("it was opened before")?) as Box<dyn BusPort>))
+}
+
+fn start(bus: BusOpener, host: HostSide) -> GatewayServer {
+    let config = GatewayServerConfig { gateway: gateway_config(), realtime: REALTIME };
+    GatewayServer::start(config, bus, host).unwrap()
+}
+
+fn tcp() -> (HostSide, SocketAddr) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    listener.set_nonblocking(true).unwrap();
+    let address = listener.local_addr().unwrap();
+    (HostSide::Tcp(listener), address)
+}
+
+fn connect(address: SocketAddr, dialect: Dialect) -> Host {
+    Host::new(Box::new(TcpLink::connect(&TcpConfig { address }).unwrap()), dialect)
+}
+
+fn events(server: &GatewayServer) -> Vec<Happened> {
+    std::iter::from_fn(|| server.try_event()).map(|GatewayEvent { what, .. }| what).collect()
+}
+
+fn messages_until(server: &GatewayServer, word: &str) {
+    let since = Instant::now();
+    loop {
+        if server.try_message().is_some_and(|text| text.contains(word)) {
+            return;
+        }
+        assert!(since.elapsed() < LONG, "never said: {word}");
+        std::thread::sleep(ms(2));
+    }
+}
+
+/// From HELLO to motion to a stop.
+fn go_up_and_down(host: &mut Host, emulation: &Emulation) {
+    host.open();
+    host.lead_to_moving();
+    assert!(
+        host.run_for(ms(500), |_| false) || host.driver.state() == DriverState::Moving,
+        "{:?}",
+        host.driver.latched()
+    );
+    let seen = emulation.seen();
+    let moved = seen.position_rad - home();
+    assert!(moved[6] > 0.25 * velocity()[6], "{moved}");
+    host.do_it(Request::Stop);
+    host.must_be(DriverState::Connected);
+    emulation.wait_for("at rest", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
+    let counters = emulation.seen().counters;
+    assert_eq!((counters.forbidden, counters.malformed, counters.odd, counters.let_go), (0, 0, 0, 0));
+    assert_eq!(counters.watchdog_trips, 0, "E came before the controller stopped by itself");
+}
+
+#[test]
+fn an_arm_goes_up_and_down_over_a_pseudo_terminal() {
+    calm(up_and_down_over_a_pseudo_terminal);
+}
+
+fn up_and_down_over_a_pseudo_terminal() {
+    for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
+        let pty = Pty::open().unwrap();
+        let config = SerialConfig {
+            path: pty.path().to_str().unwrap().to_owned(),
+            baud: 921_600,
+            dialect: Dialect::GatewayV1,
+            format: FORMAT,
+            cycle: ms(10),
+        };
+        let (server, emulation) = server(HostSide::Line(Box::new(config)));
+        messages_until(&server, "is open");
+        let mut host = Host::new(Box::new(pty), dialect);
+        go_up_and_down(&mut host, &emulation);
+        let happened = events(&server);
+        assert!(happened.contains(&Happened::HostGreeted(dialect)), "{happened:?}");
+        let states = happened.iter().filter_map(|what| match what {
+            Happened::State { to, .. } => Some(*to),
+            _ => None,
+        });
+        let states = states.collect::<Vec<_>>();
+        use GatewayState::{Holding, Idle, Moving, Started};
+        assert!(states.windows(3).any(|run| run == [Started, Holding, Moving]), "{states:?}");
+        assert_eq!(states.last(), Some(&Idle), "{states:?}");
+        let status = server.end().unwrap();
+        assert_eq!((status.cause, status.answers_dropped), (StopCause::None, 0));
+        // The line is gone with its owner.
+        assert!(!host.run_for(ms(5), |host| host.is_gone));
+    }
+}
+
+#[test]
+fn a_host_whose_connection_ends_in_motion_is_silent_and_the_next_one_has_to_reset() {
+    calm(connection_ends_in_motion);
+}
+
+fn connection_ends_in_motion() {
+    let (side, address) = tcp();
+    let (server, emulation) = server(side);
+    let mut host = connect(address, Dialect::GatewayV1);
+    host.open();
+    host.lead_to_moving();
+    // While it is there nobody else comes in.
+    let mut second = connect(address, Dialect::GatewayV1);
+    messages_until(&server, "was turned away");
+    assert!(second.run_for(LONG, |host| host.is_gone));
+    host.must_be(DriverState::Moving);
+    // As kill -9 of the host ends it.
+    drop(host);
+    emulation.wait_for("braked", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
+    let mut next = connect(address, Dialect::GatewayV1);
+    next.open();
+    assert_eq!(next.link.hello().unwrap().cause, StopCause::HostSilent);
+    next.do_it(Request::Connect);
+    assert!(next.driver.latched().is_some(), "a latched gateway does not start");
+    next.do_it(Request::Reset);
+    next.lead_on_to_moving();
+    next.must_be(DriverState::Moving);
+    let happened = events(&server);
+    assert!(happened.iter().any(|what| matches!(what, Happened::HostGone(_))), "{happened:?}");
+    // The owner ends the gateway in motion: through the stop order.
+    let status = server.end().unwrap();
+    assert_eq!((status.state, status.cause), (GatewayState::Idle, StopCause::None));
+    let seen = emulation.seen();
+    assert!(seen.is_braked && seen.mode == ControlMode::Adjustment, "{seen:?}");
+    assert_eq!(seen.counters.watchdog_trips, 0);
+    assert!(next.run_for(LONG, |host| host.is_gone));
+    assert!(matches!(
+        next.driver.latched().unwrap().trip,
+        Trip::Fault(FaultCause::Unplugged | FaultCause::Rejected(_))
+    ));
+}
+
+#[test]
+fn a_connection_that_has_been_silent_for_a_second_gives_way() {
+    let (side, address) = tcp();
+    let (server, _emulation) = server(side);
+    // Half-open: nothing is ever said, and the end is never told.
+    let silent = connect(address, Dialect::GatewayV1);
+    messages_until(&server, "a host connected");
+    std::thread::sleep(ms(1200));
+    let mut host = connect(address, Dialect::GatewayV1);
+    host.open();
+    let happened = events(&server);
+    assert!(happened.contains(&Happened::HostReplaced), "{happened:?}");
+    drop(silent);
+}
+
+#[test]
+fn a_bus_that_goes_down_stops_the_arm_and_may_come_back() {
+    calm(bus_goes_down);
+}
+
+fn bus_goes_down() {
+    let folder = std::env::temp_dir().join(format!("pb3dp-gateway-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("bus");
+    let listener = FrameListener::bind(&path).unwrap();
+    let its_path = path.clone();
+    let (side, address) = tcp();
+    let opener: BusOpener = Box::new(move || Ok(Box::new(FrameSocket::connect(&its_path)?) as Box<dyn BusPort>));
+    let server = start(opener, side);
+    let accept = || {
+        let since = Instant::now();
+        loop {
+            if let Some(socket) = listener.try_accept().unwrap() {
+                return Emulation::start(Box::new(socket), None);
+            }
+            assert!(since.elapsed() < LONG);
+            std::thread::sleep(ms(2));
+        }
+    };
+    let emulation = accept();
+    let mut host = connect(address, Dialect::GatewayV1);
+    host.open();
+    host.lead_to_moving();
+    drop(emulation);
+    assert!(host.run_for(LONG, |host| host.driver.state() == DriverState::Fault));
+    let emulation = accept();
+    assert!(host.run_for(LONG, |host| host.driver.activity() == pb3dp_arm_pa10::driver::Activity::None));
+    host.do_it(Request::Reset);
+    host.must_be(DriverState::Connected);
+    let happened = events(&server);
+    let position =
+        |wanted: fn(&Happened) -> bool| happened.iter().position(wanted).unwrap_or_else(|| panic!("{happened:?}"));
+    assert!(position(|what| matches!(what, Happened::BusDown(_))) < position(|what| matches!(what, Happened::BusUp)));
+    drop((host, server, emulation));
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn what_can_not_be_started_is_refused_by_name() {
+    let (side, address) = tcp();
+    let error = HostSide::listen(address).err().unwrap();
+    assert!(matches!(error, GatewayServerError::Listen { .. }), "{error}");
+    let nobody: BusOpener = Box::new(|| Err("nobody there".into()));
+    let config = GatewayServerConfig { gateway: gateway_config(), realtime: REALTIME };
+    let error = GatewayServer::start(config, nobody, side).unwrap_err();
+    assert!(matches!(error, GatewayServerError::Bus(_)), "{error}");
+}
