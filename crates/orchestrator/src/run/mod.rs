@@ -3,9 +3,12 @@
 pub mod carrier;
 pub mod cell;
 pub mod compared;
+pub mod journal;
 pub mod lockstep;
 pub mod log;
+pub mod looking;
 pub mod methods;
+pub mod moving;
 pub mod paced_clock;
 pub mod recording;
 pub mod report;

@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_record::report::{LinePlot, Report, ReportPicture, Series, SeriesColor, Table};
 
-use super::lockstep::Outcome;
+use super::journal::Outcome;
 use super::log::{ControlSample, RunLog};
 use super::methods;
 use super::summary::{MedianP95, RmsMax, RunSummary, TrackingError};

@@ -1,0 +1,78 @@
+//! What is written down of control steps, beside the truth.
+
+use pb3dp_geometry::{MonotonicTime, Pose};
+use pb3dp_kinematics::{Chain, smallest_singular_value};
+
+use super::cell::SimulatedCell;
+use super::log::{ControlSample, RunLog};
+use super::looking::Looked;
+use super::moving::Moved;
+use super::strip::Strip;
+use crate::config::setup::Setup;
+
+/// How often progress is told, seconds of the experiment.
+const PROGRESS_EVERY_S: f64 = 5.0;
+
+/// What a run leaves behind.
+pub struct Outcome {
+    /// Everything written down.
+    pub log: RunLog,
+    /// Annotated pictures from moments of interest.
+    pub strip: Strip,
+}
+
+/// Writes control steps down.
+pub struct Journal {
+    cell: SimulatedCell,
+    chain: Chain,
+    begin: MonotonicTime,
+    duration_s: f64,
+    next_progress_s: f64,
+    log: RunLog,
+}
+
+impl Journal {
+    /// An empty journal of an experiment with this duration that begins at `begin`.
+    pub fn new(setup: &Setup, cell: SimulatedCell, (begin, duration_s): (MonotonicTime, f64), log: RunLog) -> Self {
+        Self { cell, chain: setup.vs.chain.clone(), begin, duration_s, next_progress_s: 0.0, log }
+    }
+
+    /// Writes a step down, and where everything truly was: not longer ago than the joints of the simulation remember.
+    pub fn note(&mut self, moved: &Moved) {
+        let t_s = moved.at.seconds_since(self.begin);
+        let mode = moved.mode.to_string();
+        let last_mode = self.log.control.last().map(|sample| sample.mode.clone());
+        let word = |text: &str| text.split(':').next().unwrap_or_default().to_owned();
+        if last_mode.as_deref().map(word) != Some(word(&mode)) {
+            self.log.events.push((t_s, mode.clone()));
+            tracing::debug!("{t_s:7.2} s  {mode}");
+        }
+        if t_s >= self.next_progress_s {
+            self.next_progress_s += PROGRESS_EVERY_S;
+            tracing::info!("{t_s:5.1} of {:.1} s  {mode}", self.duration_s);
+        }
+        let jacobian = self.chain.jacobian(&moved.vs_joints.position_rad);
+        self.log.control.push(ControlSample {
+            t_s,
+            world_from_target: self.cell.world_from_target_at(moved.at),
+            world_from_hand: self.cell.world_from_hand_at(moved.at),
+            // Completed at the end of the run.
+            world_from_hand_wanted: Pose::coincident(),
+            mode,
+            smallest_singular_value: smallest_singular_value(&jacobian),
+        });
+    }
+
+    /// What is left behind. Before the first estimate nobody knew where on the target the model is: those samples are
+    /// completed now.
+    pub fn finish(mut self, setup: &Setup, looked: Looked, limited_steps: u64) -> Outcome {
+        let target_from_model = looked.target_from_model.unwrap_or_else(Pose::coincident);
+        let model_from_hand = setup.controller.model_from_hand_desired;
+        for sample in &mut self.log.control {
+            sample.world_from_hand_wanted = sample.world_from_target * target_from_model * model_from_hand;
+        }
+        let Looked { leading, compared, pairs_lost, strip, .. } = looked;
+        let log = RunLog { leading, compared, pairs_lost, limited_steps, ..self.log };
+        Outcome { log, strip }
+    }
+}

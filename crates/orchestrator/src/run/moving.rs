@@ -1,0 +1,125 @@
+//! The half of a run that moves: both arms, the controller, and what each control step is to be remembered by.
+
+use anyhow::{Context, Result};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{JointCommand, JointState};
+use pb3dp_kinematics::{Damping, JointVector};
+use pb3dp_servo::{Command, Controller, Mode, TargetObservation};
+use pb3dp_sim::placement::FlangePath;
+use pb3dp_sim::trajectory::StepExperiment;
+
+use super::carrier::carry;
+use crate::config::setup::Setup;
+use crate::wiring::DrivenArm;
+
+/// Both arms with what leads them.
+pub struct Moving<'a> {
+    setup: &'a Setup,
+    vs: Box<dyn DrivenArm>,
+    tc: Box<dyn DrivenArm>,
+    path: FlangePath<'a>,
+    controller: Controller,
+    damping: Damping,
+    begin: MonotonicTime,
+    vs_joints: JointState,
+    tc_joints: JointState,
+    newest: Option<TargetObservation>,
+}
+
+/// One control step.
+#[derive(Clone, Copy, Debug)]
+pub struct Moved {
+    /// When it was begun.
+    pub at: MonotonicTime,
+    /// What the controller was doing.
+    pub mode: Mode,
+    /// The arm that carries the cameras, as it was measured.
+    pub vs_joints: JointState,
+}
+
+impl<'a> Moving<'a> {
+    /// Arms that are not yet switched on. The experiment begins at `begin`.
+    ///
+    /// # Errors
+    /// A parameter of the controller out of its range.
+    pub fn new(
+        setup: &'a Setup,
+        (vs, tc): (Box<dyn DrivenArm>, Box<dyn DrivenArm>),
+        experiment: &'a StepExperiment,
+        begin: MonotonicTime,
+    ) -> Result<Self> {
+        let limiter = &setup.vs.limiter;
+        let limits = limiter.hard_limits.with_position_range(limiter.operating_min_rad, limiter.operating_max_rad)?;
+        let at_rest = |position_rad: JointVector| JointState {
+            at: begin,
+            position_rad,
+            velocity_rad_per_s: JointVector::zeros(),
+        };
+        Ok(Self {
+            controller: Controller::new(setup.controller, setup.vs.chain.clone(), limits)?,
+            damping: Damping::new(setup.controller.damping.threshold, setup.controller.damping.factor_max)?,
+            path: FlangePath::of_carrier(experiment, &setup.tc.world_from_base, &setup.flange_from_target),
+            begin,
+            vs_joints: at_rest(setup.vs.start_rad),
+            tc_joints: at_rest(setup.tc.start_rad),
+            newest: None,
+            setup,
+            vs,
+            tc,
+        })
+    }
+
+    /// Drives on, and where the joints really are.
+    ///
+    /// # Errors
+    /// The arm that can not be switched on, and why.
+    pub fn enable(&mut self) -> Result<()> {
+        self.vs.enable().context("vs-robot: enable")?;
+        self.tc.enable().context("tc-robot: enable")?;
+        self.vs_joints = self.vs.exchange(JointCommand::Hold).context("vs-robot")?;
+        self.tc_joints = self.tc.exchange(JointCommand::Hold).context("tc-robot")?;
+        Ok(())
+    }
+
+    /// The experiment begins at this time.
+    pub fn begin_at(&mut self, begin: MonotonicTime) {
+        self.begin = begin;
+    }
+
+    /// The newest that was seen of the target.
+    pub fn observe(&mut self, observation: TargetObservation) {
+        self.newest = Some(observation);
+    }
+
+    /// One step of both arms.
+    ///
+    /// # Errors
+    /// The arm that fails, and why.
+    pub fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
+        let t_s = now.seconds_since(self.begin);
+        let velocity = carry(&self.setup.tc.chain, &self.damping, &self.path, t_s, &self.tc_joints.position_rad);
+        self.tc_joints = self.tc.exchange(JointCommand::Velocity(velocity)).context("tc-robot")?;
+        let step = self.controller.step(&self.vs_joints, self.newest.as_ref(), now);
+        let command = match step.command {
+            Command::Velocity(velocity) => JointCommand::Velocity(velocity),
+            Command::Hold => JointCommand::Hold,
+        };
+        self.vs_joints = self.vs.exchange(command).context("vs-robot")?;
+        Ok(Moved { at: now, mode: step.mode, vs_joints: self.vs_joints })
+    }
+
+    /// Both arms come to rest with brakes on, whatever happened; the first failure is told.
+    ///
+    /// # Errors
+    /// The arm that can not be told.
+    pub fn stop(&mut self) -> Result<()> {
+        let vs = self.vs.stop().context("vs-robot: stop");
+        let tc = self.tc.stop().context("tc-robot: stop");
+        vs.and(tc)
+    }
+
+    /// Control steps in which the limiter changed a command of the arm that carries the cameras.
+    pub fn limited_steps(&self) -> u64 {
+        self.vs.limited_commands()
+    }
+}
