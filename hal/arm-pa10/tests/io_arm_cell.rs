@@ -4,11 +4,14 @@
 
 #[path = "common/cell_end.rs"]
 mod cell_end;
+#[path = "common/patience.rs"]
+mod patience;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use cell_end::{Cell, CellEnd};
+use patience::patiently;
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, FaultCause, LimitsCheck, Trip};
 use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, GatewayState, Geometry, StopCause};
@@ -134,150 +137,170 @@ fn is_at_rest(end: &CellEnd) -> bool {
 
 #[test]
 fn joints_go_where_they_are_told_in_every_dialect_and_format() {
-    let _turn = turn();
-    let kinds =
-        [(Dialect::GatewayV1, B), (Dialect::Transparent, B), (Dialect::Transparent, WireFormat::LittleEndian5x8)];
-    for (dialect, format) in kinds {
-        let seat = trip_line(1).unwrap().remove(0);
-        let mut rig = Rig::new(3, dialect, format, seat, &Arc::new(SystemClock::new()));
-        let read = rig.arm.monitor().snapshot().limits[1].unwrap();
-        assert!((read.upper_rad - 94f64.to_radians()).abs() < 1e-4, "{read:?}");
-        rig.enable_and_move();
-        let (from, begin) = (rig.end.cell().position(), rig.clock.now());
-        rig.exchange(JointCommand::Velocity(velocity()), 50);
-        let (to, end) = (rig.end.cell().position(), rig.clock.now());
-        let moved = (to - from) / end.seconds_since(begin);
-        // What a loaded machine loses of the time is lost to all joints alike.
-        let part = moved.dot(&velocity()) / velocity().norm_squared();
-        assert!((moved - velocity() * part).amax() < 0.01, "{dialect:?}: {moved}");
-        assert!((0.3..1.1).contains(&part), "{dialect:?}: {part}");
-        let measured = rig.arm.exchange(JointCommand::Hold).map(|joints| joints.position_rad);
-        if let Ok(measured) = measured {
-            assert!((measured - to).amax() < 0.05, "{measured}");
+    patiently(|| {
+        let _turn = turn();
+        let kinds =
+            [(Dialect::GatewayV1, B), (Dialect::Transparent, B), (Dialect::Transparent, WireFormat::LittleEndian5x8)];
+        for (dialect, format) in kinds {
+            let seat = trip_line(1).unwrap().remove(0);
+            let mut rig = Rig::new(3, dialect, format, seat, &Arc::new(SystemClock::new()));
+            let read = rig.arm.monitor().snapshot().limits[1].unwrap();
+            assert!((read.upper_rad - 94f64.to_radians()).abs() < 1e-4, "{read:?}");
+            rig.enable_and_move();
+            let (from, begin) = (rig.end.cell().position(), rig.clock.now());
+            rig.exchange(JointCommand::Velocity(velocity()), 50);
+            let (to, end) = (rig.end.cell().position(), rig.clock.now());
+            let moved = (to - from) / end.seconds_since(begin);
+            // What a loaded machine loses of the time is lost to all joints alike.
+            let part = moved.dot(&velocity()) / velocity().norm_squared();
+            assert!((moved - velocity() * part).amax() < 0.01, "{dialect:?}: {moved}");
+            assert!((0.3..1.1).contains(&part), "{dialect:?}: {part}");
+            let measured = rig.arm.exchange(JointCommand::Hold).map(|joints| joints.position_rad);
+            if let Ok(measured) = measured {
+                assert!((measured - to).amax() < 0.05, "{measured}");
+            }
+            rig.arm.stop().unwrap();
+            assert!(is_at_rest(&rig.end), "{dialect:?}");
+            assert_eq!(rig.end.state(), GatewayState::Idle);
+            let status = rig.end.status();
+            println!(
+                "{dialect:?} {format}: {part:.3} of the way, {:?}, {:?}",
+                rig.arm.monitor().jitter(),
+                status.cycle
+            );
         }
-        rig.arm.stop().unwrap();
-        assert!(is_at_rest(&rig.end), "{dialect:?}");
-        assert_eq!(rig.end.state(), GatewayState::Idle);
-        let status = rig.end.status();
-        println!("{dialect:?} {format}: {part:.3} of the way, {:?}, {:?}", rig.arm.monitor().jitter(), status.cycle);
-    }
+    });
 }
 
 #[test]
 fn unplugging_in_motion_stops_the_joints() {
-    let _turn = turn();
-    let mut rig = Rig::one();
-    rig.enable_and_move();
-    let unplugged = rig.end.unplug();
-    let stopped = unplugged.elapsed();
-    // The gateway has gone through its stop order before its thread ends.
-    assert!(is_at_rest(&rig.end));
-    assert_eq!(rig.end.status().cause, StopCause::HostSilent);
-    rig.wait_until("unplugged", |rig| rig.arm.state() == ArmState::Fault);
-    assert_eq!(rig.trip(), Trip::Fault(FaultCause::Unplugged));
-    println!("unplugged: the stop order was over after {stopped:?}");
-    assert!(stopped < Duration::from_secs(3), "{stopped:?}");
+    patiently(|| {
+        let _turn = turn();
+        let mut rig = Rig::one();
+        rig.enable_and_move();
+        let unplugged = rig.end.unplug();
+        let stopped = unplugged.elapsed();
+        // The gateway has gone through its stop order before its thread ends.
+        assert!(is_at_rest(&rig.end));
+        assert_eq!(rig.end.status().cause, StopCause::HostSilent);
+        rig.wait_until("unplugged", |rig| rig.arm.state() == ArmState::Fault);
+        assert_eq!(rig.trip(), Trip::Fault(FaultCause::Unplugged));
+        println!("unplugged: the stop order was over after {stopped:?}");
+        assert!(stopped < Duration::from_secs(3), "{stopped:?}");
+    });
 }
 
 #[test]
 fn an_arm_that_is_dropped_in_motion_has_its_brakes_closed_afterwards() {
-    let _turn = turn();
-    let mut rig = Rig::one();
-    rig.enable_and_move();
-    let Rig { arm, end, .. } = rig;
-    drop(arm);
-    assert!(is_at_rest(&end));
-    assert_eq!((end.state(), end.status().cause), (GatewayState::Idle, StopCause::None));
+    patiently(|| {
+        let _turn = turn();
+        let mut rig = Rig::one();
+        rig.enable_and_move();
+        let Rig { arm, end, .. } = rig;
+        drop(arm);
+        assert!(is_at_rest(&end));
+        assert_eq!((end.state(), end.status().cause), (GatewayState::Idle, StopCause::None));
+    });
 }
 
 #[test]
 fn a_control_loop_that_stays_away_has_the_joints_stopped() {
-    let _turn = turn();
-    let mut rig = Rig::one();
-    rig.enable_and_move();
-    rig.wait_until("stopped", |rig| rig.arm.state() == ArmState::Fault);
-    rig.wait_until("at rest", |rig| is_at_rest(&rig.end));
-    assert!(matches!(rig.trip(), Trip::Fault(FaultCause::CommandTimeout { .. })), "{:?}", rig.trip());
-    // The gateway sees a sound stop order, and nothing to latch.
-    rig.wait_until("ended", |rig| rig.end.state() == GatewayState::Idle);
-    assert_eq!(rig.end.status().cause, StopCause::None);
+    patiently(|| {
+        let _turn = turn();
+        let mut rig = Rig::one();
+        rig.enable_and_move();
+        rig.wait_until("stopped", |rig| rig.arm.state() == ArmState::Fault);
+        rig.wait_until("at rest", |rig| is_at_rest(&rig.end));
+        assert!(matches!(rig.trip(), Trip::Fault(FaultCause::CommandTimeout { .. })), "{:?}", rig.trip());
+        // The gateway sees a sound stop order, and nothing to latch.
+        rig.wait_until("ended", |rig| rig.end.state() == GatewayState::Idle);
+        assert_eq!(rig.end.status().cause, StopCause::None);
+    });
 }
 
 #[test]
 fn a_fault_of_the_arm_is_told_with_axis_and_alarm_and_reset_when_it_is_gone() {
-    let _turn = turn();
-    let mut rig = Rig::one();
-    rig.enable_and_move();
-    rig.end.inject("alarm 4 0x0e");
-    let error = rig.exchange_until_stopped();
-    assert_eq!(error.kind(), ArmErrorKind::Fault);
-    for part in ["arm arm-2", "E1", "over-current", "remove the cause, then reset"] {
-        assert!(error.to_string().contains(part), "{part}: {error}");
-    }
-    let error = rig.arm.reset().unwrap_err();
-    assert_eq!((error.kind(), rig.arm.state()), (ArmErrorKind::Fault, ArmState::Fault), "{error}");
-    rig.end.inject("alarm 4 off");
-    rig.arm.reset().unwrap();
-    assert_eq!(rig.arm.state(), ArmState::Disabled);
-    rig.enable_and_move();
+    patiently(|| {
+        let _turn = turn();
+        let mut rig = Rig::one();
+        rig.enable_and_move();
+        rig.end.inject("alarm 4 0x0e");
+        let error = rig.exchange_until_stopped();
+        assert_eq!(error.kind(), ArmErrorKind::Fault);
+        for part in ["arm arm-2", "E1", "over-current", "remove the cause, then reset"] {
+            assert!(error.to_string().contains(part), "{part}: {error}");
+        }
+        let error = rig.arm.reset().unwrap_err();
+        assert_eq!((error.kind(), rig.arm.state()), (ArmErrorKind::Fault, ArmState::Fault), "{error}");
+        rig.end.inject("alarm 4 off");
+        rig.arm.reset().unwrap();
+        assert_eq!(rig.arm.state(), ArmState::Disabled);
+        rig.enable_and_move();
+    });
 }
 
 #[test]
 fn two_arms_stop_each_other_and_each_is_reset_by_itself() {
-    let _turn = turn();
-    let clock = Arc::new(SystemClock::new());
-    let mut seats = trip_line(2).unwrap();
-    let mut second = Rig::new(2, Dialect::GatewayV1, B, seats.pop().unwrap(), &clock);
-    let mut first = Rig::new(1, Dialect::GatewayV1, B, seats.pop().unwrap(), &clock);
-    first.enable();
-    second.enable();
-    for _ in 0..20 {
-        first.exchange(JointCommand::Velocity(velocity()), 1);
-        second.exchange(JointCommand::Velocity(velocity()), 1);
-    }
-    second.end.inject("e-stop press");
-    second.wait_until("stopped", |rig| rig.arm.state() == ArmState::EStop);
-    first.wait_until("stopped", |rig| rig.arm.state() == ArmState::Fault);
-    assert_eq!(first.trip(), Trip::Fault(FaultCause::OtherArm { arm: 2 }));
-    first.wait_until("at rest", |rig| is_at_rest(&rig.end));
-    assert!(is_at_rest(&second.end));
-    first.arm.reset().unwrap();
-    assert!(second.arm.reset().is_err());
-    second.end.inject("e-stop release");
-    second.arm.reset().unwrap();
-    assert_eq!(second.arm.monitor().snapshot().state, DriverState::Connected);
-    first.enable_and_move();
+    patiently(|| {
+        let _turn = turn();
+        let clock = Arc::new(SystemClock::new());
+        let mut seats = trip_line(2).unwrap();
+        let mut second = Rig::new(2, Dialect::GatewayV1, B, seats.pop().unwrap(), &clock);
+        let mut first = Rig::new(1, Dialect::GatewayV1, B, seats.pop().unwrap(), &clock);
+        first.enable();
+        second.enable();
+        for _ in 0..20 {
+            first.exchange(JointCommand::Velocity(velocity()), 1);
+            second.exchange(JointCommand::Velocity(velocity()), 1);
+        }
+        second.end.inject("e-stop press");
+        second.wait_until("stopped", |rig| rig.arm.state() == ArmState::EStop);
+        first.wait_until("stopped", |rig| rig.arm.state() == ArmState::Fault);
+        assert_eq!(first.trip(), Trip::Fault(FaultCause::OtherArm { arm: 2 }));
+        first.wait_until("at rest", |rig| is_at_rest(&rig.end));
+        assert!(is_at_rest(&second.end));
+        first.arm.reset().unwrap();
+        assert!(second.arm.reset().is_err());
+        second.end.inject("e-stop release");
+        second.arm.reset().unwrap();
+        assert_eq!(second.arm.monitor().snapshot().state, DriverState::Connected);
+        first.enable_and_move();
+    });
 }
 
 #[test]
 fn a_line_that_takes_no_more_bytes_has_the_joints_stopped_by_both_sides() {
-    let _turn = turn();
-    let mut rig = Rig::one();
-    rig.enable_and_move();
-    rig.end.cell().stalled = true;
-    let error = rig.exchange_until_stopped();
-    assert!(error.to_string().contains("3 exchanges in a row without a usable reply"), "{error}");
-    rig.wait_until("at rest", |rig| is_at_rest(&rig.end));
-    assert_eq!(rig.end.status().cause, StopCause::HostSilent);
-    rig.end.cell().stalled = false;
-    // What waited in the line is old, and moves nothing.
-    std::thread::sleep(Duration::from_millis(100));
-    assert!(is_at_rest(&rig.end));
-    rig.arm.reset().unwrap();
-    rig.enable_and_move();
+    patiently(|| {
+        let _turn = turn();
+        let mut rig = Rig::one();
+        rig.enable_and_move();
+        rig.end.cell().stalled = true;
+        let error = rig.exchange_until_stopped();
+        assert!(error.to_string().contains("3 exchanges in a row without a usable reply"), "{error}");
+        rig.wait_until("at rest", |rig| is_at_rest(&rig.end));
+        assert_eq!(rig.end.status().cause, StopCause::HostSilent);
+        rig.end.cell().stalled = false;
+        // What waited in the line is old, and moves nothing.
+        std::thread::sleep(Duration::from_millis(100));
+        assert!(is_at_rest(&rig.end));
+        rig.arm.reset().unwrap();
+        rig.enable_and_move();
+    });
 }
 
 #[test]
 fn single_lost_answers_are_borne() {
-    let _turn = turn();
-    let mut rig = Rig::one();
-    rig.enable_and_move();
-    let before = rig.arm.monitor().snapshot().counters.lost;
-    for _ in 0..10 {
-        rig.end.cell().answers_lost = 1;
-        rig.exchange(JointCommand::Velocity(velocity()), 5);
-    }
-    let after = rig.arm.monitor().snapshot();
-    assert!(after.counters.lost - before >= 10, "{after:?}");
-    assert_eq!(after.state, DriverState::Moving, "{:?}", after.latched);
+    patiently(|| {
+        let _turn = turn();
+        let mut rig = Rig::one();
+        rig.enable_and_move();
+        let before = rig.arm.monitor().snapshot().counters.lost;
+        for _ in 0..10 {
+            rig.end.cell().answers_lost = 1;
+            rig.exchange(JointCommand::Velocity(velocity()), 5);
+        }
+        let after = rig.arm.monitor().snapshot();
+        assert!(after.counters.lost - before >= 10, "{after:?}");
+        assert_eq!(after.state, DriverState::Moving, "{:?}", after.latched);
+    });
 }

@@ -7,6 +7,8 @@
 
 #[path = "common/cell_end.rs"]
 mod cell_end;
+#[path = "common/patience.rs"]
+mod patience;
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
@@ -15,6 +17,7 @@ use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
 use cell_end::{Cell, CellEnd};
+use patience::patiently;
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::DriverConfig;
 use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, GatewayState, Geometry, StopCause};
@@ -39,7 +42,7 @@ fn main() {
         _ => {
             for (name, test) in [("killed", killed as fn()), ("frozen", frozen)] {
                 println!("test {name} ...");
-                test();
+                patiently(test);
                 println!("test {name} ... ok");
             }
         }

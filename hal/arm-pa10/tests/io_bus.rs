@@ -85,6 +85,9 @@ fn frames_go_through_an_arcnet_interface_whole() {
     };
     assert_eq!(ArcnetSocket::open("arctest0").unwrap_err(), ArcnetError::Down { name: "arctest0".into() });
     tunnel.switch(true);
+    let first = ArcnetSocket::open("arctest0").unwrap();
+    assert_eq!(ArcnetSocket::open("arctest0").unwrap_err(), ArcnetError::InUse { name: "arctest0".into() });
+    drop(first);
     let mut port = ArcnetSocket::open("arctest0").unwrap();
     for format in WireFormat::ALL {
         let frame = frame(format);

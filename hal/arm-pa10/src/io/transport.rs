@@ -110,8 +110,18 @@ pub struct Ready {
 ///
 /// A signal ends the wait early, with nothing ready.
 pub fn wait(link: Option<&dyn ByteLink>, for_room: bool, waker: Option<BorrowedFd<'_>>, timeout: Duration) -> Ready {
+    wait_for(link.map(ByteLink::fd), for_room, waker, timeout)
+}
+
+/// The same for whatever has a file descriptor.
+pub fn wait_for(
+    link: Option<BorrowedFd<'_>>,
+    for_room: bool,
+    waker: Option<BorrowedFd<'_>>,
+    timeout: Duration,
+) -> Ready {
     let interest = if for_room { PollFlags::IN | PollFlags::OUT } else { PollFlags::IN };
-    let of_link = link.map(|link| PollFd::from_borrowed_fd(link.fd(), interest));
+    let of_link = link.map(|link| PollFd::from_borrowed_fd(link, interest));
     let of_waker = waker.map(|waker| PollFd::from_borrowed_fd(waker, PollFlags::IN));
     let timeout = Timespec {
         tv_sec: i64::try_from(timeout.as_secs()).unwrap_or(i64::MAX),

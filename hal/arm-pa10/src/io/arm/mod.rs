@@ -1,9 +1,12 @@
-//! A real PA-10 behind a gateway: the arm traits over a thread of its own.
+//! A real PA-10, behind a gateway or on a bus of this computer: the arm traits over a thread of its own.
 //!
 //! The thread owns the driver, the link and the bytes. It cycles by absolute time, notices what happens on the line at once, keeps the
 //! gateway informed while nothing moves, and stops the arm when its owner stays away. [`Pa10Arm`] hands commands to it and takes
 //! samples from it; [`ArmMonitor`] looks on; [`TripHandle`] stops it; a [`trip_line`] makes the arms of a cell stop each other.
 
+mod bus_port;
+mod config;
+mod gateway_port;
 mod jitter;
 mod port;
 mod shared;
@@ -19,15 +22,19 @@ use std::time::Duration;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand};
 use pb3dp_kinematics::JointState;
 
-use self::port::GatewayPort;
+use self::bus_port::ControllerPort;
+use self::gateway_port::GatewayPort;
+use self::port::HostPort;
 use self::shared::{Shared, Wish};
 use self::worker::{LET_GO_MAX, Progress, WishEnd, Worker};
 use super::realtime::{Realtime, enter};
-use super::transport::Connector;
+use super::transport::{ConnectError, Connector};
 use crate::codec::ArmCommand;
-use crate::driver::{Activity, Driver, DriverConfig, DriverConfigError};
-use crate::link::GatewayLinkConfig;
+use crate::driver::{Activity, Driver, DriverConfig};
+use crate::gateway_protocol::ArmId;
 
+pub use bus_port::BusTarget;
+pub use config::{ArmOpenError, BusArmConfig, Pa10ArmConfig, REALTIME};
 pub use jitter::Jitter;
 pub use shared::{ArmMonitor, ArmSnapshot};
 pub use trip_line::{TripHandle, TripSeat, trip_line};
@@ -36,90 +43,13 @@ pub use wish::WishError;
 /// How long an exchange waits for a measurement that is newer than the last one, in cycles. The contract allows two.
 const SAMPLE_WAIT_CYCLES: f64 = 1.75;
 
-/// Above ordinary programs, below the interrupts of the system.
-const PRIORITY: u8 = 50;
-
 /// Activities in a row that a wish may take at most.
 const ACTIVITIES_MAX: u32 = 3;
 
 /// Opening and greeting a link, at most.
 const OPEN_MAX: Duration = Duration::from_secs(2);
 
-/// What an arm is told.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Pa10ArmConfig {
-    /// For messages: `vs-robot`.
-    pub name: String,
-    /// Of the driver.
-    pub driver: DriverConfig,
-    /// Of the link.
-    pub link: GatewayLinkConfig,
-    /// What the thread asks the system for. Without it other programs delay its cycles.
-    pub realtime: Realtime,
-}
-
-impl Pa10ArmConfig {
-    /// An arm with this name; its thread asks for real time.
-    pub fn new(name: &str, driver: DriverConfig, link: GatewayLinkConfig) -> Self {
-        let realtime = Realtime { priority: Some(PRIORITY), locks_memory: true, cpu: None };
-        Self { name: name.to_owned(), driver, link, realtime }
-    }
-}
-
-/// Why there is no arm.
-#[derive(Debug, thiserror::Error)]
-pub enum ArmOpenError {
-    /// The configuration contradicts itself.
-    #[error("arm {arm}")]
-    Config {
-        /// Its name.
-        arm: String,
-        /// How.
-        #[source]
-        source: DriverConfigError,
-    },
-    /// Driver and link have different cycles.
-    #[error("arm {arm}: a cycle of {driver:?} in the driver and of {link:?} in the link: give one to both")]
-    Cycles {
-        /// Its name.
-        arm: String,
-        /// Of the driver.
-        driver: Duration,
-        /// Of the link.
-        link: Duration,
-    },
-    /// The link can not be opened.
-    #[error("arm {arm}: {target} can not be opened")]
-    Open {
-        /// Its name.
-        arm: String,
-        /// Where it leads.
-        target: String,
-        /// Why not.
-        #[source]
-        source: super::transport::ConnectError,
-    },
-    /// The operating system gives no thread.
-    #[error("arm {arm}: no thread for it")]
-    Thread {
-        /// Its name.
-        arm: String,
-        /// Why not.
-        #[source]
-        source: std::io::Error,
-    },
-    /// There is no arm at the end of the link.
-    #[error("arm {arm}")]
-    Connect {
-        /// Its name.
-        arm: String,
-        /// Why not.
-        #[source]
-        source: WishError,
-    },
-}
-
-/// A real PA-10 behind a gateway.
+/// A real PA-10.
 ///
 /// `exchange` returns one measurement per cycle: at once where a newer one than the last is there, else when it comes, after at most
 /// 1.75 cycles. A single lost reply is no error to a loop with the arm's own cycle; it is counted. In a state in which nothing is
@@ -127,7 +57,7 @@ pub enum ArmOpenError {
 ///
 /// Dropping it stops the arm: it is at rest within its emergency ramp, and the brakes are told to close within 100 ms.
 pub struct Pa10Arm {
-    config: Pa10ArmConfig,
+    driver: DriverConfig,
     info: ArmInfo,
     clock: Arc<dyn Clock>,
     shared: Arc<Shared>,
@@ -137,6 +67,16 @@ pub struct Pa10Arm {
     warnings: Vec<String>,
     /// Of the last measurement that was returned.
     samples_seen: u64,
+}
+
+/// What is the same for every way to an arm.
+struct Start {
+    name: String,
+    arm: ArmId,
+    driver: DriverConfig,
+    exchange_cycle: Duration,
+    realtime: Realtime,
+    target: String,
 }
 
 impl Pa10Arm {
@@ -149,52 +89,73 @@ impl Pa10Arm {
     /// If the link can not be opened, nobody answers, or it is not the gateway of the configuration.
     pub fn open(
         config: Pa10ArmConfig,
-        mut connector: Box<dyn Connector>,
+        connector: Box<dyn Connector>,
         clock: Arc<dyn Clock>,
         seat: TripSeat,
     ) -> Result<Self, ArmOpenError> {
-        let arm = || config.name.clone();
-        let driver = Driver::new(config.driver).map_err(|source| ArmOpenError::Config { arm: arm(), source })?;
-        if config.driver.cycle != config.link.cycle {
-            let (driver, link) = (config.driver.cycle, config.link.cycle);
-            return Err(ArmOpenError::Cycles { arm: arm(), driver, link });
+        let Pa10ArmConfig { name, driver, link, realtime } = config;
+        if driver.cycle != link.cycle {
+            return Err(ArmOpenError::Cycles { arm: name, driver: driver.cycle, link: link.cycle });
         }
         let target = connector.target();
-        let opened = connector.connect();
-        let bytes = opened.map_err(|source| ArmOpenError::Open { arm: arm(), target: target.clone(), source })?;
-        let mut warnings: Vec<_> = bytes.warning().into_iter().collect();
+        let start = Start { name, arm: link.arm, driver, exchange_cycle: link.cycle, realtime, target };
+        Self::start(start, move || Ok(Box::new(GatewayPort::open(link, connector)?)), clock, seat)
+    }
+
+    /// The same for an arm whose ARCNET card is in this computer.
+    ///
+    /// # Errors
+    /// If the bus can not be opened. An arm whose controller does not answer is opened and stopped by that fault.
+    pub fn open_on_bus(config: BusArmConfig, clock: Arc<dyn Clock>, seat: TripSeat) -> Result<Self, ArmOpenError> {
+        let BusArmConfig { name, arm, driver, exchange_cycle, format, modulus, target, realtime } = config;
+        if exchange_cycle < driver.cycle || exchange_cycle * 2 > driver.watchdog.ramp_after() {
+            return Err(ArmOpenError::ExchangeCycle { arm: name, got: exchange_cycle, bus: driver.cycle });
+        }
+        let start = Start { name, arm, driver, exchange_cycle, realtime, target: target.to_string() };
+        Self::start(start, move || Ok(Box::new(ControllerPort::open(format, modulus, target)?)), clock, seat)
+    }
+
+    fn start(
+        start: Start,
+        open: impl FnOnce() -> Result<Box<dyn HostPort>, ConnectError>,
+        clock: Arc<dyn Clock>,
+        seat: TripSeat,
+    ) -> Result<Self, ArmOpenError> {
+        let Start { name, arm, driver: config, exchange_cycle, realtime, target } = start;
+        let of_arm = || name.clone();
+        let driver = Driver::new(config).map_err(|source| ArmOpenError::Config { arm: of_arm(), source })?;
+        let opened = open();
+        let port = opened.map_err(|source| ArmOpenError::Open { arm: of_arm(), target: target.clone(), source })?;
+        let mut warnings: Vec<_> = port.warning().into_iter().collect();
         let shared = Arc::new(Shared::new());
         let trip = seat.handle();
         let (ends_out, ends) = channel();
         let worker = Worker {
-            arm: config.link.arm,
-            cycle: config.driver.cycle,
+            arm,
+            cycle: config.cycle,
             driver,
-            port: GatewayPort::new(config.link, bytes),
-            connector,
+            port,
             clock: Arc::clone(&clock),
             seat,
             shared: Arc::clone(&shared),
             ends: ends_out,
             progress: Progress::default(),
         };
-        let (wanted, (shortfalls_out, shortfalls)) = (config.realtime, channel());
+        let (shortfalls_out, shortfalls) = channel();
         let serve = move || {
             // Nobody can be gone who waits for it.
-            let _ = shortfalls_out.send(enter(&wanted));
+            let _ = shortfalls_out.send(enter(&realtime));
             worker::run(worker);
         };
-        let thread = std::thread::Builder::new().name(format!("arm {}", config.name)).spawn(serve);
-        let thread = thread.map_err(|source| ArmOpenError::Thread { arm: arm(), source })?;
+        let thread = std::thread::Builder::new().name(format!("arm {name}")).spawn(serve);
+        let thread = thread.map_err(|source| ArmOpenError::Thread { arm: of_arm(), source })?;
         let shortfalls = shortfalls.recv_timeout(OPEN_MAX).unwrap_or_default();
-        warnings.extend(shortfalls.iter().map(|shortfall| format!("arm {}: {shortfall}", config.name)));
-        let info = ArmInfo { name: format!("{} (pa10 at {target})", config.name), cycle: config.driver.cycle };
-        let mut opened =
-            Self { config, info, clock, shared, trip, ends, thread: Some(thread), warnings, samples_seen: 0 };
-        match opened.fulfil(Wish::Connect) {
-            Ok(()) => Ok(opened),
-            Err(source) => Err(ArmOpenError::Connect { arm: opened.config.name.clone(), source }),
-        }
+        warnings.extend(shortfalls.iter().map(|shortfall| format!("arm {name}: {shortfall}")));
+        let info = ArmInfo { name: format!("{name} (pa10 at {target})"), cycle: exchange_cycle };
+        let thread = Some(thread);
+        let mut opened = Self { driver: config, info, clock, shared, trip, ends, thread, warnings, samples_seen: 0 };
+        opened.fulfil(Wish::Connect).map_err(|source| ArmOpenError::Connect { arm: of_arm(), source })?;
+        Ok(opened)
     }
 
     /// What the operator should know: of the link, and of what the system did not give to the thread.
@@ -217,7 +178,7 @@ impl Pa10Arm {
         let number = self.shared.put_wish(wish);
         self.trip.wake();
         // The thread ends each wish in bounded time; this is for a thread that does not run.
-        let patience = OPEN_MAX + self.config.driver.activity_timeout * ACTIVITIES_MAX;
+        let patience = OPEN_MAX + self.driver.activity_timeout * ACTIVITIES_MAX;
         let deadline = self.clock.now() + patience;
         loop {
             match self.ends.recv_timeout(deadline.saturating_since(self.clock.now())) {
@@ -265,7 +226,7 @@ impl Pa10Arm {
     /// Whether nothing of this command may be sent.
     fn refuse(&self, command: &JointCommand) -> Result<(), ArmError> {
         let JointCommand::Velocity(velocity) = command else { return Ok(()) };
-        let sendable = ArmCommand::velocities(velocity, self.config.driver.supervision);
+        let sendable = ArmCommand::velocities(velocity, self.driver.supervision);
         sendable.map(|_| ()).map_err(|error| {
             let message = format!("arm {}: the velocity is refused as a whole: {error}", self.info.name);
             ArmError::caused_by(ArmErrorKind::Rejected, message, error)

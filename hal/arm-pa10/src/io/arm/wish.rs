@@ -2,13 +2,13 @@
 
 use pb3dp_geometry::MonotonicTime;
 
-use super::port::{GatewayPort, Greeted};
+use super::port::{Greeted, HostPort};
 use super::shared::Wish;
 use crate::driver::{
     Activity, Driver, DriverState, EmergencyStopCause, FaultCause, Latched, Refusal, Request, Trip, WarmUpFailure,
 };
 use crate::gateway_protocol::{GatewayState, HelloReply};
-use crate::io::transport::{ConnectError, Connector, Unplugged};
+use crate::io::transport::{ConnectError, Unplugged};
 use crate::link::HelloError;
 
 /// Cycles by which the host waits longer for the brakes than the gateway, which counts from a later moment.
@@ -70,8 +70,7 @@ pub(super) struct Running {
 /// What a wish may use.
 pub(super) struct Means<'a> {
     pub driver: &'a mut Driver,
-    pub port: &'a mut GatewayPort,
-    pub connector: &'a mut dyn Connector,
+    pub port: &'a mut dyn HostPort,
     /// Of the host.
     pub cycle: std::time::Duration,
 }
@@ -100,8 +99,8 @@ impl Running {
                 self.stage = Stage::Greeting;
             }
             Stage::Greeting => {
-                if let Some(hello) = greeted(now, means)? {
-                    if let Some(trip) = stopped_before(&hello) {
+                if greeted(now, means)? {
+                    if let Some(trip) = means.port.hello().and_then(stopped_before) {
                         // The operator has to see it, and to reset it.
                         means.driver.handle_trip(now, trip);
                         return Ok(Some(()));
@@ -171,13 +170,13 @@ impl Running {
             }
             Stage::New => {
                 if means.port.gone().is_some() {
-                    means.port.replace(means.connector.connect().map_err(WishError::Connect)?);
+                    means.port.reopen().map_err(WishError::Connect)?;
                 }
                 means.port.greet(now);
                 self.stage = Stage::Greeting;
             }
             Stage::Greeting => {
-                if greeted(now, means)?.is_some() {
+                if greeted(now, means)? {
                     means.driver.handle_request(now, Request::Reset)?;
                     self.stage = Stage::Asked;
                 }
@@ -190,22 +189,21 @@ impl Running {
     }
 }
 
-/// The gateway's answer to HELLO, once it is there.
-fn greeted(now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<HelloReply>, WishError> {
+/// Whether the other side was greeted and is the right one.
+fn greeted(now: MonotonicTime, means: &mut Means<'_>) -> Result<bool, WishError> {
     match means.port.greeted(now) {
-        Greeted::Waiting => Ok(None),
+        Greeted::Waiting => Ok(false),
         Greeted::Silent => {
             still_plugged(means)?;
             Err(WishError::NoGateway)
         }
         Greeted::Refused(error) => Err(WishError::Gateway(error)),
         Greeted::Done => {
-            let hello = means.port.hello().copied();
-            if let Some(hello) = &hello {
+            if let Some(hello) = means.port.hello() {
                 let brakes = std::time::Duration::from_micros(u64::from(hello.brake_release_us));
                 means.driver.raise_brake_time(brakes + means.cycle * BRAKE_MARGIN_CYCLES);
             }
-            Ok(hello)
+            Ok(true)
         }
     }
 }

@@ -8,14 +8,13 @@ use std::time::Duration;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Clock, JointCommand};
 
-use super::port::GatewayPort;
+use super::port::HostPort;
 use super::shared::{ArmSnapshot, Shared};
 use super::trip_line::TripSeat;
 use super::wish::{Means, Running, WishError};
 use crate::codec::Letter;
 use crate::driver::{Activity, Driver, FaultCause, Request, Trip};
 use crate::gateway_protocol::ArmId;
-use crate::io::transport::Connector;
 
 /// The thread looks around at least this often.
 const IDLE: Duration = Duration::from_millis(50);
@@ -33,8 +32,7 @@ pub(super) struct Worker {
     pub arm: ArmId,
     pub cycle: Duration,
     pub driver: Driver,
-    pub port: GatewayPort,
-    pub connector: Box<dyn Connector>,
+    pub port: Box<dyn HostPort>,
     pub clock: Arc<dyn Clock>,
     pub seat: TripSeat,
     pub shared: Arc<Shared>,
@@ -108,9 +106,9 @@ impl Worker {
     }
 
     fn advance_wish(&mut self, now: MonotonicTime) {
-        let Self { driver, port, connector, cycle, .. } = self;
+        let Self { driver, port, cycle, .. } = self;
         let Some(running) = &mut self.progress.running else { return };
-        let mut means = Means { driver, port, connector: connector.as_mut(), cycle: *cycle };
+        let mut means = Means { driver, port: port.as_mut(), cycle: *cycle };
         if let Some(end) = running.advance(now, &mut means) {
             self.progress.ended = Some((running.number, end));
             self.progress.running = None;
@@ -171,8 +169,7 @@ impl Worker {
             if transmit.message.letter() == Letter::Cyclic {
                 self.shared.jitter.record(now.saturating_since(due));
             }
-            // What can not be sent gets no answer, which the driver counts.
-            let _ = self.port.send(now, &transmit, self.driver.activity());
+            self.port.send(now, &transmit, self.driver.activity());
         }
         if self.port.flush(now).is_err() {
             self.driver.handle_unplugged(now);
@@ -216,7 +213,7 @@ impl Worker {
             limits: *driver.limits(),
             gateway: self.port.hello().copied(),
             counters: *driver.counters(),
-            line: *self.port.counters(),
+            line: self.port.line(),
             frames_unsent: self.port.frames_unsent(),
         }
     }

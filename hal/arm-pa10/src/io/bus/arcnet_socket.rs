@@ -7,7 +7,9 @@ use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
 
 use rustix::io::Errno;
 use rustix::net::netdevice::name_to_index;
-use rustix::net::{AddressFamily, Protocol, RecvFlags, SendFlags, SocketFlags, SocketType, recv, send, socket_with};
+use rustix::net::{
+    AddressFamily, Protocol, RecvFlags, SendFlags, SocketAddrUnix, SocketFlags, SocketType, recv, send, socket_with,
+};
 
 use super::{BusDown, BusPort, FRAME_ROOM, judge};
 
@@ -42,6 +44,12 @@ pub enum ArcnetError {
         /// Its name.
         name: String,
     },
+    /// Somebody has it.
+    #[error("network interface {name} is in use by another program or arm; end that one, or correct the name")]
+    InUse {
+        /// Its name.
+        name: String,
+    },
     /// Not permitted.
     #[error(
         "packet sockets are not permitted to this user; run as root, or give the program the right: \
@@ -63,13 +71,15 @@ pub enum ArcnetError {
 pub struct ArcnetSocket {
     socket: OwnedFd,
     name: String,
+    /// Keeps other programs of ours away from this bus.
+    _claim: OwnedFd,
 }
 
 impl ArcnetSocket {
     /// Opens an interface by its name.
     ///
     /// # Errors
-    /// If there is none of that name, it is no ARCNET interface, it is down, or this user may not.
+    /// If there is none of that name, it is no ARCNET interface, it is down, another owner has it, or this user may not.
     pub fn open(interface: &str) -> Result<Self, ArcnetError> {
         let name = || interface.to_owned();
         let os = |error| ArcnetError::Os { name: name(), error };
@@ -90,8 +100,12 @@ impl ArcnetSocket {
             Errno::PERM | Errno::ACCESS => ArcnetError::Permission,
             other => os(other),
         })?;
+        let claim = claim(interface).map_err(|error| match error {
+            Errno::ADDRINUSE => ArcnetError::InUse { name: name() },
+            other => os(other),
+        })?;
         bind(&socket, about.index).map_err(os)?;
-        Ok(Self { socket, name: format!("ARCNET interface {interface}") })
+        Ok(Self { socket, name: format!("ARCNET interface {interface}"), _claim: claim })
     }
 
     fn receive(&self, buffer: &mut [u8]) -> Result<usize, Errno> {
@@ -115,6 +129,15 @@ impl BusPort for ArcnetSocket {
     fn fd(&self) -> BorrowedFd<'_> {
         self.socket.as_fd()
     }
+}
+
+/// Takes an interface for this program alone: by a name that only one socket can have, that is as private to a network namespace as
+/// interfaces are, and that vanishes with the program.
+fn claim(interface: &str) -> Result<OwnedFd, Errno> {
+    let claim = socket_with(AddressFamily::UNIX, SocketType::DGRAM, SocketFlags::CLOEXEC, None)?;
+    let name = format!("pb3dp owner of ARCNET interface {interface}");
+    rustix::net::bind(&claim, &SocketAddrUnix::new_abstract_name(name.as_bytes())?)?;
+    Ok(claim)
 }
 
 /// What the kernel says of an interface.
