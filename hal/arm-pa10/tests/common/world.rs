@@ -1,17 +1,17 @@
 //! In real time: an emulated controller on a thread, and a host of driver and link on a byte link.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
 #![allow(dead_code, reason = "each test file uses its part")]
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use pb3dp_arm_pa10::codec::WireFormat;
-use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, FaultCause, Request, Trip};
+use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, Request};
 use pb3dp_arm_pa10::gateway::GatewayConfig;
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Firmware, Geometry, StopCause};
+use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Firmware, Geometry};
 use pb3dp_arm_pa10::io::bus::{BusPort, FRAME_ROOM};
 use pb3dp_arm_pa10::io::realtime::{self, Realtime};
 use pb3dp_arm_pa10::io::transport::{ByteLink, wait};
@@ -69,31 +69,33 @@ fn plant() -> JointPlant {
     JointPlant::new(config, home(), realtime::now()).unwrap()
 }
 
-/// The machine was too loaded: threads waited for longer than an arm bears.
-pub struct Disturbed;
+/// A thread that is late by this much makes a failure worthless: in a chain of four threads an arm may have to stop then.
+const TOO_LATE: Duration = Duration::from_millis(5);
 
-/// Does something that needs threads to run in time, again if the machine was too loaded for that.
+/// How often a scenario is tried on a machine that is too loaded for it.
+const TRIES: u32 = 8;
+
+/// How late any thread of an arm was at worst since this was last looked at, µs.
+static LATENESS_US: AtomicU64 = AtomicU64::new(0);
+
+/// A thread was late.
+pub fn note_lateness(lateness: Duration) {
+    LATENESS_US.fetch_max(lateness.as_micros() as u64, Ordering::SeqCst);
+}
+
+/// Does something that needs threads to run in time, again if it failed and one of them was late: failures count on a machine that
+/// keeps time. On one that never does nothing is shown, which is said.
 pub fn calm(scenario: impl Fn()) {
-    for _ in 0..10 {
-        match std::panic::catch_unwind(std::panic::AssertUnwindSafe(&scenario)) {
+    for _ in 0..TRIES {
+        let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(&scenario));
+        let lateness = Duration::from_micros(LATENESS_US.swap(0, Ordering::SeqCst));
+        match outcome {
             Ok(()) => return,
-            Err(payload) if payload.is::<Disturbed>() => {}
+            Err(_) if lateness > TOO_LATE => {}
             Err(payload) => std::panic::resume_unwind(payload),
         }
     }
-    panic!("the machine is too loaded for a cycle of 10 ms, ten times in a row");
-}
-
-/// Whether this stops an arm because threads did not run in time.
-fn is_of_load(trip: &Trip) -> bool {
-    matches!(
-        trip,
-        Trip::Fault(
-            FaultCause::LinkLost { .. }
-                | FaultCause::CommandTimeout { .. }
-                | FaultCause::Gateway(StopCause::HostSilent | StopCause::ControllerSilent | StopCause::CycleMissed)
-        )
-    )
+    eprintln!("skipped: this machine lets threads wait for more than {TOO_LATE:?}, {TRIES} times in a row");
 }
 
 /// For threads on which an arm depends, where it is permitted.
@@ -150,6 +152,7 @@ impl Emulation {
                 let mut fds = [PollFd::from_borrowed_fd(port.fd(), PollFlags::IN)];
                 let timeout = Timespec { tv_sec: 0, tv_nsec: 300_000 };
                 let count = poll(&mut fds, Some(&timeout));
+                note_lateness(realtime::now().saturating_since(now));
                 if matches!(count, Ok(1..)) && fds[0].revents().contains(PollFlags::HUP) {
                     std::thread::sleep(ms(1));
                 }
@@ -233,14 +236,8 @@ impl Host {
         assert!(self.run_for(LONG, |host| host.driver.activity() == Activity::None), "{request:?} does not end");
     }
 
-    /// Must be here; gives up quietly if the load of the machine led it elsewhere.
     pub fn must_be(&self, state: DriverState) {
         let (latched, warm_up) = (self.driver.latched(), self.driver.warm_up_failure());
-        if self.driver.state() != state
-            && (latched.is_some_and(|latched| is_of_load(&latched.trip)) || warm_up.is_some())
-        {
-            std::panic::resume_unwind(Box::new(Disturbed));
-        }
         assert_eq!(self.driver.state(), state, "{latched:?} {warm_up:?}");
     }
 
@@ -268,11 +265,13 @@ impl Host {
             if is(self) {
                 return true;
             }
+            let before = realtime::now();
             if self.is_gone {
                 std::thread::sleep(ms(1));
             } else {
                 wait(Some(self.line.as_ref()), false, None, ms(1));
             }
+            note_lateness(realtime::now().saturating_since(before));
         }
         false
     }
