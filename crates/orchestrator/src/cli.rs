@@ -6,6 +6,7 @@ use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
 use pb3dp_estimation::estimator::Method;
 use pb3dp_record::dataset::TILT_LIMIT_DEG;
 
+use crate::commands::mock_arm::MockArmArgs;
 use crate::logging::LogFormat;
 use crate::region_spec::{REGION_HELP, RegionSpec};
 
@@ -33,6 +34,8 @@ pub enum Command {
     Estimate(EstimateArgs),
     /// Track a region through a recorded stereo sequence.
     Track(TrackArgs),
+    /// Run an emulated PA-10 in real time that fails on request.
+    MockArm(MockArmArgs),
 }
 
 /// Arguments of `pb3dp run`.
@@ -210,7 +213,7 @@ fn parse_seed(text: &str) -> Result<u64, String> {
     text.parse().map_err(|_| format!("{text:?} is not a whole number from 0 to {}", u64::MAX))
 }
 
-fn parse_seconds(text: &str) -> Result<f64, String> {
+pub(crate) fn parse_seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(seconds) if (0.0..=1e6).contains(&seconds) => Ok(seconds),
         _ => Err(format!("{text:?} is not a number of seconds between 0 and 1000000")),

@@ -18,6 +18,7 @@ fn main() -> ExitCode {
         Command::Run(args) => commands::run::run(args),
         Command::Estimate(args) => commands::estimate::run(args),
         Command::Track(args) => commands::track::run(args),
+        Command::MockArm(args) => commands::mock_arm::run(args),
     };
     match outcome {
         Ok(code) => code,

@@ -3,6 +3,7 @@
 //! * [`arm`]: a real PA-10 behind a gateway.
 //! * [`bus`]: the ARCNET bus of an arm, and a socket in its place.
 //! * [`gateway`]: a gateway that runs, with a thread that keeps the cycle.
+//! * [`mock_server`]: an emulated arm in real time.
 //! * [`realtime`], [`signals`]: what the thread of a cycle needs, and how it is asked to end.
 //! * [`transport`]: what all byte links have in common, and a pair of them in one process.
 //! * [`serial`], [`tcp`]: the two ways to a gateway.
@@ -13,6 +14,7 @@
 pub mod arm;
 pub mod bus;
 pub mod gateway;
+pub mod mock_server;
 pub mod pty;
 pub mod realtime;
 pub mod serial;

@@ -1,13 +1,38 @@
 //! What an emulated controller is told about itself.
 
+use std::f64::consts::TAU;
 use std::time::Duration;
 
-use pb3dp_kinematics::JointVector;
+use pb3dp_kinematics::{JointLimits, JointLimitsError, JointVector};
+use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 
 use crate::codec::{AngleCounts, Axis, COUNTS_PER_TURN, WireFormat};
 
 /// Limits that MHI's model data and two drivers give for a PA10-7C(E): +-177, 94, 174, 137, 255, 165, 255 degrees.
 const SERVO_LIMITS_DEG: [f64; Axis::COUNT] = [177.0, 94.0, 174.0, 137.0, 255.0, 165.0, 255.0];
+
+/// Where joints meet their end stops, degrees (INRIA, for a PA10-7CE).
+const END_STOPS_DEG: [f64; Axis::COUNT] = [180.0, 97.0, 180.0, 143.0, 270.0, 180.0, 270.0];
+
+/// How fast joints can be, rad/s (INRIA; E2 is slower by another source).
+const SPEED_MAX_RAD_PER_S: [f64; Axis::COUNT] = [1.0, 1.0, 2.0, 2.0, TAU, TAU, TAU];
+
+/// Joints of a PA10-7C(E) for an emulated arm. No source tells their accelerations and lags: drives here are as quick as a stop
+/// within a tenth of a second needs.
+///
+/// # Errors
+/// Never, as these limits are in order.
+pub fn pa10_joints() -> Result<JointPlantConfig, JointLimitsError> {
+    let stops = JointVector::from(END_STOPS_DEG.map(f64::to_radians));
+    Ok(JointPlantConfig {
+        limits: JointLimits::new(-stops, stops, JointVector::from(SPEED_MAX_RAD_PER_S))?,
+        acceleration_max_rad_per_s2: JointVector::repeat(40.0),
+        velocity_time_constant: Duration::from_millis(5),
+        command_delay: Duration::ZERO,
+        angle_quantum_rad: PA10_ANGLE_QUANTUM_RAD,
+        history: Duration::from_secs(2),
+    })
+}
 
 /// What an emulated controller is told about itself.
 #[derive(Clone, Debug, PartialEq)]

@@ -145,6 +145,15 @@ impl MockController {
         self.axes.map(|axis| axis.mode())
     }
 
+    /// True angles (rad) and speeds (rad/s) of the joints.
+    pub fn true_joints(&self) -> (JointVector, JointVector) {
+        let joints = self.joints();
+        let now = joints.now();
+        // The present is always known.
+        let position = joints.position_at(now).unwrap_or_else(JointVector::zeros);
+        (position, joints.velocity_at(now).unwrap_or_else(JointVector::zeros))
+    }
+
     /// What each servo is told, rad/s.
     pub fn commanded_rad_per_s(&self) -> JointVector {
         JointVector::from(self.axes.map(|axis| axis.velocity_rad_per_s))

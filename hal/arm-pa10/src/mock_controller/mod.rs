@@ -29,8 +29,8 @@ mod schedule;
 mod script;
 mod words;
 
-pub use config::{MockControllerConfig, MockControllerError};
+pub use config::{MockControllerConfig, MockControllerError, pa10_joints};
 pub use controller::{ControlMode, MockController, MockCounters};
 pub use fault::{Fault, ReplyFault};
 pub use script::{Script, ScriptError, ScriptLine, When};
-pub use words::LineError;
+pub use words::{LineError, parse_time};

@@ -88,10 +88,7 @@ impl<'a> Words<'a> {
     }
 
     pub fn duration(&mut self, what: &'static str) -> Result<Duration, LineError> {
-        self.take(what, "a time such as 1.5s, 20ms or 300us", |word| {
-            let units = [("ns", 1e-9), ("us", 1e-6), ("µs", 1e-6), ("ms", 1e-3), ("s", 1.0)];
-            Duration::try_from_secs_f64(number_with_unit(word, &units)?).ok()
-        })
+        self.take(what, "a time such as 1.5s, 20ms or 300us", parse_time)
     }
 
     /// One of two words: whether it is the first.
@@ -200,6 +197,12 @@ impl<'a> Words<'a> {
             _ => return Err(LineError::Unknown { got: name.to_owned() }),
         })
     }
+}
+
+/// A time as scripts write it: `1.5s`, `20ms`, `300us`; `None` if the text is none.
+pub fn parse_time(text: &str) -> Option<Duration> {
+    let units = [("ns", 1e-9), ("us", 1e-6), ("µs", 1e-6), ("ms", 1e-3), ("s", 1.0)];
+    Duration::try_from_secs_f64(number_with_unit(text, &units)?).ok()
 }
 
 /// A number with one of these units, times what the unit stands for.

@@ -7,7 +7,9 @@ mod arcnet_socket;
 mod frame_socket;
 
 use std::os::fd::BorrowedFd;
+use std::time::Duration;
 
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
 use super::transport::Symptom;
@@ -51,6 +53,15 @@ pub trait BusPort: Send {
 pub struct BusDown {
     /// How it showed.
     pub symptom: Symptom,
+}
+
+/// Waits until the bus has a frame or is down, or `timeout` has passed; whether it has. A signal ends the wait early.
+pub fn wait(bus: &dyn BusPort, timeout: Duration) -> bool {
+    let timeout = Timespec {
+        tv_sec: i64::try_from(timeout.as_secs()).unwrap_or(i64::MAX),
+        tv_nsec: i64::from(timeout.subsec_nanos()),
+    };
+    matches!(poll(&mut [PollFd::from_borrowed_fd(bus.fd(), PollFlags::IN)], Some(&timeout)), Ok(1..))
 }
 
 /// What a call to send or receive says of the bus; `None` if it could do nothing now.

@@ -1,0 +1,291 @@
+//! The emulated arm in real time, over real lines, with a real arm's driver at the other end. Times are asserted loosely: they are
+//! those of the machine that runs the tests.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::driver::{DriverConfig, LimitsCheck};
+use pb3dp_arm_pa10::gateway::GatewayConfig;
+use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, Geometry, StopCause};
+use pb3dp_arm_pa10::io::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
+use pb3dp_arm_pa10::io::bus::{BusPort, FRAME_ROOM, FrameSocket};
+use pb3dp_arm_pa10::io::mock_server::{MockFace, MockServer, MockServerConfig, MockServerError};
+use pb3dp_arm_pa10::io::realtime::Realtime;
+use pb3dp_arm_pa10::io::serial::SerialConfig;
+use pb3dp_arm_pa10::io::tcp::TcpConfig;
+use pb3dp_arm_pa10::io::transport::Connector;
+use pb3dp_arm_pa10::link::GatewayLinkConfig;
+use pb3dp_arm_pa10::mock_controller::{ControlMode, MockControllerConfig, Script, pa10_joints};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
+use pb3dp_hal_clock::SystemClock;
+use pb3dp_kinematics::JointVector;
+use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant, JointPlantConfig};
+
+const CYCLE: Duration = Duration::from_millis(10);
+const FORMAT: WireFormat = WireFormat::BigEndian6x10;
+
+/// Where it is to be had: other tests want their turns, too.
+const REALTIME: Realtime = Realtime { priority: Some(5), locks_memory: false, cpu: None };
+
+/// A machine that is busy with other tests must not make the arms of this one fail.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+struct Rig {
+    server: MockServer,
+    plant: Arc<Mutex<JointPlant>>,
+    clock: Arc<SystemClock>,
+}
+
+fn gateway() -> GatewayConfig {
+    GatewayConfig::new(ArmId(2), FORMAT, Firmware::new("mock 1").unwrap())
+}
+
+fn start(face: MockFace, script: &str) -> Result<Rig, MockServerError> {
+    let clock = Arc::new(SystemClock::new());
+    let joints = JointPlantConfig { history: Duration::from_secs(20), ..pa10_joints().unwrap() };
+    let home = JointVector::from([0.1, 0.3, -0.2, 0.8, 0.2, 0.5, 0.0]);
+    let plant = JointPlant::new(joints, home, clock.now()).unwrap().with_mechanics(JointMechanics::default()).unwrap();
+    let plant = Arc::new(Mutex::new(plant));
+    let controller = MockControllerConfig::new(FORMAT);
+    let config = MockServerConfig { controller, seed: 3, script: Script::parse(script).unwrap(), realtime: REALTIME };
+    let server = MockServer::start(config, face, Arc::clone(&plant), Arc::clone(&clock) as Arc<dyn Clock>)?;
+    Ok(Rig { server, plant, clock })
+}
+
+fn rig(face: MockFace) -> Rig {
+    start(face, "").unwrap()
+}
+
+impl Rig {
+    fn serial(&self) -> Box<dyn Connector> {
+        let path = self.server.address();
+        Box::new(SerialConfig { path, baud: 921_600, dialect: Dialect::GatewayV1, format: FORMAT, cycle: CYCLE })
+    }
+
+    /// An arm that patiently bears the delays of a busy machine, enabled.
+    fn enabled(&self, connector: Box<dyn Connector>) -> Pa10Arm {
+        let limit = JointVector::from([177.0f64, 94.0, 174.0, 137.0, 255.0, 165.0, 255.0].map(f64::to_radians));
+        let limits = LimitsCheck::Compare { lower_rad: -limit, upper_rad: limit, tolerance_rad: 0.5f64.to_radians() };
+        let driver = DriverConfig { limits, ..DriverConfig::with_cycle(CYCLE) };
+        let (dialect, geometry) = (Dialect::GatewayV1, Geometry::Unknown);
+        let link = GatewayLinkConfig { arm: ArmId(2), dialect, format: FORMAT, geometry, cycle: CYCLE };
+        let config = Pa10ArmConfig { realtime: REALTIME, ..Pa10ArmConfig::new("test", driver, link) };
+        let clock = Arc::clone(&self.clock) as Arc<dyn Clock>;
+        let seat = trip_line(1).unwrap().remove(0);
+        let mut arm = Pa10Arm::open(config, connector, clock, seat).map_err(|error| error.to_string()).unwrap();
+        let until = Instant::now() + PATIENCE;
+        while let Err(error) = arm.enable() {
+            // The link was too slow for a moment, or a fault came of it.
+            assert!(Instant::now() < until, "{error}");
+            arm.reset().ok();
+        }
+        arm
+    }
+
+    fn fault(&self, line: &str) -> MonotonicTime {
+        let at = self.clock.now();
+        self.server.command_line(line).unwrap();
+        at
+    }
+
+    fn angle(&self) -> f64 {
+        self.server.report().position_rad[0]
+    }
+
+    /// When the joints were last seen moving since a time.
+    fn last_motion(&self, since: MonotonicTime) -> Duration {
+        let plant = self.plant.lock().unwrap();
+        let (mut at, mut last) = (since, since);
+        while at <= plant.now() {
+            if plant.velocity_at(at).unwrap().amax() > 1e-3 {
+                last = at;
+            }
+            at = at + Duration::from_millis(1);
+        }
+        last.saturating_since(since)
+    }
+}
+
+/// Moves until the arm or the time ends, at the arm's own pace.
+fn move_for(arm: &mut Pa10Arm, time: Duration) {
+    let until = Instant::now() + time;
+    while Instant::now() < until && arm.state() == ArmState::Enabled {
+        match arm.exchange(JointCommand::Velocity(JointVector::repeat(0.1))) {
+            Err(error) if error.kind() != ArmErrorKind::Timeout => break,
+            _ => {}
+        }
+    }
+}
+
+/// Moves, anew where a busy machine has brought the arm to a stop.
+fn moved_by(rig: &Rig, arm: &mut Pa10Arm, angle_rad: f64) -> f64 {
+    let (begin, until) = (rig.angle(), Instant::now() + PATIENCE);
+    while rig.angle() - begin < angle_rad && Instant::now() < until {
+        move_for(arm, Duration::from_millis(300));
+        if arm.state() != ArmState::Enabled {
+            std::thread::sleep(Duration::from_millis(400));
+            arm.reset().ok();
+            arm.enable().ok();
+        }
+    }
+    rig.angle() - begin
+}
+
+fn wait_for(mut condition: impl FnMut() -> bool) -> bool {
+    let until = Instant::now() + PATIENCE;
+    while Instant::now() < until {
+        if condition() {
+            return true;
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    false
+}
+
+#[test]
+fn an_arm_moves_over_a_pseudo_terminal() {
+    let rig = rig(MockFace::Pty(gateway()));
+    assert!(rig.server.address().starts_with("/dev/"), "{}", rig.server.address());
+    let mut arm = rig.enabled(rig.serial());
+    let moved = moved_by(&rig, &mut arm, 0.05);
+    assert!(moved >= 0.05, "{moved}");
+    arm.stop().unwrap();
+    assert!(wait_for(|| rig.server.report().is_braked));
+    let report = rig.server.report();
+    assert_eq!(report.mode, ControlMode::Adjustment);
+    assert_eq!(
+        [report.counters.forbidden, report.counters.malformed, report.counters.odd, report.counters.let_go],
+        [0; 4]
+    );
+    let text = report.to_string();
+    assert!(text.starts_with("controller: adjustment mode, all brakes closed\n  axis 1 (S1)"), "{text}");
+    assert!(text.contains("gateway: idle"), "{text}");
+}
+
+/// Typed while the arm moves: it stops, stays stopped, and a reset without the cause leads on.
+#[test]
+fn faults_are_typed_while_the_arm_moves() {
+    let rig = rig(MockFace::Pty(gateway()));
+    let mut arm = rig.enabled(rig.serial());
+    for (line, end, state) in [
+        ("e-stop press", "e-stop release", ArmState::EStop),
+        ("alarm 4 0x0e", "alarm 4 off", ArmState::Fault),
+        ("drop 1000000", "drop 0", ArmState::Fault),
+        ("power off", "power on", ArmState::Fault),
+    ] {
+        assert!(moved_by(&rig, &mut arm, 0.01) >= 0.01, "before {line}");
+        let at = rig.fault(line);
+        let until = Instant::now() + PATIENCE;
+        while arm.state() == ArmState::Enabled && Instant::now() < until {
+            arm.exchange(JointCommand::Velocity(JointVector::repeat(0.1))).ok();
+        }
+        assert_eq!(arm.state(), state, "{line}");
+        std::thread::sleep(Duration::from_millis(600));
+        let took = rig.last_motion(at);
+        println!("{line}: at rest after {took:?}");
+        assert!(took < Duration::from_millis(600), "{line}: {took:?}");
+        assert!(arm.reset().is_err(), "{line}: the cause is there");
+        rig.fault(end);
+        std::thread::sleep(Duration::from_millis(250));
+        let until = Instant::now() + PATIENCE;
+        while let Err(error) = arm.reset().and_then(|()| arm.enable()) {
+            assert!(Instant::now() < until, "{line}: {error}");
+        }
+    }
+    let faults = rig.server.report().counters.faults;
+    assert_eq!([faults["e-stop"], faults["alarm"], faults["drop"], faults["power"]], [2; 4]);
+    let error = rig.server.command_line("e-stop pres").unwrap_err().to_string();
+    assert!(error.contains("`pres`"), "{error}");
+}
+
+/// Pulled: the host notices, the gateway brakes the arm by itself; plugged in again there is another terminal.
+#[test]
+fn a_pulled_cable_stops_the_arm() {
+    let rig = rig(MockFace::Pty(gateway()));
+    let mut arm = rig.enabled(rig.serial());
+    assert!(moved_by(&rig, &mut arm, 0.01) >= 0.01);
+    let (at, before) = (rig.clock.now(), rig.server.address());
+    rig.server.unplug();
+    assert!(wait_for(|| arm.state() == ArmState::Fault));
+    assert!(wait_for(|| rig.server.report().is_braked));
+    let gateway = rig.server.report().gateway.unwrap();
+    assert_eq!((gateway.state, gateway.cause), (GatewayState::Fault, StopCause::HostSilent));
+    assert!(rig.last_motion(at) < Duration::from_millis(500));
+    assert!(!Path::new(&before).exists() || rig.server.address() == before);
+    rig.server.plug();
+    drop(arm);
+    assert!(wait_for(|| Path::new(&rig.server.address()).exists()));
+    std::thread::sleep(Duration::from_millis(300));
+    let mut arm = rig.enabled(rig.serial());
+    assert!(moved_by(&rig, &mut arm, 0.01) >= 0.01);
+}
+
+/// A host that ends without a word: the next one finds a stopped arm.
+#[test]
+fn an_arm_moves_over_tcp_and_stops_with_its_connection() {
+    let rig = rig(MockFace::Tcp(gateway(), "127.0.0.1:0".parse().unwrap()));
+    let address = rig.server.address().parse().unwrap();
+    let mut arm = rig.enabled(Box::new(TcpConfig { address }));
+    assert!(moved_by(&rig, &mut arm, 0.02) >= 0.02);
+    let taken = start(MockFace::Tcp(gateway(), address), "").err().unwrap().to_string();
+    assert!(taken.contains(&format!("nobody can listen at {address}")), "{taken}");
+    drop(arm);
+    assert!(wait_for(|| rig.server.report().is_braked));
+    let again = rig.enabled(Box::new(TcpConfig { address }));
+    assert_eq!(again.state(), ArmState::Enabled);
+}
+
+/// The controller alone: one frame in, one frame out, and the time-out of a controller that is left alone.
+#[test]
+fn a_socket_stands_in_the_place_of_the_bus() {
+    let folder = std::env::temp_dir().join(format!("pb3dp-mock-bus-{}", std::process::id()));
+    let rig = start(MockFace::BusSocket(folder.clone()), "at 0s jump 2 0.1rad").unwrap();
+    let mut bus = FrameSocket::connect(&folder).unwrap();
+    assert!(bus.try_send(&[0xFF, 0xFE, 254, 0xB7, 7, b'S']).unwrap());
+    let mut buffer = [0; FRAME_ROOM];
+    let mut length = None;
+    assert!(wait_for(|| {
+        length = bus.try_receive(&mut buffer).unwrap();
+        length.is_some()
+    }));
+    assert_eq!(&buffer[..length.unwrap()], [0xFE, 0xFF, 254, 0xB7, 7, b'S']);
+    assert!(wait_for(|| rig.server.report().counters.watchdog_trips == 1));
+    let report = rig.server.report();
+    assert_eq!((report.mode, report.gateway), (ControlMode::Adjustment, None));
+    assert_eq!(report.counters.faults["jump"], 1);
+    // Another host may come when this one is gone.
+    drop(bus);
+    assert!(wait_for(|| {
+        let mut bus = FrameSocket::connect(&folder).unwrap();
+        let sent = bus.try_send(&[0xFF, 0xFE, 254, 0xB7, 8, b'E']);
+        std::thread::sleep(Duration::from_millis(30));
+        sent == Ok(true) && matches!(bus.try_receive(&mut buffer), Ok(Some(6)))
+    }));
+    drop(rig);
+    assert!(!folder.exists(), "the socket goes with the server");
+}
+
+/// A host that writes and never reads: the arm goes on living, and memory does not grow.
+#[test]
+fn answers_that_nobody_reads_are_dropped() {
+    let (mut host, far) = pb3dp_arm_pa10::io::transport::pair("test").unwrap();
+    let rig = rig(MockFace::Link(gateway(), Box::new(far)));
+    let hello = [
+        0xa5, 0x5a, 0x01, 0x02, 0x01, 0x05, 0x00, 0x00, 0x60, 0xe3, 0x16, 0x00, 0x00, 0x00, 0x00, 0x00, 0x58, 0x02,
+        0x10, 0x27, 0x00, 0x00, 0x48, 0x6a,
+    ];
+    let flooded = wait_for(|| {
+        for _ in 0..50 {
+            pb3dp_arm_pa10::io::transport::ByteLink::try_write(&mut host, &hello).unwrap();
+        }
+        rig.server.report().unread > 0
+    });
+    assert!(flooded);
+    drop(host);
+    assert!(wait_for(|| rig.server.report().gateway.unwrap().host.is_none()));
+}
