@@ -3,15 +3,22 @@
 use std::time::Duration;
 
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
-use pb3dp_kinematics::{DOF, JointLimits, JointVector};
+use pb3dp_kinematics::{DOF, JointLimits, JointLimitsError, JointVector};
 
 use crate::expectation::Expectation;
+
+/// Mechanical range of a PA-10 to both sides, degrees, base to tip (INRIA's model of the PA10-7CE).
+pub const PA10_MECHANICAL_RANGE_DEG: [f64; DOF] = [180.0, 97.0, 180.0, 143.0, 270.0, 180.0, 270.0];
 
 /// What the guard takes for right.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GuardConfig {
-    /// The arm's own limits, rad and rad/s: no joint is ever beyond these angles.
+    /// The servo limits, rad and rad/s: a joint that comes beyond these angles is stopped.
     pub hard_limits: JointLimits,
+    /// Where the arm's own stops are, rad: no joint can be beyond, so an angle that is belongs to a wrong encoder or zero.
+    pub mechanical_min_rad: JointVector,
+    /// Upper ends of that range, rad.
+    pub mechanical_max_rad: JointVector,
     /// Part of each joint's largest speed that commands use, above 0 to 1.
     pub speed_scale: f64,
     /// What the drives accelerate and brake with, rad/s^2.
@@ -31,11 +38,20 @@ impl GuardConfig {
     pub const TRACKING_ERROR_MAX_RAD: f64 = 0.05;
     /// See [`Self::TRACKING_ERROR_MAX_RAD`].
     pub const TRACKING_ERROR_FOR: Duration = Duration::from_millis(100);
+
+    /// The mechanical range of a PA-10 ([`PA10_MECHANICAL_RANGE_DEG`]) in rad: lower and upper ends.
+    pub fn pa10_mechanical_range_rad() -> (JointVector, JointVector) {
+        let max = JointVector::from(PA10_MECHANICAL_RANGE_DEG).map(f64::to_radians);
+        (-max, max)
+    }
 }
 
 /// Why numbers can not configure a guard.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum GuardError {
+    /// The servo limits are not within the mechanical range.
+    #[error("the servo limits do not lie within the mechanical range")]
+    MechanicalRange(#[source] JointLimitsError),
     /// The speed scale is out of range.
     #[error("speed scale {0} is out of range; above 0 to 1 is possible")]
     SpeedScale(f64),
@@ -63,17 +79,25 @@ const JUMP_MARGIN_RAD: f64 = 0.002;
 /// So many wrong samples in a row are a fault and not a disturbance of the link.
 const JUMPS_TO_FAULT: u32 = 2;
 /// Angles may be beyond a hard limit by this much without being a fault: rounding of the description and of the encoder, rad.
-const LIMIT_ROUNDING_RAD: f64 = 1e-4;
+pub(crate) const LIMIT_ROUNDING_RAD: f64 = 1e-4;
+/// A joint that was found beyond a limit may swing by this much on its way back, rad.
+const RETURN_SWING_RAD: f64 = 2e-3;
 
 /// An arm whose answers are watched: it stops and stays stopped when a joint is where none can be, is faster than it may be,
 /// or does not go where it is told. Only [`ArmPower::reset`] ends that, and only an operator's action calls it.
+///
+/// A joint that is beyond its servo limits when the guard first sees it after power-up, enabling or a reset may come back, and
+/// is stopped if it goes further out.
 ///
 /// A single sample that jumps is thrown away and the arm told to hold; two in a row are a fault. Belongs inside of the
 /// [`Limiter`](crate::Limiter), so that it sees what is really sent.
 pub struct Guard<A> {
     arm: A,
     config: GuardConfig,
+    mechanical: JointLimits,
     newest: Option<JointState>,
+    /// How far beyond their servo limits joints were when the guard first saw them, rad: they may come back.
+    found_beyond_rad: JointVector,
     expectation: Expectation,
     too_fast: [u32; DOF],
     off_track_for: [Duration; DOF],
@@ -88,12 +112,14 @@ impl<A: Arm> Guard<A> {
     /// # Errors
     /// If a number of the configuration is out of range; the error names it.
     pub fn new(arm: A, config: GuardConfig) -> Result<Self, GuardError> {
-        check(&config)?;
+        let mechanical = check(&config)?;
         let expectation = Expectation::new(config.acceleration_max_rad_per_s2, config.delay, config.lag);
         Ok(Self {
             arm,
             config,
+            mechanical,
             newest: None,
+            found_beyond_rad: JointVector::zeros(),
             expectation,
             too_fast: [0; DOF],
             off_track_for: [Duration::ZERO; DOF],
@@ -148,15 +174,31 @@ impl<A: Arm> Guard<A> {
         })
     }
 
-    fn beyond_limit(&self, sample: &JointState) -> Option<String> {
+    fn beyond_limit(&mut self, sample: &JointState) -> Option<String> {
+        if let Some(wrong) = self.mechanical.violation(&sample.position_rad) {
+            let (joint, angle) = (wrong.joint, wrong.position_rad);
+            return Some(format!(
+                "joint {joint} is at {angle:.4} rad, where none can be (its stops are at {:.4} and {:.4} rad): check its encoder and \
+                 its zero point",
+                wrong.min_rad, wrong.max_rad
+            ));
+        }
         let limits = &self.config.hard_limits;
-        (0..DOF).find_map(|joint| {
-            let (angle, min, max) =
-                (sample.position_rad[joint], limits.position_min_rad()[joint], limits.position_max_rad()[joint]);
-            let is_inside = (min - LIMIT_ROUNDING_RAD..=max + LIMIT_ROUNDING_RAD).contains(&angle);
-            (!is_inside)
-                .then(|| format!("joint {joint} is at {angle:.4} rad, beyond its limits {min:.4} to {max:.4} rad"))
-        })
+        let beyond_rad = limits.margin_rad(&sample.position_rad).map(|margin| (-margin).max(0.0));
+        if self.newest.is_none() {
+            self.found_beyond_rad = beyond_rad;
+        }
+        for joint in 0..DOF {
+            let found_rad = &mut self.found_beyond_rad[joint];
+            let allowed_rad = if *found_rad > 0.0 { *found_rad + RETURN_SWING_RAD } else { LIMIT_ROUNDING_RAD };
+            if beyond_rad[joint] > allowed_rad {
+                let (min, max) = (limits.position_min_rad()[joint], limits.position_max_rad()[joint]);
+                let angle = sample.position_rad[joint];
+                return Some(format!("joint {joint} is at {angle:.4} rad, beyond its limits {min:.4} to {max:.4} rad"));
+            }
+            *found_rad = found_rad.min(beyond_rad[joint]);
+        }
+        None
     }
 
     fn over_speed(&mut self, sample: &JointState) -> Option<String> {
@@ -218,6 +260,7 @@ impl<A: Arm> Guard<A> {
     /// Nothing of before counts any more.
     fn forget(&mut self) {
         self.newest = None;
+        self.found_beyond_rad = JointVector::zeros();
         self.expectation.forget();
         self.too_fast = [0; DOF];
         self.off_track_for = [Duration::ZERO; DOF];
@@ -291,7 +334,15 @@ impl<A: Arm + ArmPower> ArmPower for Guard<A> {
     }
 }
 
-fn check(config: &GuardConfig) -> Result<(), GuardError> {
+/// The mechanical range.
+fn check(config: &GuardConfig) -> Result<JointLimits, GuardError> {
+    let hard = &config.hard_limits;
+    let mechanical =
+        JointLimits::new(config.mechanical_min_rad, config.mechanical_max_rad, *hard.velocity_max_rad_per_s())
+            .and_then(|range| {
+                range.with_position_range(*hard.position_min_rad(), *hard.position_max_rad()).map(|_| range)
+            })
+            .map_err(GuardError::MechanicalRange)?;
     let scale = config.speed_scale;
     if !(scale > 0.0 && scale <= 1.0) {
         return Err(GuardError::SpeedScale(scale));
@@ -305,5 +356,5 @@ fn check(config: &GuardConfig) -> Result<(), GuardError> {
     if !(error_max.is_finite() && error_max > 0.0) {
         return Err(GuardError::TrackingError(error_max));
     }
-    Ok(())
+    Ok(mechanical)
 }

@@ -11,5 +11,5 @@ mod limiter;
 mod shaping;
 mod stopping;
 
-pub use guard::{Guard, GuardConfig, GuardError};
-pub use limiter::{Limiter, LimiterConfig, LimiterError, LimiterStatistics, PA10_OPERATING_RANGE_DEG};
+pub use guard::{Guard, GuardConfig, GuardError, PA10_MECHANICAL_RANGE_DEG};
+pub use limiter::{Limiter, LimiterConfig, LimiterError, LimiterStatistics, PA10_OPERATING_RANGE_DEG, StartPose};

@@ -7,6 +7,7 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_kinematics::{DOF, JointLimits, JointLimitsError, JointVector};
 
+use crate::guard::LIMIT_ROUNDING_RAD;
 use crate::last_command::LastCommand;
 use crate::shaping::{self, Caps, Room, SetPoint, Step};
 use crate::stopping::DriveLimits;
@@ -39,6 +40,37 @@ pub struct LimiterConfig {
     pub command_timeout: Duration,
     /// Without a sample younger than this the arm is told to rest.
     pub stale_after: Duration,
+    /// Where the arm has to be when it is first told to move after it was enabled.
+    pub start: StartPose,
+}
+
+/// Where an arm has to be when it is first told to move after it was enabled.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum StartPose {
+    /// Anywhere: for motions that begin with the measured joints, such as the one that brings the arm to its start.
+    Anywhere,
+    /// At these angles, rad: for motions that were planned from there.
+    Near {
+        /// The planned angles, rad.
+        position_rad: JointVector,
+        /// How far each joint may be from them, rad; [`StartPose::TOLERANCE_RAD`] for a PA-10.
+        tolerance_rad: f64,
+    },
+}
+
+impl StartPose {
+    /// How far a joint may be from its planned start, rad.
+    pub const TOLERANCE_RAD: f64 = 0.01;
+
+    /// The first joint that is not where it has to be, with the difference, rad.
+    fn missed_by(&self, measured_rad: &JointVector) -> Option<(usize, f64)> {
+        let Self::Near { position_rad, tolerance_rad } = self else { return None };
+        let difference_rad = measured_rad - position_rad;
+        (0..DOF).map(|joint| (joint, difference_rad[joint])).find(|(_, difference)| {
+            let is_near = difference.abs() <= *tolerance_rad;
+            !is_near
+        })
+    }
 }
 
 impl LimiterConfig {
@@ -74,6 +106,9 @@ pub enum LimiterError {
         /// The number given, rad/s^3.
         value: f64,
     },
+    /// The tolerance of the start is none.
+    #[error("tolerance of the start pose {0} rad is not a positive, finite number")]
+    StartTolerance(f64),
     /// A time is zero.
     #[error("{0} is zero; give the time that it takes")]
     ZeroTime(&'static str),
@@ -86,6 +121,10 @@ pub struct LimiterStatistics {
     pub velocity_commands: u64,
     /// Commands refused because a number was not finite.
     pub refused_not_finite: u64,
+    /// Commands refused because the arm was not where it has to start.
+    pub refused_start: u64,
+    /// Commands refused because they lead a joint further out that is beyond its servo limit.
+    pub refused_outwards: u64,
     /// Commands replaced by rest because the newest sample was too old, or there was none.
     pub held_stale: u64,
     /// Commands scaled down because a joint would have been too fast.
@@ -100,7 +139,9 @@ pub struct LimiterStatistics {
 
 /// An arm that no command can drive beyond its limits. It owns the arm: there is no way round it.
 ///
-/// A velocity that is not finite is `Rejected`, and the arm is told to hold. Everything else is shaped: speeds and the way that
+/// A velocity is `Rejected`, and the arm told to hold, if it is not finite, if it leads a joint further out that is beyond
+/// its servo limits, and if it is the first one since the arm was enabled and the arm is not where it has to start.
+/// Everything else is shaped: speeds and the way that
 /// is left to the ends of the operating range scale the whole vector, so that the hand keeps its direction; what is sent
 /// changes within the limits of acceleration and jerk, and always so that from there every joint can be brought to rest
 /// within its operating range. Without a fresh sample each joint is brought to rest. Outside its operating range a joint can
@@ -113,6 +154,8 @@ pub struct Limiter<A> {
     drives: DriveLimits,
     newest: Option<JointState>,
     last: LastCommand,
+    /// Whether the arm has been at its start since it was enabled.
+    started: bool,
     statistics: LimiterStatistics,
 }
 
@@ -129,7 +172,17 @@ impl<A: Arm> Limiter<A> {
         check(&config)?;
         let drives = DriveLimits { acceleration: config.acceleration_max_rad_per_s2, jerk: config.jerk_max_rad_per_s3 };
         let last = LastCommand::new(&config);
-        Ok(Self { arm, clock, operating, config, drives, newest: None, last, statistics: LimiterStatistics::default() })
+        Ok(Self {
+            arm,
+            clock,
+            operating,
+            config,
+            drives,
+            newest: None,
+            last,
+            started: false,
+            statistics: LimiterStatistics::default(),
+        })
     }
 
     /// How often the limiter stepped in so far.
@@ -165,11 +218,53 @@ impl<A: Arm> Limiter<A> {
         Ok(sample)
     }
 
-    fn refuse(&mut self, velocity: &JointVector, joint: usize) -> Result<JointState, ArmError> {
-        self.statistics.refused_not_finite += 1;
+    /// Why a velocity may not be sent at all, if it may not.
+    fn refusal(&mut self, desired: &JointVector) -> Option<String> {
+        if let Some(joint) = (0..DOF).find(|&joint| !desired[joint].is_finite()) {
+            self.statistics.refused_not_finite += 1;
+            return Some(format!("joint {joint}: command {} rad/s is not finite", desired[joint]));
+        }
+        let measured_rad = self.newest?.position_rad;
+        if let Some(joint) = self.leads_out(desired, &measured_rad) {
+            self.statistics.refused_outwards += 1;
+            let limits = &self.config.hard_limits;
+            return Some(format!(
+                "joint {joint} is at {:.4} rad, beyond its servo limits {:.4} to {:.4} rad, and {:+.4} rad/s leads further out: only \
+                 the way back is open",
+                measured_rad[joint],
+                limits.position_min_rad()[joint],
+                limits.position_max_rad()[joint],
+                desired[joint]
+            ));
+        }
+        if self.started {
+            return None;
+        }
+        if let Some((joint, difference_rad)) = self.config.start.missed_by(&measured_rad) {
+            self.statistics.refused_start += 1;
+            return Some(format!(
+                "joint {joint} is at {:.4} rad, {difference_rad:+.4} rad from where the motion is to start: bring the arm to its \
+                 start pose first (home it, at low speed), or correct the start pose in the configuration",
+                measured_rad[joint]
+            ));
+        }
+        self.started = true;
+        None
+    }
+
+    /// A joint beyond its servo limits that would be led further out.
+    fn leads_out(&self, desired: &JointVector, measured_rad: &JointVector) -> Option<usize> {
+        let limits = &self.config.hard_limits;
+        (0..DOF).find(|&joint| {
+            let (angle, velocity) = (measured_rad[joint], desired[joint]);
+            (angle > limits.position_max_rad()[joint] + LIMIT_ROUNDING_RAD && velocity > 0.0)
+                || (angle < limits.position_min_rad()[joint] - LIMIT_ROUNDING_RAD && velocity < 0.0)
+        })
+    }
+
+    fn refuse(&mut self, reason: &str) -> Result<JointState, ArmError> {
         self.forward(JointCommand::Hold, self.clock.now())?;
-        let text = format!("joint {joint}: command {} rad/s is not finite; the arm holds", velocity[joint]);
-        Err(self.error(ArmErrorKind::Rejected, &text))
+        Err(self.error(ArmErrorKind::Rejected, &format!("{reason}; the arm holds")))
     }
 
     /// What to send in place of `desired`.
@@ -216,8 +311,8 @@ impl<A: Arm> Arm for Limiter<A> {
         let now = self.clock.now();
         let JointCommand::Velocity(desired) = command else { return self.forward(command, now) };
         self.statistics.velocity_commands += 1;
-        if let Some(joint) = (0..DOF).find(|&joint| !desired[joint].is_finite()) {
-            return self.refuse(&desired, joint);
+        if let Some(reason) = self.refusal(&desired) {
+            return self.refuse(&reason);
         }
         let set_point = self.limit(&desired, now);
         let sample = self.forward(JointCommand::Velocity(set_point.velocity), now)?;
@@ -233,6 +328,8 @@ impl<A: Arm + ArmPower> ArmPower for Limiter<A> {
 
     fn enable(&mut self) -> Result<(), ArmError> {
         self.last.note_rest();
+        self.newest = None;
+        self.started = false;
         self.arm.enable()
     }
 
@@ -261,6 +358,11 @@ fn check(config: &LimiterConfig) -> Result<(), LimiterError> {
         if !(value.is_finite() && value > 0.0) {
             return Err(LimiterError::Jerk { joint, value });
         }
+    }
+    if let StartPose::Near { tolerance_rad, .. } = config.start
+        && !(tolerance_rad.is_finite() && tolerance_rad > 0.0)
+    {
+        return Err(LimiterError::StartTolerance(tolerance_rad));
     }
     for (name, time) in [
         ("the reaction time", config.reaction_time),

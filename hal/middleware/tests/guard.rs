@@ -20,8 +20,11 @@ use proptest::prelude::*;
 const START: [f64; DOF] = [0.2, -0.5, 0.3, 1.1, -0.7, 0.9, 0.1];
 
 fn config(speed_scale: f64) -> GuardConfig {
+    let (mechanical_min_rad, mechanical_max_rad) = GuardConfig::pa10_mechanical_range_rad();
     GuardConfig {
         hard_limits: hard_limits(),
+        mechanical_min_rad,
+        mechanical_max_rad,
         speed_scale,
         acceleration_max_rad_per_s2: acceleration(),
         delay: Duration::from_millis(15),
@@ -239,10 +242,43 @@ fn a_joint_that_is_too_fast_twice_stops_the_arm() {
 #[test]
 fn a_joint_beyond_its_limits_stops_the_arm() {
     let mut bench = Bench::new(START, 0.6);
+    let inside = |sample: &mut JointState| sample.position_rad[1] = 90.9_f64.to_radians();
+    bench.tamper(inside);
+    bench.step(JointCommand::Hold).unwrap();
     bench.tamper(|sample| sample.position_rad[1] = 91.5_f64.to_radians());
     let error = bench.step(JointCommand::Hold).unwrap_err();
     assert_eq!(error.kind(), ArmErrorKind::Fault);
     assert!(error.to_string().contains("joint 1 is at 1.5970 rad, beyond its limits -1.5882 to 1.5882"), "{error}");
+    bench.assert_latched_until_reset();
+}
+
+/// S2 is 0.03 rad beyond its servo limit when the arm is enabled: it may come back, and not go further out, nor out again.
+#[test]
+fn a_joint_that_is_found_beyond_its_limits_may_come_back() {
+    let limit = hard_limits().position_max_rad()[1];
+    let mut start = START;
+    start[1] = limit - 0.02;
+    let shown_beyond = |sample: &mut JointState| sample.position_rad[1] += 0.05;
+    let mut bench = Bench::new(start, 0.6);
+    bench.tamper(shown_beyond);
+    bench.step(JointCommand::Hold).unwrap();
+    let (_, error) = bench.until_refused(velocity(1, 0.05), Duration::from_secs(1)).unwrap();
+    assert!(error.to_string().contains("joint 1 is at 1.6"), "{error}");
+    assert_eq!(bench.guard.state(), ArmState::Fault);
+    bench.guard.reset().unwrap();
+    bench.guard.enable().unwrap();
+    assert!(bench.until_refused(velocity(1, -0.1), Duration::from_secs(1)).is_none(), "the way back");
+    let (_, error) = bench.until_refused(velocity(1, 0.1), Duration::from_secs(3)).unwrap();
+    assert!(error.to_string().contains("joint 1 is at 1.58"), "{error}");
+}
+
+#[test]
+fn a_joint_where_none_can_be_has_a_wrong_encoder() {
+    let mut bench = Bench::new(START, 0.6);
+    bench.tamper(|sample| sample.position_rad[3] = -143.1_f64.to_radians());
+    let error = bench.step(JointCommand::Hold).unwrap_err();
+    assert_eq!(error.kind(), ArmErrorKind::Fault);
+    assert!(error.to_string().contains("joint 3 is at -2.4976 rad, where none can be"), "{error}");
     bench.assert_latched_until_reset();
 }
 
@@ -266,6 +302,8 @@ fn refuses_numbers_that_are_none() {
         Guard::new(mock_arm(&Arc::new(VirtualClock::new()), START.into()), config).err()
     };
     assert_eq!(refused(|c| c.speed_scale = 1.5), Some(GuardError::SpeedScale(1.5)));
+    let narrow = refused(|c| c.mechanical_max_rad[1] = 1.5);
+    assert!(matches!(narrow, Some(GuardError::MechanicalRange(_))), "{narrow:?}");
     let weak = refused(|c| c.acceleration_max_rad_per_s2[6] = 0.0);
     assert_eq!(weak, Some(GuardError::Acceleration { joint: 6, value: 0.0 }));
     assert!(matches!(refused(|c| c.tracking_error_max_rad = f64::NAN), Some(GuardError::TrackingError(_))));

@@ -15,7 +15,7 @@ use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Cl
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_hal_conformance::mocks::MockScriptedArm;
 use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, arm_suite};
-use pb3dp_hal_middleware::{Limiter, LimiterConfig, LimiterError};
+use pb3dp_hal_middleware::{Limiter, LimiterConfig, LimiterError, StartPose};
 use pb3dp_kinematics::{DOF, JointLimitsError, JointVector};
 use proptest::prelude::*;
 
@@ -118,6 +118,85 @@ fn a_velocity_right_after_a_hold_goes_on_from_the_ramp() {
     assert!(last[0] > 0.46 - 1e-12 && last[0] < 0.464 + 1e-12, "{last}");
 }
 
+/// Where `sample` is, with one joint elsewhere.
+fn start_with(joint: usize, offset_rad: f64) -> StartPose {
+    let mut position_rad = sample(MonotonicTime::ZERO).position_rad;
+    position_rad[joint] -= offset_rad;
+    StartPose::Near { position_rad, tolerance_rad: StartPose::TOLERANCE_RAD }
+}
+
+#[test]
+fn the_first_velocity_is_refused_away_from_the_start() {
+    for (joint, offset_rad, is_refused) in [(4, 0.0101, true), (2, -0.02, true), (6, 0.0099, false), (0, 0.0, false)] {
+        let clock = Arc::new(VirtualClock::new());
+        let mut arm = mock_arm(&clock, sample(MonotonicTime::ZERO).position_rad);
+        arm.enable().unwrap();
+        let config = LimiterConfig { start: start_with(joint, offset_rad), ..limiter_config(0.6) };
+        let mut limiter = Limiter::new(arm, config, Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
+        let mut cycle = |command| {
+            clock.sleep_until(clock.now() + CYCLE);
+            limiter.exchange(command).map_err(|error| (error.kind(), error.to_string()))
+        };
+        cycle(JointCommand::Hold).unwrap();
+        let first = cycle(velocity(1, 0.2));
+        assert_eq!(first.is_err(), is_refused, "joint {joint} off by {offset_rad}: {first:?}");
+        if let Err((kind, text)) = first {
+            assert_eq!(kind, ArmErrorKind::Rejected);
+            let named = format!("joint {joint} is at ");
+            assert!(text.contains(&named) && text.contains("bring the arm to its start pose"), "{text}");
+            assert!(cycle(velocity(1, 0.2)).is_err(), "it stays refused");
+            assert_eq!(limiter.statistics().refused_start, 2);
+            continue;
+        }
+        // Once on its way it may be anywhere, until it is enabled anew.
+        assert!((0..50).all(|_| cycle(velocity(1, 0.2)).is_ok()));
+        limiter.stop().unwrap();
+        limiter.enable().unwrap();
+        limiter.exchange(JointCommand::Hold).unwrap();
+        assert_eq!(limiter.exchange(velocity(1, 0.2)).unwrap_err().kind(), ArmErrorKind::Rejected);
+    }
+}
+
+#[test]
+fn beyond_a_servo_limit_only_the_way_back_is_open() {
+    let mut outside = sample(MonotonicTime::ZERO);
+    outside.position_rad[1] = 1.6;
+    let (mut limiter, _) = scripted(|arm| {
+        let mut in_order = mockall::Sequence::new();
+        let is_hold = eq(JointCommand::Hold);
+        arm.expect_exchange().with(is_hold).times(2).in_sequence(&mut in_order).returning(move |_| Ok(outside));
+        let back = velocity(1, -0.004);
+        arm.expect_exchange().with(eq(back)).times(1).in_sequence(&mut in_order).returning(move |_| Ok(outside));
+    });
+    limiter.exchange(JointCommand::Hold).unwrap();
+    let error = limiter.exchange(velocity(1, 1e-6)).unwrap_err();
+    assert_eq!((error.kind(), limiter.statistics().refused_outwards), (ArmErrorKind::Rejected, 1));
+    let text = error.to_string();
+    assert!(text.contains("joint 1 is at 1.6000 rad, beyond its servo limits -1.5882 to 1.5882"), "{text}");
+    limiter.exchange(velocity(1, -0.5)).unwrap();
+}
+
+/// E2 and W2 go to 249 degrees: an angle beyond half a turn is one, and no smaller angle the other way round.
+#[test]
+fn joints_turn_beyond_half_a_turn() {
+    let clock = Arc::new(VirtualClock::new());
+    let start = JointVector::from([0.2, -0.5, 0.3, 1.1, 170f64.to_radians(), 0.9, -170f64.to_radians()]);
+    let mut arm = mock_arm(&clock, start);
+    arm.enable().unwrap();
+    let mut limiter = Limiter::new(arm, limiter_config(0.6), Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
+    let mut wish = JointVector::zeros();
+    (wish[4], wish[6]) = (1.0, -1.0);
+    let mut last = limiter.exchange(JointCommand::Hold).unwrap();
+    for _ in 0..600 {
+        clock.sleep_until(clock.now() + CYCLE);
+        last = limiter.exchange(JointCommand::Velocity(wish)).unwrap();
+    }
+    for (joint, angle) in [(4, last.position_rad[4]), (6, -last.position_rad[6])] {
+        let end = 249f64.to_radians();
+        assert!(angle > end - 0.01 && angle < end + 1e-5, "joint {joint} came to {} degrees", angle.to_degrees());
+    }
+}
+
 #[test]
 fn a_reply_that_is_not_finite_is_thrown_away() {
     let (mut limiter, _) = scripted(|arm| {
@@ -199,6 +278,8 @@ fn refuses_numbers_that_are_no_limits() {
     assert_eq!(weak, Some(LimiterError::Acceleration { joint: 5, value: -1.0 }));
     let soft = refused(|c| c.jerk_max_rad_per_s3[2] = f64::INFINITY);
     assert_eq!(soft, Some(LimiterError::Jerk { joint: 2, value: f64::INFINITY }));
+    let nowhere = refused(|c| c.start = StartPose::Near { position_rad: JointVector::zeros(), tolerance_rad: 0.0 });
+    assert_eq!(nowhere, Some(LimiterError::StartTolerance(0.0)));
     assert_eq!(refused(|c| c.stale_after = Duration::ZERO), Some(LimiterError::ZeroTime("the age of a stale sample")));
     assert_eq!(refused(|_| {}), None);
 }

@@ -65,7 +65,8 @@ fn a_run_leaves_report_summary_and_time_series() {
 #[test]
 fn an_experiment_that_is_too_fast_is_refused_by_how_much() {
     let dir = tempfile::tempdir().unwrap();
-    let config = setup(dir.path(), &[("speed_scale = 0.6 ", "speed_scale = 0.10 ")]);
+    // Without these keys arms are slow.
+    let config = setup(dir.path(), &[("speed_scale = 0.6 ", "# "), ("first_run = false ", "# ")]);
     let out = dir.path().join("out");
     let finished = pb3dp(&words(&[&"run", &"--config", &config, &"--out", &out]));
     finished.assert_refused(&["can not follow the experiment", "joint ", "speed scale 0.1", "times too fast"]);
@@ -84,6 +85,7 @@ fn setups_are_refused_with_file_key_and_what_is_allowed() {
         ("frame_rate_hz = 30.0", "", &["camera.frame_rate_hz", "missing"]),
         ("frame_rate_hz = 30.0", "frame_rate_hz = 300.0", &["camera.frame_rate_hz = 300", "1 to 240"]),
         ("speed_scale = 0.6 ", "speed_scale = 1.5 ", &["arms.speed_scale = 1.5", "0.01 to 1"]),
+        ("first_run = false ", "# ", &["arms.speed_scale = 0.6", "at most 0.25 on the first run", "arms.first_run"]),
         ("method = \"direct\"", "method = \"magic\"", &["estimator.method", "magic", "published"]),
         ("method = \"direct\"", "method = \"published\"", &["estimator.compare = [published]", "not `method` itself"]),
         (

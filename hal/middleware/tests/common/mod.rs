@@ -6,7 +6,7 @@ use std::time::Duration;
 use pb3dp_arm_pa10::{MockArm, MockArmConfig};
 use pb3dp_hal_api::{Clock, JointCommand};
 use pb3dp_hal_clock::VirtualClock;
-use pb3dp_hal_middleware::LimiterConfig;
+use pb3dp_hal_middleware::{LimiterConfig, StartPose};
 use pb3dp_kinematics::{Chain, JointLimits, JointVector};
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 
@@ -42,6 +42,7 @@ pub fn limiter_config(speed_scale: f64) -> LimiterConfig {
         reaction_time: Duration::from_millis(65),
         command_timeout: COMMAND_TIMEOUT,
         stale_after: Duration::from_millis(50),
+        start: StartPose::Anywhere,
     }
 }
 

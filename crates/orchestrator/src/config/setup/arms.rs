@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, Target, World};
-use pb3dp_hal_middleware::{GuardConfig, LimiterConfig};
+use pb3dp_hal_middleware::{GuardConfig, LimiterConfig, StartPose};
 use pb3dp_kinematics::{Chain, DOF, JointLimits, JointVector};
 use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 use serde::Deserialize;
@@ -36,12 +36,28 @@ pub struct ArmSetup {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ArmsSection {
+    #[serde(default = "rig_speed_scale")]
     pub(super) speed_scale: f64,
+    #[serde(default = "yes")]
+    first_run: bool,
     pub(super) stale_after_millis: f64,
     tracking_error_max_deg: f64,
     tracking_error_millis: f64,
     vs: ArmSection,
     tc: ArmSection,
+}
+
+/// The share of their speeds with which arms run unless the file says otherwise, R11 of the requirements.
+fn rig_speed_scale() -> f64 {
+    0.10
+}
+
+/// The largest share as long as the arms have not been run yet.
+const FIRST_RUN_SPEED_SCALE: f64 = 0.25;
+
+/// Arms count as not run yet unless the file says otherwise.
+fn yes() -> bool {
+    true
 }
 
 /// What is mounted where.
@@ -80,6 +96,7 @@ struct ArmSection {
     flange_link: String,
     world_from_base: PoseEntry,
     start_deg: [f64; DOF],
+    mechanical_range_deg: [f64; DOF],
     operating_range_deg: [f64; DOF],
     acceleration_max_rad_per_s2: [f64; DOF],
     jerk_max_rad_per_s3: [f64; DOF],
@@ -107,6 +124,12 @@ impl ArmsSection {
         check: &mut Checker,
     ) -> Option<(ArmSetup, ArmSetup)> {
         check.number("arms.speed_scale", self.speed_scale, 0.01..=1.0);
+        if self.first_run && self.speed_scale > FIRST_RUN_SPEED_SCALE && self.speed_scale <= 1.0 {
+            check.refuse(format!(
+                "arms.speed_scale = {}: at most {FIRST_RUN_SPEED_SCALE} on the first run (arms.first_run, also if it is not set)",
+                self.speed_scale
+            ));
+        }
         check.number("arms.stale_after_millis", self.stale_after_millis, control_period_millis..=200.0);
         check.number("arms.tracking_error_max_deg", self.tracking_error_max_deg, 0.1..=10.0);
         check.number("arms.tracking_error_millis", self.tracking_error_millis, control_period_millis..=500.0);
@@ -138,13 +161,15 @@ impl ArmSection {
         let chain = self.chain(key, config_file, check);
         self.check_angles(key, chain.as_ref().map(Chain::limits), check);
         let chain = chain?;
+        let start_rad = JointVector::from(self.start_deg).map(f64::to_radians);
+        let mechanical_max_rad = JointVector::from(self.mechanical_range_deg).map(f64::to_radians);
         let operating_max_rad = JointVector::from(self.operating_range_deg).map(f64::to_radians);
         let acceleration_max_rad_per_s2 = JointVector::from(self.acceleration_max_rad_per_s2);
         let hard_limits = *chain.limits();
         let reaction_millis = control_period_millis + self.command_delay_millis + lag;
         Some(ArmSetup {
             world_from_base,
-            start_rad: JointVector::from(self.start_deg).map(f64::to_radians),
+            start_rad,
             plant: JointPlantConfig {
                 limits: hard_limits,
                 acceleration_max_rad_per_s2,
@@ -163,9 +188,12 @@ impl ArmSection {
                 reaction_time: millis(reaction_millis),
                 command_timeout: millis(timeout),
                 stale_after: millis(all.stale_after_millis),
+                start: StartPose::Near { position_rad: start_rad, tolerance_rad: StartPose::TOLERANCE_RAD },
             },
             guard: GuardConfig {
                 hard_limits,
+                mechanical_min_rad: -mechanical_max_rad,
+                mechanical_max_rad,
                 speed_scale: all.speed_scale,
                 acceleration_max_rad_per_s2,
                 delay: millis(self.command_delay_millis),
@@ -178,13 +206,18 @@ impl ArmSection {
         })
     }
 
-    /// The operating range lies within the limits of the robot's joints (if they are known), the start within the operating
-    /// range.
+    /// The operating range lies within the limits of the robot's joints (if they are known) and these within the mechanical
+    /// range, the start within the operating range.
     fn check_angles(&self, key: &str, limits: Option<&JointLimits>, check: &mut Checker) {
         for (joint, (operating_deg, start_deg)) in self.operating_range_deg.into_iter().zip(self.start_deg).enumerate()
         {
             let hard_rad =
                 limits.map_or(TAU, |limits| limits.position_max_rad()[joint].min(-limits.position_min_rad()[joint]));
+            let outer_rad =
+                limits.map_or(0.1, |limits| limits.position_max_rad()[joint].max(-limits.position_min_rad()[joint]));
+            let outer_deg = (outer_rad.to_degrees() * 100.0).ceil() / 100.0;
+            let mechanical_deg = self.mechanical_range_deg[joint];
+            check.number(&format!("{key}.mechanical_range_deg[{joint}]"), mechanical_deg, outer_deg..=720.0);
             let hard_deg = ((hard_rad.to_degrees() * 100.0).floor() / 100.0).max(1.0);
             check.number(&format!("{key}.operating_range_deg[{joint}]"), operating_deg, 1.0..=hard_deg);
             let operating_deg = within(operating_deg, 1.0, hard_deg);
