@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, World};
 
-use crate::{DOF, JointFrames};
+use crate::{DOF, JointFrames, JointVector};
 
 /// All points within `radius_m` of a straight line between two points. Metres; the frame is the owner's.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -132,6 +132,27 @@ impl ArmShape {
 }
 
 impl PlacedArm<'_> {
+    /// How far any point of a part moves at most, metres, while every joint turns by at most `reach_rad` from where it is.
+    ///
+    /// From the tip on: a joint moves what it carries along an arc around its axis, whose radius is that of the part's farther
+    /// end and what the joints behind it may have added.
+    fn moves_by(&self, part: &ArmPart, reach_rad: &JointVector) -> f64 {
+        let (joints, base_from_part) = match part.carrier {
+            Carrier::Base => return 0.0,
+            Carrier::Joint(joint) => (joint + 1, self.frames.base_from_joint[joint]),
+            Carrier::Flange => (DOF, *self.frames.base_from_flange.isometry()),
+        };
+        let ends = part.capsule.ends_m.map(|end| base_from_part * end);
+        let mut moved_m = 0.0;
+        for joint in (0..joints).rev() {
+            let origin = Point3::from(self.frames.base_from_joint[joint].translation.vector);
+            let axis = &self.frames.axis_in_base[joint];
+            let radius = |end: &Point3<f64>| axis.cross(&(end - origin)).norm();
+            moved_m += reach_rad[joint].abs() * (radius(&ends[0]).max(radius(&ends[1])) + moved_m);
+        }
+        moved_m
+    }
+
     fn in_world(&self, part: &ArmPart) -> Capsule {
         let base_from_part = match part.carrier {
             Carrier::Base => Isometry3::identity(),
@@ -144,11 +165,22 @@ impl PlacedArm<'_> {
 
 /// The room between two arms. Where a place is not a number it is minus infinity.
 pub fn clearance<'a>(first: &PlacedArm<'a>, second: &PlacedArm<'a>) -> Clearance<'a> {
+    let nowhere = JointVector::zeros();
+    clearance_within((first, &nowhere), (second, &nowhere))
+}
+
+/// The room that is left between two arms wherever their joints go within `reach_rad` of where they are, each for itself: a
+/// lower bound. Where a place is not a number it is minus infinity.
+pub fn clearance_within<'a>(
+    (first, first_reach_rad): (&PlacedArm<'a>, &JointVector),
+    (second, second_reach_rad): (&PlacedArm<'a>, &JointVector),
+) -> Clearance<'a> {
     let mut nearest: Option<Clearance<'a>> = None;
     for one in &first.shape.parts {
-        let one_in_world = first.in_world(one);
+        let (one_in_world, one_moves_m) = (first.in_world(one), first.moves_by(one, first_reach_rad));
         for other in &second.shape.parts {
-            let distance_m = one_in_world.distance_m(&second.in_world(other));
+            let moves_m = one_moves_m + second.moves_by(other, second_reach_rad);
+            let distance_m = one_in_world.distance_m(&second.in_world(other)) - moves_m;
             // What is no number is no room.
             let distance_m = if distance_m.is_nan() { f64::NEG_INFINITY } else { distance_m };
             if nearest.is_none_or(|so_far| distance_m < so_far.distance_m) {
@@ -235,12 +267,80 @@ mod tests {
         assert!(rod.distance_m(&lost).is_nan() && lost.distance_m(&rod).is_nan());
     }
 
+    /// The arm of the rig, straight up, with a part at its flange; another one that stands 2 m away.
+    fn two_arms(check: impl Fn(&crate::Chain, &ArmShape, &[Pose<World, Base>; 2])) {
+        let urdf = include_str!("../../../configs/robots/pa10_gen2.urdf");
+        let chain = crate::Chain::from_urdf_str(urdf, "base_link", "flange").unwrap();
+        let part = |name: &str, carrier, end_m: [f64; 3]| ArmPart {
+            name: name.to_owned(),
+            carrier,
+            capsule: capsule([0.0, 0.0, 0.0], end_m, 0.1),
+        };
+        let shape = ArmShape::new(vec![
+            part("base", Carrier::Base, [0.0, 0.0, 0.317]),
+            part("upper arm", Carrier::Joint(1), [0.0, 0.0, 0.45]),
+            part("forearm", Carrier::Joint(3), [0.0, 0.0, 0.48]),
+            part("tool", Carrier::Flange, [0.05, 0.0, 0.2]),
+        ])
+        .unwrap();
+        let turned = nalgebra::UnitQuaternion::from_euler_angles(0.0, 0.0, 3.0);
+        let places = [
+            Pose::from_parts(Vector3::new(-1.0, 0.1, 0.7), nalgebra::UnitQuaternion::identity()),
+            Pose::from_parts(Vector3::new(1.0, 0.0, 0.7), turned),
+        ];
+        check(&chain, &shape, &places);
+    }
+
+    #[test]
+    fn arms_that_stand_up_are_as_far_apart_as_their_bases() {
+        two_arms(|chain, shape, places| {
+            let frames = chain.joint_frames(&JointVector::zeros());
+            let [first, second] = [0, 1].map(|i| PlacedArm { shape, world_from_base: &places[i], frames: &frames });
+            let bases_m = (2.0f64 * 2.0 + 0.1 * 0.1).sqrt();
+            let room = clearance(&first, &second);
+            assert!(room.distance_m < bases_m - 0.2 && room.distance_m > bases_m - 0.31, "{room:?}");
+            // S1 turns what stands on its axis, and the tool's end 50 mm beside it.
+            let mut reach_rad = JointVector::zeros();
+            reach_rad[0] = 0.1;
+            let within = clearance_within((&first, &reach_rad), (&second, &JointVector::zeros()));
+            assert!((room.distance_m - within.distance_m - 0.005).abs() < 1e-12, "{room:?} {within:?}");
+            // S2 turns the tool's end about the shoulder, 0.45 + 0.48 + 0.07 + 0.2 m below it.
+            (reach_rad[0], reach_rad[1]) = (0.0, 0.1);
+            let within = clearance_within((&first, &reach_rad), (&second, &JointVector::zeros()));
+            assert!((room.distance_m - within.distance_m - 0.12).abs() < 2e-3, "{room:?} {within:?}");
+        });
+    }
+
+    fn any_joints(most: f64) -> impl Strategy<Value = JointVector> {
+        prop::array::uniform7(-most..most).prop_map(JointVector::from)
+    }
+
     fn any_point() -> impl Strategy<Value = Point3<f64>> {
         prop::array::uniform3(-1.0..1.0f64).prop_map(Point3::from)
     }
 
     proptest! {
         #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(500) })]
+
+        /// Wherever the joints of both arms go within their reach, there is at least the room that was told.
+        #[test]
+        fn no_pose_within_reach_has_less_room(
+            first in any_joints(2.0), second in any_joints(2.0), first_part in any_joints(1.0), second_part in any_joints(1.0),
+            size in 0.0..0.5f64,
+        ) {
+            two_arms(|chain, shape, places| {
+                let reach_rad = JointVector::repeat(size);
+                let [from, to] = [[first, second], [first + first_part * size, second + second_part * size]]
+                    .map(|joints| joints.map(|joints| chain.joint_frames(&joints)));
+                let placed = |frames, i: usize| PlacedArm { shape, world_from_base: &places[i], frames };
+                let told = clearance_within(
+                    (&placed(&from[0], 0), &reach_rad),
+                    (&placed(&from[1], 1), &reach_rad),
+                );
+                let found = clearance(&placed(&to[0], 0), &placed(&to[1], 1));
+                assert!(told.distance_m <= found.distance_m + 1e-12, "{told:?} {found:?}");
+            });
+        }
 
         /// No pair of points on a fine grid is nearer, and some is nearly as near.
         #[test]

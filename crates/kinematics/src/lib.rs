@@ -2,7 +2,7 @@
 //!
 //! * [`Chain`] is read from a URDF text and answers where the flange and every joint are, and how they move.
 //! * [`JointLimits`] are the position and speed limits that the description states.
-//! * [`clearance()`] is the room between two arms.
+//! * [`clearance()`] is the room between two arms, [`clearance_within`] what is left of it while their joints move.
 //! * [`damped_pseudo_inverse`], [`smallest_singular_value`] and [`manipulability`] judge and invert a [`Jacobian`].
 //!
 //! Metres, radians, seconds; seven revolute joints, counted from the base.
@@ -17,7 +17,9 @@ use nalgebra::SVector;
 use pb3dp_geometry::MonotonicTime;
 
 pub use chain::{Chain, JointFrames};
-pub use clearance::{ArmPart, ArmShape, ArmShapeError, Capsule, Carrier, Clearance, PlacedArm, clearance};
+pub use clearance::{
+    ArmPart, ArmShape, ArmShapeError, Capsule, Carrier, Clearance, PlacedArm, clearance, clearance_within,
+};
 pub use jacobian::{
     Damping, DampingError, Jacobian, PseudoInverse, damped_pseudo_inverse, manipulability, singular_values,
     smallest_singular_value,

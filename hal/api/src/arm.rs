@@ -57,6 +57,8 @@ pub enum ArmErrorKind {
 pub struct ArmError {
     kind: ArmErrorKind,
     message: String,
+    joint: Option<usize>,
+    code: Option<u16>,
     #[source]
     source: Option<Box<dyn std::error::Error + Send + Sync>>,
 }
@@ -64,7 +66,7 @@ pub struct ArmError {
 impl ArmError {
     /// An error without a cause of its own.
     pub fn new(kind: ArmErrorKind, message: impl Into<String>) -> Self {
-        Self { kind, message: message.into(), source: None }
+        Self { kind, message: message.into(), joint: None, code: None, source: None }
     }
 
     /// An error with the error that caused it.
@@ -73,12 +75,34 @@ impl ArmError {
         message: impl Into<String>,
         source: impl Into<Box<dyn std::error::Error + Send + Sync>>,
     ) -> Self {
-        Self { kind, message: message.into(), source: Some(source.into()) }
+        Self { kind, message: message.into(), joint: None, code: None, source: Some(source.into()) }
+    }
+
+    /// The same error of this joint, counted from the base, 0 to 6.
+    #[must_use]
+    pub fn of_joint(self, joint: usize) -> Self {
+        Self { joint: Some(joint), ..self }
+    }
+
+    /// The same error with the alarm code of the device.
+    #[must_use]
+    pub fn with_code(self, code: u16) -> Self {
+        Self { code: Some(code), ..self }
     }
 
     /// What a policy decides on.
     pub fn kind(&self) -> ArmErrorKind {
         self.kind
+    }
+
+    /// The joint that it is about, if it is about one.
+    pub fn joint(&self) -> Option<usize> {
+        self.joint
+    }
+
+    /// The alarm code of the device, if there is one.
+    pub fn code(&self) -> Option<u16> {
+        self.code
     }
 }
 

@@ -139,11 +139,11 @@ impl<A: Arm> Guard<A> {
     }
 
     /// Stops at once. What the arm answers to that is of no use any more.
-    fn stop_for(&mut self, reason: String) -> ArmError {
+    fn stop_for(&mut self, (joint, reason): (usize, String)) -> ArmError {
         let told = self.arm.exchange(JointCommand::Hold);
         self.expectation.command(&JointVector::zeros());
         let link = told.err().map_or(String::new(), |error| format!(" (and it could not be told to hold: {error})"));
-        let error = self.error(ArmErrorKind::Fault, &format!("{reason}; the arm holds{link}"));
+        let error = self.error(ArmErrorKind::Fault, &format!("{reason}; the arm holds{link}")).of_joint(joint);
         self.latched = Some(reason);
         error
     }
@@ -153,7 +153,8 @@ impl<A: Arm> Guard<A> {
         self.jumps += 1;
         let text = format!("joint {joint} seems to have moved by {moved_rad:+.4} rad within {dt:?}, which it can not");
         if self.jumps >= JUMPS_TO_FAULT {
-            return self.stop_for(format!("{text}, {} times in a row: check its encoder and the link", self.jumps));
+            let reason = format!("{text}, {} times in a row: check its encoder and the link", self.jumps);
+            return self.stop_for((joint, reason));
         }
         match self.arm.exchange(JointCommand::Hold) {
             Ok(_) => {
@@ -174,14 +175,15 @@ impl<A: Arm> Guard<A> {
         })
     }
 
-    fn beyond_limit(&mut self, sample: &JointState) -> Option<String> {
+    fn beyond_limit(&mut self, sample: &JointState) -> Option<(usize, String)> {
         if let Some(wrong) = self.mechanical.violation(&sample.position_rad) {
             let (joint, angle) = (wrong.joint, wrong.position_rad);
-            return Some(format!(
+            let reason = format!(
                 "joint {joint} is at {angle:.4} rad, where none can be (its stops are at {:.4} and {:.4} rad): check its encoder and \
                  its zero point",
                 wrong.min_rad, wrong.max_rad
-            ));
+            );
+            return Some((joint, reason));
         }
         let limits = &self.config.hard_limits;
         let beyond_rad = limits.margin_rad(&sample.position_rad).map(|margin| (-margin).max(0.0));
@@ -194,14 +196,15 @@ impl<A: Arm> Guard<A> {
             if beyond_rad[joint] > allowed_rad {
                 let (min, max) = (limits.position_min_rad()[joint], limits.position_max_rad()[joint]);
                 let angle = sample.position_rad[joint];
-                return Some(format!("joint {joint} is at {angle:.4} rad, beyond its limits {min:.4} to {max:.4} rad"));
+                let reason = format!("joint {joint} is at {angle:.4} rad, beyond its limits {min:.4} to {max:.4} rad");
+                return Some((joint, reason));
             }
             *found_rad = found_rad.min(beyond_rad[joint]);
         }
         None
     }
 
-    fn over_speed(&mut self, sample: &JointState) -> Option<String> {
+    fn over_speed(&mut self, sample: &JointState) -> Option<(usize, String)> {
         let speeds = self.config.hard_limits.velocity_max_rad_per_s();
         let mut reason = None;
         for joint in 0..DOF {
@@ -209,23 +212,25 @@ impl<A: Arm> Guard<A> {
             let is_slow = speed.abs() <= OVER_SPEED * allowed;
             self.too_fast[joint] = if is_slow { 0 } else { self.too_fast[joint] + 1 };
             if self.too_fast[joint] >= OVER_SPEED_SAMPLES && reason.is_none() {
-                reason = Some(format!("joint {joint} moves at {speed:+.3} rad/s, {allowed:.3} rad/s are allowed"));
+                let text = format!("joint {joint} moves at {speed:+.3} rad/s, {allowed:.3} rad/s are allowed");
+                reason = Some((joint, text));
             }
         }
         reason
     }
 
-    fn off_track(&mut self, moved_rad: &JointVector, dt: Duration) -> Option<String> {
+    fn off_track(&mut self, moved_rad: &JointVector, dt: Duration) -> Option<(usize, String)> {
         let error_rad = self.expectation.error_after(moved_rad, dt);
         let mut reason = None;
         for joint in 0..DOF {
             let is_on_track = error_rad[joint].abs() <= self.config.tracking_error_max_rad;
             self.off_track_for[joint] = if is_on_track { Duration::ZERO } else { self.off_track_for[joint] + dt };
             if self.off_track_for[joint] >= self.config.tracking_error_for && reason.is_none() {
-                reason = Some(format!(
+                let text = format!(
                     "joint {joint} is {:+.3} rad from where its commands lead, for {:?}: it is blocked, pushed or not driven",
                     error_rad[joint], self.off_track_for[joint]
-                ));
+                );
+                reason = Some((joint, text));
             }
         }
         reason

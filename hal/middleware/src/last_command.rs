@@ -6,7 +6,6 @@ use std::time::Duration;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
 
-use crate::limiter::LimiterConfig;
 use crate::shaping::SetPoint;
 
 /// Set-points that are remembered at most. Were there more within the reaction time, the oldest two become one.
@@ -40,10 +39,11 @@ struct InForce {
 }
 
 impl LastCommand {
-    pub(crate) fn new(config: &LimiterConfig) -> Self {
+    /// Nothing was sent yet to drives that ramp like this and come to rest by themselves after so long.
+    pub(crate) fn new(acceleration_max_rad_per_s2: JointVector, command_timeout: Duration) -> Self {
         Self {
-            acceleration_max_rad_per_s2: config.acceleration_max_rad_per_s2,
-            command_timeout: config.command_timeout,
+            acceleration_max_rad_per_s2,
+            command_timeout,
             kind: Kind::Rest,
             at: MonotonicTime::ZERO,
             recent: VecDeque::with_capacity(REMEMBERED_MAX),

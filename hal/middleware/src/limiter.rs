@@ -171,7 +171,7 @@ impl<A: Arm> Limiter<A> {
             .map_err(LimiterError::OperatingRange)?;
         check(&config)?;
         let drives = DriveLimits { acceleration: config.acceleration_max_rad_per_s2, jerk: config.jerk_max_rad_per_s3 };
-        let last = LastCommand::new(&config);
+        let last = LastCommand::new(config.acceleration_max_rad_per_s2, config.command_timeout);
         Ok(Self {
             arm,
             clock,
@@ -219,34 +219,36 @@ impl<A: Arm> Limiter<A> {
     }
 
     /// Why a velocity may not be sent at all, if it may not.
-    fn refusal(&mut self, desired: &JointVector) -> Option<String> {
+    fn refusal(&mut self, desired: &JointVector) -> Option<(usize, String)> {
         if let Some(joint) = (0..DOF).find(|&joint| !desired[joint].is_finite()) {
             self.statistics.refused_not_finite += 1;
-            return Some(format!("joint {joint}: command {} rad/s is not finite", desired[joint]));
+            return Some((joint, format!("joint {joint}: command {} rad/s is not finite", desired[joint])));
         }
         let measured_rad = self.newest?.position_rad;
         if let Some(joint) = self.leads_out(desired, &measured_rad) {
             self.statistics.refused_outwards += 1;
             let limits = &self.config.hard_limits;
-            return Some(format!(
+            let reason = format!(
                 "joint {joint} is at {:.4} rad, beyond its servo limits {:.4} to {:.4} rad, and {:+.4} rad/s leads further out: only \
                  the way back is open",
                 measured_rad[joint],
                 limits.position_min_rad()[joint],
                 limits.position_max_rad()[joint],
                 desired[joint]
-            ));
+            );
+            return Some((joint, reason));
         }
         if self.started {
             return None;
         }
         if let Some((joint, difference_rad)) = self.config.start.missed_by(&measured_rad) {
             self.statistics.refused_start += 1;
-            return Some(format!(
+            let reason = format!(
                 "joint {joint} is at {:.4} rad, {difference_rad:+.4} rad from where the motion is to start: bring the arm to its \
                  start pose first (home it, at low speed), or correct the start pose in the configuration",
                 measured_rad[joint]
-            ));
+            );
+            return Some((joint, reason));
         }
         self.started = true;
         None
@@ -262,9 +264,9 @@ impl<A: Arm> Limiter<A> {
         })
     }
 
-    fn refuse(&mut self, reason: &str) -> Result<JointState, ArmError> {
+    fn refuse(&mut self, (joint, reason): (usize, String)) -> Result<JointState, ArmError> {
         self.forward(JointCommand::Hold, self.clock.now())?;
-        Err(self.error(ArmErrorKind::Rejected, &format!("{reason}; the arm holds")))
+        Err(self.error(ArmErrorKind::Rejected, &format!("{reason}; the arm holds")).of_joint(joint))
     }
 
     /// What to send in place of `desired`.
@@ -312,7 +314,7 @@ impl<A: Arm> Arm for Limiter<A> {
         let JointCommand::Velocity(desired) = command else { return self.forward(command, now) };
         self.statistics.velocity_commands += 1;
         if let Some(reason) = self.refusal(&desired) {
-            return self.refuse(&reason);
+            return self.refuse(reason);
         }
         let set_point = self.limit(&desired, now);
         let sample = self.forward(JointCommand::Velocity(set_point.velocity), now)?;

@@ -7,7 +7,7 @@ mod common;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use common::{CYCLE, acceleration, hard_limits, limiter_config, mock_arm, velocity};
+use common::{CYCLE, guard_config, hard_limits, limiter_config, mock_arm, velocity};
 use pb3dp_arm_pa10::MockArm;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
@@ -18,21 +18,6 @@ use pb3dp_kinematics::{DOF, JointVector};
 use proptest::prelude::*;
 
 const START: [f64; DOF] = [0.2, -0.5, 0.3, 1.1, -0.7, 0.9, 0.1];
-
-fn config(speed_scale: f64) -> GuardConfig {
-    let (mechanical_min_rad, mechanical_max_rad) = GuardConfig::pa10_mechanical_range_rad();
-    GuardConfig {
-        hard_limits: hard_limits(),
-        mechanical_min_rad,
-        mechanical_max_rad,
-        speed_scale,
-        acceleration_max_rad_per_s2: acceleration(),
-        delay: Duration::from_millis(15),
-        lag: Duration::from_millis(30),
-        tracking_error_max_rad: GuardConfig::TRACKING_ERROR_MAX_RAD,
-        tracking_error_for: GuardConfig::TRACKING_ERROR_FOR,
-    }
-}
 
 type Tamper = Box<dyn FnMut(&mut JointState) + Send>;
 
@@ -90,7 +75,7 @@ impl Bench {
         let (tamper, told) = (Arc::new(Mutex::new(None)), Arc::new(Mutex::new(Vec::new())));
         let arm =
             Tampered { arm: mock_arm(&clock, start.into()), tamper: Arc::clone(&tamper), told: Arc::clone(&told) };
-        let mut guard = Guard::new(arm, config(speed_scale)).unwrap();
+        let mut guard = Guard::new(arm, guard_config(speed_scale)).unwrap();
         guard.enable().unwrap();
         Self { guard, clock, tamper, told }
     }
@@ -152,6 +137,7 @@ fn a_joint_that_does_not_go_where_it_is_told_stops_the_arm() {
     let (after, error) = bench.until_refused(velocity(3, 0.5), Duration::from_secs(2)).unwrap();
     assert_eq!(error.kind(), ArmErrorKind::Fault);
     assert!(error.to_string().contains("joint 3 is -0.") && error.to_string().contains("commands lead"), "{error}");
+    assert_eq!((error.joint(), error.code()), (Some(3), None));
     let expected = Duration::from_millis(100 + 125 + 45 + 100);
     assert!(after > expected - Duration::from_millis(60) && after < expected + Duration::from_millis(60), "{after:?}");
     bench.assert_latched_until_reset();
@@ -297,7 +283,7 @@ fn the_emergency_stop_and_the_arms_own_faults_come_first() {
 #[test]
 fn refuses_numbers_that_are_none() {
     let refused = |change: fn(&mut GuardConfig)| {
-        let mut config = config(0.6);
+        let mut config = guard_config(0.6);
         change(&mut config);
         Guard::new(mock_arm(&Arc::new(VirtualClock::new()), START.into()), config).err()
     };
@@ -313,7 +299,7 @@ fn refuses_numbers_that_are_none() {
 #[test]
 fn guarded_mock_arm_keeps_the_contract() {
     let clock = Arc::new(VirtualClock::new());
-    let make = || Guard::new(mock_arm(&clock, START.into()), config(0.6)).unwrap();
+    let make = || Guard::new(mock_arm(&clock, START.into()), guard_config(0.6)).unwrap();
     let hooks = ArmHooks::<Guard<MockArm>> {
         lose_reply: Some(Box::new(|guard| guard.arm().faults().drop_replies(1))),
         raise_fault: Some(Box::new(|guard| guard.arm().faults().raise_fault("overcurrent in E1"))),
@@ -336,7 +322,7 @@ proptest! {
         scale in prop::sample::select(vec![0.1, 0.6, 1.0]),
     ) {
         let clock = Arc::new(VirtualClock::new());
-        let guard = Guard::new(mock_arm(&clock, start.into()), config(scale)).unwrap();
+        let guard = Guard::new(mock_arm(&clock, start.into()), guard_config(scale)).unwrap();
         let mut limiter = Limiter::new(guard, limiter_config(scale), Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
         limiter.enable().unwrap();
         limiter.exchange(JointCommand::Hold).unwrap();

@@ -2,6 +2,7 @@
 //! short, so that the suite is quick; the setup is the repository's otherwise.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests may fail the test")]
 
+mod both_arms;
 mod failing;
 mod following;
 mod paths;

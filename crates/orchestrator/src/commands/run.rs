@@ -1,7 +1,8 @@
 //! `pb3dp run`: the whole loop of one setup.
 
 use std::process::ExitCode;
-use std::time::Instant;
+use std::sync::Arc;
+use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result};
 use nalgebra::UnitQuaternion;
@@ -10,6 +11,7 @@ use pb3dp_sim::trajectory::{ExperimentAxes, Trajectory};
 use super::estimate::output::print_line;
 use crate::cli::RunArgs;
 use crate::config::setup::{Setup, read_setup};
+use crate::run::flight::{self, Moment};
 use crate::run::summary::{Plan, summarize};
 use crate::run::{lockstep, report};
 use crate::wiring::{Parts, wire};
@@ -30,7 +32,18 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let parts = wire(&setup)?;
     let plan = plan(&setup, &parts);
     let started = Instant::now();
-    let outcome = lockstep::run(&setup, parts, args.stop_after, args.record.as_deref())?;
+    let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
+    let outcome = lockstep::run(&setup, parts, args.stop_after, args.record.as_deref());
+    if let Err(failure) = &outcome {
+        let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
+        for (arm, log) in &flights {
+            match flight::write(&args.out, arm, log, failure, moment) {
+                Ok(path) => tracing::info!("what the {arm} did before: {}", path.display()),
+                Err(error) => tracing::warn!("the flight recorder of the {arm}: {error:#}"),
+            }
+        }
+    }
+    let outcome = outcome?;
     let wall_s = started.elapsed().as_secs_f64();
     let summary = summarize(&outcome.log, &plan);
     let provenance = provenance(args, &setup, summary.duration_s, wall_s);

@@ -3,6 +3,7 @@
 pub mod carrier;
 pub mod cell;
 pub mod compared;
+pub mod flight;
 pub mod journal;
 pub mod lockstep;
 pub mod log;

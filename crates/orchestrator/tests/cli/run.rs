@@ -85,6 +85,11 @@ fn setups_are_refused_with_file_key_and_what_is_allowed() {
         ("frame_rate_hz = 30.0", "", &["camera.frame_rate_hz", "missing"]),
         ("frame_rate_hz = 30.0", "frame_rate_hz = 300.0", &["camera.frame_rate_hz = 300", "1 to 240"]),
         ("speed_scale = 0.6 ", "speed_scale = 1.5 ", &["arms.speed_scale = 1.5", "0.01 to 1"]),
+        (
+            "\"cameras\", on = \"flange\"",
+            "\"cameras\", on = \"joint 7\"",
+            &["arms.vs.parts[4].on", "joint 0 to joint 6"],
+        ),
         ("first_run = false ", "# ", &["arms.speed_scale = 0.6", "at most 0.25 on the first run", "arms.first_run"]),
         ("method = \"direct\"", "method = \"magic\"", &["estimator.method", "magic", "published"]),
         ("method = \"direct\"", "method = \"published\"", &["estimator.compare = [published]", "not `method` itself"]),

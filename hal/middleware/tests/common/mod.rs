@@ -1,12 +1,14 @@
 //! A mock PA-10 as the tests of the wrappers use it.
 
+#![allow(dead_code, reason = "not every test needs everything")]
+
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use pb3dp_arm_pa10::{MockArm, MockArmConfig};
 use pb3dp_hal_api::{Clock, JointCommand};
 use pb3dp_hal_clock::VirtualClock;
-use pb3dp_hal_middleware::{LimiterConfig, StartPose};
+use pb3dp_hal_middleware::{GuardConfig, LimiterConfig, StartPose};
 use pb3dp_kinematics::{Chain, JointLimits, JointVector};
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 
@@ -43,6 +45,21 @@ pub fn limiter_config(speed_scale: f64) -> LimiterConfig {
         command_timeout: COMMAND_TIMEOUT,
         stale_after: Duration::from_millis(50),
         start: StartPose::Anywhere,
+    }
+}
+
+pub fn guard_config(speed_scale: f64) -> GuardConfig {
+    let (mechanical_min_rad, mechanical_max_rad) = GuardConfig::pa10_mechanical_range_rad();
+    GuardConfig {
+        hard_limits: hard_limits(),
+        mechanical_min_rad,
+        mechanical_max_rad,
+        speed_scale,
+        acceleration_max_rad_per_s2: acceleration(),
+        delay: Duration::from_millis(15),
+        lag: Duration::from_millis(30),
+        tracking_error_max_rad: GuardConfig::TRACKING_ERROR_MAX_RAD,
+        tracking_error_for: GuardConfig::TRACKING_ERROR_FOR,
     }
 }
 

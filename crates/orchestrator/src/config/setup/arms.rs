@@ -7,11 +7,12 @@ use std::time::Duration;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, Target, World};
 use pb3dp_hal_middleware::{GuardConfig, LimiterConfig, StartPose};
-use pb3dp_kinematics::{Chain, DOF, JointLimits, JointVector};
+use pb3dp_kinematics::{ArmShape, Chain, DOF, JointLimits, JointVector};
 use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 use serde::Deserialize;
 
 use super::super::load::{Checker, within};
+use super::shape::{PartEntry, build_shape};
 use super::{IN_THE_CELL_MM, ON_THE_ARM_MM, PoseEntry, millis};
 
 /// One arm, ready to be wired.
@@ -29,6 +30,8 @@ pub struct ArmSetup {
     pub limiter: LimiterConfig,
     /// The guard behind it.
     pub guard: GuardConfig,
+    /// Its shape with all that is mounted, for the room between both arms.
+    pub shape: ArmShape,
     /// The arm stops by itself if no command comes for longer than this.
     pub command_timeout: Duration,
 }
@@ -43,6 +46,7 @@ pub(super) struct ArmsSection {
     pub(super) stale_after_millis: f64,
     tracking_error_max_deg: f64,
     tracking_error_millis: f64,
+    pub(super) least_room_mm: f64,
     vs: ArmSection,
     tc: ArmSection,
 }
@@ -95,6 +99,7 @@ struct ArmSection {
     base_link: String,
     flange_link: String,
     world_from_base: PoseEntry,
+    parts: Vec<PartEntry>,
     start_deg: [f64; DOF],
     mechanical_range_deg: [f64; DOF],
     operating_range_deg: [f64; DOF],
@@ -132,6 +137,7 @@ impl ArmsSection {
         }
         check.number("arms.stale_after_millis", self.stale_after_millis, control_period_millis..=200.0);
         check.number("arms.tracking_error_max_deg", self.tracking_error_max_deg, 0.1..=10.0);
+        check.number("arms.least_room_mm", self.least_room_mm, 1.0..=1000.0);
         check.number("arms.tracking_error_millis", self.tracking_error_millis, control_period_millis..=500.0);
         let vs = self.vs.build("arms.vs", self, config_file, control_period_millis, check);
         let tc = self.tc.build("arms.tc", self, config_file, control_period_millis, check);
@@ -158,9 +164,10 @@ impl ArmSection {
         let timeout = self.command_timeout_millis;
         check.number(&format!("{key}.command_timeout_millis"), timeout, control_period_millis..=200.0);
         let world_from_base = self.world_from_base.build(&format!("{key}.world_from_base"), IN_THE_CELL_MM, check);
+        let shape = build_shape(&format!("{key}.parts"), &self.parts, check);
         let chain = self.chain(key, config_file, check);
         self.check_angles(key, chain.as_ref().map(Chain::limits), check);
-        let chain = chain?;
+        let (chain, shape) = chain.zip(shape)?;
         let start_rad = JointVector::from(self.start_deg).map(f64::to_radians);
         let mechanical_max_rad = JointVector::from(self.mechanical_range_deg).map(f64::to_radians);
         let operating_max_rad = JointVector::from(self.operating_range_deg).map(f64::to_radians);
@@ -169,6 +176,7 @@ impl ArmSection {
         let reaction_millis = control_period_millis + self.command_delay_millis + lag;
         Some(ArmSetup {
             world_from_base,
+            shape,
             start_rad,
             plant: JointPlantConfig {
                 limits: hard_limits,

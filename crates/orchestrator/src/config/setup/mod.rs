@@ -4,6 +4,7 @@ mod arms;
 mod camera;
 mod experiment;
 mod servo;
+mod shape;
 
 use std::path::Path;
 use std::time::Duration;
@@ -62,6 +63,8 @@ pub struct Setup {
     pub vs: ArmSetup,
     /// The arm that carries the target, with the mounting of the target on its flange.
     pub tc: ArmSetup,
+    /// Least room between the surfaces of both arms, metres.
+    pub least_room_m: f64,
     /// Mounting of the target on the second arm.
     pub flange_from_target: Pose<Flange, Target>,
     /// How the target moves.
@@ -199,6 +202,7 @@ impl SetupFile {
             controller,
             vs,
             tc,
+            least_room_m: self.arms.least_room_mm * 1e-3,
             flange_from_target: mounts.flange_from_target,
             experiment,
         })

@@ -1,0 +1,383 @@
+//! Two arms in one cell: what stops one stops the other, and neither is told to move where they could meet.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use pb3dp_geometry::frames::{Base, World};
+use pb3dp_geometry::{MonotonicTime, Pose};
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_kinematics::{ArmShape, Chain, DOF, JointVector, PlacedArm, clearance_within};
+
+use crate::last_command::LastCommand;
+use crate::shaping::SetPoint;
+use crate::stopping::DriveLimits;
+
+/// One of two arms that stand in reach of each other.
+#[derive(Clone, Debug)]
+pub struct CoupledArmConfig {
+    /// Kinematics.
+    pub chain: Chain,
+    /// Shape, with all that is mounted.
+    pub shape: ArmShape,
+    /// Where it stands.
+    pub world_from_base: Pose<World, Base>,
+    /// What its drives brake with, rad/s^2.
+    pub acceleration_max_rad_per_s2: JointVector,
+    /// How quickly braking begins and ends, rad/s^3.
+    pub jerk_max_rad_per_s3: JointVector,
+    /// Time from a sample to the effect of the next command on it.
+    pub reaction_time: Duration,
+    /// The arm comes to rest by itself if no command follows for longer than this.
+    pub command_timeout: Duration,
+}
+
+/// Why two arms can not be coupled.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum CoupledError {
+    /// The least room is none.
+    #[error("least room between the arms {0} m is not a positive, finite number")]
+    LeastRoom(f64),
+}
+
+/// How close two coupled arms came so far.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CoupledStatistics {
+    /// Least room that any set-point left, braking counted, metres; infinite before the first one.
+    pub least_room_m: f64,
+    /// Set-points that were refused because they left too little.
+    pub refused: u64,
+}
+
+/// A partner's joints that move less than this are at rest, rad.
+const AT_REST_RAD: f64 = 1e-3;
+
+/// Where there is too little room an arm may move away with so short a way to rest, half of it, rad.
+const SHORT_WAY_RAD: f64 = 0.02;
+
+/// One of two coupled arms; [`couple`] makes both.
+///
+/// * A set-point is `Rejected`, and the arm holds, if one of the arms could come nearer to the other than allowed before both
+///   are at rest. Where they are nearer already, and the other one rests, an arm may move away.
+/// * If one arm has a fault, an emergency stop or no link any more, the other one holds from its next exchange on and is
+///   latched in `Fault`. The one that failed is to be reset first.
+///
+/// Belongs inside of the [`Limiter`](crate::Limiter), so that it sees what is really sent.
+pub struct Coupled<A> {
+    arm: A,
+    side: usize,
+    cell: Arc<Mutex<Cell>>,
+    clock: Arc<dyn Clock>,
+}
+
+struct Cell {
+    sides: [Side; 2],
+    least_m: f64,
+    statistics: CoupledStatistics,
+}
+
+struct Side {
+    name: String,
+    cycle: Duration,
+    config: CoupledArmConfig,
+    drives: DriveLimits,
+    newest: Option<JointState>,
+    last: LastCommand,
+    /// Where its joints may be until it rests.
+    sweep: Option<Sweep>,
+    /// What stopped this arm.
+    stopped: Option<String>,
+    /// What stopped the other one.
+    latched: Option<String>,
+}
+
+/// Joint angles around a centre, rad.
+#[derive(Clone, Copy, Debug)]
+struct Sweep {
+    centre_rad: JointVector,
+    reach_rad: JointVector,
+}
+
+/// Couples two arms whose samples are stamped by `clock`; surfaces are kept `least_room_m` apart.
+///
+/// # Errors
+/// If the least room is not a positive number.
+pub fn couple<A: Arm, B: Arm>(
+    (first, first_config): (A, CoupledArmConfig),
+    (second, second_config): (B, CoupledArmConfig),
+    least_room_m: f64,
+    clock: &Arc<dyn Clock>,
+) -> Result<(Coupled<A>, Coupled<B>), CoupledError> {
+    if !(least_room_m.is_finite() && least_room_m > 0.0) {
+        return Err(CoupledError::LeastRoom(least_room_m));
+    }
+    let cell = Cell {
+        sides: [Side::new(first.info(), first_config), Side::new(second.info(), second_config)],
+        least_m: least_room_m,
+        statistics: CoupledStatistics { least_room_m: f64::INFINITY, refused: 0 },
+    };
+    let cell = Arc::new(Mutex::new(cell));
+    let one = Coupled { arm: first, side: 0, cell: Arc::clone(&cell), clock: Arc::clone(clock) };
+    let other = Coupled { arm: second, side: 1, cell, clock: Arc::clone(clock) };
+    Ok((one, other))
+}
+
+impl Side {
+    fn new(info: &ArmInfo, config: CoupledArmConfig) -> Self {
+        Self {
+            name: info.name.clone(),
+            cycle: info.cycle,
+            drives: DriveLimits { acceleration: config.acceleration_max_rad_per_s2, jerk: config.jerk_max_rad_per_s3 },
+            last: LastCommand::new(config.acceleration_max_rad_per_s2, config.command_timeout),
+            config,
+            newest: None,
+            sweep: None,
+            stopped: None,
+            latched: None,
+        }
+    }
+
+    /// Where the joints may be until they rest, told to move like this and then nothing more.
+    fn sweep(&mut self, set_point: &SetPoint, now: MonotonicTime) -> Option<Sweep> {
+        let sample = self.newest?;
+        let age = now.saturating_since(sample.at);
+        let reaction = self.config.reaction_time + age;
+        let peaks = self.last.peaks_since(now - reaction);
+        let meanwhile_s = (reaction + self.config.command_timeout).as_secs_f64();
+        let velocity = &set_point.velocity;
+        // On a ramp of the arm's own all joints come to rest at the same time.
+        let ramp_s = velocity.abs().component_div(&self.config.acceleration_max_rad_per_s2).max();
+        let mut ways = [JointVector::zeros(); 2];
+        for (side, upwards) in [(0, -1.0), (1, 1.0)] {
+            for i in 0..DOF {
+                let (speed, change) = (upwards * velocity[i], upwards * set_point.acceleration[i]);
+                let braking = self.drives.of(i).way_to_rest(speed, change).max(0.5 * speed.max(0.0) * ramp_s);
+                ways[side][i] = meanwhile_s * peaks[side][i].max(speed).max(0.0) + braking;
+            }
+        }
+        let [down, up] = ways;
+        Some(Sweep { centre_rad: sample.position_rad + (up - down) * 0.5, reach_rad: (up + down) * 0.5 })
+    }
+
+    /// The set-point that a velocity makes now.
+    fn set_point(&self, velocity: &JointVector, now: MonotonicTime) -> SetPoint {
+        let (before, dt) = self.last.at(now, self.cycle);
+        let dt_s = dt.as_secs_f64();
+        let most = &self.drives.acceleration;
+        let change = (velocity - before.velocity) / dt_s;
+        let acceleration =
+            if dt_s > 0.0 { change.zip_map(most, |a, most| a.clamp(-most, most)) } else { before.acceleration };
+        SetPoint { velocity: *velocity, acceleration }
+    }
+
+    fn resting(&self) -> Option<Sweep> {
+        self.newest.map(|sample| Sweep { centre_rad: sample.position_rad, reach_rad: JointVector::zeros() })
+    }
+}
+
+impl Cell {
+    /// The room between two sweeps, one of each side, and which parts are nearest.
+    fn room(&self, side: usize, own: &Sweep, other: &Sweep) -> (f64, String) {
+        let sides = [&self.sides[side], &self.sides[1 - side]];
+        let [own_frames, other_frames] = [(0, own), (1, other)]
+            .map(|(i, sweep): (usize, &Sweep)| sides[i].config.chain.joint_frames(&sweep.centre_rad));
+        let placed = |i: usize, frames| {
+            let CoupledArmConfig { shape, world_from_base, .. } = &sides[i].config;
+            PlacedArm { shape, world_from_base, frames }
+        };
+        let (one, two) = (placed(0, &own_frames), placed(1, &other_frames));
+        let room = clearance_within((&one, &own.reach_rad), (&two, &other.reach_rad));
+        if room.distance_m >= self.least_m {
+            return (room.distance_m, String::new());
+        }
+        (room.distance_m, format!("its {} and the {} of arm {}", room.first, room.second, sides[1].name))
+    }
+
+    /// Why a set-point may not be sent, if it may not.
+    fn refusal(&mut self, side: usize, set_point: &SetPoint, now: MonotonicTime) -> Option<String> {
+        let is_rest = set_point.velocity == JointVector::zeros();
+        let own = self.sides[side].sweep(set_point, now);
+        let (Some(own), Some(other)) = (own, self.sides[1 - side].sweep) else {
+            let unknown = if own.is_none() { side } else { 1 - side };
+            let name = &self.sides[unknown].name;
+            return (!is_rest).then(|| format!("nothing is known of where arm {name} is; exchange with it first"));
+        };
+        let (room_m, which) = self.room(side, &own, &other);
+        if room_m >= self.least_m || is_rest || self.leads_away(side, &own, &other) {
+            self.statistics.least_room_m = self.statistics.least_room_m.min(room_m);
+            // From here on the other arm has to count with it.
+            self.sides[side].sweep = Some(own);
+            return None;
+        }
+        self.statistics.refused += 1;
+        Some(format!(
+            "{which} could come to {:.0} mm of each other before both arms rest, at least {:.0} mm are to be left",
+            room_m * 1e3,
+            self.least_m * 1e3
+        ))
+    }
+
+    /// Whether all of a short way to rest leads away from the other arm, which rests.
+    fn leads_away(&self, side: usize, own: &Sweep, other: &Sweep) -> bool {
+        let Some(here) = self.sides[side].resting() else { return false };
+        if other.reach_rad.amax() > AT_REST_RAD || own.reach_rad.amax() > SHORT_WAY_RAD {
+            return false;
+        }
+        let way_rad = (own.centre_rad - here.centre_rad) * 2.0;
+        let room_m = self.room(side, &here, other).0;
+        for part in [1.0 / 3.0, 2.0 / 3.0, 1.0] {
+            let centre_rad: JointVector = here.centre_rad + way_rad * part;
+            let there = Sweep { centre_rad, reach_rad: here.reach_rad };
+            if self.room(side, &there, other).0 <= room_m {
+                return false;
+            }
+        }
+        true
+    }
+
+    /// Notes that this arm stopped, and stops the other one.
+    fn stop_both(&mut self, side: usize, reason: &str) {
+        if self.sides[side].stopped.is_none() {
+            self.sides[side].stopped = Some(reason.to_owned());
+        }
+        let text = format!("arm {} stopped: {reason}", self.sides[side].name);
+        self.sides[1 - side].latched.get_or_insert(text);
+    }
+}
+
+impl<A> Coupled<A> {
+    /// The arm, to look at.
+    pub fn arm(&self) -> &A {
+        &self.arm
+    }
+
+    /// How close both arms came so far.
+    pub fn statistics(&self) -> CoupledStatistics {
+        self.cell().statistics
+    }
+
+    fn cell(&self) -> MutexGuard<'_, Cell> {
+        self.cell.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn latched(&self) -> Option<String> {
+        self.cell().sides[self.side].latched.clone()
+    }
+}
+
+impl<A: Arm + ArmPower> Coupled<A> {
+    fn error(&self, kind: ArmErrorKind, text: &str) -> ArmError {
+        ArmError::new(kind, format!("coupling of arm {}: {text}", self.arm.info().name))
+    }
+
+    fn stopped_error(&self, reason: &str) -> ArmError {
+        self.error(ArmErrorKind::Fault, &format!("{reason}; remove the cause, reset that arm, then this one"))
+    }
+
+    /// Passes a command on, and looks at what the arm makes of it.
+    fn forward(&mut self, command: JointCommand, now: MonotonicTime) -> Result<JointState, ArmError> {
+        let answer = self.arm.exchange(command);
+        let state = self.arm.state();
+        let mut cell = self.cell();
+        let side = &mut cell.sides[self.side];
+        match (&answer, command) {
+            (Ok(_), JointCommand::Velocity(velocity)) => {
+                let set_point = side.set_point(&velocity, now);
+                side.last.note_velocity(now, set_point);
+            }
+            _ => side.last.note_hold(now),
+        }
+        if let Ok(sample) = &answer
+            && sample.position_rad.iter().all(|angle| angle.is_finite())
+        {
+            side.newest = Some(*sample);
+        }
+        let (in_force, _) = side.last.at(now, side.cycle);
+        side.sweep = side.sweep(&in_force, now);
+        let failure = answer
+            .as_ref()
+            .err()
+            .filter(|error| matches!(error.kind(), ArmErrorKind::Fault | ArmErrorKind::Disconnected));
+        match (failure, state) {
+            (Some(error), _) => cell.stop_both(self.side, &error.to_string()),
+            (None, ArmState::Fault) => cell.stop_both(self.side, "it is in a fault"),
+            (None, ArmState::EStop) => cell.stop_both(self.side, "its emergency stop was pressed"),
+            (None, ArmState::Disabled | ArmState::Enabled) => {}
+        }
+        drop(cell);
+        answer
+    }
+}
+
+impl<A: Arm + ArmPower> Arm for Coupled<A> {
+    fn info(&self) -> &ArmInfo {
+        self.arm.info()
+    }
+
+    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        let now = self.clock.now();
+        let JointCommand::Velocity(velocity) = command else { return self.forward(command, now) };
+        if let Some(reason) = self.latched() {
+            self.forward(JointCommand::Hold, now)?;
+            return Err(self.stopped_error(&reason));
+        }
+        if self.cell().sides[self.side].newest.is_none() {
+            // Nobody has looked yet where it is.
+            self.forward(JointCommand::Hold, now)?;
+        }
+        let refusal = {
+            let mut cell = self.cell();
+            let set_point = cell.sides[self.side].set_point(&velocity, now);
+            cell.refusal(self.side, &set_point, now)
+        };
+        if let Some(reason) = refusal {
+            self.forward(JointCommand::Hold, now)?;
+            return Err(self.error(ArmErrorKind::Rejected, &format!("{reason}; the arm holds")));
+        }
+        self.forward(command, now)
+    }
+}
+
+impl<A: Arm + ArmPower> ArmPower for Coupled<A> {
+    fn state(&self) -> ArmState {
+        match self.arm.state() {
+            ArmState::EStop => ArmState::EStop,
+            _ if self.latched().is_some() => ArmState::Fault,
+            state => state,
+        }
+    }
+
+    fn enable(&mut self) -> Result<(), ArmError> {
+        if let Some(reason) = self.latched() {
+            return Err(self.stopped_error(&reason));
+        }
+        self.arm.enable()?;
+        self.cell().sides[self.side].last.note_rest();
+        Ok(())
+    }
+
+    fn stop(&mut self) -> Result<(), ArmError> {
+        // Where it may be until it rests was known before, and stays so until the next sample.
+        let now = self.clock.now();
+        self.cell().sides[self.side].last.note_hold(now);
+        self.arm.stop()
+    }
+
+    fn reset(&mut self) -> Result<(), ArmError> {
+        if self.latched().is_some() {
+            // The brakes close before anything is forgiven.
+            self.arm.stop()?;
+        }
+        self.arm.reset()?;
+        let mut cell = self.cell();
+        cell.sides[self.side].stopped = None;
+        if let Some(reason) = cell.sides[1 - self.side].stopped.clone() {
+            let name = cell.sides[1 - self.side].name.clone();
+            drop(cell);
+            let text = format!("arm {name} is still stopped ({reason}); reset that arm, then this one");
+            return Err(self.error(ArmErrorKind::Fault, &text));
+        }
+        cell.sides[self.side].latched = None;
+        cell.sides[self.side].last.note_rest();
+        Ok(())
+    }
+}

@@ -1,0 +1,131 @@
+//! The flight recorder: the last exchanges with an arm, kept in memory until somebody asks for them.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
+
+/// One exchange, or one switching of drives and brakes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FlightEntry {
+    /// When it began.
+    pub at: MonotonicTime,
+    /// When it was over.
+    pub done: MonotonicTime,
+    /// What was asked.
+    pub asked: Asked,
+    /// What came of it: the measured joints of an exchange, or the kind of the error.
+    pub answer: Result<Option<JointState>, ArmErrorKind>,
+    /// State of drives and brakes afterwards.
+    pub state: ArmState,
+}
+
+/// What an arm was asked.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Asked {
+    /// An exchange with this command.
+    Exchange(JointCommand),
+    /// Drives on.
+    Enable,
+    /// To rest, drives off.
+    Stop,
+    /// The latched state cleared.
+    Reset,
+}
+
+/// The last entries of an arm. Copies of it see the same entries.
+#[derive(Clone)]
+pub struct FlightLog {
+    ring: Arc<Mutex<VecDeque<FlightEntry>>>,
+    capacity: usize,
+}
+
+/// An arm whose exchanges are recorded: as many of the last ones as the log holds. Nothing is allocated after construction.
+///
+/// Belongs directly around a backend, so that it sees what every wrapper makes of a command.
+pub struct Recorded<A> {
+    arm: A,
+    clock: Arc<dyn Clock>,
+    log: FlightLog,
+}
+
+impl FlightLog {
+    /// An empty log for so many entries, at least 1.
+    pub fn with_capacity(entries: usize) -> Self {
+        let capacity = entries.max(1);
+        Self { ring: Arc::new(Mutex::new(VecDeque::with_capacity(capacity))), capacity }
+    }
+
+    /// The entries, oldest first.
+    pub fn entries(&self) -> Vec<FlightEntry> {
+        self.ring().iter().copied().collect()
+    }
+
+    fn ring(&self) -> MutexGuard<'_, VecDeque<FlightEntry>> {
+        self.ring.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn push(&self, entry: FlightEntry) {
+        let mut ring = self.ring();
+        if ring.len() == self.capacity {
+            ring.pop_front();
+        }
+        ring.push_back(entry);
+    }
+}
+
+impl<A> Recorded<A> {
+    /// Records what is exchanged with `arm` in `log`, with the times of `clock`.
+    pub fn new(arm: A, clock: Arc<dyn Clock>, log: FlightLog) -> Self {
+        Self { arm, clock, log }
+    }
+
+    /// The arm, to look at.
+    pub fn arm(&self) -> &A {
+        &self.arm
+    }
+}
+
+impl<A: Arm + ArmPower> Recorded<A> {
+    fn switch(&mut self, asked: Asked, act: impl FnOnce(&mut A) -> Result<(), ArmError>) -> Result<(), ArmError> {
+        let at = self.clock.now();
+        let result = act(&mut self.arm);
+        let answer = result.as_ref().map(|()| None).map_err(ArmError::kind);
+        self.log.push(FlightEntry { at, done: self.clock.now(), asked, answer, state: self.arm.state() });
+        result
+    }
+}
+
+impl<A: Arm + ArmPower> Arm for Recorded<A> {
+    fn info(&self) -> &ArmInfo {
+        self.arm.info()
+    }
+
+    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        let at = self.clock.now();
+        let result = self.arm.exchange(command);
+        let answer = result.as_ref().map(|sample| Some(*sample)).map_err(ArmError::kind);
+        let asked = Asked::Exchange(command);
+        self.log.push(FlightEntry { at, done: self.clock.now(), asked, answer, state: self.arm.state() });
+        result
+    }
+}
+
+impl<A: Arm + ArmPower> ArmPower for Recorded<A> {
+    fn state(&self) -> ArmState {
+        self.arm.state()
+    }
+
+    fn enable(&mut self) -> Result<(), ArmError> {
+        self.switch(Asked::Enable, A::enable)
+    }
+
+    fn stop(&mut self) -> Result<(), ArmError> {
+        self.switch(Asked::Stop, A::stop)
+    }
+
+    fn reset(&mut self) -> Result<(), ArmError> {
+        self.switch(Asked::Reset, A::reset)
+    }
+}

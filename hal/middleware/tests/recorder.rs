@@ -1,0 +1,69 @@
+//! The flight recorder around a mock arm.
+
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+mod common;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use common::{CYCLE, mock_arm, velocity};
+use pb3dp_arm_pa10::MockArm;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
+use pb3dp_hal_clock::VirtualClock;
+use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, arm_suite};
+use pb3dp_hal_middleware::{Asked, FlightLog, Recorded};
+use pb3dp_kinematics::JointVector;
+
+fn recorded(clock: &Arc<VirtualClock>, entries: usize) -> (Recorded<MockArm>, FlightLog) {
+    let log = FlightLog::with_capacity(entries);
+    let arm = mock_arm(clock, JointVector::from([0.2, -0.5, 0.3, 1.1, -0.7, 0.9, 0.1]));
+    (Recorded::new(arm, Arc::clone(clock) as Arc<dyn Clock>, log.clone()), log)
+}
+
+#[test]
+fn the_last_exchanges_are_kept_with_what_came_of_them() {
+    let clock = Arc::new(VirtualClock::new());
+    let (mut arm, log) = recorded(&clock, 5);
+    assert_eq!(log.entries(), []);
+    arm.enable().unwrap();
+    let entries = log.entries();
+    assert_eq!((entries[0].asked, entries[0].answer, entries[0].state), (Asked::Enable, Ok(None), ArmState::Enabled));
+    for k in 1..=20 {
+        clock.sleep_until(clock.now() + CYCLE);
+        if k == 20 {
+            arm.arm().faults().raise_fault("overcurrent in E1");
+        }
+        let _ = arm.exchange(velocity(2, 0.01 * f64::from(k)));
+    }
+    let entries = log.entries();
+    assert_eq!(entries.len(), 5, "no more than the log holds");
+    for (entry, k) in entries.iter().zip(16..) {
+        assert_eq!(entry.at, MonotonicTime::ZERO + CYCLE * k);
+        assert_eq!(entry.asked, Asked::Exchange(velocity(2, 0.01 * f64::from(k))));
+    }
+    let measured = entries[3].answer.unwrap().unwrap();
+    assert!(measured.velocity_rad_per_s[2] > 0.05 && measured.at == entries[3].at, "{measured:?}");
+    assert_eq!((entries[4].answer, entries[4].state), (Err(ArmErrorKind::Fault), ArmState::Fault));
+    arm.exchange(JointCommand::Hold).unwrap();
+    arm.stop().unwrap();
+    assert!(arm.reset().is_err());
+    let last: Vec<_> = log.entries().into_iter().skip(2).map(|entry| (entry.asked, entry.answer.is_ok())).collect();
+    assert_eq!(last, [(Asked::Exchange(JointCommand::Hold), true), (Asked::Stop, true), (Asked::Reset, false)]);
+}
+
+#[test]
+fn recorded_mock_arm_keeps_the_contract() {
+    let clock = Arc::new(VirtualClock::new());
+    let make = || recorded(&clock, 100).0;
+    let hooks = ArmHooks::<Recorded<MockArm>> {
+        lose_reply: Some(Box::new(|arm| arm.arm().faults().drop_replies(1))),
+        raise_fault: Some(Box::new(|arm| arm.arm().faults().raise_fault("overcurrent in E1"))),
+        remove_fault_cause: Some(Box::new(|arm| arm.arm().faults().remove_fault_cause())),
+        press_e_stop: Some(Box::new(|arm| arm.arm().faults().press_e_stop())),
+        release_e_stop: Some(Box::new(|arm| arm.arm().faults().release_e_stop())),
+    };
+    let expectations = ArmExpectations { speed_rad_per_s: 0.1, settles_within: Duration::from_millis(400) };
+    arm_suite(make, clock.as_ref(), &expectations, &hooks).assert_passed();
+}

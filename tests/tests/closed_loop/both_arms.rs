@@ -1,0 +1,99 @@
+//! What stands before both arms of a run alike, and what is left of them after a fault.
+
+use std::path::Path;
+use std::time::{Duration, SystemTime};
+
+use pb3dp_estimation::estimator::Method;
+use pb3dp_hal_api::{ArmErrorKind, JointCommand};
+use pb3dp_kinematics::JointVector;
+use pb3dp_orchestrator::run::flight::{self, Moment};
+use pb3dp_orchestrator::run::lockstep;
+use pb3dp_orchestrator::wiring::{Parts, wire};
+use pb3dp_sim::trajectory::Channel;
+use serde_json::Value;
+
+use crate::support::*;
+
+/// The arm with the target is wired like the arm with the cameras: the same refusals, states and limits.
+#[test]
+fn the_carrying_arm_has_the_limits_and_states_of_the_following_one() {
+    let setup = quick_setup(Method::Direct, Pixels::Few, &[Channel::X]);
+    let Parts { vs, tc, clock, .. } = wire(&setup).unwrap();
+    let mut arms = [("vs-robot", vs, &setup.vs), ("tc-robot", tc, &setup.tc)];
+    let mut wish = JointVector::zeros();
+    wish[6] = 100.0;
+    for (name, arm, _) in &mut arms {
+        let early = arm.exchange(JointCommand::Velocity(wish)).unwrap_err();
+        assert!(matches!(early.kind(), ArmErrorKind::NotEnabled | ArmErrorKind::Rejected), "{name}: {early}");
+        arm.enable().unwrap();
+    }
+    for (_, arm, _) in &mut arms {
+        arm.exchange(JointCommand::Hold).unwrap();
+    }
+    for (name, arm, setup) in &mut arms {
+        let no_number = arm.exchange(JointCommand::Velocity(wish * f64::NAN)).unwrap_err();
+        assert_eq!(no_number.kind(), ArmErrorKind::Rejected);
+        assert!(no_number.to_string().contains(&format!("limiter of arm {name}")), "{no_number}");
+        let limits = &setup.limiter;
+        let (speed, most) = (
+            limits.speed_scale * limits.hard_limits.velocity_max_rad_per_s()[6],
+            limits.acceleration_max_rad_per_s2[6],
+        );
+        let mut before = arm.exchange(JointCommand::Hold).unwrap();
+        let mut fastest: f64 = 0.0;
+        for _ in 0..100 {
+            clock.sleep_until(clock.now() + Duration::from_millis(10));
+            let now = arm.exchange(JointCommand::Velocity(wish)).unwrap();
+            let change = now.velocity_rad_per_s[6] - before.velocity_rad_per_s[6];
+            assert!(change <= most * 0.01 + 1e-9, "{name}: {change} rad/s in 10 ms");
+            fastest = fastest.max(now.velocity_rad_per_s[6]);
+            before = now;
+        }
+        assert!(fastest > 0.9 * speed && fastest <= speed + 1e-9, "{name}: {fastest} of {speed} rad/s");
+        assert!(arm.limited_commands() >= 100, "{name}");
+        arm.stop().unwrap();
+    }
+}
+
+fn lines_of(file: &Path) -> Vec<Value> {
+    std::fs::read_to_string(file).unwrap().lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+#[test]
+fn a_fault_leaves_the_flight_of_both_arms() {
+    let mut setup = quick_setup(Method::Direct, Pixels::Few, &[Channel::X]);
+    // The guard expects slower drives: it finds fault with the first move.
+    setup.tc.guard.lag = Duration::from_millis(300);
+    setup.tc.guard.tracking_error_max_rad = 0.005;
+    let parts = wire(&setup).unwrap();
+    let (clock, flights) = (parts.clock.clone(), parts.flights.clone());
+    let failure = lockstep::run(&setup, parts, None, None).err().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let mut last_velocity_s = Vec::new();
+    let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
+    for (name, log) in &flights {
+        let file = flight::write(folder.path(), name, log, &failure, moment).unwrap();
+        assert_eq!(file, folder.path().join(format!("flight-{name}.jsonl")));
+        let lines = lines_of(&file);
+        let (head, entries) = lines.split_first().unwrap();
+        assert_eq!((&head["arm"], &head["kind"]), (&(*name).into(), &"fault".into()));
+        assert!(head["joint"].as_u64().unwrap() < 7 && head["code"].is_null(), "{head}");
+        let cause = head["cause"].as_str().unwrap();
+        assert!(cause.contains("tc-robot") && cause.contains("commands lead"), "{cause}");
+        assert!(head["wall_unix_s"].as_f64().unwrap() > 1.7e9);
+        let at_s = head["at_s"].as_f64().unwrap();
+        let times: Vec<f64> = entries.iter().map(|entry| entry["at_s"].as_f64().unwrap()).collect();
+        assert!(times.len() > 50 && times.is_sorted() && *times.last().unwrap() <= at_s, "{name}: {}", times.len());
+        let mut moved = entries.iter().filter(|entry| entry["asked"] == "velocity");
+        for entry in moved.clone() {
+            assert!(entry["velocity_rad_per_s"].as_array().unwrap().len() == 7 && entry["answer"] == "ok", "{entry}");
+            assert!(entry["measured_rad"].as_array().unwrap().iter().all(Value::is_f64), "{entry}");
+        }
+        let last = moved.next_back().unwrap()["at_s"].as_f64().unwrap();
+        assert!(entries.last().unwrap()["asked"] == "stop", "{name}");
+        last_velocity_s.push(last);
+    }
+    // The arm with the target has its turn first: the other one was not told to move any more, not even in the same cycle.
+    let period_s = setup.control_period.as_secs_f64();
+    assert!((last_velocity_s[1] - last_velocity_s[0] - period_s).abs() < 1e-6, "{last_velocity_s:?}");
+}
