@@ -1,0 +1,229 @@
+//! Faults that only a look at the joints finds, against the emulated controller of a PA-10: limiter, guard, driver, bus, joints, in
+//! virtual time. Whoever runs the loop stops the arm when it meets an error, as the program does.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+#[path = "../../arm-pa10/tests/common/bus_bench.rs"]
+#[allow(dead_code, reason = "each test file uses its part")]
+mod bus_bench;
+
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Duration;
+
+use bus_bench::{AT_REST_RAD_PER_S, BUS_CYCLE, BusBench, HOST_CYCLE, plant_config};
+use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, FaultCause, Request, Trip};
+use pb3dp_arm_pa10::mock_controller::MockControllerConfig;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
+use pb3dp_hal_middleware::{Guard, GuardConfig};
+use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant, JointPlantConfig};
+
+const SPEED_SCALE: f64 = 0.3;
+
+/// The arm traits over a driver in virtual time: each exchange takes one cycle of the host.
+struct VirtualArm {
+    bench: Arc<Mutex<BusBench>>,
+    info: ArmInfo,
+}
+
+impl VirtualArm {
+    fn bench(&self) -> MutexGuard<'_, BusBench> {
+        self.bench.lock().unwrap()
+    }
+
+    fn error(&self, kind: ArmErrorKind) -> ArmError {
+        let driver = &self.bench().driver;
+        ArmError::new(kind, format!("{:?}: {:?}", driver.state(), driver.latched()))
+    }
+
+    fn request(&self, requests: &[Request]) {
+        for request in requests {
+            self.bench().request(*request);
+            self.bench().settle();
+        }
+    }
+}
+
+impl Arm for VirtualArm {
+    fn info(&self) -> &ArmInfo {
+        &self.info
+    }
+
+    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        let mut bench = self.bench();
+        let now = bench.now;
+        let told = match command {
+            JointCommand::Velocity(velocity) => bench.driver.handle_request(now, Request::Move(velocity)),
+            JointCommand::Hold if bench.driver.state() == DriverState::Moving => {
+                bench.driver.handle_request(now, Request::Hold)
+            }
+            JointCommand::Hold => Ok(()),
+        };
+        bench.run(HOST_CYCLE);
+        let (is_latched, joints) = (bench.driver.state().is_latched(), *bench.driver.joints().unwrap());
+        drop(bench);
+        if is_latched {
+            return Err(self.error(ArmErrorKind::Fault));
+        }
+        told.map_err(|_| self.error(ArmErrorKind::Rejected))?;
+        Ok(joints)
+    }
+}
+
+impl ArmPower for VirtualArm {
+    fn state(&self) -> ArmState {
+        match self.bench().driver.state() {
+            DriverState::Disconnected | DriverState::Connected | DriverState::Enabled => ArmState::Disabled,
+            DriverState::Holding | DriverState::Moving => ArmState::Enabled,
+            DriverState::Fault => ArmState::Fault,
+            DriverState::EStop => ArmState::EStop,
+        }
+    }
+
+    fn enable(&mut self) -> Result<(), ArmError> {
+        self.request(&[Request::Enable, Request::ReleaseBrakes]);
+        Ok(())
+    }
+
+    fn stop(&mut self) -> Result<(), ArmError> {
+        self.request(&[Request::Stop]);
+        Ok(())
+    }
+
+    fn reset(&mut self) -> Result<(), ArmError> {
+        if self.bench().driver.state().is_latched() {
+            self.request(&[Request::Reset]);
+        }
+        let is_latched = self.bench().driver.state().is_latched();
+        if is_latched { Err(self.error(ArmErrorKind::Fault)) } else { Ok(()) }
+    }
+}
+
+fn guarded(format: WireFormat) -> (Guard<VirtualArm>, Arc<Mutex<BusBench>>) {
+    let joints = plant_config();
+    let (mechanical_min_rad, mechanical_max_rad) = GuardConfig::pa10_mechanical_range_rad();
+    let config = GuardConfig {
+        hard_limits: joints.limits,
+        mechanical_min_rad,
+        mechanical_max_rad,
+        speed_scale: SPEED_SCALE,
+        acceleration_max_rad_per_s2: joints.acceleration_max_rad_per_s2,
+        delay: BUS_CYCLE,
+        lag: joints.velocity_time_constant,
+        tracking_error_max_rad: GuardConfig::TRACKING_ERROR_MAX_RAD,
+        tracking_error_for: GuardConfig::TRACKING_ERROR_FOR,
+    };
+    let mut bench = BusBench::with(DriverConfig::with_cycle(BUS_CYCLE), MockControllerConfig::new(format), 1);
+    let joints = JointPlantConfig { history: Duration::from_secs(10), ..plant_config() };
+    let joints = JointPlant::new(joints, bus_bench::home(), bench.now).unwrap();
+    *bench.plant.lock().unwrap() = joints.with_mechanics(JointMechanics::default()).unwrap();
+    bench.request(Request::Connect);
+    bench.settle();
+    let bench = Arc::new(Mutex::new(bench));
+    let info = ArmInfo { name: "virtual".to_owned(), cycle: HOST_CYCLE };
+    let mut guard = Guard::new(VirtualArm { bench: Arc::clone(&bench), info }, config).unwrap();
+    guard.enable().unwrap();
+    (guard, bench)
+}
+
+/// To and fro, with up to 0.8 of what is allowed.
+fn velocity(at: MonotonicTime) -> JointCommand {
+    let part = 0.8 * SPEED_SCALE * (std::f64::consts::TAU * at.as_secs_f64() / 2.0).sin();
+    JointCommand::Velocity(plant_config().limits.velocity_max_rad_per_s() * part)
+}
+
+/// What one fault led to.
+struct Outcome {
+    found_after: Duration,
+    at_rest_after: Duration,
+    reason: String,
+}
+
+/// Moves, lets a fault come, and trips the driver when the guard or the driver itself has found it, as a supervisor of the arm does.
+fn outcome(format: WireFormat, phase: u32, line: &str) -> Option<Outcome> {
+    let (mut guard, bench) = guarded(format);
+    let step = |guard: &mut Guard<VirtualArm>| {
+        let command = velocity(bench.lock().unwrap().now);
+        guard.exchange(command)
+    };
+    for _ in 0..40 + phase {
+        step(&mut guard).unwrap();
+    }
+    let begin = bench.lock().unwrap().now;
+    bench.lock().unwrap().inject(line);
+    let reason = (0..150).find_map(|_| step(&mut guard).err().filter(|error| error.kind() == ArmErrorKind::Fault))?;
+    let found_after = bench.lock().unwrap().now.saturating_since(begin);
+    let mut bench = bench.lock().unwrap();
+    let now = bench.now;
+    bench.driver.handle_trip(now, Trip::Fault(FaultCause::Supervisor));
+    bench.settle();
+    bench.run(Duration::from_millis(100));
+    drop(guard);
+    assert!(bench.controller.is_braked() && bench.is_at_rest(), "{line}");
+    let plant = bench.plant.lock().unwrap();
+    let (mut at, mut last) = (begin, begin);
+    while at <= plant.now() {
+        if plant.velocity_at(at).unwrap().amax() > AT_REST_RAD_PER_S {
+            last = at;
+        }
+        at = at + Duration::from_micros(500);
+    }
+    Some(Outcome { found_after, at_rest_after: last.saturating_since(begin), reason: reason.to_string() })
+}
+
+/// By what a joint comes to rest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Braking {
+    /// Its servo: the ramp of the driver, and the lag of the drive.
+    Servo,
+    /// Its brake, as it does not obey its servo: after the ramp and the cycles at rest of the others, and the time to close.
+    Brake,
+}
+
+impl Braking {
+    fn time(self) -> Duration {
+        let driver = DriverConfig::with_cycle(BUS_CYCLE);
+        let lag = plant_config().velocity_time_constant * 6;
+        match self {
+            Self::Servo => driver.emergency_ramp + lag,
+            Self::Brake => {
+                let closing = MockControllerConfig::new(WireFormat::BigEndian6x10).brake_close;
+                // From 4 rad/s at 50 rad/s^2.
+                driver.emergency_ramp + BUS_CYCLE * driver.rest_cycles + closing + Duration::from_millis(80)
+            }
+        }
+    }
+}
+
+/// Faults, how soon they are to be found by what their size allows, what is said then, and how the arm comes to rest.
+const FAULTS: [(&str, u64, &str, Braking); 7] = [
+    ("runaway 2 0.9rad/s", 50, "joint 1 moves at +", Braking::Brake),
+    ("runaway 6 -4rad/s", 130, "joint 5 moves at -", Braking::Brake),
+    ("runaway 2 0.25rad/s", 1300, "joint 1 is", Braking::Brake),
+    ("stuck 4 on", 800, "joint 3 is", Braking::Servo),
+    ("jump 3 0.3rad", 50, "joint 2 seems to have moved by +0.", Braking::Servo),
+    ("stale 1000000", 800, "from where its commands lead", Braking::Servo),
+    ("corrupt 1000000", 700, "", Braking::Servo),
+];
+
+/// How soon depends on how far a joint has to be off before it can be told from one that is well; what is promised is that it is
+/// told, and that the arm is at rest within its braking time plus 20 ms from then on.
+#[test]
+fn what_only_the_joints_show_stops_the_arm() {
+    for format in WireFormat::ALL {
+        for (line, within_ms, expected, braking) in FAULTS {
+            let (mut found, mut slowest) = (Duration::ZERO, Duration::ZERO);
+            for phase in (0..200).step_by(13) {
+                let place = format!("{line} in {format}, phase {phase}");
+                let outcome = outcome(format, phase, line).unwrap_or_else(|| panic!("{place}: not found"));
+                assert!(outcome.reason.contains(expected), "{place}: {}", outcome.reason);
+                found = found.max(outcome.found_after);
+                slowest = slowest.max(outcome.at_rest_after.saturating_sub(outcome.found_after));
+            }
+            println!("{line:20} in {format}: found within {found:?}, at rest within {slowest:?} from then on");
+            assert!(found <= Duration::from_millis(within_ms), "{line}: {found:?}");
+            assert!(slowest <= braking.time() + Duration::from_millis(20), "{line}: {slowest:?}");
+        }
+    }
+}
