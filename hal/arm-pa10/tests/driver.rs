@@ -403,6 +403,24 @@ fn a_control_loop_that_stood_still_does_not_go_on() {
 }
 
 #[test]
+fn an_answer_to_what_was_given_up_is_late_and_not_damage() {
+    let mut bench = Bench::in_state(DriverState::Enabled);
+    bench.now = bench.now + CYCLE;
+    assert!(bench.driver.poll_transmit(bench.now).is_some());
+    let before = *bench.driver.counters();
+    bench.now = bench.now + CYCLE;
+    bench.driver.handle_timeout(bench.now);
+    // Before the next message is sent, and once only.
+    let sample = Reply::Sample(bench.peer.sample());
+    for (late, mismatched) in [(1, 0), (1, 1)] {
+        bench.driver.handle_reply(bench.now, &sample);
+        let after = bench.driver.counters();
+        let found = (after.lost - before.lost, after.late - before.late, after.mismatched - before.mismatched);
+        assert_eq!(found, (1, late, mismatched));
+    }
+}
+
+#[test]
 fn a_reply_that_is_read_too_late_is_a_lost_one() {
     let mut bench = Bench::in_state(DriverState::Holding);
     bench.now = bench.now + CYCLE;

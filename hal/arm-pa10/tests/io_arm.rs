@@ -49,6 +49,8 @@ fn an_arm_is_opened_enabled_moved_and_stopped() {
         assert!(rig.far.gateway.lock().unwrap().rejected.is_empty());
         let told = rig.monitor().jitter();
         assert!(told.cycles > 100 && told.p50 <= told.p99 && told.p99 <= told.max, "{told:?}");
+        let answers = rig.monitor().round_trips();
+        assert!(answers.cycles > 100 && answers.max < 2 * rig.arm.info().cycle, "{answers:?}");
         println!("lateness of {} cycles: {told:?}; {:?}", told.cycles, rig.monitor().snapshot().counters);
     });
 }

@@ -76,6 +76,8 @@ pub struct Driver {
     pub(super) joints: Option<JointState>,
     pub(super) limits: [Option<AxisLimits>; Axis::COUNT],
     pub(super) outstanding: Option<Outstanding>,
+    /// The message before, if its answer was waited for in vain.
+    given_up: Option<Letter>,
     next_transmit: MonotonicTime,
     exchange: u64,
     /// S was sent, and no E was answered since.
@@ -90,6 +92,16 @@ pub(super) struct Outstanding {
     pub letter: Letter,
     pub sent: MonotonicTime,
     pub deadline: MonotonicTime,
+}
+
+/// Whether a reply may be one to a message with this letter.
+fn fits(letter: Letter, reply: &Reply) -> bool {
+    match reply {
+        Reply::Sample(_) => letter == Letter::Cyclic,
+        Reply::Limits(_) => letter == Letter::ReadEeprom,
+        Reply::Done => !matches!(letter, Letter::Cyclic | Letter::ReadEeprom),
+        Reply::Rejected(_) => true,
+    }
 }
 
 impl Driver {
@@ -112,6 +124,7 @@ impl Driver {
             joints: None,
             limits: [None; Axis::COUNT],
             outstanding: None,
+            given_up: None,
             next_transmit: MonotonicTime::ZERO,
             exchange: 0,
             control_started: false,
@@ -192,16 +205,12 @@ impl Driver {
     /// A reply to the last message.
     pub fn handle_reply(&mut self, now: MonotonicTime, reply: &Reply) {
         let Some(outstanding) = self.outstanding else {
-            self.link.handle_bad(BadReply::Mismatched);
+            // A sound answer to what is not waited for any more says that the link is slow, not that it is damaged.
+            let was_given_up = self.given_up.take().is_some_and(|letter| fits(letter, reply));
+            self.link.handle_bad(if was_given_up { BadReply::Late } else { BadReply::Mismatched });
             return;
         };
-        let fits = match reply {
-            Reply::Sample(_) => outstanding.letter == Letter::Cyclic,
-            Reply::Limits(_) => outstanding.letter == Letter::ReadEeprom,
-            Reply::Done => !matches!(outstanding.letter, Letter::Cyclic | Letter::ReadEeprom),
-            Reply::Rejected(_) => true,
-        };
-        if !fits {
+        if !fits(outstanding.letter, reply) {
             self.link.handle_bad(BadReply::Mismatched);
             return;
         }
@@ -249,6 +258,7 @@ impl Driver {
     pub fn handle_timeout(&mut self, now: MonotonicTime) {
         if let Some(outstanding) = self.outstanding.filter(|outstanding| now >= outstanding.deadline) {
             self.end_waiting(now, outstanding);
+            self.given_up = Some(outstanding.letter);
             self.handle_miss(now);
         }
         if let (DriverState::Moving, Phase::Steady) = (self.state, self.phase)
@@ -416,6 +426,7 @@ impl Driver {
         let letter = message.letter();
         let timeout = if letter == Letter::Cyclic { self.config.reply_timeout } else { self.config.control_timeout };
         self.outstanding = Some(Outstanding { letter, sent: now, deadline: now + timeout });
+        self.given_up = None;
         self.link.handle_sent();
         match message {
             ControlMessage::Start => self.control_started = true,

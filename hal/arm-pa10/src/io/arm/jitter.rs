@@ -1,4 +1,4 @@
-//! How punctual a cycle is.
+//! How late cycles begin, and how late answers come.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -9,10 +9,10 @@ const PARTS: usize = 8;
 /// Enough for lateness of up to a minute.
 const BUCKETS: usize = PARTS * 24;
 
-/// How late cycles began.
+/// How late something came.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Jitter {
-    /// Cycles.
+    /// Cycles that were counted.
     pub cycles: u64,
     /// Half of them were at most this late.
     pub p50: Duration,
@@ -22,7 +22,7 @@ pub struct Jitter {
     pub max: Duration,
 }
 
-/// Counts how late cycles begin. Written by one thread and read by any, without waiting.
+/// Counts how late something comes. Written by one thread and read by any, without waiting.
 #[derive(Debug)]
 pub(super) struct JitterMeter {
     buckets: [AtomicU64; BUCKETS],

@@ -79,6 +79,7 @@ pub(super) struct Shared {
     wish: AtomicU64,
     let_go: AtomicBool,
     pub jitter: JitterMeter,
+    pub round_trips: JitterMeter,
 }
 
 impl Shared {
@@ -106,6 +107,7 @@ impl Shared {
             wish: AtomicU64::new(0),
             let_go: AtomicBool::new(false),
             jitter: JitterMeter::new(),
+            round_trips: JitterMeter::new(),
         }
     }
 
@@ -195,6 +197,11 @@ impl ArmMonitor {
     /// How late the cycles of this arm's thread began.
     pub fn jitter(&self) -> Jitter {
         self.shared.jitter.summary()
+    }
+
+    /// How long answers to cyclic commands took, of those that were answered in time.
+    pub fn round_trips(&self) -> Jitter {
+        self.shared.round_trips.summary()
     }
 }
 

@@ -7,7 +7,7 @@ use super::shared::Wish;
 use crate::driver::{
     Activity, Driver, DriverState, EmergencyStopCause, FaultCause, Latched, Refusal, Request, Trip, WarmUpFailure,
 };
-use crate::gateway_protocol::{GatewayState, HelloReply};
+use crate::gateway_protocol::{GatewayState, HelloReply, StopCause};
 use crate::io::transport::{ConnectError, Unplugged};
 use crate::link::HelloError;
 
@@ -211,9 +211,11 @@ fn greeted(now: MonotonicTime, means: &mut Means<'_>) -> Result<bool, WishError>
 /// Why the gateway has stopped the arm before this host came, if it has: after a host that died, for one.
 fn stopped_before(hello: &HelloReply) -> Option<Trip> {
     match hello.state {
-        GatewayState::Fault | GatewayState::Stopping => Some(Trip::Fault(FaultCause::Gateway(hello.cause))),
         GatewayState::EmergencyStop => Some(Trip::EStop(EmergencyStopCause::Gateway)),
-        GatewayState::Idle | GatewayState::Started | GatewayState::Holding | GatewayState::Moving => None,
+        _ if hello.cause == StopCause::EmergencyStop => Some(Trip::EStop(EmergencyStopCause::Gateway)),
+        _ if hello.cause != StopCause::None => Some(Trip::Fault(FaultCause::Gateway(hello.cause))),
+        // One that comes to rest without a cause refuses to be looked at, and says so.
+        _ => None,
     }
 }
 

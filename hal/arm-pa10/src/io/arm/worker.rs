@@ -54,6 +54,8 @@ pub(super) struct Progress {
     last_sample: MonotonicTime,
     /// The owner held a lock: its command is not yet taken, or its snapshot is old.
     come_back: bool,
+    /// When the last cyclic command was sent, and how many answers there were before.
+    asked: Option<(MonotonicTime, u64)>,
     letting_go: Option<MonotonicTime>,
     failed: bool,
 }
@@ -151,6 +153,10 @@ impl Worker {
         if self.port.receive(now, &mut self.driver).is_err() {
             self.driver.handle_unplugged(now);
         }
+        let answered = self.driver.counters().answered;
+        if let Some((asked, _)) = self.progress.asked.take_if(|(_, before)| answered > *before) {
+            self.shared.round_trips.record(now.saturating_since(asked));
+        }
         if let Some(misses) = self.port.silence(now).filter(|_| !self.driver.state().is_latched()) {
             self.driver.handle_trip(now, Trip::Fault(FaultCause::LinkLost { misses }));
         }
@@ -168,6 +174,7 @@ impl Worker {
         if let Some(transmit) = self.driver.poll_transmit(now) {
             if transmit.message.letter() == Letter::Cyclic {
                 self.shared.jitter.record(now.saturating_since(due));
+                self.progress.asked = Some((now, self.driver.counters().answered));
             }
             self.port.send(now, &transmit, self.driver.activity());
         }
