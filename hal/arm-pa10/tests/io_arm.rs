@@ -22,8 +22,10 @@ use gateway::FakeGateway;
 use patience::patiently;
 use pb3dp_arm_pa10::codec::ServoWord;
 use pb3dp_arm_pa10::driver::{DriverState, FaultCause, Trip};
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, ArmOperation, Control, DriveMode, GatewayState, HostMessage, StopCause};
-use pb3dp_arm_pa10::io::arm::{ArmOpenError, Pa10Arm, WishError, trip_line};
+use pb3dp_arm_pa10::gateway_protocol::{
+    ArmId, ArmOperation, Control, DriveMode, FrameParser, GatewayState, HostMessage, Received, StopCause,
+};
+use pb3dp_arm_pa10::io::arm::{ArmOpenError, Pa10Arm, Way, WishError, trip_line};
 use pb3dp_arm_pa10::io::pty::Pty;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
@@ -49,10 +51,30 @@ fn an_arm_is_opened_enabled_moved_and_stopped() {
         assert!(rig.far.gateway.lock().unwrap().rejected.is_empty());
         let told = rig.monitor().jitter();
         assert!(told.cycles > 100 && told.p50 <= told.p99 && told.p99 <= told.max, "{told:?}");
+        check_raw_bytes(&rig);
         let answers = rig.monitor().round_trips();
         assert!(answers.cycles > 100 && answers.max < 2 * rig.arm.info().cycle, "{answers:?}");
         println!("lateness of {} cycles: {told:?}; {:?}", told.cycles, rig.monitor().snapshot().counters);
     });
+}
+
+/// Each frame out and its answer in, as they went over the line.
+fn check_raw_bytes(rig: &Rig) {
+    let kept = rig.monitor().raw_bytes();
+    let stream =
+        |way| kept.iter().filter(|raw| raw.way == way).flat_map(|raw| raw.bytes().to_vec()).collect::<Vec<_>>();
+    let (mut frames, mut parser) = (Vec::new(), FrameParser::new(ArmId(2)));
+    parser.feed(&stream(Way::Out), |received| frames.push(received));
+    let heard = rig.heard();
+    assert_eq!(frames.len(), heard.len());
+    for (received, heard) in frames.iter().zip(&heard) {
+        let Received::Frame(frame) = received else { panic!("{received:?}") };
+        assert_eq!(HostMessage::decode(frame).unwrap(), *heard);
+    }
+    let (mut answers, mut parser) = (0, FrameParser::new(ArmId(2)));
+    parser.feed(&stream(Way::In), |_| answers += 1);
+    assert_eq!(answers, heard.len());
+    assert!(kept.is_sorted_by_key(|raw| raw.at));
 }
 
 #[test]

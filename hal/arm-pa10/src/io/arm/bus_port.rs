@@ -7,6 +7,7 @@ use std::time::Duration;
 use pb3dp_geometry::MonotonicTime;
 
 use super::port::{Greeted, HostPort};
+use super::trace::{Tracer, Way};
 use crate::arcnet::Frame;
 use crate::codec::{SequenceModulus, WireFormat};
 use crate::driver::{Activity, Driver, Transmit};
@@ -54,6 +55,7 @@ pub(super) struct ControllerPort {
     gone: Option<Unplugged>,
     pending: Option<Frame>,
     frames_unsent: u64,
+    tracer: Tracer,
 }
 
 impl ControllerPort {
@@ -61,10 +63,15 @@ impl ControllerPort {
     ///
     /// # Errors
     /// If it can not be opened.
-    pub fn open(format: WireFormat, modulus: SequenceModulus, target: BusTarget) -> Result<Self, ConnectError> {
+    pub fn open(
+        format: WireFormat,
+        modulus: SequenceModulus,
+        target: BusTarget,
+        tracer: Tracer,
+    ) -> Result<Self, ConnectError> {
         let bus = Some(target.open()?);
         let link = BusLink::new(format, modulus);
-        Ok(Self { link, target, bus, gone: None, pending: None, frames_unsent: 0 })
+        Ok(Self { link, target, bus, gone: None, pending: None, frames_unsent: 0, tracer })
     }
 
     fn lose(&mut self, down: BusDown) -> Result<(), Unplugged> {
@@ -116,8 +123,11 @@ impl HostPort for ControllerPort {
             let Some(bus) = &mut self.bus else { return Ok(()) };
             match bus.try_receive(&mut buffer) {
                 Ok(None) => break,
-                // Why a frame is none the driver has counted.
-                Ok(Some(length)) => drop(self.link.handle_frame(now, &buffer[..length], driver)),
+                Ok(Some(length)) => {
+                    self.tracer.record(now, Way::In, &buffer[..length]);
+                    // Why a frame is none the driver has counted.
+                    let _ = self.link.handle_frame(now, &buffer[..length], driver);
+                }
                 Err(down) => return self.lose(down),
             }
         }
@@ -130,10 +140,11 @@ impl HostPort for ControllerPort {
     }
 
     /// As on a bus: a frame without room is lost.
-    fn flush(&mut self, _now: MonotonicTime) -> Result<(), Unplugged> {
+    fn flush(&mut self, now: MonotonicTime) -> Result<(), Unplugged> {
         let (Some(frame), Some(bus)) = (self.pending.take(), &mut self.bus) else { return Ok(()) };
         match bus.try_send(&frame) {
             Ok(sent) => {
+                self.tracer.record(now, Way::Out, &frame);
                 self.frames_unsent += u64::from(!sent);
                 Ok(())
             }

@@ -6,6 +6,7 @@ use std::time::Duration;
 use pb3dp_geometry::MonotonicTime;
 
 use super::port::{Greeted, HostPort};
+use super::trace::{Tracer, Way};
 use crate::driver::{Activity, Driver, Transmit};
 use crate::gateway_protocol::{FrameBytes, HelloReply, ParserCounters};
 use crate::io::transport::{ByteLink, ConnectError, Connector, Unplugged, wait};
@@ -33,6 +34,7 @@ pub(super) struct GatewayPort {
     frames_unsent: u64,
     greeting: Option<Greeting>,
     last_received: MonotonicTime,
+    tracer: Tracer,
 }
 
 /// HELLO was said.
@@ -47,7 +49,11 @@ impl GatewayPort {
     ///
     /// # Errors
     /// If they can not be opened.
-    pub fn open(config: GatewayLinkConfig, mut connector: Box<dyn Connector>) -> Result<Self, ConnectError> {
+    pub fn open(
+        config: GatewayLinkConfig,
+        mut connector: Box<dyn Connector>,
+        tracer: Tracer,
+    ) -> Result<Self, ConnectError> {
         Ok(Self {
             link: GatewayLink::new(config),
             bytes: Some(connector.connect()?),
@@ -58,6 +64,7 @@ impl GatewayPort {
             frames_unsent: 0,
             greeting: None,
             last_received: MonotonicTime::ZERO,
+            tracer,
         })
     }
 
@@ -133,6 +140,7 @@ impl HostPort for GatewayPort {
                 Ok(0) => break,
                 Ok(count) => {
                     self.last_received = now;
+                    self.tracer.record(now, Way::In, &buffer[..count]);
                     self.link.handle_bytes(now, &buffer[..count], driver);
                 }
                 Err(gone) => return self.lose(gone),
@@ -165,7 +173,10 @@ impl HostPort for GatewayPort {
             };
             match bytes.try_write(&self.pending[self.written..]) {
                 Ok(0) => return Ok(()),
-                Ok(count) => self.written += count,
+                Ok(count) => {
+                    self.tracer.record(now, Way::Out, &self.pending[self.written..self.written + count]);
+                    self.written += count;
+                }
                 Err(gone) => return self.lose(gone),
             }
             if self.written == self.pending.len() {

@@ -10,6 +10,7 @@ mod gateway_port;
 mod jitter;
 mod port;
 mod shared;
+mod trace;
 mod trip_line;
 mod wish;
 mod worker;
@@ -26,6 +27,7 @@ use self::bus_port::ControllerPort;
 use self::gateway_port::GatewayPort;
 use self::port::HostPort;
 use self::shared::{Shared, Wish};
+use self::trace::Tracer;
 use self::worker::{LET_GO_MAX, Progress, WishEnd, Worker};
 use super::realtime::{Realtime, enter};
 use super::transport::{ConnectError, Connector};
@@ -37,6 +39,7 @@ pub use bus_port::BusTarget;
 pub use config::{ArmOpenError, BusArmConfig, Pa10ArmConfig, REALTIME};
 pub use jitter::Jitter;
 pub use shared::{ArmMonitor, ArmSnapshot};
+pub use trace::{RawBytes, Way};
 pub use trip_line::{TripHandle, TripSeat, trip_line};
 pub use wish::WishError;
 
@@ -99,7 +102,7 @@ impl Pa10Arm {
         }
         let target = connector.target();
         let start = Start { name, arm: link.arm, driver, exchange_cycle: link.cycle, realtime, target };
-        Self::start(start, move || Ok(Box::new(GatewayPort::open(link, connector)?)), clock, seat)
+        Self::start(start, move |tracer| Ok(Box::new(GatewayPort::open(link, connector, tracer)?)), clock, seat)
     }
 
     /// The same for an arm whose ARCNET card is in this computer.
@@ -112,22 +115,27 @@ impl Pa10Arm {
             return Err(ArmOpenError::ExchangeCycle { arm: name, got: exchange_cycle, bus: driver.cycle });
         }
         let start = Start { name, arm, driver, exchange_cycle, realtime, target: target.to_string() };
-        Self::start(start, move || Ok(Box::new(ControllerPort::open(format, modulus, target)?)), clock, seat)
+        Self::start(
+            start,
+            move |tracer| Ok(Box::new(ControllerPort::open(format, modulus, target, tracer)?)),
+            clock,
+            seat,
+        )
     }
 
     fn start(
         start: Start,
-        open: impl FnOnce() -> Result<Box<dyn HostPort>, ConnectError>,
+        open: impl FnOnce(Tracer) -> Result<Box<dyn HostPort>, ConnectError>,
         clock: Arc<dyn Clock>,
         seat: TripSeat,
     ) -> Result<Self, ArmOpenError> {
         let Start { name, arm, driver: config, exchange_cycle, realtime, target } = start;
         let of_arm = || name.clone();
         let driver = Driver::new(config).map_err(|source| ArmOpenError::Config { arm: of_arm(), source })?;
-        let opened = open();
+        let shared = Arc::new(Shared::new());
+        let opened = open(Tracer::new(shared.trace.clone()));
         let port = opened.map_err(|source| ArmOpenError::Open { arm: of_arm(), target: target.clone(), source })?;
         let mut warnings: Vec<_> = port.warning().into_iter().collect();
-        let shared = Arc::new(Shared::new());
         let trip = seat.handle();
         let (ends_out, ends) = channel();
         let worker = Worker {

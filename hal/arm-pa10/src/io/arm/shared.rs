@@ -11,6 +11,7 @@ use pb3dp_hal_api::{ArmState, JointCommand};
 use pb3dp_kinematics::JointState;
 
 use super::jitter::{Jitter, JitterMeter};
+use super::trace::{RawBytes, Trace};
 use crate::codec::Axis;
 use crate::driver::{Activity, AxisLimits, DriverState, Latched, LinkCounters, Sample};
 use crate::gateway_protocol::{HelloReply, ParserCounters};
@@ -80,6 +81,7 @@ pub(super) struct Shared {
     let_go: AtomicBool,
     pub jitter: JitterMeter,
     pub round_trips: JitterMeter,
+    pub trace: Trace,
 }
 
 impl Shared {
@@ -108,6 +110,7 @@ impl Shared {
             let_go: AtomicBool::new(false),
             jitter: JitterMeter::new(),
             round_trips: JitterMeter::new(),
+            trace: Trace::new(),
         }
     }
 
@@ -197,6 +200,11 @@ impl ArmMonitor {
     /// How late the cycles of this arm's thread began.
     pub fn jitter(&self) -> Jitter {
         self.shared.jitter.summary()
+    }
+
+    /// The raw bytes of the last seconds, oldest first: for the record of a fault.
+    pub fn raw_bytes(&self) -> Vec<RawBytes> {
+        self.shared.trace.entries()
     }
 
     /// How long answers to cyclic commands took, of those that were answered in time.
