@@ -13,7 +13,7 @@ mod injection;
 use std::time::Duration;
 
 use chain::{ARM, Chain, Spoil, Way};
-use injection::{Braking, Dice, braking_time, controller_alarm, joints, last_motion, servo_alarm};
+use injection::{Braking, Dice, Stop, braking_time, controller_alarm, joints, last_motion, servo_alarm, table_line};
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{DriverState, Request};
 use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Frame, FrameParser, Received};
@@ -214,7 +214,7 @@ const INJECTIONS_PER_KIND: u32 = 24;
 #[test]
 fn whatever_fails_between_host_and_arm_the_arm_comes_to_rest_in_time() {
     for (index, kind) in kinds().iter().enumerate() {
-        let (mut slowest, mut tightest) = (Duration::ZERO, Duration::MAX);
+        let mut stops = Vec::new();
         for (variant, dialect) in [Dialect::Transparent, Dialect::GatewayV1].into_iter().enumerate() {
             let mut dice = Dice { seed: 5000 + 10 * index as u32 + variant as u32, count: 0 };
             // Where messages do not arrive, nobody but the controller can stop the arm; else it need not help.
@@ -224,11 +224,10 @@ fn whatever_fails_between_host_and_arm_the_arm_comes_to_rest_in_time() {
                 let [took, allowed] = inject(&mut chain, kind, &mut dice);
                 let place = format!("{} {injection} in {dialect:?}", kind.name);
                 assert!(took <= allowed, "{place}: {took:?} to rest, {allowed:?} allowed");
-                slowest = slowest.max(took);
-                tightest = tightest.min(allowed - took);
+                stops.push(Stop { took, allowed });
             }
         }
-        println!("{:32} slowest {slowest:?}, at least {tightest:?} to spare", kind.name);
+        println!("{}", table_line(kind.name, &stops));
     }
 }
 

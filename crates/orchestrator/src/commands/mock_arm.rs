@@ -59,6 +59,9 @@ pub struct MockArmArgs {
     /// Where the joints start, degrees, from the base.
     #[arg(long, value_name = "Q1,..,Q7", default_value = "0,30,0,60,0,45,0", value_parser = parse_pose, allow_hyphen_values = true)]
     pub pose_deg: PoseDeg,
+    /// Limits in its EEPROM, degrees to both sides, from the base: those of a PA10-7C unless given.
+    #[arg(long, value_name = "L1,..,L7", value_parser = parse_pose, allow_hyphen_values = true)]
+    pub limits_deg: Option<PoseDeg>,
     /// A script of faults.
     #[arg(long, value_name = "FILE")]
     pub script: Option<std::path::PathBuf>,
@@ -145,7 +148,11 @@ fn start(args: &MockArmArgs) -> anyhow::Result<MockServer> {
     }
     script.lines.extend(&args.fault);
     let format = args.format.wire_format();
-    let controller = MockControllerConfig { watchdog: args.watchdog.0, ..MockControllerConfig::new(format) };
+    let mut controller = MockControllerConfig { watchdog: args.watchdog.0, ..MockControllerConfig::new(format) };
+    if let Some(limits) = args.limits_deg {
+        controller.upper_limit_rad = JointVector::from(limits.0.map(f64::to_radians));
+        controller.lower_limit_rad = -controller.upper_limit_rad;
+    }
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     let pose = JointVector::from(args.pose_deg.0.map(f64::to_radians));
     let joints = JointPlant::new(pa10_joints()?, pose, clock.now()).context("--pose-deg")?;
