@@ -14,8 +14,8 @@ use cell_end::{Cell, CellEnd};
 use patience::patiently;
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, FaultCause, LimitsCheck, Trip};
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, GatewayState, Geometry, StopCause};
-use pb3dp_arm_pa10::io::arm::{Pa10Arm, Pa10ArmConfig, TripSeat, trip_line};
+use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, GatewayState, Geometry, RejectReason, StopCause};
+use pb3dp_arm_pa10::io::arm::{ArmOpenError, Pa10Arm, Pa10ArmConfig, TripSeat, trip_line};
 use pb3dp_arm_pa10::io::pty::Pty;
 use pb3dp_arm_pa10::io::serial::SerialConfig;
 use pb3dp_arm_pa10::io::transport::ByteLink;
@@ -42,6 +42,37 @@ fn limits() -> JointVector {
     JointVector::from([177.0f64, 94.0, 174.0, 137.0, 255.0, 165.0, 255.0].map(f64::to_radians))
 }
 
+fn home() -> JointVector {
+    JointVector::from([0.2, -0.5, 0.3, 1.1, 3.1, 0.9, 0.1])
+}
+
+fn config(arm: u8, dialect: Dialect, format: WireFormat) -> Pa10ArmConfig {
+    let tolerance_rad = 0.5f64.to_radians();
+    let limits = LimitsCheck::Compare { lower_rad: -limits(), upper_rad: limits(), tolerance_rad };
+    let driver = DriverConfig { limits, ..DriverConfig::with_cycle(CYCLE) };
+    let link = GatewayLinkConfig { arm: ArmId(arm), dialect, format, geometry: Geometry::Unknown, cycle: CYCLE };
+    Pa10ArmConfig::new(&format!("arm-{arm}"), driver, link)
+}
+
+/// Opens the arm of a configuration where this cell is.
+fn open(
+    config: Pa10ArmConfig,
+    cell: Cell,
+    seat: TripSeat,
+    clock: &Arc<SystemClock>,
+) -> (Result<Pa10Arm, ArmOpenError>, CellEnd) {
+    let pty = Pty::open().unwrap();
+    let GatewayLinkConfig { dialect, format, cycle, .. } = config.link;
+    let serial = SerialConfig { path: pty.name().to_owned(), baud: 921_600, dialect, format, cycle };
+    let end = CellEnd::serve(Box::new(pty), cell);
+    (Pa10Arm::open(config, Box::new(serial), Arc::clone(clock) as Arc<_>, seat), end)
+}
+
+/// Opens one that is refused, or opened and stopped.
+fn open_one(config: Pa10ArmConfig, cell: Cell) -> (Result<Pa10Arm, ArmOpenError>, CellEnd) {
+    open(config, cell, trip_line(1).unwrap().remove(0), &Arc::new(SystemClock::new()))
+}
+
 struct Rig {
     arm: Pa10Arm,
     end: CellEnd,
@@ -50,18 +81,8 @@ struct Rig {
 
 impl Rig {
     fn new(arm: u8, dialect: Dialect, format: WireFormat, seat: TripSeat, clock: &Arc<SystemClock>) -> Self {
-        let pty = Pty::open().unwrap();
-        let serial = SerialConfig { path: pty.name().to_owned(), baud: 921_600, dialect, format, cycle: CYCLE };
-        let home = JointVector::from([0.2, -0.5, 0.3, 1.1, 3.1, 0.9, 0.1]);
-        let end = CellEnd::serve(Box::new(pty), Cell::new(ArmId(arm), format, home));
-        let tolerance_rad = 0.5f64.to_radians();
-        let limits = LimitsCheck::Compare { lower_rad: -limits(), upper_rad: limits(), tolerance_rad };
-        let driver = DriverConfig { limits, ..DriverConfig::with_cycle(CYCLE) };
-        let geometry = Geometry::Unknown;
-        let link = GatewayLinkConfig { arm: ArmId(arm), dialect, format, geometry, cycle: CYCLE };
-        let config = Pa10ArmConfig::new(&format!("arm-{arm}"), driver, link);
-        let opened = Pa10Arm::open(config, Box::new(serial), Arc::clone(clock) as Arc<_>, seat);
-        let arm = opened.unwrap_or_else(|error| panic!("{error}: {:?}", std::error::Error::source(&error)));
+        let (arm, end) = open(config(arm, dialect, format), Cell::new(ArmId(arm), format, home()), seat, clock);
+        let arm = arm.unwrap_or_else(|error| panic!("{error}: {:?}", std::error::Error::source(&error)));
         Self { arm, end, clock: Arc::clone(clock) }
     }
 
@@ -285,6 +306,68 @@ fn a_line_that_takes_no_more_bytes_has_the_joints_stopped_by_both_sides() {
         assert!(is_at_rest(&rig.end));
         rig.arm.reset().unwrap();
         rig.enable_and_move();
+    });
+}
+
+#[test]
+fn the_link_of_the_other_arm_is_refused_by_its_number() {
+    patiently(|| {
+        let _turn = turn();
+        let (refused, _end) = open_one(config(1, Dialect::GatewayV1, B), Cell::new(ArmId(2), B, home()));
+        let error = refused.err().unwrap();
+        let source = std::error::Error::source(&error).unwrap().to_string();
+        assert!(source.contains("a reply came from arm 2: the links of two arms are swapped"), "{source}");
+    });
+}
+
+#[test]
+fn a_gateway_before_an_arm_of_another_format_does_not_move_it() {
+    patiently(|| {
+        let _turn = turn();
+        let config = config(2, Dialect::Transparent, WireFormat::LittleEndian5x8);
+        let (opened, _end) = open_one(config, Cell::new(ArmId(2), B, home()));
+        let mut arm = opened.map_err(|error| error.to_string()).unwrap();
+        assert_eq!(arm.state(), ArmState::Fault);
+        let trip = arm.monitor().snapshot().latched.unwrap().trip;
+        assert!(matches!(trip, Trip::Fault(FaultCause::Rejected(RejectReason::WrongLength))), "{trip:?}");
+        assert!(arm.enable().is_err() && arm.reset().is_err());
+    });
+}
+
+#[test]
+fn an_arm_with_other_limits_is_opened_stopped_and_says_which() {
+    patiently(|| {
+        let _turn = turn();
+        let mut other = config(2, Dialect::GatewayV1, B);
+        let (mut lower_rad, upper_rad) = (-limits(), limits());
+        lower_rad[5] += 1f64.to_radians();
+        other.driver.limits = LimitsCheck::Compare { lower_rad, upper_rad, tolerance_rad: 0.5f64.to_radians() };
+        let (opened, _end) = open_one(other, Cell::new(ArmId(2), B, home()));
+        let mut arm = opened.map_err(|error| error.to_string()).unwrap();
+        assert_eq!(arm.state(), ArmState::Fault);
+        for result in [arm.enable(), arm.reset()] {
+            let error = result.unwrap_err();
+            assert!(error.to_string().contains("(W1): the controller keeps a limit of -165.000 degrees"), "{error}");
+        }
+    });
+}
+
+#[test]
+fn an_arm_whose_emergency_stop_is_pressed_is_opened_and_reset_when_it_is_released() {
+    patiently(|| {
+        let _turn = turn();
+        let mut cell = Cell::new(ArmId(2), B, home());
+        let now = cell.now;
+        cell.controller.command_line(now, "e-stop press").unwrap();
+        let (opened, end) = open_one(config(2, Dialect::GatewayV1, B), cell);
+        let mut arm = opened.map_err(|error| error.to_string()).unwrap();
+        assert_eq!(arm.state(), ArmState::EStop, "{:?}", arm.monitor().snapshot().latched);
+        assert!(arm.reset().is_err());
+        assert_eq!(arm.state(), ArmState::EStop);
+        end.inject("e-stop release");
+        arm.reset().unwrap();
+        let clock = Arc::new(SystemClock::new());
+        Rig { arm, end, clock }.enable_and_move();
     });
 }
 

@@ -98,6 +98,8 @@ impl Running {
                 means.port.greet(now);
                 self.stage = Stage::Greeting;
             }
+            // Another arm has answered.
+            Stage::Greeting if means.driver.state().is_latched() => return Err(stopped(means.driver)),
             Stage::Greeting => {
                 if greeted(now, means)? {
                     if let Some(trip) = means.port.hello().and_then(stopped_before) {
