@@ -104,6 +104,7 @@ pub struct Guard<A> {
     jumps: u32,
     /// Why the arm was stopped.
     latched: Option<String>,
+    on_stop: Option<Box<dyn FnMut() + Send>>,
 }
 
 impl<A: Arm> Guard<A> {
@@ -125,6 +126,7 @@ impl<A: Arm> Guard<A> {
             off_track_for: [Duration::ZERO; DOF],
             jumps: 0,
             latched: None,
+            on_stop: None,
         })
     }
 
@@ -138,8 +140,19 @@ impl<A: Arm> Guard<A> {
         self.latched.as_deref()
     }
 
+    /// What is also done, once and at once, when the guard stops the arm. A joint that does not follow its drive goes on although
+    /// the arm holds, until its brake closes: a backend with brakes is to be told here (`TripHandle::trip` of a PA-10).
+    #[must_use]
+    pub fn on_stop(mut self, stop: impl FnMut() + Send + 'static) -> Self {
+        self.on_stop = Some(Box::new(stop));
+        self
+    }
+
     /// Stops at once. What the arm answers to that is of no use any more.
     fn stop_for(&mut self, (joint, reason): (usize, String)) -> ArmError {
+        if let Some(stop) = &mut self.on_stop {
+            stop();
+        }
         let told = self.arm.exchange(JointCommand::Hold);
         self.expectation.command(&JointVector::zeros());
         let link = told.err().map_or(String::new(), |error| format!(" (and it could not be told to hold: {error})"));

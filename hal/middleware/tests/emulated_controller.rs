@@ -1,5 +1,5 @@
 //! Faults that only a look at the joints finds, against the emulated controller of a PA-10: limiter, guard, driver, bus, joints, in
-//! virtual time. Whoever runs the loop stops the arm when it meets an error, as the program does.
+//! virtual time.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -122,7 +122,13 @@ fn guarded(format: WireFormat) -> (Guard<VirtualArm>, Arc<Mutex<BusBench>>) {
     bench.settle();
     let bench = Arc::new(Mutex::new(bench));
     let info = ArmInfo { name: "virtual".to_owned(), cycle: HOST_CYCLE };
-    let mut guard = Guard::new(VirtualArm { bench: Arc::clone(&bench), info }, config).unwrap();
+    let tripped = Arc::clone(&bench);
+    let trip = move || {
+        let mut bench = tripped.lock().unwrap();
+        let now = bench.now;
+        bench.driver.handle_trip(now, Trip::Fault(FaultCause::Supervisor));
+    };
+    let mut guard = Guard::new(VirtualArm { bench: Arc::clone(&bench), info }, config).unwrap().on_stop(trip);
     guard.enable().unwrap();
     (guard, bench)
 }
@@ -140,7 +146,7 @@ struct Outcome {
     reason: String,
 }
 
-/// Moves, lets a fault come, and trips the driver when the guard or the driver itself has found it, as a supervisor of the arm does.
+/// Moves, and lets a fault come, until the guard or the driver itself has found it.
 fn outcome(format: WireFormat, phase: u32, line: &str) -> Option<Outcome> {
     let (mut guard, bench) = guarded(format);
     let step = |guard: &mut Guard<VirtualArm>| {
@@ -153,10 +159,9 @@ fn outcome(format: WireFormat, phase: u32, line: &str) -> Option<Outcome> {
     let begin = bench.lock().unwrap().now;
     bench.lock().unwrap().inject(line);
     let reason = (0..150).find_map(|_| step(&mut guard).err().filter(|error| error.kind() == ArmErrorKind::Fault))?;
-    let found_after = bench.lock().unwrap().now.saturating_since(begin);
     let mut bench = bench.lock().unwrap();
-    let now = bench.now;
-    bench.driver.handle_trip(now, Trip::Fault(FaultCause::Supervisor));
+    let found_after = bench.driver.latched().unwrap().at.saturating_since(begin);
+    assert_eq!(guard.latched().is_some(), bench.driver.latched().unwrap().trip == Trip::Fault(FaultCause::Supervisor));
     bench.settle();
     bench.run(Duration::from_millis(100));
     drop(guard);

@@ -338,3 +338,22 @@ proptest! {
         }
     }
 }
+
+/// A joint that runs away from its drive goes on although the arm holds: whoever can close brakes is told at once, and once.
+#[test]
+fn who_can_brake_is_told_when_the_guard_stops_the_arm() {
+    let clock = Arc::new(VirtualClock::new());
+    let told = Arc::new(Mutex::new(0));
+    let count = Arc::clone(&told);
+    let mut guard = Guard::new(mock_arm(&clock, START.into()), guard_config(0.1)).unwrap().on_stop(move || {
+        *count.lock().unwrap() += 1;
+    });
+    guard.enable().unwrap();
+    for cycle in 0..50 {
+        clock.sleep_until(clock.now() + CYCLE);
+        // Ten times what is allowed.
+        let stopped = guard.exchange(velocity(0, 1.0)).is_err();
+        assert_eq!(*told.lock().unwrap(), u32::from(guard.latched().is_some()), "cycle {cycle}, {stopped}");
+    }
+    assert_eq!(*told.lock().unwrap(), 1);
+}
