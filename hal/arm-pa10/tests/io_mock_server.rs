@@ -1,7 +1,7 @@
 //! The emulated arm in real time, over real lines, with a real arm's driver at the other end. Times are asserted loosely: they are
 //! those of the machine that runs the tests.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
 
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -167,29 +167,64 @@ fn an_arm_moves_over_a_pseudo_terminal() {
     assert!(text.contains("gateway: idle"), "{text}");
 }
 
-/// Typed while the arm moves: it stops, stays stopped, and a reset without the cause leads on.
+/// A fault as it is typed, its end, the state to which it leads, and whether a reset is refused until it has ended.
+type Typed = (&'static str, &'static str, ArmState, bool);
+
+/// The faults of the test set, shared out to the arms that suffer them.
+const TYPED: [&[Typed]; 4] = [
+    &[
+        ("e-stop press", "e-stop release", ArmState::EStop, true),
+        ("drop 1000000", "drop 0", ArmState::Fault, false),
+        ("line corrupt 1000000", "line corrupt 0", ArmState::Fault, false),
+        ("time-out", "drop 0", ArmState::Fault, false),
+        ("delay 1000000 40ms", "delay 0 0s", ArmState::Fault, false),
+    ],
+    &[
+        ("alarm 4 0x0e", "alarm 4 off", ArmState::Fault, true),
+        ("silence on", "silence off", ArmState::Fault, false),
+        ("line truncate 1000000", "line truncate 0", ArmState::Fault, false),
+        ("wrong-letter 1000000", "wrong-letter 0", ArmState::Fault, false),
+        ("line slow 60ms", "line slow 0s", ArmState::Fault, false),
+    ],
+    &[
+        ("power off", "power on", ArmState::Fault, true),
+        ("truncate 1000000", "truncate 0", ArmState::Fault, false),
+        ("line wrong-arm 1000000", "line wrong-arm 0", ArmState::Fault, false),
+        ("wrong-sequence 1000000", "wrong-sequence 0", ArmState::Fault, false),
+        ("line silence on", "line silence off", ArmState::Fault, false),
+    ],
+    &[
+        ("limit-switch open", "limit-switch close", ArmState::EStop, true),
+        ("wrong-node 1000000", "wrong-node 0", ArmState::Fault, false),
+        ("line deaf on", "line deaf off", ArmState::Fault, false),
+        ("controller-alarm 0x07 reported", "controller-alarm off", ArmState::Fault, true),
+        ("deaf 1000000", "deaf 0", ArmState::Fault, false),
+    ],
+];
+
+/// Typed while the arm moves: it stops, stays stopped, and a reset without the cause leads on. Four arms at a time.
 #[test]
 fn faults_are_typed_while_the_arm_moves() {
+    std::thread::scope(|scope| TYPED.map(|typed| scope.spawn(|| suffer(typed))).map(|arm| arm.join().unwrap()));
+}
+
+fn suffer(typed: &[Typed]) {
     let rig = rig(MockFace::Pty(gateway()));
     let mut arm = rig.enabled(rig.serial());
-    for (line, end, state) in [
-        ("e-stop press", "e-stop release", ArmState::EStop),
-        ("alarm 4 0x0e", "alarm 4 off", ArmState::Fault),
-        ("drop 1000000", "drop 0", ArmState::Fault),
-        ("power off", "power on", ArmState::Fault),
-    ] {
+    for (line, end, state, keeps_cause) in typed {
         assert!(moved_by(&rig, &mut arm, 0.01) >= 0.01, "before {line}");
         let at = rig.fault(line);
         let until = Instant::now() + PATIENCE;
         while arm.state() == ArmState::Enabled && Instant::now() < until {
             arm.exchange(JointCommand::Velocity(JointVector::repeat(0.1))).ok();
         }
-        assert_eq!(arm.state(), state, "{line}");
-        std::thread::sleep(Duration::from_millis(600));
+        // A machine that is too busy may have brought the arm to a stop by itself just before.
+        assert!(wait_for(|| arm.state() == *state), "{line}: {:?}", arm.state());
+        std::thread::sleep(Duration::from_millis(400));
         let took = rig.last_motion(at);
         println!("{line}: at rest after {took:?}");
-        assert!(took < Duration::from_millis(600), "{line}: {took:?}");
-        assert!(arm.reset().is_err(), "{line}: the cause is there");
+        assert!(took < Duration::from_millis(400), "{line}: {took:?}");
+        assert!(!keeps_cause || arm.reset().is_err(), "{line}: the cause is there");
         rig.fault(end);
         std::thread::sleep(Duration::from_millis(250));
         let until = Instant::now() + PATIENCE;
@@ -197,8 +232,8 @@ fn faults_are_typed_while_the_arm_moves() {
             assert!(Instant::now() < until, "{line}: {error}");
         }
     }
-    let faults = rig.server.report().counters.faults;
-    assert_eq!([faults["e-stop"], faults["alarm"], faults["drop"], faults["power"]], [2; 4]);
+    let counters = rig.server.report().counters;
+    assert_eq!(counters.faults.values().sum::<u64>(), 2 * typed.len() as u64, "{:?}", counters.faults);
     let error = rig.server.command_line("e-stop pres").unwrap_err().to_string();
     assert!(error.contains("`pres`"), "{error}");
 }

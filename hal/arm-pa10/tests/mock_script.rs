@@ -5,7 +5,7 @@
 use std::time::Duration;
 
 use pb3dp_arm_pa10::codec::{Axis, CommAlarm, ServoAlarm};
-use pb3dp_arm_pa10::mock_controller::{Fault, ReplyFault, Script, ScriptLine, When};
+use pb3dp_arm_pa10::mock_controller::{Fault, LineFault, ReplyFault, Script, ScriptLine, When};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 
@@ -78,6 +78,9 @@ fn a_line_that_is_wrong_is_named_with_its_word() {
         ("jump 2 5", "the angle is `5`; write an angle such as 0.02rad or 1.5deg"),
         ("jump 2 1e9rad", "the angle is `1e9rad`"),
         ("runaway 2 fast", "the speed is `fast`; write a speed such as 0.5rad/s or 30deg/s, or off"),
+        ("line stale 3", "the fault of the line is `stale`; write drop, duplicate"),
+        ("line", "the fault of the line is missing"),
+        ("line deaf 3", "deaf is `3`; write on or off"),
         ("torque 2 50", "the torque is `50`; write a torque such as 50Nm"),
     ] {
         let error = ScriptLine::parse(line).unwrap_err().to_string();
@@ -118,6 +121,19 @@ fn any_fault() -> impl Strategy<Value = Fault> {
             .prop_map(|(axis, velocity_rad_per_s)| Fault::Runaway { axis, velocity_rad_per_s }),
         (axis(), number()).prop_map(|(axis, by_rad)| Fault::Jump { axis, by_rad }),
         (axis(), number()).prop_map(|(axis, torque_n_m)| Fault::Torque { axis, torque_n_m }),
+        line_fault().prop_map(Fault::Line),
+    ]
+}
+
+fn line_fault() -> impl Strategy<Value = LineFault> {
+    let nanos = || (0u64..5_000_000_000).prop_map(Duration::from_nanos);
+    prop_oneof![
+        (0usize..5, any::<u32>()).prop_map(|(kind, count)| LineFault::Answers { kind: ReplyFault::ALL[kind].0, count }),
+        any::<u32>().prop_map(|count| LineFault::WrongArm { count }),
+        (any::<u32>(), nanos()).prop_map(|(count, by)| LineFault::Delay { count, by }),
+        nanos().prop_map(LineFault::Slow),
+        any::<bool>().prop_map(LineFault::Silence),
+        any::<bool>().prop_map(LineFault::Deaf),
     ]
 }
 

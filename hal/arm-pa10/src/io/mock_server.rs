@@ -255,7 +255,21 @@ impl Core {
 
     fn next_deadline(&self) -> Option<MonotonicTime> {
         let wanted = self.gateway.as_ref().map(Gateway::next_deadline);
-        [wanted, self.controller.next_deadline()].into_iter().flatten().min()
+        [wanted, self.controller.next_deadline(), self.controller.next_on_line()].into_iter().flatten().min()
+    }
+
+    /// Answers of the gateway that have come to the host, as many as there is room for.
+    fn collect(&mut self, now: MonotonicTime, output: &mut Vec<u8>) {
+        while let Some(bytes) = self.gateway.as_mut().and_then(|gateway| gateway.poll_host_output(now)) {
+            self.controller.send_on_line(now, &bytes);
+        }
+        while let Some(bytes) = self.controller.poll_line(now) {
+            if output.len() + bytes.len() > UNREAD_MAX {
+                self.unread += 1;
+            } else {
+                output.extend_from_slice(&bytes);
+            }
+        }
     }
 }
 
@@ -377,6 +391,7 @@ impl Worker {
         self.output.clear();
         let mut core = lock(&self.shared.core);
         let now = core.now;
+        core.controller.clear_line();
         if let Some(gateway) = &mut core.gateway {
             gateway.handle_host_gone(now);
         }
@@ -406,14 +421,15 @@ impl Worker {
         let mut buffer = [0; 512];
         loop {
             let count = link.try_read(&mut buffer).map_err(|_| Gone)?;
+            let is_deaf = core.controller.is_line_deaf();
             let Some(gateway) = core.gateway.as_mut().filter(|_| count > 0) else { break };
-            gateway.handle_host_bytes(now, &buffer[..count]);
-            collect(gateway, now, &mut self.output, &mut core.unread);
+            if !is_deaf {
+                gateway.handle_host_bytes(now, &buffer[..count]);
+            }
+            core.collect(now, &mut self.output);
         }
         core.exchange(&mut |_| {});
-        if let Some(gateway) = &mut core.gateway {
-            collect(gateway, now, &mut self.output, &mut core.unread);
-        }
+        core.collect(now, &mut self.output);
         if !self.output.is_empty() {
             let written = link.try_write(&self.output).map_err(|_| Gone)?;
             self.output.drain(..written);
@@ -447,17 +463,6 @@ impl Worker {
 
 /// The other side has gone.
 struct Gone;
-
-/// Answers of the gateway, as many as there is room for.
-fn collect(gateway: &mut Gateway, now: MonotonicTime, output: &mut Vec<u8>, unread: &mut u64) {
-    while let Some(bytes) = gateway.poll_host_output(now) {
-        if output.len() + bytes.len() > UNREAD_MAX {
-            *unread += 1;
-        } else {
-            output.extend_from_slice(&bytes);
-        }
-    }
-}
 
 /// Frames of the host, and replies.
 fn work_bus(core: &mut Core, now: MonotonicTime, bus: &mut dyn BusPort) -> Result<(), Gone> {

@@ -10,6 +10,7 @@ use pb3dp_sim::joint_dynamics::{AxisMode, JointPlant};
 use super::axis::{AxisDrive, Brake, BrakeTimes};
 use super::config::{MockControllerConfig, MockControllerError};
 use super::fault::{Fault, ReplyFault};
+use super::line::Line;
 use super::outbox::Outbox;
 use super::panel::{Cause, Panel};
 use super::random::Random;
@@ -69,6 +70,7 @@ pub struct MockController {
     pub(super) stale: Option<ArmReply>,
     deaf: u32,
     pub(super) outbox: Outbox,
+    pub(super) line: Line,
     schedule: Schedule,
     pub(super) counters: MockCounters,
     now: MonotonicTime,
@@ -107,6 +109,7 @@ impl MockController {
             stale: None,
             deaf: 0,
             outbox: Outbox::new(Random::new(seed)),
+            line: Line::new(Random::new(seed.rotate_left(32))),
             schedule: Schedule::new(now, Random::new(!seed)),
             counters: MockCounters::default(),
             now,
@@ -305,6 +308,7 @@ impl MockController {
             }
             Fault::Jump { axis, by_rad } => self.angle_offset_rad[axis.index()] += by_rad,
             Fault::Torque { axis, torque_n_m } => self.torque_n_m[axis.index()] = torque_n_m,
+            Fault::Line(fault) => self.line.inject(fault),
         }
         self.move_joints(now);
     }

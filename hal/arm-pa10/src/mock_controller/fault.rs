@@ -129,6 +129,38 @@ pub enum Fault {
         /// The torque at the joint, N m.
         torque_n_m: f64,
     },
+    /// On the line between host and gateway, where there is one.
+    Line(LineFault),
+}
+
+/// What goes wrong on the line between host and gateway, frame by frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LineFault {
+    /// The next `count` frames to the host suffer this. Not `wrong-sequence`, `wrong-letter`, `wrong-node` and `stale`.
+    Answers {
+        /// What is done to them.
+        kind: ReplyFault,
+        /// How many; 0 ends it.
+        count: u32,
+    },
+    /// The next `count` frames to the host are sound ones of another arm.
+    WrongArm {
+        /// How many; 0 ends it.
+        count: u32,
+    },
+    /// The next `count` frames to the host come later by this.
+    Delay {
+        /// How many; 0 ends it.
+        count: u32,
+        /// By how much.
+        by: Duration,
+    },
+    /// Every frame to the host comes later by this.
+    Slow(Duration),
+    /// No frame comes to the host.
+    Silence(bool),
+    /// Nothing comes from the host.
+    Deaf(bool),
 }
 
 impl ReplyFault {
@@ -173,6 +205,29 @@ impl Fault {
             Self::Runaway { .. } => "runaway",
             Self::Jump { .. } => "jump",
             Self::Torque { .. } => "torque",
+            Self::Line(_) => "line",
+        }
+    }
+}
+
+impl ReplyFault {
+    /// Whether it can happen to any frame, and not to replies of a controller alone.
+    pub(super) fn is_of_any_frame(self) -> bool {
+        matches!(self, Self::Drop | Self::Duplicate | Self::Reorder | Self::Corrupt | Self::Truncate)
+    }
+}
+
+/// As in a script, without the word `line`.
+impl std::fmt::Display for LineFault {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let on_off = |on: bool| if on { "on" } else { "off" };
+        match self {
+            Self::Answers { kind, count } => write!(f, "{} {count}", kind.name()),
+            Self::WrongArm { count } => write!(f, "wrong-arm {count}"),
+            Self::Delay { count, by } => write!(f, "delay {count} {by:?}"),
+            Self::Slow(by) => write!(f, "slow {by:?}"),
+            Self::Silence(on) => write!(f, "silence {}", on_off(*on)),
+            Self::Deaf(on) => write!(f, "deaf {}", on_off(*on)),
         }
     }
 }
@@ -208,6 +263,7 @@ impl std::fmt::Display for Fault {
             },
             Self::Jump { axis, by_rad } => write!(f, " {} {by_rad}rad", axis.number()),
             Self::Torque { axis, torque_n_m } => write!(f, " {} {torque_n_m}Nm", axis.number()),
+            Self::Line(fault) => write!(f, " {fault}"),
         }
     }
 }

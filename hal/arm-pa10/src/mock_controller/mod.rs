@@ -21,6 +21,7 @@ mod command;
 mod config;
 mod controller;
 mod fault;
+mod line;
 mod messages;
 mod outbox;
 mod panel;
@@ -31,6 +32,6 @@ mod words;
 
 pub use config::{MockControllerConfig, MockControllerError, pa10_joints};
 pub use controller::{ControlMode, MockController, MockCounters};
-pub use fault::{Fault, ReplyFault};
+pub use fault::{Fault, LineFault, ReplyFault};
 pub use script::{Script, ScriptError, ScriptLine, When};
 pub use words::{LineError, parse_time};

@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
-use super::fault::{Fault, ReplyFault};
+use super::fault::{Fault, LineFault, ReplyFault};
 use crate::codec::{Axis, CommAlarm, ServoAlarm};
 
 /// The faults that are not done to replies, for messages.
 const OTHER_NAMES: &str = "delay, deaf, silence, slow, alarm, controller-alarm, e-stop, dead-man, limit-switch, teaching-switch, \
-                           power-temperature, power, time-out, stuck, runaway, jump, torque";
+                           power-temperature, power, time-out, stuck, runaway, jump, torque, line";
 
 /// Why a line says nothing that can be done.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -194,7 +194,25 @@ impl<'a> Words<'a> {
                 let understand = |word: &str| number_with_unit(word, &[("Nm", 1.0)]);
                 Fault::Torque { axis, torque_n_m: self.take("the torque", "a torque such as 50Nm", understand)? }
             }
+            "line" => Fault::Line(self.line_fault()?),
             _ => return Err(LineError::Unknown { got: name.to_owned() }),
+        })
+    }
+
+    fn line_fault(&mut self) -> Result<LineFault, LineError> {
+        let form = "drop, duplicate, reorder, corrupt, truncate, wrong-arm, delay, slow, silence or deaf";
+        let name = self.take("the fault of the line", form, |word| Some(word.to_owned()))?;
+        let any_frame = ReplyFault::ALL.into_iter().filter(|(kind, _)| kind.is_of_any_frame());
+        if let Some((kind, _)) = any_frame.into_iter().find(|(_, known)| *known == name) {
+            return Ok(LineFault::Answers { kind, count: self.count("the number of frames")? });
+        }
+        Ok(match name.as_str() {
+            "wrong-arm" => LineFault::WrongArm { count: self.count("the number of frames")? },
+            "delay" => LineFault::Delay { count: self.count("the number of frames")?, by: self.duration("the delay")? },
+            "slow" => LineFault::Slow(self.duration("the delay")?),
+            "silence" => LineFault::Silence(self.on_off("silence")?),
+            "deaf" => LineFault::Deaf(self.on_off("deaf")?),
+            _ => return Err(LineError::Bad { what: "the fault of the line", got: name, form }),
         })
     }
 }
