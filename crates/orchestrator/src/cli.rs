@@ -36,6 +36,22 @@ pub enum Command {
     Track(TrackArgs),
     /// Run an emulated PA-10 in real time that fails on request.
     MockArm(MockArmArgs),
+    /// Own the bus of one PA-10 and its cycle, and serve a host (docs/gateway.md).
+    Gateway(GatewayArgs),
+}
+
+/// Arguments of `pb3dp gateway`.
+#[derive(Debug, Args)]
+pub struct GatewayArgs {
+    /// The arm, its bus and its host: one complete TOML file, for instance configs/gateway.toml.
+    #[arg(long, value_name = "FILE")]
+    pub config: PathBuf,
+    /// Another bus than the configuration's: arcnet:INTERFACE or socket:PATH.
+    #[arg(long, value_name = "BUS")]
+    pub bus: Option<String>,
+    /// Another line to the host than the configuration's: serial:DEVICE or tcp:ADDRESS:PORT.
+    #[arg(long, value_name = "LINE")]
+    pub host: Option<String>,
 }
 
 /// Arguments of `pb3dp run`.

@@ -19,6 +19,7 @@ fn main() -> ExitCode {
         Command::Estimate(args) => commands::estimate::run(args),
         Command::Track(args) => commands::track::run(args),
         Command::MockArm(args) => commands::mock_arm::run(args),
+        Command::Gateway(args) => commands::gateway::run(args),
     };
     match outcome {
         Ok(code) => code,

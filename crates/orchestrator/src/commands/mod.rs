@@ -1,6 +1,7 @@
 //! The subcommands, one file each: arguments in, exit code out.
 
 pub mod estimate;
+pub mod gateway;
 pub mod mock_arm;
 pub mod pair;
 pub mod run;

@@ -21,11 +21,13 @@ pub enum ConfigError {
         #[source]
         source: std::io::Error,
     },
-    /// The file is the other kind of configuration.
-    #[error("configuration {file}: this is {found}, but {wanted} is needed here", file = file.display(), found = wanted.other())]
+    /// The file is another kind of configuration.
+    #[error("configuration {file}: this is {found}, but {wanted} is needed here", file = file.display())]
     OtherKind {
         /// The file.
         file: PathBuf,
+        /// What it is.
+        found: FileKind,
         /// What it should be.
         wanted: FileKind,
     },
@@ -54,21 +56,19 @@ pub enum FileKind {
     Estimator,
     /// A whole setup, for `pb3dp run`.
     Setup,
+    /// A gateway, for `pb3dp gateway`.
+    Gateway,
 }
 
 impl FileKind {
-    fn other(self) -> Self {
-        match self {
-            Self::Estimator => Self::Setup,
-            Self::Setup => Self::Estimator,
-        }
-    }
+    const ALL: [Self; 3] = [Self::Estimator, Self::Setup, Self::Gateway];
 
-    /// A table that this kind has, and the other has not.
+    /// A table that this kind has, and the others have not.
     fn own_table(self) -> &'static str {
         match self {
             Self::Estimator => "published",
             Self::Setup => "arms",
+            Self::Gateway => "bus",
         }
     }
 }
@@ -78,6 +78,7 @@ impl std::fmt::Display for FileKind {
         f.write_str(match self {
             Self::Estimator => "a file of estimator parameters (as configs/estimator.toml)",
             Self::Setup => "a setup of `pb3dp run` (as configs/sim.toml)",
+            Self::Gateway => "a gateway (as configs/gateway.toml)",
         })
     }
 }
@@ -91,8 +92,9 @@ pub fn read_toml<T: DeserializeOwned>(file: &Path, wanted: FileKind) -> Result<T
         std::fs::read_to_string(file).map_err(|source| ConfigError::Unreadable { file: file.to_path_buf(), source })?;
     let figment = Figment::from(Toml::string(&text));
     figment.extract().map_err(|errors| {
-        if figment.find_value(wanted.other().own_table()).is_ok() {
-            return ConfigError::OtherKind { file: file.to_path_buf(), wanted };
+        let is_another = |kind: &FileKind| *kind != wanted && figment.find_value(kind.own_table()).is_ok();
+        if let Some(found) = FileKind::ALL.into_iter().find(is_another) {
+            return ConfigError::OtherKind { file: file.to_path_buf(), found, wanted };
         }
         let mut lines = String::new();
         for error in errors {
@@ -240,6 +242,8 @@ mod tests {
         for (file, wanted, parts) in [
             ("configs/sim.toml", FileKind::Estimator, ["sim.toml: this is a setup", "configs/estimator.toml"]),
             ("configs/estimator.toml", FileKind::Setup, ["estimator.toml: this is a file of est", "configs/sim.toml"]),
+            ("configs/gateway.toml", FileKind::Setup, ["gateway.toml: this is a gateway", "configs/sim.toml"]),
+            ("configs/sim.toml", FileKind::Gateway, ["sim.toml: this is a setup", "configs/gateway.toml"]),
         ] {
             let text = read_toml::<Sample>(&repository.join(file), wanted).map(|_| ()).unwrap_err().to_string();
             assert!(parts.iter().all(|part| text.contains(part)), "{text}");

@@ -4,6 +4,7 @@ pub mod direct;
 pub mod estimator;
 #[cfg(test)]
 mod every_key_tests;
+pub mod gateway;
 pub mod load;
 pub mod rmga_photometric;
 pub mod setup;

@@ -1,0 +1,185 @@
+//! `pb3dp gateway`: owns the bus of one PA-10 and its cycle, and serves a host.
+
+use std::os::fd::AsFd;
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+use pb3dp_arm_pa10::gateway::GatewayStatus;
+use pb3dp_arm_pa10::gateway_protocol::{Dialect, GatewayState, StopCause};
+use pb3dp_arm_pa10::io::bus::{ArcnetSocket, BusPort, FrameSocket};
+use pb3dp_arm_pa10::io::gateway::{BusOpener, GatewayServer, GatewayServerConfig, Happened, HostSide};
+use pb3dp_arm_pa10::io::serial::SerialConfig;
+use pb3dp_arm_pa10::io::signals::StopSignals;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+
+use crate::cli::GatewayArgs;
+use crate::config::gateway::{BusPlace, GatewaySetup, HostPlace, read_gateway};
+
+/// How often the log is written.
+const LOOK: Timespec = Timespec { tv_sec: 0, tv_nsec: 50_000_000 };
+
+/// How often late cycles are told of at most.
+const OVERRUNS_EVERY: Duration = Duration::from_secs(1);
+
+/// The slowest host: what a serial line must carry at least.
+const HOST_CYCLE_MAX: Duration = Duration::from_millis(10);
+
+/// Runs the command until a signal ends it: then through the stop order.
+///
+/// # Errors
+/// A configuration that is refused, a bus or port that can not be had, or a thread that died.
+pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
+    let setup = read_gateway(&args.config, args.bus.as_deref(), args.host.as_deref())?;
+    // Before any thread is started, which would end the program without a stop order.
+    let mut signals = StopSignals::take_over().context("the signals that end the program can not be taken over")?;
+    let host = host_side(&setup)?;
+    let config = GatewayServerConfig { gateway: setup.gateway, realtime: setup.realtime };
+    let server = GatewayServer::start(config, bus_opener(&setup.bus), host)?;
+    tell_start(&setup, &server);
+    let mut log = Log::default();
+    while server.is_running() {
+        log.write(&server);
+        let mut fds = [PollFd::from_borrowed_fd(signals.as_fd(), PollFlags::IN)];
+        // A wait that fails is a short one.
+        let _ = poll(&mut fds, Some(&LOOK));
+        if let Some(signal) = signals.try_take()? {
+            tracing::info!("{signal}: stop order, then the end");
+            server.ask_to_end();
+        }
+    }
+    log.write(&server);
+    log.tell_overruns();
+    let dropped = server.events_dropped();
+    let Some(status) = server.end() else {
+        tracing::error!("the thread of the cycle died; the controller's own time-out has to stop the arm: look at it");
+        return Ok(ExitCode::FAILURE);
+    };
+    tell_end(&status, dropped);
+    Ok(ExitCode::SUCCESS)
+}
+
+fn bus_opener(place: &BusPlace) -> BusOpener {
+    match place.clone() {
+        BusPlace::Arcnet(interface) => {
+            Box::new(move || Ok(Box::new(ArcnetSocket::open(&interface)?) as Box<dyn BusPort>))
+        }
+        BusPlace::Socket(path) => Box::new(move || Ok(Box::new(FrameSocket::connect(&path)?) as Box<dyn BusPort>)),
+    }
+}
+
+fn host_side(setup: &GatewaySetup) -> Result<HostSide> {
+    Ok(match &setup.host {
+        HostPlace::Tcp(config) => HostSide::listen(config.address)?,
+        HostPlace::Serial(path) => HostSide::Line(Box::new(SerialConfig {
+            path: path.clone(),
+            baud: setup.baud,
+            // The longer one: hosts choose.
+            dialect: Dialect::GatewayV1,
+            format: setup.gateway.format,
+            cycle: HOST_CYCLE_MAX,
+        })),
+    })
+}
+
+fn tell_start(setup: &GatewaySetup, server: &GatewayServer) {
+    let gateway = &setup.gateway;
+    let host = match &setup.host {
+        HostPlace::Serial(path) => format!("serial port {path}"),
+        HostPlace::Tcp(config) => format!("tcp {}", config.address),
+    };
+    tracing::info!(
+        "gateway of arm {}: {}, {}, a cycle of {:?}, hosts come from {host}",
+        gateway.arm.0,
+        server.name_of_bus(),
+        gateway.format,
+        gateway.cycle
+    );
+    for shortfall in server.shortfalls() {
+        tracing::warn!("{shortfall}");
+    }
+    if setup.realtime.priority.is_none() {
+        tracing::warn!("the cycle runs among all other programs (realtime.priority = 0): not fit to drive an arm");
+    }
+    if gateway.lateness_allowed > gateway.cycle {
+        tracing::warn!(
+            "a cycle may begin {:?} late before the arm is stopped (bus.lateness_allowed_millis): not fit to drive an arm",
+            gateway.lateness_allowed
+        );
+    }
+}
+
+fn tell_end(status: &GatewayStatus, dropped: u64) {
+    let GatewayStatus { cycle, bus, bytes, .. } = status;
+    let damaged = bytes.crc_errors + bytes.header_errors + bytes.truncated + bytes.other_version;
+    tracing::info!(
+        "ended {}: {} cycles, {} late, the longest {:?}; {} messages on the bus, {} not answered in time; {damaged} damaged frames \
+         of hosts, {} missing, {} stale",
+        status.state,
+        cycle.cycles,
+        cycle.overruns,
+        cycle.worst,
+        bus.exchanges,
+        bus.lost,
+        status.host_lost,
+        status.host_stale
+    );
+    if status.state != GatewayState::Idle {
+        tracing::warn!(
+            "the gateway was stopped by {}; a new one knows nothing of that: look at the arm first",
+            status.cause
+        );
+    }
+    if dropped > 0 {
+        tracing::warn!("{dropped} events are missing in this log: it could not be written quickly enough");
+    }
+}
+
+/// What was not yet told.
+#[derive(Debug, Default)]
+struct Log {
+    late: u64,
+    worst: Duration,
+    told: Option<Instant>,
+}
+
+impl Log {
+    fn write(&mut self, server: &GatewayServer) {
+        while let Some(text) = server.try_message() {
+            tracing::info!("{text}");
+        }
+        while let Some(event) = server.try_event() {
+            if let Happened::Overrun { late } = event.what {
+                self.late += 1;
+                self.worst = self.worst.max(late);
+            } else {
+                tell(&event.what);
+            }
+        }
+        if self.told.is_none_or(|told| told.elapsed() >= OVERRUNS_EVERY) {
+            self.tell_overruns();
+        }
+    }
+
+    fn tell_overruns(&mut self) {
+        if self.late > 0 {
+            tracing::warn!("{} cycles began late by more than a tenth, the worst by {:?}", self.late, self.worst);
+            *self = Self { told: Some(Instant::now()), ..Self::default() };
+        }
+    }
+}
+
+fn tell(what: &Happened) {
+    match what {
+        Happened::State { from, to, cause: StopCause::None } => tracing::info!("{from} -> {to}"),
+        Happened::State { from, to, cause } => tracing::error!("{from} -> {to}: {cause}"),
+        Happened::HostConnected => tracing::info!("the line to the host is there"),
+        Happened::HostGreeted(dialect) => tracing::info!("a host said HELLO and speaks {dialect}"),
+        Happened::HostGone(symptom) => tracing::warn!("the line to the host is gone ({symptom})"),
+        Happened::HostReplaced => tracing::warn!("a connection that had been silent gave way to another one"),
+        Happened::BusDown(symptom) => tracing::error!("the bus is down ({symptom}); it is tried again and again"),
+        Happened::BusUp => tracing::info!("the bus is there again"),
+        // Told together.
+        Happened::Overrun { .. } => {}
+    }
+}

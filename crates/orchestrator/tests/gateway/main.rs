@@ -1,0 +1,207 @@
+//! `pb3dp gateway` as a process, between an emulated controller and a host: how it ends, is killed and is held up.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests may fail the test")]
+
+#[path = "../../../../hal/arm-pa10/tests/common/world.rs"]
+mod world;
+
+use std::fs::File;
+use std::net::{SocketAddr, TcpListener};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus};
+use std::time::{Duration, Instant};
+
+use pb3dp_arm_pa10::driver::{DriverState, Request};
+use pb3dp_arm_pa10::gateway_protocol::{Dialect, StopCause};
+use pb3dp_arm_pa10::io::bus::FrameListener;
+use pb3dp_arm_pa10::io::tcp::{TcpConfig, TcpLink};
+use pb3dp_arm_pa10::mock_controller::ControlMode;
+use rustix::process::{Pid, Signal, kill_process};
+use world::{Emulation, Host, LONG, calm, ms, note_lateness};
+
+/// Of the emulated controller.
+const TIME_OUT: Duration = Duration::from_millis(400);
+
+/// A gateway as a process, its controller and its host in motion.
+struct Scene {
+    child: Child,
+    emulation: Emulation,
+    host: Host,
+    folder: tempfile::TempDir,
+}
+
+impl Drop for Scene {
+    fn drop(&mut self) {
+        // One that ended already is no matter.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        if std::thread::panicking() {
+            // Only a machine that keeps time may blame the program.
+            let log = self.log();
+            if log.contains("began late") || log.contains("cycle-missed") {
+                note_lateness(TIME_OUT);
+            }
+            panic_text(&log);
+        }
+    }
+}
+
+fn panic_text(log: &str) {
+    use std::io::Write;
+    let _ = writeln!(std::io::stderr(), "{log}");
+}
+
+/// The file that is shipped, with longer times: tests run on loaded machines.
+fn configuration(folder: &Path, bus: &Path, address: SocketAddr) -> std::path::PathBuf {
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/gateway.toml");
+    let mut text = std::fs::read_to_string(shipped).unwrap();
+    for (from, to) in [
+        ("number = 1", "number = 2".to_owned()),
+        ("port = \"arcnet:arc0\"", format!("port = \"socket:{}\"", bus.display())),
+        ("line = \"tcp:127.0.0.1:4534\"", format!("line = \"tcp:{address}\"")),
+        ("cycle_millis = 2.0", "cycle_millis = 10.0".to_owned()),
+        ("lateness_allowed_millis = 2.0", "lateness_allowed_millis = 150.0".to_owned()),
+        ("ramp_after_millis = 20.0", "ramp_after_millis = 100.0".to_owned()),
+        ("stop_after_millis = 50.0", "stop_after_millis = 200.0".to_owned()),
+        ("priority = 80", "priority = 20".to_owned()),
+    ] {
+        assert!(text.contains(from), "{from}");
+        text = text.replacen(from, &to, 1);
+    }
+    let file = folder.join("gateway.toml");
+    std::fs::write(&file, text).unwrap();
+    file
+}
+
+impl Scene {
+    fn start() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let bus = folder.path().join("bus");
+        let listener = FrameListener::bind(&bus).unwrap();
+        let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        let child = Command::new(env!("CARGO_BIN_EXE_pb3dp"))
+            .args(["gateway", "--config"])
+            .arg(configuration(folder.path(), &bus, address))
+            .stderr(File::create(folder.path().join("log")).unwrap())
+            .spawn()
+            .unwrap();
+        let socket = wait_for("the gateway opens its bus", || listener.try_accept().unwrap());
+        let emulation = Emulation::start(Box::new(socket), Some(TIME_OUT));
+        let link = wait_for("the gateway listens", || TcpLink::connect(&TcpConfig { address }).ok());
+        let host = Host::new(Box::new(link), Dialect::GatewayV1);
+        let mut scene = Self { child, emulation, host, folder };
+        scene.host.open();
+        scene.host.lead_to_moving();
+        assert!(!scene.emulation.seen().is_braked);
+        scene
+    }
+
+    fn log(&self) -> String {
+        std::fs::read_to_string(self.folder.path().join("log")).unwrap_or_default()
+    }
+
+    fn signal(&self, signal: Signal) {
+        kill_process(Pid::from_child(&self.child), signal).unwrap();
+    }
+
+    fn ended(&mut self) -> ExitStatus {
+        let child = &mut self.child;
+        wait_for("the gateway ends", || child.try_wait().unwrap())
+    }
+
+    fn must_be_braked(&self) {
+        self.emulation.wait_for("braked", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
+    }
+}
+
+fn wait_for<T>(what: &str, mut is: impl FnMut() -> Option<T>) -> T {
+    let since = Instant::now();
+    loop {
+        if let Some(value) = is() {
+            return value;
+        }
+        assert!(since.elapsed() < LONG, "never: {what}");
+        std::thread::sleep(ms(5));
+    }
+}
+
+#[test]
+fn a_signal_ends_it_through_the_stop_order() {
+    calm(|| {
+        for signal in [Signal::TERM, Signal::INT] {
+            let mut scene = Scene::start();
+            scene.signal(signal);
+            assert!(scene.ended().success());
+            scene.must_be_braked();
+            // E came: the controller did not have to stop by itself.
+            let counters = scene.emulation.seen().counters;
+            assert_eq!((counters.watchdog_trips, counters.forbidden, counters.malformed), (0, 0, 0));
+            let log = scene.log();
+            for part in ["gateway of arm 2", "moving -> stopping", "stopping -> idle", "ended idle", "cycles"] {
+                assert!(log.contains(part), "{part} not in {log}");
+            }
+            scene.host.run_for(LONG, |host| host.is_gone);
+            assert_eq!(scene.host.driver.state(), DriverState::Fault);
+        }
+    });
+}
+
+/// kill -9: nobody is left to stop the arm but the controller, and the host does not move before an operator resets.
+#[test]
+fn after_a_kill_the_controller_stops_the_arm() {
+    calm(|| {
+        let mut scene = Scene::start();
+        scene.signal(Signal::KILL);
+        scene.ended();
+        scene.must_be_braked();
+        assert_eq!(scene.emulation.seen().counters.watchdog_trips, 1);
+        scene.host.run_for(LONG, |host| host.driver.state() == DriverState::Fault);
+        let now = pb3dp_arm_pa10::io::realtime::now();
+        assert!(scene.host.driver.handle_request(now, Request::Move(world::velocity())).is_err());
+        assert!(scene.host.driver.handle_request(now, Request::Enable).is_err());
+    });
+}
+
+/// SIGSTOP: the controller stops the arm, and a gateway that wakes up again latches.
+#[test]
+fn a_gateway_that_was_held_up_latches() {
+    calm(|| {
+        let mut scene = Scene::start();
+        scene.signal(Signal::STOP);
+        scene.must_be_braked();
+        assert_eq!(scene.emulation.seen().counters.watchdog_trips, 1);
+        scene.signal(Signal::CONT);
+        wait_for("it latches", || scene.log().contains("cycle-missed").then_some(()));
+        scene.host.run_for(LONG, |host| host.driver.state() == DriverState::Fault);
+        scene.host.link.open(pb3dp_arm_pa10::io::realtime::now());
+        assert!(scene.host.run_for(LONG, |host| host.link.hello().is_some()));
+        assert_eq!(scene.host.link.hello().unwrap().cause, StopCause::CycleMissed);
+        scene.signal(Signal::TERM);
+        assert!(scene.ended().success());
+        assert!(scene.log().contains("a new one knows nothing of that"), "{}", scene.log());
+    });
+}
+
+#[test]
+fn what_can_not_be_had_is_refused_with_what_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let nobody = folder.path().join("nobody");
+    let address = "127.0.0.1:0".parse().unwrap();
+    let file = configuration(folder.path(), &nobody, address);
+    let failed = |extra: &[&str], expected: &str| {
+        let out = Command::new(env!("CARGO_BIN_EXE_pb3dp"))
+            .args(["gateway", "--config", file.to_str().unwrap()])
+            .args(extra)
+            .output()
+            .unwrap();
+        let text = String::from_utf8_lossy(&out.stderr).into_owned();
+        assert!(!out.status.success() && text.contains(expected), "{expected} not in {text}");
+    };
+    failed(&[], "nobody listens at the socket");
+    failed(&["--bus", "arcnet:nix0"], "there is no network interface nix0");
+    failed(&["--bus", "arcnet:lo"], "is of type 772, not ARCNET (7)");
+    failed(&["--bus", "usb"], "write arcnet:INTERFACE or socket:PATH");
+    failed(&["--host", "tcp:here:1"], "write serial:DEVICE or tcp:ADDRESS:PORT");
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let host = format!("tcp:{}", taken.local_addr().unwrap());
+    failed(&["--host", &host], "is another program using that port?");
+}
