@@ -202,7 +202,9 @@ impl Braking {
 }
 
 /// Faults, how soon they are to be found by what their size allows, what is said then, and how the arm comes to rest.
-const FAULTS: [(&str, u64, &str, Braking); 7] = [
+///
+/// The last four are told by status words in format B. In format A nobody knows these words, and only the joints tell.
+const FAULTS: [(&str, u64, &str, Braking); 11] = [
     ("runaway 2 0.9rad/s", 50, "joint 1 moves at +", Braking::Brake),
     ("runaway 6 -4rad/s", 130, "joint 5 moves at -", Braking::Brake),
     ("runaway 2 0.25rad/s", 1300, "joint 1 is", Braking::Brake),
@@ -210,6 +212,10 @@ const FAULTS: [(&str, u64, &str, Braking); 7] = [
     ("jump 3 0.3rad", 50, "joint 2 seems to have moved by +0.", Braking::Servo),
     ("stale 1000000", 800, "from where its commands lead", Braking::Servo),
     ("corrupt 1000000", 700, "", Braking::Servo),
+    ("e-stop press", 900, "", Braking::Brake),
+    ("time-out", 900, "", Braking::Servo),
+    ("limit-switch open", 900, "", Braking::Servo),
+    ("alarm 4 0x0e", 900, "", Braking::Brake),
 ];
 
 /// How soon depends on how far a joint has to be off before it can be told from one that is well; what is promised is that it is
