@@ -36,7 +36,7 @@ fn every_configuration_is_accepted_by_its_reader() {
 fn the_estimator_file_and_the_setup_hold_the_documented_defaults() {
     let defaults = pb3dp_estimation::estimator::EstimatorConfig::default();
     assert_eq!(read_estimator(&repository().join("configs/estimator.toml")).unwrap(), defaults);
-    for file in ["sim.toml", "sim_published.toml"] {
+    for file in ["sim.toml", "sim_published.toml", "hil.toml"] {
         let mut of_setup = read_setup(&repository().join("configs").join(file)).unwrap();
         of_setup.estimator.published.rmga.seed = defaults.published.rmga.seed;
         assert_eq!(of_setup.estimator, defaults, "{file}");
@@ -63,6 +63,26 @@ fn the_setups_differ_in_who_leads_and_in_what_his_jitter_needs() {
         "orientation_time_constant_s",
     ];
     assert_eq!(other, expected);
+}
+
+/// Hardware in the loop is the same cell and the same experiment, too.
+#[test]
+fn the_setup_with_arms_behind_lines_differs_in_how_they_are_reached() {
+    let table = |file: &str| -> toml::Table {
+        std::fs::read_to_string(repository().join("configs").join(file)).unwrap().parse().unwrap()
+    };
+    let (mut sim, mut hil) = (table("sim.toml"), table("hil.toml"));
+    for arm in ["vs", "tc"] {
+        let arm_of = |setup: &mut toml::Table| setup["arms"][arm].as_table_mut().unwrap().remove("backend").unwrap();
+        assert_eq!((arm_of(&mut sim).as_str(), arm_of(&mut hil).as_str()), (Some("mock"), Some("emulated")));
+        assert!(hil["arms"][arm].as_table_mut().unwrap().remove("gateway").is_some());
+    }
+    for (section, key) in [("run", "pace"), ("estimator", "compare")] {
+        for setup in [&mut sim, &mut hil] {
+            setup[section].as_table_mut().unwrap().remove(key).unwrap();
+        }
+    }
+    assert_eq!(sim, hil);
 }
 
 fn key(line: &str) -> &str {

@@ -1,19 +1,21 @@
 //! The one place that names backends: from a setup to running parts.
 
-use std::sync::{Arc, Mutex};
+mod arm;
+
+use std::sync::Arc;
 
 use anyhow::{Context, Result};
-use pb3dp_arm_pa10::mock::{MockArm, MockArmConfig};
+use pb3dp_arm_pa10::io::arm::ArmMonitor;
+use pb3dp_arm_pa10::io::mock_server::MockServer;
 use pb3dp_camera_replay::{Pacing, ReplayCamera, ReplayOptions};
 use pb3dp_camera_sim::SimStereoCamera;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Model, Target};
 use pb3dp_hal_api::{Arm, ArmPower, Clock, StereoCamera};
 use pb3dp_hal_clock::{SystemClock, VirtualClock};
-use pb3dp_hal_middleware::{CoupledArmConfig, FlightLog, Guard, Limiter, Recorded, couple};
+use pb3dp_hal_middleware::{FlightLog, Limiter};
 use pb3dp_record::calibration_files::StereoCalibration;
 use pb3dp_record::dataset::Sequence;
-use pb3dp_sim::joint_dynamics::JointPlant;
 use pb3dp_sim::placement::{
     FlangePath, PathRefusal, PathReport, PathRequirements, ToolSpeed, ToolSpeedMax, check_experiment,
 };
@@ -21,10 +23,10 @@ use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::Scene;
 use pb3dp_sim::trajectory::{StepExperiment, Trajectory};
 
+use self::arm::{WiredArms, wire_arms};
 use crate::cli::ReplayPace;
 use crate::config::setup::{ArmSetup, Pace, Setup, fold_seed};
-use crate::run::cell::{ArmSite, SimulatedCell};
-use crate::run::flight::FLIGHT;
+use crate::run::cell::SimulatedCell;
 use crate::run::paced_clock::PacedClock;
 
 /// An arm with its limiter: motion, power, and how often the limiter stepped in.
@@ -58,6 +60,10 @@ pub struct Parts {
     pub flights: [(&'static str, FlightLog); 2],
     /// Outline of the target, points in its own frame: what an operator would draw.
     pub target_outline_m: Vec<nalgebra::Point3<f64>>,
+    /// What the links of the arms are like, by the names of the arms, as far as they have one.
+    pub monitors: Vec<(&'static str, ArmMonitor)>,
+    /// Emulated arms at the other end of links; they end with this.
+    pub emulated: Vec<MockServer>,
 }
 
 /// Wires the simulated cell.
@@ -68,8 +74,10 @@ pub fn wire(setup: &Setup) -> Result<Parts> {
     let clock: Arc<dyn Clock> = match setup.pace {
         Pace::Fast => Arc::new(VirtualClock::new()),
         Pace::RealTime => Arc::new(PacedClock::new()),
+        Pace::Live => Arc::new(SystemClock::new()),
     };
-    let WiredArms { sites: [vs_site, tc_site], driven: [vs, tc], flights } = wire_arms(setup, &clock)?;
+    let WiredArms { sites: [vs_site, tc_site], driven: [vs, tc], flights, monitors, emulated } =
+        wire_arms(setup, &clock)?;
     let cell = SimulatedCell {
         vs: vs_site,
         tc: tc_site,
@@ -93,7 +101,18 @@ pub fn wire(setup: &Setup) -> Result<Parts> {
     let renderer =
         StereoRenderer::new(scene, setup.rig, &setup.sensor, fold_seed(setup.seed)).context("table [camera]")?;
     let camera = SimStereoCamera::new(renderer, Box::new(cell.clone()), Arc::clone(&clock), setup.camera.clone())?;
-    Ok(Parts { clock, camera: Box::new(camera), vs, tc, cell, experiment, flights, target_outline_m })
+    Ok(Parts {
+        clock,
+        camera: Box::new(camera),
+        vs,
+        tc,
+        cell,
+        experiment,
+        flights,
+        target_outline_m,
+        monitors,
+        emulated,
+    })
 }
 
 /// The camera that plays a recorded sequence, and its calibration.
@@ -108,64 +127,6 @@ pub fn wire_replay(sequence: &Sequence, pace: ReplayPace) -> Result<(Box<dyn Ste
     let camera = ReplayCamera::open_sequence(sequence, ReplayOptions { pacing, ..ReplayOptions::default() })?;
     let calibration = camera.calibration().clone();
     Ok((Box::new(camera), calibration))
-}
-
-/// Both arms behind all that stands before them.
-struct WiredArms {
-    sites: [ArmSite; 2],
-    driven: [Box<dyn DrivenArm>; 2],
-    flights: [(&'static str, FlightLog); 2],
-}
-
-/// Both arms: recorder, guard, coupling, limiter, from the inside out.
-fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>) -> Result<WiredArms> {
-    let (vs_name, tc_name) = ("vs-robot", "tc-robot");
-    let (vs_site, vs, vs_flight) = guarded_arm(vs_name, &setup.vs, setup, clock)?;
-    let (tc_site, tc, tc_flight) = guarded_arm(tc_name, &setup.tc, setup, clock)?;
-    let pair = ((vs, coupled_config(&setup.vs)), (tc, coupled_config(&setup.tc)));
-    let (vs, tc) = couple(pair.0, pair.1, setup.least_room_m, clock).context("table [arms]")?;
-    let limited = |name: &str, arm: &ArmSetup, coupled| {
-        let limiter = Limiter::new(coupled, arm.limiter.clone(), Arc::clone(clock));
-        limiter.with_context(|| format!("{name}: limiter"))
-    };
-    let (vs, tc) = (limited(vs_name, &setup.vs, vs)?, limited(tc_name, &setup.tc, tc)?);
-    Ok(WiredArms {
-        sites: [vs_site, tc_site],
-        driven: [Box::new(vs), Box::new(tc)],
-        flights: [(vs_name, vs_flight), (tc_name, tc_flight)],
-    })
-}
-
-fn guarded_arm(
-    name: &str,
-    arm: &ArmSetup,
-    setup: &Setup,
-    clock: &Arc<dyn Clock>,
-) -> Result<(ArmSite, Guard<Recorded<MockArm>>, FlightLog)> {
-    let plant =
-        JointPlant::new(arm.plant.clone(), arm.start_rad, clock.now()).with_context(|| format!("{name}: start"))?;
-    let plant = Arc::new(Mutex::new(plant));
-    let config =
-        MockArmConfig { name: name.to_owned(), cycle: setup.control_period, command_timeout: arm.command_timeout };
-    let mock = MockArm::new(config, Arc::clone(&plant), Arc::clone(clock));
-    let cycles = FLIGHT.as_secs_f64() / setup.control_period.as_secs_f64();
-    let flight = FlightLog::with_capacity(cycles.ceil() as usize);
-    let recorded = Recorded::new(mock, Arc::clone(clock), flight.clone());
-    let guard = Guard::new(recorded, arm.guard.clone()).with_context(|| format!("{name}: guard"))?;
-    let site = ArmSite { chain: arm.chain.clone(), world_from_base: arm.world_from_base, plant };
-    Ok((site, guard, flight))
-}
-
-fn coupled_config(arm: &ArmSetup) -> CoupledArmConfig {
-    CoupledArmConfig {
-        chain: arm.chain.clone(),
-        shape: arm.shape.clone(),
-        world_from_base: arm.world_from_base,
-        acceleration_max_rad_per_s2: arm.limiter.acceleration_max_rad_per_s2,
-        jerk_max_rad_per_s3: arm.limiter.jerk_max_rad_per_s3,
-        reaction_time: arm.limiter.reaction_time,
-        command_timeout: arm.limiter.command_timeout,
-    }
 }
 
 /// Refuses an experiment that one of the arms can not follow within its limits: reach, joint ranges, singular poses, speeds

@@ -39,7 +39,7 @@ fn velocity() -> JointVector {
 }
 
 fn limits() -> JointVector {
-    JointVector::from([177.0f64, 94.0, 174.0, 137.0, 255.0, 165.0, 255.0].map(f64::to_radians))
+    JointVector::from([177.0f64, 91.0, 174.0, 137.0, 255.0, 165.0, 255.0].map(f64::to_radians))
 }
 
 fn home() -> JointVector {

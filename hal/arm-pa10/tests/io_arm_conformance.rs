@@ -34,7 +34,7 @@ const TRIES: u32 = 4;
 
 /// Limits of the emulated EEPROM.
 fn limits() -> JointVector {
-    JointVector::from([177.0f64, 94.0, 174.0, 137.0, 255.0, 165.0, 255.0].map(f64::to_radians))
+    JointVector::from([177.0f64, 91.0, 174.0, 137.0, 255.0, 165.0, 255.0].map(f64::to_radians))
 }
 
 fn open(dialect: Dialect, format: WireFormat, clock: &Arc<SystemClock>) -> (Pa10Arm, CellEnd) {

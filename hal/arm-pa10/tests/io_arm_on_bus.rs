@@ -132,7 +132,7 @@ fn serve(listener: &FrameListener, controller: &Mutex<MockController>, closed: &
 }
 
 fn config(far: &Far, format: WireFormat) -> BusArmConfig {
-    let limit = JointVector::from([177.0f64, 94.0, 174.0, 137.0, 255.0, 165.0, 255.0].map(f64::to_radians));
+    let limit = JointVector::from([177.0f64, 91.0, 174.0, 137.0, 255.0, 165.0, 255.0].map(f64::to_radians));
     let limits = LimitsCheck::Compare { lower_rad: -limit, upper_rad: limit, tolerance_rad: 0.5f64.to_radians() };
     BusArmConfig {
         name: "arm-8".to_owned(),

@@ -69,7 +69,7 @@ impl Rig {
 
     /// An arm that patiently bears the delays of a busy machine, enabled.
     fn enabled(&self, connector: Box<dyn Connector>) -> Pa10Arm {
-        let limit = JointVector::from([177.0f64, 94.0, 174.0, 137.0, 255.0, 165.0, 255.0].map(f64::to_radians));
+        let limit = JointVector::from([177.0f64, 91.0, 174.0, 137.0, 255.0, 165.0, 255.0].map(f64::to_radians));
         let limits = LimitsCheck::Compare { lower_rad: -limit, upper_rad: limit, tolerance_rad: 0.5f64.to_radians() };
         let driver = DriverConfig { limits, ..DriverConfig::with_cycle(CYCLE) };
         let (dialect, geometry) = (Dialect::GatewayV1, Geometry::Unknown);

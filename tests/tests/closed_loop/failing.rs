@@ -31,7 +31,7 @@ fn check(which: &str) {
         .any(|joints| joints.velocity_rad_per_s.amax() > 0.01);
     assert!(moved, "the failure must come while something moves");
     for (name, site) in [("vs-robot", &cell.vs), ("tc-robot", &cell.tc)] {
-        let mut plant = site.plant.lock().unwrap();
+        let mut plant = site.joints.simulated().unwrap().lock().unwrap();
         plant.advance_to(clock.now());
         // The arm's own limit of rest, at which the brakes close; without the stop it is 0.35 rad/s here.
         let speed = plant.state().velocity_rad_per_s.amax();

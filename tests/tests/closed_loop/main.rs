@@ -5,6 +5,7 @@
 mod both_arms;
 mod failing;
 mod following;
+mod live;
 mod paths;
 mod repeatable;
 mod support;

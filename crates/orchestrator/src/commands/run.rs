@@ -10,10 +10,10 @@ use pb3dp_sim::trajectory::{ExperimentAxes, Trajectory};
 
 use super::estimate::output::print_line;
 use crate::cli::RunArgs;
-use crate::config::setup::{Setup, read_setup};
+use crate::config::setup::{Pace, Setup, read_setup};
 use crate::run::flight::{self, Moment};
 use crate::run::summary::{Plan, summarize};
-use crate::run::{lockstep, report};
+use crate::run::{live, lockstep, report};
 use crate::wiring::{Parts, wire};
 
 /// A run in which the hand followed for a smaller share of the time is pointed out.
@@ -33,7 +33,8 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let plan = plan(&setup, &parts);
     let started = Instant::now();
     let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
-    let outcome = lockstep::run(&setup, parts, args.stop_after, args.record.as_deref());
+    let run_it = if setup.pace == Pace::Live { live::run } else { lockstep::run };
+    let outcome = run_it(&setup, parts, args.stop_after, args.record.as_deref());
     if let Err(failure) = &outcome {
         let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
         for (arm, log) in &flights {

@@ -137,6 +137,44 @@ fn every_number_of_the_setup_is_refused_by_its_own_key() {
 }
 
 #[test]
+fn every_number_of_arms_behind_lines_is_refused_by_its_own_key() {
+    check_every_key(&Sample::new("hil.toml", |file| read_setup(file).map(drop)), 220);
+}
+
+/// What a setup whose arms are behind lines refuses.
+#[test]
+fn ways_to_an_arm_that_do_not_fit_are_refused() {
+    type Change = fn(&mut Table);
+    let changes: [(Change, &str); 6] = [
+        (|root| root["run"]["pace"] = "fast".into(), "(arms.vs.backend) needs pace = \"live\""),
+        (|root| drop(arm(root).remove("gateway")), "arms.vs.gateway: the table is missing"),
+        (|root| arm(root)["backend"] = "mock".into(), "arms.vs.gateway: an arm with backend = \"mock\" has none"),
+        (|root| arm(root)["backend"] = "serial".into(), "\"serial\" needs port and baud"),
+        (|root| arm(root)["backend"] = "tcp".into(), "\"tcp\" needs address"),
+        (|root| arm(root)["backend"] = "usb".into(), "arms.vs.backend"),
+    ];
+    for (change, expected) in changes {
+        let mut sample = Sample::new("hil.toml", |file| read_setup(file).map(drop));
+        change(&mut sample.table);
+        let text = sample.refusal("run.seed", Value::Integer(1)).unwrap_or_else(|| panic!("accepted: {expected}"));
+        assert!(text.contains(expected), "{text}");
+    }
+    let mut sample = Sample::new("hil.toml", |file| read_setup(file).map(drop));
+    let serial = arm(&mut sample.table);
+    serial["backend"] = "serial".into();
+    let gateway = serial["gateway"].as_table_mut().unwrap();
+    gateway.insert("port".into(), "/dev/ttyUSB0".into());
+    gateway.insert("baud".into(), Value::Integer(921_600));
+    assert_eq!(sample.refusal("run.seed", Value::Integer(1)), None);
+    let line = sample.line_about("arms.vs.gateway.baud", Value::Integer(300));
+    assert_eq!(ends(&line), [9600.0, 12_000_000.0]);
+}
+
+fn arm(root: &mut Table) -> &mut Table {
+    root["arms"]["vs"].as_table_mut().unwrap()
+}
+
+#[test]
 fn every_number_of_the_estimator_is_refused_by_its_own_key() {
     check_every_key(&Sample::new("estimator.toml", |file| read_estimator(file).map(drop)), 80);
 }

@@ -1,12 +1,78 @@
 //! The simulated cell: two arms that stand in one world, one with the cameras, one with the target.
 
+use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, Target, World};
 use pb3dp_geometry::{MonotonicTime, Pose};
-use pb3dp_kinematics::{Chain, JointVector};
+use pb3dp_kinematics::{Chain, JointState, JointVector};
+use pb3dp_servo::JointHistory;
 use pb3dp_sim::joint_dynamics::JointPlant;
 use pb3dp_sim::scene::{PoseSource, ScenePoses};
+
+/// Gap between measured joints up to which they are interpolated, and how long the last ones are continued, seconds.
+const JOINT_GAP_MAX_S: f64 = 0.1;
+/// Measured joints that are kept: two seconds at 500 Hz.
+const JOINTS_KEPT: usize = 1000;
+
+/// Where the joints of an arm are known from.
+#[derive(Clone)]
+pub struct JointSource(Source);
+
+#[derive(Clone)]
+enum Source {
+    Plant(Arc<Mutex<JointPlant>>),
+    Measured(Arc<Mutex<MeasuredJoints>>),
+}
+
+/// Joints as they were measured.
+struct MeasuredJoints {
+    samples: Receiver<JointState>,
+    history: JointHistory,
+    start_rad: JointVector,
+}
+
+impl JointSource {
+    /// Simulated joints, shared with the arm backend: exact.
+    pub fn plant(plant: Arc<Mutex<JointPlant>>) -> Self {
+        Self(Source::Plant(plant))
+    }
+
+    /// Joints as they are measured; before the first measurement they are at `start_rad`.
+    pub fn measured(samples: Receiver<JointState>, start_rad: JointVector) -> Self {
+        let history = JointHistory::new(JOINTS_KEPT, JOINT_GAP_MAX_S);
+        Self(Source::Measured(Arc::new(Mutex::new(MeasuredJoints { samples, history, start_rad }))))
+    }
+
+    /// The simulated joints, if they are.
+    pub fn simulated(&self) -> Option<&Mutex<JointPlant>> {
+        match &self.0 {
+            Source::Plant(plant) => Some(plant),
+            Source::Measured(_) => None,
+        }
+    }
+
+    /// Joint angles at `at`. Simulated joints are advanced to it if need be, and remember their past for a second; measured ones
+    /// are interpolated, and the newest ones where that is not possible.
+    fn position_rad_at(&self, at: MonotonicTime) -> JointVector {
+        match &self.0 {
+            Source::Plant(plant) => {
+                let mut plant = plant.lock().unwrap_or_else(PoisonError::into_inner);
+                plant.advance_to(at);
+                plant.position_at(at).unwrap_or_else(|| plant.state().position_rad)
+            }
+            Source::Measured(measured) => {
+                let MeasuredJoints { samples, history, start_rad } =
+                    &mut *measured.lock().unwrap_or_else(PoisonError::into_inner);
+                while let Ok(sample) = samples.try_recv() {
+                    history.push(sample);
+                }
+                let newest = || history.newest().map_or(*start_rad, |sample| sample.position_rad);
+                history.position_at(at).unwrap_or_else(|_| newest())
+            }
+        }
+    }
+}
 
 /// One arm in the cell.
 #[derive(Clone)]
@@ -15,21 +81,14 @@ pub struct ArmSite {
     pub chain: Chain,
     /// Where it stands.
     pub world_from_base: Pose<World, Base>,
-    /// Its joints, shared with the arm backend.
-    pub plant: Arc<Mutex<JointPlant>>,
+    /// Its joints.
+    pub joints: JointSource,
 }
 
 impl ArmSite {
-    /// True joint angles at `at`, to which the joints are advanced if need be; at most the plant's history ago.
-    pub fn position_rad_at(&self, at: MonotonicTime) -> JointVector {
-        let mut plant = self.plant.lock().unwrap_or_else(PoisonError::into_inner);
-        plant.advance_to(at);
-        plant.position_at(at).unwrap_or_else(|| plant.state().position_rad)
-    }
-
     /// True pose of the flange at `at`.
     pub fn world_from_flange_at(&self, at: MonotonicTime) -> Pose<World, Flange> {
-        self.world_from_base * self.chain.forward(&self.position_rad_at(at))
+        self.world_from_base * self.chain.forward(&self.joints.position_rad_at(at))
     }
 }
 

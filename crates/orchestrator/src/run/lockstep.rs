@@ -30,7 +30,7 @@ use crate::wiring::Parts;
 /// If an arm, the camera or the estimator fails for good; the arms are stopped first.
 pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Option<&Path>) -> Result<Outcome> {
     // Everything that can be refused is made before an arm is switched on.
-    let Parts { clock, camera, vs, tc, cell, experiment, target_outline_m, flights: _ } = parts;
+    let Parts { clock, camera, vs, tc, cell, experiment, target_outline_m, .. } = parts;
     let begin = clock.now();
     let duration_s = experiment.duration_s();
     let log = RunLog { marks: experiment.marks().to_vec(), ..RunLog::default() };

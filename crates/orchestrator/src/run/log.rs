@@ -4,6 +4,8 @@ use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Hand, Model, Target, World};
 use pb3dp_sim::trajectory::Mark;
 
+use super::cycles::CycleSummary;
+
 /// One control step.
 #[derive(Clone, Debug)]
 pub struct ControlSample {
@@ -77,4 +79,6 @@ pub struct RunLog {
     pub pairs_lost: u64,
     /// Control steps in which the limiter changed the command.
     pub limited_steps: u64,
+    /// How punctual the cycles were, of a run in the machine's time.
+    pub cycles: Vec<CycleSummary>,
 }

@@ -92,6 +92,11 @@ impl<'a> Looking<'a> {
         })
     }
 
+    /// The experiment begins at this time.
+    pub fn begin_at(&mut self, begin: MonotonicTime) {
+        self.begin = begin;
+    }
+
     /// The arm that carries the cameras was measured.
     pub fn push_joints(&mut self, sample: JointState) {
         self.joints.push(sample);

@@ -3,8 +3,10 @@
 pub mod carrier;
 pub mod cell;
 pub mod compared;
+pub mod cycles;
 pub mod flight;
 pub mod journal;
+pub mod live;
 pub mod lockstep;
 pub mod log;
 pub mod looking;

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{JointCommand, JointState};
+use pb3dp_hal_api::{ArmError, ArmErrorKind, JointCommand, JointState};
 use pb3dp_kinematics::{Damping, JointVector};
 use pb3dp_servo::{Command, Controller, Mode, TargetObservation};
 use pb3dp_sim::placement::FlangePath;
@@ -24,6 +24,7 @@ pub struct Moving<'a> {
     vs_joints: JointState,
     tc_joints: JointState,
     newest: Option<TargetObservation>,
+    replies_missed: u64,
 }
 
 /// One control step.
@@ -63,6 +64,7 @@ impl<'a> Moving<'a> {
             vs_joints: at_rest(setup.vs.start_rad),
             tc_joints: at_rest(setup.tc.start_rad),
             newest: None,
+            replies_missed: 0,
             setup,
             vs,
             tc,
@@ -98,13 +100,15 @@ impl<'a> Moving<'a> {
     pub fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
         let t_s = now.seconds_since(self.begin);
         let velocity = carry(&self.setup.tc.chain, &self.damping, &self.path, t_s, &self.tc_joints.position_rad);
-        self.tc_joints = self.tc.exchange(JointCommand::Velocity(velocity)).context("tc-robot")?;
+        let measured = self.tc.exchange(JointCommand::Velocity(velocity));
+        self.tc_joints = newest(measured, &self.tc_joints, &mut self.replies_missed).context("tc-robot")?;
         let step = self.controller.step(&self.vs_joints, self.newest.as_ref(), now);
         let command = match step.command {
             Command::Velocity(velocity) => JointCommand::Velocity(velocity),
             Command::Hold => JointCommand::Hold,
         };
-        self.vs_joints = self.vs.exchange(command).context("vs-robot")?;
+        let measured = self.vs.exchange(command);
+        self.vs_joints = newest(measured, &self.vs_joints, &mut self.replies_missed).context("vs-robot")?;
         Ok(Moved { at: now, mode: step.mode, vs_joints: self.vs_joints })
     }
 
@@ -118,8 +122,29 @@ impl<'a> Moving<'a> {
         vs.and(tc)
     }
 
+    /// Steps in which an arm had no measurement in time; it held.
+    pub fn replies_missed(&self) -> u64 {
+        self.replies_missed
+    }
+
     /// Control steps in which the limiter changed a command of the arm that carries the cameras.
     pub fn limited_steps(&self) -> u64 {
         self.vs.limited_commands()
+    }
+}
+
+/// What was measured, or, if a reply is only late or lost, what was measured before: the arm holds meanwhile, and stops by itself
+/// when it happens too often.
+fn newest(
+    measured: Result<JointState, ArmError>,
+    before: &JointState,
+    missed: &mut u64,
+) -> Result<JointState, ArmError> {
+    match measured {
+        Err(error) if error.kind() == ArmErrorKind::Timeout => {
+            *missed += 1;
+            Ok(*before)
+        }
+        other => other,
     }
 }

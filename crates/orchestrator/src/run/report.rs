@@ -8,6 +8,7 @@ use anyhow::{Context, Result};
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_record::report::{LinePlot, Report, ReportPicture, Series, SeriesColor, Table};
 
+use super::cycles;
 use super::journal::Outcome;
 use super::log::{ControlSample, RunLog};
 use super::methods;
@@ -51,7 +52,7 @@ fn page(
         .collect();
     let origin =
         provenance.iter().fold(Table::new(["run", ""]), |table, (key, value)| table.row([key.clone(), value.clone()]));
-    Report::new("pb3dp: a hand follows an unknown object")
+    let report = Report::new("pb3dp: a hand follows an unknown object")
         .paragraph(
             "The target moves along and about each axis in turn, out and back, at the marks (1) to (12). The hand that \
              carries the two cameras knows nothing about it but the region marked in the first left picture, and keeps its \
@@ -82,7 +83,8 @@ fn page(
              plane. Motion and rotation since the first pose: median / p95.",
         )
         .table(&methods::table(&summary.methods))
-        .panels(&methods::panels(log))
+        .panels(&methods::panels(log));
+    with_cycles(report, summary)
         .heading("Errors over time")
         .panels(&error_panels(log, summary))
         .heading("What the cameras saw")
@@ -92,6 +94,20 @@ fn page(
         .table(&event_table(log))
         .heading("How this run was made")
         .table(&origin)
+}
+
+/// How punctual a run in the machine's time was.
+fn with_cycles(report: Report, summary: &RunSummary) -> Report {
+    if summary.cycles.is_empty() {
+        return report;
+    }
+    report
+        .heading("Cycles")
+        .paragraph(
+            "How late cycles began, in the machine's time. Cycles whose time had passed were left out. A link tolerates two lost \
+             replies in a row.",
+        )
+        .table(&cycles::table(&summary.cycles))
 }
 
 /// What the methods say of the rotation about the normal.
@@ -292,6 +308,7 @@ pub fn text_table(summary: &RunSummary) -> String {
             number(c.lag_s)
         );
     }
+    text += &cycles::text_table(&summary.cycles);
     if !summary.rotation_about_normal_observed {
         text += "rz, the rotation about the normal, is not observed by this method: it is held\n";
     }

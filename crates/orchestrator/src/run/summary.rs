@@ -13,6 +13,7 @@ use pb3dp_record::metrics::{Statistics, lag_by_cross_correlation, max_abs, perce
 use pb3dp_sim::trajectory::Channel;
 use serde::Serialize;
 
+use super::cycles::CycleSummary;
 use super::log::{ControlSample, RunLog};
 use super::methods::{self, MethodSummary};
 
@@ -112,6 +113,8 @@ pub struct RunSummary {
     pub smallest_singular_value: Option<f64>,
     /// Control steps in which the limiter changed the command.
     pub limited_steps: u64,
+    /// How punctual the cycles were; of a run in the machine's time only.
+    pub cycles: Vec<CycleSummary>,
 }
 
 /// What is known of the experiment beforehand.
@@ -176,6 +179,7 @@ pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
         share_by_mode: shares(log.control.iter().map(ControlSample::mode_word)),
         smallest_singular_value: log.control.iter().map(|s| s.smallest_singular_value).reduce(f64::min),
         limited_steps: log.limited_steps,
+        cycles: log.cycles.clone(),
     }
 }
 

@@ -8,8 +8,8 @@ use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 
 use crate::codec::{AngleCounts, Axis, COUNTS_PER_TURN, WireFormat};
 
-/// Limits that MHI's model data and two drivers give for a PA10-7C(E): +-177, 94, 174, 137, 255, 165, 255 degrees.
-const SERVO_LIMITS_DEG: [f64; Axis::COUNT] = [177.0, 94.0, 174.0, 137.0, 255.0, 165.0, 255.0];
+/// Limits of a PA10-7C(E) by MHI's model data and two drivers: +-177, 91, 174, 137, 255, 165, 255 degrees; S2 by OpenRAVE, others give 94.
+const SERVO_LIMITS_DEG: [f64; Axis::COUNT] = [177.0, 91.0, 174.0, 137.0, 255.0, 165.0, 255.0];
 
 /// Where joints meet their end stops, degrees (INRIA, for a PA10-7CE).
 const END_STOPS_DEG: [f64; Axis::COUNT] = [180.0, 97.0, 180.0, 143.0, 270.0, 180.0, 270.0];

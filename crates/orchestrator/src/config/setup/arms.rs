@@ -12,12 +12,15 @@ use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 use serde::Deserialize;
 
 use super::super::load::{Checker, within};
+use super::link::{ArmBackend, ArmLink, GatewaySection};
 use super::shape::{PartEntry, build_shape};
 use super::{IN_THE_CELL_MM, ON_THE_ARM_MM, PoseEntry, millis};
 
 /// One arm, ready to be wired.
 #[derive(Clone, Debug)]
 pub struct ArmSetup {
+    /// How it is reached.
+    pub link: ArmLink,
     /// Kinematics.
     pub chain: Chain,
     /// Where it stands.
@@ -95,6 +98,7 @@ impl MountsSection {
 #[serde(deny_unknown_fields)]
 struct ArmSection {
     backend: ArmBackend,
+    gateway: Option<GatewaySection>,
     robot: String,
     base_link: String,
     flange_link: String,
@@ -110,17 +114,15 @@ struct ArmSection {
     command_timeout_millis: f64,
 }
 
-/// Which arm backend is wired in; others join by name.
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-enum ArmBackend {
-    Mock,
-}
-
 /// The joints' past that the simulation keeps, so that the cameras can ask where the arms were.
 const PLANT_HISTORY: Duration = Duration::from_secs(1);
 
 impl ArmsSection {
+    /// Whether an arm is behind a gateway.
+    pub(super) fn has_gateway(&self) -> bool {
+        self.vs.gateway.is_some() || self.tc.gateway.is_some()
+    }
+
     /// Both arms; `None` if a file can not be read or a limit is refused.
     pub(super) fn build(
         &self,
@@ -154,7 +156,7 @@ impl ArmSection {
         control_period_millis: f64,
         check: &mut Checker,
     ) -> Option<ArmSetup> {
-        let ArmBackend::Mock = self.backend;
+        let link = self.backend.link(self.gateway.as_ref(), (key, control_period_millis), check);
         let accelerations = &self.acceleration_max_rad_per_s2;
         check.numbers(&format!("{key}.acceleration_max_rad_per_s2"), accelerations, 0.01..=100.0);
         check.numbers(&format!("{key}.jerk_max_rad_per_s3"), &self.jerk_max_rad_per_s3, 0.1..=10_000.0);
@@ -175,6 +177,7 @@ impl ArmSection {
         let hard_limits = *chain.limits();
         let reaction_millis = control_period_millis + self.command_delay_millis + lag;
         Some(ArmSetup {
+            link: link?,
             world_from_base,
             shape,
             start_rad,

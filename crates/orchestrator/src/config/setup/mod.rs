@@ -3,6 +3,7 @@
 mod arms;
 mod camera;
 mod experiment;
+mod link;
 mod servo;
 mod shape;
 
@@ -25,6 +26,8 @@ pub use self::arms::ArmSetup;
 use self::arms::{ArmsSection, MountsSection};
 use self::camera::{CameraSection, SceneSection};
 use self::experiment::ExperimentSection;
+use self::link::GATEWAY_CYCLE_MAX_MILLIS;
+pub use self::link::{ArmLink, GatewayWay};
 use self::servo::ServoSection;
 use super::direct::DirectSection;
 use super::estimator::PublishedSection;
@@ -71,14 +74,16 @@ pub struct Setup {
     pub experiment: StepExperimentConfig,
 }
 
-/// Whether a simulated run waits for the wall clock. The results are the same.
+/// What time is in a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Pace {
     /// As fast as the machine can.
     Fast,
-    /// One simulated second takes at least one second.
+    /// One simulated second takes at least one second; the results are those of `Fast`.
     RealTime,
+    /// The machine's: looking and moving have a thread each, and what takes too long comes too late.
+    Live,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -172,17 +177,25 @@ pub fn read_setup(file: &Path) -> Result<Setup, ConfigError> {
 
 impl SetupFile {
     fn build(&self, file: &Path, check: &mut Checker) -> Option<Setup> {
-        check.number("run.control_period_millis", self.run.control_period_millis, 2.0..=20.0);
+        let period_max_millis = if self.arms.has_gateway() { GATEWAY_CYCLE_MAX_MILLIS } else { 20.0 };
+        check.number("run.control_period_millis", self.run.control_period_millis, 2.0..=period_max_millis);
         check.number("run.estimate_latency_millis", self.run.estimate_latency_millis, 0.0..=500.0);
         let (method, compared, estimator, range) = self.estimator.build(self.run.seed, check);
         let (rig, camera, sensor) = self.camera.build(check);
         let scene = self.scene.build(self.run.seed, check);
         let experiment = self.experiment.build(check);
-        let control_period_millis = within(self.run.control_period_millis, 2.0, 20.0);
+        let control_period_millis = within(self.run.control_period_millis, 2.0, period_max_millis);
         let arms = self.arms.build(file, control_period_millis, check);
         let mounts = self.mounts.build(check);
         let controller = self.servo.build(&mounts, self.arms.speed_scale, check);
         let (vs, tc) = arms?;
+        for (key, arm) in [("arms.vs", &vs), ("arms.tc", &tc)] {
+            if arm.link != ArmLink::InProcess && self.run.pace != Pace::Live {
+                check.refuse(format!(
+                    "run.pace: an arm that is not simulated in process ({key}.backend) needs pace = \"live\""
+                ));
+            }
+        }
         if !check.is_clean() {
             return None;
         }

@@ -1,0 +1,187 @@
+//! The loop of a run in the machine's time: looking and moving have a thread each.
+//!
+//! The thread that moves steps both arms at fixed times and waits for nobody but the arms. What the other one has seen comes to
+//! it, and its steps go back, through channels of fixed size whose ends never wait: a picture that takes too long comes too
+//! late, and moves nobody else. It allocates nothing and shares no lock with image work.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::time::Duration;
+
+use anyhow::{Context, Result, anyhow};
+use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::Clock;
+use pb3dp_servo::TargetObservation;
+use pb3dp_sim::trajectory::Trajectory;
+
+use super::cycles::{CycleSummary, Lateness};
+use super::journal::{Journal, Outcome};
+use super::log::RunLog;
+use super::looking::Looking;
+use super::moving::{Moved, Moving};
+use super::strip::Strip;
+use crate::config::setup::Setup;
+use crate::wiring::Parts;
+
+/// Observations on their way to the controller: it takes them all in every step.
+const OBSERVATIONS_MAX: usize = 16;
+/// Steps that nobody has written down yet: two seconds at 500 Hz.
+const STEPS_MAX: usize = 1000;
+/// Of the thread that moves, below those of the arms, which have 50.
+const PRIORITY: u8 = 40;
+
+/// As [`super::lockstep::run`], in the machine's time. The experiment begins when both arms are switched on.
+///
+/// # Errors
+/// If an arm, the camera or the estimator fails for good; the arms are stopped first.
+pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Option<&Path>) -> Result<Outcome> {
+    let Parts { clock, camera, vs, tc, cell, experiment, target_outline_m, monitors, emulated, .. } = parts;
+    let duration_s = experiment.duration_s();
+    let log = RunLog { marks: experiment.marks().to_vec(), ..RunLog::default() };
+    let strip = Strip::for_marks(&log.marks, setup.experiment.move_s);
+    let (mut looking, mut moving) = (
+        Looking::new(setup, (camera, cell.clone(), target_outline_m), (strip, clock.now()), record)?,
+        Moving::new(setup, (vs, tc), &experiment, clock.now())?,
+    );
+    if let Err(error) = moving.enable() {
+        moving.stop().ok();
+        return Err(error);
+    }
+    let begin = clock.now();
+    looking.begin_at(begin);
+    moving.begin_at(begin);
+    let end = begin + Duration::from_secs_f64(stop_after_s.map_or(duration_s, |s| s.clamp(0.0, duration_s)));
+    let mut journal = Journal::new(setup, cell, (begin, duration_s), log);
+    let (seen_in, seen_out) = sync_channel(OBSERVATIONS_MAX);
+    let (steps_in, steps_out) = sync_channel(STEPS_MAX);
+    let is_over = AtomicBool::new(false);
+    let mover = Mover {
+        clock: Arc::clone(&clock),
+        period: setup.control_period,
+        moving,
+        seen: seen_out,
+        steps: steps_in,
+        is_over: &is_over,
+    };
+    let (moved, looked) = std::thread::scope(|scope| {
+        // However this thread ends, the other one ends, too, and stops the arms.
+        let _over = Over(&is_over);
+        let thread =
+            std::thread::Builder::new().name("control".to_owned()).spawn_scoped(scope, || mover.run((begin, end)));
+        let looked = match &thread {
+            Ok(_) => look_on(&mut looking, &mut journal, (&seen_in, &steps_out), &is_over),
+            Err(_) => Ok(()),
+        };
+        is_over.store(true, Ordering::SeqCst);
+        let moved = thread.context("no thread for the arms").and_then(|thread| {
+            thread
+                .join()
+                .unwrap_or_else(|_| Err(anyhow!("the thread of the arms has failed by a mistake of the program")))
+        });
+        (moved, looked)
+    });
+    let recorded = looking.finish_recording();
+    let moved = moved?;
+    looked.and(recorded)?;
+    for step in steps_out.try_iter() {
+        journal.note(&step);
+    }
+    let mut outcome = journal.finish(setup, looking.finish(), moved.limited_steps);
+    outcome.log.cycles.push(moved.cycles);
+    outcome.log.cycles.extend(monitors.iter().map(|(name, monitor)| CycleSummary::of_link(name, monitor)));
+    drop(emulated);
+    Ok(outcome)
+}
+
+/// Says that the run is over when it is dropped.
+struct Over<'a>(&'a AtomicBool);
+
+impl Drop for Over<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::SeqCst);
+    }
+}
+
+/// Looks at pairs until the other thread is done, and writes down what both do.
+fn look_on(
+    looking: &mut Looking<'_>,
+    journal: &mut Journal,
+    (seen_in, steps_out): (&SyncSender<TargetObservation>, &Receiver<Moved>),
+    is_over: &AtomicBool,
+) -> Result<()> {
+    while !is_over.load(Ordering::SeqCst) {
+        for step in steps_out.try_iter() {
+            looking.push_joints(step.vs_joints);
+            journal.note(&step);
+        }
+        let Some(seen) = looking.look()? else { continue };
+        if let Some(observation) = seen.observation() {
+            // A controller that takes no more has newer ones than it can use.
+            seen_in.try_send(observation).ok();
+        }
+        looking.note(&seen)?;
+    }
+    Ok(())
+}
+
+/// The thread that moves.
+struct Mover<'a> {
+    clock: Arc<dyn Clock>,
+    period: Duration,
+    moving: Moving<'a>,
+    seen: Receiver<TargetObservation>,
+    steps: SyncSender<Moved>,
+    is_over: &'a AtomicBool,
+}
+
+/// What the thread that moves leaves behind.
+struct Done {
+    limited_steps: u64,
+    cycles: CycleSummary,
+}
+
+impl Mover<'_> {
+    /// Steps until the end, then stops both arms; also when a step fails or the other thread is done.
+    fn run(mut self, (begin, end): (MonotonicTime, MonotonicTime)) -> Result<Done> {
+        for shortfall in enter(&Realtime { priority: Some(PRIORITY), locks_memory: false, cpu: None }) {
+            tracing::warn!("control loop: {shortfall}");
+        }
+        let _over = Over(self.is_over);
+        let mut lateness = Lateness::default();
+        let stepped = self.step_until((begin, end), &mut lateness);
+        let stopped = self.moving.stop();
+        stepped.and(stopped)?;
+        Ok(Done {
+            limited_steps: self.moving.limited_steps(),
+            cycles: CycleSummary {
+                replies_lost: Some(self.moving.replies_missed()),
+                ..lateness.summary("control loop")
+            },
+        })
+    }
+
+    fn step_until(&mut self, (begin, end): (MonotonicTime, MonotonicTime), lateness: &mut Lateness) -> Result<()> {
+        let mut due = begin;
+        while due <= end && !self.is_over.load(Ordering::SeqCst) {
+            self.clock.sleep_until(due);
+            let now = self.clock.now();
+            lateness.record(now.saturating_since(due));
+            while let Ok(observation) = self.seen.try_recv() {
+                self.moving.observe(observation);
+            }
+            let moved = self.moving.step(now)?;
+            // Steps that nobody writes down are lost to the report, and to nothing else.
+            self.steps.try_send(moved).ok();
+            due = due + self.period;
+            // Times that have passed are left out.
+            while due + self.period <= self.clock.now() {
+                due = due + self.period;
+                lateness.miss();
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,301 @@
+//! Both arms: their backends, what stands before them, and where the simulated cell has their joints from.
+
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use pb3dp_arm_pa10::driver::{DriverConfig, LimitsCheck};
+use pb3dp_arm_pa10::gateway::GatewayConfig;
+use pb3dp_arm_pa10::gateway_protocol::Firmware;
+use pb3dp_arm_pa10::io::arm::{ArmMonitor, Pa10Arm, Pa10ArmConfig, TripSeat, trip_line};
+use pb3dp_arm_pa10::io::mock_server::{MockFace, MockServer, MockServerConfig};
+use pb3dp_arm_pa10::io::realtime::Realtime;
+use pb3dp_arm_pa10::io::serial::SerialConfig;
+use pb3dp_arm_pa10::io::transport::Connector;
+use pb3dp_arm_pa10::link::GatewayLinkConfig;
+use pb3dp_arm_pa10::mock::{MockArm, MockArmConfig};
+use pb3dp_arm_pa10::mock_controller::{MockControllerConfig, Script, pa10_joints};
+use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_hal_middleware::{CoupledArmConfig, FlightLog, Guard, Limiter, Recorded, couple};
+use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant, JointPlantConfig};
+
+use super::DrivenArm;
+use crate::config::setup::{ArmLink, ArmSetup, GatewayWay, Setup};
+use crate::run::cell::{ArmSite, JointSource};
+use crate::run::flight::FLIGHT;
+
+/// By how much limits in a controller's EEPROM may differ from those of the robot description, degrees.
+const LIMITS_TOLERANCE_DEG: f64 = 0.5;
+
+/// An emulated arm takes its speed from the line; this rate only has to be quick enough for it.
+const EMULATED_BAUD: u32 = 921_600;
+
+/// Of the thread of an emulated arm, between the control loop and the driver of an arm: a real one waits for no program.
+const EMULATION_PRIORITY: u8 = 45;
+
+/// Measured joints that nobody has asked for yet: two seconds at 500 Hz.
+const JOINTS_WAITING_MAX: usize = 1000;
+
+/// Both arms behind all that stands before them.
+pub struct WiredArms {
+    /// Where they stand in the cell, and where it has their joints from.
+    pub sites: [ArmSite; 2],
+    /// What moves them.
+    pub driven: [Box<dyn DrivenArm>; 2],
+    /// Their flight recorders.
+    pub flights: [(&'static str, FlightLog); 2],
+    /// What their links are like, as far as they have one.
+    pub monitors: Vec<(&'static str, ArmMonitor)>,
+    /// The emulated arms at the other ends.
+    pub emulated: Vec<MockServer>,
+}
+
+/// Both arms: the one with the cameras, the one with the target. From the inside out: backend, recorder, guard, coupling, limiter.
+///
+/// # Errors
+/// If a part refuses its parameters, or an arm does not answer.
+pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>) -> Result<WiredArms> {
+    let (vs_name, tc_name) = ("vs-robot", "tc-robot");
+    let mut seats = trip_line(2).context("the line along which the arms stop each other")?.into_iter();
+    let mut seat = || seats.next().context("a place on the line along which the arms stop each other");
+    let vs = wire_backend((setup, clock), (vs_name, &setup.vs, clock), seat()?)?;
+    let tc = wire_backend((setup, clock), (tc_name, &setup.tc, clock), seat()?)?;
+    let guarded = |name: &str, arm: &ArmSetup, backend| {
+        let cycles = FLIGHT.as_secs_f64() / setup.control_period.as_secs_f64();
+        let flight = FlightLog::with_capacity(cycles.ceil() as usize);
+        let recorded = Recorded::new(backend, Arc::clone(clock), flight.clone());
+        let guard = Guard::new(recorded, arm.guard.clone()).with_context(|| format!("{name}: guard"))?;
+        anyhow::Ok((guard, flight))
+    };
+    let (vs_guarded, vs_flight) = guarded(vs_name, &setup.vs, vs.backend)?;
+    let (tc_guarded, tc_flight) = guarded(tc_name, &setup.tc, tc.backend)?;
+    let pair = ((vs_guarded, coupled_config(&setup.vs)), (tc_guarded, coupled_config(&setup.tc)));
+    let (vs_coupled, tc_coupled) = couple(pair.0, pair.1, setup.least_room_m, clock).context("table [arms]")?;
+    let limited = |name: &str, arm: &ArmSetup, coupled| {
+        let limiter = Limiter::new(coupled, arm.limiter.clone(), Arc::clone(clock));
+        limiter.with_context(|| format!("{name}: limiter"))
+    };
+    let (vs_driven, tc_driven) = (limited(vs_name, &setup.vs, vs_coupled)?, limited(tc_name, &setup.tc, tc_coupled)?);
+    let monitors = [(vs_name, vs.monitor), (tc_name, tc.monitor)];
+    Ok(WiredArms {
+        sites: [vs.site, tc.site],
+        driven: [Box::new(vs_driven), Box::new(tc_driven)],
+        flights: [(vs_name, vs_flight), (tc_name, tc_flight)],
+        monitors: monitors.into_iter().filter_map(|(name, monitor)| Some((name, monitor?))).collect(),
+        emulated: vs.emulated.into_iter().chain(tc.emulated).collect(),
+    })
+}
+
+fn coupled_config(arm: &ArmSetup) -> CoupledArmConfig {
+    CoupledArmConfig {
+        chain: arm.chain.clone(),
+        shape: arm.shape.clone(),
+        world_from_base: arm.world_from_base,
+        acceleration_max_rad_per_s2: arm.limiter.acceleration_max_rad_per_s2,
+        jerk_max_rad_per_s3: arm.limiter.jerk_max_rad_per_s3,
+        reaction_time: arm.limiter.reaction_time,
+        command_timeout: arm.limiter.command_timeout,
+    }
+}
+
+/// An arm whose backend is wired.
+struct WiredBackend {
+    site: ArmSite,
+    backend: AnyArm,
+    monitor: Option<ArmMonitor>,
+    emulated: Option<MockServer>,
+}
+
+/// The backend that the configuration names.
+fn wire_backend((setup, clock): (&Setup, &Arc<dyn Clock>), parts: Parts<'_>, seat: TripSeat) -> Result<WiredBackend> {
+    let (name, arm, _) = parts;
+    match &arm.link {
+        ArmLink::InProcess => {
+            let plant = shared_plant(arm.plant.clone(), None, parts)?;
+            let config = MockArmConfig {
+                name: name.to_owned(),
+                cycle: setup.control_period,
+                command_timeout: arm.command_timeout,
+            };
+            let mock = MockArm::new(config, Arc::clone(&plant), Arc::clone(clock));
+            let site = site(arm, JointSource::plant(plant));
+            Ok(WiredBackend { site, backend: AnyArm(Box::new(mock)), monitor: None, emulated: None })
+        }
+        ArmLink::Gateway(link, GatewayWay::Emulated) => {
+            let (server, plant) = emulate(link, parts)?;
+            let port = SerialConfig {
+                path: server.address(),
+                baud: EMULATED_BAUD,
+                dialect: link.dialect,
+                format: link.format,
+                cycle: link.cycle,
+            };
+            let opened = open(link, Box::new(port), seat, parts)?;
+            let (site, monitor) = (site(arm, JointSource::plant(plant)), Some(opened.monitor()));
+            Ok(WiredBackend { site, backend: AnyArm(Box::new(opened)), monitor, emulated: Some(server) })
+        }
+        ArmLink::Gateway(link, GatewayWay::Serial(port)) => measured(link, Box::new(port.clone()), seat, parts),
+        ArmLink::Gateway(link, GatewayWay::Tcp(address)) => measured(link, Box::new(*address), seat, parts),
+    }
+}
+
+/// Any backend.
+struct AnyArm(Box<dyn Backend>);
+
+trait Backend: Arm + ArmPower {}
+
+impl<A: Arm + ArmPower> Backend for A {}
+
+impl Arm for AnyArm {
+    fn info(&self) -> &ArmInfo {
+        self.0.info()
+    }
+
+    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        self.0.exchange(command)
+    }
+}
+
+impl ArmPower for AnyArm {
+    fn state(&self) -> ArmState {
+        self.0.state()
+    }
+
+    fn enable(&mut self) -> Result<(), ArmError> {
+        self.0.enable()
+    }
+
+    fn stop(&mut self) -> Result<(), ArmError> {
+        self.0.stop()
+    }
+
+    fn reset(&mut self) -> Result<(), ArmError> {
+        self.0.reset()
+    }
+}
+
+type Parts<'a> = (&'a str, &'a ArmSetup, &'a Arc<dyn Clock>);
+
+/// An arm whose joints nobody simulates here: the cell has them as they are measured.
+fn measured(
+    link: &GatewayLinkConfig,
+    connector: Box<dyn Connector>,
+    seat: TripSeat,
+    parts: Parts<'_>,
+) -> Result<WiredBackend> {
+    let (_, arm, _) = parts;
+    let opened = open(link, connector, seat, parts)?;
+    let monitor = Some(opened.monitor());
+    let (tap, samples) = sync_channel(JOINTS_WAITING_MAX);
+    let source = JointSource::measured(samples, arm.start_rad);
+    let backend = AnyArm(Box::new(Tapped { arm: opened, tap }));
+    Ok(WiredBackend { site: site(arm, source), backend, monitor, emulated: None })
+}
+
+fn site(arm: &ArmSetup, joints: JointSource) -> ArmSite {
+    ArmSite { chain: arm.chain.clone(), world_from_base: arm.world_from_base, joints }
+}
+
+fn shared_plant(
+    config: JointPlantConfig,
+    mechanics: Option<JointMechanics>,
+    (name, arm, clock): Parts<'_>,
+) -> Result<Arc<Mutex<JointPlant>>> {
+    let start = || format!("{name}: start");
+    let plant = JointPlant::new(config, arm.start_rad, clock.now()).with_context(start)?;
+    let plant = match mechanics {
+        Some(mechanics) => plant.with_mechanics(mechanics).with_context(start)?,
+        None => plant,
+    };
+    Ok(Arc::new(Mutex::new(plant)))
+}
+
+/// An emulated arm on a pseudo-terminal, and its joints: those of the configuration with brakes, friction and gravity. The link
+/// brings its own delay.
+fn emulate(link: &GatewayLinkConfig, parts: Parts<'_>) -> Result<(MockServer, Arc<Mutex<JointPlant>>)> {
+    let (name, arm, clock) = parts;
+    let joints = JointPlantConfig {
+        command_delay: Duration::ZERO,
+        acceleration_max_rad_per_s2: pa10_joints()?.acceleration_max_rad_per_s2,
+        ..arm.plant.clone()
+    };
+    let plant = shared_plant(joints, Some(JointMechanics::default()), parts)?;
+    let hard_limits = &arm.limiter.hard_limits;
+    let controller = MockControllerConfig {
+        lower_limit_rad: *hard_limits.position_min_rad(),
+        upper_limit_rad: *hard_limits.position_max_rad(),
+        ..MockControllerConfig::new(link.format)
+    };
+    let firmware = Firmware::new("pb3dp emulation").context("a name for the gateway")?;
+    let gateway = GatewayConfig { geometry: link.geometry, ..GatewayConfig::new(link.arm, link.format, firmware) };
+    let realtime = Realtime { priority: Some(EMULATION_PRIORITY), locks_memory: false, cpu: None };
+    let config = MockServerConfig { controller, seed: 0, script: Script::default(), realtime };
+    let server = MockServer::start(config, MockFace::Pty(gateway), Arc::clone(&plant), Arc::clone(clock))
+        .with_context(|| format!("{name}: emulation"))?;
+    Ok((server, plant))
+}
+
+fn open(
+    link: &GatewayLinkConfig,
+    connector: Box<dyn Connector>,
+    seat: TripSeat,
+    (name, arm, clock): Parts<'_>,
+) -> Result<Pa10Arm> {
+    let hard_limits = &arm.limiter.hard_limits;
+    let limits = LimitsCheck::Compare {
+        lower_rad: *hard_limits.position_min_rad(),
+        upper_rad: *hard_limits.position_max_rad(),
+        tolerance_rad: LIMITS_TOLERANCE_DEG.to_radians(),
+    };
+    let driver = DriverConfig {
+        limits,
+        deceleration_rad_per_s2: arm.limiter.acceleration_max_rad_per_s2,
+        ..DriverConfig::with_cycle(link.cycle)
+    };
+    let opened = Pa10Arm::open(Pa10ArmConfig::new(name, driver, *link), connector, Arc::clone(clock), seat)?;
+    for warning in opened.warnings() {
+        tracing::warn!("{name}: {warning}");
+    }
+    if let Some(latched) = opened.monitor().snapshot().latched {
+        bail!("{name} can not be used: {}", latched.trip);
+    }
+    Ok(opened)
+}
+
+/// An arm whose measurements are also handed to the simulated cell, without waiting for it.
+struct Tapped<A> {
+    arm: A,
+    tap: SyncSender<JointState>,
+}
+
+impl<A: Arm> Arm for Tapped<A> {
+    fn info(&self) -> &ArmInfo {
+        self.arm.info()
+    }
+
+    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        let measured = self.arm.exchange(command)?;
+        // A cell that does not look misses what is too much.
+        self.tap.try_send(measured).ok();
+        Ok(measured)
+    }
+}
+
+impl<A: ArmPower> ArmPower for Tapped<A> {
+    fn state(&self) -> ArmState {
+        self.arm.state()
+    }
+
+    fn enable(&mut self) -> Result<(), ArmError> {
+        self.arm.enable()
+    }
+
+    fn stop(&mut self) -> Result<(), ArmError> {
+        self.arm.stop()
+    }
+
+    fn reset(&mut self) -> Result<(), ArmError> {
+        self.arm.reset()
+    }
+}

@@ -1,0 +1,92 @@
+//! The whole loop in the machine's time: emulated arms behind gateways on pseudo-terminals, cameras where the arms are. A machine
+//! that is too loaded for it is late, and an arm that waits too long stops: so each run has some tries.
+
+use std::sync::{Mutex, PoisonError};
+
+use pb3dp_estimation::estimator::Method;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_orchestrator::config::setup::{ArmLink, Pace, Setup, read_setup};
+use pb3dp_orchestrator::run::live;
+use pb3dp_orchestrator::run::log::RunLog;
+use pb3dp_orchestrator::wiring::{Parts, wire};
+use pb3dp_sim::trajectory::Channel;
+use system_tests::repository;
+
+use crate::support::{Pixels, errors, quick_setup, run};
+
+/// How often a run is tried.
+const TRIES: usize = 4;
+
+/// Two runs at once would make each other late.
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+
+/// A quick setup whose arms are reached as `configs/hil.toml` says.
+fn hil_setup() -> Setup {
+    let hil = read_setup(&repository().join("configs/hil.toml")).unwrap();
+    let mut setup = quick_setup(Method::Direct, Pixels::Few, &[Channel::X]);
+    setup.pace = Pace::Live;
+    (setup.vs.link, setup.tc.link) = (hil.vs.link, hil.tc.link);
+    assert!(setup.vs.link != ArmLink::InProcess && setup.tc.link != ArmLink::InProcess);
+    setup
+}
+
+/// The first answer that is what a machine in time gives.
+fn tried<T>(mut attempt: impl FnMut() -> Result<T, String>) -> T {
+    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut failures = Vec::new();
+    for _ in 0..TRIES {
+        match attempt() {
+            Ok(value) => return value,
+            Err(failure) => failures.push(failure),
+        }
+    }
+    panic!("{}", failures.join("\n"));
+}
+
+fn followed(log: &RunLog) -> (f64, f64) {
+    let moving = errors(log, 1.0, 2.5);
+    (moving.rms_mm, moving.max_mm)
+}
+
+#[test]
+fn a_hand_follows_through_serial_lines_as_in_simulated_time() {
+    let simulated = followed(&run(&quick_setup(Method::Direct, Pixels::Few, &[Channel::X]), None).log);
+    let setup = hil_setup();
+    let log = tried(|| {
+        let outcome = wire(&setup).and_then(|parts| live::run(&setup, parts, None, None));
+        let log = outcome.map_err(|error| format!("{error:#}"))?.log;
+        let (rms_mm, max_mm) = followed(&log);
+        let as_simulated = rms_mm < 1.5 * simulated.0 && max_mm < 1.5 * simulated.1;
+        as_simulated.then_some(log).ok_or_else(|| format!("{rms_mm} and {max_mm} mm, simulated {simulated:?}"))
+    });
+    let names: Vec<&str> = log.cycles.iter().map(|cycle| cycle.name.as_str()).collect();
+    assert_eq!(names, ["control loop", "vs-robot", "tc-robot"]);
+    for cycle in &log.cycles {
+        assert!(cycle.cycles > 200 && cycle.late_p50_millis <= cycle.late_p99_millis, "{cycle:?}");
+    }
+}
+
+#[test]
+fn an_alarm_of_one_arm_ends_the_run_with_both_at_rest() {
+    let setup = hil_setup();
+    tried(|| {
+        let parts = wire(&setup).map_err(|error| format!("{error:#}"))?;
+        // Switching both arms on takes up to 3 s; then the target moves after a second.
+        parts.emulated[1].command_line("in 5s alarm 4 0x0e").unwrap();
+        let cell = parts.cell.clone();
+        let Parts { clock, .. } = &parts;
+        let clock = clock.clone();
+        let Err(error) = live::run(&setup, parts, None, None) else { return Err("the run must fail".to_owned()) };
+        let message = format!("{error:#}");
+        for (name, site) in [("vs-robot", &cell.vs), ("tc-robot", &cell.tc)] {
+            let mut joints = site.joints.simulated().unwrap().lock().unwrap();
+            let now: MonotonicTime = clock.now();
+            joints.advance_to(now);
+            let speed = joints.state().velocity_rad_per_s.amax();
+            assert!(speed < 1e-3, "{name} at {speed} rad/s after: {message}");
+        }
+        // On a machine that is late an arm may have stopped for that before.
+        let is_told = message.contains("tc-robot") && message.contains("over-current");
+        is_told.then_some(()).ok_or(message)
+    });
+}
