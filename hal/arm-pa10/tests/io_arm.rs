@@ -45,6 +45,10 @@ fn an_arm_is_opened_enabled_moved_and_stopped() {
         assert!((speeds[3] + 0.4).abs() < 2e-4, "{speeds:?}");
         let error = rig.arm.enable().unwrap_err();
         assert!(error.to_string().contains("Enable is not possible: the arm is moving"), "{error}");
+        let mut wild = JointVector::zeros();
+        wild[5] = f64::NAN;
+        let error = rig.arm.exchange(JointCommand::Velocity(wild)).unwrap_err();
+        assert_eq!((error.kind(), error.joint()), (ArmErrorKind::Rejected, Some(5)));
         rig.arm.stop().unwrap();
         assert_eq!(rig.arm.state(), ArmState::Disabled);
         assert_eq!(rig.far.gateway.lock().unwrap().state, GatewayState::Idle);
@@ -55,6 +59,33 @@ fn an_arm_is_opened_enabled_moved_and_stopped() {
         let answers = rig.monitor().round_trips();
         assert!(answers.cycles > 100 && answers.max < 2 * rig.arm.info().cycle, "{answers:?}");
         println!("lateness of {} cycles: {told:?}; {:?}", told.cycles, rig.monitor().snapshot().counters);
+    });
+}
+
+#[test]
+fn a_loop_that_keeps_the_pace_is_not_held_up() {
+    patiently(|| {
+        let mut rig = rig();
+        rig.enable_and_move();
+        let monitor = rig.monitor();
+        let before = monitor.snapshot().samples;
+        let begin = Instant::now();
+        while monitor.snapshot().samples == before && begin.elapsed() < Duration::from_secs(1) {
+            std::thread::sleep(Duration::from_micros(100));
+        }
+        // Each of these comes long before the next measurement.
+        std::thread::sleep(Duration::from_millis(2));
+        let (clock, cycle) = (SystemClock::new(), rig.arm.info().cycle);
+        let (mut due, mut held_up) = (clock.now(), 0);
+        for _ in 0..40 {
+            let begin = clock.now();
+            rig.arm.exchange(velocity()).unwrap_or_else(|error| panic!("{error}"));
+            rig.arm.exchange(velocity()).unwrap_or_else(|error| panic!("{error}"));
+            held_up += u32::from(clock.now().saturating_since(begin) > cycle / 4);
+            due = due + cycle;
+            clock.sleep_until(due);
+        }
+        assert!(held_up <= 20, "{held_up} of 40 (is the machine too loaded?)");
     });
 }
 
@@ -229,7 +260,7 @@ fn an_arm_stops_the_other_one_of_its_cell() {
         second.enable();
         for _ in 0..10 {
             first.exchange(velocity(), 1);
-            second.exchange(velocity(), 1);
+            let _ = second.arm.exchange(velocity());
         }
         first.far.gateway.lock().unwrap().servo[3] = ServoWord(0x00E0);
         first.wait_until_stopped();

@@ -109,6 +109,7 @@ impl Rig {
     /// On a loaded machine answers may be late.
     fn exchange(&mut self, command: JointCommand, cycles: u32) {
         for _ in 0..cycles {
+            std::thread::sleep(CYCLE);
             match self.arm.exchange(command) {
                 Err(error) if error.kind() != ArmErrorKind::Timeout => panic!("{error}"),
                 _ => {}
@@ -138,6 +139,7 @@ impl Rig {
     fn exchange_until_stopped(&mut self) -> ArmError {
         let begin = Instant::now();
         loop {
+            std::thread::sleep(CYCLE);
             match self.arm.exchange(JointCommand::Velocity(velocity())) {
                 Err(error) if error.kind() != ArmErrorKind::Timeout => return error,
                 _ => assert!(begin.elapsed() < LONG, "{:?}", self.arm.monitor().snapshot()),
@@ -251,8 +253,10 @@ fn a_fault_of_the_arm_is_told_with_axis_and_alarm_and_reset_when_it_is_gone() {
         for part in ["arm arm-2", "E1", "over-current", "remove the cause, then reset"] {
             assert!(error.to_string().contains(part), "{part}: {error}");
         }
+        assert_eq!((error.joint(), error.code()), (Some(3), Some(0x0e)));
         let error = rig.arm.reset().unwrap_err();
         assert_eq!((error.kind(), rig.arm.state()), (ArmErrorKind::Fault, ArmState::Fault), "{error}");
+        assert_eq!((error.joint(), error.code()), (Some(3), Some(0x0e)));
         rig.end.inject("alarm 4 off");
         rig.arm.reset().unwrap();
         assert_eq!(rig.arm.state(), ArmState::Disabled);
@@ -272,7 +276,7 @@ fn two_arms_stop_each_other_and_each_is_reset_by_itself() {
         second.enable();
         for _ in 0..20 {
             first.exchange(JointCommand::Velocity(velocity()), 1);
-            second.exchange(JointCommand::Velocity(velocity()), 1);
+            let _ = second.arm.exchange(JointCommand::Velocity(velocity()));
         }
         second.end.inject("e-stop press");
         second.wait_until("stopped", |rig| rig.arm.state() == ArmState::EStop);

@@ -21,7 +21,7 @@ use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
 use pb3dp_arm_pa10::io::serial::SerialConfig;
 use pb3dp_arm_pa10::io::transport::ByteLink;
 use pb3dp_arm_pa10::link::GatewayLinkConfig;
-use pb3dp_hal_api::{Arm, ArmPower, ArmState, JointCommand};
+use pb3dp_hal_api::{ArmPower, ArmState};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, Report, arm_suite};
 use pb3dp_kinematics::JointVector;
@@ -92,9 +92,15 @@ fn suite(dialect: Dialect, format: WireFormat) -> Report {
         let cell = Rc::clone(&cell);
         move |arm: &mut Pa10Arm| {
             // Just behind a measurement: of the next ones so many get lost as an arm bears.
-            let _ = arm.exchange(JointCommand::Hold);
-            let _ = arm.exchange(JointCommand::Hold);
+            let monitor = arm.monitor();
+            let before = monitor.snapshot().samples;
+            let begin = Instant::now();
+            while monitor.snapshot().samples == before && begin.elapsed() < Duration::from_secs(2) {
+                std::thread::sleep(Duration::from_micros(200));
+            }
             cell.borrow().as_ref().unwrap().cell().answers_lost = 2;
+            // Until the last one is old.
+            std::thread::sleep(CYCLE.mul_f64(1.6));
         }
     };
     let hooks = ArmHooks {

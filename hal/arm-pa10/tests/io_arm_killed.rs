@@ -82,6 +82,7 @@ fn host(path: &str) {
     enable(&mut arm);
     let mut moved = 0u32;
     let error = loop {
+        std::thread::sleep(CYCLE);
         match arm.exchange(velocity()) {
             Ok(_) => {
                 moved += 1;
@@ -189,6 +190,7 @@ fn killed() {
     arm.reset().unwrap();
     enable(&mut arm);
     for _ in 0..20 {
+        std::thread::sleep(CYCLE);
         let _ = arm.exchange(velocity());
     }
     assert_eq!(scene.end.state(), GatewayState::Moving);

@@ -74,6 +74,7 @@ fn exchanges_do_not_allocate() {
     let velocity = JointCommand::Velocity(JointVector::from([0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 0.7]));
     let exchange = |arm: &mut Pa10Arm, cycle: i32| {
         let command = if cycle % 50 == 20 { JointCommand::Hold } else { velocity };
+        std::thread::sleep(CYCLE);
         // A loaded machine may be late; the text of that error is on the heap.
         arm.exchange(command).map(|_| ()).map_err(|error| match error.kind() {
             ArmErrorKind::Timeout => (),

@@ -22,7 +22,7 @@ use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
 use pb3dp_arm_pa10::io::transport::wait_for;
 use pb3dp_arm_pa10::mock_controller::{MockController, MockControllerConfig};
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, JointCommand};
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, JointCommand, JointState};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::JointPlant;
@@ -152,13 +152,18 @@ fn open(far: &Far, format: WireFormat) -> Pa10Arm {
     arm.unwrap_or_else(|error| panic!("{error}: {:?}", std::error::Error::source(&error)))
 }
 
+fn paced_exchange(arm: &mut Pa10Arm) -> Result<JointState, ArmError> {
+    std::thread::sleep(EXCHANGE_CYCLE);
+    arm.exchange(velocity())
+}
+
 /// Without real time the controller's answers may be late by more than one cycle of 2 ms: three in a row are a fault.
 fn enable_and_move(arm: &mut Pa10Arm) {
     for _ in 0..20 {
         if arm.state() == ArmState::Fault {
             arm.reset().unwrap();
         }
-        if arm.enable().is_ok() && (0..30).all(|_| arm.exchange(velocity()).is_ok()) {
+        if arm.enable().is_ok() && (0..30).all(|_| paced_exchange(arm).is_ok()) {
             return;
         }
         // What came in between must be the machine's fault.
@@ -226,7 +231,7 @@ fn an_emergency_stop_is_told_and_reset_when_it_is_released() {
         let begin = Instant::now();
         while arm.state() != ArmState::EStop {
             assert!(begin.elapsed() < LONG, "{:?}", arm.monitor().snapshot());
-            let _ = arm.exchange(velocity());
+            let _ = paced_exchange(&mut arm);
         }
         assert!(arm.reset().is_err());
         far.inject("e-stop release");

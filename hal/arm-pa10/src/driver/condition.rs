@@ -278,6 +278,33 @@ impl ArmCondition {
     }
 }
 
+impl Trip {
+    /// The axis that it is about, if it is about one.
+    pub fn axis(&self) -> Option<Axis> {
+        match self {
+            Self::Fault(
+                FaultCause::ServoAlarm { axis, .. }
+                | FaultCause::AxisUncontrollable { axis, .. }
+                | FaultCause::LimitsDiffer { axis, .. },
+            )
+            | Self::EStop(EmergencyStopCause::Axis { axis, .. }) => Some(*axis),
+            Self::Fault(_) | Self::EStop(_) => None,
+        }
+    }
+
+    /// The alarm code of axis or controller, if one raised it.
+    pub fn code(&self) -> Option<u8> {
+        match self {
+            Self::Fault(FaultCause::ServoAlarm { alarm, .. }) | Self::EStop(EmergencyStopCause::Axis { alarm, .. }) => {
+                Some(alarm.code())
+            }
+            Self::Fault(FaultCause::ControllerAlarm { alarm })
+            | Self::EStop(EmergencyStopCause::Controller { alarm }) => Some(alarm.code()),
+            Self::Fault(_) | Self::EStop(_) => None,
+        }
+    }
+}
+
 impl std::fmt::Display for Trip {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {

@@ -121,6 +121,12 @@ impl Driver {
             // The gateway may have stopped the arm by itself before: the order goes on by count and time.
             Phase::Stopping(_) if self.state.is_latched() => {}
             Phase::Looking { step: LookStep::Clear(_), .. } => self.handle_done(now),
+            // What the arm has told of itself says more than that it is still so.
+            Phase::Looking { activity: Activity::Clearing, .. }
+                if reason == RejectReason::CausePresent && self.is_stopped_by_arm() =>
+            {
+                self.begin_stop(now, true);
+            }
             _ => self.trip(now, Trip::Fault(FaultCause::Rejected(reason))),
         }
     }
@@ -268,6 +274,12 @@ impl Driver {
     /// A stop does not wait for the answer to a slow message; the link takes that answer for a late one.
     fn cancel_waiting(&mut self) {
         self.outstanding = self.outstanding.filter(|outstanding| outstanding.letter == Letter::Cyclic);
+    }
+
+    /// Latched by something that the arm told: an alarm or an emergency stop.
+    fn is_stopped_by_arm(&self) -> bool {
+        let by_arm = |latched: &Latched| matches!(latched.trip, Trip::EStop(_)) || latched.trip.code().is_some();
+        self.latched.as_ref().is_some_and(by_arm)
     }
 
     fn is_stopping_latched(&self) -> bool {

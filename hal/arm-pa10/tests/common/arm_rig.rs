@@ -81,9 +81,10 @@ pub fn velocity() -> JointCommand {
 }
 
 impl Rig {
-    /// The same command for some cycles, at the arm's own pace. On a loaded machine answers may be late.
+    /// The same command for some cycles. On a loaded machine answers may be late.
     pub fn exchange(&mut self, command: JointCommand, cycles: u32) {
         for _ in 0..cycles {
+            std::thread::sleep(CYCLE);
             match self.arm.exchange(command) {
                 Err(error) if error.kind() != ArmErrorKind::Timeout => panic!("{error}"),
                 _ => {}
@@ -127,6 +128,7 @@ impl Rig {
     pub fn exchange_until_stopped(&mut self) -> ArmError {
         let begin = Instant::now();
         loop {
+            std::thread::sleep(CYCLE);
             match self.arm.exchange(velocity()) {
                 Err(error) if error.kind() == ArmErrorKind::Fault => return error,
                 _ => assert!(begin.elapsed() < Duration::from_secs(5)),

@@ -31,8 +31,8 @@ use self::trace::Tracer;
 use self::worker::{LET_GO_MAX, Progress, WishEnd, Worker};
 use super::realtime::{Realtime, enter};
 use super::transport::{ConnectError, Connector};
-use crate::codec::ArmCommand;
-use crate::driver::{Activity, Driver, DriverConfig};
+use crate::codec::{ArmCommand, CodecError};
+use crate::driver::{Activity, Driver, DriverConfig, Trip};
 use crate::gateway_protocol::ArmId;
 
 pub use bus_port::BusTarget;
@@ -43,8 +43,9 @@ pub use trace::{RawBytes, Way};
 pub use trip_line::{TripHandle, TripSeat, trip_line};
 pub use wish::WishError;
 
-/// How long an exchange waits for a measurement that is newer than the last one, in cycles. The contract allows two.
-const SAMPLE_WAIT_CYCLES: f64 = 1.75;
+/// A measurement that came so long ago, in cycles, or less, is the newest one that there can be: a little later than expected the
+/// next one is still no reason to wait.
+const FRESH_CYCLES: f64 = 1.5;
 
 /// Activities in a row that a wish may take at most.
 const ACTIVITIES_MAX: u32 = 3;
@@ -54,9 +55,9 @@ const OPEN_MAX: Duration = Duration::from_secs(2);
 
 /// A real PA-10.
 ///
-/// `exchange` returns one measurement per cycle: at once where a newer one than the last is there, else when it comes, after at most
-/// 1.75 cycles. A single lost reply is no error to a loop with the arm's own cycle; it is counted. In a state in which nothing is
-/// measured `Hold` returns the last measurement with the time at which it was made.
+/// `exchange` returns at once, and holds no loop up that keeps the pace of the arm. Where answers got lost it waits for the next
+/// measurement, for at most one cycle: two in a row are a `Timeout` at most, as they are counted and borne. In a state in which
+/// nothing is measured `Hold` returns the last measurement with the time at which it was made.
 ///
 /// Dropping it stops the arm: it is at rest within its emergency ramp, and the brakes are told to close within 100 ms.
 pub struct Pa10Arm {
@@ -68,8 +69,6 @@ pub struct Pa10Arm {
     ends: Receiver<WishEnd>,
     thread: Option<JoinHandle<()>>,
     warnings: Vec<String>,
-    /// Of the last measurement that was returned.
-    samples_seen: u64,
 }
 
 /// What is the same for every way to an arm.
@@ -161,7 +160,7 @@ impl Pa10Arm {
         warnings.extend(shortfalls.iter().map(|shortfall| format!("arm {name}: {shortfall}")));
         let info = ArmInfo { name: format!("{name} (pa10 at {target})"), cycle: exchange_cycle };
         let thread = Some(thread);
-        let mut opened = Self { driver: config, info, clock, shared, trip, ends, thread, warnings, samples_seen: 0 };
+        let mut opened = Self { driver: config, info, clock, shared, trip, ends, thread, warnings };
         opened.fulfil(Wish::Connect).map_err(|source| ArmOpenError::Connect { arm: of_arm(), source })?;
         Ok(opened)
     }
@@ -210,7 +209,8 @@ impl Pa10Arm {
                 }
             }
         };
-        ArmError::caused_by(kind, format!("arm {}: {what}: {error}", self.info.name), error)
+        let trip = if let WishError::Stopped(latched) = &error { Some(latched.trip) } else { None };
+        about(ArmError::caused_by(kind, format!("arm {}: {what}: {error}", self.info.name), error), trip)
     }
 
     fn error(&self, kind: ArmErrorKind, text: impl std::fmt::Display) -> ArmError {
@@ -226,7 +226,7 @@ impl Pa10Arm {
             return self.error(ArmErrorKind::Disconnected, gone);
         }
         match now.latched {
-            Some(latched) => self.error(ArmErrorKind::Fault, latched.trip),
+            Some(latched) => about(self.error(ArmErrorKind::Fault, latched.trip), Some(latched.trip)),
             None => self.error(ArmErrorKind::NotEnabled, format_args!("it is {}; enable it first", now.state)),
         }
     }
@@ -237,22 +237,22 @@ impl Pa10Arm {
         let sendable = ArmCommand::velocities(velocity, self.driver.supervision);
         sendable.map(|_| ()).map_err(|error| {
             let message = format!("arm {}: the velocity is refused as a whole: {error}", self.info.name);
-            ArmError::caused_by(ArmErrorKind::Rejected, message, error)
+            let refused = ArmError::caused_by(ArmErrorKind::Rejected, message, error);
+            if let CodecError::SpeedRange { axis, .. } = error { refused.of_joint(axis.index()) } else { refused }
         })
     }
 
-    /// The next measurement of an arm that is being measured, or the last one of an arm that is not.
-    fn take_sample(&mut self, command: &JointCommand) -> Result<JointState, ArmError> {
-        let seen = self.samples_seen;
-        let timeout = self.info.cycle.mul_f64(SAMPLE_WAIT_CYCLES);
-        let snapshot = self.shared.wait_for(timeout, |now| now.samples != seen || !is_followed(now));
-        let is_new = snapshot.samples != seen;
-        self.samples_seen = snapshot.samples;
+    /// The newest measurement: of an arm that is being measured one that is fresh, waited for if there is none.
+    fn newest(&self, command: &JointCommand) -> Result<JointState, ArmError> {
+        let fresh = self.info.cycle.mul_f64(FRESH_CYCLES);
+        let is_fresh =
+            |now: &ArmSnapshot| now.sample_at.is_some_and(|at| self.clock.now().saturating_since(at) <= fresh);
+        let snapshot = self.shared.wait_for(self.info.cycle, |now| is_fresh(now) || !is_followed(now));
         if !is_followed(&snapshot) && (matches!(command, JointCommand::Velocity(_)) || is_gone(&snapshot)) {
             return Err(self.stopped(&snapshot));
         }
         match snapshot.joints {
-            Some(joints) if is_new || !is_followed(&snapshot) => Ok(joints),
+            Some(joints) if is_fresh(&snapshot) || !is_followed(&snapshot) => Ok(joints),
             Some(joints) => {
                 let age = self.clock.now().saturating_since(joints.at);
                 let text = format_args!(
@@ -264,6 +264,13 @@ impl Pa10Arm {
             None => Err(self.stopped(&snapshot)),
         }
     }
+}
+
+/// The same error with joint and alarm code of what stopped the arm.
+fn about(error: ArmError, trip: Option<Trip>) -> ArmError {
+    let (axis, code) = (trip.and_then(|trip| trip.axis()), trip.and_then(|trip| trip.code()));
+    let error = if let Some(axis) = axis { error.of_joint(axis.index()) } else { error };
+    if let Some(code) = code { error.with_code(u16::from(code)) } else { error }
 }
 
 /// Whether velocities reach the arm.
@@ -283,7 +290,7 @@ impl Arm for Pa10Arm {
     fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
         let result = self.refuse(&command).and_then(|()| {
             self.shared.put_command(self.clock.now(), command);
-            self.take_sample(&command)
+            self.newest(&command)
         });
         if result.is_err() {
             // Any error cancels the motion.

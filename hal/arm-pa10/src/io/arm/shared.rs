@@ -32,6 +32,8 @@ pub struct ArmSnapshot {
     pub failed: bool,
     /// The newest joints.
     pub joints: Option<JointState>,
+    /// When they came.
+    pub sample_at: Option<MonotonicTime>,
     /// Counts the joints that were measured.
     pub samples: u64,
     /// The newest measurement with its status words.
@@ -94,6 +96,7 @@ impl Shared {
             unplugged: None,
             failed: false,
             joints: None,
+            sample_at: None,
             samples: 0,
             sample: None,
             limits: [None; Axis::COUNT],

@@ -52,6 +52,7 @@ pub(super) struct Progress {
     others_told: bool,
     samples: u64,
     last_sample: MonotonicTime,
+    sample_at: Option<MonotonicTime>,
     /// The owner held a lock: its command is not yet taken, or its snapshot is old.
     come_back: bool,
     /// When the last cyclic command was sent, and how many answers there were before.
@@ -165,6 +166,7 @@ impl Worker {
         {
             self.progress.last_sample = joints.at;
             self.progress.samples += 1;
+            self.progress.sample_at = Some(now);
         }
     }
 
@@ -215,6 +217,7 @@ impl Worker {
             unplugged: self.port.gone(),
             failed: self.progress.failed,
             joints: driver.joints().copied(),
+            sample_at: self.progress.sample_at,
             samples: self.progress.samples,
             sample: driver.sample().copied(),
             limits: *driver.limits(),
