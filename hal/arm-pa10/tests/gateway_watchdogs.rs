@@ -399,3 +399,37 @@ fn a_configuration_that_leaves_less_than_required_is_refused_by_name() {
     assert_eq!(refused(GatewayConfig { emergency_stop_bits: 8, ..good }), expected);
     assert!(expected.to_string().contains("0x0008 of a controller with format A"));
 }
+
+#[test]
+fn losses_count_in_a_row_only() {
+    let mut bench = moving();
+    for _ in 0..20 {
+        bench.controller.drop_next = 2;
+        bench.command_for(DriveMode::Follow, velocity(), ms(10));
+    }
+    assert_eq!((bench.state(), bench.gateway.status().bus.lost), (GatewayState::Moving, 40));
+}
+
+#[test]
+fn what_ran_out_is_not_revived_by_a_command_that_comes_before_the_cycle() {
+    let mut bench = moving();
+    bench.now = bench.now + ms(60);
+    let GatewayMessage::State(state) = bench.ask(bench.command(DriveMode::Follow, velocity())) else { panic!() };
+    assert_eq!((state.gateway, state.cause), (GatewayState::Fault, StopCause::HostSilent));
+}
+
+#[test]
+fn a_controller_that_is_off_hears_e_three_times_at_the_start() {
+    let mut bench = Bench::silent(config(WireFormat::BigEndian6x10));
+    bench.gateway = Gateway::new(config(WireFormat::BigEndian6x10), bench.now).unwrap();
+    bench.controller.answers = false;
+    bench.run(ms(100));
+    assert_eq!(bench.letters(), "EEE");
+    assert!(bench.gateway.is_at_rest());
+    // A start waits for it, and is answered in time all the same.
+    bench.gateway = Gateway::new(config(WireFormat::BigEndian6x10), bench.now).unwrap();
+    bench.ask(hello(Dialect::GatewayV1));
+    let asked = bench.now;
+    assert_eq!(rejected(bench.ask(control(ArmOperation::Start))), (RejectReason::NoAnswer, 0));
+    assert!(bench.now.saturating_since(asked) <= ms(50));
+}

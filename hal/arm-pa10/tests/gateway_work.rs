@@ -462,3 +462,18 @@ fn numbers_of_the_bus_count_up_by_one() {
         }
     }
 }
+
+#[test]
+fn brakes_wait_until_the_speeds_that_are_sent_are_0() {
+    let mut bench = Bench::new();
+    bench.lead_to(GatewayState::Moving);
+    bench.ask(bench.command(DriveMode::Follow, JointVector::zeros()));
+    assert_eq!(bench.state(), GatewayState::Holding);
+    bench.run(ms(4));
+    for mode in [DriveMode::Off, DriveMode::Braked] {
+        assert_eq!(rejected(bench.ask(bench.command(mode, JointVector::zeros()))), (RejectReason::WrongState, 2));
+    }
+    bench.run(ms(8));
+    assert!(matches!(bench.ask(bench.command(DriveMode::Braked, JointVector::zeros())), GatewayMessage::State(_)));
+    assert_eq!(bench.state(), GatewayState::Started);
+}
