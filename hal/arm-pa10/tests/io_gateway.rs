@@ -48,6 +48,16 @@ fn tcp() -> (HostSide, SocketAddr) {
     (HostSide::Tcp(listener), address)
 }
 
+fn serial(pty: &Pty) -> HostSide {
+    HostSide::Line(Box::new(SerialConfig {
+        path: pty.path().to_str().unwrap().to_owned(),
+        baud: 921_600,
+        dialect: Dialect::GatewayV1,
+        format: FORMAT,
+        cycle: ms(10),
+    }))
+}
+
 fn connect(address: SocketAddr, dialect: Dialect) -> Host {
     Host::new(Box::new(TcpLink::connect(&TcpConfig { address }).unwrap()), dialect)
 }
@@ -128,14 +138,7 @@ fn an_arm_goes_up_and_down_over_a_pseudo_terminal() {
 fn up_and_down_over_a_pseudo_terminal() {
     for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
         let pty = Pty::open().unwrap();
-        let config = SerialConfig {
-            path: pty.path().to_str().unwrap().to_owned(),
-            baud: 921_600,
-            dialect: Dialect::GatewayV1,
-            format: FORMAT,
-            cycle: ms(10),
-        };
-        let (server, emulation) = server(HostSide::Line(Box::new(config)));
+        let (server, emulation) = server(serial(&pty));
         messages_until(&server, "is open");
         let mut host = Host::new(Box::new(pty), dialect);
         let witness = Witness(&server);
@@ -157,6 +160,30 @@ fn up_and_down_over_a_pseudo_terminal() {
         // The line is gone with its owner.
         assert!(!host.run_for(ms(5), |host| host.is_gone));
     }
+}
+
+#[test]
+fn a_line_that_is_unplugged_in_motion_stops_the_arm_and_is_tried_again() {
+    calm(unplugged_in_motion);
+}
+
+fn unplugged_in_motion() {
+    let pty = Pty::open().unwrap();
+    let (server, emulation) = server(serial(&pty));
+    messages_until(&server, "is open");
+    let witness = Witness(&server);
+    let mut host = Host::new(Box::new(pty), Dialect::GatewayV1);
+    host.open();
+    host.lead_to_moving();
+    drop(witness);
+    drop(host);
+    emulation.wait_for("braked", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
+    assert_eq!(emulation.seen().counters.watchdog_trips, 0, "the gateway stopped it");
+    let happened = events_until(&server, GatewayState::Fault);
+    assert!(happened.iter().any(|what| matches!(what, Happened::HostGone(_))), "{happened:?}");
+    let silent = |what: &Happened| matches!(what, Happened::State { cause: StopCause::HostSilent, .. });
+    assert!(happened.iter().any(silent), "{happened:?}");
+    messages_until(&server, "can not be opened");
 }
 
 #[test]
