@@ -307,6 +307,46 @@ fn an_axis_without_power_is_a_fault_once_the_brakes_are_open() {
     );
 }
 
+/// R15: more than 0.8 of the lower of two sources' torques (68 N m at E1, 14.5 N m at W2) for 50 ms, not for less.
+#[test]
+fn a_joint_that_carries_too_much_for_too_long_stops_the_arm() {
+    for (axis, torque_n_m, lasts_ms, is_stopped) in [
+        (3, 54.5, 70, true),
+        (3, -54.5, 70, true),
+        (3, 54.3, 500, false),
+        (3, 200.0, 40, false),
+        (6, -11.7, 70, true),
+        (6, 11.5, 500, false),
+        (0, f64::NAN, 70, true),
+    ] {
+        let mut bench = Bench::in_state(DriverState::Moving);
+        bench.peer.torque_n_m[axis] = torque_n_m;
+        let begin = bench.now;
+        bench.run_moving(ms(lasts_ms));
+        bench.peer.torque_n_m[axis] = 0.0;
+        bench.run_moving(ms(100));
+        let case = format!("{torque_n_m} N m at axis {axis} for {lasts_ms} ms");
+        assert_eq!(bench.driver.state() == DriverState::Fault, is_stopped, "{case}");
+        if let Some(latched) = bench.driver.latched() {
+            assert!(latched.at.saturating_since(begin) <= ms(75), "{case}");
+            let text = latched.trip.to_string();
+            let names_it = matches!(latched.trip, Trip::Fault(FaultCause::TorqueTooHigh { axis: found, lasted, .. })
+                if found.index() == axis && lasted >= ms(50));
+            assert!(names_it && text.contains("N m at the joint, more than"), "{case}: {text}");
+        }
+    }
+}
+
+/// Brakes hold an arm that leans on them.
+#[test]
+fn what_the_brakes_carry_is_no_fault() {
+    let mut bench = Bench::new();
+    bench.peer.torque_n_m[1] = 200.0;
+    bench.lead_to(DriverState::Enabled);
+    bench.run(ms(200));
+    assert_eq!(bench.driver.state(), DriverState::Enabled);
+}
+
 /// R7: latched until a reset finds the cause gone, and then connected and no further.
 #[test]
 fn a_reset_succeeds_only_when_the_cause_is_gone() {

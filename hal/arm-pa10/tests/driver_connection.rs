@@ -121,6 +121,13 @@ fn a_configuration_that_is_unsafe_is_refused() {
         refused(|c| c.deceleration_rad_per_s2[3] = 0.0),
         DriverConfigError::Deceleration { joint: 3, .. }
     ));
+    for bad in [0.0, -1.0, 14.6, f64::NAN, f64::INFINITY] {
+        let mut config = good;
+        config.torque_max_n_m[6] = bad;
+        let error = Driver::new(config).map(|_| ()).unwrap_err();
+        assert!(matches!(error, DriverConfigError::Torque { joint: 6, .. }), "{error}");
+    }
+    assert!(matches!(refused(|c| c.torque_for = ms(201)), DriverConfigError::TorqueFor { .. }));
     assert!(matches!(refused(|c| c.activity_timeout = ms(2000)), DriverConfigError::ActivityTimeout { .. }));
 }
 
@@ -140,8 +147,10 @@ fn speeds_that_are_not_measured_are_differences_of_angles() {
 
 #[test]
 fn a_measurement_is_the_same_from_the_bus_and_from_a_gateway() {
-    let state = State::from_reply(&arm_reply(), &TorqueScale::of_format(WireFormat::BigEndian6x10), 1500).unwrap();
-    let (bus, gateway) = (Sample::from_reply(&arm_reply()), Sample::from_state(&state));
+    let scale = TorqueScale::of_format(WireFormat::BigEndian6x10);
+    let state = State::from_reply(&arm_reply(), &scale, 1500).unwrap();
+    let (bus, gateway) = (Sample::from_reply(&arm_reply(), &scale), Sample::from_state(&state));
+    assert!(bus.torque_n_m[0] > 0.1 && (bus.torque_n_m - gateway.torque_n_m).amax() <= 0.5e-3, "{}", bus.torque_n_m);
     assert!((bus.position_rad - gateway.position_rad).amax() <= 0.5e-6);
     assert_eq!(bus.velocity_rad_per_s, gateway.velocity_rad_per_s);
     assert_eq!((bus.condition.axes, bus.condition.comm), (gateway.condition.axes, gateway.condition.comm));

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use pb3dp_kinematics::JointVector;
 
-use crate::codec::{ArmReply, Axis, AxisStatus, CommAlarm, CommStatus, ServoAlarm};
+use crate::codec::{ArmReply, Axis, AxisStatus, CommAlarm, CommStatus, ServoAlarm, TorqueScale};
 use crate::gateway_protocol::{GatewayState, RejectReason, State, StopCause};
 
 /// A measurement of the arm.
@@ -16,6 +16,8 @@ pub struct Sample {
     pub position_rad: JointVector,
     /// Joint speeds, rad/s, where they are measured.
     pub velocity_rad_per_s: Option<JointVector>,
+    /// Torques at the joints, N m, as far as their scale is known.
+    pub torque_n_m: JointVector,
     /// Flags and alarms.
     pub condition: ArmCondition,
 }
@@ -91,6 +93,21 @@ pub enum FaultCause {
         axis: Axis,
         /// Its status word.
         word: u16,
+    },
+    /// A joint carried too much for too long.
+    #[error(
+        "{axis}: {torque_n_m:+.1} N m at the joint, more than {allowed_n_m:.1} N m for {lasted:?}: it is blocked, overloaded or \
+         pushed; free it, then reset"
+    )]
+    TorqueTooHigh {
+        /// Which axis.
+        axis: Axis,
+        /// The last torque measured, N m.
+        torque_n_m: f64,
+        /// What is allowed for long, N m.
+        allowed_n_m: f64,
+        /// For how long it was more.
+        lasted: Duration,
     },
     /// The gateway stopped the arm.
     #[error("the gateway stopped the arm: {0}; remove the cause, then reset")]
@@ -177,12 +194,13 @@ pub enum EmergencyStopCause {
 }
 
 impl Sample {
-    /// From a reply on the bus.
-    pub fn from_reply(reply: &ArmReply) -> Self {
+    /// From a reply on the bus, whose torques have this scale.
+    pub fn from_reply(reply: &ArmReply, scale: &TorqueScale) -> Self {
         Self {
             age: Duration::ZERO,
             position_rad: reply.position_rad(),
             velocity_rad_per_s: reply.velocity_rad_per_s(),
+            torque_n_m: reply.torque_n_m(scale),
             condition: ArmCondition { axes: reply.axes.map(|axis| axis.status), comm: reply.comm, gateway: None },
         }
     }
@@ -193,6 +211,7 @@ impl Sample {
             age: Duration::from_micros(u64::from(state.sample_age_us)),
             position_rad: state.position_rad(),
             velocity_rad_per_s: state.velocity_rad_per_s(),
+            torque_n_m: state.torque_n_m(),
             condition: ArmCondition {
                 axes: Axis::ALL.map(|axis| state.axis_status(axis)),
                 comm: state.comm_status(),

@@ -13,6 +13,16 @@ const WARM_UP_MIN: u32 = 100;
 /// Fewest cycles at speed 0 before the brakes close.
 const REST_CYCLES_MIN: u32 = 5;
 
+/// Largest torques at the joints, N m, base to tip: of two sources (INRIA for the PA10-7CE: 158, 158, 68, 68, 17, 17, 17; Orca
+/// and the University of Florida: 232, 232, 100, 100, 14.5, 14.5, 14.5) the lower ones.
+pub const PA10_TORQUE_MAX_N_M: [f64; DOF] = [158.0, 158.0, 68.0, 68.0, 14.5, 14.5, 14.5];
+
+/// The part of them that a joint may carry for long.
+const TORQUE_PART: f64 = 0.8;
+
+/// The longest that a joint may carry more.
+const TORQUE_FOR_MAX: Duration = Duration::from_millis(200);
+
 /// What a driver is told about its arm and link.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriverConfig {
@@ -34,6 +44,11 @@ pub struct DriverConfig {
     pub deceleration_rad_per_s2: JointVector,
     /// How quickly joints come to rest on a fault.
     pub emergency_ramp: Duration,
+    /// What a joint may carry, N m: with more than this in every measurement for [`Self::torque_for`], while the brakes are
+    /// open, the arm is stopped.
+    pub torque_max_n_m: JointVector,
+    /// How long it may carry more.
+    pub torque_for: Duration,
     /// How long an activity may take: then it is a fault.
     pub activity_timeout: Duration,
     /// What to do about the limits in the EEPROM.
@@ -102,6 +117,24 @@ pub enum DriverConfigError {
         /// The number given, rad/s^2.
         got: f64,
     },
+    /// A largest torque is none, or more than the arm has.
+    #[error("joint {joint}: a largest torque of {got} N m; above 0 to {most} N m is possible")]
+    Torque {
+        /// Index from the base, 0 to 6.
+        joint: usize,
+        /// The number given, N m.
+        got: f64,
+        /// What the sources say, N m.
+        most: f64,
+    },
+    /// Too much torque may last too long.
+    #[error("more torque than allowed for {got:?}: at most {most:?} is possible")]
+    TorqueFor {
+        /// The time given.
+        got: Duration,
+        /// The longest one.
+        most: Duration,
+    },
     /// An activity has less time than it needs.
     #[error("{got:?} for an activity: enabling and opening the brakes need {least:?}")]
     ActivityTimeout {
@@ -125,6 +158,8 @@ impl DriverConfig {
             rest_cycles: REST_CYCLES_MIN,
             deceleration_rad_per_s2: JointVector::from([2.0, 2.0, 2.0, 2.0, 5.0, 5.0, 5.0]),
             emergency_ramp: Duration::from_millis(30),
+            torque_max_n_m: JointVector::from(PA10_TORQUE_MAX_N_M) * TORQUE_PART,
+            torque_for: Duration::from_millis(50),
             activity_timeout: Duration::from_secs(10),
             limits: LimitsCheck::Skip,
             supervision: Supervision::default(),
@@ -148,11 +183,18 @@ impl DriverConfig {
                 return Err(DriverConfigError::TooFew { what, got, least });
             }
         }
-        for joint in 0..DOF {
+        for (joint, &most) in PA10_TORQUE_MAX_N_M.iter().enumerate() {
             let got = self.deceleration_rad_per_s2[joint];
             if !(got.is_finite() && got > 0.0) {
                 return Err(DriverConfigError::Deceleration { joint, got });
             }
+            let got = self.torque_max_n_m[joint];
+            if !(got > 0.0 && got <= most) {
+                return Err(DriverConfigError::Torque { joint, got, most });
+            }
+        }
+        if self.torque_for > TORQUE_FOR_MAX {
+            return Err(DriverConfigError::TorqueFor { got: self.torque_for, most: TORQUE_FOR_MAX });
         }
         let least = self.cycle * self.warm_up_exchanges * 2 + self.brake_time * 2;
         if self.activity_timeout < least {

@@ -9,6 +9,7 @@ use super::link::LinkMonitor;
 use super::motion::Motion;
 use super::phase::{LookStep, Phase, StopStep};
 use super::table::{Activity, DriverState, Event, Outcome, outcome};
+use super::torque::TorqueMonitor;
 use super::{
     BadReply, DriverConfig, DriverConfigError, FaultCause, LinkCounters, Refusal, Request, Sample, Trip, WarmUpFailure,
 };
@@ -28,6 +29,7 @@ pub struct Transmit {
 
 /// The reply to the last message. The link has checked that it answers that message and no earlier one.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[allow(clippy::large_enum_variant, reason = "used at once and never stored; a box would allocate in each cycle")]
 pub enum Reply {
     /// To a cyclic command.
     Sample(Sample),
@@ -74,6 +76,7 @@ pub struct Driver {
     pub(super) warm_up_failure: Option<WarmUpFailure>,
     pub(super) sample: Option<Sample>,
     pub(super) joints: Option<JointState>,
+    pub(super) torques: TorqueMonitor,
     pub(super) limits: [Option<AxisLimits>; Axis::COUNT],
     pub(super) outstanding: Option<Outstanding>,
     /// The message before, if its answer was waited for in vain.
@@ -122,6 +125,7 @@ impl Driver {
             warm_up_failure: None,
             sample: None,
             joints: None,
+            torques: TorqueMonitor::default(),
             limits: [None; Axis::COUNT],
             outstanding: None,
             given_up: None,

@@ -24,9 +24,10 @@ mod phase;
 mod progress;
 mod requests;
 pub mod table;
+mod torque;
 
 pub use condition::{ArmCondition, EmergencyStopCause, FaultCause, Sample, Trip};
-pub use config::{DriverConfig, DriverConfigError, LimitsCheck};
+pub use config::{DriverConfig, DriverConfigError, LimitsCheck, PA10_TORQUE_MAX_N_M};
 pub use link::{BadReply, LinkCounters, WarmUpFailure};
 pub use machine::{AxisLimits, Driver, Latched, Reply, Transmit};
 pub use requests::{Refusal, Request};

@@ -8,6 +8,7 @@ use super::machine::{AxisLimits, Driver, Latched};
 use super::motion::Motion;
 use super::phase::{LookStep, Phase, StopStep};
 use super::table::{Activity, DriverState, Event, Outcome, outcome};
+use super::torque::TorqueMonitor;
 use super::{FaultCause, Sample, Trip, WarmUpFailure};
 use crate::codec::{Axis, Letter};
 use crate::gateway_protocol::RejectReason;
@@ -23,7 +24,16 @@ impl Driver {
             let must_follow = self.state.has_open_brakes() && self.phase == Phase::Steady;
             must_follow.then(|| sample.condition.uncontrollable()).flatten().map(Trip::Fault)
         };
-        if let Some(trip) = found.or_else(uncontrollable) {
+        let measured = now - sample.age;
+        let overloaded = match self.brakes_open {
+            true => self.torques.judge(measured, &sample.torque_n_m, &self.config).map(Trip::Fault),
+            // What brakes carry is not the drives' concern.
+            false => {
+                self.torques = TorqueMonitor::default();
+                None
+            }
+        };
+        if let Some(trip) = found.or_else(uncontrollable).or(overloaded) {
             self.trip(now, trip);
             return;
         }

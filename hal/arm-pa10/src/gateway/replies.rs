@@ -45,7 +45,7 @@ impl Machine {
 
     fn handle_sample(&mut self, now: MonotonicTime, reply: &ArmReply, mut askers: Askers, raw: &RawReply) {
         self.measured = Some(Measured { reply: *reply, at: now });
-        let condition = Sample::from_reply(reply).condition;
+        let condition = Sample::from_reply(reply, &self.config.torque_scale).condition;
         let found = self.judge(&condition);
         if let Work::Job(Job { asker, task: Task::Reset(ResetStep::Look) }) = self.work {
             let found = found.map_or(StopCause::None, |found| found.cause);

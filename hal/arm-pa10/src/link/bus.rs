@@ -50,7 +50,7 @@ impl BusLink {
         };
         match ReplyPacket::decode(self.format, asked, packet) {
             Ok(reply) => {
-                driver.handle_reply(now, &super::reply_of(&reply.message));
+                driver.handle_reply(now, &super::reply_of(&reply.message, self.format));
                 Ok(())
             }
             Err(error) => {

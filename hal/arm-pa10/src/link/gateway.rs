@@ -343,7 +343,7 @@ impl GatewayLink {
             }
             GatewayMessage::RawReply(raw) => {
                 match ReplyMessage::decode_data(self.config.format, asked, raw.letter, &raw.data) {
-                    Ok(message) => Ok(match super::reply_of(&message) {
+                    Ok(message) => Ok(match super::reply_of(&message, self.config.format) {
                         Reply::Sample(sample) => Reply::Sample(Sample { age: late, ..sample }),
                         other => other,
                     }),

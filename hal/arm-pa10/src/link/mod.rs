@@ -9,13 +9,13 @@ mod gateway;
 pub use bus::{BusFrameError, BusLink};
 pub use gateway::{GatewayLink, GatewayLinkConfig, HEARTBEAT_INTERVAL, HELLO_TIMEOUT, HelloError, LinkError, SILENCE};
 
-use crate::codec::ReplyMessage;
+use crate::codec::{ReplyMessage, TorqueScale, WireFormat};
 use crate::driver::{AxisLimits, Reply, Sample};
 
-/// What a reply of the servo controller tells the driver.
-fn reply_of(message: &ReplyMessage) -> Reply {
+/// What a reply of the servo controller tells the driver, with torques as its wire format has them.
+fn reply_of(message: &ReplyMessage, format: WireFormat) -> Reply {
     match message {
-        ReplyMessage::Cyclic(arm) => Reply::Sample(Sample::from_reply(arm)),
+        ReplyMessage::Cyclic(arm) => Reply::Sample(Sample::from_reply(arm, &TorqueScale::of_format(format))),
         ReplyMessage::Eeprom(table) => Reply::Limits(AxisLimits {
             axis: table.axis,
             lower_rad: table.negative_limit.to_rad(),

@@ -36,6 +36,7 @@ pub struct Peer {
     pub comm: CommWord,
     pub documented: bool,
     pub position_rad: JointVector,
+    pub torque_n_m: JointVector,
     /// Limits of all axes, lower and upper, rad.
     pub limits_rad: [f64; 2],
 }
@@ -93,6 +94,7 @@ impl Peer {
             comm: CommWord(0),
             documented: true,
             position_rad: JointVector::from([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]),
+            torque_n_m: JointVector::zeros(),
             limits_rad: [-3.0, 3.0],
         }
     }
@@ -107,6 +109,7 @@ impl Peer {
             age: Duration::ZERO,
             position_rad: self.position_rad,
             velocity_rad_per_s: self.documented.then(JointVector::zeros),
+            torque_n_m: self.torque_n_m,
             condition: ArmCondition { axes, comm, gateway: None },
         }
     }

@@ -1,0 +1,33 @@
+//! How long joints carry more than they may.
+
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_kinematics::JointVector;
+
+use super::{DriverConfig, FaultCause};
+use crate::codec::Axis;
+
+/// Since when each joint carries more than it may.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct TorqueMonitor {
+    since: [Option<MonotonicTime>; Axis::COUNT],
+}
+
+impl TorqueMonitor {
+    /// Takes a measurement; the first axis that has carried too much for too long, if there is one.
+    pub fn judge(&mut self, at: MonotonicTime, torque_n_m: &JointVector, config: &DriverConfig) -> Option<FaultCause> {
+        let mut found = None;
+        for axis in Axis::ALL {
+            let (torque_n_m, allowed_n_m) = (torque_n_m[axis.index()], config.torque_max_n_m[axis.index()]);
+            // What is no number is no torque that is allowed.
+            let is_allowed = torque_n_m.abs() <= allowed_n_m;
+            let since = &mut self.since[axis.index()];
+            *since = if is_allowed { None } else { since.or(Some(at)) };
+            let Some(since) = *since else { continue };
+            let lasted = at.saturating_since(since);
+            if lasted >= config.torque_for && found.is_none() {
+                found = Some(FaultCause::TorqueTooHigh { axis, torque_n_m, allowed_n_m, lasted });
+            }
+        }
+        found
+    }
+}
