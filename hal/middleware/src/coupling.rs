@@ -160,7 +160,7 @@ impl Side {
 
     /// The set-point that a velocity makes now.
     fn set_point(&self, velocity: &JointVector, now: MonotonicTime) -> SetPoint {
-        let (before, dt) = self.last.at(now, self.cycle);
+        let (before, dt) = self.last.at(now, self.cycle, self.newest.as_ref());
         let dt_s = dt.as_secs_f64();
         let most = &self.drives.acceleration;
         let change = (velocity - before.velocity) / dt_s;
@@ -291,7 +291,7 @@ impl<A: Arm + ArmPower> Coupled<A> {
         {
             side.newest = Some(*sample);
         }
-        let (in_force, _) = side.last.at(now, side.cycle);
+        let (in_force, _) = side.last.at(now, side.cycle, side.newest.as_ref());
         side.sweep = side.sweep(&in_force, now);
         let failure = answer
             .as_ref()

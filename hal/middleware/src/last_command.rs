@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_kinematics::JointVector;
+use pb3dp_kinematics::{DOF, JointState, JointVector};
 
 use crate::shaping::SetPoint;
 
@@ -51,28 +51,52 @@ impl LastCommand {
     }
 
     /// The set-point that is in force, and for how long it was: at most the time-out of commands. `first` if nothing is.
-    pub(crate) fn at(&self, now: MonotonicTime, first: Duration) -> (SetPoint, Duration) {
+    ///
+    /// `measured` tells where the arm is on a ramp of its own.
+    pub(crate) fn at(
+        &self,
+        now: MonotonicTime,
+        first: Duration,
+        measured: Option<&JointState>,
+    ) -> (SetPoint, Duration) {
         let since = now.saturating_since(self.at);
         match self.kind {
             Kind::Rest => (SetPoint::rest(), first),
             Kind::Velocity(set_point) if since <= self.command_timeout => (set_point, since),
             // Nobody has told it anything for so long that it came to rest by itself.
-            Kind::Velocity(set_point) => (self.ramp(set_point.velocity, since - self.command_timeout), first),
+            Kind::Velocity(set_point) => {
+                (self.ramp(&set_point.velocity, since - self.command_timeout, measured), first)
+            }
             Kind::Hold { since: began, from_rad_per_s } => {
-                (self.ramp(from_rad_per_s, now.saturating_since(began)), since.min(self.command_timeout))
+                let ramp = self.ramp(&from_rad_per_s, now.saturating_since(began), measured);
+                (ramp, since.min(self.command_timeout))
             }
         }
     }
 
-    /// A ramp of the arm's own, so long after its beginning.
-    fn ramp(&self, from_rad_per_s: JointVector, elapsed: Duration) -> SetPoint {
-        let duration_s = from_rad_per_s.abs().component_div(&self.acceleration_max_rad_per_s2).max();
-        let left_s = duration_s - elapsed.as_secs_f64();
-        if left_s <= 0.0 {
+    /// A ramp of the arm's own, so long after its beginning. Some arms bring each joint to rest by itself, some all at the same
+    /// time: between these two the measured speed is
+    /// believed; without any, the slower ramp.
+    fn ramp(&self, from_rad_per_s: &JointVector, elapsed: Duration, measured: Option<&JointState>) -> SetPoint {
+        let elapsed_s = elapsed.as_secs_f64();
+        let most = &self.acceleration_max_rad_per_s2;
+        let duration_s = from_rad_per_s.abs().component_div(most).max();
+        if elapsed_s >= duration_s {
             return SetPoint::rest();
         }
-        let acceleration = from_rad_per_s / -duration_s;
-        SetPoint { velocity: acceleration * -left_s, acceleration }
+        let mut ramp = SetPoint::rest();
+        for joint in 0..DOF {
+            let from = from_rad_per_s[joint];
+            let slowest = from.abs() * (1.0 - elapsed_s / duration_s);
+            let quickest = (from.abs() - most[joint] * elapsed_s).max(0.0).min(slowest);
+            let measured = measured.map_or(f64::INFINITY, |sample| sample.velocity_rad_per_s[joint] * from.signum());
+            let speed = measured.clamp(quickest, slowest);
+            ramp.velocity[joint] = speed.copysign(from);
+            if speed > 0.0 {
+                ramp.acceleration[joint] = -from / duration_s;
+            }
+        }
+        ramp
     }
 
     /// The largest speeds downwards and upwards that were in force since a moment, rad/s, 0 or more.
@@ -97,7 +121,7 @@ impl LastCommand {
 
     /// It holds: because it was told to, or because of an error.
     pub(crate) fn note_hold(&mut self, now: MonotonicTime) {
-        let (in_force, _) = self.at(now, Duration::ZERO);
+        let (in_force, _) = self.at(now, Duration::ZERO, None);
         match self.kind {
             Kind::Hold { .. } if in_force != SetPoint::rest() => {}
             Kind::Hold { .. } | Kind::Rest => self.kind = Kind::Rest,

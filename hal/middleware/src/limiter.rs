@@ -274,7 +274,7 @@ impl<A: Arm> Limiter<A> {
         let config = &self.config;
         let fresh = self.newest.map(|sample| (now.saturating_since(sample.at), sample));
         let fresh = fresh.filter(|(age, _)| *age <= config.stale_after);
-        let (previous, since) = self.last.at(now, self.arm.info().cycle);
+        let (previous, since) = self.last.at(now, self.arm.info().cycle, self.newest.as_ref());
         let speeds = config.hard_limits.velocity_max_rad_per_s() * config.speed_scale;
         let step = Step { previous: &previous, dt_s: since.as_secs_f64(), drives: &self.drives, speeds: &speeds };
         let Some((age, sample)) = fresh else {

@@ -197,6 +197,34 @@ fn joints_turn_beyond_half_a_turn() {
     }
 }
 
+/// The mock arm brings each joint to rest by itself: 0.4 s after a hold at 1.6 rad/s the elbow with its 2 rad/s^2 still moves, as
+/// a ramp of all joints together would have it, and the wrist with its 5 rad/s^2 rests, where that ramp would be at 0.8 rad/s.
+#[test]
+fn a_velocity_after_a_hold_goes_on_from_where_each_joint_really_is() {
+    let clock = Arc::new(VirtualClock::new());
+    let mut arm = mock_arm(&clock, JointVector::zeros());
+    arm.enable().unwrap();
+    let passed = Arc::new(Mutex::new(Vec::new()));
+    let spy = Spy { arm, passed: Arc::clone(&passed), frozen: Arc::default() };
+    let mut limiter = Limiter::new(spy, limiter_config(1.0), Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
+    let mut tell = |command| {
+        clock.sleep_until(clock.now() + CYCLE);
+        limiter.exchange(command).unwrap()
+    };
+    let mut wish = JointVector::zeros();
+    (wish[3], wish[6]) = (1.6, 1.6);
+    for _ in 0..130 {
+        tell(JointCommand::Velocity(wish));
+    }
+    for _ in 0..40 {
+        tell(JointCommand::Hold);
+    }
+    let measured = tell(rest()).velocity_rad_per_s;
+    let Some(&JointCommand::Velocity(told)) = passed.lock().unwrap().last() else { panic!("no velocity") };
+    assert!(measured[3] > 0.7 && measured[6] < 0.01, "{measured}");
+    assert!((told - measured).amax() < 0.1, "told {told}, at {measured}");
+}
+
 #[test]
 fn a_reply_that_is_not_finite_is_thrown_away() {
     let (mut limiter, _) = scripted(|arm| {
