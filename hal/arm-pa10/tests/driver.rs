@@ -264,6 +264,8 @@ fn every_alarm_stops_the_arm_by_its_name() {
             other => panic!("{alarm}: {other}"),
         }
         assert_eq!(bench.driver.latched().unwrap().state_before, DriverState::Moving);
+        let told = (trip(&bench).axis().map(|axis| axis.index()), trip(&bench).code());
+        assert_eq!(told, (Some(4), Some(alarm.code())));
     }
     for &alarm in CommAlarm::LISTED {
         let mut bench = Bench::in_state(DriverState::Holding);
@@ -276,6 +278,7 @@ fn every_alarm_stops_the_arm_by_its_name() {
             Trip::Fault(FaultCause::ControllerAlarm { alarm })
         };
         assert_eq!(trip(&bench), expected);
+        assert_eq!((trip(&bench).axis(), trip(&bench).code()), (None, Some(alarm.code())));
     }
 }
 
@@ -332,6 +335,7 @@ fn a_joint_that_carries_too_much_for_too_long_stops_the_arm() {
             let text = latched.trip.to_string();
             let names_it = matches!(latched.trip, Trip::Fault(FaultCause::TorqueTooHigh { axis: found, lasted, .. })
                 if found.index() == axis && lasted >= ms(50));
+            assert_eq!((latched.trip.axis().map(|found| found.index()), latched.trip.code()), (Some(axis), None));
             assert!(names_it && text.contains("N m at the joint, more than"), "{case}: {text}");
         }
     }

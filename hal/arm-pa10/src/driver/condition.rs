@@ -304,6 +304,7 @@ impl Trip {
             Self::Fault(
                 FaultCause::ServoAlarm { axis, .. }
                 | FaultCause::AxisUncontrollable { axis, .. }
+                | FaultCause::TorqueTooHigh { axis, .. }
                 | FaultCause::LimitsDiffer { axis, .. },
             )
             | Self::EStop(EmergencyStopCause::Axis { axis, .. }) => Some(*axis),
