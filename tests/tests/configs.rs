@@ -2,6 +2,7 @@
 
 use pb3dp_kinematics::{Chain, DOF, JointVector};
 use pb3dp_orchestrator::config::estimator::read_estimator;
+use pb3dp_orchestrator::config::gateway::read_gateway;
 use pb3dp_orchestrator::config::setup::read_setup;
 use system_tests::{files_below, repository};
 
@@ -9,13 +10,17 @@ use system_tests::{files_below, repository};
 fn every_configuration_is_accepted_by_its_reader() {
     let configs = repository().join("configs");
     let files = files_below(&configs).unwrap();
-    let (mut setups, mut estimators, mut robots) = (0, 0, 0);
+    let (mut setups, mut estimators, mut gateways, mut robots) = (0, 0, 0, 0);
     for file in &files {
         let path = file.strip_prefix(&configs).unwrap().to_string_lossy().replace('\\', "/");
         if path == "estimator.toml" {
             read_estimator(file).unwrap_or_else(|error| panic!("{error}"));
             estimators += 1;
-        } else if path.ends_with(".toml") && path.starts_with("sim") {
+        } else if path == "gateway.toml" {
+            // Where it listens is left to the command line.
+            read_gateway(file, None, Some("serial:/dev/ttyUSB0")).unwrap_or_else(|error| panic!("{error}"));
+            gateways += 1;
+        } else if path.ends_with(".toml") && (path.starts_with("sim") || path == "hil.toml") {
             read_setup(file).unwrap_or_else(|error| panic!("{error}"));
             setups += 1;
         } else if path.starts_with("robots/") && path.ends_with(".urdf") {
@@ -29,7 +34,7 @@ fn every_configuration_is_accepted_by_its_reader() {
             panic!("{path}: no reader is known for this kind of file; name it in this test");
         }
     }
-    assert!(setups > 0 && estimators == 1 && robots > 0, "{files:?}");
+    assert!(setups > 1 && estimators == 1 && gateways == 1 && robots > 0, "{files:?}");
 }
 
 #[test]
