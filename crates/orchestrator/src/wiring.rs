@@ -5,7 +5,7 @@ mod arm;
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
-use pb3dp_arm_pa10::io::arm::ArmMonitor;
+use pb3dp_arm_pa10::io::arm::{ArmMonitor, Way};
 use pb3dp_arm_pa10::io::mock_server::MockServer;
 use pb3dp_camera_replay::{Pacing, ReplayCamera, ReplayOptions};
 use pb3dp_camera_sim::SimStereoCamera;
@@ -27,6 +27,7 @@ use self::arm::{WiredArms, wire_arms};
 use crate::cli::ReplayPace;
 use crate::config::setup::{ArmSetup, Pace, Setup, fold_seed};
 use crate::run::cell::SimulatedCell;
+use crate::run::flight::RawLine;
 use crate::run::paced_clock::PacedClock;
 
 /// An arm with its limiter: motion, power, and how often the limiter stepped in.
@@ -113,6 +114,15 @@ pub fn wire(setup: &Setup) -> Result<Parts> {
         monitors,
         emulated,
     })
+}
+
+/// What went over the line of an arm in the last seconds; nothing if it has none.
+pub fn raw_lines(monitors: &[(&'static str, ArmMonitor)], arm: &str) -> Vec<RawLine> {
+    let of_arm = monitors.iter().filter(|(name, _)| *name == arm);
+    let pieces = of_arm.flat_map(|(_, monitor)| monitor.raw_bytes());
+    pieces
+        .map(|piece| RawLine { at: piece.at, is_sent: piece.way == Way::Out, bytes: piece.bytes().to_vec() })
+        .collect()
 }
 
 /// The camera that plays a recorded sequence, and its calibration.

@@ -6,7 +6,7 @@ use std::time::{Duration, SystemTime};
 use pb3dp_estimation::estimator::Method;
 use pb3dp_hal_api::{ArmErrorKind, JointCommand};
 use pb3dp_kinematics::JointVector;
-use pb3dp_orchestrator::run::flight::{self, Moment};
+use pb3dp_orchestrator::run::flight::{self, Moment, RawLine};
 use pb3dp_orchestrator::run::lockstep;
 use pb3dp_orchestrator::wiring::{Parts, wire};
 use pb3dp_sim::trajectory::Channel;
@@ -69,13 +69,16 @@ fn a_fault_leaves_the_flight_of_both_arms() {
     let (clock, flights) = (parts.clock.clone(), parts.flights.clone());
     let failure = lockstep::run(&setup, parts, None, None).err().unwrap();
     let folder = tempfile::tempdir().unwrap();
+    let raw = [RawLine { at: clock.now(), is_sent: true, bytes: vec![0xA5, 0x5A, 0x01] }];
     let mut last_velocity_s = Vec::new();
     let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
     for (name, log) in &flights {
-        let file = flight::write(folder.path(), name, log, &failure, moment).unwrap();
+        let file = flight::write(folder.path(), name, (log, &raw), &failure, moment).unwrap();
         assert_eq!(file, folder.path().join(format!("flight-{name}.jsonl")));
         let lines = lines_of(&file);
         let (head, entries) = lines.split_first().unwrap();
+        let (bytes, entries) = entries.split_last().unwrap();
+        assert_eq!((&bytes["raw"], &bytes["bytes"]), (&"sent".into(), &"a55a01".into()));
         assert_eq!((&head["arm"], &head["kind"]), (&(*name).into(), &"fault".into()));
         assert!(head["joint"].as_u64().unwrap() < 7 && head["code"].is_null(), "{head}");
         let cause = head["cause"].as_str().unwrap();

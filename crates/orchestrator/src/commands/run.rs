@@ -14,7 +14,7 @@ use crate::config::setup::{Pace, Setup, read_setup};
 use crate::run::flight::{self, Moment};
 use crate::run::summary::{Plan, summarize};
 use crate::run::{live, lockstep, report};
-use crate::wiring::{Parts, wire};
+use crate::wiring::{Parts, raw_lines, wire};
 
 /// A run in which the hand followed for a smaller share of the time is pointed out.
 const FOLLOWING_EXPECTED: f64 = 0.9;
@@ -32,13 +32,14 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let parts = wire(&setup)?;
     let plan = plan(&setup, &parts);
     let started = Instant::now();
-    let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
+    let (clock, flights, monitors) = (Arc::clone(&parts.clock), parts.flights.clone(), parts.monitors.clone());
     let run_it = if setup.pace == Pace::Live { live::run } else { lockstep::run };
     let outcome = run_it(&setup, parts, args.stop_after, args.record.as_deref());
     if let Err(failure) = &outcome {
         let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
         for (arm, log) in &flights {
-            match flight::write(&args.out, arm, log, failure, moment) {
+            let raw = raw_lines(&monitors, arm);
+            match flight::write(&args.out, arm, (log, &raw), failure, moment) {
                 Ok(path) => tracing::info!("what the {arm} did before: {}", path.display()),
                 Err(error) => tracing::warn!("the flight recorder of the {arm}: {error:#}"),
             }

@@ -24,17 +24,38 @@ pub struct Moment {
     pub wall: SystemTime,
 }
 
-/// Writes what the recorder of an arm holds to `flight-<arm>.jsonl` in a folder; the path of the file.
+/// Bytes that went over the line of an arm at one time.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RawLine {
+    /// When.
+    pub at: MonotonicTime,
+    /// To the arm, or from it.
+    pub is_sent: bool,
+    /// What.
+    pub bytes: Vec<u8>,
+}
+
+/// Writes what the recorder of an arm holds, and the raw bytes of its line, to `flight-<arm>.jsonl` in a folder; the path of the
+/// file.
 ///
 /// # Errors
 /// If the file can not be written.
-pub fn write(folder: &Path, arm: &str, log: &FlightLog, failure: &anyhow::Error, moment: Moment) -> Result<PathBuf> {
+pub fn write(
+    folder: &Path,
+    arm: &str,
+    (log, raw): (&FlightLog, &[RawLine]),
+    failure: &anyhow::Error,
+    moment: Moment,
+) -> Result<PathBuf> {
     let path = folder.join(format!("flight-{arm}.jsonl"));
     let written = || -> std::io::Result<()> {
         let mut file = BufWriter::new(File::create(&path)?);
         writeln!(file, "{}", head(arm, failure, moment))?;
         for entry in log.entries() {
             writeln!(file, "{}", line(&entry))?;
+        }
+        for piece in raw {
+            writeln!(file, "{}", raw_line(piece))?;
         }
         file.flush()
     };
@@ -83,6 +104,11 @@ fn line(entry: &FlightEntry) -> Value {
         line["measured_rad_per_s"] = json!(measured.velocity_rad_per_s.as_slice());
     }
     line
+}
+
+fn raw_line(piece: &RawLine) -> Value {
+    let hex: String = piece.bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+    json!({ "at_s": seconds(piece.at), "raw": if piece.is_sent { "sent" } else { "received" }, "bytes": hex })
 }
 
 fn seconds(at: MonotonicTime) -> f64 {
