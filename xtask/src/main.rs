@@ -10,6 +10,7 @@ mod ci;
 mod demo;
 mod licences;
 mod rust_text;
+mod soak;
 mod test;
 mod tidy;
 mod violation;
@@ -37,6 +38,7 @@ enum Command {
     Tidy(tidy::Args),
     CheckDeps(check_deps::Args),
     Bench(bench::Args),
+    Soak(soak::Args),
 }
 
 fn run(cli: &Cli) -> anyhow::Result<()> {
@@ -48,6 +50,7 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Tidy(args) => tidy::run(&workspace, args),
         Command::CheckDeps(args) => check_deps::run(&workspace, args),
         Command::Bench(args) => bench::run(&workspace, args),
+        Command::Soak(args) => soak::run(&workspace, args),
     }
 }
 

@@ -1,6 +1,6 @@
 //! The one place that names backends: from a setup to running parts.
 
-mod arm;
+pub mod arm;
 
 use std::sync::Arc;
 

@@ -130,7 +130,8 @@ pub trait Arm: Send {
 /// # For backend authors
 /// * `enable` succeeds only from `Disabled`; it never clears a fault. The arm is at rest and holds afterwards.
 /// * `stop` ramps to rest, closes the brakes and is harmless when repeated; it leads to `Disabled`, or leaves a latched state.
-/// * `reset` clears a latched state whose cause is gone, to `Disabled`, never further. Only an operator's action calls it.
+/// * `reset` clears a latched state whose cause is gone, to `Disabled`, never further; where nothing is latched it does nothing.
+///   Only an operator's action calls it.
 pub trait ArmPower: Send {
     /// State of drives and brakes.
     fn state(&self) -> ArmState;

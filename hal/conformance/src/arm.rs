@@ -319,6 +319,8 @@ fn check_latching<A: Arm + ArmPower>(bench: &mut Bench<'_, A>, latching: &Latchi
     let reset = bench.arm.reset();
     bench.report.check("reset-leads-to-disabled", reset.is_ok(), || format!("reset returned {reset:?}"));
     bench.check_state("reset-leads-to-disabled", ArmState::Disabled, "after the reset");
+    let again = bench.arm.reset();
+    bench.report.check("reset-leads-to-disabled", again.is_ok(), || format!("a second reset returned {again:?}"));
     bench.check_refused("reset-leads-to-disabled", bench.all_joints(), ArmErrorKind::NotEnabled, "after the reset");
     bench.enable();
 }

@@ -8,7 +8,7 @@ use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10::driver::{DriverConfig, LimitsCheck};
 use pb3dp_arm_pa10::gateway::GatewayConfig;
 use pb3dp_arm_pa10::gateway_protocol::Firmware;
-use pb3dp_arm_pa10::io::arm::{ArmMonitor, Pa10Arm, Pa10ArmConfig, TripSeat, trip_line};
+use pb3dp_arm_pa10::io::arm::{ArmMonitor, Pa10Arm, Pa10ArmConfig, TripHandle, TripSeat, trip_line};
 use pb3dp_arm_pa10::io::mock_server::{MockFace, MockServer, MockServerConfig};
 use pb3dp_arm_pa10::io::realtime::Realtime;
 use pb3dp_arm_pa10::io::serial::SerialConfig;
@@ -61,15 +61,20 @@ pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>) -> Result<WiredArms> {
     let mut seat = || seats.next().context("a place on the line along which the arms stop each other");
     let vs = wire_backend((setup, clock), (vs_name, &setup.vs, clock), seat()?)?;
     let tc = wire_backend((setup, clock), (tc_name, &setup.tc, clock), seat()?)?;
-    let guarded = |name: &str, arm: &ArmSetup, backend| {
+    let guarded = |name: &str, arm: &ArmSetup, backend, trip: Option<TripHandle>| {
         let cycles = FLIGHT.as_secs_f64() / setup.control_period.as_secs_f64();
         let flight = FlightLog::with_capacity(cycles.ceil() as usize);
         let recorded = Recorded::new(backend, Arc::clone(clock), flight.clone());
         let guard = Guard::new(recorded, arm.guard.clone()).with_context(|| format!("{name}: guard"))?;
+        // A joint that does not follow its drive is held by its brake alone.
+        let guard = match trip {
+            Some(trip) => guard.on_stop(move || trip.trip()),
+            None => guard,
+        };
         anyhow::Ok((guard, flight))
     };
-    let (vs_guarded, vs_flight) = guarded(vs_name, &setup.vs, vs.backend)?;
-    let (tc_guarded, tc_flight) = guarded(tc_name, &setup.tc, tc.backend)?;
+    let (vs_guarded, vs_flight) = guarded(vs_name, &setup.vs, vs.backend, vs.trip)?;
+    let (tc_guarded, tc_flight) = guarded(tc_name, &setup.tc, tc.backend, tc.trip)?;
     let pair = ((vs_guarded, coupled_config(&setup.vs)), (tc_guarded, coupled_config(&setup.tc)));
     let (vs_coupled, tc_coupled) = couple(pair.0, pair.1, setup.least_room_m, clock).context("table [arms]")?;
     let limited = |name: &str, arm: &ArmSetup, coupled| {
@@ -104,6 +109,7 @@ struct WiredBackend {
     site: ArmSite,
     backend: AnyArm,
     monitor: Option<ArmMonitor>,
+    trip: Option<TripHandle>,
     emulated: Option<MockServer>,
 }
 
@@ -120,7 +126,7 @@ fn wire_backend((setup, clock): (&Setup, &Arc<dyn Clock>), parts: Parts<'_>, sea
             };
             let mock = MockArm::new(config, Arc::clone(&plant), Arc::clone(clock));
             let site = site(arm, JointSource::plant(plant));
-            Ok(WiredBackend { site, backend: AnyArm(Box::new(mock)), monitor: None, emulated: None })
+            Ok(WiredBackend { site, backend: AnyArm(Box::new(mock)), monitor: None, trip: None, emulated: None })
         }
         ArmLink::Gateway(link, GatewayWay::Emulated) => {
             let (server, plant) = emulate(link, parts)?;
@@ -132,8 +138,9 @@ fn wire_backend((setup, clock): (&Setup, &Arc<dyn Clock>), parts: Parts<'_>, sea
                 cycle: link.cycle,
             };
             let opened = open(link, Box::new(port), seat, parts)?;
-            let (site, monitor) = (site(arm, JointSource::plant(plant)), Some(opened.monitor()));
-            Ok(WiredBackend { site, backend: AnyArm(Box::new(opened)), monitor, emulated: Some(server) })
+            let site = site(arm, JointSource::plant(plant));
+            let (monitor, trip) = (Some(opened.monitor()), Some(opened.trip_handle()));
+            Ok(WiredBackend { site, backend: AnyArm(Box::new(opened)), monitor, trip, emulated: Some(server) })
         }
         ArmLink::Gateway(link, GatewayWay::Serial(port)) => measured(link, Box::new(port.clone()), seat, parts),
         ArmLink::Gateway(link, GatewayWay::Tcp(address)) => measured(link, Box::new(*address), seat, parts),
@@ -186,11 +193,11 @@ fn measured(
 ) -> Result<WiredBackend> {
     let (_, arm, _) = parts;
     let opened = open(link, connector, seat, parts)?;
-    let monitor = Some(opened.monitor());
+    let (monitor, trip) = (Some(opened.monitor()), Some(opened.trip_handle()));
     let (tap, samples) = sync_channel(JOINTS_WAITING_MAX);
     let source = JointSource::measured(samples, arm.start_rad);
     let backend = AnyArm(Box::new(Tapped { arm: opened, tap }));
-    Ok(WiredBackend { site: site(arm, source), backend, monitor, emulated: None })
+    Ok(WiredBackend { site: site(arm, source), backend, monitor, trip, emulated: None })
 }
 
 fn site(arm: &ArmSetup, joints: JointSource) -> ArmSite {

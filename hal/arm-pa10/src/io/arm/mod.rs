@@ -314,6 +314,9 @@ impl ArmPower for Pa10Arm {
     }
 
     fn reset(&mut self) -> Result<(), ArmError> {
+        if !matches!(self.state(), ArmState::Fault | ArmState::EStop) {
+            return Ok(());
+        }
         self.fulfil(Wish::Reset).map_err(|error| self.wish_error("it is not reset", error))
     }
 }

@@ -1,0 +1,90 @@
+//! What goes wrong, in the words of docs/mock-arm.md, and random numbers.
+
+/// A kind of fault.
+pub struct Fault {
+    /// For the table.
+    pub name: &'static str,
+    /// The line that begins it; `AXIS` is an axis at random.
+    pub begin: &'static str,
+    /// The line that ends it, if something must.
+    pub end: Option<&'static str>,
+    /// Within so many milliseconds both arms must be at rest; none if it is borne.
+    pub rest_max_millis: Option<u64>,
+}
+
+/// Found by the controller or the gateway: 30 ms down to speed 0, the lag of the drives, and 20 ms.
+const AT_ONCE: u64 = 100;
+/// Found by what does not come: up to 50 ms (host and gateway wait for three messages, or that long), and the above.
+const SILENT: u64 = 150;
+/// Found by the joints: an angle twice in a row, then brakes that close on a joint that follows nobody.
+const BY_JOINTS: u64 = 400;
+
+const fn stops(name: &'static str, begin: &'static str, end: Option<&'static str>, rest_max_millis: u64) -> Fault {
+    Fault { name, begin, end, rest_max_millis: Some(rest_max_millis) }
+}
+
+const fn borne(name: &'static str, begin: &'static str) -> Fault {
+    Fault { name, begin, end: None, rest_max_millis: None }
+}
+
+/// All of them.
+pub const FAULTS: [Fault; 27] = [
+    stops("cable between host and gateway", "unplug", Some("plug"), AT_ONCE),
+    stops("line silent", "line silence on", Some("line silence off"), SILENT),
+    stops("line deaf", "line deaf on", Some("line deaf off"), SILENT),
+    stops("frame of another arm", "line wrong-arm 1", None, AT_ONCE),
+    stops("three frames lost", "line drop 3", None, SILENT),
+    stops("frames 25 ms late", "line slow 25ms", Some("line slow 0s"), SILENT),
+    stops("controller silent", "silence on", Some("silence off"), SILENT),
+    stops("controller deaf", "deaf 20", Some("deaf 0"), SILENT),
+    stops("three replies lost", "drop 3", Some("drop 0"), SILENT),
+    stops("three replies damaged", "truncate 3", Some("truncate 0"), AT_ONCE),
+    stops("three wrong sequence numbers", "wrong-sequence 3", Some("wrong-sequence 0"), AT_ONCE),
+    stops("controller's own time-out", "time-out", None, AT_ONCE),
+    stops("alarm of an axis", "alarm AXIS 0x0e", Some("alarm AXIS off"), AT_ONCE),
+    stops("alarm, reported only", "alarm AXIS 0x09 reported", Some("alarm AXIS off"), AT_ONCE),
+    stops("alarm of the controller", "controller-alarm 0x06", Some("controller-alarm off"), AT_ONCE),
+    stops("emergency stop", "e-stop press", Some("e-stop release"), AT_ONCE),
+    stops("limit switch", "limit-switch open", Some("limit-switch close"), AT_ONCE),
+    stops("power lost", "power off", Some("power on"), AT_ONCE),
+    stops("joint runs away", "runaway AXIS 2rad/s", Some("runaway AXIS off"), BY_JOINTS),
+    stops("angle jumps", "jump AXIS 20deg", Some("jump AXIS -20deg"), BY_JOINTS),
+    borne("one frame lost", "line drop 1"),
+    borne("one frame twice", "line duplicate 1"),
+    borne("one frame damaged", "line corrupt 1"),
+    borne("one frame cut", "line truncate 1"),
+    borne("one reply lost", "drop 1"),
+    borne("one reply damaged", "corrupt 1"),
+    borne("one reply twice", "duplicate 1"),
+];
+
+/// SplitMix64.
+pub struct Random(u64);
+
+impl Random {
+    /// Numbers from this seed.
+    pub fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// A number from 0 up to below `end`.
+    pub fn below(&mut self, end: u64) -> u64 {
+        ((u128::from(self.next()) * u128::from(end)) >> 64) as u64
+    }
+
+    /// Another order.
+    pub fn shuffle<T>(&mut self, items: &mut [T]) {
+        for last in (1..items.len()).rev() {
+            let at = self.below(last as u64 + 1) as usize;
+            items.swap(last, at);
+        }
+    }
+}

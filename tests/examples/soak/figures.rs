@@ -1,0 +1,205 @@
+//! What is counted, and the table of it.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::time::Duration;
+
+use anyhow::{Result, bail};
+use pb3dp_arm_pa10::driver::LinkCounters;
+use pb3dp_arm_pa10::io::arm::Jitter;
+
+/// After so many stops without a reason nothing more is to be learned.
+const FALSE_STOPS_MAX: usize = 50;
+
+/// What is counted.
+#[derive(Default)]
+pub struct Figures {
+    cycles: u64,
+    missed_deadlines: u64,
+    lateness_max: Duration,
+    late_replies: u64,
+    kinds: BTreeMap<&'static str, Kind>,
+    false_stops: Vec<String>,
+    enabled: u64,
+    tries_more: u64,
+    links: Vec<(String, LinkCounters, Jitter)>,
+}
+
+/// Of one kind of fault.
+#[derive(Default)]
+struct Kind {
+    injected: u64,
+    borne: u64,
+    /// Until the control loop was told, and until both arms were at rest.
+    stops: Vec<(Duration, Duration)>,
+    rest_max_millis: Option<u64>,
+    /// Stops after which the arms were at rest later than that.
+    too_late: u64,
+}
+
+impl Figures {
+    /// A control step began so late.
+    pub fn cycle(&mut self, late: Duration, deadline: Duration) {
+        self.cycles += 1;
+        self.missed_deadlines += u64::from(late > deadline);
+        self.lateness_max = self.lateness_max.max(late);
+    }
+
+    /// An arm had no measurement in time.
+    pub fn late_reply(&mut self) {
+        self.late_replies += 1;
+    }
+
+    /// Both arms were enabled after so many tries in vain.
+    pub fn enabled_after(&mut self, tries: usize) {
+        self.enabled += 1;
+        self.tries_more += tries as u64;
+    }
+
+    /// An arm stopped without a reason.
+    ///
+    /// # Errors
+    /// After too many of them.
+    pub fn false_stop(&mut self, why: &str) -> Result<()> {
+        self.false_stops.push(why.to_owned());
+        if self.false_stops.len() > FALSE_STOPS_MAX {
+            bail!("{} stops without a reason, the last one: {why}", self.false_stops.len());
+        }
+        Ok(())
+    }
+
+    /// A fault that nobody noticed.
+    pub fn unnoticed(&mut self, name: &'static str) {
+        self.kinds.entry(name).or_default().injected += 1;
+    }
+
+    /// Something that is to be borne was.
+    pub fn borne(&mut self, name: &'static str) {
+        let kind = self.kinds.entry(name).or_default();
+        kind.injected += 1;
+        kind.borne += 1;
+    }
+
+    /// A fault that stopped the arms.
+    pub fn stopped(&mut self, name: &'static str, times: (Duration, Duration), rest_max_millis: u64) {
+        let kind = self.kinds.entry(name).or_default();
+        kind.rest_max_millis = Some(rest_max_millis);
+        kind.too_late += u64::from(times.1 > Duration::from_millis(rest_max_millis));
+        kind.injected += 1;
+        kind.stops.push(times);
+    }
+
+    /// What happened on a link.
+    pub fn link(&mut self, name: &str, counters: &LinkCounters, jitter: &Jitter) {
+        self.links.push((name.to_owned(), *counters, *jitter));
+    }
+
+    fn undetected(&self) -> u64 {
+        self.kinds.values().map(|kind| kind.injected - kind.borne - kind.stops.len() as u64).sum()
+    }
+
+    /// The figures as they are printed.
+    pub fn text(&self) -> String {
+        let mut text = self.tables();
+        for why in &self.false_stops {
+            let _ = writeln!(text, "\nstopped without a reason: {why}");
+        }
+        text
+    }
+
+    /// The figures as a page of the documentation.
+    pub fn page(&self, origin: &str, minutes: f64, seed: u64) -> String {
+        format!(
+            "# Arms\n\nThis page is written by the command below; change the program, not the page.\n\n\
+             Two emulated arms over pseudo-terminals, as `configs/hil.toml` has them, behind limiter, coupling, guard and driver; all \
+             joints move, at 100 Hz.\n\
+             One reply of each controller in a hundred is lost all the time, never three in a row, and faults come at random, in the \
+             words of [mock-arm.md](../mock-arm.md), to one of the arms.\n\n\
+             * **noticed**: from the fault to the moment at which the control loop is told.\n\
+             * **at rest**: from the fault to the moment at which the last joint of both arms is slower than 0.001 rad/s; the joints are \
+             looked at every millisecond.\n\
+             * **allowed**, **later**: when both must be at rest, and how often they were later. Found by controller or gateway: 30 ms \
+             down to speed 0, the lag of the drives, and 20 ms; found by what does not come: up to 50 ms before; found by the joints: \
+             two wrong angles, and the brakes.\n\
+             * What is borne must not stop an arm; all else must.\n\n\
+             ```text\ncargo xtask soak --minutes {minutes} --seed {seed}\n```\n\n{origin}\n\n{}",
+            self.tables()
+        )
+    }
+
+    fn tables(&self) -> String {
+        let injected: u64 = self.kinds.values().map(|kind| kind.injected).sum();
+        let mut text = String::from("| figure | |\n|---|---:|\n");
+        for (name, value) in [
+            ("control steps", self.cycles.to_string()),
+            ("begun more than 5 ms late", self.missed_deadlines.to_string()),
+            ("latest, ms", format!("{:.2}", millis(self.lateness_max))),
+            ("measurements not in time", self.late_replies.to_string()),
+            ("faults injected", injected.to_string()),
+            ("not noticed", self.undetected().to_string()),
+            ("stops without a reason", self.false_stops.len().to_string()),
+            ("times enabled", self.enabled.to_string()),
+            ("tries in vain before", self.tries_more.to_string()),
+        ] {
+            let _ = writeln!(text, "| {name} | {value} |");
+        }
+        text +=
+            "\n| fault | injected | noticed, ms: p50 | p99 | max | at rest, ms: p50 | p99 | max | allowed | later |\n";
+        text += "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n";
+        let mut all = Kind::default();
+        for (name, kind) in &self.kinds {
+            text += &kind.row(name);
+            if kind.borne == 0 {
+                all.injected += kind.injected;
+                all.stops.extend(&kind.stops);
+                all.too_late += kind.too_late;
+            }
+        }
+        text += &all.row("all that stop");
+        text += "\n| link | sent | lost | late | damaged | foreign | cycles late, ms: p50 | p99 | max |\n";
+        text += "|---|---:|---:|---:|---:|---:|---:|---:|---:|\n";
+        for (name, counters, jitter) in &self.links {
+            let LinkCounters { sent, lost, late, damaged, mismatched, .. } = counters;
+            let [p50, p99, max] = [jitter.p50, jitter.p99, jitter.max].map(|late| format!("{:.2}", millis(late)));
+            let _ = writeln!(
+                text,
+                "| {name} | {sent} | {lost} | {late} | {damaged} | {mismatched} | {p50} | {p99} | {max} |"
+            );
+        }
+        text
+    }
+
+    /// # Errors
+    /// If a fault was not noticed, an arm was at rest too late, or stopped without a reason.
+    pub fn judge(&self) -> Result<()> {
+        let (undetected, without_reason) = (self.undetected(), self.false_stops.len());
+        let too_late: u64 = self.kinds.values().map(|kind| kind.too_late).sum();
+        if undetected > 0 || without_reason > 0 || too_late > 0 {
+            bail!(
+                "{undetected} faults were not noticed, {too_late} times arms came to rest too late, {without_reason} stops had no reason"
+            );
+        }
+        Ok(())
+    }
+}
+
+impl Kind {
+    fn row(&self, name: &str) -> String {
+        let column = |pick: fn(&(Duration, Duration)) -> Duration| -> [String; 3] {
+            let mut sorted: Vec<Duration> = self.stops.iter().map(pick).collect();
+            sorted.sort();
+            [50, 99, 100].map(|percent| {
+                let at = (sorted.len() * percent).div_ceil(100).max(1) - 1;
+                sorted.get(at).map_or("-".to_owned(), |&time| format!("{:.0}", millis(time)))
+            })
+        };
+        let cells = [column(|(noticed, _)| *noticed), column(|(_, rest)| *rest)].concat().join(" | ");
+        let allowed = self.rest_max_millis.map_or("-".to_owned(), |millis| millis.to_string());
+        let later = if self.stops.is_empty() { "-".to_owned() } else { self.too_late.to_string() };
+        format!("| {name} | {} | {cells} | {allowed} | {later} |\n", self.injected)
+    }
+}
+
+fn millis(duration: Duration) -> f64 {
+    duration.as_secs_f64() * 1e3
+}

@@ -1,0 +1,112 @@
+//! Two arms over pseudo-terminals, for minutes: faults at random, and how long it takes until both arms are at rest.
+//!
+//! The arms are those of `configs/hil.toml`, emulated byte by byte, behind all that stands before a real arm; both move, at 100 Hz.
+//! One reply in a hundred is lost all the time, never three in a row. Run it by `cargo xtask soak`.
+#![allow(clippy::print_stdout, reason = "prints its figures")]
+
+mod faults;
+mod figures;
+mod rig;
+
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use pb3dp_hal_api::ArmErrorKind;
+
+use faults::{FAULTS, Fault, Random};
+use figures::Figures;
+use rig::{Rig, Stopped};
+
+/// How long a fault may take to be noticed.
+const NOTICE_MAX: Duration = Duration::from_secs(1);
+/// What is borne is waited for so long.
+const BORNE_AFTER: Duration = Duration::from_millis(300);
+
+fn main() -> Result<()> {
+    let options = Options::parse(std::env::args().skip(1))?;
+    let mut rig = Rig::new(options.seed)?;
+    let mut random = Random::new(options.seed);
+    let mut figures = Figures::default();
+    let end = rig.clock.now() + Duration::from_secs_f64(options.minutes * 60.0);
+    let mut order: Vec<&Fault> = Vec::new();
+    while rig.clock.now() < end {
+        rig.make_ready(&mut figures)?;
+        if order.is_empty() {
+            // Every kind once, in another order each time.
+            order.extend(&FAULTS);
+            random.shuffle(&mut order);
+        }
+        let quiet = Duration::from_millis(200 + random.below(400));
+        if let Err(stopped) = rig.cycle_for(quiet, &mut figures) {
+            figures.false_stop(&stopped.message)?;
+            continue;
+        }
+        let Some(fault) = order.pop() else { continue };
+        let arm = random.below(2) as usize;
+        inject(&mut rig, fault, arm, &mut random, &mut figures)?;
+    }
+    rig.add_links(&mut figures);
+    print!("{}", figures.text());
+    if let Some(file) = options.page {
+        std::fs::write(&file, figures.page(&options.origin, options.minutes, options.seed))
+            .with_context(|| format!("{file} can not be written"))?;
+    }
+    figures.judge()
+}
+
+/// One fault: until it is noticed and both arms are at rest, or has been borne.
+fn inject(rig: &mut Rig, fault: &Fault, arm: usize, random: &mut Random, figures: &mut Figures) -> Result<()> {
+    let axis = 1 + random.below(7);
+    let line = fault.begin.replace("AXIS", &axis.to_string());
+    let at = rig.fault(arm, &line)?;
+    let outcome = rig.cycle_for(if fault.rest_max_millis.is_some() { NOTICE_MAX } else { BORNE_AFTER }, figures);
+    match outcome {
+        Ok(()) if fault.rest_max_millis.is_some() => figures.unnoticed(fault.name),
+        Ok(()) => figures.borne(fault.name),
+        Err(Stopped { at: noticed, kind, message }) => {
+            let Some(rest_max_millis) = fault.rest_max_millis else {
+                return figures.false_stop(&format!("after `{line}`, which is to be borne: {message}"));
+            };
+            if !matches!(kind, ArmErrorKind::Fault | ArmErrorKind::Disconnected | ArmErrorKind::NotEnabled) {
+                bail!("`{line}`: an error of another kind: {message}");
+            } else {
+                let rest = rig.rest_after(at);
+                figures.stopped(fault.name, (noticed.saturating_since(at), rest), rest_max_millis);
+            }
+        }
+    }
+    if let Some(end) = fault.end {
+        rig.fault(arm, &end.replace("AXIS", &axis.to_string()))?;
+    }
+    Ok(())
+}
+
+/// What the command line says.
+struct Options {
+    minutes: f64,
+    seed: u64,
+    page: Option<String>,
+    origin: String,
+}
+
+impl Options {
+    fn parse(mut words: impl Iterator<Item = String>) -> Result<Self> {
+        let mut options = Self { minutes: 1.0, seed: 1, page: None, origin: String::new() };
+        while let Some(word) = words.next() {
+            let value = words.next().with_context(|| format!("{word}: give a value"))?;
+            match word.as_str() {
+                "--minutes" => {
+                    options.minutes = value.parse().with_context(|| format!("--minutes {value}: no number"))?
+                }
+                "--seed" => options.seed = value.parse().with_context(|| format!("--seed {value}: no number"))?,
+                "--page" => options.page = Some(value),
+                "--origin" => options.origin = value,
+                other => bail!("{other}: known are --minutes, --seed, --page and --origin"),
+            }
+        }
+        if !(options.minutes > 0.0 && options.minutes <= 1e5) {
+            bail!("--minutes {}: give more than 0", options.minutes);
+        }
+        Ok(options)
+    }
+}

@@ -1,0 +1,236 @@
+//! Both arms, wired as for a run, and what their joints truly do.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{ArmErrorKind, ArmState, Clock, JointCommand};
+use pb3dp_hal_clock::SystemClock;
+use pb3dp_hal_middleware::StartPose;
+use pb3dp_kinematics::JointVector;
+use pb3dp_orchestrator::config::setup::read_setup;
+use pb3dp_orchestrator::run::cell::ArmSite;
+use pb3dp_orchestrator::wiring::DrivenArm;
+use pb3dp_orchestrator::wiring::arm::{WiredArms, wire_arms};
+use system_tests::repository;
+
+use crate::figures::Figures;
+
+/// Slower than this in every joint is at rest, rad/s.
+const AT_REST_RAD_PER_S: f64 = 1e-3;
+/// After a stop the joints are watched for so long.
+const WATCHED: Duration = Duration::from_millis(500);
+/// A control step that begins later than this is counted as a missed deadline.
+const DEADLINE: Duration = Duration::from_millis(5);
+/// Joints go back to where they began with this rate, 1/s.
+const BACK_PER_S: f64 = 0.3;
+/// Arms that can not be made ready in so many tries never can.
+const TRIES: usize = 40;
+
+/// An arm has refused to go on.
+pub struct Stopped {
+    /// When the control loop was told.
+    pub at: MonotonicTime,
+    /// How.
+    pub kind: ArmErrorKind,
+    /// Why.
+    pub message: String,
+}
+
+/// Both arms.
+pub struct Rig {
+    /// That of everything.
+    pub clock: Arc<dyn Clock>,
+    period: Duration,
+    wired: WiredArms,
+    homes_rad: [JointVector; 2],
+    joints_rad: [JointVector; 2],
+    watcher: Watcher,
+    next: MonotonicTime,
+    begin: MonotonicTime,
+}
+
+impl Rig {
+    /// Arms as in `configs/hil.toml`, connected and with brakes on.
+    pub fn new(seed: u64) -> Result<Self> {
+        let mut setup = read_setup(&repository().join("configs/hil.toml"))?;
+        setup.reseed(seed);
+        for arm in [&mut setup.vs, &mut setup.tc] {
+            // Drives that are as quick as those of a real arm have to be; the loop knows only what it measures.
+            arm.plant.velocity_time_constant = Duration::from_millis(5);
+            // The motions begin wherever the last fault has left the joints.
+            arm.limiter.start = StartPose::Anywhere;
+        }
+        let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+        let wired = wire_arms(&setup, &clock)?;
+        for emulated in &wired.emulated {
+            emulated.command_line("chance 1% at-most 2 drop 1").context("losses at random")?;
+        }
+        for shortfall in enter(&Realtime { priority: Some(40), locks_memory: false, cpu: None }) {
+            println!("{shortfall}");
+        }
+        let homes_rad = [setup.vs.start_rad, setup.tc.start_rad];
+        let watcher = Watcher::start(wired.sites.clone(), Arc::clone(&clock))?;
+        let now = clock.now();
+        Ok(Self {
+            period: setup.control_period,
+            clock,
+            wired,
+            homes_rad,
+            joints_rad: homes_rad,
+            watcher,
+            next: now,
+            begin: now,
+        })
+    }
+
+    fn arms(&mut self) -> [&mut Box<dyn DrivenArm>; 2] {
+        self.wired.driven.each_mut()
+    }
+
+    /// Both arms enabled, whatever they are in.
+    pub fn make_ready(&mut self, figures: &mut Figures) -> Result<()> {
+        let mut last = String::new();
+        for attempt in 0..TRIES {
+            let mut ready = true;
+            for arm in self.arms() {
+                if matches!(arm.state(), ArmState::Fault | ArmState::EStop)
+                    && let Err(error) = arm.reset()
+                {
+                    last = error.to_string();
+                    ready = false;
+                }
+            }
+            if ready {
+                // Both at once: each takes more than a second to prove its link.
+                let enabled = std::thread::scope(|scope| {
+                    let disabled = self.arms().into_iter().filter(|arm| arm.state() == ArmState::Disabled);
+                    let threads: Vec<_> = disabled.map(|arm| scope.spawn(|| arm.enable())).collect();
+                    threads.into_iter().map(|thread| thread.join()).collect::<Vec<_>>()
+                });
+                for outcome in enabled {
+                    match outcome {
+                        Ok(Ok(())) => {}
+                        Ok(Err(error)) => last = error.to_string(),
+                        Err(_) => bail!("enabling an arm has failed by a mistake of the program"),
+                    }
+                }
+            }
+            if ready && self.arms().iter().all(|arm| arm.state() == ArmState::Enabled) {
+                figures.enabled_after(attempt);
+                self.begin = self.clock.now();
+                self.next = self.begin;
+                return Ok(());
+            }
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        bail!("the arms can not be made ready again: {last}");
+    }
+
+    /// Moves both arms for a time.
+    pub fn cycle_for(&mut self, duration: Duration, figures: &mut Figures) -> Result<(), Stopped> {
+        let end = self.clock.now() + duration;
+        while self.clock.now() < end {
+            self.clock.sleep_until(self.next);
+            let now = self.clock.now();
+            figures.cycle(now.saturating_since(self.next), DEADLINE);
+            self.next = self.next + self.period;
+            if self.next < now {
+                self.next = now + self.period;
+            }
+            let swing = swing(now.seconds_since(self.begin));
+            for (index, arm) in self.wired.driven.each_mut().into_iter().enumerate() {
+                let back = (self.homes_rad[index] - self.joints_rad[index]) * BACK_PER_S;
+                match arm.exchange(JointCommand::Velocity(swing + back)) {
+                    Ok(measured) => self.joints_rad[index] = measured.position_rad,
+                    Err(error) if error.kind() == ArmErrorKind::Timeout => figures.late_reply(),
+                    Err(error) => {
+                        return Err(Stopped { at: self.clock.now(), kind: error.kind(), message: error.to_string() });
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Lets something go wrong, or end going wrong; when.
+    pub fn fault(&self, arm: usize, line: &str) -> Result<MonotonicTime> {
+        let emulated = self.wired.emulated.get(arm).context("an emulated arm")?;
+        let at = self.clock.now();
+        match line {
+            "unplug" => emulated.unplug(),
+            "plug" => emulated.plug(),
+            line => emulated.command_line(line).with_context(|| line.to_owned())?,
+        }
+        Ok(at)
+    }
+
+    /// How long after a fault the last joint of both arms came to rest.
+    pub fn rest_after(&self, at: MonotonicTime) -> Duration {
+        self.clock.sleep_until(self.clock.now() + WATCHED);
+        self.watcher.last_motion().saturating_since(at)
+    }
+
+    /// What happened on the links.
+    pub fn add_links(&self, figures: &mut Figures) {
+        for (name, monitor) in &self.wired.monitors {
+            figures.link(name, &monitor.snapshot().counters, &monitor.jitter());
+        }
+    }
+}
+
+/// Small motions of all joints, never at rest together.
+fn swing(t_s: f64) -> JointVector {
+    JointVector::from_fn(|joint, _| {
+        let omega = 3.0 + 0.4 * joint as f64;
+        0.12 * (omega * t_s).sin() * (t_s / 0.2).min(1.0)
+    })
+}
+
+/// Looks at the true joints every millisecond.
+struct Watcher {
+    last_motion: Arc<AtomicU64>,
+    is_over: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Watcher {
+    fn start(sites: [ArmSite; 2], clock: Arc<dyn Clock>) -> Result<Self> {
+        let (last_motion, is_over) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicBool::new(false)));
+        let (motion, over) = (Arc::clone(&last_motion), Arc::clone(&is_over));
+        let work = move || {
+            enter(&Realtime { priority: Some(30), locks_memory: false, cpu: None });
+            while !over.load(Ordering::Relaxed) {
+                let now = clock.now();
+                let moves = sites.iter().filter_map(|site| site.joints.simulated()).any(|joints| {
+                    let mut joints = joints.lock().unwrap_or_else(PoisonError::into_inner);
+                    joints.advance_to(now);
+                    joints.state().velocity_rad_per_s.amax() > AT_REST_RAD_PER_S
+                });
+                if moves {
+                    motion.store(now.as_nanos(), Ordering::Relaxed);
+                }
+                clock.sleep_until(now + Duration::from_millis(1));
+            }
+        };
+        let thread = std::thread::Builder::new().name("watcher".to_owned()).spawn(work)?;
+        Ok(Self { last_motion, is_over, thread: Some(thread) })
+    }
+
+    fn last_motion(&self) -> MonotonicTime {
+        MonotonicTime::from_nanos(self.last_motion.load(Ordering::Relaxed))
+    }
+}
+
+impl Drop for Watcher {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            thread.join().ok();
+        }
+    }
+}

@@ -1,0 +1,52 @@
+//! `cargo xtask soak`: two emulated arms over pseudo-terminals for minutes, with faults at random.
+
+use anyhow::bail;
+
+use crate::bench::circumstances;
+use crate::workspace::{Workspace, run_visibly};
+
+const PAGE: &str = "docs/benchmarks/arm.md";
+
+/// Moves two emulated arms over pseudo-terminals, lets them fail at random, and counts what becomes of it.
+///
+/// Both arms are those of configs/hil.toml with all that stands before a real arm; one reply of each controller in a hundred is
+/// lost all the time. Ten minutes take every kind of fault some eight times. It fails if a fault is not noticed, or an arm stops
+/// without a reason. With --page the tables go to docs/benchmarks/arm.md, with commit and machine; commit first, and leave the
+/// machine alone.
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Args {
+    /// How long.
+    #[arg(long, default_value_t = 10.0)]
+    minutes: f64,
+    /// Of faults and losses.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Also write the page of the documentation.
+    #[arg(long)]
+    page: bool,
+}
+
+/// # Errors
+/// If a number is out of range, the program does not build, or something went unnoticed.
+pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
+    if !(args.minutes > 0.0 && args.minutes <= 10_000.0) {
+        bail!("--minutes {}: give more than 0 and at most 10000", args.minutes);
+    }
+    let (minutes, seed) = (args.minutes.to_string(), args.seed.to_string());
+    let mut command = workspace.cargo();
+    command.args(["run", "--release", "--locked", "--package", "system-tests", "--example", "soak", "--"]);
+    command.args(["--minutes", &minutes, "--seed", &seed]);
+    let found = circumstances(workspace);
+    let origin = format!(
+        "Commit {}{}; {}; {}.",
+        found["commit"].as_str().unwrap_or("unknown").chars().take(12).collect::<String>(),
+        if found["uncommitted_changes"] == true { " with changes that are not committed" } else { "" },
+        found["processor"].as_str().unwrap_or("unknown processor"),
+        found["compiler"].as_str().unwrap_or("unknown compiler"),
+    );
+    if args.page {
+        command.args(["--page", PAGE, "--origin", &origin]);
+    }
+    run_visibly(&mut command)
+}
