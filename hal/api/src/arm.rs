@@ -154,3 +154,31 @@ pub trait ArmPower: Send {
     /// If the cause is still there.
     fn reset(&mut self) -> Result<(), ArmError>;
 }
+
+impl<A: Arm + ?Sized> Arm for Box<A> {
+    fn info(&self) -> &ArmInfo {
+        (**self).info()
+    }
+
+    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        (**self).exchange(command)
+    }
+}
+
+impl<A: ArmPower + ?Sized> ArmPower for Box<A> {
+    fn state(&self) -> ArmState {
+        (**self).state()
+    }
+
+    fn enable(&mut self) -> Result<(), ArmError> {
+        (**self).enable()
+    }
+
+    fn stop(&mut self) -> Result<(), ArmError> {
+        (**self).stop()
+    }
+
+    fn reset(&mut self) -> Result<(), ArmError> {
+        (**self).reset()
+    }
+}

@@ -14,6 +14,7 @@ use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, G
 use pb3dp_arm_pa10::io::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
 use pb3dp_arm_pa10::io::bus::{BusPort, FRAME_ROOM, FrameSocket};
 use pb3dp_arm_pa10::io::mock_server::{MockFace, MockServer, MockServerConfig, MockServerError};
+use pb3dp_arm_pa10::io::pty::Pty;
 use pb3dp_arm_pa10::io::realtime::Realtime;
 use pb3dp_arm_pa10::io::serial::SerialConfig;
 use pb3dp_arm_pa10::io::tcp::TcpConfig;
@@ -258,6 +259,27 @@ fn a_pulled_cable_stops_the_arm() {
     std::thread::sleep(Duration::from_millis(300));
     let mut arm = rig.enabled(rig.serial());
     assert!(moved_by(&rig, &mut arm, 0.01) >= 0.01);
+}
+
+/// Its terminal has another path when the cable is plugged in again, as somebody else has taken the old one.
+#[test]
+fn an_arm_is_found_again_wherever_its_terminal_is() {
+    let rig = rig(MockFace::Pty(gateway()));
+    let path = rig.server.address();
+    let config = SerialConfig { path, baud: 921_600, dialect: Dialect::GatewayV1, format: FORMAT, cycle: CYCLE };
+    let mut arm = rig.enabled(Box::new(rig.server.port(config)));
+    let before = rig.server.address();
+    rig.server.unplug();
+    assert!(wait_for(|| arm.state() == ArmState::Fault));
+    let mut others = Vec::new();
+    assert!(wait_for(|| {
+        others.push(Pty::open().unwrap());
+        others.last().unwrap().path() == Path::new(&before)
+    }));
+    rig.server.plug();
+    assert!(wait_for(|| rig.server.address() != before));
+    assert!(wait_for(|| arm.reset().is_ok()));
+    assert!(wait_for(|| arm.enable().is_ok()));
 }
 
 /// A host that ends without a word: the next one finds a stopped arm.

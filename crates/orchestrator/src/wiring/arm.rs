@@ -107,7 +107,7 @@ fn coupled_config(arm: &ArmSetup) -> CoupledArmConfig {
 /// An arm whose backend is wired.
 struct WiredBackend {
     site: ArmSite,
-    backend: AnyArm,
+    backend: Box<dyn Backend>,
     monitor: Option<ArmMonitor>,
     trip: Option<TripHandle>,
     emulated: Option<MockServer>,
@@ -126,61 +126,31 @@ fn wire_backend((setup, clock): (&Setup, &Arc<dyn Clock>), parts: Parts<'_>, sea
             };
             let mock = MockArm::new(config, Arc::clone(&plant), Arc::clone(clock));
             let site = site(arm, JointSource::plant(plant));
-            Ok(WiredBackend { site, backend: AnyArm(Box::new(mock)), monitor: None, trip: None, emulated: None })
+            Ok(WiredBackend { site, backend: Box::new(mock), monitor: None, trip: None, emulated: None })
         }
         ArmLink::Gateway(link, GatewayWay::Emulated) => {
             let (server, plant) = emulate(link, parts)?;
-            let port = SerialConfig {
+            let port = server.port(SerialConfig {
                 path: server.address(),
                 baud: EMULATED_BAUD,
                 dialect: link.dialect,
                 format: link.format,
                 cycle: link.cycle,
-            };
+            });
             let opened = open(link, Box::new(port), seat, parts)?;
             let site = site(arm, JointSource::plant(plant));
             let (monitor, trip) = (Some(opened.monitor()), Some(opened.trip_handle()));
-            Ok(WiredBackend { site, backend: AnyArm(Box::new(opened)), monitor, trip, emulated: Some(server) })
+            Ok(WiredBackend { site, backend: Box::new(opened), monitor, trip, emulated: Some(server) })
         }
         ArmLink::Gateway(link, GatewayWay::Serial(port)) => measured(link, Box::new(port.clone()), seat, parts),
         ArmLink::Gateway(link, GatewayWay::Tcp(address)) => measured(link, Box::new(*address), seat, parts),
     }
 }
 
-/// Any backend.
-struct AnyArm(Box<dyn Backend>);
-
+/// What every backend can do.
 trait Backend: Arm + ArmPower {}
 
 impl<A: Arm + ArmPower> Backend for A {}
-
-impl Arm for AnyArm {
-    fn info(&self) -> &ArmInfo {
-        self.0.info()
-    }
-
-    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
-        self.0.exchange(command)
-    }
-}
-
-impl ArmPower for AnyArm {
-    fn state(&self) -> ArmState {
-        self.0.state()
-    }
-
-    fn enable(&mut self) -> Result<(), ArmError> {
-        self.0.enable()
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        self.0.stop()
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        self.0.reset()
-    }
-}
 
 type Parts<'a> = (&'a str, &'a ArmSetup, &'a Arc<dyn Clock>);
 
@@ -196,7 +166,7 @@ fn measured(
     let (monitor, trip) = (Some(opened.monitor()), Some(opened.trip_handle()));
     let (tap, samples) = sync_channel(JOINTS_WAITING_MAX);
     let source = JointSource::measured(samples, arm.start_rad);
-    let backend = AnyArm(Box::new(Tapped { arm: opened, tap }));
+    let backend = Box::new(Tapped { arm: opened, tap });
     Ok(WiredBackend { site: site(arm, source), backend, monitor, trip, emulated: None })
 }
 

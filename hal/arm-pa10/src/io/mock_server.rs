@@ -19,8 +19,9 @@ use pb3dp_sim::joint_dynamics::JointPlant;
 use super::bus::{BusPort, FRAME_ROOM, FrameListener, FrameSocketError};
 use super::pty::Pty;
 use super::realtime::{Realtime, Shortfall, enter};
+use super::serial::SerialConfig;
 use super::tcp::TcpLink;
-use super::transport::{ByteLink, wait};
+use super::transport::{ByteLink, ConnectError, Connector, wait};
 use crate::gateway::{Gateway, GatewayConfig, GatewayConfigError};
 use crate::mock_controller::{LineError, MockController, MockControllerConfig, MockControllerError, Script};
 
@@ -165,6 +166,11 @@ impl MockServer {
         lock(&self.shared.address).clone()
     }
 
+    /// A way to the terminal of this arm, wherever it is after [`Self::plug`]; the path of `config` does not count.
+    pub fn port(&self, config: SerialConfig) -> MockPort {
+        MockPort { shared: Arc::clone(&self.shared), config: SerialConfig { path: self.address(), ..config } }
+    }
+
     /// Lets something go wrong, or end going wrong: a line as in a script.
     ///
     /// # Errors
@@ -204,6 +210,24 @@ impl MockServer {
             unread: core.unread,
             shortfalls: core.shortfalls.clone(),
         }
+    }
+}
+
+/// A way to the terminal of an emulated arm, as a name that stays with an adapter is to a real one.
+#[derive(Debug)]
+pub struct MockPort {
+    shared: Arc<Shared>,
+    config: SerialConfig,
+}
+
+impl Connector for MockPort {
+    fn connect(&mut self) -> Result<Box<dyn ByteLink>, ConnectError> {
+        self.config.path.clone_from(&lock(&self.shared.address));
+        self.config.connect()
+    }
+
+    fn target(&self) -> String {
+        self.config.target()
     }
 }
 
