@@ -1,0 +1,69 @@
+//! A control step of a run, through all that stands before both arms, does not touch the heap.
+#![allow(clippy::unwrap_used, reason = "helpers of tests may fail the test")]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+use pb3dp_orchestrator::config::setup::read_setup;
+use pb3dp_orchestrator::run::moving::Moving;
+use pb3dp_orchestrator::wiring::{Parts, wire};
+use pb3dp_servo::{Mode, TargetObservation};
+use system_tests::repository;
+
+/// The system's allocator, counting the calls of each thread.
+struct Counting;
+
+thread_local! {
+    static CALLS: Cell<usize> = const { Cell::new(0) };
+}
+
+// SAFETY: every call goes to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        CALLS.with(|calls| calls.set(calls.get() + 1));
+        // SAFETY: the caller keeps the contract of `alloc`.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: `pointer` came from `System.alloc` with this layout.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Steps after which every ring is full: more than the joints' past and the flight recorder hold.
+const WARM_UP: usize = 2500;
+const COUNTED: usize = 1000;
+
+#[test]
+fn control_steps_of_both_arms_do_not_allocate() {
+    let mut setup = read_setup(&repository().join("configs/sim.toml")).unwrap();
+    setup.compared.clear();
+    let Parts { clock, vs, tc, cell, experiment, .. } = wire(&setup).unwrap();
+    let mut moving = Moving::new(&setup, (vs, tc), &experiment, clock.now()).unwrap();
+    moving.enable().unwrap();
+    let (mut calls, mut followed) = (0, 0);
+    for step in 0..WARM_UP + COUNTED {
+        let now = clock.now() + setup.control_period;
+        clock.sleep_until(now);
+        // What the cameras would see without error, of a model whose frame is the target's.
+        let cam_left_from_target = cell.world_from_cam_left_at(now).inverse() * cell.world_from_target_at(now);
+        let observation =
+            TargetObservation { at: now, cam_left_from_model: cam_left_from_target.relabel(), trusted: true };
+        moving.observe(observation);
+        let before = CALLS.with(Cell::get);
+        let moved = moving.step(now).unwrap();
+        if step >= WARM_UP {
+            calls += CALLS.with(Cell::get) - before;
+            followed += usize::from(moved.mode == Mode::Tracking);
+        }
+    }
+    assert_eq!(calls, 0);
+    assert!(followed > COUNTED / 2, "{followed} steps followed the target");
+    let probe = CALLS.with(Cell::get);
+    drop(std::hint::black_box(Box::new([0u8; 64])));
+    assert!(CALLS.with(Cell::get) > probe, "the counter counts");
+}
