@@ -3,6 +3,7 @@
 pub mod arm;
 
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result};
 use pb3dp_arm_pa10::io::arm::{ArmMonitor, Way};
@@ -65,6 +66,8 @@ pub struct Parts {
     pub monitors: Vec<(&'static str, ArmMonitor)>,
     /// Emulated arms at the other end of links; they end with this.
     pub emulated: Vec<MockServer>,
+    /// Once this is set, the run ends before its time: both arms are stopped as at its end.
+    pub interrupt: Arc<AtomicBool>,
 }
 
 /// Wires the simulated cell.
@@ -113,6 +116,7 @@ pub fn wire(setup: &Setup) -> Result<Parts> {
         target_outline_m,
         monitors,
         emulated,
+        interrupt: Arc::default(),
     })
 }
 

@@ -55,7 +55,9 @@ struct Control {
     fault_persists: bool,
     e_stop_pressed: bool,
     replies_to_drop: u32,
+    /// The link is gone, until a reset finds it plugged in again.
     unplugged: bool,
+    plugged_in: bool,
     /// When the last velocity was accepted, if nothing was since.
     moving_since: Option<MonotonicTime>,
 }
@@ -70,6 +72,7 @@ impl MockArm {
             e_stop_pressed: false,
             replies_to_drop: 0,
             unplugged: false,
+            plugged_in: true,
             moving_since: None,
         };
         let info = ArmInfo { name: format!("{} (pa10 mock)", config.name), cycle: config.cycle };
@@ -118,11 +121,16 @@ impl MockArmFaults {
         self.shared.control().replies_to_drop = count;
     }
 
-    /// The link breaks, for good; the arm comes to rest by itself.
+    /// The link breaks; the arm comes to rest by itself.
     pub fn unplug(&self) {
         let mut control = self.shared.control();
-        control.unplugged = true;
+        (control.unplugged, control.plugged_in) = (true, false);
         self.shared.latch(&mut control, ArmState::Fault, "the link broke");
+    }
+
+    /// The cable is plugged in again; the link comes back by a reset.
+    pub fn plug(&self) {
+        self.shared.control().plugged_in = true;
     }
 }
 
@@ -296,6 +304,7 @@ impl ArmPower for MockArm {
     fn reset(&mut self) -> Result<(), ArmError> {
         let shared = &self.shared;
         let mut control = shared.control();
+        control.unplugged &= !control.plugged_in;
         shared.check_link(&control)?;
         if control.e_stop_pressed {
             return Err(

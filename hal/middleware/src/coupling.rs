@@ -9,6 +9,7 @@ use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Cl
 use pb3dp_kinematics::{ArmShape, Chain, DOF, JointVector, PlacedArm, clearance_within};
 
 use crate::last_command::LastCommand;
+use crate::power::close_brakes;
 use crate::shaping::SetPoint;
 use crate::stopping::DriveLimits;
 
@@ -364,8 +365,7 @@ impl<A: Arm + ArmPower> ArmPower for Coupled<A> {
 
     fn reset(&mut self) -> Result<(), ArmError> {
         if self.latched().is_some() {
-            // The brakes close before anything is forgiven.
-            self.arm.stop()?;
+            close_brakes(&mut self.arm)?;
         }
         self.arm.reset()?;
         let mut cell = self.cell();

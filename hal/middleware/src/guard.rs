@@ -6,6 +6,7 @@ use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Jo
 use pb3dp_kinematics::{DOF, JointLimits, JointLimitsError, JointVector};
 
 use crate::expectation::Expectation;
+use crate::power::close_brakes;
 
 /// Mechanical range of a PA-10 to both sides, degrees, base to tip (INRIA's model of the PA10-7CE).
 pub const PA10_MECHANICAL_RANGE_DEG: [f64; DOF] = [180.0, 97.0, 180.0, 143.0, 270.0, 180.0, 270.0];
@@ -342,8 +343,7 @@ impl<A: Arm + ArmPower> ArmPower for Guard<A> {
 
     fn reset(&mut self) -> Result<(), ArmError> {
         if self.latched.is_some() {
-            // The brakes close before anything is forgiven.
-            self.arm.stop()?;
+            close_brakes(&mut self.arm)?;
         }
         self.arm.reset()?;
         self.forget();

@@ -11,6 +11,7 @@ mod expectation;
 mod guard;
 mod last_command;
 mod limiter;
+mod power;
 mod recorder;
 mod shaping;
 mod stopping;

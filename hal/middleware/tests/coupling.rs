@@ -293,3 +293,27 @@ proptest! {
         prop_assert!(least_m >= LEAST_M, "{least_m} m");
     }
 }
+
+/// A cable that was pulled while both arms were stopped anyway must not keep them from being reset when it is plugged in again.
+#[test]
+fn an_arm_whose_link_was_gone_can_be_reset() {
+    let mut bench = Bench::new(2.0, [JointVector::zeros(), JointVector::zeros()]);
+    bench.mock(0).faults().raise_fault("an overcurrent");
+    bench.cycle([JointCommand::Velocity(JointVector::repeat(0.01)); 2]);
+    let answers = bench.cycle([JointCommand::Velocity(JointVector::repeat(0.01)); 2]);
+    assert!(answers.iter().all(Option::is_some), "{answers:?}");
+    bench.mock(1).faults().unplug();
+    bench.mock(0).faults().remove_fault_cause();
+    assert!(bench.arms[1].reset().is_err(), "the cable is still pulled");
+    bench.mock(1).faults().plug();
+    for _ in 0..2 {
+        for arm in &mut bench.arms {
+            // The first one waits for the second one, which has failed by itself since.
+            arm.reset().ok();
+        }
+    }
+    for arm in &mut bench.arms {
+        assert_eq!(arm.state(), ArmState::Disabled);
+        arm.enable().unwrap();
+    }
+}

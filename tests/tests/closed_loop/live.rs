@@ -3,6 +3,7 @@
 
 use std::sync::{Mutex, PoisonError};
 
+use pb3dp_arm_pa10::driver::DriverState;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_orchestrator::config::setup::{ArmLink, Pace, Setup, read_setup};
@@ -53,8 +54,15 @@ fn a_hand_follows_through_serial_lines_as_in_simulated_time() {
     let simulated = followed(&run(&quick_setup(Method::Direct, Pixels::Few, &[Channel::X]), None).log);
     let setup = hil_setup();
     let log = tried(|| {
-        let outcome = wire(&setup).and_then(|parts| live::run(&setup, parts, None, None));
-        let log = outcome.map_err(|error| format!("{error:#}"))?.log;
+        let parts = wire(&setup).map_err(|error| format!("{error:#}"))?;
+        let monitors = parts.monitors.clone();
+        let log = live::run(&setup, parts, None, None).map_err(|error| format!("{error:#}"))?.log;
+        for (name, monitor) in &monitors {
+            let arm = monitor.snapshot();
+            if arm.latched.is_some() || arm.state != DriverState::Connected {
+                return Err(format!("{name} ends {:?} {:?}", arm.state, arm.latched));
+            }
+        }
         let (rms_mm, max_mm) = followed(&log);
         let as_simulated = rms_mm < 1.5 * simulated.0 && max_mm < 1.5 * simulated.1;
         as_simulated.then_some(log).ok_or_else(|| format!("{rms_mm} and {max_mm} mm, simulated {simulated:?}"))

@@ -1,12 +1,16 @@
 //! `pb3dp run`: the whole loop of one setup.
 
+use std::os::fd::AsFd;
 use std::process::ExitCode;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result};
 use nalgebra::UnitQuaternion;
+use pb3dp_arm_pa10::io::signals::StopSignals;
 use pb3dp_sim::trajectory::{ExperimentAxes, Trajectory};
+use rustix::event::{PollFd, PollFlags, poll};
 
 use super::estimate::output::print_line;
 use crate::cli::RunArgs;
@@ -19,11 +23,16 @@ use crate::wiring::{Parts, raw_lines, wire};
 /// A run in which the hand followed for a smaller share of the time is pointed out.
 const FOLLOWING_EXPECTED: f64 = 0.9;
 
+/// The exit code of a run that a signal has ended.
+const INTERRUPTED: u8 = 130;
+
 /// Runs the command: experiment, then report.
 ///
 /// # Errors
 /// A configuration that is refused, an experiment that the arms can not follow, or a part that fails.
 pub fn run(args: &RunArgs) -> Result<ExitCode> {
+    // Before any thread is started: a signal that ends the program would leave the arms to their gateways.
+    let signals = StopSignals::take_over().context("the signals that end the program can not be taken over")?;
     let mut setup = read_setup(&args.config)?;
     if let Some(seed) = args.seed {
         setup.reseed(seed);
@@ -32,6 +41,8 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let parts = wire(&setup)?;
     let plan = plan(&setup, &parts);
     let started = Instant::now();
+    let interrupt = Arc::clone(&parts.interrupt);
+    let was_interrupted = watch(signals, &interrupt)?;
     let (clock, flights, monitors) = (Arc::clone(&parts.clock), parts.flights.clone(), parts.monitors.clone());
     let run_it = if setup.pace == Pace::Live { live::run } else { lockstep::run };
     let outcome = run_it(&setup, parts, args.stop_after, args.record.as_deref());
@@ -59,7 +70,29 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
         );
     }
     print_line(&format!("report: {}", args.out.join("report.html").display()))?;
-    Ok(ExitCode::SUCCESS)
+    Ok(if was_interrupted.load(Ordering::SeqCst) { ExitCode::from(INTERRUPTED) } else { ExitCode::SUCCESS })
+}
+
+/// Has the run end when a signal asks for it, with both arms stopped; whoever asks twice does not want to wait for that. Returns
+/// whether one has come.
+fn watch(mut signals: StopSignals, interrupt: &Arc<AtomicBool>) -> Result<Arc<AtomicBool>> {
+    let (interrupt, was_interrupted) = (Arc::clone(interrupt), Arc::new(AtomicBool::new(false)));
+    let told = Arc::clone(&was_interrupted);
+    let work = move || {
+        loop {
+            // A wait that fails is a short one.
+            let _ = poll(&mut [PollFd::from_borrowed_fd(signals.as_fd(), PollFlags::IN)], None);
+            let Ok(Some(signal)) = signals.try_take() else { continue };
+            if told.swap(true, Ordering::SeqCst) {
+                tracing::warn!("{signal} again: the program ends at once, and leaves the arms to their gateways");
+                std::process::exit(i32::from(INTERRUPTED));
+            }
+            tracing::info!("{signal}: both arms stop, then the report");
+            interrupt.store(true, Ordering::SeqCst);
+        }
+    };
+    std::thread::Builder::new().name("signals".to_owned()).spawn(work).context("no thread for signals")?;
+    Ok(was_interrupted)
 }
 
 fn plan(setup: &Setup, parts: &Parts) -> Plan {

@@ -2,7 +2,8 @@
 //!
 //! The thread that moves steps both arms at fixed times and waits for nobody but the arms. What the other one has seen comes to
 //! it, and its steps go back, through channels of fixed size whose ends never wait: a picture that takes too long comes too
-//! late, and moves nobody else. It allocates nothing and shares no lock with image work.
+//! late, and moves nobody else. It allocates nothing and, of arms behind a line, shares no lock with image work; joints that are
+//! simulated in process (`mock`) are shared with the cameras.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -38,7 +39,7 @@ const PRIORITY: u8 = 40;
 /// # Errors
 /// If an arm, the camera or the estimator fails for good; the arms are stopped first.
 pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Option<&Path>) -> Result<Outcome> {
-    let Parts { clock, camera, vs, tc, cell, experiment, target_outline_m, monitors, emulated, .. } = parts;
+    let Parts { clock, camera, vs, tc, cell, experiment, target_outline_m, monitors, emulated, interrupt, .. } = parts;
     let duration_s = experiment.duration_s();
     let log = RunLog { marks: experiment.marks().to_vec(), ..RunLog::default() };
     let strip = Strip::for_marks(&log.marks, setup.experiment.move_s);
@@ -57,7 +58,8 @@ pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Optio
     let mut journal = Journal::new(setup, cell, (begin, duration_s), log);
     let (seen_in, seen_out) = sync_channel(OBSERVATIONS_MAX);
     let (steps_in, steps_out) = sync_channel(STEPS_MAX);
-    let is_over = AtomicBool::new(false);
+    // Whoever interrupts the run says the same as its end does.
+    let is_over = interrupt;
     let mover = Mover {
         clock: Arc::clone(&clock),
         period: setup.control_period,

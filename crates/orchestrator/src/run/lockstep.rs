@@ -7,6 +7,7 @@
 use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::Result;
@@ -30,7 +31,7 @@ use crate::wiring::Parts;
 /// If an arm, the camera or the estimator fails for good; the arms are stopped first.
 pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Option<&Path>) -> Result<Outcome> {
     // Everything that can be refused is made before an arm is switched on.
-    let Parts { clock, camera, vs, tc, cell, experiment, target_outline_m, .. } = parts;
+    let Parts { clock, camera, vs, tc, cell, experiment, target_outline_m, interrupt, .. } = parts;
     let begin = clock.now();
     let duration_s = experiment.duration_s();
     let log = RunLog { marks: experiment.marks().to_vec(), ..RunLog::default() };
@@ -39,7 +40,7 @@ pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Optio
     let moving = Moving::new(setup, (vs, tc), &experiment, begin)?;
     let journal = Journal::new(setup, cell, (begin, duration_s), log);
     let arriving = VecDeque::new();
-    let mut looped = Loop { setup, clock, looking, moving, journal, begin, arriving };
+    let mut looped = Loop { setup, clock, looking, moving, journal, begin, arriving, interrupt };
     let end = begin + Duration::from_secs_f64(stop_after_s.map_or(duration_s, |s| s.clamp(0.0, duration_s)));
     let outcome = looped.moving.enable().and_then(|()| looped.run_to(end));
     let stopped = looped.moving.stop();
@@ -58,6 +59,7 @@ struct Loop<'a> {
     begin: MonotonicTime,
     /// Estimates on their way to the controller, with the time of arrival.
     arriving: VecDeque<(MonotonicTime, TargetObservation)>,
+    interrupt: Arc<AtomicBool>,
 }
 
 impl Loop<'_> {
@@ -65,7 +67,7 @@ impl Loop<'_> {
     fn run_to(&mut self, end: MonotonicTime) -> Result<()> {
         let mut next_control = self.begin;
         let mut next_frame = self.begin + self.setup.camera.exposure;
-        while next_control.min(next_frame) <= end {
+        while next_control.min(next_frame) <= end && !self.interrupt.load(Ordering::SeqCst) {
             if next_control <= next_frame {
                 self.clock.sleep_until(next_control);
                 self.control_step(next_control)?;

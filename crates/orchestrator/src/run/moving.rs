@@ -117,6 +117,10 @@ impl<'a> Moving<'a> {
     /// # Errors
     /// The arm that can not be told.
     pub fn stop(&mut self) -> Result<()> {
+        // Closing the brakes of one takes time in which the other one must not wait for its next velocity.
+        for arm in [&mut self.vs, &mut self.tc] {
+            arm.exchange(JointCommand::Hold).ok();
+        }
         let vs = self.vs.stop().context("vs-robot: stop");
         let tc = self.tc.stop().context("tc-robot: stop");
         vs.and(tc)
