@@ -6,6 +6,7 @@ use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
 use pb3dp_estimation::estimator::Method;
 use pb3dp_record::dataset::TILT_LIMIT_DEG;
 
+use crate::commands::arm::ArmArgs;
 use crate::commands::mock_arm::MockArmArgs;
 use crate::logging::LogFormat;
 use crate::region_spec::{REGION_HELP, RegionSpec};
@@ -34,6 +35,8 @@ pub enum Command {
     Estimate(EstimateArgs),
     /// Track a region through a recorded stereo sequence.
     Track(TrackArgs),
+    /// Commission an arm: look at it, jog it, bring it to its start (docs/commissioning.md).
+    Arm(ArmArgs),
     /// Run an emulated PA-10 in real time that fails on request.
     MockArm(MockArmArgs),
     /// Own the bus of one PA-10 and its cycle, and serve a host (docs/gateway.md).

@@ -1,6 +1,7 @@
 //! The one place that names backends: from a setup to running parts.
 
 pub mod arm;
+pub mod commissioning;
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;

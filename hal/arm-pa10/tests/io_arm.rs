@@ -63,6 +63,25 @@ fn an_arm_is_opened_enabled_moved_and_stopped() {
 }
 
 #[test]
+fn an_arm_is_looked_at_again_while_its_brakes_are_on() {
+    patiently(|| {
+        let mut rig = rig();
+        let before = rig.monitor().snapshot();
+        for _ in 0..3 {
+            rig.arm.look().unwrap();
+        }
+        let after = rig.monitor().snapshot();
+        assert_eq!((after.state, after.samples), (DriverState::Connected, before.samples + 3));
+        let told = rig.monitor().control_trips();
+        assert!(told.cycles >= 4 * 9 && told.p50 <= told.max, "{told:?}");
+        rig.enable();
+        let error = rig.arm.look().unwrap_err();
+        assert_eq!(error.kind(), ArmErrorKind::Rejected, "{error}");
+        assert_eq!(rig.arm.state(), ArmState::Enabled, "{:?}", rig.monitor().snapshot().latched);
+    });
+}
+
+#[test]
 fn a_loop_that_keeps_the_pace_is_not_held_up() {
     patiently(|| {
         let mut rig = rig();

@@ -1,5 +1,6 @@
 //! The subcommands, one file each: arguments in, exit code out.
 
+pub mod arm;
 pub mod estimate;
 pub mod gateway;
 pub mod mock_arm;

@@ -9,7 +9,7 @@ use pb3dp_arm_pa10::driver::{DriverConfig, LimitsCheck};
 use pb3dp_arm_pa10::gateway::GatewayConfig;
 use pb3dp_arm_pa10::gateway_protocol::Firmware;
 use pb3dp_arm_pa10::io::arm::{ArmMonitor, Pa10Arm, Pa10ArmConfig, TripHandle, TripSeat, trip_line};
-use pb3dp_arm_pa10::io::mock_server::{MockFace, MockServer, MockServerConfig};
+use pb3dp_arm_pa10::io::mock_server::{MockFace, MockPort, MockServer, MockServerConfig};
 use pb3dp_arm_pa10::io::realtime::Realtime;
 use pb3dp_arm_pa10::io::serial::SerialConfig;
 use pb3dp_arm_pa10::io::transport::Connector;
@@ -26,7 +26,7 @@ use crate::run::cell::{ArmSite, JointSource};
 use crate::run::flight::FLIGHT;
 
 /// By how much limits in a controller's EEPROM may differ from those of the robot description, degrees.
-const LIMITS_TOLERANCE_DEG: f64 = 0.5;
+pub const LIMITS_TOLERANCE_DEG: f64 = 0.5;
 
 /// An emulated arm takes its speed from the line; this rate only has to be quick enough for it.
 const EMULATED_BAUD: u32 = 921_600;
@@ -61,20 +61,8 @@ pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>) -> Result<WiredArms> {
     let mut seat = || seats.next().context("a place on the line along which the arms stop each other");
     let vs = wire_backend((setup, clock), (vs_name, &setup.vs, clock), seat()?)?;
     let tc = wire_backend((setup, clock), (tc_name, &setup.tc, clock), seat()?)?;
-    let guarded = |name: &str, arm: &ArmSetup, backend, trip: Option<TripHandle>| {
-        let cycles = FLIGHT.as_secs_f64() / setup.control_period.as_secs_f64();
-        let flight = FlightLog::with_capacity(cycles.ceil() as usize);
-        let recorded = Recorded::new(backend, Arc::clone(clock), flight.clone());
-        let guard = Guard::new(recorded, arm.guard.clone()).with_context(|| format!("{name}: guard"))?;
-        // A joint that does not follow its drive is held by its brake alone.
-        let guard = match trip {
-            Some(trip) => guard.on_stop(move || trip.trip()),
-            None => guard,
-        };
-        anyhow::Ok((guard, flight))
-    };
-    let (vs_guarded, vs_flight) = guarded(vs_name, &setup.vs, vs.backend, vs.trip)?;
-    let (tc_guarded, tc_flight) = guarded(tc_name, &setup.tc, tc.backend, tc.trip)?;
+    let (vs_guarded, vs_flight) = guarded((setup, clock), (vs_name, &setup.vs), vs.backend, vs.trip)?;
+    let (tc_guarded, tc_flight) = guarded((setup, clock), (tc_name, &setup.tc), tc.backend, tc.trip)?;
     let pair = ((vs_guarded, coupled_config(&setup.vs)), (tc_guarded, coupled_config(&setup.tc)));
     let (vs_coupled, tc_coupled) = couple(pair.0, pair.1, setup.least_room_m, clock).context("table [arms]")?;
     let limited = |name: &str, arm: &ArmSetup, coupled| {
@@ -90,6 +78,51 @@ pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>) -> Result<WiredArms> {
         monitors: monitors.into_iter().filter_map(|(name, monitor)| Some((name, monitor?))).collect(),
         emulated: vs.emulated.into_iter().chain(tc.emulated).collect(),
     })
+}
+
+/// One arm alone, which knows nothing of the other one: for its commissioning. From the inside out: backend, recorder, guard, limiter.
+///
+/// # Errors
+/// If a part refuses its parameters, or the arm does not answer.
+pub fn wire_alone(setup: &Setup, (name, arm): (&'static str, &ArmSetup), clock: &Arc<dyn Clock>) -> Result<AloneArm> {
+    let wired = wire_backend((setup, clock), (name, arm, clock), alone()?)?;
+    let (guarded, _) = guarded((setup, clock), (name, arm), wired.backend, wired.trip)?;
+    let limiter = Limiter::new(guarded, arm.limiter.clone(), Arc::clone(clock));
+    let driven = limiter.with_context(|| format!("{name}: limiter"))?;
+    Ok(AloneArm { driven: Box::new(driven), monitor: wired.monitor, emulated: wired.emulated })
+}
+
+/// A place on a line along which nobody else is.
+pub(super) fn alone() -> Result<TripSeat> {
+    trip_line(1)?.pop().context("a place on the line along which the arms stop each other")
+}
+
+/// One arm behind all that stands before it but the other arm.
+pub struct AloneArm {
+    /// What moves it.
+    pub driven: Box<dyn DrivenArm>,
+    /// What its link is like, if it has one.
+    pub monitor: Option<ArmMonitor>,
+    /// The emulated arm at the other end.
+    pub emulated: Option<MockServer>,
+}
+
+fn guarded(
+    (setup, clock): (&Setup, &Arc<dyn Clock>),
+    (name, arm): (&str, &ArmSetup),
+    backend: Box<dyn Backend>,
+    trip: Option<TripHandle>,
+) -> Result<(GuardedArm, FlightLog)> {
+    let cycles = FLIGHT.as_secs_f64() / setup.control_period.as_secs_f64();
+    let flight = FlightLog::with_capacity(cycles.ceil() as usize);
+    let recorded = Recorded::new(backend, Arc::clone(clock), flight.clone());
+    let guard = Guard::new(recorded, arm.guard.clone()).with_context(|| format!("{name}: guard"))?;
+    // A joint that does not follow its drive is held by its brake alone.
+    let guard = match trip {
+        Some(trip) => guard.on_stop(move || trip.trip()),
+        None => guard,
+    };
+    Ok((guard, flight))
 }
 
 fn coupled_config(arm: &ArmSetup) -> CoupledArmConfig {
@@ -130,14 +163,7 @@ fn wire_backend((setup, clock): (&Setup, &Arc<dyn Clock>), parts: Parts<'_>, sea
         }
         ArmLink::Gateway(link, GatewayWay::Emulated) => {
             let (server, plant) = emulate(link, parts)?;
-            let port = server.port(SerialConfig {
-                path: server.address(),
-                baud: EMULATED_BAUD,
-                dialect: link.dialect,
-                format: link.format,
-                cycle: link.cycle,
-            });
-            let opened = open(link, Box::new(port), seat, parts)?;
+            let opened = open(link, Box::new(emulated_port(link, &server)), seat, parts)?;
             let site = site(arm, JointSource::plant(plant));
             let (monitor, trip) = (Some(opened.monitor()), Some(opened.trip_handle()));
             Ok(WiredBackend { site, backend: Box::new(opened), monitor, trip, emulated: Some(server) })
@@ -152,7 +178,9 @@ trait Backend: Arm + ArmPower {}
 
 impl<A: Arm + ArmPower> Backend for A {}
 
-type Parts<'a> = (&'a str, &'a ArmSetup, &'a Arc<dyn Clock>);
+type GuardedArm = Guard<Recorded<Box<dyn Backend>>>;
+
+pub(super) type Parts<'a> = (&'a str, &'a ArmSetup, &'a Arc<dyn Clock>);
 
 /// An arm whose joints nobody simulates here: the cell has them as they are measured.
 fn measured(
@@ -190,7 +218,7 @@ fn shared_plant(
 
 /// An emulated arm on a pseudo-terminal, and its joints: those of the configuration with brakes, friction and gravity. The link
 /// brings its own delay.
-fn emulate(link: &GatewayLinkConfig, parts: Parts<'_>) -> Result<(MockServer, Arc<Mutex<JointPlant>>)> {
+pub(super) fn emulate(link: &GatewayLinkConfig, parts: Parts<'_>) -> Result<(MockServer, Arc<Mutex<JointPlant>>)> {
     let (name, arm, clock) = parts;
     let joints = JointPlantConfig {
         command_delay: Duration::ZERO,
@@ -213,6 +241,12 @@ fn emulate(link: &GatewayLinkConfig, parts: Parts<'_>) -> Result<(MockServer, Ar
     Ok((server, plant))
 }
 
+/// The way to an emulated arm, wherever its terminal is.
+pub(super) fn emulated_port(link: &GatewayLinkConfig, server: &MockServer) -> MockPort {
+    let (dialect, format, cycle) = (link.dialect, link.format, link.cycle);
+    server.port(SerialConfig { path: server.address(), baud: EMULATED_BAUD, dialect, format, cycle })
+}
+
 fn open(
     link: &GatewayLinkConfig,
     connector: Box<dyn Connector>,
@@ -225,12 +259,7 @@ fn open(
         upper_rad: *hard_limits.position_max_rad(),
         tolerance_rad: LIMITS_TOLERANCE_DEG.to_radians(),
     };
-    let driver = DriverConfig {
-        limits,
-        deceleration_rad_per_s2: arm.limiter.acceleration_max_rad_per_s2,
-        ..DriverConfig::with_cycle(link.cycle)
-    };
-    let opened = Pa10Arm::open(Pa10ArmConfig::new(name, driver, *link), connector, Arc::clone(clock), seat)?;
+    let opened = connect(link, connector, (seat, limits), (name, arm, clock))?;
     for warning in opened.warnings() {
         tracing::warn!("{name}: {warning}");
     }
@@ -238,6 +267,21 @@ fn open(
         bail!("{name} can not be used: {}", latched.trip);
     }
     Ok(opened)
+}
+
+/// Opens the link to an arm and looks at it; its brakes stay on.
+pub(super) fn connect(
+    link: &GatewayLinkConfig,
+    connector: Box<dyn Connector>,
+    (seat, limits): (TripSeat, LimitsCheck),
+    (name, arm, clock): Parts<'_>,
+) -> Result<Pa10Arm> {
+    let driver = DriverConfig {
+        limits,
+        deceleration_rad_per_s2: arm.limiter.acceleration_max_rad_per_s2,
+        ..DriverConfig::with_cycle(link.cycle)
+    };
+    Ok(Pa10Arm::open(Pa10ArmConfig::new(name, driver, *link), connector, Arc::clone(clock), seat)?)
 }
 
 /// An arm whose measurements are also handed to the simulated cell, without waiting for it.

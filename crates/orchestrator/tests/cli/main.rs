@@ -1,6 +1,7 @@
 //! The program as its user meets it: arguments and files in, lines, pictures and exit code out.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests may fail the test")]
 
+mod arm;
 mod estimate;
 mod mock_arm;
 mod refusals;

@@ -7,14 +7,14 @@ use std::time::{Duration, Instant};
 
 use crate::support::pb3dp;
 
-struct MockArm {
+pub struct MockArm {
     child: Child,
     input: ChildStdin,
     output: BufReader<ChildStdout>,
 }
 
 impl MockArm {
-    fn start(args: &[&str]) -> Self {
+    pub fn start(args: &[&str]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_pb3dp"));
         // Should this test die, the arm ends by itself.
         command.arg("mock-arm").args(["--stop-after", "120"]).args(args);
@@ -23,18 +23,18 @@ impl MockArm {
         Self { child, input, output }
     }
 
-    fn line(&mut self) -> String {
+    pub fn line(&mut self) -> String {
         let mut line = String::new();
         assert!(self.output.read_line(&mut line).unwrap() > 0, "it has ended");
         line.trim_end().to_owned()
     }
 
-    fn say(&mut self, line: &str) {
+    pub fn say(&mut self, line: &str) {
         writeln!(self.input, "{line}").unwrap();
     }
 
     /// The lines of a report, up to the last one.
-    fn state(&mut self) -> Vec<String> {
+    pub fn state(&mut self) -> Vec<String> {
         self.say("state");
         let mut lines = vec![self.line()];
         while !lines.last().unwrap().starts_with("thread:") {
@@ -43,7 +43,7 @@ impl MockArm {
         lines
     }
 
-    fn quit(mut self) {
+    pub fn quit(mut self) {
         self.say("quit");
         let until = Instant::now() + Duration::from_secs(10);
         while Instant::now() < until {

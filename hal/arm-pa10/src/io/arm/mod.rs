@@ -170,6 +170,14 @@ impl Pa10Arm {
         &self.warnings
     }
 
+    /// Looks at an arm that is connected once more, as when it was opened: the brakes stay on.
+    ///
+    /// # Errors
+    /// If it is not only connected, or what is seen stops it.
+    pub fn look(&mut self) -> Result<(), ArmError> {
+        self.fulfil(Wish::Look).map_err(|error| self.wish_error("looking at it", error))
+    }
+
     /// Looks on.
     pub fn monitor(&self) -> ArmMonitor {
         ArmMonitor { shared: Arc::clone(&self.shared) }

@@ -67,10 +67,11 @@ pub(super) enum Wish {
     Enable = 2,
     Stop = 3,
     Reset = 4,
+    Look = 5,
 }
 
 impl Wish {
-    const ALL: [Self; 4] = [Self::Connect, Self::Enable, Self::Stop, Self::Reset];
+    const ALL: [Self; 5] = [Self::Connect, Self::Enable, Self::Stop, Self::Reset, Self::Look];
 }
 
 #[derive(Debug)]
@@ -83,6 +84,7 @@ pub(super) struct Shared {
     let_go: AtomicBool,
     pub jitter: JitterMeter,
     pub round_trips: JitterMeter,
+    pub control_trips: JitterMeter,
     pub trace: Trace,
 }
 
@@ -113,6 +115,7 @@ impl Shared {
             let_go: AtomicBool::new(false),
             jitter: JitterMeter::new(),
             round_trips: JitterMeter::new(),
+            control_trips: JitterMeter::new(),
             trace: Trace::new(),
         }
     }
@@ -213,6 +216,11 @@ impl ArmMonitor {
     /// How long answers to cyclic commands took, of those that were answered in time.
     pub fn round_trips(&self) -> Jitter {
         self.shared.round_trips.summary()
+    }
+
+    /// The same for all other messages: those that look at the arm, and those that begin and end its control mode.
+    pub fn control_trips(&self) -> Jitter {
+        self.shared.control_trips.summary()
     }
 }
 

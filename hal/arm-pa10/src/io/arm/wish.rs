@@ -87,6 +87,7 @@ impl Running {
             Wish::Enable => self.enable(now, means),
             Wish::Stop => self.stop(now, means),
             Wish::Reset => self.reset(now, means),
+            Wish::Look => self.look(now, means),
         };
         done.transpose()
     }
@@ -116,6 +117,23 @@ impl Running {
         }
         still_plugged(means)?;
         Ok(None)
+    }
+
+    /// Connects anew an arm that is connected.
+    fn look(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<()>, WishError> {
+        if self.stage == Stage::New {
+            if means.driver.activity() != Activity::None {
+                return Ok(None);
+            }
+            still_plugged(means)?;
+            match means.driver.state() {
+                DriverState::Fault | DriverState::EStop => return Err(stopped(means.driver)),
+                DriverState::Disconnected => {}
+                // Refused by the driver, with its reason, where the control mode is on.
+                _ => means.driver.handle_request(now, Request::Disconnect)?,
+            }
+        }
+        self.connect(now, means)
     }
 
     fn enable(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<()>, WishError> {

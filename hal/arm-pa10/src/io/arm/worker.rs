@@ -55,8 +55,8 @@ pub(super) struct Progress {
     sample_at: Option<MonotonicTime>,
     /// The owner held a lock: its command is not yet taken, or its snapshot is old.
     come_back: bool,
-    /// When the last cyclic command was sent, and how many answers there were before.
-    asked: Option<(MonotonicTime, u64)>,
+    /// When the last message was sent, how many answers there were before, and whether it was a cyclic command.
+    asked: Option<(MonotonicTime, u64, bool)>,
     letting_go: Option<MonotonicTime>,
     failed: bool,
 }
@@ -155,8 +155,9 @@ impl Worker {
             self.driver.handle_unplugged(now);
         }
         let answered = self.driver.counters().answered;
-        if let Some((asked, _)) = self.progress.asked.take_if(|(_, before)| answered > *before) {
-            self.shared.round_trips.record(now.saturating_since(asked));
+        if let Some((asked, _, is_cyclic)) = self.progress.asked.take_if(|(_, before, _)| answered > *before) {
+            let meter = if is_cyclic { &self.shared.round_trips } else { &self.shared.control_trips };
+            meter.record(now.saturating_since(asked));
         }
         if let Some(misses) = self.port.silence(now).filter(|_| !self.driver.state().is_latched()) {
             self.driver.handle_trip(now, Trip::Fault(FaultCause::LinkLost { misses }));
@@ -174,10 +175,11 @@ impl Worker {
         let now = self.clock.now();
         let due = self.driver.transmit_due();
         if let Some(transmit) = self.driver.poll_transmit(now) {
-            if transmit.message.letter() == Letter::Cyclic {
+            let is_cyclic = transmit.message.letter() == Letter::Cyclic;
+            if is_cyclic {
                 self.shared.jitter.record(now.saturating_since(due));
-                self.progress.asked = Some((now, self.driver.counters().answered));
             }
+            self.progress.asked = Some((now, self.driver.counters().answered, is_cyclic));
             self.port.send(now, &transmit, self.driver.activity());
         }
         if self.port.flush(now).is_err() {

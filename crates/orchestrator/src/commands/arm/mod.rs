@@ -1,0 +1,134 @@
+//! `pb3dp arm`: what an integrator does with an arm before it serves anybody (docs/commissioning.md).
+
+mod confirm;
+mod motion;
+mod plan;
+mod probe;
+mod probe_report;
+mod reset;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Args, Subcommand, ValueEnum};
+
+use crate::wiring::commissioning::ArmChoice;
+
+/// Arguments of `pb3dp arm`.
+#[derive(Debug, Args)]
+pub struct ArmArgs {
+    #[command(subcommand)]
+    command: ArmCommand,
+}
+
+#[derive(Debug, Subcommand)]
+enum ArmCommand {
+    /// Look at an arm, brakes on: gateway, limits, joints, status words, link. Exit code 1 if something does not fit.
+    Probe(ProbeArgs),
+    /// Bring an arm to its start_deg in one straight move of all joints; without --move only say how.
+    Home(HomeArgs),
+    /// Turn one joint by an angle; without --move only say how.
+    Jog(JogArgs),
+    /// Clear what stopped an arm, once its name was typed. Nothing moves; the brakes stay on.
+    Reset(ResetArgs),
+}
+
+#[derive(Debug, Args)]
+struct Place {
+    /// The setup with both arms, for instance configs/hil.toml.
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    /// Which arm: vs carries the cameras, tc the target.
+    #[arg(long, value_enum)]
+    arm: ArmName,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum ArmName {
+    Vs,
+    Tc,
+}
+
+impl Place {
+    fn choice(&self) -> ArmChoice {
+        match self.arm {
+            ArmName::Vs => ArmChoice::Vs,
+            ArmName::Tc => ArmChoice::Tc,
+        }
+    }
+}
+
+#[derive(Debug, Args)]
+struct ProbeArgs {
+    #[command(flatten)]
+    place: Place,
+    /// Messages to exchange with the arm, at least, for the figures of the link.
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(10..=100_000))]
+    exchanges: u32,
+    /// One JSON object on standard output instead of tables.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
+struct MotionArgs {
+    /// Move the arm, once its name was typed. Without it nothing moves.
+    #[arg(long = "move")]
+    moves: bool,
+    /// Also connect the other arm, so that the room between both is watched; it only holds.
+    #[arg(long)]
+    both: bool,
+}
+
+#[derive(Debug, Args)]
+struct HomeArgs {
+    #[command(flatten)]
+    place: Place,
+    #[command(flatten)]
+    motion: MotionArgs,
+}
+
+#[derive(Debug, Args)]
+struct JogArgs {
+    #[command(flatten)]
+    place: Place,
+    /// The axis, 1 at the base to 7 at the flange.
+    #[arg(long, value_name = "1..7", value_parser = clap::value_parser!(u8).range(1..=7))]
+    axis: u8,
+    /// By how much, degrees, at most 30 at a time.
+    #[arg(long, value_name = "DEGREES", value_parser = parse_jog, allow_hyphen_values = true)]
+    by: f64,
+    #[command(flatten)]
+    motion: MotionArgs,
+}
+
+#[derive(Debug, Args)]
+struct ResetArgs {
+    #[command(flatten)]
+    place: Place,
+}
+
+/// Farthest jog, degrees.
+const JOG_MAX_DEG: f64 = 30.0;
+
+fn parse_jog(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(degrees) if degrees != 0.0 && degrees.abs() <= JOG_MAX_DEG => Ok(degrees),
+        _ => Err(format!("{text:?}: must be an angle in degrees, not 0 and from -{JOG_MAX_DEG} to {JOG_MAX_DEG}")),
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A configuration that is refused, an arm that does not answer, or that stopped.
+pub fn run(args: &ArmArgs) -> anyhow::Result<ExitCode> {
+    match &args.command {
+        ArmCommand::Probe(args) => probe::run(args),
+        ArmCommand::Reset(ResetArgs { place }) => reset::run(place),
+        ArmCommand::Home(HomeArgs { place, motion }) => motion::run(place, motion, motion::Goal::Start),
+        ArmCommand::Jog(JogArgs { place, axis, by, motion }) => {
+            motion::run(place, motion, motion::Goal::Jog { joint: usize::from(axis - 1), by_rad: by.to_radians() })
+        }
+    }
+}

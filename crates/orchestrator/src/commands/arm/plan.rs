@@ -1,0 +1,150 @@
+//! One straight move of all joints together, at rest at both ends.
+
+use std::time::Duration;
+
+use anyhow::{Result, bail};
+use pb3dp_arm_pa10::codec::Axis;
+use pb3dp_kinematics::{DOF, JointVector, PlacedArm, clearance};
+
+use crate::config::setup::{ArmSetup, Setup};
+use crate::wiring::commissioning::{ArmChoice, speeds_rad_per_s};
+
+/// Share of the limits of acceleration and jerk that is used.
+const SHARE: f64 = 0.5;
+/// Share of the speed that is used; the rest is for what joints are behind.
+const SPEED_SHARE: f64 = 0.9;
+/// Largest values of the first, second and third derivative of the course over its duration.
+const PEAKS: [f64; 3] = [1.875, 5.774, 60.0];
+/// Shortest move.
+const SHORTEST_S: f64 = 0.5;
+/// Places of the way at which the room to the other arm is looked at.
+const PLACES: u32 = 200;
+
+/// A planned move.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    from_rad: JointVector,
+    by_rad: JointVector,
+    duration_s: f64,
+}
+
+/// Where the other arm is, and how near the way comes to it.
+#[derive(Clone, Debug)]
+pub struct Room {
+    distance_m: f64,
+    parts: String,
+}
+
+impl Plan {
+    /// From measured joints by these angles, within the limits of the arm.
+    ///
+    /// # Errors
+    /// If a joint would end outside of its operating range, farther out than it is.
+    pub fn new(arm: &ArmSetup, from_rad: JointVector, by_rad: JointVector) -> Result<Self> {
+        let to_rad = from_rad + by_rad;
+        let limiter = &arm.limiter;
+        for axis in Axis::ALL {
+            let joint = axis.index();
+            let (low, high) = (limiter.operating_min_rad[joint], limiter.operating_max_rad[joint]);
+            let outside = |angle: f64| (low - angle).max(angle - high).max(0.0);
+            if outside(to_rad[joint]) > 0.0 && outside(to_rad[joint]) >= outside(from_rad[joint]) {
+                bail!(
+                    "{axis} would end at {:.3} degrees, outside of its operating range {:.1} to {:.1}: choose a shorter way",
+                    to_rad[joint].to_degrees(),
+                    low.to_degrees(),
+                    high.to_degrees()
+                );
+            }
+        }
+        let speeds = speeds_rad_per_s(arm);
+        let times = (0..DOF).map(|joint| {
+            let by = by_rad[joint].abs();
+            let [speed, acceleration, jerk] = PEAKS;
+            let by_speed = speed * by / (SPEED_SHARE * speeds[joint]);
+            let by_acceleration = (acceleration * by / (SHARE * limiter.acceleration_max_rad_per_s2[joint])).sqrt();
+            let by_jerk = (jerk * by / (SHARE * limiter.jerk_max_rad_per_s3[joint])).cbrt();
+            by_speed.max(by_acceleration).max(by_jerk)
+        });
+        Ok(Self { from_rad, by_rad, duration_s: times.fold(SHORTEST_S, f64::max) })
+    }
+
+    /// From its beginning to its end.
+    pub fn duration(&self) -> Duration {
+        Duration::from_secs_f64(self.duration_s)
+    }
+
+    /// Where it begins, rad.
+    pub fn start_rad(&self) -> &JointVector {
+        &self.from_rad
+    }
+
+    /// Where it ends, rad.
+    pub fn end_rad(&self) -> JointVector {
+        self.from_rad + self.by_rad
+    }
+
+    /// Joints and their speeds at a time, rad and rad/s.
+    pub fn at(&self, time: Duration) -> (JointVector, JointVector) {
+        let u = (time.as_secs_f64() / self.duration_s).clamp(0.0, 1.0);
+        // The polynomial of least order with no speed and no acceleration at both ends.
+        let share = u * u * u * (10.0 + u * (6.0 * u - 15.0));
+        let speed = 30.0 * u * u * (1.0 - u) * (1.0 - u) / self.duration_s;
+        (self.from_rad + self.by_rad * share, self.by_rad * speed)
+    }
+
+    /// The least room to the other arm on the way.
+    pub fn room(&self, setup: &Setup, choice: ArmChoice, other_rad: &JointVector) -> Option<Room> {
+        let (arm, other) = (choice.of(setup), choice.other().of(setup));
+        let other_frames = other.chain.joint_frames(other_rad);
+        let standing =
+            PlacedArm { shape: &other.shape, world_from_base: &other.world_from_base, frames: &other_frames };
+        let places = (0..=PLACES).map(|place| {
+            let (joints_rad, _) = self.at(self.duration() * place / PLACES);
+            let frames = arm.chain.joint_frames(&joints_rad);
+            let moving = PlacedArm { shape: &arm.shape, world_from_base: &arm.world_from_base, frames: &frames };
+            let nearest = clearance(&moving, &standing);
+            Room { distance_m: nearest.distance_m, parts: format!("{} to {}", nearest.first, nearest.second) }
+        });
+        places.min_by(|one, other| one.distance_m.total_cmp(&other.distance_m))
+    }
+
+    /// What it does, joint by joint.
+    pub fn table(&self, arm: &ArmSetup) -> String {
+        let limiter = &arm.limiter;
+        let (low, high) = (&limiter.operating_min_rad, &limiter.operating_max_rad);
+        let hard = &limiter.hard_limits;
+        let mut text =
+            "axis   now deg    to deg    by deg  fastest rad/s  left to operating range  to servo limit, deg\n"
+                .to_owned();
+        let to_rad = self.end_rad();
+        for axis in Axis::ALL {
+            let joint = axis.index();
+            let left = |low: f64, high: f64| (to_rad[joint] - low).min(high - to_rad[joint]).to_degrees();
+            text += &format!(
+                "{} {}  {:>8.3}  {:>8.3}  {:>+8.3}  {:>13.4}  {:>23.2}  {:>19.2}\n",
+                axis.number(),
+                axis.name(),
+                self.from_rad[joint].to_degrees(),
+                to_rad[joint].to_degrees(),
+                self.by_rad[joint].to_degrees(),
+                PEAKS[0] * self.by_rad[joint].abs() / self.duration_s,
+                left(low[joint], high[joint]),
+                left(hard.position_min_rad()[joint], hard.position_max_rad()[joint]),
+            );
+        }
+        text
+    }
+}
+
+impl Room {
+    /// Metres.
+    pub fn distance_m(&self) -> f64 {
+        self.distance_m
+    }
+}
+
+impl std::fmt::Display for Room {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:.0} mm ({})", 1e3 * self.distance_m, self.parts)
+    }
+}

@@ -1,0 +1,164 @@
+//! Arms for their commissioning: one to look at, one to move slowly, alone or beside the other one.
+
+use std::sync::Arc;
+
+use anyhow::{Context, Result, bail};
+use pb3dp_arm_pa10::driver::{FaultCause, LimitsCheck, Trip};
+use pb3dp_arm_pa10::gateway_protocol::StopCause;
+use pb3dp_arm_pa10::io::arm::{ArmMonitor, Pa10Arm};
+use pb3dp_arm_pa10::io::mock_server::MockServer;
+use pb3dp_arm_pa10::io::transport::Connector;
+use pb3dp_hal_api::Clock;
+use pb3dp_hal_middleware::StartPose;
+use pb3dp_kinematics::{JointLimits, JointVector};
+
+use super::DrivenArm;
+use super::arm::{AloneArm, WiredArms, alone, connect, emulate, emulated_port, wire_alone, wire_arms};
+use crate::config::setup::{ArmLink, ArmSetup, GatewayWay, Setup};
+
+pub use super::arm::LIMITS_TOLERANCE_DEG;
+
+/// Largest share of the joints' speeds in commissioning.
+const SPEED_SCALE_MAX: f64 = 0.10;
+
+/// Which arm of a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ArmChoice {
+    /// The one with the cameras.
+    Vs,
+    /// The one with the target.
+    Tc,
+}
+
+impl ArmChoice {
+    /// The name in messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Vs => "vs-robot",
+            Self::Tc => "tc-robot",
+        }
+    }
+
+    /// The name of its table in a setup.
+    pub fn table(self) -> &'static str {
+        match self {
+            Self::Vs => "arms.vs",
+            Self::Tc => "arms.tc",
+        }
+    }
+
+    /// The other one.
+    pub fn other(self) -> Self {
+        match self {
+            Self::Vs => Self::Tc,
+            Self::Tc => Self::Vs,
+        }
+    }
+
+    /// Its part of a setup.
+    pub fn of(self, setup: &Setup) -> &ArmSetup {
+        match self {
+            Self::Vs => &setup.vs,
+            Self::Tc => &setup.tc,
+        }
+    }
+
+    fn of_mut(self, setup: &mut Setup) -> &mut ArmSetup {
+        match self {
+            Self::Vs => &mut setup.vs,
+            Self::Tc => &mut setup.tc,
+        }
+    }
+}
+
+/// An arm that is only looked at. Its limits are read, not compared.
+pub struct SeenArm {
+    /// The arm.
+    pub arm: Pa10Arm,
+    /// How it is reached.
+    pub target: String,
+    /// The emulated arm at the other end.
+    pub emulated: Option<MockServer>,
+}
+
+/// Opens the link to an arm, whose brakes stay on.
+///
+/// # Errors
+/// If it has no link, or does not answer as configured.
+pub fn see(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<SeenArm> {
+    let (name, arm) = (choice.name(), choice.of(setup));
+    let ArmLink::Gateway(link, way) = &arm.link else {
+        bail!("{}.backend = \"mock\" has no line to an arm; set emulated, serial or tcp", choice.table())
+    };
+    let parts = (name, arm, clock);
+    let (connector, emulated): (Box<dyn Connector>, _) = match way {
+        GatewayWay::Emulated => {
+            let (server, _) = emulate(link, parts)?;
+            (Box::new(emulated_port(link, &server)), Some(server))
+        }
+        GatewayWay::Serial(port) => (Box::new(port.clone()), None),
+        GatewayWay::Tcp(address) => (Box::new(*address), None),
+    };
+    let target = connector.target();
+    let arm = connect(link, connector, (alone()?, LimitsCheck::Read), parts)?;
+    Ok(SeenArm { arm, target, emulated })
+}
+
+/// Whether the controller's answers have another length than the configured wire format has, which is how formats are told apart.
+pub fn is_of_another_format(trip: &Trip) -> bool {
+    matches!(trip, Trip::Fault(FaultCause::Gateway(StopCause::ReplyUnusable)))
+}
+
+/// An arm that may move slowly.
+pub struct SlowArm {
+    /// Through limiter and guard.
+    pub driven: Box<dyn DrivenArm>,
+    /// What its link is like, if it has one.
+    pub monitor: Option<ArmMonitor>,
+    /// The other one, if it is connected, too. It only holds.
+    pub other: Option<Box<dyn DrivenArm>>,
+    /// Emulated arms at the other ends.
+    pub emulated: Vec<MockServer>,
+}
+
+/// The setup with the speeds of commissioning, for an arm that may stand anywhere; `joint_max_rad_per_s` is for each joint.
+///
+/// # Errors
+/// If a speed is none.
+pub fn slow_setup(setup: &Setup, choice: ArmChoice, joint_max_rad_per_s: Option<f64>) -> Result<Setup> {
+    let mut slow = setup.clone();
+    for arm in [&mut slow.vs, &mut slow.tc] {
+        arm.limiter.speed_scale = arm.limiter.speed_scale.min(SPEED_SCALE_MAX);
+        arm.guard.speed_scale = arm.limiter.speed_scale;
+    }
+    let limiter = &mut choice.of_mut(&mut slow).limiter;
+    limiter.start = StartPose::Anywhere;
+    if let Some(most) = joint_max_rad_per_s {
+        let hard = &limiter.hard_limits;
+        // The limiter multiplies with its scale again.
+        let speeds = hard.velocity_max_rad_per_s().map(|speed| speed.min(most / limiter.speed_scale));
+        limiter.hard_limits = JointLimits::new(*hard.position_min_rad(), *hard.position_max_rad(), speeds)?;
+    }
+    Ok(slow)
+}
+
+/// Largest joint speeds of a setup, rad/s.
+pub fn speeds_rad_per_s(arm: &ArmSetup) -> JointVector {
+    arm.limiter.hard_limits.velocity_max_rad_per_s() * arm.limiter.speed_scale
+}
+
+/// Connects an arm of a [`slow_setup`], alone or beside the other one; brakes stay on.
+///
+/// # Errors
+/// If an arm does not answer as configured.
+pub fn wire_slow(setup: &Setup, choice: ArmChoice, beside_other: bool, clock: &Arc<dyn Clock>) -> Result<SlowArm> {
+    if !beside_other {
+        let AloneArm { driven, monitor, emulated } = wire_alone(setup, (choice.name(), choice.of(setup)), clock)?;
+        return Ok(SlowArm { driven, monitor, other: None, emulated: emulated.into_iter().collect() });
+    }
+    let WiredArms { driven: [vs, tc], monitors, emulated, .. } = wire_arms(setup, clock)?;
+    let (driven, other) = if choice == ArmChoice::Vs { (vs, tc) } else { (tc, vs) };
+    let monitor = monitors.into_iter().find(|(name, _)| *name == choice.name()).map(|(_, monitor)| monitor);
+    let monitor = Some(monitor.context("an arm with backend = \"mock\" has no line; set emulated, serial or tcp")?);
+    Ok(SlowArm { driven, monitor, other: Some(other), emulated })
+}
