@@ -380,6 +380,33 @@ fn a_host_that_is_gone_is_silent_at_once() {
     assert!(bench.gateway.is_at_rest());
 }
 
+/// A servo that E switches off before its brake holds lets the axis fall.
+#[test]
+fn a_host_that_goes_while_the_brakes_close_does_not_end_the_control_mode_before_they_hold() {
+    // The line is gone, with the time to close that every gateway counts; and silence, with brakes slower than that.
+    for (brake_time, is_gone) in [(ms(200), true), (ms(1500), false)] {
+        let mut bench =
+            Bench::greeted(GatewayConfig { brake_time, ..config(WireFormat::BigEndian6x10) }, Dialect::GatewayV1);
+        bench.start();
+        bench.command_for(DriveMode::Follow, JointVector::zeros(), ms(210));
+        bench.ask(bench.command(DriveMode::Braked, JointVector::zeros()));
+        bench.run(ms(10));
+        assert_eq!(bench.state(), GatewayState::Started);
+        bench.sent.clear();
+        if is_gone {
+            bench.gateway.handle_host_gone(bench.now);
+            assert_eq!(bench.state(), GatewayState::Stopping);
+        }
+        bench.run(ms(2000));
+        assert_eq!((bench.state(), bench.cause()), (GatewayState::Idle, StopCause::None));
+        let runs = runs(&bench.sent);
+        assert_eq!(runs[1..], [(Kind::Off, 1), (Kind::Letter(Letter::End), 1)], "{runs:?}");
+        let cycles = (brake_time.as_millis() / CYCLE.as_millis()) as usize;
+        assert!(runs[0].0 == Kind::Braked && (cycles - 15..cycles).contains(&runs[0].1), "{runs:?}");
+        assert_eq!(rejected(bench.ask(control(ArmOperation::Start))), (RejectReason::NotConnected, 0));
+    }
+}
+
 #[test]
 fn a_configuration_that_leaves_less_than_required_is_refused_by_name() {
     let good = config(WireFormat::LittleEndian5x8);

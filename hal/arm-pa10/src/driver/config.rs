@@ -1,5 +1,6 @@
 //! What a driver is told about its arm and link.
 
+use std::f64::consts::TAU;
 use std::time::Duration;
 
 use pb3dp_kinematics::{DOF, JointVector};
@@ -17,7 +18,10 @@ const REST_CYCLES_MIN: u32 = 5;
 /// and the University of Florida: 232, 232, 100, 100, 14.5, 14.5, 14.5) the lower ones.
 pub const PA10_TORQUE_MAX_N_M: [f64; DOF] = [158.0, 158.0, 68.0, 68.0, 14.5, 14.5, 14.5];
 
-/// The part of them that a joint may carry for long.
+/// Largest speeds of the joints, rad/s, base to tip: about 57, 115 and 360 degrees/s by the data sheet.
+pub const PA10_SPEED_MAX_RAD_PER_S: [f64; DOF] = [1.0, 1.0, 2.0, 2.0, TAU, TAU, TAU];
+
+/// The part of the largest torques that a joint may carry for long.
 const TORQUE_PART: f64 = 0.8;
 
 /// The longest that a joint may carry more.
@@ -135,6 +139,21 @@ pub enum DriverConfigError {
         /// The longest one.
         most: Duration,
     },
+    /// A stop takes longer than an activity may.
+    #[error(
+        "joint {joint}: a stop from its largest speed takes {needed_s:.1} s with {deceleration} rad/s^2, an activity may take \
+         {got:?}: give more deceleration"
+    )]
+    StopTimeout {
+        /// Index from the base, 0 to 6.
+        joint: usize,
+        /// The deceleration given, rad/s^2.
+        deceleration: f64,
+        /// How long it takes with brakes and messages, s.
+        needed_s: f64,
+        /// How long an activity may take.
+        got: Duration,
+    },
     /// An activity has less time than it needs.
     #[error("{got:?} for an activity: enabling and opening the brakes need {least:?}")]
     ActivityTimeout {
@@ -197,6 +216,19 @@ impl DriverConfig {
             return Err(DriverConfigError::TorqueFor { got: self.torque_for, most: TORQUE_FOR_MAX });
         }
         let least = self.cycle * self.warm_up_exchanges * 2 + self.brake_time * 2;
+        for (joint, &speed) in PA10_SPEED_MAX_RAD_PER_S.iter().enumerate() {
+            let deceleration = self.deceleration_rad_per_s2[joint];
+            // Both as numbers: a quotient may be more than a duration can hold.
+            let needed_s = speed / deceleration + (self.cycle * (self.rest_cycles + 3) + self.brake_time).as_secs_f64();
+            if needed_s > self.activity_timeout.as_secs_f64() {
+                return Err(DriverConfigError::StopTimeout {
+                    joint,
+                    deceleration,
+                    needed_s,
+                    got: self.activity_timeout,
+                });
+            }
+        }
         if self.activity_timeout < least {
             return Err(DriverConfigError::ActivityTimeout { got: self.activity_timeout, least });
         }

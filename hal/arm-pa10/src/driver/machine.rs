@@ -273,9 +273,10 @@ impl Driver {
         }
         let allowed = self.config.activity_timeout;
         if self.phase != Phase::Steady && now.saturating_since(self.phase_since) > allowed {
-            let was_stopping = self.activity() == Activity::Stopping;
+            // A stop is given up only once the emergency order, which a fault begins anew, had its time, too.
+            let is_last = self.activity() == Activity::Stopping && self.state.is_latched();
             self.trip(now, Trip::Fault(FaultCause::ActivityTimeout { activity: self.activity(), allowed }));
-            if was_stopping {
+            if is_last {
                 self.finish_stop(now);
             }
         }

@@ -172,9 +172,13 @@ impl Driver {
             _ => StopStep::Ramp,
         };
         if let Phase::Stopping(step) = self.phase {
-            if emergency && step == StopStep::Ramp {
-                self.motion = self.stopping_motion(now, emergency);
-                self.phase = Phase::Stopping(first);
+            if emergency {
+                // What is left of the order has all its time: at most twice, as a fault or an emergency stop comes only once.
+                self.phase_since = now;
+                if step == StopStep::Ramp {
+                    self.motion = self.stopping_motion(now, emergency);
+                    self.phase = Phase::Stopping(first);
+                }
             }
             return;
         }

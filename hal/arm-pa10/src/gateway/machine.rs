@@ -229,6 +229,17 @@ impl Machine {
         self.work = Work::Close { tries: 0 };
     }
 
+    /// Nobody is there any more in `started`: E at once, but only behind brakes that hold.
+    pub fn end_started(&mut self, now: MonotonicTime) {
+        if self.motion.brakes_closed(now) {
+            self.state = GatewayState::Idle;
+            self.close();
+        } else {
+            self.state = GatewayState::Stopping;
+            self.begin_stop(now, GatewayState::Started);
+        }
+    }
+
     pub fn is_cycling(&self) -> bool {
         matches!(self.state, GatewayState::Started | GatewayState::Holding | GatewayState::Moving)
     }
@@ -239,8 +250,7 @@ impl Machine {
             GatewayState::Started if now.saturating_since(self.host.heard) >= STARTED_SILENCE => {
                 self.cancel(now, wrong_state(GatewayState::Idle));
                 self.host.forget();
-                self.state = GatewayState::Idle;
-                self.close();
+                self.end_started(now);
             }
             GatewayState::Holding | GatewayState::Moving
                 if self.motion.age(now) >= self.config.watchdog.stop_after() =>

@@ -48,10 +48,7 @@ impl Machine {
             GatewayState::Holding | GatewayState::Moving => {
                 self.trip(now, StopCause::HostSilent, None, 0);
             }
-            GatewayState::Started => {
-                self.state = GatewayState::Idle;
-                self.close();
-            }
+            GatewayState::Started => self.end_started(now),
             _ if may_have_started => self.close(),
             _ => {}
         }
