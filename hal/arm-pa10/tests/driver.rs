@@ -244,38 +244,6 @@ fn an_activity_that_drags_on_is_a_fault() {
     assert_eq!(bench.kinds_since(0).last().map(|(kind, _)| *kind), Some(Kind::End));
 }
 
-/// A stop that was told too late is not given up while the arm moves: it becomes an emergency order, which goes to its end.
-#[test]
-fn a_stop_that_drags_on_is_ended_as_after_a_fault() {
-    let config = DriverConfig { activity_timeout: ms(4000), ..DriverConfig::with_cycle(CYCLE) };
-    let mut bench = Bench::with_config(config);
-    bench.lead_to(DriverState::Moving);
-    bench.driver.handle_request(bench.now, Request::Move(JointVector::repeat(6.5))).unwrap();
-    let from = bench.sent.len();
-    bench.request(Request::Stop);
-    bench.run(ms(3000));
-    // Late in the stop, so that little of its time was left.
-    bench.now = bench.now + ms(100);
-    bench.driver.handle_trip(bench.now, Trip::Fault(FaultCause::Supervisor));
-    bench.now = bench.now + ms(950);
-    bench.settle();
-    let kinds = bench.only_kinds_since(from);
-    assert_eq!(kinds, [Kind::Motion, Kind::Rest, Kind::Braked, Kind::Off, Kind::End]);
-    // And one that nobody asked for too long.
-    let mut bench = Bench::with_config(config);
-    bench.lead_to(DriverState::Moving);
-    let from = bench.sent.len();
-    bench.request(Request::Stop);
-    bench.run(ms(50));
-    bench.now = bench.now + ms(4001);
-    bench.settle();
-    let Trip::Fault(FaultCause::ActivityTimeout { activity: Activity::Stopping, .. }) = trip(&bench) else {
-        panic!("{}", trip(&bench))
-    };
-    let kinds = bench.only_kinds_since(from);
-    assert_eq!(kinds, [Kind::Motion, Kind::Rest, Kind::Braked, Kind::Off, Kind::End]);
-}
-
 #[test]
 fn every_alarm_stops_the_arm_by_its_name() {
     for &alarm in ServoAlarm::LISTED.iter().chain(&[ServoAlarm::Unlisted(0x42)]) {
@@ -331,8 +299,10 @@ fn a_switch_bit_stops_the_arm_where_the_configuration_says_so() {
 fn an_axis_without_power_is_a_fault_once_the_brakes_are_open() {
     let mut bench = Bench::new();
     bench.peer.servo = [ServoWord(0xC000); 7];
-    bench.lead_to(DriverState::Enabled);
+    bench.lead_to(DriverState::Connected);
     bench.peer.servo = [ServoWord(0); 7];
+    bench.request(Request::Enable);
+    bench.settle();
     bench.request(Request::ReleaseBrakes);
     bench.settle();
     bench.peer.servo[1] = ServoWord(0x8000);

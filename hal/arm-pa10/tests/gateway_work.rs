@@ -96,6 +96,33 @@ fn an_axis_without_power_stops_the_arm_where_brakes_are_open() {
     }
 }
 
+/// The servo would not hold what the brake lets go of; and the controller may say so of the whole arm.
+#[test]
+fn brakes_do_not_open_on_an_arm_that_is_uncontrollable() {
+    for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
+        let refused = (RejectReason::CausePresent, u32::from(StopCause::AxisUncontrollable.byte()));
+        let mut bench = Bench::greeted(config(WireFormat::BigEndian6x10), dialect);
+        bench.start();
+        bench.controller.servo[1] = ServoWord(0x8000);
+        bench.run(ms(4));
+        let open = bench.command(DriveMode::Follow, JointVector::zeros());
+        assert_eq!(rejected(bench.ask(open)), refused);
+        assert_eq!((bench.state(), bench.cause()), (GatewayState::Started, StopCause::None));
+        bench.controller.servo[1] = ServoWord(0);
+        bench.controller.comm = CommWord(0x4000);
+        bench.run(ms(4));
+        assert_eq!(rejected(bench.ask(open)), refused);
+        bench.controller.comm = CommWord(0);
+        bench.run(ms(4));
+        bench.ask(open);
+        assert_eq!(bench.state(), GatewayState::Holding);
+        bench.controller.comm = CommWord(0x4000);
+        bench.run(ms(4));
+        assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::AxisUncontrollable));
+        assert_eq!((faults(&bench)[0].axis, faults(&bench)[0].word), (None, 0x4000));
+    }
+}
+
 #[test]
 fn status_words_of_format_a_are_passed_on_and_not_acted_on() {
     let mut bench = Bench::greeted(config(WireFormat::LittleEndian5x8), Dialect::GatewayV1);

@@ -126,7 +126,8 @@ alarms! {
 pub struct ServoWord(pub u16);
 
 impl ServoWord {
-    /// At the upper angle limit: only motion downwards is sensible.
+    /// At the upper angle limit: only motion downwards is sensible. The driver does not act on it: limits are watched by angles,
+    /// which both formats tell, before the servo's own limits are reached.
     pub fn at_positive_limit(self) -> bool {
         self.0 & 0x0001 != 0
     }

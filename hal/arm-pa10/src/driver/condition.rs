@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use pb3dp_kinematics::JointVector;
 
+use super::WarmUpFailure;
 use crate::codec::{ArmReply, Axis, AxisStatus, CommAlarm, CommStatus, ServoAlarm, TorqueScale};
 use crate::gateway_protocol::{GatewayState, RejectReason, State, StopCause};
 
@@ -31,6 +32,13 @@ pub struct ArmCondition {
     pub comm: CommStatus,
     /// Of the gateway, if there is one: what it is doing and why it stopped.
     pub gateway: Option<(GatewayState, StopCause)>,
+}
+
+/// An axis without power or control; without an axis the controller says so of the whole arm.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Uncontrollable {
+    axis: Option<Axis>,
+    word: u16,
 }
 
 /// Why the arm was stopped.
@@ -94,6 +102,14 @@ pub enum FaultCause {
         /// Its status word.
         word: u16,
     },
+    /// The controller says that the arm does not follow.
+    #[error(
+        "controller: status word 0x{word:04x} says uncontrollable while the arm has to follow; look at its panel, then reset"
+    )]
+    ArmUncontrollable {
+        /// The status word.
+        word: u16,
+    },
     /// A joint carried too much for too long.
     #[error(
         "{axis}: {torque_n_m:+.1} N m at the joint, more than {allowed_n_m:.1} N m for {lasted:?}: it is blocked, overloaded or \
@@ -112,6 +128,12 @@ pub enum FaultCause {
     /// The gateway stopped the arm.
     #[error("the gateway stopped the arm: {0}; remove the cause, then reset")]
     Gateway(StopCause),
+    /// The gateway does not follow any more, and gives no cause.
+    #[error("the gateway is {gateway} although nobody here has stopped it; find out who has, then reset")]
+    GatewayStopped {
+        /// What it is doing.
+        gateway: GatewayState,
+    },
     /// The gateway refused what the driver sent.
     #[error(
         "the gateway refused a message: {0}; was it restarted, or told to stop by somebody else? Find out, then reset"
@@ -230,15 +252,27 @@ impl ArmCondition {
         emergency_stop.or_else(|| self.fault().map(Trip::Fault))
     }
 
-    /// An axis that can not be held by its servo, where all should be.
-    pub(crate) fn uncontrollable(&self) -> Option<FaultCause> {
+    /// What the gateway is doing instead of following, where it should.
+    pub(super) fn gateway_stopped(&self) -> Option<FaultCause> {
+        use GatewayState::{Holding, Moving, Started};
+        let (gateway, _) = self.gateway?;
+        let follows = matches!(gateway, Started | Holding | Moving);
+        (!follows).then_some(FaultCause::GatewayStopped { gateway })
+    }
+
+    /// An axis that can not be held by its servo, where all should be; or the whole arm, as the controller says.
+    pub(crate) fn uncontrollable(&self) -> Option<Uncontrollable> {
         let lost = |axis: &Axis| match self.axes[axis.index()] {
             AxisStatus::Servo(word) if word.is_power_off() || word.is_uncontrollable() => {
-                Some(FaultCause::AxisUncontrollable { axis: *axis, word: word.0 })
+                Some(Uncontrollable { axis: Some(*axis), word: word.0 })
             }
             _ => None,
         };
-        Axis::ALL.iter().find_map(lost)
+        let all = || match self.comm {
+            CommStatus::Comm(word) if word.is_uncontrollable() => Some(Uncontrollable { axis: None, word: word.0 }),
+            _ => None,
+        };
+        Axis::ALL.iter().find_map(lost).or_else(all)
     }
 
     /// The power supply of the controller says that it is too warm.
@@ -294,6 +328,18 @@ impl ArmCondition {
             stopped.then_some(FaultCause::Gateway(cause))
         };
         of_axis.or_else(of_controller).or_else(of_gateway)
+    }
+}
+
+impl From<Uncontrollable> for FaultCause {
+    fn from(Uncontrollable { axis, word }: Uncontrollable) -> Self {
+        axis.map_or(Self::ArmUncontrollable { word }, |axis| Self::AxisUncontrollable { axis, word })
+    }
+}
+
+impl From<Uncontrollable> for WarmUpFailure {
+    fn from(Uncontrollable { axis, word }: Uncontrollable) -> Self {
+        axis.map_or(Self::ArmUncontrollable { word }, |axis| Self::AxisUncontrollable { axis, word })
     }
 }
 

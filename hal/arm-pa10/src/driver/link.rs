@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use crate::codec::Axis;
+
 /// Exchanges in a row without a usable reply that are tolerated.
 const MISSES_TOLERATED: u32 = 2;
 
@@ -66,6 +68,24 @@ pub enum WarmUpFailure {
     /// The power supply is too warm.
     #[error("the controller's power supply is too warm; let it cool down")]
     PowerTooWarm,
+    /// An axis has no power or does not follow.
+    #[error(
+        "{axis}: status word 0x{word:04x} says power off or uncontrollable with its servo on; check its power, then enable again"
+    )]
+    AxisUncontrollable {
+        /// Which axis.
+        axis: Axis,
+        /// Its status word.
+        word: u16,
+    },
+    /// The controller says that the arm does not follow.
+    #[error(
+        "controller: status word 0x{word:04x} says uncontrollable with the servos on; look at its panel, then enable again"
+    )]
+    ArmUncontrollable {
+        /// The status word.
+        word: u16,
+    },
 }
 
 /// Counts misses in a row and the exchanges of a warm-up.

@@ -20,9 +20,14 @@ impl Driver {
     pub(super) fn handle_sample(&mut self, now: MonotonicTime, sample: &Sample) {
         self.keep(now, sample);
         let found = sample.condition.trip(self.config.emergency_stop_bits);
-        let uncontrollable = || {
-            let must_follow = self.state.has_open_brakes() && self.phase == Phase::Steady;
-            must_follow.then(|| sample.condition.uncontrollable()).flatten().map(Trip::Fault)
+        let lost = || {
+            let condition = &sample.condition;
+            let opens = matches!(self.phase, Phase::Releasing { .. });
+            let follows = self.phase == Phase::Steady && self.state.has_open_brakes();
+            let cycles = self.phase == Phase::Steady || matches!(self.phase, Phase::Enabling { .. });
+            let stopped = (cycles || opens).then(|| condition.gateway_stopped()).flatten();
+            let lost = || (follows || opens).then(|| condition.uncontrollable()).flatten().map(FaultCause::from);
+            stopped.or_else(lost).map(Trip::Fault)
         };
         let measured = now - sample.age;
         let overloaded = match self.brakes_open {
@@ -33,7 +38,7 @@ impl Driver {
                 None
             }
         };
-        if let Some(trip) = found.or_else(uncontrollable).or(overloaded) {
+        if let Some(trip) = found.or_else(lost).or(overloaded) {
             self.trip(now, trip);
             return;
         }
@@ -247,6 +252,8 @@ impl Driver {
         let verdict = self.link.warm_up(self.config.warm_up_exchanges);
         let verdict = match verdict {
             Some(Ok(())) if sample.condition.is_power_too_warm() => Some(Err(WarmUpFailure::PowerTooWarm)),
+            // The servos are on, as the brakes are about to open: an axis that shows that it can not hold would fall.
+            Some(Ok(())) => Some(sample.condition.uncontrollable().map_or(Ok(()), |lost| Err(lost.into()))),
             other => other,
         };
         match verdict {

@@ -153,6 +153,12 @@ impl Machine {
         }
     }
 
+    /// Whether the newest measurement shows that the arm would not hold itself with open brakes.
+    pub fn is_uncontrollable(&self) -> bool {
+        let condition = |measured: &Measured| Sample::from_reply(&measured.reply, &self.config.torque_scale).condition;
+        self.measured.as_ref().is_some_and(|measured| condition(measured).uncontrollable().is_some())
+    }
+
     /// What stops the arm in what it tells of itself. Format A tells nothing.
     fn judge(&self, condition: &ArmCondition) -> Option<Found> {
         let comm = match condition.comm {
@@ -169,12 +175,13 @@ impl Machine {
         let of_arm = |cause| Found { cause, axis: None, word: comm };
         let open = matches!(self.state, GatewayState::Holding | GatewayState::Moving);
         let trip = condition.trip(self.config.emergency_stop_bits);
-        let trip = trip.or_else(|| condition.uncontrollable().filter(|_| open).map(Trip::Fault));
+        let trip = trip.or_else(|| condition.uncontrollable().filter(|_| open).map(|lost| Trip::Fault(lost.into())));
         Some(match trip? {
             Trip::EStop(EmergencyStopCause::Axis { axis, .. }) => of_axis(StopCause::EmergencyStop, axis),
             Trip::EStop(_) => of_arm(StopCause::EmergencyStop),
             Trip::Fault(FaultCause::ServoAlarm { axis, .. }) => of_axis(StopCause::ServoAlarm, axis),
             Trip::Fault(FaultCause::AxisUncontrollable { axis, .. }) => of_axis(StopCause::AxisUncontrollable, axis),
+            Trip::Fault(FaultCause::ArmUncontrollable { .. }) => of_arm(StopCause::AxisUncontrollable),
             Trip::Fault(_) => of_arm(StopCause::ControllerAlarm),
         })
     }

@@ -166,6 +166,11 @@ impl Machine {
                     && !self.motion.brakes_motion(asked)
                     && self.motion.may_move(now, asked)
                     && (self.state != GatewayState::Moving || self.motion.keeps_brakes(asked));
+                let opens = self.state == GatewayState::Started && next == GatewayState::Holding;
+                if possible && opens && self.is_uncontrollable() {
+                    let cause = u32::from(StopCause::AxisUncontrollable.byte());
+                    return Err(Refused(RejectReason::CausePresent, cause));
+                }
                 if possible { Ok(Some(next)) } else { Err(wrong_state(self.state)) }
             }
             _ => Err(wrong_state(self.state)),

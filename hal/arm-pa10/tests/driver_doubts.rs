@@ -1,0 +1,128 @@
+//! What the driver does where the arm or the gateway says less than it should: an order that drags on, an axis that would not
+//! hold, a gateway that stopped without a cause.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+mod common;
+
+use std::time::Duration;
+
+use common::{Bench, CYCLE, Kind};
+use pb3dp_arm_pa10::codec::{
+    AngleCounts, ArmReply, Axis, AxisReply, AxisStatus, CommStatus, CommWord, ServoWord, SpeedCounts, TorqueCounts,
+    TorqueScale, WireFormat,
+};
+use pb3dp_arm_pa10::driver::{
+    Activity, DriverConfig, DriverState, FaultCause, Reply, Request, Sample, Trip, WarmUpFailure,
+};
+use pb3dp_arm_pa10::gateway_protocol::{GatewayState, State, StopCause};
+use pb3dp_kinematics::JointVector;
+
+const fn ms(ms: u64) -> Duration {
+    Duration::from_millis(ms)
+}
+
+fn trip(bench: &Bench) -> Trip {
+    bench.driver.latched().unwrap().trip
+}
+
+/// A stop that was told too late is not given up while the arm moves: it becomes an emergency order, which goes to its end.
+#[test]
+fn a_stop_that_drags_on_is_ended_as_after_a_fault() {
+    let config = DriverConfig { activity_timeout: ms(4000), ..DriverConfig::with_cycle(CYCLE) };
+    let mut bench = Bench::with_config(config);
+    bench.lead_to(DriverState::Moving);
+    bench.driver.handle_request(bench.now, Request::Move(JointVector::repeat(6.5))).unwrap();
+    let from = bench.sent.len();
+    bench.request(Request::Stop);
+    bench.run(ms(3000));
+    // Late in the stop, so that little of its time was left.
+    bench.now = bench.now + ms(100);
+    bench.driver.handle_trip(bench.now, Trip::Fault(FaultCause::Supervisor));
+    bench.now = bench.now + ms(950);
+    bench.settle();
+    let kinds = bench.only_kinds_since(from);
+    assert_eq!(kinds, [Kind::Motion, Kind::Rest, Kind::Braked, Kind::Off, Kind::End]);
+    // And one that nobody asked for too long.
+    let mut bench = Bench::with_config(config);
+    bench.lead_to(DriverState::Moving);
+    let from = bench.sent.len();
+    bench.request(Request::Stop);
+    bench.run(ms(50));
+    bench.now = bench.now + ms(4001);
+    bench.settle();
+    let Trip::Fault(FaultCause::ActivityTimeout { activity: Activity::Stopping, .. }) = trip(&bench) else {
+        panic!("{}", trip(&bench))
+    };
+    let kinds = bench.only_kinds_since(from);
+    assert_eq!(kinds, [Kind::Motion, Kind::Rest, Kind::Braked, Kind::Off, Kind::End]);
+}
+
+/// An arm that says so itself would fall as soon as its brakes open.
+#[test]
+fn brakes_do_not_open_on_an_arm_that_says_that_it_does_not_follow() {
+    let one = FaultCause::AxisUncontrollable { axis: Axis::ALL[3], word: 0x8000 };
+    let all = FaultCause::ArmUncontrollable { word: 0x4000 };
+    for (servo, comm, cause, failure) in [
+        (0x8000, 0, one, WarmUpFailure::AxisUncontrollable { axis: Axis::ALL[3], word: 0x8000 }),
+        (0, 0x4000, all, WarmUpFailure::ArmUncontrollable { word: 0x4000 }),
+    ] {
+        let spoil = |bench: &mut Bench| {
+            bench.peer.servo[3] = ServoWord(servo);
+            bench.peer.comm = CommWord(comm);
+        };
+        // At the end of the warm-up.
+        let mut bench = Bench::in_state(DriverState::Connected);
+        spoil(&mut bench);
+        bench.request(Request::Enable);
+        bench.settle();
+        assert_eq!((bench.driver.state(), bench.driver.warm_up_failure()), (DriverState::Connected, Some(&failure)));
+        assert_eq!(bench.only_kinds_since(0).iter().filter(|kind| **kind == Kind::Rest).count(), 0);
+        // While the brakes open, while the arm holds.
+        for (state, request) in [(DriverState::Enabled, Some(Request::ReleaseBrakes)), (DriverState::Holding, None)] {
+            let mut bench = Bench::in_state(state);
+            request.into_iter().for_each(|request| bench.request(request));
+            bench.run(CYCLE * 3);
+            spoil(&mut bench);
+            bench.settle();
+            bench.run(CYCLE * 3);
+            assert_eq!(trip(&bench), Trip::Fault(cause), "{state}");
+        }
+    }
+}
+
+/// R2, R4: a gateway that somebody else has stopped does not move the arm, and says so only by its state.
+#[test]
+fn a_gateway_that_stopped_by_itself_is_a_fault_whatever_the_cause() {
+    let axis = AxisReply {
+        status: AxisStatus::Servo(ServoWord(0)),
+        angle: AngleCounts(580_267),
+        speed: Some(SpeedCounts(-500)),
+        torque: TorqueCounts(7),
+    };
+    let reply = ArmReply { axes: [axis; 7], comm: CommStatus::Comm(CommWord(0x0001)) };
+    let told = |bench: &mut Bench, gateway| {
+        bench.now = bench.now + CYCLE;
+        assert!(bench.driver.poll_transmit(bench.now).is_some());
+        let mut told = State::from_reply(&reply, &TorqueScale::of_format(WireFormat::BigEndian6x10), 0).unwrap();
+        (told.gateway, told.cause) = (gateway, StopCause::None);
+        bench.driver.handle_reply(bench.now, &Reply::Sample(Sample::from_state(&told)));
+    };
+    for state in [DriverState::Enabled, DriverState::Holding, DriverState::Moving] {
+        for gateway in [GatewayState::Started, GatewayState::Holding, GatewayState::Moving] {
+            let mut bench = Bench::in_state(state);
+            told(&mut bench, gateway);
+            assert_eq!(bench.driver.state(), state, "{gateway}");
+        }
+        for gateway in [GatewayState::Idle, GatewayState::Stopping] {
+            let mut bench = Bench::in_state(state);
+            told(&mut bench, gateway);
+            assert_eq!(trip(&bench), Trip::Fault(FaultCause::GatewayStopped { gateway }), "{state}");
+        }
+        // A stop that the host itself has asked for is none.
+        let mut bench = Bench::in_state(state);
+        bench.request(Request::Stop);
+        told(&mut bench, GatewayState::Stopping);
+        assert_eq!(bench.driver.latched(), None);
+    }
+}
