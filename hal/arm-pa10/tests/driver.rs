@@ -27,9 +27,13 @@ fn trip(bench: &Bench) -> Trip {
 
 /// Speeds sent from an index on, as the largest part of the velocity asked for.
 fn parts_since(bench: &Bench, from: usize) -> Vec<f64> {
+    parts_of_joint_since(bench, from, 6)
+}
+
+fn parts_of_joint_since(bench: &Bench, from: usize, joint: usize) -> Vec<f64> {
     let sent = bench.sent[from..].iter();
     sent.filter_map(|(_, message)| match message {
-        ControlMessage::Cyclic(command) => Some(command.velocity_rad_per_s()[6] / velocity()[6]),
+        ControlMessage::Cyclic(command) => Some(command.velocity_rad_per_s()[joint] / velocity()[joint]),
         _ => None,
     })
     .collect()
@@ -480,16 +484,22 @@ fn a_reply_that_is_read_too_late_is_a_lost_one() {
     assert_eq!(bench.driver.joints(), Some(&joints));
 }
 
+/// E1 with its 0.4 rad/s and 2 rad/s^2 needs 200 ms, W2 with 0.7 rad/s and 5 rad/s^2 only 140 ms.
 #[test]
-fn holding_comes_to_rest_with_the_deceleration_of_the_slowest_joint() {
+fn holding_brings_each_joint_to_rest_with_its_own_deceleration() {
     let mut bench = Bench::in_state(DriverState::Moving);
     bench.run_moving(ms(50));
     let from = bench.sent.len();
     bench.request(Request::Hold);
     bench.run(ms(300));
     assert_eq!(bench.driver.state(), DriverState::Holding);
-    let parts = parts_since(&bench, from);
-    assert!((parts[10] - 0.5).abs() < 0.06 && parts[25] == 0.0, "{parts:?}");
+    let parts = |joint: usize| parts_of_joint_since(&bench, from, joint);
+    let (elbow, wrist) = (parts(3), parts(6));
+    assert!((elbow[10] - 0.5).abs() < 0.06 && elbow[18] > 0.0 && elbow[25] == 0.0, "{elbow:?}");
+    assert!(
+        (wrist[7] - 0.5).abs() < 0.08 && wrist[12] > 0.0 && wrist[15..].iter().all(|part| *part == 0.0),
+        "{wrist:?}"
+    );
     bench.run(ms(5000));
     assert_eq!(bench.driver.state(), DriverState::Holding, "a held arm may be left alone");
 }

@@ -145,13 +145,12 @@ impl Side {
         let peaks = self.last.peaks_since(now - reaction);
         let meanwhile_s = (reaction + self.config.command_timeout).as_secs_f64();
         let velocity = &set_point.velocity;
-        // On a ramp of the arm's own all joints come to rest at the same time.
-        let ramp_s = velocity.abs().component_div(&self.config.acceleration_max_rad_per_s2).max();
         let mut ways = [JointVector::zeros(); 2];
         for (side, upwards) in [(0, -1.0), (1, 1.0)] {
             for i in 0..DOF {
                 let (speed, change) = (upwards * velocity[i], upwards * set_point.acceleration[i]);
-                let braking = self.drives.of(i).way_to_rest(speed, change).max(0.5 * speed.max(0.0) * ramp_s);
+                // No shorter than the ramp of the arm's own, which knows no jerk.
+                let braking = self.drives.of(i).way_to_rest(speed, change);
                 ways[side][i] = meanwhile_s * peaks[side][i].max(speed).max(0.0) + braking;
             }
         }

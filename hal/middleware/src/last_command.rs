@@ -25,7 +25,7 @@ pub(crate) struct LastCommand {
 enum Kind {
     Rest,
     Velocity(SetPoint),
-    /// The arm's own ramp from this velocity on: all joints by the same part.
+    /// The arm's own ramp from this velocity on: each joint by itself.
     Hold {
         since: MonotonicTime,
         from_rad_per_s: JointVector,

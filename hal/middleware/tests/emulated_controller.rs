@@ -1,11 +1,12 @@
-//! Faults that only a look at the joints finds, against the emulated controller of a PA-10: limiter, guard, driver, bus, joints, in
-//! virtual time.
+//! Limiter and guard against the emulated controller of a PA-10, with the driver that a real arm has, the bus and the joints, in
+//! virtual time: faults that only a look at the joints finds, and where the driver's own ramp brings the joints.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 #[path = "../../arm-pa10/tests/common/bus_bench.rs"]
 #[allow(dead_code, reason = "each test file uses its part")]
 mod bus_bench;
+mod common;
 
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
@@ -15,9 +16,11 @@ use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, FaultCause, Request, Trip};
 use pb3dp_arm_pa10::mock_controller::MockControllerConfig;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
-use pb3dp_hal_middleware::{Guard, GuardConfig};
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_hal_middleware::{Guard, GuardConfig, Limiter, LimiterConfig};
+use pb3dp_kinematics::{JointLimits, JointVector};
 use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant, JointPlantConfig};
+use proptest::prelude::*;
 
 const SPEED_SCALE: f64 = 0.3;
 
@@ -100,23 +103,17 @@ impl ArmPower for VirtualArm {
     }
 }
 
-fn guarded(format: WireFormat) -> (Guard<VirtualArm>, Arc<Mutex<BusBench>>) {
-    let joints = plant_config();
-    let (mechanical_min_rad, mechanical_max_rad) = GuardConfig::pa10_mechanical_range_rad();
-    let config = GuardConfig {
-        hard_limits: joints.limits,
-        mechanical_min_rad,
-        mechanical_max_rad,
-        speed_scale: SPEED_SCALE,
-        acceleration_max_rad_per_s2: joints.acceleration_max_rad_per_s2,
-        delay: BUS_CYCLE,
-        lag: joints.velocity_time_constant,
-        tracking_error_max_rad: GuardConfig::TRACKING_ERROR_MAX_RAD,
-        tracking_error_for: GuardConfig::TRACKING_ERROR_FOR,
-    };
+/// An enabled arm at these joints, watched by a guard.
+fn guarded(
+    format: WireFormat,
+    start_rad: JointVector,
+    config: GuardConfig,
+) -> (Guard<VirtualArm>, Arc<Mutex<BusBench>>) {
     let mut bench = BusBench::with(DriverConfig::with_cycle(BUS_CYCLE), MockControllerConfig::new(format), 1);
-    let joints = JointPlantConfig { history: Duration::from_secs(10), ..plant_config() };
-    let joints = JointPlant::new(joints, bus_bench::home(), bench.now).unwrap();
+    let speeds = *config.hard_limits.velocity_max_rad_per_s();
+    let limits = JointLimits::new(config.mechanical_min_rad, config.mechanical_max_rad, speeds).unwrap();
+    let joints = JointPlantConfig { limits, history: Duration::from_secs(30), ..plant_config() };
+    let joints = JointPlant::new(joints, start_rad, bench.now).unwrap();
     *bench.plant.lock().unwrap() = joints.with_mechanics(JointMechanics::default()).unwrap();
     bench.request(Request::Connect);
     bench.settle();
@@ -131,6 +128,23 @@ fn guarded(format: WireFormat) -> (Guard<VirtualArm>, Arc<Mutex<BusBench>>) {
     let mut guard = Guard::new(VirtualArm { bench: Arc::clone(&bench), info }, config).unwrap().on_stop(trip);
     guard.enable().unwrap();
     (guard, bench)
+}
+
+/// For drives that brake far harder than any command asks them to.
+fn wide_guard_config() -> GuardConfig {
+    let joints = plant_config();
+    let (mechanical_min_rad, mechanical_max_rad) = GuardConfig::pa10_mechanical_range_rad();
+    GuardConfig {
+        hard_limits: joints.limits,
+        mechanical_min_rad,
+        mechanical_max_rad,
+        speed_scale: SPEED_SCALE,
+        acceleration_max_rad_per_s2: joints.acceleration_max_rad_per_s2,
+        delay: BUS_CYCLE,
+        lag: joints.velocity_time_constant,
+        tracking_error_max_rad: GuardConfig::TRACKING_ERROR_MAX_RAD,
+        tracking_error_for: GuardConfig::TRACKING_ERROR_FOR,
+    }
 }
 
 /// To and fro, with up to 0.8 of what is allowed.
@@ -148,7 +162,7 @@ struct Outcome {
 
 /// Moves, and lets a fault come, until the guard or the driver itself has found it.
 fn outcome(format: WireFormat, phase: u32, line: &str) -> Option<Outcome> {
-    let (mut guard, bench) = guarded(format);
+    let (mut guard, bench) = guarded(format, bus_bench::home(), wide_guard_config());
     let step = |guard: &mut Guard<VirtualArm>| {
         let command = velocity(bench.lock().unwrap().now);
         guard.exchange(command)
@@ -236,5 +250,116 @@ fn what_only_the_joints_show_stops_the_arm() {
             assert!(found <= Duration::from_millis(within_ms), "{line}: {found:?}");
             assert!(slowest <= braking.time() + Duration::from_millis(20), "{line}: {slowest:?}");
         }
+    }
+}
+
+/// The time of a bench.
+struct BenchClock(Arc<Mutex<BusBench>>);
+
+impl Clock for BenchClock {
+    fn now(&self) -> MonotonicTime {
+        self.0.lock().unwrap().now
+    }
+
+    fn sleep_until(&self, deadline: MonotonicTime) {
+        self.0.lock().unwrap().run_until(deadline, |_| false);
+    }
+}
+
+/// All that stands between a controller of the hand and a real arm, with the accelerations that the driver brakes with.
+struct Chained {
+    limiter: Limiter<Guard<VirtualArm>>,
+    bench: Arc<Mutex<BusBench>>,
+    begin: MonotonicTime,
+}
+
+impl Chained {
+    fn new(start_rad: JointVector, speed_scale: f64) -> Self {
+        let driver = DriverConfig::with_cycle(BUS_CYCLE);
+        let lag = plant_config().velocity_time_constant;
+        let guard = GuardConfig {
+            acceleration_max_rad_per_s2: driver.deceleration_rad_per_s2,
+            // A sample comes at the end of the cycle whose command is noted with it.
+            delay: Duration::ZERO,
+            lag,
+            ..common::guard_config(speed_scale)
+        };
+        let (guard, bench) = guarded(WireFormat::BigEndian6x10, start_rad, guard);
+        let config = LimiterConfig {
+            acceleration_max_rad_per_s2: driver.deceleration_rad_per_s2,
+            jerk_max_rad_per_s3: driver.deceleration_rad_per_s2 * 40.0,
+            reaction_time: HOST_CYCLE + BUS_CYCLE * 2 + lag,
+            command_timeout: driver.watchdog.stop_after(),
+            ..common::limiter_config(speed_scale)
+        };
+        let mut limiter = Limiter::new(guard, config, Arc::new(BenchClock(Arc::clone(&bench)))).unwrap();
+        limiter.exchange(JointCommand::Hold).unwrap();
+        let begin = bench.lock().unwrap().now;
+        Self { limiter, bench, begin }
+    }
+
+    /// How far any joint was beyond its operating range, rad; negative if none was.
+    fn farthest_beyond_rad(&self) -> f64 {
+        let operating_rad = LimiterConfig::pa10_operating_range_rad().1;
+        let bench = self.bench.lock().unwrap();
+        let plant = bench.plant.lock().unwrap();
+        let (mut at, mut farthest_rad) = (self.begin, f64::NEG_INFINITY);
+        while at <= plant.now() {
+            farthest_rad = farthest_rad.max((plant.position_at(at).unwrap().abs() - operating_rad).max());
+            at = at + Duration::from_millis(3);
+        }
+        farthest_rad
+    }
+}
+
+/// S2 comes near its end slowly while S3 is fast and needs a second to brake: S2 must not go on for as long.
+#[test]
+fn a_hold_leads_no_joint_out_while_another_one_needs_longer_to_brake() {
+    let end_rad = LimiterConfig::pa10_operating_range_rad().1[1];
+    let mut arm = Chained::new(JointVector::from([0.0, end_rad - 0.35, -2.5, 0.5, 0.0, 0.0, 0.0]), 1.0);
+    let mut wish = JointVector::zeros();
+    (wish[1], wish[2]) = (0.3, 1.9);
+    let mut at_rad = 0.0;
+    for _ in 0..300 {
+        if end_rad - at_rad < 0.05 {
+            break;
+        }
+        at_rad = arm.limiter.exchange(JointCommand::Velocity(wish)).unwrap().position_rad[1];
+    }
+    assert!(end_rad - at_rad < 0.05, "S2 is at {at_rad}");
+    for _ in 0..150 {
+        arm.limiter.exchange(JointCommand::Hold).unwrap();
+    }
+    assert!(arm.bench.lock().unwrap().is_at_rest());
+    let beyond_rad = arm.farthest_beyond_rad();
+    assert!(beyond_rad < 1e-5, "beyond the operating range by {beyond_rad} rad");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(60) })]
+
+    /// Whatever is wished, and whenever the arm is told to hold: no joint leaves its operating range, and the guard, which expects
+    /// each joint to brake by itself, finds nothing wrong.
+    #[test]
+    fn the_drivers_own_ramp_leaves_no_range(
+        start in prop::array::uniform7(-0.98..0.98f64),
+        drive in prop::collection::vec((prop::array::uniform7(-1.0..1.0f64), 10..90usize, 0..30usize), 1..8),
+    ) {
+        let range_rad = LimiterConfig::pa10_operating_range_rad().1;
+        let speeds = common::hard_limits().velocity_max_rad_per_s().to_owned();
+        let mut arm = Chained::new(range_rad.component_mul(&JointVector::from(start)), SPEED_SCALE);
+        for (parts, cycles, holds) in drive {
+            let wish = JointCommand::Velocity(JointVector::from_fn(|i, _| 1.2 * SPEED_SCALE * speeds[i] * parts[i]));
+            for i in 0..cycles + holds {
+                let command = if i < cycles { wish } else { JointCommand::Hold };
+                let answer = arm.limiter.exchange(command);
+                prop_assert!(answer.is_ok(), "{answer:?}");
+            }
+        }
+        for _ in 0..150 {
+            arm.limiter.exchange(JointCommand::Hold).unwrap();
+        }
+        let beyond_rad = arm.farthest_beyond_rad();
+        prop_assert!(beyond_rad < 1e-5, "beyond the operating range by {beyond_rad} rad");
     }
 }

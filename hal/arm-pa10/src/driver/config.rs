@@ -44,7 +44,7 @@ pub struct DriverConfig {
     pub brake_time: Duration,
     /// Cycles at speed 0 before the brakes close: at least 5.
     pub rest_cycles: u32,
-    /// How quickly joints come to rest on `Hold` and `Stop`, rad/s^2. All joints together, so the hand keeps its way.
+    /// How quickly joints come to rest on `Hold` and `Stop`, rad/s^2: each joint by itself.
     pub deceleration_rad_per_s2: JointVector,
     /// How quickly joints come to rest on a fault.
     pub emergency_ramp: Duration,

@@ -14,19 +14,25 @@ pub(super) enum Motion {
     Rest,
     /// Followed since this time, and fading if no other comes.
     Follow { velocity_rad_per_s: JointVector, since: MonotonicTime },
-    /// On the way from this velocity to rest: all joints by the same part, so the hand keeps its way.
-    Ramp { from_rad_per_s: JointVector, since: MonotonicTime, duration: Duration },
+    /// On the way from this velocity to rest, each joint within its own time, s.
+    Ramp { from_rad_per_s: JointVector, since: MonotonicTime, durations_s: JointVector },
 }
 
 impl Motion {
-    /// From a velocity to rest, with no joint braking harder than this.
+    /// From a velocity to rest, each joint with its own deceleration: no joint moves for longer because another one is faster, so
+    /// the room that the limiter left it is enough. The hand may leave its way a little.
     pub fn decelerate(
         from_rad_per_s: JointVector,
         deceleration_rad_per_s2: &JointVector,
         since: MonotonicTime,
     ) -> Self {
-        let seconds = from_rad_per_s.abs().component_div(deceleration_rad_per_s2).max();
-        Self::Ramp { from_rad_per_s, since, duration: Duration::from_secs_f64(seconds) }
+        let durations_s = from_rad_per_s.abs().component_div(deceleration_rad_per_s2);
+        Self::Ramp { from_rad_per_s, since, durations_s }
+    }
+
+    /// From a velocity to rest within this time: all joints by the same part.
+    pub fn stop_within(from_rad_per_s: JointVector, duration: Duration, since: MonotonicTime) -> Self {
+        Self::Ramp { from_rad_per_s, since, durations_s: JointVector::repeat(duration.as_secs_f64()) }
     }
 
     /// The velocity at a time, rad/s.
@@ -38,12 +44,11 @@ impl Motion {
                 Staleness::Ramp(part) => velocity_rad_per_s * part,
                 Staleness::Expired => JointVector::zeros(),
             },
-            Self::Ramp { from_rad_per_s, since, duration } => {
-                let elapsed = now.saturating_since(*since);
-                if elapsed >= *duration {
-                    return JointVector::zeros();
-                }
-                from_rad_per_s * (1.0 - elapsed.as_secs_f64() / duration.as_secs_f64())
+            Self::Ramp { from_rad_per_s, since, durations_s } => {
+                let elapsed_s = now.saturating_since(*since).as_secs_f64();
+                from_rad_per_s.zip_map(durations_s, |from, duration_s| {
+                    if elapsed_s < duration_s { from * (1.0 - elapsed_s / duration_s) } else { 0.0 }
+                })
             }
         }
     }
@@ -53,7 +58,7 @@ impl Motion {
         match self {
             Self::Rest => true,
             Self::Follow { .. } => false,
-            Self::Ramp { since, duration, .. } => now.saturating_since(*since) >= *duration,
+            Self::Ramp { since, durations_s, .. } => now.saturating_since(*since).as_secs_f64() >= durations_s.max(),
         }
     }
 

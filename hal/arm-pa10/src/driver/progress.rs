@@ -286,7 +286,7 @@ impl Driver {
         if self.state == DriverState::EStop || from_rad_per_s == JointVector::zeros() {
             Motion::Rest
         } else if emergency {
-            Motion::Ramp { from_rad_per_s, since: now, duration: self.config.emergency_ramp }
+            Motion::stop_within(from_rad_per_s, self.config.emergency_ramp, now)
         } else {
             Motion::decelerate(from_rad_per_s, &self.config.deceleration_rad_per_s2, now)
         }
