@@ -6,11 +6,14 @@
 mod world;
 
 use std::net::{SocketAddr, TcpListener};
+use std::os::fd::BorrowedFd;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use pb3dp_arm_pa10::driver::{DriverState, Request};
 use pb3dp_arm_pa10::gateway_protocol::{Dialect, GatewayState, StopCause};
-use pb3dp_arm_pa10::io::bus::{BusPort, FrameListener, FrameSocket};
+use pb3dp_arm_pa10::io::bus::{BusDown, BusPort, FRAME_ROOM, FrameListener, FrameSocket};
 use pb3dp_arm_pa10::io::gateway::{
     BusOpener, GatewayEvent, GatewayServer, GatewayServerConfig, GatewayServerError, Happened, HostSide,
 };
@@ -284,6 +287,61 @@ fn bus_goes_down() {
     assert!(position(|what| matches!(what, Happened::BusDown(_))) < position(|what| matches!(what, Happened::BusUp)));
     drop((host, server, emulation));
     std::fs::remove_dir_all(&folder).unwrap();
+}
+
+/// A bus whose code has a mistake: from a moment on receiving panics, once or always.
+struct Mistaken {
+    port: FrameSocket,
+    is_wrong: Arc<AtomicBool>,
+    is_wrong_always: bool,
+}
+
+impl BusPort for Mistaken {
+    fn name(&self) -> &str {
+        self.port.name()
+    }
+
+    fn try_send(&mut self, frame: &[u8]) -> Result<bool, BusDown> {
+        self.port.try_send(frame)
+    }
+
+    fn try_receive(&mut self, buffer: &mut [u8; FRAME_ROOM]) -> Result<Option<usize>, BusDown> {
+        assert!(!self.is_wrong.fetch_and(self.is_wrong_always, Ordering::SeqCst), "a mistake, for this test");
+        self.port.try_receive(buffer)
+    }
+
+    fn fd(&self) -> BorrowedFd<'_> {
+        self.port.fd()
+    }
+}
+
+/// R8: a mistake of the program does not leave the arm moving.
+#[test]
+fn a_thread_that_panics_in_motion_stops_the_arm() {
+    calm(panics_in_motion);
+}
+
+fn panics_in_motion() {
+    for is_wrong_always in [false, true] {
+        let (port, controller) = FrameSocket::pair("bus").unwrap();
+        let is_wrong = Arc::new(AtomicBool::new(false));
+        let mut port = Some(Mistaken { port, is_wrong: Arc::clone(&is_wrong), is_wrong_always });
+        let opener: BusOpener =
+            Box::new(move || Ok(Box::new(port.take().ok_or("it was opened before")?) as Box<dyn BusPort>));
+        let emulation = Emulation::start(Box::new(controller), Some(ms(400)));
+        let (side, address) = tcp();
+        let server = start(opener, side);
+        let witness = Witness(&server);
+        let mut host = connect(address, Dialect::GatewayV1);
+        host.open();
+        host.lead_to_moving();
+        drop(witness);
+        is_wrong.store(true, Ordering::SeqCst);
+        emulation.wait_for("at rest", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
+        assert_eq!(emulation.seen().counters.watchdog_trips, 0, "the gateway stopped it");
+        assert!(host.run_for(LONG, |host| host.driver.latched().is_some()), "the host learns of it");
+        assert_eq!(server.end(), None);
+    }
 }
 
 #[test]

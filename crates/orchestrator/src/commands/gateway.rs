@@ -52,7 +52,9 @@ pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
     log.tell_overruns();
     let dropped = server.events_dropped();
     let Some(status) = server.end() else {
-        tracing::error!("the thread of the cycle died; the controller's own time-out has to stop the arm: look at it");
+        tracing::error!(
+            "the thread of the cycle failed, a mistake of the program; it has sent the stop order as far as it could: look at the arm"
+        );
         return Ok(ExitCode::FAILURE);
     };
     tell_end(&status, dropped);

@@ -1,6 +1,7 @@
 //! The thread that keeps the cycle.
 
 use std::os::fd::AsFd;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -11,6 +12,8 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use super::Shared;
 use super::door::Lines;
 use super::events::{EventQueue, Happened};
+use crate::arcnet::{self, Route};
+use crate::codec::{ArmCommand, AxisCommand, ControlMessage, ControlPacket};
 use crate::gateway::{Gateway, GatewayStatus};
 use crate::gateway_protocol::{Dialect, FrameBytes, GatewayState};
 use crate::io::bus::{BusDown, BusPort, FRAME_ROOM};
@@ -28,6 +31,12 @@ const PIECE_BYTES: usize = 512;
 
 /// How long the stop order may take at the end, besides the time of the brakes.
 const END_MAX: Duration = Duration::from_millis(500);
+
+/// How often E is said past the core: nobody looks at its answer.
+const END_TRIES: u32 = 3;
+
+/// Numbers of messages past the core: fewer than either kind of controller counts.
+const SEQUENCES: u8 = 128;
 
 /// The line to a host, with what it had no room for.
 struct HostLine {
@@ -65,8 +74,50 @@ impl Cycle {
         Self { core, bus: Some(bus), host: None, shared, lines, queue, seen, ends: None, brake_time }
     }
 
-    /// Runs until it was asked to end and the arm is at rest.
-    pub fn run(mut self) -> GatewayStatus {
+    /// Runs until it was asked to end and the arm is at rest: how the gateway was then, or nothing after a mistake of the program.
+    pub fn run(mut self) -> Option<GatewayStatus> {
+        // A mistake of ours must not leave the arm moving: what is still sound stops it.
+        if catch_unwind(AssertUnwindSafe(|| self.serve())).is_ok() {
+            return Some(self.core.status());
+        }
+        let rest = catch_unwind(AssertUnwindSafe(|| self.stop_after_failure()));
+        if rest.is_err() || !self.core.is_at_rest() {
+            let _ = catch_unwind(AssertUnwindSafe(|| self.stop_past_core()));
+        }
+        None
+    }
+
+    /// The stop order of the core, without the host: its end of the line sees that nobody is there.
+    fn stop_after_failure(&mut self) {
+        self.shared.end.store(true, Ordering::SeqCst);
+        self.ends = None;
+        self.host = None;
+        self.core.handle_host_gone(now());
+        self.serve();
+    }
+
+    /// The last resort: brakes on for as long as they take to close, then E; whatever the core thinks.
+    fn stop_past_core(&mut self) {
+        let (cycle, format) = (self.core.config().cycle, self.core.config().format);
+        let Some(bus) = &mut self.bus else { return };
+        let braked = ControlMessage::Cyclic(ArmCommand::uniform(AxisCommand::Braked, self.core.config().supervision));
+        let closed = now() + self.brake_time;
+        let mut sequence = 0;
+        let mut ends_left = END_TRIES;
+        while ends_left > 0 {
+            let message = if now() < closed { braked } else { ControlMessage::End };
+            ends_left -= u32::from(message == ControlMessage::End);
+            if let Ok(packet) = (ControlPacket { sequence, message }).encode(format)
+                && let Ok(frame) = arcnet::encode(Route::TO_CONTROLLER, &packet)
+            {
+                let _ = bus.try_send(&frame);
+            }
+            sequence = (sequence + 1) % SEQUENCES;
+            sleep_until(now() + cycle);
+        }
+    }
+
+    fn serve(&mut self) {
         while !self.is_over() {
             self.receive_from_bus();
             self.receive_from_host();
@@ -76,7 +127,6 @@ impl Cycle {
             self.take_lines();
             self.wait();
         }
-        self.core.status()
     }
 
     fn is_over(&mut self) -> bool {

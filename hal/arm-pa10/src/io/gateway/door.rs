@@ -189,10 +189,63 @@ fn accept(listener: &TcpListener, shared: &Shared, lines: &LineEnds, tell: &Sync
     }
 }
 
+/// Told before the line is there: the thread of the cycle may find it gone at once, and its word has to be the last.
 fn hand_over(link: Box<dyn ByteLink>, shared: &Shared, lines: &LineEnds) {
+    shared.heard.store(now().as_nanos(), Ordering::SeqCst);
+    let had_host = shared.has_host.swap(true, Ordering::SeqCst);
     if lines.hosts.try_send(link).is_ok() {
-        shared.heard.store(now().as_nanos(), Ordering::SeqCst);
-        shared.has_host.store(true, Ordering::SeqCst);
         shared.wake();
+    } else if !had_host {
+        shared.has_host.store(false, Ordering::SeqCst);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+    use std::sync::atomic::{AtomicBool, AtomicU64};
+
+    use rustix::event::{EventfdFlags, eventfd};
+
+    use super::*;
+    use crate::io::pty::Pty;
+
+    /// A line that is gone as soon as it is taken leaves the door open for the next one.
+    #[test]
+    fn a_line_that_is_gone_at_once_is_not_taken_for_a_host() {
+        let shared = Arc::new(Shared {
+            end: AtomicBool::new(false),
+            has_host: AtomicBool::new(false),
+            wants_bus: AtomicBool::new(false),
+            heard: AtomicU64::new(0),
+            waker: eventfd(0, EventfdFlags::NONBLOCK | EventfdFlags::CLOEXEC).unwrap(),
+        });
+        let (cycle, door) = Lines::pairs();
+        let (seen, back) = sync_channel(0);
+        let for_cycle = Arc::clone(&shared);
+        let taker = std::thread::spawn(move || {
+            loop {
+                match cycle.hosts.try_recv() {
+                    Ok(link) => {
+                        for_cycle.has_host.store(true, Ordering::SeqCst);
+                        for_cycle.has_host.store(false, Ordering::SeqCst);
+                        if seen.send(link).is_err() {
+                            return;
+                        }
+                    }
+                    Err(std::sync::mpsc::TryRecvError::Empty) => std::hint::spin_loop(),
+                    Err(std::sync::mpsc::TryRecvError::Disconnected) => return,
+                }
+            }
+        });
+        let mut link: Box<dyn ByteLink> = Box::new(Pty::open().unwrap());
+        for round in 0..20_000 {
+            hand_over(link, &shared, &door);
+            link = back.recv().unwrap();
+            assert!(!shared.has_host.load(Ordering::SeqCst), "round {round}");
+        }
+        drop((door, back));
+        taker.join().unwrap();
     }
 }

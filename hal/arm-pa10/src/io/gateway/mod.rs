@@ -88,7 +88,7 @@ struct Shared {
 #[derive(Debug)]
 pub struct GatewayServer {
     shared: Arc<Shared>,
-    cycle: Option<JoinHandle<GatewayStatus>>,
+    cycle: Option<JoinHandle<Option<GatewayStatus>>>,
     door: Option<JoinHandle<()>>,
     events: Receiver<GatewayEvent>,
     door_messages: Receiver<String>,
@@ -188,7 +188,8 @@ impl GatewayServer {
         self.shared.wake();
     }
 
-    /// The stop order, the end, and how the gateway was then; `None` if its thread had died. Waits for as long as the stop order
+    /// The stop order, the end, and how the gateway was then; `None` if its thread had failed, which
+    /// stops the arm as far as it still can. Waits for as long as the stop order
     /// takes: brakes have their time to close, and half a second is added.
     pub fn end(mut self) -> Option<GatewayStatus> {
         self.finish()
@@ -196,7 +197,7 @@ impl GatewayServer {
 
     fn finish(&mut self) -> Option<GatewayStatus> {
         self.ask_to_end();
-        let status = self.cycle.take()?.join().ok();
+        let status = self.cycle.take()?.join().ok().flatten();
         if let Some(door) = self.door.take() {
             let _ = door.join();
         }
