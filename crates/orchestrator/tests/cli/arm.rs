@@ -254,19 +254,8 @@ fn a_way_out_of_the_operating_range_is_refused() {
 fn an_interrupted_move_ends_with_the_stop_order() {
     patiently(|| {
         let mut cell = Cell::start(&["--pose-deg", START_DEG]);
-        let jog = ["jog", "--axis", "4", "--by", "-20", "--move"];
-        let mut child = command(&cell.config().display().to_string(), &jog).spawn().unwrap();
-        let mut input = child.stdin.take().unwrap();
-        writeln!(input, "vs-robot").unwrap();
-        let since = Instant::now();
-        while cell.joints().0[3] > START_E1_DEG - 0.2 && child.try_wait().unwrap().is_none() {
-            assert!(since.elapsed() < Duration::from_secs(20), "it does not move");
-            std::thread::sleep(Duration::from_millis(20));
-        }
-        interrupt(child.id());
-        let output = child.wait_with_output().unwrap();
-        let stderr = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(1), "{stderr}");
+        let (code, stderr) = while_it_moves(&mut cell, |_, process| interrupt(process));
+        assert_eq!(code, Some(1), "{stderr}");
         assert!(stderr.contains("ended by SIGINT") && stderr.contains("the stop order given"), "{stderr}");
         let (after, is_braked) = cell.joints();
         assert!(is_braked && after[3] > START_E1_DEG - 15.0, "{after:?}");
@@ -295,6 +284,75 @@ fn an_arm_that_was_stopped_is_reset_by_name_only() {
         let reset = cell.pb3dp(&["reset"], Some("vs-robot")).assert_success().stdout;
         assert!(reset.contains("connected, brakes on"), "{reset}");
         assert!(cell.pb3dp(&["probe", "--exchanges", "20"], None).assert_success().stdout.contains("everything fits"));
+        cell.arm.quit();
+    });
+}
+
+/// A jog is under way, something happens; its exit code and messages.
+fn while_it_moves(cell: &mut Cell, happens: impl FnOnce(&mut Cell, u32)) -> (Option<i32>, String) {
+    let jog = ["jog", "--axis", "4", "--by", "-20", "--move"];
+    let mut child = command(&cell.config().display().to_string(), &jog).spawn().unwrap();
+    let mut input = child.stdin.take().unwrap();
+    writeln!(input, "vs-robot").unwrap();
+    let since = Instant::now();
+    while cell.joints().0[3] > START_E1_DEG - 0.2 && child.try_wait().unwrap().is_none() {
+        assert!(since.elapsed() < Duration::from_secs(20), "it does not move");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    if child.try_wait().unwrap().is_some() {
+        let output = child.wait_with_output().unwrap();
+        panic!("it has ended: {}", String::from_utf8_lossy(&output.stderr));
+    }
+    happens(cell, child.id());
+    let output = child.wait_with_output().unwrap();
+    (output.status.code(), String::from_utf8(output.stderr).unwrap())
+}
+
+/// Until all brakes are closed; where the joints are then.
+fn rests(cell: &mut Cell) -> Vec<f64> {
+    let since = Instant::now();
+    loop {
+        if let (joints, true) = cell.joints() {
+            return joints;
+        }
+        assert!(since.elapsed() < Duration::from_secs(10), "its brakes stay open");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+#[test]
+fn an_emergency_stop_a_pulled_cable_and_a_killed_program_stop_the_arm() {
+    patiently(|| {
+        let far = START_E1_DEG - 15.0;
+        let mut cell = Cell::start(&["--pose-deg", START_DEG]);
+        let (code, stderr) = while_it_moves(&mut cell, |cell, _| cell.arm.say("e-stop press"));
+        assert!(code == Some(1) && stderr.contains("emergency stop"), "{code:?} {stderr}");
+        assert!(rests(&mut cell)[3] > far);
+        cell.arm.quit();
+
+        let mut cell = Cell::start(&["--pose-deg", START_DEG]);
+        let (code, stderr) = while_it_moves(&mut cell, |cell, _| cell.arm.say("unplug"));
+        assert!(code == Some(1) && stderr.contains("the link is gone"), "{code:?} {stderr}");
+        assert!(rests(&mut cell)[3] > far);
+        cell.arm.quit();
+
+        let mut cell = Cell::start(&["--pose-deg", START_DEG]);
+        let (code, stderr) = while_it_moves(&mut cell, |_, process| {
+            assert!(Command::new("kill").args(["-KILL", &process.to_string()]).status().unwrap().success());
+        });
+        assert_eq!(code, None, "{stderr}");
+        assert!(rests(&mut cell)[3] > far);
+        assert_problem(&cell.pb3dp(&["probe"], None), &["the arm is stopped"]);
+        // The gateway refuses it until its stop order has ended.
+        let since = Instant::now();
+        loop {
+            let reset = cell.pb3dp(&["reset"], Some("vs-robot"));
+            if reset.success {
+                break;
+            }
+            let is_early = reset.stderr.contains("wrong-state") && since.elapsed() < Duration::from_secs(10);
+            assert!(is_early, "{}", reset.stderr);
+        }
         cell.arm.quit();
     });
 }
