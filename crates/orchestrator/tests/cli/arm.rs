@@ -356,3 +356,22 @@ fn an_emergency_stop_a_pulled_cable_and_a_killed_program_stop_the_arm() {
         cell.arm.quit();
     });
 }
+
+#[test]
+fn the_room_to_the_other_arm_is_known_with_both() {
+    patiently(|| {
+        let jog = ["jog", "--axis", "4", "--by", "-1", "--both"];
+        let dry = pb3dp_arm(&hil(), &jog, None).assert_success().stdout;
+        assert!(dry.contains("least room to the tc-robot on the way: 377 mm (cameras to panel)"), "{dry}");
+        let moved = pb3dp_arm(&hil(), &[&jog[..], &["--move"]].concat(), Some("vs-robot")).assert_success().stdout;
+        assert!(moved.contains("done: every joint within 0.0"), "{moved}");
+        // More room is wanted than there is.
+        let text = std::fs::read_to_string(hil()).unwrap().replace("least_room_mm = 50.0", "least_room_mm = 400.0");
+        let robots = repository().join("configs/robots").display().to_string();
+        let folder = tempfile::tempdir().unwrap();
+        let config = folder.path().join("cell.toml");
+        std::fs::write(&config, text.replace("robot = \"robots/", &format!("robot = \"{robots}/"))).unwrap();
+        let refused = pb3dp_arm(&config.display().to_string(), &jog, None);
+        refused.assert_refused(&["377 mm (cameras to panel) is less than arms.least_room_mm, 400 mm"]);
+    });
+}
