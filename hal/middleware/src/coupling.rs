@@ -8,7 +8,7 @@ use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_kinematics::{ArmShape, Chain, DOF, JointVector, PlacedArm, clearance_within};
 
-use crate::last_command::LastCommand;
+use crate::last_command::{CommandFade, LastCommand};
 use crate::power::close_brakes;
 use crate::shaping::SetPoint;
 use crate::stopping::DriveLimits;
@@ -30,6 +30,8 @@ pub struct CoupledArmConfig {
     pub reaction_time: Duration,
     /// The arm comes to rest by itself if no command follows for longer than this.
     pub command_timeout: Duration,
+    /// How the arm fades a command that no other follows; none if it goes on until the time-out.
+    pub fade: Option<CommandFade>,
 }
 
 /// Why two arms can not be coupled.
@@ -128,7 +130,7 @@ impl Side {
             name: info.name.clone(),
             cycle: info.cycle,
             drives: DriveLimits { acceleration: config.acceleration_max_rad_per_s2, jerk: config.jerk_max_rad_per_s3 },
-            last: LastCommand::new(config.acceleration_max_rad_per_s2, config.command_timeout),
+            last: LastCommand::new(config.acceleration_max_rad_per_s2, config.command_timeout, config.fade),
             config,
             newest: None,
             sweep: None,

@@ -11,10 +11,30 @@ use crate::shaping::SetPoint;
 /// Set-points that are remembered at most. Were there more within the reaction time, the oldest two become one.
 const REMEMBERED_MAX: usize = 128;
 
+/// How an arm fades a velocity by itself that no other command follows: all joints by the same part.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CommandFade {
+    /// Age of the command from which on it is slowed down.
+    pub begins_after: Duration,
+    /// Age at which nothing is left of it.
+    pub ends_after: Duration,
+}
+
+impl CommandFade {
+    /// What is left of a set-point of this age. Its fall is the watchdog's, and none to go on with.
+    fn of(&self, set_point: &SetPoint, age: Duration) -> SetPoint {
+        let left_s = self.ends_after.saturating_sub(age).as_secs_f64();
+        let all_s = self.ends_after.saturating_sub(self.begins_after).as_secs_f64();
+        let part = if left_s > 0.0 { (left_s / all_s).min(1.0) } else { 0.0 };
+        SetPoint { velocity: set_point.velocity * part, acceleration: JointVector::zeros() }
+    }
+}
+
 /// The last command, and the set-points that may not be in the measured angles yet.
 pub(crate) struct LastCommand {
     acceleration_max_rad_per_s2: JointVector,
     command_timeout: Duration,
+    fade: Option<CommandFade>,
     kind: Kind,
     /// When something was sent last.
     at: MonotonicTime,
@@ -39,11 +59,16 @@ struct InForce {
 }
 
 impl LastCommand {
-    /// Nothing was sent yet to drives that ramp like this and come to rest by themselves after so long.
-    pub(crate) fn new(acceleration_max_rad_per_s2: JointVector, command_timeout: Duration) -> Self {
+    /// Nothing was sent yet to drives that ramp like this and come to rest by themselves after so long, fading before if they do.
+    pub(crate) fn new(
+        acceleration_max_rad_per_s2: JointVector,
+        command_timeout: Duration,
+        fade: Option<CommandFade>,
+    ) -> Self {
         Self {
             acceleration_max_rad_per_s2,
             command_timeout,
+            fade,
             kind: Kind::Rest,
             at: MonotonicTime::ZERO,
             recent: VecDeque::with_capacity(REMEMBERED_MAX),
@@ -62,16 +87,29 @@ impl LastCommand {
         let since = now.saturating_since(self.at);
         match self.kind {
             Kind::Rest => (SetPoint::rest(), first),
-            Kind::Velocity(set_point) if since <= self.command_timeout => (set_point, since),
-            // Nobody has told it anything for so long that it came to rest by itself.
-            Kind::Velocity(set_point) => {
-                (self.ramp(&set_point.velocity, since - self.command_timeout, measured), first)
-            }
+            Kind::Velocity(set_point) => match self.fade {
+                Some(fade) if since > fade.begins_after => (fade.of(&set_point, since), first),
+                _ => self.followed(set_point, since, (first, measured)),
+            },
             Kind::Hold { since: began, from_rad_per_s } => {
                 let ramp = self.ramp(&from_rad_per_s, now.saturating_since(began), measured);
                 (ramp, since.min(self.command_timeout))
             }
         }
+    }
+
+    /// A velocity that the arm follows until the time-out, and then comes to rest.
+    fn followed(
+        &self,
+        set_point: SetPoint,
+        since: Duration,
+        (first, measured): (Duration, Option<&JointState>),
+    ) -> (SetPoint, Duration) {
+        if since <= self.command_timeout {
+            return (set_point, since);
+        }
+        // Nobody has told it anything for so long that it came to rest by itself.
+        (self.ramp(&set_point.velocity, since - self.command_timeout, measured), first)
     }
 
     /// A ramp of the arm's own, so long after its beginning. Some arms bring each joint to rest by itself, some all at the same

@@ -8,7 +8,7 @@ use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Cl
 use pb3dp_kinematics::{DOF, JointLimits, JointLimitsError, JointVector};
 
 use crate::guard::LIMIT_ROUNDING_RAD;
-use crate::last_command::LastCommand;
+use crate::last_command::{CommandFade, LastCommand};
 use crate::shaping::{self, Caps, Room, SetPoint, Step};
 use crate::stopping::DriveLimits;
 
@@ -38,6 +38,8 @@ pub struct LimiterConfig {
     pub reaction_time: Duration,
     /// The arm comes to rest by itself if no command follows for longer than this.
     pub command_timeout: Duration,
+    /// How the arm fades a command that no other follows; none if it goes on until the time-out.
+    pub fade: Option<CommandFade>,
     /// Without a sample younger than this the arm is told to rest.
     pub stale_after: Duration,
     /// Where the arm has to be when it is first told to move after it was enabled.
@@ -171,7 +173,7 @@ impl<A: Arm> Limiter<A> {
             .map_err(LimiterError::OperatingRange)?;
         check(&config)?;
         let drives = DriveLimits { acceleration: config.acceleration_max_rad_per_s2, jerk: config.jerk_max_rad_per_s3 };
-        let last = LastCommand::new(config.acceleration_max_rad_per_s2, config.command_timeout);
+        let last = LastCommand::new(config.acceleration_max_rad_per_s2, config.command_timeout, config.fade);
         Ok(Self {
             arm,
             clock,

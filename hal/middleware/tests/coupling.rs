@@ -59,6 +59,7 @@ fn coupled_config(world_from_base: Pose<World, Base>) -> CoupledArmConfig {
         jerk_max_rad_per_s3: jerk(),
         reaction_time: Duration::from_millis(65),
         command_timeout: COMMAND_TIMEOUT,
+        fade: None,
     }
 }
 

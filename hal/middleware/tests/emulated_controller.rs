@@ -17,7 +17,7 @@ use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, FaultCause, Request, Tri
 use pb3dp_arm_pa10::mock_controller::MockControllerConfig;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
-use pb3dp_hal_middleware::{Guard, GuardConfig, Limiter, LimiterConfig};
+use pb3dp_hal_middleware::{CommandFade, Guard, GuardConfig, Limiter, LimiterConfig};
 use pb3dp_kinematics::{JointLimits, JointVector};
 use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant, JointPlantConfig};
 use proptest::prelude::*;
@@ -290,6 +290,10 @@ impl Chained {
             jerk_max_rad_per_s3: driver.deceleration_rad_per_s2 * 40.0,
             reaction_time: HOST_CYCLE + BUS_CYCLE * 2 + lag,
             command_timeout: driver.watchdog.stop_after(),
+            fade: Some(CommandFade {
+                begins_after: driver.watchdog.ramp_after(),
+                ends_after: driver.watchdog.stop_after(),
+            }),
             ..common::limiter_config(speed_scale)
         };
         let mut limiter = Limiter::new(guard, config, Arc::new(BenchClock(Arc::clone(&bench)))).unwrap();
@@ -333,6 +337,28 @@ fn a_hold_leads_no_joint_out_while_another_one_needs_longer_to_brake() {
     assert!(arm.bench.lock().unwrap().is_at_rest());
     let beyond_rad = arm.farthest_beyond_rad();
     assert!(beyond_rad < 1e-5, "beyond the operating range by {beyond_rad} rad");
+}
+
+/// A control loop that stalls for 15 to 35 ms more than its cycle: the driver has faded the velocity, and goes on from there.
+#[test]
+fn after_a_stall_the_velocity_goes_on_from_what_the_driver_left_of_it() {
+    let most = DriverConfig::with_cycle(BUS_CYCLE).deceleration_rad_per_s2[2] * HOST_CYCLE.as_secs_f64();
+    for stall_ms in [15, 20, 25, 30, 35] {
+        let mut arm = Chained::new(JointVector::zeros(), 1.0);
+        let mut wish = JointVector::zeros();
+        wish[2] = 1.5;
+        for _ in 0..100 {
+            arm.limiter.exchange(JointCommand::Velocity(wish)).unwrap();
+        }
+        let told = |arm: &Chained| arm.bench.lock().unwrap().plant.lock().unwrap().commanded_rad_per_s()[2];
+        arm.bench.lock().unwrap().run(Duration::from_millis(stall_ms));
+        let before = told(&arm);
+        assert!(before < 1.4, "{stall_ms} ms: {before}");
+        arm.limiter.exchange(JointCommand::Velocity(wish)).unwrap();
+        let after = told(&arm);
+        // The driver's last cycle is up to one bus cycle old.
+        assert!(after <= before + most + 1e-9 && after > 0.0, "{stall_ms} ms: from {before} to {after} rad/s");
+    }
 }
 
 proptest! {

@@ -134,6 +134,7 @@ fn coupled_config(arm: &ArmSetup) -> CoupledArmConfig {
         jerk_max_rad_per_s3: arm.limiter.jerk_max_rad_per_s3,
         reaction_time: arm.limiter.reaction_time,
         command_timeout: arm.limiter.command_timeout,
+        fade: arm.limiter.fade,
     }
 }
 

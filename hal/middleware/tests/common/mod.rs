@@ -43,6 +43,7 @@ pub fn limiter_config(speed_scale: f64) -> LimiterConfig {
         jerk_max_rad_per_s3: jerk(),
         reaction_time: Duration::from_millis(65),
         command_timeout: COMMAND_TIMEOUT,
+        fade: None,
         stale_after: Duration::from_millis(50),
         start: StartPose::Anywhere,
     }

@@ -4,9 +4,10 @@ use std::f64::consts::TAU;
 use std::path::Path;
 use std::time::Duration;
 
+use pb3dp_arm_pa10::watchdog::CommandWatchdog;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, Target, World};
-use pb3dp_hal_middleware::{GuardConfig, LimiterConfig, StartPose};
+use pb3dp_hal_middleware::{CommandFade, GuardConfig, LimiterConfig, StartPose};
 use pb3dp_kinematics::{ArmShape, Chain, DOF, JointLimits, JointVector};
 use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 use serde::Deserialize;
@@ -117,6 +118,17 @@ struct ArmSection {
 /// The joints' past that the simulation keeps, so that the cameras can ask where the arms were.
 const PLANT_HISTORY: Duration = Duration::from_secs(1);
 
+/// What becomes of a velocity that no other one follows: the driver of a real arm fades it.
+fn fade(link: &ArmLink) -> Option<CommandFade> {
+    let watchdog = CommandWatchdog::default();
+    match link {
+        ArmLink::InProcess => None,
+        ArmLink::Gateway(..) => {
+            Some(CommandFade { begins_after: watchdog.ramp_after(), ends_after: watchdog.stop_after() })
+        }
+    }
+}
+
 impl ArmsSection {
     /// Whether an arm is behind a gateway.
     pub(super) fn has_gateway(&self) -> bool {
@@ -175,9 +187,10 @@ impl ArmSection {
         let operating_max_rad = JointVector::from(self.operating_range_deg).map(f64::to_radians);
         let acceleration_max_rad_per_s2 = JointVector::from(self.acceleration_max_rad_per_s2);
         let hard_limits = *chain.limits();
-        let reaction_millis = control_period_millis + self.command_delay_millis + lag;
+        let link = link?;
+        let fade = fade(&link);
         Some(ArmSetup {
-            link: link?,
+            link,
             world_from_base,
             shape,
             start_rad,
@@ -196,8 +209,9 @@ impl ArmSection {
                 speed_scale: all.speed_scale,
                 acceleration_max_rad_per_s2,
                 jerk_max_rad_per_s3: JointVector::from(self.jerk_max_rad_per_s3),
-                reaction_time: millis(reaction_millis),
+                reaction_time: millis(control_period_millis + self.command_delay_millis + lag),
                 command_timeout: millis(timeout),
+                fade,
                 stale_after: millis(all.stale_after_millis),
                 start: StartPose::Near { position_rad: start_rad, tolerance_rad: StartPose::TOLERANCE_RAD },
             },
