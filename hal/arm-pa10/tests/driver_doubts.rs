@@ -16,6 +16,7 @@ use pb3dp_arm_pa10::driver::{
     Activity, DriverConfig, DriverState, FaultCause, Reply, Request, Sample, Trip, WarmUpFailure,
 };
 use pb3dp_arm_pa10::gateway_protocol::{GatewayState, State, StopCause};
+use pb3dp_arm_pa10::watchdog::CommandWatchdog;
 use pb3dp_kinematics::JointVector;
 
 const fn ms(ms: u64) -> Duration {
@@ -88,6 +89,23 @@ fn brakes_do_not_open_on_an_arm_that_says_that_it_does_not_follow() {
             bench.run(CYCLE * 3);
             assert_eq!(trip(&bench), Trip::Fault(cause), "{state}");
         }
+    }
+}
+
+/// R5: replies take less than half of the shorter watchdog, which may be the gateway's.
+#[test]
+fn the_warm_up_counts_with_the_watchdog_of_the_gateway() {
+    let config =
+        DriverConfig { watchdog: CommandWatchdog::new(ms(20), ms(50)).unwrap(), ..DriverConfig::with_cycle(CYCLE) };
+    for (stop_after, is_refused) in [(ms(50), false), (ms(200), false), (ms(10), true)] {
+        let mut bench = Bench::with_config(config);
+        bench.peer.delay = ms(7);
+        bench.lead_to(DriverState::Connected);
+        bench.driver.note_watchdog(stop_after);
+        bench.request(Request::Enable);
+        bench.settle();
+        let failure = bench.driver.warm_up_failure();
+        assert_eq!(matches!(failure, Some(WarmUpFailure::Slow { .. })), is_refused, "{stop_after:?}: {failure:?}");
     }
 }
 

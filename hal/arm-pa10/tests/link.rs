@@ -83,6 +83,30 @@ fn a_gateway_of_another_arm_or_format_is_refused_by_name() {
     assert!(expected.to_string().contains("told a second-generation arm"), "{expected}");
 }
 
+/// A gateway whose watchdog is none, or longer than the document allows, stops nothing in time.
+#[test]
+fn a_gateway_without_a_watchdog_is_refused() {
+    for (watchdog_us, is_refused) in [
+        ([20_000, 50_000], false),
+        ([100_000, 200_000], false),
+        ([20_000, 200_001], true),
+        ([0, 0], true),
+        ([50_000, 20_000], true),
+    ] {
+        let mut link = GatewayLink::new(link_config(Dialect::GatewayV1, WireFormat::BigEndian6x10));
+        let mut driver = Driver::new(driver_config()).unwrap();
+        let mut gateway = FakeGateway::new(ARM, WireFormat::BigEndian6x10);
+        gateway.watchdog_us = watchdog_us;
+        let now = MonotonicTime::from_nanos(1_000_000_000);
+        link.open(now);
+        let answer = gateway.answer(&link.poll_output(now).unwrap());
+        link.handle_bytes(now, &answer, &mut driver);
+        assert_eq!(link.hello().is_none(), is_refused, "{watchdog_us:?}");
+        let refused = matches!(link.hello_error(), Some(HelloError::Watchdog(_)));
+        assert_eq!(refused, is_refused, "{:?}", link.hello_error());
+    }
+}
+
 #[test]
 fn an_idle_link_shows_that_the_host_is_there() {
     let mut rig = Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10);

@@ -78,6 +78,8 @@ pub struct Driver {
     pub(super) joints: Option<JointState>,
     pub(super) torques: TorqueMonitor,
     pub(super) limits: [Option<AxisLimits>; Axis::COUNT],
+    /// The shorter of this watchdog and the gateway's.
+    pub(super) stops_after: Duration,
     pub(super) outstanding: Option<Outstanding>,
     /// The message before, if its answer was waited for in vain.
     given_up: Option<Letter>,
@@ -127,6 +129,7 @@ impl Driver {
             joints: None,
             torques: TorqueMonitor::default(),
             limits: [None; Axis::COUNT],
+            stops_after: config.watchdog.stop_after(),
             outstanding: None,
             given_up: None,
             next_transmit: MonotonicTime::ZERO,
@@ -316,6 +319,11 @@ impl Driver {
     /// The gateway tells that brakes take so long to open: waits at least for that.
     pub fn raise_brake_time(&mut self, least: Duration) {
         self.config.brake_time = self.config.brake_time.max(least);
+    }
+
+    /// The gateway stops the arm so long after the last command: the warm-up shows a link that is quick enough for both sides.
+    pub fn note_watchdog(&mut self, stop_after: Duration) {
+        self.stops_after = stop_after.min(self.config.watchdog.stop_after());
     }
 
     /// No reply is waited for any more. Cycles that passed while a slow message was under way were not missed.

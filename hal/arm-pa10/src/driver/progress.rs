@@ -77,7 +77,7 @@ impl Driver {
                 self.phase = Phase::Looking { step: next, activity };
             }
             Phase::Enabling { started: false } => {
-                self.link.begin_warm_up(self.config.watchdog.stop_after() / 2);
+                self.link.begin_warm_up(self.stops_after / 2);
                 self.phase = Phase::Enabling { started: true };
             }
             Phase::Stopping(StopStep::End { .. }) => self.finish_stop(now),

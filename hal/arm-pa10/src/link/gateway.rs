@@ -15,6 +15,7 @@ use crate::gateway_protocol::{
     FrameBytes, FrameParser, GatewayMessage, Geometry, Hello, HelloReply, HostMessage, ParserCounters, RawMessage,
     Received, Reject, RejectReason, StopCause,
 };
+use crate::watchdog::{CommandWatchdog, WatchdogError};
 
 /// Without an answer to HELLO for this long there is no gateway.
 pub const HELLO_TIMEOUT: Duration = Duration::from_millis(500);
@@ -69,6 +70,9 @@ pub enum HelloError {
         /// Of the configuration.
         configured: Geometry,
     },
+    /// Its watchdog is none.
+    #[error("the gateway tells of {0}; correct its configuration")]
+    Watchdog(WatchdogError),
     /// It refused the host.
     #[error("the gateway refused the host: {0}; compare the configurations and versions of both sides")]
     Rejected(RejectReason),
@@ -285,7 +289,10 @@ impl GatewayLink {
         }
         match (std::mem::replace(&mut self.waiting, Waiting::Nothing), answer) {
             (Waiting::Hello, GatewayMessage::HelloReply(reply)) => match self.judge(reply) {
-                Ok(()) => self.hello = Some(*reply),
+                Ok(watchdog) => {
+                    driver.note_watchdog(watchdog.stop_after());
+                    self.hello = Some(*reply);
+                }
                 Err(error) => self.hello_error = Some(error),
             },
             (Waiting::Hello, GatewayMessage::Reject(Reject { reason, .. })) => {
@@ -313,7 +320,7 @@ impl GatewayLink {
     }
 
     /// Whether this is the gateway of the configuration.
-    fn judge(&self, hello: &HelloReply) -> Result<(), HelloError> {
+    fn judge(&self, hello: &HelloReply) -> Result<CommandWatchdog, HelloError> {
         let GatewayLinkConfig { dialect, format, geometry, .. } = self.config;
         if hello.dialect != dialect {
             return Err(HelloError::Dialect { got: hello.dialect, configured: dialect });
@@ -325,7 +332,8 @@ impl GatewayLink {
         if told(hello.geometry) && told(geometry) && hello.geometry != geometry {
             return Err(HelloError::Geometry { got: hello.geometry, configured: geometry });
         }
-        Ok(())
+        let duration = |us: u32| Duration::from_micros(u64::from(us));
+        CommandWatchdog::new(duration(hello.ramp_after_us), duration(hello.stop_after_us)).map_err(HelloError::Watchdog)
     }
 
     fn reply(&self, asked: &ControlMessage, answer: &GatewayMessage, late: Duration) -> Result<Reply, BadReply> {

@@ -17,6 +17,8 @@ pub struct FakeGateway {
     pub format: WireFormat,
     pub state: GatewayState,
     pub cause: StopCause,
+    /// After which age it slows down and stops, µs, as it says.
+    pub watchdog_us: [u32; 2],
     /// What keeps a reset from succeeding.
     pub cause_present: bool,
     /// E is refused so often, as the brakes have not had their time.
@@ -39,6 +41,7 @@ impl FakeGateway {
             format,
             state: GatewayState::Idle,
             cause: StopCause::None,
+            watchdog_us: [20_000, 50_000],
             cause_present: false,
             refuse_end: 0,
             servo: [ServoWord(0); 7],
@@ -214,8 +217,8 @@ impl FakeGateway {
             state: self.state,
             cause: self.cause,
             cycle_us: 2000,
-            ramp_after_us: 20_000,
-            stop_after_us: 50_000,
+            ramp_after_us: self.watchdog_us[0],
+            stop_after_us: self.watchdog_us[1],
             controller_watchdog_us: 0,
             brake_release_us: 200_000,
             firmware: Firmware::new("fake").unwrap(),
