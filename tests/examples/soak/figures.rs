@@ -118,7 +118,7 @@ impl Figures {
              * **noticed**: from the fault to the moment at which the control loop is told.\n\
              * **at rest**: from the fault to the moment at which the last joint of both arms is slower than 0.001 rad/s; the joints are \
              looked at every millisecond.\n\
-             * **allowed**, **later**: when both must be at rest, and how often they were later. Found by controller or gateway: 30 ms \
+             * **allowed**, **later**: when both must be at rest, and how often they were later; found by controller or gateway: 30 ms \
              down to speed 0, the lag of the drives, and 20 ms; found by what does not come: up to 50 ms before; found by the joints: \
              two wrong angles, and the brakes.\n\
              * What is borne must not stop an arm; all else must.\n\n\
