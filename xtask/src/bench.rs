@@ -179,7 +179,6 @@ fn run_and_collect(command: &mut Command) -> anyhow::Result<(Vec<Value>, Vec<Str
 }
 
 /// Commit, processor and compiler; "unknown" where the machine does not tell.
-/// Commit, machine and compiler.
 pub fn circumstances(workspace: &Workspace) -> Value {
     let told = |program: &str, args: &[&str]| workspace.output_of(program, args);
     let unknown = || "unknown".to_owned();

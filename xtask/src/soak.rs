@@ -10,8 +10,8 @@ const PAGE: &str = "docs/benchmarks/arm.md";
 /// Moves two emulated arms over pseudo-terminals, lets them fail at random, and counts what becomes of it.
 ///
 /// Both arms are those of configs/hil.toml with all that stands before a real arm; one reply of each controller in a hundred is
-/// lost all the time. Ten minutes take every kind of fault some eight times. It fails if a fault is not noticed, or an arm stops
-/// without a reason. With --page the tables go to docs/benchmarks/arm.md, with commit and machine; commit first, and leave the
+/// lost all the time. Ten minutes take every kind of fault some eight times. It fails if a fault is not noticed, an arm comes to
+/// rest too late, or one stops without a reason. With --page the tables go to docs/benchmarks/arm.md, with commit and machine; commit first, and leave the
 /// machine alone.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]

@@ -54,7 +54,8 @@ pub const FAULTS: [Fault; 27] = [
     borne("one frame damaged", "line corrupt 1"),
     borne("one frame cut", "line truncate 1"),
     borne("one reply lost", "drop 1"),
-    borne("one reply damaged", "corrupt 1"),
+    // Not `corrupt`: the bus checks its frames, so the host never sees a reply with a wrong bit.
+    borne("one reply cut", "truncate 1"),
     borne("one reply twice", "duplicate 1"),
 ];
 

@@ -8,6 +8,8 @@ use anyhow::{Result, bail};
 use pb3dp_arm_pa10::driver::LinkCounters;
 use pb3dp_arm_pa10::io::arm::Jitter;
 
+use crate::rig::Stopped;
+
 /// After so many stops without a reason nothing more is to be learned.
 const FALSE_STOPS_MAX: usize = 50;
 
@@ -19,6 +21,8 @@ pub struct Figures {
     lateness_max: Duration,
     late_replies: u64,
     kinds: BTreeMap<&'static str, Kind>,
+    /// Stops after the control loop has missed a deadline.
+    late_stops: u64,
     false_stops: Vec<String>,
     enabled: u64,
     tries_more: u64,
@@ -56,12 +60,17 @@ impl Figures {
         self.tries_more += tries as u64;
     }
 
-    /// An arm stopped without a reason.
+    /// An arm stopped although nothing was injected that stops it: because the control loop was late, or without a reason.
     ///
     /// # Errors
-    /// After too many of them.
-    pub fn false_stop(&mut self, why: &str) -> Result<()> {
-        self.false_stops.push(why.to_owned());
+    /// After too many without a reason.
+    pub fn stopped_by_itself(&mut self, stopped: &Stopped) -> Result<()> {
+        let why = &stopped.message;
+        if stopped.was_late {
+            self.late_stops += 1;
+            return Ok(());
+        }
+        self.false_stops.push(why.clone());
         if self.false_stops.len() > FALSE_STOPS_MAX {
             bail!("{} stops without a reason, the last one: {why}", self.false_stops.len());
         }
@@ -137,6 +146,7 @@ impl Figures {
             ("measurements not in time", self.late_replies.to_string()),
             ("faults injected", injected.to_string()),
             ("not noticed", self.undetected().to_string()),
+            ("stops after a step that was late", self.late_stops.to_string()),
             ("stops without a reason", self.false_stops.len().to_string()),
             ("times enabled", self.enabled.to_string()),
             ("tries in vain before", self.tries_more.to_string()),

@@ -38,7 +38,7 @@ fn main() -> Result<()> {
         }
         let quiet = Duration::from_millis(200 + random.below(400));
         if let Err(stopped) = rig.cycle_for(quiet, &mut figures) {
-            figures.false_stop(&stopped.message)?;
+            figures.stopped_by_itself(&stopped)?;
             continue;
         }
         let Some(fault) = order.pop() else { continue };
@@ -63,16 +63,17 @@ fn inject(rig: &mut Rig, fault: &Fault, arm: usize, random: &mut Random, figures
     match outcome {
         Ok(()) if fault.rest_max_millis.is_some() => figures.unnoticed(fault.name),
         Ok(()) => figures.borne(fault.name),
-        Err(Stopped { at: noticed, kind, message }) => {
+        Err(stopped) => {
+            let Stopped { at: noticed, kind, message, .. } = &stopped;
             let Some(rest_max_millis) = fault.rest_max_millis else {
-                return figures.false_stop(&format!("after `{line}`, which is to be borne: {message}"));
+                let message = format!("after `{line}`, which is to be borne: {message}");
+                return figures.stopped_by_itself(&Stopped { message, ..stopped });
             };
             if !matches!(kind, ArmErrorKind::Fault | ArmErrorKind::Disconnected | ArmErrorKind::NotEnabled) {
                 bail!("`{line}`: an error of another kind: {message}");
-            } else {
-                let rest = rig.rest_after(at);
-                figures.stopped(fault.name, (noticed.saturating_since(at), rest), rest_max_millis);
             }
+            let rest = rig.rest_after(at);
+            figures.stopped(fault.name, (noticed.saturating_since(at), rest), rest_max_millis);
         }
     }
     if let Some(end) = fault.end {

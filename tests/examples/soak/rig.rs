@@ -26,6 +26,8 @@ const AT_REST_RAD_PER_S: f64 = 1e-3;
 const WATCHED: Duration = Duration::from_millis(500);
 /// A control step that begins later than this is counted as a missed deadline.
 const DEADLINE: Duration = Duration::from_millis(5);
+/// What an arm does within this time after a missed deadline may be its answer to that.
+const LATE_FOR: Duration = Duration::from_millis(200);
 /// Joints go back to where they began with this rate, 1/s.
 const BACK_PER_S: f64 = 0.3;
 /// Arms that can not be made ready in so many tries never can.
@@ -39,6 +41,8 @@ pub struct Stopped {
     pub kind: ArmErrorKind,
     /// Why.
     pub message: String,
+    /// Whether the control loop has missed a deadline shortly before: then its own arms may stop it for that.
+    pub was_late: bool,
 }
 
 /// Both arms.
@@ -52,6 +56,8 @@ pub struct Rig {
     watcher: Watcher,
     next: MonotonicTime,
     begin: MonotonicTime,
+    /// When a deadline was missed last.
+    missed_at: Option<MonotonicTime>,
 }
 
 impl Rig {
@@ -85,6 +91,7 @@ impl Rig {
             watcher,
             next: now,
             begin: now,
+            missed_at: None,
         })
     }
 
@@ -137,7 +144,11 @@ impl Rig {
         while self.clock.now() < end {
             self.clock.sleep_until(self.next);
             let now = self.clock.now();
-            figures.cycle(now.saturating_since(self.next), DEADLINE);
+            let late = now.saturating_since(self.next);
+            figures.cycle(late, DEADLINE);
+            if late > DEADLINE {
+                self.missed_at = Some(now);
+            }
             self.next = self.next + self.period;
             if self.next < now {
                 self.next = now + self.period;
@@ -149,7 +160,9 @@ impl Rig {
                     Ok(measured) => self.joints_rad[index] = measured.position_rad,
                     Err(error) if error.kind() == ArmErrorKind::Timeout => figures.late_reply(),
                     Err(error) => {
-                        return Err(Stopped { at: self.clock.now(), kind: error.kind(), message: error.to_string() });
+                        let at = self.clock.now();
+                        let was_late = self.missed_at.is_some_and(|missed| at.saturating_since(missed) < LATE_FOR);
+                        return Err(Stopped { at, kind: error.kind(), message: error.to_string(), was_late });
                     }
                 }
             }
