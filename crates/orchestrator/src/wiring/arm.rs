@@ -18,7 +18,7 @@ use pb3dp_arm_pa10::mock::{MockArm, MockArmConfig};
 use pb3dp_arm_pa10::mock_controller::{MockControllerConfig, Script, pa10_joints};
 use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_middleware::{CoupledArmConfig, FlightLog, Guard, Limiter, Recorded, couple};
-use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant, JointPlantConfig};
+use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
 
 use super::DrivenArm;
 use crate::config::setup::{ArmLink, ArmSetup, GatewayWay, Setup};
@@ -152,7 +152,7 @@ fn wire_backend((setup, clock): (&Setup, &Arc<dyn Clock>), parts: Parts<'_>, sea
     let (name, arm, _) = parts;
     match &arm.link {
         ArmLink::InProcess => {
-            let plant = shared_plant(arm.plant.clone(), None, parts)?;
+            let plant = shared_plant(arm.plant.clone(), parts)?;
             let config = MockArmConfig {
                 name: name.to_owned(),
                 cycle: setup.control_period,
@@ -203,17 +203,8 @@ fn site(arm: &ArmSetup, joints: JointSource) -> ArmSite {
     ArmSite { chain: arm.chain.clone(), world_from_base: arm.world_from_base, joints }
 }
 
-fn shared_plant(
-    config: JointPlantConfig,
-    mechanics: Option<JointMechanics>,
-    (name, arm, clock): Parts<'_>,
-) -> Result<Arc<Mutex<JointPlant>>> {
-    let start = || format!("{name}: start");
-    let plant = JointPlant::new(config, arm.start_rad, clock.now()).with_context(start)?;
-    let plant = match mechanics {
-        Some(mechanics) => plant.with_mechanics(mechanics).with_context(start)?,
-        None => plant,
-    };
+fn shared_plant(config: JointPlantConfig, (name, arm, clock): Parts<'_>) -> Result<Arc<Mutex<JointPlant>>> {
+    let plant = JointPlant::new(config, arm.start_rad, clock.now()).with_context(|| format!("{name}: start"))?;
     Ok(Arc::new(Mutex::new(plant)))
 }
 
@@ -226,7 +217,7 @@ pub(super) fn emulate(link: &GatewayLinkConfig, parts: Parts<'_>) -> Result<(Moc
         acceleration_max_rad_per_s2: pa10_joints()?.acceleration_max_rad_per_s2,
         ..arm.plant.clone()
     };
-    let plant = shared_plant(joints, Some(JointMechanics::default()), parts)?;
+    let plant = shared_plant(joints, parts)?;
     let hard_limits = &arm.limiter.hard_limits;
     let controller = MockControllerConfig {
         lower_limit_rad: *hard_limits.position_min_rad(),

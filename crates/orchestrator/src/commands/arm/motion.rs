@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use pb3dp_arm_pa10::codec::Axis;
 use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
 use pb3dp_arm_pa10::io::signals::StopSignals;
 use pb3dp_geometry::MonotonicTime;
@@ -95,7 +96,9 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
         choice.name()
     ))?;
     confirm::typed(choice.name(), &mut signals)?;
-    enter(&Realtime { priority: Some(PRIORITY), locks_memory: false, cpu: None });
+    for shortfall in enter(&Realtime { priority: Some(PRIORITY), locks_memory: false, cpu: None }) {
+        tracing::warn!("control loop: {shortfall}");
+    }
     let mut drive = Drive { arm: &mut arm, plan: &plan, clock: &clock, period: setup.control_period, lost: 0 };
     let outcome = drive.run(&mut signals);
     let lost = drive.lost;
@@ -132,14 +135,10 @@ fn show(setup: &Setup, (choice, goal): (ArmChoice, Goal), plan: &Plan, arm: &mut
         ))?);
     };
     let other_rad = other.exchange(JointCommand::Hold)?.position_rad;
-    if let Some(room) = plan.room(setup, choice, &other_rad) {
-        print_line(&format!("least room to the {} on the way: {room}", choice.other().name()))?;
-        if room.distance_m() < setup.least_room_m {
-            bail!(
-                "{room} is less than arms.least_room_mm, {:.0} mm: move the other arm away",
-                1e3 * setup.least_room_m
-            );
-        }
+    let room = plan.room(setup, choice, &other_rad);
+    print_line(&format!("least room to the {} on the way: {room}", choice.other().name()))?;
+    if room.distance_m().is_nan() || room.distance_m() < setup.least_room_m {
+        bail!("{room} is less than arms.least_room_mm, {:.0} mm: move the other arm away", 1e3 * setup.least_room_m);
     }
     Ok(())
 }
@@ -160,7 +159,8 @@ impl Drive<'_> {
         let moved = newest.position_rad - self.plan.start_rad();
         if moved.amax() > STAYED_WITHIN_RAD {
             let joint = moved.iamax();
-            bail!("joint {joint} is {:+.3} degrees from where the plan begins: plan again", moved[joint].to_degrees());
+            let off_deg = moved[joint].to_degrees();
+            bail!("{} is {off_deg:+.3} degrees from where the plan begins: plan again", Axis::ALL[joint]);
         }
         let (begin, duration) = (self.clock.now(), self.plan.duration());
         let mut next = begin;
@@ -175,7 +175,8 @@ impl Drive<'_> {
             }
             if passed > duration + LATE_MAX {
                 let joint = behind_rad.iamax();
-                bail!("joint {joint} did not arrive: {:+.3} degrees are left", behind_rad[joint].to_degrees());
+                let left_deg = behind_rad[joint].to_degrees();
+                bail!("{} did not arrive: {left_deg:+.3} degrees are left", Axis::ALL[joint]);
             }
             let velocity = speed_rad_per_s + behind_rad * GAIN_PER_S;
             newest = self.exchange(JointCommand::Velocity(velocity))?.unwrap_or(newest);

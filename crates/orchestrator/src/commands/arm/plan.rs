@@ -28,7 +28,7 @@ pub struct Plan {
     duration_s: f64,
 }
 
-/// Where the other arm is, and how near the way comes to it.
+/// How near the way comes to the other arm, and with which parts.
 #[derive(Clone, Debug)]
 pub struct Room {
     distance_m: f64,
@@ -93,19 +93,20 @@ impl Plan {
     }
 
     /// The least room to the other arm on the way.
-    pub fn room(&self, setup: &Setup, choice: ArmChoice, other_rad: &JointVector) -> Option<Room> {
+    pub fn room(&self, setup: &Setup, choice: ArmChoice, other_rad: &JointVector) -> Room {
         let (arm, other) = (choice.of(setup), choice.other().of(setup));
         let other_frames = other.chain.joint_frames(other_rad);
         let standing =
             PlacedArm { shape: &other.shape, world_from_base: &other.world_from_base, frames: &other_frames };
-        let places = (0..=PLACES).map(|place| {
+        let room_at = |place: u32| {
             let (joints_rad, _) = self.at(self.duration() * place / PLACES);
             let frames = arm.chain.joint_frames(&joints_rad);
             let moving = PlacedArm { shape: &arm.shape, world_from_base: &arm.world_from_base, frames: &frames };
             let nearest = clearance(&moving, &standing);
             Room { distance_m: nearest.distance_m, parts: format!("{} to {}", nearest.first, nearest.second) }
-        });
-        places.min_by(|one, other| one.distance_m.total_cmp(&other.distance_m))
+        };
+        let nearer = |one: Room, other: Room| if other.distance_m < one.distance_m { other } else { one };
+        (1..=PLACES).map(room_at).fold(room_at(0), nearer)
     }
 
     /// What it does, joint by joint.
