@@ -4,12 +4,16 @@ use std::path::{Path, PathBuf};
 
 use crate::support::*;
 
-/// The setup of the repository with other values, in a folder of its own.
+/// The simulated setup of the repository with other values, in a folder of its own.
 fn setup(dir: &Path, changes: &[(&str, &str)]) -> PathBuf {
+    setup_from("sim.toml", dir, changes)
+}
+
+fn setup_from(file: &str, dir: &Path, changes: &[(&str, &str)]) -> PathBuf {
     let configs = repository().join("configs");
     std::fs::create_dir_all(dir.join("robots")).unwrap();
     std::fs::copy(configs.join("robots/pa10_gen2.urdf"), dir.join("robots/pa10_gen2.urdf")).unwrap();
-    let text = std::fs::read_to_string(configs.join("sim.toml")).unwrap();
+    let text = std::fs::read_to_string(configs.join(file)).unwrap();
     let text = changes.iter().fold(text, |text, (from, to)| replaced(&text, from, to));
     let file = dir.join("mine.toml");
     std::fs::write(&file, text).unwrap();
@@ -90,6 +94,22 @@ fn setups_are_refused_with_file_key_and_what_is_allowed() {
             "\"cameras\", on = \"joint 7\"",
             &["arms.vs.parts[4].on", "joint 0 to joint 6"],
         ),
+        (
+            "5.0]\njerk_max_rad_per_s3 = [80.0, 80.0, 80.0, 80.0, 200.0, 200.0, 200.0]   # full",
+            "5.1]\njerk_max_rad_per_s3 = [80.0, 80.0, 80.0, 80.0, 200.0, 200.0, 200.0]   # full",
+            &["arms.vs.acceleration_max_rad_per_s2[6] = 5.1", "0.01 to 5"],
+        ),
+        ("tracking_error_max_deg = 2.9 ", "tracking_error_max_deg = 3.0 ", &["arms.tracking_error_max_deg = 3", "2.9"]),
+        (
+            "tracking_error_millis = 100.0 ",
+            "tracking_error_millis = 101.0 ",
+            &["arms.tracking_error_millis = 101", "100"],
+        ),
+        (
+            "270.0]   # of the stops",
+            "271.0]   # of the stops",
+            &["arms.vs.mechanical_range_deg[6] = 271", "255.01 to 270"],
+        ),
         ("first_run = false ", "# ", &["arms.speed_scale = 0.6", "at most 0.25 on the first run", "arms.first_run"]),
         ("method = \"direct\"", "method = \"magic\"", &["estimator.method", "magic", "published"]),
         ("method = \"direct\"", "method = \"published\"", &["estimator.compare = [published]", "not `method` itself"]),
@@ -111,6 +131,17 @@ fn setups_are_refused_with_file_key_and_what_is_allowed() {
     std::fs::remove_file(dir.path().join("robots/pa10_gen2.urdf")).unwrap();
     pb3dp(&words(&[&"run", &"--config", &config])).assert_refused(&["arms.vs.robot", "pa10_gen2.urdf"]);
     assert!(!dir.path().join("out").exists(), "nothing is written before the setup is accepted");
+}
+
+#[test]
+fn two_arms_behind_gateways_of_one_number_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let config = setup_from("hil.toml", dir.path(), &[("arm = 2 ", "arm = 1 ")]);
+    let out = dir.path().join("out");
+    let parts = ["mine.toml", "arms.tc.gateway.arm = 1", "arms.vs.gateway.arm is the same"];
+    pb3dp(&words(&[&"run", &"--config", &config, &"--out", &out])).assert_refused(&parts);
+    pb3dp(&words(&[&"arm", &"probe", &"--config", &config, &"--arm", &"tc"])).assert_refused(&parts);
+    assert!(!out.exists(), "nothing is written before the setup is accepted");
 }
 
 #[test]

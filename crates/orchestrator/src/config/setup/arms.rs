@@ -7,7 +7,7 @@ use std::time::Duration;
 use pb3dp_arm_pa10::watchdog::CommandWatchdog;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, Target, World};
-use pb3dp_hal_middleware::{CommandFade, GuardConfig, LimiterConfig, StartPose};
+use pb3dp_hal_middleware::{CommandFade, GuardConfig, LimiterConfig, PA10_MECHANICAL_RANGE_DEG, StartPose};
 use pb3dp_kinematics::{ArmShape, Chain, DOF, JointLimits, JointVector};
 use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 use serde::Deserialize;
@@ -118,6 +118,21 @@ struct ArmSection {
 /// The joints' past that the simulation keeps, so that the cameras can ask where the arms were.
 const PLANT_HISTORY: Duration = Duration::from_secs(1);
 
+/// The largest accelerations that an arm may be given, rad/s^2, base to tip: no source has any, see docs/arm-limits.md.
+const ACCELERATION_MAX_RAD_PER_S2: [f64; DOF] = [2.0, 2.0, 2.0, 2.0, 5.0, 5.0, 5.0];
+
+/// The farthest that a joint may be from where its commands lead, degrees (0.05 rad, rounded).
+const TRACKING_ERROR_MAX_DEG: f64 = 2.9;
+
+/// How long it may be there, milliseconds.
+const TRACKING_ERROR_MAX_MILLIS: f64 = 100.0;
+
+fn check_accelerations(key: &str, accelerations: &[f64; DOF], check: &mut Checker) {
+    for (joint, (&value, most)) in accelerations.iter().zip(ACCELERATION_MAX_RAD_PER_S2).enumerate() {
+        check.number(&format!("{key}.acceleration_max_rad_per_s2[{joint}]"), value, 0.01..=most);
+    }
+}
+
 /// What becomes of a velocity that no other one follows: the driver of a real arm fades it.
 fn fade(link: &ArmLink) -> Option<CommandFade> {
     let watchdog = CommandWatchdog::default();
@@ -150,9 +165,13 @@ impl ArmsSection {
             ));
         }
         check.number("arms.stale_after_millis", self.stale_after_millis, control_period_millis..=200.0);
-        check.number("arms.tracking_error_max_deg", self.tracking_error_max_deg, 0.1..=10.0);
+        check.number("arms.tracking_error_max_deg", self.tracking_error_max_deg, 0.1..=TRACKING_ERROR_MAX_DEG);
         check.number("arms.least_room_mm", self.least_room_mm, 1.0..=1000.0);
-        check.number("arms.tracking_error_millis", self.tracking_error_millis, control_period_millis..=500.0);
+        check.number(
+            "arms.tracking_error_millis",
+            self.tracking_error_millis,
+            control_period_millis..=TRACKING_ERROR_MAX_MILLIS,
+        );
         let vs = self.vs.build("arms.vs", self, config_file, control_period_millis, check);
         let tc = self.tc.build("arms.tc", self, config_file, control_period_millis, check);
         vs.zip(tc)
@@ -170,7 +189,7 @@ impl ArmSection {
     ) -> Option<ArmSetup> {
         let link = self.backend.link(self.gateway.as_ref(), (key, control_period_millis), check);
         let accelerations = &self.acceleration_max_rad_per_s2;
-        check.numbers(&format!("{key}.acceleration_max_rad_per_s2"), accelerations, 0.01..=100.0);
+        check_accelerations(key, accelerations, check);
         check.numbers(&format!("{key}.jerk_max_rad_per_s3"), &self.jerk_max_rad_per_s3, 0.1..=10_000.0);
         let lag = self.velocity_time_constant_millis;
         check.number(&format!("{key}.velocity_time_constant_millis"), lag, 0.0..=1000.0);
@@ -242,7 +261,8 @@ impl ArmSection {
                 limits.map_or(0.1, |limits| limits.position_max_rad()[joint].max(-limits.position_min_rad()[joint]));
             let outer_deg = (outer_rad.to_degrees() * 100.0).ceil() / 100.0;
             let mechanical_deg = self.mechanical_range_deg[joint];
-            check.number(&format!("{key}.mechanical_range_deg[{joint}]"), mechanical_deg, outer_deg..=720.0);
+            let most_deg = PA10_MECHANICAL_RANGE_DEG[joint].max(outer_deg);
+            check.number(&format!("{key}.mechanical_range_deg[{joint}]"), mechanical_deg, outer_deg..=most_deg);
             let hard_deg = ((hard_rad.to_degrees() * 100.0).floor() / 100.0).max(1.0);
             check.number(&format!("{key}.operating_range_deg[{joint}]"), operating_deg, 1.0..=hard_deg);
             let operating_deg = within(operating_deg, 1.0, hard_deg);

@@ -175,6 +175,18 @@ pub fn read_setup(file: &Path) -> Result<Setup, ConfigError> {
     setup.ok_or_else(|| ConfigError::Values { file: file.to_path_buf(), lines: "  the setup is not complete".into() })
 }
 
+/// Two arms behind gateways that bear one number: swapped cables would not be noticed.
+fn refuse_equal_numbers(vs: &ArmLink, tc: &ArmLink, check: &mut Checker) {
+    if let (ArmLink::Gateway(vs, _), ArmLink::Gateway(tc, _)) = (vs, tc)
+        && vs.arm == tc.arm
+    {
+        check.refuse(format!(
+            "arms.tc.gateway.arm = {}: arms.vs.gateway.arm is the same; give each arm the number of its own gateway",
+            tc.arm.0
+        ));
+    }
+}
+
 impl SetupFile {
     fn build(&self, file: &Path, check: &mut Checker) -> Option<Setup> {
         let period_max_millis = if self.arms.has_gateway() { GATEWAY_CYCLE_MAX_MILLIS } else { 20.0 };
@@ -196,6 +208,7 @@ impl SetupFile {
                 ));
             }
         }
+        refuse_equal_numbers(&vs.link, &tc.link, check);
         if !check.is_clean() {
             return None;
         }
