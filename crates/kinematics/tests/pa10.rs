@@ -149,7 +149,7 @@ fn limits_are_those_of_the_servo_tier() {
         let max_rad = JointVector::from(servo_deg).map(f64::to_radians);
         assert!((chain.limits().position_max_rad() - max_rad).amax() < 1e-14);
         assert!((chain.limits().position_min_rad() + max_rad).amax() < 1e-14);
-        let speed = JointVector::from([1.0, 1.0, 2.0, 2.0, 2.0 * pi, 2.0 * pi, 2.0 * pi]);
+        let speed = JointVector::from([1.0, 1.0, 2.0, 2.0, 2.0, 2.0 * pi, 2.0 * pi]);
         assert!((chain.limits().velocity_max_rad_per_s() - speed).amax() < 1e-14);
     }
 }
