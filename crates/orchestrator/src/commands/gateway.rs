@@ -8,16 +8,16 @@ use anyhow::{Context, Result};
 use pb3dp_arm_pa10::gateway::GatewayStatus;
 use pb3dp_arm_pa10::gateway_protocol::{Dialect, GatewayState, StopCause};
 use pb3dp_arm_pa10::io::bus::{ArcnetSocket, BusPort, FrameSocket};
-use pb3dp_arm_pa10::io::gateway::{BusOpener, GatewayServer, GatewayServerConfig, Happened, HostSide};
+use pb3dp_arm_pa10::io::gateway::{BusOpener, Ending, GatewayServer, GatewayServerConfig, Happened, HostSide};
 use pb3dp_arm_pa10::io::serial::SerialConfig;
-use pb3dp_arm_pa10::io::signals::StopSignals;
+use pb3dp_arm_pa10::io::signals::{StopSignal, StopSignals};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use crate::cli::GatewayArgs;
 use crate::config::gateway::{BusPlace, GatewaySetup, HostPlace, read_gateway};
 
 /// How often the log is written.
-const LOOK: Timespec = Timespec { tv_sec: 0, tv_nsec: 50_000_000 };
+const LOOK: Duration = Duration::from_millis(50);
 
 /// How often late cycles are told of at most.
 const OVERRUNS_EVERY: Duration = Duration::from_secs(1);
@@ -32,23 +32,27 @@ const HOST_CYCLE_MAX: Duration = Duration::from_millis(10);
 pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
     let setup = read_gateway(&args.config, args.bus.as_deref(), args.host.as_deref())?;
     // Before any thread is started, which would end the program without a stop order.
-    let mut signals = StopSignals::take_over().context("the signals that end the program can not be taken over")?;
+    let signals = StopSignals::take_over().context("the signals that end the program can not be taken over")?;
     let host = host_side(&setup)?;
     let config = GatewayServerConfig { gateway: setup.gateway, realtime: setup.realtime };
     let server = GatewayServer::start(config, bus_opener(&setup.bus), host)?;
+    // A log that nobody reads holds up this thread, and must not hold up the stop.
+    let ending = server.ending();
+    let watcher =
+        std::thread::Builder::new().name("gateway-signals".into()).spawn(move || watch_signals(signals, &ending))?;
     tell_start(&setup, &server);
     let mut log = Log::default();
     while server.is_running() {
         log.write(&server);
-        let mut fds = [PollFd::from_borrowed_fd(signals.as_fd(), PollFlags::IN)];
-        // A wait that fails is a short one.
-        let _ = poll(&mut fds, Some(&LOOK));
-        if let Some(signal) = signals.try_take()? {
-            tracing::info!("{signal}: stop order, then the end");
-            server.ask_to_end();
-        }
+        std::thread::sleep(LOOK);
     }
     log.write(&server);
+    server.ask_to_end();
+    match watcher.join() {
+        Ok(Ok(Some(signal))) => tracing::info!("{signal} has ended it, through the stop order"),
+        Ok(Ok(None)) | Err(_) => {}
+        Ok(Err(error)) => return Err(error).context("the signals that end the program can not be read"),
+    }
     log.tell_overruns();
     let dropped = server.events_dropped();
     let Some(status) = server.end() else {
@@ -59,6 +63,20 @@ pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
     };
     tell_end(&status, dropped);
     Ok(ExitCode::SUCCESS)
+}
+
+/// Until a signal has come or the gateway was asked to end: then it ends. It writes nothing, as that may wait.
+fn watch_signals(mut signals: StopSignals, ending: &Ending) -> std::io::Result<Option<StopSignal>> {
+    let look = Timespec { tv_sec: 0, tv_nsec: i64::from(LOOK.subsec_nanos()) };
+    let mut taken = Ok(None);
+    while !ending.is_asked() && matches!(taken, Ok(None)) {
+        let mut fds = [PollFd::from_borrowed_fd(signals.as_fd(), PollFlags::IN)];
+        // A wait that fails is a short one.
+        let _ = poll(&mut fds, Some(&look));
+        taken = signals.try_take();
+    }
+    ending.ask();
+    taken
 }
 
 fn bus_opener(place: &BusPlace) -> BusOpener {

@@ -5,6 +5,7 @@
 mod world;
 
 use std::fs::File;
+use std::io::Write;
 use std::net::{SocketAddr, TcpListener};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus};
@@ -12,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use pb3dp_arm_pa10::driver::{DriverState, Request};
 use pb3dp_arm_pa10::gateway_protocol::{Dialect, StopCause};
-use pb3dp_arm_pa10::io::bus::FrameListener;
+use pb3dp_arm_pa10::io::bus::{BusPort, FRAME_ROOM, FrameListener};
 use pb3dp_arm_pa10::io::tcp::{TcpConfig, TcpLink};
 use pb3dp_arm_pa10::mock_controller::ControlMode;
 use rustix::process::{Pid, Signal, kill_process};
@@ -46,7 +47,6 @@ impl Drop for Scene {
 }
 
 fn panic_text(log: &str) {
-    use std::io::Write;
     let _ = writeln!(std::io::stderr(), "{log}");
 }
 
@@ -143,6 +143,34 @@ fn a_signal_ends_it_through_the_stop_order() {
             assert_eq!(scene.host.driver.state(), DriverState::Fault);
         }
     });
+}
+
+/// Standard error is a pipe that is full: the stop order does not wait for the log.
+#[test]
+fn a_signal_is_obeyed_while_the_log_is_held_up() {
+    let folder = tempfile::tempdir().unwrap();
+    let bus = folder.path().join("bus");
+    let listener = FrameListener::bind(&bus).unwrap();
+    let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let (unread, full) = std::io::pipe().unwrap();
+    let mut filler = full.try_clone().unwrap();
+    // Ends when nobody can read any more.
+    let filling = std::thread::spawn(move || while filler.write_all(&[b'x'; 4096]).is_ok() {});
+    std::thread::sleep(ms(100));
+    let mut child = Command::new(env!("CARGO_BIN_EXE_pb3dp"))
+        .args(["gateway", "--config"])
+        .arg(configuration(folder.path(), &bus, address))
+        .stderr(full)
+        .spawn()
+        .unwrap();
+    let mut socket = wait_for("the gateway opens its bus", || listener.try_accept().unwrap());
+    kill_process(Pid::from_child(&child), Signal::TERM).unwrap();
+    let mut buffer = [0; FRAME_ROOM];
+    let end = wait_for("the gateway leaves its bus", || socket.try_receive(&mut buffer).err());
+    assert!(child.try_wait().unwrap().is_none(), "{end}: it still waits for its log");
+    drop(unread);
+    wait_for("the gateway ends", || child.try_wait().unwrap());
+    filling.join().unwrap();
 }
 
 /// kill -9: nobody is left to stop the arm but the controller, and the host does not move before an operator resets.

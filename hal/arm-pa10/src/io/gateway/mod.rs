@@ -97,6 +97,23 @@ pub struct GatewayServer {
     name_of_bus: String,
 }
 
+/// Asks a gateway to end, from any thread.
+#[derive(Clone, Debug)]
+pub struct Ending(Arc<Shared>);
+
+impl Ending {
+    /// Asks for the stop order and the end; harmless when repeated.
+    pub fn ask(&self) {
+        self.0.end.store(true, Ordering::SeqCst);
+        self.0.wake();
+    }
+
+    /// Whether it was asked for.
+    pub fn is_asked(&self) -> bool {
+        self.0.end.load(Ordering::SeqCst)
+    }
+}
+
 impl Shared {
     fn wake(&self) {
         // It is full only if it was not taken since, and then it wakes all the same.
@@ -184,8 +201,12 @@ impl GatewayServer {
 
     /// Asks for the stop order and the end; harmless when repeated.
     pub fn ask_to_end(&self) {
-        self.shared.end.store(true, Ordering::SeqCst);
-        self.shared.wake();
+        self.ending().ask();
+    }
+
+    /// What another thread than the owner's asks with: one that nothing holds up.
+    pub fn ending(&self) -> Ending {
+        Ending(Arc::clone(&self.shared))
     }
 
     /// The stop order, the end, and how the gateway was then; `None` if its thread had failed, which
