@@ -9,6 +9,7 @@ pub mod config;
 pub mod cpu_time;
 pub mod follower;
 pub mod logging;
+pub mod panics;
 pub mod picture;
 pub mod region_spec;
 pub mod run;

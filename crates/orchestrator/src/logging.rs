@@ -26,6 +26,8 @@ pub fn init(format: LogFormat, filter: &str) -> anyhow::Result<()> {
         .with_env_filter(filter)
         .with_ansi(std::io::stderr().is_terminal())
         .with_writer(std::io::stderr)
+        // A reader that is gone is no reason to panic.
+        .log_internal_errors(false)
         .with_target(false);
     let installed = match format {
         LogFormat::Human => builder.compact().without_time().try_init(),

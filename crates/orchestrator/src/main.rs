@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use pb3dp_orchestrator::cli::{Cli, Command};
-use pb3dp_orchestrator::{commands, logging};
+use pb3dp_orchestrator::{commands, logging, panics};
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
@@ -14,6 +14,14 @@ fn main() -> ExitCode {
         let _ = writeln!(std::io::stderr(), "error: {error:#}");
         return ExitCode::FAILURE;
     }
+    // Lives until the end, also that of a panic.
+    let _panics = match panics::install() {
+        Ok(log) => log,
+        Err(error) => {
+            tracing::error!("{error:#}");
+            return ExitCode::FAILURE;
+        }
+    };
     let outcome = match &cli.command {
         Command::Run(args) => commands::run::run(args),
         Command::Estimate(args) => commands::estimate::run(args),

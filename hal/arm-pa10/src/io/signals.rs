@@ -10,6 +10,42 @@ pub struct StopSignals {
     fd: OwnedFd,
 }
 
+/// Threads that `start` starts are left alone by these signals, which so keep their meaning for the rest of the program: for threads
+/// that are there before [`StopSignals::take_over`].
+///
+/// # Errors
+/// If the operating system refuses.
+pub fn shielded<T>(start: impl FnOnce() -> T) -> std::io::Result<T> {
+    let before = mask(libc::SIG_BLOCK, &stop_signals())?;
+    let started = start();
+    mask(libc::SIG_SETMASK, &before)?;
+    Ok(started)
+}
+
+fn stop_signals() -> libc::sigset_t {
+    // SAFETY: all zeros are storage for a set, which the next calls make an empty one with three members.
+    unsafe {
+        let mut set: libc::sigset_t = std::mem::zeroed();
+        libc::sigemptyset(&raw mut set);
+        for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP] {
+            libc::sigaddset(&raw mut set, signal);
+        }
+        set
+    }
+}
+
+/// Changes which signals this thread takes: those that it did not take before.
+fn mask(how: libc::c_int, set: &libc::sigset_t) -> std::io::Result<libc::sigset_t> {
+    // SAFETY: both sets are ones, and the call only writes the second.
+    unsafe {
+        let mut before: libc::sigset_t = std::mem::zeroed();
+        match libc::pthread_sigmask(how, &raw const *set, &raw mut before) {
+            0 => Ok(before),
+            error => Err(std::io::Error::from_raw_os_error(error)),
+        }
+    }
+}
+
 /// A signal that asks to end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StopSignal(u32);
@@ -20,19 +56,10 @@ impl StopSignals {
     /// # Errors
     /// If the operating system refuses.
     pub fn take_over() -> std::io::Result<Self> {
-        // SAFETY: all zeros are storage for a set, which the next calls make an empty one with three members.
-        let fd = unsafe {
-            let mut set: libc::sigset_t = std::mem::zeroed();
-            libc::sigemptyset(&raw mut set);
-            for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP] {
-                libc::sigaddset(&raw mut set, signal);
-            }
-            let error = libc::pthread_sigmask(libc::SIG_BLOCK, &raw const set, std::ptr::null_mut());
-            if error != 0 {
-                return Err(std::io::Error::from_raw_os_error(error));
-            }
-            libc::signalfd(-1, &raw const set, libc::SFD_NONBLOCK | libc::SFD_CLOEXEC)
-        };
+        let set = stop_signals();
+        mask(libc::SIG_BLOCK, &set)?;
+        // SAFETY: the set is one.
+        let fd = unsafe { libc::signalfd(-1, &raw const set, libc::SFD_NONBLOCK | libc::SFD_CLOEXEC) };
         if fd < 0 {
             return Err(std::io::Error::last_os_error());
         }
