@@ -7,10 +7,9 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use clap::{ArgGroup, Args, ValueEnum};
-use pb3dp_arm_pa10::codec::WireFormat;
+use clap::{ArgGroup, Args};
 use pb3dp_arm_pa10::gateway::GatewayConfig;
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Firmware, Geometry};
+use pb3dp_arm_pa10::gateway_protocol::{ArmId, Firmware};
 use pb3dp_arm_pa10::io::mock_server::{MockFace, MockServer, MockServerConfig, SocketAddr};
 use pb3dp_arm_pa10::io::realtime::Realtime;
 use pb3dp_arm_pa10::mock_controller::{MockControllerConfig, Script, ScriptLine, pa10_joints};
@@ -18,6 +17,8 @@ use pb3dp_hal_api::Clock;
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_kinematics::{DOF, JointVector};
 use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant};
+
+use crate::config::names::{FormatName, GeometryName};
 
 /// What `--fault`, scripts and standard input understand.
 const LINES: &str =
@@ -79,26 +80,6 @@ pub struct MockArmArgs {
     pub stop_after: Option<f64>,
 }
 
-/// Wire formats by their names on the command line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum FormatName {
-    /// Format A.
-    A,
-    /// Format B.
-    B,
-}
-
-/// Geometries by their names on the command line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum GeometryName {
-    /// Not told.
-    Unknown,
-    /// 315, 450, 500 and 80 mm.
-    First,
-    /// 317, 450, 480 and 70 mm.
-    Second,
-}
-
 /// The time-out of the controller, if it has one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Watchdog(pub Option<Duration>);
@@ -106,25 +87,6 @@ pub struct Watchdog(pub Option<Duration>);
 /// Joint angles, degrees, from the base.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseDeg(pub [f64; DOF]);
-
-impl FormatName {
-    fn wire_format(self) -> WireFormat {
-        match self {
-            Self::A => WireFormat::LittleEndian5x8,
-            Self::B => WireFormat::BigEndian6x10,
-        }
-    }
-}
-
-impl GeometryName {
-    fn geometry(self) -> Geometry {
-        match self {
-            Self::Unknown => Geometry::Unknown,
-            Self::First => Geometry::FirstGeneration,
-            Self::Second => Geometry::SecondGeneration,
-        }
-    }
-}
 
 /// Runs the emulated arm until it is told to end.
 ///
@@ -147,7 +109,7 @@ fn start(args: &MockArmArgs) -> anyhow::Result<MockServer> {
         script = Script::parse(&text).with_context(|| format!("script {}", path.display()))?;
     }
     script.lines.extend(&args.fault);
-    let format = args.format.wire_format();
+    let format = args.format.into();
     let mut controller = MockControllerConfig { watchdog: args.watchdog.0, ..MockControllerConfig::new(format) };
     if let Some(limits) = args.limits_deg {
         controller.upper_limit_rad = JointVector::from(limits.0.map(f64::to_radians));
@@ -167,7 +129,7 @@ fn face(args: &MockArmArgs, controller: &MockControllerConfig) -> anyhow::Result
     let firmware =
         Firmware::new(concat!("mock-arm ", env!("CARGO_PKG_VERSION"))).context("the name of the firmware")?;
     let gateway = GatewayConfig {
-        geometry: args.geometry.geometry(),
+        geometry: args.geometry.into(),
         controller_watchdog: controller.watchdog,
         ..GatewayConfig::new(ArmId(args.arm), controller.format, firmware)
     };

@@ -5,13 +5,14 @@ use std::time::Duration;
 
 use pb3dp_arm_pa10::codec::{SequenceModulus, Supervision, TorqueScale, WireFormat};
 use pb3dp_arm_pa10::gateway::GatewayConfig;
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Firmware, Geometry};
+use pb3dp_arm_pa10::gateway_protocol::{ArmId, Firmware};
 use pb3dp_arm_pa10::io::realtime::Realtime;
 use pb3dp_arm_pa10::io::tcp::TcpConfig;
 use pb3dp_arm_pa10::watchdog::CommandWatchdog;
 use serde::Deserialize;
 
 use super::load::{Checker, ConfigError, FileKind, read_toml, whole};
+use super::names::{FormatName, GeometryName};
 
 /// A gateway whose every value has been checked.
 #[derive(Clone, Debug)]
@@ -81,20 +82,6 @@ struct GatewayFile {
     bus: BusSection,
     host: HostSection,
     realtime: RealtimeSection,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-enum FormatName {
-    A,
-    B,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-enum GeometryName {
-    Unknown,
-    FirstGeneration,
-    SecondGeneration,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -194,10 +181,7 @@ impl GatewayFile {
     }
 
     fn gateway(&self, watchdog: CommandWatchdog) -> Option<GatewayConfig> {
-        let format = match self.arm.format {
-            FormatName::A => WireFormat::LittleEndian5x8,
-            FormatName::B => WireFormat::BigEndian6x10,
-        };
+        let format = WireFormat::from(self.arm.format);
         let time_out = self.bus.controller_time_out_millis;
         let arm = ArmId(whole(self.arm.number));
         let supervision =
@@ -209,11 +193,7 @@ impl GatewayFile {
                 128 => SequenceModulus::Modulo128,
                 _ => SequenceModulus::Modulo256,
             },
-            geometry: match self.arm.geometry {
-                GeometryName::Unknown => Geometry::Unknown,
-                GeometryName::FirstGeneration => Geometry::FirstGeneration,
-                GeometryName::SecondGeneration => Geometry::SecondGeneration,
-            },
+            geometry: self.arm.geometry.into(),
             cycle: millis(self.bus.cycle_millis),
             lateness_allowed: millis(self.bus.lateness_allowed_millis),
             watchdog,

@@ -6,6 +6,7 @@ pub mod estimator;
 mod every_key_tests;
 pub mod gateway;
 pub mod load;
+pub mod names;
 pub mod rmga_photometric;
 pub mod setup;
 

@@ -2,8 +2,7 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::WireFormat;
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Geometry};
+use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect};
 use pb3dp_arm_pa10::io::mock_server::SocketAddr;
 use pb3dp_arm_pa10::io::serial::SerialConfig;
 use pb3dp_arm_pa10::io::tcp::TcpConfig;
@@ -11,6 +10,7 @@ use pb3dp_arm_pa10::link::GatewayLinkConfig;
 use serde::Deserialize;
 
 use super::super::load::{Checker, whole};
+use super::super::names::{FormatName, GeometryName};
 
 /// The slowest cycle of a host that a gateway accepts, milliseconds.
 pub(super) const GATEWAY_CYCLE_MAX_MILLIS: f64 = 10.0;
@@ -50,7 +50,7 @@ pub(super) enum ArmBackend {
 pub(super) struct GatewaySection {
     arm: i64,
     dialect: DialectName,
-    wire_format: WireFormatName,
+    wire_format: FormatName,
     geometry: GeometryName,
     port: Option<String>,
     baud: Option<i64>,
@@ -62,20 +62,6 @@ pub(super) struct GatewaySection {
 enum DialectName {
     Transparent,
     GatewayV1,
-}
-
-#[derive(Clone, Copy, Debug, Deserialize)]
-enum WireFormatName {
-    A,
-    B,
-}
-
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-enum GeometryName {
-    Unknown,
-    FirstGeneration,
-    SecondGeneration,
 }
 
 impl ArmBackend {
@@ -116,15 +102,8 @@ impl GatewaySection {
                 DialectName::Transparent => Dialect::Transparent,
                 DialectName::GatewayV1 => Dialect::GatewayV1,
             },
-            format: match self.wire_format {
-                WireFormatName::A => WireFormat::LittleEndian5x8,
-                WireFormatName::B => WireFormat::BigEndian6x10,
-            },
-            geometry: match self.geometry {
-                GeometryName::Unknown => Geometry::Unknown,
-                GeometryName::FirstGeneration => Geometry::FirstGeneration,
-                GeometryName::SecondGeneration => Geometry::SecondGeneration,
-            },
+            format: self.wire_format.into(),
+            geometry: self.geometry.into(),
             cycle,
         };
         let way = match (backend, &self.port, self.baud, self.address) {
