@@ -15,7 +15,7 @@ use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Model, Target};
 use pb3dp_hal_api::{Arm, ArmPower, Clock, StereoCamera};
 use pb3dp_hal_clock::{SystemClock, VirtualClock};
-use pb3dp_hal_middleware::{FlightLog, Limiter};
+use pb3dp_hal_middleware::{FlightLog, Limiter, LimiterStatistics};
 use pb3dp_record::calibration_files::StereoCalibration;
 use pb3dp_record::dataset::Sequence;
 use pb3dp_sim::placement::{
@@ -34,14 +34,13 @@ use crate::run::paced_clock::PacedClock;
 
 /// An arm with its limiter: motion, power, and how often the limiter stepped in.
 pub trait DrivenArm: Arm + ArmPower {
-    /// Commands that the limiter changed or held back.
-    fn limited_commands(&self) -> u64;
+    /// How often the limiter stepped in so far.
+    fn statistics(&self) -> LimiterStatistics;
 }
 
 impl<A: Arm + ArmPower> DrivenArm for Limiter<A> {
-    fn limited_commands(&self) -> u64 {
-        let s = self.statistics();
-        s.refused_not_finite + s.held_stale + s.speed_limited + s.position_limited + s.acceleration_limited
+    fn statistics(&self) -> LimiterStatistics {
+        Self::statistics(self)
     }
 }
 

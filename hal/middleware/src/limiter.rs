@@ -121,6 +121,10 @@ pub enum LimiterError {
 pub struct LimiterStatistics {
     /// Velocity commands that came in.
     pub velocity_commands: u64,
+    /// Velocity commands that the arm was told otherwise than they came in, for whichever of the reasons below.
+    pub changed: u64,
+    /// Velocity commands that were refused, by the limiter or by what stands behind it.
+    pub refused: u64,
     /// Commands refused because a number was not finite.
     pub refused_not_finite: u64,
     /// Commands refused because the arm was not where it has to start.
@@ -316,10 +320,16 @@ impl<A: Arm> Arm for Limiter<A> {
         let JointCommand::Velocity(desired) = command else { return self.forward(command, now) };
         self.statistics.velocity_commands += 1;
         if let Some(reason) = self.refusal(&desired) {
+            self.statistics.refused += 1;
             return self.refuse(reason);
         }
         let set_point = self.limit(&desired, now);
-        let sample = self.forward(JointCommand::Velocity(set_point.velocity), now)?;
+        let answer = self.forward(JointCommand::Velocity(set_point.velocity), now);
+        match &answer {
+            Err(error) if error.kind() == ArmErrorKind::Rejected => self.statistics.refused += 1,
+            _ => self.statistics.changed += u64::from(shaping::differ(&set_point.velocity, &desired)),
+        }
+        let sample = answer?;
         self.last.note_velocity(now, set_point);
         Ok(sample)
     }

@@ -116,8 +116,13 @@ pub(crate) fn shape(desired: &JointVector, caps: &Caps, step: &Step<'_>, room: O
         let acceleration = if step.dt_s > 0.0 { change / step.dt_s } else { joint.acceleration };
         shaped.set_point.acceleration[i] = acceleration.clamp(least, most);
     }
-    shaped.acceleration_limited = (shaped.set_point.velocity - wanted).amax() > 1e-12;
+    shaped.acceleration_limited = differ(&shaped.set_point.velocity, &wanted);
     shaped
+}
+
+/// Whether velocities differ by more than rounding.
+pub(crate) fn differ(one: &JointVector, other: &JointVector) -> bool {
+    (one - other).amax() > 1e-12
 }
 
 /// A multiple of `desired`, at most 1, within the caps.

@@ -15,7 +15,7 @@ use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Cl
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_hal_conformance::mocks::MockScriptedArm;
 use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, arm_suite};
-use pb3dp_hal_middleware::{Limiter, LimiterConfig, LimiterError, StartPose};
+use pb3dp_hal_middleware::{Limiter, LimiterConfig, LimiterError, LimiterStatistics, StartPose};
 use pb3dp_kinematics::{DOF, JointLimitsError, JointVector};
 use proptest::prelude::*;
 
@@ -53,7 +53,8 @@ fn a_number_that_is_not_finite_reaches_no_arm() {
         let error = limiter.exchange(velocity(4, bad)).unwrap_err();
         assert_eq!(error.kind(), ArmErrorKind::Rejected);
         assert!(error.to_string().contains("limiter of arm scripted: joint 4"), "{error}");
-        assert_eq!(limiter.statistics().refused_not_finite, 1);
+        let LimiterStatistics { refused, refused_not_finite, changed, .. } = limiter.statistics();
+        assert_eq!((refused, refused_not_finite, changed), (1, 1, 0));
     }
 }
 
@@ -72,6 +73,27 @@ fn without_a_fresh_sample_the_arm_rests() {
     limiter.exchange(velocity(0, 0.1)).unwrap();
     assert_eq!(limiter.statistics().held_stale, 2);
     assert_eq!(limiter.statistics().velocity_commands, 3);
+    assert_eq!((limiter.statistics().changed, limiter.statistics().refused), (3, 0));
+}
+
+/// A command that is too fast and too sudden is one that was changed, and what the arm refuses is refused.
+#[test]
+fn each_command_is_counted_once() {
+    let (mut limiter, clock) = scripted(|arm| {
+        expect_commands(arm, &[(JointCommand::Hold, 0), (rest(), 10), (velocity(0, 0.004), 20)]);
+        let rejected = || Err(ArmError::new(ArmErrorKind::Rejected, "too little room"));
+        arm.expect_exchange().with(eq(velocity(0, 0.012))).times(1).returning(move |_| rejected());
+    });
+    for (command, is_refused) in
+        [(JointCommand::Hold, false), (rest(), false), (velocity(0, 5.0), false), (velocity(0, 5.0), true)]
+    {
+        assert_eq!(limiter.exchange(command).is_err(), is_refused);
+        clock.sleep_until(clock.now() + CYCLE);
+    }
+    let LimiterStatistics { velocity_commands, changed, refused, speed_limited, acceleration_limited, .. } =
+        limiter.statistics();
+    assert_eq!((velocity_commands, changed, refused), (3, 1, 1));
+    assert_eq!((speed_limited, acceleration_limited), (2, 2));
 }
 
 #[test]

@@ -5,6 +5,7 @@ use std::time::{Duration, SystemTime};
 
 use pb3dp_estimation::estimator::Method;
 use pb3dp_hal_api::{ArmErrorKind, JointCommand};
+use pb3dp_hal_middleware::LimiterStatistics;
 use pb3dp_kinematics::JointVector;
 use pb3dp_orchestrator::run::flight::{self, Moment, RawLine};
 use pb3dp_orchestrator::run::lockstep;
@@ -50,7 +51,9 @@ fn the_carrying_arm_has_the_limits_and_states_of_the_following_one() {
             before = now;
         }
         assert!(fastest > 0.9 * speed && fastest <= speed + 1e-9, "{name}: {fastest} of {speed} rad/s");
-        assert!(arm.limited_commands() >= 100, "{name}");
+        let LimiterStatistics { velocity_commands, changed, refused, .. } = arm.statistics();
+        assert_eq!((velocity_commands, changed + refused), (102, 102), "{name}");
+        assert!(changed >= 100 && refused >= 1, "{name}: {changed}, {refused}");
         arm.stop().unwrap();
     }
 }

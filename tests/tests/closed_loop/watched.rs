@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex};
 
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
+use pb3dp_hal_middleware::LimiterStatistics;
 use pb3dp_orchestrator::wiring::{DrivenArm, Parts};
 
 /// What one arm was told (before its limiter) and measured, one entry per control step.
@@ -66,7 +67,7 @@ impl ArmPower for Watched {
 }
 
 impl DrivenArm for Watched {
-    fn limited_commands(&self) -> u64 {
-        self.inner.limited_commands()
+    fn statistics(&self) -> LimiterStatistics {
+        self.inner.statistics()
     }
 }

@@ -4,6 +4,7 @@ use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::{Chain, smallest_singular_value};
 
 use super::cell::SimulatedCell;
+use super::commands::CommandSummary;
 use super::log::{ControlSample, RunLog};
 use super::looking::Looked;
 use super::moving::Moved;
@@ -65,14 +66,14 @@ impl Journal {
 
     /// What is left behind. Before the first estimate nobody knew where on the target the model is: those samples are
     /// completed now.
-    pub fn finish(mut self, setup: &Setup, looked: Looked, limited_steps: u64) -> Outcome {
+    pub fn finish(mut self, setup: &Setup, looked: Looked, commands: [CommandSummary; 2]) -> Outcome {
         let target_from_model = looked.target_from_model.unwrap_or_else(Pose::coincident);
         let model_from_hand = setup.controller.model_from_hand_desired;
         for sample in &mut self.log.control {
             sample.world_from_hand_wanted = sample.world_from_target * target_from_model * model_from_hand;
         }
         let Looked { leading, compared, pairs_lost, strip, .. } = looked;
-        let log = RunLog { leading, compared, pairs_lost, limited_steps, ..self.log };
+        let log = RunLog { leading, compared, pairs_lost, commands: commands.into(), ..self.log };
         Outcome { log, strip }
     }
 }

@@ -18,6 +18,7 @@ use pb3dp_hal_api::Clock;
 use pb3dp_servo::TargetObservation;
 use pb3dp_sim::trajectory::Trajectory;
 
+use super::commands::CommandSummary;
 use super::cycles::{CycleSummary, Lateness};
 use super::journal::{Journal, Outcome};
 use super::log::RunLog;
@@ -91,7 +92,7 @@ pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Optio
     for step in steps_out.try_iter() {
         journal.note(&step);
     }
-    let mut outcome = journal.finish(setup, looking.finish(), moved.limited_steps);
+    let mut outcome = journal.finish(setup, looking.finish(), moved.commands);
     outcome.log.cycles.push(moved.cycles);
     outcome.log.cycles.extend(monitors.iter().map(|(name, monitor)| CycleSummary::of_link(name, monitor)));
     drop(emulated);
@@ -141,7 +142,7 @@ struct Mover<'a> {
 
 /// What the thread that moves leaves behind.
 struct Done {
-    limited_steps: u64,
+    commands: [CommandSummary; 2],
     cycles: CycleSummary,
 }
 
@@ -157,7 +158,7 @@ impl Mover<'_> {
         let stopped = self.moving.stop();
         stepped.and(stopped)?;
         Ok(Done {
-            limited_steps: self.moving.limited_steps(),
+            commands: self.moving.commands(),
             cycles: CycleSummary {
                 replies_lost: Some(self.moving.replies_missed()),
                 ..lateness.summary("control loop")

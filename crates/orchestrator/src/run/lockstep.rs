@@ -46,8 +46,8 @@ pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Optio
     let stopped = looped.moving.stop();
     let recorded = looped.looking.finish_recording();
     outcome.and(stopped).and(recorded)?;
-    let limited_steps = looped.moving.limited_steps();
-    Ok(looped.journal.finish(setup, looped.looking.finish(), limited_steps))
+    let commands = looped.moving.commands();
+    Ok(looped.journal.finish(setup, looped.looking.finish(), commands))
 }
 
 struct Loop<'a> {

@@ -4,6 +4,7 @@ use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Hand, Model, Target, World};
 use pb3dp_sim::trajectory::Mark;
 
+use super::commands::CommandSummary;
 use super::cycles::CycleSummary;
 
 /// One control step.
@@ -77,8 +78,8 @@ pub struct RunLog {
     pub events: Vec<(f64, String)>,
     /// Pairs that the camera could not deliver.
     pub pairs_lost: u64,
-    /// Control steps in which the limiter changed the command.
-    pub limited_steps: u64,
+    /// What became of the velocities of each arm.
+    pub commands: Vec<CommandSummary>,
     /// How punctual the cycles were, of a run in the machine's time.
     pub cycles: Vec<CycleSummary>,
 }

@@ -2,6 +2,7 @@
 
 pub mod carrier;
 pub mod cell;
+pub mod commands;
 pub mod compared;
 pub mod cycles;
 pub mod flight;

@@ -9,6 +9,7 @@ use pb3dp_sim::placement::FlangePath;
 use pb3dp_sim::trajectory::StepExperiment;
 
 use super::carrier::carry;
+use super::commands::CommandSummary;
 use crate::config::setup::Setup;
 use crate::wiring::DrivenArm;
 
@@ -131,9 +132,9 @@ impl<'a> Moving<'a> {
         self.replies_missed
     }
 
-    /// Control steps in which the limiter changed a command of the arm that carries the cameras.
-    pub fn limited_steps(&self) -> u64 {
-        self.vs.limited_commands()
+    /// What became of the velocities of both arms.
+    pub fn commands(&self) -> [CommandSummary; 2] {
+        [("vs-robot", &self.vs), ("tc-robot", &self.tc)].map(|(name, arm)| CommandSummary::of(name, &arm.statistics()))
     }
 }
 

@@ -8,6 +8,7 @@ use anyhow::{Context, Result};
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_record::report::{LinePlot, Report, ReportPicture, Series, SeriesColor, Table};
 
+use super::commands;
 use super::cycles;
 use super::journal::Outcome;
 use super::log::{ControlSample, RunLog};
@@ -83,7 +84,10 @@ fn page(
              plane. Motion and rotation since the first pose: median / p95.",
         )
         .table(&methods::table(&summary.methods))
-        .panels(&methods::panels(log));
+        .panels(&methods::panels(log))
+        .heading("Commands")
+        .paragraph("How many of the velocities the limiter of each arm changed, to keep its limits, and how many were refused.")
+        .table(&commands::table(&summary.commands));
     with_cycles(report, summary)
         .heading("Errors over time")
         .panels(&error_panels(log, summary))
@@ -290,7 +294,9 @@ pub fn text_table(summary: &RunSummary) -> String {
         summary.share_by_mode.iter().map(|(mode, share)| format!("{mode} {:.0} %", 100.0 * share)).collect();
     text += &format!("{:<34} {}\n", "controller", modes.join(", "));
     let sigma = summary.smallest_singular_value.map_or("-".into(), |s| format!("{s:.3}"));
-    text += &format!("{:<34} {sigma}\n\n", "smallest singular value");
+    text += &format!("{:<34} {sigma}\n", "smallest singular value");
+    text += &commands::text_lines(&summary.commands);
+    text.push('\n');
     text += &methods::text_table(&summary.methods);
     text.push('\n');
     let _ = writeln!(text, "axis unit  moving rms    max   hold rms    max   lag s");

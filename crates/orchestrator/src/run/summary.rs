@@ -13,6 +13,7 @@ use pb3dp_record::metrics::{Statistics, lag_by_cross_correlation, max_abs, perce
 use pb3dp_sim::trajectory::Channel;
 use serde::Serialize;
 
+use super::commands::CommandSummary;
 use super::cycles::CycleSummary;
 use super::log::{ControlSample, RunLog};
 use super::methods::{self, MethodSummary};
@@ -111,8 +112,8 @@ pub struct RunSummary {
     pub share_by_mode: BTreeMap<String, f64>,
     /// Smallest singular value of the Jacobian during the run.
     pub smallest_singular_value: Option<f64>,
-    /// Control steps in which the limiter changed the command.
-    pub limited_steps: u64,
+    /// What became of the velocities of each arm.
+    pub commands: Vec<CommandSummary>,
     /// How punctual the cycles were; of a run in the machine's time only.
     pub cycles: Vec<CycleSummary>,
 }
@@ -178,7 +179,7 @@ pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
         latency_p99_millis: percentile(&latencies, 99.0),
         share_by_mode: shares(log.control.iter().map(ControlSample::mode_word)),
         smallest_singular_value: log.control.iter().map(|s| s.smallest_singular_value).reduce(f64::min),
-        limited_steps: log.limited_steps,
+        commands: log.commands.clone(),
         cycles: log.cycles.clone(),
     }
 }

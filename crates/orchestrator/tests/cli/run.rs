@@ -61,6 +61,15 @@ fn a_run_leaves_report_summary_and_time_series() {
     assert!(page.contains("direct (leads)") && page.contains(">published<"), "the report shows both methods");
     assert!(finished.stdout.contains("direct (leads)") && finished.stdout.contains("published"), "{}", finished.stdout);
     assert!(summary["summary"]["smallest_singular_value"].as_f64().unwrap() > 0.05);
+    for (arm, name) in ["vs-robot", "tc-robot"].into_iter().enumerate() {
+        let commands = &summary["summary"]["commands"][arm];
+        let [velocities, changed, refused] =
+            ["velocities", "changed", "refused"].map(|key| commands[key].as_u64().unwrap());
+        assert!(commands["name"] == name && changed <= velocities && refused == 0, "{commands}");
+        let line = format!("{velocities}, {changed} changed by the limiter, 0 refused");
+        assert!(finished.stdout.contains(&line), "{line} in {}", finished.stdout);
+        assert!(page.contains(&format!("<td>{name}</td>")), "the page has a line of {name}");
+    }
     let csv = std::fs::read_to_string(out.join("timeseries.csv")).unwrap();
     let columns: Vec<usize> = csv.lines().map(|line| line.split(',').count()).collect();
     assert!(columns.len() > 40 && columns.iter().all(|&n| n == columns[0]), "a header and 41 steps of one width");
