@@ -7,14 +7,14 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result};
 use pb3dp_arm_pa10::gateway::GatewayStatus;
 use pb3dp_arm_pa10::gateway_protocol::{Dialect, GatewayState, StopCause};
-use pb3dp_arm_pa10::io::bus::{ArcnetSocket, BusPort, FrameSocket};
+use pb3dp_arm_pa10::io::arm::BusTarget;
 use pb3dp_arm_pa10::io::gateway::{BusOpener, Ending, GatewayServer, GatewayServerConfig, Happened, HostSide};
 use pb3dp_arm_pa10::io::serial::SerialConfig;
 use pb3dp_arm_pa10::io::signals::{StopSignal, StopSignals};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use crate::cli::GatewayArgs;
-use crate::config::gateway::{BusPlace, GatewaySetup, HostPlace, read_gateway};
+use crate::config::gateway::{GatewaySetup, HostPlace, read_gateway};
 
 /// How often the log is written.
 const LOOK: Duration = Duration::from_millis(50);
@@ -79,13 +79,9 @@ fn watch_signals(mut signals: StopSignals, ending: &Ending) -> std::io::Result<O
     taken
 }
 
-fn bus_opener(place: &BusPlace) -> BusOpener {
-    match place.clone() {
-        BusPlace::Arcnet(interface) => {
-            Box::new(move || Ok(Box::new(ArcnetSocket::open(&interface)?) as Box<dyn BusPort>))
-        }
-        BusPlace::Socket(path) => Box::new(move || Ok(Box::new(FrameSocket::connect(&path)?) as Box<dyn BusPort>)),
-    }
+fn bus_opener(target: &BusTarget) -> BusOpener {
+    let target = target.clone();
+    Box::new(move || target.open())
 }
 
 fn host_side(setup: &GatewaySetup) -> Result<HostSide> {

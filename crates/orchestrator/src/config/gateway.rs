@@ -1,18 +1,19 @@
 //! The file of a gateway, for `pb3dp gateway`.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
 use pb3dp_arm_pa10::codec::{SequenceModulus, Supervision, TorqueScale, WireFormat};
 use pb3dp_arm_pa10::gateway::GatewayConfig;
 use pb3dp_arm_pa10::gateway_protocol::{ArmId, Firmware};
+use pb3dp_arm_pa10::io::arm::BusTarget;
 use pb3dp_arm_pa10::io::realtime::Realtime;
 use pb3dp_arm_pa10::io::tcp::TcpConfig;
 use pb3dp_arm_pa10::watchdog::CommandWatchdog;
 use serde::Deserialize;
 
 use super::load::{Checker, ConfigError, FileKind, read_toml, whole};
-use super::names::{FormatName, GeometryName};
+use super::names::{FormatName, GeometryName, sequence_modulus};
 
 /// A gateway whose every value has been checked.
 #[derive(Clone, Debug)]
@@ -22,20 +23,11 @@ pub struct GatewaySetup {
     /// Of the thread that keeps the cycle.
     pub realtime: Realtime,
     /// Where the controller is.
-    pub bus: BusPlace,
+    pub bus: BusTarget,
     /// Where hosts come from.
     pub host: HostPlace,
     /// Rate of a serial line, bits per second.
     pub baud: u32,
-}
-
-/// Where the controller is.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum BusPlace {
-    /// Behind an ARCNET card.
-    Arcnet(String),
-    /// An emulated one, at a socket.
-    Socket(PathBuf),
 }
 
 /// Where hosts come from.
@@ -45,18 +37,6 @@ pub enum HostPlace {
     Serial(String),
     /// An address to listen at.
     Tcp(TcpConfig),
-}
-
-impl std::str::FromStr for BusPlace {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text.split_once(':') {
-            Some(("arcnet", interface)) if !interface.is_empty() => Ok(Self::Arcnet(interface.to_owned())),
-            Some(("socket", path)) if !path.is_empty() => Ok(Self::Socket(PathBuf::from(path))),
-            _ => Err(format!("{text:?} is no bus: write arcnet:INTERFACE or socket:PATH")),
-        }
-    }
 }
 
 impl std::str::FromStr for HostPlace {
@@ -142,15 +122,16 @@ pub fn read_gateway(file: &Path, bus: Option<&str>, host: Option<&str>) -> Resul
 impl GatewayFile {
     fn build(&self, check: &mut Checker) -> Option<GatewaySetup> {
         self.check_ranges(check);
+        let modulus = sequence_modulus("bus.sequence_numbers", self.bus.sequence_numbers, check);
         let refuse = |check: &mut Checker, key: &str, why: String| check.refuse(format!("{key}: {why}"));
-        let bus = self.bus.port.parse::<BusPlace>().map_err(|why| refuse(check, "bus.port", why)).ok();
+        let bus = self.bus.port.parse::<BusTarget>().map_err(|why| refuse(check, "bus.port", why.to_string())).ok();
         let host = self.host.line.parse::<HostPlace>().map_err(|why| refuse(check, "host.line", why)).ok();
         if !check.is_clean() {
             return None;
         }
         let watchdog = CommandWatchdog::new(millis(self.host.ramp_after_millis), millis(self.host.stop_after_millis));
         let watchdog = watchdog.map_err(|why| refuse(check, "host.stop_after_millis", why.to_string())).ok()?;
-        let gateway = self.gateway(watchdog)?;
+        let gateway = self.gateway(watchdog, modulus)?;
         if let Err(why) = gateway.check() {
             refuse(check, "the gateway", why.to_string());
         }
@@ -169,9 +150,6 @@ impl GatewayFile {
         check.count("arm.emergency_stop_bits", self.arm.emergency_stop_bits, 0..=0xFFFF);
         check.number("bus.cycle_millis", self.bus.cycle_millis, 1.0..=10.0);
         check.number("bus.lateness_allowed_millis", self.bus.lateness_allowed_millis, 1.0..=200.0);
-        if ![128, 256].contains(&self.bus.sequence_numbers) {
-            check.refuse(format!("bus.sequence_numbers = {}: allowed are 128 and 256", self.bus.sequence_numbers));
-        }
         check.number("bus.controller_time_out_millis", self.bus.controller_time_out_millis, 0.0..=60_000.0);
         check.count("host.baud", self.host.baud, 1200..=12_000_000);
         check.number("host.ramp_after_millis", self.host.ramp_after_millis, 20.0..=200.0);
@@ -180,7 +158,7 @@ impl GatewayFile {
         check.count("realtime.processor", self.realtime.processor, -1..=1023);
     }
 
-    fn gateway(&self, watchdog: CommandWatchdog) -> Option<GatewayConfig> {
+    fn gateway(&self, watchdog: CommandWatchdog, modulus: SequenceModulus) -> Option<GatewayConfig> {
         let format = WireFormat::from(self.arm.format);
         let time_out = self.bus.controller_time_out_millis;
         let arm = ArmId(whole(self.arm.number));
@@ -189,10 +167,7 @@ impl GatewayFile {
         // Fits into 24 characters as long as the version does into 10.
         let firmware = Firmware::new(concat!("pb3dp gateway ", env!("CARGO_PKG_VERSION")))?;
         Some(GatewayConfig {
-            modulus: match self.bus.sequence_numbers {
-                128 => SequenceModulus::Modulo128,
-                _ => SequenceModulus::Modulo256,
-            },
+            modulus,
             geometry: self.arm.geometry.into(),
             cycle: millis(self.bus.cycle_millis),
             lateness_allowed: millis(self.bus.lateness_allowed_millis),
@@ -215,6 +190,8 @@ fn millis(checked: f64) -> Duration {
 
 #[cfg(test)]
 mod tests {
+    use std::path::PathBuf;
+
     use super::*;
 
     fn configs() -> PathBuf {
@@ -224,7 +201,7 @@ mod tests {
     #[test]
     fn the_file_that_is_shipped_is_as_the_protocol_wants_it() {
         let setup = read_gateway(&configs(), None, Some("serial:/dev/ttyUSB3")).unwrap();
-        assert_eq!(setup.bus, BusPlace::Arcnet("arc0".into()));
+        assert_eq!(setup.bus, BusTarget::Arcnet("arc0".into()));
         assert_eq!(setup.host, HostPlace::Serial("/dev/ttyUSB3".into()));
         let GatewayConfig { cycle, lateness_allowed, watchdog, brake_time, .. } = setup.gateway;
         assert_eq!((cycle, lateness_allowed, brake_time), (millis(2.0), millis(2.0), millis(200.0)));

@@ -1,9 +1,11 @@
-//! Wire formats and geometries by their names, in files and on the command line.
+//! Wire formats, geometries and sequences by their names, in files and on the command line.
 
 use clap::ValueEnum;
-use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::codec::{SequenceModulus, WireFormat};
 use pb3dp_arm_pa10::gateway_protocol::Geometry;
 use serde::Deserialize;
+
+use super::load::Checker;
 
 /// Wire formats: `A` and `B` in files, `a` and `b` on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, ValueEnum)]
@@ -43,6 +45,18 @@ impl From<GeometryName> for Geometry {
             GeometryName::Unknown => Self::Unknown,
             GeometryName::FirstGeneration => Self::FirstGeneration,
             GeometryName::SecondGeneration => Self::SecondGeneration,
+        }
+    }
+}
+
+/// After how many messages sequence numbers start again.
+pub fn sequence_modulus(key: &str, numbers: i64, check: &mut Checker) -> SequenceModulus {
+    match numbers {
+        128 => SequenceModulus::Modulo128,
+        256 => SequenceModulus::Modulo256,
+        _ => {
+            check.refuse(format!("{key} = {numbers}: allowed are 128 and 256"));
+            SequenceModulus::Modulo128
         }
     }
 }

@@ -8,7 +8,9 @@ use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10::driver::{DriverConfig, LimitsCheck};
 use pb3dp_arm_pa10::gateway::GatewayConfig;
 use pb3dp_arm_pa10::gateway_protocol::Firmware;
-use pb3dp_arm_pa10::io::arm::{ArmMonitor, Pa10Arm, Pa10ArmConfig, TripHandle, TripSeat, trip_line};
+use pb3dp_arm_pa10::io::arm::{
+    ArmMonitor, BusArmConfig, Pa10Arm, Pa10ArmConfig, REALTIME, TripHandle, TripSeat, trip_line,
+};
 use pb3dp_arm_pa10::io::mock_server::{MockFace, MockPort, MockServer, MockServerConfig};
 use pb3dp_arm_pa10::io::realtime::Realtime;
 use pb3dp_arm_pa10::io::serial::SerialConfig;
@@ -21,7 +23,7 @@ use pb3dp_hal_middleware::{CoupledArmConfig, FlightLog, Guard, Limiter, Recorded
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
 
 use super::DrivenArm;
-use crate::config::setup::{ArmLink, ArmSetup, GatewayWay, Setup};
+use crate::config::setup::{ArmLink, ArmSetup, BusLinkConfig, GatewayWay, Setup};
 use crate::run::cell::{ArmSite, JointSource};
 use crate::run::flight::FLIGHT;
 
@@ -164,13 +166,19 @@ fn wire_backend((setup, clock): (&Setup, &Arc<dyn Clock>), parts: Parts<'_>, sea
         }
         ArmLink::Gateway(link, GatewayWay::Emulated) => {
             let (server, plant) = emulate(link, parts)?;
-            let opened = open(link, Box::new(emulated_port(link, &server)), seat, parts)?;
+            let line = Line::Gateway(link, Box::new(emulated_port(link, &server)));
+            let opened = open(line, (setup, seat), parts)?;
             let site = site(arm, JointSource::plant(plant));
             let (monitor, trip) = (Some(opened.monitor()), Some(opened.trip_handle()));
             Ok(WiredBackend { site, backend: Box::new(opened), monitor, trip, emulated: Some(server) })
         }
-        ArmLink::Gateway(link, GatewayWay::Serial(port)) => measured(link, Box::new(port.clone()), seat, parts),
-        ArmLink::Gateway(link, GatewayWay::Tcp(address)) => measured(link, Box::new(*address), seat, parts),
+        ArmLink::Gateway(link, GatewayWay::Serial(port)) => {
+            measured(Line::Gateway(link, Box::new(port.clone())), (setup, seat), parts)
+        }
+        ArmLink::Gateway(link, GatewayWay::Tcp(address)) => {
+            measured(Line::Gateway(link, Box::new(*address)), (setup, seat), parts)
+        }
+        ArmLink::Bus(link) => measured(Line::Bus(link), (setup, seat), parts),
     }
 }
 
@@ -184,14 +192,9 @@ type GuardedArm = Guard<Recorded<Box<dyn Backend>>>;
 pub(super) type Parts<'a> = (&'a str, &'a ArmSetup, &'a Arc<dyn Clock>);
 
 /// An arm whose joints nobody simulates here: the cell has them as they are measured.
-fn measured(
-    link: &GatewayLinkConfig,
-    connector: Box<dyn Connector>,
-    seat: TripSeat,
-    parts: Parts<'_>,
-) -> Result<WiredBackend> {
+fn measured(line: Line<'_>, place: (&Setup, TripSeat), parts: Parts<'_>) -> Result<WiredBackend> {
     let (_, arm, _) = parts;
-    let opened = open(link, connector, seat, parts)?;
+    let opened = open(line, place, parts)?;
     let (monitor, trip) = (Some(opened.monitor()), Some(opened.trip_handle()));
     let (tap, samples) = sync_channel(JOINTS_WAITING_MAX);
     let source = JointSource::measured(samples, arm.start_rad);
@@ -239,19 +242,32 @@ pub(super) fn emulated_port(link: &GatewayLinkConfig, server: &MockServer) -> Mo
     server.port(SerialConfig { path: server.address(), baud: EMULATED_BAUD, dialect, format, cycle })
 }
 
-fn open(
-    link: &GatewayLinkConfig,
-    connector: Box<dyn Connector>,
-    seat: TripSeat,
-    (name, arm, clock): Parts<'_>,
-) -> Result<Pa10Arm> {
+/// What leads to an arm.
+pub(super) enum Line<'a> {
+    /// A byte stream with a gateway at its end.
+    Gateway(&'a GatewayLinkConfig, Box<dyn Connector>),
+    /// The bus of the servo controller.
+    Bus(&'a BusLinkConfig),
+}
+
+impl Line<'_> {
+    /// Where it leads, for messages.
+    pub(super) fn target(&self) -> String {
+        match self {
+            Self::Gateway(_, connector) => connector.target(),
+            Self::Bus(link) => link.target.to_string(),
+        }
+    }
+}
+
+fn open(line: Line<'_>, (setup, seat): (&Setup, TripSeat), (name, arm, clock): Parts<'_>) -> Result<Pa10Arm> {
     let hard_limits = &arm.limiter.hard_limits;
     let limits = LimitsCheck::Compare {
         lower_rad: *hard_limits.position_min_rad(),
         upper_rad: *hard_limits.position_max_rad(),
         tolerance_rad: LIMITS_TOLERANCE_DEG.to_radians(),
     };
-    let opened = connect(link, connector, (seat, limits), (name, arm, clock))?;
+    let opened = connect(line, (setup, seat, limits), (name, arm, clock))?;
     for warning in opened.warnings() {
         tracing::warn!("{name}: {warning}");
     }
@@ -263,17 +279,34 @@ fn open(
 
 /// Opens the link to an arm and looks at it; its brakes stay on.
 pub(super) fn connect(
-    link: &GatewayLinkConfig,
-    connector: Box<dyn Connector>,
-    (seat, limits): (TripSeat, LimitsCheck),
+    line: Line<'_>,
+    (setup, seat, limits): (&Setup, TripSeat, LimitsCheck),
     (name, arm, clock): Parts<'_>,
 ) -> Result<Pa10Arm> {
-    let driver = DriverConfig {
+    let driver = |cycle| DriverConfig {
         limits,
         deceleration_rad_per_s2: arm.limiter.acceleration_max_rad_per_s2,
-        ..DriverConfig::with_cycle(link.cycle)
+        ..DriverConfig::with_cycle(cycle)
     };
-    Ok(Pa10Arm::open(Pa10ArmConfig::new(name, driver, *link), connector, Arc::clone(clock), seat)?)
+    let clock = Arc::clone(clock);
+    Ok(match line {
+        Line::Gateway(link, connector) => {
+            Pa10Arm::open(Pa10ArmConfig::new(name, driver(link.cycle), *link), connector, clock, seat)?
+        }
+        Line::Bus(link) => {
+            let config = BusArmConfig {
+                name: name.to_owned(),
+                arm: link.arm,
+                driver: driver(link.cycle),
+                exchange_cycle: setup.control_period,
+                format: link.format,
+                modulus: link.modulus,
+                target: link.target.clone(),
+                realtime: REALTIME,
+            };
+            Pa10Arm::open_on_bus(config, clock, seat)?
+        }
+    })
 }
 
 /// An arm whose measurements are also handed to the simulated cell, without waiting for it.

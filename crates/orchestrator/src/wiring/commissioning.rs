@@ -7,13 +7,12 @@ use pb3dp_arm_pa10::driver::{FaultCause, LimitsCheck, Trip};
 use pb3dp_arm_pa10::gateway_protocol::StopCause;
 use pb3dp_arm_pa10::io::arm::{ArmMonitor, Pa10Arm};
 use pb3dp_arm_pa10::io::mock_server::MockServer;
-use pb3dp_arm_pa10::io::transport::Connector;
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_middleware::StartPose;
 use pb3dp_kinematics::{JointLimits, JointVector};
 
 use super::DrivenArm;
-use super::arm::{AloneArm, WiredArms, alone, connect, emulate, emulated_port, wire_alone, wire_arms};
+use super::arm::{AloneArm, Line, WiredArms, alone, connect, emulate, emulated_port, wire_alone, wire_arms};
 use crate::config::setup::{ArmLink, ArmSetup, GatewayWay, Setup};
 
 pub use super::arm::LIMITS_TOLERANCE_DEG;
@@ -87,20 +86,21 @@ pub struct SeenArm {
 /// If it has no link, or does not answer as configured.
 pub fn see(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<SeenArm> {
     let (name, arm) = (choice.name(), choice.of(setup));
-    let ArmLink::Gateway(link, way) = &arm.link else {
-        bail!("{}.backend = \"mock\" has no line to an arm; set emulated, serial or tcp", choice.table())
-    };
     let parts = (name, arm, clock);
-    let (connector, emulated): (Box<dyn Connector>, _) = match way {
-        GatewayWay::Emulated => {
-            let (server, _) = emulate(link, parts)?;
-            (Box::new(emulated_port(link, &server)), Some(server))
+    let (line, emulated) = match &arm.link {
+        ArmLink::InProcess => {
+            bail!("{}.backend = \"mock\" has no line to an arm; set emulated, serial, tcp or arcnet", choice.table())
         }
-        GatewayWay::Serial(port) => (Box::new(port.clone()), None),
-        GatewayWay::Tcp(address) => (Box::new(*address), None),
+        ArmLink::Gateway(link, GatewayWay::Emulated) => {
+            let (server, _) = emulate(link, parts)?;
+            (Line::Gateway(link, Box::new(emulated_port(link, &server))), Some(server))
+        }
+        ArmLink::Gateway(link, GatewayWay::Serial(port)) => (Line::Gateway(link, Box::new(port.clone())), None),
+        ArmLink::Gateway(link, GatewayWay::Tcp(address)) => (Line::Gateway(link, Box::new(*address)), None),
+        ArmLink::Bus(link) => (Line::Bus(link), None),
     };
-    let target = connector.target();
-    let arm = connect(link, connector, (alone()?, LimitsCheck::Read), parts)?;
+    let target = line.target();
+    let arm = connect(line, (setup, alone()?, LimitsCheck::Read), parts)?;
     Ok(SeenArm { arm, target, emulated })
 }
 
@@ -159,6 +159,7 @@ pub fn wire_slow(setup: &Setup, choice: ArmChoice, beside_other: bool, clock: &A
     let WiredArms { driven: [vs, tc], monitors, emulated, .. } = wire_arms(setup, clock)?;
     let (driven, other) = if choice == ArmChoice::Vs { (vs, tc) } else { (tc, vs) };
     let monitor = monitors.into_iter().find(|(name, _)| *name == choice.name()).map(|(_, monitor)| monitor);
-    let monitor = Some(monitor.context("an arm with backend = \"mock\" has no line; set emulated, serial or tcp")?);
+    let monitor =
+        Some(monitor.context("an arm with backend = \"mock\" has no line; set emulated, serial, tcp or arcnet")?);
     Ok(SlowArm { driven, monitor, other: Some(other), emulated })
 }

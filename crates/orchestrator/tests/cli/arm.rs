@@ -13,7 +13,7 @@ use crate::mock_arm::MockArm;
 use crate::support::{Finished, numbers, repository};
 
 /// `start_deg` of the arm with the cameras in configs/hil.toml.
-const START_DEG: &str = "0,45.4169239,0,97.48979119,0,-52.90671509,0";
+pub const START_DEG: &str = "0,45.4169239,0,97.48979119,0,-52.90671509,0";
 const START_E1_DEG: f64 = 97.48979119;
 
 /// What the program says when a thread was not run for some 10 ms.
@@ -28,7 +28,7 @@ const HELD_UP: [&str; 7] = [
 ];
 
 /// Again where the machine was held up: a mistake shows each time.
-fn patiently(test: impl Fn()) {
+pub fn patiently(test: impl Fn()) {
     for _ in 0..5 {
         match catch_unwind(AssertUnwindSafe(&test)) {
             Ok(()) => return,
@@ -48,9 +48,9 @@ fn hil() -> String {
 }
 
 /// A setup whose arm with the cameras is at a TCP address.
-struct Cell {
-    arm: MockArm,
-    folder: TempDir,
+pub struct Cell {
+    pub arm: MockArm,
+    pub folder: TempDir,
 }
 
 impl Cell {
@@ -60,16 +60,16 @@ impl Cell {
         Self { arm, folder: setup_at(&address) }
     }
 
-    fn config(&self) -> PathBuf {
+    pub fn config(&self) -> PathBuf {
         self.folder.path().join("cell.toml")
     }
 
-    fn pb3dp(&self, args: &[&str], typed: Option<&str>) -> Finished {
+    pub fn pb3dp(&self, args: &[&str], typed: Option<&str>) -> Finished {
         pb3dp_arm(&self.config().display().to_string(), args, typed)
     }
 
     /// Angles of the joints, degrees, as they really are, and whether all brakes are closed.
-    fn joints(&mut self) -> (Vec<f64>, bool) {
+    pub fn joints(&mut self) -> (Vec<f64>, bool) {
         let state = self.arm.state();
         let axes = state.iter().filter_map(|line| line.trim_start().strip_prefix("axis "));
         let angle = |line: &str| line.split_whitespace().nth(2).unwrap().parse().unwrap();
@@ -78,15 +78,21 @@ impl Cell {
 }
 
 fn setup_at(address: &str) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    write_setup(&folder, |vs| {
+        let vs = vs.replacen("backend = \"emulated\"", "backend = \"tcp\"", 1);
+        vs.replacen("\narm = 1 ", &format!("\naddress = \"{address}\"\narm = 1 "), 1)
+    });
+    folder
+}
+
+/// A setup as configs/hil.toml is, but for what follows on the line `[arms.vs]`.
+pub fn write_setup(folder: &TempDir, change: impl Fn(&str) -> String) {
     let text = std::fs::read_to_string(hil()).unwrap();
     let robots = repository().join("configs/robots").display().to_string();
     let text = text.replace("robot = \"robots/", &format!("robot = \"{robots}/"));
     let (all, vs) = text.split_once("[arms.vs]").unwrap();
-    let vs = vs.replacen("backend = \"emulated\"", "backend = \"tcp\"", 1);
-    let vs = vs.replacen("\narm = 1 ", &format!("\naddress = \"{address}\"\narm = 1 "), 1);
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::write(folder.path().join("cell.toml"), format!("{all}[arms.vs]{vs}")).unwrap();
-    folder
+    std::fs::write(folder.path().join("cell.toml"), format!("{all}[arms.vs]{}", change(vs))).unwrap();
 }
 
 fn command(config: &str, args: &[&str]) -> Command {
@@ -113,11 +119,11 @@ fn pb3dp_arm(config: &str, args: &[&str], typed: Option<&str>) -> Finished {
     Finished { success: output.status.success(), stdout, stderr }
 }
 
-fn json(finished: &Finished) -> Value {
+pub fn json(finished: &Finished) -> Value {
     serde_json::from_str(&finished.stdout).unwrap_or_else(|error| panic!("{error}: {}", finished.stdout))
 }
 
-fn assert_problem(finished: &Finished, parts: &[&str]) {
+pub fn assert_problem(finished: &Finished, parts: &[&str]) {
     assert!(!finished.success, "{}", finished.stdout);
     for part in parts {
         assert!(finished.stdout.contains(part), "{part:?} is missing in:\n{}{}", finished.stdout, finished.stderr);

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests may fail the test")]
 
 mod arm;
+mod arm_on_bus;
 mod estimate;
 mod mock_arm;
 mod refusals;

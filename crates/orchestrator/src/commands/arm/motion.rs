@@ -78,7 +78,7 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
     let mut signals = StopSignals::take_over()?;
     let setup = read_setup(&place.config)?;
     if choice.of(&setup).link == ArmLink::InProcess {
-        bail!("{}.backend = \"mock\" has no arm to move; set emulated, serial or tcp", choice.table());
+        bail!("{}.backend = \"mock\" has no arm to move; set emulated, serial, tcp or arcnet", choice.table());
     }
     let jog_speed = matches!(goal, Goal::Jog { .. }).then_some(JOG_RAD_PER_S);
     let setup = slow_setup(&setup, choice, jog_speed)?;

@@ -43,7 +43,7 @@ pub fn run(args: &ProbeArgs) -> Result<ExitCode> {
             }
             ProbeReport::of(choice, choice.of(&setup), (seen.target.clone(), &monitor), findings)
         }
-        Err(error) => ProbeReport::unreached(choice, format!("{error:#}")),
+        Err(error) => ProbeReport::unreached(choice, choice.of(&setup), format!("{error:#}")),
     };
     print_line(&if args.json { serde_json::to_string(&report)? } else { report.to_string() })?;
     Ok(if report.fits { ExitCode::SUCCESS } else { ExitCode::FAILURE })

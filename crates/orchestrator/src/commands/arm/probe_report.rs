@@ -8,7 +8,7 @@ use pb3dp_arm_pa10::gateway_protocol::HelloReply;
 use pb3dp_arm_pa10::io::arm::{ArmMonitor, ArmSnapshot, Jitter};
 use serde::Serialize;
 
-use crate::config::setup::ArmSetup;
+use crate::config::setup::{ArmLink, ArmSetup};
 use crate::wiring::commissioning::{ArmChoice, LIMITS_TOLERANCE_DEG, is_of_another_format};
 
 /// Lost messages in a hundred that a link may have.
@@ -137,9 +137,10 @@ fn degrees(rad: f64) -> f64 {
 
 impl ProbeReport {
     /// Of an arm that was not reached.
-    pub fn unreached(choice: ArmChoice, problem: String) -> Self {
+    pub fn unreached(choice: ArmChoice, arm: &ArmSetup, problem: String) -> Self {
+        let (table, what) = if let ArmLink::Bus(_) = arm.link { ("bus", "controller") } else { ("gateway", "gateway") };
         let hint = format!(
-            "{}: check the table {}.gateway, the cable, the power of the gateway, and that no other program has the line",
+            "{}: check the table {}.{table}, the cable, the power of the {what}, and that no other program has the line",
             choice.name(),
             choice.table()
         );

@@ -13,7 +13,7 @@ use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 use serde::Deserialize;
 
 use super::super::load::{Checker, within};
-use super::link::{ArmBackend, ArmLink, GatewaySection};
+use super::link::{ArmBackend, ArmLink, BusSection, GatewaySection};
 use super::shape::{PartEntry, build_shape};
 use super::{IN_THE_CELL_MM, ON_THE_ARM_MM, PoseEntry, millis};
 
@@ -100,6 +100,7 @@ impl MountsSection {
 struct ArmSection {
     backend: ArmBackend,
     gateway: Option<GatewaySection>,
+    bus: Option<BusSection>,
     robot: String,
     base_link: String,
     flange_link: String,
@@ -138,16 +139,16 @@ fn fade(link: &ArmLink) -> Option<CommandFade> {
     let watchdog = CommandWatchdog::default();
     match link {
         ArmLink::InProcess => None,
-        ArmLink::Gateway(..) => {
+        ArmLink::Gateway(..) | ArmLink::Bus(_) => {
             Some(CommandFade { begins_after: watchdog.ramp_after(), ends_after: watchdog.stop_after() })
         }
     }
 }
 
 impl ArmsSection {
-    /// Whether an arm is behind a gateway.
-    pub(super) fn has_gateway(&self) -> bool {
-        self.vs.gateway.is_some() || self.tc.gateway.is_some()
+    /// Whether an arm is at the end of a link.
+    pub(super) fn has_link(&self) -> bool {
+        [&self.vs, &self.tc].into_iter().any(|arm| arm.gateway.is_some() || arm.bus.is_some())
     }
 
     /// Both arms; `None` if a file can not be read or a limit is refused.
@@ -187,7 +188,7 @@ impl ArmSection {
         control_period_millis: f64,
         check: &mut Checker,
     ) -> Option<ArmSetup> {
-        let link = self.backend.link(self.gateway.as_ref(), (key, control_period_millis), check);
+        let link = self.backend.link((self.gateway.as_ref(), self.bus.as_ref()), (key, control_period_millis), check);
         let accelerations = &self.acceleration_max_rad_per_s2;
         check_accelerations(key, accelerations, check);
         check.numbers(&format!("{key}.jerk_max_rad_per_s3"), &self.jerk_max_rad_per_s3, 0.1..=10_000.0);

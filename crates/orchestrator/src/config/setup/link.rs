@@ -1,8 +1,10 @@
-//! How an arm is reached: the key `backend` of an arm, and its table `gateway`.
+//! How an arm is reached: the key `backend` of an arm, and its table `gateway` or `bus`.
 
 use std::time::Duration;
 
+use pb3dp_arm_pa10::codec::{SequenceModulus, WireFormat};
 use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect};
+use pb3dp_arm_pa10::io::arm::BusTarget;
 use pb3dp_arm_pa10::io::mock_server::SocketAddr;
 use pb3dp_arm_pa10::io::serial::SerialConfig;
 use pb3dp_arm_pa10::io::tcp::TcpConfig;
@@ -10,7 +12,7 @@ use pb3dp_arm_pa10::link::GatewayLinkConfig;
 use serde::Deserialize;
 
 use super::super::load::{Checker, whole};
-use super::super::names::{FormatName, GeometryName};
+use super::super::names::{FormatName, GeometryName, sequence_modulus};
 
 /// The slowest cycle of a host that a gateway accepts, milliseconds.
 pub(super) const GATEWAY_CYCLE_MAX_MILLIS: f64 = 10.0;
@@ -22,6 +24,23 @@ pub enum ArmLink {
     InProcess,
     /// Through a gateway.
     Gateway(GatewayLinkConfig, GatewayWay),
+    /// Over a bus of this computer, which holds the ARCNET card.
+    Bus(BusLinkConfig),
+}
+
+/// A bus of this computer and the servo controller on it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BusLinkConfig {
+    /// Which arm it is, to the other one of the cell.
+    pub arm: ArmId,
+    /// Where the bus is.
+    pub target: BusTarget,
+    /// How the controller speaks.
+    pub format: WireFormat,
+    /// How it counts messages.
+    pub modulus: SequenceModulus,
+    /// Time between two messages on the bus.
+    pub cycle: Duration,
 }
 
 /// The way to a gateway.
@@ -43,6 +62,17 @@ pub(super) enum ArmBackend {
     Emulated,
     Serial,
     Tcp,
+    Arcnet,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct BusSection {
+    arm: i64,
+    port: String,
+    wire_format: FormatName,
+    sequence_numbers: i64,
+    cycle_millis: f64,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -68,22 +98,57 @@ impl ArmBackend {
     /// How the arm is reached; `None` if something is refused. `key` is that of the arm.
     pub(super) fn link(
         self,
-        gateway: Option<&GatewaySection>,
+        (gateway, bus): (Option<&GatewaySection>, Option<&BusSection>),
         (key, control_period_millis): (&str, f64),
         check: &mut Checker,
     ) -> Option<ArmLink> {
-        match (self, gateway) {
-            (Self::Mock, None) => Some(ArmLink::InProcess),
-            (Self::Mock, Some(_)) => {
-                check.refuse(format!("{key}.gateway: an arm with backend = \"mock\" has none; remove the table"));
-                None
+        let refuse = |table: &str, why: &str, check: &mut Checker| {
+            check.refuse(format!("{key}.{table}: {why}"));
+            None
+        };
+        match (self, gateway, bus) {
+            (Self::Mock, None, None) => Some(ArmLink::InProcess),
+            (Self::Mock | Self::Arcnet, Some(_), _) => {
+                refuse("gateway", "an arm with this backend has none; remove the table", check)
             }
-            (_, None) => {
-                check.refuse(format!("{key}.gateway: the table is missing; docs/hil.md explains it"));
-                None
-            }
-            (way, Some(gateway)) => gateway.build(way, (key, control_period_millis), check),
+            (Self::Arcnet, None, Some(bus)) => bus.build((key, control_period_millis), check),
+            (Self::Arcnet, None, None) => refuse("bus", "the table is missing; docs/hil.md explains it", check),
+            (_, _, Some(_)) => refuse("bus", "an arm with this backend has none; remove the table", check),
+            (_, None, None) => refuse("gateway", "the table is missing; docs/hil.md explains it", check),
+            (way, Some(gateway), None) => gateway.build(way, (key, control_period_millis), check),
         }
+    }
+}
+
+impl ArmLink {
+    /// The number that names the arm on its link, if it has one, and the table that says it.
+    pub(super) fn number(&self) -> Option<(ArmId, &'static str)> {
+        match self {
+            Self::InProcess => None,
+            Self::Gateway(link, _) => Some((link.arm, "gateway")),
+            Self::Bus(link) => Some((link.arm, "bus")),
+        }
+    }
+}
+
+impl BusSection {
+    fn build(&self, (key, control_period_millis): (&str, f64), check: &mut Checker) -> Option<ArmLink> {
+        let key = format!("{key}.bus");
+        check.count(&format!("{key}.arm"), self.arm, 0..=255);
+        // Three replies that are missing have to be noticed in time; the control loop is no quicker than the bus.
+        check.number(&format!("{key}.cycle_millis"), self.cycle_millis, 1.0..=control_period_millis);
+        let modulus = sequence_modulus(&format!("{key}.sequence_numbers"), self.sequence_numbers, check);
+        let target: Result<BusTarget, _> = self.port.parse();
+        if let Err(why) = &target {
+            check.refuse(format!("{key}.port: {why}"));
+        }
+        Some(ArmLink::Bus(BusLinkConfig {
+            arm: ArmId(whole(self.arm)),
+            target: target.ok()?,
+            format: self.wire_format.into(),
+            modulus,
+            cycle: Duration::from_secs_f64(self.cycle_millis.clamp(1.0, 10.0) * 1e-3),
+        }))
     }
 }
 

@@ -27,7 +27,7 @@ use self::arms::{ArmsSection, MountsSection};
 use self::camera::{CameraSection, SceneSection};
 use self::experiment::ExperimentSection;
 use self::link::GATEWAY_CYCLE_MAX_MILLIS;
-pub use self::link::{ArmLink, GatewayWay};
+pub use self::link::{ArmLink, BusLinkConfig, GatewayWay};
 use self::servo::ServoSection;
 use super::direct::DirectSection;
 use super::estimator::PublishedSection;
@@ -175,21 +175,21 @@ pub fn read_setup(file: &Path) -> Result<Setup, ConfigError> {
     setup.ok_or_else(|| ConfigError::Values { file: file.to_path_buf(), lines: "  the setup is not complete".into() })
 }
 
-/// Two arms behind gateways that bear one number: swapped cables would not be noticed.
+/// Two arms that bear one number: behind gateways swapped cables would not be noticed.
 fn refuse_equal_numbers(vs: &ArmLink, tc: &ArmLink, check: &mut Checker) {
-    if let (ArmLink::Gateway(vs, _), ArmLink::Gateway(tc, _)) = (vs, tc)
-        && vs.arm == tc.arm
+    if let (Some((vs, vs_table)), Some((tc, tc_table))) = (vs.number(), tc.number())
+        && vs == tc
     {
         check.refuse(format!(
-            "arms.tc.gateway.arm = {}: arms.vs.gateway.arm is the same; give each arm the number of its own gateway",
-            tc.arm.0
+            "arms.tc.{tc_table}.arm = {}: arms.vs.{vs_table}.arm is the same; give each arm a number of its own",
+            tc.0
         ));
     }
 }
 
 impl SetupFile {
     fn build(&self, file: &Path, check: &mut Checker) -> Option<Setup> {
-        let period_max_millis = if self.arms.has_gateway() { GATEWAY_CYCLE_MAX_MILLIS } else { 20.0 };
+        let period_max_millis = if self.arms.has_link() { GATEWAY_CYCLE_MAX_MILLIS } else { 20.0 };
         check.number("run.control_period_millis", self.run.control_period_millis, 2.0..=period_max_millis);
         check.number("run.estimate_latency_millis", self.run.estimate_latency_millis, 0.0..=500.0);
         let (method, compared, estimator, range) = self.estimator.build(self.run.seed, check);

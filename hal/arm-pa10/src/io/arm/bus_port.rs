@@ -29,11 +29,33 @@ pub enum BusTarget {
 }
 
 impl BusTarget {
-    fn open(&self) -> Result<Box<dyn BusPort>, ConnectError> {
+    /// Opens it.
+    ///
+    /// # Errors
+    /// If there is none, or it may not be used.
+    pub fn open(&self) -> Result<Box<dyn BusPort>, ConnectError> {
         Ok(match self {
             Self::Arcnet(interface) => Box::new(ArcnetSocket::open(interface)?),
             Self::Socket(path) => Box::new(FrameSocket::connect(path)?),
         })
+    }
+}
+
+/// Why a text names no bus.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is no bus: write arcnet:INTERFACE or socket:PATH")]
+pub struct NoBus(String);
+
+impl std::str::FromStr for BusTarget {
+    type Err = NoBus;
+
+    /// `arcnet:INTERFACE` or `socket:PATH`.
+    fn from_str(text: &str) -> Result<Self, NoBus> {
+        match text.split_once(':') {
+            Some(("arcnet", interface)) if !interface.is_empty() => Ok(Self::Arcnet(interface.to_owned())),
+            Some(("socket", path)) if !path.is_empty() => Ok(Self::Socket(PathBuf::from(path))),
+            _ => Err(NoBus(text.to_owned())),
+        }
     }
 }
 

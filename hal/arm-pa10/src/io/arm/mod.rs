@@ -35,7 +35,7 @@ use crate::codec::{ArmCommand, CodecError};
 use crate::driver::{Activity, Driver, DriverConfig, Trip};
 use crate::gateway_protocol::ArmId;
 
-pub use bus_port::BusTarget;
+pub use bus_port::{BusTarget, NoBus};
 pub use config::{ArmOpenError, BusArmConfig, Pa10ArmConfig, REALTIME};
 pub use jitter::Jitter;
 pub use shared::{ArmMonitor, ArmSnapshot};
