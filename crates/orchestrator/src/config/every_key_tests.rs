@@ -145,13 +145,14 @@ fn every_number_of_arms_behind_lines_is_refused_by_its_own_key() {
 #[test]
 fn ways_to_an_arm_that_do_not_fit_are_refused() {
     type Change = fn(&mut Table);
-    let changes: [(Change, &str); 6] = [
+    let changes: [(Change, &str); 7] = [
         (|root| root["run"]["pace"] = "fast".into(), "(arms.vs.backend) needs pace = \"live\""),
         (|root| drop(arm(root).remove("gateway")), "arms.vs.gateway: the table is missing"),
         (|root| arm(root)["backend"] = "mock".into(), "arms.vs.gateway: an arm with backend = \"mock\" has none"),
         (|root| arm(root)["backend"] = "serial".into(), "\"serial\" needs port and baud"),
         (|root| arm(root)["backend"] = "tcp".into(), "\"tcp\" needs address"),
         (|root| arm(root)["backend"] = "usb".into(), "arms.vs.backend"),
+        (|root| arm(root)["backend"] = "arcnet".into(), "arms.vs.gateway: an arm with backend = \"arcnet\" has none"),
     ];
     for (change, expected) in changes {
         let mut sample = Sample::new("hil.toml", |file| read_setup(file).map(drop));

@@ -88,5 +88,5 @@ fn tables_that_do_not_fit_are_refused_by_key() {
     assert_problem(&seen, &["ARCNET interface no-such-bus", "arms.vs.bus"]);
     write_setup(&folder, |vs| vs.replacen("backend = \"emulated\"", "backend = \"arcnet\"", 1));
     let seen = pb3dp(&["arm", "probe", "--config", &config, "--arm", "vs"]);
-    seen.assert_refused(&["arms.vs.gateway: an arm with this backend has none"]);
+    seen.assert_refused(&["arms.vs.gateway: an arm with backend = \"arcnet\" has none"]);
 }

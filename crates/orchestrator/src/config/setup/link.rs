@@ -95,6 +95,16 @@ enum DialectName {
 }
 
 impl ArmBackend {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Mock => "mock",
+            Self::Emulated => "emulated",
+            Self::Serial => "serial",
+            Self::Tcp => "tcp",
+            Self::Arcnet => "arcnet",
+        }
+    }
+
     /// How the arm is reached; `None` if something is refused. `key` is that of the arm.
     pub(super) fn link(
         self,
@@ -106,15 +116,15 @@ impl ArmBackend {
             check.refuse(format!("{key}.{table}: {why}"));
             None
         };
+        let needless = format!("an arm with backend = \"{}\" has none; remove the table", self.name());
+        let missing = "the table is missing; docs/hil.md explains it";
         match (self, gateway, bus) {
             (Self::Mock, None, None) => Some(ArmLink::InProcess),
-            (Self::Mock | Self::Arcnet, Some(_), _) => {
-                refuse("gateway", "an arm with this backend has none; remove the table", check)
-            }
+            (Self::Mock | Self::Arcnet, Some(_), _) => refuse("gateway", &needless, check),
             (Self::Arcnet, None, Some(bus)) => bus.build((key, control_period_millis), check),
-            (Self::Arcnet, None, None) => refuse("bus", "the table is missing; docs/hil.md explains it", check),
-            (_, _, Some(_)) => refuse("bus", "an arm with this backend has none; remove the table", check),
-            (_, None, None) => refuse("gateway", "the table is missing; docs/hil.md explains it", check),
+            (Self::Arcnet, None, None) => refuse("bus", missing, check),
+            (_, _, Some(_)) => refuse("bus", &needless, check),
+            (_, None, None) => refuse("gateway", missing, check),
             (way, Some(gateway), None) => gateway.build(way, (key, control_period_millis), check),
         }
     }
