@@ -128,6 +128,8 @@ fn a_configuration_that_is_unsafe_is_refused() {
         assert!(matches!(error, DriverConfigError::Torque { joint: 6, .. }), "{error}");
     }
     assert!(matches!(refused(|c| c.torque_for = ms(201)), DriverConfigError::TorqueFor { .. }));
+    assert!(matches!(refused(|c| c.owner_timeout = ms(50)), DriverConfigError::OwnerTimeout { .. }));
+    assert!(matches!(refused(|c| c.owner_timeout = ms(10_001)), DriverConfigError::OwnerTimeout { .. }));
     // 2 rad/s to rest by 0.2 rad/s^2 takes as long as an activity may, without the brakes.
     assert!(matches!(refused(|c| c.deceleration_rad_per_s2[2] = 0.2), DriverConfigError::StopTimeout { joint: 2, .. }));
     let error = refused(|c| c.deceleration_rad_per_s2[6] = 1e-300);

@@ -78,6 +78,17 @@ pub enum FaultCause {
         /// What the watchdog allows.
         allowed: Duration,
     },
+    /// The owner of the arm stayed away while it held with open brakes.
+    #[error(
+        "nobody has asked for anything for {age:?} while the brakes were open, {allowed:?} are allowed; find out what held the \
+         control loop up, then reset"
+    )]
+    OwnerSilent {
+        /// Since the last request.
+        age: Duration,
+        /// How long it may stay away.
+        allowed: Duration,
+    },
     /// An axis raised an alarm.
     #[error("{axis}: {alarm}; remove the cause, then reset")]
     ServoAlarm {

@@ -21,6 +21,9 @@ pub const PA10_TORQUE_MAX_N_M: [f64; DOF] = [158.0, 158.0, 68.0, 68.0, 14.5, 14.
 /// Largest speeds of the joints, rad/s, base to tip: about 57, 115 and 360 degrees/s by the data sheet.
 pub const PA10_SPEED_MAX_RAD_PER_S: [f64; DOF] = [1.0, 1.0, 2.0, 2.0, TAU, TAU, TAU];
 
+/// An owner that stays away for longer holds no arm any more.
+const OWNER_TIMEOUT_MAX: Duration = Duration::from_secs(10);
+
 /// The part of the largest torques that a joint may carry for long.
 const TORQUE_PART: f64 = 0.8;
 
@@ -38,6 +41,8 @@ pub struct DriverConfig {
     pub control_timeout: Duration,
     /// When a velocity whose successor stays away fades and stops.
     pub watchdog: CommandWatchdog,
+    /// How long an arm that holds with open brakes does so without any request of its owner: at most 10 s.
+    pub owner_timeout: Duration,
     /// Exchanges with brakes on that prove the link before they may open: at least 100.
     pub warm_up_exchanges: u32,
     /// How long brakes take to open, and to close.
@@ -139,6 +144,18 @@ pub enum DriverConfigError {
         /// The longest one.
         most: Duration,
     },
+    /// An owner may stay away for a shorter time than a velocity lasts, or for too long.
+    #[error(
+        "an owner that may stay away for {got:?} while the arm holds: more than {least:?} and at most {most:?} are possible"
+    )]
+    OwnerTimeout {
+        /// The time given.
+        got: Duration,
+        /// After which a velocity stops the arm.
+        least: Duration,
+        /// The longest one.
+        most: Duration,
+    },
     /// A stop takes longer than an activity may.
     #[error(
         "joint {joint}: a stop from its largest speed takes {needed_s:.1} s with {deceleration} rad/s^2, an activity may take \
@@ -172,6 +189,7 @@ impl DriverConfig {
             reply_timeout: cycle,
             control_timeout: Duration::from_millis(100),
             watchdog: CommandWatchdog::default(),
+            owner_timeout: Duration::from_secs(5),
             warm_up_exchanges: WARM_UP_MIN,
             brake_time: Duration::from_millis(200),
             rest_cycles: REST_CYCLES_MIN,
@@ -211,6 +229,10 @@ impl DriverConfig {
             if !(got > 0.0 && got <= most) {
                 return Err(DriverConfigError::Torque { joint, got, most });
             }
+        }
+        let (got, least, most) = (self.owner_timeout, self.watchdog.stop_after(), OWNER_TIMEOUT_MAX);
+        if got <= least || got > most {
+            return Err(DriverConfigError::OwnerTimeout { got, least, most });
         }
         if self.torque_for > TORQUE_FOR_MAX {
             return Err(DriverConfigError::TorqueFor { got: self.torque_for, most: TORQUE_FOR_MAX });

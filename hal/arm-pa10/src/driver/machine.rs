@@ -80,6 +80,8 @@ pub struct Driver {
     pub(super) limits: [Option<AxisLimits>; Axis::COUNT],
     /// The shorter of this watchdog and the gateway's.
     pub(super) stops_after: Duration,
+    /// When the owner asked for something, or the brakes were open at last.
+    pub(super) heard: MonotonicTime,
     pub(super) outstanding: Option<Outstanding>,
     /// The message before, if its answer was waited for in vain.
     given_up: Option<Letter>,
@@ -130,6 +132,7 @@ impl Driver {
             torques: TorqueMonitor::default(),
             limits: [None; Axis::COUNT],
             stops_after: config.watchdog.stop_after(),
+            heard: MonotonicTime::ZERO,
             outstanding: None,
             given_up: None,
             next_transmit: MonotonicTime::ZERO,
@@ -186,6 +189,7 @@ impl Driver {
     pub fn handle_request(&mut self, now: MonotonicTime, request: Request) -> Result<(), Refusal> {
         // What has run out runs out before a new velocity could hide it.
         self.handle_timeout(now);
+        self.heard = now;
         let event = request.event();
         let activity = self.activity();
         let answer = outcome(self.state, event);
@@ -273,6 +277,10 @@ impl Driver {
         {
             let allowed = self.config.watchdog.stop_after();
             self.trip(now, Trip::Fault(FaultCause::CommandTimeout { age, allowed }));
+        }
+        let (age, allowed) = (now.saturating_since(self.heard), self.config.owner_timeout);
+        if (self.state, self.phase) == (DriverState::Holding, Phase::Steady) && age > allowed {
+            self.trip(now, Trip::Fault(FaultCause::OwnerSilent { age, allowed }));
         }
         let allowed = self.config.activity_timeout;
         if self.phase != Phase::Steady && now.saturating_since(self.phase_since) > allowed {

@@ -240,6 +240,8 @@ impl Driver {
                     self.latched = None;
                 }
                 self.state = next;
+                // Its owner may have waited for this.
+                self.heard = now;
             }
             Outcome::Stay => {}
             Outcome::Begin(_) | Outcome::Refuse => {

@@ -163,3 +163,15 @@ codes! {
         SecondGeneration = 2, "second-generation";
     }
 }
+
+impl Geometry {
+    /// Lengths from the base to the shoulder (S2), the elbow (E1), the wrist (W1) and the flange, mm, if it is known. Sources: for
+    /// the first generation MHI's model in OpenHRP3, for the second INRIA's of the PA10-7CE.
+    pub fn lengths_mm(self) -> Option<[f64; 4]> {
+        match self {
+            Self::Unknown => None,
+            Self::FirstGeneration => Some([315.0, 450.0, 500.0, 80.0]),
+            Self::SecondGeneration => Some([317.0, 450.0, 480.0, 70.0]),
+        }
+    }
+}

@@ -59,6 +59,9 @@ const OPEN_MAX: Duration = Duration::from_secs(2);
 /// measurement, for at most one cycle: two in a row are a `Timeout` at most, as they are counted and borne. In a state in which
 /// nothing is measured `Hold` returns the last measurement with the time at which it was made.
 ///
+/// Who enables an arm goes on exchanging with it: a velocity fades after 20 ms and stops the arm after 50 ms, and one that only holds
+/// is stopped, latched, after 5 s in which nobody asked for anything.
+///
 /// Dropping it stops the arm: it is at rest within its emergency ramp, and the brakes are told to close within 100 ms.
 pub struct Pa10Arm {
     driver: DriverConfig,
