@@ -2,6 +2,7 @@
 
 pub mod arm;
 pub mod commissioning;
+mod greeting;
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -26,6 +27,8 @@ use pb3dp_sim::scene::Scene;
 use pb3dp_sim::trajectory::{StepExperiment, Trajectory};
 
 use self::arm::{WiredArms, wire_arms};
+pub use greeting::geometry_doubt;
+
 use crate::cli::ReplayPace;
 use crate::config::setup::{ArmSetup, Pace, Setup, fold_seed};
 use crate::run::cell::SimulatedCell;

@@ -25,8 +25,9 @@ impl Sample {
         let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
         let folder = tempfile::tempdir().unwrap();
         std::fs::create_dir(folder.path().join("robots")).unwrap();
-        let robot = "robots/pa10_gen2.urdf";
-        std::fs::copy(configs.join(robot), folder.path().join(robot)).unwrap();
+        for robot in ["robots/pa10_gen1.urdf", "robots/pa10_gen2.urdf"] {
+            std::fs::copy(configs.join(robot), folder.path().join(robot)).unwrap();
+        }
         let table = std::fs::read_to_string(configs.join(name)).unwrap().parse().unwrap();
         Self { folder, name, table, read }
     }
@@ -145,13 +146,25 @@ fn every_number_of_arms_behind_lines_is_refused_by_its_own_key() {
 #[test]
 fn ways_to_an_arm_that_do_not_fit_are_refused() {
     type Change = fn(&mut Table);
-    let changes: [(Change, &str); 7] = [
+    let changes: [(Change, &str); 9] = [
         (|root| root["run"]["pace"] = "fast".into(), "(arms.vs.backend) needs pace = \"live\""),
         (|root| drop(arm(root).remove("gateway")), "arms.vs.gateway: the table is missing"),
         (|root| arm(root)["backend"] = "mock".into(), "arms.vs.gateway: an arm with backend = \"mock\" has none"),
         (|root| arm(root)["backend"] = "serial".into(), "\"serial\" needs port and baud"),
         (|root| arm(root)["backend"] = "tcp".into(), "\"tcp\" needs address"),
         (|root| arm(root)["backend"] = "usb".into(), "arms.vs.backend"),
+        (
+            |root| arm(root)["gateway"]["geometry"] = "first-generation".into(),
+            "arms.vs.gateway.geometry = \"first-generation\": such an arm has 315.0, 450.0, 500.0, 80.0 mm from base to shoulder, \
+             elbow, wrist and flange, arms.vs.robot has 317.0, 450.0, 480.0, 70.0 mm; measure the arm",
+        ),
+        (
+            |root| {
+                let robot = arm(root)["robot"].as_str().unwrap().replace("gen2", "gen1");
+                arm(root)["robot"] = robot.into();
+            },
+            "arms.vs.gateway.geometry = \"second-generation\"",
+        ),
         (|root| arm(root)["backend"] = "arcnet".into(), "arms.vs.gateway: an arm with backend = \"arcnet\" has none"),
     ];
     for (change, expected) in changes {

@@ -22,7 +22,7 @@ use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, Clock, JointComm
 use pb3dp_hal_middleware::{CoupledArmConfig, FlightLog, Guard, Limiter, Recorded, couple};
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
 
-use super::DrivenArm;
+use super::{DrivenArm, greeting};
 use crate::config::setup::{ArmLink, ArmSetup, BusLinkConfig, GatewayWay, Setup};
 use crate::run::cell::{ArmSite, JointSource};
 use crate::run::flight::FLIGHT;
@@ -291,7 +291,11 @@ pub(super) fn connect(
     let clock = Arc::clone(clock);
     Ok(match line {
         Line::Gateway(link, connector) => {
-            Pa10Arm::open(Pa10ArmConfig::new(name, driver(link.cycle), *link), connector, clock, seat)?
+            let opened = Pa10Arm::open(Pa10ArmConfig::new(name, driver(link.cycle), *link), connector, clock, seat)?;
+            if let Some(hello) = &opened.monitor().snapshot().gateway {
+                greeting::tell(name, link.geometry, hello);
+            }
+            opened
         }
         Line::Bus(link) => {
             let config = BusArmConfig {

@@ -172,6 +172,25 @@ fn a_probe_says_what_does_not_fit_and_what_to_do() {
     });
 }
 
+/// R19: who connects to an arm writes down which gateway it was, and which geometry nobody compares.
+#[test]
+fn what_a_gateway_says_of_itself_is_in_the_log() {
+    patiently(|| {
+        let seen = pb3dp_arm(&hil(), &["probe", "--exchanges", "20"], None).assert_success();
+        for part in
+            ["vs-robot: gateway \"pb3dp emulation\"", "gateway-v1", "geometry second-generation", "stopped after 50 ms"]
+        {
+            assert!(seen.stderr.contains(part), "{part:?} is missing in:\n{}", seen.stderr);
+        }
+        assert!(!seen.stderr.contains("does not know the geometry"), "{}", seen.stderr);
+        let cell = Cell::start(&["--geometry", "unknown", "--pose-deg", START_DEG]);
+        let doubted = cell.pb3dp(&["probe", "--exchanges", "20"], None).assert_success();
+        assert!(doubted.stdout.contains("warning: the gateway is not told the geometry"), "{}", doubted.stdout);
+        assert!(doubted.stderr.contains("vs-robot: the gateway is not told the geometry"), "{}", doubted.stderr);
+        cell.arm.quit();
+    });
+}
+
 #[test]
 fn an_arm_that_is_not_there_is_a_finding_too() {
     // Nobody listens at this port.

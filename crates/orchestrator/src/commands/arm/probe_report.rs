@@ -10,6 +10,7 @@ use serde::Serialize;
 
 use crate::config::setup::{ArmLink, ArmSetup};
 use crate::wiring::commissioning::{ArmChoice, LIMITS_TOLERANCE_DEG, is_of_another_format};
+use crate::wiring::geometry_doubt;
 
 /// Lost messages in a hundred that a link may have.
 const LOST_PERCENT_MAX: f64 = 1.0;
@@ -203,6 +204,11 @@ fn judge_stop(seen: &ArmSnapshot, findings: &mut Findings) {
 fn judge_gateway(choice: ArmChoice, arm: &ArmSetup, hello: &HelloReply, findings: &mut Findings) {
     if hello.controller_watchdog_us == 0 {
         findings.warn("the gateway does not know the controller's watchdog: find it out on the rig".to_owned());
+    }
+    if let ArmLink::Gateway(link, _) = &arm.link
+        && let Some(doubt) = geometry_doubt(link.geometry, hello.geometry)
+    {
+        findings.warn(doubt.to_owned());
     }
     let stop_after = Duration::from_micros(u64::from(hello.stop_after_us));
     if stop_after > arm.command_timeout {

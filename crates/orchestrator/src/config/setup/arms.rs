@@ -13,6 +13,7 @@ use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 use serde::Deserialize;
 
 use super::super::load::{Checker, within};
+use super::geometry::check_geometry;
 use super::link::{ArmBackend, ArmLink, BusSection, GatewaySection};
 use super::shape::{PartEntry, build_shape};
 use super::{IN_THE_CELL_MM, ON_THE_ARM_MM, PoseEntry, millis};
@@ -199,7 +200,7 @@ impl ArmSection {
         check.number(&format!("{key}.command_timeout_millis"), timeout, control_period_millis..=200.0);
         let world_from_base = self.world_from_base.build(&format!("{key}.world_from_base"), IN_THE_CELL_MM, check);
         let shape = build_shape(&format!("{key}.parts"), &self.parts, check);
-        let chain = self.chain(key, config_file, check);
+        let chain = self.chain((key, config_file), link.as_ref(), check);
         self.check_angles(key, chain.as_ref().map(Chain::limits), check);
         let (chain, shape) = chain.zip(shape)?;
         let start_rad = JointVector::from(self.start_deg).map(f64::to_radians);
@@ -271,14 +272,18 @@ impl ArmSection {
         }
     }
 
-    /// The robot description, found beside the configuration file.
-    fn chain(&self, key: &str, config_file: &Path, check: &mut Checker) -> Option<Chain> {
+    /// The robot description, found beside the configuration file, with the lengths of the arm that it is to describe.
+    fn chain(&self, (key, config_file): (&str, &Path), link: Option<&ArmLink>, check: &mut Checker) -> Option<Chain> {
         let file = config_file.parent().unwrap_or(Path::new(".")).join(&self.robot);
         let xml = std::fs::read_to_string(&file)
             .inspect_err(|error| check.refuse(format!("{key}.robot: {} can not be read: {error}", file.display())))
             .ok()?;
-        Chain::from_urdf_str(&xml, &self.base_link, &self.flange_link)
+        let chain = Chain::from_urdf_str(&xml, &self.base_link, &self.flange_link)
             .inspect_err(|error| check.refuse(format!("{key}.robot: {}: {error}", file.display())))
-            .ok()
+            .ok()?;
+        if let Some(ArmLink::Gateway(gateway, _)) = link {
+            check_geometry(key, gateway.geometry, &chain, check);
+        }
+        Some(chain)
     }
 }

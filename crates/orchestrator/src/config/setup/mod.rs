@@ -3,6 +3,7 @@
 mod arms;
 mod camera;
 mod experiment;
+mod geometry;
 mod link;
 mod servo;
 mod shape;
