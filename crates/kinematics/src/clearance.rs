@@ -161,7 +161,16 @@ impl PlacedArm<'_> {
         };
         part.capsule.moved(&(self.world_from_base.isometry() * base_from_part))
     }
+
+    /// The part in `world`, as far larger as it moves at most while every joint turns by at most `reach_rad`.
+    fn swept(&self, part: &ArmPart, reach_rad: &JointVector) -> Capsule {
+        let capsule = self.in_world(part);
+        Capsule { radius_m: capsule.radius_m + self.moves_by(part, reach_rad), ..capsule }
+    }
 }
+
+/// Parts whose places are known together; arms have fewer.
+const PARTS_AT_ONCE: usize = 16;
 
 /// The room between two arms. Where a place is not a number it is minus infinity.
 pub fn clearance<'a>(first: &PlacedArm<'a>, second: &PlacedArm<'a>) -> Clearance<'a> {
@@ -176,15 +185,21 @@ pub fn clearance_within<'a>(
     (second, second_reach_rad): (&PlacedArm<'a>, &JointVector),
 ) -> Clearance<'a> {
     let mut nearest: Option<Clearance<'a>> = None;
-    for one in &first.shape.parts {
-        let (one_in_world, one_moves_m) = (first.in_world(one), first.moves_by(one, first_reach_rad));
-        for other in &second.shape.parts {
-            let moves_m = one_moves_m + second.moves_by(other, second_reach_rad);
-            let distance_m = one_in_world.distance_m(&second.in_world(other)) - moves_m;
-            // What is no number is no room.
-            let distance_m = if distance_m.is_nan() { f64::NEG_INFINITY } else { distance_m };
-            if nearest.is_none_or(|so_far| distance_m < so_far.distance_m) {
-                nearest = Some(Clearance { distance_m, first: &one.name, second: &other.name });
+    // On the stack: this is asked for in every cycle, which may not allocate.
+    for others in second.shape.parts.chunks(PARTS_AT_ONCE) {
+        let mut others_swept = [Capsule { ends_m: [Point3::origin(); 2], radius_m: 0.0 }; PARTS_AT_ONCE];
+        for (swept, other) in others_swept.iter_mut().zip(others) {
+            *swept = second.swept(other, second_reach_rad);
+        }
+        for one in &first.shape.parts {
+            let one_swept = first.swept(one, first_reach_rad);
+            for (other, other_swept) in others.iter().zip(&others_swept) {
+                let distance_m = one_swept.distance_m(other_swept);
+                // What is no number is no room.
+                let distance_m = if distance_m.is_nan() { f64::NEG_INFINITY } else { distance_m };
+                if nearest.is_none_or(|so_far| distance_m < so_far.distance_m) {
+                    nearest = Some(Clearance { distance_m, first: &one.name, second: &other.name });
+                }
             }
         }
     }
@@ -308,6 +323,20 @@ mod tests {
             (reach_rad[0], reach_rad[1]) = (0.0, 0.1);
             let within = clearance_within((&first, &reach_rad), (&second, &JointVector::zeros()));
             assert!((room.distance_m - within.distance_m - 0.12).abs() < 2e-3, "{room:?} {within:?}");
+        });
+    }
+
+    #[test]
+    fn an_arm_of_many_parts_is_looked_at_to_its_last_part() {
+        two_arms(|chain, shape, places| {
+            let frames = chain.joint_frames(&JointVector::from([0.1, 0.9, -0.2, 0.5, 0.3, 0.4, 0.0]));
+            let bases = std::iter::repeat_n(&shape.parts()[0], PARTS_AT_ONCE + 3);
+            let many = ArmShape::new(bases.chain(shape.parts()).cloned().collect()).unwrap();
+            let placed = |shape, i: usize| PlacedArm { shape, world_from_base: &places[i], frames: &frames };
+            let few_room = clearance(&placed(shape, 0), &placed(shape, 1));
+            assert_eq!(few_room.second, "tool");
+            assert_eq!(clearance(&placed(shape, 0), &placed(&many, 1)), few_room);
+            assert_eq!(clearance(&placed(&many, 0), &placed(shape, 1)), few_room);
         });
     }
 
