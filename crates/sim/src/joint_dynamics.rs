@@ -102,7 +102,7 @@ struct Piece {
 }
 
 impl JointPlant {
-    /// Joints at rest at `position_rad` at the time `at`.
+    /// Joints at rest at `position_rad` at the time `at`, with the default [`JointMechanics`].
     ///
     /// # Errors
     /// If a number of the configuration is out of range, or the start lies outside the end stops.
@@ -124,7 +124,8 @@ impl JointPlant {
         Ok(Self { config, mechanics, now: at, modes, velocity_rad_per_s: rest, current, past, pending })
     }
 
-    /// The same joints with friction, brakes and gravity; before anything was commanded.
+    /// The same joints with this friction, these brakes and this gravity in place of the default ones; before anything was
+    /// commanded.
     ///
     /// # Errors
     /// If a number is out of range.

@@ -25,7 +25,7 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_kinematics::JointVector;
-use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant, JointPlantConfig};
+use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
 
 const CYCLE: Duration = Duration::from_millis(10);
 const FORMAT: WireFormat = WireFormat::BigEndian6x10;
@@ -50,8 +50,7 @@ fn start(face: MockFace, script: &str) -> Result<Rig, MockServerError> {
     let clock = Arc::new(SystemClock::new());
     let joints = JointPlantConfig { history: Duration::from_secs(20), ..pa10_joints().unwrap() };
     let home = JointVector::from([0.1, 0.3, -0.2, 0.8, 0.2, 0.5, 0.0]);
-    let plant = JointPlant::new(joints, home, clock.now()).unwrap().with_mechanics(JointMechanics::default()).unwrap();
-    let plant = Arc::new(Mutex::new(plant));
+    let plant = Arc::new(Mutex::new(JointPlant::new(joints, home, clock.now()).unwrap()));
     let controller = MockControllerConfig::new(FORMAT);
     let config = MockServerConfig { controller, seed: 3, script: Script::parse(script).unwrap(), realtime: REALTIME };
     let server = MockServer::start(config, face, Arc::clone(&plant), Arc::clone(&clock) as Arc<dyn Clock>)?;

@@ -19,7 +19,7 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_middleware::{CommandFade, Guard, GuardConfig, Limiter, LimiterConfig};
 use pb3dp_kinematics::{JointLimits, JointVector};
-use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant, JointPlantConfig};
+use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
 use proptest::prelude::*;
 
 const SPEED_SCALE: f64 = 0.3;
@@ -113,8 +113,7 @@ fn guarded(
     let speeds = *config.hard_limits.velocity_max_rad_per_s();
     let limits = JointLimits::new(config.mechanical_min_rad, config.mechanical_max_rad, speeds).unwrap();
     let joints = JointPlantConfig { limits, history: Duration::from_secs(30), ..plant_config() };
-    let joints = JointPlant::new(joints, start_rad, bench.now).unwrap();
-    *bench.plant.lock().unwrap() = joints.with_mechanics(JointMechanics::default()).unwrap();
+    *bench.plant.lock().unwrap() = JointPlant::new(joints, start_rad, bench.now).unwrap();
     bench.request(Request::Connect);
     bench.settle();
     let bench = Arc::new(Mutex::new(bench));

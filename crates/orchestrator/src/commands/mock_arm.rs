@@ -16,7 +16,7 @@ use pb3dp_arm_pa10::mock_controller::{MockControllerConfig, Script, ScriptLine, 
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_kinematics::{DOF, JointVector};
-use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant};
+use pb3dp_sim::joint_dynamics::JointPlant;
 
 use crate::config::names::{FormatName, GeometryName};
 
@@ -118,7 +118,7 @@ fn start(args: &MockArmArgs) -> anyhow::Result<MockServer> {
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     let pose = JointVector::from(args.pose_deg.0.map(f64::to_radians));
     let joints = JointPlant::new(pa10_joints()?, pose, clock.now()).context("--pose-deg")?;
-    let joints = Arc::new(Mutex::new(joints.with_mechanics(JointMechanics::default())?));
+    let joints = Arc::new(Mutex::new(joints));
     let face = face(args, &controller)?;
     let realtime = Realtime { priority: args.priority, locks_memory: false, cpu: None };
     let config = MockServerConfig { controller, seed: args.seed, script, realtime };
