@@ -11,7 +11,7 @@ use pb3dp_sim::joint_dynamics::JointPlant;
 use pb3dp_sim::scene::{PoseSource, ScenePoses};
 
 /// Gap between measured joints up to which they are interpolated, and how long the last ones are continued, seconds.
-const JOINT_GAP_MAX_S: f64 = 0.1;
+pub(super) const JOINT_GAP_MAX_S: f64 = 0.1;
 /// Measured joints that are kept: two seconds at 500 Hz.
 const JOINTS_KEPT: usize = 1000;
 

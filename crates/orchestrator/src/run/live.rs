@@ -12,6 +12,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
+use pb3dp_arm_pa10::io::arm::JitterMeter;
 use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
@@ -19,7 +20,7 @@ use pb3dp_servo::TargetObservation;
 use pb3dp_sim::trajectory::Trajectory;
 
 use super::commands::CommandSummary;
-use super::cycles::{CycleSummary, Lateness};
+use super::cycles::CycleSummary;
 use super::journal::{Journal, Outcome};
 use super::log::RunLog;
 use super::looking::Looking;
@@ -32,8 +33,8 @@ use crate::wiring::Parts;
 const OBSERVATIONS_MAX: usize = 16;
 /// Steps that nobody has written down yet: two seconds at 500 Hz.
 const STEPS_MAX: usize = 1000;
-/// Of the thread that moves, below those of the arms, which have 50.
-const PRIORITY: u8 = 40;
+/// What a thread that moves arms asks for: a priority below those of the arms, which have 50.
+pub const CONTROL_THREAD: Realtime = Realtime { priority: Some(40), locks_memory: false, cpu: None };
 
 /// As [`super::lockstep::run`], in the machine's time. The experiment begins when both arms are switched on.
 ///
@@ -68,6 +69,8 @@ pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Optio
         seen: seen_out,
         steps: steps_in,
         is_over: &is_over,
+        lateness: JitterMeter::default(),
+        missed: 0,
     };
     let (moved, looked) = std::thread::scope(|scope| {
         // However this thread ends, the other one ends, too, and stops the arms.
@@ -97,6 +100,13 @@ pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Optio
     outcome.log.cycles.extend(monitors.iter().map(|(name, monitor)| CycleSummary::of_link(name, monitor)));
     drop(emulated);
     Ok(outcome)
+}
+
+/// This thread moves arms from now on; what is not to be had is told, and it goes on without.
+pub fn enter_control_thread() {
+    for shortfall in enter(&CONTROL_THREAD) {
+        tracing::warn!("control loop: {shortfall}");
+    }
 }
 
 /// Says that the run is over when it is dropped.
@@ -138,6 +148,9 @@ struct Mover<'a> {
     seen: Receiver<TargetObservation>,
     steps: SyncSender<Moved>,
     is_over: &'a AtomicBool,
+    lateness: JitterMeter,
+    /// Steps that were left out.
+    missed: u64,
 }
 
 /// What the thread that moves leaves behind.
@@ -149,29 +162,28 @@ struct Done {
 impl Mover<'_> {
     /// Steps until the end, then stops both arms; also when a step fails or the other thread is done.
     fn run(mut self, (begin, end): (MonotonicTime, MonotonicTime)) -> Result<Done> {
-        for shortfall in enter(&Realtime { priority: Some(PRIORITY), locks_memory: false, cpu: None }) {
-            tracing::warn!("control loop: {shortfall}");
-        }
+        enter_control_thread();
         let _over = Over(self.is_over);
-        let mut lateness = Lateness::default();
-        let stepped = self.step_until((begin, end), &mut lateness);
+        let stepped = self.step_until((begin, end));
         let stopped = self.moving.stop();
         stepped.and(stopped)?;
         Ok(Done {
             commands: self.moving.commands(),
-            cycles: CycleSummary {
-                replies_lost: Some(self.moving.replies_missed()),
-                ..lateness.summary("control loop")
-            },
+            cycles: CycleSummary::new(
+                "control loop",
+                &self.lateness.summary(),
+                self.missed,
+                self.moving.replies_missed(),
+            ),
         })
     }
 
-    fn step_until(&mut self, (begin, end): (MonotonicTime, MonotonicTime), lateness: &mut Lateness) -> Result<()> {
+    fn step_until(&mut self, (begin, end): (MonotonicTime, MonotonicTime)) -> Result<()> {
         let mut due = begin;
         while due <= end && !self.is_over.load(Ordering::SeqCst) {
             self.clock.sleep_until(due);
             let now = self.clock.now();
-            lateness.record(now.saturating_since(due));
+            self.lateness.record(now.saturating_since(due));
             while let Ok(observation) = self.seen.try_recv() {
                 self.moving.observe(observation);
             }
@@ -182,7 +194,7 @@ impl Mover<'_> {
             // Times that have passed are left out.
             while due + self.period <= self.clock.now() {
                 due = due + self.period;
-                lateness.miss();
+                self.missed += 1;
             }
         }
         Ok(())

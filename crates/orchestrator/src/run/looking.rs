@@ -14,7 +14,7 @@ use pb3dp_hal_api::{CameraErrorKind, FramePair, StereoCamera};
 use pb3dp_kinematics::JointState;
 use pb3dp_servo::{JointHistory, TargetObservation};
 
-use super::cell::SimulatedCell;
+use super::cell::{JOINT_GAP_MAX_S, SimulatedCell};
 use super::compared::{Frame, Onlooker};
 use super::log::MethodLog;
 use super::recording::Recording;
@@ -22,9 +22,6 @@ use super::strip::Strip;
 use crate::config::setup::Setup;
 use crate::follower::Follower;
 use crate::picture::model_frame_on_plane;
-
-/// Gap between joint samples up to which the hand's pose is interpolated, seconds.
-const JOINT_GAP_MAX_S: f64 = 0.1;
 
 /// Camera, methods, and what they have seen.
 pub struct Looking<'a> {

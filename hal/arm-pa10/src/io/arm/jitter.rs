@@ -24,22 +24,26 @@ pub struct Jitter {
 
 /// Counts how late something comes. Written by one thread and read by any, without waiting.
 #[derive(Debug)]
-pub(super) struct JitterMeter {
+pub struct JitterMeter {
     buckets: [AtomicU64; BUCKETS],
     max_nanos: AtomicU64,
 }
 
-impl JitterMeter {
-    pub fn new() -> Self {
+impl Default for JitterMeter {
+    fn default() -> Self {
         Self { buckets: [const { AtomicU64::new(0) }; BUCKETS], max_nanos: AtomicU64::new(0) }
     }
+}
 
+impl JitterMeter {
+    /// Something came so late.
     pub fn record(&self, late: Duration) {
         let nanos = u64::try_from(late.as_nanos()).unwrap_or(u64::MAX);
         self.buckets[bucket(nanos / 1000)].fetch_add(1, Ordering::Relaxed);
         self.max_nanos.fetch_max(nanos, Ordering::Relaxed);
     }
 
+    /// The figures so far; the percentiles are exact to an eighth, upwards.
     pub fn summary(&self) -> Jitter {
         let counts = self.buckets.each_ref().map(|count| count.load(Ordering::Relaxed));
         let cycles: u64 = counts.iter().sum();
@@ -89,7 +93,7 @@ mod tests {
 
     #[test]
     fn figures_are_those_of_the_cycles() {
-        let meter = JitterMeter::new();
+        let meter = JitterMeter::default();
         assert_eq!(meter.summary(), Jitter::default());
         for cycle in 0..1000 {
             let late_us = if cycle % 100 == 0 { 3000 } else { 40 };

@@ -37,7 +37,7 @@ use crate::gateway_protocol::ArmId;
 
 pub use bus_port::{BusTarget, NoBus};
 pub use config::{ArmOpenError, BusArmConfig, Pa10ArmConfig, REALTIME};
-pub use jitter::Jitter;
+pub use jitter::{Jitter, JitterMeter};
 pub use shared::{ArmMonitor, ArmSnapshot};
 pub use trace::{RawBytes, Way};
 pub use trip_line::{TripHandle, TripSeat, trip_line};

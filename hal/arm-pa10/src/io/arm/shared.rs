@@ -113,9 +113,9 @@ impl Shared {
             changed: Condvar::new(),
             wish: AtomicU64::new(0),
             let_go: AtomicBool::new(false),
-            jitter: JitterMeter::new(),
-            round_trips: JitterMeter::new(),
-            control_trips: JitterMeter::new(),
+            jitter: JitterMeter::default(),
+            round_trips: JitterMeter::default(),
+            control_trips: JitterMeter::default(),
             trace: Trace::new(),
         }
     }
