@@ -1,38 +1,12 @@
 //! A control step of a run, through all that stands before both arms, does not touch the heap.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail the test")]
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
-
+use pb3dp_allocation_count::requests;
 use pb3dp_orchestrator::config::setup::read_setup;
 use pb3dp_orchestrator::run::moving::Moving;
 use pb3dp_orchestrator::wiring::{Parts, wire};
 use pb3dp_servo::{Mode, TargetObservation};
 use system_tests::repository;
-
-/// The system's allocator, counting the calls of each thread.
-struct Counting;
-
-thread_local! {
-    static CALLS: Cell<usize> = const { Cell::new(0) };
-}
-
-// SAFETY: every call goes to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        CALLS.with(|calls| calls.set(calls.get() + 1));
-        // SAFETY: the caller keeps the contract of `alloc`.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: `pointer` came from `System.alloc` with this layout.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 /// Steps after which every ring is full: more than the joints' past and the flight recorder hold.
 const WARM_UP: usize = 2500;
@@ -54,16 +28,16 @@ fn control_steps_of_both_arms_do_not_allocate() {
         let observation =
             TargetObservation { at: now, cam_left_from_model: cam_left_from_target.relabel(), trusted: true };
         moving.observe(observation);
-        let before = CALLS.with(Cell::get);
+        let before = requests();
         let moved = moving.step(now).unwrap();
         if step >= WARM_UP {
-            calls += CALLS.with(Cell::get) - before;
+            calls += requests() - before;
             followed += usize::from(moved.mode == Mode::Tracking);
         }
     }
     assert_eq!(calls, 0);
     assert!(followed > COUNTED / 2, "{followed} steps followed the target");
-    let probe = CALLS.with(Cell::get);
+    let probe = requests();
     drop(std::hint::black_box(Box::new([0u8; 64])));
-    assert!(CALLS.with(Cell::get) > probe, "the counter counts");
+    assert!(requests() > probe, "the counter counts");
 }

@@ -2,8 +2,6 @@
 //! answer.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
-#[path = "support/counting.rs"]
-mod counting;
 #[path = "support/plane_pair.rs"]
 mod plane_pair;
 
@@ -34,9 +32,9 @@ fn a_later_estimate_asks_for_the_words_of_its_answer_only() {
         estimator.estimate(&pair.left, &pair.right, region, &range).unwrap();
     }
     for (region, first) in regions.iter().zip(&first) {
-        let before = counting::bytes();
+        let before = pb3dp_allocation_count::bytes();
         let second = estimator.estimate(&pair.left, &pair.right, region, &range).unwrap();
-        let bytes = counting::bytes() - before;
+        let bytes = pb3dp_allocation_count::bytes() - before;
         assert!(bytes < WORDS_MAX, "{bytes} bytes: {}", second.reason);
         assert_eq!(first, &second);
     }

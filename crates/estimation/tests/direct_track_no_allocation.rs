@@ -1,8 +1,6 @@
 //! A tracked frame of the direct method does not allocate, nor does a lost one.
 #![allow(clippy::expect_used, reason = "inputs that are valid")]
 
-#[path = "support/counting.rs"]
-mod counting;
 #[path = "support/moving_plane.rs"]
 mod moving_plane;
 
@@ -27,9 +25,9 @@ fn frames_do_not_allocate() {
     estimate.reason.reserve(400);
     let mut counts = Vec::with_capacity(frames.len());
     for (left, right) in &frames[1..] {
-        let before = counting::requests();
+        let before = pb3dp_allocation_count::requests();
         tracker.update_into(left, right, &prior, &mut || true, &mut estimate).expect("update");
-        counts.push((estimate.status, counting::requests() - before));
+        counts.push((estimate.status, pb3dp_allocation_count::requests() - before));
     }
     assert!(counts.iter().any(|(status, _)| *status == Status::Ok));
     assert!(counts.iter().any(|(status, _)| *status == Status::Lost));

@@ -1,8 +1,6 @@
 //! The steady-state frame loop does not allocate: conversion, model, preparation, search.
 #![allow(clippy::expect_used, reason = "inputs that are valid")]
 
-#[path = "support/counting.rs"]
-mod counting;
 #[path = "support/scene.rs"]
 mod scene;
 
@@ -45,10 +43,10 @@ fn check(rig: &StereoRig, unseen: Unseen) {
             best
         };
         frame();
-        let before = counting::requests();
+        let before = pb3dp_allocation_count::requests();
         assert!(frame().is_scored());
         frame();
-        assert_eq!(counting::requests() - before, 0, "{}", kernels.set().name());
+        assert_eq!(pb3dp_allocation_count::requests() - before, 0, "{}", kernels.set().name());
     }
 }
 

@@ -1,8 +1,6 @@
 //! The refinement of a plane does not allocate once it has seen a region of the size.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
-#[path = "support/counting.rs"]
-mod counting;
 #[path = "support/plane_pair.rs"]
 mod plane_pair;
 
@@ -38,8 +36,8 @@ fn a_second_refinement_allocates_nothing() {
     let start = DisparityPlane { d0_px: truth.d0_px + 0.4, ..truth };
     let mut refiner = PlaneRefiner::new(RefineConfig::default(), Kernels::best());
     let first = refiner.refine(&front_end, &source, &pyramid, &start).unwrap();
-    let before = counting::requests();
+    let before = pb3dp_allocation_count::requests();
     let second = refiner.refine(&front_end, &source, &pyramid, &start).unwrap();
-    assert_eq!(counting::requests() - before, 0);
+    assert_eq!(pb3dp_allocation_count::requests() - before, 0);
     assert_eq!(first, second);
 }

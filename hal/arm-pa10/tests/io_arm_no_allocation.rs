@@ -7,14 +7,12 @@ mod far_end;
 #[path = "common/gateway.rs"]
 mod gateway;
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use far_end::FarEnd;
 use gateway::FakeGateway;
+use pb3dp_allocation_count::{leave_this_thread_out, requests_of_all_threads};
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::DriverConfig;
 use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Geometry};
@@ -27,41 +25,13 @@ use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, JointCommand};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_kinematics::JointVector;
 
-/// The system's allocator, counting the calls of all threads but those that are told apart.
-struct Counting;
-
-static CALLS: AtomicUsize = AtomicUsize::new(0);
-
-thread_local! {
-    static IS_FAR_END: Cell<bool> = const { Cell::new(false) };
-}
-
-// SAFETY: every call goes to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        if !IS_FAR_END.with(Cell::get) {
-            CALLS.fetch_add(1, Ordering::SeqCst);
-        }
-        // SAFETY: the caller keeps the contract of `alloc`.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: `pointer` came from `System.alloc` with this layout.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
 #[test]
 fn exchanges_do_not_allocate() {
     const CYCLE: Duration = Duration::from_millis(10);
     let (dialect, format) = (Dialect::GatewayV1, WireFormat::BigEndian6x10);
     let pty = Pty::open().unwrap();
     let serial = SerialConfig { path: pty.name().to_owned(), baud: 460_800, dialect, format, cycle: CYCLE };
-    let _far = FarEnd::serve_after(Box::new(pty), FakeGateway::new(ArmId(2), format), || IS_FAR_END.set(true));
+    let _far = FarEnd::serve_after(Box::new(pty), FakeGateway::new(ArmId(2), format), leave_this_thread_out);
     let link = GatewayLinkConfig { arm: ArmId(2), dialect, format, geometry: Geometry::Unknown, cycle: CYCLE };
     let config = Pa10ArmConfig::new("arm", DriverConfig::with_cycle(CYCLE), link);
     let seat = trip_line(1).unwrap().remove(0);
@@ -86,10 +56,10 @@ fn exchanges_do_not_allocate() {
     }
     let (mut quiet, mut late) = (0, 0);
     for cycle in 0..300 {
-        let before = CALLS.load(Ordering::SeqCst);
+        let before = requests_of_all_threads();
         match exchange(&mut arm, cycle) {
             Ok(()) => {
-                assert_eq!(CALLS.load(Ordering::SeqCst), before, "exchange {cycle}");
+                assert_eq!(requests_of_all_threads(), before, "exchange {cycle}");
                 quiet += 1;
             }
             Err(()) => late += 1,
@@ -97,7 +67,7 @@ fn exchanges_do_not_allocate() {
         let _ = std::hint::black_box((monitor.snapshot(), monitor.jitter()));
     }
     assert!(quiet > 200, "{quiet} exchanges, {late} late");
-    let probe = CALLS.load(Ordering::SeqCst);
+    let probe = requests_of_all_threads();
     drop(std::hint::black_box(Box::new([0u8; 64])));
-    assert!(CALLS.load(Ordering::SeqCst) > probe, "the counter counts");
+    assert!(requests_of_all_threads() > probe, "the counter counts");
 }

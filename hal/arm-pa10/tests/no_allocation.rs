@@ -5,10 +5,8 @@ mod common;
 #[path = "common/gateway_bench.rs"]
 mod gateway_bench;
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
-
 use common::{Bench, CYCLE, velocity};
+use pb3dp_allocation_count::requests;
 use pb3dp_arm_pa10::arcnet::{self, Route};
 use pb3dp_arm_pa10::codec::{ControlPacket, ReplyMessage, ReplyPacket, SequenceModulus, WireFormat};
 use pb3dp_arm_pa10::driver::{DriverState, Reply, Request};
@@ -16,36 +14,12 @@ use pb3dp_arm_pa10::gateway_protocol::{
     ArmId, ArmOperation, DriveCommand, DriveMode, FrameParser, GatewayState, HostMessage, Received,
 };
 
-/// The system's allocator, counting the calls of each thread.
-struct Counting;
-
-thread_local! {
-    static CALLS: Cell<usize> = const { Cell::new(0) };
-}
-
-// SAFETY: every call goes to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        CALLS.with(|calls| calls.set(calls.get() + 1));
-        // SAFETY: the caller keeps the contract of `alloc`.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: `pointer` came from `System.alloc` with this layout.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
 #[test]
 fn cycles_do_not_allocate() {
     let mut bench = Bench::in_state(DriverState::Moving);
     let mut parser = FrameParser::new(ArmId(1));
     let sample = bench.peer.sample();
-    let before = CALLS.with(Cell::get);
+    let before = requests();
     let mut frames = 0;
     for cycle in 0..1000u16 {
         bench.now = bench.now + CYCLE;
@@ -65,12 +39,12 @@ fn cycles_do_not_allocate() {
         parser.feed(&bytes, |received| frames += u32::from(matches!(received, Received::Frame(_))));
         bench.driver.handle_reply(bench.now, &Reply::Sample(sample));
     }
-    assert_eq!(CALLS.with(Cell::get), before);
+    assert_eq!(requests(), before);
     // The last frames wait in the parser for a few bytes more.
     assert!(frames >= 999, "{frames}");
-    let probe = CALLS.with(Cell::get);
+    let probe = requests();
     drop(std::hint::black_box(Box::new([0u8; 64])));
-    assert!(CALLS.with(Cell::get) > probe, "the counter counts");
+    assert!(requests() > probe, "the counter counts");
 }
 
 #[test]
@@ -86,7 +60,7 @@ fn cycles_of_a_gateway_do_not_allocate() {
     ];
     let mut gateway = bench.gateway.clone();
     let (mut now, mut sequence, mut answers) = (bench.now, bench.sequence, 0);
-    let before = CALLS.with(Cell::get);
+    let before = requests();
     for cycle in 0..5000u32 {
         now = now + gateway_bench::CYCLE;
         if let Some(frame) = gateway.poll_bus_frame(now) {
@@ -105,7 +79,7 @@ fn cycles_of_a_gateway_do_not_allocate() {
             answers += 1;
         }
     }
-    assert_eq!(CALLS.with(Cell::get), before);
+    assert_eq!(requests(), before);
     // All that was said, and FAULT of the silence at the end.
     assert_eq!((answers, gateway.status().state), (3 * 800 + 1, GatewayState::Fault));
 }
