@@ -1,7 +1,5 @@
 //! `cargo xtask soak`: two emulated arms over pseudo-terminals for minutes, with faults at random.
 
-use anyhow::bail;
-
 use crate::bench::circumstances;
 use crate::workspace::{Workspace, run_visibly};
 
@@ -30,9 +28,6 @@ pub struct Args {
 /// # Errors
 /// If a number is out of range, the program does not build, or something went unnoticed.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
-    if !(args.minutes > 0.0 && args.minutes <= 10_000.0) {
-        bail!("--minutes {}: give more than 0 and at most 10000", args.minutes);
-    }
     let (minutes, seed) = (args.minutes.to_string(), args.seed.to_string());
     let mut command = workspace.cargo();
     command.args(["run", "--release", "--locked", "--package", "system-tests", "--example", "soak", "--"]);

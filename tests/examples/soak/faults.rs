@@ -1,4 +1,4 @@
-//! What goes wrong, in the words of docs/mock-arm.md, and random numbers.
+//! What goes wrong, in the words of docs/mock-arm.md.
 
 /// A kind of fault.
 pub struct Fault {
@@ -58,34 +58,3 @@ pub const FAULTS: [Fault; 27] = [
     borne("one reply cut", "truncate 1"),
     borne("one reply twice", "duplicate 1"),
 ];
-
-/// SplitMix64.
-pub struct Random(u64);
-
-impl Random {
-    /// Numbers from this seed.
-    pub fn new(seed: u64) -> Self {
-        Self(seed)
-    }
-
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    /// A number from 0 up to below `end`.
-    pub fn below(&mut self, end: u64) -> u64 {
-        ((u128::from(self.next()) * u128::from(end)) >> 64) as u64
-    }
-
-    /// Another order.
-    pub fn shuffle<T>(&mut self, items: &mut [T]) {
-        for last in (1..items.len()).rev() {
-            let at = self.below(last as u64 + 1) as usize;
-            items.swap(last, at);
-        }
-    }
-}

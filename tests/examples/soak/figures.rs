@@ -8,7 +8,7 @@ use anyhow::{Result, bail};
 use pb3dp_arm_pa10::driver::LinkCounters;
 use pb3dp_arm_pa10::io::arm::Jitter;
 
-use crate::rig::Stopped;
+use crate::rig::{AT_REST_RAD_PER_S, DEADLINE, Stopped};
 
 /// After so many stops without a reason nothing more is to be learned.
 const FALSE_STOPS_MAX: usize = 50;
@@ -34,8 +34,11 @@ pub struct Figures {
 struct Kind {
     injected: u64,
     borne: u64,
+    /// Stopped an arm although it is to be borne.
+    not_borne: u64,
     /// Until the control loop was told, and until both arms were at rest.
     stops: Vec<(Duration, Duration)>,
+    /// None if it is to be borne.
     rest_max_millis: Option<u64>,
     /// Stops after which the arms were at rest later than that.
     too_late: u64,
@@ -43,9 +46,9 @@ struct Kind {
 
 impl Figures {
     /// A control step began so late.
-    pub fn cycle(&mut self, late: Duration, deadline: Duration) {
+    pub fn cycle(&mut self, late: Duration) {
         self.cycles += 1;
-        self.missed_deadlines += u64::from(late > deadline);
+        self.missed_deadlines += u64::from(late > DEADLINE);
         self.lateness_max = self.lateness_max.max(late);
     }
 
@@ -77,24 +80,28 @@ impl Figures {
         Ok(())
     }
 
-    /// A fault that nobody noticed.
-    pub fn unnoticed(&mut self, name: &'static str) {
-        self.kinds.entry(name).or_default().injected += 1;
+    /// A fault begins, after which both arms must be at rest within so many milliseconds; none if it is to be borne. One of the
+    /// three below follows, unless nobody notices what should have stopped the arms.
+    pub fn injected(&mut self, name: &'static str, rest_max_millis: Option<u64>) {
+        let kind = self.kinds.entry(name).or_default();
+        kind.injected += 1;
+        kind.rest_max_millis = rest_max_millis;
     }
 
-    /// Something that is to be borne was.
+    /// What is to be borne was.
     pub fn borne(&mut self, name: &'static str) {
-        let kind = self.kinds.entry(name).or_default();
-        kind.injected += 1;
-        kind.borne += 1;
+        self.kinds.entry(name).or_default().borne += 1;
     }
 
-    /// A fault that stopped the arms.
-    pub fn stopped(&mut self, name: &'static str, times: (Duration, Duration), rest_max_millis: u64) {
+    /// What is to be borne was not.
+    pub fn not_borne(&mut self, name: &'static str) {
+        self.kinds.entry(name).or_default().not_borne += 1;
+    }
+
+    /// A fault stopped the arms: until the control loop was told, and until both were at rest.
+    pub fn stopped(&mut self, name: &'static str, times: (Duration, Duration)) {
         let kind = self.kinds.entry(name).or_default();
-        kind.rest_max_millis = Some(rest_max_millis);
-        kind.too_late += u64::from(times.1 > Duration::from_millis(rest_max_millis));
-        kind.injected += 1;
+        kind.too_late += u64::from(kind.rest_max_millis.is_some_and(|most| times.1 > Duration::from_millis(most)));
         kind.stops.push(times);
     }
 
@@ -104,7 +111,7 @@ impl Figures {
     }
 
     fn undetected(&self) -> u64 {
-        self.kinds.values().map(|kind| kind.injected - kind.borne - kind.stops.len() as u64).sum()
+        self.kinds.values().map(|kind| kind.injected - kind.borne - kind.not_borne - kind.stops.len() as u64).sum()
     }
 
     /// The figures as they are printed.
@@ -125,7 +132,7 @@ impl Figures {
              One reply of each controller in a hundred is lost all the time, never three in a row, and faults come at random, in the \
              words of [mock-arm.md](../mock-arm.md), to one of the arms.\n\n\
              * **noticed**: from the fault to the moment at which the control loop is told.\n\
-             * **at rest**: from the fault to the moment at which the last joint of both arms is slower than 0.001 rad/s; the joints are \
+             * **at rest**: from the fault to the moment at which the last joint of both arms is slower than {AT_REST_RAD_PER_S} rad/s; the joints are \
              looked at every millisecond.\n\
              * **allowed**, **later**: when both must be at rest, and how often they were later; found by controller or gateway: 30 ms \
              down to speed 0, the lag of the drives, and 20 ms; found by what does not come: up to 50 ms before; found by the joints: \
@@ -138,10 +145,11 @@ impl Figures {
 
     fn tables(&self) -> String {
         let injected: u64 = self.kinds.values().map(|kind| kind.injected).sum();
+        let late = format!("begun more than {} ms late", millis(DEADLINE));
         let mut text = String::from("| figure | |\n|---|---:|\n");
         for (name, value) in [
             ("control steps", self.cycles.to_string()),
-            ("begun more than 5 ms late", self.missed_deadlines.to_string()),
+            (late.as_str(), self.missed_deadlines.to_string()),
             ("latest, ms", format!("{:.2}", millis(self.lateness_max))),
             ("measurements not in time", self.late_replies.to_string()),
             ("faults injected", injected.to_string()),
@@ -159,7 +167,7 @@ impl Figures {
         let mut all = Kind::default();
         for (name, kind) in &self.kinds {
             text += &kind.row(name);
-            if kind.borne == 0 {
+            if kind.rest_max_millis.is_some() {
                 all.injected += kind.injected;
                 all.stops.extend(&kind.stops);
                 all.too_late += kind.too_late;
@@ -212,4 +220,29 @@ impl Kind {
 
 fn millis(duration: Duration) -> f64 {
     duration.as_secs_f64() * 1e3
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What is to be borne and stops an arm is a fault that was injected, and no stop without a reason goes without it.
+    #[test]
+    fn every_fault_is_counted_whatever_becomes_of_it() {
+        let mut figures = Figures::default();
+        for (name, rest_max_millis) in
+            [("borne", None), ("not borne", None), ("stops", Some(100)), ("unnoticed", Some(100))]
+        {
+            figures.injected(name, rest_max_millis);
+        }
+        figures.borne("borne");
+        figures.not_borne("not borne");
+        figures.stopped("stops", (Duration::from_millis(20), Duration::from_millis(101)));
+        let text = figures.text();
+        for line in ["| faults injected | 4 |", "| not noticed | 1 |", "| not borne | 1 |", "| all that stop | 2 |"] {
+            assert!(text.contains(line), "{line} is missing in\n{text}");
+        }
+        let judgement = figures.judge().unwrap_err().to_string();
+        assert!(judgement.starts_with("1 faults were not noticed, 1 times"), "{judgement}");
+    }
 }

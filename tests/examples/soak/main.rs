@@ -11,9 +11,10 @@ mod rig;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use pb3dp_estimation::search::rng::SplitMix64;
 use pb3dp_hal_api::ArmErrorKind;
 
-use faults::{FAULTS, Fault, Random};
+use faults::{FAULTS, Fault};
 use figures::Figures;
 use rig::{Rig, Stopped};
 
@@ -21,11 +22,13 @@ use rig::{Rig, Stopped};
 const NOTICE_MAX: Duration = Duration::from_secs(1);
 /// What is borne is waited for so long.
 const BORNE_AFTER: Duration = Duration::from_millis(300);
+/// A week.
+const MINUTES_MAX: f64 = 10_080.0;
 
 fn main() -> Result<()> {
     let options = Options::parse(std::env::args().skip(1))?;
     let mut rig = Rig::new(options.seed)?;
-    let mut random = Random::new(options.seed);
+    let mut random = SplitMix64::new(options.seed);
     let mut figures = Figures::default();
     let end = rig.clock.now() + Duration::from_secs_f64(options.minutes * 60.0);
     let mut order: Vec<&Fault> = Vec::new();
@@ -34,9 +37,9 @@ fn main() -> Result<()> {
         if order.is_empty() {
             // Every kind once, in another order each time.
             order.extend(&FAULTS);
-            random.shuffle(&mut order);
+            shuffle(&mut order, &mut random);
         }
-        let quiet = Duration::from_millis(200 + random.below(400));
+        let quiet = Duration::from_millis(u64::from(200 + random.below(400)));
         if let Err(stopped) = rig.cycle_for(quiet, &mut figures) {
             figures.stopped_by_itself(&stopped)?;
             continue;
@@ -55,31 +58,41 @@ fn main() -> Result<()> {
 }
 
 /// One fault: until it is noticed and both arms are at rest, or has been borne.
-fn inject(rig: &mut Rig, fault: &Fault, arm: usize, random: &mut Random, figures: &mut Figures) -> Result<()> {
+fn inject(rig: &mut Rig, fault: &Fault, arm: usize, random: &mut SplitMix64, figures: &mut Figures) -> Result<()> {
     let axis = 1 + random.below(7);
     let line = fault.begin.replace("AXIS", &axis.to_string());
     let at = rig.fault(arm, &line)?;
+    figures.injected(fault.name, fault.rest_max_millis);
     let outcome = rig.cycle_for(if fault.rest_max_millis.is_some() { NOTICE_MAX } else { BORNE_AFTER }, figures);
     match outcome {
-        Ok(()) if fault.rest_max_millis.is_some() => figures.unnoticed(fault.name),
+        // What is to stop the arms and did not is counted by what is missing.
+        Ok(()) if fault.rest_max_millis.is_some() => {}
         Ok(()) => figures.borne(fault.name),
         Err(stopped) => {
             let Stopped { at: noticed, kind, message, .. } = &stopped;
-            let Some(rest_max_millis) = fault.rest_max_millis else {
+            if fault.rest_max_millis.is_none() {
                 let message = format!("after `{line}`, which is to be borne: {message}");
+                figures.not_borne(fault.name);
                 return figures.stopped_by_itself(&Stopped { message, ..stopped });
-            };
+            }
             if !matches!(kind, ArmErrorKind::Fault | ArmErrorKind::Disconnected | ArmErrorKind::NotEnabled) {
                 bail!("`{line}`: an error of another kind: {message}");
             }
             let rest = rig.rest_after(at);
-            figures.stopped(fault.name, (noticed.saturating_since(at), rest), rest_max_millis);
+            figures.stopped(fault.name, (noticed.saturating_since(at), rest));
         }
     }
     if let Some(end) = fault.end {
         rig.fault(arm, &end.replace("AXIS", &axis.to_string()))?;
     }
     Ok(())
+}
+
+/// Another order.
+fn shuffle<T>(items: &mut [T], random: &mut SplitMix64) {
+    for left in (2..=items.len()).rev() {
+        items.swap(left - 1, random.below(left as u32) as usize);
+    }
 }
 
 /// What the command line says.
@@ -105,8 +118,8 @@ impl Options {
                 other => bail!("{other}: known are --minutes, --seed, --page and --origin"),
             }
         }
-        if !(options.minutes > 0.0 && options.minutes <= 1e5) {
-            bail!("--minutes {}: give more than 0", options.minutes);
+        if !(options.minutes > 0.0 && options.minutes <= MINUTES_MAX) {
+            bail!("--minutes {}: give more than 0 and at most {MINUTES_MAX}", options.minutes);
         }
         Ok(options)
     }

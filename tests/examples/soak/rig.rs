@@ -14,6 +14,7 @@ use pb3dp_hal_middleware::StartPose;
 use pb3dp_kinematics::JointVector;
 use pb3dp_orchestrator::config::setup::read_setup;
 use pb3dp_orchestrator::run::cell::ArmSite;
+use pb3dp_orchestrator::run::live::CONTROL_THREAD;
 use pb3dp_orchestrator::wiring::DrivenArm;
 use pb3dp_orchestrator::wiring::arm::{WiredArms, wire_arms};
 use system_tests::repository;
@@ -21,11 +22,11 @@ use system_tests::repository;
 use crate::figures::Figures;
 
 /// Slower than this in every joint is at rest, rad/s.
-const AT_REST_RAD_PER_S: f64 = 1e-3;
+pub const AT_REST_RAD_PER_S: f64 = 1e-3;
 /// After a stop the joints are watched for so long.
 const WATCHED: Duration = Duration::from_millis(500);
 /// A control step that begins later than this is counted as a missed deadline.
-const DEADLINE: Duration = Duration::from_millis(5);
+pub const DEADLINE: Duration = Duration::from_millis(5);
 /// What an arm does within this time after a missed deadline may be its answer to that.
 const LATE_FOR: Duration = Duration::from_millis(200);
 /// Joints go back to where they began with this rate, 1/s.
@@ -76,7 +77,7 @@ impl Rig {
         for emulated in &wired.emulated {
             emulated.command_line("chance 1% at-most 2 drop 1").context("losses at random")?;
         }
-        for shortfall in enter(&Realtime { priority: Some(40), locks_memory: false, cpu: None }) {
+        for shortfall in enter(&CONTROL_THREAD) {
             println!("{shortfall}");
         }
         let homes_rad = [setup.vs.start_rad, setup.tc.start_rad];
@@ -145,7 +146,7 @@ impl Rig {
             self.clock.sleep_until(self.next);
             let now = self.clock.now();
             let late = now.saturating_since(self.next);
-            figures.cycle(late, DEADLINE);
+            figures.cycle(late);
             if late > DEADLINE {
                 self.missed_at = Some(now);
             }
