@@ -14,6 +14,7 @@ mod soak;
 mod test;
 mod tidy;
 mod violation;
+mod vm;
 mod workspace;
 
 use std::process::ExitCode;
@@ -39,6 +40,7 @@ enum Command {
     CheckDeps(check_deps::Args),
     Bench(bench::Args),
     Soak(soak::Args),
+    Vm(vm::Args),
 }
 
 fn run(cli: &Cli) -> anyhow::Result<()> {
@@ -51,6 +53,7 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::CheckDeps(args) => check_deps::run(&workspace, args),
         Command::Bench(args) => bench::run(&workspace, args),
         Command::Soak(args) => soak::run(&workspace, args),
+        Command::Vm(args) => vm::run(&workspace, args),
     }
 }
 

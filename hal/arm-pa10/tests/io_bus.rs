@@ -104,6 +104,15 @@ fn frames_go_through_an_arcnet_interface_whole() {
     tunnel.switch(false);
     let down = port.try_send(&frame(WireFormat::ALL[0])).unwrap_err();
     assert!(down.to_string().contains("the bus is down"), "{down}");
+    // Up again it is the same bus, after the kernel has told once more that it was down.
+    tunnel.switch(true);
+    assert_eq!(port.try_send(&frame(WireFormat::ALL[0])), Err(down));
+    assert_eq!(port.try_send(&frame(WireFormat::ALL[0])), Ok(true));
+    // An interface that is taken away is gone for good.
+    drop(tunnel);
+    let gone = port.try_send(&frame(WireFormat::ALL[0])).unwrap_err();
+    assert!(gone.to_string().contains("the bus is down"), "{gone}");
+    assert_eq!(ArcnetSocket::open("arctest0").unwrap_err(), ArcnetError::Missing { name: "arctest0".into() });
 }
 
 #[test]

@@ -1,0 +1,113 @@
+//! An ARCNET card of plain memory: the kernel's driver arc_rimi takes a part of the memory for one, which this program reads and writes
+//! as the bus would.
+//!
+//! Layout (Linux, drivers/net/arcnet/arc-rimi.c and com9026.h): from 0x800 on four buffers of 512 bytes; the first two bytes are also the
+//! registers of status and command. A short frame is sender, receiver, a pointer and a byte not in use, and its data at the end of the
+//! first 256 bytes, where the pointer says. Its interrupt is that of a serial port that nobody uses.
+
+use std::error::Error;
+use std::fs::{File, OpenOptions};
+use std::os::unix::fs::FileExt;
+use std::time::Duration;
+
+use pb3dp_arm_pa10::io::realtime::{now, sleep_until};
+
+/// As on the kernel's command line.
+const MEMORY: u64 = 0x1000_0000;
+const BUFFERS: u64 = MEMORY + 0x800;
+const BUFFER_LENGTH: usize = 512;
+const BUFFER_COUNT: usize = 4;
+
+/// The data of a short frame ends here.
+const SHORT_END: usize = 256;
+const HEADER: usize = 4;
+
+/// The second serial port (16550), and its interrupt.
+const BELL: u64 = 0x2F8;
+const BELL_LINE: u32 = 3;
+/// Registers of a 16550: which interrupts are wanted, and which one there is.
+const INTERRUPTS_WANTED: u64 = BELL + 1;
+const INTERRUPT_IS: u64 = BELL + 2;
+const WHEN_EMPTY: u8 = 2;
+
+/// Bits of the status.
+const RECEIVED: u8 = 0x80;
+const SENT: u8 = 0x01;
+const ACKNOWLEDGED: u8 = 0x02;
+
+/// What the driver is told.
+pub fn module_parameters(interface: &str) -> String {
+    format!("io={MEMORY:#x} irq={BELL_LINE} node=0x42 device={interface}")
+}
+
+/// The card from its other side.
+pub struct Card {
+    memory: File,
+    ports: File,
+}
+
+impl Card {
+    pub fn open() -> Result<Self, Box<dyn Error>> {
+        let open = |path: &str| {
+            let file = OpenOptions::new().read(true).write(true).open(path);
+            file.map_err(|error| format!("{path}: {error}"))
+        };
+        Ok(Self { memory: open("/dev/mem")?, ports: open("/dev/port")? })
+    }
+
+    /// Short frames that lie in the buffers: those with a pointer.
+    pub fn frames(&self) -> Result<Vec<Vec<u8>>, Box<dyn Error>> {
+        let mut frames = Vec::new();
+        for index in 0..BUFFER_COUNT {
+            let mut buffer = [0; BUFFER_LENGTH];
+            self.memory.read_exact_at(&mut buffer, address(index))?;
+            let pointer = usize::from(buffer[2]);
+            if pointer != 0 {
+                frames.push([&buffer[..HEADER], &buffer[pointer..SHORT_END]].concat());
+            }
+        }
+        Ok(frames)
+    }
+
+    /// Empties the buffers, but for the registers.
+    pub fn clear(&self) -> Result<(), Box<dyn Error>> {
+        for index in 0..BUFFER_COUNT {
+            self.memory.write_all_at(&[0; BUFFER_LENGTH - 2], address(index) + 2)?;
+        }
+        Ok(())
+    }
+
+    /// Puts a frame into each buffer but the first, whose header the registers are.
+    pub fn put(&self, frame: &[u8]) -> Result<(), Box<dyn Error>> {
+        let (header, data) = frame.split_at(HEADER);
+        for index in 1..BUFFER_COUNT {
+            self.memory.write_all_at(header, address(index))?;
+            self.memory.write_all_at(data, address(index) + (SHORT_END - data.len()) as u64)?;
+        }
+        Ok(())
+    }
+
+    /// The card says that it has sent, and that it was acknowledged.
+    pub fn has_sent(&self) -> Result<(), Box<dyn Error>> {
+        self.interrupt(SENT | ACKNOWLEDGED)
+    }
+
+    /// The card says that it has received.
+    pub fn has_received(&self) -> Result<(), Box<dyn Error>> {
+        self.interrupt(RECEIVED)
+    }
+
+    fn interrupt(&self, status: u8) -> Result<(), Box<dyn Error>> {
+        self.memory.write_all_at(&[status], BUFFERS)?;
+        self.ports.write_all_at(&[WHEN_EMPTY], INTERRUPTS_WANTED)?;
+        // It has come before the next call ends, or never does.
+        sleep_until(now() + Duration::from_millis(2));
+        self.ports.read_exact_at(&mut [0], INTERRUPT_IS)?;
+        self.ports.write_all_at(&[0], INTERRUPTS_WANTED)?;
+        Ok(())
+    }
+}
+
+fn address(index: usize) -> u64 {
+    BUFFERS + (index * BUFFER_LENGTH) as u64
+}

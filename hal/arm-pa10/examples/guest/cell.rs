@@ -1,0 +1,220 @@
+//! An arm in the guest: host and gateway at the ends of the cable, an emulated controller behind a socket.
+
+use std::error::Error;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::driver::DriverConfig;
+use pb3dp_arm_pa10::gateway::GatewayConfig;
+use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, Geometry, StopCause};
+use pb3dp_arm_pa10::io::arm::{Pa10Arm, Pa10ArmConfig, REALTIME, trip_line};
+use pb3dp_arm_pa10::io::bus::{BusPort, FrameSocket};
+use pb3dp_arm_pa10::io::gateway::{BusOpener, GatewayServer, GatewayServerConfig, Happened, HostSide};
+use pb3dp_arm_pa10::io::mock_server::{MockFace, MockServer, MockServerConfig};
+use pb3dp_arm_pa10::io::realtime::{Realtime, enter, now, sleep_until};
+use pb3dp_arm_pa10::link::GatewayLinkConfig;
+use pb3dp_arm_pa10::mock_controller::{MockControllerConfig, Script, pa10_joints};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
+use pb3dp_kinematics::JointVector;
+use pb3dp_sim::joint_dynamics::JointPlant;
+
+use crate::serial;
+
+const ARM: ArmId = ArmId(2);
+const FORMAT: WireFormat = WireFormat::BigEndian6x10;
+const BAUD: u32 = 921_600;
+const CYCLE: Duration = Duration::from_millis(10);
+
+/// An emulated processor may be late by this much before a cycle of the gateway counts as missed: a rig has 2 ms.
+const LATENESS_ALLOWED: Duration = Duration::from_millis(45);
+
+/// The longest that a source tells of a controller. The gateway stops the arm before.
+const CONTROLLER_WATCHDOG: Duration = Duration::from_millis(400);
+
+/// Slower joints are at rest.
+const AT_REST_RAD_PER_S: f64 = 1e-3;
+
+/// How often an arm is got ready: an emulated processor may be too slow for one try.
+const TRIES: u32 = 20;
+
+/// In the place of a bus.
+fn socket() -> PathBuf {
+    std::env::temp_dir().join("bus")
+}
+
+/// The machine's clock, the same for all that take times here.
+struct MachineClock;
+
+impl Clock for MachineClock {
+    fn now(&self) -> MonotonicTime {
+        now()
+    }
+
+    fn sleep_until(&self, deadline: MonotonicTime) {
+        while now() < deadline {
+            sleep_until(deadline);
+        }
+    }
+}
+
+/// Host, gateway, controller and joints.
+pub struct Cell {
+    pub arm: Pa10Arm,
+    pub mock: MockServer,
+    gateway: GatewayServer,
+    joints: Watcher,
+    next: MonotonicTime,
+}
+
+fn home() -> JointVector {
+    JointVector::from([0.3, 0.4, -0.2, 1.1, 0.5, 0.7, -0.6])
+}
+
+fn velocity() -> JointVector {
+    JointVector::from([0.05, -0.05, 0.08, -0.06, 0.1, -0.1, 0.2])
+}
+
+impl Cell {
+    /// With the brakes closed.
+    pub fn start(host_path: &str, gateway_path: &str) -> Result<Self, Box<dyn Error>> {
+        let clock: Arc<dyn Clock> = Arc::new(MachineClock);
+        let plant = Arc::new(Mutex::new(JointPlant::new(pa10_joints()?, home(), now())?));
+        let watcher = Watcher::start(Arc::clone(&plant))?;
+        let controller =
+            MockControllerConfig { watchdog: Some(CONTROLLER_WATCHDOG), ..MockControllerConfig::new(FORMAT) };
+        let realtime = |priority| Realtime { priority: Some(priority), ..REALTIME };
+        let config = MockServerConfig { controller, seed: 1, script: Script::default(), realtime: realtime(60) };
+        let mock = MockServer::start(config, MockFace::BusSocket(socket()), plant, Arc::clone(&clock))?;
+        let bus: BusOpener = Box::new(|| Ok(Box::new(FrameSocket::connect(&socket())?) as Box<dyn BusPort>));
+        let gateway = GatewayConfig {
+            lateness_allowed: LATENESS_ALLOWED,
+            controller_watchdog: Some(CONTROLLER_WATCHDOG),
+            ..GatewayConfig::new(ARM, FORMAT, Firmware::new("pb3dp guest").ok_or("a name")?)
+        };
+        let host = HostSide::Line(Box::new(serial::config(gateway_path, BAUD, CYCLE)));
+        let gateway = GatewayServer::start(GatewayServerConfig { gateway, realtime: realtime(55) }, bus, host)?;
+        let link = GatewayLinkConfig {
+            arm: ARM,
+            dialect: Dialect::GatewayV1,
+            format: FORMAT,
+            geometry: Geometry::Unknown,
+            cycle: CYCLE,
+        };
+        let config = Pa10ArmConfig::new("guest", DriverConfig::with_cycle(CYCLE), link);
+        let serial = serial::config(host_path, BAUD, CYCLE);
+        let seat = trip_line(1)?.remove(0);
+        let arm = Pa10Arm::open(config, Box::new(serial), clock, seat)?;
+        Ok(Self { arm, mock, gateway, joints: watcher, next: now() })
+    }
+
+    /// Leads the arm to motion from whatever it is in; how often it was tried.
+    pub fn make_move(&mut self) -> Result<u32, Box<dyn Error>> {
+        let mut last = String::new();
+        for attempt in 1..=TRIES {
+            match self.try_to_move() {
+                Ok(()) => return Ok(attempt),
+                Err(error) => last = error.to_string(),
+            }
+        }
+        Err(format!("not in {TRIES} tries: {last}").into())
+    }
+
+    fn try_to_move(&mut self) -> Result<(), ArmError> {
+        self.arm.reset()?;
+        if self.arm.state() == ArmState::Disabled {
+            self.arm.enable()?;
+        }
+        self.next = now();
+        for _ in 0..40 {
+            self.exchange()?;
+        }
+        Ok(())
+    }
+
+    /// One cycle of motion. A late answer is none yet.
+    pub fn exchange(&mut self) -> Result<(), ArmError> {
+        self.next = (self.next + CYCLE).max(now());
+        MachineClock.sleep_until(self.next);
+        match self.arm.exchange(JointCommand::Velocity(velocity())) {
+            Err(error) if error.kind() != ArmErrorKind::Timeout => Err(error),
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether the brakes are closed and nothing has moved for a while.
+    pub fn is_at_rest(&self) -> bool {
+        let report = self.mock.report();
+        report.is_braked && now().saturating_since(self.joints.last_motion()) > Duration::from_millis(100)
+    }
+
+    /// When a joint moved last.
+    pub fn last_motion(&self) -> MonotonicTime {
+        self.joints.last_motion()
+    }
+
+    pub fn position_rad(&self) -> JointVector {
+        self.mock.report().position_rad
+    }
+
+    /// Why the gateway stopped the arm since this was asked last, and when.
+    pub fn gateway_stops(&self) -> Vec<(MonotonicTime, StopCause)> {
+        let events = std::iter::from_fn(|| self.gateway.try_event());
+        let stop = |at, what| match what {
+            Happened::State { to: GatewayState::Fault, cause, .. } => Some((at, cause)),
+            _ => None,
+        };
+        events.filter_map(|event| stop(event.at, event.what)).collect()
+    }
+
+    /// What the gateway says of its line.
+    pub fn gateway_messages(&self) -> Vec<String> {
+        std::iter::from_fn(|| self.gateway.try_message()).collect()
+    }
+}
+
+/// Looks at the true joints every millisecond.
+struct Watcher {
+    last_motion: Arc<AtomicU64>,
+    is_over: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Watcher {
+    fn start(joints: Arc<Mutex<JointPlant>>) -> std::io::Result<Self> {
+        let (last_motion, is_over) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicBool::new(false)));
+        let (motion, over) = (Arc::clone(&last_motion), Arc::clone(&is_over));
+        let work = move || {
+            enter(&Realtime { priority: Some(30), locks_memory: false, cpu: None });
+            while !over.load(Ordering::Relaxed) {
+                let at = now();
+                let mut joints = joints.lock().unwrap_or_else(PoisonError::into_inner);
+                joints.advance_to(at);
+                if joints.state().velocity_rad_per_s.amax() > AT_REST_RAD_PER_S {
+                    motion.store(at.as_nanos(), Ordering::Relaxed);
+                }
+                drop(joints);
+                sleep_until(at + Duration::from_millis(1));
+            }
+        };
+        let thread = std::thread::Builder::new().name("watcher".to_owned()).spawn(work)?;
+        Ok(Self { last_motion, is_over, thread: Some(thread) })
+    }
+
+    fn last_motion(&self) -> MonotonicTime {
+        MonotonicTime::from_nanos(self.last_motion.load(Ordering::Relaxed))
+    }
+}
+
+impl Drop for Watcher {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            thread.join().ok();
+        }
+    }
+}

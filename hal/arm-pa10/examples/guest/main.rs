@@ -1,0 +1,58 @@
+//! What `cargo xtask vm` runs in an emulated computer: this crate's I/O, tested with the real drivers of a real kernel.
+//!
+//! It is the first program of that computer, which has no other. What it finds out it says on the console, in the words of
+//! `report.rs`; it also asks there for cables to be pulled. Some of it is done by this program once more, in a process of its own and
+//! as another user.
+
+#![allow(clippy::print_stdout, reason = "a program for the console")]
+
+mod arcnet;
+mod card;
+mod cell;
+mod pulled;
+mod realtime;
+mod report;
+mod serial;
+mod system;
+
+use std::process::ExitCode;
+
+use report::Report;
+
+/// Process number of the first program.
+const FIRST: u32 = 1;
+
+fn main() -> ExitCode {
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    if std::process::id() == FIRST {
+        run(words.first().copied().unwrap_or_default());
+        system::switch_off();
+        return ExitCode::SUCCESS;
+    }
+    match words.as_slice() {
+        ["open", path, baud] => serial::try_to_open(path, baud),
+        ["open-bus", interface] => arcnet::try_to_open(interface),
+        ["realtime"] => realtime::try_to_enter(),
+        _ => {
+            println!("this is started by `cargo xtask vm`");
+            return ExitCode::FAILURE;
+        }
+    }
+    ExitCode::SUCCESS
+}
+
+fn run(suite: &str) {
+    let mut report = Report::default();
+    report.check("the computer starts", system::prepare);
+    match suite {
+        "serial" => {
+            serial::check(&mut report);
+            realtime::check(&mut report);
+            pulled::check(&mut report);
+        }
+        "arcnet" => arcnet::check(&mut report),
+        other => report.check("the suite is known", || Err(format!("there is no suite `{other}`").into())),
+    }
+    report.end();
+}

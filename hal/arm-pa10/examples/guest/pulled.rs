@@ -1,0 +1,173 @@
+//! A USB adapter that is pulled out while an arm moves through it: once the host's, once the gateway's.
+
+use std::error::Error;
+use std::path::Path;
+use std::time::Duration;
+
+use pb3dp_arm_pa10::driver::{FaultCause, Latched, Trip};
+use pb3dp_arm_pa10::gateway_protocol::StopCause;
+use pb3dp_arm_pa10::io::realtime::{Realtime, enter, now};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{ArmError, ArmErrorKind, ArmPower};
+
+use crate::cell::Cell;
+use crate::report::{Outcome, Report, ensure, note, plug, unplug};
+use crate::serial::{GATEWAY, HOST, adapter};
+use crate::system::{KernelLog, LONG, wait_for};
+
+/// From the kernel's notice to the host's error, and to joints at rest. A rig has 20 ms and a tenth of a second; an emulated
+/// processor on a machine that others use as well is later than any figure that would mean something, so this shows what hangs and
+/// what comes by a wrong way, and the figures themselves are told.
+const NOTICED_IN: Duration = Duration::from_millis(500);
+const AT_REST_IN: Duration = Duration::from_millis(1000);
+
+/// How often it is tried on a machine that holds threads up.
+const TRIES: u32 = 5;
+
+/// Cycles in which an arm that is plugged in again is told to move, and must not.
+const CYCLES_WITHOUT_RESET: u32 = 100;
+
+/// Whose cable is pulled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum End {
+    Host,
+    Gateway,
+}
+
+/// A thread was held up for so long that the arm was stopped for that.
+#[derive(Debug, thiserror::Error)]
+#[error("again, as the machine was too slow: {0}")]
+struct TooSlow(String);
+
+/// Of the loop that commands the arm: below the thread of the arm, above all that is no part of it.
+const LOOP: Realtime = Realtime { priority: Some(45), locks_memory: false, cpu: None };
+
+pub fn check(report: &mut Report) {
+    let mut cell = None;
+    report.check("an arm moves through both adapters", || {
+        let made = cell.insert(Cell::start(&adapter(HOST)?, &adapter(GATEWAY)?)?);
+        ensure(made.arm.warnings().is_empty(), || format!("{:?}", made.arm.warnings()))?;
+        let before = made.position_rad();
+        let tries = made.make_move()?;
+        ensure((made.position_rad() - before).amax() > 0.01, || "no joint has moved".into())?;
+        Ok(format!("in {tries} tries, answers after {:?} (half of them)", made.arm.monitor().round_trips().p50))
+    });
+    let Some(mut cell) = cell else { return };
+    enter(&LOOP);
+    report.check("the host's adapter is pulled out", || patiently(&mut cell, End::Host));
+    report.check("the gateway's adapter is pulled out", || patiently(&mut cell, End::Gateway));
+}
+
+/// Again if the machine was too slow.
+fn patiently(cell: &mut Cell, end: End) -> Outcome {
+    for _ in 1..TRIES {
+        match pull(cell, end) {
+            Err(error) if error.is::<TooSlow>() => note(&error.to_string()),
+            other => return other,
+        }
+    }
+    pull(cell, end)
+}
+
+fn pull(cell: &mut Cell, end: End) -> Outcome {
+    let (device, name) = match end {
+        End::Host => ("host", HOST),
+        End::Gateway => ("gateway", GATEWAY),
+    };
+    let path = adapter(name)?;
+    cell.make_move()?;
+    cell.gateway_stops();
+    cell.gateway_messages();
+    let mut log = KernelLog::open()?;
+    let asked = now();
+    unplug(device);
+    let error = move_until_stopped(cell, asked)?;
+    let told = now();
+    let noticed = log.wait_for("USB disconnect")?;
+    let latched = cell.arm.monitor().snapshot().latched.ok_or("there is an error, and the arm is not stopped")?;
+    wait_for("the port is gone", || (!Path::new(&path).exists()).then_some(()))?;
+    let stop = judge_stop(cell, end, noticed, told, &error, &latched);
+    let position = cell.position_rad();
+    plug(device);
+    let again = adapter(name)?;
+    ensure(again == path, || format!("it was {path} and is {again} now: somebody has kept the old port open"))?;
+    let figures = stop?;
+    for _ in 0..CYCLES_WITHOUT_RESET {
+        let refused = cell.exchange().err().ok_or("an arm that was not reset takes commands")?;
+        ensure(refused.kind() == error.kind(), || format!("first `{error}`, then `{refused}`"))?;
+    }
+    let enabled = cell.arm.enable().is_ok();
+    let moved = (cell.position_rad() - position).amax();
+    ensure(!enabled && moved < 1e-6 && cell.is_at_rest(), || {
+        format!("not reset, and: enabled {enabled}, moved by {moved} rad, at rest {}", cell.is_at_rest())
+    })?;
+    if end == End::Gateway {
+        let mut said = Vec::new();
+        wait_for("the gateway opens its port again", || {
+            said.extend(cell.gateway_messages());
+            said.iter().any(|text| text.contains("is open")).then_some(())
+        })
+        .map_err(|error| format!("{error}: {said:?}"))?;
+    }
+    let reset = now();
+    let tries = cell.make_move()?;
+    ensure((cell.position_rad() - position).amax() > 0.01, || "it was reset, and no joint moves".into())?;
+    cell.arm.stop()?;
+    Ok(format!(
+        "{figures}; plugged in again it stays at rest until it is reset, then moves after {} ms ({tries} tries)",
+        now().saturating_since(reset).as_millis()
+    ))
+}
+
+fn move_until_stopped(cell: &mut Cell, since: MonotonicTime) -> Result<ArmError, Box<dyn Error>> {
+    loop {
+        if let Err(error) = cell.exchange() {
+            return Ok(error);
+        }
+        ensure(now().saturating_since(since) < LONG, || "nobody has noticed that the cable is gone".into())?;
+    }
+}
+
+/// How quickly who noticed what.
+fn judge_stop(
+    cell: &mut Cell,
+    end: End,
+    noticed: MonotonicTime,
+    told: MonotonicTime,
+    error: &ArmError,
+    latched: &Latched,
+) -> Outcome {
+    wait_for("the arm comes to rest", || cell.is_at_rest().then_some(()))?;
+    let stops = cell.gateway_stops();
+    let is_slow = matches!(latched.trip, Trip::Fault(FaultCause::CommandTimeout { .. }))
+        || stops.iter().any(|(_, cause)| *cause == StopCause::CycleMissed);
+    if latched.at < noticed || is_slow {
+        return Err(TooSlow(format!("{error}; gateway: {stops:?}")).into());
+    }
+    let (kind, cause_fits) = match (end, latched.trip) {
+        (End::Host, Trip::Fault(cause)) => (ArmErrorKind::Disconnected, cause == FaultCause::Unplugged),
+        (End::Gateway, Trip::Fault(cause)) => (ArmErrorKind::Fault, matches!(cause, FaultCause::LinkLost { .. })),
+        (_, Trip::EStop(_)) => (ArmErrorKind::Fault, false),
+    };
+    ensure(error.kind() == kind && cause_fits, || format!("{:?} `{error}`, stopped by {latched:?}", error.kind()))?;
+    let latency = latched.at.saturating_since(noticed);
+    ensure(latency < NOTICED_IN, || format!("the host has noticed after {latency:?}"))?;
+    let rest = cell.last_motion().saturating_since(noticed);
+    ensure(rest < AT_REST_IN, || format!("the joints were at rest after {rest:?}"))?;
+    let [(stopped, StopCause::HostSilent)] = stops.as_slice() else {
+        return Err(format!("the gateway has stopped the arm by {stops:?}").into());
+    };
+    let counters = cell.mock.report().counters;
+    ensure(counters.watchdog_trips == 0, || "the controller's own time-out has stopped it".into())?;
+    let still = cell.arm.monitor().snapshot().latched;
+    ensure(still == Some(*latched), || format!("first {latched:?}, then {still:?}"))?;
+    let millis = |at: MonotonicTime| format!("{:.1}", at.saturating_since(noticed).as_secs_f64() * 1e3);
+    Ok(format!(
+        "after the kernel's notice the host is stopped in {} ms, its loop has one error in {} ms, the gateway stops the arm in {} ms \
+         (host-silent), the joints are at rest in {} ms",
+        millis(latched.at),
+        millis(told),
+        millis(*stopped),
+        millis(cell.last_motion())
+    ))
+}

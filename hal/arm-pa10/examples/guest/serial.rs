@@ -1,0 +1,191 @@
+//! Serial ports: two USB adapters at the ends of one cable, and built-in ports.
+
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::fs::{self, Permissions};
+use std::os::unix::fs::PermissionsExt;
+use std::time::Duration;
+
+use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::gateway_protocol::Dialect;
+use pb3dp_arm_pa10::io::realtime::now;
+use pb3dp_arm_pa10::io::serial::{Latency, PortDescription, PortKind, SerialConfig, SerialError, SerialLink, ports};
+use pb3dp_arm_pa10::io::transport::{ByteLink, wait};
+use rustix::termios::tcgetattr;
+
+use crate::report::{Outcome, Report, ensure};
+use crate::system::{LONG, User, as_user, wait_for};
+
+/// The rates of docs/arm-protocol.md that carry a cycle, and those between them that adapters have.
+const BAUDS: [u32; 6] = [460_800, 500_000, 921_600, 1_000_000, 2_000_000, 3_000_000];
+
+/// What the chip of the adapters does not have.
+const TOO_QUICK: u32 = 4_000_000;
+
+/// The port that says yes to every rate, what it is asked for, and what it has.
+const LIAR: &str = "/dev/ttyS1";
+const LIAR_ASKED: u32 = 1_000_000;
+const LIAR_HAS: u32 = 115_200;
+
+/// A cycle that every rate carries: rates are not refused for its sake.
+const SLOW_CYCLE: Duration = Duration::from_millis(100);
+
+/// Numbers and names by which the adapters are found.
+pub const HOST: &str = "HOST";
+pub const GATEWAY: &str = "GATEWAY";
+const FTDI: [u16; 2] = [0x0403, 0x6001];
+
+pub fn config(path: &str, baud: u32, cycle: Duration) -> SerialConfig {
+    let (dialect, format) = (Dialect::GatewayV1, WireFormat::BigEndian6x10);
+    SerialConfig { path: path.to_owned(), baud, dialect, format, cycle }
+}
+
+pub fn check(report: &mut Report) {
+    report.check("ports are found, with what is known of each", discovery);
+    report.check("USB: bytes are handed on at once, also for a user without rights", latency);
+    report.check("USB: every rate is read back, and bytes go both ways", rates);
+    report.check("USB: a rate that the chip does not have is refused with both values", too_quick);
+    report.check("USB: a second program is refused, whoever it is", || exclusive(&adapter(HOST)?));
+    report.check("16550: a port that lies about its rate is refused with both values", liar);
+    report.check("16550: a second program is refused, whoever it is", || exclusive(LIAR));
+}
+
+/// The path of the adapter with this number of its own.
+pub fn adapter(serial_number: &str) -> Result<String, Box<dyn Error>> {
+    let wanted = |port: &PortDescription| matches!(&port.kind, PortKind::Usb { serial_number: Some(number), .. } if number == serial_number);
+    wait_for(&format!("the adapter {serial_number} is found"), || {
+        ports().ok()?.into_iter().find(wanted).map(|port| port.path)
+    })
+}
+
+fn discovery() -> Outcome {
+    let paths = [adapter(HOST)?, adapter(GATEWAY)?];
+    let found = ports()?;
+    let by_path: BTreeMap<_, _> = found.iter().map(|port| (port.path.as_str(), &port.kind)).collect();
+    for path in &paths {
+        let kind = by_path.get(path.as_str()).ok_or("a port has gone")?;
+        let PortKind::Usb { vendor_id, product_id, product: Some(product), .. } = kind else {
+            return Err(format!("{path}: {kind:?}").into());
+        };
+        ensure([*vendor_id, *product_id] == FTDI && !product.is_empty(), || format!("{path}: {kind:?}"))?;
+    }
+    for path in ["/dev/ttyS0", LIAR] {
+        ensure(by_path.contains_key(path), || format!("{path} is missing: {by_path:?}"))?;
+    }
+    let texts: Vec<String> = found.iter().map(ToString::to_string).collect();
+    Ok(texts.join(", "))
+}
+
+fn rates() -> Outcome {
+    let mut figures = Vec::new();
+    for baud in BAUDS {
+        let open = |name| Ok::<_, Box<dyn Error>>(SerialLink::open(&config(&adapter(name)?, baud, SLOW_CYCLE))?);
+        let (mut host, mut gateway) = (open(HOST)?, open(GATEWAY)?);
+        for link in [&host, &gateway] {
+            ensure(link.baud() == baud, || format!("{}: asked for {baud}, {} read back", link.name(), link.baud()))?;
+            // Once more, by another way than the library's.
+            let settings = tcgetattr(link.fd())?;
+            let read = [settings.input_speed(), settings.output_speed()];
+            ensure(read == [baud; 2], || format!("{}: the kernel says {read:?} at {baud}", link.name()))?;
+        }
+        let there = carry(&mut host, &mut gateway)?;
+        let back = carry(&mut gateway, &mut host)?;
+        figures.push(format!("{baud} ({} ms)", (there + back).as_millis()));
+    }
+    Ok(format!("2 x 512 bytes at {}", figures.join(", ")))
+}
+
+/// Sends bytes of every value through the cable; how long it took.
+fn carry(from: &mut SerialLink, to: &mut SerialLink) -> Result<Duration, Box<dyn Error>> {
+    let sent: Vec<u8> = (0..512u32).map(|number| (number * 7 % 256) as u8).collect();
+    let (mut left, mut got) = (sent.as_slice(), Vec::new());
+    let begin = now();
+    while got.len() < sent.len() {
+        ensure(now().saturating_since(begin) < LONG, || format!("{} of {} bytes came", got.len(), sent.len()))?;
+        left = &left[from.try_write(left)?..];
+        wait(Some(to), false, None, Duration::from_millis(5));
+        let mut buffer = [0; 256];
+        let count = to.try_read(&mut buffer)?;
+        got.extend_from_slice(&buffer[..count]);
+    }
+    ensure(got == sent, || format!("other bytes came: {got:02x?}"))?;
+    Ok(now().saturating_since(begin))
+}
+
+fn too_quick() -> Outcome {
+    refused_rate(&adapter(HOST)?, TOO_QUICK, None)
+}
+
+fn liar() -> Outcome {
+    // At the rate that it has it is a good port.
+    let link = SerialLink::open(&config(LIAR, LIAR_HAS, SLOW_CYCLE))?;
+    ensure(link.baud() == LIAR_HAS, || format!("{} baud read back", link.baud()))?;
+    drop(link);
+    // It keeps the rate that it had.
+    refused_rate(LIAR, LIAR_ASKED, Some(LIAR_HAS))
+}
+
+fn refused_rate(path: &str, asked: u32, has: Option<u32>) -> Outcome {
+    match SerialLink::open(&config(path, asked, SLOW_CYCLE)) {
+        Ok(link) => Err(format!("{path} was opened with {asked} baud and says that it has {}", link.baud()).into()),
+        Err(error) => {
+            let text = error.to_string();
+            let SerialError::Baud { got, .. } = error else { return Err(text.into()) };
+            ensure(has.is_none_or(|has| has == got), || format!("{got} baud read back"))?;
+            let names_both = text.contains(&asked.to_string()) && text.contains(&got.to_string());
+            ensure(names_both, || format!("a value is missing in: {text}"))?;
+            Ok(text)
+        }
+    }
+}
+
+/// Before anybody has opened the ports: they keep what they are told.
+fn latency() -> Outcome {
+    let [host, gateway] = [adapter(HOST)?, adapter(GATEWAY)?];
+    let file = |path: &str| format!("/sys/bus/usb-serial/devices/{}/latency_timer", path.trim_start_matches("/dev/"));
+    let timer = |path: &str| Ok::<u32, Box<dyn Error>>(fs::read_to_string(file(path))?.trim().parse()?);
+    for path in [&host, &gateway] {
+        // As a real adapter has it when it is plugged in.
+        fs::write(file(path), "16")?;
+    }
+    let before = [timer(&host)?, timer(&gateway)?];
+    ensure(before == [16; 2], || format!("timers of {before:?} ms at first"))?;
+    let link = SerialLink::open(&config(&host, BAUDS[0], SLOW_CYCLE))?;
+    ensure(*link.latency() == Latency::Low && link.warning().is_none(), || {
+        format!("{:?}, {:?}", link.latency(), link.warning())
+    })?;
+    fs::set_permissions(&gateway, Permissions::from_mode(0o666))?;
+    let of_nobody = as_user(User::Nobody, &["open", &gateway, &BAUDS[0].to_string()])?;
+    ensure(of_nobody == "opened: Low", || format!("nobody: {of_nobody}"))?;
+    let after = [timer(&host)?, timer(&gateway)?];
+    ensure(after == [1; 2], || format!("timers of {after:?} ms after all"))?;
+    Ok(format!("timers of {before:?} ms before, {after:?} ms after"))
+}
+
+fn exclusive(path: &str) -> Outcome {
+    fs::set_permissions(path, Permissions::from_mode(0o666))?;
+    let config = config(path, LIAR_HAS, SLOW_CYCLE);
+    let baud = LIAR_HAS.to_string();
+    let words = ["open", path, &baud];
+    let first = SerialLink::open(&config)?;
+    let again = SerialLink::open(&config).map(|_| "opened").map_err(|error| error.to_string());
+    let refusal = again.err().ok_or("opened twice in one program")?;
+    // The one who is refused must not make it easier for the next one: nobody comes after root.
+    for user in [User::Root, User::Nobody, User::Root, User::Nobody] {
+        let said = as_user(user, &words)?;
+        ensure(said == format!("refused: {refusal}"), || format!("{user:?}: {said}"))?;
+    }
+    drop(first);
+    let said = as_user(User::Nobody, &words)?;
+    ensure(said.starts_with("opened"), || format!("after it was closed: {said}"))?;
+    Ok(refusal)
+}
+
+/// Says what becomes of opening a port.
+pub fn try_to_open(path: &str, baud: &str) {
+    let opened = SerialLink::open(&config(path, baud.parse().unwrap_or_default(), SLOW_CYCLE));
+    match opened {
+        Ok(link) => println!("opened: {:?}", link.latency()),
+        Err(error) => println!("refused: {error}"),
+    }
+}

@@ -1,0 +1,155 @@
+//! The emulated computer: its file systems, modules, users, and what its kernel says.
+
+use std::error::Error;
+use std::ffi::CString;
+use std::fs::{self, File, OpenOptions};
+use std::io::{ErrorKind, Read, Write};
+use std::os::unix::fs::OpenOptionsExt;
+use std::os::unix::process::CommandExt;
+use std::process::Command;
+use std::time::Duration;
+
+use pb3dp_arm_pa10::io::realtime::{now, sleep_until};
+use pb3dp_geometry::MonotonicTime;
+use rustix::mount::{MountFlags, mount};
+use rustix::process::{Resource, Rlimit, setrlimit};
+use rustix::system::{RebootCommand, finit_module, reboot, uname};
+
+use crate::report::Outcome;
+
+/// User and group without any rights.
+const NOBODY: u32 = 65_534;
+
+/// Things that a driver does take less than this.
+pub const LONG: Duration = Duration::from_secs(20);
+
+/// File systems and modules.
+pub fn prepare() -> Outcome {
+    for (what, place) in [("proc", "/proc"), ("sysfs", "/sys"), ("devtmpfs", "/dev"), ("tmpfs", "/tmp")] {
+        mount(what, place, what, MountFlags::empty(), None).map_err(|error| format!("{place}: {error}"))?;
+    }
+    let order = fs::read_to_string("/modules/order")?;
+    for name in order.lines() {
+        load(name, "")?;
+    }
+    // Users without rights may lock no memory: the kernel would let them have 8 MB.
+    let none = Rlimit { current: Some(0), maximum: Some(0) };
+    setrlimit(Resource::Memlock, none)?;
+    let up = fs::read_to_string("/proc/uptime")?;
+    let seconds = up.split(' ').next().unwrap_or_default().to_owned();
+    Ok(format!("Linux {}, after {seconds} s", uname().release().to_string_lossy()))
+}
+
+/// Loads a module that was packed.
+pub fn load(name: &str, parameters: &str) -> Result<(), Box<dyn Error>> {
+    let file = File::open(format!("/modules/{name}.ko")).map_err(|error| format!("module {name}: {error}"))?;
+    let loaded = finit_module(&file, &CString::new(parameters)?, 0);
+    loaded.map_err(|error| format!("module {name} is not taken: {error}").into())
+}
+
+/// Ends everything.
+pub fn switch_off() {
+    // What the console has not shown yet would be lost.
+    std::thread::sleep(Duration::from_millis(100));
+    if let Err(error) = reboot(RebootCommand::PowerOff) {
+        println!("the computer does not switch off: {error}");
+    }
+}
+
+/// Who does something.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum User {
+    Root,
+    Nobody,
+}
+
+/// What this program says if it is started once more with these words.
+pub fn as_user(user: User, words: &[&str]) -> Result<String, Box<dyn Error>> {
+    let mut command = Command::new("/proc/self/exe");
+    command.args(words);
+    if user == User::Nobody {
+        // The groups of root go with it.
+        command.uid(NOBODY).gid(NOBODY);
+    }
+    let output = command.output()?;
+    let text = String::from_utf8_lossy(&output.stdout).trim().to_owned();
+    if output.status.success() {
+        Ok(text)
+    } else {
+        Err(format!("{words:?} as {user:?}: {}: {text}", output.status).into())
+    }
+}
+
+/// Waits until something is so; for what.
+pub fn wait_for<T>(what: &str, mut is_so: impl FnMut() -> Option<T>) -> Result<T, Box<dyn Error>> {
+    let end = now() + LONG;
+    loop {
+        if let Some(found) = is_so() {
+            return Ok(found);
+        }
+        if now() > end {
+            return Err(format!("{what}: not within {LONG:?}").into());
+        }
+        sleep_until(now() + Duration::from_millis(5));
+    }
+}
+
+/// What the kernel says, from a moment on, with its time on the clock of programs.
+pub struct KernelLog {
+    file: File,
+    /// Time on the clock of programs less time of the kernel's log, ns.
+    offset_ns: i128,
+}
+
+impl KernelLog {
+    /// From now on. The two clocks are compared by a message of our own.
+    pub fn open() -> Result<Self, Box<dyn Error>> {
+        const NONBLOCK: i32 = 0o4000;
+        let file = OpenOptions::new().read(true).write(true).custom_flags(NONBLOCK).open("/dev/kmsg")?;
+        let mut log = Self { file, offset_ns: 0 };
+        while log.next()?.is_some() {}
+        let before = now();
+        let mark = format!("pb3dp: the time is {} ns", before.as_nanos());
+        // Without the end of the line the kernel keeps it back.
+        log.file.write_all(format!("{mark}\n").as_bytes())?;
+        let (at, _) = wait_for("our own message in the kernel's log", || {
+            log.next().ok().flatten().filter(|(_, text)| *text == mark)
+        })?;
+        // The message was taken at once: the time before is nearer to it than the one after, when it was printed.
+        log.offset_ns = i128::from(before.as_nanos()) - i128::from(at.as_nanos());
+        Ok(log)
+    }
+
+    /// When the kernel says something with this word in it.
+    pub fn wait_for(&mut self, word: &str) -> Result<MonotonicTime, Box<dyn Error>> {
+        let what = format!("the kernel says `{word}`");
+        wait_for(&what, || self.next().ok().flatten().filter(|(_, text)| text.contains(word)).map(|(at, _)| at))
+    }
+
+    fn next(&mut self) -> Result<Option<(MonotonicTime, String)>, Box<dyn Error>> {
+        // One message with each call: "6,339,5140900,-;text", with the time in microseconds.
+        let mut buffer = [0; 8192];
+        let count = match self.file.read(&mut buffer) {
+            Ok(count) => count,
+            Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(None),
+            // Old messages gave way to new ones.
+            Err(error) if error.kind() == ErrorKind::BrokenPipe => return self.next(),
+            Err(error) => return Err(error.into()),
+        };
+        let text = String::from_utf8_lossy(&buffer[..count]).into_owned();
+        let (head, rest) = text.split_once(';').ok_or_else(|| format!("message of the kernel: {text}"))?;
+        let micros: u64 = head.split(',').nth(2).unwrap_or_default().parse()?;
+        let nanos = i128::from(micros) * 1000 + self.offset_ns;
+        let message = rest.lines().next().unwrap_or_default().to_owned();
+        Ok(Some((MonotonicTime::from_nanos(u64::try_from(nanos)?), message)))
+    }
+}
+
+/// For the reader of a failure.
+pub fn last_kernel_messages(count: usize) -> Vec<String> {
+    const NONBLOCK: i32 = 0o4000;
+    let Ok(file) = OpenOptions::new().read(true).custom_flags(NONBLOCK).open("/dev/kmsg") else { return Vec::new() };
+    let mut log = KernelLog { file, offset_ns: 0 };
+    let mut messages: Vec<_> = std::iter::from_fn(|| log.next().ok().flatten()).map(|(_, text)| text).collect();
+    messages.split_off(messages.len().saturating_sub(count))
+}

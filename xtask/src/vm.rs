@@ -1,0 +1,223 @@
+//! `cargo xtask vm`: what talks with drivers, tested with the real drivers of a real kernel in an emulated computer.
+
+mod archive;
+mod console;
+mod control;
+mod kernel;
+mod machine;
+mod modules;
+mod suites;
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Instant;
+
+use anyhow::{Context, bail};
+
+use crate::workspace::{Workspace, run_visibly};
+use archive::Archive;
+use console::Said;
+use kernel::Kernel;
+use machine::Machine;
+use suites::{SUITES, Suite};
+
+/// What the guest's programs are built for: it has neither libraries nor a dynamic linker.
+const TARGET: &str = "x86_64-unknown-linux-gnu";
+const RUSTFLAGS: &str = "-C target-feature=+crt-static -C strip=debuginfo";
+
+/// Tests what talks with drivers on a real kernel with its own drivers, in an emulated computer (QEMU, without KVM).
+///
+/// serial  the serial ports of an arm: USB adapters (ftdi_sio) and a 16550; how they are found, their rates, who may open them,
+///         a cable that is pulled while an arm moves, the calls that a cycle of 2 ms needs
+/// arcnet  the bus of an arm: the kernel's ARCNET driver (arc_rimi, arc_rawmode) on a card of plain memory
+///
+/// Takes half a minute for both once the program is built. The kernel is the distribution's own (Debian, package linux-image-amd64,
+/// 6.1 or later), fetched by `apt-get download` and kept in the target folder; QEMU (qemu-system-x86) is installed by apt-get where
+/// that is permitted, and asked for where not. The tests are root in a computer of their own; nothing of this one is touched.
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Args {
+    /// What to test; all of it if nothing is named.
+    #[arg(value_parser = SUITES.map(|suite| suite.name))]
+    suites: Vec<String>,
+    /// Fetches the kernel again.
+    #[arg(long)]
+    renew: bool,
+    /// Shows everything that the guest's console shows.
+    #[arg(long)]
+    console: bool,
+}
+
+/// The machine lacks what the tests need: nothing is wrong with what they test.
+#[derive(Debug)]
+pub struct NotPossible(String);
+
+impl NotPossible {
+    fn because(why: impl Into<String>) -> anyhow::Error {
+        anyhow::Error::new(Self(why.into()))
+    }
+}
+
+impl std::fmt::Display for NotPossible {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for NotPossible {}
+
+/// Every suite.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_all(workspace: &Workspace) -> anyhow::Result<()> {
+    run(workspace, &Args { suites: Vec::new(), renew: false, console: false })
+}
+
+/// # Errors
+/// [`NotPossible`] if kernel or QEMU are not to be had; else if a test fails or does not build.
+pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
+    if !cfg!(all(target_arch = "x86_64", target_os = "linux")) {
+        return Err(NotPossible::because("the guest is a Linux on x86-64, and is built on one"));
+    }
+    let target = target_folder(workspace)?;
+    let qemu = machine::find_qemu()?;
+    let kernel = Kernel::get(&target.join("vm"), args.renew)?;
+    println!("kernel {} of {}", kernel.release, kernel.package);
+    let wanted = |suite: &&Suite| args.suites.is_empty() || args.suites.iter().any(|name| name == suite.name);
+    let mut failed = Vec::new();
+    for suite in SUITES.iter().filter(wanted) {
+        println!("-- {}: {}", suite.name, suite.what);
+        if let Err(error) = run_suite(workspace, suite, &kernel, &qemu, &target, args.console) {
+            println!("{error:#}");
+            failed.push(suite.name);
+        }
+    }
+    if failed.is_empty() {
+        return Ok(());
+    }
+    bail!(
+        "failed: {}; to repeat it with the guest's console: cargo xtask vm --console {}",
+        failed.join(", "),
+        failed[0]
+    )
+}
+
+fn target_folder(workspace: &Workspace) -> anyhow::Result<PathBuf> {
+    let metadata = workspace.metadata()?;
+    let folder = metadata["target_directory"].as_str().context("`cargo metadata` names no target folder")?;
+    Ok(PathBuf::from(folder))
+}
+
+fn run_suite(
+    workspace: &Workspace,
+    suite: &Suite,
+    kernel: &Kernel,
+    qemu: &Path,
+    target: &Path,
+    shows_console: bool,
+) -> anyhow::Result<()> {
+    let program = build(workspace, suite, target)?;
+    let begin = Instant::now();
+    let folder = Folder::new()?;
+    let disk = folder.0.join("initrd");
+    pack(suite, kernel, &program)?.write(&disk)?;
+    let mut machine = Machine::start(qemu, &kernel.image, &disk, suite, &folder.0)?;
+    let outcome = watch(&mut machine, suite, shows_console);
+    println!("{}: {:.1} s", suite.name, begin.elapsed().as_secs_f64());
+    outcome
+}
+
+/// The program that tests, as a file that runs without anything else.
+fn build(workspace: &Workspace, suite: &Suite, target: &Path) -> anyhow::Result<PathBuf> {
+    let mut command = workspace.cargo();
+    command.args(["build", "--quiet", "--locked", "--package", suite.package, "--example", suite.example]);
+    command.args(["--target", TARGET]).env("RUSTFLAGS", RUSTFLAGS).env_remove("CARGO_ENCODED_RUSTFLAGS");
+    run_visibly(&mut command)?;
+    let program = target.join(TARGET).join("debug/examples").join(suite.example);
+    if !program.is_file() {
+        bail!("{} was not built", program.display());
+    }
+    Ok(program)
+}
+
+/// What the guest starts from: the program, and modules in the order in which they are loaded.
+fn pack(suite: &Suite, kernel: &Kernel, program: &Path) -> anyhow::Result<Archive> {
+    let mut archive = Archive::default();
+    for folder in ["dev", "proc", "sys", "tmp", "modules"] {
+        archive.folder(folder);
+    }
+    archive.console();
+    archive.file("init", &std::fs::read(program).context("the program for the guest")?, true);
+    let (at_start, later) = modules::closure(&kernel.modules, suite.modules, suite.modules_by_hand)?;
+    let list = |names: &[String]| names.iter().map(|name| format!("{name}\n")).collect::<String>();
+    let names: Vec<String> = at_start.iter().map(|module| module.name.clone()).collect();
+    archive.file("modules/order", list(&names).as_bytes(), false);
+    for module in at_start.iter().chain(&later) {
+        archive.file(&format!("modules/{}.ko", module.name), &module.content, false);
+    }
+    Ok(archive)
+}
+
+/// Does what the guest asks for, and counts what it finds.
+fn watch(machine: &mut Machine, suite: &Suite, shows_console: bool) -> anyhow::Result<()> {
+    let (mut passed, mut failed) = (0u32, 0u32);
+    let mut last = Vec::new();
+    while let Some(line) = machine.next_line().with_context(|| last_lines(&last))? {
+        if shows_console {
+            println!("   | {line}");
+        }
+        match console::parse(&line) {
+            Some(Said::Passed(text)) => {
+                passed += 1;
+                println!("   ok      {text}");
+            }
+            Some(Said::Failed(text)) => {
+                failed += 1;
+                println!("   FAILED  {text}");
+            }
+            Some(Said::Note(text)) => println!("           {text}"),
+            Some(Said::Unplug(name)) => machine.unplug(&name)?,
+            Some(Said::Plug(name)) => machine.plug(suite, &name)?,
+            Some(Said::End { checks }) if checks == passed && failed == 0 && passed > 0 => return Ok(()),
+            Some(Said::End { checks }) => bail!("{failed} of {checks} checks failed, {passed} passed"),
+            None => last.push(line),
+        }
+    }
+    bail!("the guest ended before its tests did, after {passed} checks; {}", last_lines(&last))
+}
+
+fn last_lines(lines: &[String]) -> String {
+    let shown: Vec<&str> = lines.iter().rev().take(12).rev().map(String::as_str).collect();
+    format!("its console said:\n{}", shown.join("\n"))
+}
+
+/// A folder that goes when it is not needed any more. Its path is short: sockets have at most 107 characters.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new() -> anyhow::Result<Self> {
+        let path = std::env::temp_dir().join(format!("pb3dp-vm-{}", std::process::id()));
+        std::fs::create_dir_all(&path).with_context(|| format!("cannot make {}", path.display()))?;
+        Ok(Self(path))
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        std::fs::remove_dir_all(&self.0).ok();
+    }
+}
+
+/// What a program prints, as text.
+///
+/// # Errors
+/// If it can not be started or fails; the message holds what it said.
+fn output_of(command: &mut Command) -> anyhow::Result<String> {
+    let name = command.get_program().to_string_lossy().into_owned();
+    let output = command.output().with_context(|| format!("cannot start {name}"))?;
+    if !output.status.success() {
+        bail!("{name} failed: {}", String::from_utf8_lossy(&output.stderr).trim_end());
+    }
+    Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+}

@@ -1,0 +1,253 @@
+//! The distribution's kernel: found, fetched, unpacked, kept.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, bail};
+
+use super::modules::unpacked;
+use super::{NotPossible, output_of};
+
+/// The package that needs the kernel of the day: the name of that one changes with every update.
+const METAPACKAGE: &str = "linux-image-amd64";
+
+/// The oldest kernel with which the tests are known to run: major, minor.
+const OLDEST: [u32; 2] = [6, 1];
+
+/// Parts of the kernel that are kept; all modules would be 400 MB.
+const MODULE_FOLDERS: [&str; 4] = ["drivers/usb", "drivers/net/arcnet", "fs/configfs", "drivers/tty"];
+
+/// A server that does not answer fails the tests instead of holding them up.
+const IMPATIENT: [&str; 6] =
+    ["-o", "Acquire::http::Timeout=20", "-o", "Acquire::Retries=1", "-o", "DPkg::Lock::Timeout=60"];
+
+/// A kernel on disk.
+pub struct Kernel {
+    /// What QEMU starts.
+    pub image: PathBuf,
+    /// Below which its modules are.
+    pub modules: PathBuf,
+    /// `6.1.0-56-amd64`.
+    pub release: String,
+    /// Name and version of its package.
+    pub package: String,
+}
+
+impl Kernel {
+    /// The kernel that is there, or a new one.
+    ///
+    /// # Errors
+    /// [`NotPossible`] if there is none and none can be fetched; else if it can not be unpacked.
+    pub fn get(cache: &Path, renews: bool) -> anyhow::Result<Self> {
+        if !renews && let Some(kernel) = kept(cache)? {
+            return Ok(kernel);
+        }
+        let scratch = cache.join("new");
+        if scratch.exists() {
+            fs::remove_dir_all(&scratch).context("what a run that was interrupted has left")?;
+        }
+        fs::create_dir_all(&scratch).with_context(|| format!("cannot make {}", scratch.display()))?;
+        let package = newest_package()?;
+        println!("fetching {package}");
+        let file = download(&package, &scratch)?;
+        let version = output_of(Command::new("dpkg-deb").args(["--field"]).arg(&file).arg("Version"))?;
+        unpack(&file, &scratch)?;
+        fs::remove_file(&file)?;
+        let folder = cache.join(format!("kernel_{package}_{}", version.trim().replace([':', '/'], "_")));
+        if folder.exists() {
+            fs::remove_dir_all(&folder)?;
+        }
+        // Whole or not at all.
+        fs::rename(&scratch, &folder).context("the new kernel can not be put in its place")?;
+        Self::open(&folder)
+    }
+
+    fn open(folder: &Path) -> anyhow::Result<Self> {
+        let package = folder.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+        let package = package.trim_start_matches("kernel_").replacen('_', " ", 1);
+        let release = fs::read_to_string(folder.join("release")).context("the name of the kernel")?;
+        Ok(Self { image: folder.join("image"), modules: folder.join("modules"), release, package })
+    }
+}
+
+/// The newest kernel that was kept.
+fn kept(cache: &Path) -> anyhow::Result<Option<Kernel>> {
+    if !cache.is_dir() {
+        return Ok(None);
+    }
+    let mut folders = Vec::new();
+    for entry in fs::read_dir(cache)? {
+        let path = entry?.path();
+        let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+        if let Some(numbers) = name.strip_prefix("kernel_").map(numbers) {
+            folders.push((numbers, path));
+        }
+    }
+    folders.sort();
+    folders.pop().map(|(_, path)| Kernel::open(&path)).transpose()
+}
+
+/// All numbers in a name, by which kernels are in order.
+fn numbers(name: &str) -> Vec<u32> {
+    name.split(|letter: char| !letter.is_ascii_digit()).filter_map(|part| part.parse().ok()).collect()
+}
+
+/// Name of the package that the metapackage needs now.
+fn newest_package() -> anyhow::Result<String> {
+    let mut found = needed_package();
+    if found.is_err() && is_root() {
+        // A machine that has never asked knows no packages.
+        let _ = output_of(apt_get().arg("update"));
+        found = needed_package();
+    }
+    let package = found?;
+    let version = numbers(&package);
+    if version.as_slice() < OLDEST.as_slice() {
+        let [major, minor] = OLDEST;
+        return Err(NotPossible::because(format!(
+            "{METAPACKAGE} is {package}, and the tests want {major}.{minor} or later"
+        )));
+    }
+    Ok(package)
+}
+
+fn needed_package() -> anyhow::Result<String> {
+    let text = output_of(Command::new("apt-cache").args(["depends", METAPACKAGE])).map_err(|error| {
+        NotPossible::because(format!("no kernel to be had by apt: {error:#}; the tests want a Debian"))
+    })?;
+    image_of(&text).map(str::to_owned).ok_or_else(|| {
+        NotPossible::because(format!(
+            "apt knows no package {METAPACKAGE}: type `apt-get update` as root; or this is no Debian"
+        ))
+    })
+}
+
+/// What `apt-cache depends` says that the metapackage needs.
+fn image_of(text: &str) -> Option<&str> {
+    let needed = text.lines().filter_map(|line| line.trim().strip_prefix("Depends: "));
+    let has_version = |name: &&str| {
+        name.strip_prefix("linux-image-").is_some_and(|rest| rest.starts_with(|letter: char| letter.is_ascii_digit()))
+    };
+    needed.map(str::trim).find(has_version)
+}
+
+/// The file of a package. Needs no special rights.
+fn download(package: &str, folder: &Path) -> anyhow::Result<PathBuf> {
+    let fetched = output_of(apt_get().args(["download", package]).current_dir(folder));
+    fetched.map_err(|error| NotPossible::because(format!("{package} can not be fetched: {error:#}")))?;
+    let files = fs::read_dir(folder)?.filter_map(|entry| Some(entry.ok()?.path()));
+    let mut files = files.filter(|path| path.extension().is_some_and(|ending| ending == "deb"));
+    files.next().with_context(|| format!("apt-get has fetched {package} to nowhere"))
+}
+
+/// The kernel and those of its modules that are kept.
+fn unpack(file: &Path, folder: &Path) -> anyhow::Result<()> {
+    let raw = folder.join("raw");
+    fs::create_dir_all(&raw)?;
+    let mut packed = Command::new("dpkg-deb");
+    packed.arg("--fsys-tarfile").arg(file).stdin(Stdio::null()).stdout(Stdio::piped());
+    let mut packed =
+        packed.spawn().map_err(|_| NotPossible::because("dpkg-deb is missing: the tests want a Debian"))?;
+    let mut tar = Command::new("tar");
+    tar.args(["--extract", "--wildcards", "--directory"]).arg(&raw);
+    if let Some(output) = packed.stdout.take() {
+        tar.stdin(Stdio::from(output));
+    }
+    // Folders that a kernel does not have are no error here: a module that is missing is named when it is wanted.
+    tar.arg("*/vmlinuz-*").args(MODULE_FOLDERS.map(|part| format!("*/kernel/{part}/*"))).stderr(Stdio::null());
+    let _ = tar.status().context("cannot start tar")?;
+    if !packed.wait()?.success() {
+        bail!("{} can not be unpacked: delete it, and try again", file.display());
+    }
+    let boot = fs::read_dir(raw.join("boot")).context("the package has no kernel")?;
+    let names = boot.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
+    let name = names.filter(|name| name.starts_with("vmlinuz-")).max().context("the package has no kernel")?;
+    fs::write(folder.join("release"), name.trim_start_matches("vmlinuz-"))?;
+    keep_image(&raw.join("boot").join(name), folder)?;
+    fs::rename(raw, folder.join("modules")).context("the modules can not be put in their place")
+}
+
+/// Keeps the kernel itself, unpacked where that is possible: an emulated processor takes seconds for it at every start.
+fn keep_image(packed: &Path, folder: &Path) -> anyhow::Result<()> {
+    let bytes = fs::read(packed).with_context(|| format!("cannot read {}", packed.display()))?;
+    let image = match payload(&bytes) {
+        Some(payload) if payload.starts_with(b"\xfd7zXZ\0") => {
+            let file = folder.join("payload");
+            fs::write(&file, payload)?;
+            let image = unpacked_stream(&file)?;
+            fs::remove_file(&file)?;
+            image
+        }
+        _ => bytes,
+    };
+    fs::write(folder.join("image"), image).context("cannot write the kernel")?;
+    fs::remove_file(packed).context("cannot remove the packed kernel")
+}
+
+/// The length of the kernel stands behind the packed stream, which `xz` takes for damage unless it is told.
+fn unpacked_stream(file: &Path) -> anyhow::Result<Vec<u8>> {
+    let whole = fs::read(file)?;
+    let end = whole.len().saturating_sub(4);
+    fs::write(file, &whole[..end])?;
+    unpacked("xz", file)
+}
+
+/// The packed kernel in its file, by the header of the boot protocol (Linux, Documentation/arch/x86/boot.rst, 2.08 and later).
+fn payload(file: &[u8]) -> Option<&[u8]> {
+    let word = |at: usize| Some(u32::from_le_bytes(file.get(at..at + 4)?.try_into().ok()?) as usize);
+    if file.get(0x202..0x206)? != b"HdrS" || u16::from_le_bytes(file.get(0x206..0x208)?.try_into().ok()?) < 0x208 {
+        return None;
+    }
+    let sectors = match *file.get(0x1F1)? {
+        0 => 4,
+        sectors => usize::from(sectors),
+    };
+    let begin = (sectors + 1) * 512 + word(0x248)?;
+    file.get(begin..begin.checked_add(word(0x24C)?)?)
+}
+
+/// apt-get that asks nothing.
+pub fn apt_get() -> Command {
+    let mut command = Command::new("apt-get");
+    command.args(["--quiet", "--quiet", "--yes"]).args(IMPATIENT);
+    command.env("DEBIAN_FRONTEND", "noninteractive").stdin(Stdio::null());
+    command
+}
+
+/// Whether this user may install packages.
+pub fn is_root() -> bool {
+    output_of(Command::new("id").arg("-u")).is_ok_and(|text| text.trim() == "0")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_kernel_of_the_day_is_found_by_its_metapackage() {
+        let text = "linux-image-amd64\n  Depends: linux-image-6.1.0-56-amd64\n  Conflicts: x\n";
+        assert_eq!(image_of(text), Some("linux-image-6.1.0-56-amd64"));
+        for other in ["", "linux-image-amd64\n", "linux-image-amd64\n  Depends: linux-image-amd64\n Depends: kmod"] {
+            assert_eq!(image_of(other), None, "{other}");
+        }
+        assert!(numbers("linux-image-6.1.0-56-amd64") >= OLDEST.to_vec());
+        assert!(numbers("linux-image-5.10.0-30-amd64") < OLDEST.to_vec());
+        assert!(numbers("kernel_linux-image-6.12.1_6.12.1-1") > numbers("kernel_linux-image-6.9.7_6.9.7-1"));
+    }
+
+    #[test]
+    fn the_packed_kernel_is_found_in_its_file() {
+        let mut file = vec![0u8; 4096];
+        file[0x1F1] = 2;
+        file[0x202..0x206].copy_from_slice(b"HdrS");
+        file[0x206..0x208].copy_from_slice(&0x20Fu16.to_le_bytes());
+        file[0x248..0x24C].copy_from_slice(&16u32.to_le_bytes());
+        file[0x24C..0x250].copy_from_slice(&5u32.to_le_bytes());
+        file[3 * 512 + 16..3 * 512 + 21].copy_from_slice(b"inner");
+        assert_eq!(payload(&file), Some(&b"inner"[..]));
+        file[0x24C..0x250].copy_from_slice(&u32::MAX.to_le_bytes());
+        assert_eq!(payload(&file), None);
+        assert_eq!(payload(b"\x7fELF"), None);
+    }
+}

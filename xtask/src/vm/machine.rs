@@ -1,0 +1,163 @@
+//! The emulated computer: QEMU as a child that never outlives us, with a limit on its time.
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail};
+
+use super::NotPossible;
+use super::control::Control;
+use super::kernel::{apt_get, is_root};
+use super::output_of;
+use super::suites::Suite;
+
+const QEMU: &str = "qemu-system-x86_64";
+const PACKAGE: &str = "qemu-system-x86";
+
+/// A guest that takes longer than this hangs. The longest suite takes 20 s where little else runs.
+const LIMIT: Duration = Duration::from_secs(110);
+
+/// Of every emulated computer. KVM is not used, even where it is there: what the tests need works without, and everywhere alike. One
+/// processor of a plain kind is emulated quicker than two.
+const COMPUTER: [&str; 17] = [
+    "-accel",
+    "tcg",
+    "-cpu",
+    "qemu64",
+    "-smp",
+    "1",
+    "-m",
+    "512",
+    "-nodefaults",
+    "-no-user-config",
+    "-no-reboot",
+    "-display",
+    "none",
+    "-serial",
+    "stdio",
+    "-rtc",
+    "base=utc",
+];
+
+/// An emulated processor that waits for other programs stops its arms for that, rightly.
+const NICENESS: &str = "-10";
+
+/// Kernel messages stay off the console, where they would get into the lines of the tests; the guest shows them if a test fails.
+const KERNEL_ARGUMENTS: &str = "console=ttyS0 quiet loglevel=1 panic=-1";
+
+/// An emulated computer that runs.
+pub struct Machine {
+    child: Child,
+    lines: Receiver<String>,
+    control: Option<Control>,
+    socket: PathBuf,
+    deadline: Instant,
+}
+
+/// QEMU, installed if that is permitted.
+///
+/// # Errors
+/// [`NotPossible`], with what to install.
+pub fn find_qemu() -> anyhow::Result<PathBuf> {
+    let runs = || output_of(Command::new(QEMU).arg("--version")).is_ok();
+    if !runs() {
+        if !is_root() {
+            return Err(NotPossible::because(format!(
+                "{QEMU} is missing: type `apt-get install --no-install-recommends {PACKAGE}` as root"
+            )));
+        }
+        println!("installing {PACKAGE}");
+        let install = || output_of(apt_get().args(["install", "--no-install-recommends", PACKAGE]));
+        // A machine that has never asked knows no packages, and one that asked long ago knows old ones.
+        let installed = install().or_else(|_| output_of(apt_get().arg("update")).and_then(|_| install()));
+        installed.map_err(|error| {
+            NotPossible::because(format!("{QEMU} is missing, and {PACKAGE} can not be installed: {error:#}"))
+        })?;
+        if !runs() {
+            return Err(NotPossible::because(format!("{PACKAGE} is installed, and {QEMU} does not start")));
+        }
+    }
+    Ok(PathBuf::from(QEMU))
+}
+
+impl Machine {
+    /// Starts one. Its sockets are in `folder`.
+    ///
+    /// # Errors
+    /// If QEMU does not start.
+    pub fn start(qemu: &Path, kernel: &Path, disk: &Path, suite: &Suite, folder: &Path) -> anyhow::Result<Self> {
+        let socket = folder.join("control");
+        // Before other programs, where that is permitted: nice tells where not, and goes on.
+        let mut command = Command::new("nice");
+        command.args(["-n", NICENESS]).arg(qemu).args(COMPUTER).arg("-kernel").arg(kernel).arg("-initrd").arg(disk);
+        command.arg("-append").arg(format!("{KERNEL_ARGUMENTS} {} -- {}", suite.kernel_arguments, suite.name));
+        command.arg("-qmp").arg(format!("unix:{},server=on,wait=off", socket.display()));
+        command.args(suite.fixed.iter().map(|text| text.replace("FOLDER", &folder.display().to_string())));
+        for device in suite.pluggable {
+            command.arg("-device").arg(format!("{},id={}", device.what, device.name));
+        }
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::inherit());
+        let mut child = command.spawn().with_context(|| format!("cannot start {}", qemu.display()))?;
+        let output = child.stdout.take().context("QEMU without output")?;
+        let (tell, lines) = channel();
+        std::thread::spawn(move || {
+            let mut output = BufReader::new(output);
+            let mut line = Vec::new();
+            while matches!(output.read_until(b'\n', &mut line), Ok(1..)) {
+                if tell.send(String::from_utf8_lossy(&line).trim().to_owned()).is_err() {
+                    return;
+                }
+                line.clear();
+            }
+        });
+        Ok(Self { child, lines, control: None, socket, deadline: Instant::now() + LIMIT })
+    }
+
+    /// The next line of the console, `None` when the computer is off.
+    ///
+    /// # Errors
+    /// If it takes too long.
+    pub fn next_line(&mut self) -> anyhow::Result<Option<String>> {
+        match self.lines.recv_timeout(self.deadline.saturating_duration_since(Instant::now())) {
+            Ok(line) => Ok(Some(line)),
+            Err(RecvTimeoutError::Disconnected) => Ok(None),
+            Err(RecvTimeoutError::Timeout) => bail!("the guest was not ready after {} s", LIMIT.as_secs()),
+        }
+    }
+
+    /// Pulls a device out, and waits until it is.
+    ///
+    /// # Errors
+    /// If QEMU does not do it.
+    pub fn unplug(&mut self, name: &str) -> anyhow::Result<()> {
+        self.control()?.unplug(name)
+    }
+
+    /// Plugs it in again.
+    ///
+    /// # Errors
+    /// If the suite has no such device, or QEMU does not do it.
+    pub fn plug(&mut self, suite: &Suite, name: &str) -> anyhow::Result<()> {
+        let device = suite.pluggable.iter().find(|device| device.name == name);
+        let device = device.with_context(|| format!("the guest asks for `{name}`, which this suite does not have"))?;
+        self.control()?.plug(name, device.what)
+    }
+
+    fn control(&mut self) -> anyhow::Result<&mut Control> {
+        if self.control.is_none() {
+            self.control = Some(Control::connect(&self.socket)?);
+        }
+        self.control.as_mut().context("no connection to QEMU")
+    }
+}
+
+impl Drop for Machine {
+    fn drop(&mut self) {
+        // It has ended already, unless something went wrong.
+        self.child.kill().ok();
+        self.child.wait().ok();
+    }
+}

@@ -1,0 +1,136 @@
+//! Modules of a kernel, with the modules that they need.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, bail};
+
+/// A module as it is loaded.
+pub struct Module {
+    /// With underscores.
+    pub name: String,
+    pub content: Vec<u8>,
+}
+
+/// The modules in the order in which they can be loaded, those before them that they need; and those that the guest loads itself,
+/// whose own needs are among the first.
+///
+/// # Errors
+/// If the kernel has no such module, or it can not be read.
+pub fn closure(folder: &Path, wanted: &[&str], by_hand: &[&str]) -> anyhow::Result<(Vec<Module>, Vec<Module>)> {
+    let files = files(folder)?;
+    let mut at_start = Vec::new();
+    for name in wanted {
+        add(&files, name, &mut at_start, 0)?;
+    }
+    let mut later = Vec::new();
+    for name in by_hand {
+        let module = read(&files, name)?;
+        for needed in needs(&module.content) {
+            add(&files, &needed, &mut at_start, 0)?;
+        }
+        later.push(module);
+    }
+    Ok((at_start, later))
+}
+
+/// Deeper than this is a circle.
+const DEPTH_MAX: u32 = 20;
+
+fn add(files: &[PathBuf], name: &str, order: &mut Vec<Module>, depth: u32) -> anyhow::Result<()> {
+    let name = name.replace('-', "_");
+    if order.iter().any(|module| module.name == name) {
+        return Ok(());
+    }
+    if depth > DEPTH_MAX {
+        bail!("module {name} needs itself");
+    }
+    let module = read(files, &name)?;
+    for needed in needs(&module.content) {
+        add(files, &needed, order, depth + 1)?;
+    }
+    order.push(module);
+    Ok(())
+}
+
+fn read(files: &[PathBuf], name: &str) -> anyhow::Result<Module> {
+    let found = files.iter().find(|path| stem(path).as_deref() == Some(name));
+    let path = found.with_context(|| {
+        format!("the kernel has no module {name}; it is built in, or its folder is missing in MODULE_FOLDERS")
+    })?;
+    let content = match path.extension().and_then(|ending| ending.to_str()) {
+        Some("xz") => unpacked("xz", path)?,
+        Some("zst") => unpacked("zstd", path)?,
+        _ => std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?,
+    };
+    Ok(Module { name: name.to_owned(), content })
+}
+
+/// What a module says that it needs: `depends=a,b` in its section `.modinfo`.
+fn needs(content: &[u8]) -> Vec<String> {
+    const KEY: &[u8] = b"\0depends=";
+    let at = content.windows(KEY.len()).position(|bytes| bytes == KEY);
+    let list = at.and_then(|at| content[at + KEY.len()..].split(|byte| *byte == 0).next()).unwrap_or_default();
+    let names = String::from_utf8_lossy(list).into_owned();
+    names.split(',').filter(|name| !name.is_empty()).map(|name| name.replace('-', "_")).collect()
+}
+
+/// What a program that unpacks makes of a file.
+pub fn unpacked(program: &str, path: &Path) -> anyhow::Result<Vec<u8>> {
+    let mut command = Command::new(program);
+    command.args(["--decompress", "--stdout"]).arg(path).stdin(Stdio::null());
+    let output = command.output().with_context(|| format!("cannot start {program}: install it"))?;
+    if !output.status.success() {
+        bail!("{program} cannot unpack {}: {}", path.display(), String::from_utf8_lossy(&output.stderr).trim_end());
+    }
+    Ok(output.stdout)
+}
+
+fn files(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let (mut files, mut folders) = (Vec::new(), vec![folder.to_path_buf()]);
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(&folder).with_context(|| format!("cannot list {}", folder.display()))? {
+            let path = entry?.path();
+            if path.is_dir() { folders.push(path) } else { files.push(path) }
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+/// `arc_rimi` of `arc-rimi.ko.xz`.
+fn stem(path: &Path) -> Option<String> {
+    let name = path.file_name()?.to_str()?;
+    Some(name.split_once(".ko")?.0.replace('-', "_"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn module(needs: &str) -> Vec<u8> {
+        format!("\x7fELF..license=GPL\0depends={needs}\0name=x\0").into_bytes()
+    }
+
+    #[test]
+    fn a_module_comes_after_those_that_it_needs() {
+        let folder = std::env::temp_dir().join(format!("pb3dp-modules-{}", std::process::id()));
+        std::fs::create_dir_all(folder.join("deeper")).unwrap();
+        for (path, needs) in
+            [("ftdi-sio.ko", "usbserial,usbcore"), ("deeper/usbserial.ko", "usbcore"), ("usbcore.ko", "")]
+        {
+            std::fs::write(folder.join(path), module(needs)).unwrap();
+        }
+        let (order, later) = closure(&folder, &["ftdi_sio"], &[]).unwrap();
+        let names: Vec<&str> = order.iter().map(|module| module.name.as_str()).collect();
+        assert_eq!(names, ["usbcore", "usbserial", "ftdi_sio"]);
+        assert!(later.is_empty());
+        let (order, later) = closure(&folder, &[], &["ftdi_sio"]).unwrap();
+        assert_eq!((order.len(), later.len()), (2, 1));
+        let missing = closure(&folder, &["com20020"], &[]).map(|_| ()).unwrap_err();
+        assert!(missing.to_string().contains("no module com20020"), "{missing}");
+        std::fs::write(folder.join("usbcore.ko"), module("ftdi_sio")).unwrap();
+        assert!(closure(&folder, &["ftdi_sio"], &[]).is_err(), "a circle ends");
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+}
