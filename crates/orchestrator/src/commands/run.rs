@@ -120,7 +120,7 @@ fn provenance(args: &RunArgs, setup: &Setup, simulated_s: f64, wall_s: f64) -> V
 }
 
 /// Processor and number of cores, as far as the system tells.
-fn machine() -> String {
+pub(super) fn machine() -> String {
     let model = std::fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
         let line = text.lines().find(|line| line.starts_with("model name"))?;
         Some(line.split_once(':')?.1.trim().to_owned())

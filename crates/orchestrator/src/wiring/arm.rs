@@ -88,10 +88,10 @@ pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>) -> Result<WiredArms> {
 /// If a part refuses its parameters, or the arm does not answer.
 pub fn wire_alone(setup: &Setup, (name, arm): (&'static str, &ArmSetup), clock: &Arc<dyn Clock>) -> Result<AloneArm> {
     let wired = wire_backend((setup, clock), (name, arm, clock), alone()?)?;
-    let (guarded, _) = guarded((setup, clock), (name, arm), wired.backend, wired.trip)?;
+    let (guarded, flight) = guarded((setup, clock), (name, arm), wired.backend, wired.trip)?;
     let limiter = Limiter::new(guarded, arm.limiter.clone(), Arc::clone(clock));
     let driven = limiter.with_context(|| format!("{name}: limiter"))?;
-    Ok(AloneArm { driven: Box::new(driven), monitor: wired.monitor, emulated: wired.emulated })
+    Ok(AloneArm { driven: Box::new(driven), monitor: wired.monitor, flight, emulated: wired.emulated })
 }
 
 /// A place on a line along which nobody else is.
@@ -105,6 +105,8 @@ pub struct AloneArm {
     pub driven: Box<dyn DrivenArm>,
     /// What its link is like, if it has one.
     pub monitor: Option<ArmMonitor>,
+    /// Its flight recorder.
+    pub flight: FlightLog,
     /// The emulated arm at the other end.
     pub emulated: Option<MockServer>,
 }
@@ -214,6 +216,15 @@ fn shared_plant(config: JointPlantConfig, (name, arm, clock): Parts<'_>) -> Resu
 /// An emulated arm on a pseudo-terminal, and its joints: those of the configuration with brakes, friction and gravity. The link
 /// brings its own delay.
 pub(super) fn emulate(link: &GatewayLinkConfig, parts: Parts<'_>) -> Result<(MockServer, Arc<Mutex<JointPlant>>)> {
+    emulate_behind(MockFace::Pty, link, parts)
+}
+
+/// The same wherever hosts are to find it.
+pub(super) fn emulate_behind(
+    face: impl FnOnce(GatewayConfig) -> MockFace,
+    link: &GatewayLinkConfig,
+    parts: Parts<'_>,
+) -> Result<(MockServer, Arc<Mutex<JointPlant>>)> {
     let (name, arm, clock) = parts;
     let joints = JointPlantConfig {
         command_delay: Duration::ZERO,
@@ -231,7 +242,7 @@ pub(super) fn emulate(link: &GatewayLinkConfig, parts: Parts<'_>) -> Result<(Moc
     let gateway = GatewayConfig { geometry: link.geometry, ..GatewayConfig::new(link.arm, link.format, firmware) };
     let realtime = Realtime { priority: Some(EMULATION_PRIORITY), locks_memory: false, cpu: None };
     let config = MockServerConfig { controller, seed: 0, script: Script::default(), realtime };
-    let server = MockServer::start(config, MockFace::Pty(gateway), Arc::clone(&plant), Arc::clone(clock))
+    let server = MockServer::start(config, face(gateway), Arc::clone(&plant), Arc::clone(clock))
         .with_context(|| format!("{name}: emulation"))?;
     Ok((server, plant))
 }

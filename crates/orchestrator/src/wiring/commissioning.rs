@@ -6,13 +6,16 @@ use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10::driver::{FaultCause, LimitsCheck, Trip};
 use pb3dp_arm_pa10::gateway_protocol::StopCause;
 use pb3dp_arm_pa10::io::arm::{ArmMonitor, Pa10Arm};
-use pb3dp_arm_pa10::io::mock_server::MockServer;
+use pb3dp_arm_pa10::io::mock_server::{MockFace, MockServer, SocketAddr};
+use pb3dp_arm_pa10::io::tcp::TcpConfig;
 use pb3dp_hal_api::Clock;
-use pb3dp_hal_middleware::StartPose;
+use pb3dp_hal_middleware::{FlightLog, StartPose};
 use pb3dp_kinematics::{JointLimits, JointVector};
 
 use super::DrivenArm;
-use super::arm::{AloneArm, Line, WiredArms, alone, connect, emulate, emulated_port, wire_alone, wire_arms};
+use super::arm::{
+    AloneArm, Line, WiredArms, alone, connect, emulate, emulate_behind, emulated_port, wire_alone, wire_arms,
+};
 use crate::config::setup::{ArmLink, ArmSetup, GatewayWay, Setup};
 
 pub use super::arm::LIMITS_TOLERANCE_DEG;
@@ -115,10 +118,22 @@ pub struct SlowArm {
     pub driven: Box<dyn DrivenArm>,
     /// What its link is like, if it has one.
     pub monitor: Option<ArmMonitor>,
+    /// Its flight recorder.
+    pub flight: FlightLog,
     /// The other one, if it is connected, too. It only holds.
-    pub other: Option<Box<dyn DrivenArm>>,
+    pub other: Option<OtherArm>,
     /// Emulated arms at the other ends.
     pub emulated: Vec<MockServer>,
+}
+
+/// The other arm of a cell.
+pub struct OtherArm {
+    /// Through limiter, coupling and guard.
+    pub driven: Box<dyn DrivenArm>,
+    /// What its link is like, if it has one.
+    pub monitor: Option<ArmMonitor>,
+    /// Its flight recorder.
+    pub flight: FlightLog,
 }
 
 /// The setup with the speeds of commissioning, for an arm that may stand anywhere; `joint_max_rad_per_s` is for each joint.
@@ -153,13 +168,47 @@ pub fn speeds_rad_per_s(arm: &ArmSetup) -> JointVector {
 /// If an arm does not answer as configured.
 pub fn wire_slow(setup: &Setup, choice: ArmChoice, beside_other: bool, clock: &Arc<dyn Clock>) -> Result<SlowArm> {
     if !beside_other {
-        let AloneArm { driven, monitor, emulated } = wire_alone(setup, (choice.name(), choice.of(setup)), clock)?;
-        return Ok(SlowArm { driven, monitor, other: None, emulated: emulated.into_iter().collect() });
+        let AloneArm { driven, monitor, flight, emulated } =
+            wire_alone(setup, (choice.name(), choice.of(setup)), clock)?;
+        return Ok(SlowArm { driven, monitor, flight, other: None, emulated: emulated.into_iter().collect() });
     }
-    let WiredArms { driven: [vs, tc], monitors, emulated, .. } = wire_arms(setup, clock)?;
-    let (driven, other) = if choice == ArmChoice::Vs { (vs, tc) } else { (tc, vs) };
-    let monitor = monitors.into_iter().find(|(name, _)| *name == choice.name()).map(|(_, monitor)| monitor);
+    let WiredArms { driven: [vs, tc], flights: [(_, vs_flight), (_, tc_flight)], monitors, emulated, .. } =
+        wire_arms(setup, clock)?;
+    let monitor_of = |choice: ArmChoice| {
+        monitors.iter().find(|(name, _)| *name == choice.name()).map(|(_, monitor)| monitor.clone())
+    };
+    let ((driven, flight), (other, other_flight)) = match choice {
+        ArmChoice::Vs => ((vs, vs_flight), (tc, tc_flight)),
+        ArmChoice::Tc => ((tc, tc_flight), (vs, vs_flight)),
+    };
+    let monitor = monitor_of(choice);
     let monitor =
         Some(monitor.context("an arm with backend = \"mock\" has no line; set emulated, serial, tcp or arcnet")?);
-    Ok(SlowArm { driven, monitor, other: Some(other), emulated })
+    let other = OtherArm { driven: other, monitor: monitor_of(choice.other()), flight: other_flight };
+    Ok(SlowArm { driven, monitor, flight, other: Some(other), emulated })
+}
+
+/// An arm whose backend is `emulated`, at an address of this machine that stays while its cable is pulled and plugged, and that another
+/// program can reach. The setup is to be told by [`set_line`].
+///
+/// # Errors
+/// If the backend is another one: a real arm is nobody's toy.
+pub fn emulate_at_address(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<MockServer> {
+    let arm = choice.of(setup);
+    let ArmLink::Gateway(link, GatewayWay::Emulated) = &arm.link else {
+        bail!(
+            "{}.backend is not \"emulated\": the program has no hand at the switches and cables of this arm",
+            choice.table()
+        )
+    };
+    let address = "127.0.0.1:0".parse().context("an address of this machine")?;
+    let face = |gateway| MockFace::Tcp(gateway, address);
+    Ok(emulate_behind(face, link, (choice.name(), arm, clock))?.0)
+}
+
+/// Has an arm reached by TCP at this address, whatever the file says.
+pub fn set_line(setup: &mut Setup, choice: ArmChoice, address: SocketAddr) {
+    if let ArmLink::Gateway(_, way) = &mut choice.of_mut(setup).link {
+        *way = GatewayWay::Tcp(TcpConfig { address });
+    }
 }

@@ -14,10 +14,10 @@ use crate::support::{Finished, numbers, repository};
 
 /// `start_deg` of the arm with the cameras in configs/hil.toml.
 pub const START_DEG: &str = "0,45.4169239,0,97.48979119,0,-52.90671509,0";
-const START_E1_DEG: f64 = 97.48979119;
+pub const START_E1_DEG: f64 = 97.48979119;
 
 /// What the program says when a thread was not run for some 10 ms.
-const HELD_UP: [&str; 7] = [
+const HELD_UP: [&str; 11] = [
     "without a usable reply",
     "the brakes stay closed",
     "no measurement since",
@@ -25,6 +25,10 @@ const HELD_UP: [&str; 7] = [
     "host-silent",
     "had no answer in time",
     "did not arrive",
+    "from the hand to the stop",
+    "from the last measurement to the fault",
+    "commands sent late",
+    "round trip, 99 of 100",
 ];
 
 /// Again where the machine was held up: a mistake shows each time.
@@ -43,7 +47,7 @@ pub fn patiently(test: impl Fn()) {
     test();
 }
 
-fn hil() -> String {
+pub fn hil() -> String {
     repository().join("configs/hil.toml").display().to_string()
 }
 
@@ -54,7 +58,7 @@ pub struct Cell {
 }
 
 impl Cell {
-    fn start(args: &[&str]) -> Self {
+    pub fn start(args: &[&str]) -> Self {
         let mut arm = MockArm::start(&[&["--tcp", "127.0.0.1:0", "--priority", "45"], args].concat());
         let address = arm.line();
         Self { arm, folder: setup_at(&address) }
@@ -77,7 +81,7 @@ impl Cell {
     }
 }
 
-fn setup_at(address: &str) -> TempDir {
+pub fn setup_at(address: &str) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     write_setup(&folder, |vs| {
         let vs = vs.replacen("backend = \"emulated\"", "backend = \"tcp\"", 1);
@@ -95,7 +99,7 @@ pub fn write_setup(folder: &TempDir, change: impl Fn(&str) -> String) {
     std::fs::write(folder.path().join("cell.toml"), format!("{all}[arms.vs]{}", change(vs))).unwrap();
 }
 
-fn command(config: &str, args: &[&str]) -> Command {
+pub fn command(config: &str, args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_pb3dp"));
     command.args(["arm", args[0], "--config", config, "--arm", "vs"]).args(&args[1..]);
     command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -103,7 +107,7 @@ fn command(config: &str, args: &[&str]) -> Command {
 }
 
 /// Runs `pb3dp arm`; what is typed is all that comes on standard input.
-fn pb3dp_arm(config: &str, args: &[&str], typed: Option<&str>) -> Finished {
+pub fn pb3dp_arm(config: &str, args: &[&str], typed: Option<&str>) -> Finished {
     let mut child = command(config, args).spawn().unwrap();
     let mut input = child.stdin.take().unwrap();
     if let Some(line) = typed {
@@ -288,7 +292,7 @@ fn an_interrupted_move_ends_with_the_stop_order() {
     });
 }
 
-fn interrupt(process: u32) {
+pub fn interrupt(process: u32) {
     assert!(Path::new("/proc").join(process.to_string()).exists());
     let sent = Command::new("kill").args(["-INT", &process.to_string()]).status().unwrap();
     assert!(sent.success());

@@ -8,7 +8,7 @@ use crate::support::pb3dp;
 
 const GATEWAY: &str = "[arms.vs.gateway]";
 
-fn with_bus(folder: &TempDir, port: &str, more: &str) {
+pub fn with_bus(folder: &TempDir, port: &str, more: &str) {
     write_setup(folder, |vs| {
         let vs = vs.replacen("backend = \"emulated\"", "backend = \"arcnet\"", 1);
         let (arm, rest) = vs.split_once(GATEWAY).unwrap();

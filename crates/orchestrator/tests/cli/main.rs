@@ -3,9 +3,11 @@
 
 mod arm;
 mod arm_on_bus;
+mod arm_test;
 mod estimate;
 mod mock_arm;
 mod refusals;
 mod run;
+mod silent_gateway;
 mod support;
 mod track;

@@ -1,6 +1,8 @@
 //! `pb3dp arm`: what an integrator does with an arm before it serves anybody (docs/commissioning.md).
 
+mod checklist;
 mod confirm;
+mod drive;
 mod motion;
 mod plan;
 mod probe;
@@ -11,6 +13,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand, ValueEnum};
+use pb3dp_arm_pa10::io::mock_server::SocketAddr;
 
 use crate::wiring::commissioning::ArmChoice;
 
@@ -31,6 +34,9 @@ enum ArmCommand {
     Jog(JogArgs),
     /// Clear what stopped an arm, once its name was typed. Nothing moves; the brakes stay on.
     Reset(ResetArgs),
+    /// Go through the checklist of a rig step by step (link, one axis, emergency stop, cable, kill -9, two arms) and write a dated report;
+    /// without --move only say what would be done.
+    Test(checklist::TestArgs),
 }
 
 #[derive(Debug, Args)]
@@ -56,6 +62,14 @@ impl Place {
             ArmName::Tc => ArmChoice::Tc,
         }
     }
+
+    /// The arm as on the command line.
+    fn arm_word(&self) -> &'static str {
+        match self.arm {
+            ArmName::Vs => "vs",
+            ArmName::Tc => "tc",
+        }
+    }
 }
 
 #[derive(Debug, Args)]
@@ -78,6 +92,12 @@ struct MotionArgs {
     /// Also connect the other arm, so that the room between both is watched; it only holds.
     #[arg(long)]
     both: bool,
+    /// Each cycle's joints as a line of JSON, for the program that has started this one.
+    #[arg(long, hide = true)]
+    report_joints: bool,
+    /// Where the arm is found instead, by TCP.
+    #[arg(long, hide = true, value_name = "ADDRESS:PORT")]
+    line: Option<SocketAddr>,
 }
 
 #[derive(Debug, Args)]
@@ -126,6 +146,7 @@ pub fn run(args: &ArmArgs) -> anyhow::Result<ExitCode> {
     match &args.command {
         ArmCommand::Probe(args) => probe::run(args),
         ArmCommand::Reset(ResetArgs { place }) => reset::run(place),
+        ArmCommand::Test(args) => checklist::run(args),
         ArmCommand::Home(HomeArgs { place, motion }) => motion::run(place, motion, motion::Goal::Start),
         ArmCommand::Jog(JogArgs { place, axis, by, motion }) => {
             motion::run(place, motion, motion::Goal::Jog { joint: usize::from(axis - 1), by_rad: by.to_radians() })

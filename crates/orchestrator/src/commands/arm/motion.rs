@@ -1,38 +1,25 @@
 //! `pb3dp arm home` and `pb3dp arm jog`: one slow move through limiter and guard, and nothing without an operator's word.
 
+use std::io::Write;
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_arm_pa10::codec::Axis;
-use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
 use pb3dp_arm_pa10::io::signals::StopSignals;
-use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{ArmErrorKind, Clock, JointCommand, JointState};
+use pb3dp_hal_api::{Clock, JointCommand, JointState};
 use pb3dp_hal_clock::SystemClock;
-use pb3dp_kinematics::JointVector;
+use pb3dp_kinematics::{DOF, JointVector};
+use serde::{Deserialize, Serialize};
 
+use super::drive::{self, Cycle, Drive};
 use super::plan::Plan;
 use super::{MotionArgs, Place, confirm};
 use crate::commands::estimate::output::print_line;
 use crate::config::setup::{ArmLink, Setup, read_setup};
-use crate::wiring::commissioning::{ArmChoice, SlowArm, slow_setup, wire_slow};
+use crate::wiring::commissioning::{ArmChoice, SlowArm, set_line, slow_setup, wire_slow};
 
 /// Of a jog, for every joint: the speed of the first motion in the checklist of the rig.
-const JOG_RAD_PER_S: f64 = 0.02;
-/// Of the loop that commands the move, below those of the arms.
-const PRIORITY: u8 = 40;
-/// By how much joints may have moved between the plan and the opening of the brakes, rad.
-const STAYED_WITHIN_RAD: f64 = 0.01;
-/// Speed per angle by which a joint is behind its plan, 1/s.
-const GAIN_PER_S: f64 = 2.0;
-/// A joint that is this near to its end has arrived, rad.
-const ARRIVED_WITHIN_RAD: f64 = 5e-4;
-/// How long joints may take to arrive after the move should have ended.
-const LATE_MAX: Duration = Duration::from_secs(3);
-/// How long the arm holds before its brakes close.
-const HOLD: Duration = Duration::from_millis(300);
+pub const JOG_RAD_PER_S: f64 = 0.02;
 
 /// Where to.
 #[derive(Clone, Copy, Debug)]
@@ -76,7 +63,10 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
     let choice = place.choice();
     // Before any thread is started.
     let mut signals = StopSignals::take_over()?;
-    let setup = read_setup(&place.config)?;
+    let mut setup = read_setup(&place.config)?;
+    if let Some(address) = args.line {
+        set_line(&mut setup, choice, address);
+    }
     if choice.of(&setup).link == ArmLink::InProcess {
         bail!("{}.backend = \"mock\" has no arm to move; set emulated, serial, tcp or arcnet", choice.table());
     }
@@ -96,24 +86,34 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
         choice.name()
     ))?;
     confirm::typed(choice.name(), &mut signals)?;
-    for shortfall in enter(&Realtime { priority: Some(PRIORITY), locks_memory: false, cpu: None }) {
-        tracing::warn!("control loop: {shortfall}");
-    }
-    let mut drive = Drive { arm: &mut arm, plan: &plan, clock: &clock, period: setup.control_period, lost: 0 };
-    let outcome = drive.run(&mut signals);
-    let lost = drive.lost;
-    let stopped = arm.driven.stop().with_context(|| format!("{}: the stop order", choice.name()));
-    let reached = match (outcome, stopped) {
-        (Ok(reached), Ok(())) => reached,
-        (Ok(_), Err(error)) => return Err(error),
-        (Err(error), Ok(())) => {
-            return Err(error.context(format!("{}: the move was broken off and the stop order given", choice.name())));
-        }
-        (Err(error), Err(stop)) => return Err(error.context(format!("{stop:#}; press the emergency stop"))),
-    };
+    drive::ask_for_realtime();
+    let mut drive = Drive::new(&mut arm, &plan, &clock, setup.control_period);
+    let outcome = drive.run(&mut signals, &mut |cycle| if args.report_joints { tell(cycle) } else { Ok(()) });
+    let lost = drive.lost();
+    let reached = drive::stopped_after(choice, &mut arm, outcome)?;
     let off_deg = (reached.position_rad - plan.end_rad()).amax().to_degrees();
     print_line(&format!("done: every joint within {off_deg:.3} degrees of its end, brakes on; {lost} replies lost"))?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Tells another program where the joints are. One that has ended wants no more motion.
+fn tell(cycle: &Cycle<'_>) -> Result<()> {
+    let line = serde_json::to_string(&JointReport::of(cycle.measured))?;
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "{line}").and_then(|()| out.flush()).context("nobody reads where the joints are any more")
+}
+
+/// Where the joints are, for another program.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct JointReport {
+    /// Joint angles, rad, from the base.
+    pub position_rad: [f64; DOF],
+}
+
+impl JointReport {
+    fn of(measured: &JointState) -> Self {
+        Self { position_rad: measured.position_rad.into() }
+    }
 }
 
 /// Says what would be sent.
@@ -134,87 +134,8 @@ fn show(setup: &Setup, (choice, goal): (ArmChoice, Goal), plan: &Plan, arm: &mut
             choice.other().name()
         ))?);
     };
-    let other_rad = other.exchange(JointCommand::Hold)?.position_rad;
+    let other_rad = other.driven.exchange(JointCommand::Hold)?.position_rad;
     let room = plan.room(setup, choice, &other_rad);
     print_line(&format!("least room to the {} on the way: {room}", choice.other().name()))?;
-    if room.distance_m().is_nan() || room.distance_m() < setup.least_room_m {
-        bail!("{room} is less than arms.least_room_mm, {:.0} mm: move the other arm away", 1e3 * setup.least_room_m);
-    }
-    Ok(())
-}
-
-/// A move that is being made.
-struct Drive<'a> {
-    arm: &'a mut SlowArm,
-    plan: &'a Plan,
-    clock: &'a Arc<dyn Clock>,
-    period: Duration,
-    lost: u64,
-}
-
-impl Drive<'_> {
-    fn run(&mut self, signals: &mut StopSignals) -> Result<JointState> {
-        self.arm.driven.enable()?;
-        let mut newest = self.exchange(JointCommand::Hold)?.context("no joints after the brakes were opened")?;
-        let moved = newest.position_rad - self.plan.start_rad();
-        if moved.amax() > STAYED_WITHIN_RAD {
-            let joint = moved.iamax();
-            let off_deg = moved[joint].to_degrees();
-            bail!("{} is {off_deg:+.3} degrees from where the plan begins: plan again", Axis::ALL[joint]);
-        }
-        let (begin, duration) = (self.clock.now(), self.plan.duration());
-        let mut next = begin;
-        loop {
-            next = self.wait(next, signals)?;
-            let passed = self.clock.now().saturating_since(begin);
-            let (planned_rad, speed_rad_per_s) = self.plan.at(passed);
-            let behind_rad = planned_rad - newest.position_rad;
-            let is_there = passed >= duration && behind_rad.amax() <= ARRIVED_WITHIN_RAD;
-            if is_there {
-                return self.hold(next, signals, newest);
-            }
-            if passed > duration + LATE_MAX {
-                let joint = behind_rad.iamax();
-                let left_deg = behind_rad[joint].to_degrees();
-                bail!("{} did not arrive: {left_deg:+.3} degrees are left", Axis::ALL[joint]);
-            }
-            let velocity = speed_rad_per_s + behind_rad * GAIN_PER_S;
-            newest = self.exchange(JointCommand::Velocity(velocity))?.unwrap_or(newest);
-        }
-    }
-
-    fn hold(&mut self, from: MonotonicTime, signals: &mut StopSignals, newest: JointState) -> Result<JointState> {
-        let (mut next, mut newest) = (from, newest);
-        while next < from + HOLD {
-            next = self.wait(next, signals)?;
-            newest = self.exchange(JointCommand::Hold)?.unwrap_or(newest);
-        }
-        Ok(newest)
-    }
-
-    /// Waits for the next cycle, and for no signal.
-    fn wait(&self, last: MonotonicTime, signals: &mut StopSignals) -> Result<MonotonicTime> {
-        if let Some(signal) = signals.try_take()? {
-            bail!("ended by {signal}");
-        }
-        // A cycle whose time has passed is left out.
-        let next = (last + self.period).max(self.clock.now());
-        self.clock.sleep_until(next);
-        Ok(next)
-    }
-
-    /// One exchange; `None` if the reply is late, which the arm itself counts and bears twice in a row.
-    fn exchange(&mut self, command: JointCommand) -> Result<Option<JointState>> {
-        if let Some(other) = &mut self.arm.other {
-            other.exchange(JointCommand::Hold)?;
-        }
-        match self.arm.driven.exchange(command) {
-            Ok(measured) => Ok(Some(measured)),
-            Err(error) if error.kind() == ArmErrorKind::Timeout => {
-                self.lost += 1;
-                Ok(None)
-            }
-            Err(error) => Err(error.into()),
-        }
-    }
+    room.check(setup)
 }

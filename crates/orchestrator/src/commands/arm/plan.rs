@@ -83,6 +83,11 @@ impl Plan {
         self.from_rad + self.by_rad
     }
 
+    /// By how much, rad.
+    pub fn by_rad(&self) -> &JointVector {
+        &self.by_rad
+    }
+
     /// Joints and their speeds at a time, rad and rad/s.
     pub fn at(&self, time: Duration) -> (JointVector, JointVector) {
         let u = (time.as_secs_f64() / self.duration_s).clamp(0.0, 1.0);
@@ -138,9 +143,16 @@ impl Plan {
 }
 
 impl Room {
-    /// Metres.
-    pub fn distance_m(&self) -> f64 {
-        self.distance_m
+    /// Whether it is enough.
+    ///
+    /// # Errors
+    /// If it is less than the setup allows.
+    pub fn check(&self, setup: &Setup) -> Result<()> {
+        // What is no number is not enough.
+        if self.distance_m >= setup.least_room_m {
+            return Ok(());
+        }
+        bail!("{self} is less than arms.least_room_mm, {:.0} mm: move the other arm away", 1e3 * setup.least_room_m)
     }
 }
 

@@ -181,7 +181,7 @@ impl ProbeReport {
             problems: findings.problems,
             warnings: findings.warnings,
             state: Some(seen.state.to_string()),
-            gateway: seen.gateway.as_ref().map(gateway),
+            gateway: seen.gateway.as_ref().map(GatewayFacts::of),
             joints: joints.into(),
             controller_word,
             link: Some(link),
@@ -221,20 +221,23 @@ fn judge_gateway(choice: ArmChoice, arm: &ArmSetup, hello: &HelloReply, findings
     }
 }
 
-fn gateway(hello: &HelloReply) -> GatewayFacts {
-    let ms = |us: u32| f64::from(us) / 1e3;
-    GatewayFacts {
-        firmware: hello.firmware.as_str().to_owned(),
-        dialect: hello.dialect.to_string(),
-        wire_format: hello.wire_format.map(|format: WireFormat| format.to_string()),
-        geometry: hello.geometry.to_string(),
-        state: hello.state.to_string(),
-        cause: hello.cause.to_string(),
-        cycle_ms: ms(hello.cycle_us),
-        ramp_after_ms: ms(hello.ramp_after_us),
-        stop_after_ms: ms(hello.stop_after_us),
-        controller_watchdog_ms: (hello.controller_watchdog_us > 0).then(|| ms(hello.controller_watchdog_us)),
-        brake_release_ms: ms(hello.brake_release_us),
+impl GatewayFacts {
+    /// What it said when it was greeted.
+    pub fn of(hello: &HelloReply) -> Self {
+        let ms = |us: u32| f64::from(us) / 1e3;
+        Self {
+            firmware: hello.firmware.as_str().to_owned(),
+            dialect: hello.dialect.to_string(),
+            wire_format: hello.wire_format.map(|format: WireFormat| format.to_string()),
+            geometry: hello.geometry.to_string(),
+            state: hello.state.to_string(),
+            cause: hello.cause.to_string(),
+            cycle_ms: ms(hello.cycle_us),
+            ramp_after_ms: ms(hello.ramp_after_us),
+            stop_after_ms: ms(hello.stop_after_us),
+            controller_watchdog_ms: (hello.controller_watchdog_us > 0).then(|| ms(hello.controller_watchdog_us)),
+            brake_release_ms: ms(hello.brake_release_us),
+        }
     }
 }
 

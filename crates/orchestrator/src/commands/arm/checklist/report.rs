@@ -1,0 +1,190 @@
+//! The report of a checklist, for people (Markdown) and for programs (JSON).
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use serde::Serialize;
+
+use super::super::probe_report::GatewayFacts;
+use super::record::{Outcome, StepReport};
+
+/// What came of all steps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Verdict {
+    /// Every step of the checklist has passed.
+    Passed,
+    /// Those that were asked for have passed, others were not done.
+    Incomplete,
+    /// A step has failed.
+    Failed,
+    /// A signal ended it.
+    Interrupted,
+}
+
+/// A test of one arm.
+#[derive(Debug, Serialize)]
+pub struct TestReport {
+    /// Of this form of the report.
+    pub format: u32,
+    /// What came of it.
+    pub result: Verdict,
+    /// Which arm.
+    pub arm: &'static str,
+    /// When it began, UTC.
+    pub began: String,
+    /// When it ended, UTC.
+    pub ended: String,
+    /// The program.
+    pub program: ProgramFacts,
+    /// Processor and number of cores.
+    pub machine: String,
+    /// The file of the setup.
+    pub config: PathBuf,
+    /// Its SHA-256.
+    pub config_sha256: String,
+    /// How the arm was found.
+    pub target: String,
+    /// Whether a gateway and controller were emulated.
+    pub is_emulated: bool,
+    /// What the gateway says of itself.
+    pub gateway: GatewayFacts,
+    /// Who had his hand at the switches.
+    pub operator: &'static str,
+    /// The axis that moved, 1 to 7.
+    pub axis: u8,
+    /// How far, degrees.
+    pub by_deg: f64,
+    /// How fast at most, rad/s.
+    pub speed_rad_per_s: f64,
+    /// The steps, in order.
+    pub steps: Vec<StepReport>,
+}
+
+/// Which program.
+#[derive(Debug, Serialize)]
+pub struct ProgramFacts {
+    /// Its version.
+    pub version: &'static str,
+    /// The commit that it was built from.
+    pub commit: &'static str,
+}
+
+impl Verdict {
+    /// Of these steps.
+    pub fn of(steps: &[StepReport]) -> Self {
+        let any = |outcome| steps.iter().any(|step| step.result == outcome);
+        if any(Outcome::Failed) {
+            Self::Failed
+        } else if any(Outcome::Interrupted) {
+            Self::Interrupted
+        } else if any(Outcome::Skipped) {
+            Self::Incomplete
+        } else {
+            Self::Passed
+        }
+    }
+
+    /// For headings.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Passed => "passed",
+            Self::Incomplete => "incomplete",
+            Self::Failed => "failed",
+            Self::Interrupted => "interrupted",
+        }
+    }
+}
+
+impl TestReport {
+    /// Writes `report.md` and `report.json` into a folder; the path of the first one.
+    ///
+    /// # Errors
+    /// If a file can not be written.
+    pub fn write(&self, folder: &Path) -> Result<PathBuf> {
+        let write = |name: &str, text: String| {
+            let path = folder.join(name);
+            std::fs::write(&path, text)
+                .with_context(|| format!("{}: can not be written", path.display()))
+                .map(|()| path)
+        };
+        write("report.json", serde_json::to_string_pretty(self)? + "\n")?;
+        write("report.md", self.markdown())
+    }
+
+    fn markdown(&self) -> String {
+        let mut text = format!("# Test of the {}: {}\n\n", self.arm, self.result.word());
+        let origin = if self.is_emulated { "emulated, no hardware was tested" } else { "as configured" };
+        let gateway = self.gateway.to_string();
+        let facts = [
+            ("began, UTC", self.began.clone()),
+            ("ended, UTC", self.ended.clone()),
+            ("program", format!("pb3dp {}, commit {}", self.program.version, self.program.commit)),
+            ("machine", self.machine.clone()),
+            ("configuration", format!("{}, SHA-256 {}", self.config.display(), self.config_sha256)),
+            ("arm", format!("{} at {}, {origin}", self.arm, self.target)),
+            ("gateway", gateway.trim_start_matches("gateway: ").replace("\n  ", "; ")),
+            ("operator", self.operator.to_owned()),
+            ("moves", format!("axis {}, {} deg, at most {} rad/s", self.axis, self.by_deg, self.speed_rad_per_s)),
+        ];
+        text += "| | |\n|---|---|\n";
+        for (key, value) in facts {
+            text += &format!("| {key} | {} |\n", cell(&value));
+        }
+        text += "\n| step | | result |\n|---|---|---|\n";
+        for step in &self.steps {
+            text += &format!("| {} | {} | {} |\n", step.step.name(), step.title, step.result.word());
+        }
+        for step in &self.steps {
+            text += &chapter(step);
+        }
+        text
+    }
+}
+
+fn chapter(step: &StepReport) -> String {
+    let mut text = format!("\n## {}: {}\n\n{}.\n", step.step.name(), step.result.word(), sentence(step.title));
+    if let (Some(began), Some(monotonic_s)) = (&step.began, step.monotonic_s) {
+        text +=
+            &format!("Began {began} ({monotonic_s:.3} s on the clock of the program), took {:.1} s.\n", step.took_s);
+    }
+    for reason in &step.reasons {
+        text += &format!("\n* {reason}");
+    }
+    if !step.reasons.is_empty() {
+        text += "\n";
+    }
+    if !step.figures.is_empty() {
+        text += "\n| figure | found | allowed | |\n|---|---|---|---|\n";
+        for figure in &step.figures {
+            let word = if figure.passed { "ok" } else { "NOT OK" };
+            text += &format!("| {} | {} | {} | {word} |\n", figure.what, cell(&figure.found), figure.allowed);
+        }
+    }
+    if !step.answers.is_empty() {
+        text += "\n| the operator was asked | he says |\n|---|---|\n";
+        for answer in &step.answers {
+            text += &format!("| {} | {} |\n", cell(&answer.question), if answer.yes { "yes" } else { "NO" });
+        }
+    }
+    for note in &step.notes {
+        text += &format!("\n* {note}");
+    }
+    for flight in &step.flights {
+        text += &format!("\n* flight recorder: {flight}");
+    }
+    if !step.notes.is_empty() || !step.flights.is_empty() {
+        text += "\n";
+    }
+    text
+}
+
+fn sentence(title: &str) -> String {
+    let mut letters = title.chars();
+    letters.next().map(|first| first.to_uppercase().chain(letters).collect()).unwrap_or_default()
+}
+
+/// Text for a cell of a table.
+fn cell(text: &str) -> String {
+    text.replace('|', "\\|").replace('\n', " ")
+}

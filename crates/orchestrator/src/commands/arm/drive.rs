@@ -1,0 +1,158 @@
+//! A planned move, made: one command per cycle through all that stands before the arm.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use pb3dp_arm_pa10::codec::Axis;
+use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
+use pb3dp_arm_pa10::io::signals::StopSignals;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{ArmErrorKind, Clock, JointCommand, JointState};
+use pb3dp_kinematics::JointVector;
+
+use super::confirm::Interrupted;
+use super::plan::Plan;
+use crate::wiring::commissioning::{ArmChoice, SlowArm};
+
+/// Of the loop that commands the move, below those of the arms.
+const PRIORITY: u8 = 40;
+/// By how much joints may have moved between the plan and the opening of the brakes, rad.
+pub const STAYED_WITHIN_RAD: f64 = 0.01;
+/// Speed per angle by which a joint is behind its plan, 1/s.
+const GAIN_PER_S: f64 = 2.0;
+/// A joint that is this near to its end has arrived, rad.
+const ARRIVED_WITHIN_RAD: f64 = 5e-4;
+/// How long joints may take to arrive after the move should have ended.
+pub const LATE_MAX: Duration = Duration::from_secs(3);
+/// How long the arm holds before its brakes close.
+const HOLD: Duration = Duration::from_millis(300);
+
+/// A move that is being made.
+pub struct Drive<'a> {
+    arm: &'a mut SlowArm,
+    plan: &'a Plan,
+    clock: &'a Arc<dyn Clock>,
+    period: Duration,
+    lost: u64,
+}
+
+/// One cycle of a move, for whoever looks on.
+#[derive(Clone, Copy, Debug)]
+pub struct Cycle<'a> {
+    /// Since the move has begun.
+    pub passed: Duration,
+    /// Where the joints should be, rad.
+    pub planned_rad: &'a JointVector,
+    /// Where they are.
+    pub measured: &'a JointState,
+}
+
+/// Looks on in each cycle; what it returns as an error ends the move.
+pub type Watch<'a> = &'a mut dyn FnMut(&Cycle<'_>) -> Result<()>;
+
+/// Has the loop that commands a move run in real time, as far as the system gives it.
+pub fn ask_for_realtime() {
+    for shortfall in enter(&Realtime { priority: Some(PRIORITY), locks_memory: false, cpu: None }) {
+        tracing::warn!("control loop: {shortfall}");
+    }
+}
+
+/// The stop order after a move, whatever came of it.
+///
+/// # Errors
+/// What came of the move, and whether the stop order was given.
+pub fn stopped_after(choice: ArmChoice, arm: &mut SlowArm, outcome: Result<JointState>) -> Result<JointState> {
+    let stopped = arm.driven.stop().with_context(|| format!("{}: the stop order", choice.name()));
+    match (outcome, stopped) {
+        (Ok(reached), Ok(())) => Ok(reached),
+        (Ok(_), Err(error)) => Err(error),
+        (Err(error), Ok(())) => {
+            Err(error.context(format!("{}: the move was broken off and the stop order given", choice.name())))
+        }
+        (Err(error), Err(stop)) => Err(error.context(format!("{stop:#}; press the emergency stop"))),
+    }
+}
+
+impl<'a> Drive<'a> {
+    /// A move with one command per period.
+    pub fn new(arm: &'a mut SlowArm, plan: &'a Plan, clock: &'a Arc<dyn Clock>, period: Duration) -> Self {
+        Self { arm, plan, clock, period, lost: 0 }
+    }
+
+    /// Replies that were late or lost.
+    pub fn lost(&self) -> u64 {
+        self.lost
+    }
+
+    /// Opens the brakes and makes the move; the arm holds at its end, with open brakes.
+    ///
+    /// # Errors
+    /// What the arm or `watch` says, [`Interrupted`], or that a joint did not arrive. The stop order is the caller's.
+    pub fn run(&mut self, signals: &mut StopSignals, watch: Watch<'_>) -> Result<JointState> {
+        self.arm.driven.enable()?;
+        let mut newest = self.exchange(JointCommand::Hold)?.context("no joints after the brakes were opened")?;
+        let moved = newest.position_rad - self.plan.start_rad();
+        watch(&Cycle { passed: Duration::ZERO, planned_rad: self.plan.start_rad(), measured: &newest })?;
+        if moved.amax() > STAYED_WITHIN_RAD {
+            let joint = moved.iamax();
+            let off_deg = moved[joint].to_degrees();
+            bail!("{} is {off_deg:+.3} degrees from where the plan begins: plan again", Axis::ALL[joint]);
+        }
+        let (begin, duration) = (self.clock.now(), self.plan.duration());
+        let mut next = begin;
+        loop {
+            next = self.wait(next, signals)?;
+            let passed = self.clock.now().saturating_since(begin);
+            let (planned_rad, speed_rad_per_s) = self.plan.at(passed);
+            watch(&Cycle { passed, planned_rad: &planned_rad, measured: &newest })?;
+            let behind_rad = planned_rad - newest.position_rad;
+            let is_there = passed >= duration && behind_rad.amax() <= ARRIVED_WITHIN_RAD;
+            if is_there {
+                return self.hold(next, signals, newest);
+            }
+            if passed > duration + LATE_MAX {
+                let joint = behind_rad.iamax();
+                let left_deg = behind_rad[joint].to_degrees();
+                bail!("{} did not arrive: {left_deg:+.3} degrees are left", Axis::ALL[joint]);
+            }
+            let velocity = speed_rad_per_s + behind_rad * GAIN_PER_S;
+            newest = self.exchange(JointCommand::Velocity(velocity))?.unwrap_or(newest);
+        }
+    }
+
+    fn hold(&mut self, from: MonotonicTime, signals: &mut StopSignals, newest: JointState) -> Result<JointState> {
+        let (mut next, mut newest) = (from, newest);
+        while next < from + HOLD {
+            next = self.wait(next, signals)?;
+            newest = self.exchange(JointCommand::Hold)?.unwrap_or(newest);
+        }
+        Ok(newest)
+    }
+
+    /// Waits for the next cycle, and for no signal.
+    fn wait(&self, last: MonotonicTime, signals: &mut StopSignals) -> Result<MonotonicTime> {
+        if let Some(signal) = signals.try_take()? {
+            return Err(Interrupted(signal).into());
+        }
+        // A cycle whose time has passed is left out.
+        let next = (last + self.period).max(self.clock.now());
+        self.clock.sleep_until(next);
+        Ok(next)
+    }
+
+    /// One exchange; `None` if the reply is late, which the arm itself counts and bears twice in a row.
+    fn exchange(&mut self, command: JointCommand) -> Result<Option<JointState>> {
+        if let Some(other) = &mut self.arm.other {
+            other.driven.exchange(JointCommand::Hold)?;
+        }
+        match self.arm.driven.exchange(command) {
+            Ok(measured) => Ok(Some(measured)),
+            Err(error) if error.kind() == ArmErrorKind::Timeout => {
+                self.lost += 1;
+                Ok(None)
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+}
