@@ -136,6 +136,11 @@ pub trait ArmPower: Send {
     /// State of drives and brakes.
     fn state(&self) -> ArmState;
 
+    /// Whether it is latched only because another arm of its cell stopped: then that one is to be reset first.
+    fn is_stopped_by_other(&self) -> bool {
+        false
+    }
+
     /// Switches the drives on.
     ///
     /// # Errors
@@ -168,6 +173,10 @@ impl<A: Arm + ?Sized> Arm for Box<A> {
 impl<A: ArmPower + ?Sized> ArmPower for Box<A> {
     fn state(&self) -> ArmState {
         (**self).state()
+    }
+
+    fn is_stopped_by_other(&self) -> bool {
+        (**self).is_stopped_by_other()
     }
 
     fn enable(&mut self) -> Result<(), ArmError> {

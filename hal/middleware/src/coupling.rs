@@ -279,6 +279,8 @@ impl<A: Arm + ArmPower> Coupled<A> {
     fn forward(&mut self, command: JointCommand, now: MonotonicTime) -> Result<JointState, ArmError> {
         let answer = self.arm.exchange(command);
         let state = self.arm.state();
+        // Arms may stop each other by themselves, and quicker than this: only the one that failed has to be reset first.
+        let by_other = self.arm.is_stopped_by_other();
         let mut cell = self.cell();
         let side = &mut cell.sides[self.side];
         match (&answer, command) {
@@ -300,6 +302,7 @@ impl<A: Arm + ArmPower> Coupled<A> {
             .err()
             .filter(|error| matches!(error.kind(), ArmErrorKind::Fault | ArmErrorKind::Disconnected));
         match (failure, state) {
+            _ if by_other => {}
             (Some(error), _) => cell.stop_both(self.side, &error.to_string()),
             (None, ArmState::Fault) => cell.stop_both(self.side, "it is in a fault"),
             (None, ArmState::EStop) => cell.stop_both(self.side, "its emergency stop was pressed"),
@@ -346,6 +349,11 @@ impl<A: Arm + ArmPower> ArmPower for Coupled<A> {
             _ if self.latched().is_some() => ArmState::Fault,
             state => state,
         }
+    }
+
+    fn is_stopped_by_other(&self) -> bool {
+        let own = &self.cell().sides[self.side];
+        own.stopped.is_none() && (own.latched.is_some() || self.arm.is_stopped_by_other())
     }
 
     fn enable(&mut self) -> Result<(), ArmError> {

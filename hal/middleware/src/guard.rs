@@ -327,6 +327,10 @@ impl<A: Arm + ArmPower> ArmPower for Guard<A> {
         }
     }
 
+    fn is_stopped_by_other(&self) -> bool {
+        self.latched.is_none() && self.arm.is_stopped_by_other()
+    }
+
     fn enable(&mut self) -> Result<(), ArmError> {
         if let Some(reason) = &self.latched {
             let text = format!("stopped: {reason}; remove the cause, then reset");

@@ -340,6 +340,10 @@ impl<A: Arm + ArmPower> ArmPower for Limiter<A> {
         self.arm.state()
     }
 
+    fn is_stopped_by_other(&self) -> bool {
+        self.arm.is_stopped_by_other()
+    }
+
     fn enable(&mut self) -> Result<(), ArmError> {
         self.last.note_rest();
         self.newest = None;

@@ -117,6 +117,10 @@ impl<A: Arm + ArmPower> ArmPower for Recorded<A> {
         self.arm.state()
     }
 
+    fn is_stopped_by_other(&self) -> bool {
+        self.arm.is_stopped_by_other()
+    }
+
     fn enable(&mut self) -> Result<(), ArmError> {
         self.switch(Asked::Enable, A::enable)
     }

@@ -348,6 +348,10 @@ impl<A: ArmPower> ArmPower for Tapped<A> {
         self.arm.state()
     }
 
+    fn is_stopped_by_other(&self) -> bool {
+        self.arm.is_stopped_by_other()
+    }
+
     fn enable(&mut self) -> Result<(), ArmError> {
         self.arm.enable()
     }

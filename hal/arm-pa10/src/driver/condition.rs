@@ -369,6 +369,11 @@ impl Trip {
         }
     }
 
+    /// Whether another arm of the cell stopped this one.
+    pub fn is_by_other_arm(&self) -> bool {
+        matches!(self, Self::Fault(FaultCause::OtherArm { .. }))
+    }
+
     /// The alarm code of axis or controller, if one raised it.
     pub fn code(&self) -> Option<u8> {
         match self {

@@ -316,6 +316,12 @@ impl ArmPower for Pa10Arm {
         self.shared.snapshot().arm_state()
     }
 
+    fn is_stopped_by_other(&self) -> bool {
+        let now = self.shared.snapshot();
+        let by_other = |latched: crate::driver::Latched| latched.trip.is_by_other_arm();
+        !now.failed && now.latched.is_some_and(by_other)
+    }
+
     fn enable(&mut self) -> Result<(), ArmError> {
         self.fulfil(Wish::Enable).map_err(|error| self.wish_error("it is not enabled", error))
     }

@@ -193,8 +193,7 @@ impl Worker {
             self.progress.others_told = false;
             return;
         };
-        let by_other = matches!(latched.trip, Trip::Fault(FaultCause::OtherArm { .. }));
-        if !self.progress.others_told && !by_other {
+        if !self.progress.others_told && !latched.trip.is_by_other_arm() {
             self.seat.trip_others(self.arm);
         }
         self.progress.others_told = true;
