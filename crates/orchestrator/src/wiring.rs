@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result};
+use pb3dp_arm_pa10::codec::Axis;
 use pb3dp_arm_pa10::io::arm::{ArmMonitor, Way};
 use pb3dp_arm_pa10::io::mock_server::MockServer;
 use pb3dp_camera_replay::{Pacing, ReplayCamera, ReplayOptions};
@@ -32,7 +33,7 @@ pub use greeting::geometry_doubt;
 use crate::cli::ReplayPace;
 use crate::config::setup::{ArmSetup, Pace, Setup, fold_seed};
 use crate::run::cell::SimulatedCell;
-use crate::run::flight::RawLine;
+use crate::run::flight::{ArmFault, LineCounts, RawLine};
 use crate::run::paced_clock::PacedClock;
 
 /// An arm with its limiter: motion, power, and how often the limiter stepped in.
@@ -130,6 +131,34 @@ pub fn raw_lines(monitors: &[(&'static str, ArmMonitor)], arm: &str) -> Vec<RawL
     pieces
         .map(|piece| RawLine { at: piece.at, is_sent: piece.way == Way::Out, bytes: piece.bytes().to_vec() })
         .collect()
+}
+
+/// Why an arm stopped, as its driver tells, and what happened on its line; nothing if it has none.
+pub fn line_facts(monitors: &[(&'static str, ArmMonitor)], arm: &str) -> (Option<ArmFault>, Option<LineCounts>) {
+    let Some((_, monitor)) = monitors.iter().find(|(name, _)| *name == arm) else { return (None, None) };
+    let seen = monitor.snapshot();
+    let fault = seen.latched.map(|latched| ArmFault {
+        at: latched.at,
+        joint: latched.trip.axis().map(Axis::index),
+        code: latched.trip.code().map(u16::from),
+        cause: latched.trip.to_string(),
+        state_before: latched.state_before.to_string(),
+    });
+    let (link, line) = (&seen.counters, &seen.line);
+    let counts = LineCounts {
+        sent: link.sent,
+        answered: link.answered,
+        lost: link.lost,
+        late: link.late,
+        damaged: link.damaged,
+        mismatched: link.mismatched,
+        overruns: link.overruns,
+        crc_errors: line.crc_errors,
+        header_errors: line.header_errors,
+        resyncs: line.resyncs,
+        unsent: seen.frames_unsent,
+    };
+    (fault, Some(counts))
 }
 
 /// The camera that plays a recorded sequence, and its calibration.

@@ -7,7 +7,7 @@ use pb3dp_estimation::estimator::Method;
 use pb3dp_hal_api::{ArmErrorKind, JointCommand};
 use pb3dp_hal_middleware::LimiterStatistics;
 use pb3dp_kinematics::JointVector;
-use pb3dp_orchestrator::run::flight::{self, Moment, RawLine};
+use pb3dp_orchestrator::run::flight::{self, ArmFault, Flight, LineCounts, Moment, RawLine};
 use pb3dp_orchestrator::run::lockstep;
 use pb3dp_orchestrator::wiring::{Parts, wire};
 use pb3dp_sim::trajectory::Channel;
@@ -76,7 +76,16 @@ fn a_fault_leaves_the_flight_of_both_arms() {
     let mut last_velocity_s = Vec::new();
     let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
     for (name, log) in &flights {
-        let file = flight::write(folder.path(), name, (log, &raw), &failure, moment).unwrap();
+        let fault = ArmFault {
+            at: moment.monotonic - Duration::from_millis(250),
+            joint: Some(3),
+            code: Some(14),
+            cause: "over-current".to_owned(),
+            state_before: "moving".to_owned(),
+        };
+        let counts = LineCounts { lost: 3, late: 2, crc_errors: 1, resyncs: 4, ..LineCounts::default() };
+        let flight = Flight { log, fault: Some(fault), counts: Some(counts), raw: &raw };
+        let file = flight::write(folder.path(), name, &flight, &failure, moment).unwrap();
         assert_eq!(file, folder.path().join(format!("flight-{name}.jsonl")));
         let lines = lines_of(&file);
         let (head, entries) = lines.split_first().unwrap();
@@ -86,8 +95,19 @@ fn a_fault_leaves_the_flight_of_both_arms() {
         assert!(head["joint"].as_u64().unwrap() < 7 && head["code"].is_null(), "{head}");
         let cause = head["cause"].as_str().unwrap();
         assert!(cause.contains("tc-robot") && cause.contains("commands lead"), "{cause}");
-        assert!(head["wall_unix_s"].as_f64().unwrap() > 1.7e9);
-        let at_s = head["at_s"].as_f64().unwrap();
+        let fault = &head["fault"];
+        assert_eq!(
+            (&fault["joint"], &fault["code"], &fault["state_before"]),
+            (&3.into(), &14.into(), &"moving".into())
+        );
+        for (ended, at) in [("ended_at_s", "at_s"), ("ended_wall_unix_s", "wall_unix_s")] {
+            let before_s = head[ended].as_f64().unwrap() - fault[at].as_f64().unwrap();
+            assert!((before_s - 0.25).abs() < 1e-3, "{head}");
+        }
+        assert!(head["ended_wall_unix_s"].as_f64().unwrap() > 1.7e9);
+        let counts = ["lost", "late", "crc_errors", "resyncs"].map(|key| head["counts"][key].as_u64().unwrap());
+        assert_eq!(counts, [3, 2, 1, 4]);
+        let at_s = head["ended_at_s"].as_f64().unwrap();
         let times: Vec<f64> = entries.iter().map(|entry| entry["at_s"].as_f64().unwrap()).collect();
         assert!(times.len() > 50 && times.is_sorted() && *times.last().unwrap() <= at_s, "{name}: {}", times.len());
         let mut moved = entries.iter().filter(|entry| entry["asked"] == "velocity");

@@ -15,10 +15,10 @@ use rustix::event::{PollFd, PollFlags, poll};
 use super::estimate::output::print_line;
 use crate::cli::RunArgs;
 use crate::config::setup::{Pace, Setup, read_setup};
-use crate::run::flight::{self, Moment};
+use crate::run::flight::{self, Flight, Moment};
 use crate::run::summary::{Plan, summarize};
 use crate::run::{live, lockstep, report};
-use crate::wiring::{Parts, raw_lines, wire};
+use crate::wiring::{Parts, line_facts, raw_lines, wire};
 
 /// A run in which the hand followed for a smaller share of the time is pointed out.
 const FOLLOWING_EXPECTED: f64 = 0.9;
@@ -50,7 +50,8 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
         let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
         for (arm, log) in &flights {
             let raw = raw_lines(&monitors, arm);
-            match flight::write(&args.out, arm, (log, &raw), failure, moment) {
+            let (fault, counts) = line_facts(&monitors, arm);
+            match flight::write(&args.out, arm, &Flight { log, fault, counts, raw: &raw }, failure, moment) {
                 Ok(path) => tracing::info!("what the {arm} did before: {}", path.display()),
                 Err(error) => tracing::warn!("the flight recorder of the {arm}: {error:#}"),
             }

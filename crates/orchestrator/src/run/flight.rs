@@ -35,6 +35,61 @@ pub struct RawLine {
     pub bytes: Vec<u8>,
 }
 
+/// Why an arm stopped.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ArmFault {
+    /// When, on the clock of the run.
+    pub at: MonotonicTime,
+    /// Index of the joint from the base, if one is known.
+    pub joint: Option<usize>,
+    /// Alarm code of the controller, if there is one.
+    pub code: Option<u16>,
+    /// The whole message.
+    pub cause: String,
+    /// What the arm was doing before.
+    pub state_before: String,
+}
+
+/// What happened to messages and bytes of a line since it was opened.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct LineCounts {
+    /// Messages sent.
+    pub sent: u64,
+    /// Messages with a usable reply in time.
+    pub answered: u64,
+    /// Messages without one.
+    pub lost: u64,
+    /// Replies that came too late.
+    pub late: u64,
+    /// Replies that were damaged.
+    pub damaged: u64,
+    /// Replies to something else.
+    pub mismatched: u64,
+    /// Cycles that were left out, as the thread of the arm was not run in time.
+    pub overruns: u64,
+    /// Frames with a wrong CRC.
+    pub crc_errors: u64,
+    /// Sync bytes without a sound header behind them.
+    pub header_errors: u64,
+    /// How often bytes had to be skipped to find the next frame.
+    pub resyncs: u64,
+    /// Frames that the line did not take.
+    pub unsent: u64,
+}
+
+/// What is known of an arm when a run fails.
+#[derive(Clone)]
+pub struct Flight<'a> {
+    /// Its recorder.
+    pub log: &'a FlightLog,
+    /// Why it stopped, as its driver tells; none if it did not, or has no driver.
+    pub fault: Option<ArmFault>,
+    /// Of its line, if it has one.
+    pub counts: Option<LineCounts>,
+    /// The last bytes of its line.
+    pub raw: &'a [RawLine],
+}
+
 /// Writes what the recorder of an arm holds, and the raw bytes of its line, to `flight-<arm>.jsonl` in a folder; the path of the
 /// file.
 ///
@@ -43,18 +98,19 @@ pub struct RawLine {
 pub fn write(
     folder: &Path,
     arm: &str,
-    (log, raw): (&FlightLog, &[RawLine]),
+    flight: &Flight<'_>,
     failure: &anyhow::Error,
     moment: Moment,
 ) -> Result<PathBuf> {
     let path = folder.join(format!("flight-{arm}.jsonl"));
     let written = || -> std::io::Result<()> {
         let mut file = BufWriter::new(File::create(&path)?);
-        writeln!(file, "{}", head(arm, failure, moment))?;
-        for entry in log.entries() {
+        let entries = flight.log.entries();
+        writeln!(file, "{}", head(arm, (flight, &entries), failure, moment))?;
+        for entry in entries {
             writeln!(file, "{}", line(&entry))?;
         }
-        for piece in raw {
+        for piece in flight.raw {
             writeln!(file, "{}", raw_line(piece))?;
         }
         file.flush()
@@ -63,18 +119,49 @@ pub fn write(
     Ok(path)
 }
 
-fn head(arm: &str, failure: &anyhow::Error, moment: Moment) -> Value {
+fn head(arm: &str, (flight, entries): (&Flight<'_>, &[FlightEntry]), failure: &anyhow::Error, moment: Moment) -> Value {
     let fault = failure.chain().find_map(|error| error.downcast_ref::<ArmError>());
-    let unix_s = moment.wall.duration_since(SystemTime::UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64());
+    let own = flight.fault.clone().or_else(|| recorded_fault(entries));
     json!({
         "arm": arm,
-        "at_s": seconds(moment.monotonic),
-        "wall_unix_s": unix_s,
+        "ended_at_s": seconds(moment.monotonic),
+        "ended_wall_unix_s": moment.unix_s(moment.monotonic),
+        "fault": own.map(|own| json!({
+            "at_s": seconds(own.at),
+            "wall_unix_s": moment.unix_s(own.at),
+            "joint": own.joint,
+            "code": own.code,
+            "cause": own.cause,
+            "state_before": own.state_before,
+        })),
+        "counts": flight.counts,
         "kind": fault.map(|fault| kind_word(fault.kind())),
         "joint": fault.and_then(ArmError::joint),
         "code": fault.and_then(ArmError::code),
         "cause": format!("{failure:#}"),
     })
+}
+
+/// Of an arm without a driver: since when its recorder shows it stopped.
+fn recorded_fault(entries: &[FlightEntry]) -> Option<ArmFault> {
+    let is_latched = |entry: &FlightEntry| matches!(entry.state, ArmState::Fault | ArmState::EStop);
+    let before = entries.iter().rposition(|entry| !is_latched(entry));
+    let first = entries.get(before.map_or(0, |before| before + 1))?;
+    Some(ArmFault {
+        at: first.done,
+        joint: None,
+        code: None,
+        cause: format!("the arm shows {}", state_word(first.state)),
+        state_before: before.map_or("not recorded", |before| state_word(entries[before].state)).to_owned(),
+    })
+}
+
+impl Moment {
+    /// A time on the clock of the run as one on the wall, s since 1970.
+    fn unix_s(&self, at: MonotonicTime) -> f64 {
+        let unix_s = self.wall.duration_since(SystemTime::UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64());
+        unix_s - (seconds(self.monotonic) - seconds(at))
+    }
 }
 
 fn line(entry: &FlightEntry) -> Value {

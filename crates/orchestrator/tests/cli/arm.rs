@@ -404,3 +404,46 @@ fn the_room_to_the_other_arm_is_known_with_both() {
         refused.assert_refused(&["377 mm (cameras to panel) is less than arms.least_room_mm, 400 mm"]);
     });
 }
+
+/// R21: the flight file of an arm says when, where and from which state it stopped, and how its line was.
+#[test]
+fn a_run_that_an_alarm_ends_says_when_and_where() {
+    patiently(|| {
+        let mut cell = Cell::start(&["--pose-deg", START_DEG]);
+        let out = cell.folder.path().join("out");
+        let mut command = Command::new(env!("CARGO_BIN_EXE_pb3dp"));
+        command.arg("run").arg("--config").arg(cell.config()).arg("--out").arg(&out);
+        let mut run = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        let begin = Instant::now();
+        while cell.joints().1 {
+            if begin.elapsed() > Duration::from_secs(60) || run.try_wait().unwrap().is_some() {
+                run.kill().ok();
+                panic!("{}", String::from_utf8_lossy(&run.wait_with_output().unwrap().stderr));
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        // Until both arms are led.
+        std::thread::sleep(Duration::from_secs(5));
+        cell.arm.say("alarm 4 0x0e");
+        let output = run.wait_with_output().unwrap();
+        assert!(!output.status.success());
+        let log = String::from_utf8_lossy(&output.stderr);
+        let head = |arm: &str| {
+            let file = out.join(format!("flight-{arm}.jsonl"));
+            let text = std::fs::read_to_string(file).unwrap_or_else(|error| panic!("{error}: {log}"));
+            serde_json::from_str::<Value>(text.lines().next().unwrap()).unwrap()
+        };
+        let (vs, tc) = (head("vs-robot"), head("tc-robot"));
+        let fault = &vs["fault"];
+        assert!(fault["cause"].as_str().unwrap().contains("over-current"), "{vs}: {log}");
+        assert_eq!((&fault["joint"], &fault["code"]), (&3.into(), &14.into()), "{vs}");
+        assert!(["moving", "holding"].contains(&fault["state_before"].as_str().unwrap()), "{vs}");
+        assert!(tc["fault"]["cause"].as_str().unwrap().contains("arm 1 of the same cell"), "{tc}");
+        let at_s = |head: &Value| head["fault"]["at_s"].as_f64().unwrap();
+        assert!(at_s(&vs) <= at_s(&tc) && at_s(&tc) <= tc["ended_at_s"].as_f64().unwrap(), "{vs} {tc}");
+        let before_s = vs["ended_wall_unix_s"].as_f64().unwrap() - fault["wall_unix_s"].as_f64().unwrap();
+        assert!((before_s - (vs["ended_at_s"].as_f64().unwrap() - at_s(&vs))).abs() < 1e-3, "{vs}");
+        assert!(vs["counts"]["answered"].as_u64().unwrap() > 100 && vs["counts"]["crc_errors"].is_u64(), "{vs}");
+        cell.arm.quit();
+    });
+}
