@@ -25,9 +25,9 @@ use super::record::{Answer, StepReport};
 use super::steps::{OVER_SPEED, Step, WRONG_WAY_DEG};
 use crate::commands::arm::motion::JOG_RAD_PER_S;
 use crate::config::setup::Setup;
-use crate::run::flight::{self, Moment};
+use crate::run::flight::{self, Flight, Moment};
 use crate::wiring::commissioning::{ArmChoice, SlowArm, wire_slow};
-use crate::wiring::raw_lines;
+use crate::wiring::{line_facts, raw_lines};
 
 /// The share of a move's duration at which the operator is to act.
 const ACT_AT: f64 = 0.35;
@@ -367,10 +367,12 @@ impl Session<'_> {
     ) {
         let (name, folder) = (choice.name(), self.out.join(report.step.name()));
         let moment = Moment { monotonic: self.clock.now(), wall: SystemTime::now() };
-        let raw = monitor.map(|monitor| raw_lines(&[(name, monitor.clone())], name)).unwrap_or_default();
+        let monitors: Vec<_> = monitor.into_iter().map(|monitor| (name, monitor.clone())).collect();
+        let (raw, (fault, counts)) = (raw_lines(&monitors, name), line_facts(&monitors, name));
+        let flight = Flight { log, fault, counts, raw: &raw };
         let written = std::fs::create_dir_all(&folder)
             .with_context(|| folder.display().to_string())
-            .and_then(|()| flight::write(&folder, name, (log, &raw), &anyhow!("{failure}"), moment));
+            .and_then(|()| flight::write(&folder, name, &flight, &anyhow!("{failure}"), moment));
         match written {
             Ok(path) => report.flights.push(path.display().to_string()),
             Err(error) => report.note(format!("the flight recorder of the {name} could not be written: {error:#}")),
