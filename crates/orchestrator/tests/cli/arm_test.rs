@@ -47,6 +47,10 @@ fn the_whole_checklist_is_rehearsed_on_emulated_arms() {
         assert_eq!(report["config_sha256"], sha256::hex_digest(&std::fs::read(hil()).unwrap()));
         assert_eq!(report["gateway"]["firmware"], "pb3dp emulation");
         assert!(report["gateway"]["wire_format"].as_str().unwrap().starts_with("format B"), "{report}");
+        let figure = &report["steps"][1]["figures"][2];
+        assert_eq!((&figure["limit"], &figure["unit"]), (&0.05.into(), &"deg".into()), "{figure}");
+        assert!(figure["value"].as_f64().unwrap() < 0.05, "{figure}");
+        pb3dp_arm(&hil(), &args, Some("vs-robot")).assert_refused(&["there is a report already; give another --out"]);
         assert_eq!((&report["operator"], &report["is_emulated"]), (&"emulated".into(), &true.into()));
         for (step, least) in report["steps"].as_array().unwrap().iter().zip([7, 12, 9, 7, 5, 9]) {
             let figures = step["figures"].as_array().unwrap();
@@ -118,6 +122,8 @@ fn what_can_not_be_tested_is_refused_before_anything_happens() {
     refused(&config, &[], &["127.0.0.1:9"]);
     refused(&hil(), &["--move"], &["has no switch and no cable for you", "--operator emulated"]);
     refused(&hil(), &["--only", "interlock"], &["give --both"]);
+    let both = ["--both", "--only", "interlock", "--move"];
+    refused(&config, &both, &["arms.tc.backend = \"emulated\" has no switch"]);
     refused(&hil(), &["--skip", "comms,jog,e-stop,cable,kill"], &["no step is left"]);
     let sim = crate::support::repository().join("configs/sim.toml").display().to_string();
     refused(&sim, &["--operator", "emulated"], &["arms.vs.backend is not \"emulated\""]);
@@ -331,6 +337,28 @@ fn a_gateway_that_does_not_watch_its_host_fails() {
         }
         let turned_deg = cell.joints().0[3] - crate::arm::START_E1_DEG;
         assert!(turned_deg > 2.5, "it went on by itself: {turned_deg}");
+        cell.arm.quit();
+    });
+}
+
+#[test]
+fn an_arm_that_goes_on_while_the_cable_is_pulled_fails() {
+    patiently(|| {
+        let mut arm =
+            crate::mock_arm::MockArm::start(&["--tcp", "127.0.0.1:0", "--priority", "45", "--pose-deg", START_DEG]);
+        let gateway = UnwatchedGateway::start(&arm.line());
+        let mut cell = Cell { arm, folder: setup_at(&gateway.address()) };
+        let acts = |test: &mut Rehearsal, _: &mut Cell| {
+            test.answer("While it moves: Pull the cable", "");
+            test.until("NOW: Pull the cable");
+            gateway.plug(false);
+            test.answer("Did the vs-robot stop at once", "no");
+            test.until("PRESS THE EMERGENCY STOP of the vs-robot");
+            test.until("Plug the cable to the gateway of the vs-robot in again.");
+            gateway.plug(true);
+            test.answer("Press Enter", "");
+        };
+        fails("cable", &mut cell, acts, "way of the joint that got farthest since the last measurement: ");
         cell.arm.quit();
     });
 }

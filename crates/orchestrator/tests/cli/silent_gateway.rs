@@ -18,6 +18,7 @@ const COMMAND: u8 = 0x02;
 pub struct UnwatchedGateway {
     address: String,
     is_running: Arc<AtomicBool>,
+    is_plugged: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -31,18 +32,25 @@ impl UnwatchedGateway {
         upstream.set_nodelay(true).unwrap();
         upstream.set_nonblocking(true).unwrap();
         let is_running = Arc::new(AtomicBool::new(true));
-        let mut relay = Relay { listener, upstream, host: None, parser: FrameParser::new(ArmId(1)), last: None };
+        let is_plugged = Arc::new(AtomicBool::new(true));
+        let (plug, parser) = (Arc::clone(&is_plugged), FrameParser::new(ArmId(1)));
+        let mut relay = Relay { listener, upstream, plug, host: None, parser, last: None };
         let goes_on = Arc::clone(&is_running);
         let thread = std::thread::spawn(move || {
             while goes_on.load(Ordering::SeqCst) {
                 relay.turn();
             }
         });
-        Self { address, is_running, thread: Some(thread) }
+        Self { address, is_running, is_plugged, thread: Some(thread) }
     }
 
     pub fn address(&self) -> String {
         self.address.clone()
+    }
+
+    /// Pulls the cable to the host, or plugs it in again.
+    pub fn plug(&self, is_plugged: bool) {
+        self.is_plugged.store(is_plugged, Ordering::SeqCst);
     }
 }
 
@@ -58,6 +66,7 @@ impl Drop for UnwatchedGateway {
 struct Relay {
     listener: TcpListener,
     upstream: TcpStream,
+    plug: Arc<AtomicBool>,
     host: Option<TcpStream>,
     parser: FrameParser,
     /// The last command, and when it came.
@@ -67,6 +76,10 @@ struct Relay {
 impl Relay {
     fn turn(&mut self) {
         let mut buffer = [0; 512];
+        let is_plugged = self.plug.load(Ordering::SeqCst);
+        if !is_plugged {
+            self.host = None;
+        }
         match &mut self.host {
             Some(host) => {
                 match host.read(&mut buffer) {
@@ -91,7 +104,7 @@ impl Relay {
                 std::thread::sleep(Duration::from_micros(300));
             }
             None => {
-                if let Ok((host, _)) = self.listener.accept() {
+                if is_plugged && let Ok((host, _)) = self.listener.accept() {
                     host.set_nonblocking(true).unwrap();
                     host.set_nodelay(true).unwrap();
                     self.host = Some(host);

@@ -98,7 +98,7 @@ pub fn run(args: &TestArgs) -> Result<ExitCode> {
     let asked = asked(args)?;
     let setup_text = std::fs::read(&args.place.config)
         .with_context(|| format!("{}: can not be read", args.place.config.display()))?;
-    let (mut session, target) = begin(args, signals, began)?;
+    let (mut session, target) = begin((args, &asked), signals, began)?;
     show(args, &asked, &session)?;
     if !args.moves {
         print_line("dry run: the brakes stayed on and nothing moved; --move does it")?;
@@ -154,7 +154,11 @@ fn asked(args: &TestArgs) -> Result<Vec<Step>> {
 }
 
 /// Finds the arm and looks at it; how it was reached.
-fn begin(args: &TestArgs, signals: StopSignals, began: SystemTime) -> Result<(Session<'_>, String)> {
+fn begin<'a>(
+    (args, asked): (&'a TestArgs, &[Step]),
+    signals: StopSignals,
+    began: SystemTime,
+) -> Result<(Session<'a>, String)> {
     let choice = args.place.choice();
     let setup = read_setup(&args.place.config)?;
     let mut setup = slow_setup(&setup, choice, Some(JOG_RAD_PER_S))?;
@@ -166,10 +170,13 @@ fn begin(args: &TestArgs, signals: StopSignals, began: SystemTime) -> Result<(Se
             choice.table()
         );
     }
-    let (operator, line) = operator(args, &mut setup, &clock)?;
+    let (operator, line) = operator((args, asked), &mut setup, &clock)?;
     let (snapshot, target) = look(&setup, choice, &clock)?;
     let date = utc::rfc3339(began).replace(':', "");
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from(format!("out/arm-test-{}-{date}", choice.name())));
+    if out.join("report.json").exists() {
+        bail!("{}: there is a report already; give another --out", out.display());
+    }
     let session = Session {
         place: &args.place,
         setup,
@@ -200,19 +207,20 @@ fn look(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<(Arm
 
 /// Who acts; and where the arm is found, if it is emulated for this.
 fn operator(
-    args: &TestArgs,
+    (args, asked): (&TestArgs, &[Step]),
     setup: &mut Setup,
     clock: &Arc<dyn Clock>,
 ) -> Result<(Box<dyn Operator>, Option<SocketAddr>)> {
     let choice = args.place.choice();
     let patience = Duration::from_secs(u64::from(args.patience));
     if args.operator == OperatorName::Person {
-        let is_emulated = matches!(&choice.of(setup).link, ArmLink::Gateway(_, GatewayWay::Emulated));
-        if is_emulated && args.moves {
+        let hands = if asked.contains(&Step::Interlock) { vec![choice, choice.other()] } else { vec![choice] };
+        let is_emulated = |arm: &&ArmChoice| matches!(&arm.of(setup).link, ArmLink::Gateway(_, GatewayWay::Emulated));
+        if let (Some(emulated), true) = (hands.iter().find(is_emulated), args.moves) {
             bail!(
                 "{}.backend = \"emulated\" has no switch and no cable for you: give --operator emulated, or run `pb3dp mock-arm --tcp` in \
                  another terminal and set backend = \"tcp\"",
-                choice.table()
+                emulated.table()
             );
         }
         return Ok((Box::new(Person::new(Console::start()?, patience)), None));

@@ -29,6 +29,8 @@ pub struct Figure {
     pub value: Option<f64>,
     /// What is allowed.
     pub allowed: String,
+    /// The limit, where it is a number.
+    pub limit: Option<f64>,
     /// Its unit.
     pub unit: &'static str,
     /// Whether it is as it has to be.
@@ -100,18 +102,19 @@ impl StepReport {
     /// A number that may be at most this.
     pub fn at_most(&mut self, what: impl Into<String>, value: f64, most: f64, unit: &'static str) {
         // What is no number is not within its limit.
-        self.figure(what, value, (value <= most, with_unit("at most", most, unit)), unit);
+        self.figure(what.into(), (value, unit), ("at most", most), value <= most);
     }
 
     /// A number that has to be at least this.
     pub fn at_least(&mut self, what: impl Into<String>, value: f64, least: f64, unit: &'static str) {
-        self.figure(what, value, (value >= least, with_unit("at least", least, unit)), unit);
+        self.figure(what.into(), (value, unit), ("at least", least), value >= least);
     }
 
     /// Something that has to hold, and how it was seen.
     pub fn holds(&mut self, what: impl Into<String>, passed: bool, found: impl Into<String>) {
         let (found, allowed) = (found.into(), "has to hold".to_owned());
-        self.figures.push(Figure { what: what.into(), found, value: None, allowed, unit: "", passed });
+        let (what, value, limit) = (what.into(), None, None);
+        self.figures.push(Figure { what, found, value, allowed, limit, unit: "", passed });
     }
 
     /// Something worth knowing.
@@ -127,9 +130,9 @@ impl StepReport {
         figures.chain(answers.map(|answer| format!("the operator says no: {}", answer.question))).collect()
     }
 
-    fn figure(&mut self, what: impl Into<String>, value: f64, (passed, allowed): (bool, String), unit: &'static str) {
-        let found = with_unit("", value, unit);
-        self.figures.push(Figure { what: what.into(), found, value: Some(value), allowed, unit, passed });
+    fn figure(&mut self, what: String, (value, unit): (f64, &'static str), (word, limit): (&str, f64), passed: bool) {
+        let (found, allowed) = (with_unit("", value, unit), with_unit(word, limit, unit));
+        self.figures.push(Figure { what, found, value: Some(value), allowed, limit: Some(limit), unit, passed });
     }
 }
 

@@ -24,6 +24,7 @@ use super::operator::{Act, Operator, Question};
 use super::record::{Answer, StepReport};
 use super::steps::{OVER_SPEED, Step, WRONG_WAY_DEG};
 use crate::commands::arm::motion::JOG_RAD_PER_S;
+use crate::commands::estimate::output::print_line;
 use crate::config::setup::Setup;
 use crate::run::flight::{self, Flight, Moment};
 use crate::wiring::commissioning::{ArmChoice, SlowArm, wire_slow};
@@ -322,6 +323,9 @@ impl Session<'_> {
     pub fn ask(&mut self, report: &mut StepReport, question: &Question) -> Result<()> {
         let yes = self.operator.ask(question, &mut self.signals)?;
         report.answers.push(Answer { question: question.to_string(), yes });
+        if let (false, Question::Stopped(choice)) = (yes, question) {
+            print_line(&format!("PRESS THE EMERGENCY STOP of the {}: nothing else may stop it", choice.name()))?;
+        }
         Ok(())
     }
 
@@ -420,5 +424,35 @@ impl Step {
     /// A line of the list that is shown before anything is done.
     pub fn line(self, number: usize) -> String {
         format!("{number}. {}: {}\n   has to show: {}", self.name(), self.title(), self.expects())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample(at_ms: u64, angle_deg: f64, speed_rad_per_s: f64) -> JointState {
+        JointState {
+            at: MonotonicTime::from_nanos(at_ms * 1_000_000),
+            position_rad: JointVector::repeat(angle_deg.to_radians()),
+            velocity_rad_per_s: JointVector::from([0.0, 0.0, 0.0, speed_rad_per_s, 0.0, 0.0, 0.0]),
+        }
+    }
+
+    fn stop(after: &[JointState]) -> Stop {
+        let noticed = MonotonicTime::from_nanos(1_000_000_000);
+        let (cause, state, before) = (String::new(), ArmState::EStop, sample(995, 10.0, 0.018));
+        Stop { acted: None, noticed, cause, state, before, after: after.to_vec() }
+    }
+
+    #[test]
+    fn an_arm_rests_from_the_first_measurement_on_after_which_it_is_never_fast() {
+        let falls = [sample(1005, 10.0, 0.0), sample(1015, 10.2, -0.4), sample(1025, 10.5, 0.001)];
+        let fell = stop(&falls);
+        assert!((fell.to_rest_ms() - 25.0).abs() < 1e-9, "{}", fell.to_rest_ms());
+        assert!((fell.way_deg() - 0.5).abs() < 1e-9 && fell.fastest_rad_per_s() == 0.4);
+        assert_eq!(stop(&falls[..2]).to_rest_ms(), f64::INFINITY, "it was not seen at rest");
+        assert_eq!(stop(&[]).to_rest_ms(), f64::INFINITY, "it was not seen at all");
+        assert_eq!(stop(&falls[..1]).to_rest_ms(), 0.0);
     }
 }
