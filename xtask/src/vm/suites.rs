@@ -36,7 +36,7 @@ pub const SUITES: [Suite; 2] = [
         what: "serial ports of an arm: USB adapters, a 16550, a cable that is pulled",
         package: "pb3dp-arm-pa10",
         example: "guest",
-        modules: &["xhci_pci", "ftdi_sio"],
+        modules: &["xhci_pci", "ftdi_sio", "configfs", "dummy_hcd", "usb_f_acm", "cdc_acm"],
         modules_by_hand: &[],
         kernel_arguments: "",
         // Two adapters at the ends of one cable, and a built-in port that leads nowhere.

@@ -9,7 +9,7 @@ use pb3dp_arm_pa10::codec::{Packet, WireFormat};
 use pb3dp_arm_pa10::io::bus::{ArcnetError, ArcnetSocket, BusPort, FRAME_ROOM};
 use pb3dp_arm_pa10::io::realtime::now;
 
-use crate::card::{Card, module_parameters};
+use crate::card::{Card, Frame, module_parameters};
 use crate::report::{Outcome, Report, ensure};
 use crate::system::{User, as_user, load, wait_for};
 
@@ -83,11 +83,14 @@ fn opens() -> Outcome {
     Ok(in_use.to_string())
 }
 
-/// A frame as long as a command or a reply of this format, with bytes of all kinds.
-fn frame(route: Route, length: usize) -> Result<Vec<u8>, Box<dyn Error>> {
+/// Node numbers by the sources on the controller (SDU, Orca, RobWork).
+const HOST: u8 = 0xFF;
+const CONTROLLER: u8 = 0xFE;
+
+/// A packet as long as a command or a reply, with bytes of all kinds.
+fn packet(length: usize) -> Result<Packet, Box<dyn Error>> {
     let bytes: Vec<u8> = (0..length).map(|number| (number * 37 + 11) as u8).collect();
-    let packet = Packet::from_slice(&bytes).ok_or("a packet that is too long")?;
-    Ok(arcnet::encode(route, &packet)?.to_vec())
+    Packet::from_slice(&bytes).ok_or_else(|| "a packet that is too long".into())
 }
 
 /// The packet of a cyclic message has a sequence number and a letter before its data.
@@ -101,16 +104,18 @@ fn frames_out() -> Outcome {
     let mut figures = Vec::new();
     for format in WireFormat::ALL {
         card.clear()?;
-        let sent = frame(Route::TO_CONTROLLER, lengths(format)[0])?;
+        let packet = packet(lengths(format)[0])?;
+        let sent = arcnet::encode(Route::TO_CONTROLLER, &packet)?;
         ensure(port.try_send(&sent)?, || "there is no room for a frame".into())?;
-        // Where the first byte is the status the sender is not to be seen; a real card fills it in itself.
-        let found = wait_for("the frame is in the card", || {
-            card.frames().ok()?.into_iter().find(|found| found.get(1..3) == sent.get(1..3))
+        let found = wait_for("a frame is in the card", || card.frames().ok()?.into_iter().next())?;
+        // The sender is not to be seen where the first byte is the status; a real card fills it in itself.
+        ensure(found.receiver == CONTROLLER && found.data == *packet, || {
+            format!("sent {:02x?} to {CONTROLLER:#x}, in the card is {found:02x?}", packet.as_slice())
         })?;
-        let data = found.get(4..) == sent.get(4..);
-        ensure(data, || format!("sent {sent:02x?}, in the card {found:02x?}"))?;
+        // The driver computes the pointer once more.
+        ensure(sent.get(2) == Some(&found.pointer), || format!("sent {:02x?}, in the card is {found:02x?}", &*sent))?;
         card.has_sent()?;
-        figures.push(format!("{} bytes, pointer {}", sent.len(), found[2]));
+        figures.push(format!("{} bytes, pointer {}", found.data.len(), found.pointer));
     }
     Ok(figures.join("; "))
 }
@@ -121,24 +126,23 @@ fn frames_in() -> Outcome {
     let mut figures = Vec::new();
     for format in WireFormat::ALL {
         card.clear()?;
-        let sent = frame(Route::TO_HOST, lengths(format)[1])?;
-        card.put(&sent)?;
-        let mut others = 0;
+        let sent = packet(lengths(format)[1])?;
+        card.put(&Frame::new(CONTROLLER, HOST, &sent))?;
         let got = wait_for("the frame comes in", || {
             card.has_received().ok()?;
             let mut buffer = [0; FRAME_ROOM];
             while let Some(count) = port.try_receive(&mut buffer).ok()? {
-                if arcnet::decode(Route::TO_HOST, &buffer[..count]).is_ok() {
-                    return Some(buffer[..count].to_vec());
+                // The first buffer, whose header the registers are, has a frame of no use.
+                if let Ok(packet) = arcnet::decode(Route::TO_HOST, &buffer[..count]) {
+                    return Some(packet.to_vec());
                 }
-                others += 1;
             }
             None
         })?;
-        ensure(got == sent, || format!("in the card {sent:02x?}, received {got:02x?}"))?;
+        ensure(got == *sent, || format!("in the card {:02x?}, received {got:02x?}", sent.as_slice()))?;
         // The same frame was in other buffers as well.
         while port.try_receive(&mut [0; FRAME_ROOM])?.is_some() {}
-        figures.push(format!("{} bytes ({others} others refused)", got.len()));
+        figures.push(format!("{} bytes", got.len()));
     }
     Ok(figures.join("; "))
 }
@@ -147,7 +151,7 @@ fn frames_in() -> Outcome {
 fn full() -> Outcome {
     let card = Card::open()?;
     let mut port = ArcnetSocket::open(NAME)?;
-    let frame = frame(Route::TO_CONTROLLER, lengths(WireFormat::ALL[0])[0])?;
+    let frame = arcnet::encode(Route::TO_CONTROLLER, &packet(lengths(WireFormat::ALL[0])[0])?)?;
     let (mut taken, mut longest) = (0, Duration::ZERO);
     loop {
         let before = now();

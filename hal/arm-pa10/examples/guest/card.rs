@@ -20,7 +20,6 @@ const BUFFER_COUNT: usize = 4;
 
 /// The data of a short frame ends here.
 const SHORT_END: usize = 256;
-const HEADER: usize = 4;
 
 /// The second serial port (16550), and its interrupt.
 const BELL: u64 = 0x2F8;
@@ -40,6 +39,24 @@ pub fn module_parameters(interface: &str) -> String {
     format!("io={MEMORY:#x} irq={BELL_LINE} node=0x42 device={interface}")
 }
 
+/// A short frame as it lies in a buffer.
+#[derive(Debug)]
+pub struct Frame {
+    pub sender: u8,
+    pub receiver: u8,
+    /// Where the data begin.
+    pub pointer: u8,
+    pub data: Vec<u8>,
+}
+
+impl Frame {
+    /// With the pointer that the length of the data demands.
+    pub fn new(sender: u8, receiver: u8, data: &[u8]) -> Self {
+        let pointer = (SHORT_END - data.len()) as u8;
+        Self { sender, receiver, pointer, data: data.to_vec() }
+    }
+}
+
 /// The card from its other side.
 pub struct Card {
     memory: File,
@@ -56,14 +73,15 @@ impl Card {
     }
 
     /// Short frames that lie in the buffers: those with a pointer.
-    pub fn frames(&self) -> Result<Vec<Vec<u8>>, Box<dyn Error>> {
+    pub fn frames(&self) -> Result<Vec<Frame>, Box<dyn Error>> {
         let mut frames = Vec::new();
         for index in 0..BUFFER_COUNT {
             let mut buffer = [0; BUFFER_LENGTH];
             self.memory.read_exact_at(&mut buffer, address(index))?;
-            let pointer = usize::from(buffer[2]);
+            let [sender, receiver, pointer, ..] = buffer;
             if pointer != 0 {
-                frames.push([&buffer[..HEADER], &buffer[pointer..SHORT_END]].concat());
+                let data = buffer[usize::from(pointer)..SHORT_END].to_vec();
+                frames.push(Frame { sender, receiver, pointer, data });
             }
         }
         Ok(frames)
@@ -78,11 +96,11 @@ impl Card {
     }
 
     /// Puts a frame into each buffer but the first, whose header the registers are.
-    pub fn put(&self, frame: &[u8]) -> Result<(), Box<dyn Error>> {
-        let (header, data) = frame.split_at(HEADER);
+    pub fn put(&self, frame: &Frame) -> Result<(), Box<dyn Error>> {
+        let Frame { sender, receiver, pointer, data } = frame;
         for index in 1..BUFFER_COUNT {
-            self.memory.write_all_at(header, address(index))?;
-            self.memory.write_all_at(data, address(index) + (SHORT_END - data.len()) as u64)?;
+            self.memory.write_all_at(&[*sender, *receiver, *pointer, 0], address(index))?;
+            self.memory.write_all_at(data, address(index) + u64::from(*pointer))?;
         }
         Ok(())
     }

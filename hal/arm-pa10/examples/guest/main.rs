@@ -9,6 +9,7 @@
 mod arcnet;
 mod card;
 mod cell;
+mod modem;
 mod pulled;
 mod realtime;
 mod report;
@@ -32,6 +33,7 @@ fn main() -> ExitCode {
     }
     match words.as_slice() {
         ["open", path, baud] => serial::try_to_open(path, baud),
+        ["read", path] => serial::try_to_read(path),
         ["open-bus", interface] => arcnet::try_to_open(interface),
         ["realtime"] => realtime::try_to_enter(),
         _ => {

@@ -141,7 +141,9 @@ fn judge_stop(
     let stops = cell.gateway_stops();
     let is_slow = matches!(latched.trip, Trip::Fault(FaultCause::CommandTimeout { .. }))
         || stops.iter().any(|(_, cause)| *cause == StopCause::CycleMissed);
-    if latched.at < noticed || is_slow {
+    // Writing to the port may fail before the kernel tells why.
+    let is_early = latched.at < noticed && latched.trip != Trip::Fault(FaultCause::Unplugged);
+    if is_early || is_slow {
         return Err(TooSlow(format!("{error}; gateway: {stops:?}")).into());
     }
     let (kind, cause_fits) = match (end, latched.trip) {

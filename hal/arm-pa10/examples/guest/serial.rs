@@ -13,6 +13,7 @@ use pb3dp_arm_pa10::io::serial::{Latency, PortDescription, PortKind, SerialConfi
 use pb3dp_arm_pa10::io::transport::{ByteLink, wait};
 use rustix::termios::tcgetattr;
 
+use crate::modem;
 use crate::report::{Outcome, Report, ensure};
 use crate::system::{LONG, User, as_user, wait_for};
 
@@ -28,7 +29,7 @@ const LIAR_ASKED: u32 = 1_000_000;
 const LIAR_HAS: u32 = 115_200;
 
 /// A cycle that every rate carries: rates are not refused for its sake.
-const SLOW_CYCLE: Duration = Duration::from_millis(100);
+pub const SLOW_CYCLE: Duration = Duration::from_millis(100);
 
 /// Numbers and names by which the adapters are found.
 pub const HOST: &str = "HOST";
@@ -46,6 +47,7 @@ pub fn check(report: &mut Report) {
     report.check("USB: every rate is read back, and bytes go both ways", rates);
     report.check("USB: a rate that the chip does not have is refused with both values", too_quick);
     report.check("USB: a second program is refused, whoever it is", || exclusive(&adapter(HOST)?));
+    report.check("USB: an adapter that does not tell its timer is warned of", modem::check);
     report.check("16550: a port that lies about its rate is refused with both values", liar);
     report.check("16550: a second program is refused, whoever it is", || exclusive(LIAR));
 }
@@ -96,7 +98,7 @@ fn rates() -> Outcome {
 }
 
 /// Sends bytes of every value through the cable; how long it took.
-fn carry(from: &mut SerialLink, to: &mut SerialLink) -> Result<Duration, Box<dyn Error>> {
+pub fn carry(from: &mut SerialLink, to: &mut SerialLink) -> Result<Duration, Box<dyn Error>> {
     let sent: Vec<u8> = (0..512u32).map(|number| (number * 7 % 256) as u8).collect();
     let (mut left, mut got) = (sent.as_slice(), Vec::new());
     let begin = now();
@@ -168,17 +170,30 @@ fn exclusive(path: &str) -> Outcome {
     let baud = LIAR_HAS.to_string();
     let words = ["open", path, &baud];
     let first = SerialLink::open(&config)?;
-    let again = SerialLink::open(&config).map(|_| "opened").map_err(|error| error.to_string());
-    let refusal = again.err().ok_or("opened twice in one program")?;
-    // The one who is refused must not make it easier for the next one: nobody comes after root.
-    for user in [User::Root, User::Nobody, User::Root, User::Nobody] {
+    let refusal = match SerialLink::open(&config) {
+        Ok(_) => return Err("opened twice in one program".into()),
+        Err(error @ SerialError::InUse { .. }) => error.to_string(),
+        Err(error) => return Err(format!("another refusal: {error}").into()),
+    };
+    for user in [User::Root, User::Nobody, User::Root] {
         let said = as_user(user, &words)?;
         ensure(said == format!("refused: {refusal}"), || format!("{user:?}: {said}"))?;
     }
+    // Programs that ask nobody are held off by the kernel, and who was refused must not have changed that.
+    let said = as_user(User::Nobody, &["read", path])?;
+    ensure(said == "ResourceBusy", || format!("another kind of program: {said}"))?;
     drop(first);
     let said = as_user(User::Nobody, &words)?;
     ensure(said.starts_with("opened"), || format!("after it was closed: {said}"))?;
     Ok(refusal)
+}
+
+/// Says what becomes of opening a file, as any program does it.
+pub fn try_to_read(path: &str) {
+    match fs::File::open(path) {
+        Ok(_) => println!("opened"),
+        Err(error) => println!("{:?}", error.kind()),
+    }
 }
 
 /// Says what becomes of opening a port.
