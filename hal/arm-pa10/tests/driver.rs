@@ -6,11 +6,8 @@ mod common;
 
 use std::time::Duration;
 
-use common::{Bench, CYCLE, Kind, kind, velocity};
-use pb3dp_arm_pa10::codec::{
-    AngleCounts, ArmReply, AxisReply, AxisStatus, CommAlarm, CommStatus, CommWord, ControlMessage, ServoAlarm,
-    ServoWord, SpeedCounts, TorqueCounts, TorqueScale, WireFormat,
-};
+use common::{Bench, CYCLE, Kind, arm_reply, kind, velocity};
+use pb3dp_arm_pa10::codec::{CommAlarm, CommWord, ControlMessage, ServoAlarm, ServoWord, TorqueScale, WireFormat};
 use pb3dp_arm_pa10::driver::{
     Activity, DriverConfig, DriverState, EmergencyStopCause, FaultCause, Refusal, Reply, Request, Sample, Trip,
 };
@@ -559,16 +556,6 @@ fn after_a_fault_the_brakes_are_told_to_close_within_100_ms() {
         let first = bench.sent.iter().find(|(when, message)| *when >= at && kind(message) == Kind::Braked).unwrap();
         assert!(first.0.saturating_since(at) <= ms(100), "{word:#06x}: {:?}", first.0.saturating_since(at));
     }
-}
-
-fn arm_reply() -> ArmReply {
-    let axis = AxisReply {
-        status: AxisStatus::Servo(ServoWord(0)),
-        angle: AngleCounts(580_267),
-        speed: Some(SpeedCounts(-500)),
-        torque: TorqueCounts(7),
-    };
-    ArmReply { axes: [axis; 7], comm: CommStatus::Comm(CommWord(0x0001)) }
 }
 
 #[test]

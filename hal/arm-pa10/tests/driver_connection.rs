@@ -6,11 +6,8 @@ mod common;
 
 use std::time::Duration;
 
-use common::{Bench, CYCLE, Kind, kind};
-use pb3dp_arm_pa10::codec::{
-    AngleCounts, ArmReply, AxisReply, AxisStatus, CommStatus, CommWord, ServoWord, SpeedCounts, TorqueCounts,
-    TorqueScale, WireFormat,
-};
+use common::{Bench, CYCLE, Kind, arm_reply, kind};
+use pb3dp_arm_pa10::codec::{CommWord, TorqueScale, WireFormat};
 use pb3dp_arm_pa10::driver::{
     Activity, BadReply, Driver, DriverConfig, DriverConfigError, DriverState, FaultCause, LimitsCheck, Reply, Request,
     Sample, Trip, WarmUpFailure,
@@ -24,16 +21,6 @@ const fn ms(ms: u64) -> Duration {
 
 fn trip(bench: &Bench) -> Trip {
     bench.driver.latched().unwrap().trip
-}
-
-fn arm_reply() -> ArmReply {
-    let axis = AxisReply {
-        status: AxisStatus::Servo(ServoWord(0)),
-        angle: AngleCounts(580_267),
-        speed: Some(SpeedCounts(-500)),
-        torque: TorqueCounts(7),
-    };
-    ArmReply { axes: [axis; 7], comm: CommStatus::Comm(CommWord(0x0001)) }
 }
 
 /// R19: the limits that the controller keeps are compared before the arm counts as connected.

@@ -2,27 +2,17 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
+#[path = "common/byte_links.rs"]
+mod byte_links;
+
 use std::fs::File;
 use std::io::{Read, Write};
 use std::time::{Duration, Instant};
 
+use byte_links::{LONG, read_exactly};
 use pb3dp_arm_pa10::io::pty::Pty;
 use pb3dp_arm_pa10::io::transport::{ByteLink, Symptom, judge, pair, wait};
 use rustix::io::Errno;
-
-const LONG: Duration = Duration::from_secs(5);
-
-/// Reads so many bytes, in the pieces in which they come.
-fn read_exactly(link: &mut dyn ByteLink, count: usize) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    let mut buffer = [0; 64];
-    while bytes.len() < count {
-        assert!(wait(Some(&*link), false, None, LONG).readable, "{} of {count}", bytes.len());
-        let got = link.try_read(&mut buffer).unwrap();
-        bytes.extend_from_slice(&buffer[..got]);
-    }
-    bytes
-}
 
 #[test]
 fn bytes_go_through_a_pair_both_ways() {

@@ -2,18 +2,20 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
+#[path = "common/byte_links.rs"]
+mod byte_links;
+
 use std::fs::File;
 use std::net::{SocketAddr, TcpListener};
 use std::time::{Duration, Instant};
 
+use byte_links::{LONG, read_exactly};
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::gateway_protocol::Dialect;
 use pb3dp_arm_pa10::io::pty::Pty;
 use pb3dp_arm_pa10::io::serial::{SerialConfig, SerialError, SerialLink};
 use pb3dp_arm_pa10::io::tcp::{TcpConfig, TcpLink};
 use pb3dp_arm_pa10::io::transport::{ByteLink, Connector, wait};
-
-const LONG: Duration = Duration::from_secs(5);
 
 fn config(path: &str) -> SerialConfig {
     SerialConfig {
@@ -27,17 +29,6 @@ fn config(path: &str) -> SerialConfig {
 
 fn open(pty: &Pty) -> Result<SerialLink, SerialError> {
     SerialLink::open(&config(pty.name()))
-}
-
-fn read_exactly(link: &mut dyn ByteLink, count: usize) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    let mut buffer = [0; 64];
-    while bytes.len() < count {
-        assert!(wait(Some(&*link), false, None, LONG).readable, "{} of {count}", bytes.len());
-        let got = link.try_read(&mut buffer).unwrap();
-        bytes.extend_from_slice(&buffer[..got]);
-    }
-    bytes
 }
 
 /// A TCP connection with both ends.

@@ -35,16 +35,10 @@ pub struct GuardConfig {
 }
 
 impl GuardConfig {
-    /// Tolerances of tracking for a PA-10: 0.05 rad for 100 ms.
+    /// The largest tolerances of tracking for a PA-10: 0.05 rad for 100 ms.
     pub const TRACKING_ERROR_MAX_RAD: f64 = 0.05;
     /// See [`Self::TRACKING_ERROR_MAX_RAD`].
     pub const TRACKING_ERROR_FOR: Duration = Duration::from_millis(100);
-
-    /// The mechanical range of a PA-10 ([`PA10_MECHANICAL_RANGE_DEG`]) in rad: lower and upper ends.
-    pub fn pa10_mechanical_range_rad() -> (JointVector, JointVector) {
-        let max = JointVector::from(PA10_MECHANICAL_RANGE_DEG).map(f64::to_radians);
-        (-max, max)
-    }
 }
 
 /// Why numbers can not configure a guard.

@@ -19,5 +19,5 @@ mod stopping;
 pub use coupling::{Coupled, CoupledArmConfig, CoupledError, CoupledStatistics, couple};
 pub use guard::{Guard, GuardConfig, GuardError, PA10_MECHANICAL_RANGE_DEG};
 pub use last_command::CommandFade;
-pub use limiter::{Limiter, LimiterConfig, LimiterError, LimiterStatistics, PA10_OPERATING_RANGE_DEG, StartPose};
+pub use limiter::{Limiter, LimiterConfig, LimiterError, LimiterStatistics, StartPose};
 pub use recorder::{Asked, FlightEntry, FlightLog, Recorded};

@@ -12,9 +12,6 @@ use crate::last_command::{CommandFade, LastCommand};
 use crate::shaping::{self, Caps, Room, SetPoint, Step};
 use crate::stopping::DriveLimits;
 
-/// Operating range of a PA-10, a few degrees within its servo limits, to both sides; degrees, base to tip.
-pub const PA10_OPERATING_RANGE_DEG: [f64; DOF] = [170.0, 88.0, 168.0, 131.0, 249.0, 159.0, 249.0];
-
 /// Close to a limit the speed cap is distance / T: a control loop of gain 1/T, closed over the reaction time. Such a loop
 /// overshoots unless its gain is at most 1 / (e x delay), so T is e times the reaction time.
 const NO_OVERSHOOT: f64 = std::f64::consts::E;
@@ -72,14 +69,6 @@ impl StartPose {
             let is_near = difference.abs() <= *tolerance_rad;
             !is_near
         })
-    }
-}
-
-impl LimiterConfig {
-    /// The operating range of a PA-10 ([`PA10_OPERATING_RANGE_DEG`]) in rad: lower and upper ends.
-    pub fn pa10_operating_range_rad() -> (JointVector, JointVector) {
-        let max = JointVector::from(PA10_OPERATING_RANGE_DEG).map(f64::to_radians);
-        (-max, max)
     }
 }
 

@@ -7,14 +7,15 @@ mod common;
 use std::sync::Arc;
 use std::time::Duration;
 
-use common::{COMMAND_TIMEOUT, CYCLE, acceleration, guard_config, jerk, limiter_config, mock_arm, velocity};
+use common::{
+    COMMAND_TIMEOUT, CYCLE, acceleration, assert_contract, guard_config, jerk, limiter_config, mock_arm, velocity,
+};
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_arm_pa10::MockArm;
 use pb3dp_geometry::frames::{Base, World};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
 use pb3dp_hal_clock::VirtualClock;
-use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, arm_suite};
 use pb3dp_hal_middleware::{Coupled, CoupledArmConfig, CoupledError, Guard, Limiter, couple};
 use pb3dp_kinematics::{ArmPart, ArmShape, Capsule, Carrier, Chain, JointVector, PlacedArm, clearance};
 use proptest::prelude::*;
@@ -257,15 +258,7 @@ fn coupled_mock_arm_keeps_the_contract() {
         two.exchange(JointCommand::Hold).unwrap();
         one
     };
-    let hooks = ArmHooks::<Coupled<MockArm>> {
-        lose_reply: Some(Box::new(|arm| arm.arm().faults().drop_replies(1))),
-        raise_fault: Some(Box::new(|arm| arm.arm().faults().raise_fault("overcurrent in E1"))),
-        remove_fault_cause: Some(Box::new(|arm| arm.arm().faults().remove_fault_cause())),
-        press_e_stop: Some(Box::new(|arm| arm.arm().faults().press_e_stop())),
-        release_e_stop: Some(Box::new(|arm| arm.arm().faults().release_e_stop())),
-    };
-    let expectations = ArmExpectations { speed_rad_per_s: 0.1, settles_within: Duration::from_millis(400) };
-    arm_suite(make, clock.as_ref(), &expectations, &hooks).assert_passed();
+    assert_contract(&clock, make, |arm| arm.arm());
 }
 
 proptest! {

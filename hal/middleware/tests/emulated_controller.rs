@@ -132,10 +132,10 @@ fn guarded(
 /// For drives that brake far harder than any command asks them to.
 fn wide_guard_config() -> GuardConfig {
     let joints = plant_config();
-    let (mechanical_min_rad, mechanical_max_rad) = GuardConfig::pa10_mechanical_range_rad();
+    let mechanical_max_rad = common::mechanical_range_rad();
     GuardConfig {
         hard_limits: joints.limits,
-        mechanical_min_rad,
+        mechanical_min_rad: -mechanical_max_rad,
         mechanical_max_rad,
         speed_scale: SPEED_SCALE,
         acceleration_max_rad_per_s2: joints.acceleration_max_rad_per_s2,
@@ -303,7 +303,7 @@ impl Chained {
 
     /// How far any joint was beyond its operating range, rad; negative if none was.
     fn farthest_beyond_rad(&self) -> f64 {
-        let operating_rad = LimiterConfig::pa10_operating_range_rad().1;
+        let operating_rad = common::operating_range_rad();
         let bench = self.bench.lock().unwrap();
         let plant = bench.plant.lock().unwrap();
         let (mut at, mut farthest_rad) = (self.begin, f64::NEG_INFINITY);
@@ -318,7 +318,7 @@ impl Chained {
 /// S2 comes near its end slowly while S3 is fast and needs a second to brake: S2 must not go on for as long.
 #[test]
 fn a_hold_leads_no_joint_out_while_another_one_needs_longer_to_brake() {
-    let end_rad = LimiterConfig::pa10_operating_range_rad().1[1];
+    let end_rad = common::operating_range_rad()[1];
     let mut arm = Chained::new(JointVector::from([0.0, end_rad - 0.35, -2.5, 0.5, 0.0, 0.0, 0.0]), 1.0);
     let mut wish = JointVector::zeros();
     (wish[1], wish[2]) = (0.3, 1.9);
@@ -370,7 +370,7 @@ proptest! {
         start in prop::array::uniform7(-0.98..0.98f64),
         drive in prop::collection::vec((prop::array::uniform7(-1.0..1.0f64), 10..90usize, 0..30usize), 1..8),
     ) {
-        let range_rad = LimiterConfig::pa10_operating_range_rad().1;
+        let range_rad = common::operating_range_rad();
         let speeds = common::hard_limits().velocity_max_rad_per_s().to_owned();
         let mut arm = Chained::new(range_rad.component_mul(&JointVector::from(start)), SPEED_SCALE);
         for (parts, cycles, holds) in drive {

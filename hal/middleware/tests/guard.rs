@@ -7,59 +7,15 @@ mod common;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use common::{CYCLE, guard_config, hard_limits, limiter_config, mock_arm, velocity};
-use pb3dp_arm_pa10::MockArm;
+use common::{CYCLE, Tamper, Tampered, assert_contract, guard_config, hard_limits, limiter_config, mock_arm, velocity};
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_clock::VirtualClock;
-use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, arm_suite};
 use pb3dp_hal_middleware::{Guard, GuardConfig, GuardError, Limiter};
 use pb3dp_kinematics::{DOF, JointVector};
 use proptest::prelude::*;
 
 const START: [f64; DOF] = [0.2, -0.5, 0.3, 1.1, -0.7, 0.9, 0.1];
-
-type Tamper = Box<dyn FnMut(&mut JointState) + Send>;
-
-/// Changes what the arm answers, and notes what it is told.
-struct Tampered {
-    arm: MockArm,
-    tamper: Arc<Mutex<Option<Tamper>>>,
-    told: Arc<Mutex<Vec<JointCommand>>>,
-}
-
-impl Arm for Tampered {
-    fn info(&self) -> &ArmInfo {
-        self.arm.info()
-    }
-
-    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
-        self.told.lock().unwrap().push(command);
-        let mut sample = self.arm.exchange(command)?;
-        if let Some(tamper) = self.tamper.lock().unwrap().as_mut() {
-            tamper(&mut sample);
-        }
-        Ok(sample)
-    }
-}
-
-impl ArmPower for Tampered {
-    fn state(&self) -> ArmState {
-        self.arm.state()
-    }
-
-    fn enable(&mut self) -> Result<(), ArmError> {
-        self.arm.enable()
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        self.arm.stop()
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        self.arm.reset()
-    }
-}
 
 /// A guarded arm that is enabled, and the handles to disturb it.
 struct Bench {
@@ -300,15 +256,7 @@ fn refuses_numbers_that_are_none() {
 fn guarded_mock_arm_keeps_the_contract() {
     let clock = Arc::new(VirtualClock::new());
     let make = || Guard::new(mock_arm(&clock, START.into()), guard_config(0.6)).unwrap();
-    let hooks = ArmHooks::<Guard<MockArm>> {
-        lose_reply: Some(Box::new(|guard| guard.arm().faults().drop_replies(1))),
-        raise_fault: Some(Box::new(|guard| guard.arm().faults().raise_fault("overcurrent in E1"))),
-        remove_fault_cause: Some(Box::new(|guard| guard.arm().faults().remove_fault_cause())),
-        press_e_stop: Some(Box::new(|guard| guard.arm().faults().press_e_stop())),
-        release_e_stop: Some(Box::new(|guard| guard.arm().faults().release_e_stop())),
-    };
-    let expectations = ArmExpectations { speed_rad_per_s: 0.1, settles_within: Duration::from_millis(400) };
-    arm_suite(make, clock.as_ref(), &expectations, &hooks).assert_passed();
+    assert_contract(&clock, make, |guard| guard.arm());
 }
 
 proptest! {

@@ -7,14 +7,15 @@ mod common;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use common::{COMMAND_TIMEOUT, CYCLE, acceleration, hard_limits, jerk, limiter_config, mock_arm, velocity};
+use common::{
+    COMMAND_TIMEOUT, CYCLE, Tamper, Tampered, acceleration, assert_contract, hard_limits, jerk, limiter_config,
+    mock_arm, operating_range_rad, velocity,
+};
 use mockall::predicate::eq;
-use pb3dp_arm_pa10::MockArm;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_hal_conformance::mocks::MockScriptedArm;
-use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, arm_suite};
 use pb3dp_hal_middleware::{Limiter, LimiterConfig, LimiterError, LimiterStatistics, StartPose};
 use pb3dp_kinematics::{DOF, JointLimitsError, JointVector};
 use proptest::prelude::*;
@@ -35,6 +36,16 @@ fn scripted(script: impl FnOnce(&mut MockScriptedArm)) -> (Limiter<MockScriptedA
     arm.expect_info().return_const(ArmInfo { name: "scripted".to_owned(), cycle: CYCLE });
     script(&mut arm);
     (Limiter::new(arm, limiter_config(0.6), Arc::clone(&clock) as Arc<dyn Clock>).unwrap(), clock)
+}
+
+/// An enabled mock arm whose commands are noted.
+fn noted() -> (Limiter<Tampered>, Arc<VirtualClock>, Arc<Mutex<Vec<JointCommand>>>) {
+    let clock = Arc::new(VirtualClock::new());
+    let mut arm = mock_arm(&clock, JointVector::zeros());
+    arm.enable().unwrap();
+    let told = Arc::default();
+    let arm = Tampered { arm, told: Arc::clone(&told), tamper: Arc::default() };
+    (Limiter::new(arm, limiter_config(1.0), Arc::clone(&clock) as Arc<dyn Clock>).unwrap(), clock, told)
 }
 
 /// Expects exactly these commands, and answers each with a sample of that moment.
@@ -122,12 +133,7 @@ fn hold_passes_as_it_is_and_the_next_start_is_from_rest() {
 /// 10 ms after a hold at 0.5 rad/s the arm's own ramp is at 0.48 rad/s: what follows starts there and not at rest.
 #[test]
 fn a_velocity_right_after_a_hold_goes_on_from_the_ramp() {
-    let clock = Arc::new(VirtualClock::new());
-    let mut arm = mock_arm(&clock, JointVector::zeros());
-    arm.enable().unwrap();
-    let passed = Arc::new(Mutex::new(Vec::new()));
-    let spy = Spy { arm, passed: Arc::clone(&passed), frozen: Arc::default() };
-    let mut limiter = Limiter::new(spy, limiter_config(1.0), Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
+    let (mut limiter, clock, passed) = noted();
     let mut tell = |command| {
         limiter.exchange(command).unwrap();
         clock.sleep_until(clock.now() + CYCLE);
@@ -223,12 +229,7 @@ fn joints_turn_beyond_half_a_turn() {
 /// a ramp of all joints together would have it, and the wrist with its 5 rad/s^2 rests, where that ramp would be at 0.8 rad/s.
 #[test]
 fn a_velocity_after_a_hold_goes_on_from_where_each_joint_really_is() {
-    let clock = Arc::new(VirtualClock::new());
-    let mut arm = mock_arm(&clock, JointVector::zeros());
-    arm.enable().unwrap();
-    let passed = Arc::new(Mutex::new(Vec::new()));
-    let spy = Spy { arm, passed: Arc::clone(&passed), frozen: Arc::default() };
-    let mut limiter = Limiter::new(spy, limiter_config(1.0), Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
+    let (mut limiter, clock, passed) = noted();
     let mut tell = |command| {
         clock.sleep_until(clock.now() + CYCLE);
         limiter.exchange(command).unwrap()
@@ -341,52 +342,7 @@ fn limited_mock_arm_keeps_the_contract() {
         let arm = mock_arm(&clock, JointVector::from([0.2, -0.5, 0.3, 1.1, -0.7, 0.9, 0.1]));
         Limiter::new(arm, limiter_config(0.6), Arc::clone(&clock) as Arc<dyn Clock>).unwrap()
     };
-    let hooks = ArmHooks::<Limiter<MockArm>> {
-        lose_reply: Some(Box::new(|limiter| limiter.arm().faults().drop_replies(1))),
-        raise_fault: Some(Box::new(|limiter| limiter.arm().faults().raise_fault("overcurrent in E1"))),
-        remove_fault_cause: Some(Box::new(|limiter| limiter.arm().faults().remove_fault_cause())),
-        press_e_stop: Some(Box::new(|limiter| limiter.arm().faults().press_e_stop())),
-        release_e_stop: Some(Box::new(|limiter| limiter.arm().faults().release_e_stop())),
-    };
-    let expectations = ArmExpectations { speed_rad_per_s: 0.1, settles_within: Duration::from_millis(400) };
-    arm_suite(make, clock.as_ref(), &expectations, &hooks).assert_passed();
-}
-
-/// Notes every command that passes, and can go on showing one sample.
-struct Spy {
-    arm: MockArm,
-    passed: Arc<Mutex<Vec<JointCommand>>>,
-    frozen: Arc<Mutex<Option<JointState>>>,
-}
-
-impl Arm for Spy {
-    fn info(&self) -> &ArmInfo {
-        self.arm.info()
-    }
-
-    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
-        self.passed.lock().unwrap().push(command);
-        let sample = self.arm.exchange(command)?;
-        Ok(self.frozen.lock().unwrap().unwrap_or(sample))
-    }
-}
-
-impl ArmPower for Spy {
-    fn state(&self) -> ArmState {
-        self.arm.state()
-    }
-
-    fn enable(&mut self) -> Result<(), ArmError> {
-        self.arm.enable()
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        self.arm.stop()
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        self.arm.reset()
-    }
+    assert_contract(&clock, make, |limiter| limiter.arm());
 }
 
 /// What a caller, or the link behind the limiter, does for some cycles.
@@ -423,16 +379,16 @@ fn any_drive() -> impl Strategy<Value = Vec<(Deed, Vec<u64>)>> {
 }
 
 fn within_operating_range() -> impl Strategy<Value = JointVector> {
-    let (_, max) = LimiterConfig::pa10_operating_range_rad();
+    let max = operating_range_rad();
     prop::array::uniform7(-0.999..0.999f64).prop_map(move |part| max.component_mul(&JointVector::from(part)))
 }
 
 /// A limited arm under test, and what its set-points must keep to.
 struct Wild {
-    limiter: Limiter<Spy>,
+    limiter: Limiter<Tampered>,
     clock: Arc<VirtualClock>,
     passed: Arc<Mutex<Vec<JointCommand>>>,
-    frozen: Arc<Mutex<Option<JointState>>>,
+    frozen: Arc<Mutex<Option<Tamper>>>,
     speeds: JointVector,
     /// The last set-point, and its acceleration if it followed on another one; none after anything else.
     before: Option<(JointVector, Option<JointVector>)>,
@@ -445,8 +401,8 @@ impl Wild {
         let mut arm = mock_arm(&clock, start);
         arm.enable().unwrap();
         let (passed, frozen) = (Arc::new(Mutex::new(Vec::new())), Arc::default());
-        let spy = Spy { arm, passed: Arc::clone(&passed), frozen: Arc::clone(&frozen) };
-        let limiter = Limiter::new(spy, limiter_config(speed_scale), Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
+        let arm = Tampered { arm, told: Arc::clone(&passed), tamper: Arc::clone(&frozen) };
+        let limiter = Limiter::new(arm, limiter_config(speed_scale), Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
         let speeds = hard_limits().velocity_max_rad_per_s() * speed_scale;
         let last_exchange = clock.now();
         let mut wild = Self { limiter, clock, passed, frozen, speeds, before: None, last_exchange };
@@ -528,7 +484,7 @@ impl Wild {
                 Deed::Silence(ms) => self.clock.sleep_until(self.clock.now() + Duration::from_millis(ms)),
                 Deed::Freeze => {
                     let newest = self.limiter.arm().arm.plant().lock().unwrap().state();
-                    *self.frozen.lock().unwrap() = Some(newest);
+                    *self.frozen.lock().unwrap() = Some(Box::new(move |sample| *sample = newest));
                 }
                 Deed::NotFinite(..) | Deed::Hold => {}
             }
@@ -560,7 +516,7 @@ proptest! {
         wild.limiter.stop().unwrap();
         let plant = wild.limiter.arm().arm.plant();
         let plant = plant.lock().unwrap();
-        let operating = LimiterConfig::pa10_operating_range_rad().1;
+        let operating = operating_range_rad();
         let mut at = MonotonicTime::ZERO;
         while at <= end {
             let Some(position) = plant.position_at(at) else { break };

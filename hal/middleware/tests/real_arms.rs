@@ -24,7 +24,7 @@ use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, Join
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_middleware::{Coupled, CoupledArmConfig, Guard, couple};
 use pb3dp_kinematics::{ArmPart, ArmShape, Capsule, Carrier, Chain, JointVector};
-use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant};
+use pb3dp_sim::joint_dynamics::JointPlant;
 
 const FORMAT: WireFormat = WireFormat::BigEndian6x10;
 const LONG: Duration = Duration::from_secs(20);
@@ -37,7 +37,6 @@ fn start_rad() -> JointVector {
 
 fn server(arm: ArmId, clock: &Arc<dyn Clock>) -> MockServer {
     let plant = JointPlant::new(pa10_joints().unwrap(), start_rad(), clock.now()).unwrap();
-    let plant = plant.with_mechanics(JointMechanics::default()).unwrap();
     let gateway = GatewayConfig::new(arm, FORMAT, Firmware::new("test").unwrap());
     let realtime = Realtime { priority: Some(45), locks_memory: false, cpu: None };
     let config = MockServerConfig {

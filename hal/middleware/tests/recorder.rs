@@ -5,14 +5,12 @@
 mod common;
 
 use std::sync::Arc;
-use std::time::Duration;
 
-use common::{CYCLE, mock_arm, velocity};
+use common::{CYCLE, assert_contract, mock_arm, velocity};
 use pb3dp_arm_pa10::MockArm;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
 use pb3dp_hal_clock::VirtualClock;
-use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, arm_suite};
 use pb3dp_hal_middleware::{Asked, FlightLog, Recorded};
 use pb3dp_kinematics::JointVector;
 
@@ -57,13 +55,5 @@ fn the_last_exchanges_are_kept_with_what_came_of_them() {
 fn recorded_mock_arm_keeps_the_contract() {
     let clock = Arc::new(VirtualClock::new());
     let make = || recorded(&clock, 100).0;
-    let hooks = ArmHooks::<Recorded<MockArm>> {
-        lose_reply: Some(Box::new(|arm| arm.arm().faults().drop_replies(1))),
-        raise_fault: Some(Box::new(|arm| arm.arm().faults().raise_fault("overcurrent in E1"))),
-        remove_fault_cause: Some(Box::new(|arm| arm.arm().faults().remove_fault_cause())),
-        press_e_stop: Some(Box::new(|arm| arm.arm().faults().press_e_stop())),
-        release_e_stop: Some(Box::new(|arm| arm.arm().faults().release_e_stop())),
-    };
-    let expectations = ArmExpectations { speed_rad_per_s: 0.1, settles_within: Duration::from_millis(400) };
-    arm_suite(make, clock.as_ref(), &expectations, &hooks).assert_passed();
+    assert_contract(&clock, make, |arm| arm.arm());
 }

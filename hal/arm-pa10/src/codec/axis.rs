@@ -26,14 +26,6 @@ impl Axis {
         all
     };
 
-    /// The axis of this joint, 0 to 6 from the base.
-    ///
-    /// # Errors
-    /// If there is no such joint.
-    pub fn from_index(index: usize) -> Result<Self, CodecError> {
-        Self::ALL.get(index).copied().ok_or(CodecError::AxisIndex { got: index })
-    }
-
     /// The axis with this number on the wire, 1 to 7.
     ///
     /// # Errors

@@ -32,12 +32,6 @@ pub enum CodecError {
         /// The torque given, N m at the joint.
         torque_n_m: f64,
     },
-    /// There is no joint of this index.
-    #[error("there is no joint {got}: joints are 0 to 6, from the base")]
-    AxisIndex {
-        /// The index given.
-        got: usize,
-    },
     /// There is no axis of this number on the wire.
     #[error("there is no axis {got}: on the wire axes are 1 to 7, from the base; 0 is none")]
     AxisNumber {

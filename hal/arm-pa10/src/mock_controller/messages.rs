@@ -1,7 +1,6 @@
 //! What the controller does with each letter, and what it answers.
 
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_sim::joint_dynamics::AxisMode;
 
 use super::command::RawCommand;
 use super::controller::{ControlMode, MockController};
@@ -169,10 +168,5 @@ impl MockController {
             WireFormat::BigEndian6x10 => CommStatus::Comm(comm),
         };
         ArmReply { axes, comm }
-    }
-
-    /// Whether an axis moves or could be moved.
-    pub fn is_held(&self, axis: Axis) -> bool {
-        self.axes[axis.index()].mode() == AxisMode::Brake
     }
 }

@@ -1,5 +1,8 @@
 //! A driver on the bus of an emulated controller, in virtual time that goes from event to event.
 
+#[path = "plant_config.rs"]
+mod joints;
+
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -8,8 +11,10 @@ use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, Reques
 use pb3dp_arm_pa10::link::BusLink;
 use pb3dp_arm_pa10::mock_controller::{MockController, MockControllerConfig};
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_kinematics::{JointLimits, JointVector};
-use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
+use pb3dp_kinematics::JointVector;
+use pb3dp_sim::joint_dynamics::JointPlant;
+
+pub use joints::plant_config;
 
 /// Of the bus.
 pub const BUS_CYCLE: Duration = Duration::from_millis(2);
@@ -24,20 +29,6 @@ pub const START: MonotonicTime = MonotonicTime::from_nanos(3_000_000_000);
 
 pub fn home() -> JointVector {
     JointVector::from([0.3, 0.4, -0.2, 1.1, 0.5, 0.7, -0.6])
-}
-
-/// Joints of a PA-10 as far as sources know them; drives as quick as a stop within some 10 ms needs.
-pub fn plant_config() -> JointPlantConfig {
-    let max = JointVector::from([180.0f64, 97.0, 180.0, 143.0, 270.0, 180.0, 270.0].map(f64::to_radians));
-    let speed = JointVector::from([1.0, 1.0, 2.0, 2.0, 2.0, 6.2, 6.2]);
-    JointPlantConfig {
-        limits: JointLimits::new(-max, max, speed).unwrap(),
-        acceleration_max_rad_per_s2: JointVector::repeat(40.0),
-        velocity_time_constant: Duration::from_millis(5),
-        command_delay: Duration::ZERO,
-        angle_quantum_rad: 0.0,
-        history: Duration::from_secs(1),
-    }
 }
 
 pub fn plant() -> JointPlant {

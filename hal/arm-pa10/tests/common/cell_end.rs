@@ -3,6 +3,9 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 #![allow(dead_code, reason = "each test file uses its part")]
 
+#[path = "plant_config.rs"]
+mod joints;
+
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
@@ -15,8 +18,10 @@ use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
 use pb3dp_arm_pa10::io::transport::{ByteLink, wait};
 use pb3dp_arm_pa10::mock_controller::{MockController, MockControllerConfig};
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_kinematics::{JointLimits, JointVector};
-use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
+use pb3dp_kinematics::JointVector;
+use pb3dp_sim::joint_dynamics::JointPlant;
+
+pub use joints::plant_config;
 
 /// A thread that was held up for longer than this loses the rest of the time: gateway and arm stand still with it, as neither is what
 /// the machine that runs the tests is measured by.
@@ -39,19 +44,6 @@ pub struct CellEnd {
     cell: Arc<Mutex<Cell>>,
     closed: Arc<AtomicBool>,
     thread: Option<JoinHandle<Instant>>,
-}
-
-pub fn plant_config() -> JointPlantConfig {
-    let max = JointVector::from([180.0f64, 97.0, 180.0, 143.0, 270.0, 180.0, 270.0].map(f64::to_radians));
-    let speed = JointVector::from([1.0, 1.0, 2.0, 2.0, 2.0, 6.2, 6.2]);
-    JointPlantConfig {
-        limits: JointLimits::new(-max, max, speed).unwrap(),
-        acceleration_max_rad_per_s2: JointVector::repeat(40.0),
-        velocity_time_constant: Duration::from_millis(5),
-        command_delay: Duration::ZERO,
-        angle_quantum_rad: 0.0,
-        history: Duration::from_secs(1),
-    }
 }
 
 impl Cell {

@@ -6,7 +6,8 @@
 use std::time::Duration;
 
 use pb3dp_arm_pa10::codec::{
-    AxisCommand, AxisStatus, CommStatus, CommWord, ControlMessage, Letter, ServoWord, SpeedCounts,
+    AngleCounts, ArmReply, AxisCommand, AxisReply, AxisStatus, CommStatus, CommWord, ControlMessage, Letter, ServoWord,
+    SpeedCounts, TorqueCounts,
 };
 use pb3dp_arm_pa10::driver::{
     Activity, ArmCondition, AxisLimits, Driver, DriverConfig, DriverState, Reply, Request, Sample, Transmit,
@@ -252,4 +253,15 @@ impl Bench {
     pub fn only_kinds_since(&self, from: usize) -> Vec<Kind> {
         self.kinds_since(from).into_iter().map(|(kind, _)| kind).collect()
     }
+}
+
+/// Format B, at rest, without an alarm.
+pub fn arm_reply() -> ArmReply {
+    let axis = AxisReply {
+        status: AxisStatus::Servo(ServoWord(0)),
+        angle: AngleCounts(580_267),
+        speed: Some(SpeedCounts(-500)),
+        torque: TorqueCounts(7),
+    };
+    ArmReply { axes: [axis; 7], comm: CommStatus::Comm(CommWord(0x0001)) }
 }

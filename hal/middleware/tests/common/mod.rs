@@ -6,13 +6,28 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use pb3dp_arm_pa10::{MockArm, MockArmConfig};
-use pb3dp_hal_api::{Clock, JointCommand};
+use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_clock::VirtualClock;
-use pb3dp_hal_middleware::{GuardConfig, LimiterConfig, StartPose};
-use pb3dp_kinematics::{Chain, JointLimits, JointVector};
+use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, arm_suite};
+use pb3dp_hal_middleware::{GuardConfig, LimiterConfig, PA10_MECHANICAL_RANGE_DEG, StartPose};
+use pb3dp_kinematics::{Chain, DOF, JointLimits, JointVector};
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 
 pub const CYCLE: Duration = Duration::from_millis(10);
+
+fn radians(range_deg: [f64; DOF]) -> JointVector {
+    JointVector::from(range_deg).map(f64::to_radians)
+}
+
+/// The operating range of a PA-10 to both sides, as configs/sim.toml has it: 3 to 7 degrees within the servo limits.
+pub fn operating_range_rad() -> JointVector {
+    radians([170.0, 88.0, 168.0, 131.0, 249.0, 159.0, 249.0])
+}
+
+/// The mechanical range of a PA-10 to both sides.
+pub fn mechanical_range_rad() -> JointVector {
+    radians(PA10_MECHANICAL_RANGE_DEG)
+}
 
 pub fn hard_limits() -> JointLimits {
     let urdf = include_str!("../../../../configs/robots/pa10_gen2.urdf");
@@ -33,11 +48,10 @@ pub const COMMAND_TIMEOUT: Duration = Duration::from_millis(60);
 
 /// For an arm in cycles of up to 20 ms, with 15 ms of delay and 30 ms of lag.
 pub fn limiter_config(speed_scale: f64) -> LimiterConfig {
-    let (operating_min_rad, operating_max_rad) = LimiterConfig::pa10_operating_range_rad();
     LimiterConfig {
         hard_limits: hard_limits(),
-        operating_min_rad,
-        operating_max_rad,
+        operating_min_rad: -operating_range_rad(),
+        operating_max_rad: operating_range_rad(),
         speed_scale,
         acceleration_max_rad_per_s2: acceleration(),
         jerk_max_rad_per_s3: jerk(),
@@ -50,11 +64,10 @@ pub fn limiter_config(speed_scale: f64) -> LimiterConfig {
 }
 
 pub fn guard_config(speed_scale: f64) -> GuardConfig {
-    let (mechanical_min_rad, mechanical_max_rad) = GuardConfig::pa10_mechanical_range_rad();
     GuardConfig {
         hard_limits: hard_limits(),
-        mechanical_min_rad,
-        mechanical_max_rad,
+        mechanical_min_rad: -mechanical_range_rad(),
+        mechanical_max_rad: mechanical_range_rad(),
         speed_scale,
         acceleration_max_rad_per_s2: acceleration(),
         delay: Duration::from_millis(15),
@@ -83,4 +96,63 @@ pub fn mock_arm(clock: &Arc<VirtualClock>, start: JointVector) -> MockArm {
     let plant = Arc::new(Mutex::new(JointPlant::new(config, start, clock.now()).unwrap()));
     let config = MockArmConfig { name: "vs-robot".to_owned(), cycle: CYCLE, command_timeout: COMMAND_TIMEOUT };
     MockArm::new(config, plant, Arc::clone(clock) as Arc<dyn Clock>)
+}
+
+/// A mock arm in a wrapper keeps the contract of every arm; `arm` is the one in the wrapper.
+pub fn assert_contract<A: Arm + ArmPower + 'static>(
+    clock: &VirtualClock,
+    make: impl Fn() -> A,
+    arm: fn(&A) -> &MockArm,
+) {
+    let hooks = ArmHooks::<A> {
+        lose_reply: Some(Box::new(move |wrapper| arm(wrapper).faults().drop_replies(1))),
+        raise_fault: Some(Box::new(move |wrapper| arm(wrapper).faults().raise_fault("overcurrent in E1"))),
+        remove_fault_cause: Some(Box::new(move |wrapper| arm(wrapper).faults().remove_fault_cause())),
+        press_e_stop: Some(Box::new(move |wrapper| arm(wrapper).faults().press_e_stop())),
+        release_e_stop: Some(Box::new(move |wrapper| arm(wrapper).faults().release_e_stop())),
+    };
+    let expectations = ArmExpectations { speed_rad_per_s: 0.1, settles_within: Duration::from_millis(400) };
+    arm_suite(make, clock, &expectations, &hooks).assert_passed();
+}
+
+pub type Tamper = Box<dyn FnMut(&mut JointState) + Send>;
+
+/// Notes what an arm is told, and changes what it answers.
+pub struct Tampered {
+    pub arm: MockArm,
+    pub told: Arc<Mutex<Vec<JointCommand>>>,
+    pub tamper: Arc<Mutex<Option<Tamper>>>,
+}
+
+impl Arm for Tampered {
+    fn info(&self) -> &ArmInfo {
+        self.arm.info()
+    }
+
+    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        self.told.lock().unwrap().push(command);
+        let mut sample = self.arm.exchange(command)?;
+        if let Some(tamper) = self.tamper.lock().unwrap().as_mut() {
+            tamper(&mut sample);
+        }
+        Ok(sample)
+    }
+}
+
+impl ArmPower for Tampered {
+    fn state(&self) -> ArmState {
+        self.arm.state()
+    }
+
+    fn enable(&mut self) -> Result<(), ArmError> {
+        self.arm.enable()
+    }
+
+    fn stop(&mut self) -> Result<(), ArmError> {
+        self.arm.stop()
+    }
+
+    fn reset(&mut self) -> Result<(), ArmError> {
+        self.arm.reset()
+    }
 }

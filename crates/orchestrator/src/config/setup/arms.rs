@@ -123,12 +123,6 @@ const PLANT_HISTORY: Duration = Duration::from_secs(1);
 /// The largest accelerations that an arm may be given, rad/s^2, base to tip: no source has any, see docs/arm-limits.md.
 const ACCELERATION_MAX_RAD_PER_S2: [f64; DOF] = [2.0, 2.0, 2.0, 2.0, 5.0, 5.0, 5.0];
 
-/// The farthest that a joint may be from where its commands lead, degrees (0.05 rad, rounded).
-const TRACKING_ERROR_MAX_DEG: f64 = 2.9;
-
-/// How long it may be there, milliseconds.
-const TRACKING_ERROR_MAX_MILLIS: f64 = 100.0;
-
 fn check_accelerations(key: &str, accelerations: &[f64; DOF], check: &mut Checker) {
     for (joint, (&value, most)) in accelerations.iter().zip(ACCELERATION_MAX_RAD_PER_S2).enumerate() {
         check.number(&format!("{key}.acceleration_max_rad_per_s2[{joint}]"), value, 0.01..=most);
@@ -167,13 +161,12 @@ impl ArmsSection {
             ));
         }
         check.number("arms.stale_after_millis", self.stale_after_millis, control_period_millis..=200.0);
-        check.number("arms.tracking_error_max_deg", self.tracking_error_max_deg, 0.1..=TRACKING_ERROR_MAX_DEG);
+        // To a tenth of a degree, upwards.
+        let tracking_error_max_deg = (GuardConfig::TRACKING_ERROR_MAX_RAD.to_degrees() * 10.0).ceil() / 10.0;
+        check.number("arms.tracking_error_max_deg", self.tracking_error_max_deg, 0.1..=tracking_error_max_deg);
         check.number("arms.least_room_mm", self.least_room_mm, 1.0..=1000.0);
-        check.number(
-            "arms.tracking_error_millis",
-            self.tracking_error_millis,
-            control_period_millis..=TRACKING_ERROR_MAX_MILLIS,
-        );
+        let tracking_error_millis = control_period_millis..=GuardConfig::TRACKING_ERROR_FOR.as_secs_f64() * 1e3;
+        check.number("arms.tracking_error_millis", self.tracking_error_millis, tracking_error_millis);
         let vs = self.vs.build("arms.vs", self, config_file, control_period_millis, check);
         let tc = self.tc.build("arms.tc", self, config_file, control_period_millis, check);
         vs.zip(tc)
