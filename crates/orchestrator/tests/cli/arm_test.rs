@@ -273,8 +273,11 @@ fn an_arm_that_is_not_as_it_has_to_be_fails() {
         cell.arm.quit();
 
         let mut cell = Cell::start(&["--pose-deg", START_DEG]);
-        let pose =
-            |test: &mut Rehearsal, _: &mut Cell| test.answer("Are the joints, from the base, at 0.0, 45.4", "no");
+        let pose = |test: &mut Rehearsal, _: &mut Cell| {
+            // What is typed before it is asked for does not count.
+            test.answer("comms: messages only", "yes");
+            test.answer("Are the joints, from the base, at 0.0, 45.4", "no");
+        };
         fails("comms", &mut cell, pose, "the operator says no: Are the joints");
         let unwilling = |test: &mut Rehearsal, _: &mut Cell| test.answer("Press Enter", "there is a cat");
         fails_without_motion(&mut cell, unwilling);

@@ -49,6 +49,11 @@ impl Console {
         Ok(Self { lines })
     }
 
+    /// Forgets what was typed before it was asked for: nobody has thought about it.
+    pub fn forget(&self) {
+        while self.lines.try_recv().is_ok() {}
+    }
+
     /// Waits for a line, for at most this long if a time is given.
     ///
     /// # Errors

@@ -118,6 +118,7 @@ impl Operator for Person {
 
     fn ready(&mut self, text: &str, act: Option<Act>, signals: &mut StopSignals) -> Result<()> {
         let act = act.map(|act| format!("{act}. ")).unwrap_or_default();
+        self.console.forget();
         print_line(&format!("{act}{text}\nPress Enter when you are ready (or type anything else to end this step):"))?;
         match self.line(signals)?.as_str() {
             "" => Ok(()),
@@ -127,6 +128,7 @@ impl Operator for Person {
 
     fn ask(&mut self, question: &Question, signals: &mut StopSignals) -> Result<bool> {
         loop {
+            self.console.forget();
             print_line(&format!("{question} Type yes or no:"))?;
             match self.line(signals)?.as_str() {
                 "yes" | "y" => return Ok(true),
