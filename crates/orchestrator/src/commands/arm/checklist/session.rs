@@ -12,7 +12,7 @@ use pb3dp_arm_pa10::io::arm::ArmMonitor;
 use pb3dp_arm_pa10::io::mock_server::SocketAddr;
 use pb3dp_arm_pa10::io::signals::StopSignals;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{ArmError, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_hal_api::{ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_middleware::FlightLog;
 use pb3dp_kinematics::JointVector;
 
@@ -248,17 +248,21 @@ impl Session<'_> {
         };
         let outcome = Drive::new(arm, plan, clock, setup.control_period).run(signals, &mut watch);
         let monitor = arm.monitor.clone().context("an arm without a line")?;
-        let latched = if outcome.is_ok() { None } else { latched_soon(&monitor) };
-        let (Err(error), Some(latched)) = (&outcome, latched) else {
-            drive::stopped_after(self.choice, arm, outcome)?;
+        // An arm that was not stopped has to be, at once.
+        let stopped = outcome.as_ref().err().filter(|error| is_stop(error)).map(|error| format!("{error:#}"));
+        let latched = if stopped.is_some() { latched_soon(&monitor) } else { None };
+        let (Some(cause), Some(latched)) = (stopped, latched) else {
+            let ended = drive::stopped_after(self.choice, arm, outcome);
+            ended.map_err(|error| match acted {
+                Some(_) if !is_interruption(&error) => {
+                    error.context(format!("the arm did not tell that anything had stopped it ({act})"))
+                }
+                _ => error,
+            })?;
             bail!(
                 "the move has ended and nothing had stopped it ({act}): repeat this step, and do it while the arm moves"
             );
         };
-        let cause = format!("{error:#}");
-        if is_interruption(error) {
-            return Err(drive::stopped_after(self.choice, arm, outcome).err().unwrap_or_else(|| anyhow!("{cause}")));
-        }
         if self.operator.is_prompt() && acted.is_none() {
             bail!("the arm stopped before anybody did anything: {cause}");
         }
@@ -392,6 +396,13 @@ fn latched_soon(monitor: &ArmMonitor) -> Option<Latched> {
         }
         monitor.snapshot().latched
     })
+}
+
+/// Whether the arm, or what stands before it, has stopped by itself.
+fn is_stop(error: &anyhow::Error) -> bool {
+    use ArmErrorKind::{Disconnected, Fault, NotEnabled};
+    let of_arm = error.chain().find_map(|cause| cause.downcast_ref::<ArmError>());
+    of_arm.is_some_and(|error| matches!(error.kind(), Disconnected | Fault | NotEnabled))
 }
 
 /// Whether a signal asked to end.
