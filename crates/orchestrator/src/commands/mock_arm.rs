@@ -1,8 +1,8 @@
 //! `pb3dp mock-arm`: an emulated PA-10 in real time that fails on request.
 
-use std::io::{BufRead, Write};
+use std::io::Write;
 use std::process::ExitCode;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -18,6 +18,7 @@ use pb3dp_hal_clock::SystemClock;
 use pb3dp_kinematics::{DOF, JointVector};
 use pb3dp_sim::joint_dynamics::JointPlant;
 
+use super::typed_lines::typed_lines;
 use crate::config::names::{FormatName, GeometryName};
 
 /// What `--fault`, scripts and standard input understand.
@@ -140,22 +141,12 @@ fn face(args: &MockArmArgs, controller: &MockControllerConfig) -> anyhow::Result
     })
 }
 
-/// Lines of standard input, as they come. Their end ends nothing.
-fn typed_lines() -> anyhow::Result<Receiver<String>> {
-    let (sender, receiver) = channel();
-    let read = move || {
-        for line in std::io::stdin().lock().lines() {
-            let Ok(line) = line else { return };
-            if sender.send(line).is_err() {
-                return;
-            }
-        }
-    };
-    std::thread::Builder::new().name("mock-arm-lines".to_owned()).spawn(read).context("no thread for typed lines")?;
-    Ok(receiver)
-}
-
-fn serve(server: &MockServer, lines: &Receiver<String>, stop_after: Option<Duration>) -> anyhow::Result<()> {
+/// Until it is told to end; the end of standard input ends nothing.
+fn serve(
+    server: &MockServer,
+    lines: &Receiver<std::io::Result<String>>,
+    stop_after: Option<Duration>,
+) -> anyhow::Result<()> {
     let (begin, mut address) = (Instant::now(), server.address());
     loop {
         let is_over = stop_after.is_some_and(|time| begin.elapsed() >= time);
@@ -163,9 +154,9 @@ fn serve(server: &MockServer, lines: &Receiver<String>, stop_after: Option<Durat
             return Ok(());
         }
         match lines.recv_timeout(LOOK) {
-            Ok(line) if line.trim() == "quit" => return Ok(()),
-            Ok(line) => obey(server, line.trim())?,
-            Err(RecvTimeoutError::Timeout) => {}
+            Ok(Ok(line)) if line.trim() == "quit" => return Ok(()),
+            Ok(Ok(line)) => obey(server, line.trim())?,
+            Ok(Err(_)) | Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => std::thread::sleep(LOOK),
         }
         if server.address() != address {

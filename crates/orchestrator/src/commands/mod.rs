@@ -7,3 +7,4 @@ pub mod mock_arm;
 pub mod pair;
 pub mod run;
 pub mod track;
+mod typed_lines;

@@ -61,21 +61,17 @@ pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>) -> Result<WiredArms> {
     let (vs_name, tc_name) = ("vs-robot", "tc-robot");
     let mut seats = trip_line(2).context("the line along which the arms stop each other")?.into_iter();
     let mut seat = || seats.next().context("a place on the line along which the arms stop each other");
-    let vs = wire_backend((setup, clock), (vs_name, &setup.vs, clock), seat()?)?;
-    let tc = wire_backend((setup, clock), (tc_name, &setup.tc, clock), seat()?)?;
-    let (vs_guarded, vs_flight) = guarded((setup, clock), (vs_name, &setup.vs), vs.backend, vs.trip)?;
-    let (tc_guarded, tc_flight) = guarded((setup, clock), (tc_name, &setup.tc), tc.backend, tc.trip)?;
+    let wanted = |name, arm| Wanted { name, arm, control_period: setup.control_period, clock };
+    let (vs_wanted, tc_wanted) = (wanted(vs_name, &setup.vs), wanted(tc_name, &setup.tc));
+    let (vs, tc) = (wire_backend(vs_wanted, seat()?)?, wire_backend(tc_wanted, seat()?)?);
+    let (vs_guarded, vs_flight) = guarded(vs_wanted, vs.backend, vs.trip)?;
+    let (tc_guarded, tc_flight) = guarded(tc_wanted, tc.backend, tc.trip)?;
     let pair = ((vs_guarded, coupled_config(&setup.vs)), (tc_guarded, coupled_config(&setup.tc)));
     let (vs_coupled, tc_coupled) = couple(pair.0, pair.1, setup.least_room_m, clock).context("table [arms]")?;
-    let limited = |name: &str, arm: &ArmSetup, coupled| {
-        let limiter = Limiter::new(coupled, arm.limiter.clone(), Arc::clone(clock));
-        limiter.with_context(|| format!("{name}: limiter"))
-    };
-    let (vs_driven, tc_driven) = (limited(vs_name, &setup.vs, vs_coupled)?, limited(tc_name, &setup.tc, tc_coupled)?);
     let monitors = [(vs_name, vs.monitor), (tc_name, tc.monitor)];
     Ok(WiredArms {
         sites: [vs.site, tc.site],
-        driven: [Box::new(vs_driven), Box::new(tc_driven)],
+        driven: [limited(vs_wanted, vs_coupled)?, limited(tc_wanted, tc_coupled)?],
         flights: [(vs_name, vs_flight), (tc_name, tc_flight)],
         monitors: monitors.into_iter().filter_map(|(name, monitor)| Some((name, monitor?))).collect(),
         emulated: vs.emulated.into_iter().chain(tc.emulated).collect(),
@@ -86,12 +82,10 @@ pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>) -> Result<WiredArms> {
 ///
 /// # Errors
 /// If a part refuses its parameters, or the arm does not answer.
-pub fn wire_alone(setup: &Setup, (name, arm): (&'static str, &ArmSetup), clock: &Arc<dyn Clock>) -> Result<AloneArm> {
-    let wired = wire_backend((setup, clock), (name, arm, clock), alone()?)?;
-    let (guarded, flight) = guarded((setup, clock), (name, arm), wired.backend, wired.trip)?;
-    let limiter = Limiter::new(guarded, arm.limiter.clone(), Arc::clone(clock));
-    let driven = limiter.with_context(|| format!("{name}: limiter"))?;
-    Ok(AloneArm { driven: Box::new(driven), monitor: wired.monitor, flight, emulated: wired.emulated })
+pub(super) fn wire_alone(wanted: Wanted<'_>) -> Result<AloneArm> {
+    let wired = wire_backend(wanted, alone()?)?;
+    let (guarded, flight) = guarded(wanted, wired.backend, wired.trip)?;
+    Ok(AloneArm { driven: limited(wanted, guarded)?, monitor: wired.monitor, flight, emulated: wired.emulated })
 }
 
 /// A place on a line along which nobody else is.
@@ -111,13 +105,22 @@ pub struct AloneArm {
     pub emulated: Option<MockServer>,
 }
 
-fn guarded(
-    (setup, clock): (&Setup, &Arc<dyn Clock>),
-    (name, arm): (&str, &ArmSetup),
-    backend: Box<dyn Backend>,
-    trip: Option<TripHandle>,
-) -> Result<(GuardedArm, FlightLog)> {
-    let cycles = FLIGHT.as_secs_f64() / setup.control_period.as_secs_f64();
+/// An arm that is to be wired.
+#[derive(Clone, Copy)]
+pub(super) struct Wanted<'a> {
+    /// For messages.
+    pub name: &'a str,
+    /// What the setup says of it.
+    pub arm: &'a ArmSetup,
+    /// Time between two commands.
+    pub control_period: Duration,
+    /// That of all arms.
+    pub clock: &'a Arc<dyn Clock>,
+}
+
+fn guarded(wanted: Wanted<'_>, backend: Box<dyn Backend>, trip: Option<TripHandle>) -> Result<(GuardedArm, FlightLog)> {
+    let Wanted { name, arm, control_period, clock } = wanted;
+    let cycles = FLIGHT.as_secs_f64() / control_period.as_secs_f64();
     let flight = FlightLog::with_capacity(cycles.ceil() as usize);
     let recorded = Recorded::new(backend, Arc::clone(clock), flight.clone());
     let guard = Guard::new(recorded, arm.guard.clone()).with_context(|| format!("{name}: guard"))?;
@@ -127,6 +130,11 @@ fn guarded(
         None => guard,
     };
     Ok((guard, flight))
+}
+
+fn limited<A: Arm + ArmPower + 'static>(wanted: Wanted<'_>, inner: A) -> Result<Box<dyn DrivenArm>> {
+    let limiter = Limiter::new(inner, wanted.arm.limiter.clone(), Arc::clone(wanted.clock));
+    Ok(Box::new(limiter.with_context(|| format!("{}: limiter", wanted.name))?))
 }
 
 fn coupled_config(arm: &ArmSetup) -> CoupledArmConfig {
@@ -152,37 +160,45 @@ struct WiredBackend {
 }
 
 /// The backend that the configuration names.
-fn wire_backend((setup, clock): (&Setup, &Arc<dyn Clock>), parts: Parts<'_>, seat: TripSeat) -> Result<WiredBackend> {
-    let (name, arm, _) = parts;
-    match &arm.link {
-        ArmLink::InProcess => {
-            let plant = shared_plant(arm.plant.clone(), parts)?;
-            let config = MockArmConfig {
-                name: name.to_owned(),
-                cycle: setup.control_period,
-                command_timeout: arm.command_timeout,
-            };
-            let mock = MockArm::new(config, Arc::clone(&plant), Arc::clone(clock));
-            let site = site(arm, JointSource::plant(plant));
-            Ok(WiredBackend { site, backend: Box::new(mock), monitor: None, trip: None, emulated: None })
-        }
-        ArmLink::Gateway(link, GatewayWay::Emulated) => {
-            let (server, plant) = emulate(link, parts)?;
-            let line = Line::Gateway(link, Box::new(emulated_port(link, &server)));
-            let opened = open(line, (setup, seat), parts)?;
-            let site = site(arm, JointSource::plant(plant));
-            let (monitor, trip) = (Some(opened.monitor()), Some(opened.trip_handle()));
-            Ok(WiredBackend { site, backend: Box::new(opened), monitor, trip, emulated: Some(server) })
-        }
-        ArmLink::Gateway(link, GatewayWay::Serial(port)) => {
-            measured(Line::Gateway(link, Box::new(port.clone())), (setup, seat), parts)
-        }
-        ArmLink::Gateway(link, GatewayWay::Tcp(address)) => {
-            measured(Line::Gateway(link, Box::new(*address)), (setup, seat), parts)
-        }
-        ArmLink::Bus(link) => measured(Line::Bus(link), (setup, seat), parts),
+fn wire_backend(wanted: Wanted<'_>, seat: TripSeat) -> Result<WiredBackend> {
+    let Wanted { name, arm, control_period, clock } = wanted;
+    let Some((line, emulated)) = line(wanted)? else {
+        let plant = shared_plant(arm.plant.clone(), wanted)?;
+        let config =
+            MockArmConfig { name: name.to_owned(), cycle: control_period, command_timeout: arm.command_timeout };
+        let mock = MockArm::new(config, Arc::clone(&plant), Arc::clone(clock));
+        let site = site(arm, JointSource::plant(plant));
+        return Ok(WiredBackend { site, backend: Box::new(mock), monitor: None, trip: None, emulated: None });
+    };
+    let opened = open(line, seat, wanted)?;
+    let (monitor, trip) = (Some(opened.monitor()), Some(opened.trip_handle()));
+    if let Some((server, plant)) = emulated {
+        let site = site(arm, JointSource::plant(plant));
+        return Ok(WiredBackend { site, backend: Box::new(opened), monitor, trip, emulated: Some(server) });
     }
+    // Nobody simulates the joints here: the cell has them as they are measured.
+    let (tap, samples) = sync_channel(JOINTS_WAITING_MAX);
+    let site = site(arm, JointSource::measured(samples, arm.start_rad));
+    Ok(WiredBackend { site, backend: Box::new(Tapped { arm: opened, tap }), monitor, trip, emulated: None })
 }
+
+/// What leads to an arm, with the emulated arm and its joints if there is one at the other end; `None` if the arm is simulated in
+/// process.
+pub(super) fn line(wanted: Wanted<'_>) -> Result<Option<(Line<'_>, Option<EmulatedArm>)>> {
+    Ok(Some(match &wanted.arm.link {
+        ArmLink::InProcess => return Ok(None),
+        ArmLink::Gateway(link, GatewayWay::Emulated) => {
+            let emulated = emulate(MockFace::Pty, link, wanted)?;
+            (Line::Gateway(link, Box::new(emulated_port(link, &emulated.0))), Some(emulated))
+        }
+        ArmLink::Gateway(link, GatewayWay::Serial(port)) => (Line::Gateway(link, Box::new(port.clone())), None),
+        ArmLink::Gateway(link, GatewayWay::Tcp(address)) => (Line::Gateway(link, Box::new(*address)), None),
+        ArmLink::Bus(link) => (Line::Bus(link), None),
+    }))
+}
+
+/// An emulated arm and its joints.
+type EmulatedArm = (MockServer, Arc<Mutex<JointPlant>>);
 
 /// What every backend can do.
 trait Backend: Arm + ArmPower {}
@@ -191,47 +207,29 @@ impl<A: Arm + ArmPower> Backend for A {}
 
 type GuardedArm = Guard<Recorded<Box<dyn Backend>>>;
 
-pub(super) type Parts<'a> = (&'a str, &'a ArmSetup, &'a Arc<dyn Clock>);
-
-/// An arm whose joints nobody simulates here: the cell has them as they are measured.
-fn measured(line: Line<'_>, place: (&Setup, TripSeat), parts: Parts<'_>) -> Result<WiredBackend> {
-    let (_, arm, _) = parts;
-    let opened = open(line, place, parts)?;
-    let (monitor, trip) = (Some(opened.monitor()), Some(opened.trip_handle()));
-    let (tap, samples) = sync_channel(JOINTS_WAITING_MAX);
-    let source = JointSource::measured(samples, arm.start_rad);
-    let backend = Box::new(Tapped { arm: opened, tap });
-    Ok(WiredBackend { site: site(arm, source), backend, monitor, trip, emulated: None })
-}
-
 fn site(arm: &ArmSetup, joints: JointSource) -> ArmSite {
     ArmSite { chain: arm.chain.clone(), world_from_base: arm.world_from_base, joints }
 }
 
-fn shared_plant(config: JointPlantConfig, (name, arm, clock): Parts<'_>) -> Result<Arc<Mutex<JointPlant>>> {
+fn shared_plant(config: JointPlantConfig, wanted: Wanted<'_>) -> Result<Arc<Mutex<JointPlant>>> {
+    let Wanted { name, arm, clock, .. } = wanted;
     let plant = JointPlant::new(config, arm.start_rad, clock.now()).with_context(|| format!("{name}: start"))?;
     Ok(Arc::new(Mutex::new(plant)))
 }
 
-/// An emulated arm on a pseudo-terminal, and its joints: those of the configuration with brakes, friction and gravity. The link
-/// brings its own delay.
-pub(super) fn emulate(link: &GatewayLinkConfig, parts: Parts<'_>) -> Result<(MockServer, Arc<Mutex<JointPlant>>)> {
-    emulate_behind(MockFace::Pty, link, parts)
-}
-
-/// The same wherever hosts are to find it.
-pub(super) fn emulate_behind(
+/// An emulated arm where hosts are to find it, with the joints of the configuration. The link brings its own delay.
+pub(super) fn emulate(
     face: impl FnOnce(GatewayConfig) -> MockFace,
     link: &GatewayLinkConfig,
-    parts: Parts<'_>,
-) -> Result<(MockServer, Arc<Mutex<JointPlant>>)> {
-    let (name, arm, clock) = parts;
+    wanted: Wanted<'_>,
+) -> Result<EmulatedArm> {
+    let Wanted { name, arm, clock, .. } = wanted;
     let joints = JointPlantConfig {
         command_delay: Duration::ZERO,
         acceleration_max_rad_per_s2: pa10_joints()?.acceleration_max_rad_per_s2,
         ..arm.plant.clone()
     };
-    let plant = shared_plant(joints, parts)?;
+    let plant = shared_plant(joints, wanted)?;
     let hard_limits = &arm.limiter.hard_limits;
     let controller = MockControllerConfig {
         lower_limit_rad: *hard_limits.position_min_rad(),
@@ -248,7 +246,7 @@ pub(super) fn emulate_behind(
 }
 
 /// The way to an emulated arm, wherever its terminal is.
-pub(super) fn emulated_port(link: &GatewayLinkConfig, server: &MockServer) -> MockPort {
+fn emulated_port(link: &GatewayLinkConfig, server: &MockServer) -> MockPort {
     let (dialect, format, cycle) = (link.dialect, link.format, link.cycle);
     server.port(SerialConfig { path: server.address(), baud: EMULATED_BAUD, dialect, format, cycle })
 }
@@ -271,14 +269,15 @@ impl Line<'_> {
     }
 }
 
-fn open(line: Line<'_>, (setup, seat): (&Setup, TripSeat), (name, arm, clock): Parts<'_>) -> Result<Pa10Arm> {
+fn open(line: Line<'_>, seat: TripSeat, wanted: Wanted<'_>) -> Result<Pa10Arm> {
+    let Wanted { name, arm, .. } = wanted;
     let hard_limits = &arm.limiter.hard_limits;
     let limits = LimitsCheck::Compare {
         lower_rad: *hard_limits.position_min_rad(),
         upper_rad: *hard_limits.position_max_rad(),
         tolerance_rad: LIMITS_TOLERANCE_DEG.to_radians(),
     };
-    let opened = connect(line, (setup, seat, limits), (name, arm, clock))?;
+    let opened = connect(line, (seat, limits), wanted)?;
     for warning in opened.warnings() {
         tracing::warn!("{name}: {warning}");
     }
@@ -289,11 +288,8 @@ fn open(line: Line<'_>, (setup, seat): (&Setup, TripSeat), (name, arm, clock): P
 }
 
 /// Opens the link to an arm and looks at it; its brakes stay on.
-pub(super) fn connect(
-    line: Line<'_>,
-    (setup, seat, limits): (&Setup, TripSeat, LimitsCheck),
-    (name, arm, clock): Parts<'_>,
-) -> Result<Pa10Arm> {
+pub(super) fn connect(line: Line<'_>, (seat, limits): (TripSeat, LimitsCheck), wanted: Wanted<'_>) -> Result<Pa10Arm> {
+    let Wanted { name, arm, control_period, clock } = wanted;
     let driver = |cycle| DriverConfig {
         limits,
         deceleration_rad_per_s2: arm.limiter.acceleration_max_rad_per_s2,
@@ -313,7 +309,7 @@ pub(super) fn connect(
                 name: name.to_owned(),
                 arm: link.arm,
                 driver: driver(link.cycle),
-                exchange_cycle: setup.control_period,
+                exchange_cycle: control_period,
                 format: link.format,
                 modulus: link.modulus,
                 target: link.target.clone(),

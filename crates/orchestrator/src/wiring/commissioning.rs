@@ -13,9 +13,7 @@ use pb3dp_hal_middleware::{FlightLog, StartPose};
 use pb3dp_kinematics::{JointLimits, JointVector};
 
 use super::DrivenArm;
-use super::arm::{
-    AloneArm, Line, WiredArms, alone, connect, emulate, emulate_behind, emulated_port, wire_alone, wire_arms,
-};
+use super::arm::{AloneArm, Wanted, WiredArms, alone, connect, emulate, line, wire_alone, wire_arms};
 use crate::config::setup::{ArmLink, ArmSetup, GatewayWay, Setup};
 
 pub use super::arm::LIMITS_TOLERANCE_DEG;
@@ -83,27 +81,21 @@ pub struct SeenArm {
     pub emulated: Option<MockServer>,
 }
 
+fn wanted<'a>(setup: &'a Setup, choice: ArmChoice, clock: &'a Arc<dyn Clock>) -> Wanted<'a> {
+    Wanted { name: choice.name(), arm: choice.of(setup), control_period: setup.control_period, clock }
+}
+
 /// Opens the link to an arm, whose brakes stay on.
 ///
 /// # Errors
 /// If it has no link, or does not answer as configured.
 pub fn see(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<SeenArm> {
-    let (name, arm) = (choice.name(), choice.of(setup));
-    let parts = (name, arm, clock);
-    let (line, emulated) = match &arm.link {
-        ArmLink::InProcess => {
-            bail!("{}.backend = \"mock\" has no line to an arm; set emulated, serial, tcp or arcnet", choice.table())
-        }
-        ArmLink::Gateway(link, GatewayWay::Emulated) => {
-            let (server, _) = emulate(link, parts)?;
-            (Line::Gateway(link, Box::new(emulated_port(link, &server))), Some(server))
-        }
-        ArmLink::Gateway(link, GatewayWay::Serial(port)) => (Line::Gateway(link, Box::new(port.clone())), None),
-        ArmLink::Gateway(link, GatewayWay::Tcp(address)) => (Line::Gateway(link, Box::new(*address)), None),
-        ArmLink::Bus(link) => (Line::Bus(link), None),
+    let wanted = wanted(setup, choice, clock);
+    let Some((line, emulated)) = line(wanted)? else {
+        bail!("{}.backend = \"mock\" has no line to an arm; set emulated, serial, tcp or arcnet", choice.table())
     };
-    let target = line.target();
-    let arm = connect(line, (setup, alone()?, LimitsCheck::Read), parts)?;
+    let (target, emulated) = (line.target(), emulated.map(|(server, _)| server));
+    let arm = connect(line, (alone()?, LimitsCheck::Read), wanted)?;
     Ok(SeenArm { arm, target, emulated })
 }
 
@@ -168,8 +160,7 @@ pub fn speeds_rad_per_s(arm: &ArmSetup) -> JointVector {
 /// If an arm does not answer as configured.
 pub fn wire_slow(setup: &Setup, choice: ArmChoice, beside_other: bool, clock: &Arc<dyn Clock>) -> Result<SlowArm> {
     if !beside_other {
-        let AloneArm { driven, monitor, flight, emulated } =
-            wire_alone(setup, (choice.name(), choice.of(setup)), clock)?;
+        let AloneArm { driven, monitor, flight, emulated } = wire_alone(wanted(setup, choice, clock))?;
         return Ok(SlowArm { driven, monitor, flight, other: None, emulated: emulated.into_iter().collect() });
     }
     let WiredArms { driven: [vs, tc], flights: [(_, vs_flight), (_, tc_flight)], monitors, emulated, .. } =
@@ -194,8 +185,7 @@ pub fn wire_slow(setup: &Setup, choice: ArmChoice, beside_other: bool, clock: &A
 /// # Errors
 /// If the backend is another one: a real arm is nobody's toy.
 pub fn emulate_at_address(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<MockServer> {
-    let arm = choice.of(setup);
-    let ArmLink::Gateway(link, GatewayWay::Emulated) = &arm.link else {
+    let ArmLink::Gateway(link, GatewayWay::Emulated) = &choice.of(setup).link else {
         bail!(
             "{}.backend is not \"emulated\": the program has no hand at the switches and cables of this arm",
             choice.table()
@@ -203,7 +193,7 @@ pub fn emulate_at_address(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Cloc
     };
     let address = "127.0.0.1:0".parse().context("an address of this machine")?;
     let face = |gateway| MockFace::Tcp(gateway, address);
-    Ok(emulate_behind(face, link, (choice.name(), arm, clock))?.0)
+    Ok(emulate(face, link, wanted(setup, choice, clock))?.0)
 }
 
 /// Has an arm reached by TCP at this address, whatever the file says.

@@ -1,11 +1,12 @@
 //! What an operator types, and that he wants an arm to move.
 
-use std::io::BufRead;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10::io::signals::{StopSignal, StopSignals};
+
+use crate::commands::typed_lines::typed_lines;
 
 /// Signals are looked for this often while nothing is typed.
 const LOOK: Duration = Duration::from_millis(50);
@@ -37,16 +38,7 @@ impl Console {
     /// # Errors
     /// If the system gives no thread.
     pub fn start() -> Result<Self> {
-        let (sender, lines) = channel();
-        let read = move || {
-            for line in std::io::stdin().lock().lines() {
-                if sender.send(line).is_err() {
-                    return;
-                }
-            }
-        };
-        std::thread::Builder::new().name("typed lines".to_owned()).spawn(read).context("no thread for typed lines")?;
-        Ok(Self { lines })
+        Ok(Self { lines: typed_lines()? })
     }
 
     /// Forgets what was typed before it was asked for: nobody has thought about it.

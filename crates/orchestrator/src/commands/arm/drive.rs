@@ -5,7 +5,6 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10::codec::Axis;
-use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
 use pb3dp_arm_pa10::io::signals::StopSignals;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmErrorKind, Clock, JointCommand, JointState};
@@ -15,8 +14,6 @@ use super::confirm::Interrupted;
 use super::plan::Plan;
 use crate::wiring::commissioning::{ArmChoice, SlowArm};
 
-/// Of the loop that commands the move, below those of the arms.
-const PRIORITY: u8 = 40;
 /// By how much joints may have moved between the plan and the opening of the brakes, rad.
 pub const STAYED_WITHIN_RAD: f64 = 0.01;
 /// Speed per angle by which a joint is behind its plan, 1/s.
@@ -50,13 +47,6 @@ pub struct Cycle<'a> {
 
 /// Looks on in each cycle; what it returns as an error ends the move.
 pub type Watch<'a> = &'a mut dyn FnMut(&Cycle<'_>) -> Result<()>;
-
-/// Has the loop that commands a move run in real time, as far as the system gives it.
-pub fn ask_for_realtime() {
-    for shortfall in enter(&Realtime { priority: Some(PRIORITY), locks_memory: false, cpu: None }) {
-        tracing::warn!("control loop: {shortfall}");
-    }
-}
 
 /// The stop order after a move, whatever came of it.
 ///

@@ -16,6 +16,7 @@ use super::plan::Plan;
 use super::{MotionArgs, Place, confirm};
 use crate::commands::estimate::output::print_line;
 use crate::config::setup::{ArmLink, Setup, read_setup};
+use crate::run::live::enter_control_thread;
 use crate::wiring::commissioning::{ArmChoice, SlowArm, set_line, slow_setup, wire_slow};
 
 /// Of a jog, for every joint: the speed of the first motion in the checklist of the rig.
@@ -86,7 +87,7 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
         choice.name()
     ))?;
     confirm::typed(choice.name(), &mut signals)?;
-    drive::ask_for_realtime();
+    enter_control_thread();
     let mut drive = Drive::new(&mut arm, &plan, &clock, setup.control_period);
     let outcome = drive.run(&mut signals, &mut |cycle| if args.report_joints { tell(cycle) } else { Ok(()) });
     let lost = drive.lost();

@@ -35,10 +35,11 @@ use self::steps::Step;
 use super::confirm::Console;
 use super::motion::JOG_RAD_PER_S;
 use super::probe_report::GatewayFacts;
-use super::{Place, drive, parse_jog};
+use super::{Place, parse_jog};
 use crate::commands::estimate::output::print_line;
 use crate::commands::run::machine;
 use crate::config::setup::{ArmLink, GatewayWay, Setup, read_setup};
+use crate::run::live::enter_control_thread;
 use crate::wiring::commissioning::{ArmChoice, emulate_at_address, see, set_line, slow_setup};
 use crate::{sha256, utc};
 
@@ -106,7 +107,7 @@ pub fn run(args: &TestArgs) -> Result<ExitCode> {
     }
     confirm(&asked, &mut session)?;
     std::fs::create_dir_all(&session.out).with_context(|| format!("{}: can not be made", session.out.display()))?;
-    drive::ask_for_realtime();
+    enter_control_thread();
     let steps = all_steps(&asked, &mut session)?;
     let result = Verdict::of(&steps);
     let report = TestReport {
