@@ -70,6 +70,20 @@ impl Cell {
         pb3dp_arm(&self.config().display().to_string(), args, typed)
     }
 
+    /// A jog turns its joint and no other one, and closes the brakes.
+    pub fn assert_jogs(&mut self) {
+        let (before, _) = self.joints();
+        let jog = ["jog", "--axis", "4", "--by", "-0.5", "--move"];
+        let done = self.pb3dp(&jog, Some("vs-robot")).assert_success().stdout;
+        assert!(done.contains("done: every joint within 0.0"), "{done}");
+        let (after, is_braked) = self.joints();
+        assert!(is_braked);
+        for (joint, (after, before)) in after.iter().zip(&before).enumerate() {
+            let by = if joint == 3 { -0.5 } else { 0.0 };
+            assert!((after - before - by).abs() < 0.1, "joint {joint}: {before} to {after}");
+        }
+    }
+
     /// Angles of the joints, degrees, as they really are, and whether all brakes are closed.
     pub fn joints(&mut self) -> (Vec<f64>, bool) {
         let state = self.arm.state();
@@ -235,16 +249,7 @@ fn nothing_moves_without_the_name_of_the_arm() {
 fn a_jog_turns_one_joint_and_closes_the_brakes() {
     patiently(|| {
         let mut cell = Cell::start(&["--pose-deg", START_DEG]);
-        let (before, _) = cell.joints();
-        let jog = ["jog", "--axis", "4", "--by", "-0.5", "--move"];
-        let done = cell.pb3dp(&jog, Some("vs-robot")).assert_success().stdout;
-        assert!(done.contains("done: every joint within 0.0"), "{done}");
-        let (after, is_braked) = cell.joints();
-        assert!(is_braked);
-        for (joint, (after, before)) in after.iter().zip(&before).enumerate() {
-            let by = if joint == 3 { -0.5 } else { 0.0 };
-            assert!((after - before - by).abs() < 0.1, "joint {joint}: {before} to {after}");
-        }
+        cell.assert_jogs();
         cell.arm.quit();
     });
 }

@@ -51,16 +51,7 @@ fn a_probe_reads_the_controller_itself() {
 fn a_jog_turns_one_joint_and_closes_the_brakes() {
     patiently(|| {
         let mut cell = cell(&["--pose-deg", START_DEG], "B");
-        let (before, _) = cell.joints();
-        let jog = ["jog", "--axis", "4", "--by", "-0.5", "--move"];
-        let done = cell.pb3dp(&jog, Some("vs-robot")).assert_success().stdout;
-        assert!(done.contains("done: every joint within 0.0"), "{done}");
-        let (after, is_braked) = cell.joints();
-        assert!(is_braked);
-        for (joint, (after, before)) in after.iter().zip(&before).enumerate() {
-            let by = if joint == 3 { -0.5 } else { 0.0 };
-            assert!((after - before - by).abs() < 0.1, "joint {joint}: {before} to {after}");
-        }
+        cell.assert_jogs();
         cell.arm.quit();
     });
 }

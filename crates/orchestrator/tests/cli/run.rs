@@ -158,18 +158,10 @@ fn a_recorded_run_can_be_tracked() {
     let dir = tempfile::tempdir().unwrap();
     let config = setup(dir.path(), &SMALL);
     let (out, recording) = (dir.path().join("out"), dir.path().join("recording"));
-    let finished = pb3dp(&words(&[
-        &"run",
-        &"--config",
-        &config,
-        &"--out",
-        &out,
-        &"--stop-after",
-        &"0.2",
-        &"--record",
-        &recording,
-    ]))
-    .assert_success();
+    let run = || {
+        pb3dp(&words(&[&"run", &"--config", &config, &"--out", &out, &"--stop-after", &"0.2", &"--record", &recording]))
+    };
+    let finished = run().assert_success();
     assert!(finished.stderr.contains("frames recorded"), "{}", finished.stderr);
     for (method, observed) in [("published", false), ("direct", true)] {
         let tracked =
@@ -178,18 +170,7 @@ fn a_recorded_run_can_be_tracked() {
         assert!(tracked.stderr.contains("motion error"), "{}", tracked.stderr);
         assert_eq!(tracked.stderr.contains("normal is not observed"), !observed, "{method}: {}", tracked.stderr);
     }
-    let again = pb3dp(&words(&[
-        &"run",
-        &"--config",
-        &config,
-        &"--out",
-        &out,
-        &"--stop-after",
-        &"0.1",
-        &"--record",
-        &recording,
-    ]));
-    again.assert_refused(&["--record"]);
+    run().assert_refused(&["--record"]);
 }
 
 #[test]
