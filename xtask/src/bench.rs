@@ -179,7 +179,7 @@ fn run_and_collect(command: &mut Command) -> anyhow::Result<(Vec<Value>, Vec<Str
 }
 
 /// Commit, processor and compiler; "unknown" where the machine does not tell.
-pub fn circumstances(workspace: &Workspace) -> Value {
+fn circumstances(workspace: &Workspace) -> Value {
     let told = |program: &str, args: &[&str]| workspace.output_of(program, args);
     let unknown = || "unknown".to_owned();
     let changed = told("git", &["status", "--porcelain"]).is_some_and(|changes| !changes.is_empty());
@@ -191,6 +191,18 @@ pub fn circumstances(workspace: &Workspace) -> Value {
         "processors": std::thread::available_parallelism().map_or(0, std::num::NonZero::get),
         "compiler": told("rustc", &["--version"]).unwrap_or_else(unknown),
     })
+}
+
+/// Commit, processor and compiler as a line of a page.
+pub fn origin(workspace: &Workspace) -> String {
+    let found = circumstances(workspace);
+    format!(
+        "Commit {}{}; {}; {}.",
+        found["commit"].as_str().unwrap_or("unknown").chars().take(12).collect::<String>(),
+        if found["uncommitted_changes"] == true { " with changes that are not committed" } else { "" },
+        found["processor"].as_str().unwrap_or("unknown processor"),
+        found["compiler"].as_str().unwrap_or("unknown compiler"),
+    )
 }
 
 fn processor_name(cpuinfo: &str) -> Option<String> {

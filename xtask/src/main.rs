@@ -8,6 +8,7 @@ mod bench;
 mod check_deps;
 mod ci;
 mod demo;
+mod hil;
 mod licences;
 mod rust_text;
 mod soak;
@@ -39,6 +40,7 @@ enum Command {
     Tidy(tidy::Args),
     CheckDeps(check_deps::Args),
     Bench(bench::Args),
+    Hil(hil::Args),
     Soak(soak::Args),
     Vm(vm::Args),
 }
@@ -52,6 +54,7 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Tidy(args) => tidy::run(&workspace, args),
         Command::CheckDeps(args) => check_deps::run(&workspace, args),
         Command::Bench(args) => bench::run(&workspace, args),
+        Command::Hil(args) => hil::run(&workspace, args),
         Command::Soak(args) => soak::run(&workspace, args),
         Command::Vm(args) => vm::run(&workspace, args),
     }

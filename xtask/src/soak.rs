@@ -1,6 +1,6 @@
 //! `cargo xtask soak`: two emulated arms over pseudo-terminals for minutes, with faults at random.
 
-use crate::bench::circumstances;
+use crate::bench::origin;
 use crate::workspace::{Workspace, run_visibly};
 
 const PAGE: &str = "docs/benchmarks/arm.md";
@@ -9,14 +9,18 @@ const PAGE: &str = "docs/benchmarks/arm.md";
 ///
 /// Both arms are those of configs/hil.toml with all that stands before a real arm; one reply of each controller in a hundred is
 /// lost all the time. Ten minutes take every kind of fault some eight times. It fails if a fault is not noticed, an arm comes to
-/// rest too late, or one stops without a reason. With --page the tables go to docs/benchmarks/arm.md, with commit and machine; commit first, and leave the
-/// machine alone.
+/// rest too late, or one stops without a reason.
+/// With --page both runs are made, with faults and with losses only, and the tables go to docs/benchmarks/arm.md, with commit and
+/// machine; commit first, and leave the machine alone.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {
     /// How long.
     #[arg(long, default_value_t = 10.0)]
     minutes: f64,
+    /// No faults but the lost replies: the arms move all the time, and nothing may stop them.
+    #[arg(long, conflicts_with = "page")]
+    losses_only: bool,
     /// Of faults and losses.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -32,16 +36,11 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     let mut command = workspace.cargo();
     command.args(["run", "--release", "--locked", "--package", "system-tests", "--example", "soak", "--"]);
     command.args(["--minutes", &minutes, "--seed", &seed]);
-    let found = circumstances(workspace);
-    let origin = format!(
-        "Commit {}{}; {}; {}.",
-        found["commit"].as_str().unwrap_or("unknown").chars().take(12).collect::<String>(),
-        if found["uncommitted_changes"] == true { " with changes that are not committed" } else { "" },
-        found["processor"].as_str().unwrap_or("unknown processor"),
-        found["compiler"].as_str().unwrap_or("unknown compiler"),
-    );
+    if args.losses_only {
+        command.args(["--what", "losses"]);
+    }
     if args.page {
-        command.args(["--page", PAGE, "--origin", &origin]);
+        command.args(["--page", PAGE, "--origin", &origin(workspace)]);
     }
     run_visibly(&mut command)
 }

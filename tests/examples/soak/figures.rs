@@ -123,26 +123,6 @@ impl Figures {
         text
     }
 
-    /// The figures as a page of the documentation.
-    pub fn page(&self, origin: &str, minutes: f64, seed: u64) -> String {
-        format!(
-            "# Arms\n\nThis page is written by the command below; change the program, not the page.\n\n\
-             Two emulated arms over pseudo-terminals, as `configs/hil.toml` has them, behind limiter, coupling, guard and driver; all \
-             joints move, at 100 Hz.\n\
-             One reply of each controller in a hundred is lost all the time, never three in a row, and faults come at random, in the \
-             words of [mock-arm.md](../mock-arm.md), to one of the arms.\n\n\
-             * **noticed**: from the fault to the moment at which the control loop is told.\n\
-             * **at rest**: from the fault to the moment at which the last joint of both arms is slower than {AT_REST_RAD_PER_S} rad/s; the joints are \
-             looked at every millisecond.\n\
-             * **allowed**, **later**: when both must be at rest, and how often they were later; found by controller or gateway: 30 ms \
-             down to speed 0, the lag of the drives, and 20 ms; found by what does not come: up to 50 ms before; found by the joints: \
-             two wrong angles, and the brakes.\n\
-             * What is borne must not stop an arm; all else must.\n\n\
-             ```text\ncargo xtask soak --minutes {minutes} --seed {seed}\n```\n\n{origin}\n\n{}",
-            self.tables()
-        )
-    }
-
     fn tables(&self) -> String {
         let injected: u64 = self.kinds.values().map(|kind| kind.injected).sum();
         let late = format!("begun more than {} ms late", millis(DEADLINE));
@@ -161,8 +141,17 @@ impl Figures {
         ] {
             let _ = writeln!(text, "| {name} | {value} |");
         }
-        text +=
-            "\n| fault | injected | noticed, ms: p50 | p99 | max | at rest, ms: p50 | p99 | max | allowed | later |\n";
+        if !self.kinds.is_empty() {
+            text += &self.faults();
+        }
+        text += &self.links();
+        text
+    }
+
+    fn faults(&self) -> String {
+        let mut text = String::from(
+            "\n| fault | injected | noticed, ms: p50 | p99 | max | at rest, ms: p50 | p99 | max | allowed | later |\n",
+        );
         text += "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n";
         let mut all = Kind::default();
         for (name, kind) in &self.kinds {
@@ -174,7 +163,12 @@ impl Figures {
             }
         }
         text += &all.row("all that stop");
-        text += "\n| link | sent | lost | late | damaged | foreign | cycles late, ms: p50 | p99 | max |\n";
+        text
+    }
+
+    fn links(&self) -> String {
+        let mut text =
+            String::from("\n| link | sent | lost | late | damaged | foreign | cycles late, ms: p50 | p99 | max |\n");
         text += "|---|---:|---:|---:|---:|---:|---:|---:|---:|\n";
         for (name, counters, jitter) in &self.links {
             let LinkCounters { sent, lost, late, damaged, mismatched, .. } = counters;
@@ -199,6 +193,32 @@ impl Figures {
         }
         Ok(())
     }
+}
+
+/// The figures of both runs as a page of the documentation: with faults, and with lost replies only.
+pub fn page(origin: &str, (minutes, seed): (f64, u64), (faults, losses): (&Figures, &Figures)) -> String {
+    format!(
+        "# Arms\n\nThis page is written by the command below; change the program, not the page.\n\n\
+         Two emulated arms over pseudo-terminals, as `configs/hil.toml` has them, behind limiter, coupling, guard and driver; all \
+         joints move, at 100 Hz.\n\
+         One reply of each controller in a hundred is lost all the time, never three in a row.\n\n\
+         ```text\ncargo xtask soak --page --minutes {minutes} --seed {seed}\n```\n\n{origin}\n\n\
+         ## With faults\n\n\
+         For {minutes} minutes faults come at random, in the words of [mock-arm.md](../mock-arm.md), to one of the arms.\n\
+         After each one both arms are reset and enabled again, which proves the links with 100 exchanges: they move for a quarter of \
+         the time.\n\n\
+         * **noticed**: from the fault to the moment at which the control loop is told.\n\
+         * **at rest**: from the fault to the moment at which the last joint of both arms is slower than {AT_REST_RAD_PER_S} rad/s; \
+         the joints are looked at every millisecond.\n\
+         * **allowed**, **later**: when both must be at rest, and how often they were later; found by controller or gateway: 30 ms \
+         down to speed 0, the lag of the drives, and 20 ms; found by what does not come: up to 50 ms before; found by the joints: \
+         two wrong angles, and the brakes.\n\
+         * What is borne must not stop an arm; all else must.\n\n{}\n\
+         ## With lost replies only\n\n\
+         For {minutes} minutes the arms move all the time, and nothing may stop them (`--losses-only`).\n\n{}",
+        faults.tables(),
+        losses.tables()
+    )
 }
 
 impl Kind {

@@ -27,10 +27,37 @@ const MINUTES_MAX: f64 = 10_080.0;
 
 fn main() -> Result<()> {
     let options = Options::parse(std::env::args().skip(1))?;
+    let faults = if options.losses_only { None } else { Some(with_faults(&options)?) };
+    let losses = if options.losses_only || options.page.is_some() { Some(losses_only(&options)?) } else { None };
+    if let (Some(file), Some(faults), Some(losses)) = (&options.page, &faults, &losses) {
+        let page = figures::page(&options.origin, (options.minutes, options.seed), (faults, losses));
+        std::fs::write(file, page).with_context(|| format!("{file} can not be written"))?;
+    }
+    faults.iter().chain(&losses).try_for_each(Figures::judge)
+}
+
+/// Nothing but the lost replies.
+fn losses_only(options: &Options) -> Result<Figures> {
+    let mut rig = Rig::new(options.seed)?;
+    let mut figures = Figures::default();
+    let end = rig.clock.now() + options.duration();
+    while rig.clock.now() < end {
+        rig.make_ready(&mut figures)?;
+        if let Err(stopped) = rig.cycle_for(end.saturating_since(rig.clock.now()), &mut figures) {
+            figures.stopped_by_itself(&stopped)?;
+        }
+    }
+    rig.add_links(&mut figures);
+    print!("{}", figures.text());
+    Ok(figures)
+}
+
+/// Faults of all kinds, one after the other.
+fn with_faults(options: &Options) -> Result<Figures> {
     let mut rig = Rig::new(options.seed)?;
     let mut random = SplitMix64::new(options.seed);
     let mut figures = Figures::default();
-    let end = rig.clock.now() + Duration::from_secs_f64(options.minutes * 60.0);
+    let end = rig.clock.now() + options.duration();
     let mut order: Vec<&Fault> = Vec::new();
     while rig.clock.now() < end {
         rig.make_ready(&mut figures)?;
@@ -50,11 +77,7 @@ fn main() -> Result<()> {
     }
     rig.add_links(&mut figures);
     print!("{}", figures.text());
-    if let Some(file) = options.page {
-        std::fs::write(&file, figures.page(&options.origin, options.minutes, options.seed))
-            .with_context(|| format!("{file} can not be written"))?;
-    }
-    figures.judge()
+    Ok(figures)
 }
 
 /// One fault: until it is noticed and both arms are at rest, or has been borne.
@@ -98,14 +121,19 @@ fn shuffle<T>(items: &mut [T], random: &mut SplitMix64) {
 /// What the command line says.
 struct Options {
     minutes: f64,
+    losses_only: bool,
     seed: u64,
     page: Option<String>,
     origin: String,
 }
 
 impl Options {
+    fn duration(&self) -> Duration {
+        Duration::from_secs_f64(self.minutes * 60.0)
+    }
+
     fn parse(mut words: impl Iterator<Item = String>) -> Result<Self> {
-        let mut options = Self { minutes: 1.0, seed: 1, page: None, origin: String::new() };
+        let mut options = Self { minutes: 1.0, losses_only: false, seed: 1, page: None, origin: String::new() };
         while let Some(word) = words.next() {
             let value = words.next().with_context(|| format!("{word}: give a value"))?;
             match word.as_str() {
@@ -113,9 +141,10 @@ impl Options {
                     options.minutes = value.parse().with_context(|| format!("--minutes {value}: no number"))?
                 }
                 "--seed" => options.seed = value.parse().with_context(|| format!("--seed {value}: no number"))?,
+                "--what" if value == "losses" => options.losses_only = true,
                 "--page" => options.page = Some(value),
                 "--origin" => options.origin = value,
-                other => bail!("{other}: known are --minutes, --seed, --page and --origin"),
+                other => bail!("{other}: known are --minutes, --what losses, --seed, --page and --origin"),
             }
         }
         if !(options.minutes > 0.0 && options.minutes <= MINUTES_MAX) {

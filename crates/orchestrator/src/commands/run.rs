@@ -7,9 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result};
-use nalgebra::UnitQuaternion;
 use pb3dp_arm_pa10::io::signals::StopSignals;
-use pb3dp_sim::trajectory::{ExperimentAxes, Trajectory};
 use rustix::event::{PollFd, PollFlags, poll};
 
 use super::estimate::output::print_line;
@@ -18,7 +16,7 @@ use crate::config::setup::{Pace, Setup, read_setup};
 use crate::run::flight::{self, Flight, Moment};
 use crate::run::summary::{Plan, summarize};
 use crate::run::{live, lockstep, report};
-use crate::wiring::{Parts, line_facts, raw_lines, wire};
+use crate::wiring::{line_facts, raw_lines, wire};
 
 /// A run in which the hand followed for a smaller share of the time is pointed out.
 const FOLLOWING_EXPECTED: f64 = 0.9;
@@ -39,7 +37,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     }
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
     let parts = wire(&setup)?;
-    let plan = plan(&setup, &parts);
+    let plan = Plan::of(&setup.experiment, &parts.experiment);
     let started = Instant::now();
     let interrupt = Arc::clone(&parts.interrupt);
     let was_interrupted = watch(signals, &interrupt)?;
@@ -94,14 +92,6 @@ fn watch(mut signals: StopSignals, interrupt: &Arc<AtomicBool>) -> Result<Arc<At
     };
     std::thread::Builder::new().name("signals".to_owned()).spawn(work).context("no thread for signals")?;
     Ok(was_interrupted)
-}
-
-fn plan(setup: &Setup, parts: &Parts) -> Plan {
-    let world_from_axes = match setup.experiment.axes {
-        ExperimentAxes::World => UnitQuaternion::identity(),
-        ExperimentAxes::TargetAtStart => parts.experiment.pose_at(0.0).rotation(),
-    };
-    Plan { channels: setup.experiment.channels.clone(), move_s: setup.experiment.move_s, world_from_axes }
 }
 
 /// What somebody needs to repeat the run.

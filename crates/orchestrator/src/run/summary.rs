@@ -10,7 +10,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Hand, World};
 use pb3dp_record::metrics::{Statistics, lag_by_cross_correlation, max_abs, percentile, rms};
-use pb3dp_sim::trajectory::Channel;
+use pb3dp_sim::trajectory::{Channel, ExperimentAxes, StepExperiment, StepExperimentConfig, Trajectory};
 use serde::Serialize;
 
 use super::commands::CommandSummary;
@@ -127,6 +127,17 @@ pub struct Plan {
     pub move_s: f64,
     /// Directions of the channels' axes in `world`.
     pub world_from_axes: UnitQuaternion<f64>,
+}
+
+impl Plan {
+    /// What these numbers mean where the experiment takes place.
+    pub fn of(config: &StepExperimentConfig, experiment: &StepExperiment) -> Self {
+        let world_from_axes = match config.axes {
+            ExperimentAxes::World => UnitQuaternion::identity(),
+            ExperimentAxes::TargetAtStart => experiment.pose_at(0.0).rotation(),
+        };
+        Self { channels: config.channels.clone(), move_s: config.move_s, world_from_axes }
+    }
 }
 
 /// The way of the hand along a channel since the start of the run: mm or degrees.

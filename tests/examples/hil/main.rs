@@ -1,0 +1,179 @@
+//! The experiment of `configs/hil.toml` three times: in simulated time and in the machine's time with simulated joints in this
+//! process, then through serial lines to emulated arms. Run it by `cargo xtask hil`.
+#![allow(clippy::print_stdout, reason = "prints its figures")]
+
+use std::fmt::Write as _;
+
+use anyhow::{Context, Result, bail};
+use pb3dp_orchestrator::config::setup::{ArmLink, Pace, Setup, read_setup};
+use pb3dp_orchestrator::run::summary::{Plan, RunSummary, summarize};
+use pb3dp_orchestrator::run::{live, lockstep};
+use pb3dp_orchestrator::wiring::wire;
+use system_tests::repository;
+
+/// The hand may be off by so much more with arms behind lines than in simulated time.
+const RATIO_MAX: f64 = 1.2;
+
+fn main() -> Result<()> {
+    let options = Options::parse(std::env::args().skip(1))?;
+    let hil = read_setup(&repository().join("configs/hil.toml"))?;
+    let mut in_process = hil.clone();
+    (in_process.vs.link, in_process.tc.link) = (ArmLink::InProcess, ArmLink::InProcess);
+    let mut simulated = in_process.clone();
+    simulated.pace = Pace::Fast;
+    let mut runs = Vec::new();
+    for (name, setup) in [
+        ("in process, simulated time", &simulated),
+        ("in process, the machine's time", &in_process),
+        ("serial lines, the machine's time", &hil),
+    ] {
+        println!("{name} ...");
+        runs.push((name, run(setup, options.stop_after_s).context(name)?));
+    }
+    let figures = Figures::of(runs)?;
+    let tables = figures.tables();
+    print!("\n{tables}");
+    if let Some(file) = &options.page {
+        std::fs::write(file, page(&options.origin, &tables)).with_context(|| format!("{file} can not be written"))?;
+    }
+    figures.judge()
+}
+
+fn run(setup: &Setup, stop_after_s: Option<f64>) -> Result<RunSummary> {
+    let parts = wire(setup)?;
+    let plan = Plan::of(&setup.experiment, &parts.experiment);
+    let run_it = if setup.pace == Pace::Live { live::run } else { lockstep::run };
+    let outcome = run_it(setup, parts, stop_after_s, None)?;
+    Ok(summarize(&outcome.log, &plan))
+}
+
+/// How well the hand followed in a run.
+struct Row {
+    name: &'static str,
+    summary: RunSummary,
+    rms_mm: f64,
+    rms_deg: f64,
+}
+
+struct Figures {
+    /// The one in simulated time first, that through lines last.
+    rows: Vec<Row>,
+}
+
+impl Figures {
+    fn of(runs: Vec<(&'static str, RunSummary)>) -> Result<Self> {
+        let rows = runs.into_iter().map(|(name, summary)| {
+            let position =
+                summary.tracking_position_mm.with_context(|| format!("{name}: the hand followed nothing"))?;
+            let orientation =
+                summary.tracking_orientation_deg.with_context(|| format!("{name}: the hand followed nothing"))?;
+            Ok(Row { name, rms_mm: position.rms, rms_deg: orientation.rms, summary })
+        });
+        Ok(Self { rows: rows.collect::<Result<_>>()? })
+    }
+
+    fn tables(&self) -> String {
+        let mut text = String::from(
+            "| run | position rms, mm | max | orientation rms, deg | max | lag, s | frames | without pose | latency p50, ms | p99 |\n\
+             |---|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n",
+        );
+        let or_dash = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
+        for Row { name, summary, rms_mm, rms_deg } in &self.rows {
+            let max = |error: Option<pb3dp_orchestrator::run::summary::RmsMax>| or_dash(error.map(|error| error.max));
+            let _ = writeln!(
+                text,
+                "| {name} | {rms_mm:.2} | {} | {rms_deg:.3} | {} | {} | {} | {} | {} | {} |",
+                max(summary.tracking_position_mm),
+                max(summary.tracking_orientation_deg),
+                or_dash(summary.lag_s),
+                summary.frames,
+                summary.frames_without_pose,
+                or_dash(summary.latency_p50_millis),
+                or_dash(summary.latency_p99_millis),
+            );
+        }
+        let (position, orientation) = self.ratios();
+        let _ = writeln!(
+            text,
+            "\nThrough serial lines the error is {position:.2} times (position) and {orientation:.2} times (orientation) that in \
+             simulated time; at most {RATIO_MAX} is allowed.\n"
+        );
+        text += "| run | cycle | begun | late p50, ms | p99 | max | left out | replies lost |\n";
+        text += "|---|---|---:|---:|---:|---:|---:|---:|\n";
+        for Row { name, summary, .. } in &self.rows {
+            for cycle in &summary.cycles {
+                let _ = writeln!(
+                    text,
+                    "| {name} | {} | {} | {:.2} | {:.2} | {:.2} | {} | {} |",
+                    cycle.name,
+                    cycle.cycles,
+                    cycle.late_p50_millis,
+                    cycle.late_p99_millis,
+                    cycle.late_max_millis,
+                    cycle.missed,
+                    cycle.replies_lost.map_or("-".to_owned(), |lost| lost.to_string()),
+                );
+            }
+        }
+        text
+    }
+
+    /// Position and orientation of the run through lines, over those in simulated time.
+    fn ratios(&self) -> (f64, f64) {
+        let (Some(first), Some(last)) = (self.rows.first(), self.rows.last()) else { return (f64::NAN, f64::NAN) };
+        (last.rms_mm / first.rms_mm, last.rms_deg / first.rms_deg)
+    }
+
+    fn judge(&self) -> Result<()> {
+        let (position, orientation) = self.ratios();
+        // Not so for what is no number, either.
+        if position <= RATIO_MAX && orientation <= RATIO_MAX {
+            return Ok(());
+        }
+        bail!(
+            "the hand is off by {position:.2} and {orientation:.2} times what it is in simulated time, more than {RATIO_MAX}"
+        )
+    }
+}
+
+fn page(origin: &str, tables: &str) -> String {
+    format!(
+        "# Hardware in the loop\n\n\
+         This page is written by the command below; change the program, not the page.\n\n\
+         The experiment of `configs/hil.toml` ([hil.md](../hil.md)), the hand led by the method `direct`: all errors are those of the \
+         hand against the pose that it should have, from the beginning to the end.\n\
+         The servo of this version follows with a lag, and most of the error is that.\n\n\
+         * **in process, simulated time**: joints simulated in the process, one thread, as `configs/sim.toml` has it.\n\
+         * **in process, the machine's time**: the same joints, with looking and moving on threads of their own.\n\
+         * **serial lines, the machine's time**: both arms emulated byte by byte behind gateways on pseudo-terminals.\n\n\
+         Cycles: the control loop runs every 10 ms, and so do the links; `late` is how long after its time a cycle began.\n\n\
+         ```text\ncargo xtask hil\n```\n\n{origin}\n\n{tables}"
+    )
+}
+
+/// What the command line says.
+#[derive(Default)]
+struct Options {
+    stop_after_s: Option<f64>,
+    page: Option<String>,
+    origin: String,
+}
+
+impl Options {
+    fn parse(mut words: impl Iterator<Item = String>) -> Result<Self> {
+        let mut options = Self::default();
+        while let Some(word) = words.next() {
+            let value = words.next().with_context(|| format!("{word}: give a value"))?;
+            match word.as_str() {
+                "--stop-after" => {
+                    let seconds: f64 = value.parse().with_context(|| format!("--stop-after {value}: no number"))?;
+                    options.stop_after_s = Some(seconds);
+                }
+                "--page" => options.page = Some(value),
+                "--origin" => options.origin = value,
+                other => bail!("{other}: known are --stop-after, --page and --origin"),
+            }
+        }
+        Ok(options)
+    }
+}
