@@ -111,7 +111,7 @@ impl Figures {
                     cycle.late_p99_millis,
                     cycle.late_max_millis,
                     cycle.missed,
-                    cycle.replies_lost.map_or("-".to_owned(), |lost| lost.to_string()),
+                    cycle.replies_lost,
                 );
             }
         }

@@ -18,6 +18,7 @@ const FALSE_STOPS_MAX: usize = 50;
 pub struct Figures {
     cycles: u64,
     missed_deadlines: u64,
+    late_elsewhere: u64,
     lateness_max: Duration,
     late_replies: u64,
     kinds: BTreeMap<&'static str, Kind>,
@@ -50,6 +51,11 @@ impl Figures {
         self.cycles += 1;
         self.missed_deadlines += u64::from(late > DEADLINE);
         self.lateness_max = self.lateness_max.max(late);
+    }
+
+    /// So many cycles of links and emulated arms began later than a deadline.
+    pub fn late_elsewhere(&mut self, cycles: u64) {
+        self.late_elsewhere += cycles;
     }
 
     /// An arm had no measurement in time.
@@ -130,11 +136,12 @@ impl Figures {
         for (name, value) in [
             ("control steps", self.cycles.to_string()),
             (late.as_str(), self.missed_deadlines.to_string()),
-            ("latest, ms", format!("{:.2}", millis(self.lateness_max))),
+            ("cycles of links and emulated arms that late", self.late_elsewhere.to_string()),
+            ("latest control step, ms", format!("{:.2}", millis(self.lateness_max))),
             ("measurements not in time", self.late_replies.to_string()),
             ("faults injected", injected.to_string()),
             ("not noticed", self.undetected().to_string()),
-            ("stops after a step that was late", self.late_stops.to_string()),
+            ("stops after something was that late", self.late_stops.to_string()),
             ("stops without a reason", self.false_stops.len().to_string()),
             ("times enabled", self.enabled.to_string()),
             ("tries in vain before", self.tries_more.to_string()),
@@ -215,7 +222,9 @@ pub fn page(origin: &str, (minutes, seed): (f64, u64), (faults, losses): (&Figur
          two wrong angles, and the brakes.\n\
          * What is borne must not stop an arm; all else must.\n\n{}\n\
          ## With lost replies only\n\n\
-         For {minutes} minutes the arms move all the time, and nothing may stop them (`--losses-only`).\n\n{}",
+         For {minutes} minutes the arms move all the time, one reply of each gateway in a hundred is lost on its line, too, never three in \
+         a row, and nothing may stop them (`--losses-only`).\n\
+         The replies that a controller loses are borne by its gateway, those that a line loses by the host.\n\n{}",
         faults.tables(),
         losses.tables()
     )

@@ -36,9 +36,10 @@ fn main() -> Result<()> {
     faults.iter().chain(&losses).try_for_each(Figures::judge)
 }
 
-/// Nothing but the lost replies.
+/// Nothing but lost replies: of the controllers, and of the gateways.
 fn losses_only(options: &Options) -> Result<Figures> {
     let mut rig = Rig::new(options.seed)?;
+    rig.lose_replies_on_the_line(options.seed);
     let mut figures = Figures::default();
     let end = rig.clock.now() + options.duration();
     while rig.clock.now() < end {

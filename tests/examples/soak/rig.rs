@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
+use pb3dp_estimation::search::rng::SplitMix64;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmErrorKind, ArmState, Clock, JointCommand};
 use pb3dp_hal_clock::SystemClock;
@@ -31,6 +32,9 @@ pub const DEADLINE: Duration = Duration::from_millis(5);
 const LATE_FOR: Duration = Duration::from_millis(200);
 /// Joints go back to where they began with this rate, 1/s.
 const BACK_PER_S: f64 = 0.3;
+/// One of so many replies of a gateway is lost where replies on the line are lost, and never more in a row.
+const LINE_LOSS_ONE_OF: u32 = 100;
+const LINE_LOSSES_IN_A_ROW_MAX: u8 = 2;
 /// Arms that can not be made ready in so many tries never can.
 const TRIES: usize = 40;
 
@@ -42,7 +46,7 @@ pub struct Stopped {
     pub kind: ArmErrorKind,
     /// Why.
     pub message: String,
-    /// Whether the control loop has missed a deadline shortly before: then its own arms may stop it for that.
+    /// Whether a thread has missed a deadline shortly before: then the arms may stop for that.
     pub was_late: bool,
 }
 
@@ -59,6 +63,15 @@ pub struct Rig {
     begin: MonotonicTime,
     /// When a deadline was missed last.
     missed_at: Option<MonotonicTime>,
+    /// Cycles of links and emulated arms that have begun later than a deadline.
+    late_elsewhere: u64,
+    line_losses: Option<LineLosses>,
+}
+
+/// Which replies of the gateways are lost on their lines.
+struct LineLosses {
+    random: SplitMix64,
+    in_a_row: [u8; 2],
 }
 
 impl Rig {
@@ -93,7 +106,26 @@ impl Rig {
             next: now,
             begin: now,
             missed_at: None,
+            late_elsewhere: 0,
+            line_losses: None,
         })
+    }
+
+    /// From now on one reply of each gateway in a hundred is lost, too, never three in a row.
+    pub fn lose_replies_on_the_line(&mut self, seed: u64) {
+        self.line_losses = Some(LineLosses { random: SplitMix64::new(seed), in_a_row: [0; 2] });
+    }
+
+    fn lose_on_the_line(&mut self) {
+        let Some(losses) = &mut self.line_losses else { return };
+        for (emulated, in_a_row) in self.wired.emulated.iter().zip(&mut losses.in_a_row) {
+            let is_lost = losses.random.below(LINE_LOSS_ONE_OF) == 0 && *in_a_row < LINE_LOSSES_IN_A_ROW_MAX;
+            *in_a_row = if is_lost { *in_a_row + 1 } else { 0 };
+            if is_lost {
+                // The line is one of those that were tried at the start.
+                let _ = emulated.command_line("line drop 1");
+            }
+        }
     }
 
     fn arms(&mut self) -> [&mut Box<dyn DrivenArm>; 2] {
@@ -150,25 +182,44 @@ impl Rig {
             if late > DEADLINE {
                 self.missed_at = Some(now);
             }
+            self.look_elsewhere(now, figures);
             self.next = self.next + self.period;
             if self.next < now {
                 self.next = now + self.period;
             }
+            self.lose_on_the_line();
             let swing = swing(now.seconds_since(self.begin));
+            let mut stopped = None;
             for (index, arm) in self.wired.driven.each_mut().into_iter().enumerate() {
                 let back = (self.homes_rad[index] - self.joints_rad[index]) * BACK_PER_S;
                 match arm.exchange(JointCommand::Velocity(swing + back)) {
                     Ok(measured) => self.joints_rad[index] = measured.position_rad,
                     Err(error) if error.kind() == ArmErrorKind::Timeout => figures.late_reply(),
                     Err(error) => {
-                        let at = self.clock.now();
-                        let was_late = self.missed_at.is_some_and(|missed| at.saturating_since(missed) < LATE_FOR);
-                        return Err(Stopped { at, kind: error.kind(), message: error.to_string(), was_late });
+                        stopped = Some((self.clock.now(), error));
+                        break;
                     }
                 }
             }
+            if let Some((at, error)) = stopped {
+                self.look_elsewhere(at, figures);
+                let was_late = self.missed_at.is_some_and(|missed| at.saturating_since(missed) < LATE_FOR);
+                return Err(Stopped { at, kind: error.kind(), message: error.to_string(), was_late });
+            }
         }
         Ok(())
+    }
+
+    /// Whether the thread of a link or of an emulated arm was late: what they do then is no fault of theirs.
+    fn look_elsewhere(&mut self, now: MonotonicTime, figures: &mut Figures) {
+        let links = self.wired.monitors.iter().map(|(_, monitor)| monitor.cycles_later_than(DEADLINE));
+        let emulated = self.wired.emulated.iter().map(|emulated| emulated.wakes_later_than(DEADLINE));
+        let late: u64 = links.chain(emulated).sum();
+        if late > self.late_elsewhere {
+            figures.late_elsewhere(late - self.late_elsewhere);
+            self.late_elsewhere = late;
+            self.missed_at = Some(now);
+        }
     }
 
     /// Lets something go wrong, or end going wrong; when.

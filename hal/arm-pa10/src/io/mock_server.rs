@@ -16,6 +16,7 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use pb3dp_sim::joint_dynamics::JointPlant;
 
+use super::arm::JitterMeter;
 use super::bus::{BusPort, FRAME_ROOM, FrameListener, FrameSocketError};
 use super::pty::Pty;
 use super::realtime::{Realtime, Shortfall, enter};
@@ -104,6 +105,7 @@ pub struct MockServer {
 struct Shared {
     core: Mutex<Core>,
     address: Mutex<String>,
+    lateness: JitterMeter,
     is_running: AtomicBool,
     is_plugged: AtomicBool,
 }
@@ -115,8 +117,6 @@ struct Core {
     gateway: Option<Gateway>,
     now: MonotonicTime,
     clock: SharedClock,
-    late: u64,
-    latest: Duration,
     unread: u64,
     shortfalls: Vec<Shortfall>,
 }
@@ -147,11 +147,11 @@ impl MockServer {
         let gateway = face.gateway().map(|config| Gateway::new(*config, now)).transpose()?;
         let line = Line::open(face)?;
         let clock = SharedClock(clock);
-        let (late, latest, unread, shortfalls) = (0, Duration::ZERO, 0, Vec::new());
-        let core = Core { controller, gateway, now, clock, late, latest, unread, shortfalls };
+        let core = Core { controller, gateway, now, clock, unread: 0, shortfalls: Vec::new() };
         let shared = Arc::new(Shared {
             core: Mutex::new(core),
             address: Mutex::new(line.address()),
+            lateness: JitterMeter::default(),
             is_running: AtomicBool::new(true),
             is_plugged: AtomicBool::new(true),
         });
@@ -192,6 +192,12 @@ impl MockServer {
         self.shared.is_plugged.store(true, Ordering::SeqCst);
     }
 
+    /// How often its thread woke up later than this after the time that was planned (exact to an eighth): what it answers is late
+    /// then, and no fault of the arm's own.
+    pub fn wakes_later_than(&self, limit: Duration) -> u64 {
+        self.shared.lateness.later_than(limit)
+    }
+
     /// How the arm is.
     pub fn report(&self) -> MockReport {
         let core = lock(&self.shared.core);
@@ -205,8 +211,8 @@ impl MockServer {
             velocity_rad_per_s,
             counters: core.controller.counters().clone(),
             gateway: core.gateway.as_ref().map(Gateway::status),
-            late: core.late,
-            latest: core.latest,
+            late: self.wakes_later_than(LATE),
+            latest: self.shared.lateness.summary().max,
             unread: core.unread,
             shortfalls: core.shortfalls.clone(),
         }
@@ -467,20 +473,17 @@ impl Worker {
         let planned = next.min(now + WAIT_MAX);
         let timeout = planned.saturating_since(now);
         let for_room = !self.output.is_empty();
-        let woken = if let Some(link) = self.line.byte_link() {
-            let ready = wait(Some(link), for_room, None, timeout);
-            ready.readable || ready.writable
+        if let Some(link) = self.line.byte_link() {
+            wait(Some(link), for_room, None, timeout);
         } else if let Some(bus) = self.line.bus_port() {
-            super::bus::wait(bus.as_ref(), timeout)
+            super::bus::wait(bus.as_ref(), timeout);
         } else {
             clock.0.sleep_until(planned);
-            false
-        };
+        }
         let late = clock.0.now().saturating_since(planned);
-        if !woken && late > Duration::ZERO {
-            let mut core = lock(&self.shared.core);
-            core.late += u64::from(late > LATE);
-            core.latest = core.latest.max(late);
+        // What comes wakes it before its time.
+        if late > Duration::ZERO {
+            self.shared.lateness.record(late);
         }
     }
 }

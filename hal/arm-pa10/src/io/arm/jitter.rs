@@ -43,6 +43,12 @@ impl JitterMeter {
         self.max_nanos.fetch_max(nanos, Ordering::Relaxed);
     }
 
+    /// How many were later than this; those of the eighth in which it lies do not count.
+    pub fn later_than(&self, limit: Duration) -> u64 {
+        let last = bucket(u64::try_from(limit.as_micros()).unwrap_or(u64::MAX));
+        self.buckets[last + 1..].iter().map(|count| count.load(Ordering::Relaxed)).sum()
+    }
+
     /// The figures so far; the percentiles are exact to an eighth, upwards.
     pub fn summary(&self) -> Jitter {
         let counts = self.buckets.each_ref().map(|count| count.load(Ordering::Relaxed));
@@ -100,6 +106,8 @@ mod tests {
             meter.record(Duration::from_micros(late_us));
         }
         meter.record(Duration::from_nanos(7_654_321));
+        let later = [39, 2999, 5000, 7000, 8000].map(|us| meter.later_than(Duration::from_micros(us)));
+        assert_eq!(later, [1001, 11, 1, 1, 0]);
         let Jitter { cycles, p50, p99, max } = meter.summary();
         assert_eq!((cycles, max), (1001, Duration::from_nanos(7_654_321)));
         assert!(p50 > Duration::from_micros(40) && p50 <= Duration::from_micros(45), "{p50:?}");

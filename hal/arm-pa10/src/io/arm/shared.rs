@@ -5,6 +5,7 @@
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmState, JointCommand};
@@ -206,6 +207,11 @@ impl ArmMonitor {
     /// How late the cycles of this arm's thread began.
     pub fn jitter(&self) -> Jitter {
         self.shared.jitter.summary()
+    }
+
+    /// How many cycles of this arm's thread began later than this, exact to an eighth.
+    pub fn cycles_later_than(&self, limit: Duration) -> u64 {
+        self.shared.jitter.later_than(limit)
     }
 
     /// The raw bytes of the last seconds, oldest first: for the record of a fault.
