@@ -106,7 +106,7 @@ mod tests {
             meter.record(Duration::from_micros(late_us));
         }
         meter.record(Duration::from_nanos(7_654_321));
-        let later = [39, 2999, 5000, 7000, 8000].map(|us| meter.later_than(Duration::from_micros(us)));
+        let later = [39, 2800, 5000, 7000, 8000].map(|us| meter.later_than(Duration::from_micros(us)));
         assert_eq!(later, [1001, 11, 1, 1, 0]);
         let Jitter { cycles, p50, p99, max } = meter.summary();
         assert_eq!((cycles, max), (1001, Duration::from_nanos(7_654_321)));
