@@ -150,6 +150,69 @@ fn a_port_that_failed_once_is_let_go_of_and_had_again_by_a_reset() {
     });
 }
 
+/// A port whose closing the kernel holds up, as it does for 30 s where bytes can not leave any more.
+struct SlowToClose(Box<dyn ByteLink>);
+
+const CLOSING: Duration = Duration::from_secs(3);
+
+impl ByteLink for SlowToClose {
+    fn name(&self) -> &str {
+        self.0.name()
+    }
+
+    fn try_read(&mut self, buffer: &mut [u8]) -> Result<usize, Unplugged> {
+        self.0.try_read(buffer)
+    }
+
+    fn try_write(&mut self, bytes: &[u8]) -> Result<usize, Unplugged> {
+        self.0.try_write(bytes)
+    }
+
+    fn fd(&self) -> BorrowedFd<'_> {
+        self.0.fd()
+    }
+}
+
+impl Drop for SlowToClose {
+    fn drop(&mut self) {
+        std::thread::sleep(CLOSING);
+    }
+}
+
+struct SlowPort(SerialConfig);
+
+impl Connector for SlowPort {
+    fn connect(&mut self) -> Result<Box<dyn ByteLink>, ConnectError> {
+        Ok(Box::new(SlowToClose(self.0.connect()?)))
+    }
+
+    fn target(&self) -> String {
+        self.0.target()
+    }
+}
+
+#[test]
+fn a_port_that_takes_long_to_close_holds_up_neither_the_stop_nor_its_notice() {
+    patiently(|| {
+        let turn = turn();
+        let pty = Pty::open().unwrap();
+        let connector = SlowPort(serial(&pty));
+        let far = FarEnd::serve(Box::new(pty), FakeGateway::new(ArmId(2), FORMAT));
+        let arm = Pa10Arm::open(config(2), Box::new(connector), Arc::new(SystemClock::new()), seat());
+        let mut rig = Rig { arm: arm.map_err(|error| error.to_string()).unwrap(), far, _turn: turn };
+        rig.enable_and_move();
+        let unplugged = rig.far.unplug();
+        rig.wait_until_stopped();
+        assert!(unplugged.elapsed() < CLOSING / 2, "{:?}", unplugged.elapsed());
+        assert_eq!(rig.trip(), Trip::Fault(FaultCause::Unplugged));
+        let error = rig.arm.reset().unwrap_err();
+        assert_eq!(error.kind(), ArmErrorKind::Disconnected);
+        let text = std::error::Error::source(&error).and_then(|source| source.source()).unwrap().to_string();
+        assert!(text.contains("still closing"), "{error}: {text}");
+        assert!(unplugged.elapsed() < CLOSING, "the reset waits for no longer than it says");
+    });
+}
+
 #[test]
 fn the_gateway_of_another_arm_is_refused() {
     patiently(|| {

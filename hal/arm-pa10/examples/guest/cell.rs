@@ -27,8 +27,8 @@ use crate::serial;
 
 const ARM: ArmId = ArmId(2);
 const FORMAT: WireFormat = WireFormat::BigEndian6x10;
-const BAUD: u32 = 921_600;
-const CYCLE: Duration = Duration::from_millis(10);
+pub const BAUD: u32 = 921_600;
+pub const CYCLE: Duration = Duration::from_millis(10);
 
 /// An emulated processor may be late by this much before a cycle of the gateway counts as missed: a rig has 2 ms.
 const LATENESS_ALLOWED: Duration = Duration::from_millis(45);

@@ -2,17 +2,20 @@
 
 use std::error::Error;
 use std::path::Path;
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::time::Duration;
 
 use pb3dp_arm_pa10::driver::{FaultCause, Latched, Trip};
 use pb3dp_arm_pa10::gateway_protocol::StopCause;
-use pb3dp_arm_pa10::io::realtime::{Realtime, enter, now};
+use pb3dp_arm_pa10::io::realtime::{Realtime, enter, now, sleep_until};
+use pb3dp_arm_pa10::io::serial::SerialLink;
+use pb3dp_arm_pa10::io::transport::{ByteLink, wait};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmError, ArmErrorKind, ArmPower};
 
-use crate::cell::Cell;
+use crate::cell::{BAUD, CYCLE, Cell};
 use crate::report::{Outcome, Report, ensure, note, plug, unplug};
-use crate::serial::{GATEWAY, HOST, adapter};
+use crate::serial::{GATEWAY, HOST, adapter, config};
 use crate::system::{KernelLog, LONG, wait_for};
 
 /// From the kernel's notice to the host's error, and to joints at rest. A rig has 20 ms and a tenth of a second; an emulated
@@ -23,6 +26,10 @@ const AT_REST_IN: Duration = Duration::from_millis(1000);
 
 /// How often it is tried on a machine that holds threads up.
 const TRIES: u32 = 5;
+
+/// How often a port is lost while bytes go out, and how long closing it may take: 30 s are what the kernel grants bytes.
+const ROUNDS: u32 = 3;
+const CLOSED_IN: Duration = Duration::from_millis(1500);
 
 /// Cycles in which an arm that is plugged in again is told to move, and must not.
 const CYCLES_WITHOUT_RESET: u32 = 100;
@@ -43,6 +50,8 @@ struct TooSlow(String);
 const LOOP: Realtime = Realtime { priority: Some(45), locks_memory: false, cpu: None };
 
 pub fn check(report: &mut Report) {
+    enter(&LOOP);
+    report.check("a port that is lost while bytes go out is closed at once", close_a_lost_port);
     let mut cell = None;
     report.check("an arm moves through both adapters", || {
         let made = cell.insert(Cell::start(&adapter(HOST)?, &adapter(GATEWAY)?)?);
@@ -53,7 +62,6 @@ pub fn check(report: &mut Report) {
         Ok(format!("in {tries} tries, answers after {:?} (half of them)", made.arm.monitor().round_trips().p50))
     });
     let Some(mut cell) = cell else { return };
-    enter(&LOOP);
     report.check("the host's adapter is pulled out", || patiently(&mut cell, End::Host));
     report.check("the gateway's adapter is pulled out", || patiently(&mut cell, End::Gateway));
 }
@@ -117,6 +125,49 @@ fn pull(cell: &mut Cell, end: End) -> Outcome {
         "{figures}; plugged in again it stays at rest until it is reset, then moves after {} ms ({tries} tries)",
         now().saturating_since(reset).as_millis()
     ))
+}
+
+/// A port whose loss shows by a write that fails, before the kernel has taken the port away from its users: what was not sent must not
+/// hold up who closes it, nor the kernel.
+fn close_a_lost_port() -> Outcome {
+    let far = SerialLink::open(&config(&adapter(GATEWAY)?, BAUD, CYCLE))?;
+    let (over, is_over) = channel();
+    // What is written has to be read, or the emulated cable gets full and stops the computer.
+    let reader = std::thread::spawn(move || drain(far, &is_over));
+    let (mut longest, mut symptoms) = (Duration::ZERO, Vec::new());
+    for _ in 0..ROUNDS {
+        let path = adapter(HOST)?;
+        let mut link = SerialLink::open(&config(&path, BAUD, CYCLE))?;
+        let begin = now();
+        unplug("host");
+        let gone = loop {
+            if let Err(gone) = link.try_write(&[0x55; 16]) {
+                break gone;
+            }
+            ensure(now().saturating_since(begin) < LONG, || "it was pulled out, and writing does not fail".into())?;
+            sleep_until(now() + Duration::from_micros(200));
+        };
+        let lost = now();
+        drop(link);
+        longest = longest.max(now().saturating_since(lost));
+        symptoms.push(gone.symptom.to_string());
+        wait_for("the port is gone", || (!Path::new(&path).exists()).then_some(()))?;
+        plug("host");
+        adapter(HOST)?;
+    }
+    drop(over);
+    reader.join().map_err(|_| "the reader has panicked")?;
+    ensure(longest < CLOSED_IN, || format!("closing took {longest:?} ({})", symptoms.join(", ")))?;
+    Ok(format!("in {:.1} ms at most ({})", longest.as_secs_f64() * 1e3, symptoms.join(", ")))
+}
+
+fn drain(mut link: SerialLink, is_over: &Receiver<()>) {
+    while is_over.try_recv() != Err(TryRecvError::Disconnected) {
+        wait(Some(&link), false, None, Duration::from_millis(5));
+        if link.try_read(&mut [0; 512]).is_err() {
+            return;
+        }
+    }
 }
 
 fn move_until_stopped(cell: &mut Cell, since: MonotonicTime) -> Result<ArmError, Box<dyn Error>> {

@@ -8,6 +8,8 @@ use std::time::Duration;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
+use super::realtime::now;
+
 /// A byte link to one peer. Nothing here blocks; [`wait`] does, with a bound.
 ///
 /// # For backend authors
@@ -144,6 +146,24 @@ pub fn wait_for(
         readable: link.intersects(PollFlags::IN | gone),
         writable: for_room && link.intersects(PollFlags::OUT | gone),
         woken: !waker.is_empty(),
+    }
+}
+
+/// Waits until the kernel has taken a terminal away, or `timeout` has passed.
+pub(super) fn wait_for_hangup(terminal: BorrowedFd<'_>, timeout: Duration) {
+    let end = now() + timeout;
+    loop {
+        let left = end.saturating_since(now());
+        // Of this the kernel tells unasked.
+        let mut fds = [PollFd::from_borrowed_fd(terminal, PollFlags::empty())];
+        let timeout = Timespec {
+            tv_sec: i64::try_from(left.as_secs()).unwrap_or(i64::MAX),
+            tv_nsec: i64::from(left.subsec_nanos()),
+        };
+        // A signal ends the wait early.
+        if left.is_zero() || poll(&mut fds, Some(&timeout)) == Ok(1) {
+            return;
+        }
     }
 }
 

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use pb3dp_geometry::MonotonicTime;
 
+use super::closer::Closer;
 use super::port::{Greeted, HostPort};
 use super::trace::{Tracer, Way};
 use crate::driver::{Activity, Driver, Transmit};
@@ -25,6 +26,7 @@ const READS_MAX: usize = 8;
 pub(super) struct GatewayPort {
     link: GatewayLink,
     connector: Box<dyn Connector>,
+    closer: Closer,
     /// Nothing once it is gone: who keeps a port open keeps others from it, and himself.
     bytes: Option<Box<dyn ByteLink>>,
     gone: Option<Unplugged>,
@@ -58,6 +60,7 @@ impl GatewayPort {
             link: GatewayLink::new(config),
             bytes: Some(connector.connect()?),
             connector,
+            closer: Closer::start()?,
             gone: None,
             pending: FrameBytes::EMPTY,
             written: 0,
@@ -69,7 +72,9 @@ impl GatewayPort {
     }
 
     fn lose(&mut self, gone: Unplugged) -> Result<(), Unplugged> {
-        self.bytes = None;
+        if let Some(bytes) = self.bytes.take() {
+            self.closer.close(bytes);
+        }
         self.gone = Some(gone);
         self.greeting = None;
         (self.pending, self.written) = (FrameBytes::EMPTY, 0);
@@ -79,6 +84,7 @@ impl GatewayPort {
 
 impl HostPort for GatewayPort {
     fn reopen(&mut self) -> Result<(), ConnectError> {
+        self.closer.wait()?;
         self.bytes = Some(self.connector.connect()?);
         self.gone = None;
         (self.pending, self.written) = (FrameBytes::EMPTY, 0);

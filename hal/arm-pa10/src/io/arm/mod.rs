@@ -5,6 +5,7 @@
 //! samples from it; [`ArmMonitor`] looks on; [`TripHandle`] stops it; a [`trip_line`] makes the arms of a cell stop each other.
 
 mod bus_port;
+mod closer;
 mod config;
 mod gateway_port;
 mod jitter;

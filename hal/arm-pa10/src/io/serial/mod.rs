@@ -15,7 +15,7 @@ use rustix::fs::{FlockOperation, Mode, OFlags, flock};
 use rustix::io::Errno;
 use tokio_serial::{ClearBuffer, DataBits, FlowControl, Parity, SerialPort, SerialStream, StopBits};
 
-use super::transport::{ByteLink, ConnectError, Connector, Unplugged, judge};
+use super::transport::{ByteLink, ConnectError, Connector, Unplugged, judge, wait_for_hangup};
 use crate::codec::WireFormat;
 use crate::gateway_protocol::{Dialect, LineTooSlow, check_line};
 
@@ -24,6 +24,9 @@ pub use latency::Latency;
 
 /// By how much the rate of a port may differ from the one asked for, parts of it: what receivers with 10 bits per byte bear.
 const BAUD_TOLERANCE: f64 = 0.02;
+
+/// The kernel takes a port that is gone from its users within milliseconds, unless one of them keeps it from that.
+const HANGUP_MAX: Duration = Duration::from_secs(1);
 
 /// Which port, how quick, and for what.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -106,6 +109,8 @@ pub struct SerialLink {
     path: String,
     baud: u32,
     latency: Latency,
+    /// Reading or writing has failed.
+    is_gone: bool,
 }
 
 impl SerialLink {
@@ -135,8 +140,9 @@ impl SerialLink {
         let got = stream.baud_rate().map_err(|error| other(error.into()))?;
         judge_baud(path, *baud, got)?;
         stream.clear(ClearBuffer::All).map_err(|error| other(error.into()))?;
-        let mut link = Self { stream, _runtime: runtime, path: path.clone(), baud: got, latency: Latency::NotUsb };
-        link.latency = latency::lower(link.fd(), path);
+        let (path, latency) = (path.clone(), Latency::NotUsb);
+        let mut link = Self { stream, _runtime: runtime, path, baud: got, latency, is_gone: false };
+        link.latency = latency::lower(link.fd(), &config.path);
         Ok(link)
     }
 
@@ -158,11 +164,15 @@ impl ByteLink for SerialLink {
 
     fn try_read(&mut self, buffer: &mut [u8]) -> Result<usize, Unplugged> {
         // A port that is unplugged reads 0 bytes as often as it fails.
-        judge(self.stream.read(buffer), !buffer.is_empty())
+        let read = judge(self.stream.read(buffer), !buffer.is_empty());
+        self.is_gone |= read.is_err();
+        read
     }
 
     fn try_write(&mut self, bytes: &[u8]) -> Result<usize, Unplugged> {
-        judge(self.stream.write(bytes), false)
+        let written = judge(self.stream.write(bytes), false);
+        self.is_gone |= written.is_err();
+        written
     }
 
     fn fd(&self) -> BorrowedFd<'_> {
@@ -177,6 +187,11 @@ impl ByteLink for SerialLink {
 
 impl Drop for SerialLink {
     fn drop(&mut self) {
+        if self.is_gone {
+            // Writing fails earlier than the kernel takes a port away. Closed in between, it would wait for up to 30 s for bytes that
+            // can not leave any more, and keep the kernel from taking it away: plugged in again, it would not come back before that.
+            wait_for_hangup(self.fd(), HANGUP_MAX);
+        }
         // Else closing waits for up to 30 s until bytes that nobody takes are gone.
         let _ = self.stream.clear(ClearBuffer::Output);
     }
