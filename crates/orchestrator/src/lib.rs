@@ -13,6 +13,4 @@ pub mod panics;
 pub mod picture;
 pub mod region_spec;
 pub mod run;
-pub mod sha256;
-pub mod utc;
 pub mod wiring;

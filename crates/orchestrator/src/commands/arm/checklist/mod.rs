@@ -25,6 +25,7 @@ use pb3dp_arm_pa10::io::mock_server::SocketAddr;
 use pb3dp_arm_pa10::io::signals::StopSignals;
 use pb3dp_hal_api::{Clock, JointCommand};
 use pb3dp_hal_clock::SystemClock;
+use sha2::{Digest, Sha256};
 
 use self::emulated::Emulated;
 use self::operator::{Operator, Person};
@@ -41,7 +42,6 @@ use crate::commands::run::machine;
 use crate::config::setup::{ArmLink, GatewayWay, Setup, read_setup};
 use crate::run::live::enter_control_thread;
 use crate::wiring::commissioning::{ArmChoice, emulate_at_address, see, set_line, slow_setup};
-use crate::{sha256, utc};
 
 /// Of the form of the report.
 const REPORT_FORMAT: u32 = 1;
@@ -114,15 +114,15 @@ pub fn run(args: &TestArgs) -> Result<ExitCode> {
         format: REPORT_FORMAT,
         result,
         arm: session.choice.name(),
-        began: utc::rfc3339(began),
-        ended: utc::rfc3339(SystemTime::now()),
+        began: utc(began),
+        ended: utc(SystemTime::now()),
         program: ProgramFacts {
             version: env!("CARGO_PKG_VERSION"),
             commit: option_env!("PB3DP_COMMIT").unwrap_or("unknown"),
         },
         machine: machine(),
         config: args.place.config.clone(),
-        config_sha256: sha256::hex_digest(&setup_text),
+        config_sha256: sha256(&setup_text),
         target,
         is_emulated: session.line.is_some(),
         gateway: GatewayFacts::of(&session.gateway),
@@ -173,7 +173,7 @@ fn begin<'a>(
     }
     let (operator, line) = operator((args, asked), &mut setup, &clock)?;
     let (snapshot, target) = look(&setup, choice, &clock)?;
-    let date = utc::rfc3339(began).replace(':', "");
+    let date = utc(began).replace(':', "");
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from(format!("out/arm-test-{}-{date}", choice.name())));
     if out.join("report.json").exists() {
         bail!("{}: there is a report already; give another --out", out.display());
@@ -318,7 +318,7 @@ fn one_step(step: Step, session: &mut Session<'_>) -> Result<StepReport> {
         Step::Kill => kill::run(session, &mut report),
         Step::Interlock => interlock::run(session, &mut report),
     };
-    report.began = Some(utc::rfc3339(wall));
+    report.began = Some(utc(wall));
     report.monotonic_s = Some(begin.as_secs_f64());
     report.took_s = session.clock.now().seconds_since(begin);
     let complaints = report.complaints();
@@ -340,4 +340,14 @@ fn one_step(step: Step, session: &mut Session<'_>) -> Result<StepReport> {
     }
     print_line(&format!("{}: {}", step.name(), report.result.word()))?;
     Ok(report)
+}
+
+/// A moment as UTC in the form of RFC 3339, whole seconds.
+fn utc(moment: SystemTime) -> String {
+    humantime::format_rfc3339_seconds(moment).to_string()
+}
+
+/// What `sha256sum` prints of a file with this content.
+fn sha256(content: &[u8]) -> String {
+    Sha256::digest(content).iter().map(|byte| format!("{byte:02x}")).collect()
 }
