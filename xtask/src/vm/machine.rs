@@ -1,6 +1,7 @@
 //! The emulated computer: QEMU as a child that never outlives us, with a limit on its time.
 
 use std::io::{BufRead, BufReader};
+use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
@@ -126,6 +127,19 @@ impl Machine {
             Err(RecvTimeoutError::Disconnected) => Ok(None),
             Err(RecvTimeoutError::Timeout) => bail!("the guest was not ready after {} s", LIMIT.as_secs()),
         }
+    }
+
+    /// Whether QEMU was ended by a signal that is not ours. A guest that fails ends it in good order.
+    pub fn has_crashed(&mut self) -> bool {
+        let end = Instant::now() + Duration::from_secs(2);
+        while Instant::now() < end {
+            match self.child.try_wait() {
+                Ok(Some(status)) => return status.signal().is_some(),
+                Ok(None) => std::thread::sleep(Duration::from_millis(20)),
+                Err(_) => return false,
+            }
+        }
+        false
     }
 
     /// Pulls a device out, and waits until it is.
