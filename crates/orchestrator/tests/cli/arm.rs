@@ -114,6 +114,8 @@ pub fn write_setup(folder: &TempDir, change: impl Fn(&str) -> String) {
 pub fn command(config: &str, args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_pb3dp"));
     command.args(["arm", args[0], "--config", config, "--arm", "vs"]).args(&args[1..]);
+    // Moves that are broken off leave their flight recorders under `out`.
+    command.current_dir(env!("CARGO_TARGET_TMPDIR"));
     command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
     command
 }
@@ -322,7 +324,8 @@ fn an_arm_that_was_stopped_is_reset_by_name_only() {
 
 /// A jog is under way, something happens; its exit code and messages.
 fn while_it_moves(cell: &mut Cell, happens: impl FnOnce(&mut Cell, u32)) -> (Option<i32>, String) {
-    let jog = ["jog", "--axis", "4", "--by", "-20", "--move"];
+    let out = cell.folder.path().join("flights").display().to_string();
+    let jog = ["jog", "--axis", "4", "--by", "-20", "--move", "--out", &out];
     let mut child = command(&cell.config().display().to_string(), &jog).spawn().unwrap();
     let mut input = child.stdin.take().unwrap();
     writeln!(input, "vs-robot").unwrap();
@@ -359,6 +362,9 @@ fn an_emergency_stop_a_pulled_cable_and_a_killed_program_stop_the_arm() {
         let mut cell = Cell::start(&["--pose-deg", START_DEG]);
         let (code, stderr) = while_it_moves(&mut cell, |cell, _| cell.arm.say("e-stop press"));
         assert!(code == Some(1) && stderr.contains("emergency stop"), "{code:?} {stderr}");
+        let flight = std::fs::read_to_string(cell.folder.path().join("flights/flight-vs-robot.jsonl")).unwrap();
+        let head: Value = serde_json::from_str(flight.lines().next().unwrap()).unwrap();
+        assert!(head.to_string().contains("emergency stop") && flight.lines().count() > 100, "{head}");
         assert!(rests(&mut cell)[3] > far);
         cell.arm.quit();
 

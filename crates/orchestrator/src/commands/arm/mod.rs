@@ -3,6 +3,7 @@
 mod checklist;
 mod confirm;
 mod drive;
+mod flights;
 mod motion;
 mod plan;
 mod probe;
@@ -92,6 +93,9 @@ struct MotionArgs {
     /// Also connect the other arm, so that the room between both is watched; it only holds.
     #[arg(long)]
     both: bool,
+    /// Folder for the flight recorders of a move that is broken off; a new one in out/ unless it is given.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
     /// Each cycle's joints as a line of JSON, for the program that has started this one.
     #[arg(long, hide = true)]
     report_joints: bool,

@@ -3,6 +3,7 @@
 use std::io::Write;
 use std::process::ExitCode;
 use std::sync::Arc;
+use std::time::SystemTime;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10::io::signals::StopSignals;
@@ -12,6 +13,7 @@ use pb3dp_kinematics::{DOF, JointVector};
 use serde::{Deserialize, Serialize};
 
 use super::drive::{self, Cycle, Drive};
+use super::flights::{self, folder_of};
 use super::plan::Plan;
 use super::{MotionArgs, Place, confirm};
 use crate::commands::estimate::output::print_line;
@@ -61,7 +63,7 @@ impl Goal {
 /// # Errors
 /// A configuration or a way that is refused, a confirmation that does not come, an arm that does not answer or stopped.
 pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
-    let choice = place.choice();
+    let (choice, began) = (place.choice(), SystemTime::now());
     // Before any thread is started.
     let mut signals = StopSignals::take_over()?;
     let mut setup = read_setup(&place.config)?;
@@ -91,7 +93,17 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
     let mut drive = Drive::new(&mut arm, &plan, &clock, setup.control_period);
     let outcome = drive.run(&mut signals, &mut |cycle| if args.report_joints { tell(cycle) } else { Ok(()) });
     let lost = drive.lost();
-    let reached = drive::stopped_after(choice, &mut arm, outcome)?;
+    let reached = drive::stopped_after(choice, &mut arm, outcome);
+    if let Err(failure) = &reached {
+        let folder = args.out.clone().unwrap_or_else(|| folder_of(goal.name(), choice, began));
+        for kept in flights::keep(&folder, choice, &arm, failure, clock.now()) {
+            match kept {
+                Ok(path) => tracing::info!("what the arm did before: {}", path.display()),
+                Err(error) => tracing::warn!("{error:#}"),
+            }
+        }
+    }
+    let reached = reached?;
     let off_deg = (reached.position_rad - plan.end_rad()).amax().to_degrees();
     print_line(&format!("done: every joint within {off_deg:.3} degrees of its end, brakes on; {lost} replies lost"))?;
     Ok(ExitCode::SUCCESS)

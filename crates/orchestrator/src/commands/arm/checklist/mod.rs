@@ -34,6 +34,7 @@ use self::report::{ProgramFacts, TestReport, Verdict};
 use self::session::{Session, is_interruption};
 use self::steps::Step;
 use super::confirm::Console;
+use super::flights::{folder_of, utc};
 use super::motion::JOG_RAD_PER_S;
 use super::probe_report::GatewayFacts;
 use super::{Place, parse_jog};
@@ -173,8 +174,7 @@ fn begin<'a>(
     }
     let (operator, line) = operator((args, asked), &mut setup, &clock)?;
     let (snapshot, target) = look(&setup, choice, &clock)?;
-    let date = utc(began).replace(':', "");
-    let out = args.out.clone().unwrap_or_else(|| PathBuf::from(format!("out/arm-test-{}-{date}", choice.name())));
+    let out = args.out.clone().unwrap_or_else(|| folder_of("test", choice, began));
     if out.join("report.json").exists() {
         bail!("{}: there is a report already; give another --out", out.display());
     }
@@ -340,11 +340,6 @@ fn one_step(step: Step, session: &mut Session<'_>) -> Result<StepReport> {
     }
     print_line(&format!("{}: {}", step.name(), report.result.word()))?;
     Ok(report)
-}
-
-/// A moment as UTC in the form of RFC 3339, whole seconds.
-fn utc(moment: SystemTime) -> String {
-    humantime::format_rfc3339_seconds(moment).to_string()
 }
 
 /// What `sha256sum` prints of a file with this content.

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow, bail};
 use pb3dp_arm_pa10::codec::Axis;
@@ -13,12 +13,12 @@ use pb3dp_arm_pa10::io::mock_server::SocketAddr;
 use pb3dp_arm_pa10::io::signals::StopSignals;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand, JointState};
-use pb3dp_hal_middleware::FlightLog;
 use pb3dp_kinematics::JointVector;
 
 use super::super::Place;
 use super::super::confirm::Interrupted;
 use super::super::drive::{self, Cycle, Drive};
+use super::super::flights;
 use super::super::plan::Plan;
 use super::operator::{Act, Operator, Question};
 use super::record::{Answer, StepReport};
@@ -26,9 +26,7 @@ use super::steps::{OVER_SPEED, Step, WRONG_WAY_DEG};
 use crate::commands::arm::motion::JOG_RAD_PER_S;
 use crate::commands::estimate::output::print_line;
 use crate::config::setup::Setup;
-use crate::run::flight::{self, Flight, Moment};
 use crate::wiring::commissioning::{ArmChoice, SlowArm, wire_slow};
-use crate::wiring::{line_facts, raw_lines};
 
 /// The share of a move's duration at which the operator is to act.
 const ACT_AT: f64 = 0.35;
@@ -360,31 +358,14 @@ impl Session<'_> {
             Ok(()) if complaints.is_empty() => return outcome,
             Ok(()) => complaints.join("; "),
         };
-        self.keep_flight(report, (self.choice, &arm.flight, arm.monitor.as_ref()), &failure);
-        if let Some(other) = &arm.other {
-            self.keep_flight(report, (self.choice.other(), &other.flight, other.monitor.as_ref()), &failure);
+        let folder = self.out.join(report.step.name());
+        for kept in flights::keep(&folder, self.choice, arm, &anyhow!("{failure}"), self.clock.now()) {
+            match kept {
+                Ok(path) => report.flights.push(path.display().to_string()),
+                Err(error) => report.note(format!("{error:#}")),
+            }
         }
         outcome
-    }
-
-    fn keep_flight(
-        &self,
-        report: &mut StepReport,
-        (choice, log, monitor): (ArmChoice, &FlightLog, Option<&ArmMonitor>),
-        failure: &str,
-    ) {
-        let (name, folder) = (choice.name(), self.out.join(report.step.name()));
-        let moment = Moment { monotonic: self.clock.now(), wall: SystemTime::now() };
-        let monitors: Vec<_> = monitor.into_iter().map(|monitor| (name, monitor.clone())).collect();
-        let (raw, (fault, counts)) = (raw_lines(&monitors, name), line_facts(&monitors, name));
-        let flight = Flight { log, fault, counts, raw: &raw };
-        let written = std::fs::create_dir_all(&folder)
-            .with_context(|| folder.display().to_string())
-            .and_then(|()| flight::write(&folder, name, &flight, &anyhow!("{failure}"), moment));
-        match written {
-            Ok(path) => report.flights.push(path.display().to_string()),
-            Err(error) => report.note(format!("the flight recorder of the {name} could not be written: {error:#}")),
-        }
     }
 }
 
