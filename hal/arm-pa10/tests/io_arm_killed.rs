@@ -40,7 +40,8 @@ fn main() {
         Some("host") => host(&arguments[2]),
         // What else cargo passes on concerns the usual kind of test.
         _ => {
-            for (name, test) in [("killed", killed as fn()), ("frozen", frozen)] {
+            let at_once = ("killed, and reset at once", killed_and_reset_at_once as fn());
+            for (name, test) in [("killed", killed as fn()), at_once, ("frozen", frozen)] {
                 println!("test {name} ...");
                 patiently(test);
                 println!("test {name} ... ok");
@@ -194,6 +195,21 @@ fn killed() {
         let _ = arm.exchange(velocity());
     }
     assert_eq!(scene.end.state(), GatewayState::Moving);
+    arm.stop().unwrap();
+}
+
+/// Whoever comes right after the one that was killed waits until the gateway has stopped the arm.
+fn killed_and_reset_at_once() {
+    let mut scene = Scene::new();
+    scene.signal(Signal::KILL);
+    scene.host.wait().unwrap();
+    let mut arm = open(&scene.path);
+    assert_eq!(arm.state(), ArmState::Fault);
+    arm.reset().unwrap();
+    assert_eq!(arm.state(), ArmState::Disabled);
+    assert_eq!(scene.end.state(), GatewayState::Idle);
+    scene.check_still(Duration::from_millis(100));
+    enable(&mut arm);
     arm.stop().unwrap();
 }
 

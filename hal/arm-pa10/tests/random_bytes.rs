@@ -6,12 +6,17 @@
 
 #[path = "support/abuse.rs"]
 mod abuse;
+#[path = "support/gateway_abuse.rs"]
+mod gateway_abuse;
 
 use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
 
 /// Cases per check; with the three checks and their sizes a second or two.
 const CASES: u32 = 20_000;
+
+/// Plays of a gateway take longer.
+const PLAYS: u32 = 2_000;
 
 /// Bytes in which the letters, numbers and sync bytes of the protocols are frequent.
 fn bytes(length: std::ops::Range<usize>) -> impl Strategy<Value = Vec<u8>> {
@@ -20,7 +25,11 @@ fn bytes(length: std::ops::Range<usize>) -> impl Strategy<Value = Vec<u8>> {
 }
 
 fn check(length: std::ops::Range<usize>, survives: fn(&[u8])) {
-    let mut runner = TestRunner::new(Config { failure_persistence: None, ..Config::with_cases(CASES) });
+    check_cases(CASES, length, survives);
+}
+
+fn check_cases(cases: u32, length: std::ops::Range<usize>, survives: fn(&[u8])) {
+    let mut runner = TestRunner::new(Config { failure_persistence: None, ..Config::with_cases(cases) });
     let result = runner.run(&bytes(length), |bytes| {
         survives(&bytes);
         Ok(())
@@ -55,6 +64,11 @@ fn the_codecs_survive_any_bytes() {
 #[test]
 fn the_gateway_protocol_survives_any_stream() {
     check(0..400, abuse::gateway_stream_survives);
+}
+
+#[test]
+fn a_gateway_survives_any_play() {
+    check_cases(PLAYS, 0..200, gateway_abuse::gateway_core_survives);
 }
 
 #[test]

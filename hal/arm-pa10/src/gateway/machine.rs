@@ -110,6 +110,8 @@ pub(super) struct Machine {
     pub bus: Bus,
     pub motion: Motion,
     pub work: Work,
+    /// The stop order with which a gateway begins.
+    pub is_first_stop: bool,
     /// Waits until E was answered.
     pub queued: Option<Job>,
     /// A `start` that waits for the first measurement.
@@ -133,13 +135,14 @@ impl Machine {
     pub fn new(config: GatewayConfig, now: MonotonicTime) -> Self {
         Self {
             config,
-            state: GatewayState::Idle,
+            // Nobody knows what was before: an arm whose gateway died may still be driven, with open brakes.
+            state: GatewayState::Stopping,
             cause: StopCause::None,
             host: Host::new(),
             bus: Bus::default(),
-            motion: Motion::new(config.brake_time),
-            // Nobody knows what was before.
-            work: Work::Close { tries: 0 },
+            motion: Motion::new(config.brake_time, now),
+            work: Work::Stop(StopStep::Brake),
+            is_first_stop: true,
             queued: None,
             opening: None,
             waiting: Askers::default(),
@@ -176,6 +179,8 @@ impl Machine {
         match state_before {
             GatewayState::Fault | GatewayState::EmergencyStop => return,
             GatewayState::Idle if cause != StopCause::Internal => return,
+            // A controller that is off, or in no mood for commands, is what a gateway may well find. Hosts will see.
+            GatewayState::Stopping if self.is_first_stop && cause != StopCause::Internal => return,
             _ => {}
         }
         let is_emergency_stop = cause == StopCause::EmergencyStop;
@@ -268,6 +273,7 @@ impl Machine {
 
     pub fn finish_stop(&mut self) {
         self.work = Work::Steady;
+        self.is_first_stop = false;
         if self.state == GatewayState::Stopping {
             self.state = GatewayState::Idle;
         }

@@ -66,7 +66,8 @@ pub struct GatewayStatus {
 }
 
 impl Gateway {
-    /// A gateway that knows nothing of its arm: it sends E, is `idle` and waits for HELLO.
+    /// A gateway that knows nothing of its arm, which may be driven with open brakes: it closes them, sends E, is `idle` and waits
+    /// for HELLO.
     ///
     /// # Errors
     /// If the configuration contradicts itself or leaves less than the requirements allow.

@@ -25,8 +25,6 @@ pub(super) struct Motion {
 /// Where a brake was told to be, and since when.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Brake {
-    /// Closed for longer than anybody remembers.
-    Closed,
     OpenSince(MonotonicTime),
     ClosedSince(MonotonicTime),
 }
@@ -60,14 +58,15 @@ pub(super) fn kind(command: &ArmCommand) -> Kind {
 }
 
 impl Motion {
-    pub fn new(brake_time: Duration) -> Self {
+    /// Nobody knows what was before: the brakes count as open until they were told to close, and had their time.
+    pub fn new(brake_time: Duration, now: MonotonicTime) -> Self {
         Self {
             target: off(),
             from: [SpeedCounts::ZERO; Axis::COUNT],
             since: MonotonicTime::ZERO,
             over: Duration::ZERO,
-            sent: off(),
-            brakes: [Brake::Closed; Axis::COUNT],
+            sent: ArmCommand::uniform(AxisCommand::Braked, Supervision::default()),
+            brakes: [Brake::OpenSince(now); Axis::COUNT],
             brake_time,
         }
     }
@@ -112,7 +111,7 @@ impl Motion {
                 (true, Brake::OpenSince(since)) => Brake::OpenSince(since),
                 (true, _) => Brake::OpenSince(now),
                 (false, Brake::OpenSince(_)) => Brake::ClosedSince(now),
-                (false, closed) => closed,
+                (false, closed @ Brake::ClosedSince(_)) => closed,
             };
         }
         self.sent = *command;
@@ -180,7 +179,6 @@ impl Motion {
 
     fn brake_holds(&self, index: usize, now: MonotonicTime) -> bool {
         match self.brakes[index] {
-            Brake::Closed => true,
             Brake::OpenSince(_) => false,
             Brake::ClosedSince(since) => now.saturating_since(since) >= self.brake_time,
         }

@@ -89,7 +89,7 @@ codes! {
         Holding = 2, "holding";
         /// Brakes open, speeds are followed.
         Moving = 3, "moving";
-        /// On the way to rest, brakes and `idle`.
+        /// On the way to rest, brakes and `idle`; a gateway begins with this.
         Stopping = 4, "stopping";
         /// Stopped by a fault, latched.
         Fault = 5, "fault";

@@ -67,7 +67,8 @@ impl Chain {
             spoil: None,
             line: Vec::new(),
         };
-        chain.run(Duration::from_millis(50));
+        // The stop order with which a gateway begins.
+        chain.run(Duration::from_millis(250));
         chain.open();
         chain.request(Request::Connect);
         chain.settle();

@@ -145,7 +145,7 @@ impl Controller {
 }
 
 impl Bench {
-    /// Nobody has said anything, and the E of the start is done.
+    /// Nobody has said anything, and the stop order of the start is done.
     pub fn silent(config: GatewayConfig) -> Self {
         let now = MonotonicTime::from_nanos(3_000_000_000);
         let mut bench = Self {
@@ -159,8 +159,8 @@ impl Bench {
             parser: FrameParser::new(ARM),
             on_the_way: Vec::new(),
         };
-        bench.run(ms(10));
-        assert_eq!(bench.letters(), "E");
+        bench.run(config.brake_time + ms(20));
+        assert_eq!((bench.letters().trim_start_matches('C'), bench.state()), ("E", GatewayState::Idle));
         bench.sent.clear();
         bench
     }

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, Request};
 use pb3dp_arm_pa10::gateway::GatewayConfig;
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Firmware, Geometry};
+use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, Geometry};
 use pb3dp_arm_pa10::io::bus::{BusPort, FRAME_ROOM};
 use pb3dp_arm_pa10::io::realtime::{self, Realtime};
 use pb3dp_arm_pa10::io::transport::{ByteLink, wait};
@@ -215,10 +215,10 @@ impl Host {
         Self { driver, link, line, is_gone: false, velocity: None }
     }
 
-    /// HELLO, until it is answered: a gateway may just be coming up.
+    /// HELLO, until it is answered: a gateway may just be coming up, and first closes the brakes.
     pub fn open(&mut self) {
         let since = Instant::now();
-        while self.link.hello().is_none() {
+        while self.link.hello().is_none_or(|hello| hello.state == GatewayState::Stopping) {
             assert!(since.elapsed() < LONG, "nobody answers HELLO: {:?}", self.link.hello_error());
             self.link.open(realtime::now());
             self.run_for(ms(300), |host| host.link.hello().is_some());

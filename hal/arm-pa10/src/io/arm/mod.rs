@@ -211,7 +211,7 @@ impl Pa10Arm {
     /// The error of a wish that was not fulfilled.
     fn wish_error(&self, what: &str, error: WishError) -> ArmError {
         let kind = match &error {
-            WishError::Refused(_) | WishError::WarmUp(_) => ArmErrorKind::Rejected,
+            WishError::Refused(_) | WishError::WarmUp(_) | WishError::StillStopping(_) => ArmErrorKind::Rejected,
             WishError::Unplugged(_) | WishError::Connect(_) | WishError::NoGateway => ArmErrorKind::Disconnected,
             WishError::Stopped(_) | WishError::Gateway(_) | WishError::Stuck(_) | WishError::NoThread => {
                 if self.shared.snapshot().unplugged.is_some() {

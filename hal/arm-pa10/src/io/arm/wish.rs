@@ -1,5 +1,7 @@
 //! What an operator wants, step by step: each wish takes several activities of the driver.
 
+use std::time::Duration;
+
 use pb3dp_geometry::MonotonicTime;
 
 use super::port::{Greeted, HostPort};
@@ -7,12 +9,18 @@ use super::shared::Wish;
 use crate::driver::{
     Activity, Driver, DriverState, EmergencyStopCause, FaultCause, Latched, Refusal, Request, Trip, WarmUpFailure,
 };
-use crate::gateway_protocol::{GatewayState, HelloReply, StopCause};
+use crate::gateway_protocol::{GatewayState, HelloReply, RejectReason, StopCause};
 use crate::io::transport::{ConnectError, Unplugged};
 use crate::link::HelloError;
 
 /// Cycles by which the host waits longer for the brakes than the gateway, which counts from a later moment.
 const BRAKE_MARGIN_CYCLES: u32 = 3;
+
+/// After a gateway that still stops its arm was asked, this passes before it is asked again.
+const ASK_AGAIN: Duration = Duration::from_millis(50);
+
+/// A gateway has brought its arm to rest after the time of the brakes and this.
+const STOP_MAX: Duration = Duration::from_secs(1);
 
 /// Why a wish was not fulfilled.
 #[derive(Debug, thiserror::Error)]
@@ -32,6 +40,11 @@ pub enum WishError {
     /// The gateway is not that of the configuration.
     #[error(transparent)]
     Gateway(HelloError),
+    /// The gateway goes through its stop order for longer than that takes.
+    #[error(
+        "the gateway still brings the arm to rest after {0:?}: try again in a second, and look at the gateway's log"
+    )]
+    StillStopping(Duration),
     /// The link can not be opened again.
     #[error("the link can not be opened")]
     Connect(#[source] ConnectError),
@@ -57,6 +70,8 @@ enum Stage {
     Greeting,
     /// The driver was asked for this wish's activity.
     Asked,
+    /// The gateway still stops the arm: it is asked again at this time.
+    Pausing(MonotonicTime),
 }
 
 /// A wish that is being fulfilled.
@@ -65,6 +80,8 @@ pub(super) struct Running {
     pub number: u64,
     wish: Wish,
     stage: Stage,
+    /// Since when the gateway was found stopping.
+    stopping: Option<MonotonicTime>,
 }
 
 /// What a wish may use.
@@ -72,12 +89,12 @@ pub(super) struct Means<'a> {
     pub driver: &'a mut Driver,
     pub port: &'a mut dyn HostPort,
     /// Of the host.
-    pub cycle: std::time::Duration,
+    pub cycle: Duration,
 }
 
 impl Running {
     pub fn new(number: u64, wish: Wish) -> Self {
-        Self { number, wish, stage: Stage::New }
+        Self { number, wish, stage: Stage::New, stopping: None }
     }
 
     /// Does what can be done now. `Some` when the wish is fulfilled or can not be.
@@ -99,13 +116,21 @@ impl Running {
                 means.port.greet(now);
                 self.stage = Stage::Greeting;
             }
-            // Another arm has answered.
-            Stage::Greeting if means.driver.state().is_latched() => return Err(stopped(means.driver)),
+            // Another arm has answered, or another one of the cell has stopped.
+            Stage::Greeting if is_stopped_from_elsewhere(means.driver) => return Err(stopped(means.driver)),
+            Stage::Pausing(until) => self.ask_again(now, until, means),
             Stage::Greeting => {
                 if greeted(now, means)? {
+                    if means.port.hello().is_some_and(|hello| comes_to_rest(hello.state)) {
+                        self.pause(now, means)?;
+                        return Ok(None);
+                    }
                     if let Some(trip) = means.port.hello().and_then(stopped_before) {
                         // The operator has to see it, and to reset it.
                         means.driver.handle_trip(now, trip);
+                    }
+                    // It may also have told so by itself, meanwhile.
+                    if means.driver.state().is_latched() {
                         return Ok(Some(()));
                     }
                     means.driver.handle_request(now, Request::Connect)?;
@@ -195,18 +220,67 @@ impl Running {
                 means.port.greet(now);
                 self.stage = Stage::Greeting;
             }
+            Stage::Pausing(until) => self.ask_again(now, until, means),
             Stage::Greeting => {
                 if greeted(now, means)? {
                     means.driver.handle_request(now, Request::Reset)?;
                     self.stage = Stage::Asked;
                 }
             }
+            // After a host that died the gateway needs its time, and refuses until then.
+            Stage::Asked if is_refused_while_stopping(means.driver) => self.pause(now, means)?,
             Stage::Asked if means.driver.state().is_latched() => return Err(stopped(means.driver)),
             Stage::Asked => return Ok(Some(())),
         }
         still_plugged(means)?;
         Ok(None)
     }
+}
+
+impl Running {
+    /// Lets the gateway come to its end with the arm, but not for ever.
+    fn pause(&mut self, now: MonotonicTime, means: &Means<'_>) -> Result<(), WishError> {
+        let brakes =
+            means.port.hello().map_or(Duration::ZERO, |hello| Duration::from_micros(hello.brake_release_us.into()));
+        let waited = now.saturating_since(*self.stopping.get_or_insert(now));
+        if waited > brakes + STOP_MAX {
+            return Err(WishError::StillStopping(waited));
+        }
+        self.stage = Stage::Pausing(now + ASK_AGAIN);
+        Ok(())
+    }
+
+    fn ask_again(&mut self, now: MonotonicTime, until: MonotonicTime, means: &mut Means<'_>) {
+        if now >= until {
+            means.port.greet(now);
+            self.stage = Stage::Greeting;
+        }
+    }
+}
+
+/// Whether something else than the gateway at the other end has stopped the arm.
+fn is_stopped_from_elsewhere(driver: &Driver) -> bool {
+    let by_gateway = |latched: &Latched| {
+        matches!(
+            latched.trip,
+            Trip::EStop(_)
+                | Trip::Fault(
+                    FaultCause::Gateway(_) | FaultCause::ServoAlarm { .. } | FaultCause::ControllerAlarm { .. }
+                )
+        )
+    };
+    driver.latched().is_some_and(|latched| !by_gateway(latched))
+}
+
+/// Whether a gateway stops its arm, or will as soon as it misses the host that was there before.
+fn comes_to_rest(state: GatewayState) -> bool {
+    matches!(state, GatewayState::Holding | GatewayState::Moving | GatewayState::Stopping)
+}
+
+/// Whether a reset failed because the gateway was not there yet.
+fn is_refused_while_stopping(driver: &Driver) -> bool {
+    let refused = Trip::Fault(FaultCause::Rejected(RejectReason::WrongState));
+    driver.state().is_latched() && driver.latched().is_some_and(|latched| latched.trip == refused)
 }
 
 /// Whether the other side was greeted and is the right one.
@@ -220,7 +294,7 @@ fn greeted(now: MonotonicTime, means: &mut Means<'_>) -> Result<bool, WishError>
         Greeted::Refused(error) => Err(WishError::Gateway(error)),
         Greeted::Done => {
             if let Some(hello) = means.port.hello() {
-                let brakes = std::time::Duration::from_micros(u64::from(hello.brake_release_us));
+                let brakes = Duration::from_micros(u64::from(hello.brake_release_us));
                 means.driver.raise_brake_time(brakes + means.cycle * BRAKE_MARGIN_CYCLES);
             }
             Ok(true)
@@ -234,7 +308,6 @@ fn stopped_before(hello: &HelloReply) -> Option<Trip> {
         GatewayState::EmergencyStop => Some(Trip::EStop(EmergencyStopCause::Gateway)),
         _ if hello.cause == StopCause::EmergencyStop => Some(Trip::EStop(EmergencyStopCause::Gateway)),
         _ if hello.cause != StopCause::None => Some(Trip::Fault(FaultCause::Gateway(hello.cause))),
-        // One that comes to rest without a cause refuses to be looked at, and says so.
         _ => None,
     }
 }

@@ -70,7 +70,7 @@ pub(super) struct Cycle {
 impl Cycle {
     pub fn new(core: Gateway, bus: Box<dyn BusPort>, shared: Arc<Shared>, lines: Lines, queue: EventQueue) -> Self {
         let brake_time = core.config().brake_time;
-        let seen = Seen { state: GatewayState::Idle, dialect: None, overruns: 0 };
+        let seen = Seen { state: core.status().state, dialect: None, overruns: 0 };
         Self { core, bus: Some(bus), host: None, shared, lines, queue, seen, ends: None, brake_time }
     }
 

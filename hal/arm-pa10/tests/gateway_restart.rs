@@ -1,0 +1,83 @@
+//! A gateway that begins knows nothing of its arm: the one before it may have died while the arm moved.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+#[path = "common/gateway_bench.rs"]
+mod bench;
+#[path = "common/bus_bench.rs"]
+#[allow(dead_code, reason = "each test file uses its part")]
+mod bus_bench;
+#[path = "common/chain.rs"]
+mod chain;
+
+use bench::{Bench, config, ms};
+use chain::{ARM, Chain};
+use pb3dp_arm_pa10::codec::{ArmCommand, AxisCommand, ControlMessage, ServoWord, Supervision, WireFormat};
+use pb3dp_arm_pa10::driver::DriverState;
+use pb3dp_arm_pa10::gateway::{Gateway, GatewayConfig};
+use pb3dp_arm_pa10::gateway_protocol::{Dialect, Firmware, GatewayState, StopCause};
+use pb3dp_arm_pa10::mock_controller::{ControlMode, pa10_joints};
+use pb3dp_kinematics::JointVector;
+use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant};
+
+fn uniform(command: AxisCommand) -> ControlMessage {
+    ControlMessage::Cyclic(ArmCommand::uniform(command, Supervision::default()))
+}
+
+/// Speed 0 with brakes on and servos on for as long as brakes take, then servos off, then E: whatever the controller answers.
+#[test]
+fn brakes_have_their_time_to_close_before_e() {
+    for (answers, alarm) in [(true, 0), (false, 0), (true, 0x00E0), (true, 0x0110)] {
+        for format in WireFormat::ALL {
+            let mut bench = Bench::silent(config(format));
+            bench.gateway = Gateway::new(config(format), bench.now).unwrap();
+            bench.controller.answers = answers;
+            bench.controller.servo[3] = ServoWord(alarm);
+            bench.run(ms(300));
+            let begin = bench.sent[0].at;
+            let off = bench.sent.iter().position(|sent| sent.message == uniform(AxisCommand::Off)).unwrap();
+            assert!(bench.sent[..off].iter().all(|sent| sent.message == uniform(AxisCommand::Braked)));
+            let lasted = bench.sent[off].at.saturating_since(begin);
+            assert!(lasted >= ms(200) && lasted <= ms(203), "{lasted:?}");
+            assert!(bench.sent[..off].windows(2).all(|two| two[1].at.saturating_since(two[0].at) == bench::CYCLE));
+            assert!(bench.sent[off + 1..].iter().all(|sent| sent.message == ControlMessage::End));
+            assert_eq!((bench.state(), bench.cause()), (GatewayState::Idle, StopCause::None));
+        }
+    }
+}
+
+/// A controller without a time-out goes on with the last speeds until somebody says something else.
+#[test]
+fn an_arm_that_goes_on_moving_is_stopped_by_the_next_gateway() {
+    for format in WireFormat::ALL {
+        let start_rad = JointVector::from([0.1, 0.7, 0.2, 0.9, 0.1, 0.5, 0.1]);
+        let plant = JointPlant::new(pa10_joints().unwrap(), start_rad, bus_bench::START).unwrap();
+        let joints = plant.with_mechanics(JointMechanics::default()).unwrap();
+        let mut chain = Chain::new(Dialect::GatewayV1, format, None, joints);
+        chain.prepare();
+        chain.wanted = Some(JointVector::from([0.1, -0.2, 0.1, 0.2, 0.3, 0.2, 0.3]));
+        chain.run(ms(600));
+        assert_eq!(chain.driver.state(), DriverState::Moving);
+        let (_, speed) = chain.controller.true_joints();
+        assert!(speed.amax() > 0.25, "{speed}");
+        // The gateway is killed, the host with it, and started again.
+        chain.frozen = true;
+        let config = GatewayConfig::new(ARM, format, Firmware::new("test gateway 2").unwrap());
+        chain.gateway = Gateway::new(config, chain.now).unwrap();
+        let (before, _) = chain.controller.true_joints();
+        let (mut let_go, mut ended) = (false, None);
+        for _ in 0..600 {
+            chain.run(ms(1));
+            let (_, speed) = chain.controller.true_joints();
+            let is_control = chain.controller.mode() == ControlMode::Control;
+            let_go |= !is_control && !chain.controller.is_braked();
+            ended = ended.or((!is_control).then(|| speed.amax()));
+        }
+        assert!(!let_go && chain.controller.is_braked());
+        assert_eq!(ended, Some(0.0), "{format}: at rest before the control mode ends");
+        let (after, speed) = chain.controller.true_joints();
+        let way_deg = (after - before).amax().to_degrees();
+        assert!(speed.amax() == 0.0 && way_deg < 3.0, "{format}: {way_deg} degrees");
+        assert_eq!(chain.gateway.status().state, GatewayState::Idle);
+    }
+}
