@@ -17,7 +17,8 @@ pub struct JointLimits {
 pub enum JointLimitsError {
     /// The position range is empty or not finite.
     #[error(
-        "joint {joint}: position limits {min_rad} to {max_rad} rad are no range; give finite numbers, minimum below maximum"
+        "axis {}: position limits {min_rad} to {max_rad} rad are no range; give finite numbers, minimum below maximum",
+        joint + 1
     )]
     Position {
         /// Index from the base, 0 to 6.
@@ -28,7 +29,7 @@ pub enum JointLimitsError {
         max_rad: f64,
     },
     /// The speed is not a positive number.
-    #[error("joint {joint}: speed limit {velocity_rad_per_s} rad/s is not a positive, finite number")]
+    #[error("axis {}: speed limit {velocity_rad_per_s} rad/s is not a positive, finite number", joint + 1)]
     Velocity {
         /// Index from the base, 0 to 6.
         joint: usize,
@@ -37,7 +38,8 @@ pub enum JointLimitsError {
     },
     /// The inner limits are not within the outer ones.
     #[error(
-        "joint {joint}: {min_rad} to {max_rad} rad is not within the outer limits, {outer_min_rad} to {outer_max_rad} rad"
+        "axis {}: {min_rad} to {max_rad} rad is not within the outer limits, {outer_min_rad} to {outer_max_rad} rad",
+        joint + 1
     )]
     NotWithin {
         /// Index from the base, 0 to 6.
@@ -154,7 +156,7 @@ mod tests {
         max[4] = -5.0;
         let error = JointLimits::new(*good.position_min_rad(), max, *good.velocity_max_rad_per_s()).unwrap_err();
         assert_eq!(error, JointLimitsError::Position { joint: 4, min_rad: -4.3, max_rad: -5.0 });
-        assert!(error.to_string().contains("joint 4: position limits -4.3 to -5 rad"), "{error}");
+        assert!(error.to_string().contains("axis 5: position limits -4.3 to -5 rad"), "{error}");
         max[4] = f64::NAN;
         assert!(JointLimits::new(*good.position_min_rad(), max, *good.velocity_max_rad_per_s()).is_err());
     }

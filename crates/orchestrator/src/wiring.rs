@@ -98,9 +98,10 @@ pub fn wire(setup: &Setup) -> Result<Parts> {
     for (name, report) in check_paths(setup, &experiment)? {
         let (joint, speed) = report.fastest_joint();
         tracing::info!(
-            "{name}: smallest singular value {:.3} at {:.1} s, fastest joint {joint} uses {:.0} % of its allowed speed",
+            "{name}: smallest singular value {:.3} at {:.1} s, fastest axis {} uses {:.0} % of its allowed speed",
             report.singular_value_min.value,
             report.singular_value_min.at_s,
+            joint + 1,
             speed.value * 100.0
         );
     }

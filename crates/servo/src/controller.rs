@@ -85,7 +85,7 @@ impl fmt::Display for HoldReason {
             Self::JointsStale { age_s } => write!(f, "the joints were measured {age_s:.3} s ago"),
             Self::JointsNotFinite => write!(f, "a measured joint angle or speed is not a finite number"),
             Self::ClockStepped => write!(f, "the time of the joints or of the controller is not monotonic"),
-            Self::JointRange { joint } => write!(f, "joint {joint} is at the end of its range"),
+            Self::JointRange { joint } => write!(f, "axis {} is at the end of its range", joint + 1),
             Self::CommandNotFinite => write!(f, "the control law gave a number that is not finite"),
         }
     }

@@ -43,7 +43,7 @@ pub struct JointPlantConfig {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum JointPlantError {
     /// A number of the configuration is out of range.
-    #[error("{name}{} is {value}, it must be {allowed}", joint.map(|j| format!(" of joint {j}")).unwrap_or_default())]
+    #[error("{name}{} is {value}, it must be {allowed}", joint.map(|j| format!(" of axis {}", j + 1)).unwrap_or_default())]
     Config {
         /// Field of [`JointPlantConfig`].
         name: &'static str,
@@ -55,10 +55,10 @@ pub enum JointPlantError {
         allowed: &'static str,
     },
     /// The start is outside the end stops.
-    #[error("joint {} starts at {} rad, outside its end stops, {} to {} rad", .0.joint, .0.position_rad, .0.min_rad, .0.max_rad)]
+    #[error("axis {} starts at {:.2} degrees, outside its end stops, {:.2} to {:.2} degrees", .0.joint + 1, .0.position_rad.to_degrees(), .0.min_rad.to_degrees(), .0.max_rad.to_degrees())]
     Start(PositionViolation),
     /// A command is not finite.
-    #[error("joint {joint}: velocity command {velocity_rad_per_s} rad/s is not finite")]
+    #[error("axis {}: velocity command {velocity_rad_per_s} rad/s is not finite", .joint + 1)]
     Command {
         /// Index from the base, 0 to 6.
         joint: usize,

@@ -167,7 +167,7 @@ fn a_speed_scale_that_is_too_low_is_refused_by_joint_and_ratio() {
     assert!((ratio - 6.0 * fastest.value).abs() < 1e-9, "{message}");
     assert!((needed_rad_per_s - ratio * 0.1).abs() < 1e-12);
     assert!((speed_scale_needed - 0.6 * fastest.value).abs() < 1e-9);
-    assert!(message.contains("joint 1") && message.contains("times too fast"), "{message}");
+    assert!(message.contains("axis 2") && message.contains("times too fast"), "{message}");
     assert!(check(CellArm::Vs, &experiment, speed_scale_needed * 1.0001).is_ok());
 }
 

@@ -188,7 +188,8 @@ impl Shared {
             let (value, limit) = (velocity[joint], limits[joint]);
             // The margin is rounding.
             if !value.is_finite() || value.abs() > limit * (1.0 + 1e-9) {
-                let text = format!("joint {joint}: command {value} rad/s is not within +-{limit} rad/s; the arm holds");
+                let text =
+                    format!("axis {}: command {value} rad/s is not within +-{limit} rad/s; the arm holds", joint + 1);
                 return Err(self.error(ArmErrorKind::Rejected, text));
             }
         }

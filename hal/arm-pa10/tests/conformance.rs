@@ -99,7 +99,7 @@ fn speeds_beyond_the_joint_are_rejected_by_name() {
     fast[1] = -1.01;
     let error = arm.exchange(JointCommand::Velocity(fast)).unwrap_err();
     assert_eq!(error.kind(), ArmErrorKind::Rejected);
-    assert!(error.to_string().contains("joint 1: command -1.01 rad/s is not within +-1 rad/s"), "{error}");
+    assert!(error.to_string().contains("axis 2: command -1.01 rad/s is not within +-1 rad/s"), "{error}");
     fast[1] = 1.0;
     arm.exchange(JointCommand::Velocity(fast)).unwrap();
 }

@@ -51,7 +51,7 @@ pub enum GuardError {
     #[error("speed scale {0} is out of range; above 0 to 1 is possible")]
     SpeedScale(f64),
     /// An acceleration is no limit.
-    #[error("joint {joint}: acceleration {value} rad/s^2 is not a positive, finite number")]
+    #[error("axis {}: acceleration {value} rad/s^2 is not a positive, finite number", joint + 1)]
     Acceleration {
         /// Index from the base, 0 to 6.
         joint: usize,
@@ -159,7 +159,11 @@ impl<A: Arm> Guard<A> {
     /// Takes a sample that jumps out of the account: the arm holds, and the next one is compared with the last good one.
     fn refuse_jump(&mut self, joint: usize, moved_rad: f64, dt: Duration) -> ArmError {
         self.jumps += 1;
-        let text = format!("joint {joint} seems to have moved by {moved_rad:+.4} rad within {dt:?}, which it can not");
+        let moved_deg = moved_rad.to_degrees();
+        let text = format!(
+            "axis {} seems to have moved by {moved_deg:+.2} degrees within {dt:?}, which it can not",
+            joint + 1
+        );
         if self.jumps >= JUMPS_TO_FAULT {
             let reason = format!("{text}, {} times in a row: check its encoder and the link", self.jumps);
             return self.stop_for((joint, reason));
@@ -187,9 +191,12 @@ impl<A: Arm> Guard<A> {
         if let Some(wrong) = self.mechanical.violation(&sample.position_rad) {
             let (joint, angle) = (wrong.joint, wrong.position_rad);
             let reason = format!(
-                "joint {joint} is at {angle:.4} rad, where none can be (its stops are at {:.4} and {:.4} rad): check its encoder and \
+                "axis {} is at {:.2} degrees, where none can be (its stops are at {:.2} and {:.2} degrees): check its encoder and \
                  its zero point",
-                wrong.min_rad, wrong.max_rad
+                joint + 1,
+                angle.to_degrees(),
+                wrong.min_rad.to_degrees(),
+                wrong.max_rad.to_degrees()
             );
             return Some((joint, reason));
         }
@@ -202,9 +209,12 @@ impl<A: Arm> Guard<A> {
             let found_rad = &mut self.found_beyond_rad[joint];
             let allowed_rad = if *found_rad > 0.0 { *found_rad + RETURN_SWING_RAD } else { LIMIT_ROUNDING_RAD };
             if beyond_rad[joint] > allowed_rad {
-                let (min, max) = (limits.position_min_rad()[joint], limits.position_max_rad()[joint]);
-                let angle = sample.position_rad[joint];
-                let reason = format!("joint {joint} is at {angle:.4} rad, beyond its limits {min:.4} to {max:.4} rad");
+                let [angle, min, max] = [&sample.position_rad, limits.position_min_rad(), limits.position_max_rad()]
+                    .map(|of| of[joint].to_degrees());
+                let reason = format!(
+                    "axis {} is at {angle:.2} degrees, beyond its limits {min:.2} to {max:.2} degrees",
+                    joint + 1
+                );
                 return Some((joint, reason));
             }
             *found_rad = found_rad.min(beyond_rad[joint]);
@@ -220,7 +230,7 @@ impl<A: Arm> Guard<A> {
             let is_slow = speed.abs() <= OVER_SPEED * allowed;
             self.too_fast[joint] = if is_slow { 0 } else { self.too_fast[joint] + 1 };
             if self.too_fast[joint] >= OVER_SPEED_SAMPLES && reason.is_none() {
-                let text = format!("joint {joint} moves at {speed:+.3} rad/s, {allowed:.3} rad/s are allowed");
+                let text = format!("axis {} moves at {speed:+.3} rad/s, {allowed:.3} rad/s are allowed", joint + 1);
                 reason = Some((joint, text));
             }
         }
@@ -235,8 +245,10 @@ impl<A: Arm> Guard<A> {
             self.off_track_for[joint] = if is_on_track { Duration::ZERO } else { self.off_track_for[joint] + dt };
             if self.off_track_for[joint] >= self.config.tracking_error_for && reason.is_none() {
                 let text = format!(
-                    "joint {joint} is {:+.3} rad from where its commands lead, for {:?}: it is blocked, pushed or not driven",
-                    error_rad[joint], self.off_track_for[joint]
+                    "axis {} is {:+.2} degrees from where its commands lead, for {:?}: it is blocked, pushed or not driven",
+                    joint + 1,
+                    error_rad[joint].to_degrees(),
+                    self.off_track_for[joint]
                 );
                 reason = Some((joint, text));
             }

@@ -82,7 +82,7 @@ pub enum LimiterError {
     #[error("speed scale {0} is out of range; above 0 to 1 is possible")]
     SpeedScale(f64),
     /// An acceleration is no limit.
-    #[error("joint {joint}: acceleration limit {value} rad/s^2 is not a positive, finite number")]
+    #[error("axis {}: acceleration limit {value} rad/s^2 is not a positive, finite number", joint + 1)]
     Acceleration {
         /// Index from the base, 0 to 6.
         joint: usize,
@@ -90,7 +90,7 @@ pub enum LimiterError {
         value: f64,
     },
     /// A jerk is no limit.
-    #[error("joint {joint}: jerk limit {value} rad/s^3 is not a positive, finite number")]
+    #[error("axis {}: jerk limit {value} rad/s^3 is not a positive, finite number", joint + 1)]
     Jerk {
         /// Index from the base, 0 to 6.
         joint: usize,
@@ -217,18 +217,19 @@ impl<A: Arm> Limiter<A> {
     fn refusal(&mut self, desired: &JointVector) -> Option<(usize, String)> {
         if let Some(joint) = (0..DOF).find(|&joint| !desired[joint].is_finite()) {
             self.statistics.refused_not_finite += 1;
-            return Some((joint, format!("joint {joint}: command {} rad/s is not finite", desired[joint])));
+            return Some((joint, format!("axis {}: command {} rad/s is not finite", joint + 1, desired[joint])));
         }
         let measured_rad = self.newest?.position_rad;
         if let Some(joint) = self.leads_out(desired, &measured_rad) {
             self.statistics.refused_outwards += 1;
             let limits = &self.config.hard_limits;
             let reason = format!(
-                "joint {joint} is at {:.4} rad, beyond its servo limits {:.4} to {:.4} rad, and {:+.4} rad/s leads further out: only \
-                 the way back is open",
-                measured_rad[joint],
-                limits.position_min_rad()[joint],
-                limits.position_max_rad()[joint],
+                "axis {} is at {:.2} degrees, beyond its servo limits {:.2} to {:.2} degrees, and {:+.4} rad/s leads further out: \
+                 only the way back is open",
+                joint + 1,
+                measured_rad[joint].to_degrees(),
+                limits.position_min_rad()[joint].to_degrees(),
+                limits.position_max_rad()[joint].to_degrees(),
                 desired[joint]
             );
             return Some((joint, reason));
@@ -239,9 +240,11 @@ impl<A: Arm> Limiter<A> {
         if let Some((joint, difference_rad)) = self.config.start.missed_by(&measured_rad) {
             self.statistics.refused_start += 1;
             let reason = format!(
-                "joint {joint} is at {:.4} rad, {difference_rad:+.4} rad from where the motion is to start: bring the arm to its \
-                 start pose first (home it, at low speed), or correct the start pose in the configuration",
-                measured_rad[joint]
+                "axis {} is at {:.2} degrees, {:+.2} degrees from where the motion is to start: bring the arm to its start pose \
+                 first (home it, at low speed), or correct the start pose in the configuration",
+                joint + 1,
+                measured_rad[joint].to_degrees(),
+                difference_rad.to_degrees()
             );
             return Some((joint, reason));
         }

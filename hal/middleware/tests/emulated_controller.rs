@@ -218,11 +218,11 @@ impl Braking {
 ///
 /// The last four are told by status words in format B. In format A nobody knows these words, and only the joints tell.
 const FAULTS: [(&str, u64, &str, Braking); 11] = [
-    ("runaway 2 0.9rad/s", 50, "joint 1 moves at +", Braking::Brake),
-    ("runaway 6 -4rad/s", 130, "joint 5 moves at -", Braking::Brake),
-    ("runaway 2 0.25rad/s", 1300, "joint 1 is", Braking::Brake),
-    ("stuck 4 on", 800, "joint 3 is", Braking::Servo),
-    ("jump 3 0.3rad", 50, "joint 2 seems to have moved by +0.", Braking::Servo),
+    ("runaway 2 0.9rad/s", 50, "axis 2 moves at +", Braking::Brake),
+    ("runaway 6 -4rad/s", 130, "axis 6 moves at -", Braking::Brake),
+    ("runaway 2 0.25rad/s", 1300, "axis 2 is", Braking::Brake),
+    ("stuck 4 on", 800, "axis 4 is", Braking::Servo),
+    ("jump 3 0.3rad", 50, "axis 3 seems to have moved by +1", Braking::Servo),
     ("stale 1000000", 800, "from where its commands lead", Braking::Servo),
     ("corrupt 1000000", 700, "", Braking::Servo),
     ("e-stop press", 900, "", Braking::Brake),

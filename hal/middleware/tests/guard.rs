@@ -92,7 +92,7 @@ fn a_joint_that_does_not_go_where_it_is_told_stops_the_arm() {
     // that is held against the joint 0.1 s later.
     let (after, error) = bench.until_refused(velocity(3, 0.5), Duration::from_secs(2)).unwrap();
     assert_eq!(error.kind(), ArmErrorKind::Fault);
-    assert!(error.to_string().contains("joint 3 is -0.") && error.to_string().contains("commands lead"), "{error}");
+    assert!(error.to_string().contains("axis 4 is -") && error.to_string().contains("commands lead"), "{error}");
     assert_eq!((error.joint(), error.code()), (Some(3), None));
     let expected = Duration::from_millis(100 + 125 + 45 + 100);
     assert!(after > expected - Duration::from_millis(60) && after < expected + Duration::from_millis(60), "{after:?}");
@@ -109,7 +109,7 @@ fn a_joint_that_moves_by_itself_stops_the_arm() {
         sample.velocity_rad_per_s[1] -= 0.2;
     });
     let (_, error) = bench.until_refused(JointCommand::Hold, Duration::from_secs(2)).unwrap();
-    assert!(error.to_string().contains("joint 1 is -0.") && error.to_string().contains("pushed"), "{error}");
+    assert!(error.to_string().contains("axis 2 is -") && error.to_string().contains("pushed"), "{error}");
     bench.assert_latched_until_reset();
 }
 
@@ -129,7 +129,7 @@ fn one_sample_that_jumps_is_thrown_away_and_two_stop_the_arm() {
     bench.tamper(bad(1));
     let error = bench.step(velocity(6, 0.3)).unwrap_err();
     assert_eq!(error.kind(), ArmErrorKind::Timeout);
-    assert!(error.to_string().contains("joint 6 seems to have moved by +0.30"), "{error}");
+    assert!(error.to_string().contains("axis 7 seems to have moved by +17."), "{error}");
     assert_eq!(bench.last_told(), JointCommand::Hold);
     bench.step(velocity(6, 0.3)).unwrap();
     assert_eq!(bench.guard.latched(), None);
@@ -175,7 +175,7 @@ fn a_joint_that_is_too_fast_twice_stops_the_arm() {
         assert_eq!(refused.is_some(), is_stopped, "{speed} rad/s in {samples} samples: {refused:?}");
         if let Some((_, error)) = refused {
             let text = error.to_string();
-            assert!(text.contains("joint 2 moves at -0.221 rad/s, 0.200 rad/s are allowed"), "{text}");
+            assert!(text.contains("axis 3 moves at -0.221 rad/s, 0.200 rad/s are allowed"), "{text}");
         }
     }
     bench.assert_latched_until_reset();
@@ -190,7 +190,7 @@ fn a_joint_beyond_its_limits_stops_the_arm() {
     bench.tamper(|sample| sample.position_rad[1] = 91.5_f64.to_radians());
     let error = bench.step(JointCommand::Hold).unwrap_err();
     assert_eq!(error.kind(), ArmErrorKind::Fault);
-    assert!(error.to_string().contains("joint 1 is at 1.5970 rad, beyond its limits -1.5882 to 1.5882"), "{error}");
+    assert!(error.to_string().contains("axis 2 is at 91.50 degrees, beyond its limits -91.00 to 91.00"), "{error}");
     bench.assert_latched_until_reset();
 }
 
@@ -205,13 +205,13 @@ fn a_joint_that_is_found_beyond_its_limits_may_come_back() {
     bench.tamper(shown_beyond);
     bench.step(JointCommand::Hold).unwrap();
     let (_, error) = bench.until_refused(velocity(1, 0.05), Duration::from_secs(1)).unwrap();
-    assert!(error.to_string().contains("joint 1 is at 1.6"), "{error}");
+    assert!(error.to_string().contains("axis 2 is at 9"), "{error}");
     assert_eq!(bench.guard.state(), ArmState::Fault);
     bench.guard.reset().unwrap();
     bench.guard.enable().unwrap();
     assert!(bench.until_refused(velocity(1, -0.1), Duration::from_secs(1)).is_none(), "the way back");
     let (_, error) = bench.until_refused(velocity(1, 0.1), Duration::from_secs(3)).unwrap();
-    assert!(error.to_string().contains("joint 1 is at 1.58"), "{error}");
+    assert!(error.to_string().contains("axis 2 is at 9"), "{error}");
 }
 
 #[test]
@@ -220,7 +220,7 @@ fn a_joint_where_none_can_be_has_a_wrong_encoder() {
     bench.tamper(|sample| sample.position_rad[3] = -143.1_f64.to_radians());
     let error = bench.step(JointCommand::Hold).unwrap_err();
     assert_eq!(error.kind(), ArmErrorKind::Fault);
-    assert!(error.to_string().contains("joint 3 is at -2.4976 rad, where none can be"), "{error}");
+    assert!(error.to_string().contains("axis 4 is at -143.10 degrees, where none can be"), "{error}");
     bench.assert_latched_until_reset();
 }
 

@@ -63,7 +63,7 @@ fn a_number_that_is_not_finite_reaches_no_arm() {
         let (mut limiter, _) = scripted(|arm| expect_commands(arm, &[(JointCommand::Hold, 0)]));
         let error = limiter.exchange(velocity(4, bad)).unwrap_err();
         assert_eq!(error.kind(), ArmErrorKind::Rejected);
-        assert!(error.to_string().contains("limiter of arm scripted: joint 4"), "{error}");
+        assert!(error.to_string().contains("limiter of arm scripted: axis 5"), "{error}");
         let LimiterStatistics { refused, refused_not_finite, changed, .. } = limiter.statistics();
         assert_eq!((refused, refused_not_finite, changed), (1, 1, 0));
     }
@@ -200,7 +200,7 @@ fn beyond_a_servo_limit_only_the_way_back_is_open() {
     let error = limiter.exchange(velocity(1, 1e-6)).unwrap_err();
     assert_eq!((error.kind(), limiter.statistics().refused_outwards), (ArmErrorKind::Rejected, 1));
     let text = error.to_string();
-    assert!(text.contains("joint 1 is at 1.6000 rad, beyond its servo limits -1.5882 to 1.5882"), "{text}");
+    assert!(text.contains("axis 2 is at 91.67 degrees, beyond its servo limits -91.00 to 91.00"), "{text}");
     limiter.exchange(velocity(1, -0.5)).unwrap();
 }
 

@@ -132,7 +132,7 @@ pub struct OtherArm {
 ///
 /// # Errors
 /// If a speed is none.
-pub fn slow_setup(setup: &Setup, choice: ArmChoice, joint_max_rad_per_s: Option<f64>) -> Result<Setup> {
+pub fn slow_setup(setup: &Setup, choice: ArmChoice, joint_max_rad_per_s: f64) -> Result<Setup> {
     let mut slow = setup.clone();
     for arm in [&mut slow.vs, &mut slow.tc] {
         arm.limiter.speed_scale = arm.limiter.speed_scale.min(SPEED_SCALE_MAX);
@@ -140,12 +140,10 @@ pub fn slow_setup(setup: &Setup, choice: ArmChoice, joint_max_rad_per_s: Option<
     }
     let limiter = &mut choice.of_mut(&mut slow).limiter;
     limiter.start = StartPose::Anywhere;
-    if let Some(most) = joint_max_rad_per_s {
-        let hard = &limiter.hard_limits;
-        // The limiter multiplies with its scale again.
-        let speeds = hard.velocity_max_rad_per_s().map(|speed| speed.min(most / limiter.speed_scale));
-        limiter.hard_limits = JointLimits::new(*hard.position_min_rad(), *hard.position_max_rad(), speeds)?;
-    }
+    let hard = &limiter.hard_limits;
+    // The limiter multiplies with its scale again.
+    let speeds = hard.velocity_max_rad_per_s().map(|speed| speed.min(joint_max_rad_per_s / limiter.speed_scale));
+    limiter.hard_limits = JointLimits::new(*hard.position_min_rad(), *hard.position_max_rad(), speeds)?;
     Ok(slow)
 }
 

@@ -10,7 +10,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::arm::{Cell, START_DEG, command, hil, interrupt, patiently, pb3dp_arm, setup_at};
-use crate::silent_gateway::UnwatchedGateway;
+use crate::silent_gateway::{Hosts, UnwatchedGateway};
 
 const STEPS: [&str; 6] = ["comms", "jog", "e-stop", "cable", "kill", "interlock"];
 
@@ -184,6 +184,21 @@ impl Rehearsal {
         }
     }
 
+    /// A complaint comes before the question; else a panic with what the gateway says of itself.
+    fn complains(&mut self, complaint: &str, question: &str, cell: &Cell) {
+        let end = |seen: &str| seen.contains(complaint) || seen.contains(question);
+        let before = self.seen.len();
+        while !end(&self.seen[before..]) {
+            self.until("");
+        }
+        if !self.seen[before..].contains(complaint) {
+            self.child.kill().unwrap();
+            self.child.wait().unwrap();
+            let probe = cell.pb3dp(&["probe", "--exchanges", "10"], None);
+            panic!("{complaint:?} did not come:\n{}{}{}", self.seen, probe.stdout, probe.stderr);
+        }
+    }
+
     fn answer(&mut self, part: &str, line: &str) {
         self.until(part);
         writeln!(self.input, "{line}").unwrap();
@@ -347,28 +362,34 @@ fn an_arm_that_does_not_tell_of_its_emergency_stop_fails() {
 
 #[test]
 fn a_gateway_that_does_not_watch_its_host_fails() {
-    patiently(|| {
-        let mut arm =
-            crate::mock_arm::MockArm::start(&["--tcp", "127.0.0.1:0", "--priority", "45", "--pose-deg", START_DEG]);
-        let gateway = UnwatchedGateway::start(&arm.line());
-        let cell_folder = setup_at(&gateway.address());
-        let mut cell = Cell { arm, folder: cell_folder };
-        let (_folder, out) = folder();
-        let mut test = Rehearsal::of(&cell, "kill", &out);
-        test.answer("is killed on the way", "");
-        test.until("PRESS THE EMERGENCY STOP");
-        test.answer("Did the vs-robot stop at once", "no");
-        let (code, text) = test.finish();
-        let (report, _) = report_in(&out);
-        let complaints = report["steps"][4]["reasons"].to_string();
-        assert_eq!(code, Some(1), "{text}");
-        for part in ["the gateway has stopped the arm by itself", "the operator says no"] {
-            assert!(complaints.contains(part), "{part:?} is missing in {complaints}\n{text}");
-        }
-        let turned_deg = cell.joints().0[3] - crate::arm::START_E1_DEG;
-        assert!(turned_deg > 2.5, "it went on by itself: {turned_deg}");
-        cell.arm.quit();
-    });
+    for (hosts, found) in
+        [(Hosts::All, "the gateway has stopped the arm by itself"), (Hosts::UntilAKill, "it can not connect: ")]
+    {
+        patiently(|| a_kill_leaves_it_moving(hosts, found));
+    }
+}
+
+fn a_kill_leaves_it_moving(hosts: Hosts, found: &str) {
+    let mut arm =
+        crate::mock_arm::MockArm::start(&["--tcp", "127.0.0.1:0", "--priority", "45", "--pose-deg", START_DEG]);
+    let gateway = UnwatchedGateway::start(&arm.line(), hosts);
+    let cell_folder = setup_at(&gateway.address());
+    let mut cell = Cell { arm, folder: cell_folder };
+    let (_folder, out) = folder();
+    let mut test = Rehearsal::of(&cell, "kill", &out);
+    test.answer("is killed on the way", "");
+    test.complains("PRESS THE EMERGENCY STOP", "Did the vs-robot stop at once", &cell);
+    test.answer("Did the vs-robot stop at once", "no");
+    let (code, text) = test.finish();
+    let (report, _) = report_in(&out);
+    let complaints = report["steps"][4]["reasons"].to_string();
+    assert_eq!(code, Some(1), "{text}");
+    for part in [found, "the operator says no"] {
+        assert!(complaints.contains(part), "{part:?} is missing in {complaints}\n{text}");
+    }
+    let turned_deg = cell.joints().0[3] - crate::arm::START_E1_DEG;
+    assert!(turned_deg > 2.5, "it went on by itself: {turned_deg}");
+    cell.arm.quit();
 }
 
 #[test]
@@ -376,7 +397,7 @@ fn an_arm_that_goes_on_while_the_cable_is_pulled_fails() {
     patiently(|| {
         let mut arm =
             crate::mock_arm::MockArm::start(&["--tcp", "127.0.0.1:0", "--priority", "45", "--pose-deg", START_DEG]);
-        let gateway = UnwatchedGateway::start(&arm.line());
+        let gateway = UnwatchedGateway::start(&arm.line(), Hosts::All);
         let mut cell = Cell { arm, folder: setup_at(&gateway.address()) };
         let acts = |test: &mut Rehearsal, _: &mut Cell| {
             test.answer("While it moves: Pull the cable", "");

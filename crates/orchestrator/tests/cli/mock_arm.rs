@@ -94,7 +94,7 @@ fn what_it_can_not_do_is_refused_by_name() {
     refused(&["--fault", "chance 1 drop 1"], &["the chance is `1`; write a part such as 1% of messages"]);
     refused(&["--watchdog", "0s"], &["\"0s\" is neither a time such as 6ms nor none"]);
     refused(&["--pose-deg", "0,30,0"], &["is not seven angles in degrees"]);
-    refused(&["--pose-deg", "0,120,0,0,0,0,0"], &["--pose-deg", "joint 1 starts at 2.09"]);
+    refused(&["--pose-deg", "0,120,0,0,0,0,0"], &["--pose-deg", "axis 2 starts at 120.00"]);
     refused(
         &["--limits-deg", "177,94,174,-137,255,165,255"],
         &["axis 4 (E1): limits of 2.39", "are no range around 0"],

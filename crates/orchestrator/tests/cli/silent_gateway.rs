@@ -14,6 +14,15 @@ const CYCLE: Duration = Duration::from_millis(10);
 /// The type of COMMAND.
 const COMMAND: u8 = 0x02;
 
+/// Whom it listens to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hosts {
+    /// Every host that connects.
+    All,
+    /// Nobody after one that was killed while it moved the arm.
+    UntilAKill,
+}
+
 /// Stands before a sound gateway, and feeds its watchdog when nobody else does.
 pub struct UnwatchedGateway {
     address: String,
@@ -24,7 +33,7 @@ pub struct UnwatchedGateway {
 
 impl UnwatchedGateway {
     /// Before the gateway at this address.
-    pub fn start(gateway: &str) -> Self {
+    pub fn start(gateway: &str, hosts: Hosts) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         listener.set_nonblocking(true).unwrap();
         let address = listener.local_addr().unwrap().to_string();
@@ -34,7 +43,7 @@ impl UnwatchedGateway {
         let is_running = Arc::new(AtomicBool::new(true));
         let is_plugged = Arc::new(AtomicBool::new(true));
         let (plug, parser) = (Arc::clone(&is_plugged), FrameParser::new(ArmId(1)));
-        let mut relay = Relay { listener, upstream, plug, host: None, parser, last: None };
+        let mut relay = Relay { listener, upstream, plug, hosts, host: None, parser, last: None };
         let goes_on = Arc::clone(&is_running);
         let thread = std::thread::spawn(move || {
             while goes_on.load(Ordering::SeqCst) {
@@ -67,6 +76,7 @@ struct Relay {
     listener: TcpListener,
     upstream: TcpStream,
     plug: Arc<AtomicBool>,
+    hosts: Hosts,
     host: Option<TcpStream>,
     parser: FrameParser,
     /// The last command, and when it came.
@@ -104,23 +114,34 @@ impl Relay {
                 std::thread::sleep(Duration::from_micros(300));
             }
             None => {
-                if is_plugged && let Ok((host, _)) = self.listener.accept() {
+                // A host that ends by itself says zero speeds before: all after the mode.
+                let was_killed = self.last.is_some_and(|(frame, _)| frame.payload[1..].iter().any(|byte| *byte != 0));
+                let listens = self.hosts == Hosts::All || !was_killed;
+                if is_plugged
+                    && listens
+                    && let Ok((host, _)) = self.listener.accept()
+                {
                     host.set_nonblocking(true).unwrap();
                     host.set_nodelay(true).unwrap();
                     self.host = Some(host);
                     return;
                 }
-                if let Some((frame, at)) = &mut self.last {
-                    let now = Instant::now();
-                    frame.sequence = frame.sequence.wrapping_add(1);
-                    frame.timestamp_us += (now - *at).as_micros() as u64;
-                    *at = now;
-                    self.upstream.write_all(&frame.encode()).unwrap();
-                }
+                self.feed();
                 // Nobody wants the answers.
                 while self.upstream.read(&mut buffer).is_ok_and(|count| count > 0) {}
                 std::thread::sleep(CYCLE);
             }
+        }
+    }
+
+    /// Sends the last command once more.
+    fn feed(&mut self) {
+        if let Some((frame, at)) = &mut self.last {
+            let now = Instant::now();
+            frame.sequence = frame.sequence.wrapping_add(1);
+            frame.timestamp_us += (now - *at).as_micros() as u64;
+            *at = now;
+            self.upstream.write_all(&frame.encode()).unwrap();
         }
     }
 }

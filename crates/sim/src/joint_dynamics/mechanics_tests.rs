@@ -139,7 +139,7 @@ fn a_driven_joint_follows_its_velocity_and_no_command() {
     assert!((velocity_at(&plant, 700, 3) + 0.05).abs() < 1e-6);
     let mut wrong = modes;
     wrong[2] = AxisMode::Driven { velocity_rad_per_s: f64::NAN };
-    assert!(plant.set_modes(millis(800), wrong).unwrap_err().to_string().contains("joint 2"));
+    assert!(plant.set_modes(millis(800), wrong).unwrap_err().to_string().contains("axis 3"));
     assert_eq!(*plant.modes(), modes);
 }
 
@@ -151,10 +151,10 @@ fn mechanics_that_can_not_be_are_refused() {
         plant().with_mechanics(mechanics).unwrap_err().to_string()
     };
     let brake = refused(|mechanics| mechanics.brake_deceleration_rad_per_s2[2] = 0.0);
-    assert!(brake.contains("brake_deceleration_rad_per_s2 of joint 2 is 0, it must be a positive"), "{brake}");
+    assert!(brake.contains("brake_deceleration_rad_per_s2 of axis 3 is 0, it must be a positive"), "{brake}");
     assert!(refused(|mechanics| mechanics.servo_friction_rad_per_s[0] = -1.0).contains("servo_friction"));
-    assert!(refused(|mechanics| mechanics.gravity_rad_per_s2[5] = f64::NAN).contains("gravity_rad_per_s2 of joint 5"));
-    assert!(refused(|mechanics| mechanics.free_friction_rad_per_s2[6] = f64::INFINITY).contains("joint 6"));
+    assert!(refused(|mechanics| mechanics.gravity_rad_per_s2[5] = f64::NAN).contains("gravity_rad_per_s2 of axis 6"));
+    assert!(refused(|mechanics| mechanics.free_friction_rad_per_s2[6] = f64::INFINITY).contains("axis 7"));
     assert!(refused(|mechanics| mechanics.free_time_constant = Duration::ZERO).contains("free_time_constant is 0"));
 }
 

@@ -220,10 +220,10 @@ fn refuses_what_it_can_not_simulate() {
         JointPlant::new(config, start(), millis(0)).unwrap_err().to_string()
     };
     assert!(bad(|c| c.acceleration_max_rad_per_s2[3] = 0.0).contains("acceleration_max_rad_per_s2 of joint 3 is 0"));
-    assert!(bad(|c| c.acceleration_max_rad_per_s2[0] = f64::NAN).contains("of joint 0"));
+    assert!(bad(|c| c.acceleration_max_rad_per_s2[0] = f64::NAN).contains("of axis 1"));
     assert!(bad(|c| c.angle_quantum_rad = -1.0).contains("angle_quantum_rad is -1"));
     let outside = JointPlant::new(config(), start() * 4.0, millis(0)).unwrap_err();
-    assert!(outside.to_string().contains("joint 1 starts at -2 rad"), "{outside}");
+    assert!(outside.to_string().contains("axis 2 starts at -114.59 degrees"), "{outside}");
 
     let mut plant = plant(config());
     let mut command = JointVector::repeat(0.1);

@@ -41,8 +41,9 @@ pub enum PathRefusal {
     },
     /// A joint comes too near an end of its range.
     #[error(
-        "joint {joint} (from 0) would be at {:.2} deg after {at_s:.2} s, allowed is {:.2} to {:.2} deg (limits less margin): \
+        "axis {} would be at {:.2} deg after {at_s:.2} s, allowed is {:.2} to {:.2} deg (limits less margin): \
          {:.2} deg too far; change base, start angles or the direction of the motion",
+        joint + 1,
         position_rad.to_degrees(),
         min_rad.to_degrees(),
         max_rad.to_degrees(),
@@ -77,9 +78,10 @@ pub enum PathRefusal {
     },
     /// A joint would have to move faster than it may; the worst one is named.
     #[error(
-        "joint {joint} would have to move at {needed_rad_per_s:.3} rad/s after {at_s:.2} s, allowed are \
+        "axis {} would have to move at {needed_rad_per_s:.3} rad/s after {at_s:.2} s, allowed are \
          {allowed_rad_per_s:.3} rad/s at speed scale {speed_scale}: {ratio:.2} times too fast; lengthen the moves or raise \
          the speed scale to {:.2}",
+        joint + 1,
         (speed_scale_needed * 100.0).ceil() / 100.0
     )]
     TooFast {
@@ -100,8 +102,9 @@ pub enum PathRefusal {
     },
     /// A joint would have to change its speed faster than it may; the worst one is named.
     #[error(
-        "joint {joint} would have to accelerate by {needed_rad_per_s2:.3} rad/s^2 after {at_s:.2} s, allowed are \
+        "axis {} would have to accelerate by {needed_rad_per_s2:.3} rad/s^2 after {at_s:.2} s, allowed are \
          {allowed_rad_per_s2:.3} rad/s^2: {ratio:.2} times too much; lengthen the moves {lengthen:.2}-fold or make them smaller",
+        joint + 1,
         lengthen = ratio.sqrt()
     )]
     TooAbrupt {

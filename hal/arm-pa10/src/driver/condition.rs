@@ -54,7 +54,10 @@ pub enum Trip {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum FaultCause {
     /// Too many exchanges in a row without a usable reply.
-    #[error("{misses} exchanges in a row without a usable reply; check cable, power and gateway, then reset")]
+    #[error(
+        "{misses} exchanges in a row without a usable reply; check cable and power, and that no other program has the line or \
+         the bus, then reset"
+    )]
     LinkLost {
         /// How many.
         misses: u32,
@@ -63,7 +66,10 @@ pub enum FaultCause {
     #[error("the link is gone (unplugged, closed); connect it again, then reset")]
     Unplugged,
     /// A sound frame of another arm came.
-    #[error("a reply came from arm {got}: the links of two arms are swapped; correct the configuration, then reset")]
+    #[error(
+        "a reply came from arm {got}: the configuration has another number for it, or the links of two arms are swapped; correct \
+         one of them, then reset"
+    )]
     WrongArm {
         /// The arm in the frame.
         got: u8,
@@ -147,7 +153,8 @@ pub enum FaultCause {
     },
     /// The gateway refused what the driver sent.
     #[error(
-        "the gateway refused a message: {0}; was it restarted, or told to stop by somebody else? Find out, then reset"
+        "the gateway refused a message: {0}; {advice}",
+        advice = advice(*.0)
     )]
     Rejected(RejectReason),
     /// The limits of an axis are not those of the configuration.
@@ -384,6 +391,16 @@ impl Trip {
             | Self::EStop(EmergencyStopCause::Controller { alarm }) => Some(alarm.code()),
             Self::Fault(_) | Self::EStop(_) => None,
         }
+    }
+}
+
+/// What to do when a gateway refuses.
+fn advice(reason: RejectReason) -> &'static str {
+    match reason {
+        RejectReason::CausePresent => {
+            "what stopped the arm is still there, in the status words that a probe shows: remove it, then reset"
+        }
+        _ => "was it restarted, or told to stop by somebody else? Find out, then reset",
     }
 }
 

@@ -119,7 +119,7 @@ pub enum DriverConfigError {
         least: u32,
     },
     /// A deceleration is not a positive number.
-    #[error("joint {joint}: a deceleration of {got} rad/s^2 is not a positive, finite number")]
+    #[error("axis {}: a deceleration of {got} rad/s^2 is not a positive, finite number", joint + 1)]
     Deceleration {
         /// Index from the base, 0 to 6.
         joint: usize,
@@ -127,7 +127,7 @@ pub enum DriverConfigError {
         got: f64,
     },
     /// A largest torque is none, or more than the arm has.
-    #[error("joint {joint}: a largest torque of {got} N m; above 0 to {most} N m is possible")]
+    #[error("axis {}: a largest torque of {got} N m; above 0 to {most} N m is possible", joint + 1)]
     Torque {
         /// Index from the base, 0 to 6.
         joint: usize,
@@ -158,8 +158,9 @@ pub enum DriverConfigError {
     },
     /// A stop takes longer than an activity may.
     #[error(
-        "joint {joint}: a stop from its largest speed takes {needed_s:.1} s with {deceleration} rad/s^2, an activity may take \
-         {got:?}: give more deceleration"
+        "axis {}: a stop from its largest speed takes {needed_s:.1} s with {deceleration} rad/s^2, an activity may take \
+         {got:?}: give more deceleration",
+        joint + 1
     )]
     StopTimeout {
         /// Index from the base, 0 to 6.

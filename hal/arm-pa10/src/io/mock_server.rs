@@ -233,7 +233,7 @@ impl Connector for MockPort {
     }
 
     fn target(&self) -> String {
-        self.config.target()
+        format!("emulated {}", self.config.target())
     }
 }
 

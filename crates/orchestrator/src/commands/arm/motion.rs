@@ -24,6 +24,9 @@ use crate::wiring::commissioning::{ArmChoice, SlowArm, set_line, slow_setup, wir
 /// Of a jog, for every joint: the speed of the first motion in the checklist of the rig.
 pub const JOG_RAD_PER_S: f64 = 0.02;
 
+/// Of the way home, for every joint: a hand on the emergency stop has time.
+const HOME_RAD_PER_S: f64 = 0.1;
+
 /// Where to.
 #[derive(Clone, Copy, Debug)]
 pub enum Goal {
@@ -43,6 +46,13 @@ impl Goal {
         match self {
             Self::Start => "home",
             Self::Jog { .. } => "jog",
+        }
+    }
+
+    fn joint_max_rad_per_s(self) -> f64 {
+        match self {
+            Self::Start => HOME_RAD_PER_S,
+            Self::Jog { .. } => JOG_RAD_PER_S,
         }
     }
 
@@ -73,8 +83,7 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
     if choice.of(&setup).link == ArmLink::InProcess {
         bail!("{}.backend = \"mock\" has no arm to move; set emulated, serial, tcp or arcnet", choice.table());
     }
-    let jog_speed = matches!(goal, Goal::Jog { .. }).then_some(JOG_RAD_PER_S);
-    let setup = slow_setup(&setup, choice, jog_speed)?;
+    let setup = slow_setup(&setup, choice, goal.joint_max_rad_per_s())?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     let mut arm = wire_slow(&setup, choice, args.both, &clock)?;
     let now_rad = arm.driven.exchange(JointCommand::Hold)?.position_rad;

@@ -372,8 +372,10 @@ fn link(seen: &ArmSnapshot, monitor: &ArmMonitor, findings: &mut Findings) -> Li
 
 impl std::fmt::Display for ProbeReport {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let (target, state) = (self.target.as_deref().unwrap_or("not reached"), self.state.as_deref().unwrap_or(""));
-        writeln!(f, "{} at {target}: {state}", self.arm)?;
+        match (&self.target, &self.state) {
+            (Some(target), Some(state)) => writeln!(f, "{} at {target}: {state}", self.arm)?,
+            _ => writeln!(f, "{}: not reached", self.arm)?,
+        }
         if let Some(gateway) = &self.gateway {
             writeln!(f, "{gateway}")?;
         }

@@ -124,6 +124,10 @@ impl HostPort for ControllerPort {
         None
     }
 
+    fn found(&self) -> Option<&HelloReply> {
+        None
+    }
+
     fn line(&self) -> ParserCounters {
         ParserCounters::default()
     }
@@ -134,6 +138,8 @@ impl HostPort for ControllerPort {
 
     /// A controller is greeted by looking at the arm.
     fn greet(&mut self, _now: MonotonicTime) {}
+
+    fn greet_again(&mut self, _now: MonotonicTime) {}
 
     fn greeted(&mut self, _now: MonotonicTime) -> Greeted {
         Greeted::Done

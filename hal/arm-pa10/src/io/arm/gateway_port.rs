@@ -35,6 +35,7 @@ pub(super) struct GatewayPort {
     written: usize,
     frames_unsent: u64,
     greeting: Option<Greeting>,
+    found: Option<HelloReply>,
     last_received: MonotonicTime,
     tracer: Tracer,
 }
@@ -66,6 +67,7 @@ impl GatewayPort {
             written: 0,
             frames_unsent: 0,
             greeting: None,
+            found: None,
             last_received: MonotonicTime::ZERO,
             tracer,
         })
@@ -103,6 +105,10 @@ impl HostPort for GatewayPort {
         self.link.hello()
     }
 
+    fn found(&self) -> Option<&HelloReply> {
+        self.found.as_ref()
+    }
+
     fn line(&self) -> ParserCounters {
         *self.link.counters()
     }
@@ -112,13 +118,19 @@ impl HostPort for GatewayPort {
     }
 
     fn greet(&mut self, now: MonotonicTime) {
+        self.found = None;
+        self.greet_again(now);
+    }
+
+    fn greet_again(&mut self, now: MonotonicTime) {
         self.link.open(now);
         self.greeting = Some(Greeting { since: now, again: now + HELLO_AGAIN });
         self.last_received = now;
     }
 
     fn greeted(&mut self, now: MonotonicTime) -> Greeted {
-        if self.link.hello().is_some() {
+        if let Some(hello) = self.link.hello() {
+            self.found.get_or_insert(*hello);
             self.greeting = None;
             return Greeted::Done;
         }

@@ -39,6 +39,9 @@ pub(super) trait HostPort: Send {
     /// What the gateway said of itself, if there is one.
     fn hello(&self) -> Option<&HelloReply>;
 
+    /// What it said first when it was greeted, before anybody waited for it.
+    fn found(&self) -> Option<&HelloReply>;
+
     /// What happened to bytes.
     fn line(&self) -> ParserCounters;
 
@@ -47,6 +50,9 @@ pub(super) trait HostPort: Send {
 
     /// Greets the other side.
     fn greet(&mut self, now: MonotonicTime);
+
+    /// Greets one that needed time.
+    fn greet_again(&mut self, now: MonotonicTime);
 
     /// Whether it has answered; greets it again where it has not.
     fn greeted(&mut self, now: MonotonicTime) -> Greeted;

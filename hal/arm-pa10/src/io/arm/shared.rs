@@ -43,6 +43,8 @@ pub struct ArmSnapshot {
     pub limits: [Option<AxisLimits>; Axis::COUNT],
     /// What the gateway said of itself.
     pub gateway: Option<HelloReply>,
+    /// What it said first of the last time that it was connected to or reset: one that was still busy was waited for.
+    pub gateway_found: Option<HelloReply>,
     /// What happened to messages.
     pub counters: LinkCounters,
     /// What happened to the bytes of the line.
@@ -104,6 +106,7 @@ impl Shared {
             sample: None,
             limits: [None; Axis::COUNT],
             gateway: None,
+            gateway_found: None,
             counters: LinkCounters::default(),
             line: ParserCounters::default(),
             frames_unsent: 0,

@@ -35,7 +35,10 @@ pub enum WishError {
     #[error("the brakes stay closed: {0}")]
     WarmUp(WarmUpFailure),
     /// The gateway does not answer.
-    #[error("no gateway answers within 0.5 s; check its power, the cable, the rate and the number of the arm")]
+    #[error(
+        "no gateway answers within 0.5 s; check its power, the cable, the rate and the number of the arm, and that no other program \
+         has the line"
+    )]
     NoGateway,
     /// The gateway is not that of the configuration.
     #[error(transparent)]
@@ -252,7 +255,7 @@ impl Running {
 
     fn ask_again(&mut self, now: MonotonicTime, until: MonotonicTime, means: &mut Means<'_>) {
         if now >= until {
-            means.port.greet(now);
+            means.port.greet_again(now);
             self.stage = Stage::Greeting;
         }
     }

@@ -223,6 +223,7 @@ impl Worker {
             sample: driver.sample().copied(),
             limits: *driver.limits(),
             gateway: self.port.hello().copied(),
+            gateway_found: self.port.found().copied(),
             counters: *driver.counters(),
             line: self.port.line(),
             frames_unsent: self.port.frames_unsent(),

@@ -6,6 +6,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
+use pb3dp_arm_pa10::io::arm::ArmSnapshot;
 use pb3dp_hal_api::{Arm, ArmPower, JointCommand, JointState};
 use pb3dp_kinematics::JointVector;
 use rustix::process::{Pid, Signal, kill_process};
@@ -59,21 +60,14 @@ pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
     report.note(format!("killed {:.2} s after it was started", killed.seconds_since(begin)));
     session.pause(LEFT_ALONE)?;
 
-    let mut seen = see(&session.setup, choice, &session.clock)?;
-    let monitor = seen.arm.monitor();
-    let snapshot = monitor.snapshot();
-    let latched = snapshot.latched.map(|latched| latched.trip.to_string());
-    let found = latched.clone().unwrap_or_else(|| "nothing has stopped it".to_owned());
-    report.holds("the next program finds the arm stopped", latched.is_some(), found);
-    let gateway = snapshot.gateway.context("the gateway said nothing of itself")?;
-    stopped_by_gateway(report, gateway.state, gateway.cause);
-    if !report.complaints().is_empty() {
-        print_line(&format!("PRESS THE EMERGENCY STOP: the gateway has not stopped the arm, it is {}", gateway.state))?;
-    }
+    let seen = see(&session.setup, choice, &session.clock).map_err(|error| format!("{error:#}"));
+    found_stopped(report, seen.as_ref().map(|seen| seen.arm.monitor().snapshot()))?;
     session.ask(report, &Question::Stopped(choice))?;
+    let Ok(mut seen) = seen else { return Ok(()) };
     if !report.complaints().is_empty() {
         return Ok(());
     }
+    let monitor = seen.arm.monitor();
     let enabled = seen.arm.enable();
     let moved = seen.arm.exchange(JointCommand::Velocity(JointVector::zeros()));
     if enabled.is_ok() {
@@ -91,6 +85,25 @@ pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
     way(session, report, (&last, &rests));
     let moves_deg = (later.position_rad - rests.position_rad).amax().to_degrees();
     report.at_most("motion between two looks afterwards", moves_deg, BRAKED_MAX_DEG, "deg");
+    Ok(())
+}
+
+/// What the next program finds: an arm that its gateway has stopped, before anybody came.
+fn found_stopped(report: &mut StepReport, seen: Result<ArmSnapshot, &String>) -> Result<()> {
+    let latched = seen.map(|seen| seen.latched.map(|latched| latched.trip.to_string()));
+    let found = match &latched {
+        Ok(latched) => latched.clone().unwrap_or_else(|| "nothing has stopped it".to_owned()),
+        Err(error) => format!("it can not connect: {error}"),
+    };
+    report.holds("the next program finds the arm stopped", matches!(latched, Ok(Some(_))), found);
+    let gateway = seen.ok().and_then(|seen| seen.gateway_found);
+    if let Some(gateway) = gateway {
+        stopped_by_gateway(report, gateway.state, gateway.cause);
+    }
+    if !report.complaints().is_empty() {
+        let is = gateway.map_or_else(|| "not known".to_owned(), |gateway| gateway.state.to_string());
+        print_line(&format!("PRESS THE EMERGENCY STOP: the gateway has not stopped the arm, it is {is}"))?;
+    }
     Ok(())
 }
 

@@ -163,7 +163,7 @@ fn begin<'a>(
 ) -> Result<(Session<'a>, String)> {
     let choice = args.place.choice();
     let setup = read_setup(&args.place.config)?;
-    let mut setup = slow_setup(&setup, choice, Some(JOG_RAD_PER_S))?;
+    let mut setup = slow_setup(&setup, choice, JOG_RAD_PER_S)?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     if let ArmLink::Bus(_) = &choice.of(&setup).link {
         bail!(

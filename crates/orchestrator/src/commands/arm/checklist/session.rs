@@ -30,6 +30,8 @@ use crate::wiring::commissioning::{ArmChoice, SlowArm, wire_slow};
 
 /// The share of a move's duration at which the operator is to act.
 const ACT_AT: f64 = 0.35;
+/// A stop of an axis that is slower than this proves nothing, rad/s.
+const MOVING_RAD_PER_S: f64 = 0.25 * JOG_RAD_PER_S;
 /// How often an arm is looked at that comes to rest.
 const LOOK: Duration = Duration::from_millis(2);
 /// How often it is looked whether something has stopped an arm.
@@ -234,10 +236,12 @@ impl Session<'_> {
     pub fn drive_until(&mut self, arm: &mut SlowArm, plan: &Plan, act: Act) -> Result<Stop> {
         let (axis, duration) = (self.axis, plan.duration());
         let (mut acted, mut last, mut seen) = (None, None, Seen::default());
+        let mut speed_rad_per_s = 0.0;
         let Self { operator, signals, clock, setup, .. } = self;
         let mut watch = |cycle: &Cycle<'_>| {
             seen.take(plan, axis, cycle)?;
             last = Some(*cycle.measured);
+            speed_rad_per_s = plan.at(cycle.passed).1[axis.index()].abs();
             if acted.is_none() && cycle.passed >= duration.mul_f64(ACT_AT) {
                 acted = Some(clock.now());
                 operator.act(act)?;
@@ -261,8 +265,11 @@ impl Session<'_> {
                 "the move has ended and nothing had stopped it ({act}): repeat this step, and do it while the arm moves"
             );
         };
-        if self.operator.is_prompt() && acted.is_none() {
-            bail!("the arm stopped before anybody did anything: {cause}");
+        if acted.is_none() || speed_rad_per_s < MOVING_RAD_PER_S {
+            bail!(
+                "the arm stopped at {speed_rad_per_s:.4} rad/s, when it had hardly begun to move or was about to rest, which proves \
+                 nothing: repeat this step, and act when NOW is written ({cause})"
+            );
         }
         let before = last.context("nothing was measured")?;
         let after = self.watch_rest(&monitor, latched.at)?;

@@ -77,9 +77,8 @@ fn cable_of(session: &mut Session<'_>, report: &mut StepReport, arm: &mut SlowAr
         rests.at > stop.noticed,
         format!("{} samples", snapshot.samples),
     );
-    if let Some(gateway) = snapshot.gateway {
-        stopped_by_gateway(report, gateway.state, gateway.cause);
-    }
+    let gateway = snapshot.gateway_found.context("the gateway said nothing of itself")?;
+    stopped_by_gateway(report, gateway.state, gateway.cause);
     way(session, report, (&stop.before, &rests));
     Ok(())
 }
