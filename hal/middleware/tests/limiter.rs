@@ -170,7 +170,7 @@ fn the_first_velocity_is_refused_away_from_the_start() {
         assert_eq!(first.is_err(), is_refused, "joint {joint} off by {offset_rad}: {first:?}");
         if let Err((kind, text)) = first {
             assert_eq!(kind, ArmErrorKind::Rejected);
-            let named = format!("joint {joint} is at ");
+            let named = format!("axis {} is at ", joint + 1);
             assert!(text.contains(&named) && text.contains("bring the arm to its start pose"), "{text}");
             assert!(cycle(velocity(1, 0.2)).is_err(), "it stays refused");
             assert_eq!(limiter.statistics().refused_start, 2);

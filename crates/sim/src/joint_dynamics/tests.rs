@@ -219,7 +219,7 @@ fn refuses_what_it_can_not_simulate() {
         change(&mut config);
         JointPlant::new(config, start(), millis(0)).unwrap_err().to_string()
     };
-    assert!(bad(|c| c.acceleration_max_rad_per_s2[3] = 0.0).contains("acceleration_max_rad_per_s2 of joint 3 is 0"));
+    assert!(bad(|c| c.acceleration_max_rad_per_s2[3] = 0.0).contains("acceleration_max_rad_per_s2 of axis 4 is 0"));
     assert!(bad(|c| c.acceleration_max_rad_per_s2[0] = f64::NAN).contains("of axis 1"));
     assert!(bad(|c| c.angle_quantum_rad = -1.0).contains("angle_quantum_rad is -1"));
     let outside = JointPlant::new(config(), start() * 4.0, millis(0)).unwrap_err();
