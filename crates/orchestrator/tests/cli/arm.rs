@@ -17,10 +17,11 @@ pub const START_DEG: &str = "0,45.4169239,0,97.48979119,0,-52.90671509,0";
 pub const START_E1_DEG: f64 = 97.48979119;
 
 /// What the program says when a thread was not run for some 10 ms.
-const HELD_UP: [&str; 8] = [
+const HELD_UP: [&str; 9] = [
     "without a usable reply",
     "the brakes stay closed",
     "no measurement since",
+    "the newest measurement is",
     "no velocity for",
     "host-silent",
     "had no answer in time",

@@ -8,6 +8,9 @@ use super::WarmUpFailure;
 use crate::codec::{ArmReply, Axis, AxisStatus, CommAlarm, CommStatus, ServoAlarm, TorqueScale};
 use crate::gateway_protocol::{GatewayState, RejectReason, State, StopCause};
 
+/// An arm whose newest measurement is older than this is not watched any more: three commands of a host at 100 Hz.
+pub const MEASUREMENT_AGE_MAX: Duration = Duration::from_millis(30);
+
 /// A measurement of the arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
@@ -61,6 +64,17 @@ pub enum FaultCause {
     LinkLost {
         /// How many.
         misses: u32,
+    },
+    /// Answers come, but what they tell was measured too long ago.
+    #[error(
+        "the newest measurement is {age:?} old although the gateway answers, {allowed:?} are allowed: it has no newer one of its \
+         bus; look at its log and at the servo controller, then reset"
+    )]
+    MeasurementTooOld {
+        /// Age of the measurement when the answer came.
+        age: Duration,
+        /// [`MEASUREMENT_AGE_MAX`].
+        allowed: Duration,
     },
     /// The link is gone.
     #[error("the link is gone (unplugged, closed); connect it again, then reset")]
@@ -258,6 +272,14 @@ impl Sample {
                 gateway: Some((state.gateway, state.cause)),
             },
         }
+    }
+}
+
+impl Sample {
+    /// That it tells too little of the arm as it is now.
+    pub(super) fn too_old(&self) -> Option<FaultCause> {
+        let (age, allowed) = (self.age, MEASUREMENT_AGE_MAX);
+        (age > allowed).then_some(FaultCause::MeasurementTooOld { age, allowed })
     }
 }
 

@@ -8,7 +8,8 @@
 //! What the machine promises:
 //! * A request that the state does not allow is refused by name and sends nothing ([`table`] lists all of them).
 //! * Brakes open only after a warm-up that shows a sound and quick link.
-//! * Two lost replies in a row are tolerated, the third stops the arm. A velocity whose successor stays away fades and stops.
+//! * Two lost replies in a row are tolerated, the third stops the arm, and so does a measurement that is older than
+//!   [`MEASUREMENT_AGE_MAX`]. A velocity whose successor stays away fades and stops.
 //! * Every stop goes down to speed 0, stays there, then closes the brakes, switches the servos off and ends the control mode, in
 //!   bounded time whether or not anybody answers.
 //! * A fault or an emergency stop latches. Only a reset leaves it, only if the controller shows that the cause is gone, and only
@@ -26,7 +27,7 @@ mod requests;
 pub mod table;
 mod torque;
 
-pub use condition::{ArmCondition, EmergencyStopCause, FaultCause, Sample, Trip};
+pub use condition::{ArmCondition, EmergencyStopCause, FaultCause, MEASUREMENT_AGE_MAX, Sample, Trip};
 pub use config::{DriverConfig, DriverConfigError, LimitsCheck, PA10_TORQUE_MAX_N_M};
 pub use link::{BadReply, LinkCounters, WarmUpFailure};
 pub use machine::{AxisLimits, Driver, Latched, Reply, Transmit};

@@ -38,7 +38,8 @@ impl Driver {
                 None
             }
         };
-        if let Some(trip) = found.or_else(lost).or(overloaded) {
+        let too_old = || sample.too_old().map(Trip::Fault);
+        if let Some(trip) = found.or_else(lost).or(overloaded).or_else(too_old) {
             self.trip(now, trip);
             return;
         }

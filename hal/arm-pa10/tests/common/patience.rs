@@ -8,11 +8,12 @@ const TRIES: u32 = 6;
 
 /// What the arm says when a thread, or the kernel's own that carries the bytes of terminals, was not run for some 10 ms. The rules
 /// about these times are tested in virtual time.
-const HELD_UP: [&str; 9] = [
+const HELD_UP: [&str; 10] = [
     "without a usable reply",
     "LinkLost",
     "the brakes stay closed",
     "no measurement since",
+    "the newest measurement is",
     "no velocity for",
     "CommandTimeout",
     "host-silent",

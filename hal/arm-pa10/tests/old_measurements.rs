@@ -1,0 +1,113 @@
+//! A gateway that answers in time with measurements that get older and older, in virtual time.
+
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+#[path = "common/bus_bench.rs"]
+#[allow(dead_code, reason = "each test file uses its part")]
+mod bus_bench;
+#[path = "common/chain.rs"]
+mod chain;
+
+use std::time::Duration;
+
+use bus_bench::plant;
+use chain::{ARM, Chain, Way};
+use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::driver::{Activity, DriverState, FaultCause, MEASUREMENT_AGE_MAX, Request, Trip};
+use pb3dp_arm_pa10::gateway_protocol::{
+    Dialect, Frame, FrameParser, GatewayMessage, GatewayState, Received, State, StopCause,
+};
+use pb3dp_kinematics::JointVector;
+
+const fn ms(ms: u64) -> Duration {
+    Duration::from_millis(ms)
+}
+
+fn moving() -> Chain {
+    let mut chain = Chain::new(Dialect::GatewayV1, WireFormat::BigEndian6x10, None, plant());
+    chain.prepare();
+    chain.wanted = Some(JointVector::from([0.1, -0.2, 0.1, 0.2, 0.3, 0.2, 0.3]));
+    chain.run(ms(300));
+    assert_eq!(chain.driver.state(), DriverState::Moving);
+    chain
+}
+
+/// Has the host read what `change` makes of each STATE; the time is that of the gateway, µs.
+fn spoil_states(chain: &mut Chain, mut change: impl FnMut(State, u64) -> State + 'static) {
+    chain.spoil = Some(Box::new(move |way, bytes| {
+        let mut heard = None;
+        if way == Way::ToHost {
+            FrameParser::new(ARM).feed(&bytes, |received| {
+                if let Received::Frame(frame) = received {
+                    heard = Some(frame);
+                }
+            });
+        }
+        let state = heard.and_then(|frame| match GatewayMessage::decode(&frame) {
+            Ok(GatewayMessage::State(state)) => Some((frame, state)),
+            _ => None,
+        });
+        let Some((Frame { sequence, timestamp_us, .. }, state)) = state else { return vec![(Duration::ZERO, bytes)] };
+        let said = GatewayMessage::State(change(state, timestamp_us)).frame(ARM, sequence, timestamp_us);
+        vec![(Duration::ZERO, said.encode().as_slice().to_vec())]
+    }));
+}
+
+/// R4: who is not told anything new is as blind as one who gets no answer.
+#[test]
+fn a_measurement_that_gets_no_newer_stops_the_arm() {
+    let mut chain = moving();
+    let mut kept: Option<(State, u64)> = None;
+    spoil_states(&mut chain, move |state, now_us| {
+        let (old, since_us) = *kept.get_or_insert((state, now_us));
+        let passed_us = u32::try_from(now_us - since_us).unwrap();
+        State { sample_age_us: old.sample_age_us + passed_us, gateway: state.gateway, cause: state.cause, ..old }
+    });
+    let begin = chain.now;
+    while chain.driver.latched().is_none() && chain.now < begin + ms(500) {
+        chain.run(ms(1));
+    }
+    let latched = *chain.driver.latched().unwrap();
+    // The bound, the next answer, and the way of one.
+    assert!(latched.at <= begin + ms(45), "{:?}", latched.at.saturating_since(begin));
+    let Trip::Fault(FaultCause::MeasurementTooOld { age, allowed }) = latched.trip else { panic!("{}", latched.trip) };
+    assert!(allowed == MEASUREMENT_AGE_MAX && age > allowed && age <= ms(45), "{age:?}");
+    for part in ["the newest measurement is", "30ms are allowed", "look at its log"] {
+        assert!(latched.trip.to_string().contains(part), "{}", latched.trip);
+    }
+    chain.run(ms(500));
+    assert!(chain.is_at_rest() && chain.controller.is_braked());
+    assert_eq!(chain.driver.activity(), Activity::None);
+    // As it goes on, there is no reset; once the measurement is new again, there is.
+    chain.request(Request::Reset);
+    chain.settle();
+    assert!(matches!(chain.driver.latched().unwrap().trip, Trip::Fault(FaultCause::MeasurementTooOld { .. })));
+    chain.spoil = None;
+    chain.request(Request::Reset);
+    chain.settle();
+    assert_eq!(chain.driver.state(), DriverState::Connected);
+}
+
+/// What the bus may lose makes a measurement a little older, and nothing more.
+#[test]
+fn a_measurement_within_the_bound_is_followed() {
+    let mut chain = moving();
+    spoil_states(&mut chain, |state, _| State { sample_age_us: 25_000, ..state });
+    chain.run(ms(1000));
+    assert_eq!(chain.driver.state(), DriverState::Moving, "{:?}", chain.driver.latched());
+}
+
+/// Why the gateway has stopped says more than that it measures nothing any more.
+#[test]
+fn a_gateway_that_stopped_is_named_before_the_age() {
+    let mut chain = moving();
+    spoil_states(&mut chain, |state, _| State {
+        sample_age_us: 900_000,
+        gateway: GatewayState::Fault,
+        cause: StopCause::ControllerSilent,
+        ..state
+    });
+    chain.run(ms(50));
+    let trip = chain.driver.latched().unwrap().trip;
+    assert_eq!(trip, Trip::Fault(FaultCause::Gateway(StopCause::ControllerSilent)));
+}
