@@ -128,6 +128,10 @@ pub struct OtherArm {
     pub flight: FlightLog,
 }
 
+/// By how much a joint may be faster than its speed in commissioning before the guard stops it, rad/s: geared drives do not turn evenly
+/// when they are slow.
+const RIPPLE_RAD_PER_S: f64 = 0.02;
+
 /// The setup with the speeds of commissioning, for an arm that may stand anywhere; `joint_max_rad_per_s` is for each joint.
 ///
 /// # Errors
@@ -138,12 +142,15 @@ pub fn slow_setup(setup: &Setup, choice: ArmChoice, joint_max_rad_per_s: f64) ->
         arm.limiter.speed_scale = arm.limiter.speed_scale.min(SPEED_SCALE_MAX);
         arm.guard.speed_scale = arm.limiter.speed_scale;
     }
-    let limiter = &mut choice.of_mut(&mut slow).limiter;
-    limiter.start = StartPose::Anywhere;
-    let hard = &limiter.hard_limits;
-    // The limiter multiplies with its scale again.
-    let speeds = hard.velocity_max_rad_per_s().map(|speed| speed.min(joint_max_rad_per_s / limiter.speed_scale));
-    limiter.hard_limits = JointLimits::new(*hard.position_min_rad(), *hard.position_max_rad(), speeds)?;
+    let arm = choice.of_mut(&mut slow);
+    arm.limiter.start = StartPose::Anywhere;
+    let at_most = |limits: &JointLimits, most_rad_per_s: f64| {
+        // Limiter and guard multiply with their scale again.
+        let speeds = limits.velocity_max_rad_per_s().map(|speed| speed.min(most_rad_per_s / arm.limiter.speed_scale));
+        JointLimits::new(*limits.position_min_rad(), *limits.position_max_rad(), speeds)
+    };
+    arm.limiter.hard_limits = at_most(&arm.limiter.hard_limits, joint_max_rad_per_s)?;
+    arm.guard.hard_limits = at_most(&arm.guard.hard_limits, joint_max_rad_per_s + RIPPLE_RAD_PER_S)?;
     Ok(slow)
 }
 

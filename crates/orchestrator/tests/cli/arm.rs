@@ -249,6 +249,29 @@ fn nothing_moves_without_the_name_of_the_arm() {
 }
 
 #[test]
+fn a_joint_that_is_blocked_ends_its_jog() {
+    patiently(|| {
+        let mut cell = Cell::start(&["--pose-deg", START_DEG, "--fault", "at 0s stuck 7 on"]);
+        let jog = cell.pb3dp(&["jog", "--axis", "7", "--by", "8", "--move"], Some("vs-robot"));
+        jog.assert_refused(&["axis 7 is -", "from where its commands lead"]);
+        assert!(cell.joints().1, "all brakes are closed");
+        cell.arm.quit();
+    });
+}
+
+/// 0.1 rad/s are far below what a run allows, and five times the speed of a jog.
+#[test]
+fn a_joint_that_is_too_fast_for_a_jog_ends_it() {
+    patiently(|| {
+        let mut cell = Cell::start(&["--pose-deg", START_DEG, "--fault", "at 0s runaway 7 0.1rad/s"]);
+        let jog = cell.pb3dp(&["jog", "--axis", "7", "--by", "8", "--move"], Some("vs-robot"));
+        jog.assert_refused(&["axis 7 moves at +0.1", "0.040 rad/s are allowed"]);
+        assert!(cell.joints().1, "all brakes are closed");
+        cell.arm.quit();
+    });
+}
+
+#[test]
 fn a_jog_turns_one_joint_and_closes_the_brakes() {
     patiently(|| {
         let mut cell = Cell::start(&["--pose-deg", START_DEG]);
