@@ -27,7 +27,7 @@ use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::Scene;
 use pb3dp_sim::trajectory::{StepExperiment, Trajectory};
 
-use self::arm::{WiredArms, wire_arms};
+use self::arm::{ArmOnBus, WiredArms, wire_arms};
 pub use greeting::geometry_doubt;
 
 use crate::cli::ReplayPace;
@@ -70,6 +70,8 @@ pub struct Parts {
     pub monitors: Vec<(&'static str, ArmMonitor)>,
     /// Emulated arms at the other end of links; they end with this.
     pub emulated: Vec<MockServer>,
+    /// Arms that no gateway would stop.
+    pub on_bus: Vec<ArmOnBus>,
     /// Once this is set, the run ends before its time: both arms are stopped as at its end.
     pub interrupt: Arc<AtomicBool>,
 }
@@ -84,7 +86,7 @@ pub fn wire(setup: &Setup) -> Result<Parts> {
         Pace::RealTime => Arc::new(PacedClock::new()),
         Pace::Live => Arc::new(SystemClock::new()),
     };
-    let WiredArms { sites: [vs_site, tc_site], driven: [vs, tc], flights, monitors, emulated } =
+    let WiredArms { sites: [vs_site, tc_site], driven: [vs, tc], flights, monitors, emulated, on_bus } =
         wire_arms(setup, &clock)?;
     let cell = SimulatedCell {
         vs: vs_site,
@@ -121,6 +123,7 @@ pub fn wire(setup: &Setup) -> Result<Parts> {
         target_outline_m,
         monitors,
         emulated,
+        on_bus,
         interrupt: Arc::default(),
     })
 }

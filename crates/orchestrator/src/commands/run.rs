@@ -1,28 +1,24 @@
 //! `pb3dp run`: the whole loop of one setup.
 
-use std::os::fd::AsFd;
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result};
 use pb3dp_arm_pa10::io::signals::StopSignals;
-use rustix::event::{PollFd, PollFlags, poll};
 
 use super::estimate::output::print_line;
 use crate::cli::RunArgs;
 use crate::config::setup::{Pace, Setup, read_setup};
 use crate::run::flight::{self, Flight, Moment};
+use crate::run::interruption::{INTERRUPTED, watch};
 use crate::run::summary::{Plan, summarize};
 use crate::run::{live, lockstep, report};
 use crate::wiring::{line_facts, raw_lines, wire};
 
 /// A run in which the hand followed for a smaller share of the time is pointed out.
 const FOLLOWING_EXPECTED: f64 = 0.9;
-
-/// The exit code of a run that a signal has ended.
-const INTERRUPTED: u8 = 130;
 
 /// Runs the command: experiment, then report.
 ///
@@ -36,11 +32,11 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
         setup.reseed(seed);
     }
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
-    let parts = wire(&setup)?;
+    let mut parts = wire(&setup)?;
     let plan = Plan::of(&setup.experiment, &parts.experiment);
     let started = Instant::now();
     let interrupt = Arc::clone(&parts.interrupt);
-    let was_interrupted = watch(signals, &interrupt)?;
+    let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus))?;
     let (clock, flights, monitors) = (Arc::clone(&parts.clock), parts.flights.clone(), parts.monitors.clone());
     let run_it = if setup.pace == Pace::Live { live::run } else { lockstep::run };
     let outcome = run_it(&setup, parts, args.stop_after, args.record.as_deref());
@@ -70,28 +66,6 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     }
     print_line(&format!("report: {}", args.out.join("report.html").display()))?;
     Ok(if was_interrupted.load(Ordering::SeqCst) { ExitCode::from(INTERRUPTED) } else { ExitCode::SUCCESS })
-}
-
-/// Has the run end when a signal asks for it, with both arms stopped; whoever asks twice does not want to wait for that. Returns
-/// whether one has come.
-fn watch(mut signals: StopSignals, interrupt: &Arc<AtomicBool>) -> Result<Arc<AtomicBool>> {
-    let (interrupt, was_interrupted) = (Arc::clone(interrupt), Arc::new(AtomicBool::new(false)));
-    let told = Arc::clone(&was_interrupted);
-    let work = move || {
-        loop {
-            // A wait that fails is a short one.
-            let _ = poll(&mut [PollFd::from_borrowed_fd(signals.as_fd(), PollFlags::IN)], None);
-            let Ok(Some(signal)) = signals.try_take() else { continue };
-            if told.swap(true, Ordering::SeqCst) {
-                tracing::warn!("{signal} again: the program ends at once, and leaves the arms to their gateways");
-                std::process::exit(i32::from(INTERRUPTED));
-            }
-            tracing::info!("{signal}: both arms stop, then the report");
-            interrupt.store(true, Ordering::SeqCst);
-        }
-    };
-    std::thread::Builder::new().name("signals".to_owned()).spawn(work).context("no thread for signals")?;
-    Ok(was_interrupted)
 }
 
 /// What somebody needs to repeat the run.

@@ -6,6 +6,7 @@ pub mod commands;
 pub mod compared;
 pub mod cycles;
 pub mod flight;
+pub mod interruption;
 pub mod journal;
 pub mod live;
 pub mod lockstep;

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_arm_pa10::driver::{DriverConfig, LimitsCheck};
+use pb3dp_arm_pa10::driver::{Activity, DriverConfig, DriverState, LimitsCheck};
 use pb3dp_arm_pa10::gateway::GatewayConfig;
 use pb3dp_arm_pa10::gateway_protocol::Firmware;
 use pb3dp_arm_pa10::io::arm::{
@@ -51,6 +51,27 @@ pub struct WiredArms {
     pub monitors: Vec<(&'static str, ArmMonitor)>,
     /// The emulated arms at the other ends.
     pub emulated: Vec<MockServer>,
+    /// Those that no gateway would stop.
+    pub on_bus: Vec<ArmOnBus>,
+}
+
+/// An arm on a bus of this computer: nothing but this program stops it.
+pub struct ArmOnBus {
+    /// For messages.
+    pub name: &'static str,
+    /// Shows it.
+    pub monitor: ArmMonitor,
+    /// Stops it from anywhere.
+    pub trip: TripHandle,
+}
+
+impl ArmOnBus {
+    /// Whether its stop order is done, or none was needed.
+    pub fn is_stopped(&self) -> bool {
+        let now = self.monitor.snapshot();
+        let is_off = now.latched.is_some() || matches!(now.state, DriverState::Disconnected | DriverState::Connected);
+        is_off && now.activity == Activity::None
+    }
 }
 
 /// Both arms: the one with the cameras, the one with the target. From the inside out: backend, recorder, guard, coupling, limiter.
@@ -64,6 +85,7 @@ pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>) -> Result<WiredArms> {
     let wanted = |name, arm| Wanted { name, arm, control_period: setup.control_period, clock };
     let (vs_wanted, tc_wanted) = (wanted(vs_name, &setup.vs), wanted(tc_name, &setup.tc));
     let (vs, tc) = (wire_backend(vs_wanted, seat()?)?, wire_backend(tc_wanted, seat()?)?);
+    let on_bus = [(vs_name, &setup.vs, &vs), (tc_name, &setup.tc, &tc)].into_iter().filter_map(arm_on_bus).collect();
     let (vs_guarded, vs_flight) = guarded(vs_wanted, vs.backend, vs.trip)?;
     let (tc_guarded, tc_flight) = guarded(tc_wanted, tc.backend, tc.trip)?;
     let pair = ((vs_guarded, coupled_config(&setup.vs)), (tc_guarded, coupled_config(&setup.tc)));
@@ -75,7 +97,13 @@ pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>) -> Result<WiredArms> {
         flights: [(vs_name, vs_flight), (tc_name, tc_flight)],
         monitors: monitors.into_iter().filter_map(|(name, monitor)| Some((name, monitor?))).collect(),
         emulated: vs.emulated.into_iter().chain(tc.emulated).collect(),
+        on_bus,
     })
+}
+
+fn arm_on_bus((name, arm, wired): (&'static str, &ArmSetup, &WiredBackend)) -> Option<ArmOnBus> {
+    let ArmLink::Bus(_) = arm.link else { return None };
+    Some(ArmOnBus { name, monitor: wired.monitor.clone()?, trip: wired.trip.clone()? })
 }
 
 /// One arm alone, which knows nothing of the other one: for its commissioning. From the inside out: backend, recorder, guard, limiter.

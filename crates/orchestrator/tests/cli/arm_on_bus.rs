@@ -1,8 +1,13 @@
 //! `pb3dp arm` where the ARCNET card is in this computer: a socket stands for the card, a mock arm is the controller behind it.
 
+use std::io::{Read, Write};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, kill_process};
 use tempfile::TempDir;
 
-use crate::arm::{Cell, START_DEG, assert_problem, json, patiently, write_setup};
+use crate::arm::{Cell, START_DEG, assert_problem, command, json, patiently, write_setup};
 use crate::mock_arm::MockArm;
 use crate::support::pb3dp;
 
@@ -21,7 +26,8 @@ pub fn with_bus(folder: &TempDir, port: &str, more: &str) {
 fn cell(args: &[&str], wire_format: &str) -> Cell {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("bus").display().to_string();
-    let mut arm = MockArm::start(&[&["--bus", &path, "--priority", "45", "--watchdog", "400ms"], args].concat());
+    let time_out: &[&str] = if args.contains(&"--watchdog") { &[] } else { &["--watchdog", "400ms"] };
+    let mut arm = MockArm::start(&[&["--bus", &path, "--priority", "45"], time_out, args].concat());
     assert_eq!(arm.line(), path);
     let more = format!("wire_format = \"{wire_format}\"\nsequence_numbers = 128\ncycle_millis = 2.0");
     with_bus(&folder, &format!("socket:{path}"), &more);
@@ -52,6 +58,100 @@ fn a_jog_turns_one_joint_and_closes_the_brakes() {
     patiently(|| {
         let mut cell = cell(&["--pose-deg", START_DEG], "B");
         cell.assert_jogs();
+        cell.arm.quit();
+    });
+}
+
+/// `start_deg` of the arm with the target in configs/hil.toml.
+const TC_START_DEG: &str = "0,43.89215190,0,100.71390562,0,-54.60605752,0";
+
+/// A run whose arm with the target moves on a bus, before a controller that goes on with the last speeds.
+fn run_on_bus(arm: &mut MockArm) -> (Child, TempDir) {
+    let folder = tempfile::tempdir().unwrap();
+    let bus = format!(
+        "[arms.tc.bus]\narm = 2\nport = \"socket:{}\"\nwire_format = \"B\"\nsequence_numbers = 128\ncycle_millis = 10.0\n\n",
+        arm.line()
+    );
+    write_setup(&folder, |arms| {
+        let (vs, tc) = arms.split_once("[arms.tc]").unwrap();
+        let tc = tc.replacen("backend = \"emulated\"", "backend = \"arcnet\"", 1);
+        let (tc, gateway) = tc.split_once("[arms.tc.gateway]").unwrap();
+        format!("{vs}[arms.tc]{tc}{bus}{}", &gateway[gateway.find("\n[").unwrap() + 1..])
+    });
+    let (config, out) = (folder.path().join("cell.toml"), folder.path().join("out"));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_pb3dp"));
+    command.arg("run").arg("--config").arg(config).arg("--out").arg(out);
+    let mut run = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    wait_for_motion(arm, &mut run, 2.0);
+    (run, folder)
+}
+
+fn wait_for_motion(arm: &mut MockArm, program: &mut Child, deg_per_s: f64) {
+    let until = Instant::now() + Duration::from_secs(60);
+    while fastest_deg_per_s(arm) < deg_per_s {
+        let is_over = program.try_wait().unwrap().is_some();
+        if is_over || Instant::now() > until {
+            program.kill().ok();
+            panic!("the arm did not move: {}", what_it_said(program));
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// An impatient hand.
+fn interrupt_twice(program: &Child) {
+    let pid = Pid::from_child(program);
+    kill_process(pid, Signal::INT).unwrap();
+    std::thread::sleep(Duration::from_millis(20));
+    kill_process(pid, Signal::INT).unwrap();
+}
+
+fn what_it_said(run: &mut Child) -> String {
+    let mut text = String::new();
+    run.stderr.take().unwrap().read_to_string(&mut text).unwrap();
+    text
+}
+
+/// True speed of the fastest axis.
+fn fastest_deg_per_s(arm: &mut MockArm) -> f64 {
+    let speed = |line: &String| line.split_whitespace().nth(5).and_then(|word| word.parse::<f64>().ok());
+    arm.state().iter().filter(|line| line.contains("deg/s")).filter_map(speed).fold(0.0, |max, v| v.abs().max(max))
+}
+
+/// Who asks twice does not want to wait for the report; for the arm, which nothing else stops, the program waits all the same.
+#[test]
+fn two_signals_do_not_leave_an_arm_without_a_gateway_moving() {
+    patiently(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("bus").display().to_string();
+        let start = ["--bus", &path, "--priority", "45", "--watchdog", "none", "--pose-deg", TC_START_DEG];
+        let mut arm = MockArm::start(&start);
+        let (mut run, _folder) = run_on_bus(&mut arm);
+        interrupt_twice(&run);
+        let status = run.wait().unwrap();
+        let (state, said) = (arm.state(), what_it_said(&mut run));
+        assert_eq!(state[0], "controller: adjustment mode, all brakes closed", "{said}");
+        assert!(fastest_deg_per_s(&mut arm) < 0.1, "{said}");
+        assert_eq!(status.code(), Some(130), "{said}");
+        assert!(said.contains("SIGINT again: no gateway stops tc-robot"), "{said}");
+        arm.quit();
+    });
+}
+
+#[test]
+fn a_jog_that_is_interrupted_twice_closes_the_brakes() {
+    patiently(|| {
+        let mut cell = cell(&["--pose-deg", START_DEG, "--watchdog", "none"], "B");
+        let config = cell.config().display().to_string();
+        let mut jog = command(&config, &["jog", "--axis", "7", "--by", "20", "--move"]).spawn().unwrap();
+        writeln!(jog.stdin.take().unwrap(), "vs-robot").unwrap();
+        wait_for_motion(&mut cell.arm, &mut jog, 0.5);
+        interrupt_twice(&jog);
+        let status = jog.wait().unwrap();
+        let (state, said) = (cell.arm.state(), what_it_said(&mut jog));
+        assert_eq!(state[0], "controller: adjustment mode, all brakes closed", "{said}");
+        assert_eq!(status.code(), Some(1), "{said}");
+        assert!(said.contains("ended by SIGINT"), "{said}");
         cell.arm.quit();
     });
 }
