@@ -34,26 +34,35 @@ use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, JointCommand};
 use pb3dp_hal_clock::SystemClock;
 use rustix::io::Errno;
 
+/// 20 ms are demanded; a loaded machine may hold this test itself up, but not each time.
 #[test]
-fn unplugging_in_motion_is_noticed_at_once_and_needs_a_reset() {
+fn unplugging_in_motion_is_noticed_within_20_ms_and_needs_a_reset() {
     patiently(|| {
-        let mut rig = rig();
-        rig.enable_and_move();
-        let unplugged = rig.far.unplug();
-        rig.wait_until_stopped();
-        let noticed = unplugged.elapsed();
-        println!("unplugged, noticed after {noticed:?}");
-        // 20 ms are demanded; a loaded machine may hold this test itself up.
-        assert!(noticed < Duration::from_millis(500), "{noticed:?}");
-        assert_eq!(rig.trip(), Trip::Fault(FaultCause::Unplugged));
-        for command in [velocity(), JointCommand::Hold] {
-            assert_eq!(rig.arm.exchange(command).unwrap_err().kind(), ArmErrorKind::Disconnected);
+        let mut noticed = Vec::new();
+        while noticed.last().is_none_or(|after| *after > Duration::from_millis(20)) {
+            noticed.push(unplugged_in_motion());
+            println!("unplugged, noticed after {noticed:?}");
+            assert!(noticed.len() < 8, "{noticed:?}");
         }
-        for result in [rig.arm.enable(), rig.arm.stop(), rig.arm.reset()] {
-            assert_eq!(result.unwrap_err().kind(), ArmErrorKind::Disconnected);
-        }
-        assert_eq!(rig.arm.state(), ArmState::Fault);
     });
+}
+
+/// How long it took to be noticed.
+fn unplugged_in_motion() -> Duration {
+    let mut rig = rig();
+    rig.enable_and_move();
+    let unplugged = rig.far.unplug();
+    rig.wait_until_stopped();
+    let noticed = unplugged.elapsed();
+    assert_eq!(rig.trip(), Trip::Fault(FaultCause::Unplugged));
+    for command in [velocity(), JointCommand::Hold] {
+        assert_eq!(rig.arm.exchange(command).unwrap_err().kind(), ArmErrorKind::Disconnected);
+    }
+    for result in [rig.arm.enable(), rig.arm.stop(), rig.arm.reset()] {
+        assert_eq!(result.unwrap_err().kind(), ArmErrorKind::Disconnected);
+    }
+    assert_eq!(rig.arm.state(), ArmState::Fault);
+    noticed
 }
 
 #[test]
