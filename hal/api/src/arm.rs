@@ -1,5 +1,6 @@
 //! The arm.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use pb3dp_kinematics::{JointState, JointVector};
@@ -56,17 +57,42 @@ pub enum ArmErrorKind {
 #[error("{message}")]
 pub struct ArmError {
     kind: ArmErrorKind,
-    message: String,
+    message: Message,
     joint: Option<usize>,
     code: Option<u16>,
     #[source]
     source: Option<Box<dyn std::error::Error + Send + Sync>>,
 }
 
+/// What an error says.
+#[derive(Debug)]
+enum Message {
+    Text(String),
+    Late { arm: Arc<str>, age: Duration, cycle: Duration },
+}
+
+impl std::fmt::Display for Message {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Text(text) => f.write_str(text),
+            Self::Late { arm, age, cycle } => {
+                write!(f, "arm {arm}: no measurement since {age:?}, a cycle has {cycle:?}; it holds, try again")
+            }
+        }
+    }
+}
+
 impl ArmError {
     /// An error without a cause of its own.
     pub fn new(kind: ArmErrorKind, message: impl Into<String>) -> Self {
-        Self { kind, message: message.into(), joint: None, code: None, source: None }
+        Self { kind, message: Message::Text(message.into()), joint: None, code: None, source: None }
+    }
+
+    /// A `Timeout`: the newest measurement is of this age, and every cycle should have one. It is common on a bad line, and takes
+    /// nothing from the heap.
+    pub fn late(arm: Arc<str>, age: Duration, cycle: Duration) -> Self {
+        let message = Message::Late { arm, age, cycle };
+        Self { kind: ArmErrorKind::Timeout, message, joint: None, code: None, source: None }
     }
 
     /// An error with the error that caused it.
@@ -75,7 +101,7 @@ impl ArmError {
         message: impl Into<String>,
         source: impl Into<Box<dyn std::error::Error + Send + Sync>>,
     ) -> Self {
-        Self { kind, message: message.into(), joint: None, code: None, source: Some(source.into()) }
+        Self { kind, message: Message::Text(message.into()), joint: None, code: None, source: Some(source.into()) }
     }
 
     /// The same error of this joint, counted from the base, 0 to 6.

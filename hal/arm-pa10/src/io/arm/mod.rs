@@ -67,6 +67,8 @@ const OPEN_MAX: Duration = Duration::from_secs(2);
 pub struct Pa10Arm {
     driver: DriverConfig,
     info: ArmInfo,
+    /// As in `info`.
+    name: Arc<str>,
     clock: Arc<dyn Clock>,
     shared: Arc<Shared>,
     trip: TripHandle,
@@ -164,7 +166,8 @@ impl Pa10Arm {
         warnings.extend(shortfalls.iter().map(|shortfall| format!("arm {name}: {shortfall}")));
         let info = ArmInfo { name: format!("{name} (pa10 at {target})"), cycle: exchange_cycle };
         let thread = Some(thread);
-        let mut opened = Self { driver: config, info, clock, shared, trip, ends, thread, warnings };
+        let name = Arc::from(info.name.as_str());
+        let mut opened = Self { driver: config, info, name, clock, shared, trip, ends, thread, warnings };
         opened.fulfil(Wish::Connect).map_err(|source| ArmOpenError::Connect { arm: of_arm(), source })?;
         Ok(opened)
     }
@@ -267,11 +270,7 @@ impl Pa10Arm {
             Some(joints) if is_fresh(&snapshot) || !is_followed(&snapshot) => Ok(joints),
             Some(joints) => {
                 let age = self.clock.now().saturating_since(joints.at);
-                let text = format_args!(
-                    "no measurement since {age:?}, a cycle has {:?}; it holds, try again",
-                    self.info.cycle
-                );
-                Err(self.error(ArmErrorKind::Timeout, text))
+                Err(ArmError::late(Arc::clone(&self.name), age, self.info.cycle))
             }
             None => Err(self.stopped(&snapshot)),
         }
