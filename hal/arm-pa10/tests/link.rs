@@ -107,6 +107,25 @@ fn a_gateway_without_a_watchdog_is_refused() {
     }
 }
 
+/// A host that believed it would wait for its brakes for an hour, with each stop.
+#[test]
+fn a_gateway_with_brakes_that_nobody_has_is_refused() {
+    for (brake_us, is_refused) in [(0, false), (5_000_000, false), (5_000_001, true), (4_000_000_000, true)] {
+        let mut link = GatewayLink::new(link_config(Dialect::GatewayV1, WireFormat::BigEndian6x10));
+        let mut driver = Driver::new(driver_config()).unwrap();
+        let mut gateway = FakeGateway::new(ARM, WireFormat::BigEndian6x10);
+        gateway.brake_us = brake_us;
+        let now = MonotonicTime::from_nanos(1_000_000_000);
+        link.open(now);
+        let answer = gateway.answer(&link.poll_output(now).unwrap());
+        link.handle_bytes(now, &answer, &mut driver);
+        assert_eq!(link.hello().is_none(), is_refused, "{brake_us}");
+        let text = link.hello_error().map(ToString::to_string);
+        let got = format!("{:?}", Duration::from_micros(brake_us.into()));
+        assert_eq!(text.is_some_and(|text| text.contains(&got) && text.contains("at most 5s")), is_refused);
+    }
+}
+
 #[test]
 fn an_idle_link_shows_that_the_host_is_there() {
     let mut rig = Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10);

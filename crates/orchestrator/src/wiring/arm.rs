@@ -309,7 +309,11 @@ fn open(line: Line<'_>, seat: TripSeat, wanted: Wanted<'_>) -> Result<Pa10Arm> {
     for warning in opened.warnings() {
         tracing::warn!("{name}: {warning}");
     }
-    if let Some(latched) = opened.monitor().snapshot().latched {
+    let seen = opened.monitor().snapshot();
+    if let Some(refusal) = seen.gateway.and_then(|hello| greeting::watchdog_refusal(arm.command_timeout, &hello)) {
+        bail!("{name} can not be used: {refusal}");
+    }
+    if let Some(latched) = seen.latched {
         bail!("{name} can not be used: {}", latched.trip);
     }
     Ok(opened)

@@ -1,5 +1,7 @@
 //! What a gateway said of itself, for the log of whoever connects to it.
 
+use std::time::Duration;
+
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::gateway_protocol::{Geometry, HelloReply};
 
@@ -26,6 +28,18 @@ pub(super) fn tell(name: &str, configured: Geometry, hello: &HelloReply) {
     if let Some(doubt) = geometry_doubt(configured, hello.geometry) {
         tracing::warn!("{name}: {doubt}");
     }
+}
+
+/// Why an arm may not move behind this gateway, if it may not: it would go on for longer than the limiter leaves room for.
+pub fn watchdog_refusal(command_timeout: Duration, hello: &HelloReply) -> Option<String> {
+    let stop_after = Duration::from_micros(u64::from(hello.stop_after_us));
+    (stop_after > command_timeout).then(|| {
+        format!(
+            "the gateway stops the arm {stop_after:?} after the last command, command_timeout_millis of the arm says \
+             {command_timeout:?}, and the limiter leaves no more room than that: raise it, or lower stop_after_millis in the gateway's \
+             file"
+        )
+    })
 }
 
 /// What is not compared, if the configuration or the gateway does not know the geometry.

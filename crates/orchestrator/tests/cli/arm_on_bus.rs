@@ -170,6 +170,14 @@ fn tables_that_do_not_fit_are_refused_by_key() {
     refused("arcnet:arc0", &odd, &["arms.vs.bus.sequence_numbers = 127", "128 and 256"]);
     let slow = good.replace("2.0", "20.0");
     refused("arcnet:arc0", &slow, &["arms.vs.bus.cycle_millis = 20", "1 to 10"]);
+    let folder = tempfile::tempdir().unwrap();
+    with_bus(&folder, "arcnet:arc0", good);
+    let config = folder.path().join("cell.toml");
+    let text = std::fs::read_to_string(&config).unwrap();
+    std::fs::write(&config, text.replacen("command_timeout_millis = 50.0", "command_timeout_millis = 49.0", 1))
+        .unwrap();
+    let words = ["arm", "probe", "--config", config.to_str().unwrap(), "--arm", "vs"];
+    pb3dp(&words).assert_refused(&["arms.vs.command_timeout_millis = 49", "50 to 200"]);
     let same = format!("{good}\n[arms.vs.gateway]\narm = 1\ndialect = \"gateway-v1\"");
     refused("arcnet:arc0", &same, &["arms.vs.gateway"]);
     let folder = tempfile::tempdir().unwrap();

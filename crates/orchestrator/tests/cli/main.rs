@@ -4,6 +4,7 @@
 mod arm;
 mod arm_on_bus;
 mod arm_test;
+mod behind_gateway;
 mod estimate;
 mod mock_arm;
 mod refusals;

@@ -3,14 +3,11 @@
 use std::time::Duration;
 
 use crate::codec::{SequenceModulus, Supervision, TorqueScale, WireFormat};
-use crate::gateway_protocol::{ArmId, Firmware, Geometry};
+use crate::gateway_protocol::{ArmId, BRAKE_TIME_MAX, Firmware, Geometry};
 use crate::watchdog::CommandWatchdog;
 
 /// Cycles on the bus that make sense: a controller that wants one every 2 ms, or a slower one (the period stands in its ROM).
 const CYCLE_RANGE: std::ops::RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::from_millis(10);
-
-/// Brakes that take longer are none.
-const BRAKE_TIME_MAX: Duration = Duration::from_secs(5);
 
 /// What a gateway is told about its arm, its bus and its host.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -28,7 +28,12 @@ pub use parser::{FrameParser, ParserCounters, Received};
 pub use sequence::{Arrival, SequenceTracker};
 pub use state::{AxisState, State};
 
+use std::time::Duration;
+
 use crate::codec::CodecError;
+
+/// Brakes that take longer to open are none.
+pub const BRAKE_TIME_MAX: Duration = Duration::from_secs(5);
 
 /// Why a frame is no message, or a message no frame.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]

@@ -11,9 +11,9 @@ use crate::driver::{
     Activity, AxisLimits, BadReply, Driver, EmergencyStopCause, FaultCause, Reply, Sample, Transmit, Trip,
 };
 use crate::gateway_protocol::{
-    ArmId, ArmOperation, Control, ControlReply, DelayMeter, Dialect, DriveCommand, DriveMode, FaultReport, Frame,
-    FrameBytes, FrameParser, GatewayMessage, Geometry, Hello, HelloReply, HostMessage, ParserCounters, RawMessage,
-    Received, Reject, RejectReason, StopCause,
+    ArmId, ArmOperation, BRAKE_TIME_MAX, Control, ControlReply, DelayMeter, Dialect, DriveCommand, DriveMode,
+    FaultReport, Frame, FrameBytes, FrameParser, GatewayMessage, Geometry, Hello, HelloReply, HostMessage,
+    ParserCounters, RawMessage, Received, Reject, RejectReason, StopCause,
 };
 use crate::watchdog::{CommandWatchdog, WatchdogError};
 
@@ -73,6 +73,16 @@ pub enum HelloError {
     /// Its watchdog is none.
     #[error("the gateway tells of {0}; correct its configuration")]
     Watchdog(WatchdogError),
+    /// Its brakes take so long that no arm has them.
+    #[error(
+        "the gateway tells of brakes that take {got:?} to open, at most {most:?} are possible; correct its configuration"
+    )]
+    BrakeTime {
+        /// Of the gateway.
+        got: Duration,
+        /// [`BRAKE_TIME_MAX`].
+        most: Duration,
+    },
     /// It refused the host.
     #[error("the gateway refused the host: {0}; compare the configurations and versions of both sides")]
     Rejected(RejectReason),
@@ -333,6 +343,10 @@ impl GatewayLink {
             return Err(HelloError::Geometry { got: hello.geometry, configured: geometry });
         }
         let duration = |us: u32| Duration::from_micros(u64::from(us));
+        let (got, most) = (duration(hello.brake_release_us), BRAKE_TIME_MAX);
+        if got > most {
+            return Err(HelloError::BrakeTime { got, most });
+        }
         CommandWatchdog::new(duration(hello.ramp_after_us), duration(hello.stop_after_us)).map_err(HelloError::Watchdog)
     }
 

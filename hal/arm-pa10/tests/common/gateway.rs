@@ -19,6 +19,7 @@ pub struct FakeGateway {
     pub cause: StopCause,
     /// After which age it slows down and stops, µs, as it says.
     pub watchdog_us: [u32; 2],
+    pub brake_us: u32,
     /// What keeps a reset from succeeding.
     pub cause_present: bool,
     /// E is refused so often, as the brakes have not had their time.
@@ -42,6 +43,7 @@ impl FakeGateway {
             state: GatewayState::Idle,
             cause: StopCause::None,
             watchdog_us: [20_000, 50_000],
+            brake_us: 200_000,
             cause_present: false,
             refuse_end: 0,
             servo: [ServoWord(0); 7],
@@ -220,7 +222,7 @@ impl FakeGateway {
             ramp_after_us: self.watchdog_us[0],
             stop_after_us: self.watchdog_us[1],
             controller_watchdog_us: 0,
-            brake_release_us: 200_000,
+            brake_release_us: self.brake_us,
             firmware: Firmware::new("fake").unwrap(),
         }
     }

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use crate::config::setup::{ArmLink, ArmSetup};
 use crate::wiring::commissioning::{ArmChoice, LIMITS_TOLERANCE_DEG, is_of_another_format};
-use crate::wiring::geometry_doubt;
+use crate::wiring::{geometry_doubt, watchdog_refusal};
 
 /// Lost messages in a hundred that a link may have.
 const LOST_PERCENT_MAX: f64 = 1.0;
@@ -169,7 +169,7 @@ impl ProbeReport {
         let seen = monitor.snapshot();
         judge_stop(&seen, &mut findings);
         if let Some(hello) = &seen.gateway {
-            judge_gateway(choice, arm, hello, &mut findings);
+            judge_gateway(arm, hello, &mut findings);
         }
         let joints = Axis::ALL.map(|axis| joint(choice, arm, &seen, axis, &mut findings));
         let controller_word = seen.sample.map(|sample| controller(&sample.condition, &mut findings));
@@ -201,7 +201,7 @@ fn judge_stop(seen: &ArmSnapshot, findings: &mut Findings) {
     }
 }
 
-fn judge_gateway(choice: ArmChoice, arm: &ArmSetup, hello: &HelloReply, findings: &mut Findings) {
+fn judge_gateway(arm: &ArmSetup, hello: &HelloReply, findings: &mut Findings) {
     if hello.controller_watchdog_us == 0 {
         findings.warn("the gateway does not know the controller's watchdog: find it out on the rig".to_owned());
     }
@@ -210,14 +210,8 @@ fn judge_gateway(choice: ArmChoice, arm: &ArmSetup, hello: &HelloReply, findings
     {
         findings.warn(doubt.to_owned());
     }
-    let stop_after = Duration::from_micros(u64::from(hello.stop_after_us));
-    if stop_after > arm.command_timeout {
-        findings.warn(format!(
-            "the gateway stops the arm {stop_after:?} after the last command, {}.command_timeout_millis says {:?}: give at least what \
-             the gateway takes, so that the limiter counts on it",
-            choice.table(),
-            arm.command_timeout
-        ));
+    if let Some(refusal) = watchdog_refusal(arm.command_timeout, hello) {
+        findings.refuse(refusal);
     }
 }
 

@@ -189,8 +189,8 @@ impl ArmSection {
         let lag = self.velocity_time_constant_millis;
         check.number(&format!("{key}.velocity_time_constant_millis"), lag, 0.0..=1000.0);
         check.number(&format!("{key}.command_delay_millis"), self.command_delay_millis, 0.0..=500.0);
-        let timeout = self.command_timeout_millis;
-        check.number(&format!("{key}.command_timeout_millis"), timeout, control_period_millis..=200.0);
+        let (timeout, least) = (self.command_timeout_millis, self.backend.goes_on_millis(control_period_millis));
+        check.number(&format!("{key}.command_timeout_millis"), timeout, least..=200.0);
         let world_from_base = self.world_from_base.build(&format!("{key}.world_from_base"), IN_THE_CELL_MM, check);
         let shape = build_shape(&format!("{key}.parts"), &self.parts, check);
         let chain = self.chain((key, config_file), link.as_ref(), check);

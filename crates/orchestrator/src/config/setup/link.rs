@@ -9,6 +9,7 @@ use pb3dp_arm_pa10::io::mock_server::SocketAddr;
 use pb3dp_arm_pa10::io::serial::SerialConfig;
 use pb3dp_arm_pa10::io::tcp::TcpConfig;
 use pb3dp_arm_pa10::link::GatewayLinkConfig;
+use pb3dp_arm_pa10::watchdog::CommandWatchdog;
 use serde::Deserialize;
 
 use super::super::load::{Checker, whole};
@@ -102,6 +103,16 @@ impl ArmBackend {
             Self::Serial => "serial",
             Self::Tcp => "tcp",
             Self::Arcnet => "arcnet",
+        }
+    }
+
+    /// For how long an arm goes on with its last command at least, milliseconds: one behind a link until its driver has faded it.
+    pub(super) fn goes_on_millis(self, control_period_millis: f64) -> f64 {
+        match self {
+            Self::Mock => control_period_millis,
+            Self::Emulated | Self::Serial | Self::Tcp | Self::Arcnet => {
+                CommandWatchdog::default().stop_after().as_secs_f64() * 1e3
+            }
         }
     }
 
