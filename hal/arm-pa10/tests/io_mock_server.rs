@@ -18,7 +18,7 @@ use pb3dp_arm_pa10::io::pty::Pty;
 use pb3dp_arm_pa10::io::realtime::Realtime;
 use pb3dp_arm_pa10::io::serial::SerialConfig;
 use pb3dp_arm_pa10::io::tcp::TcpConfig;
-use pb3dp_arm_pa10::io::transport::Connector;
+use pb3dp_arm_pa10::io::transport::{ByteLink, ConnectError, Connector};
 use pb3dp_arm_pa10::link::GatewayLinkConfig;
 use pb3dp_arm_pa10::mock_controller::{ControlMode, MockControllerConfig, Script, pa10_joints};
 use pb3dp_geometry::MonotonicTime;
@@ -197,6 +197,7 @@ const TYPED: [&[Typed]; 4] = [
         ("limit-switch open", "limit-switch close", ArmState::EStop, true),
         ("wrong-node 1000000", "wrong-node 0", ArmState::Fault, false),
         ("line deaf on", "line deaf off", ArmState::Fault, false),
+        ("line slow-reader 500B/s", "line slow-reader off", ArmState::Fault, false),
         ("controller-alarm 0x07 reported", "controller-alarm off", ArmState::Fault, true),
         ("deaf 1000000", "deaf 0", ArmState::Fault, false),
     ],
@@ -236,6 +237,77 @@ fn suffer(typed: &[Typed]) {
     assert_eq!(counters.faults.values().sum::<u64>(), 2 * typed.len() as u64, "{:?}", counters.faults);
     let error = rig.server.command_line("e-stop pres").unwrap_err().to_string();
     assert!(error.contains("`pres`"), "{error}");
+}
+
+/// Clocks of host and gateway jump by hours, to and fro: the arm follows its commands as before, or stands and says why, and can be
+/// reset.
+#[test]
+fn clocks_that_jump_never_leave_an_arm_moving_by_itself() {
+    let rig =
+        start(MockFace::Pty(gateway()), "at 0s line host-clock 200000s\nat 0s line gateway-clock 200000s").unwrap();
+    let mut arm = rig.enabled(rig.serial());
+    for jump in ["host-clock -3600s", "host-clock 7200s", "gateway-clock -90000s", "gateway-clock 7200s"] {
+        assert!(moved_by(&rig, &mut arm, 0.01) >= 0.01, "before {jump}");
+        let at = rig.fault(&format!("line {jump}"));
+        move_for(&mut arm, Duration::from_millis(500));
+        let state = arm.state();
+        if state == ArmState::Enabled {
+            // It goes on: then it also stops when it is told to, or because the machine is busy.
+            arm.stop().ok();
+        } else {
+            let cause = arm.monitor().snapshot().latched;
+            assert!(state == ArmState::Fault && cause.is_some(), "{jump}: {state:?}");
+        }
+        assert!(wait_for(|| rig.server.report().is_braked), "{jump}: {state:?}");
+        println!("{jump}: {state:?}, at rest after {:?}", rig.last_motion(at));
+        let until = Instant::now() + 2 * PATIENCE;
+        while let Err(error) = arm.reset().and_then(|()| arm.enable()) {
+            assert!(Instant::now() < until, "{jump}: {error}");
+        }
+    }
+}
+
+/// A link that is there once.
+struct Once(Option<Box<dyn ByteLink>>);
+
+impl Connector for Once {
+    fn connect(&mut self) -> Result<Box<dyn ByteLink>, ConnectError> {
+        self.0.take().ok_or_else(|| "it was there once".into())
+    }
+
+    fn target(&self) -> String {
+        "a link with little room".to_owned()
+    }
+}
+
+/// A gateway that reads nothing, and a line with room for few frames: what the host says finds none soon, and nothing of the host
+/// waits for it.
+#[test]
+fn a_line_that_is_full_holds_no_host_up() {
+    let (host, far) = pb3dp_arm_pa10::io::transport::pair("test").unwrap();
+    rustix::net::sockopt::set_socket_send_buffer_size(host.fd(), 1).unwrap();
+    let rig = rig(MockFace::Link(gateway(), Box::new(far)));
+    let mut arm = rig.enabled(Box::new(Once(Some(Box::new(host)))));
+    assert!(moved_by(&rig, &mut arm, 0.01) >= 0.01);
+    let at = rig.fault("line slow-reader 0B/s");
+    move_for(&mut arm, PATIENCE);
+    assert_eq!(arm.state(), ArmState::Fault);
+    assert!(wait_for(|| rig.server.report().is_braked));
+    assert!(rig.last_motion(at) < Duration::from_millis(400), "{:?}", rig.last_motion(at));
+    // Each try says some more, until there is no room for it.
+    let full = wait_for(|| {
+        let begin = Instant::now();
+        assert!(arm.reset().is_err());
+        assert!(begin.elapsed() < PATIENCE / 2, "{:?}", begin.elapsed());
+        arm.monitor().snapshot().frames_unsent > 0
+    });
+    assert!(full, "{:?}", arm.monitor().snapshot());
+    rig.fault("line slow-reader off");
+    let until = Instant::now() + PATIENCE;
+    while let Err(error) = arm.reset().and_then(|()| arm.enable()) {
+        assert!(Instant::now() < until, "{error}");
+    }
+    assert!(moved_by(&rig, &mut arm, 0.01) >= 0.01);
 }
 
 /// Pulled: the host notices, the gateway brakes the arm by itself; plugged in again there is another terminal.

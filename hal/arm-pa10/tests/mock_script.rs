@@ -5,7 +5,7 @@
 use std::time::Duration;
 
 use pb3dp_arm_pa10::codec::{Axis, CommAlarm, ServoAlarm};
-use pb3dp_arm_pa10::mock_controller::{Fault, LineFault, ReplyFault, Script, ScriptLine, When};
+use pb3dp_arm_pa10::mock_controller::{Fault, LineFault, ReplyFault, Script, ScriptLine, Side, When};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 
@@ -81,6 +81,10 @@ fn a_line_that_is_wrong_is_named_with_its_word() {
         ("line stale 3", "the fault of the line is `stale`; write drop, duplicate"),
         ("line", "the fault of the line is missing"),
         ("line deaf 3", "deaf is `3`; write on or off"),
+        ("line slow-reader 600", "the rate is `600`; write bytes per second such as 600B/s, or off"),
+        ("line slow-reader -1B/s", "the rate is `-1B/s`"),
+        ("line host-clock back", "the jump is `back`; write a time such as 5s, -3600s or 20ms"),
+        ("line gateway-clock 1e9s", "the jump is `1e9s`"),
         ("torque 2 50", "the torque is `50`; write a torque such as 50Nm"),
     ] {
         let error = ScriptLine::parse(line).unwrap_err().to_string();
@@ -134,6 +138,10 @@ fn line_fault() -> impl Strategy<Value = LineFault> {
         nanos().prop_map(LineFault::Slow),
         any::<bool>().prop_map(LineFault::Silence),
         any::<bool>().prop_map(LineFault::Deaf),
+        prop::option::of(any::<u32>()).prop_map(|bytes_per_second| LineFault::SlowReader { bytes_per_second }),
+        (any::<bool>(), -100_000_000_000_000..100_000_000_000_000i64).prop_map(|(is_host, by_us)| {
+            LineFault::ClockJump { side: if is_host { Side::Host } else { Side::Gateway }, by_us }
+        }),
     ]
 }
 
@@ -178,6 +186,7 @@ fn the_documentation_says_what_the_parser_reads() {
             ("SPEED", "9deg/s"),
             ("ANGLE", "1deg"),
             ("TORQUE", "9Nm"),
+            ("RATE", "600B/s"),
             (" N", " 2"),
         ] {
             line = line.replace(placeholder, value);
@@ -193,4 +202,44 @@ fn the_documentation_says_what_the_parser_reads() {
         read += 1;
     }
     assert!(read > 30, "{read}");
+}
+
+/// docs/mock-arm.md: the tests that it names are there.
+#[test]
+fn the_documentation_names_tests_that_exist() {
+    let page = include_str!("../../../docs/mock-arm.md");
+    let table = page.split("## The test set").nth(1).unwrap().split("\n## ").next().unwrap();
+    let hal = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+    let mut found = 0;
+    for (file, test) in table.split('`').skip(1).step_by(2).filter_map(|quoted| quoted.split_once("::")) {
+        let paths =
+            ["arm-pa10", "middleware"].map(|package| hal.join(package).join("tests").join(format!("{file}.rs")));
+        let text: String = paths.iter().filter_map(|path| std::fs::read_to_string(path).ok()).collect();
+        assert!(text.contains(&format!("#[test]\nfn {test}()")), "{file}::{test}");
+        found += 1;
+    }
+    assert!(found > 30, "{found}");
+    // Each fault of the requirements has its line.
+    for fault in [
+        "drop",
+        "delay",
+        "duplicate",
+        "reorder",
+        "corrupt",
+        "truncate",
+        "wrong sequence",
+        "wrong arm",
+        "stale state",
+        "alarm code",
+        "emergency stop",
+        "power off",
+        "time-out",
+        "unplugged",
+        "half-open",
+        "slow reader",
+        "clock that jumps",
+    ] {
+        let row = table.lines().find(|line| line.split('|').nth(1).is_some_and(|cell| cell.contains(fault)));
+        assert!(row.is_some_and(|row| row.contains("::")), "{fault}");
+    }
 }

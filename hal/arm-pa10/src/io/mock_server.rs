@@ -450,12 +450,14 @@ impl Worker {
         let Some(link) = self.line.byte_link() else { return Ok(()) };
         let mut buffer = [0; 512];
         loop {
-            let count = link.try_read(&mut buffer).map_err(|_| Gone)?;
-            let is_deaf = core.controller.is_line_deaf();
-            let Some(gateway) = core.gateway.as_mut().filter(|_| count > 0) else { break };
-            if !is_deaf {
-                gateway.handle_host_bytes(now, &buffer[..count]);
+            let room = core.controller.readable_on_line(now).min(buffer.len());
+            if room == 0 {
+                break;
             }
+            let count = link.try_read(&mut buffer[..room]).map_err(|_| Gone)?;
+            let Core { controller, gateway, .. } = &mut *core;
+            let Some(gateway) = gateway.as_mut().filter(|_| count > 0) else { break };
+            controller.hear_on_line(now, &buffer[..count], |bytes| gateway.handle_host_bytes(now, bytes));
             core.collect(now, &mut self.output);
         }
         core.exchange(&mut |_| {});
@@ -468,12 +470,17 @@ impl Worker {
     }
 
     fn wait_until(&mut self, next: MonotonicTime) {
-        let clock = lock(&self.shared.core).clock.clone();
+        let core = lock(&self.shared.core);
+        let clock = core.clock.clone();
         let now = clock.0.now();
-        let planned = next.min(now + WAIT_MAX);
+        // What it does not read must not wake it.
+        let reads = core.controller.readable_on_line(now) > 0;
+        let again = core.controller.reads_line_again().filter(|_| !reads);
+        drop(core);
+        let planned = next.min(now + WAIT_MAX).min(again.unwrap_or(next));
         let timeout = planned.saturating_since(now);
         let for_room = !self.output.is_empty();
-        if let Some(link) = self.line.byte_link() {
+        if let Some(link) = self.line.byte_link().filter(|_| reads) {
             wait(Some(link), for_room, None, timeout);
         } else if let Some(bus) = self.line.bus_port() {
             super::bus::wait(bus.as_ref(), timeout);

@@ -161,6 +161,27 @@ pub enum LineFault {
     Silence(bool),
     /// Nothing comes from the host.
     Deaf(bool),
+    /// The gateway takes so many bytes of the host per second, and the others wait on the line; `None`: all at once.
+    SlowReader {
+        /// 0: none at all.
+        bytes_per_second: Option<u32>,
+    },
+    /// The clock of one side jumps: the timestamps of its frames are off by so much more from now on.
+    ClockJump {
+        /// Whose clock.
+        side: Side,
+        /// By how much, µs. A clock that would fall below zero goes round, as unsigned numbers do.
+        by_us: i64,
+    },
+}
+
+/// An end of the line between host and gateway.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Side {
+    /// The host.
+    Host,
+    /// The gateway.
+    Gateway,
 }
 
 impl ReplyFault {
@@ -228,6 +249,10 @@ impl std::fmt::Display for LineFault {
             Self::Slow(by) => write!(f, "slow {by:?}"),
             Self::Silence(on) => write!(f, "silence {}", on_off(*on)),
             Self::Deaf(on) => write!(f, "deaf {}", on_off(*on)),
+            Self::SlowReader { bytes_per_second: Some(rate) } => write!(f, "slow-reader {rate}B/s"),
+            Self::SlowReader { bytes_per_second: None } => f.write_str("slow-reader off"),
+            Self::ClockJump { side: Side::Host, by_us } => write!(f, "host-clock {by_us}us"),
+            Self::ClockJump { side: Side::Gateway, by_us } => write!(f, "gateway-clock {by_us}us"),
         }
     }
 }

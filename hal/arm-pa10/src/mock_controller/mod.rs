@@ -32,6 +32,6 @@ mod words;
 
 pub use config::{MockControllerConfig, MockControllerError, pa10_joints};
 pub use controller::{ControlMode, MockController, MockCounters};
-pub use fault::{Fault, LineFault, ReplyFault};
+pub use fault::{Fault, LineFault, ReplyFault, Side};
 pub use script::{Script, ScriptError, ScriptLine, When};
 pub use words::{LineError, parse_time};

@@ -2,12 +2,18 @@
 
 use std::time::Duration;
 
-use super::fault::{Fault, LineFault, ReplyFault};
+use super::fault::{Fault, LineFault, ReplyFault, Side};
 use crate::codec::{Axis, CommAlarm, ServoAlarm};
 
 /// The faults that are not done to replies, for messages.
 const OTHER_NAMES: &str = "delay, deaf, silence, slow, alarm, controller-alarm, e-stop, dead-man, limit-switch, teaching-switch, \
                            power-temperature, power, time-out, stuck, runaway, jump, torque, line";
+
+/// Units of time, in seconds.
+const TIME_UNITS: [(&str, f64); 5] = [("ns", 1e-9), ("us", 1e-6), ("µs", 1e-6), ("ms", 1e-3), ("s", 1.0)];
+
+/// Three years: more than any clock runs, and exact as a number of microseconds.
+const CLOCK_JUMP_MAX: Duration = Duration::from_secs(100_000_000);
 
 /// Why a line says nothing that can be done.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -89,6 +95,14 @@ impl<'a> Words<'a> {
 
     pub fn duration(&mut self, what: &'static str) -> Result<Duration, LineError> {
         self.take(what, "a time such as 1.5s, 20ms or 300us", parse_time)
+    }
+
+    /// By how much a clock jumps, µs.
+    fn jump_us(&mut self) -> Result<i64, LineError> {
+        let most = CLOCK_JUMP_MAX.as_secs_f64();
+        let understand = |word: &str| number_with_unit(word, &TIME_UNITS).filter(|seconds| seconds.abs() <= most);
+        let seconds = self.take("the jump", "a time such as 5s, -3600s or 20ms, of at most three years", understand)?;
+        Ok((seconds * 1e6).round() as i64)
     }
 
     /// One of two words: whether it is the first.
@@ -200,7 +214,8 @@ impl<'a> Words<'a> {
     }
 
     fn line_fault(&mut self) -> Result<LineFault, LineError> {
-        let form = "drop, duplicate, reorder, corrupt, truncate, wrong-arm, delay, slow, silence or deaf";
+        let form = "drop, duplicate, reorder, corrupt, truncate, wrong-arm, delay, slow, silence, deaf, slow-reader, host-clock \
+                    or gateway-clock";
         let name = self.take("the fault of the line", form, |word| Some(word.to_owned()))?;
         let any_frame = ReplyFault::ALL.into_iter().filter(|(kind, _)| kind.is_of_any_frame());
         if let Some((kind, _)) = any_frame.into_iter().find(|(_, known)| *known == name) {
@@ -212,6 +227,16 @@ impl<'a> Words<'a> {
             "slow" => LineFault::Slow(self.duration("the delay")?),
             "silence" => LineFault::Silence(self.on_off("silence")?),
             "deaf" => LineFault::Deaf(self.on_off("deaf")?),
+            "slow-reader" => {
+                let form = "bytes per second such as 600B/s, or off";
+                let bytes_per_second = self.take("the rate", form, |word| match word {
+                    "off" => Some(None),
+                    _ => word.strip_suffix("B/s")?.parse().ok().map(Some),
+                })?;
+                LineFault::SlowReader { bytes_per_second }
+            }
+            "host-clock" => LineFault::ClockJump { side: Side::Host, by_us: self.jump_us()? },
+            "gateway-clock" => LineFault::ClockJump { side: Side::Gateway, by_us: self.jump_us()? },
             _ => return Err(LineError::Bad { what: "the fault of the line", got: name, form }),
         })
     }
@@ -219,8 +244,7 @@ impl<'a> Words<'a> {
 
 /// A time as scripts write it: `1.5s`, `20ms`, `300us`; `None` if the text is none.
 pub fn parse_time(text: &str) -> Option<Duration> {
-    let units = [("ns", 1e-9), ("us", 1e-6), ("µs", 1e-6), ("ms", 1e-3), ("s", 1.0)];
-    Duration::try_from_secs_f64(number_with_unit(text, &units)?).ok()
+    Duration::try_from_secs_f64(number_with_unit(text, &TIME_UNITS)?).ok()
 }
 
 /// A number with one of these units, times what the unit stands for.

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 #![allow(dead_code, reason = "each test file uses its part")]
 
+use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -46,6 +47,8 @@ pub struct Chain {
     pub frozen: bool,
     pub spoil: Option<Spoil>,
     line: Vec<(MonotonicTime, Way, Vec<u8>)>,
+    /// Bytes of the host that the gateway has not taken yet.
+    pub unread: VecDeque<u8>,
 }
 
 impl Chain {
@@ -66,6 +69,7 @@ impl Chain {
             frozen: false,
             spoil: None,
             line: Vec::new(),
+            unread: VecDeque::new(),
         };
         // The stop order with which a gateway begins.
         chain.run(Duration::from_millis(250));
@@ -108,6 +112,8 @@ impl Chain {
             let host = (self.wanted.is_some() && !self.frozen).then_some(self.next_host_cycle);
             let driver = self.driver.next_deadline().filter(|_| !self.frozen);
             let line = self.line.iter().map(|(at, ..)| *at).min();
+            let reads = self.controller.reads_line_again().filter(|_| !self.unread.is_empty());
+            let line = [line, reads, self.controller.next_on_line()].into_iter().flatten().min();
             let times = [driver, host, line, self.controller.next_deadline(), Some(self.gateway.next_deadline())];
             let Some(next) = times.into_iter().flatten().min().filter(|next| *next <= end) else { break };
             self.now = next.max(self.now + Duration::from_nanos(1));
@@ -121,11 +127,12 @@ impl Chain {
         let now = self.now;
         for (_, way, bytes) in self.line.extract_if(.., |(at, ..)| *at <= now).collect::<Vec<_>>() {
             match way {
-                Way::ToGateway => self.gateway.handle_host_bytes(now, &bytes),
+                Way::ToGateway => self.unread.extend(bytes),
                 Way::ToHost if self.frozen => {}
                 Way::ToHost => self.link.handle_bytes(now, &bytes, &mut self.driver),
             }
         }
+        self.read_as_gateway();
         if !self.frozen {
             self.work_host();
         }
@@ -136,7 +143,19 @@ impl Chain {
             self.controller.handle_frame(now, &frame);
         }
         while let Some(bytes) = self.gateway.poll_host_output(now) {
+            self.controller.send_on_line(now, &bytes);
+        }
+        while let Some(bytes) = self.controller.poll_line(now) {
             self.carry(Way::ToHost, bytes.as_slice());
+        }
+    }
+
+    fn read_as_gateway(&mut self) {
+        let count = self.controller.readable_on_line(self.now).min(self.unread.len());
+        let bytes: Vec<u8> = self.unread.drain(..count).collect();
+        if !bytes.is_empty() {
+            let (now, gateway) = (self.now, &mut self.gateway);
+            self.controller.hear_on_line(now, &bytes, |bytes| gateway.handle_host_bytes(now, bytes));
         }
     }
 

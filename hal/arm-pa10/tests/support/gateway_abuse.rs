@@ -28,6 +28,9 @@ const BRAKE_TIME: Duration = Duration::from_millis(20);
 /// The slowest way to rest: a silent host in `started`, the stop order, and letters that nobody answers.
 const REST_MAX: Duration = Duration::from_millis(1500);
 
+/// How often it is looked whether the arm is at rest.
+const REST_PIECE: Duration = Duration::from_millis(20);
+
 /// Things that happen in a play.
 const STEPS_MAX: usize = 200;
 
@@ -318,7 +321,10 @@ impl World {
 
     /// Nobody says anything any more: the arm comes to rest behind closed brakes, and stays there.
     fn fall_silent(&mut self) {
-        self.run(REST_MAX);
+        let end = self.now + REST_MAX;
+        while !self.gateway.is_at_rest() && self.now < end {
+            self.run(REST_PIECE);
+        }
         let status = self.gateway.status();
         assert!(self.gateway.is_at_rest(), "{status:?}");
         assert!(
