@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10::codec::Axis;
 use pb3dp_arm_pa10::io::signals::StopSignals;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{ArmErrorKind, Clock, JointCommand, JointState};
+use pb3dp_hal_api::{ArmError, ArmErrorKind, Clock, JointCommand, JointState};
 use pb3dp_kinematics::JointVector;
 
 use super::confirm::Interrupted;
@@ -131,18 +131,112 @@ impl<'a> Drive<'a> {
         Ok(next)
     }
 
-    /// One exchange; `None` if the reply is late, which the arm itself counts and bears twice in a row.
+    /// One exchange with each arm that is connected; `None` if this one's reply is late.
     fn exchange(&mut self, command: JointCommand) -> Result<Option<JointState>> {
         if let Some(other) = &mut self.arm.other {
-            other.driven.exchange(JointCommand::Hold)?;
+            measured(other.driven.exchange(JointCommand::Hold), &mut self.lost)?;
         }
-        match self.arm.driven.exchange(command) {
-            Ok(measured) => Ok(Some(measured)),
-            Err(error) if error.kind() == ArmErrorKind::Timeout => {
-                self.lost += 1;
-                Ok(None)
-            }
-            Err(error) => Err(error.into()),
+        Ok(measured(self.arm.driven.exchange(command), &mut self.lost)?)
+    }
+}
+
+/// What was measured; `None` if the reply is late, which an arm itself counts and bears twice in a row.
+fn measured(exchanged: Result<JointState, ArmError>, lost: &mut u64) -> Result<Option<JointState>, ArmError> {
+    match exchanged {
+        Err(error) if error.kind() == ArmErrorKind::Timeout => {
+            *lost += 1;
+            Ok(None)
         }
+        other => other.map(Some),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use pb3dp_hal_api::{Arm, ArmInfo, ArmPower, ArmState};
+    use pb3dp_hal_clock::VirtualClock;
+    use pb3dp_hal_middleware::{FlightLog, LimiterStatistics};
+
+    use super::*;
+    use crate::config::setup::read_setup;
+    use crate::wiring::DrivenArm;
+    use crate::wiring::commissioning::OtherArm;
+
+    /// Answers what it is told to, the last one first.
+    struct Scripted {
+        info: ArmInfo,
+        answers: Vec<Result<JointState, ArmErrorKind>>,
+    }
+
+    impl Arm for Scripted {
+        fn info(&self) -> &ArmInfo {
+            &self.info
+        }
+
+        fn exchange(&mut self, _: JointCommand) -> Result<JointState, ArmError> {
+            self.answers.pop().unwrap().map_err(|kind| ArmError::new(kind, "as told".to_owned()))
+        }
+    }
+
+    impl ArmPower for Scripted {
+        fn state(&self) -> ArmState {
+            ArmState::Enabled
+        }
+
+        fn enable(&mut self) -> Result<(), ArmError> {
+            Ok(())
+        }
+
+        fn stop(&mut self) -> Result<(), ArmError> {
+            Ok(())
+        }
+
+        fn reset(&mut self) -> Result<(), ArmError> {
+            Ok(())
+        }
+    }
+
+    impl DrivenArm for Scripted {
+        fn statistics(&self) -> LimiterStatistics {
+            LimiterStatistics::default()
+        }
+    }
+
+    fn scripted(answers: &[Result<JointState, ArmErrorKind>]) -> Box<dyn DrivenArm> {
+        let info = ArmInfo { name: "scripted".to_owned(), cycle: Duration::from_millis(10) };
+        Box::new(Scripted { info, answers: answers.to_vec() })
+    }
+
+    /// R4: one or two lost replies are borne, whichever arm of the cell they are of.
+    #[test]
+    fn a_lost_reply_of_the_other_arm_breaks_no_move_off() {
+        let joints = JointState {
+            at: MonotonicTime::ZERO,
+            position_rad: JointVector::zeros(),
+            velocity_rad_per_s: JointVector::zeros(),
+        };
+        let other = [Err(ArmErrorKind::Fault), Err(ArmErrorKind::Timeout), Err(ArmErrorKind::Timeout), Ok(joints)];
+        let driven = scripted(&[Err(ArmErrorKind::Timeout), Ok(joints), Ok(joints)]);
+        let other = OtherArm { driven: scripted(&other), monitor: None, flight: FlightLog::with_capacity(1) };
+        let mut arm = SlowArm {
+            driven,
+            monitor: None,
+            flight: FlightLog::with_capacity(1),
+            other: Some(other),
+            emulated: Vec::new(),
+        };
+        let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
+        let setup = read_setup(&configs.join("hil.toml")).unwrap();
+        let plan = Plan::new(&setup.vs, setup.vs.start_rad, JointVector::zeros()).unwrap();
+        let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
+        let mut drive = Drive::new(&mut arm, &plan, &clock, setup.control_period);
+        assert_eq!(drive.exchange(JointCommand::Hold).unwrap(), Some(joints));
+        assert_eq!(drive.exchange(JointCommand::Hold).unwrap(), Some(joints));
+        assert_eq!(drive.exchange(JointCommand::Hold).unwrap(), None);
+        assert_eq!(drive.lost(), 3);
+        let error = drive.exchange(JointCommand::Hold).unwrap_err();
+        assert_eq!(error.downcast_ref::<ArmError>().unwrap().kind(), ArmErrorKind::Fault);
     }
 }
