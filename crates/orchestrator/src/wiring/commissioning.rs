@@ -169,7 +169,9 @@ pub fn wire_slow(setup: &Setup, choice: ArmChoice, beside_other: bool, clock: &A
         return Ok(SlowArm { driven, monitor, flight, other: None, emulated: emulated.into_iter().collect() });
     }
     let WiredArms { driven: [vs, tc], flights: [(_, vs_flight), (_, tc_flight)], monitors, emulated, .. } =
-        wire_arms(setup, clock)?;
+        wire_arms(setup, clock).with_context(|| {
+            format!("both arms are connected, so that the room between them is watched; where the {} is switched off, give --alone", choice.other().name())
+        })?;
     let monitor_of = |choice: ArmChoice| {
         monitors.iter().find(|(name, _)| *name == choice.name()).map(|(_, monitor)| monitor.clone())
     };

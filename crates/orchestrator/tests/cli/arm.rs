@@ -233,7 +233,9 @@ fn nothing_moves_without_the_name_of_the_arm() {
         let before = cell.joints();
         let jog = ["jog", "--axis", "4", "--by", "-1"];
         let dry = cell.pb3dp(&jog, Some("vs-robot")).assert_success().stdout;
-        for part in ["4 E1    97.490    96.490    -1.000", "0.0180", "182 velocities", "dry run", "not known"] {
+        for part in
+            ["4 E1    97.490    96.490    -1.000", "0.0180", "182 velocities", "dry run", "room to the tc-robot"]
+        {
             assert!(dry.contains(part), "{part:?} is missing in:\n{dry}");
         }
         assert_eq!(cell.joints(), before);
@@ -420,11 +422,14 @@ fn an_emergency_stop_a_pulled_cable_and_a_killed_program_stop_the_arm() {
 }
 
 #[test]
-fn the_room_to_the_other_arm_is_known_with_both() {
+fn the_room_to_the_other_arm_is_watched_unless_it_is_left_out() {
     patiently(|| {
-        let jog = ["jog", "--axis", "4", "--by", "-1", "--both"];
+        let jog = ["jog", "--axis", "4", "--by", "-1"];
         let dry = pb3dp_arm(&hil(), &jog, None).assert_success().stdout;
-        assert!(dry.contains("least room to the tc-robot on the way: 377 mm (cameras to panel)"), "{dry}");
+        assert!(
+            dry.contains("room to the tc-robot (emulated, where it would start) on the way: 377 mm (cameras to panel)"),
+            "{dry}"
+        );
         let moved = pb3dp_arm(&hil(), &[&jog[..], &["--move"]].concat(), Some("vs-robot")).assert_success().stdout;
         assert!(moved.contains("done: every joint within 0.0"), "{moved}");
         // More room is wanted than there is.
@@ -435,6 +440,10 @@ fn the_room_to_the_other_arm_is_known_with_both() {
         std::fs::write(&config, text.replace("robot = \"robots/", &format!("robot = \"{robots}/"))).unwrap();
         let refused = pb3dp_arm(&config.display().to_string(), &jog, None);
         refused.assert_refused(&["377 mm (cameras to panel) is less than arms.least_room_mm, 400 mm"]);
+        let alone = [&jog[..], &["--alone", "--move"]].concat();
+        let config = config.display().to_string();
+        pb3dp_arm(&config, &alone, Some("vs-robot")).assert_refused(&["\"vs-robot\" is not vs-robot alone"]);
+        pb3dp_arm(&config, &alone, Some("vs-robot alone")).assert_success();
     });
 }
 

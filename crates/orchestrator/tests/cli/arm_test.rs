@@ -38,7 +38,7 @@ fn the_whole_checklist_is_rehearsed_on_emulated_arms() {
     patiently(|| {
         let (_folder, out) = folder();
         let out_text = out.display().to_string();
-        let args = ["test", "--both", "--operator", "emulated", "--by", "1.5", "--move", "--out", &out_text];
+        let args = ["test", "--operator", "emulated", "--by", "1.5", "--move", "--out", &out_text];
         let done = pb3dp_arm(&hil(), &args, Some("vs-robot"));
         assert!(done.success, "{}{}", done.stdout, done.stderr);
         let (report, page) = report_in(&out);
@@ -90,7 +90,7 @@ fn nothing_moves_in_a_dry_run_or_without_the_name() {
             "4 E1    97.490    99.490    +2.000",
             "4 E1    97.490    95.490    -2.000",
             "within 3.6 s",
-            "not known",
+            "room to the tc-robot (emulated, where it would start)",
             "dry run: the brakes stayed on and nothing moved",
         ] {
             assert!(dry.contains(part), "{part:?} is missing in:\n{dry}");
@@ -121,8 +121,9 @@ fn what_can_not_be_tested_is_refused_before_anything_happens() {
     refused(&config, &["--operator", "emulated", "--move"], &["arms.vs.backend is not \"emulated\"", "no hand at"]);
     refused(&config, &[], &["127.0.0.1:9"]);
     refused(&hil(), &["--move"], &["has no switch and no cable for you", "--operator emulated"]);
-    refused(&hil(), &["--only", "interlock"], &["give --both"]);
-    let both = ["--both", "--only", "interlock", "--move"];
+    refused(&hil(), &["--only", "interlock", "--move"], &["has no switch and no cable for you"]);
+    refused(&hil(), &["--alone", "--only", "interlock"], &["leave --alone out"]);
+    let both = ["--only", "interlock", "--move"];
     refused(&config, &both, &["arms.tc.backend = \"emulated\" has no switch"]);
     refused(&hil(), &["--skip", "comms,jog,e-stop,cable,kill"], &["no step is left"]);
     let sim = crate::support::repository().join("configs/sim.toml").display().to_string();
@@ -174,6 +175,8 @@ impl Rehearsal {
         let since = Instant::now();
         loop {
             let Ok(line) = self.lines.recv_timeout(Duration::from_secs(40)) else {
+                self.child.kill().unwrap();
+                self.child.stderr.take().unwrap().read_to_string(&mut self.seen).unwrap();
                 panic!("{part:?} did not come:\n{}", self.seen);
             };
             self.seen += &format!("{line}\n");

@@ -73,6 +73,23 @@ impl Place {
     }
 }
 
+/// Whether the other arm is there.
+#[derive(Clone, Copy, Debug, Args)]
+struct Company {
+    /// Leave the other arm out: it is switched off, or not there. Nothing watches the room between both, and nothing that stops one stops
+    /// the other.
+    #[arg(long)]
+    alone: bool,
+}
+
+impl Company {
+    /// What an operator has to type before this arm moves.
+    fn word(self, choice: ArmChoice) -> String {
+        let alone = if self.alone { " alone" } else { "" };
+        format!("{}{alone}", choice.name())
+    }
+}
+
 #[derive(Debug, Args)]
 struct ProbeArgs {
     #[command(flatten)]
@@ -90,9 +107,8 @@ struct MotionArgs {
     /// Move the arm, once its name was typed. Without it nothing moves.
     #[arg(long = "move")]
     moves: bool,
-    /// Also connect the other arm, so that the room between both is watched; it only holds.
-    #[arg(long)]
-    both: bool,
+    #[command(flatten)]
+    company: Company,
     /// Folder for the flight recorders of a move that is broken off; a new one in out/ unless it is given.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,

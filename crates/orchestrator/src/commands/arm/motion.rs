@@ -17,7 +17,7 @@ use super::flights::{self, folder_of};
 use super::plan::Plan;
 use super::{MotionArgs, Place, confirm};
 use crate::commands::estimate::output::print_line;
-use crate::config::setup::{ArmLink, Setup, read_setup};
+use crate::config::setup::{ArmLink, GatewayWay, Setup, read_setup};
 use crate::run::live::enter_control_thread;
 use crate::wiring::commissioning::{ArmChoice, SlowArm, set_line, slow_setup, wire_slow};
 
@@ -85,7 +85,7 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
     }
     let setup = slow_setup(&setup, choice, goal.joint_max_rad_per_s())?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
-    let mut arm = wire_slow(&setup, choice, args.both, &clock)?;
+    let mut arm = wire_slow(&setup, choice, !args.company.alone, &clock)?;
     let now_rad = arm.driven.exchange(JointCommand::Hold)?.position_rad;
     let plan = Plan::new(choice.of(&setup), now_rad, goal.by_rad(&now_rad, &choice.of(&setup).start_rad))?;
     show(&setup, (choice, goal), &plan, &mut arm)?;
@@ -95,9 +95,9 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
     }
     print_line(&format!(
         "The arm will move. Nobody may be within its reach, and a hand has to be on the emergency stop.\nType {} to move it:",
-        choice.name()
+        args.company.word(choice)
     ))?;
-    confirm::typed(choice.name(), &mut signals)?;
+    confirm::typed(&args.company.word(choice), &mut signals)?;
     enter_control_thread();
     let mut drive = Drive::new(&mut arm, &plan, &clock, setup.control_period);
     let outcome = drive.run(&mut signals, &mut |cycle| if args.report_joints { tell(cycle) } else { Ok(()) });
@@ -150,14 +150,28 @@ fn show(setup: &Setup, (choice, goal): (ArmChoice, Goal), plan: &Plan, arm: &mut
         setup.control_period,
         duration.as_secs_f64()
     ))?;
-    let Some(other) = &mut arm.other else {
+    let other_rad = match &mut arm.other {
+        Some(other) => Some(other.driven.exchange(JointCommand::Hold)?.position_rad),
+        None => None,
+    };
+    show_room(setup, choice, plan, other_rad.as_ref())
+}
+
+/// Says how near the other arm comes, and refuses what is too near.
+///
+/// # Errors
+/// If it is nearer than allowed.
+pub fn show_room(setup: &Setup, choice: ArmChoice, plan: &Plan, other_rad: Option<&JointVector>) -> Result<()> {
+    let other = choice.other();
+    let Some(other_rad) = other_rad else {
         return Ok(print_line(&format!(
-            "room to the {}: not known, as it is not connected (--both): look yourself that the way is free",
-            choice.other().name()
+            "room to the {}: not known, as it is left out (--alone): look yourself that the way is free",
+            other.name()
         ))?);
     };
-    let other_rad = other.driven.exchange(JointCommand::Hold)?.position_rad;
-    let room = plan.room(setup, choice, &other_rad);
-    print_line(&format!("least room to the {} on the way: {room}", choice.other().name()))?;
+    let room = plan.room(setup, choice, other_rad);
+    let is_emulated = matches!(other.of(setup).link, ArmLink::Gateway(_, GatewayWay::Emulated) | ArmLink::InProcess);
+    let emulated = if is_emulated { " (emulated, where it would start)" } else { "" };
+    print_line(&format!("least room to the {}{emulated} on the way: {room}", other.name()))?;
     room.check(setup)
 }

@@ -117,7 +117,7 @@ impl Mover {
     fn start(session: &Session<'_>, by_rad: f64) -> Result<Self> {
         let program = std::env::current_exe().context("the path of this program is not known")?;
         let mut command = Command::new(program);
-        command.args(["--log", "warn", "arm", "jog", "--move", "--report-joints", "--config"]);
+        command.args(["--log", "warn", "arm", "jog", "--alone", "--move", "--report-joints", "--config"]);
         command.arg(&session.place.config).args(["--arm", session.place.arm_word()]);
         command.args(["--axis", &session.axis.number().to_string(), "--by", &by_rad.to_degrees().to_string()]);
         if let Some(address) = session.line {
@@ -137,9 +137,9 @@ impl Mover {
             }
         };
         std::thread::Builder::new().name("mover".to_owned()).spawn(read).context("no thread for its lines")?;
-        // The operator has typed the name before.
+        // The operator has typed the name before, and the room on the way is known.
         let mut input = input.context("the program that moves the arm has no input")?;
-        writeln!(input, "{}", session.choice.name()).context("the program that is to move the arm has ended")?;
+        writeln!(input, "{} alone", session.choice.name()).context("the program that is to move the arm has ended")?;
         Ok(mover)
     }
 

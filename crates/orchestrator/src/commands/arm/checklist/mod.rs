@@ -35,9 +35,9 @@ use self::session::{Session, is_interruption};
 use self::steps::Step;
 use super::confirm::Console;
 use super::flights::{folder_of, utc};
-use super::motion::JOG_RAD_PER_S;
+use super::motion::{JOG_RAD_PER_S, show_room};
 use super::probe_report::GatewayFacts;
-use super::{Place, parse_jog};
+use super::{Company, Place, parse_jog};
 use crate::commands::estimate::output::print_line;
 use crate::commands::run::machine;
 use crate::config::setup::{ArmLink, GatewayWay, Setup, read_setup};
@@ -55,9 +55,8 @@ pub struct TestArgs {
     /// Do the steps, once the arm's name was typed. Without it nothing moves.
     #[arg(long = "move")]
     moves: bool,
-    /// Also connect the other arm: the room between both is known, and the step `interlock` can be done.
-    #[arg(long)]
-    both: bool,
+    #[command(flatten)]
+    company: Company,
     /// The axis that moves, 1 at the base to 7 at the flange.
     #[arg(long, value_name = "1..7", default_value_t = 7, value_parser = clap::value_parser!(u8).range(1..=7))]
     axis: u8,
@@ -97,16 +96,17 @@ pub fn run(args: &TestArgs) -> Result<ExitCode> {
     // Before any thread is started.
     let signals = StopSignals::take_over()?;
     let began = SystemTime::now();
-    let asked = asked(args)?;
+    let setup = read_setup(&args.place.config)?;
+    let asked = asked(args, &setup)?;
     let setup_text = std::fs::read(&args.place.config)
         .with_context(|| format!("{}: can not be read", args.place.config.display()))?;
-    let (mut session, target) = begin((args, &asked), signals, began)?;
+    let (mut session, target) = begin((args, &asked), &setup, signals, began)?;
     show(args, &asked, &session)?;
     if !args.moves {
         print_line("dry run: the brakes stayed on and nothing moved; --move does it")?;
         return Ok(ExitCode::SUCCESS);
     }
-    confirm(&asked, &mut session)?;
+    confirm(&args.company.word(session.choice), &asked, &mut session)?;
     std::fs::create_dir_all(&session.out).with_context(|| format!("{}: can not be made", session.out.display()))?;
     enter_control_thread();
     let steps = all_steps(&asked, &mut session)?;
@@ -140,14 +140,18 @@ pub fn run(args: &TestArgs) -> Result<ExitCode> {
 }
 
 /// The steps that are asked for, in their order.
-fn asked(args: &TestArgs) -> Result<Vec<Step>> {
+fn asked(args: &TestArgs, setup: &Setup) -> Result<Vec<Step>> {
+    let other = &args.place.choice().other().of(setup).link;
+    let is_toy = matches!(other, ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated));
+    // Nobody can press the switch of an arm that is emulated, but who emulates it.
+    let has_other = !args.company.alone && (!is_toy || args.operator == OperatorName::Emulated);
     let wanted = |step: &Step| match args.only.is_empty() {
-        true => !args.skip.contains(step) && (*step != Step::Interlock || args.both),
+        true => !args.skip.contains(step) && (*step != Step::Interlock || has_other),
         false => args.only.contains(step),
     };
     let asked: Vec<_> = Step::ALL.into_iter().filter(wanted).collect();
-    if asked.contains(&Step::Interlock) && !args.both {
-        bail!("the step interlock needs the other arm: give --both");
+    if asked.contains(&Step::Interlock) && args.company.alone {
+        bail!("the step interlock needs the other arm: leave --alone out");
     }
     if asked.is_empty() {
         bail!("no step is left: skip fewer");
@@ -158,12 +162,12 @@ fn asked(args: &TestArgs) -> Result<Vec<Step>> {
 /// Finds the arm and looks at it; how it was reached.
 fn begin<'a>(
     (args, asked): (&'a TestArgs, &[Step]),
+    setup: &Setup,
     signals: StopSignals,
     began: SystemTime,
 ) -> Result<(Session<'a>, String)> {
     let choice = args.place.choice();
-    let setup = read_setup(&args.place.config)?;
-    let mut setup = slow_setup(&setup, choice, JOG_RAD_PER_S)?;
+    let mut setup = slow_setup(setup, choice, JOG_RAD_PER_S)?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     if let ArmLink::Bus(_) = &choice.of(&setup).link {
         bail!(
@@ -226,7 +230,7 @@ fn operator(
         }
         return Ok((Box::new(Person::new(Console::start()?, patience)), None));
     }
-    let choices: &[ArmChoice] = if args.both { &[choice, choice.other()] } else { &[choice] };
+    let choices: &[ArmChoice] = if args.company.alone { &[choice] } else { &[choice, choice.other()] };
     let mut arms = Vec::new();
     let mut line = None;
     for choice in choices {
@@ -249,7 +253,7 @@ fn show(args: &TestArgs, asked: &[Step], session: &Session<'_>) -> Result<()> {
     if !asked.iter().any(|step| step.moves()) {
         return Ok(());
     }
-    let mut arm = session.connect(args.both)?;
+    let mut arm = session.connect(!args.company.alone)?;
     let now_rad = arm.driven.exchange(JointCommand::Hold)?.position_rad;
     let other_rad = match &mut arm.other {
         Some(other) => Some(other.driven.exchange(JointCommand::Hold)?.position_rad),
@@ -260,32 +264,21 @@ fn show(args: &TestArgs, asked: &[Step], session: &Session<'_>) -> Result<()> {
         let plan = session.plan_by(now_rad, by_rad)?;
         print_line(plan.table(choice.of(&session.setup)).trim_end())?;
         print_line(&format!("within {:.1} s", plan.duration().as_secs_f64()))?;
-        match &other_rad {
-            Some(other_rad) => {
-                let room = plan.room(&session.setup, choice, other_rad);
-                print_line(&format!("least room to the {} on the way: {room}", choice.other().name()))?;
-                room.check(&session.setup)?;
-            }
-            None => print_line(&format!(
-                "room to the {}: not known, as it is not connected (--both): look yourself that the way is free",
-                choice.other().name()
-            ))?,
-        }
+        show_room(&session.setup, choice, &plan, other_rad.as_ref())?;
     }
     Ok(())
 }
 
 /// The operator's word that arms may move.
-fn confirm(asked: &[Step], session: &mut Session<'_>) -> Result<()> {
-    let name = session.choice.name();
+fn confirm(word: &str, asked: &[Step], session: &mut Session<'_>) -> Result<()> {
     if asked.iter().any(|step| step.moves()) {
         let others = if asked.contains(&Step::Interlock) { " The brakes of both arms open." } else { "" };
         print_line(&format!(
             "The arm will move.{others} Nobody may be within its reach, and a hand has to be on the emergency stop."
         ))?;
     }
-    print_line(&format!("Type {name} to begin:"))?;
-    session.operator.confirm(name, &mut session.signals)
+    print_line(&format!("Type {word} to begin:"))?;
+    session.operator.confirm(word, &mut session.signals)
 }
 
 /// Does the steps; those after one that failed are not done.
