@@ -125,17 +125,41 @@ fn run_suite(
     let folder = Folder::new()?;
     let disk = folder.0.join("initrd");
     pack(suite, kernel, &program)?.write(&disk)?;
-    let mut outcome = Ok(());
-    for _ in 0..TRIES {
-        let mut machine = Machine::start(qemu, &kernel.image, &disk, suite, &folder.0)?;
-        outcome = watch(&mut machine, suite, shows_console);
-        match &outcome {
-            Err(error) if machine.has_crashed() => println!("QEMU itself has crashed: {error:#}"),
-            _ => break,
-        }
-    }
+    let outcome = try_suite(suite, shows_console, || Machine::start(qemu, &kernel.image, &disk, suite, &folder.0));
     println!("{}: {:.1} s", suite.name, begin.elapsed().as_secs_f64());
     outcome
+}
+
+/// Begins a suite again while it is QEMU that crashes. A check that failed has failed, whatever becomes of QEMU afterwards.
+fn try_suite(
+    suite: &Suite,
+    shows_console: bool,
+    mut start: impl FnMut() -> anyhow::Result<Machine>,
+) -> anyhow::Result<()> {
+    let mut tries = 1;
+    loop {
+        let mut machine = start()?;
+        let mut tally = Tally::default();
+        let watched = watch(&mut machine, suite, shows_console, &mut tally);
+        if tally.failed > 0 {
+            let counts = format!("{} checks failed, {} passed", tally.failed, tally.passed);
+            watched.context(counts.clone())?;
+            bail!(counts);
+        }
+        let Err(error) = watched else { return Ok(()) };
+        if tries == TRIES || !machine.has_crashed() {
+            return Err(error);
+        }
+        println!("QEMU itself has crashed: {error:#}");
+        tries += 1;
+    }
+}
+
+/// What the checks have shown so far.
+#[derive(Clone, Copy, Debug, Default)]
+struct Tally {
+    passed: u32,
+    failed: u32,
 }
 
 /// The program that tests, as a file that runs without anything else.
@@ -170,8 +194,8 @@ fn pack(suite: &Suite, kernel: &Kernel, program: &Path) -> anyhow::Result<Archiv
 }
 
 /// Does what the guest asks for, and counts what it finds.
-fn watch(machine: &mut Machine, suite: &Suite, shows_console: bool) -> anyhow::Result<()> {
-    let (mut passed, mut failed) = (0u32, 0u32);
+fn watch(machine: &mut Machine, suite: &Suite, shows_console: bool, tally: &mut Tally) -> anyhow::Result<()> {
+    let Tally { passed, failed } = tally;
     let mut last = Vec::new();
     while let Some(line) = machine.next_line().with_context(|| last_lines(&last))? {
         if shows_console {
@@ -179,18 +203,18 @@ fn watch(machine: &mut Machine, suite: &Suite, shows_console: bool) -> anyhow::R
         }
         match console::parse(&line) {
             Some(Said::Passed(text)) => {
-                passed += 1;
+                *passed += 1;
                 println!("   ok      {text}");
             }
             Some(Said::Failed(text)) => {
-                failed += 1;
+                *failed += 1;
                 println!("   FAILED  {text}");
             }
             Some(Said::Note(text)) => println!("           {text}"),
             Some(Said::Unplug(name)) => machine.unplug(&name)?,
             Some(Said::Plug(name)) => machine.plug(suite, &name)?,
-            Some(Said::End { checks }) if checks == passed && failed == 0 && passed > 0 => return Ok(()),
-            Some(Said::End { checks }) => bail!("{failed} of {checks} checks failed, {passed} passed"),
+            Some(Said::End { checks }) if checks == *passed + *failed && checks > 0 => return Ok(()),
+            Some(Said::End { checks }) => bail!("{passed} checks passed, the guest tells of {checks}"),
             None => last.push(line),
         }
     }
@@ -230,4 +254,73 @@ fn output_of(command: &mut Command) -> anyhow::Result<String> {
         bail!("{name} failed: {}", String::from_utf8_lossy(&output.stderr).trim_end());
     }
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
+    use super::*;
+
+    /// What a suite comes to with a program in the place of QEMU, and how often that was started.
+    fn outcome(name: &str, script: &str) -> (anyhow::Result<()>, usize) {
+        let folder = std::env::temp_dir().join(format!("pb3dp-vm-test-{name}-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let (qemu, log) = (folder.join("qemu"), folder.join("log"));
+        let text = format!("#!/bin/sh\necho started >> {}\n{script}\n", log.display());
+        std::fs::write(&qemu, text).unwrap();
+        std::fs::set_permissions(&qemu, std::fs::Permissions::from_mode(0o755)).unwrap();
+        let suite = &SUITES[1];
+        let outcome = try_suite(suite, false, || Machine::start(&qemu, &folder, &folder, suite, &folder));
+        let starts = std::fs::read_to_string(&log).unwrap().lines().count();
+        std::fs::remove_dir_all(&folder).unwrap();
+        (outcome, starts)
+    }
+
+    #[test]
+    fn a_suite_is_begun_again_only_if_qemu_alone_has_failed() {
+        let crash = "kill -SEGV $$";
+        for (name, script, starts, expected) in [
+            ("good", "echo vm: passed one; echo vm: end 1".to_owned(), 1, None),
+            (
+                "crash",
+                format!("echo vm: passed one; {crash}"),
+                TRIES as usize,
+                Some("the guest ended before its tests did"),
+            ),
+            (
+                "failed",
+                "echo vm: failed one; echo vm: passed two; echo vm: end 2".to_owned(),
+                1,
+                Some("1 checks failed, 1 passed"),
+            ),
+            (
+                "both",
+                format!("echo vm: passed one; echo vm: failed two; {crash}"),
+                1,
+                Some("1 checks failed, 1 passed"),
+            ),
+            ("after", format!("echo vm: failed one; echo vm: end 1; {crash}"), 1, Some("1 checks failed, 0 passed")),
+            (
+                "ended",
+                "echo vm: passed one".to_owned(),
+                1,
+                Some("the guest ended before its tests did, after 1 checks"),
+            ),
+            (
+                "count",
+                "echo vm: passed one; echo vm: end 2".to_owned(),
+                1,
+                Some("1 checks passed, the guest tells of 2"),
+            ),
+        ] {
+            let (outcome, started) = outcome(name, &script);
+            let error = outcome.err().map(|error| format!("{error:#}")).unwrap_or_default();
+            assert!(
+                error.starts_with(expected.unwrap_or_default()) && error.is_empty() == expected.is_none(),
+                "{name}: {error}"
+            );
+            assert_eq!(started, starts, "{name}: {error}");
+        }
+    }
 }
