@@ -55,7 +55,7 @@ enum Happening {
 }
 
 fn happening() -> impl Strategy<Value = Happening> {
-    use ArmOperation::{End, Reset, Start, Stop};
+    use ArmOperation::{Abort, End, Reset, Start, Stop};
     let dialect = prop_oneof![Just(Dialect::GatewayV1), Just(Dialect::Transparent)];
     let mode = prop_oneof![Just(DriveMode::Off), Just(DriveMode::Braked), Just(DriveMode::Follow)];
     let mixed = prop::collection::vec((1u8..4, prop_oneof![Just(0i16), -300i16..300]), 7);
@@ -64,7 +64,7 @@ fn happening() -> impl Strategy<Value = Happening> {
         4 => (0u64..300).prop_map(Happening::Wait),
         2 => dialect.prop_map(Happening::Hello),
         1 => Just(Happening::Heartbeat),
-        3 => prop_oneof![Just(Start), Just(End), Just(Stop), Just(Reset)].prop_map(Happening::Control),
+        3 => prop_oneof![Just(Start), Just(End), Just(Stop), Just(Reset), Just(Abort)].prop_map(Happening::Control),
         2 => Just(Happening::Control(Reset)),
         1 => (0usize..7).prop_map(Happening::ClearAlarm),
         1 => (0usize..7).prop_map(Happening::ReadLimits),

@@ -107,6 +107,7 @@ fn host_examples() -> Vec<(&'static str, HostMessage, u16, u64)> {
         ("hello", HostMessage::Hello(Hello { dialect: Dialect::GatewayV1, cycle_us: 10_000 }), 0, 1_500_000),
         ("start", control(Control::Arm(ArmOperation::Start)), 1, 1_510_000),
         ("command", HostMessage::Command(DriveCommand::follow(&velocity).unwrap()), 65535, 2_000_000),
+        ("abort", control(Control::Arm(ArmOperation::Abort)), 6, 2_400_000),
         ("clear-alarm", control(Control::ClearAlarm(Axis::ALL[6])), 7, 2_500_000),
         ("read-eeprom", control(Control::ReadEeprom(Axis::ALL[0])), 8, 2_510_000),
         ("heartbeat", HostMessage::Heartbeat, 9, 2_750_000),
@@ -116,6 +117,7 @@ fn host_examples() -> Vec<(&'static str, HostMessage, u16, u64)> {
 
 fn gateway_examples() -> Vec<(&'static str, GatewayMessage, u16, u64)> {
     let started = ControlReply { control: Control::Arm(ArmOperation::Start), state: GatewayState::Started };
+    let aborted = ControlReply { control: Control::Arm(ArmOperation::Abort), state: GatewayState::Fault };
     let limits = EepromLimits { axis: Axis::ALL[0], positive_limit_urad: 3_089_233, negative_limit_urad: -3_089_233 };
     let reject = Reject { reason: RejectReason::WrongState, frame_type: 2, detail: 0 };
     let fault = FaultReport {
@@ -128,6 +130,7 @@ fn gateway_examples() -> Vec<(&'static str, GatewayMessage, u16, u64)> {
         ("hello-reply", GatewayMessage::HelloReply(hello_reply()), 0, 1 << 32),
         ("start-done", GatewayMessage::ControlReply(started), 1, 4_294_970_000),
         ("state", GatewayMessage::State(state()), 65535, 4_295_459_296),
+        ("abort-done", GatewayMessage::ControlReply(aborted), 6, 4_295_860_000),
         ("eeprom-limits", GatewayMessage::EepromLimits(limits), 8, 4_295_970_000),
         ("health", GatewayMessage::Health(health()), 9, 4_296_210_000),
         ("reject", GatewayMessage::Reject(reject), 10, 4_296_300_000),

@@ -39,7 +39,7 @@ enum Expected {
     Show,
 }
 
-/// The cells of the row of a state: COMMAND, start, end, clear-alarm and read-eeprom, stop, reset.
+/// The cells of the row of a state: COMMAND, start, end, clear-alarm and read-eeprom, stop, reset, abort.
 fn row(state: GatewayState) -> Vec<String> {
     let table = SPECIFICATION.split("## What the gateway does in each state").nth(1).unwrap();
     let row = table.lines().filter(|line| line.starts_with("| ")).find(|line| {
@@ -47,13 +47,13 @@ fn row(state: GatewayState) -> Vec<String> {
         first.split(',').any(|name| name.trim() == state.to_string())
     });
     let cells = row.unwrap().split('|').map(|cell| cell.trim().to_owned()).collect::<Vec<_>>();
-    assert_eq!(cells.len(), 9, "{cells:?}");
-    cells[2..8].to_vec()
+    assert_eq!(cells.len(), 10, "{cells:?}");
+    cells[2..9].to_vec()
 }
 
 /// What the cell of an operation says of a gateway whose brakes and stop order had their time.
 fn of_operation(cell: &str, state: GatewayState, letter: &'static str) -> Expected {
-    use GatewayState::{Idle, Started, Stopping};
+    use GatewayState::{Fault, Idle, Started, Stopping};
     match cell {
         "wrong-state" => Expected::WrongState,
         "done, nothing sent" | "done, goes on" => Expected::Done(state, ""),
@@ -61,6 +61,7 @@ fn of_operation(cell: &str, state: GatewayState, letter: &'static str) -> Expect
         "E, to idle, if the brakes had their time to close, else wrong-state" => Expected::Done(Idle, "E"),
         "A or R" | "A or R, once the stop order is done, else wrong-state" => Expected::Done(state, letter),
         "stop order" => Expected::Done(Stopping, ""),
+        "E, to fault" | "stop order, to fault" | "goes on, to fault" => Expected::Done(Fault, ""),
         "once the stop order is done: to idle if the cause is gone, else cause-present; before: wrong-state" => {
             Expected::Done(Idle, "SCE")
         }
@@ -164,6 +165,7 @@ fn every_operation_in_every_state_is_answered_as_the_document_says() {
         (3, Control::ReadEeprom(axis), "R"),
         (4, arm(ArmOperation::Stop), ""),
         (5, arm(ArmOperation::Reset), ""),
+        (6, arm(ArmOperation::Abort), ""),
     ];
     for state in STATES {
         for (column, operation, letter) in operations {
@@ -240,9 +242,9 @@ fn every_letter_in_every_state_is_answered_as_the_document_says() {
 }
 
 #[test]
-fn stop_and_reset_exist_in_both_dialects_and_the_rest_in_its_own() {
+fn stop_reset_and_abort_exist_in_both_dialects_and_the_rest_in_its_own() {
     for state in STATES {
-        for (column, operation) in [(4, ArmOperation::Stop), (5, ArmOperation::Reset)] {
+        for (column, operation) in [(4, ArmOperation::Stop), (5, ArmOperation::Reset), (6, ArmOperation::Abort)] {
             let mut bench = bench(Dialect::Transparent, WireFormat::BigEndian6x10, state);
             let answer = bench.ask(control(operation));
             match of_operation(&row(state)[column], state, "") {
@@ -284,12 +286,14 @@ fn the_table_of_the_code_is_that_of_the_document() {
             of_operation(&row[3], state, "AR"),
             of_operation(&row[4], state, ""),
             of_operation(&row[5], state, ""),
+            of_operation(&row[6], state, ""),
         ]) {
             let expected = match expected {
                 Expected::WrongState => Deed::Refuse,
                 Expected::Follow(next) => Deed::Follow(next),
                 Expected::Show => Deed::Show,
                 Expected::Done(GatewayState::Stopping, _) if state != GatewayState::Stopping => Deed::BeginStop,
+                Expected::Done(GatewayState::Fault, "") if state != GatewayState::Fault => Deed::Latch,
                 Expected::Done(_, "") => Deed::Nothing,
                 Expected::Done(..) => Deed::Speak,
             };
@@ -351,7 +355,8 @@ fn every_kind_of_bad_frame_is_refused_with_its_reason_and_detail_and_changes_not
             (with(0x04, &[0]), (RejectReason::WrongLength, 0)),
             (with(0x02, &[0; 28]), (RejectReason::WrongLength, 29)),
             (with(0x03, &[1]), (RejectReason::WrongLength, 2)),
-            (with(0x03, &[7, 0]), (RejectReason::BadValue, 0)),
+            (with(0x03, &[8, 0]), (RejectReason::BadValue, 0)),
+            (with(0x03, &[7, 1]), (RejectReason::BadValue, 0)),
             (with(0x03, &[1, 1]), (RejectReason::BadValue, 0)),
             (with(0x03, &[3, 0]), (RejectReason::BadValue, 0)),
             (with(0x02, &[3; 29]), (RejectReason::BadValue, 0)),

@@ -193,7 +193,7 @@ fn was_stopped_in_order(heard: &[HostMessage]) -> bool {
 }
 
 #[test]
-fn a_panic_in_the_control_thread_stops_the_arm() {
+fn a_panic_in_the_control_thread_stops_the_arm_and_latches() {
     patiently(|| {
         let mut rig = rig();
         rig.enable_and_move();
@@ -204,7 +204,7 @@ fn a_panic_in_the_control_thread_stops_the_arm() {
         });
         assert!(control.join().is_err());
         let gateway = far.gateway.lock().unwrap();
-        assert_eq!(gateway.state, GatewayState::Idle);
+        assert_eq!((gateway.state, gateway.cause), (GatewayState::Fault, StopCause::HostFault));
         assert!(was_stopped_in_order(&gateway.heard));
     });
 }
@@ -228,7 +228,7 @@ impl Clock for BreakingClock {
 }
 
 #[test]
-fn a_panic_in_the_arm_s_own_thread_stops_the_arm() {
+fn a_panic_in_the_arm_s_own_thread_stops_the_arm_and_latches() {
     patiently(|| {
         let turn = turn();
         let pty = Pty::open().unwrap();
@@ -246,13 +246,13 @@ fn a_panic_in_the_arm_s_own_thread_stops_the_arm() {
             assert_eq!(result.unwrap_err().kind(), ArmErrorKind::Fault);
         }
         let gateway = rig.far.gateway.lock().unwrap();
-        assert_eq!(gateway.state, GatewayState::Idle);
+        assert_eq!((gateway.state, gateway.cause), (GatewayState::Fault, StopCause::HostFault));
         assert!(was_stopped_in_order(&gateway.heard));
     });
 }
 
 #[test]
-fn an_arm_that_is_dropped_in_motion_is_stopped() {
+fn an_arm_that_is_dropped_in_motion_is_stopped_and_latched() {
     patiently(|| {
         let mut rig = rig();
         rig.enable_and_move();
@@ -263,7 +263,7 @@ fn an_arm_that_is_dropped_in_motion_is_stopped() {
         println!("dropped in motion, stopped and ended after {took:?}");
         assert!(took < Duration::from_secs(2), "{took:?}");
         let gateway = far.gateway.lock().unwrap();
-        assert_eq!(gateway.state, GatewayState::Idle);
+        assert_eq!((gateway.state, gateway.cause), (GatewayState::Fault, StopCause::HostFault));
         assert!(was_stopped_in_order(&gateway.heard));
     });
 }

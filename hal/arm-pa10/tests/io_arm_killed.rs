@@ -1,7 +1,7 @@
-//! A host program that is killed or frozen while its arm moves: the arm is stopped without it, and does not move again before a
-//! reset.
+//! A host program that is killed, frozen or ended by its own mistake while its arm moves: the arm is stopped, and does not move
+//! again before a reset.
 //!
-//! The host is this program once more, in a process of its own: `io_arm_killed host PTY`.
+//! The host is this program once more, in a process of its own: `io_arm_killed host PTY`, with `panic` for a mistake.
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
 
@@ -37,11 +37,11 @@ const LONG: Duration = Duration::from_secs(30);
 fn main() {
     let arguments: Vec<String> = std::env::args().collect();
     match arguments.get(1).map(String::as_str) {
-        Some("host") => host(&arguments[2]),
+        Some("host") => host(&arguments[2], arguments.get(3).is_some()),
         // What else cargo passes on concerns the usual kind of test.
         _ => {
             let at_once = ("killed, and reset at once", killed_and_reset_at_once as fn());
-            for (name, test) in [("killed", killed as fn()), at_once, ("frozen", frozen)] {
+            for (name, test) in [("killed", killed as fn()), at_once, ("frozen", frozen), ("panicked", panicked)] {
                 println!("test {name} ...");
                 patiently(test);
                 println!("test {name} ... ok");
@@ -77,8 +77,8 @@ fn enable(arm: &mut Pa10Arm) {
     panic!("the machine is too loaded to enable an arm");
 }
 
-/// The host: moves until it can not, says so, and tries to go on without a reset.
-fn host(path: &str) {
+/// The host: moves until it can not, says so, and tries to go on without a reset; or makes a mistake in the loop that moves the arm.
+fn host(path: &str, panics: bool) {
     let mut arm = open(path);
     enable(&mut arm);
     let mut moved = 0u32;
@@ -90,6 +90,7 @@ fn host(path: &str) {
                 if moved == 30 {
                     println!("moving");
                 }
+                assert!(!(panics && moved == 60), "a mistake in the control loop");
             }
             Err(error) if error.kind() == ArmErrorKind::Timeout => {}
             Err(error) => break error,
@@ -112,12 +113,18 @@ struct Scene {
 impl Scene {
     /// With an arm that moves.
     fn new() -> Self {
+        Self::of(&["host"])
+    }
+
+    fn of(mode: &[&str]) -> Self {
         let pty = Pty::open().unwrap();
         let path = pty.name().to_owned();
         let home = JointVector::from([0.2, -0.5, 0.3, 1.1, 0.4, 0.9, 0.1]);
         let end = CellEnd::serve(Box::new(pty), Cell::new(ArmId(6), WireFormat::BigEndian6x10, home));
         let program = std::env::current_exe().unwrap();
-        let mut host = Command::new(program).args(["host", &path]).stdout(Stdio::piped()).spawn().unwrap();
+        let [first, more @ ..] = mode else { panic!("{mode:?}") };
+        let arguments = [&[*first, path.as_str()], more].concat();
+        let mut host = Command::new(program).args(arguments).stdout(Stdio::piped()).spawn().unwrap();
         let output = BufReader::new(host.stdout.take().unwrap());
         let (out, lines) = channel();
         std::thread::spawn(move || {
@@ -144,13 +151,32 @@ impl Scene {
     }
 
     /// Until the brakes are closed and the stop order is over, without the host.
-    fn wait_until_braked(&self) {
+    fn wait_until_braked(&self, cause: StopCause) {
         let begin = Instant::now();
         while !(self.end.cell().controller.is_braked() && self.end.state() == GatewayState::Fault) {
             assert!(begin.elapsed() < LONG, "{:?}", self.end.status());
             std::thread::sleep(Duration::from_millis(1));
         }
-        assert_eq!(self.end.status().cause, StopCause::HostSilent);
+        assert_eq!(self.end.status().cause, cause);
+    }
+
+    /// The next program is refused until it resets; then the arm moves. What it is told.
+    fn check_next_start(&self) -> String {
+        self.check_still(Duration::from_millis(100));
+        let mut arm = open(&self.path);
+        assert_eq!(arm.state(), ArmState::Fault);
+        let error = arm.enable().unwrap_err();
+        assert_eq!(arm.exchange(velocity()).unwrap_err().kind(), ArmErrorKind::Fault);
+        self.check_still(Duration::from_millis(100));
+        arm.reset().unwrap();
+        enable(&mut arm);
+        for _ in 0..20 {
+            std::thread::sleep(CYCLE);
+            let _ = arm.exchange(velocity());
+        }
+        assert_eq!(self.end.state(), GatewayState::Moving);
+        arm.stop().unwrap();
+        error.to_string()
     }
 
     /// The true joints stand.
@@ -175,27 +201,25 @@ fn killed() {
     let before = scene.end.cell().position();
     let killed = scene.signal(Signal::KILL);
     scene.host.wait().unwrap();
-    scene.wait_until_braked();
+    scene.wait_until_braked(StopCause::HostSilent);
     println!("killed: braked after {:?}", killed.elapsed());
     let moved = (scene.end.cell().position() - before).amax();
     // 50 ms at the full speed of 0.3 rad/s and the way of the brakes, with room for a loaded machine.
     assert!(moved < 0.1, "{moved} rad");
-    scene.check_still(Duration::from_millis(100));
-    // The next start.
-    let mut arm = open(&scene.path);
-    assert_eq!(arm.state(), ArmState::Fault);
-    let error = arm.enable().unwrap_err();
-    assert!(error.to_string().contains("the gateway stopped the arm"), "{error}");
-    assert_eq!(arm.exchange(velocity()).unwrap_err().kind(), ArmErrorKind::Fault);
-    scene.check_still(Duration::from_millis(100));
-    arm.reset().unwrap();
-    enable(&mut arm);
-    for _ in 0..20 {
-        std::thread::sleep(CYCLE);
-        let _ = arm.exchange(velocity());
-    }
-    assert_eq!(scene.end.state(), GatewayState::Moving);
-    arm.stop().unwrap();
+    let told = scene.check_next_start();
+    assert!(told.contains("the gateway stopped the arm: host-silent; the program that drove it ended, hung"), "{told}");
+}
+
+/// A mistake of the program, with a sound line: its arm is stopped on the way out, and the gateway keeps that.
+fn panicked() {
+    let mut scene = Scene::of(&["host", "panic"]);
+    assert!(!scene.host.wait().unwrap().success());
+    scene.wait_until_braked(StopCause::HostFault);
+    let told = scene.check_next_start();
+    assert!(
+        told.contains("the gateway stopped the arm: host-fault; the program that drove it found a fault"),
+        "{told}"
+    );
 }
 
 /// Whoever comes right after the one that was killed waits until the gateway has stopped the arm.
@@ -217,7 +241,7 @@ fn killed_and_reset_at_once() {
 fn frozen() {
     let scene = Scene::new();
     let frozen = scene.signal(Signal::STOP);
-    scene.wait_until_braked();
+    scene.wait_until_braked(StopCause::HostSilent);
     println!("frozen: braked after {:?}", frozen.elapsed());
     scene.check_still(Duration::from_millis(300));
     scene.signal(Signal::CONT);

@@ -169,9 +169,10 @@ fn a_gateway_that_latches_during_motion_stops_the_driver_with_its_cause() {
     rig.settle();
 }
 
-/// The other arm stopped, or a monitor found something: the gateway is led to rest by messages that its table allows.
+/// The other arm stopped, or a monitor found something: the gateway is told once, latches, and refuses nothing but the E of an
+/// order that it has gone through by itself.
 #[test]
-fn a_stop_from_outside_brings_the_gateway_to_rest_without_a_refusal() {
+fn a_fault_that_the_host_found_latches_the_gateway() {
     for mut rig in rigs() {
         for trip in [
             Trip::Fault(FaultCause::CommandTimeout { age: ms(60), allowed: ms(50) }),
@@ -189,9 +190,29 @@ fn a_stop_from_outside_brings_the_gateway_to_rest_without_a_refusal() {
             rig.driver.handle_trip(rig.now, trip);
             rig.settle();
             assert_eq!(rig.trip(), trip);
-            assert_eq!(rig.gateway.state, GatewayState::Idle);
-            assert!(rig.gateway.rejected.is_empty(), "{trip}: {:?}", rig.gateway.rejected);
+            assert_eq!((rig.gateway.state, rig.gateway.cause), (GatewayState::Fault, StopCause::HostFault));
+            let heard = std::mem::take(&mut rig.gateway.heard);
+            let count = |operation| {
+                let wanted = HostMessage::Control(Control::Arm(operation));
+                heard.iter().filter(|message| **message == wanted).count()
+            };
+            assert_eq!(count(ArmOperation::Abort), 1, "{trip}");
+            let refused = std::mem::take(&mut rig.gateway.rejected);
+            assert!(refused.len() >= 3 && refused.iter().all(|reason| *reason == RejectReason::WrongState), "{trip}");
         }
+    }
+}
+
+/// A gateway of somebody else's that does not know ABORT is still led to rest by the order itself.
+#[test]
+fn a_gateway_that_does_not_know_abort_gets_the_stop_order() {
+    for mut rig in rigs() {
+        rig.gateway.knows_abort = false;
+        rig.lead_to_moving();
+        rig.driver.handle_trip(rig.now, Trip::Fault(FaultCause::Supervisor));
+        rig.settle();
+        assert_eq!(rig.gateway.rejected, [RejectReason::BadValue]);
+        assert_eq!((rig.driver.state(), rig.gateway.state), (DriverState::Fault, GatewayState::Idle));
     }
 }
 

@@ -157,7 +157,7 @@ pub enum FaultCause {
         lasted: Duration,
     },
     /// The gateway stopped the arm.
-    #[error("the gateway stopped the arm: {0}; remove the cause, then reset")]
+    #[error("the gateway stopped the arm: {0}; {advice}", advice = advice_on_stop(*.0))]
     Gateway(StopCause),
     /// The gateway does not follow any more, and gives no cause.
     #[error("the gateway is {gateway} although nobody here has stopped it; find out who has, then reset")]
@@ -413,6 +413,19 @@ impl Trip {
             | Self::EStop(EmergencyStopCause::Controller { alarm }) => Some(alarm.code()),
             Self::Fault(_) | Self::EStop(_) => None,
         }
+    }
+}
+
+/// What to do about an arm that its gateway has stopped.
+fn advice_on_stop(cause: StopCause) -> &'static str {
+    match cause {
+        StopCause::HostFault => {
+            "the program that drove it found a fault; see what it said and its flight recorder, remove the cause, then reset"
+        }
+        StopCause::HostSilent => {
+            "the program that drove it ended, hung or lost the line; find out why, remove the cause, then reset"
+        }
+        _ => "remove the cause, then reset",
     }
 }
 

@@ -25,6 +25,9 @@ pub struct Transmit {
     pub exchange: u64,
     /// The message.
     pub message: ControlMessage,
+    /// It belongs to the stop order after a fault or an emergency stop of an arm that was driven: a link to a gateway sends its
+    /// ABORT before, so that the next program, too, has to wait for a reset.
+    pub latches: bool,
 }
 
 /// The reply to the last message. The link has checked that it answers that message and no earlier one.
@@ -71,6 +74,8 @@ pub struct Driver {
     pub(super) phase: Phase,
     pub(super) phase_since: MonotonicTime,
     pub(super) latched: Option<Latched>,
+    /// What latched it was found in more than looking at the arm.
+    pub(super) was_driven: bool,
     pub(super) motion: Motion,
     pub(super) link: LinkMonitor,
     pub(super) warm_up_failure: Option<WarmUpFailure>,
@@ -124,6 +129,7 @@ impl Driver {
             phase: Phase::Steady,
             phase_since: MonotonicTime::ZERO,
             latched: None,
+            was_driven: false,
             motion: Motion::Rest,
             link: LinkMonitor::default(),
             warm_up_failure: None,
@@ -304,7 +310,8 @@ impl Driver {
         self.note_sent(now, &message);
         let exchange = self.exchange;
         self.exchange += 1;
-        Some(Transmit { exchange, message })
+        let latches = self.was_driven && self.is_stopping_latched();
+        Some(Transmit { exchange, message, latches })
     }
 
     /// When the driver wants to be asked again, if it waits for anything but a request.

@@ -156,6 +156,11 @@ impl Driver {
         let clearing = self.activity() == Activity::Clearing;
         match outcome(self.state, event) {
             Outcome::To(next) => {
+                // Who only looks at an arm leaves no trace for the next one, who can look as well.
+                self.was_driven = match self.state.is_latched() {
+                    true => self.was_driven,
+                    false => self.activity() != Activity::Connecting,
+                };
                 self.latched = Some(Latched { trip, at: now, state_before: self.state });
                 self.state = next;
             }
@@ -306,7 +311,7 @@ impl Driver {
         self.latched.as_ref().is_some_and(by_arm)
     }
 
-    fn is_stopping_latched(&self) -> bool {
+    pub(super) fn is_stopping_latched(&self) -> bool {
         self.state.is_latched() && self.activity() == Activity::Stopping
     }
 }

@@ -180,5 +180,5 @@ pub(super) fn refusal_of(error: &MessageError) -> Refused {
 
 /// The operations of the dialect `transparent`.
 pub(super) fn is_in_both_dialects(operation: ControlOperation) -> bool {
-    matches!(operation, ControlOperation::Stop | ControlOperation::Reset)
+    matches!(operation, ControlOperation::Stop | ControlOperation::Reset | ControlOperation::Abort)
 }

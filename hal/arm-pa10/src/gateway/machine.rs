@@ -176,17 +176,21 @@ impl Machine {
     /// Stops the arm and latches, unless it is latched already.
     pub fn trip(&mut self, now: MonotonicTime, cause: StopCause, axis: Option<Axis>, word: u16) {
         let state_before = self.state;
+        let is_about_controller = !matches!(cause, StopCause::Internal | StopCause::HostFault);
         match state_before {
             GatewayState::Fault | GatewayState::EmergencyStop => return,
-            GatewayState::Idle if cause != StopCause::Internal => return,
+            GatewayState::Idle if is_about_controller => return,
             // A controller that is off, or in no mood for commands, is what a gateway may well find. Hosts will see.
-            GatewayState::Stopping if self.is_first_stop && cause != StopCause::Internal => return,
+            GatewayState::Stopping if self.is_first_stop && is_about_controller => return,
             _ => {}
         }
         let is_emergency_stop = cause == StopCause::EmergencyStop;
         self.state = if is_emergency_stop { GatewayState::EmergencyStop } else { GatewayState::Fault };
         self.cause = cause;
-        self.host.report(now, FaultReport { cause, state_before, axis, word });
+        // A host that found it knows.
+        if cause != StopCause::HostFault {
+            self.host.report(now, FaultReport { cause, state_before, axis, word });
+        }
         let silent = cause == StopCause::ControllerSilent;
         let reason = if silent { Refused(RejectReason::NoAnswer, 0) } else { wrong_state(self.state) };
         self.cancel(now, reason);

@@ -83,6 +83,15 @@ impl Machine {
         }
     }
 
+    /// The stop order for a host that has found a fault: nothing but a reset leads on.
+    fn abort(&mut self, now: MonotonicTime) {
+        match deed(self.state, Ask::Abort) {
+            Deed::Latch => self.trip(now, StopCause::HostFault, None, 0),
+            // It is latched and keeps its cause; what is under way to let go of it ends.
+            _ => self.stop(now),
+        }
+    }
+
     fn handle_hello(&mut self, now: MonotonicTime, frame: &Frame, asker: &Asker) -> Result<(), Refused> {
         let message = HostMessage::decode(frame).map_err(|error| refusal_of(&error))?;
         let HostMessage::Hello(Hello { dialect, cycle_us }) = message else {
@@ -181,6 +190,11 @@ impl Machine {
         match control {
             Control::Arm(ArmOperation::Stop) => {
                 self.stop(now);
+                self.answer_control(now, asker, control);
+                Ok(())
+            }
+            Control::Arm(ArmOperation::Abort) => {
+                self.abort(now);
                 self.answer_control(now, asker, control);
                 Ok(())
             }

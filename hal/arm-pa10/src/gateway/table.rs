@@ -21,6 +21,8 @@ pub enum Ask {
     Stop,
     /// The end of a latched state.
     Reset,
+    /// The stop order of a host that has found a fault.
+    Abort,
 }
 
 /// What the gateway does about it.
@@ -36,32 +38,43 @@ pub enum Deed {
     Nothing,
     /// Begins the stop order.
     BeginStop,
+    /// Begins the stop order or goes on with it, and latches.
+    Latch,
     /// Refuses it.
     Refuse,
 }
 
 impl Ask {
     /// All of them, in the order of the table.
-    pub const ALL: [Self; 8] =
-        [Self::BrakesOn, Self::Rest, Self::Motion, Self::Start, Self::End, Self::Service, Self::Stop, Self::Reset];
+    pub const ALL: [Self; 9] = [
+        Self::BrakesOn,
+        Self::Rest,
+        Self::Motion,
+        Self::Start,
+        Self::End,
+        Self::Service,
+        Self::Stop,
+        Self::Reset,
+        Self::Abort,
+    ];
 }
 
 /// What the gateway does in a state, besides the conditions that the text adds: times of brakes, measurements, work under way.
 #[rustfmt::skip]
 pub fn deed(state: GatewayState, ask: Ask) -> Deed {
-    use Deed::{BeginStop as Stop, Nothing as Done, Refuse as N, Show, Speak};
+    use Deed::{BeginStop as Stop, Latch, Nothing as Done, Refuse as N, Show, Speak};
     const START: Deed = Deed::Follow(GatewayState::Started);
     const HOLD: Deed = Deed::Follow(GatewayState::Holding);
     const MOVE: Deed = Deed::Follow(GatewayState::Moving);
-    const TABLE: [[Deed; 8]; 7] = [
-        // BrakesOn Rest  Motion Start  End    Service Stop  Reset
-        [N,         N,    N,     Speak, Done,  Speak,  Done, Done],  // idle
-        [START,     HOLD, N,     Done,  Speak, N,      Stop, N],     // started
-        [START,     HOLD, MOVE,  N,     N,     N,      Stop, N],     // holding
-        [N,         HOLD, MOVE,  N,     N,     N,      Stop, N],     // moving
-        [Show,      Show, Show,  N,     N,     N,      Done, N],     // stopping
-        [Show,      Show, Show,  N,     N,     Speak,  Done, Speak], // fault
-        [Show,      Show, Show,  N,     N,     Speak,  Done, Speak], // emergency-stop
+    const TABLE: [[Deed; 9]; 7] = [
+        // BrakesOn Rest  Motion Start  End    Service Stop  Reset  Abort
+        [N,         N,    N,     Speak, Done,  Speak,  Done, Done,  Latch], // idle
+        [START,     HOLD, N,     Done,  Speak, N,      Stop, N,     Latch], // started
+        [START,     HOLD, MOVE,  N,     N,     N,      Stop, N,     Latch], // holding
+        [N,         HOLD, MOVE,  N,     N,     N,      Stop, N,     Latch], // moving
+        [Show,      Show, Show,  N,     N,     N,      Done, N,     Latch], // stopping
+        [Show,      Show, Show,  N,     N,     Speak,  Done, Speak, Done],  // fault
+        [Show,      Show, Show,  N,     N,     Speak,  Done, Speak, Done],  // emergency-stop
     ];
     TABLE[usize::from(state.byte())][ask as usize]
 }

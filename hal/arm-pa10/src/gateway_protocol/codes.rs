@@ -75,6 +75,8 @@ codes! {
         Stop = 5, "stop";
         /// Clear the latched state of the gateway itself.
         Reset = 6, "reset";
+        /// Come to rest as for `stop`, and latch: the host has found a fault.
+        Abort = 7, "abort";
     }
 }
 
@@ -121,6 +123,8 @@ codes! {
         CycleMissed = 8, "cycle-missed";
         /// An error inside of the gateway.
         Internal = 9, "internal";
+        /// The host found a fault and said `abort`.
+        HostFault = 10, "host-fault";
     }
 }
 

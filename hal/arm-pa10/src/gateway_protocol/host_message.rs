@@ -102,6 +102,8 @@ pub enum ArmOperation {
     Stop,
     /// Clear the latched state of the gateway.
     Reset,
+    /// Come to rest as for [`Self::Stop`], and latch: the host has found a fault.
+    Abort,
 }
 
 /// The data of the servo controller, passed through in the dialect `transparent`: a letter and what belongs to it, without the
@@ -223,6 +225,7 @@ impl Control {
             Self::Arm(ArmOperation::End) => (ControlOperation::End, 0),
             Self::Arm(ArmOperation::Stop) => (ControlOperation::Stop, 0),
             Self::Arm(ArmOperation::Reset) => (ControlOperation::Reset, 0),
+            Self::Arm(ArmOperation::Abort) => (ControlOperation::Abort, 0),
             Self::ClearAlarm(axis) => (ControlOperation::ClearAlarm, axis.number()),
             Self::ReadEeprom(axis) => (ControlOperation::ReadEeprom, axis.number()),
         }
@@ -237,6 +240,7 @@ impl Control {
             ControlOperation::End => arm(ArmOperation::End),
             ControlOperation::Stop => arm(ArmOperation::Stop),
             ControlOperation::Reset => arm(ArmOperation::Reset),
+            ControlOperation::Abort => arm(ArmOperation::Abort),
             ControlOperation::ClearAlarm => axis().map(Self::ClearAlarm),
             ControlOperation::ReadEeprom => axis().map(Self::ReadEeprom),
         }

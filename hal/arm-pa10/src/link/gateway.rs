@@ -11,9 +11,9 @@ use crate::driver::{
     Activity, AxisLimits, BadReply, Driver, EmergencyStopCause, FaultCause, Reply, Sample, Transmit, Trip,
 };
 use crate::gateway_protocol::{
-    ArmId, ArmOperation, BRAKE_TIME_MAX, Control, ControlReply, DelayMeter, Dialect, DriveCommand, DriveMode,
-    FaultReport, Frame, FrameBytes, FrameParser, GatewayMessage, Geometry, Hello, HelloReply, HostMessage,
-    ParserCounters, RawMessage, Received, Reject, RejectReason, StopCause,
+    ArmId, ArmOperation, BRAKE_TIME_MAX, Control, DelayMeter, Dialect, DriveCommand, DriveMode, FaultReport, Frame,
+    FrameBytes, FrameParser, GatewayMessage, Geometry, Hello, HelloReply, HostMessage, ParserCounters, RawMessage,
+    Received, Reject, RejectReason, StopCause,
 };
 use crate::watchdog::{CommandWatchdog, WatchdogError};
 
@@ -107,8 +107,9 @@ pub enum LinkError {
 enum Waiting {
     Nothing,
     Hello,
-    /// RESET before this message, which begins a control mode after a fault.
-    ResetBefore(ControlMessage),
+    /// An operation of the gateway itself before this message: RESET before the S that begins a control mode after a fault, ABORT
+    /// before what stops an arm because of one.
+    Before(ArmOperation, ControlMessage),
     Message(ControlMessage),
 }
 
@@ -122,6 +123,8 @@ pub struct GatewayLink {
     /// Sequence of the frame whose answer is waited for.
     asked: u16,
     waiting: Waiting,
+    /// The gateway has heard of the fault for which the driver stops the arm.
+    aborted: bool,
     hello: Option<HelloReply>,
     hello_error: Option<HelloError>,
     output: Option<FrameBytes>,
@@ -142,6 +145,7 @@ impl GatewayLink {
             sequence: 0,
             asked: 0,
             waiting: Waiting::Nothing,
+            aborted: false,
             hello: None,
             hello_error: None,
             output: None,
@@ -157,6 +161,7 @@ impl GatewayLink {
         self.hello = None;
         self.hello_error = None;
         self.heartbeat = None;
+        self.aborted = false;
         self.parser.restart();
         // The gateway may have been started anew, and its clock with it.
         self.delay = DelayMeter::default();
@@ -189,14 +194,20 @@ impl GatewayLink {
         if self.hello.is_none() {
             return Err(LinkError::NotOpen);
         }
-        let message = transmit.message;
-        if activity == Activity::Clearing && message == ControlMessage::Start {
-            // The gateway has a latch of its own, and looks at the arm itself before it lets go of it.
-            self.waiting = Waiting::ResetBefore(message);
-            self.asked = self.emit(now, &HostMessage::Control(Control::Arm(ArmOperation::Reset)));
-            return Ok(());
-        }
-        self.say(now, message)
+        let Transmit { message, latches, .. } = *transmit;
+        self.aborted &= latches;
+        let before = if latches && !self.aborted {
+            // The gateway has a latch of its own. It has to outlive this program.
+            ArmOperation::Abort
+        } else if activity == Activity::Clearing && message == ControlMessage::Start {
+            // It looks at the arm itself before it lets go of it.
+            ArmOperation::Reset
+        } else {
+            return self.say(now, message);
+        };
+        self.waiting = Waiting::Before(before, message);
+        self.asked = self.emit(now, &HostMessage::Control(Control::Arm(before)));
+        Ok(())
     }
 
     /// The bytes that are to be written now: ask again until there are none.
@@ -308,13 +319,18 @@ impl GatewayLink {
             (Waiting::Hello, GatewayMessage::Reject(Reject { reason, .. })) => {
                 self.hello_error = Some(HelloError::Rejected(*reason));
             }
-            (Waiting::ResetBefore(message), GatewayMessage::ControlReply(reply)) if is_reset(reply) => {
-                // What was said once before can be said again.
-                if self.say(now, message).is_err() {
-                    driver.handle_bad_reply(BadReply::Mismatched);
-                }
+            (Waiting::Before(operation, message), GatewayMessage::ControlReply(reply))
+                if reply.control == Control::Arm(operation) =>
+            {
+                self.aborted |= operation == ArmOperation::Abort;
+                self.go_on(now, message, driver);
             }
-            (Waiting::ResetBefore(_) | Waiting::Message(_), GatewayMessage::Reject(Reject { reason, .. })) => {
+            // A gateway that does not know the operation: the order itself has to be enough.
+            (Waiting::Before(ArmOperation::Abort, message), GatewayMessage::Reject(reject)) if is_final(reject) => {
+                self.aborted = true;
+                self.go_on(now, message, driver);
+            }
+            (Waiting::Before(..) | Waiting::Message(_), GatewayMessage::Reject(Reject { reason, .. })) => {
                 if *reason == RejectReason::NotConnected {
                     // It was restarted: it has to be greeted anew.
                     self.hello = None;
@@ -326,6 +342,13 @@ impl GatewayLink {
                 Err(bad) => driver.handle_bad_reply(bad),
             },
             _ => driver.handle_bad_reply(BadReply::Mismatched),
+        }
+    }
+
+    /// Says what had to wait for an operation of the gateway.
+    fn go_on(&mut self, now: MonotonicTime, message: ControlMessage, driver: &mut Driver) {
+        if self.say(now, message).is_err() {
+            driver.handle_bad_reply(BadReply::Mismatched);
         }
     }
 
@@ -378,8 +401,10 @@ impl GatewayLink {
     }
 }
 
-fn is_reset(reply: &ControlReply) -> bool {
-    reply.control == Control::Arm(ArmOperation::Reset)
+/// Whether asking once more would be refused once more.
+fn is_final(reject: &Reject) -> bool {
+    use RejectReason::{NoAnswer, NotConnected, Stale};
+    !matches!(reject.reason, NotConnected | Stale | NoAnswer)
 }
 
 /// The control message of a message that is not cyclic.

@@ -22,6 +22,8 @@ pub struct FakeGateway {
     pub brake_us: u32,
     /// What keeps a reset from succeeding.
     pub cause_present: bool,
+    /// Whether it knows ABORT.
+    pub knows_abort: bool,
     /// E is refused so often, as the brakes have not had their time.
     pub refuse_end: u32,
     pub servo: [ServoWord; 7],
@@ -45,6 +47,7 @@ impl FakeGateway {
             watchdog_us: [20_000, 50_000],
             brake_us: 200_000,
             cause_present: false,
+            knows_abort: true,
             refuse_end: 0,
             servo: [ServoWord(0); 7],
             speeds: JointVector::zeros(),
@@ -105,6 +108,7 @@ impl FakeGateway {
                 let (positive_limit_urad, negative_limit_urad) = (3_000_000, -3_000_000);
                 Ok(GatewayMessage::EepromLimits(EepromLimits { axis: *axis, positive_limit_urad, negative_limit_urad }))
             }
+            HostMessage::Control(Control::Arm(ArmOperation::Abort)) if !self.knows_abort => Err(RejectReason::BadValue),
             HostMessage::Control(control) => {
                 self.control(*control)?;
                 Ok(GatewayMessage::ControlReply(ControlReply { control: *control, state: self.state }))
@@ -146,6 +150,11 @@ impl FakeGateway {
             (Control::Arm(ArmOperation::Start), GatewayState::Idle | GatewayState::Started) => GatewayState::Started,
             (Control::Arm(ArmOperation::End), GatewayState::Idle | GatewayState::Started) => GatewayState::Idle,
             (Control::Arm(ArmOperation::Stop), _) if !latched => GatewayState::Idle,
+            (Control::Arm(ArmOperation::Abort), state) if latched => state,
+            (Control::Arm(ArmOperation::Abort), _) => {
+                self.latch(StopCause::HostFault);
+                GatewayState::Fault
+            }
             (Control::Arm(ArmOperation::Reset), GatewayState::Idle) => GatewayState::Idle,
             (Control::Arm(ArmOperation::Reset), _) if latched && self.cause_present => {
                 return Err(RejectReason::CausePresent);

@@ -341,7 +341,8 @@ impl World {
 fn control(choice: u8) -> Control {
     let axis = Axis::ALL[usize::from(choice / 8) % Axis::COUNT];
     match choice % 8 {
-        0..=2 => Control::Arm(ArmOperation::Start),
+        0 | 1 => Control::Arm(ArmOperation::Start),
+        2 => Control::Arm(ArmOperation::Abort),
         3 => Control::Arm(ArmOperation::End),
         4 => Control::Arm(ArmOperation::Stop),
         5 => Control::Arm(ArmOperation::Reset),

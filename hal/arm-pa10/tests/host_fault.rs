@@ -1,0 +1,297 @@
+//! A fault that the host has found outlives its program: the gateway latches, and the next program waits for a reset.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+#[path = "common/bus_bench.rs"]
+#[allow(dead_code, reason = "each test file uses its part")]
+mod bus_bench;
+#[path = "common/chain.rs"]
+mod chain;
+
+use std::time::Duration;
+
+use bus_bench::HOST_CYCLE;
+use chain::{ARM, Chain, Way};
+use pb3dp_arm_pa10::codec::{Axis, WireFormat};
+use pb3dp_arm_pa10::driver::{Driver, DriverConfig, DriverState, EmergencyStopCause, FaultCause, Request, Trip};
+use pb3dp_arm_pa10::gateway_protocol::{
+    ArmOperation, Control, Dialect, FrameParser, GatewayState, HostMessage, Received, RejectReason, StopCause,
+};
+use pb3dp_arm_pa10::mock_controller::pa10_joints;
+use pb3dp_kinematics::JointVector;
+use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant};
+
+const KINDS: [(Dialect, WireFormat); 3] = [
+    (Dialect::GatewayV1, WireFormat::BigEndian6x10),
+    (Dialect::Transparent, WireFormat::BigEndian6x10),
+    (Dialect::Transparent, WireFormat::LittleEndian5x8),
+];
+
+const fn ms(ms: u64) -> Duration {
+    Duration::from_millis(ms)
+}
+
+/// What a host finds by itself, without the gateway.
+fn trips() -> Vec<Trip> {
+    let torque =
+        FaultCause::TorqueTooHigh { axis: Axis::ALL[1], torque_n_m: 150.0, allowed_n_m: 126.4, lasted: ms(50) };
+    let causes = [
+        torque,
+        FaultCause::Supervisor,
+        FaultCause::OtherArm { arm: 9 },
+        FaultCause::LetGo,
+        FaultCause::Program,
+        FaultCause::LinkLost { misses: 3 },
+        FaultCause::WrongArm { got: 9 },
+        FaultCause::CommandTimeout { age: ms(60), allowed: ms(50) },
+    ];
+    let pressed = Trip::EStop(EmergencyStopCause::Switch { word: 0x0008 });
+    causes.into_iter().map(Trip::Fault).chain([pressed]).collect()
+}
+
+fn chain(dialect: Dialect, format: WireFormat) -> Chain {
+    let start_rad = JointVector::from([0.1, 0.7, 0.2, 0.9, 0.1, 0.5, 0.1]);
+    let plant = JointPlant::new(pa10_joints().unwrap(), start_rad, bus_bench::START).unwrap();
+    Chain::new(dialect, format, Some(ms(6)), plant.with_mechanics(JointMechanics::default()).unwrap())
+}
+
+fn moving(dialect: Dialect, format: WireFormat) -> Chain {
+    let mut chain = chain(dialect, format);
+    chain.prepare();
+    chain.wanted = Some(JointVector::from([0.1, -0.2, 0.1, 0.2, 0.3, 0.2, 0.3]));
+    chain.run(ms(300));
+    assert_eq!((chain.driver.state(), chain.gateway.status().state), (DriverState::Moving, GatewayState::Moving));
+    chain
+}
+
+fn found(chain: &Chain) -> (GatewayState, StopCause) {
+    let status = chain.gateway.status();
+    (status.state, status.cause)
+}
+
+/// Another program, which wants to move.
+fn next_program(chain: &mut Chain) {
+    chain.wanted = None;
+    chain.driver = Driver::new(DriverConfig::with_cycle(HOST_CYCLE)).unwrap();
+    chain.open();
+    chain.request(Request::Connect);
+    chain.settle();
+}
+
+/// The next one can not move until an operator resets, and can then.
+fn wants_a_reset(chain: &mut Chain, what: &str) {
+    next_program(chain);
+    let refused = Some(Trip::Fault(FaultCause::Rejected(RejectReason::WrongState)));
+    assert_eq!(chain.driver.latched().map(|latched| latched.trip), refused, "{what}");
+    assert!(chain.driver.handle_request(chain.now, Request::Enable).is_err(), "{what}");
+    chain.request(Request::Reset);
+    chain.settle();
+    assert_eq!(chain.driver.state(), DriverState::Connected, "{what}: {:?}", chain.driver.latched());
+    assert_eq!(found(chain), (GatewayState::Idle, StopCause::None), "{what}");
+    chain.prepare();
+}
+
+/// How often ABORT is in these bytes.
+fn aborts(bytes: &[u8]) -> usize {
+    let mut count = 0;
+    FrameParser::new(ARM).feed(bytes, |received| {
+        let Received::Frame(frame) = received else { return };
+        let abort = HostMessage::Control(Control::Arm(ArmOperation::Abort));
+        count += usize::from(HostMessage::decode(&frame) == Ok(abort));
+    });
+    count
+}
+
+#[test]
+fn the_next_program_waits_for_a_reset_whatever_this_one_has_found() {
+    for (dialect, format) in KINDS {
+        for trip in trips() {
+            let what = format!("{dialect}, {format}, {trip}");
+            let mut chain = moving(dialect, format);
+            chain.driver.handle_trip(chain.now, trip);
+            chain.wanted = None;
+            // 30 ms of ramp, the lag of the drives, and the way of the message.
+            chain.run(ms(150));
+            assert!(chain.is_at_rest(), "{what}");
+            chain.settle();
+            // What it has found itself says more than that the gateway knows of it.
+            assert_eq!(chain.driver.latched().map(|latched| latched.trip), Some(trip), "{what}");
+            assert_eq!(found(&chain), (GatewayState::Fault, StopCause::HostFault), "{what}");
+            assert!(chain.controller.is_braked(), "{what}");
+            wants_a_reset(&mut chain, &what);
+        }
+    }
+}
+
+#[test]
+fn the_program_that_has_found_it_resets_both() {
+    for (dialect, format) in KINDS {
+        let mut chain = moving(dialect, format);
+        chain.driver.handle_trip(chain.now, Trip::Fault(FaultCause::Supervisor));
+        chain.settle();
+        assert_eq!(found(&chain), (GatewayState::Fault, StopCause::HostFault));
+        chain.request(Request::Reset);
+        chain.settle();
+        assert_eq!((chain.driver.state(), found(&chain).0), (DriverState::Connected, GatewayState::Idle));
+        chain.prepare();
+        // And once more, as what was told before does not count for what comes after.
+        chain.driver.handle_trip(chain.now, Trip::Fault(FaultCause::LetGo));
+        chain.settle();
+        assert_eq!(found(&chain), (GatewayState::Fault, StopCause::HostFault));
+    }
+}
+
+#[test]
+fn what_ends_in_order_latches_nothing() {
+    for (dialect, format) in KINDS {
+        for moves in [true, false] {
+            let mut chain = moving(dialect, format);
+            if !moves {
+                chain.request(Request::Hold);
+                chain.wanted = None;
+                chain.run(ms(500));
+            }
+            chain.request(Request::Stop);
+            chain.wanted = None;
+            chain.settle();
+            assert_eq!((chain.driver.state(), found(&chain).0), (DriverState::Connected, GatewayState::Idle));
+            chain.request(Request::Disconnect);
+            chain.run(ms(100));
+            next_program(&mut chain);
+            chain.prepare();
+        }
+    }
+}
+
+/// Who only looks at an arm finds what is there, and leaves it to the next one to look as well.
+#[test]
+fn what_is_found_while_looking_latches_nothing() {
+    for (dialect, format) in KINDS {
+        let mut chain = chain(dialect, format);
+        chain.request(Request::Disconnect);
+        chain.request(Request::Connect);
+        for _ in 0..50 {
+            if chain.gateway.status().state != GatewayState::Started {
+                chain.run(ms(1));
+            }
+        }
+        assert_eq!(chain.gateway.status().state, GatewayState::Started, "{dialect}, {format}");
+        chain.driver.handle_trip(chain.now, Trip::Fault(FaultCause::OtherArm { arm: 9 }));
+        chain.settle();
+        chain.run(ms(1500));
+        assert_eq!(found(&chain), (GatewayState::Idle, StopCause::None), "{dialect}, {format}");
+        next_program(&mut chain);
+        chain.prepare();
+    }
+}
+
+/// With brakes on as well: the program wanted to move.
+#[test]
+fn what_is_found_before_the_brakes_open_latches_too() {
+    for (dialect, format) in KINDS {
+        let mut chain = chain(dialect, format);
+        chain.request(Request::Enable);
+        chain.run(ms(300));
+        assert_eq!(chain.gateway.status().state, GatewayState::Started, "{dialect}, {format}");
+        chain.driver.handle_trip(chain.now, Trip::Fault(FaultCause::Supervisor));
+        chain.settle();
+        assert_eq!(found(&chain), (GatewayState::Fault, StopCause::HostFault), "{dialect}, {format}");
+        wants_a_reset(&mut chain, "enabling");
+    }
+}
+
+/// A fault during an ordered stop counts as well.
+#[test]
+fn what_is_found_while_an_ordered_stop_is_under_way_latches() {
+    for (dialect, format) in KINDS {
+        for after in [0, 20, 60, 200] {
+            let mut chain = moving(dialect, format);
+            chain.request(Request::Stop);
+            chain.wanted = None;
+            chain.run(ms(after));
+            chain.driver.handle_trip(chain.now, Trip::Fault(FaultCause::Supervisor));
+            chain.settle();
+            assert_eq!(found(&chain), (GatewayState::Fault, StopCause::HostFault), "{dialect}, {format}, {after}");
+            wants_a_reset(&mut chain, "stopping");
+        }
+    }
+}
+
+#[test]
+fn a_message_that_is_lost_is_said_again_and_a_line_that_is_dead_latches_by_itself() {
+    for (dialect, format) in KINDS {
+        for (way, lost, expected) in [
+            (Way::ToGateway, 1, StopCause::HostFault),
+            (Way::ToGateway, 2, StopCause::HostFault),
+            (Way::ToHost, 1, StopCause::HostFault),
+            (Way::ToHost, 3, StopCause::HostFault),
+            (Way::ToGateway, 1000, StopCause::HostSilent),
+        ] {
+            let what = format!("{dialect}, {format}, {way:?} {lost}");
+            let mut chain = moving(dialect, format);
+            // What is under way arrives, so that the next frame is the first of the stop.
+            chain.wanted = None;
+            chain.run(ms(7));
+            let mut left = lost;
+            chain.spoil = Some(Box::new(move |bytes_way, bytes| {
+                if bytes_way == way && left > 0 {
+                    left -= 1;
+                    return Vec::new();
+                }
+                vec![(Duration::ZERO, bytes)]
+            }));
+            chain.driver.handle_trip(chain.now, Trip::Fault(FaultCause::Supervisor));
+            chain.run(ms(200));
+            assert!(chain.is_at_rest(), "{what}");
+            assert_eq!(found(&chain), (GatewayState::Fault, expected), "{what}");
+            chain.settle();
+            chain.spoil = None;
+            chain.run(ms(100));
+            wants_a_reset(&mut chain, &what);
+        }
+    }
+}
+
+/// It is told once, not in each cycle.
+#[test]
+fn a_gateway_that_has_heard_of_it_is_told_nothing_more() {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+    let count = std::sync::Arc::new(AtomicUsize::new(0));
+    let mut chain = moving(Dialect::GatewayV1, WireFormat::BigEndian6x10);
+    let counted = std::sync::Arc::clone(&count);
+    chain.spoil = Some(Box::new(move |way, bytes| {
+        if way == Way::ToGateway {
+            counted.fetch_add(aborts(&bytes), Ordering::SeqCst);
+        }
+        vec![(Duration::ZERO, bytes)]
+    }));
+    chain.driver.handle_trip(chain.now, Trip::Fault(FaultCause::Supervisor));
+    chain.settle();
+    chain.run(ms(500));
+    assert_eq!(count.load(Ordering::SeqCst), 1);
+}
+
+/// The gateway saw the button as well: it is not to be forgotten over what the host says.
+#[test]
+fn an_emergency_stop_stays_one() {
+    for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
+        let mut chain = moving(dialect, WireFormat::BigEndian6x10);
+        chain.inject("e-stop press");
+        chain.run(ms(5));
+        assert_eq!(found(&chain), (GatewayState::EmergencyStop, StopCause::EmergencyStop), "{dialect}");
+        // The other arm of the cell, for one.
+        chain.driver.handle_trip(chain.now, Trip::Fault(FaultCause::OtherArm { arm: 9 }));
+        chain.settle();
+        assert_eq!(found(&chain), (GatewayState::EmergencyStop, StopCause::EmergencyStop), "{dialect}");
+        if dialect == Dialect::GatewayV1 {
+            assert_eq!(chain.driver.state(), DriverState::EStop);
+        }
+        // And the other way round: what the host knows of it stays with the host.
+        let mut chain = moving(dialect, WireFormat::BigEndian6x10);
+        let pressed = Trip::EStop(EmergencyStopCause::Switch { word: 0x0008 });
+        chain.driver.handle_trip(chain.now, pressed);
+        chain.settle();
+        assert_eq!(chain.driver.state(), DriverState::EStop, "{dialect}");
+        assert_eq!(chain.driver.latched().map(|latched| latched.trip), Some(pressed), "{dialect}");
+    }
+}
