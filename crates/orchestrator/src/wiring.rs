@@ -28,7 +28,7 @@ use pb3dp_sim::scene::Scene;
 use pb3dp_sim::trajectory::{StepExperiment, Trajectory};
 
 use self::arm::{ArmOnBus, WiredArms, wire_arms};
-pub use greeting::{geometry_doubt, watchdog_refusal};
+pub use greeting::{bus_doubts, geometry_doubt, watchdog_refusal};
 
 use crate::cli::ReplayPace;
 use crate::config::setup::{ArmSetup, Pace, Setup, fold_seed};

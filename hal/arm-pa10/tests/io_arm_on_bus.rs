@@ -20,7 +20,7 @@ use pb3dp_arm_pa10::io::arm::{ArmOpenError, BusArmConfig, BusTarget, Pa10Arm, RE
 use pb3dp_arm_pa10::io::bus::{BusPort, FRAME_ROOM, FrameListener};
 use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
 use pb3dp_arm_pa10::io::transport::wait_for;
-use pb3dp_arm_pa10::mock_controller::{MockController, MockControllerConfig};
+use pb3dp_arm_pa10::mock_controller::{ControlMode, MockController, MockControllerConfig};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, JointCommand, JointState};
 use pb3dp_hal_clock::SystemClock;
@@ -147,8 +147,12 @@ fn config(far: &Far, format: WireFormat) -> BusArmConfig {
 }
 
 fn open(far: &Far, format: WireFormat) -> Pa10Arm {
+    open_with(config(far, format))
+}
+
+fn open_with(config: BusArmConfig) -> Pa10Arm {
     let seat = trip_line(1).unwrap().remove(0);
-    let arm = Pa10Arm::open_on_bus(config(far, format), Arc::new(SystemClock::new()), seat);
+    let arm = Pa10Arm::open_on_bus(config, Arc::new(SystemClock::new()), seat);
     arm.unwrap_or_else(|error| panic!("{error}: {:?}", std::error::Error::source(&error)))
 }
 
@@ -192,6 +196,25 @@ fn an_arm_on_the_bus_itself_goes_up_moves_and_comes_down() {
             arm.stop().unwrap();
             assert!(far.is_at_rest());
         }
+    });
+}
+
+/// R8: brakes that close slowly are waited for; without E the controller would have to stop by itself.
+#[test]
+fn who_lets_go_of_an_arm_with_slow_brakes_still_ends_its_control_mode() {
+    patiently(|| {
+        let _turn = turn();
+        let format = WireFormat::BigEndian6x10;
+        let far = Far::new("slow", format);
+        let mut config = config(&far, format);
+        config.driver.brake_time = Duration::from_secs(2);
+        config.driver.activity_timeout = Duration::from_secs(14);
+        let mut arm = open_with(config);
+        enable_and_move(&mut arm);
+        drop(arm);
+        let controller = far.controller.lock().unwrap();
+        assert!(controller.is_braked());
+        assert_eq!((controller.mode(), controller.counters().watchdog_trips), (ControlMode::Adjustment, 0));
     });
 }
 

@@ -14,10 +14,11 @@ use crate::wiring::arm::ArmOnBus;
 /// The exit code of a run that a signal has ended.
 pub const INTERRUPTED: u8 = 130;
 
-/// What the first signal has begun: both arms come to rest and close their brakes, one after the other.
+/// What the first signal has begun: both arms come to rest and close their brakes, one after the other. The time of the brakes comes to
+/// it.
 const STOP_MAX: Duration = Duration::from_secs(5);
 
-/// What is left if that is not done: the order after a fault, 30 ms to rest, then the brakes.
+/// What is left if that is not done: the order after a fault, 30 ms to rest, then the brakes, whose time comes to it.
 const TRIP_MAX: Duration = Duration::from_secs(2);
 
 /// How often arms are looked at meanwhile.
@@ -46,12 +47,14 @@ pub fn watch(mut signals: StopSignals, interrupt: &Arc<AtomicBool>, on_bus: Vec<
                 tracing::warn!("{signal} again: the program ends at once; an arm that moves is left to its gateway");
             } else {
                 let names: Vec<_> = on_bus.iter().map(|arm| arm.name).collect();
+                let brakes: Duration = on_bus.iter().map(|arm| arm.brake_time).sum();
+                let (stop_max, trip_max) = (STOP_MAX + brakes, TRIP_MAX + brakes);
                 tracing::warn!(
                     "{signal} again: no gateway stops {}, so the program ends after the stop order, within {:?}",
                     names.join(" and "),
-                    STOP_MAX + TRIP_MAX
+                    stop_max + trip_max
                 );
-                wait_until_stopped(&on_bus);
+                wait_until_stopped(&on_bus, stop_max, trip_max);
             }
             std::process::exit(i32::from(INTERRUPTED));
         }
@@ -61,14 +64,14 @@ pub fn watch(mut signals: StopSignals, interrupt: &Arc<AtomicBool>, on_bus: Vec<
 }
 
 /// For as long as a stop takes at most; arms that do not stop are stopped as after a fault.
-fn wait_until_stopped(on_bus: &[ArmOnBus]) {
-    if are_stopped_within(on_bus, STOP_MAX) {
+fn wait_until_stopped(on_bus: &[ArmOnBus], stop_max: Duration, trip_max: Duration) {
+    if are_stopped_within(on_bus, stop_max) {
         return;
     }
     for arm in on_bus {
         arm.trip.trip();
     }
-    if !are_stopped_within(on_bus, TRIP_MAX) {
+    if !are_stopped_within(on_bus, trip_max) {
         tracing::error!("an arm on the bus did not answer to its stop order: press the emergency stop");
     }
 }

@@ -63,6 +63,8 @@ pub struct ArmOnBus {
     pub monitor: ArmMonitor,
     /// Stops it from anywhere.
     pub trip: TripHandle,
+    /// How long its brakes take to close.
+    pub brake_time: Duration,
 }
 
 impl ArmOnBus {
@@ -102,8 +104,8 @@ pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>) -> Result<WiredArms> {
 }
 
 fn arm_on_bus((name, arm, wired): (&'static str, &ArmSetup, &WiredBackend)) -> Option<ArmOnBus> {
-    let ArmLink::Bus(_) = arm.link else { return None };
-    Some(ArmOnBus { name, monitor: wired.monitor.clone()?, trip: wired.trip.clone()? })
+    let ArmLink::Bus(BusLinkConfig { brake_time, .. }) = arm.link else { return None };
+    Some(ArmOnBus { name, monitor: wired.monitor.clone()?, trip: wired.trip.clone()?, brake_time })
 }
 
 /// One arm alone, which knows nothing of the other one: for its commissioning. From the inside out: backend, recorder, guard, limiter.
@@ -340,16 +342,28 @@ pub(super) fn connect(line: Line<'_>, (seat, limits): (TripSeat, LimitsCheck), w
             let config = BusArmConfig {
                 name: name.to_owned(),
                 arm: link.arm,
-                driver: driver(link.cycle),
+                driver: on_bus(driver(link.cycle), link),
                 exchange_cycle: control_period,
                 format: link.format,
                 modulus: link.modulus,
                 target: link.target.clone(),
                 realtime: REALTIME,
             };
+            greeting::bus_doubts(link).for_each(|doubt| tracing::warn!("{name}: {doubt}"));
             Pa10Arm::open_on_bus(config, clock, seat)?
         }
     })
+}
+
+/// What a gateway would know of its arm.
+fn on_bus(driver: DriverConfig, link: &BusLinkConfig) -> DriverConfig {
+    DriverConfig {
+        brake_time: link.brake_time,
+        activity_timeout: driver.activity_timeout + link.brake_time * 2,
+        supervision: link.supervision,
+        emergency_stop_bits: link.emergency_stop_bits,
+        ..driver
+    }
 }
 
 /// An arm whose measurements are also handed to the simulated cell, without waiting for it.

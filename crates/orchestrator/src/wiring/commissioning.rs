@@ -101,7 +101,7 @@ pub fn see(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<S
 
 /// Whether the controller's answers have another length than the configured wire format has, which is how formats are told apart.
 pub fn is_of_another_format(trip: &Trip) -> bool {
-    matches!(trip, Trip::Fault(FaultCause::Gateway(StopCause::ReplyUnusable)))
+    matches!(trip, Trip::Fault(FaultCause::Gateway(StopCause::ReplyUnusable) | FaultCause::ReplyFormat { .. }))
 }
 
 /// An arm that may move slowly.

@@ -5,6 +5,8 @@ use std::time::Duration;
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::gateway_protocol::{Geometry, HelloReply};
 
+use crate::config::setup::BusLinkConfig;
+
 /// Writes down which gateway and arm answered, and warns of what nobody compares.
 pub(super) fn tell(name: &str, configured: Geometry, hello: &HelloReply) {
     let ms = |us: u32| f64::from(us) / 1e3;
@@ -59,4 +61,17 @@ pub fn geometry_doubt(configured: Geometry, told: Geometry) -> Option<&'static s
         ),
         _ => None,
     }
+}
+
+/// What is not known of an arm on a bus of this computer, and no gateway tells.
+pub fn bus_doubts(link: &BusLinkConfig) -> impl Iterator<Item = &'static str> {
+    let time_out = link.controller_time_out.is_none().then_some(
+        "nobody knows after how long without a command the controller stops the arm (bus.controller_time_out_millis = 0): if this \
+         program is killed, the arm may go on with its last speeds; find it out on the rig, or put a gateway before the arm",
+    );
+    let geometry = (link.geometry == Geometry::Unknown).then_some(
+        "the configuration does not know the geometry of the arm, so the lengths of the robot description are compared with \
+         nothing: measure the arm, then set bus.geometry",
+    );
+    time_out.into_iter().chain(geometry)
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 use pb3dp_kinematics::JointVector;
 
 use super::WarmUpFailure;
-use crate::codec::{ArmReply, Axis, AxisStatus, CommAlarm, CommStatus, ServoAlarm, TorqueScale};
+use crate::codec::{ArmReply, Axis, AxisStatus, CommAlarm, CommStatus, ServoAlarm, TorqueScale, WireFormat};
 use crate::gateway_protocol::{GatewayState, RejectReason, State, StopCause};
 
 /// An arm whose newest measurement is older than this is not watched any more: three commands of a host at 100 Hz.
@@ -75,6 +75,17 @@ pub enum FaultCause {
         age: Duration,
         /// [`MEASUREMENT_AGE_MAX`].
         allowed: Duration,
+    },
+    /// Replies of the controller have the length of the other wire format.
+    #[error(
+        "the controller answers in {got}, the configuration says {configured}; find out which arm it is, correct wire_format, then \
+         reset"
+    )]
+    ReplyFormat {
+        /// What the length of a reply shows.
+        got: WireFormat,
+        /// Of the configuration.
+        configured: WireFormat,
     },
     /// The link is gone.
     #[error("the link is gone (unplugged, closed); connect it again, then reset")]

@@ -333,7 +333,13 @@ impl Driver {
 
     /// The gateway tells that brakes take so long to open: waits at least for that.
     pub fn raise_brake_time(&mut self, least: Duration) {
+        self.config.activity_timeout += least.saturating_sub(self.config.brake_time);
         self.config.brake_time = self.config.brake_time.max(least);
+    }
+
+    /// How long brakes are waited for.
+    pub fn brake_time(&self) -> Duration {
+        self.config.brake_time
     }
 
     /// The gateway stops the arm so long after the last command: the warm-up shows a link that is quick enough for both sides.

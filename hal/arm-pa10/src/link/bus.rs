@@ -4,7 +4,7 @@ use pb3dp_geometry::MonotonicTime;
 
 use crate::arcnet::{self, Frame, FrameError, Route};
 use crate::codec::{CodecError, ControlPacket, ReplyPacket, SequenceModulus, WireFormat};
-use crate::driver::{BadReply, Driver, Transmit};
+use crate::driver::{BadReply, Driver, FaultCause, Transmit, Trip};
 
 /// Puts messages into ARCNET frames, and takes replies out of them.
 #[derive(Clone, Copy, Debug)]
@@ -54,9 +54,12 @@ impl BusLink {
                 Ok(())
             }
             Err(error) => {
+                if let CodecError::OtherFormat { got, configured } = error {
+                    driver.handle_trip(now, Trip::Fault(FaultCause::ReplyFormat { got, configured }));
+                }
                 driver.handle_bad_reply(match error {
                     CodecError::Sequence { .. } => BadReply::Late,
-                    CodecError::ReplyLetter { .. } => BadReply::Mismatched,
+                    CodecError::ReplyLetter { .. } | CodecError::OtherFormat { .. } => BadReply::Mismatched,
                     _ => BadReply::Damaged,
                 });
                 Err(error.into())

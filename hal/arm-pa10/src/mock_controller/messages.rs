@@ -93,7 +93,12 @@ impl MockController {
     }
 
     fn cyclic(&mut self, now: MonotonicTime, data: &[u8]) -> Option<ReplyMessage> {
-        let command = RawCommand::decode(self.config.format, data)?;
+        let Some(command) = RawCommand::decode(self.config.format, data) else {
+            // The length of the reply tells the format; sources do not tell whether a controller answers such a command.
+            let is_of_other = WireFormat::ALL.into_iter().any(|format| format.command_length() == data.len());
+            self.counters.malformed += u64::from(is_of_other);
+            return is_of_other.then(|| ReplyMessage::Cyclic(self.measure()));
+        };
         self.counters.odd += u64::from(command.is_odd());
         let measured = self.measure();
         if self.mode == ControlMode::Control {

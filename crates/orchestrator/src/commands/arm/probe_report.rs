@@ -3,14 +3,14 @@
 use std::time::Duration;
 
 use pb3dp_arm_pa10::codec::{Axis, AxisStatus, CommStatus, WireFormat};
-use pb3dp_arm_pa10::driver::{ArmCondition, AxisLimits};
+use pb3dp_arm_pa10::driver::{ArmCondition, AxisLimits, FaultCause, Trip};
 use pb3dp_arm_pa10::gateway_protocol::HelloReply;
 use pb3dp_arm_pa10::io::arm::{ArmMonitor, ArmSnapshot, Jitter};
 use serde::Serialize;
 
 use crate::config::setup::{ArmLink, ArmSetup};
 use crate::wiring::commissioning::{ArmChoice, LIMITS_TOLERANCE_DEG, is_of_another_format};
-use crate::wiring::{geometry_doubt, watchdog_refusal};
+use crate::wiring::{bus_doubts, geometry_doubt, watchdog_refusal};
 
 /// Lost messages in a hundred that a link may have.
 const LOST_PERCENT_MAX: f64 = 1.0;
@@ -171,6 +171,10 @@ impl ProbeReport {
         if let Some(hello) = &seen.gateway {
             judge_gateway(arm, hello, &mut findings);
         }
+        if let ArmLink::Bus(link) = &arm.link {
+            bus_doubts(link).for_each(|doubt| findings.warn(doubt.to_owned()));
+            judge_silence(&seen, &mut findings);
+        }
         let joints = Axis::ALL.map(|axis| joint(choice, arm, &seen, axis, &mut findings));
         let controller_word = seen.sample.map(|sample| controller(&sample.condition, &mut findings));
         let link = link(&seen, monitor, &mut findings);
@@ -195,7 +199,19 @@ fn judge_stop(seen: &ArmSnapshot, findings: &mut Findings) {
     if is_of_another_format(&latched.trip) {
         findings.refuse(
             "the controller's answers do not have the length of the configured wire format: set wire_format to the other one, here \
-             and at the gateway"
+             and at the gateway if there is one"
+                .to_owned(),
+        );
+    }
+}
+
+/// A controller that answers, but no cyclic command.
+fn judge_silence(seen: &ArmSnapshot, findings: &mut Findings) {
+    let is_lost = |trip| matches!(trip, Trip::Fault(FaultCause::LinkLost { .. }));
+    let is_silent = seen.latched.is_some_and(|latched| is_lost(latched.trip));
+    if is_silent && seen.sample.is_none() && seen.counters.answered > 0 {
+        findings.refuse(
+            "the controller has answered, but no cyclic command: it may speak the other wire format, so try the other wire_format"
                 .to_owned(),
         );
     }

@@ -189,8 +189,8 @@ impl ArmSection {
         let lag = self.velocity_time_constant_millis;
         check.number(&format!("{key}.velocity_time_constant_millis"), lag, 0.0..=1000.0);
         check.number(&format!("{key}.command_delay_millis"), self.command_delay_millis, 0.0..=500.0);
-        let (timeout, least) = (self.command_timeout_millis, self.backend.goes_on_millis(control_period_millis));
-        check.number(&format!("{key}.command_timeout_millis"), timeout, least..=200.0);
+        let timeout = self.command_timeout_millis;
+        self.check_timeout(key, control_period_millis, check);
         let world_from_base = self.world_from_base.build(&format!("{key}.world_from_base"), IN_THE_CELL_MM, check);
         let shape = build_shape(&format!("{key}.parts"), &self.parts, check);
         let chain = self.chain((key, config_file), link.as_ref(), check);
@@ -245,6 +245,21 @@ impl ArmSection {
         })
     }
 
+    /// The limiter leaves room for as long as the arm may go on with its last command.
+    fn check_timeout(&self, key: &str, control_period_millis: f64, check: &mut Checker) {
+        let timeout = self.command_timeout_millis;
+        let least = self.backend.goes_on_millis(control_period_millis);
+        check.number(&format!("{key}.command_timeout_millis"), timeout, least..=200.0);
+        let time_out = self.bus.as_ref().map_or(0.0, BusSection::controller_time_out_millis);
+        if time_out > timeout {
+            check.refuse(format!(
+                "{key}.bus.controller_time_out_millis = {time_out}: the arm may go on for longer after its last command than \
+                 {key}.command_timeout_millis = {timeout}, for which the limiter leaves room; raise that, up to 200, or put a \
+                 gateway before the arm (docs/gateway.md)"
+            ));
+        }
+    }
+
     /// The operating range lies within the limits of the robot's joints (if they are known) and these within the mechanical
     /// range, the start within the operating range.
     fn check_angles(&self, key: &str, limits: Option<&JointLimits>, check: &mut Checker) {
@@ -274,8 +289,8 @@ impl ArmSection {
         let chain = Chain::from_urdf_str(&xml, &self.base_link, &self.flange_link)
             .inspect_err(|error| check.refuse(format!("{key}.robot: {}: {error}", file.display())))
             .ok()?;
-        if let Some(ArmLink::Gateway(gateway, _)) = link {
-            check_geometry(key, gateway.geometry, &chain, check);
+        if let Some((geometry, table)) = link.and_then(ArmLink::geometry) {
+            check_geometry((key, table), geometry, &chain, check);
         }
         Some(chain)
     }

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::{SequenceModulus, WireFormat};
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect};
+use pb3dp_arm_pa10::codec::{SequenceModulus, Supervision, WireFormat};
+use pb3dp_arm_pa10::gateway_protocol::{ArmId, BRAKE_TIME_MAX, Dialect, Geometry};
 use pb3dp_arm_pa10::io::arm::BusTarget;
 use pb3dp_arm_pa10::io::mock_server::SocketAddr;
 use pb3dp_arm_pa10::io::serial::SerialConfig;
@@ -14,6 +14,7 @@ use serde::Deserialize;
 
 use super::super::load::{Checker, whole};
 use super::super::names::{FormatName, GeometryName, sequence_modulus};
+use super::millis;
 
 /// The slowest cycle of a host that a gateway accepts, milliseconds.
 pub(super) const GATEWAY_CYCLE_MAX_MILLIS: f64 = 10.0;
@@ -42,6 +43,16 @@ pub struct BusLinkConfig {
     pub modulus: SequenceModulus,
     /// Time between two messages on the bus.
     pub cycle: Duration,
+    /// The geometry of the arm.
+    pub geometry: Geometry,
+    /// How long brakes take to open, and to close.
+    pub brake_time: Duration,
+    /// What the controller itself is to watch (format B).
+    pub supervision: Supervision,
+    /// Bits of the controller's status word that mean an emergency stop (format B).
+    pub emergency_stop_bits: u16,
+    /// After how long without a command the controller stops the arm, if it is known.
+    pub controller_time_out: Option<Duration>,
 }
 
 /// The way to a gateway.
@@ -72,8 +83,14 @@ pub(super) struct BusSection {
     arm: i64,
     port: String,
     wire_format: FormatName,
+    geometry: GeometryName,
     sequence_numbers: i64,
     cycle_millis: f64,
+    brake_millis: f64,
+    emergency_stop_bits: i64,
+    supervise_other_axes: bool,
+    supervise_dead_man: bool,
+    controller_time_out_millis: f64,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -150,14 +167,34 @@ impl ArmLink {
             Self::Bus(link) => Some((link.arm, "bus")),
         }
     }
+
+    /// The geometry that the arm is said to have, if it has a link, and the table that says it.
+    pub(super) fn geometry(&self) -> Option<(Geometry, &'static str)> {
+        match self {
+            Self::InProcess => None,
+            Self::Gateway(link, _) => Some((link.geometry, "gateway")),
+            Self::Bus(link) => Some((link.geometry, "bus")),
+        }
+    }
 }
 
 impl BusSection {
+    /// After how long without a command the controller stops the arm, milliseconds; 0 if nobody knows.
+    pub(super) fn controller_time_out_millis(&self) -> f64 {
+        self.controller_time_out_millis
+    }
+
     fn build(&self, (key, control_period_millis): (&str, f64), check: &mut Checker) -> Option<ArmLink> {
         let key = format!("{key}.bus");
         check.count(&format!("{key}.arm"), self.arm, 0..=255);
         // Three replies that are missing have to be noticed in time; the control loop is no quicker than the bus.
         check.number(&format!("{key}.cycle_millis"), self.cycle_millis, 1.0..=control_period_millis);
+        let brake_millis_max = BRAKE_TIME_MAX.as_secs_f64() * 1e3;
+        check.number(&format!("{key}.brake_millis"), self.brake_millis, 1.0..=brake_millis_max);
+        check.count(&format!("{key}.emergency_stop_bits"), self.emergency_stop_bits, 0..=0xFFFF);
+        let time_out_millis = self.controller_time_out_millis;
+        check.number(&format!("{key}.controller_time_out_millis"), time_out_millis, 0.0..=60_000.0);
+        self.check_format(&key, check);
         let modulus = sequence_modulus(&format!("{key}.sequence_numbers"), self.sequence_numbers, check);
         let target: Result<BusTarget, _> = self.port.parse();
         if let Err(why) = &target {
@@ -169,7 +206,35 @@ impl BusSection {
             format: self.wire_format.into(),
             modulus,
             cycle: Duration::from_secs_f64(self.cycle_millis.clamp(1.0, 10.0) * 1e-3),
+            geometry: self.geometry.into(),
+            brake_time: millis(self.brake_millis),
+            supervision: Supervision { other_axes: self.supervise_other_axes, dead_man: self.supervise_dead_man },
+            emergency_stop_bits: whole(self.emergency_stop_bits),
+            controller_time_out: (time_out_millis > 0.0).then(|| millis(time_out_millis)),
         }))
+    }
+
+    /// Format A has no field for some of it, and status words that nobody can read.
+    fn check_format(&self, key: &str, check: &mut Checker) {
+        if self.wire_format != FormatName::A {
+            return;
+        }
+        for (name, wanted) in
+            [("supervise_other_axes", self.supervise_other_axes), ("supervise_dead_man", self.supervise_dead_man)]
+        {
+            if wanted {
+                check.refuse(format!(
+                    "{key}.{name} = true: supervision by the controller exists in format B only; set false, or wire_format = \"B\" \
+                     if the arm speaks it"
+                ));
+            }
+        }
+        if self.emergency_stop_bits != 0 {
+            check.refuse(format!(
+                "{key}.emergency_stop_bits = {}: status words of format A have no known meaning; set 0",
+                self.emergency_stop_bits
+            ));
+        }
     }
 }
 

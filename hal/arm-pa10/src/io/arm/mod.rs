@@ -344,7 +344,9 @@ impl Drop for Pa10Arm {
         self.trip.wake();
         let Some(thread) = self.thread.take() else { return };
         // The program may end right after this: the thread gets its time. It needs no more than this, unless it does not run.
-        let deadline = self.clock.now() + LET_GO_MAX + Duration::from_millis(500);
+        let told_us = self.shared.snapshot().gateway.map_or(0, |hello| hello.brake_release_us);
+        let brakes = self.driver.brake_time.max(Duration::from_micros(told_us.into()));
+        let deadline = self.clock.now() + LET_GO_MAX + brakes + Duration::from_millis(500);
         while !thread.is_finished() && self.clock.now() < deadline {
             std::thread::sleep(Duration::from_millis(1));
         }

@@ -22,8 +22,8 @@ const IDLE: Duration = Duration::from_millis(50);
 /// It comes back this soon to a lock that the owner held, or to a time that has passed already.
 const SOON: Duration = Duration::from_micros(200);
 
-/// When the program lets go of an arm, the thread stops it within this time, or ends without.
-pub(super) const LET_GO_MAX: Duration = Duration::from_millis(1500);
+/// When the program lets go of an arm, the thread stops it within this time and that of the brakes, or ends without.
+pub(super) const LET_GO_MAX: Duration = Duration::from_millis(1300);
 
 /// How a wish ended: its number, and why it was not fulfilled.
 pub(super) type WishEnd = (u64, Result<(), WishError>);
@@ -233,7 +233,7 @@ impl Worker {
     fn is_over(&self) -> bool {
         let Some(since) = self.progress.letting_go else { return false };
         let at_rest = self.driver.activity() == Activity::None || self.port.gone().is_some();
-        at_rest || self.clock.now().saturating_since(since) >= LET_GO_MAX
+        at_rest || self.clock.now().saturating_since(since) >= LET_GO_MAX + self.driver.brake_time()
     }
 
     fn wait(&mut self) {
