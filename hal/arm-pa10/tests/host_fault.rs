@@ -185,6 +185,18 @@ fn what_is_found_while_looking_latches_nothing() {
     }
 }
 
+/// Whoever owns the gateway has told it to stop: nothing is wrong with the arm, and the program that drove it is stopped as well.
+#[test]
+fn a_gateway_that_its_owner_stops_latches_nothing() {
+    let mut chain = moving(Dialect::GatewayV1, WireFormat::BigEndian6x10);
+    chain.gateway.stop(chain.now);
+    chain.settle();
+    chain.run(ms(500));
+    let stopped = FaultCause::GatewayStopped { gateway: GatewayState::Stopping };
+    assert_eq!(chain.driver.latched().map(|latched| latched.trip), Some(Trip::Fault(stopped)));
+    assert_eq!(found(&chain), (GatewayState::Idle, StopCause::None));
+}
+
 /// With brakes on as well: the program wanted to move.
 #[test]
 fn what_is_found_before_the_brakes_open_latches_too() {

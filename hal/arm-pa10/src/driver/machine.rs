@@ -74,8 +74,8 @@ pub struct Driver {
     pub(super) phase: Phase,
     pub(super) phase_since: MonotonicTime,
     pub(super) latched: Option<Latched>,
-    /// What latched it was found in more than looking at the arm.
-    pub(super) was_driven: bool,
+    /// What latched it is for the gateway to keep, too.
+    pub(super) outlasts: bool,
     pub(super) motion: Motion,
     pub(super) link: LinkMonitor,
     pub(super) warm_up_failure: Option<WarmUpFailure>,
@@ -129,7 +129,7 @@ impl Driver {
             phase: Phase::Steady,
             phase_since: MonotonicTime::ZERO,
             latched: None,
-            was_driven: false,
+            outlasts: false,
             motion: Motion::Rest,
             link: LinkMonitor::default(),
             warm_up_failure: None,
@@ -310,7 +310,7 @@ impl Driver {
         self.note_sent(now, &message);
         let exchange = self.exchange;
         self.exchange += 1;
-        let latches = self.was_driven && self.is_stopping_latched();
+        let latches = self.outlasts && self.is_stopping_latched();
         Some(Transmit { exchange, message, latches })
     }
 

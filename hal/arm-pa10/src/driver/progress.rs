@@ -156,10 +156,12 @@ impl Driver {
         let clearing = self.activity() == Activity::Clearing;
         match outcome(self.state, event) {
             Outcome::To(next) => {
-                // Who only looks at an arm leaves no trace for the next one, who can look as well.
-                self.was_driven = match self.state.is_latched() {
-                    true => self.was_driven,
-                    false => self.activity() != Activity::Connecting,
+                // Who only looks at an arm leaves no trace for the next one, who can look as well; and a gateway that was told to
+                // stop, by its owner, knows.
+                let is_told = matches!(trip, Trip::Fault(FaultCause::GatewayStopped { .. }));
+                self.outlasts = match self.state.is_latched() {
+                    true => self.outlasts,
+                    false => self.activity() != Activity::Connecting && !is_told,
                 };
                 self.latched = Some(Latched { trip, at: now, state_before: self.state });
                 self.state = next;
