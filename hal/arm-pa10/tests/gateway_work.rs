@@ -55,13 +55,47 @@ fn every_alarm_stops_the_arm_and_is_told_once_with_axis_and_word() {
             let state = if is_emergency_stop { EmergencyStop } else { Fault };
             assert_eq!((bench.state(), bench.cause()), (state, cause), "{word:04x} {state_before}");
             bench.run(ms(400));
-            assert_eq!(faults(&bench), [FaultReport { cause, state_before, axis, word }]);
+            let report = FaultReport { cause, state_before, axis, word };
+            assert_eq!((faults(&bench), bench.gateway.status().found), (vec![report], Some(report)));
             assert!(bench.gateway.is_at_rest());
             // A latched cause is not replaced by a later one.
             bench.controller.comm = CommWord(0x0030);
             bench.run(ms(10));
-            assert_eq!(bench.cause(), cause);
+            assert_eq!((bench.cause(), bench.gateway.status().found), (cause, Some(report)));
+            bench.controller.servo = [ServoWord(0); 7];
+            bench.controller.comm = CommWord(0);
+            bench.ask(control(ArmOperation::Reset));
+            assert_eq!((bench.cause(), bench.gateway.status().found), (StopCause::None, None));
         }
+    }
+}
+
+#[test]
+fn a_fault_is_written_down_with_axis_and_what_its_word_says() {
+    let report = |cause, axis, word| FaultReport { cause, state_before: GatewayState::Moving, axis, word }.to_string();
+    let e1 = Some(Axis::ALL[3]);
+    for (found, text) in [
+        (
+            report(StopCause::ServoAlarm, e1, 0x00E0),
+            "servo-alarm: axis 4 (E1), status word 0x00e0, alarm 0x0e (over-current)",
+        ),
+        (
+            report(StopCause::AxisUncontrollable, e1, 0xC000),
+            "axis-uncontrollable: axis 4 (E1), status word 0xc000, uncontrollable, power off",
+        ),
+        (
+            report(StopCause::ControllerAlarm, None, 0x0065),
+            "controller-alarm: controller, status word 0x0065, alarm 0x06 (temperature of the power supply)",
+        ),
+        (report(StopCause::EmergencyStop, None, 0x0009), "emergency-stop: controller, status word 0x0009"),
+        (
+            report(StopCause::AxisUncontrollable, None, 0xC000),
+            "axis-uncontrollable: controller, status word 0xc000, uncontrollable",
+        ),
+        (report(StopCause::HostFault, None, 0), "host-fault"),
+        (report(StopCause::HostSilent, None, 0), "host-silent"),
+    ] {
+        assert_eq!(found, text);
     }
 }
 
@@ -120,6 +154,32 @@ fn brakes_do_not_open_on_an_arm_that_is_uncontrollable() {
         bench.run(ms(4));
         assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::AxisUncontrollable));
         assert_eq!((faults(&bench)[0].axis, faults(&bench)[0].word), (None, 0x4000));
+    }
+}
+
+/// In the dialect `transparent` S is answered before anything was measured.
+#[test]
+fn brakes_do_not_open_on_an_arm_that_was_never_measured() {
+    for format in WireFormat::ALL {
+        let mut bench = Bench::greeted(config(format), Dialect::Transparent);
+        bench.controller.servo[3] = ServoWord(0x8000);
+        let started = bench.ask(raw(b'S', &[]));
+        assert!(matches!(started, GatewayMessage::RawReply(_)), "{started:?}");
+        let open = bench.command(DriveMode::Follow, JointVector::zeros());
+        assert_eq!(rejected(bench.ask(open)), (RejectReason::NoAnswer, 0));
+        // What was measured before another S does not count either.
+        bench.controller.servo[3] = ServoWord(0);
+        bench.run(ms(6));
+        bench.ask(open);
+        assert_eq!(bench.state(), GatewayState::Holding);
+        let told_open = |sent: &bench::Sent| matches!(sent.message, ControlMessage::Cyclic(command) if matches!(command.axes[3], AxisCommand::Speed(_)));
+        bench.tell(control(ArmOperation::Stop));
+        bench.run(ms(500));
+        bench.sent.clear();
+        bench.controller.servo[3] = ServoWord(0x8000);
+        bench.ask(raw(b'S', &[]));
+        assert_eq!(rejected(bench.ask(open)), (RejectReason::NoAnswer, 0));
+        assert!(!bench.sent.iter().any(told_open), "{:?}", bench.sent);
     }
 }
 

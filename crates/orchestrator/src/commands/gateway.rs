@@ -143,7 +143,7 @@ fn tell_end(status: &GatewayStatus, dropped: u64) {
     if status.state != GatewayState::Idle {
         tracing::warn!(
             "the gateway was stopped by {}; a new one knows nothing of that: look at the arm first",
-            status.cause
+            status.found.map_or_else(|| status.cause.to_string(), |found| found.to_string())
         );
     }
     if dropped > 0 {
@@ -187,8 +187,9 @@ impl Log {
 
 fn tell(what: &Happened) {
     match what {
-        Happened::State { from, to, cause: StopCause::None } => tracing::info!("{from} -> {to}"),
-        Happened::State { from, to, cause } => tracing::error!("{from} -> {to}: {cause}"),
+        Happened::State { from, to, found: Some(found), .. } => tracing::error!("{from} -> {to}: {found}"),
+        Happened::State { from, to, cause: StopCause::None, .. } => tracing::info!("{from} -> {to}"),
+        Happened::State { from, to, cause, .. } => tracing::error!("{from} -> {to}: {cause}"),
         Happened::HostConnected => tracing::info!("the line to the host is there"),
         Happened::HostGreeted(dialect) => tracing::info!("a host said HELLO and speaks {dialect}"),
         Happened::HostGone(symptom) => tracing::warn!("the line to the host is gone ({symptom})"),

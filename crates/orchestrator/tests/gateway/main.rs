@@ -145,6 +145,22 @@ fn a_signal_ends_it_through_the_stop_order() {
     });
 }
 
+/// The host may be gone when somebody asks what happened: the log of the gateway names axis and alarm.
+#[test]
+fn its_log_names_axis_and_alarm_of_a_fault() {
+    calm(|| {
+        let mut scene = Scene::start();
+        scene.emulation.inject("alarm 4 0x0e");
+        let told = "moving -> fault: servo-alarm: axis 4 (E1), status word 0x";
+        wait_for("it says so", || scene.log().contains(told).then_some(()));
+        assert!(scene.log().contains("alarm 0x0e (over-current)"), "{}", scene.log());
+        scene.host.run_for(LONG, |host| host.driver.state() == DriverState::Fault);
+        scene.signal(Signal::TERM);
+        assert!(scene.ended().success());
+        assert!(scene.log().contains("the gateway was stopped by servo-alarm: axis 4 (E1)"), "{}", scene.log());
+    });
+}
+
 /// Standard error is a pipe that is full: the stop order does not wait for the log.
 #[test]
 fn a_signal_is_obeyed_while_the_log_is_held_up() {

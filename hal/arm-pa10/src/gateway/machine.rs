@@ -106,6 +106,8 @@ pub(super) struct Machine {
     pub config: GatewayConfig,
     pub state: GatewayState,
     pub cause: StopCause,
+    /// What the cause was found in, as long as it is latched.
+    pub found: Option<FaultReport>,
     pub host: Host,
     pub bus: Bus,
     pub motion: Motion,
@@ -138,6 +140,7 @@ impl Machine {
             // Nobody knows what was before: an arm whose gateway died may still be driven, with open brakes.
             state: GatewayState::Stopping,
             cause: StopCause::None,
+            found: None,
             host: Host::new(),
             bus: Bus::default(),
             motion: Motion::new(config.brake_time, now),
@@ -187,9 +190,11 @@ impl Machine {
         let is_emergency_stop = cause == StopCause::EmergencyStop;
         self.state = if is_emergency_stop { GatewayState::EmergencyStop } else { GatewayState::Fault };
         self.cause = cause;
+        let report = FaultReport { cause, state_before, axis, word };
+        self.found = Some(report);
         // A host that found it knows.
         if cause != StopCause::HostFault {
-            self.host.report(now, FaultReport { cause, state_before, axis, word });
+            self.host.report(now, report);
         }
         let silent = cause == StopCause::ControllerSilent;
         let reason = if silent { Refused(RejectReason::NoAnswer, 0) } else { wrong_state(self.state) };

@@ -25,7 +25,9 @@ pub mod table;
 use pb3dp_geometry::MonotonicTime;
 
 use crate::arcnet::Frame;
-use crate::gateway_protocol::{Dialect, FrameBytes, FrameParser, GatewayState, ParserCounters, Received, StopCause};
+use crate::gateway_protocol::{
+    Dialect, FaultReport, FrameBytes, FrameParser, GatewayState, ParserCounters, Received, StopCause,
+};
 use crate::link::SILENCE;
 use machine::{Machine, Work};
 
@@ -49,6 +51,8 @@ pub struct GatewayStatus {
     pub state: GatewayState,
     /// Why it stopped the arm, until it is reset.
     pub cause: StopCause,
+    /// What the cause was found in, until it is reset: axis and status word, where they show it.
+    pub found: Option<FaultReport>,
     /// The dialect of the host that said HELLO, if one did.
     pub host: Option<Dialect>,
     /// Counts of the cycle.
@@ -135,10 +139,11 @@ impl Gateway {
 
     /// How it is.
     pub fn status(&self) -> GatewayStatus {
-        let Machine { state, cause, host, bus, cycles, .. } = &self.machine;
+        let Machine { state, cause, found, host, bus, cycles, .. } = &self.machine;
         GatewayStatus {
             state: *state,
             cause: *cause,
+            found: *found,
             host: host.dialect,
             cycle: *cycles,
             bus: bus.counters,

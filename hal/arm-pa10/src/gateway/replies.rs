@@ -116,7 +116,7 @@ impl Machine {
             Task::Read(_) => return,
             Task::Reset(ResetStep::Start | ResetStep::Look) => return self.go_on(asker, ResetStep::Look),
             Task::Reset(ResetStep::End { found: StopCause::None }) => {
-                (self.state, self.cause) = (GatewayState::Idle, StopCause::None);
+                (self.state, self.cause, self.found) = (GatewayState::Idle, StopCause::None, None);
                 (Letter::End, Control::Arm(ArmOperation::Reset))
             }
             Task::Reset(ResetStep::End { found }) => {

@@ -176,6 +176,9 @@ impl Machine {
                     && self.motion.may_move(now, asked)
                     && (self.state != GatewayState::Moving || self.motion.keeps_brakes(asked));
                 let opens = self.state == GatewayState::Started && next == GatewayState::Holding;
+                if possible && opens && self.measured.is_none() {
+                    return Err(Refused(RejectReason::NoAnswer, 0));
+                }
                 if possible && opens && self.is_uncontrollable() {
                     let cause = u32::from(StopCause::AxisUncontrollable.byte());
                     return Err(Refused(RejectReason::CausePresent, cause));

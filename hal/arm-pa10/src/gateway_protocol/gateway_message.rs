@@ -6,7 +6,7 @@ use super::state::{STATE_LENGTH, State};
 use super::{
     ArmId, ControlOperation, Dialect, Frame, GatewayState, Geometry, MessageError, Payload, RejectReason, StopCause,
 };
-use crate::codec::{Axis, WireFormat};
+use crate::codec::{Axis, CommWord, ServoWord, WireFormat};
 
 const HELLO_REPLY: u8 = 0x81;
 const STATE: u8 = 0x82;
@@ -138,6 +138,33 @@ pub struct FaultReport {
     pub axis: Option<Axis>,
     /// The status word that shows the cause; 0 where none does.
     pub word: u16,
+}
+
+impl std::fmt::Display for FaultReport {
+    /// Cause, and axis and word with what the word says, where they show it: only words of format B do.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { cause, axis, word, .. } = *self;
+        write!(f, "{cause}")?;
+        let (servo, controller) = (ServoWord(word), CommWord(word));
+        match axis {
+            Some(axis) => write!(f, ": {axis}, status word 0x{word:04x}")?,
+            None if word != 0 => write!(f, ": controller, status word 0x{word:04x}")?,
+            None => return Ok(()),
+        }
+        match (axis, servo.alarm(), controller.alarm()) {
+            (Some(_), Some(alarm), _) => write!(f, ", {alarm}")?,
+            (None, _, Some(alarm)) => write!(f, ", {alarm}")?,
+            _ => {}
+        }
+        // The same bit in both kinds of words.
+        if servo.is_uncontrollable() {
+            f.write_str(", uncontrollable")?;
+        }
+        if axis.is_some() && servo.is_power_off() {
+            f.write_str(", power off")?;
+        }
+        Ok(())
+    }
 }
 
 /// A message of the gateway.

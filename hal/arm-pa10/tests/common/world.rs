@@ -117,6 +117,8 @@ pub struct Seen {
 pub struct Emulation {
     end: Arc<AtomicBool>,
     seen: Arc<Mutex<Option<Seen>>>,
+    /// What is to go wrong, in the words of docs/mock-arm.md.
+    lines: Arc<Mutex<Vec<String>>>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -124,7 +126,8 @@ impl Emulation {
     pub fn start(mut port: Box<dyn BusPort>, watchdog: Option<Duration>) -> Self {
         let end = Arc::new(AtomicBool::new(false));
         let seen = Arc::new(Mutex::new(None));
-        let (its_end, its_seen) = (Arc::clone(&end), Arc::clone(&seen));
+        let lines = Arc::new(Mutex::new(Vec::<String>::new()));
+        let (its_end, its_seen, its_lines) = (Arc::clone(&end), Arc::clone(&seen), Arc::clone(&lines));
         let thread = std::thread::spawn(move || {
             hurry();
             let plant = Arc::new(Mutex::new(plant()));
@@ -137,6 +140,9 @@ impl Emulation {
                 }
                 let now = realtime::now();
                 mock.advance(now);
+                for line in its_lines.lock().unwrap().drain(..) {
+                    mock.command_line(now, &line).unwrap();
+                }
                 while let Some(frame) = mock.poll_frame(now) {
                     // The gateway may have gone.
                     let _ = port.try_send(&frame);
@@ -158,7 +164,11 @@ impl Emulation {
                 }
             }
         });
-        Self { end, seen, thread: Some(thread) }
+        Self { end, seen, lines, thread: Some(thread) }
+    }
+
+    pub fn inject(&self, line: &str) {
+        self.lines.lock().unwrap().push(line.to_owned());
     }
 
     pub fn seen(&self) -> Seen {

@@ -199,10 +199,10 @@ impl Cycle {
     }
 
     fn note_changes(&mut self) {
-        let GatewayStatus { state, cause, host, .. } = self.core.status();
+        let GatewayStatus { state, cause, found, host, .. } = self.core.status();
         let at = now();
         if state != self.seen.state {
-            self.queue.tell(at, Happened::State { from: self.seen.state, to: state, cause });
+            self.queue.tell(at, Happened::State { from: self.seen.state, to: state, cause, found });
         }
         if let (Some(dialect), true) = (host, host != self.seen.dialect) {
             self.queue.tell(at, Happened::HostGreeted(dialect));

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use pb3dp_geometry::MonotonicTime;
 
-use crate::gateway_protocol::{Dialect, GatewayState, StopCause};
+use crate::gateway_protocol::{Dialect, FaultReport, GatewayState, StopCause};
 use crate::io::transport::Symptom;
 
 /// Events that wait for the owner.
@@ -33,6 +33,8 @@ pub enum Happened {
         to: GatewayState,
         /// The cause that is latched.
         cause: StopCause,
+        /// What it was found in: axis and status word, where they show it.
+        found: Option<FaultReport>,
     },
     /// A line to a host is there.
     HostConnected,
