@@ -44,6 +44,8 @@ impl Finder {
 enum Fault {
     /// At the controller.
     Arm(fn(&mut Dice) -> String, &'static str),
+    /// The controller hears nothing for up to a second, and has no time-out: at rest in time after that.
+    DeafForAWhile,
     /// On the line between host and gateway.
     Line(fn(u32) -> Spoil),
     /// The link breaks, and both sides notice.
@@ -62,8 +64,9 @@ struct Kind {
 fn kinds() -> Vec<Kind> {
     use Braking::{Brakes, Servos};
     use Finder::{Gateway, Host, HostWatchdog};
-    let arm = |name, begin, end, braking| Kind { name, fault: Fault::Arm(begin, end), finder: Gateway, braking };
-    let line = |name, spoil, finder| Kind { name, fault: Fault::Line(spoil), finder, braking: Servos };
+    let other = |name, fault, finder, braking| Kind { name, fault, finder, braking };
+    let arm = |name, begin, end, braking| other(name, Fault::Arm(begin, end), Gateway, braking);
+    let line = |name, spoil, finder| other(name, Fault::Line(spoil), finder, Servos);
     vec![
         arm("bus: drop", |_| "drop 1000000".into(), "drop 0", Servos),
         arm("bus: delay", |dice| format!("delay 1000000 {}us", 6500 + dice.below(60_000)), "delay 0 0s", Servos),
@@ -73,6 +76,7 @@ fn kinds() -> Vec<Kind> {
         arm("bus: wrong-node", |_| "wrong-node 1000000".into(), "wrong-node 0", Servos),
         arm("bus: silence", |_| "silence on".into(), "silence off", Servos),
         arm("bus: deaf", |_| "deaf 1000000".into(), "deaf 0", Servos),
+        other("bus: deaf for a while, nobody watches", Fault::DeafForAWhile, Gateway, Brakes),
         arm("arm: power", |_| "power off".into(), "power on", Brakes),
         arm("arm: time-out", |_| "time-out".into(), "drop 0", Servos),
         arm("arm: e-stop", |_| "e-stop press".into(), "e-stop release", Brakes),
@@ -104,16 +108,8 @@ fn kinds() -> Vec<Kind> {
             },
             HostWatchdog,
         ),
-        line(
-            "line: late to the host",
-            |_| one_way(Way::ToHost, |_, bytes| vec![(Duration::from_millis(25), bytes)]),
-            Host,
-        ),
-        line(
-            "line: late to the gateway",
-            |_| one_way(Way::ToGateway, |_, bytes| vec![(Duration::from_millis(70), bytes)]),
-            HostWatchdog,
-        ),
+        line("line: late to the host", |_| one_way(Way::ToHost, |_, bytes| late(25, bytes)), Host),
+        line("line: late to the gateway", |_| one_way(Way::ToGateway, |_, bytes| late(70, bytes)), HostWatchdog),
         line(
             "line: answers of another arm",
             |_| one_way(Way::ToHost, |_, bytes| vec![(Duration::ZERO, readdressed(&bytes))]),
@@ -124,9 +120,13 @@ fn kinds() -> Vec<Kind> {
             |_| one_way(Way::ToGateway, |_, bytes| vec![(Duration::ZERO, readdressed(&bytes))]),
             HostWatchdog,
         ),
-        Kind { name: "line: unplugged", fault: Fault::Unplugged, finder: Gateway, braking: Servos },
-        Kind { name: "host: frozen", fault: Fault::Frozen, finder: HostWatchdog, braking: Servos },
+        other("line: unplugged", Fault::Unplugged, Gateway, Servos),
+        other("host: frozen", Fault::Frozen, HostWatchdog, Servos),
     ]
+}
+
+fn late(by_ms: u64, bytes: Vec<u8>) -> Vec<(Duration, Vec<u8>)> {
+    vec![(Duration::from_millis(by_ms), bytes)]
 }
 
 type Change = fn(&mut Dice, Vec<u8>) -> Vec<(Duration, Vec<u8>)>;
@@ -166,10 +166,17 @@ fn inject(chain: &mut Chain, kind: &Kind, dice: &mut Dice) -> [Duration; 2] {
     let moving_for = Duration::from_micros(50_000 + dice.below(250_000) as u64);
     move_about(chain, dice, moving_for);
     assert_eq!(chain.driver.state(), DriverState::Moving, "{}: before it, {:?}", kind.name, chain.driver.latched());
-    let at = chain.now;
+    let mut at = chain.now;
+    if matches!(kind.fault, Fault::DeafForAWhile) {
+        chain.inject("deaf 1000000");
+        chain.run(Duration::from_micros(10_000 + dice.below(990_000) as u64));
+        chain.inject("deaf 0");
+        at = chain.now;
+    }
     let velocity = chain.plant.lock().unwrap().state().velocity_rad_per_s.abs();
     let told = chain.controller.commanded_rad_per_s().abs();
-    let fastest = velocity.sup(&chain.wanted.unwrap().abs()).sup(&told);
+    let wanted = chain.wanted.map_or(told, |wanted| wanted.abs());
+    let fastest = velocity.sup(&wanted).sup(&told);
     let mut end = String::new();
     match &kind.fault {
         Fault::Arm(begin, ends) => {
@@ -180,6 +187,7 @@ fn inject(chain: &mut Chain, kind: &Kind, dice: &mut Dice) -> [Duration; 2] {
             };
             chain.inject(&line);
         }
+        Fault::DeafForAWhile => {}
         Fault::Line(spoil) => chain.spoil = Some(spoil(dice.seed + dice.count)),
         Fault::Unplugged => {
             chain.spoil = Some(Box::new(|_, _| vec![]));

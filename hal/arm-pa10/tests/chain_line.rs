@@ -164,16 +164,18 @@ fn a_clock_that_jumps_moves_nothing_on_stale_commands() {
     }
 }
 
-/// A command that is older than the clock says is refused by the gateway, and the arm stops as with a silent host.
+/// A command that is older than the clock says is refused by the gateway, and the arm stops as with a host that is gone.
 #[test]
-fn a_host_whose_clock_jumps_back_is_silent_to_the_gateway() {
+fn a_host_whose_clock_jumps_back_is_not_followed() {
     let mut chain = moving(Dialect::GatewayV1);
     let at = chain.now;
     let fastest = chain.plant.lock().unwrap().state().velocity_rad_per_s.abs().sup(&wanted().abs());
     chain.inject("line host-clock -2s");
     chain.run(Duration::from_millis(700));
     let status = chain.gateway.status();
-    assert_eq!((status.state, status.cause), (GatewayState::Fault, StopCause::HostSilent));
+    // The host, whose commands are refused, may say so before the gateway misses them.
+    assert!(matches!(status.cause, StopCause::HostSilent | StopCause::HostFault), "{status:?}");
+    assert_eq!(status.state, GatewayState::Fault);
     let took = last_motion(&chain.plant, at).saturating_since(at);
     let allowed = braking_time(Braking::Servos, &fastest) + NOTICED + Duration::from_millis(20);
     assert!(took <= allowed, "{took:?} to rest, {allowed:?} allowed");

@@ -6,9 +6,9 @@ mod common;
 
 use std::time::Duration;
 
-use common::{Bench, Kind, kind, velocity};
+use common::{Bench, CYCLE, Kind, kind, velocity};
 use pb3dp_arm_pa10::codec::{CommAlarm, CommWord, ServoAlarm, ServoWord};
-use pb3dp_arm_pa10::driver::{Activity, BadReply, DriverState, Request};
+use pb3dp_arm_pa10::driver::{Activity, BadReply, DriverConfig, DriverState, Request};
 use proptest::prelude::*;
 
 /// Something that happens to a driver.
@@ -115,9 +115,13 @@ proptest! {
 
     #[test]
     fn the_order_of_messages_is_kept_and_a_stop_is_always_possible(
-        happenings in prop::collection::vec(happenings(), 1..40), up: bool
+        happenings in prop::collection::vec(happenings(), 1..40), up: bool, on_bus: bool
     ) {
-        let mut bench = if up { Bench::in_state(DriverState::Moving) } else { Bench::new() };
+        let config = DriverConfig::with_cycle(CYCLE);
+        let mut bench = if on_bus { Bench::on_bus(config) } else { Bench::with_config(config) };
+        if up {
+            bench.lead_to(DriverState::Moving);
+        }
         for happening in happenings {
             let latched_before = bench.driver.state().is_latched();
             let_happen(&mut bench, happening);
@@ -134,8 +138,21 @@ proptest! {
         let state = bench.driver.state();
         prop_assert!(!matches!(state, DriverState::Enabled | DriverState::Holding | DriverState::Moving), "{state:?}");
         let sent = bench.sent.len();
+        let unheard = bench.driver.is_unheard();
+        prop_assert!(!unheard || (on_bus && state.is_latched()), "{state:?}");
         bench.run(Duration::from_secs(1));
-        prop_assert_eq!(bench.sent.len(), sent, "something is sent after the stop");
+        if unheard {
+            let again = &bench.sent[sent..];
+            prop_assert!(again.len() >= 99, "what nobody has heard is not said again");
+            prop_assert!(again.iter().all(|(_, message)| kind(message) == Kind::Braked), "{again:?}");
+        } else {
+            prop_assert_eq!(bench.sent.len(), sent, "something is sent after the stop");
+        }
+        // Whoever was silent is heard now.
+        bench.peer.answers = true;
+        bench.peer.drop_next = 0;
+        bench.run(Duration::from_secs(1));
+        prop_assert!(!bench.driver.is_unheard(), "{:?}", bench.driver);
         let kinds: Vec<Kind> = bench.sent.iter().map(|(_, message)| kind(message)).collect();
         check_order(&kinds)?;
     }

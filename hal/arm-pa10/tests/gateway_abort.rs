@@ -6,7 +6,7 @@
 mod bench;
 
 use bench::{Bench, config, control, hello, ms, rejected};
-use pb3dp_arm_pa10::codec::{Axis, Letter, ServoWord, WireFormat};
+use pb3dp_arm_pa10::codec::{Axis, AxisCommand, ControlMessage, Letter, ServoWord, WireFormat};
 use pb3dp_arm_pa10::gateway::Gateway;
 use pb3dp_arm_pa10::gateway_protocol::{
     ArmOperation, Control, ControlReply, Dialect, GatewayMessage, GatewayState, HostMessage, RejectReason, StopCause,
@@ -126,7 +126,11 @@ fn it_latches_without_a_controller() {
         assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::HostFault), "{state}");
         // What keeps a host from resetting is the controller, as ever.
         assert_eq!(rejected(bench.ask(control(ArmOperation::Reset))).0, RejectReason::NoAnswer, "{state}");
-        assert!(!bench.sent.iter().rev().take(3).any(|sent| sent.message.letter() == Letter::Cyclic), "{state}");
+        let said = || bench.sent.iter().rev().take(50);
+        assert!(!said().any(|sent| sent.message.letter() == Letter::Start), "{state}");
+        let holds = |axis: &AxisCommand| *axis == AxisCommand::Braked;
+        let is_held = |message| !matches!(message, ControlMessage::Cyclic(command) if !command.axes.iter().all(holds));
+        assert!(said().all(|sent| is_held(sent.message)), "{state}");
     }
 }
 

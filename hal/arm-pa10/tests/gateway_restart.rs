@@ -24,7 +24,8 @@ fn uniform(command: AxisCommand) -> ControlMessage {
     ControlMessage::Cyclic(ArmCommand::uniform(command, Supervision::default()))
 }
 
-/// Speed 0 with brakes on and servos on for as long as brakes take, then servos off, then E: whatever the controller answers.
+/// Speed 0 with brakes on and servos on for as long as brakes take, then servos off where that was heard, then E; and C again: once to
+/// see who answers that, or brakes on for as long as nobody does.
 #[test]
 fn brakes_have_their_time_to_close_before_e() {
     for (answers, alarm) in [(true, 0), (false, 0), (true, 0x00E0), (true, 0x0110)] {
@@ -35,12 +36,19 @@ fn brakes_have_their_time_to_close_before_e() {
             bench.controller.servo[3] = ServoWord(alarm);
             bench.run(ms(300));
             let begin = bench.sent[0].at;
-            let off = bench.sent.iter().position(|sent| sent.message == uniform(AxisCommand::Off)).unwrap();
-            assert!(bench.sent[..off].iter().all(|sent| sent.message == uniform(AxisCommand::Braked)));
-            let lasted = bench.sent[off].at.saturating_since(begin);
+            let is_braked = |sent: &&bench::Sent| sent.message == uniform(AxisCommand::Braked);
+            let braked = bench.sent.iter().take_while(is_braked).count();
+            let lasted = bench.sent[braked].at.saturating_since(begin);
             assert!(lasted >= ms(200) && lasted <= ms(203), "{lasted:?}");
-            assert!(bench.sent[..off].windows(2).all(|two| two[1].at.saturating_since(two[0].at) == bench::CYCLE));
-            assert!(bench.sent[off + 1..].iter().all(|sent| sent.message == ControlMessage::End));
+            assert!(bench.sent[..braked].windows(2).all(|two| two[1].at.saturating_since(two[0].at) == bench::CYCLE));
+            let rest: Vec<_> = bench.sent[braked..].iter().map(|sent| sent.message).collect();
+            if answers {
+                assert_eq!(rest, [uniform(AxisCommand::Off), ControlMessage::End, uniform(AxisCommand::Off)]);
+            } else {
+                assert_eq!(rest[..3], [ControlMessage::End; 3]);
+                assert!(rest.len() > 30 && rest[3..].iter().all(|message| *message == uniform(AxisCommand::Braked)));
+            }
+            assert_eq!(bench.gateway.status().is_unheard, !answers);
             assert_eq!((bench.state(), bench.cause()), (GatewayState::Idle, StopCause::None));
         }
     }
@@ -78,6 +86,8 @@ fn an_arm_that_goes_on_moving_is_stopped_by_the_next_gateway() {
         let (after, speed) = chain.controller.true_joints();
         let way_deg = (after - before).amax().to_degrees();
         assert!(speed.amax() == 0.0 && way_deg < 3.0, "{format}: {way_deg} degrees");
-        assert_eq!(chain.gateway.status().state, GatewayState::Idle);
+        // Whoever starts it next has to know that.
+        let status = chain.gateway.status();
+        assert_eq!((status.state, status.cause), (GatewayState::Fault, StopCause::HostSilent));
     }
 }

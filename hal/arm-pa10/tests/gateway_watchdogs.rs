@@ -90,7 +90,7 @@ fn a_command_whose_successor_stays_away_fades_and_stops() {
     }
     assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::HostSilent));
     let runs = runs(&bench.sent);
-    assert_eq!(runs[1..], [(Kind::Rest, 5), (Kind::Braked, 100), (Kind::Off, 1), (Kind::Letter(Letter::End), 1)]);
+    assert_eq!(runs[1..], [(Kind::Rest, 5), (Kind::Braked, 101), (Kind::Off, 1), (Kind::Letter(Letter::End), 1)]);
     let told = FaultReport { cause: StopCause::HostSilent, state_before: GatewayState::Moving, axis: None, word: 0 };
     assert_eq!(faults(&bench), [told]);
 }
@@ -170,14 +170,25 @@ fn two_lost_replies_are_tolerated_and_the_third_stops_the_arm() {
         let after = bench.now.saturating_since(first) - TICK;
         assert_eq!(after, CYCLE * 3, "{state}");
         assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::ControllerSilent));
-        // The order goes on by time, and E is said three times.
+        // The order goes on by time until the brakes are on: servos off and E are for a controller that has heard that.
         bench.run(ms(500));
-        let end = bench.sent.iter().filter(|sent| kind(sent) == Kind::Letter(Letter::End)).count();
-        assert_eq!(end, 3);
-        assert!(bench.gateway.is_at_rest());
-        let last_c = bench.sent.iter().rev().find(|sent| sent.message.letter() == Letter::Cyclic).unwrap();
-        assert_eq!(kind(last_c), Kind::Off);
-        assert!(last_c.at.saturating_since(first) < ms(270));
+        let count = |wanted: Kind| bench.sent.iter().filter(|sent| kind(sent) == wanted).count();
+        let heard_of_brakes = lost_from == GatewayState::Started;
+        assert_eq!(count(Kind::Letter(Letter::End)), if heard_of_brakes { 3 } else { 0 });
+        assert_eq!(count(Kind::Off) > 0, heard_of_brakes);
+        assert_eq!(kind(bench.sent.last().unwrap()), Kind::Braked);
+        assert!(!bench.gateway.is_at_rest() && bench.gateway.status().is_unheard);
+        // It is told so for as long as it takes, and the time of the brakes counts from there.
+        bench.sent.clear();
+        bench.run(ms(5000));
+        assert!(bench.sent.len() >= 2499 && bench.sent.iter().all(|sent| kind(sent) == Kind::Braked));
+        bench.controller.answers = true;
+        bench.sent.clear();
+        bench.run(ms(220));
+        assert_eq!(runs(&bench.sent)[1..], [(Kind::Off, 1), (Kind::Letter(Letter::End), 1)]);
+        assert!((101..=102).contains(&runs(&bench.sent)[0].1), "{:?}", runs(&bench.sent));
+        assert!(bench.gateway.is_at_rest() && !bench.gateway.status().is_unheard);
+        assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::ControllerSilent));
     }
 }
 
@@ -246,7 +257,7 @@ fn the_stop_order_ramps_rests_brakes_and_ends() {
     let runs = runs(&bench.sent);
     assert_eq!(runs[0].0, Kind::Motion);
     assert!((14..=16).contains(&runs[0].1), "{runs:?}");
-    assert_eq!(runs[1..], [(Kind::Rest, 5), (Kind::Braked, 100), (Kind::Off, 1), (Kind::Letter(Letter::End), 1)]);
+    assert_eq!(runs[1..], [(Kind::Rest, 5), (Kind::Braked, 101), (Kind::Off, 1), (Kind::Letter(Letter::End), 1)]);
     assert_eq!((bench.state(), bench.cause()), (GatewayState::Idle, StopCause::None));
 }
 
@@ -455,11 +466,22 @@ fn a_controller_that_is_off_is_no_fault_at_the_start() {
     let stopping = (RejectReason::WrongState, u32::from(GatewayState::Stopping.byte()));
     assert_eq!(rejected(bench.ask(control(ArmOperation::Start))), stopping);
     bench.run(ms(60));
-    assert_eq!(bench.letters().trim_start_matches('C'), "EEE");
-    assert!(bench.gateway.is_at_rest());
+    assert_eq!(bench.letters().trim_matches('C'), "EEE");
     assert_eq!((bench.state(), bench.cause()), (GatewayState::Idle, StopCause::None));
-    // A start is answered in time all the same.
+    // A start is answered in time all the same, and nothing is started.
     let asked = bench.now;
+    bench.sent.clear();
     assert_eq!(rejected(bench.ask(control(ArmOperation::Start))), (RejectReason::NoAnswer, 0));
     assert!(bench.now.saturating_since(asked) <= ms(50));
+    assert_eq!(bench.letters().trim_matches('C'), "E");
+    assert!(bench.gateway.status().is_unheard);
+    // It is switched on.
+    bench.controller.answers = true;
+    bench.run(ms(10));
+    assert_eq!(bench.state(), GatewayState::Stopping);
+    assert_eq!(rejected(bench.ask(control(ArmOperation::Start))), stopping);
+    bench.run(ms(220));
+    assert_eq!((bench.state(), bench.cause()), (GatewayState::Idle, StopCause::None));
+    assert!(bench.gateway.is_at_rest());
+    bench.lead_to(GatewayState::Moving);
 }

@@ -46,26 +46,62 @@ struct Far {
     closed: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
     path: std::path::PathBuf,
+    clock: FarClock,
+}
+
+/// The time of a controller.
+#[derive(Clone, Copy)]
+struct FarClock {
+    start: MonotonicTime,
+    begin: Instant,
+}
+
+impl FarClock {
+    fn now(&self) -> MonotonicTime {
+        self.start + self.begin.elapsed()
+    }
 }
 
 impl Far {
     fn new(name: &str, format: WireFormat) -> Self {
+        // Threads of tests are not always run in time: 6 ms would be an arm that stops by itself now and then.
+        Self::with(name, format, Some(Duration::from_millis(400)))
+    }
+
+    fn with(name: &str, format: WireFormat, watchdog: Option<Duration>) -> Self {
         let path = std::env::temp_dir().join(format!("pb3dp-{name}-{}", std::process::id()));
-        let listener = FrameListener::bind(&path).unwrap();
         let start = MonotonicTime::from_nanos(1_000_000_000);
         let home = JointVector::from([0.2, -0.5, 0.3, 1.1, 0.4, 0.9, 0.1]);
         let plant = Arc::new(Mutex::new(JointPlant::new(cell_end::plant_config(), home, start).unwrap()));
-        // Threads of tests are not always run in time: 6 ms would be an arm that stops by itself now and then.
-        let config =
-            MockControllerConfig { watchdog: Some(Duration::from_millis(400)), ..MockControllerConfig::new(format) };
+        let config = MockControllerConfig { watchdog, ..MockControllerConfig::new(format) };
         let controller = Arc::new(Mutex::new(MockController::new(config, plant, 7, start).unwrap()));
         let closed = Arc::new(AtomicBool::new(false));
-        let (of_thread, closed_of_thread) = (Arc::clone(&controller), Arc::clone(&closed));
-        let thread = std::thread::spawn(move || {
+        let clock = FarClock { start, begin: Instant::now() };
+        let mut far = Self { controller, closed, thread: None, path, clock };
+        far.open();
+        far
+    }
+
+    /// Opens the bus, again with the same arm behind it.
+    fn open(&mut self) {
+        let listener = FrameListener::bind(&self.path).unwrap();
+        self.closed.store(false, Ordering::SeqCst);
+        let (controller, closed, clock) = (Arc::clone(&self.controller), Arc::clone(&self.closed), self.clock);
+        self.thread = Some(std::thread::spawn(move || {
             enter(&Realtime { priority: Some(40), locks_memory: false, cpu: None });
-            serve(&listener, &of_thread, &closed_of_thread, start);
-        });
-        Self { controller, closed, thread: Some(thread), path }
+            serve(&listener, &controller, &closed, clock);
+        }));
+    }
+
+    /// True speed of the fastest joint, rad/s.
+    fn speed(&self) -> f64 {
+        let mut controller = self.controller.lock().unwrap();
+        controller.advance(self.clock.now());
+        controller.true_joints().1.amax()
+    }
+
+    fn mode(&self) -> ControlMode {
+        self.controller.lock().unwrap().mode()
     }
 
     fn inject(&self, line: &str) {
@@ -99,15 +135,14 @@ impl Drop for Far {
     }
 }
 
-fn serve(listener: &FrameListener, controller: &Mutex<MockController>, closed: &AtomicBool, start: MonotonicTime) {
-    let begin = Instant::now();
+fn serve(listener: &FrameListener, controller: &Mutex<MockController>, closed: &AtomicBool, clock: FarClock) {
     let mut socket = None;
     let mut buffer = [0; FRAME_ROOM];
     while !closed.load(Ordering::SeqCst) {
         if socket.is_none() {
             socket = listener.try_accept().unwrap();
         }
-        let now = start + begin.elapsed();
+        let now = clock.now();
         {
             let mut controller = controller.lock().unwrap();
             controller.advance(now);
@@ -219,11 +254,12 @@ fn who_lets_go_of_an_arm_with_slow_brakes_still_ends_its_control_mode() {
 }
 
 #[test]
-fn a_bus_that_goes_down_is_told_as_unplugged_and_comes_back_by_a_reset() {
+fn a_bus_that_goes_down_is_told_as_unplugged_and_its_arm_is_stopped_when_it_is_back() {
     patiently(|| {
         let _turn = turn();
         let format = WireFormat::BigEndian6x10;
-        let mut far = Far::new("down", format);
+        // The controller goes on with the last velocities.
+        let mut far = Far::with("down", format, None);
         let mut arm = open(&far, format);
         enable_and_move(&mut arm);
         far.close();
@@ -234,12 +270,63 @@ fn a_bus_that_goes_down_is_told_as_unplugged_and_comes_back_by_a_reset() {
         }
         assert_eq!(arm.exchange(velocity()).unwrap_err().kind(), ArmErrorKind::Disconnected);
         assert_eq!(arm.reset().unwrap_err().kind(), ArmErrorKind::Disconnected);
-        let far = Far::new("down", format);
+        assert!(far.speed() > 0.2, "nobody has stopped it");
+        far.open();
+        // By itself, and it stays stopped.
+        let begin = Instant::now();
+        while !(far.speed() < 1e-3 && far.mode() == ControlMode::Adjustment && far.is_at_rest()) {
+            assert!(begin.elapsed() < LONG, "{} rad/s, {:?}", far.speed(), arm.monitor().snapshot());
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        let stopped = arm.monitor().snapshot();
+        assert!(matches!(
+            stopped.latched.unwrap().trip,
+            Trip::Fault(FaultCause::Unplugged | FaultCause::LinkLost { .. })
+        ));
+        assert!(arm.enable().is_err());
         arm.reset().unwrap();
         enable_and_move(&mut arm);
         drop(arm);
         assert!(far.is_at_rest());
     });
+}
+
+/// What a program says that ends while nobody has heard its stop order, and how long it takes for that.
+#[test]
+fn a_program_that_lets_go_of_an_arm_that_does_not_hear_it_says_so() {
+    const CHILD: &str = "PB3DP_TEST_LETS_GO_OF_A_DEAF_ARM";
+    if std::env::var_os(CHILD).is_some() {
+        return let_go_of_a_deaf_arm();
+    }
+    patiently(|| {
+        let name = "a_program_that_lets_go_of_an_arm_that_does_not_hear_it_says_so";
+        let mut child = std::process::Command::new(std::env::current_exe().unwrap());
+        let ended = child.args([name, "--exact", "--nocapture"]).env(CHILD, "1").output().unwrap();
+        let told = String::from_utf8_lossy(&ended.stderr);
+        assert!(ended.status.success(), "{told}");
+        assert!(told.contains("EMERGENCY STOP: press it at arm arm-8"), "{told}");
+    });
+}
+
+fn let_go_of_a_deaf_arm() {
+    let format = WireFormat::LittleEndian5x8;
+    let far = Far::with("deaf", format, None);
+    let mut arm = open(&far, format);
+    enable_and_move(&mut arm);
+    far.inject("deaf 1000000");
+    let stopping = Instant::now();
+    while arm.state() != ArmState::Fault {
+        assert!(stopping.elapsed() < LONG);
+        let _ = paced_exchange(&mut arm);
+    }
+    let error = arm.stop().unwrap_err();
+    assert!(error.to_string().contains("emergency stop"), "{error}");
+    assert!(arm.monitor().snapshot().unheard);
+    let begin = Instant::now();
+    drop(arm);
+    let took = begin.elapsed();
+    assert!(took > Duration::from_secs(1) && took < LONG, "{took:?}");
+    assert!(far.speed() > 0.2, "nobody but the operator can stop it");
 }
 
 #[test]

@@ -18,7 +18,7 @@ use pb3dp_arm_pa10::io::gateway::{
     BusOpener, GatewayEvent, GatewayServer, GatewayServerConfig, GatewayServerError, Happened, HostSide,
 };
 use pb3dp_arm_pa10::io::pty::Pty;
-use pb3dp_arm_pa10::io::realtime::Realtime;
+use pb3dp_arm_pa10::io::realtime::{self, Realtime};
 use pb3dp_arm_pa10::io::serial::SerialConfig;
 use pb3dp_arm_pa10::io::tcp::{TcpConfig, TcpLink};
 use pb3dp_arm_pa10::mock_controller::ControlMode;
@@ -263,21 +263,31 @@ fn bus_goes_down() {
         let since = Instant::now();
         loop {
             if let Some(socket) = listener.try_accept().unwrap() {
-                return Emulation::start(Box::new(socket), None);
+                return Box::new(socket);
             }
             assert!(since.elapsed() < LONG);
             std::thread::sleep(ms(2));
         }
     };
-    let emulation = accept();
+    let emulation = Emulation::start(accept(), None);
     let witness = Witness(&server);
     let mut host = connect(address, Dialect::GatewayV1);
     host.open();
     host.lead_to_moving();
-    drop(emulation);
+    let mut controller = emulation.unplug();
     assert!(host.run_for(LONG, |host| host.driver.state() == DriverState::Fault));
-    let emulation = accept();
+    // Long after the stop order was said to nobody the arm moves on.
+    host.run_for(ms(700), |_| false);
+    controller.advance(realtime::now());
+    let (_, speed) = controller.true_joints();
+    assert!((speed - velocity()).amax() < 1e-3, "{speed}");
+    let emulation = Emulation::carry_on(accept(), controller);
+    // It is stopped by what is said again, by nobody's order.
+    emulation.wait_for("stopped", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
+    let resting = emulation.seen().position_rad;
     assert!(host.run_for(LONG, |host| host.driver.activity() == pb3dp_arm_pa10::driver::Activity::None));
+    assert!((emulation.seen().position_rad - resting).amax() < 1e-6);
+    host.must_be(DriverState::Fault);
     host.do_it(Request::Reset);
     host.must_be(DriverState::Connected);
     drop(witness);

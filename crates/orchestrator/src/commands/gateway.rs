@@ -35,6 +35,7 @@ pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
     let signals = StopSignals::take_over().context("the signals that end the program can not be taken over")?;
     let host = host_side(&setup)?;
     let config = GatewayServerConfig { gateway: setup.gateway, realtime: setup.realtime };
+    let arm = config.gateway.arm.0;
     let server = GatewayServer::start(config, bus_opener(&setup.bus), host)?;
     // A log that nobody reads holds up this thread, and must not hold up the stop.
     let ending = server.ending();
@@ -61,7 +62,7 @@ pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
         );
         return Ok(ExitCode::FAILURE);
     };
-    tell_end(&status, dropped);
+    tell_end(arm, &status, dropped);
     Ok(ExitCode::SUCCESS)
 }
 
@@ -125,7 +126,7 @@ fn tell_start(setup: &GatewaySetup, server: &GatewayServer) {
     }
 }
 
-fn tell_end(status: &GatewayStatus, dropped: u64) {
+fn tell_end(arm: u8, status: &GatewayStatus, dropped: u64) {
     let GatewayStatus { cycle, bus, bytes, .. } = status;
     let damaged = bytes.crc_errors + bytes.header_errors + bytes.truncated + bytes.other_version;
     tracing::info!(
@@ -140,6 +141,12 @@ fn tell_end(status: &GatewayStatus, dropped: u64) {
         status.host_lost,
         status.host_stale
     );
+    if status.is_unheard {
+        tracing::error!(
+            "EMERGENCY STOP: press it at arm {arm}. The gateway ends, the controller has not answered the stop order, and nobody \
+             tells it to stop any more"
+        );
+    }
     if status.state != GatewayState::Idle {
         tracing::warn!(
             "the gateway was stopped by {}; a new one knows nothing of that: look at the arm first",
@@ -190,6 +197,11 @@ fn tell(what: &Happened) {
         Happened::State { from, to, found: Some(found), .. } => tracing::error!("{from} -> {to}: {found}"),
         Happened::State { from, to, cause: StopCause::None, .. } => tracing::info!("{from} -> {to}"),
         Happened::State { from, to, cause, .. } => tracing::error!("{from} -> {to}: {cause}"),
+        Happened::Unheard => tracing::error!(
+            "the controller does not answer the stop order, and is told to stop again and again: an arm that moves has to be stopped \
+             with its emergency stop"
+        ),
+        Happened::Heard => tracing::info!("the controller answers: it goes through the stop order"),
         Happened::HostConnected => tracing::info!("the line to the host is there"),
         Happened::HostGreeted(dialect) => tracing::info!("a host said HELLO and speaks {dialect}"),
         Happened::HostGone(symptom) => tracing::warn!("the line to the host is gone ({symptom})"),

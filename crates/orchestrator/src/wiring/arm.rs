@@ -68,11 +68,11 @@ pub struct ArmOnBus {
 }
 
 impl ArmOnBus {
-    /// Whether its stop order is done, or none was needed.
+    /// Whether its stop order is done and was heard, or none was needed.
     pub fn is_stopped(&self) -> bool {
         let now = self.monitor.snapshot();
         let is_off = now.latched.is_some() || matches!(now.state, DriverState::Disconnected | DriverState::Connected);
-        is_off && now.activity == Activity::None
+        is_off && now.activity == Activity::None && !now.unheard
     }
 }
 

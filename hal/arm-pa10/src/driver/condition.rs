@@ -209,6 +209,12 @@ pub enum FaultCause {
         /// Number of the other arm.
         arm: u8,
     },
+    /// Somebody had driven the arm and left it.
+    #[error(
+        "the arm was found in motion or in its control mode, although nobody here had asked for that, and was stopped: a program \
+         that drove it died; look at the arm, find out which program and why, then reset"
+    )]
+    FoundDriven,
     /// A supervisor of the program stopped the arm.
     #[error("the program's supervisor stopped the arm; see what it says, then reset")]
     Supervisor,

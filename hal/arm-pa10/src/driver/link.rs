@@ -135,6 +135,11 @@ impl LinkMonitor {
         }
     }
 
+    /// Messages in a row without a usable reply.
+    pub fn misses(&self) -> u32 {
+        self.misses
+    }
+
     pub fn forget_misses(&mut self) {
         self.misses = 0;
     }

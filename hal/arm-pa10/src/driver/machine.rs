@@ -96,6 +96,12 @@ pub struct Driver {
     pub(super) control_started: bool,
     /// The last cyclic command opened the brakes.
     pub(super) brakes_open: bool,
+    /// A gateway is between the driver and the controller, and does what nobody hears by itself.
+    pub(super) has_gateway: bool,
+    /// On a bus: the arm may be driven, and no E was answered that says otherwise.
+    pub(super) doubt: bool,
+    /// Where the arm was found when it was looked for.
+    pub(super) found_rad: Option<JointVector>,
 }
 
 /// A message whose reply is waited for.
@@ -145,6 +151,9 @@ impl Driver {
             exchange: 0,
             control_started: false,
             brakes_open: false,
+            has_gateway: false,
+            doubt: false,
+            found_rad: None,
         })
     }
 
@@ -294,7 +303,7 @@ impl Driver {
             let is_last = self.activity() == Activity::Stopping && self.state.is_latched();
             self.trip(now, Trip::Fault(FaultCause::ActivityTimeout { activity: self.activity(), allowed }));
             if is_last {
-                self.finish_stop(now);
+                self.finish_stop(now, false);
             }
         }
     }
@@ -305,6 +314,7 @@ impl Driver {
         if self.outstanding.is_some() || now < self.next_transmit {
             return None;
         }
+        self.advance_look(now);
         self.advance_stop(now);
         let message = self.due_message(now)?;
         self.note_sent(now, &message);
@@ -316,7 +326,7 @@ impl Driver {
 
     /// When the driver wants to be asked again, if it waits for anything but a request.
     pub fn next_deadline(&self) -> Option<MonotonicTime> {
-        let sends = self.phase != Phase::Steady || self.is_cycling();
+        let sends = self.phase != Phase::Steady || self.is_cycling() || self.is_listening();
         let transmit = (sends && self.outstanding.is_none()).then_some(self.next_transmit);
         let reply = self.outstanding.map(|outstanding| outstanding.deadline);
         let command = match self.motion {
@@ -342,8 +352,10 @@ impl Driver {
         self.config.brake_time
     }
 
-    /// The gateway stops the arm so long after the last command: the warm-up shows a link that is quick enough for both sides.
+    /// A gateway answers, and stops the arm so long after the last command: the warm-up shows a link that is quick enough for both
+    /// sides. Without one the driver speaks to the controller itself.
     pub fn note_watchdog(&mut self, stop_after: Duration) {
+        self.has_gateway = true;
         self.stops_after = stop_after.min(self.config.watchdog.stop_after());
     }
 
@@ -390,8 +402,7 @@ impl Driver {
 
     fn begin(&mut self, now: MonotonicTime, activity: Activity) {
         let phase = match activity {
-            Activity::Connecting => Phase::Looking { step: self.first_look(), activity },
-            Activity::Clearing => Phase::Looking { step: LookStep::Clear(0), activity },
+            Activity::Connecting | Activity::Clearing => self.begin_look(activity),
             Activity::Enabling => {
                 self.warm_up_failure = None;
                 Phase::Enabling { started: false }
@@ -426,15 +437,18 @@ impl Driver {
             Phase::Steady => match self.state {
                 DriverState::Enabled => self.uniform(AxisCommand::Braked),
                 DriverState::Holding | DriverState::Moving => self.velocity_message(now),
+                _ if self.is_listening() => self.closing(),
                 DriverState::Disconnected | DriverState::Connected | DriverState::Fault | DriverState::EStop => {
                     return None;
                 }
             },
             Phase::Looking { step, .. } => match step {
+                LookStep::Close { .. } => self.closing(),
+                LookStep::FirstEnd { .. } => ControlMessage::End,
                 LookStep::Clear(index) => ControlMessage::ClearAlarm(Axis::ALL[index]),
                 LookStep::Limits(index) => ControlMessage::ReadEeprom(Axis::ALL[index]),
                 LookStep::Start => ControlMessage::Start,
-                LookStep::Look => self.uniform(AxisCommand::Off),
+                LookStep::Look | LookStep::Check { .. } => self.uniform(AxisCommand::Off),
                 LookStep::End => ControlMessage::End,
             },
             Phase::Enabling { started: false } => ControlMessage::Start,
@@ -469,6 +483,7 @@ impl Driver {
             }
             _ => {}
         }
+        self.note_look_sent(now);
         self.note_stop_sent(now);
         // Cycles keep their times; those that were missed are left out and counted.
         self.next_transmit = self.next_transmit + self.config.cycle;

@@ -19,6 +19,7 @@
 mod condition;
 mod config;
 mod link;
+mod listening;
 mod machine;
 mod motion;
 mod phase;

@@ -19,9 +19,26 @@ pub(super) enum Phase {
     Stopping(StopStep),
 }
 
+/// What a controller answered first, when it was told to close its brakes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Heard {
+    /// Nothing yet.
+    Nothing,
+    /// E: it may have no use for C.
+    End,
+    /// C.
+    Cyclic,
+}
+
 /// Steps of looking at the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum LookStep {
+    /// On a bus, brakes on with servos on, until this time: nobody knows who drove the arm before.
+    Close { until: Option<MonotonicTime>, heard: Heard },
+    /// E, tried so often, before anything else is asked.
+    FirstEnd { tries: u32, heard: Heard },
+    /// C once more: does this controller answer C out of its control mode, too?
+    Check { left: u32 },
     /// Clear the alarm of this axis, 0 to 6 (clearing only).
     Clear(usize),
     /// Read the limits of this axis, 0 to 6 (where the configuration wants it).
@@ -42,7 +59,7 @@ pub(super) enum StopStep {
     /// Speed 0 for so many more cycles.
     Rest { left: u32 },
     /// Brakes on, servos on, until this time (from the first command on).
-    Brake { until: Option<MonotonicTime> },
+    Brake { until: Option<MonotonicTime>, heard: bool },
     /// Brakes on, servos off, once.
     Off,
     /// E, tried so often.

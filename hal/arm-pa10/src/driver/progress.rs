@@ -1,5 +1,7 @@
 //! How activities go on: by replies, by time, and by what was found.
 
+use std::time::Duration;
+
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::{JointState, JointVector};
 
@@ -16,9 +18,15 @@ use crate::gateway_protocol::RejectReason;
 /// How often E is sent without an answer.
 const END_TRIES_MAX: u32 = 3;
 
+/// By how much later than the look begins the brakes may begin to close.
+const BRAKES_LATER_MAX: Duration = Duration::from_millis(500);
+
 impl Driver {
     pub(super) fn handle_sample(&mut self, now: MonotonicTime, sample: &Sample) {
         self.keep(now, sample);
+        if self.note_heard(now, sample) {
+            return;
+        }
         let found = sample.condition.trip(self.config.emergency_stop_bits);
         let lost = || {
             let condition = &sample.condition;
@@ -63,6 +71,9 @@ impl Driver {
         match self.phase {
             Phase::Looking { step, activity } => {
                 let next = match step {
+                    // They are answered by samples.
+                    LookStep::Close { .. } | LookStep::Check { .. } => return,
+                    LookStep::FirstEnd { heard, .. } => self.after_first_end(now, heard, activity),
                     LookStep::Clear(index) if index + 1 < Axis::COUNT => LookStep::Clear(index + 1),
                     LookStep::Clear(_) => self.first_look(),
                     LookStep::Limits(index) if index + 1 < Axis::COUNT => LookStep::Limits(index + 1),
@@ -81,7 +92,7 @@ impl Driver {
                 self.link.begin_warm_up(self.stops_after / 2);
                 self.phase = Phase::Enabling { started: true };
             }
-            Phase::Stopping(StopStep::End { .. }) => self.finish_stop(now),
+            Phase::Stopping(StopStep::End { .. }) => self.finish_stop(now, true),
             _ => {}
         }
     }
@@ -113,6 +124,9 @@ impl Driver {
     /// An exchange without a usable reply.
     pub(super) fn handle_miss(&mut self, now: MonotonicTime) {
         let too_many = self.link.handle_miss();
+        if self.note_unheard(now) {
+            return;
+        }
         if let Phase::Looking { step: LookStep::Clear(_), .. } = self.phase {
             // Not every controller knows this letter.
             self.link.forget_misses();
@@ -125,18 +139,22 @@ impl Driver {
         if let Phase::Stopping(StopStep::End { tries }) = self.phase
             && tries >= END_TRIES_MAX
         {
-            self.finish_stop(now);
+            self.finish_stop(now, false);
         }
     }
 
     pub(super) fn handle_rejection(&mut self, now: MonotonicTime, reason: RejectReason) {
         match self.phase {
             // It may have stopped the arm by itself before, or its brakes may have begun to close later than was counted here.
-            Phase::Stopping(StopStep::End { tries }) if tries >= END_TRIES_MAX => self.finish_stop(now),
+            Phase::Stopping(StopStep::End { tries }) if tries >= END_TRIES_MAX => self.finish_stop(now, false),
             Phase::Stopping(StopStep::End { .. }) => {}
             // The gateway may have stopped the arm by itself before: the order goes on by count and time.
             Phase::Stopping(_) if self.state.is_latched() => {}
             Phase::Looking { step: LookStep::Clear(_), .. } => self.handle_done(now),
+            // A gateway that has just heard of its controller gives the brakes their time before it ends the control mode.
+            Phase::Looking { step: LookStep::End, .. }
+                if reason == RejectReason::WrongState
+                    && now.saturating_since(self.phase_since) < self.config.brake_time + BRAKES_LATER_MAX => {}
             // What the arm has told of itself says more than that it is still so.
             Phase::Looking { activity: Activity::Clearing, .. }
                 if reason == RejectReason::CausePresent && self.is_stopped_by_arm() =>
@@ -200,10 +218,12 @@ impl Driver {
         self.motion = self.stopping_motion(now, emergency);
         if self.brakes_open {
             self.phase = Phase::Stopping(first);
+        } else if self.doubt {
+            self.phase = Phase::Stopping(StopStep::Brake { until: None, heard: false });
         } else if self.control_started {
             self.phase = Phase::Stopping(StopStep::Off);
         } else {
-            self.finish_stop(now);
+            self.finish_stop(now, false);
         }
     }
 
@@ -212,8 +232,13 @@ impl Driver {
         let Phase::Stopping(step) = self.phase else { return };
         let next = match step {
             StopStep::Ramp if self.motion.is_at_rest(now) => StopStep::Rest { left: self.config.rest_cycles },
-            StopStep::Rest { left: 0 } => StopStep::Brake { until: None },
-            StopStep::Brake { until: Some(until) } if now >= until => StopStep::Off,
+            StopStep::Rest { left: 0 } => StopStep::Brake { until: None, heard: false },
+            StopStep::Brake { until: Some(until), heard } if now >= until => {
+                if !heard && !self.has_gateway {
+                    return self.give_up_stop(now);
+                }
+                StopStep::Off
+            }
             _ => return,
         };
         self.phase = Phase::Stopping(next);
@@ -225,14 +250,19 @@ impl Driver {
         let next = match step {
             StopStep::Ramp => return,
             StopStep::Rest { left } => StopStep::Rest { left: left.saturating_sub(1) },
-            StopStep::Brake { until } => StopStep::Brake { until: Some(until.unwrap_or(now + self.config.brake_time)) },
+            StopStep::Brake { until, heard } => {
+                StopStep::Brake { until: Some(until.unwrap_or(now + self.config.brake_time)), heard }
+            }
             StopStep::Off => StopStep::End { tries: 0 },
             StopStep::End { tries } => StopStep::End { tries: tries + 1 },
         };
         self.phase = Phase::Stopping(next);
     }
 
-    pub(super) fn finish_stop(&mut self, now: MonotonicTime) {
+    /// The stop order is done, or is given up for now: whether E was answered tells.
+    pub(super) fn finish_stop(&mut self, now: MonotonicTime, answered: bool) {
+        let may_be_driven = self.control_started || self.brakes_open || self.doubt;
+        self.doubt = may_be_driven && !answered && !self.has_gateway;
         self.control_started = false;
         self.brakes_open = false;
         self.motion = Motion::Rest;

@@ -9,7 +9,7 @@ use super::config::GatewayConfig;
 use super::host::{Asker, Host, Refused};
 use super::motion::{self, Kind, Motion};
 use crate::arcnet::Frame;
-use crate::codec::{ArmCommand, ArmReply, Axis, ControlMessage, Letter};
+use crate::codec::{AngleCounts, ArmCommand, ArmReply, Axis, ControlMessage, Letter};
 use crate::gateway_protocol::{FaultReport, GatewayState, RejectReason, StopCause};
 
 /// Messages in a row without a usable reply that stop the arm, and cycles in which a message besides the cycle is answered.
@@ -25,7 +25,7 @@ const RAMP: Duration = Duration::from_millis(30);
 const REST_CYCLES: u32 = 5;
 
 /// How often E is sent without an answer.
-const END_TRIES: u32 = 3;
+pub(super) const END_TRIES: u32 = 3;
 
 /// What the bus is used for besides the cycle.
 #[derive(Clone, Copy, Debug)]
@@ -36,7 +36,7 @@ pub(super) enum Work {
     Job(Job),
     /// The stop order.
     Stop(StopStep),
-    /// E, until it is answered or was sent three times: nobody waits for it.
+    /// E, until it is answered or was sent three times.
     Close { tries: u32 },
 }
 
@@ -68,11 +68,23 @@ pub(super) enum ResetStep {
 /// Steps of the stop order.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum StopStep {
-    Ramp { from: ArmCommand, since: MonotonicTime, until: MonotonicTime },
-    Rest { left: u32 },
+    Ramp {
+        from: ArmCommand,
+        since: MonotonicTime,
+        until: MonotonicTime,
+    },
+    Rest {
+        left: u32,
+    },
     Brake,
     Off,
-    End { tries: u32 },
+    End {
+        tries: u32,
+    },
+    /// After the E of an order that nobody asked for: does this controller answer C out of its control mode, too?
+    Check {
+        left: u32,
+    },
 }
 
 /// What a message is for: who notices that it was not answered.
@@ -112,8 +124,12 @@ pub(super) struct Machine {
     pub bus: Bus,
     pub motion: Motion,
     pub work: Work,
-    /// The stop order with which a gateway begins.
-    pub is_first_stop: bool,
+    /// Nobody asked for the stop order: a gateway begins with it, or has heard of a controller that was silent.
+    pub is_unasked: bool,
+    /// The brakes had their time to close in a stop order that nobody has answered.
+    pub is_unheard: bool,
+    /// The angles that were measured first in an order that nobody asked for.
+    pub seen_first: Option<[AngleCounts; Axis::COUNT]>,
     /// Waits until E was answered.
     pub queued: Option<Job>,
     /// A `start` that waits for the first measurement.
@@ -145,7 +161,9 @@ impl Machine {
             bus: Bus::default(),
             motion: Motion::new(config.brake_time, now),
             work: Work::Stop(StopStep::Brake),
-            is_first_stop: true,
+            is_unasked: true,
+            is_unheard: false,
+            seen_first: None,
             queued: None,
             opening: None,
             waiting: Askers::default(),
@@ -184,11 +202,12 @@ impl Machine {
             GatewayState::Fault | GatewayState::EmergencyStop => return,
             GatewayState::Idle if is_about_controller => return,
             // A controller that is off, or in no mood for commands, is what a gateway may well find. Hosts will see.
-            GatewayState::Stopping if self.is_first_stop && is_about_controller => return,
+            GatewayState::Stopping if self.is_unasked && is_about_controller => return,
             _ => {}
         }
         let is_emergency_stop = cause == StopCause::EmergencyStop;
         self.state = if is_emergency_stop { GatewayState::EmergencyStop } else { GatewayState::Fault };
+        self.is_unasked = false;
         self.cause = cause;
         let report = FaultReport { cause, state_before, axis, word };
         self.found = Some(report);
@@ -224,7 +243,7 @@ impl Machine {
         // No speed outlives the command that it belongs to.
         let expires = self.motion.since() + self.config.watchdog.stop_after();
         let first = match motion::kind(&from) {
-            _ if state_before == GatewayState::Idle => StopStep::End { tries: 0 },
+            _ if state_before == GatewayState::Idle && self.motion.is_heard() => StopStep::End { tries: 0 },
             Kind::Motion => StopStep::Ramp { from, since: now, until: expires.min(now + RAMP) },
             Kind::Rest => StopStep::Rest { left: REST_CYCLES },
             Kind::BrakesOn => StopStep::Brake,
@@ -275,14 +294,9 @@ impl Machine {
         }
     }
 
-    /// E was answered, or is given up.
-    pub fn end_close(&mut self) {
-        self.work = self.queued.take().map_or(Work::Steady, Work::Job);
-    }
-
     pub fn finish_stop(&mut self) {
         self.work = Work::Steady;
-        self.is_first_stop = false;
+        self.is_unasked = false;
         if self.state == GatewayState::Stopping {
             self.state = GatewayState::Idle;
         }
@@ -323,6 +337,7 @@ impl Machine {
             self.host.refuse(now, &asker, Refused(RejectReason::NoAnswer, 0));
         }
         match (self.purpose, self.work) {
+            (Purpose::Cycle, Work::Stop(StopStep::Check { left: 0 })) => self.latch_found(now),
             (Purpose::Cycle, _) if self.bus.misses >= SILENT_CYCLES => {
                 self.trip(now, StopCause::ControllerSilent, None, 0);
             }
@@ -330,13 +345,13 @@ impl Machine {
             (Purpose::Work, Work::Job(job)) => self.fail(now, &job),
             (Purpose::Work, Work::Close { tries }) => {
                 if tries >= END_TRIES {
-                    self.end_close();
+                    self.listen(now);
                 }
             }
             (Purpose::Work, Work::Stop(step)) => {
                 self.trip(now, StopCause::ControllerSilent, None, 0);
                 if matches!(step, StopStep::End { tries } if tries >= END_TRIES) {
-                    self.finish_stop();
+                    self.listen(now);
                 }
             }
         }
@@ -383,7 +398,8 @@ impl Machine {
         }
     }
 
-    /// The next message of the stop order. It goes on by count and time, whether or not anybody answers.
+    /// The next message of the stop order. It goes on by count and time, whether or not anybody answers, until the brakes are on:
+    /// who has not heard that would go on moving, or let its axes fall.
     fn stop_message(&mut self, now: MonotonicTime, step: StopStep) -> (ControlMessage, Purpose) {
         self.slowed = false;
         let step = match step {
@@ -395,7 +411,15 @@ impl Machine {
             other => other,
         };
         let step = match step {
-            StopStep::Brake if self.motion.brakes_closed(now) => StopStep::Off,
+            StopStep::Brake if self.motion.brakes_closed(now) => match self.state {
+                _ if self.motion.is_heard() => StopStep::Off,
+                // A controller that is not in its control mode may have no use for C, and answers E.
+                GatewayState::Stopping if self.is_unasked => StopStep::End { tries: 0 },
+                _ => {
+                    self.is_unheard = true;
+                    StopStep::Brake
+                }
+            },
             other => other,
         };
         let (next, message) = match step {
@@ -410,6 +434,10 @@ impl Machine {
             StopStep::Brake => (step, ControlMessage::Cyclic(self.motion.braked())),
             StopStep::Off => (StopStep::End { tries: 0 }, ControlMessage::Cyclic(self.motion.off())),
             StopStep::End { tries } => (StopStep::End { tries: tries + 1 }, ControlMessage::End),
+            StopStep::Check { left } => {
+                let braked = ControlMessage::Cyclic(self.motion.braked());
+                (StopStep::Check { left: left.saturating_sub(1) }, braked)
+            }
         };
         self.work = Work::Stop(next);
         let purpose = if message.letter() == Letter::Cyclic { Purpose::Cycle } else { Purpose::Work };

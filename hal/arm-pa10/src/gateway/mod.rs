@@ -16,6 +16,7 @@
 mod bus;
 mod config;
 mod host;
+mod listening;
 mod machine;
 mod motion;
 mod replies;
@@ -55,6 +56,8 @@ pub struct GatewayStatus {
     pub found: Option<FaultReport>,
     /// The dialect of the host that said HELLO, if one did.
     pub host: Option<Dialect>,
+    /// The controller has not answered the stop order: the arm may move, and is told to stop again and again.
+    pub is_unheard: bool,
     /// Counts of the cycle.
     pub cycle: CycleCounters,
     /// Counts of the bus.
@@ -71,7 +74,7 @@ pub struct GatewayStatus {
 
 impl Gateway {
     /// A gateway that knows nothing of its arm, which may be driven with open brakes: it closes them, sends E, is `idle` and waits
-    /// for HELLO.
+    /// for HELLO. An arm that it finds in motion is latched.
     ///
     /// # Errors
     /// If the configuration contradicts itself or leaves less than the requirements allow.
@@ -145,6 +148,7 @@ impl Gateway {
             cause: *cause,
             found: *found,
             host: host.dialect,
+            is_unheard: self.machine.is_unheard,
             cycle: *cycles,
             bus: bus.counters,
             bytes: *self.parser.counters(),

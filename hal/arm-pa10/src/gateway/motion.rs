@@ -26,7 +26,11 @@ pub(super) struct Motion {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Brake {
     OpenSince(MonotonicTime),
-    ClosedSince(MonotonicTime),
+    /// Since it was said first; since it was answered first, once it was.
+    Closed {
+        since: MonotonicTime,
+        heard: bool,
+    },
 }
 
 /// What kind of command.
@@ -110,11 +114,35 @@ impl Motion {
             *brake = match (is_open(axis), *brake) {
                 (true, Brake::OpenSince(since)) => Brake::OpenSince(since),
                 (true, _) => Brake::OpenSince(now),
-                (false, Brake::OpenSince(_)) => Brake::ClosedSince(now),
-                (false, closed @ Brake::ClosedSince(_)) => closed,
+                (false, Brake::OpenSince(_)) => Brake::Closed { since: now, heard: false },
+                (false, closed @ Brake::Closed { .. }) => closed,
             };
         }
         self.sent = *command;
+    }
+
+    /// What was sent last was answered: what it says of brakes was heard, now at the latest.
+    pub fn note_heard(&mut self, now: MonotonicTime) {
+        for brake in &mut self.brakes {
+            if let Brake::Closed { heard: false, .. } = brake {
+                *brake = Brake::Closed { since: now, heard: true };
+            }
+        }
+    }
+
+    /// Whether the controller has heard that every brake is to be on.
+    pub fn is_heard(&self) -> bool {
+        self.brakes.iter().all(|brake| matches!(brake, Brake::Closed { heard: true, .. }))
+    }
+
+    /// Nobody knows any more what the controller has heard: all brakes on, servos on.
+    pub fn doubt(&mut self) {
+        self.sent.axes = [AxisCommand::Braked; Axis::COUNT];
+        for brake in &mut self.brakes {
+            if let Brake::Closed { heard, .. } = brake {
+                *heard = false;
+            }
+        }
     }
 
     /// Whether each axis that is to move had the time to open its brake.
@@ -180,7 +208,7 @@ impl Motion {
     fn brake_holds(&self, index: usize, now: MonotonicTime) -> bool {
         match self.brakes[index] {
             Brake::OpenSince(_) => false,
-            Brake::ClosedSince(since) => now.saturating_since(since) >= self.brake_time,
+            Brake::Closed { since, .. } => now.saturating_since(since) >= self.brake_time,
         }
     }
 }

@@ -45,6 +45,8 @@ impl Machine {
 
     fn handle_sample(&mut self, now: MonotonicTime, reply: &ArmReply, mut askers: Askers, raw: &RawReply) {
         self.measured = Some(Measured { reply: *reply, at: now });
+        self.hear(now);
+        self.note_found(now, reply);
         let condition = Sample::from_reply(reply, &self.config.torque_scale).condition;
         let found = self.judge(&condition);
         if let Work::Job(Job { asker, task: Task::Reset(ResetStep::Look) }) = self.work {
@@ -85,9 +87,9 @@ impl Machine {
     fn handle_done(&mut self, now: MonotonicTime, raw: &RawReply) {
         match self.work {
             Work::Job(job) => self.advance(now, &job, raw),
-            Work::Close { .. } => self.end_close(),
+            Work::Close { .. } => self.end_close(now),
             // Of E, with which the order ends.
-            Work::Stop(_) => self.finish_stop(),
+            Work::Stop(_) => self.end_stop(now),
             Work::Steady => {}
         }
     }

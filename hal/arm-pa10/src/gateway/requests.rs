@@ -237,6 +237,9 @@ impl Machine {
     }
 
     fn begin(&mut self, now: MonotonicTime, job: Job) -> Result<(), Refused> {
+        if self.is_listening() {
+            return self.ask_for_end(job);
+        }
         let is_stopping = matches!(self.work, Work::Stop(_));
         let falls = matches!(job.task, Task::End) && !self.motion.brakes_closed(now);
         if is_stopping || falls {

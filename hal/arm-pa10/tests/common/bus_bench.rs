@@ -6,13 +6,14 @@ mod joints;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use pb3dp_arm_pa10::arcnet::{self, Route};
 use pb3dp_arm_pa10::codec::{SequenceModulus, WireFormat};
 use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, Request};
 use pb3dp_arm_pa10::link::BusLink;
-use pb3dp_arm_pa10::mock_controller::{MockController, MockControllerConfig};
+use pb3dp_arm_pa10::mock_controller::{ControlMode, MockController, MockControllerConfig};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
-use pb3dp_sim::joint_dynamics::JointPlant;
+use pb3dp_sim::joint_dynamics::{AxisMode, JointPlant};
 
 pub use joints::plant_config;
 
@@ -44,6 +45,21 @@ pub struct BusBench {
     /// What the host asks for in each of its cycles.
     pub wanted: Option<JointVector>,
     pub next_host_cycle: MonotonicTime,
+    /// The controller answers C in its control mode only.
+    pub only_in_control: bool,
+    /// Letters of what was sent.
+    pub letters: String,
+}
+
+/// The letter of a message to the controller.
+pub fn letter(frame: &[u8]) -> char {
+    char::from(arcnet::decode(Route::TO_CONTROLLER, frame).unwrap()[1])
+}
+
+/// No joint is left to itself: each one is held by its servo, or by a brake that has closed.
+pub fn assert_held(controller: &MockController, place: &str) {
+    let modes = controller.axis_modes();
+    assert!(!modes.contains(&AxisMode::Free), "{place}: nobody holds {modes:?}");
 }
 
 impl BusBench {
@@ -56,7 +72,9 @@ impl BusBench {
         let link = BusLink::new(controller.format, SequenceModulus::Modulo128);
         let controller = MockController::new(controller, Arc::clone(&plant), seed, START).unwrap();
         let driver = Driver::new(driver).unwrap();
-        Self { driver, link, controller, plant, now: START, wanted: None, next_host_cycle: START }
+        let (wanted, only_in_control, letters) = (None, false, String::new());
+        let next_host_cycle = START;
+        Self { driver, link, controller, plant, now: START, wanted, next_host_cycle, only_in_control, letters }
     }
 
     /// Moving with this velocity, by the way that leads there.
@@ -124,7 +142,11 @@ impl BusBench {
         }
         if let Some(transmit) = self.driver.poll_transmit(self.now) {
             let frame = self.link.send(&transmit).unwrap();
-            self.controller.handle_frame(self.now, &frame);
+            self.letters.push(letter(&frame));
+            let is_deaf = self.only_in_control && self.controller.mode() != ControlMode::Control;
+            if !is_deaf || letter(&frame) != 'C' {
+                self.controller.handle_frame(self.now, &frame);
+            }
         }
     }
 

@@ -12,12 +12,12 @@ use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, Reques
 use pb3dp_arm_pa10::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Firmware, Geometry};
 use pb3dp_arm_pa10::link::{GatewayLink, GatewayLinkConfig, LinkError};
-use pb3dp_arm_pa10::mock_controller::{MockController, MockControllerConfig};
+use pb3dp_arm_pa10::mock_controller::{ControlMode, MockController, MockControllerConfig};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::JointPlant;
 
-use super::bus_bench::{AT_REST_RAD_PER_S, HOST_CYCLE, START};
+use super::bus_bench::{AT_REST_RAD_PER_S, HOST_CYCLE, START, letter};
 
 pub const ARM: ArmId = ArmId(2);
 
@@ -46,6 +46,10 @@ pub struct Chain {
     /// The host's process stands still.
     pub frozen: bool,
     pub spoil: Option<Spoil>,
+    /// The controller answers C in its control mode only.
+    pub only_in_control: bool,
+    /// Letters of what the gateway sent.
+    pub letters: String,
     line: Vec<(MonotonicTime, Way, Vec<u8>)>,
     /// Bytes of the host that the gateway has not taken yet.
     pub unread: VecDeque<u8>,
@@ -68,6 +72,8 @@ impl Chain {
             next_host_cycle: START,
             frozen: false,
             spoil: None,
+            only_in_control: false,
+            letters: String::new(),
             line: Vec::new(),
             unread: VecDeque::new(),
         };
@@ -140,7 +146,11 @@ impl Chain {
             self.gateway.handle_bus_frame(now, &frame);
         }
         if let Some(frame) = self.gateway.poll_bus_frame(now) {
-            self.controller.handle_frame(now, &frame);
+            self.letters.push(letter(&frame));
+            let is_deaf = self.only_in_control && self.controller.mode() != ControlMode::Control;
+            if !is_deaf || letter(&frame) != 'C' {
+                self.controller.handle_frame(now, &frame);
+            }
         }
         while let Some(bytes) = self.gateway.poll_host_output(now) {
             self.controller.send_on_line(now, &bytes);

@@ -160,7 +160,7 @@ impl Bench {
             on_the_way: Vec::new(),
         };
         bench.run(config.brake_time + ms(20));
-        assert_eq!((bench.letters().trim_start_matches('C'), bench.state()), ("E", GatewayState::Idle));
+        assert_eq!((bench.letters().trim_start_matches('C'), bench.state()), ("EC", GatewayState::Idle));
         bench.sent.clear();
         bench
     }

@@ -119,20 +119,31 @@ pub struct Emulation {
     seen: Arc<Mutex<Option<Seen>>>,
     /// What is to go wrong, in the words of docs/mock-arm.md.
     lines: Arc<Mutex<Vec<String>>>,
-    thread: Option<JoinHandle<()>>,
+    thread: Option<JoinHandle<MockController>>,
 }
 
 impl Emulation {
-    pub fn start(mut port: Box<dyn BusPort>, watchdog: Option<Duration>) -> Self {
+    pub fn start(port: Box<dyn BusPort>, watchdog: Option<Duration>) -> Self {
+        let config = MockControllerConfig { watchdog, ..MockControllerConfig::new(FORMAT) };
+        let plant = Arc::new(Mutex::new(plant()));
+        Self::carry_on(port, MockController::new(config, plant, 7, realtime::now()).unwrap())
+    }
+
+    /// Takes the controller from its bus, and the arm with it as it is: to be connected again.
+    pub fn unplug(mut self) -> MockController {
+        self.end.store(true, Ordering::SeqCst);
+        self.thread.take().unwrap().join().unwrap()
+    }
+
+    /// The same controller at another bus.
+    pub fn carry_on(mut port: Box<dyn BusPort>, mut mock: MockController) -> Self {
         let end = Arc::new(AtomicBool::new(false));
         let seen = Arc::new(Mutex::new(None));
         let lines = Arc::new(Mutex::new(Vec::<String>::new()));
         let (its_end, its_seen, its_lines) = (Arc::clone(&end), Arc::clone(&seen), Arc::clone(&lines));
         let thread = std::thread::spawn(move || {
             hurry();
-            let plant = Arc::new(Mutex::new(plant()));
-            let config = MockControllerConfig { watchdog, ..MockControllerConfig::new(FORMAT) };
-            let mut mock = MockController::new(config, Arc::clone(&plant), 7, realtime::now()).unwrap();
+            let plant = mock.plant();
             let mut buffer = [0; FRAME_ROOM];
             while !its_end.load(Ordering::SeqCst) {
                 while let Ok(Some(length)) = port.try_receive(&mut buffer) {
@@ -163,6 +174,7 @@ impl Emulation {
                     std::thread::sleep(ms(1));
                 }
             }
+            mock
         });
         Self { end, seen, lines, thread: Some(thread) }
     }

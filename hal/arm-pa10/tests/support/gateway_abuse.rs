@@ -319,11 +319,22 @@ impl World {
         assert!(!self.own_ear.is_within_frame());
     }
 
-    /// Nobody says anything any more: the arm comes to rest behind closed brakes, and stays there.
-    fn fall_silent(&mut self) {
+    fn run_to_rest(&mut self) {
         let end = self.now + REST_MAX;
         while !self.gateway.is_at_rest() && self.now < end {
             self.run(REST_PIECE);
+        }
+    }
+
+    /// Nobody says anything any more: the arm comes to rest behind closed brakes, and stays there. A controller that does not answer
+    /// is told so until it does.
+    fn fall_silent(&mut self) {
+        self.run_to_rest();
+        if !self.answers && !self.gateway.is_at_rest() {
+            assert!(self.gateway.status().is_unheard, "{:?}", self.gateway.status());
+            assert!(self.closed_since.iter().all(Option::is_some));
+            self.answers = true;
+            self.run_to_rest();
         }
         let status = self.gateway.status();
         assert!(self.gateway.is_at_rest(), "{status:?}");

@@ -16,6 +16,7 @@ mod trip_line;
 mod wish;
 mod worker;
 
+use std::io::Write as _;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread::JoinHandle;
@@ -50,6 +51,9 @@ const FRESH_CYCLES: f64 = 1.5;
 
 /// Activities in a row that a wish may take at most.
 const ACTIVITIES_MAX: u32 = 3;
+
+/// Who lets go of an arm that nobody hears waits for so long for a terminal.
+const LAST_WORDS_MAX: Duration = Duration::from_millis(300);
 
 /// Opening and greeting a link, at most.
 const OPEN_MAX: Duration = Duration::from_secs(2);
@@ -216,7 +220,11 @@ impl Pa10Arm {
         let kind = match &error {
             WishError::Refused(_) | WishError::WarmUp(_) | WishError::StillStopping(_) => ArmErrorKind::Rejected,
             WishError::Unplugged(_) | WishError::Connect(_) | WishError::NoGateway => ArmErrorKind::Disconnected,
-            WishError::Stopped(_) | WishError::Gateway(_) | WishError::Stuck(_) | WishError::NoThread => {
+            WishError::Stopped(_)
+            | WishError::Gateway(_)
+            | WishError::Stuck(_)
+            | WishError::Unheard
+            | WishError::NoThread => {
                 if self.shared.snapshot().unplugged.is_some() {
                     ArmErrorKind::Disconnected
                 } else {
@@ -353,5 +361,26 @@ impl Drop for Pa10Arm {
         if thread.is_finished() {
             let _ = thread.join();
         }
+        if self.shared.snapshot().unheard {
+            last_words(&self.info.name);
+        }
+    }
+}
+
+/// Nobody is left who tells this arm to stop: the operator has to. Told where it can be read, but a terminal that takes nothing more
+/// does not hold up the other arms, which are let go of after this one.
+fn last_words(name: &str) {
+    let words = format!(
+        "\nEMERGENCY STOP: press it at arm {name}. The program lets go of it, its controller has not answered the stop order, and it \
+         may still move.\n"
+    );
+    let (told, is_told) = channel();
+    let tell = move || {
+        let mut errors = std::io::stderr();
+        let _ = errors.write_all(words.as_bytes()).and_then(|()| errors.flush());
+        let _ = told.send(());
+    };
+    if std::thread::Builder::new().name("arm last words".to_owned()).spawn(tell).is_ok() {
+        let _ = is_told.recv_timeout(LAST_WORDS_MAX);
     }
 }

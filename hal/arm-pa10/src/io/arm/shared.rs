@@ -51,6 +51,8 @@ pub struct ArmSnapshot {
     pub line: ParserCounters,
     /// Frames that could not be handed over because the line took nothing more.
     pub frames_unsent: u64,
+    /// On a bus: the controller has not answered the stop order. The arm may move; the thread goes on telling it to stop.
+    pub unheard: bool,
 }
 
 /// What the control loop wants.
@@ -110,6 +112,7 @@ impl Shared {
             counters: LinkCounters::default(),
             line: ParserCounters::default(),
             frames_unsent: 0,
+            unheard: false,
         };
         Self {
             command: Mutex::new(command),

@@ -48,6 +48,12 @@ pub enum WishError {
         "the gateway still brings the arm to rest after {0:?}: try again in a second, and look at the gateway's log"
     )]
     StillStopping(Duration),
+    /// On a bus: the controller has not answered the stop order.
+    #[error(
+        "its controller has not answered the stop order, and the arm may still move: press its emergency stop; it is told to stop \
+         for as long as this program runs"
+    )]
+    Unheard,
     /// The link can not be opened again.
     #[error("the link can not be opened")]
     Connect(#[source] ConnectError),
@@ -202,6 +208,9 @@ impl Running {
             return Ok(None);
         }
         still_plugged(means)?;
+        if means.driver.is_unheard() {
+            return Err(WishError::Unheard);
+        }
         Ok(Some(()))
     }
 

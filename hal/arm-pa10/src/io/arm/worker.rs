@@ -22,6 +22,9 @@ const IDLE: Duration = Duration::from_millis(50);
 /// It comes back this soon to a lock that the owner held, or to a time that has passed already.
 const SOON: Duration = Duration::from_micros(200);
 
+/// A bus that is gone while the arm may still be driven is opened again this often.
+const OPEN_AGAIN: Duration = Duration::from_millis(200);
+
 /// When the program lets go of an arm, the thread stops it within this time and that of the brakes, or ends without.
 pub(super) const LET_GO_MAX: Duration = Duration::from_millis(1300);
 
@@ -58,6 +61,8 @@ pub(super) struct Progress {
     /// When the last message was sent, how many answers there were before, and whether it was a cyclic command.
     asked: Option<(MonotonicTime, u64, bool)>,
     letting_go: Option<MonotonicTime>,
+    /// When a bus that is gone was last opened again, or tried to.
+    opened: Option<MonotonicTime>,
     failed: bool,
 }
 
@@ -81,6 +86,7 @@ impl Worker {
             self.take_wish();
             self.take_command(now);
             self.let_go(now);
+            self.open_again(now);
             self.receive(now);
             self.advance_wish(now);
             self.transmit();
@@ -147,6 +153,18 @@ impl Worker {
             self.driver.handle_trip(now, Trip::Fault(FaultCause::LetGo));
         } else {
             let _ = self.driver.handle_request(now, Request::Stop);
+        }
+    }
+
+    /// Nobody has heard of the stop order, and nobody will over a bus that is gone. Only a bus: a gateway stops its arm by itself.
+    fn open_again(&mut self, now: MonotonicTime) {
+        if !self.driver.is_unheard() || self.port.gone().is_none() {
+            return;
+        }
+        if self.progress.opened.is_none_or(|last| now.saturating_since(last) >= OPEN_AGAIN) {
+            self.progress.opened = Some(now);
+            // It may not be there yet.
+            let _ = self.port.reopen();
         }
     }
 
@@ -227,13 +245,15 @@ impl Worker {
             counters: *driver.counters(),
             line: self.port.line(),
             frames_unsent: self.port.frames_unsent(),
+            unheard: driver.is_unheard(),
         }
     }
 
     fn is_over(&self) -> bool {
         let Some(since) = self.progress.letting_go else { return false };
         let at_rest = self.driver.activity() == Activity::None || self.port.gone().is_some();
-        at_rest || self.clock.now().saturating_since(since) >= LET_GO_MAX + self.driver.brake_time()
+        (at_rest && !self.driver.is_unheard())
+            || self.clock.now().saturating_since(since) >= LET_GO_MAX + self.driver.brake_time()
     }
 
     fn wait(&mut self) {

@@ -51,6 +51,7 @@ struct Seen {
     state: GatewayState,
     dialect: Option<Dialect>,
     overruns: u64,
+    is_unheard: bool,
 }
 
 /// The core with its lines.
@@ -70,7 +71,7 @@ pub(super) struct Cycle {
 impl Cycle {
     pub fn new(core: Gateway, bus: Box<dyn BusPort>, shared: Arc<Shared>, lines: Lines, queue: EventQueue) -> Self {
         let brake_time = core.config().brake_time;
-        let seen = Seen { state: core.status().state, dialect: None, overruns: 0 };
+        let seen = Seen { state: core.status().state, dialect: None, overruns: 0, is_unheard: false };
         Self { core, bus: Some(bus), host: None, shared, lines, queue, seen, ends: None, brake_time }
     }
 
@@ -199,7 +200,7 @@ impl Cycle {
     }
 
     fn note_changes(&mut self) {
-        let GatewayStatus { state, cause, found, host, .. } = self.core.status();
+        let GatewayStatus { state, cause, found, host, is_unheard, .. } = self.core.status();
         let at = now();
         if state != self.seen.state {
             self.queue.tell(at, Happened::State { from: self.seen.state, to: state, cause, found });
@@ -207,7 +208,10 @@ impl Cycle {
         if let (Some(dialect), true) = (host, host != self.seen.dialect) {
             self.queue.tell(at, Happened::HostGreeted(dialect));
         }
-        (self.seen.state, self.seen.dialect) = (state, host);
+        if is_unheard != self.seen.is_unheard {
+            self.queue.tell(at, if is_unheard { Happened::Unheard } else { Happened::Heard });
+        }
+        (self.seen.state, self.seen.dialect, self.seen.is_unheard) = (state, host, is_unheard);
     }
 
     /// Lines that the door has opened.

@@ -36,6 +36,10 @@ pub enum Happened {
         /// What it was found in: axis and status word, where they show it.
         found: Option<FaultReport>,
     },
+    /// The controller does not answer the stop order, which goes on.
+    Unheard,
+    /// It has.
+    Heard,
     /// A line to a host is there.
     HostConnected,
     /// A host said HELLO.

@@ -1,0 +1,258 @@
+//! A driver on the bus of a controller without a time-out: what nobody has heard is said again until somebody has.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+#[path = "common/bus_bench.rs"]
+#[allow(dead_code, reason = "each test file uses its part")]
+mod bus_bench;
+
+use std::time::Duration;
+
+use bus_bench::{BUS_CYCLE, BusBench, START, assert_held};
+use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, FaultCause, Request, Trip};
+use pb3dp_arm_pa10::mock_controller::{ControlMode, MockControllerConfig, pa10_joints};
+use pb3dp_kinematics::JointVector;
+use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant};
+
+const fn ms(ms: u64) -> Duration {
+    Duration::from_millis(ms)
+}
+
+fn bench(format: WireFormat) -> BusBench {
+    let config = MockControllerConfig { watchdog: None, ..MockControllerConfig::new(format) };
+    let bench = BusBench::with(DriverConfig::with_cycle(BUS_CYCLE), config, 1);
+    let start_rad = JointVector::from([0.1, 0.7, 0.2, 0.9, 0.1, 0.5, 0.1]);
+    let plant = JointPlant::new(pa10_joints().unwrap(), start_rad, START).unwrap();
+    *bench.plant.lock().unwrap() = plant.with_mechanics(JointMechanics::default()).unwrap();
+    bench
+}
+
+fn moving(format: WireFormat) -> BusBench {
+    let mut bench = bench(format).moving(JointVector::from([0.1, -0.2, 0.1, 0.2, 0.3, 0.2, 0.3]));
+    bench.run(ms(400));
+    assert_eq!(bench.driver.state(), DriverState::Moving);
+    bench
+}
+
+fn run_held(bench: &mut BusBench, time: Duration, place: &str) {
+    let end = bench.now + time;
+    while bench.now < end {
+        bench.run(ms(1));
+        assert_held(&bench.controller, place);
+    }
+}
+
+fn trip(bench: &BusBench) -> Option<Trip> {
+    bench.driver.latched().map(|latched| latched.trip)
+}
+
+fn is_link_lost(bench: &BusBench) -> bool {
+    matches!(trip(bench), Some(Trip::Fault(FaultCause::LinkLost { .. })))
+}
+
+/// At rest, brakes on, the control mode off, E answered.
+fn assert_ended(bench: &BusBench, place: &str) {
+    assert!(bench.is_at_rest() && bench.controller.is_braked(), "{place}: it moves with {} rad/s", bench.speed());
+    assert_eq!(bench.controller.mode(), ControlMode::Adjustment, "{place}");
+    assert!(!bench.driver.is_unheard() && bench.driver.activity() == Activity::None, "{place}");
+}
+
+fn reset(bench: &mut BusBench, place: &str) {
+    bench.wanted = None;
+    bench.request(Request::Reset);
+    run_held(bench, ms(700), place);
+    assert_eq!(bench.driver.state(), DriverState::Connected, "{place}: {:?}", bench.driver.latched());
+    assert_ended(bench, place);
+}
+
+/// A program that is killed: nothing is said any more, and another one comes.
+fn killed(bench: &mut BusBench) {
+    bench.wanted = None;
+    bench.driver = Driver::new(DriverConfig::with_cycle(BUS_CYCLE)).unwrap();
+    bench.letters.clear();
+}
+
+#[test]
+fn an_outage_that_ends_at_any_step_of_the_stop_order_leaves_no_arm_moving() {
+    for format in WireFormat::ALL {
+        for outage_ms in (12..340).step_by(4).chain([600, 1000, 11_000]) {
+            let place = format!("{format}, {outage_ms} ms");
+            let mut bench = moving(format);
+            bench.inject("deaf 1000000");
+            run_held(&mut bench, ms(outage_ms), &place);
+            assert!(is_link_lost(&bench), "{place}: {:?}", bench.driver.latched());
+            bench.inject("deaf 0");
+            let before = bench.controller.true_joints().0;
+            run_held(&mut bench, ms(320), &place);
+            let moved = (bench.controller.true_joints().0 - before).amax();
+            assert!(moved < 0.03, "{place}: {moved} rad after the bus was back");
+            assert_ended(&bench, &place);
+            assert!(is_link_lost(&bench), "{place}");
+            reset(&mut bench, &place);
+        }
+    }
+}
+
+#[test]
+fn an_outage_within_the_order_that_is_heard_is_no_end_of_it() {
+    for format in WireFormat::ALL {
+        for heard_ms in (1..230).step_by(6) {
+            let place = format!("{format}, heard for {heard_ms} ms");
+            let mut bench = moving(format);
+            for (time, deaf) in [(0, "deaf 1000000"), (700, "deaf 0"), (heard_ms, "deaf 1000000"), (900, "deaf 0")] {
+                run_held(&mut bench, ms(time), &place);
+                bench.inject(deaf);
+            }
+            run_held(&mut bench, ms(700), &place);
+            assert_ended(&bench, &place);
+            reset(&mut bench, &place);
+        }
+    }
+}
+
+/// It was switched off and on, has no use for C until S, and answers E.
+#[test]
+fn a_controller_that_was_switched_off_and_on_is_reset() {
+    for format in WireFormat::ALL {
+        for only_in_control in [false, true] {
+            let place = format!("{format}, {only_in_control}");
+            let mut bench = moving(format);
+            // The brakes of an arm without power close by themselves: nobody holds it until then.
+            bench.inject("power off");
+            bench.run(ms(1000));
+            bench.only_in_control = only_in_control;
+            bench.inject("power on");
+            run_held(&mut bench, ms(1000), &place);
+            assert_eq!(bench.driver.is_unheard(), only_in_control, "{place}");
+            assert!(is_link_lost(&bench), "{place}");
+            reset(&mut bench, &place);
+        }
+    }
+}
+
+/// Nothing that opens a brake or switches a servo off is said to an arm of which nothing is heard.
+#[test]
+fn nobody_is_reset_or_connected_to_who_is_not_heard() {
+    for format in WireFormat::ALL {
+        let mut bench = moving(format);
+        bench.inject("deaf 1000000");
+        bench.run(ms(1000));
+        bench.letters.clear();
+        bench.wanted = None;
+        bench.request(Request::Reset);
+        bench.settle();
+        assert!(is_link_lost(&bench) && bench.driver.is_unheard());
+        assert!(bench.letters.starts_with('C') && bench.letters.contains("EEE"), "{}", bench.letters);
+        assert!(!bench.letters.contains(['S', 'A']), "{}", bench.letters);
+        let said = bench.letters.len();
+        bench.run(ms(100));
+        assert_eq!(bench.letters[said..], "C".repeat(bench.letters.len() - said), "it goes on");
+        assert!(bench.letters.len() - said >= 49);
+        killed(&mut bench);
+        bench.request(Request::Connect);
+        bench.settle();
+        assert!(is_link_lost(&bench) && bench.driver.is_unheard());
+        assert!(!bench.letters.contains('S'), "{}", bench.letters);
+        bench.inject("deaf 0");
+        run_held(&mut bench, ms(400), "it is heard");
+        assert_ended(&bench, "it is heard");
+        reset(&mut bench, "it is heard");
+    }
+}
+
+/// The bus comes back at any time of a reset, or of a look at an arm that moves: with whatever is heard first.
+#[test]
+fn whatever_is_heard_first_lets_no_joint_go() {
+    for format in WireFormat::ALL {
+        for request in [Request::Reset, Request::Connect] {
+            for after_ms in (0..760).step_by(10) {
+                let place = format!("{format}, {request:?}, back after {after_ms} ms");
+                let mut bench = moving(format);
+                bench.inject("deaf 1000000");
+                run_held(&mut bench, ms(700), &place);
+                bench.wanted = None;
+                if request == Request::Connect {
+                    killed(&mut bench);
+                }
+                bench.request(request);
+                run_held(&mut bench, ms(after_ms), &place);
+                bench.inject("deaf 0");
+                run_held(&mut bench, ms(1200), &place);
+                assert_ended(&bench, &place);
+                if request == Request::Connect {
+                    assert!(bench.driver.state().is_latched(), "{place}: an arm that was found in motion");
+                }
+                if bench.driver.state().is_latched() {
+                    reset(&mut bench, &place);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn an_arm_whose_program_was_killed_in_motion_is_stopped_and_latched_by_the_next_one() {
+    for format in WireFormat::ALL {
+        // The slowest motion that an operator asks for, and a quick one.
+        for velocity in [JointVector::repeat(0.02), JointVector::from([0.1, -0.2, 0.1, 0.2, 0.3, 0.2, 0.3])] {
+            let mut bench = bench(format).moving(velocity);
+            bench.run(ms(400));
+            killed(&mut bench);
+            bench.request(Request::Connect);
+            let before = bench.controller.true_joints().0;
+            run_held(&mut bench, ms(600), "killed");
+            let moved_deg = (bench.controller.true_joints().0 - before).amax().to_degrees();
+            assert!(moved_deg < 1.0, "{format}: {moved_deg} degrees");
+            assert_eq!(trip(&bench), Some(Trip::Fault(FaultCause::FoundDriven)), "{format}, {velocity}");
+            assert_ended(&bench, "killed");
+            assert!(bench.driver.handle_request(bench.now, Request::Enable).is_err());
+            reset(&mut bench, "killed");
+            bench.request(Request::Enable);
+            bench.settle();
+            assert_eq!(bench.driver.state(), DriverState::Enabled);
+        }
+    }
+}
+
+/// Where C is answered in the control mode only, an arm that was left with open brakes is found, too.
+#[test]
+fn an_arm_that_was_left_holding_is_latched_where_the_controller_shows_it() {
+    for format in WireFormat::ALL {
+        for only_in_control in [false, true] {
+            let mut bench = bench(format).moving(JointVector::zeros());
+            bench.only_in_control = only_in_control;
+            killed(&mut bench);
+            bench.request(Request::Connect);
+            run_held(&mut bench, ms(800), "holding");
+            assert_ended(&bench, "holding");
+            let found = Some(Trip::Fault(FaultCause::FoundDriven));
+            assert_eq!(trip(&bench), found.filter(|_| only_in_control), "{format}");
+            // And an arm that was left as it should be is not.
+            if only_in_control {
+                reset(&mut bench, "holding");
+            }
+            killed(&mut bench);
+            bench.request(Request::Connect);
+            run_held(&mut bench, ms(800), "left in order");
+            assert_eq!(bench.driver.state(), DriverState::Connected, "{format}: {:?}", bench.driver.latched());
+            assert_ended(&bench, "left in order");
+        }
+    }
+}
+
+/// Two lost replies in a row are borne at any time of connecting and stopping, and delay nothing for long.
+#[test]
+fn lost_replies_are_borne_while_an_arm_is_looked_for() {
+    for format in WireFormat::ALL {
+        for after_ms in 0..220 {
+            let mut bench = bench(format);
+            bench.request(Request::Connect);
+            bench.run(ms(after_ms));
+            bench.inject("drop 2");
+            bench.settle();
+            assert_eq!(bench.driver.state(), DriverState::Connected, "{after_ms}: {:?}", bench.driver.latched());
+            assert!(bench.now.saturating_since(START) < ms(520));
+        }
+    }
+}

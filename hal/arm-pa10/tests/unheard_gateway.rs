@@ -1,0 +1,303 @@
+//! A gateway at a controller without a time-out: what nobody has heard is said again until somebody has.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+#[path = "common/bus_bench.rs"]
+#[allow(dead_code, reason = "each test file uses its part")]
+mod bus_bench;
+#[path = "common/chain.rs"]
+mod chain;
+
+use std::time::Duration;
+
+use bus_bench::{START, assert_held};
+use chain::{ARM, Chain};
+use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, FaultCause, Request, Trip};
+use pb3dp_arm_pa10::gateway::{Gateway, GatewayConfig};
+use pb3dp_arm_pa10::gateway_protocol::{Dialect, Firmware, GatewayState, RejectReason, StopCause};
+use pb3dp_arm_pa10::mock_controller::{ControlMode, pa10_joints};
+use pb3dp_kinematics::JointVector;
+use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant};
+
+const fn ms(ms: u64) -> Duration {
+    Duration::from_millis(ms)
+}
+
+const EVERY: [(Dialect, WireFormat); 2] =
+    [(Dialect::GatewayV1, WireFormat::BigEndian6x10), (Dialect::Transparent, WireFormat::LittleEndian5x8)];
+
+fn connected(dialect: Dialect, format: WireFormat) -> Chain {
+    let start_rad = JointVector::from([0.1, 0.7, 0.2, 0.9, 0.1, 0.5, 0.1]);
+    let plant = JointPlant::new(pa10_joints().unwrap(), start_rad, START).unwrap();
+    Chain::new(dialect, format, None, plant.with_mechanics(JointMechanics::default()).unwrap())
+}
+
+fn moving(dialect: Dialect, format: WireFormat) -> Chain {
+    let mut chain = connected(dialect, format);
+    chain.prepare();
+    chain.wanted = Some(JointVector::from([0.1, -0.2, 0.1, 0.2, 0.3, 0.2, 0.3]));
+    chain.next_host_cycle = chain.now;
+    chain.run(ms(400));
+    assert_eq!(chain.driver.state(), DriverState::Moving);
+    chain
+}
+
+fn run_held(chain: &mut Chain, time: Duration, place: &str) {
+    let end = chain.now + time;
+    while chain.now < end {
+        chain.run(ms(1));
+        assert_held(&chain.controller, place);
+    }
+}
+
+/// At rest, brakes on, the control mode off, E answered.
+fn assert_ended(chain: &Chain, place: &str) {
+    let (_, speed) = chain.controller.true_joints();
+    assert!(chain.is_at_rest() && chain.controller.is_braked(), "{place}: it moves with {}", speed.amax());
+    assert_eq!(chain.controller.mode(), ControlMode::Adjustment, "{place}");
+    assert!(chain.gateway.is_at_rest() && !chain.gateway.status().is_unheard, "{place}: {:?}", chain.gateway.status());
+}
+
+fn latched(chain: &Chain) -> (GatewayState, StopCause) {
+    (chain.gateway.status().state, chain.gateway.status().cause)
+}
+
+const SILENT: (GatewayState, StopCause) = (GatewayState::Fault, StopCause::ControllerSilent);
+
+/// As an operator does: once more where the gateway needs its time.
+fn reset(chain: &mut Chain, place: &str) {
+    chain.wanted = None;
+    for _ in 0..3 {
+        chain.request(Request::Reset);
+        run_held(chain, ms(600), place);
+        assert_eq!(chain.driver.activity(), Activity::None, "{place}");
+        let refused = Trip::Fault(FaultCause::Rejected(RejectReason::WrongState));
+        if chain.driver.latched().is_none_or(|latched| latched.trip != refused) {
+            break;
+        }
+    }
+    assert_eq!(chain.driver.state(), DriverState::Connected, "{place}: {:?}", chain.driver.latched());
+    assert_eq!(latched(chain), (GatewayState::Idle, StopCause::None), "{place}");
+    assert_ended(chain, place);
+}
+
+/// The gateway is killed, the host with it, and both are started again.
+fn restart(chain: &mut Chain, format: WireFormat) {
+    chain.wanted = None;
+    let config = GatewayConfig::new(ARM, format, Firmware::new("test gateway 2").unwrap());
+    chain.gateway = Gateway::new(config, chain.now).unwrap();
+    chain.driver = Driver::new(DriverConfig::with_cycle(bus_bench::HOST_CYCLE)).unwrap();
+    chain.letters.clear();
+}
+
+#[test]
+fn an_outage_that_ends_at_any_step_of_the_stop_order_leaves_no_arm_moving() {
+    for (dialect, format) in EVERY {
+        for outage_ms in (12..340).step_by(4).chain([600, 1000, 11_000]) {
+            let place = format!("{format}, {outage_ms} ms");
+            let mut chain = moving(dialect, format);
+            chain.inject("deaf 1000000");
+            run_held(&mut chain, ms(outage_ms), &place);
+            assert_eq!(latched(&chain), SILENT, "{place}");
+            chain.inject("deaf 0");
+            let before = chain.controller.true_joints().0;
+            run_held(&mut chain, ms(320), &place);
+            let moved = (chain.controller.true_joints().0 - before).amax();
+            assert!(moved < 0.03, "{place}: {moved} rad after the bus was back");
+            assert_ended(&chain, &place);
+            assert_eq!(latched(&chain), SILENT, "{place}");
+            reset(&mut chain, &place);
+        }
+    }
+}
+
+#[test]
+fn an_outage_within_the_order_that_is_heard_is_no_end_of_it() {
+    for (dialect, format) in EVERY {
+        for heard_ms in (1..230).step_by(6) {
+            let place = format!("{format}, heard for {heard_ms} ms");
+            let mut chain = moving(dialect, format);
+            for (time, deaf) in [(0, "deaf 1000000"), (700, "deaf 0"), (heard_ms, "deaf 1000000"), (900, "deaf 0")] {
+                run_held(&mut chain, ms(time), &place);
+                chain.inject(deaf);
+            }
+            run_held(&mut chain, ms(700), &place);
+            assert_ended(&chain, &place);
+            reset(&mut chain, &place);
+        }
+    }
+}
+
+/// It was switched off and on, has no use for C until S, and answers E.
+#[test]
+fn a_controller_that_was_switched_off_and_on_is_reset() {
+    for (dialect, format) in EVERY {
+        for only_in_control in [false, true] {
+            let place = format!("{format}, {only_in_control}");
+            let mut chain = moving(dialect, format);
+            chain.inject("power off");
+            chain.run(ms(1000));
+            chain.only_in_control = only_in_control;
+            chain.inject("power on");
+            run_held(&mut chain, ms(1000), &place);
+            assert_eq!(chain.gateway.status().is_unheard, only_in_control, "{place}");
+            assert_eq!(latched(&chain), SILENT, "{place}");
+            reset(&mut chain, &place);
+        }
+    }
+}
+
+/// Nothing that opens a brake or switches a servo off is said to an arm of which nothing is heard.
+#[test]
+fn nobody_is_reset_who_is_not_heard() {
+    for (dialect, format) in EVERY {
+        let mut chain = moving(dialect, format);
+        chain.inject("deaf 1000000");
+        chain.run(ms(1000));
+        chain.wanted = None;
+        chain.letters.clear();
+        chain.request(Request::Reset);
+        chain.settle();
+        let lost = |trip| matches!(trip, Trip::Fault(FaultCause::LinkLost { .. }));
+        assert!(chain.driver.latched().is_some_and(|latched| lost(latched.trip)), "{:?}", chain.driver.latched());
+        assert!(!chain.letters.contains('S') && chain.letters.contains('E'), "{}", chain.letters);
+        chain.letters.clear();
+        chain.run(ms(100));
+        assert!(chain.letters.len() >= 49 && !chain.letters.contains(|letter| letter != 'C'), "{}", chain.letters);
+        chain.inject("deaf 0");
+        run_held(&mut chain, ms(400), "it is heard");
+        assert_ended(&chain, "it is heard");
+        reset(&mut chain, "it is heard");
+    }
+}
+
+/// The bus comes back at any time of a reset, with whatever is heard first.
+#[test]
+fn a_bus_that_comes_back_during_a_reset_lets_no_joint_go() {
+    for (dialect, format) in EVERY {
+        for after_ms in 0..120 {
+            let place = format!("{format}, back after {after_ms} ms");
+            let mut chain = moving(dialect, format);
+            chain.inject("deaf 1000000");
+            run_held(&mut chain, ms(700), &place);
+            chain.wanted = None;
+            chain.request(Request::Reset);
+            run_held(&mut chain, ms(after_ms), &place);
+            chain.inject("deaf 0");
+            run_held(&mut chain, ms(800), &place);
+            assert_ended(&chain, &place);
+            if chain.driver.state().is_latched() {
+                reset(&mut chain, &place);
+            }
+        }
+    }
+}
+
+/// A gateway that begins at a dead bus, whose arm moves all the same.
+#[test]
+fn an_arm_that_is_heard_late_and_moves_is_stopped_and_latched() {
+    for (dialect, format) in EVERY {
+        for after_ms in (0..330).step_by(4).chain([2000]) {
+            let place = format!("{format}, back after {after_ms} ms");
+            let mut chain = moving(dialect, format);
+            chain.inject("deaf 1000000");
+            restart(&mut chain, format);
+            run_held(&mut chain, ms(after_ms), &place);
+            if after_ms > 230 {
+                assert_eq!(latched(&chain), (GatewayState::Idle, StopCause::None), "{place}: hosts may come");
+            }
+            chain.inject("deaf 0");
+            run_held(&mut chain, ms(600), &place);
+            assert_ended(&chain, &place);
+            // E is said by time once: one that is heard first stops the arm before anybody sees it move.
+            let heard_e_first = (200..=222).contains(&after_ms);
+            if !heard_e_first {
+                assert_eq!(latched(&chain), (GatewayState::Fault, StopCause::HostSilent), "{place}");
+            }
+        }
+    }
+}
+
+/// A host asks for the control mode just as the bus of a moving arm comes back.
+#[test]
+fn a_start_at_an_arm_of_which_nothing_is_heard_lets_no_joint_go() {
+    for (dialect, format) in EVERY {
+        for after_ms in 0..60 {
+            let place = format!("{format}, back after {after_ms} ms");
+            let mut chain = moving(dialect, format);
+            chain.inject("deaf 1000000");
+            restart(&mut chain, format);
+            run_held(&mut chain, ms(400), &place);
+            chain.open();
+            chain.request(Request::Connect);
+            run_held(&mut chain, ms(after_ms), &place);
+            chain.inject("deaf 0");
+            run_held(&mut chain, ms(900), &place);
+            assert_ended(&chain, &place);
+            if chain.driver.state().is_latched() {
+                reset(&mut chain, &place);
+            }
+        }
+    }
+}
+
+/// One that is switched on after its gateway, and has no use for C until S.
+#[test]
+fn a_controller_that_is_switched_on_later_is_started_at_once() {
+    for (dialect, format) in EVERY {
+        let mut chain = connected(dialect, format);
+        chain.inject("power off");
+        restart(&mut chain, format);
+        chain.run(ms(1000));
+        chain.only_in_control = true;
+        chain.inject("power on");
+        chain.run(ms(1000));
+        assert!(chain.gateway.status().is_unheard);
+        chain.open();
+        chain.request(Request::Connect);
+        chain.settle();
+        assert_eq!(chain.driver.state(), DriverState::Connected, "{:?}", chain.driver.latched());
+        chain.prepare();
+    }
+}
+
+/// Where C is answered in the control mode only, an arm that was left with open brakes is found, too.
+#[test]
+fn an_arm_that_was_left_holding_is_latched_where_the_controller_shows_it() {
+    for (dialect, format) in EVERY {
+        for only_in_control in [false, true] {
+            let mut chain = connected(dialect, format);
+            chain.only_in_control = only_in_control;
+            chain.prepare();
+            restart(&mut chain, format);
+            run_held(&mut chain, ms(400), "holding");
+            assert_ended(&chain, "holding");
+            let found = if only_in_control { (GatewayState::Fault, StopCause::HostSilent) } else { latched(&chain) };
+            assert_eq!(latched(&chain), found, "{format}");
+            // And an arm that was left as it should be is not.
+            restart(&mut chain, format);
+            run_held(&mut chain, ms(400), "left in order");
+            assert_ended(&chain, "left in order");
+            assert_eq!(latched(&chain), (GatewayState::Idle, StopCause::None), "{format}");
+        }
+    }
+}
+
+/// A host that leaves in `started`, on a bus that is dead just then.
+#[test]
+fn an_e_that_nobody_heard_is_asked_for_again() {
+    for (dialect, format) in EVERY {
+        let mut chain = connected(dialect, format);
+        chain.request(Request::Enable);
+        chain.settle();
+        chain.inject("deaf 4");
+        chain.frozen = true;
+        chain.gateway.handle_host_gone(chain.now);
+        chain.letters.clear();
+        run_held(&mut chain, ms(400), "started");
+        assert!(chain.letters.starts_with("EEEC") && chain.letters.ends_with("CEC"), "{}", chain.letters);
+        assert_eq!(latched(&chain), (GatewayState::Idle, StopCause::None));
+        assert_ended(&chain, "started");
+    }
+}
