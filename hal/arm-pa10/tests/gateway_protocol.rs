@@ -239,6 +239,14 @@ fn the_times_of_the_specification_are_ours() {
     }
     let refused = check_line(Dialect::GatewayV1, b, 115_200, std::time::Duration::from_millis(10)).unwrap_err();
     assert!(refused.to_string().starts_with("115200 baud take 15.19"), "{refused}");
+    assert!(
+        refused
+            .to_string()
+            .contains("(175 bytes), more than half of a cycle of 10ms, which needs at least 350000 baud"),
+        "{refused}"
+    );
+    assert!(check_line(Dialect::GatewayV1, b, 350_000, std::time::Duration::from_millis(10)).is_ok());
+    assert!(check_line(Dialect::GatewayV1, b, 349_999, std::time::Duration::from_millis(10)).is_err());
     assert!(check_line(Dialect::Transparent, a, 0, std::time::Duration::from_millis(10)).is_err());
 }
 

@@ -305,7 +305,9 @@ impl<A: Arm + ArmPower> Coupled<A> {
             _ if by_other => {}
             (Some(error), _) => cell.stop_both(self.side, &error.to_string()),
             (None, ArmState::Fault) => cell.stop_both(self.side, "it is in a fault"),
-            (None, ArmState::EStop) => cell.stop_both(self.side, "its emergency stop was pressed"),
+            (None, ArmState::EStop) => {
+                cell.stop_both(self.side, "an emergency stop, dead-man switch or limit switch stopped it")
+            }
             (None, ArmState::Disabled | ArmState::Enabled) => {}
         }
         drop(cell);

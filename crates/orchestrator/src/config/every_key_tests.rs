@@ -182,6 +182,31 @@ fn ways_to_an_arm_that_do_not_fit_are_refused() {
     assert_eq!(sample.refusal("run.seed", Value::Integer(1)), None);
     let line = sample.line_about("arms.vs.gateway.baud", Value::Integer(300));
     assert_eq!(ends(&line), [9600.0, 12_000_000.0]);
+    let text = sample.refusal("arms.vs.gateway.baud", Value::Integer(9600)).unwrap();
+    assert!(text.contains("arms.vs.gateway.baud: 9600 baud take") && text.contains("at least 350000 baud"), "{text}");
+}
+
+/// Addresses are numbers, and each arm has its own.
+#[test]
+fn addresses_that_lead_nowhere_or_to_both_arms_are_refused() {
+    let refusal = |vs: &str, tc: &str| {
+        let mut sample = Sample::new("hil.toml", |file| read_setup(file).map(drop));
+        for (name, address) in [("vs", vs), ("tc", tc)] {
+            let arm = sample.table["arms"][name].as_table_mut().unwrap();
+            arm["backend"] = "tcp".into();
+            arm["gateway"].as_table_mut().unwrap().insert("address".into(), address.into());
+        }
+        sample.refusal("run.seed", Value::Integer(1))
+    };
+    assert_eq!(refusal("127.0.0.1:4601", "127.0.0.1:4602"), None);
+    for wrong in ["localhost:4601", "127.0.0.1", "4601", ""] {
+        let text = refusal(wrong, "127.0.0.1:4602").unwrap();
+        let expected = format!("arms.vs.gateway.address = {wrong:?}: allowed are the number of a computer and a port");
+        assert!(text.contains(&expected), "{text}");
+    }
+    let text = refusal("127.0.0.1:4601", "127.0.0.1:4601").unwrap();
+    let expected = "arms.tc.gateway.address = \"127.0.0.1:4601\": arms.vs.gateway.address is the same";
+    assert!(text.contains(expected), "{text}");
 }
 
 fn arm(root: &mut Table) -> &mut Table {

@@ -168,7 +168,9 @@ fn a_probe_tells_what_an_arm_is_and_that_it_fits() {
             assert!(numbers(&joint["difference_deg"]).iter().all(|by| by.abs() < 0.001), "{joint}");
         }
         let table = pb3dp_arm(&hil(), &["probe", "--exchanges", "20"], None).assert_success().stdout;
-        for part in ["gateway: \"pb3dp emulation\"", "1 S1", "-177.000 177.000", "0 lost", "everything fits"] {
+        for part in
+            ["gateway: \"pb3dp emulation\"", "1 S1", "-177.000 177.000", "0 lost", "0 resyncs", "everything fits"]
+        {
             assert!(table.contains(part), "{part:?} is missing in:\n{table}");
         }
     });
@@ -339,7 +341,14 @@ fn an_arm_that_was_stopped_is_reset_by_name_only() {
         assert!(!cell.pb3dp(&jog, Some("vs-robot")).success);
         assert!(cell.joints().1, "all brakes are closed");
         cell.arm.say("e-stop release");
-        assert_problem(&cell.pb3dp(&["probe"], None), &["the arm is stopped"]);
+        let probe = cell.pb3dp(&["probe"], None);
+        assert_problem(&probe, &["the arm is stopped", "(emergency stop); release the emergency stop, then reset"]);
+        // Where it stands, as the gateway saw it last.
+        assert!(probe.stdout.contains("joints and status words are those of"), "{}", probe.stdout);
+        let report = json(&cell.pb3dp(&["probe", "--json"], None));
+        for (joint, angle) in report["joints"].as_array().unwrap().iter().zip(cell.joints().0) {
+            assert!((joint["now_deg"].as_f64().unwrap() - angle).abs() < 2.0, "{report}");
+        }
         cell.pb3dp(&["reset"], Some("yes")).assert_refused(&["\"yes\" is not vs-robot"]);
         let reset = cell.pb3dp(&["reset"], Some("vs-robot")).assert_success().stdout;
         assert!(reset.contains("connected, brakes on"), "{reset}");

@@ -24,7 +24,7 @@ pub fn with_bus(folder: &TempDir, port: &str, more: &str) {
 }
 
 /// Of the table, but for number and port.
-fn keys(wire_format: &str, cycle_millis: &str) -> String {
+pub fn keys(wire_format: &str, cycle_millis: &str) -> String {
     format!(
         "wire_format = \"{wire_format}\"\ngeometry = \"second-generation\"\nsequence_numbers = 128\ncycle_millis = {cycle_millis}\n\
          brake_millis = 200.0\nemergency_stop_bits = 0\nsupervise_other_axes = false\nsupervise_dead_man = false\n\

@@ -91,6 +91,7 @@ fn nothing_moves_in_a_dry_run_or_without_the_name() {
             "4 E1    97.490    95.490    -2.000",
             "within 3.6 s",
             "room to the tc-robot (emulated, where it would start)",
+            "warning: --by 2.0: after NOW you have 2.4 s until the move ends, and a person needs 4 s; give --by 4 or more",
             "dry run: the brakes stayed on and nothing moved",
         ] {
             assert!(dry.contains(part), "{part:?} is missing in:\n{dry}");
@@ -128,8 +129,7 @@ fn what_can_not_be_tested_is_refused_before_anything_happens() {
     refused(&hil(), &["--skip", "comms,jog,e-stop,cable,kill"], &["no step is left"]);
     let sim = crate::support::repository().join("configs/sim.toml").display().to_string();
     refused(&sim, &["--operator", "emulated"], &["arms.vs.backend is not \"emulated\""]);
-    let bus = "wire_format = \"B\"\nsequence_numbers = 128\ncycle_millis = 2.0";
-    crate::arm_on_bus::with_bus(&real, "arcnet:arc0", bus);
+    crate::arm_on_bus::with_bus(&real, "arcnet:arc0", &crate::arm_on_bus::keys("B", "2.0"));
     refused(&config, &[], &["arms.vs.backend = \"arcnet\" has no gateway", "by hand"]);
     // The way back or there leads out of the operating range.
     let cell = Cell::start(&["--pose-deg", "0,80,0,97,0,-50,0"]);
@@ -333,7 +333,7 @@ fn an_emergency_stop_that_does_not_stop_fails() {
             cell.arm.say("e-stop release");
             test.answer("Press Enter", "");
         };
-        fails("e-stop", &mut cell, late, "way of the joint that got farthest: ");
+        fails("e-stop", &mut cell, late, ", the joint that got farthest: ");
         cell.arm.quit();
     });
 }
@@ -417,7 +417,7 @@ fn an_arm_that_goes_on_while_the_cable_is_pulled_fails() {
             gateway.plug(true);
             test.answer("Press Enter", "");
         };
-        fails("cable", &mut cell, acts, "way of the joint that got farthest since the last measurement: ");
+        fails("cable", &mut cell, acts, ", the joint that got farthest since the last measurement: ");
         cell.arm.quit();
     });
 }

@@ -234,11 +234,11 @@ pub enum FaultCause {
     },
 }
 
-/// An emergency stop.
+/// An emergency stop, or another switch that stops an arm as it does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EmergencyStopCause {
     /// Told by an axis.
-    #[error("{axis}: {alarm}; release it, then reset")]
+    #[error("{axis}: {alarm}; {advice}, then reset", advice = release(alarm.code()))]
     Axis {
         /// Which axis.
         axis: Axis,
@@ -246,7 +246,7 @@ pub enum EmergencyStopCause {
         alarm: ServoAlarm,
     },
     /// Told by the controller.
-    #[error("controller: {alarm}; release it, then reset")]
+    #[error("controller: {alarm}; {advice}, then reset", advice = release(alarm.code()))]
     Controller {
         /// Emergency stop, dead-man switch or limit switch.
         alarm: CommAlarm,
@@ -260,8 +260,37 @@ pub enum EmergencyStopCause {
         word: u16,
     },
     /// Told by the gateway.
-    #[error("the gateway reports an emergency stop; release it, then reset")]
+    #[error(
+        "the gateway tells of an emergency stop, a dead-man switch that was let go or a limit switch, and not which; remove the \
+         cause, then reset"
+    )]
     Gateway,
+}
+
+impl EmergencyStopCause {
+    /// Which switch it was.
+    pub fn name(&self) -> &'static str {
+        let code = match self {
+            Self::Axis { alarm, .. } => alarm.code(),
+            Self::Controller { alarm } => alarm.code(),
+            Self::Switch { .. } => return "emergency stop",
+            Self::Gateway => return "a switch",
+        };
+        match ServoAlarm::from_code(code) {
+            Some(ServoAlarm::DeadManOff) => "dead-man switch",
+            Some(ServoAlarm::LimitSwitch) => "limit switch",
+            _ => "emergency stop",
+        }
+    }
+}
+
+/// What to do about the switch of this alarm, whose code axes and controller share.
+fn release(code: u8) -> &'static str {
+    match ServoAlarm::from_code(code) {
+        Some(ServoAlarm::DeadManOff) => "hold the dead-man switch",
+        Some(ServoAlarm::LimitSwitch) => "lead the arm away from the limit switch",
+        _ => "release the emergency stop",
+    }
 }
 
 impl Sample {
@@ -304,7 +333,7 @@ impl ArmCondition {
     /// What stops the arm, an emergency stop before a fault. Status words of format A tell nothing, as their meaning is not public.
     ///
     /// `emergency_stop_bits` of the controller's word mean an emergency stop.
-    pub(crate) fn trip(&self, emergency_stop_bits: u16) -> Option<Trip> {
+    pub fn trip(&self, emergency_stop_bits: u16) -> Option<Trip> {
         let emergency_stop = self.emergency_stop(emergency_stop_bits).map(Trip::EStop);
         emergency_stop.or_else(|| self.fault().map(Trip::Fault))
     }
@@ -460,7 +489,7 @@ impl std::fmt::Display for Trip {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Fault(cause) => write!(f, "fault: {cause}"),
-            Self::EStop(cause) => write!(f, "emergency stop: {cause}"),
+            Self::EStop(cause) => write!(f, "{}: {cause}", cause.name()),
         }
     }
 }

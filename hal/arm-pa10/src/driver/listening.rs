@@ -12,8 +12,8 @@ use super::table::Activity;
 use super::{FaultCause, Sample, Trip};
 use crate::codec::{ArmCommand, AxisCommand, ControlMessage, Supervision};
 
-/// Messages in a row without an answer that say that there is none.
-const CHECKS: u32 = 3;
+/// Messages in a row without an answer that say that there is none: more than a bus loses, or a held-up computer.
+const CHECKS: u32 = 10;
 
 /// An axis that shows more than this is driven, rad/s: half of the slowest motion that an operator asks for.
 const SPEED_AT_REST_MAX_RAD_PER_S: f64 = 0.01;

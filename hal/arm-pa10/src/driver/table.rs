@@ -156,7 +156,7 @@ impl std::fmt::Display for DriverState {
             Self::Holding => "holding",
             Self::Moving => "moving",
             Self::Fault => "stopped by a fault",
-            Self::EStop => "stopped by an emergency stop",
+            Self::EStop => "stopped by an emergency stop, dead-man switch or limit switch",
         })
     }
 }

@@ -7,12 +7,15 @@
 use pb3dp_geometry::MonotonicTime;
 
 use super::host::Refused;
-use super::machine::{END_TRIES, Job, Machine, SILENT_CYCLES, StopStep, Work, wrong_state};
+use super::machine::{END_TRIES, Job, Machine, StopStep, Work, wrong_state};
 use crate::codec::ArmReply;
 use crate::gateway_protocol::{GatewayState, RejectReason, StopCause};
 
 /// An axis that shows more than this is driven, in counts of 0.0002 rad/s: half of the slowest motion that an operator asks for.
 const SPEED_AT_REST_MAX: u16 = 50;
+
+/// C so often in a row without an answer, after E, says that there is none: more than a bus loses, or a held-up computer.
+const CHECKS: u32 = 10;
 
 /// An axis that shows angles farther apart than this has moved, in counts of 7.67 µrad: 77 µrad.
 const ANGLE_AT_REST_MAX: u32 = 10;
@@ -91,7 +94,7 @@ impl Machine {
     /// E was answered, with which the stop order ends.
     pub fn end_stop(&mut self, now: MonotonicTime) {
         if self.is_unasked && self.motion.is_heard() {
-            self.work = Work::Stop(StopStep::Check { left: SILENT_CYCLES });
+            self.work = Work::Stop(StopStep::Check { left: CHECKS });
         } else {
             self.motion.note_heard(now);
             self.finish_stop();

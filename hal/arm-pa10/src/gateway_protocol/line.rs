@@ -14,11 +14,13 @@ const BITS_PER_BYTE: u64 = 10;
 /// A line is too slow for a cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{baud} baud take {exchange:?} for a command and its answer, more than half of a cycle of {cycle:?}; choose a higher rate, or \
-     a longer cycle of up to 10 ms"
+    "{baud} baud take {exchange:?} for a command and its answer ({bytes} bytes), more than half of a cycle of {cycle:?}, which needs at \
+     least {least} baud: choose a higher rate, or a longer cycle of up to 10 ms"
 )]
 pub struct LineTooSlow {
     baud: u32,
+    bytes: usize,
+    least: u64,
     exchange: Duration,
     cycle: Duration,
 }
@@ -44,5 +46,10 @@ pub fn exchange_time(dialect: Dialect, format: WireFormat, baud: u32) -> Duratio
 /// If it does not; the text says how long they take.
 pub fn check_line(dialect: Dialect, format: WireFormat, baud: u32, cycle: Duration) -> Result<(), LineTooSlow> {
     let exchange = exchange_time(dialect, format, baud);
-    if exchange <= cycle / 2 { Ok(()) } else { Err(LineTooSlow { baud, exchange, cycle }) }
+    if exchange <= cycle / 2 {
+        return Ok(());
+    }
+    let bytes = exchange_bytes(dialect, format);
+    let least = (bytes as f64 * BITS_PER_BYTE as f64 / (cycle / 2).as_secs_f64()).ceil() as u64;
+    Err(LineTooSlow { baud, bytes, least, exchange, cycle })
 }

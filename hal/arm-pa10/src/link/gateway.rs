@@ -12,8 +12,8 @@ use crate::driver::{
 };
 use crate::gateway_protocol::{
     ArmId, ArmOperation, BRAKE_TIME_MAX, Control, DelayMeter, Dialect, DriveCommand, DriveMode, FaultReport, Frame,
-    FrameBytes, FrameParser, GatewayMessage, Geometry, Hello, HelloReply, HostMessage, ParserCounters, RawMessage,
-    Received, Reject, RejectReason, StopCause,
+    FrameBytes, FrameParser, GatewayMessage, GatewayState, Geometry, Hello, HelloReply, HostMessage, ParserCounters,
+    RawMessage, Received, Reject, RejectReason, StopCause,
 };
 use crate::watchdog::{CommandWatchdog, WatchdogError};
 
@@ -107,6 +107,8 @@ pub enum LinkError {
 enum Waiting {
     Nothing,
     Hello,
+    /// What a gateway shows that has stopped its arm, after this answer to HELLO.
+    Shown(HelloReply),
     /// An operation of the gateway itself before this message: RESET before the S that begins a control mode after a fault, ABORT
     /// before what stops an arm because of one.
     Before(ArmOperation, ControlMessage),
@@ -127,6 +129,7 @@ pub struct GatewayLink {
     aborted: bool,
     hello: Option<HelloReply>,
     hello_error: Option<HelloError>,
+    shown: Option<Sample>,
     output: Option<FrameBytes>,
     heartbeat: Option<u16>,
     last_sent: MonotonicTime,
@@ -148,6 +151,7 @@ impl GatewayLink {
             aborted: false,
             hello: None,
             hello_error: None,
+            shown: None,
             output: None,
             heartbeat: None,
             last_sent: MonotonicTime::ZERO,
@@ -160,6 +164,7 @@ impl GatewayLink {
     pub fn open(&mut self, now: MonotonicTime) {
         self.hello = None;
         self.hello_error = None;
+        self.shown = None;
         self.heartbeat = None;
         self.aborted = false;
         self.parser.restart();
@@ -179,6 +184,12 @@ impl GatewayLink {
     /// What the gateway is and can, once it has answered.
     pub fn hello(&self) -> Option<&HelloReply> {
         self.hello.as_ref()
+    }
+
+    /// What a gateway that had stopped its arm before it was greeted has shown of it: the last measurement. Only in the dialect
+    /// `gateway-v1`, and only if anything was measured.
+    pub fn shown(&self) -> Option<&Sample> {
+        self.shown.as_ref()
     }
 
     /// How much of the stream was damaged.
@@ -312,12 +323,20 @@ impl GatewayLink {
             (Waiting::Hello, GatewayMessage::HelloReply(reply)) => match self.judge(reply) {
                 Ok(watchdog) => {
                     driver.note_watchdog(watchdog.stop_after());
-                    self.hello = Some(*reply);
+                    self.greeted(now, reply);
                 }
                 Err(error) => self.hello_error = Some(error),
             },
             (Waiting::Hello, GatewayMessage::Reject(Reject { reason, .. })) => {
                 self.hello_error = Some(HelloError::Rejected(*reason));
+            }
+            (Waiting::Shown(hello), answer) => {
+                if let GatewayMessage::State(state) = answer {
+                    let sample = Sample::from_state(state);
+                    self.shown = Some(Sample { age: sample.age + late, ..sample });
+                }
+                // One that has measured nothing refuses.
+                self.hello = Some(hello);
             }
             (Waiting::Before(operation, message), GatewayMessage::ControlReply(reply))
                 if reply.control == Control::Arm(operation) =>
@@ -349,6 +368,17 @@ impl GatewayLink {
     fn go_on(&mut self, now: MonotonicTime, message: ControlMessage, driver: &mut Driver) {
         if self.say(now, message).is_err() {
             driver.handle_bad_reply(BadReply::Mismatched);
+        }
+    }
+
+    /// A gateway that has stopped its arm answers a command with what it measured last, and does nothing of it.
+    fn greeted(&mut self, now: MonotonicTime, hello: &HelloReply) {
+        let is_stopped = matches!(hello.state, GatewayState::Fault | GatewayState::EmergencyStop);
+        if is_stopped && hello.dialect == Dialect::GatewayV1 {
+            self.waiting = Waiting::Shown(*hello);
+            self.asked = self.emit(now, &HostMessage::Command(DriveCommand::at_rest(DriveMode::Off)));
+        } else {
+            self.hello = Some(*hello);
         }
     }
 

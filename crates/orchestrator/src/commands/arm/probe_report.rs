@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use pb3dp_arm_pa10::codec::{Axis, AxisStatus, CommStatus, WireFormat};
 use pb3dp_arm_pa10::driver::{ArmCondition, AxisLimits, FaultCause, Trip};
-use pb3dp_arm_pa10::gateway_protocol::HelloReply;
+use pb3dp_arm_pa10::gateway_protocol::{Dialect, HelloReply};
 use pb3dp_arm_pa10::io::arm::{ArmMonitor, ArmSnapshot, Jitter};
 use serde::Serialize;
 
@@ -104,6 +104,10 @@ pub struct LinkFacts {
     late: u64,
     damaged: u64,
     mismatched: u64,
+    /// How often bytes had to be skipped to find the next frame.
+    resyncs: u64,
+    /// How many bytes that were.
+    skipped_bytes: u64,
     /// Of commands with brakes on and servos off.
     round_trips: TimeFacts,
     /// Of all other messages, most of which read a limit.
@@ -176,7 +180,7 @@ impl ProbeReport {
             judge_silence(&seen, &mut findings);
         }
         let joints = Axis::ALL.map(|axis| joint(choice, arm, &seen, axis, &mut findings));
-        let controller_word = seen.sample.map(|sample| controller(&sample.condition, &mut findings));
+        let controller_word = seen.sample.or(seen.shown).map(|sample| controller(&sample.condition, &mut findings));
         let link = link(&seen, monitor, &mut findings);
         Self {
             arm: choice.name(),
@@ -196,6 +200,21 @@ impl ProbeReport {
 fn judge_stop(seen: &ArmSnapshot, findings: &mut Findings) {
     let Some(latched) = &seen.latched else { return };
     findings.refuse(format!("the arm is stopped: {}", latched.trip));
+    match (&seen.sample, &seen.shown, &seen.gateway) {
+        (Some(_), _, _) => {}
+        (None, Some(shown), _) => {
+            let seconds = shown.age.as_secs_f64();
+            findings.warn(format!("joints and status words are those of {seconds:.1} s ago: the gateway measures nothing now"));
+        }
+        (None, None, Some(gateway)) if gateway.dialect == Dialect::Transparent => findings.warn(
+            "no joints: in the dialect transparent a gateway shows none of an arm that it has stopped; reset it, or probe in gateway-v1"
+                .to_owned(),
+        ),
+        (None, None, Some(_)) => {
+            findings.warn("no joints: the gateway has measured nothing since it was started; reset the arm".to_owned());
+        }
+        (None, None, None) => findings.warn("no joints: the arm was stopped before it told any".to_owned()),
+    }
     if is_of_another_format(&latched.trip) {
         findings.refuse(
             "the controller's answers do not have the length of the configured wire format: set wire_format to the other one, here \
@@ -273,11 +292,12 @@ fn joint(choice: ArmChoice, arm: &ArmSetup, seen: &ArmSnapshot, axis: Axis, find
         }
         _ => {}
     }
-    let now_rad = seen.joints.map(|joints| joints.position_rad[index]);
+    let sample = seen.sample.or(seen.shown);
+    let now_rad = sample.map(|sample| sample.position_rad[index]);
     if let Some(angle) = now_rad {
         judge_angle(arm, (axis, angle), findings);
     }
-    let (word, alarm) = seen.sample.map(|sample| status(&sample.condition, axis, findings)).unwrap_or_default();
+    let (word, alarm) = sample.map(|sample| status(&sample.condition, axis, findings)).unwrap_or_default();
     JointFacts {
         axis: axis.number(),
         name: axis.name(),
@@ -374,6 +394,8 @@ fn link(seen: &ArmSnapshot, monitor: &ArmMonitor, findings: &mut Findings) -> Li
         late: counters.late,
         damaged: counters.damaged,
         mismatched: counters.mismatched,
+        resyncs: seen.line.resyncs,
+        skipped_bytes: seen.line.skipped_bytes,
         round_trips: monitor.round_trips().into(),
         control_round_trips: monitor.control_trips().into(),
         lateness: monitor.jitter().into(),
@@ -456,8 +478,15 @@ impl std::fmt::Display for LinkFacts {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         writeln!(
             f,
-            "link: {} messages, {} answered, {} lost, {} late, {} damaged, {} foreign",
-            self.sent, self.answered, self.lost, self.late, self.damaged, self.mismatched
+            "link: {} messages, {} answered, {} lost, {} late, {} damaged, {} foreign; {} resyncs, {} bytes skipped",
+            self.sent,
+            self.answered,
+            self.lost,
+            self.late,
+            self.damaged,
+            self.mismatched,
+            self.resyncs,
+            self.skipped_bytes
         )?;
         writeln!(f, "  commands:       round trip {}", self.round_trips)?;
         writeln!(f, "  other messages: round trip {}", self.control_round_trips)?;

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use pb3dp_arm_pa10::codec::{SequenceModulus, Supervision, WireFormat};
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, BRAKE_TIME_MAX, Dialect, Geometry};
+use pb3dp_arm_pa10::gateway_protocol::{ArmId, BRAKE_TIME_MAX, Dialect, Geometry, check_line};
 use pb3dp_arm_pa10::io::arm::BusTarget;
 use pb3dp_arm_pa10::io::mock_server::SocketAddr;
 use pb3dp_arm_pa10::io::serial::SerialConfig;
@@ -102,7 +102,7 @@ pub(super) struct GatewaySection {
     geometry: GeometryName,
     port: Option<String>,
     baud: Option<i64>,
-    address: Option<SocketAddr>,
+    address: Option<String>,
 }
 
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -238,6 +238,29 @@ impl BusSection {
     }
 }
 
+fn tcp_address(key: &str, text: &str, check: &mut Checker) -> Option<SocketAddr> {
+    let address = text.parse();
+    if address.is_err() {
+        check.refuse(format!(
+            "{key} = {text:?}: allowed are the number of a computer and a port, for instance \"192.168.0.20:4534\" or \"[::1]:4534\"; \
+             names are not looked up, and \"localhost\" is \"127.0.0.1\""
+        ));
+    }
+    address.ok()
+}
+
+impl ArmLink {
+    /// Where the other end is, which only one arm can have; as its key and value.
+    pub(super) fn place(&self) -> Option<(&'static str, String)> {
+        match self {
+            Self::Gateway(_, GatewayWay::Serial(serial)) => Some(("gateway.port", serial.path.clone())),
+            Self::Gateway(_, GatewayWay::Tcp(tcp)) => Some(("gateway.address", tcp.address.to_string())),
+            Self::Bus(bus) => Some(("bus.port", bus.target.to_string())),
+            Self::InProcess | Self::Gateway(_, GatewayWay::Emulated) => None,
+        }
+    }
+}
+
 impl GatewaySection {
     fn build(
         &self,
@@ -257,14 +280,19 @@ impl GatewaySection {
             geometry: self.geometry.into(),
             cycle,
         };
-        let way = match (backend, &self.port, self.baud, self.address) {
+        let way = match (backend, &self.port, self.baud, &self.address) {
             (ArmBackend::Emulated, None, None, None) => GatewayWay::Emulated,
             (ArmBackend::Serial, Some(path), Some(baud), None) => {
                 check.count(&format!("{key}.gateway.baud"), baud, 9600..=12_000_000);
                 let (dialect, format) = (link.dialect, link.format);
+                if let (1.., Err(why)) = (baud, check_line(dialect, format, whole(baud), cycle)) {
+                    check.refuse(format!("{key}.gateway.baud: {why}"));
+                }
                 GatewayWay::Serial(SerialConfig { path: path.clone(), baud: whole(baud), dialect, format, cycle })
             }
-            (ArmBackend::Tcp, None, None, Some(address)) => GatewayWay::Tcp(TcpConfig { address }),
+            (ArmBackend::Tcp, None, None, Some(address)) => {
+                GatewayWay::Tcp(TcpConfig { address: tcp_address(&format!("{key}.gateway.address"), address, check)? })
+            }
             _ => {
                 check.refuse(format!(
                     "{key}.gateway: backend = \"serial\" needs port and baud, \"tcp\" needs address, \"emulated\" none of them"

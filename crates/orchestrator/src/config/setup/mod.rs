@@ -188,6 +188,15 @@ fn refuse_equal_numbers(vs: &ArmLink, tc: &ArmLink, check: &mut Checker) {
     }
 }
 
+/// Two arms at the end of one line: a line has one arm.
+fn refuse_one_place(vs: &ArmLink, tc: &ArmLink, check: &mut Checker) {
+    if let (Some((_, vs)), Some((key, tc))) = (vs.place(), tc.place())
+        && vs == tc
+    {
+        check.refuse(format!("arms.tc.{key} = \"{tc}\": arms.vs.{key} is the same; each arm has a line of its own"));
+    }
+}
+
 impl SetupFile {
     fn build(&self, file: &Path, check: &mut Checker) -> Option<Setup> {
         let period_max_millis = if self.arms.has_link() { GATEWAY_CYCLE_MAX_MILLIS } else { 20.0 };
@@ -210,6 +219,7 @@ impl SetupFile {
             }
         }
         refuse_equal_numbers(&vs.link, &tc.link, check);
+        refuse_one_place(&vs.link, &tc.link, check);
         if !check.is_clean() {
             return None;
         }

@@ -8,7 +8,7 @@ use pb3dp_geometry::MonotonicTime;
 use super::closer::Closer;
 use super::port::{Greeted, HostPort};
 use super::trace::{Tracer, Way};
-use crate::driver::{Activity, Driver, Transmit};
+use crate::driver::{Activity, Driver, Sample, Transmit};
 use crate::gateway_protocol::{FrameBytes, HelloReply, ParserCounters};
 use crate::io::transport::{ByteLink, ConnectError, Connector, Unplugged, wait};
 use crate::link::{GatewayLink, GatewayLinkConfig, HEARTBEAT_INTERVAL, HELLO_TIMEOUT};
@@ -107,6 +107,10 @@ impl HostPort for GatewayPort {
 
     fn found(&self) -> Option<&HelloReply> {
         self.found.as_ref()
+    }
+
+    fn shown(&self) -> Option<&Sample> {
+        self.link.shown()
     }
 
     fn line(&self) -> ParserCounters {

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use pb3dp_geometry::MonotonicTime;
 
-use crate::driver::{Activity, Driver, Transmit};
+use crate::driver::{Activity, Driver, Sample, Transmit};
 use crate::gateway_protocol::{HelloReply, ParserCounters};
 use crate::io::transport::{ConnectError, Unplugged};
 use crate::link::HelloError;
@@ -41,6 +41,11 @@ pub(super) trait HostPort: Send {
 
     /// What it said first when it was greeted, before anybody waited for it.
     fn found(&self) -> Option<&HelloReply>;
+
+    /// The last measurement of an arm that its gateway had stopped before it was greeted, if it shows it.
+    fn shown(&self) -> Option<&Sample> {
+        None
+    }
 
     /// What happened to bytes.
     fn line(&self) -> ParserCounters;

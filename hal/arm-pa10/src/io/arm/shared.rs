@@ -39,6 +39,8 @@ pub struct ArmSnapshot {
     pub samples: u64,
     /// The newest measurement with its status words.
     pub sample: Option<Sample>,
+    /// The last measurement of an arm that its gateway had stopped before it was reached, if it shows it.
+    pub shown: Option<Sample>,
     /// Limits as the controller keeps them, where they were read.
     pub limits: [Option<AxisLimits>; Axis::COUNT],
     /// What the gateway said of itself.
@@ -106,6 +108,7 @@ impl Shared {
             sample_at: None,
             samples: 0,
             sample: None,
+            shown: None,
             limits: [None; Axis::COUNT],
             gateway: None,
             gateway_found: None,

@@ -7,7 +7,8 @@ use pb3dp_geometry::MonotonicTime;
 use super::port::{Greeted, HostPort};
 use super::shared::Wish;
 use crate::driver::{
-    Activity, Driver, DriverState, EmergencyStopCause, FaultCause, Latched, Refusal, Request, Trip, WarmUpFailure,
+    Activity, Driver, DriverState, EmergencyStopCause, FaultCause, Latched, Refusal, Request, Sample, Trip,
+    WarmUpFailure,
 };
 use crate::gateway_protocol::{GatewayState, HelloReply, RejectReason, StopCause};
 use crate::io::transport::{ConnectError, Unplugged};
@@ -134,7 +135,7 @@ impl Running {
                         self.pause(now, means)?;
                         return Ok(None);
                     }
-                    if let Some(trip) = means.port.hello().and_then(stopped_before) {
+                    if let Some(trip) = means.port.hello().and_then(|hello| stopped_before(hello, means.port.shown())) {
                         // The operator has to see it, and to reset it.
                         means.driver.handle_trip(now, trip);
                     }
@@ -315,12 +316,23 @@ fn greeted(now: MonotonicTime, means: &mut Means<'_>) -> Result<bool, WishError>
 }
 
 /// Why the gateway has stopped the arm before this host came, if it has: after a host that died, for one.
-fn stopped_before(hello: &HelloReply) -> Option<Trip> {
-    match hello.state {
-        GatewayState::EmergencyStop => Some(Trip::EStop(EmergencyStopCause::Gateway)),
-        _ if hello.cause == StopCause::EmergencyStop => Some(Trip::EStop(EmergencyStopCause::Gateway)),
-        _ if hello.cause != StopCause::None => Some(Trip::Fault(FaultCause::Gateway(hello.cause))),
-        _ => None,
+fn stopped_before(hello: &HelloReply, shown: Option<&Sample>) -> Option<Trip> {
+    // Status words name switch, axis and alarm; bits of switches are the gateway's to judge.
+    let named = shown.and_then(|sample| sample.condition.trip(0));
+    match (hello.state, hello.cause) {
+        (GatewayState::EmergencyStop, _) | (_, StopCause::EmergencyStop) => {
+            let emergency_stop = named.filter(|trip| matches!(trip, Trip::EStop(_)));
+            Some(emergency_stop.unwrap_or(Trip::EStop(EmergencyStopCause::Gateway)))
+        }
+        (_, StopCause::None) => None,
+        (_, cause) => {
+            let is_alarm = |trip: &Trip| match cause {
+                StopCause::ServoAlarm => matches!(trip, Trip::Fault(FaultCause::ServoAlarm { .. })),
+                StopCause::ControllerAlarm => matches!(trip, Trip::Fault(FaultCause::ControllerAlarm { .. })),
+                _ => false,
+            };
+            Some(named.filter(is_alarm).unwrap_or(Trip::Fault(FaultCause::Gateway(cause))))
+        }
     }
 }
 

@@ -239,6 +239,7 @@ impl Worker {
             sample_at: self.progress.sample_at,
             samples: self.progress.samples,
             sample: driver.sample().copied(),
+            shown: self.port.shown().copied(),
             limits: *driver.limits(),
             gateway: self.port.hello().copied(),
             gateway_found: self.port.found().copied(),

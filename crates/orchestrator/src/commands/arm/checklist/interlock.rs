@@ -49,7 +49,8 @@ fn interlock(session: &mut Session<'_>, report: &mut StepReport, arm: &mut SlowA
     report.at_most("from the stop of the other arm to that of this one", apart_ms, cycle_ms, "ms");
     let brakes_ms = f64::from(session.gateway.brake_release_us) / 1e3;
     report.at_most("from there to rest", stop.to_rest_ms(), brakes_ms + INTERLOCK_REST_MAX_MS, "ms");
-    report.at_most("way of the joint that got farthest", stop.way_deg(), SAG_MAX_DEG, "deg");
+    let (axis, way_deg) = stop.way();
+    report.at_most(format!("way of {axis}, the joint that got farthest"), way_deg, SAG_MAX_DEG, "deg");
     refuses_motion(report, "while it is pressed", &mut *arm.driven);
     let reset = arm.driven.reset();
     let found = reset.as_ref().map_or_else(ToString::to_string, |()| "it was reset".to_owned());

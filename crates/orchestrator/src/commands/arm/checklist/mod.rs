@@ -266,6 +266,12 @@ fn show(args: &TestArgs, asked: &[Step], session: &Session<'_>) -> Result<()> {
         print_line(&format!("within {:.1} s", plan.duration().as_secs_f64()))?;
         show_room(&session.setup, choice, &plan, other_rad.as_ref())?;
     }
+    // At the switch or the cable is a hand while the arm moves.
+    let acts = |step: &Step| matches!(step, Step::EStop | Step::Cable | Step::Interlock);
+    let plan = session.plan_by(now_rad, session.by_rad)?;
+    if let (true, Some(warning)) = (asked.iter().any(acts), session.too_short_for_a_person(&plan)) {
+        print_line(&format!("warning: {warning}"))?;
+    }
     Ok(())
 }
 

@@ -30,6 +30,8 @@ use crate::wiring::commissioning::{ArmChoice, SlowArm, wire_slow};
 
 /// The share of a move's duration at which the operator is to act.
 const ACT_AT: f64 = 0.35;
+/// A person who reads NOW needs this long to act.
+const PERSON_NEEDS: Duration = Duration::from_secs(4);
 /// A stop of an axis that is slower than this proves nothing, rad/s.
 const MOVING_RAD_PER_S: f64 = 0.25 * JOG_RAD_PER_S;
 /// How often an arm is looked at that comes to rest.
@@ -108,16 +110,22 @@ impl Stop {
         self.after.iter().map(|sample| sample.velocity_rad_per_s.amax()).fold(0.0, f64::max)
     }
 
-    /// How far the joint that got farthest is at the end from where it was before, degrees.
-    pub fn way_deg(&self) -> f64 {
-        let end = self.after.last().unwrap_or(&self.before);
-        (end.position_rad - self.before.position_rad).amax().to_degrees()
+    /// Which joint got farthest, and how far it is at the end from where it was before, degrees.
+    pub fn way(&self) -> (Axis, f64) {
+        farthest(&self.before, self.after.last().unwrap_or(&self.before))
     }
 
     /// From the hand of the program to the stop, milliseconds.
     pub fn noticed_ms(&self) -> Option<f64> {
         self.acted.map(|acted| 1e3 * self.noticed.seconds_since(acted))
     }
+}
+
+/// The joint that got farthest, and how far, degrees.
+pub fn farthest(before: &JointState, after: &JointState) -> (Axis, f64) {
+    let way_rad = (after.position_rad - before.position_rad).abs();
+    let axis = Axis::ALL[way_rad.imax()];
+    (axis, way_rad[axis.index()].to_degrees())
 }
 
 /// What a move showed while it was made.
@@ -200,6 +208,23 @@ impl Session<'_> {
         let mut by_rad = JointVector::zeros();
         by_rad[self.axis.index()] = by;
         Plan::new(self.choice.of(&self.setup), from_rad, by_rad)
+    }
+
+    /// What is to be said to a person who has too little of a move left after NOW.
+    pub fn too_short_for_a_person(&self, plan: &Plan) -> Option<String> {
+        let left = plan.duration().mul_f64(1.0 - ACT_AT);
+        let is_short = !self.operator.is_prompt() && left < PERSON_NEEDS;
+        // The speed is the same: twice the way takes twice as long, and a little less where it is hardly reached.
+        let needed_deg = self.by_rad.to_degrees().abs() * PERSON_NEEDS.as_secs_f64() / left.as_secs_f64();
+        is_short.then(|| {
+            format!(
+                "--by {:.1}: after NOW you have {:.1} s until the move ends, and a person needs {} s; give --by {:.0} or more",
+                self.by_rad.to_degrees(),
+                left.as_secs_f64(),
+                PERSON_NEEDS.as_secs(),
+                needed_deg.ceil().copysign(self.by_rad)
+            )
+        })
     }
 
     /// Makes a move that nothing is to stop; the brakes are closed afterwards.
@@ -449,7 +474,7 @@ mod tests {
         let falls = [sample(1005, 10.0, 0.0), sample(1015, 10.2, -0.4), sample(1025, 10.5, 0.001)];
         let fell = stop(&falls);
         assert!((fell.to_rest_ms() - 25.0).abs() < 1e-9, "{}", fell.to_rest_ms());
-        assert!((fell.way_deg() - 0.5).abs() < 1e-9 && fell.fastest_rad_per_s() == 0.4);
+        assert!((fell.way().1 - 0.5).abs() < 1e-9 && fell.fastest_rad_per_s() == 0.4);
         assert_eq!(stop(&falls[..2]).to_rest_ms(), f64::INFINITY, "it was not seen at rest");
         assert_eq!(stop(&[]).to_rest_ms(), f64::INFINITY, "it was not seen at all");
         assert_eq!(stop(&falls[..1]).to_rest_ms(), 0.0);

@@ -6,7 +6,7 @@ use pb3dp_hal_api::{ArmState, JointState};
 
 use super::operator::{Act, Question};
 use super::record::StepReport;
-use super::session::{Session, Stop, refuses_motion};
+use super::session::{Session, Stop, farthest, refuses_motion};
 use super::steps::{
     FALL_MAX_RAD_PER_S, LEFT_ALONE, NOTICED_MAX_MS, PLAY_DEG, REST_MARGIN, SAG_MAX_DEG, SILENT_CYCLES_MAX,
 };
@@ -96,7 +96,8 @@ fn at_rest(session: &Session<'_>, report: &mut StepReport, stop: &Stop) {
     let most_ms = brakes_ms + 1e3 * REST_MARGIN.as_secs_f64();
     report.at_most("from the stop of the program to rest", stop.to_rest_ms(), most_ms, "ms");
     report.at_most("fastest joint meanwhile", stop.fastest_rad_per_s(), FALL_MAX_RAD_PER_S, "rad/s");
-    report.at_most("way of the joint that got farthest", stop.way_deg(), SAG_MAX_DEG, "deg");
+    let (axis, way_deg) = stop.way();
+    report.at_most(format!("way of {axis}, the joint that got farthest"), way_deg, SAG_MAX_DEG, "deg");
 }
 
 /// The gateway has stopped the arm because its host fell silent.
@@ -111,6 +112,7 @@ pub fn way(session: &Session<'_>, report: &mut StepReport, (before, rests): (&Jo
     // The measurement may be as old as the gap that is allowed; then the watchdog, with the speed as it was.
     let gap_s = SILENT_CYCLES_MAX * session.setup.control_period.as_secs_f64();
     let most_deg = (JOG_RAD_PER_S * (silence_s + gap_s)).to_degrees() + PLAY_DEG;
-    let way_deg = (rests.position_rad - before.position_rad).amax().to_degrees();
-    report.at_most("way of the joint that got farthest since the last measurement", way_deg, most_deg, "deg");
+    let (axis, way_deg) = farthest(before, rests);
+    let what = format!("way of {axis}, the joint that got farthest since the last measurement");
+    report.at_most(what, way_deg, most_deg, "deg");
 }

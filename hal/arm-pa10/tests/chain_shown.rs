@@ -1,0 +1,92 @@
+//! What a host finds at a gateway that has stopped its arm before: where it stands, and which switch or alarm it was.
+
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+#[path = "common/bus_bench.rs"]
+#[allow(dead_code, reason = "each test file uses its part")]
+mod bus_bench;
+#[path = "common/chain.rs"]
+mod chain;
+#[path = "common/injection.rs"]
+mod injection;
+
+use std::time::Duration;
+
+use chain::Chain;
+use injection::joints;
+use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::driver::{DriverState, Request};
+use pb3dp_arm_pa10::gateway_protocol::{Dialect, GatewayState};
+use pb3dp_kinematics::JointVector;
+
+/// An arm that stops in motion, and a host that comes later.
+fn found(dialect: Dialect, line: &str) -> Chain {
+    let mut chain = Chain::new(dialect, WireFormat::BigEndian6x10, None, joints());
+    chain.prepare();
+    chain.wanted = Some(JointVector::repeat(0.1));
+    chain.next_host_cycle = chain.now;
+    chain.run(Duration::from_millis(300));
+    chain.inject(line);
+    chain.run(Duration::from_millis(800));
+    assert!(chain.driver.state().is_latched() && chain.controller.is_braked(), "{line}: {:?}", chain.driver.state());
+    chain.wanted = None;
+    // It goes, and comes later.
+    chain.gateway.handle_host_gone(chain.now);
+    chain.run(Duration::from_secs(5));
+    chain.open();
+    chain
+}
+
+#[test]
+fn a_stopped_arm_is_shown_with_what_stopped_it() {
+    for (line, state, words) in [
+        (
+            "e-stop press",
+            GatewayState::EmergencyStop,
+            "alarm 0x11 (emergency stop); release the emergency stop, then reset",
+        ),
+        (
+            "limit-switch open",
+            GatewayState::EmergencyStop,
+            "alarm 0x13 (limit switch); lead the arm away from the limit switch, then reset",
+        ),
+        (
+            "alarm 3 0x12 reported",
+            GatewayState::EmergencyStop,
+            "dead-man switch: axis 3 (S3): alarm 0x12 (dead-man switch off); hold the dead-man switch, then reset",
+        ),
+        (
+            "alarm 4 0x0e reported",
+            GatewayState::Fault,
+            "fault: axis 4 (E1): alarm 0x0e (over-current); remove the cause, then reset",
+        ),
+    ] {
+        let chain = found(Dialect::GatewayV1, line);
+        assert_eq!(chain.link.hello().unwrap().state, state, "{line}");
+        let shown = chain.link.shown().unwrap();
+        let position_rad = chain.plant.lock().unwrap().state().position_rad;
+        assert!((shown.position_rad - position_rad).amax() < 0.02, "{line}: {:?}", shown.position_rad);
+        assert!(shown.age >= Duration::from_secs(5), "{line}: {:?}", shown.age);
+        let text = shown.condition.trip(0).unwrap().to_string();
+        assert!(text.ends_with(words), "{line}: {text}");
+        assert_eq!(text.contains("emergency stop"), line == "e-stop press", "{line}: {text}");
+    }
+}
+
+/// Nothing is obeyed for it, and a reset leads on as before.
+#[test]
+fn looking_at_a_stopped_arm_changes_nothing() {
+    for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
+        let mut chain = found(dialect, "time-out");
+        assert_eq!(chain.link.shown().is_some(), dialect == Dialect::GatewayV1);
+        let frames = chain.controller.counters().frames;
+        for _ in 0..5 {
+            chain.open();
+        }
+        assert_eq!(chain.controller.counters().frames, frames, "nothing was said to the controller");
+        assert_eq!(chain.gateway.status().state, GatewayState::Fault);
+        chain.request(Request::Reset);
+        chain.settle();
+        assert_eq!(chain.driver.state(), DriverState::Connected, "{:?}", chain.driver.latched());
+    }
+}
