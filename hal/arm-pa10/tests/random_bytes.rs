@@ -54,6 +54,7 @@ fn what_the_fuzzer_found_is_survived() {
     check_kept(include_str!("data/arm_codec.hex"), abuse::codecs_survive);
     check_kept(include_str!("data/arm_gateway_frame.hex"), abuse::gateway_frame_survives);
     check_kept(include_str!("data/arm_gateway_stream.hex"), abuse::gateway_stream_survives);
+    check_kept(include_str!("data/arm_gateway_core.hex"), gateway_abuse::gateway_core_survives);
 }
 
 #[test]
