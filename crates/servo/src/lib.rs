@@ -3,6 +3,7 @@
 //!
 //! * [`Controller::step`] is the one entry: it returns a [`Command`] and the [`Mode`] with the reason why the arm rests.
 //! * [`TargetObservation`] is what the estimator says: pose of the model and time of exposure.
+//! * [`supervisor::Supervisor::step`] says whether the arm may do that, and if not, why and what to do.
 //! * [`ControllerConfig`] holds all numbers; [`Controller::new`] refuses bad ones by key, value and allowed range.
 //!
 //! The way of a number: the hand's pose at the time of exposure comes from the [`joint_history`]; with it the observation is
@@ -14,6 +15,7 @@ pub mod controller;
 pub mod joint_history;
 pub mod law;
 pub mod resolved_rate;
+pub mod supervisor;
 pub mod target_filter;
 
 pub use config::{

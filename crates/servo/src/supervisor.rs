@@ -1,0 +1,354 @@
+//! The supervisor: whether the arm may move, and if not, why and what to do.
+//!
+//! It stands between the controller and the arm. In each step [`Supervisor::step`] looks at everything that is known
+//! ([`Inputs`]), at its [`Policies`] and at the operator's word, and says what is permitted ([`Decision`]). The
+//! [`table`](mod@table) of states is its whole memory of what was permitted before; a latched state ends with the operator's
+//! reset only, and leads to [`State::Idle`] and no further.
+//!
+//! The arm goes on only from what is measured: with each rest, stop, fault, reset and selection [`Decision::rearm`] tells the
+//! controller to drop its set-points, and nothing is permitted before it has new ones.
+
+mod findings;
+mod inputs;
+mod log;
+mod policy;
+pub mod table;
+mod words;
+
+use pb3dp_geometry::MonotonicTime;
+
+pub use self::findings::{Cause, Detail};
+pub use self::inputs::{
+    ARM_NAMES, ArmCondition, ArmInput, Confidence, EstimateInput, FrameInput, Innovation, Inputs, OperatorInput,
+    RangeEnd, Said, Word,
+};
+pub use self::log::{TRANSITIONS_KEPT, Transition, TransitionLog};
+pub use self::policy::{
+    Action, Condition, ConditionSet, Policies, Policy, Resume, Rule, SupervisorConfig, SupervisorError, ThresholdRule,
+};
+pub use self::table::{Event, Order, Outcome, State};
+pub use self::words::{Refusal, RefusedFor, Then, Why};
+
+use self::findings::Findings;
+use self::table::outcome;
+use crate::controller::Mode;
+
+/// What the arm may do until the next step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Permission {
+    /// Go as the controller says, with this share of its velocity, above 0 to 1.
+    Move {
+        /// The share.
+        share: f64,
+    },
+    /// Come to rest and stay; brakes stay open.
+    Hold,
+    /// Both arms are to be stopped, and stay so.
+    Stop,
+}
+
+/// The outcome of a step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Decision {
+    /// What the arm may do.
+    pub permission: Permission,
+    /// Where the supervisor is.
+    pub state: State,
+    /// One line: why the arm does not move, and what to do.
+    pub why: Why,
+    /// The controller is to drop its set-points and target ([`crate::Controller::acquire`]).
+    pub rearm: bool,
+    /// What is wrong, in motion or at rest after it, and has lasted.
+    pub found: ConditionSet,
+    /// Whether `start`, or after a rest `resume`, would be obeyed now.
+    pub is_ready: bool,
+    /// The change of state in this step.
+    pub transition: Option<Transition>,
+    /// The word that was not obeyed in this step.
+    pub refused: Option<Refusal>,
+}
+
+/// The supervisor of both arms of a cell.
+#[derive(Clone, Debug)]
+pub struct Supervisor {
+    config: SupervisorConfig,
+    state: State,
+    /// When the state was entered; a word that was said before was said to another state.
+    entered_at: Option<MonotonicTime>,
+    findings: Findings,
+    /// What led to the state; none if the operator's word did.
+    cause: Option<Cause>,
+    /// Since when nothing has spoken against motion.
+    clear_since: Option<MonotonicTime>,
+    /// The operator has said hold since the last motion.
+    held_by_operator: bool,
+    /// Something was found since the last motion after which only the operator's word leads on.
+    needs_word: bool,
+    log: TransitionLog,
+}
+
+impl Supervisor {
+    /// A supervisor at [`State::Idle`].
+    ///
+    /// # Errors
+    /// The first setting that is out of its range, or weaker than its condition allows.
+    pub fn new(config: SupervisorConfig) -> Result<Self, SupervisorError> {
+        config.validate()?;
+        Ok(Self {
+            config,
+            state: State::Idle,
+            entered_at: None,
+            findings: Findings::new(),
+            cause: None,
+            clear_since: None,
+            held_by_operator: false,
+            needs_word: false,
+            log: TransitionLog::new(),
+        })
+    }
+
+    /// The last transitions.
+    pub fn log(&self) -> &TransitionLog {
+        &self.log
+    }
+
+    /// One control cycle: never blocks, does not allocate. In one step the state changes at most once.
+    ///
+    /// What is found goes before what is said, but for `stop` and `hold`, which are always obeyed. `start` and `resume` are
+    /// refused as long as anything speaks against motion, even if it has not lasted yet; `reset` as long as a fault of an arm or
+    /// an emergency stop is still there; and every word that was said too long ago, or before the state was entered.
+    pub fn step(&mut self, inputs: &Inputs, now: MonotonicTime) -> Decision {
+        self.findings.look(inputs, &self.config.policies, now);
+        // A clock that was set back must not keep the operator's words out until it has caught up.
+        self.entered_at = self.entered_at.map(|entered| entered.min(now));
+        let blocking = self.findings.first_at_least(&self.config.policies, Action::Hold);
+        self.clear_since = match (blocking, self.clear_since) {
+            (None, Some(since)) if since <= now => Some(since),
+            (None, _) => Some(now),
+            (Some(_), _) => None,
+        };
+        let said = inputs.operator.said;
+        let word = said.map(|said| (said.word, self.refusal(said, blocking, now)));
+        let transition = self.change(inputs, word, now);
+        let rearm = transition.is_some_and(|(_, order)| order != Order::None);
+        let mut blocking = blocking;
+        if rearm {
+            self.findings.rearm();
+            self.clear_since = None;
+            if self.state == State::Selecting {
+                // What was known of another target, or of the same one before, speaks for nothing any more.
+                self.findings.look(inputs, &self.config.policies, now);
+                blocking = self.findings.first_at_least(&self.config.policies, Action::Hold);
+            }
+        }
+        let found = self.note(now);
+        let refused = word.and_then(|(word, refused)| self.refused(word, refused, transition.map(|(event, _)| event)));
+        Decision {
+            permission: self.permission(now),
+            state: self.state,
+            why: self.why(blocking, now),
+            rearm,
+            found,
+            is_ready: blocking.is_none() && !rearm && (self.state == State::Selecting || self.state.is_resting()),
+            transition: transition.and_then(|_| self.log.newest()),
+            refused,
+        }
+    }
+
+    /// The most telling of the most severe things that are wrong, with the event that it makes.
+    fn alarm(&self, now: MonotonicTime) -> Option<(Event, Cause)> {
+        let follows = self.state.is_moving() || self.state.is_resting();
+        let counts = |condition: Condition| follows || condition.rule().counts_always;
+        let mut worst: Option<(Cause, Action)> = None;
+        let mut is_lost = false;
+        for (cause, action) in self.findings.lasting(&self.config.policies, now) {
+            if !counts(cause.condition) || !action.is_rest() {
+                continue;
+            }
+            is_lost |= cause.condition == Condition::TargetLost;
+            if worst.is_none_or(|(_, so_far)| action > so_far) {
+                worst = Some((cause, action));
+            }
+        }
+        let (cause, action) = worst?;
+        let event = match action {
+            Action::Fault => Event::FaultFound,
+            Action::Stop => Event::StopFound,
+            _ if is_lost => Event::LossFound,
+            _ => Event::HoldFound,
+        };
+        Some((event, cause))
+    }
+
+    /// The first of all events, the most severe one first, that leads to another state.
+    fn change(
+        &mut self,
+        inputs: &Inputs,
+        word: Option<(Word, Option<RefusedFor>)>,
+        now: MonotonicTime,
+    ) -> Option<(Event, Order)> {
+        let alarm = self.alarm(now);
+        let of_alarm =
+            |wanted: Event| alarm.filter(|(event, _)| *event == wanted).map(|(event, cause)| (event, Some(cause)));
+        let obeyed = word.filter(|(_, refused)| refused.is_none()).map(|(word, _)| word);
+        let said = |wanted: Word| (obeyed == Some(wanted)).then_some((event_of(wanted), None));
+        if obeyed == Some(Word::Hold) {
+            self.held_by_operator = true;
+        }
+        let candidates = [
+            of_alarm(Event::FaultFound),
+            said(Word::Stop),
+            of_alarm(Event::StopFound),
+            said(Word::Hold),
+            of_alarm(Event::LossFound),
+            of_alarm(Event::HoldFound),
+            said(Word::Select),
+            said(Word::Start),
+            said(Word::Resume),
+            said(Word::Reset),
+            self.by_itself(inputs, now).map(|event| (event, None)),
+        ];
+        for (event, cause) in candidates.into_iter().flatten() {
+            if let Outcome::To(to, order) = outcome(self.state, event) {
+                self.enter(Transition { at: now, from: self.state, to, event, cause });
+                return Some((event, order));
+            }
+        }
+        None
+    }
+
+    /// What happens without anybody's word.
+    fn by_itself(&self, inputs: &Inputs, now: MonotonicTime) -> Option<Event> {
+        let clear_for = |seconds: f64| self.clear_since.is_some_and(|since| now.seconds_since(since) >= seconds);
+        let may_resume = !self.held_by_operator && !self.needs_word && clear_for(self.config.resume_after_s);
+        match (self.state, inputs.controller) {
+            (State::Approaching, Mode::Tracking) => Some(Event::Reached),
+            (State::Tracking, Mode::Approaching) => Some(Event::Left),
+            (State::Holding, _) if may_resume => Some(Event::CauseGone),
+            (State::Lost, _) if may_resume => Some(Event::TargetFound),
+            _ => None,
+        }
+    }
+
+    fn enter(&mut self, transition: Transition) {
+        let Transition { at, to, event, cause, .. } = transition;
+        if !to.is_resting() {
+            self.held_by_operator = false;
+            self.needs_word = false;
+        }
+        match event {
+            Event::Select => self.findings.begin(at),
+            Event::Start => self.findings.start(),
+            _ => {}
+        }
+        self.state = to;
+        self.entered_at = Some(at);
+        self.cause = cause;
+        self.log.push(transition);
+    }
+
+    /// What is wrong; keeps in mind that only a word leads on.
+    fn note(&mut self, now: MonotonicTime) -> ConditionSet {
+        let mut found = ConditionSet::default();
+        if !(self.state.is_moving() || self.state.is_resting()) {
+            return found;
+        }
+        for (cause, action) in self.findings.lasting(&self.config.policies, now) {
+            found.insert(cause.condition);
+            let resume = self.config.policies.get(cause.condition).resume;
+            self.needs_word |= self.state.is_resting() && action.is_rest() && resume == Resume::ByOperator;
+        }
+        found
+    }
+
+    /// Why a word may not be obeyed, whatever the table says.
+    fn refusal(&self, said: Said, blocking: Option<Cause>, now: MonotonicTime) -> Option<RefusedFor> {
+        if matches!(said.word, Word::Stop | Word::Hold) {
+            return None;
+        }
+        let age_s = now.seconds_since(said.at);
+        let age_max_s = self.config.word_age_max_s;
+        if !(-age_max_s..=age_max_s).contains(&age_s) {
+            return Some(RefusedFor::Age { age_s, age_max_s });
+        }
+        if self.entered_at.is_some_and(|entered| said.at < entered) {
+            return Some(RefusedFor::SaidBefore(self.state));
+        }
+        let latched = [Condition::EmergencyStop, Condition::ArmFault].map(|condition| self.findings.cause(condition));
+        match (said.word, self.state) {
+            (Word::Start, State::Selecting) => blocking.map(RefusedFor::Cause),
+            (Word::Resume, State::Holding | State::Lost) => blocking.map(RefusedFor::Cause),
+            (Word::Reset, State::Stopped | State::Fault) => latched.into_iter().flatten().next().map(RefusedFor::Cause),
+            _ => None,
+        }
+    }
+
+    /// What became of a word.
+    fn refused(&self, word: Word, refused: Option<RefusedFor>, happened: Option<Event>) -> Option<Refusal> {
+        let own = event_of(word);
+        let because = match (refused, happened) {
+            (Some(because), _) => because,
+            (None, Some(event)) if event == own => return None,
+            // `stop` is obeyed by a fault, and `hold` by everything that ends motion.
+            (None, Some(_)) if matches!(word, Word::Stop | Word::Hold) => return None,
+            (None, Some(_)) => RefusedFor::Overtaken(self.state),
+            (None, None) if outcome(self.state, own) == Outcome::Refuse => RefusedFor::State(self.state),
+            (None, None) => return None,
+        };
+        Some(Refusal { word, because })
+    }
+
+    fn permission(&self, now: MonotonicTime) -> Permission {
+        if self.state.is_latched() {
+            return Permission::Stop;
+        }
+        if !self.state.is_moving() {
+            return Permission::Hold;
+        }
+        Permission::Move { share: self.slowed(now).map_or(1.0, |(_, share)| share) }
+    }
+
+    /// What slows the arm most.
+    fn slowed(&self, now: MonotonicTime) -> Option<(Cause, f64)> {
+        let shares = self.findings.lasting(&self.config.policies, now).filter_map(|(cause, action)| match action {
+            Action::Slow(share) => Some((cause, share)),
+            _ => None,
+        });
+        shares.reduce(|least, other| if other.1 < least.1 { other } else { least })
+    }
+
+    fn why(&self, blocking: Option<Cause>, now: MonotonicTime) -> Why {
+        let state = self.state;
+        let then = if self.needs_word { Then::Word } else { Then::ByItself { after_s: self.config.resume_after_s } };
+        match (state, blocking) {
+            (State::Idle, _) => Why::Idle,
+            (State::Selecting, None) => Why::Ready,
+            (State::Selecting, Some(cause)) => Why::Waiting { cause },
+            (State::Approaching | State::Tracking, _) => match self.slowed(now) {
+                Some((cause, share)) => Why::Slowed { state, cause, share },
+                None => Why::Moving { state },
+            },
+            (State::Holding | State::Lost, cause) if self.held_by_operator => Why::HeldByOperator { state, cause },
+            (State::Holding | State::Lost, Some(cause)) => Why::Resting { state, cause, then },
+            (State::Holding | State::Lost, None) => match self.cause {
+                Some(cause) => Why::CauseGone { state, cause, then },
+                None => Why::HeldByOperator { state, cause: None },
+            },
+            (State::Stopped | State::Fault, _) => match self.cause {
+                Some(cause) => Why::Latched { state, cause, is_gone: self.findings.cause(cause.condition).is_none() },
+                None => Why::StoppedByOperator,
+            },
+        }
+    }
+}
+
+fn event_of(word: Word) -> Event {
+    match word {
+        Word::Select => Event::Select,
+        Word::Start => Event::Start,
+        Word::Hold => Event::Hold,
+        Word::Resume => Event::Resume,
+        Word::Stop => Event::Stop,
+        Word::Reset => Event::Reset,
+    }
+}

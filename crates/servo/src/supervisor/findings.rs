@@ -1,0 +1,287 @@
+//! What is wrong at the moment, and since when.
+
+use nalgebra::Matrix6;
+use pb3dp_geometry::MonotonicTime;
+
+use super::inputs::{ArmCondition, Confidence, EstimateInput, FrameInput, Innovation, Inputs};
+use super::policy::{Action, Condition, Policies};
+use crate::controller::Mode;
+
+/// What was found to be wrong.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cause {
+    /// The condition.
+    pub condition: Condition,
+    /// What was measured, in the unit of the threshold; infinite if there is no measurement, 0 where there is no threshold.
+    pub value: f64,
+    /// What is allowed; 0 where there is no threshold.
+    pub threshold: f64,
+    /// Where, or what else is to be said.
+    pub detail: Detail,
+}
+
+/// What else is to be said of a [`Cause`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Detail {
+    /// Nothing.
+    None,
+    /// It concerns this arm, an index of [`super::ARM_NAMES`].
+    Arm(usize),
+    /// It concerns this joint, counted from the base from 0.
+    Joint(usize),
+    /// What the controller is doing.
+    Controller(Mode),
+    /// Numbers of the target that was started and of the one that is followed.
+    Targets {
+        /// That was started.
+        started: u64,
+        /// That is followed.
+        followed: u64,
+    },
+    /// Numbers of two pairs, one after the other.
+    Frames {
+        /// The one before.
+        before: u64,
+        /// The one that followed.
+        after: u64,
+    },
+    /// There is no pose at all.
+    NoPose,
+}
+
+/// Looks at the inputs and remembers what they can not tell again.
+#[derive(Clone, Debug)]
+pub(super) struct Findings {
+    stepped_at: Option<MonotonicTime>,
+    frame: Option<FrameInput>,
+    disorder: Option<Detail>,
+    estimate: Option<EstimateInput>,
+    /// Exposure of the newest estimate that counts as confident.
+    confident_at: Option<MonotonicTime>,
+    /// Pictures from before are not of the target that was selected.
+    not_before: MonotonicTime,
+    innovation: Innovation,
+    started_target: Option<u64>,
+    found: [Option<Cause>; Condition::COUNT],
+    since: [Option<MonotonicTime>; Condition::COUNT],
+}
+
+impl Findings {
+    pub(super) fn new() -> Self {
+        Self {
+            stepped_at: None,
+            frame: None,
+            disorder: None,
+            estimate: None,
+            confident_at: None,
+            not_before: MonotonicTime::ZERO,
+            innovation: Innovation::NoneNew,
+            started_target: None,
+            found: [None; Condition::COUNT],
+            since: [None; Condition::COUNT],
+        }
+    }
+
+    /// A target is selected: what was seen before is not of it.
+    pub(super) fn begin(&mut self, now: MonotonicTime) {
+        self.forget_target();
+        self.started_target = None;
+        self.not_before = now;
+    }
+
+    /// The target that is seen now is the one to follow.
+    pub(super) fn start(&mut self) {
+        self.started_target = self.estimate.map(|estimate| estimate.target);
+    }
+
+    /// The controller drops what it knows: whether the next observation is a jump is open.
+    pub(super) fn rearm(&mut self) {
+        self.innovation = Innovation::NoneNew;
+    }
+
+    fn forget_target(&mut self) {
+        self.estimate = None;
+        self.confident_at = None;
+        self.innovation = Innovation::NoneNew;
+    }
+
+    /// Finds out what is wrong now.
+    pub(super) fn look(&mut self, inputs: &Inputs, policies: &Policies, now: MonotonicTime) {
+        let step_max_s = policies.get(Condition::ClockStepped).threshold;
+        let step_s = self.clock_step_s(inputs, step_max_s, now);
+        if step_s.is_some_and(|step_s| step_s < 0.0) {
+            // Nothing that was measured before can be told from the future any more.
+            self.forget_target();
+            self.frame = None;
+            self.not_before = self.not_before.min(now);
+        }
+        self.take_frame(inputs.frame, step_max_s, now);
+        self.take_estimate(inputs.estimate, step_max_s, now);
+        if inputs.innovation != Innovation::NoneNew {
+            self.innovation = inputs.innovation;
+        }
+        for condition in Condition::ALL {
+            let threshold = policies.get(condition).threshold;
+            let found = match condition {
+                Condition::ClockStepped => step_s.map(|value| (value, Detail::None)),
+                Condition::EmergencyStop
+                | Condition::ArmFault
+                | Condition::ArmDisabled
+                | Condition::JointsStale
+                | Condition::OperatorSilent
+                | Condition::LimitNear
+                | Condition::Singularity
+                | Condition::ControllerRests => of_the_moment(condition, threshold, inputs, now),
+                _ => self.of_the_target(condition, threshold, now),
+            };
+            let threshold = if condition.rule().threshold.is_some() { threshold } else { 0.0 };
+            let index = condition as usize;
+            self.found[index] = found.map(|(value, detail)| Cause { condition, value, threshold, detail });
+            let since = self.since[index].filter(|since| found.is_some() && *since <= now);
+            self.since[index] = since.or(found.map(|_| now));
+        }
+    }
+
+    /// The step of the clock that is too long, or leads back; or, negative, how far a measurement lies ahead.
+    fn clock_step_s(&mut self, inputs: &Inputs, step_max_s: f64, now: MonotonicTime) -> Option<f64> {
+        let step_s = self.stepped_at.replace(now).map(|before| now.seconds_since(before));
+        if let Some(step_s) = step_s.filter(|step_s| !(0.0..=step_max_s).contains(step_s)) {
+            return Some(step_s);
+        }
+        let [vs, tc] = inputs.arms.map(|arm| arm.measured_at);
+        let frame = inputs.frame.map(|frame| frame.at);
+        let estimate = inputs.estimate.map(|estimate| estimate.at);
+        let stamps = [vs, tc, frame, estimate, inputs.operator.heard_at];
+        let least_s = stamps.into_iter().flatten().map(|at| now.seconds_since(at)).fold(0.0, f64::min);
+        (least_s < -step_max_s).then_some(least_s)
+    }
+
+    fn take_frame(&mut self, newest: Option<FrameInput>, ahead_max_s: f64, now: MonotonicTime) {
+        let Some(frame) = newest.filter(|frame| now.seconds_since(frame.at) >= -ahead_max_s) else { return };
+        if let Some(before) = self.frame {
+            if frame == before {
+                return;
+            }
+            let in_order = frame.sequence > before.sequence && frame.at > before.at;
+            self.disorder = (!in_order).then_some(Detail::Frames { before: before.sequence, after: frame.sequence });
+        }
+        self.frame = Some(frame);
+    }
+
+    fn take_estimate(&mut self, newest: Option<EstimateInput>, ahead_max_s: f64, now: MonotonicTime) {
+        let Some(estimate) = newest else { return };
+        let is_known = self.estimate.is_some_and(|before| estimate.at <= before.at);
+        if is_known || estimate.at < self.not_before || now.seconds_since(estimate.at) < -ahead_max_s {
+            return;
+        }
+        self.estimate = Some(estimate);
+        if estimate.confidence == Confidence::Sure {
+            self.confident_at = Some(estimate.at);
+        }
+    }
+
+    fn of_the_target(&self, condition: Condition, threshold: f64, now: MonotonicTime) -> Option<(f64, Detail)> {
+        let age_s = |at: Option<MonotonicTime>| at.map_or(f64::INFINITY, |at| now.seconds_since(at));
+        let with_pose = self.estimate.filter(|estimate| estimate.confidence != Confidence::NoPose);
+        let sigma = |first| Some(root_of_trace(&with_pose?.covariance?, first));
+        match condition {
+            Condition::TargetChanged => {
+                let (started, followed) = (self.started_target?, with_pose?.target);
+                (started != followed).then_some((0.0, Detail::Targets { started, followed }))
+            }
+            Condition::FrameStale => above(age_s(self.frame.map(|frame| frame.at)), threshold),
+            Condition::FrameOrder => self.disorder.map(|frames| (0.0, frames)),
+            Condition::TargetLost | Condition::EstimateStale => above(age_s(self.confident_at), threshold),
+            Condition::LowConfidence => match self.estimate?.confidence {
+                Confidence::Sure => None,
+                Confidence::Doubtful => Some((0.0, Detail::None)),
+                Confidence::NoPose => Some((0.0, Detail::NoPose)),
+            },
+            Condition::PositionJump | Condition::OrientationJump | Condition::Outlier => {
+                above(self.innovation_of(condition)?, threshold)
+            }
+            Condition::PositionUncertain => above(sigma(0)?, threshold),
+            Condition::OrientationUncertain => above(sigma(3)?, threshold),
+            Condition::CameraSkew => above(self.frame?.skew_s.abs(), threshold),
+            _ => None,
+        }
+    }
+
+    /// How far the last observation was off, in the unit of the condition.
+    fn innovation_of(&self, condition: Condition) -> Option<f64> {
+        match (self.innovation, condition) {
+            (Innovation::Jump { position_m, .. }, Condition::PositionJump) => Some(position_m),
+            (Innovation::Jump { orientation_rad, .. }, Condition::OrientationJump) => Some(orientation_rad),
+            (Innovation::Outlier { sigmas }, Condition::Outlier) => Some(sigmas),
+            _ => None,
+        }
+    }
+
+    /// The first of what is found, whether or not it has lasted, whose action is at least this.
+    pub(super) fn first_at_least(&self, policies: &Policies, action: Action) -> Option<Cause> {
+        self.found.iter().flatten().find(|cause| policies.get(cause.condition).action >= action).copied()
+    }
+
+    /// What is found and has lasted for as long as its policy says.
+    pub(super) fn lasting<'a>(
+        &'a self,
+        policies: &'a Policies,
+        now: MonotonicTime,
+    ) -> impl Iterator<Item = (Cause, Action)> + 'a {
+        self.found.iter().zip(&self.since).filter_map(move |(found, since)| {
+            let (cause, since) = ((*found)?, (*since)?);
+            let policy = policies.get(cause.condition);
+            (now.seconds_since(since) >= policy.for_s).then_some((cause, policy.action))
+        })
+    }
+
+    /// What is found of this condition at the moment.
+    pub(super) fn cause(&self, condition: Condition) -> Option<Cause> {
+        self.found[condition as usize]
+    }
+}
+
+/// What the inputs of one step tell.
+fn of_the_moment(condition: Condition, threshold: f64, inputs: &Inputs, now: MonotonicTime) -> Option<(f64, Detail)> {
+    let age_s = |at: Option<MonotonicTime>| at.map_or(f64::INFINITY, |at| now.seconds_since(at));
+    let in_state = |state| inputs.arms.iter().position(|arm| arm.state == state).map(|arm| (0.0, Detail::Arm(arm)));
+    match condition {
+        Condition::EmergencyStop => in_state(ArmCondition::EmergencyStop),
+        Condition::ArmFault => in_state(ArmCondition::Fault),
+        Condition::ArmDisabled => in_state(ArmCondition::Disabled),
+        Condition::JointsStale => {
+            let stale = |(arm, input): (usize, &super::inputs::ArmInput)| {
+                above(age_s(input.measured_at), threshold).map(|(value, _)| (value, Detail::Arm(arm)))
+            };
+            inputs.arms.iter().enumerate().find_map(stale)
+        }
+        Condition::OperatorSilent => above(age_s(inputs.operator.heard_at), threshold),
+        Condition::LimitNear => {
+            let end = inputs.range_end?;
+            let is_far = end.distance_rad >= threshold;
+            (!is_far).then_some((end.distance_rad, Detail::Joint(end.joint)))
+        }
+        Condition::Singularity => {
+            let value = inputs.smallest_singular_value?;
+            let is_far = value >= threshold;
+            (!is_far).then_some((value, Detail::None))
+        }
+        Condition::ControllerRests => (!matches!(inputs.controller, Mode::Approaching | Mode::Tracking))
+            .then_some((0.0, Detail::Controller(inputs.controller))),
+        _ => None,
+    }
+}
+
+/// The value, if it is above what is allowed; what is not a number is.
+fn above(value: f64, allowed: f64) -> Option<(f64, Detail)> {
+    let is_allowed = value <= allowed;
+    (!is_allowed).then_some((value, Detail::None))
+}
+
+/// Standard deviation of the length of three components' error: the root of the sum of their variances, no smaller than the
+/// largest standard deviation in any direction. A variance that is negative or no number makes it infinite.
+fn root_of_trace(covariance: &Matrix6<f64>, first: usize) -> f64 {
+    let variances = [0, 1, 2].map(|i| covariance[(first + i, first + i)]);
+    let are_variances = variances.iter().all(|variance| *variance >= 0.0);
+    if are_variances { variances.iter().sum::<f64>().sqrt() } else { f64::INFINITY }
+}

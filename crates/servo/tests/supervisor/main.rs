@@ -1,0 +1,10 @@
+//! The supervisor: what it permits, and what it says.
+#![allow(clippy::unwrap_used, clippy::panic)] // In helpers of tests.
+
+mod bench;
+mod conditions;
+mod policies;
+mod properties;
+mod starting;
+mod table;
+mod words;

@@ -1,0 +1,274 @@
+//! Whatever is told, and whatever is said: what is permitted is judged by code that knows nothing of the supervisor's.
+
+use std::cell::Cell;
+
+use nalgebra::Matrix6;
+use proptest::prelude::*;
+use proptest::test_runner::{Config, TestRunner};
+
+use pb3dp_servo::Mode;
+use pb3dp_servo::supervisor::{
+    ArmCondition, ArmInput, Confidence, Decision, EstimateInput, FrameInput, Innovation, Inputs, OperatorInput,
+    Permission, RangeEnd, Said, State, Supervisor, Word,
+};
+
+use crate::bench::{at, config};
+
+/// One step: what is wrong in it, if anything.
+#[derive(Clone, Debug)]
+struct Step {
+    dt_s: f64,
+    word: Option<(Word, f64)>,
+    is_heard: bool,
+    arms: [ArmCondition; 2],
+    measured_age_s: [Option<f64>; 2],
+    has_frame: bool,
+    skew_s: f64,
+    confidence: Confidence,
+    exposed_age_s: f64,
+    target: u64,
+    variance: f64,
+    innovation: Innovation,
+    mode: Mode,
+    distance_rad: f64,
+}
+
+fn mostly<T: Clone + std::fmt::Debug + 'static>(
+    good: T,
+    bad: impl Strategy<Value = T> + 'static,
+) -> impl Strategy<Value = T> {
+    prop_oneof![200 => Just(good), 1 => bad]
+}
+
+fn arm_condition() -> impl Strategy<Value = ArmCondition> {
+    let bad = prop_oneof![
+        3 => Just(ArmCondition::Disabled),
+        1 => Just(ArmCondition::Fault),
+        1 => Just(ArmCondition::EmergencyStop)
+    ];
+    mostly(ArmCondition::Enabled, bad)
+}
+
+fn word() -> impl Strategy<Value = Option<(Word, f64)>> {
+    let any_word = prop_oneof![
+        4 => Just(Word::Select),
+        8 => Just(Word::Start),
+        1 => Just(Word::Hold),
+        3 => Just(Word::Resume),
+        1 => Just(Word::Stop),
+        6 => Just(Word::Reset)
+    ];
+    let age_s = prop_oneof![8 => Just(0.0), 1 => -2.0..2.0_f64];
+    prop_oneof![6 => Just(None), 1 => (any_word, age_s).prop_map(Some)]
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    let age = || mostly(Some(0.005), prop_oneof![Just(None), (-0.5..0.5_f64).prop_map(Some)]);
+    let jump = (0.0..0.5_f64, 0.0..1.0_f64)
+        .prop_map(|(position_m, orientation_rad)| Innovation::Jump { position_m, orientation_rad });
+    let mode = prop_oneof![Just(Mode::Idle), Just(Mode::Locking), Just(Mode::Lost)];
+    let moving = prop_oneof![1 => Just(Mode::Approaching), 3 => Just(Mode::Tracking)];
+    (
+        (mostly(0.01, -0.5..0.6_f64), word(), mostly(true, Just(false))),
+        ([arm_condition(), arm_condition()], [age(), age()], mostly(true, Just(false))),
+        (
+            mostly(1e-4, prop_oneof![Just(f64::NAN), -0.02..0.02_f64]),
+            mostly(Confidence::Sure, prop_oneof![Just(Confidence::Doubtful), Just(Confidence::NoPose)]),
+            mostly(0.04, -0.5..1.5_f64),
+            mostly(7, 0..9_u64),
+        ),
+        (
+            mostly(1e-6, prop_oneof![Just(f64::NAN), -1e-3..1e-2_f64]),
+            mostly(Innovation::Agrees, jump),
+            prop_oneof![40 => moving, 1 => mode],
+            mostly(0.5, -0.1..0.1_f64),
+        ),
+    )
+        .prop_map(|((dt_s, word, is_heard), (arms, measured_age_s, has_frame), seen, more)| {
+            let (skew_s, confidence, exposed_age_s, target) = seen;
+            let (variance, innovation, mode, distance_rad) = more;
+            Step {
+                dt_s,
+                word,
+                is_heard,
+                arms,
+                measured_age_s,
+                has_frame,
+                skew_s,
+                confidence,
+                exposed_age_s,
+                target,
+                variance,
+                innovation,
+                mode,
+                distance_rad,
+            }
+        })
+}
+
+/// What was told, kept from step to step.
+#[derive(Default)]
+struct Told {
+    now_s: f64,
+    sequence: u64,
+    heard_s: f64,
+    frame: Option<FrameInput>,
+    estimate: Option<EstimateInput>,
+}
+
+impl Told {
+    fn tell(&mut self, step: &Step) -> Inputs {
+        self.now_s = (self.now_s + step.dt_s).max(1.0);
+        let now_s = self.now_s;
+        if step.is_heard {
+            self.heard_s = now_s;
+        }
+        if step.has_frame {
+            self.sequence += 1;
+            let exposed_at = at(now_s - step.exposed_age_s);
+            self.frame = Some(FrameInput { sequence: self.sequence, at: exposed_at, skew_s: step.skew_s });
+            self.estimate = Some(EstimateInput {
+                at: exposed_at,
+                confidence: step.confidence,
+                covariance: Some(Matrix6::from_diagonal_element(step.variance)),
+                target: step.target,
+            });
+        }
+        let arm = |i: usize| ArmInput {
+            state: step.arms[i],
+            measured_at: step.measured_age_s[i].map(|age_s| at(now_s - age_s)),
+        };
+        Inputs {
+            operator: OperatorInput {
+                said: step.word.map(|(word, age_s)| Said { word, at: at(now_s - age_s) }),
+                heard_at: Some(at(self.heard_s)),
+            },
+            controller: step.mode,
+            innovation: step.innovation,
+            estimate: self.estimate,
+            frame: self.frame,
+            range_end: Some(RangeEnd { joint: 2, distance_rad: step.distance_rad }),
+            smallest_singular_value: Some(0.1),
+            arms: [arm(0), arm(1)],
+        }
+    }
+}
+
+/// What the operator has a right to: told from inputs and decisions alone.
+#[derive(Default)]
+struct Judge {
+    now_s: f64,
+    /// Exposure of the newest estimate that was sure, seconds.
+    sure_s: Option<f64>,
+    /// Exposure of the newest estimate, and its target.
+    newest: Option<(f64, u64)>,
+    selected_s: Option<f64>,
+    started: bool,
+    started_target: Option<u64>,
+    must_rest_until_word: bool,
+    motions: u64,
+}
+
+impl Judge {
+    /// Of the target are pictures that were taken since it was selected, and not such from the future.
+    fn take(&mut self, estimate: &EstimateInput) {
+        let exposed_s = estimate.at.as_secs_f64();
+        let is_of_target = self.selected_s.is_some_and(|selected_s| exposed_s >= selected_s - 1e-9);
+        if !is_of_target || exposed_s > self.now_s + 0.2 + 1e-9 {
+            return;
+        }
+        if estimate.confidence == Confidence::Sure {
+            self.sure_s = Some(self.sure_s.map_or(exposed_s, |before| before.max(exposed_s)));
+        }
+        if self.newest.is_none_or(|(before_s, _)| exposed_s > before_s) {
+            self.newest = Some((exposed_s, estimate.target));
+        }
+    }
+
+    fn judge(&mut self, inputs: &Inputs, decision: &Decision, now_s: f64) {
+        let word = inputs.operator.said.map(|said| said.word);
+        let dangerous =
+            inputs.arms.iter().any(|arm| matches!(arm.state, ArmCondition::Fault | ArmCondition::EmergencyStop));
+        if now_s < self.now_s {
+            // Stamps of before tell nothing any more.
+            (self.sure_s, self.newest) = (None, None);
+            self.selected_s = self.selected_s.map(|selected_s| selected_s.min(now_s));
+        }
+        self.now_s = now_s;
+        if word == Some(Word::Select) && decision.state == State::Selecting && decision.transition.is_some() {
+            (self.selected_s, self.started) = (Some(now_s), false);
+            (self.sure_s, self.newest) = (None, None);
+        }
+        if let Some(estimate) = inputs.estimate {
+            self.take(&estimate);
+        }
+        if word == Some(Word::Start) && decision.state == State::Approaching && decision.transition.is_some() {
+            self.started = true;
+            self.started_target = self.newest.map(|(_, target)| target);
+        }
+        let says_hold = word == Some(Word::Hold);
+        self.must_rest_until_word |= says_hold;
+        if matches!(word, Some(Word::Resume | Word::Start)) && decision.transition.is_some() {
+            self.must_rest_until_word = false;
+        }
+        if dangerous || word == Some(Word::Stop) || decision.permission == Permission::Stop {
+            self.started = false;
+        }
+        if dangerous || word == Some(Word::Stop) {
+            assert_eq!(decision.permission, Permission::Stop);
+            assert!(decision.state.is_latched());
+        }
+        if let Permission::Move { share } = decision.permission {
+            self.motions += 1;
+            assert!(share > 0.0 && share <= 1.0);
+            assert!(self.started, "not started since the last latch");
+            assert!(!self.must_rest_until_word, "the operator said hold");
+            assert!(inputs.arms.iter().all(|arm| arm.state == ArmCondition::Enabled));
+            for arm in inputs.arms {
+                let age_s = now_s - arm.measured_at.unwrap().as_secs_f64();
+                assert!((-0.2 - 1e-6..=0.05 + 1e-6).contains(&age_s), "joints of {age_s} s");
+            }
+            let sure_age_s = now_s - self.sure_s.unwrap();
+            assert!((-0.2 - 1e-6..=0.3 + 1e-6).contains(&sure_age_s), "an estimate of {sure_age_s} s");
+            let frame_age_s = now_s - inputs.frame.unwrap().at.as_secs_f64();
+            assert!(frame_age_s <= 0.25 + 1e-6, "pictures of {frame_age_s} s");
+            assert!(now_s - inputs.operator.heard_at.unwrap().as_secs_f64() <= 1.0 + 1e-6);
+            assert!(matches!(inputs.controller, Mode::Approaching | Mode::Tracking));
+        } else {
+            assert!(decision.why.to_string().contains(": "), "{}", decision.why);
+        }
+    }
+}
+
+/// In 1000 random histories of 300 steps nothing is permitted that the operator has no right to.
+#[test]
+fn no_history_permits_motion_without_fresh_confident_data_enabled_arms_and_the_operators_start() {
+    let motions = Cell::new(0_u64);
+    let mut runner = TestRunner::new(Config { cases: 1000, failure_persistence: None, ..Config::default() });
+    let histories = prop::collection::vec(step(), 300);
+    let outcome = runner.run(&histories, |history| {
+        let mut supervisor = Supervisor::new(config()).unwrap();
+        let (mut told, mut judge) = (Told { now_s: 100.0, heard_s: 100.0, ..Told::default() }, Judge::default());
+        let mut before = State::Idle;
+        for step in &history {
+            let inputs = told.tell(step);
+            let decision = supervisor.step(&inputs, at(told.now_s));
+            judge.judge(&inputs, &decision, told.now_s);
+            let expected = decision.transition.map_or(before, |transition| transition.to);
+            prop_assert_eq!(expected, decision.state);
+            if before.is_latched() && !decision.state.is_latched() {
+                prop_assert_eq!(decision.state, State::Idle);
+                prop_assert_eq!(step.word.map(|(word, _)| word), Some(Word::Reset));
+            }
+            if !before.is_moving() && decision.state.is_moving() {
+                let shown = judge.newest.map(|(_, target)| target);
+                prop_assert_eq!(shown, judge.started_target, "another target than was started");
+            }
+            before = decision.state;
+        }
+        motions.set(motions.get() + judge.motions);
+        Ok(())
+    });
+    outcome.unwrap();
+    assert!(motions.get() > 30_000, "only {} steps of 300000 moved: that proves little", motions.get());
+}

@@ -1,0 +1,568 @@
+//! Ways to start or resume wrongly, as far as the supervisor can see them: each a test. What every one of them shows is that
+//! nothing is permitted to move, or that nothing moves by itself.
+
+use pb3dp_servo::supervisor::{ArmCondition, Condition, Confidence, Event, Permission, RefusedFor, State, Why, Word};
+use pb3dp_servo::{HoldReason, Mode};
+
+use crate::bench::{Bench, at, config, good, with};
+
+/// A bench with a selected target that nothing speaks against.
+fn selected() -> Bench {
+    let mut bench = Bench::new(config());
+    bench.say(Word::Select);
+    bench.run(0.5);
+    assert!(bench.decision().is_ready && bench.decision().why == Why::Ready, "{}", bench.why());
+    bench
+}
+
+/// Says start, which must be refused for this condition, and nothing moves afterwards.
+fn start_is_refused_for(bench: &mut Bench, condition: Condition) {
+    let decision = bench.say(Word::Start);
+    let because = decision.refused.unwrap().because;
+    assert!(matches!(because, RefusedFor::Cause(cause) if cause.condition == condition), "{because:?}");
+    stays_at_rest(bench);
+}
+
+fn stays_at_rest(bench: &mut Bench) {
+    assert!(!bench.run(2.0), "it moves: {}", bench.why());
+}
+
+/// A fault is found, and gone again.
+fn faulted() -> Bench {
+    let mut bench = Bench::following(config());
+    bench.lie(|i| i.arms[0].state = ArmCondition::Fault);
+    bench.run(0.1);
+    bench.truth();
+    bench.run(0.1);
+    assert_eq!(bench.state(), State::Fault);
+    bench
+}
+
+#[test]
+fn nothing_moves_before_the_operators_word() {
+    let mut bench = Bench::new(config());
+    stays_at_rest(&mut bench);
+    assert_eq!(bench.state(), State::Idle);
+}
+
+#[test]
+fn start_without_a_selected_target() {
+    let mut bench = Bench::new(config());
+    bench.run(0.5);
+    let decision = bench.say(Word::Start);
+    assert_eq!(decision.refused.unwrap().because, RefusedFor::State(State::Idle));
+    stays_at_rest(&mut bench);
+}
+
+#[test]
+fn select_alone_moves_nothing() {
+    stays_at_rest(&mut selected());
+}
+
+#[test]
+fn start_before_the_target_was_seen() {
+    let mut bench = selected();
+    bench.lie(|i| i.estimate = None);
+    bench.say(Word::Select);
+    bench.run(0.5);
+    start_is_refused_for(&mut bench, Condition::TargetLost);
+    // And it does not begin when the target comes into view.
+    bench.truth();
+    stays_at_rest(&mut bench);
+}
+
+#[test]
+fn start_on_a_target_that_was_seen_before_it_was_selected() {
+    let mut bench = Bench::new(config());
+    bench.run(0.5);
+    let old = good(bench.now_s).estimate;
+    bench.lie(move |i| i.estimate = old);
+    bench.say(Word::Select);
+    start_is_refused_for(&mut bench, Condition::TargetLost);
+}
+
+#[test]
+fn start_on_a_target_that_was_seen_too_long_ago() {
+    let mut bench = selected();
+    let old = good(bench.now_s).estimate;
+    bench.lie(move |i| i.estimate = old);
+    bench.run(0.4);
+    start_is_refused_for(&mut bench, Condition::EstimateStale);
+}
+
+#[test]
+fn start_on_one_picture_shown_again_and_again() {
+    let mut bench = selected();
+    let old = good(bench.now_s);
+    bench.lie(move |i| (i.frame, i.estimate) = (old.frame, old.estimate));
+    bench.run(0.5);
+    start_is_refused_for(&mut bench, Condition::FrameStale);
+}
+
+#[test]
+fn start_on_an_old_picture_with_a_new_number() {
+    let mut bench = selected();
+    let old = good(bench.now_s).frame.unwrap();
+    bench.lie(move |i| i.frame.as_mut().unwrap().at = old.at);
+    bench.run(0.1);
+    start_is_refused_for(&mut bench, Condition::FrameOrder);
+}
+
+#[test]
+fn start_on_an_estimate_from_the_future() {
+    let mut bench = selected();
+    bench.lie(|i| i.estimate.as_mut().unwrap().at = at(1e4));
+    bench.run(0.1);
+    start_is_refused_for(&mut bench, Condition::ClockStepped);
+}
+
+#[test]
+fn start_on_a_pose_that_the_estimator_does_not_stand_by() {
+    let mut bench = Bench::new(config());
+    bench.lie(|i| i.estimate.as_mut().unwrap().confidence = Confidence::Doubtful);
+    bench.say(Word::Select);
+    bench.run(0.5);
+    start_is_refused_for(&mut bench, Condition::TargetLost);
+}
+
+#[test]
+fn start_on_a_pose_with_a_large_covariance() {
+    let mut bench = selected();
+    bench.lie(|i| i.estimate.as_mut().unwrap().covariance.as_mut().unwrap()[(2, 2)] = 4e-4);
+    bench.run(0.2);
+    start_is_refused_for(&mut bench, Condition::PositionUncertain);
+}
+
+#[test]
+fn start_while_a_doubt_has_not_yet_lasted() {
+    let mut bench = selected();
+    bench.lie(|i| i.frame.as_mut().unwrap().skew_s = 0.02);
+    bench.run(0.04);
+    start_is_refused_for(&mut bench, Condition::CameraSkew);
+}
+
+#[test]
+fn start_before_the_filter_of_the_controller_is_seeded() {
+    for mode in [Mode::Idle, Mode::Locking, Mode::Lost, Mode::Holding(HoldReason::JointsNotFinite)] {
+        let mut bench = selected();
+        bench.lie(move |i| i.controller = mode);
+        start_is_refused_for(&mut bench, Condition::ControllerRests);
+    }
+}
+
+#[test]
+fn start_with_an_arm_that_is_off() {
+    for arm in 0..2 {
+        let mut bench = selected();
+        bench.lie(move |i| i.arms[arm].state = ArmCondition::Disabled);
+        start_is_refused_for(&mut bench, Condition::ArmDisabled);
+        // Nor when it is switched on.
+        bench.truth();
+        stays_at_rest(&mut bench);
+    }
+}
+
+#[test]
+fn start_with_joints_that_nobody_has_measured() {
+    for arm in 0..2 {
+        let mut bench = selected();
+        bench.lie(move |i| i.arms[arm].measured_at = None);
+        start_is_refused_for(&mut bench, Condition::JointsStale);
+    }
+}
+
+#[test]
+fn start_without_a_sign_of_the_operators_life() {
+    let mut bench = selected();
+    bench.lie(|i| i.operator.heard_at = None);
+    start_is_refused_for(&mut bench, Condition::OperatorSilent);
+}
+
+#[test]
+fn start_from_a_zeroed_state() {
+    let mut bench = Bench::new(config());
+    bench.lie(|i| {
+        let said = i.operator.said;
+        *i = good(0.0);
+        i.operator.said = said;
+    });
+    bench.say(Word::Select);
+    assert!(bench.say(Word::Start).refused.is_some());
+    stays_at_rest(&mut bench);
+}
+
+#[test]
+fn start_that_was_said_too_long_ago() {
+    let mut bench = selected();
+    bench.run(2.0);
+    let decision = bench.say_at(Word::Start, bench.now_s - 0.6);
+    let because = decision.refused.unwrap().because;
+    assert!(matches!(because, RefusedFor::Age { age_s, age_max_s } if age_s > 0.6 && age_max_s == 0.5), "{because:?}");
+    stays_at_rest(&mut bench);
+}
+
+#[test]
+fn start_that_will_be_said() {
+    let mut bench = selected();
+    let decision = bench.say_at(Word::Start, bench.now_s + 3.0);
+    assert!(matches!(decision.refused.unwrap().because, RefusedFor::Age { age_s, .. } if age_s < -2.0));
+    stays_at_rest(&mut bench);
+}
+
+#[test]
+fn start_that_was_said_to_another_selection() {
+    let mut bench = selected();
+    let said_s = bench.now_s;
+    bench.say(Word::Select);
+    bench.run(0.3);
+    let decision = bench.say_at(Word::Start, said_s);
+    assert_eq!(decision.refused.unwrap().because, RefusedFor::SaidBefore(State::Selecting));
+    stays_at_rest(&mut bench);
+}
+
+#[test]
+fn start_said_twice_does_no_more_than_once() {
+    let mut bench = Bench::following(config());
+    let decision = bench.say(Word::Start);
+    assert_eq!((decision.state, decision.refused, decision.transition), (State::Tracking, None, None));
+}
+
+#[test]
+fn another_target_selected_in_motion() {
+    let mut bench = Bench::following(config());
+    let decision = bench.say(Word::Select);
+    assert_eq!(decision.refused.unwrap().because, RefusedFor::State(State::Tracking));
+    assert_eq!(decision.permission, Permission::Move { share: 1.0 }, "it follows the one that was started");
+}
+
+#[test]
+fn start_or_resume_in_a_fault() {
+    for word in [Word::Start, Word::Resume, Word::Select, Word::Hold] {
+        let mut bench = faulted();
+        bench.say(word);
+        stays_at_rest(&mut bench);
+        assert_eq!(bench.state(), State::Fault);
+    }
+}
+
+#[test]
+fn a_fault_that_is_gone_does_not_clear_itself() {
+    let mut bench = faulted();
+    stays_at_rest(&mut bench);
+    assert_eq!((bench.state(), bench.decision().permission), (State::Fault, Permission::Stop));
+}
+
+#[test]
+fn reset_while_the_emergency_stop_is_pressed() {
+    let mut bench = Bench::following(config());
+    bench.lie(|i| i.arms[1].state = ArmCondition::EmergencyStop);
+    bench.run(0.1);
+    let decision = bench.say(Word::Reset);
+    assert!(
+        matches!(decision.refused.unwrap().because, RefusedFor::Cause(cause) if cause.condition == Condition::EmergencyStop)
+    );
+    assert_eq!(bench.state(), State::Fault);
+}
+
+#[test]
+fn reset_that_was_said_before_the_fault() {
+    let mut bench = Bench::following(config());
+    let said_s = bench.now_s;
+    bench.lie(|i| i.arms[0].state = ArmCondition::Fault);
+    bench.run(0.1);
+    bench.truth();
+    bench.run(0.1);
+    let decision = bench.say_at(Word::Reset, said_s);
+    assert_eq!(decision.refused.unwrap().because, RefusedFor::SaidBefore(State::Fault));
+    assert_eq!(bench.state(), State::Fault);
+}
+
+#[test]
+fn reset_in_the_step_in_which_a_fault_is_found() {
+    let mut bench = Bench::following(config());
+    bench.say(Word::Stop);
+    bench.run(0.1);
+    bench.lie(|i| i.arms[0].state = ArmCondition::Fault);
+    let decision = bench.say(Word::Reset);
+    assert_eq!(decision.state, State::Fault);
+    assert!(decision.refused.is_some());
+}
+
+#[test]
+fn resume_after_an_emergency_stop_with_the_old_set_points() {
+    let mut bench = Bench::following(config());
+    bench.lie(|i| i.arms[0].state = ArmCondition::EmergencyStop);
+    assert!(bench.step().rearm, "the set-points are dropped with the stop");
+    bench.truth();
+    bench.run(0.2);
+    let decision = bench.say(Word::Reset);
+    assert_eq!((decision.state, decision.rearm), (State::Idle, true));
+    for word in [Word::Resume, Word::Start] {
+        assert_eq!(bench.say(word).refused.unwrap().because, RefusedFor::State(State::Idle));
+        stays_at_rest(&mut bench);
+    }
+    // The whole way is to be gone: the target selected, seen anew, and started.
+    assert!(bench.say(Word::Select).rearm);
+    assert!(bench.say(Word::Start).refused.is_some(), "not with what was seen before");
+    bench.run(0.5);
+    assert_eq!(bench.say(Word::Start).state, State::Approaching);
+}
+
+#[test]
+fn start_that_was_said_before_a_fault_does_nothing_after_the_reset() {
+    let mut bench = faulted();
+    let said_s = bench.now_s;
+    bench.say(Word::Reset);
+    bench.say(Word::Select);
+    bench.run(0.3);
+    let decision = bench.say_at(Word::Start, said_s);
+    assert_eq!(decision.refused.unwrap().because, RefusedFor::SaidBefore(State::Selecting));
+    stays_at_rest(&mut bench);
+}
+
+#[test]
+fn reset_of_what_is_not_latched_changes_nothing() {
+    let mut bench = Bench::following(config());
+    bench.say(Word::Hold);
+    bench.run(0.5);
+    let decision = bench.say(Word::Reset);
+    assert_eq!((decision.state, decision.transition), (State::Holding, None));
+    stays_at_rest(&mut bench);
+}
+
+#[test]
+fn the_operators_stop_ends_every_state_and_stays() {
+    for hold in [false, true] {
+        let mut bench = Bench::following(config());
+        if hold {
+            bench.say(Word::Hold);
+        }
+        let decision = bench.say(Word::Stop);
+        assert_eq!((decision.state, decision.permission), (State::Stopped, Permission::Stop));
+        stays_at_rest(&mut bench);
+        assert_eq!(bench.say(Word::Start).refused.unwrap().because, RefusedFor::State(State::Stopped));
+    }
+    let mut bench = selected();
+    assert_eq!(bench.say(Word::Stop).state, State::Stopped);
+    // However old the word is.
+    let mut bench = Bench::following(config());
+    assert_eq!(bench.say_at(Word::Stop, bench.now_s - 30.0).state, State::Stopped);
+    let mut bench = Bench::following(config());
+    assert_eq!(bench.say_at(Word::Hold, bench.now_s - 30.0).state, State::Holding);
+}
+
+#[test]
+fn lease_lost_and_regained() {
+    let mut bench = Bench::following(config());
+    let heard_at = Some(at(bench.now_s));
+    bench.lie(move |i| i.operator.heard_at = heard_at);
+    bench.run(1.2);
+    assert_eq!(bench.state(), State::Stopped);
+    bench.truth();
+    stays_at_rest(&mut bench);
+    // A policy that holds is no way round it.
+    let mut bench = Bench::following(with(Condition::OperatorSilent, |policy| {
+        policy.action = pb3dp_servo::supervisor::Action::Hold;
+    }));
+    let heard_at = Some(at(bench.now_s));
+    bench.lie(move |i| i.operator.heard_at = heard_at);
+    bench.run(1.2);
+    assert_eq!(bench.state(), State::Holding);
+    bench.truth();
+    stays_at_rest(&mut bench);
+    assert_eq!(bench.say(Word::Resume).state, State::Approaching);
+}
+
+#[test]
+fn clock_stepped_forward() {
+    let mut bench = Bench::following(config());
+    bench.now_s += 0.5;
+    let decision = bench.step();
+    let cause = decision.transition.unwrap().cause.unwrap();
+    assert_eq!((decision.state, cause.condition), (State::Holding, Condition::ClockStepped));
+    assert!((cause.value - 0.51).abs() < 1e-6, "{cause:?}");
+    stays_at_rest(&mut bench);
+    assert_eq!(bench.say(Word::Resume).state, State::Approaching);
+}
+
+#[test]
+fn clock_stepped_back() {
+    let mut bench = Bench::following(config());
+    let fresh = bench.now_s;
+    bench.now_s -= 40.0;
+    let decision = bench.step();
+    let cause = decision.transition.unwrap().cause.unwrap();
+    assert_eq!((decision.state, cause.condition), (State::Lost, Condition::ClockStepped));
+    assert!((cause.value + 39.99).abs() < 1e-6, "{cause:?}");
+    // What was measured before the step lies ahead and proves nothing.
+    bench.lie(move |i| i.estimate = good(fresh).estimate);
+    bench.run(0.5);
+    assert!(bench.say(Word::Resume).refused.is_some());
+    bench.truth();
+    stays_at_rest(&mut bench);
+    assert_eq!(bench.say(Word::Resume).state, State::Approaching);
+}
+
+/// A clock that is set back keeps no words out, of which `reset` would be missed most.
+#[test]
+fn words_after_the_clock_stepped_back() {
+    let mut bench = faulted();
+    bench.now_s -= 40.0;
+    bench.run(0.5);
+    assert_eq!(bench.say(Word::Reset).state, State::Idle);
+    bench.begin();
+    bench.say(Word::Stop);
+    bench.say(Word::Reset);
+    bench.say(Word::Select);
+    bench.now_s -= 20.0;
+    bench.run(0.5);
+    assert_eq!(bench.say(Word::Start).state, State::Approaching, "{}", bench.why());
+}
+
+#[test]
+fn estimator_restarted_with_another_target() {
+    let mut bench = Bench::following(config());
+    bench.lie(|i| i.estimate.as_mut().unwrap().target = 1);
+    bench.run(0.1);
+    assert_eq!(bench.state(), State::Holding);
+    let because = bench.say(Word::Resume).refused.unwrap().because;
+    assert!(matches!(because, RefusedFor::Cause(cause) if cause.condition == Condition::TargetChanged));
+    stays_at_rest(&mut bench);
+    // It has to be selected by the operator.
+    bench.say(Word::Select);
+    bench.run(0.3);
+    assert_eq!(bench.say(Word::Start).state, State::Approaching);
+}
+
+#[test]
+fn another_target_found_after_a_loss() {
+    let mut bench = lost();
+    bench.lie(|i| i.estimate.as_mut().unwrap().target = 8);
+    stays_at_rest(&mut bench);
+    assert_eq!(bench.state(), State::Lost);
+}
+
+fn lost() -> Bench {
+    let mut bench = Bench::following(config());
+    bench.lie(|i| i.estimate.as_mut().unwrap().confidence = Confidence::NoPose);
+    bench.run(1.3);
+    assert_eq!(bench.state(), State::Lost);
+    bench
+}
+
+#[test]
+fn the_same_target_found_after_a_loss_is_followed_again_if_the_policy_says_so() {
+    let mut bench = lost();
+    bench.truth();
+    assert!(!bench.run(0.2), "not at once");
+    assert!(bench.run(0.5));
+    let found = bench.supervisor.log().iter().find(|transition| transition.event == Event::TargetFound).unwrap();
+    assert_eq!((found.from, found.to), (State::Lost, State::Approaching));
+}
+
+#[test]
+fn after_a_loss_it_waits_for_the_operator_if_the_policy_says_so() {
+    let wait = with(Condition::TargetLost, |policy| policy.resume = pb3dp_servo::supervisor::Resume::ByOperator);
+    let mut bench = Bench::following(wait);
+    bench.lie(|i| i.estimate = None);
+    bench.run(1.3);
+    assert_eq!(bench.state(), State::Lost);
+    bench.truth();
+    stays_at_rest(&mut bench);
+    assert_eq!(bench.say(Word::Resume).state, State::Approaching);
+}
+
+#[test]
+fn resume_while_the_target_is_lost() {
+    let mut bench = lost();
+    let because = bench.say(Word::Resume).refused.unwrap().because;
+    assert!(matches!(because, RefusedFor::Cause(cause) if cause.condition == Condition::TargetLost));
+    stays_at_rest(&mut bench);
+}
+
+#[test]
+fn a_hold_of_the_operator_is_ended_by_nobody_else() {
+    let mut bench = Bench::following(config());
+    bench.say(Word::Hold);
+    stays_at_rest(&mut bench);
+    // Nor is it by a loss that would end by itself.
+    bench.lie(|i| i.estimate = None);
+    bench.run(1.5);
+    assert_eq!(bench.state(), State::Lost);
+    bench.truth();
+    stays_at_rest(&mut bench);
+    assert_eq!(bench.say(Word::Resume).state, State::Approaching);
+}
+
+#[test]
+fn hold_said_during_a_rest_keeps_it() {
+    let mut bench = Bench::following(config());
+    bench.lie(|i| i.arms[0].measured_at = None);
+    bench.run(0.1);
+    bench.say(Word::Hold);
+    bench.truth();
+    stays_at_rest(&mut bench);
+    assert_eq!(bench.say(Word::Resume).state, State::Approaching);
+}
+
+#[test]
+fn a_second_cause_during_a_rest_counts_as_well() {
+    let mut bench = Bench::following(config());
+    bench.lie(|i| i.arms[0].measured_at = None);
+    bench.run(0.1);
+    assert_eq!(bench.state(), State::Holding);
+    bench.lie(|i| i.arms[1].state = ArmCondition::Disabled);
+    bench.run(0.1);
+    bench.truth();
+    stays_at_rest(&mut bench);
+    assert_eq!(bench.say(Word::Resume).state, State::Approaching);
+}
+
+#[test]
+fn a_cause_that_flickers_keeps_the_arm_at_rest() {
+    let mut bench = Bench::following(config());
+    for _ in 0..30 {
+        bench.lie(|i| i.arms[1].measured_at = None);
+        bench.step();
+        bench.truth();
+        assert!(!bench.run(0.19));
+    }
+    assert!(bench.run(0.1), "0.2 s without it are enough");
+}
+
+#[test]
+fn a_rest_does_not_end_before_the_controller_has_locked_on_anew() {
+    let mut bench = Bench::following(config());
+    bench.lie(|i| {
+        i.arms[0].measured_at = None;
+        i.controller = Mode::Locking;
+    });
+    assert!(bench.step().rearm);
+    bench.lie(|i| i.controller = Mode::Locking);
+    stays_at_rest(&mut bench);
+    let because = bench.say(Word::Resume).refused.unwrap().because;
+    assert!(matches!(because, RefusedFor::Cause(cause) if cause.condition == Condition::ControllerRests));
+}
+
+#[test]
+fn an_arm_that_was_moved_meanwhile_goes_on_from_where_it_is() {
+    // Homed: its drives were off in between, and the set-points of before are gone.
+    let mut bench = Bench::following(config());
+    bench.lie(|i| i.arms[0].state = ArmCondition::Disabled);
+    assert!(bench.step().rearm);
+    bench.run(3.0);
+    bench.truth();
+    stays_at_rest(&mut bench);
+    assert_eq!(bench.say(Word::Resume).state, State::Approaching, "with the speed of an approach");
+}
+
+#[test]
+fn a_restarted_camera_holds_the_arm() {
+    let mut bench = Bench::following(config());
+    bench.lie(|i| i.frame.as_mut().unwrap().sequence -= 100_000);
+    let mut held = false;
+    for _ in 0..5 {
+        held |= bench.step().state == State::Holding;
+    }
+    assert!(held);
+}

@@ -1,0 +1,183 @@
+//! Everything that keeps an arm from moving has one line of its own that says what is wrong and what to do.
+
+use std::collections::BTreeSet;
+
+use pb3dp_servo::supervisor::{
+    ARM_NAMES, Cause, Condition, Detail, Permission, Refusal, RefusedFor, State, Then, Why, Word,
+};
+use pb3dp_servo::{HoldReason, Mode};
+
+use crate::bench::{Bench, config};
+
+/// A cause of each condition, with every detail that it can have, and what its line has to name.
+fn causes() -> Vec<(Cause, Vec<String>)> {
+    let of = |condition: Condition| -> (f64, f64, Vec<Detail>, [&'static str; 2]) {
+        let arms = vec![Detail::Arm(0), Detail::Arm(1)];
+        let none = vec![Detail::None];
+        match condition {
+            Condition::EmergencyStop | Condition::ArmFault | Condition::ArmDisabled => (0.0, 0.0, arms, ["", ""]),
+            Condition::ClockStepped => (-1.5, 0.2, none, ["-1.500 s", "0.200 s"]),
+            Condition::JointsStale => (0.123, 0.05, arms, ["0.123 s", "0.050 s"]),
+            Condition::OperatorSilent | Condition::FrameStale | Condition::TargetLost | Condition::EstimateStale => {
+                (0.456, 0.25, none, ["0.456 s", "0.250 s"])
+            }
+            Condition::TargetChanged => {
+                (0.0, 0.0, vec![Detail::Targets { started: 3, followed: 4 }], ["target 4", "target 3"])
+            }
+            Condition::FrameOrder => (0.0, 0.0, vec![Detail::Frames { before: 60, after: 57 }], ["pair 57", "pair 60"]),
+            Condition::LowConfidence => (0.0, 0.0, vec![Detail::None, Detail::NoPose], ["pose", "estimator"]),
+            Condition::PositionJump | Condition::PositionUncertain => (0.0234, 0.01, none, ["23.40 mm", "10.00 mm"]),
+            Condition::Outlier => (12.34, 6.0, none, ["12.3", "6.0"]),
+            Condition::OrientationJump | Condition::OrientationUncertain => {
+                (0.1, 0.05, none, ["5.73 degrees", "2.86 degrees"])
+            }
+            Condition::CameraSkew => (0.0072, 0.005, none, ["7.20 ms", "5.00 ms"]),
+            Condition::LimitNear => {
+                (0.02, 0.05, vec![Detail::Joint(0), Detail::Joint(6)], ["1.15 degrees", "2.86 degrees"])
+            }
+            Condition::Singularity => (0.0123, 0.03, none, ["0.0123", "0.0300"]),
+            Condition::ControllerRests => {
+                let stale = Mode::Holding(HoldReason::ObservationStale { age_s: 0.321 });
+                (0.0, 0.0, vec![Detail::Controller(stale), Detail::Controller(Mode::Locking)], ["controller", ""])
+            }
+        }
+    };
+    let mut causes = Vec::new();
+    for condition in Condition::ALL {
+        let (value, threshold, details, parts) = of(condition);
+        for detail in details {
+            let also = match detail {
+                Detail::Arm(arm) => ARM_NAMES[arm].to_owned(),
+                Detail::Joint(joint) => format!("axis {}", joint + 1),
+                Detail::Controller(mode) => mode.to_string(),
+                _ => String::new(),
+            };
+            let parts = parts.iter().map(|part| (*part).to_owned()).chain([also]).collect();
+            causes.push((Cause { condition, value, threshold, detail }, parts));
+        }
+    }
+    causes
+}
+
+#[test]
+fn every_state_and_every_condition_has_a_line_of_its_own() {
+    use State::{Approaching, Fault, Holding, Lost, Stopped, Tracking};
+    let by_itself = Then::ByItself { after_s: 0.2 };
+    let mut lines = BTreeSet::new();
+    let mut add = |why: Why, parts: &[String], to_do: &str| {
+        let line = why.to_string();
+        for part in parts {
+            assert!(line.contains(part), "{part:?} is not in {line:?}");
+        }
+        assert!(line.contains(to_do), "what to do ({to_do}) is not in {line:?}");
+        assert!(!line.contains('\n') && line.len() < 300 && !line.contains("  "), "{line:?}");
+        assert!(lines.insert(line.clone()), "twice: {line:?}");
+    };
+    add(Why::Idle, &["idle: ".into()], "say select");
+    add(Why::Ready, &["selecting: ".into()], "say start");
+    add(Why::StoppedByOperator, &["stopped: ".into(), "operator".into()], "say reset");
+    for state in [Approaching, Tracking] {
+        add(Why::Moving { state }, &[state.to_string()], "");
+    }
+    for state in [Holding, Lost] {
+        add(Why::HeldByOperator { state, cause: None }, &[format!("{state}: ")], "say resume");
+    }
+    for (cause, parts) in causes() {
+        let mut parts = parts.clone();
+        parts.push(cause.to_string());
+        add(Why::Waiting { cause }, &parts, "then say start");
+        for state in [Approaching, Tracking] {
+            let parts = [parts.clone(), vec![format!("{state}: "), "50 %".into()]].concat();
+            add(Why::Slowed { state, cause, share: 0.5 }, &parts, ";");
+        }
+        for state in [Holding, Lost] {
+            let parts = [parts.clone(), vec![format!("{state}: ")]].concat();
+            add(Why::Resting { state, cause, then: Then::Word }, &parts, "then say resume");
+            add(Why::Resting { state, cause, then: by_itself }, &parts, "goes on by itself 0.2 s after");
+            add(Why::CauseGone { state, cause, then: Then::Word }, &parts, "say resume");
+            add(Why::CauseGone { state, cause, then: by_itself }, &parts, "goes on by itself after 0.2 s");
+            add(Why::HeldByOperator { state, cause: Some(cause) }, &parts, "then say resume");
+        }
+        for state in [Stopped, Fault] {
+            let parts = [parts.clone(), vec![format!("{state}: ")]].concat();
+            add(Why::Latched { state, cause, is_gone: false }, &parts, "then say reset");
+            add(Why::Latched { state, cause, is_gone: true }, &parts, "say reset");
+        }
+    }
+    assert!(lines.len() > 14 * Condition::COUNT);
+}
+
+#[test]
+fn what_never_came_is_said_so() {
+    for condition in [
+        Condition::OperatorSilent,
+        Condition::JointsStale,
+        Condition::FrameStale,
+        Condition::TargetLost,
+        Condition::EstimateStale,
+    ] {
+        let cause = Cause { condition, value: f64::INFINITY, threshold: 0.25, detail: Detail::Arm(1) };
+        let line = cause.to_string();
+        assert!(line.contains("has not come yet") && line.contains("0.250 s") && !line.contains("inf"), "{line}");
+    }
+}
+
+#[test]
+fn every_refusal_has_words_of_its_own() {
+    let mut lines = BTreeSet::new();
+    for word in Word::ALL {
+        let age = RefusedFor::Age { age_s: 0.7, age_max_s: 0.5 };
+        let mut reasons = vec![age];
+        for state in State::ALL {
+            reasons.extend([RefusedFor::State(state), RefusedFor::SaidBefore(state), RefusedFor::Overtaken(state)]);
+        }
+        reasons.extend(causes().into_iter().map(|(cause, _)| RefusedFor::Cause(cause)));
+        for because in reasons {
+            let line = Refusal { word, because }.to_string();
+            assert!(line.starts_with(&format!("{} is refused: ", word.name())) && !line.contains('\n'), "{line}");
+            assert!(lines.insert(line.clone()), "twice: {line}");
+        }
+    }
+    let age = Refusal { word: Word::Start, because: RefusedFor::Age { age_s: 0.7, age_max_s: 0.5 } }.to_string();
+    assert!(age.contains("0.700 s") && age.contains("0.500 s") && age.contains("say it again"), "{age}");
+}
+
+/// As an operator would meet them, one after the other.
+#[test]
+fn an_arm_that_does_not_move_says_why_in_each_step() {
+    let mut bench = Bench::new(config());
+    bench.step();
+    assert_eq!(bench.why(), "idle: no target is selected; say select");
+    bench.lie(|i| i.estimate = None);
+    bench.say(Word::Select);
+    bench.step();
+    assert_eq!(
+        bench.why(),
+        "selecting: the target is lost, as the newest pose that the estimator stands by has not come yet, allowed is an age of \
+         1.000 s; bring the target back into view, then say start"
+    );
+    bench.truth();
+    bench.run(0.3);
+    assert!(bench.why().ends_with("say start"), "{}", bench.why());
+    bench.say(Word::Start);
+    assert_eq!(bench.why(), "approaching");
+    bench.lie(|i| i.frame.as_mut().unwrap().skew_s = 0.0061);
+    bench.run(0.3);
+    assert_eq!(
+        bench.why(),
+        "holding: both eyes were exposed 6.10 ms apart, allowed are 5.00 ms; look after the trigger of the cameras; goes on by \
+         itself 0.2 s after that"
+    );
+    bench.say(Word::Hold);
+    assert!(bench.why().starts_with("holding: the operator said hold, and both eyes"), "{}", bench.why());
+    bench.truth();
+    bench.run(0.3);
+    assert_eq!(bench.why(), "holding: the operator said hold; say resume");
+    bench.say(Word::Stop);
+    assert_eq!(bench.why(), "stopped: the operator said stop; say reset, enable the arms, then select and start");
+    for _ in 0..200 {
+        let decision = bench.step();
+        assert_eq!(decision.permission, Permission::Stop);
+        assert!(decision.why.to_string().len() > 20);
+    }
+}

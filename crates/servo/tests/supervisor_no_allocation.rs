@@ -1,0 +1,31 @@
+//! A step of the supervisor does not touch the heap, whatever happens in it.
+#![allow(dead_code, clippy::unwrap_used)] // In helpers of tests.
+
+#[path = "supervisor/bench.rs"]
+mod bench;
+
+use bench::{Bench, config};
+use pb3dp_allocation_count::requests;
+use pb3dp_servo::supervisor::{ArmCondition, Supervisor, Word};
+
+#[test]
+fn steps_do_not_allocate() {
+    let mut bench = Bench::following(config());
+    let before = requests();
+    bench.run(1.0);
+    for word in [Word::Hold, Word::Resume, Word::Select, Word::Start, Word::Stop, Word::Reset] {
+        bench.say(word);
+        bench.run(0.5);
+    }
+    assert_eq!(requests() - before, 0);
+    bench.begin();
+    bench.lie(|i| i.arms[0].state = ArmCondition::Fault);
+    let before = requests();
+    bench.run(0.1);
+    assert!(bench.state().is_latched());
+    assert_eq!(requests() - before, 0);
+    let probe = requests();
+    drop(std::hint::black_box(Box::new([0u8; 64])));
+    assert!(requests() > probe, "the counter counts");
+    assert!(std::mem::size_of::<Supervisor>() < 32_768, "small enough for any stack");
+}
