@@ -254,7 +254,13 @@ impl Timeouts {
 
 const TINY: f64 = 1e-6;
 
-fn check(key: &'static str, value: f64, min: f64, max: f64, allowed: &'static str) -> Result<(), ConfigError> {
+pub(crate) fn check(
+    key: &'static str,
+    value: f64,
+    min: f64,
+    max: f64,
+    allowed: &'static str,
+) -> Result<(), ConfigError> {
     if value >= min && value <= max { Ok(()) } else { Err(ConfigError { key, value, allowed }) }
 }
 

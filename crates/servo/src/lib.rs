@@ -17,6 +17,7 @@ pub mod law;
 pub mod resolved_rate;
 pub mod supervisor;
 pub mod target_filter;
+pub mod target_state;
 
 pub use config::{
     AfterLoss, ApproachConfig, CartesianSpeed, ConfigError, ControllerConfig, DampingConfig, Gains, SpeedConfig,
@@ -26,3 +27,7 @@ pub use controller::{Command, ControlStep, Controller, HoldReason, Mode};
 pub use joint_history::{JointHistory, NotInHistory};
 pub use resolved_rate::Limitation;
 pub use target_filter::{ObservationVerdict, TargetObservation};
+pub use target_state::{
+    Acceleration, MeasurementConfig, MeasurementVerdict, MotionConfig, NotPredictable, PoseMeasurement, Prediction,
+    RestConfig, TargetState, TargetStateConfig,
+};

@@ -1,0 +1,209 @@
+//! All hypotheses about the target, mixed: rest or motion of the linear and of the angular part.
+//!
+//! The interacting multiple model filter (H. A. P. Blom, Y. Bar-Shalom, "The Interacting Multiple Model Algorithm for Systems
+//! with Markovian Switching Coefficients", IEEE Trans. Automatic Control 33(8), 1988) with error states on SE(3).
+
+use nalgebra::Matrix6;
+
+use super::config::{MotionConfig, TargetStateConfig};
+use super::gaussian::{ErrorMatrix, ErrorVector, Gaussian, Innovation, State};
+use super::measurement::BaseMeasurement;
+use super::motion::{AxisStep, Mode, switching, usual};
+
+/// Two modes of two parts.
+const HYPOTHESES_MAX: usize = 4;
+/// A hypothesis less probable than this does not show in a prediction.
+const NEGLIGIBLE: f64 = 1e-4;
+
+/// One pair of modes, how probable it is, and what it says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Hypothesis {
+    linear: Mode,
+    angular: Mode,
+    probability: f64,
+    gaussian: Gaussian,
+}
+
+/// All hypotheses at one time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Bank {
+    hypotheses: [Hypothesis; HYPOTHESES_MAX],
+    count: usize,
+}
+
+/// What became of a measurement.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Correction {
+    /// It is part of the state now.
+    Accepted { nis: f64 },
+    /// No hypothesis explains it.
+    Outlier { nis: f64 },
+    /// A covariance is not positive definite, or a number is not finite: the measurement is not used.
+    Failed,
+}
+
+/// The hypotheses taken together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Mixture {
+    pub state: State,
+    /// Of position and rotation vector, axes of `base`.
+    pub covariance: Matrix6<f64>,
+    /// Probability that the linear part is in motion.
+    pub linear_motion: f64,
+    /// Probability that the angular part is in motion.
+    pub angular_motion: f64,
+}
+
+impl Bank {
+    /// A target seen for the first time.
+    pub(super) fn begin(config: &TargetStateConfig, measured: &BaseMeasurement) -> Self {
+        let state = State {
+            base_from_model: measured.base_from_model,
+            rate: nalgebra::Vector6::zeros(),
+            acceleration: nalgebra::Vector6::zeros(),
+        };
+        let mut covariance = ErrorMatrix::zeros();
+        covariance.fixed_view_mut::<6, 6>(0, 0).copy_from(&measured.covariance);
+        for (part, first) in [(&config.linear, 6), (&config.angular, 9)] {
+            for i in first..first + 3 {
+                covariance[(i, i)] = part.start_velocity_sigma_per_s.powi(2);
+                covariance[(i + 6, i + 6)] = part.acceleration_sigma_per_s2.powi(2);
+            }
+        }
+        let gaussian = Gaussian { state, covariance };
+        let unused = Hypothesis { linear: Mode::Motion, angular: Mode::Motion, probability: 0.0, gaussian };
+        let mut bank = Self { hypotheses: [unused; HYPOTHESES_MAX], count: 0 };
+        for &linear in modes(&config.linear) {
+            for &angular in modes(&config.angular) {
+                let probability = share(&config.linear, linear) * share(&config.angular, angular);
+                bank.hypotheses[bank.count] = Hypothesis { linear, angular, probability, gaussian };
+                bank.count += 1;
+            }
+        }
+        bank
+    }
+
+    /// The hypotheses after a time without a measurement: modes may have changed, then each goes on as its mode does.
+    pub(super) fn predicted(&self, config: &TargetStateConfig, dt_s: f64) -> Self {
+        let old = self.hypotheses();
+        let mut next = *self;
+        for to in next.hypotheses_mut() {
+            let mut weights = [0.0; HYPOTHESES_MAX];
+            for (weight, from) in weights.iter_mut().zip(old) {
+                *weight = from.probability
+                    * change(&config.linear, from.linear, to.linear, dt_s)
+                    * change(&config.angular, from.angular, to.angular, dt_s);
+            }
+            to.probability = weights.iter().sum();
+            let mixed = mixed(old, &weights, to.probability);
+            let (linear, angular) = steps(config, to, dt_s);
+            to.gaussian = mixed.predicted(&linear, &angular);
+        }
+        next
+    }
+
+    /// Takes a measurement of this very time in, unless it lies outside the gate of every hypothesis.
+    pub(super) fn corrected(&self, measured: &BaseMeasurement, gate_nis: f64) -> (Self, Correction) {
+        let mut innovations: [Option<Innovation>; HYPOTHESES_MAX] = [const { None }; HYPOTHESES_MAX];
+        let (mut nis, mut best) = (f64::INFINITY, f64::NEG_INFINITY);
+        for (slot, hypothesis) in innovations.iter_mut().zip(self.hypotheses()) {
+            let Some(innovation) = hypothesis.gaussian.innovation(measured) else { return (*self, Correction::Failed) };
+            nis = nis.min(innovation.nis);
+            best = best.max(innovation.log_likelihood);
+            *slot = Some(innovation);
+        }
+        if nis > gate_nis {
+            return (*self, Correction::Outlier { nis });
+        }
+        let mut next = *self;
+        let mut sum = 0.0;
+        for (hypothesis, innovation) in next.hypotheses_mut().iter_mut().zip(innovations.iter().flatten()) {
+            hypothesis.gaussian = hypothesis.gaussian.updated(innovation);
+            hypothesis.probability *= (innovation.log_likelihood - best).exp();
+            sum += hypothesis.probability;
+        }
+        for hypothesis in next.hypotheses_mut() {
+            hypothesis.probability /= sum;
+        }
+        if next.is_finite() { (next, Correction::Accepted { nis }) } else { (*self, Correction::Failed) }
+    }
+
+    /// The hypotheses taken together after a time in which no mode changes.
+    pub(super) fn mixture(&self, config: &TargetStateConfig, dt_s: f64) -> Mixture {
+        let mut parts = [None; HYPOTHESES_MAX];
+        let (mut kept, mut linear_motion, mut angular_motion) = (0.0, 0.0, 0.0);
+        for (part, hypothesis) in parts.iter_mut().zip(self.hypotheses()) {
+            linear_motion += if hypothesis.linear == Mode::Motion { hypothesis.probability } else { 0.0 };
+            angular_motion += if hypothesis.angular == Mode::Motion { hypothesis.probability } else { 0.0 };
+            if hypothesis.probability >= NEGLIGIBLE {
+                let (linear, angular) = steps(config, hypothesis, dt_s);
+                *part = Some((hypothesis.probability, hypothesis.gaussian.predicted_pose(&linear, &angular)));
+                kept += hypothesis.probability;
+            }
+        }
+        let of_pose = |error: &ErrorVector| error.fixed_rows::<6>(0).into_owned();
+        let reference = self.hypotheses[0].gaussian.state;
+        let reference = parts.iter().flatten().map(|(_, (state, _))| *state).next().unwrap_or(reference);
+        let mean: ErrorVector =
+            parts.iter().flatten().map(|(weight, (state, _))| state.minus(&reference) * (weight / kept)).sum();
+        let mut covariance = Matrix6::zeros();
+        for (weight, (state, part)) in parts.iter().flatten() {
+            let apart = of_pose(&(state.minus(&reference) - mean));
+            covariance += (part + apart * apart.transpose()) * (weight / kept);
+        }
+        Mixture { state: reference.plus(&mean), covariance, linear_motion, angular_motion }
+    }
+
+    fn hypotheses(&self) -> &[Hypothesis] {
+        &self.hypotheses[..self.count]
+    }
+
+    fn hypotheses_mut(&mut self) -> &mut [Hypothesis] {
+        &mut self.hypotheses[..self.count]
+    }
+
+    fn is_finite(&self) -> bool {
+        self.hypotheses().iter().all(|hypothesis| hypothesis.probability.is_finite() && hypothesis.gaussian.is_finite())
+    }
+}
+
+/// The modes that a part has.
+fn modes(part: &MotionConfig) -> &'static [Mode] {
+    if part.rest.is_some() { &[Mode::Motion, Mode::Rest] } else { &[Mode::Motion] }
+}
+
+fn share(part: &MotionConfig, mode: Mode) -> f64 {
+    part.rest.map_or(1.0, |rest| usual(&rest, mode))
+}
+
+fn change(part: &MotionConfig, from: Mode, to: Mode, dt_s: f64) -> f64 {
+    part.rest.map_or(1.0, |rest| switching(&rest, from, to, dt_s))
+}
+
+fn steps(config: &TargetStateConfig, hypothesis: &Hypothesis, dt_s: f64) -> (AxisStep, AxisStep) {
+    let linear = AxisStep::new(&config.linear, hypothesis.linear, dt_s);
+    (linear, AxisStep::new(&config.angular, hypothesis.angular, dt_s))
+}
+
+/// The Gaussian with mean and covariance of a weighted sum of Gaussians; `sum` is the sum of the weights.
+fn mixed(hypotheses: &[Hypothesis], weights: &[f64; HYPOTHESES_MAX], sum: f64) -> Gaussian {
+    let mut most = 0;
+    for i in 1..hypotheses.len() {
+        if weights[i] > weights[most] {
+            most = i;
+        }
+    }
+    let reference = hypotheses[most].gaussian.state;
+    let mut apart = [ErrorVector::zeros(); HYPOTHESES_MAX];
+    let mut mean = ErrorVector::zeros();
+    for ((apart, hypothesis), weight) in apart.iter_mut().zip(hypotheses).zip(weights) {
+        *apart = hypothesis.gaussian.state.minus(&reference);
+        mean += *apart * (weight / sum);
+    }
+    let mut covariance = ErrorMatrix::zeros();
+    for ((apart, hypothesis), weight) in apart.iter().zip(hypotheses).zip(weights) {
+        let apart = apart - mean;
+        covariance += (hypothesis.gaussian.covariance + apart * apart.transpose()) * (weight / sum);
+    }
+    Gaussian { state: reference.plus(&mean), covariance }
+}

@@ -1,0 +1,172 @@
+//! The numbers of the target's state, and the check that refuses bad ones.
+
+use crate::config::{ConfigError, check};
+
+/// Everything that [`crate::TargetState::new`] needs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TargetStateConfig {
+    /// How the model's origin moves: metres.
+    pub linear: MotionConfig,
+    /// How the model turns: radians.
+    pub angular: MotionConfig,
+    /// How far the covariance of a measurement is believed.
+    pub measurement: MeasurementConfig,
+    /// A measurement whose squared Mahalanobis distance (6 degrees of freedom) from the prediction is larger is an outlier,
+    /// 6 to 10000. Of Gaussian measurements a gate of 16.8 refuses 1 %, 22.5 0.1 %, 27.9 0.01 %, 38.3 one in a million.
+    pub gate_nis: f64,
+    /// Measurements that are kept, to put late ones in their place, 2 to 1000. Each takes about 12 kB. A measurement may
+    /// be later than this many others, less two.
+    pub history_measurements: usize,
+    /// Longest prediction beyond the newest measurement, seconds, 0.01 to 5.
+    pub horizon_s: f64,
+    /// A measurement that comes longer after the newest one begins a new target, seconds, `horizon_s` to 60.
+    pub gap_max_s: f64,
+}
+
+/// How one part of the motion, linear or angular, goes. `X` stands for metres or radians.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotionConfig {
+    /// Standard deviation of the acceleration of a target in motion, per axis, X/s^2, 0.0001 to 100.
+    pub acceleration_sigma_per_s2: f64,
+    /// Time over which this acceleration keeps its correlation (to 1/e), seconds, 0.01 to 100.
+    pub correlation_time_s: f64,
+    /// Share of the acceleration's variance that is left across the direction of motion once that direction is known, 0.001
+    /// to 1. Few targets change their axis as fast as their speed; 1: the acceleration is the same in all directions.
+    pub across_share: f64,
+    /// Standard deviation of the unknown velocity of a target that is seen for the first time, per axis, X/s, 0.0001 to 10.
+    pub start_velocity_sigma_per_s: f64,
+    /// Targets that also rest; `None`: only the Singer model.
+    pub rest: Option<RestConfig>,
+}
+
+/// The second model of a part: a target at rest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RestConfig {
+    /// Random walk of a target at rest, per axis and square root of a second, X/s^0.5, 1e-7 to 0.1.
+    pub drift_sigma_per_sqrt_s: f64,
+    /// Standard deviation of the velocity with which motion begins after rest, per axis, X/s, 1e-6 to 10.
+    pub onset_velocity_sigma_per_s: f64,
+    /// Mean duration of a rest, seconds, 0.1 to 1000.
+    pub mean_rest_s: f64,
+    /// Mean duration of a motion between rests, seconds, 0.1 to 1000.
+    pub mean_motion_s: f64,
+}
+
+/// How far the covariance of a measurement is believed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeasurementConfig {
+    /// The covariance is multiplied by this, 0.01 to 1000: an estimator whose mean squared Mahalanobis error is k per degree
+    /// of freedom needs k.
+    pub covariance_factor: f64,
+    /// Least standard deviation of a position in any direction, metres, 1e-6 to 0.1.
+    pub position_sigma_min_m: f64,
+    /// Least standard deviation of an orientation about any axis, radians, 1e-6 to 0.5.
+    pub orientation_sigma_min_rad: f64,
+}
+
+impl Default for TargetStateConfig {
+    /// For a target that moves by about 100 mm or 20 degrees within 2 s, rests between, and is seen at 30 Hz by the direct
+    /// tracker; chosen by the measurement in `docs/servo.md`.
+    fn default() -> Self {
+        Self {
+            linear: MotionConfig {
+                acceleration_sigma_per_s2: 0.15,
+                correlation_time_s: 0.7,
+                across_share: 0.05,
+                start_velocity_sigma_per_s: 0.1,
+                rest: Some(RestConfig {
+                    drift_sigma_per_sqrt_s: 5e-5,
+                    onset_velocity_sigma_per_s: 2e-3,
+                    mean_rest_s: 10.0,
+                    mean_motion_s: 6.0,
+                }),
+            },
+            angular: MotionConfig {
+                acceleration_sigma_per_s2: 0.3,
+                correlation_time_s: 0.7,
+                across_share: 0.05,
+                start_velocity_sigma_per_s: 0.3,
+                rest: Some(RestConfig {
+                    drift_sigma_per_sqrt_s: 1e-4,
+                    onset_velocity_sigma_per_s: 5e-3,
+                    mean_rest_s: 10.0,
+                    mean_motion_s: 6.0,
+                }),
+            },
+            measurement: MeasurementConfig {
+                covariance_factor: 2.5,
+                position_sigma_min_m: 3e-5,
+                orientation_sigma_min_rad: 3e-4,
+            },
+            gate_nis: 40.0,
+            history_measurements: 32,
+            horizon_s: 0.5,
+            gap_max_s: 2.0,
+        }
+    }
+}
+
+impl TargetStateConfig {
+    /// Checks every number.
+    ///
+    /// # Errors
+    /// The first setting that is out of its range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        self.linear.validate(&LINEAR_KEYS)?;
+        self.angular.validate(&ANGULAR_KEYS)?;
+        self.measurement.validate()?;
+        check("target_state.gate_nis", self.gate_nis, 6.0, 1e4, "6 to 10000")?;
+        let history = self.history_measurements as f64;
+        check("target_state.history_measurements", history, 2.0, 1000.0, "2 to 1000")?;
+        check("target_state.horizon_s", self.horizon_s, 0.01, 5.0, "0.01 to 5 s")?;
+        check("target_state.gap_max_s", self.gap_max_s, self.horizon_s, 60.0, "horizon_s to 60 s")
+    }
+}
+
+/// Names of the settings of a [`MotionConfig`], in the order of its fields.
+type MotionKeys = [&'static str; 8];
+
+const LINEAR_KEYS: MotionKeys = [
+    "target_state.linear.acceleration_sigma_per_s2",
+    "target_state.linear.correlation_time_s",
+    "target_state.linear.across_share",
+    "target_state.linear.start_velocity_sigma_per_s",
+    "target_state.linear.rest.drift_sigma_per_sqrt_s",
+    "target_state.linear.rest.onset_velocity_sigma_per_s",
+    "target_state.linear.rest.mean_rest_s",
+    "target_state.linear.rest.mean_motion_s",
+];
+
+const ANGULAR_KEYS: MotionKeys = [
+    "target_state.angular.acceleration_sigma_per_s2",
+    "target_state.angular.correlation_time_s",
+    "target_state.angular.across_share",
+    "target_state.angular.start_velocity_sigma_per_s",
+    "target_state.angular.rest.drift_sigma_per_sqrt_s",
+    "target_state.angular.rest.onset_velocity_sigma_per_s",
+    "target_state.angular.rest.mean_rest_s",
+    "target_state.angular.rest.mean_motion_s",
+];
+
+impl MotionConfig {
+    fn validate(&self, keys: &MotionKeys) -> Result<(), ConfigError> {
+        check(keys[0], self.acceleration_sigma_per_s2, 1e-4, 100.0, "0.0001 to 100 m/s^2 or rad/s^2")?;
+        check(keys[1], self.correlation_time_s, 0.01, 100.0, "0.01 to 100 s")?;
+        check(keys[2], self.across_share, 1e-3, 1.0, "0.001 to 1")?;
+        check(keys[3], self.start_velocity_sigma_per_s, 1e-4, 10.0, "0.0001 to 10 m/s or rad/s")?;
+        let Some(rest) = &self.rest else { return Ok(()) };
+        check(keys[4], rest.drift_sigma_per_sqrt_s, 1e-7, 0.1, "1e-7 to 0.1 m/s^0.5 or rad/s^0.5")?;
+        check(keys[5], rest.onset_velocity_sigma_per_s, 1e-6, 10.0, "1e-6 to 10 m/s or rad/s")?;
+        check(keys[6], rest.mean_rest_s, 0.1, 1000.0, "0.1 to 1000 s")?;
+        check(keys[7], rest.mean_motion_s, 0.1, 1000.0, "0.1 to 1000 s")
+    }
+}
+
+impl MeasurementConfig {
+    fn validate(&self) -> Result<(), ConfigError> {
+        let (position_m, orientation_rad) = (self.position_sigma_min_m, self.orientation_sigma_min_rad);
+        check("target_state.measurement.covariance_factor", self.covariance_factor, 0.01, 1000.0, "0.01 to 1000")?;
+        check("target_state.measurement.position_sigma_min_m", position_m, 1e-6, 0.1, "1e-6 to 0.1 m")?;
+        check("target_state.measurement.orientation_sigma_min_rad", orientation_rad, 1e-6, 0.5, "1e-6 to 0.5 rad")
+    }
+}

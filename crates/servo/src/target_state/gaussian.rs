@@ -1,0 +1,238 @@
+//! One hypothesis about the target: its state and the covariance of the error, predicted and corrected.
+//!
+//! Error state, all in axes of `base`, in this order: position, rotation vector, velocity, angular velocity, acceleration,
+//! angular acceleration. The true rotation is `exp(rotation vector) * estimate`. Error-state filters on rotations: J. Solà,
+//! "Quaternion kinematics for the error-state Kalman filter", 2017, sections 5 to 7.
+
+use nalgebra::{Cholesky, Const, Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
+use pb3dp_geometry::frames::{Base, Model};
+use pb3dp_geometry::{Pose, se3, so3};
+
+use super::measurement::BaseMeasurement;
+use super::motion::AxisStep;
+
+pub(super) const ERRORS: usize = 18;
+pub(super) type ErrorVector = SVector<f64, ERRORS>;
+pub(super) type ErrorMatrix = SMatrix<f64, ERRORS, ERRORS>;
+type PoseRows = SMatrix<f64, 6, ERRORS>;
+
+/// First index of each part of the error state.
+const ROTATION: usize = 3;
+const RATE: usize = 6;
+const ACCELERATION: usize = 12;
+
+/// The mean of a hypothesis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct State {
+    pub base_from_model: Pose<Base, Model>,
+    /// Of the model's origin and of the model: `[linear; angular]`, m/s and rad/s.
+    pub rate: Vector6<f64>,
+    /// m/s^2 and rad/s^2.
+    pub acceleration: Vector6<f64>,
+}
+
+/// State and covariance of its error.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Gaussian {
+    pub state: State,
+    pub covariance: ErrorMatrix,
+}
+
+/// A measurement held against a prediction.
+#[derive(Clone, Debug)]
+pub(super) struct Innovation {
+    residual: Vector6<f64>,
+    noise: Matrix6<f64>,
+    factor: Cholesky<f64, Const<6>>,
+    /// Squared Mahalanobis distance.
+    pub nis: f64,
+    pub log_likelihood: f64,
+}
+
+impl State {
+    /// The state with an error put right.
+    pub(super) fn plus(&self, error: &ErrorVector) -> Self {
+        let turn = so3::exp(&error.fixed_rows::<3>(ROTATION).into_owned());
+        let mut rotation = turn * self.base_from_model.rotation();
+        rotation.renormalize();
+        let position_m = self.base_from_model.translation_m() + error.fixed_rows::<3>(0);
+        Self {
+            base_from_model: Pose::from_parts(position_m, rotation),
+            rate: self.rate + error.fixed_rows::<6>(RATE),
+            acceleration: self.acceleration + error.fixed_rows::<6>(ACCELERATION),
+        }
+    }
+
+    /// The error that leads from `other` to this state.
+    pub(super) fn minus(&self, other: &Self) -> ErrorVector {
+        let mut error = ErrorVector::zeros();
+        error.fixed_rows_mut::<6>(0).copy_from(&pose_difference(&self.base_from_model, &other.base_from_model));
+        error.fixed_rows_mut::<6>(RATE).copy_from(&(self.rate - other.rate));
+        error.fixed_rows_mut::<6>(ACCELERATION).copy_from(&(self.acceleration - other.acceleration));
+        error
+    }
+
+    /// The state after a step, and the rotation vector by which it turned.
+    pub(super) fn after(&self, linear: &AxisStep, angular: &AxisStep) -> (Self, Vector3<f64>) {
+        let (velocity, spin) = se3::split(&self.rate);
+        let (push, twirl) = se3::split(&self.acceleration);
+        let (l, a) = (&linear.transition, &angular.transition);
+        let shift = velocity * l[(0, 1)] + push * l[(0, 2)];
+        // The last term: the axis turns while the target turns about it (Magnus expansion to the third order in time).
+        let turn = spin * a[(0, 1)] + twirl * a[(0, 2)] + twirl.cross(&spin) * (a[(0, 1)].powi(3) / 12.0);
+        let mut rotation = so3::exp(&turn) * self.base_from_model.rotation();
+        rotation.renormalize();
+        let state = Self {
+            base_from_model: Pose::from_parts(self.base_from_model.translation_m() + shift, rotation),
+            rate: se3::join(&(velocity * l[(1, 1)] + push * l[(1, 2)]), &(spin * a[(1, 1)] + twirl * a[(1, 2)])),
+            acceleration: se3::join(&(push * l[(2, 2)]), &(twirl * a[(2, 2)])),
+        };
+        (state, turn)
+    }
+}
+
+impl Gaussian {
+    /// The prediction after a step.
+    pub(super) fn predicted(&self, linear: &AxisStep, angular: &AxisStep) -> Self {
+        let (state, turn) = self.state.after(linear, angular);
+        let mut transition = ErrorMatrix::zeros();
+        transition.fixed_rows_mut::<6>(0).copy_from(&pose_rows(linear, angular, &turn));
+        for (row, column) in [(1, 1), (1, 2), (2, 2)] {
+            let (l, a) = (linear.transition[(row, column)], angular.transition[(row, column)]);
+            set_diagonal(&mut transition, 6 * row, 6 * column, l);
+            set_diagonal(&mut transition, 6 * row + ROTATION, 6 * column + ROTATION, a);
+        }
+        let spreads = [self.spread(0, linear), self.spread(ROTATION, angular)];
+        let noise = noise([linear, angular], &spreads, &turn);
+        let covariance = transition * self.covariance * transition.transpose() + noise;
+        Self { state, covariance: symmetric(&covariance) }
+    }
+
+    /// How the noise of a part is spread over the directions: evenly as long as the direction of motion is not known, then
+    /// mostly along it. Second moment of the velocity, estimate and uncertainty, in units of its largest eigenvalue.
+    fn spread(&self, part: usize, step: &AxisStep) -> Matrix3<f64> {
+        let velocity = self.state.rate.fixed_rows::<3>(part).into_owned();
+        let uncertainty = self.covariance.fixed_view::<3, 3>(RATE + part, RATE + part).into_owned();
+        let moment = velocity * velocity.transpose() + uncertainty;
+        let largest = velocity.norm_squared() + uncertainty.trace() / 3.0;
+        let even = if largest > 0.0 { step.across_share } else { 1.0 };
+        Matrix3::identity() * even + moment * ((1.0 - even) / largest.max(f64::MIN_POSITIVE))
+    }
+
+    /// Pose and covariance of its error (axes of `base`) after a step, the rest of the state without its covariance.
+    pub(super) fn predicted_pose(&self, linear: &AxisStep, angular: &AxisStep) -> (State, Matrix6<f64>) {
+        let (state, turn) = self.state.after(linear, angular);
+        let rows = pose_rows(linear, angular, &turn);
+        let mut covariance = rows * self.covariance * rows.transpose();
+        let jacobian = so3::left_jacobian(&turn);
+        let shifting = self.spread(0, linear) * linear.noise[(0, 0)];
+        let turning = jacobian * self.spread(ROTATION, angular) * jacobian.transpose() * angular.noise[(0, 0)];
+        for (first, block) in [(0, shifting), (ROTATION, turning)] {
+            let mut sum = covariance.fixed_view_mut::<3, 3>(first, first);
+            sum += block;
+        }
+        (state, (covariance + covariance.transpose()) * 0.5)
+    }
+
+    /// Holds a measurement against this prediction. `None`: the covariances are not positive definite.
+    pub(super) fn innovation(&self, measured: &BaseMeasurement) -> Option<Innovation> {
+        let residual = pose_difference(&measured.base_from_model, &self.state.base_from_model);
+        // Noise turns the measured pose, the residual is a logarithm at the predicted one: between them lies the inverse of
+        // the Jacobian.
+        let noise = turned_by(&measured.covariance, &so3::left_jacobian_inverse(&rotation_part(&residual)));
+        let factor = (self.covariance.fixed_view::<6, 6>(0, 0) + noise).cholesky()?;
+        let nis = residual.dot(&factor.solve(&residual));
+        let log_determinant: f64 = 2.0 * factor.l_dirty().diagonal().iter().map(|x| x.ln()).sum::<f64>();
+        let log_likelihood = -0.5 * (nis + log_determinant);
+        log_likelihood.is_finite().then_some(Innovation { residual, noise, factor, nis, log_likelihood })
+    }
+
+    /// The state with the measurement taken in; the covariance by Joseph's form.
+    pub(super) fn updated(&self, innovation: &Innovation) -> Self {
+        let seen = self.covariance.fixed_rows::<6>(0).into_owned();
+        let gain = innovation.factor.solve(&seen).transpose();
+        let error = gain * innovation.residual;
+        let half = self.covariance - gain * seen;
+        let columns = half.fixed_columns::<6>(0).into_owned();
+        let covariance = half - columns * gain.transpose() + gain * innovation.noise * gain.transpose();
+        let state = self.state.plus(&error);
+        // The error that is left is one about the new rotation.
+        let jacobian = so3::left_jacobian(&error.fixed_rows::<3>(ROTATION).into_owned());
+        let mut covariance = symmetric(&covariance);
+        let rows = jacobian * covariance.fixed_rows::<3>(ROTATION);
+        covariance.fixed_rows_mut::<3>(ROTATION).copy_from(&rows);
+        let columns = covariance.fixed_columns::<3>(ROTATION) * jacobian.transpose();
+        covariance.fixed_columns_mut::<3>(ROTATION).copy_from(&columns);
+        Self { state, covariance: symmetric(&covariance) }
+    }
+
+    pub(super) fn is_finite(&self) -> bool {
+        let state = &self.state;
+        state.base_from_model.is_finite()
+            && state.rate.iter().chain(state.acceleration.iter()).chain(self.covariance.iter()).all(|x| x.is_finite())
+    }
+}
+
+/// Position and rotation vector, in axes of `base`, that lead from one pose to another.
+pub(super) fn pose_difference(to: &Pose<Base, Model>, from: &Pose<Base, Model>) -> Vector6<f64> {
+    let turn = so3::log(&(to.rotation() * from.rotation().inverse()));
+    se3::join(&(to.translation_m() - from.translation_m()), &turn)
+}
+
+fn rotation_part(difference: &Vector6<f64>) -> Vector3<f64> {
+    difference.fixed_rows::<3>(ROTATION).into_owned()
+}
+
+/// The rows of the transition of errors that lead to the pose.
+fn pose_rows(linear: &AxisStep, angular: &AxisStep, turn: &Vector3<f64>) -> PoseRows {
+    let jacobian = so3::left_jacobian(turn);
+    let mut rows = PoseRows::zeros();
+    for column in 0..3 {
+        for i in 0..3 {
+            rows[(i, 6 * column + i)] = linear.transition[(0, column)];
+        }
+        let block = match column {
+            0 => so3::exp(turn).to_rotation_matrix().into_inner(),
+            _ => jacobian * angular.transition[(0, column)],
+        };
+        rows.fixed_view_mut::<3, 3>(ROTATION, 6 * column + ROTATION).copy_from(&block);
+    }
+    rows
+}
+
+/// Noise of a step of both parts, linear and angular, spread over the directions.
+fn noise(steps: [&AxisStep; 2], spreads: &[Matrix3<f64>; 2], turn: &Vector3<f64>) -> ErrorMatrix {
+    let turned = [Matrix3::identity(), so3::left_jacobian(turn)];
+    let mut noise = ErrorMatrix::zeros();
+    for part in 0..2 {
+        for row in 0..3 {
+            for column in 0..3 {
+                let left = if row == 0 { turned[part] } else { Matrix3::identity() };
+                let right = if column == 0 { turned[part].transpose() } else { Matrix3::identity() };
+                let block = left * spreads[part] * right * steps[part].noise[(row, column)];
+                noise.fixed_view_mut::<3, 3>(6 * row + 3 * part, 6 * column + 3 * part).copy_from(&block);
+            }
+        }
+    }
+    noise
+}
+
+fn set_diagonal(matrix: &mut ErrorMatrix, row: usize, column: usize, value: f64) {
+    for i in 0..3 {
+        matrix[(row + i, column + i)] = value;
+    }
+}
+
+/// The covariance of position and rotation vector with the rotation vector mapped by `map`.
+fn turned_by(covariance: &Matrix6<f64>, map: &Matrix3<f64>) -> Matrix6<f64> {
+    let mut turned = *covariance;
+    let rows = map * turned.fixed_rows::<3>(ROTATION);
+    turned.fixed_rows_mut::<3>(ROTATION).copy_from(&rows);
+    let columns = turned.fixed_columns::<3>(ROTATION) * map.transpose();
+    turned.fixed_columns_mut::<3>(ROTATION).copy_from(&columns);
+    (turned + turned.transpose()) * 0.5
+}
+
+fn symmetric(matrix: &ErrorMatrix) -> ErrorMatrix {
+    (matrix + matrix.transpose()) * 0.5
+}

@@ -1,0 +1,9 @@
+//! The state of the target: consistent with its own model, quiet at rest, without lag in motion, and the same whatever the
+//! order of the measurements.
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout)] // In helpers of tests.
+
+mod bench;
+mod consistency;
+mod following;
+mod measurements;
+mod settings;
