@@ -8,31 +8,35 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result};
+use nalgebra::Point3;
 use pb3dp_arm_pa10::codec::Axis;
 use pb3dp_arm_pa10::io::arm::{ArmMonitor, Way};
 use pb3dp_arm_pa10::io::mock_server::MockServer;
 use pb3dp_camera_replay::{Pacing, ReplayCamera, ReplayOptions};
-use pb3dp_camera_sim::SimStereoCamera;
+use pb3dp_camera_sim::{GeometricCamera, SimStereoCamera};
 use pb3dp_geometry::Pose;
-use pb3dp_geometry::frames::{Model, Target};
+use pb3dp_geometry::frames::{Model, Target, World};
 use pb3dp_hal_api::{Arm, ArmPower, Clock, StereoCamera};
 use pb3dp_hal_clock::{SystemClock, VirtualClock};
 use pb3dp_hal_middleware::{FlightLog, Limiter, LimiterStatistics};
 use pb3dp_record::calibration_files::StereoCalibration;
 use pb3dp_record::dataset::Sequence;
+use pb3dp_sim::geometric::GeometricTracker;
 use pb3dp_sim::placement::{
     FlangePath, PathRefusal, PathReport, PathRequirements, ToolSpeed, ToolSpeedMax, check_experiment,
 };
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::Scene;
-use pb3dp_sim::trajectory::{StepExperiment, Trajectory};
+use pb3dp_sim::targets;
+use pb3dp_sim::trajectory::{MotionConfig, Trajectory};
 
 use self::arm::{ArmOnBus, WiredArms, wire_arms};
 pub use greeting::{bus_doubts, geometry_doubt, watchdog_refusal};
 
 use crate::cli::ReplayPace;
-use crate::config::setup::{ArmSetup, Pace, Setup, fold_seed};
-use crate::run::cell::SimulatedCell;
+use crate::config::setup::{ArmSetup, Carrier, Leader, Pace, Setup, fold_seed};
+use crate::run::cell::{FreeTarget, SimulatedCell};
+use crate::run::eyes::Sight;
 use crate::run::flight::{ArmFault, LineCounts, RawLine};
 use crate::run::paced_clock::PacedClock;
 
@@ -52,8 +56,8 @@ impl<A: Arm + ArmPower> DrivenArm for Limiter<A> {
 pub struct Parts {
     /// The one clock.
     pub clock: Arc<dyn Clock>,
-    /// The stereo pair.
-    pub camera: Box<dyn StereoCamera>,
+    /// The stereo pair, or what stands for it.
+    pub camera: Sight,
     /// The arm that carries the cameras.
     pub vs: Box<dyn DrivenArm>,
     /// The arm that carries the target.
@@ -61,11 +65,11 @@ pub struct Parts {
     /// The truth.
     pub cell: SimulatedCell,
     /// How the target moves.
-    pub experiment: StepExperiment,
+    pub experiment: Arc<dyn Trajectory>,
     /// What the flight recorder of each arm holds, by the arm's name.
     pub flights: [(&'static str, FlightLog); 2],
     /// Outline of the target, points in its own frame: what an operator would draw.
-    pub target_outline_m: Vec<nalgebra::Point3<f64>>,
+    pub target_outline_m: Vec<Point3<f64>>,
     /// What the links of the arms are like, by the names of the arms, as far as they have one.
     pub monitors: Vec<(&'static str, ArmMonitor)>,
     /// Emulated arms at the other end of links; they end with this.
@@ -88,16 +92,24 @@ pub fn wire(setup: &Setup) -> Result<Parts> {
     };
     let WiredArms { sites: [vs_site, tc_site], driven: [vs, tc], flights, monitors, emulated, on_bus } =
         wire_arms(setup, &clock)?;
-    let cell = SimulatedCell {
+    let mut cell = SimulatedCell {
         vs: vs_site,
         tc: tc_site,
         flange_from_hand: setup.controller.flange_from_hand,
         hand_from_cam_left: setup.controller.hand_from_cam_left,
         flange_from_target: setup.flange_from_target,
+        free_target: None,
     };
     let start = cell.world_from_target_at(clock.now());
-    let experiment = StepExperiment::new(setup.experiment.clone(), start)?;
-    for (name, report) in check_paths(setup, &experiment)? {
+    let experiment = setup.experiment.motion.begin_at(start)?;
+    let reports = match setup.experiment.carrier {
+        Carrier::Arm => Vec::from(check_paths(setup, &*experiment)?),
+        Carrier::Nothing => {
+            cell.free_target = Some(FreeTarget::new(Arc::clone(&experiment)));
+            look_at_free_path(setup, start)?
+        }
+    };
+    for (name, report) in reports {
         let (joint, speed) = report.fastest_joint();
         tracing::info!(
             "{name}: smallest singular value {:.3} at {:.1} s, fastest axis {} uses {:.0} % of its allowed speed",
@@ -107,14 +119,10 @@ pub fn wire(setup: &Setup) -> Result<Parts> {
             speed.value * 100.0
         );
     }
-    let scene = Scene::build(&setup.scene).context("table [scene]")?;
-    let target_outline_m = scene.target().outline_m.clone();
-    let renderer =
-        StereoRenderer::new(scene, setup.rig, &setup.sensor, fold_seed(setup.seed)).context("table [camera]")?;
-    let camera = SimStereoCamera::new(renderer, Box::new(cell.clone()), Arc::clone(&clock), setup.camera.clone())?;
+    let (camera, target_outline_m) = wire_sight(setup, &cell, &clock)?;
     Ok(Parts {
         clock,
-        camera: Box::new(camera),
+        camera,
         vs,
         tc,
         cell,
@@ -126,6 +134,26 @@ pub fn wire(setup: &Setup) -> Result<Parts> {
         on_bus,
         interrupt: Arc::default(),
     })
+}
+
+/// The camera, or what stands for it, and the outline of the target.
+fn wire_sight(setup: &Setup, cell: &SimulatedCell, clock: &Arc<dyn Clock>) -> Result<(Sight, Vec<Point3<f64>>)> {
+    let (poses, clock) = (Box::new(cell.clone()), Arc::clone(clock));
+    match setup.leader {
+        Leader::Pictures(_) => {
+            let scene = Scene::build(&setup.scene).context("table [scene]")?;
+            let outline_m = scene.target().outline_m.clone();
+            let renderer = StereoRenderer::new(scene, setup.rig, &setup.sensor, fold_seed(setup.seed));
+            let camera = SimStereoCamera::new(renderer.context("table [camera]")?, poses, clock, setup.camera.clone())?;
+            Ok((Sight::Pictures(Box::new(camera)), outline_m))
+        }
+        Leader::Geometric(config) => {
+            let target = targets::model(&setup.scene.target, setup.scene.seed).context("table [scene]")?;
+            let tracker = GeometricTracker::new(config, setup.rig, target.outline_m.clone())?;
+            let camera = GeometricCamera::new(tracker, poses, clock, &setup.camera)?;
+            Ok((Sight::Geometric(Box::new(camera)), target.outline_m))
+        }
+    }
 }
 
 /// What went over the line of an arm in the last seconds; nothing if it has none.
@@ -179,12 +207,42 @@ pub fn wire_replay(sequence: &Sequence, pace: ReplayPace) -> Result<(Box<dyn Ste
     Ok((Box::new(camera), calibration))
 }
 
+/// How the hand would follow a target that nothing carries. It may move as nothing can follow, which is only told.
+///
+/// # Errors
+/// A parameter of the motion out of its range.
+fn look_at_free_path(setup: &Setup, start: Pose<World, Target>) -> Result<Vec<(&'static str, PathReport)>> {
+    /// Moves that are sudden are looked at with this duration, seconds: whether the places can be reached.
+    const STAND_IN_S: f64 = 2.0;
+    let mut motion = setup.experiment.motion.clone();
+    if let MotionConfig::Steps(steps) = &mut motion
+        && steps.move_s == 0.0
+    {
+        steps.move_s = STAND_IN_S;
+    }
+    let experiment = motion.begin_at(start)?;
+    Ok(match check_follower(setup, &*experiment) {
+        Ok(report) => vec![("vs-robot", report)],
+        Err(refusal) => {
+            tracing::warn!("{refusal:#}; the target is free and moves all the same");
+            Vec::new()
+        }
+    })
+}
+
 /// Refuses an experiment that one of the arms can not follow within its limits: reach, joint ranges, singular poses, speeds
 /// and accelerations of the joints, and the speeds of the hand.
 ///
 /// # Errors
 /// The arm, by how much it falls short, and the key of the limit.
 pub fn check_paths(setup: &Setup, experiment: &dyn Trajectory) -> Result<[(&'static str, PathReport); 2]> {
+    let vs = check_follower(setup, experiment)?;
+    let carrier = FlangePath::of_carrier(experiment, &setup.tc.world_from_base, &setup.flange_from_target);
+    let tc = check_path(("tc-robot", "arms.tc"), &setup.tc, &carrier, None)?;
+    Ok([("vs-robot", vs), ("tc-robot", tc)])
+}
+
+fn check_follower(setup: &Setup, experiment: &dyn Trajectory) -> Result<PathReport> {
     let follower = FlangePath::of_follower(
         experiment,
         &setup.vs.world_from_base,
@@ -192,13 +250,10 @@ pub fn check_paths(setup: &Setup, experiment: &dyn Trajectory) -> Result<[(&'sta
         &setup.controller.model_from_hand_desired,
         &setup.controller.flange_from_hand,
     );
-    let carrier = FlangePath::of_carrier(experiment, &setup.tc.world_from_base, &setup.flange_from_target);
     let tracking = setup.controller.speed.tracking;
     let hand_max =
         ToolSpeedMax { linear_m_per_s: tracking.linear_m_per_s, angular_rad_per_s: tracking.angular_rad_per_s };
-    let vs = check_path(("vs-robot", "arms.vs"), &setup.vs, &follower, Some(hand_max))?;
-    let tc = check_path(("tc-robot", "arms.tc"), &setup.tc, &carrier, None)?;
-    Ok([("vs-robot", vs), ("tc-robot", tc)])
+    check_path(("vs-robot", "arms.vs"), &setup.vs, &follower, Some(hand_max))
 }
 
 fn check_path(
@@ -245,7 +300,7 @@ mod tests {
         change(&mut setup);
         let world_from_flange = setup.tc.world_from_base * setup.tc.chain.forward(&setup.tc.start_rad);
         let start = world_from_flange * setup.flange_from_target;
-        check_paths(&setup, &StepExperiment::new(setup.experiment.clone(), start).unwrap())
+        check_paths(&setup, &*setup.experiment.motion.begin_at(start).unwrap())
     }
 
     fn refusal(change: impl FnOnce(&mut Setup)) -> (PathRefusal, String) {

@@ -108,6 +108,33 @@ pub(crate) struct Draft {
 /// # Errors
 /// A number out of its range.
 pub fn build(config: &TargetConfig, seed: u32) -> Result<(TargetModel, Vec<ScenePart>), SceneError> {
+    check_config(config)?;
+    let draft = match config {
+        TargetConfig::Crab { relief_m } => crab::build(*relief_m, seed),
+        TargetConfig::Card { size_m } => card::build(size_m, seed),
+        TargetConfig::GreyBox { size_m } => box_target::build(size_m, seed),
+        TargetConfig::Potato { size_m } => potato::build(size_m, seed),
+    };
+    Ok(finish(draft))
+}
+
+/// What [`build`] knows of a target, without its textures: for whoever renders nothing.
+///
+/// # Errors
+/// A number out of its range.
+pub fn model(config: &TargetConfig, seed: u32) -> Result<TargetModel, SceneError> {
+    check_config(config)?;
+    let plain = Arc::new(Texture::from_fn(0, 0, |_, _| [0.0; 3]));
+    let draft = match config {
+        TargetConfig::Crab { relief_m } => crab::build_with(*relief_m, seed, plain),
+        TargetConfig::Card { size_m } => card::build_with(size_m, Arc::clone(&plain), plain),
+        TargetConfig::GreyBox { size_m } => box_target::build_with(size_m, |_| Arc::clone(&plain)),
+        TargetConfig::Potato { size_m } => potato::build_with(size_m, seed, |_| Arc::clone(&plain)),
+    };
+    Ok(finish(draft).0)
+}
+
+fn check_config(config: &TargetConfig) -> Result<(), SceneError> {
     let sizes: &[f64] = match config {
         TargetConfig::Crab { relief_m } => {
             check("target.relief_m", *relief_m, 0.0, 0.04)?;
@@ -116,16 +143,7 @@ pub fn build(config: &TargetConfig, seed: u32) -> Result<(TargetModel, Vec<Scene
         TargetConfig::Card { size_m } => size_m,
         TargetConfig::GreyBox { size_m } | TargetConfig::Potato { size_m } => size_m,
     };
-    for &size in sizes {
-        check("target.size_m", size, 0.02, 0.4)?;
-    }
-    let draft = match config {
-        TargetConfig::Crab { relief_m } => crab::build(*relief_m, seed),
-        TargetConfig::Card { size_m } => card::build(size_m, seed),
-        TargetConfig::GreyBox { size_m } => box_target::build(size_m, seed),
-        TargetConfig::Potato { size_m } => potato::build(size_m, seed),
-    };
-    Ok(finish(draft))
+    sizes.iter().try_for_each(|&size| check("target.size_m", size, 0.02, 0.4))
 }
 
 /// Makes a target of the crab's outline and relief (metres, 0 to 0.04) in any paint: for measurements in which only the
@@ -193,6 +211,14 @@ mod tests {
             assert!(model.outline_m.len() >= 4 && model.outline_m.len() < 800, "{}", model.outline_m.len());
             assert_eq!(model.name, config.name());
         }
+    }
+
+    #[test]
+    fn the_model_without_textures_is_the_same() {
+        for config in ALL {
+            assert_eq!(super::model(&config, 3).unwrap(), build(&config, 3).unwrap().0);
+        }
+        assert!(super::model(&TargetConfig::crab(f64::NAN), 1).is_err());
     }
 
     #[test]

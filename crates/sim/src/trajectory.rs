@@ -4,6 +4,7 @@
 //! about its own origin, which stays where it is. Time comes from the caller; nothing here reads a clock.
 
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_geometry::frames::{Target, World};
@@ -125,9 +126,9 @@ pub struct StepExperimentConfig {
     pub translation_m: f64,
     /// Way of a rotation, radians, -pi to pi (exclusive).
     pub rotation_rad: f64,
-    /// Duration of each move, seconds, 0.05 to 600.
+    /// Duration of each move, seconds, 0.05 to 600; or 0: the target is there at once, as no arm could carry it.
     pub move_s: f64,
-    /// Rest behind each move, seconds, 0 to 600.
+    /// Rest behind each move, seconds, 0 to 600; 0.05 to 600 behind sudden ones.
     pub hold_s: f64,
     /// Rest before the first move, seconds, 0 to 600: time for the hand to reach its place.
     pub lead_in_s: f64,
@@ -168,8 +169,12 @@ impl StepExperiment {
             return Err(TrajectoryError::NoChannels);
         }
         check_amplitudes(config.translation_m, config.rotation_rad)?;
-        in_range("move_s", config.move_s, 0.05, 600.0, "0.05 to 600 s")?;
-        in_range("hold_s", config.hold_s, 0.0, 600.0, "0 to 600 s")?;
+        if config.move_s == 0.0 {
+            in_range("hold_s", config.hold_s, 0.05, 600.0, "0.05 to 600 s behind sudden moves")?;
+        } else {
+            in_range("move_s", config.move_s, 0.05, 600.0, "0, or 0.05 to 600 s")?;
+            in_range("hold_s", config.hold_s, 0.0, 600.0, "0 to 600 s")?;
+        }
         in_range("lead_in_s", config.lead_in_s, 0.0, 600.0, "0 to 600 s")?;
         let frame = StartFrame::new(config.axes, world_from_target)?;
         let marks = step_marks(&config);
@@ -183,11 +188,17 @@ impl StepExperiment {
         let last = 2 * self.config.channels.len() - 1;
         let slot = if into_s > 0.0 { ((into_s / slot_s) as usize).min(last) } else { 0 };
         let channel = self.config.channels[slot / 2];
-        let (share, share_rate) = minimum_jerk((into_s - slot as f64 * slot_s) / self.config.move_s);
+        let into_slot_s = into_s - slot as f64 * slot_s;
+        let (share, share_per_s) = if self.config.move_s > 0.0 {
+            let (share, rate) = minimum_jerk(into_slot_s / self.config.move_s);
+            (share, rate / self.config.move_s)
+        } else {
+            (if into_slot_s >= 0.0 { 1.0 } else { 0.0 }, 0.0)
+        };
         let outward = slot.is_multiple_of(2);
         let (share, sign) = if outward { (share, 1.0) } else { (1.0 - share, -1.0) };
         let way = way(channel, self.config.translation_m, self.config.rotation_rad);
-        Displacement { channel, value: way * share, rate: sign * way * share_rate / self.config.move_s }
+        Displacement { channel, value: way * share, rate: sign * way * share_per_s }
     }
 }
 
@@ -227,6 +238,14 @@ pub struct SineConfig {
     pub axes: ExperimentAxes,
 }
 
+impl SineConfig {
+    /// Beginning and end of the part at full amplitude, seconds: what a frequency response is taken from.
+    pub fn steady_s(&self) -> (f64, f64) {
+        let from = self.lead_in_s + self.period_s;
+        (from, from + self.period_s * f64::from(self.periods))
+    }
+}
+
 /// A sinusoid on one channel: grows over one period, stays at full amplitude, fades over one period. Position, velocity and
 /// acceleration are continuous, so that an arm can follow from rest.
 #[derive(Clone, Debug)]
@@ -255,10 +274,9 @@ impl Sine {
         Ok(Self { config, frame, marks })
     }
 
-    /// Beginning and end of the part at full amplitude, seconds: what a frequency response is taken from.
+    /// As [`SineConfig::steady_s`].
     pub fn steady_s(&self) -> (f64, f64) {
-        let from = self.config.lead_in_s + self.config.period_s;
-        (from, from + self.config.period_s * f64::from(self.config.periods))
+        self.config.steady_s()
     }
 
     fn displacement(&self, t_s: f64) -> Displacement {
@@ -291,6 +309,41 @@ impl Trajectory for Sine {
 
     fn duration_s(&self) -> f64 {
         self.config.lead_in_s + self.config.period_s * f64::from(self.config.periods + 2)
+    }
+}
+
+/// A motion of the target by its numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub enum MotionConfig {
+    /// Moves out and back with rests between.
+    Steps(StepExperimentConfig),
+    /// A sinusoid of one channel.
+    Sine(SineConfig),
+}
+
+impl MotionConfig {
+    /// The motion that begins with the target at `world_from_target`.
+    ///
+    /// # Errors
+    /// A parameter out of its range, or no channel.
+    pub fn begin_at(&self, world_from_target: Pose<World, Target>) -> Result<Arc<dyn Trajectory>, TrajectoryError> {
+        Ok(match self {
+            Self::Steps(config) => Arc::new(StepExperiment::new(config.clone(), world_from_target)?),
+            Self::Sine(config) => Arc::new(Sine::new(*config, world_from_target)?),
+        })
+    }
+
+    /// Which axes are meant.
+    pub fn axes(&self) -> ExperimentAxes {
+        match self {
+            Self::Steps(config) => config.axes,
+            Self::Sine(config) => config.axes,
+        }
+    }
+
+    /// Whether the target is elsewhere at once.
+    pub fn is_sudden(&self) -> bool {
+        matches!(self, Self::Steps(config) if config.move_s == 0.0)
     }
 }
 

@@ -5,7 +5,8 @@ use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Target, World};
 use pb3dp_sim::trajectory::{
-    Channel, ExperimentAxes, Sine, SineConfig, StepExperiment, StepExperimentConfig, Trajectory, TrajectoryError,
+    Channel, ExperimentAxes, MotionConfig, Sine, SineConfig, StepExperiment, StepExperimentConfig, Trajectory,
+    TrajectoryError,
 };
 use proptest::prelude::*;
 
@@ -100,6 +101,40 @@ fn before_and_behind_the_motion_the_target_stands_at_its_start() {
 }
 
 #[test]
+fn a_sudden_move_is_done_when_it_begins() {
+    let config = StepExperimentConfig {
+        channels: vec![Channel::Z, Channel::Rx],
+        move_s: 0.0,
+        hold_s: 2.0,
+        lead_in_s: 1.0,
+        axes: ExperimentAxes::World,
+        ..Default::default()
+    };
+    let steps = MotionConfig::Steps(config);
+    assert!(steps.is_sudden() && !MotionConfig::Steps(StepExperimentConfig::default()).is_sudden());
+    let experiment = steps.begin_at(somewhere()).unwrap();
+    assert_eq!(experiment.duration_s(), 9.0);
+    let marks: Vec<f64> = experiment.marks().iter().map(|mark| mark.at_s).collect();
+    assert_eq!(marks, [1.0, 3.0, 5.0, 7.0]);
+    for (t_s, moved_m, turned_deg) in [
+        (-1.0, 0.0, 0.0),
+        (0.999, 0.0, 0.0),
+        (1.0, 0.1, 0.0),
+        (2.999, 0.1, 0.0),
+        (3.0, 0.0, 0.0),
+        (5.0, 0.0, 20.0),
+        (6.999, 0.0, 20.0),
+        (7.0, 0.0, 0.0),
+        (99.0, 0.0, 0.0),
+    ] {
+        let (moved, turned) = offset(&*experiment, t_s);
+        assert!((moved - Vector3::new(0.0, 0.0, moved_m)).norm() < 1e-12, "at {t_s} s: {moved}");
+        assert!((turned.norm().to_degrees() - turned_deg).abs() < 1e-9, "at {t_s} s: {turned}");
+        assert_eq!(experiment.twist_at(t_s).to_vector().norm(), 0.0, "at {t_s} s");
+    }
+}
+
+#[test]
 fn sine_reaches_its_amplitude_a_quarter_period_into_the_steady_part() {
     let config = SineConfig {
         channel: Channel::Y,
@@ -127,7 +162,10 @@ fn bad_parameters_are_refused_by_name() {
         change(&mut config);
         StepExperiment::new(config, somewhere()).unwrap_err().to_string()
     };
-    assert!(refused(|c| c.move_s = 0.0).contains("move_s is 0: allowed is 0.05 to 600 s"));
+    assert!(refused(|c| c.move_s = 0.01).contains("move_s is 0.01: allowed is 0, or 0.05 to 600 s"));
+    assert!(
+        refused(|c| (c.move_s, c.hold_s) = (0.0, 0.0)).contains("hold_s is 0: allowed is 0.05 to 600 s behind sudden")
+    );
     assert!(refused(|c| c.translation_m = f64::NAN).contains("translation_m is NaN"));
     assert!(refused(|c| c.rotation_rad = 3.2).contains("rotation_rad is 3.2"));
     assert!(refused(|c| c.hold_s = -1.0).contains("hold_s"));

@@ -1,7 +1,11 @@
 //! Stereo camera backend that renders the simulated cell.
 //!
 //! [`SimStereoCamera`] exposes at fixed times of an injected clock, asks a `PoseSource` where everything was then, and renders
-//! the pair. It knows no arm: whoever simulates the arms implements `PoseSource`.
+//! the pair. It knows no arm: whoever simulates the arms implements `PoseSource`. [`GeometricCamera`] exposes at the same times and
+//! renders nothing: it stands for camera and tracker in one, for runs in which pixels are not the subject.
+
+mod geometric;
+mod schedule;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -10,6 +14,9 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::{PoseSource, ScenePoses};
+
+pub use geometric::{GeometricCamera, GeometricFrame};
+use schedule::ExposureSchedule;
 
 /// Most moments of one exposure.
 const BLUR_MOMENTS_MAX: u32 = 64;
@@ -74,11 +81,9 @@ impl SimCameraConfig {
 pub struct SimStereoCamera {
     renderer: StereoRenderer,
     poses: Box<dyn PoseSource>,
-    clock: Arc<dyn Clock>,
     config: SimCameraConfig,
     info: StereoCameraInfo,
-    start: MonotonicTime,
-    next_sequence: u64,
+    schedule: ExposureSchedule,
     delivered: u64,
     moments: Vec<ScenePoses>,
 }
@@ -100,26 +105,14 @@ impl SimStereoCamera {
             size: renderer.size(),
             period: Some(config.period),
         };
-        let (start, moments) = (clock.now(), Vec::with_capacity(config.blur_moments as usize));
-        Ok(Self { renderer, poses, clock, config, info, start, next_sequence: 0, delivered: 0, moments })
+        let schedule = ExposureSchedule::from_now(clock, &config);
+        let moments = Vec::with_capacity(config.blur_moments as usize);
+        Ok(Self { renderer, poses, config, info, schedule, delivered: 0, moments })
     }
 
     /// The renderer, for its scene and ground truth.
     pub fn renderer_mut(&mut self) -> &mut StereoRenderer {
         &mut self.renderer
-    }
-
-    /// When an exposure begins.
-    fn exposure_start(&self, sequence: u64) -> MonotonicTime {
-        let nanos = self.config.period.as_nanos().saturating_mul(u128::from(sequence));
-        self.start + Duration::from_nanos(u64::try_from(nanos).unwrap_or(u64::MAX))
-    }
-
-    /// The newest exposure that is complete at `now`, or the next one that was not yet delivered.
-    fn due_sequence(&self, now: MonotonicTime) -> u64 {
-        let since_first_end = now.saturating_since(self.start + self.config.exposure);
-        let complete = since_first_end.as_nanos() / self.config.period.as_nanos();
-        self.next_sequence.max(u64::try_from(complete).unwrap_or(u64::MAX))
     }
 
     /// Asks where everything is during the exposure that begins at `start`.
@@ -155,18 +148,7 @@ impl StereoCamera for SimStereoCamera {
         if self.config.pairs.is_some_and(|pairs| self.delivered >= pairs) {
             return Err(self.end_of_stream());
         }
-        let now = self.clock.now();
-        let sequence = self.due_sequence(now);
-        let start = self.exposure_start(sequence);
-        let ready = start + self.config.exposure;
-        if ready > now + timeout {
-            self.clock.sleep_until(now + timeout);
-            let message = format!("{}: no pair within {timeout:?}, the next one is due later", self.info.name);
-            return Err(CameraError::new(CameraErrorKind::Timeout, message));
-        }
-        self.clock.sleep_until(ready);
-        // Whatever becomes of this exposure, it is not offered again.
-        self.next_sequence = sequence.saturating_add(1);
+        let (sequence, start) = self.schedule.wait_for_next(&self.info.name, timeout)?;
         self.gather_poses(start)?;
         self.renderer
             .render_exposure(&self.moments, sequence, &mut pair.left, &mut pair.right)

@@ -5,12 +5,13 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use nalgebra::{Matrix3, Vector3};
-use pb3dp_camera_sim::{SimCameraConfig, SimStereoCamera};
+use pb3dp_camera_sim::{GeometricCamera, SimCameraConfig, SimStereoCamera};
 use pb3dp_geometry::frames::{CamLeft, World};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, MonotonicTime, Pinhole, Pose, StereoRig};
 use pb3dp_hal_api::{CameraErrorKind, Clock, FramePair, StereoCamera};
 use pb3dp_hal_clock::{SystemClock, VirtualClock};
 use pb3dp_hal_conformance::{CameraExpectations, stereo_camera_suite};
+use pb3dp_sim::geometric::{GeometricConfig, GeometricTracker, PoseSigma};
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::{PoseSource, Scene, SceneConfig, ScenePoses};
 use pb3dp_sim::sensor::SensorConfig;
@@ -155,4 +156,45 @@ fn configurations_out_of_range_are_refused_with_the_value() {
     check(SimCameraConfig { exposure: Duration::from_millis(31), ..config(1, None) }, "31ms");
     check(config(0, None), "0 moments");
     check(config(65, None), "65 moments");
+}
+
+/// The camera without pictures gives the frames that the other one would, at the same times, asking for the same poses.
+#[test]
+fn without_pictures_frames_come_at_the_same_times() {
+    let config = SimCameraConfig { pairs: None, ..config(1, None) };
+    let geometric = GeometricConfig {
+        noise: PoseSigma { lateral_m: 1e-4, depth_m: 5e-4, tilt_rad: 2e-3, about_normal_rad: 1e-3 },
+        lock: PoseSigma::default(),
+        in_view_share_min: 0.5,
+        turned_max_rad: 1.0,
+        z_min_m: 0.2,
+        z_max_m: 0.8,
+        seed: 3,
+    };
+    let (renderer, movers) = (renderer(), [Mover::default(), Mover::default()]);
+    let clocks = [Arc::new(VirtualClock::new()), Arc::new(VirtualClock::new())];
+    let mut pictures = camera(&renderer, clocks[0].clone(), &movers[0], config.clone());
+    let outline_m = renderer.scene().target().outline_m.clone();
+    let tracker = GeometricTracker::new(geometric, *renderer.rig(), outline_m).unwrap();
+    let mut without =
+        GeometricCamera::new(tracker.clone(), Box::new(movers[1].clone()), clocks[1].clone(), &config).unwrap();
+    for late in [0, 0, 100, 7, 0] {
+        for clock in &clocks {
+            clock.sleep_until(clock.now() + Duration::from_millis(late));
+        }
+        let pair = pictures.next_pair(SECOND).unwrap();
+        let frame = without.next_frame(SECOND).unwrap();
+        assert_eq!((frame.sequence, frame.exposed_at), (pair.sequence, pair.exposed_at));
+        assert_eq!(clocks[0].now(), clocks[1].now());
+        let truth = movers[1].clone().poses_at(frame.exposed_at);
+        assert_eq!(frame.cam_left_from_target, truth.world_from_cam_left.inverse() * truth.world_from_target);
+        let off =
+            frame.sighting.cam_left_from_model.unwrap().translation_m() - frame.cam_left_from_target.translation_m();
+        assert!(off.norm() > 0.0 && off.norm() < 5e-3, "{off}");
+    }
+    let timeout = without.next_frame(Duration::from_millis(2)).unwrap_err();
+    assert_eq!(timeout.kind(), CameraErrorKind::Timeout);
+    let broken = Mover { broken: true, ..Mover::default() };
+    let mut without = GeometricCamera::new(tracker, Box::new(broken), Arc::new(VirtualClock::new()), &config).unwrap();
+    assert_eq!(without.next_frame(SECOND).unwrap_err().kind(), CameraErrorKind::BadPair);
 }

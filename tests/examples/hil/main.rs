@@ -6,7 +6,8 @@ use std::fmt::Write as _;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_orchestrator::config::setup::{ArmLink, Pace, Setup, read_setup};
-use pb3dp_orchestrator::run::summary::{Plan, RunSummary, summarize};
+use pb3dp_orchestrator::run::channels::Plan;
+use pb3dp_orchestrator::run::summary::{RunSummary, summarize};
 use pb3dp_orchestrator::run::{live, lockstep};
 use pb3dp_orchestrator::wiring::wire;
 use system_tests::repository;
@@ -41,7 +42,7 @@ fn main() -> Result<()> {
 
 fn run(setup: &Setup, stop_after_s: Option<f64>) -> Result<RunSummary> {
     let parts = wire(setup)?;
-    let plan = Plan::of(&setup.experiment, &parts.experiment);
+    let plan = Plan::of(&setup.experiment.motion, &*parts.experiment);
     let run_it = if setup.pace == Pace::Live { live::run } else { lockstep::run };
     let outcome = run_it(setup, parts, stop_after_s, None)?;
     Ok(summarize(&outcome.log, &plan))

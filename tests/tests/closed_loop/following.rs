@@ -46,7 +46,7 @@ fn with_the_direct_method_the_hand_follows_the_crab_and_both_arms_keep_their_lim
 fn follow_the_crab(method: Method, limits: &Limits) -> RunLog {
     let mut setup = quick_setup(method, Pixels::More, &[Channel::X, Channel::Ry]);
     // Followed without lag, the turn within one second demands 2.6 rad/s of E2 and 2.18 rad/s^2 of the elbow: refused.
-    setup.experiment.move_s = 1.5;
+    steps_of(&mut setup).move_s = 1.5;
     let (parts, vs, tc) = watched(wire(&setup).unwrap());
     let outcome = lockstep::run(&setup, parts, None, None).unwrap();
     let log = &outcome.log;
@@ -160,7 +160,7 @@ fn with_the_published_method_the_hand_rests_before_a_grey_box() {
     assert!(log.leading.frames.len() > 60);
     for frame in &log.leading.frames {
         assert!(!["ok", "weak-tilt"].contains(&frame.status.as_str()), "{} at {} s", frame.status, frame.t_s);
-        if frame.t_s < setup.experiment.lead_in_s {
+        if frame.t_s < steps_of(&mut setup).lead_in_s {
             assert!(["not-observable", "lost"].contains(&frame.status.as_str()), "{} at {} s", frame.status, frame.t_s);
             assert_eq!(frame.depth_error_m, None, "a pose at {} s", frame.t_s);
         }

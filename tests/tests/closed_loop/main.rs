@@ -5,6 +5,7 @@
 mod both_arms;
 mod failing;
 mod following;
+mod geometric;
 mod live;
 mod paths;
 mod repeatable;

@@ -1,6 +1,8 @@
 //! The place of the cell: along the whole experiment of the repository's setup no arm comes near a singular pose, and an
 //! experiment that the limits do not allow is refused.
 
+use std::sync::Arc;
+
 use nalgebra::{Matrix6, SMatrix, Vector6};
 use pb3dp_estimation::estimator::Method;
 use pb3dp_geometry::Pose;
@@ -8,24 +10,24 @@ use pb3dp_geometry::frames::{Base, Flange, Target, World};
 use pb3dp_kinematics::{Chain, DOF, JointVector};
 use pb3dp_orchestrator::config::setup::Setup;
 use pb3dp_orchestrator::wiring::{check_paths, wire};
-use pb3dp_sim::trajectory::{Channel, StepExperiment, Trajectory};
+use pb3dp_sim::trajectory::{Channel, Trajectory};
 
 use crate::support::whole_setup;
 
 /// The bound for the smallest singular value of the Jacobian, metres and radians.
 const SINGULAR_VALUE_MIN: f64 = 0.05;
 
-fn experiment(setup: &Setup) -> StepExperiment {
+fn experiment(setup: &Setup) -> Arc<dyn Trajectory> {
     let world_from_flange = setup.tc.world_from_base * setup.tc.chain.forward(&setup.tc.start_rad);
-    StepExperiment::new(setup.experiment.clone(), world_from_flange * setup.flange_from_target).unwrap()
+    setup.experiment.motion.begin_at(world_from_flange * setup.flange_from_target).unwrap()
 }
 
 #[test]
 fn both_arms_stay_away_from_singular_poses_along_the_whole_experiment() {
     let setup = whole_setup(Method::Direct);
     let experiment = experiment(&setup);
-    assert_eq!((experiment.marks().len(), &setup.experiment.channels[..]), (12, &Channel::ALL[..]));
-    for (name, report) in check_paths(&setup, &experiment).unwrap() {
+    assert_eq!((experiment.marks().len(), &setup.experiment.steps().unwrap().channels[..]), (12, &Channel::ALL[..]));
+    for (name, report) in check_paths(&setup, &*experiment).unwrap() {
         let smallest = report.singular_value_min.value;
         assert!(smallest > SINGULAR_VALUE_MIN, "{name}: {smallest}");
         assert!(report.fastest_joint().1.value < 1.0, "{name}: {:?}", report.fastest_joint());
@@ -39,7 +41,7 @@ fn both_arms_stay_away_from_singular_poses_along_the_whole_experiment() {
                     &setup.vs.chain,
                     setup.vs.start_rad,
                     &setup.vs.world_from_base,
-                    &experiment,
+                    &*experiment,
                     &target_from_flange,
                 )
             }
@@ -49,7 +51,7 @@ fn both_arms_stay_away_from_singular_poses_along_the_whole_experiment() {
                     &setup.tc.chain,
                     setup.tc.start_rad,
                     &setup.tc.world_from_base,
-                    &experiment,
+                    &*experiment,
                     &target_from_flange,
                 )
             }
@@ -65,7 +67,7 @@ fn smallest_along(
     chain: &Chain,
     start_rad: JointVector,
     world_from_base: &Pose<World, Base>,
-    experiment: &StepExperiment,
+    experiment: &dyn Trajectory,
     target_from_flange: &Pose<Target, Flange>,
 ) -> f64 {
     let mut position_rad = start_rad;

@@ -3,8 +3,9 @@
 use nalgebra::UnitQuaternion;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_orchestrator::config::setup::Setup;
+use pb3dp_orchestrator::run::channels::Plan;
 use pb3dp_orchestrator::run::report;
-use pb3dp_orchestrator::run::summary::{Plan, summarize};
+use pb3dp_orchestrator::run::summary::summarize;
 use pb3dp_sim::trajectory::Channel;
 
 use crate::support::*;
@@ -19,11 +20,7 @@ fn traces(setup: &Setup) -> (String, String) {
         frame.latency_millis = 0.0;
     }
     let dir = tempfile::tempdir().unwrap();
-    let plan = Plan {
-        channels: setup.experiment.channels.clone(),
-        move_s: setup.experiment.move_s,
-        world_from_axes: UnitQuaternion::identity(),
-    };
+    let plan = Plan { motion: setup.experiment.motion.clone(), world_from_axes: UnitQuaternion::identity() };
     report::write(dir.path(), &outcome, &summarize(&outcome.log, &plan), (&[], &plan.world_from_axes)).unwrap();
     assert!(dir.path().join("report.html").exists() && dir.path().join("summary.json").exists());
     let series = std::fs::read_to_string(dir.path().join("timeseries.csv")).unwrap();

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, StereoRig};
-use pb3dp_orchestrator::config::setup::{Setup, read_setup};
+use pb3dp_orchestrator::config::setup::{Leader, Setup, read_setup};
 use pb3dp_orchestrator::run::journal::Outcome;
 use pb3dp_orchestrator::run::lockstep;
 use pb3dp_orchestrator::run::log::{ControlSample, RunLog};
@@ -19,7 +19,7 @@ pub fn whole_setup(method: Method) -> Setup {
         _ => "configs/sim.toml",
     };
     let setup = read_setup(&repository().join(file)).unwrap();
-    assert_eq!(setup.method, method, "{file}");
+    assert_eq!(setup.leader, Leader::Pictures(method), "{file}");
     Setup { compared: Vec::new(), ..setup }
 }
 
@@ -47,14 +47,14 @@ pub fn quick_setup(method: Method, pixels: Pixels, channels: &[Channel]) -> Setu
     let pinhole = Pinhole { fx, fy: fx, cx: centre(size.width), cy: centre(size.height) };
     let camera = Camera::new(size, pinhole, Distortion::None).unwrap();
     setup.rig = StereoRig::new(camera, camera, *setup.rig.cam_right_from_cam_left()).unwrap();
-    setup.experiment = StepExperimentConfig {
-        channels: channels.to_vec(),
-        move_s: 1.0,
-        hold_s: 1.0,
-        lead_in_s: 1.0,
-        ..setup.experiment
-    };
+    let steps = steps_of(&mut setup);
+    (steps.channels, steps.move_s, steps.hold_s, steps.lead_in_s) = (channels.to_vec(), 1.0, 1.0, 1.0);
     setup
+}
+
+/// The moves of a setup's experiment.
+pub fn steps_of(setup: &mut Setup) -> &mut StepExperimentConfig {
+    setup.experiment.steps_mut().unwrap()
 }
 
 /// Wires and runs a setup.

@@ -11,9 +11,10 @@ use pb3dp_arm_pa10::io::signals::StopSignals;
 use super::estimate::output::print_line;
 use crate::cli::RunArgs;
 use crate::config::setup::{Pace, Setup, read_setup};
+use crate::run::channels::Plan;
 use crate::run::flight::{self, Flight, Moment};
 use crate::run::interruption::{INTERRUPTED, watch};
-use crate::run::summary::{Plan, summarize};
+use crate::run::summary::summarize;
 use crate::run::{live, lockstep, report};
 use crate::wiring::{line_facts, raw_lines, wire};
 
@@ -33,7 +34,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     }
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
     let mut parts = wire(&setup)?;
-    let plan = Plan::of(&setup.experiment, &parts.experiment);
+    let plan = Plan::of(&setup.experiment.motion, &*parts.experiment);
     let started = Instant::now();
     let interrupt = Arc::clone(&parts.interrupt);
     let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus))?;
@@ -76,7 +77,8 @@ fn provenance(args: &RunArgs, setup: &Setup, simulated_s: f64, wall_s: f64) -> V
         line("program", format!("pb3dp {}", env!("CARGO_PKG_VERSION"))),
         line("commit", option_env!("PB3DP_COMMIT").unwrap_or("unknown").to_owned()),
         line("configuration", args.config.display().to_string()),
-        line("method", setup.method.name().to_owned()),
+        line("method", setup.leader.name().to_owned()),
+        line("pictures", if setup.leader.needs_pictures() { "rendered" } else { "none" }.to_owned()),
         line("compared", if compared.is_empty() { "none".to_owned() } else { compared.join(", ") }),
         line("seed", setup.seed.to_string()),
         line("machine", machine()),

@@ -1,7 +1,7 @@
 //! The simulated cell: two arms that stand in one world, one with the cameras, one with the target.
 
 use std::sync::mpsc::Receiver;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, Target, World};
 use pb3dp_geometry::{MonotonicTime, Pose};
@@ -9,6 +9,7 @@ use pb3dp_kinematics::{Chain, JointState, JointVector};
 use pb3dp_servo::JointHistory;
 use pb3dp_sim::joint_dynamics::JointPlant;
 use pb3dp_sim::scene::{PoseSource, ScenePoses};
+use pb3dp_sim::trajectory::Trajectory;
 
 /// Gap between measured joints up to which they are interpolated, and how long the last ones are continued, seconds.
 pub(super) const JOINT_GAP_MAX_S: f64 = 0.1;
@@ -105,9 +106,37 @@ pub struct SimulatedCell {
     pub hand_from_cam_left: Pose<Hand, CamLeft>,
     /// Where the target is on the second arm.
     pub flange_from_target: Pose<Flange, Target>,
+    /// The motion of a target that no arm carries.
+    pub free_target: Option<FreeTarget>,
+}
+
+/// A target that no arm carries.
+#[derive(Clone)]
+pub struct FreeTarget {
+    motion: Arc<dyn Trajectory>,
+    /// Known as soon as the experiment begins.
+    begin: Arc<OnceLock<MonotonicTime>>,
+}
+
+impl FreeTarget {
+    /// A target that waits for the experiment to begin.
+    pub fn new(motion: Arc<dyn Trajectory>) -> Self {
+        Self { motion, begin: Arc::default() }
+    }
+
+    fn world_from_target_at(&self, at: MonotonicTime) -> Pose<World, Target> {
+        self.motion.pose_at(self.begin.get().map_or(0.0, |begin| at.seconds_since(*begin)))
+    }
 }
 
 impl SimulatedCell {
+    /// The experiment begins at this time; what was said first holds.
+    pub fn begin_at(&self, begin: MonotonicTime) {
+        if let Some(target) = &self.free_target {
+            target.begin.get_or_init(|| begin);
+        }
+    }
+
     /// True pose of the hand at `at`.
     pub fn world_from_hand_at(&self, at: MonotonicTime) -> Pose<World, Hand> {
         self.vs.world_from_flange_at(at) * self.flange_from_hand
@@ -120,7 +149,10 @@ impl SimulatedCell {
 
     /// True pose of the target at `at`.
     pub fn world_from_target_at(&self, at: MonotonicTime) -> Pose<World, Target> {
-        self.tc.world_from_flange_at(at) * self.flange_from_target
+        match &self.free_target {
+            Some(target) => target.world_from_target_at(at),
+            None => self.tc.world_from_flange_at(at) * self.flange_from_target,
+        }
     }
 }
 

@@ -37,9 +37,9 @@ impl Onlooker {
 
     /// Looks at a pair: at the first with the operator's region, later with the known motion of the camera. What it can not
     /// work on is written down as an error and leaves the run alone.
-    pub fn look(&mut self, frame: &Frame<'_>) {
+    pub fn look(&mut self, pair: &FramePair, frame: &Frame<'_>) {
         let started = Instant::now();
-        let outcome = self.follower.look(&frame.pair.left, &frame.pair.right, frame.region, frame.prior);
+        let outcome = self.follower.look(&pair.left, &pair.right, frame.region, frame.prior);
         let latency_millis = started.elapsed().as_secs_f64() * 1e3;
         match outcome {
             Ok(estimate) => self.log.push(frame, &estimate, latency_millis),
@@ -60,8 +60,6 @@ impl Onlooker {
 pub struct Frame<'a> {
     /// Seconds since the experiment began.
     pub t_s: f64,
-    /// The pictures.
-    pub pair: &'a FramePair,
     /// What the operator marks in the first pair.
     pub region: Option<&'a Region>,
     /// What is known of it beforehand: the motion of the camera since the pair before, from the joints, and the time.

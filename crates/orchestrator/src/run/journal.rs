@@ -59,6 +59,7 @@ impl Journal {
             world_from_hand: self.cell.world_from_hand_at(moved.at),
             // Completed at the end of the run.
             world_from_hand_wanted: Pose::coincident(),
+            world_from_hand_locked: Pose::coincident(),
             mode,
             smallest_singular_value: smallest_singular_value(&jacobian),
         });
@@ -67,13 +68,17 @@ impl Journal {
     /// What is left behind. Before the first estimate nobody knew where on the target the model is: those samples are
     /// completed now.
     pub fn finish(mut self, setup: &Setup, looked: Looked, commands: [CommandSummary; 2]) -> Outcome {
-        let target_from_model = looked.target_from_model.unwrap_or_else(Pose::coincident);
+        let Looked { leading, compared, pairs_lost, strip, lock } = looked;
+        let places = lock.map(|lock| (lock.target_from_model, lock.target_from_model_found));
+        let (wanted, locked) = places.unwrap_or_else(|| (Pose::coincident(), Pose::coincident()));
         let model_from_hand = setup.controller.model_from_hand_desired;
         for sample in &mut self.log.control {
-            sample.world_from_hand_wanted = sample.world_from_target * target_from_model * model_from_hand;
+            sample.world_from_hand_wanted = sample.world_from_target * wanted * model_from_hand;
+            sample.world_from_hand_locked = sample.world_from_target * locked * model_from_hand;
         }
-        let Looked { leading, compared, pairs_lost, strip, .. } = looked;
-        let log = RunLog { leading, compared, pairs_lost, commands: commands.into(), ..self.log };
+        let without_pictures = !setup.leader.needs_pictures();
+        let log =
+            RunLog { without_pictures, leading, compared, pairs_lost, lock, commands: commands.into(), ..self.log };
         Outcome { log, strip }
     }
 }

@@ -17,7 +17,6 @@ use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use pb3dp_servo::TargetObservation;
-use pb3dp_sim::trajectory::Trajectory;
 
 use super::commands::CommandSummary;
 use super::cycles::CycleSummary;
@@ -44,16 +43,17 @@ pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Optio
     let Parts { clock, camera, vs, tc, cell, experiment, target_outline_m, monitors, emulated, interrupt, .. } = parts;
     let duration_s = experiment.duration_s();
     let log = RunLog { marks: experiment.marks().to_vec(), ..RunLog::default() };
-    let strip = Strip::for_marks(&log.marks, setup.experiment.move_s);
+    let strip = Strip::of(setup.experiment.moments(&log.marks));
     let (mut looking, mut moving) = (
         Looking::new(setup, (camera, cell.clone(), target_outline_m), (strip, clock.now()), record)?,
-        Moving::new(setup, (vs, tc), &experiment, clock.now())?,
+        Moving::new(setup, (vs, tc), &*experiment, clock.now())?,
     );
     if let Err(error) = moving.enable() {
         moving.stop().ok();
         return Err(error);
     }
     let begin = clock.now();
+    cell.begin_at(begin);
     looking.begin_at(begin);
     moving.begin_at(begin);
     let end = begin + Duration::from_secs_f64(stop_after_s.map_or(duration_s, |s| s.clamp(0.0, duration_s)));

@@ -14,7 +14,6 @@ use anyhow::Result;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use pb3dp_servo::TargetObservation;
-use pb3dp_sim::trajectory::Trajectory;
 
 use super::journal::{Journal, Outcome};
 use super::log::RunLog;
@@ -33,11 +32,12 @@ pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Optio
     // Everything that can be refused is made before an arm is switched on.
     let Parts { clock, camera, vs, tc, cell, experiment, target_outline_m, interrupt, .. } = parts;
     let begin = clock.now();
+    cell.begin_at(begin);
     let duration_s = experiment.duration_s();
     let log = RunLog { marks: experiment.marks().to_vec(), ..RunLog::default() };
-    let strip = Strip::for_marks(&log.marks, setup.experiment.move_s);
+    let strip = Strip::of(setup.experiment.moments(&log.marks));
     let looking = Looking::new(setup, (camera, cell.clone(), target_outline_m), (strip, begin), record)?;
-    let moving = Moving::new(setup, (vs, tc), &experiment, begin)?;
+    let moving = Moving::new(setup, (vs, tc), &*experiment, begin)?;
     let journal = Journal::new(setup, cell, (begin, duration_s), log);
     let arriving = VecDeque::new();
     let mut looped = Loop { setup, clock, looking, moving, journal, begin, arriving, interrupt };

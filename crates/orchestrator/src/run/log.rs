@@ -1,5 +1,6 @@
 //! What a run writes down: one sample per control step, one per frame. Only the run fills it; summary and report read it.
 
+use nalgebra::Matrix6;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Hand, Model, Target, World};
 use pb3dp_sim::trajectory::Mark;
@@ -18,6 +19,8 @@ pub struct ControlSample {
     pub world_from_hand: Pose<World, Hand>,
     /// Where the hand should be: at the chosen place before the true target.
     pub world_from_hand_wanted: Pose<World, Hand>,
+    /// Where the hand should be by the pose of the lock: it takes the target for what the first estimate said, for ever.
+    pub world_from_hand_locked: Pose<World, Hand>,
     /// What the controller was doing, in a word.
     pub mode: String,
     /// Smallest singular value of the Jacobian of the arm that carries the cameras.
@@ -48,6 +51,19 @@ pub struct FrameSample {
     pub latency_millis: f64,
 }
 
+/// What the first estimate said of where the model's frame is on the target; everything that follows is relative to it.
+#[derive(Clone, Copy, Debug)]
+pub struct Lock {
+    /// Seconds since the experiment began, mid-exposure.
+    pub at_s: f64,
+    /// Where the frame would be without error: on the target's true plane, on the ray of its estimated origin.
+    pub target_from_model: Pose<Target, Model>,
+    /// Where the estimate put it.
+    pub target_from_model_found: Pose<Target, Model>,
+    /// What the estimate said of its own error: covariance of xi = [rho; phi] (m, rad; axes of `model`).
+    pub covariance: Option<Matrix6<f64>>,
+}
+
 /// What one method said of every frame, beside the truth.
 #[derive(Clone, Debug, Default)]
 pub struct MethodLog {
@@ -72,6 +88,10 @@ pub struct RunLog {
     pub leading: MethodLog,
     /// What the methods said that only looked on.
     pub compared: Vec<MethodLog>,
+    /// Whether no picture was rendered: the poses are the truth with noise.
+    pub without_pictures: bool,
+    /// What the leading method said of the first frame in which it had a pose.
+    pub lock: Option<Lock>,
     /// Begin of each move of the target.
     pub marks: Vec<Mark>,
     /// What happened besides, with seconds since the beginning.

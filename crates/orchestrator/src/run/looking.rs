@@ -4,45 +4,38 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
-use nalgebra::{Point3, Vector2, Vector3};
-use pb3dp_estimation::estimator::{FramePrior, Tracker};
+use nalgebra::{Point3, Vector3};
+use pb3dp_estimation::estimator::FramePrior;
 use pb3dp_estimation::published::TrackEstimate;
 use pb3dp_estimation::region::Region;
 use pb3dp_geometry::frames::{Base, CamLeft, Model, Target};
 use pb3dp_geometry::{MonotonicTime, Pose};
-use pb3dp_hal_api::{CameraErrorKind, FramePair, StereoCamera};
+use pb3dp_hal_api::CameraErrorKind;
 use pb3dp_kinematics::JointState;
 use pb3dp_servo::{JointHistory, TargetObservation};
 
 use super::cell::{JOINT_GAP_MAX_S, SimulatedCell};
 use super::compared::{Frame, Onlooker};
-use super::log::MethodLog;
-use super::recording::Recording;
+use super::eyes::{Eyes, Sight};
+use super::log::{Lock, MethodLog};
 use super::strip::Strip;
 use crate::config::setup::Setup;
-use crate::follower::Follower;
 use crate::picture::model_frame_on_plane;
 
 /// Camera, methods, and what they have seen.
 pub struct Looking<'a> {
     setup: &'a Setup,
-    camera: Box<dyn StereoCamera>,
+    eyes: Eyes,
     cell: SimulatedCell,
-    target_outline_m: Vec<Point3<f64>>,
-    follower: Follower,
-    onlookers: Vec<Onlooker>,
     begin: MonotonicTime,
     /// The arm that carries the cameras, as it was measured.
     joints: JointHistory,
-    pair: FramePair,
     /// When the pair before was exposed, and where the camera was, as far as the joints tell.
     previous: Option<(MonotonicTime, Option<Pose<Base, CamLeft>>)>,
-    /// The true place of the model's frame on the target, once the first estimate has said where its origin is.
-    target_from_model: Option<Pose<Target, Model>>,
-    strip: Strip,
+    /// Where on the target the model's frame is, once the first estimate has said so.
+    lock: Option<Lock>,
     leading: MethodLog,
     pairs_lost: u64,
-    recording: Option<Recording>,
 }
 
 /// What was written down of pictures.
@@ -55,36 +48,30 @@ pub struct Looked {
     pub pairs_lost: u64,
     /// Annotated pictures from moments of interest.
     pub strip: Strip,
-    /// The true place of the model's frame on the target; none without an estimate.
-    pub target_from_model: Option<Pose<Target, Model>>,
+    /// Where on the target the model's frame is; none without an estimate.
+    pub lock: Option<Lock>,
 }
 
 impl<'a> Looking<'a> {
     /// A camera whose pairs have been looked at by nobody. Every pair is also written to the folder `record`, if given.
     ///
     /// # Errors
-    /// A parameter of a method out of its range.
+    /// As [`Eyes::new`].
     pub fn new(
         setup: &'a Setup,
-        (camera, cell, target_outline_m): (Box<dyn StereoCamera>, SimulatedCell, Vec<Point3<f64>>),
+        (camera, cell, target_outline_m): (Sight, SimulatedCell, Vec<Point3<f64>>),
         (strip, begin): (Strip, MonotonicTime),
         record: Option<&Path>,
     ) -> Result<Self> {
         Ok(Self {
-            follower: Follower::new(Tracker::new(setup.method, &setup.rig, &setup.estimator)?, setup.range),
-            onlookers: Onlooker::all_of(setup)?,
+            eyes: Eyes::new(setup, (camera, target_outline_m), strip, record)?,
             begin,
             joints: JointHistory::new(setup.controller.joint_history_samples, JOINT_GAP_MAX_S),
-            pair: FramePair::black(camera.info().size),
             previous: None,
-            target_from_model: None,
-            strip,
-            leading: MethodLog { method: setup.method.name().to_owned(), ..MethodLog::default() },
+            lock: None,
+            leading: MethodLog { method: setup.leader.name().to_owned(), ..MethodLog::default() },
             pairs_lost: 0,
-            recording: record.map(|folder| Recording::new(folder, setup)),
-            camera,
             cell,
-            target_outline_m,
             setup,
         })
     }
@@ -104,24 +91,26 @@ impl<'a> Looking<'a> {
     /// # Errors
     /// If the camera or the leading method fails for good.
     pub fn look(&mut self) -> Result<Option<Seen>> {
-        match self.camera.next_pair_into(&mut self.pair, self.setup.camera.period * 2) {
-            Ok(()) => {}
+        let at = match self.eyes.wait_for_frame(self.setup.camera.period * 2) {
+            Ok(at) => at,
             Err(error) if matches!(error.kind(), CameraErrorKind::Timeout | CameraErrorKind::BadPair) => {
                 self.pairs_lost += 1;
                 tracing::warn!("{error}");
                 return Ok(None);
             }
             Err(error) => return Err(error).context("camera"),
-        }
-        let at = self.pair.exposed_at;
-        let prior = self.prior(at);
-        let region = match self.follower.is_started() {
-            true => None,
-            false => Some(Region::Polygon { vertices_px: self.outline_px(at)? }),
         };
+        let prior = self.prior(at);
+        let region = self.eyes.region(self.setup, &self.cam_left_from_target_at(at))?;
         let started = Instant::now();
-        let estimate = self.estimate(region.as_ref(), &prior)?;
+        let estimate = self.eyes.estimate(region.as_ref(), &prior)?;
         let latency_millis = started.elapsed().as_secs_f64() * 1e3;
+        if region.is_some() {
+            for warning in &estimate.warnings {
+                tracing::warn!("{warning}");
+            }
+            tracing::info!("target taken: {}: {}", estimate.status, estimate.reason);
+        }
         Ok(Some(Seen { at, region, prior, estimate, latency_millis }))
     }
 
@@ -132,17 +121,18 @@ impl<'a> Looking<'a> {
     pub fn note(&mut self, seen: &Seen) -> Result<()> {
         let Seen { at, region, prior, estimate, latency_millis } = seen;
         let cam_left_from_target = self.cam_left_from_target_at(*at);
-        if let (None, Some(pose)) = (self.target_from_model, estimate.cam_left_from_model) {
-            self.target_from_model = true_model_frame(&pose, &cam_left_from_target);
-        }
         let t_s = at.seconds_since(self.begin);
-        self.strip.offer(t_s, &self.pair, &self.setup.rig, estimate);
-        let frame = Frame { t_s, pair: &self.pair, region: region.as_ref(), prior, cam_left_from_target };
-        self.leading.push(&frame, estimate, *latency_millis);
-        for onlooker in &mut self.onlookers {
-            onlooker.look(&frame);
+        if let (None, Some(found)) = (&self.lock, &estimate.cam_left_from_model) {
+            self.lock = true_model_frame(found, &cam_left_from_target).map(|target_from_model| Lock {
+                at_s: t_s,
+                target_from_model,
+                target_from_model_found: cam_left_from_target.inverse() * *found,
+                covariance: estimate.covariance,
+            });
         }
-        self.record(*at)
+        let frame = Frame { t_s, region: region.as_ref(), prior, cam_left_from_target };
+        self.leading.push(&frame, estimate, *latency_millis);
+        self.eyes.keep(self.setup, &frame, estimate)
     }
 
     /// Completes the recording; what was recorded until a failure is the best hint at its cause.
@@ -150,27 +140,19 @@ impl<'a> Looking<'a> {
     /// # Errors
     /// If it can not be written.
     pub fn finish_recording(&mut self) -> Result<()> {
-        self.recording.take().map_or(Ok(()), Recording::finish)
+        self.eyes.finish_recording()
     }
 
     /// What was written down.
     pub fn finish(self) -> Looked {
+        let (strip, onlookers) = self.eyes.finish();
         Looked {
             leading: self.leading,
-            compared: self.onlookers.into_iter().map(Onlooker::into_log).collect(),
+            compared: onlookers.into_iter().map(Onlooker::into_log).collect(),
             pairs_lost: self.pairs_lost,
-            strip: self.strip,
-            target_from_model: self.target_from_model,
+            strip,
+            lock: self.lock,
         }
-    }
-
-    /// Writes the pair down with the truth, if a recording is wanted.
-    fn record(&mut self, at: MonotonicTime) -> Result<()> {
-        let Some(mut recording) = self.recording.take() else { return Ok(()) };
-        let outline_px = if recording.is_open() { None } else { Some(self.outline_px(at)?) };
-        let pushed = recording.push(&self.pair, &self.cam_left_from_target_at(at), outline_px);
-        self.recording = Some(recording);
-        pushed
     }
 
     /// The pose of the left camera from the measured joints, as a rig without truth knows it.
@@ -187,26 +169,6 @@ impl<'a> Looking<'a> {
         let motion = previous.and_then(|(_, prev)| Some(prev?.inverse() * base_from_cam_left?));
         let dt_s = previous.map(|(before, _)| at.seconds_since(before));
         FramePrior { dt_s, ..FramePrior::of_motion(motion.as_ref()) }
-    }
-
-    /// Follows the target, or takes the one in `region`.
-    fn estimate(&mut self, region: Option<&Region>, prior: &FramePrior) -> Result<TrackEstimate> {
-        let estimate = self.follower.look(&self.pair.left, &self.pair.right, region, prior)?;
-        if region.is_some() {
-            for warning in &estimate.warnings {
-                tracing::warn!("{warning}");
-            }
-            tracing::info!("target taken: {}: {}", estimate.status, estimate.reason);
-        }
-        Ok(estimate)
-    }
-
-    /// What an operator would draw around the target in the left picture.
-    fn outline_px(&self, at: MonotonicTime) -> Result<Vec<Vector2<f64>>> {
-        let cam_left_from_target = self.cam_left_from_target_at(at);
-        let pixel = |point: &Point3<f64>| self.setup.rig.left().project(&cam_left_from_target.transform_point(point));
-        let vertices_px: Option<Vec<_>> = self.target_outline_m.iter().map(pixel).collect();
-        vertices_px.context("the target is not in front of the camera at the beginning")
     }
 
     fn cam_left_from_target_at(&self, at: MonotonicTime) -> Pose<CamLeft, Target> {

@@ -2,9 +2,11 @@
 
 pub mod carrier;
 pub mod cell;
+pub mod channels;
 pub mod commands;
 pub mod compared;
 pub mod cycles;
+pub mod eyes;
 pub mod flight;
 pub mod interruption;
 pub mod journal;

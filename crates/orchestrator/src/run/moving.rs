@@ -6,11 +6,11 @@ use pb3dp_hal_api::{ArmError, ArmErrorKind, JointCommand, JointState};
 use pb3dp_kinematics::{Damping, JointVector};
 use pb3dp_servo::{Command, Controller, Mode, TargetObservation};
 use pb3dp_sim::placement::FlangePath;
-use pb3dp_sim::trajectory::StepExperiment;
+use pb3dp_sim::trajectory::Trajectory;
 
 use super::carrier::carry;
 use super::commands::CommandSummary;
-use crate::config::setup::Setup;
+use crate::config::setup::{Carrier, Setup};
 use crate::wiring::DrivenArm;
 
 /// Both arms with what leads them.
@@ -18,7 +18,8 @@ pub struct Moving<'a> {
     setup: &'a Setup,
     vs: Box<dyn DrivenArm>,
     tc: Box<dyn DrivenArm>,
-    path: FlangePath<'a>,
+    /// The way of the arm that carries the target; none if it rests.
+    path: Option<FlangePath<'a>>,
     controller: Controller,
     damping: Damping,
     begin: MonotonicTime,
@@ -47,7 +48,7 @@ impl<'a> Moving<'a> {
     pub fn new(
         setup: &'a Setup,
         (vs, tc): (Box<dyn DrivenArm>, Box<dyn DrivenArm>),
-        experiment: &'a StepExperiment,
+        experiment: &'a dyn Trajectory,
         begin: MonotonicTime,
     ) -> Result<Self> {
         let limiter = &setup.vs.limiter;
@@ -60,7 +61,8 @@ impl<'a> Moving<'a> {
         Ok(Self {
             controller: Controller::new(setup.controller, setup.vs.chain.clone(), limits)?,
             damping: Damping::new(setup.controller.damping.threshold, setup.controller.damping.factor_max)?,
-            path: FlangePath::of_carrier(experiment, &setup.tc.world_from_base, &setup.flange_from_target),
+            path: (setup.experiment.carrier == Carrier::Arm)
+                .then(|| FlangePath::of_carrier(experiment, &setup.tc.world_from_base, &setup.flange_from_target)),
             begin,
             vs_joints: at_rest(setup.vs.start_rad),
             tc_joints: at_rest(setup.tc.start_rad),
@@ -100,8 +102,10 @@ impl<'a> Moving<'a> {
     /// The arm that fails, and why.
     pub fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
         let t_s = now.seconds_since(self.begin);
-        let velocity = carry(&self.setup.tc.chain, &self.damping, &self.path, t_s, &self.tc_joints.position_rad);
-        let measured = self.tc.exchange(JointCommand::Velocity(velocity));
+        let command = self.path.as_ref().map_or(JointCommand::Hold, |path| {
+            JointCommand::Velocity(carry(&self.setup.tc.chain, &self.damping, path, t_s, &self.tc_joints.position_rad))
+        });
+        let measured = self.tc.exchange(command);
         self.tc_joints = newest(measured, &self.tc_joints, &mut self.replies_missed).context("tc-robot")?;
         let step = self.controller.step(&self.vs_joints, self.newest.as_ref(), now);
         let command = match step.command {

@@ -8,6 +8,7 @@ use anyhow::{Context, Result};
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_record::report::{LinePlot, Report, ReportPicture, Series, SeriesColor, Table};
 
+use super::channels::ChannelSummary;
 use super::commands;
 use super::cycles;
 use super::journal::Outcome;
@@ -54,11 +55,7 @@ fn page(
     let origin =
         provenance.iter().fold(Table::new(["run", ""]), |table, (key, value)| table.row([key.clone(), value.clone()]));
     let report = Report::new("pb3dp: a hand follows an unknown object")
-        .paragraph(
-            "The target moves along and about each axis in turn, out and back, at the marks (1) to (12). The hand that \
-             carries the two cameras knows nothing about it but the region marked in the first left picture, and keeps its \
-             place in front of it. Truth comes from the simulation.",
-        )
+        .paragraph(introduction(summary))
         .figures(&figures(summary))
         .heading("Target and hand")
         .paragraph(
@@ -76,6 +73,12 @@ fn page(
              the first pair is off, in depth, and in tilt times the distance of the hand.",
         )
         .table(&channel_table(summary))
+        .paragraph(
+            "The same against the hand's place by the pose of the lock, which takes the first estimate for the truth: distance and \
+             angle, not along one axis only. What is left here is the servo's, and the noise of the estimates.",
+        )
+        .table(&locked_table(summary))
+        .paragraph(&lock_note(summary))
         .paragraph(&normal_note(summary))
         .heading("Methods side by side")
         .paragraph(
@@ -88,16 +91,36 @@ fn page(
         .heading("Commands")
         .paragraph("How many of the velocities the limiter of each arm changed, to keep its limits, and how many were refused.")
         .table(&commands::table(&summary.commands));
-    with_cycles(report, summary)
-        .heading("Errors over time")
-        .panels(&error_panels(log, summary))
-        .heading("What the cameras saw")
-        .paragraph("Left: region and axes of the model. Right: where the estimated pose puts the region's outline.")
-        .images(&strip)
+    let report = with_cycles(report, summary).heading("Errors over time").panels(&error_panels(log, summary));
+    with_pictures(report, &strip)
         .heading("Events")
         .table(&event_table(log))
         .heading("How this run was made")
         .table(&origin)
+}
+
+/// What kind of run this was.
+fn introduction(summary: &RunSummary) -> &'static str {
+    if summary.without_pictures {
+        "No picture was rendered and none was looked at: what the controller was told is the true pose of the target at \
+         mid-exposure with the noise that the configuration states (estimator.geometric), as long as both cameras have it in view. \
+         Such a run says how the hand moves, and nothing of what a camera would see."
+    } else {
+        "At the marks the target begins to move as the configuration says. The hand that carries the two \
+         cameras knows nothing about it but the region marked in the first left picture, and keeps its place in front of it. Truth \
+         comes from the simulation."
+    }
+}
+
+/// The strip of pictures, if there is one.
+fn with_pictures(report: Report, strip: &[(ReportPicture<'_>, String)]) -> Report {
+    if strip.is_empty() {
+        return report;
+    }
+    report
+        .heading("What the cameras saw")
+        .paragraph("Left: region and axes of the model. Right: where the estimated pose puts the region's outline.")
+        .images(strip)
 }
 
 /// How punctual a run in the machine's time was.
@@ -237,21 +260,59 @@ fn error_panels(log: &RunLog, summary: &RunSummary) -> Vec<LinePlot> {
     panels
 }
 
+fn number(value: Option<f64>) -> String {
+    value.map_or("-".to_owned(), |x| format!("{x:.2}"))
+}
+
 fn channel_table(summary: &RunSummary) -> Table {
-    let headings = ["axis", "unit", "moving, rms", "moving, max", "hold, rms", "hold, max", "lag, s", "rise delay, s"];
-    let number = |value: Option<f64>| value.map_or("-".to_owned(), |x| format!("{x:.2}"));
+    let has = |pick: fn(&ChannelSummary) -> Option<f64>| summary.channels.iter().any(|c| pick(c).is_some());
+    type Pick = fn(&ChannelSummary) -> Option<f64>;
+    let columns: [(&str, Pick); 10] = [
+        ("moving, rms", |c| c.moving.map(|e| e.rms)),
+        ("moving, max", |c| c.moving.map(|e| e.max)),
+        ("hold, rms", |c| c.hold.map(|e| e.rms)),
+        ("hold, max", |c| c.hold.map(|e| e.max)),
+        ("lag, s", |c| c.lag_s),
+        ("rise delay, s", |c| c.rise_delay_s),
+        ("gain, dB", |c| c.gain_db),
+        ("phase, deg", |c| c.phase_deg),
+        ("settled after, s", |c| c.settled_after_s),
+        ("overshoot, %", |c| c.overshoot_percent),
+    ];
+    // What this kind of motion does not have is left out.
+    let columns: Vec<_> = columns.into_iter().filter(|(_, pick)| has(*pick)).collect();
+    let headings = ["axis", "unit"].into_iter().chain(columns.iter().map(|(name, _)| *name));
     summary.channels.iter().fold(Table::new(headings), |table, c| {
-        table.row([
-            c.channel.clone(),
-            c.unit.to_owned(),
-            number(c.moving.map(|e| e.rms)),
-            number(c.moving.map(|e| e.max)),
-            number(c.hold.map(|e| e.rms)),
-            number(c.hold.map(|e| e.max)),
-            number(c.lag_s),
-            number(c.rise_delay_s),
-        ])
+        let names = [c.channel.clone(), c.unit.to_owned()];
+        table.row(names.into_iter().chain(columns.iter().map(|(_, pick)| number(pick(c)))))
     })
+}
+
+fn locked_table(summary: &RunSummary) -> Table {
+    let headings =
+        ["axis", "moving, rms mm", "max", "moving, rms deg", "max", "hold, rms mm", "max", "hold, rms deg", "max"];
+    let all = ("all".to_owned(), summary.locked);
+    let rows = summary.channels.iter().map(|c| (c.channel.clone(), c.locked)).chain(std::iter::once(all));
+    rows.fold(Table::new(headings), |table, (name, locked)| {
+        let errors = [locked.moving_mm, locked.moving_deg, locked.hold_mm, locked.hold_deg];
+        let cells = errors.into_iter().flat_map(|e| [number(e.map(|e| e.rms)), number(e.map(|e| e.max))]);
+        table.row(std::iter::once(name).chain(cells))
+    })
+}
+
+/// What the lock got wrong.
+fn lock_note(summary: &RunSummary) -> String {
+    let Some(lock) = &summary.lock else { return "There was no lock.".to_owned() };
+    let stated = match lock.tilt_sigma_deg.zip(lock.hand_by_tilt_sigma_mm) {
+        Some((deg, mm)) => {
+            format!("; the estimate stated a standard deviation of {deg:.2} degrees, {mm:.1} mm at the hand")
+        }
+        None => String::new(),
+    };
+    let (hand, tilt) = (lock.hand_mm, lock.tilt_deg);
+    format!(
+        "The lock puts the hand {hand:.1} mm beside its place before the true plane, and is tilted by {tilt:.2} degrees{stated}."
+    )
 }
 
 fn event_table(log: &RunLog) -> Table {
@@ -296,12 +357,14 @@ pub fn text_table(summary: &RunSummary) -> String {
     let sigma = summary.smallest_singular_value.map_or("-".into(), |s| format!("{s:.3}"));
     text += &format!("{:<34} {sigma}\n", "smallest singular value");
     text += &commands::text_lines(&summary.commands);
+    if summary.without_pictures {
+        text += "no picture was rendered: the estimates are the true poses with the noise of estimator.geometric\n";
+    }
     text.push('\n');
     text += &methods::text_table(&summary.methods);
     text.push('\n');
     let _ = writeln!(text, "axis unit  moving rms    max   hold rms    max   lag s");
     for c in &summary.channels {
-        let number = |value: Option<f64>| value.map_or("-".to_owned(), |x| format!("{x:.2}"));
         let _ = writeln!(
             text,
             "{:<4} {:<4} {:>11} {:>6} {:>10} {:>6} {:>7}",
@@ -314,11 +377,28 @@ pub fn text_table(summary: &RunSummary) -> String {
             number(c.lag_s)
         );
     }
+    for c in &summary.channels {
+        text += &response_line(c);
+    }
+    let _ = writeln!(text, "{}", lock_note(summary));
     text += &cycles::text_table(&summary.cycles);
     if !summary.rotation_about_normal_observed {
         text += "rz, the rotation about the normal, is not observed by this method: it is held\n";
     }
     text
+}
+
+/// Gain and phase, or settling and overshoot, of a channel that has them.
+fn response_line(c: &ChannelSummary) -> String {
+    let mut line = String::new();
+    if let Some((gain_db, phase_deg)) = c.gain_db.zip(c.phase_deg) {
+        let _ = writeln!(line, "{}: gain {gain_db:.2} dB, phase {phase_deg:.1} deg", c.channel);
+    }
+    if let Some(overshoot) = c.overshoot_percent {
+        let settled = c.settled_after_s.map_or("has not settled".to_owned(), |s| format!("settled after {s:.2} s"));
+        let _ = writeln!(line, "{}: {settled}, overshoot {overshoot:.1} %", c.channel);
+    }
+    line
 }
 
 /// One line per control step: times in seconds, positions in millimetres, quaternions as x, y, z, w.

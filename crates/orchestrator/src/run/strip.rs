@@ -5,7 +5,6 @@ use image::imageops::{FilterType, resize};
 use pb3dp_estimation::published::TrackEstimate;
 use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::FramePair;
-use pb3dp_sim::trajectory::Mark;
 
 use crate::picture::{Annotation, annotate, polygon_px};
 
@@ -13,6 +12,7 @@ use crate::picture::{Annotation, annotate, polygon_px};
 const WIDTH_PX: u32 = 800;
 
 /// Pictures with their captions.
+#[derive(Default)]
 pub struct Strip {
     /// Times at which a picture is still wanted, seconds, in order, with what happens then.
     wanted: Vec<(f64, String)>,
@@ -21,11 +21,9 @@ pub struct Strip {
 }
 
 impl Strip {
-    /// A strip for an experiment with these marks, two to each channel: out and back.
-    pub fn for_marks(marks: &[Mark], move_s: f64) -> Self {
-        let mut wanted = vec![(0.0, "the target is taken".to_owned())];
-        wanted.extend(marks.iter().step_by(2).map(|mark| (mark.at_s + move_s + 1.0, mark.label.clone())));
-        Self { wanted, pictures: Vec::new() }
+    /// A strip of pictures at these times, seconds, in order, with what happens then.
+    pub fn of(moments: Vec<(f64, String)>) -> Self {
+        Self { wanted: moments, pictures: Vec::new() }
     }
 
     /// Takes this frame if its time has come.

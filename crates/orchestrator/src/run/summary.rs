@@ -1,29 +1,21 @@
 //! The figures of a run: how well the hand followed, how good the estimates were, how long they took.
 //!
-//! The experiment has one channel per pair of marks (out and back). In each channel the hand's way along that channel is
-//! compared with the way it should have gone. "Moving" is from a mark to the end of its move; "hold" begins one second
-//! after the move's end, when the hand should have settled, and ends with the next mark.
+//! Errors are against the hand's place before the true target. Beside them stand those against its place by the pose of the lock:
+//! whatever the first estimate got wrong stays for the whole run and is no fault of the servo.
 
 use std::collections::BTreeMap;
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Hand, World};
-use pb3dp_record::metrics::{Statistics, lag_by_cross_correlation, max_abs, percentile, rms};
-use pb3dp_sim::trajectory::{Channel, ExperimentAxes, StepExperiment, StepExperimentConfig, Trajectory};
+use pb3dp_record::metrics::{Statistics, max_abs, percentile, rms};
 use serde::Serialize;
 
+use super::channels::{self, ChannelSummary, LockedErrors, Plan};
 use super::commands::CommandSummary;
 use super::cycles::CycleSummary;
-use super::log::{ControlSample, RunLog};
+use super::log::{ControlSample, Lock, RunLog};
 use super::methods::{self, MethodSummary};
-
-/// The hand settles for this long after each move before "hold" is judged, seconds.
-const SETTLE_S: f64 = 1.0;
-/// Lags up to this are looked for, seconds.
-const LAG_MAX_S: f64 = 1.5;
-/// A hand that moves less like its wanted way than this does not follow it.
-const CORRELATION_MIN: f64 = 0.7;
 
 /// Root mean square and largest value of an error.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -35,7 +27,8 @@ pub struct RmsMax {
 }
 
 impl RmsMax {
-    fn of(samples: &[f64]) -> Option<Self> {
+    /// Of errors; `None` without any.
+    pub fn of(samples: &[f64]) -> Option<Self> {
         Some(Self { rms: rms(samples)?, max: max_abs(samples)? })
     }
 }
@@ -56,23 +49,6 @@ impl MedianP95 {
     }
 }
 
-/// How the hand followed one channel, in the channel's unit: mm for x, y, z, degrees for rx, ry, rz.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct ChannelSummary {
-    /// `x` to `rz`.
-    pub channel: String,
-    /// `mm` or `deg`.
-    pub unit: &'static str,
-    /// Error while the target moves.
-    pub moving: Option<RmsMax>,
-    /// Error while the target rests.
-    pub hold: Option<RmsMax>,
-    /// Lag of the hand behind its wanted way by cross-correlation, seconds.
-    pub lag_s: Option<f64>,
-    /// Rise time (10 to 90 %) of the hand less that of its wanted way, on the way out, seconds.
-    pub rise_delay_s: Option<f64>,
-}
-
 /// The figures of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RunSummary {
@@ -84,6 +60,10 @@ pub struct RunSummary {
     pub tracking_orientation_deg: Option<RmsMax>,
     /// The same angle without the rotation about the model's normal, degrees.
     pub tracking_tilt_deg: Option<RmsMax>,
+    /// Against the hand's place by the pose of the lock, over all channels.
+    pub locked: LockedErrors,
+    /// What the lock got wrong; none without one.
+    pub lock: Option<LockSummary>,
     /// Median lag over the channels that the hand follows, seconds.
     pub lag_s: Option<f64>,
     /// Each channel by itself.
@@ -92,6 +72,8 @@ pub struct RunSummary {
     pub estimation_depth_mm: Option<MedianP95>,
     /// Normal error of the estimates, degrees.
     pub estimation_normal_deg: Option<MedianP95>,
+    /// Whether no picture was rendered: the estimates are the truth with noise.
+    pub without_pictures: bool,
     /// The leading method and those that looked on, side by side.
     pub methods: Vec<MethodSummary>,
     /// Frames seen.
@@ -118,44 +100,32 @@ pub struct RunSummary {
     pub cycles: Vec<CycleSummary>,
 }
 
-/// What is known of the experiment beforehand.
-#[derive(Clone, Debug)]
-pub struct Plan {
-    /// Channels in the order of the marks, two marks each.
-    pub channels: Vec<Channel>,
-    /// Duration of each move, seconds.
-    pub move_s: f64,
-    /// Directions of the channels' axes in `world`.
-    pub world_from_axes: UnitQuaternion<f64>,
+/// What the first estimate got wrong: constant for the whole run.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LockSummary {
+    /// Distance between the hand's places by the true plane and by the estimate, mm.
+    pub hand_mm: f64,
+    /// Angle between the true normal and the estimated one, degrees.
+    pub tilt_deg: f64,
+    /// Standard deviation of that angle about one axis, as the estimate stated it (rms of both axes), degrees; none if it did not.
+    pub tilt_sigma_deg: Option<f64>,
+    /// How far such a tilt moves the hand: distance of the hand times the standard deviation, mm.
+    pub hand_by_tilt_sigma_mm: Option<f64>,
 }
 
-impl Plan {
-    /// What these numbers mean where the experiment takes place.
-    pub fn of(config: &StepExperimentConfig, experiment: &StepExperiment) -> Self {
-        let world_from_axes = match config.axes {
-            ExperimentAxes::World => UnitQuaternion::identity(),
-            ExperimentAxes::TargetAtStart => experiment.pose_at(0.0).rotation(),
-        };
-        Self { channels: config.channels.clone(), move_s: config.move_s, world_from_axes }
-    }
-}
-
-/// The way of the hand along a channel since the start of the run: mm or degrees.
-pub fn way_along(plan: &Plan, channel: Channel, start: &Pose<World, Hand>, now: &Pose<World, Hand>) -> f64 {
-    let axes_from_world = plan.world_from_axes.inverse();
-    if channel.is_rotation() {
-        let turned = (now.rotation() * start.rotation().inverse()).scaled_axis();
-        component(channel, &(axes_from_world * turned)).to_degrees()
-    } else {
-        component(channel, &(axes_from_world * (now.translation_m() - start.translation_m()))) * 1e3
-    }
-}
-
-fn component(channel: Channel, v: &Vector3<f64>) -> f64 {
-    match channel {
-        Channel::X | Channel::Rx => v.x,
-        Channel::Y | Channel::Ry => v.y,
-        Channel::Z | Channel::Rz => v.z,
+impl LockSummary {
+    fn of(lock: &Lock, sample: &ControlSample) -> Self {
+        let tilt_sigma_rad = lock.covariance.map(|covariance| (0.5 * (covariance[(3, 3)] + covariance[(4, 4)])).sqrt());
+        let normals =
+            [lock.target_from_model, lock.target_from_model_found].map(|pose| pose.transform_vector(&Vector3::z()));
+        let (wanted, locked) = (&sample.world_from_hand_wanted, &sample.world_from_hand_locked);
+        let model_from_hand = (sample.world_from_target * lock.target_from_model).inverse() * *wanted;
+        Self {
+            hand_mm: (wanted.translation_m() - locked.translation_m()).norm() * 1e3,
+            tilt_deg: normals[0].angle(&normals[1]).to_degrees(),
+            tilt_sigma_deg: tilt_sigma_rad.map(f64::to_degrees),
+            hand_by_tilt_sigma_mm: tilt_sigma_rad.map(|sigma| model_from_hand.translation_m().norm() * sigma * 1e3),
+        }
     }
 }
 
@@ -163,7 +133,7 @@ fn component(channel: Channel, v: &Vector3<f64>) -> f64 {
 pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
     let errors: Vec<TrackingError> = log.control.iter().map(TrackingError::of).collect();
     let column = |pick: fn(&TrackingError) -> f64| errors.iter().map(pick).collect::<Vec<f64>>();
-    let channels = channel_summaries(log, plan);
+    let (channels, locked) = channels::summaries(log, plan);
     let lags: Vec<f64> = channels.iter().filter_map(|c| c.lag_s).collect();
     let latencies: Vec<f64> = log.leading.frames.iter().map(|f| f.latency_millis).collect();
     let depth: Vec<f64> = log.leading.frames.iter().filter_map(|f| f.depth_error_m).map(|e| e.abs() * 1e3).collect();
@@ -173,10 +143,13 @@ pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
         tracking_position_mm: RmsMax::of(&column(|e| e.position_m * 1e3)),
         tracking_orientation_deg: RmsMax::of(&column(|e| e.orientation_rad.to_degrees())),
         tracking_tilt_deg: RmsMax::of(&column(|e| e.tilt_rad.to_degrees())),
+        locked,
+        lock: log.lock.as_ref().zip(log.control.last()).map(|(lock, sample)| LockSummary::of(lock, sample)),
         lag_s: percentile(&lags, 50.0),
         channels,
         estimation_depth_mm: MedianP95::of(&depth),
         estimation_normal_deg: MedianP95::of(&normal),
+        without_pictures: log.without_pictures,
         methods: methods::summaries(log),
         frames: log.leading.frames.len(),
         frames_without_pose: log.leading.frames.iter().filter(|f| f.depth_error_m.is_none()).count(),
@@ -224,9 +197,17 @@ pub struct TrackingError {
 }
 
 impl TrackingError {
-    /// The error of one control step.
+    /// The error of one control step, against the place before the true target.
     pub fn of(sample: &ControlSample) -> Self {
-        let (wanted, is) = (&sample.world_from_hand_wanted, &sample.world_from_hand);
+        Self::between(&sample.world_from_hand_wanted, &sample.world_from_hand)
+    }
+
+    /// The error of one control step, against the place by the pose of the lock.
+    pub fn of_locked(sample: &ControlSample) -> Self {
+        Self::between(&sample.world_from_hand_locked, &sample.world_from_hand)
+    }
+
+    fn between(wanted: &Pose<World, Hand>, is: &Pose<World, Hand>) -> Self {
         let axis = |pose: &Pose<World, Hand>| pose.transform_vector(&Vector3::z());
         Self {
             position_m: (is.translation_m() - wanted.translation_m()).norm(),
@@ -236,78 +217,29 @@ impl TrackingError {
     }
 }
 
-fn channel_summaries(log: &RunLog, plan: &Plan) -> Vec<ChannelSummary> {
-    let Some(first) = log.control.first() else { return Vec::new() };
-    let marks_s: Vec<f64> = log.marks.iter().map(|mark| mark.at_s).collect();
-    let end_s = log.control.last().map_or(0.0, |sample| sample.t_s);
-    let mut summaries = Vec::new();
-    for (index, &channel) in plan.channels.iter().enumerate() {
-        let Some(&out_s) = marks_s.get(2 * index) else { break };
-        let back_s = marks_s.get(2 * index + 1).copied().unwrap_or(end_s);
-        let after_s = marks_s.get(2 * index + 2).copied().unwrap_or(end_s + 1e-9);
-        let span: Vec<&ControlSample> = log.control.iter().filter(|s| s.t_s >= out_s && s.t_s < after_s).collect();
-        if span.len() < 3 {
-            break;
-        }
-        let way = |pick: fn(&ControlSample) -> &Pose<World, Hand>| -> Vec<f64> {
-            span.iter().map(|s| way_along(plan, channel, &first.world_from_hand_wanted, pick(s))).collect()
-        };
-        let wanted = way(|s| &s.world_from_hand_wanted);
-        let is = way(|s| &s.world_from_hand);
-        let error_where = |inside: &dyn Fn(f64) -> bool| -> Vec<f64> {
-            span.iter().zip(is.iter().zip(&wanted)).filter(|(s, _)| inside(s.t_s)).map(|(_, (a, b))| a - b).collect()
-        };
-        let moving = |t: f64| (t < out_s + plan.move_s) || (t >= back_s && t < back_s + plan.move_s);
-        let rest_from = plan.move_s + SETTLE_S;
-        let hold = |t: f64| (t >= out_s + rest_from && t < back_s) || t >= back_s + rest_from;
-        let period_s = span[1].t_s - span[0].t_s;
-        let way_out = span.iter().take_while(|s| s.t_s < back_s).count();
-        summaries.push(ChannelSummary {
-            channel: channel.name().to_owned(),
-            unit: if channel.is_rotation() { "deg" } else { "mm" },
-            moving: RmsMax::of(&error_where(&moving)),
-            hold: RmsMax::of(&error_where(&hold)),
-            lag_s: lag_s(&wanted, &is, period_s),
-            rise_delay_s: rise_delay_s(&wanted[..way_out], &is[..way_out], period_s),
-        });
-    }
-    summaries
-}
-
-/// The lag, if the response follows the reference at all; a channel that is not observed has none.
-fn lag_s(reference: &[f64], response: &[f64], period_s: f64) -> Option<f64> {
-    lag_by_cross_correlation(reference, response, period_s, LAG_MAX_S)
-        .filter(|lag| lag.correlation > CORRELATION_MIN)
-        .map(|lag| lag.lag_s)
-}
-
-/// 10-90 % rise time of the response less that of the reference; both measured against the reference's own way.
-fn rise_delay_s(reference: &[f64], response: &[f64], period_s: f64) -> Option<f64> {
-    let (from, to) = (*reference.first()?, *reference.last()?);
-    let rise = |series: &[f64]| -> Option<f64> {
-        let share = |value: f64| (value - from) / (to - from);
-        let low = series.iter().position(|&v| share(v) >= 0.1)?;
-        let high = series.iter().position(|&v| share(v) >= 0.9)?;
-        Some((high as f64 - low as f64) * period_s)
-    };
-    ((to - from).abs() > 1e-9).then(|| Some(rise(response)? - rise(reference)?))?
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pb3dp_geometry::frames::{Target, World};
-    use pb3dp_sim::trajectory::{StepExperiment, StepExperimentConfig, Trajectory};
+    use nalgebra::{Matrix6, UnitQuaternion, Vector6};
+    use pb3dp_geometry::frames::{Model, Target};
+    use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig, StepExperimentConfig, Trajectory};
 
     /// A hand that follows 300 ms late and 2 mm beside its place, with the target's axes turned against the world's.
     fn late_hand() -> (RunLog, Plan) {
-        let start = Pose::<World, Target>::from_parts(
-            Vector3::new(0.9, -0.2, 1.1),
-            UnitQuaternion::from_euler_angles(0.4, -0.7, 1.2),
-        );
+        let start = start();
         let config = StepExperimentConfig { channels: vec![Channel::X, Channel::Ry], ..Default::default() };
-        let plan = Plan { channels: config.channels.clone(), move_s: config.move_s, world_from_axes: start.rotation() };
-        let experiment = StepExperiment::new(config, start).unwrap();
+        let (log, plan, _) = follows(MotionConfig::Steps(config), start, |t| (t - 0.3).max(0.0));
+        (log, plan)
+    }
+
+    /// A hand that is where it should have been at another time, and 2 mm beside.
+    fn follows(
+        motion: MotionConfig,
+        start: Pose<World, Target>,
+        other: impl Fn(f64) -> f64,
+    ) -> (RunLog, Plan, std::sync::Arc<dyn Trajectory>) {
+        let experiment = motion.begin_at(start).unwrap();
+        let plan = Plan::of(&motion, &*experiment);
         let wanted = |t: f64| -> Pose<World, Hand> {
             experiment.pose_at(t) * Pose::from_translation(Vector3::new(0.01, 0.02, -0.5))
         };
@@ -316,18 +248,23 @@ mod tests {
             .map(|i| f64::from(i) * 0.01)
             .take_while(|&t| t <= experiment.duration_s())
             .map(|t| {
-                let late = wanted((t - 0.3).max(0.0));
+                let late = wanted(other(t));
                 ControlSample {
                     t_s: t,
                     world_from_target: experiment.pose_at(t),
                     world_from_hand: Pose::from_parts(late.translation_m() + beside, late.rotation()),
                     world_from_hand_wanted: wanted(t),
+                    world_from_hand_locked: wanted(t),
                     mode: "tracking".into(),
                     smallest_singular_value: 0.2,
                 }
             })
             .collect();
-        (RunLog { control, marks: experiment.marks().to_vec(), ..Default::default() }, plan)
+        (RunLog { control, marks: experiment.marks().to_vec(), ..Default::default() }, plan, experiment)
+    }
+
+    fn start() -> Pose<World, Target> {
+        Pose::from_parts(Vector3::new(0.9, -0.2, 1.1), UnitQuaternion::from_euler_angles(0.4, -0.7, 1.2))
     }
 
     #[test]
@@ -359,6 +296,72 @@ mod tests {
         let summary = summarize(&log, &plan);
         assert!((summary.tracking_orientation_deg.unwrap().rms - 0.35_f64.to_degrees()).abs() < 1e-6);
         assert!(summary.tracking_tilt_deg.unwrap().max < 1e-4);
+    }
+
+    #[test]
+    fn a_sinusoid_has_gain_and_phase_and_no_rest() {
+        // 0.3 s late of 5 s: 21.6 degrees; a turn by 0.35 rad about a fixed axis has the same phase.
+        for (channel, amplitude) in [(Channel::Y, 0.1), (Channel::Rx, 0.35)] {
+            let axes = ExperimentAxes::TargetAtStart;
+            let sine = SineConfig { channel, amplitude, period_s: 5.0, periods: 2, lead_in_s: 1.0, axes };
+            let (log, plan, _) = follows(MotionConfig::Sine(sine), start(), |t| t - 0.3);
+            let summary = summarize(&log, &plan);
+            let [found] = &summary.channels[..] else { panic!("one channel: {summary:?}") };
+            assert!(found.gain_db.unwrap().abs() < 0.01, "{found:?}");
+            assert!((found.phase_deg.unwrap() + 21.6).abs() < 0.1, "{found:?}");
+            assert!((found.lag_s.unwrap() - 0.3).abs() < 0.02, "{found:?}");
+            assert!(found.moving.is_some() && found.hold.is_none() && found.rise_delay_s.is_none(), "{found:?}");
+            assert!(found.settled_after_s.is_none() && found.overshoot_percent.is_none());
+        }
+    }
+
+    #[test]
+    fn a_sudden_move_has_settling_and_overshoot_and_no_lag() {
+        let steps = StepExperimentConfig {
+            channels: vec![Channel::Z],
+            move_s: 0.0,
+            hold_s: 2.0,
+            lead_in_s: 1.0,
+            ..Default::default()
+        };
+        // The hand comes half a second late on the way out, and 0.8 s on the way back; 2 mm beside its place it never settles.
+        let late = |t: f64| if t < 3.0 { t - 0.5 } else { t - 0.8 };
+        let (mut log, plan, _) = follows(MotionConfig::Steps(steps), start(), late);
+        assert_eq!(summarize(&log, &plan).channels[0].settled_after_s, None);
+        // By the pose of the lock it is where it should be, and 4 mm too far in between.
+        let away = start().transform_vector(&Vector3::new(0.0, 0.0, 0.004));
+        let beside = start().transform_vector(&Vector3::new(0.002, 0.0, 0.0));
+        for sample in &mut log.control {
+            let wanted = sample.world_from_hand_wanted;
+            sample.world_from_hand_locked = Pose::from_parts(wanted.translation_m() + beside, wanted.rotation());
+            if (1.6..1.7).contains(&sample.t_s) {
+                let hand = sample.world_from_hand;
+                sample.world_from_hand = Pose::from_parts(hand.translation_m() + away, hand.rotation());
+            }
+        }
+        let found = &summarize(&log, &plan).channels[0];
+        assert!((found.settled_after_s.unwrap() - 0.8).abs() < 0.011, "{found:?}");
+        assert!((found.overshoot_percent.unwrap() - 4.0).abs() < 1e-6, "{found:?}");
+        assert!(found.lag_s.is_none() && found.rise_delay_s.is_none() && found.moving.is_none(), "{found:?}");
+    }
+
+    #[test]
+    fn what_the_lock_got_wrong_is_told_apart() {
+        let (mut log, plan) = late_hand();
+        let target_from_model = Pose::<Target, Model>::from_translation(Vector3::new(0.01, 0.02, 0.0));
+        let tilted = Pose::from_parts(Vector3::zeros(), UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.01, 0.0)));
+        let model_from_hand = Pose::<Model, Hand>::from_translation(Vector3::new(0.0, 0.0, -0.5));
+        let found = target_from_model * tilted;
+        for sample in &mut log.control {
+            sample.world_from_hand_locked = sample.world_from_target * found * model_from_hand;
+        }
+        let covariance = Some(Matrix6::from_diagonal(&Vector6::new(0.0, 0.0, 0.0, 9e-6, 1.6e-5, 1.0)));
+        log.lock = Some(Lock { at_s: 0.0, target_from_model, target_from_model_found: found, covariance });
+        let lock = summarize(&log, &plan).lock.unwrap();
+        // 500 mm x 2 sin(0.005); sigma is the root of the mean of 9 and 16, in mrad.
+        assert!((lock.hand_mm - 1000.0 * 0.005_f64.sin()).abs() < 1e-9, "{lock:?}");
+        assert!((lock.tilt_deg - 0.01_f64.to_degrees()).abs() < 1e-9, "{lock:?}");
+        assert!((lock.hand_by_tilt_sigma_mm.unwrap() - 500.0 * 12.5e-6_f64.sqrt()).abs() < 1e-6, "{lock:?}");
     }
 
     #[test]

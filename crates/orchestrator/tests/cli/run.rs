@@ -76,6 +76,72 @@ fn a_run_leaves_report_summary_and_time_series() {
 }
 
 #[test]
+fn a_run_without_pictures_says_so_and_needs_none() {
+    let dir = tempfile::tempdir().unwrap();
+    let geometric =
+        [("method = \"direct\" ", "method = \"geometric\" "), ("compare = [\"published\"]", "compare = []")];
+    let config = setup(dir.path(), &geometric);
+    let out = dir.path().join("out");
+    let run = |more: &[&dyn AsRef<std::ffi::OsStr>]| {
+        let begin: Vec<&dyn AsRef<std::ffi::OsStr>> =
+            vec![&"run", &"--config", &config, &"--out", &out, &"--stop-after", &"1.0"];
+        pb3dp(&words(&[&begin[..], more].concat()))
+    };
+    let finished = run(&[]).assert_success();
+    assert!(finished.stdout.contains("no picture was rendered"), "{}", finished.stdout);
+    let page = std::fs::read_to_string(out.join("report.html")).unwrap();
+    assert!(page.contains("No picture was rendered") && !page.contains("data:image/"), "no pictures in the page");
+    let text = std::fs::read_to_string(out.join("summary.json")).unwrap();
+    let summary: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(
+        (&summary["provenance"]["method"], &summary["provenance"]["pictures"]),
+        (&"geometric".into(), &"none".into())
+    );
+    assert_eq!(summary["summary"]["without_pictures"], true);
+    run(&[&"--record", &dir.path().join("recording")]).assert_refused(&["--record", "geometric"]);
+}
+
+#[test]
+fn experiments_of_other_kinds_have_reports_of_their_own() {
+    let dir = tempfile::tempdir().unwrap();
+    let moves = "channels = [\"x\", \"y\", \"z\", \"rx\", \"ry\", \"rz\"]\ntranslation_mm = 100.0\nrotation_deg = 20.0\n\
+                 move_s = 2.0\nhold_s = 3.0\nlead_in_s = 3.0";
+    let quick = [("method = \"direct\" ", "method = \"geometric\" "), ("compare = [\"published\"]", "compare = []")];
+    let sine =
+        "channels = [\"y\"]\ntranslation_mm = 50.0\nrotation_deg = 10.0\nperiod_s = 4.0\nperiods = 1\nlead_in_s = 1.0";
+    let sudden =
+        "channels = [\"x\"]\ntranslation_mm = 50.0\nrotation_deg = 15.0\nmove_s = 0.0\nhold_s = 4.0\nlead_in_s = 2.0";
+    let (kind, free) = (("kind = \"steps\"", "kind = \"sine\""), ("target = \"carried\"", "target = \"free\""));
+    for (changes, line, column) in [
+        (&[kind, (moves, sine)][..], "y: gain ", "phase, deg"),
+        (&[kind, free, (moves, sine)], "y: gain ", "gain, dB"),
+        (&[free, (moves, sudden)], "x: ", "overshoot, %"),
+    ] {
+        let config = setup(dir.path(), &[&quick[..], changes].concat());
+        let out = dir.path().join("out");
+        let finished = pb3dp(&words(&[&"run", &"--config", &config, &"--out", &out])).assert_success();
+        assert!(finished.stdout.contains(line), "{line} in {}", finished.stdout);
+        let page = std::fs::read_to_string(out.join("report.html")).unwrap();
+        assert!(page.contains(&format!("<th>{column}</th>")) && !page.contains("<th>rise delay, s</th>"), "{column}");
+    }
+    for (changes, parts) in [
+        (&[(moves, sudden)][..], &["experiment.move_s = 0", "0.05 to 600"][..]),
+        (
+            &[kind],
+            &["experiment.period_s: missing; kind = \"sine\"", "experiment.move_s: kind = \"sine\" does not use it"],
+        ),
+        (&[(moves, sine)], &["experiment.move_s: missing; kind = \"steps\"", "experiment.period_s: kind = \"steps\""]),
+        (&[kind, (moves, &sine.replace("[\"y\"]", "[\"y\", \"z\"]"))], &["2 are named", "exactly one"]),
+        (&[kind, (moves, &sine.replace("periods = 1", "periods = 0"))], &["experiment.periods = 0", "1 to 1000"]),
+    ] {
+        let config = setup(dir.path(), changes);
+        let finished = pb3dp(&words(&[&"run", &"--config", &config, &"--out", &dir.path().join("refused")]));
+        finished.assert_refused(&["mine.toml"]);
+        finished.assert_refused(parts);
+    }
+}
+
+#[test]
 fn an_experiment_that_is_too_fast_is_refused_by_how_much() {
     let dir = tempfile::tempdir().unwrap();
     // Without these keys arms are slow.
@@ -127,6 +193,8 @@ fn setups_are_refused_with_file_key_and_what_is_allowed() {
             "compare = [\"published\", \"published\"]",
             &["estimator.compare = [published, published]", "once"],
         ),
+        ("method = \"direct\"", "method = \"geometric\"", &["estimator.compare = [published]", "nobody can look on"]),
+        ("turned_max_deg = 70.0 ", "turned_max_deg = 90.0 ", &["estimator.geometric.turned_max_deg = 90", "6 to 85"]),
         ("compare = [\"published\"]", "compare = [\"publish\"]", &["estimator.compare", "publish", "known methods"]),
         ("target = \"crab\"", "target = \"lobster\"", &["scene.target", "lobster", "crab"]),
         ("channels = [\"x\"", "channels = [\"u\"", &["experiment.channels", "\"u\"", "rz"]),

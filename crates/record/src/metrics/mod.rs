@@ -1,16 +1,18 @@
 //! Error measures: statistics of samples, planes against the truth of cases, motions against the truth of sequences,
-//! and the lag between two time series.
+//! and how one time series follows another.
 //!
 //! Percentiles interpolate linearly between order statistics (position `p (n - 1)` among the sorted samples, the
 //! default of NumPy), so that figures agree with the tables of the usual Python tools.
 
 pub mod motion;
 pub mod plane;
+pub mod response;
 pub mod series;
 pub mod table;
 
 pub use motion::{MotionErrors, MotionSummary, compare_motion};
 pub use plane::{DisparityAgreement, EvaluatedCase, Group, PlaneError, PlaneEstimate, compare_plane};
+pub use response::{SineResponse, overshoot, settled_from, sine_response};
 pub use series::{Lag, lag_by_cross_correlation};
 pub use table::{GroupSummary, summarize};
 

@@ -11,10 +11,14 @@ use super::texture::{Texture, colour_from_hsv};
 use crate::noise::{ScatteredPoints, ValueNoise, hash, smooth_step};
 
 pub(super) fn build(size_m: &[f64; 3], seed: u32) -> Draft {
+    build_with(size_m, |side| Arc::new(paint(hash(&[seed, 0xB0C5, side]))))
+}
+
+/// The box's shape with a texture for each of its sides.
+pub(super) fn build_with(size_m: &[f64; 3], texture: impl Fn(u32) -> Arc<Texture>) -> Draft {
     let [half_x, half_y, _] = size_m.map(|size| size / 2.0);
     let faces = box_faces(&Point3::new(-half_x, -half_y, 0.0), &Point3::new(half_x, half_y, size_m[2]));
-    let surfaces =
-        (0u32..).zip(&faces).map(|(k, face)| (whole_face(face), Arc::new(paint(hash(&[seed, 0xB0C5, k]))))).collect();
+    let surfaces = (0u32..).zip(&faces).map(|(side, face)| (whole_face(face), texture(side))).collect();
     Draft { name: "box", surfaces, outline_m: faces[0].to_vec() }
 }
 

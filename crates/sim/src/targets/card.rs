@@ -16,10 +16,15 @@ const THICKNESS_M: f64 = 0.002;
 const MARGIN: f64 = 0.02;
 
 pub(super) fn build(size_m: &[f64; 2], seed: u32) -> Draft {
+    let paper = Texture::from_fn(0, 0, |_, _| [205.0, 202.0, 194.0]);
+    build_with(size_m, Arc::new(paint(seed)), Arc::new(paper))
+}
+
+/// The card's shape with any textures: of the front, and of the other sides.
+pub(super) fn build_with(size_m: &[f64; 2], front: Arc<Texture>, paper: Arc<Texture>) -> Draft {
     let [half_x, half_y] = size_m.map(|size| size / 2.0);
     let faces = box_faces(&Point3::new(-half_x, -half_y, 0.0), &Point3::new(half_x, half_y, THICKNESS_M));
-    let paper = Arc::new(Texture::from_fn(0, 0, |_, _| [205.0, 202.0, 194.0]));
-    let mut surfaces = vec![(whole_face(&faces[0]), Arc::new(paint(seed)))];
+    let mut surfaces = vec![(whole_face(&faces[0]), front)];
     surfaces.extend(faces[1..].iter().map(|face| (whole_face(face), Arc::clone(&paper))));
     Draft { name: "card", surfaces, outline_m: faces[0].to_vec() }
 }

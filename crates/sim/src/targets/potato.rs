@@ -23,9 +23,14 @@ const VIEWING_DISTANCE_M: f64 = 0.5;
 type Side = [Vector3<f64>; 3];
 
 pub(super) fn build(size_m: &[f64; 3], seed: u32) -> Draft {
+    build_with(size_m, seed, |side| Arc::new(paint(side, seed)))
+}
+
+/// The potato's shape with a texture for each of its sides.
+pub(super) fn build_with(size_m: &[f64; 3], seed: u32, texture: impl Fn(&Side) -> Arc<Texture>) -> Draft {
     let solid =
         Solid { radii_m: Vector3::from(size_m.map(|size| size / 2.0)), lumps: ValueNoise::new(hash(&[seed, 0x907A])) };
-    let surfaces: Vec<_> = sides().iter().map(|side| (patch(&solid, side), Arc::new(paint(side, seed)))).collect();
+    let surfaces: Vec<_> = sides().iter().map(|side| (patch(&solid, side), texture(side))).collect();
     let outline_m = silhouette(surfaces.iter().flat_map(|(mesh, _)| mesh.vertices.iter().map(|v| v.position_m)));
     Draft { name: "potato", surfaces, outline_m }
 }

@@ -3,6 +3,7 @@
 mod arms;
 mod camera;
 mod experiment;
+mod geometric;
 mod geometry;
 mod link;
 mod servo;
@@ -18,15 +19,17 @@ use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_geometry::frames::{Flange, Target};
 use pb3dp_geometry::{Frame, Pose, StereoRig};
 use pb3dp_servo::ControllerConfig;
+use pb3dp_sim::geometric::GeometricConfig;
 use pb3dp_sim::scene::SceneConfig;
 use pb3dp_sim::sensor::SensorConfig;
-use pb3dp_sim::trajectory::StepExperimentConfig;
 use serde::Deserialize;
 
 pub use self::arms::ArmSetup;
 use self::arms::{ArmsSection, MountsSection};
 use self::camera::{CameraSection, SceneSection};
 use self::experiment::ExperimentSection;
+pub use self::experiment::{Carrier, Experiment};
+use self::geometric::GeometricSection;
 use self::link::GATEWAY_CYCLE_MAX_MILLIS;
 pub use self::link::{ArmLink, BusLinkConfig, GatewayWay};
 use self::servo::ServoSection;
@@ -53,8 +56,10 @@ pub struct Setup {
     pub sensor: SensorConfig,
     /// What stands in the cell.
     pub scene: SceneConfig,
-    /// The method by which the pose is estimated.
-    pub method: Method,
+    /// What estimates the pose by which the hand is led.
+    pub leader: Leader,
+    /// What would stand in its place without pictures, if the file says so.
+    pub geometric: Option<GeometricConfig>,
     /// Methods that get the same pairs and only look on.
     pub compared: Vec<Method>,
     /// Parameters of all methods.
@@ -72,7 +77,31 @@ pub struct Setup {
     /// Mounting of the target on the second arm.
     pub flange_from_target: Pose<Flange, Target>,
     /// How the target moves.
-    pub experiment: StepExperimentConfig,
+    pub experiment: Experiment,
+}
+
+/// What estimates the pose by which the hand is led.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Leader {
+    /// A method that looks at pictures.
+    Pictures(Method),
+    /// None: the truth with noise, and no picture is rendered.
+    Geometric(GeometricConfig),
+}
+
+impl Leader {
+    /// Its name in configurations and reports.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Pictures(method) => method.name(),
+            Self::Geometric(_) => geometric::NAME,
+        }
+    }
+
+    /// Whether it looks at pictures.
+    pub fn needs_pictures(&self) -> bool {
+        matches!(self, Self::Pictures(_))
+    }
 }
 
 /// What time is in a run.
@@ -119,6 +148,7 @@ struct EstimatorSection {
     tilt_max_deg: f64,
     published: PublishedSection,
     direct: DirectSection,
+    geometric: Option<GeometricSection>,
 }
 
 /// A rigid transform in a file; the key names its frames.
@@ -154,6 +184,12 @@ impl Setup {
         let rmga = &mut self.estimator.published.rmga.seed;
         *rmga = rmga.wrapping_sub(self.seed).wrapping_add(seed);
         self.scene.seed = fold_seed(seed);
+        if let Some(config) = &mut self.geometric {
+            config.seed = fold_seed(seed);
+        }
+        if let Leader::Geometric(config) = &mut self.leader {
+            config.seed = fold_seed(seed);
+        }
         self.seed = seed;
     }
 }
@@ -203,6 +239,8 @@ impl SetupFile {
         check.number("run.control_period_millis", self.run.control_period_millis, 2.0..=period_max_millis);
         check.number("run.estimate_latency_millis", self.run.estimate_latency_millis, 0.0..=500.0);
         let (method, compared, estimator, range) = self.estimator.build(self.run.seed, check);
+        let geometric = self.estimator.geometric.map(|section| section.build(&range, self.run.seed, check));
+        let leader = self.estimator.leader(method, geometric, check);
         let (rig, camera, sensor) = self.camera.build(check);
         let scene = self.scene.build(self.run.seed, check);
         let experiment = self.experiment.build(check);
@@ -232,7 +270,8 @@ impl SetupFile {
             camera,
             sensor,
             scene,
-            method: method?,
+            leader: leader?,
+            geometric,
             compared,
             estimator,
             range,
@@ -241,28 +280,66 @@ impl SetupFile {
             tc,
             least_room_m: self.arms.least_room_mm * 1e-3,
             flange_from_target: mounts.flange_from_target,
-            experiment,
+            experiment: experiment?,
         })
     }
 }
 
 impl EstimatorSection {
     fn build(&self, seed: u64, check: &mut Checker) -> (Option<Method>, Vec<Method>, EstimatorConfig, SearchRange) {
-        let mut named = |key: &str, name: &str| match Method::from_name(name) {
-            Ok(method) => Some(method),
-            Err(error) => {
-                check.refuse(format!("{key} = {name:?}: {error}"));
-                None
-            }
+        let range = self.range(check);
+        let method = match self.is_geometric() {
+            true => None,
+            false => named("estimator.method", (&self.method, geometric::ALSO_KNOWN), check),
         };
-        let method = named("estimator.method", &self.method);
-        let compared: Vec<Method> = self.compare.iter().filter_map(|name| named("estimator.compare", name)).collect();
+        let compared = self.compared(method, check);
+        let mut published = self.published.build("estimator.published", check);
+        published.rmga.seed = published.rmga.seed.wrapping_add(seed);
+        let direct = self.direct.build("estimator.direct", published.region, check);
+        (method, compared, EstimatorConfig { published, direct, ..EstimatorConfig::default() }, range)
+    }
+
+    fn is_geometric(&self) -> bool {
+        self.method == geometric::NAME
+    }
+
+    /// What leads the hand; `None` if it is refused.
+    fn leader(
+        &self,
+        method: Option<Method>,
+        geometric: Option<GeometricConfig>,
+        check: &mut Checker,
+    ) -> Option<Leader> {
+        if !self.is_geometric() {
+            return method.map(Leader::Pictures);
+        }
+        if geometric.is_none() {
+            let method = &self.method;
+            check.refuse(format!("estimator.geometric: the table is missing; estimator.method = {method:?} needs it"));
+        }
+        geometric.map(Leader::Geometric)
+    }
+
+    /// The methods that look on.
+    fn compared(&self, method: Option<Method>, check: &mut Checker) -> Vec<Method> {
+        let compared: Vec<Method> =
+            self.compare.iter().filter_map(|name| named("estimator.compare", (name, ""), check)).collect();
+        let names = self.compare.join(", ");
         if compared.iter().enumerate().any(|(i, other)| Some(*other) == method || compared[..i].contains(other)) {
-            let names = self.compare.join(", ");
             check.refuse(format!(
                 "estimator.compare = [{names}]: name every other method once, and not `method` itself"
             ));
         }
+        if self.is_geometric() && !compared.is_empty() {
+            check.refuse(format!(
+                "estimator.compare = [{names}]: with method = {:?} no picture is rendered, and nobody can look on",
+                self.method
+            ));
+        }
+        compared
+    }
+
+    fn range(&self, check: &mut Checker) -> SearchRange {
         check.number("estimator.z_min_mm", self.z_min_mm, 10.0..=100_000.0);
         check.number("estimator.z_max_mm", self.z_max_mm, within(self.z_min_mm, 10.0, 99_999.0) + 1.0..=100_000.0);
         check.number("estimator.tilt_max_deg", self.tilt_max_deg, 1.0..=85.0);
@@ -274,11 +351,13 @@ impl EstimatorSection {
         if let (true, Err(error)) = (check.is_clean(), range.validate()) {
             check.refuse(format!("estimator: {error}"));
         }
-        let mut published = self.published.build("estimator.published", check);
-        published.rmga.seed = published.rmga.seed.wrapping_add(seed);
-        let direct = self.direct.build("estimator.direct", published.region, check);
-        (method, compared, EstimatorConfig { published, direct, ..EstimatorConfig::default() }, range)
+        range
     }
+}
+
+/// The method of a name; `None` if it is refused, with the other ones that are known.
+fn named(key: &str, (name, also): (&str, &str), check: &mut Checker) -> Option<Method> {
+    Method::from_name(name).inspect_err(|error| check.refuse(format!("{key} = {name:?}: {error}{also}"))).ok()
 }
 
 /// A duration of a checked number of milliseconds; what is not a number gives zero.

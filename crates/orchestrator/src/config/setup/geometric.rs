@@ -1,0 +1,65 @@
+//! The table `[estimator.geometric]`: what a tracker without pictures gets wrong and can not see.
+
+use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_sim::geometric::{GeometricConfig, PoseSigma};
+use serde::Deserialize;
+
+use super::super::load::Checker;
+use super::fold_seed;
+
+/// The name by which a setup asks for it.
+pub(super) const NAME: &str = "geometric";
+/// Behind the list of the methods that look at pictures.
+pub(super) const ALSO_KNOWN: &str = ", and geometric, which renders no picture";
+
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct GeometricSection {
+    noise: SigmaSection,
+    lock: SigmaSection,
+    in_view_share_min: f64,
+    turned_max_deg: f64,
+}
+
+/// Standard deviations of a pose, along and about the axes of the model.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SigmaSection {
+    lateral_mm: f64,
+    depth_mm: f64,
+    tilt_deg: f64,
+    about_normal_deg: f64,
+}
+
+impl GeometricSection {
+    /// Where it sees is the range of the search.
+    pub(super) fn build(&self, range: &SearchRange, seed: u64, check: &mut Checker) -> GeometricConfig {
+        let key = |name: &str| format!("estimator.{NAME}.{name}");
+        check.number(&key("in_view_share_min"), self.in_view_share_min, 0.0..=1.0);
+        check.number(&key("turned_max_deg"), self.turned_max_deg, 6.0..=85.0);
+        GeometricConfig {
+            noise: self.noise.build(&key("noise"), check),
+            lock: self.lock.build(&key("lock"), check),
+            in_view_share_min: self.in_view_share_min,
+            turned_max_rad: self.turned_max_deg.to_radians(),
+            z_min_m: range.z_min_m,
+            z_max_m: range.z_max_m,
+            seed: fold_seed(seed),
+        }
+    }
+}
+
+impl SigmaSection {
+    fn build(&self, key: &str, check: &mut Checker) -> PoseSigma {
+        check.number(&format!("{key}.lateral_mm"), self.lateral_mm, 0.0..=100.0);
+        check.number(&format!("{key}.depth_mm"), self.depth_mm, 0.0..=100.0);
+        check.number(&format!("{key}.tilt_deg"), self.tilt_deg, 0.0..=28.0);
+        check.number(&format!("{key}.about_normal_deg"), self.about_normal_deg, 0.0..=28.0);
+        PoseSigma {
+            lateral_m: self.lateral_mm * 1e-3,
+            depth_m: self.depth_mm * 1e-3,
+            tilt_rad: self.tilt_deg.to_radians(),
+            about_normal_rad: self.about_normal_deg.to_radians(),
+        }
+    }
+}
