@@ -29,5 +29,5 @@ pub use resolved_rate::Limitation;
 pub use target_filter::{ObservationVerdict, TargetObservation};
 pub use target_state::{
     Acceleration, MeasurementConfig, MeasurementVerdict, MotionConfig, NotPredictable, PoseMeasurement, Prediction,
-    RestConfig, TargetState, TargetStateConfig,
+    RestConfig, SurpriseConfig, TargetState, TargetStateConfig,
 };

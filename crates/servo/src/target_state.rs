@@ -22,7 +22,7 @@ mod measurement;
 mod motion;
 
 use bank::{Bank, Correction, Mixture};
-pub use config::{MeasurementConfig, MotionConfig, RestConfig, TargetStateConfig};
+pub use config::{MeasurementConfig, MotionConfig, RestConfig, SurpriseConfig, TargetStateConfig};
 use measurement::BaseMeasurement;
 pub use measurement::PoseMeasurement;
 
@@ -221,7 +221,7 @@ impl TargetState {
     fn next(&self, before: &Entry, measured: BaseMeasurement) -> Entry {
         let dt_s = measured.at.seconds_since(before.measured.at);
         let predicted = before.bank.predicted(&self.config, dt_s);
-        let (bank, correction) = predicted.corrected(&measured, self.config.gate_nis);
+        let (bank, correction) = predicted.corrected(&self.config, &measured);
         let verdict = match correction {
             Correction::Accepted { nis } => MeasurementVerdict::Accepted { nis },
             Correction::Outlier { nis } => MeasurementVerdict::Outlier { nis },

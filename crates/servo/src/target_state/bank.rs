@@ -12,8 +12,10 @@ use super::motion::{AxisStep, Mode, switching, usual};
 
 /// Two modes of two parts.
 const HYPOTHESES_MAX: usize = 4;
+/// Of a measured pose.
+const DEGREES_OF_FREEDOM: f64 = 6.0;
 /// A hypothesis less probable than this does not show in a prediction.
-const NEGLIGIBLE: f64 = 1e-4;
+const NEGLIGIBLE: f64 = 1e-3;
 
 /// One pair of modes, how probable it is, and what it says.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,6 +31,9 @@ struct Hypothesis {
 pub(super) struct Bank {
     hypotheses: [Hypothesis; HYPOTHESES_MAX],
     count: usize,
+    /// Squared Mahalanobis distances of the last measurements per degree of freedom, smoothed: about 1 as long as the target
+    /// moves as the models say.
+    surprise: f64,
 }
 
 /// What became of a measurement.
@@ -72,7 +77,7 @@ impl Bank {
         }
         let gaussian = Gaussian { state, covariance };
         let unused = Hypothesis { linear: Mode::Motion, angular: Mode::Motion, probability: 0.0, gaussian };
-        let mut bank = Self { hypotheses: [unused; HYPOTHESES_MAX], count: 0 };
+        let mut bank = Self { hypotheses: [unused; HYPOTHESES_MAX], count: 0, surprise: 1.0 };
         for &linear in modes(&config.linear) {
             for &angular in modes(&config.angular) {
                 let probability = share(&config.linear, linear) * share(&config.angular, angular);
@@ -86,8 +91,9 @@ impl Bank {
     /// The hypotheses after a time without a measurement: modes may have changed, then each goes on as its mode does.
     pub(super) fn predicted(&self, config: &TargetStateConfig, dt_s: f64) -> Self {
         let old = self.hypotheses();
+        let steps = Steps::new(config, self.surprise, dt_s);
         let mut next = *self;
-        for to in next.hypotheses_mut() {
+        for to in &mut next.hypotheses[..self.count] {
             let mut weights = [0.0; HYPOTHESES_MAX];
             for (weight, from) in weights.iter_mut().zip(old) {
                 *weight = from.probability
@@ -96,14 +102,13 @@ impl Bank {
             }
             to.probability = weights.iter().sum();
             let mixed = mixed(old, &weights, to.probability);
-            let (linear, angular) = steps(config, to, dt_s);
-            to.gaussian = mixed.predicted(&linear, &angular);
+            to.gaussian = mixed.predicted(steps.linear(to), steps.angular(to));
         }
         next
     }
 
     /// Takes a measurement of this very time in, unless it lies outside the gate of every hypothesis.
-    pub(super) fn corrected(&self, measured: &BaseMeasurement, gate_nis: f64) -> (Self, Correction) {
+    pub(super) fn corrected(&self, config: &TargetStateConfig, measured: &BaseMeasurement) -> (Self, Correction) {
         let mut innovations: [Option<Innovation>; HYPOTHESES_MAX] = [const { None }; HYPOTHESES_MAX];
         let (mut nis, mut best) = (f64::INFINITY, f64::NEG_INFINITY);
         for (slot, hypothesis) in innovations.iter_mut().zip(self.hypotheses()) {
@@ -112,10 +117,12 @@ impl Bank {
             best = best.max(innovation.log_likelihood);
             *slot = Some(innovation);
         }
-        if nis > gate_nis {
-            return (*self, Correction::Outlier { nis });
-        }
         let mut next = *self;
+        let share = config.surprise.newest_share;
+        next.surprise += (nis.min(config.gate_nis) / DEGREES_OF_FREEDOM - self.surprise) * share;
+        if nis > config.gate_nis {
+            return (next, Correction::Outlier { nis });
+        }
         let mut sum = 0.0;
         for (hypothesis, innovation) in next.hypotheses_mut().iter_mut().zip(innovations.iter().flatten()) {
             hypothesis.gaussian = hypothesis.gaussian.updated(innovation);
@@ -130,14 +137,15 @@ impl Bank {
 
     /// The hypotheses taken together after a time in which no mode changes.
     pub(super) fn mixture(&self, config: &TargetStateConfig, dt_s: f64) -> Mixture {
+        let steps = Steps::new(config, self.surprise, dt_s);
         let mut parts = [None; HYPOTHESES_MAX];
         let (mut kept, mut linear_motion, mut angular_motion) = (0.0, 0.0, 0.0);
         for (part, hypothesis) in parts.iter_mut().zip(self.hypotheses()) {
             linear_motion += if hypothesis.linear == Mode::Motion { hypothesis.probability } else { 0.0 };
             angular_motion += if hypothesis.angular == Mode::Motion { hypothesis.probability } else { 0.0 };
             if hypothesis.probability >= NEGLIGIBLE {
-                let (linear, angular) = steps(config, hypothesis, dt_s);
-                *part = Some((hypothesis.probability, hypothesis.gaussian.predicted_pose(&linear, &angular)));
+                let (linear, angular) = (steps.linear(hypothesis), steps.angular(hypothesis));
+                *part = Some((hypothesis.probability, hypothesis.gaussian.predicted_pose(linear, angular)));
                 kept += hypothesis.probability;
             }
         }
@@ -167,6 +175,37 @@ impl Bank {
     }
 }
 
+/// A step of time in each mode, `[motion, rest]`.
+struct Steps {
+    linear: [AxisStep; 2],
+    angular: [AxisStep; 2],
+}
+
+impl Steps {
+    /// Surprise adds noise to motion, and to the velocity and acceleration with which motion begins.
+    fn new(config: &TargetStateConfig, surprise: f64, dt_s: f64) -> Self {
+        let factor = config.surprise.noise_factor(surprise);
+        let both = |part: &MotionConfig| {
+            let mut motion = AxisStep::new(part, Mode::Motion, dt_s);
+            let mut rest = AxisStep::new(part, Mode::Rest, dt_s);
+            let drift = rest.noise[(0, 0)];
+            motion.noise *= factor;
+            rest.noise *= factor;
+            rest.noise[(0, 0)] = drift;
+            [motion, rest]
+        };
+        Self { linear: both(&config.linear), angular: both(&config.angular) }
+    }
+
+    fn linear(&self, hypothesis: &Hypothesis) -> &AxisStep {
+        &self.linear[usize::from(hypothesis.linear == Mode::Rest)]
+    }
+
+    fn angular(&self, hypothesis: &Hypothesis) -> &AxisStep {
+        &self.angular[usize::from(hypothesis.angular == Mode::Rest)]
+    }
+}
+
 /// The modes that a part has.
 fn modes(part: &MotionConfig) -> &'static [Mode] {
     if part.rest.is_some() { &[Mode::Motion, Mode::Rest] } else { &[Mode::Motion] }
@@ -178,11 +217,6 @@ fn share(part: &MotionConfig, mode: Mode) -> f64 {
 
 fn change(part: &MotionConfig, from: Mode, to: Mode, dt_s: f64) -> f64 {
     part.rest.map_or(1.0, |rest| switching(&rest, from, to, dt_s))
-}
-
-fn steps(config: &TargetStateConfig, hypothesis: &Hypothesis, dt_s: f64) -> (AxisStep, AxisStep) {
-    let linear = AxisStep::new(&config.linear, hypothesis.linear, dt_s);
-    (linear, AxisStep::new(&config.angular, hypothesis.angular, dt_s))
 }
 
 /// The Gaussian with mean and covariance of a weighted sum of Gaussians; `sum` is the sum of the weights.

@@ -11,6 +11,8 @@ pub struct TargetStateConfig {
     pub angular: MotionConfig,
     /// How far the covariance of a measurement is believed.
     pub measurement: MeasurementConfig,
+    /// What happens when the target moves as no model says.
+    pub surprise: SurpriseConfig,
     /// A measurement whose squared Mahalanobis distance (6 degrees of freedom) from the prediction is larger is an outlier,
     /// 6 to 10000. Of Gaussian measurements a gate of 16.8 refuses 1 %, 22.5 0.1 %, 27.9 0.01 %, 38.3 one in a million.
     pub gate_nis: f64,
@@ -52,6 +54,23 @@ pub struct RestConfig {
     pub mean_motion_s: f64,
 }
 
+/// What happens when the target moves as no model says: faster than the configured acceleration, or by a jerk.
+///
+/// The surprise is the squared Mahalanobis distance of the measurements per degree of freedom, smoothed; outliers count with
+/// the gate. Beyond a threshold the noise of motion, and the velocity with which motion begins, grow with a power of it. So a
+/// quick target is not lost at the gate, and one that keeps away from the prediction is taken up again after some frames.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurpriseConfig {
+    /// Share of the newest measurement in the smoothed surprise, 0.01 to 1.
+    pub newest_share: f64,
+    /// Surprise up to which nothing happens, 1 to 100; 1 is what a target gives that moves as the models say.
+    pub from: f64,
+    /// Power of surprise over threshold by which variances grow, 0 to 8; 0 turns it off.
+    pub exponent: f64,
+    /// Largest factor of the variances, 1 to 1e6.
+    pub factor_max: f64,
+}
+
 /// How far the covariance of a measurement is believed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasurementConfig {
@@ -71,24 +90,24 @@ impl Default for TargetStateConfig {
         Self {
             linear: MotionConfig {
                 acceleration_sigma_per_s2: 0.15,
-                correlation_time_s: 0.7,
+                correlation_time_s: 1.0,
                 across_share: 0.05,
                 start_velocity_sigma_per_s: 0.1,
                 rest: Some(RestConfig {
                     drift_sigma_per_sqrt_s: 5e-5,
-                    onset_velocity_sigma_per_s: 2e-3,
+                    onset_velocity_sigma_per_s: 0.012,
                     mean_rest_s: 10.0,
                     mean_motion_s: 6.0,
                 }),
             },
             angular: MotionConfig {
                 acceleration_sigma_per_s2: 0.3,
-                correlation_time_s: 0.7,
+                correlation_time_s: 1.0,
                 across_share: 0.05,
                 start_velocity_sigma_per_s: 0.3,
                 rest: Some(RestConfig {
                     drift_sigma_per_sqrt_s: 1e-4,
-                    onset_velocity_sigma_per_s: 5e-3,
+                    onset_velocity_sigma_per_s: 0.03,
                     mean_rest_s: 10.0,
                     mean_motion_s: 6.0,
                 }),
@@ -98,7 +117,8 @@ impl Default for TargetStateConfig {
                 position_sigma_min_m: 3e-5,
                 orientation_sigma_min_rad: 3e-4,
             },
-            gate_nis: 40.0,
+            surprise: SurpriseConfig { newest_share: 0.3, from: 1.5, exponent: 4.0, factor_max: 100.0 },
+            gate_nis: 80.0,
             history_measurements: 32,
             horizon_s: 0.5,
             gap_max_s: 2.0,
@@ -115,6 +135,7 @@ impl TargetStateConfig {
         self.linear.validate(&LINEAR_KEYS)?;
         self.angular.validate(&ANGULAR_KEYS)?;
         self.measurement.validate()?;
+        self.surprise.validate()?;
         check("target_state.gate_nis", self.gate_nis, 6.0, 1e4, "6 to 10000")?;
         let history = self.history_measurements as f64;
         check("target_state.history_measurements", history, 2.0, 1000.0, "2 to 1000")?;
@@ -168,5 +189,19 @@ impl MeasurementConfig {
         check("target_state.measurement.covariance_factor", self.covariance_factor, 0.01, 1000.0, "0.01 to 1000")?;
         check("target_state.measurement.position_sigma_min_m", position_m, 1e-6, 0.1, "1e-6 to 0.1 m")?;
         check("target_state.measurement.orientation_sigma_min_rad", orientation_rad, 1e-6, 0.5, "1e-6 to 0.5 rad")
+    }
+}
+
+impl SurpriseConfig {
+    fn validate(&self) -> Result<(), ConfigError> {
+        check("target_state.surprise.newest_share", self.newest_share, 0.01, 1.0, "0.01 to 1")?;
+        check("target_state.surprise.from", self.from, 1.0, 100.0, "1 to 100")?;
+        check("target_state.surprise.exponent", self.exponent, 0.0, 8.0, "0 to 8")?;
+        check("target_state.surprise.factor_max", self.factor_max, 1.0, 1e6, "1 to 1e6")
+    }
+
+    /// By how much variances grow.
+    pub(super) fn noise_factor(&self, surprise: f64) -> f64 {
+        (surprise / self.from).max(1.0).powf(self.exponent).min(self.factor_max)
     }
 }

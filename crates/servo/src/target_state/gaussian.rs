@@ -14,7 +14,6 @@ use super::motion::AxisStep;
 pub(super) const ERRORS: usize = 18;
 pub(super) type ErrorVector = SVector<f64, ERRORS>;
 pub(super) type ErrorMatrix = SMatrix<f64, ERRORS, ERRORS>;
-type PoseRows = SMatrix<f64, 6, ERRORS>;
 
 /// First index of each part of the error state.
 const ROTATION: usize = 3;
@@ -95,17 +94,10 @@ impl Gaussian {
     /// The prediction after a step.
     pub(super) fn predicted(&self, linear: &AxisStep, angular: &AxisStep) -> Self {
         let (state, turn) = self.state.after(linear, angular);
-        let mut transition = ErrorMatrix::zeros();
-        transition.fixed_rows_mut::<6>(0).copy_from(&pose_rows(linear, angular, &turn));
-        for (row, column) in [(1, 1), (1, 2), (2, 2)] {
-            let (l, a) = (linear.transition[(row, column)], angular.transition[(row, column)]);
-            set_diagonal(&mut transition, 6 * row, 6 * column, l);
-            set_diagonal(&mut transition, 6 * row + ROTATION, 6 * column + ROTATION, a);
-        }
         let spreads = [self.spread(0, linear), self.spread(ROTATION, angular)];
-        let noise = noise([linear, angular], &spreads, &turn);
-        let covariance = transition * self.covariance * transition.transpose() + noise;
-        Self { state, covariance: symmetric(&covariance) }
+        let half = times_transition(&self.covariance, linear, angular, &turn);
+        let covariance = times_transition(&half.transpose(), linear, angular, &turn);
+        Self { state, covariance: symmetric(&(covariance + noise([linear, angular], &spreads, &turn))) }
     }
 
     /// How the noise of a part is spread over the directions: evenly as long as the direction of motion is not known, then
@@ -122,8 +114,8 @@ impl Gaussian {
     /// Pose and covariance of its error (axes of `base`) after a step, the rest of the state without its covariance.
     pub(super) fn predicted_pose(&self, linear: &AxisStep, angular: &AxisStep) -> (State, Matrix6<f64>) {
         let (state, turn) = self.state.after(linear, angular);
-        let rows = pose_rows(linear, angular, &turn);
-        let mut covariance = rows * self.covariance * rows.transpose();
+        let half = times_pose_transition(&self.covariance, linear, angular, &turn);
+        let mut covariance = times_pose_transition(&half.transpose(), linear, angular, &turn);
         let jacobian = so3::left_jacobian(&turn);
         let shifting = self.spread(0, linear) * linear.noise[(0, 0)];
         let turning = jacobian * self.spread(ROTATION, angular) * jacobian.transpose() * angular.noise[(0, 0)];
@@ -183,21 +175,38 @@ fn rotation_part(difference: &Vector6<f64>) -> Vector3<f64> {
     difference.fixed_rows::<3>(ROTATION).into_owned()
 }
 
-/// The rows of the transition of errors that lead to the pose.
-fn pose_rows(linear: &AxisStep, angular: &AxisStep, turn: &Vector3<f64>) -> PoseRows {
-    let jacobian = so3::left_jacobian(turn);
-    let mut rows = PoseRows::zeros();
-    for column in 0..3 {
-        for i in 0..3 {
-            rows[(i, 6 * column + i)] = linear.transition[(0, column)];
-        }
-        let block = match column {
-            0 => so3::exp(turn).to_rotation_matrix().into_inner(),
-            _ => jacobian * angular.transition[(0, column)],
-        };
-        rows.fixed_view_mut::<3, 3>(ROTATION, 6 * column + ROTATION).copy_from(&block);
+/// A matrix times the transposed transition of errors, column by column, as most of the transition is zero.
+fn times_transition(matrix: &ErrorMatrix, linear: &AxisStep, angular: &AxisStep, turn: &Vector3<f64>) -> ErrorMatrix {
+    let mut product = ErrorMatrix::zeros();
+    product.fixed_columns_mut::<6>(0).copy_from(&times_pose_transition(matrix, linear, angular, turn));
+    for (part, transition) in [(0, &linear.transition), (ROTATION, &angular.transition)] {
+        let columns = |block: usize| matrix.fixed_columns::<3>(6 * block + part);
+        let rate = columns(1) * transition[(1, 1)] + columns(2) * transition[(1, 2)];
+        product.fixed_columns_mut::<3>(RATE + part).copy_from(&rate);
+        product.fixed_columns_mut::<3>(ACCELERATION + part).copy_from(&(columns(2) * transition[(2, 2)]));
     }
-    rows
+    product
+}
+
+/// The columns of that product that belong to the pose.
+fn times_pose_transition<const ROWS: usize>(
+    matrix: &SMatrix<f64, ROWS, ERRORS>,
+    linear: &AxisStep,
+    angular: &AxisStep,
+    turn: &Vector3<f64>,
+) -> SMatrix<f64, ROWS, 6> {
+    let columns = |first: usize| matrix.fixed_columns::<3>(first);
+    let moved = |part: usize, transition: &Matrix3<f64>| {
+        columns(RATE + part) * transition[(0, 1)] + columns(ACCELERATION + part) * transition[(0, 2)]
+    };
+    let turned = so3::exp(turn).to_rotation_matrix().into_inner().transpose();
+    let position = columns(0) + moved(0, &linear.transition);
+    let rotation =
+        columns(ROTATION) * turned + moved(ROTATION, &angular.transition) * so3::left_jacobian(turn).transpose();
+    let mut product = SMatrix::<f64, ROWS, 6>::zeros();
+    product.fixed_columns_mut::<3>(0).copy_from(&position);
+    product.fixed_columns_mut::<3>(ROTATION).copy_from(&rotation);
+    product
 }
 
 /// Noise of a step of both parts, linear and angular, spread over the directions.
@@ -215,12 +224,6 @@ fn noise(steps: [&AxisStep; 2], spreads: &[Matrix3<f64>; 2], turn: &Vector3<f64>
         }
     }
     noise
-}
-
-fn set_diagonal(matrix: &mut ErrorMatrix, row: usize, column: usize, value: f64) {
-    for i in 0..3 {
-        matrix[(row + i, column + i)] = value;
-    }
 }
 
 /// The covariance of position and rotation vector with the rotation vector mapped by `map`.

@@ -123,11 +123,19 @@ pub struct Rms {
     orientation: f64,
     count: f64,
     pub position_max_m: f64,
+    /// Sums of the error along the velocity, and of the squared velocity.
+    along: f64,
+    speed: f64,
 }
 
 impl Rms {
-    pub fn add(&mut self, found: &Pose<Base, Model>, truth: &Pose<Base, Model>) {
-        let (found, truth) = (*found * model_from_hand(), *truth * model_from_hand());
+    /// Adds a prediction; the target moves from `truth` to `next` within 10 ms.
+    pub fn add(&mut self, found: &Pose<Base, Model>, truth: &Pose<Base, Model>, next: &Pose<Base, Model>) {
+        let hand = |pose: &Pose<Base, Model>| *pose * model_from_hand();
+        let (found, truth, next) = (hand(found), hand(truth), hand(next));
+        let velocity = (next.translation_m() - truth.translation_m()) / 0.01;
+        self.along += (truth.translation_m() - found.translation_m()).dot(&velocity);
+        self.speed += velocity.norm_squared();
         let apart = (found.translation_m() - truth.translation_m()).norm();
         self.position += apart.powi(2);
         self.position_max_m = self.position_max_m.max(apart);
@@ -137,6 +145,11 @@ impl Rms {
 
     pub fn position_mm(&self) -> f64 {
         1e3 * (self.position / self.count).sqrt()
+    }
+
+    /// Time by which the found positions trail, as it explains the errors best, seconds.
+    pub fn lag_s(&self) -> f64 {
+        self.along / self.speed
     }
 
     pub fn orientation_deg(&self) -> f64 {
@@ -170,11 +183,11 @@ pub fn follow(
         }
         let Ok(prediction) = filter.at(at_s(now_s)) else { continue };
         let (moves, rests) = phase(now_s);
-        let truth = pose_of(motion(now_s));
+        let (truth, next) = (pose_of(motion(now_s)), pose_of(motion(now_s + 0.01)));
         if moves {
-            moving.add(&prediction.base_from_model, &truth);
+            moving.add(&prediction.base_from_model, &truth, &next);
         } else if rests {
-            still.add(&prediction.base_from_model, &truth);
+            still.add(&prediction.base_from_model, &truth, &next);
         }
     }
     (moving, still)

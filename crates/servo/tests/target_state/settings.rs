@@ -13,7 +13,7 @@ fn refused(change: Change, value: f64) -> Option<String> {
 
 #[test]
 fn each_number_has_its_range() {
-    let cases: [(&str, Change, &[f64]); 23] = [
+    let cases: [(&str, Change, &[f64]); 27] = [
         ("linear.acceleration_sigma_per_s2", |c, v| c.linear.acceleration_sigma_per_s2 = v, &[0.0, 101.0]),
         ("linear.correlation_time_s", |c, v| c.linear.correlation_time_s = v, &[0.0, 101.0]),
         ("linear.across_share", |c, v| c.linear.across_share = v, &[0.0, 1.1]),
@@ -49,6 +49,10 @@ fn each_number_has_its_range() {
         ("measurement.covariance_factor", |c, v| c.measurement.covariance_factor = v, &[0.0, 1001.0]),
         ("measurement.position_sigma_min_m", |c, v| c.measurement.position_sigma_min_m = v, &[0.0, 0.2]),
         ("measurement.orientation_sigma_min_rad", |c, v| c.measurement.orientation_sigma_min_rad = v, &[0.0, 0.6]),
+        ("surprise.newest_share", |c, v| c.surprise.newest_share = v, &[0.0, 1.1]),
+        ("surprise.from", |c, v| c.surprise.from = v, &[0.9, 101.0]),
+        ("surprise.exponent", |c, v| c.surprise.exponent = v, &[-0.1, 8.1]),
+        ("surprise.factor_max", |c, v| c.surprise.factor_max = v, &[0.9, 1_000_001.0]),
         ("gate_nis", |c, v| c.gate_nis = v, &[5.0, 10_001.0]),
         ("history_measurements", |c, v| c.history_measurements = v as usize, &[1.0, 1001.0]),
         ("horizon_s", |c, v| c.horizon_s = v, &[0.0, 6.0]),
