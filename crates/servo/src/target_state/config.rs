@@ -114,8 +114,8 @@ impl Default for TargetStateConfig {
             },
             measurement: MeasurementConfig {
                 covariance_factor: 2.5,
-                position_sigma_min_m: 3e-5,
-                orientation_sigma_min_rad: 3e-4,
+                position_sigma_min_m: 1e-4,
+                orientation_sigma_min_rad: 1e-3,
             },
             surprise: SurpriseConfig { newest_share: 0.3, from: 1.5, exponent: 4.0, factor_max: 100.0 },
             gate_nis: 80.0,

@@ -134,9 +134,11 @@ impl Gaussian {
         let noise = turned_by(&measured.covariance, &so3::left_jacobian_inverse(&rotation_part(&residual)));
         let factor = (self.covariance.fixed_view::<6, 6>(0, 0) + noise).cholesky()?;
         let nis = residual.dot(&factor.solve(&residual));
+        // Too far for a number is far, not a fault of the covariance.
+        let nis = if nis.is_nan() { f64::INFINITY } else { nis };
         let log_determinant: f64 = 2.0 * factor.l_dirty().diagonal().iter().map(|x| x.ln()).sum::<f64>();
         let log_likelihood = -0.5 * (nis + log_determinant);
-        log_likelihood.is_finite().then_some(Innovation { residual, noise, factor, nis, log_likelihood })
+        log_determinant.is_finite().then_some(Innovation { residual, noise, factor, nis, log_likelihood })
     }
 
     /// The state with the measurement taken in; the covariance by Joseph's form.

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::{Matrix6, Vector3, Vector6};
 use pb3dp_servo::{MeasurementVerdict, SurpriseConfig, TargetState, TargetStateConfig};
 
 use crate::bench::{FIG7_S, Noise, at_s, coarse, fig7, fig7_phase, fine, follow, measured, model_from_hand, pose_of};
@@ -86,9 +86,9 @@ fn a_motion_beyond_the_configured_acceleration_is_not_lost() {
         moving.position_mm()
     };
     let default = TargetStateConfig::default();
-    assert!(follow(&default) < 10.0, "{}", follow(&default));
+    assert!(follow(&default) < 25.0, "{}", follow(&default));
     let rigid = TargetStateConfig { surprise: SurpriseConfig { exponent: 0.0, ..default.surprise }, ..default };
-    assert!(follow(&rigid) > 30.0, "the gate shuts it out: {}", follow(&rigid));
+    assert!(follow(&rigid) > 75.0, "the gate shuts it out: {}", follow(&rigid));
 }
 
 /// Outliers after a jump of the target at rest, and frames until its hand is found to 1.5 mm.
@@ -154,4 +154,32 @@ fn correlation_between_position_and_tilt_is_used() {
     let without = error(|covariance| Matrix6::from_diagonal(&covariance.diagonal()));
     println!("with {with} mm, without {without} mm");
     assert!(with < 0.85 * without, "{with} {without}");
+}
+
+#[test]
+fn slow_errors_of_the_tilt_do_not_shake_the_hand_at_rest() {
+    // Besides white noise a tilt error of 0.02 degrees that fades within 1 s.
+    let config = TargetStateConfig::default();
+    let mut filter = TargetState::new(config).unwrap();
+    let mut noise = Noise::new(13);
+    let (truth, keeps) = (pose_of(fig7(0.0)), (-1.0f64 / 30.0).exp());
+    let (mut bias, mut sum, mut count) = (Vector3::zeros(), 0.0, 0.0);
+    for frame in 0..3000 {
+        bias = bias * keeps + noise.vector() * (0.02f64.to_radians() * (1.0 - keeps * keeps).sqrt());
+        let at = at_s(f64::from(frame) / 30.0);
+        let mut seen = measured(&mut noise, at, &truth, &fine());
+        let tilt = Vector6::new(0.0, 0.0, 0.0, bias.x, bias.y, 0.0);
+        seen.base_from_model = seen.base_from_model.perturbed_in_from(&tilt);
+        seen.covariance /= config.measurement.covariance_factor;
+        filter.observe(&seen);
+        let prediction = filter.at(at + std::time::Duration::from_millis(80)).unwrap();
+        let found = prediction.base_from_model * model_from_hand();
+        if frame > 60 {
+            sum += (found.translation_m() - (truth * model_from_hand()).translation_m()).norm_squared();
+            count += 1.0f64;
+        }
+    }
+    let rms_mm = 1e3 * (sum / count).sqrt();
+    println!("{rms_mm} mm");
+    assert!(rms_mm < 0.25, "{rms_mm} mm; the slow error alone is 0.25 mm");
 }

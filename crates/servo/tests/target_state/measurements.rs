@@ -69,6 +69,45 @@ proptest! {
     }
 }
 
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
+    #[test]
+    fn whatever_is_measured_the_state_stays_a_state(
+        frames in prop::collection::vec(
+            (0u64..400_000_000, prop::array::uniform6(-1.0..1.0f64), -9.0..3.0f64, prop::array::uniform6(-9.0..9.0f64)),
+            1..60,
+        )
+    ) {
+        let mut filter = TargetState::new(config()).unwrap();
+        let mut nanos = 0;
+        for (step, motion, size, scales) in frames {
+            // Mostly forwards, a third of the steps back; poses from micrometres to far away, variances from 1e-18 to 1e18.
+            nanos = if step % 3 == 0 { nanos / 8 * 7 } else { nanos + step };
+            let base_from_model = askew().perturbed_in_from(&(Vector6::from(motion) * 10f64.powf(size)));
+            let root = Matrix6::from_fn(|i, j| ((3 * i + 5 * j) as f64).cos() * 10f64.powf(scales[i]));
+            let covariance = root * root.transpose();
+            filter.observe(&PoseMeasurement { at: MonotonicTime::from_nanos(nanos), base_from_model, covariance });
+            let newest = filter.newest_at().unwrap();
+            let prediction = filter.at(newest + std::time::Duration::from_millis(step % 500)).unwrap();
+            prop_assert!(prediction.base_from_model.is_finite(), "{prediction:?}");
+            prop_assert!(prediction.twist.to_vector().iter().all(|x| x.is_finite()), "{prediction:?}");
+            prop_assert!(prediction.covariance.cholesky().is_some(), "{prediction:?}");
+            let probabilities = [prediction.linear_motion, prediction.angular_motion];
+            prop_assert!(probabilities.iter().all(|p| (0.0..=1.0 + 1e-12).contains(p)), "{prediction:?}");
+        }
+    }
+}
+
+#[test]
+fn a_pose_out_of_this_world_is_an_outlier() {
+    let all = sequence(15);
+    let mut filter = fed(&all);
+    let base_from_model = Pose::from_translation(Vector3::new(1e300, -1e300, 1e200));
+    let far = PoseMeasurement { at: at_s(0.5), base_from_model, covariance: coarse() };
+    assert!(matches!(filter.observe(&far), MeasurementVerdict::Outlier { .. }));
+    assert!(ahead(&filter).base_from_model.translation_m().norm() < 2.0);
+}
+
 #[test]
 fn what_is_older_than_the_history_or_there_already_is_not_used() {
     let all = sequence(40);
