@@ -277,4 +277,12 @@ impl Prediction {
             self.acceleration.linear_m_per_s2 + angular.cross(&lever) + velocity.cross(&velocity.cross(&lever));
         Acceleration::new(linear, angular)
     }
+
+    /// Covariance of the pose of a frame that is fixed to the model: of `xi = [rho; phi]` (metres, radians; axes of that
+    /// frame) in `true = predicted * exp(xi)`.
+    pub fn covariance_of<Fixed: Frame>(&self, model_from_fixed: &Pose<Model, Fixed>) -> Matrix6<f64> {
+        let adjoint = model_from_fixed.inverse().adjoint();
+        let covariance = adjoint * self.covariance * adjoint.transpose();
+        (covariance + covariance.transpose()) * 0.5
+    }
 }

@@ -269,6 +269,31 @@ fn twist_and_acceleration_are_derivatives_of_the_prediction() {
 }
 
 #[test]
+fn the_covariance_of_the_hand_is_that_of_sampled_poses() {
+    let model_from_hand =
+        Pose::<Model, Hand>::from_parts(Vector3::new(0.03, -0.05, -0.5), so3::exp(&Vector3::new(0.2, -0.1, 0.4)));
+    let prediction = ahead(&fed(&sequence(40)));
+    let expected = prediction.covariance_of(&model_from_hand);
+    let (mut noise, samples) = (Noise::new(17), 20_000);
+    let mut sum = Matrix6::zeros();
+    for _ in 0..samples {
+        let error = noise.with_covariance(&prediction.covariance);
+        let hand = prediction.base_from_model * model_from_hand;
+        let true_hand = prediction.base_from_model.perturbed_in_from(&error) * model_from_hand;
+        let error = (hand.inverse() * true_hand).log();
+        sum += error * error.transpose() / f64::from(samples);
+    }
+    for i in 0..6 {
+        for j in 0..6 {
+            let scale = (expected[(i, i)] * expected[(j, j)]).sqrt();
+            assert!((sum[(i, j)] - expected[(i, j)]).abs() < 0.05 * scale, "{i} {j}: {sum} {expected}");
+        }
+    }
+    // The lever of 500 mm: tilt makes most of what is not known across the motion, which goes along x.
+    assert!(expected[(1, 1)] > 2.0 * prediction.covariance[(1, 1)], "{expected} {}", prediction.covariance);
+}
+
+#[test]
 fn measurements_and_predictions_leave_the_heap_alone() {
     let all = sequence(60);
     let mut filter = TargetState::new(config()).unwrap();
