@@ -4,7 +4,9 @@
 use pb3dp_allocation_count::requests;
 use pb3dp_orchestrator::config::setup::read_setup;
 use pb3dp_orchestrator::run::moving::Moving;
+use pb3dp_orchestrator::run::percept::Percept;
 use pb3dp_orchestrator::wiring::{Parts, wire};
+use pb3dp_servo::supervisor::{Confidence, EstimateInput, FrameInput, Permission};
 use pb3dp_servo::{Mode, TargetObservation};
 use system_tests::repository;
 
@@ -27,12 +29,18 @@ fn control_steps_of_both_arms_do_not_allocate() {
         let cam_left_from_target = cell.world_from_cam_left_at(now).inverse() * cell.world_from_target_at(now);
         let observation =
             TargetObservation { at: now, cam_left_from_model: cam_left_from_target.relabel(), trusted: true };
-        moving.observe(observation);
+        moving.observe(Percept {
+            frame: FrameInput { sequence: step as u64, at: now, skew_s: 0.0 },
+            estimate: EstimateInput { at: now, confidence: Confidence::Sure, covariance: None, target: 1 },
+            observation: Some(observation),
+        });
         let before = requests();
         let moved = moving.step(now).unwrap();
         if step >= WARM_UP {
             calls += requests() - before;
-            followed += usize::from(moved.mode == Mode::Tracking);
+            followed += usize::from(
+                moved.mode == Mode::Tracking && moved.decision.permission == Permission::Move { share: 1.0 },
+            );
         }
     }
     assert_eq!(calls, 0);

@@ -167,6 +167,13 @@ impl Controller {
         self.lost = false;
     }
 
+    /// What the arm was told in place of the last command: after a rest the hand starts softly anew.
+    pub fn note_told(&mut self, told: Command) {
+        if told == Command::Hold {
+            self.moving_since = None;
+        }
+    }
+
     /// One control cycle: never blocks, does not allocate. `newest` may be the same observation many times.
     pub fn step(&mut self, joints: &JointState, newest: Option<&TargetObservation>, now: MonotonicTime) -> ControlStep {
         if let Err(reason) = self.take_joints(joints, now) {

@@ -61,7 +61,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let following = summary.share_following();
     if following < FOLLOWING_EXPECTED {
         tracing::warn!(
-            "the hand followed the target for {:.0} % of the time only; the statuses above and the events in the report say why",
+            "the hand followed the target for {:.0} % of the time only; the statuses above and what the supervisor says in the report tell why",
             100.0 * following
         );
     }

@@ -10,9 +10,10 @@ use pb3dp_estimation::estimator::{FramePrior, Tracker};
 use pb3dp_estimation::published::TrackEstimate;
 use pb3dp_estimation::region::Region;
 use pb3dp_estimation::status::Status;
+use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Target};
-use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{CameraError, FramePair, StereoCamera};
+use pb3dp_servo::supervisor::FrameInput;
 
 use super::compared::{Frame, Onlooker};
 use super::recording::Recording;
@@ -89,17 +90,21 @@ impl Eyes {
         }
     }
 
-    /// Waits for the next frame; the middle of its exposure.
+    /// Waits for the next frame; its number and times.
     ///
     /// # Errors
     /// If it does not come.
-    pub fn wait_for_frame(&mut self, timeout: Duration) -> Result<MonotonicTime, CameraError> {
+    pub fn wait_for_frame(&mut self, timeout: Duration) -> Result<FrameInput, CameraError> {
         match self {
             Self::Pictures(eyes) => {
                 eyes.camera.next_pair_into(&mut eyes.pair, timeout)?;
-                Ok(eyes.pair.exposed_at)
+                let FramePair { sequence, exposed_at, skew_nanos, .. } = &eyes.pair;
+                Ok(FrameInput { sequence: *sequence, at: *exposed_at, skew_s: *skew_nanos as f64 * 1e-9 })
             }
-            Self::Geometric(eyes) => Ok(eyes.frame.insert(eyes.camera.next_frame(timeout)?).exposed_at),
+            Self::Geometric(eyes) => {
+                let frame = eyes.frame.insert(eyes.camera.next_frame(timeout)?);
+                Ok(FrameInput { sequence: frame.sequence, at: frame.exposed_at, skew_s: 0.0 })
+            }
         }
     }
 

@@ -41,16 +41,12 @@ impl Journal {
     /// Writes a step down, and where everything truly was: not longer ago than the joints of the simulation remember.
     pub fn note(&mut self, moved: &Moved) {
         let t_s = moved.at.seconds_since(self.begin);
-        let mode = moved.mode.to_string();
-        let last_mode = self.log.control.last().map(|sample| sample.mode.clone());
-        let word = |text: &str| text.split(':').next().unwrap_or_default().to_owned();
-        if last_mode.as_deref().map(word) != Some(word(&mode)) {
-            self.log.events.push((t_s, mode.clone()));
-            tracing::debug!("{t_s:7.2} s  {mode}");
+        if let Some(note) = self.log.supervision.note(t_s, &moved.decision) {
+            tracing::info!("{t_s:7.2} s  {}", note.why);
         }
         if t_s >= self.next_progress_s {
             self.next_progress_s += PROGRESS_EVERY_S;
-            tracing::info!("{t_s:5.1} of {:.1} s  {mode}", self.duration_s);
+            tracing::info!("{t_s:5.1} of {:.1} s  {}", self.duration_s, moved.decision.why);
         }
         let jacobian = self.chain.jacobian(&moved.vs_joints.position_rad);
         self.log.control.push(ControlSample {
@@ -60,7 +56,7 @@ impl Journal {
             // Completed at the end of the run.
             world_from_hand_wanted: Pose::coincident(),
             world_from_hand_locked: Pose::coincident(),
-            mode,
+            mode: moved.mode.to_string(),
             smallest_singular_value: smallest_singular_value(&jacobian),
         });
     }

@@ -16,7 +16,6 @@ use pb3dp_arm_pa10::io::arm::JitterMeter;
 use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
-use pb3dp_servo::TargetObservation;
 
 use super::commands::CommandSummary;
 use super::cycles::CycleSummary;
@@ -24,12 +23,13 @@ use super::journal::{Journal, Outcome};
 use super::log::RunLog;
 use super::looking::Looking;
 use super::moving::{Moved, Moving};
+use super::percept::Percept;
 use super::strip::Strip;
 use crate::config::setup::Setup;
 use crate::wiring::Parts;
 
-/// Observations on their way to the controller: it takes them all in every step.
-const OBSERVATIONS_MAX: usize = 16;
+/// What was seen, on its way to the controller: it takes all of it in every step.
+const PERCEPTS_MAX: usize = 16;
 /// Steps that nobody has written down yet: two seconds at 500 Hz.
 const STEPS_MAX: usize = 1000;
 /// What a thread that moves arms asks for: a priority below those of the arms, which have 50.
@@ -58,7 +58,7 @@ pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Optio
     moving.begin_at(begin);
     let end = begin + Duration::from_secs_f64(stop_after_s.map_or(duration_s, |s| s.clamp(0.0, duration_s)));
     let mut journal = Journal::new(setup, cell, (begin, duration_s), log);
-    let (seen_in, seen_out) = sync_channel(OBSERVATIONS_MAX);
+    let (seen_in, seen_out) = sync_channel(PERCEPTS_MAX);
     let (steps_in, steps_out) = sync_channel(STEPS_MAX);
     // Whoever interrupts the run says the same as its end does.
     let is_over = interrupt;
@@ -122,7 +122,7 @@ impl Drop for Over<'_> {
 fn look_on(
     looking: &mut Looking<'_>,
     journal: &mut Journal,
-    (seen_in, steps_out): (&SyncSender<TargetObservation>, &Receiver<Moved>),
+    (seen_in, steps_out): (&SyncSender<Percept>, &Receiver<Moved>),
     is_over: &AtomicBool,
 ) -> Result<()> {
     while !is_over.load(Ordering::SeqCst) {
@@ -131,10 +131,8 @@ fn look_on(
             journal.note(&step);
         }
         let Some(seen) = looking.look()? else { continue };
-        if let Some(observation) = seen.observation() {
-            // A controller that takes no more has newer ones than it can use.
-            seen_in.try_send(observation).ok();
-        }
+        // A controller that takes no more has newer ones than it can use.
+        seen_in.try_send(seen.percept()).ok();
         looking.note(&seen)?;
     }
     Ok(())
@@ -145,7 +143,7 @@ struct Mover<'a> {
     clock: Arc<dyn Clock>,
     period: Duration,
     moving: Moving<'a>,
-    seen: Receiver<TargetObservation>,
+    seen: Receiver<Percept>,
     steps: SyncSender<Moved>,
     is_over: &'a AtomicBool,
     lateness: JitterMeter,
@@ -184,8 +182,8 @@ impl Mover<'_> {
             self.clock.sleep_until(due);
             let now = self.clock.now();
             self.lateness.record(now.saturating_since(due));
-            while let Ok(observation) = self.seen.try_recv() {
-                self.moving.observe(observation);
+            while let Ok(percept) = self.seen.try_recv() {
+                self.moving.observe(percept);
             }
             let moved = self.moving.step(now)?;
             // Steps that nobody writes down are lost to the report, and to nothing else.

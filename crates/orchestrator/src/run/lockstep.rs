@@ -13,12 +13,12 @@ use std::time::Duration;
 use anyhow::Result;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
-use pb3dp_servo::TargetObservation;
 
 use super::journal::{Journal, Outcome};
 use super::log::RunLog;
 use super::looking::Looking;
 use super::moving::Moving;
+use super::percept::Percept;
 use super::strip::Strip;
 use crate::config::setup::Setup;
 use crate::wiring::Parts;
@@ -58,7 +58,7 @@ struct Loop<'a> {
     journal: Journal,
     begin: MonotonicTime,
     /// Estimates on their way to the controller, with the time of arrival.
-    arriving: VecDeque<(MonotonicTime, TargetObservation)>,
+    arriving: VecDeque<(MonotonicTime, Percept)>,
     interrupt: Arc<AtomicBool>,
 }
 
@@ -82,8 +82,8 @@ impl Loop<'_> {
 
     fn control_step(&mut self, now: MonotonicTime) -> Result<()> {
         while self.arriving.front().is_some_and(|(due, _)| *due <= now) {
-            if let Some((_, observation)) = self.arriving.pop_front() {
-                self.moving.observe(observation);
+            if let Some((_, percept)) = self.arriving.pop_front() {
+                self.moving.observe(percept);
             }
         }
         let moved = self.moving.step(now)?;
@@ -94,9 +94,7 @@ impl Loop<'_> {
 
     fn frame_step(&mut self) -> Result<()> {
         let Some(seen) = self.looking.look()? else { return Ok(()) };
-        if let Some(observation) = seen.observation() {
-            self.arriving.push_back((self.clock.now() + self.setup.estimate_latency, observation));
-        }
+        self.arriving.push_back((self.clock.now() + self.setup.estimate_latency, seen.percept()));
         self.looking.note(&seen)
     }
 }

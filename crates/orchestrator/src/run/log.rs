@@ -7,6 +7,7 @@ use pb3dp_sim::trajectory::Mark;
 
 use super::commands::CommandSummary;
 use super::cycles::CycleSummary;
+use super::supervision::SupervisionLog;
 
 /// One control step.
 #[derive(Clone, Debug)]
@@ -94,8 +95,8 @@ pub struct RunLog {
     pub lock: Option<Lock>,
     /// Begin of each move of the target.
     pub marks: Vec<Mark>,
-    /// What happened besides, with seconds since the beginning.
-    pub events: Vec<(f64, String)>,
+    /// What the supervisor decided.
+    pub supervision: SupervisionLog,
     /// Pairs that the camera could not deliver.
     pub pairs_lost: u64,
     /// What became of the velocities of each arm.

@@ -12,12 +12,14 @@ use pb3dp_geometry::frames::{Base, CamLeft, Model, Target};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::CameraErrorKind;
 use pb3dp_kinematics::JointState;
+use pb3dp_servo::supervisor::FrameInput;
 use pb3dp_servo::{JointHistory, TargetObservation};
 
 use super::cell::{JOINT_GAP_MAX_S, SimulatedCell};
 use super::compared::{Frame, Onlooker};
 use super::eyes::{Eyes, Sight};
 use super::log::{Lock, MethodLog};
+use super::percept::Percept;
 use super::strip::Strip;
 use crate::config::setup::Setup;
 use crate::picture::model_frame_on_plane;
@@ -27,6 +29,8 @@ pub struct Looking<'a> {
     setup: &'a Setup,
     eyes: Eyes,
     cell: SimulatedCell,
+    /// Number of the target: how many were marked.
+    target: u64,
     begin: MonotonicTime,
     /// The arm that carries the cameras, as it was measured.
     joints: JointHistory,
@@ -65,6 +69,7 @@ impl<'a> Looking<'a> {
     ) -> Result<Self> {
         Ok(Self {
             eyes: Eyes::new(setup, (camera, target_outline_m), strip, record)?,
+            target: 0,
             begin,
             joints: JointHistory::new(setup.controller.joint_history_samples, JOINT_GAP_MAX_S),
             previous: None,
@@ -91,8 +96,8 @@ impl<'a> Looking<'a> {
     /// # Errors
     /// If the camera or the leading method fails for good.
     pub fn look(&mut self) -> Result<Option<Seen>> {
-        let at = match self.eyes.wait_for_frame(self.setup.camera.period * 2) {
-            Ok(at) => at,
+        let frame = match self.eyes.wait_for_frame(self.setup.camera.period * 2) {
+            Ok(frame) => frame,
             Err(error) if matches!(error.kind(), CameraErrorKind::Timeout | CameraErrorKind::BadPair) => {
                 self.pairs_lost += 1;
                 tracing::warn!("{error}");
@@ -100,8 +105,9 @@ impl<'a> Looking<'a> {
             }
             Err(error) => return Err(error).context("camera"),
         };
-        let prior = self.prior(at);
-        let region = self.eyes.region(self.setup, &self.cam_left_from_target_at(at))?;
+        let prior = self.prior(frame.at);
+        let region = self.eyes.region(self.setup, &self.cam_left_from_target_at(frame.at))?;
+        self.target += u64::from(region.is_some());
         let started = Instant::now();
         let estimate = self.eyes.estimate(region.as_ref(), &prior)?;
         let latency_millis = started.elapsed().as_secs_f64() * 1e3;
@@ -111,7 +117,7 @@ impl<'a> Looking<'a> {
             }
             tracing::info!("target taken: {}: {}", estimate.status, estimate.reason);
         }
-        Ok(Some(Seen { at, region, prior, estimate, latency_millis }))
+        Ok(Some(Seen { frame, target: self.target, region, prior, estimate, latency_millis }))
     }
 
     /// Writes down what was seen in the last pair, beside the truth at the time of its exposure; the onlookers look at it, too.
@@ -119,7 +125,7 @@ impl<'a> Looking<'a> {
     /// # Errors
     /// If the recording can not be written.
     pub fn note(&mut self, seen: &Seen) -> Result<()> {
-        let Seen { at, region, prior, estimate, latency_millis } = seen;
+        let Seen { frame: FrameInput { at, .. }, region, prior, estimate, latency_millis, .. } = seen;
         let cam_left_from_target = self.cam_left_from_target_at(*at);
         let t_s = at.seconds_since(self.begin);
         if let (None, Some(found)) = (&self.lock, &estimate.cam_left_from_model) {
@@ -178,7 +184,8 @@ impl<'a> Looking<'a> {
 
 /// What was seen in one pair.
 pub struct Seen {
-    at: MonotonicTime,
+    frame: FrameInput,
+    target: u64,
     region: Option<Region>,
     prior: FramePrior,
     estimate: TrackEstimate,
@@ -186,10 +193,19 @@ pub struct Seen {
 }
 
 impl Seen {
+    /// What those who move are told.
+    pub fn percept(&self) -> Percept {
+        Percept::new(self.frame, &self.estimate, self.target, self.observation())
+    }
+
     /// What the controller is told, if there is a pose.
-    pub fn observation(&self) -> Option<TargetObservation> {
+    fn observation(&self) -> Option<TargetObservation> {
         let cam_left_from_model = self.estimate.cam_left_from_model?;
-        Some(TargetObservation { at: self.at, cam_left_from_model, trusted: self.estimate.status.depth_is_sure() })
+        Some(TargetObservation {
+            at: self.frame.at,
+            cam_left_from_model,
+            trusted: self.estimate.status.depth_is_sure(),
+        })
     }
 }
 

@@ -1,15 +1,18 @@
 //! The half of a run that moves: both arms, the controller, and what each control step is to be remembered by.
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{ArmError, ArmErrorKind, JointCommand, JointState};
+use pb3dp_hal_api::{ArmError, ArmErrorKind, ArmState, JointCommand, JointState};
 use pb3dp_kinematics::{Damping, JointVector};
-use pb3dp_servo::{Command, Controller, Mode, TargetObservation};
+use pb3dp_servo::supervisor::{Decision, Permission};
+use pb3dp_servo::{Command, Controller, Mode};
 use pb3dp_sim::placement::FlangePath;
 use pb3dp_sim::trajectory::Trajectory;
 
 use super::carrier::carry;
 use super::commands::CommandSummary;
+use super::percept::Percept;
+use super::permitting::{Permitting, condition};
 use crate::config::setup::{Carrier, Setup};
 use crate::wiring::DrivenArm;
 
@@ -21,11 +24,12 @@ pub struct Moving<'a> {
     /// The way of the arm that carries the target; none if it rests.
     path: Option<FlangePath<'a>>,
     controller: Controller,
+    permitting: Permitting,
     damping: Damping,
     begin: MonotonicTime,
     vs_joints: JointState,
     tc_joints: JointState,
-    newest: Option<TargetObservation>,
+    newest: Option<Percept>,
     replies_missed: u64,
 }
 
@@ -36,6 +40,8 @@ pub struct Moved {
     pub at: MonotonicTime,
     /// What the controller was doing.
     pub mode: Mode,
+    /// What the supervisor made of it.
+    pub decision: Decision,
     /// The arm that carries the cameras, as it was measured.
     pub vs_joints: JointState,
 }
@@ -44,7 +50,7 @@ impl<'a> Moving<'a> {
     /// Arms that are not yet switched on. The experiment begins at `begin`.
     ///
     /// # Errors
-    /// A parameter of the controller out of its range.
+    /// A parameter of the controller or the supervisor out of its range.
     pub fn new(
         setup: &'a Setup,
         (vs, tc): (Box<dyn DrivenArm>, Box<dyn DrivenArm>),
@@ -60,6 +66,7 @@ impl<'a> Moving<'a> {
         };
         Ok(Self {
             controller: Controller::new(setup.controller, setup.vs.chain.clone(), limits)?,
+            permitting: Permitting::new(&setup.supervisor, limits)?,
             damping: Damping::new(setup.controller.damping.threshold, setup.controller.damping.factor_max)?,
             path: (setup.experiment.carrier == Carrier::Arm)
                 .then(|| FlangePath::of_carrier(experiment, &setup.tc.world_from_base, &setup.flange_from_target)),
@@ -92,29 +99,64 @@ impl<'a> Moving<'a> {
     }
 
     /// The newest that was seen of the target.
-    pub fn observe(&mut self, observation: TargetObservation) {
-        self.newest = Some(observation);
+    pub fn observe(&mut self, percept: Percept) {
+        self.newest = Some(percept);
     }
 
     /// One step of both arms.
     ///
     /// # Errors
-    /// The arm that fails, and why.
+    /// The arm that fails, and why; or why the supervisor stops both.
     pub fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
+        let (mode, decision, command) = self.decide(now);
+        if decision.permission == Permission::Stop {
+            return self.stop_for(&decision);
+        }
         let t_s = now.seconds_since(self.begin);
-        let command = self.path.as_ref().map_or(JointCommand::Hold, |path| {
+        let carrying = self.path.as_ref().map_or(JointCommand::Hold, |path| {
             JointCommand::Velocity(carry(&self.setup.tc.chain, &self.damping, path, t_s, &self.tc_joints.position_rad))
         });
-        let measured = self.tc.exchange(command);
+        let measured = self.tc.exchange(carrying);
         self.tc_joints = newest(measured, &self.tc_joints, &mut self.replies_missed).context("tc-robot")?;
-        let step = self.controller.step(&self.vs_joints, self.newest.as_ref(), now);
-        let command = match step.command {
+        let measured = self.vs.exchange(command);
+        self.vs_joints = newest(measured, &self.vs_joints, &mut self.replies_missed).context("vs-robot")?;
+        Ok(Moved { at: now, mode, decision, vs_joints: self.vs_joints })
+    }
+
+    /// What the controller wants, and what of it the arm that carries the cameras is told.
+    fn decide(&mut self, now: MonotonicTime) -> (Mode, Decision, JointCommand) {
+        let observation = self.newest.as_ref().and_then(|percept| percept.observation.as_ref());
+        let control = self.controller.step(&self.vs_joints, observation, now);
+        let arms = [(condition(&*self.vs), &self.vs_joints), (condition(&*self.tc), &self.tc_joints)];
+        let decision = self.permitting.step(&control, self.newest.as_ref(), arms, now);
+        let told = match (decision.permission, control.command) {
+            (Permission::Move { share }, Command::Velocity(velocity)) => Command::Velocity(velocity * share),
+            _ => Command::Hold,
+        };
+        self.controller.note_told(told);
+        if decision.rearm {
+            self.controller.acquire();
+        }
+        let command = match told {
             Command::Velocity(velocity) => JointCommand::Velocity(velocity),
             Command::Hold => JointCommand::Hold,
         };
-        let measured = self.vs.exchange(command);
-        self.vs_joints = newest(measured, &self.vs_joints, &mut self.replies_missed).context("vs-robot")?;
-        Ok(Moved { at: now, mode: step.mode, vs_joints: self.vs_joints })
+        (control.mode, decision, command)
+    }
+
+    /// Nobody resets a run: it ends. An arm that has failed says more about it than the supervisor knows.
+    fn stop_for(&mut self, decision: &Decision) -> Result<Moved> {
+        let mut arms = [("tc-robot", &mut self.tc), ("vs-robot", &mut self.vs)];
+        arms.sort_by_key(|(_, arm)| arm.is_stopped_by_other());
+        for (name, arm) in arms {
+            let rest = match arm.state() {
+                // It refuses, and says why.
+                ArmState::Fault | ArmState::EStop => JointCommand::Velocity(JointVector::zeros()),
+                ArmState::Enabled | ArmState::Disabled => JointCommand::Hold,
+            };
+            arm.exchange(rest).context(name)?;
+        }
+        bail!("{}", decision.why)
     }
 
     /// Both arms come to rest with brakes on, whatever happened; the first failure is told.

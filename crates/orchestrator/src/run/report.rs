@@ -93,8 +93,9 @@ fn page(
         .table(&commands::table(&summary.commands));
     let report = with_cycles(report, summary).heading("Errors over time").panels(&error_panels(log, summary));
     with_pictures(report, &strip)
-        .heading("Events")
-        .table(&event_table(log))
+        .heading("Supervisor")
+        .paragraph(&summary.supervisor.paragraph())
+        .table(&summary.supervisor.transition_table())
         .heading("How this run was made")
         .table(&origin)
 }
@@ -315,18 +316,6 @@ fn lock_note(summary: &RunSummary) -> String {
     )
 }
 
-fn event_table(log: &RunLog) -> Table {
-    const SHOWN: usize = 40;
-    let mut table = Table::new(["what the controller did", "time, s"]);
-    for (t_s, what) in log.events.iter().take(SHOWN) {
-        table = table.row([what.clone(), format!("{t_s:.2}")]);
-    }
-    match log.events.len().saturating_sub(SHOWN) {
-        0 => table,
-        more => table.row([format!("and {more} more"), String::new()]),
-    }
-}
-
 /// The summary as a plain table for a terminal.
 pub fn text_table(summary: &RunSummary) -> String {
     let mut text = String::new();
@@ -356,6 +345,7 @@ pub fn text_table(summary: &RunSummary) -> String {
     text += &format!("{:<34} {}\n", "controller", modes.join(", "));
     let sigma = summary.smallest_singular_value.map_or("-".into(), |s| format!("{s:.3}"));
     text += &format!("{:<34} {sigma}\n", "smallest singular value");
+    text += &summary.supervisor.text_lines();
     text += &commands::text_lines(&summary.commands);
     if summary.without_pictures {
         text += "no picture was rendered: the estimates are the true poses with the noise of estimator.geometric\n";

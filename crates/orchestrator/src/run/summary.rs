@@ -16,6 +16,7 @@ use super::commands::CommandSummary;
 use super::cycles::CycleSummary;
 use super::log::{ControlSample, Lock, RunLog};
 use super::methods::{self, MethodSummary};
+use super::supervision::Supervision;
 
 /// Root mean square and largest value of an error.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -92,6 +93,8 @@ pub struct RunSummary {
     pub latency_p99_millis: Option<f64>,
     /// Share of the control steps in each mode of the controller, 0 to 1.
     pub share_by_mode: BTreeMap<String, f64>,
+    /// What the supervisor decided.
+    pub supervisor: Supervision,
     /// Smallest singular value of the Jacobian during the run.
     pub smallest_singular_value: Option<f64>,
     /// What became of the velocities of each arm.
@@ -161,6 +164,7 @@ pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
         pairs_lost: log.pairs_lost,
         latency_p50_millis: percentile(&latencies, 50.0),
         latency_p99_millis: percentile(&latencies, 99.0),
+        supervisor: log.supervision.summary(),
         share_by_mode: shares(log.control.iter().map(ControlSample::mode_word)),
         smallest_singular_value: log.control.iter().map(|s| s.smallest_singular_value).reduce(f64::min),
         commands: log.commands.clone(),
@@ -180,8 +184,7 @@ fn shares<'a>(words: impl Iterator<Item = &'a str>) -> BTreeMap<String, f64> {
 impl RunSummary {
     /// Share of the time in which the hand followed or approached, 0 to 1.
     pub fn share_following(&self) -> f64 {
-        // A sum of nothing would be -0.
-        ["tracking", "approaching"].iter().filter_map(|mode| self.share_by_mode.get(*mode)).fold(0.0, |sum, x| sum + x)
+        self.supervisor.share_following()
     }
 }
 

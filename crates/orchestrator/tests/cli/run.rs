@@ -70,6 +70,21 @@ fn a_run_leaves_report_summary_and_time_series() {
         assert!(finished.stdout.contains(&line), "{line} in {}", finished.stdout);
         assert!(page.contains(&format!("<td>{name}</td>")), "the page has a line of {name}");
     }
+    let supervisor = &summary["summary"]["supervisor"];
+    assert!(supervisor["share_by_state"]["selecting"].as_f64().unwrap() > 0.0, "{supervisor}");
+    let transitions = supervisor["transitions"].as_array().unwrap();
+    let events: Vec<_> = transitions.iter().take(2).map(|note| note["event"].as_str().unwrap()).collect();
+    assert_eq!(events, ["select", "start"], "the command is the operator");
+    for note in transitions {
+        let line = note["why"].as_str().unwrap();
+        assert!(note["t_s"].is_f64() && line.starts_with(note["to"].as_str().unwrap()), "{note}");
+        assert!(page.contains(&line.replace('<', "&lt;")), "{line} is not in the page");
+    }
+    assert!(
+        finished.stdout.contains("supervisor") && finished.stderr.contains("s  approaching"),
+        "{}",
+        finished.stderr
+    );
     let csv = std::fs::read_to_string(out.join("timeseries.csv")).unwrap();
     let columns: Vec<usize> = csv.lines().map(|line| line.split(',').count()).collect();
     assert!(columns.len() > 40 && columns.iter().all(|&n| n == columns[0]), "a header and 41 steps of one width");
@@ -208,6 +223,50 @@ fn setups_are_refused_with_file_key_and_what_is_allowed() {
     std::fs::remove_file(dir.path().join("robots/pa10_gen2.urdf")).unwrap();
     pb3dp(&words(&[&"run", &"--config", &config])).assert_refused(&["arms.vs.robot", "pa10_gen2.urdf"]);
     assert!(!dir.path().join("out").exists(), "nothing is written before the setup is accepted");
+}
+
+#[test]
+fn policies_of_the_supervisor_that_are_too_weak_or_none_are_refused_by_key() {
+    let dir = tempfile::tempdir().unwrap();
+    for (from, to, parts) in [
+        (
+            "arm_fault = { action = \"fault\"",
+            "arm_fault = { action = \"stop\"",
+            &["supervisor.policies.arm_fault.action = stop", "fault or more"][..],
+        ),
+        (
+            "age_s = 0.25, action = \"hold\", resume = \"by-itself\"",
+            "age_s = 0.25, action = \"note\"",
+            &["supervisor.policies.frame_stale.action = note", "hold or more"],
+        ),
+        (
+            "target_changed = { action = \"hold\"",
+            "target_changed = { resume = \"by-itself\", action = \"hold\"",
+            &["supervisor.policies.target_changed.resume = by-itself", "never after this"],
+        ),
+        (
+            "frame_order = { action = \"hold\", resume = \"by-itself\"",
+            "frame_order = { action = \"hold\"",
+            &["supervisor.policies.frame_order.resume", "missing"],
+        ),
+        (
+            "camera_skew = { skew_millis",
+            "camera_skew = { age_s",
+            &["supervisor.policies.camera_skew.skew_millis", "missing", "camera_skew.age_s = 5", "no such key"],
+        ),
+        ("action = \"slow\", share = 0.5", "action = \"slow\"", &["supervisor.policies.limit_near.share", "missing"]),
+        (
+            "target_lost = { age_s = 1.0",
+            "target_lost = { age_s = 0.2",
+            &["supervisor.policies.target_lost.age_s = 0.2", "0.3 to 10"],
+        ),
+        ("camera_skew = {", "camera_screw = {", &["supervisor.policies.camera_screw", "unknown key", "camera_skew"]),
+    ] {
+        let config = setup(dir.path(), &[(from, to)]);
+        let finished = pb3dp(&words(&[&"run", &"--config", &config, &"--out", &dir.path().join("out")]));
+        finished.assert_refused(&["mine.toml"]);
+        finished.assert_refused(parts);
+    }
 }
 
 #[test]

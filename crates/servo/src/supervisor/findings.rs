@@ -247,7 +247,7 @@ fn of_the_moment(condition: Condition, threshold: f64, inputs: &Inputs, now: Mon
     let in_state = |state| inputs.arms.iter().position(|arm| arm.state == state).map(|arm| (0.0, Detail::Arm(arm)));
     match condition {
         Condition::EmergencyStop => in_state(ArmCondition::EmergencyStop),
-        Condition::ArmFault => in_state(ArmCondition::Fault),
+        Condition::ArmFault => in_state(ArmCondition::Fault).or_else(|| in_state(ArmCondition::StoppedByOther)),
         Condition::ArmDisabled => in_state(ArmCondition::Disabled),
         Condition::JointsStale => {
             let stale = |(arm, input): (usize, &super::inputs::ArmInput)| {

@@ -167,4 +167,6 @@ pub enum ArmCondition {
     Fault,
     /// Stopped by an emergency stop.
     EmergencyStop,
+    /// Stopped only because the other arm was: a fault, of which the other one is the cause.
+    StoppedByOther,
 }

@@ -204,6 +204,23 @@ fn the_most_severe_action_counts_and_the_smallest_share() {
     assert_eq!(decision.transition.unwrap().cause.unwrap().condition, Condition::ArmFault);
 }
 
+/// Both arms are stopped then, and one of them can tell why.
+#[test]
+fn the_arm_that_failed_is_named_and_not_the_one_that_stopped_with_it() {
+    for failed in 0..2 {
+        let mut bench = Bench::following(config());
+        bench.lie(move |i| {
+            i.arms[failed].state = ArmCondition::Fault;
+            i.arms[1 - failed].state = ArmCondition::StoppedByOther;
+        });
+        let cause = bench.step().transition.unwrap().cause.unwrap();
+        assert_eq!((cause.condition, cause.detail), (Condition::ArmFault, Detail::Arm(failed)));
+    }
+    let mut bench = Bench::following(config());
+    bench.lie(|i| i.arms[1].state = ArmCondition::StoppedByOther);
+    assert_eq!(bench.step().state, State::Fault, "whatever the other one says");
+}
+
 #[test]
 fn a_policy_may_be_stricter_than_it_has_to() {
     let strict = with(Condition::CameraSkew, |policy| (policy.action, policy.for_s) = (Action::Fault, 0.0));

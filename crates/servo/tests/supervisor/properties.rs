@@ -44,6 +44,7 @@ fn arm_condition() -> impl Strategy<Value = ArmCondition> {
     let bad = prop_oneof![
         3 => Just(ArmCondition::Disabled),
         1 => Just(ArmCondition::Fault),
+        1 => Just(ArmCondition::StoppedByOther),
         1 => Just(ArmCondition::EmergencyStop)
     ];
     mostly(ArmCondition::Enabled, bad)
@@ -188,7 +189,7 @@ impl Judge {
     fn judge(&mut self, inputs: &Inputs, decision: &Decision, now_s: f64) {
         let word = inputs.operator.said.map(|said| said.word);
         let dangerous =
-            inputs.arms.iter().any(|arm| matches!(arm.state, ArmCondition::Fault | ArmCondition::EmergencyStop));
+            inputs.arms.iter().any(|arm| !matches!(arm.state, ArmCondition::Enabled | ArmCondition::Disabled));
         if now_s < self.now_s {
             // Stamps of before tell nothing any more.
             (self.sure_s, self.newest) = (None, None);

@@ -8,6 +8,7 @@ mod geometry;
 mod link;
 mod servo;
 mod shape;
+mod supervisor;
 
 use std::path::Path;
 use std::time::Duration;
@@ -19,6 +20,7 @@ use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_geometry::frames::{Flange, Target};
 use pb3dp_geometry::{Frame, Pose, StereoRig};
 use pb3dp_servo::ControllerConfig;
+use pb3dp_servo::supervisor::SupervisorConfig;
 use pb3dp_sim::geometric::GeometricConfig;
 use pb3dp_sim::scene::SceneConfig;
 use pb3dp_sim::sensor::SensorConfig;
@@ -33,6 +35,7 @@ use self::geometric::GeometricSection;
 use self::link::GATEWAY_CYCLE_MAX_MILLIS;
 pub use self::link::{ArmLink, BusLinkConfig, GatewayWay};
 use self::servo::ServoSection;
+use self::supervisor::SupervisorSection;
 use super::direct::DirectSection;
 use super::estimator::PublishedSection;
 use super::load::{Checker, ConfigError, FileKind, read_toml, within};
@@ -68,6 +71,8 @@ pub struct Setup {
     pub range: SearchRange,
     /// The visual-servo controller.
     pub controller: ControllerConfig,
+    /// What is permitted to it.
+    pub supervisor: SupervisorConfig,
     /// The arm that carries the cameras.
     pub vs: ArmSetup,
     /// The arm that carries the target, with the mounting of the target on its flange.
@@ -124,6 +129,7 @@ struct SetupFile {
     scene: SceneSection,
     estimator: EstimatorSection,
     servo: ServoSection,
+    supervisor: SupervisorSection,
     arms: ArmsSection,
     mounts: MountsSection,
     experiment: ExperimentSection,
@@ -248,6 +254,7 @@ impl SetupFile {
         let arms = self.arms.build(file, control_period_millis, check);
         let mounts = self.mounts.build(check);
         let controller = self.servo.build(&mounts, self.arms.speed_scale, check);
+        let supervisor = self.supervisor.build(check);
         let (vs, tc) = arms?;
         for (key, arm) in [("arms.vs", &vs), ("arms.tc", &tc)] {
             if arm.link != ArmLink::InProcess && self.run.pace != Pace::Live {
@@ -276,6 +283,7 @@ impl SetupFile {
             estimator,
             range,
             controller,
+            supervisor,
             vs,
             tc,
             least_room_m: self.arms.least_room_mm * 1e-3,

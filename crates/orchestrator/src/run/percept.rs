@@ -1,0 +1,55 @@
+//! What one pair of pictures tells those who move.
+
+use pb3dp_estimation::published::TrackEstimate;
+use pb3dp_estimation::status::Status;
+use pb3dp_servo::TargetObservation;
+use pb3dp_servo::supervisor::{Confidence, EstimateInput, FrameInput};
+
+/// What one pair of pictures tells: with a pose or without one.
+#[derive(Clone, Copy, Debug)]
+pub struct Percept {
+    /// The pair.
+    pub frame: FrameInput,
+    /// How sure the estimator is.
+    pub estimate: EstimateInput,
+    /// What the controller is told, if there is a pose.
+    pub observation: Option<TargetObservation>,
+}
+
+impl Percept {
+    /// What a pair tells, in which the estimator follows the target of this number.
+    pub fn new(
+        frame: FrameInput,
+        estimate: &TrackEstimate,
+        target: u64,
+        observation: Option<TargetObservation>,
+    ) -> Self {
+        let confidence = confidence(estimate.status, observation.is_some());
+        let estimate = EstimateInput { at: frame.at, confidence, covariance: estimate.covariance, target };
+        Self { frame, estimate, observation }
+    }
+}
+
+fn confidence(status: Status, has_pose: bool) -> Confidence {
+    match (has_pose, status.depth_is_sure()) {
+        (false, _) => Confidence::NoPose,
+        (true, true) => Confidence::Sure,
+        (true, false) => Confidence::Doubtful,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_pose_whose_depth_is_sure_is_confident() {
+        for status in [Status::Ok, Status::WeakTilt] {
+            assert_eq!(confidence(status, true), Confidence::Sure);
+        }
+        for status in [Status::Ambiguous, Status::NotObservable, Status::Lost, Status::Error] {
+            assert_eq!(confidence(status, true), Confidence::Doubtful);
+        }
+        assert_eq!(confidence(Status::Ok, false), Confidence::NoPose);
+    }
+}

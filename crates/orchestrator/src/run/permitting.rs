@@ -1,0 +1,123 @@
+//! Whether the arms of a run may move: the supervisor, what it is told, and the command as its operator.
+
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{ArmState, JointState};
+use pb3dp_kinematics::{DOF, JointLimits, JointVector};
+use pb3dp_servo::supervisor::{
+    ArmCondition, ArmInput, Decision, Innovation, Inputs, OperatorInput, RangeEnd, Said, State, Supervisor,
+    SupervisorConfig, SupervisorError, Word,
+};
+use pb3dp_servo::{ControlStep, ObservationVerdict};
+
+use super::percept::Percept;
+use crate::wiring::DrivenArm;
+
+/// The supervisor of a run.
+pub struct Permitting {
+    supervisor: Supervisor,
+    /// The operating range of the arm that carries the cameras.
+    limits: JointLimits,
+    last: Option<Decision>,
+}
+
+impl Permitting {
+    /// Nothing is permitted yet.
+    ///
+    /// # Errors
+    /// A policy out of its range or too weak.
+    pub fn new(config: &SupervisorConfig, limits: JointLimits) -> Result<Self, SupervisorError> {
+        Ok(Self { supervisor: Supervisor::new(config.clone())?, limits, last: None })
+    }
+
+    /// What is permitted in this step; both arms with what was measured of them, the one with the cameras first.
+    pub fn step(
+        &mut self,
+        control: &ControlStep,
+        newest: Option<&Percept>,
+        arms: [(ArmCondition, &JointState); 2],
+        now: MonotonicTime,
+    ) -> Decision {
+        let said = said_by_the_command(self.last.as_ref()).map(|word| Said { word, at: now });
+        let inputs = Inputs {
+            // Who gave the command is there as long as it runs.
+            operator: OperatorInput { said, heard_at: Some(now) },
+            controller: control.mode,
+            innovation: innovation(&control.observation),
+            estimate: newest.map(|percept| percept.estimate),
+            frame: newest.map(|percept| percept.frame),
+            range_end: Some(nearest_end(&self.limits, &arms[0].1.position_rad)),
+            smallest_singular_value: control.smallest_singular_value,
+            arms: arms.map(|(state, joints)| ArmInput { state, measured_at: Some(joints.at) }),
+        };
+        let decision = self.supervisor.step(&inputs, now);
+        self.last = Some(decision);
+        decision
+    }
+}
+
+/// The command is the operator: it selects the target and starts as soon as it can, once, and never resets or resumes.
+fn said_by_the_command(last: Option<&Decision>) -> Option<Word> {
+    match last {
+        None => Some(Word::Select),
+        Some(decision) if decision.state == State::Selecting && decision.is_ready => Some(Word::Start),
+        Some(_) => None,
+    }
+}
+
+fn innovation(verdict: &ObservationVerdict) -> Innovation {
+    match *verdict {
+        ObservationVerdict::Accepted => Innovation::Agrees,
+        ObservationVerdict::Jump { position_m, orientation_rad } => Innovation::Jump { position_m, orientation_rad },
+        _ => Innovation::NoneNew,
+    }
+}
+
+/// State of drives and brakes of an arm, in the supervisor's terms.
+pub fn condition(arm: &dyn DrivenArm) -> ArmCondition {
+    match arm.state() {
+        ArmState::Disabled => ArmCondition::Disabled,
+        ArmState::Enabled => ArmCondition::Enabled,
+        ArmState::Fault if arm.is_stopped_by_other() => ArmCondition::StoppedByOther,
+        ArmState::Fault => ArmCondition::Fault,
+        ArmState::EStop => ArmCondition::EmergencyStop,
+    }
+}
+
+/// The joint with the least angle left to an end of its range.
+fn nearest_end(limits: &JointLimits, position_rad: &JointVector) -> RangeEnd {
+    let left_rad = |joint: usize| {
+        let (min, max) = (limits.position_min_rad()[joint], limits.position_max_rad()[joint]);
+        (position_rad[joint] - min).min(max - position_rad[joint])
+    };
+    let first = RangeEnd { joint: 0, distance_rad: left_rad(0) };
+    (1..DOF).fold(first, |nearest, joint| {
+        let distance_rad = left_rad(joint);
+        if distance_rad < nearest.distance_rad { RangeEnd { joint, distance_rad } } else { nearest }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_joint_with_the_least_way_left_is_told() {
+        let min_rad = JointVector::from([-1.0, -1.0, -2.0, -0.5, -3.0, -1.0, -4.0]);
+        let max_rad = JointVector::from([1.0, 2.0, 1.0, 2.5, 3.0, 1.5, 4.0]);
+        let limits = JointLimits::new(min_rad, max_rad, JointVector::from_element(1.0)).unwrap();
+        let mut position_rad = JointVector::zeros();
+        assert_eq!(nearest_end(&limits, &position_rad), RangeEnd { joint: 3, distance_rad: 0.5 });
+        position_rad[5] = 1.25;
+        assert_eq!(nearest_end(&limits, &position_rad), RangeEnd { joint: 5, distance_rad: 0.25 });
+        position_rad[2] = -2.125;
+        assert_eq!(nearest_end(&limits, &position_rad), RangeEnd { joint: 2, distance_rad: -0.125 });
+    }
+
+    #[test]
+    fn a_jump_is_told_with_its_size_and_what_was_not_looked_at_is_no_agreement() {
+        let jump = ObservationVerdict::Jump { position_m: 0.3, orientation_rad: 0.1 };
+        assert_eq!(innovation(&jump), Innovation::Jump { position_m: 0.3, orientation_rad: 0.1 });
+        assert_eq!(innovation(&ObservationVerdict::Accepted), Innovation::Agrees);
+        assert_eq!(innovation(&ObservationVerdict::Untrusted), Innovation::NoneNew);
+    }
+}

@@ -1,0 +1,115 @@
+//! What the supervisor decided in a run: shares of time, what was found, and the changes of state.
+
+use std::collections::BTreeMap;
+
+use pb3dp_record::report::Table;
+use pb3dp_servo::supervisor::{Condition, Decision, State};
+use serde::Serialize;
+
+/// Transitions that are shown in the report; all are in `summary.json`.
+const SHOWN: usize = 40;
+
+/// What the supervisor decided in a run.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Supervision {
+    /// Share of the control steps in each state, 0 to 1.
+    pub share_by_state: BTreeMap<&'static str, f64>,
+    /// In how many steps each condition was found that was found at all.
+    pub steps_found: BTreeMap<&'static str, u64>,
+    /// Changes of state.
+    pub transitions: Vec<TransitionNote>,
+}
+
+/// A change of state.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TransitionNote {
+    /// Seconds since the experiment began.
+    pub t_s: f64,
+    /// From here.
+    pub from: &'static str,
+    /// To here.
+    pub to: &'static str,
+    /// By this.
+    pub event: &'static str,
+    /// What the supervisor said.
+    pub why: String,
+}
+
+/// What is written down of the supervisor from step to step.
+#[derive(Clone, Debug, Default)]
+pub struct SupervisionLog {
+    steps_by_state: [u64; State::ALL.len()],
+    steps_found: [u64; Condition::COUNT],
+    transitions: Vec<TransitionNote>,
+}
+
+impl SupervisionLog {
+    /// Writes a step down; what is to be told, if the state changed.
+    pub fn note(&mut self, t_s: f64, decision: &Decision) -> Option<&TransitionNote> {
+        self.steps_by_state[decision.state as usize] += 1;
+        for condition in decision.found.iter() {
+            self.steps_found[condition as usize] += 1;
+        }
+        let transition = decision.transition?;
+        self.transitions.push(TransitionNote {
+            t_s,
+            from: transition.from.name(),
+            to: transition.to.name(),
+            event: transition.event.name(),
+            why: decision.why.to_string(),
+        });
+        self.transitions.last()
+    }
+
+    /// The figures.
+    pub fn summary(&self) -> Supervision {
+        let steps: u64 = self.steps_by_state.iter().sum();
+        let share = |state: State| self.steps_by_state[state as usize] as f64 / steps as f64;
+        let visited = State::ALL.into_iter().filter(|state| self.steps_by_state[*state as usize] > 0);
+        let found = Condition::ALL.into_iter().filter(|condition| self.steps_found[*condition as usize] > 0);
+        Supervision {
+            share_by_state: visited.map(|state| (state.name(), share(state))).collect(),
+            steps_found: found.map(|condition| (condition.key(), self.steps_found[condition as usize])).collect(),
+            transitions: self.transitions.clone(),
+        }
+    }
+}
+
+impl Supervision {
+    /// Share of the steps in which the hand was allowed to follow or approach, 0 to 1.
+    pub fn share_following(&self) -> f64 {
+        let moving = State::ALL.into_iter().filter(|state| state.is_moving());
+        // A sum of nothing would be -0.
+        moving.filter_map(|state| self.share_by_state.get(state.name())).fold(0.0, |sum, share| sum + share)
+    }
+
+    /// Shares and findings as lines for a terminal.
+    pub fn text_lines(&self) -> String {
+        let shares: Vec<String> =
+            self.share_by_state.iter().map(|(state, share)| format!("{state} {:.0} %", 100.0 * share)).collect();
+        let found: Vec<String> = self.steps_found.iter().map(|(key, steps)| format!("{key} {steps}")).collect();
+        let found = if found.is_empty() { "nothing".to_owned() } else { found.join(", ") };
+        format!("{:<34} {}\n{:<34} {found}\n", "supervisor", shares.join(", "), "found by it, steps")
+    }
+
+    /// Shares and findings as a paragraph of the report.
+    pub fn paragraph(&self) -> String {
+        let shares: Vec<String> =
+            self.share_by_state.iter().map(|(state, share)| format!("{state} {:.1} %", 100.0 * share)).collect();
+        let found: Vec<String> = self.steps_found.iter().map(|(key, steps)| format!("{key} in {steps}")).collect();
+        let found = if found.is_empty() { "nothing".to_owned() } else { found.join(", ") };
+        format!("Share of the time in each state: {}. Found to be wrong, in control steps: {found}.", shares.join(", "))
+    }
+
+    /// The changes of state as a table of the report.
+    pub fn transition_table(&self) -> Table {
+        let headings = Table::new(["time, s", "event", "from", "state, why and what to do"]);
+        let shown = self.transitions.iter().take(SHOWN).fold(headings, |table, note| {
+            table.row([format!("{:.2}", note.t_s), note.event.to_owned(), note.from.to_owned(), note.why.clone()])
+        });
+        match self.transitions.len().saturating_sub(SHOWN) {
+            0 => shown,
+            more => shown.row([format!("and {more} more"), String::new(), String::new(), String::new()]),
+        }
+    }
+}

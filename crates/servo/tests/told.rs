@@ -1,0 +1,34 @@
+//! Commands that somebody behind the controller did not let pass.
+#![allow(clippy::unwrap_used, clippy::panic)] // In helpers of tests.
+
+mod common;
+
+use common::{Cell, IDEAL, config, rotation};
+use nalgebra::Vector3;
+use pb3dp_servo::{Command, ControlStep};
+
+fn speed(step: &ControlStep) -> f64 {
+    let Command::Velocity(velocity) = step.command else { panic!("{}", step.mode) };
+    velocity.amax()
+}
+
+/// The controller does not count the time in which it wanted to move as time in which the hand got up to speed.
+#[test]
+fn a_hand_that_was_kept_at_rest_starts_softly() {
+    let mut config = config();
+    config.speed.soft_start_s = 0.5;
+    let mut cell = Cell::new(config, IDEAL, 0.0);
+    let target = cell.target_for_hand_moved(Vector3::new(0.05, -0.04, 0.03), rotation(0.1, 0.2, -0.1));
+    let resting = cell.joints;
+    for _ in 0..500 {
+        cell.step(&target);
+        cell.controller.note_told(Command::Hold);
+        cell.joints = pb3dp_kinematics::JointState { at: cell.now(), ..resting };
+    }
+    let first = cell.step(&target);
+    assert!(speed(&first) < 1e-9, "{} rad/s at once", speed(&first));
+    for _ in 0..250 {
+        cell.step(&target);
+    }
+    assert!(speed(&cell.step(&target)) > 0.05);
+}

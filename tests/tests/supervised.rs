@@ -1,0 +1,196 @@
+//! The supervisor between the controller and the arms of a run: what is not permitted does not move.
+#![allow(clippy::unwrap_used, reason = "helpers of tests may fail the test")]
+
+use std::sync::Arc;
+
+use pb3dp_hal_api::Clock;
+use pb3dp_orchestrator::config::setup::{Setup, read_setup};
+use pb3dp_orchestrator::run::cell::SimulatedCell;
+use pb3dp_orchestrator::run::moving::{Moved, Moving};
+use pb3dp_orchestrator::run::percept::Percept;
+use pb3dp_orchestrator::wiring::{Parts, wire};
+use pb3dp_servo::TargetObservation;
+use pb3dp_servo::supervisor::{Condition, Confidence, EstimateInput, FrameInput, Permission, Resume, State};
+use pb3dp_sim::trajectory::Trajectory;
+use system_tests::repository;
+
+/// A joint that is slower than this rests, rad/s: one count of the resolver in one cycle is 0.8 mrad/s.
+const AT_REST_RAD_PER_S: f64 = 1e-3;
+
+fn setup() -> Setup {
+    let mut setup = read_setup(&repository().join("configs/sim.toml")).unwrap();
+    setup.compared.clear();
+    setup
+}
+
+/// The arms of a run, and eyes that can be shut.
+struct Bench<'a> {
+    moving: Moving<'a>,
+    clock: Arc<dyn Clock>,
+    cell: SimulatedCell,
+    setup: &'a Setup,
+    steps: u64,
+    /// What the eyes tell; none if they are shut.
+    target: Option<u64>,
+    confidence: Confidence,
+    /// The fastest joint of the hand's arm since it was asked for.
+    fastest_rad_per_s: f64,
+}
+
+impl<'a> Bench<'a> {
+    /// A hand that follows the target on its first way.
+    fn following(setup: &'a Setup, parts: Parts, experiment: &'a dyn Trajectory) -> Self {
+        let Parts { clock, vs, tc, cell, .. } = parts;
+        let mut moving = Moving::new(setup, (vs, tc), experiment, clock.now()).unwrap();
+        moving.enable().unwrap();
+        let confidence = Confidence::Sure;
+        let mut bench =
+            Bench { moving, clock, cell, setup, steps: 0, target: Some(1), confidence, fastest_rad_per_s: 0.0 };
+        let moved = bench.run(4.0);
+        assert_eq!(moved.decision.state, State::Tracking, "{}", moved.decision.why);
+        assert!(bench.fastest_rad_per_s > 0.05, "the target moves, and the hand with it");
+        bench
+    }
+
+    fn step(&mut self) -> Moved {
+        let now = self.clock.now() + self.setup.control_period;
+        self.clock.sleep_until(now);
+        self.steps += 1;
+        if let Some(target) = self.target
+            && self.steps.is_multiple_of(3)
+        {
+            let cam_left_from_target =
+                self.cell.world_from_cam_left_at(now).inverse() * self.cell.world_from_target_at(now);
+            let observation =
+                TargetObservation { at: now, cam_left_from_model: cam_left_from_target.relabel(), trusted: true };
+            self.moving.observe(Percept {
+                frame: FrameInput { sequence: self.steps, at: now, skew_s: 0.0 },
+                estimate: EstimateInput { at: now, confidence: self.confidence, covariance: None, target },
+                observation: Some(observation),
+            });
+        }
+        let moved = self.moving.step(now).unwrap();
+        self.fastest_rad_per_s = self.fastest_rad_per_s.max(moved.vs_joints.velocity_rad_per_s.amax());
+        moved
+    }
+
+    fn run(&mut self, seconds: f64) -> Moved {
+        let steps = (seconds / self.setup.control_period.as_secs_f64()).round() as usize;
+        (0..steps).map(|_| self.step()).last().unwrap()
+    }
+
+    /// Runs, and nothing of the hand's arm may move.
+    fn rests_for(&mut self, seconds: f64) -> Moved {
+        self.fastest_rad_per_s = 0.0;
+        let moved = self.run(seconds);
+        assert!(self.fastest_rad_per_s < AT_REST_RAD_PER_S, "{} rad/s: {}", self.fastest_rad_per_s, moved.decision.why);
+        moved
+    }
+}
+
+#[test]
+fn a_hand_whose_eyes_are_shut_rests_and_goes_on_from_where_it_is() {
+    let setup = setup();
+    let parts = wire(&setup).unwrap();
+    let experiment = parts.experiment.clone();
+    let mut bench = Bench::following(&setup, parts, &*experiment);
+    bench.target = None;
+    // Stale after 0.25 s, at rest 0.3 s later at most: 0.6 rad/s at 2 rad/s^2.
+    let moved = bench.run(0.6);
+    assert_eq!(moved.decision.permission, Permission::Hold);
+    let moved = bench.rests_for(1.0);
+    assert_eq!(moved.decision.state, State::Lost);
+    let line = moved.decision.why.to_string();
+    assert!(line.starts_with("lost: the newest pair of pictures is 1.") && line.contains("0.250 s"), "{line}");
+    let rested = moved.vs_joints;
+    bench.target = Some(1);
+    bench.rests_for(0.2);
+    let mut first = None;
+    for _ in 0..100 {
+        let moved = bench.step();
+        if moved.decision.state.is_moving() && first.is_none() {
+            first = Some(moved);
+        }
+    }
+    let first = first.unwrap();
+    let moved_by = (first.vs_joints.position_rad - rested.position_rad).amax();
+    assert!(moved_by < 0.01, "the first command is where the arm is: {moved_by} rad");
+    assert!(first.vs_joints.velocity_rad_per_s.amax() < AT_REST_RAD_PER_S, "it begins from rest");
+    assert_eq!(bench.run(2.0).decision.state, State::Tracking);
+}
+
+#[test]
+fn a_target_that_the_estimator_took_anew_is_not_followed() {
+    let setup = setup();
+    let parts = wire(&setup).unwrap();
+    let experiment = parts.experiment.clone();
+    let mut bench = Bench::following(&setup, parts, &*experiment);
+    bench.target = Some(2);
+    let moved = bench.run(0.5);
+    assert_eq!((moved.decision.state, moved.decision.permission), (State::Holding, Permission::Hold));
+    let line = moved.decision.why.to_string();
+    assert!(line.contains("target 2") && line.contains("target 1") && line.ends_with("say resume"), "{line}");
+    bench.target = Some(1);
+    let moved = bench.rests_for(3.0);
+    assert_eq!(moved.decision.state, State::Holding, "nobody said that it may go on");
+}
+
+#[test]
+fn a_loss_waits_for_the_operator_if_the_policy_says_so() {
+    let mut setup = setup();
+    setup.supervisor.policies.get_mut(Condition::TargetLost).resume = Resume::ByOperator;
+    let parts = wire(&setup).unwrap();
+    let experiment = parts.experiment.clone();
+    let mut bench = Bench::following(&setup, parts, &*experiment);
+    bench.confidence = Confidence::Doubtful;
+    bench.run(1.5);
+    bench.confidence = Confidence::Sure;
+    let moved = bench.rests_for(3.0);
+    assert_eq!(moved.decision.state, State::Lost);
+    assert!(moved.decision.is_ready, "{}", moved.decision.why);
+}
+
+#[test]
+fn nothing_moves_while_the_target_was_never_seen() {
+    let setup = setup();
+    let Parts { clock, vs, tc, cell, experiment, .. } = wire(&setup).unwrap();
+    let mut moving = Moving::new(&setup, (vs, tc), &*experiment, clock.now()).unwrap();
+    moving.enable().unwrap();
+    let mut bench = Bench {
+        moving,
+        clock,
+        cell,
+        setup: &setup,
+        steps: 0,
+        target: Some(1),
+        confidence: Confidence::Doubtful,
+        fastest_rad_per_s: 0.0,
+    };
+    let moved = bench.rests_for(4.0);
+    assert_eq!(moved.decision.state, State::Selecting);
+    let line = moved.decision.why.to_string();
+    assert!(line.contains("has not come yet") && line.ends_with("then say start"), "{line}");
+}
+
+/// A stop of the supervisor ends the run with its reason; both arms rest afterwards.
+#[test]
+fn a_stop_by_a_policy_ends_the_run_with_its_reason() {
+    let mut setup = setup();
+    setup.supervisor.policies.get_mut(Condition::TargetLost).action = pb3dp_servo::supervisor::Action::Stop;
+    let parts = wire(&setup).unwrap();
+    let experiment = parts.experiment.clone();
+    let mut bench = Bench::following(&setup, parts, &*experiment);
+    bench.target = None;
+    let mut refused = None;
+    for _ in 0..200 {
+        let now = bench.clock.now() + setup.control_period;
+        bench.clock.sleep_until(now);
+        if let Err(error) = bench.moving.step(now) {
+            refused = Some(error.to_string());
+            break;
+        }
+    }
+    let line = refused.unwrap();
+    assert!(line.starts_with("stopped: the target is lost") && line.ends_with("then say reset"), "{line}");
+    bench.moving.stop().unwrap();
+}
