@@ -22,7 +22,6 @@ pub(super) struct ServoSection {
     speed: SpeedSection,
     approach: ApproachSection,
     timeouts: TimeoutsSection,
-    after_loss: AfterLossName,
     joint_history_samples: i64,
 }
 
@@ -78,13 +77,6 @@ struct TimeoutsSection {
     joints_s: f64,
 }
 
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-enum AfterLossName {
-    WaitForOperator,
-    Reacquire,
-}
-
 impl ServoSection {
     pub(super) fn build(&self, mounts: &Mounts, joint_speed_scale: f64, check: &mut Checker) -> ControllerConfig {
         let config = ControllerConfig {
@@ -125,10 +117,8 @@ impl ServoSection {
                 lost_s: self.timeouts.lost_s,
                 joints_s: self.timeouts.joints_s,
             },
-            after_loss: match self.after_loss {
-                AfterLossName::WaitForOperator => AfterLoss::WaitForOperator,
-                AfterLossName::Reacquire => AfterLoss::Reacquire,
-            },
+            // It looks again by itself; whether the hand may move then is for the supervisor to say.
+            after_loss: AfterLoss::Reacquire,
             joint_history_samples: whole(self.joint_history_samples),
         };
         self.check(&config, check);
