@@ -8,9 +8,10 @@ use anyhow::{Context, bail};
 use clap::ValueEnum;
 use serde_json::{Value, json};
 
-use crate::workspace::Workspace;
+use crate::workspace::{Workspace, run_visibly};
 
 const OUT: &str = "out/bench";
+const PAGES: &str = "docs/benchmarks";
 
 /// Rounds of the example `speed` in a quick run.
 const QUICK_ROUNDS: &str = "40";
@@ -26,10 +27,12 @@ const QUICK_ROUNDS: &str = "40";
 /// accuracy  every method on rendered scenes with exact truth, beside the Cramér-Rao bound (up to 20 minutes on two cores;
 ///           --quick: 3); `cargo xtask bench accuracy -- --help` lists the options. Writes docs/benchmarks/accuracy.md
 /// figures  the figures of docs/method.md, on rendered scenes: some minutes. Writes docs/images/score.svg, noise.svg, track.svg
+/// servo   how well the hand follows in simulation: the experiment of Fig. 7, sinusoids, steps, beside what an ideal filter or the
+///         arm's limits allow; fails if a limit is missed (some minutes; --quick: seconds). Writes docs/benchmarks/servo.md
 /// all     speed and raster
 ///
 /// The examples `speed` of crates/estimation and `raster_speed` of crates/sim measure the published method and the
-/// rasteriser, `pb3dp-bench` of crates/benchmarks all others; each prints its own table. The figures are also kept in `out/bench/*.json`, with
+/// rasteriser, `servo` of tests the servo, `pb3dp-bench` of crates/benchmarks all others; each prints its own table. The figures are also kept in `out/bench/*.json`, with
 /// commit, processor and compiler. Measure on an idle machine.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -52,6 +55,7 @@ enum What {
     Real,
     Accuracy,
     Figures,
+    Servo,
     All,
 }
 
@@ -90,6 +94,9 @@ const BENCHES: [Bench; 2] = [
 /// # Errors
 /// If a program does not build or fails, or its figures can not be written.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
+    if args.what == What::Servo {
+        return servo(workspace, &args.options);
+    }
     let wanted = |what: What| args.what == What::All && OF_ALL.contains(&what) || args.what == what;
     let takes_options = PROGRAMS.iter().any(|(what, _)| *what == args.what);
     if let Some(option) = args.options.first().filter(|_| !takes_options) {
@@ -103,6 +110,20 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
         run_program(workspace, subcommand, args)?;
     }
     Ok(())
+}
+
+/// Runs the example `servo` of the system tests; a whole run writes its page.
+fn servo(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
+    let quick = match options {
+        [] => false,
+        [option] if option == "--quick" => true,
+        _ => bail!("bench servo takes no options but --quick: `{}`", options.join(" ")),
+    };
+    let mut command = workspace.cargo();
+    command.args(["run", "--release", "--locked", "--package", "system-tests", "--example", "servo", "--"]);
+    command.args(["--origin", &origin(workspace), "--json", &format!("{OUT}/servo.json")]);
+    command.args(if quick { &["--quick"][..] } else { &["--page", PAGES] });
+    run_visibly(&mut command)
 }
 
 /// Runs a subcommand of `pb3dp-bench` where the user stands, so that the folders which are given mean what they say.
@@ -246,6 +267,8 @@ mod tests {
         let workspace = Workspace::find().expect("under cargo");
         let error = run(&workspace, &parse(&["raster", "--cases", "x"])).expect_err("nobody takes it");
         assert!(error.to_string().contains("--cases"), "{error}");
+        let error = run(&workspace, &parse(&["servo", "--quick", "--cases", "x"])).expect_err("nobody takes it");
+        assert!(error.to_string().contains("no options but --quick"), "{error}");
     }
 
     #[test]

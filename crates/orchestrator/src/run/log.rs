@@ -20,7 +20,7 @@ pub struct ControlSample {
     pub world_from_hand: Pose<World, Hand>,
     /// Where the hand should be: at the chosen place before the true target.
     pub world_from_hand_wanted: Pose<World, Hand>,
-    /// Where the hand should be by the pose of the lock: it takes the target for what the first estimate said, for ever.
+    /// Where the hand should be by the pose of the lock: it takes the target for what the first estimates said, for ever.
     pub world_from_hand_locked: Pose<World, Hand>,
     /// What the controller was doing, in a word.
     pub mode: String,
@@ -52,16 +52,16 @@ pub struct FrameSample {
     pub latency_millis: f64,
 }
 
-/// What the first estimate said of where the model's frame is on the target; everything that follows is relative to it.
+/// What the estimates said at the beginning of where the model's frame is on the target; everything that follows is relative to it.
 #[derive(Clone, Copy, Debug)]
 pub struct Lock {
     /// Seconds since the experiment began, mid-exposure.
     pub at_s: f64,
     /// Where the frame would be without error: on the target's true plane, on the ray of its estimated origin.
     pub target_from_model: Pose<Target, Model>,
-    /// Where the estimate put it.
+    /// Where the estimates put it: mean until the target first moves, so that the noise of a single one is not in it.
     pub target_from_model_found: Pose<Target, Model>,
-    /// What the estimate said of its own error: covariance of xi = [rho; phi] (m, rad; axes of `model`).
+    /// What the first estimate said of its own error: covariance of xi = [rho; phi] (m, rad; axes of `model`).
     pub covariance: Option<Matrix6<f64>>,
 }
 

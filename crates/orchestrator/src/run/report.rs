@@ -74,8 +74,8 @@ fn page(
         )
         .table(&channel_table(summary))
         .paragraph(
-            "The same against the hand's place by the pose of the lock, which takes the first estimate for the truth: distance and \
-             angle, not along one axis only. What is left here is the servo's, and the noise of the estimates.",
+            "The same against the hand's place by the pose of the lock, which takes the mean of the estimates before the first move \
+             for the truth: distance and angle, not along one axis only. What is left here is the servo's, and the noise of the estimates.",
         )
         .table(&locked_table(summary))
         .paragraph(&lock_note(summary))

@@ -1,7 +1,7 @@
 //! The figures of a run: how well the hand followed, how good the estimates were, how long they took.
 //!
 //! Errors are against the hand's place before the true target. Beside them stand those against its place by the pose of the lock:
-//! whatever the first estimate got wrong stays for the whole run and is no fault of the servo.
+//! whatever the first estimates got wrong stays for the whole run and is no fault of the servo.
 
 use std::collections::BTreeMap;
 
@@ -103,7 +103,7 @@ pub struct RunSummary {
     pub cycles: Vec<CycleSummary>,
 }
 
-/// What the first estimate got wrong: constant for the whole run.
+/// What the first estimates got wrong: constant for the whole run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LockSummary {
     /// Distance between the hand's places by the true plane and by the estimate, mm.

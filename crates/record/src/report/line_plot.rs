@@ -15,6 +15,8 @@ const LEFT: f64 = 62.0;
 const TOP: f64 = 24.0;
 const RIGHT: f64 = 14.0;
 const BOTTOM: f64 = 40.0;
+/// Height of title and legend where they are drawn.
+const HEADING: f64 = 34.0;
 
 /// Width of the plot area; chosen so that letters have about the size of the text around them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -172,6 +174,31 @@ impl LinePlot {
             self.grid(&x, &y, area),
             self.lines(&x, &y, area),
             self.mark_labels(&x, area),
+        )
+    }
+
+    /// Size of [`Self::to_group`], pixels.
+    pub(super) fn group_size(PlotWidth(area): PlotWidth) -> [f64; 2] {
+        [LEFT + area + RIGHT, HEADING + TOP + HEIGHT + BOTTOM]
+    }
+
+    /// The plot with its title and legend as a part of a larger SVG, whose style sheet knows the classes.
+    pub(super) fn to_group(&self, PlotWidth(area): PlotWidth, [left, top]: [f64; 2]) -> String {
+        let [x, y] = self.scales(area);
+        let title = escape(&self.title);
+        let mut heading = format!("<text x=\"{LEFT}\" y=\"14\" class=\"head\">{title}</text>");
+        let mut at = LEFT;
+        for series in &self.series {
+            let dashed = if series.dashed { " dashed" } else { "" };
+            let (class, name) = (series.color.class(), escape(&series.name));
+            let (end, text) = (at + 18.0, at + 23.0);
+            let _ = write!(heading, "<path class=\"line {class}{dashed}\" d=\"M{at:.0} 26H{end:.0}\"/>");
+            let _ = write!(heading, "<text x=\"{text:.0}\" y=\"30\">{name}</text>");
+            at = text + 6.2 * series.name.chars().count() as f64 + 14.0;
+        }
+        let (grid, lines, marks) = (self.grid(&x, &y, area), self.lines(&x, &y, area), self.mark_labels(&x, area));
+        format!(
+            "<g transform=\"translate({left} {top})\">{heading}<g transform=\"translate(0 {HEADING})\">{grid}{lines}{marks}</g></g>\n"
         )
     }
 

@@ -16,6 +16,7 @@
 mod axis;
 mod base64;
 mod line_plot;
+mod svg_file;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -24,6 +25,7 @@ use image::RgbImage;
 
 use line_plot::PlotWidth;
 pub use line_plot::{LinePlot, Mark, Series, SeriesColor};
+pub use svg_file::svg_file;
 
 use crate::images::{PictureFormat, encode};
 

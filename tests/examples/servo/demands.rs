@@ -1,0 +1,155 @@
+//! What a motion of the target demands of the arm that follows it, as shares of what it may; and how soon it could follow a step.
+
+use anyhow::{Context, Result};
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::Twist;
+use pb3dp_geometry::frames::{Model, Target, World};
+use pb3dp_kinematics::{DOF, JointLimits, JointVector};
+use pb3dp_orchestrator::config::setup::Setup;
+use pb3dp_sim::placement::{FlangePath, PathReport, PathRequirements, check_experiment};
+use pb3dp_sim::trajectory::{Mark, MotionConfig, StepExperimentConfig, Trajectory};
+
+use crate::setups::ARM_LAG;
+
+/// Speeds are allowed this many times what they are, to see what a motion would demand.
+const LIFTED: f64 = 1e4;
+
+/// What a motion demands of one thing.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Demand {
+    /// `axis 3, speed`.
+    pub what: String,
+    /// Whether it is the speed of a joint or of the hand, and not an acceleration.
+    pub is_speed: bool,
+    /// As a share of what is allowed: above 1 it is not to be had.
+    pub share: f64,
+}
+
+/// Where the target is at the beginning.
+pub fn start(setup: &Setup) -> Pose<World, Target> {
+    setup.tc.world_from_base * setup.tc.chain.forward(&setup.tc.start_rad) * setup.flange_from_target
+}
+
+/// What a hand that follows without lag demands, the largest first.
+///
+/// # Errors
+/// If it leads out of reach, out of a joint's range or to a singular pose.
+pub fn demands(setup: &Setup, motion: &MotionConfig) -> Result<Vec<Demand>> {
+    let target = motion.begin_at(start(setup))?;
+    let report = follow(setup, &*target)?;
+    let (allowed, speed) = (&setup.vs.limiter, &setup.controller.speed.tracking);
+    let demand = |what: String, is_speed: bool, share: f64| Demand { what, is_speed, share };
+    let mut demands: Vec<Demand> = (0..DOF)
+        .flat_map(|joint| {
+            let axis = joint + 1;
+            let acceleration =
+                report.acceleration_max_rad_per_s2[joint].value / allowed.acceleration_max_rad_per_s2[joint];
+            [
+                demand(format!("axis {axis}, speed"), true, report.speed_ratio_max[joint].value * LIFTED),
+                demand(format!("axis {axis}, acceleration"), false, acceleration),
+            ]
+        })
+        .collect();
+    let (linear, angular) = (report.tool_linear_max_m_per_s.value, report.tool_angular_max_rad_per_s.value);
+    demands.push(demand("hand, speed".to_owned(), true, linear / speed.linear_m_per_s));
+    demands.push(demand("hand, angular speed".to_owned(), true, angular / speed.angular_rad_per_s));
+    demands.sort_by(|a, b| b.share.total_cmp(&a.share));
+    Ok(demands)
+}
+
+fn follow(setup: &Setup, target: &dyn Trajectory) -> Result<PathReport> {
+    let limiter = &setup.vs.limiter;
+    let speeds = setup.vs.chain.limits().velocity_max_rad_per_s() * LIFTED;
+    let limits = JointLimits::new(limiter.operating_min_rad, limiter.operating_max_rad, speeds)?;
+    let path = FlangePath::of_follower(
+        target,
+        &setup.vs.world_from_base,
+        &Pose::<Target, Model>::coincident(),
+        &setup.controller.model_from_hand_desired,
+        &setup.controller.flange_from_hand,
+    );
+    let requirements = PathRequirements::at_speed_scale(limiter.speed_scale);
+    Ok(check_experiment(&setup.vs.chain, &limits, &setup.vs.start_rad, &path, &requirements)?)
+}
+
+/// A motion that ends before its time.
+struct Shortened<'a>(&'a dyn Trajectory, f64);
+
+impl Trajectory for Shortened<'_> {
+    fn pose_at(&self, t_s: f64) -> Pose<World, Target> {
+        self.0.pose_at(t_s.min(self.1))
+    }
+
+    fn twist_at(&self, t_s: f64) -> Twist<World> {
+        self.0.twist_at(t_s.min(self.1))
+    }
+
+    fn marks(&self) -> &[Mark] {
+        self.0.marks()
+    }
+
+    fn duration_s(&self) -> f64 {
+        self.1
+    }
+}
+
+/// The shortest time in which a hand can come within `within_share` of the way after a sudden step, whatever leads it, and what sets it: the total
+/// delay without the arm's lag (which a law may make up for), and the slowest of each joint from rest to rest at its largest speed and
+/// acceleration and the hand's way at its largest speeds.
+///
+/// # Errors
+/// If the step leads out of reach.
+pub fn shortest_step(
+    setup: &Setup,
+    step: &StepExperimentConfig,
+    delay_s: f64,
+    within_share: f64,
+) -> Result<(f64, String)> {
+    // Slow enough for anything; only the places matter.
+    let slow = StepExperimentConfig { move_s: 4.0, lead_in_s: 0.0, ..step.clone() };
+    let target = MotionConfig::Steps(slow).begin_at(start(setup))?;
+    let report = follow(setup, &Shortened(&*target, 4.0))?;
+    let limiter = &setup.vs.limiter;
+    let way_rad: JointVector = (report.end_rad - report.begin_rad).map(f64::abs);
+    let speed = setup.vs.chain.limits().velocity_max_rad_per_s() * limiter.speed_scale;
+    let joint = |joint: usize| {
+        let (way, speed, acceleration) = (way_rad[joint], speed[joint], limiter.acceleration_max_rad_per_s2[joint]);
+        (rest_to_rest_s(way, speed, acceleration, within_share), format!("axis {}", joint + 1))
+    };
+    let target_from_hand = Pose::<Target, Model>::coincident() * setup.controller.model_from_hand_desired;
+    let hand = |t_s: f64| target.pose_at(t_s) * target_from_hand;
+    let (from, to) = (hand(0.0), hand(4.0));
+    let most = setup.controller.speed.tracking;
+    let share = 1.0 - within_share;
+    let linear_s = share * (to.translation_m() - from.translation_m()).norm() / most.linear_m_per_s;
+    let angular_s = share * from.rotation().angle_to(&to.rotation()) / most.angular_rad_per_s;
+    let hand_times = [(linear_s, "speed of the hand".to_owned()), (angular_s, "angular speed of the hand".to_owned())];
+    let slowest = (0..DOF).map(joint).chain(hand_times).max_by(|a, b| a.0.total_cmp(&b.0));
+    let (move_s, what) = slowest.context("an arm has joints")?;
+    Ok((delay_s - ARM_LAG.as_secs_f64() + move_s, what))
+}
+
+/// From rest to within a share of the end, at which it may still brake: full acceleration, largest speed, full deceleration.
+fn rest_to_rest_s(way: f64, speed: f64, acceleration: f64, within_share: f64) -> f64 {
+    let whole_s = if way * acceleration > speed * speed {
+        way / speed + speed / acceleration
+    } else {
+        2.0 * (way / acceleration).sqrt()
+    };
+    let left = (2.0 * within_share * way / acceleration).sqrt();
+    (whole_s - left).max(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rest_to_rest_takes_as_long_as_the_textbook_says() {
+        // 1 rad at 2 rad/s^2: half the way in 1/sqrt(2) s each; at most 0.5 rad/s: 2 s and 0.25 s.
+        assert!((rest_to_rest_s(1.0, 10.0, 2.0, 0.0) - 2.0_f64.sqrt()).abs() < 1e-12);
+        assert!((rest_to_rest_s(1.0, 0.5, 2.0, 0.0) - 2.25).abs() < 1e-12);
+        // The last 2 % of the way take sqrt(2 x 0.02 / 2) s.
+        assert!((rest_to_rest_s(1.0, 10.0, 2.0, 0.02) - (2.0_f64.sqrt() - 0.02_f64.sqrt())).abs() < 1e-12);
+    }
+}

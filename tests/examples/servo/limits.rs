@@ -1,0 +1,119 @@
+//! What the servo must keep.
+
+use pb3dp_orchestrator::run::summary::RmsMax;
+
+use crate::runs::{Fig7, Response, Step};
+use crate::setups::{DELAYS_MILLIS, TARGETS, Who};
+
+/// Rms of the distance in motion, mm: of the colourful and the crab-like card, at each delay.
+const MOVING_MM: [[f64; 2]; 2] = [[1.2, 2.0], [1.8, 2.8]];
+/// Rms of the distance at rest, mm: of both cards.
+const HOLD_MM: [f64; 2] = [0.3, 0.6];
+/// Rms of the angle in motion and at rest, degrees.
+const MOVING_DEG: f64 = 0.25;
+const HOLD_DEG: f64 = 0.1;
+/// Lag by cross-correlation, seconds.
+const LAG_S: f64 = 0.010;
+/// Gain either way, dB, and phase lag, degrees.
+const GAIN_DB: f64 = 1.0;
+const PHASE_LAG_DEG: f64 = 5.0;
+/// Of the step, percent.
+const OVERSHOOT_PERCENT: f64 = 5.0;
+
+/// One limit and what was found.
+#[derive(Clone, Debug)]
+pub struct Check {
+    /// What is limited.
+    pub what: String,
+    /// What was found; none where there is no figure, which is a miss.
+    pub found: Option<f64>,
+    /// The largest value allowed.
+    pub most: f64,
+    /// Of both.
+    pub unit: &'static str,
+}
+
+impl Check {
+    /// Whether the limit was kept. What is no number keeps none.
+    pub fn is_kept(&self) -> bool {
+        self.found.is_some_and(|found| found <= self.most)
+    }
+}
+
+/// The limits of one run of the experiment of Fig. 7; none where it is only reported.
+pub fn of_fig7(run: &Fig7) -> Vec<Check> {
+    let delay = DELAYS_MILLIS.iter().position(|delay| *delay == run.delay_millis);
+    let target = TARGETS[..2].iter().position(|(name, _)| *name == run.target);
+    let (Some(delay), Some(target), true) = (delay, target, run.who == Who::Ours.name()) else { return Vec::new() };
+    let check = |what: &str, found: Option<f64>, most: f64, unit: &'static str| {
+        let what = format!("{}, {:.0} ms: {what}", run.target, run.delay_millis);
+        Check { what, found, most, unit }
+    };
+    let rms = |error: Option<RmsMax>| error.map(|error| error.rms);
+    let locked = &run.summary.locked;
+    // A channel without a lag is not followed.
+    let lags: Option<Vec<f64>> = run.summary.channels.iter().map(|channel| channel.lag_s.map(f64::abs)).collect();
+    let lag_s = lags.and_then(|lags| lags.into_iter().reduce(f64::max));
+    vec![
+        check("position in motion, rms", rms(locked.moving_mm), MOVING_MM[delay][target], "mm"),
+        check("orientation in motion, rms", rms(locked.moving_deg), MOVING_DEG, "deg"),
+        check("position at rest, rms", rms(locked.hold_mm), HOLD_MM[target], "mm"),
+        check("orientation at rest, rms", rms(locked.hold_deg), HOLD_DEG, "deg"),
+        check("lag, largest of the axes", lag_s.map(|lag_s| lag_s * 1e3), LAG_S * 1e3, "ms"),
+    ]
+}
+
+/// The limits of the frequency response of one channel: over all periods that the arm could follow without lag.
+pub fn of_responses(channel: &str, responses: &[Response]) -> Vec<Check> {
+    let ours = |response: &&Response| response.who == Who::Ours.name() && response.channel == channel;
+    let possible: Vec<&Response> = responses.iter().filter(ours).filter(|response| response.is_possible()).collect();
+    let shortest_s = possible.iter().map(|response| response.period_s).fold(f64::INFINITY, f64::min);
+    let worst = |pick: fn(&Response) -> Option<f64>| -> Option<f64> {
+        let figures: Option<Vec<f64>> = possible.iter().map(|response| pick(response)).collect();
+        figures.and_then(|figures| figures.into_iter().reduce(f64::max))
+    };
+    let what = |figure: &str| format!("sinusoids of {channel} from {shortest_s} s on: {figure}");
+    vec![
+        Check {
+            what: what("gain, largest either way"),
+            found: worst(|r| r.gain_db.map(f64::abs)),
+            most: GAIN_DB,
+            unit: "dB",
+        },
+        Check {
+            what: what("phase lag, largest"),
+            found: worst(|r| r.phase_deg.map(|p| -p)),
+            most: PHASE_LAG_DEG,
+            unit: "deg",
+        },
+    ]
+}
+
+/// The limits of one sudden step.
+pub fn of_step(step: &Step) -> Vec<Check> {
+    if step.who != Who::Ours.name() {
+        return Vec::new();
+    }
+    let (channel, summary) = (&step.summary.channel, &step.summary);
+    // Without settling the overshoot says nothing.
+    let found = summary.settled_after_s.and(summary.overshoot_percent);
+    let what = format!("step of {channel}: settles to 1 mm and 0.3 deg, overshoot");
+    vec![Check { what, found, most: OVERSHOOT_PERCENT, unit: "%" }]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_no_number_keeps_no_limit() {
+        let check = |found| Check { what: "it".to_owned(), found, most: 1.0, unit: "mm" };
+        assert!(check(Some(1.0)).is_kept() && !check(Some(1.001)).is_kept());
+        assert!(!check(None).is_kept() && !check(Some(f64::NAN)).is_kept());
+    }
+
+    #[test]
+    fn a_response_that_is_missing_is_a_miss() {
+        assert!(of_responses("x", &[]).iter().all(|check| !check.is_kept()));
+    }
+}

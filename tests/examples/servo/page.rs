@@ -1,0 +1,272 @@
+//! Tables, page and figures.
+
+use std::fmt::Write as _;
+
+use nalgebra::UnitQuaternion;
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{Hand, World};
+use pb3dp_orchestrator::run::log::{ControlSample, RunLog};
+use pb3dp_orchestrator::run::summary::RmsMax;
+use pb3dp_record::report::{LinePlot, Series, SeriesColor, svg_file};
+
+use crate::Findings;
+use crate::ideal::{Ideal, TAPS};
+use crate::limits::Check;
+use crate::runs::{Fig7, Response, Step};
+use crate::setups::{NOISE_GREY, Who};
+
+/// Seconds between two points of a line.
+const LINE_STEP_S: f64 = 0.12;
+
+fn number(value: Option<f64>, digits: usize) -> String {
+    value.map_or("-".to_owned(), |value| format!("{value:.digits$}"))
+}
+
+/// `rms (max; ideal)`.
+fn with_ideal(error: Option<RmsMax>, ideal: Option<Ideal>, pick: fn(Ideal) -> f64, digits: usize) -> String {
+    let Some(error) = error else { return "-".to_owned() };
+    let ideal = number(ideal.map(pick), digits);
+    format!("{:.digits$} ({:.digits$}; {ideal})", error.rms, error.max)
+}
+
+/// The experiment of Fig. 7, a line for each run.
+pub fn fig7_table(runs: &[Fig7]) -> String {
+    let mut text = String::from(
+        "| target | led by | delay, ms | moving, mm | moving, deg | hold, mm | hold, deg | lag, ms | lock, mm (500 mm x sigma) | \
+         noise at the hand, mm | deg | estimates, mm | deg | no pose |\n|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n",
+    );
+    for run in runs {
+        let (locked, ideal) = (&run.summary.locked, &run.ideal);
+        let lags: Vec<f64> = run.summary.channels.iter().filter_map(|channel| channel.lag_s).collect();
+        let lag_s = lags.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs()));
+        let lock = run.summary.lock.as_ref();
+        let length =
+            |from: usize| run.noise.map(|noise| noise[from..from + 3].iter().map(|x| x * x).sum::<f64>().sqrt());
+        let _ = writeln!(
+            text,
+            "| {} | {} | {:.0} | {} | {} | {} | {} | {} | {} ({}) | {} | {} | {} | {} | {} of {} |",
+            run.target,
+            run.who,
+            run.delay_millis,
+            with_ideal(locked.moving_mm, ideal.moving, |i| i.mm, 2),
+            with_ideal(locked.moving_deg, ideal.moving, |i| i.deg, 3),
+            with_ideal(locked.hold_mm, ideal.hold, |i| i.mm, 2),
+            with_ideal(locked.hold_deg, ideal.hold, |i| i.deg, 3),
+            number(lag_s.map(|lag_s| lag_s * 1e3), 1),
+            number(lock.map(|lock| lock.hand_mm), 2),
+            number(lock.and_then(|lock| lock.hand_by_tilt_sigma_mm), 2),
+            number(length(0), 2),
+            number(length(3), 3),
+            number(run.estimates.map(|[mm, _]| mm), 2),
+            number(run.estimates.map(|[_, deg]| deg), 3),
+            run.summary.frames_without_pose,
+            run.summary.frames,
+        );
+    }
+    text
+}
+
+/// Each axis of each run by itself.
+pub fn axis_table(runs: &[Fig7]) -> String {
+    let mut text = String::from(
+        "| target | led by | delay, ms | axis | moving, mm | moving, deg | hold, mm | hold, deg | lag, ms |\n\
+         |---|---|---:|---|---:|---:|---:|---:|---:|\n",
+    );
+    for run in runs {
+        for (channel, ideal) in run.summary.channels.iter().zip(&run.channel_ideals) {
+            let locked = &channel.locked;
+            let _ = writeln!(
+                text,
+                "| {} | {} | {:.0} | {} | {} | {} | {} | {} | {} |",
+                run.target,
+                run.who,
+                run.delay_millis,
+                channel.channel,
+                with_ideal(locked.moving_mm, ideal.moving, |i| i.mm, 2),
+                with_ideal(locked.moving_deg, ideal.moving, |i| i.deg, 3),
+                with_ideal(locked.hold_mm, ideal.hold, |i| i.mm, 2),
+                with_ideal(locked.hold_deg, ideal.hold, |i| i.deg, 3),
+                number(channel.lag_s.map(|lag_s| lag_s * 1e3), 1),
+            );
+        }
+    }
+    text
+}
+
+/// Gain and phase of both laws, and what the motion demands.
+pub fn response_table(responses: &[Response]) -> String {
+    let mut text = String::from(
+        "| axis | period, s | gain, dB | phase, deg | published law: gain, dB | phase, deg | most of what the arm may | of its speeds |\n\
+         |---|---:|---:|---:|---:|---:|---|---|\n",
+    );
+    for ours in responses.iter().filter(|response| response.who == Who::Ours.name()) {
+        let same = |other: &&Response| other.channel == ours.channel && other.period_s == ours.period_s;
+        let published = responses.iter().filter(same).find(|other| other.who == Who::Published.name());
+        let demand = |only_speeds: bool| -> String {
+            let Some(demands) = &ours.demands else { return ours.refusal.clone().unwrap_or_default() };
+            let first = demands.iter().find(|demand| demand.is_speed || !only_speeds);
+            first.map_or("-".to_owned(), |demand| format!("{:.0} %: {}", 100.0 * demand.share, demand.what))
+        };
+        let _ = writeln!(
+            text,
+            "| {} | {} | {} | {} | {} | {} | {} | {} |",
+            ours.channel,
+            ours.period_s,
+            number(ours.gain_db, 2),
+            number(ours.phase_deg, 1),
+            number(published.and_then(|other| other.gain_db), 2),
+            number(published.and_then(|other| other.phase_deg), 1),
+            demand(false),
+            demand(true),
+        );
+    }
+    text
+}
+
+/// Sudden steps of both laws.
+pub fn step_table(steps: &[Step]) -> String {
+    let mut text = String::from(
+        "| step | law | settled after, s | overshoot, % | no hand sooner than, s | set by |\n|---|---|---:|---:|---:|---|\n",
+    );
+    for Step { who, summary, shortest_s, set_by } in steps {
+        let size = if summary.unit == "mm" { "50 mm" } else { "15 deg" };
+        let _ = writeln!(
+            text,
+            "| {} {size} | {who} | {} | {} | {shortest_s:.2} | {set_by} |",
+            summary.channel,
+            number(summary.settled_after_s, 2),
+            number(summary.overshoot_percent, 1),
+        );
+    }
+    text
+}
+
+/// The limits and what was found.
+pub fn limit_table(checks: &[Check]) -> String {
+    let mut text = String::from("| limit | found | at most | |\n|---|---:|---:|---|\n");
+    for check in checks {
+        let verdict = if check.is_kept() { "kept" } else { "**missed**" };
+        let (found, unit) = (number(check.found, 3), check.unit);
+        let _ = writeln!(text, "| {} | {found} {unit} | {} {unit} | {verdict} |", check.what, check.most);
+    }
+    text
+}
+
+/// The page of the documentation.
+pub fn page(findings: &Findings, checks: &[Check], origin: &str) -> String {
+    let missed = checks.iter().filter(|check| !check.is_kept()).count();
+    let fig7 = fig7_table(&findings.fig7);
+    let axes = axis_table(&findings.fig7);
+    let (responses, steps, limits) =
+        (response_table(&findings.responses), step_table(&findings.steps), limit_table(checks));
+    let speed = findings.geometric_times_real_time;
+    format!(
+        "# The servo\n\n\
+         This page is written by the command below; change the program, not the page.\n\n\
+         ```text\ncargo xtask bench servo\n```\n\n{origin}\n\n\
+         {missed} of {} limits are missed: [limits](#limits).\n\n\
+         ## The experiment of Fig. 7\n\n\
+         ![The six panels](servo.svg)\n\n\
+         30 pictures per second, fx 740, baseline 100 mm, picture noise of {NOISE_GREY} grey levels, rendered; the arms of `configs/sim.toml`.\n\
+         The delay is the total one, from the middle of an exposure to the motion that it causes, with the lag of the drives (30 ms) and the mean wait for the next control step.\n\
+         `direct` is the setup of `configs/sim.toml`, `published` that of `configs/sim_published.toml`: the published method with the published law.\n\n\
+         Errors are those of the hand against its place by the pose of the lock, which takes the mean of the estimates before the first move for the truth: distance and angle, rms (max; ideal).\n\
+         Moving is while the target moves, hold from one second after the move.\n\
+         The lock itself is off by a constant, which stands beside the length that a tilt of one standard deviation, as the first estimate states it, makes of 500 mm.\n\
+         The noise is the white part of the estimates at the hand (second differences), the estimates' own error against the lock all of it.\n\n\
+         Ideal is what the best linear filter would leave: a weighted sum of the last {TAPS} frames that are old enough, with weights that are chosen for this noise, this delay and this very motion, for each axis by itself.\n\
+         One set of weights is chosen for all moves and another for all rests, so no filter of this kind is better at either; one that is good at both is worse at each.\n\
+         It is no bound for filters that change with what they see, nor does it know errors of the estimates that are no white noise.\n\n\
+         {fig7}\n\
+         ### Each axis\n\n\
+         {axes}\n\
+         ## Frequency response\n\n\
+         ![Gain and phase](servo_response.svg)\n\n\
+         The target swings by 100 mm or 20 degrees to either side; gain and phase of the hand against its wanted way, by least-squares fits of a sinusoid.\n\
+         No picture was rendered: the poses are true ones with the noise of `estimator.geometric` in the configuration, and nothing carries the target, which moves as no arm might.\n\
+         The last columns say what a hand without lag would demand, of all that is limited (speeds and accelerations of the axes and of the hand) and of speeds alone: above 100 % it can not follow.\n\n\
+         {responses}\n\
+         ## Steps\n\n\
+         The target is 50 mm or 15 degrees elsewhere at once, and later back; again without pictures.\n\
+         Settled is when the hand stays within 1 mm and 0.3 degrees of its place, the longer of both ways.\n\
+         No hand can be there sooner than after the delay without the drives' lag, and the time of the slowest axis from rest to rest at its largest speed and acceleration, or of the hand at its largest speed.\n\n\
+         {steps}\n\
+         ## Limits\n\n\
+         {limits}\n\
+         Without pictures a run of Fig. 7 took 1/{speed:.0} of its time on one core of this machine.\n",
+        checks.len(),
+    )
+}
+
+/// The six panels: where the hand should be, and where it was with either setup.
+pub fn motion_figure(runs: &[Fig7]) -> Option<String> {
+    let ours = runs.iter().find(|run| run.who == Who::Ours.name())?;
+    let published = runs.iter().find(|run| run.who == Who::Published.name() && run.delay_millis == ours.delay_millis);
+    let (wanted, hand): (Pick, Pick) = (|s| &s.world_from_hand_locked, |s| &s.world_from_hand);
+    let mut lines = vec![("wanted", SeriesColor::Ink, &ours.log, wanted)];
+    lines.extend(published.map(|published| ("published", SeriesColor::Blue, &published.log, hand)));
+    lines.push(("direct", SeriesColor::Red, &ours.log, hand));
+    let axes = ours.log.control.first()?.world_from_target.rotation();
+    let panels: Vec<LinePlot> = (0..6).map(|row| motion_panel(row, &lines, &axes)).collect();
+    let caption = format!(
+        "Way and turn of the hand since the beginning, along the target's axes at the beginning; {} before the direct method{}; total delay {:.0} ms.",
+        ours.target,
+        published.map_or(String::new(), |run| format!(", {} before the published one", run.target)),
+        ours.delay_millis
+    );
+    Some(svg_file(&panels, 2, &[caption]))
+}
+
+type Pick = fn(&ControlSample) -> &Pose<World, Hand>;
+
+fn motion_panel(row: usize, lines: &[(&str, SeriesColor, &RunLog, Pick)], axes: &UnitQuaternion<f64>) -> LinePlot {
+    let letter = ["a", "b", "c", "d", "e", "f"][row];
+    let axis = ["x", "y", "z"][row % 3];
+    let (title, y) = match row < 3 {
+        true => (format!("({letter}) position {axis}"), ("way", "mm")),
+        false => (format!("({letter}) orientation {axis}"), ("turn", "deg")),
+    };
+    let value = |start: &Pose<World, Hand>, now: &Pose<World, Hand>| -> f64 {
+        let turned = (now.rotation() * start.rotation().inverse()).scaled_axis();
+        match row < 3 {
+            true => (axes.inverse() * (now.translation_m() - start.translation_m()))[row] * 1e3,
+            false => (axes.inverse() * turned)[row - 3].to_degrees(),
+        }
+    };
+    lines.iter().fold(LinePlot::new(title, ("time", "s"), y), |plot, (name, color, log, pick)| {
+        let Some(first) = log.control.first() else { return plot };
+        let start = first.world_from_hand_locked;
+        let mut next_s = 0.0;
+        let mut points = Vec::new();
+        for sample in log.control.iter() {
+            if sample.t_s >= next_s {
+                next_s += LINE_STEP_S;
+                points.push([sample.t_s, value(&start, pick(sample))]);
+            }
+        }
+        plot.series(Series::line(*name, *color, points))
+    })
+}
+
+/// Gain and phase over the period, of a way and of a turn, with either law.
+pub fn response_figure(responses: &[Response]) -> String {
+    type Figure = fn(&Response) -> Option<f64>;
+    let figures: [(&str, (&str, &str), Figure); 2] =
+        [("gain", ("gain", "dB"), |r| r.gain_db), ("phase", ("phase", "deg"), |r| r.phase_deg)];
+    let lines = [
+        (Who::Published, "x", SeriesColor::Grey),
+        (Who::Published, "ry", SeriesColor::Orange),
+        (Who::Ours, "x", SeriesColor::Blue),
+        (Who::Ours, "ry", SeriesColor::Red),
+    ];
+    let panel = |(title, y, pick): (&str, (&str, &str), Figure)| {
+        lines.iter().fold(LinePlot::new(title, ("period", "s"), y), |plot, (who, channel, color)| {
+            let mine = responses.iter().filter(|r| r.who == who.name() && r.channel == *channel);
+            let mut points: Vec<[f64; 2]> = mine.filter_map(|r| Some([r.period_s, pick(r)?])).collect();
+            points.sort_by(|a, b| a[0].total_cmp(&b[0]));
+            plot.series(Series::line(format!("{channel}, {}", who.name()), *color, points))
+        })
+    };
+    let caption = "Sinusoids of 100 mm (x) and 20 degrees (ry), without pictures.".to_owned();
+    svg_file(&figures.map(panel), 2, &[caption])
+}

@@ -1,0 +1,133 @@
+//! The setups under test: those of the repository with the conditions of the requirements.
+
+use std::time::Duration;
+
+use anyhow::{Context, Result, ensure};
+use pb3dp_orchestrator::config::setup::{Carrier, Leader, Setup, read_setup};
+use pb3dp_sim::targets::TargetConfig;
+use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig, StepExperimentConfig};
+use system_tests::repository;
+
+/// Standard deviation of the picture noise, grey levels.
+pub const NOISE_GREY: f64 = 3.0;
+/// Lag of the arm's drives, which is a part of the total delay.
+pub const ARM_LAG: Duration = Duration::from_millis(30);
+/// Total delays from the middle of an exposure to the motion that it causes, milliseconds.
+pub const DELAYS_MILLIS: [f64; 2] = [66.0, 100.0];
+/// Latency of the estimate at the first of these delays; the others are longer by the difference.
+const LATENCY_MILLIS: f64 = 20.0;
+
+/// Who leads the hand by which law.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Who {
+    /// The setup of configs/sim.toml: the direct method and the default law.
+    Ours,
+    /// The setup of configs/sim_published.toml: the published method and the published law.
+    Published,
+}
+
+impl Who {
+    /// Both.
+    pub const ALL: [Self; 2] = [Self::Ours, Self::Published];
+
+    /// For tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ours => "direct",
+            Self::Published => "published",
+        }
+    }
+
+    /// With the image noise and the arm's lag of the requirements, and this total delay.
+    ///
+    /// # Errors
+    /// If the file can not be read, or does not leave room for the delay.
+    pub fn setup(self, delay_millis: f64) -> Result<Setup> {
+        let file = match self {
+            Self::Ours => "configs/sim.toml",
+            Self::Published => "configs/sim_published.toml",
+        };
+        let mut setup = read_setup(&repository().join(file))?;
+        setup.compared.clear();
+        (setup.sensor.read_noise_grey, setup.sensor.shot_noise_grey) = (NOISE_GREY, 0.0);
+        set_delay(&mut setup, delay_millis).with_context(|| format!("{file}: a delay of {delay_millis} ms"))?;
+        Ok(setup)
+    }
+}
+
+/// The targets of the experiment of Fig. 7.
+pub const TARGETS: [(&str, TargetConfig); 4] = [
+    ("colourful card", TargetConfig::card()),
+    ("crab-like card", TargetConfig::crab(0.0)),
+    ("crab, relief 25 mm", TargetConfig::crab(0.025)),
+    ("grey box", TargetConfig::grey_box()),
+];
+
+/// Gives the setup a total delay: half an exposure, the latency of the estimate, the mean wait for the next control step, the
+/// arm's delay and its lag.
+fn set_delay(setup: &mut Setup, delay_millis: f64) -> Result<()> {
+    setup.estimate_latency =
+        Duration::from_secs_f64((LATENCY_MILLIS + delay_millis - DELAYS_MILLIS[0]).max(0.0) * 1e-3);
+    let rest_s = delay_millis * 1e-3 - ARM_LAG.as_secs_f64() - until_control_step_s(setup);
+    ensure!((0.0..=0.02).contains(&rest_s), "{:.1} ms are left for the arm's own delay", rest_s * 1e3);
+    for arm in [&mut setup.vs, &mut setup.tc] {
+        arm.plant.velocity_time_constant = ARM_LAG;
+        arm.plant.command_delay = Duration::from_secs_f64(rest_s);
+        arm.limiter.reaction_time = setup.control_period + arm.plant.command_delay + ARM_LAG;
+    }
+    Ok(())
+}
+
+/// From the middle of an exposure to the control step that uses it, mean over many frames, seconds.
+fn until_control_step_s(setup: &Setup) -> f64 {
+    const FRAMES: u32 = 300;
+    let step_s = setup.control_period.as_secs_f64();
+    let camera = &setup.camera;
+    let wait_s = |frame: u32| {
+        let begin_s = camera.period.as_secs_f64() * f64::from(frame);
+        let arrives_s = begin_s + (camera.exposure + setup.estimate_latency).as_secs_f64();
+        // A nanosecond early counts as in time: times are whole nanoseconds.
+        let used_s = ((arrives_s - 1e-9) / step_s).ceil() * step_s;
+        used_s - begin_s - 0.5 * camera.exposure.as_secs_f64()
+    };
+    (0..FRAMES).map(wait_s).sum::<f64>() / f64::from(FRAMES)
+}
+
+/// Without pictures, before a target that nothing carries.
+///
+/// # Errors
+/// If the file of the setup does not say what would stand in the place of pictures.
+pub fn geometric(mut setup: Setup, motion: MotionConfig) -> Result<Setup> {
+    let config = setup.geometric.context("the table estimator.geometric is missing")?;
+    setup.leader = Leader::Geometric(config);
+    setup.experiment.carrier = Carrier::Nothing;
+    setup.experiment.motion = motion;
+    Ok(setup)
+}
+
+/// A sinusoid of the amplitude: 100 mm or 20 degrees.
+pub fn sinusoid(channel: Channel, period_s: f64) -> MotionConfig {
+    let amplitude = if channel.is_rotation() { 20_f64.to_radians() } else { 0.1 };
+    let periods = (8.0 / period_s).ceil().max(1.0) as u32;
+    MotionConfig::Sine(SineConfig {
+        channel,
+        amplitude,
+        period_s,
+        periods,
+        lead_in_s: 3.0,
+        axes: ExperimentAxes::TargetAtStart,
+    })
+}
+
+/// A sudden step of 50 mm or 15 degrees, and back.
+pub fn step(channel: Channel) -> StepExperimentConfig {
+    StepExperimentConfig {
+        channels: vec![channel],
+        translation_m: 0.05,
+        rotation_rad: 15_f64.to_radians(),
+        move_s: 0.0,
+        hold_s: 4.0,
+        lead_in_s: 3.0,
+        axes: ExperimentAxes::TargetAtStart,
+    }
+}
