@@ -1,6 +1,7 @@
 //! A control step of a run, through all that stands before both arms, does not touch the heap.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail the test")]
 
+use nalgebra::Matrix6;
 use pb3dp_allocation_count::requests;
 use pb3dp_orchestrator::config::setup::read_setup;
 use pb3dp_orchestrator::run::moving::Moving;
@@ -27,8 +28,13 @@ fn control_steps_of_both_arms_do_not_allocate() {
         clock.sleep_until(now);
         // What the cameras would see without error, of a model whose frame is the target's.
         let cam_left_from_target = cell.world_from_cam_left_at(now).inverse() * cell.world_from_target_at(now);
-        let observation =
-            TargetObservation { at: now, cam_left_from_model: cam_left_from_target.relabel(), trusted: true };
+        let observation = TargetObservation {
+            at: now,
+            cam_left_from_model: cam_left_from_target.relabel(),
+            trusted: true,
+            covariance: Some(Matrix6::from_diagonal_element(1e-8)),
+            rotation_about_normal_observed: true,
+        };
         moving.observe(Percept {
             frame: FrameInput { sequence: step as u64, at: now, skew_s: 0.0 },
             estimate: EstimateInput { at: now, confidence: Confidence::Sure, covariance: None, target: 1 },

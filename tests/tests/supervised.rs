@@ -61,8 +61,13 @@ impl<'a> Bench<'a> {
         {
             let cam_left_from_target =
                 self.cell.world_from_cam_left_at(now).inverse() * self.cell.world_from_target_at(now);
-            let observation =
-                TargetObservation { at: now, cam_left_from_model: cam_left_from_target.relabel(), trusted: true };
+            let observation = TargetObservation {
+                at: now,
+                cam_left_from_model: cam_left_from_target.relabel(),
+                trusted: true,
+                covariance: None,
+                rotation_about_normal_observed: true,
+            };
             self.moving.observe(Percept {
                 frame: FrameInput { sequence: self.steps, at: now, skew_s: 0.0 },
                 estimate: EstimateInput { at: now, confidence: self.confidence, covariance: None, target },

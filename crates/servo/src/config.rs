@@ -1,7 +1,14 @@
 //! All numbers of the controller, and the check that refuses bad ones.
 
+mod laws;
+
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Flange, Frame, Hand, Model};
+
+pub use laws::{
+    ArmResponse, FeedForwardConfig, FeedForwardGains, Gains, LawConfig, PublishedConfig, RedundancyConfig,
+    TargetFilterConfig, UnstatedCovariance,
+};
 
 /// Everything that [`crate::Controller::new`] needs besides the arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -12,10 +19,8 @@ pub struct ControllerConfig {
     pub hand_from_cam_left: Pose<Hand, CamLeft>,
     /// Mounting of the hand on the flange.
     pub flange_from_hand: Pose<Flange, Hand>,
-    /// Gains of the law.
-    pub gains: Gains,
-    /// Gate and smoothing of the observations.
-    pub target_filter: TargetFilterConfig,
+    /// The control law, and what it makes of the observations.
+    pub law: LawConfig,
     /// Behaviour near singular poses.
     pub damping: DampingConfig,
     /// How fast hand and joints may move.
@@ -31,87 +36,23 @@ pub struct ControllerConfig {
     pub joint_history_samples: usize,
 }
 
-/// Gains of the law of the paper's group, see [`crate::law::pose_based`].
-///
-/// The orientation error of the law is the vector part of a quaternion, half the angle where that is small: for equal rates of
-/// convergence `orientation_per_s` is twice `position_per_s`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Gains {
-    /// K_Pp: hand speed per position error, 1/s, 0 (exclusive) to 50. The hand trails a moving target by its inverse.
-    pub position_per_s: f64,
-    /// K_Vp: share of the rate of the position error that is added, 0 to 0.9.
-    pub velocity: f64,
-    /// K_Po: angular speed (rad/s) per vector part of the error quaternion, 1/s, 0 (exclusive) to 100.
-    pub orientation_per_s: f64,
-    /// K_Vo: share of the rate of the orientation error that is added, 0 to 0.9.
-    pub angular_velocity: f64,
-}
-
-impl Gains {
-    /// The largest gains without overshoot for a total delay from measured error to motion (1/(e T)), no velocity terms.
-    ///
-    /// `delay_s` counts what lies inside the loop. The pose of the target is kept in `base`, found with the joint angles at
-    /// the time of exposure, so with exact calibration the camera's delay is outside; it is wise to count it all the same.
-    pub fn without_overshoot(delay_s: f64) -> Self {
-        let position_per_s = 1.0 / (std::f64::consts::E * delay_s);
-        Self { position_per_s, velocity: 0.0, orientation_per_s: 2.0 * position_per_s, angular_velocity: 0.0 }
-    }
-}
-
-impl Default for Gains {
-    /// No gains are published. These are free of overshoot up to a total delay of 92 ms and trail by 0.25 s; velocity terms
-    /// are off, because differentiated estimates of the published method are mostly noise.
-    fn default() -> Self {
-        Self { position_per_s: 4.0, velocity: 0.0, orientation_per_s: 8.0, angular_velocity: 0.0 }
-    }
-}
-
-/// Gate and smoothing of the observations. The paper has neither; its hand wanders.
-///
-/// The observed pose of the model in `base` passes a first-order low-pass, position and orientation apart, because the
-/// method's depth is good and its tilt is not: one degree of tilt moves the desired hand by 8.7 mm at 500 mm. A time
-/// constant T divides white jitter of frames at an interval h by about sqrt(2 T / h) and lets the hand trail by T more. 0 is
-/// no smoothing. The first observations are averaged, so that a lock does not start from a single one.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TargetFilterConfig {
-    /// Time constant for the position, seconds, 0 to 5.
-    pub position_time_constant_s: f64,
-    /// Time constant for the orientation, seconds, 0 to 5.
-    pub orientation_time_constant_s: f64,
-    /// An observation farther than this from the smoothed position is not used, metres, 0.001 to 10.
-    pub gate_position_m: f64,
-    /// An observation turned by more than this against the smoothed orientation is not used, radians, 0.01 to pi.
-    pub gate_orientation_rad: f64,
-    /// Observations in agreement (within the gate) before the hand moves, 1 to 1000.
-    pub observations_to_lock: u32,
-}
-
-impl Default for TargetFilterConfig {
-    /// For the published method on a target that moves by up to 0.1 m/s and 20 degrees/s.
-    fn default() -> Self {
-        Self {
-            position_time_constant_s: 0.05,
-            orientation_time_constant_s: 0.15,
-            gate_position_m: 0.1,
-            gate_orientation_rad: 0.6,
-            observations_to_lock: 3,
-        }
-    }
-}
-
-/// Damping of the pseudo-inverse of the Jacobian (metres and radians).
+/// Behaviour near singular poses: damping of the pseudo-inverse of the Jacobian (metres and radians), and a bound of the elbow.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DampingConfig {
     /// Singular value below which motion along its direction is damped, 0.001 to 0.5.
     pub threshold: f64,
     /// Damping factor where the singular value is zero, 0.001 to 0.5.
     pub factor_max: f64,
+    /// The elbow (fourth joint) is not stretched to less than this, rad, 0 to 0.5; 0: it may be. An arm that was pulled straight by a
+    /// target beyond its reach does not come back by itself, as no joint moves the wrist inwards then.
+    pub elbow_min_rad: f64,
 }
 
 impl Default for DampingConfig {
-    /// Acts only nearer to singular poses than the experiments go (0.05).
+    /// Acts only nearer to singular poses than the experiments go (0.05); with the elbow at its bound (5 degrees) the smallest
+    /// singular value of a PA-10 is about 0.02.
     fn default() -> Self {
-        Self { threshold: 0.04, factor_max: 0.04 }
+        Self { threshold: 0.04, factor_max: 0.04, elbow_min_rad: 0.09 }
     }
 }
 
@@ -190,36 +131,18 @@ impl ControllerConfig {
         check_pose("model_from_hand_desired", &self.model_from_hand_desired)?;
         check_pose("hand_from_cam_left", &self.hand_from_cam_left)?;
         check_pose("flange_from_hand", &self.flange_from_hand)?;
-        self.gains.validate()?;
-        self.target_filter.validate()?;
+        self.law.validate()?;
         check("damping.threshold", self.damping.threshold, 1e-3, 0.5, "0.001 to 0.5")?;
         check("damping.factor_max", self.damping.factor_max, 1e-3, 0.5, "0.001 to 0.5")?;
+        check("damping.elbow_min_rad", self.damping.elbow_min_rad, 0.0, 0.5, "0 to 0.5 rad")?;
         self.speed.validate()?;
         self.approach.validate()?;
         self.timeouts.validate()?;
+        if let LawConfig::FeedForward(law) = &self.law {
+            let (horizon_s, least_s) = (law.target.horizon_s, self.timeouts.observation_s);
+            check("target_state.horizon_s", horizon_s, least_s, f64::INFINITY, "timeouts.observation_s or more")?;
+        }
         check("joint_history_samples", self.joint_history_samples as f64, 8.0, 1e4, "8 to 10000")
-    }
-}
-
-impl Gains {
-    fn validate(&self) -> Result<(), ConfigError> {
-        check("gains.position_per_s", self.position_per_s, TINY, 50.0, "above 0 to 50 1/s")?;
-        check("gains.velocity", self.velocity, 0.0, 0.9, "0 to 0.9")?;
-        check("gains.orientation_per_s", self.orientation_per_s, TINY, 100.0, "above 0 to 100 1/s")?;
-        check("gains.angular_velocity", self.angular_velocity, 0.0, 0.9, "0 to 0.9")
-    }
-}
-
-impl TargetFilterConfig {
-    fn validate(&self) -> Result<(), ConfigError> {
-        let (position_s, orientation_s) = (self.position_time_constant_s, self.orientation_time_constant_s);
-        check("target_filter.position_time_constant_s", position_s, 0.0, 5.0, "0 to 5 s")?;
-        check("target_filter.orientation_time_constant_s", orientation_s, 0.0, 5.0, "0 to 5 s")?;
-        check("target_filter.gate_position_m", self.gate_position_m, 1e-3, 10.0, "0.001 to 10 m")?;
-        let pi = std::f64::consts::PI;
-        check("target_filter.gate_orientation_rad", self.gate_orientation_rad, 0.01, pi, "0.01 to pi rad")?;
-        let to_lock = f64::from(self.observations_to_lock);
-        check("target_filter.observations_to_lock", to_lock, 1.0, 1000.0, "1 to 1000")
     }
 }
 

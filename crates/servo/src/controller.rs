@@ -1,5 +1,7 @@
 //! The one entry: joints and observations in, a command with its reason out.
 
+mod driving;
+
 use std::fmt;
 
 use pb3dp_geometry::frames::{Base, Hand, Model};
@@ -7,10 +9,13 @@ use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::{Chain, Damping, JointLimits, JointState, JointVector};
 
 use crate::config::{AfterLoss, ConfigError, ControllerConfig};
+use crate::given_commands::GivenCommands;
 use crate::joint_history::JointHistory;
-use crate::law::pose_based::{HandError, hand_twist};
-use crate::resolved_rate::{HandJacobian, Limitation, limit_joints, limit_twist};
-use crate::target_filter::{ObservationVerdict, TargetObservation, TargetTrack};
+use crate::known_target::KnownTarget;
+use crate::law::pose_based::HandError;
+use crate::resolved_rate::{HandJacobian, Limitation};
+use crate::target_filter::{ObservationVerdict, TargetObservation};
+use driving::Pace;
 
 /// What the arm shall do until the next step.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,6 +66,8 @@ pub enum HoldReason {
         /// Index from the base.
         joint: usize,
     },
+    /// The elbow is nearly stretched and would have to be stretched further: the target is beyond the arm's reach.
+    ElbowStretched,
     /// The law gave a number that is not finite.
     CommandNotFinite,
 }
@@ -86,6 +93,9 @@ impl fmt::Display for HoldReason {
             Self::JointsNotFinite => write!(f, "a measured joint angle or speed is not a finite number"),
             Self::ClockStepped => write!(f, "the time of the joints or of the controller is not monotonic"),
             Self::JointRange { joint } => write!(f, "axis {} is at the end of its range", joint + 1),
+            Self::ElbowStretched => {
+                write!(f, "the elbow is nearly stretched: the target is at the end of the arm's reach")
+            }
             Self::CommandNotFinite => write!(f, "the control law gave a number that is not finite"),
         }
     }
@@ -102,7 +112,7 @@ pub struct ControlStep {
     pub observation: ObservationVerdict,
     /// Where the hand is, from the measured joints.
     pub base_from_hand: Option<Pose<Base, Hand>>,
-    /// Where the target is, smoothed.
+    /// Where the target is when the joints were measured: smoothed, or predicted.
     pub base_from_model: Option<Pose<Base, Model>>,
     /// Where the hand should be.
     pub base_from_hand_desired: Option<Pose<Base, Hand>>,
@@ -126,12 +136,15 @@ pub struct Controller {
     limits: JointLimits,
     damping: Damping,
     history: JointHistory,
-    track: Option<TargetTrack>,
+    given: GivenCommands,
+    target: KnownTarget,
     /// The exposure of the newest observation that was looked at: none is used twice, none that is older.
     handled_at: Option<MonotonicTime>,
     stepped_at: Option<MonotonicTime>,
-    moving_since: Option<MonotonicTime>,
-    approached: bool,
+    /// Time since the step before, seconds; 0 if that was long ago or never.
+    period_s: f64,
+    pace: Pace,
+    approached_at: Option<MonotonicTime>,
     lost: bool,
 }
 
@@ -146,17 +159,19 @@ impl Controller {
             .map_err(|error| ConfigError { key: "damping", value: error.value, allowed: "positive, finite numbers" })?;
         let history = JointHistory::new(config.joint_history_samples, config.timeouts.joints_s);
         Ok(Self {
-            config,
             chain,
             limits,
             damping,
             history,
-            track: None,
+            given: GivenCommands::new(config.joint_history_samples),
+            target: KnownTarget::none(&config.law)?,
             handled_at: None,
             stepped_at: None,
-            moving_since: None,
-            approached: false,
+            period_s: 0.0,
+            pace: Pace::rest(),
+            approached_at: None,
             lost: false,
+            config,
         })
     }
 
@@ -167,49 +182,70 @@ impl Controller {
         self.lost = false;
     }
 
-    /// What the arm was told in place of the last command: after a rest the hand starts softly anew.
+    /// What the arm was told in place of the last command: after a rest the hand starts softly anew, and what the joints are still
+    /// going to do is what they were told.
     pub fn note_told(&mut self, told: Command) {
-        if told == Command::Hold {
-            self.moving_since = None;
+        let velocity_rad_per_s = match told {
+            Command::Velocity(velocity) => velocity,
+            Command::Hold => {
+                self.pace = Pace::rest();
+                JointVector::zeros()
+            }
+        };
+        if let Some(at) = self.stepped_at {
+            self.given.push(at, velocity_rad_per_s);
         }
     }
 
     /// One control cycle: never blocks, does not allocate. `newest` may be the same observation many times.
     pub fn step(&mut self, joints: &JointState, newest: Option<&TargetObservation>, now: MonotonicTime) -> ControlStep {
-        if let Err(reason) = self.take_joints(joints, now) {
-            self.moving_since = None;
-            return self.resting(Mode::Holding(reason), now);
-        }
+        let step = match self.take_joints(joints, now) {
+            Ok(()) => self.step_with(joints, newest, now),
+            Err(reason) => self.resting(Mode::Holding(reason), now),
+        };
+        self.note_told(step.command);
+        step
+    }
+
+    /// A step with joints that can be used.
+    fn step_with(
+        &mut self,
+        joints: &JointState,
+        newest: Option<&TargetObservation>,
+        now: MonotonicTime,
+    ) -> ControlStep {
         let observation = self.take_observation(newest, now);
         let mode = self.next_mode(now);
         let frames = self.chain.joint_frames(&joints.position_rad);
         let base_from_hand = frames.base_from_flange * self.config.flange_from_hand;
         let jacobian = HandJacobian::new(&self.chain, &frames, &base_from_hand.translation_m().into());
+        let base_from_model = self.target.base_from_model_at(joints.at);
         let mut step = ControlStep {
             observation,
             base_from_hand: Some(base_from_hand),
+            base_from_model,
             smallest_singular_value: Some(jacobian.smallest_singular_value()),
             ..self.resting(mode, now)
         };
-        let Some(track) = self.track else { return step };
-        let desired = track.base_from_hand_desired(&self.config.model_from_hand_desired);
+        let Some(base_from_model) = base_from_model else { return step };
+        let desired = base_from_model * self.config.model_from_hand_desired;
         let error = HandError::new(&base_from_hand, &desired);
         step.base_from_hand_desired = Some(desired);
         step.position_error_m = Some(error.position_in_base_m.norm());
         step.orientation_error_rad = Some(error.angle_rad);
         if matches!(mode, Mode::Approaching | Mode::Tracking) {
-            step.mode = self.note_approach(&error);
-            self.drive(&mut step, &track, &error, &jacobian, joints, now);
-        }
-        if step.command == Command::Hold {
-            self.moving_since = None;
+            step.mode = self.note_approach(&error, now);
+            self.drive(&mut step, &error, jacobian, joints, now);
         }
         step
     }
 
     /// Checks the joints and keeps them.
     fn take_joints(&mut self, joints: &JointState, now: MonotonicTime) -> Result<(), HoldReason> {
-        let back = self.stepped_at.is_some_and(|before| now < before);
+        let since_s = self.stepped_at.map(|before| now.seconds_since(before));
+        let back = since_s.is_some_and(|since_s| since_s < 0.0);
+        self.period_s =
+            since_s.filter(|since_s| (0.0..=self.config.timeouts.joints_s).contains(since_s)).unwrap_or(0.0);
         self.stepped_at = Some(now);
         let finite = |vector: &JointVector| vector.iter().all(|x| x.is_finite());
         if !finite(&joints.position_rad) || !finite(&joints.velocity_rad_per_s) {
@@ -219,6 +255,7 @@ impl Controller {
         let ahead = age_s < -self.config.timeouts.joints_s;
         if back || ahead || !self.history.push(*joints) {
             self.history.clear();
+            self.given.clear();
             self.lose();
             return Err(HoldReason::ClockStepped);
         }
@@ -258,29 +295,24 @@ impl Controller {
     fn place_target(&mut self, observation: &TargetObservation, position_rad: &JointVector) -> ObservationVerdict {
         let base_from_hand = self.chain.forward(position_rad) * self.config.flange_from_hand;
         let observed = base_from_hand * self.config.hand_from_cam_left * observation.cam_left_from_model;
-        self.lost = false;
-        match &mut self.track {
-            Some(track) => track.update(&self.config.target_filter, &observed, observation.at),
-            None => {
-                self.track = Some(TargetTrack::begin(observed, observation.at));
-                ObservationVerdict::Accepted
-            }
-        }
+        let verdict = self.target.take(&observed, observation);
+        self.lost &= !self.target.is_known();
+        verdict
     }
 
     fn next_mode(&mut self, now: MonotonicTime) -> Mode {
-        let Some(track) = &self.track else {
+        let Some(observed_at) = self.target.observed_at() else {
             return if self.lost { Mode::Lost } else { Mode::Idle };
         };
-        let age_s = now.seconds_since(track.observed_at());
+        let age_s = now.seconds_since(observed_at);
         if age_s > self.config.timeouts.lost_s {
             self.lose();
             if self.lost { Mode::Lost } else { Mode::Idle }
         } else if age_s > self.config.timeouts.observation_s {
             Mode::Holding(HoldReason::ObservationStale { age_s })
-        } else if !track.is_locked(&self.config.target_filter) {
+        } else if !self.target.is_locked() {
             Mode::Locking
-        } else if self.approached {
+        } else if self.approached_at.is_some() {
             Mode::Tracking
         } else {
             Mode::Approaching
@@ -288,61 +320,25 @@ impl Controller {
     }
 
     /// Ends the approach when the hand is there.
-    fn note_approach(&mut self, error: &HandError) -> Mode {
+    fn note_approach(&mut self, error: &HandError, now: MonotonicTime) -> Mode {
         let near = error.position_in_base_m.norm() <= self.config.approach.done_within_m
             && error.angle_rad <= self.config.approach.done_within_rad;
-        self.approached |= near;
-        if self.approached { Mode::Tracking } else { Mode::Approaching }
-    }
-
-    /// Law and limits; leaves `Hold` with the reason where there is no way on.
-    fn drive(
-        &mut self,
-        step: &mut ControlStep,
-        track: &TargetTrack,
-        error: &HandError,
-        jacobian: &HandJacobian,
-        joints: &JointState,
-        now: MonotonicTime,
-    ) {
-        let desired_twist = track.hand_desired_twist(&self.config.model_from_hand_desired);
-        let measured_twist = jacobian.twist(&joints.velocity_rad_per_s);
-        let wanted = hand_twist(&self.config.gains, error, &desired_twist, &measured_twist);
-        let most = if self.approached { self.config.speed.tracking } else { self.config.approach.speed };
-        let (twist, hand_share) = limit_twist(&wanted, &most);
-        let velocity = jacobian.joint_velocity(&twist, &self.damping);
-        let limited = limit_joints(&velocity, &joints.position_rad, &self.limits, &self.config.speed);
-        step.limited_by = limited.limited_by.or((hand_share < 1.0).then_some(Limitation::HandSpeed));
-        let started = *self.moving_since.get_or_insert(now);
-        let start_share = self.start_share(started, now);
-        if start_share < 1.0 {
-            step.limited_by = Some(Limitation::SoftStart);
+        if near {
+            self.approached_at.get_or_insert(now);
         }
-        let command = limited.velocity_rad_per_s * start_share;
-        if !command.iter().all(|x| x.is_finite()) {
-            step.mode = Mode::Holding(HoldReason::CommandNotFinite);
-        } else if let (Some(Limitation::JointRange { joint }), true) = (limited.limited_by, limited.share <= 0.0) {
-            step.mode = Mode::Holding(HoldReason::JointRange { joint });
-        } else {
-            step.command = Command::Velocity(command);
-        }
-    }
-
-    fn start_share(&self, started: MonotonicTime, now: MonotonicTime) -> f64 {
-        let soft_start_s = self.config.speed.soft_start_s;
-        if soft_start_s > 0.0 { (now.seconds_since(started) / soft_start_s).clamp(0.0, 1.0) } else { 1.0 }
+        if self.approached_at.is_some() { Mode::Tracking } else { Mode::Approaching }
     }
 
     /// A target that was locked is lost; one that never was is only forgotten.
     fn lose(&mut self) {
-        self.lost |= self.track.is_some_and(|track| track.is_locked(&self.config.target_filter));
+        self.lost |= self.target.is_locked();
         self.forget();
     }
 
     fn forget(&mut self) {
-        self.track = None;
-        self.approached = false;
-        self.moving_since = None;
+        self.target.forget();
+        self.approached_at = None;
+        self.pace = Pace::rest();
     }
 
     fn resting(&self, mode: Mode, now: MonotonicTime) -> ControlStep {
@@ -351,9 +347,9 @@ impl Controller {
             mode,
             observation: ObservationVerdict::NoneNew,
             base_from_hand: None,
-            base_from_model: self.track.map(|track| *track.base_from_model()),
+            base_from_model: self.target.base_from_model_at(now),
             base_from_hand_desired: None,
-            observation_age_s: self.track.map(|track| now.seconds_since(track.observed_at())),
+            observation_age_s: self.target.observed_at().map(|at| now.seconds_since(at)),
             position_error_m: None,
             orientation_error_rad: None,
             smallest_singular_value: None,

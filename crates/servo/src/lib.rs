@@ -7,21 +7,26 @@
 //! * [`ControllerConfig`] holds all numbers; [`Controller::new`] refuses bad ones by key, value and allowed range.
 //!
 //! The way of a number: the hand's pose at the time of exposure comes from the [`joint_history`]; with it the observation is
-//! carried to `base`, gated and smoothed ([`target_filter`]); the [`law`] turns the error of the hand into a twist; the
-//! [`resolved_rate`] turns the twist into joint velocities within the limits.
+//! carried to `base`, gated, and made part of a state that can be predicted ([`target_state`]), or smoothed ([`target_filter`]);
+//! the [`law`] turns the error of the hand into a twist; the [`resolved_rate`] turns the twist into joint velocities within the
+//! limits, and the [`redundancy`] adds what the seventh joint can do.
 
 pub mod config;
 pub mod controller;
+pub mod given_commands;
 pub mod joint_history;
+mod known_target;
 pub mod law;
+pub mod redundancy;
 pub mod resolved_rate;
 pub mod supervisor;
 pub mod target_filter;
 pub mod target_state;
 
 pub use config::{
-    AfterLoss, ApproachConfig, CartesianSpeed, ConfigError, ControllerConfig, DampingConfig, Gains, SpeedConfig,
-    TargetFilterConfig, Timeouts,
+    AfterLoss, ApproachConfig, ArmResponse, CartesianSpeed, ConfigError, ControllerConfig, DampingConfig,
+    FeedForwardConfig, FeedForwardGains, Gains, LawConfig, PublishedConfig, RedundancyConfig, SpeedConfig,
+    TargetFilterConfig, Timeouts, UnstatedCovariance,
 };
 pub use controller::{Command, ControlStep, Controller, HoldReason, Mode};
 pub use joint_history::{JointHistory, NotInHistory};

@@ -27,9 +27,17 @@ pub enum Limitation {
         /// Index from the base.
         joint: usize,
     },
+    /// The elbow (the fourth joint) is nearly stretched and is to be stretched further: the target is at the end of the arm's
+    /// reach.
+    ElbowStretched,
     /// The start after a rest.
     SoftStart,
+    /// The target was not seen for a while: the hand slows down until it rests.
+    Fading,
 }
+
+/// The elbow of an S-R-S arm, counted from 0 at the base: stretched, at zero, it is at the end of its reach.
+pub const ELBOW: usize = 3;
 
 /// The Jacobian of the hand at one moment.
 #[derive(Clone, Copy, Debug)]
@@ -43,6 +51,11 @@ impl HandJacobian {
     pub fn new(chain: &Chain, frames: &JointFrames, hand_origin_in_base: &Point3<f64>) -> Self {
         let jacobian = chain.jacobian_at(frames, hand_origin_in_base);
         Self { jacobian, smallest_singular_value: smallest_singular_value(&jacobian) }
+    }
+
+    /// Rows: velocity of the hand's origin and angular velocity in `base`; columns: joints.
+    pub fn matrix(&self) -> &Jacobian {
+        &self.jacobian
     }
 
     /// Smallest singular value, metres and radians.
@@ -79,35 +92,73 @@ pub fn limit_twist(twist: &Twist<Base>, most: &CartesianSpeed) -> (Twist<Base>, 
     (Twist::new(twist.linear_m_per_s * share, twist.angular_rad_per_s * share), share)
 }
 
-/// Scales joint velocities down to the joints' speeds and to what the distance to the ends of their ranges allows.
-pub fn limit_joints(
-    velocity_rad_per_s: &JointVector,
-    position_rad: &JointVector,
-    limits: &JointLimits,
-    config: &SpeedConfig,
-) -> LimitedVelocity {
-    let mut share = 1.0;
-    let mut limited_by = None;
-    for joint in 0..DOF {
-        let velocity = velocity_rad_per_s[joint];
-        let most = limits.velocity_max_rad_per_s()[joint] * config.joint_speed_scale;
-        let room_rad = if velocity > 0.0 {
-            limits.position_max_rad()[joint] - position_rad[joint]
+/// What limits the joints.
+#[derive(Clone, Copy, Debug)]
+pub struct JointBounds<'a> {
+    /// Ranges and speeds.
+    pub limits: &'a JointLimits,
+    /// Share of the speeds, and how quickly an end is approached.
+    pub speed: &'a SpeedConfig,
+    /// The elbow is not stretched to less than this, rad; 0: it may be.
+    pub elbow_min_rad: f64,
+}
+
+impl JointBounds<'_> {
+    /// Largest speeds (rad/s) of a joint at this angle in the direction of `velocity`: of the joint, and for the room that is left.
+    fn most(&self, joint: usize, velocity: f64, position_rad: f64) -> [(f64, Limitation); 2] {
+        let limits = self.limits;
+        let speed = limits.velocity_max_rad_per_s()[joint] * self.speed.joint_speed_scale;
+        let mut room_rad = if velocity > 0.0 {
+            limits.position_max_rad()[joint] - position_rad
         } else {
-            position_rad[joint] - limits.position_min_rad()[joint]
+            position_rad - limits.position_min_rad()[joint]
         };
-        let most_here = room_rad.max(0.0) * config.limit_approach_per_s;
-        for (most, limitation) in
-            [(most, Limitation::JointSpeed { joint }), (most_here, Limitation::JointRange { joint })]
-        {
-            let left = share_of(velocity.abs(), most);
-            if left < share {
-                share = left;
-                limited_by = Some(limitation);
+        let mut limitation = Limitation::JointRange { joint };
+        if joint == ELBOW && self.elbow_min_rad > 0.0 && velocity * position_rad < 0.0 {
+            room_rad = position_rad.abs() - self.elbow_min_rad;
+            limitation = Limitation::ElbowStretched;
+        }
+        let here = room_rad.max(0.0) * self.speed.limit_approach_per_s;
+        [(speed, Limitation::JointSpeed { joint }), (here, limitation)]
+    }
+
+    /// Scales joint velocities down to the joints' speeds and to what the distance to the ends of their ranges allows.
+    pub fn limit(&self, velocity_rad_per_s: &JointVector, position_rad: &JointVector) -> LimitedVelocity {
+        let mut share = 1.0;
+        let mut limited_by = None;
+        for joint in 0..DOF {
+            let velocity = velocity_rad_per_s[joint];
+            for (most, limitation) in self.most(joint, velocity, position_rad[joint]) {
+                let left = share_of(velocity.abs(), most);
+                if left < share {
+                    share = left;
+                    limited_by = Some(limitation);
+                }
             }
         }
+        LimitedVelocity { velocity_rad_per_s: velocity_rad_per_s * share, share, limited_by }
     }
-    LimitedVelocity { velocity_rad_per_s: velocity_rad_per_s * share, share, limited_by }
+
+    /// The share, 0 to 1, of a secondary velocity that takes no speed from the primary one: with it no joint is beyond its bounds
+    /// that was within them without.
+    pub fn share_beside(&self, primary: &JointVector, secondary: &JointVector, position_rad: &JointVector) -> f64 {
+        let mut share: f64 = 1.0;
+        for joint in 0..DOF {
+            let (first, second) = (primary[joint], secondary[joint]);
+            if second == 0.0 {
+                continue;
+            }
+            // In the direction of the secondary velocity there is so much left beside the primary one.
+            let most = self
+                .most(joint, second, position_rad[joint])
+                .map(|(most, _)| most)
+                .into_iter()
+                .fold(f64::MAX, f64::min);
+            let left = most - first * second.signum();
+            share = share.min((left / second.abs()).clamp(0.0, 1.0));
+        }
+        share
+    }
 }
 
 fn share_of(speed: f64, most: f64) -> f64 {
@@ -142,13 +193,17 @@ mod tests {
         assert_eq!((share, same), (1.0, slow));
     }
 
+    fn limit(velocity: &JointVector, position: &JointVector) -> LimitedVelocity {
+        JointBounds { limits: &limits(), speed: &CONFIG, elbow_min_rad: 0.1 }.limit(velocity, position)
+    }
+
     #[test]
     fn the_joint_that_is_most_too_fast_decides() {
         let wanted = JointVector::from([0.75, -1.5, 0.2, 0.0, 0.0, 0.0, 4.0]);
-        let limited = limit_joints(&wanted, &JointVector::zeros(), &limits(), &CONFIG);
+        let limited = limit(&wanted, &JointVector::zeros());
         assert_eq!(limited.limited_by, Some(Limitation::JointSpeed { joint: 1 }));
         assert!((limited.velocity_rad_per_s - wanted / 3.0).norm() < 1e-12, "{limited:?}");
-        let limited = limit_joints(&(wanted * 0.3), &JointVector::zeros(), &limits(), &CONFIG);
+        let limited = limit(&(wanted * 0.3), &JointVector::zeros());
         assert_eq!((limited.limited_by, limited.share), (None, 1.0));
     }
 
@@ -157,12 +212,51 @@ mod tests {
         let mut position = JointVector::zeros();
         position[3] = -2.15;
         let outwards = JointVector::from([0.1, 0.0, 0.0, -0.4, 0.0, 0.0, 0.0]);
-        let limited = limit_joints(&outwards, &position, &limits(), &CONFIG);
+        let limited = limit(&outwards, &position);
         assert_eq!(limited.limited_by, Some(Limitation::JointRange { joint: 3 }));
         assert!((limited.velocity_rad_per_s - outwards * 0.25).norm() < 1e-12, "{limited:?}");
-        assert_eq!(limit_joints(&-outwards, &position, &limits(), &CONFIG).share, 1.0);
+        assert_eq!(limit(&-outwards, &position).share, 1.0);
         position[3] = -2.25;
-        assert_eq!(limit_joints(&outwards, &position, &limits(), &CONFIG).share, 0.0);
-        assert_eq!(limit_joints(&-outwards, &position, &limits(), &CONFIG).share, 1.0);
+        assert_eq!(limit(&outwards, &position).share, 0.0);
+        assert_eq!(limit(&-outwards, &position).share, 1.0);
+    }
+
+    #[test]
+    fn an_elbow_is_not_stretched_beyond_its_bound_on_either_side_and_always_bends() {
+        let bending = JointVector::from([0.1, 0.0, 0.0, 0.4, 0.0, 0.0, 0.0]);
+        for side in [-1.0, 1.0] {
+            let mut position = JointVector::zeros();
+            position[ELBOW] = 0.15 * side;
+            let stretching = bending * -side;
+            let limited = limit(&stretching, &position);
+            assert_eq!(limited.limited_by, Some(Limitation::ElbowStretched));
+            assert!((limited.velocity_rad_per_s - stretching * 0.25).norm() < 1e-12, "{limited:?}");
+            assert_eq!(limit(&-stretching, &position).share, 1.0);
+            position[ELBOW] = 0.05 * side;
+            assert_eq!(limit(&stretching, &position).share, 0.0);
+            assert_eq!(limit(&-stretching, &position).share, 1.0);
+            let free = JointBounds { limits: &limits(), speed: &CONFIG, elbow_min_rad: 0.0 };
+            assert_eq!(free.limit(&stretching, &position).share, 1.0);
+        }
+    }
+
+    #[test]
+    fn a_secondary_velocity_takes_nothing_from_the_primary_one() {
+        let limits = limits();
+        let bounds = JointBounds { limits: &limits, speed: &CONFIG, elbow_min_rad: 0.1 };
+        let position = JointVector::from([0.0, 0.0, 0.0, -2.1, 0.0, 0.0, 0.0]);
+        let share =
+            |primary: [f64; 7], secondary: [f64; 7]| bounds.share_beside(&primary.into(), &secondary.into(), &position);
+        let still = [0.0; 7];
+        assert_eq!(share(still, [0.2, -0.1, 0.0, 0.1, 0.0, 0.0, 0.0]), 1.0);
+        // Joint 1 has 0.5 rad/s: 0.1 are left, half of the secondary velocity.
+        assert!((share([0.4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.2, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0]) - 0.5).abs() < 1e-12);
+        assert_eq!(share([0.6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]), 0.0);
+        // Against the primary velocity there is more room.
+        assert_eq!(share([0.6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], [-0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]), 1.0);
+        // 0.1 rad from the end of its range joint 4 has 0.2 rad/s outwards.
+        assert!(
+            (share([0.0, 0.0, 0.0, -0.1, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, -0.4, 0.0, 0.0, 0.0]) - 0.25).abs() < 1e-12
+        );
     }
 }

@@ -1,6 +1,6 @@
 //! Where the target is in `base`: observations gated and smoothed, held between frames.
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 use pb3dp_geometry::frames::{Base, CamLeft, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose, Twist};
 
@@ -18,6 +18,12 @@ pub struct TargetObservation {
     /// Whether the estimator stands by the depth (status `ok` or `weak-tilt`); others are not followed. A weak tilt is
     /// noisy, not wrong: the smoothing of the target is there for it.
     pub trusted: bool,
+    /// Covariance of `xi = [rho; phi]` (metres, radians; axes of `model`) in `true = cam_left_from_model * exp(xi)`; `None`: the
+    /// estimator does not say.
+    pub covariance: Option<Matrix6<f64>>,
+    /// Whether the estimator measures the rotation about the model's z. What it does not measure follows the hand that it is seen
+    /// from: as a measurement it would lead the hand after itself.
+    pub rotation_about_normal_observed: bool,
 }
 
 /// What became of the newest observation.
@@ -45,6 +51,13 @@ pub enum ObservationVerdict {
         /// Angle, radians.
         orientation_rad: f64,
     },
+    /// It disagrees with what the target's motion so far leads to expect.
+    Outlier {
+        /// Squared Mahalanobis distance of its six components.
+        distance_squared: f64,
+    },
+    /// Its covariance is none: not finite, not symmetric, or negative.
+    BadCovariance,
     /// The target was lost and nobody has asked to look for it again.
     NotWanted,
 }

@@ -3,12 +3,12 @@
 
 mod common;
 
-use common::{Cell, IDEAL, Plant, config, rotation};
+use common::{Cell, IDEAL, Plant, config, published, rotation, with_filter};
 use nalgebra::Vector3;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Model};
 use pb3dp_kinematics::JointVector;
-use pb3dp_servo::{Command, ControllerConfig, Gains, Limitation, Mode, TargetFilterConfig};
+use pb3dp_servo::{Command, ControllerConfig, Gains, LawConfig, Limitation, Mode};
 use proptest::prelude::*;
 
 #[test]
@@ -45,7 +45,8 @@ fn the_hand_goes_exactly_to_its_place_with_the_rates_of_the_gains() {
 /// Largest share of the initial error by which the hand goes too far, after a step of the target.
 fn overshoot(position_per_s: f64, plant: Plant, latency_s: f64) -> f64 {
     let gains = Gains { position_per_s, velocity: 0.0, orientation_per_s: 2.0 * position_per_s, angular_velocity: 0.0 };
-    let mut cell = Cell::new(ControllerConfig { gains, ..config() }, plant, latency_s);
+    let law = LawConfig::Published(published(gains));
+    let mut cell = Cell::new(ControllerConfig { law, ..config() }, plant, latency_s);
     let by = Vector3::new(0.02, -0.01, 0.015);
     let target = cell.target_for_hand_moved(by, rotation(0.0, 0.0, 0.0));
     let begin = cell.base_from_hand().translation_m();
@@ -78,7 +79,8 @@ fn the_delay_of_the_camera_is_outside_the_loop() {
 fn a_target_of_constant_speed_is_trailed_by_the_inverse_gain_plus_the_age_of_the_pictures() {
     for velocity in [0.0, 0.5] {
         let gains = Gains { position_per_s: 4.0, velocity, orientation_per_s: 8.0, angular_velocity: velocity };
-        let mut cell = Cell::new(ControllerConfig { gains, ..config() }, IDEAL, 0.066);
+        let law = LawConfig::Published(published(gains));
+        let mut cell = Cell::new(ControllerConfig { law, ..config() }, IDEAL, 0.066);
         let speed = Vector3::new(0.02, 0.03, -0.01);
         let (mut sum, mut count) = (0.0, 0);
         for _ in 0..2500 {
@@ -108,12 +110,10 @@ fn target_moved(cell: &Cell, by: Vector3<f64>) -> Pose<Base, Model> {
 #[test]
 fn smoothing_quiets_the_hand_before_a_target_that_is_seen_with_jitter() {
     let wander = |time_constant_s: f64| {
-        let mut config = config();
-        config.target_filter = TargetFilterConfig {
-            position_time_constant_s: time_constant_s,
-            orientation_time_constant_s: time_constant_s,
-            ..config.target_filter
-        };
+        let config = with_filter(config(), |filter| {
+            filter.position_time_constant_s = time_constant_s;
+            filter.orientation_time_constant_s = time_constant_s;
+        });
         let mut cell = Cell::new(config, IDEAL, 0.066);
         cell.step_s = 0.01;
         let target = target_moved(&cell, Vector3::zeros());
@@ -198,7 +198,8 @@ proptest! {
     ) {
         let mut config = config();
         config.speed.joint_speed_scale = scale;
-        config.gains.position_per_s = 30.0;
+        let gains = Gains { position_per_s: 30.0, velocity: 0.0, orientation_per_s: 6.0, angular_velocity: 0.0 };
+        config.law = LawConfig::Published(published(gains));
         let mut cell = Cell::new(config, IDEAL, 0.0);
         cell.joints.position_rad = cell.limits.position_max_rad().component_mul(&JointVector::from(q));
         let target = cell.target_for_hand_moved(shift.into(), rotation(turn[0], turn[1], turn[2]));

@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{Cell, IDEAL, config, rotation};
+use common::{Cell, IDEAL, config, rotation, with_filter};
 use nalgebra::Vector3;
 use pb3dp_geometry::frames::{Base, Model};
 use pb3dp_geometry::{MonotonicTime, Pose};
@@ -190,8 +190,7 @@ fn a_clock_that_steps_back_loses_the_target() {
 
 #[test]
 fn the_hand_does_not_move_before_enough_observations_agree() {
-    let mut config = config();
-    config.target_filter.observations_to_lock = 5;
+    let config = with_filter(config(), |filter| filter.observations_to_lock = 5);
     let mut cell = Cell::new(config, IDEAL, 0.0);
     let target = cell.target_for_hand_moved(Vector3::new(0.05, 0.0, 0.0), rotation(0.0, 0.0, 0.0));
     let mut accepted = 0;

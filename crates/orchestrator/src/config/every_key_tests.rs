@@ -142,6 +142,46 @@ fn every_number_of_arms_behind_lines_is_refused_by_its_own_key() {
     check_every_key(&Sample::new("hil.toml", |file| read_setup(file).map(drop)), 220);
 }
 
+#[test]
+fn every_number_of_the_published_law_is_refused_by_its_own_key() {
+    check_every_key(&Sample::new("sim_published.toml", |file| read_setup(file).map(drop)), 220);
+}
+
+/// A law has its own tables, and only these.
+#[test]
+fn tables_that_do_not_fit_the_law_are_refused() {
+    let refusal = |name: &'static str, change: &dyn Fn(&mut Table)| {
+        let mut sample = Sample::new(name, |file| read_setup(file).map(drop));
+        change(sample.table["servo"].as_table_mut().unwrap());
+        sample.refusal("run.seed", Value::Integer(1))
+    };
+    for (name, law, tables) in [
+        ("sim.toml", "feed-forward", &["arm_response", "feed_forward", "null_motion", "unstated", "target"][..]),
+        ("sim_published.toml", "published", &["gains", "smoothing"]),
+    ] {
+        for table in tables {
+            let text = refusal(name, &|servo| drop(servo.remove(*table))).unwrap();
+            let expected = format!("servo.{table}: the table is missing; servo.law = \"{law}\" needs it");
+            assert!(text.contains(&expected), "{text}");
+        }
+        let other = if law == "published" { "feed-forward" } else { "published" };
+        let text = refusal(name, &|servo| servo["law"] = other.into()).unwrap();
+        for table in tables {
+            let expected = format!("servo.{table}: servo.law = \"{other}\" has no such table");
+            assert!(text.contains(&expected), "{text}");
+        }
+    }
+    assert!(refusal("sim.toml", &|servo| servo["law"] = "fastest".into()).unwrap().contains("servo.law"));
+    assert!(refusal("sim.toml", &|servo| drop(servo.remove("law"))).unwrap().contains("servo.law: missing"));
+    // A target that never rests is a model of its own.
+    let never_rests = |servo: &mut Table| {
+        for part in ["linear", "angular"] {
+            servo["target"][part].as_table_mut().unwrap().remove("rest");
+        }
+    };
+    assert_eq!(refusal("sim.toml", &never_rests), None);
+}
+
 /// What a setup whose arms are behind lines refuses.
 #[test]
 fn ways_to_an_arm_that_do_not_fit_are_refused() {

@@ -205,6 +205,8 @@ impl Seen {
             at: self.frame.at,
             cam_left_from_model,
             trusted: self.estimate.status.depth_is_sure(),
+            covariance: self.estimate.covariance,
+            rotation_about_normal_observed: self.estimate.rotation_about_normal_observed,
         })
     }
 }

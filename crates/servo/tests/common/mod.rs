@@ -1,17 +1,18 @@
 //! A hand with a camera before a target, in pure maths: joints with a command delay and a first-order lag, exact pictures at
 //! 30 per second that arrive late.
-#![allow(dead_code, clippy::unwrap_used)] // Each test file uses a part.
+#![allow(dead_code, clippy::unwrap_used, clippy::panic)] // Each test file uses a part.
 
 use std::collections::VecDeque;
 use std::f64::consts::PI;
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
 use pb3dp_geometry::frames::{Base, CamLeft, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::{Chain, JointLimits, JointState, JointVector};
 use pb3dp_servo::{
-    AfterLoss, ApproachConfig, CartesianSpeed, Command, ControlStep, Controller, ControllerConfig, DampingConfig,
-    Gains, SpeedConfig, TargetFilterConfig, TargetObservation, Timeouts,
+    AfterLoss, ApproachConfig, ArmResponse, CartesianSpeed, Command, ControlStep, Controller, ControllerConfig,
+    DampingConfig, FeedForwardConfig, FeedForwardGains, Gains, LawConfig, PublishedConfig, RedundancyConfig,
+    SpeedConfig, TargetFilterConfig, TargetObservation, TargetStateConfig, Timeouts, UnstatedCovariance,
 };
 
 /// Well inside the workspace, every joint off zero.
@@ -30,21 +31,64 @@ pub fn rotation(x: f64, y: f64, z: f64) -> UnitQuaternion<f64> {
     UnitQuaternion::from_scaled_axis(Vector3::new(x, y, z))
 }
 
-/// No smoothing, no soft start, wide limits; every transform off identity in all parts.
+/// The published law with these gains; no smoothing.
+pub fn published(gains: Gains) -> PublishedConfig {
+    let target_filter = TargetFilterConfig {
+        position_time_constant_s: 0.0,
+        orientation_time_constant_s: 0.0,
+        gate_position_m: 0.5,
+        gate_orientation_rad: 1.0,
+        observations_to_lock: 1,
+    };
+    PublishedConfig { gains, target_filter }
+}
+
+/// The same with its observations changed.
+pub fn with_filter(config: ControllerConfig, change: impl FnOnce(&mut TargetFilterConfig)) -> ControllerConfig {
+    let LawConfig::Published(mut law) = config.law else { panic!("no published law") };
+    change(&mut law.target_filter);
+    ControllerConfig { law: LawConfig::Published(law), ..config }
+}
+
+/// A filter that believes what it sees and knows no rest: what shows in the hand is the law.
+fn trusting() -> TargetStateConfig {
+    let mut target = TargetStateConfig::default();
+    (target.linear.rest, target.angular.rest) = (None, None);
+    target.measurement.position_sigma_min_m = 2e-5;
+    target.measurement.orientation_sigma_min_rad = 2e-4;
+    target
+}
+
+/// The law with feed-forward for an arm, before a target seen without noise.
+pub fn feed_forward(arm: ArmResponse) -> FeedForwardConfig {
+    FeedForwardConfig {
+        arm,
+        gains: FeedForwardGains::of(&arm),
+        target: trusting(),
+        observations_to_lock: 3,
+        unstated: UnstatedCovariance::default(),
+        redundancy: RedundancyConfig::default(),
+    }
+}
+
+/// [`config`] with the law with feed-forward.
+pub fn feed_forward_config(law: FeedForwardConfig) -> ControllerConfig {
+    ControllerConfig { law: LawConfig::FeedForward(law), ..config() }
+}
+
+/// The published law, no smoothing, no soft start, wide limits; every transform off identity in all parts.
 pub fn config() -> ControllerConfig {
     let wide = CartesianSpeed { linear_m_per_s: 2.0, angular_rad_per_s: 6.0 };
     ControllerConfig {
         model_from_hand_desired: Pose::from_parts(Vector3::new(0.03, -0.02, -0.5), rotation(0.05, -0.1, 0.2)),
         hand_from_cam_left: Pose::from_parts(Vector3::new(-0.05, 0.07, 0.02), rotation(-0.1, 0.15, 0.3)),
         flange_from_hand: Pose::from_parts(Vector3::new(0.01, -0.03, 0.06), rotation(0.02, 0.1, -PI / 2.0)),
-        gains: Gains { position_per_s: 3.0, velocity: 0.0, orientation_per_s: 6.0, angular_velocity: 0.0 },
-        target_filter: TargetFilterConfig {
-            position_time_constant_s: 0.0,
-            orientation_time_constant_s: 0.0,
-            gate_position_m: 0.5,
-            gate_orientation_rad: 1.0,
-            observations_to_lock: 1,
-        },
+        law: LawConfig::Published(published(Gains {
+            position_per_s: 3.0,
+            velocity: 0.0,
+            orientation_per_s: 6.0,
+            angular_velocity: 0.0,
+        })),
         damping: DampingConfig::default(),
         speed: SpeedConfig { tracking: wide, joint_speed_scale: 1.0, limit_approach_per_s: 20.0, soft_start_s: 0.0 },
         approach: ApproachConfig { speed: wide, done_within_m: 0.002, done_within_rad: 0.005 },
@@ -52,6 +96,12 @@ pub fn config() -> ControllerConfig {
         after_loss: AfterLoss::WaitForOperator,
         joint_history_samples: 256,
     }
+}
+
+/// The covariance of an observation without noise that is nearly believed: 0.02 mm, 0.2 mrad.
+pub fn sharp() -> Matrix6<f64> {
+    let sigma = Vector6::new(2e-5, 2e-5, 2e-5, 2e-4, 2e-4, 2e-4);
+    Matrix6::from_diagonal(&sigma.component_mul(&sigma))
 }
 
 /// How the joints answer.
@@ -113,7 +163,13 @@ impl Cell {
     /// The model that is seen as `cam_left_from_model` now.
     pub fn observe(&self, base_from_model: &Pose<Base, Model>) -> TargetObservation {
         let cam_from_base: Pose<CamLeft, Base> = (self.base_from_hand() * self.config.hand_from_cam_left).inverse();
-        TargetObservation { at: self.now(), cam_left_from_model: cam_from_base * *base_from_model, trusted: true }
+        TargetObservation {
+            at: self.now(),
+            cam_left_from_model: cam_from_base * *base_from_model,
+            trusted: true,
+            covariance: Some(sharp()),
+            rotation_about_normal_observed: true,
+        }
     }
 
     /// Where the target is if the hand, moved by this (metres, rotation vector, in `base`), would be right.

@@ -5,10 +5,12 @@ mod camera;
 mod experiment;
 mod geometric;
 mod geometry;
+mod law;
 mod link;
 mod servo;
 mod shape;
 mod supervisor;
+mod target_state;
 
 use std::path::Path;
 use std::time::Duration;

@@ -1,23 +1,34 @@
-//! The table `[servo]`: the place to keep, gains, smoothing, speeds and time-outs of the controller.
+//! The table `[servo]`: the place to keep, the law, speeds and time-outs of the controller.
 
 use std::ops::RangeInclusive;
 
 use pb3dp_servo::{
-    AfterLoss, ApproachConfig, CartesianSpeed, ControllerConfig, DampingConfig, Gains, SpeedConfig, TargetFilterConfig,
-    Timeouts,
+    AfterLoss, ApproachConfig, CartesianSpeed, ControllerConfig, DampingConfig, Gains, LawConfig, PublishedConfig,
+    SpeedConfig, TargetFilterConfig, Timeouts,
 };
 use serde::Deserialize;
 
 use super::super::load::{Checker, whole, within};
 use super::arms::Mounts;
+use super::law::{
+    ArmResponseSection, FeedForwardSection, GainsSection, LawName, LawTables, NullMotionSection, SmoothingSection,
+    UnstatedSection,
+};
+use super::target_state::TargetStateSection;
 use super::{ON_THE_ARM_MM, PoseEntry};
 
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ServoSection {
     model_from_hand_desired: PoseEntry,
-    gains: GainsSection,
-    smoothing: SmoothingSection,
+    law: LawName,
+    arm_response: Option<ArmResponseSection>,
+    feed_forward: Option<FeedForwardSection>,
+    null_motion: Option<NullMotionSection>,
+    unstated: Option<UnstatedSection>,
+    target: Option<TargetStateSection>,
+    gains: Option<GainsSection>,
+    smoothing: Option<SmoothingSection>,
     damping: DampingSection,
     speed: SpeedSection,
     approach: ApproachSection,
@@ -27,28 +38,10 @@ pub(super) struct ServoSection {
 
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct GainsSection {
-    position_per_s: f64,
-    velocity: f64,
-    orientation_per_s: f64,
-    angular_velocity: f64,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct SmoothingSection {
-    position_time_constant_s: f64,
-    orientation_time_constant_s: f64,
-    gate_position_mm: f64,
-    gate_orientation_deg: f64,
-    observations_to_lock: i64,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
 struct DampingSection {
     threshold: f64,
     factor_max: f64,
+    elbow_min_deg: f64,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -87,20 +80,12 @@ impl ServoSection {
             ),
             hand_from_cam_left: mounts.hand_from_cam_left,
             flange_from_hand: mounts.flange_from_hand,
-            gains: Gains {
-                position_per_s: self.gains.position_per_s,
-                velocity: self.gains.velocity,
-                orientation_per_s: self.gains.orientation_per_s,
-                angular_velocity: self.gains.angular_velocity,
+            law: self.law(check),
+            damping: DampingConfig {
+                threshold: self.damping.threshold,
+                factor_max: self.damping.factor_max,
+                elbow_min_rad: self.damping.elbow_min_deg.to_radians(),
             },
-            target_filter: TargetFilterConfig {
-                position_time_constant_s: self.smoothing.position_time_constant_s,
-                orientation_time_constant_s: self.smoothing.orientation_time_constant_s,
-                gate_position_m: self.smoothing.gate_position_mm * 1e-3,
-                gate_orientation_rad: self.smoothing.gate_orientation_deg.to_radians(),
-                observations_to_lock: whole(self.smoothing.observations_to_lock),
-            },
-            damping: DampingConfig { threshold: self.damping.threshold, factor_max: self.damping.factor_max },
             speed: SpeedConfig {
                 tracking: speed(self.speed.linear_max_mm_per_s, self.speed.angular_max_deg_per_s),
                 joint_speed_scale,
@@ -125,13 +110,26 @@ impl ServoSection {
         config
     }
 
+    fn law(&self, check: &mut Checker) -> LawConfig {
+        let tables = LawTables {
+            arm_response: self.arm_response.as_ref(),
+            feed_forward: self.feed_forward.as_ref(),
+            null_motion: self.null_motion.as_ref(),
+            unstated: self.unstated.as_ref(),
+            target: self.target.as_ref(),
+            gains: self.gains.as_ref(),
+            smoothing: self.smoothing.as_ref(),
+        };
+        let refused = PublishedConfig { gains: Gains::default(), target_filter: TargetFilterConfig::default() };
+        tables.build(self.law, self.timeouts.observation_s, check).unwrap_or(LawConfig::Published(refused))
+    }
+
     /// Every key by itself, so that the user reads his own keys and units; then the controller checks the whole again. The
     /// ranges are the controller's, in the units of the file and rounded to within.
     fn check(&self, config: &ControllerConfig, check: &mut Checker) {
-        self.gains.check(check);
-        self.smoothing.check(check);
         check.number("servo.damping.threshold", self.damping.threshold, 0.001..=0.5);
         check.number("servo.damping.factor_max", self.damping.factor_max, 0.001..=0.5);
+        check.number("servo.damping.elbow_min_deg", self.damping.elbow_min_deg, 0.0..=28.6);
         check.number("servo.speed.linear_max_mm_per_s", self.speed.linear_max_mm_per_s, LINEAR_MM_PER_S);
         check.number("servo.speed.angular_max_deg_per_s", self.speed.angular_max_deg_per_s, ANGULAR_DEG_PER_S);
         check.number("servo.speed.limit_approach_per_s", self.speed.limit_approach_per_s, 0.1..=20.0);
@@ -154,25 +152,6 @@ impl ServoSection {
 /// Speeds of the hand, in both [`SpeedSection`] and [`ApproachSection`].
 const LINEAR_MM_PER_S: RangeInclusive<f64> = 0.001..=2000.0;
 const ANGULAR_DEG_PER_S: RangeInclusive<f64> = 0.0001..=343.7;
-
-impl GainsSection {
-    fn check(&self, check: &mut Checker) {
-        check.number("servo.gains.position_per_s", self.position_per_s, 1e-6..=50.0);
-        check.number("servo.gains.velocity", self.velocity, 0.0..=0.9);
-        check.number("servo.gains.orientation_per_s", self.orientation_per_s, 1e-6..=100.0);
-        check.number("servo.gains.angular_velocity", self.angular_velocity, 0.0..=0.9);
-    }
-}
-
-impl SmoothingSection {
-    fn check(&self, check: &mut Checker) {
-        check.number("servo.smoothing.position_time_constant_s", self.position_time_constant_s, 0.0..=5.0);
-        check.number("servo.smoothing.orientation_time_constant_s", self.orientation_time_constant_s, 0.0..=5.0);
-        check.number("servo.smoothing.gate_position_mm", self.gate_position_mm, 1.0..=10_000.0);
-        check.number("servo.smoothing.gate_orientation_deg", self.gate_orientation_deg, 0.6..=180.0);
-        check.count("servo.smoothing.observations_to_lock", self.observations_to_lock, 1..=1000);
-    }
-}
 
 fn speed(linear_mm_per_s: f64, angular_deg_per_s: f64) -> CartesianSpeed {
     CartesianSpeed { linear_m_per_s: linear_mm_per_s * 1e-3, angular_rad_per_s: angular_deg_per_s.to_radians() }

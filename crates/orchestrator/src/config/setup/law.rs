@@ -1,0 +1,218 @@
+//! The tables of the control laws: those of the law that is chosen must be there, those of the other must not.
+
+use std::ops::RangeInclusive;
+
+use pb3dp_servo::{
+    ArmResponse, FeedForwardConfig, FeedForwardGains, Gains, LawConfig, PublishedConfig, RedundancyConfig,
+    TargetFilterConfig, UnstatedCovariance,
+};
+use serde::Deserialize;
+
+use super::super::load::{Checker, whole};
+use super::target_state::TargetStateSection;
+
+/// Which law leads the hand.
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum LawName {
+    FeedForward,
+    Published,
+}
+
+/// What of the table `[servo]` belongs to one law.
+pub(super) struct LawTables<'a> {
+    pub arm_response: Option<&'a ArmResponseSection>,
+    pub feed_forward: Option<&'a FeedForwardSection>,
+    pub null_motion: Option<&'a NullMotionSection>,
+    pub unstated: Option<&'a UnstatedSection>,
+    pub target: Option<&'a TargetStateSection>,
+    pub gains: Option<&'a GainsSection>,
+    pub smoothing: Option<&'a SmoothingSection>,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ArmResponseSection {
+    delay_millis: f64,
+    lag_millis: f64,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FeedForwardSection {
+    position_per_s: f64,
+    orientation_per_s: f64,
+    linear_max_mm_per_s2: f64,
+    angular_max_deg_per_s2: f64,
+    observations_to_lock: i64,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct NullMotionSection {
+    gain_deg_per_s: f64,
+    speed_max_deg_per_s: f64,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct UnstatedSection {
+    lateral_sigma_mm: f64,
+    depth_sigma_mm: f64,
+    tilt_sigma_deg: f64,
+    about_normal_sigma_deg: f64,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct GainsSection {
+    position_per_s: f64,
+    velocity: f64,
+    orientation_per_s: f64,
+    angular_velocity: f64,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SmoothingSection {
+    position_time_constant_s: f64,
+    orientation_time_constant_s: f64,
+    gate_position_mm: f64,
+    gate_orientation_deg: f64,
+    observations_to_lock: i64,
+}
+
+impl LawTables<'_> {
+    /// The law with its numbers; `None` if a table is missing, which is refused. `observation_s` is the time-out of observations.
+    pub(super) fn build(&self, name: LawName, observation_s: f64, check: &mut Checker) -> Option<LawConfig> {
+        let feed_forward = [
+            ("arm_response", self.arm_response.is_some()),
+            ("feed_forward", self.feed_forward.is_some()),
+            ("null_motion", self.null_motion.is_some()),
+            ("unstated", self.unstated.is_some()),
+            ("target", self.target.is_some()),
+        ];
+        let published = [("gains", self.gains.is_some()), ("smoothing", self.smoothing.is_some())];
+        let (own, others, text) = match name {
+            LawName::FeedForward => (&feed_forward[..], &published[..], "feed-forward"),
+            LawName::Published => (&published[..], &feed_forward[..], "published"),
+        };
+        for (table, _) in own.iter().filter(|(_, is_there)| !is_there) {
+            check.refuse(format!("servo.{table}: the table is missing; servo.law = \"{text}\" needs it"));
+        }
+        for (table, _) in others.iter().filter(|(_, is_there)| *is_there) {
+            check.refuse(format!("servo.{table}: servo.law = \"{text}\" has no such table"));
+        }
+        match name {
+            LawName::FeedForward => self.feed_forward(observation_s, check),
+            LawName::Published => self.published(check),
+        }
+    }
+
+    fn feed_forward(&self, observation_s: f64, check: &mut Checker) -> Option<LawConfig> {
+        let (arm, law) = (self.arm_response?, self.feed_forward?);
+        let (null_motion, unstated, target) = (self.null_motion?, self.unstated?, self.target?);
+        arm.check(check);
+        law.check(check);
+        null_motion.check(check);
+        unstated.check(check);
+        Some(LawConfig::FeedForward(FeedForwardConfig {
+            arm: ArmResponse { delay_s: arm.delay_millis * 1e-3, lag_s: arm.lag_millis * 1e-3 },
+            gains: FeedForwardGains {
+                position_per_s: law.position_per_s,
+                orientation_per_s: law.orientation_per_s,
+                linear_m_per_s2: law.linear_max_mm_per_s2 * 1e-3,
+                angular_rad_per_s2: law.angular_max_deg_per_s2.to_radians(),
+            },
+            observations_to_lock: whole(law.observations_to_lock),
+            unstated: UnstatedCovariance {
+                lateral_m: unstated.lateral_sigma_mm * 1e-3,
+                depth_m: unstated.depth_sigma_mm * 1e-3,
+                tilt_rad: unstated.tilt_sigma_deg.to_radians(),
+                about_normal_rad: unstated.about_normal_sigma_deg.to_radians(),
+            },
+            redundancy: RedundancyConfig {
+                gain_rad_per_s: null_motion.gain_deg_per_s.to_radians(),
+                speed_max_rad_per_s: null_motion.speed_max_deg_per_s.to_radians(),
+            },
+            target: target.build(observation_s, check),
+        }))
+    }
+
+    fn published(&self, check: &mut Checker) -> Option<LawConfig> {
+        let (gains, smoothing) = (self.gains?, self.smoothing?);
+        gains.check(check);
+        smoothing.check(check);
+        Some(LawConfig::Published(PublishedConfig {
+            gains: Gains {
+                position_per_s: gains.position_per_s,
+                velocity: gains.velocity,
+                orientation_per_s: gains.orientation_per_s,
+                angular_velocity: gains.angular_velocity,
+            },
+            target_filter: TargetFilterConfig {
+                position_time_constant_s: smoothing.position_time_constant_s,
+                orientation_time_constant_s: smoothing.orientation_time_constant_s,
+                gate_position_m: smoothing.gate_position_mm * 1e-3,
+                gate_orientation_rad: smoothing.gate_orientation_deg.to_radians(),
+                observations_to_lock: whole(smoothing.observations_to_lock),
+            },
+        }))
+    }
+}
+
+/// Standard deviations of positions and angles.
+const SIGMA_MM: RangeInclusive<f64> = 0.001..=100.0;
+const SIGMA_DEG: RangeInclusive<f64> = 0.001..=57.0;
+
+impl ArmResponseSection {
+    fn check(&self, check: &mut Checker) {
+        check.number("servo.arm_response.delay_millis", self.delay_millis, 0.0..=500.0);
+        check.number("servo.arm_response.lag_millis", self.lag_millis, 0.0..=500.0);
+    }
+}
+
+impl FeedForwardSection {
+    fn check(&self, check: &mut Checker) {
+        check.number("servo.feed_forward.position_per_s", self.position_per_s, 1e-6..=50.0);
+        check.number("servo.feed_forward.orientation_per_s", self.orientation_per_s, 1e-6..=50.0);
+        check.number("servo.feed_forward.linear_max_mm_per_s2", self.linear_max_mm_per_s2, 10.0..=20_000.0);
+        check.number("servo.feed_forward.angular_max_deg_per_s2", self.angular_max_deg_per_s2, 1.0..=2800.0);
+        check.count("servo.feed_forward.observations_to_lock", self.observations_to_lock, 1..=1000);
+    }
+}
+
+impl NullMotionSection {
+    fn check(&self, check: &mut Checker) {
+        check.number("servo.null_motion.gain_deg_per_s", self.gain_deg_per_s, 0.0..=570.0);
+        check.number("servo.null_motion.speed_max_deg_per_s", self.speed_max_deg_per_s, 0.0..=57.0);
+    }
+}
+
+impl UnstatedSection {
+    fn check(&self, check: &mut Checker) {
+        check.number("servo.unstated.lateral_sigma_mm", self.lateral_sigma_mm, SIGMA_MM);
+        check.number("servo.unstated.depth_sigma_mm", self.depth_sigma_mm, SIGMA_MM);
+        check.number("servo.unstated.tilt_sigma_deg", self.tilt_sigma_deg, SIGMA_DEG);
+        check.number("servo.unstated.about_normal_sigma_deg", self.about_normal_sigma_deg, SIGMA_DEG);
+    }
+}
+
+impl GainsSection {
+    fn check(&self, check: &mut Checker) {
+        check.number("servo.gains.position_per_s", self.position_per_s, 1e-6..=50.0);
+        check.number("servo.gains.velocity", self.velocity, 0.0..=0.9);
+        check.number("servo.gains.orientation_per_s", self.orientation_per_s, 1e-6..=100.0);
+        check.number("servo.gains.angular_velocity", self.angular_velocity, 0.0..=0.9);
+    }
+}
+
+impl SmoothingSection {
+    fn check(&self, check: &mut Checker) {
+        check.number("servo.smoothing.position_time_constant_s", self.position_time_constant_s, 0.0..=5.0);
+        check.number("servo.smoothing.orientation_time_constant_s", self.orientation_time_constant_s, 0.0..=5.0);
+        check.number("servo.smoothing.gate_position_mm", self.gate_position_mm, 1.0..=10_000.0);
+        check.number("servo.smoothing.gate_orientation_deg", self.gate_orientation_deg, 0.6..=180.0);
+        check.count("servo.smoothing.observations_to_lock", self.observations_to_lock, 1..=1000);
+    }
+}

@@ -1,0 +1,173 @@
+//! From the error of the hand to joint velocities, or to the reason why there are none.
+
+use std::time::Duration;
+
+use pb3dp_geometry::frames::Base;
+use pb3dp_geometry::{MonotonicTime, Twist};
+use pb3dp_kinematics::{JointState, JointVector};
+
+use super::{Command, ControlStep, Controller, HoldReason, Mode};
+use crate::config::{CartesianSpeed, FeedForwardConfig, LawConfig, PublishedConfig};
+use crate::law::feed_forward::{self, Aim, DesiredMotion};
+use crate::law::pose_based::{self, HandError};
+use crate::redundancy::secondary_velocity;
+use crate::resolved_rate::{HandJacobian, JointBounds, Limitation, limit_twist};
+
+/// How much of the wanted speed the hand has: it starts softly after a rest, and slows down while the target is not seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Pace {
+    /// When the motion began, with the share of speed that it has; `None` at rest.
+    moving: Option<(MonotonicTime, f64)>,
+}
+
+impl Pace {
+    /// At rest.
+    pub(super) fn rest() -> Self {
+        Self { moving: None }
+    }
+
+    /// The share of the speed by time alone: 0 at the start, 1 after `soft_start_s`.
+    fn started(&mut self, soft_start_s: f64, now: MonotonicTime) -> f64 {
+        let (began, _) = *self.moving.get_or_insert((now, 0.0));
+        if soft_start_s > 0.0 { (now.seconds_since(began) / soft_start_s).clamp(0.0, 1.0) } else { 1.0 }
+    }
+
+    /// The share of the speed, 0 at the start: it rises by 1 in `soft_start_s`, and is never above `most`.
+    fn risen(&mut self, soft_start_s: f64, period_s: f64, most: f64, now: MonotonicTime) -> f64 {
+        let share = match self.moving {
+            _ if soft_start_s <= 0.0 => 1.0,
+            None => 0.0,
+            Some((_, share)) => share + period_s / soft_start_s,
+        };
+        let share = share.min(most);
+        self.moving = Some((self.moving.map_or(now, |(began, _)| began), share));
+        share
+    }
+}
+
+/// What a law wants.
+struct Wish {
+    /// Velocity of the hand.
+    twist: Twist<Base>,
+    /// Largest speed of the hand.
+    most: CartesianSpeed,
+    /// Joints and Jacobian that it is resolved with.
+    position_rad: JointVector,
+    jacobian: HandJacobian,
+    /// Motion of the joints that leaves the hand where it is, rad/s.
+    secondary_rad_per_s: JointVector,
+    /// Share of all this that is used now, and why it is less than 1.
+    share: f64,
+    slowed_by: Limitation,
+}
+
+impl Controller {
+    /// Law and limits; leaves `Hold` with the reason where there is no way on.
+    pub(super) fn drive(
+        &mut self,
+        step: &mut ControlStep,
+        error: &HandError,
+        jacobian: HandJacobian,
+        joints: &JointState,
+        now: MonotonicTime,
+    ) {
+        let wish = match self.config.law {
+            LawConfig::Published(law) => Some(self.published_wish(&law, error, jacobian, joints, now)),
+            LawConfig::FeedForward(law) => self.feed_forward_wish(&law, joints, now),
+        };
+        let Some(wish) = wish else {
+            let age_s = step.observation_age_s.unwrap_or(f64::INFINITY);
+            step.mode = Mode::Holding(HoldReason::ObservationStale { age_s });
+            return;
+        };
+        let (twist, hand_share) = limit_twist(&wish.twist, &wish.most);
+        let primary = wish.jacobian.joint_velocity(&twist, &self.damping);
+        let bounds = JointBounds {
+            limits: &self.limits,
+            speed: &self.config.speed,
+            elbow_min_rad: self.config.damping.elbow_min_rad,
+        };
+        let beside = bounds.share_beside(&primary, &wish.secondary_rad_per_s, &wish.position_rad);
+        let limited = bounds.limit(&(primary + wish.secondary_rad_per_s * beside), &wish.position_rad);
+        step.limited_by = limited.limited_by.or((hand_share < 1.0).then_some(Limitation::HandSpeed));
+        if wish.share < 1.0 {
+            step.limited_by = Some(wish.slowed_by);
+        }
+        let command = limited.velocity_rad_per_s * wish.share;
+        if !command.iter().all(|x| x.is_finite()) {
+            step.mode = Mode::Holding(HoldReason::CommandNotFinite);
+            return;
+        }
+        match limited.limited_by {
+            Some(Limitation::JointRange { joint }) if limited.share <= 0.0 => {
+                step.mode = Mode::Holding(HoldReason::JointRange { joint });
+            }
+            Some(Limitation::ElbowStretched) if limited.share <= 0.0 => {
+                step.mode = Mode::Holding(HoldReason::ElbowStretched);
+            }
+            _ => step.command = Command::Velocity(command),
+        }
+    }
+
+    fn published_wish(
+        &mut self,
+        law: &PublishedConfig,
+        error: &HandError,
+        jacobian: HandJacobian,
+        joints: &JointState,
+        now: MonotonicTime,
+    ) -> Wish {
+        let desired_twist = self.target.smoothed_twist(&self.config.model_from_hand_desired);
+        let measured_twist = jacobian.twist(&joints.velocity_rad_per_s);
+        Wish {
+            twist: pose_based::hand_twist(&law.gains, error, &desired_twist, &measured_twist),
+            most: if self.approached_at.is_some() { self.config.speed.tracking } else { self.config.approach.speed },
+            position_rad: joints.position_rad,
+            jacobian,
+            secondary_rad_per_s: JointVector::zeros(),
+            share: self.pace.started(self.config.speed.soft_start_s, now),
+            slowed_by: Limitation::SoftStart,
+        }
+    }
+
+    /// `None` if the target can not be predicted that far.
+    fn feed_forward_wish(&mut self, law: &FeedForwardConfig, joints: &JointState, now: MonotonicTime) -> Option<Wish> {
+        let begins_to_act = now + Duration::from_secs_f64(law.arm.delay_s);
+        let target = self.target.at(begins_to_act)?;
+        let desired = DesiredMotion::before(&target, &self.config.model_from_hand_desired);
+        let aim = Aim::new(&desired, &law.arm, self.period_s);
+        let position_rad = self.given.rest_position(joints, &law.arm, now);
+        let frames = self.chain.joint_frames(&position_rad);
+        let base_from_hand = frames.base_from_flange * self.config.flange_from_hand;
+        let jacobian = HandJacobian::new(&self.chain, &frames, &base_from_hand.translation_m().into());
+        let twist = feed_forward::hand_twist(&law.gains, &aim, &base_from_hand, &self.correction_most(law, now));
+        // The closer to a singular pose, the less.
+        let weight = (jacobian.smallest_singular_value() / self.damping.threshold()).min(1.0).powi(2);
+        let secondary_rad_per_s =
+            secondary_velocity(&self.chain, &self.limits, &position_rad, jacobian.matrix(), &law.redundancy, weight);
+        let fresh = self.freshness(now);
+        let share = self.pace.risen(self.config.speed.soft_start_s, self.period_s, fresh, now);
+        let slowed_by = if share < fresh { Limitation::SoftStart } else { Limitation::Fading };
+        let most = self.config.speed.tracking;
+        Some(Wish { twist, most, position_rad, jacobian, secondary_rad_per_s, share, slowed_by })
+    }
+
+    /// Largest speed at which an error is corrected: that of the approach until the hand has arrived, from where on it rises to that
+    /// of tracking.
+    fn correction_most(&self, law: &FeedForwardConfig, now: MonotonicTime) -> CartesianSpeed {
+        let (slow, fast) = (&self.config.approach.speed, &self.config.speed.tracking);
+        let since_s = self.approached_at.map_or(0.0, |at| now.seconds_since(at).max(0.0));
+        let rising = |slow: f64, fast: f64, acceleration: f64| (slow + acceleration * since_s).min(fast.max(slow));
+        CartesianSpeed {
+            linear_m_per_s: rising(slow.linear_m_per_s, fast.linear_m_per_s, law.gains.linear_m_per_s2),
+            angular_rad_per_s: rising(slow.angular_rad_per_s, fast.angular_rad_per_s, law.gains.angular_rad_per_s2),
+        }
+    }
+
+    /// 1 while the target was seen within half the time-out; then it falls to 0 until the time-out, where the hand rests.
+    fn freshness(&self, now: MonotonicTime) -> f64 {
+        let timeout_s = self.config.timeouts.observation_s;
+        let age_s = self.target.observed_at().map_or(timeout_s, |at| now.seconds_since(at));
+        (2.0 * (timeout_s - age_s) / timeout_s).clamp(0.0, 1.0)
+    }
+}

@@ -1,0 +1,213 @@
+//! What is known of the target in `base`, in the form that the configured law needs.
+
+use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
+use pb3dp_geometry::frames::{Base, Hand, Model};
+use pb3dp_geometry::{MonotonicTime, Pose, Twist};
+
+use crate::config::{ConfigError, FeedForwardConfig, LawConfig, TargetFilterConfig, UnstatedCovariance};
+use crate::target_filter::{ObservationVerdict, TargetObservation, TargetTrack};
+use crate::target_state::{MeasurementVerdict, PoseMeasurement, Prediction, TargetState};
+
+/// Nothing, or a target with its motion. Its memory is taken once, at the beginning.
+#[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "one per controller")]
+pub(crate) enum KnownTarget {
+    /// A smoothed pose, for the published law.
+    Smoothed {
+        /// Gate and smoothing.
+        config: TargetFilterConfig,
+        /// The target, if there is one.
+        track: Option<TargetTrack>,
+    },
+    /// A state that can be predicted, for the law with feed-forward.
+    Predicted {
+        /// What is made of observations.
+        config: FeedForwardConfig,
+        /// The target, if there is one.
+        state: TargetState,
+        /// Observations since it was seen first that are part of the state.
+        observations: u32,
+    },
+}
+
+impl KnownTarget {
+    /// No target yet.
+    ///
+    /// # Errors
+    /// The first setting that is out of its range.
+    pub(crate) fn none(law: &LawConfig) -> Result<Self, ConfigError> {
+        Ok(match law {
+            LawConfig::Published(law) => Self::Smoothed { config: law.target_filter, track: None },
+            LawConfig::FeedForward(law) => {
+                Self::Predicted { config: *law, state: TargetState::new(law.target)?, observations: 0 }
+            }
+        })
+    }
+
+    /// Forgets the target.
+    pub(crate) fn forget(&mut self) {
+        match self {
+            Self::Smoothed { track, .. } => *track = None,
+            Self::Predicted { state, observations, .. } => {
+                state.clear();
+                *observations = 0;
+            }
+        }
+    }
+
+    /// Whether there is a target.
+    pub(crate) fn is_known(&self) -> bool {
+        self.observed_at().is_some()
+    }
+
+    /// Time of the last accepted exposure.
+    pub(crate) fn observed_at(&self) -> Option<MonotonicTime> {
+        match self {
+            Self::Smoothed { track, .. } => track.map(|track| track.observed_at()),
+            Self::Predicted { state, .. } => state.newest_accepted_at(),
+        }
+    }
+
+    /// Whether enough observations agree.
+    pub(crate) fn is_locked(&self) -> bool {
+        match self {
+            Self::Smoothed { config, track } => track.is_some_and(|track| track.is_locked(config)),
+            Self::Predicted { config, observations, .. } => *observations >= config.observations_to_lock,
+        }
+    }
+
+    /// Takes an observation whose pose in `base` is `observed`.
+    pub(crate) fn take(&mut self, observed: &Pose<Base, Model>, observation: &TargetObservation) -> ObservationVerdict {
+        let is_locked = self.is_locked();
+        match self {
+            Self::Smoothed { config, track: Some(track) } => track.update(config, observed, observation.at),
+            Self::Smoothed { track, .. } => {
+                *track = Some(TargetTrack::begin(*observed, observation.at));
+                ObservationVerdict::Accepted
+            }
+            Self::Predicted { config, state, observations } => {
+                let measured = measurement(config, state, observed, observation);
+                let mut verdict = state.observe(&measured);
+                if matches!(verdict, MeasurementVerdict::Outlier { .. }) && !is_locked {
+                    // Nothing speaks for what was seen before.
+                    state.clear();
+                    verdict = state.observe(&measured);
+                }
+                *observations = match verdict {
+                    MeasurementVerdict::Began => 1,
+                    MeasurementVerdict::Accepted { .. } => observations.saturating_add(1),
+                    _ => *observations,
+                };
+                verdict_of(verdict, observation)
+            }
+        }
+    }
+
+    /// Where the target is at a time: predicted, or where it was smoothed to be.
+    pub(crate) fn base_from_model_at(&self, time: MonotonicTime) -> Option<Pose<Base, Model>> {
+        match self {
+            Self::Smoothed { track, .. } => track.map(|track| *track.base_from_model()),
+            Self::Predicted { .. } => self.at(time).map(|prediction| prediction.base_from_model),
+        }
+    }
+
+    /// The target at a time, if it can be predicted.
+    pub(crate) fn at(&self, time: MonotonicTime) -> Option<Prediction> {
+        match self {
+            Self::Smoothed { .. } => None,
+            Self::Predicted { state, .. } => state.at(time).ok(),
+        }
+    }
+
+    /// How the desired hand moved from one smoothed pose to the next.
+    pub(crate) fn smoothed_twist(&self, model_from_hand_desired: &Pose<Model, Hand>) -> Twist<Base> {
+        match self {
+            Self::Smoothed { track: Some(track), .. } => track.hand_desired_twist(model_from_hand_desired),
+            _ => Twist::zero(),
+        }
+    }
+}
+
+/// What the filter is given for an observation.
+fn measurement(
+    config: &FeedForwardConfig,
+    state: &TargetState,
+    observed: &Pose<Base, Model>,
+    observation: &TargetObservation,
+) -> PoseMeasurement {
+    let mut base_from_model = *observed;
+    if let (false, Ok(predicted)) = (observation.rotation_about_normal_observed, state.at(observation.at)) {
+        base_from_model = with_rotation_about_normal_of(&predicted.base_from_model, observed);
+    }
+    let covariance = observation.covariance.unwrap_or_else(|| unstated(&config.unstated));
+    PoseMeasurement { at: observation.at, base_from_model, covariance }
+}
+
+/// The observed position and normal, with the predicted axes turned to that normal by the smallest rotation.
+fn with_rotation_about_normal_of(predicted: &Pose<Base, Model>, observed: &Pose<Base, Model>) -> Pose<Base, Model> {
+    let normal = |pose: &Pose<Base, Model>| pose.transform_vector(&Vector3::z());
+    match UnitQuaternion::rotation_between(&normal(predicted), &normal(observed)) {
+        Some(turn) => Pose::from_parts(observed.translation_m(), turn * predicted.rotation()),
+        // Seen from behind: nothing of it agrees with what is known, and it is left as it is.
+        None => *observed,
+    }
+}
+
+fn unstated(sigma: &UnstatedCovariance) -> Matrix6<f64> {
+    let sigma = Vector6::new(
+        sigma.lateral_m,
+        sigma.lateral_m,
+        sigma.depth_m,
+        sigma.tilt_rad,
+        sigma.tilt_rad,
+        sigma.about_normal_rad,
+    );
+    Matrix6::from_diagonal(&sigma.component_mul(&sigma))
+}
+
+fn verdict_of(verdict: MeasurementVerdict, observation: &TargetObservation) -> ObservationVerdict {
+    match verdict {
+        MeasurementVerdict::Began | MeasurementVerdict::Accepted { .. } => ObservationVerdict::Accepted,
+        MeasurementVerdict::Outlier { nis } => ObservationVerdict::Outlier { distance_squared: nis },
+        MeasurementVerdict::BadCovariance if observation.covariance.is_some() => ObservationVerdict::BadCovariance,
+        MeasurementVerdict::BadCovariance | MeasurementVerdict::NotFinite => ObservationVerdict::NotFinite,
+        MeasurementVerdict::TooOld | MeasurementVerdict::Duplicate => ObservationVerdict::NoneNew,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pose(translation: [f64; 3], rotation_vector: [f64; 3]) -> Pose<Base, Model> {
+        Pose::from_parts(translation.into(), UnitQuaternion::from_scaled_axis(Vector3::from(rotation_vector)))
+    }
+
+    #[test]
+    fn what_is_not_observed_comes_from_the_prediction() {
+        let predicted = pose([0.7, -0.1, 0.5], [0.4, -1.2, 0.3]);
+        let tilt = UnitQuaternion::from_scaled_axis(Vector3::new(0.05, -0.08, 0.0));
+        let about = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.0, 0.6));
+        let position = Vector3::new(0.71, -0.12, 0.53);
+        let observed = Pose::from_parts(position, predicted.rotation() * tilt * about);
+        let used = with_rotation_about_normal_of(&predicted, &observed);
+        // A tilt about an axis in the plane is the smallest rotation to its normal.
+        let expected = predicted.rotation() * tilt;
+        assert!(used.rotation().angle_to(&expected) < 1e-9, "{used:?}");
+        assert_eq!(used.translation_m(), position);
+        let behind = Pose::from_parts(
+            position,
+            predicted.rotation() * UnitQuaternion::from_scaled_axis(Vector3::x() * std::f64::consts::PI),
+        );
+        let used = with_rotation_about_normal_of(&predicted, &behind);
+        assert!(used.transform_vector(&Vector3::z()).dot(&behind.transform_vector(&Vector3::z())) > 0.999, "{used:?}");
+    }
+
+    #[test]
+    fn what_is_not_stated_is_in_axes_of_the_model() {
+        let sigma = UnstatedCovariance { lateral_m: 0.001, depth_m: 0.002, tilt_rad: 0.03, about_normal_rad: 0.04 };
+        let covariance = unstated(&sigma);
+        let expected = Vector6::new(1e-6, 1e-6, 4e-6, 9e-4, 9e-4, 1.6e-3);
+        assert!((covariance - Matrix6::from_diagonal(&expected)).amax() < 1e-15);
+    }
+}

@@ -1,0 +1,205 @@
+//! Position-based law with feed-forward of the target's velocity and compensation of the arm's delay and lag; the default.
+//!
+//! The joints of an arm follow velocity commands u after a dead time d with a first-order lag T: v' = (u(t - d) - v) / T. For
+//! such joints the angles at which they come to rest when no more commands are given,
+//!
+//! ```text
+//! q_rest = q + T v + (all commands in flight, each times its duration),        q_rest' = u,
+//! ```
+//!
+//! answer a command at once, with neither delay nor lag: the loop is closed around them (a Smith predictor, O. J. M. Smith
+//! 1957, for an integrating plant; [`crate::given_commands`] finds them). When the command of now begins to act, at now + d, the
+//! hand at rest should be where a hand at the desired pose with the desired velocity comes to rest:
+//!
+//! ```text
+//! x_rest,d = x_d + T v_d,        u = v_d + T a_d + K (x_rest,d - x_rest)
+//! ```
+//!
+//! with the target predicted to now + d. Where the prediction of target and arm is right, nothing is left to trail by: the error
+//! e follows e + T e' = e_rest with e_rest' = -K e_rest, two real poles at -K and -1/T, without overshoot for any K.
+//! What is not known of delay and lag is a delay in this loop, and bounds K: a gain of 1 / (e T') is free of overshoot with a
+//! delay of T'. The default takes half of delay and lag as unknown ([`ArmResponse::gain_without_overshoot`]).
+//!
+//! The correction K e grows with the error only as far as the hand can brake it away again, see [`correction_speed`].
+
+use nalgebra::Vector3;
+use pb3dp_geometry::frames::{Base, Hand, Model};
+use pb3dp_geometry::{Pose, Twist, so3};
+
+use crate::config::{ArmResponse, CartesianSpeed, FeedForwardGains};
+use crate::target_state::{Acceleration, Prediction};
+
+/// How the hand should move.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DesiredMotion {
+    /// Where it should be.
+    pub base_from_hand: Pose<Base, Hand>,
+    /// Velocity of its origin, and angular velocity.
+    pub twist: Twist<Base>,
+    /// Their rates of change.
+    pub acceleration: Acceleration<Base>,
+}
+
+impl DesiredMotion {
+    /// The motion of a hand that is rigidly tied to the target.
+    pub fn before(target: &Prediction, model_from_hand_desired: &Pose<Model, Hand>) -> Self {
+        Self {
+            base_from_hand: target.base_from_model * *model_from_hand_desired,
+            twist: target.twist_of(model_from_hand_desired),
+            acceleration: target.acceleration_of(model_from_hand_desired),
+        }
+    }
+}
+
+/// What the hand is to do when the command of now begins to act.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Aim {
+    /// Where the hand would have to come to rest.
+    pub base_from_hand_at_rest: Pose<Base, Hand>,
+    /// The velocity that keeps it right, in `base`.
+    pub feed_forward: Twist<Base>,
+}
+
+impl Aim {
+    /// For a hand that should move like `desired` when the command begins to act. The command is held for `period_s`, and right
+    /// in the middle of it.
+    pub fn new(desired: &DesiredMotion, arm: &ArmResponse, period_s: f64) -> Self {
+        let DesiredMotion { base_from_hand, twist, acceleration } = desired;
+        let ahead_s = arm.lag_s + 0.5 * period_s;
+        let position_m = base_from_hand.translation_m() + twist.linear_m_per_s * arm.lag_s;
+        let rotation = so3::exp(&(twist.angular_rad_per_s * arm.lag_s)) * base_from_hand.rotation();
+        Self {
+            base_from_hand_at_rest: Pose::from_parts(position_m, rotation),
+            feed_forward: Twist::new(
+                twist.linear_m_per_s + acceleration.linear_m_per_s2 * ahead_s,
+                twist.angular_rad_per_s + acceleration.angular_rad_per_s2 * ahead_s,
+            ),
+        }
+    }
+}
+
+/// Velocity that the hand should have: of its origin, and angular, in `base`. `base_from_hand_at_rest` is where the hand comes to
+/// rest by itself; the correction of its error is no faster than `most`.
+pub fn hand_twist(
+    gains: &FeedForwardGains,
+    aim: &Aim,
+    base_from_hand_at_rest: &Pose<Base, Hand>,
+    most: &CartesianSpeed,
+) -> Twist<Base> {
+    let aimed = &aim.base_from_hand_at_rest;
+    let position = aimed.translation_m() - base_from_hand_at_rest.translation_m();
+    let rotation = so3::log(&(aimed.rotation() * base_from_hand_at_rest.rotation().inverse()));
+    let linear = correction(&position, gains.position_per_s, gains.linear_m_per_s2, most.linear_m_per_s);
+    let angular = correction(&rotation, gains.orientation_per_s, gains.angular_rad_per_s2, most.angular_rad_per_s);
+    Twist::new(aim.feed_forward.linear_m_per_s + linear, aim.feed_forward.angular_rad_per_s + angular)
+}
+
+/// Velocity along an error.
+fn correction(error: &Vector3<f64>, gain_per_s: f64, acceleration: f64, most: f64) -> Vector3<f64> {
+    let size = error.norm();
+    if size <= 0.0 {
+        return Vector3::zeros();
+    }
+    error * (correction_speed(size, gain_per_s, acceleration).min(most) / size)
+}
+
+/// Speed at which an error is corrected, per second in the unit of the error: K e as long as braking with that needs no more than
+/// `acceleration` (up to e = a / K^2), beyond it the speed sqrt(2 a (e - a / (2 K^2))) of a steady braking with it, which goes
+/// over into K e without a bend.
+pub fn correction_speed(error: f64, gain_per_s: f64, acceleration: f64) -> f64 {
+    let linear_up_to = acceleration / (gain_per_s * gain_per_s);
+    if error <= linear_up_to { gain_per_s * error } else { (2.0 * acceleration * (error - 0.5 * linear_up_to)).sqrt() }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::UnitQuaternion;
+
+    use super::*;
+
+    const GAINS: FeedForwardGains = FeedForwardGains {
+        position_per_s: 8.0,
+        orientation_per_s: 5.0,
+        linear_m_per_s2: 0.64,
+        angular_rad_per_s2: 2.0,
+    };
+    const WIDE: CartesianSpeed = CartesianSpeed { linear_m_per_s: 2.0, angular_rad_per_s: 6.0 };
+
+    fn rotation(x: f64, y: f64, z: f64) -> UnitQuaternion<f64> {
+        UnitQuaternion::from_scaled_axis(Vector3::new(x, y, z))
+    }
+
+    /// A hand that is where it should be, as fast as it should be, and lags, is told what inverts the lag, and no correction.
+    #[test]
+    fn a_hand_that_is_right_is_told_what_inverts_its_lag() {
+        let arm = ArmResponse { delay_s: 0.02, lag_s: 0.04 };
+        let (velocity, turning) = (Vector3::new(0.1, -0.05, 0.02), Vector3::new(0.3, 0.1, -0.4));
+        let (push, twirl) = (Vector3::new(-0.2, 0.3, 0.1), Vector3::new(0.5, -0.7, 0.2));
+        let hand = Pose::from_parts(Vector3::new(0.6, -0.1, 0.4), rotation(0.3, -1.1, 0.7));
+        let desired = DesiredMotion {
+            base_from_hand: hand,
+            twist: Twist::new(velocity, turning),
+            acceleration: Acceleration::new(push, twirl),
+        };
+        let aim = Aim::new(&desired, &arm, 0.0);
+        // With v' = -v / T from now on it goes on by T v and turns by T w.
+        let rests_at =
+            Pose::from_parts(hand.translation_m() + velocity * 0.04, rotation(0.012, 0.004, -0.016) * hand.rotation());
+        let told = hand_twist(&GAINS, &aim, &rests_at, &WIDE);
+        // v' = (u - v) / T is to be the acceleration.
+        assert!(((told.linear_m_per_s - velocity) / 0.04 - push).norm() < 1e-9, "{told:?}");
+        assert!(((told.angular_rad_per_s - turning) / 0.04 - twirl).norm() < 1e-7, "{told:?}");
+        // Half a period later the velocity is that much further on.
+        let held = Aim::new(&desired, &arm, 0.01);
+        assert!((held.feed_forward.linear_m_per_s - aim.feed_forward.linear_m_per_s - push * 0.005).norm() < 1e-12);
+        assert!(
+            (held.feed_forward.angular_rad_per_s - aim.feed_forward.angular_rad_per_s - twirl * 0.005).norm() < 1e-12
+        );
+        assert_eq!(held.base_from_hand_at_rest, aim.base_from_hand_at_rest);
+    }
+
+    #[test]
+    fn an_error_is_corrected_along_the_shorter_way_and_in_proportion_to_the_angle() {
+        let hand = Pose::<Base, Hand>::from_parts(Vector3::new(0.3, -0.2, 0.9), rotation(0.4, 1.1, -0.3));
+        let by = Vector3::new(-0.004, 0.002, 0.004);
+        let turn = Vector3::new(0.02, -0.03, 0.06);
+        let aimed = Pose::from_parts(hand.translation_m() + by, rotation(turn.x, turn.y, turn.z) * hand.rotation());
+        let aim =
+            Aim { base_from_hand_at_rest: aimed, feed_forward: Twist::new(Vector3::x() * 0.1, Vector3::y() * 0.2) };
+        let told = hand_twist(&GAINS, &aim, &hand, &WIDE);
+        assert!((told.linear_m_per_s - (by * 8.0 + Vector3::x() * 0.1)).norm() < 1e-12, "{told:?}");
+        assert!((told.angular_rad_per_s - (turn * 5.0 + Vector3::y() * 0.2)).norm() < 1e-9, "{told:?}");
+        // 200 degrees about an axis are 160 degrees the other way round; the other quaternion is the same rotation.
+        let axis = Vector3::new(1.0, -2.0, 2.0) / 3.0;
+        let long = UnitQuaternion::from_scaled_axis(axis * 200f64.to_radians()) * hand.rotation();
+        for rotation in [long, UnitQuaternion::new_unchecked(-long.into_inner())] {
+            let aimed = Pose::from_parts(hand.translation_m(), rotation);
+            let aim = Aim { base_from_hand_at_rest: aimed, feed_forward: Twist::zero() };
+            let told = hand_twist(&GAINS, &aim, &hand, &WIDE).angular_rad_per_s;
+            // sqrt(2 a (e - a / (2 K^2))), a = 2, K = 5, e = 160 degrees.
+            let expected = (4.0 * (160f64.to_radians() - 0.04)).sqrt();
+            assert!((told + axis * expected).norm() < 1e-9, "{told}");
+        }
+    }
+
+    #[test]
+    fn corrections_can_be_braked_away_and_have_a_largest_speed() {
+        // By hand: a / K^2 = 0.01 m; below it K e, at 0.055 m sqrt(2 x 0.64 x 0.05).
+        assert!((correction_speed(0.008, 8.0, 0.64) - 0.064).abs() < 1e-15);
+        assert!((correction_speed(0.055, 8.0, 0.64) - 0.064f64.sqrt()).abs() < 1e-15);
+        let mut error: f64 = 0.4;
+        let dt = 1e-5;
+        while error > 1e-4 {
+            let speed = correction_speed(error, 8.0, 0.64);
+            let next = correction_speed(error - speed * dt, 8.0, 0.64);
+            assert!((speed - next) / dt < 0.64 * 1.001, "brakes with {} at {error}", (speed - next) / dt);
+            error -= speed * dt;
+        }
+        let hand = Pose::<Base, Hand>::from_parts(Vector3::new(0.3, -0.2, 0.9), rotation(0.4, 1.1, -0.3));
+        let aimed = Pose::from_parts(hand.translation_m() + Vector3::new(0.0, 3.0, -4.0), hand.rotation());
+        let aim = Aim { base_from_hand_at_rest: aimed, feed_forward: Twist::new(Vector3::x() * 0.1, Vector3::zeros()) };
+        let most = CartesianSpeed { linear_m_per_s: 0.05, angular_rad_per_s: 0.1 };
+        let told = hand_twist(&GAINS, &aim, &hand, &most);
+        assert!((told.linear_m_per_s - Vector3::new(0.1, 0.03, -0.04)).norm() < 1e-12, "{told:?}");
+    }
+}

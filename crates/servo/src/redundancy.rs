@@ -1,0 +1,187 @@
+//! What the seventh joint is used for: a motion of the elbow about the line from shoulder to wrist, which leaves the hand where it
+//! is, away from the ends of joint ranges and from singular poses.
+//!
+//! The motion goes down the gradient of a cost, projected on the null space of the Jacobian (Liegeois 1977). The cost is
+//!
+//! ```text
+//! C(q) = sum_i 1 / (1 - x_i^2)  -  ln w(q)
+//! ```
+//!
+//! x_i: how far joint i is from the middle of its range, 1 at the end: a barrier that hardly acts in the middle, after Zghal, Dubey
+//! and Euler (1990); w: Yoshikawa's manipulability (1985), 0 at singular poses. It does not depend on which point of the hand is
+//! looked at.
+
+use nalgebra::SMatrix;
+use pb3dp_kinematics::{Chain, DOF, Jacobian, JointLimits, JointVector};
+
+use crate::config::RedundancyConfig;
+
+/// Half of the distance over which the cost is differentiated, rad: the third derivative of the cost is of the order of 10, so
+/// that truncation is below 1e-6.
+const DIFFERENCE_RAD: f64 = 5e-4;
+/// Nearer to an end of its range the barrier of a joint does not grow any more, as a share of half the range.
+const BARRIER_UP_TO: f64 = 0.99;
+
+/// The joint motion that leaves the hand where it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NullMotion {
+    /// Direction in joint space, of length 1; zero where the Jacobian has lost a rank.
+    pub direction: JointVector,
+    /// Manipulability sqrt(det(J J^T)).
+    pub manipulability: f64,
+}
+
+impl NullMotion {
+    /// The generalised cross product of the rows of the Jacobian: its components are the minors of order 6, its length is the
+    /// manipulability (Cauchy and Binet).
+    pub fn of(jacobian: &Jacobian) -> Self {
+        let mut direction = JointVector::zeros();
+        for joint in 0..DOF {
+            let minor: SMatrix<f64, 6, 6> = jacobian.fixed_columns::<DOF>(0).into_owned().remove_column(joint);
+            let sign = if joint % 2 == 0 { 1.0 } else { -1.0 };
+            direction[joint] = sign * minor.determinant();
+        }
+        let manipulability = direction.norm();
+        let direction = if manipulability > 0.0 { direction / manipulability } else { JointVector::zeros() };
+        Self { direction, manipulability }
+    }
+}
+
+/// The cost of a pose of the arm, see the module.
+pub fn cost(chain: &Chain, limits: &JointLimits, position_rad: &JointVector) -> f64 {
+    let manipulability = NullMotion::of(&chain.jacobian(position_rad)).manipulability;
+    let mut barriers = 0.0;
+    for joint in 0..DOF {
+        let (min, max) = (limits.position_min_rad()[joint], limits.position_max_rad()[joint]);
+        let share = (2.0 * position_rad[joint] - min - max) / (max - min);
+        let share = share.clamp(-BARRIER_UP_TO, BARRIER_UP_TO);
+        barriers += 1.0 / (1.0 - share * share);
+    }
+    barriers - manipulability.max(f64::MIN_POSITIVE).ln()
+}
+
+/// Joint velocities (rad/s) that lower the cost and leave the hand where it is. `weight`, 0 to 1, fades them out near singular
+/// poses, where the null space turns faster than joints can follow.
+pub fn secondary_velocity(
+    chain: &Chain,
+    limits: &JointLimits,
+    position_rad: &JointVector,
+    jacobian: &Jacobian,
+    config: &RedundancyConfig,
+    weight: f64,
+) -> JointVector {
+    if config.speed_max_rad_per_s <= 0.0 || weight <= 0.0 {
+        return JointVector::zeros();
+    }
+    let direction = NullMotion::of(jacobian).direction;
+    let step = direction * DIFFERENCE_RAD;
+    let rise = cost(chain, limits, &(position_rad + step)) - cost(chain, limits, &(position_rad - step));
+    let slope = rise / (2.0 * DIFFERENCE_RAD);
+    let wanted = -config.gain_rad_per_s * slope;
+    // Bounded without a bend.
+    let speed = wanted / (1.0 + (wanted / config.speed_max_rad_per_s).powi(2)).sqrt();
+    direction * (speed * weight.min(1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use pb3dp_kinematics::{manipulability, smallest_singular_value};
+
+    use super::*;
+
+    const CONFIG: RedundancyConfig = RedundancyConfig { gain_rad_per_s: 0.2, speed_max_rad_per_s: 0.1 };
+    const BENT: [f64; 7] = [0.15, 0.75, -0.2, 1.6, 0.1, -0.9, 0.25];
+
+    fn chain() -> Chain {
+        let urdf = include_str!("../../../configs/robots/pa10_gen2.urdf");
+        Chain::from_urdf_str(urdf, "base_link", "flange").unwrap()
+    }
+
+    #[test]
+    fn the_null_motion_leaves_the_hand_where_it_is() {
+        let chain = chain();
+        for position in [BENT, [1.0, -0.6, 0.9, -1.2, -2.0, 1.1, 3.0]] {
+            let jacobian = chain.jacobian(&position.into());
+            let null = NullMotion::of(&jacobian);
+            assert!((null.direction.norm() - 1.0).abs() < 1e-12);
+            assert!((jacobian * null.direction).norm() < 1e-12);
+            assert!(
+                (null.manipulability / manipulability(&jacobian) - 1.0).abs() < 1e-9,
+                "the product of singular values"
+            );
+        }
+        // Stretched out: one rank is lost, and with it the meaning of a direction.
+        let stretched = NullMotion::of(&chain.jacobian(&JointVector::from([0.3, 0.5, 0.1, 0.0, 0.2, 0.6, 0.0])));
+        assert!(stretched.manipulability < 1e-12, "{stretched:?}");
+    }
+
+    /// Followed without end the motion stops at a place from which the cost rises to both sides, and the hand has not moved.
+    #[test]
+    fn the_elbow_goes_where_the_cost_is_least_and_the_hand_stays() {
+        let (chain, start) = (chain(), JointVector::from([0.9, 0.75, -0.9, 1.6, 0.5, -0.9, 2.0]));
+        let limits = chain.limits();
+        let hand = chain.forward(&start);
+        let mut position = start;
+        let mut before = cost(&chain, limits, &position);
+        let first = before;
+        for _ in 0..4000 {
+            let jacobian = chain.jacobian(&position);
+            let velocity = secondary_velocity(&chain, limits, &position, &jacobian, &CONFIG, 1.0);
+            assert!(velocity.norm() <= 0.1, "{velocity}");
+            position += velocity * 0.01;
+            let now = cost(&chain, limits, &position);
+            assert!(now <= before + 1e-12, "{now} after {before}");
+            before = now;
+        }
+        assert!(before < first - 0.2, "{before} from {first}");
+        let off = hand.inverse() * chain.forward(&position);
+        assert!(off.translation_m().norm() < 1e-3 && off.rotation_angle_rad() < 1e-3, "{off:?}");
+        let direction = NullMotion::of(&chain.jacobian(&position)).direction;
+        for side in [-0.05, 0.05] {
+            assert!(cost(&chain, limits, &(position + direction * side)) > before);
+        }
+    }
+
+    #[test]
+    fn a_joint_near_the_end_of_its_range_is_led_away_from_it() {
+        let chain = chain();
+        let limits = chain.limits();
+        for (joint, side) in [(0, 1.0), (2, -1.0), (4, 1.0), (6, -1.0)] {
+            let mut position = JointVector::from(BENT);
+            let end = if side > 0.0 { limits.position_max_rad()[joint] } else { limits.position_min_rad()[joint] };
+            position[joint] = end - side * 0.05;
+            let jacobian = chain.jacobian(&position);
+            let velocity = secondary_velocity(&chain, limits, &position, &jacobian, &CONFIG, 1.0);
+            assert!(velocity[joint] * side < 0.0, "joint {joint} at {}: {velocity}", position[joint]);
+        }
+    }
+
+    /// Near q2 = q6 = 0 the elbow is turned so that the smallest singular value grows.
+    #[test]
+    fn near_a_singular_pose_the_arm_is_led_away_from_it() {
+        let chain = chain();
+        let mut position = JointVector::from([0.2, 0.08, 0.4, 1.6, 0.5, 0.06, 0.3]);
+        let begin = smallest_singular_value(&chain.jacobian(&position));
+        for _ in 0..6000 {
+            let jacobian = chain.jacobian(&position);
+            position += secondary_velocity(&chain, chain.limits(), &position, &jacobian, &CONFIG, 1.0) * 0.01;
+        }
+        let end = smallest_singular_value(&chain.jacobian(&position));
+        assert!(end > 1.15 * begin, "{end} from {begin}");
+    }
+
+    #[test]
+    fn it_is_off_where_it_has_no_speed_or_no_weight() {
+        let chain = chain();
+        let position = JointVector::from([0.9, 0.75, -0.9, 1.6, 0.5, -0.9, 2.0]);
+        let jacobian = chain.jacobian(&position);
+        let off = RedundancyConfig { speed_max_rad_per_s: 0.0, ..CONFIG };
+        let velocity =
+            |config, weight| secondary_velocity(&chain, chain.limits(), &position, &jacobian, config, weight);
+        assert_eq!(velocity(&off, 1.0), JointVector::zeros());
+        assert_eq!(velocity(&CONFIG, 0.0), JointVector::zeros());
+        let whole = velocity(&CONFIG, 1.0);
+        assert!(whole.norm() > 0.01);
+        assert!((velocity(&CONFIG, 0.25) - whole * 0.25).norm() < 1e-15);
+    }
+}
