@@ -7,6 +7,7 @@ use pb3dp_estimation::estimator::Method;
 use pb3dp_record::dataset::TILT_LIMIT_DEG;
 
 use crate::commands::arm::ArmArgs;
+use crate::commands::identify::IdentifyArgs;
 use crate::commands::mock_arm::MockArmArgs;
 use crate::logging::LogFormat;
 use crate::region_spec::{REGION_HELP, RegionSpec};
@@ -35,6 +36,8 @@ pub enum Command {
     Estimate(EstimateArgs),
     /// Track a region through a recorded stereo sequence.
     Track(TrackArgs),
+    /// Measure what a setup needs to know of the rig: its delays.
+    Identify(IdentifyArgs),
     /// Commission an arm: look at it, jog it, bring it to its start (docs/commissioning.md).
     Arm(ArmArgs),
     /// Run an emulated PA-10 in real time that fails on request.

@@ -26,6 +26,7 @@ fn main() -> ExitCode {
         Command::Run(args) => commands::run::run(args),
         Command::Estimate(args) => commands::estimate::run(args),
         Command::Track(args) => commands::track::run(args),
+        Command::Identify(args) => commands::identify::run(args),
         Command::Arm(args) => commands::arm::run(args),
         Command::MockArm(args) => commands::mock_arm::run(args),
         Command::Gateway(args) => commands::gateway::run(args),

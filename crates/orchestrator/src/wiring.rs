@@ -4,6 +4,7 @@ pub mod arm;
 pub mod commissioning;
 mod greeting;
 
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -37,7 +38,7 @@ use crate::cli::ReplayPace;
 use crate::config::setup::{ArmSetup, Carrier, Leader, Pace, Setup, fold_seed};
 use crate::run::cell::{FreeTarget, SimulatedCell};
 use crate::run::eyes::Sight;
-use crate::run::flight::{ArmFault, LineCounts, RawLine};
+use crate::run::flight::{self, ArmFault, Flight, LineCounts, Moment, RawLine};
 use crate::run::paced_clock::PacedClock;
 
 /// An arm with its limiter: motion, power, and how often the limiter stepped in.
@@ -152,6 +153,24 @@ fn wire_sight(setup: &Setup, cell: &SimulatedCell, clock: &Arc<dyn Clock>) -> Re
             let tracker = GeometricTracker::new(config, setup.rig, target.outline_m.clone())?;
             let camera = GeometricCamera::new(tracker, poses, clock, &setup.camera)?;
             Ok((Sight::Geometric(Box::new(camera)), target.outline_m))
+        }
+    }
+}
+
+/// Writes what both arms did in the last seconds into this folder, and says where.
+pub fn write_flights(
+    folder: &Path,
+    flights: &[(&'static str, FlightLog)],
+    monitors: &[(&'static str, ArmMonitor)],
+    failure: &anyhow::Error,
+    moment: Moment,
+) {
+    for (arm, log) in flights {
+        let raw = raw_lines(monitors, arm);
+        let (fault, counts) = line_facts(monitors, arm);
+        match flight::write(folder, arm, &Flight { log, fault, counts, raw: &raw }, failure, moment) {
+            Ok(path) => tracing::info!("what the {arm} did before: {}", path.display()),
+            Err(error) => tracing::warn!("the flight recorder of the {arm}: {error:#}"),
         }
     }
 }

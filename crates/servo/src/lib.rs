@@ -14,6 +14,7 @@
 pub mod config;
 pub mod controller;
 pub mod given_commands;
+pub mod identification;
 pub mod joint_history;
 mod known_target;
 pub mod law;

@@ -3,6 +3,7 @@
 pub mod arm;
 pub mod estimate;
 pub mod gateway;
+pub mod identify;
 pub mod mock_arm;
 pub mod pair;
 pub mod run;

@@ -12,11 +12,11 @@ use super::estimate::output::print_line;
 use crate::cli::RunArgs;
 use crate::config::setup::{Pace, Setup, read_setup};
 use crate::run::channels::Plan;
-use crate::run::flight::{self, Flight, Moment};
+use crate::run::flight::Moment;
 use crate::run::interruption::{INTERRUPTED, watch};
 use crate::run::summary::summarize;
 use crate::run::{live, lockstep, report};
-use crate::wiring::{line_facts, raw_lines, wire};
+use crate::wiring::{wire, write_flights};
 
 /// A run in which the hand followed for a smaller share of the time is pointed out.
 const FOLLOWING_EXPECTED: f64 = 0.9;
@@ -43,14 +43,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let outcome = run_it(&setup, parts, args.stop_after, args.record.as_deref());
     if let Err(failure) = &outcome {
         let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
-        for (arm, log) in &flights {
-            let raw = raw_lines(&monitors, arm);
-            let (fault, counts) = line_facts(&monitors, arm);
-            match flight::write(&args.out, arm, &Flight { log, fault, counts, raw: &raw }, failure, moment) {
-                Ok(path) => tracing::info!("what the {arm} did before: {}", path.display()),
-                Err(error) => tracing::warn!("the flight recorder of the {arm}: {error:#}"),
-            }
-        }
+        write_flights(&args.out, &flights, &monitors, failure, moment);
     }
     let outcome = outcome?;
     let wall_s = started.elapsed().as_secs_f64();

@@ -199,7 +199,7 @@ impl Seen {
     }
 
     /// What the controller is told, if there is a pose.
-    fn observation(&self) -> Option<TargetObservation> {
+    pub fn observation(&self) -> Option<TargetObservation> {
         let cam_left_from_model = self.estimate.cam_left_from_model?;
         Some(TargetObservation {
             at: self.frame.at,

@@ -24,3 +24,4 @@ pub mod report;
 pub mod strip;
 pub mod summary;
 pub mod supervision;
+pub mod swing;

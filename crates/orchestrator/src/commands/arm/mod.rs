@@ -1,7 +1,7 @@
 //! `pb3dp arm`: what an integrator does with an arm before it serves anybody (docs/commissioning.md).
 
 mod checklist;
-mod confirm;
+pub(super) mod confirm;
 mod drive;
 mod flights;
 mod motion;

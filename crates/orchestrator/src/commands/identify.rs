@@ -1,0 +1,256 @@
+//! `pb3dp identify delay`: how long it takes from an exposure to the motion of the hand, measured on the rig itself.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::SystemTime;
+
+use anyhow::{Context, Result, bail};
+use clap::{Args, Subcommand};
+use pb3dp_arm_pa10::io::signals::StopSignals;
+use pb3dp_record::metrics::percentile;
+use pb3dp_servo::identification::{
+    ArmResponseEstimate, BATCHES, CameraOnHand, Excitation, Interval, arm_response, exposure_offset,
+};
+use serde::Serialize;
+
+use super::arm::confirm;
+use super::estimate::output::print_line;
+use crate::config::setup::{ArmLink, GatewayWay, Setup, read_setup};
+use crate::run::flight::Moment;
+use crate::run::interruption::{INTERRUPTED, watch};
+use crate::run::swing::{self, Swung};
+use crate::wiring::{wire, write_flights};
+
+/// An arm that does what it is told, with dead time and lag, leaves less than this.
+const RESIDUAL_MAX_DEG: f64 = 0.01;
+
+/// Arguments of `pb3dp identify`.
+#[derive(Debug, Args)]
+pub struct IdentifyArgs {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// Swing the hand by some millimetres before a target that rests, and measure the delays from exposure to motion; without --move
+    /// only say what would be done.
+    Delay(DelayArgs),
+}
+
+#[derive(Debug, Args)]
+struct DelayArgs {
+    /// The setup: one complete TOML file, for instance configs/sim.toml.
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    /// Move the arm; with real arms once the name vs-robot was typed. Without it nothing moves.
+    #[arg(long = "move")]
+    moves: bool,
+    /// How far the hand swings, to its right and downwards, millimetres.
+    #[arg(long, value_name = "MM", default_value_t = 10.0)]
+    way: f64,
+    /// For how long.
+    #[arg(long, value_name = "SECONDS", default_value_t = 30.0)]
+    seconds: f64,
+    /// One JSON object on standard output instead of a table.
+    #[arg(long)]
+    json: bool,
+    /// Folder for the flight recorders if an arm stops.
+    #[arg(long, value_name = "DIR", default_value = "out/identify")]
+    out: PathBuf,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A setup or a motion that is refused, a confirmation that does not come, a part that fails, or a record that tells nothing.
+pub fn run(args: &IdentifyArgs) -> Result<ExitCode> {
+    let What::Delay(args) = &args.what;
+    delay(args)
+}
+
+fn delay(args: &DelayArgs) -> Result<ExitCode> {
+    // Before any thread is started: a signal that ends the program would leave the arms to their gateways.
+    let mut signals = StopSignals::take_over().context("the signals that end the program can not be taken over")?;
+    let setup = read_setup(&args.config)?;
+    let motion = Excitation::new(args.way * 1e-3, args.seconds).context("--way is in mm, --seconds in s")?;
+    let plan = format!(
+        "vs-robot: the hand swings by {:.1} mm to its right and downwards for {:.0} s, at most {:.0} mm/s, and comes back; tc-robot holds \
+         the target still",
+        args.way,
+        args.seconds,
+        motion.speed_max_m_per_s() * 1e3
+    );
+    if !args.moves {
+        print_line(&format!("{plan}\nnothing was moved; add --move"))?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    if is_real(&setup) {
+        tracing::warn!("{plan}; both arms are switched on: type vs-robot and Enter to go on");
+        confirm::typed("vs-robot", &mut signals)?;
+    }
+    let mut parts = wire(&setup)?;
+    let interrupt = Arc::clone(&parts.interrupt);
+    let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus))?;
+    let (clock, flights, monitors) = (Arc::clone(&parts.clock), parts.flights.clone(), parts.monitors.clone());
+    let swung = swing::run(&setup, parts, motion);
+    if let Err(failure) = &swung {
+        let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
+        std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
+        write_flights(&args.out, &flights, &monitors, failure, moment);
+    }
+    let swung = swung?;
+    if was_interrupted.load(Ordering::SeqCst) {
+        return Ok(ExitCode::from(INTERRUPTED));
+    }
+    let delays = Delays::of(&setup, &swung)?;
+    let text = if args.json { serde_json::to_string(&delays)? } else { delays.text(&setup) };
+    print_line(&text)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Whether anything outside this program would move.
+fn is_real(setup: &Setup) -> bool {
+    let is_toy = |link: &ArmLink| matches!(link, ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated));
+    !is_toy(&setup.vs.link) || !is_toy(&setup.tc.link)
+}
+
+/// A time with its 95 % confidence interval, milliseconds.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Millis {
+    value: f64,
+    half_width_95: f64,
+}
+
+impl From<Interval> for Millis {
+    fn from(interval: Interval) -> Self {
+        Self { value: interval.value * 1e3, half_width_95: interval.half_width_95 * 1e3 }
+    }
+}
+
+impl std::fmt::Display for Millis {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:.1} +- {:.1}", self.value, self.half_width_95)
+    }
+}
+
+/// What was measured, milliseconds.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Delays {
+    /// From the stamp of a pair to the control step that used its estimate.
+    stamp_to_use_p50: f64,
+    stamp_to_use_p95: f64,
+    stamp_to_use_max: f64,
+    /// How much later than stamped the pairs were exposed, on the clock of the joints.
+    stamp_to_exposure: Millis,
+    /// From a command to the beginning of the motion.
+    arm_delay: Millis,
+    /// Time constant of the lag behind it.
+    arm_lag: Millis,
+    /// Both.
+    command_to_motion: Millis,
+    /// From exposure to motion.
+    total: Millis,
+    /// What is left of the joint angles, degrees.
+    arm_residual_deg: f64,
+    /// Estimates used, and those that were not stood by.
+    estimates: usize,
+    untrusted: usize,
+}
+
+impl Delays {
+    fn of(setup: &Setup, swung: &Swung) -> Result<Self> {
+        if swung.seen.is_empty() {
+            bail!(
+                "no estimate could be stood by in {} pairs: look at the target with pb3dp run first",
+                swung.untrusted
+            );
+        }
+        let camera = CameraOnHand {
+            chain: &setup.vs.chain,
+            flange_from_hand: setup.controller.flange_from_hand,
+            hand_from_cam_left: setup.controller.hand_from_cam_left,
+        };
+        let poses: Vec<_> = swung.seen.iter().map(|seen| (seen.at, seen.cam_left_from_model)).collect();
+        let offset = exposure_offset(&poses, &swung.joints, &camera).context("stamps of the pictures")?;
+        let ArmResponseEstimate { delay, lag, total: arm, residual_rms_rad } =
+            arm_response(&swung.given, &swung.joints).context("vs-robot")?;
+        let ages_s: Vec<f64> = swung.seen.iter().map(|seen| seen.used_at.seconds_since(seen.at)).collect();
+        let age_ms = |share: f64| percentile(&ages_s, share).map_or(f64::NAN, |age_s| age_s * 1e3);
+        let p50 = age_ms(50.0);
+        let total = Interval {
+            value: p50 * 1e-3 - offset.value + arm.value,
+            half_width_95: offset.half_width_95.hypot(arm.half_width_95),
+        };
+        Ok(Self {
+            stamp_to_use_p50: p50,
+            stamp_to_use_p95: age_ms(95.0),
+            stamp_to_use_max: age_ms(100.0),
+            stamp_to_exposure: offset.into(),
+            arm_delay: delay.into(),
+            arm_lag: lag.into(),
+            command_to_motion: arm.into(),
+            total: total.into(),
+            arm_residual_deg: residual_rms_rad.to_degrees(),
+            estimates: swung.seen.len(),
+            untrusted: swung.untrusted,
+        })
+    }
+
+    fn text(&self, setup: &Setup) -> String {
+        let mut text = String::new();
+        let mut line = |what: &str, value: String| {
+            let _ = writeln!(text, "{what:<58} {value}");
+        };
+        line("from the stamp of a pair to its use, p50 / p95 / max, ms", {
+            format!("{:.1} / {:.1} / {:.1}", self.stamp_to_use_p50, self.stamp_to_use_p95, self.stamp_to_use_max)
+        });
+        line("from the stamp to the true exposure, ms", self.stamp_to_exposure.to_string());
+        line("from command to motion: dead time, ms", self.arm_delay.to_string());
+        line("from command to motion: lag, ms", self.arm_lag.to_string());
+        line("from command to motion: both, ms", self.command_to_motion.to_string());
+        line("from exposure to motion, ms", self.total.to_string());
+        line("left of the joint angles by this model, deg rms", format!("{:.5}", self.arm_residual_deg));
+        line("estimates used, and not stood by", format!("{}, {}", self.estimates, self.untrusted));
+        let _ = write!(text, "\nintervals: 95 % ({BATCHES} pieces of the record)\n\n{}", self.advice(setup));
+        text
+    }
+
+    /// What to do with the figures.
+    fn advice(&self, setup: &Setup) -> String {
+        let mut advice = format!(
+            "[servo.arm_response]\ndelay_millis = {:.1}\nlag_millis = {:.1}\n",
+            self.arm_delay.value.max(0.0),
+            self.arm_lag.value.max(0.0)
+        );
+        let total_s = self.total.value * 1e-3;
+        let _ = write!(
+            advice,
+            "\nwithout feed-forward gains up to {:.1} 1/s have no overshoot, and up to {:.1} 1/s the loop is stable\n",
+            1.0 / (std::f64::consts::E * total_s),
+            std::f64::consts::FRAC_PI_2 / total_s
+        );
+        if self.arm_residual_deg > RESIDUAL_MAX_DEG {
+            let _ = writeln!(
+                advice,
+                "dead time and lag leave {:.4} deg of the joint angles, more than {RESIDUAL_MAX_DEG}: the limiter has rounded the motion off, \
+                 or the arm answers in another way; try a longer --seconds or a smaller --way",
+                self.arm_residual_deg
+            );
+        }
+        let exposure_ms = setup.camera.exposure.as_secs_f64() * 1e3;
+        if self.stamp_to_exposure.value.abs() > self.stamp_to_exposure.half_width_95.max(1.0) {
+            let _ = writeln!(
+                advice,
+                "the stamps are wrong by {:.1} ms (the exposure takes {exposure_ms:.1} ms): a target that the hand passes at 100 mm/s is \
+                 seen {:.1} mm off; stamp the middle of the exposure, on the clock of the joints",
+                self.stamp_to_exposure.value,
+                0.1 * self.stamp_to_exposure.value.abs()
+            );
+        }
+        advice
+    }
+}
