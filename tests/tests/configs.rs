@@ -1,5 +1,7 @@
 //! Every file in `configs/` is read by the part of the program that it is for.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
 use pb3dp_kinematics::{Chain, DOF, JointVector};
 use pb3dp_orchestrator::config::estimator::read_estimator;
 use pb3dp_orchestrator::config::gateway::read_gateway;

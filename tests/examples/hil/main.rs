@@ -143,7 +143,7 @@ fn page(origin: &str, tables: &str) -> String {
          This page is written by the command below; change the program, not the page.\n\n\
          The experiment of `configs/hil.toml` ([hil.md](../hil.md)), the hand led by the method `direct`: all errors are those of the \
          hand against the pose that it should have, from the beginning to the end.\n\
-         The servo of this version follows with a lag, and most of the error is that.\n\n\
+         The first estimate puts the plane of the target beside the true one, and most of the error is that; it stays the same during a run.\n\n\
          * **in process, simulated time**: joints simulated in the process, one thread, as `configs/sim.toml` has it.\n\
          * **in process, the machine's time**: the same joints, with looking and moving on threads of their own.\n\
          * **serial lines, the machine's time**: both arms emulated byte by byte behind gateways on pseudo-terminals.\n\n\
