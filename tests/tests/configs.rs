@@ -87,5 +87,12 @@ fn the_setup_with_arms_behind_lines_differs_in_how_they_are_reached() {
             setup[section].as_table_mut().unwrap().remove(key).unwrap();
         }
     }
+    // A line and a gateway take time, too.
+    let delay_millis = |setup: &mut toml::Table| {
+        let response = setup["servo"]["arm_response"].as_table_mut().unwrap();
+        response.remove("delay_millis").unwrap().as_float().unwrap()
+    };
+    let (in_process, through_lines) = (delay_millis(&mut sim), delay_millis(&mut hil));
+    assert!((1.0..=15.0).contains(&(through_lines - in_process)), "{in_process} and {through_lines} ms");
     assert_eq!(sim, hil);
 }
