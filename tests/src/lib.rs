@@ -1,5 +1,7 @@
 //! Whole-system tests: in `tests/`, with real pictures in `data/`. Here is only what they share.
 
+pub mod safety;
+
 use std::path::{Path, PathBuf};
 
 /// The root of the repository.

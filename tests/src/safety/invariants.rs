@@ -1,0 +1,246 @@
+//! The invariants: what must hold at every moment of every run.
+//!
+//! | invariant | what must hold |
+//! |---|---|
+//! | record | the record is complete: finite numbers, steps in order and not far apart |
+//! | position | each joint is within its operating range, and always within its stops |
+//! | speed | no joint is faster than its limit |
+//! | acceleration | what a joint's speed changes by within 20 ms, and within 100 ms, is what its limit allows |
+//! | rest-after-latch | after a latched fault or emergency stop of either arm both rest, until it is cleared |
+//! | rest-without-pose | without a fresh, confident pose the hand's arm rests |
+//! | rest-without-word | as long as the operator's last word does not let an arm go, it rests |
+//! | latch-cleared | a latch is cleared by the operator's reset only |
+//! | disobedience | an arm of which a joint moves by itself is latched |
+//! | arms-apart | no part of an arm comes near the other arm |
+//! | target-apart | the hand comes no nearer to the target by its own motion |
+//! | log | what went wrong with an effect is told |
+//! | status-line | an arm that may not move says why |
+//!
+//! Rest is wanted from the moment on at which the arm could have come to rest:
+//! [`ArmRules::rests_within_s`](super::rules::ArmRules::rests_within_s) at the speed that it had when the cause came.
+
+mod motion;
+mod rest;
+mod room;
+
+use std::fmt;
+
+use super::rules::Rules;
+use super::truth::{ARM_NAMES, Truth};
+
+/// Which of them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Invariant {
+    /// The record itself is not complete.
+    Record,
+    /// Ranges of joints, radians.
+    Position,
+    /// Speeds of joints, rad/s.
+    Speed,
+    /// Changes of speed, rad/s.
+    Acceleration,
+    /// Rest after a fault or emergency stop of either arm; rad/s, or radians of creep.
+    RestAfterLatch,
+    /// Rest without a fresh, confident pose; rad/s, or radians of creep.
+    RestWithoutPose,
+    /// Rest without the operator's word; rad/s, or radians of creep.
+    RestWithoutWord,
+    /// A latch that went without a reset; how many resets there were.
+    LatchCleared,
+    /// A joint that moves by itself, seconds.
+    Disobedience,
+    /// Room between both arms, metres.
+    ArmsApart,
+    /// How much nearer to the target the hand got, metres.
+    TargetApart,
+    /// A fault that nobody told of; seconds.
+    Log,
+    /// No line says why nothing moves.
+    StatusLine,
+}
+
+impl Invariant {
+    /// All of them.
+    pub const ALL: [Self; 13] = [
+        Self::Record,
+        Self::Position,
+        Self::Speed,
+        Self::Acceleration,
+        Self::RestAfterLatch,
+        Self::RestWithoutPose,
+        Self::RestWithoutWord,
+        Self::LatchCleared,
+        Self::Disobedience,
+        Self::ArmsApart,
+        Self::TargetApart,
+        Self::Log,
+        Self::StatusLine,
+    ];
+
+    /// The name in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Record => "record",
+            Self::Position => "position",
+            Self::Speed => "speed",
+            Self::Acceleration => "acceleration",
+            Self::RestAfterLatch => "rest-after-latch",
+            Self::RestWithoutPose => "rest-without-pose",
+            Self::RestWithoutWord => "rest-without-word",
+            Self::LatchCleared => "latch-cleared",
+            Self::Disobedience => "disobedience",
+            Self::ArmsApart => "arms-apart",
+            Self::TargetApart => "target-apart",
+            Self::Log => "log",
+            Self::StatusLine => "status-line",
+        }
+    }
+}
+
+/// What did not hold: one for each invariant, arm and joint.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Violation {
+    /// What.
+    pub invariant: Invariant,
+    /// Index of the arm, if it is about one.
+    pub arm: Option<usize>,
+    /// Index of the joint from the base, 0 to 6, if it is about one.
+    pub joint: Option<usize>,
+    /// When first, seconds.
+    pub first_s: f64,
+    /// In how many steps.
+    pub steps: usize,
+    /// When the worst was seen, seconds.
+    pub worst_s: f64,
+    /// The worst value, in the unit of the invariant.
+    pub value: f64,
+    /// What was allowed then.
+    pub limit: f64,
+    /// What more there is to say; may be empty.
+    pub note: String,
+}
+
+impl fmt::Display for Violation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.invariant.name())?;
+        if let Some(arm) = self.arm {
+            write!(f, ", {}", ARM_NAMES[arm])?;
+        }
+        if let Some(joint) = self.joint {
+            write!(f, ", axis {}", joint + 1)?;
+        }
+        let Self { first_s, steps, worst_s, value, limit, note, .. } = self;
+        write!(f, ": {value:.6} at {worst_s:.3} s, allowed is {limit:.6}; from {first_s:.3} s on, in {steps} steps")?;
+        if note.is_empty() { Ok(()) } else { write!(f, "; {note}") }
+    }
+}
+
+/// Checks a whole run: all that did not hold, in order of the invariants. None for a run in which all did.
+pub fn check(rules: &Rules, truth: &Truth) -> Vec<Violation> {
+    let mut found = Found::default();
+    record(rules, truth, &mut found);
+    if found.0.is_empty() {
+        motion::check(rules, &truth.steps, &mut found);
+        rest::check(rules, &truth.steps, &mut found);
+        room::check(rules, &truth.steps, &mut found);
+        status_line(truth, &mut found);
+        log(rules, truth, &mut found);
+    }
+    found.0.sort_by_key(|violation| (violation.invariant, violation.arm, violation.joint));
+    found.0
+}
+
+/// Where something was seen.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    invariant: Invariant,
+    arm: Option<usize>,
+    joint: Option<usize>,
+    t_s: f64,
+}
+
+#[derive(Default)]
+struct Found(Vec<Violation>);
+
+impl Found {
+    /// A violation: how far a value is beyond its limit decides which one is the worst. What is no number is beyond any.
+    fn push(&mut self, place: Place, (value, limit): (f64, f64), note: impl Into<String>) {
+        let Place { invariant, arm, joint, t_s } = place;
+        let same = |seen: &&mut Violation| (seen.invariant, seen.arm, seen.joint) == (invariant, arm, joint);
+        // Two faults that nobody told of are two violations.
+        match self.0.iter_mut().find(same).filter(|_| invariant != Invariant::Log) {
+            Some(seen) => {
+                seen.steps += 1;
+                let worse = |beyond: f64, before: f64| beyond.is_nan() || beyond > before;
+                if worse((value - limit).abs(), (seen.value - seen.limit).abs()) {
+                    (seen.worst_s, seen.value, seen.limit, seen.note) = (t_s, value, limit, note.into());
+                }
+            }
+            None => {
+                let note = note.into();
+                self.0.push(Violation {
+                    invariant,
+                    arm,
+                    joint,
+                    first_s: t_s,
+                    steps: 1,
+                    worst_s: t_s,
+                    value,
+                    limit,
+                    note,
+                });
+            }
+        }
+    }
+}
+
+/// A record with gaps proves nothing.
+fn record(rules: &Rules, truth: &Truth, found: &mut Found) {
+    let place = |t_s| Place { invariant: Invariant::Record, arm: None, joint: None, t_s };
+    if truth.steps.len() < 2 {
+        found.push(place(0.0), (truth.steps.len() as f64, 2.0), "too few steps");
+    }
+    for pair in truth.steps.windows(2) {
+        let gap_s = pair[1].t_s - pair[0].t_s;
+        if !(gap_s > 0.0 && gap_s <= rules.step_max_s + 1e-9) {
+            found.push(place(pair[1].t_s), (gap_s, rules.step_max_s), "gap between two steps");
+        }
+    }
+    for step in &truth.steps {
+        let angles = step.arms.iter().flat_map(|arm| arm.position_rad.iter().chain(&arm.velocity_rad_per_s));
+        let places = step.world_from_target.rotation.iter().flatten().chain(&step.world_from_target.translation_m);
+        if let Some(&number) = angles.chain(places).find(|number| !number.is_finite()) {
+            found.push(place(step.t_s), (number, 0.0), "not a finite number");
+        }
+        if step.pose_age_s.is_nan() {
+            found.push(place(step.t_s), (step.pose_age_s, 0.0), "the age of the pose");
+        }
+    }
+}
+
+fn status_line(truth: &Truth, found: &mut Found) {
+    for step in truth.steps.iter().filter(|step| !step.says_why && !matches!(step.state, "approaching" | "tracking")) {
+        let place = Place { invariant: Invariant::StatusLine, arm: None, joint: None, t_s: step.t_s };
+        found.push(place, (0.0, 1.0), step.state);
+    }
+}
+
+fn log(rules: &Rules, truth: &Truth, found: &mut Found) {
+    let ended_s = truth.steps.last().map_or(0.0, |step| step.t_s);
+    for fault in truth.injected.iter().filter(|fault| fault.had_effect) {
+        let until_s = fault.until_s + rules.log_within_s;
+        let told = truth.log.iter().any(|line| {
+            let t_s = line.t_millis as f64 / 1e3;
+            (fault.from_s - 1e-3..=until_s).contains(&t_s) && fault.words.iter().any(|word| line.text.contains(word))
+        });
+        // What the run ended in had no time to be told of.
+        if !told && until_s <= ended_s {
+            let place = Place { invariant: Invariant::Log, arm: None, joint: None, t_s: until_s };
+            let note = format!("{} from {:.3} s on: no line with {:?}", fault.name, fault.from_s, fault.words);
+            found.push(place, (until_s - fault.from_s, rules.log_within_s), note);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,125 @@
+//! Ranges, speeds and accelerations of joints, and joints that move by themselves.
+
+use super::super::rules::{ArmRules, Rules};
+use super::super::truth::{ArmTruth, Step};
+use super::{Found, Invariant, Place};
+
+/// Windows over which changes of speed are looked at, seconds: one that sees a jump, and one that sees acceleration.
+const WINDOWS_S: [f64; 2] = [0.020, 0.100];
+/// How much faster than its limit a joint may be: commands are rounded to 1/5000 rad/s, and the record to 2 ms.
+const SPEED_SHARE: f64 = 1.01;
+const SPEED_MORE_RAD_PER_S: f64 = 0.001;
+
+pub(super) fn check(rules: &Rules, steps: &[Step], found: &mut Found) {
+    for arm in 0..2 {
+        let mut disobeyed = Disobedience::default();
+        for (index, step) in steps.iter().enumerate() {
+            disobeyed.look(rules, (arm, step), found);
+            let before = index.checked_sub(1).map(|before| &steps[before]);
+            position(&rules.arms[arm], (arm, step), disobeyed.ever || is_free(&step.arms[arm]), found);
+            speed(rules, (arm, step, before), &disobeyed, found);
+        }
+        for window_s in WINDOWS_S {
+            acceleration(rules, (arm, steps), window_s, found);
+        }
+    }
+}
+
+/// Whether nothing drives the joints: they fall or run out until the brakes hold.
+fn is_free(arm: &ArmTruth) -> bool {
+    !arm.servo_on
+}
+
+fn position(rules: &ArmRules, (arm, step): (usize, &Step), stops_only: bool, found: &mut Found) {
+    for joint in 0..7 {
+        let limit = match stops_only {
+            true => rules.mechanical_rad[joint],
+            false => rules.operating_rad[joint] + rules.operating_margin_rad,
+        };
+        let value = step.arms[arm].position_rad[joint].abs();
+        if value > limit {
+            let place = Place { invariant: Invariant::Position, arm: Some(arm), joint: Some(joint), t_s: step.t_s };
+            found.push(place, (value, limit), "");
+        }
+    }
+}
+
+/// As the truth has it, and by how far the joint went: a joint that jumps is fast.
+fn speed(
+    rules: &Rules,
+    (arm, step, before): (usize, &Step, Option<&Step>),
+    disobeyed: &Disobedience,
+    found: &mut Found,
+) {
+    let truth = &step.arms[arm];
+    let fell = is_free(truth) || before.is_some_and(|before| is_free(&before.arms[arm]));
+    if fell || disobeyed.since_s.is_some_and(|since_s| step.t_s - since_s < rules.too_fast_s) {
+        return;
+    }
+    for joint in 0..7 {
+        let went = before.map_or(0.0, |before| {
+            (truth.position_rad[joint] - before.arms[arm].position_rad[joint]) / (step.t_s - before.t_s)
+        });
+        let value = truth.velocity_rad_per_s[joint].abs().max(went.abs());
+        let limit = rules.arms[arm].speed_rad_per_s[joint] * SPEED_SHARE + SPEED_MORE_RAD_PER_S;
+        if value > limit {
+            let place = Place { invariant: Invariant::Speed, arm: Some(arm), joint: Some(joint), t_s: step.t_s };
+            found.push(place, (value, limit), "");
+        }
+    }
+}
+
+/// Within a window a joint's commands change by what its acceleration allows in the window and one cycle, and, where commands were
+/// late or lost, by what had gathered meanwhile. Delay and lag of the drive only spread that over more time. Arms that were stopped
+/// otherwise than by commands have other limits: those of their brakes.
+fn acceleration(rules: &Rules, (arm, steps): (usize, &[Step]), window_s: f64, found: &mut Found) {
+    let slack_s = rules.cycle_s * (1.0 + rules.cycles_lost_max);
+    let (mut from, mut commanded_since) = (0, 0);
+    for (index, step) in steps.iter().enumerate() {
+        let truth = &step.arms[arm];
+        if !truth.servo_on || truth.brakes_closed || truth.latched_since_s.is_some() || !truth.obeys {
+            commanded_since = index + 1;
+        }
+        while step.t_s - steps[from].t_s > window_s + 1e-9 {
+            from += 1;
+        }
+        if from < commanded_since {
+            continue;
+        }
+        let over_s = step.t_s - steps[from].t_s + slack_s;
+        for joint in 0..7 {
+            let before = steps[from].arms[arm].velocity_rad_per_s[joint];
+            let value = (truth.velocity_rad_per_s[joint] - before).abs();
+            let limit = rules.arms[arm].acceleration_rad_per_s2[joint] * over_s + 2.0 * SPEED_MORE_RAD_PER_S;
+            if value > limit {
+                let t_s = step.t_s;
+                let place = Place { invariant: Invariant::Acceleration, arm: Some(arm), joint: Some(joint), t_s };
+                found.push(place, (value, limit), format!("within {:.0} ms", window_s * 1e3));
+            }
+        }
+    }
+}
+
+/// Joints that move by themselves.
+#[derive(Default)]
+struct Disobedience {
+    ever: bool,
+    since_s: Option<f64>,
+}
+
+impl Disobedience {
+    fn look(&mut self, rules: &Rules, (arm, step): (usize, &Step), found: &mut Found) {
+        let truth = &step.arms[arm];
+        if truth.obeys {
+            self.since_s = None;
+            return;
+        }
+        self.ever = true;
+        let lasts_s = step.t_s - *self.since_s.get_or_insert(step.t_s);
+        let moves = truth.velocity_rad_per_s.iter().any(|speed| speed.abs() > rules.rest_rad_per_s);
+        if moves && truth.latched_since_s.is_none() && lasts_s > rules.disobedience_s {
+            let place = Place { invariant: Invariant::Disobedience, arm: Some(arm), joint: None, t_s: step.t_s };
+            found.push(place, (lasts_s, rules.disobedience_s), "");
+        }
+    }
+}

@@ -1,0 +1,298 @@
+//! Each invariant is silent on a good run and fires on one that breaks it.
+
+use super::super::truth::{ArmTruth, HAND_ARM, Injected, LogLine, Placement, TARGET_ARM};
+use super::*;
+use crate::safety::truth::Step;
+
+const STARTS_DEG: [[f64; 7]; 2] =
+    [[0.0, 45.4169, 0.0, 97.4898, 0.0, -52.9067, 0.0], [0.0, 43.8922, 0.0, 100.7139, 0.0, -54.6061, 0.0]];
+const PERIOD_S: f64 = 0.002;
+
+fn target() -> Placement {
+    Placement { rotation: [[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], translation_m: [0.24, 0.0, 0.95] }
+}
+
+/// Both arms swing S1 and W2 by a tenth of a radian for as long as `goes` says, then brake at 1.9 rad/s^2, and go on likewise.
+fn run(seconds: f64, goes: impl Fn(usize, f64) -> bool, mut change: impl FnMut(&mut Step)) -> Truth {
+    let mut truth = Truth::default();
+    let mut arms = STARTS_DEG.map(|degrees| ArmTruth::resting_at(degrees.map(f64::to_radians)));
+    for k in 0..(seconds / PERIOD_S) as u32 {
+        let t_s = f64::from(k) * PERIOD_S;
+        for (index, arm) in arms.iter_mut().enumerate() {
+            for (joint, rate) in [(0, 2.0), (6, 3.0)] {
+                let wish = if goes(index, t_s) { 0.1 * rate * (rate * t_s).sin() } else { 0.0 };
+                let speed = &mut arm.velocity_rad_per_s[joint];
+                let before = *speed;
+                *speed += (wish - *speed).clamp(-1.9 * PERIOD_S, 1.9 * PERIOD_S);
+                arm.position_rad[joint] += 0.5 * (before + *speed) * PERIOD_S;
+            }
+        }
+        let world_from_target = target();
+        let mut step =
+            Step { t_s, arms, world_from_target, pose_age_s: 0.05, resets: 0, state: "tracking", says_why: true };
+        change(&mut step);
+        truth.steps.push(step);
+    }
+    truth
+}
+
+fn always(_: usize, _: f64) -> bool {
+    true
+}
+
+fn found_in(truth: &Truth) -> Vec<Violation> {
+    check(&Rules::of_the_rig(), truth)
+}
+
+fn silent(truth: &Truth) {
+    let found = found_in(truth);
+    assert!(found.is_empty(), "{}", found[0]);
+}
+
+/// What is found is of this kind alone; the first of it.
+fn only(invariant: Invariant, truth: &Truth) -> Violation {
+    let found = found_in(truth);
+    assert!(!found.is_empty(), "{} was not found", invariant.name());
+    for violation in &found {
+        assert_eq!(violation.invariant, invariant, "{violation}");
+    }
+    found[0].clone()
+}
+
+/// A fault at 2 s of which both arms hear at once, a reset at 4 s, the word to go at 5 s.
+fn latched(step: &mut Step) {
+    for arm in &mut step.arms {
+        arm.latched_since_s = (2.0..4.0).contains(&step.t_s).then_some(2.0);
+        arm.may_go = !(2.0..5.0).contains(&step.t_s);
+    }
+    step.resets = u32::from(step.t_s >= 4.0);
+}
+
+fn rests_from_2_to_5(_: usize, t_s: f64) -> bool {
+    !(2.0..5.0).contains(&t_s)
+}
+
+#[test]
+fn nothing_is_found_in_good_runs() {
+    silent(&run(4.0, always, |_| ()));
+    silent(&run(7.0, rests_from_2_to_5, latched));
+    // The eyes are shut from 1 s to 3 s.
+    let sees = |t_s: f64| if (1.0..3.0).contains(&t_s) { t_s - 0.95 } else { 0.05 };
+    silent(&run(5.0, |arm, t_s| arm == TARGET_ARM || sees(t_s) < 0.3, |step| step.pose_age_s = sees(step.t_s)));
+}
+
+#[test]
+fn a_record_with_a_hole_or_without_a_number_proves_nothing() {
+    only(Invariant::Record, &Truth::default());
+    let mut truth = run(1.0, always, |_| ());
+    truth.steps.drain(200..206);
+    assert!((only(Invariant::Record, &truth).value - 0.014).abs() < 1e-9);
+    let truth = run(1.0, always, |step| step.arms[1].velocity_rad_per_s[4] = f64::NAN);
+    only(Invariant::Record, &truth);
+}
+
+#[test]
+fn a_joint_beyond_its_range_is_found() {
+    // E2 works to 249 degrees, 0.2 more are allowed.
+    let far = |degrees: f64| move |step: &mut Step| step.arms[TARGET_ARM].position_rad[4] = degrees.to_radians();
+    silent(&run(1.0, always, far(249.1)));
+    let seen = only(Invariant::Position, &run(1.0, always, far(249.3)));
+    assert_eq!((seen.arm, seen.joint, seen.steps), (Some(TARGET_ARM), Some(4), 500));
+    // What nothing drives may run out, but not through its stops.
+    let free = |degrees: f64| {
+        move |step: &mut Step| {
+            far(degrees)(step);
+            step.arms[TARGET_ARM].servo_on = false;
+        }
+    };
+    silent(&run(1.0, always, free(260.0)));
+    only(Invariant::Position, &run(1.0, always, free(270.5)));
+}
+
+#[test]
+fn a_joint_that_is_too_fast_or_jumps_is_found() {
+    let fast = |speed: f64| {
+        run(0.5, always, move |step| {
+            step.arms[HAND_ARM].velocity_rad_per_s[3] = -speed;
+            step.arms[HAND_ARM].position_rad[3] -= speed * (step.t_s - 0.25);
+        })
+    };
+    silent(&fast(1.2));
+    let seen = only(Invariant::Speed, &fast(1.23));
+    assert_eq!((seen.arm, seen.joint), (Some(HAND_ARM), Some(3)));
+    let jump = run(1.0, always, |step| step.arms[HAND_ARM].position_rad[3] -= if step.t_s > 0.5 { 0.01 } else { 0.0 });
+    assert!((only(Invariant::Speed, &jump).value - 5.0).abs() < 0.1);
+}
+
+#[test]
+fn acceleration_beyond_the_limit_is_found_in_jumps_and_in_ramps() {
+    let accelerates = |rate: f64, from_s: f64| {
+        run(1.0, always, move |step| {
+            let t_s = (step.t_s - from_s).clamp(0.0, 0.25);
+            step.arms[HAND_ARM].velocity_rad_per_s[2] = rate * t_s;
+            step.arms[HAND_ARM].position_rad[2] =
+                0.5 * rate * t_s * t_s + rate * t_s * (step.t_s - from_s - 0.25).max(0.0);
+        })
+    };
+    silent(&accelerates(2.0, 0.5));
+    let seen = only(Invariant::Acceleration, &accelerates(3.0, 0.5));
+    assert!(seen.note.contains("100 ms") && seen.joint == Some(2), "{seen}");
+    let jump = run(1.0, always, |step| {
+        let t_s = (step.t_s - 0.5).max(0.0);
+        step.arms[HAND_ARM].velocity_rad_per_s[2] = if t_s > 0.0 { 0.15 } else { 0.0 };
+        step.arms[HAND_ARM].position_rad[2] = 0.15 * t_s;
+    });
+    assert!(only(Invariant::Acceleration, &jump).note.contains("20 ms"));
+}
+
+#[test]
+fn motion_after_a_latched_fault_of_either_arm_is_found() {
+    // The partner goes on.
+    let truth = run(
+        7.0,
+        |arm, t_s| arm == HAND_ARM || rests_from_2_to_5(arm, t_s),
+        |step| {
+            latched(step);
+            step.arms[HAND_ARM].latched_since_s = None;
+            step.arms[HAND_ARM].may_go = true;
+        },
+    );
+    assert_eq!(only(Invariant::RestAfterLatch, &truth).arm, Some(HAND_ARM));
+    // It brakes half a second too late.
+    let late = |_: usize, t_s: f64| !(2.5..5.0).contains(&t_s);
+    let found = found_in(&run(7.0, late, latched));
+    assert!(found.iter().any(|seen| seen.invariant == Invariant::RestAfterLatch), "{found:?}");
+    // It creeps.
+    let mut crept_rad = 0.0;
+    let truth = run(7.0, rests_from_2_to_5, |step| {
+        latched(step);
+        crept_rad += if (2.0..4.0).contains(&step.t_s) { 0.0019 * PERIOD_S } else { 0.0 };
+        step.arms[HAND_ARM].position_rad[1] += crept_rad;
+        step.arms[HAND_ARM].may_go = true;
+    });
+    let seen = only(Invariant::RestAfterLatch, &truth);
+    assert!(seen.note.contains("crept") && seen.joint == Some(1), "{seen}");
+}
+
+#[test]
+fn a_latch_that_goes_by_itself_is_found() {
+    let truth = run(7.0, rests_from_2_to_5, |step| {
+        latched(step);
+        step.resets = 0;
+    });
+    assert_eq!(only(Invariant::LatchCleared, &truth).first_s, 4.0);
+}
+
+#[test]
+fn motion_before_the_operators_word_is_found() {
+    let truth = run(7.0, |_, t_s| !(2.0..4.5).contains(&t_s), latched);
+    let seen = only(Invariant::RestWithoutWord, &truth);
+    assert!((seen.first_s - 4.5).abs() < 0.01, "{seen}");
+}
+
+#[test]
+fn motion_without_a_fresh_pose_is_found_of_the_hand_alone() {
+    let blind = |step: &mut Step| step.pose_age_s = 0.05 + (step.t_s - 1.0).max(0.0);
+    let seen = only(Invariant::RestWithoutPose, &run(4.0, always, blind));
+    assert_eq!(seen.arm, Some(HAND_ARM));
+    assert!((1.26..2.0).contains(&seen.first_s), "{seen}");
+    let never = |step: &mut Step| step.pose_age_s = f64::INFINITY;
+    only(Invariant::RestWithoutPose, &run(4.0, always, never));
+}
+
+#[test]
+fn a_joint_that_moves_by_itself_has_to_be_stopped() {
+    let by_itself = |latched_at_s: f64| {
+        run(
+            6.0,
+            move |arm, t_s| arm == TARGET_ARM || t_s < latched_at_s,
+            move |step| {
+                let arm = &mut step.arms[HAND_ARM];
+                arm.obeys = step.t_s < 1.0 || step.t_s >= latched_at_s;
+                arm.latched_since_s = (step.t_s >= latched_at_s).then_some(latched_at_s);
+            },
+        )
+    };
+    let stopped = |truth: &Truth| {
+        let found = found_in(truth);
+        found.iter().all(|seen| seen.arm == Some(TARGET_ARM))
+    };
+    assert!(stopped(&by_itself(2.5)));
+    let found = found_in(&by_itself(4.0));
+    assert!(found.iter().any(|seen| (seen.invariant, seen.arm) == (Invariant::Disobedience, Some(HAND_ARM))));
+}
+
+#[test]
+fn arms_that_come_too_near_are_found() {
+    // E1 stretches both arms towards each other.
+    let stretch = |by_rad: f64| {
+        run(
+            1.0,
+            |_, _| false,
+            move |step| {
+                for arm in &mut step.arms {
+                    arm.position_rad[3] -= by_rad;
+                }
+                step.world_from_target.translation_m = [0.0, 0.0, 5.0];
+            },
+        )
+    };
+    silent(&stretch(0.1));
+    let seen = only(Invariant::ArmsApart, &stretch(0.6));
+    assert!(seen.value < 0.049 && seen.arm.is_none(), "{seen}");
+}
+
+#[test]
+fn a_hand_that_goes_nearer_than_the_target_allows_is_found_and_a_target_that_comes_is_not() {
+    let comes = run(2.0, |_, _| false, |step| step.world_from_target.translation_m[0] -= 0.25 * step.t_s);
+    silent(&comes);
+    // S2 leans on, the hand comes down upon a target that hangs still.
+    let leans = run(
+        2.0,
+        |_, _| false,
+        |step| {
+            step.arms[HAND_ARM].position_rad[1] += 0.25 * step.t_s;
+            step.arms[HAND_ARM].velocity_rad_per_s[1] = 0.25;
+            step.world_from_target.translation_m = [-0.3, 0.0, 0.5];
+        },
+    );
+    let seen = only(Invariant::TargetApart, &leans);
+    assert!(seen.value > 0.18 && seen.note.contains("are left"), "{seen}");
+}
+
+#[test]
+fn a_fault_that_nobody_told_of_is_found() {
+    let mut truth = run(4.0, always, |_| ());
+    let fault = |name: &str, had_effect| Injected {
+        name: name.to_owned(),
+        from_s: 1.0,
+        until_s: 1.5,
+        had_effect,
+        words: &["frozen", "the same picture"],
+    };
+    truth.injected = vec![fault("frozen camera", true), fault("nothing came of it", false)];
+    let seen = only(Invariant::Log, &truth);
+    assert!(seen.note.contains("frozen camera"), "{seen}");
+    let line = |t_millis, text: &str| LogLine { t_millis, text: text.to_owned() };
+    truth.log = vec![line(900, "the same picture"), line(1200, "holding: something else"), line(2100, "frozen")];
+    only(Invariant::Log, &truth);
+    truth.log.push(line(1900, "holding: the same picture twice"));
+    silent(&truth);
+}
+
+#[test]
+fn an_arm_that_rests_without_a_reason_is_found() {
+    let truth = run(1.0, always, |step| {
+        (step.state, step.says_why) = if step.t_s < 0.5 { ("tracking", false) } else { ("holding", false) };
+    });
+    let seen = only(Invariant::StatusLine, &truth);
+    assert_eq!((seen.steps, seen.note.as_str()), (250, "holding"));
+}
+
+#[test]
+fn each_invariant_has_a_name_of_its_own() {
+    let mut names: Vec<_> = Invariant::ALL.map(Invariant::name).to_vec();
+    names.sort_unstable();
+    names.dedup();
+    assert_eq!(names.len(), Invariant::ALL.len());
+}
