@@ -185,6 +185,7 @@ fn a_host_whose_clock_jumps_back_is_not_followed() {
 /// Clocks that jump again and again, by chance.
 #[test]
 fn clocks_that_jump_by_chance_never_let_an_arm_run_away() {
+    let mut stopped = 0;
     for seed in 0..6 {
         let mut chain = moving(Dialect::GatewayV1);
         let mut dice = Dice { seed, count: 0 };
@@ -192,6 +193,7 @@ fn clocks_that_jump_by_chance_never_let_an_arm_run_away() {
             let jump = (dice.unit() - 0.5) * 7200.0;
             chain.inject(&format!("chance 0.5% at-most 1 line {side} {jump:.3}s"));
         }
-        judge(&mut chain, &format!("seed {seed}"));
+        stopped += u32::from(!judge(&mut chain, &format!("seed {seed}")));
     }
+    assert!(stopped > 0, "no clock has jumped far enough to be noticed");
 }

@@ -34,16 +34,14 @@ use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, JointCommand};
 use pb3dp_hal_clock::SystemClock;
 use rustix::io::Errno;
 
-/// 20 ms are demanded; a loaded machine may hold this test itself up, but not each time.
+/// 20 ms are demanded; a loaded machine may hold this test itself up, but not most times.
 #[test]
 fn unplugging_in_motion_is_noticed_within_20_ms_and_needs_a_reset() {
     patiently(|| {
-        let mut noticed = Vec::new();
-        while noticed.last().is_none_or(|after| *after > Duration::from_millis(20)) {
-            noticed.push(unplugged_in_motion());
-            println!("unplugged, noticed after {noticed:?}");
-            assert!(noticed.len() < 8, "{noticed:?}");
-        }
+        let mut noticed: Vec<Duration> = (0..5).map(|_| unplugged_in_motion()).collect();
+        println!("unplugged, noticed after {noticed:?}");
+        noticed.sort();
+        assert!(noticed[2] <= Duration::from_millis(20), "{noticed:?}");
     });
 }
 

@@ -302,6 +302,7 @@ fn a_line_that_is_full_holds_no_host_up() {
         arm.monitor().snapshot().frames_unsent > 0
     });
     assert!(full, "{:?}", arm.monitor().snapshot());
+    assert!(arm.enable().is_err());
     rig.fault("line slow-reader off");
     let until = Instant::now() + PATIENCE;
     while let Err(error) = arm.reset().and_then(|()| arm.enable()) {
