@@ -4,6 +4,7 @@
 use nalgebra::Matrix6;
 use pb3dp_allocation_count::requests;
 use pb3dp_orchestrator::config::setup::read_setup;
+use pb3dp_orchestrator::run::halves::Mover;
 use pb3dp_orchestrator::run::moving::Moving;
 use pb3dp_orchestrator::run::percept::Percept;
 use pb3dp_orchestrator::wiring::{Parts, wire};
@@ -35,11 +36,12 @@ fn control_steps_of_both_arms_do_not_allocate() {
             covariance: Some(Matrix6::from_diagonal_element(1e-8)),
             rotation_about_normal_observed: true,
         };
-        moving.observe(Percept {
+        let percept = Percept {
             frame: FrameInput { sequence: step as u64, at: now, skew_s: 0.0 },
             estimate: EstimateInput { at: now, confidence: Confidence::Sure, covariance: None, target: 1 },
             observation: Some(observation),
-        });
+        };
+        moving.observe(percept, now);
         let before = requests();
         let moved = moving.step(now).unwrap();
         if step >= WARM_UP {

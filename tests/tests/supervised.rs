@@ -6,6 +6,7 @@ use std::sync::Arc;
 use pb3dp_hal_api::Clock;
 use pb3dp_orchestrator::config::setup::{Setup, read_setup};
 use pb3dp_orchestrator::run::cell::SimulatedCell;
+use pb3dp_orchestrator::run::halves::Mover;
 use pb3dp_orchestrator::run::moving::{Moved, Moving};
 use pb3dp_orchestrator::run::percept::Percept;
 use pb3dp_orchestrator::wiring::{Parts, wire};
@@ -68,11 +69,12 @@ impl<'a> Bench<'a> {
                 covariance: None,
                 rotation_about_normal_observed: true,
             };
-            self.moving.observe(Percept {
+            let percept = Percept {
                 frame: FrameInput { sequence: self.steps, at: now, skew_s: 0.0 },
                 estimate: EstimateInput { at: now, confidence: self.confidence, covariance: None, target },
                 observation: Some(observation),
-            });
+            };
+            self.moving.observe(percept, now);
         }
         let moved = self.moving.step(now).unwrap();
         self.fastest_rad_per_s = self.fastest_rad_per_s.max(moved.vs_joints.velocity_rad_per_s.amax());

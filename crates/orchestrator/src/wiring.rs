@@ -7,6 +7,7 @@ mod greeting;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::time::Duration;
 
 use anyhow::{Context, Result};
 use nalgebra::Point3;
@@ -29,7 +30,7 @@ use pb3dp_sim::placement::{
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::Scene;
 use pb3dp_sim::targets;
-use pb3dp_sim::trajectory::{MotionConfig, Trajectory};
+use pb3dp_sim::trajectory::{AtRest, MotionConfig, Trajectory};
 
 use self::arm::{ArmOnBus, WiredArms, wire_arms};
 pub use greeting::{bus_doubts, geometry_doubt, watchdog_refusal};
@@ -81,11 +82,48 @@ pub struct Parts {
     pub interrupt: Arc<AtomicBool>,
 }
 
-/// Wires the simulated cell.
+/// Wires the cell, and what its target does by the setup.
 ///
 /// # Errors
 /// If a part refuses its parameters, or the arms can not follow the experiment (by how much is said).
 pub fn wire(setup: &Setup) -> Result<Parts> {
+    wire_cell(setup, |cell, start| {
+        let experiment = setup.experiment.motion.begin_at(start)?;
+        let reports = match setup.experiment.carrier {
+            Carrier::Arm => Vec::from(check_paths(setup, &*experiment)?),
+            Carrier::Nothing => {
+                cell.free_target = Some(FreeTarget::new(Arc::clone(&experiment)));
+                look_at_free_path(setup, start)?
+            }
+        };
+        for (name, report) in reports {
+            let (joint, speed) = report.fastest_joint();
+            tracing::info!(
+                "{name}: smallest singular value {:.3} at {:.1} s, fastest axis {} uses {:.0} % of its allowed speed",
+                report.singular_value_min.value,
+                report.singular_value_min.at_s,
+                joint + 1,
+                speed.value * 100.0
+            );
+        }
+        Ok(experiment)
+    })
+}
+
+/// Wires the cell with a target that rests for so long on the arm that carries it, whatever the experiment of the setup is.
+///
+/// # Errors
+/// If a part refuses its parameters.
+pub fn wire_at_rest(setup: &Setup, duration: Duration) -> Result<Parts> {
+    let duration_s = duration.as_secs_f64();
+    wire_cell(setup, |_, world_from_target| Ok(Arc::new(AtRest { world_from_target, duration_s })))
+}
+
+/// Everything but what the target does, which begins where it is.
+fn wire_cell(
+    setup: &Setup,
+    begin: impl FnOnce(&mut SimulatedCell, Pose<World, Target>) -> Result<Arc<dyn Trajectory>>,
+) -> Result<Parts> {
     let clock: Arc<dyn Clock> = match setup.pace {
         Pace::Fast => Arc::new(VirtualClock::new()),
         Pace::RealTime => Arc::new(PacedClock::new()),
@@ -102,24 +140,7 @@ pub fn wire(setup: &Setup) -> Result<Parts> {
         free_target: None,
     };
     let start = cell.world_from_target_at(clock.now());
-    let experiment = setup.experiment.motion.begin_at(start)?;
-    let reports = match setup.experiment.carrier {
-        Carrier::Arm => Vec::from(check_paths(setup, &*experiment)?),
-        Carrier::Nothing => {
-            cell.free_target = Some(FreeTarget::new(Arc::clone(&experiment)));
-            look_at_free_path(setup, start)?
-        }
-    };
-    for (name, report) in reports {
-        let (joint, speed) = report.fastest_joint();
-        tracing::info!(
-            "{name}: smallest singular value {:.3} at {:.1} s, fastest axis {} uses {:.0} % of its allowed speed",
-            report.singular_value_min.value,
-            report.singular_value_min.at_s,
-            joint + 1,
-            speed.value * 100.0
-        );
-    }
+    let experiment = begin(&mut cell, start)?;
     let (camera, target_outline_m) = wire_sight(setup, &cell, &clock)?;
     Ok(Parts {
         clock,

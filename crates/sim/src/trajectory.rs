@@ -221,6 +221,33 @@ impl Trajectory for StepExperiment {
     }
 }
 
+/// A target that rests.
+#[derive(Clone, Debug)]
+pub struct AtRest {
+    /// Where it is.
+    pub world_from_target: Pose<World, Target>,
+    /// For how long, seconds.
+    pub duration_s: f64,
+}
+
+impl Trajectory for AtRest {
+    fn pose_at(&self, _t_s: f64) -> Pose<World, Target> {
+        self.world_from_target
+    }
+
+    fn twist_at(&self, _t_s: f64) -> Twist<World> {
+        Twist::zero()
+    }
+
+    fn marks(&self) -> &[Mark] {
+        &[]
+    }
+
+    fn duration_s(&self) -> f64 {
+        self.duration_s
+    }
+}
+
 /// Numbers of a sinusoid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SineConfig {

@@ -7,8 +7,8 @@ use std::fmt::Write as _;
 use anyhow::{Context, Result, bail};
 use pb3dp_orchestrator::config::setup::{ArmLink, Pace, Setup, read_setup};
 use pb3dp_orchestrator::run::channels::Plan;
+use pb3dp_orchestrator::run::experiment;
 use pb3dp_orchestrator::run::summary::{RmsMax, RunSummary, summarize};
-use pb3dp_orchestrator::run::{live, lockstep};
 use pb3dp_orchestrator::wiring::wire;
 use system_tests::repository;
 
@@ -43,8 +43,7 @@ fn main() -> Result<()> {
 fn run(setup: &Setup, stop_after_s: Option<f64>) -> Result<RunSummary> {
     let parts = wire(setup)?;
     let plan = Plan::of(&setup.experiment.motion, &*parts.experiment);
-    let run_it = if setup.pace == Pace::Live { live::run } else { lockstep::run };
-    let outcome = run_it(setup, parts, stop_after_s, None)?;
+    let outcome = experiment::run(setup, parts, stop_after_s, None)?;
     Ok(summarize(&outcome.log, &plan))
 }
 

@@ -5,7 +5,7 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use pb3dp_orchestrator::config::setup::Setup;
 use pb3dp_orchestrator::run::channels::{ChannelSummary, Plan};
-use pb3dp_orchestrator::run::lockstep;
+use pb3dp_orchestrator::run::experiment;
 use pb3dp_orchestrator::run::log::RunLog;
 use pb3dp_orchestrator::run::summary::{RunSummary, summarize};
 use pb3dp_orchestrator::wiring::wire;
@@ -39,7 +39,7 @@ pub fn run(setup: &Setup, stop_after_s: Option<f64>) -> Result<Ran> {
     let started = Instant::now();
     let parts = wire(setup)?;
     let plan = Plan::of(&setup.experiment.motion, &*parts.experiment);
-    let log = lockstep::run(setup, parts, stop_after_s, None)?.log;
+    let log = experiment::run(setup, parts, stop_after_s, None)?.log;
     let wall_s = started.elapsed().as_secs_f64();
     let summary = summarize(&log, &plan);
     Ok(Ran { times_real_time: summary.duration_s / wall_s, log, summary })

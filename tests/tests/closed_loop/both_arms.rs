@@ -7,8 +7,8 @@ use pb3dp_estimation::estimator::Method;
 use pb3dp_hal_api::{ArmErrorKind, JointCommand};
 use pb3dp_hal_middleware::LimiterStatistics;
 use pb3dp_kinematics::JointVector;
+use pb3dp_orchestrator::run::experiment;
 use pb3dp_orchestrator::run::flight::{self, ArmFault, Flight, LineCounts, Moment, RawLine};
-use pb3dp_orchestrator::run::lockstep;
 use pb3dp_orchestrator::wiring::{Parts, wire};
 use pb3dp_sim::trajectory::Channel;
 use serde_json::Value;
@@ -70,7 +70,7 @@ fn a_fault_leaves_the_flight_of_both_arms() {
     setup.tc.guard.tracking_error_max_rad = 0.005;
     let parts = wire(&setup).unwrap();
     let (clock, flights) = (parts.clock.clone(), parts.flights.clone());
-    let failure = lockstep::run(&setup, parts, None, None).err().unwrap();
+    let failure = experiment::run(&setup, parts, None, None).err().unwrap();
     let folder = tempfile::tempdir().unwrap();
     let raw = [RawLine { at: clock.now(), is_sent: true, bytes: vec![0xA5, 0x5A, 0x01] }];
     let mut last_velocity_s = Vec::new();

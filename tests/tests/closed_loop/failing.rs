@@ -1,7 +1,7 @@
 //! What is left when a part fails in the middle of a run: arms at rest, and the recording so far.
 
 use pb3dp_estimation::estimator::Method;
-use pb3dp_orchestrator::run::lockstep;
+use pb3dp_orchestrator::run::experiment;
 use pb3dp_orchestrator::wiring::wire;
 use pb3dp_record::dataset::load_sequence;
 use pb3dp_sim::trajectory::Channel;
@@ -18,7 +18,7 @@ fn check(which: &str) {
     *failing.fail_after.lock().unwrap() = Some(151);
     let folder = tempfile::tempdir().unwrap();
     let recording = folder.path().join("recording");
-    let failure = lockstep::run(&setup, parts, None, Some(&recording));
+    let failure = experiment::run(&setup, parts, None, Some(&recording));
     let message = format!("{:#}", failure.err().expect("the run must fail"));
     assert!(message.contains(which) && message.contains("the link was cut by the test"), "{message}");
 

@@ -4,7 +4,7 @@ use pb3dp_estimation::estimator::Method;
 use pb3dp_hal_api::JointCommand;
 use pb3dp_kinematics::DOF;
 use pb3dp_orchestrator::config::setup::ArmSetup;
-use pb3dp_orchestrator::run::lockstep;
+use pb3dp_orchestrator::run::experiment;
 use pb3dp_orchestrator::run::log::RunLog;
 use pb3dp_orchestrator::run::summary::TrackingError;
 use pb3dp_orchestrator::wiring::wire;
@@ -48,7 +48,7 @@ fn follow_the_crab(method: Method, limits: &Limits) -> RunLog {
     // Followed without lag, the turn within one second demands 2.6 rad/s of E2 and 2.18 rad/s^2 of the elbow: refused.
     steps_of(&mut setup).move_s = 1.5;
     let (parts, vs, tc) = watched(wire(&setup).unwrap());
-    let outcome = lockstep::run(&setup, parts, None, None).unwrap();
+    let outcome = experiment::run(&setup, parts, None, None).unwrap();
     let log = &outcome.log;
     assert_eq!(log.marks.len(), 4);
     assert!(log.control.last().unwrap().t_s > 10.98 && log.leading.frames.len() > 325, "to the end");
@@ -156,7 +156,7 @@ fn with_the_published_method_the_hand_rests_before_a_grey_box() {
     let mut setup = quick_setup(Method::Published, Pixels::Few, &[Channel::X]);
     setup.scene.target = TargetConfig::grey_box();
     let (parts, vs, _) = watched(wire(&setup).unwrap());
-    let log = lockstep::run(&setup, parts, Some(2.2), None).unwrap().log;
+    let log = experiment::run(&setup, parts, Some(2.2), None).unwrap().log;
     assert!(log.leading.frames.len() > 60);
     for frame in &log.leading.frames {
         assert!(!["ok", "weak-tilt"].contains(&frame.status.as_str()), "{} at {} s", frame.status, frame.t_s);

@@ -7,7 +7,7 @@ use pb3dp_arm_pa10::driver::DriverState;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_orchestrator::config::setup::{ArmLink, Pace, Setup, read_setup};
-use pb3dp_orchestrator::run::live;
+use pb3dp_orchestrator::run::experiment;
 use pb3dp_orchestrator::run::log::RunLog;
 use pb3dp_orchestrator::wiring::{Parts, wire};
 use pb3dp_servo::{Gains, LawConfig, PublishedConfig, TargetFilterConfig};
@@ -70,7 +70,7 @@ fn a_hand_follows_through_serial_lines_as_in_simulated_time() {
     let log = tried(|| {
         let parts = wire(&setup).map_err(|error| format!("{error:#}"))?;
         let monitors = parts.monitors.clone();
-        let log = live::run(&setup, parts, None, None).map_err(|error| format!("{error:#}"))?.log;
+        let log = experiment::run(&setup, parts, None, None).map_err(|error| format!("{error:#}"))?.log;
         for (name, monitor) in &monitors {
             let arm = monitor.snapshot();
             if arm.latched.is_some() || arm.state != DriverState::Connected {
@@ -98,7 +98,7 @@ fn an_alarm_of_one_arm_ends_the_run_with_both_at_rest() {
         let cell = parts.cell.clone();
         let Parts { clock, .. } = &parts;
         let clock = clock.clone();
-        let Err(error) = live::run(&setup, parts, None, None) else { return Err("the run must fail".to_owned()) };
+        let Err(error) = experiment::run(&setup, parts, None, None) else { return Err("the run must fail".to_owned()) };
         let message = format!("{error:#}");
         for (name, site) in [("vs-robot", &cell.vs), ("tc-robot", &cell.tc)] {
             let mut joints = site.joints.simulated().unwrap().lock().unwrap();

@@ -4,8 +4,8 @@ use nalgebra::Vector3;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, StereoRig};
 use pb3dp_orchestrator::config::setup::{Leader, Setup, read_setup};
+use pb3dp_orchestrator::run::experiment;
 use pb3dp_orchestrator::run::journal::Outcome;
-use pb3dp_orchestrator::run::lockstep;
 use pb3dp_orchestrator::run::log::{ControlSample, RunLog};
 use pb3dp_orchestrator::run::summary::TrackingError;
 use pb3dp_orchestrator::wiring::wire;
@@ -59,7 +59,7 @@ pub fn steps_of(setup: &mut Setup) -> &mut StepExperimentConfig {
 
 /// Wires and runs a setup.
 pub fn run(setup: &Setup, stop_after_s: Option<f64>) -> Outcome {
-    lockstep::run(setup, wire(setup).unwrap(), stop_after_s, None).unwrap()
+    experiment::run(setup, wire(setup).unwrap(), stop_after_s, None).unwrap()
 }
 
 /// Distance of the hand (mm) and angle between the viewing axes (degrees) from the wanted pose between two times.

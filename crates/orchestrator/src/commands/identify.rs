@@ -22,7 +22,7 @@ use crate::config::setup::{ArmLink, GatewayWay, Setup, read_setup};
 use crate::run::flight::Moment;
 use crate::run::interruption::{INTERRUPTED, watch};
 use crate::run::swing::{self, Swung};
-use crate::wiring::{wire, write_flights};
+use crate::wiring::{wire_at_rest, write_flights};
 
 /// An arm that does what it is told, with dead time and lag, leaves less than this.
 const RESIDUAL_MAX_DEG: f64 = 0.01;
@@ -92,7 +92,7 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
         tracing::warn!("{plan}; both arms are switched on: type vs-robot and Enter to go on");
         confirm::typed("vs-robot", &mut signals)?;
     }
-    let mut parts = wire(&setup)?;
+    let mut parts = wire_at_rest(&setup, swing::duration(&motion))?;
     let interrupt = Arc::clone(&parts.interrupt);
     let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus))?;
     let (clock, flights, monitors) = (Arc::clone(&parts.clock), parts.flights.clone(), parts.monitors.clone());

@@ -10,12 +10,12 @@ use pb3dp_arm_pa10::io::signals::StopSignals;
 
 use super::estimate::output::print_line;
 use crate::cli::RunArgs;
-use crate::config::setup::{Pace, Setup, read_setup};
+use crate::config::setup::{Setup, read_setup};
 use crate::run::channels::Plan;
 use crate::run::flight::Moment;
 use crate::run::interruption::{INTERRUPTED, watch};
 use crate::run::summary::summarize;
-use crate::run::{live, lockstep, report};
+use crate::run::{experiment, report};
 use crate::wiring::{wire, write_flights};
 
 /// A run in which the hand followed for a smaller share of the time is pointed out.
@@ -39,8 +39,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let interrupt = Arc::clone(&parts.interrupt);
     let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus))?;
     let (clock, flights, monitors) = (Arc::clone(&parts.clock), parts.flights.clone(), parts.monitors.clone());
-    let run_it = if setup.pace == Pace::Live { live::run } else { lockstep::run };
-    let outcome = run_it(&setup, parts, args.stop_after, args.record.as_deref());
+    let outcome = experiment::run(&setup, parts, args.stop_after, args.record.as_deref());
     if let Err(failure) = &outcome {
         let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
         write_flights(&args.out, &flights, &monitors, failure, moment);

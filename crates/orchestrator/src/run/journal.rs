@@ -40,6 +40,11 @@ impl Journal {
         Self { cell, chain: setup.vs.chain.clone(), begin, duration_s, next_progress_s: 0.0, log }
     }
 
+    /// The experiment begins at this time.
+    pub fn begin_at(&mut self, begin: MonotonicTime) {
+        self.begin = begin;
+    }
+
     /// Writes a step down, and where everything truly was: not longer ago than the joints of the simulation remember.
     pub fn note(&mut self, moved: &Moved) {
         let t_s = moved.at.seconds_since(self.begin);

@@ -1,13 +1,16 @@
 //! `pb3dp run`: cameras, estimation, servo and arms in one loop.
 
+pub mod both_arms;
 pub mod carrier;
 pub mod cell;
 pub mod channels;
 pub mod commands;
 pub mod compared;
 pub mod cycles;
+pub mod experiment;
 pub mod eyes;
 pub mod flight;
+pub mod halves;
 pub mod interruption;
 pub mod journal;
 pub mod live;

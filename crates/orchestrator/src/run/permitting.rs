@@ -1,7 +1,7 @@
 //! Whether the arms of a run may move: the supervisor, what it is told, and the command as its operator.
 
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{ArmState, JointState};
+use pb3dp_hal_api::JointState;
 use pb3dp_kinematics::{DOF, JointLimits, JointVector};
 use pb3dp_servo::supervisor::{
     ArmCondition, ArmInput, Decision, Innovation, Inputs, OperatorInput, RangeEnd, Said, State, Supervisor,
@@ -10,7 +10,6 @@ use pb3dp_servo::supervisor::{
 use pb3dp_servo::{ControlStep, ObservationVerdict};
 
 use super::percept::Percept;
-use crate::wiring::DrivenArm;
 
 /// The supervisor of a run.
 pub struct Permitting {
@@ -69,17 +68,6 @@ fn innovation(verdict: &ObservationVerdict) -> Innovation {
         ObservationVerdict::Accepted => Innovation::Agrees,
         ObservationVerdict::Jump { position_m, orientation_rad } => Innovation::Jump { position_m, orientation_rad },
         _ => Innovation::NoneNew,
-    }
-}
-
-/// State of drives and brakes of an arm, in the supervisor's terms.
-pub fn condition(arm: &dyn DrivenArm) -> ArmCondition {
-    match arm.state() {
-        ArmState::Disabled => ArmCondition::Disabled,
-        ArmState::Enabled => ArmCondition::Enabled,
-        ArmState::Fault if arm.is_stopped_by_other() => ArmCondition::StoppedByOther,
-        ArmState::Fault => ArmCondition::Fault,
-        ArmState::EStop => ArmCondition::EmergencyStop,
     }
 }
 

@@ -1,0 +1,147 @@
+//! Both arms of a cell, as everything that moves them sees them: switched on, told, measured, and stopped.
+
+use anyhow::{Context, Result};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{ArmErrorKind, ArmState, JointCommand, JointState};
+use pb3dp_kinematics::JointVector;
+use pb3dp_servo::supervisor::ArmCondition;
+
+use super::commands::CommandSummary;
+use crate::config::setup::Setup;
+use crate::wiring::DrivenArm;
+
+/// One arm, with what was last measured of it.
+pub struct LedArm {
+    name: &'static str,
+    arm: Box<dyn DrivenArm>,
+    joints: JointState,
+    replies_missed: u64,
+}
+
+impl LedArm {
+    /// An arm that is not yet switched on; until it is measured it counts as resting at `start_rad`.
+    fn new(name: &'static str, arm: Box<dyn DrivenArm>, start_rad: JointVector, now: MonotonicTime) -> Self {
+        let joints = JointState { at: now, position_rad: start_rad, velocity_rad_per_s: JointVector::zeros() };
+        Self { name, arm, joints, replies_missed: 0 }
+    }
+
+    /// What was last measured.
+    pub fn joints(&self) -> &JointState {
+        &self.joints
+    }
+
+    /// State of drives and brakes, in the supervisor's terms.
+    pub fn condition(&self) -> ArmCondition {
+        match self.arm.state() {
+            ArmState::Disabled => ArmCondition::Disabled,
+            ArmState::Enabled => ArmCondition::Enabled,
+            ArmState::Fault if self.arm.is_stopped_by_other() => ArmCondition::StoppedByOther,
+            ArmState::Fault => ArmCondition::Fault,
+            ArmState::EStop => ArmCondition::EmergencyStop,
+        }
+    }
+
+    /// One cycle; what was measured. `None`: the reply is only late or lost, and the arm holds in place of the command. It stops by
+    /// itself when that happens too often.
+    ///
+    /// # Errors
+    /// The arm's name, and why it fails.
+    pub fn exchange(&mut self, command: JointCommand) -> Result<Option<JointState>> {
+        match self.arm.exchange(command) {
+            Ok(joints) => {
+                self.joints = joints;
+                Ok(Some(joints))
+            }
+            Err(error) if error.kind() == ArmErrorKind::Timeout => {
+                self.replies_missed += 1;
+                Ok(None)
+            }
+            Err(error) => Err(error).context(self.name),
+        }
+    }
+
+    fn enable(&mut self) -> Result<()> {
+        self.arm.enable().with_context(|| format!("{}: enable", self.name))
+    }
+
+    /// Where the joints really are, without which nothing is begun.
+    fn measure(&mut self) -> Result<()> {
+        self.joints = self.arm.exchange(JointCommand::Hold).context(self.name)?;
+        Ok(())
+    }
+
+    fn stop(&mut self) -> Result<()> {
+        self.arm.stop().with_context(|| format!("{}: stop", self.name))
+    }
+}
+
+/// Both arms.
+pub struct BothArms {
+    /// The one that carries the cameras.
+    pub vs: LedArm,
+    /// The one that carries the target.
+    pub tc: LedArm,
+}
+
+impl BothArms {
+    /// Arms that are not yet switched on: the one with the cameras, the one with the target.
+    pub fn new(setup: &Setup, (vs, tc): (Box<dyn DrivenArm>, Box<dyn DrivenArm>), now: MonotonicTime) -> Self {
+        Self {
+            vs: LedArm::new("vs-robot", vs, setup.vs.start_rad, now),
+            tc: LedArm::new("tc-robot", tc, setup.tc.start_rad, now),
+        }
+    }
+
+    /// Drives on, and where the joints really are.
+    ///
+    /// # Errors
+    /// The arm that can not be switched on, and why.
+    pub fn enable(&mut self) -> Result<()> {
+        self.vs.enable()?;
+        self.tc.enable()?;
+        self.vs.measure()?;
+        self.tc.measure()
+    }
+
+    /// Both come to rest with brakes on, whatever happened; the first failure is told.
+    ///
+    /// # Errors
+    /// The arm that can not be told.
+    pub fn stop(&mut self) -> Result<()> {
+        // Closing the brakes of one takes time in which the other one must not wait for its next velocity.
+        for led in [&mut self.vs, &mut self.tc] {
+            led.arm.exchange(JointCommand::Hold).ok();
+        }
+        let vs = self.vs.stop();
+        let tc = self.tc.stop();
+        vs.and(tc)
+    }
+
+    /// Has a latched arm say why it is; one that has failed by itself goes before one that the other one stopped.
+    ///
+    /// # Errors
+    /// The arm, and why it is latched.
+    pub fn why_latched(&mut self) -> Result<()> {
+        let mut arms = [&mut self.tc, &mut self.vs];
+        arms.sort_by_key(|led| led.arm.is_stopped_by_other());
+        for led in arms {
+            let rest = match led.arm.state() {
+                // It refuses, and says why.
+                ArmState::Fault | ArmState::EStop => JointCommand::Velocity(JointVector::zeros()),
+                ArmState::Enabled | ArmState::Disabled => JointCommand::Hold,
+            };
+            led.arm.exchange(rest).context(led.name)?;
+        }
+        Ok(())
+    }
+
+    /// Steps in which an arm had no measurement in time; it held.
+    pub fn replies_missed(&self) -> u64 {
+        self.vs.replies_missed + self.tc.replies_missed
+    }
+
+    /// What became of the velocities of both arms.
+    pub fn commands(&self) -> [CommandSummary; 2] {
+        [&self.vs, &self.tc].map(|led| CommandSummary::of(led.name, &led.arm.statistics()))
+    }
+}
