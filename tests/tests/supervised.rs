@@ -2,21 +2,78 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail the test")]
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
-use pb3dp_hal_api::Clock;
-use pb3dp_orchestrator::config::setup::{Setup, read_setup};
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_hal_middleware::LimiterStatistics;
+use pb3dp_orchestrator::config::setup::{Carrier, Leader, Setup, read_setup};
 use pb3dp_orchestrator::run::cell::SimulatedCell;
+use pb3dp_orchestrator::run::experiment;
 use pb3dp_orchestrator::run::halves::Mover;
 use pb3dp_orchestrator::run::moving::{Moved, Moving};
 use pb3dp_orchestrator::run::percept::Percept;
-use pb3dp_orchestrator::wiring::{Parts, wire};
+use pb3dp_orchestrator::run::swing;
+use pb3dp_orchestrator::wiring::{DrivenArm, Parts, wire, wire_at_rest};
 use pb3dp_servo::TargetObservation;
+use pb3dp_servo::identification::Excitation;
 use pb3dp_servo::supervisor::{Condition, Confidence, EstimateInput, FrameInput, Permission, Resume, State};
-use pb3dp_sim::trajectory::Trajectory;
+use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, StepExperimentConfig, Trajectory};
 use system_tests::repository;
 
 /// A joint that is slower than this rests, rad/s: one count of the resolver in one cycle is 0.8 mrad/s.
 const AT_REST_RAD_PER_S: f64 = 1e-3;
+
+/// An arm some of whose replies get lost, by the number of the exchange; it holds meanwhile.
+struct Lossy {
+    inner: Box<dyn DrivenArm>,
+    exchanges: usize,
+    is_lost: Box<dyn Fn(usize) -> bool + Send>,
+}
+
+impl Lossy {
+    fn vs(parts: Parts, is_lost: impl Fn(usize) -> bool + Send + 'static) -> Parts {
+        Parts { vs: Box::new(Self { inner: parts.vs, exchanges: 0, is_lost: Box::new(is_lost) }), ..parts }
+    }
+}
+
+impl Arm for Lossy {
+    fn info(&self) -> &ArmInfo {
+        self.inner.info()
+    }
+
+    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        self.exchanges += 1;
+        if (self.is_lost)(self.exchanges) {
+            self.inner.exchange(JointCommand::Hold)?;
+            return Err(ArmError::new(ArmErrorKind::Timeout, "the test has taken the reply"));
+        }
+        self.inner.exchange(command)
+    }
+}
+
+impl ArmPower for Lossy {
+    fn state(&self) -> ArmState {
+        self.inner.state()
+    }
+
+    fn enable(&mut self) -> Result<(), ArmError> {
+        self.inner.enable()
+    }
+
+    fn stop(&mut self) -> Result<(), ArmError> {
+        self.inner.stop()
+    }
+
+    fn reset(&mut self) -> Result<(), ArmError> {
+        self.inner.reset()
+    }
+}
+
+impl DrivenArm for Lossy {
+    fn statistics(&self) -> LimiterStatistics {
+        self.inner.statistics()
+    }
+}
 
 fn setup() -> Setup {
     let mut setup = read_setup(&repository().join("configs/sim.toml")).unwrap();
@@ -200,4 +257,83 @@ fn a_stop_by_a_policy_ends_the_run_with_its_reason() {
     let line = refused.unwrap();
     assert!(line.starts_with("stopped: the target is lost") && line.ends_with("then say reset"), "{line}");
     bench.moving.stop().unwrap();
+}
+
+/// Every arm waits for what every arm needs: here one arm does not answer for half a second.
+#[test]
+fn an_arm_that_does_not_answer_holds_the_other_one_too_and_its_way_waits() {
+    let setup = setup();
+    let parts = wire(&setup).unwrap();
+    let experiment = parts.experiment.clone();
+    let is_mute = Arc::new(AtomicBool::new(false));
+    let said = Arc::clone(&is_mute);
+    let parts = Lossy::vs(parts, move |_| said.load(Ordering::SeqCst));
+    let mut bench = Bench::following(&setup, parts, &*experiment);
+    let tc = |bench: &Bench<'_>| bench.cell.tc.joints.simulated().unwrap().lock().unwrap().state();
+    let before = tc(&bench);
+    let fastest = before.velocity_rad_per_s.amax();
+    assert!(fastest > 0.02, "the target moves: {fastest} rad/s");
+    is_mute.store(true, Ordering::SeqCst);
+    let moved = bench.run(0.5);
+    assert!(moved.decision.no_arm_may_move && moved.decision.found.contains(Condition::JointsStale));
+    let rested = tc(&bench);
+    assert!(rested.velocity_rad_per_s.amax() < AT_REST_RAD_PER_S, "{rested:?}");
+    is_mute.store(false, Ordering::SeqCst);
+    assert!(bench.step().decision.no_arm_may_move, "what answers now is known in the next step");
+    let (mut before, mut fastest_again) = (rested, 0.0_f64);
+    for _ in 0..150 {
+        assert!(!bench.step().decision.no_arm_may_move);
+        let now = tc(&bench);
+        // As fast as before, and what it had lost by the rest at 2 per second; without a jump.
+        assert!(now.velocity_rad_per_s.amax() < 1.3 * fastest.max(0.05), "{now:?}");
+        assert!((now.velocity_rad_per_s - before.velocity_rad_per_s).amax() < 0.06, "{now:?} after {before:?}");
+        before = now;
+        fastest_again = fastest_again.max(now.velocity_rad_per_s.amax());
+    }
+    assert!(fastest_again > 0.5 * fastest, "it goes on: {fastest_again} rad/s after {fastest}");
+}
+
+/// A target that is suddenly elsewhere is not followed there before the operator has said so.
+#[test]
+fn a_target_that_jumps_is_not_followed_by_itself() {
+    for (channel, translation_m, rotation_rad) in
+        [(Channel::X, 0.05, 0.1), (Channel::Y, -0.15, 0.1), (Channel::Z, 0.12, 0.1), (Channel::Rx, 0.1, 0.26)]
+    {
+        let mut setup = setup();
+        setup.leader = Leader::Geometric(setup.geometric.unwrap());
+        setup.experiment.carrier = Carrier::Nothing;
+        setup.experiment.motion = MotionConfig::Steps(StepExperimentConfig {
+            channels: vec![channel],
+            translation_m,
+            rotation_rad,
+            move_s: 0.0,
+            hold_s: 3.0,
+            lead_in_s: 3.0,
+            axes: ExperimentAxes::TargetAtStart,
+        });
+        for condition in [Condition::Outlier, Condition::PositionJump, Condition::OrientationJump] {
+            setup.supervisor.policies.get_mut(condition).resume = Resume::ByOperator;
+        }
+        let log = experiment::run(&setup, wire(&setup).unwrap(), Some(5.9), None).unwrap().log;
+        let place = |t_s: f64| log.control.iter().find(|sample| sample.t_s >= t_s).unwrap();
+        assert_eq!(place(2.9).mode, "tracking");
+        let way = place(2.9).world_from_hand.inverse() * place(5.8).world_from_hand;
+        let (way_m, way_rad) = (way.translation_m().norm(), way.rotation().angle());
+        assert!(way_m < 0.004 && way_rad < 0.01, "{channel:?}: the hand went {way_m} m, {way_rad} rad");
+        let last = log.supervision.summary().transitions.pop().unwrap();
+        assert_eq!((last.to, last.event), ("holding", "hold-found"), "{channel:?}: {last:?}");
+        assert!(last.t_s < 3.3 && last.why.contains("say resume"), "{last:?}");
+    }
+}
+
+/// What an arm did while its reply was lost is what it was seen to do: it held.
+#[test]
+fn a_swing_whose_replies_get_lost_knows_that_the_arm_held() {
+    let mut setup = setup();
+    setup.leader = Leader::Geometric(setup.geometric.unwrap());
+    let motion = Excitation::new(0.003, 8.0).unwrap();
+    let parts = wire_at_rest(&setup, swing::duration(&motion)).unwrap();
+    let swung = swing::run(&setup, Lossy::vs(parts, |exchange| exchange.is_multiple_of(70)), motion).unwrap();
+    let held = swung.given.iter().skip(110).take(700).filter(|given| given.velocity_rad_per_s.amax() == 0.0).count();
+    assert_eq!(held, 700 / 70, "each lost reply is a held cycle");
 }

@@ -29,8 +29,6 @@ pub struct ControllerConfig {
     pub approach: ApproachConfig,
     /// How long old data is used.
     pub timeouts: Timeouts,
-    /// What happens after the target was lost.
-    pub after_loss: AfterLoss,
     /// Joint samples that are kept to find the hand's pose at the time of exposure, 8 to 10000: more than the number of
     /// control cycles between an exposure and the arrival of its estimate.
     pub joint_history_samples: usize,
@@ -99,15 +97,6 @@ pub struct Timeouts {
     /// The hand rests when the joints were measured longer ago than this; also the longest gap between two joint samples
     /// that is interpolated. Seconds, 0.002 to 0.5.
     pub joints_s: f64,
-}
-
-/// What happens after the target was lost.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum AfterLoss {
-    /// Nothing moves until [`crate::Controller::acquire`] is called.
-    WaitForOperator,
-    /// The next trusted observations are locked on to, and the hand approaches again.
-    Reacquire,
 }
 
 /// A number of the configuration that is refused.

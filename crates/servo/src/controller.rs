@@ -8,7 +8,7 @@ use pb3dp_geometry::frames::{Base, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::{Chain, Damping, JointLimits, JointState, JointVector};
 
-use crate::config::{AfterLoss, ConfigError, ControllerConfig};
+use crate::config::{ConfigError, ControllerConfig};
 use crate::given_commands::GivenCommands;
 use crate::joint_history::JointHistory;
 use crate::known_target::KnownTarget;
@@ -39,7 +39,7 @@ pub enum Mode {
     Tracking,
     /// The hand rests, and goes on when the reason is gone.
     Holding(HoldReason),
-    /// The target is lost, see [`AfterLoss`].
+    /// The target is lost; the next observations are locked on to, and the hand approaches again.
     Lost,
 }
 
@@ -175,8 +175,8 @@ impl Controller {
         })
     }
 
-    /// Forgets the target and looks for a new one: the operator's word, at the beginning or after a loss. Observations that
-    /// were handed over before are not used again.
+    /// Forgets the target and looks for a new one, as after a word of the operator. Observations that were handed over before are not
+    /// used again.
     pub fn acquire(&mut self) {
         self.forget();
         self.lost = false;
@@ -276,9 +276,6 @@ impl Controller {
             return ObservationVerdict::WrongTime { age_s };
         }
         self.handled_at = Some(observation.at);
-        if self.lost && self.config.after_loss == AfterLoss::WaitForOperator {
-            return ObservationVerdict::NotWanted;
-        }
         if !observation.cam_left_from_model.is_finite() {
             return ObservationVerdict::NotFinite;
         }

@@ -60,6 +60,9 @@ pub struct Decision {
     pub rearm: bool,
     /// What is wrong, in motion or at rest after it, and has lasted.
     pub found: ConditionSet,
+    /// No arm may move by itself, the one that carries the target included: its joints, its drives, the clock or the operator are not
+    /// what they must be for that, in whatever state.
+    pub no_arm_may_move: bool,
     /// Whether `start`, or after a rest `resume`, would be obeyed now.
     pub is_ready: bool,
     /// The change of state in this step.
@@ -149,6 +152,7 @@ impl Supervisor {
             why: self.why(blocking, now),
             rearm,
             found,
+            no_arm_may_move: self.state.is_latched() || self.holds_every_arm(now),
             is_ready: blocking.is_none() && !rearm && (self.state == State::Selecting || self.state.is_resting()),
             transition: transition.and_then(|_| self.log.newest()),
             refused,
@@ -259,6 +263,10 @@ impl Supervisor {
             self.needs_word |= self.state.is_resting() && action.is_rest() && resume == Resume::ByOperator;
         }
         found
+    }
+
+    fn holds_every_arm(&self, now: MonotonicTime) -> bool {
+        self.findings.lasting(&self.config.policies, now).any(|(cause, _)| cause.condition.rule().holds_every_arm)
     }
 
     /// Why a word may not be obeyed, whatever the table says.

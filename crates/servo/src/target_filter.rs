@@ -58,8 +58,6 @@ pub enum ObservationVerdict {
     },
     /// Its covariance is none: not finite, not symmetric, or negative.
     BadCovariance,
-    /// The target was lost and nobody has asked to look for it again.
-    NotWanted,
 }
 
 /// The target in `base`, as of the last accepted observation.

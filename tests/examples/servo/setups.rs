@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use pb3dp_orchestrator::config::setup::{Carrier, Leader, Setup, read_setup};
+use pb3dp_servo::supervisor::{Action, Condition};
 use pb3dp_sim::targets::TargetConfig;
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig, StepExperimentConfig};
 use system_tests::repository;
@@ -101,6 +102,12 @@ pub fn geometric(mut setup: Setup, motion: MotionConfig) -> Result<Setup> {
     let config = setup.geometric.context("the table estimator.geometric is missing")?;
     setup.leader = Leader::Geometric(config);
     setup.experiment.carrier = Carrier::Nothing;
+    if matches!(&motion, MotionConfig::Steps(steps) if steps.move_s == 0.0) {
+        // How the hand answers a target that is suddenly elsewhere is what is asked: nobody is to hold it for that.
+        for jump in [Condition::Outlier, Condition::PositionJump, Condition::OrientationJump] {
+            setup.supervisor.policies.get_mut(jump).action = Action::Note;
+        }
+    }
     setup.experiment.motion = motion;
     Ok(setup)
 }

@@ -18,7 +18,7 @@ use serde::Serialize;
 
 use super::arm::confirm;
 use super::estimate::output::print_line;
-use crate::config::setup::{ArmLink, GatewayWay, Setup, read_setup};
+use crate::config::setup::{Setup, read_setup};
 use crate::run::flight::Moment;
 use crate::run::interruption::{INTERRUPTED, watch};
 use crate::run::swing::{self, Swung};
@@ -88,10 +88,12 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
         print_line(&format!("{plan}\nnothing was moved; add --move"))?;
         return Ok(ExitCode::SUCCESS);
     }
-    if is_real(&setup) {
+    if !(setup.vs.link.is_toy() && setup.tc.link.is_toy()) {
         tracing::warn!("{plan}; both arms are switched on: type vs-robot and Enter to go on");
         confirm::typed("vs-robot", &mut signals)?;
     }
+    // Before anything moves: what an arm says when it stops must find its place.
+    std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
     let mut parts = wire_at_rest(&setup, swing::duration(&motion))?;
     let interrupt = Arc::clone(&parts.interrupt);
     let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus))?;
@@ -99,7 +101,6 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
     let swung = swing::run(&setup, parts, motion);
     if let Err(failure) = &swung {
         let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
-        std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
         write_flights(&args.out, &flights, &monitors, failure, moment);
     }
     let swung = swung?;
@@ -110,12 +111,6 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
     let text = if args.json { serde_json::to_string(&delays)? } else { delays.text(&setup) };
     print_line(&text)?;
     Ok(ExitCode::SUCCESS)
-}
-
-/// Whether anything outside this program would move.
-fn is_real(setup: &Setup) -> bool {
-    let is_toy = |link: &ArmLink| matches!(link, ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated));
-    !is_toy(&setup.vs.link) || !is_toy(&setup.tc.link)
 }
 
 /// A time with its 95 % confidence interval, milliseconds.

@@ -49,6 +49,8 @@ pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Optio
         CycleSummary::new("control loop", &punctuality.lateness.summary(), punctuality.missed, replies_missed)
     }));
     outcome.log.cycles.extend(monitors.iter().map(|(name, monitor)| CycleSummary::of_link(name, monitor)));
+    // The arms go before what is at the other end of their lines.
+    drop(moving);
     drop(emulated);
     Ok(outcome)
 }

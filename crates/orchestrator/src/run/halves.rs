@@ -148,3 +148,88 @@ impl<M: Mover> Drop for Enabled<'_, M> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use pb3dp_hal_clock::{SystemClock, VirtualClock};
+
+    use super::*;
+    use crate::config::setup::read_setup;
+
+    /// Arms that fail by a mistake of the program after some steps.
+    #[derive(Default)]
+    struct Mistaken {
+        is_on: bool,
+        steps: usize,
+        stops: usize,
+    }
+
+    impl Mover for Mistaken {
+        type Step = ();
+
+        fn enable(&mut self) -> Result<()> {
+            self.is_on = true;
+            Ok(())
+        }
+
+        fn begin_at(&mut self, _begin: MonotonicTime) {}
+
+        fn observe(&mut self, _percept: Percept, _now: MonotonicTime) {}
+
+        fn step(&mut self, _now: MonotonicTime) -> Result<()> {
+            self.steps += 1;
+            assert!(self.steps < 5, "a mistake");
+            Ok(())
+        }
+
+        fn stop(&mut self) -> Result<()> {
+            self.is_on = false;
+            self.stops += 1;
+            Ok(())
+        }
+    }
+
+    /// Nothing to be seen, every now and then.
+    struct Blind;
+
+    impl Watcher for Blind {
+        type Step = ();
+
+        fn begin_at(&mut self, _begin: MonotonicTime) {}
+
+        fn moved(&mut self, _step: &()) {}
+
+        fn look(&mut self) -> Result<Option<Percept>> {
+            std::thread::sleep(Duration::from_millis(1));
+            Ok(None)
+        }
+
+        fn note(&mut self) -> Result<()> {
+            Ok(())
+        }
+    }
+
+    fn setup(pace: Pace) -> Setup {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
+        Setup { pace, ..read_setup(Path::new(file)).unwrap() }
+    }
+
+    #[test]
+    fn a_mistake_of_the_half_that_moves_stops_both_arms() {
+        for (pace, clock) in [
+            (Pace::Fast, Arc::new(VirtualClock::new()) as Arc<dyn Clock>),
+            (Pace::Live, Arc::new(SystemClock::new()) as Arc<dyn Clock>),
+        ] {
+            let (setup, interrupt) = (setup(pace), AtomicBool::new(false));
+            let course =
+                Course { setup: &setup, clock: &clock, duration: Duration::from_secs(10), interrupt: &interrupt };
+            let mut mover = Mistaken::default();
+            let run = std::panic::AssertUnwindSafe(|| course.run(&mut Blind, &mut mover).0);
+            let ended = std::panic::catch_unwind(run);
+            assert!(ended.map_or(true, |ended| ended.is_err()), "{pace:?}");
+            assert_eq!((mover.steps, mover.stops, mover.is_on), (5, 1, false), "{pace:?}");
+        }
+    }
+}

@@ -44,8 +44,9 @@ fn step_both<M: Mover, W: Watcher<Step = M::Step>>(
     while next_control.min(next_frame) <= end && !interrupt.load(Ordering::SeqCst) {
         if next_control <= next_frame {
             clock.sleep_until(next_control);
-            while let Some((_, percept)) = arriving.pop_front_if(|(due, _)| *due <= next_control) {
-                mover.observe(percept, next_control);
+            while let Some((_, percept)) = arriving.front().filter(|(due, _)| *due <= next_control) {
+                mover.observe(*percept, next_control);
+                arriving.pop_front();
             }
             watcher.moved(&mover.step(next_control)?);
             next_control = next_control + setup.control_period;

@@ -1,11 +1,13 @@
 //! The half of a run that moves: both arms, the controller, and what each control step is to be remembered by.
 
+use std::time::Duration;
+
 use anyhow::{Result, bail};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{JointCommand, JointState};
-use pb3dp_kinematics::Damping;
+use pb3dp_kinematics::{Damping, JointVector};
 use pb3dp_servo::supervisor::{Decision, Permission};
-use pb3dp_servo::{Command, Controller, Mode};
+use pb3dp_servo::{Command, ControlStep, Controller, Mode};
 use pb3dp_sim::placement::FlangePath;
 use pb3dp_sim::trajectory::Trajectory;
 
@@ -27,6 +29,9 @@ pub struct Moving<'a> {
     permitting: Permitting,
     damping: Damping,
     begin: MonotonicTime,
+    stepped_at: Option<MonotonicTime>,
+    /// For how long the way of the arm that carries the target has waited.
+    waited: Duration,
     newest: Option<Percept>,
 }
 
@@ -64,6 +69,8 @@ impl<'a> Moving<'a> {
             path: (setup.experiment.carrier == Carrier::Arm)
                 .then(|| FlangePath::of_carrier(experiment, &setup.tc.world_from_base, &setup.flange_from_target)),
             begin,
+            stepped_at: None,
+            waited: Duration::ZERO,
             newest: None,
             setup,
         })
@@ -74,8 +81,8 @@ impl<'a> Moving<'a> {
         &self.arms
     }
 
-    /// What the controller wants, and what of it the arm that carries the cameras is told.
-    fn decide(&mut self, now: MonotonicTime) -> (Mode, Decision, JointCommand) {
+    /// What the controller wants, and what of it the arm that carries the cameras is to be told.
+    fn decide(&mut self, now: MonotonicTime) -> (ControlStep, Decision, Command) {
         let observation = self.newest.as_ref().and_then(|percept| percept.observation.as_ref());
         let control = self.controller.step(self.arms.vs.joints(), observation, now);
         let arms = [&self.arms.vs, &self.arms.tc].map(|arm| (arm.condition(), arm.joints()));
@@ -84,15 +91,40 @@ impl<'a> Moving<'a> {
             (Permission::Move { share }, Command::Velocity(velocity)) => Command::Velocity(velocity * share),
             _ => Command::Hold,
         };
-        self.controller.note_told(told);
         if decision.rearm {
             self.controller.acquire();
         }
-        let command = match told {
+        (control, decision, told)
+    }
+
+    /// What the arm that carries the target is told: its way, which waits as long as no arm may move at all.
+    fn carrying(&mut self, decision: &Decision, now: MonotonicTime) -> JointCommand {
+        let since = self.stepped_at.replace(now).map_or(Duration::ZERO, |before| now.saturating_since(before));
+        let Some(path) = &self.path else { return JointCommand::Hold };
+        if decision.no_arm_may_move {
+            self.waited += since;
+            return JointCommand::Hold;
+        }
+        let t_s = now.seconds_since(self.begin) - self.waited.as_secs_f64();
+        let position_rad = &self.arms.tc.joints().position_rad;
+        JointCommand::Velocity(carry(&self.setup.tc.chain, &self.damping, path, t_s, position_rad))
+    }
+
+    /// Tells the arm that carries the cameras; the controller gets to know what its joints do now, if that is not what it wanted.
+    fn tell(&mut self, wanted: Command, told: Command) -> Result<()> {
+        let measured = self.arms.vs.exchange(match told {
             Command::Velocity(velocity) => JointCommand::Velocity(velocity),
             Command::Hold => JointCommand::Hold,
+        })?;
+        let done = match (measured, told) {
+            // An arm that did not answer holds until it is told again.
+            (None, Command::Velocity(_)) => Command::Velocity(JointVector::zeros()),
+            _ => told,
         };
-        (control.mode, decision, command)
+        if done != wanted {
+            self.controller.note_told(done);
+        }
+        Ok(())
     }
 }
 
@@ -113,19 +145,15 @@ impl Mover for Moving<'_> {
 
     /// Nobody resets a run: a stop ends it. An arm that has failed says more about it than the supervisor knows.
     fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
-        let (mode, decision, command) = self.decide(now);
+        let (control, decision, told) = self.decide(now);
         if decision.permission == Permission::Stop {
             self.arms.why_latched()?;
             bail!("{}", decision.why)
         }
-        let t_s = now.seconds_since(self.begin);
-        let carrying = self.path.as_ref().map_or(JointCommand::Hold, |path| {
-            let position_rad = &self.arms.tc.joints().position_rad;
-            JointCommand::Velocity(carry(&self.setup.tc.chain, &self.damping, path, t_s, position_rad))
-        });
+        let carrying = self.carrying(&decision, now);
         self.arms.tc.exchange(carrying)?;
-        self.arms.vs.exchange(command)?;
-        Ok(Moved { at: now, mode, decision, vs_joints: *self.arms.vs.joints() })
+        self.tell(control.command, told)?;
+        Ok(Moved { at: now, mode: control.mode, decision, vs_joints: *self.arms.vs.joints() })
     }
 
     fn stop(&mut self) -> Result<()> {

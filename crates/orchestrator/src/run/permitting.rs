@@ -67,7 +67,13 @@ fn innovation(verdict: &ObservationVerdict) -> Innovation {
     match *verdict {
         ObservationVerdict::Accepted => Innovation::Agrees,
         ObservationVerdict::Jump { position_m, orientation_rad } => Innovation::Jump { position_m, orientation_rad },
-        _ => Innovation::NoneNew,
+        ObservationVerdict::Outlier { distance_squared } => Innovation::Outlier { sigmas: distance_squared.sqrt() },
+        ObservationVerdict::NoneNew
+        | ObservationVerdict::Untrusted
+        | ObservationVerdict::NotFinite
+        | ObservationVerdict::WrongTime { .. }
+        | ObservationVerdict::JointsUnknown(_)
+        | ObservationVerdict::BadCovariance => Innovation::NoneNew,
     }
 }
 
@@ -105,6 +111,8 @@ mod tests {
     fn a_jump_is_told_with_its_size_and_what_was_not_looked_at_is_no_agreement() {
         let jump = ObservationVerdict::Jump { position_m: 0.3, orientation_rad: 0.1 };
         assert_eq!(innovation(&jump), Innovation::Jump { position_m: 0.3, orientation_rad: 0.1 });
+        let outlier = ObservationVerdict::Outlier { distance_squared: 49.0 };
+        assert_eq!(innovation(&outlier), Innovation::Outlier { sigmas: 7.0 });
         assert_eq!(innovation(&ObservationVerdict::Accepted), Innovation::Agrees);
         assert_eq!(innovation(&ObservationVerdict::Untrusted), Innovation::NoneNew);
     }

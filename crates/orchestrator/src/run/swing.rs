@@ -9,7 +9,7 @@ use anyhow::Result;
 use pb3dp_geometry::frames::{Base, CamLeft, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{JointCommand, JointState};
-use pb3dp_kinematics::{Damping, damped_pseudo_inverse};
+use pb3dp_kinematics::{Damping, JointVector, damped_pseudo_inverse};
 use pb3dp_servo::TargetObservation;
 use pb3dp_servo::identification::{Excitation, GivenVelocity};
 
@@ -67,8 +67,11 @@ pub fn run(setup: &Setup, parts: Parts, motion: Excitation) -> Result<Swung> {
     let mut swinging = Swinging::new(setup, arms, motion)?;
     let course = Course { setup, clock: &clock, duration: duration(&motion), interrupt: &interrupt };
     let (ended, _) = course.run(&mut looking, &mut swinging);
+    // The arms go before what is at the other end of their lines.
+    let Swinging { arms, record, .. } = swinging;
+    drop(arms);
     drop(emulated);
-    ended.map(|()| swinging.record)
+    ended.map(|()| record)
 }
 
 /// Looks, and leaves it to the half that moves to keep what was seen.
@@ -177,8 +180,11 @@ impl Mover for Swinging<'_> {
         let frames = chain.joint_frames(&joints.position_rad);
         let jacobian = chain.jacobian_at(&frames, &base_from_hand(self.setup, joints).translation_m().into());
         let velocity_rad_per_s = damped_pseudo_inverse(&jacobian, &self.damping) * twist.to_vector();
+        let measured = self.arms.vs.exchange(JointCommand::Velocity(velocity_rad_per_s))?;
+        // An arm that did not answer holds.
+        let velocity_rad_per_s = measured.map_or(JointVector::zeros(), |_| velocity_rad_per_s);
         keep(&mut self.record.given, GivenVelocity { at: now, velocity_rad_per_s });
-        if let Some(joints) = self.arms.vs.exchange(JointCommand::Velocity(velocity_rad_per_s))? {
+        if let Some(joints) = measured {
             keep(&mut self.record.joints, joints);
         }
         Ok(*self.arms.vs.joints())

@@ -27,4 +27,17 @@ fn nothing_moves_without_its_word() {
     assert!(output.stdout.contains("nothing was moved; add --move"), "{}", output.stdout);
     let refused = ["identify", "delay", "--config", &config("sim.toml"), "--move", "--way", "31"];
     pb3dp(&refused).assert_refused(&["way_m is 0.031", "--way is in mm"]);
+    let refused = ["identify", "delay", "--config", &config("sim.toml"), "--move", "--way", "30", "--seconds", "6"];
+    pb3dp(&refused).assert_refused(&["speed_m_per_s is 0.44", "at most 0.06 m/s", "swing for longer"]);
+}
+
+#[test]
+fn a_folder_that_can_not_be_made_is_found_before_anything_moves() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("a file");
+    std::fs::write(&file, "no folder").unwrap();
+    let out = file.join("out").display().to_string();
+    let args =
+        ["identify", "delay", "--config", &config("sim.toml"), "--move", "--way", "3", "--seconds", "8", "--out", &out];
+    pb3dp(&args).assert_refused(&["can not be created"]);
 }

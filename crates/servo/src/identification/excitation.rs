@@ -14,6 +14,8 @@ const PERIODS_RIGHT: f64 = 2.0;
 const PERIODS_DOWN: f64 = 3.0;
 /// Farther than this the picture changes too much, metres.
 const WAY_MAX_M: f64 = 0.03;
+/// Faster than this the limiter may have to round the motion off, and pictures smear, m/s.
+const SPEED_MAX_M_PER_S: f64 = 0.06;
 
 /// The hand swings to its right and downwards and comes back, in each piece of the record in the same way: along the fourth power
 /// of a sine, which begins with acceleration zero, so that no limiter has to round it off.
@@ -36,7 +38,7 @@ pub struct ExcitationError {
 }
 
 impl Excitation {
-    /// Swings of `way_m` metres from end to end, 0.001 to 0.03, during `duration_s` seconds, 6 to 120.
+    /// Swings of `way_m` metres from end to end, 0.001 to 0.03, during `duration_s` seconds, 6 to 120, at most 0.06 m/s fast.
     ///
     /// # Errors
     /// If a number is out of its range.
@@ -47,7 +49,13 @@ impl Excitation {
         if !(6.0..=120.0).contains(&duration_s) {
             return Err(ExcitationError { key: "duration_s", value: duration_s, allowed: "6 to 120 s" });
         }
-        Ok(Self { way_m, piece_s: duration_s / BATCHES as f64 })
+        let motion = Self { way_m, piece_s: duration_s / BATCHES as f64 };
+        let value = motion.speed_max_m_per_s();
+        if value > SPEED_MAX_M_PER_S {
+            let allowed = "at most 0.06 m/s: swing for longer, or less far";
+            return Err(ExcitationError { key: "speed_m_per_s", value, allowed });
+        }
+        Ok(motion)
     }
 
     /// Seconds from beginning to end.
@@ -107,9 +115,14 @@ mod tests {
 
     #[test]
     fn what_is_too_far_or_too_short_is_refused() {
-        for (way_m, duration_s, key) in
-            [(0.031, 15.0, "way_m"), (0.0009, 15.0, "way_m"), (f64::NAN, 15.0, "way_m"), (0.01, 5.0, "duration_s")]
-        {
+        for (way_m, duration_s, key) in [
+            (0.031, 15.0, "way_m"),
+            (0.0009, 15.0, "way_m"),
+            (f64::NAN, 15.0, "way_m"),
+            (0.01, 5.0, "duration_s"),
+            (0.03, 6.0, "speed_m_per_s"),
+            (0.005, 6.0, "speed_m_per_s"),
+        ] {
             assert_eq!(Excitation::new(way_m, duration_s).unwrap_err().key, key);
         }
     }

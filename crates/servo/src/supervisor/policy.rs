@@ -121,6 +121,8 @@ pub struct Rule {
     pub may_resume_by_itself: bool,
     /// Whether it counts when nothing is followed, too, and must be gone for a reset.
     pub counts_always: bool,
+    /// Whether no arm may move while it is there, the one that carries the target included, whatever the state is.
+    pub holds_every_arm: bool,
 }
 
 /// A threshold.
@@ -191,14 +193,15 @@ impl Condition {
             least,
             may_resume_by_itself,
             counts_always: false,
+            holds_every_arm: false,
         };
         match self {
             Self::EmergencyStop => Rule { counts_always: true, ..rule("emergency_stop", None, 0.0, Fault, false) },
             Self::ArmFault => Rule { counts_always: true, ..rule("arm_fault", None, 0.0, Fault, false) },
-            Self::ArmDisabled => rule("arm_disabled", None, 0.0, Hold, false),
-            Self::ClockStepped => rule("clock_stepped", Some(("step_s", 0.02, 1.0)), 0.0, Hold, false),
-            Self::OperatorSilent => rule("operator_silent", Some(("age_s", 0.1, 10.0)), 0.0, Hold, false),
-            Self::JointsStale => rule("joints_stale", Some(("age_s", 0.002, 0.5)), 0.0, Hold, true),
+            Self::ArmDisabled => Rule { holds_every_arm: true, ..rule("arm_disabled", None, 0.0, Hold, false) },
+            Self::ClockStepped => Rule { holds_every_arm: true, ..rule("clock_stepped", Some(("step_s", 0.02, 1.0)), 0.0, Hold, false) },
+            Self::OperatorSilent => Rule { holds_every_arm: true, ..rule("operator_silent", Some(("age_s", 0.1, 10.0)), 0.0, Hold, false) },
+            Self::JointsStale => Rule { holds_every_arm: true, ..rule("joints_stale", Some(("age_s", 0.002, 0.5)), 0.0, Hold, true) },
             Self::TargetChanged => rule("target_changed", None, 0.0, Hold, false),
             Self::FrameStale => rule("frame_stale", Some(("age_s", 0.02, 1.0)), 0.0, Hold, true),
             Self::FrameOrder => rule("frame_order", None, 0.0, Hold, true),
@@ -207,7 +210,7 @@ impl Condition {
             Self::LowConfidence => rule("low_confidence", None, 1.0, Note, true),
             Self::PositionJump => rule("position_jump", Some(("distance_m", 0.001, 1.0)), 1.0, Note, true),
             Self::OrientationJump => rule("orientation_jump", Some(("angle_rad", 0.01, 3.0)), 1.0, Note, true),
-            Self::Outlier => rule("outlier", Some(("sigmas", 1.0, 1000.0)), 1.0, Note, true),
+            Self::Outlier => rule("outlier", Some(("sigmas", 1.0, 1000.0)), 0.1, Note, true),
             Self::PositionUncertain => rule("position_uncertain", Some(("sigma_m", 0.0001, 0.1)), 1.0, Note, true),
             Self::OrientationUncertain => rule("orientation_uncertain", Some(("sigma_rad", 0.001, 0.5)), 1.0, Note, true),
             Self::CameraSkew => rule("camera_skew", Some(("skew_s", 0.0001, 0.05)), 1.0, Note, true),

@@ -10,9 +10,9 @@ use pb3dp_geometry::frames::{Base, CamLeft, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::{Chain, JointLimits, JointState, JointVector};
 use pb3dp_servo::{
-    AfterLoss, ApproachConfig, ArmResponse, CartesianSpeed, Command, ControlStep, Controller, ControllerConfig,
-    DampingConfig, FeedForwardConfig, FeedForwardGains, Gains, LawConfig, PublishedConfig, RedundancyConfig,
-    SpeedConfig, TargetFilterConfig, TargetObservation, TargetStateConfig, Timeouts, UnstatedCovariance,
+    ApproachConfig, ArmResponse, CartesianSpeed, Command, ControlStep, Controller, ControllerConfig, DampingConfig,
+    FeedForwardConfig, FeedForwardGains, Gains, LawConfig, PublishedConfig, RedundancyConfig, SpeedConfig,
+    TargetFilterConfig, TargetObservation, TargetStateConfig, Timeouts, UnstatedCovariance,
 };
 
 /// Well inside the workspace, every joint off zero.
@@ -93,7 +93,6 @@ pub fn config() -> ControllerConfig {
         speed: SpeedConfig { tracking: wide, joint_speed_scale: 1.0, limit_approach_per_s: 20.0, soft_start_s: 0.0 },
         approach: ApproachConfig { speed: wide, done_within_m: 0.002, done_within_rad: 0.005 },
         timeouts: Timeouts { observation_s: 0.3, lost_s: 1.0, joints_s: 0.03 },
-        after_loss: AfterLoss::WaitForOperator,
         joint_history_samples: 256,
     }
 }

@@ -83,6 +83,9 @@ struct Company {
 }
 
 impl Company {
+    /// The other arm is left out.
+    const ALONE: Self = Self { alone: true };
+
     /// What an operator has to type before this arm moves.
     fn word(self, choice: ArmChoice) -> String {
         let alone = if self.alone { " alone" } else { "" };

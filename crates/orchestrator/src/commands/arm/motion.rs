@@ -17,7 +17,7 @@ use super::flights::{self, folder_of};
 use super::plan::Plan;
 use super::{MotionArgs, Place, confirm};
 use crate::commands::estimate::output::print_line;
-use crate::config::setup::{ArmLink, GatewayWay, Setup, read_setup};
+use crate::config::setup::{ArmLink, Setup, read_setup};
 use crate::run::live::enter_control_thread;
 use crate::wiring::commissioning::{ArmChoice, SlowArm, set_line, slow_setup, wire_slow};
 
@@ -170,8 +170,7 @@ pub fn show_room(setup: &Setup, choice: ArmChoice, plan: &Plan, other_rad: Optio
         ))?);
     };
     let room = plan.room(setup, choice, other_rad);
-    let is_emulated = matches!(other.of(setup).link, ArmLink::Gateway(_, GatewayWay::Emulated) | ArmLink::InProcess);
-    let emulated = if is_emulated { " (emulated, where it would start)" } else { "" };
+    let emulated = if other.of(setup).link.is_toy() { " (emulated, where it would start)" } else { "" };
     print_line(&format!("least room to the {}{emulated} on the way: {room}", other.name()))?;
     room.check(setup)
 }

@@ -30,6 +30,13 @@ pub enum ArmLink {
     Bus(BusLinkConfig),
 }
 
+impl ArmLink {
+    /// Whether nothing outside this program moves: the arm is simulated or emulated here.
+    pub fn is_toy(&self) -> bool {
+        matches!(self, Self::InProcess | Self::Gateway(_, GatewayWay::Emulated))
+    }
+}
+
 /// A bus of this computer and the servo controller on it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BusLinkConfig {

@@ -3,8 +3,8 @@
 use std::ops::RangeInclusive;
 
 use pb3dp_servo::{
-    AfterLoss, ApproachConfig, CartesianSpeed, ControllerConfig, DampingConfig, Gains, LawConfig, PublishedConfig,
-    SpeedConfig, TargetFilterConfig, Timeouts,
+    ApproachConfig, CartesianSpeed, ControllerConfig, DampingConfig, Gains, LawConfig, PublishedConfig, SpeedConfig,
+    TargetFilterConfig, Timeouts,
 };
 use serde::Deserialize;
 
@@ -102,8 +102,6 @@ impl ServoSection {
                 lost_s: self.timeouts.lost_s,
                 joints_s: self.timeouts.joints_s,
             },
-            // It looks again by itself; whether the hand may move then is for the supervisor to say.
-            after_loss: AfterLoss::Reacquire,
             joint_history_samples: whole(self.joint_history_samples),
         };
         self.check(&config, check);

@@ -13,6 +13,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use super::super::drive::LATE_MAX;
 use super::super::motion::JointReport;
+use super::Company;
 use super::operator::Question;
 use super::record::StepReport;
 use super::session::{Session, refused};
@@ -139,7 +140,8 @@ impl Mover {
         std::thread::Builder::new().name("mover".to_owned()).spawn(read).context("no thread for its lines")?;
         // The operator has typed the name before, and the room on the way is known.
         let mut input = input.context("the program that moves the arm has no input")?;
-        writeln!(input, "{} alone", session.choice.name()).context("the program that is to move the arm has ended")?;
+        writeln!(input, "{}", Company::ALONE.word(session.choice))
+            .context("the program that is to move the arm has ended")?;
         Ok(mover)
     }
 

@@ -141,8 +141,7 @@ pub fn run(args: &TestArgs) -> Result<ExitCode> {
 
 /// The steps that are asked for, in their order.
 fn asked(args: &TestArgs, setup: &Setup) -> Result<Vec<Step>> {
-    let other = &args.place.choice().other().of(setup).link;
-    let is_toy = matches!(other, ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated));
+    let is_toy = args.place.choice().other().of(setup).link.is_toy();
     // Nobody can press the switch of an arm that is emulated, but who emulates it.
     let has_other = !args.company.alone && (!is_toy || args.operator == OperatorName::Emulated);
     let wanted = |step: &Step| match args.only.is_empty() {
