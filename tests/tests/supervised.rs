@@ -73,6 +73,10 @@ impl DrivenArm for Lossy {
     fn statistics(&self) -> LimiterStatistics {
         self.inner.statistics()
     }
+
+    fn enable_here(&mut self) -> Result<(), ArmError> {
+        self.inner.enable_here()
+    }
 }
 
 fn setup() -> Setup {

@@ -78,6 +78,19 @@ pub struct RunArgs {
     /// Also write every stereo pair with its truth as a sequence folder, for `pb3dp track`.
     #[arg(long, value_name = "DIR")]
     pub record: Option<PathBuf>,
+    /// Who tells the run what to do.
+    #[arg(long, value_enum, default_value_t = OperatorName::Command)]
+    pub operator: OperatorName,
+}
+
+/// Who tells a run what to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum OperatorName {
+    /// The command itself: it selects the target and starts once; what stops the arms ends the run.
+    Command,
+    /// A person, by lines on standard input: select, start, hold, resume, stop, reset, status, quit. Nothing moves before start; a stop
+    /// or fault does not end the run. Without --stop-after it ends after an hour at the latest.
+    Console,
 }
 
 /// Arguments that choose and tune the estimation method.

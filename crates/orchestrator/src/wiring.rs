@@ -18,7 +18,7 @@ use pb3dp_camera_replay::{Pacing, ReplayCamera, ReplayOptions};
 use pb3dp_camera_sim::{GeometricCamera, SimStereoCamera};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Model, Target, World};
-use pb3dp_hal_api::{Arm, ArmPower, Clock, StereoCamera};
+use pb3dp_hal_api::{Arm, ArmError, ArmPower, Clock, StereoCamera};
 use pb3dp_hal_clock::{SystemClock, VirtualClock};
 use pb3dp_hal_middleware::{FlightLog, Limiter, LimiterStatistics};
 use pb3dp_record::calibration_files::StereoCalibration;
@@ -40,17 +40,28 @@ use crate::config::setup::{ArmSetup, Carrier, Leader, Pace, Setup, fold_seed};
 use crate::run::cell::{FreeTarget, SimulatedCell};
 use crate::run::eyes::Sight;
 use crate::run::flight::{self, ArmFault, Flight, LineCounts, Moment, RawLine};
+use crate::run::operator::{ByCommand, Operator};
 use crate::run::paced_clock::PacedClock;
 
 /// An arm with its limiter: motion, power, and how often the limiter stepped in.
 pub trait DrivenArm: Arm + ArmPower {
     /// How often the limiter stepped in so far.
     fn statistics(&self) -> LimiterStatistics;
+
+    /// As [`ArmPower::enable`], and the motion goes on from where the arm is, if it has begun at its start before.
+    ///
+    /// # Errors
+    /// As [`ArmPower::enable`].
+    fn enable_here(&mut self) -> Result<(), ArmError>;
 }
 
 impl<A: Arm + ArmPower> DrivenArm for Limiter<A> {
     fn statistics(&self) -> LimiterStatistics {
         Self::statistics(self)
+    }
+
+    fn enable_here(&mut self) -> Result<(), ArmError> {
+        Self::enable_here(self)
     }
 }
 
@@ -78,6 +89,8 @@ pub struct Parts {
     pub emulated: Vec<MockServer>,
     /// Arms that no gateway would stop.
     pub on_bus: Vec<ArmOnBus>,
+    /// Who tells the run what to do.
+    pub operator: Box<dyn Operator>,
     /// Once this is set, the run ends before its time: both arms are stopped as at its end.
     pub interrupt: Arc<AtomicBool>,
 }
@@ -154,6 +167,7 @@ fn wire_cell(
         monitors,
         emulated,
         on_bus,
+        operator: Box::new(ByCommand),
         interrupt: Arc::default(),
     })
 }

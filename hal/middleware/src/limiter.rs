@@ -185,6 +185,20 @@ impl<A: Arm> Limiter<A> {
         self.statistics
     }
 
+    /// As [`ArmPower::enable`]; where the arm has been at its start before, it may go on from where it is now: after a stop, say.
+    ///
+    /// # Errors
+    /// As [`ArmPower::enable`].
+    pub fn enable_here(&mut self) -> Result<(), ArmError>
+    where
+        A: ArmPower,
+    {
+        let started = self.started;
+        self.enable()?;
+        self.started = started;
+        Ok(())
+    }
+
     /// What this limiter lets pass.
     pub fn config(&self) -> &LimiterConfig {
         &self.config

@@ -70,4 +70,8 @@ impl DrivenArm for Watched {
     fn statistics(&self) -> LimiterStatistics {
         self.inner.statistics()
     }
+
+    fn enable_here(&mut self) -> Result<(), ArmError> {
+        self.inner.enable_here()
+    }
 }

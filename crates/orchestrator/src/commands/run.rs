@@ -1,21 +1,24 @@
 //! `pb3dp run`: the whole loop of one setup.
 
+use std::io::BufReader;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Instant, SystemTime};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10::io::signals::StopSignals;
 
 use super::estimate::output::print_line;
-use crate::cli::RunArgs;
-use crate::config::setup::{Setup, read_setup};
+use crate::cli::{OperatorName, RunArgs};
+use crate::config::setup::{Pace, Setup, read_setup};
 use crate::run::channels::Plan;
+use crate::run::experiment::{self, Ended};
 use crate::run::flight::Moment;
 use crate::run::interruption::{INTERRUPTED, watch};
-use crate::run::summary::summarize;
-use crate::run::{experiment, report};
+use crate::run::operator::Console;
+use crate::run::report;
+use crate::run::summary::{RunSummary, summarize};
 use crate::wiring::{wire, write_flights};
 
 /// A run in which the hand followed for a smaller share of the time is pointed out.
@@ -33,20 +36,28 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
         setup.reseed(seed);
     }
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
+    if args.operator == OperatorName::Console && setup.pace == Pace::Fast {
+        bail!("--operator console: at pace = \"fast\" nobody can speak in time; set pace to \"real-time\" or \"live\"");
+    }
     let mut parts = wire(&setup)?;
+    if args.operator == OperatorName::Console {
+        let lines = BufReader::new(std::io::stdin());
+        let (clock, interrupt) = (Arc::clone(&parts.clock), Arc::clone(&parts.interrupt));
+        parts.operator = Box::new(Console::start(clock, lines, std::io::stdout(), interrupt)?);
+    }
     let plan = Plan::of(&setup.experiment.motion, &*parts.experiment);
     let started = Instant::now();
     let interrupt = Arc::clone(&parts.interrupt);
     let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus))?;
     let (clock, flights, monitors) = (Arc::clone(&parts.clock), parts.flights.clone(), parts.monitors.clone());
-    let outcome = experiment::run(&setup, parts, args.stop_after, args.record.as_deref());
-    if let Err(failure) = &outcome {
+    let Ended { outcome, how } = experiment::conduct(&setup, parts, args.stop_after, args.record.as_deref())?;
+    if let Err(failure) = &how {
         let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
         write_flights(&args.out, &flights, &monitors, failure, moment);
     }
-    let outcome = outcome?;
     let wall_s = started.elapsed().as_secs_f64();
-    let summary = summarize(&outcome.log, &plan);
+    let ended_by = how.as_ref().err().map(|failure| format!("{failure:#}"));
+    let summary = RunSummary { ended_by, ..summarize(&outcome.log, &plan) };
     let provenance = provenance(args, &setup, summary.duration_s, wall_s);
     report::write(&args.out, &outcome, &summary, (&provenance, &plan.world_from_axes))?;
     print_line(&report::text_table(&summary))?;
@@ -58,6 +69,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
         );
     }
     print_line(&format!("report: {}", args.out.join("report.html").display()))?;
+    how?;
     Ok(if was_interrupted.load(Ordering::SeqCst) { ExitCode::from(INTERRUPTED) } else { ExitCode::SUCCESS })
 }
 

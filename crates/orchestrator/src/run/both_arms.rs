@@ -60,8 +60,31 @@ impl LedArm {
         }
     }
 
+    fn is_latched(&self) -> bool {
+        matches!(self.arm.state(), ArmState::Fault | ArmState::EStop)
+    }
+
     fn enable(&mut self) -> Result<()> {
         self.arm.enable().with_context(|| format!("{}: enable", self.name))
+    }
+
+    /// As [`Self::enable`], away from the start, too.
+    fn enable_here(&mut self) -> Result<()> {
+        if self.arm.state() == ArmState::Disabled {
+            self.arm.enable_here().with_context(|| format!("{}: enable", self.name))?;
+        }
+        self.measure()
+    }
+
+    /// What can be measured of an arm that is off or latched; that it fails is no news.
+    fn look(&mut self) {
+        if let Ok(joints) = self.arm.exchange(JointCommand::Hold) {
+            self.joints = joints;
+        }
+    }
+
+    fn reset(&mut self) -> Result<()> {
+        if self.is_latched() { self.arm.reset().with_context(|| format!("{}: reset", self.name)) } else { Ok(()) }
     }
 
     /// Where the joints really are, without which nothing is begun.
@@ -115,6 +138,37 @@ impl BothArms {
         let vs = self.vs.stop();
         let tc = self.tc.stop();
         vs.and(tc)
+    }
+
+    /// Drives on again after a stop, and where the joints really are: from there they go on, wherever it is.
+    ///
+    /// # Errors
+    /// The arm that can not be switched on, and why.
+    pub fn enable_here(&mut self) -> Result<()> {
+        self.vs.enable_here()?;
+        self.tc.enable_here()
+    }
+
+    /// Whether one of them has a fault or an emergency stop.
+    pub fn is_latched(&self) -> bool {
+        self.vs.is_latched() || self.tc.is_latched()
+    }
+
+    /// What can be measured while both are off or latched.
+    pub fn look(&mut self) {
+        self.vs.look();
+        self.tc.look();
+    }
+
+    /// Clears what is latched in the arms themselves, as far as its cause is gone: an arm that was only stopped by the other one comes
+    /// behind it.
+    ///
+    /// # Errors
+    /// The arm whose cause is still there.
+    pub fn reset(&mut self) -> Result<()> {
+        let mut arms = [&mut self.tc, &mut self.vs];
+        arms.sort_by_key(|led| led.arm.is_stopped_by_other());
+        arms.into_iter().try_for_each(LedArm::reset)
     }
 
     /// Has a latched arm say why it is; one that has failed by itself goes before one that the other one stopped.

@@ -22,6 +22,12 @@ pub fn carry(
     damped_pseudo_inverse(&chain.jacobian(position_rad), damping) * twist
 }
 
+/// How far a flange is from its path, metres and radians.
+pub fn off_by(chain: &Chain, path: &FlangePath<'_>, t_s: f64, position_rad: &JointVector) -> (f64, f64) {
+    let missing = error_between(&chain.forward(position_rad), &path.base_from_flange_at(t_s));
+    (missing.fixed_rows::<3>(0).norm(), missing.fixed_rows::<3>(3).norm())
+}
+
 /// From `is` to `wanted`: way of the origin (metres), then rotation vector (radians), both in `base`.
 fn error_between(is: &Pose<Base, Flange>, wanted: &Pose<Base, Flange>) -> Vector6<f64> {
     let way = wanted.translation_m() - is.translation_m();

@@ -51,6 +51,9 @@ impl Journal {
         if let Some(note) = self.log.supervision.note(t_s, &moved.decision) {
             tracing::info!("{t_s:7.2} s  {}", note.why);
         }
+        if let Some(refused) = &moved.decision.refused {
+            tracing::warn!("{t_s:7.2} s  {refused}");
+        }
         if t_s >= self.next_progress_s {
             self.next_progress_s += PROGRESS_EVERY_S;
             tracing::info!("{t_s:5.1} of {:.1} s  {}", self.duration_s, moved.decision.why);

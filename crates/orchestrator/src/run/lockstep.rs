@@ -50,6 +50,13 @@ fn step_both<M: Mover, W: Watcher<Step = M::Step>>(
             }
             watcher.moved(&mover.step(next_control)?);
             next_control = next_control + setup.control_period;
+            // Brakes that open or close take their time; what would have been then is left out.
+            while next_control < clock.now() {
+                next_control = next_control + setup.control_period;
+            }
+            while next_frame < clock.now() {
+                next_frame = next_frame + setup.camera.period;
+            }
         } else {
             if let Some(percept) = watcher.look()? {
                 arriving.push_back((clock.now() + setup.estimate_latency, percept));

@@ -19,6 +19,7 @@ pub mod log;
 pub mod looking;
 pub mod methods;
 pub mod moving;
+pub mod operator;
 pub mod paced_clock;
 pub mod percept;
 pub mod permitting;

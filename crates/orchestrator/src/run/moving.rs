@@ -6,18 +6,23 @@ use anyhow::{Result, bail};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{JointCommand, JointState};
 use pb3dp_kinematics::{Damping, JointVector};
-use pb3dp_servo::supervisor::{Decision, Permission};
+use pb3dp_servo::supervisor::{Decision, Event, Permission, State, Word};
 use pb3dp_servo::{Command, ControlStep, Controller, Mode};
 use pb3dp_sim::placement::FlangePath;
 use pb3dp_sim::trajectory::Trajectory;
 
 use super::both_arms::BothArms;
-use super::carrier::carry;
+use super::carrier::{carry, off_by};
 use super::halves::Mover;
+use super::operator::{ByCommand, Operator};
 use super::percept::Percept;
 use super::permitting::Permitting;
 use crate::config::setup::{Carrier, Setup};
 use crate::wiring::DrivenArm;
+
+/// An arm that carries the target and is farther from its way after a stop was led elsewhere meanwhile, metres and radians.
+const AWAY_M: f64 = 0.05;
+const AWAY_RAD: f64 = 0.17;
 
 /// Both arms with what leads them.
 pub struct Moving<'a> {
@@ -27,9 +32,14 @@ pub struct Moving<'a> {
     path: Option<FlangePath<'a>>,
     controller: Controller,
     permitting: Permitting,
+    operator: Box<dyn Operator>,
+    /// Both arms are stopped, and wait for the operator's reset and selection.
+    is_stopped: bool,
     damping: Damping,
     begin: MonotonicTime,
     stepped_at: Option<MonotonicTime>,
+    /// The arm that carries the target is not on its way, and rests.
+    is_away: bool,
     /// For how long the way of the arm that carries the target has waited.
     waited: Duration,
     newest: Option<Percept>,
@@ -65,15 +75,23 @@ impl<'a> Moving<'a> {
             arms: BothArms::new(setup, arms, begin),
             controller: Controller::new(setup.controller, setup.vs.chain.clone(), limits)?,
             permitting: Permitting::new(&setup.supervisor, limits)?,
+            operator: Box::new(ByCommand),
+            is_stopped: false,
             damping: Damping::new(setup.controller.damping.threshold, setup.controller.damping.factor_max)?,
             path: (setup.experiment.carrier == Carrier::Arm)
                 .then(|| FlangePath::of_carrier(experiment, &setup.tc.world_from_base, &setup.flange_from_target)),
             begin,
             stepped_at: None,
+            is_away: false,
             waited: Duration::ZERO,
             newest: None,
             setup,
         })
+    }
+
+    /// The same, told by somebody else than the command itself.
+    pub fn with_operator(self, operator: Box<dyn Operator>) -> Self {
+        Self { operator, ..self }
     }
 
     /// Both arms.
@@ -85,8 +103,15 @@ impl<'a> Moving<'a> {
     fn decide(&mut self, now: MonotonicTime) -> (ControlStep, Decision, Command) {
         let observation = self.newest.as_ref().and_then(|percept| percept.observation.as_ref());
         let control = self.controller.step(self.arms.vs.joints(), observation, now);
+        let heard = self.operator.listen(self.permitting.last(), now);
+        if self.is_stopped && heard.said.is_some_and(|said| said.word == Word::Reset) {
+            // What is latched in an arm itself goes first; the supervisor refuses as long as it is still there.
+            let cleared = self.arms.reset();
+            self.tell_of(cleared);
+        }
         let arms = [&self.arms.vs, &self.arms.tc].map(|arm| (arm.condition(), arm.joints()));
-        let decision = self.permitting.step(&control, self.newest.as_ref(), arms, now);
+        let decision = self.permitting.step(heard, &control, self.newest.as_ref(), arms, now);
+        self.operator.show(&decision);
         let told = match (decision.permission, control.command) {
             (Permission::Move { share }, Command::Velocity(velocity)) => Command::Velocity(velocity * share),
             _ => Command::Hold,
@@ -101,13 +126,70 @@ impl<'a> Moving<'a> {
     fn carrying(&mut self, decision: &Decision, now: MonotonicTime) -> JointCommand {
         let since = self.stepped_at.replace(now).map_or(Duration::ZERO, |before| now.saturating_since(before));
         let Some(path) = &self.path else { return JointCommand::Hold };
-        if decision.no_arm_may_move {
+        // Where a person leads, nothing at all moves before the word.
+        let has_begun = !matches!(decision.state, State::Idle | State::Selecting) || !self.operator.is_person();
+        if decision.no_arm_may_move || !has_begun {
             self.waited += since;
             return JointCommand::Hold;
         }
         let t_s = now.seconds_since(self.begin) - self.waited.as_secs_f64();
         let position_rad = &self.arms.tc.joints().position_rad;
+        let (off_m, off_rad) = off_by(&self.setup.tc.chain, path, t_s, position_rad);
+        let was_away =
+            std::mem::replace(&mut self.is_away, self.operator.is_person() && (off_m > AWAY_M || off_rad > AWAY_RAD));
+        if self.is_away {
+            self.waited += since;
+            if !was_away {
+                let (off_mm, off_deg) = (off_m * 1e3, off_rad.to_degrees());
+                self.operator.tell(Some(format!(
+                    "tc-robot is {off_mm:.0} mm and {off_deg:.0} degrees from its way and rests: bring it back to its start, then begin the run anew"
+                )));
+            }
+            return JointCommand::Hold;
+        }
         JointCommand::Velocity(carry(&self.setup.tc.chain, &self.damping, path, t_s, position_rad))
+    }
+
+    /// Both arms rest with brakes on until a person resets them. Where there is none the run ends; an arm that has failed says more about
+    /// it than the supervisor knows.
+    fn stay_stopped(&mut self, decision: &Decision) -> Result<()> {
+        if !self.operator.is_person() {
+            self.arms.why_latched()?;
+            bail!("{}", decision.why)
+        }
+        if self.is_stopped {
+            self.arms.look();
+            return Ok(());
+        }
+        self.is_stopped = true;
+        let why = self.arms.why_latched();
+        self.tell_of(why);
+        let stopped = self.arms.stop();
+        self.tell_of(stopped);
+        Ok(())
+    }
+
+    /// Behind the reset both arms stay off until a target is selected; then they are switched on where they are.
+    fn leave_stop(&mut self, decision: &Decision) {
+        if decision.transition.is_none_or(|transition| transition.event != Event::Select) {
+            self.arms.look();
+            return;
+        }
+        let on = self.arms.enable_here();
+        self.is_stopped = on.is_err();
+        self.operator.tell(None);
+        if self.is_stopped {
+            self.arms.stop().ok();
+            self.tell_of(on);
+        }
+        // A target that was seen before is not the one that was selected.
+        self.newest = None;
+    }
+
+    fn tell_of(&mut self, outcome: Result<()>) {
+        if let Err(trouble) = outcome {
+            self.operator.tell(Some(format!("{trouble:#}")));
+        }
     }
 
     /// Tells the arm that carries the cameras; the controller gets to know what its joints do now, if that is not what it wanted.
@@ -143,17 +225,27 @@ impl Mover for Moving<'_> {
         self.newest = Some(percept);
     }
 
-    /// Nobody resets a run: a stop ends it. An arm that has failed says more about it than the supervisor knows.
     fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
         let (control, decision, told) = self.decide(now);
+        let moved = Moved { at: now, mode: control.mode, decision, vs_joints: *self.arms.vs.joints() };
         if decision.permission == Permission::Stop {
-            self.arms.why_latched()?;
-            bail!("{}", decision.why)
+            self.stay_stopped(&decision)?;
+            return Ok(moved);
+        }
+        if self.is_stopped {
+            self.leave_stop(&decision);
+            return Ok(moved);
         }
         let carrying = self.carrying(&decision, now);
-        self.arms.tc.exchange(carrying)?;
-        self.tell(control.command, told)?;
-        Ok(Moved { at: now, mode: control.mode, decision, vs_joints: *self.arms.vs.joints() })
+        let exchanged = self.arms.tc.exchange(carrying).and_then(|_| self.tell(control.command, told));
+        if let Err(failure) = exchanged {
+            // What is latched is the supervisor's from the next step on, and a person's; anything else ends the run.
+            if !(self.operator.is_person() && self.arms.is_latched()) {
+                return Err(failure);
+            }
+            self.operator.tell(Some(format!("{failure:#}")));
+        }
+        Ok(Moved { vs_joints: *self.arms.vs.joints(), ..moved })
     }
 
     fn stop(&mut self) -> Result<()> {

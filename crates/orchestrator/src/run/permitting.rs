@@ -1,11 +1,11 @@
-//! Whether the arms of a run may move: the supervisor, what it is told, and the command as its operator.
+//! Whether the arms of a run may move: the supervisor, and what it is told.
 
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::JointState;
 use pb3dp_kinematics::{DOF, JointLimits, JointVector};
 use pb3dp_servo::supervisor::{
-    ArmCondition, ArmInput, Decision, Innovation, Inputs, OperatorInput, RangeEnd, Said, State, Supervisor,
-    SupervisorConfig, SupervisorError, Word,
+    ArmCondition, ArmInput, Decision, Innovation, Inputs, OperatorInput, RangeEnd, Supervisor, SupervisorConfig,
+    SupervisorError,
 };
 use pb3dp_servo::{ControlStep, ObservationVerdict};
 
@@ -28,18 +28,22 @@ impl Permitting {
         Ok(Self { supervisor: Supervisor::new(config.clone())?, limits, last: None })
     }
 
+    /// What was decided last.
+    pub fn last(&self) -> Option<&Decision> {
+        self.last.as_ref()
+    }
+
     /// What is permitted in this step; both arms with what was measured of them, the one with the cameras first.
     pub fn step(
         &mut self,
+        operator: OperatorInput,
         control: &ControlStep,
         newest: Option<&Percept>,
         arms: [(ArmCondition, &JointState); 2],
         now: MonotonicTime,
     ) -> Decision {
-        let said = said_by_the_command(self.last.as_ref()).map(|word| Said { word, at: now });
         let inputs = Inputs {
-            // Who gave the command is there as long as it runs.
-            operator: OperatorInput { said, heard_at: Some(now) },
+            operator,
             controller: control.mode,
             innovation: innovation(&control.observation),
             estimate: newest.map(|percept| percept.estimate),
@@ -51,15 +55,6 @@ impl Permitting {
         let decision = self.supervisor.step(&inputs, now);
         self.last = Some(decision);
         decision
-    }
-}
-
-/// The command is the operator: it selects the target and starts as soon as it can, once, and never resets or resumes.
-fn said_by_the_command(last: Option<&Decision>) -> Option<Word> {
-    match last {
-        None => Some(Word::Select),
-        Some(decision) if decision.state == State::Selecting && decision.is_ready => Some(Word::Start),
-        Some(_) => None,
     }
 }
 

@@ -54,7 +54,12 @@ fn page(
         .collect();
     let origin =
         provenance.iter().fold(Table::new(["run", ""]), |table, (key, value)| table.row([key.clone(), value.clone()]));
-    let report = Report::new("pb3dp: a hand follows an unknown object")
+    let report = Report::new("pb3dp: a hand follows an unknown object");
+    let report = match &summary.ended_by {
+        Some(failure) => report.heading("The run has ended before its time").paragraph(failure),
+        None => report,
+    };
+    let report = report
         .paragraph(introduction(summary))
         .figures(&figures(summary))
         .heading("Target and hand")

@@ -53,6 +53,8 @@ impl MedianP95 {
 /// The figures of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RunSummary {
+    /// What has ended the run before its time; none if nothing has failed.
+    pub ended_by: Option<String>,
     /// Duration of the experiment, seconds.
     pub duration_s: f64,
     /// Distance of the hand from where it should be, mm.
@@ -142,6 +144,7 @@ pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
     let depth: Vec<f64> = log.leading.frames.iter().filter_map(|f| f.depth_error_m).map(|e| e.abs() * 1e3).collect();
     let normal: Vec<f64> = log.leading.frames.iter().filter_map(|f| f.normal_error_rad).map(f64::to_degrees).collect();
     RunSummary {
+        ended_by: None,
         duration_s: log.control.last().map_or(0.0, |sample| sample.t_s),
         tracking_position_mm: RmsMax::of(&column(|e| e.position_m * 1e3)),
         tracking_orientation_deg: RmsMax::of(&column(|e| e.orientation_rad.to_degrees())),

@@ -308,3 +308,54 @@ fn times_that_are_none_are_refused() {
     }
     pb3dp(&words(&[&"--log", &"shout=loud", &"run", &"--config", &"x.toml"])).assert_refused(&["--log", "shout=loud"]);
 }
+
+/// A person selects and starts by lines on standard input, asks, and ends the run; simulated arms, at the pace of the wall clock.
+#[test]
+fn a_person_at_a_console_leads_a_run() {
+    use std::io::Write as _;
+    use std::process::{Command, Stdio};
+    use std::time::Duration;
+
+    let dir = tempfile::tempdir().unwrap();
+    let changes = [
+        ("pace = \"fast\" ", "pace = \"real-time\" "),
+        ("method = \"direct\" ", "method = \"geometric\" "),
+        ("compare = [\"published\"]", "compare = []"),
+    ];
+    let (config, out) = (setup(dir.path(), &changes), dir.path().join("out"));
+    let mut child = Command::new(env!("CARGO_BIN_EXE_pb3dp"))
+        .args(words(&[&"run", &"--operator", &"console", &"--config", &config, &"--out", &out]))
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut input = child.stdin.take().unwrap();
+    for line in ["status", "select", "go", "status", "start", "status", "stop", "status", "quit"] {
+        // A word counts from the step behind it.
+        std::thread::sleep(Duration::from_millis(1500));
+        writeln!(input, "{line}").unwrap();
+    }
+    let finished = child.wait_with_output().unwrap();
+    let text = String::from_utf8(finished.stdout).unwrap();
+    assert!(finished.status.success(), "{text}");
+    let parts = [
+        "idle: no target is selected; say select",
+        "\"go\" is no word: known are select, start",
+        "selecting: the target is seen and nothing speaks against motion; say start",
+        "stopped: the operator said stop; say reset",
+        "both arms stop, then the report",
+        "report.html",
+    ];
+    let places: Vec<usize> = parts.map(|part| text.find(part).unwrap_or_else(|| panic!("{part}: {text}"))).into();
+    assert!(places.is_sorted(), "{text}");
+    let summary = std::fs::read_to_string(out.join("summary.json")).unwrap();
+    assert!(summary.contains("\"event\": \"start\"") && summary.contains("\"ended_by\": null"), "{summary}");
+}
+
+#[test]
+fn a_console_needs_a_pace_in_which_a_person_can_speak() {
+    let config = repository().join("configs/sim.toml");
+    let dir = tempfile::tempdir().unwrap();
+    let refused = words(&[&"run", &"--operator", &"console", &"--config", &config, &"--out", &dir.path()]);
+    pb3dp(&refused).assert_refused(&["--operator console", "real-time"]);
+}

@@ -202,6 +202,10 @@ mod tests {
         fn statistics(&self) -> LimiterStatistics {
             LimiterStatistics::default()
         }
+
+        fn enable_here(&mut self) -> Result<(), ArmError> {
+            Ok(())
+        }
     }
 
     fn scripted(answers: &[Result<JointState, ArmErrorKind>]) -> Box<dyn DrivenArm> {
