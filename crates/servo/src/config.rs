@@ -6,8 +6,8 @@ use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Flange, Frame, Hand, Model};
 
 pub use laws::{
-    ArmResponse, FeedForwardConfig, FeedForwardGains, Gains, LawConfig, PublishedConfig, RedundancyConfig,
-    TargetFilterConfig, UnstatedCovariance,
+    ArmResponse, FeedForwardConfig, FeedForwardGains, Gains, HybridConfig, ImageBasedConfig, LawConfig,
+    PublishedConfig, RedundancyConfig, TargetFilterConfig, UnstatedCovariance,
 };
 
 /// Everything that [`crate::Controller::new`] needs besides the arm.

@@ -68,6 +68,8 @@ pub enum HoldReason {
     },
     /// The elbow is nearly stretched and would have to be stretched further: the target is beyond the arm's reach.
     ElbowStretched,
+    /// The law looks at the target in the picture, and some of it is not before the camera.
+    TargetNotBeforeCamera,
     /// The law gave a number that is not finite.
     CommandNotFinite,
 }
@@ -96,6 +98,7 @@ impl fmt::Display for HoldReason {
             Self::ElbowStretched => {
                 write!(f, "the elbow is nearly stretched: the target is at the end of the arm's reach")
             }
+            Self::TargetNotBeforeCamera => write!(f, "the target is not in front of the camera"),
             Self::CommandNotFinite => write!(f, "the control law gave a number that is not finite"),
         }
     }

@@ -4,7 +4,10 @@ use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
 use pb3dp_geometry::frames::{Base, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose, Twist};
 
-use crate::config::{ConfigError, FeedForwardConfig, LawConfig, TargetFilterConfig, UnstatedCovariance};
+use crate::config::{
+    ConfigError, FeedForwardConfig, HybridConfig, ImageBasedConfig, LawConfig, PublishedConfig, TargetFilterConfig,
+    UnstatedCovariance,
+};
 use crate::target_filter::{ObservationVerdict, TargetObservation, TargetTrack};
 use crate::target_state::{MeasurementVerdict, PoseMeasurement, Prediction, TargetState};
 
@@ -12,7 +15,7 @@ use crate::target_state::{MeasurementVerdict, PoseMeasurement, Prediction, Targe
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "one per controller")]
 pub(crate) enum KnownTarget {
-    /// A smoothed pose, for the published law.
+    /// A smoothed pose, for the laws without feed-forward.
     Smoothed {
         /// Gate and smoothing.
         config: TargetFilterConfig,
@@ -37,7 +40,11 @@ impl KnownTarget {
     /// The first setting that is out of its range.
     pub(crate) fn none(law: &LawConfig) -> Result<Self, ConfigError> {
         Ok(match law {
-            LawConfig::Published(law) => Self::Smoothed { config: law.target_filter, track: None },
+            LawConfig::Published(PublishedConfig { target_filter, .. })
+            | LawConfig::ImageBased(ImageBasedConfig { target_filter, .. })
+            | LawConfig::Hybrid(HybridConfig { target_filter, .. }) => {
+                Self::Smoothed { config: *target_filter, track: None }
+            }
             LawConfig::FeedForward(law) => {
                 Self::Predicted { config: *law, state: TargetState::new(law.target)?, observations: 0 }
             }

@@ -25,9 +25,9 @@ pub mod target_filter;
 pub mod target_state;
 
 pub use config::{
-    ApproachConfig, ArmResponse, CartesianSpeed, ConfigError, ControllerConfig, DampingConfig, FeedForwardConfig,
-    FeedForwardGains, Gains, LawConfig, PublishedConfig, RedundancyConfig, SpeedConfig, TargetFilterConfig, Timeouts,
-    UnstatedCovariance,
+    ApproachConfig, ArmResponse, CartesianSpeed, ConfigError, ControllerConfig, DampingConfig,
+    FeedForwardConfig, FeedForwardGains, Gains, HybridConfig, ImageBasedConfig, LawConfig, PublishedConfig,
+    RedundancyConfig, SpeedConfig, TargetFilterConfig, Timeouts, UnstatedCovariance,
 };
 pub use controller::{Command, ControlStep, Controller, HoldReason, Mode};
 pub use joint_history::{JointHistory, NotInHistory};

@@ -126,10 +126,10 @@ fn the_hand_keeps_its_place_to_a_millimetre_while_the_target_moves() {
     let law = FeedForwardConfig { target: TargetStateConfig::default(), ..feed_forward(ARM) };
     let figures = run(law, 0.026);
     assert!(figures.moving_mm < 1.1 && figures.moving_deg < 0.15, "{figures:?}");
-    assert!(figures.hold_mm < 0.15 && figures.hold_deg < 0.03, "{figures:?}");
+    assert!(figures.hold_mm < 0.25 && figures.hold_deg < 0.03, "{figures:?}");
     assert!(figures.late_s.abs() < 0.01, "{figures:?}");
     let figures = run(law, 0.06);
     assert!(figures.moving_mm < 1.5 && figures.moving_deg < 0.2, "{figures:?}");
-    assert!(figures.hold_mm < 0.15 && figures.hold_deg < 0.03, "{figures:?}");
+    assert!(figures.hold_mm < 0.25 && figures.hold_deg < 0.03, "{figures:?}");
     assert!(figures.late_s.abs() < 0.01, "{figures:?}");
 }

@@ -3,10 +3,12 @@
 use serde_json::{Value, json};
 
 use crate::Findings;
+use crate::cases::LawFindings;
 use crate::demands::Demand;
 use crate::ideal::Ideal;
 use crate::limits::Check;
 use crate::runs::{Fig7, IdealPhases, Response, Step};
+use crate::ways::Way;
 
 /// Findings and limits, with where they were found.
 pub fn all(findings: &Findings, checks: &[Check], origin: &str) -> Value {
@@ -16,6 +18,9 @@ pub fn all(findings: &Findings, checks: &[Check], origin: &str) -> Value {
         "fig7": findings.fig7.iter().map(fig7).collect::<Vec<_>>(),
         "responses": findings.responses.iter().map(response).collect::<Vec<_>>(),
         "steps": findings.steps.iter().map(step).collect::<Vec<_>>(),
+        "approaches": findings.approaches.iter().map(|approach| way(&approach.way)).collect::<Vec<_>>(),
+        "singular": findings.singular.iter().map(way).collect::<Vec<_>>(),
+        "laws": findings.laws.iter().map(law).collect::<Vec<_>>(),
         "geometric_times_real_time": findings.geometric_times_real_time,
         "limits": checks.iter().map(check).collect::<Vec<_>>(),
     })
@@ -26,6 +31,7 @@ fn fig7(run: &Fig7) -> Value {
         "who": run.who,
         "target": run.target,
         "delay_millis": run.delay_millis,
+        "seed": run.seed,
         "summary": run.summary,
         "ideal": phases(&run.ideal),
         "channel_ideals": run.channel_ideals.iter().map(phases).collect::<Vec<_>>(),
@@ -54,6 +60,38 @@ fn response(response: &Response) -> Value {
 
 fn step(step: &Step) -> Value {
     json!({ "who": step.who, "summary": step.summary, "shortest_s": step.shortest_s, "set_by": step.set_by })
+}
+
+fn law(findings: &LawFindings) -> Value {
+    json!({
+        "law": findings.law.name(),
+        "fig7": findings.fig7.summary,
+        "ways": findings.ways.iter().map(way).collect::<Vec<_>>(),
+    })
+}
+
+fn way(way: &Way) -> Value {
+    let axis = |(value, axis): (f64, usize)| json!({ "value": value, "axis": axis });
+    json!({
+        "name": way.name,
+        "off_mm_deg": way.off,
+        "there_after_s": way.there_after_s,
+        "mode": way.mode,
+        "left_mm_deg": way.left,
+        "most_mm_deg": way.most,
+        "singular_value_min": way.singular_value_min,
+        "held_share": way.held.0,
+        "held_why": way.held.1,
+        "speed_share": axis(way.used.speed),
+        "acceleration_share": axis(way.used.acceleration),
+        "room_deg": axis(way.used.room_deg),
+        "turns": way.used.turns,
+        "path_mm": way.path.length_mm,
+        "straight_mm": way.path.straight_mm,
+        "aside_mm": way.path.aside_mm,
+        "farthest_mm": way.path.farthest_mm,
+        "border_px": way.path.border_px,
+    })
 }
 
 fn check(check: &Check) -> Value {

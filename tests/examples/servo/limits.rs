@@ -2,8 +2,10 @@
 
 use pb3dp_orchestrator::run::summary::RmsMax;
 
+use crate::cases::Approached;
 use crate::runs::{Fig7, Response, Step};
 use crate::setups::{DELAYS_MILLIS, TARGETS, Who};
+use crate::ways::Way;
 
 /// Rms of the distance in motion, mm: of the colourful and the crab-like card, at each delay.
 const MOVING_MM: [[f64; 2]; 2] = [[1.2, 2.0], [1.8, 2.8]];
@@ -99,6 +101,67 @@ pub fn of_step(step: &Step) -> Vec<Check> {
     let found = summary.settled_after_s.and(summary.overshoot_percent);
     let what = format!("step of {channel}: settles to 1 mm and 0.3 deg, overshoot");
     vec![Check { what, found, most: OVERSHOOT_PERCENT, unit: "%" }]
+}
+
+/// Speeds and accelerations may show this share more than is allowed: they are differences of rounded angles.
+const SHARE_MOST: f64 = 1.02;
+
+/// Angles are rounded as well.
+const BEYOND_MOST_DEG: f64 = 0.001;
+
+/// No way is beyond a limit of the arm.
+fn of_arm(way: &Way) -> Vec<Check> {
+    let check = |what: &str, found: f64, most: f64, unit: &'static str| Check {
+        what: format!("{}: {what}", way.name),
+        found: Some(found),
+        most,
+        unit,
+    };
+    vec![
+        check("largest joint speed, share of what is allowed", way.used.speed.0, SHARE_MOST, ""),
+        check("largest joint acceleration, share of what is allowed", way.used.acceleration.0, SHARE_MOST, ""),
+        check("farthest beyond an end of a range", -way.used.room_deg.0, BEYOND_MOST_DEG, "deg"),
+    ]
+}
+
+/// An approach arrives, or stops with the reason, and is never beyond a limit.
+pub fn of_approach(approach: &Approached) -> Vec<Check> {
+    let way = &approach.way;
+    let mut checks = of_arm(way);
+    checks.push(if approach.is_reachable {
+        let what = format!("{}: there after", way.name);
+        Check { what, found: way.there_after_s, most: APPROACH_MOST_S, unit: "s" }
+    } else {
+        let has_reason = way.mode.starts_with("holding: ");
+        let what = format!("{}: ends without a reason", way.name);
+        Check { what, found: Some(f64::from(u8::from(!has_reason))), most: 0.0, unit: "" }
+    });
+    checks
+}
+
+/// An approach takes no longer, seconds.
+const APPROACH_MOST_S: f64 = 15.0;
+/// A way through or to a singular pose ends with this error, mm and degrees, and with no more turns of joints.
+const SINGULAR_LEFT: (f64, f64) = (1.0, 0.3);
+const SINGULAR_TURNS: f64 = 30.0;
+
+/// A way through a singular pose does not halt or shake, one that can not be gone stops with the reason, and both come back.
+pub fn of_singular(way: &Way, is_reachable: bool) -> Vec<Check> {
+    let mut checks = of_arm(way);
+    let mut push = |what: &str, found: f64, most: f64, unit: &'static str| {
+        checks.push(Check { what: format!("{}: {what}", way.name), found: Some(found), most, unit });
+    };
+    push("position at the end", way.left.0, SINGULAR_LEFT.0, "mm");
+    push("orientation at the end", way.left.1, SINGULAR_LEFT.1, "deg");
+    push("joints turn round, times", way.used.turns as f64, SINGULAR_TURNS, "");
+    if is_reachable {
+        let halts = way.held.0 > 0.0 && !way.name.starts_with("to q4");
+        push("share of time in which it halts", if halts { way.held.0 } else { 0.0 }, 0.0, "");
+    } else {
+        let names = way.held.1.as_deref().is_some_and(|reason| reason.starts_with("holding: "));
+        push("stops without a reason", f64::from(u8::from(!names)), 0.0, "");
+    }
+    checks
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 //! an ideal filter or the arm's limits allow, and beside the limits that are to be kept. Run it by `cargo xtask bench servo`.
 #![allow(clippy::print_stdout, reason = "prints its figures")]
 
+mod cases;
 mod demands;
 mod ideal;
 mod json;
@@ -9,74 +10,137 @@ mod limits;
 mod page;
 mod runs;
 mod setups;
+mod watched;
+mod ways;
+mod ways_page;
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use anyhow::{Context, Result, bail};
 use pb3dp_sim::trajectory::Channel;
 
+use cases::{Approach, Approached, Law, LawFindings, Singular};
 use limits::Check;
 use runs::{Fig7, Response, Step, fig7, fig7_of, response, step_response};
-use setups::{DELAYS_MILLIS, TARGETS, Who, geometric};
+use setups::{DELAYS_MILLIS, Fig7Case, Who, geometric};
+use ways::Way;
 
 const PERIODS_S: [f64; 10] = [30.0, 20.0, 15.0, 10.0, 8.0, 6.0, 5.0, 4.0, 3.0, 2.0];
 
 /// Everything that was measured.
+#[derive(Default)]
 struct Findings {
     fig7: Vec<Fig7>,
     responses: Vec<Response>,
     steps: Vec<Step>,
+    approaches: Vec<Approached>,
+    singular: Vec<Way>,
+    laws: Vec<LawFindings>,
     /// Simulated seconds per second of this machine, of the experiment without pictures.
     geometric_times_real_time: f64,
 }
 
 /// How much is measured.
+#[derive(Default)]
 struct Extent {
-    /// Targets and delays of the experiment with pictures, and when it ends.
-    fig7: Vec<(Who, usize, f64)>,
+    /// The experiment with pictures, and when it ends.
+    fig7: Vec<Fig7Case>,
     stop_after_s: Option<f64>,
+    /// Of the experiment with pictures; else that of the files.
+    seed: Option<u64>,
+    without_pictures: bool,
     channels: Vec<Channel>,
+    step_channels: Vec<Channel>,
     periods_s: Vec<f64>,
+    approaches: Vec<Approach>,
+    singular: Vec<Singular>,
+    laws: Vec<Law>,
+    far: Vec<Approach>,
 }
 
 impl Extent {
     /// All of it.
     fn whole() -> Self {
-        let ours =
-            DELAYS_MILLIS.iter().flat_map(|delay| (0..TARGETS.len()).map(move |target| (Who::Ours, target, *delay)));
-        // The published method needs hue, which the grey box does not have.
-        let published =
-            DELAYS_MILLIS.iter().flat_map(|delay| (0..3).map(move |target| (Who::Published, target, *delay)));
-        let (channels, periods_s) = (Channel::ALL.to_vec(), PERIODS_S.to_vec());
-        Self { fig7: ours.chain(published).collect(), stop_after_s: None, channels, periods_s }
+        Self {
+            fig7: Fig7Case::all(),
+            stop_after_s: None,
+            seed: None,
+            without_pictures: true,
+            channels: Channel::ALL.to_vec(),
+            step_channels: Channel::ALL.to_vec(),
+            periods_s: PERIODS_S.to_vec(),
+            approaches: cases::APPROACHES.to_vec(),
+            singular: cases::SINGULAR.to_vec(),
+            laws: Law::ALL.to_vec(),
+            far: cases::FAR.to_vec(),
+        }
     }
 
     /// A sample of everything, for a test: some seconds.
     fn quick() -> Self {
-        let (channels, periods_s) = (vec![Channel::X, Channel::Ry], vec![10.0, 6.0]);
-        Self { fig7: vec![(Who::Ours, 0, DELAYS_MILLIS[0])], stop_after_s: Some(13.0), channels, periods_s }
+        let channels = vec![Channel::X, Channel::Ry];
+        Self {
+            fig7: Fig7Case::all()[..1].to_vec(),
+            stop_after_s: Some(13.0),
+            without_pictures: true,
+            channels: channels.clone(),
+            step_channels: channels,
+            periods_s: vec![10.0, 6.0],
+            approaches: vec![cases::APPROACHES[0], cases::APPROACHES[11]],
+            singular: vec![cases::SINGULAR[0], cases::SINGULAR[4]],
+            laws: Vec::new(),
+            ..Self::whole()
+        }
+    }
+
+    /// Only what has one of these words, separated by commas, in its name.
+    fn only(mut self, words: &str) -> Self {
+        let wanted = |name: &str| words.split(',').any(|word| name.contains(word));
+        self.fig7.retain(|case| wanted(&format!("fig7/{}", case.name())));
+        self.without_pictures = wanted("fig7/without pictures");
+        self.channels.retain(|channel| wanted(&format!("sine/{}", channel.name())));
+        self.step_channels.retain(|channel| wanted(&format!("step/{}", channel.name())));
+        self.approaches.retain(|case| wanted(&format!("approach/{}", case.name())));
+        self.singular.retain(|case| wanted(&format!("singular/{}", case.name)));
+        self.laws.retain(|law| wanted(&format!("laws/{}", law.name())));
+        self
     }
 }
 
 impl Findings {
     fn of(extent: &Extent) -> Result<Self> {
-        let mut found =
-            Self { fig7: Vec::new(), responses: Vec::new(), steps: Vec::new(), geometric_times_real_time: 0.0 };
-        for &(who, target, delay_millis) in &extent.fig7 {
-            let what = format!("{}, {}, {delay_millis} ms", who.name(), TARGETS[target].0);
-            println!("{what} ...");
-            found.fig7.push(fig7(who, TARGETS[target], delay_millis, extent.stop_after_s).context(what)?);
+        let mut found = Self { fig7: with_pictures(extent)?, ..Self::default() };
+        if extent.without_pictures {
+            found.without_pictures()?;
         }
-        found.without_pictures()?;
-        println!("sinusoids and steps ...");
         for &channel in &extent.channels {
+            println!("sine/{} ...", channel.name());
             for who in Who::ALL {
                 for &period_s in &extent.periods_s {
                     let what = || format!("{}, {} every {period_s} s", who.name(), channel.name());
                     found.responses.push(response(who, channel, period_s).with_context(what)?);
                 }
+            }
+        }
+        for &channel in &extent.step_channels {
+            println!("step/{} ...", channel.name());
+            for who in Who::ALL {
                 found.steps.push(step_response(who, channel).with_context(|| format!("step of {}", channel.name()))?);
             }
+        }
+        for case in &extent.approaches {
+            println!("approach/{} ...", case.name());
+            found.approaches.push(cases::approach(case).with_context(|| case.name())?);
+        }
+        for case in &extent.singular {
+            println!("singular/{} ...", case.name);
+            found.singular.push(cases::singular(case).context(case.name)?);
+        }
+        for &law in &extent.laws {
+            println!("laws/{} ...", law.name());
+            found.laws.push(cases::law_findings(law, &extent.far).context(law.name())?);
         }
         Ok(found)
     }
@@ -88,7 +152,8 @@ impl Findings {
         let mut setup = geometric(setup, motion)?;
         setup.experiment.carrier = pb3dp_orchestrator::config::setup::Carrier::Arm;
         self.geometric_times_real_time = runs::run(&setup, None)?.times_real_time;
-        self.fig7.push(fig7_of(&setup, (Who::Ours, "without pictures"), DELAYS_MILLIS[0], None)?);
+        let case = Fig7Case { who: Who::Ours, target: 0, delay_millis: DELAYS_MILLIS[0] };
+        self.fig7.push(fig7_of(&setup, &case, "without pictures", None)?);
         Ok(())
     }
 
@@ -98,6 +163,9 @@ impl Findings {
         channels.dedup();
         checks.extend(channels.into_iter().flat_map(|channel| limits::of_responses(channel, &self.responses)));
         checks.extend(self.steps.iter().flat_map(limits::of_step));
+        checks.extend(self.approaches.iter().flat_map(limits::of_approach));
+        let reachable = |way: &&Way| cases::SINGULAR.iter().any(|case| case.name == way.name && case.is_reachable);
+        checks.extend(self.singular.iter().flat_map(|way| limits::of_singular(way, reachable(&way))));
         checks
     }
 
@@ -107,18 +175,48 @@ impl Findings {
             page::axis_table(&self.fig7),
             page::response_table(&self.responses),
             page::step_table(&self.steps),
+            ways_page::approach_table(&self.approaches),
+            ways_page::singular_table(&self.singular),
+            ways_page::law_table(&self.laws),
+            ways_page::far_table(&self.laws),
             page::limit_table(checks),
         ]
         .join("\n")
     }
 }
 
+/// The runs with pictures, as many at once as this machine has processors; each is the same alone.
+fn with_pictures(extent: &Extent) -> Result<Vec<Fig7>> {
+    let next = AtomicUsize::new(0);
+    let found: Mutex<Vec<(usize, Result<Fig7>)>> = Mutex::new(Vec::new());
+    let workers = std::thread::available_parallelism().map_or(1, std::num::NonZero::get).min(extent.fig7.len());
+    std::thread::scope(|scope| {
+        for _ in 0..workers {
+            scope.spawn(|| {
+                while let Some((index, case)) = extent.fig7.iter().enumerate().nth(next.fetch_add(1, Ordering::SeqCst))
+                {
+                    println!("fig7/{} ...", case.name());
+                    let run = fig7(case, extent.seed, extent.stop_after_s).with_context(|| case.name());
+                    found.lock().unwrap_or_else(PoisonError::into_inner).push((index, run));
+                }
+            });
+        }
+    });
+    let mut found = found.into_inner().unwrap_or_else(PoisonError::into_inner);
+    found.sort_by_key(|(index, _)| *index);
+    found.into_iter().map(|(_, run)| run).collect()
+}
+
 fn main() -> Result<()> {
     let options = Options::parse(std::env::args().skip(1))?;
+    let started = std::time::Instant::now();
     let extent = if options.quick { Extent::quick() } else { Extent::whole() };
+    let extent = Extent { seed: options.seed, ..extent };
+    let extent = options.only.iter().fold(extent, |extent, words| extent.only(words));
     let findings = Findings::of(&extent)?;
     let checks = findings.checks();
     println!("\n{}", findings.text(&checks));
+    println!("all of it took {:.1} minutes", started.elapsed().as_secs_f64() / 60.0);
     println!("without pictures: {:.0} times as fast as time", findings.geometric_times_real_time);
     if let Some(file) = &options.json {
         write(file, &format!("{:#}\n", json::all(&findings, &checks, &options.origin)))?;
@@ -146,6 +244,8 @@ fn write(file: &Path, text: &str) -> Result<()> {
 #[derive(Default)]
 struct Options {
     quick: bool,
+    only: Option<String>,
+    seed: Option<u64>,
     json: Option<PathBuf>,
     page: Option<PathBuf>,
     origin: String,
@@ -161,14 +261,18 @@ impl Options {
             }
             let value = words.next().with_context(|| format!("{word}: give a value"))?;
             match word.as_str() {
+                "--seed" => {
+                    options.seed = Some(value.parse().with_context(|| format!("--seed {value}: give a whole number"))?)
+                }
+                "--only" => options.only = Some(value),
                 "--json" => options.json = Some(value.into()),
                 "--page" => options.page = Some(value.into()),
                 "--origin" => options.origin = value,
-                other => bail!("{other}: known are --quick, --json, --page and --origin"),
+                other => bail!("{other}: known are --quick, --only, --seed, --json, --page and --origin"),
             }
         }
-        if options.quick && options.page.is_some() {
-            bail!("--page: a quick run writes no page");
+        if (options.quick || options.only.is_some() || options.seed.is_some()) && options.page.is_some() {
+            bail!("--page: a run that is quick, partial or with another seed writes no page");
         }
         Ok(options)
     }
@@ -197,6 +301,7 @@ mod tests {
             "{text}"
         );
         assert!(findings.steps.iter().all(|step| step.shortest_s > 0.1 && step.shortest_s < 2.0), "{text}");
+        assert_eq!((findings.approaches.len(), findings.singular.len()), (2, 2));
         let json = json::all(&findings, &checks, "a test");
         assert_eq!(json["limits"].as_array().unwrap().len(), checks.len());
         let page = page::page(&findings, &checks, "a test");
@@ -206,11 +311,23 @@ mod tests {
     }
 
     #[test]
+    fn a_part_is_chosen_by_words_in_names() {
+        let extent = Extent::whole().only("fig7/direct/crab-like card/66,step/rz,singular/to");
+        let names: Vec<String> = extent.fig7.iter().map(Fig7Case::name).collect();
+        assert!(
+            !names.is_empty() && names.iter().all(|name| name.starts_with("direct/crab-like card/66")),
+            "{names:?}"
+        );
+        assert!(!extent.without_pictures && extent.channels.is_empty());
+        assert_eq!((&extent.step_channels[..], extent.singular.len(), extent.laws.len()), (&[Channel::Rz][..], 1, 0));
+    }
+
+    #[test]
     fn the_command_line_is_checked() {
         let parse = |words: &[&str]| Options::parse(words.iter().map(|word| (*word).to_owned()));
         let options = parse(&["--quick", "--json", "x.json"]).unwrap();
         assert!(options.quick && options.json.is_some());
         assert!(parse(&["--page"]).is_err() && parse(&["--slow", "1"]).is_err());
-        assert!(parse(&["--quick", "--page", "docs"]).is_err());
+        assert!(parse(&["--quick", "--page", "docs"]).is_err() && parse(&["--only", "x", "--page", "docs"]).is_err());
     }
 }

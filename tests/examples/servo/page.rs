@@ -14,11 +14,13 @@ use crate::ideal::{Ideal, TAPS};
 use crate::limits::Check;
 use crate::runs::{Fig7, Response, Step};
 use crate::setups::{NOISE_GREY, Who};
+use crate::ways_page;
 
 /// Seconds between two points of a line.
 const LINE_STEP_S: f64 = 0.12;
 
-fn number(value: Option<f64>, digits: usize) -> String {
+/// With so many digits, or a dash.
+pub fn number(value: Option<f64>, digits: usize) -> String {
     value.map_or("-".to_owned(), |value| format!("{value:.digits$}"))
 }
 
@@ -159,7 +161,7 @@ pub fn page(findings: &Findings, checks: &[Check], origin: &str) -> String {
     let axes = axis_table(&findings.fig7);
     let (responses, steps, limits) =
         (response_table(&findings.responses), step_table(&findings.steps), limit_table(checks));
-    let speed = findings.geometric_times_real_time;
+    let (speed, ways) = (findings.geometric_times_real_time, ways_page::sections(findings));
     format!(
         "# The servo\n\n\
          This page is written by the command below; change the program, not the page.\n\n\
@@ -189,8 +191,10 @@ pub fn page(findings: &Findings, checks: &[Check], origin: &str) -> String {
          ## Steps\n\n\
          The target is 50 mm or 15 degrees elsewhere at once, and later back; again without pictures.\n\
          Settled is when the hand stays within 1 mm and 0.3 degrees of its place, the longer of both ways.\n\
+         A target that is suddenly elsewhere is an outlier at first, and believed only after some pictures.\n\
          No hand can be there sooner than after the delay without the drives' lag, and the time of the slowest axis from rest to rest at its largest speed and acceleration, or of the hand at its largest speed.\n\n\
          {steps}\n\
+         {ways}\n\
          ## Limits\n\n\
          {limits}\n\
          Without pictures a run of Fig. 7 took 1/{speed:.0} of its time on one core of this machine.\n",

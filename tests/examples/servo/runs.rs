@@ -9,12 +9,11 @@ use pb3dp_orchestrator::run::experiment;
 use pb3dp_orchestrator::run::log::RunLog;
 use pb3dp_orchestrator::run::summary::{RunSummary, summarize};
 use pb3dp_orchestrator::wiring::wire;
-use pb3dp_sim::targets::TargetConfig;
 use pb3dp_sim::trajectory::{Channel, MotionConfig};
 
 use crate::demands::{Demand, demands, shortest_step};
 use crate::ideal::{HandNoise, Ideal, Seen, hand_noise};
-use crate::setups::{DELAYS_MILLIS, Who, geometric, sinusoid, step};
+use crate::setups::{DELAYS_MILLIS, Fig7Case, TARGETS, Who, geometric, sinusoid, step};
 
 /// The hand should have settled so long after a move, seconds.
 const SETTLE_S: f64 = 1.0;
@@ -53,6 +52,8 @@ pub struct Fig7 {
     pub target: String,
     /// Total delay, milliseconds.
     pub delay_millis: f64,
+    /// Seed of everything random.
+    pub seed: u64,
     /// Its figures.
     pub summary: RunSummary,
     /// What the ideal filter leaves, over all channels.
@@ -80,22 +81,15 @@ pub struct IdealPhases {
 ///
 /// # Errors
 /// As the parts have them.
-pub fn fig7(
-    who: Who,
-    (name, target): (&str, TargetConfig),
-    delay_millis: f64,
-    stop_after_s: Option<f64>,
-) -> Result<Fig7> {
-    let mut setup = who.setup(delay_millis)?;
-    setup.scene.target = target;
-    fig7_of(&setup, (who, name), delay_millis, stop_after_s)
+pub fn fig7(case: &Fig7Case, seed: Option<u64>, stop_after_s: Option<f64>) -> Result<Fig7> {
+    fig7_of(&case.setup(seed)?, case, TARGETS[case.target].0, stop_after_s)
 }
 
 /// The experiment of Fig. 7 of a setup.
 ///
 /// # Errors
 /// As the parts have them.
-pub fn fig7_of(setup: &Setup, (who, name): (Who, &str), delay_millis: f64, stop_after_s: Option<f64>) -> Result<Fig7> {
+pub fn fig7_of(setup: &Setup, case: &Fig7Case, target_name: &str, stop_after_s: Option<f64>) -> Result<Fig7> {
     let Ran { log, summary, .. } = run(setup, stop_after_s)?;
     let first = log.control.first().context("the run has no steps")?;
     let target = setup.experiment.motion.begin_at(first.world_from_target)?;
@@ -103,16 +97,17 @@ pub fn fig7_of(setup: &Setup, (who, name): (Who, &str), delay_millis: f64, stop_
     let (ideal, channel_ideals) = match (&measured, &log.lock) {
         (Some((noise, _)), Some(lock)) => {
             let target_from_hand = lock.target_from_model_found * setup.controller.model_from_hand_desired;
-            let (delay_s, frame_s) = (delay_millis * 1e-3, setup.camera.period.as_secs_f64());
+            let (delay_s, frame_s) = (case.delay_millis * 1e-3, setup.camera.period.as_secs_f64());
             let seen = Seen { target: &*target, target_from_hand, noise: *noise, delay_s, frame_s };
             ideals(setup, &seen, summary.channels.len())
         }
         _ => (IdealPhases::default(), vec![IdealPhases::default(); summary.channels.len()]),
     };
     Ok(Fig7 {
-        who: who.name(),
-        target: name.to_owned(),
-        delay_millis,
+        who: case.who.name(),
+        target: target_name.to_owned(),
+        delay_millis: case.delay_millis,
+        seed: setup.seed,
         ideal,
         channel_ideals,
         noise: measured.map(|(noise, _)| in_mm_and_degrees(&noise)),

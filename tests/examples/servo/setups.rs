@@ -5,6 +5,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use pb3dp_orchestrator::config::setup::{Carrier, Leader, Setup, read_setup};
 use pb3dp_servo::supervisor::{Action, Condition};
+use pb3dp_servo::{ArmResponse, LawConfig};
 use pb3dp_sim::targets::TargetConfig;
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig, StepExperimentConfig};
 use system_tests::repository;
@@ -64,6 +65,45 @@ pub const TARGETS: [(&str, TargetConfig); 4] = [
     ("grey box", TargetConfig::grey_box()),
 ];
 
+/// One run of the experiment of Fig. 7 with pictures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fig7Case {
+    /// Who leads the hand.
+    pub who: Who,
+    /// Index of [`TARGETS`].
+    pub target: usize,
+    /// Total delay, milliseconds.
+    pub delay_millis: f64,
+}
+
+impl Fig7Case {
+    /// All: those that are required, and for comparison.
+    pub fn all() -> Vec<Self> {
+        let ours = |delay: usize, target: usize| Self { who: Who::Ours, target, delay_millis: DELAYS_MILLIS[delay] };
+        let cards = [ours(0, 0), ours(0, 1), ours(1, 0), ours(1, 1)];
+        let published = [0, 1].map(|target| Self { who: Who::Published, ..ours(0, target) });
+        cards.into_iter().chain(published).chain([ours(0, 2), ours(0, 3)]).collect()
+    }
+
+    /// For tables and the option `--only`.
+    pub fn name(&self) -> String {
+        format!("{}/{}/{} ms", self.who.name(), TARGETS[self.target].0, self.delay_millis)
+    }
+
+    /// Everything that the run needs; `seed` takes the place of that of the file.
+    ///
+    /// # Errors
+    /// As [`Who::setup`].
+    pub fn setup(&self, seed: Option<u64>) -> Result<Setup> {
+        let mut setup = self.who.setup(self.delay_millis)?;
+        setup.scene.target = TARGETS[self.target].1;
+        if let Some(seed) = seed {
+            setup.reseed(seed);
+        }
+        Ok(setup)
+    }
+}
+
 /// Gives the setup a total delay: half an exposure, the latency of the estimate, the mean wait for the next control step, the
 /// arm's delay and its lag.
 fn set_delay(setup: &mut Setup, delay_millis: f64) -> Result<()> {
@@ -75,6 +115,10 @@ fn set_delay(setup: &mut Setup, delay_millis: f64) -> Result<()> {
         arm.plant.velocity_time_constant = ARM_LAG;
         arm.plant.command_delay = Duration::from_secs_f64(rest_s);
         arm.limiter.reaction_time = setup.control_period + arm.plant.command_delay + ARM_LAG;
+    }
+    // As `pb3dp identify delay` would have found it.
+    if let LawConfig::FeedForward(law) = &mut setup.controller.law {
+        law.arm = ArmResponse { delay_s: rest_s, lag_s: ARM_LAG.as_secs_f64() };
     }
     Ok(())
 }
@@ -136,5 +180,24 @@ pub fn step(channel: Channel) -> StepExperimentConfig {
         hold_s: 4.0,
         lead_in_s: 3.0,
         axes: ExperimentAxes::TargetAtStart,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The parts of the delay add up to the whole, and the law knows the arm's share.
+    #[test]
+    fn the_total_delay_is_made_of_its_parts_and_the_law_knows_the_arm() {
+        for delay_millis in DELAYS_MILLIS {
+            let setup = Who::Ours.setup(delay_millis).unwrap();
+            let (plant, law) = (&setup.vs.plant, setup.controller.law);
+            let LawConfig::FeedForward(law) = law else { panic!("{law:?}") };
+            assert_eq!((law.arm.lag_s, plant.velocity_time_constant), (0.03, ARM_LAG));
+            assert!((law.arm.delay_s - plant.command_delay.as_secs_f64()).abs() < 1e-9, "{:?}", law.arm);
+            let total_s = until_control_step_s(&setup) + law.arm.delay_s + law.arm.lag_s;
+            assert!((total_s * 1e3 - delay_millis).abs() < 1e-3, "{total_s} s instead of {delay_millis} ms");
+        }
     }
 }

@@ -1,5 +1,7 @@
 //! What each control law needs.
 
+use pb3dp_kinematics::JointVector;
+
 use super::{ConfigError, TINY, check};
 use crate::target_state::TargetStateConfig;
 
@@ -11,6 +13,30 @@ pub enum LawConfig {
     FeedForward(FeedForwardConfig),
     /// The law of the paper's group, see [`crate::law::pose_based`].
     Published(PublishedConfig),
+    /// Points of the model led through the picture, see [`crate::law::image_based`].
+    ImageBased(ImageBasedConfig),
+    /// One point and its depth in the picture, and the turn that is left, see [`crate::law::hybrid`].
+    Hybrid(HybridConfig),
+}
+
+/// Classical image-based servoing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImageBasedConfig {
+    /// Share of the error in the picture that is taken away per second, 1/s, 0 (exclusive) to 50.
+    pub gain_per_s: f64,
+    /// The points are the corners of a square of the model, this far to either side of its origin, metres, 0.001 to 1.
+    pub half_width_m: f64,
+    /// Gate and smoothing of the observations.
+    pub target_filter: TargetFilterConfig,
+}
+
+/// 2 1/2-D servoing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HybridConfig {
+    /// Share of the errors that is taken away per second, 1/s, 0 (exclusive) to 50.
+    pub gain_per_s: f64,
+    /// Gate and smoothing of the observations.
+    pub target_filter: TargetFilterConfig,
 }
 
 /// The law with feed-forward: what is known of the arm, gains, and what is known of the target.
@@ -20,6 +46,8 @@ pub struct FeedForwardConfig {
     pub arm: ArmResponse,
     /// Gains, and how hard errors are braked away.
     pub gains: FeedForwardGains,
+    /// Largest accelerations of the joints, rad/s^2, 0.01 to 1000: large errors are corrected no faster than the joints can brake.
+    pub joint_acceleration_max_rad_per_s2: JointVector,
     /// How the target moves, and how far observations are believed.
     pub target: TargetStateConfig,
     /// Observations that are accepted before the hand moves, 1 to 1000.
@@ -196,6 +224,15 @@ impl LawConfig {
                 config.gains.validate()?;
                 config.target_filter.validate()
             }
+            Self::ImageBased(config) => {
+                check("image_based.gain_per_s", config.gain_per_s, TINY, 50.0, "above 0 to 50 1/s")?;
+                check("image_based.half_width_m", config.half_width_m, 1e-3, 1.0, "0.001 to 1 m")?;
+                config.target_filter.validate()
+            }
+            Self::Hybrid(config) => {
+                check("hybrid.gain_per_s", config.gain_per_s, TINY, 50.0, "above 0 to 50 1/s")?;
+                config.target_filter.validate()
+            }
         }
     }
 }
@@ -205,6 +242,10 @@ impl FeedForwardConfig {
         check("feed_forward.arm.delay_s", self.arm.delay_s, 0.0, 0.5, "0 to 0.5 s")?;
         check("feed_forward.arm.lag_s", self.arm.lag_s, 0.0, 0.5, "0 to 0.5 s")?;
         self.gains.validate()?;
+        for most in self.joint_acceleration_max_rad_per_s2.iter() {
+            let key = "feed_forward.joint_acceleration_max_rad_per_s2";
+            check(key, *most, 0.01, 1000.0, "0.01 to 1000 rad/s^2")?;
+        }
         self.target.validate()?;
         let to_lock = f64::from(self.observations_to_lock);
         check("feed_forward.observations_to_lock", to_lock, 1.0, 1000.0, "1 to 1000")?;

@@ -10,8 +10,12 @@ use super::{Command, ControlStep, Controller, HoldReason, Mode};
 use crate::config::{CartesianSpeed, FeedForwardConfig, LawConfig, PublishedConfig};
 use crate::law::feed_forward::{self, Aim, DesiredMotion};
 use crate::law::pose_based::{self, HandError};
+use crate::law::{hand_twist_of_camera, hybrid, image_based};
 use crate::redundancy::secondary_velocity;
 use crate::resolved_rate::{HandJacobian, JointBounds, Limitation, limit_twist};
+
+/// With no more than this share of the wanted speed left by an end of a range the hand rests, and says why.
+const STANDSTILL_SHARE: f64 = 0.02;
 
 /// How much of the wanted speed the hand has: it starts softly after a rest, and slows down while the target is not seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -72,13 +76,24 @@ impl Controller {
         now: MonotonicTime,
     ) {
         let wish = match self.config.law {
-            LawConfig::Published(law) => Some(self.published_wish(&law, error, jacobian, joints, now)),
-            LawConfig::FeedForward(law) => self.feed_forward_wish(&law, joints, now),
+            LawConfig::FeedForward(law) => self
+                .feed_forward_wish(&law, joints, now)
+                .ok_or_else(|| HoldReason::ObservationStale { age_s: step.observation_age_s.unwrap_or(f64::INFINITY) }),
+            LawConfig::Published(law) => {
+                let twist = self.published_twist(&law, error, &jacobian, joints);
+                Ok(self.wish_without_feed_forward(twist, jacobian, joints, now))
+            }
+            LawConfig::ImageBased(_) | LawConfig::Hybrid(_) => match self.twist_by_camera(step) {
+                Some(twist) => Ok(self.wish_without_feed_forward(twist, jacobian, joints, now)),
+                None => Err(HoldReason::TargetNotBeforeCamera),
+            },
         };
-        let Some(wish) = wish else {
-            let age_s = step.observation_age_s.unwrap_or(f64::INFINITY);
-            step.mode = Mode::Holding(HoldReason::ObservationStale { age_s });
-            return;
+        let wish = match wish {
+            Ok(wish) => wish,
+            Err(reason) => {
+                step.mode = Mode::Holding(reason);
+                return;
+            }
         };
         let (twist, hand_share) = limit_twist(&wish.twist, &wish.most);
         let primary = wish.jacobian.joint_velocity(&twist, &self.damping);
@@ -99,28 +114,51 @@ impl Controller {
             return;
         }
         match limited.limited_by {
-            Some(Limitation::JointRange { joint }) if limited.share <= 0.0 => {
+            Some(Limitation::JointRange { joint }) if limited.share <= STANDSTILL_SHARE => {
                 step.mode = Mode::Holding(HoldReason::JointRange { joint });
             }
-            Some(Limitation::ElbowStretched) if limited.share <= 0.0 => {
+            Some(Limitation::ElbowStretched) if limited.share <= STANDSTILL_SHARE => {
                 step.mode = Mode::Holding(HoldReason::ElbowStretched);
             }
             _ => step.command = Command::Velocity(command),
         }
     }
 
-    fn published_wish(
-        &mut self,
+    fn published_twist(
+        &self,
         law: &PublishedConfig,
         error: &HandError,
+        jacobian: &HandJacobian,
+        joints: &JointState,
+    ) -> Twist<Base> {
+        let desired_twist = self.target.smoothed_twist(&self.config.model_from_hand_desired);
+        let measured_twist = jacobian.twist(&joints.velocity_rad_per_s);
+        pose_based::hand_twist(&law.gains, error, &desired_twist, &measured_twist)
+    }
+
+    /// What the laws that lead the camera want of the hand; `None` if the target is not before the camera.
+    fn twist_by_camera(&self, step: &ControlStep) -> Option<Twist<Base>> {
+        let (base_from_hand, base_from_model) = (step.base_from_hand?, step.base_from_model?);
+        let mounting = self.config.hand_from_cam_left;
+        let seen = (base_from_hand * mounting).inverse() * base_from_model;
+        let wanted = (self.config.model_from_hand_desired * mounting).inverse();
+        let camera = match self.config.law {
+            LawConfig::ImageBased(law) => image_based::camera_twist(law.gain_per_s, law.half_width_m, &seen, &wanted),
+            LawConfig::Hybrid(law) => hybrid::camera_twist(law.gain_per_s, &seen, &wanted),
+            LawConfig::FeedForward(_) | LawConfig::Published(_) => None,
+        };
+        camera.map(|camera| hand_twist_of_camera(&camera, &base_from_hand, &mounting))
+    }
+
+    fn wish_without_feed_forward(
+        &mut self,
+        twist: Twist<Base>,
         jacobian: HandJacobian,
         joints: &JointState,
         now: MonotonicTime,
     ) -> Wish {
-        let desired_twist = self.target.smoothed_twist(&self.config.model_from_hand_desired);
-        let measured_twist = jacobian.twist(&joints.velocity_rad_per_s);
         Wish {
-            twist: pose_based::hand_twist(&law.gains, error, &desired_twist, &measured_twist),
+            twist,
             most: if self.approached_at.is_some() { self.config.speed.tracking } else { self.config.approach.speed },
             position_rad: joints.position_rad,
             jacobian,
@@ -140,7 +178,12 @@ impl Controller {
         let frames = self.chain.joint_frames(&position_rad);
         let base_from_hand = frames.base_from_flange * self.config.flange_from_hand;
         let jacobian = HandJacobian::new(&self.chain, &frames, &base_from_hand.translation_m().into());
-        let twist = feed_forward::hand_twist(&law.gains, &aim, &base_from_hand, &self.correction_most(law, now));
+        let gains = aim.gains_within(&law.gains, &base_from_hand, &law.joint_acceleration_max_rad_per_s2, |twist| {
+            jacobian.joint_velocity(twist, &self.damping)
+        });
+        let most = self.correction_most(law, now);
+        let most = if self.approached_at.is_some() { most } else { aim.together(&gains, &base_from_hand, &most) };
+        let twist = feed_forward::hand_twist(&gains, &aim, &base_from_hand, &most);
         // The closer to a singular pose, the less.
         let weight = (jacobian.smallest_singular_value() / self.damping.threshold()).min(1.0).powi(2);
         let secondary_rad_per_s =

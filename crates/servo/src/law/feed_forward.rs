@@ -20,14 +20,19 @@
 //! What is not known of delay and lag is a delay in this loop, and bounds K: a gain of 1 / (e T') is free of overshoot with a
 //! delay of T'. The default takes half of delay and lag as unknown ([`ArmResponse::gain_without_overshoot`]).
 //!
-//! The correction K e grows with the error only as far as the hand can brake it away again, see [`correction_speed`].
+//! The correction K e grows with the error only as far as the hand can brake it away again, see [`correction_speed`]: with the
+//! accelerations of the configuration, or less where the joints do not have them ([`Aim::gains_within`]).
 
 use nalgebra::Vector3;
 use pb3dp_geometry::frames::{Base, Hand, Model};
 use pb3dp_geometry::{Pose, Twist, so3};
+use pb3dp_kinematics::JointVector;
 
 use crate::config::{ArmResponse, CartesianSpeed, FeedForwardGains};
 use crate::target_state::{Acceleration, Prediction};
+
+/// Share of the joints' accelerations that is planned with; the rest is for the target's own motion and for the jerk at both ends.
+const BRAKING_SHARE: f64 = 0.7;
 
 /// How the hand should move.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -76,6 +81,73 @@ impl Aim {
             ),
         }
     }
+
+    /// Way (metres) and rotation vector, in `base`, from where the hand comes to rest by itself to where it would have to.
+    fn error(&self, base_from_hand_at_rest: &Pose<Base, Hand>) -> (Vector3<f64>, Vector3<f64>) {
+        let aimed = &self.base_from_hand_at_rest;
+        let position = aimed.translation_m() - base_from_hand_at_rest.translation_m();
+        (position, so3::log(&(aimed.rotation() * base_from_hand_at_rest.rotation().inverse())))
+    }
+
+    /// Speeds of the corrections at which way and turn end together: the one that would be done first takes as long as the other one.
+    /// A hand that turned at once and went its way slowly would lose the target from its view.
+    pub fn together(
+        &self,
+        gains: &FeedForwardGains,
+        base_from_hand_at_rest: &Pose<Base, Hand>,
+        most: &CartesianSpeed,
+    ) -> CartesianSpeed {
+        let (position, rotation) = self.error(base_from_hand_at_rest);
+        let takes_s = |size: f64, gain_per_s: f64, acceleration: f64, most: f64| {
+            if size > 0.0 { size / correction_speed(size, gain_per_s, acceleration).min(most) } else { 0.0 }
+        };
+        let (way_m, turn_rad) = (position.norm(), rotation.norm());
+        let way_s = takes_s(way_m, gains.position_per_s, gains.linear_m_per_s2, most.linear_m_per_s);
+        let turn_s = takes_s(turn_rad, gains.orientation_per_s, gains.angular_rad_per_s2, most.angular_rad_per_s);
+        let both_s = way_s.max(turn_s);
+        if both_s <= 0.0 {
+            return *most;
+        }
+        CartesianSpeed {
+            linear_m_per_s: most.linear_m_per_s.min(way_m / both_s),
+            angular_rad_per_s: most.angular_rad_per_s.min(turn_rad / both_s),
+        }
+    }
+
+    /// The gains with no more acceleration than the joints have to brake a correction of this error with. `joint_velocity` is what the
+    /// joints do (rad/s) when the hand moves with a velocity.
+    pub fn gains_within(
+        &self,
+        gains: &FeedForwardGains,
+        base_from_hand_at_rest: &Pose<Base, Hand>,
+        joint_acceleration_max_rad_per_s2: &JointVector,
+        joint_velocity: impl Fn(&Twist<Base>) -> JointVector,
+    ) -> FeedForwardGains {
+        let (position, rotation) = self.error(base_from_hand_at_rest);
+        // Where the correction grows with the error, it is small.
+        let braked = |error: &Vector3<f64>, gain_per_s: f64, acceleration: f64| {
+            let size = error.norm();
+            if size > acceleration / (gain_per_s * gain_per_s) {
+                error * (acceleration / size)
+            } else {
+                Vector3::zeros()
+            }
+        };
+        let linear = braked(&position, gains.position_per_s, gains.linear_m_per_s2);
+        let angular = braked(&rotation, gains.orientation_per_s, gains.angular_rad_per_s2);
+        let of_linear = joint_velocity(&Twist::new(linear, Vector3::zeros())).abs();
+        let of_angular = joint_velocity(&Twist::new(Vector3::zeros(), angular)).abs();
+        let demanded = of_linear + of_angular;
+        let share =
+            demanded.iter().zip(joint_acceleration_max_rad_per_s2.iter()).fold(1.0_f64, |share, (demanded, most)| {
+                if *demanded > BRAKING_SHARE * most { share.min(BRAKING_SHARE * most / demanded) } else { share }
+            });
+        FeedForwardGains {
+            linear_m_per_s2: gains.linear_m_per_s2 * share,
+            angular_rad_per_s2: gains.angular_rad_per_s2 * share,
+            ..*gains
+        }
+    }
 }
 
 /// Velocity that the hand should have: of its origin, and angular, in `base`. `base_from_hand_at_rest` is where the hand comes to
@@ -86,9 +158,7 @@ pub fn hand_twist(
     base_from_hand_at_rest: &Pose<Base, Hand>,
     most: &CartesianSpeed,
 ) -> Twist<Base> {
-    let aimed = &aim.base_from_hand_at_rest;
-    let position = aimed.translation_m() - base_from_hand_at_rest.translation_m();
-    let rotation = so3::log(&(aimed.rotation() * base_from_hand_at_rest.rotation().inverse()));
+    let (position, rotation) = aim.error(base_from_hand_at_rest);
     let linear = correction(&position, gains.position_per_s, gains.linear_m_per_s2, most.linear_m_per_s);
     let angular = correction(&rotation, gains.orientation_per_s, gains.angular_rad_per_s2, most.angular_rad_per_s);
     Twist::new(aim.feed_forward.linear_m_per_s + linear, aim.feed_forward.angular_rad_per_s + angular)
@@ -127,6 +197,44 @@ mod tests {
 
     fn rotation(x: f64, y: f64, z: f64) -> UnitQuaternion<f64> {
         UnitQuaternion::from_scaled_axis(Vector3::new(x, y, z))
+    }
+
+    /// An arm that needs 4 rad/s^2 of its second joint for every m/s^2 along y brakes with what that joint has.
+    #[test]
+    fn braking_takes_no_more_than_the_joints_have() {
+        let hand = Pose::from_parts(Vector3::new(0.6, -0.1, 0.4), rotation(0.3, -1.1, 0.7));
+        let aim = |by: Vector3<f64>| Aim {
+            base_from_hand_at_rest: Pose::from_parts(hand.translation_m() + by, hand.rotation()),
+            feed_forward: Twist::zero(),
+        };
+        let most = JointVector::from_element(2.0);
+        let joints = |twist: &Twist<Base>| {
+            let mut joints = JointVector::zeros();
+            (joints[0], joints[1]) = (twist.linear_m_per_s.x, -4.0 * twist.linear_m_per_s.y);
+            joints
+        };
+        let within = |by: Vector3<f64>| aim(by).gains_within(&GAINS, &hand, &most, joints);
+        assert_eq!(within(Vector3::new(0.3, 0.0, 0.0)), GAINS);
+        let along_y = within(Vector3::new(0.0, 0.3, 0.0));
+        assert!((along_y.linear_m_per_s2 - 0.7 * 2.0 / 4.0).abs() < 1e-12, "{along_y:?}");
+        assert!((along_y.angular_rad_per_s2 / GAINS.angular_rad_per_s2 - along_y.linear_m_per_s2 / 0.64).abs() < 1e-12);
+        // Near its place nothing is braked.
+        assert_eq!(within(Vector3::new(0.0, 0.005, 0.0)), GAINS);
+    }
+
+    /// 400 mm at 100 mm/s take 4 s: 0.4 rad, which could be done in 1 s, take as long.
+    #[test]
+    fn on_the_way_to_a_target_way_and_turn_end_together() {
+        let hand = Pose::from_parts(Vector3::new(0.6, -0.1, 0.4), rotation(0.3, -1.1, 0.7));
+        let aimed = Pose::from_parts(
+            hand.translation_m() + Vector3::new(0.0, 0.4, 0.0),
+            rotation(0.0, 0.4, 0.0) * hand.rotation(),
+        );
+        let aim = Aim { base_from_hand_at_rest: aimed, feed_forward: Twist::zero() };
+        let most = CartesianSpeed { linear_m_per_s: 0.1, angular_rad_per_s: 0.4 };
+        let together = aim.together(&GAINS, &hand, &most);
+        assert!((together.linear_m_per_s - 0.1).abs() < 1e-12 && (together.angular_rad_per_s - 0.1).abs() < 1e-9);
+        assert_eq!(Aim { base_from_hand_at_rest: hand, ..aim }.together(&GAINS, &hand, &most), most);
     }
 
     /// A hand that is where it should be, as fast as it should be, and lags, is told what inverts the lag, and no correction.

@@ -113,9 +113,9 @@ impl Default for TargetStateConfig {
                 }),
             },
             measurement: MeasurementConfig {
-                covariance_factor: 2.5,
+                covariance_factor: 1.5,
                 position_sigma_min_m: 1e-4,
-                orientation_sigma_min_rad: 1e-3,
+                orientation_sigma_min_rad: 5e-4,
             },
             surprise: SurpriseConfig { newest_share: 0.3, from: 1.5, exponent: 4.0, factor_max: 100.0 },
             gate_nis: 80.0,

@@ -64,6 +64,7 @@ pub fn feed_forward(arm: ArmResponse) -> FeedForwardConfig {
     FeedForwardConfig {
         arm,
         gains: FeedForwardGains::of(&arm),
+        joint_acceleration_max_rad_per_s2: JointVector::from_element(1000.0),
         target: trusting(),
         observations_to_lock: 3,
         unstated: UnstatedCovariance::default(),

@@ -146,6 +146,11 @@ impl ArmsSection {
         [&self.vs, &self.tc].into_iter().any(|arm| arm.gateway.is_some() || arm.bus.is_some())
     }
 
+    /// Largest accelerations of the arm that carries the cameras, unchecked.
+    pub(super) fn vs_acceleration_max_rad_per_s2(&self) -> JointVector {
+        JointVector::from(self.vs.acceleration_max_rad_per_s2)
+    }
+
     /// Both arms; `None` if a file can not be read or a limit is refused.
     pub(super) fn build(
         &self,

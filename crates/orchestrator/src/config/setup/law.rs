@@ -1,10 +1,11 @@
-//! The tables of the control laws: those of the law that is chosen must be there, those of the other must not.
+//! The tables of the control laws: those of the law that is chosen must be there, those of the others must not.
 
 use std::ops::RangeInclusive;
 
+use pb3dp_kinematics::JointVector;
 use pb3dp_servo::{
-    ArmResponse, FeedForwardConfig, FeedForwardGains, Gains, LawConfig, PublishedConfig, RedundancyConfig,
-    TargetFilterConfig, UnstatedCovariance,
+    ArmResponse, FeedForwardConfig, FeedForwardGains, Gains, HybridConfig, ImageBasedConfig, LawConfig,
+    PublishedConfig, RedundancyConfig, TargetFilterConfig, UnstatedCovariance,
 };
 use serde::Deserialize;
 
@@ -17,6 +18,30 @@ use super::target_state::TargetStateSection;
 pub(super) enum LawName {
     FeedForward,
     Published,
+    ImageBased,
+    Hybrid,
+}
+
+impl LawName {
+    /// As it is written.
+    fn text(self) -> &'static str {
+        match self {
+            Self::FeedForward => "feed-forward",
+            Self::Published => "published",
+            Self::ImageBased => "image-based",
+            Self::Hybrid => "hybrid",
+        }
+    }
+
+    /// The tables that it needs; it has no others.
+    fn tables(self) -> &'static [&'static str] {
+        match self {
+            Self::FeedForward => &["arm_response", "feed_forward", "null_motion", "unstated", "target"],
+            Self::Published => &["gains", "smoothing"],
+            Self::ImageBased => &["image_based", "smoothing"],
+            Self::Hybrid => &["hybrid", "smoothing"],
+        }
+    }
 }
 
 /// What of the table `[servo]` belongs to one law.
@@ -27,7 +52,11 @@ pub(super) struct LawTables<'a> {
     pub unstated: Option<&'a UnstatedSection>,
     pub target: Option<&'a TargetStateSection>,
     pub gains: Option<&'a GainsSection>,
+    pub image_based: Option<&'a ImageBasedSection>,
+    pub hybrid: Option<&'a HybridSection>,
     pub smoothing: Option<&'a SmoothingSection>,
+    /// Of the arm that carries the cameras.
+    pub joint_acceleration_max_rad_per_s2: JointVector,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -74,6 +103,19 @@ pub(super) struct GainsSection {
 
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
+pub(super) struct ImageBasedSection {
+    gain_per_s: f64,
+    half_width_mm: f64,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct HybridSection {
+    gain_per_s: f64,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(super) struct SmoothingSection {
     position_time_constant_s: f64,
     orientation_time_constant_s: f64,
@@ -85,27 +127,34 @@ pub(super) struct SmoothingSection {
 impl LawTables<'_> {
     /// The law with its numbers; `None` if a table is missing, which is refused. `observation_s` is the time-out of observations.
     pub(super) fn build(&self, name: LawName, observation_s: f64, check: &mut Checker) -> Option<LawConfig> {
-        let feed_forward = [
+        let tables = [
             ("arm_response", self.arm_response.is_some()),
             ("feed_forward", self.feed_forward.is_some()),
             ("null_motion", self.null_motion.is_some()),
             ("unstated", self.unstated.is_some()),
             ("target", self.target.is_some()),
+            ("gains", self.gains.is_some()),
+            ("image_based", self.image_based.is_some()),
+            ("hybrid", self.hybrid.is_some()),
+            ("smoothing", self.smoothing.is_some()),
         ];
-        let published = [("gains", self.gains.is_some()), ("smoothing", self.smoothing.is_some())];
-        let (own, others, text) = match name {
-            LawName::FeedForward => (&feed_forward[..], &published[..], "feed-forward"),
-            LawName::Published => (&published[..], &feed_forward[..], "published"),
-        };
-        for (table, _) in own.iter().filter(|(_, is_there)| !is_there) {
-            check.refuse(format!("servo.{table}: the table is missing; servo.law = \"{text}\" needs it"));
-        }
-        for (table, _) in others.iter().filter(|(_, is_there)| *is_there) {
-            check.refuse(format!("servo.{table}: servo.law = \"{text}\" has no such table"));
+        let text = name.text();
+        for (table, is_there) in tables {
+            match (name.tables().contains(&table), is_there) {
+                (true, false) => {
+                    check.refuse(format!("servo.{table}: the table is missing; servo.law = \"{text}\" needs it"));
+                }
+                (false, true) => {
+                    check.refuse(format!("servo.{table}: servo.law = \"{text}\" has no such table"));
+                }
+                _ => {}
+            }
         }
         match name {
             LawName::FeedForward => self.feed_forward(observation_s, check),
             LawName::Published => self.published(check),
+            LawName::ImageBased => self.image_based(check),
+            LawName::Hybrid => self.hybrid(check),
         }
     }
 
@@ -124,6 +173,7 @@ impl LawTables<'_> {
                 linear_m_per_s2: law.linear_max_mm_per_s2 * 1e-3,
                 angular_rad_per_s2: law.angular_max_deg_per_s2.to_radians(),
             },
+            joint_acceleration_max_rad_per_s2: self.joint_acceleration_max_rad_per_s2,
             observations_to_lock: whole(law.observations_to_lock),
             unstated: UnstatedCovariance {
                 lateral_m: unstated.lateral_sigma_mm * 1e-3,
@@ -142,7 +192,6 @@ impl LawTables<'_> {
     fn published(&self, check: &mut Checker) -> Option<LawConfig> {
         let (gains, smoothing) = (self.gains?, self.smoothing?);
         gains.check(check);
-        smoothing.check(check);
         Some(LawConfig::Published(PublishedConfig {
             gains: Gains {
                 position_per_s: gains.position_per_s,
@@ -150,14 +199,26 @@ impl LawTables<'_> {
                 orientation_per_s: gains.orientation_per_s,
                 angular_velocity: gains.angular_velocity,
             },
-            target_filter: TargetFilterConfig {
-                position_time_constant_s: smoothing.position_time_constant_s,
-                orientation_time_constant_s: smoothing.orientation_time_constant_s,
-                gate_position_m: smoothing.gate_position_mm * 1e-3,
-                gate_orientation_rad: smoothing.gate_orientation_deg.to_radians(),
-                observations_to_lock: whole(smoothing.observations_to_lock),
-            },
+            target_filter: smoothing.build(check),
         }))
+    }
+
+    fn image_based(&self, check: &mut Checker) -> Option<LawConfig> {
+        let (law, smoothing) = (self.image_based?, self.smoothing?);
+        check.number("servo.image_based.gain_per_s", law.gain_per_s, 1e-6..=50.0);
+        check.number("servo.image_based.half_width_mm", law.half_width_mm, 1.0..=1000.0);
+        let (gain_per_s, half_width_m) = (law.gain_per_s, law.half_width_mm * 1e-3);
+        Some(LawConfig::ImageBased(ImageBasedConfig {
+            gain_per_s,
+            half_width_m,
+            target_filter: smoothing.build(check),
+        }))
+    }
+
+    fn hybrid(&self, check: &mut Checker) -> Option<LawConfig> {
+        let (law, smoothing) = (self.hybrid?, self.smoothing?);
+        check.number("servo.hybrid.gain_per_s", law.gain_per_s, 1e-6..=50.0);
+        Some(LawConfig::Hybrid(HybridConfig { gain_per_s: law.gain_per_s, target_filter: smoothing.build(check) }))
     }
 }
 
@@ -208,6 +269,17 @@ impl GainsSection {
 }
 
 impl SmoothingSection {
+    fn build(&self, check: &mut Checker) -> TargetFilterConfig {
+        self.check(check);
+        TargetFilterConfig {
+            position_time_constant_s: self.position_time_constant_s,
+            orientation_time_constant_s: self.orientation_time_constant_s,
+            gate_position_m: self.gate_position_mm * 1e-3,
+            gate_orientation_rad: self.gate_orientation_deg.to_radians(),
+            observations_to_lock: whole(self.observations_to_lock),
+        }
+    }
+
     fn check(&self, check: &mut Checker) {
         check.number("servo.smoothing.position_time_constant_s", self.position_time_constant_s, 0.0..=5.0);
         check.number("servo.smoothing.orientation_time_constant_s", self.orientation_time_constant_s, 0.0..=5.0);

@@ -255,7 +255,8 @@ impl SetupFile {
         let control_period_millis = within(self.run.control_period_millis, 2.0, period_max_millis);
         let arms = self.arms.build(file, control_period_millis, check);
         let mounts = self.mounts.build(check);
-        let controller = self.servo.build(&mounts, self.arms.speed_scale, check);
+        let of_joints = (self.arms.speed_scale, self.arms.vs_acceleration_max_rad_per_s2());
+        let controller = self.servo.build(&mounts, of_joints, check);
         let supervisor = self.supervisor.build(check);
         let (vs, tc) = arms?;
         for (key, arm) in [("arms.vs", &vs), ("arms.tc", &tc)] {

@@ -2,6 +2,7 @@
 
 use std::ops::RangeInclusive;
 
+use pb3dp_kinematics::JointVector;
 use pb3dp_servo::{
     ApproachConfig, CartesianSpeed, ControllerConfig, DampingConfig, Gains, LawConfig, PublishedConfig, SpeedConfig,
     TargetFilterConfig, Timeouts,
@@ -11,8 +12,8 @@ use serde::Deserialize;
 use super::super::load::{Checker, whole, within};
 use super::arms::Mounts;
 use super::law::{
-    ArmResponseSection, FeedForwardSection, GainsSection, LawName, LawTables, NullMotionSection, SmoothingSection,
-    UnstatedSection,
+    ArmResponseSection, FeedForwardSection, GainsSection, HybridSection, ImageBasedSection, LawName, LawTables,
+    NullMotionSection, SmoothingSection, UnstatedSection,
 };
 use super::target_state::TargetStateSection;
 use super::{ON_THE_ARM_MM, PoseEntry};
@@ -28,6 +29,8 @@ pub(super) struct ServoSection {
     unstated: Option<UnstatedSection>,
     target: Option<TargetStateSection>,
     gains: Option<GainsSection>,
+    image_based: Option<ImageBasedSection>,
+    hybrid: Option<HybridSection>,
     smoothing: Option<SmoothingSection>,
     damping: DampingSection,
     speed: SpeedSection,
@@ -71,7 +74,12 @@ struct TimeoutsSection {
 }
 
 impl ServoSection {
-    pub(super) fn build(&self, mounts: &Mounts, joint_speed_scale: f64, check: &mut Checker) -> ControllerConfig {
+    pub(super) fn build(
+        &self,
+        mounts: &Mounts,
+        (joint_speed_scale, joint_acceleration_max_rad_per_s2): (f64, JointVector),
+        check: &mut Checker,
+    ) -> ControllerConfig {
         let config = ControllerConfig {
             model_from_hand_desired: self.model_from_hand_desired.build(
                 "servo.model_from_hand_desired",
@@ -80,7 +88,7 @@ impl ServoSection {
             ),
             hand_from_cam_left: mounts.hand_from_cam_left,
             flange_from_hand: mounts.flange_from_hand,
-            law: self.law(check),
+            law: self.law(joint_acceleration_max_rad_per_s2, check),
             damping: DampingConfig {
                 threshold: self.damping.threshold,
                 factor_max: self.damping.factor_max,
@@ -108,7 +116,7 @@ impl ServoSection {
         config
     }
 
-    fn law(&self, check: &mut Checker) -> LawConfig {
+    fn law(&self, joint_acceleration_max_rad_per_s2: JointVector, check: &mut Checker) -> LawConfig {
         let tables = LawTables {
             arm_response: self.arm_response.as_ref(),
             feed_forward: self.feed_forward.as_ref(),
@@ -116,7 +124,10 @@ impl ServoSection {
             unstated: self.unstated.as_ref(),
             target: self.target.as_ref(),
             gains: self.gains.as_ref(),
+            image_based: self.image_based.as_ref(),
+            hybrid: self.hybrid.as_ref(),
             smoothing: self.smoothing.as_ref(),
+            joint_acceleration_max_rad_per_s2,
         };
         let refused = PublishedConfig { gains: Gains::default(), target_filter: TargetFilterConfig::default() };
         tables.build(self.law, self.timeouts.observation_s, check).unwrap_or(LawConfig::Published(refused))

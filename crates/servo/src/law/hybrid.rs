@@ -1,0 +1,100 @@
+//! 2 1/2-D servoing: the place of one point in the left picture and the logarithm of its depth lead the translation, the turn that is
+//! left leads the rotation; for comparison. E. Malis, F. Chaumette and S. Boudet, "2 1/2 D visual servoing", IEEE Transactions on
+//! Robotics and Automation 15(2), 1999; in the form of F. Chaumette and S. Hutchinson, "Visual servo control, Part II: Advanced
+//! approaches", IEEE Robotics and Automation Magazine 14(1), 2007.
+//!
+//! The point is the model's origin, at (X, Y, Z) before the camera, seen at (x, y) = (X / Z, Y / Z), desired at (x*, y*) and the depth
+//! Z*. With v and w the camera's velocity and angular velocity in its own axes, and r the rotation vector from the desired camera to
+//! that of now,
+//!
+//! ```text
+//! e = (x - x*, y - y*, ln(Z / Z*)),      e' = Lv v / Z + Lw w
+//!
+//!      [-1  0  x]          [ x y    -(1+x^2)   y ]
+//! Lv = [ 0 -1  y]     Lw = [1+y^2    -x y     -x ]
+//!      [ 0  0 -1]          [ -y        x       0 ]
+//!
+//! w = -gain r,      v = -gain Z inv(Lv) (e - Lw r)
+//! ```
+//!
+//! so that both e and r fall exponentially, without a singularity before the camera: the point keeps to a straight line in the picture,
+//! the camera turns about one axis.
+
+use nalgebra::{Matrix3, Vector3};
+use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_geometry::{Pose, Twist, so3};
+
+use super::DEPTH_MIN_M;
+
+/// Velocity of the left camera, in its own axes. `None` if the model's origin is not before the camera.
+pub fn camera_twist(
+    gain_per_s: f64,
+    cam_left_from_model: &Pose<CamLeft, Model>,
+    desired_from_model: &Pose<CamLeft, Model>,
+) -> Option<Twist<CamLeft>> {
+    let (seen, wanted) = (cam_left_from_model.translation_m(), desired_from_model.translation_m());
+    if !(seen.z > DEPTH_MIN_M && wanted.z > DEPTH_MIN_M) {
+        return None;
+    }
+    let (x, y) = (seen.x / seen.z, seen.y / seen.z);
+    let error = Vector3::new(x - wanted.x / wanted.z, y - wanted.y / wanted.z, (seen.z / wanted.z).ln());
+    // From the axes of the camera of now to those of the desired one: the inverse of how far the model is turned.
+    let turn = so3::log(&(desired_from_model.rotation() * cam_left_from_model.rotation().inverse()));
+    let of_turn = Matrix3::new(
+        x * y,
+        -(1.0 + x * x),
+        y, //
+        1.0 + y * y,
+        -x * y,
+        -x, //
+        -y,
+        x,
+        0.0,
+    );
+    let left = error - of_turn * turn;
+    // inv(Lv), from the last row up.
+    let along = Vector3::new(-left.x - x * left.z, -left.y - y * left.z, -left.z);
+    Some(Twist::new(along * (-gain_per_s * seen.z), turn * -gain_per_s))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::image_based::tests::{moved, pose};
+    use super::*;
+
+    /// Place and depth of the point and the turn fall by the same share in the same time, from far away and turned by 100 degrees.
+    #[test]
+    fn all_errors_fall_exponentially() {
+        let desired = pose([0.05, -0.02, 0.5], [0.1, 0.0, -0.2]);
+        let begin = pose([-0.1, 0.15, 0.9], [0.4, -0.3, 1.6]);
+        let errors = |seen: &Pose<CamLeft, Model>| {
+            let (p, d) = (seen.translation_m(), desired.translation_m());
+            let turn = seen.rotation().angle_to(&desired.rotation());
+            [p.x / p.z - d.x / d.z, p.y / p.z - d.y / d.z, (p.z / d.z).ln(), turn]
+        };
+        let (mut seen, first) = (begin, errors(&begin));
+        for _ in 0..2000 {
+            seen = moved(&seen, &camera_twist(1.0, &seen, &desired).unwrap(), 1e-3);
+        }
+        for (now, first) in errors(&seen).into_iter().zip(first) {
+            assert!((now / first / (-2.0_f64).exp() - 1.0).abs() < 5e-3, "{now} of {first}");
+        }
+    }
+
+    /// What image-based servoing backs away for is only a turn here.
+    #[test]
+    fn a_turn_about_the_optical_axis_leaves_the_camera_where_it_is() {
+        let desired = pose([0.0, 0.0, 0.5], [0.0; 3]);
+        let twist = camera_twist(2.0, &pose([0.0, 0.0, 0.5], [0.0, 0.0, 1.5]), &desired).unwrap();
+        assert!(twist.linear_m_per_s.norm() < 1e-12, "{twist:?}");
+        assert!((twist.angular_rad_per_s - Vector3::new(0.0, 0.0, 3.0)).norm() < 1e-12, "{twist:?}");
+    }
+
+    #[test]
+    fn what_can_not_be_seen_gives_no_twist() {
+        let desired = pose([0.0, 0.0, 0.5], [0.0; 3]);
+        assert!(camera_twist(1.0, &pose([0.0, 0.0, -0.5], [0.0; 3]), &desired).is_none());
+        assert!(camera_twist(1.0, &pose([0.0, 0.0, f64::NAN], [0.0; 3]), &desired).is_none());
+        assert!(camera_twist(1.0, &desired, &pose([0.0, 0.0, 0.0], [0.0; 3])).is_none());
+    }
+}

@@ -1,0 +1,329 @@
+//! Which ways are measured: approaches, ways through and to singular poses, and the same for other laws.
+
+use anyhow::{Context, Result};
+use nalgebra::{UnitQuaternion, Vector3};
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{Hand, World};
+use pb3dp_kinematics::JointVector;
+use pb3dp_orchestrator::config::setup::{Leader, Setup};
+use pb3dp_servo::{HybridConfig, ImageBasedConfig, LawConfig};
+use pb3dp_sim::trajectory::Channel;
+
+use crate::runs::{Ran, run};
+use crate::setups::{DELAYS_MILLIS, Who, geometric};
+use crate::ways::{Way, approach_from, geometric_at_rest, joints_at, out_and_back, place, run_way, world_from_hand};
+
+fn degrees(angles: [f64; 7]) -> JointVector {
+    JointVector::from(angles).map(f64::to_radians)
+}
+
+fn turned(x_deg: f64, y_deg: f64, z_deg: f64) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_scaled_axis(Vector3::new(x_deg, y_deg, z_deg).map(f64::to_radians))
+}
+
+/// The place at which the approaches end lies so far from that of the configuration, metres down and ahead of the hand: the first
+/// that leaves the arm room for the beginning.
+const DOWN_M: [f64; 5] = [0.0, -0.1, 0.1, -0.2, 0.2];
+const AHEAD_M: [f64; 5] = [0.2, 0.25, 0.3, 0.1, 0.0];
+
+/// An approach: where it begins.
+#[derive(Clone, Copy, Debug)]
+pub enum Approach {
+    /// So far from the target (metres), seen from a side that is turned by this (degrees about x, y, z of the target).
+    Off(f64, [f64; 3]),
+    /// With these joints (degrees); the place of the hand lies this much (metres and degrees, in its axes) beside where it begins.
+    From(&'static str, [f64; 7], [f64; 3], [f64; 3]),
+}
+
+/// All approaches.
+pub const APPROACHES: [Approach; 14] = [
+    Approach::Off(0.9, [25.0, 0.0, 0.0]),
+    Approach::Off(0.9, [-25.0, 0.0, 0.0]),
+    Approach::Off(0.9, [0.0, 25.0, 0.0]),
+    Approach::Off(0.9, [0.0, -25.0, 0.0]),
+    Approach::Off(0.9, [0.0, 0.0, 25.0]),
+    Approach::Off(0.9, [0.0, 0.0, -25.0]),
+    Approach::From(
+        "shoulder and wrist nearly straight",
+        [10.0, 1.0, 5.0, 70.0, 20.0, -1.0, 5.0],
+        [0.06, -0.04, 0.1],
+        [4.0, -4.0, 15.0],
+    ),
+    Approach::From(
+        "shoulder and wrist straight",
+        [0.0, 0.0, 0.0, 70.0, 0.0, 0.0, 0.0],
+        [0.0, 0.06, 0.1],
+        [0.0, 0.0, 15.0],
+    ),
+    Approach::From("elbow nearly stretched", [0.0, 60.0, 0.0, 6.0, 0.0, 20.0, 0.0], [0.0, 0.0, -0.12], [0.0, 6.0, 0.0]),
+    Approach::From(
+        "elbow nearly stretched, target beyond reach",
+        [0.0, 60.0, 0.0, 12.0, 0.0, 20.0, 0.0],
+        [0.0, 0.0, 0.4],
+        [0.0; 3],
+    ),
+    Approach::From(
+        "2 deg from the end of axis 4",
+        [0.0, 40.0, 0.0, 129.0, 0.0, -70.0, 0.0],
+        [0.0, 0.0, 0.2],
+        [0.0, 5.0, 0.0],
+    ),
+    Approach::From(
+        "2 deg from the end of axis 4, target beyond it",
+        [0.0, 40.0, 0.0, 129.0, 0.0, -70.0, 0.0],
+        [0.0, 0.0, -0.1],
+        [0.0; 3],
+    ),
+    Approach::From(
+        "2 deg from the end of axis 2",
+        [0.0, 86.0, 0.0, 60.0, 0.0, -40.0, 0.0],
+        [0.05, 0.0, -0.1],
+        [0.0, 0.0, 10.0],
+    ),
+    Approach::From(
+        "2 deg from the end of axis 1",
+        [168.0, 45.0, 0.0, 90.0, 0.0, -45.0, 0.0],
+        [0.06, 0.0, 0.05],
+        [0.0, 0.0, -10.0],
+    ),
+];
+
+/// Whether the place of the hand can be reached.
+fn is_reachable(case: &Approach) -> bool {
+    !matches!(case, Approach::From(name, ..) if name.contains("beyond"))
+}
+
+impl Approach {
+    /// For tables.
+    pub fn name(&self) -> String {
+        match self {
+            Self::Off(distance_m, turned) => {
+                let axes = ["x", "y", "z"];
+                let (axis, angle) =
+                    (0..3).map(|i| (axes[i], turned[i])).find(|(_, angle)| *angle != 0.0).unwrap_or(("x", 0.0));
+                format!("{:.0} mm before the target, {angle:+.0} deg about {axis}", distance_m * 1e3)
+            }
+            Self::From(name, ..) => (*name).to_owned(),
+        }
+    }
+
+    /// The run that makes it.
+    ///
+    /// # Errors
+    /// If no joints lead to the beginning.
+    pub fn setup(&self, mut setup: Setup) -> Result<Setup> {
+        match *self {
+            Self::Off(distance_m, [x, y, z]) => {
+                let here = world_from_hand(&setup, &setup.vs.start_rad);
+                let begins = |(down_m, ahead_m): (f64, f64)| {
+                    let to = here * Pose::<Hand, Hand>::from_translation(Vector3::new(0.0, down_m, ahead_m));
+                    joints_at(&setup, &to, &setup.vs.start_rad)?;
+                    approach_from(setup.clone(), &to, distance_m, &turned(x, y, z))
+                };
+                let places = DOWN_M.into_iter().flat_map(|down_m| AHEAD_M.map(|ahead_m| (down_m, ahead_m)));
+                let found = places.map(begins).find(Result::is_ok);
+                found.context("no place of the target leaves room for the beginning")?
+            }
+            Self::From(_, start_deg, shift_m, [x, y, z]) => {
+                let start_rad = degrees(start_deg);
+                let by = Pose::<Hand, Hand>::from_parts(shift_m.into(), turned(x, y, z));
+                let to = world_from_hand(&setup, &start_rad) * by;
+                place(&mut setup, start_rad, &to);
+                geometric_at_rest(setup)
+            }
+        }
+    }
+}
+
+/// An approach with what was to become of it.
+pub struct Approached {
+    /// What became of it.
+    pub way: Way,
+    /// Whether the place of the hand can be reached.
+    pub is_reachable: bool,
+}
+
+/// Makes an approach.
+///
+/// # Errors
+/// As the parts have them.
+pub fn approach(case: &Approach) -> Result<Approached> {
+    let setup = case.setup(Who::Ours.setup(DELAYS_MILLIS[0])?)?;
+    Ok(Approached { way: run_way(case.name(), &setup)?, is_reachable: is_reachable(case) })
+}
+
+/// A way through or to a singular pose.
+#[derive(Clone, Copy, Debug)]
+pub struct Singular {
+    /// For tables.
+    pub name: &'static str,
+    /// Joints on the way (degrees), and how far before them it begins (metres, along and across, in `world`).
+    on_the_way_deg: [f64; 7],
+    before_m: [f64; 3],
+    /// Joints near the beginning (degrees).
+    guess_deg: [f64; 7],
+    /// How far the target goes along x of `world`, metres, and how long it takes.
+    way_m: f64,
+    way_s: f64,
+    /// Whether all of it is within reach.
+    pub is_reachable: bool,
+}
+
+const STRAIGHT_WRIST: [f64; 7] = [0.0, 0.0, 0.0, 70.0, 0.0, 0.0, 0.0];
+const BEFORE_STRAIGHT_WRIST: [f64; 7] = [0.0, -10.0, 0.0, 75.0, 0.0, 5.0, 0.0];
+const BENT: [f64; 7] = [0.0, 57.0, 0.0, 58.0, 0.0, -25.0, 0.0];
+
+/// All of them.
+pub const SINGULAR: [Singular; 5] = [
+    Singular {
+        name: "through q2 = q6 = 0",
+        on_the_way_deg: STRAIGHT_WRIST,
+        before_m: [-0.1, 0.0, 0.0],
+        guess_deg: BEFORE_STRAIGHT_WRIST,
+        way_m: 0.2,
+        way_s: 4.0,
+        is_reachable: true,
+    },
+    Singular {
+        name: "10 mm beside q2 = q6 = 0",
+        on_the_way_deg: STRAIGHT_WRIST,
+        before_m: [-0.1, 0.01, 0.0],
+        guess_deg: BEFORE_STRAIGHT_WRIST,
+        way_m: 0.2,
+        way_s: 4.0,
+        is_reachable: true,
+    },
+    Singular {
+        name: "30 mm beside q2 = q6 = 0",
+        on_the_way_deg: STRAIGHT_WRIST,
+        before_m: [-0.1, 0.03, 0.0],
+        guess_deg: BEFORE_STRAIGHT_WRIST,
+        way_m: 0.2,
+        way_s: 4.0,
+        is_reachable: true,
+    },
+    Singular {
+        name: "to q4 = 0 and back",
+        on_the_way_deg: BENT,
+        before_m: [0.0; 3],
+        guess_deg: BENT,
+        way_m: 0.1137,
+        way_s: 3.0,
+        is_reachable: true,
+    },
+    Singular {
+        name: "150 mm beyond reach and back",
+        on_the_way_deg: BENT,
+        before_m: [0.0; 3],
+        guess_deg: BENT,
+        way_m: 0.2637,
+        way_s: 4.0,
+        is_reachable: false,
+    },
+];
+
+/// Follows a target through or to a singular pose.
+///
+/// # Errors
+/// As the parts have them.
+pub fn singular(case: &Singular) -> Result<Way> {
+    let mut setup = Who::Ours.setup(DELAYS_MILLIS[0])?;
+    let on_the_way = world_from_hand(&setup, &degrees(case.on_the_way_deg));
+    let begin: Pose<World, Hand> =
+        Pose::from_parts(on_the_way.translation_m() + Vector3::from(case.before_m), on_the_way.rotation());
+    let start_rad = joints_at(&setup, &begin, &degrees(case.guess_deg)).context("where it begins")?;
+    place(&mut setup, start_rad, &begin);
+    let motion = out_and_back(Channel::X, case.way_m, case.way_s);
+    let mut setup = geometric(setup, motion)?;
+    if let Leader::Geometric(config) = &mut setup.leader {
+        config.z_max_m = 1.0;
+    }
+    run_way(case.name, &setup)
+}
+
+/// The laws that are compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Law {
+    /// The default.
+    FeedForward,
+    /// That of the paper's group.
+    Published,
+    /// Points of the model through the picture.
+    ImageBased,
+    /// 2 1/2-D.
+    Hybrid,
+}
+
+/// Half the side of the square of points, metres: about the target's size.
+const POINTS_HALF_WIDTH_M: f64 = 0.05;
+
+impl Law {
+    /// All.
+    pub const ALL: [Self; 4] = [Self::FeedForward, Self::Published, Self::ImageBased, Self::Hybrid];
+
+    /// As in the configuration.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::FeedForward => "feed-forward",
+            Self::Published => "published",
+            Self::ImageBased => "image-based",
+            Self::Hybrid => "hybrid",
+        }
+    }
+
+    /// The setup with this law; those that know no feed-forward have the gain and the smoothing of the published one.
+    ///
+    /// # Errors
+    /// If a file can not be read.
+    pub fn setup(self) -> Result<Setup> {
+        let who = if self == Self::FeedForward { Who::Ours } else { Who::Published };
+        let mut setup = who.setup(DELAYS_MILLIS[0])?;
+        if let LawConfig::Published(law) = setup.controller.law {
+            let (gain_per_s, target_filter) = (law.gains.position_per_s, law.target_filter);
+            setup.controller.law = match self {
+                Self::ImageBased => LawConfig::ImageBased(ImageBasedConfig {
+                    gain_per_s,
+                    half_width_m: POINTS_HALF_WIDTH_M,
+                    target_filter,
+                }),
+                Self::Hybrid => LawConfig::Hybrid(HybridConfig { gain_per_s, target_filter }),
+                Self::FeedForward | Self::Published => setup.controller.law,
+            };
+        }
+        Ok(setup)
+    }
+}
+
+/// What one law makes of the experiment of Fig. 7, and of ways from far away.
+pub struct LawFindings {
+    /// Which.
+    pub law: Law,
+    /// The experiment, without pictures.
+    pub fig7: Ran,
+    /// Ways.
+    pub ways: Vec<Way>,
+}
+
+/// Ways on which the laws differ: distance and turn.
+pub const FAR: [Approach; 5] = [
+    Approach::Off(0.5, [0.0, 0.0, 30.0]),
+    Approach::Off(0.5, [0.0, 0.0, 60.0]),
+    Approach::Off(0.5, [0.0, 0.0, 90.0]),
+    Approach::Off(0.7, [0.0, 25.0, 0.0]),
+    Approach::Off(0.9, [25.0, 0.0, 0.0]),
+];
+
+/// Runs everything with one law.
+///
+/// # Errors
+/// As the parts have them.
+pub fn law_findings(law: Law, far: &[Approach]) -> Result<LawFindings> {
+    let setup = law.setup()?;
+    let motion = setup.experiment.motion.clone();
+    let fig7 = run(&geometric(setup, motion)?, None)?;
+    let ways = far.iter().map(|case| {
+        let name = case.name();
+        case.setup(law.setup()?).and_then(|setup| run_way(name.clone(), &setup)).context(name)
+    });
+    Ok(LawFindings { law, fig7, ways: ways.collect::<Result<_>>()? })
+}

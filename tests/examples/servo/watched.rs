@@ -1,0 +1,116 @@
+//! An arm whose joints are written down: what a run made of its limits.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
+use pb3dp_hal_middleware::LimiterStatistics;
+use pb3dp_kinematics::DOF;
+use pb3dp_orchestrator::config::setup::Setup;
+use pb3dp_orchestrator::wiring::DrivenArm;
+
+/// An arm that keeps a copy of every measurement.
+pub struct Watched {
+    arm: Box<dyn DrivenArm>,
+    seen: Seen,
+}
+
+/// The measurements so far.
+pub type Seen = Arc<Mutex<Vec<JointState>>>;
+
+impl Watched {
+    /// Keeps the measurements of this arm in `seen`.
+    pub fn new(arm: Box<dyn DrivenArm>, seen: Seen) -> Self {
+        Self { arm, seen }
+    }
+}
+
+impl Arm for Watched {
+    fn info(&self) -> &ArmInfo {
+        self.arm.info()
+    }
+
+    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        let state = self.arm.exchange(command)?;
+        self.seen.lock().unwrap_or_else(PoisonError::into_inner).push(state);
+        Ok(state)
+    }
+}
+
+impl ArmPower for Watched {
+    fn state(&self) -> ArmState {
+        self.arm.state()
+    }
+
+    fn is_stopped_by_other(&self) -> bool {
+        self.arm.is_stopped_by_other()
+    }
+
+    fn enable(&mut self) -> Result<(), ArmError> {
+        self.arm.enable()
+    }
+
+    fn stop(&mut self) -> Result<(), ArmError> {
+        self.arm.stop()
+    }
+
+    fn reset(&mut self) -> Result<(), ArmError> {
+        self.arm.reset()
+    }
+}
+
+impl DrivenArm for Watched {
+    fn statistics(&self) -> LimiterStatistics {
+        self.arm.statistics()
+    }
+}
+
+/// How much of its limits an arm used.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LimitUse {
+    /// Largest speed as a share of what is allowed, with its axis, counted from 1.
+    pub speed: (f64, usize),
+    /// Largest acceleration as a share of what is allowed, with its axis.
+    pub acceleration: (f64, usize),
+    /// Least angle to an end of the operating range, degrees; negative beyond it; with its axis.
+    pub room_deg: (f64, usize),
+    /// How often joints turned round while they moved.
+    pub turns: usize,
+}
+
+/// A joint that is slower than this does not count as turning round, rad/s.
+const STILL_RAD_PER_S: f64 = 0.01;
+
+impl LimitUse {
+    /// What these measurements of the arm with the cameras show.
+    pub fn of(setup: &Setup, seen: &[JointState]) -> Self {
+        let limiter = &setup.vs.limiter;
+        let speeds = setup.vs.chain.limits().velocity_max_rad_per_s() * limiter.speed_scale;
+        let mut most = Self { speed: (0.0, 1), acceleration: (0.0, 1), room_deg: (f64::INFINITY, 1), turns: 0 };
+        let raise = |slot: &mut (f64, usize), value: f64, axis: usize| {
+            if value > slot.0 {
+                *slot = (value, axis);
+            }
+        };
+        for (index, now) in seen.iter().enumerate() {
+            for joint in 0..DOF {
+                let axis = joint + 1;
+                raise(&mut most.speed, now.velocity_rad_per_s[joint].abs() / speeds[joint], axis);
+                let position_rad = now.position_rad[joint];
+                let (min, max) = (limiter.operating_min_rad[joint], limiter.operating_max_rad[joint]);
+                let room_deg = (position_rad - min).min(max - position_rad).to_degrees();
+                if room_deg < most.room_deg.0 {
+                    most.room_deg = (room_deg, axis);
+                }
+                let Some(before) = index.checked_sub(1).and_then(|before| seen.get(before)) else { continue };
+                let (was, is) = (before.velocity_rad_per_s[joint], now.velocity_rad_per_s[joint]);
+                let dt_s = now.at.seconds_since(before.at);
+                if dt_s > 0.0 {
+                    let allowed = limiter.acceleration_max_rad_per_s2[joint];
+                    raise(&mut most.acceleration, (is - was).abs() / dt_s / allowed, axis);
+                }
+                most.turns += usize::from(was * is < 0.0 && (is - was).abs() > STILL_RAD_PER_S);
+            }
+        }
+        most
+    }
+}
