@@ -14,9 +14,9 @@ use pb3dp_orchestrator::run::moving::{Moved, Moving};
 use pb3dp_orchestrator::run::percept::Percept;
 use pb3dp_orchestrator::run::swing;
 use pb3dp_orchestrator::wiring::{DrivenArm, Parts, wire, wire_at_rest};
-use pb3dp_servo::TargetObservation;
 use pb3dp_servo::identification::Excitation;
 use pb3dp_servo::supervisor::{Condition, Confidence, EstimateInput, FrameInput, Permission, Resume, State};
+use pb3dp_servo::{Mode, SearchConfig, TargetObservation};
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, StepExperimentConfig, Trajectory};
 use system_tests::repository;
 
@@ -133,7 +133,7 @@ impl<'a> Bench<'a> {
             let percept = Percept {
                 frame: FrameInput { sequence: self.steps, at: now, skew_s: 0.0 },
                 estimate: EstimateInput { at: now, confidence: self.confidence, covariance: None, target },
-                observation: Some(observation),
+                observation: (self.confidence != Confidence::NoPose).then_some(observation),
             };
             self.moving.observe(percept, now);
         }
@@ -216,6 +216,90 @@ fn a_loss_waits_for_the_operator_if_the_policy_says_so() {
     let moved = bench.rests_for(3.0);
     assert_eq!(moved.decision.state, State::Lost);
     assert!(moved.decision.is_ready, "{}", moved.decision.why);
+}
+
+/// Back by 30 mm, a spiral of 20 mm, at 20 mm/s.
+const SEARCH: SearchConfig =
+    SearchConfig { back_m: 0.03, radius_m: 0.02, turns: 2.0, speed_m_per_s: 0.02, time_s: 30.0 };
+
+/// A hand whose target is lost while pictures come on: how far it goes from where it rested, and how fast, until this time.
+fn hand_after_loss(bench: &mut Bench<'_>, until_s: f64) -> (f64, f64, Moved) {
+    let at = |bench: &Bench<'_>| bench.cell.world_from_hand_at(bench.clock.now());
+    let begin = at(bench);
+    let (mut before, mut farthest_m, mut fastest_m_per_s, mut last) = (begin, 0.0f64, 0.0f64, None);
+    for _ in 0..(until_s / bench.setup.control_period.as_secs_f64()) as usize {
+        last = Some(bench.step());
+        let now = at(bench);
+        farthest_m = farthest_m.max((now.translation_m() - begin.translation_m()).norm());
+        let way_m = (now.translation_m() - before.translation_m()).norm();
+        fastest_m_per_s = fastest_m_per_s.max(way_m / bench.setup.control_period.as_secs_f64());
+        before = now;
+    }
+    (farthest_m, fastest_m_per_s, last.unwrap())
+}
+
+/// Follows, loses its target, and comes to rest.
+fn lost<'a>(setup: &'a Setup, parts: Parts, experiment: &'a dyn Trajectory) -> Bench<'a> {
+    let mut bench = Bench::following(setup, parts, experiment);
+    bench.confidence = Confidence::NoPose;
+    let moved = bench.run(0.99);
+    assert_eq!(moved.decision.permission, Permission::Hold, "{}", moved.decision.why);
+    bench
+}
+
+#[test]
+fn a_search_for_a_lost_target_is_off_unless_pattern_and_policy_ask_for_it() {
+    for (pattern, search_max_s) in [(None, 0.0), (Some(SEARCH), 0.0), (None, 30.0)] {
+        let mut setup = setup();
+        (setup.controller.search, setup.supervisor.search_max_s) = (pattern, search_max_s);
+        let parts = wire(&setup).unwrap();
+        let experiment = parts.experiment.clone();
+        let moved = lost(&setup, parts, &*experiment).rests_for(3.0);
+        assert_eq!((moved.decision.state, moved.decision.permission), (State::Lost, Permission::Hold));
+    }
+}
+
+#[test]
+fn a_search_keeps_its_bounds_and_ends_where_it_began() {
+    let mut setup = setup();
+    (setup.controller.search, setup.supervisor.search_max_s) = (Some(SEARCH), 30.0);
+    let parts = wire(&setup).unwrap();
+    let experiment = parts.experiment.clone();
+    let mut bench = lost(&setup, parts, &*experiment);
+    let (farthest_m, fastest_m_per_s, moved) = hand_after_loss(&mut bench, 4.0);
+    assert!(farthest_m > 0.02, "it looks round: {farthest_m}");
+    assert_eq!((moved.decision.state, moved.mode), (State::Lost, Mode::Searching));
+    assert!(moved.decision.why.to_string().starts_with("lost: the hand looks for the target"));
+    let (farthest_later_m, fastest_later_m_per_s, _) = hand_after_loss(&mut bench, 16.0);
+    // What the arm lags behind is on top.
+    assert!(farthest_m.max(farthest_later_m) < 2.0 * SEARCH.reach_m(), "{farthest_m} {farthest_later_m}");
+    assert!(fastest_m_per_s.max(fastest_later_m_per_s) < 1.5 * SEARCH.speed_m_per_s, "{fastest_m_per_s}");
+    let moved = bench.rests_for(2.0);
+    assert_eq!((moved.decision.state, moved.decision.permission), (State::Lost, Permission::Hold), "once per loss");
+}
+
+#[test]
+fn a_search_ends_when_the_target_is_found_when_its_time_is_over_and_when_anything_else_is_wrong() {
+    let mut setup = setup();
+    (setup.controller.search, setup.supervisor.search_max_s) = (Some(SEARCH), 3.0);
+    let parts = wire(&setup).unwrap();
+    let experiment = parts.experiment.clone();
+    let mut bench = lost(&setup, parts, &*experiment);
+    assert_eq!(bench.run(1.0).mode, Mode::Searching);
+    // No picture comes any more: nothing is looked for.
+    let (eyes, confidence) = (bench.target.take(), bench.confidence);
+    bench.run(0.6);
+    assert_eq!(bench.rests_for(0.5).decision.permission, Permission::Hold);
+    (bench.target, bench.confidence) = (eyes, confidence);
+    bench.run(3.0);
+    assert_eq!(bench.rests_for(1.0).decision.state, State::Lost, "its time is over");
+    bench.confidence = Confidence::Sure;
+    assert_eq!(bench.run(3.0).decision.state, State::Tracking, "found, and the policy lets it go on");
+    bench.confidence = Confidence::NoPose;
+    assert_eq!(bench.run(2.0).mode, Mode::Searching, "the next loss has a search of its own");
+    bench.confidence = Confidence::Sure;
+    let moved = bench.run(0.1);
+    assert!(moved.mode != Mode::Searching && moved.decision.permission == Permission::Hold, "{}", moved.decision.why);
 }
 
 #[test]

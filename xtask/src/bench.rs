@@ -28,7 +28,7 @@ const QUICK_ROUNDS: &str = "40";
 ///           --quick: 3); `cargo xtask bench accuracy -- --help` lists the options. Writes docs/benchmarks/accuracy.md
 /// figures  the figures of docs/method.md, on rendered scenes: some minutes. Writes docs/images/score.svg, noise.svg, track.svg
 /// servo   how well the hand follows in simulation: the experiment of Fig. 7, sinusoids, steps, beside what an ideal filter or the
-///         arm's limits allow; fails if a limit is missed (some minutes; --quick: seconds). Writes docs/benchmarks/servo.md
+///         arm's limits allow; fails if a limit is missed (ten minutes on two idle cores; --quick: seconds; --only WORDS, --seed N). Writes docs/benchmarks/servo.md
 /// all     speed and raster
 ///
 /// The examples `speed` of crates/estimation and `raster_speed` of crates/sim measure the published method and the
@@ -114,15 +114,14 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
 
 /// Runs the example `servo` of the system tests; a whole run writes its page.
 fn servo(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
-    let quick = match options {
-        [] => false,
-        [option] if option == "--quick" => true,
-        _ => bail!("bench servo takes no options but --quick: `{}`", options.join(" ")),
-    };
     let mut command = workspace.cargo();
     command.args(["run", "--release", "--locked", "--package", "system-tests", "--example", "servo", "--"]);
     command.args(["--origin", &origin(workspace), "--json", &format!("{OUT}/servo.json")]);
-    command.args(if quick { &["--quick"][..] } else { &["--page", PAGES] });
+    // A sample or a part of it leaves the page as it is; what else may be said the program knows.
+    if options.is_empty() {
+        command.args(["--page", PAGES]);
+    }
+    command.args(options);
     run_visibly(&mut command)
 }
 

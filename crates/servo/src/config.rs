@@ -5,6 +5,8 @@ mod laws;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Flange, Frame, Hand, Model};
 
+use crate::search::SearchConfig;
+
 pub use laws::{
     ArmResponse, FeedForwardConfig, FeedForwardGains, Gains, HybridConfig, ImageBasedConfig, LawConfig,
     PublishedConfig, RedundancyConfig, TargetFilterConfig, UnstatedCovariance,
@@ -29,6 +31,8 @@ pub struct ControllerConfig {
     pub approach: ApproachConfig,
     /// How long old data is used.
     pub timeouts: Timeouts,
+    /// A motion that looks for a target that was lost; `None`: the hand rests.
+    pub search: Option<SearchConfig>,
     /// Joint samples that are kept to find the hand's pose at the time of exposure, 8 to 10000: more than the number of
     /// control cycles between an exposure and the arrival of its estimate.
     pub joint_history_samples: usize,
@@ -61,6 +65,17 @@ pub struct CartesianSpeed {
     pub linear_m_per_s: f64,
     /// Angular, rad/s, above 0 to 6.
     pub angular_rad_per_s: f64,
+}
+
+impl CartesianSpeed {
+    /// This share of the way to other speeds.
+    pub(crate) fn towards(&self, other: &Self, share: f64) -> Self {
+        let between = |own: f64, other: f64| own + (other - own) * share;
+        Self {
+            linear_m_per_s: between(self.linear_m_per_s, other.linear_m_per_s),
+            angular_rad_per_s: between(self.angular_rad_per_s, other.angular_rad_per_s),
+        }
+    }
 }
 
 /// How fast hand and joints may move. There are no defaults: these are safety limits.
@@ -127,6 +142,7 @@ impl ControllerConfig {
         self.speed.validate()?;
         self.approach.validate()?;
         self.timeouts.validate()?;
+        self.search.iter().try_for_each(SearchConfig::validate)?;
         if let LawConfig::FeedForward(law) = &self.law {
             let (horizon_s, least_s) = (law.target.horizon_s, self.timeouts.observation_s);
             check("target_state.horizon_s", horizon_s, least_s, f64::INFINITY, "timeouts.observation_s or more")?;

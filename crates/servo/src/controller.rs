@@ -14,6 +14,7 @@ use crate::joint_history::JointHistory;
 use crate::known_target::KnownTarget;
 use crate::law::pose_based::HandError;
 use crate::resolved_rate::{HandJacobian, Limitation};
+use crate::search::Search;
 use crate::target_filter::{ObservationVerdict, TargetObservation};
 use driving::Pace;
 
@@ -41,6 +42,8 @@ pub enum Mode {
     Holding(HoldReason),
     /// The target is lost; the next observations are locked on to, and the hand approaches again.
     Lost,
+    /// The target is lost, and the hand looks for it, see [`crate::search`].
+    Searching,
 }
 
 /// Why the hand rests.
@@ -83,6 +86,7 @@ impl fmt::Display for Mode {
             Self::Tracking => write!(f, "tracking"),
             Self::Holding(reason) => write!(f, "holding: {reason}"),
             Self::Lost => write!(f, "lost: the target was not observed for too long"),
+            Self::Searching => write!(f, "searching: the hand looks for the target about the place where it was lost"),
         }
     }
 }
@@ -149,6 +153,7 @@ pub struct Controller {
     pace: Pace,
     approached_at: Option<MonotonicTime>,
     lost: bool,
+    search: Search,
 }
 
 impl Controller {
@@ -174,6 +179,7 @@ impl Controller {
             pace: Pace::rest(),
             approached_at: None,
             lost: false,
+            search: Search::Off,
             config,
         })
     }
@@ -183,6 +189,12 @@ impl Controller {
     pub fn acquire(&mut self) {
         self.forget();
         self.lost = false;
+    }
+
+    /// Whether the hand may look for a target that was lost, as the supervisor says in each step
+    /// ([`crate::supervisor::Decision::search`]); without [`ControllerConfig::search`] it rests all the same.
+    pub fn permit_search(&mut self, is_permitted: bool) {
+        self.search.permit(is_permitted);
     }
 
     /// What the arm was told in place of the last command: after a rest the hand starts softly anew, and what the joints are still
@@ -230,7 +242,13 @@ impl Controller {
             smallest_singular_value: Some(jacobian.smallest_singular_value()),
             ..self.resting(mode, now)
         };
-        let Some(base_from_model) = base_from_model else { return step };
+        let Some(base_from_model) = base_from_model else {
+            if matches!(mode, Mode::Idle | Mode::Lost) {
+                self.look_for_target(&mut step, &base_from_hand, &jacobian, joints, now);
+            }
+            return step;
+        };
+        self.search.end();
         let desired = base_from_model * self.config.model_from_hand_desired;
         let error = HandError::new(&base_from_hand, &desired);
         step.base_from_hand_desired = Some(desired);

@@ -20,18 +20,20 @@ mod known_target;
 pub mod law;
 pub mod redundancy;
 pub mod resolved_rate;
+pub mod search;
 pub mod supervisor;
 pub mod target_filter;
 pub mod target_state;
 
 pub use config::{
-    ApproachConfig, ArmResponse, CartesianSpeed, ConfigError, ControllerConfig, DampingConfig,
-    FeedForwardConfig, FeedForwardGains, Gains, HybridConfig, ImageBasedConfig, LawConfig, PublishedConfig,
-    RedundancyConfig, SpeedConfig, TargetFilterConfig, Timeouts, UnstatedCovariance,
+    ApproachConfig, ArmResponse, CartesianSpeed, ConfigError, ControllerConfig, DampingConfig, FeedForwardConfig,
+    FeedForwardGains, Gains, HybridConfig, ImageBasedConfig, LawConfig, PublishedConfig, RedundancyConfig, SpeedConfig,
+    TargetFilterConfig, Timeouts, UnstatedCovariance,
 };
 pub use controller::{Command, ControlStep, Controller, HoldReason, Mode};
 pub use joint_history::{JointHistory, NotInHistory};
 pub use resolved_rate::Limitation;
+pub use search::SearchConfig;
 pub use target_filter::{ObservationVerdict, TargetObservation};
 pub use target_state::{
     Acceleration, MeasurementConfig, MeasurementVerdict, MotionConfig, NotPredictable, PoseMeasurement, Prediction,

@@ -58,6 +58,8 @@ pub struct Decision {
     pub why: Why,
     /// The controller is to drop its set-points and target ([`crate::Controller::acquire`]).
     pub rearm: bool,
+    /// The controller may look for the target that was lost ([`crate::Controller::permit_search`]).
+    pub search: bool,
     /// What is wrong, in motion or at rest after it, and has lasted.
     pub found: ConditionSet,
     /// No arm may move by itself, the one that carries the target included: its joints, its drives, the clock or the operator are not
@@ -145,12 +147,14 @@ impl Supervisor {
             }
         }
         let found = self.note(now);
+        let search = self.may_search(now);
         let refused = word.and_then(|(word, refused)| self.refused(word, refused, transition.map(|(event, _)| event)));
         Decision {
-            permission: self.permission(now),
+            permission: self.permission(inputs, search, now),
             state: self.state,
-            why: self.why(blocking, now),
+            why: if search && inputs.controller == Mode::Searching { Why::Searching } else { self.why(blocking, now) },
             rearm,
+            search,
             found,
             no_arm_may_move: self.state.is_latched() || self.holds_every_arm(now),
             is_ready: blocking.is_none() && !rearm && (self.state == State::Selecting || self.state.is_resting()),
@@ -306,9 +310,27 @@ impl Supervisor {
         Some(Refusal { word, because })
     }
 
-    fn permission(&self, now: MonotonicTime) -> Permission {
+    /// Whether the hand may look for the target: it is lost, not for too long, the operator has not said hold, and nothing is wrong
+    /// but what a loss brings with it.
+    fn may_search(&self, now: MonotonicTime) -> bool {
+        let of_loss = |cause: Cause| {
+            let condition = cause.condition;
+            matches!(condition, Condition::TargetLost | Condition::EstimateStale | Condition::ControllerRests)
+                || condition == Condition::LowConfidence
+        };
+        let since_s = self.entered_at.map_or(f64::INFINITY, |entered| now.seconds_since(entered));
+        self.state == State::Lost
+            && !self.held_by_operator
+            && (0.0..self.config.search_max_s).contains(&since_s)
+            && self.findings.all_at_least(&self.config.policies, Action::Slow(1.0)).all(of_loss)
+    }
+
+    fn permission(&self, inputs: &Inputs, search: bool, now: MonotonicTime) -> Permission {
         if self.state.is_latched() {
             return Permission::Stop;
+        }
+        if search && inputs.controller == Mode::Searching {
+            return Permission::Move { share: 1.0 };
         }
         if !self.state.is_moving() {
             return Permission::Hold;

@@ -8,7 +8,10 @@ use nalgebra::Vector3;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Model};
 use pb3dp_kinematics::JointVector;
-use pb3dp_servo::{Command, ControllerConfig, Gains, LawConfig, Limitation, Mode};
+use pb3dp_servo::{
+    Command, ControllerConfig, Gains, HoldReason, HybridConfig, ImageBasedConfig, LawConfig, Limitation, Mode,
+    TargetFilterConfig,
+};
 use proptest::prelude::*;
 
 #[test]
@@ -214,5 +217,40 @@ proptest! {
             prop_assert!(cell.limits.violation(&cell.joints.position_rad).is_none());
             prop_assert!(step.smallest_singular_value.is_some_and(f64::is_finite));
         }
+    }
+}
+
+/// The laws that look at the picture, without smoothing.
+fn picture_laws() -> [LawConfig; 2] {
+    let target_filter: TargetFilterConfig = published(Gains::default()).target_filter;
+    [
+        LawConfig::ImageBased(ImageBasedConfig { gain_per_s: 3.0, half_width_m: 0.05, target_filter }),
+        LawConfig::Hybrid(HybridConfig { gain_per_s: 3.0, target_filter }),
+    ]
+}
+
+#[test]
+fn the_laws_that_look_at_the_picture_lead_the_hand_to_its_place() {
+    for law in picture_laws() {
+        let mut cell = Cell::new(ControllerConfig { law, ..config() }, IDEAL, 0.066);
+        let target = cell.target_for_hand_moved(Vector3::new(0.06, -0.08, 0.05), rotation(0.15, -0.2, 0.25));
+        for _ in 0..2500 {
+            cell.step(&target);
+        }
+        let hand_from_model = cell.base_from_hand().inverse() * target;
+        let off = hand_from_model * cell.config.model_from_hand_desired;
+        assert!(off.translation_m().norm() < 1e-4 && off.rotation_angle_rad() < 1e-4, "{law:?}: {off:?}");
+    }
+}
+
+/// A model that lies behind the camera is no way to lead a hand by.
+#[test]
+fn a_target_behind_the_camera_is_said_and_the_hand_rests() {
+    for law in picture_laws() {
+        let mut cell = Cell::new(ControllerConfig { law, ..config() }, IDEAL, 0.066);
+        let behind = cell.base_from_hand() * Pose::from_translation(Vector3::new(0.0, 0.0, -0.4));
+        let step = (0..200).map(|_| cell.step(&behind)).last().unwrap();
+        assert_eq!((step.command, step.mode), (Command::Hold, Mode::Holding(HoldReason::TargetNotBeforeCamera)));
+        assert_eq!(step.mode.to_string(), "holding: the target is not in front of the camera");
     }
 }

@@ -133,3 +133,19 @@ fn the_hand_keeps_its_place_to_a_millimetre_while_the_target_moves() {
     assert!(figures.hold_mm < 0.25 && figures.hold_deg < 0.03, "{figures:?}");
     assert!(figures.late_s.abs() < 0.01, "{figures:?}");
 }
+
+/// The table of gains in docs/servo.md: `cargo test -p pb3dp-servo --test experiment -- --nocapture`. A larger gain follows better.
+#[test]
+fn a_larger_gain_makes_good_sooner_what_the_prediction_missed() {
+    let gains_per_s = [7.0, 9.2, 15.0, 20.0, 30.0];
+    println!("| *K*, 1/s | {} |", gains_per_s.map(|gain| gain.to_string()).join(" | "));
+    for (delay_millis, latency_s) in [(66, 0.026), (100, 0.06)] {
+        let moving_mm = gains_per_s.map(|gain| {
+            let mut law = FeedForwardConfig { target: TargetStateConfig::default(), ..feed_forward(ARM) };
+            (law.gains.position_per_s, law.gains.orientation_per_s) = (gain, gain);
+            run(law, latency_s).moving_mm
+        });
+        println!("| mm at {delay_millis} ms | {} |", moving_mm.map(|mm| format!("{mm:.2}")).join(" | "));
+        assert!(moving_mm.windows(2).all(|pair| pair[1] < pair[0]), "{moving_mm:?}");
+    }
+}

@@ -155,8 +155,7 @@ pub fn of_singular(way: &Way, is_reachable: bool) -> Vec<Check> {
     push("orientation at the end", way.left.1, SINGULAR_LEFT.1, "deg");
     push("joints turn round, times", way.used.turns as f64, SINGULAR_TURNS, "");
     if is_reachable {
-        let halts = way.held.0 > 0.0 && !way.name.starts_with("to q4");
-        push("share of time in which it halts", if halts { way.held.0 } else { 0.0 }, 0.0, "");
+        push("share of time in which it halts", way.held.0, 0.0, "");
     } else {
         let names = way.held.1.as_deref().is_some_and(|reason| reason.starts_with("holding: "));
         push("stops without a reason", f64::from(u8::from(!names)), 0.0, "");

@@ -6,10 +6,13 @@ mod cases;
 mod demands;
 mod ideal;
 mod json;
+mod limit_use;
 mod limits;
 mod page;
 mod runs;
 mod setups;
+#[path = "../../tests/closed_loop/watched.rs"]
+#[allow(clippy::unwrap_used, reason = "shared with tests")]
 mod watched;
 mod ways;
 mod ways_page;
@@ -88,8 +91,7 @@ impl Extent {
             channels: channels.clone(),
             step_channels: channels,
             periods_s: vec![10.0, 6.0],
-            approaches: vec![cases::APPROACHES[0], cases::APPROACHES[11]],
-            singular: vec![cases::SINGULAR[0], cases::SINGULAR[4]],
+            approaches: [0, 6, 9, 11].map(|index| cases::APPROACHES[index]).to_vec(),
             laws: Vec::new(),
             ..Self::whole()
         }
@@ -197,6 +199,9 @@ fn with_pictures(extent: &Extent) -> Result<Vec<Fig7>> {
                 {
                     println!("fig7/{} ...", case.name());
                     let run = fig7(case, extent.seed, extent.stop_after_s).with_context(|| case.name());
+                    if let Ok(run) = &run {
+                        println!("{}", page::fig7_table(std::slice::from_ref(run)));
+                    }
                     found.lock().unwrap_or_else(PoisonError::into_inner).push((index, run));
                 }
             });
@@ -301,7 +306,13 @@ mod tests {
             "{text}"
         );
         assert!(findings.steps.iter().all(|step| step.shortest_s > 0.1 && step.shortest_s < 2.0), "{text}");
-        assert_eq!((findings.approaches.len(), findings.singular.len()), (2, 2));
+        assert_eq!((findings.approaches.len(), findings.singular.len()), (4, 5));
+        // No way is beyond a limit of the arm; those that lead to a place arrive, the others say why they do not.
+        let of_ways = findings.approaches.iter().map(|approach| &approach.way).chain(&findings.singular);
+        for way in of_ways {
+            let mut of_way = checks.iter().filter(|check| check.what.starts_with(&way.name)).peekable();
+            assert!(of_way.peek().is_some() && of_way.all(Check::is_kept), "{}: {text}", way.name);
+        }
         let json = json::all(&findings, &checks, "a test");
         assert_eq!(json["limits"].as_array().unwrap().len(), checks.len());
         let page = page::page(&findings, &checks, "a test");

@@ -9,15 +9,16 @@ use pb3dp_geometry::{Pose, so3};
 use pb3dp_hal_middleware::StartPose;
 use pb3dp_kinematics::{Damping, JointVector, damped_pseudo_inverse};
 use pb3dp_orchestrator::config::setup::{Leader, Setup};
-use pb3dp_orchestrator::run::lockstep;
+use pb3dp_orchestrator::run::experiment;
 use pb3dp_orchestrator::run::log::{ControlSample, RunLog};
 use pb3dp_orchestrator::run::summary::TrackingError;
 use pb3dp_orchestrator::wiring::wire;
 use pb3dp_record::metrics::settled_from;
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, StepExperimentConfig};
 
+use crate::limit_use::LimitUse;
 use crate::setups::geometric;
-use crate::watched::{LimitUse, Seen, Watched};
+use crate::watched::watched;
 
 /// The hand is there when it stays within this of its place by the pose of the lock: mm and degrees.
 pub const THERE_WITHIN: (f64, f64) = (1.0, 0.3);
@@ -145,13 +146,10 @@ pub fn out_and_back(channel: Channel, translation_m: f64, move_s: f64) -> Motion
 /// # Errors
 /// As the parts have them.
 pub fn run_way(name: impl Into<String>, setup: &Setup) -> Result<Way> {
-    let mut parts = wire(setup)?;
-    let seen = Seen::default();
-    let arm = parts.vs;
-    parts.vs = Box::new(Watched::new(arm, seen.clone()));
+    let (parts, vs, _) = watched(wire(setup)?);
     let outline_m = parts.target_outline_m.clone();
-    let log = lockstep::run(setup, parts, None, None)?.log;
-    let seen = seen.lock().unwrap_or_else(PoisonError::into_inner);
+    let log = experiment::run(setup, parts, None, None)?.log;
+    let seen = vs.measured.lock().unwrap_or_else(PoisonError::into_inner);
     let (first, last) = log.control.first().zip(log.control.last()).context("the run has no steps")?;
     let errors: Vec<TrackingError> = log.control.iter().map(TrackingError::of_locked).collect();
     let mm: Vec<f64> = errors.iter().map(|error| error.position_m * 1e3).collect();

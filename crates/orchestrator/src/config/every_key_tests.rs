@@ -182,6 +182,36 @@ fn tables_that_do_not_fit_the_law_are_refused() {
     assert_eq!(refusal("sim.toml", &never_rests), None);
 }
 
+/// Laws for comparison, each with its own table beside the smoothing.
+#[test]
+fn every_number_of_the_laws_for_comparison_is_refused_by_its_own_key() {
+    let with_law = |law: &str, table: &str, numbers: &[(&str, f64)]| {
+        let mut sample = Sample::new("sim_published.toml", |file| read_setup(file).map(drop));
+        let servo = sample.table["servo"].as_table_mut().unwrap();
+        servo.remove("gains");
+        servo["law"] = law.into();
+        let own: Table = numbers.iter().map(|(key, value)| ((*key).to_owned(), Value::Float(*value))).collect();
+        servo.insert(table.to_owned(), Value::Table(own));
+        sample
+    };
+    check_every_key(&with_law("image-based", "image_based", &[("gain_per_s", 4.0), ("half_width_mm", 50.0)]), 218);
+    check_every_key(&with_law("hybrid", "hybrid", &[("gain_per_s", 4.0)]), 217);
+}
+
+/// A search is asked for twice, and off otherwise.
+#[test]
+fn a_search_needs_its_pattern_and_its_permission() {
+    let mut sample = Sample::new("sim.toml", |file| read_setup(file).map(drop));
+    let numbers = [("back_mm", 30.0), ("radius_mm", 20.0), ("turns", 2.0), ("speed_mm_per_s", 20.0), ("time_s", 20.0)];
+    let search: Table = numbers.iter().map(|(key, value)| ((*key).to_owned(), Value::Float(*value))).collect();
+    sample.table["servo"].as_table_mut().unwrap().insert("search".to_owned(), Value::Table(search));
+    let text = sample.refusal("run.seed", Value::Integer(1)).unwrap();
+    assert!(text.contains("servo.search: no search is permitted without supervisor.search_max_s"), "{text}");
+    sample.table["supervisor"].as_table_mut().unwrap().insert("search_max_s".to_owned(), Value::Float(20.0));
+    assert_eq!(sample.refusal("run.seed", Value::Integer(1)), None);
+    check_every_key(&sample, 220);
+}
+
 /// What a setup whose arms are behind lines refuses.
 #[test]
 fn ways_to_an_arm_that_do_not_fit_are_refused() {

@@ -116,6 +116,7 @@ impl<'a> Moving<'a> {
             (Permission::Move { share }, Command::Velocity(velocity)) => Command::Velocity(velocity * share),
             _ => Command::Hold,
         };
+        self.controller.permit_search(decision.search);
         if decision.rearm {
             self.controller.acquire();
         }

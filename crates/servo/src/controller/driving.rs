@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use pb3dp_geometry::frames::Base;
-use pb3dp_geometry::{MonotonicTime, Twist};
+use pb3dp_geometry::frames::{Base, Hand};
+use pb3dp_geometry::{MonotonicTime, Pose, Twist};
 use pb3dp_kinematics::{JointState, JointVector};
 
 use super::{Command, ControlStep, Controller, HoldReason, Mode};
@@ -16,6 +16,9 @@ use crate::resolved_rate::{HandJacobian, JointBounds, Limitation, limit_twist};
 
 /// With no more than this share of the wanted speed left by an end of a range the hand rests, and says why.
 const STANDSTILL_SHARE: f64 = 0.02;
+
+/// Time behind the approach after which way and turn are corrected each by itself, seconds.
+const TOGETHER_FADES_S: f64 = 1.0;
 
 /// How much of the wanted speed the hand has: it starts softly after a rest, and slows down while the target is not seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -124,6 +127,32 @@ impl Controller {
         }
     }
 
+    /// One step of the search, if there is one.
+    pub(super) fn look_for_target(
+        &mut self,
+        step: &mut ControlStep,
+        base_from_hand: &Pose<Base, Hand>,
+        jacobian: &HandJacobian,
+        joints: &JointState,
+        now: MonotonicTime,
+    ) {
+        let Some(config) = self.config.search else { return };
+        let Some(twist) = self.search.step(&config, base_from_hand, now) else { return };
+        let bounds = JointBounds {
+            limits: &self.limits,
+            speed: &self.config.speed,
+            elbow_min_rad: self.config.damping.elbow_min_rad,
+        };
+        let limited = bounds.limit(&jacobian.joint_velocity(&twist, &self.damping), &joints.position_rad);
+        let share = self.pace.started(self.config.speed.soft_start_s, now);
+        let command = limited.velocity_rad_per_s * share;
+        if command.iter().all(|x| x.is_finite()) {
+            step.mode = Mode::Searching;
+            step.limited_by = limited.limited_by;
+            step.command = Command::Velocity(command);
+        }
+    }
+
     fn published_twist(
         &self,
         law: &PublishedConfig,
@@ -182,7 +211,7 @@ impl Controller {
             jacobian.joint_velocity(twist, &self.damping)
         });
         let most = self.correction_most(law, now);
-        let most = if self.approached_at.is_some() { most } else { aim.together(&gains, &base_from_hand, &most) };
+        let most = most.towards(&aim.together(&gains, &base_from_hand, &most), self.share_together(now));
         let twist = feed_forward::hand_twist(&gains, &aim, &base_from_hand, &most);
         // The closer to a singular pose, the less.
         let weight = (jacobian.smallest_singular_value() / self.damping.threshold()).min(1.0).powi(2);
@@ -205,6 +234,12 @@ impl Controller {
             linear_m_per_s: rising(slow.linear_m_per_s, fast.linear_m_per_s, law.gains.linear_m_per_s2),
             angular_rad_per_s: rising(slow.angular_rad_per_s, fast.angular_rad_per_s, law.gains.angular_rad_per_s2),
         }
+    }
+
+    /// How far way and turn are to end together: 1 during the approach, and less and less behind it.
+    fn share_together(&self, now: MonotonicTime) -> f64 {
+        let since_s = self.approached_at.map_or(0.0, |at| now.seconds_since(at));
+        (1.0 - since_s / TOGETHER_FADES_S).clamp(0.0, 1.0)
     }
 
     /// 1 while the target was seen within half the time-out; then it falls to 0 until the time-out, where the hand rests.

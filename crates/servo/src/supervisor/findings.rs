@@ -219,7 +219,16 @@ impl Findings {
 
     /// The first of what is found, whether or not it has lasted, whose action is at least this.
     pub(super) fn first_at_least(&self, policies: &Policies, action: Action) -> Option<Cause> {
-        self.found.iter().flatten().find(|cause| policies.get(cause.condition).action >= action).copied()
+        self.all_at_least(policies, action).next()
+    }
+
+    /// All of what is found, whether or not it has lasted, whose action is at least this.
+    pub(super) fn all_at_least<'a>(
+        &'a self,
+        policies: &'a Policies,
+        action: Action,
+    ) -> impl Iterator<Item = Cause> + 'a {
+        self.found.iter().flatten().filter(move |cause| policies.get(cause.condition).action >= action).copied()
     }
 
     /// What is found and has lasted for as long as its policy says.

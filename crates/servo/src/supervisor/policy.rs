@@ -104,6 +104,8 @@ pub struct SupervisorConfig {
     pub resume_after_s: f64,
     /// A word (other than stop and hold) that was said longer ago is not obeyed, seconds, 0.05 to 5.
     pub word_age_max_s: f64,
+    /// How long the hand may look for a target that was lost, seconds since the loss, 0 to 60; 0: it rests.
+    pub search_max_s: f64,
 }
 
 /// What a condition allows its policy to be.
@@ -300,6 +302,7 @@ impl SupervisorConfig {
     pub fn validate(&self) -> Result<(), SupervisorError> {
         within(|| "resume_after_s".to_owned(), self.resume_after_s, 0.05, 60.0)?;
         within(|| "word_age_max_s".to_owned(), self.word_age_max_s, 0.05, 5.0)?;
+        within(|| "search_max_s".to_owned(), self.search_max_s, 0.0, 60.0)?;
         Condition::ALL.into_iter().try_for_each(|condition| self.policies.get(condition).validate(condition))?;
         let [stale, lost] =
             [Condition::EstimateStale, Condition::TargetLost].map(|condition| self.policies.get(condition).threshold);

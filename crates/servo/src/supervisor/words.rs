@@ -33,6 +33,8 @@ pub enum Why {
         /// Share of the velocity that is left.
         share: f64,
     },
+    /// The target is lost, and the hand looks for it.
+    Searching,
     /// The arm rests, and this speaks against motion.
     Resting {
         /// Holding or lost.
@@ -119,6 +121,9 @@ impl fmt::Display for Why {
             Self::Ready => write!(f, "selecting: the target is seen and nothing speaks against motion; say start"),
             Self::Waiting { cause } => write!(f, "selecting: {cause}; {}, then say start", remedy(cause)),
             Self::Moving { state } => write!(f, "{state}"),
+            Self::Searching => {
+                write!(f, "lost: the hand looks for the target near the place where it was lost; say hold to end that")
+            }
             Self::Slowed { state, cause, share } => {
                 write!(f, "{state}: slowed to {:.0} %, because {cause}; {}", share * 100.0, remedy(cause))
             }

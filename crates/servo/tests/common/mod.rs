@@ -94,6 +94,7 @@ pub fn config() -> ControllerConfig {
         speed: SpeedConfig { tracking: wide, joint_speed_scale: 1.0, limit_approach_per_s: 20.0, soft_start_s: 0.0 },
         approach: ApproachConfig { speed: wide, done_within_m: 0.002, done_within_rad: 0.005 },
         timeouts: Timeouts { observation_s: 0.3, lost_s: 1.0, joints_s: 0.03 },
+        search: None,
         joint_history_samples: 256,
     }
 }

@@ -5,6 +5,7 @@ mod bench;
 mod conditions;
 mod policies;
 mod properties;
+mod searching;
 mod starting;
 mod table;
 mod words;

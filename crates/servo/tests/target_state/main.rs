@@ -4,6 +4,7 @@
 
 mod bench;
 mod consistency;
+mod figures;
 mod following;
 mod measurements;
 mod settings;

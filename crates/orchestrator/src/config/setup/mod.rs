@@ -258,6 +258,9 @@ impl SetupFile {
         let of_joints = (self.arms.speed_scale, self.arms.vs_acceleration_max_rad_per_s2());
         let controller = self.servo.build(&mounts, of_joints, check);
         let supervisor = self.supervisor.build(check);
+        if self.servo.searches() && supervisor.search_max_s <= 0.0 {
+            check.refuse("servo.search: no search is permitted without supervisor.search_max_s; set it to the seconds that one may take".to_owned());
+        }
         let (vs, tc) = arms?;
         for (key, arm) in [("arms.vs", &vs), ("arms.tc", &tc)] {
             if arm.link != ArmLink::InProcess && self.run.pace != Pace::Live {

@@ -4,8 +4,8 @@ use std::ops::RangeInclusive;
 
 use pb3dp_kinematics::JointVector;
 use pb3dp_servo::{
-    ApproachConfig, CartesianSpeed, ControllerConfig, DampingConfig, Gains, LawConfig, PublishedConfig, SpeedConfig,
-    TargetFilterConfig, Timeouts,
+    ApproachConfig, CartesianSpeed, ControllerConfig, DampingConfig, Gains, LawConfig, PublishedConfig, SearchConfig,
+    SpeedConfig, TargetFilterConfig, Timeouts,
 };
 use serde::Deserialize;
 
@@ -36,6 +36,7 @@ pub(super) struct ServoSection {
     speed: SpeedSection,
     approach: ApproachSection,
     timeouts: TimeoutsSection,
+    search: Option<SearchSection>,
     joint_history_samples: i64,
 }
 
@@ -73,7 +74,23 @@ struct TimeoutsSection {
     joints_s: f64,
 }
 
+/// A motion that looks for a lost target; without this table the hand rests.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SearchSection {
+    back_mm: f64,
+    radius_mm: f64,
+    turns: f64,
+    speed_mm_per_s: f64,
+    time_s: f64,
+}
+
 impl ServoSection {
+    /// Whether the hand looks for a lost target.
+    pub(super) fn searches(&self) -> bool {
+        self.search.is_some()
+    }
+
     pub(super) fn build(
         &self,
         mounts: &Mounts,
@@ -110,6 +127,7 @@ impl ServoSection {
                 lost_s: self.timeouts.lost_s,
                 joints_s: self.timeouts.joints_s,
             },
+            search: self.search.as_ref().map(|search| search.build(check)),
             joint_history_samples: whole(self.joint_history_samples),
         };
         self.check(&config, check);
@@ -154,6 +172,23 @@ impl ServoSection {
         check.count("servo.joint_history_samples", self.joint_history_samples, 8..=10_000);
         if let (true, Err(error)) = (check.is_clean(), config.validate()) {
             check.refuse(format!("servo: {error}"));
+        }
+    }
+}
+
+impl SearchSection {
+    fn build(&self, check: &mut Checker) -> SearchConfig {
+        check.number("servo.search.back_mm", self.back_mm, 0.0..=200.0);
+        check.number("servo.search.radius_mm", self.radius_mm, 1.0..=200.0);
+        check.number("servo.search.turns", self.turns, 1.0..=10.0);
+        check.number("servo.search.speed_mm_per_s", self.speed_mm_per_s, 1.0..=100.0);
+        check.number("servo.search.time_s", self.time_s, 1.0..=60.0);
+        SearchConfig {
+            back_m: self.back_mm * 1e-3,
+            radius_m: self.radius_mm * 1e-3,
+            turns: self.turns,
+            speed_m_per_s: self.speed_mm_per_s * 1e-3,
+            time_s: self.time_s,
         }
     }
 }

@@ -12,6 +12,7 @@ use super::super::load::{Checker, within};
 pub(super) struct SupervisorSection {
     resume_after_s: f64,
     word_age_max_s: f64,
+    search_max_s: Option<f64>,
     policies: PoliciesSection,
 }
 
@@ -121,14 +122,20 @@ impl SupervisorSection {
     pub(super) fn build(&self, check: &mut Checker) -> SupervisorConfig {
         check.number("supervisor.resume_after_s", self.resume_after_s, 0.05..=60.0);
         check.number("supervisor.word_age_max_s", self.word_age_max_s, 0.05..=5.0);
+        let search_max_s = self.search_max_s.unwrap_or(0.0);
+        check.number("supervisor.search_max_s", search_max_s, 0.0..=60.0);
         let stale_s = self.policies.estimate_stale.age_s.unwrap_or(0.0);
         let lost_s = self.policies.target_lost.age_s.unwrap_or(f64::NAN);
         if lost_s >= 0.05 {
             check.number("supervisor.policies.target_lost.age_s", lost_s, within(stale_s, 0.05, 1.0)..=10.0);
         }
         let policies = Policies::of(|condition| self.policies.of(condition).build(condition, check));
-        let config =
-            SupervisorConfig { policies, resume_after_s: self.resume_after_s, word_age_max_s: self.word_age_max_s };
+        let config = SupervisorConfig {
+            policies,
+            resume_after_s: self.resume_after_s,
+            word_age_max_s: self.word_age_max_s,
+            search_max_s,
+        };
         if let (true, Err(error)) = (check.is_clean(), config.validate()) {
             check.refuse(format!("supervisor.policies.{} = {}: allowed is {}", error.key, error.value, error.allowed));
         }

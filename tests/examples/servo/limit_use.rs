@@ -1,68 +1,8 @@
-//! An arm whose joints are written down: what a run made of its limits.
+//! What a run made of the limits of its arm.
 
-use std::sync::{Arc, Mutex, PoisonError};
-
-use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
-use pb3dp_hal_middleware::LimiterStatistics;
+use pb3dp_hal_api::JointState;
 use pb3dp_kinematics::DOF;
 use pb3dp_orchestrator::config::setup::Setup;
-use pb3dp_orchestrator::wiring::DrivenArm;
-
-/// An arm that keeps a copy of every measurement.
-pub struct Watched {
-    arm: Box<dyn DrivenArm>,
-    seen: Seen,
-}
-
-/// The measurements so far.
-pub type Seen = Arc<Mutex<Vec<JointState>>>;
-
-impl Watched {
-    /// Keeps the measurements of this arm in `seen`.
-    pub fn new(arm: Box<dyn DrivenArm>, seen: Seen) -> Self {
-        Self { arm, seen }
-    }
-}
-
-impl Arm for Watched {
-    fn info(&self) -> &ArmInfo {
-        self.arm.info()
-    }
-
-    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
-        let state = self.arm.exchange(command)?;
-        self.seen.lock().unwrap_or_else(PoisonError::into_inner).push(state);
-        Ok(state)
-    }
-}
-
-impl ArmPower for Watched {
-    fn state(&self) -> ArmState {
-        self.arm.state()
-    }
-
-    fn is_stopped_by_other(&self) -> bool {
-        self.arm.is_stopped_by_other()
-    }
-
-    fn enable(&mut self) -> Result<(), ArmError> {
-        self.arm.enable()
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        self.arm.stop()
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        self.arm.reset()
-    }
-}
-
-impl DrivenArm for Watched {
-    fn statistics(&self) -> LimiterStatistics {
-        self.arm.statistics()
-    }
-}
 
 /// How much of its limits an arm used.
 #[derive(Clone, Copy, Debug, PartialEq)]
