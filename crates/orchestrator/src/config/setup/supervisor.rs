@@ -122,8 +122,11 @@ impl SupervisorSection {
     pub(super) fn build(&self, check: &mut Checker) -> SupervisorConfig {
         check.number("supervisor.resume_after_s", self.resume_after_s, 0.05..=60.0);
         check.number("supervisor.word_age_max_s", self.word_age_max_s, 0.05..=5.0);
+        // Without the key there is no search.
+        if let Some(search_max_s) = self.search_max_s {
+            check.number("supervisor.search_max_s", search_max_s, 0.1..=60.0);
+        }
         let search_max_s = self.search_max_s.unwrap_or(0.0);
-        check.number("supervisor.search_max_s", search_max_s, 0.0..=60.0);
         let stale_s = self.policies.estimate_stale.age_s.unwrap_or(0.0);
         let lost_s = self.policies.target_lost.age_s.unwrap_or(f64::NAN);
         if lost_s >= 0.05 {
