@@ -15,7 +15,7 @@ use pb3dp_arm_pa10::codec::Axis;
 use pb3dp_arm_pa10::io::arm::{ArmMonitor, Way};
 use pb3dp_arm_pa10::io::mock_server::MockServer;
 use pb3dp_camera_replay::{Pacing, ReplayCamera, ReplayOptions};
-use pb3dp_camera_sim::{GeometricCamera, SimStereoCamera};
+use pb3dp_camera_sim::{FaultyCamera, GeometricCamera, SimStereoCamera};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Model, Target, World};
 use pb3dp_hal_api::{Arm, ArmError, ArmPower, Clock, StereoCamera};
@@ -174,19 +174,24 @@ fn wire_cell(
 
 /// The camera, or what stands for it, and the outline of the target.
 fn wire_sight(setup: &Setup, cell: &SimulatedCell, clock: &Arc<dyn Clock>) -> Result<(Sight, Vec<Point3<f64>>)> {
-    let (poses, clock) = (Box::new(cell.clone()), Arc::clone(clock));
+    let (poses, began) = (Box::new(cell.clone()), clock.now());
+    let (clock, faults) = (Arc::clone(clock), setup.camera_faults.clone());
     match setup.leader {
         Leader::Pictures(_) => {
             let scene = Scene::build(&setup.scene).context("table [scene]")?;
             let outline_m = scene.target().outline_m.clone();
             let renderer = StereoRenderer::new(scene, setup.rig, &setup.sensor, fold_seed(setup.seed));
             let camera = SimStereoCamera::new(renderer.context("table [camera]")?, poses, clock, setup.camera.clone())?;
-            Ok((Sight::Pictures(Box::new(camera)), outline_m))
+            let camera: Box<dyn StereoCamera> = match faults.list.is_empty() {
+                true => Box::new(camera),
+                false => Box::new(FaultyCamera::new(camera, faults, began).context("table [camera]")?),
+            };
+            Ok((Sight::Pictures(camera), outline_m))
         }
         Leader::Geometric(config) => {
             let target = targets::model(&setup.scene.target, setup.scene.seed).context("table [scene]")?;
             let tracker = GeometricTracker::new(config, setup.rig, target.outline_m.clone())?;
-            let camera = GeometricCamera::new(tracker, poses, clock, &setup.camera)?;
+            let camera = GeometricCamera::new(tracker, poses, clock, &setup.camera)?.with_faults(faults, began)?;
             Ok((Sight::Geometric(Box::new(camera)), target.outline_m))
         }
     }

@@ -218,6 +218,31 @@ impl GeometricTracker {
         Sighting { cam_left_from_model: Ok(found), is_locked: true }
     }
 
+    /// What a tracker takes this pose for when the right picture is not where the calibration has it: shifted (pixels to the
+    /// right), turned (radians) and scaled about its centre, all by little. To first order, which is
+    /// a wrong depth, and tilts that grow with depth over baseline. None if it would be behind the cameras.
+    pub fn misjudged(
+        &self,
+        cam_left_from_model: &Pose<CamLeft, Model>,
+        columns_px: f64,
+        roll_rad: f64,
+        scale: f64,
+    ) -> Option<Pose<CamLeft, Model>> {
+        let origin_m = cam_left_from_model.translation_m();
+        let baseline_m = self.rig.cam_right_from_cam_left().translation_m().norm();
+        let disparity_px = self.rig.left().pinhole().fx * baseline_m / origin_m.z;
+        let farther = disparity_px / (disparity_px - columns_px);
+        let lever = origin_m.z / baseline_m;
+        let turned = UnitQuaternion::from_scaled_axis(Vector3::new(roll_rad, scale - 1.0, 0.0) * lever);
+        let found = Pose::from_parts(origin_m * farther, turned * cam_left_from_model.rotation());
+        (farther > 0.0 && found.is_finite()).then_some(found)
+    }
+
+    /// The calibration.
+    pub fn rig(&self) -> &StereoRig {
+        &self.rig
+    }
+
     /// The outline in the left picture, as far as it lies before the camera, pixels.
     pub fn outline_px(&self, cam_left_from_target: &Pose<CamLeft, Target>) -> Vec<Vector2<f64>> {
         let pixel = |point: &Point3<f64>| self.rig.left().project(&cam_left_from_target.transform_point(point));

@@ -2,8 +2,10 @@
 //!
 //! [`SimStereoCamera`] exposes at fixed times of an injected clock, asks a `PoseSource` where everything was then, and renders
 //! the pair. It knows no arm: whoever simulates the arms implements `PoseSource`. [`GeometricCamera`] exposes at the same times and
-//! renders nothing: it stands for camera and tracker in one, for runs in which pixels are not the subject.
+//! renders nothing: it stands for camera and tracker in one, for runs in which pixels are not the subject. Both can be made to suffer
+//! [`CameraFaults`]: [`FaultyCamera`] does it to pictures.
 
+mod faults;
 mod geometric;
 mod schedule;
 
@@ -15,7 +17,8 @@ use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::{PoseSource, ScenePoses};
 
-pub use geometric::{GeometricCamera, GeometricFrame};
+pub use faults::{CameraFault, CameraFaultKind, CameraFaults, Eyes, FaultyCamera};
+pub use geometric::{GeometricCamera, GeometricFrame, Hindrance};
 use schedule::ExposureSchedule;
 
 /// Most moments of one exposure.

@@ -13,7 +13,7 @@ use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig};
 use crate::support::*;
 use crate::watched::watched;
 
-const QUIET: GeometricConfig = GeometricConfig {
+pub const QUIET: GeometricConfig = GeometricConfig {
     noise: PoseSigma { lateral_m: 0.0, depth_m: 0.0, tilt_rad: 0.0, about_normal_rad: 0.0 },
     lock: PoseSigma { lateral_m: 0.0, depth_m: 0.0, tilt_rad: 0.0, about_normal_rad: 0.0 },
     in_view_share_min: 0.5,

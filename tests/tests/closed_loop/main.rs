@@ -9,5 +9,6 @@ mod geometric;
 mod live;
 mod paths;
 mod repeatable;
+mod seeing_again;
 mod support;
 mod watched;

@@ -5,14 +5,14 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use nalgebra::{Point3, Vector2};
-use pb3dp_camera_sim::{GeometricCamera, GeometricFrame};
+use pb3dp_camera_sim::{GeometricCamera, GeometricFrame, Hindrance};
 use pb3dp_estimation::estimator::{FramePrior, Tracker};
 use pb3dp_estimation::published::TrackEstimate;
 use pb3dp_estimation::region::Region;
 use pb3dp_estimation::status::Status;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Target};
-use pb3dp_hal_api::{CameraError, FramePair, StereoCamera};
+use pb3dp_hal_api::{CameraError, CameraErrorKind, FramePair, StereoCamera};
 use pb3dp_servo::supervisor::FrameInput;
 
 use super::compared::{Frame, Onlooker};
@@ -44,6 +44,10 @@ pub struct PictureEyes {
     follower: Follower,
     onlookers: Vec<Onlooker>,
     pair: FramePair,
+    /// The pair before; black before the first one.
+    before: FramePair,
+    /// Whether two pictures of the same scene differ.
+    has_noise: bool,
     strip: Strip,
     recording: Option<Recording>,
 }
@@ -73,6 +77,8 @@ impl Eyes {
                 follower: Follower::new(Tracker::new(method, &setup.rig, &setup.estimator)?, setup.range),
                 onlookers: Onlooker::all_of(setup)?,
                 pair: FramePair::black(camera.info().size),
+                before: FramePair::black(camera.info().size),
+                has_noise: setup.sensor.read_noise_grey > 0.0 || setup.sensor.shot_noise_grey > 0.0,
                 camera,
                 target_outline_m,
                 strip,
@@ -93,17 +99,18 @@ impl Eyes {
     /// Waits for the next frame; its number and times.
     ///
     /// # Errors
-    /// If it does not come.
+    /// If it does not come, or a picture is the one before, byte for byte: noise makes no picture twice, so the camera is frozen,
+    /// whatever its numbers and times say.
     pub fn wait_for_frame(&mut self, timeout: Duration) -> Result<FrameInput, CameraError> {
         match self {
-            Self::Pictures(eyes) => {
-                eyes.camera.next_pair_into(&mut eyes.pair, timeout)?;
-                let FramePair { sequence, exposed_at, skew_nanos, .. } = &eyes.pair;
-                Ok(FrameInput { sequence: *sequence, at: *exposed_at, skew_s: *skew_nanos as f64 * 1e-9 })
-            }
+            Self::Pictures(eyes) => eyes.wait_for_pair(timeout),
             Self::Geometric(eyes) => {
                 let frame = eyes.frame.insert(eyes.camera.next_frame(timeout)?);
-                Ok(FrameInput { sequence: frame.sequence, at: frame.exposed_at, skew_s: 0.0 })
+                if !frame.is_new {
+                    return Err(frozen(frame.sequence, "both pictures are"));
+                }
+                let skew_s = frame.skew_nanos as f64 * 1e-9;
+                Ok(FrameInput { sequence: frame.sequence, at: frame.exposed_at, skew_s })
             }
         }
     }
@@ -166,7 +173,33 @@ impl Eyes {
     }
 }
 
+fn frozen(sequence: u64, which: &str) -> CameraError {
+    let message = format!(
+        "camera: {which} the same as before, byte for byte, in pair {sequence}: it is frozen, or sees nothing at all; look after it"
+    );
+    CameraError::new(CameraErrorKind::BadPair, message)
+}
+
 impl PictureEyes {
+    fn wait_for_pair(&mut self, timeout: Duration) -> Result<FrameInput, CameraError> {
+        std::mem::swap(&mut self.before, &mut self.pair);
+        if let Err(error) = self.camera.next_pair_into(&mut self.pair, timeout) {
+            // What is in the buffer may be anything.
+            std::mem::swap(&mut self.before, &mut self.pair);
+            return Err(error);
+        }
+        let FramePair { sequence, exposed_at, skew_nanos, .. } = self.pair;
+        // Pictures that differ do so in their first pixels: this costs nothing.
+        let same = [self.pair.left == self.before.left, self.pair.right == self.before.right];
+        match same.map(|same| same && self.has_noise) {
+            [true, true] => return Err(frozen(sequence, "both pictures are")),
+            [true, false] => return Err(frozen(sequence, "the left picture is")),
+            [false, true] => return Err(frozen(sequence, "the right picture is")),
+            [false, false] => (),
+        }
+        Ok(FrameInput { sequence, at: exposed_at, skew_s: skew_nanos as f64 * 1e-9 })
+    }
+
     fn outline_px(&self, setup: &Setup, cam_left_from_target: &Pose<CamLeft, Target>) -> Result<Vec<Vector2<f64>>> {
         let pixel = |point: &Point3<f64>| setup.rig.left().project(&cam_left_from_target.transform_point(point));
         let vertices_px: Option<Vec<_>> = self.target_outline_m.iter().map(pixel).collect();
@@ -190,15 +223,20 @@ impl GeometricEyes {
         let frame = self.frame.as_ref().context("no frame was waited for")?;
         let sighting = &frame.sighting;
         let noise = self.camera.config().noise;
-        let (status, reason) = match sighting.cam_left_from_model {
-            Ok(_) if noise.tilt_rad > self.tilt_sigma_sure_rad => {
+        let found = match (frame.hindrance, sighting.cam_left_from_model) {
+            (Some(Hindrance::Blind(why)), _) => Err(why.to_owned()),
+            (_, found) => found.map_err(|out_of_view| out_of_view.to_string()),
+        };
+        let (status, reason) = match (&found, frame.hindrance) {
+            (Ok(_), Some(Hindrance::Doubtful(why))) => (Status::Ambiguous, why.to_owned()),
+            (Ok(_), _) if noise.tilt_rad > self.tilt_sigma_sure_rad => {
                 (Status::WeakTilt, "of the configured noise".to_owned())
             }
-            Ok(_) => (Status::Ok, "the true pose with the configured noise".to_owned()),
-            Err(out_of_view) if sighting.is_locked => (Status::Lost, out_of_view.to_string()),
-            Err(out_of_view) => (Status::NotObservable, out_of_view.to_string()),
+            (Ok(_), _) => (Status::Ok, "the true pose with the configured noise".to_owned()),
+            (Err(why), _) if sighting.is_locked => (Status::Lost, why.clone()),
+            (Err(why), _) => (Status::NotObservable, why.clone()),
         };
-        let found = sighting.cam_left_from_model.ok();
+        let found = found.ok();
         Ok(TrackEstimate {
             status,
             reason,

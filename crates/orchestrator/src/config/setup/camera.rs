@@ -1,6 +1,6 @@
 //! The tables `[camera]` and `[scene]`: the simulated stereo pair and what it sees.
 
-use pb3dp_camera_sim::SimCameraConfig;
+use pb3dp_camera_sim::{CameraFaults, SimCameraConfig};
 use pb3dp_geometry::frames::{CamLeft, CamRight};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 use pb3dp_sim::scene::SceneConfig;
@@ -9,6 +9,7 @@ use pb3dp_sim::targets::{BackdropConfig, TargetConfig};
 use serde::Deserialize;
 
 use super::super::load::{Checker, whole, within};
+use super::camera_faults::{self, FaultSection};
 use super::{fold_seed, millis};
 
 #[derive(Clone, Debug, Deserialize)]
@@ -28,6 +29,8 @@ pub(super) struct CameraSection {
     shot_noise_grey: f64,
     left: EyeSection,
     right: EyeSection,
+    #[serde(default)]
+    faults: Vec<FaultSection>,
 }
 
 /// Which camera backend is wired in; others join by name.
@@ -66,6 +69,10 @@ impl CameraSection {
             check.refuse(format!("camera: {error}"));
         }
         (self.rig(check), camera, sensor)
+    }
+
+    pub(super) fn faults(&self, seed: u64, check: &mut Checker) -> CameraFaults {
+        camera_faults::build(&self.faults, seed, check)
     }
 
     /// Every key by itself. The ranges are those of the parts, which check again; focal length and distortion, which the parts

@@ -2,6 +2,7 @@
 
 mod arms;
 mod camera;
+mod camera_faults;
 mod experiment;
 mod geometric;
 mod geometry;
@@ -16,7 +17,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use nalgebra::{UnitQuaternion, Vector3};
-use pb3dp_camera_sim::SimCameraConfig;
+use pb3dp_camera_sim::{CameraFaults, SimCameraConfig};
 use pb3dp_estimation::estimator::{EstimatorConfig, Method};
 use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_geometry::frames::{Flange, Target};
@@ -57,6 +58,8 @@ pub struct Setup {
     pub rig: StereoRig,
     /// When it exposes.
     pub camera: SimCameraConfig,
+    /// What goes wrong with it.
+    pub camera_faults: CameraFaults,
     /// What its sensors do to the light.
     pub sensor: SensorConfig,
     /// What stands in the cell.
@@ -250,6 +253,7 @@ impl SetupFile {
         let geometric = self.estimator.geometric.map(|section| section.build(&range, self.run.seed, check));
         let leader = self.estimator.leader(method, geometric, check);
         let (rig, camera, sensor) = self.camera.build(check);
+        let camera_faults = self.camera.faults(self.run.seed, check);
         let scene = self.scene.build(self.run.seed, check);
         let experiment = self.experiment.build(check);
         let control_period_millis = within(self.run.control_period_millis, 2.0, period_max_millis);
@@ -281,6 +285,7 @@ impl SetupFile {
             estimate_latency: millis(self.run.estimate_latency_millis),
             rig: rig?,
             camera,
+            camera_faults,
             sensor,
             scene,
             leader: leader?,
