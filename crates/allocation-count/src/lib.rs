@@ -13,6 +13,7 @@ thread_local! {
 }
 
 static REQUESTS_OF_ALL: AtomicUsize = AtomicUsize::new(0);
+static HELD_BYTES: AtomicUsize = AtomicUsize::new(0);
 
 /// Requests of the running thread so far.
 pub fn requests() -> usize {
@@ -29,6 +30,11 @@ pub fn requests_of_all_threads() -> usize {
     REQUESTS_OF_ALL.load(Ordering::SeqCst)
 }
 
+/// Bytes that all threads together have asked for and not given back.
+pub fn held_bytes() -> usize {
+    HELD_BYTES.load(Ordering::SeqCst)
+}
+
 /// Leaves the running thread out of [`requests_of_all_threads`] from now on.
 pub fn leave_this_thread_out() {
     IS_LEFT_OUT.set(true);
@@ -37,6 +43,7 @@ pub fn leave_this_thread_out() {
 struct Counting;
 
 fn count(bytes: usize) {
+    HELD_BYTES.fetch_add(bytes, Ordering::SeqCst);
     // A thread that is ending has nothing left to count.
     let _ = REQUESTS.try_with(|count| count.set(count.get() + 1));
     let _ = BYTES.try_with(|sum| sum.set(sum.get() + bytes));
@@ -60,12 +67,14 @@ unsafe impl GlobalAlloc for Counting {
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        HELD_BYTES.fetch_sub(layout.size(), Ordering::SeqCst);
         // SAFETY: the caller's promise.
         unsafe { System.dealloc(pointer, layout) }
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         count(size);
+        HELD_BYTES.fetch_sub(layout.size(), Ordering::SeqCst);
         // SAFETY: the caller's promise.
         unsafe { System.realloc(pointer, layout, size) }
     }
@@ -79,6 +88,19 @@ mod tests {
     use std::hint::black_box;
 
     use super::*;
+
+    #[test]
+    fn what_is_given_back_is_not_held() {
+        // Other tests ask for less than this.
+        const LARGE: usize = 1 << 24;
+        let before = held_bytes();
+        let mut large = black_box(vec![1u8; LARGE]);
+        assert!(held_bytes() >= before + LARGE - LARGE / 8);
+        large.reserve_exact(2 * LARGE);
+        assert!(held_bytes() >= before + 3 * LARGE - LARGE / 8);
+        drop(black_box(large));
+        assert!(held_bytes() < before + LARGE / 8);
+    }
 
     #[test]
     fn each_request_counts_where_it_is_made() {

@@ -1,0 +1,187 @@
+//! One cycle after the other, and what is left of each.
+
+use std::time::Duration;
+
+use anyhow::{Context, Result, ensure};
+use nalgebra::Vector3;
+use pb3dp_allocation_count::held_bytes;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_orchestrator::config::setup::Setup;
+use pb3dp_orchestrator::run::cell::SimulatedCell;
+use pb3dp_orchestrator::run::halves::{Course, Watcher};
+use pb3dp_orchestrator::run::looking::Looking;
+use pb3dp_orchestrator::run::moving::{Moved, Moving};
+use pb3dp_orchestrator::run::percept::Percept;
+use pb3dp_orchestrator::run::strip::Strip;
+use pb3dp_orchestrator::wiring::{Parts, wire};
+use pb3dp_sim::trajectory::Channel;
+
+/// A move out, a rest, a move back, a rest.
+const MOVE_S: f64 = 1.5;
+const HOLD_S: f64 = 1.5;
+const CYCLE_S: f64 = 2.0 * (MOVE_S + HOLD_S);
+/// Before the first cycle.
+const LEAD_IN_S: f64 = 3.0;
+/// The end of a rest, over which the place of the hand is averaged, seconds.
+const AVERAGED_S: f64 = 0.5;
+/// One after the other, each once per round.
+const CHANNELS: [Channel; 6] = [Channel::X, Channel::Y, Channel::Z, Channel::Rx, Channel::Ry, Channel::Rz];
+/// Cycles at the beginning and at the end that are compared: whole rounds, as each axis leaves something else behind.
+const COMPARED: usize = 2 * CHANNELS.len();
+/// Until every ring and buffer has its size.
+const SETTLING: usize = 8;
+/// Fewer can not be compared.
+pub const CYCLES_MIN: usize = 2 * COMPARED;
+/// What the hand may come back to worse than its noise explains, mm.
+const DRIFT_MAX_MM: f64 = 0.1;
+/// What a whole soak may hold more at its end than after settling, bytes: less than one sample of a joint per cycle.
+const GROWTH_MAX_BYTES: usize = 16 * 1024;
+
+/// What is left of the cycles.
+#[derive(Debug, Default)]
+pub struct Figures {
+    /// Where the hand rested after each cycle, in `world`, relative to the first one, mm.
+    returned_mm: Vec<Vector3<f64>>,
+    /// Bytes held on the heap then.
+    held: Vec<usize>,
+}
+
+impl Figures {
+    /// A cycle has ended.
+    pub fn push(&mut self, returned_mm: [f64; 3], held: usize) {
+        self.returned_mm.push(Vector3::from(returned_mm));
+        self.held.push(held);
+    }
+
+    /// How many cycles there were.
+    pub fn cycles(&self) -> usize {
+        self.returned_mm.len()
+    }
+
+    /// Mean of the last cycles less mean of the first ones, mm, and the standard deviation of that by the noise of single ones: by
+    /// how much cycles along or about the same axis differ that follow each other.
+    fn drift_mm(&self) -> (f64, f64) {
+        let all = &self.returned_mm;
+        let mean = |some: &[Vector3<f64>]| some.iter().sum::<Vector3<f64>>() / some.len() as f64;
+        let drift = mean(&all[all.len() - COMPARED..]) - mean(&all[..COMPARED]);
+        let next = all.iter().zip(&all[CHANNELS.len()..]);
+        let variance =
+            next.map(|(a, b)| (a - b).norm_squared() / 2.0).sum::<f64>() / (all.len() - CHANNELS.len()) as f64;
+        (drift.norm(), (2.0 * variance / COMPARED as f64).sqrt())
+    }
+
+    /// How much more is held at the end than when everything had its size, bytes.
+    fn growth(&self) -> usize {
+        let settled = self.held[SETTLING.min(self.held.len() - 1)];
+        self.held[self.held.len() - 1].saturating_sub(settled)
+    }
+
+    /// Lines for a terminal.
+    pub fn text(&self) -> String {
+        let (drift, sigma) = self.drift_mm();
+        let farthest = self.returned_mm.iter().map(|p| p.norm()).fold(0.0, f64::max);
+        format!(
+            "{} cycles there and back: the last {COMPARED} end {drift:.4} mm from the first {COMPARED} (noise of that: {sigma:.4} mm), \
+             farthest of all {farthest:.3} mm from the first\nheap: {} bytes at the end, {} more than after {SETTLING} cycles",
+            self.cycles(),
+            self.held.last().unwrap_or(&0),
+            self.growth()
+        )
+    }
+
+    /// # Errors
+    /// Drift, or memory that grows.
+    pub fn judge(&self) -> Result<()> {
+        ensure!(self.cycles() >= CYCLES_MIN, "{} cycles are too few to judge", self.cycles());
+        let (drift, sigma) = self.drift_mm();
+        ensure!(
+            drift <= DRIFT_MAX_MM + 3.0 * sigma,
+            "the hand comes back {drift:.3} mm from where it was; allowed are {DRIFT_MAX_MM} mm and 3 x {sigma:.3} mm of noise"
+        );
+        let growth = self.growth();
+        ensure!(
+            growth <= GROWTH_MAX_BYTES,
+            "{growth} bytes more are held than at the beginning; allowed are {GROWTH_MAX_BYTES}"
+        );
+        Ok(())
+    }
+}
+
+/// Follows the target for so many minutes; a line for each cycle goes to `tell`.
+///
+/// # Errors
+/// If a part fails, or the hand does not follow.
+pub fn repeat(setup: &Setup, minutes: f64, tell: impl FnMut(&str)) -> Result<Figures> {
+    let cycles = (minutes * 60.0 / CYCLE_S).round() as usize;
+    ensure!(cycles >= CYCLES_MIN, "{minutes} minutes are {cycles} cycles: at least {CYCLES_MIN} can be judged");
+    let mut setup = setup.clone();
+    let steps = setup.experiment.steps_mut().context("the experiment of the setup does not go out and back")?;
+    steps.channels = CHANNELS.into_iter().cycle().take(cycles).collect();
+    (steps.move_s, steps.hold_s, steps.lead_in_s) = (MOVE_S, HOLD_S, LEAD_IN_S);
+    let Parts { clock, camera, vs, tc, cell, experiment, target_outline_m, interrupt, .. } = wire(&setup)?;
+    let now = clock.now();
+    let looking = Looking::new(&setup, (camera, cell.clone(), target_outline_m), (Strip::default(), now), None)?;
+    let mut moving = Moving::new(&setup, (vs, tc), &*experiment, now)?;
+    let mut watching =
+        Watching { looking, cell, begin: now, figures: Figures::default(), at_end: AtEnd::default(), tell };
+    let duration = Duration::from_secs_f64(LEAD_IN_S + CYCLE_S * cycles as f64 + 0.1);
+    let course = Course { setup: &setup, clock: &clock, duration, interrupt: &interrupt };
+    course.run(&mut watching, &mut moving).0?;
+    Ok(watching.figures)
+}
+
+/// What is gathered at the end of a cycle.
+#[derive(Default)]
+struct AtEnd {
+    sum_mm: Vector3<f64>,
+    count: f64,
+    first_mm: Option<Vector3<f64>>,
+}
+
+/// Looks, and writes nothing down but where the hand is at the end of each cycle.
+struct Watching<'a, T> {
+    looking: Looking<'a>,
+    cell: SimulatedCell,
+    begin: MonotonicTime,
+    figures: Figures,
+    at_end: AtEnd,
+    tell: T,
+}
+
+impl<T: FnMut(&str)> Watcher for Watching<'_, T> {
+    type Step = Moved;
+
+    fn begin_at(&mut self, begin: MonotonicTime) {
+        self.cell.begin_at(begin);
+        self.looking.begin_at(begin);
+        self.begin = begin;
+    }
+
+    fn moved(&mut self, moved: &Moved) {
+        self.looking.push_joints(moved.vs_joints);
+        let in_cycle_s = moved.at.seconds_since(self.begin) - LEAD_IN_S - CYCLE_S * self.figures.cycles() as f64;
+        // A hand that does not follow has not come back.
+        if in_cycle_s < CYCLE_S - AVERAGED_S || !moved.decision.state.is_moving() {
+            return;
+        }
+        let AtEnd { sum_mm, count, first_mm } = &mut self.at_end;
+        *sum_mm += self.cell.world_from_hand_at(moved.at).translation_m() * 1e3;
+        *count += 1.0;
+        if in_cycle_s >= CYCLE_S - 1e-6 {
+            let mean_mm = *sum_mm / *count;
+            let returned_mm = mean_mm - *first_mm.get_or_insert(mean_mm);
+            (*sum_mm, *count) = (Vector3::zeros(), 0.0);
+            self.figures.push(returned_mm.into(), held_bytes());
+            let cycle = self.figures.cycles();
+            (self.tell)(&format!("cycle {cycle}: {:.4} mm, {} bytes", returned_mm.norm(), held_bytes()));
+        }
+    }
+
+    fn look(&mut self) -> Result<Option<Percept>> {
+        Ok(self.looking.look()?.map(|seen| seen.percept()))
+    }
+
+    fn note(&mut self) -> Result<()> {
+        Ok(())
+    }
+}
