@@ -12,7 +12,7 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use nalgebra::Point3;
 use pb3dp_arm_pa10::codec::Axis;
-use pb3dp_arm_pa10::io::arm::{ArmMonitor, Way};
+use pb3dp_arm_pa10::io::arm::{ArmMonitor, VirtualEnd, VirtualTime, Way};
 use pb3dp_arm_pa10::io::mock_server::MockServer;
 use pb3dp_camera_replay::{Pacing, ReplayCamera, ReplayOptions};
 use pb3dp_camera_sim::{FaultyCamera, GeometricCamera, SimStereoCamera};
@@ -87,6 +87,8 @@ pub struct Parts {
     pub monitors: Vec<(&'static str, ArmMonitor)>,
     /// Emulated arms at the other end of links; they end with this.
     pub emulated: Vec<MockServer>,
+    /// Far ends of arms that are emulated in simulated time, by the names of the arms.
+    pub virtual_ends: Vec<(&'static str, VirtualEnd)>,
     /// Arms that no gateway would stop.
     pub on_bus: Vec<ArmOnBus>,
     /// Who tells the run what to do.
@@ -137,13 +139,17 @@ fn wire_cell(
     setup: &Setup,
     begin: impl FnOnce(&mut SimulatedCell, Pose<World, Target>) -> Result<Arc<dyn Trajectory>>,
 ) -> Result<Parts> {
-    let clock: Arc<dyn Clock> = match setup.pace {
-        Pace::Fast => Arc::new(VirtualClock::new()),
-        Pace::RealTime => Arc::new(PacedClock::new()),
-        Pace::Live => Arc::new(SystemClock::new()),
+    let time = match setup.pace {
+        Pace::Fast => Some(Arc::new(VirtualTime::over(Arc::new(VirtualClock::new())))),
+        Pace::RealTime => Some(Arc::new(VirtualTime::over(Arc::new(PacedClock::new())))),
+        Pace::Live => None,
     };
-    let WiredArms { sites: [vs_site, tc_site], driven: [vs, tc], flights, monitors, emulated, on_bus } =
-        wire_arms(setup, &clock)?;
+    let clock: Arc<dyn Clock> = match &time {
+        Some(time) => Arc::clone(time) as Arc<dyn Clock>,
+        None => Arc::new(SystemClock::new()),
+    };
+    let WiredArms { sites: [vs_site, tc_site], driven: [vs, tc], flights, monitors, emulated, virtual_ends, on_bus } =
+        wire_arms(setup, &clock, time.as_ref())?;
     let mut cell = SimulatedCell {
         vs: vs_site,
         tc: tc_site,
@@ -166,6 +172,7 @@ fn wire_cell(
         target_outline_m,
         monitors,
         emulated,
+        virtual_ends,
         on_bus,
         operator: Box::new(ByCommand),
         interrupt: Arc::default(),

@@ -9,11 +9,13 @@
 //! * [`io`]: what touches the world: byte links, threads and clocks stand there and nowhere else.
 //! * [`watchdog`]: what becomes of a velocity whose successor stays away.
 //! * [`mock_controller`]: the servo controller at the far end of the bus, emulated byte by byte, with faults on request.
+//! * [`far_end`]: that controller and the gateway before it, as a host finds them at the end of its line.
 //! * [`mock`]: an arm without hardware: the state machine and the contract of a real one over simulated joints.
 
 pub mod arcnet;
 pub mod codec;
 pub mod driver;
+pub mod far_end;
 pub mod gateway;
 pub mod gateway_protocol;
 pub mod io;

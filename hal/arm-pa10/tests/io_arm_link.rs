@@ -131,7 +131,7 @@ impl ByteLink for FlakyLink {
         self.link.try_write(bytes)
     }
 
-    fn fd(&self) -> BorrowedFd<'_> {
+    fn fd(&self) -> Option<BorrowedFd<'_>> {
         self.link.fd()
     }
 }
@@ -175,7 +175,7 @@ impl ByteLink for SlowToClose {
         self.0.try_write(bytes)
     }
 
-    fn fd(&self) -> BorrowedFd<'_> {
+    fn fd(&self) -> Option<BorrowedFd<'_>> {
         self.0.fd()
     }
 }

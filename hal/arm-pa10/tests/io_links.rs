@@ -93,9 +93,9 @@ fn a_wait_ends_by_its_bound_or_by_its_waker() {
     let (waker, mut hand) = pair("waker").unwrap();
     let begin = Instant::now();
     let timeout = Duration::from_millis(20);
-    let ready = wait(Some(&host), false, Some(waker.fd()), timeout);
+    let ready = wait(Some(&host), false, waker.fd(), timeout);
     assert!(!ready.readable && !ready.woken && begin.elapsed() >= timeout, "{ready:?}");
     hand.try_write(&[1]).unwrap();
-    let ready = wait(Some(&host), false, Some(waker.fd()), LONG);
+    let ready = wait(Some(&host), false, waker.fd(), LONG);
     assert!(ready.woken && !ready.readable, "{ready:?}");
 }

@@ -285,7 +285,7 @@ impl Connector for Once {
 #[test]
 fn a_line_that_is_full_holds_no_host_up() {
     let (host, far) = pb3dp_arm_pa10::io::transport::pair("test").unwrap();
-    rustix::net::sockopt::set_socket_send_buffer_size(host.fd(), 1).unwrap();
+    rustix::net::sockopt::set_socket_send_buffer_size(host.fd().unwrap(), 1).unwrap();
     let rig = rig(MockFace::Link(gateway(), Box::new(far)));
     let mut arm = rig.enabled(Box::new(Once(Some(Box::new(host)))));
     assert!(moved_by(&rig, &mut arm, 0.01) >= 0.01);

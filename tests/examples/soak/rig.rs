@@ -86,7 +86,7 @@ impl Rig {
             arm.limiter.start = StartPose::Anywhere;
         }
         let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
-        let wired = wire_arms(&setup, &clock)?;
+        let wired = wire_arms(&setup, &clock, None)?;
         for emulated in &wired.emulated {
             emulated.command_line("chance 1% at-most 2 drop 1").context("losses at random")?;
         }

@@ -217,7 +217,14 @@ fn a_search_needs_its_pattern_and_its_permission() {
 fn ways_to_an_arm_that_do_not_fit_are_refused() {
     type Change = fn(&mut Table);
     let changes: [(Change, &str); 9] = [
-        (|root| root["run"]["pace"] = "fast".into(), "(arms.vs.backend) needs pace = \"live\""),
+        (
+            |root| {
+                root["run"]["pace"] = "fast".into();
+                arm(root)["backend"] = "tcp".into();
+                arm(root)["gateway"].as_table_mut().unwrap().insert("address".into(), "127.0.0.1:4601".into());
+            },
+            "(arms.vs.backend) needs pace = \"live\"",
+        ),
         (|root| drop(arm(root).remove("gateway")), "arms.vs.gateway: the table is missing"),
         (|root| arm(root)["backend"] = "mock".into(), "arms.vs.gateway: an arm with backend = \"mock\" has none"),
         (|root| arm(root)["backend"] = "serial".into(), "\"serial\" needs port and baud"),

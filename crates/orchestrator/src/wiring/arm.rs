@@ -6,10 +6,12 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10::driver::{Activity, DriverConfig, DriverState, LimitsCheck};
-use pb3dp_arm_pa10::gateway::GatewayConfig;
+use pb3dp_arm_pa10::far_end::FarEnd;
+use pb3dp_arm_pa10::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10::gateway_protocol::Firmware;
 use pb3dp_arm_pa10::io::arm::{
-    ArmMonitor, BusArmConfig, Pa10Arm, Pa10ArmConfig, REALTIME, TripHandle, TripSeat, trip_line,
+    ArmMonitor, BusArmConfig, Pa10Arm, Pa10ArmConfig, REALTIME, TripHandle, TripSeat, VirtualEnd, VirtualTime,
+    trip_line, virtual_trip_line,
 };
 use pb3dp_arm_pa10::io::mock_server::{MockFace, MockPort, MockServer, MockServerConfig};
 use pb3dp_arm_pa10::io::realtime::Realtime;
@@ -17,7 +19,7 @@ use pb3dp_arm_pa10::io::serial::SerialConfig;
 use pb3dp_arm_pa10::io::transport::Connector;
 use pb3dp_arm_pa10::link::GatewayLinkConfig;
 use pb3dp_arm_pa10::mock::{MockArm, MockArmConfig};
-use pb3dp_arm_pa10::mock_controller::{MockControllerConfig, Script, pa10_joints};
+use pb3dp_arm_pa10::mock_controller::{MockController, MockControllerConfig, Script, pa10_joints};
 use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_middleware::{CoupledArmConfig, FlightLog, Guard, Limiter, Recorded, couple};
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
@@ -51,6 +53,8 @@ pub struct WiredArms {
     pub monitors: Vec<(&'static str, ArmMonitor)>,
     /// The emulated arms at the other ends.
     pub emulated: Vec<MockServer>,
+    /// The far ends of those that are emulated in simulated time, by the names of the arms.
+    pub virtual_ends: Vec<(&'static str, VirtualEnd)>,
     /// Those that no gateway would stop.
     pub on_bus: Vec<ArmOnBus>,
 }
@@ -76,15 +80,19 @@ impl ArmOnBus {
     }
 }
 
-/// Both arms: the one with the cameras, the one with the target. From the inside out: backend, recorder, guard, coupling, limiter.
+/// Both arms: the one with the cameras, the one with the target; `time` is what `clock` shows, if it is simulated. From the inside out: backend, recorder, guard, coupling, limiter.
 ///
 /// # Errors
 /// If a part refuses its parameters, or an arm does not answer.
-pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>) -> Result<WiredArms> {
+pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>, time: Option<&Arc<VirtualTime>>) -> Result<WiredArms> {
     let (vs_name, tc_name) = ("vs-robot", "tc-robot");
-    let mut seats = trip_line(2).context("the line along which the arms stop each other")?.into_iter();
+    let seats = match time {
+        None => trip_line(2).context("the line along which the arms stop each other")?,
+        Some(_) => virtual_trip_line(2),
+    };
+    let mut seats = seats.into_iter();
     let mut seat = || seats.next().context("a place on the line along which the arms stop each other");
-    let wanted = |name, arm| Wanted { name, arm, control_period: setup.control_period, clock };
+    let wanted = |name, arm| Wanted { name, arm, control_period: setup.control_period, clock, time };
     let (vs_wanted, tc_wanted) = (wanted(vs_name, &setup.vs), wanted(tc_name, &setup.tc));
     let (vs, tc) = (wire_backend(vs_wanted, seat()?)?, wire_backend(tc_wanted, seat()?)?);
     let on_bus = [(vs_name, &setup.vs, &vs), (tc_name, &setup.tc, &tc)].into_iter().filter_map(arm_on_bus).collect();
@@ -98,9 +106,15 @@ pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>) -> Result<WiredArms> {
         driven: [limited(vs_wanted, vs_coupled)?, limited(tc_wanted, tc_coupled)?],
         flights: [(vs_name, vs_flight), (tc_name, tc_flight)],
         monitors: monitors.into_iter().filter_map(|(name, monitor)| Some((name, monitor?))).collect(),
-        emulated: vs.emulated.into_iter().chain(tc.emulated).collect(),
+        virtual_ends: [(vs_name, &vs.emulated), (tc_name, &tc.emulated)].into_iter().filter_map(virtual_end).collect(),
+        emulated: [vs.emulated, tc.emulated].into_iter().flatten().filter_map(Emulation::into_server).collect(),
         on_bus,
     })
+}
+
+fn virtual_end((name, emulated): (&'static str, &Option<Emulation>)) -> Option<(&'static str, VirtualEnd)> {
+    let Some(Emulation::Virtual(end)) = emulated else { return None };
+    Some((name, end.clone()))
 }
 
 fn arm_on_bus((name, arm, wired): (&'static str, &ArmSetup, &WiredBackend)) -> Option<ArmOnBus> {
@@ -115,7 +129,8 @@ fn arm_on_bus((name, arm, wired): (&'static str, &ArmSetup, &WiredBackend)) -> O
 pub(super) fn wire_alone(wanted: Wanted<'_>) -> Result<AloneArm> {
     let wired = wire_backend(wanted, alone()?)?;
     let (guarded, flight) = guarded(wanted, wired.backend, wired.trip)?;
-    Ok(AloneArm { driven: limited(wanted, guarded)?, monitor: wired.monitor, flight, emulated: wired.emulated })
+    let emulated = wired.emulated.and_then(Emulation::into_server);
+    Ok(AloneArm { driven: limited(wanted, guarded)?, monitor: wired.monitor, flight, emulated })
 }
 
 /// A place on a line along which nobody else is.
@@ -146,10 +161,12 @@ pub(super) struct Wanted<'a> {
     pub control_period: Duration,
     /// That of all arms.
     pub clock: &'a Arc<dyn Clock>,
+    /// The simulated time that it shows; none where it shows the machine's, in which links and emulated arms have threads.
+    pub time: Option<&'a Arc<VirtualTime>>,
 }
 
 fn guarded(wanted: Wanted<'_>, backend: Box<dyn Backend>, trip: Option<TripHandle>) -> Result<(GuardedArm, FlightLog)> {
-    let Wanted { name, arm, control_period, clock } = wanted;
+    let Wanted { name, arm, control_period, clock, .. } = wanted;
     let cycles = FLIGHT.as_secs_f64() / control_period.as_secs_f64();
     let flight = FlightLog::with_capacity(cycles.ceil() as usize);
     let recorded = Recorded::new(backend, Arc::clone(clock), flight.clone());
@@ -186,12 +203,30 @@ struct WiredBackend {
     backend: Box<dyn Backend>,
     monitor: Option<ArmMonitor>,
     trip: Option<TripHandle>,
-    emulated: Option<MockServer>,
+    emulated: Option<Emulation>,
+}
+
+/// The far end of an emulated arm.
+pub(super) enum Emulation {
+    /// In a thread.
+    Server(MockServer),
+    /// In simulated time.
+    Virtual(VirtualEnd),
+}
+
+impl Emulation {
+    /// The one in a thread.
+    pub(super) fn into_server(self) -> Option<MockServer> {
+        match self {
+            Self::Server(server) => Some(server),
+            Self::Virtual(_) => None,
+        }
+    }
 }
 
 /// The backend that the configuration names.
 fn wire_backend(wanted: Wanted<'_>, seat: TripSeat) -> Result<WiredBackend> {
-    let Wanted { name, arm, control_period, clock } = wanted;
+    let Wanted { name, arm, control_period, clock, .. } = wanted;
     let Some((line, emulated)) = line(wanted)? else {
         let plant = shared_plant(arm.plant.clone(), wanted)?;
         let config =
@@ -202,9 +237,9 @@ fn wire_backend(wanted: Wanted<'_>, seat: TripSeat) -> Result<WiredBackend> {
     };
     let opened = open(line, seat, wanted)?;
     let (monitor, trip) = (Some(opened.monitor()), Some(opened.trip_handle()));
-    if let Some((server, plant)) = emulated {
+    if let Some((emulation, plant)) = emulated {
         let site = site(arm, JointSource::plant(plant));
-        return Ok(WiredBackend { site, backend: Box::new(opened), monitor, trip, emulated: Some(server) });
+        return Ok(WiredBackend { site, backend: Box::new(opened), monitor, trip, emulated: Some(emulation) });
     }
     // Nobody simulates the joints here: the cell has them as they are measured.
     let (tap, samples) = sync_channel(JOINTS_WAITING_MAX);
@@ -218,8 +253,13 @@ pub(super) fn line(wanted: Wanted<'_>) -> Result<Option<(Line<'_>, Option<Emulat
     Ok(Some(match &wanted.arm.link {
         ArmLink::InProcess => return Ok(None),
         ArmLink::Gateway(link, GatewayWay::Emulated) => {
-            let emulated = emulate(MockFace::Pty, link, wanted)?;
-            (Line::Gateway(link, Box::new(emulated_port(link, &emulated.0))), Some(emulated))
+            if let Some(time) = wanted.time {
+                let (end, plant) = emulate_virtually(link, wanted)?;
+                return Ok(Some((Line::Virtual(link, end.clone(), time), Some((Emulation::Virtual(end), plant)))));
+            }
+            let (server, plant) = emulate(MockFace::Pty, link, wanted)?;
+            let port = Box::new(emulated_port(link, &server));
+            (Line::Gateway(link, port), Some((Emulation::Server(server), plant)))
         }
         ArmLink::Gateway(link, GatewayWay::Serial(port)) => (Line::Gateway(link, Box::new(port.clone())), None),
         ArmLink::Gateway(link, GatewayWay::Tcp(address)) => (Line::Gateway(link, Box::new(*address)), None),
@@ -228,7 +268,9 @@ pub(super) fn line(wanted: Wanted<'_>) -> Result<Option<(Line<'_>, Option<Emulat
 }
 
 /// An emulated arm and its joints.
-type EmulatedArm = (MockServer, Arc<Mutex<JointPlant>>);
+type EmulatedArm = (Emulation, SharedPlant);
+
+type SharedPlant = Arc<Mutex<JointPlant>>;
 
 /// What every backend can do.
 trait Backend: Arm + ArmPower {}
@@ -241,7 +283,7 @@ fn site(arm: &ArmSetup, joints: JointSource) -> ArmSite {
     ArmSite { chain: arm.chain.clone(), world_from_base: arm.world_from_base, joints }
 }
 
-fn shared_plant(config: JointPlantConfig, wanted: Wanted<'_>) -> Result<Arc<Mutex<JointPlant>>> {
+fn shared_plant(config: JointPlantConfig, wanted: Wanted<'_>) -> Result<SharedPlant> {
     let Wanted { name, arm, clock, .. } = wanted;
     let plant = JointPlant::new(config, arm.start_rad, clock.now()).with_context(|| format!("{name}: start"))?;
     Ok(Arc::new(Mutex::new(plant)))
@@ -252,8 +294,33 @@ pub(super) fn emulate(
     face: impl FnOnce(GatewayConfig) -> MockFace,
     link: &GatewayLinkConfig,
     wanted: Wanted<'_>,
-) -> Result<EmulatedArm> {
-    let Wanted { name, arm, clock, .. } = wanted;
+) -> Result<(MockServer, SharedPlant)> {
+    let Wanted { name, clock, .. } = wanted;
+    let (controller, gateway, plant) = emulated_parts(link, wanted)?;
+    let realtime = Realtime { priority: Some(EMULATION_PRIORITY), locks_memory: false, cpu: None };
+    let config = MockServerConfig { controller, seed: 0, script: Script::default(), realtime };
+    let server = MockServer::start(config, face(gateway), Arc::clone(&plant), Arc::clone(clock))
+        .with_context(|| format!("{name}: emulation"))?;
+    Ok((server, plant))
+}
+
+/// The same in simulated time.
+fn emulate_virtually(link: &GatewayLinkConfig, wanted: Wanted<'_>) -> Result<(VirtualEnd, SharedPlant)> {
+    let Wanted { name, clock, .. } = wanted;
+    let (controller, gateway, plant) = emulated_parts(link, wanted)?;
+    let now = clock.now();
+    let controller = MockController::new(controller, Arc::clone(&plant), 0, now);
+    let controller = controller.with_context(|| format!("{name}: emulation"))?;
+    let gateway = Gateway::new(gateway, now).with_context(|| format!("{name}: emulation"))?;
+    Ok((VirtualEnd::new(FarEnd::new(controller, Some(gateway), now), EMULATED_BAUD), plant))
+}
+
+/// What an emulated arm is made from, and its joints.
+fn emulated_parts(
+    link: &GatewayLinkConfig,
+    wanted: Wanted<'_>,
+) -> Result<(MockControllerConfig, GatewayConfig, SharedPlant)> {
+    let arm = wanted.arm;
     let joints = JointPlantConfig {
         command_delay: Duration::ZERO,
         acceleration_max_rad_per_s2: pa10_joints()?.acceleration_max_rad_per_s2,
@@ -268,11 +335,7 @@ pub(super) fn emulate(
     };
     let firmware = Firmware::new("pb3dp emulation").context("a name for the gateway")?;
     let gateway = GatewayConfig { geometry: link.geometry, ..GatewayConfig::new(link.arm, link.format, firmware) };
-    let realtime = Realtime { priority: Some(EMULATION_PRIORITY), locks_memory: false, cpu: None };
-    let config = MockServerConfig { controller, seed: 0, script: Script::default(), realtime };
-    let server = MockServer::start(config, face(gateway), Arc::clone(&plant), Arc::clone(clock))
-        .with_context(|| format!("{name}: emulation"))?;
-    Ok((server, plant))
+    Ok((controller, gateway, plant))
 }
 
 /// The way to an emulated arm, wherever its terminal is.
@@ -285,6 +348,8 @@ fn emulated_port(link: &GatewayLinkConfig, server: &MockServer) -> MockPort {
 pub(super) enum Line<'a> {
     /// A byte stream with a gateway at its end.
     Gateway(&'a GatewayLinkConfig, Box<dyn Connector>),
+    /// The same in simulated time.
+    Virtual(&'a GatewayLinkConfig, VirtualEnd, &'a Arc<VirtualTime>),
     /// The bus of the servo controller.
     Bus(&'a BusLinkConfig),
 }
@@ -294,6 +359,7 @@ impl Line<'_> {
     pub(super) fn target(&self) -> String {
         match self {
             Self::Gateway(_, connector) => connector.target(),
+            Self::Virtual(..) => "emulated in simulated time".to_owned(),
             Self::Bus(link) => link.target.to_string(),
         }
     }
@@ -323,16 +389,18 @@ fn open(line: Line<'_>, seat: TripSeat, wanted: Wanted<'_>) -> Result<Pa10Arm> {
 
 /// Opens the link to an arm and looks at it; its brakes stay on.
 pub(super) fn connect(line: Line<'_>, (seat, limits): (TripSeat, LimitsCheck), wanted: Wanted<'_>) -> Result<Pa10Arm> {
-    let Wanted { name, arm, control_period, clock } = wanted;
+    let Wanted { name, arm, control_period, clock, .. } = wanted;
     let driver = |cycle| DriverConfig {
         limits,
         deceleration_rad_per_s2: arm.limiter.acceleration_max_rad_per_s2,
         ..DriverConfig::with_cycle(cycle)
     };
     let clock = Arc::clone(clock);
+    let config = |link: &GatewayLinkConfig| Pa10ArmConfig::new(name, driver(link.cycle), *link);
     Ok(match line {
+        Line::Virtual(link, end, time) => Pa10Arm::open_virtual(config(link), end, time, seat)?,
         Line::Gateway(link, connector) => {
-            let opened = Pa10Arm::open(Pa10ArmConfig::new(name, driver(link.cycle), *link), connector, clock, seat)?;
+            let opened = Pa10Arm::open(config(link), connector, clock, seat)?;
             if let Some(hello) = &opened.monitor().snapshot().gateway {
                 greeting::tell(name, link.geometry, hello);
             }

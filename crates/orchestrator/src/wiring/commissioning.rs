@@ -82,7 +82,7 @@ pub struct SeenArm {
 }
 
 fn wanted<'a>(setup: &'a Setup, choice: ArmChoice, clock: &'a Arc<dyn Clock>) -> Wanted<'a> {
-    Wanted { name: choice.name(), arm: choice.of(setup), control_period: setup.control_period, clock }
+    Wanted { name: choice.name(), arm: choice.of(setup), control_period: setup.control_period, clock, time: None }
 }
 
 /// Opens the link to an arm, whose brakes stay on.
@@ -94,7 +94,7 @@ pub fn see(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<S
     let Some((line, emulated)) = line(wanted)? else {
         bail!("{}.backend = \"mock\" has no line to an arm; set emulated, serial, tcp or arcnet", choice.table())
     };
-    let (target, emulated) = (line.target(), emulated.map(|(server, _)| server));
+    let (target, emulated) = (line.target(), emulated.and_then(|(emulation, _)| emulation.into_server()));
     let arm = connect(line, (alone()?, LimitsCheck::Read), wanted)?;
     Ok(SeenArm { arm, target, emulated })
 }
@@ -169,7 +169,7 @@ pub fn wire_slow(setup: &Setup, choice: ArmChoice, beside_other: bool, clock: &A
         return Ok(SlowArm { driven, monitor, flight, other: None, emulated: emulated.into_iter().collect() });
     }
     let WiredArms { driven: [vs, tc], flights: [(_, vs_flight), (_, tc_flight)], monitors, emulated, .. } =
-        wire_arms(setup, clock).with_context(|| {
+        wire_arms(setup, clock, None).with_context(|| {
             format!("both arms are connected, so that the room between them is watched; where the {} is switched off, give --alone", choice.other().name())
         })?;
     let monitor_of = |choice: ArmChoice| {

@@ -86,7 +86,7 @@ fn rates() -> Outcome {
         for link in [&host, &gateway] {
             ensure(link.baud() == baud, || format!("{}: asked for {baud}, {} read back", link.name(), link.baud()))?;
             // Once more, by another way than the library's.
-            let settings = tcgetattr(link.fd())?;
+            let settings = tcgetattr(link.fd().ok_or("a port without a descriptor")?)?;
             let read = [settings.input_speed(), settings.output_speed()];
             ensure(read == [baud; 2], || format!("{}: the kernel says {read:?} at {baud}", link.name()))?;
         }

@@ -23,6 +23,7 @@ use super::realtime::{Realtime, Shortfall, enter};
 use super::serial::SerialConfig;
 use super::tcp::TcpLink;
 use super::transport::{ByteLink, ConnectError, Connector, wait};
+use crate::far_end::FarEnd;
 use crate::gateway::{Gateway, GatewayConfig, GatewayConfigError};
 use crate::mock_controller::{LineError, MockController, MockControllerConfig, MockControllerError, Script};
 
@@ -113,9 +114,7 @@ struct Shared {
 /// The arm and its gateway, and how far they are.
 #[derive(Debug)]
 struct Core {
-    controller: MockController,
-    gateway: Option<Gateway>,
-    now: MonotonicTime,
+    far: FarEnd,
     clock: SharedClock,
     unread: u64,
     shortfalls: Vec<Shortfall>,
@@ -147,7 +146,7 @@ impl MockServer {
         let gateway = face.gateway().map(|config| Gateway::new(*config, now)).transpose()?;
         let line = Line::open(face)?;
         let clock = SharedClock(clock);
-        let core = Core { controller, gateway, now, clock, unread: 0, shortfalls: Vec::new() };
+        let core = Core { far: FarEnd::new(controller, gateway, now), clock, unread: 0, shortfalls: Vec::new() };
         let shared = Arc::new(Shared {
             core: Mutex::new(core),
             address: Mutex::new(line.address()),
@@ -178,8 +177,8 @@ impl MockServer {
     pub fn command_line(&self, line: &str) -> Result<(), LineError> {
         let mut core = lock(&self.shared.core);
         // Not later than the gateway has come: the controller would miss what is still to be said to it.
-        let now = core.now;
-        core.controller.command_line(now, line)
+        let now = core.far.now();
+        core.far.controller.command_line(now, line)
     }
 
     /// Pulls the cable: a terminal vanishes, a connection ends, and nobody can connect.
@@ -201,16 +200,16 @@ impl MockServer {
     /// How the arm is.
     pub fn report(&self) -> MockReport {
         let core = lock(&self.shared.core);
-        let (position_rad, velocity_rad_per_s) = core.controller.true_joints();
+        let (position_rad, velocity_rad_per_s) = core.far.controller.true_joints();
         MockReport {
-            mode: core.controller.mode(),
-            is_powered: core.controller.is_powered(),
-            is_braked: core.controller.is_braked(),
-            axes: core.controller.axis_modes(),
+            mode: core.far.controller.mode(),
+            is_powered: core.far.controller.is_powered(),
+            is_braked: core.far.controller.is_braked(),
+            axes: core.far.controller.axis_modes(),
             position_rad,
             velocity_rad_per_s,
-            counters: core.controller.counters().clone(),
-            gateway: core.gateway.as_ref().map(Gateway::status),
+            counters: core.far.controller.counters().clone(),
+            gateway: core.far.gateway.as_ref().map(Gateway::status),
             late: self.wakes_later_than(LATE),
             latest: self.shared.lateness.summary().max,
             unread: core.unread,
@@ -257,49 +256,16 @@ impl MockFace {
 }
 
 impl Core {
-    /// Lets both go on to a time, each event at its own.
-    fn advance(&mut self, to: MonotonicTime, mut bus: impl FnMut(&[u8])) {
-        loop {
-            self.exchange(&mut bus);
-            let wanted = self.gateway.as_ref().map(Gateway::next_deadline);
-            let next = [wanted, self.controller.next_deadline()].into_iter().flatten().min();
-            let Some(next) = next.filter(|next| *next <= to) else { break };
-            self.now = next.max(self.now + Duration::from_nanos(1));
-        }
-        self.now = self.now.max(to);
-        self.controller.advance(self.now);
-    }
-
-    /// What is due on the bus.
-    fn exchange(&mut self, bus: &mut impl FnMut(&[u8])) {
-        while let Some(frame) = self.controller.poll_frame(self.now) {
-            match &mut self.gateway {
-                Some(gateway) => gateway.handle_bus_frame(self.now, &frame),
-                None => bus(&frame),
-            }
-        }
-        if let Some(frame) = self.gateway.as_mut().and_then(|gateway| gateway.poll_bus_frame(self.now)) {
-            self.controller.handle_frame(self.now, &frame);
-        }
-    }
-
-    fn next_deadline(&self) -> Option<MonotonicTime> {
-        let wanted = self.gateway.as_ref().map(Gateway::next_deadline);
-        [wanted, self.controller.next_deadline(), self.controller.next_on_line()].into_iter().flatten().min()
-    }
-
-    /// Answers of the gateway that have come to the host, as many as there is room for.
+    /// Answers that have come to the host, as many as there is room for.
     fn collect(&mut self, now: MonotonicTime, output: &mut Vec<u8>) {
-        while let Some(bytes) = self.gateway.as_mut().and_then(|gateway| gateway.poll_host_output(now)) {
-            self.controller.send_on_line(now, &bytes);
-        }
-        while let Some(bytes) = self.controller.poll_line(now) {
+        let unread = &mut self.unread;
+        self.far.answer(now, |bytes| {
             if output.len() + bytes.len() > UNREAD_MAX {
-                self.unread += 1;
+                *unread += 1;
             } else {
-                output.extend_from_slice(&bytes);
+                output.extend_from_slice(bytes);
             }
-        }
+        });
     }
 }
 
@@ -420,23 +386,19 @@ impl Worker {
         self.line.hang_up();
         self.output.clear();
         let mut core = lock(&self.shared.core);
-        let now = core.now;
-        core.controller.clear_line();
-        if let Some(gateway) = &mut core.gateway {
-            gateway.handle_host_gone(now);
-        }
+        core.far.hang_up();
     }
 
     /// Everything that is due; when something is due next.
     fn work(&mut self) -> MonotonicTime {
         let shared = Arc::clone(&self.shared);
         let mut core = lock(&shared.core);
-        let now = core.clock.0.now().max(core.now);
+        let now = core.clock.0.now().max(core.far.now());
         let is_gone = match self.line.bus_port() {
             Some(bus) => work_bus(&mut core, now, bus.as_mut()).is_err(),
             None => self.work_line(&mut core, now).is_err(),
         };
-        let next = core.next_deadline().unwrap_or(now + WAIT_MAX);
+        let next = core.far.next_deadline().unwrap_or(now + WAIT_MAX);
         drop(core);
         if is_gone {
             self.hang_up();
@@ -446,21 +408,22 @@ impl Worker {
 
     /// Bytes of the host, and answers.
     fn work_line(&mut self, core: &mut Core, now: MonotonicTime) -> Result<(), Gone> {
-        core.advance(now, |_| {});
+        core.far.advance(now, |_| {});
         let Some(link) = self.line.byte_link() else { return Ok(()) };
         let mut buffer = [0; 512];
         loop {
-            let room = core.controller.readable_on_line(now).min(buffer.len());
+            let room = core.far.controller.readable_on_line(now).min(buffer.len());
             if room == 0 {
                 break;
             }
             let count = link.try_read(&mut buffer[..room]).map_err(|_| Gone)?;
-            let Core { controller, gateway, .. } = &mut *core;
-            let Some(gateway) = gateway.as_mut().filter(|_| count > 0) else { break };
-            controller.hear_on_line(now, &buffer[..count], |bytes| gateway.handle_host_bytes(now, bytes));
+            if count == 0 {
+                break;
+            }
+            core.far.hear(now, &buffer[..count]);
             core.collect(now, &mut self.output);
         }
-        core.exchange(&mut |_| {});
+        core.far.exchange(&mut |_| {});
         core.collect(now, &mut self.output);
         if !self.output.is_empty() {
             let written = link.try_write(&self.output).map_err(|_| Gone)?;
@@ -474,8 +437,8 @@ impl Worker {
         let clock = core.clock.clone();
         let now = clock.0.now();
         // What it does not read must not wake it.
-        let reads = core.controller.readable_on_line(now) > 0;
-        let again = core.controller.reads_line_again().filter(|_| !reads);
+        let reads = core.far.controller.readable_on_line(now) > 0;
+        let again = core.far.controller.reads_line_again().filter(|_| !reads);
         drop(core);
         let planned = next.min(now + WAIT_MAX).min(again.unwrap_or(next));
         let timeout = planned.saturating_since(now);
@@ -506,11 +469,11 @@ fn work_bus(core: &mut Core, now: MonotonicTime, bus: &mut dyn BusPort) -> Resul
             sent = bus.try_send(frame);
         }
     };
-    core.advance(now, &mut send);
+    core.far.advance(now, &mut send);
     let mut buffer = [0; FRAME_ROOM];
     sent.map_err(|_| Gone)?;
     while let Some(count) = bus.try_receive(&mut buffer).map_err(|_| Gone)? {
-        core.controller.handle_frame(now, &buffer[..count]);
+        core.far.controller.handle_frame(now, &buffer[..count]);
     }
     Ok(())
 }

@@ -63,7 +63,7 @@ impl ByteLink for Pty {
         judge(self.master.write(bytes), false)
     }
 
-    fn fd(&self) -> BorrowedFd<'_> {
-        self.master.as_fd()
+    fn fd(&self) -> Option<BorrowedFd<'_>> {
+        Some(self.master.as_fd())
     }
 }

@@ -81,8 +81,8 @@ impl ByteLink for TcpLink {
         written
     }
 
-    fn fd(&self) -> BorrowedFd<'_> {
-        self.stream.as_fd()
+    fn fd(&self) -> Option<BorrowedFd<'_>> {
+        Some(self.stream.as_fd())
     }
 }
 

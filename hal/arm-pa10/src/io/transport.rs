@@ -33,8 +33,8 @@ pub trait ByteLink: Send {
     /// If the link is gone.
     fn try_write(&mut self, bytes: &[u8]) -> Result<usize, Unplugged>;
 
-    /// What [`wait`] waits for.
-    fn fd(&self) -> BorrowedFd<'_>;
+    /// What [`wait`] waits for; nothing if nobody can wait for it, as time is simulated.
+    fn fd(&self) -> Option<BorrowedFd<'_>>;
 
     /// What the operator should know about this link, found when it was opened.
     fn warning(&self) -> Option<String> {
@@ -112,7 +112,7 @@ pub struct Ready {
 ///
 /// A signal ends the wait early, with nothing ready.
 pub fn wait(link: Option<&dyn ByteLink>, for_room: bool, waker: Option<BorrowedFd<'_>>, timeout: Duration) -> Ready {
-    wait_for(link.map(ByteLink::fd), for_room, waker, timeout)
+    wait_for(link.and_then(ByteLink::fd), for_room, waker, timeout)
 }
 
 /// The same for whatever has a file descriptor.
@@ -208,7 +208,7 @@ impl ByteLink for PairLink {
         judge(self.stream.write(bytes), false)
     }
 
-    fn fd(&self) -> BorrowedFd<'_> {
-        self.stream.as_fd()
+    fn fd(&self) -> Option<BorrowedFd<'_>> {
+        Some(self.stream.as_fd())
     }
 }

@@ -267,9 +267,9 @@ impl SetupFile {
         }
         let (vs, tc) = arms?;
         for (key, arm) in [("arms.vs", &vs), ("arms.tc", &tc)] {
-            if arm.link != ArmLink::InProcess && self.run.pace != Pace::Live {
+            if !arm.link.is_toy() && self.run.pace != Pace::Live {
                 check.refuse(format!(
-                    "run.pace: an arm that is not simulated in process ({key}.backend) needs pace = \"live\""
+                    "run.pace: an arm that is not simulated in this program ({key}.backend) needs pace = \"live\""
                 ));
             }
         }

@@ -189,7 +189,7 @@ impl HostPort for ControllerPort {
         None
     }
 
-    fn wait(&self, waker: BorrowedFd<'_>, timeout: Duration) {
-        wait_for(self.bus.as_ref().map(|bus| bus.fd()), false, Some(waker), timeout);
+    fn wait(&self, waker: Option<BorrowedFd<'_>>, timeout: Duration) {
+        wait_for(self.bus.as_ref().map(|bus| bus.fd()), false, waker, timeout);
     }
 }

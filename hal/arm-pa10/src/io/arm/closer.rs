@@ -13,11 +13,16 @@ const WAITING_MAX: usize = 4;
 /// Who opens a link again waits for so long until the old one is closed.
 const CLOSED_IN: Duration = Duration::from_millis(1500);
 
-/// A thread that closes. It ends with this.
+/// Closes links: by a thread that ends with this, or at once.
 pub(super) struct Closer {
+    thread: Option<Closing>,
+    under_way: usize,
+}
+
+/// A thread that closes.
+struct Closing {
     links: SyncSender<Box<dyn ByteLink>>,
     closed: Receiver<()>,
-    under_way: usize,
 }
 
 /// The system has not closed the link that is gone.
@@ -39,12 +44,18 @@ impl Closer {
             }
         };
         std::thread::Builder::new().name("arm closer".to_owned()).spawn(work)?;
-        Ok(Self { links, closed, under_way: 0 })
+        Ok(Self { thread: Some(Closing { links, closed }), under_way: 0 })
+    }
+
+    /// For links that no kernel knows.
+    pub fn at_once() -> Self {
+        Self { thread: None, under_way: 0 }
     }
 
     /// Has a link closed, without waiting.
     pub fn close(&mut self, link: Box<dyn ByteLink>) {
-        match self.links.try_send(link) {
+        let Some(thread) = &self.thread else { return };
+        match thread.links.try_send(link) {
             Ok(()) => self.under_way += 1,
             Err(TrySendError::Full(link) | TrySendError::Disconnected(link)) => drop(link),
         }
@@ -55,8 +66,9 @@ impl Closer {
     /// # Errors
     /// If the system takes too long for that.
     pub fn wait(&mut self) -> Result<(), ConnectError> {
+        let Some(thread) = &self.thread else { return Ok(()) };
         while self.under_way > 0 {
-            self.closed.recv_timeout(CLOSED_IN).map_err(|_| StillClosing)?;
+            thread.closed.recv_timeout(CLOSED_IN).map_err(|_| StillClosing)?;
             self.under_way -= 1;
         }
         Ok(())

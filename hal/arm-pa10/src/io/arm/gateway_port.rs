@@ -55,13 +55,14 @@ impl GatewayPort {
     pub fn open(
         config: GatewayLinkConfig,
         mut connector: Box<dyn Connector>,
+        closer: Closer,
         tracer: Tracer,
     ) -> Result<Self, ConnectError> {
         Ok(Self {
             link: GatewayLink::new(config),
             bytes: Some(connector.connect()?),
             connector,
-            closer: Closer::start()?,
+            closer,
             gone: None,
             pending: FrameBytes::EMPTY,
             written: 0,
@@ -219,7 +220,7 @@ impl HostPort for GatewayPort {
         [self.link.next_deadline(), greeting].into_iter().flatten().min()
     }
 
-    fn wait(&self, waker: BorrowedFd<'_>, timeout: Duration) {
-        wait(self.bytes.as_deref(), !self.pending.is_empty(), Some(waker), timeout);
+    fn wait(&self, waker: Option<BorrowedFd<'_>>, timeout: Duration) {
+        wait(self.bytes.as_deref(), !self.pending.is_empty(), waker, timeout);
     }
 }

@@ -13,36 +13,42 @@ mod port;
 mod shared;
 mod trace;
 mod trip_line;
+mod virtual_line;
+mod virtual_time;
 mod wish;
 mod worker;
 
 use std::io::Write as _;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::sync::mpsc::{Receiver, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand};
 use pb3dp_kinematics::JointState;
 
 use self::bus_port::ControllerPort;
+use self::closer::Closer;
 use self::gateway_port::GatewayPort;
 use self::port::HostPort;
 use self::shared::{Shared, Wish};
 use self::trace::Tracer;
 use self::worker::{LET_GO_MAX, Progress, WishEnd, Worker};
-use super::realtime::{Realtime, enter};
+use super::realtime::{Realtime, Shortfall, enter};
 use super::transport::{ConnectError, Connector};
 use crate::codec::{ArmCommand, CodecError};
 use crate::driver::{Activity, Driver, DriverConfig, Trip};
 use crate::gateway_protocol::ArmId;
+use crate::link::GatewayLinkConfig;
 
 pub use bus_port::{BusTarget, NoBus};
 pub use config::{ArmOpenError, BusArmConfig, Pa10ArmConfig, REALTIME};
 pub use jitter::{Jitter, JitterMeter};
 pub use shared::{ArmMonitor, ArmSnapshot};
 pub use trace::{RawBytes, Way};
-pub use trip_line::{TripHandle, TripSeat, trip_line};
+pub use trip_line::{TripHandle, TripSeat, trip_line, virtual_trip_line};
+pub use virtual_time::{VirtualEnd, VirtualTime};
 pub use wish::WishError;
 
 /// A measurement that came so long ago, in cycles, or less, is the newest one that there can be: a little later than expected the
@@ -77,8 +83,22 @@ pub struct Pa10Arm {
     shared: Arc<Shared>,
     trip: TripHandle,
     ends: Receiver<WishEnd>,
-    thread: Option<JoinHandle<()>>,
+    work: Work,
     warnings: Vec<String>,
+}
+
+/// Who does the work of an arm.
+enum Work {
+    /// A thread of its own, until it has ended.
+    Thread(Option<JoinHandle<()>>),
+    /// Whoever waits in virtual time.
+    Virtual(Arc<VirtualTime>),
+}
+
+/// Where the work of an arm is to be done.
+enum Place {
+    Thread(Realtime),
+    Virtual(Arc<VirtualTime>, VirtualEnd),
 }
 
 /// What is the same for every way to an arm.
@@ -87,7 +107,7 @@ struct Start {
     arm: ArmId,
     driver: DriverConfig,
     exchange_cycle: Duration,
-    realtime: Realtime,
+    place: Place,
     target: String,
 }
 
@@ -106,12 +126,36 @@ impl Pa10Arm {
         seat: TripSeat,
     ) -> Result<Self, ArmOpenError> {
         let Pa10ArmConfig { name, driver, link, realtime } = config;
-        if driver.cycle != link.cycle {
-            return Err(ArmOpenError::Cycles { arm: name, driver: driver.cycle, link: link.cycle });
-        }
-        let target = connector.target();
-        let start = Start { name, arm: link.arm, driver, exchange_cycle: link.cycle, realtime, target };
-        Self::start(start, move |tracer| Ok(Box::new(GatewayPort::open(link, connector, tracer)?)), clock, seat)
+        check_cycles(&name, &driver, &link)?;
+        let (target, place) = (connector.target(), Place::Thread(realtime));
+        let start = Start { name, arm: link.arm, driver, exchange_cycle: link.cycle, place, target };
+        let open = move |tracer| {
+            Ok(Box::new(GatewayPort::open(link, connector, Closer::start()?, tracer)?) as Box<dyn HostPort>)
+        };
+        Self::start(start, open, clock, seat)
+    }
+
+    /// The same for an arm that is emulated in virtual time, with a seat of a [`virtual_trip_line`]; what is asked of a thread does
+    /// not count.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_virtual(
+        config: Pa10ArmConfig,
+        end: VirtualEnd,
+        time: &Arc<VirtualTime>,
+        seat: TripSeat,
+    ) -> Result<Self, ArmOpenError> {
+        let Pa10ArmConfig { name, driver, link, .. } = config;
+        check_cycles(&name, &driver, &link)?;
+        let clock: Arc<dyn Clock> = Arc::clone(time) as Arc<dyn Clock>;
+        let connector = end.port(&clock);
+        let (target, place) = (connector.target(), Place::Virtual(Arc::clone(time), end));
+        let start = Start { name, arm: link.arm, driver, exchange_cycle: link.cycle, place, target };
+        let open = move |tracer| {
+            Ok(Box::new(GatewayPort::open(link, connector, Closer::at_once(), tracer)?) as Box<dyn HostPort>)
+        };
+        Self::start(start, open, clock, seat)
     }
 
     /// The same for an arm whose ARCNET card is in this computer.
@@ -123,7 +167,8 @@ impl Pa10Arm {
         if exchange_cycle < driver.cycle || exchange_cycle * 2 > driver.watchdog.ramp_after() {
             return Err(ArmOpenError::ExchangeCycle { arm: name, got: exchange_cycle, bus: driver.cycle });
         }
-        let start = Start { name, arm, driver, exchange_cycle, realtime, target: target.to_string() };
+        let place = Place::Thread(realtime);
+        let start = Start { name, arm, driver, exchange_cycle, place, target: target.to_string() };
         Self::start(
             start,
             move |tracer| Ok(Box::new(ControllerPort::open(format, modulus, target, tracer)?)),
@@ -138,7 +183,7 @@ impl Pa10Arm {
         clock: Arc<dyn Clock>,
         seat: TripSeat,
     ) -> Result<Self, ArmOpenError> {
-        let Start { name, arm, driver: config, exchange_cycle, realtime, target } = start;
+        let Start { name, arm, driver: config, exchange_cycle, place, target } = start;
         let of_arm = || name.clone();
         let driver = Driver::new(config).map_err(|source| ArmOpenError::Config { arm: of_arm(), source })?;
         let shared = Arc::new(Shared::new());
@@ -158,20 +203,20 @@ impl Pa10Arm {
             ends: ends_out,
             progress: Progress::default(),
         };
-        let (shortfalls_out, shortfalls) = channel();
-        let serve = move || {
-            // Nobody can be gone who waits for it.
-            let _ = shortfalls_out.send(enter(&realtime));
-            worker::run(worker);
+        let work = match place {
+            Place::Thread(realtime) => {
+                let (thread, shortfalls) = spawn(&name, worker, realtime)?;
+                warnings.extend(shortfalls.iter().map(|shortfall| format!("arm {name}: {shortfall}")));
+                Work::Thread(Some(thread))
+            }
+            Place::Virtual(time, end) => {
+                time.add(worker, end);
+                Work::Virtual(time)
+            }
         };
-        let thread = std::thread::Builder::new().name(format!("arm {name}")).spawn(serve);
-        let thread = thread.map_err(|source| ArmOpenError::Thread { arm: of_arm(), source })?;
-        let shortfalls = shortfalls.recv_timeout(OPEN_MAX).unwrap_or_default();
-        warnings.extend(shortfalls.iter().map(|shortfall| format!("arm {name}: {shortfall}")));
         let info = ArmInfo { name: format!("{name} (pa10 at {target})"), cycle: exchange_cycle };
-        let thread = Some(thread);
         let name = Arc::from(info.name.as_str());
-        let mut opened = Self { driver: config, info, name, clock, shared, trip, ends, thread, warnings };
+        let mut opened = Self { driver: config, info, name, clock, shared, trip, ends, work, warnings };
         opened.fulfil(Wish::Connect).map_err(|source| ArmOpenError::Connect { arm: of_arm(), source })?;
         Ok(opened)
     }
@@ -207,10 +252,37 @@ impl Pa10Arm {
         let patience = OPEN_MAX + self.driver.activity_timeout * ACTIVITIES_MAX;
         let deadline = self.clock.now() + patience;
         loop {
-            match self.ends.recv_timeout(deadline.saturating_since(self.clock.now())) {
-                Ok((ended, end)) if ended == number => return end,
-                Ok(_) => {}
-                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => return Err(WishError::NoThread),
+            match self.next_end(deadline) {
+                Some((ended, end)) if ended == number => return end,
+                Some(_) => {}
+                None => return Err(WishError::NoThread),
+            }
+        }
+    }
+
+    /// Waits for the end of a wish.
+    fn next_end(&self, deadline: MonotonicTime) -> Option<WishEnd> {
+        match &self.work {
+            Work::Thread(_) => self.ends.recv_timeout(deadline.saturating_since(self.clock.now())).ok(),
+            Work::Virtual(time) => loop {
+                if let Ok(end) = self.ends.try_recv() {
+                    return Some(end);
+                }
+                if !time.step(deadline) {
+                    return None;
+                }
+            },
+        }
+    }
+
+    /// Waits until the arm is as wanted or this time is over; what is known then.
+    fn wait_for(&self, timeout: Duration, wanted: impl Fn(&ArmSnapshot) -> bool) -> ArmSnapshot {
+        let Work::Virtual(time) = &self.work else { return self.shared.wait_for(timeout, wanted) };
+        let deadline = self.clock.now() + timeout;
+        loop {
+            let now = self.shared.snapshot();
+            if wanted(&now) || !time.step(deadline) {
+                return now;
             }
         }
     }
@@ -270,7 +342,7 @@ impl Pa10Arm {
         let fresh = self.info.cycle.mul_f64(FRESH_CYCLES);
         let is_fresh =
             |now: &ArmSnapshot| now.sample_at.is_some_and(|at| self.clock.now().saturating_since(at) <= fresh);
-        let snapshot = self.shared.wait_for(self.info.cycle, |now| is_fresh(now) || !is_followed(now));
+        let snapshot = self.wait_for(self.info.cycle, |now| is_fresh(now) || !is_followed(now));
         if !is_followed(&snapshot) && (matches!(command, JointCommand::Velocity(_)) || is_gone(&snapshot)) {
             return Err(self.stopped(&snapshot));
         }
@@ -283,6 +355,26 @@ impl Pa10Arm {
             None => Err(self.stopped(&snapshot)),
         }
     }
+}
+
+fn check_cycles(arm: &str, driver: &DriverConfig, link: &GatewayLinkConfig) -> Result<(), ArmOpenError> {
+    if driver.cycle == link.cycle {
+        return Ok(());
+    }
+    Err(ArmOpenError::Cycles { arm: arm.to_owned(), driver: driver.cycle, link: link.cycle })
+}
+
+/// The thread of an arm, and what the system did not give to it.
+fn spawn(name: &str, worker: Worker, realtime: Realtime) -> Result<(JoinHandle<()>, Vec<Shortfall>), ArmOpenError> {
+    let (shortfalls_out, shortfalls) = channel();
+    let serve = move || {
+        // Nobody can be gone who waits for it.
+        let _ = shortfalls_out.send(enter(&realtime));
+        worker::run(worker);
+    };
+    let thread = std::thread::Builder::new().name(format!("arm {name}")).spawn(serve);
+    let thread = thread.map_err(|source| ArmOpenError::Thread { arm: name.to_owned(), source })?;
+    Ok((thread, shortfalls.recv_timeout(OPEN_MAX).unwrap_or_default()))
 }
 
 /// The same error with joint and alarm code of what stopped the arm.
@@ -350,7 +442,13 @@ impl Drop for Pa10Arm {
     fn drop(&mut self) {
         self.shared.let_go();
         self.trip.wake();
-        let Some(thread) = self.thread.take() else { return };
+        let thread = match &mut self.work {
+            Work::Thread(thread) => thread.take(),
+            Work::Virtual(time) => {
+                return time.let_go(&self.shared, self.clock.now() + LET_GO_MAX + self.driver.brake_time);
+            }
+        };
+        let Some(thread) = thread else { return };
         // The program may end right after this: the thread gets its time. It needs no more than this, unless it does not run.
         let told_us = self.shared.snapshot().gateway.map_or(0, |hello| hello.brake_release_us);
         let brakes = self.driver.brake_time.max(Duration::from_micros(told_us.into()));

@@ -84,5 +84,5 @@ pub(super) trait HostPort: Send {
     fn next_deadline(&self) -> Option<MonotonicTime>;
 
     /// Waits for something from the line, for room if something waits for it, for the waker, or for this long.
-    fn wait(&self, waker: BorrowedFd<'_>, timeout: Duration);
+    fn wait(&self, waker: Option<BorrowedFd<'_>>, timeout: Duration);
 }

@@ -2,7 +2,7 @@
 
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use rustix::event::{EventfdFlags, eventfd};
 
@@ -22,7 +22,16 @@ const ARM: u32 = 0x100;
 #[derive(Debug)]
 struct Member {
     tripped_by: AtomicU32,
-    waker: OwnedFd,
+    waker: Waker,
+}
+
+/// How an arm is told to look around.
+#[derive(Debug)]
+enum Waker {
+    /// Its thread waits for this.
+    Event(OwnedFd),
+    /// Who simulates its time looks at this.
+    Flag(AtomicBool),
 }
 
 /// The place of one arm on its line.
@@ -46,16 +55,28 @@ pub struct TripHandle {
 pub fn trip_line(arms: usize) -> std::io::Result<Vec<TripSeat>> {
     let member = |_| -> std::io::Result<Member> {
         let waker = eventfd(0, EventfdFlags::NONBLOCK | EventfdFlags::CLOEXEC)?;
-        Ok(Member { tripped_by: AtomicU32::new(NOBODY), waker })
+        Ok(Member { tripped_by: AtomicU32::new(NOBODY), waker: Waker::Event(waker) })
     };
-    let members: Arc<[Member]> = (0..arms).map(member).collect::<Result<Vec<_>, _>>()?.into();
-    Ok((0..arms).map(|index| TripSeat { members: Arc::clone(&members), index }).collect())
+    Ok(seats((0..arms).map(member).collect::<Result<_, _>>()?))
+}
+
+/// The same for arms in [virtual time](super::VirtualTime), whose threads are none.
+pub fn virtual_trip_line(arms: usize) -> Vec<TripSeat> {
+    let member = |_| Member { tripped_by: AtomicU32::new(NOBODY), waker: Waker::Flag(AtomicBool::new(false)) };
+    seats((0..arms).map(member).collect())
+}
+
+fn seats(members: Arc<[Member]>) -> Vec<TripSeat> {
+    (0..members.len()).map(|index| TripSeat { members: Arc::clone(&members), index }).collect()
 }
 
 impl Member {
     fn wake(&self) {
-        // It fails only if the count is full: then the arm is awake.
-        let _ = rustix::io::write(&self.waker, &1u64.to_ne_bytes());
+        match &self.waker {
+            // It fails only if the count is full: then the arm is awake.
+            Waker::Event(event) => drop(rustix::io::write(event, &1u64.to_ne_bytes())),
+            Waker::Flag(flag) => flag.store(true, Ordering::Release),
+        }
     }
 
     fn trip(&self, by: u32) {
@@ -91,14 +112,25 @@ impl TripSeat {
         }
     }
 
-    /// Readable after something woke this arm.
-    pub(super) fn waker(&self) -> BorrowedFd<'_> {
-        self.members[self.index].waker.as_fd()
+    /// Readable after something woke this arm; nothing in virtual time.
+    pub(super) fn waker(&self) -> Option<BorrowedFd<'_>> {
+        match &self.members[self.index].waker {
+            Waker::Event(event) => Some(event.as_fd()),
+            Waker::Flag(_) => None,
+        }
+    }
+
+    /// Whether something woke this arm in virtual time.
+    pub(super) fn is_woken(&self) -> bool {
+        matches!(&self.members[self.index].waker, Waker::Flag(flag) if flag.load(Ordering::Acquire))
     }
 
     /// Makes [`Self::waker`] wait for the next waking.
     pub(super) fn forget_wakings(&self) {
-        let _ = rustix::io::read(&self.members[self.index].waker, &mut [0u8; 8]);
+        match &self.members[self.index].waker {
+            Waker::Event(event) => drop(rustix::io::read(event, &mut [0u8; 8])),
+            Waker::Flag(flag) => flag.store(false, Ordering::Release),
+        }
     }
 }
 
@@ -121,7 +153,12 @@ mod tests {
 
     #[test]
     fn an_arm_stops_all_others_once() {
-        let seats = trip_line(3).unwrap();
+        for seats in [trip_line(3).unwrap(), virtual_trip_line(3)] {
+            stop_each_other(&seats);
+        }
+    }
+
+    fn stop_each_other(seats: &[TripSeat]) {
         seats[1].trip_others(ArmId(7));
         assert_eq!(seats[1].take(), None);
         for index in [0, 2] {

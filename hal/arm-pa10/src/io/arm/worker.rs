@@ -81,22 +81,27 @@ impl Worker {
     /// Until the owner lets go and the arm is stopped.
     fn serve(&mut self) {
         loop {
-            let now = self.clock.now();
-            self.take_trip(now);
-            self.take_wish();
-            self.take_command(now);
-            self.let_go(now);
-            self.open_again(now);
-            self.receive(now);
-            self.advance_wish(now);
-            self.transmit();
-            self.tell_others();
-            self.publish();
+            self.turn();
             if self.is_over() {
                 return;
             }
             self.wait();
         }
+    }
+
+    /// Everything that is due now.
+    pub(super) fn turn(&mut self) {
+        let now = self.clock.now();
+        self.take_trip(now);
+        self.take_wish();
+        self.take_command(now);
+        self.let_go(now);
+        self.open_again(now);
+        self.receive(now);
+        self.advance_wish(now);
+        self.transmit();
+        self.tell_others();
+        self.publish();
     }
 
     fn take_trip(&mut self, now: MonotonicTime) {
@@ -250,7 +255,8 @@ impl Worker {
         }
     }
 
-    fn is_over(&self) -> bool {
+    /// Whether the owner has let go, and nothing is left to do for the arm.
+    pub(super) fn is_over(&self) -> bool {
         let Some(since) = self.progress.letting_go else { return false };
         let at_rest = self.driver.activity() == Activity::None || self.port.gone().is_some();
         (at_rest && !self.driver.is_unheard())
@@ -258,12 +264,16 @@ impl Worker {
     }
 
     fn wait(&mut self) {
-        let now = self.clock.now();
+        let left = self.idle_for(self.clock.now());
+        self.port.wait(self.seat.waker(), left);
+    }
+
+    /// For how long there is nothing to do, unless something comes.
+    pub(super) fn idle_for(&self, now: MonotonicTime) -> Duration {
         let soon = self.progress.come_back.then(|| now + SOON);
         let deadlines = [self.driver.next_deadline(), self.port.next_deadline(), soon];
         let next = deadlines.into_iter().flatten().min().unwrap_or(now + IDLE);
-        let left = if next <= now { SOON } else { next.saturating_since(now).min(IDLE) };
-        self.port.wait(self.seat.waker(), left);
+        if next <= now { SOON } else { next.saturating_since(now).min(IDLE) }
     }
 
     fn stop_after_failure(&mut self) {

@@ -271,7 +271,7 @@ impl Cycle {
         let mut fds = [
             waiting(waker, PollFlags::IN),
             waiting(self.bus.as_ref().map_or(waker, |bus| bus.fd()), PollFlags::IN),
-            waiting(self.host.as_ref().map_or(waker, |host| host.link.fd()), for_host),
+            waiting(self.host.as_ref().and_then(|host| host.link.fd()).unwrap_or(waker), for_host),
         ];
         if matches!(poll(&mut fds, Some(&timeout)), Ok(1..)) && !fds[0].revents().is_empty() {
             let mut count = [0; 8];

@@ -142,7 +142,7 @@ impl SerialLink {
         stream.clear(ClearBuffer::All).map_err(|error| other(error.into()))?;
         let (path, latency) = (path.clone(), Latency::NotUsb);
         let mut link = Self { stream, _runtime: runtime, path, baud: got, latency, is_gone: false };
-        link.latency = latency::lower(link.fd(), &config.path);
+        link.latency = latency::lower(link.descriptor(), &config.path);
         Ok(link)
     }
 
@@ -154,6 +154,13 @@ impl SerialLink {
     /// Whether the adapter hands bytes on at once.
     pub fn latency(&self) -> &Latency {
         &self.latency
+    }
+}
+
+impl SerialLink {
+    fn descriptor(&self) -> BorrowedFd<'_> {
+        // SAFETY: the stream owns the descriptor and is borrowed for as long as the result.
+        unsafe { BorrowedFd::borrow_raw(self.stream.as_raw_fd()) }
     }
 }
 
@@ -175,9 +182,8 @@ impl ByteLink for SerialLink {
         written
     }
 
-    fn fd(&self) -> BorrowedFd<'_> {
-        // SAFETY: the stream owns the descriptor and is borrowed for as long as the result.
-        unsafe { BorrowedFd::borrow_raw(self.stream.as_raw_fd()) }
+    fn fd(&self) -> Option<BorrowedFd<'_>> {
+        Some(self.descriptor())
     }
 
     fn warning(&self) -> Option<String> {
@@ -190,7 +196,7 @@ impl Drop for SerialLink {
         if self.is_gone {
             // Writing fails earlier than the kernel takes a port away. Closed in between, it would wait for up to 30 s for bytes that
             // can not leave any more, and keep the kernel from taking it away: plugged in again, it would not come back before that.
-            wait_for_hangup(self.fd(), HANGUP_MAX);
+            wait_for_hangup(self.descriptor(), HANGUP_MAX);
         }
         // Else closing waits for up to 30 s until bytes that nobody takes are gone.
         let _ = self.stream.clear(ClearBuffer::Output);

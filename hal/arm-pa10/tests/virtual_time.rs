@@ -1,0 +1,206 @@
+//! Arms in virtual time: the contract of the arm traits, arms that stop each other, a cable that is pulled, and the same bytes again.
+
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+#[path = "common/plant_config.rs"]
+mod joints;
+
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use joints::plant_config;
+use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, FaultCause, LimitsCheck, Trip};
+use pb3dp_arm_pa10::far_end::FarEnd;
+use pb3dp_arm_pa10::gateway::{Gateway, GatewayConfig};
+use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, Geometry};
+use pb3dp_arm_pa10::io::arm::{Pa10Arm, Pa10ArmConfig, RawBytes, TripSeat, VirtualEnd, VirtualTime, virtual_trip_line};
+use pb3dp_arm_pa10::link::GatewayLinkConfig;
+use pb3dp_arm_pa10::mock_controller::{MockController, MockControllerConfig};
+use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
+use pb3dp_hal_clock::VirtualClock;
+use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, arm_suite};
+use pb3dp_kinematics::JointVector;
+use pb3dp_sim::joint_dynamics::JointPlant;
+
+const CYCLE: Duration = Duration::from_millis(10);
+const BAUD: u32 = 460_800;
+const FORMAT: WireFormat = WireFormat::BigEndian6x10;
+
+fn time() -> Arc<VirtualTime> {
+    Arc::new(VirtualTime::over(Arc::new(VirtualClock::new())))
+}
+
+fn open(arm: u8, time: &Arc<VirtualTime>, seat: TripSeat) -> (Pa10Arm, VirtualEnd) {
+    // E2 is about to turn beyond half a turn: wrapped angles would show.
+    let home = JointVector::from([0.2, -0.5, 0.3, 1.1, std::f64::consts::PI - 0.02, 0.9, 0.1]);
+    let now = time.now();
+    let plant = Arc::new(Mutex::new(JointPlant::new(plant_config(), home, now).unwrap()));
+    let controller = MockController::new(MockControllerConfig::new(FORMAT), plant, 7, now).unwrap();
+    let gateway = GatewayConfig::new(ArmId(arm), FORMAT, Firmware::new("test 1").unwrap());
+    let end = VirtualEnd::new(FarEnd::new(controller, Some(Gateway::new(gateway, now).unwrap()), now), BAUD);
+    let driver = DriverConfig { limits: LimitsCheck::Read, ..DriverConfig::with_cycle(CYCLE) };
+    let geometry = Geometry::SecondGeneration;
+    let dialect = Dialect::GatewayV1;
+    let link = GatewayLinkConfig { arm: ArmId(arm), dialect, format: FORMAT, geometry, cycle: CYCLE };
+    let config = Pa10ArmConfig::new(&format!("arm-{arm}"), driver, link);
+    (Pa10Arm::open_virtual(config, end.clone(), time, seat).unwrap(), end)
+}
+
+fn seat() -> TripSeat {
+    virtual_trip_line(1).remove(0)
+}
+
+fn pass(time: &VirtualTime, millis: u64) {
+    time.sleep_until(time.now() + Duration::from_millis(millis));
+}
+
+/// Does the same for the far end that stands behind the arm just now, and waits until it shows.
+fn with(
+    end: &Rc<RefCell<Option<VirtualEnd>>>,
+    time: &Arc<VirtualTime>,
+    (line, millis): (&'static str, u64),
+) -> Box<dyn Fn(&mut Pa10Arm)> {
+    let (end, time) = (Rc::clone(end), Arc::clone(time));
+    Box::new(move |_| {
+        end.borrow().as_ref().unwrap().command_line(line).unwrap();
+        pass(&time, millis);
+    })
+}
+
+#[test]
+fn an_arm_in_virtual_time_keeps_the_contract() {
+    let time = time();
+    let end: Rc<RefCell<Option<VirtualEnd>>> = Rc::default();
+    let make = || {
+        let (arm, far) = open(1, &time, seat());
+        *end.borrow_mut() = Some(far);
+        arm
+    };
+    let hooks = ArmHooks {
+        lose_reply: Some(with(&end, &time, ("line drop 2", 16))),
+        raise_fault: Some(with(&end, &time, ("alarm 4 0x0e", 50))),
+        remove_fault_cause: Some(with(&end, &time, ("alarm 4 off", 50))),
+        press_e_stop: Some(with(&end, &time, ("e-stop press", 50))),
+        release_e_stop: Some(with(&end, &time, ("e-stop release", 50))),
+    };
+    let expectations = ArmExpectations { speed_rad_per_s: 0.1, settles_within: Duration::from_millis(250) };
+    arm_suite(make, time.as_ref(), &expectations, &hooks).assert_passed();
+    assert!(time.is_empty(), "arms that were let go of live on");
+}
+
+fn velocity() -> JointCommand {
+    JointCommand::Velocity(JointVector::from([0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 0.7]))
+}
+
+fn speed(end: &VirtualEnd) -> f64 {
+    end.look(|far| far.controller.true_joints().1.amax())
+}
+
+struct Cell {
+    time: Arc<VirtualTime>,
+    arms: [Pa10Arm; 2],
+    ends: [VirtualEnd; 2],
+}
+
+/// Two arms of one cell in motion.
+fn moving() -> Cell {
+    let time = time();
+    let mut seats = virtual_trip_line(2).into_iter();
+    let (one, one_end) = open(1, &time, seats.next().unwrap());
+    let (other, other_end) = open(2, &time, seats.next().unwrap());
+    let mut cell = Cell { time, arms: [one, other], ends: [one_end, other_end] };
+    cell.arms.iter_mut().for_each(|arm| arm.enable().unwrap());
+    cell.move_for(300);
+    assert!(cell.ends.iter().all(|end| speed(end) > 0.5));
+    cell
+}
+
+impl Cell {
+    fn move_for(&mut self, millis: u64) {
+        let until = self.time.now() + Duration::from_millis(millis);
+        while self.time.now() < until {
+            self.arms.iter_mut().for_each(|arm| drop(arm.exchange(velocity())));
+            pass(&self.time, 10);
+        }
+    }
+
+    fn trip(&self, arm: usize) -> Trip {
+        self.arms[arm].monitor().snapshot().latched.unwrap().trip
+    }
+}
+
+#[test]
+fn arms_of_a_cell_stop_each_other_within_a_cycle() {
+    let mut cell = moving();
+    cell.ends[0].command_line("e-stop press").unwrap();
+    let at = cell.time.now();
+    while !cell.arms.iter().all(|arm| matches!(arm.state(), ArmState::Fault | ArmState::EStop)) {
+        cell.move_for(1);
+    }
+    assert!(cell.time.now().saturating_since(at) <= Duration::from_millis(40), "{at:?} {:?}", cell.time.now());
+    assert_eq!(cell.arms[0].state(), ArmState::EStop);
+    assert_eq!(cell.trip(1), Trip::Fault(FaultCause::OtherArm { arm: 1 }));
+    pass(&cell.time, 500);
+    assert!(cell.ends.iter().all(|end| speed(end) == 0.0 && end.look(|far| far.controller.is_braked())));
+}
+
+#[test]
+fn a_cable_that_was_pulled_stops_the_arm_and_comes_back_by_a_reset() {
+    let mut cell = moving();
+    cell.ends[1].unplug();
+    cell.move_for(100);
+    let error = cell.arms[1].exchange(velocity()).unwrap_err();
+    assert_eq!(error.kind(), ArmErrorKind::Disconnected, "{error}");
+    pass(&cell.time, 500);
+    assert!(cell.ends.iter().all(|end| speed(end) == 0.0));
+    assert!(cell.arms[1].reset().unwrap_err().to_string().contains("can not be opened"));
+    cell.ends[1].plug();
+    pass(&cell.time, 500);
+    assert_eq!(cell.arms[1].state(), ArmState::Fault, "it came back by itself");
+    cell.arms.iter_mut().rev().for_each(|arm| arm.reset().unwrap());
+    cell.arms.iter_mut().for_each(|arm| arm.enable().unwrap());
+    cell.move_for(300);
+    assert!(cell.ends.iter().all(|end| speed(end) > 0.5));
+}
+
+#[test]
+fn a_host_that_commands_nothing_more_is_noticed() {
+    let cell = moving();
+    pass(&cell.time, 60);
+    assert!(cell.arms.iter().all(|arm| arm.monitor().snapshot().state == DriverState::Fault));
+    pass(&cell.time, 500);
+    assert!(cell.ends.iter().all(|end| speed(end) == 0.0));
+}
+
+#[test]
+fn who_lets_go_of_a_moving_arm_has_it_stopped() {
+    let cell = moving();
+    let Cell { time, arms, ends } = cell;
+    drop(arms);
+    assert!(time.is_empty());
+    for end in &ends {
+        assert!(end.look(|far| far.gateway.as_ref().unwrap().status().state) != GatewayState::Moving);
+        assert!(speed(end) < 1e-3);
+    }
+}
+
+/// What two arms say on their lines in two seconds with faults by chance.
+fn said() -> Vec<RawBytes> {
+    let mut cell = moving();
+    for end in &cell.ends {
+        end.command_line("chance 2% at-most 2 drop 1").unwrap();
+        end.command_line("chance 0.1% line corrupt 1").unwrap();
+    }
+    cell.move_for(2000);
+    cell.arms.iter().flat_map(|arm| arm.monitor().raw_bytes()).collect()
+}
+
+#[test]
+fn the_same_commands_give_the_same_bytes() {
+    let (one, other) = (said(), said());
+    assert!(one.len() > 800, "{}", one.len());
+    assert!(one == other, "the same run went another way");
+}
