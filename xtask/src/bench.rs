@@ -29,6 +29,9 @@ const QUICK_ROUNDS: &str = "40";
 /// figures  the figures of docs/method.md, on rendered scenes: some minutes. Writes docs/images/score.svg, noise.svg, track.svg
 /// servo   how well the hand follows in simulation: the experiment of Fig. 7, sinusoids, steps, beside what an ideal filter or the
 ///         arm's limits allow; fails if a limit is missed (ten minutes on two idle cores; --quick: seconds; --only WORDS, --seed N). Writes docs/benchmarks/servo.md
+/// safety  seeded runs in which everything goes wrong, with both arms emulated in virtual time, judged on the simulator's truth;
+///         fails if anything does not hold, and says how to do that run again: --runs N, --seed N, --quick, --trace; a run
+///         of default length writes docs/benchmarks/safety.md
 /// all     speed and raster
 ///
 /// The examples `speed` of crates/estimation and `raster_speed` of crates/sim measure the published method and the
@@ -56,6 +59,7 @@ enum What {
     Accuracy,
     Figures,
     Servo,
+    Safety,
     All,
 }
 
@@ -97,6 +101,9 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     if args.what == What::Servo {
         return servo(workspace, &args.options);
     }
+    if args.what == What::Safety {
+        return safety(workspace, &args.options);
+    }
     let wanted = |what: What| args.what == What::All && OF_ALL.contains(&what) || args.what == what;
     let takes_options = PROGRAMS.iter().any(|(what, _)| *what == args.what);
     if let Some(option) = args.options.first().filter(|_| !takes_options) {
@@ -122,6 +129,17 @@ fn servo(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
         command.args(["--page", PAGES]);
     }
     command.args(options);
+    run_visibly(&mut command)
+}
+
+/// Runs the example `safety` of the system tests; a whole run writes its page.
+fn safety(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
+    let mut command = workspace.cargo();
+    command.args(["run", "--release", "--locked", "--package", "system-tests", "--example", "safety", "--"]);
+    command.args(["--origin", &origin(workspace)]).args(options);
+    if options.is_empty() {
+        command.args(["--page", PAGES]);
+    }
     run_visibly(&mut command)
 }
 

@@ -134,8 +134,11 @@ pub fn wire_at_rest(setup: &Setup, duration: Duration) -> Result<Parts> {
     wire_cell(setup, |_, world_from_target| Ok(Arc::new(AtRest { world_from_target, duration_s })))
 }
 
-/// Everything but what the target does, which begins where it is.
-fn wire_cell(
+/// Wires the cell with a target that does what `begin` says, told where it is; whether the arms can follow nobody checks here.
+///
+/// # Errors
+/// If a part refuses its parameters, and those of `begin`.
+pub fn wire_cell(
     setup: &Setup,
     begin: impl FnOnce(&mut SimulatedCell, Pose<World, Target>) -> Result<Arc<dyn Trajectory>>,
 ) -> Result<Parts> {

@@ -12,8 +12,10 @@ pub(super) fn check(rules: &Rules, steps: &[Step], found: &mut Found) {
         };
         let latched = |step: &Step| step.arms.iter().any(|arm| arm.latched_since_s.is_some());
         // What a joint does by itself ends with the latch.
-        let silent = |step: &Step| step.arms[arm].obeys && !step.arms[arm].may_go;
-        let blind = |step: &Step| arm == HAND_ARM && step.arms[arm].obeys && step.pose_age_s > rules.pose_age_max_s;
+        // Without servos nothing keeps a joint but its brake: how long it may fall is said by the latch.
+        let drives = |step: &Step| step.arms[arm].obeys && step.arms[arm].servo_on;
+        let silent = |step: &Step| drives(step) && !step.arms[arm].may_go;
+        let blind = |step: &Step| arm == HAND_ARM && drives(step) && step.pose_age_s > rules.pose_age_max_s;
         let mut latch = MustRest::new(Invariant::RestAfterLatch, arm);
         let mut word = MustRest::new(Invariant::RestWithoutWord, arm);
         let mut pose = MustRest::new(Invariant::RestWithoutPose, arm);

@@ -1,0 +1,215 @@
+//! What goes wrong in a run, at every seam: what is seen, when it comes, the control loop, its clock, lines, gateways and arms.
+
+use pb3dp_arm_pa10::codec::{CommAlarm, ServoAlarm};
+
+use crate::scenario::Dice;
+
+/// Something that goes wrong for a while.
+#[derive(Clone, Debug)]
+pub struct Fault {
+    /// What.
+    pub kind: Kind,
+    /// From then on, seconds since the run began.
+    pub from_s: f64,
+    /// For so long, seconds, where it has a length.
+    pub for_s: f64,
+}
+
+/// What goes wrong.
+#[derive(Clone, Debug)]
+pub enum Kind {
+    /// Each estimate gets lost with this chance.
+    EstimatesLost(f64),
+    /// The estimator has no pose: black, saturated or covered pictures.
+    NoPose,
+    /// It has one by which it does not stand.
+    Doubtful,
+    /// Estimates come later by so much, seconds.
+    Late(f64),
+    /// The estimator stands still, and then says what it saw last.
+    Stall,
+    /// Poses are off by so much to one side, metres, and turned, radians: another object, or a calibration that is wrong.
+    Off(f64, f64),
+    /// Single poses are off by so much, metres.
+    Outliers(f64),
+    /// Both eyes are exposed so far apart, seconds.
+    Skew(f64),
+    /// Number and times of pictures go back.
+    OldPictures,
+    /// The estimator follows another target.
+    OtherTarget,
+    /// A control step takes so long, seconds.
+    Overrun(f64),
+    /// The control loop's clock is off by so much, seconds.
+    ClockJump(f64),
+    /// Something of an arm, as a line of a script, and the line that ends it.
+    Arm {
+        /// 0: the one with the cameras.
+        arm: usize,
+        /// For tables.
+        name: &'static str,
+        /// How it begins.
+        line: String,
+        /// How it ends, if it does.
+        end: Option<String>,
+    },
+    /// The emergency stop of both arms, pressed.
+    EmergencyStopOfBoth,
+    /// The cable of this arm is pulled.
+    Unplugged(usize),
+}
+
+type Lines = fn(&mut Dice) -> (String, Option<String>);
+
+/// What goes wrong of an arm, in the words of docs/mock-arm.md.
+const OF_ARMS: [(&str, Lines); 19] = [
+    ("bus: replies lost", |dice| (format!("drop {}", 1 + dice.below(4)), None)),
+    ("bus: replies damaged", |dice| (format!("corrupt {}", 1 + dice.below(6)), None)),
+    ("bus: replies late", |dice| (format!("delay {} {}us", 1 + dice.below(20), 500 + dice.below(6000)), None)),
+    ("bus: deaf", |dice| (format!("deaf {}", 1 + dice.below(30)), None)),
+    ("bus: stale replies", |dice| (format!("stale {}", 1 + dice.below(50)), None)),
+    ("line: answers lost", |dice| (format!("line drop {}", 1 + dice.below(4)), None)),
+    ("line: answers damaged", |dice| (format!("line corrupt {}", 1 + dice.below(5)), None)),
+    ("line: answers late", |dice| (format!("line slow {}us", 1000 + dice.below(30_000)), Some("line slow 0s".into()))),
+    ("line: silent", |_| ("line silence on".into(), Some("line silence off".into()))),
+    ("line: gateway deaf", |_| ("line deaf on".into(), Some("line deaf off".into()))),
+    ("line: clock of the gateway", |dice| (format!("line gateway-clock {:.3}s", dice.within(-5.0, 5.0)), None)),
+    ("arm: emergency stop", |_| ("e-stop press".into(), Some("e-stop release".into()))),
+    ("arm: servo alarm", |dice| {
+        (format!("alarm {} 0x{:02x}", 1 + dice.below(7), dice.pick(ServoAlarm::LISTED).code()), None)
+    }),
+    ("arm: controller alarm", |dice| {
+        (format!("controller-alarm 0x{:02x} reported", dice.pick(CommAlarm::LISTED).code()), None)
+    }),
+    ("arm: limit switch", |_| ("limit-switch open".into(), Some("limit-switch close".into()))),
+    ("arm: power", |_| ("power off".into(), Some("power on".into()))),
+    ("arm: stuck joint", |dice| {
+        let axis = 1 + dice.below(7);
+        (format!("stuck {axis} on"), Some(format!("stuck {axis} off")))
+    }),
+    ("arm: runaway joint", |dice| {
+        let axis = 1 + dice.below(7);
+        let speed = dice.within(0.1, 1.2) * dice.sign();
+        (format!("runaway {axis} {speed:.3}rad/s"), Some(format!("runaway {axis} off")))
+    }),
+    ("arm: encoder jumps", |dice| {
+        (format!("jump {} {:.3}rad", 1 + dice.below(7), dice.within(0.005, 0.3) * dice.sign()), None)
+    }),
+];
+
+impl Kind {
+    /// Names of all kinds, as tables have them.
+    pub const NAMES: [&'static str; 33] = [
+        "estimates lost",
+        "no pose",
+        "doubtful pose",
+        "late estimates",
+        "estimator stalls",
+        "poses off",
+        "outliers",
+        "eyes apart",
+        "old pictures",
+        "another target",
+        "control step overruns",
+        "clock jumps",
+        "emergency stop of both",
+        "cable pulled",
+        OF_ARMS[0].0,
+        OF_ARMS[1].0,
+        OF_ARMS[2].0,
+        OF_ARMS[3].0,
+        OF_ARMS[4].0,
+        OF_ARMS[5].0,
+        OF_ARMS[6].0,
+        OF_ARMS[7].0,
+        OF_ARMS[8].0,
+        OF_ARMS[9].0,
+        OF_ARMS[10].0,
+        OF_ARMS[11].0,
+        OF_ARMS[12].0,
+        OF_ARMS[13].0,
+        OF_ARMS[14].0,
+        OF_ARMS[15].0,
+        OF_ARMS[16].0,
+        OF_ARMS[17].0,
+        OF_ARMS[18].0,
+    ];
+
+    /// One of all kinds.
+    pub fn draw(dice: &mut Dice) -> Self {
+        match dice.below(Self::NAMES.len()) {
+            0 => Self::EstimatesLost(dice.within(0.1, 1.0)),
+            1 => Self::NoPose,
+            2 => Self::Doubtful,
+            3 => Self::Late(dice.within(0.02, 0.6)),
+            4 => Self::Stall,
+            5 => Self::Off(dice.within(0.002, 0.2) * dice.sign(), dice.within(0.0, 0.5) * dice.sign()),
+            6 => Self::Outliers(dice.within(0.01, 0.5) * dice.sign()),
+            7 => Self::Skew(dice.within(0.001, 0.05) * dice.sign()),
+            8 => Self::OldPictures,
+            9 => Self::OtherTarget,
+            10 => Self::Overrun(dice.within(0.005, 0.3)),
+            11 => Self::ClockJump(dice.within(0.02, 3.0) * dice.sign()),
+            12 => Self::EmergencyStopOfBoth,
+            13 => Self::Unplugged(dice.below(2)),
+            other => {
+                let (name, lines) = OF_ARMS[other - 14];
+                let (line, end) = lines(dice);
+                Self::Arm { arm: dice.below(2), name, line, end }
+            }
+        }
+    }
+
+    /// The name in tables.
+    pub fn name(&self) -> &'static str {
+        Self::NAMES[match self {
+            Self::EstimatesLost(_) => 0,
+            Self::NoPose => 1,
+            Self::Doubtful => 2,
+            Self::Late(_) => 3,
+            Self::Stall => 4,
+            Self::Off(..) => 5,
+            Self::Outliers(_) => 6,
+            Self::Skew(_) => 7,
+            Self::OldPictures => 8,
+            Self::OtherTarget => 9,
+            Self::Overrun(_) => 10,
+            Self::ClockJump(_) => 11,
+            Self::EmergencyStopOfBoth => 12,
+            Self::Unplugged(_) => 13,
+            Self::Arm { name, .. } => return name,
+        }]
+    }
+
+    /// What a line of the log has to say where this can not go unnoticed.
+    pub fn words(&self) -> &'static [&'static str] {
+        match self {
+            Self::EmergencyStopOfBoth => &["emergency stop"],
+            Self::Unplugged(_) => &["the link is gone"],
+            Self::Arm { name: "arm: emergency stop" | "arm: limit switch", .. } => &["emergency stop", "switch"],
+            Self::Arm { name: "arm: servo alarm" | "arm: controller alarm", .. } => &["alarm", "exchanges in a row"],
+            Self::Arm { name: "arm: power", .. } => &["exchanges in a row", "power", "gateway", "alarm"],
+            _ => &[],
+        }
+    }
+
+    /// Whether a joint of this arm moves by itself while it lasts, and which one, from 0.
+    pub fn disobeys(&self) -> Option<usize> {
+        match self {
+            Self::Arm { arm, name: "arm: stuck joint" | "arm: runaway joint", .. } => Some(*arm),
+            _ => None,
+        }
+    }
+}
+
+impl Fault {
+    /// When it ends, seconds.
+    pub fn until_s(&self) -> f64 {
+        self.from_s + self.for_s
+    }
+
+    /// Whether it lasts at this time.
+    pub fn is_on(&self, t_s: f64) -> bool {
+        (self.from_s..self.until_s()).contains(&t_s)
+    }
+}

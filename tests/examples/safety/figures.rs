@@ -1,0 +1,145 @@
+//! What many runs came to.
+
+use std::collections::BTreeMap;
+
+use system_tests::safety::rules::Rules;
+use system_tests::safety::truth::{ARM_NAMES, Truth};
+
+use crate::Judged;
+
+/// How often something went wrong.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Count {
+    /// In scenarios.
+    pub drawn: u64,
+    /// While the control loop ran.
+    pub begun: u64,
+    /// Where a line was said or a counter rose meanwhile or soon after.
+    pub noticed: u64,
+}
+
+/// How near runs came to a limit: the largest share of it that was used.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Margin {
+    /// 1 is the limit.
+    pub share: f64,
+    /// In which run.
+    pub seed: u64,
+}
+
+impl Margin {
+    fn add(&mut self, share: f64, seed: u64) {
+        // Of equal ones the run with the smaller seed, in whatever order they come.
+        if share > self.share || (share == self.share && seed < self.seed) {
+            *self = Self { share, seed };
+        }
+    }
+}
+
+/// All that is told of many runs.
+#[derive(Debug, Default)]
+pub struct Figures {
+    /// How many.
+    pub runs: u64,
+    /// What did not hold: invariant, and in which runs.
+    pub violations: BTreeMap<String, Vec<u64>>,
+    /// By kind of fault.
+    pub faults: BTreeMap<&'static str, Count>,
+    /// By kind of motion.
+    pub motions: BTreeMap<&'static str, u64>,
+    /// Why control loops ended.
+    pub ends: BTreeMap<String, u64>,
+    /// By limit and arm.
+    pub margins: BTreeMap<String, Margin>,
+    /// Of all records, in whatever order they came.
+    pub digest: u64,
+    /// CPU time, milliseconds.
+    pub cpu_millis: f64,
+    /// Virtual time in which the control loop ran or the arms were looked at after it, seconds.
+    pub virtual_s: f64,
+}
+
+impl Figures {
+    /// One more run.
+    pub fn add(&mut self, judged: &Judged, rules: &Rules) {
+        let Judged { scenario, ran, violations, digest, cpu_millis } = judged;
+        self.runs += 1;
+        self.digest = self.digest.wrapping_add(digest.wrapping_mul(2 * scenario.seed + 1));
+        self.cpu_millis += cpu_millis;
+        self.virtual_s += ran.truth.steps.last().map_or(0.0, |step| step.t_s);
+        *self.motions.entry(scenario.motion_name).or_default() += 1;
+        for violation in violations {
+            let seeds = self.violations.entry(violation.invariant.name().to_owned()).or_default();
+            seeds.push(scenario.seed);
+            seeds.sort_unstable();
+            seeds.dedup();
+        }
+        for (fault, noticed) in scenario.faults.iter().zip(&ran.noticed) {
+            let count = self.faults.entry(fault.kind.name()).or_default();
+            count.drawn += 1;
+            count.begun += u64::from(noticed.is_some());
+            count.noticed += u64::from(*noticed == Some(true));
+        }
+        *self.ends.entry(ran.ended.as_deref().map_or_else(|| "at its time".to_owned(), cause)).or_default() += 1;
+        self.margins_of(&ran.truth, rules, scenario.seed);
+    }
+
+    /// How much of their limits joints used, as long as they obeyed.
+    fn margins_of(&mut self, truth: &Truth, rules: &Rules, seed: u64) {
+        const WINDOW: usize = 2;
+        for (arm, rules) in rules.arms.iter().enumerate() {
+            let (mut range, mut speed, mut acceleration) = (0.0f64, 0.0f64, 0.0f64);
+            for (index, step) in truth.steps.iter().enumerate() {
+                let now = &step.arms[arm];
+                if !now.obeys || !now.servo_on {
+                    continue;
+                }
+                for joint in 0..7 {
+                    range = range.max(now.position_rad[joint].abs() / rules.operating_rad[joint]);
+                    speed = speed.max(now.velocity_rad_per_s[joint].abs() / rules.speed_rad_per_s[joint]);
+                    if let Some(before) = index.checked_sub(WINDOW).map(|before| &truth.steps[before]) {
+                        let then = &before.arms[arm];
+                        let changed = (now.velocity_rad_per_s[joint] - then.velocity_rad_per_s[joint]).abs();
+                        if then.obeys && then.servo_on && now.latched_since_s.is_none() {
+                            let per_s2 = changed / (step.t_s - before.t_s);
+                            acceleration = acceleration.max(per_s2 / rules.acceleration_rad_per_s2[joint]);
+                        }
+                    }
+                }
+            }
+            for (name, share) in [("range", range), ("speed", speed), ("acceleration over 20 ms", acceleration)] {
+                self.margins.entry(format!("{}, {name}", ARM_NAMES[arm])).or_default().add(share, seed);
+            }
+        }
+    }
+
+    /// Simulated seconds per second of one core; the runs count with their full length only where they had it.
+    pub fn times_real_time(&self) -> f64 {
+        self.virtual_s / (self.cpu_millis * 1e-3)
+    }
+}
+
+/// A cause without its numbers, so that equal causes are counted together.
+fn cause(text: &str) -> String {
+    let text = text.split(';').next().unwrap_or(text);
+    let text: String = text.chars().map(|c| if c.is_ascii_digit() { '#' } else { c }).collect();
+    let mut short = String::new();
+    for part in text.split('#').filter(|part| !part.is_empty() && *part != ".") {
+        if !short.is_empty() {
+            short.push('#');
+        }
+        short.push_str(part);
+    }
+    short.chars().take(110).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn causes_are_counted_without_their_numbers() {
+        assert_eq!(cause("age 0.123 s, allowed 0.3 s; look"), cause("age 0.456 s, allowed 0.3 s; look"));
+        assert_ne!(cause("the link is gone"), cause("emergency stop"));
+    }
+}

@@ -1,0 +1,352 @@
+//! One run of one scenario: the loop of `pb3dp run` with both arms emulated in virtual time, and everything that goes wrong between.
+
+use std::collections::VecDeque;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use nalgebra::Vector6;
+use pb3dp_arm_pa10::io::arm::VirtualEnd;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::Clock;
+use pb3dp_orchestrator::config::setup::{Carrier, Leader, Pace, Setup, read_setup};
+use pb3dp_orchestrator::run::cell::FreeTarget;
+use pb3dp_orchestrator::run::halves::{Course, Mover, Watcher};
+use pb3dp_orchestrator::run::looking::Looking;
+use pb3dp_orchestrator::run::moving::{Moved, Moving};
+use pb3dp_orchestrator::run::percept::Percept;
+use pb3dp_orchestrator::run::strip::Strip;
+use pb3dp_orchestrator::wiring::wire_cell;
+use pb3dp_servo::supervisor::Confidence;
+use system_tests::repository;
+use system_tests::safety::truth::{Injected, Truth};
+
+use crate::faults::{Fault, Kind};
+use crate::recorder::Recorder;
+use crate::scenario::{Dice, RUN_S, Scenario};
+
+/// What came before is known for so long: switching both arms off takes less.
+const HISTORY: Duration = Duration::from_secs(5);
+/// After the control loop has ended the arms are looked at for so long.
+const AFTERWARDS: Duration = Duration::from_millis(1500);
+/// What it is looked at in.
+const LOOK: Duration = Duration::from_millis(10);
+
+/// The setup of all runs: that of configs/hil.toml, in simulated time and without pictures.
+///
+/// # Errors
+/// If the file can not be read.
+pub fn base() -> Result<Setup> {
+    let mut setup = read_setup(&repository().join("configs/hil.toml"))?;
+    setup.pace = Pace::Fast;
+    setup.compared.clear();
+    setup.leader = Leader::Geometric(setup.geometric.context("configs/hil.toml has no table estimator.geometric")?);
+    for arm in [&mut setup.vs, &mut setup.tc] {
+        arm.plant.history = HISTORY;
+    }
+    Ok(setup)
+}
+
+/// What came of one run.
+pub struct Ran {
+    /// What truly happened.
+    pub truth: Truth,
+    /// Why the control loop ended before its time.
+    pub ended: Option<String>,
+    /// For each fault of the scenario: whether it had a chance to do anything, and whether something was noticed of it.
+    pub noticed: Vec<Option<bool>>,
+}
+
+type Shared = Arc<Mutex<Recorder>>;
+
+fn lock(recorder: &Shared) -> MutexGuard<'_, Recorder> {
+    recorder.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Runs a scenario.
+///
+/// # Errors
+/// If it can not be wired: no run of this simulation is refused.
+pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
+    let mut setup = base.clone();
+    setup.reseed(scenario.seed);
+    setup.experiment.motion = scenario.motion.clone();
+    setup.experiment.carrier = scenario.carrier;
+    let parts = wire_cell(&setup, |cell, start| {
+        let motion = scenario.motion.begin_at(start)?;
+        if scenario.carrier == Carrier::Nothing {
+            cell.free_target = Some(FreeTarget::new(Arc::clone(&motion)));
+        }
+        Ok(motion)
+    })?;
+    let ends = parts.virtual_ends.iter().map(|(_, end)| end.clone()).collect::<Vec<_>>();
+    let monitors = parts.monitors.iter().map(|(_, monitor)| monitor.clone());
+    let arms: Vec<_> = monitors.zip(ends.clone()).collect();
+    let arms = arms.try_into().map_err(|_| anyhow::anyhow!("not two emulated arms"))?;
+    let recorder: Shared = Arc::new(Mutex::new(Recorder::new(scenario.clone(), parts.cell.clone(), arms)));
+    let clock = Arc::clone(&parts.clock);
+    let now = clock.now();
+    let looking = Looking::new(
+        &setup,
+        (parts.camera, parts.cell.clone(), parts.target_outline_m),
+        (Strip::default(), now),
+        None,
+    )?;
+    let moving = Moving::new(&setup, (parts.vs, parts.tc), &*parts.experiment, now)?;
+    let cell = parts.cell;
+    let mut watching = Watching {
+        looking,
+        begin_cell: Box::new(move |begin| cell.begin_at(begin)),
+        scenario,
+        clock: Arc::clone(&clock),
+        recorder: Arc::clone(&recorder),
+        begin: now,
+        dice: Dice::new(!scenario.seed),
+        waiting: VecDeque::new(),
+    };
+    let mut faulty = Faulty {
+        inner: moving,
+        scenario,
+        clock: Arc::clone(&clock),
+        recorder: Arc::clone(&recorder),
+        ends,
+        begin: now,
+        begun: vec![false; scenario.faults.len()],
+        ended: vec![false; scenario.faults.len()],
+    };
+    let interrupt = AtomicBool::new(false);
+    let duration = Duration::from_secs_f64(RUN_S);
+    let course = Course { setup: &setup, clock: &clock, duration, interrupt: &interrupt };
+    let (outcome, _) = course.run(&mut watching, &mut faulty);
+    let begun = faulty.begun;
+    let mut recording = lock(&recorder);
+    recording.ended();
+    recording.catch_up(clock.now());
+    let until = clock.now() + AFTERWARDS;
+    while clock.now() < until {
+        clock.sleep_until(clock.now() + LOOK);
+        recording.catch_up(clock.now());
+    }
+    let ended_s = recording.t_s(clock.now());
+    let noticed: Vec<_> =
+        scenario.faults.iter().zip(&begun).map(|(fault, begun)| noticed(fault, *begun, &recording.noticed_s)).collect();
+    recording.truth.injected =
+        scenario.faults.iter().zip(&begun).filter_map(|(fault, begun)| injected(fault, *begun, ended_s)).collect();
+    let truth = std::mem::take(&mut recording.truth);
+    drop(recording);
+    Ok(Ran { truth, ended: outcome.err().map(|error| format!("{error:#}")), noticed })
+}
+
+/// Something is noticed of a fault until so long after its end, seconds.
+const NOTICED_S: f64 = 0.5;
+
+fn noticed(fault: &Fault, begun: bool, noticed_s: &[f64]) -> Option<bool> {
+    let within = fault.from_s - 1e-3..fault.until_s() + NOTICED_S;
+    begun.then(|| noticed_s.iter().any(|t_s| within.contains(t_s)))
+}
+
+/// What the log has to tell of.
+fn injected(fault: &Fault, begun: bool, ended_s: f64) -> Option<Injected> {
+    let words = fault.kind.words();
+    (begun && !words.is_empty()).then(|| Injected {
+        name: fault.kind.name().to_owned(),
+        from_s: fault.from_s,
+        // What latches is told of at once, however long its cause lasts.
+        until_s: fault.from_s.min(ended_s),
+        had_effect: true,
+        words,
+    })
+}
+
+/// The half that looks, with what goes wrong there.
+struct Watching<'a> {
+    looking: Looking<'a>,
+    begin_cell: Box<dyn Fn(MonotonicTime)>,
+    scenario: &'a Scenario,
+    clock: Arc<dyn Clock>,
+    recorder: Shared,
+    begin: MonotonicTime,
+    dice: Dice,
+    /// Percepts that are late, and when they are due.
+    waiting: VecDeque<(MonotonicTime, Percept)>,
+}
+
+impl Watcher for Watching<'_> {
+    type Step = Moved;
+
+    fn begin_at(&mut self, begin: MonotonicTime) {
+        (self.begin_cell)(begin);
+        self.looking.begin_at(begin);
+        self.begin = begin;
+        lock(&self.recorder).begin_at(begin);
+    }
+
+    fn moved(&mut self, step: &Moved) {
+        self.looking.push_joints(step.vs_joints);
+        lock(&self.recorder).moved(step, self.clock.now());
+    }
+
+    fn look(&mut self) -> Result<Option<Percept>> {
+        let Some(seen) = self.looking.look()? else { return Ok(None) };
+        let percept = seen.percept();
+        let (now, t_s) = (self.clock.now(), self.clock.now().seconds_since(self.begin));
+        let mut changed = Some(percept);
+        for fault in self.scenario.faults.iter().filter(|fault| fault.is_on(t_s)) {
+            changed = changed.and_then(|percept| self.spoil(&fault.kind, percept, now));
+        }
+        if changed.is_none() {
+            let is_due = self.waiting.front().is_some_and(|(due, _)| *due <= now);
+            changed = if is_due { self.waiting.pop_front().map(|(_, percept)| percept) } else { None };
+        }
+        Ok(changed)
+    }
+
+    fn note(&mut self) -> Result<()> {
+        Ok(())
+    }
+}
+
+impl Watching<'_> {
+    /// What becomes of a percept; `None`: it does not come now.
+    fn spoil(&mut self, kind: &Kind, mut percept: Percept, now: MonotonicTime) -> Option<Percept> {
+        match *kind {
+            Kind::EstimatesLost(share) if self.dice.unit() < share => return None,
+            Kind::NoPose => {
+                percept.estimate.confidence = Confidence::NoPose;
+                percept.observation = None;
+            }
+            Kind::Doubtful => {
+                percept.estimate.confidence = Confidence::Doubtful;
+                percept.observation.iter_mut().for_each(|observation| observation.trusted = false);
+            }
+            Kind::Late(by_s) => {
+                self.waiting.push_back((now + Duration::from_secs_f64(by_s), percept));
+                return None;
+            }
+            Kind::Stall => {
+                self.waiting = VecDeque::from([(now, percept)]);
+                return None;
+            }
+            Kind::Off(by_m, turned_rad) => displace(&mut percept, by_m, turned_rad),
+            Kind::Outliers(by_m) if self.dice.unit() < 0.2 => displace(&mut percept, by_m, 0.0),
+            Kind::Skew(by_s) => percept.frame.skew_s = by_s,
+            Kind::OldPictures => {
+                percept.frame.sequence = percept.frame.sequence.saturating_sub(5);
+                percept.frame.at = percept.frame.at - Duration::from_millis(150);
+                percept.estimate.at = percept.frame.at;
+                percept.observation.iter_mut().for_each(|observation| observation.at = percept.frame.at);
+            }
+            Kind::OtherTarget => percept.estimate.target += 1,
+            _ => {}
+        }
+        Some(percept)
+    }
+}
+
+fn displace(percept: &mut Percept, by_m: f64, turned_rad: f64) {
+    let xi = Vector6::new(by_m, 0.3 * by_m, -0.5 * by_m, turned_rad, 0.2 * turned_rad, 0.0);
+    if let Some(observation) = &mut percept.observation {
+        observation.cam_left_from_model = observation.cam_left_from_model.perturbed_in_from(&xi);
+    }
+}
+
+/// The half that moves, with what goes wrong there and behind it.
+struct Faulty<'a> {
+    inner: Moving<'a>,
+    scenario: &'a Scenario,
+    clock: Arc<dyn Clock>,
+    recorder: Shared,
+    ends: Vec<VirtualEnd>,
+    begin: MonotonicTime,
+    begun: Vec<bool>,
+    ended: Vec<bool>,
+}
+
+impl Mover for Faulty<'_> {
+    type Step = Moved;
+
+    fn enable(&mut self) -> Result<()> {
+        self.inner.enable()
+    }
+
+    fn begin_at(&mut self, begin: MonotonicTime) {
+        self.begin = begin;
+        self.inner.begin_at(begin);
+    }
+
+    fn observe(&mut self, percept: Percept, now: MonotonicTime) {
+        if percept.estimate.confidence == Confidence::Sure {
+            lock(&self.recorder).delivered(percept.frame.at);
+        }
+        self.inner.observe(percept, self.shown(now));
+    }
+
+    fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
+        let t_s = now.seconds_since(self.begin);
+        for index in 0..self.scenario.faults.len() {
+            let fault = &self.scenario.faults[index];
+            if !self.begun[index] && t_s >= fault.from_s {
+                self.begun[index] = true;
+                self.begin_fault(fault)?;
+            }
+            if !self.ended[index] && t_s >= fault.until_s() {
+                self.ended[index] = true;
+                self.end_fault(fault)?;
+            }
+        }
+        let stepped = self.inner.step(self.shown(now));
+        if let Err(why) = &stepped {
+            lock(&self.recorder).failed(why, self.clock.now());
+        }
+        stepped
+    }
+
+    fn stop(&mut self) -> Result<()> {
+        self.inner.stop()
+    }
+}
+
+impl Faulty<'_> {
+    fn on(&self, t_s: f64) -> impl Iterator<Item = &Fault> {
+        self.scenario.faults.iter().filter(move |fault| fault.is_on(t_s))
+    }
+
+    /// What the clock of the control loop shows.
+    fn shown(&self, now: MonotonicTime) -> MonotonicTime {
+        let t_s = now.seconds_since(self.begin);
+        let jumps_s = self.on(t_s).map(|fault| if let Kind::ClockJump(by_s) = fault.kind { by_s } else { 0.0 });
+        let by_s: f64 = jumps_s.sum();
+        let by = Duration::from_secs_f64(by_s.abs());
+        if by_s < 0.0 { now - by } else { now + by }
+    }
+
+    fn begin_fault(&self, fault: &Fault) -> Result<()> {
+        match &fault.kind {
+            Kind::Overrun(by_s) => self.clock.sleep_until(self.clock.now() + Duration::from_secs_f64(*by_s)),
+            Kind::EmergencyStopOfBoth => {
+                for end in &self.ends {
+                    end.command_line("e-stop press")?;
+                }
+            }
+            Kind::Unplugged(arm) => self.ends[*arm].unplug(),
+            Kind::Arm { arm, line, .. } => self.ends[*arm].command_line(line)?,
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn end_fault(&self, fault: &Fault) -> Result<()> {
+        match &fault.kind {
+            Kind::EmergencyStopOfBoth => {
+                for end in &self.ends {
+                    end.command_line("e-stop release")?;
+                }
+            }
+            Kind::Unplugged(arm) => self.ends[*arm].plug(),
+            Kind::Arm { arm, end: Some(line), .. } => self.ends[*arm].command_line(line)?,
+            _ => {}
+        }
+        Ok(())
+    }
+}

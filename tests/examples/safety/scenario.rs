@@ -1,0 +1,152 @@
+//! One run of the simulation, drawn from its seed: how the target moves, and what goes wrong when.
+
+use pb3dp_orchestrator::config::setup::Carrier;
+use pb3dp_sim::noise::{hash, unit};
+use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig, StepExperimentConfig};
+
+use crate::faults::{Fault, Kind};
+
+/// Length of a run, virtual seconds.
+pub const RUN_S: f64 = 20.0;
+/// The hand is at its place by then, as long as nothing goes wrong, seconds.
+const LEAD_IN_S: f64 = 2.0;
+/// Nothing goes wrong before, seconds: while the arms are switched on a fault keeps them off, which other tests show.
+const FIRST_FAULT_S: f64 = 0.5;
+/// The last fault comes this long before the end, seconds: what comes of it is to be seen.
+const LAST_FAULT_S: f64 = 3.0;
+
+/// Random numbers: the same seed gives the same ones on every machine.
+pub struct Dice {
+    seed: [u32; 2],
+    count: u32,
+}
+
+impl Dice {
+    /// The dice of one run.
+    pub fn new(seed: u64) -> Self {
+        Self { seed: [seed as u32, (seed >> 32) as u32], count: 0 }
+    }
+
+    /// 0 to 1.
+    pub fn unit(&mut self) -> f64 {
+        self.count += 1;
+        unit(hash(&[self.seed[0], self.seed[1], self.count]))
+    }
+
+    /// Between two numbers.
+    pub fn within(&mut self, from: f64, to: f64) -> f64 {
+        from + (to - from) * self.unit()
+    }
+
+    /// 0 to less than `count`.
+    pub fn below(&mut self, count: usize) -> usize {
+        ((self.unit() * count as f64) as usize).min(count - 1)
+    }
+
+    /// One of these.
+    pub fn pick<T: Copy>(&mut self, of: &[T]) -> T {
+        of[self.below(of.len())]
+    }
+
+    /// Plus or minus.
+    pub fn sign(&mut self) -> f64 {
+        if self.unit() < 0.5 { -1.0 } else { 1.0 }
+    }
+}
+
+/// What is tried in one run.
+#[derive(Clone, Debug)]
+pub struct Scenario {
+    /// What it was drawn from.
+    pub seed: u64,
+    /// In a word: for tables.
+    pub motion_name: &'static str,
+    /// How the target moves.
+    pub motion: MotionConfig,
+    /// What moves it.
+    pub carrier: Carrier,
+    /// What goes wrong, 1 to 5, in order of time.
+    pub faults: Vec<Fault>,
+}
+
+impl Scenario {
+    /// The run of this seed.
+    pub fn of(seed: u64) -> Self {
+        let mut dice = Dice::new(seed);
+        let (motion_name, motion, carrier) = motion(&mut dice);
+        let count = 1 + dice.below(5);
+        let mut faults: Vec<Fault> = (0..count)
+            .map(|_| {
+                let kind = Kind::draw(&mut dice);
+                let from_s = dice.within(FIRST_FAULT_S, RUN_S - LAST_FAULT_S);
+                // Half of them are short: what is nearly borne is where mistakes hide.
+                let for_s = if dice.unit() < 0.5 { dice.within(0.01, 0.3) } else { dice.within(0.3, 3.0) };
+                Fault { kind, from_s, for_s }
+            })
+            .collect();
+        faults.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
+        Self { seed, motion_name, motion, carrier, faults }
+    }
+}
+
+/// How the target moves: on the other arm or by itself, as the hand can follow or as it can not.
+fn motion(dice: &mut Dice) -> (&'static str, MotionConfig, Carrier) {
+    match dice.below(8) {
+        0..3 => ("carried steps", steps(dice, (0.02, 0.1), (0.03, 0.35), (1.5, 3.0)), Carrier::Arm),
+        3 => ("carried, quicker than the arms", steps(dice, (0.05, 0.15), (0.1, 0.5), (0.3, 0.8)), Carrier::Arm),
+        4 => ("free sinusoid", sine(dice, (2.0, 8.0), (0.03, 0.15)), Carrier::Nothing),
+        5 => ("free, quicker than the arm", sine(dice, (0.3, 1.5), (0.1, 0.3)), Carrier::Nothing),
+        6 => ("teleports", steps(dice, (0.05, 0.5), (0.05, 1.0), (0.0, 0.0)), Carrier::Nothing),
+        _ => ("leaves the view", steps(dice, (0.4, 0.8), (0.6, 1.2), (0.5, 3.0)), Carrier::Nothing),
+    }
+}
+
+fn steps(dice: &mut Dice, way_m: (f64, f64), turn_rad: (f64, f64), move_s: (f64, f64)) -> MotionConfig {
+    let channels = (0..3).map(|_| dice.pick(&Channel::ALL)).collect();
+    MotionConfig::Steps(StepExperimentConfig {
+        channels,
+        translation_m: dice.within(way_m.0, way_m.1) * dice.sign(),
+        rotation_rad: dice.within(turn_rad.0, turn_rad.1) * dice.sign(),
+        move_s: dice.within(move_s.0, move_s.1),
+        hold_s: dice.within(0.2, 2.0),
+        lead_in_s: LEAD_IN_S,
+        axes: ExperimentAxes::TargetAtStart,
+    })
+}
+
+fn sine(dice: &mut Dice, period_s: (f64, f64), way_m: (f64, f64)) -> MotionConfig {
+    let channel = dice.pick(&Channel::ALL);
+    let way_m = dice.within(way_m.0, way_m.1);
+    MotionConfig::Sine(SineConfig {
+        channel,
+        // At 500 mm a turn moves the hand by half of it per radian.
+        amplitude: if channel.is_rotation() { 2.0 * way_m } else { way_m },
+        period_s: dice.within(period_s.0, period_s.1),
+        periods: 100,
+        lead_in_s: LEAD_IN_S,
+        axes: ExperimentAxes::TargetAtStart,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    #[test]
+    fn a_seed_is_a_run_and_all_kinds_come() {
+        let text = |seed| format!("{:?}", Scenario::of(seed));
+        assert_eq!(text(7), text(7));
+        assert_ne!(text(7), text(8));
+        let runs: Vec<_> = (0..2000).map(Scenario::of).collect();
+        let kinds: BTreeSet<&str> = runs.iter().flat_map(|run| &run.faults).map(|fault| fault.kind.name()).collect();
+        assert_eq!(kinds.len(), Kind::NAMES.len(), "{kinds:?}");
+        let motions: BTreeSet<&str> = runs.iter().map(|run| run.motion_name).collect();
+        assert_eq!(motions.len(), 6);
+        for run in &runs {
+            assert!((1..=5).contains(&run.faults.len()));
+            assert!(run.faults.iter().all(|fault| fault.from_s >= FIRST_FAULT_S && fault.from_s < RUN_S));
+        }
+    }
+}
