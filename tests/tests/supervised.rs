@@ -4,6 +4,8 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{Hand, World};
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_middleware::LimiterStatistics;
 use pb3dp_orchestrator::config::setup::{Carrier, Leader, Setup, read_setup};
@@ -222,11 +224,10 @@ fn a_loss_waits_for_the_operator_if_the_policy_says_so() {
 const SEARCH: SearchConfig =
     SearchConfig { back_m: 0.03, radius_m: 0.02, turns: 2.0, speed_m_per_s: 0.02, time_s: 30.0 };
 
-/// A hand whose target is lost while pictures come on: how far it goes from where it rested, and how fast, until this time.
-fn hand_after_loss(bench: &mut Bench<'_>, until_s: f64) -> (f64, f64, Moved) {
+/// A hand whose target is lost while pictures come on: how far it goes from where it rested, and how fast, for this time.
+fn hand_after_loss(bench: &mut Bench<'_>, begin: Pose<World, Hand>, until_s: f64) -> (f64, f64, Moved) {
     let at = |bench: &Bench<'_>| bench.cell.world_from_hand_at(bench.clock.now());
-    let begin = at(bench);
-    let (mut before, mut farthest_m, mut fastest_m_per_s, mut last) = (begin, 0.0f64, 0.0f64, None);
+    let (mut before, mut farthest_m, mut fastest_m_per_s, mut last) = (at(bench), 0.0f64, 0.0f64, None);
     for _ in 0..(until_s / bench.setup.control_period.as_secs_f64()) as usize {
         last = Some(bench.step());
         let now = at(bench);
@@ -266,20 +267,26 @@ fn a_search_keeps_its_bounds_and_ends_where_it_began() {
     let parts = wire(&setup).unwrap();
     let experiment = parts.experiment.clone();
     let mut bench = lost(&setup, parts, &*experiment);
-    let (farthest_m, fastest_m_per_s, moved) = hand_after_loss(&mut bench, 4.0);
+    let begin = bench.cell.world_from_hand_at(bench.clock.now());
+    let (farthest_m, fastest_m_per_s, moved) = hand_after_loss(&mut bench, begin, 4.0);
     assert!(farthest_m > 0.02, "it looks round: {farthest_m}");
     assert_eq!((moved.decision.state, moved.mode), (State::Lost, Mode::Searching));
     assert!(moved.decision.why.to_string().starts_with("lost: the hand looks for the target"));
-    let (farthest_later_m, fastest_later_m_per_s, _) = hand_after_loss(&mut bench, 16.0);
+    let (farthest_later_m, fastest_later_m_per_s, _) = hand_after_loss(&mut bench, begin, 16.0);
     // What the arm lags behind is on top.
-    assert!(farthest_m.max(farthest_later_m) < 2.0 * SEARCH.reach_m(), "{farthest_m} {farthest_later_m}");
-    assert!(fastest_m_per_s.max(fastest_later_m_per_s) < 1.5 * SEARCH.speed_m_per_s, "{fastest_m_per_s}");
+    assert!(farthest_m.max(farthest_later_m) < 1.1 * SEARCH.reach_m(), "{farthest_m} {farthest_later_m}");
+    assert!(
+        fastest_m_per_s.max(fastest_later_m_per_s) < 1.2 * SEARCH.speed_m_per_s,
+        "{fastest_m_per_s} {fastest_later_m_per_s}"
+    );
+    let off = begin.inverse() * bench.cell.world_from_hand_at(bench.clock.now());
+    assert!(off.translation_m().norm() < 0.002 && off.rotation().angle() < 0.002, "{off:?}");
     let moved = bench.rests_for(2.0);
     assert_eq!((moved.decision.state, moved.decision.permission), (State::Lost, Permission::Hold), "once per loss");
 }
 
 #[test]
-fn a_search_ends_when_the_target_is_found_when_its_time_is_over_and_when_anything_else_is_wrong() {
+fn a_search_ends_when_the_target_is_found_and_when_anything_else_is_wrong() {
     let mut setup = setup();
     (setup.controller.search, setup.supervisor.search_max_s) = (Some(SEARCH), 3.0);
     let parts = wire(&setup).unwrap();
@@ -291,8 +298,7 @@ fn a_search_ends_when_the_target_is_found_when_its_time_is_over_and_when_anythin
     bench.run(0.6);
     assert_eq!(bench.rests_for(0.5).decision.permission, Permission::Hold);
     (bench.target, bench.confidence) = (eyes, confidence);
-    bench.run(3.0);
-    assert_eq!(bench.rests_for(1.0).decision.state, State::Lost, "its time is over");
+    assert_eq!(bench.rests_for(3.0).decision.state, State::Lost, "what was broken off does not begin again");
     bench.confidence = Confidence::Sure;
     assert_eq!(bench.run(3.0).decision.state, State::Tracking, "found, and the policy lets it go on");
     bench.confidence = Confidence::NoPose;

@@ -33,6 +33,10 @@ pub struct SearchConfig {
 const CORRECTION_PER_S: f64 = 2.0;
 /// And turned back no faster than this, rad/s.
 const TURN_MAX_RAD_PER_S: f64 = 0.1;
+/// A hand that is farther from where it began than the pattern leads, by this share and length (metres), ends the search: it does not go
+/// where it is told.
+const BEYOND_SHARE: f64 = 1.2;
+const BEYOND_M: f64 = 0.005;
 /// The search has returned when the hand is this near to its beginning, metres.
 const RETURNED_WITHIN_M: f64 = 1e-3;
 
@@ -102,6 +106,11 @@ impl Search {
         }
     }
 
+    /// Whether it was permitted and has not begun.
+    pub(crate) fn is_ready(&self) -> bool {
+        *self == Self::Ready
+    }
+
     /// Velocity of the hand, in `base`, as long as there is one.
     pub(crate) fn step(
         &mut self,
@@ -123,7 +132,9 @@ impl Search {
         let place = config.place(way_m);
         let wanted = from.translation_m() + place.map_or(Vector3::zeros(), |place| from.transform_vector(&place));
         let left = wanted - base_from_hand.translation_m();
-        if place.is_none() && left.norm() < RETURNED_WITHIN_M {
+        let from_begin_m = (base_from_hand.translation_m() - from.translation_m()).norm();
+        let has_returned = place.is_none() && left.norm() < RETURNED_WITHIN_M;
+        if has_returned || from_begin_m > BEYOND_SHARE * config.reach_m() + BEYOND_M {
             *self = Self::Over;
             return None;
         }
@@ -218,11 +229,37 @@ mod tests {
         assert!(search.step(&CONFIG, &begin(), at(0.0)).is_some());
         search.permit(false);
         assert!(search.step(&CONFIG, &begin(), at(0.1)).is_none());
-        // The next loss has a search of its own; a clock that steps ends it.
+        // Permitted anew, it begins anew (the supervisor permits one for each loss); a clock that steps ends it.
         search.permit(true);
         assert!(search.step(&CONFIG, &begin(), at(0.2)).is_some());
         assert!(search.step(&CONFIG, &begin(), at(-5.0)).is_none());
         assert_eq!(search, Search::Over);
+    }
+
+    #[test]
+    fn a_hand_that_leaves_the_bounds_ends_it() {
+        let mut search = Search::Off;
+        search.permit(true);
+        assert!(search.step(&CONFIG, &begin(), at(0.0)).is_some());
+        let aside = |by_m: f64| {
+            Pose::from_parts(begin().translation_m() + Vector3::new(0.6, 0.0, -0.8) * by_m, begin().rotation())
+        };
+        assert!(search.step(&CONFIG, &aside(1.1 * CONFIG.reach_m()), at(0.1)).is_some());
+        assert!(search.step(&CONFIG, &aside(1.2 * CONFIG.reach_m() + 0.006), at(0.2)).is_none());
+        assert_eq!(search, Search::Over);
+        assert!(search.step(&CONFIG, &begin(), at(0.3)).is_none());
+    }
+
+    /// A hand that is turned is turned back, whichever way.
+    #[test]
+    fn the_orientation_of_the_beginning_is_kept() {
+        let mut search = Search::Off;
+        search.permit(true);
+        assert!(search.step(&CONFIG, &begin(), at(0.0)).is_some());
+        let turned_by = Vector3::new(0.01, -0.02, 0.015);
+        let turned = UnitQuaternion::from_scaled_axis(turned_by) * begin().rotation();
+        let twist = search.step(&CONFIG, &Pose::from_parts(begin().translation_m(), turned), at(0.01)).unwrap();
+        assert!((twist.angular_rad_per_s + CORRECTION_PER_S * turned_by).norm() < 1e-9, "{twist:?}");
     }
 
     #[test]

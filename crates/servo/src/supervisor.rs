@@ -89,6 +89,10 @@ pub struct Supervisor {
     held_by_operator: bool,
     /// Something was found since the last motion after which only the operator's word leads on.
     needs_word: bool,
+    /// The same, other than that the target is lost.
+    needs_word_for_more: bool,
+    /// What became of the search for the target since the last motion.
+    search: SearchRight,
     log: TransitionLog,
 }
 
@@ -108,6 +112,8 @@ impl Supervisor {
             clear_since: None,
             held_by_operator: false,
             needs_word: false,
+            needs_word_for_more: false,
+            search: SearchRight::Unused,
             log: TransitionLog::new(),
         })
     }
@@ -147,7 +153,7 @@ impl Supervisor {
             }
         }
         let found = self.note(now);
-        let search = self.may_search(now);
+        let search = self.permits_search(now);
         let refused = word.and_then(|(word, refused)| self.refused(word, refused, transition.map(|(event, _)| event)));
         Decision {
             permission: self.permission(inputs, search, now),
@@ -243,6 +249,8 @@ impl Supervisor {
         if !to.is_resting() {
             self.held_by_operator = false;
             self.needs_word = false;
+            self.needs_word_for_more = false;
+            self.search = SearchRight::Unused;
         }
         match event {
             Event::Select => self.findings.begin(at),
@@ -264,7 +272,9 @@ impl Supervisor {
         for (cause, action) in self.findings.lasting(&self.config.policies, now) {
             found.insert(cause.condition);
             let resume = self.config.policies.get(cause.condition).resume;
-            self.needs_word |= self.state.is_resting() && action.is_rest() && resume == Resume::ByOperator;
+            let needs_word = self.state.is_resting() && action.is_rest() && resume == Resume::ByOperator;
+            self.needs_word |= needs_word;
+            self.needs_word_for_more |= needs_word && !comes_with_loss(cause.condition);
         }
         found
     }
@@ -310,19 +320,30 @@ impl Supervisor {
         Some(Refusal { word, because })
     }
 
-    /// Whether the hand may look for the target: it is lost, not for too long, the operator has not said hold, and nothing is wrong
-    /// but what a loss brings with it.
+    /// Whether the hand may look for the target: it is lost, not for too long, the operator has not said hold, nothing waits for a word
+    /// but the loss itself, and nothing is wrong but what a loss brings with it.
     fn may_search(&self, now: MonotonicTime) -> bool {
-        let of_loss = |cause: Cause| {
-            let condition = cause.condition;
-            matches!(condition, Condition::TargetLost | Condition::EstimateStale | Condition::ControllerRests)
-                || condition == Condition::LowConfidence
-        };
         let since_s = self.entered_at.map_or(f64::INFINITY, |entered| now.seconds_since(entered));
+        let of_loss = |cause: Cause| comes_with_loss(cause.condition);
         self.state == State::Lost
             && !self.held_by_operator
+            && !self.needs_word_for_more
             && (0.0..self.config.search_max_s).contains(&since_s)
             && self.findings.all_at_least(&self.config.policies, Action::Slow(1.0)).all(of_loss)
+    }
+
+    /// The same, once for each loss: a search that was broken off does not begin again, nor does one after a clock that stepped, by
+    /// which nobody knows how long the target has been lost.
+    fn permits_search(&mut self, now: MonotonicTime) -> bool {
+        let has_stepped = self.state == State::Lost && self.findings.cause(Condition::ClockStepped).is_some();
+        self.search = match (self.search, self.may_search(now)) {
+            (SearchRight::Over, _) => SearchRight::Over,
+            _ if has_stepped => SearchRight::Over,
+            (_, true) => SearchRight::Used,
+            (SearchRight::Used, false) => SearchRight::Over,
+            (SearchRight::Unused, false) => SearchRight::Unused,
+        };
+        self.search == SearchRight::Used
     }
 
     fn permission(&self, inputs: &Inputs, search: bool, now: MonotonicTime) -> Permission {
@@ -370,6 +391,25 @@ impl Supervisor {
             },
         }
     }
+}
+
+/// One search for each loss.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum SearchRight {
+    /// Not permitted yet.
+    Unused,
+    /// Permitted now.
+    Used,
+    /// Was permitted, and is not any more.
+    Over,
+}
+
+/// Whether this is found because the target is not seen.
+fn comes_with_loss(condition: Condition) -> bool {
+    matches!(
+        condition,
+        Condition::TargetLost | Condition::EstimateStale | Condition::ControllerRests | Condition::LowConfidence
+    )
 }
 
 fn event_of(word: Word) -> Event {

@@ -17,6 +17,9 @@ use crate::resolved_rate::{HandJacobian, JointBounds, Limitation, limit_twist};
 /// With no more than this share of the wanted speed left by an end of a range the hand rests, and says why.
 const STANDSTILL_SHARE: f64 = 0.02;
 
+/// A search begins when no joint is faster than this, rad/s.
+const AT_REST_RAD_PER_S: f64 = 0.01;
+
 /// Time behind the approach after which way and turn are corrected each by itself, seconds.
 const TOGETHER_FADES_S: f64 = 1.0;
 
@@ -100,11 +103,7 @@ impl Controller {
         };
         let (twist, hand_share) = limit_twist(&wish.twist, &wish.most);
         let primary = wish.jacobian.joint_velocity(&twist, &self.damping);
-        let bounds = JointBounds {
-            limits: &self.limits,
-            speed: &self.config.speed,
-            elbow_min_rad: self.config.damping.elbow_min_rad,
-        };
+        let bounds = self.joint_bounds();
         let beside = bounds.share_beside(&primary, &wish.secondary_rad_per_s, &wish.position_rad);
         let limited = bounds.limit(&(primary + wish.secondary_rad_per_s * beside), &wish.position_rad);
         step.limited_by = limited.limited_by.or((hand_share < 1.0).then_some(Limitation::HandSpeed));
@@ -127,7 +126,15 @@ impl Controller {
         }
     }
 
-    /// One step of the search, if there is one.
+    fn joint_bounds(&self) -> JointBounds<'_> {
+        JointBounds {
+            limits: &self.limits,
+            speed: &self.config.speed,
+            elbow_min_rad: self.config.damping.elbow_min_rad,
+        }
+    }
+
+    /// One step of the search, if there is one, no faster than an approach.
     pub(super) fn look_for_target(
         &mut self,
         step: &mut ControlStep,
@@ -137,13 +144,13 @@ impl Controller {
         now: MonotonicTime,
     ) {
         let Some(config) = self.config.search else { return };
+        // Where a hand is that still moves is not where it lost the target.
+        if self.search.is_ready() && joints.velocity_rad_per_s.amax() > AT_REST_RAD_PER_S {
+            return;
+        }
         let Some(twist) = self.search.step(&config, base_from_hand, now) else { return };
-        let bounds = JointBounds {
-            limits: &self.limits,
-            speed: &self.config.speed,
-            elbow_min_rad: self.config.damping.elbow_min_rad,
-        };
-        let limited = bounds.limit(&jacobian.joint_velocity(&twist, &self.damping), &joints.position_rad);
+        let (twist, _) = limit_twist(&twist, &self.config.approach.speed);
+        let limited = self.joint_bounds().limit(&jacobian.joint_velocity(&twist, &self.damping), &joints.position_rad);
         let share = self.pace.started(self.config.speed.soft_start_s, now);
         let command = limited.velocity_rad_per_s * share;
         if command.iter().all(|x| x.is_finite()) {

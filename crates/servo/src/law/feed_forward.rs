@@ -124,27 +124,25 @@ impl Aim {
         joint_velocity: impl Fn(&Twist<Base>) -> JointVector,
     ) -> FeedForwardGains {
         let (position, rotation) = self.error(base_from_hand_at_rest);
-        // Where the correction grows with the error, it is small.
+        // Direction of the braking; and how much of it the other one has to share the joints with: the smaller the error, the less.
         let braked = |error: &Vector3<f64>, gain_per_s: f64, acceleration: f64| {
             let size = error.norm();
-            if size > acceleration / (gain_per_s * gain_per_s) {
-                error * (acceleration / size)
-            } else {
-                Vector3::zeros()
-            }
+            let direction = if size > 0.0 { error * (acceleration / size) } else { Vector3::zeros() };
+            (direction, (size * gain_per_s * gain_per_s / acceleration).min(1.0))
         };
-        let linear = braked(&position, gains.position_per_s, gains.linear_m_per_s2);
-        let angular = braked(&rotation, gains.orientation_per_s, gains.angular_rad_per_s2);
+        let (linear, linear_weight) = braked(&position, gains.position_per_s, gains.linear_m_per_s2);
+        let (angular, angular_weight) = braked(&rotation, gains.orientation_per_s, gains.angular_rad_per_s2);
         let of_linear = joint_velocity(&Twist::new(linear, Vector3::zeros())).abs();
         let of_angular = joint_velocity(&Twist::new(Vector3::zeros(), angular)).abs();
-        let demanded = of_linear + of_angular;
-        let share =
-            demanded.iter().zip(joint_acceleration_max_rad_per_s2.iter()).fold(1.0_f64, |share, (demanded, most)| {
+        let share_of = |demanded: JointVector| {
+            let both = demanded.iter().zip(joint_acceleration_max_rad_per_s2.iter());
+            both.fold(1.0_f64, |share, (demanded, most)| {
                 if *demanded > BRAKING_SHARE * most { share.min(BRAKING_SHARE * most / demanded) } else { share }
-            });
+            })
+        };
         FeedForwardGains {
-            linear_m_per_s2: gains.linear_m_per_s2 * share,
-            angular_rad_per_s2: gains.angular_rad_per_s2 * share,
+            linear_m_per_s2: gains.linear_m_per_s2 * share_of(of_linear + of_angular * angular_weight),
+            angular_rad_per_s2: gains.angular_rad_per_s2 * share_of(of_angular + of_linear * linear_weight),
             ..*gains
         }
     }
@@ -218,8 +216,21 @@ mod tests {
         let along_y = within(Vector3::new(0.0, 0.3, 0.0));
         assert!((along_y.linear_m_per_s2 - 0.7 * 2.0 / 4.0).abs() < 1e-12, "{along_y:?}");
         assert!((along_y.angular_rad_per_s2 / GAINS.angular_rad_per_s2 - along_y.linear_m_per_s2 / 0.64).abs() < 1e-12);
-        // Near its place nothing is braked.
-        assert_eq!(within(Vector3::new(0.0, 0.005, 0.0)), GAINS);
+        // Near its place it is corrected as with all accelerations: K e.
+        let speed_m_per_s = |y_m: f64| {
+            let by = Vector3::new(0.0, y_m, 0.0);
+            let found = hand_twist(&within(by), &aim(by), &hand, &WIDE).linear_m_per_s;
+            assert!(found.x.abs() < 1e-12 && found.z.abs() < 1e-12, "{found}");
+            found.y
+        };
+        assert!((speed_m_per_s(0.005) - 8.0 * 0.005).abs() < 1e-12);
+        // The nearer, the slower, without a jump, and braked with no more than there is.
+        let step_m = 1e-4;
+        let speeds: Vec<f64> = (1..3000).map(|i| speed_m_per_s(f64::from(i) * step_m)).collect();
+        for pair in speeds.windows(2) {
+            let braking = 0.5 * (pair[1] * pair[1] - pair[0] * pair[0]) / step_m;
+            assert!(pair[1] > pair[0] && braking <= 0.35 * 1.001, "{pair:?}: {braking}");
+        }
     }
 
     /// 400 mm at 100 mm/s take 4 s: 0.4 rad, which could be done in 1 s, take as long.

@@ -62,6 +62,8 @@ pub(super) struct Findings {
     not_before: MonotonicTime,
     innovation: Innovation,
     started_target: Option<u64>,
+    /// That of the newest pose; an estimate without one follows nothing.
+    followed_target: Option<u64>,
     found: [Option<Cause>; Condition::COUNT],
     since: [Option<MonotonicTime>; Condition::COUNT],
 }
@@ -77,6 +79,7 @@ impl Findings {
             not_before: MonotonicTime::ZERO,
             innovation: Innovation::NoneNew,
             started_target: None,
+            followed_target: None,
             found: [None; Condition::COUNT],
             since: [None; Condition::COUNT],
         }
@@ -91,7 +94,7 @@ impl Findings {
 
     /// The target that is seen now is the one to follow.
     pub(super) fn start(&mut self) {
-        self.started_target = self.estimate.map(|estimate| estimate.target);
+        self.started_target = self.followed_target;
     }
 
     /// The controller drops what it knows: whether the next observation is a jump is open.
@@ -101,6 +104,7 @@ impl Findings {
 
     fn forget_target(&mut self) {
         self.estimate = None;
+        self.followed_target = None;
         self.confident_at = None;
         self.innovation = Innovation::NoneNew;
     }
@@ -175,6 +179,9 @@ impl Findings {
             return;
         }
         self.estimate = Some(estimate);
+        if estimate.confidence != Confidence::NoPose {
+            self.followed_target = Some(estimate.target);
+        }
         if estimate.confidence == Confidence::Sure {
             self.confident_at = Some(estimate.at);
         }
@@ -186,7 +193,7 @@ impl Findings {
         let sigma = |first| Some(root_of_trace(&with_pose?.covariance?, first));
         match condition {
             Condition::TargetChanged => {
-                let (started, followed) = (self.started_target?, with_pose?.target);
+                let (started, followed) = (self.started_target?, self.followed_target?);
                 (started != followed).then_some((0.0, Detail::Targets { started, followed }))
             }
             Condition::FrameStale => above(age_s(self.frame.map(|frame| frame.at)), threshold),

@@ -161,8 +161,8 @@ struct Judge {
     now_s: f64,
     /// Exposure of the newest estimate that was sure, seconds.
     sure_s: Option<f64>,
-    /// Exposure of the newest estimate, its target, and whether it has a pose: without one nothing is followed.
-    newest: Option<(f64, u64, bool)>,
+    /// Exposure of the newest pose, and its target: an estimate without a pose follows nothing.
+    newest: Option<(f64, u64)>,
     selected_s: Option<f64>,
     started: bool,
     started_target: Option<u64>,
@@ -181,8 +181,9 @@ impl Judge {
         if estimate.confidence == Confidence::Sure {
             self.sure_s = Some(self.sure_s.map_or(exposed_s, |before| before.max(exposed_s)));
         }
-        if self.newest.is_none_or(|(before_s, ..)| exposed_s > before_s) {
-            self.newest = Some((exposed_s, estimate.target, estimate.confidence != Confidence::NoPose));
+        let has_pose = estimate.confidence != Confidence::NoPose;
+        if has_pose && self.newest.is_none_or(|(before_s, _)| exposed_s > before_s) {
+            self.newest = Some((exposed_s, estimate.target));
         }
     }
 
@@ -205,7 +206,7 @@ impl Judge {
         }
         if word == Some(Word::Start) && decision.state == State::Approaching && decision.transition.is_some() {
             self.started = true;
-            self.started_target = self.newest.map(|(_, target, _)| target);
+            self.started_target = self.newest.map(|(_, target)| target);
         }
         let says_hold = word == Some(Word::Hold);
         self.must_rest_until_word |= says_hold;
@@ -262,7 +263,7 @@ fn no_history_permits_motion_without_fresh_confident_data_enabled_arms_and_the_o
                 prop_assert_eq!(step.word.map(|(word, _)| word), Some(Word::Reset));
             }
             let begins = !before.is_moving() && decision.state.is_moving();
-            if let (true, Some((_, shown, true))) = (begins, judge.newest) {
+            if let (true, Some((_, shown))) = (begins, judge.newest) {
                 prop_assert_eq!(Some(shown), judge.started_target, "another target than was started");
             }
             before = decision.state;

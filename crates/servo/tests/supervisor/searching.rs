@@ -1,9 +1,13 @@
 //! The search for a lost target: permitted in one state only, for a time, and while nothing else is wrong.
 
-use pb3dp_servo::Mode;
-use pb3dp_servo::supervisor::{Confidence, Inputs, Permission, State, SupervisorConfig, Word};
+use std::time::Duration;
 
-use super::bench::{Bench, config};
+use pb3dp_servo::Mode;
+use pb3dp_servo::supervisor::{
+    ArmCondition, Condition, Confidence, Innovation, Inputs, Permission, Resume, State, SupervisorConfig, Word,
+};
+
+use super::bench::{Bench, config, with};
 
 /// The target is gone, pictures come on, and the hand would look for it.
 fn blind(inputs: &mut Inputs) {
@@ -59,7 +63,63 @@ fn the_operator_and_everything_else_that_is_wrong_end_a_search() {
         bench.run(0.5);
         assert!(!bench.run(1.0), "{}", bench.why());
     }
+    // What has ended it is gone: it stays ended as long as this target is lost.
+    for wrong in wrong.into_iter().take(3) {
+        let mut bench = lost(30.0);
+        bench.lie(move |inputs| {
+            blind(inputs);
+            wrong(inputs);
+        });
+        bench.run(0.5);
+        bench.lie(blind);
+        assert_eq!((bench.run(3.0), bench.state()), (false, State::Lost), "{}", bench.why());
+        bench.truth();
+        bench.run(2.0);
+        assert_eq!(bench.state(), State::Tracking, "{}", bench.why());
+        bench.lie(blind);
+        assert!(bench.run(2.0) && bench.decision().search, "the next loss has a search of its own");
+    }
     let mut bench = lost(30.0);
     bench.say(Word::Hold);
     assert!(!bench.decision().search && !bench.run(1.0), "{}", bench.why());
+}
+
+/// A target that has jumped, and then is not seen any more: what waits for a word goes on waiting.
+#[test]
+fn what_waits_for_the_operators_word_does_not_search() {
+    let wrong: [fn(&mut Inputs); 4] = [
+        |inputs| inputs.innovation = Innovation::Jump { position_m: 0.3, orientation_rad: 0.0 },
+        |inputs| inputs.estimate.iter_mut().for_each(|estimate| estimate.target = 8),
+        |inputs| inputs.arms[1].state = ArmCondition::Disabled,
+        |inputs| inputs.arms[0].measured_at = inputs.arms[0].measured_at.map(|at| at + Duration::from_secs(5)),
+    ];
+    for wrong in wrong {
+        let mut bench = Bench::following(SupervisorConfig { search_max_s: 30.0, ..config() });
+        bench.lie(wrong);
+        bench.run(0.2);
+        assert_eq!(bench.state(), State::Holding, "{}", bench.why());
+        bench.lie(blind);
+        assert!(!bench.run(3.0) && !bench.decision().search, "{}", bench.why());
+        assert_eq!(bench.state(), State::Lost, "{}", bench.why());
+    }
+    // The loss itself may wait for one: the hand looks for it, and stays where it finds it.
+    let mut config = with(Condition::TargetLost, |policy| policy.resume = Resume::ByOperator);
+    config.search_max_s = 30.0;
+    let mut bench = Bench::following(config);
+    bench.lie(blind);
+    assert!(bench.run(1.5) && bench.decision().search, "{}", bench.why());
+    bench.truth();
+    assert!(!bench.run(2.0) && bench.state() == State::Lost, "{}", bench.why());
+}
+
+/// A clock that is set back does not lengthen the time.
+#[test]
+fn a_clock_that_steps_ends_a_search_for_good() {
+    for step_s in [-3.0, 3.0] {
+        let mut bench = lost(4.0);
+        bench.run(2.0);
+        bench.now_s += step_s;
+        bench.step();
+        assert!(!bench.run(6.0) && !bench.decision().search, "{}", bench.why());
+    }
 }
