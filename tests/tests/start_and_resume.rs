@@ -1,12 +1,12 @@
 //! Ways to start or resume wrongly, over the whole program in virtual time: docs/start-and-resume.md lists them.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests may fail the test")]
 
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
-use pb3dp_hal_middleware::LimiterStatistics;
+use pb3dp_hal_middleware::{Asked, FlightLog, LimiterStatistics};
+use pb3dp_kinematics::JointVector;
 use pb3dp_orchestrator::config::setup::{Leader, Setup, read_setup};
 use pb3dp_orchestrator::run::channels::Plan;
 use pb3dp_orchestrator::run::experiment::{Ended, conduct};
@@ -18,14 +18,18 @@ use pb3dp_orchestrator::wiring::{DrivenArm, Parts, wire};
 use pb3dp_servo::supervisor::{Decision, OperatorInput, Said, Word};
 use system_tests::repository;
 
-/// The first command may lead away from where the arm is by no more than this, rad.
-const FIRST_COMMAND_MAX_RAD: f64 = 0.01;
+/// Both arms move at least so fast when they are stopped, rad/s.
+const MOVING_RAD_PER_S: f64 = 0.02;
 
-/// A setup without pictures whose arm carries the target.
+/// A joint that is slower than this rests, rad/s.
+const AT_REST_RAD_PER_S: f64 = 1e-3;
+
+/// A setup without pictures whose arm carries the target, on its first way from 2.1 s to 4.1 s if it is started at 0.6 s.
 fn setup() -> Setup {
     let mut setup = read_setup(&repository().join("configs/sim.toml")).unwrap();
     setup.compared.clear();
     setup.leader = Leader::Geometric(setup.geometric.unwrap());
+    setup.experiment.steps_mut().unwrap().lead_in_s = 1.5;
     setup
 }
 
@@ -33,6 +37,7 @@ fn setup() -> Setup {
 struct Person {
     words: Vec<(f64, Word)>,
     silent: (f64, f64),
+    resets_late_s: f64,
     told: Arc<Mutex<Vec<String>>>,
 }
 
@@ -40,7 +45,10 @@ impl Operator for Person {
     fn listen(&mut self, _last: Option<&Decision>, now: MonotonicTime) -> OperatorInput {
         let now_s = now.seconds_since(MonotonicTime::ZERO);
         let is_due = self.words.first().is_some_and(|(at_s, _)| *at_s <= now_s);
-        let said = is_due.then(|| Said { word: self.words.remove(0).1, at: now });
+        let said = is_due.then(|| self.words.remove(0).1).map(|word| match word {
+            Word::Reset => Said { word, at: MonotonicTime::from_secs_f64(now_s - self.resets_late_s) },
+            _ => Said { word, at: now },
+        });
         let (from_s, until_s) = self.silent;
         let heard_s = if (from_s..until_s).contains(&now_s) { from_s } else { now_s };
         OperatorInput { said, heard_at: Some(MonotonicTime::from_secs_f64(heard_s)) }
@@ -59,31 +67,42 @@ impl Operator for Person {
     }
 }
 
-/// What an arm was told, and where it was then.
-type Told = Arc<Mutex<Vec<(f64, JointCommand, Option<JointState>)>>>;
+/// What an arm was told, and where it was then; when it was reset, and when stopped.
+#[derive(Default)]
+struct Noted {
+    told: Vec<(f64, JointCommand, Option<JointState>)>,
+    resets_s: Vec<f64>,
+    stops_s: Vec<f64>,
+}
 
-/// An arm with an emergency stop, which is pressed from one time to another.
+/// An arm with an emergency stop, which is pressed from one time to another, and latches however short that is.
 struct Stoppable {
     inner: Box<dyn DrivenArm>,
     clock: Arc<dyn Clock>,
-    pressed: (f64, f64),
-    latched: AtomicBool,
-    told: Told,
+    pressed: Vec<(f64, f64)>,
+    /// Until when everything that was pressed is cleared.
+    cleared_s: f64,
+    /// So many stops do not reach the arm.
+    stops_failing: usize,
+    noted: Arc<Mutex<Noted>>,
 }
 
 impl Stoppable {
+    fn new(inner: Box<dyn DrivenArm>, clock: &Arc<dyn Clock>, pressed: &[(f64, f64)]) -> Self {
+        let (clock, pressed) = (Arc::clone(clock), pressed.to_vec());
+        Self { inner, clock, pressed, cleared_s: 0.0, stops_failing: 0, noted: Arc::default() }
+    }
+
     fn now_s(&self) -> f64 {
         self.clock.now().seconds_since(MonotonicTime::ZERO)
     }
 
     fn is_pressed(&self) -> bool {
-        let is_pressed = (self.pressed.0..self.pressed.1).contains(&self.now_s());
-        self.latched.fetch_or(is_pressed, Ordering::SeqCst);
-        is_pressed
+        self.pressed.iter().any(|(from_s, until_s)| (*from_s..*until_s).contains(&self.now_s()))
     }
 
     fn is_latched(&self) -> bool {
-        self.is_pressed() || self.latched.load(Ordering::SeqCst)
+        self.pressed.iter().any(|(from_s, until_s)| *from_s <= self.now_s() && self.cleared_s < *until_s)
     }
 
     fn refusal(&self) -> ArmError {
@@ -99,7 +118,7 @@ impl Arm for Stoppable {
     fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
         let is_latched = self.is_latched();
         let measured = self.inner.exchange(if is_latched { JointCommand::Hold } else { command });
-        self.told.lock().unwrap().push((self.now_s(), command, measured.as_ref().ok().copied()));
+        self.noted.lock().unwrap().told.push((self.now_s(), command, measured.as_ref().ok().copied()));
         if is_latched && command != JointCommand::Hold { Err(self.refusal()) } else { measured }
     }
 }
@@ -114,6 +133,11 @@ impl ArmPower for Stoppable {
     }
 
     fn stop(&mut self) -> Result<(), ArmError> {
+        self.noted.lock().unwrap().stops_s.push(self.now_s());
+        if self.stops_failing > 0 {
+            self.stops_failing -= 1;
+            return Err(ArmError::new(ArmErrorKind::Timeout, "the stop was not heard"));
+        }
         self.inner.stop()
     }
 
@@ -121,7 +145,8 @@ impl ArmPower for Stoppable {
         if self.is_pressed() {
             return Err(self.refusal());
         }
-        self.latched.store(false, Ordering::SeqCst);
+        self.cleared_s = self.now_s();
+        self.noted.lock().unwrap().resets_s.push(self.now_s());
         self.inner.reset()
     }
 }
@@ -136,30 +161,49 @@ impl DrivenArm for Stoppable {
     }
 }
 
-/// A run that is over, and what was noticed of it.
+/// A run that is to be.
+#[derive(Clone, Default)]
+struct Scene {
+    /// Said at these times, seconds.
+    words: Vec<(f64, Word)>,
+    /// The emergency stop of the hand's arm, seconds.
+    pressed: Vec<(f64, f64)>,
+    /// When the person is silent, seconds.
+    silent: (f64, f64),
+    /// A reset is heard so much later than it was said.
+    resets_late_s: f64,
+    /// So many stops do not reach the arm with the target.
+    tc_stops_failing: usize,
+}
+
+/// A run that is over, and what was noticed of it: by arm, the one with the cameras first.
 struct Seen {
+    setup: Setup,
     ended: Ended,
-    told: [Told; 2],
+    noted: [Arc<Mutex<Noted>>; 2],
+    /// What the innermost recorders hold: the last 5 s.
+    flights: [FlightLog; 2],
     trouble: Vec<String>,
 }
 
-const NEVER: (f64, f64) = (f64::INFINITY, f64::INFINITY);
+const NAMES: [&str; 2] = ["vs-robot", "tc-robot"];
 
-/// Runs with these words, the emergency stop of the hand's arm pressed and the person silent in these times.
-fn run(words: &[(f64, Word)], pressed: (f64, f64), silent: (f64, f64), until_s: f64) -> Seen {
-    let setup = setup();
-    let parts = wire(&setup).unwrap();
-    let (told, trouble) = ([Told::default(), Told::default()], Arc::<Mutex<Vec<String>>>::default());
-    let arm = |inner, pressed, told: &Told| -> Box<dyn DrivenArm> {
-        let (clock, told) = (Arc::clone(&parts.clock), Arc::clone(told));
-        Box::new(Stoppable { inner, clock, pressed, latched: AtomicBool::new(false), told })
-    };
-    let (vs, tc) = (arm(parts.vs, pressed, &told[0]), arm(parts.tc, NEVER, &told[1]));
-    let operator = Box::new(Person { words: words.to_vec(), silent, told: Arc::clone(&trouble) });
-    let parts = Parts { vs, tc, operator, ..parts };
-    let ended = conduct(&setup, parts, Some(until_s), None).unwrap();
-    let trouble = trouble.lock().unwrap().clone();
-    Seen { ended, told, trouble }
+impl Scene {
+    fn run(self, until_s: f64) -> Seen {
+        let setup = setup();
+        let parts = wire(&setup).unwrap();
+        let trouble = Arc::<Mutex<Vec<String>>>::default();
+        let Self { words, pressed, silent, resets_late_s, tc_stops_failing } = self;
+        let operator = Box::new(Person { words, silent, resets_late_s, told: Arc::clone(&trouble) });
+        let flights = parts.flights.clone().map(|(_, flight)| flight);
+        let vs = Stoppable::new(parts.vs, &parts.clock, &pressed);
+        let tc = Stoppable { stops_failing: tc_stops_failing, ..Stoppable::new(parts.tc, &parts.clock, &[]) };
+        let noted = [Arc::clone(&vs.noted), Arc::clone(&tc.noted)];
+        let parts = Parts { vs: Box::new(vs), tc: Box::new(tc), operator, ..parts };
+        let ended = conduct(&setup, parts, Some(until_s), None).unwrap();
+        let trouble = trouble.lock().unwrap().clone();
+        Seen { setup, ended, noted, flights, trouble }
+    }
 }
 
 impl Seen {
@@ -167,16 +211,16 @@ impl Seen {
         self.ended.outcome.log.supervision.summary().transitions
     }
 
-    /// Events with their times.
-    fn events(&self) -> Vec<(&'static str, f64)> {
-        self.transitions().iter().map(|note| (note.event, note.t_s)).collect()
+    /// When this happened, seconds.
+    fn times_of(&self, event: &str) -> Vec<f64> {
+        self.transitions().iter().filter(|note| note.event == event).map(|note| note.t_s).collect()
     }
 
-    /// Neither arm is told to move in this time, nor moves at its end.
+    /// Neither arm is told to move in this time, nor moves.
     fn rests(&self, from_s: f64, until_s: f64) {
-        for (told, name) in self.told.iter().zip(["vs-robot", "tc-robot"]) {
-            let told = told.lock().unwrap();
-            let inside: Vec<_> = told.iter().filter(|(at_s, ..)| (from_s..until_s).contains(at_s)).collect();
+        for (noted, name) in self.noted.iter().zip(NAMES) {
+            let noted = noted.lock().unwrap();
+            let inside: Vec<_> = noted.told.iter().filter(|(at_s, ..)| (from_s..until_s).contains(at_s)).collect();
             assert!(!inside.is_empty(), "{name} is looked at");
             for (at_s, command, measured) in inside {
                 let is_rest = match command {
@@ -186,25 +230,72 @@ impl Seen {
                 };
                 assert!(is_rest, "{name} is told to move at {at_s} s: {command:?}");
                 let speed = measured.map_or(0.0, |joints| joints.velocity_rad_per_s.amax());
-                assert!(*at_s < until_s - 0.1 || speed < 1e-3, "{name} moves at {at_s} s: {speed} rad/s");
+                assert!(speed < AT_REST_RAD_PER_S, "{name} moves at {at_s} s: {speed} rad/s");
             }
         }
     }
 
-    /// The first command after this time leads from where the arm is, and the arm comes from rest.
-    fn begins_where_it_is(&self, from_s: f64) {
-        let told = self.told[0].lock().unwrap();
-        let moves =
-            |command: &JointCommand| matches!(command, JointCommand::Velocity(velocity) if velocity.amax() > 0.0);
-        let mut first = told.iter().filter(|(at_s, command, _)| *at_s >= from_s && moves(command));
-        let (at_s, command, measured) =
-            first.next().unwrap_or_else(|| panic!("it goes on: {:?} {:?}", self.transitions(), self.trouble));
-        let JointCommand::Velocity(velocity) = command else { panic!("{command:?}") };
-        assert!(velocity.amax() * 0.01 < FIRST_COMMAND_MAX_RAD, "{at_s} s: {velocity}");
-        assert!(measured.unwrap().velocity_rad_per_s.amax() < 0.05, "{at_s} s: {measured:?}");
-        let before = told.iter().rev().find(|(before_s, ..)| before_s < at_s).unwrap().2.unwrap();
-        let jump_rad = (measured.unwrap().position_rad - before.position_rad).amax();
-        assert!(jump_rad < FIRST_COMMAND_MAX_RAD, "{at_s} s: {jump_rad} rad");
+    /// These arms (0: with the cameras, 1: with the target) move until then, and so many seconds later they have come to rest.
+    fn braking_s(&self, stopped_s: f64, arms: &[usize]) -> f64 {
+        let braking_s = arms.iter().map(|&arm| {
+            let noted = self.noted[arm].lock().unwrap();
+            let before = noted.told.iter().rev().filter(|(at_s, ..)| *at_s < stopped_s - 1e-6);
+            let joints = before.filter_map(|(.., measured)| *measured).next().unwrap();
+            let speed = joints.velocity_rad_per_s.amax();
+            assert!(speed > MOVING_RAD_PER_S, "{} has {speed} rad/s at {stopped_s} s", NAMES[arm]);
+            let setup = [&self.setup.vs, &self.setup.tc][arm];
+            let lag_s = setup.plant.velocity_time_constant.as_secs_f64();
+            // Constant deceleration, then the lag of the drive.
+            let most = setup.limiter.acceleration_max_rad_per_s2;
+            let of_joint = joints.velocity_rad_per_s.zip_map(&most, |velocity, most| {
+                velocity.abs() / most + lag_s * (most * lag_s / AT_REST_RAD_PER_S).ln().max(0.0)
+            });
+            of_joint.amax() + setup.plant.command_delay.as_secs_f64()
+        });
+        braking_s.fold(0.0, f64::max) + self.setup.control_period.as_secs_f64()
+    }
+
+    /// Both arms move until they are stopped, are at rest after their braking time and one cycle, and rest until then.
+    fn stops(&self, stopped_s: f64, until_s: f64) {
+        self.rests(stopped_s + self.braking_s(stopped_s, &[0, 1]), until_s);
+    }
+
+    /// What these arms are sent from this time on leads from where they are and from rest, and changes in no cycle by more than one
+    /// cycle of acceleration allows.
+    fn begins_where_it_is(&self, from_s: f64, arms: &[usize]) {
+        for &arm in arms {
+            let name = NAMES[arm];
+            let exchanges: Vec<_> = self.flights[arm]
+                .entries()
+                .into_iter()
+                .filter_map(|entry| match (entry.asked, entry.answer) {
+                    (Asked::Exchange(command), Ok(Some(joints))) => {
+                        Some((entry.at.seconds_since(MonotonicTime::ZERO), command, joints))
+                    }
+                    _ => None,
+                })
+                .collect();
+            assert!(exchanges[0].0 < from_s, "{name}: the recorder still holds {from_s} s");
+            let sent = |command: JointCommand| match command {
+                JointCommand::Velocity(velocity) => velocity,
+                JointCommand::Hold => JointVector::zeros(),
+            };
+            let is_first =
+                |(at_s, command, _): &(f64, JointCommand, JointState)| *at_s >= from_s && sent(*command).amax() > 0.0;
+            let first = exchanges.iter().position(is_first);
+            let first = first.unwrap_or_else(|| panic!("{name} goes on: {:?} {:?}", self.transitions(), self.trouble));
+            let (before, begun) = (exchanges[first - 1].2, exchanges[first].2);
+            let speed = begun.velocity_rad_per_s.amax();
+            assert!(speed < AT_REST_RAD_PER_S, "{name} comes from rest: {speed} rad/s");
+            let jump_rad = (begun.position_rad - before.position_rad).amax();
+            assert!(jump_rad < AT_REST_RAD_PER_S, "{name} is where it was: {jump_rad} rad");
+            let most = [&self.setup.vs, &self.setup.tc][arm].limiter.acceleration_max_rad_per_s2
+                * (self.setup.control_period.as_secs_f64() * 1.001);
+            for pair in exchanges[first - 1..].windows(2).take(50) {
+                let change = (sent(pair[1].1) - sent(pair[0].1)).abs();
+                assert!(change.zip_map(&most, |change, most| change - most).max() <= 0.0, "{name}: {pair:?}");
+            }
+        }
     }
 
     fn ends_following(&self) {
@@ -212,107 +303,172 @@ impl Seen {
         let last = self.transitions().pop().unwrap();
         assert!(["approaching", "tracking"].contains(&last.to), "{last:?}");
     }
+
+    fn ends_in(&self, state: &str) {
+        let transitions = self.transitions();
+        assert_eq!(transitions.last().unwrap().to, state, "{transitions:?} {:?}", self.trouble);
+    }
 }
 
 const BEGIN: [(f64, Word); 2] = [(0.1, Word::Select), (0.6, Word::Start)];
 
-fn words(more: &[(f64, Word)]) -> Vec<(f64, Word)> {
-    BEGIN.iter().chain(more).copied().collect()
+/// Begins, and says this then; the emergency stop of the hand's arm is pressed in these times.
+fn scene(more: &[(f64, Word)], pressed: &[(f64, f64)]) -> Scene {
+    let words = BEGIN.iter().chain(more).copied().collect();
+    Scene { words, pressed: pressed.to_vec(), ..Scene::default() }
 }
 
 #[test]
 fn where_a_person_leads_nothing_moves_before_the_word() {
-    let seen = run(&[], NEVER, NEVER, 3.0);
-    seen.rests(0.0, 3.0);
-    assert!(seen.events().is_empty());
-    let seen = run(&[(0.1, Word::Select)], NEVER, NEVER, 3.0);
-    seen.rests(0.0, 3.0);
-    let seen = run(&[(0.1, Word::Start), (0.2, Word::Resume), (0.3, Word::Reset)], NEVER, NEVER, 2.0);
-    seen.rests(0.0, 2.0);
-    assert!(seen.events().is_empty());
+    for words in [vec![], vec![(0.1, Word::Select)], vec![(0.1, Word::Start), (0.2, Word::Resume), (0.3, Word::Reset)]]
+    {
+        let is_selected = words.contains(&(0.1, Word::Select));
+        let seen = Scene { words, ..Scene::default() }.run(4.0);
+        seen.rests(0.0, 4.0);
+        assert_eq!(seen.transitions().len(), usize::from(is_selected), "{:?}", seen.transitions());
+    }
 }
 
 #[test]
 fn a_person_selects_starts_holds_and_resumes() {
-    let seen = run(&words(&[(3.0, Word::Hold), (5.0, Word::Resume)]), NEVER, NEVER, 8.0);
-    let names: Vec<&str> = seen.events().iter().map(|(event, _)| *event).filter(|event| *event != "left").collect();
+    let seen = scene(&[], &[]).run(4.0);
+    seen.begins_where_it_is(0.5, &[0, 1]);
+    let seen = scene(&[(3.0, Word::Hold), (5.0, Word::Resume)], &[]).run(8.0);
+    let transitions = seen.transitions();
+    let names: Vec<&str> = transitions.iter().map(|note| note.event).filter(|event| *event != "left").collect();
     assert_eq!(names[..2], ["select", "start"]);
     assert!(names.contains(&"hold") && names.contains(&"resume"), "{names:?}");
-    seen.begins_where_it_is(0.5);
-    seen.begins_where_it_is(4.9);
+    assert!(seen.braking_s(3.0, &[0]) < 0.5, "the hand moves when hold is said");
+    seen.begins_where_it_is(4.9, &[0]);
     seen.ends_following();
 }
 
 #[test]
 fn a_reset_is_refused_while_the_emergency_stop_is_pressed_and_leads_on_behind_it() {
     let more = [(3.5, Word::Reset), (4.5, Word::Reset), (5.0, Word::Select), (6.0, Word::Start)];
-    let seen = run(&words(&more), (3.0, 4.0), NEVER, 9.0);
-    let events = seen.events();
-    let at = |wanted: &str| -> Vec<f64> {
-        events.iter().filter(|(event, _)| *event == wanted).map(|(_, at_s)| *at_s).collect()
-    };
-    assert!((at("fault-found")[0] - 3.0).abs() < 0.03, "{events:?}");
-    let [reset_s] = at("reset")[..] else { panic!("one reset is obeyed: {events:?}") };
-    assert!((reset_s - 4.5).abs() < 0.03, "{events:?}");
+    let seen = scene(&more, &[(3.0, 4.0)]).run(9.0);
+    assert!((seen.times_of("fault-found")[0] - 3.0).abs() < 0.03, "{:?}", seen.transitions());
+    let [reset_s] = seen.times_of("reset")[..] else { panic!("one reset is obeyed: {:?}", seen.transitions()) };
+    assert!((reset_s - 4.5).abs() < 0.03, "{reset_s}");
     assert!(seen.trouble.iter().any(|trouble| trouble.contains("vs-robot: reset")), "{:?}", seen.trouble);
-    seen.rests(3.5, 6.0);
-    seen.begins_where_it_is(5.9);
+    seen.stops(3.0, 6.0);
+    seen.begins_where_it_is(5.9, &[0, 1]);
     seen.ends_following();
 }
 
 #[test]
 fn a_released_emergency_stop_starts_nothing_by_itself() {
-    let seen = run(&BEGIN, (3.0, 4.0), NEVER, 8.0);
-    seen.rests(3.5, 8.0);
-    assert_eq!(seen.transitions().pop().unwrap().to, "fault");
+    let seen = scene(&[], &[(3.0, 4.0)]).run(8.0);
+    seen.stops(3.0, 8.0);
+    seen.ends_in("fault");
     assert!(seen.ended.how.is_ok(), "where a person leads a fault does not end the run");
 }
 
 #[test]
 fn a_start_behind_an_emergency_stop_without_a_selection_is_refused() {
-    let seen = run(&words(&[(4.5, Word::Reset), (5.0, Word::Start), (5.5, Word::Resume)]), (3.0, 4.0), NEVER, 8.0);
-    seen.rests(3.5, 8.0);
-    assert_eq!(seen.transitions().pop().unwrap().to, "idle");
+    let seen = scene(&[(4.5, Word::Reset), (5.0, Word::Start), (5.5, Word::Resume)], &[(3.0, 4.0)]).run(8.0);
+    seen.stops(3.0, 8.0);
+    seen.ends_in("idle");
 }
 
 #[test]
 fn a_selection_in_a_fault_is_refused() {
-    let seen = run(&words(&[(4.5, Word::Select), (5.0, Word::Start)]), (3.0, 4.0), NEVER, 7.0);
-    seen.rests(3.5, 7.0);
-    assert_eq!(seen.transitions().pop().unwrap().to, "fault");
+    let seen = scene(&[(4.5, Word::Select), (5.0, Word::Start)], &[(3.0, 4.0)]).run(7.0);
+    seen.stops(3.0, 7.0);
+    seen.ends_in("fault");
 }
 
 #[test]
 fn a_stop_by_word_lasts_until_reset_selection_and_start() {
     let more = [(3.0, Word::Stop), (4.0, Word::Start), (4.5, Word::Reset), (5.0, Word::Select), (6.0, Word::Start)];
-    let seen = run(&words(&more), NEVER, NEVER, 9.0);
-    seen.rests(3.5, 6.0);
-    seen.begins_where_it_is(5.9);
+    let seen = scene(&more, &[]).run(9.0);
+    seen.stops(3.0, 6.0);
+    seen.begins_where_it_is(5.9, &[0, 1]);
     seen.ends_following();
 }
 
 #[test]
 fn a_person_who_falls_silent_and_speaks_again_has_to_reset() {
-    let seen = run(&BEGIN, NEVER, (3.0, 5.0), 8.0);
-    let stopped = seen.transitions().pop().unwrap();
-    assert_eq!(stopped.to, "stopped");
-    assert!(stopped.t_s > 3.9 && stopped.t_s < 4.2, "{stopped:?}");
-    seen.rests(4.6, 8.0);
-    let seen = run(&words(&[(6.0, Word::Reset), (6.5, Word::Select), (7.5, Word::Start)]), NEVER, (3.0, 5.0), 10.0);
-    seen.rests(4.6, 7.5);
-    seen.begins_where_it_is(7.4);
+    let silent = Scene { silent: (2.0, 4.0), ..scene(&[], &[]) };
+    let seen = silent.clone().run(8.0);
+    seen.ends_in("stopped");
+    let [stopped_s] = seen.times_of("stop-found")[..] else { panic!("{:?}", seen.transitions()) };
+    assert!(stopped_s > 2.9 && stopped_s < 3.2, "{stopped_s}");
+    seen.stops(stopped_s, 8.0);
+    let again = [(6.0, Word::Reset), (6.5, Word::Select), (7.5, Word::Start)];
+    let words = silent.words.iter().chain(&again).copied().collect();
+    let seen = Scene { words, ..silent }.run(10.0);
+    seen.stops(stopped_s, 7.5);
+    seen.begins_where_it_is(7.4, &[0, 1]);
     seen.ends_following();
 }
 
 #[test]
 fn a_second_emergency_stop_behind_the_reset_stops_again() {
-    let again = [(4.5, Word::Reset), (5.0, Word::Select), (6.0, Word::Start)];
+    let more = [(4.5, Word::Reset), (5.0, Word::Select), (6.0, Word::Start)];
     // It is pressed again while both arms wait for the start.
-    let seen = run(&words(&again), (3.0, 4.0), NEVER, 5.8);
-    seen.rests(3.5, 5.8);
-    let seen = run(&words(&again), (5.5, 9.0), NEVER, 9.0);
-    seen.rests(6.1, 9.0);
-    assert_eq!(seen.transitions().pop().unwrap().to, "fault");
+    let seen = scene(&more, &[(3.0, 4.0), (5.5, 7.0)]).run(9.0);
+    seen.stops(3.0, 9.0);
+    assert_eq!(seen.times_of("fault-found").len(), 2, "{:?}", seen.transitions());
+    seen.ends_in("fault");
+    // And while they move.
+    let more = [(3.5, Word::Reset), (4.0, Word::Select), (4.5, Word::Start)];
+    let seen = scene(&more, &[(2.8, 3.0), (5.2, 6.0)]).run(8.0);
+    seen.stops(2.8, 4.5);
+    let [_, again_s] = seen.times_of("fault-found")[..] else { panic!("{:?}", seen.transitions()) };
+    seen.stops(again_s, 8.0);
+    seen.ends_in("fault");
+}
+
+#[test]
+fn a_reset_that_was_said_too_early_clears_no_arm() {
+    // Said too long ago, and said before the emergency stop.
+    for (reset_s, resets_late_s, pressed, why) in
+        [(4.5, 1.0, (3.0, 3.2), "was said 1.000 s ago"), (3.2, 0.4, (3.0, 3.05), "before the state became fault")]
+    {
+        let seen = Scene { resets_late_s, ..scene(&[(reset_s, Word::Reset)], &[pressed]) }.run(6.0);
+        for noted in &seen.noted {
+            assert!(noted.lock().unwrap().resets_s.is_empty(), "{why}: an arm was reset");
+        }
+        assert!(seen.trouble.iter().any(|told| told.contains(why)), "{:?}", seen.trouble);
+        seen.stops(3.0, 6.0);
+        seen.ends_in("fault");
+    }
+}
+
+/// An emergency stop so short that it is over when the step comes in which the second reset is heard.
+#[test]
+fn a_reset_clears_nothing_that_the_supervisor_has_not_seen() {
+    let more = [(4.5, Word::Reset), (5.003, Word::Reset)];
+    let seen = scene(&more, &[(3.0, 4.0), (5.002, 5.006)]).run(7.0);
+    assert_eq!(seen.noted[0].lock().unwrap().resets_s.len(), 1, "the second one clears nothing");
+    assert_eq!(seen.times_of("fault-found").len(), 2, "{:?}", seen.transitions());
+    seen.ends_in("fault");
+    // The same while both arms are stopped by word.
+    let seen = scene(&[(3.0, Word::Stop), (5.003, Word::Reset)], &[(5.002, 5.006)]).run(7.0);
+    assert!(seen.noted[0].lock().unwrap().resets_s.is_empty());
+    seen.ends_in("fault");
+    let seen = scene(&[(3.0, Word::Stop), (5.003, Word::Reset), (6.0, Word::Reset)], &[(5.002, 5.006)]).run(7.0);
+    seen.ends_in("idle");
+}
+
+#[test]
+fn a_stop_that_fails_is_tried_again_and_nothing_is_reset_before() {
+    let more = [(3.2, Word::Reset), (4.5, Word::Reset)];
+    let seen = Scene { tc_stops_failing: 4, ..scene(&more, &[(3.0, 3.1)]) }.run(6.0);
+    seen.stops(3.0, 6.0);
+    let [vs, tc] = [0, 1].map(|arm| seen.noted[arm].lock().unwrap());
+    // The last one is that of the run.
+    assert_eq!(tc.stops_s.len(), 6, "{:?}", tc.stops_s);
+    let pauses: Vec<f64> = tc.stops_s.windows(2).map(|pair| pair[1] - pair[0]).take(4).collect();
+    assert!(pauses.iter().all(|pause_s| (0.09..0.35).contains(pause_s)), "{pauses:?}");
+    assert!(vs.resets_s.len() == 1 && vs.resets_s[0] > 4.4, "{:?}", vs.resets_s);
+    assert!(seen.trouble[0].contains("the emergency stop of the test"), "the first trouble: {:?}", seen.trouble);
+    assert!(!seen.trouble.iter().any(|told| told.contains("the stop was not heard")), "{:?}", seen.trouble);
+    let refused = "reset is refused: tc-robot is still switched on";
+    assert!(seen.trouble.iter().any(|told| told.contains(refused)), "{:?}", seen.trouble);
+    drop((vs, tc));
+    seen.ends_in("idle");
 }
 
 /// Nobody resets where the command leads: the run ends, and its report says why.
@@ -321,8 +477,7 @@ fn a_fault_that_ends_a_run_is_on_top_of_its_report() {
     let setup = setup();
     let parts = wire(&setup).unwrap();
     let plan = Plan::of(&setup.experiment.motion, &*parts.experiment);
-    let (clock, told) = (Arc::clone(&parts.clock), Told::default());
-    let vs = Stoppable { inner: parts.vs, clock, pressed: (3.0, 9.0), latched: AtomicBool::new(false), told };
+    let vs = Stoppable::new(parts.vs, &parts.clock, &[(3.0, 9.0)]);
     let Ended { outcome, how } = conduct(&setup, Parts { vs: Box::new(vs), ..parts }, None, None).unwrap();
     let failure = format!("{:#}", how.unwrap_err());
     assert!(failure.contains("vs-robot") && failure.contains("the emergency stop of the test"), "{failure}");

@@ -263,6 +263,12 @@ impl Supervisor {
         self.log.push(transition);
     }
 
+    /// Whether a reset is to reach the arms: one that is obeyed as soon as no arm has a fault or an emergency stop any more. Nothing but a
+    /// latched state is reset, and not by a word that was said too long ago or before the state was entered.
+    pub fn would_reset(&self, said: Said, now: MonotonicTime) -> bool {
+        said.word == Word::Reset && self.state.is_latched() && self.untimely(said, now).is_none()
+    }
+
     /// What is wrong; keeps in mind that only a word leads on.
     fn note(&mut self, now: MonotonicTime) -> ConditionSet {
         let mut found = ConditionSet::default();
@@ -288,13 +294,8 @@ impl Supervisor {
         if matches!(said.word, Word::Stop | Word::Hold) {
             return None;
         }
-        let age_s = now.seconds_since(said.at);
-        let age_max_s = self.config.word_age_max_s;
-        if !(-age_max_s..=age_max_s).contains(&age_s) {
-            return Some(RefusedFor::Age { age_s, age_max_s });
-        }
-        if self.entered_at.is_some_and(|entered| said.at < entered) {
-            return Some(RefusedFor::SaidBefore(self.state));
+        if let Some(untimely) = self.untimely(said, now) {
+            return Some(untimely);
         }
         let latched = [Condition::EmergencyStop, Condition::ArmFault].map(|condition| self.findings.cause(condition));
         match (said.word, self.state) {
@@ -303,6 +304,18 @@ impl Supervisor {
             (Word::Reset, State::Stopped | State::Fault) => latched.into_iter().flatten().next().map(RefusedFor::Cause),
             _ => None,
         }
+    }
+
+    /// Why a word may not be obeyed because of when it was said.
+    fn untimely(&self, said: Said, now: MonotonicTime) -> Option<RefusedFor> {
+        let age_s = now.seconds_since(said.at);
+        let age_max_s = self.config.word_age_max_s;
+        if !(-age_max_s..=age_max_s).contains(&age_s) {
+            return Some(RefusedFor::Age { age_s, age_max_s });
+        }
+        // A clock that was set back must not keep the operator's words out until it has caught up.
+        let is_before = self.entered_at.is_some_and(|entered| said.at < entered.min(now));
+        is_before.then_some(RefusedFor::SaidBefore(self.state))
     }
 
     /// What became of a word.

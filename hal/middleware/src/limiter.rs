@@ -185,7 +185,8 @@ impl<A: Arm> Limiter<A> {
         self.statistics
     }
 
-    /// As [`ArmPower::enable`]; where the arm has been at its start before, it may go on from where it is now: after a stop, say.
+    /// As [`ArmPower::enable`]; where the arm has been at its start before, it may go on from where it is now: after a stop, say;
+    /// also when this is refused at first.
     ///
     /// # Errors
     /// As [`ArmPower::enable`].
@@ -194,9 +195,9 @@ impl<A: Arm> Limiter<A> {
         A: ArmPower,
     {
         let started = self.started;
-        self.enable()?;
+        let enabled = self.enable();
         self.started = started;
-        Ok(())
+        enabled
     }
 
     /// What this limiter lets pass.

@@ -185,6 +185,29 @@ fn the_first_velocity_is_refused_away_from_the_start() {
     }
 }
 
+/// An arm that had begun at its start may go on from elsewhere, also where it was not switched on at the first try.
+#[test]
+fn an_arm_that_is_switched_on_where_it_is_at_the_second_try_goes_on() {
+    let clock = Arc::new(VirtualClock::new());
+    let mut arm = mock_arm(&clock, sample(MonotonicTime::ZERO).position_rad);
+    arm.enable().unwrap();
+    let config = LimiterConfig { start: start_with(0, 0.0), ..limiter_config(0.6) };
+    let mut limiter = Limiter::new(arm, config, Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
+    limiter.exchange(JointCommand::Hold).unwrap();
+    for _ in 0..50 {
+        clock.sleep_until(clock.now() + CYCLE);
+        limiter.exchange(velocity(1, 0.2)).unwrap();
+    }
+    limiter.stop().unwrap();
+    limiter.arm().faults().press_e_stop();
+    assert!(limiter.enable_here().is_err(), "the emergency stop is pressed");
+    limiter.arm().faults().release_e_stop();
+    limiter.reset().unwrap();
+    limiter.enable_here().unwrap();
+    limiter.exchange(JointCommand::Hold).unwrap();
+    limiter.exchange(velocity(1, 0.2)).unwrap();
+}
+
 #[test]
 fn beyond_a_servo_limit_only_the_way_back_is_open() {
     let mut outside = sample(MonotonicTime::ZERO);

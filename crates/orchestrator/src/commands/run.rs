@@ -59,8 +59,15 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let ended_by = how.as_ref().err().map(|failure| format!("{failure:#}"));
     let summary = RunSummary { ended_by, ..summarize(&outcome.log, &plan) };
     let provenance = provenance(args, &setup, summary.duration_s, wall_s);
-    report::write(&args.out, &outcome, &summary, (&provenance, &plan.world_from_axes))?;
-    print_line(&report::text_table(&summary))?;
+    let written = report::write(&args.out, &outcome, &summary, (&provenance, &plan.world_from_axes));
+    let told = written.and_then(|()| tell(args, &summary));
+    both(how, told)?;
+    Ok(if was_interrupted.load(Ordering::SeqCst) { ExitCode::from(INTERRUPTED) } else { ExitCode::SUCCESS })
+}
+
+/// Prints the figures, and where the report is.
+fn tell(args: &RunArgs, summary: &RunSummary) -> Result<()> {
+    print_line(&report::text_table(summary))?;
     let following = summary.share_following();
     if following < FOLLOWING_EXPECTED {
         tracing::warn!(
@@ -68,9 +75,17 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
             100.0 * following
         );
     }
-    print_line(&format!("report: {}", args.out.join("report.html").display()))?;
-    how?;
-    Ok(if was_interrupted.load(Ordering::SeqCst) { ExitCode::from(INTERRUPTED) } else { ExitCode::SUCCESS })
+    Ok(print_line(&format!("report: {}", args.out.join("report.html").display()))?)
+}
+
+/// How the run has ended, also where its report could not be written.
+fn both(how: Result<()>, told: Result<()>) -> Result<()> {
+    match (how, told) {
+        (Err(failure), Err(untold)) => {
+            Err(failure.context(format!("the report is not complete ({untold:#}), and the run had failed before")))
+        }
+        (how, told) => how.and(told),
+    }
 }
 
 /// What somebody needs to repeat the run.
@@ -98,4 +113,21 @@ pub(super) fn machine() -> String {
     });
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     format!("{}, {cores} cores, {}", model.unwrap_or_else(|| "unknown processor".into()), std::env::consts::OS)
+}
+
+#[cfg(test)]
+mod tests {
+    use anyhow::anyhow;
+
+    use super::*;
+
+    #[test]
+    fn the_failure_of_a_run_is_told_also_without_a_report() {
+        let (arm, disk) = (|| Err(anyhow!("an overcurrent")), || Err(anyhow!("no space is left")));
+        let text = format!("{:#}", both(arm(), disk()).unwrap_err());
+        assert!(text.contains("an overcurrent") && text.contains("no space is left"), "{text}");
+        assert_eq!(both(arm(), Ok(())).unwrap_err().to_string(), "an overcurrent");
+        assert_eq!(both(Ok(()), disk()).unwrap_err().to_string(), "no space is left");
+        assert!(both(Ok(()), Ok(())).is_ok());
+    }
 }

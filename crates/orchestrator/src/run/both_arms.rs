@@ -60,6 +60,10 @@ impl LedArm {
         }
     }
 
+    fn is_on(&self) -> bool {
+        self.arm.state() == ArmState::Enabled
+    }
+
     fn is_latched(&self) -> bool {
         matches!(self.arm.state(), ArmState::Fault | ArmState::EStop)
     }
@@ -140,6 +144,20 @@ impl BothArms {
         vs.and(tc)
     }
 
+    /// An arm that a stop has left switched on.
+    pub fn still_on(&self) -> Option<&'static str> {
+        [&self.vs, &self.tc].into_iter().find(|led| led.is_on()).map(|led| led.name)
+    }
+
+    /// Stops those that are still switched on.
+    ///
+    /// # Errors
+    /// The first arm that can not be told.
+    pub fn stop_still_on(&mut self) -> Result<()> {
+        let still_on = [&mut self.vs, &mut self.tc].into_iter().filter(|led| led.is_on());
+        still_on.map(LedArm::stop).fold(Ok(()), Result::and)
+    }
+
     /// Drives on again after a stop, and where the joints really are: from there they go on, wherever it is.
     ///
     /// # Errors
@@ -161,14 +179,15 @@ impl BothArms {
     }
 
     /// Clears what is latched in the arms themselves, as far as its cause is gone: an arm that was only stopped by the other one comes
-    /// behind it.
+    /// behind it. Where each one has failed by itself, the first one can be reset only behind the second one, and is tried again.
     ///
     /// # Errors
-    /// The arm whose cause is still there.
+    /// The first arm whose cause is still there.
     pub fn reset(&mut self) -> Result<()> {
         let mut arms = [&mut self.tc, &mut self.vs];
         arms.sort_by_key(|led| led.arm.is_stopped_by_other());
-        arms.into_iter().try_for_each(LedArm::reset)
+        let failed: Vec<_> = arms.into_iter().filter_map(|led| led.reset().is_err().then_some(led)).collect();
+        failed.into_iter().map(LedArm::reset).fold(Ok(()), Result::and)
     }
 
     /// Has a latched arm say why it is; one that has failed by itself goes before one that the other one stopped.
@@ -197,5 +216,60 @@ impl BothArms {
     /// What became of the velocities of both arms.
     pub fn commands(&self) -> [CommandSummary; 2] {
         [&self.vs, &self.tc].map(|led| CommandSummary::of(led.name, &led.arm.statistics()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::sync::{Arc, Mutex};
+
+    use pb3dp_arm_pa10::mock::{MockArm, MockArmConfig, MockArmFaults};
+    use pb3dp_hal_api::Clock;
+    use pb3dp_hal_clock::VirtualClock;
+    use pb3dp_hal_middleware::{Limiter, couple};
+    use pb3dp_sim::joint_dynamics::JointPlant;
+
+    use super::*;
+    use crate::config::setup::{ArmSetup, read_setup};
+    use crate::wiring::arm::coupled_config;
+
+    /// Two coupled arms that are switched on, and what makes each one fail.
+    fn cell() -> (BothArms, [MockArmFaults; 2]) {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
+        let setup = read_setup(Path::new(file)).unwrap();
+        let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
+        let mock = |name: &str, arm: &ArmSetup| {
+            let plant = JointPlant::new(arm.plant.clone(), arm.start_rad, clock.now()).unwrap();
+            let (cycle, command_timeout) = (setup.control_period, arm.command_timeout);
+            let config = MockArmConfig { name: name.to_owned(), cycle, command_timeout };
+            MockArm::new(config, Arc::new(Mutex::new(plant)), Arc::clone(&clock))
+        };
+        let (vs, tc) = (mock("vs-robot", &setup.vs), mock("tc-robot", &setup.tc));
+        let faults = [vs.faults(), tc.faults()];
+        let pair = ((vs, coupled_config(&setup.vs)), (tc, coupled_config(&setup.tc)));
+        let (vs, tc) = couple(pair.0, pair.1, setup.least_room_m, &clock).unwrap();
+        let vs = Box::new(Limiter::new(vs, setup.vs.limiter.clone(), Arc::clone(&clock)).unwrap());
+        let tc = Box::new(Limiter::new(tc, setup.tc.limiter.clone(), Arc::clone(&clock)).unwrap());
+        let mut arms = BothArms::new(&setup, (vs, tc), clock.now());
+        arms.enable().unwrap();
+        (arms, faults)
+    }
+
+    #[test]
+    fn one_reset_clears_two_arms_that_have_failed_each_by_itself() {
+        let (mut arms, faults) = cell();
+        for arm in &faults {
+            arm.raise_fault("an overcurrent");
+        }
+        arms.look();
+        assert_eq!([&arms.vs, &arms.tc].map(LedArm::condition), [ArmCondition::Fault; 2]);
+        faults[1].remove_fault_cause();
+        let error = format!("{:#}", arms.reset().unwrap_err());
+        assert!(error.contains("vs-robot") && error.contains("an overcurrent"), "{error}");
+        assert!(arms.is_latched());
+        faults[0].remove_fault_cause();
+        arms.reset().unwrap();
+        assert_eq!([&arms.vs, &arms.tc].map(LedArm::condition), [ArmCondition::Disabled; 2]);
     }
 }

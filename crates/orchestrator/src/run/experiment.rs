@@ -8,7 +8,7 @@ use pb3dp_geometry::MonotonicTime;
 
 use super::cell::SimulatedCell;
 use super::cycles::CycleSummary;
-use super::halves::{Course, Watcher};
+use super::halves::{Course, Watcher, first_failure};
 use super::journal::{Journal, Outcome};
 use super::log::RunLog;
 use super::looking::{Looking, Seen};
@@ -40,7 +40,7 @@ pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Optio
 
 /// Runs the experiment to its end, or to `stop_after_s`, in the loop that the pace of the setup asks for; every pair is also written to
 /// the folder `record`, if given. The experiment begins when both arms are switched on, and both are stopped on every way out. Where a
-/// person leads, the target moves from the word `start` on, and nothing but `quit` or the time ends the run.
+/// person leads, the target moves from the word `start` on, and neither a stop nor what is latched in an arm ends the run.
 ///
 /// # Errors
 /// What is refused before an arm is switched on.
@@ -68,7 +68,7 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     };
     let (how, punctuality) = course.run(&mut watching, &mut moving);
     let recorded = watching.looking.finish_recording();
-    let how = how.and(recorded);
+    let how = first_failure([how, recorded]);
     let mut outcome = watching.journal.finish(setup, watching.looking.finish(), moving.arms().commands());
     let replies_missed = moving.arms().replies_missed();
     outcome.log.cycles.extend(punctuality.map(|punctuality| {

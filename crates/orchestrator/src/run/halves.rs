@@ -109,6 +109,19 @@ impl Course<'_> {
     }
 }
 
+/// The first failure of several outcomes, in the order in which they came about; the others are logged.
+///
+/// # Errors
+/// The first failure.
+pub(super) fn first_failure(outcomes: impl IntoIterator<Item = Result<()>>) -> Result<()> {
+    outcomes.into_iter().fold(Ok(()), |first, next| {
+        if let (Err(_), Err(later)) = (&first, &next) {
+            tracing::error!("after the first failure: {later:#}");
+        }
+        first.and(next)
+    })
+}
+
 /// Arms that are switched on: on every way out, a panic included, they are stopped.
 pub(super) struct Enabled<'a, M: Mover> {
     mover: &'a mut M,
@@ -211,6 +224,63 @@ mod tests {
         }
     }
 
+    /// Arms that can not be stopped.
+    struct Unstoppable;
+
+    impl Mover for Unstoppable {
+        type Step = ();
+
+        fn enable(&mut self) -> Result<()> {
+            Ok(())
+        }
+
+        fn begin_at(&mut self, _begin: MonotonicTime) {}
+
+        fn observe(&mut self, _percept: Percept, _now: MonotonicTime) {}
+
+        fn step(&mut self, _now: MonotonicTime) -> Result<()> {
+            Ok(())
+        }
+
+        fn stop(&mut self) -> Result<()> {
+            anyhow::bail!("an arm can not be told")
+        }
+    }
+
+    /// A camera that is gone.
+    struct Broken;
+
+    impl Watcher for Broken {
+        type Step = ();
+
+        fn begin_at(&mut self, _begin: MonotonicTime) {}
+
+        fn moved(&mut self, _step: &()) {}
+
+        fn look(&mut self) -> Result<Option<Percept>> {
+            anyhow::bail!("the camera is gone")
+        }
+
+        fn note(&mut self) -> Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_stop_that_fails_does_not_hide_why_both_arms_were_stopped() {
+        for (pace, clock) in clocks() {
+            let (setup, interrupt) = (setup(pace), AtomicBool::new(false));
+            let course =
+                Course { setup: &setup, clock: &clock, duration: Duration::from_secs(10), interrupt: &interrupt };
+            let failure = course.run(&mut Broken, &mut Unstoppable).0.unwrap_err();
+            assert_eq!(failure.to_string(), "the camera is gone", "{pace:?}");
+        }
+    }
+
+    fn clocks() -> [(Pace, Arc<dyn Clock>); 2] {
+        [(Pace::Fast, Arc::new(VirtualClock::new())), (Pace::Live, Arc::new(SystemClock::new()))]
+    }
+
     fn setup(pace: Pace) -> Setup {
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
         Setup { pace, ..read_setup(Path::new(file)).unwrap() }
@@ -218,10 +288,7 @@ mod tests {
 
     #[test]
     fn a_mistake_of_the_half_that_moves_stops_both_arms() {
-        for (pace, clock) in [
-            (Pace::Fast, Arc::new(VirtualClock::new()) as Arc<dyn Clock>),
-            (Pace::Live, Arc::new(SystemClock::new()) as Arc<dyn Clock>),
-        ] {
+        for (pace, clock) in clocks() {
             let (setup, interrupt) = (setup(pace), AtomicBool::new(false));
             let course =
                 Course { setup: &setup, clock: &clock, duration: Duration::from_secs(10), interrupt: &interrupt };

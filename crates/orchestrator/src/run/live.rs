@@ -12,7 +12,7 @@ use anyhow::{Context, Result, anyhow};
 use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
 use pb3dp_geometry::MonotonicTime;
 
-use super::halves::{Course, Enabled, Mover, Punctuality, Watcher};
+use super::halves::{Course, Enabled, Mover, Punctuality, Watcher, first_failure};
 use super::percept::Percept;
 
 /// What was seen, on its way to those who move: they take all of it in every step.
@@ -51,16 +51,16 @@ pub(super) fn drive<M: Mover, W: Watcher<Step = M::Step>>(
         };
         is_over.store(true, Ordering::SeqCst);
         let moved = thread.context("no thread for the arms").and_then(|thread| {
-            thread
-                .join()
-                .unwrap_or_else(|_| Err(anyhow!("the thread of the arms has failed by a mistake of the program")))
+            thread.join().map_err(|_| anyhow!("the thread of the arms has failed by a mistake of the program"))
         });
         (moved, looked)
     });
     for step in steps_out.try_iter() {
         watcher.moved(&step);
     }
-    moved.and(looked)
+    let (stepped, stopped) = moved.unwrap_or_else(|failure| (Err(failure), Ok(())));
+    // Both arms are stopped behind whatever else has failed.
+    first_failure([stepped, looked, stopped])
 }
 
 /// This thread moves arms from now on; what is not to be had is told, and it goes on without.
@@ -107,13 +107,13 @@ struct Driving<'a, M: Mover> {
 }
 
 impl<M: Mover> Driving<'_, M> {
-    /// Steps until the end, then stops both arms; also when a step fails or the other thread is done.
-    fn run(mut self, begin: MonotonicTime) -> Result<()> {
+    /// Steps until the end, then stops both arms; also when a step fails or the other thread is done. What became of the steps, and of the
+    /// stop.
+    fn run(mut self, begin: MonotonicTime) -> (Result<()>, Result<()>) {
         enter_control_thread();
         let _over = Over(self.course.interrupt);
         let stepped = self.step_from(begin);
-        let stopped = self.enabled.stop();
-        stepped.and(stopped)
+        (stepped, self.enabled.stop())
     }
 
     fn step_from(&mut self, begin: MonotonicTime) -> Result<()> {

@@ -10,7 +10,7 @@ use std::sync::atomic::Ordering;
 use anyhow::Result;
 use pb3dp_geometry::MonotonicTime;
 
-use super::halves::{Course, Enabled, Mover, Watcher};
+use super::halves::{Course, Enabled, Mover, Watcher, first_failure};
 use super::percept::Percept;
 
 /// Steps both halves in the order of their times; both arms are stopped on every way out.
@@ -27,8 +27,7 @@ pub(super) fn drive<M: Mover, W: Watcher<Step = M::Step>>(
     watcher.begin_at(begin);
     enabled.mover().begin_at(begin);
     let stepped = step_both(course, watcher, enabled.mover(), begin);
-    let stopped = enabled.stop();
-    stepped.and(stopped)
+    first_failure([stepped, enabled.stop()])
 }
 
 fn step_both<M: Mover, W: Watcher<Step = M::Step>>(

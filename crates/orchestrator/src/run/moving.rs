@@ -6,12 +6,12 @@ use anyhow::{Result, bail};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{JointCommand, JointState};
 use pb3dp_kinematics::{Damping, JointVector};
-use pb3dp_servo::supervisor::{Decision, Event, Permission, State, Word};
+use pb3dp_servo::supervisor::{Decision, Event, OperatorInput, Permission, State};
 use pb3dp_servo::{Command, ControlStep, Controller, Mode};
 use pb3dp_sim::placement::FlangePath;
 use pb3dp_sim::trajectory::Trajectory;
 
-use super::both_arms::BothArms;
+use super::both_arms::{BothArms, LedArm};
 use super::carrier::{carry, off_by};
 use super::halves::Mover;
 use super::operator::{ByCommand, Operator};
@@ -24,6 +24,9 @@ use crate::wiring::DrivenArm;
 const AWAY_M: f64 = 0.05;
 const AWAY_RAD: f64 = 0.17;
 
+/// An arm that is still switched on behind a stop is stopped again after this.
+const STOP_AGAIN: Duration = Duration::from_millis(100);
+
 /// Both arms with what leads them.
 pub struct Moving<'a> {
     setup: &'a Setup,
@@ -35,6 +38,10 @@ pub struct Moving<'a> {
     operator: Box<dyn Operator>,
     /// Both arms are stopped, and wait for the operator's reset and selection.
     is_stopped: bool,
+    /// Why they are, as far as the arms themselves tell.
+    why_stopped: Option<String>,
+    /// When an arm that is still switched on is to be stopped again; none if that is not yet known to be so.
+    stop_again_at: Option<MonotonicTime>,
     damping: Damping,
     begin: MonotonicTime,
     stepped_at: Option<MonotonicTime>,
@@ -77,6 +84,8 @@ impl<'a> Moving<'a> {
             permitting: Permitting::new(&setup.supervisor, limits)?,
             operator: Box::new(ByCommand),
             is_stopped: false,
+            why_stopped: None,
+            stop_again_at: None,
             damping: Damping::new(setup.controller.damping.threshold, setup.controller.damping.factor_max)?,
             path: (setup.experiment.carrier == Carrier::Arm)
                 .then(|| FlangePath::of_carrier(experiment, &setup.tc.world_from_base, &setup.flange_from_target)),
@@ -103,12 +112,7 @@ impl<'a> Moving<'a> {
     fn decide(&mut self, now: MonotonicTime) -> (ControlStep, Decision, Command) {
         let observation = self.newest.as_ref().and_then(|percept| percept.observation.as_ref());
         let control = self.controller.step(self.arms.vs.joints(), observation, now);
-        let heard = self.operator.listen(self.permitting.last(), now);
-        if self.is_stopped && heard.said.is_some_and(|said| said.word == Word::Reset) {
-            // What is latched in an arm itself goes first; the supervisor refuses as long as it is still there.
-            let cleared = self.arms.reset();
-            self.tell_of(cleared);
-        }
+        let heard = self.listen(now);
         let arms = [&self.arms.vs, &self.arms.tc].map(|arm| (arm.condition(), arm.joints()));
         let decision = self.permitting.step(heard, &control, self.newest.as_ref(), arms, now);
         self.operator.show(&decision);
@@ -121,6 +125,30 @@ impl<'a> Moving<'a> {
             self.controller.acquire();
         }
         (control, decision, told)
+    }
+
+    /// What the operator says. A reset that is to reach the arms clears what is latched in them; the supervisor refuses as long as
+    /// something still is.
+    fn listen(&mut self, now: MonotonicTime) -> OperatorInput {
+        let heard = self.operator.listen(self.permitting.last(), now);
+        let conditions = [&self.arms.vs, &self.arms.tc].map(LedArm::condition);
+        if !heard.said.is_some_and(|said| self.permitting.would_reset(said, conditions, now)) {
+            return heard;
+        }
+        if let Some(name) = self.arms.still_on() {
+            self.operator.tell(Some(format!(
+                "reset is refused: {name} is still switched on, and is told to stop again and again; use the emergency stop if that does not help"
+            )));
+            return OperatorInput { said: None, ..heard };
+        }
+        match self.arms.reset() {
+            Ok(()) => {
+                self.why_stopped = None;
+                self.operator.tell(None);
+            }
+            Err(trouble) => self.operator.tell(Some(format!("{trouble:#}"))),
+        }
+        heard
     }
 
     /// What the arm that carries the target is told: its way, which waits as long as no arm may move at all.
@@ -153,44 +181,67 @@ impl<'a> Moving<'a> {
 
     /// Both arms rest with brakes on until a person resets them. Where there is none the run ends; an arm that has failed says more about
     /// it than the supervisor knows.
-    fn stay_stopped(&mut self, decision: &Decision) -> Result<()> {
+    fn stay_stopped(&mut self, decision: &Decision, now: MonotonicTime) -> Result<()> {
         if !self.operator.is_person() {
             self.arms.why_latched()?;
             bail!("{}", decision.why)
         }
         if self.is_stopped {
-            self.arms.look();
+            self.stay_off(now);
             return Ok(());
         }
         self.is_stopped = true;
         let why = self.arms.why_latched();
-        self.tell_of(why);
-        let stopped = self.arms.stop();
-        self.tell_of(stopped);
+        self.stop_because(why);
         Ok(())
     }
 
+    /// Stops both arms; what went wrong first is what a person is told.
+    fn stop_because(&mut self, why: Result<()>) {
+        let stopped = self.arms.stop();
+        self.stop_again_at = None;
+        if let (Err(_), Err(trouble)) = (&why, &stopped) {
+            tracing::error!("{trouble:#}");
+        }
+        self.why_stopped = why.and(stopped).err().map(|trouble| format!("{trouble:#}"));
+        if self.why_stopped.is_some() {
+            self.operator.tell(self.why_stopped.clone());
+        }
+    }
+
+    /// Looks at arms that are to be off; one that a stop has left on is stopped again, every so often.
+    fn stay_off(&mut self, now: MonotonicTime) {
+        self.arms.look();
+        if self.arms.still_on().is_none() {
+            self.stop_again_at = None;
+            return;
+        }
+        let again_at = *self.stop_again_at.get_or_insert(now + STOP_AGAIN);
+        if now < again_at {
+            return;
+        }
+        // A stop takes its time: the next one is due that long after the step behind it.
+        self.stop_again_at = None;
+        match self.arms.stop_still_on() {
+            Ok(()) => self.operator.tell(self.why_stopped.clone()),
+            Err(trouble) => tracing::error!("{trouble:#}"),
+        }
+    }
+
     /// Behind the reset both arms stay off until a target is selected; then they are switched on where they are.
-    fn leave_stop(&mut self, decision: &Decision) {
+    fn leave_stop(&mut self, decision: &Decision, now: MonotonicTime) {
         if decision.transition.is_none_or(|transition| transition.event != Event::Select) {
-            self.arms.look();
+            self.stay_off(now);
             return;
         }
         let on = self.arms.enable_here();
         self.is_stopped = on.is_err();
         self.operator.tell(None);
         if self.is_stopped {
-            self.arms.stop().ok();
-            self.tell_of(on);
+            self.stop_because(on);
         }
         // A target that was seen before is not the one that was selected.
         self.newest = None;
-    }
-
-    fn tell_of(&mut self, outcome: Result<()>) {
-        if let Err(trouble) = outcome {
-            self.operator.tell(Some(format!("{trouble:#}")));
-        }
     }
 
     /// Tells the arm that carries the cameras; the controller gets to know what its joints do now, if that is not what it wanted.
@@ -230,11 +281,11 @@ impl Mover for Moving<'_> {
         let (control, decision, told) = self.decide(now);
         let moved = Moved { at: now, mode: control.mode, decision, vs_joints: *self.arms.vs.joints() };
         if decision.permission == Permission::Stop {
-            self.stay_stopped(&decision)?;
+            self.stay_stopped(&decision, now)?;
             return Ok(moved);
         }
         if self.is_stopped {
-            self.leave_stop(&decision);
+            self.leave_stop(&decision, now);
             return Ok(moved);
         }
         let carrying = self.carrying(&decision, now);

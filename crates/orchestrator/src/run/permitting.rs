@@ -4,7 +4,7 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::JointState;
 use pb3dp_kinematics::{DOF, JointLimits, JointVector};
 use pb3dp_servo::supervisor::{
-    ArmCondition, ArmInput, Decision, Innovation, Inputs, OperatorInput, RangeEnd, Supervisor, SupervisorConfig,
+    ArmCondition, ArmInput, Decision, Innovation, Inputs, OperatorInput, RangeEnd, Said, Supervisor, SupervisorConfig,
     SupervisorError,
 };
 use pb3dp_servo::{ControlStep, ObservationVerdict};
@@ -17,6 +17,8 @@ pub struct Permitting {
     /// The operating range of the arm that carries the cameras.
     limits: JointLimits,
     last: Option<Decision>,
+    /// Both arms as they were in the step before.
+    arms_before: [ArmCondition; 2],
 }
 
 impl Permitting {
@@ -25,12 +27,22 @@ impl Permitting {
     /// # Errors
     /// A policy out of its range or too weak.
     pub fn new(config: &SupervisorConfig, limits: JointLimits) -> Result<Self, SupervisorError> {
-        Ok(Self { supervisor: Supervisor::new(config.clone())?, limits, last: None })
+        let supervisor = Supervisor::new(config.clone())?;
+        Ok(Self { supervisor, limits, last: None, arms_before: [ArmCondition::Disabled; 2] })
     }
 
     /// What was decided last.
     pub fn last(&self) -> Option<&Decision> {
         self.last.as_ref()
+    }
+
+    /// Whether a word is a reset that clears the arms: the supervisor obeys it but for what is latched in the arms themselves, and it knows
+    /// of all of that from a step before.
+    pub fn would_reset(&self, said: Said, arms: [ArmCondition; 2], now: MonotonicTime) -> bool {
+        let is_latched = |arm: ArmCondition| !matches!(arm, ArmCondition::Enabled | ArmCondition::Disabled);
+        let is_known =
+            self.arms_before.into_iter().zip(arms).all(|(before, arm)| is_latched(before) || !is_latched(arm));
+        is_known && self.supervisor.would_reset(said, now)
     }
 
     /// What is permitted in this step; both arms with what was measured of them, the one with the cameras first.
@@ -54,6 +66,7 @@ impl Permitting {
         };
         let decision = self.supervisor.step(&inputs, now);
         self.last = Some(decision);
+        self.arms_before = arms.map(|(condition, _)| condition);
         decision
     }
 }

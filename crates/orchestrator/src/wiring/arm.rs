@@ -184,7 +184,8 @@ fn limited<A: Arm + ArmPower + 'static>(wanted: Wanted<'_>, inner: A) -> Result<
     Ok(Box::new(limiter.with_context(|| format!("{}: limiter", wanted.name))?))
 }
 
-fn coupled_config(arm: &ArmSetup) -> CoupledArmConfig {
+/// What the coupling has to know of an arm.
+pub(crate) fn coupled_config(arm: &ArmSetup) -> CoupledArmConfig {
     CoupledArmConfig {
         chain: arm.chain.clone(),
         shape: arm.shape.clone(),

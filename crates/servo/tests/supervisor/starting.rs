@@ -1,7 +1,9 @@
 //! Ways to start or resume wrongly, as far as the supervisor can see them: each a test. What every one of them shows is that
 //! nothing is permitted to move, or that nothing moves by itself.
 
-use pb3dp_servo::supervisor::{ArmCondition, Condition, Confidence, Event, Permission, RefusedFor, State, Why, Word};
+use pb3dp_servo::supervisor::{
+    ArmCondition, Condition, Confidence, Event, Permission, RefusedFor, Said, State, Why, Word,
+};
 use pb3dp_servo::{HoldReason, Mode};
 
 use crate::bench::{Bench, at, config, good, with};
@@ -328,6 +330,30 @@ fn reset_of_what_is_not_latched_changes_nothing() {
     let decision = bench.say(Word::Reset);
     assert_eq!((decision.state, decision.transition), (State::Holding, None));
     stays_at_rest(&mut bench);
+}
+
+/// What is latched in an arm is cleared only by a word that the supervisor would obey.
+#[test]
+fn a_reset_reaches_the_arms_only_in_a_latched_state_and_in_time() {
+    let said = |word, said_s| Said { word, at: at(said_s) };
+    let mut bench = Bench::following(config());
+    assert!(!bench.supervisor.would_reset(said(Word::Reset, bench.now_s), at(bench.now_s)), "it follows");
+    let before_s = bench.now_s;
+    bench.lie(|i| i.arms[0].state = ArmCondition::EmergencyStop);
+    bench.run(0.1);
+    assert_eq!(bench.state(), State::Fault);
+    let now_s = bench.now_s;
+    let would = |word, said_s| bench.supervisor.would_reset(said(word, said_s), at(now_s));
+    assert!(would(Word::Reset, now_s), "also while the emergency stop is latched in the arm");
+    assert!(!would(Word::Reset, before_s), "it was said before the fault");
+    assert!(!would(Word::Reset, now_s + 1.0), "it will be said");
+    assert!(!would(Word::Select, now_s));
+    let later = |said_s| bench.supervisor.would_reset(said(Word::Reset, said_s), at(now_s + 1.0));
+    assert!(!later(now_s) && later(now_s + 0.6), "no older than 0.5 s");
+    bench.truth();
+    bench.run(0.1);
+    assert_eq!(bench.say(Word::Reset).state, State::Idle);
+    assert!(!bench.supervisor.would_reset(said(Word::Reset, bench.now_s), at(bench.now_s)), "nothing is latched");
 }
 
 #[test]
