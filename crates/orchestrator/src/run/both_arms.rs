@@ -186,7 +186,8 @@ impl BothArms {
     pub fn reset(&mut self) -> Result<()> {
         let mut arms = [&mut self.tc, &mut self.vs];
         arms.sort_by_key(|led| led.arm.is_stopped_by_other());
-        let failed: Vec<_> = arms.into_iter().filter_map(|led| led.reset().is_err().then_some(led)).collect();
+        let mut failed: Vec<_> = arms.into_iter().filter_map(|led| led.reset().is_err().then_some(led)).collect();
+        failed.sort_by_key(|led| led.arm.is_stopped_by_other());
         failed.into_iter().map(LedArm::reset).fold(Ok(()), Result::and)
     }
 

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use rustix::process::{Pid, Signal, kill_process};
 use tempfile::TempDir;
 
-use crate::arm::{Cell, START_DEG, assert_problem, command, json, patiently, write_setup};
+use crate::arm::{Cell, START_DEG, assert_problem, command, json, patiently_alone, write_setup};
 use crate::mock_arm::MockArm;
 use crate::run::SMALL;
 use crate::support::{pb3dp, replaced};
@@ -45,7 +45,7 @@ fn cell(args: &[&str], wire_format: &str) -> Cell {
 
 #[test]
 fn a_probe_reads_the_controller_itself() {
-    patiently(|| {
+    patiently_alone(|| {
         for (wire_format, format) in [("A", "a"), ("B", "b")] {
             let cell = cell(&["--format", format, "--pose-deg", START_DEG], wire_format);
             let report = json(&cell.pb3dp(&["probe", "--json"], None).assert_success());
@@ -62,7 +62,7 @@ fn a_probe_reads_the_controller_itself() {
 /// R19: the length of a reply tells the format.
 #[test]
 fn a_controller_of_the_other_wire_format_is_named() {
-    patiently(|| {
+    patiently_alone(|| {
         for (format, told, seen) in [("a", "B", "format A"), ("b", "A", "format B")] {
             let cell = cell(&["--format", format], told);
             let parts =
@@ -78,7 +78,7 @@ fn a_controller_of_the_other_wire_format_is_named() {
 /// What a gateway's file says of brakes and switches, the table says of an arm without one.
 #[test]
 fn the_table_tells_of_brakes_and_switches() {
-    patiently(|| {
+    patiently_alone(|| {
         let mut cell = cell(&["--pose-deg", START_DEG], "B");
         let config = cell.config();
         let text = std::fs::read_to_string(&config).unwrap();
@@ -104,7 +104,7 @@ fn the_table_tells_of_brakes_and_switches() {
 
 #[test]
 fn a_jog_turns_one_joint_and_closes_the_brakes() {
-    patiently(|| {
+    patiently_alone(|| {
         let mut cell = cell(&["--pose-deg", START_DEG], "B");
         cell.assert_jogs();
         cell.arm.quit();
@@ -179,7 +179,7 @@ fn fastest_deg_per_s(arm: &mut MockArm) -> f64 {
 /// Who asks twice does not want to wait for the report; for the arm, which nothing else stops, the program waits all the same.
 #[test]
 fn two_signals_do_not_leave_an_arm_without_a_gateway_moving() {
-    patiently(|| {
+    patiently_alone(|| {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("bus").display().to_string();
         let start = ["--bus", &path, "--priority", "45", "--watchdog", "none", "--pose-deg", TC_START_DEG];
@@ -198,7 +198,7 @@ fn two_signals_do_not_leave_an_arm_without_a_gateway_moving() {
 
 #[test]
 fn a_jog_that_is_interrupted_twice_closes_the_brakes() {
-    patiently(|| {
+    patiently_alone(|| {
         let mut cell = cell(&["--pose-deg", START_DEG, "--watchdog", "none"], "B");
         let config = cell.config().display().to_string();
         let mut jog = command(&config, &["jog", "--axis", "7", "--by", "20", "--move"]).spawn().unwrap();

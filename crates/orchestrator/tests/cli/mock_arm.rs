@@ -16,7 +16,7 @@ pub struct MockArm {
 impl MockArm {
     pub fn start(args: &[&str]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_pb3dp"));
-        // Should this test die, the arm ends by itself.
+        // Should the tests be killed, the arm ends by itself.
         command.arg("mock-arm").args(["--stop-after", "120"]).args(args);
         let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
         let (input, output) = (child.stdin.take().unwrap(), BufReader::new(child.stdout.take().unwrap()));
@@ -53,8 +53,16 @@ impl MockArm {
             }
             std::thread::sleep(Duration::from_millis(5));
         }
-        self.child.kill().unwrap();
         panic!("it does not end");
+    }
+}
+
+/// A test that is tried again must not have the arms of its failures beside it, which go before other threads.
+impl Drop for MockArm {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        self.child.kill().ok();
+        self.child.wait().ok();
     }
 }
 
