@@ -114,12 +114,15 @@ impl Course<'_> {
 /// # Errors
 /// The first failure.
 pub(super) fn first_failure(outcomes: impl IntoIterator<Item = Result<()>>) -> Result<()> {
-    outcomes.into_iter().fold(Ok(()), |first, next| {
-        if let (Err(_), Err(later)) = (&first, &next) {
-            tracing::error!("after the first failure: {later:#}");
+    let mut first = Ok(());
+    for next in outcomes {
+        match (&first, next) {
+            (Ok(()), next) => first = next,
+            (Err(_), Err(later)) => tracing::error!("after the first failure: {later:#}"),
+            (Err(_), Ok(())) => {}
         }
-        first.and(next)
-    })
+    }
+    first
 }
 
 /// Arms that are switched on: on every way out, a panic included, they are stopped.
