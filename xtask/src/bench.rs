@@ -287,7 +287,7 @@ mod tests {
         let servo = parse(&["servo", "--quick", "--only", "laws/"]);
         assert_eq!(
             (servo.what, servo.options.as_slice()),
-            (What::Servo, ["--only", "laws/"].map(str::to_owned).as_slice())
+            (What::Servo, ["--quick", "--only", "laws/"].map(str::to_owned).as_slice())
         );
     }
 

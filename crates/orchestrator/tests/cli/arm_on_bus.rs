@@ -32,14 +32,15 @@ pub fn keys(wire_format: &str, cycle_millis: &str) -> String {
     )
 }
 
-/// A controller whose time-out is that of one of the sources: threads of tests are not always run within 6 ms.
+/// A controller whose time-out is that of one of the sources, in a cycle of 10 ms: programs on a busy machine are not always
+/// run within the 2 ms of the manual, and what is tested here is the program, not the machine.
 fn cell(args: &[&str], wire_format: &str) -> Cell {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("bus").display().to_string();
     let time_out: &[&str] = if args.contains(&"--watchdog") { &[] } else { &["--watchdog", "400ms"] };
     let mut arm = MockArm::start(&[&["--bus", &path, "--priority", "45"], time_out, args].concat());
     assert_eq!(arm.line(), path);
-    with_bus(&folder, &format!("socket:{path}"), &keys(wire_format, "2.0"));
+    with_bus(&folder, &format!("socket:{path}"), &keys(wire_format, "10.0"));
     Cell { arm, folder }
 }
 
