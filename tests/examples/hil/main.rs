@@ -110,19 +110,22 @@ impl Figures {
             "\nThrough serial lines the error in motion is {position:.2} times (position) and {orientation:.2} times (orientation) that in \
              simulated time; at most {RATIO_MAX} is allowed.\n"
         );
-        text += "| run | cycle | begun | late p50, ms | p99 | max | left out | replies lost |\n";
-        text += "|---|---|---:|---:|---:|---:|---:|---:|\n";
+        text +=
+            "| run | cycle | period, ms | begun | late p50, ms | p99 | max | left out | not taken | replies lost |\n";
+        text += "|---|---|---:|---:|---:|---:|---:|---:|---:|---:|\n";
         for Row { name, summary, .. } in &self.rows {
             for cycle in &summary.cycles {
                 let _ = writeln!(
                     text,
-                    "| {name} | {} | {} | {:.2} | {:.2} | {:.2} | {} | {} |",
+                    "| {name} | {} | {:.1} | {} | {:.2} | {:.2} | {:.2} | {} | {} | {} |",
                     cycle.name,
+                    cycle.period_millis,
                     cycle.cycles,
                     cycle.late_p50_millis,
                     cycle.late_p99_millis,
                     cycle.late_max_millis,
                     cycle.missed,
+                    cycle.dropped,
                     cycle.replies_lost,
                 );
             }

@@ -118,7 +118,7 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
     let interrupt = AtomicBool::new(false);
     let duration = Duration::from_secs_f64(RUN_S);
     let course = Course { setup: &setup, clock: &clock, duration, interrupt: &interrupt };
-    let (outcome, _) = course.run(&mut watching, &mut faulty);
+    let outcome = course.run_in_lockstep(&mut watching, &mut faulty);
     let begun = faulty.begun;
     let mut recording = lock(&recorder);
     recording.ended();

@@ -126,7 +126,7 @@ pub fn repeat(setup: &Setup, minutes: f64, tell: impl FnMut(&str)) -> Result<Fig
         Watching { looking, cell, begin: now, figures: Figures::default(), at_end: AtEnd::default(), tell };
     let duration = Duration::from_secs_f64(LEAD_IN_S + CYCLE_S * cycles as f64 + 0.1);
     let course = Course { setup: &setup, clock: &clock, duration, interrupt: &interrupt };
-    course.run(&mut watching, &mut moving).0?;
+    course.run_in_lockstep(&mut watching, &mut moving)?;
     Ok(watching.figures)
 }
 

@@ -82,9 +82,10 @@ fn a_hand_follows_through_serial_lines_as_in_simulated_time() {
         as_simulated.then_some(log).ok_or_else(|| format!("{rms_mm} and {max_mm} mm, simulated {simulated:?}"))
     });
     let names: Vec<&str> = log.cycles.iter().map(|cycle| cycle.name.as_str()).collect();
-    assert_eq!(names, ["control loop", "vs-robot", "tc-robot"]);
+    assert_eq!(names, ["capture", "estimation", "control", "recording", "vs-robot", "tc-robot"]);
     for cycle in &log.cycles {
-        assert!(cycle.cycles > 200 && cycle.late_p50_millis <= cycle.late_p99_millis, "{cycle:?}");
+        let cycles_min = if cycle.period_millis > 30.0 { 60 } else { 200 };
+        assert!(cycle.cycles > cycles_min && cycle.late_p50_millis <= cycle.late_p99_millis, "{cycle:?}");
     }
 }
 

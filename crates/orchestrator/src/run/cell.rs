@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, Target, World};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::{Chain, JointState, JointVector};
-use pb3dp_servo::JointHistory;
+use pb3dp_servo::{JointHistory, NotInHistory};
 use pb3dp_sim::joint_dynamics::JointPlant;
 use pb3dp_sim::scene::{PoseSource, ScenePoses};
 use pb3dp_sim::trajectory::Trajectory;
@@ -73,6 +73,20 @@ impl JointSource {
             }
         }
     }
+
+    /// Whether the joints at a time are not forgotten yet.
+    fn remembers(&self, at: MonotonicTime) -> bool {
+        match &self.0 {
+            Source::Plant(plant) => {
+                let plant = plant.lock().unwrap_or_else(PoisonError::into_inner);
+                at > plant.state().at || plant.position_at(at).is_some()
+            }
+            Source::Measured(measured) => {
+                let measured = measured.lock().unwrap_or_else(PoisonError::into_inner);
+                measured.history.newest().is_none() || measured.history.position_at(at) != Err(NotInHistory::TooOld)
+            }
+        }
+    }
 }
 
 /// One arm in the cell.
@@ -135,6 +149,11 @@ impl SimulatedCell {
         if let Some(target) = &self.free_target {
             target.begin.get_or_init(|| begin);
         }
+    }
+
+    /// Whether it is not forgotten yet where everything was at `at`.
+    pub fn remembers(&self, at: MonotonicTime) -> bool {
+        self.vs.joints.remembers(at) && self.tc.joints.remembers(at)
     }
 
     /// True pose of the hand at `at`.

@@ -6,13 +6,15 @@ use std::time::Duration;
 use anyhow::Result;
 use pb3dp_geometry::MonotonicTime;
 
+use super::capturing::Captured;
 use super::cell::SimulatedCell;
 use super::cycles::CycleSummary;
-use super::halves::{Course, Watcher, first_failure};
+use super::halves::{Capture, Course, Estimate, Parted, Record, first_failure};
 use super::journal::{Journal, Outcome};
 use super::log::RunLog;
-use super::looking::{Looking, Seen};
+use super::looking::{Estimating, Looking, Seen};
 use super::moving::{Moved, Moving};
+use super::noting::Noting;
 use super::percept::Percept;
 use super::strip::Strip;
 use crate::config::setup::Setup;
@@ -59,7 +61,7 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     let looking = Looking::new(setup, (camera, cell.clone(), target_outline_m), (strip, now), record)?;
     let mut moving = Moving::new(setup, (vs, tc), &*experiment, now)?.with_operator(operator);
     let journal = Journal::new(setup, cell.clone(), (now, duration_s), log);
-    let mut watching = Watching { looking, journal, cell, seen: None };
+    let mut watching = Watching { looking, journal, cell };
     let course = Course {
         setup,
         clock: &clock,
@@ -67,14 +69,17 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
         interrupt: &interrupt,
     };
     let (how, punctuality) = course.run(&mut watching, &mut moving);
-    let recorded = watching.looking.finish_recording();
+    let recorded = watching.looking.noting.finish_recording();
     let how = first_failure([how, recorded]);
+    let steps_untrue = watching.journal.steps_untrue();
     let mut outcome = watching.journal.finish(setup, watching.looking.finish(), moving.arms().commands());
     let replies_missed = moving.arms().replies_missed();
-    outcome.log.cycles.extend(punctuality.map(|punctuality| {
-        CycleSummary::new("control loop", &punctuality.lateness.summary(), punctuality.missed, replies_missed)
-    }));
-    outcome.log.cycles.extend(monitors.iter().map(|(name, monitor)| CycleSummary::of_link(name, monitor)));
+    if let Some(mut punctuality) = punctuality {
+        punctuality.recording.dropped += steps_untrue;
+        outcome.log.cycles.extend(punctuality.summaries(setup, replies_missed));
+    }
+    let links = monitors.iter().map(|(name, monitor)| CycleSummary::of_link(name, setup.control_period, monitor));
+    outcome.log.cycles.extend(links);
     // The arms go before what is at the other end of their lines.
     drop(moving);
     drop(emulated);
@@ -86,12 +91,12 @@ struct Watching<'a> {
     looking: Looking<'a>,
     journal: Journal,
     cell: SimulatedCell,
-    /// What is not yet written down.
-    seen: Option<Seen>,
 }
 
-impl Watcher for Watching<'_> {
+impl Parted for Watching<'_> {
     type Step = Moved;
+    type Frame = Captured;
+    type Seen = Seen;
 
     fn begin_at(&mut self, begin: MonotonicTime) {
         self.cell.begin_at(begin);
@@ -99,17 +104,51 @@ impl Watcher for Watching<'_> {
         self.journal.begin_at(begin);
     }
 
+    fn parts(
+        &mut self,
+    ) -> (
+        impl Capture<Frame = Captured>,
+        impl Estimate<Frame = Captured, Seen = Seen, Step = Moved>,
+        impl Record<Seen = Seen, Step = Moved>,
+    ) {
+        let Looking { capturing, estimating, noting } = &mut self.looking;
+        (capturing, Leading(estimating), Keeping { noting, journal: &mut self.journal })
+    }
+}
+
+/// The method that leads the hand.
+struct Leading<'w, 'a>(&'w mut Estimating<'a>);
+
+impl Estimate for Leading<'_, '_> {
+    type Frame = Captured;
+    type Seen = Seen;
+    type Step = Moved;
+
     fn moved(&mut self, step: &Moved) {
-        self.looking.push_joints(step.vs_joints);
+        self.0.push_joints(step.vs_joints);
+    }
+
+    fn look(&mut self, frame: Captured) -> Result<(Percept, Seen)> {
+        let seen = self.0.look(frame)?;
+        Ok((seen.percept(), seen))
+    }
+}
+
+/// What writes down.
+struct Keeping<'w, 'a> {
+    noting: &'w mut Noting<'a>,
+    journal: &'w mut Journal,
+}
+
+impl Record for Keeping<'_, '_> {
+    type Seen = Seen;
+    type Step = Moved;
+
+    fn moved(&mut self, step: &Moved) {
         self.journal.note(step);
     }
 
-    fn look(&mut self) -> Result<Option<Percept>> {
-        self.seen = self.looking.look()?;
-        Ok(self.seen.as_ref().map(Seen::percept))
-    }
-
-    fn note(&mut self) -> Result<()> {
-        self.seen.take().map_or(Ok(()), |seen| self.looking.note(&seen))
+    fn note(&mut self, seen: Seen) -> Result<()> {
+        self.noting.note(&seen)
     }
 }

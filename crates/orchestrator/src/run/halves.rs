@@ -6,10 +6,11 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use anyhow::Result;
-use pb3dp_arm_pa10::io::arm::JitterMeter;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
+use pb3dp_servo::supervisor::FrameInput;
 
+use super::cycles::Punctuality;
 use super::percept::Percept;
 use super::{live, lockstep};
 use crate::config::setup::{Pace, Setup};
@@ -17,7 +18,7 @@ use crate::config::setup::{Pace, Setup};
 /// The half that moves both arms.
 pub trait Mover: Send {
     /// What a control step is remembered by.
-    type Step: Send;
+    type Step: Copy + Send;
 
     /// Drives on, and where the joints really are.
     ///
@@ -47,7 +48,7 @@ pub trait Mover: Send {
 /// The half that looks.
 pub trait Watcher {
     /// What it is told of a control step.
-    type Step: Send;
+    type Step: Copy + Send;
 
     /// Control steps begin at this time.
     fn begin_at(&mut self, begin: MonotonicTime);
@@ -68,6 +69,125 @@ pub trait Watcher {
     fn note(&mut self) -> Result<()>;
 }
 
+/// The half that looks, whose three parts can have a thread each.
+pub trait Parted {
+    /// What it is told of a control step.
+    type Step: Copy + Send;
+    /// What is captured.
+    type Frame: Send;
+    /// What is seen in it.
+    type Seen: Send;
+
+    /// Control steps begin at this time.
+    fn begin_at(&mut self, begin: MonotonicTime);
+
+    /// What captures, what estimates, and what writes down.
+    #[allow(clippy::type_complexity, reason = "each part with what it has to go with")]
+    fn parts(
+        &mut self,
+    ) -> (
+        impl Capture<Frame = Self::Frame>,
+        impl Estimate<Frame = Self::Frame, Seen = Self::Seen, Step = Self::Step>,
+        impl Record<Seen = Self::Seen, Step = Self::Step>,
+    );
+}
+
+/// The parts one behind the other.
+struct InTurn<'w, W: Parted> {
+    parted: &'w mut W,
+    /// What is not yet written down.
+    seen: Option<W::Seen>,
+}
+
+impl<W: Parted> Watcher for InTurn<'_, W> {
+    type Step = W::Step;
+
+    fn begin_at(&mut self, begin: MonotonicTime) {
+        self.parted.begin_at(begin);
+    }
+
+    fn moved(&mut self, step: &W::Step) {
+        let (_, mut estimator, mut recorder) = self.parted.parts();
+        estimator.moved(step);
+        recorder.moved(step);
+    }
+
+    fn look(&mut self) -> Result<Option<Percept>> {
+        let (mut camera, mut estimator, _) = self.parted.parts();
+        let Some(frame) = camera.capture()? else { return Ok(None) };
+        let (percept, seen) = estimator.look(frame)?;
+        self.seen = Some(seen);
+        Ok(Some(percept))
+    }
+
+    fn note(&mut self) -> Result<()> {
+        self.seen.take().map_or(Ok(()), |seen| self.parted.parts().2.note(seen))
+    }
+}
+
+/// What captures frames.
+pub trait Capture: Send {
+    /// What is captured.
+    type Frame: Send;
+
+    /// Waits for the next frame. `None` if it did not come.
+    ///
+    /// # Errors
+    /// If there will be no more.
+    fn capture(&mut self) -> Result<Option<Self::Frame>>;
+
+    /// Number and times of a frame.
+    fn input(frame: &Self::Frame) -> FrameInput;
+}
+
+/// What estimates from frames.
+pub trait Estimate: Send {
+    /// What is looked at.
+    type Frame;
+    /// What was seen, to be written down.
+    type Seen;
+    /// What it is told of a control step.
+    type Step;
+
+    /// A control step was done.
+    fn moved(&mut self, step: &Self::Step);
+
+    /// Looks at a frame: what those who move are told, and what is to be written down.
+    ///
+    /// # Errors
+    /// If it fails for good.
+    fn look(&mut self, frame: Self::Frame) -> Result<(Percept, Self::Seen)>;
+}
+
+/// What writes down.
+pub trait Record {
+    /// What was seen in a frame.
+    type Seen;
+    /// What it is told of a control step.
+    type Step;
+
+    /// A control step was done.
+    fn moved(&mut self, step: &Self::Step);
+
+    /// Writes down what was seen in a frame.
+    ///
+    /// # Errors
+    /// If it can not be written.
+    fn note(&mut self, seen: Self::Seen) -> Result<()>;
+}
+
+impl<C: Capture> Capture for &mut C {
+    type Frame = C::Frame;
+
+    fn capture(&mut self) -> Result<Option<C::Frame>> {
+        (**self).capture()
+    }
+
+    fn input(frame: &C::Frame) -> FrameInput {
+        C::input(frame)
+    }
+}
+
 /// For how long both halves are stepped, and on which clock.
 pub struct Course<'a> {
     /// Their times.
@@ -80,22 +200,13 @@ pub struct Course<'a> {
     pub interrupt: &'a AtomicBool,
 }
 
-/// How punctual the steps were in the machine's time.
-#[derive(Debug, Default)]
-pub struct Punctuality {
-    /// How late they began.
-    pub lateness: JitterMeter,
-    /// Those that were left out because their time had passed.
-    pub missed: u64,
-}
-
 impl Course<'_> {
     /// Steps both halves from switching both arms on until they are stopped, in the loop that the pace of the setup asks for. How punctual
-    /// that was is known only in the machine's time.
+    /// each thread was is known only in the machine's time.
     ///
     /// # Errors
     /// The first failure of an arm, the camera or the estimator for good; both arms are stopped first.
-    pub fn run<M: Mover, W: Watcher<Step = M::Step>>(
+    pub fn run<M: Mover, W: Parted<Step = M::Step>>(
         &self,
         watcher: &mut W,
         mover: &mut M,
@@ -104,8 +215,16 @@ impl Course<'_> {
             let mut punctuality = Punctuality::default();
             (live::drive(self, watcher, mover, &mut punctuality), Some(punctuality))
         } else {
-            (lockstep::drive(self, watcher, mover), None)
+            (self.run_in_lockstep(&mut InTurn { parted: watcher, seen: None }, mover), None)
         }
+    }
+
+    /// The same in simulated time, whatever the pace of the setup is: one thread steps both halves.
+    ///
+    /// # Errors
+    /// As [`Self::run`].
+    pub fn run_in_lockstep<M: Mover, W: Watcher<Step = M::Step>>(&self, watcher: &mut W, mover: &mut M) -> Result<()> {
+        lockstep::drive(self, watcher, mover)
     }
 }
 
@@ -161,145 +280,6 @@ impl<M: Mover> Drop for Enabled<'_, M> {
     fn drop(&mut self) {
         if !self.is_stopped {
             self.mover.stop().ok();
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use std::path::Path;
-
-    use pb3dp_hal_clock::{SystemClock, VirtualClock};
-
-    use super::*;
-    use crate::config::setup::read_setup;
-
-    /// Arms that fail by a mistake of the program after some steps.
-    #[derive(Default)]
-    struct Mistaken {
-        is_on: bool,
-        steps: usize,
-        stops: usize,
-    }
-
-    impl Mover for Mistaken {
-        type Step = ();
-
-        fn enable(&mut self) -> Result<()> {
-            self.is_on = true;
-            Ok(())
-        }
-
-        fn begin_at(&mut self, _begin: MonotonicTime) {}
-
-        fn observe(&mut self, _percept: Percept, _now: MonotonicTime) {}
-
-        fn step(&mut self, _now: MonotonicTime) -> Result<()> {
-            self.steps += 1;
-            assert!(self.steps < 5, "a mistake");
-            Ok(())
-        }
-
-        fn stop(&mut self) -> Result<()> {
-            self.is_on = false;
-            self.stops += 1;
-            Ok(())
-        }
-    }
-
-    /// Nothing to be seen, every now and then.
-    struct Blind;
-
-    impl Watcher for Blind {
-        type Step = ();
-
-        fn begin_at(&mut self, _begin: MonotonicTime) {}
-
-        fn moved(&mut self, _step: &()) {}
-
-        fn look(&mut self) -> Result<Option<Percept>> {
-            std::thread::sleep(Duration::from_millis(1));
-            Ok(None)
-        }
-
-        fn note(&mut self) -> Result<()> {
-            Ok(())
-        }
-    }
-
-    /// Arms that can not be stopped.
-    struct Unstoppable;
-
-    impl Mover for Unstoppable {
-        type Step = ();
-
-        fn enable(&mut self) -> Result<()> {
-            Ok(())
-        }
-
-        fn begin_at(&mut self, _begin: MonotonicTime) {}
-
-        fn observe(&mut self, _percept: Percept, _now: MonotonicTime) {}
-
-        fn step(&mut self, _now: MonotonicTime) -> Result<()> {
-            Ok(())
-        }
-
-        fn stop(&mut self) -> Result<()> {
-            anyhow::bail!("an arm can not be told")
-        }
-    }
-
-    /// A camera that is gone.
-    struct Broken;
-
-    impl Watcher for Broken {
-        type Step = ();
-
-        fn begin_at(&mut self, _begin: MonotonicTime) {}
-
-        fn moved(&mut self, _step: &()) {}
-
-        fn look(&mut self) -> Result<Option<Percept>> {
-            anyhow::bail!("the camera is gone")
-        }
-
-        fn note(&mut self) -> Result<()> {
-            Ok(())
-        }
-    }
-
-    #[test]
-    fn a_stop_that_fails_does_not_hide_why_both_arms_were_stopped() {
-        for (pace, clock) in clocks() {
-            let (setup, interrupt) = (setup(pace), AtomicBool::new(false));
-            let course =
-                Course { setup: &setup, clock: &clock, duration: Duration::from_secs(10), interrupt: &interrupt };
-            let failure = course.run(&mut Broken, &mut Unstoppable).0.unwrap_err();
-            assert_eq!(failure.to_string(), "the camera is gone", "{pace:?}");
-        }
-    }
-
-    fn clocks() -> [(Pace, Arc<dyn Clock>); 2] {
-        [(Pace::Fast, Arc::new(VirtualClock::new())), (Pace::Live, Arc::new(SystemClock::new()))]
-    }
-
-    fn setup(pace: Pace) -> Setup {
-        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
-        Setup { pace, ..read_setup(Path::new(file)).unwrap() }
-    }
-
-    #[test]
-    fn a_mistake_of_the_half_that_moves_stops_both_arms() {
-        for (pace, clock) in clocks() {
-            let (setup, interrupt) = (setup(pace), AtomicBool::new(false));
-            let course =
-                Course { setup: &setup, clock: &clock, duration: Duration::from_secs(10), interrupt: &interrupt };
-            let mut mover = Mistaken::default();
-            let run = std::panic::AssertUnwindSafe(|| course.run(&mut Blind, &mut mover).0);
-            let ended = std::panic::catch_unwind(run);
-            assert!(ended.map_or(true, |ended| ended.is_err()), "{pace:?}");
-            assert_eq!((mover.steps, mover.stops, mover.is_on), (5, 1, false), "{pace:?}");
         }
     }
 }

@@ -8,8 +8,8 @@ use pb3dp_kinematics::{Chain, smallest_singular_value};
 use super::cell::SimulatedCell;
 use super::commands::CommandSummary;
 use super::log::{ControlSample, Lock, MethodLog, RunLog};
-use super::looking::Looked;
 use super::moving::Moved;
+use super::noting::Looked;
 use super::strip::Strip;
 use crate::config::setup::Setup;
 
@@ -31,13 +31,14 @@ pub struct Journal {
     begin: MonotonicTime,
     duration_s: f64,
     next_progress_s: f64,
+    steps_untrue: u64,
     log: RunLog,
 }
 
 impl Journal {
     /// An empty journal of an experiment with this duration that begins at `begin`.
     pub fn new(setup: &Setup, cell: SimulatedCell, (begin, duration_s): (MonotonicTime, f64), log: RunLog) -> Self {
-        Self { cell, chain: setup.vs.chain.clone(), begin, duration_s, next_progress_s: 0.0, log }
+        Self { cell, chain: setup.vs.chain.clone(), begin, duration_s, next_progress_s: 0.0, steps_untrue: 0, log }
     }
 
     /// The experiment begins at this time.
@@ -45,7 +46,12 @@ impl Journal {
         self.begin = begin;
     }
 
-    /// Writes a step down, and where everything truly was: not longer ago than the joints of the simulation remember.
+    /// Steps that came so late that nobody knows any more where everything truly was: only what the supervisor said is written down.
+    pub fn steps_untrue(&self) -> u64 {
+        self.steps_untrue
+    }
+
+    /// Writes a step down, and where everything truly was, if the simulation still knows it.
     pub fn note(&mut self, moved: &Moved) {
         let t_s = moved.at.seconds_since(self.begin);
         if let Some(note) = self.log.supervision.note(t_s, &moved.decision) {
@@ -57,6 +63,10 @@ impl Journal {
         if t_s >= self.next_progress_s {
             self.next_progress_s += PROGRESS_EVERY_S;
             tracing::info!("{t_s:5.1} of {:.1} s  {}", self.duration_s, moved.decision.why);
+        }
+        if !self.cell.remembers(moved.at) {
+            self.steps_untrue += 1;
+            return;
         }
         let jacobian = self.chain.jacobian(&moved.vs_joints.position_rad);
         self.log.control.push(ControlSample {

@@ -1,32 +1,41 @@
-//! The loop in the machine's time: looking and moving have a thread each.
+//! The loop in the machine's time: capture, estimation, control and recording have a thread each.
 //!
-//! The thread that moves steps both arms at fixed times and waits for nobody but the arms. What the other one has seen comes to
-//! it, and its steps go back, through channels of fixed size whose ends never wait: a picture that takes too long comes too
-//! late, and moves nobody else. It allocates nothing and, of arms behind a line, shares no lock with image work; joints that are
-//! simulated in process (`mock`) are shared with the cameras.
+//! The thread that moves steps both arms at fixed times and waits for nobody but the arms. The newest that was seen lies ready for it,
+//! and its steps go into rings of fixed size: no end of these ever waits, locks or allocates, so an estimate that takes too long comes
+//! too late, and moves nobody else. Of arms behind a line it shares no lock with image work; joints that are simulated in process
+//! (`mock`) are shared with the cameras.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::thread::{Builder, Scope, ScopedJoinHandle};
+use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
 use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
 use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::Clock;
+use rtrb::{Consumer, Producer, RingBuffer};
 
-use super::halves::{Course, Enabled, Mover, Punctuality, Watcher, first_failure};
+use super::cycles::{Beat, Punctuality};
+use super::halves::{Capture, Course, Enabled, Estimate, Mover, Parted, Record, first_failure};
+use super::handover::{Giver, Newest, Taker, latest};
 use super::percept::Percept;
 
-/// What was seen, on its way to those who move: they take all of it in every step.
-const PERCEPTS_MAX: usize = 16;
-/// Steps that nobody has written down yet: two seconds at 500 Hz.
+/// Steps that nobody has taken yet: two seconds at 500 Hz.
 const STEPS_MAX: usize = 1000;
+/// Pairs that wait to be written down, with their pictures: half a second of them.
+const SEEN_MAX: usize = 16;
+/// How often threads that wait for something look whether the course is over.
+const LOOK: Duration = Duration::from_millis(10);
 /// What a thread that moves arms asks for: a priority below those of the arms, which have 50.
 pub const CONTROL_THREAD: Realtime = Realtime { priority: Some(40), locks_memory: false, cpu: None };
 
-/// Steps both halves, each on its thread, from the moment in which both arms are switched on; both are stopped on every way out.
+/// Steps both halves from the moment in which both arms are switched on; both are stopped on every way out. The calling thread is the one
+/// that writes down.
 ///
 /// # Errors
-/// The first failure of an arm, the camera or the estimator for good.
-pub(super) fn drive<M: Mover, W: Watcher<Step = M::Step>>(
+/// The first failure of an arm, the camera, the estimator or what is written down for good.
+pub(super) fn drive<M: Mover, W: Parted<Step = M::Step>>(
     course: &Course<'_>,
     watcher: &mut W,
     mover: &mut M,
@@ -36,31 +45,49 @@ pub(super) fn drive<M: Mover, W: Watcher<Step = M::Step>>(
     let begin = course.clock.now();
     watcher.begin_at(begin);
     enabled.mover().begin_at(begin);
-    let (seen_in, seen_out) = sync_channel(PERCEPTS_MAX);
-    let (steps_in, steps_out) = sync_channel(STEPS_MAX);
+    let Punctuality { capture, estimation, control, recording } = punctuality;
+    let (camera, estimator, recorder) = watcher.parts();
     // Whoever interrupts the course says the same as its end does.
-    let is_over = course.interrupt;
-    let driving = Driving { course, enabled, seen: seen_out, steps: steps_in, punctuality };
-    let (moved, looked) = std::thread::scope(|scope| {
-        // However this thread ends, the other one ends, too, and stops the arms.
-        let _over = Over(is_over);
-        let thread = std::thread::Builder::new().name("control".to_owned()).spawn_scoped(scope, || driving.run(begin));
-        let looked = match &thread {
-            Ok(_) => look_on(watcher, (&seen_in, &steps_out), is_over),
-            Err(_) => Ok(()),
-        };
-        is_over.store(true, Ordering::SeqCst);
-        let moved = thread.context("no thread for the arms").and_then(|thread| {
-            thread.join().map_err(|_| anyhow!("the thread of the arms has failed by a mistake of the program"))
-        });
-        (moved, looked)
+    let (clock, is_over) = (&**course.clock, course.interrupt);
+    let frames = Newest::default();
+    let (give_percept, percepts) = latest();
+    let (to_estimation, of_estimation) = RingBuffer::new(STEPS_MAX);
+    let (to_recording, of_recording) = RingBuffer::new(STEPS_MAX);
+    let (give_seen, seen) = sync_channel(SEEN_MAX);
+    let driving = Driving { course, enabled, percepts, steps: [to_estimation, to_recording], beat: control };
+    let capturing =
+        Capturing { camera, exposure: course.setup.camera.exposure, frames: &frames, clock, is_over, beat: capture };
+    let (steps, beat) = (of_estimation, estimation);
+    let estimating =
+        Estimating { estimator, frames: &frames, steps, percepts: give_percept, seen: give_seen, clock, is_over, beat };
+    let mut recording = Recording { recorder, steps: of_recording, seen, clock, is_over, beat: recording };
+    let (moved, captured, estimated, recorded) = std::thread::scope(|scope| {
+        // However a thread ends, all others end, too, and the arms are stopped.
+        let over = Over(is_over);
+        let control = spawn(scope, "control", || driving.run(begin));
+        let capture = spawn(scope, "capture", || capturing.run());
+        let estimation = spawn(scope, "estimation", || estimating.run());
+        let has_begun = control.is_ok() && capture.is_ok() && estimation.is_ok();
+        let recorded = if has_begun { recording.run() } else { Ok(()) };
+        drop(over);
+        (join("control", control), join("capture", capture), join("estimation", estimation), recorded)
     });
-    for step in steps_out.try_iter() {
-        watcher.moved(&step);
-    }
+    let recorded = recorded.and_then(|()| recording.finish());
     let (stepped, stopped) = moved.unwrap_or_else(|failure| (Err(failure), Ok(())));
     // Both arms are stopped behind whatever else has failed.
-    first_failure([stepped, looked, stopped])
+    first_failure([stepped, captured.flatten(), estimated.flatten(), recorded, stopped])
+}
+
+fn spawn<'scope, T: Send + 'scope>(
+    scope: &'scope Scope<'scope, '_>,
+    name: &str,
+    work: impl FnOnce() -> T + Send + 'scope,
+) -> Result<ScopedJoinHandle<'scope, T>> {
+    Builder::new().name(name.to_owned()).spawn_scoped(scope, work).with_context(|| format!("no thread for {name}"))
+}
+
+fn join<T>(name: &str, thread: Result<ScopedJoinHandle<'_, T>>) -> Result<T> {
+    thread?.join().map_err(|_| anyhow!("the thread of {name} has failed by a mistake of the program"))
 }
 
 /// This thread moves arms from now on; what is not to be had is told, and it goes on without.
@@ -79,35 +106,124 @@ impl Drop for Over<'_> {
     }
 }
 
-/// Looks at pairs until the other thread is done, and writes down what both do.
-fn look_on<W: Watcher>(
-    watcher: &mut W,
-    (seen_in, steps_out): (&SyncSender<Percept>, &Receiver<W::Step>),
-    is_over: &AtomicBool,
-) -> Result<()> {
-    while !is_over.load(Ordering::SeqCst) {
-        for step in steps_out.try_iter() {
-            watcher.moved(&step);
+/// The thread that captures: of frames that nobody has taken yet there is only the newest one.
+struct Capturing<'a, C: Capture> {
+    camera: C,
+    exposure: Duration,
+    /// With the time since which it is there.
+    frames: &'a Newest<(MonotonicTime, C::Frame)>,
+    clock: &'a dyn Clock,
+    is_over: &'a AtomicBool,
+    beat: &'a mut Beat,
+}
+
+impl<C: Capture> Capturing<'_, C> {
+    fn run(mut self) -> Result<()> {
+        let _over = Over(self.is_over);
+        let mut before = None;
+        while !self.is_over.load(Ordering::SeqCst) {
+            let Some(frame) = self.camera.capture()? else { continue };
+            let (now, input) = (self.clock.now(), C::input(&frame));
+            self.beat.lateness.record(now.saturating_since(input.at + self.exposure / 2));
+            // Numbers between two frames are those of frames that did not come.
+            let since = before.replace(input.sequence).and_then(|before: u64| input.sequence.checked_sub(before));
+            self.beat.missed += since.map_or(0, |since| since.saturating_sub(1));
+            self.beat.dropped += u64::from(self.frames.give((now, frame)));
         }
-        let Some(percept) = watcher.look()? else { continue };
-        // Who takes no more has newer ones than can be used.
-        seen_in.try_send(percept).ok();
-        watcher.note()?;
+        Ok(())
     }
-    Ok(())
+}
+
+/// The thread that estimates, from the newest frame.
+struct Estimating<'a, E: Estimate> {
+    estimator: E,
+    frames: &'a Newest<(MonotonicTime, E::Frame)>,
+    steps: Consumer<E::Step>,
+    percepts: Giver<Percept>,
+    seen: SyncSender<(MonotonicTime, E::Seen)>,
+    clock: &'a dyn Clock,
+    is_over: &'a AtomicBool,
+    beat: &'a mut Beat,
+}
+
+impl<E: Estimate> Estimating<'_, E> {
+    fn run(mut self) -> Result<()> {
+        let _over = Over(self.is_over);
+        while !self.is_over.load(Ordering::SeqCst) {
+            let frame = self.frames.wait(LOOK);
+            while let Ok(step) = self.steps.pop() {
+                self.estimator.moved(&step);
+            }
+            let Some((captured_at, frame)) = frame else { continue };
+            let (percept, seen) = self.estimator.look(frame)?;
+            // A percept says all that is known now: nothing is lost by one that is overwritten but an observation.
+            self.beat.dropped += u64::from(self.percepts.give(percept));
+            let now = self.clock.now();
+            self.beat.lateness.record(now.saturating_since(captured_at));
+            self.beat.dropped += u64::from(self.seen.try_send((now, seen)).is_err());
+        }
+        Ok(())
+    }
+}
+
+/// The thread that writes down what all others do; nobody waits for it.
+struct Recording<'a, R: Record> {
+    recorder: R,
+    steps: Consumer<R::Step>,
+    seen: Receiver<(MonotonicTime, R::Seen)>,
+    clock: &'a dyn Clock,
+    is_over: &'a AtomicBool,
+    beat: &'a mut Beat,
+}
+
+impl<R: Record> Recording<'_, R> {
+    fn run(&mut self) -> Result<()> {
+        let _over = Over(self.is_over);
+        while !self.is_over.load(Ordering::SeqCst) {
+            self.take_steps();
+            match self.seen.recv_timeout(LOOK) {
+                Ok(seen) => self.note(seen)?,
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes down what is left.
+    fn finish(&mut self) -> Result<()> {
+        self.take_steps();
+        while let Ok(seen) = self.seen.try_recv() {
+            self.note(seen)?;
+        }
+        Ok(())
+    }
+
+    fn take_steps(&mut self) {
+        while let Ok(step) = self.steps.pop() {
+            self.recorder.moved(&step);
+        }
+    }
+
+    fn note(&mut self, (seen_at, seen): (MonotonicTime, R::Seen)) -> Result<()> {
+        self.recorder.note(seen)?;
+        self.beat.lateness.record(self.clock.now().saturating_since(seen_at));
+        Ok(())
+    }
 }
 
 /// The thread that moves.
 struct Driving<'a, M: Mover> {
     course: &'a Course<'a>,
     enabled: Enabled<'a, M>,
-    seen: Receiver<Percept>,
-    steps: SyncSender<M::Step>,
-    punctuality: &'a mut Punctuality,
+    percepts: Taker<Percept>,
+    /// To those who estimate, and to those who write down.
+    steps: [Producer<M::Step>; 2],
+    beat: &'a mut Beat,
 }
 
 impl<M: Mover> Driving<'_, M> {
-    /// Steps until the end, then stops both arms; also when a step fails or the other thread is done. What became of the steps, and of the
+    /// Steps until the end, then stops both arms; also when a step fails or another thread is done. What became of the steps, and of the
     /// stop.
     fn run(mut self, begin: MonotonicTime) -> (Result<()>, Result<()>) {
         enter_control_thread();
@@ -122,18 +238,19 @@ impl<M: Mover> Driving<'_, M> {
         while due <= end && !interrupt.load(Ordering::SeqCst) {
             clock.sleep_until(due);
             let now = clock.now();
-            self.punctuality.lateness.record(now.saturating_since(due));
-            while let Ok(percept) = self.seen.try_recv() {
+            self.beat.lateness.record(now.saturating_since(due));
+            if let Some(percept) = self.percepts.take() {
                 self.enabled.mover().observe(percept, now);
             }
             let step = self.enabled.mover().step(now)?;
-            // Steps that nobody writes down are lost to the report, and to nothing else.
-            self.steps.try_send(step).ok();
+            // Steps that nobody takes are lost to the report and to the priors of estimates, and to nothing else.
+            let taken = self.steps.each_mut().map(|steps| steps.push(step).is_ok());
+            self.beat.dropped += u64::from(taken != [true; 2]);
             due = due + period;
             // Times that have passed are left out.
             while due + period <= clock.now() {
                 due = due + period;
-                self.punctuality.missed += 1;
+                self.beat.missed += 1;
             }
         }
         Ok(())

@@ -1,6 +1,7 @@
 //! `pb3dp run`: cameras, estimation, servo and arms in one loop.
 
 pub mod both_arms;
+pub mod capturing;
 pub mod carrier;
 pub mod cell;
 pub mod channels;
@@ -11,6 +12,7 @@ pub mod experiment;
 pub mod eyes;
 pub mod flight;
 pub mod halves;
+pub mod handover;
 pub mod interruption;
 pub mod journal;
 pub mod live;
@@ -19,6 +21,7 @@ pub mod log;
 pub mod looking;
 pub mod methods;
 pub mod moving;
+pub mod noting;
 pub mod operator;
 pub mod paced_clock;
 pub mod percept;

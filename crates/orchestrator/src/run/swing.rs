@@ -14,8 +14,9 @@ use pb3dp_servo::TargetObservation;
 use pb3dp_servo::identification::{Excitation, GivenVelocity};
 
 use super::both_arms::BothArms;
-use super::halves::{Course, Mover, Watcher};
-use super::looking::{Looking, Seen};
+use super::capturing::Captured;
+use super::halves::{Capture, Course, Estimate, Mover, Parted, Record};
+use super::looking::{Estimating, Looking};
 use super::percept::Percept;
 use super::strip::Strip;
 use crate::config::setup::Setup;
@@ -77,22 +78,52 @@ pub fn run(setup: &Setup, parts: Parts, motion: Excitation) -> Result<Swung> {
 /// Looks, and leaves it to the half that moves to keep what was seen.
 struct OnlyLooking<'a>(Looking<'a>);
 
-impl Watcher for OnlyLooking<'_> {
+impl Parted for OnlyLooking<'_> {
     type Step = JointState;
+    type Frame = Captured;
+    type Seen = ();
 
     fn begin_at(&mut self, begin: MonotonicTime) {
         self.0.begin_at(begin);
     }
 
+    fn parts(
+        &mut self,
+    ) -> (
+        impl Capture<Frame = Captured>,
+        impl Estimate<Frame = Captured, Seen = (), Step = JointState>,
+        impl Record<Seen = (), Step = JointState>,
+    ) {
+        (&mut self.0.capturing, Leading(&mut self.0.estimating), NothingKept)
+    }
+}
+
+/// The method, without anything to be written down.
+struct Leading<'w, 'a>(&'w mut Estimating<'a>);
+
+impl Estimate for Leading<'_, '_> {
+    type Frame = Captured;
+    type Seen = ();
+    type Step = JointState;
+
     fn moved(&mut self, step: &JointState) {
         self.0.push_joints(*step);
     }
 
-    fn look(&mut self) -> Result<Option<Percept>> {
-        Ok(self.0.look()?.as_ref().map(Seen::percept))
+    fn look(&mut self, frame: Captured) -> Result<(Percept, ())> {
+        Ok((self.0.look(frame)?.percept(), ()))
     }
+}
 
-    fn note(&mut self) -> Result<()> {
+struct NothingKept;
+
+impl Record for NothingKept {
+    type Seen = ();
+    type Step = JointState;
+
+    fn moved(&mut self, _step: &JointState) {}
+
+    fn note(&mut self, _seen: ()) -> Result<()> {
         Ok(())
     }
 }
