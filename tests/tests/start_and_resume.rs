@@ -84,13 +84,15 @@ struct Stoppable {
     cleared_s: f64,
     /// So many stops do not reach the arm.
     stops_failing: usize,
+    /// Velocities are refused from one time to another.
+    refuses: (f64, f64),
     noted: Arc<Mutex<Noted>>,
 }
 
 impl Stoppable {
     fn new(inner: Box<dyn DrivenArm>, clock: &Arc<dyn Clock>, pressed: &[(f64, f64)]) -> Self {
         let (clock, pressed) = (Arc::clone(clock), pressed.to_vec());
-        Self { inner, clock, pressed, cleared_s: 0.0, stops_failing: 0, noted: Arc::default() }
+        Self { inner, clock, pressed, cleared_s: 0.0, stops_failing: 0, refuses: (0.0, 0.0), noted: Arc::default() }
     }
 
     fn now_s(&self) -> f64 {
@@ -117,8 +119,12 @@ impl Arm for Stoppable {
 
     fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
         let is_latched = self.is_latched();
-        let measured = self.inner.exchange(if is_latched { JointCommand::Hold } else { command });
+        let is_refused = (self.refuses.0..self.refuses.1).contains(&self.now_s()) && command != JointCommand::Hold;
+        let measured = self.inner.exchange(if is_latched || is_refused { JointCommand::Hold } else { command });
         self.noted.lock().unwrap().told.push((self.now_s(), command, measured.as_ref().ok().copied()));
+        if is_refused {
+            return Err(ArmError::new(ArmErrorKind::Rejected, "too little room, says the test"));
+        }
         if is_latched && command != JointCommand::Hold { Err(self.refusal()) } else { measured }
     }
 }
@@ -174,6 +180,8 @@ struct Scene {
     resets_late_s: f64,
     /// So many stops do not reach the arm with the target.
     tc_stops_failing: usize,
+    /// When the hand's arm, and the one with the target, refuse velocities, seconds.
+    refuse: [(f64, f64); 2],
 }
 
 /// A run that is over, and what was noticed of it: by arm, the one with the cameras first.
@@ -193,11 +201,12 @@ impl Scene {
         let setup = setup();
         let parts = wire(&setup).unwrap();
         let trouble = Arc::<Mutex<Vec<String>>>::default();
-        let Self { words, pressed, silent, resets_late_s, tc_stops_failing } = self;
+        let Self { words, pressed, silent, resets_late_s, tc_stops_failing, refuse } = self;
         let operator = Box::new(Person { words, silent, resets_late_s, told: Arc::clone(&trouble) });
         let flights = parts.flights.clone().map(|(_, flight)| flight);
-        let vs = Stoppable::new(parts.vs, &parts.clock, &pressed);
-        let tc = Stoppable { stops_failing: tc_stops_failing, ..Stoppable::new(parts.tc, &parts.clock, &[]) };
+        let vs = Stoppable { refuses: refuse[0], ..Stoppable::new(parts.vs, &parts.clock, &pressed) };
+        let tc = Stoppable::new(parts.tc, &parts.clock, &[]);
+        let tc = Stoppable { stops_failing: tc_stops_failing, refuses: refuse[1], ..tc };
         let noted = [Arc::clone(&vs.noted), Arc::clone(&tc.noted)];
         let parts = Parts { vs: Box::new(vs), tc: Box::new(tc), operator, ..parts };
         let ended = conduct(&setup, parts, Some(until_s), None).unwrap();
@@ -469,6 +478,25 @@ fn a_stop_that_fails_is_tried_again_and_nothing_is_reset_before() {
     assert!(seen.trouble.iter().any(|told| told.contains(refused)), "{:?}", seen.trouble);
     drop((vs, tc));
     seen.ends_in("idle");
+}
+
+/// Whichever arm it is, the hand rests until the person goes on, and the other arm is exchanged with in each step.
+#[test]
+fn a_command_that_an_arm_refuses_is_a_hold_until_resume() {
+    for refuse in [[(3.0, 3.02), (0.0, 0.0)], [(0.0, 0.0), (3.0, 3.02)]] {
+        let seen = Scene { refuse, ..scene(&[(5.0, Word::Resume)], &[]) }.run(7.0);
+        assert!(seen.ended.how.is_ok(), "{:?}", seen.ended.how);
+        assert!(seen.trouble.iter().any(|told| told.contains("too little room, says the test")), "{:?}", seen.trouble);
+        let (held, resumed) = (seen.times_of("hold"), seen.times_of("resume"));
+        assert!(held.len() == 1 && (3.0..3.03).contains(&held[0]), "{:?}", seen.transitions());
+        assert!(resumed.len() == 1 && (4.99..5.02).contains(&resumed[0]), "{:?}", seen.transitions());
+        let [vs, tc] = [0, 1].map(|arm| seen.noted[arm].lock().unwrap());
+        assert_eq!(vs.told.len(), tc.told.len(), "both arms are told in each step");
+        let held = vs.told.iter().filter(|(at_s, ..)| (3.03..4.99).contains(at_s));
+        assert!(held.clone().count() > 150 && held.clone().all(|(_, command, _)| *command == JointCommand::Hold));
+        drop((vs, tc));
+        seen.ends_in("tracking");
+    }
 }
 
 /// Nobody resets where the command leads: the run ends, and its report says why.

@@ -7,6 +7,7 @@ pub mod cell;
 pub mod channels;
 pub mod commands;
 pub mod compared;
+pub mod console;
 pub mod cycles;
 pub mod experiment;
 pub mod eyes;

@@ -4,9 +4,9 @@ use std::time::Duration;
 
 use anyhow::{Result, bail};
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{JointCommand, JointState};
+use pb3dp_hal_api::{ArmError, ArmErrorKind, JointCommand, JointState};
 use pb3dp_kinematics::{Damping, JointVector};
-use pb3dp_servo::supervisor::{Decision, Event, OperatorInput, Permission, State};
+use pb3dp_servo::supervisor::{Decision, Event, OperatorInput, Permission, Said, State, Word};
 use pb3dp_servo::{Command, ControlStep, Controller, Mode};
 use pb3dp_sim::placement::FlangePath;
 use pb3dp_sim::trajectory::Trajectory;
@@ -40,6 +40,8 @@ pub struct Moving<'a> {
     is_stopped: bool,
     /// Why they are, as far as the arms themselves tell.
     why_stopped: Option<String>,
+    /// A command that an arm has refused, where a person leads.
+    refusal: Refusal,
     /// When an arm that is still switched on is to be stopped again; none if that is not yet known to be so.
     stop_again_at: Option<MonotonicTime>,
     damping: Damping,
@@ -50,6 +52,15 @@ pub struct Moving<'a> {
     /// For how long the way of the arm that carries the target has waited.
     waited: Duration,
     newest: Option<Percept>,
+}
+
+/// A command that an arm has refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Refusal {
+    None,
+    InStepBefore,
+    /// A person has not gone on since.
+    Told,
 }
 
 /// One control step.
@@ -85,6 +96,7 @@ impl<'a> Moving<'a> {
             operator: Box::new(ByCommand),
             is_stopped: false,
             why_stopped: None,
+            refusal: Refusal::None,
             stop_again_at: None,
             damping: Damping::new(setup.controller.damping.threshold, setup.controller.damping.factor_max)?,
             path: (setup.experiment.carrier == Carrier::Arm)
@@ -131,6 +143,7 @@ impl<'a> Moving<'a> {
     /// something still is.
     fn listen(&mut self, now: MonotonicTime) -> OperatorInput {
         let heard = self.operator.listen(self.permitting.last(), now);
+        let heard = self.held_if_refused(heard, now);
         let conditions = [&self.arms.vs, &self.arms.tc].map(LedArm::condition);
         if !heard.said.is_some_and(|said| self.permitting.would_reset(said, conditions, now)) {
             return heard;
@@ -149,6 +162,37 @@ impl<'a> Moving<'a> {
             Err(trouble) => self.operator.tell(Some(format!("{trouble:#}"))),
         }
         heard
+    }
+
+    /// Behind a refused command the hand rests as after the word `hold`; only `stop` goes before it. What was refused is told until
+    /// a person has gone on.
+    fn held_if_refused(&mut self, heard: OperatorInput, now: MonotonicTime) -> OperatorInput {
+        let word = heard.said.map(|said| said.word);
+        match (self.refusal, word) {
+            (Refusal::InStepBefore, Some(Word::Stop)) => self.refusal = Refusal::Told,
+            (Refusal::InStepBefore, _) => {
+                self.refusal = Refusal::Told;
+                return OperatorInput { said: Some(Said { word: Word::Hold, at: now }), ..heard };
+            }
+            (Refusal::Told, Some(Word::Resume | Word::Start)) => {
+                self.refusal = Refusal::None;
+                self.operator.tell(None);
+            }
+            (Refusal::None | Refusal::Told, _) => {}
+        }
+        heard
+    }
+
+    /// What was measured. An arm that refuses a command holds: where a person leads, that ends nothing but the motion.
+    fn bear_refusal(&mut self, exchanged: Result<Option<JointState>>) -> Result<Option<JointState>> {
+        let Err(failure) = exchanged else { return exchanged };
+        let kind = failure.downcast_ref::<ArmError>().map(ArmError::kind);
+        if kind != Some(ArmErrorKind::Rejected) || !self.operator.is_person() || self.arms.is_latched() {
+            return Err(failure);
+        }
+        self.operator.tell(Some(format!("{failure:#}")));
+        self.refusal = Refusal::InStepBefore;
+        Ok(None)
     }
 
     /// What the arm that carries the target is told: its way, which waits as long as no arm may move at all.
@@ -246,10 +290,11 @@ impl<'a> Moving<'a> {
 
     /// Tells the arm that carries the cameras; the controller gets to know what its joints do now, if that is not what it wanted.
     fn tell(&mut self, wanted: Command, told: Command) -> Result<()> {
-        let measured = self.arms.vs.exchange(match told {
+        let exchanged = self.arms.vs.exchange(match told {
             Command::Velocity(velocity) => JointCommand::Velocity(velocity),
             Command::Hold => JointCommand::Hold,
-        })?;
+        });
+        let measured = self.bear_refusal(exchanged)?;
         let done = match (measured, told) {
             // An arm that did not answer holds until it is told again.
             (None, Command::Velocity(_)) => Command::Velocity(JointVector::zeros()),
@@ -289,7 +334,8 @@ impl Mover for Moving<'_> {
             return Ok(moved);
         }
         let carrying = self.carrying(&decision, now);
-        let exchanged = self.arms.tc.exchange(carrying).and_then(|_| self.tell(control.command, told));
+        let carried = self.arms.tc.exchange(carrying);
+        let exchanged = self.bear_refusal(carried).and_then(|_| self.tell(control.command, told));
         if let Err(failure) = exchanged {
             // What is latched is the supervisor's from the next step on, and a person's; anything else ends the run.
             if !(self.operator.is_person() && self.arms.is_latched()) {

@@ -309,26 +309,53 @@ fn times_that_are_none_are_refused() {
     pb3dp(&words(&[&"--log", &"shout=loud", &"run", &"--config", &"x.toml"])).assert_refused(&["--log", "shout=loud"]);
 }
 
-/// A person selects and starts by lines on standard input, asks, and ends the run; simulated arms, at the pace of the wall clock.
-#[test]
-fn a_person_at_a_console_leads_a_run() {
-    use std::io::Write as _;
+/// A run that a person leads by lines on standard input; simulated arms without pictures, at the pace of the wall clock.
+fn led_by_a_person(dir: &std::path::Path) -> (std::process::Child, std::path::PathBuf) {
     use std::process::{Command, Stdio};
-    use std::time::Duration;
 
-    let dir = tempfile::tempdir().unwrap();
     let changes = [
         ("pace = \"fast\" ", "pace = \"real-time\" "),
         ("method = \"direct\" ", "method = \"geometric\" "),
         ("compare = [\"published\"]", "compare = []"),
     ];
-    let (config, out) = (setup(dir.path(), &changes), dir.path().join("out"));
-    let mut child = Command::new(env!("CARGO_BIN_EXE_pb3dp"))
+    let (config, out) = (setup(dir, &changes), dir.join("out"));
+    let child = Command::new(env!("CARGO_BIN_EXE_pb3dp"))
         .args(words(&[&"run", &"--operator", &"console", &"--config", &config, &"--out", &out]))
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
+    (child, out)
+}
+
+#[test]
+fn a_run_ends_in_order_when_nobody_can_speak_any_more() {
+    use std::io::Write as _;
+    use std::time::Duration;
+
+    let dir = tempfile::tempdir().unwrap();
+    let (mut child, out) = led_by_a_person(dir.path());
+    let mut input = child.stdin.take().unwrap();
+    std::thread::sleep(Duration::from_millis(1500));
+    writeln!(input, "select").unwrap();
+    std::thread::sleep(Duration::from_millis(1500));
+    drop(input);
+    let finished = child.wait_with_output().unwrap();
+    let text = String::from_utf8(finished.stdout).unwrap();
+    assert!(finished.status.success(), "{text}");
+    assert!(text.contains("the words have ended: both arms stop, then the report"), "{text}");
+    let summary = std::fs::read_to_string(out.join("summary.json")).unwrap();
+    assert!(summary.contains("\"to\": \"selecting\"") && summary.contains("\"ended_by\": null"), "{summary}");
+}
+
+/// A person selects and starts, asks, and ends the run.
+#[test]
+fn a_person_at_a_console_leads_a_run() {
+    use std::io::Write as _;
+    use std::time::Duration;
+
+    let dir = tempfile::tempdir().unwrap();
+    let (mut child, out) = led_by_a_person(dir.path());
     let mut input = child.stdin.take().unwrap();
     for line in ["status", "select", "go", "status", "start", "status", "stop", "status", "quit"] {
         // A word counts from the step behind it.
