@@ -21,6 +21,12 @@ impl Capsule {
         segment_distance(&self.ends_m, &other.ends_m) - self.radius_m - other.radius_m
     }
 
+    /// The smallest ball around it: its middle and its radius, metres.
+    fn ball(&self) -> (Point3<f64>, f64) {
+        let [a, b] = self.ends_m;
+        (nalgebra::center(&a, &b), 0.5 * (b - a).norm() + self.radius_m)
+    }
+
     fn moved(&self, motion: &Isometry3<f64>) -> Self {
         Self { ends_m: self.ends_m.map(|end| motion * end), radius_m: self.radius_m }
     }
@@ -169,6 +175,9 @@ impl PlacedArm<'_> {
     }
 }
 
+/// Far more than rounding makes of a distance in a cell.
+const ROUNDING_M: f64 = 1e-9;
+
 /// Parts whose places are known together; arms have fewer.
 const PARTS_AT_ONCE: usize = 16;
 
@@ -187,13 +196,21 @@ pub fn clearance_within<'a>(
     let mut nearest: Option<Clearance<'a>> = None;
     // On the stack: this is asked for in every cycle, which may not allocate.
     for others in second.shape.parts.chunks(PARTS_AT_ONCE) {
-        let mut others_swept = [Capsule { ends_m: [Point3::origin(); 2], radius_m: 0.0 }; PARTS_AT_ONCE];
-        for (swept, other) in others_swept.iter_mut().zip(others) {
+        let nothing = Capsule { ends_m: [Point3::origin(); 2], radius_m: 0.0 };
+        let mut others_swept = [(nothing, nothing.ball()); PARTS_AT_ONCE];
+        for ((swept, ball), other) in others_swept.iter_mut().zip(others) {
             *swept = second.swept(other, second_reach_rad);
+            *ball = swept.ball();
         }
         for one in &first.shape.parts {
             let one_swept = first.swept(one, first_reach_rad);
-            for (other, other_swept) in others.iter().zip(&others_swept) {
+            let (middle, radius_m) = one_swept.ball();
+            for (other, (other_swept, (other_middle, other_radius_m))) in others.iter().zip(&others_swept) {
+                // Most parts are so far apart that the balls around them tell.
+                let apart_m = (middle - other_middle).norm() - radius_m - other_radius_m;
+                if nearest.is_some_and(|so_far| apart_m > so_far.distance_m + ROUNDING_M) {
+                    continue;
+                }
                 let distance_m = one_swept.distance_m(other_swept);
                 // What is no number is no room.
                 let distance_m = if distance_m.is_nan() { f64::NEG_INFINITY } else { distance_m };
@@ -340,6 +357,16 @@ mod tests {
         });
     }
 
+    /// Whatever is left out of the comparison does not matter.
+    fn of_all_pairs(first: (&PlacedArm<'_>, &JointVector), second: (&PlacedArm<'_>, &JointVector)) -> f64 {
+        let swept = |(arm, reach_rad): (&PlacedArm<'_>, &JointVector)| -> Vec<Capsule> {
+            arm.shape.parts.iter().map(|part| arm.swept(part, reach_rad)).collect()
+        };
+        let (first, second) = (swept(first), swept(second));
+        let distances = first.iter().flat_map(|one| second.iter().map(|other| one.distance_m(other)));
+        distances.fold(f64::INFINITY, f64::min)
+    }
+
     fn any_joints(most: f64) -> impl Strategy<Value = JointVector> {
         prop::array::uniform7(-most..most).prop_map(JointVector::from)
     }
@@ -366,6 +393,8 @@ mod tests {
                     (&placed(&from[0], 0), &reach_rad),
                     (&placed(&from[1], 1), &reach_rad),
                 );
+                let all = of_all_pairs((&placed(&from[0], 0), &reach_rad), (&placed(&from[1], 1), &reach_rad));
+                assert_eq!(told.distance_m, all);
                 let found = clearance(&placed(&to[0], 0), &placed(&to[1], 1));
                 assert!(told.distance_m <= found.distance_m + 1e-12, "{told:?} {found:?}");
             });

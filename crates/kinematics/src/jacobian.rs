@@ -74,35 +74,64 @@ impl Damping {
     }
 }
 
-/// Least-squares inverse of a Jacobian whose gain stays bounded at singularities.
+/// A Jacobian taken apart into its singular values and directions: what they are asked for more than once costs once.
 ///
-/// Each singular value sigma is inverted as sigma / (sigma^2 + lambda^2) with
-/// lambda^2 = (1 - (sigma/threshold)^2) factor_max^2 below the threshold and 0 above it. Damped least squares after
-/// Nakamura and Hanafusa (1986), with the variable factor confined to the lost directions after Chiaverini (1997): away from
-/// singularities it is exactly the Moore-Penrose inverse, the result is continuous in the Jacobian, and directions that
-/// the arm can still move in are not slowed. The gain never exceeds [`Damping::gain_max`].
-pub fn damped_pseudo_inverse(jacobian: &Jacobian, damping: &Damping) -> PseudoInverse {
-    let Orthogonalised { columns, left } = orthogonalise(jacobian);
-    let mut inverse = PseudoInverse::zeros();
-    for i in 0..6 {
-        let squared = columns.column(i).norm_squared();
-        let denominator = squared + damping.factor_squared(squared.sqrt());
-        inverse += columns.column(i) * left.column(i).transpose() / denominator;
+/// `jacobian = left * columns^T`, with orthonormal `left` and orthogonal `columns` whose lengths are the singular values.
+#[derive(Clone, Copy, Debug)]
+pub struct SingularForm {
+    columns: SMatrix<f64, DOF, 6>,
+    left: SMatrix<f64, 6, 6>,
+}
+
+impl SingularForm {
+    /// Of this Jacobian.
+    pub fn new(jacobian: &Jacobian) -> Self {
+        orthogonalise(jacobian)
     }
-    inverse
+
+    /// The six singular values, largest first.
+    pub fn values(&self) -> SVector<f64, 6> {
+        let mut values: [f64; 6] = std::array::from_fn(|i| self.columns.column(i).norm());
+        values.sort_by(|a, b| b.total_cmp(a));
+        values.into()
+    }
+
+    /// Smallest singular value: 0 where the arm can not move in some direction. Units: see the module.
+    pub fn smallest_value(&self) -> f64 {
+        self.values()[5]
+    }
+
+    /// Least-squares inverse of the Jacobian whose gain stays bounded at singularities.
+    ///
+    /// Each singular value sigma is inverted as sigma / (sigma^2 + lambda^2) with
+    /// lambda^2 = (1 - (sigma/threshold)^2) factor_max^2 below the threshold and 0 above it. Damped least squares after
+    /// Nakamura and Hanafusa (1986), with the variable factor confined to the lost directions after Chiaverini (1997): away from
+    /// singularities it is exactly the Moore-Penrose inverse, the result is continuous in the Jacobian, and directions that
+    /// the arm can still move in are not slowed. The gain never exceeds [`Damping::gain_max`].
+    pub fn damped_inverse(&self, damping: &Damping) -> PseudoInverse {
+        let mut inverse = PseudoInverse::zeros();
+        for i in 0..6 {
+            let squared = self.columns.column(i).norm_squared();
+            let denominator = squared + damping.factor_squared(squared.sqrt());
+            inverse += self.columns.column(i) * self.left.column(i).transpose() / denominator;
+        }
+        inverse
+    }
+}
+
+/// See [`SingularForm::damped_inverse`].
+pub fn damped_pseudo_inverse(jacobian: &Jacobian, damping: &Damping) -> PseudoInverse {
+    SingularForm::new(jacobian).damped_inverse(damping)
 }
 
 /// The six singular values, largest first.
 pub fn singular_values(jacobian: &Jacobian) -> SVector<f64, 6> {
-    let columns = orthogonalise(jacobian).columns;
-    let mut values: [f64; 6] = std::array::from_fn(|i| columns.column(i).norm());
-    values.sort_by(|a, b| b.total_cmp(a));
-    values.into()
+    SingularForm::new(jacobian).values()
 }
 
-/// Smallest singular value: 0 where the arm can not move in some direction. Units: see the module.
+/// See [`SingularForm::smallest_value`].
 pub fn smallest_singular_value(jacobian: &Jacobian) -> f64 {
-    singular_values(jacobian)[5]
+    SingularForm::new(jacobian).smallest_value()
 }
 
 /// Yoshikawa's manipulability sqrt(det(J J^T)), the product of the singular values.
@@ -110,15 +139,9 @@ pub fn manipulability(jacobian: &Jacobian) -> f64 {
     singular_values(jacobian).iter().product()
 }
 
-/// `jacobian = left * columns^T`, with orthonormal `left` and orthogonal `columns` whose lengths are the singular values.
-struct Orthogonalised {
-    columns: SMatrix<f64, DOF, 6>,
-    left: SMatrix<f64, 6, 6>,
-}
-
 /// One-sided Jacobi iteration (Hestenes 1958) on the transposed Jacobian: total, bounded, and accurate for small singular
 /// values, which an eigendecomposition of `J J^T` is not.
-fn orthogonalise(jacobian: &Jacobian) -> Orthogonalised {
+fn orthogonalise(jacobian: &Jacobian) -> SingularForm {
     let mut columns = jacobian.transpose();
     let mut left = SMatrix::<f64, 6, 6>::identity();
     // Nothing below this is told from zero, so that two lost directions do not turn about each other for ever.
@@ -141,7 +164,7 @@ fn orthogonalise(jacobian: &Jacobian) -> Orthogonalised {
             break;
         }
     }
-    Orthogonalised { columns, left }
+    SingularForm { columns, left }
 }
 
 /// Cosine and sine of the smaller of the turns that make two columns with these products orthogonal.

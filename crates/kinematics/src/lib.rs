@@ -21,8 +21,8 @@ pub use clearance::{
     ArmPart, ArmShape, ArmShapeError, Capsule, Carrier, Clearance, PlacedArm, clearance, clearance_within,
 };
 pub use jacobian::{
-    Damping, DampingError, Jacobian, PseudoInverse, damped_pseudo_inverse, manipulability, singular_values,
-    smallest_singular_value,
+    Damping, DampingError, Jacobian, PseudoInverse, SingularForm, damped_pseudo_inverse, manipulability,
+    singular_values, smallest_singular_value,
 };
 pub use limits::{JointLimits, JointLimitsError, PositionViolation};
 pub use urdf::ChainError;

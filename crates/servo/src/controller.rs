@@ -216,7 +216,10 @@ impl Controller {
     pub fn step(&mut self, joints: &JointState, newest: Option<&TargetObservation>, now: MonotonicTime) -> ControlStep {
         let step = match self.take_joints(joints, now) {
             Ok(()) => self.step_with(joints, newest, now),
-            Err(reason) => self.resting(Mode::Holding(reason), now),
+            Err(reason) => {
+                let base_from_model = self.target.base_from_model_at(now);
+                self.resting(Mode::Holding(reason), base_from_model, now)
+            }
         };
         self.note_told(step.command);
         step
@@ -238,9 +241,8 @@ impl Controller {
         let mut step = ControlStep {
             observation,
             base_from_hand: Some(base_from_hand),
-            base_from_model,
             smallest_singular_value: Some(jacobian.smallest_singular_value()),
-            ..self.resting(mode, now)
+            ..self.resting(mode, base_from_model, now)
         };
         let Some(base_from_model) = base_from_model else {
             if matches!(mode, Mode::Idle | Mode::Lost) {
@@ -359,13 +361,13 @@ impl Controller {
         self.pace = Pace::rest();
     }
 
-    fn resting(&self, mode: Mode, now: MonotonicTime) -> ControlStep {
+    fn resting(&self, mode: Mode, base_from_model: Option<Pose<Base, Model>>, now: MonotonicTime) -> ControlStep {
         ControlStep {
             command: Command::Hold,
             mode,
             observation: ObservationVerdict::NoneNew,
             base_from_hand: None,
-            base_from_model: self.target.base_from_model_at(now),
+            base_from_model,
             base_from_hand_desired: None,
             observation_age_s: self.target.observed_at().map(|at| now.seconds_since(at)),
             position_error_m: None,

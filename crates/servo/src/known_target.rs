@@ -114,7 +114,7 @@ impl KnownTarget {
     pub(crate) fn base_from_model_at(&self, time: MonotonicTime) -> Option<Pose<Base, Model>> {
         match self {
             Self::Smoothed { track, .. } => track.map(|track| *track.base_from_model()),
-            Self::Predicted { .. } => self.at(time).map(|prediction| prediction.base_from_model),
+            Self::Predicted { state, .. } => state.base_from_model_at(time).ok(),
         }
     }
 

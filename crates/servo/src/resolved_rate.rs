@@ -5,10 +5,7 @@
 use nalgebra::Point3;
 use pb3dp_geometry::Twist;
 use pb3dp_geometry::frames::Base;
-use pb3dp_kinematics::{
-    Chain, DOF, Damping, Jacobian, JointFrames, JointLimits, JointVector, damped_pseudo_inverse,
-    smallest_singular_value,
-};
+use pb3dp_kinematics::{Chain, DOF, Damping, Jacobian, JointFrames, JointLimits, JointVector, SingularForm};
 
 use crate::config::{CartesianSpeed, SpeedConfig};
 
@@ -43,14 +40,14 @@ pub const ELBOW: usize = 3;
 #[derive(Clone, Copy, Debug)]
 pub struct HandJacobian {
     jacobian: Jacobian,
-    smallest_singular_value: f64,
+    singular_form: SingularForm,
 }
 
 impl HandJacobian {
     /// Jacobian of the point `hand_origin_in_base` (metres), which is fixed to the flange.
     pub fn new(chain: &Chain, frames: &JointFrames, hand_origin_in_base: &Point3<f64>) -> Self {
         let jacobian = chain.jacobian_at(frames, hand_origin_in_base);
-        Self { jacobian, smallest_singular_value: smallest_singular_value(&jacobian) }
+        Self { jacobian, singular_form: SingularForm::new(&jacobian) }
     }
 
     /// Rows: velocity of the hand's origin and angular velocity in `base`; columns: joints.
@@ -60,7 +57,7 @@ impl HandJacobian {
 
     /// Smallest singular value, metres and radians.
     pub fn smallest_singular_value(&self) -> f64 {
-        self.smallest_singular_value
+        self.singular_form.smallest_value()
     }
 
     /// Velocity of the hand's origin and its angular velocity, in `base`, at these joint velocities (rad/s).
@@ -70,7 +67,7 @@ impl HandJacobian {
 
     /// Joint velocities (rad/s) that give the hand this velocity, damped near singular poses.
     pub fn joint_velocity(&self, twist: &Twist<Base>, damping: &Damping) -> JointVector {
-        damped_pseudo_inverse(&self.jacobian, damping) * twist.to_vector()
+        self.singular_form.damped_inverse(damping) * twist.to_vector()
     }
 }
 

@@ -259,21 +259,29 @@ impl GeometricTracker {
         if angle_rad > turned_max_rad {
             return Err(OutOfView::TurnedAway { angle_rad, max_rad: turned_max_rad });
         }
-        let share = self.share_in_view(cam_left_from_target);
+        let share = self.share_in_view(cam_left_from_target, in_view_share_min);
         if share < in_view_share_min {
             return Err(OutOfView::OutOfPicture { share, min: in_view_share_min });
         }
         Ok(())
     }
 
-    /// Share of the outline's points that both pictures show.
-    fn share_in_view(&self, cam_left_from_target: &Pose<CamLeft, Target>) -> f64 {
+    /// Share of the outline's points that both pictures show; of a target with `enough` of them no more are looked for.
+    fn share_in_view(&self, cam_left_from_target: &Pose<CamLeft, Target>, enough: f64) -> f64 {
         let is_seen = |point: &&Point3<f64>| {
             let in_left = cam_left_from_target.transform_point(point);
             let in_right = self.rig.cam_right_from_cam_left().transform_point(&in_left);
             shows(self.rig.left(), &in_left) && shows(self.rig.right(), &in_right)
         };
-        self.outline_m.iter().filter(is_seen).count() as f64 / self.outline_m.len().max(1) as f64
+        let share_of = |count: usize| count as f64 / self.outline_m.len().max(1) as f64;
+        let mut seen = 0;
+        for _ in self.outline_m.iter().filter(is_seen) {
+            seen += 1;
+            if share_of(seen) >= enough {
+                break;
+            }
+        }
+        share_of(seen)
     }
 }
 

@@ -256,7 +256,8 @@ impl JointPlant {
         self.motion_at(at).map(|(_, velocity_rad_per_s)| velocity_rad_per_s)
     }
 
-    fn motion_at(&self, at: MonotonicTime) -> Option<(JointVector, JointVector)> {
+    /// True angles (rad) and velocities (rad/s) at a time, as [`Self::position_at`].
+    pub fn motion_at(&self, at: MonotonicTime) -> Option<(JointVector, JointVector)> {
         if at > self.now {
             return None;
         }

@@ -9,7 +9,7 @@ mod refusal;
 use nalgebra::{Vector3, Vector6};
 use pb3dp_geometry::frames::{Base, Flange, Hand, Model, Target, World};
 use pb3dp_geometry::{Pose, Twist};
-use pb3dp_kinematics::{Chain, DOF, Damping, JointLimits, JointVector, damped_pseudo_inverse, smallest_singular_value};
+use pb3dp_kinematics::{Chain, DOF, Damping, JointLimits, JointVector, SingularForm, damped_pseudo_inverse};
 
 use crate::trajectory::Trajectory;
 
@@ -196,11 +196,11 @@ pub fn check_experiment(
         let error = twist_between(&chain.forward(&position_rad), &path.base_from_flange_at(at_s));
         check_follows(&error, at_s).map_err(|refusal| range.or(refusal))?;
         range.note(check_range(limits, requirements.limit_margin_rad, &position_rad, at_s));
-        let jacobian = chain.jacobian(&position_rad);
-        let singular_value = smallest_singular_value(&jacobian);
+        let form = SingularForm::new(&chain.jacobian(&position_rad));
+        let singular_value = form.smallest_value();
         check_singular_value(singular_value, requirements.singular_value_min, at_s)
             .map_err(|refusal| range.or(refusal))?;
-        let inverse = damped_pseudo_inverse(&jacobian, &damping);
+        let inverse = form.damped_inverse(&damping);
         let velocity = inverse * path.twist_at(at_s).to_vector();
         report.singular_value_min.lower(singular_value, at_s);
         report.note_tool(path.tool_speed_at(at_s), at_s);

@@ -3,7 +3,6 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use nalgebra::Vector2;
 use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock};
@@ -214,11 +213,6 @@ impl GeometricCamera {
         let width = f64::from(self.tracker.rig().left().size().width);
         let hidden = outline_px.iter().filter(|pixel| (sides[0]..sides[1]).contains(&(pixel.x / width)));
         2 * hidden.count() > outline_px.len()
-    }
-
-    /// The target's outline in the left picture, as far as it lies before the camera, pixels.
-    pub fn outline_px(&self, cam_left_from_target: &Pose<CamLeft, Target>) -> Vec<Vector2<f64>> {
-        self.tracker.outline_px(cam_left_from_target)
     }
 }
 

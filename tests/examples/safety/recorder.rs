@@ -6,7 +6,6 @@ use pb3dp_arm_pa10::gateway::Gateway;
 use pb3dp_arm_pa10::gateway_protocol::GatewayState;
 use pb3dp_arm_pa10::io::arm::{ArmMonitor, VirtualEnd};
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_kinematics::JointVector;
 use pb3dp_orchestrator::run::cell::SimulatedCell;
 use pb3dp_orchestrator::run::moving::Moved;
 use pb3dp_servo::supervisor::{Condition, State};
@@ -207,13 +206,16 @@ impl Recorder {
 /// Joints at a time of the last seconds.
 fn joints(mut plant: MutexGuard<'_, JointPlant>, at: MonotonicTime) -> ArmTruth {
     plant.advance_to(at);
-    let numbers = |found: Option<JointVector>| found.map_or([f64::NAN; 7], Joints::from);
+    let (position_rad, velocity_rad_per_s) =
+        plant.motion_at(at).map_or(([f64::NAN; 7], [f64::NAN; 7]), |(position, velocity)| {
+            (Joints::from(position), Joints::from(velocity))
+        });
     let modes = plant.modes();
     ArmTruth {
-        velocity_rad_per_s: numbers(plant.velocity_at(at)),
+        velocity_rad_per_s,
         servo_on: modes.iter().all(|mode| matches!(mode, AxisMode::Servo | AxisMode::Driven { .. })),
         brakes_closed: modes.iter().all(|mode| *mode == AxisMode::Brake),
-        ..ArmTruth::resting_at(numbers(plant.position_at(at)))
+        ..ArmTruth::resting_at(position_rad)
     }
 }
 

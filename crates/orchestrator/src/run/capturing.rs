@@ -4,8 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use nalgebra::Vector2;
-use pb3dp_camera_sim::{GeometricCamera, GeometricFrame, Hindrance};
+use pb3dp_camera_sim::{GeometricCamera, GeometricFrame};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_hal_api::{CameraError, CameraErrorKind, FramePair, StereoCamera};
@@ -32,8 +31,8 @@ pub struct Captured {
 pub enum View {
     /// Two pictures.
     Pictures(Arc<FramePair>),
-    /// The truth with noise, and the outline of the target in the left picture, pixels, if it is seen.
-    Geometric(Box<(GeometricFrame, Vec<Vector2<f64>>)>),
+    /// The truth with noise.
+    Geometric(Box<GeometricFrame>),
 }
 
 /// A camera, and what it has delivered.
@@ -89,12 +88,9 @@ impl Capturing {
                 if !frame.is_new {
                     return Err(frozen(frame.sequence, "both pictures are"));
                 }
-                let is_seen =
-                    frame.sighting.cam_left_from_model.is_ok() && !matches!(frame.hindrance, Some(Hindrance::Blind(_)));
-                let outline_px = if is_seen { camera.outline_px(&frame.cam_left_from_target) } else { Vec::new() };
                 let skew_s = frame.skew_nanos as f64 * 1e-9;
                 let input = FrameInput { sequence: frame.sequence, at: frame.exposed_at, skew_s };
-                Ok((input, View::Geometric(Box::new((frame, outline_px)))))
+                Ok((input, View::Geometric(Box::new(frame))))
             }
         }
     }

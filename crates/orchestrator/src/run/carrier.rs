@@ -17,9 +17,11 @@ pub fn carry(
     t_s: f64,
     position_rad: &JointVector,
 ) -> JointVector {
-    let missing = error_between(&chain.forward(position_rad), &path.base_from_flange_at(t_s));
+    let frames = chain.joint_frames(position_rad);
+    let missing = error_between(&frames.base_from_flange, &path.base_from_flange_at(t_s));
     let twist = path.twist_at(t_s).to_vector() + missing * CORRECTION_PER_S;
-    damped_pseudo_inverse(&chain.jacobian(position_rad), damping) * twist
+    let jacobian = chain.jacobian_at(&frames, &frames.base_from_flange.translation_m().into());
+    damped_pseudo_inverse(&jacobian, damping) * twist
 }
 
 /// How far a flange is from its path, metres and radians.

@@ -96,14 +96,14 @@ impl Eyes {
             (Self::Pictures(follower, _), View::Pictures(pair)) => {
                 Ok(follower.look(&pair.left, &pair.right, region, prior)?)
             }
-            (Self::Geometric(eyes), View::Geometric(seen)) => Ok(eyes.estimate(&seen.0, &seen.1)),
+            (Self::Geometric(eyes), View::Geometric(frame)) => Ok(eyes.estimate(frame)),
             _ => bail!("a frame of another kind of camera was captured: a mistake of the program, report it"),
         }
     }
 }
 
 impl GeometricEyes {
-    fn estimate(&self, frame: &GeometricFrame, outline_px: &[Vector2<f64>]) -> TrackEstimate {
+    fn estimate(&self, frame: &GeometricFrame) -> TrackEstimate {
         let sighting = &frame.sighting;
         let found = match (frame.hindrance, sighting.cam_left_from_model) {
             (Some(Hindrance::Blind(why)), _) => Err(why.to_owned()),
@@ -127,7 +127,8 @@ impl GeometricEyes {
             covariance: found.map(|_| self.noise.covariance()),
             psi: None,
             fitness: None,
-            outline_px: outline_px.to_vec(),
+            // There is no picture into which it could be drawn.
+            outline_px: Vec::new(),
             rotation_about_normal_observed: found.is_some(),
         }
     }

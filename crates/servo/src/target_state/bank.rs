@@ -4,9 +4,11 @@
 //! with Markovian Switching Coefficients", IEEE Trans. Automatic Control 33(8), 1988) with error states on SE(3).
 
 use nalgebra::Matrix6;
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{Base, Model};
 
 use super::config::{MotionConfig, TargetStateConfig};
-use super::gaussian::{ErrorMatrix, ErrorVector, Gaussian, Innovation, State};
+use super::gaussian::{ERRORS, ErrorMatrix, ErrorVector, Gaussian, Innovation, State};
 use super::measurement::BaseMeasurement;
 use super::motion::{AxisStep, Mode, switching, usual};
 
@@ -138,28 +140,54 @@ impl Bank {
     /// The hypotheses taken together after a time in which no mode changes.
     pub(super) fn mixture(&self, config: &TargetStateConfig, dt_s: f64) -> Mixture {
         let steps = Steps::new(config, self.surprise, dt_s);
-        let mut parts = [None; HYPOTHESES_MAX];
-        let (mut kept, mut linear_motion, mut angular_motion) = (0.0, 0.0, 0.0);
-        for (part, hypothesis) in parts.iter_mut().zip(self.hypotheses()) {
+        let (mut linear_motion, mut angular_motion) = (0.0, 0.0);
+        for hypothesis in self.hypotheses() {
             linear_motion += if hypothesis.linear == Mode::Motion { hypothesis.probability } else { 0.0 };
             angular_motion += if hypothesis.angular == Mode::Motion { hypothesis.probability } else { 0.0 };
+        }
+        let parts = self.probable(|hypothesis| {
+            hypothesis.gaussian.predicted_pose(steps.linear(hypothesis), steps.angular(hypothesis))
+        });
+        let states = parts.map(|part| part.map(|(weight, (state, _))| (weight, state)));
+        let Mean { reference, apart, state } = self.mean(&states);
+        let of_pose = |error: &ErrorVector| error.fixed_rows::<6>(0).into_owned();
+        let mut covariance = Matrix6::zeros();
+        for (weight, (state, part)) in parts.iter().flatten() {
+            let apart = of_pose(&(state.minus(&reference) - apart));
+            covariance += (part + apart * apart.transpose()) * *weight;
+        }
+        Mixture { state, covariance, linear_motion, angular_motion }
+    }
+
+    /// The pose of that mixture alone, which costs a fraction of it.
+    pub(super) fn pose_after(&self, config: &TargetStateConfig, dt_s: f64) -> Pose<Base, Model> {
+        let both = |part| [Mode::Motion, Mode::Rest].map(|mode| AxisStep::transition_of(part, mode, dt_s));
+        let (linear, angular) = (both(&config.linear), both(&config.angular));
+        let of = |mode: Mode| usize::from(mode == Mode::Rest);
+        let states = self.probable(|hypothesis| {
+            hypothesis.gaussian.state.after(&linear[of(hypothesis.linear)], &angular[of(hypothesis.angular)]).0
+        });
+        self.mean(&states).state.base_from_model
+    }
+
+    /// What is made of each hypothesis that shows in a prediction, with its weight; their sum is 1.
+    fn probable<T: Copy>(&self, make: impl Fn(&Hypothesis) -> T) -> [Option<(f64, T)>; HYPOTHESES_MAX] {
+        let mut parts = [None; HYPOTHESES_MAX];
+        let mut kept = 0.0;
+        for (part, hypothesis) in parts.iter_mut().zip(self.hypotheses()) {
             if hypothesis.probability >= NEGLIGIBLE {
-                let (linear, angular) = (steps.linear(hypothesis), steps.angular(hypothesis));
-                *part = Some((hypothesis.probability, hypothesis.gaussian.predicted_pose(linear, angular)));
+                *part = Some((hypothesis.probability, make(hypothesis)));
                 kept += hypothesis.probability;
             }
         }
-        let of_pose = |error: &ErrorVector| error.fixed_rows::<6>(0).into_owned();
-        let reference = self.hypotheses[0].gaussian.state;
-        let reference = parts.iter().flatten().map(|(_, (state, _))| *state).next().unwrap_or(reference);
-        let mean: ErrorVector =
-            parts.iter().flatten().map(|(weight, (state, _))| state.minus(&reference) * (weight / kept)).sum();
-        let mut covariance = Matrix6::zeros();
-        for (weight, (state, part)) in parts.iter().flatten() {
-            let apart = of_pose(&(state.minus(&reference) - mean));
-            covariance += (part + apart * apart.transpose()) * (weight / kept);
-        }
-        Mixture { state: reference.plus(&mean), covariance, linear_motion, angular_motion }
+        parts.map(|part| part.map(|(probability, made)| (probability / kept, made)))
+    }
+
+    fn mean(&self, states: &[Option<(f64, State)>; HYPOTHESES_MAX]) -> Mean {
+        let states = states.iter().flatten();
+        let reference = states.clone().map(|(_, state)| *state).next().unwrap_or(self.hypotheses[0].gaussian.state);
+        let apart = states.map(|(weight, state)| state.minus(&reference) * *weight).sum();
+        Mean { reference, apart, state: reference.plus(&apart) }
     }
 
     fn hypotheses(&self) -> &[Hypothesis] {
@@ -173,6 +201,13 @@ impl Bank {
     fn is_finite(&self) -> bool {
         self.hypotheses().iter().all(|hypothesis| hypothesis.probability.is_finite() && hypothesis.gaussian.is_finite())
     }
+}
+
+/// The mean of several states, and the error that leads to it from one of them.
+struct Mean {
+    reference: State,
+    apart: ErrorVector,
+    state: State,
 }
 
 /// A step of time in each mode, `[motion, rest]`.
@@ -236,8 +271,14 @@ fn mixed(hypotheses: &[Hypothesis], weights: &[f64; HYPOTHESES_MAX], sum: f64) -
     }
     let mut covariance = ErrorMatrix::zeros();
     for ((apart, hypothesis), weight) in apart.iter().zip(hypotheses).zip(weights) {
-        let apart = apart - mean;
-        covariance += (hypothesis.gaussian.covariance + apart * apart.transpose()) * (weight / sum);
+        let (apart, share) = (apart - mean, weight / sum);
+        // Element by element: matrices of this size are not to be written down in between.
+        for column in 0..ERRORS {
+            for row in 0..ERRORS {
+                let own = hypothesis.gaussian.covariance[(row, column)];
+                covariance[(row, column)] += (own + apart[row] * apart[column]) * share;
+            }
+        }
     }
     Gaussian { state: reference.plus(&mean), covariance }
 }

@@ -71,11 +71,10 @@ impl State {
         error
     }
 
-    /// The state after a step, and the rotation vector by which it turned.
-    pub(super) fn after(&self, linear: &AxisStep, angular: &AxisStep) -> (Self, Vector3<f64>) {
+    /// The state after a step with these transitions, and the rotation vector by which it turned.
+    pub(super) fn after(&self, l: &Matrix3<f64>, a: &Matrix3<f64>) -> (Self, Vector3<f64>) {
         let (velocity, spin) = se3::split(&self.rate);
         let (push, twirl) = se3::split(&self.acceleration);
-        let (l, a) = (&linear.transition, &angular.transition);
         let shift = velocity * l[(0, 1)] + push * l[(0, 2)];
         // The last term: the axis turns while the target turns about it (Magnus expansion to the third order in time).
         let turn = spin * a[(0, 1)] + twirl * a[(0, 2)] + twirl.cross(&spin) * (a[(0, 1)].powi(3) / 12.0);
@@ -93,7 +92,7 @@ impl State {
 impl Gaussian {
     /// The prediction after a step.
     pub(super) fn predicted(&self, linear: &AxisStep, angular: &AxisStep) -> Self {
-        let (state, turn) = self.state.after(linear, angular);
+        let (state, turn) = self.state.after(&linear.transition, &angular.transition);
         let spreads = [self.spread(0, linear), self.spread(ROTATION, angular)];
         let half = times_transition(&self.covariance, linear, angular, &turn);
         let covariance = times_transition(&half.transpose(), linear, angular, &turn);
@@ -113,7 +112,7 @@ impl Gaussian {
 
     /// Pose and covariance of its error (axes of `base`) after a step, the rest of the state without its covariance.
     pub(super) fn predicted_pose(&self, linear: &AxisStep, angular: &AxisStep) -> (State, Matrix6<f64>) {
-        let (state, turn) = self.state.after(linear, angular);
+        let (state, turn) = self.state.after(&linear.transition, &angular.transition);
         let half = times_pose_transition(&self.covariance, linear, angular, &turn);
         let mut covariance = times_pose_transition(&half.transpose(), linear, angular, &turn);
         let jacobian = so3::left_jacobian(&turn);

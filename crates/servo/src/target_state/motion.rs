@@ -40,17 +40,17 @@ impl AxisStep {
     /// correlation time (R. A. Singer, "Estimating Optimal Tracking Filter Performance for Manned Maneuvering Targets", IEEE
     /// Trans. AES 6(4), 1970). Exact for any step.
     pub(super) fn singer(sigma: f64, time_s: f64, dt_s: f64) -> Self {
-        let response = impulse_response(time_s, dt_s);
-        let velocity = time_s * -(-dt_s / time_s).exp_m1();
-        #[rustfmt::skip]
-        let transition = Matrix3::new(
-            1.0, dt_s, response.x,
-            0.0, 1.0, velocity,
-            0.0, 0.0, response.z,
-        );
         let noise =
             if dt_s > time_s { singer_noise_closed(time_s, dt_s) } else { singer_noise_quadrature(time_s, dt_s) };
-        Self { transition, noise: noise * (sigma * sigma), across_share: 1.0 }
+        Self { transition: singer_transition(time_s, dt_s), noise: noise * (sigma * sigma), across_share: 1.0 }
+    }
+
+    /// The transition alone of the step of a part in a mode.
+    pub(super) fn transition_of(config: &MotionConfig, mode: Mode, dt_s: f64) -> Matrix3<f64> {
+        match (mode, &config.rest) {
+            (Mode::Rest, Some(_)) => rest_transition(),
+            _ => singer_transition(config.correlation_time_s, dt_s),
+        }
     }
 
     /// Rest: the position walks, velocity and acceleration do not act. They are drawn anew at each step, as they will be
@@ -62,11 +62,27 @@ impl AxisStep {
             config.acceleration_sigma_per_s2,
         );
         Self {
-            transition: Matrix3::from_diagonal(&Vector3::new(1.0, 0.0, 0.0)),
+            transition: rest_transition(),
             noise: Matrix3::from_diagonal(&sigma.component_mul(&sigma)),
             across_share: 1.0,
         }
     }
+}
+
+fn singer_transition(time_s: f64, dt_s: f64) -> Matrix3<f64> {
+    let response = impulse_response(time_s, dt_s);
+    let velocity = time_s * -(-dt_s / time_s).exp_m1();
+    #[rustfmt::skip]
+    let transition = Matrix3::new(
+        1.0, dt_s, response.x,
+        0.0, 1.0, velocity,
+        0.0, 0.0, response.z,
+    );
+    transition
+}
+
+fn rest_transition() -> Matrix3<f64> {
+    Matrix3::from_diagonal(&Vector3::new(1.0, 0.0, 0.0))
 }
 
 /// Probability that a part in mode `from` is in mode `to` after `dt_s`: a two-state Markov chain in continuous time.

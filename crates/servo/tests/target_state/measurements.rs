@@ -88,7 +88,9 @@ proptest! {
             let covariance = root * root.transpose();
             filter.observe(&PoseMeasurement { at: MonotonicTime::from_nanos(nanos), base_from_model, covariance });
             let newest = filter.newest_at().unwrap();
-            let prediction = filter.at(newest + std::time::Duration::from_millis(step % 500)).unwrap();
+            let time = newest + std::time::Duration::from_millis(step % 500);
+            let prediction = filter.at(time).unwrap();
+            prop_assert_eq!(filter.base_from_model_at(time).unwrap(), prediction.base_from_model);
             prop_assert!(prediction.base_from_model.is_finite(), "{prediction:?}");
             prop_assert!(prediction.twist.to_vector().iter().all(|x| x.is_finite()), "{prediction:?}");
             prop_assert!(prediction.covariance.cholesky().is_some(), "{prediction:?}");
@@ -204,6 +206,7 @@ fn there_is_no_prediction_without_a_target_or_beyond_the_horizon() {
     let newest = all[39].at.as_secs_f64();
     assert!(filter.at(at_s(newest + 0.4999)).is_ok());
     let error = filter.at(at_s(newest + 0.5001)).unwrap_err();
+    assert_eq!(filter.base_from_model_at(at_s(newest + 0.5001)), Err(error));
     assert!(error.to_string().starts_with("the time lies 0.500 s after the newest measurement"), "{error}");
     // The past, as far as it is kept, without what came later.
     let past = filter.at(all[35].at).unwrap();

@@ -83,7 +83,7 @@ impl JointMechanics {
         position_rad: &JointVector,
     ) -> [Drive; DOF] {
         let limits = &config.limits;
-        let gravity = self.gravity_at(position_rad);
+        let gravity = self.gravity_on(modes, position_rad);
         std::array::from_fn(|i| {
             let servo = Drive {
                 acceleration_max: config.acceleration_max_rad_per_s2[i],
@@ -121,7 +121,7 @@ impl JointMechanics {
         position_rad: &JointVector,
         commanded_rad_per_s: &JointVector,
     ) -> JointVector {
-        let gravity = self.gravity_at(position_rad);
+        let gravity = self.gravity_on(modes, position_rad);
         JointVector::from(std::array::from_fn::<f64, DOF, _>(|i| match modes[i] {
             AxisMode::Servo => commanded_rad_per_s[i],
             AxisMode::Driven { velocity_rad_per_s } => velocity_rad_per_s,
@@ -130,9 +130,12 @@ impl JointMechanics {
         }))
     }
 
-    /// Acceleration by gravity in this pose, rad/s^2: away from upright.
-    fn gravity_at(&self, position_rad: &JointVector) -> JointVector {
+    /// Acceleration by gravity in this pose, rad/s^2: away from upright. None where every joint is held.
+    fn gravity_on(&self, modes: &[AxisMode; DOF], position_rad: &JointVector) -> JointVector {
         let mut gravity = JointVector::zeros();
+        if !modes.contains(&AxisMode::Free) {
+            return gravity;
+        }
         let mut tilt = 0.0;
         for joint in PITCH_JOINTS {
             tilt += position_rad[joint];

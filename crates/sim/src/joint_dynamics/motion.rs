@@ -1,5 +1,7 @@
 //! The motion of one joint under one command, in closed form.
 
+use std::cell::OnceCell;
+
 /// More than enough halvings or doublings for the 64 bits of a time.
 const SEARCH_STEPS: usize = 128;
 
@@ -36,10 +38,15 @@ impl Drive {
 /// are at most four parts: to a turn, to a stop, from it to the other, and rest there.
 #[derive(Clone, Debug)]
 pub(super) struct JointPath {
-    first: Part,
-    then: [Option<Part>; 3],
+    command: f64,
+    first: Motion,
+    /// The first part lasts at least so long, seconds.
+    first_lasts: f64,
+    /// The others, found when a path is wanted for longer than that: the next command mostly comes long before.
+    then: OnceCell<Box<[Part]>>,
 }
 
+/// What comes after the first part of a path.
 #[derive(Clone, Copy, Debug)]
 struct Part {
     /// Seconds after the start of the path.
@@ -49,30 +56,38 @@ struct Part {
 
 impl JointPath {
     pub fn new(drive: &Drive, position: f64, velocity: f64, command: f64) -> Self {
-        let towards = drive.against_friction(velocity, command);
-        let first = Part { from: 0.0, motion: Motion::new(drive, position, velocity, towards) };
-        let mut then = [None; 3];
-        let mut part = first;
-        for slot in &mut then {
-            let Some((after, position)) = part.motion.ends(drive) else { break };
-            let mut towards = drive.against_friction(0.0, command);
+        let first = Motion::new(drive, position, velocity, drive.against_friction(velocity, command));
+        Self { command, first, first_lasts: first.lasts(drive), then: OnceCell::new() }
+    }
+
+    /// Position and velocity, `elapsed` seconds after the start.
+    pub fn at(&self, drive: &Drive, elapsed: f64) -> (f64, f64) {
+        let (position, velocity) = if elapsed < self.first_lasts {
+            self.first.at(drive, elapsed)
+        } else {
+            let then = self.then.get_or_init(|| self.after_first(drive));
+            match then.iter().rev().find(|part| part.from <= elapsed) {
+                Some(part) => part.motion.at(drive, elapsed - part.from),
+                None => self.first.at(drive, elapsed),
+            }
+        };
+        // The search for the stop is exact but for rounding; the stop is exact.
+        (position.clamp(drive.stops[0], drive.stops[1]), velocity)
+    }
+
+    fn after_first(&self, drive: &Drive) -> Box<[Part]> {
+        let mut part = Part { from: 0.0, motion: self.first };
+        let next = || {
+            let (after, position) = part.motion.ends(drive)?;
+            let mut towards = drive.against_friction(0.0, self.command);
             // Against a stop the drive pushes in vain: as if it were told to rest.
             if (position == drive.stops[1] && towards >= 0.0) || (position == drive.stops[0] && towards <= 0.0) {
                 towards = 0.0;
             }
             part = Part { from: part.from + after, motion: Motion::new(drive, position, 0.0, towards) };
-            *slot = Some(part);
-        }
-        Self { first, then }
-    }
-
-    /// Position and velocity, `elapsed` seconds after the start.
-    pub fn at(&self, drive: &Drive, elapsed: f64) -> (f64, f64) {
-        let begun = self.then.iter().flatten().rev().find(|part| part.from <= elapsed);
-        let part = begun.unwrap_or(&self.first);
-        let (position, velocity) = part.motion.at(drive, elapsed - part.from);
-        // The search for the stop is exact but for rounding; the stop is exact.
-        (position.clamp(drive.stops[0], drive.stops[1]), velocity)
+            Some(part)
+        };
+        std::iter::from_fn(next).take(3).collect()
     }
 }
 
@@ -117,6 +132,19 @@ impl Motion {
         let settled = -(-t / drive.time_constant).exp_m1();
         let position = self.position_then + self.command * t - self.error_then * drive.time_constant * settled;
         (position, self.command - self.error_then * (1.0 - settled))
+    }
+
+    /// A time before which the motion does not end, seconds: to the nearer stop at the largest speed, or to a turn with friction.
+    fn lasts(&self, drive: &Drive) -> f64 {
+        /// Far more than what rounding makes of a position.
+        const ROUNDING_RAD: f64 = 1e-9;
+        let [lower, upper] = drive.stops;
+        let room = (self.position - lower).min(upper - self.position);
+        // The velocity goes from what it is to what is commanded and nowhere else.
+        let speed = self.velocity.abs().max(self.command.abs());
+        // Written so that a number that is none is no time.
+        let until_stop = if room > ROUNDING_RAD { 0.99 * room / speed } else { 0.0 };
+        if drive.friction == 0.0 { until_stop } else { until_stop.min(self.turns_after(drive)) }
     }
 
     /// After how many seconds the motion ends, and where: at a stop, or where friction changes its direction.
@@ -189,5 +217,35 @@ impl Motion {
             if beyond(middle) { later = middle } else { earlier = middle }
         }
         Some(later)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(2000) })]
+
+        /// What follows the first part is looked for where it is wanted only, so it must not begin before that.
+        #[test]
+        fn no_motion_ends_before_it_lasts(
+            position in -1.0..=1.0f64, velocity in -2.0..2.0f64, command in -2.0..2.0f64, still in 0usize..4,
+            friction in prop_oneof![Just(0.0), 0.001..0.3f64], time_constant in prop_oneof![Just(0.0), 0.01..0.3f64],
+        ) {
+            let drive = Drive { acceleration_max: 3.0, time_constant, velocity_max: 2.0, friction, stops: [-1.0, 1.0] };
+            let velocity = if still & 1 == 0 { velocity } else { 0.0 };
+            let command = if still & 2 == 0 { command } else { 0.0 };
+            let motion = Motion::new(&drive, position, velocity, drive.against_friction(velocity, command));
+            let lasts = motion.lasts(&drive);
+            if let Some((after, _)) = motion.ends(&drive) {
+                prop_assert!(lasts <= after, "{lasts} s, but ends after {after} s");
+            }
+            let nearest = 1.0 - position.abs();
+            let is_turning = friction > 0.0 && velocity * motion.command < 0.0;
+            prop_assert!(nearest < 0.01 || is_turning || lasts >= nearest / 2.5, "{lasts} s for {nearest} rad");
+        }
     }
 }

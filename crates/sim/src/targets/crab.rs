@@ -1,12 +1,13 @@
 //! The crab: shell, claws and legs cut out along a smooth outline, with a relief and a spotted texture of one hue.
 
-use std::sync::Arc;
+use std::collections::HashMap;
+use std::sync::{Arc, OnceLock};
 
 use nalgebra::{Point2, Point3, Vector2, Vector3};
 
 use super::Draft;
 use super::mesh::{Mesh, Vertex};
-use super::outline::{GridArea, cut_grid};
+use super::outline::{CutGrid, GridArea, cut_grid};
 use super::texture::{Colour, Texture, colour_from_hsv, mix_colours};
 use crate::noise::{ScatteredPoints, ValueNoise, hash, smooth_step};
 
@@ -51,19 +52,28 @@ pub(super) fn build(relief_m: f64, seed: u32) -> Draft {
 /// The crab's shape with any texture, whose middle lies at the origin; see [`place_mm`].
 pub(super) fn build_with(relief_m: f64, seed: u32, texture: Arc<Texture>) -> Draft {
     let shape = Shape { relief_m, bumps: ValueNoise::new(hash(&[seed, 0xC2AB])) };
-    let cut = cut_grid(GridArea { half_size_m: HALF_SIZE_M, cells: 60 }, |p| distance_mm(&(p * 1e3)) * 1e-3);
+    let cut = cut();
+    // About six triangles meet in a point, and its distances are what a crab costs.
+    let mut known = HashMap::new();
+    let mut vertex = |p: &Point2<f64>| *known.entry([p.x, p.y].map(f64::to_bits)).or_insert_with(|| shape.vertex(p));
     let mut front = Mesh::default();
     for triangle in &cut.triangles {
-        front.add_triangle(triangle.each_ref().map(|p| shape.vertex(p)));
+        front.add_triangle(triangle.each_ref().map(&mut vertex));
     }
     let mut rim = Mesh::default();
     for (a, b) in cut.outline.iter().zip(cut.outline.iter().cycle().skip(1)) {
-        let (a, b) = (shape.vertex(b), shape.vertex(a));
+        let (a, b) = (vertex(b), vertex(a));
         let behind = |v: &Vertex| (v.position_m + Vector3::new(0.0, 0.0, RIM_M), v.texture);
         rim.add_quad([(a.position_m, a.texture), (b.position_m, b.texture), behind(&b), behind(&a)]);
     }
     let outline_m = cut.outline.iter().map(|p| shape.surface(p)).collect();
     Draft { name: "crab", surfaces: vec![(front, Arc::clone(&texture)), (rim, texture)], outline_m }
+}
+
+/// What the outline leaves of a grid: the same for each crab, and cut once.
+fn cut() -> &'static CutGrid {
+    static CUT: OnceLock<CutGrid> = OnceLock::new();
+    CUT.get_or_init(|| cut_grid(GridArea { half_size_m: HALF_SIZE_M, cells: 60 }, |p| distance_mm(&(p * 1e3)) * 1e-3))
 }
 
 struct Shape {
@@ -193,7 +203,7 @@ mod tests {
 
     #[test]
     fn limbs_hang_together() {
-        let cut = cut_grid(GridArea { half_size_m: HALF_SIZE_M, cells: 60 }, |p| distance_mm(&(p * 1e3)) * 1e-3);
+        let cut = cut();
         let total: f64 = cut.triangles.iter().map(|[a, b, c]| -(b - a).perp(&(c - a)) / 2.0).sum();
         let outlined: f64 = cut
             .outline

@@ -151,10 +151,8 @@ impl MockController {
     /// True angles (rad) and speeds (rad/s) of the joints.
     pub fn true_joints(&self) -> (JointVector, JointVector) {
         let joints = self.joints();
-        let now = joints.now();
         // The present is always known.
-        let position = joints.position_at(now).unwrap_or_else(JointVector::zeros);
-        (position, joints.velocity_at(now).unwrap_or_else(JointVector::zeros))
+        joints.motion_at(joints.now()).unwrap_or_else(|| (JointVector::zeros(), JointVector::zeros()))
     }
 
     /// What each servo is told, rad/s.
@@ -201,8 +199,12 @@ impl MockController {
     }
 
     fn next_event(&self) -> Option<MonotonicTime> {
-        let brakes = self.axes.iter().filter_map(AxisDrive::next_change).min();
-        [brakes, self.watchdog_deadline(), self.schedule.next()].into_iter().flatten().min()
+        let mut next = [self.watchdog_deadline(), self.schedule.next()].into_iter().flatten().min();
+        // Asked for several times in each cycle, in which mostly no brake moves.
+        for at in self.axes.iter().filter_map(AxisDrive::next_change) {
+            next = Some(next.map_or(at, |next| next.min(at)));
+        }
+        next
     }
 
     fn watchdog_deadline(&self) -> Option<MonotonicTime> {

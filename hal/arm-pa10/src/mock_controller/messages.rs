@@ -103,14 +103,14 @@ impl MockController {
         let measured = self.measure();
         if self.mode == ControlMode::Control {
             self.watches_dead_man = command.watches_dead_man;
-            self.obey(now, &command);
+            self.obey(now, &command, &measured);
             self.watch_dead_man(now);
         }
         let shown = if self.outbox.suffers(ReplyFault::Stale) { self.stale.unwrap_or(measured) } else { measured };
         Some(ReplyMessage::Cyclic(shown))
     }
 
-    fn obey(&mut self, now: MonotonicTime, command: &RawCommand) {
+    fn obey(&mut self, now: MonotonicTime, command: &RawCommand, measured: &ArmReply) {
         let times = self.brake_times();
         let any_alarm = self.panel.servo.iter().any(|memory| memory.shown().is_some());
         for (axis, told) in Axis::ALL.into_iter().zip(&command.axes) {
@@ -123,14 +123,14 @@ impl MockController {
             self.counters.let_go += u64::from(!told.brake_on && (!told.servo_on || told.torque_mode));
             // Torques are not emulated: an axis under torque control is one that nobody holds.
             let servo_on = told.servo_on && !told.torque_mode;
-            let velocity = self.within_limits(axis, told.velocity_rad_per_s);
+            let velocity = self.within_limits(axis, measured.axes[index].angle, told.velocity_rad_per_s);
             self.axes[index].command(now, times, told.brake_on, servo_on, velocity);
         }
     }
 
     /// The velocity, or 0 if it leads further out of the limits.
-    fn within_limits(&self, axis: Axis, velocity_rad_per_s: f64) -> f64 {
-        let [at_lower, at_upper] = self.at_limits(axis, self.counted(axis));
+    fn within_limits(&self, axis: Axis, angle: AngleCounts, velocity_rad_per_s: f64) -> f64 {
+        let [at_lower, at_upper] = self.at_limits(axis, angle);
         let outwards = (at_upper && velocity_rad_per_s > 0.0) || (at_lower && velocity_rad_per_s < 0.0);
         if outwards { 0.0 } else { velocity_rad_per_s }
     }
@@ -140,22 +140,19 @@ impl MockController {
         [angle <= lower, angle >= upper]
     }
 
-    /// The angle as the controller counts it.
-    fn counted(&self, axis: Axis) -> AngleCounts {
-        let plant = self.joints();
-        let index = axis.index();
-        let true_rad = plant.position_at(plant.now()).map_or(0.0, |position| position[index]);
-        let counted = AngleCounts::from_rad(axis, true_rad + self.angle_offset_rad[index]);
+    /// The true angle of an axis, as the controller counts it.
+    fn counted(&self, axis: Axis, true_rad: f64) -> AngleCounts {
+        let counted = AngleCounts::from_rad(axis, true_rad + self.angle_offset_rad[axis.index()]);
         counted.unwrap_or(AngleCounts(i32::MAX))
     }
 
     /// What the controller measures now.
     pub(super) fn measure(&self) -> ArmReply {
-        let velocity = self.joints().state().velocity_rad_per_s;
+        let (position, velocity) = self.true_joints();
         let format = self.config.format;
         let scale = TorqueScale::of_format(format);
         let axes = Axis::ALL.map(|axis| {
-            let angle = self.counted(axis);
+            let angle = self.counted(axis, position[axis.index()]);
             let [at_lower, at_upper] = self.at_limits(axis, angle);
             let word = self.panel.servo_word(axis, at_upper, at_lower);
             let torque = scale.from_joint_n_m(axis, self.torque_n_m[axis.index()]);
