@@ -152,7 +152,7 @@ fn orthogonalise(jacobian: &Jacobian) -> SingularForm {
             for b in a + 1..6 {
                 let (aa, bb) = (columns.column(a).norm_squared(), columns.column(b).norm_squared());
                 let ab = columns.column(a).dot(&columns.column(b));
-                if ab.abs() > ORTHOGONAL * (aa * bb).sqrt() && ab.abs() > negligible {
+                if ab * ab > ORTHOGONAL * ORTHOGONAL * aa * bb && ab.abs() > negligible {
                     let (cosine, sine) = orthogonalising_turn(aa, bb, ab);
                     turn_columns(&mut columns, a, b, cosine, sine);
                     turn_columns(&mut left, a, b, cosine, sine);
@@ -169,9 +169,10 @@ fn orthogonalise(jacobian: &Jacobian) -> SingularForm {
 
 /// Cosine and sine of the smaller of the turns that make two columns with these products orthogonal.
 fn orthogonalising_turn(aa: f64, bb: f64, ab: f64) -> (f64, f64) {
+    // Not above 1e32, as `ab` is not negligible: no square overflows, and no `hypot` is needed.
     let zeta = (bb - aa) / (2.0 * ab);
-    let tangent = zeta.signum() / (zeta.abs() + zeta.hypot(1.0));
-    let cosine = 1.0 / tangent.hypot(1.0);
+    let tangent = zeta.signum() / (zeta.abs() + (1.0 + zeta * zeta).sqrt());
+    let cosine = 1.0 / (1.0 + tangent * tangent).sqrt();
     (cosine, cosine * tangent)
 }
 

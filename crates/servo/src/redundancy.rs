@@ -11,7 +11,6 @@
 //! and Euler (1990); w: Yoshikawa's manipulability (1985), 0 at singular poses. It does not depend on which point of the hand is
 //! looked at.
 
-use nalgebra::SMatrix;
 use pb3dp_kinematics::{Chain, DOF, Jacobian, JointLimits, JointVector};
 
 use crate::config::RedundancyConfig;
@@ -34,17 +33,58 @@ pub struct NullMotion {
 impl NullMotion {
     /// The generalised cross product of the rows of the Jacobian: its components are the minors of order 6, its length is the
     /// manipulability (Cauchy and Binet).
+    ///
+    /// Found by elimination with complete pivoting: the solution with a 1 in the column that is left is the cross product over
+    /// the determinant of the six others.
     pub fn of(jacobian: &Jacobian) -> Self {
-        let mut direction = JointVector::zeros();
-        for joint in 0..DOF {
-            let minor: SMatrix<f64, 6, 6> = jacobian.fixed_columns::<DOF>(0).into_owned().remove_column(joint);
-            let sign = if joint % 2 == 0 { 1.0 } else { -1.0 };
-            direction[joint] = sign * minor.determinant();
+        let negligible = jacobian.amax() * f64::EPSILON;
+        let mut rest = *jacobian;
+        let mut joints: [usize; DOF] = std::array::from_fn(|joint| joint);
+        let mut determinant = 1.0;
+        for step in 0..6 {
+            let (row, column) = largest(&rest, step);
+            let pivot = rest[(row, column)];
+            let is_sound = pivot.abs() > negligible;
+            if !is_sound {
+                return Self { direction: JointVector::zeros(), manipulability: 0.0 };
+            }
+            rest.swap_rows(row, step);
+            rest.swap_columns(column, step);
+            joints.swap(column, step);
+            determinant *= if (row == step) == (column == step) { pivot } else { -pivot };
+            for below in step + 1..6 {
+                let factor = rest[(below, step)] / pivot;
+                for behind in step + 1..DOF {
+                    rest[(below, behind)] -= factor * rest[(step, behind)];
+                }
+            }
         }
-        let manipulability = direction.norm();
-        let direction = if manipulability > 0.0 { direction / manipulability } else { JointVector::zeros() };
-        Self { direction, manipulability }
+        let mut solution = JointVector::zeros();
+        solution[6] = determinant.signum();
+        for row in (0..6).rev() {
+            let sum: f64 = (row + 1..DOF).map(|column| rest[(row, column)] * solution[column]).sum();
+            solution[row] = -sum / rest[(row, row)];
+        }
+        let length = solution.norm();
+        let mut direction = JointVector::zeros();
+        for (joint, share) in joints.into_iter().zip(solution.iter()) {
+            direction[joint] = share / length;
+        }
+        Self { direction, manipulability: determinant.abs() * length }
     }
+}
+
+/// Row and column, from `step` on, of the element that is farthest from zero.
+fn largest(matrix: &Jacobian, step: usize) -> (usize, usize) {
+    let mut place = (step, step);
+    for column in step..DOF {
+        for row in step..6 {
+            if matrix[(row, column)].abs() > matrix[place].abs() {
+                place = (row, column);
+            }
+        }
+    }
+    place
 }
 
 /// The cost of a pose of the arm, see the module.
@@ -105,6 +145,14 @@ mod tests {
             let null = NullMotion::of(&jacobian);
             assert!((null.direction.norm() - 1.0).abs() < 1e-12);
             assert!((jacobian * null.direction).norm() < 1e-12);
+            for joint in 0..DOF {
+                let minor: nalgebra::SMatrix<f64, 6, 6> =
+                    jacobian.fixed_columns::<DOF>(0).into_owned().remove_column(joint);
+                let sign = if joint % 2 == 0 { 1.0 } else { -1.0 };
+                let of_rows = sign * minor.determinant();
+                let found = null.direction[joint] * null.manipulability;
+                assert!((found - of_rows).abs() < 1e-12, "joint {joint}: {found}, the minor is {of_rows}");
+            }
             assert!(
                 (null.manipulability / manipulability(&jacobian) - 1.0).abs() < 1e-9,
                 "the product of singular values"
