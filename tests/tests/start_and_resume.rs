@@ -155,6 +155,10 @@ impl ArmPower for Stoppable {
         self.noted.lock().unwrap().resets_s.push(self.now_s());
         self.inner.reset()
     }
+
+    fn is_stopped_by_other(&self) -> bool {
+        self.inner.is_stopped_by_other()
+    }
 }
 
 impl DrivenArm for Stoppable {

@@ -1,13 +1,14 @@
 //! The supervisor between the controller and the arms of a run: what is not permitted does not move.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail the test")]
 
+mod between;
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Hand, World};
-use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
-use pb3dp_hal_middleware::LimiterStatistics;
+use pb3dp_hal_api::{ArmError, ArmErrorKind, Clock, JointCommand};
 use pb3dp_orchestrator::config::setup::{Carrier, Leader, Setup, read_setup};
 use pb3dp_orchestrator::run::cell::SimulatedCell;
 use pb3dp_orchestrator::run::experiment;
@@ -15,70 +16,30 @@ use pb3dp_orchestrator::run::halves::Mover;
 use pb3dp_orchestrator::run::moving::{Moved, Moving};
 use pb3dp_orchestrator::run::percept::Percept;
 use pb3dp_orchestrator::run::swing;
-use pb3dp_orchestrator::wiring::{DrivenArm, Parts, wire, wire_at_rest};
+use pb3dp_orchestrator::wiring::{Parts, wire, wire_at_rest};
 use pb3dp_servo::identification::Excitation;
 use pb3dp_servo::supervisor::{Condition, Confidence, EstimateInput, FrameInput, Permission, Resume, State};
 use pb3dp_servo::{Mode, SearchConfig, TargetObservation};
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, StepExperimentConfig, Trajectory};
 use system_tests::repository;
 
+use between::Between;
+
 /// A joint that is slower than this rests, rad/s: one count of the resolver in one cycle is 0.8 mrad/s.
 const AT_REST_RAD_PER_S: f64 = 1e-3;
 
-/// An arm some of whose replies get lost, by the number of the exchange; it holds meanwhile.
-struct Lossy {
-    inner: Box<dyn DrivenArm>,
-    exchanges: usize,
-    is_lost: Box<dyn Fn(usize) -> bool + Send>,
-}
-
-impl Lossy {
-    fn vs(parts: Parts, is_lost: impl Fn(usize) -> bool + Send + 'static) -> Parts {
-        Parts { vs: Box::new(Self { inner: parts.vs, exchanges: 0, is_lost: Box::new(is_lost) }), ..parts }
-    }
-}
-
-impl Arm for Lossy {
-    fn info(&self) -> &ArmInfo {
-        self.inner.info()
-    }
-
-    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
-        self.exchanges += 1;
-        if (self.is_lost)(self.exchanges) {
-            self.inner.exchange(JointCommand::Hold)?;
+/// Some replies of the arm with the cameras get lost, by the number of the exchange; it holds meanwhile.
+fn with_losses(parts: Parts, is_lost: impl Fn(usize) -> bool + Send + 'static) -> Parts {
+    let mut exchanges = 0;
+    let vs = Between::boxed(parts.vs, move |arm, command| {
+        exchanges += 1;
+        if is_lost(exchanges) {
+            arm.exchange(JointCommand::Hold)?;
             return Err(ArmError::new(ArmErrorKind::Timeout, "the test has taken the reply"));
         }
-        self.inner.exchange(command)
-    }
-}
-
-impl ArmPower for Lossy {
-    fn state(&self) -> ArmState {
-        self.inner.state()
-    }
-
-    fn enable(&mut self) -> Result<(), ArmError> {
-        self.inner.enable()
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        self.inner.stop()
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        self.inner.reset()
-    }
-}
-
-impl DrivenArm for Lossy {
-    fn statistics(&self) -> LimiterStatistics {
-        self.inner.statistics()
-    }
-
-    fn enable_here(&mut self) -> Result<(), ArmError> {
-        self.inner.enable_here()
-    }
+        arm.exchange(command)
+    });
+    Parts { vs, ..parts }
 }
 
 fn setup() -> Setup {
@@ -361,7 +322,7 @@ fn an_arm_that_does_not_answer_holds_the_other_one_too_and_its_way_waits() {
     let experiment = parts.experiment.clone();
     let is_mute = Arc::new(AtomicBool::new(false));
     let said = Arc::clone(&is_mute);
-    let parts = Lossy::vs(parts, move |_| said.load(Ordering::SeqCst));
+    let parts = with_losses(parts, move |_| said.load(Ordering::SeqCst));
     let mut bench = Bench::following(&setup, parts, &*experiment);
     let tc = |bench: &Bench<'_>| bench.cell.tc.joints.simulated().unwrap().lock().unwrap().state();
     let before = tc(&bench);
@@ -427,7 +388,7 @@ fn a_swing_whose_replies_get_lost_knows_that_the_arm_held() {
     setup.leader = Leader::Geometric(setup.geometric.unwrap());
     let motion = Excitation::new(0.003, 8.0).unwrap();
     let parts = wire_at_rest(&setup, swing::duration(&motion)).unwrap();
-    let swung = swing::run(&setup, Lossy::vs(parts, |exchange| exchange.is_multiple_of(70)), motion).unwrap();
+    let swung = swing::run(&setup, with_losses(parts, |exchange| exchange.is_multiple_of(70)), motion).unwrap();
     let held = swung.given.iter().skip(110).take(700).filter(|given| given.velocity_rad_per_s.amax() == 0.0).count();
     assert_eq!(held, 700 / 70, "each lost reply is a held cycle");
 }

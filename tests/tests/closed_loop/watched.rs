@@ -1,10 +1,14 @@
 //! Arms that write down what they were told and what they measured, and fail if asked to.
 
+#[path = "../between/mod.rs"]
+mod between;
+
 use std::sync::{Arc, Mutex};
 
-use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
-use pb3dp_hal_middleware::LimiterStatistics;
+use pb3dp_hal_api::{ArmError, ArmErrorKind, JointCommand, JointState};
 use pb3dp_orchestrator::wiring::{DrivenArm, Parts};
+
+use between::Between;
 
 /// What one arm was told (before its limiter) and measured, one entry per control step.
 #[derive(Clone, Default)]
@@ -18,60 +22,19 @@ pub struct Notes {
 /// The parts with both arms watched: the arm with the cameras, the arm with the target.
 pub fn watched(parts: Parts) -> (Parts, Notes, Notes) {
     let (vs, tc) = (Notes::default(), Notes::default());
-    let parts = Parts {
-        vs: Box::new(Watched { inner: parts.vs, notes: vs.clone() }),
-        tc: Box::new(Watched { inner: parts.tc, notes: tc.clone() }),
-        ..parts
-    };
+    let parts = Parts { vs: noted(parts.vs, vs.clone()), tc: noted(parts.tc, tc.clone()), ..parts };
     (parts, vs, tc)
 }
 
-struct Watched {
-    inner: Box<dyn DrivenArm>,
-    notes: Notes,
-}
-
-impl Arm for Watched {
-    fn info(&self) -> &ArmInfo {
-        self.inner.info()
-    }
-
-    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
-        let mut commands = self.notes.commands.lock().unwrap();
-        if self.notes.fail_after.lock().unwrap().is_some_and(|limit| commands.len() >= limit) {
+fn noted(arm: Box<dyn DrivenArm>, notes: Notes) -> Box<dyn DrivenArm> {
+    Between::boxed(arm, move |arm, command| {
+        let mut commands = notes.commands.lock().unwrap();
+        if notes.fail_after.lock().unwrap().is_some_and(|limit| commands.len() >= limit) {
             return Err(ArmError::new(ArmErrorKind::Disconnected, "the link was cut by the test"));
         }
         commands.push(command);
-        let state = self.inner.exchange(command)?;
-        self.notes.measured.lock().unwrap().push(state);
+        let state = arm.exchange(command)?;
+        notes.measured.lock().unwrap().push(state);
         Ok(state)
-    }
-}
-
-impl ArmPower for Watched {
-    fn state(&self) -> ArmState {
-        self.inner.state()
-    }
-
-    fn enable(&mut self) -> Result<(), ArmError> {
-        self.inner.enable()
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        self.inner.stop()
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        self.inner.reset()
-    }
-}
-
-impl DrivenArm for Watched {
-    fn statistics(&self) -> LimiterStatistics {
-        self.inner.statistics()
-    }
-
-    fn enable_here(&mut self) -> Result<(), ArmError> {
-        self.inner.enable_here()
-    }
+    })
 }

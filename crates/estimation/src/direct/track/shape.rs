@@ -26,8 +26,19 @@ const EVIDENCE_MIN: f64 = 5.0;
 const NEWS: f64 = 1.5;
 /// Most that a node moves in a frame, pixels.
 const MOVE_MAX_PX: f64 = 0.5;
-/// A node is never held for surer than this on average, 1/px^2: what is left is not noise.
+/// The relief is never held for surer than this per node on average, 1/px^2: what is left is not noise.
 const INFORMATION_MAX: f64 = 2e4;
+
+/// How much of what a frame says is taken over.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Shares {
+    /// Of what it says about the relief, whatever the plane.
+    pub(super) relief: f64,
+    /// Of what it says about the plane.
+    pub(super) plane: f64,
+    /// All frames together are told no more of the plane than so many times what this one says.
+    pub(super) plane_in_all: f64,
+}
 
 /// The nodes of a relief that have points, and how groups of points hang on them.
 #[derive(Clone, Debug)]
@@ -48,6 +59,8 @@ pub(super) struct Shape {
     information: Vec<f64>,
     vector: Vec<f64>,
     prior: Vec<f64>,
+    /// What [`Self::learn`] has taken over about the plane, as information about the factors of [`Grid::plane`].
+    plane_learnt: Matrix3<f64>,
     roughness: f64,
     may_be_rough: bool,
     /// 1/px^2, that no node leaves the plane.
@@ -84,6 +97,7 @@ impl Shape {
             information: vec![0.0; n * n],
             vector: vec![0.0; n],
             prior: vec![0.0; n * n],
+            plane_learnt: Matrix3::zeros(),
             roughness: if is_flat { ROUGHNESS.0 } else { ROUGHNESS_START },
             may_be_rough: !is_flat,
             own: if is_flat { 1.0 / ROUGHNESS.0 } else { 1.0 / (sigma_px * sigma_px) },
@@ -114,6 +128,7 @@ impl Shape {
     pub(super) fn restart(&mut self, mean: &[f64]) {
         self.information.fill(0.0);
         self.vector.fill(0.0);
+        self.plane_learnt = Matrix3::zeros();
         self.known_at_roughness = 0.0;
         self.mean.copy_from_slice(mean);
     }
@@ -156,11 +171,19 @@ impl Shape {
         }
     }
 
-    /// Takes a share of what the frame last read says about the relief, and another one about the plane, and moves the
-    /// surface; `false` if that determines nothing.
-    pub(super) fn learn(&mut self, share: f64, plane_share: f64) -> bool {
+    /// Takes all that the frame last read says, and moves the surface; `false` if that determines nothing.
+    pub(super) fn learn_all(&mut self) -> bool {
+        self.add()
+    }
+
+    /// Takes shares of what the frame last read says, and moves the surface; `false` if that determines nothing.
+    pub(super) fn learn(&mut self, shares: &Shares) -> bool {
+        self.weigh_frame(shares);
+        self.add()
+    }
+
+    fn add(&mut self) -> bool {
         let n = self.count();
-        self.weigh_plane(share, plane_share);
         for i in 0..n {
             let line = &self.frame.information[i * n..(i + 1) * n];
             let at: f64 = line.iter().zip(&self.mean).map(|(a, b)| a * b).sum();
@@ -168,11 +191,8 @@ impl Shape {
             let own = &mut self.information[i * n..(i + 1) * n];
             own.iter_mut().zip(line).for_each(|(own, new)| *own += new);
         }
+        self.bound_relief();
         let known: f64 = (0..n).map(|i| self.information[i * n + i]).sum();
-        if known > INFORMATION_MAX * n as f64 {
-            let less = INFORMATION_MAX * n as f64 / known;
-            self.information.iter_mut().chain(&mut self.vector).for_each(|x| *x *= less);
-        }
         if known > NEWS * self.known_at_roughness && self.may_be_rough {
             let steps = if self.known_at_roughness > 0.0 { 1 } else { STEPS_AT_START };
             self.known_at_roughness = known;
@@ -189,27 +209,37 @@ impl Shape {
     }
 
     /// Weighs what the frame last read says about the relief, whatever the plane, and the rest.
-    fn weigh_plane(&mut self, share: f64, plane_share: f64) {
+    fn weigh_frame(&mut self, shares: &Shares) {
+        let Self { grid, frame, rows, plane_learnt, .. } = self;
+        let stiffness = plane_stiffness(&grid.plane, &frame.information, rows);
+        let Some(cholesky) = stiffness.cholesky() else { return };
+        let (lower, upper) = (cholesky.l(), cholesky.l().transpose());
+        let Some(inverse) = lower.solve_lower_triangular(&Matrix3::identity()) else { return };
+        // In these axes the frame's information about the plane is 1.
+        let learnt = inverse * *plane_learnt * inverse.transpose();
+        let axes = (0.5 * (learnt + learnt.transpose())).symmetric_eigen();
+        let taken = axes.eigenvalues.map(|learnt| shares.plane.min((shares.plane_in_all - learnt).max(0.0)));
+        let taken = axes.eigenvectors * Matrix3::from_diagonal(&taken) * axes.eigenvectors.transpose();
+        *plane_learnt += lower * taken * upper;
+        let beyond_relief = inverse.transpose() * (taken - Matrix3::identity() * shares.relief) * inverse;
+        weigh((&mut frame.information, &mut frame.pull), shares.relief, (&beyond_relief, &grid.plane, rows));
+    }
+
+    /// Forgets of the relief what is beyond [`INFORMATION_MAX`]. Of the plane nothing is forgotten: later frames say less of it
+    /// than the first pair, so that it would follow what they get wrong.
+    fn bound_relief(&mut self) {
         let n = self.count();
-        let Self { grid, frame, rows, .. } = self;
-        let (mut stiffness, mut pull) = (Matrix3::zeros(), Vector3::zeros());
-        for (i, plane) in grid.plane.iter().enumerate() {
-            let line = &frame.information[i * n..(i + 1) * n];
-            let row: Vector3<f64> = line.iter().zip(&grid.plane).map(|(weight, plane)| plane * *weight).sum();
-            stiffness += plane * row.transpose();
-            pull += plane * frame.pull[i];
-            rows[3 * i..3 * i + 3].copy_from_slice(row.as_slice());
+        let known: f64 = (0..n).map(|i| self.information[i * n + i]).sum();
+        if known <= INFORMATION_MAX * n as f64 {
+            return;
         }
-        stiffness += Matrix3::identity() * (1e-9 * stiffness.trace().abs() + 1e-9);
-        let inverse = stiffness.cholesky().map(|c| c.inverse()).unwrap_or_default();
-        for i in 0..n {
-            let row = inverse * Vector3::from_column_slice(&rows[3 * i..3 * i + 3]) * (plane_share - share);
-            frame.pull[i] = share * frame.pull[i] + row.dot(&pull);
-            for j in 0..n {
-                let by_plane = row.dot(&Vector3::from_column_slice(&rows[3 * j..3 * j + 3]));
-                frame.information[i * n + j] = share * frame.information[i * n + j] + by_plane;
-            }
-        }
+        let Self { grid, information, vector, rows, .. } = self;
+        let stiffness = plane_stiffness(&grid.plane, information, rows);
+        let Some(inverse) = stiffness.cholesky().map(|c| c.inverse()) else { return };
+        let of_plane: f64 =
+            rows.chunks_exact(3).map(Vector3::from_column_slice).map(|row| row.dot(&(inverse * row))).sum();
+        let kept = (INFORMATION_MAX * n as f64 / (known - of_plane)).min(1.0);
+        weigh((information, vector), kept, (&(inverse * (1.0 - kept)), &grid.plane, rows));
     }
 
     /// Nothing is learnt from the frame last read.
@@ -362,6 +392,38 @@ impl Shape {
     pub(super) fn moved_px(&self) -> f64 {
         let squares = self.mean.iter().zip(&self.before).map(|(now, before)| (now - before).powi(2));
         (squares.sum::<f64>() / self.count().max(1) as f64).sqrt()
+    }
+}
+
+/// What `information` about nodes says about the plane that they share, with `rows` of three numbers per node: the product of
+/// information and planes.
+fn plane_stiffness(planes: &[Vector3<f64>], information: &[f64], rows: &mut [f64]) -> Matrix3<f64> {
+    let n = planes.len();
+    let mut stiffness = Matrix3::zeros();
+    for (i, plane) in planes.iter().enumerate() {
+        let line = &information[i * n..(i + 1) * n];
+        let row: Vector3<f64> = line.iter().zip(planes).map(|(weight, plane)| plane * *weight).sum();
+        stiffness += plane * row.transpose();
+        rows[3 * i..3 * i + 3].copy_from_slice(row.as_slice());
+    }
+    stiffness + Matrix3::identity() * (1e-9 * stiffness.trace().abs() + 1e-9)
+}
+
+/// Takes a share of information and vector, and of the part along the plane what `by_plane` says beyond that.
+fn weigh(
+    (information, vector): (&mut [f64], &mut [f64]),
+    share: f64,
+    (by_plane, planes, rows): (&Matrix3<f64>, &[Vector3<f64>], &[f64]),
+) {
+    let n = planes.len();
+    let along_plane: Vector3<f64> = planes.iter().zip(vector.iter()).map(|(plane, value)| plane * *value).sum();
+    for i in 0..n {
+        let row = by_plane * Vector3::from_column_slice(&rows[3 * i..3 * i + 3]);
+        vector[i] = share * vector[i] + row.dot(&along_plane);
+        for j in 0..n {
+            let more = row.dot(&Vector3::from_column_slice(&rows[3 * j..3 * j + 3]));
+            information[i * n + j] = share * information[i * n + j] + more;
+        }
     }
 }
 

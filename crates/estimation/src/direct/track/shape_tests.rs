@@ -58,7 +58,7 @@ fn a_plane_stays_a_plane_whatever_the_noise() {
         let tilt = Vector3::new(0.3, -0.2, 0.1);
         let truth: Vec<f64> = shape.grid.plane.iter().map(|plane| plane.dot(&tilt)).collect();
         show(&mut shape, &truth, seed);
-        assert!(shape.learn(1.0, 1.0));
+        assert!(shape.learn_all());
         let plane = shape.common_plane();
         let relief = rms((0..shape.count()).map(|node| shape.beyond(node, &plane)));
         assert!(relief < 1e-3, "seed {seed}: relief {relief} px");
@@ -75,7 +75,7 @@ fn a_relief_is_found_and_gets_better_with_every_frame() {
     let mut errors = Vec::new();
     for seed in 1..=16 {
         show(&mut shape, &truth, seed);
-        assert!(shape.learn(1.0, 1.0));
+        assert!(shape.learn_all());
         errors.push(rms(shape.mean.iter().zip(&truth).map(|(mean, truth)| mean - truth)));
     }
     // Noise of 0.1 px per frame, less what neighbours say.
@@ -87,16 +87,50 @@ fn a_frame_that_may_say_nothing_of_the_plane_says_all_of_the_relief() {
     let mut shape = Shape::over(grid(), 1.5);
     let truth = bumps();
     show(&mut shape, &truth, 3);
-    assert!(shape.learn(1.0, 1.0));
+    assert!(shape.learn_all());
     let plane = shape.common_plane();
     let lifted: Vec<f64> = truth.iter().zip(&shape.grid.plane).map(|(x, p)| x + p.dot(&Vector3::repeat(0.4))).collect();
     for seed in 4..12 {
         show(&mut shape, &lifted, seed);
-        assert!(shape.learn(1.0, 0.0));
+        assert!(shape.learn(&Shares { relief: 1.0, plane: 0.0, plane_in_all: 2.0 }));
     }
     assert!((shape.common_plane() - plane).norm() < 0.02, "{} {}", shape.common_plane(), plane);
     let before = rms((0..shape.count()).map(|node| shape.mean[node] - truth[node]));
     assert!(before < 0.06, "{before}");
+}
+
+#[test]
+fn however_many_frames_repeat_it_the_plane_moves_no_further_than_two_of_them_would_move_it() {
+    let shares = Shares { relief: 0.5, plane: 0.15, plane_in_all: 2.0 };
+    let flat = vec![0.0; SIDE * SIDE];
+    let lifted: Vec<f64> = grid().plane.iter().map(|p| p.dot(&Vector3::new(0.3, -0.2, 0.4))).collect();
+    let mut shape = Shape::over(grid(), 1.5);
+    // The start knows as much as ten frames.
+    for seed in 1..=10 {
+        show(&mut shape, &flat, seed);
+        assert!(shape.learn_all());
+    }
+    let at_start = shape.common_plane();
+    let moved_px = |shape: &Shape| {
+        let by = shape.common_plane() - at_start;
+        rms(shape.grid.plane.iter().map(|plane| plane.dot(&by)))
+    };
+    let all_px = rms(lifted.iter().copied());
+    // More than INFORMATION_MAX would allow.
+    for seed in 11..1000 {
+        show(&mut shape, &lifted, seed);
+        assert!(shape.learn(&shares));
+    }
+    let share = moved_px(&shape) / all_px;
+    assert!((share - 2.0 / 12.0).abs() < 0.03, "{share}");
+    // A frame that knows ten times as much is heard again.
+    for seed in 1000..1020 {
+        show(&mut shape, &lifted, seed);
+        shape.frame.information.iter_mut().chain(&mut shape.frame.pull).for_each(|x| *x *= 10.0);
+        assert!(shape.learn(&shares));
+    }
+    let share = moved_px(&shape) / all_px;
+    assert!((share - 20.0 / 30.0).abs() < 0.03, "{share}");
 }
 
 #[test]
@@ -106,7 +140,7 @@ fn what_the_pose_may_explain_is_not_learnt() {
     let n = shape.count();
     let truth = bumps();
     show(&mut shape, &truth, 5);
-    assert!(shape.learn(1.0, 1.0));
+    assert!(shape.learn_all());
     let mean = |shape: &Shape| shape.mean.iter().sum::<f64>() / n as f64;
     let before = mean(&shape);
     let lifted: Vec<f64> = truth.iter().map(|x| x + 0.2).collect();
@@ -119,7 +153,7 @@ fn what_the_pose_may_explain_is_not_learnt() {
             shape.frame.information[i * n + j] -= KNOWN / n as f64;
         }
     }
-    assert!(shape.learn(1.0, 1.0));
+    assert!(shape.learn_all());
     assert!((mean(&shape) - before).abs() < 1e-6, "{before} {}", mean(&shape));
     let (step, open) = shape.pose();
     assert!(step[0].abs() < 1e-6);

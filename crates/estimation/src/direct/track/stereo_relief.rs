@@ -39,7 +39,7 @@ pub(super) fn find(aligner: &mut Aligner, problem: &mut Problem<'_>, estimate: &
         let surface = &mut *problem.surface;
         surface.restart_shape();
         surface.shape.read(&equations, &aligner.scores, surface.relief.inverse_depth_per_px());
-        if !surface.shape.learn(1.0, 1.0) {
+        if !surface.shape.learn_all() {
             return;
         }
         surface.take_shape();

@@ -16,6 +16,7 @@ use super::one_surface::{Part, largest_part};
 use super::predict::{FramePrior, Motion};
 use super::reach::{Sighting, in_sight};
 use super::search::{PLACES, Place, Searcher, depth_by_stereo, hypotheses, hypothesis, mirrored};
+use super::shape::Shares;
 use super::stereo_relief;
 use super::surface::Surface;
 use super::view::View;
@@ -23,11 +24,10 @@ use crate::cpu::Kernels;
 use crate::direct::image_plane::PixelWindow;
 use crate::wide::LANES;
 
-/// Share of a frame's information about the relief that is taken over, and about its plane: all frames share the noise of
-/// the kept view. Disparities between left and right, which tell the relief, hardly have any of it; what tells the plane's
-/// tilt from the pose's is the view alone.
-const RELIEF_SHARE: f64 = 0.5;
-const PLANE_SHARE: f64 = 0.15;
+/// What is taken over of a frame's information about the surface: all frames share the noise of the kept view. Disparities
+/// between left and right, which tell the relief, hardly have any of it. What tells the plane's tilt from the pose's is the
+/// view alone: half of the variance is its own, so that any number of frames tells no more than two of them would without it.
+const SHARES: Shares = Shares { relief: 0.5, plane: 0.15, plane_in_all: 2.0 };
 /// As above, about the row offset, and the most that is believed of it (0.01 px).
 const ROW_SHARE: f64 = 0.02;
 const ROW_INFORMATION_MAX: f64 = 1e4;
@@ -322,7 +322,7 @@ impl Target {
         let depth_sigma = surface.relief.depth_sigma();
         let Some(covariance) = equations.pose_covariance(&aligner.scores, depth_sigma) else { return };
         surface.shape.read(&equations, &aligner.scores, surface.relief.inverse_depth_per_px());
-        let is_known = if learns { surface.shape.learn(RELIEF_SHARE, PLANE_SHARE) } else { surface.shape.hold() };
+        let is_known = if learns { surface.shape.learn(&SHARES) } else { surface.shape.hold() };
         if !is_known {
             return;
         }

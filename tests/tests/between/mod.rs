@@ -1,0 +1,65 @@
+//! What a test puts between a run and one of its arms.
+
+use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
+use pb3dp_hal_middleware::LimiterStatistics;
+use pb3dp_orchestrator::wiring::DrivenArm;
+
+type Exchange = dyn FnMut(&mut dyn DrivenArm, JointCommand) -> Result<JointState, ArmError> + Send;
+
+/// An arm whose exchanges the test makes; all else goes to the arm itself.
+pub struct Between {
+    arm: Box<dyn DrivenArm>,
+    exchange: Box<Exchange>,
+}
+
+impl Between {
+    /// Each command of the run is given to `exchange` with the arm; what that returns is what the run gets.
+    pub fn boxed(
+        arm: Box<dyn DrivenArm>,
+        exchange: impl FnMut(&mut dyn DrivenArm, JointCommand) -> Result<JointState, ArmError> + Send + 'static,
+    ) -> Box<dyn DrivenArm> {
+        Box::new(Self { arm, exchange: Box::new(exchange) })
+    }
+}
+
+impl Arm for Between {
+    fn info(&self) -> &ArmInfo {
+        self.arm.info()
+    }
+
+    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        (self.exchange)(&mut *self.arm, command)
+    }
+}
+
+impl ArmPower for Between {
+    fn state(&self) -> ArmState {
+        self.arm.state()
+    }
+
+    fn enable(&mut self) -> Result<(), ArmError> {
+        self.arm.enable()
+    }
+
+    fn stop(&mut self) -> Result<(), ArmError> {
+        self.arm.stop()
+    }
+
+    fn reset(&mut self) -> Result<(), ArmError> {
+        self.arm.reset()
+    }
+
+    fn is_stopped_by_other(&self) -> bool {
+        self.arm.is_stopped_by_other()
+    }
+}
+
+impl DrivenArm for Between {
+    fn statistics(&self) -> LimiterStatistics {
+        self.arm.statistics()
+    }
+
+    fn enable_here(&mut self) -> Result<(), ArmError> {
+        self.arm.enable_here()
+    }
+}
