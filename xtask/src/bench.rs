@@ -31,7 +31,8 @@ const QUICK_ROUNDS: &str = "40";
 ///         arm's limits allow; fails if a limit is missed (ten minutes on two idle cores; --quick: seconds; --only WORDS, --seed N). Writes docs/benchmarks/servo.md
 /// safety  seeded runs in which everything goes wrong, with both arms emulated in virtual time, judged on the simulator's truth;
 ///         fails if anything does not hold, and says how to do that run again: --runs N, --seed N, --quick, --trace; a run
-///         of default length writes docs/benchmarks/safety.md
+///         of default length writes docs/benchmarks/safety.md. --disabled, in a build of its own: each safeguard switched off, which
+///         must show; --only NAME: some of them; all of them write their part of that page
 /// all     speed and raster
 ///
 /// The examples `speed` of crates/estimation and `raster_speed` of crates/sim measure the published method and the
@@ -135,9 +136,13 @@ fn servo(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
 /// Runs the example `safety` of the system tests; a whole run writes its page.
 fn safety(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
     let mut command = workspace.cargo();
-    command.args(["run", "--release", "--locked", "--package", "system-tests", "--example", "safety", "--"]);
-    command.args(["--origin", &origin(workspace)]).args(options);
-    if options.is_empty() {
+    command.args(["run", "--release", "--locked", "--package", "system-tests", "--example", "safety"]);
+    // Safeguards that can be switched off are in no other build.
+    if options.iter().any(|option| option == "--disabled") {
+        command.args(["--features", "disabled-guards"]);
+    }
+    command.args(["--", "--origin", &origin(workspace)]).args(options);
+    if options.is_empty() || options == ["--disabled"] {
         command.args(["--page", PAGES]);
     }
     run_visibly(&mut command)

@@ -11,6 +11,7 @@ use crate::workspace::Workspace;
 /// * Dependencies between our packages run downwards only, as in the table of xtask/src/check_deps/graph.rs; every package
 ///   of the workspace has its line there.
 /// * crates/* name no backend, except the orchestrator; backends do not name each other, the estimation or the servo.
+/// * Nothing enables the feature `disabled-guards`, with which tests switch safeguards off, but who asks for it by name.
 /// * serde stands in the orchestrator and in record only.
 /// * Files, threads, clocks, the environment, the network: each may be used only by the packages that the table of
 ///   xtask/src/check_deps/source.rs allows; tests are exempt.

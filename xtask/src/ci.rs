@@ -9,7 +9,7 @@ use crate::{check_deps, licences, test, tidy, vm};
 
 /// Runs every check, the cheapest first, and stops at the first that fails.
 ///
-/// fmt, tidy, check-deps, licences, clippy, rustdoc, tests, drivers in an emulated computer, a quick run of the accuracy benchmark:
+/// fmt, tidy, check-deps, licences, clippy, rustdoc, tests, safeguards switched off one by one, drivers in an emulated computer, a quick run of the accuracy benchmark:
 /// warnings of clippy and rustdoc are errors here. At the end stands a table with the time of each; after a failure, the command that
 /// repeats it alone. Needs the rustup components rustfmt and clippy (the failure says what to type), and nothing else beside rustc,
 /// cargo and cc. The step vm wants QEMU and a kernel, which it fetches by apt-get where that is permitted; elsewhere it is skipped,
@@ -27,7 +27,7 @@ struct Step {
     run: fn(&Workspace) -> anyhow::Result<()>,
 }
 
-const STEPS: [Step; 9] = [
+const STEPS: [Step; 10] = [
     Step { name: "fmt", run: fmt },
     Step { name: "tidy", run: |workspace| tidy::run(workspace, &tidy::Args {}) },
     Step { name: "check-deps", run: |workspace| check_deps::run(workspace, &check_deps::Args {}) },
@@ -35,6 +35,7 @@ const STEPS: [Step; 9] = [
     Step { name: "clippy", run: clippy },
     Step { name: "doc", run: doc },
     Step { name: "test", run: |workspace| run_visibly(&mut test::all_tests(workspace)) },
+    Step { name: "safeguards", run: safeguards },
     Step { name: "vm", run: vm::run_all },
     Step { name: "accuracy", run: accuracy },
 ];
@@ -125,6 +126,25 @@ fn doc(workspace: &Workspace) -> anyhow::Result<()> {
     let mut command = workspace.cargo();
     command.args(["doc", "--workspace", "--no-deps", "--locked"]).env("RUSTDOCFLAGS", "-D warnings");
     run_visibly(&mut command)
+}
+
+/// The feature that lets tests switch safeguards off.
+const SWITCHES: &str = "disabled-guards";
+
+/// Each safeguard, switched off in a test build, has to be missed; and no program for real arms comes of such a build.
+fn safeguards(workspace: &Workspace) -> anyhow::Result<()> {
+    let mut tests = workspace.cargo();
+    tests.args(["test", "--locked", "--package", "pb3dp-safeguards", "--package", "system-tests", "--lib"]);
+    run_visibly(tests.args(["--example", "safety", "--features", SWITCHES]))?;
+    let mut program = workspace.cargo();
+    program.args(["build", "--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"]);
+    let built =
+        program.args(["--features", "pb3dp-safeguards/disabled-guards"]).output().context("cannot run cargo")?;
+    let said = String::from_utf8_lossy(&built.stderr);
+    if built.status.success() || !said.contains("pb3dp is not built with the feature disabled-guards") {
+        bail!("pb3dp was built with the feature {SWITCHES}, or failed for another reason:\n{said}");
+    }
+    Ok(())
 }
 
 /// The accuracy benchmark with few poses, with optimisation: fails if a limit is not kept.

@@ -7,6 +7,7 @@ use std::fmt;
 use pb3dp_geometry::frames::{Base, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::{Chain, Damping, JointLimits, JointState, JointVector};
+use pb3dp_safeguards::{Safeguard, is_off};
 
 use crate::config::{ConfigError, ControllerConfig};
 use crate::given_commands::GivenCommands;
@@ -276,13 +277,14 @@ impl Controller {
         }
         let age_s = now.seconds_since(joints.at);
         let ahead = age_s < -self.config.timeouts.joints_s;
-        if back || ahead || !self.history.push(*joints) {
+        let pushed = self.history.push(*joints);
+        if (back || ahead || !pushed) && !is_off(Safeguard::JointsForward) {
             self.history.clear();
             self.given.clear();
             self.lose();
             return Err(HoldReason::ClockStepped);
         }
-        if age_s > self.config.timeouts.joints_s {
+        if age_s > self.config.timeouts.joints_s && !is_off(Safeguard::JointsAge) {
             return Err(HoldReason::JointsStale { age_s });
         }
         Ok(())
@@ -295,14 +297,14 @@ impl Controller {
             return ObservationVerdict::NoneNew;
         }
         let age_s = now.seconds_since(observation.at);
-        if !(0.0..=self.config.timeouts.observation_s).contains(&age_s) {
+        if !(0.0..=self.config.timeouts.observation_s).contains(&age_s) && !is_off(Safeguard::ObservationAge) {
             return ObservationVerdict::WrongTime { age_s };
         }
         self.handled_at = Some(observation.at);
         if !observation.cam_left_from_model.is_finite() {
             return ObservationVerdict::NotFinite;
         }
-        if !observation.trusted {
+        if !observation.trusted && !is_off(Safeguard::ObservationTrust) {
             return ObservationVerdict::Untrusted;
         }
         match self.history.position_at(observation.at) {
@@ -324,7 +326,7 @@ impl Controller {
         let Some(observed_at) = self.target.observed_at() else {
             return if self.lost { Mode::Lost } else { Mode::Idle };
         };
-        let age_s = now.seconds_since(observed_at);
+        let age_s = if is_off(Safeguard::ObservationAge) { 0.0 } else { now.seconds_since(observed_at) };
         if age_s > self.config.timeouts.lost_s {
             self.lose();
             if self.lost { Mode::Lost } else { Mode::Idle }

@@ -7,6 +7,7 @@ use pb3dp_geometry::frames::{Base, World};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_kinematics::{ArmShape, Chain, DOF, JointVector, PlacedArm, clearance_within};
+use pb3dp_safeguards::{Safeguard, is_off};
 
 use crate::last_command::{CommandFade, LastCommand};
 use crate::power::close_brakes;
@@ -204,7 +205,8 @@ impl Cell {
             return (!is_rest).then(|| format!("nothing is known of where arm {name} is; exchange with it first"));
         };
         let (room_m, which) = self.room(side, &own, &other);
-        if room_m >= self.least_m || is_rest || self.leads_away(side, &own, &other) {
+        let may_meet = is_off(Safeguard::CouplingRoom);
+        if room_m >= self.least_m || is_rest || may_meet || self.leads_away(side, &own, &other) {
             self.statistics.least_room_m = self.statistics.least_room_m.min(room_m);
             // From here on the other arm has to count with it.
             self.sides[side].sweep = Some(own);
@@ -302,7 +304,7 @@ impl<A: Arm + ArmPower> Coupled<A> {
             .err()
             .filter(|error| matches!(error.kind(), ArmErrorKind::Fault | ArmErrorKind::Disconnected));
         match (failure, state) {
-            _ if by_other => {}
+            _ if by_other || is_off(Safeguard::CouplingStop) => {}
             (Some(error), _) => cell.stop_both(self.side, &error.to_string()),
             (None, ArmState::Fault) => cell.stop_both(self.side, "it is in a fault"),
             (None, ArmState::EStop) => {

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
 use pb3dp_kinematics::{DOF, JointLimits, JointLimitsError, JointVector};
+use pb3dp_safeguards::{Safeguard, is_off};
 
 use crate::expectation::Expectation;
 use crate::power::close_brakes;
@@ -258,7 +259,7 @@ impl<A: Arm> Guard<A> {
 
     /// Judges a sample; it becomes the newest unless it jumps.
     fn judge(&mut self, sample: JointState) -> Result<JointState, ArmError> {
-        if let Some(reason) = self.beyond_limit(&sample) {
+        if let Some(reason) = self.beyond_limit(&sample).filter(|_| !is_off(Safeguard::GuardRange)) {
             // A wrong sample may well be out of every limit.
             if self.newest.is_none_or(|last| self.jump(&sample, &last, sample.at.saturating_since(last.at)).is_none()) {
                 return Err(self.stop_for(reason));
@@ -266,12 +267,14 @@ impl<A: Arm> Guard<A> {
         }
         if let Some(last) = self.newest {
             let dt = sample.at.saturating_since(last.at);
-            if let Some((joint, moved_rad)) = self.jump(&sample, &last, dt) {
+            if let Some((joint, moved_rad)) = self.jump(&sample, &last, dt).filter(|_| !is_off(Safeguard::GuardJump)) {
                 return Err(self.refuse_jump(joint, moved_rad, dt));
             }
             if !dt.is_zero() {
                 let moved_rad = sample.position_rad - last.position_rad;
                 let (over_speed, off_track) = (self.over_speed(&sample), self.off_track(&moved_rad, dt));
+                let over_speed = over_speed.filter(|_| !is_off(Safeguard::GuardSpeed));
+                let off_track = off_track.filter(|_| !is_off(Safeguard::GuardTracking));
                 if let Some(reason) = over_speed.or(off_track) {
                     return Err(self.stop_for(reason));
                 }

@@ -6,6 +6,7 @@ use std::time::Duration;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_kinematics::{DOF, JointLimits, JointLimitsError, JointVector};
+use pb3dp_safeguards::{Safeguard, is_off};
 
 use crate::guard::LIMIT_ROUNDING_RAD;
 use crate::last_command::{CommandFade, LastCommand};
@@ -15,6 +16,9 @@ use crate::stopping::DriveLimits;
 /// Close to a limit the speed cap is distance / T: a control loop of gain 1/T, closed over the reaction time. Such a loop
 /// overshoots unless its gain is at most 1 / (e x delay), so T is e times the reaction time.
 const NO_OVERSHOOT: f64 = std::f64::consts::E;
+
+/// In place of a limit that a test has switched off: more than any joint can do, in whatever unit.
+const UNLIMITED: f64 = 1e3;
 
 /// What the limiter lets pass.
 #[derive(Clone, Debug, PartialEq)]
@@ -286,25 +290,31 @@ impl<A: Arm> Limiter<A> {
     fn limit(&mut self, desired: &JointVector, now: MonotonicTime) -> SetPoint {
         let config = &self.config;
         let fresh = self.newest.map(|sample| (now.saturating_since(sample.at), sample));
-        let fresh = fresh.filter(|(age, _)| *age <= config.stale_after);
+        let fresh = fresh.filter(|(age, _)| *age <= config.stale_after || is_off(Safeguard::LimiterStale));
         let (previous, since) = self.last.at(now, self.arm.info().cycle, self.newest.as_ref());
-        let speeds = config.hard_limits.velocity_max_rad_per_s() * config.speed_scale;
-        let step = Step { previous: &previous, dt_s: since.as_secs_f64(), drives: &self.drives, speeds: &speeds };
+        let speed_scale = if is_off(Safeguard::LimiterSpeed) { UNLIMITED } else { config.speed_scale };
+        let speeds = config.hard_limits.velocity_max_rad_per_s() * speed_scale;
+        let drives = if is_off(Safeguard::LimiterAcceleration) { &self.drives.scaled(UNLIMITED) } else { &self.drives };
+        let step = Step { previous: &previous, dt_s: since.as_secs_f64(), drives, speeds: &speeds };
+        let nowhere = Caps { lower: -speeds, upper: speeds, by_position: [[false; 2]; DOF] };
         let Some((age, sample)) = fresh else {
             self.statistics.held_stale += 1;
-            let nowhere = Caps { lower: -speeds, upper: speeds, by_position: [[false; 2]; DOF] };
             return shaping::shape(desired, &nowhere, &step, None).set_point;
         };
         let reaction = config.reaction_time + age;
         let position = &sample.position_rad;
         let near_s = NO_OVERSHOOT * reaction.as_secs_f64();
-        let caps = shaping::caps(position, &self.operating, config.speed_scale, &self.drives, near_s);
-        let room = Room {
+        let mut caps = shaping::caps(position, &self.operating, speed_scale, drives, near_s);
+        let mut room = Room {
             to_ends: [position - self.operating.position_min_rad(), self.operating.position_max_rad() - position],
             peaks: self.last.peaks_since(now - reaction),
             // A command that is the last one for a while.
             reaction_s: (reaction + config.command_timeout).as_secs_f64(),
         };
+        if is_off(Safeguard::LimiterRange) {
+            caps = nowhere;
+            room.to_ends = [JointVector::repeat(UNLIMITED); 2];
+        }
         let shaped = shaping::shape(desired, &caps, &step, Some(&room));
         self.statistics.speed_limited += u64::from(shaped.speed_limited);
         self.statistics.position_limited += u64::from(shaped.position_limited);

@@ -22,6 +22,11 @@ impl DriveLimits {
     pub(crate) fn of(&self, joint: usize) -> DriveLimit {
         DriveLimit { acceleration: self.acceleration[joint], jerk: self.jerk[joint] }
     }
+
+    /// So many times as hard.
+    pub(crate) fn scaled(&self, times: f64) -> Self {
+        Self { acceleration: self.acceleration * times, jerk: self.jerk * times }
+    }
 }
 
 impl DriveLimit {

@@ -2,6 +2,8 @@
 
 use pb3dp_arm_pa10::codec::{CommAlarm, ServoAlarm};
 
+use pb3dp_servo::supervisor::Word;
+
 use crate::scenario::Dice;
 
 /// Something that goes wrong for a while.
@@ -57,17 +59,28 @@ pub enum Kind {
     EmergencyStopOfBoth,
     /// The cable of this arm is pulled.
     Unplugged(usize),
+    /// New pictures come with the number of an old one.
+    NumbersStand,
+    /// Each pose is off by as much as this, metres, to another side.
+    Scatter(f64),
+    /// The estimator is less sure by these factors: of standard deviations of position and orientation.
+    Unsure([f64; 2]),
+    /// The operator says this, and it is heard so much later, seconds.
+    Word(Word, f64),
+    /// There is no sign of life of the operator.
+    Silence,
 }
 
 type Lines = fn(&mut Dice) -> (String, Option<String>);
 
 /// What goes wrong of an arm, in the words of docs/mock-arm.md.
-const OF_ARMS: [(&str, Lines); 19] = [
+const OF_ARMS: [(&str, Lines); 21] = [
     ("bus: replies lost", |dice| (format!("drop {}", 1 + dice.below(4)), None)),
     ("bus: replies damaged", |dice| (format!("corrupt {}", 1 + dice.below(6)), None)),
     ("bus: replies late", |dice| (format!("delay {} {}us", 1 + dice.below(20), 500 + dice.below(6000)), None)),
     ("bus: deaf", |dice| (format!("deaf {}", 1 + dice.below(30)), None)),
     ("bus: stale replies", |dice| (format!("stale {}", 1 + dice.below(50)), None)),
+    ("bus: silent", |_| ("silence on".into(), Some("silence off".into()))),
     ("line: answers lost", |dice| (format!("line drop {}", 1 + dice.below(4)), None)),
     ("line: answers damaged", |dice| (format!("line corrupt {}", 1 + dice.below(5)), None)),
     ("line: answers late", |dice| (format!("line slow {}us", 1000 + dice.below(30_000)), Some("line slow 0s".into()))),
@@ -92,52 +105,54 @@ const OF_ARMS: [(&str, Lines); 19] = [
         let speed = dice.within(0.1, 1.2) * dice.sign();
         (format!("runaway {axis} {speed:.3}rad/s"), Some(format!("runaway {axis} off")))
     }),
+    ("arm: torque", |dice| {
+        let axis = 1 + dice.below(7);
+        let torque = dice.within(5.0, 300.0) * dice.sign();
+        (format!("torque {axis} {torque:.1}Nm"), Some(format!("torque {axis} 0Nm")))
+    }),
     ("arm: encoder jumps", |dice| {
         (format!("jump {} {:.3}rad", 1 + dice.below(7), dice.within(0.005, 0.3) * dice.sign()), None)
     }),
 ];
 
+/// Names of the kinds that are not of one arm, as tables have them.
+const OF_THE_CELL: [&str; 20] = [
+    "estimates lost",
+    "no pose",
+    "doubtful pose",
+    "late estimates",
+    "estimator stalls",
+    "poses off",
+    "outliers",
+    "eyes apart",
+    "old pictures",
+    "another target",
+    "control step overruns",
+    "clock jumps",
+    "emergency stop of both",
+    "cable pulled",
+    "numbers of pictures stand",
+    "poses scatter",
+    "unsure poses",
+    "a word of the operator",
+    "a late word of the operator",
+    "operator silent",
+];
+
 impl Kind {
-    /// Names of all kinds, as tables have them.
-    pub const NAMES: [&'static str; 33] = [
-        "estimates lost",
-        "no pose",
-        "doubtful pose",
-        "late estimates",
-        "estimator stalls",
-        "poses off",
-        "outliers",
-        "eyes apart",
-        "old pictures",
-        "another target",
-        "control step overruns",
-        "clock jumps",
-        "emergency stop of both",
-        "cable pulled",
-        OF_ARMS[0].0,
-        OF_ARMS[1].0,
-        OF_ARMS[2].0,
-        OF_ARMS[3].0,
-        OF_ARMS[4].0,
-        OF_ARMS[5].0,
-        OF_ARMS[6].0,
-        OF_ARMS[7].0,
-        OF_ARMS[8].0,
-        OF_ARMS[9].0,
-        OF_ARMS[10].0,
-        OF_ARMS[11].0,
-        OF_ARMS[12].0,
-        OF_ARMS[13].0,
-        OF_ARMS[14].0,
-        OF_ARMS[15].0,
-        OF_ARMS[16].0,
-        OF_ARMS[17].0,
-        OF_ARMS[18].0,
-    ];
+    /// How many there are.
+    pub const COUNT: usize = OF_THE_CELL.len() + OF_ARMS.len();
+
+    /// What goes wrong with one arm, by its name in tables.
+    #[cfg(feature = "disabled-guards")]
+    pub fn of_arm(arm: usize, name: &'static str, line: &str, end: Option<&str>) -> Self {
+        assert!(OF_ARMS.iter().any(|(known, _)| *known == name), "{name}");
+        Self::Arm { arm, name, line: line.to_owned(), end: end.map(str::to_owned) }
+    }
 
     /// One of all kinds.
     pub fn draw(dice: &mut Dice) -> Self {
-        match dice.below(Self::NAMES.len()) {
+        match dice.below(Self::COUNT) {
             0 => Self::EstimatesLost(dice.within(0.1, 1.0)),
             1 => Self::NoPose,
             2 => Self::Doubtful,
@@ -152,8 +167,14 @@ impl Kind {
             11 => Self::ClockJump(dice.within(0.02, 3.0) * dice.sign()),
             12 => Self::EmergencyStopOfBoth,
             13 => Self::Unplugged(dice.below(2)),
+            14 => Self::NumbersStand,
+            15 => Self::Scatter(dice.within(0.2, 0.5)),
+            16 => Self::Unsure([0, 1].map(|_| if dice.unit() < 0.5 { 1.0 } else { dice.within(2.0, 3000.0) })),
+            17 => Self::Word(dice.pick(&Word::ALL), 0.0),
+            18 => Self::Word(dice.pick(&Word::ALL), dice.within(0.05, 2.0)),
+            19 => Self::Silence,
             other => {
-                let (name, lines) = OF_ARMS[other - 14];
+                let (name, lines) = OF_ARMS[other - OF_THE_CELL.len()];
                 let (line, end) = lines(dice);
                 Self::Arm { arm: dice.below(2), name, line, end }
             }
@@ -162,7 +183,7 @@ impl Kind {
 
     /// The name in tables.
     pub fn name(&self) -> &'static str {
-        Self::NAMES[match self {
+        OF_THE_CELL[match self {
             Self::EstimatesLost(_) => 0,
             Self::NoPose => 1,
             Self::Doubtful => 2,
@@ -177,6 +198,12 @@ impl Kind {
             Self::ClockJump(_) => 11,
             Self::EmergencyStopOfBoth => 12,
             Self::Unplugged(_) => 13,
+            Self::NumbersStand => 14,
+            Self::Scatter(_) => 15,
+            Self::Unsure(_) => 16,
+            Self::Word(_, 0.0) => 17,
+            Self::Word(..) => 18,
+            Self::Silence => 19,
             Self::Arm { name, .. } => return name,
         }]
     }
@@ -193,13 +220,51 @@ impl Kind {
         }
     }
 
-    /// Whether a joint of this arm moves by itself while it lasts, and which one, from 0.
-    pub fn disobeys(&self) -> Option<usize> {
+    /// For how long it has to last, and how long it then takes until both arms have begun to stop for good, seconds: by what each arm is
+    /// told of it, three exchanges without an answer, or a watchdog of 50 ms.
+    pub fn stops_after_s(&self) -> Option<(f64, f64)> {
+        const TOLD_S: f64 = 0.02;
+        const MISSED_S: f64 = 0.1;
         match self {
-            Self::Arm { arm, name: "arm: stuck joint" | "arm: runaway joint", .. } => Some(*arm),
+            Self::EmergencyStopOfBoth => Some((0.0, TOLD_S)),
+            Self::Overrun(by_s) if *by_s >= MISSED_S => Some((0.0, MISSED_S)),
+            Self::Unplugged(_) => Some((0.0, MISSED_S)),
+            Self::Arm { name: "bus: silent" | "line: silent" | "line: gateway deaf", .. } => Some((MISSED_S, MISSED_S)),
+            Self::Arm { name: "arm: emergency stop" | "arm: limit switch", .. } => Some((0.0, TOLD_S)),
+            Self::Arm { name: "arm: servo alarm" | "arm: controller alarm", .. } => Some((0.0, TOLD_S)),
+            Self::Arm { name: "arm: power", .. } => Some((MISSED_S, MISSED_S)),
+            // More than any joint moves between two samples, and more than any joint may carry.
+            Self::Arm { name: "arm: encoder jumps", line, .. } if amount(line) >= 0.12 => Some((0.0, MISSED_S)),
+            Self::Arm { name: "arm: torque", line, .. } if amount(line) >= 130.0 => Some((MISSED_S, MISSED_S)),
             _ => None,
         }
     }
+
+    /// Which arm it is about; none if about both.
+    pub fn arm(&self) -> Option<usize> {
+        match self {
+            Self::Unplugged(arm) | Self::Arm { arm, .. } => Some(*arm),
+            _ => None,
+        }
+    }
+
+    /// The arm and the joint, from 0, that does not do what it is told while it lasts.
+    pub fn disobeys(&self) -> Option<(usize, usize)> {
+        match self {
+            Self::Arm { arm, name: "arm: stuck joint" | "arm: runaway joint", line, .. } => {
+                let axis: usize = line.split(' ').nth(1)?.parse().ok()?;
+                Some((*arm, axis - 1))
+            }
+            _ => None,
+        }
+    }
+}
+
+/// The amount that is the third word of a line, without its unit and sign.
+fn amount(line: &str) -> f64 {
+    let word = line.split(' ').nth(2).unwrap_or("");
+    let number = word.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    number.parse().map_or(0.0, f64::abs)
 }
 
 impl Fault {

@@ -5,20 +5,26 @@ mod digest;
 mod faults;
 mod figures;
 mod page;
+#[cfg(feature = "disabled-guards")]
+mod proofs;
 mod recorder;
 mod rig;
 mod scenario;
+mod speaker;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
 
 use anyhow::{Context, Result, bail, ensure};
 use pb3dp_orchestrator::config::setup::Setup;
 use pb3dp_orchestrator::cpu_time::timed;
 use system_tests::safety::invariants::{Violation, check};
 use system_tests::safety::rules::Rules;
+use system_tests::safety::shape::room_m;
+use system_tests::safety::truth::ARM_NAMES;
 
 use digest::digest;
 use figures::Figures;
@@ -35,13 +41,16 @@ struct Args {
     seed: u64,
     runs: u64,
     trace: bool,
+    disabled: bool,
+    only: String,
     origin: String,
     page: Option<PathBuf>,
 }
 
 impl Args {
     fn read(mut words: impl Iterator<Item = String>) -> Result<Self> {
-        let mut args = Self { seed: 1, runs: RUNS, trace: false, origin: "unknown".into(), page: None };
+        let (only, origin) = (String::new(), "unknown".into());
+        let mut args = Self { seed: 1, runs: RUNS, trace: false, disabled: false, only, origin, page: None };
         while let Some(word) = words.next() {
             let mut value = || words.next().with_context(|| format!("{word} needs a value"));
             match word.as_str() {
@@ -49,9 +58,13 @@ impl Args {
                 "--runs" => args.runs = value()?.parse().context("--runs: a number from 1 on")?,
                 "--quick" => args.runs = QUICK_RUNS,
                 "--trace" => args.trace = true,
+                "--disabled" => args.disabled = true,
+                "--only" => args.only = value()?,
                 "--origin" => args.origin = value()?,
                 "--page" => args.page = Some(value()?.into()),
-                _ => bail!("{word}: --seed N, --runs N, --quick, --trace, --page FOLDER and --origin TEXT are known"),
+                _ => bail!(
+                    "{word}: --seed N, --runs N, --quick, --trace, --disabled, --only NAME, --page FOLDER and --origin TEXT are known"
+                ),
             }
         }
         ensure!(args.runs > 0, "--runs: at least one");
@@ -77,8 +90,8 @@ pub struct Judged {
 ///
 /// # Errors
 /// If it can not be wired.
-fn judge(setup: &Setup, rules: &Rules, seed: u64) -> Result<Judged> {
-    let scenario = Scenario::of(seed);
+fn judge(setup: &Setup, rules: &Rules, scenario: Scenario) -> Result<Judged> {
+    let seed = scenario.seed;
     let (ran, cpu_millis) = timed(|| run(setup, &scenario));
     let ran = ran.with_context(|| format!("seed {seed}"))?;
     let violations = check(rules, &ran.truth);
@@ -102,6 +115,7 @@ fn tell(judged: &Judged) {
 fn trace(judged: &Judged) {
     let Judged { scenario, ran, digest, .. } = judged;
     println!("seed {}: {}, digest {digest:016x}", scenario.seed, scenario.motion_name);
+    println!("the target: {:?}, {:?}", scenario.carrier, scenario.motion);
     for (fault, noticed) in scenario.faults.iter().zip(&ran.noticed) {
         let noticed = match noticed {
             None => "after the end",
@@ -113,20 +127,63 @@ fn trace(judged: &Judged) {
     for line in &ran.truth.log {
         println!("{:7.3} s  {}", line.t_millis as f64 * 1e-3, line.text);
     }
+    let rules = Rules::of_the_rig();
+    for (arm, rules) in rules.arms.iter().enumerate() {
+        let used = |joint: usize| {
+            let shares =
+                ran.truth.steps.iter().map(|step| step.arms[arm].position_rad[joint] / rules.operating_rad[joint]);
+            let (least, most) =
+                shares.fold((0.0f64, 0.0f64), |(least, most), share| (least.min(share), most.max(share)));
+            format!("{least:.2} to {most:.2}")
+        };
+        let used: Vec<_> = (0..7).map(used).collect();
+        println!("{}: shares of the operating ranges that were used: {}", ARM_NAMES[arm], used.join(", "));
+    }
+    let [mut one, mut other] = [Vec::new(), Vec::new()];
+    let rooms = ran.truth.steps.iter().map(|step| {
+        rules.arms[0].body.place(&step.arms[0].position_rad, &mut one);
+        rules.arms[1].body.place(&step.arms[1].position_rad, &mut other);
+        room_m(&one, &other)
+    });
+    println!("least room between both arms: {:.0} mm", 1e3 * rooms.fold(f64::INFINITY, f64::min));
     println!("ended: {}", ran.ended.as_deref().unwrap_or("at its time"));
+}
+
+/// How far a long measurement is: a line each minute.
+struct Progress {
+    since: Instant,
+    minutes: AtomicU64,
+}
+
+impl Default for Progress {
+    fn default() -> Self {
+        Self { since: Instant::now(), minutes: AtomicU64::new(0) }
+    }
+}
+
+impl Progress {
+    fn tell(&self, figures: &Figures, of: u64) {
+        let minutes = self.since.elapsed().as_secs() / 60;
+        if self.minutes.swap(minutes, Ordering::Relaxed) < minutes {
+            let violations: usize = figures.violations.values().map(Vec::len).sum();
+            let (runs, rate) = (figures.runs, figures.times_real_time());
+            println!("{minutes} min: {runs} of {of} runs, {violations} violations, {rate:.0} times real time per core");
+        }
+    }
 }
 
 fn all(args: &Args) -> Result<Figures> {
     let (setup, rules) = (base()?, Rules::of_the_rig());
     let next = AtomicU64::new(0);
     let figures = Mutex::new(Ok(Figures::default()));
+    let told = Progress::default();
     let work = || {
         loop {
             let index = next.fetch_add(1, Ordering::Relaxed);
             if index >= args.runs {
                 return;
             }
-            let judged = judge(&setup, &rules, args.seed + index);
+            let judged = judge(&setup, &rules, Scenario::of(args.seed + index));
             let Ok(mut figures) = figures.lock() else { return };
             match (judged, figures.as_mut()) {
                 (Ok(judged), Ok(figures)) => {
@@ -135,6 +192,7 @@ fn all(args: &Args) -> Result<Figures> {
                         trace(&judged);
                     }
                     figures.add(&judged, &rules);
+                    told.tell(figures, args.runs);
                 }
                 (Err(error), Ok(_)) => {
                     *figures = Err(error);
@@ -155,15 +213,30 @@ fn all(args: &Args) -> Result<Figures> {
 
 fn main() -> Result<ExitCode> {
     let args = Args::read(std::env::args().skip(1))?;
+    if args.disabled {
+        return disabled(&args);
+    }
     let figures = all(&args)?;
     let text = page::text(&figures, args.seed, &args.origin);
     println!("{text}");
     if let Some(folder) = &args.page {
-        let path = folder.join("safety.md");
-        std::fs::write(&path, &text).with_context(|| format!("{}: can not be written", path.display()))?;
+        page::write_part(folder, Some(&text), None)?;
     }
     println!("{} virtual seconds per run, digest of all: {:016x}", RUN_S, figures.digest);
     Ok(if figures.violations.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Switches each safeguard off.
+#[cfg(feature = "disabled-guards")]
+fn disabled(args: &Args) -> Result<ExitCode> {
+    proofs::run(args)
+}
+
+/// # Errors
+/// Always.
+#[cfg(not(feature = "disabled-guards"))]
+fn disabled(_: &Args) -> Result<ExitCode> {
+    bail!("--disabled: in this build no safeguard can be switched off; use `cargo xtask bench safety --disabled`")
 }
 
 #[cfg(test)]
@@ -173,7 +246,7 @@ mod tests {
     /// Some runs, twice: nothing is violated, and every number is the same again.
     #[test]
     fn seeded_runs_keep_the_invariants_and_repeat_themselves() {
-        let args = Args { seed: 1, runs: 12, trace: false, origin: String::new(), page: None };
+        let args = Args::read(["--runs", "12"].map(str::to_owned).into_iter()).unwrap();
         let (one, other) = (all(&args).unwrap(), all(&args).unwrap());
         assert!(one.violations.is_empty(), "{:?}", one.violations);
         assert_eq!(one.runs, 12);

@@ -1,8 +1,18 @@
 //! The page docs/benchmarks/safety.md.
 
 use std::fmt::Write as _;
+use std::path::Path;
+
+use anyhow::Context;
+
+#[cfg(feature = "disabled-guards")]
+use pb3dp_safeguards::Safeguard;
+#[cfg(feature = "disabled-guards")]
+use system_tests::safety::invariants::Violation;
 
 use crate::figures::Figures;
+#[cfg(feature = "disabled-guards")]
+use crate::proofs::Shown;
 use crate::replay;
 
 /// The whole page.
@@ -11,6 +21,81 @@ pub fn text(figures: &Figures, seed: u64, origin: &str) -> String {
     // Nothing is written to that could fail.
     write(&mut page, figures, (seed, origin)).ok();
     page
+}
+
+/// With this the part about safeguards begins: another build writes it than the part before.
+const SAFEGUARDS: &str = "## Safeguards, each switched off";
+
+/// Writes one part of the page, or both; the other one stays as it is.
+///
+/// # Errors
+/// If the page can not be written.
+pub fn write_part(folder: &Path, runs: Option<&str>, safeguards: Option<&str>) -> anyhow::Result<()> {
+    let path = folder.join("safety.md");
+    let before = std::fs::read_to_string(&path).unwrap_or_default();
+    let (runs_before, safeguards_before) = before.split_at(before.find(SAFEGUARDS).unwrap_or(before.len()));
+    let runs = runs.unwrap_or(runs_before).trim_end();
+    let text = format!("{runs}\n\n{}", safeguards.unwrap_or(safeguards_before).trim_end());
+    std::fs::write(&path, format!("{}\n", text.trim()))
+        .with_context(|| format!("{}: can not be written", path.display()))
+}
+
+/// The table of safeguards that were switched off one by one, and what these runs do not show.
+#[cfg(feature = "disabled-guards")]
+pub fn safeguards(shown: &[Shown], elsewhere: &[(Safeguard, &str)], origin: &str) -> String {
+    let mut page = String::new();
+    // Nothing is written to that could fail.
+    write_safeguards(&mut page, shown, elsewhere, origin).ok();
+    page
+}
+
+#[cfg(feature = "disabled-guards")]
+fn write_safeguards(
+    page: &mut String,
+    shown: &[Shown],
+    elsewhere: &[(Safeguard, &str)],
+    origin: &str,
+) -> std::fmt::Result {
+    let runs: u64 = shown.iter().map(|shown| shown.runs).sum();
+    writeln!(page, "{SAFEGUARDS}\n\n`cargo xtask bench safety --disabled`; {origin}\n")?;
+    writeln!(
+        page,
+        "{runs} runs of 7 virtual seconds in a test build that can do this; `pb3dp` is never built so.\n\
+         Each line is two runs of the same seed that differ in one safeguard: with it everything holds, without it an invariant does not.\n\
+         Where others guard the same, they are off in both runs: each one is enough by itself.\n"
+    )?;
+    writeln!(
+        page,
+        "| safeguard | what it does | off in both runs | broken without it | seed | with it |\n|---|---|---|---|---|---|"
+    )?;
+    for Shown { guard, others, without, with, .. } in shown {
+        let names: Vec<_> = others.iter().map(|other| other.name()).collect();
+        let (broken, seed) = match without {
+            Some((seed, violations)) => (broken(violations), seed.to_string()),
+            None => ("NOTHING".to_owned(), String::new()),
+        };
+        let with = match with {
+            Some((seed, violations)) => format!("BROKEN: {} (seed {seed})", self::broken(violations)),
+            None => "all hold".to_owned(),
+        };
+        writeln!(page, "| {} | {} | {} | {broken} | {seed} | {with} |", guard.name(), guard.what(), names.join(", "))?;
+    }
+    writeln!(
+        page,
+        "\nNot shown by these runs:\n\n| safeguard | what it does | why, and what shows it |\n|---|---|---|"
+    )?;
+    for (guard, by) in elsewhere {
+        writeln!(page, "| {} | {} | {by} |", guard.name(), guard.what())?;
+    }
+    Ok(())
+}
+
+/// The invariants that do not hold.
+#[cfg(feature = "disabled-guards")]
+fn broken(violations: &[Violation]) -> String {
+    let mut names: Vec<_> = violations.iter().map(|violation| violation.invariant.name()).collect();
+    names.dedup();
+    names.join(", ")
 }
 
 fn write(page: &mut String, figures: &Figures, (seed, origin): (u64, &str)) -> std::fmt::Result {

@@ -1,6 +1,8 @@
 //! Writes down what truly happens: joints from the simulated plants, latches from gateways and drivers, and what is said.
 
-use std::sync::{MutexGuard, PoisonError};
+use std::collections::BTreeSet;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use pb3dp_arm_pa10::gateway::Gateway;
 use pb3dp_arm_pa10::gateway_protocol::GatewayState;
@@ -8,14 +10,34 @@ use pb3dp_arm_pa10::io::arm::{ArmMonitor, VirtualEnd};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_orchestrator::run::cell::SimulatedCell;
 use pb3dp_orchestrator::run::moving::Moved;
-use pb3dp_servo::supervisor::{Condition, State};
+use pb3dp_orchestrator::run::percept::Percept;
+use pb3dp_servo::supervisor::{Condition, Confidence, Event, State, Transition, Word};
 use pb3dp_sim::joint_dynamics::{AxisMode, JointPlant};
 use system_tests::safety::truth::{ARM_NAMES, ArmTruth, HAND_ARM, Joints, LogLine, Placement, Step, TARGET_ARM, Truth};
 
+use crate::faults::{Fault, Kind};
 use crate::scenario::Scenario;
 
 /// Time between two steps of the record.
 const STEP_NANOS: u64 = 10_000_000;
+
+/// Who works on a run shares it.
+pub type Shared = Arc<Mutex<Recorder>>;
+
+/// The recorder, for a moment.
+pub fn lock(recorder: &Shared) -> MutexGuard<'_, Recorder> {
+    recorder.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A word that was said longer ago leads on to nothing, seconds: `word_age_max_s`, and a cycle.
+const WORD_AGE_S: f64 = 0.51;
+/// Without a sign of life of the operator for longer both arms have to rest, seconds: `operator_silent`, and a cycle.
+const SILENCE_S: f64 = 1.01;
+/// How sure a pose has to be: root of the summed variances of position and orientation, metres and radians.
+const SURE_M: f64 = 0.020;
+const SURE_RAD: f64 = 6.0 * std::f64::consts::PI / 180.0;
+/// How far apart both eyes may be exposed, seconds.
+const TOGETHER_S: f64 = 0.005;
 
 /// What is known of one run while it goes on.
 pub struct Recorder {
@@ -28,10 +50,30 @@ pub struct Recorder {
     next: MonotonicTime,
     /// Exposure of the newest confident estimate of a new picture that was delivered.
     exposed: Option<MonotonicTime>,
+    /// Number and time of the newest picture that was delivered.
+    newest: Option<(u64, MonotonicTime)>,
+    /// The target that was seen first.
+    target: Option<u64>,
+    /// Pictures whose poses are worthless.
+    spoiled: BTreeSet<u64>,
+    /// When the faults of the scenario began and ended, as far as they have.
+    began_at: Vec<Option<MonotonicTime>>,
+    ended_at: Vec<Option<MonotonicTime>>,
+    /// Which of them found arms that nothing had stopped yet.
+    could_stop: Vec<bool>,
     latched_since: [Option<MonotonicTime>; 2],
     was_latched: [bool; 2],
     state: State,
     stopped_at: Option<MonotonicTime>,
+    /// When the operator last reset, how often, and was last heard.
+    reset_at: MonotonicTime,
+    resets: u32,
+    heard_at: Option<MonotonicTime>,
+    /// When the operator last said start or resume; words that were said before `not_before` lead on to nothing.
+    go_at: Option<MonotonicTime>,
+    not_before: MonotonicTime,
+    /// The operator said hold, and not resume since.
+    was_told_to_rest: bool,
     says_why: bool,
     may_go: [bool; 2],
     found: [bool; Condition::COUNT],
@@ -46,28 +88,40 @@ impl Recorder {
     pub fn new(scenario: Scenario, cell: SimulatedCell, arms: [(ArmMonitor, VirtualEnd); 2]) -> Self {
         Self {
             truth: Truth::default(),
-            scenario,
             cell,
             arms,
             begin: None,
             next: MonotonicTime::ZERO,
             exposed: None,
+            newest: None,
+            target: None,
+            spoiled: BTreeSet::new(),
+            began_at: vec![None; scenario.faults.len()],
+            ended_at: vec![None; scenario.faults.len()],
+            could_stop: vec![false; scenario.faults.len()],
             latched_since: [None; 2],
             was_latched: [false; 2],
             state: State::Idle,
             stopped_at: None,
+            reset_at: MonotonicTime::ZERO,
+            resets: 0,
+            heard_at: None,
+            go_at: None,
+            not_before: MonotonicTime::ZERO,
+            was_told_to_rest: false,
             says_why: true,
             may_go: [false; 2],
             found: [false; Condition::COUNT],
             counted: 0,
             noticed_s: Vec::new(),
+            scenario,
         }
     }
 
     /// Control steps begin now.
     pub fn begin_at(&mut self, begin: MonotonicTime) {
         (self.begin, self.next) = (Some(begin), begin);
-        self.may_go[TARGET_ARM] = true;
+        self.may_go[TARGET_ARM] = !self.scenario.has_person;
         self.counted = self.count();
     }
 
@@ -76,9 +130,70 @@ impl Recorder {
         self.begin.map_or(0.0, |begin| at.seconds_since(begin))
     }
 
-    /// A confident estimate of a new picture comes to those who move.
-    pub fn delivered(&mut self, exposed: MonotonicTime) {
-        self.exposed = Some(self.exposed.map_or(exposed, |before| before.max(exposed)));
+    /// When this fault began, seconds, if it found arms that were on and that nothing had stopped yet.
+    pub fn could_stop_s(&self, index: usize) -> Option<f64> {
+        self.began_at[index].filter(|_| self.could_stop[index]).map(|began| self.t_s(began))
+    }
+
+    /// The pose of this picture is worthless, although nothing tells.
+    pub fn spoiled(&mut self, sequence: u64) {
+        self.spoiled.insert(sequence);
+    }
+
+    /// This fault of the scenario has begun.
+    pub fn began(&mut self, index: usize, now: MonotonicTime) {
+        let about = self.scenario.faults[index].kind.arm();
+        let is_on = |arm: usize| about.is_some_and(|about| about != arm) || self.truth_of(arm, now).servo_on;
+        let may_be_told = self.latched_since.iter().all(Option::is_none) && !self.state.is_latched();
+        // Only who moves misses the next command at once.
+        let misses = !matches!(self.scenario.faults[index].kind, Kind::Overrun(_)) || self.state.is_moving();
+        self.could_stop[index] = may_be_told && misses && is_on(HAND_ARM) && is_on(TARGET_ARM);
+        self.began_at[index] = Some(now);
+    }
+
+    /// This fault of the scenario has ended.
+    pub fn ceased(&mut self, index: usize, now: MonotonicTime) {
+        self.ended_at[index] = Some(now);
+    }
+
+    /// What is truly known of an arm.
+    fn truth_of(&self, arm: usize, at: MonotonicTime) -> ArmTruth {
+        let site = [&self.cell.vs, &self.cell.tc][arm];
+        let plant = site.joints.simulated().map(|plant| plant.lock().unwrap_or_else(PoisonError::into_inner));
+        plant.map_or(ArmTruth::resting_at([f64::NAN; 7]), |plant| joints(plant, at))
+    }
+
+    /// The joint of this arm that does not do what it is told, and whether that lasts: one that was driven away takes its time to come
+    /// back to rest.
+    fn by_itself(&self, arm: usize, at: MonotonicTime) -> Option<(usize, bool)> {
+        const BACK_S: f64 = 0.1;
+        let times = self.began_at.iter().zip(&self.ended_at);
+        self.scenario.faults.iter().zip(times).find_map(|(fault, (began, ended))| {
+            let (of, joint) = fault.kind.disobeys()?;
+            let since_s = ended.map_or(-1.0, |ended| at.seconds_since(ended));
+            (of == arm && began.is_some_and(|began| began <= at) && since_s < BACK_S).then_some((joint, since_s < 0.0))
+        })
+    }
+
+    /// An estimate comes to those who move. It counts if the estimator stands by it, it is of a picture that is newer than all before by
+    /// number and time, with both eyes exposed together, of the target that was seen first, and sure enough.
+    pub fn delivered(&mut self, percept: &Percept) {
+        let Percept { frame, estimate, .. } = percept;
+        let is_newest = self.newest.is_none_or(|(number, at)| frame.sequence > number && frame.at > at);
+        if is_newest {
+            self.newest = Some((frame.sequence, frame.at));
+        }
+        let target = *self.target.get_or_insert(estimate.target);
+        let sigma = |first: usize| {
+            let variance =
+                |covariance: nalgebra::Matrix6<f64>| (0..3).map(|i| covariance[(first + i, first + i)]).sum();
+            estimate.covariance.map_or(0.0, |covariance| f64::sqrt(variance(covariance)))
+        };
+        let is_sure = sigma(0) <= SURE_M && sigma(3) <= SURE_RAD && frame.skew_s.abs() <= TOGETHER_S;
+        let is_right = estimate.target == target && !self.spoiled.contains(&frame.sequence);
+        if estimate.confidence == Confidence::Sure && is_newest && is_sure && is_right {
+            self.exposed = Some(self.exposed.map_or(frame.at, |before| before.max(frame.at)));
+        }
     }
 
     /// A control step was done.
@@ -88,13 +203,12 @@ impl Recorder {
             let why = decision.why.to_string();
             self.says_why = !why.is_empty();
             self.say(now, format!("{} {}: {why}", transition.event.name(), transition.to.name()));
-            match transition.to {
-                State::Approaching => self.may_go[HAND_ARM] = true,
-                State::Stopped | State::Fault | State::Idle | State::Selecting => self.may_go[HAND_ARM] = false,
-                _ => {}
-            }
+            self.follow(transition, now);
         }
         self.state = decision.state;
+        if let Some(refusal) = decision.refused {
+            self.say(now, refusal.to_string());
+        }
         for condition in Condition::ALL {
             let is_found = decision.found.contains(condition);
             if is_found && !self.found[condition as usize] {
@@ -103,6 +217,61 @@ impl Recorder {
             self.found[condition as usize] = is_found;
         }
         self.catch_up(now);
+    }
+
+    /// What a change of state means for who may go.
+    fn follow(&mut self, transition: Transition, now: MonotonicTime) {
+        match transition.to {
+            State::Approaching => {
+                let by_word = matches!(transition.event, Event::Start | Event::Resume);
+                let go = self.go_at.filter(|at| *at >= self.not_before && now.seconds_since(*at) <= WORD_AGE_S);
+                if by_word && (go.is_some() || !self.scenario.has_person) {
+                    self.may_go = [true; 2];
+                } else if !by_word && !self.was_told_to_rest {
+                    self.may_go[HAND_ARM] = true;
+                }
+            }
+            State::Stopped | State::Fault => self.must_rest(now, true),
+            // Without a person the arm with the target goes its way from the beginning on.
+            State::Idle | State::Selecting => self.must_rest(now, self.scenario.has_person),
+            State::Holding | State::Lost => self.not_before = now,
+            State::Tracking => {}
+        }
+        if transition.event == Event::Reset {
+            self.resets += 1;
+            (self.reset_at, self.stopped_at) = (now, None);
+        } else if transition.to.is_latched() && self.scenario.has_person {
+            self.stopped_at.get_or_insert(now);
+        }
+    }
+
+    fn must_rest(&mut self, now: MonotonicTime, both: bool) {
+        self.not_before = now;
+        self.may_go[HAND_ARM] = false;
+        self.may_go[TARGET_ARM] &= !both;
+    }
+
+    /// The operator is there.
+    pub fn heard(&mut self, at: MonotonicTime) {
+        self.heard_at = Some(at);
+    }
+
+    /// The operator said a word, which was heard now.
+    pub fn told(&mut self, word: Word, at: MonotonicTime, now: MonotonicTime) {
+        self.say(now, format!("the operator: {}", word.name()));
+        match word {
+            Word::Start | Word::Resume => {
+                self.go_at = Some(at);
+                self.was_told_to_rest &= at < self.not_before;
+            }
+            Word::Hold => {
+                self.was_told_to_rest = true;
+                self.not_before = now;
+                self.may_go[HAND_ARM] = false;
+            }
+            Word::Stop => self.must_rest(now, true),
+            Word::Select | Word::Reset => {}
+        }
     }
 
     /// A control step has failed: both arms are stopped for good.
@@ -162,7 +331,8 @@ impl Recorder {
             let seen = monitor.snapshot();
             let gateway = end.look(|far| far.gateway.as_ref().map(|gateway| gateway.status().state));
             let by_gateway = matches!(gateway, Some(GatewayState::Fault | GatewayState::EmergencyStop));
-            let since = [seen.latched.map(|latched| latched.at), by_gateway.then_some(now), self.stopped_at];
+            let by_fault = self.stopped_by_fault(arm, now);
+            let since = [seen.latched.map(|latched| latched.at), by_gateway.then_some(now), self.stopped_at, by_fault];
             let since = since.into_iter().flatten().min();
             self.latched_since[arm] = match (self.latched_since[arm], since) {
                 (Some(before), Some(_)) => Some(before),
@@ -175,20 +345,34 @@ impl Recorder {
         }
     }
 
+    /// Since when this arm has to be latched because of what was done to it.
+    fn stopped_by_fault(&self, arm: usize, now: MonotonicTime) -> Option<MonotonicTime> {
+        let stops = |(index, fault): (usize, &Fault)| {
+            let (lasts_s, within_s) = fault.kind.stops_after_s()?;
+            let (began, ended) = (self.began_at[index].filter(|_| self.could_stop[index])?, self.ended_at[index]);
+            let at = began + Duration::from_secs_f64(within_s);
+            let is_about = fault.kind.arm().is_none_or(|about| about == arm);
+            let lasts = ended.is_none_or(|ended| ended.seconds_since(began) >= lasts_s);
+            (is_about && lasts && at <= now && at > self.reset_at).then_some(at)
+        };
+        self.scenario.faults.iter().enumerate().filter_map(stops).min()
+    }
+
+    /// Whether nothing was heard of the operator for too long.
+    fn is_alone(&self, at: MonotonicTime) -> bool {
+        self.scenario.has_person && self.heard_at.is_none_or(|heard| at.seconds_since(heard) > SILENCE_S)
+    }
+
     fn step_at(&self, at: MonotonicTime) -> Step {
         let t_s = self.t_s(at);
         let arm = |index: usize| {
-            let site = [&self.cell.vs, &self.cell.tc][index];
-            let plant = site.joints.simulated().map(|plant| plant.lock().unwrap_or_else(PoisonError::into_inner));
-            let obeys = !self.scenario.faults.iter().any(|fault| {
-                // A joint that was driven away takes its time to come back to rest.
-                fault.kind.disobeys() == Some(index) && (fault.from_s..fault.until_s() + 0.1).contains(&t_s)
-            });
+            let by_itself = self.by_itself(index, at);
             ArmTruth {
                 latched_since_s: self.latched_since[index].filter(|since| *since <= at).map(|since| self.t_s(since)),
-                obeys,
-                may_go: self.may_go[index],
-                ..plant.map_or(ArmTruth::resting_at([f64::NAN; 7]), |plant| joints(plant, at))
+                obeys: by_itself.is_none(),
+                by_itself: by_itself.filter(|(_, lasts)| *lasts).map(|(joint, _)| joint),
+                may_go: self.may_go[index] && !self.is_alone(at),
+                ..self.truth_of(index, at)
             }
         };
         Step {
@@ -196,7 +380,7 @@ impl Recorder {
             arms: [arm(HAND_ARM), arm(TARGET_ARM)],
             world_from_target: placement(&self.cell, at),
             pose_age_s: self.exposed.map_or(f64::INFINITY, |exposed| at.seconds_since(exposed)),
-            resets: 0,
+            resets: self.resets,
             state: self.state.name(),
             says_why: self.says_why,
         }

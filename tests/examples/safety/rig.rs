@@ -2,11 +2,11 @@
 
 use std::collections::VecDeque;
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use nalgebra::Vector6;
+use nalgebra::{Matrix6, Vector3, Vector6};
 use pb3dp_arm_pa10::io::arm::VirtualEnd;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
@@ -23,8 +23,9 @@ use system_tests::repository;
 use system_tests::safety::truth::{Injected, Truth};
 
 use crate::faults::{Fault, Kind};
-use crate::recorder::Recorder;
-use crate::scenario::{Dice, RUN_S, Scenario};
+use crate::recorder::{Recorder, Shared, lock};
+use crate::scenario::{Dice, Scenario};
+use crate::speaker::Speaker;
 
 /// What came before is known for so long: switching both arms off takes less.
 const HISTORY: Duration = Duration::from_secs(5);
@@ -58,12 +59,6 @@ pub struct Ran {
     pub noticed: Vec<Option<bool>>,
 }
 
-type Shared = Arc<Mutex<Recorder>>;
-
-fn lock(recorder: &Shared) -> MutexGuard<'_, Recorder> {
-    recorder.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 /// Runs a scenario.
 ///
 /// # Errors
@@ -93,7 +88,11 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
         (Strip::default(), now),
         None,
     )?;
-    let moving = Moving::new(&setup, (parts.vs, parts.tc), &*parts.experiment, now)?;
+    let mut moving = Moving::new(&setup, (parts.vs, parts.tc), &*parts.experiment, now)?;
+    if scenario.has_person {
+        let speaker = Speaker::new(scenario, Arc::clone(&clock), Arc::clone(&recorder));
+        moving = moving.with_operator(Box::new(speaker));
+    }
     let cell = parts.cell;
     let mut watching = Watching {
         looking,
@@ -104,6 +103,7 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
         begin: now,
         dice: Dice::new(!scenario.seed),
         waiting: VecDeque::new(),
+        standing: None,
     };
     let mut faulty = Faulty {
         inner: moving,
@@ -112,15 +112,26 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
         recorder: Arc::clone(&recorder),
         ends,
         begin: now,
-        begun: vec![false; scenario.faults.len()],
+        begun_s: vec![None; scenario.faults.len()],
         ended: vec![false; scenario.faults.len()],
     };
     let interrupt = AtomicBool::new(false);
-    let duration = Duration::from_secs_f64(RUN_S);
+    let duration = Duration::from_secs_f64(scenario.run_s);
     let course = Course { setup: &setup, clock: &clock, duration, interrupt: &interrupt };
     let outcome = course.run_in_lockstep(&mut watching, &mut faulty);
-    let begun = faulty.begun;
-    let mut recording = lock(&recorder);
+    let begun: Vec<_> = faulty.begun_s.iter().map(Option::is_some).collect();
+    let ended = outcome.err().map(|error| format!("{error:#}"));
+    Ok(afterwards(scenario, &begun, (&clock, &recorder), ended))
+}
+
+/// Both arms are looked at for a while, and what was noticed is put together.
+fn afterwards(
+    scenario: &Scenario,
+    begun: &[bool],
+    (clock, recorder): (&Arc<dyn Clock>, &Shared),
+    ended: Option<String>,
+) -> Ran {
+    let mut recording = lock(recorder);
     recording.ended();
     recording.catch_up(clock.now());
     let until = clock.now() + AFTERWARDS;
@@ -130,12 +141,11 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
     }
     let ended_s = recording.t_s(clock.now());
     let noticed: Vec<_> =
-        scenario.faults.iter().zip(&begun).map(|(fault, begun)| noticed(fault, *begun, &recording.noticed_s)).collect();
+        scenario.faults.iter().zip(begun).map(|(fault, begun)| noticed(fault, *begun, &recording.noticed_s)).collect();
+    let faults = scenario.faults.iter().enumerate();
     recording.truth.injected =
-        scenario.faults.iter().zip(&begun).filter_map(|(fault, begun)| injected(fault, *begun, ended_s)).collect();
-    let truth = std::mem::take(&mut recording.truth);
-    drop(recording);
-    Ok(Ran { truth, ended: outcome.err().map(|error| format!("{error:#}")), noticed })
+        faults.filter_map(|(index, fault)| injected(fault, recording.could_stop_s(index), ended_s)).collect();
+    Ran { truth: std::mem::take(&mut recording.truth), ended, noticed }
 }
 
 /// Something is noticed of a fault until so long after its end, seconds.
@@ -146,14 +156,15 @@ fn noticed(fault: &Fault, begun: bool, noticed_s: &[f64]) -> Option<bool> {
     begun.then(|| noticed_s.iter().any(|t_s| within.contains(t_s)))
 }
 
-/// What the log has to tell of.
-fn injected(fault: &Fault, begun: bool, ended_s: f64) -> Option<Injected> {
+/// What the log has to tell of: from when it began, seconds.
+fn injected(fault: &Fault, from_s: Option<f64>, ended_s: f64) -> Option<Injected> {
     let words = fault.kind.words();
-    (begun && !words.is_empty()).then(|| Injected {
+    let from_s = from_s.filter(|_| !words.is_empty())?;
+    Some(Injected {
         name: fault.kind.name().to_owned(),
-        from_s: fault.from_s,
+        from_s,
         // What latches is told of at once, however long its cause lasts.
-        until_s: fault.from_s.min(ended_s),
+        until_s: from_s.min(ended_s),
         had_effect: true,
         words,
     })
@@ -170,6 +181,8 @@ struct Watching<'a> {
     dice: Dice,
     /// Percepts that are late, and when they are due.
     waiting: VecDeque<(MonotonicTime, Percept)>,
+    /// The number at which those of pictures stand.
+    standing: Option<u64>,
 }
 
 impl Watcher for Watching<'_> {
@@ -238,9 +251,34 @@ impl Watching<'_> {
                 percept.observation.iter_mut().for_each(|observation| observation.at = percept.frame.at);
             }
             Kind::OtherTarget => percept.estimate.target += 1,
+            Kind::NumbersStand => {
+                let number = *self.standing.get_or_insert(percept.frame.sequence.saturating_sub(1));
+                percept.frame.sequence = number;
+            }
+            Kind::Scatter(by_m) => {
+                let side = [0, 1, 2].map(|_| self.dice.within(-1.0, 1.0));
+                scatter(&mut percept, by_m, side);
+                lock(&self.recorder).spoiled(percept.frame.sequence);
+            }
+            Kind::Unsure(factors) => {
+                let share = |i: usize| if i < 3 { factors[0] } else { factors[1] };
+                let scaled = |covariance: Matrix6<f64>| covariance.map_with_location(|i, j, c| c * share(i) * share(j));
+                percept.estimate.covariance = percept.estimate.covariance.map(scaled);
+                percept.observation.iter_mut().for_each(|seen| seen.covariance = seen.covariance.map(scaled));
+            }
             _ => {}
         }
         Some(percept)
+    }
+}
+
+/// Moves a pose by this much to a side that has no length of its own.
+fn scatter(percept: &mut Percept, by_m: f64, side: [f64; 3]) {
+    let side = Vector3::from(side);
+    let way_m = side.try_normalize(1e-6).unwrap_or_else(Vector3::x) * by_m;
+    if let Some(observation) = &mut percept.observation {
+        let xi = Vector6::new(way_m.x, way_m.y, way_m.z, 0.0, 0.0, 0.0);
+        observation.cam_left_from_model = observation.cam_left_from_model.perturbed_in_from(&xi);
     }
 }
 
@@ -259,7 +297,8 @@ struct Faulty<'a> {
     recorder: Shared,
     ends: Vec<VirtualEnd>,
     begin: MonotonicTime,
-    begun: Vec<bool>,
+    /// When each fault really began, seconds: arms that are switched on keep the control loop waiting.
+    begun_s: Vec<Option<f64>>,
     ended: Vec<bool>,
 }
 
@@ -276,9 +315,7 @@ impl Mover for Faulty<'_> {
     }
 
     fn observe(&mut self, percept: Percept, now: MonotonicTime) {
-        if percept.estimate.confidence == Confidence::Sure {
-            lock(&self.recorder).delivered(percept.frame.at);
-        }
+        lock(&self.recorder).delivered(&percept);
         self.inner.observe(percept, self.shown(now));
     }
 
@@ -286,13 +323,16 @@ impl Mover for Faulty<'_> {
         let t_s = now.seconds_since(self.begin);
         for index in 0..self.scenario.faults.len() {
             let fault = &self.scenario.faults[index];
-            if !self.begun[index] && t_s >= fault.from_s {
-                self.begun[index] = true;
+            if self.begun_s[index].is_none() && t_s >= fault.from_s {
+                self.begun_s[index] = Some(t_s);
+                lock(&self.recorder).began(index, self.clock.now());
                 self.begin_fault(fault)?;
             }
-            if !self.ended[index] && t_s >= fault.until_s() {
+            let is_over = self.begun_s[index].is_some_and(|begun_s| t_s >= begun_s + fault.for_s);
+            if is_over && !self.ended[index] {
                 self.ended[index] = true;
                 self.end_fault(fault)?;
+                lock(&self.recorder).ceased(index, self.clock.now());
             }
         }
         let stepped = self.inner.step(self.shown(now));

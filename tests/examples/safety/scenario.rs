@@ -67,6 +67,10 @@ pub struct Scenario {
     pub carrier: Carrier,
     /// What goes wrong, 1 to 5, in order of time.
     pub faults: Vec<Fault>,
+    /// How long it lasts, seconds.
+    pub run_s: f64,
+    /// Whether a person leads, who resets and goes on; otherwise the run ends with the first stop.
+    pub has_person: bool,
 }
 
 impl Scenario {
@@ -85,8 +89,31 @@ impl Scenario {
             })
             .collect();
         faults.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
-        Self { seed, motion_name, motion, carrier, faults }
+        let has_person = dice.unit() < 0.5;
+        Self { seed, motion_name, motion, carrier, faults, run_s: RUN_S, has_person }
     }
+}
+
+/// A target that swings by itself or on the other arm, as the hand can follow.
+#[cfg(feature = "disabled-guards")]
+pub fn swing(carrier: Carrier, channel: Channel, amplitude: f64, period_s: f64) -> (MotionConfig, Carrier) {
+    let axes = ExperimentAxes::TargetAtStart;
+    (MotionConfig::Sine(SineConfig { channel, amplitude, period_s, periods: 100, lead_in_s: 1.0, axes }), carrier)
+}
+
+/// A target that goes there and back, by so many metres or radians in so much time.
+#[cfg(feature = "disabled-guards")]
+pub fn there_and_back(carrier: Carrier, channel: Channel, way: f64, move_s: f64) -> (MotionConfig, Carrier) {
+    let motion = MotionConfig::Steps(StepExperimentConfig {
+        channels: vec![channel],
+        translation_m: if channel.is_rotation() { 0.1 } else { way },
+        rotation_rad: if channel.is_rotation() { way } else { 0.1 },
+        move_s,
+        hold_s: 1.0,
+        lead_in_s: 1.0,
+        axes: ExperimentAxes::TargetAtStart,
+    });
+    (motion, carrier)
 }
 
 /// How the target moves: on the other arm or by itself, as the hand can follow or as it can not.
@@ -141,7 +168,7 @@ mod tests {
         assert_ne!(text(7), text(8));
         let runs: Vec<_> = (0..2000).map(Scenario::of).collect();
         let kinds: BTreeSet<&str> = runs.iter().flat_map(|run| &run.faults).map(|fault| fault.kind.name()).collect();
-        assert_eq!(kinds.len(), Kind::NAMES.len(), "{kinds:?}");
+        assert_eq!(kinds.len(), Kind::COUNT, "{kinds:?}");
         let motions: BTreeSet<&str> = runs.iter().map(|run| run.motion_name).collect();
         assert_eq!(motions.len(), 6);
         for run in &runs {

@@ -58,6 +58,8 @@ pub struct ArmTruth {
     pub latched_since_s: Option<f64>,
     /// Whether each joint follows what its servo is told: false while an injected fault moves a joint by itself.
     pub obeys: bool,
+    /// The joint that an injected fault moves or keeps at present, from 0.
+    pub by_itself: Option<usize>,
     /// Whether the operator's last word lets the arm move: for the hand `start` or `resume`, or the policy that takes the place of
     /// `resume`, with no `hold`, `stop` or latched fault since; for the other arm the begin of the experiment.
     pub may_go: bool,
@@ -73,6 +75,7 @@ impl ArmTruth {
             brakes_closed: false,
             latched_since_s: None,
             obeys: true,
+            by_itself: None,
             may_go: true,
         }
     }

@@ -7,25 +7,27 @@ use crate::violation::Violation;
 
 /// One line per package: which of our packages it may depend on. Lowest floor first; a package may name only what stands
 /// above its own line. Names without the prefix `pb3dp-`.
-const ALLOWED: [(&str, &[&str]); 16] = [
+const ALLOWED: [(&str, &[&str]); 17] = [
     ("allocation-count", &[]),
+    ("safeguards", &[]),
     ("geometry", &[]),
     ("kinematics", &["geometry"]),
     ("estimation", &["geometry"]),
     ("record", &["geometry"]),
-    ("servo", &["geometry", "kinematics"]),
+    ("servo", &["safeguards", "geometry", "kinematics"]),
     ("sim", &["geometry", "kinematics"]),
     ("hal-api", &["geometry", "kinematics"]),
     ("hal-clock", &["geometry", "hal-api"]),
-    ("hal-middleware", &["geometry", "kinematics", "hal-api"]),
+    ("hal-middleware", &["safeguards", "geometry", "kinematics", "hal-api"]),
     ("hal-conformance", &["geometry", "kinematics", "hal-api"]),
     ("camera-replay", &["geometry", "hal-api", "record"]),
     ("camera-sim", &["geometry", "kinematics", "hal-api", "sim"]),
-    ("arm-pa10", &["geometry", "kinematics", "hal-api", "sim"]),
+    ("arm-pa10", &["safeguards", "geometry", "kinematics", "hal-api", "sim"]),
     ("benchmarks", &["geometry", "estimation", "record", "sim"]),
     (
         "orchestrator",
         &[
+            "safeguards",
             "geometry",
             "kinematics",
             "estimation",
@@ -59,6 +61,9 @@ const SEES_NOTHING: &str = "xtask";
 const SERDE_USERS: [&str; 3] = ["orchestrator", "record", "benchmarks"];
 const SERDE_CRATES: [&str; 6] = ["serde", "serde_json", "serde-saphyr", "toml", "figment", "serde_derive"];
 
+/// Lets tests switch safeguards off: nothing may enable it but who builds a test and says so.
+const TEST_FEATURE: &str = "disabled-guards";
+
 /// One of our packages and what it depends on.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Package {
@@ -70,6 +75,8 @@ pub struct Package {
     pub dependencies: Vec<String>,
     /// Dependencies of its tests, ours without the prefix.
     pub test_dependencies: Vec<String>,
+    /// What enables [`TEST_FEATURE`] without being asked for by that name: other features, and dependencies.
+    pub enablers: Vec<String>,
 }
 
 fn short(name: &str) -> String {
@@ -92,9 +99,21 @@ fn package(package: &Value) -> anyhow::Result<Package> {
     for dependency in package["dependencies"].as_array().context("a package has no dependencies")? {
         let name = short(dependency["name"].as_str().context("a dependency has no name")?);
         let for_tests = dependency["kind"].as_str() == Some("dev");
+        if enables(&dependency["features"]) {
+            found.enablers.push(format!("the dependency {name}"));
+        }
         if for_tests { found.test_dependencies.push(name) } else { found.dependencies.push(name) }
     }
+    let features = package["features"].as_object().into_iter().flatten();
+    let others = features.filter(|(name, list)| *name != TEST_FEATURE && enables(list));
+    found.enablers.extend(others.map(|(name, _)| format!("the feature {name}")));
     Ok(found)
+}
+
+/// Whether a list of features holds the one for tests, of whatever package.
+fn enables(features: &Value) -> bool {
+    let of = |feature: &Value| feature.as_str().and_then(|text| text.rsplit('/').next()) == Some(TEST_FEATURE);
+    features.as_array().is_some_and(|features| features.iter().any(of))
 }
 
 /// Checks every package against the tables.
@@ -105,8 +124,13 @@ pub fn check(packages: &[Package]) -> Vec<Violation> {
 
 fn check_package(package: &Package, ours: &[&str]) -> Vec<Violation> {
     let place = format!("package {}", package.name);
+    let enabled = package.enablers.iter().map(|by| {
+        let message = format!("{by} enables {TEST_FEATURE}, with which safeguards can be switched off: leave it out");
+        Violation::of(&place, "test-feature", message)
+    });
+    let mut violations: Vec<_> = enabled.collect();
     if package.name == SEES_ALL {
-        return Vec::new();
+        return violations;
     }
     let listed = ALLOWED.iter().find(|(name, _)| *name == package.name).map(|(_, allowed)| *allowed);
     let allowed: &[&str] = match listed {
@@ -117,7 +141,6 @@ fn check_package(package: &Package, ours: &[&str]) -> Vec<Violation> {
             return vec![Violation::of(&place, "unknown-package", message)];
         }
     };
-    let mut violations = Vec::new();
     let is_ours = |name: &&String| ours.contains(&name.as_str());
     for name in package.dependencies.iter().filter(is_ours).filter(|name| !allowed.contains(&name.as_str())) {
         let message = format!("must not depend on {name}: see the floors in ARCHITECTURE.md");
@@ -150,7 +173,7 @@ mod tests {
     fn with(name: &str, in_hal: bool, dependencies: &[&str], test_dependencies: &[&str]) -> Package {
         let owned = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
         let (dependencies, test_dependencies) = (owned(dependencies), owned(test_dependencies));
-        Package { name: name.to_owned(), in_hal, dependencies, test_dependencies }
+        Package { name: name.to_owned(), in_hal, dependencies, test_dependencies, enablers: Vec::new() }
     }
 
     fn rules(package: Package) -> Vec<&'static str> {
@@ -203,6 +226,22 @@ mod tests {
         assert_eq!(rules(with("geometry", false, &["serde"], &[])), ["serde"]);
         assert_eq!(rules(with("record", false, &["serde", "serde-saphyr"], &[])), [""; 0]);
         assert_eq!(rules(with("vision", false, &[], &[])), ["unknown-package"]);
+    }
+
+    #[test]
+    fn who_enables_the_switches_of_safeguards_is_caught() {
+        let of = |features: Value, dependencies: Value| {
+            let servo = serde_json::json!({"name": "pb3dp-servo", "source": null, "manifest_path": "/x/crates/servo/Cargo.toml",
+                "dependencies": dependencies, "features": features});
+            rules(packages(&serde_json::json!({"packages": [servo]})).expect("complete").remove(0))
+        };
+        let json = |text: &str| serde_json::from_str::<Value>(text).expect("JSON");
+        let asked_for = json(r#"{"disabled-guards": ["pb3dp-safeguards/disabled-guards"]}"#);
+        assert_eq!(of(asked_for, json("[]")), [""; 0]);
+        assert_eq!(of(json(r#"{"default": ["disabled-guards"]}"#), json("[]")), ["test-feature"]);
+        assert_eq!(of(json(r#"{"fast": ["pb3dp-safeguards/disabled-guards"]}"#), json("[]")), ["test-feature"]);
+        let dependency = r#"[{"name": "pb3dp-safeguards", "kind": "dev", "features": ["disabled-guards"]}]"#;
+        assert_eq!(of(json("{}"), json(dependency)), ["test-feature"]);
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use nalgebra::Matrix6;
 use pb3dp_geometry::MonotonicTime;
+use pb3dp_safeguards::{Safeguard, is_off};
 
 use super::inputs::{ArmCondition, Confidence, EstimateInput, FrameInput, Innovation, Inputs};
 use super::policy::{Action, Condition, Policies};
@@ -111,8 +112,9 @@ impl Findings {
 
     /// Finds out what is wrong now.
     pub(super) fn look(&mut self, inputs: &Inputs, policies: &Policies, now: MonotonicTime) {
-        let step_max_s = policies.get(Condition::ClockStepped).threshold;
-        let step_s = self.clock_step_s(inputs, step_max_s, now);
+        let looks_at_clock = !is_off(Safeguard::ClockStepped);
+        let step_max_s = if looks_at_clock { policies.get(Condition::ClockStepped).threshold } else { f64::INFINITY };
+        let step_s = self.clock_step_s(inputs, step_max_s, now).filter(|_| looks_at_clock);
         if step_s.is_some_and(|step_s| step_s < 0.0) {
             // Nothing that was measured before can be told from the future any more.
             self.forget_target();
@@ -138,6 +140,7 @@ impl Findings {
                 | Condition::ControllerRests => of_the_moment(condition, threshold, inputs, now),
                 _ => self.of_the_target(condition, threshold, now),
             };
+            let found = found.filter(|_| !safeguard(condition).is_some_and(is_off));
             let threshold = if condition.rule().threshold.is_some() { threshold } else { 0.0 };
             let index = condition as usize;
             self.found[index] = found.map(|(value, detail)| Cause { condition, value, threshold, detail });
@@ -255,6 +258,31 @@ impl Findings {
     pub(super) fn cause(&self, condition: Condition) -> Option<Cause> {
         self.found[condition as usize]
     }
+}
+
+/// Its name for tests, if anything more than a note or a slower hand may follow on it.
+const fn safeguard(condition: Condition) -> Option<Safeguard> {
+    Some(match condition {
+        Condition::EmergencyStop => Safeguard::EmergencyStop,
+        Condition::ArmFault => Safeguard::ArmFault,
+        Condition::ArmDisabled => Safeguard::ArmDisabled,
+        Condition::ClockStepped => Safeguard::ClockStepped,
+        Condition::OperatorSilent => Safeguard::OperatorSilent,
+        Condition::JointsStale => Safeguard::JointsStale,
+        Condition::TargetChanged => Safeguard::TargetChanged,
+        Condition::FrameStale => Safeguard::FrameStale,
+        Condition::FrameOrder => Safeguard::FrameOrder,
+        Condition::TargetLost => Safeguard::TargetLost,
+        Condition::EstimateStale => Safeguard::EstimateStale,
+        Condition::PositionJump => Safeguard::PositionJump,
+        Condition::OrientationJump => Safeguard::OrientationJump,
+        Condition::Outlier => Safeguard::Outlier,
+        Condition::PositionUncertain => Safeguard::PositionUncertain,
+        Condition::OrientationUncertain => Safeguard::OrientationUncertain,
+        Condition::CameraSkew => Safeguard::CameraSkew,
+        Condition::ControllerRests => Safeguard::ControllerRests,
+        Condition::LowConfidence | Condition::LimitNear | Condition::Singularity => return None,
+    })
 }
 
 /// What the inputs of one step tell.

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::{JointState, JointVector};
+use pb3dp_safeguards::{Safeguard, is_off};
 
 use super::config::LimitsCheck;
 use super::machine::{AxisLimits, Driver, Latched};
@@ -47,7 +48,10 @@ impl Driver {
             }
         };
         let too_old = || sample.too_old().map(Trip::Fault);
-        if let Some(trip) = found.or_else(lost).or(overloaded).or_else(too_old) {
+        let found = found.or_else(lost).filter(|_| !is_off(Safeguard::DriverAlarms));
+        let overloaded = overloaded.filter(|_| !is_off(Safeguard::DriverTorque));
+        let too_old = || too_old().filter(|_| !is_off(Safeguard::DriverMeasurementAge));
+        if let Some(trip) = found.or(overloaded).or_else(too_old) {
             self.trip(now, trip);
             return;
         }
@@ -133,7 +137,7 @@ impl Driver {
             self.handle_done(now);
             return;
         }
-        if let (Some(misses), false) = (too_many, self.is_stopping_latched()) {
+        if let (Some(misses), false) = (too_many, self.is_stopping_latched() || is_off(Safeguard::DriverLink)) {
             self.trip(now, Trip::Fault(FaultCause::LinkLost { misses }));
         }
         if let Phase::Stopping(StopStep::End { tries }) = self.phase

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use pb3dp_geometry::MonotonicTime;
+use pb3dp_safeguards::{Safeguard, is_off};
 
 use super::bus::{Askers, Bus, Outstanding, count};
 use super::config::GatewayConfig;
@@ -286,7 +287,7 @@ impl Machine {
                 self.end_started(now);
             }
             GatewayState::Holding | GatewayState::Moving
-                if self.motion.age(now) >= self.config.watchdog.stop_after() =>
+                if self.motion.age(now) >= self.config.watchdog.stop_after() && !is_off(Safeguard::GatewayWatchdog) =>
             {
                 self.trip(now, StopCause::HostSilent, None, 0);
             }
@@ -338,7 +339,7 @@ impl Machine {
         }
         match (self.purpose, self.work) {
             (Purpose::Cycle, Work::Stop(StopStep::Check { left: 0 })) => self.latch_found(now),
-            (Purpose::Cycle, _) if self.bus.misses >= SILENT_CYCLES => {
+            (Purpose::Cycle, _) if self.bus.misses >= SILENT_CYCLES && !is_off(Safeguard::GatewayBus) => {
                 self.trip(now, StopCause::ControllerSilent, None, 0);
             }
             (Purpose::Cycle, _) | (Purpose::Work, Work::Steady) => {}

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use pb3dp_geometry::MonotonicTime;
+use pb3dp_safeguards::{Safeguard, is_off};
 
 use crate::codec::{ArmCommand, Axis, AxisCommand, SpeedCounts, Supervision};
 use crate::watchdog::{CommandWatchdog, Staleness};
@@ -171,6 +172,7 @@ impl Motion {
     /// The command of this cycle, and whether the watchdog slows it down.
     pub fn command(&self, now: MonotonicTime, watchdog: &CommandWatchdog) -> (ArmCommand, bool) {
         let (left, slowed) = match watchdog.judge(self.age(now)) {
+            _ if is_off(Safeguard::GatewayWatchdog) => (1.0, false),
             Staleness::Fresh => (1.0, false),
             Staleness::Ramp(part) => (part, true),
             Staleness::Expired => (0.0, true),

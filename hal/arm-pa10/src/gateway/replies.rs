@@ -1,6 +1,7 @@
 //! What the bus brings, and what becomes of it.
 
 use pb3dp_geometry::MonotonicTime;
+use pb3dp_safeguards::{Safeguard, is_off};
 
 use super::bus::{Arrived, Askers, RawReply};
 use super::host::{Asker, Refused};
@@ -48,7 +49,7 @@ impl Machine {
         self.hear(now);
         self.note_found(now, reply);
         let condition = Sample::from_reply(reply, &self.config.torque_scale).condition;
-        let found = self.judge(&condition);
+        let found = self.judge(&condition).filter(|_| !is_off(Safeguard::GatewayAlarms));
         if let Work::Job(Job { asker, task: Task::Reset(ResetStep::Look) }) = self.work {
             let found = found.map_or(StopCause::None, |found| found.cause);
             self.go_on(asker, ResetStep::End { found });

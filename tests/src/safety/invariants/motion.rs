@@ -120,9 +120,14 @@ impl Disobedience {
             return;
         }
         self.ever = true;
+        // A joint that is stuck, or behind its brake, moves nothing; what its arm makes of it the other limits judge.
+        let moves = truth.by_itself.is_some_and(|joint| truth.velocity_rad_per_s[joint].abs() > rules.rest_rad_per_s);
+        if !moves {
+            self.since_s = None;
+            return;
+        }
         let lasts_s = step.t_s - *self.since_s.get_or_insert(step.t_s);
-        let moves = truth.velocity_rad_per_s.iter().any(|speed| speed.abs() > rules.rest_rad_per_s);
-        if moves && truth.latched_since_s.is_none() && lasts_s > rules.disobedience_s {
+        if truth.latched_since_s.is_none() && lasts_s > rules.disobedience_s {
             let place = Place { invariant: Invariant::Disobedience, arm: Some(arm), joint: None, t_s: step.t_s };
             found.push(place, (lasts_s, rules.disobedience_s), "");
         }

@@ -209,6 +209,9 @@ fn a_joint_that_moves_by_itself_has_to_be_stopped() {
             move |step| {
                 let arm = &mut step.arms[HAND_ARM];
                 arm.obeys = step.t_s < 1.0 || step.t_s >= latched_at_s;
+                arm.by_itself = (!arm.obeys).then_some(0);
+                // Where it swings it is at rest for moments.
+                arm.velocity_rad_per_s[0] += if arm.obeys { 0.0 } else { 0.3 };
                 arm.latched_since_s = (step.t_s >= latched_at_s).then_some(latched_at_s);
             },
         )
@@ -220,6 +223,10 @@ fn a_joint_that_moves_by_itself_has_to_be_stopped() {
     assert!(stopped(&by_itself(2.5)));
     let found = found_in(&by_itself(4.0));
     assert!(found.iter().any(|seen| (seen.invariant, seen.arm) == (Invariant::Disobedience, Some(HAND_ARM))));
+    // One that is stuck, axis 4, moves nothing.
+    let mut stuck = by_itself(4.0);
+    stuck.steps.iter_mut().for_each(|step| step.arms[HAND_ARM].by_itself = Some(3));
+    assert!(found_in(&stuck).iter().all(|seen| seen.invariant != Invariant::Disobedience));
 }
 
 #[test]

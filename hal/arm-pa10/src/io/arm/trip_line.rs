@@ -4,6 +4,7 @@ use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
+use pb3dp_safeguards::{Safeguard, is_off};
 use rustix::event::{EventfdFlags, eventfd};
 
 use crate::driver::{FaultCause, Trip};
@@ -95,7 +96,7 @@ impl TripSeat {
     /// Stops all arms but this one, which has this number.
     pub(super) fn trip_others(&self, this: ArmId) {
         for (index, member) in self.members.iter().enumerate() {
-            if index != self.index {
+            if index != self.index && !is_off(Safeguard::TripLine) {
                 member.trip(ARM + u32::from(this.0));
             }
         }
