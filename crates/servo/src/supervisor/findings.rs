@@ -57,6 +57,8 @@ pub(super) struct Findings {
     frame: Option<FrameInput>,
     disorder: Option<Detail>,
     estimate: Option<EstimateInput>,
+    /// The newest estimate with a pose: how sure the target's pose is, until another one says so. That none comes makes it no surer.
+    posed: Option<EstimateInput>,
     /// Exposure of the newest estimate that counts as confident.
     confident_at: Option<MonotonicTime>,
     /// Pictures from before are not of the target that was selected.
@@ -76,6 +78,7 @@ impl Findings {
             frame: None,
             disorder: None,
             estimate: None,
+            posed: None,
             confident_at: None,
             not_before: MonotonicTime::ZERO,
             innovation: Innovation::NoneNew,
@@ -105,6 +108,7 @@ impl Findings {
 
     fn forget_target(&mut self) {
         self.estimate = None;
+        self.posed = None;
         self.followed_target = None;
         self.confident_at = None;
         self.innovation = Innovation::NoneNew;
@@ -183,6 +187,7 @@ impl Findings {
         }
         self.estimate = Some(estimate);
         if estimate.confidence != Confidence::NoPose {
+            self.posed = Some(estimate);
             self.followed_target = Some(estimate.target);
         }
         if estimate.confidence == Confidence::Sure {
@@ -192,8 +197,7 @@ impl Findings {
 
     fn of_the_target(&self, condition: Condition, threshold: f64, now: MonotonicTime) -> Option<(f64, Detail)> {
         let age_s = |at: Option<MonotonicTime>| at.map_or(f64::INFINITY, |at| now.seconds_since(at));
-        let with_pose = self.estimate.filter(|estimate| estimate.confidence != Confidence::NoPose);
-        let sigma = |first| Some(root_of_trace(&with_pose?.covariance?, first));
+        let sigma = |first| Some(root_of_trace(&self.posed?.covariance?, first));
         match condition {
             Condition::TargetChanged => {
                 let (started, followed) = (self.started_target?, self.followed_target?);

@@ -256,6 +256,30 @@ fn numbers_that_are_none_count_as_the_worst() {
     }
 }
 
+/// A target that goes out of sight is no surer for that: the hand went on for as long as its last pose was fresh enough.
+#[test]
+fn a_pose_that_is_too_uncertain_stays_so_until_there_is_another_one() {
+    for first in [0, 3] {
+        let mut bench = Bench::following(config());
+        bench.lie(move |i| i.estimate.as_mut().unwrap().covariance = Some(deviating_by(first, 2.0)));
+        bench.run(0.2);
+        assert_eq!(bench.state(), State::Holding, "{}", bench.why());
+        bench.lie(|i| {
+            let estimate = i.estimate.as_mut().unwrap();
+            (estimate.confidence, estimate.covariance) = (Confidence::NoPose, None);
+        });
+        assert!(!bench.run(2.0), "{}", bench.why());
+        bench.truth();
+        assert!(bench.run(0.3), "{}", bench.why());
+    }
+}
+
+fn deviating_by(first: usize, sigma: f64) -> Matrix6<f64> {
+    let mut covariance = Matrix6::from_diagonal_element(1e-8);
+    covariance[(first, first)] = sigma * sigma;
+    covariance
+}
+
 /// Without a covariance the method can not say, and other conditions have to do.
 #[test]
 fn a_method_without_covariance_is_not_held_for_it() {
