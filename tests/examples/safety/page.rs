@@ -24,6 +24,7 @@ pub fn text(figures: &Figures, seed: u64, origin: &str) -> String {
 }
 
 /// With this the part about safeguards begins: another build writes it than the part before.
+const HEADING: &str = "# Safety";
 const SAFEGUARDS: &str = "## Safeguards, each switched off";
 
 /// Writes one part of the page, or both; the other one stays as it is.
@@ -34,7 +35,7 @@ pub fn write_part(folder: &Path, runs: Option<&str>, safeguards: Option<&str>) -
     let path = folder.join("safety.md");
     let before = std::fs::read_to_string(&path).unwrap_or_default();
     let (runs_before, safeguards_before) = before.split_at(before.find(SAFEGUARDS).unwrap_or(before.len()));
-    let runs = runs.unwrap_or(runs_before).trim_end();
+    let runs = Some(runs.unwrap_or(runs_before).trim_end()).filter(|runs| !runs.is_empty()).unwrap_or(HEADING);
     let text = format!("{runs}\n\n{}", safeguards.unwrap_or(safeguards_before).trim_end());
     std::fs::write(&path, format!("{}\n", text.trim()))
         .with_context(|| format!("{}: can not be written", path.display()))
@@ -100,7 +101,7 @@ fn broken(violations: &[Violation]) -> String {
 
 fn write(page: &mut String, figures: &Figures, (seed, origin): (u64, &str)) -> std::fmt::Result {
     let Figures { runs, virtual_s, .. } = figures;
-    writeln!(page, "# Safety\n")?;
+    writeln!(page, "{HEADING}\n")?;
     writeln!(page, "`cargo xtask bench safety --seed {seed} --runs {runs}`; {origin}\n")?;
     writeln!(
         page,
