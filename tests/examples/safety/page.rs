@@ -23,8 +23,9 @@ pub fn text(figures: &Figures, seed: u64, origin: &str) -> String {
     page
 }
 
-/// With this the part about safeguards begins: another build writes it than the part before.
+/// Of the page.
 const HEADING: &str = "# Safety";
+/// With this the part about safeguards begins: another build writes it than the part before.
 const SAFEGUARDS: &str = "## Safeguards, each switched off";
 
 /// Writes one part of the page, or both; the other one stays as it is.
