@@ -212,16 +212,8 @@ impl Shape {
     fn weigh_frame(&mut self, shares: &Shares) {
         let Self { grid, frame, rows, plane_learnt, .. } = self;
         let stiffness = plane_stiffness(&grid.plane, &frame.information, rows);
-        let Some(cholesky) = stiffness.cholesky() else { return };
-        let (lower, upper) = (cholesky.l(), cholesky.l().transpose());
-        let Some(inverse) = lower.solve_lower_triangular(&Matrix3::identity()) else { return };
-        // In these axes the frame's information about the plane is 1.
-        let learnt = inverse * *plane_learnt * inverse.transpose();
-        let axes = (0.5 * (learnt + learnt.transpose())).symmetric_eigen();
-        let taken = axes.eigenvalues.map(|learnt| shares.plane.min((shares.plane_in_all - learnt).max(0.0)));
-        let taken = axes.eigenvectors * Matrix3::from_diagonal(&taken) * axes.eigenvectors.transpose();
-        *plane_learnt += lower * taken * upper;
-        let beyond_relief = inverse.transpose() * (taken - Matrix3::identity() * shares.relief) * inverse;
+        // Where rounding leaves nothing to be told of the plane, all of it counts as the relief does.
+        let beyond_relief = take_of_plane(plane_learnt, &stiffness, shares).unwrap_or_default();
         weigh((&mut frame.information, &mut frame.pull), shares.relief, (&beyond_relief, &grid.plane, rows));
     }
 
@@ -407,6 +399,20 @@ fn plane_stiffness(planes: &[Vector3<f64>], information: &[f64], rows: &mut [f64
         rows[3 * i..3 * i + 3].copy_from_slice(row.as_slice());
     }
     stiffness + Matrix3::identity() * (1e-9 * stiffness.trace().abs() + 1e-9)
+}
+
+/// Adds to `learnt` what is to be taken of a frame that says `stiffness` about the plane; what that is beyond the relief's share, for
+/// [`weigh`]. None if `stiffness` is not positive definite.
+fn take_of_plane(learnt: &mut Matrix3<f64>, stiffness: &Matrix3<f64>, shares: &Shares) -> Option<Matrix3<f64>> {
+    let lower = stiffness.cholesky()?.l();
+    let inverse = lower.solve_lower_triangular(&Matrix3::identity())?;
+    // In these axes the frame's information about the plane is 1.
+    let known = inverse * *learnt * inverse.transpose();
+    let axes = (0.5 * (known + known.transpose())).symmetric_eigen();
+    let taken = axes.eigenvalues.map(|known| shares.plane.min((shares.plane_in_all - known).max(0.0)));
+    let taken = axes.eigenvectors * Matrix3::from_diagonal(&taken) * axes.eigenvectors.transpose();
+    *learnt += lower * taken * lower.transpose();
+    Some(inverse.transpose() * (taken - Matrix3::identity() * shares.relief) * inverse)
 }
 
 /// Takes a share of information and vector, and of the part along the plane what `by_plane` says beyond that.

@@ -134,6 +134,15 @@ fn however_many_frames_repeat_it_the_plane_moves_no_further_than_two_of_them_wou
 }
 
 #[test]
+fn a_frame_that_rounding_has_spoilt_counts_no_more_than_others() {
+    let mut shape = Shape::over(grid(), 1.5);
+    show(&mut shape, &bumps(), 7);
+    shape.frame.information.iter_mut().for_each(|x| *x = -*x);
+    shape.weigh_frame(&Shares { relief: 0.5, plane: 0.15, plane_in_all: 2.0 });
+    assert!((shape.frame.information[0] + 0.5 * KNOWN).abs() < 1e-9, "{}", shape.frame.information[0]);
+}
+
+#[test]
 fn what_the_pose_may_explain_is_not_learnt() {
     // One unknown of the pose moves all nodes alike: a frame then says nothing about their mean.
     let mut shape = Shape::over(grid(), 1.5);
