@@ -1,6 +1,7 @@
 //! The one place that names backends: from a setup to running parts.
 
 pub mod arm;
+mod at_once;
 pub mod commissioning;
 mod greeting;
 
@@ -33,6 +34,7 @@ use pb3dp_sim::targets;
 use pb3dp_sim::trajectory::{AtRest, MotionConfig, Trajectory};
 
 use self::arm::{ArmOnBus, WiredArms, wire_arms};
+use self::at_once::at_once;
 pub use greeting::{bus_doubts, geometry_doubt, watchdog_refusal};
 
 use crate::cli::ReplayPace;
@@ -191,7 +193,12 @@ fn wire_sight(setup: &Setup, cell: &SimulatedCell, clock: &Arc<dyn Clock>) -> Re
             let scene = Scene::build(&setup.scene).context("table [scene]")?;
             let outline_m = scene.target().outline_m.clone();
             let renderer = StereoRenderer::new(scene, setup.rig, &setup.sensor, fold_seed(setup.seed));
-            let camera = SimStereoCamera::new(renderer.context("table [camera]")?, poses, clock, setup.camera.clone())?;
+            let mut renderer = renderer.context("table [camera]")?;
+            if setup.pace != Pace::Fast {
+                // A pair has to be there before the next one.
+                renderer = renderer.with_run_both(at_once);
+            }
+            let camera = SimStereoCamera::new(renderer, poses, clock, setup.camera.clone())?;
             let camera: Box<dyn StereoCamera> = match faults.list.is_empty() {
                 true => Box::new(camera),
                 false => Box::new(FaultyCamera::new(camera, faults, began).context("table [camera]")?),

@@ -5,6 +5,7 @@
 //! sampled sixteen times. The same scene, poses, seed and frame index give the same bytes on every machine and in any order.
 
 mod coverage;
+mod eye;
 mod fine;
 mod shade;
 mod triangle;
@@ -13,16 +14,16 @@ mod visibility;
 
 use image::RgbImage;
 use nalgebra::{Isometry3, Vector2};
-use pb3dp_geometry::{Camera, CameraError, ImageSize, StereoRig};
+use pb3dp_geometry::{CameraError, ImageSize, StereoRig};
 
 use self::coverage::EdgePixels;
-use self::fine::Fine;
+use self::eye::Eye;
 use self::shade::{RUN_MAX, Scratch, shade_run};
-use self::triangle::{PartPose, ScreenTriangle, collect_triangles};
+use self::triangle::ScreenTriangle;
 use self::view::View;
 use self::visibility::{NOTHING, TRIANGLE_BITS, Visibility, triangle_index};
-use crate::scene::{Anchor, Scene, SceneObject, ScenePart, ScenePoses};
-use crate::sensor::{Developer, NoiseKey, SensorConfig, SensorError};
+use crate::scene::{Scene, SceneObject, ScenePart, ScenePoses};
+use crate::sensor::{NoiseKey, SensorConfig, SensorError};
 use crate::wide::wide;
 
 /// Light where nothing is seen, in 256ths of a grey level.
@@ -68,6 +69,9 @@ pub struct GroundTruth {
     pub object: Vec<SceneObject>,
 }
 
+/// Calls both, each once, in any order or at the same time.
+pub type RunBoth = fn(&mut (dyn FnMut() + Send), &mut (dyn FnMut() + Send));
+
 /// Renders stereo pairs of one scene with one rig.
 #[derive(Clone, Debug)]
 pub struct StereoRenderer {
@@ -75,22 +79,7 @@ pub struct StereoRenderer {
     rig: StereoRig,
     seed: u32,
     eyes: [Eye; 2],
-    visibility: Visibility,
-    edges: EdgePixels,
-    triangles: Vec<ScreenTriangle>,
-    light: Vec<u16>,
-    exposure_sum: Vec<u32>,
-    /// Blur of both lenses, and how far each camera is out of focus on top, pixels.
-    lens_blur_px: f64,
-    defocus_px: [f64; 2],
-    /// Finer sampling, if wanted.
-    fine: Option<Box<Fine>>,
-}
-
-#[derive(Clone, Debug)]
-struct Eye {
-    view: View,
-    developer: Developer,
+    run_both: RunBoth,
 }
 
 impl StereoRenderer {
@@ -104,26 +93,23 @@ impl StereoRenderer {
         if left != right {
             return Err(RenderError::Sizes { left, right });
         }
-        let eye = |name: &'static str, camera: &Camera, response| {
-            let view = View::new(camera).map_err(|source| RenderError::Camera { eye: name, source })?;
-            Ok::<_, RenderError>(Eye { developer: Developer::new(sensor, response, view.width), view })
+        let cam_right_from_cam_left = *rig.cam_right_from_cam_left().isometry();
+        let eyes = [
+            Eye::new("left", rig.left(), Isometry3::identity(), sensor, &sensor.left)?,
+            Eye::new("right", rig.right(), cam_right_from_cam_left, sensor, &sensor.right)?,
+        ];
+        let run_both: RunBoth = |left, right| {
+            left();
+            right();
         };
-        let eyes = [eye("left", rig.left(), &sensor.left)?, eye("right", rig.right(), &sensor.right)?];
-        let pixels = left.width as usize * left.height as usize;
-        Ok(Self {
-            scene,
-            rig,
-            seed,
-            eyes,
-            visibility: Visibility::new(pixels),
-            edges: EdgePixels::default(),
-            triangles: Vec::new(),
-            light: vec![0; 3 * pixels],
-            exposure_sum: Vec::new(),
-            lens_blur_px: sensor.lens_blur_px,
-            defocus_px: [0.0; 2],
-            fine: None,
-        })
+        Ok(Self { scene, rig, seed, eyes, run_both })
+    }
+
+    /// The same with both pictures of a pair made by what `run_both` calls; the pictures do not depend on the order.
+    #[must_use]
+    pub fn with_run_both(mut self, run_both: RunBoth) -> Self {
+        self.run_both = run_both;
+        self
     }
 
     /// The same with surfaces sampled twice as fine along either axis and blurred by the lens before the pixels integrate
@@ -133,10 +119,9 @@ impl StereoRenderer {
     /// # Errors
     /// A camera with a pixel that has no ray.
     pub fn with_fine_sampling(mut self) -> Result<Self, RenderError> {
-        self.fine = Some(Box::new(Fine::new(&self.rig)?));
-        for eye in &mut self.eyes {
-            eye.developer.leave_blur_out();
-        }
+        let [left, right] = &mut self.eyes;
+        left.sample_finely("left", self.rig.left())?;
+        right.sample_finely("right", self.rig.right())?;
         Ok(self)
     }
 
@@ -149,7 +134,9 @@ impl StereoRenderer {
         if let Some(value) = [left, right].into_iter().find(|value| !(0.0..=4.0).contains(value)) {
             return Err(SensorError { name: "defocus_px", value, min: 0.0, max: 4.0 }.into());
         }
-        self.defocus_px = [left, right];
+        for (eye, defocus_px) in self.eyes.iter_mut().zip([left, right]) {
+            eye.defocus(defocus_px);
+        }
         Ok(self)
     }
 
@@ -172,10 +159,7 @@ impl StereoRenderer {
     ///
     /// `frame_index` selects the noise: use a new one for every pair. The pictures are made to size and overwritten.
     pub fn render_pair(&mut self, poses: &ScenePoses, frame_index: u64, left: &mut RgbImage, right: &mut RgbImage) {
-        for (eye, picture) in [left, right].into_iter().enumerate() {
-            self.render_light(eye, poses);
-            self.develop(eye, frame_index, picture);
-        }
+        self.expose(std::slice::from_ref(poses), frame_index, left, right);
     }
 
     /// Renders one pair with motion blur: the mean of the light at several moments of the exposure.
@@ -189,34 +173,35 @@ impl StereoRenderer {
         left: &mut RgbImage,
         right: &mut RgbImage,
     ) -> Result<(), RenderError> {
-        match moments {
-            [] => return Err(RenderError::NoPoses),
-            [poses] => self.render_pair(poses, frame_index, left, right),
-            _ => {
-                for (eye, picture) in [left, right].into_iter().enumerate() {
-                    self.gather_light(eye, moments);
-                    self.develop(eye, frame_index, picture);
-                }
-            }
+        if moments.is_empty() {
+            return Err(RenderError::NoPoses);
         }
+        self.expose(moments, frame_index, left, right);
         Ok(())
+    }
+
+    fn expose(&mut self, moments: &[ScenePoses], frame_index: u64, left: &mut RgbImage, right: &mut RgbImage) {
+        let (scene, size, seed) = (&self.scene, self.rig.left().size(), self.seed);
+        let [left_eye, right_eye] = &mut self.eyes;
+        let key = |eye| NoiseKey { seed, frame_index, eye };
+        (self.run_both)(&mut || left_eye.expose(scene, moments, &key(0), size, left), &mut || {
+            right_eye.expose(scene, moments, &key(1), size, right);
+        });
     }
 
     /// The left picture without noise, quantisation and limits: red, green, blue, row-major, grey levels.
     ///
     /// The limit that the renderer's pictures approach with many exposures; for what depends on exact gradients.
     pub fn ideal_left(&mut self, poses: &ScenePoses, picture: &mut Vec<f32>) {
-        self.render_light(0, poses);
-        self.blur(0);
-        self.eyes[0].developer.develop_ideal(&self.light, picture);
+        self.eyes[0].ideal(&self.scene, poses, picture);
     }
 
     /// What the left camera sees at `poses`: depth and object of every pixel centre.
     pub fn ground_truth(&mut self, poses: &ScenePoses) -> GroundTruth {
-        self.see(0, poses);
-        let depth_m = self.visibility.inv_z.iter().map(|&inv_z| if inv_z > 0.0 { 1.0 / inv_z } else { 0.0 }).collect();
-        let object = self.visibility.seen.iter().map(|&seen| self.object(seen)).collect();
-        GroundTruth { size: self.size(), depth_m, object }
+        let seen = self.eyes[0].see(&self.scene, poses);
+        let depth_m = seen.inv_z.iter().map(|&inv_z| if inv_z > 0.0 { 1.0 / inv_z } else { 0.0 }).collect();
+        let object = seen.seen.iter().map(|&seen| object_of(&self.scene, seen)).collect();
+        GroundTruth { size: self.rig.left().size(), depth_m, object }
     }
 
     /// The target's outline in the left picture, pixels, lens distortion included: the region that an operator would draw.
@@ -227,88 +212,10 @@ impl StereoRenderer {
         let outline = &self.scene.target().outline_m;
         outline.iter().map(|point| self.rig.left().project(&cam_left_from_target.transform_point(point))).collect()
     }
+}
 
-    fn object(&self, seen: u32) -> SceneObject {
-        if seen == NOTHING { SceneObject::Nothing } else { self.scene.parts()[(seen >> TRIANGLE_BITS) as usize].object }
-    }
-
-    /// Finds the visible triangles of one eye.
-    fn see(&mut self, eye: usize, poses: &ScenePoses) {
-        self.collect(eye, poses, None);
-        self.visibility.draw(&self.eyes[eye].view, &self.triangles);
-    }
-
-    /// Collects the triangles that one eye may see, for its own view or a finer one.
-    fn collect(&mut self, eye: usize, poses: &ScenePoses, view: Option<&View>) {
-        let cam_from_world = self.cam_from_world(eye, poses);
-        let view = view.unwrap_or(&self.eyes[eye].view);
-        self.triangles.clear();
-        for (index, part) in self.scene.parts().iter().enumerate() {
-            let world_from_part = match part.anchor {
-                Anchor::World => Isometry3::identity(),
-                Anchor::Target => *poses.world_from_target.isometry(),
-            };
-            let pose = PartPose {
-                cam_from_part: cam_from_world * world_from_part,
-                world_from_part,
-                world_from_cam: cam_from_world.inverse(),
-            };
-            collect_triangles(part, index as u16, &pose, self.scene.lighting(), view, &mut self.triangles);
-        }
-    }
-
-    fn cam_from_world(&self, eye: usize, poses: &ScenePoses) -> Isometry3<f64> {
-        let cam_left_from_world = *poses.world_from_cam_left.inverse().isometry();
-        if eye == 0 { cam_left_from_world } else { self.rig.cam_right_from_cam_left().isometry() * cam_left_from_world }
-    }
-
-    /// Renders the light on one sensor.
-    fn render_light(&mut self, eye: usize, poses: &ScenePoses) {
-        if let Some(mut fine) = self.fine.take() {
-            let (view, visibility, light) = fine.parts(eye);
-            self.collect(eye, poses, Some(view));
-            visibility.draw(view, &self.triangles);
-            shade(&mut self.edges, view, visibility, (self.scene.parts(), &self.triangles), light);
-            fine.integrate(self.lens_blur_px.hypot(self.defocus_px[eye]), &mut self.light);
-            self.fine = Some(fine);
-            return;
-        }
-        self.see(eye, poses);
-        let surfaces = (self.scene.parts(), self.triangles.as_slice());
-        shade(&mut self.edges, &self.eyes[eye].view, &self.visibility, surfaces, &mut self.light);
-    }
-
-    /// Renders the mean light of several moments.
-    fn gather_light(&mut self, eye: usize, moments: &[ScenePoses]) {
-        self.exposure_sum.clear();
-        self.exposure_sum.resize(self.light.len(), 0);
-        for poses in moments {
-            self.render_light(eye, poses);
-            for (sum, &light) in self.exposure_sum.iter_mut().zip(&self.light) {
-                *sum += u32::from(light);
-            }
-        }
-        let count = moments.len() as u32;
-        for (light, &sum) in self.light.iter_mut().zip(&self.exposure_sum) {
-            *light = ((sum + count / 2) / count) as u16;
-        }
-    }
-
-    fn blur(&mut self, eye: usize) {
-        if self.defocus_px[eye] > 0.0 && self.fine.is_none() {
-            self.eyes[eye].developer.defocus(&mut self.light, self.defocus_px[eye]);
-        }
-    }
-
-    fn develop(&mut self, eye: usize, frame_index: u64, picture: &mut RgbImage) {
-        self.blur(eye);
-        let size = self.size();
-        if picture.dimensions() != (size.width, size.height) {
-            *picture = RgbImage::new(size.width, size.height);
-        }
-        let key = NoiseKey { seed: self.seed, frame_index, eye: eye as u32 };
-        self.eyes[eye].developer.develop(&self.light, &key, picture);
-    }
+fn object_of(scene: &Scene, seen: u32) -> SceneObject {
+    if seen == NOTHING { SceneObject::Nothing } else { scene.parts()[(seen >> TRIANGLE_BITS) as usize].object }
 }
 
 /// Shades everything that one view sees.
@@ -371,10 +278,10 @@ mod tests {
     use crate::targets::TargetConfig;
     use crate::wide::tests::without_avx2;
     use nalgebra::Vector3;
-    use pb3dp_geometry::{Distortion, Pinhole, Pose};
+    use pb3dp_geometry::{Camera, Distortion, Pinhole, Pose};
 
     #[test]
-    fn both_versions_of_the_kernels_give_the_same_bytes() {
+    fn both_versions_of_the_kernels_and_any_order_of_the_eyes_give_the_same_bytes() {
         let camera = |cx: f64| {
             let pinhole = Pinhole { fx: 231.0, fy: 229.0, cx, cy: 73.0 };
             let distortion = Distortion::BrownConrady5 { coefficients: [-0.2, 0.1, 0.001, -0.002, 0.0] };
@@ -390,13 +297,19 @@ mod tests {
             world_from_cam_left: Pose::from_translation(Vector3::new(0.0, 0.0, 0.1)),
             world_from_target: Pose::from_parts(Vector3::new(0.04, 0.01, 0.6), turn),
         };
-        let mut pair = || {
+        let pair = |renderer: &mut StereoRenderer| {
             let (mut left, mut right) = (RgbImage::new(1, 1), RgbImage::new(1, 1));
             renderer.render_pair(&poses, 8, &mut left, &mut right);
             (left, right)
         };
-        let widest = pair();
-        let plain = without_avx2(pair);
+        let widest = pair(&mut renderer);
+        assert!(widest.0 != widest.1);
+        let plain = without_avx2(|| pair(&mut renderer));
         assert!(widest == plain);
+        let right_first = pair(&mut renderer.with_run_both(|left, right| {
+            right();
+            left();
+        }));
+        assert!(widest == right_first);
     }
 }

@@ -1,6 +1,6 @@
 //! Pictures sampled finer than their pixels.
 
-use pb3dp_geometry::{Camera, Pinhole, StereoRig};
+use pb3dp_geometry::{Camera, Pinhole};
 
 use super::RenderError;
 use super::view::View;
@@ -10,36 +10,32 @@ use crate::sensor::spread;
 /// Samples per pixel along either axis.
 const FINE: usize = 2;
 
-/// The views of both cameras with more and smaller pixels, and what they see.
+/// The view of a camera with more and smaller pixels, and what it sees.
 #[derive(Clone, Debug)]
 pub(crate) struct Fine {
-    views: [View; 2],
+    view: View,
     visibility: Visibility,
     light: Vec<u16>,
 }
 
 impl Fine {
-    /// For the cameras of a rig whose pictures are of one size.
-    ///
     /// # Errors
-    /// A camera with a pixel that has no ray.
-    pub(crate) fn new(rig: &StereoRig) -> Result<Self, RenderError> {
-        let view = |eye: &'static str, camera: &Camera| {
-            finer(camera).and_then(|camera| View::new(&camera)).map_err(|source| RenderError::Camera { eye, source })
-        };
-        let views = [view("left", rig.left())?, view("right", rig.right())?];
-        let pixels = views[0].width * views[0].height;
-        Ok(Self { views, visibility: Visibility::new(pixels), light: vec![0; 3 * pixels] })
+    /// A camera with a pixel that has no ray; the error calls it `eye`.
+    pub(crate) fn new(eye: &'static str, camera: &Camera) -> Result<Self, RenderError> {
+        let view = finer(camera).and_then(|camera| View::new(&camera));
+        let view = view.map_err(|source| RenderError::Camera { eye, source })?;
+        let pixels = view.width * view.height;
+        Ok(Self { view, visibility: Visibility::new(pixels), light: vec![0; 3 * pixels] })
     }
 
-    /// View of one eye, what it sees, and the light on its samples.
-    pub(crate) fn parts(&mut self, eye: usize) -> (&View, &mut Visibility, &mut [u16]) {
-        (&self.views[eye], &mut self.visibility, &mut self.light)
+    /// The view, what is seen in it, and the light on its samples.
+    pub(crate) fn parts(&mut self) -> (&View, &mut Visibility, &mut [u16]) {
+        (&self.view, &mut self.visibility, &mut self.light)
     }
 
     /// Blurs the light by a standard deviation in whole pixels, and gives each pixel the mean of its samples.
     pub(crate) fn integrate(&mut self, blur_px: f64, pixels: &mut [u16]) {
-        let stride = 3 * self.views[0].width;
+        let stride = 3 * self.view.width;
         spread(&mut self.light, stride, blur_px * FINE as f64);
         for (rows, out) in self.light.chunks_exact(2 * stride).zip(pixels.chunks_exact_mut(stride / FINE)) {
             let (upper, lower) = rows.split_at(stride);

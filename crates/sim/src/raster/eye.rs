@@ -1,0 +1,166 @@
+//! One camera of the pair: what it sees, the light on its sensor, and its pictures.
+
+use image::RgbImage;
+use nalgebra::Isometry3;
+use pb3dp_geometry::{Camera, ImageSize};
+
+use super::coverage::EdgePixels;
+use super::fine::Fine;
+use super::triangle::{PartPose, ScreenTriangle, collect_triangles};
+use super::view::View;
+use super::visibility::Visibility;
+use super::{RenderError, shade};
+use crate::scene::{Anchor, Scene, ScenePoses};
+use crate::sensor::{Developer, EyeResponse, NoiseKey, SensorConfig};
+
+/// One camera, with all that it needs to render: both can work at the same time.
+#[derive(Clone, Debug)]
+pub(crate) struct Eye {
+    cam_from_cam_left: Isometry3<f64>,
+    view: View,
+    developer: Developer,
+    visibility: Visibility,
+    edges: EdgePixels,
+    triangles: Vec<ScreenTriangle>,
+    light: Vec<u16>,
+    exposure_sum: Vec<u32>,
+    /// Blur of the lens, and how far it is out of focus on top, pixels.
+    lens_blur_px: f64,
+    defocus_px: f64,
+    /// Finer sampling, if wanted.
+    fine: Option<Box<Fine>>,
+}
+
+impl Eye {
+    /// # Errors
+    /// A camera with a pixel that has no ray; the error calls it `name`.
+    pub(crate) fn new(
+        name: &'static str,
+        camera: &Camera,
+        cam_from_cam_left: Isometry3<f64>,
+        sensor: &SensorConfig,
+        response: &EyeResponse,
+    ) -> Result<Self, RenderError> {
+        let view = View::new(camera).map_err(|source| RenderError::Camera { eye: name, source })?;
+        let pixels = view.width * view.height;
+        Ok(Self {
+            cam_from_cam_left,
+            developer: Developer::new(sensor, response, view.width),
+            view,
+            visibility: Visibility::new(pixels),
+            edges: EdgePixels::default(),
+            triangles: Vec::new(),
+            light: vec![0; 3 * pixels],
+            exposure_sum: Vec::new(),
+            lens_blur_px: sensor.lens_blur_px,
+            defocus_px: 0.0,
+            fine: None,
+        })
+    }
+
+    /// Samples `camera`, which is that of this eye, finer than its pixels.
+    ///
+    /// # Errors
+    /// A camera with a pixel that has no ray; the error calls it `name`.
+    pub(crate) fn sample_finely(&mut self, name: &'static str, camera: &Camera) -> Result<(), RenderError> {
+        self.fine = Some(Box::new(Fine::new(name, camera)?));
+        self.developer.leave_blur_out();
+        Ok(())
+    }
+
+    /// Puts it out of focus.
+    pub(crate) fn defocus(&mut self, defocus_px: f64) {
+        self.defocus_px = defocus_px;
+    }
+
+    /// Takes a picture of `size`: the mean of the light at all moments, as the sensor sees it.
+    pub(crate) fn expose(
+        &mut self,
+        scene: &Scene,
+        moments: &[ScenePoses],
+        key: &NoiseKey,
+        size: ImageSize,
+        picture: &mut RgbImage,
+    ) {
+        match moments {
+            [poses] => self.render_light(scene, poses),
+            _ => self.gather_light(scene, moments),
+        }
+        self.blur();
+        if picture.dimensions() != (size.width, size.height) {
+            *picture = RgbImage::new(size.width, size.height);
+        }
+        self.developer.develop(&self.light, key, picture);
+    }
+
+    /// The picture without noise, quantisation and limits.
+    pub(crate) fn ideal(&mut self, scene: &Scene, poses: &ScenePoses, picture: &mut Vec<f32>) {
+        self.render_light(scene, poses);
+        self.blur();
+        self.developer.develop_ideal(&self.light, picture);
+    }
+
+    /// Finds the triangles that are visible.
+    pub(crate) fn see(&mut self, scene: &Scene, poses: &ScenePoses) -> &Visibility {
+        self.collect(scene, poses, None);
+        self.visibility.draw(&self.view, &self.triangles);
+        &self.visibility
+    }
+
+    /// Collects the triangles that may be visible, in its own view or a finer one.
+    fn collect(&mut self, scene: &Scene, poses: &ScenePoses, view: Option<&View>) {
+        let cam_from_world = self.cam_from_cam_left * poses.world_from_cam_left.inverse().isometry();
+        let view = view.unwrap_or(&self.view);
+        self.triangles.clear();
+        for (index, part) in scene.parts().iter().enumerate() {
+            let world_from_part = match part.anchor {
+                Anchor::World => Isometry3::identity(),
+                Anchor::Target => *poses.world_from_target.isometry(),
+            };
+            let pose = PartPose {
+                cam_from_part: cam_from_world * world_from_part,
+                world_from_part,
+                world_from_cam: cam_from_world.inverse(),
+            };
+            collect_triangles(part, index as u16, &pose, scene.lighting(), view, &mut self.triangles);
+        }
+    }
+
+    /// Renders the light on the sensor.
+    fn render_light(&mut self, scene: &Scene, poses: &ScenePoses) {
+        if let Some(mut fine) = self.fine.take() {
+            let (view, visibility, light) = fine.parts();
+            self.collect(scene, poses, Some(view));
+            visibility.draw(view, &self.triangles);
+            shade(&mut self.edges, view, visibility, (scene.parts(), &self.triangles), light);
+            fine.integrate(self.lens_blur_px.hypot(self.defocus_px), &mut self.light);
+            self.fine = Some(fine);
+            return;
+        }
+        self.see(scene, poses);
+        let surfaces = (scene.parts(), self.triangles.as_slice());
+        shade(&mut self.edges, &self.view, &self.visibility, surfaces, &mut self.light);
+    }
+
+    /// Renders the mean light of several moments.
+    fn gather_light(&mut self, scene: &Scene, moments: &[ScenePoses]) {
+        self.exposure_sum.clear();
+        self.exposure_sum.resize(self.light.len(), 0);
+        for poses in moments {
+            self.render_light(scene, poses);
+            for (sum, &light) in self.exposure_sum.iter_mut().zip(&self.light) {
+                *sum += u32::from(light);
+            }
+        }
+        let count = moments.len() as u32;
+        for (light, &sum) in self.light.iter_mut().zip(&self.exposure_sum) {
+            *light = ((sum + count / 2) / count) as u16;
+        }
+    }
+
+    fn blur(&mut self) {
+        if self.defocus_px > 0.0 && self.fine.is_none() {
+            self.developer.defocus(&mut self.light, self.defocus_px);
+        }
+    }
+}
