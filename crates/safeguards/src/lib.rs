@@ -52,6 +52,7 @@ safeguards! {
     CameraSkew "supervisor: camera_skew" "The hand rests while both eyes are not exposed together"
     ControllerRests "supervisor: controller_rests" "The hand rests when the controller gives no velocity"
     TimelyWords "supervisor: age of words" "A word that was said too long ago, or to another state, is not obeyed"
+    ClearForWords "supervisor: time before a word" "What comes and goes from picture to picture has to be gone for a while before start and resume"
     ObservationAge "controller: age of observations" "The controller rests without a fresh observation"
     ObservationTrust "controller: trusted observations" "The controller follows only what the estimator stands by"
     JointsAge "controller: age of joints" "The controller rests without fresh joints"

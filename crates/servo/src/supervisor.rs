@@ -86,6 +86,8 @@ pub struct Supervisor {
     cause: Option<Cause>,
     /// Since when nothing has spoken against motion.
     clear_since: Option<MonotonicTime>,
+    /// What spoke against it last, since the target was selected.
+    spoke: Option<Cause>,
     /// The operator has said hold since the last motion.
     held_by_operator: bool,
     /// Something was found since the last motion after which only the operator's word leads on.
@@ -111,6 +113,7 @@ impl Supervisor {
             findings: Findings::new(),
             cause: None,
             clear_since: None,
+            spoke: None,
             held_by_operator: false,
             needs_word: false,
             needs_word_for_more: false,
@@ -127,8 +130,9 @@ impl Supervisor {
     /// One control cycle: never blocks, does not allocate. In one step the state changes at most once.
     ///
     /// What is found goes before what is said, but for `stop` and `hold`, which are always obeyed. `start` and `resume` are
-    /// refused as long as anything speaks against motion, even if it has not lasted yet; `reset` as long as a fault of an arm or
-    /// an emergency stop is still there; and every word that was said too long ago, or before the state was entered.
+    /// refused as long as anything speaks against motion, even if it has not lasted yet, and until it has been gone for
+    /// [`SupervisorConfig::go_after_s`]; `reset` as long as a fault of an arm or an emergency stop is still there; and every word that
+    /// was said too long ago, or before the state was entered.
     pub fn step(&mut self, inputs: &Inputs, now: MonotonicTime) -> Decision {
         self.findings.look(inputs, &self.config.policies, now);
         // A clock that was set back must not keep the operator's words out until it has caught up.
@@ -139,6 +143,7 @@ impl Supervisor {
             (None, _) => Some(now),
             (Some(_), _) => None,
         };
+        self.spoke = blocking.or(self.spoke);
         let said = inputs.operator.said;
         let word = said.map(|said| (said.word, self.refusal(said, blocking, now)));
         let transition = self.change(inputs, word, now);
@@ -164,7 +169,7 @@ impl Supervisor {
             search,
             found,
             no_arm_may_move: self.state.is_latched() || self.holds_every_arm(now),
-            is_ready: blocking.is_none() && !rearm && (self.state == State::Selecting || self.state.is_resting()),
+            is_ready: self.is_clear(now) && !rearm && (self.state == State::Selecting || self.state.is_resting()),
             transition: transition.and_then(|_| self.log.newest()),
             refused,
         }
@@ -232,10 +237,21 @@ impl Supervisor {
         None
     }
 
+    /// For how long nothing has spoken against motion, seconds.
+    fn clear_for_s(&self, now: MonotonicTime) -> f64 {
+        self.clear_since.map_or(0.0, |since| now.seconds_since(since))
+    }
+
+    /// Whether that is long enough for a word to lead on: a cause that comes and goes from picture to picture is not gone between two.
+    fn is_clear(&self, now: MonotonicTime) -> bool {
+        self.clear_since.is_some()
+            && (self.clear_for_s(now) >= self.config.go_after_s || is_off(Safeguard::ClearForWords))
+    }
+
     /// What happens without anybody's word.
     fn by_itself(&self, inputs: &Inputs, now: MonotonicTime) -> Option<Event> {
-        let clear_for = |seconds: f64| self.clear_since.is_some_and(|since| now.seconds_since(since) >= seconds);
-        let may_resume = !self.held_by_operator && !self.needs_word && clear_for(self.config.resume_after_s);
+        let may_resume =
+            !self.held_by_operator && !self.needs_word && self.clear_for_s(now) >= self.config.resume_after_s;
         match (self.state, inputs.controller) {
             (State::Approaching, Mode::Tracking) => Some(Event::Reached),
             (State::Tracking, Mode::Approaching) => Some(Event::Left),
@@ -254,7 +270,10 @@ impl Supervisor {
             self.search = SearchRight::Unused;
         }
         match event {
-            Event::Select => self.findings.begin(at),
+            Event::Select => {
+                self.findings.begin(at);
+                self.spoke = None;
+            }
             Event::Start => self.findings.start(),
             _ => {}
         }
@@ -300,11 +319,18 @@ impl Supervisor {
         }
         let latched = [Condition::EmergencyStop, Condition::ArmFault].map(|condition| self.findings.cause(condition));
         match (said.word, self.state) {
-            (Word::Start, State::Selecting) => blocking.map(RefusedFor::Cause),
-            (Word::Resume, State::Holding | State::Lost) => blocking.map(RefusedFor::Cause),
+            (Word::Start, State::Selecting) | (Word::Resume, State::Holding | State::Lost) => {
+                blocking.map(RefusedFor::Cause).or_else(|| self.not_clear(now))
+            }
             (Word::Reset, State::Stopped | State::Fault) => latched.into_iter().flatten().next().map(RefusedFor::Cause),
             _ => None,
         }
+    }
+
+    /// Nothing speaks against motion any more, but not for long enough.
+    fn not_clear(&self, now: MonotonicTime) -> Option<RefusedFor> {
+        let (clear_s, wanted_s) = (self.clear_for_s(now), self.config.go_after_s);
+        (!self.is_clear(now)).then_some(RefusedFor::NotClear { cause: self.spoke, clear_s, wanted_s })
     }
 
     /// Why a word may not be obeyed because of when it was said.
@@ -319,7 +345,13 @@ impl Supervisor {
         }
         // A clock that was set back must not keep the operator's words out until it has caught up.
         let is_before = self.entered_at.is_some_and(|entered| said.at < entered.min(now));
-        is_before.then_some(RefusedFor::SaidBefore(self.state))
+        if is_before {
+            return Some(RefusedFor::SaidBefore(self.state));
+        }
+        // Who says start means the target that is followed then.
+        let followed_since = self.findings.followed_since().filter(|_| said.word == Word::Start);
+        let is_other = followed_since.is_some_and(|since| said.at < since.min(now));
+        is_other.then_some(RefusedFor::SaidToOther)
     }
 
     /// What became of a word.
@@ -388,8 +420,12 @@ impl Supervisor {
     fn why(&self, blocking: Option<Cause>, now: MonotonicTime) -> Why {
         let state = self.state;
         let then = if self.needs_word { Then::Word } else { Then::ByItself { after_s: self.config.resume_after_s } };
+        let wants_word = state == State::Selecting || self.held_by_operator || self.needs_word;
         match (state, blocking) {
             (State::Idle, _) => Why::Idle,
+            (State::Selecting | State::Holding | State::Lost, None) if wants_word && !self.is_clear(now) => {
+                Why::Settling { state, cause: self.spoke, for_s: self.config.go_after_s }
+            }
             (State::Selecting, None) => Why::Ready,
             (State::Selecting, Some(cause)) => Why::Waiting { cause },
             (State::Approaching | State::Tracking, _) => match self.slowed(now) {

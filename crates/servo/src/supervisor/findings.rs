@@ -67,6 +67,8 @@ pub(super) struct Findings {
     started_target: Option<u64>,
     /// That of the newest pose; an estimate without one follows nothing.
     followed_target: Option<u64>,
+    /// Since when.
+    followed_since: Option<MonotonicTime>,
     found: [Option<Cause>; Condition::COUNT],
     since: [Option<MonotonicTime>; Condition::COUNT],
 }
@@ -84,6 +86,7 @@ impl Findings {
             innovation: Innovation::NoneNew,
             started_target: None,
             followed_target: None,
+            followed_since: None,
             found: [None; Condition::COUNT],
             since: [None; Condition::COUNT],
         }
@@ -110,6 +113,7 @@ impl Findings {
         self.estimate = None;
         self.posed = None;
         self.followed_target = None;
+        self.followed_since = None;
         self.confident_at = None;
         self.innovation = Innovation::NoneNew;
     }
@@ -188,7 +192,9 @@ impl Findings {
         self.estimate = Some(estimate);
         if estimate.confidence != Confidence::NoPose {
             self.posed = Some(estimate);
-            self.followed_target = Some(estimate.target);
+            if self.followed_target.replace(estimate.target) != Some(estimate.target) {
+                self.followed_since = Some(now);
+            }
         }
         if estimate.confidence == Confidence::Sure {
             self.confident_at = Some(estimate.at);
@@ -256,6 +262,11 @@ impl Findings {
             let policy = policies.get(cause.condition);
             (now.seconds_since(since) >= policy.for_s).then_some((cause, policy.action))
         })
+    }
+
+    /// Since when the target that is followed now is the one; none if none is.
+    pub(super) fn followed_since(&self) -> Option<MonotonicTime> {
+        self.followed_since
     }
 
     /// What is found of this condition at the moment.

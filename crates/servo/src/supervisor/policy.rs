@@ -102,6 +102,9 @@ pub struct SupervisorConfig {
     pub policies: Policies,
     /// The arm goes on by itself only when nothing has spoken against it for this time, seconds, 0.05 to 60.
     pub resume_after_s: f64,
+    /// `start` and `resume` are obeyed only when nothing has spoken against motion for this time, seconds, 0.05 to
+    /// [`Self::resume_after_s`]: what one picture in some shows is not gone between two of them.
+    pub go_after_s: f64,
     /// A word (other than stop and hold) that was said longer ago is not obeyed, seconds, 0.05 to 5.
     pub word_age_max_s: f64,
     /// How long the hand may look for a target that was lost, seconds since the loss, 0 to 60; 0: it rests.
@@ -301,6 +304,7 @@ impl SupervisorConfig {
     /// The first setting that is refused.
     pub fn validate(&self) -> Result<(), SupervisorError> {
         within(|| "resume_after_s".to_owned(), self.resume_after_s, 0.05, 60.0)?;
+        within(|| "go_after_s".to_owned(), self.go_after_s, 0.05, self.resume_after_s)?;
         within(|| "word_age_max_s".to_owned(), self.word_age_max_s, 0.05, 5.0)?;
         within(|| "search_max_s".to_owned(), self.search_max_s, 0.0, 60.0)?;
         Condition::ALL.into_iter().try_for_each(|condition| self.policies.get(condition).validate(condition))?;

@@ -19,6 +19,15 @@ pub enum Why {
         /// What is wrong.
         cause: Cause,
     },
+    /// Nothing speaks against motion any more, but not for long enough for a word.
+    Settling {
+        /// Selecting, holding or lost.
+        state: State,
+        /// What did.
+        cause: Option<Cause>,
+        /// For how long it has to be gone, seconds.
+        for_s: f64,
+    },
     /// The arm moves.
     Moving {
         /// Approaching or tracking.
@@ -108,10 +117,21 @@ pub enum RefusedFor {
     },
     /// It was said before this state was entered.
     SaidBefore(State),
+    /// It was said before the target was followed that is followed now.
+    SaidToOther,
     /// Something happened in the same step that led to this state.
     Overtaken(State),
     /// This speaks against it.
     Cause(Cause),
+    /// Nothing speaks against it any more, but not for long enough.
+    NotClear {
+        /// What did.
+        cause: Option<Cause>,
+        /// For how long it has been gone, seconds.
+        clear_s: f64,
+        /// How long is wanted.
+        wanted_s: f64,
+    },
 }
 
 impl fmt::Display for Why {
@@ -120,6 +140,10 @@ impl fmt::Display for Why {
             Self::Idle => write!(f, "idle: no target is selected; say select"),
             Self::Ready => write!(f, "selecting: the target is seen and nothing speaks against motion; say start"),
             Self::Waiting { cause } => write!(f, "selecting: {cause}; {}, then say start", remedy(cause)),
+            Self::Settling { state, cause, for_s } => {
+                let word = if *state == State::Selecting { "start" } else { "resume" };
+                write!(f, "{state}: {}; wait until that has lasted for {for_s:.3} s, then say {word}", Gone(cause))
+            }
             Self::Moving { state } => write!(f, "{state}"),
             Self::Searching => {
                 write!(f, "lost: the hand looks for the target near the place where it was lost; say hold to end that")
@@ -134,10 +158,10 @@ impl fmt::Display for Why {
                 write!(f, "{state}: {cause}; {}; goes on by itself {after_s} s after that", remedy(cause))
             }
             Self::CauseGone { state, cause, then: Then::Word } => {
-                write!(f, "{state}: no longer is it so that {cause}; say resume")
+                write!(f, "{state}: {}; say resume", Gone(&Some(*cause)))
             }
             Self::CauseGone { state, cause, then: Then::ByItself { after_s } } => {
-                write!(f, "{state}: no longer is it so that {cause}; wait, it goes on by itself after {after_s} s")
+                write!(f, "{state}: {}; wait, it goes on by itself after {after_s} s", Gone(&Some(*cause)))
             }
             Self::HeldByOperator { state, cause: None } => write!(f, "{state}: the operator said hold; say resume"),
             Self::HeldByOperator { state, cause: Some(cause) } => {
@@ -167,10 +191,32 @@ impl fmt::Display for Refusal {
             RefusedFor::SaidBefore(state) => {
                 write!(f, "it was said before the state became {state}; look, and say it again")
             }
+            RefusedFor::SaidToOther => {
+                write!(f, "it was said before the target was seen that is followed now; look, and say it again")
+            }
             RefusedFor::Overtaken(state) => {
                 write!(f, "the state became {state} at that moment; look, and say it again")
             }
             RefusedFor::Cause(cause) => write!(f, "{cause}; {}", remedy(cause)),
+            RefusedFor::NotClear { cause, clear_s, wanted_s } => {
+                write!(
+                    f,
+                    "{}, for {clear_s:.3} s only, and this has to last for {wanted_s:.3} s; say it again",
+                    Gone(cause)
+                )
+            }
+        }
+    }
+}
+
+/// That something is not so any more.
+struct Gone<'a>(&'a Option<Cause>);
+
+impl fmt::Display for Gone<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            Some(cause) => write!(f, "no longer is it so that {cause}"),
+            None => write!(f, "nothing speaks against motion"),
         }
     }
 }

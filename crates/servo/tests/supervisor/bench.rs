@@ -15,7 +15,13 @@ const LATENCY_S: f64 = 0.02;
 
 /// Strict enough that every condition has an effect.
 pub fn config() -> SupervisorConfig {
-    SupervisorConfig { policies: Policies::of(policy), resume_after_s: 0.2, word_age_max_s: 0.5, search_max_s: 0.0 }
+    SupervisorConfig {
+        policies: Policies::of(policy),
+        resume_after_s: 0.2,
+        go_after_s: 0.1,
+        word_age_max_s: 0.5,
+        search_max_s: 0.0,
+    }
 }
 
 fn policy(condition: Condition) -> Policy {

@@ -6,6 +6,7 @@ mod conditions;
 mod policies;
 mod properties;
 mod searching;
+mod settling;
 mod starting;
 mod table;
 mod words;

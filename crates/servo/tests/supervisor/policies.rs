@@ -106,6 +106,10 @@ fn each_number_has_its_range() {
         let text = refusal(SupervisorConfig { resume_after_s: bad, ..config() }).unwrap();
         assert_eq!(text, format!("supervisor setting resume_after_s is {bad}: allowed is 0.05 to 60"));
     }
+    for bad in [0.04, 0.21, f64::NAN] {
+        let text = refusal(SupervisorConfig { go_after_s: bad, ..config() }).unwrap();
+        assert_eq!(text, format!("supervisor setting go_after_s is {bad}: allowed is 0.05 to 0.2"));
+    }
     for bad in [0.04, 5.1, f64::NAN] {
         let text = refusal(SupervisorConfig { word_age_max_s: bad, ..config() }).unwrap();
         assert_eq!(text, format!("supervisor setting word_age_max_s is {bad}: allowed is 0.05 to 5"));

@@ -82,10 +82,19 @@ fn every_state_and_every_condition_has_a_line_of_its_own() {
     for state in [Holding, Lost] {
         add(Why::HeldByOperator { state, cause: None }, &[format!("{state}: ")], "say resume");
     }
+    for state in [State::Selecting, Holding, Lost] {
+        let why = Why::Settling { state, cause: None, for_s: 0.2 };
+        add(why, &[format!("{state}: ")], "has lasted for 0.200 s, then say ");
+    }
     for (cause, parts) in causes() {
         let mut parts = parts.clone();
         parts.push(cause.to_string());
         add(Why::Waiting { cause }, &parts, "then say start");
+        for state in [State::Selecting, Holding, Lost] {
+            let parts = [parts.clone(), vec![format!("{state}: no longer is it so that ")]].concat();
+            let why = Why::Settling { state, cause: Some(cause), for_s: 0.2 };
+            add(why, &parts, "wait until that has lasted for 0.200 s, then say ");
+        }
         for state in [Approaching, Tracking] {
             let parts = [parts.clone(), vec![format!("{state}: "), "50 %".into()]].concat();
             add(Why::Slowed { state, cause, share: 0.5 }, &parts, ";");
@@ -127,7 +136,9 @@ fn every_refusal_has_words_of_its_own() {
     let mut lines = BTreeSet::new();
     for word in Word::ALL {
         let age = RefusedFor::Age { age_s: 0.7, age_max_s: 0.5 };
-        let mut reasons = vec![age];
+        let not_clear = |cause| RefusedFor::NotClear { cause, clear_s: 0.07, wanted_s: 0.2 };
+        let mut reasons = vec![age, RefusedFor::SaidToOther, not_clear(None)];
+        reasons.extend(causes().into_iter().map(|(cause, _)| not_clear(Some(cause))));
         for state in State::ALL {
             reasons.extend([RefusedFor::State(state), RefusedFor::SaidBefore(state), RefusedFor::Overtaken(state)]);
         }
@@ -139,6 +150,9 @@ fn every_refusal_has_words_of_its_own() {
         }
     }
     let age = Refusal { word: Word::Start, because: RefusedFor::Age { age_s: 0.7, age_max_s: 0.5 } }.to_string();
+    let not_clear = RefusedFor::NotClear { cause: Some(causes()[0].0), clear_s: 0.07, wanted_s: 0.2 };
+    let line = Refusal { word: Word::Resume, because: not_clear }.to_string();
+    assert!(line.contains("0.070 s") && line.contains("0.200 s") && line.contains("say it again"), "{line}");
     assert!(age.contains("0.700 s") && age.contains("0.500 s") && age.contains("say it again"), "{age}");
 }
 

@@ -11,6 +11,7 @@ use super::super::load::{Checker, within};
 #[serde(deny_unknown_fields)]
 pub(super) struct SupervisorSection {
     resume_after_s: f64,
+    go_after_s: f64,
     word_age_max_s: f64,
     search_max_s: Option<f64>,
     policies: PoliciesSection,
@@ -121,6 +122,7 @@ impl Threshold {
 impl SupervisorSection {
     pub(super) fn build(&self, check: &mut Checker) -> SupervisorConfig {
         check.number("supervisor.resume_after_s", self.resume_after_s, 0.05..=60.0);
+        check.number("supervisor.go_after_s", self.go_after_s, 0.05..=within(self.resume_after_s, 0.05, 60.0));
         check.number("supervisor.word_age_max_s", self.word_age_max_s, 0.05..=5.0);
         // Without the key there is no search.
         if let Some(search_max_s) = self.search_max_s {
@@ -136,6 +138,7 @@ impl SupervisorSection {
         let config = SupervisorConfig {
             policies,
             resume_after_s: self.resume_after_s,
+            go_after_s: self.go_after_s,
             word_age_max_s: self.word_age_max_s,
             search_max_s,
         };

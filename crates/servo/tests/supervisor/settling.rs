@@ -1,0 +1,92 @@
+//! What comes and goes from picture to picture: a word that falls between two of them leads on to nothing.
+
+use pb3dp_servo::supervisor::{Condition, Innovation, Inputs, RefusedFor, State, SupervisorConfig, Word};
+
+use crate::bench::{Bench, STEP_S, config};
+
+/// One picture in three shows the target where its motion does not lead to expect it.
+fn outliers(inputs: &mut Inputs) {
+    let is_one = inputs.frame.is_some_and(|frame| (frame.sequence / 30).is_multiple_of(3));
+    if inputs.innovation == Innovation::Agrees && is_one {
+        inputs.innovation = Innovation::Outlier { sigmas: 60.0 };
+    }
+}
+
+/// Says the word in every step for a second: nothing may move. How often nothing spoke against it but that time was too short.
+fn is_refused(bench: &mut Bench, word: Word) -> usize {
+    let mut too_short = 0;
+    for _ in 0..100 {
+        let decision = bench.say(word);
+        assert!(!decision.state.is_moving(), "{}", decision.why);
+        match decision.refused.map(|refusal| refusal.because) {
+            Some(RefusedFor::NotClear { cause, clear_s, wanted_s }) => {
+                too_short += 1;
+                assert!(clear_s < wanted_s && wanted_s == 0.1, "{clear_s} {wanted_s}");
+                let why = bench.why();
+                assert!(why.contains("has lasted for 0.100 s, then say "), "{why}");
+                assert!(
+                    why.contains("standard deviations") == cause.is_some_and(|c| c.condition == Condition::Outlier)
+                );
+            }
+            Some(RefusedFor::Cause(_)) => {}
+            other => panic!("{other:?}"),
+        }
+        assert!(!bench.decision().is_ready, "{}", bench.why());
+    }
+    too_short
+}
+
+#[test]
+fn resume_between_two_outliers() {
+    let mut bench = Bench::following(config());
+    bench.say(Word::Hold);
+    bench.lie(outliers);
+    bench.run(0.3);
+    assert!(is_refused(&mut bench, Word::Resume) > 30);
+    bench.truth();
+    bench.run(0.15);
+    assert_eq!(bench.say(Word::Resume).state, State::Approaching, "{}", bench.why());
+}
+
+#[test]
+fn start_between_two_outliers() {
+    let mut bench = Bench::new(config());
+    bench.say(Word::Select);
+    bench.lie(outliers);
+    bench.run(0.3);
+    assert!(is_refused(&mut bench, Word::Start) > 30);
+    bench.truth();
+    bench.run(0.15);
+    assert_eq!(bench.say(Word::Start).state, State::Approaching, "{}", bench.why());
+}
+
+#[test]
+fn resume_after_a_hold_is_obeyed_as_soon_as_the_controller_has_been_at_it_for_that_time() {
+    for go_after_s in [0.05, 0.1, 0.2] {
+        let mut bench = Bench::following(SupervisorConfig { go_after_s, ..config() });
+        bench.say(Word::Hold);
+        let held_s = bench.now_s;
+        while !bench.decision().is_ready {
+            bench.step();
+        }
+        // It locks on in 50 ms.
+        let waited_s = bench.now_s - held_s - go_after_s;
+        assert!((0.05..=0.05 + 2.0 * STEP_S + 1e-9).contains(&waited_s), "{waited_s}");
+        assert_eq!(bench.say(Word::Resume).state, State::Approaching);
+    }
+}
+
+#[test]
+fn start_that_was_said_before_another_target_was_followed() {
+    let mut bench = Bench::new(config());
+    bench.say(Word::Select);
+    bench.run(0.5);
+    let said_s = bench.now_s;
+    bench.lie(|inputs| inputs.estimate.as_mut().unwrap().target = 8);
+    bench.run(0.2);
+    assert!(bench.decision().is_ready, "{}", bench.why());
+    let decision = bench.say_at(Word::Start, said_s);
+    assert_eq!(decision.refused.unwrap().because, RefusedFor::SaidToOther);
+    assert!(!bench.run(2.0));
+    assert_eq!(bench.say(Word::Start).state, State::Approaching);
+}
