@@ -149,6 +149,11 @@ fn a_gateway_that_stopped_the_arm_before_wants_a_reset() {
         rig.request(Request::Reset);
         rig.settle();
         assert_eq!(rig.trip(), Trip::Fault(FaultCause::Rejected(RejectReason::CausePresent)));
+        rig.gateway.found = Some(StopCause::ServoAlarm);
+        rig.request(Request::Reset);
+        rig.settle();
+        assert_eq!(rig.trip(), Trip::Fault(FaultCause::StillThere(StopCause::ServoAlarm)));
+        assert!(rig.trip().to_string().contains("because of an alarm of an axis, which is still there"));
         rig.gateway.cause_present = false;
         rig.gateway.heard.clear();
         rig.request(Request::Reset);

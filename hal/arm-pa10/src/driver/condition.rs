@@ -182,6 +182,13 @@ pub enum FaultCause {
         advice = advice(*.0)
     )]
     Rejected(RejectReason),
+    /// The gateway does not reset the arm: what it found is still there.
+    #[error(
+        "the gateway does not reset the arm, because of {what}, which is still there; a probe shows its status words; remove the cause, \
+         then reset",
+        what = what_is_there(*.0)
+    )]
+    StillThere(StopCause),
     /// The limits of an axis are not those of the configuration.
     #[error(
         "{axis}: the controller keeps a limit of {found_deg:.3} degrees where the configuration says {expected_deg:.3}; find out \
@@ -472,6 +479,16 @@ fn advice_on_stop(cause: StopCause) -> &'static str {
             "the program that drove it ended, hung or lost the line; find out why, remove the cause, then reset"
         }
         _ => "remove the cause, then reset",
+    }
+}
+
+/// What a gateway finds at a reset, in words.
+fn what_is_there(found: StopCause) -> String {
+    match found {
+        StopCause::ServoAlarm => "an alarm of an axis".to_owned(),
+        StopCause::ControllerAlarm => "an alarm of the controller".to_owned(),
+        StopCause::EmergencyStop => "an emergency stop, dead-man switch or limit switch".to_owned(),
+        other => other.to_string(),
     }
 }
 

@@ -14,7 +14,7 @@ use super::{
     BadReply, DriverConfig, DriverConfigError, FaultCause, LinkCounters, Refusal, Request, Sample, Trip, WarmUpFailure,
 };
 use crate::codec::{ArmCommand, Axis, AxisCommand, CodecError, ControlMessage, Letter};
-use crate::gateway_protocol::RejectReason;
+use crate::gateway_protocol::{RejectReason, StopCause};
 
 /// A message that is due.
 ///
@@ -42,6 +42,8 @@ pub enum Reply {
     Done,
     /// The gateway refused the message.
     Rejected(RejectReason),
+    /// The gateway refused a reset, because this is still there.
+    StillThere(StopCause),
 }
 
 /// Limits of an axis as the controller keeps them.
@@ -118,7 +120,7 @@ fn fits(letter: Letter, reply: &Reply) -> bool {
         Reply::Sample(_) => letter == Letter::Cyclic,
         Reply::Limits(_) => letter == Letter::ReadEeprom,
         Reply::Done => !matches!(letter, Letter::Cyclic | Letter::ReadEeprom),
-        Reply::Rejected(_) => true,
+        Reply::Rejected(_) | Reply::StillThere(_) => true,
     }
 }
 
@@ -253,7 +255,10 @@ impl Driver {
         }
         self.link.handle_answer(now.saturating_since(outstanding.sent));
         match reply {
-            Reply::Rejected(reason) => self.handle_rejection(now, *reason),
+            Reply::Rejected(reason) => self.handle_rejection(now, *reason, FaultCause::Rejected(*reason)),
+            Reply::StillThere(found) => {
+                self.handle_rejection(now, RejectReason::CausePresent, FaultCause::StillThere(*found));
+            }
             Reply::Sample(sample) => self.handle_sample(now, sample),
             Reply::Limits(limits) => self.handle_limits(now, limits),
             Reply::Done => self.handle_done(now),

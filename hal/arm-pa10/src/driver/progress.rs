@@ -147,7 +147,7 @@ impl Driver {
         }
     }
 
-    pub(super) fn handle_rejection(&mut self, now: MonotonicTime, reason: RejectReason) {
+    pub(super) fn handle_rejection(&mut self, now: MonotonicTime, reason: RejectReason, fault: FaultCause) {
         match self.phase {
             // It may have stopped the arm by itself before, or its brakes may have begun to close later than was counted here.
             Phase::Stopping(StopStep::End { tries }) if tries >= END_TRIES_MAX => self.finish_stop(now, false),
@@ -165,7 +165,7 @@ impl Driver {
             {
                 self.begin_stop(now, true);
             }
-            _ => self.trip(now, Trip::Fault(FaultCause::Rejected(reason))),
+            _ => self.trip(now, Trip::Fault(fault)),
         }
     }
 

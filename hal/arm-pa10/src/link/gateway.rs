@@ -349,12 +349,12 @@ impl GatewayLink {
                 self.aborted = true;
                 self.go_on(now, message, driver);
             }
-            (Waiting::Before(..) | Waiting::Message(_), GatewayMessage::Reject(Reject { reason, .. })) => {
+            (Waiting::Before(..) | Waiting::Message(_), GatewayMessage::Reject(Reject { reason, detail, .. })) => {
                 if *reason == RejectReason::NotConnected {
                     // It was restarted: it has to be greeted anew.
                     self.hello = None;
                 }
-                driver.handle_reply(now, &Reply::Rejected(*reason));
+                driver.handle_reply(now, &refusal(*reason, *detail));
             }
             (Waiting::Message(message), answer) => match self.reply(&message, answer, late) {
                 Ok(reply) => driver.handle_reply(now, &reply),
@@ -428,6 +428,15 @@ impl GatewayLink {
             }
             _ => Err(BadReply::Mismatched),
         }
+    }
+}
+
+/// What a driver is told of a refusal: with what the gateway has found, if it says so.
+fn refusal(reason: RejectReason, detail: u32) -> Reply {
+    let found = u8::try_from(detail).ok().and_then(StopCause::from_byte);
+    match (reason, found) {
+        (RejectReason::CausePresent, Some(found)) if found != StopCause::None => Reply::StillThere(found),
+        _ => Reply::Rejected(reason),
     }
 }
 

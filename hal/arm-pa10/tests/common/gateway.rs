@@ -22,6 +22,8 @@ pub struct FakeGateway {
     pub brake_us: u32,
     /// What keeps a reset from succeeding.
     pub cause_present: bool,
+    /// What it then says that it has found.
+    pub found: Option<StopCause>,
     /// Whether it knows ABORT.
     pub knows_abort: bool,
     /// E is refused so often, as the brakes have not had their time.
@@ -47,6 +49,7 @@ impl FakeGateway {
             watchdog_us: [20_000, 50_000],
             brake_us: 200_000,
             cause_present: false,
+            found: None,
             knows_abort: true,
             refuse_end: 0,
             servo: [ServoWord(0); 7],
@@ -78,7 +81,9 @@ impl FakeGateway {
             self.heard.push(message);
             let answer = self.handle(&message).unwrap_or_else(|reason| {
                 self.rejected.push(reason);
-                GatewayMessage::Reject(Reject { reason, frame_type: frame.frame_type, detail: 0 })
+                let found = self.found.filter(|_| reason == RejectReason::CausePresent);
+                let detail = found.map_or(0, |found| u32::from(found.byte()));
+                GatewayMessage::Reject(Reject { reason, frame_type: frame.frame_type, detail })
             });
             answers.extend(self.frame(&answer, frame.sequence).encode().as_slice());
         }
