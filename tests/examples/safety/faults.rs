@@ -144,7 +144,7 @@ impl Kind {
     pub const COUNT: usize = OF_THE_CELL.len() + OF_ARMS.len();
 
     /// What goes wrong with one arm, by its name in tables.
-    #[cfg(feature = "disabled-guards")]
+    #[cfg(any(test, feature = "disabled-guards"))]
     pub fn of_arm(arm: usize, name: &'static str, line: &str, end: Option<&str>) -> Self {
         assert!(OF_ARMS.iter().any(|(known, _)| *known == name), "{name}");
         Self::Arm { arm, name, line: line.to_owned(), end: end.map(str::to_owned) }
@@ -246,6 +246,44 @@ impl Kind {
             Self::Unplugged(arm) | Self::Arm { arm, .. } => Some(*arm),
             _ => None,
         }
+    }
+
+    /// The arm of which nobody who writes the log can know anything while it lasts: its controller has no power, or nothing comes from it.
+    pub fn hides(&self) -> Option<usize> {
+        match self {
+            Self::Unplugged(arm) => Some(*arm),
+            Self::Arm { arm, name: "arm: power" | "bus: silent" | "line: silent", .. } => Some(*arm),
+            _ => None,
+        }
+    }
+
+    /// Whether nobody knows of it but by what the servo controller says.
+    pub fn is_read_by_controller(&self) -> bool {
+        match self {
+            Self::EmergencyStopOfBoth => true,
+            Self::Arm { name, .. } => {
+                matches!(
+                    *name,
+                    "arm: emergency stop" | "arm: limit switch" | "arm: servo alarm" | "arm: controller alarm"
+                )
+            }
+            _ => false,
+        }
+    }
+
+    /// Whether arms may be stopped because of it.
+    pub fn may_stop(&self) -> bool {
+        match self {
+            Self::Arm { .. } | Self::Unplugged(_) | Self::EmergencyStopOfBoth => true,
+            Self::Overrun(_) | Self::ClockJump(_) | Self::Silence => true,
+            Self::Word(word, _) => *word == Word::Stop,
+            _ => false,
+        }
+    }
+
+    /// Whether it is gone when its time is over; an alarm stays.
+    pub fn ends(&self) -> bool {
+        !matches!(self, Self::Arm { end: None, .. })
     }
 
     /// The arm and the joint, from 0, that does not do what it is told while it lasts.

@@ -11,6 +11,7 @@ mod recorder;
 mod rig;
 mod scenario;
 mod speaker;
+mod telling;
 
 use std::path::PathBuf;
 use std::process::ExitCode;

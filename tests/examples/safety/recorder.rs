@@ -1,6 +1,6 @@
 //! Writes down what truly happens: joints from the simulated plants, latches from gateways and drivers, and what is said.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -17,6 +17,7 @@ use system_tests::safety::truth::{ARM_NAMES, ArmTruth, HAND_ARM, Joints, LogLine
 
 use crate::faults::{Fault, Kind};
 use crate::scenario::Scenario;
+use crate::telling::Happened;
 
 /// Time between two steps of the record.
 const STEP_NANOS: u64 = 10_000_000;
@@ -48,11 +49,13 @@ pub struct Recorder {
     arms: [(ArmMonitor, VirtualEnd); 2],
     begin: Option<MonotonicTime>,
     next: MonotonicTime,
-    /// Exposure of the newest confident estimate of a new picture that was delivered.
-    exposed: Option<MonotonicTime>,
+    /// By target: exposure of the newest confident estimate of a new picture that was delivered.
+    exposed: BTreeMap<u64, MonotonicTime>,
     /// Number and time of the newest picture that was delivered.
     newest: Option<(u64, MonotonicTime)>,
-    /// The target that was seen first.
+    /// Which target was followed from when on, by what was delivered.
+    followed: Vec<(MonotonicTime, u64)>,
+    /// The one that was followed when the operator said start.
     target: Option<u64>,
     /// Pictures whose poses are worthless.
     spoiled: BTreeSet<u64>,
@@ -68,6 +71,8 @@ pub struct Recorder {
     /// When the operator last reset, how often, and was last heard.
     reset_at: MonotonicTime,
     resets: u32,
+    /// When the operator said reset, seconds.
+    pub resets_s: Vec<f64>,
     heard_at: Option<MonotonicTime>,
     /// When the operator last said start or resume; words that were said before `not_before` lead on to nothing.
     go_at: Option<MonotonicTime>,
@@ -92,8 +97,9 @@ impl Recorder {
             arms,
             begin: None,
             next: MonotonicTime::ZERO,
-            exposed: None,
+            exposed: BTreeMap::new(),
             newest: None,
+            followed: Vec::new(),
             target: None,
             spoiled: BTreeSet::new(),
             began_at: vec![None; scenario.faults.len()],
@@ -105,6 +111,7 @@ impl Recorder {
             stopped_at: None,
             reset_at: MonotonicTime::ZERO,
             resets: 0,
+            resets_s: Vec::new(),
             heard_at: None,
             go_at: None,
             not_before: MonotonicTime::ZERO,
@@ -130,9 +137,17 @@ impl Recorder {
         self.begin.map_or(0.0, |begin| at.seconds_since(begin))
     }
 
-    /// When this fault began, seconds, if it found arms that were on and that nothing had stopped yet.
-    pub fn could_stop_s(&self, index: usize) -> Option<f64> {
-        self.began_at[index].filter(|_| self.could_stop[index]).map(|began| self.t_s(began))
+    /// When each fault of the scenario truly was there.
+    pub fn times(&self) -> Vec<Happened> {
+        let seconds = |at: Option<MonotonicTime>| at.map(|at| self.t_s(at));
+        let times = self.began_at.iter().zip(&self.ended_at).zip(&self.could_stop);
+        times
+            .map(|((began, ended), &could_stop)| Happened {
+                from_s: seconds(*began),
+                until_s: seconds(*ended),
+                could_stop,
+            })
+            .collect()
     }
 
     /// The pose of this picture is worthless, although nothing tells.
@@ -176,23 +191,27 @@ impl Recorder {
     }
 
     /// An estimate comes to those who move. It counts if the estimator stands by it, it is of a picture that is newer than all before by
-    /// number and time, with both eyes exposed together, of the target that was seen first, and sure enough.
-    pub fn delivered(&mut self, percept: &Percept) {
+    /// number and time, with both eyes exposed together, of the target that was started, and sure enough.
+    pub fn delivered(&mut self, percept: &Percept, now: MonotonicTime) {
         let Percept { frame, estimate, .. } = percept;
         let is_newest = self.newest.is_none_or(|(number, at)| frame.sequence > number && frame.at > at);
         if is_newest {
             self.newest = Some((frame.sequence, frame.at));
+            let is_followed = self.followed.last().is_some_and(|(_, target)| *target == estimate.target);
+            if estimate.confidence != Confidence::NoPose && !is_followed {
+                self.followed.push((now, estimate.target));
+            }
         }
-        let target = *self.target.get_or_insert(estimate.target);
         let sigma = |first: usize| {
             let variance =
                 |covariance: nalgebra::Matrix6<f64>| (0..3).map(|i| covariance[(first + i, first + i)]).sum();
             estimate.covariance.map_or(0.0, |covariance| f64::sqrt(variance(covariance)))
         };
         let is_sure = sigma(0) <= SURE_M && sigma(3) <= SURE_RAD && frame.skew_s.abs() <= TOGETHER_S;
-        let is_right = estimate.target == target && !self.spoiled.contains(&frame.sequence);
+        let is_right = !self.spoiled.contains(&frame.sequence);
         if estimate.confidence == Confidence::Sure && is_newest && is_sure && is_right {
-            self.exposed = Some(self.exposed.map_or(frame.at, |before| before.max(frame.at)));
+            let exposed = self.exposed.entry(estimate.target).or_insert(frame.at);
+            *exposed = frame.at.max(*exposed);
         }
     }
 
@@ -224,6 +243,12 @@ impl Recorder {
         match transition.to {
             State::Approaching => {
                 let by_word = matches!(transition.event, Event::Start | Event::Resume);
+                if transition.event == Event::Start {
+                    // Who says start means what is followed then; what is followed when the word is heard may be something else.
+                    let said_at = self.go_at.filter(|_| self.scenario.has_person).unwrap_or(now);
+                    let followed = self.followed.iter().rev().find(|(since, _)| *since <= said_at);
+                    self.target = followed.map(|(_, target)| *target);
+                }
                 let go = self.go_at.filter(|at| *at >= self.not_before && now.seconds_since(*at) <= WORD_AGE_S);
                 if by_word && (go.is_some() || !self.scenario.has_person) {
                     self.may_go = [true; 2];
@@ -233,7 +258,10 @@ impl Recorder {
             }
             State::Stopped | State::Fault => self.must_rest(now, true),
             // Without a person the arm with the target goes its way from the beginning on.
-            State::Idle | State::Selecting => self.must_rest(now, self.scenario.has_person),
+            State::Idle | State::Selecting => {
+                self.target = None;
+                self.must_rest(now, self.scenario.has_person);
+            }
             State::Holding | State::Lost => self.not_before = now,
             State::Tracking => {}
         }
@@ -270,7 +298,8 @@ impl Recorder {
                 self.may_go[HAND_ARM] = false;
             }
             Word::Stop => self.must_rest(now, true),
-            Word::Select | Word::Reset => {}
+            Word::Select => {}
+            Word::Reset => self.resets_s.push(self.t_s(now)),
         }
     }
 
@@ -287,7 +316,8 @@ impl Recorder {
         self.may_go = [false; 2];
     }
 
-    fn say(&mut self, at: MonotonicTime, text: String) {
+    /// A line for the log.
+    pub fn say(&mut self, at: MonotonicTime, text: String) {
         let t_s = self.t_s(at).max(0.0);
         self.noticed_s.push(t_s);
         self.truth.log.push(LogLine { t_millis: (t_s * 1e3) as u64, text });
@@ -363,6 +393,11 @@ impl Recorder {
         self.scenario.has_person && self.heard_at.is_none_or(|heard| at.seconds_since(heard) > SILENCE_S)
     }
 
+    /// Exposure of the newest pose of the target that was started.
+    fn exposed_at(&self) -> Option<MonotonicTime> {
+        self.target.and_then(|target| self.exposed.get(&target).copied())
+    }
+
     fn step_at(&self, at: MonotonicTime) -> Step {
         let t_s = self.t_s(at);
         let arm = |index: usize| {
@@ -379,7 +414,7 @@ impl Recorder {
             t_s,
             arms: [arm(HAND_ARM), arm(TARGET_ARM)],
             world_from_target: placement(&self.cell, at),
-            pose_age_s: self.exposed.map_or(f64::INFINITY, |exposed| at.seconds_since(exposed)),
+            pose_age_s: self.exposed_at().map_or(f64::INFINITY, |exposed| at.seconds_since(exposed)),
             resets: self.resets,
             state: self.state.name(),
             says_why: self.says_why,

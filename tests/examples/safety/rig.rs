@@ -20,12 +20,13 @@ use pb3dp_orchestrator::run::strip::Strip;
 use pb3dp_orchestrator::wiring::wire_cell;
 use pb3dp_servo::supervisor::Confidence;
 use system_tests::repository;
-use system_tests::safety::truth::{Injected, Truth};
+use system_tests::safety::truth::Truth;
 
 use crate::faults::{Fault, Kind};
 use crate::recorder::{Recorder, Shared, lock};
 use crate::scenario::{Dice, Scenario};
 use crate::speaker::Speaker;
+use crate::telling::Faults;
 
 /// What came before is known for so long: switching both arms off takes less.
 const HISTORY: Duration = Duration::from_secs(5);
@@ -139,12 +140,11 @@ fn afterwards(
         clock.sleep_until(clock.now() + LOOK);
         recording.catch_up(clock.now());
     }
-    let ended_s = recording.t_s(clock.now());
     let noticed: Vec<_> =
         scenario.faults.iter().zip(begun).map(|(fault, begun)| noticed(fault, *begun, &recording.noticed_s)).collect();
-    let faults = scenario.faults.iter().enumerate();
-    recording.truth.injected =
-        faults.filter_map(|(index, fault)| injected(fault, recording.could_stop_s(index), ended_s)).collect();
+    let (times, resets_s) = (recording.times(), std::mem::take(&mut recording.resets_s));
+    let faults = Faults { faults: &scenario.faults, times: &times, resets_s: &resets_s };
+    recording.truth.injected = faults.to_be_told(&recording.truth);
     Ran { truth: std::mem::take(&mut recording.truth), ended, noticed }
 }
 
@@ -154,20 +154,6 @@ const NOTICED_S: f64 = 0.5;
 fn noticed(fault: &Fault, begun: bool, noticed_s: &[f64]) -> Option<bool> {
     let within = fault.from_s - 1e-3..fault.until_s() + NOTICED_S;
     begun.then(|| noticed_s.iter().any(|t_s| within.contains(t_s)))
-}
-
-/// What the log has to tell of: from when it began, seconds.
-fn injected(fault: &Fault, from_s: Option<f64>, ended_s: f64) -> Option<Injected> {
-    let words = fault.kind.words();
-    let from_s = from_s.filter(|_| !words.is_empty())?;
-    Some(Injected {
-        name: fault.kind.name().to_owned(),
-        from_s,
-        // What latches is told of at once, however long its cause lasts.
-        until_s: from_s.min(ended_s),
-        had_effect: true,
-        words,
-    })
 }
 
 /// The half that looks, with what goes wrong there.
@@ -315,7 +301,7 @@ impl Mover for Faulty<'_> {
     }
 
     fn observe(&mut self, percept: Percept, now: MonotonicTime) {
-        lock(&self.recorder).delivered(&percept);
+        lock(&self.recorder).delivered(&percept, self.clock.now());
         self.inner.observe(percept, self.shown(now));
     }
 

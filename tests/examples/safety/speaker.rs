@@ -111,7 +111,11 @@ impl Operator for Speaker {
 
     fn show(&mut self, _decision: &Decision) {}
 
-    fn tell(&mut self, _trouble: Option<String>) {}
+    fn tell(&mut self, trouble: Option<String>) {
+        if let Some(trouble) = trouble {
+            lock(&self.recorder).say(self.clock.now(), format!("to the operator: {trouble}"));
+        }
+    }
 
     fn is_person(&self) -> bool {
         true

@@ -1,0 +1,202 @@
+//! What the log has to tell of, and by when: what could be known, by whoever could know it.
+
+use system_tests::safety::truth::{ARM_NAMES, Injected, Truth};
+
+use crate::faults::Fault;
+
+/// What lasts for so long and is not hidden is known, seconds.
+const KNOWN_S: f64 = 0.02;
+/// What is over for longer than this stops no arm any more, seconds: a lost link is found within that time.
+const LATE_S: f64 = 0.1;
+/// Both arms are reset in this time, seconds; a control step waits for it.
+const RESET_S: f64 = 0.6;
+/// Times are compared so exactly, seconds.
+const NEAR_S: f64 = 1e-3;
+
+/// When a fault truly was there.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Happened {
+    /// Seconds since the run began; none if it never did.
+    pub from_s: Option<f64>,
+    /// When it was ended.
+    pub until_s: Option<f64>,
+    /// Whether it found arms that were on and that nothing had stopped.
+    pub could_stop: bool,
+}
+
+impl Happened {
+    fn overlaps(&self, from_s: f64, until_s: f64) -> bool {
+        self.from_s.is_some_and(|own_s| own_s < until_s) && self.until_s.is_none_or(|own_s| own_s > from_s)
+    }
+}
+
+/// All faults of a run, with their times.
+pub struct Faults<'a> {
+    /// What they are.
+    pub faults: &'a [Fault],
+    /// When they were there.
+    pub times: &'a [Happened],
+    /// When the operator said reset, seconds.
+    pub resets_s: &'a [f64],
+}
+
+impl Faults<'_> {
+    /// What has to be told.
+    pub fn to_be_told(&self, truth: &Truth) -> Vec<Injected> {
+        let told = (0..self.faults.len()).filter_map(|index| self.one(index, truth));
+        let ended_s = truth.steps.last().map_or(0.0, |step| step.t_s);
+        told.map(|injected| Injected { until_s: injected.until_s.min(ended_s), ..injected }).collect()
+    }
+
+    fn one(&self, index: usize, truth: &Truth) -> Option<Injected> {
+        let (kind, times) = (&self.faults[index].kind, self.times[index]);
+        let words = kind.words();
+        let began_s = times.from_s.filter(|_| times.could_stop && !words.is_empty())?;
+        let known_s = self.known_s(index, began_s)?;
+        // An arm that is stopped by something else by then is not stopped once more: who resets it is told what is still there.
+        let was_stopped = known_s > began_s && latched(truth, known_s);
+        let until_s = if was_stopped || self.is_one_of_several(index, known_s, truth) {
+            let is_told_of = |&reset_s: &f64| {
+                reset_s > known_s && self.known_s(index, reset_s).is_some_and(|at_s| at_s <= reset_s + NEAR_S)
+            };
+            self.resets_s.iter().copied().find(is_told_of)? + RESET_S
+        } else {
+            known_s
+        };
+        // What latches is told of at once, however long its cause lasts.
+        let name = kind.name().to_owned();
+        Some(Injected { name, from_s: known_s, until_s, had_effect: true, words })
+    }
+
+    /// From when on it could be known, at this time or later: as long as a controller has no power, or nothing comes through to it,
+    /// nobody can read its switches and alarms. None if it was over by then.
+    fn known_s(&self, index: usize, from_s: f64) -> Option<f64> {
+        let fault = &self.faults[index];
+        let mut at_s = from_s;
+        while fault.kind.is_read_by_controller()
+            && let Some(until_s) = self.hidden_until_s(fault.kind.arm(), at_s)
+        {
+            at_s = until_s?;
+        }
+        let is_over = fault.kind.ends() && self.times[index].until_s.is_some_and(|own_s| own_s < at_s + KNOWN_S);
+        (!is_over).then_some(at_s)
+    }
+
+    /// If nobody can know then what is wrong with an arm, or with both: until when; it may be for good.
+    fn hidden_until_s(&self, arm: Option<usize>, at_s: f64) -> Option<Option<f64>> {
+        let hides = |of: usize| {
+            self.faults.iter().zip(self.times).find_map(|(other, times)| {
+                let is_hidden = other.kind.hides() == Some(of) && times.overlaps(at_s, at_s + KNOWN_S);
+                is_hidden.then_some(times.until_s)
+            })
+        };
+        match arm {
+            Some(arm) => hides(arm),
+            None => hides(0).and_then(|first| hides(1).map(|second| first.zip(second).map(|(a, b)| a.min(b)))),
+        }
+    }
+
+    /// Whether another fault stopped the arms at the same time, and the log says why they were stopped.
+    fn is_one_of_several(&self, index: usize, at_s: f64, truth: &Truth) -> bool {
+        let others = self.faults.iter().zip(self.times).enumerate().filter(|(other, _)| *other != index);
+        let is_there = others
+            .filter(|(_, (other, _))| other.kind.may_stop())
+            .any(|(_, (_, times))| times.overlaps(at_s - LATE_S, at_s + KNOWN_S));
+        let is_told = truth.log.iter().any(|line| {
+            let t_s = line.t_millis as f64 * 1e-3;
+            (at_s - NEAR_S..=at_s + KNOWN_S).contains(&t_s) && ARM_NAMES.iter().any(|name| line.text.starts_with(name))
+        });
+        is_there && is_told
+    }
+}
+
+/// Whether an arm was latched.
+fn latched(truth: &Truth, at_s: f64) -> bool {
+    let step = truth.steps.iter().find(|step| step.t_s >= at_s).or(truth.steps.last());
+    step.is_some_and(|step| {
+        step.arms.iter().any(|arm| arm.latched_since_s.is_some_and(|since_s| since_s <= at_s + NEAR_S))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::faults::Kind;
+    use system_tests::safety::truth::{ArmTruth, LogLine, Placement, Step};
+
+    fn arm(arm: usize, name: &'static str, line: &str, end: Option<&str>) -> Fault {
+        Fault { kind: Kind::of_arm(arm, name, line, end), from_s: 0.0, for_s: 0.0 }
+    }
+
+    fn switch() -> Fault {
+        arm(0, "arm: limit switch", "limit-switch open", Some("limit-switch close"))
+    }
+
+    fn from_to(from_s: f64, until_s: f64) -> Happened {
+        Happened { from_s: Some(from_s), until_s: Some(until_s), could_stop: true }
+    }
+
+    /// Ten seconds, latched from 2 s to 8 s, with this line at the beginning of it.
+    fn truth(line: &str) -> Truth {
+        let step = |k: u32| {
+            let t_s = f64::from(k) * 0.01;
+            let latched_since_s = (2.01..8.0).contains(&t_s).then_some(2.01);
+            let arm = ArmTruth { latched_since_s, ..ArmTruth::resting_at([0.0; 7]) };
+            let world_from_target = Placement::IDENTITY;
+            Step { t_s, arms: [arm; 2], world_from_target, pose_age_s: 0.0, resets: 0, state: "fault", says_why: true }
+        };
+        let log = vec![LogLine { t_millis: 2010, text: line.to_owned() }];
+        Truth { steps: (0..1000).map(step).collect(), log, injected: Vec::new() }
+    }
+
+    const OTHER_CAUSE: &str = "vs-robot: fault: the gateway stopped the arm";
+
+    fn told(faults: &[Fault], times: &[Happened], resets_s: &[f64]) -> Vec<(f64, f64)> {
+        let found = Faults { faults, times, resets_s }.to_be_told(&truth(OTHER_CAUSE));
+        found.iter().map(|injected| (injected.from_s, injected.until_s)).collect()
+    }
+
+    #[test]
+    fn what_can_be_known_is_told_at_once() {
+        assert_eq!(told(&[switch()], &[from_to(2.0, 3.0)], &[5.0]), [(2.0, 2.0)]);
+        let never = Happened::default();
+        assert!(told(&[switch()], &[never], &[]).is_empty());
+        let late = Happened { could_stop: false, ..from_to(2.0, 3.0) };
+        assert!(told(&[switch()], &[late], &[]).is_empty());
+    }
+
+    #[test]
+    fn a_switch_of_a_controller_without_power_is_told_to_who_resets() {
+        let power = || arm(0, "arm: power", "power off", Some("power on"));
+        let times = [from_to(2.0, 6.0), from_to(2.0, 4.0)];
+        let faults = [switch(), power()];
+        let switch_of = |told: Vec<(f64, f64)>| told[..told.len() - 1].to_vec();
+        // The power itself is told of to who resets, too: another fault was there at the same time.
+        assert_eq!(switch_of(told(&faults, &times, &[3.0, 5.0])), [(4.0, 5.6)]);
+        // Not in the dark, and not when the switch is closed again.
+        assert!(switch_of(told(&faults, &times, &[3.0, 7.0])).is_empty());
+        // It was closed before the power came back: nobody could ever know.
+        let times = [from_to(2.0, 3.5), from_to(2.0, 4.0)];
+        assert!(switch_of(told(&faults, &times, &[3.0, 4.5])).is_empty());
+        // The power of the other arm hides nothing.
+        let other = arm(1, "arm: power", "power off", Some("power on"));
+        assert_eq!(told(&[switch(), other], &[from_to(1.0, 3.0), from_to(2.0, 4.0)], &[])[0], (1.0, 1.0));
+    }
+
+    #[test]
+    fn of_two_that_stop_the_arms_at_once_one_is_told_at_once_and_the_other_to_who_resets() {
+        let alarm = || arm(1, "arm: servo alarm", "alarm 6 0x05", None);
+        let clock = || arm(0, "line: clock of the gateway", "line gateway-clock -0.6s", None);
+        let times = [from_to(2.0, 2.1), from_to(2.0, 3.0)];
+        // An alarm stays until it is reset, however long the fault was to last.
+        assert_eq!(told(&[alarm(), clock()], &times, &[5.0]), [(2.0, 5.6)]);
+        assert!(told(&[alarm(), clock()], &times, &[]).is_empty());
+        // What can stop no arm excuses nothing, nor what was over long ago, nor an arm that says nothing.
+        let blind = Fault { kind: Kind::NoPose, from_s: 0.0, for_s: 0.0 };
+        assert_eq!(told(&[alarm(), blind], &times, &[5.0]), [(2.0, 2.0)]);
+        assert_eq!(told(&[alarm(), clock()], &[times[0], from_to(1.0, 1.8)], &[5.0]), [(2.0, 2.0)]);
+        let (faults, silent) = ([alarm(), clock()], truth("fault-found fault"));
+        let found = Faults { faults: &faults, times: &times, resets_s: &[5.0] }.to_be_told(&silent);
+        assert_eq!((found[0].from_s, found[0].until_s), (2.0, 2.0));
+    }
+}
