@@ -30,8 +30,8 @@ const QUICK_ROUNDS: &str = "40";
 /// servo   how well the hand follows in simulation: the experiment of Fig. 7, sinusoids, steps, beside what an ideal filter or the
 ///         arm's limits allow; fails if a limit is missed (ten minutes on two idle cores; --quick: seconds; --only WORDS, --seed N). Writes docs/benchmarks/servo.md
 /// safety  seeded runs in which everything goes wrong, with both arms emulated in virtual time, judged on the simulator's truth;
-///         fails if anything does not hold, and says how to do that run again: --runs N, --seed N, --quick, --trace; a run
-///         of default length writes docs/benchmarks/safety.md. --disabled, in a build of its own: each safeguard switched off, which
+///         fails if anything does not hold, and says how to do that run again: --runs N, --seed N, --quick, --trace,
+///         --pictured N (of the first runs so many once more with rendered pictures); a run of default length writes docs/benchmarks/safety.md. --disabled, in a build of its own: each safeguard switched off, which
 ///         must show; --only NAME: some of them; all of them write their part of that page
 /// all     speed and raster
 ///

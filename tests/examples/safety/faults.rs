@@ -1,9 +1,11 @@
 //! What goes wrong in a run, at every seam: what is seen, when it comes, the control loop, its clock, lines, gateways and arms.
 
 use pb3dp_arm_pa10::codec::{CommAlarm, ServoAlarm};
+use pb3dp_camera_sim::CameraFaultKind;
 
 use pb3dp_servo::supervisor::Word;
 
+use crate::cameras;
 use crate::scenario::Dice;
 
 /// Something that goes wrong for a while.
@@ -69,6 +71,8 @@ pub enum Kind {
     Word(Word, f64),
     /// There is no sign of life of the operator.
     Silence,
+    /// Something of the cameras.
+    Camera(CameraFaultKind),
 }
 
 type Lines = fn(&mut Dice) -> (String, Option<String>);
@@ -140,7 +144,7 @@ const OF_THE_CELL: [&str; 20] = [
 ];
 
 impl Kind {
-    /// How many there are.
+    /// How many there are, those of the cameras not counted.
     pub const COUNT: usize = OF_THE_CELL.len() + OF_ARMS.len();
 
     /// What goes wrong with one arm, by its name in tables.
@@ -205,6 +209,7 @@ impl Kind {
             Self::Word(..) => 18,
             Self::Silence => 19,
             Self::Arm { name, .. } => return name,
+            Self::Camera(kind) => return cameras::name(kind),
         }]
     }
 
@@ -279,6 +284,21 @@ impl Kind {
             Self::Word(word, _) => *word == Word::Stop,
             _ => false,
         }
+    }
+
+    /// Whether the cameras can fail in its place: what it does to estimates, they do to pictures.
+    pub fn is_of_estimates(&self) -> bool {
+        matches!(
+            self,
+            Self::EstimatesLost(_)
+                | Self::NoPose
+                | Self::Doubtful
+                | Self::Late(_)
+                | Self::Stall
+                | Self::Skew(_)
+                | Self::OldPictures
+                | Self::NumbersStand
+        )
     }
 
     /// Whether it is gone when its time is over; an alarm stays.

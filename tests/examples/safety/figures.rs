@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 
 use system_tests::safety::rules::Rules;
-use system_tests::safety::truth::{ARM_NAMES, Truth};
+use system_tests::safety::truth::{ARM_NAMES, HAND_ARM, Step, Truth};
 
 use crate::Judged;
+use crate::effects::Became;
 
 /// How often something went wrong.
 #[derive(Clone, Copy, Debug, Default)]
@@ -14,6 +15,8 @@ pub struct Count {
     pub drawn: u64,
     /// While the control loop ran.
     pub begun: u64,
+    /// Where it met nothing.
+    pub without_effect: u64,
     /// Where a line was said or a counter rose meanwhile or soon after.
     pub noticed: u64,
 }
@@ -51,6 +54,8 @@ pub struct Figures {
     pub ends: BTreeMap<String, u64>,
     /// By limit and arm.
     pub margins: BTreeMap<String, Margin>,
+    /// Runs in which the hand may look for a target that was lost, and for how long it did, seconds.
+    pub searches: (u64, f64),
     /// Of all records, in whatever order they came.
     pub digest: u64,
     /// CPU time, milliseconds.
@@ -62,23 +67,26 @@ pub struct Figures {
 impl Figures {
     /// One more run.
     pub fn add(&mut self, judged: &Judged, rules: &Rules) {
-        let Judged { scenario, ran, violations, digest, cpu_millis } = judged;
+        let Judged { scenario, ran, violations, digest, cpu_millis, .. } = judged;
         self.runs += 1;
         self.digest = self.digest.wrapping_add(digest.wrapping_mul(2 * scenario.seed + 1));
         self.cpu_millis += cpu_millis;
         self.virtual_s += ran.truth.steps.last().map_or(0.0, |step| step.t_s);
         *self.motions.entry(scenario.motion_name).or_default() += 1;
+        self.searches.0 += u64::from(scenario.searches);
+        self.searches.1 += searched_s(&ran.truth, rules);
         for violation in violations {
             let seeds = self.violations.entry(violation.invariant.name().to_owned()).or_default();
             seeds.push(scenario.seed);
             seeds.sort_unstable();
             seeds.dedup();
         }
-        for (fault, noticed) in scenario.faults.iter().zip(&ran.noticed) {
+        for (fault, became) in scenario.faults.iter().zip(&ran.became) {
             let count = self.faults.entry(fault.kind.name()).or_default();
             count.drawn += 1;
-            count.begun += u64::from(noticed.is_some());
-            count.noticed += u64::from(*noticed == Some(true));
+            count.begun += u64::from(*became != Became::AfterTheEnd);
+            count.without_effect += u64::from(*became == Became::NoEffect);
+            count.noticed += u64::from(*became == Became::Noticed);
         }
         *self.ends.entry(ran.ended.as_deref().map_or_else(|| "at its time".to_owned(), cause)).or_default() += 1;
         self.margins_of(&ran.truth, rules, scenario.seed);
@@ -113,10 +121,22 @@ impl Figures {
         }
     }
 
+    /// How many runs did not keep an invariant, each invariant counted by itself.
+    pub fn broken(&self) -> usize {
+        self.violations.values().map(Vec::len).sum()
+    }
+
     /// Simulated seconds per second of one core; the runs count with their full length only where they had it.
     pub fn times_real_time(&self) -> f64 {
-        self.virtual_s / (self.cpu_millis * 1e-3)
+        self.virtual_s / (self.cpu_millis * 1e-3).max(1e-9)
     }
+}
+
+/// For how long the hand moved to look for its target, seconds.
+fn searched_s(truth: &Truth, rules: &Rules) -> f64 {
+    let moves = |step: &Step| step.arms[HAND_ARM].velocity_rad_per_s.iter().any(|v| v.abs() > rules.rest_rad_per_s);
+    let searches = |pair: &&[Step]| pair[1].may_search && pair[1].pose_age_s > rules.pose_age_max_s && moves(&pair[1]);
+    truth.steps.windows(2).filter(searches).map(|pair| pair[1].t_s - pair[0].t_s).sum()
 }
 
 /// A cause without its numbers, so that equal causes are counted together.

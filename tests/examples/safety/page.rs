@@ -10,16 +10,16 @@ use pb3dp_safeguards::Safeguard;
 #[cfg(feature = "disabled-guards")]
 use system_tests::safety::invariants::Violation;
 
-use crate::figures::Figures;
+use crate::figures::{Count, Figures};
 #[cfg(feature = "disabled-guards")]
 use crate::proofs::Shown;
 use crate::replay;
 
 /// The whole page.
-pub fn text(figures: &Figures, seed: u64, origin: &str) -> String {
+pub fn text(figures: &Figures, pictured: &Figures, seed: u64, origin: &str) -> String {
     let mut page = String::new();
     // Nothing is written to that could fail.
-    write(&mut page, figures, (seed, origin)).ok();
+    write(&mut page, figures, pictured, (seed, origin)).ok();
     page
 }
 
@@ -100,10 +100,38 @@ fn broken(violations: &[Violation]) -> String {
     names.join(", ")
 }
 
-fn write(page: &mut String, figures: &Figures, (seed, origin): (u64, &str)) -> std::fmt::Result {
+/// What did not hold, with the command that does it again.
+fn write_violations(page: &mut String, figures: &Figures, pictured: bool) -> std::fmt::Result {
+    if figures.violations.is_empty() {
+        return writeln!(page, "None.\n");
+    }
+    writeln!(page, "| invariant | runs | the first one again |\n|---|---|---|")?;
+    for (invariant, seeds) in &figures.violations {
+        let first = seeds.first().map_or_else(String::new, |seed| replay(*seed, pictured));
+        writeln!(page, "| {invariant} | {} | `{first}` |", seeds.len())?;
+    }
+    writeln!(page)
+}
+
+/// Runs in which pictures were rendered and looked at.
+fn write_pictured(page: &mut String, figures: &Figures) -> std::fmt::Result {
     let Figures { runs, virtual_s, .. } = figures;
+    if *runs == 0 {
+        return Ok(());
+    }
+    writeln!(page, "## With pictures\n")?;
+    writeln!(
+        page,
+        "The first {runs} of them once more, with rendered pictures and the method that looks at them ({virtual_s:.0} s in all), at {:.1} times real time per core; violations:\n",
+        figures.times_real_time()
+    )?;
+    write_violations(page, figures, true)
+}
+
+fn write(page: &mut String, figures: &Figures, pictured: &Figures, (seed, origin): (u64, &str)) -> std::fmt::Result {
+    let Figures { runs, virtual_s, searches: (searches, searched_s), .. } = figures;
     writeln!(page, "{HEADING}\n")?;
-    writeln!(page, "`cargo xtask bench safety --seed {seed} --runs {runs}`; {origin}\n")?;
+    writeln!(page, "`cargo xtask bench safety --seed {seed} --runs {runs} --pictured {}`; {origin}\n", pictured.runs)?;
     writeln!(
         page,
         "{runs} runs of up to 20 virtual seconds ({virtual_s:.0} s in all) with 1 to 5 faults each, at {:.0} times real time per core.",
@@ -119,28 +147,27 @@ fn write(page: &mut String, figures: &Figures, (seed, origin): (u64, &str)) -> s
     )?;
     writeln!(
         page,
-        "What must hold is checked on the simulator's joints by `tests/src/safety`, which shares no code with what it checks.\n"
+        "What must hold is checked on the simulator's joints by `tests/src/safety`, which shares no code with what it checks."
+    )?;
+    writeln!(
+        page,
+        "In {searches} of them the hand may look for a target that was lost, and did so for {searched_s:.0} s.\n"
     )?;
     writeln!(page, "## Violations\n")?;
-    if figures.violations.is_empty() {
-        writeln!(page, "None.\n")?;
-    } else {
-        writeln!(page, "| invariant | runs | the first one again |\n|---|---|---|")?;
-        for (invariant, seeds) in &figures.violations {
-            let first = seeds.first().map_or_else(String::new, |seed| replay(*seed));
-            writeln!(page, "| {invariant} | {} | `{first}` |", seeds.len())?;
-        }
-        writeln!(page)?;
-    }
+    write_violations(page, figures, false)?;
+    write_pictured(page, pictured)?;
     writeln!(page, "## Faults\n")?;
     writeln!(
         page,
-        "Noticed: a line in the log, or a counter of a link or gateway, while it lasted or within 0.5 s.\nA fault that is borne leaves no trace, such as one late reply.\n"
+        "Without effect: it met nothing, as no pair came while it lasted, the arm was off, or nobody was there to speak.\n\
+         Noticed, of the others: a line in the log, or a counter of a link or gateway, while it lasted or within 0.5 s.\n\
+         A fault that is borne leaves no trace, such as one late reply.\n"
     )?;
-    writeln!(page, "| fault | drawn | while the loop ran | noticed |\n|---|---|---|---|")?;
+    writeln!(page, "| fault | drawn | while the loop ran | without effect | noticed |\n|---|---|---|---|---|")?;
     for (name, count) in &figures.faults {
-        let share = 100.0 * count.noticed as f64 / count.begun.max(1) as f64;
-        writeln!(page, "| {name} | {} | {} | {share:.0} % |", count.drawn, count.begun)?;
+        let Count { drawn, begun, without_effect, noticed } = *count;
+        let share = 100.0 * noticed as f64 / (begun - without_effect).max(1) as f64;
+        writeln!(page, "| {name} | {drawn} | {begun} | {without_effect} | {share:.0} % |")?;
     }
     writeln!(page, "\n## Targets\n\n| motion | runs |\n|---|---|")?;
     for (name, count) in &figures.motions {

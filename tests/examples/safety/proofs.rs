@@ -70,7 +70,7 @@ impl Proof {
             .map(|(after_s, for_s, kind)| Fault { kind, from_s: FIRST_S + after_s, for_s })
             .collect();
         let has_person = self.has_person;
-        Scenario { seed, motion_name: "proof", motion, carrier, faults, run_s: RUN_S, has_person }
+        Scenario { seed, motion_name: "proof", motion, carrier, faults, run_s: RUN_S, has_person, searches: false }
     }
 
     fn show(&self, setup: &Setup, rules: &Rules, args: &Args) -> Result<Shown> {
@@ -103,7 +103,7 @@ impl Proof {
 /// # Errors
 /// A run that can not be wired, or no safeguard of that name.
 pub fn run(args: &Args) -> Result<ExitCode> {
-    let (setup, rules) = (base()?, Rules::of_the_rig());
+    let (setup, rules) = (base(false)?, Rules::of_the_rig());
     let proofs: Vec<_> = table::PROOFS.iter().filter(|proof| proof.guard.name().contains(&args.only)).collect();
     ensure!(!proofs.is_empty(), "--only {}: no safeguard has such a name", args.only);
     let next = AtomicUsize::new(0);

@@ -16,6 +16,7 @@ use pb3dp_sim::joint_dynamics::{AxisMode, JointPlant};
 use system_tests::safety::truth::{ARM_NAMES, ArmTruth, HAND_ARM, Joints, LogLine, Placement, Step, TARGET_ARM, Truth};
 
 use crate::faults::{Fault, Kind};
+use crate::rig::SEARCH_MAX_S;
 use crate::scenario::Scenario;
 use crate::telling::Happened;
 
@@ -37,6 +38,8 @@ const SILENCE_S: f64 = 1.01;
 /// How sure a pose has to be: root of the summed variances of position and orientation, metres and radians.
 const SURE_M: f64 = 0.020;
 const SURE_RAD: f64 = 6.0 * std::f64::consts::PI / 180.0;
+/// A control cycle passes until a search that took too long ends, seconds.
+const SEARCH_END_S: f64 = 0.02;
 /// How far apart both eyes may be exposed, seconds.
 const TOGETHER_S: f64 = 0.005;
 
@@ -62,6 +65,8 @@ pub struct Recorder {
     /// When the faults of the scenario began and ended, as far as they have.
     began_at: Vec<Option<MonotonicTime>>,
     ended_at: Vec<Option<MonotonicTime>>,
+    /// Which of them met something.
+    touched: Vec<bool>,
     /// Which of them found arms that nothing had stopped yet.
     could_stop: Vec<bool>,
     latched_since: [Option<MonotonicTime>; 2],
@@ -79,6 +84,8 @@ pub struct Recorder {
     not_before: MonotonicTime,
     /// The operator said hold, and not resume since.
     was_told_to_rest: bool,
+    /// Since when the supervisor has said that the target is lost, if it does.
+    lost_at: Option<MonotonicTime>,
     says_why: bool,
     may_go: [bool; 2],
     found: [bool; Condition::COUNT],
@@ -104,6 +111,7 @@ impl Recorder {
             spoiled: BTreeSet::new(),
             began_at: vec![None; scenario.faults.len()],
             ended_at: vec![None; scenario.faults.len()],
+            touched: vec![false; scenario.faults.len()],
             could_stop: vec![false; scenario.faults.len()],
             latched_since: [None; 2],
             was_latched: [false; 2],
@@ -116,6 +124,7 @@ impl Recorder {
             go_at: None,
             not_before: MonotonicTime::ZERO,
             was_told_to_rest: false,
+            lost_at: None,
             says_why: true,
             may_go: [false; 2],
             found: [false; Condition::COUNT],
@@ -148,6 +157,16 @@ impl Recorder {
                 could_stop,
             })
             .collect()
+    }
+
+    /// This fault of the scenario met something.
+    pub fn touched(&mut self, index: usize) {
+        self.touched[index] = true;
+    }
+
+    /// Whether it did.
+    pub fn was_touched(&self, index: usize) -> bool {
+        self.touched[index]
     }
 
     /// The pose of this picture is worthless, although nothing tells.
@@ -240,6 +259,7 @@ impl Recorder {
 
     /// What a change of state means for who may go.
     fn follow(&mut self, transition: Transition, now: MonotonicTime) {
+        self.lost_at = (transition.to == State::Lost).then_some(now);
         match transition.to {
             State::Approaching => {
                 let by_word = matches!(transition.event, Event::Start | Event::Resume);
@@ -398,6 +418,12 @@ impl Recorder {
         self.target.and_then(|target| self.exposed.get(&target).copied())
     }
 
+    /// Whether the hand may look for the target that is lost.
+    fn may_search(&self, at: MonotonicTime) -> bool {
+        let is_early = self.lost_at.is_some_and(|lost| at.seconds_since(lost) <= SEARCH_MAX_S + SEARCH_END_S);
+        self.scenario.searches && is_early && self.may_go[HAND_ARM] && !self.was_told_to_rest
+    }
+
     fn step_at(&self, at: MonotonicTime) -> Step {
         let t_s = self.t_s(at);
         let arm = |index: usize| {
@@ -415,6 +441,7 @@ impl Recorder {
             arms: [arm(HAND_ARM), arm(TARGET_ARM)],
             world_from_target: placement(&self.cell, at),
             pose_age_s: self.exposed_at().map_or(f64::INFINITY, |exposed| at.seconds_since(exposed)),
+            may_search: self.may_search(at),
             resets: self.resets,
             state: self.state.name(),
             says_why: self.says_why,

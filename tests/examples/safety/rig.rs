@@ -8,6 +8,7 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use nalgebra::{Matrix6, Vector3, Vector6};
 use pb3dp_arm_pa10::io::arm::VirtualEnd;
+use pb3dp_camera_sim::CameraFaultKind;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use pb3dp_orchestrator::config::setup::{Carrier, Leader, Pace, Setup, read_setup};
@@ -18,10 +19,13 @@ use pb3dp_orchestrator::run::moving::{Moved, Moving};
 use pb3dp_orchestrator::run::percept::Percept;
 use pb3dp_orchestrator::run::strip::Strip;
 use pb3dp_orchestrator::wiring::wire_cell;
+use pb3dp_servo::SearchConfig;
 use pb3dp_servo::supervisor::Confidence;
 use system_tests::repository;
 use system_tests::safety::truth::Truth;
 
+use crate::cameras;
+use crate::effects::{self, Became};
 use crate::faults::{Fault, Kind};
 use crate::recorder::{Recorder, Shared, lock};
 use crate::scenario::{Dice, Scenario};
@@ -30,20 +34,27 @@ use crate::telling::Faults;
 
 /// What came before is known for so long: switching both arms off takes less.
 const HISTORY: Duration = Duration::from_secs(5);
+/// The search of runs in which the hand may look for its target.
+const SEARCH: SearchConfig =
+    SearchConfig { back_m: 0.05, radius_m: 0.05, turns: 2.0, speed_m_per_s: 0.03, time_s: 10.0 };
+/// How long it may take since the loss, seconds.
+pub const SEARCH_MAX_S: f64 = 12.0;
 /// After the control loop has ended the arms are looked at for so long.
 const AFTERWARDS: Duration = Duration::from_millis(1500);
 /// What it is looked at in.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// The setup of all runs: that of configs/hil.toml, in simulated time and without pictures.
+/// The setup of all runs: that of configs/hil.toml, in simulated time, with or without pictures.
 ///
 /// # Errors
 /// If the file can not be read.
-pub fn base() -> Result<Setup> {
+pub fn base(pictured: bool) -> Result<Setup> {
     let mut setup = read_setup(&repository().join("configs/hil.toml"))?;
     setup.pace = Pace::Fast;
     setup.compared.clear();
-    setup.leader = Leader::Geometric(setup.geometric.context("configs/hil.toml has no table estimator.geometric")?);
+    if !pictured {
+        setup.leader = Leader::Geometric(setup.geometric.context("configs/hil.toml has no table estimator.geometric")?);
+    }
     for arm in [&mut setup.vs, &mut setup.tc] {
         arm.plant.history = HISTORY;
     }
@@ -56,8 +67,10 @@ pub struct Ran {
     pub truth: Truth,
     /// Why the control loop ended before its time.
     pub ended: Option<String>,
-    /// For each fault of the scenario: whether it had a chance to do anything, and whether something was noticed of it.
-    pub noticed: Vec<Option<bool>>,
+    /// What became of each fault of the scenario.
+    pub became: Vec<Became>,
+    /// When the control loop began, since the camera had, seconds.
+    pub lead_s: f64,
 }
 
 /// Runs a scenario.
@@ -69,6 +82,11 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
     setup.reseed(scenario.seed);
     setup.experiment.motion = scenario.motion.clone();
     setup.experiment.carrier = scenario.carrier;
+    setup.camera_faults = cameras::plan(&scenario.faults, scenario.seed);
+    if scenario.searches {
+        setup.controller.search = Some(SEARCH);
+        setup.supervisor.search_max_s = SEARCH_MAX_S;
+    }
     let parts = wire_cell(&setup, |cell, start| {
         let motion = scenario.motion.begin_at(start)?;
         if scenario.carrier == Carrier::Nothing {
@@ -101,8 +119,10 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
         scenario,
         clock: Arc::clone(&clock),
         recorder: Arc::clone(&recorder),
+        wired: now,
         begin: now,
         dice: Dice::new(!scenario.seed),
+        hit: false,
         waiting: VecDeque::new(),
         standing: None,
     };
@@ -120,15 +140,15 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
     let duration = Duration::from_secs_f64(scenario.run_s);
     let course = Course { setup: &setup, clock: &clock, duration, interrupt: &interrupt };
     let outcome = course.run_in_lockstep(&mut watching, &mut faulty);
-    let begun: Vec<_> = faulty.begun_s.iter().map(Option::is_some).collect();
+    let lead_s = watching.begin.seconds_since(watching.wired);
     let ended = outcome.err().map(|error| format!("{error:#}"));
-    Ok(afterwards(scenario, &begun, (&clock, &recorder), ended))
+    Ok(afterwards(scenario, lead_s, (&clock, &recorder), ended))
 }
 
 /// Both arms are looked at for a while, and what was noticed is put together.
 fn afterwards(
     scenario: &Scenario,
-    begun: &[bool],
+    lead_s: f64,
     (clock, recorder): (&Arc<dyn Clock>, &Shared),
     ended: Option<String>,
 ) -> Ran {
@@ -140,20 +160,11 @@ fn afterwards(
         clock.sleep_until(clock.now() + LOOK);
         recording.catch_up(clock.now());
     }
-    let noticed: Vec<_> =
-        scenario.faults.iter().zip(begun).map(|(fault, begun)| noticed(fault, *begun, &recording.noticed_s)).collect();
     let (times, resets_s) = (recording.times(), std::mem::take(&mut recording.resets_s));
     let faults = Faults { faults: &scenario.faults, times: &times, resets_s: &resets_s };
     recording.truth.injected = faults.to_be_told(&recording.truth);
-    Ran { truth: std::mem::take(&mut recording.truth), ended, noticed }
-}
-
-/// Something is noticed of a fault until so long after its end, seconds.
-const NOTICED_S: f64 = 0.5;
-
-fn noticed(fault: &Fault, begun: bool, noticed_s: &[f64]) -> Option<bool> {
-    let within = fault.from_s - 1e-3..fault.until_s() + NOTICED_S;
-    begun.then(|| noticed_s.iter().any(|t_s| within.contains(t_s)))
+    let became = effects::all(scenario, &times, &recording);
+    Ran { truth: std::mem::take(&mut recording.truth), ended, became, lead_s }
 }
 
 /// The half that looks, with what goes wrong there.
@@ -163,8 +174,12 @@ struct Watching<'a> {
     scenario: &'a Scenario,
     clock: Arc<dyn Clock>,
     recorder: Shared,
+    /// When the camera began.
+    wired: MonotonicTime,
     begin: MonotonicTime,
     dice: Dice,
+    /// Whether the fault that was looked at last did anything to a percept.
+    hit: bool,
     /// Percepts that are late, and when they are due.
     waiting: VecDeque<(MonotonicTime, Percept)>,
     /// The number at which those of pictures stand.
@@ -187,12 +202,18 @@ impl Watcher for Watching<'_> {
     }
 
     fn look(&mut self) -> Result<Option<Percept>> {
-        let Some(seen) = self.looking.look()? else { return Ok(None) };
-        let percept = seen.percept();
+        let seen = self.looking.look()?.map(|seen| seen.percept());
         let (now, t_s) = (self.clock.now(), self.clock.now().seconds_since(self.begin));
+        self.note_cameras(seen.as_ref(), t_s);
+        let Some(percept) = seen else { return Ok(None) };
         let mut changed = Some(percept);
-        for fault in self.scenario.faults.iter().filter(|fault| fault.is_on(t_s)) {
-            changed = changed.and_then(|percept| self.spoil(&fault.kind, percept, now));
+        for (index, fault) in self.scenario.faults.iter().enumerate().filter(|(_, fault)| fault.is_on(t_s)) {
+            let Some(percept) = changed else { break };
+            self.hit = true;
+            changed = self.spoil(&fault.kind, percept, now);
+            if self.hit {
+                lock(&self.recorder).touched(index);
+            }
         }
         if changed.is_none() {
             let is_due = self.waiting.front().is_some_and(|(due, _)| *due <= now);
@@ -207,6 +228,25 @@ impl Watcher for Watching<'_> {
 }
 
 impl Watching<'_> {
+    /// What became of a pair that was to come now, as far as it is the cameras'.
+    fn note_cameras(&self, seen: Option<&Percept>, t_s: f64) {
+        let is_spoiled = seen.is_none_or(|percept| percept.estimate.confidence != Confidence::Sure);
+        for (index, fault) in self.scenario.faults.iter().enumerate().filter(|(_, fault)| fault.is_on(t_s)) {
+            let Kind::Camera(kind) = fault.kind else { continue };
+            let mut recorder = lock(&self.recorder);
+            if is_spoiled || cameras::is_of_each_pair(&kind) {
+                recorder.touched(index);
+            }
+            // Nothing is new in the pictures of a frozen camera, whatever it says of them.
+            let exposed_s = seen.map(|percept| percept.frame.at.seconds_since(self.wired) - cameras::LEAD_S);
+            if let (Some(percept), true, CameraFaultKind::Frozen) =
+                (seen, exposed_s.is_some_and(|exposed_s| fault.is_on(exposed_s)), kind)
+            {
+                recorder.spoiled(percept.frame.sequence);
+            }
+        }
+    }
+
     /// What becomes of a percept; `None`: it does not come now.
     fn spoil(&mut self, kind: &Kind, mut percept: Percept, now: MonotonicTime) -> Option<Percept> {
         match *kind {
@@ -252,7 +292,7 @@ impl Watching<'_> {
                 percept.estimate.covariance = percept.estimate.covariance.map(scaled);
                 percept.observation.iter_mut().for_each(|seen| seen.covariance = seen.covariance.map(scaled));
             }
-            _ => {}
+            _ => self.hit = false,
         }
         Some(percept)
     }

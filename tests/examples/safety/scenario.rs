@@ -4,6 +4,7 @@ use pb3dp_orchestrator::config::setup::Carrier;
 use pb3dp_sim::noise::{hash, unit};
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig, StepExperimentConfig};
 
+use crate::cameras;
 use crate::faults::{Fault, Kind};
 
 /// Length of a run, virtual seconds.
@@ -14,6 +15,13 @@ const LEAD_IN_S: f64 = 2.0;
 const FIRST_FAULT_S: f64 = 0.5;
 /// The last fault comes this long before the end, seconds: what comes of it is to be seen.
 const LAST_FAULT_S: f64 = 3.0;
+
+/// Of what goes wrong with estimates, so much is done by the cameras.
+const BY_CAMERA: f64 = 0.6;
+/// In so many runs the hand looks for a target that was lost.
+const SEARCHES: f64 = 0.25;
+/// What was drawn before there were these is drawn as it was.
+const OTHER_DICE: u64 = 0xca3e_7a00_0000_0000;
 
 /// Random numbers: the same seed gives the same ones on every machine.
 pub struct Dice {
@@ -71,6 +79,8 @@ pub struct Scenario {
     pub run_s: f64,
     /// Whether a person leads, who resets and goes on; otherwise the run ends with the first stop.
     pub has_person: bool,
+    /// Whether the hand may look for a target that was lost.
+    pub searches: bool,
 }
 
 impl Scenario {
@@ -88,9 +98,16 @@ impl Scenario {
                 Fault { kind, from_s, for_s }
             })
             .collect();
+        let mut other = Dice::new(seed ^ OTHER_DICE);
+        let searches = other.unit() < SEARCHES;
+        for fault in faults.iter_mut().filter(|fault| fault.kind.is_of_estimates()) {
+            if other.unit() < BY_CAMERA {
+                fault.kind = Kind::Camera(cameras::draw(&mut other));
+            }
+        }
         faults.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
         let has_person = dice.unit() < 0.5;
-        Self { seed, motion_name, motion, carrier, faults, run_s: RUN_S, has_person }
+        Self { seed, motion_name, motion, carrier, faults, run_s: RUN_S, has_person, searches }
     }
 }
 
@@ -168,7 +185,8 @@ mod tests {
         assert_ne!(text(7), text(8));
         let runs: Vec<_> = (0..2000).map(Scenario::of).collect();
         let kinds: BTreeSet<&str> = runs.iter().flat_map(|run| &run.faults).map(|fault| fault.kind.name()).collect();
-        assert_eq!(kinds.len(), Kind::COUNT, "{kinds:?}");
+        assert_eq!(kinds.len(), Kind::COUNT + cameras::COUNT, "{kinds:?}");
+        assert!((400..600).contains(&runs.iter().filter(|run| run.searches).count()));
         let motions: BTreeSet<&str> = runs.iter().map(|run| run.motion_name).collect();
         assert_eq!(motions.len(), 6);
         for run in &runs {

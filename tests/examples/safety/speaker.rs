@@ -45,11 +45,12 @@ impl Speaker {
 
     /// A word of the scenario that is due, and how long ago it was said, seconds.
     fn of_scenario(&mut self, t_s: f64) -> Option<(Word, f64)> {
-        for (fault, said) in self.scenario.faults.iter().zip(&mut self.said) {
+        for (index, (fault, said)) in self.scenario.faults.iter().zip(&mut self.said).enumerate() {
             if let (Kind::Word(word, late_s), false) = (&fault.kind, *said)
                 && t_s >= fault.from_s
             {
                 *said = true;
+                lock(&self.recorder).touched(index);
                 return Some((*word, *late_s));
             }
         }

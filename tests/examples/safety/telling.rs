@@ -143,7 +143,16 @@ mod tests {
             let latched_since_s = (2.01..8.0).contains(&t_s).then_some(2.01);
             let arm = ArmTruth { latched_since_s, ..ArmTruth::resting_at([0.0; 7]) };
             let world_from_target = Placement::IDENTITY;
-            Step { t_s, arms: [arm; 2], world_from_target, pose_age_s: 0.0, resets: 0, state: "fault", says_why: true }
+            Step {
+                t_s,
+                arms: [arm; 2],
+                world_from_target,
+                pose_age_s: 0.0,
+                may_search: false,
+                resets: 0,
+                state: "fault",
+                says_why: true,
+            }
         };
         let log = vec![LogLine { t_millis: 2010, text: line.to_owned() }];
         Truth { steps: (0..1000).map(step).collect(), log, injected: Vec::new() }

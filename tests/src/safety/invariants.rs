@@ -8,6 +8,7 @@
 //! | acceleration | what a joint's speed changes by within 20 ms, and within 100 ms, is what its limit allows |
 //! | rest-after-latch | after a latched fault or emergency stop of either arm both rest, until it is cleared |
 //! | rest-without-pose | without a fresh, confident pose the hand's arm rests |
+//! | search | a hand that looks for its target goes no farther and no faster than it is to |
 //! | rest-without-word | as long as the operator's last word does not let an arm go, it rests |
 //! | latch-cleared | a latch is cleared by the operator's reset only |
 //! | disobedience | an arm of which a joint moves by itself is latched |
@@ -22,6 +23,7 @@
 mod motion;
 mod rest;
 mod room;
+mod search;
 
 use std::fmt;
 
@@ -43,6 +45,8 @@ pub enum Invariant {
     RestAfterLatch,
     /// Rest without a fresh, confident pose; rad/s, or radians of creep.
     RestWithoutPose,
+    /// The search of a lost target; metres, or m/s.
+    Search,
     /// Rest without the operator's word; rad/s, or radians of creep.
     RestWithoutWord,
     /// A latch that went without a reset; how many resets there were.
@@ -61,13 +65,14 @@ pub enum Invariant {
 
 impl Invariant {
     /// All of them.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::Record,
         Self::Position,
         Self::Speed,
         Self::Acceleration,
         Self::RestAfterLatch,
         Self::RestWithoutPose,
+        Self::Search,
         Self::RestWithoutWord,
         Self::LatchCleared,
         Self::Disobedience,
@@ -86,6 +91,7 @@ impl Invariant {
             Self::Acceleration => "acceleration",
             Self::RestAfterLatch => "rest-after-latch",
             Self::RestWithoutPose => "rest-without-pose",
+            Self::Search => "search",
             Self::RestWithoutWord => "rest-without-word",
             Self::LatchCleared => "latch-cleared",
             Self::Disobedience => "disobedience",
@@ -142,6 +148,7 @@ pub fn check(rules: &Rules, truth: &Truth) -> Vec<Violation> {
     if found.0.is_empty() {
         motion::check(rules, &truth.steps, &mut found);
         rest::check(rules, &truth.steps, &mut found);
+        search::check(rules, &truth.steps, &mut found);
         room::check(rules, &truth.steps, &mut found);
         status_line(truth, &mut found);
         log(rules, truth, &mut found);

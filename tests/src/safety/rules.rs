@@ -60,6 +60,10 @@ pub struct Rules {
     pub creep_rad: f64,
     /// How long the hand may go on without a fresh, confident pose, seconds since its exposure.
     pub pose_age_max_s: f64,
+    /// How fast a hand is that searches, m/s.
+    pub search_m_per_s: f64,
+    /// How far it goes from where it began to, metres.
+    pub search_reach_m: f64,
     /// Within this time after the stop of one arm the other one is told, seconds.
     pub told_other_s: f64,
     /// How long a joint may be too fast that does not obey, seconds.
@@ -96,6 +100,8 @@ impl Rules {
     /// * `target_apart_m`: the least depth of the search, 350 mm, less 50 mm by which the camera's body is before its pupils. A
     ///   target nearer than that gives no pose. `target_braking_m`: 0.4 m/s (`[servo.speed]`) for `pose_age_max_s`, and half of
     ///   that speed for 0.3 s.
+    /// * `search_m_per_s`, `search_reach_m`: 30 mm/s, and 50 mm back and aside ([servo.md](../../../docs/servo.md)), as the runs ask for;
+    ///   a hand that is brought back to its way is faster and farther by up to a third, or a fifth and 5 mm.
     /// * `disobedience_s`: 0.05 rad of tracking error at 0.05 rad/s, 0.1 s for which it has to last, and what fades meanwhile.
     pub fn of_the_rig() -> Self {
         let camera = Rod { ends_m: [[0.0, -0.05, 0.04], [0.0, 0.05, 0.04]], radius_m: 0.07 };
@@ -125,6 +131,8 @@ impl Rules {
             rest_rad_per_s: 0.002,
             creep_rad: 0.003,
             pose_age_max_s: 0.310,
+            search_m_per_s: 0.040,
+            search_reach_m: 0.090,
             told_other_s: 0.030,
             too_fast_s: 0.1,
             disobedience_s: 2.0,

@@ -93,6 +93,8 @@ pub struct Step {
     /// Time since the exposure of the newest estimate that was delivered, by which the estimator stands and whose picture was
     /// new, seconds; infinite before the first one.
     pub pose_age_s: f64,
+    /// Whether the hand may look for the target: the run permits it, the target is lost, and not for too long.
+    pub may_search: bool,
     /// How often the operator has reset.
     pub resets: u32,
     /// Name of the supervisor's state.

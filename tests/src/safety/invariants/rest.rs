@@ -15,7 +15,8 @@ pub(super) fn check(rules: &Rules, steps: &[Step], found: &mut Found) {
         // Without servos nothing keeps a joint but its brake: how long it may fall is said by the latch.
         let drives = |step: &Step| step.arms[arm].obeys && step.arms[arm].servo_on;
         let silent = |step: &Step| drives(step) && !step.arms[arm].may_go;
-        let blind = |step: &Step| arm == HAND_ARM && drives(step) && step.pose_age_s > rules.pose_age_max_s;
+        let blind =
+            |step: &Step| arm == HAND_ARM && drives(step) && step.pose_age_s > rules.pose_age_max_s && !step.may_search;
         let mut latch = MustRest::new(Invariant::RestAfterLatch, arm);
         let mut word = MustRest::new(Invariant::RestWithoutWord, arm);
         let mut pose = MustRest::new(Invariant::RestWithoutPose, arm);

@@ -28,8 +28,16 @@ fn run(seconds: f64, goes: impl Fn(usize, f64) -> bool, mut change: impl FnMut(&
             }
         }
         let world_from_target = target();
-        let mut step =
-            Step { t_s, arms, world_from_target, pose_age_s: 0.05, resets: 0, state: "tracking", says_why: true };
+        let mut step = Step {
+            t_s,
+            arms,
+            world_from_target,
+            pose_age_s: 0.05,
+            may_search: false,
+            resets: 0,
+            state: "tracking",
+            says_why: true,
+        };
         change(&mut step);
         truth.steps.push(step);
     }
@@ -198,6 +206,29 @@ fn motion_without_a_fresh_pose_is_found_of_the_hand_alone() {
     assert!((1.26..2.0).contains(&seen.first_s), "{seen}");
     let never = |step: &mut Step| step.pose_age_s = f64::INFINITY;
     only(Invariant::RestWithoutPose, &run(4.0, always, never));
+}
+
+/// S1 turns the flange, 0.8 m from its axis, with this speed for so long, from a second after a loss on.
+fn searching(speed_rad_per_s: f64, seconds: f64, may_search: bool) -> Truth {
+    run(
+        8.0,
+        |_, _| false,
+        |step| {
+            let since_s = (step.t_s - 2.0).clamp(0.0, seconds);
+            let hand = &mut step.arms[HAND_ARM];
+            hand.position_rad[0] += speed_rad_per_s * since_s;
+            hand.velocity_rad_per_s[0] = if since_s > 0.0 && since_s < seconds { speed_rad_per_s } else { 0.0 };
+            (step.pose_age_s, step.may_search) = (step.t_s, may_search && step.t_s > 1.0);
+        },
+    )
+}
+
+#[test]
+fn a_hand_may_look_for_its_target_where_that_is_permitted_near_and_slowly() {
+    silent(&searching(0.03, 2.0, true));
+    only(Invariant::RestWithoutPose, &searching(0.03, 2.0, false));
+    assert!(only(Invariant::Search, &searching(0.03, 5.5, true)).note.contains("from where it began"));
+    assert!(only(Invariant::Search, &searching(0.08, 0.5, true)).note.contains("m/s"));
 }
 
 #[test]

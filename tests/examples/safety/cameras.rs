@@ -1,0 +1,79 @@
+//! What goes wrong with the cameras: the faults of a setup, `[[camera.faults]]`, which do to a pose what they do to the pictures.
+
+use pb3dp_camera_sim::{CameraFault, CameraFaultKind, CameraFaults, Eyes};
+use std::time::Duration;
+
+use crate::faults::{Fault, Kind};
+use crate::scenario::Dice;
+
+/// From the camera's begin to that of the control loop, seconds: both arms are switched on meanwhile.
+pub const LEAD_S: f64 = 2.484;
+
+/// How many kinds there are.
+pub const COUNT: usize = 11;
+
+/// One of all kinds.
+pub fn draw(dice: &mut Dice) -> CameraFaultKind {
+    let eyes = dice.pick(&[Eyes::Left, Eyes::Right, Eyes::Both]);
+    match dice.below(COUNT) {
+        0 => CameraFaultKind::Dropped { share: dice.within(0.1, 1.0) },
+        1 => CameraFaultKind::Repeated { share: dice.within(0.1, 1.0), as_new: dice.unit() < 0.5 },
+        2 => CameraFaultKind::Late { pairs: 1 + dice.below(20) as u32 },
+        3 => CameraFaultKind::Torn { share: dice.within(0.1, 1.0) },
+        4 => {
+            let is_stamped = dice.unit() < 0.7;
+            let skew_s = dice.within(0.001, 0.05) * dice.sign();
+            CameraFaultKind::Skewed { stamped_nanos: if is_stamped { (skew_s * 1e9) as i64 } else { 0 } }
+        }
+        5 => CameraFaultKind::Frozen,
+        6 => CameraFaultKind::Black { eyes },
+        7 => CameraFaultKind::Saturated { eyes },
+        8 => CameraFaultKind::Brightness { eyes, factor: 10f64.powf(dice.within(-2.0, 1.5)) },
+        9 => CameraFaultKind::Occluder { width_share: dice.within(0.1, 0.8), crosses: dice.unit() < 0.5 },
+        _ => CameraFaultKind::Miscalibrated {
+            columns_px: dice.within(-20.0, 20.0),
+            rows_px: dice.within(-5.0, 5.0),
+            roll_rad: dice.within(-0.05, 0.05),
+            scale: dice.within(0.95, 1.05),
+        },
+    }
+}
+
+/// The name in tables.
+pub fn name(kind: &CameraFaultKind) -> &'static str {
+    match kind {
+        CameraFaultKind::Dropped { .. } => "camera: pairs dropped",
+        CameraFaultKind::Repeated { .. } => "camera: pairs repeated",
+        CameraFaultKind::Late { .. } => "camera: pairs late",
+        CameraFaultKind::Torn { .. } => "camera: pairs torn",
+        CameraFaultKind::Skewed { .. } => "camera: eyes apart",
+        CameraFaultKind::Frozen => "camera: frozen",
+        CameraFaultKind::Black { .. } => "camera: black",
+        CameraFaultKind::Saturated { .. } => "camera: saturated",
+        CameraFaultKind::Brightness { .. } => "camera: brightness",
+        CameraFaultKind::Occluder { .. } => "camera: something before the target",
+        CameraFaultKind::Miscalibrated { .. } => "camera: miscalibrated",
+    }
+}
+
+/// Whether it does something to each pair that is taken while it lasts; otherwise what comes of a pair tells.
+pub fn is_of_each_pair(kind: &CameraFaultKind) -> bool {
+    !matches!(
+        kind,
+        CameraFaultKind::Dropped { .. }
+            | CameraFaultKind::Repeated { .. }
+            | CameraFaultKind::Torn { .. }
+            | CameraFaultKind::Brightness { .. }
+            | CameraFaultKind::Occluder { .. }
+    )
+}
+
+/// What the camera of a run is told.
+pub fn plan(faults: &[Fault], seed: u64) -> CameraFaults {
+    let since_s = |t_s: f64| Duration::from_secs_f64(LEAD_S + t_s);
+    let list = faults.iter().filter_map(|fault| match fault.kind {
+        Kind::Camera(kind) => Some(CameraFault { kind, from: since_s(fault.from_s), until: since_s(fault.until_s()) }),
+        _ => None,
+    });
+    CameraFaults { list: list.collect(), seed: seed as u32 }
+}

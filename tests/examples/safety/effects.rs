@@ -1,0 +1,70 @@
+//! What became of the faults of a run: one that met nothing shows nothing, and is counted by itself.
+
+use system_tests::safety::truth::Truth;
+
+use crate::faults::{Fault, Kind};
+use crate::recorder::Recorder;
+use crate::scenario::Scenario;
+use crate::telling::Happened;
+
+/// Something is noticed of a fault until so long after its end, seconds.
+const NOTICED_S: f64 = 0.5;
+
+/// What became of a fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Became {
+    /// The control loop had ended.
+    AfterTheEnd,
+    /// It met nothing: no pair came while it lasted, nobody was there to speak, or the arm was off.
+    NoEffect,
+    /// Nothing was said or counted.
+    Borne,
+    /// A line was said, or a counter rose.
+    Noticed,
+}
+
+impl Became {
+    /// In a word.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::AfterTheEnd => "after the end",
+            Self::NoEffect => "without effect",
+            Self::Borne => "not noticed",
+            Self::Noticed => "noticed",
+        }
+    }
+}
+
+/// Of each fault.
+pub fn all(scenario: &Scenario, times: &[Happened], recording: &Recorder) -> Vec<Became> {
+    let faults = scenario.faults.iter().zip(times).enumerate();
+    faults
+        .map(|(index, (fault, times))| {
+            let Some(from_s) = times.from_s else { return Became::AfterTheEnd };
+            let until_s = times.until_s.unwrap_or(f64::INFINITY).min(fault.until_s().max(from_s + fault.for_s));
+            let met = met(fault, (from_s, until_s), scenario, &recording.truth);
+            if !met.unwrap_or_else(|| recording.was_touched(index)) {
+                return Became::NoEffect;
+            }
+            let within = fault.from_s.min(from_s) - 1e-3..until_s + NOTICED_S;
+            let is_noticed = recording.noticed_s.iter().any(|t_s| within.contains(t_s));
+            if is_noticed { Became::Noticed } else { Became::Borne }
+        })
+        .collect()
+}
+
+/// Whether a fault met anything, if that is to be seen from its time and the record; otherwise who looked has written it down.
+fn met(fault: &Fault, (from_s, until_s): (f64, f64), scenario: &Scenario, truth: &Truth) -> Option<bool> {
+    let is_on = |arm: Option<usize>| {
+        let during = truth.steps.iter().filter(|step| step.t_s >= from_s - 0.01 && step.t_s <= until_s + 0.01);
+        during
+            .flat_map(|step| step.arms.iter().enumerate())
+            .any(|(index, truth)| truth.servo_on && arm.is_none_or(|arm| arm == index))
+    };
+    match &fault.kind {
+        Kind::Overrun(_) | Kind::ClockJump(_) => Some(is_on(None)),
+        Kind::EmergencyStopOfBoth | Kind::Unplugged(_) | Kind::Arm { .. } => Some(is_on(fault.kind.arm())),
+        Kind::Silence => Some(scenario.has_person),
+        _ => None,
+    }
+}
