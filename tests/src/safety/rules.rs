@@ -66,7 +66,7 @@ pub struct Rules {
     pub search_reach_m: f64,
     /// Within this time after the stop of one arm the other one is told, seconds.
     pub told_other_s: f64,
-    /// How long a joint may be too fast that does not obey, seconds.
+    /// How long a joint may be too fast that moves by itself, seconds.
     pub too_fast_s: f64,
     /// How long a joint may move by itself until the arm is latched, seconds.
     pub disobedience_s: f64,
@@ -102,6 +102,8 @@ impl Rules {
     ///   that speed for 0.3 s.
     /// * `search_m_per_s`, `search_reach_m`: 30 mm/s, and 50 mm back and aside ([servo.md](../../../docs/servo.md)), as the runs ask for;
     ///   a hand that is brought back to its way is faster and farther by up to a third, or a fifth and 5 mm.
+    /// * `too_fast_s`: five cycles. One until the first sample, one until the second one, by which it is believed, one by which
+    ///   samples are old, one for the order to the brakes, and one of the record.
     /// * `disobedience_s`: 0.05 rad of tracking error at 0.05 rad/s, 0.1 s for which it has to last, and what fades meanwhile.
     pub fn of_the_rig() -> Self {
         let camera = Rod { ends_m: [[0.0, -0.05, 0.04], [0.0, 0.05, 0.04]], radius_m: 0.07 };
@@ -134,7 +136,7 @@ impl Rules {
             search_m_per_s: 0.040,
             search_reach_m: 0.090,
             told_other_s: 0.030,
-            too_fast_s: 0.1,
+            too_fast_s: 0.05,
             disobedience_s: 2.0,
             arms_apart_m: 0.049,
             target: vec![Rod { ends_m: [[-0.05, 0.0, 0.0], [0.05, 0.0, 0.0]], radius_m: 0.05 }],

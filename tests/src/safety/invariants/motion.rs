@@ -17,7 +17,7 @@ pub(super) fn check(rules: &Rules, steps: &[Step], found: &mut Found) {
             disobeyed.look(rules, (arm, step), found);
             let before = index.checked_sub(1).map(|before| &steps[before]);
             position(&rules.arms[arm], (arm, step), disobeyed.ever || is_free(&step.arms[arm]), found);
-            speed(rules, (arm, step, before), &disobeyed, found);
+            speed(rules, (arm, step, before), &mut disobeyed, found);
         }
         for window_s in WINDOWS_S {
             acceleration(rules, (arm, steps), window_s, found);
@@ -44,20 +44,21 @@ fn position(rules: &ArmRules, (arm, step): (usize, &Step), stops_only: bool, fou
     }
 }
 
-/// A joint that moves by itself may be faster by so much for as long as that is not found out, which has a limit of its own: drives
-/// are not exact, and whoever watches them allows for it (docs/arm-limits.md).
+/// A joint that moves by itself, or comes back from there, may be faster by so much for as long as that is not found out, which has a
+/// limit of its own: drives are not exact, and whoever watches them allows for it (docs/arm-limits.md).
 const SPEED_SHARE_BY_ITSELF: f64 = 1.1;
 
-/// As the truth has it, and by how far the joint went: a joint that jumps is fast.
+/// As the truth has it, and by how far the joint went: a joint that jumps is fast. A joint that moves by itself may be faster still from
+/// the moment on in which it is, for as long as it takes to see that and to close the brakes.
 fn speed(
     rules: &Rules,
     (arm, step, before): (usize, &Step, Option<&Step>),
-    disobeyed: &Disobedience,
+    disobeyed: &mut Disobedience,
     found: &mut Found,
 ) {
     let truth = &step.arms[arm];
-    let fell = is_free(truth) || before.is_some_and(|before| is_free(&before.arms[arm]));
-    if fell || disobeyed.since_s.is_some_and(|since_s| step.t_s - since_s < rules.too_fast_s) {
+    if is_free(truth) || before.is_some_and(|before| is_free(&before.arms[arm])) {
+        disobeyed.too_fast_since_s = None;
         return;
     }
     for joint in 0..7 {
@@ -65,11 +66,20 @@ fn speed(
             (truth.position_rad[joint] - before.arms[arm].position_rad[joint]) / (step.t_s - before.t_s)
         });
         let value = truth.velocity_rad_per_s[joint].abs().max(went.abs());
-        let share = if disobeyed.since_s.is_some() { SPEED_SHARE_BY_ITSELF } else { SPEED_SHARE };
+        let by_itself = !truth.obeys && disobeyed.joint == Some(joint);
+        let share = if by_itself { SPEED_SHARE_BY_ITSELF } else { SPEED_SHARE };
         let limit = rules.arms[arm].speed_rad_per_s[joint] * share + SPEED_MORE_RAD_PER_S;
-        if value > limit {
+        let lasts_s = match (by_itself, value > limit) {
+            (true, true) => step.t_s - *disobeyed.too_fast_since_s.get_or_insert(step.t_s),
+            (true, false) => {
+                disobeyed.too_fast_since_s = None;
+                0.0
+            }
+            (false, _) => f64::INFINITY,
+        };
+        if value > limit && lasts_s >= rules.too_fast_s {
             let place = Place { invariant: Invariant::Speed, arm: Some(arm), joint: Some(joint), t_s: step.t_s };
-            found.push(place, (value, limit), "");
+            found.push(place, (value, limit), if by_itself { format!("for {lasts_s:.3} s") } else { String::new() });
         }
     }
 }
@@ -110,16 +120,21 @@ fn acceleration(rules: &Rules, (arm, steps): (usize, &[Step]), window_s: f64, fo
 struct Disobedience {
     ever: bool,
     since_s: Option<f64>,
+    /// The joint that moves by itself, or did so last.
+    joint: Option<usize>,
+    /// Since when that joint is too fast.
+    too_fast_since_s: Option<f64>,
 }
 
 impl Disobedience {
     fn look(&mut self, rules: &Rules, (arm, step): (usize, &Step), found: &mut Found) {
         let truth = &step.arms[arm];
         if truth.obeys {
-            self.since_s = None;
+            (self.since_s, self.joint, self.too_fast_since_s) = (None, None, None);
             return;
         }
         self.ever = true;
+        self.joint = truth.by_itself.or(self.joint);
         // A joint that is stuck, or behind its brake, moves nothing; what its arm makes of it the other limits judge.
         let moves = truth.by_itself.is_some_and(|joint| truth.velocity_rad_per_s[joint].abs() > rules.rest_rad_per_s);
         if !moves {

@@ -132,6 +132,33 @@ fn a_joint_that_is_too_fast_or_jumps_is_found() {
     assert!((only(Invariant::Speed, &jump).value - 5.0).abs() < 0.1);
 }
 
+/// A joint runs away, at more and more speed, and comes back to rest; what it is allowed counts from where it is too fast, to it alone.
+#[test]
+fn a_joint_that_runs_away_may_be_too_fast_for_a_moment() {
+    // From 0.4 s on it speeds up at 2 rad/s^2: at 0.7305 s it is as fast as it may be by itself. The fault ends at 0.75 s.
+    let runs_away = |most: f64, joint: usize, stopped_at_s: f64| {
+        run(2.0, always, move |step| {
+            let arm = &mut step.arms[HAND_ARM];
+            arm.obeys = !(0.4..stopped_at_s + 0.5).contains(&step.t_s);
+            arm.by_itself = (0.4..0.75).contains(&step.t_s).then_some(1);
+            let speed = (2.0 * (step.t_s - 0.4)).clamp(0.0, most);
+            let speed = if step.t_s < stopped_at_s { speed } else { 0.0 };
+            arm.velocity_rad_per_s[joint] = speed;
+            let went_s = step.t_s.min(stopped_at_s) - 0.4;
+            let risen_s = went_s.clamp(0.0, most / 2.0);
+            arm.position_rad[joint] += risen_s * risen_s + most * (went_s - risen_s).max(0.0);
+        })
+    };
+    silent(&runs_away(0.7, 1, 0.778));
+    let seen = only(Invariant::Speed, &runs_away(0.7, 1, 0.83));
+    assert!((0.778..0.784).contains(&seen.first_s) && seen.note.starts_with("for 0.0"), "{seen}");
+    // Slower than that it is the other invariants' concern, also on its way back.
+    silent(&runs_away(0.655, 1, 1.0));
+    // The arm's other joints have no reason to be too fast.
+    let seen = only(Invariant::Speed, &runs_away(0.7, 0, 0.778));
+    assert!(seen.first_s < 0.71 && seen.joint == Some(0), "{seen}");
+}
+
 #[test]
 fn acceleration_beyond_the_limit_is_found_in_jumps_and_in_ramps() {
     let accelerates = |rate: f64, from_s: f64| {
