@@ -22,7 +22,7 @@ fn control_steps_of_both_arms_do_not_allocate() {
     setup.compared.clear();
     let Parts { clock, vs, tc, cell, experiment, .. } = wire(&setup).unwrap();
     let mut moving = Moving::new(&setup, (vs, tc), &*experiment, clock.now()).unwrap();
-    moving.enable().unwrap();
+    assert!(moving.enable().unwrap());
     let (mut calls, mut followed) = (0, 0);
     for step in 0..WARM_UP + COUNTED {
         let now = clock.now() + setup.control_period;

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Hand, World};
 use pb3dp_hal_api::{ArmError, ArmErrorKind, Clock, JointCommand};
-use pb3dp_orchestrator::config::setup::{Carrier, Leader, Setup, read_setup};
+use pb3dp_orchestrator::config::setup::{Carrier, Leader, Pace, Setup, read_setup};
 use pb3dp_orchestrator::run::cell::SimulatedCell;
 use pb3dp_orchestrator::run::experiment;
 use pb3dp_orchestrator::run::halves::Mover;
@@ -18,7 +18,9 @@ use pb3dp_orchestrator::run::percept::Percept;
 use pb3dp_orchestrator::run::swing;
 use pb3dp_orchestrator::wiring::{Parts, wire, wire_at_rest};
 use pb3dp_servo::identification::Excitation;
-use pb3dp_servo::supervisor::{Condition, Confidence, EstimateInput, FrameInput, Permission, Resume, State};
+use pb3dp_servo::supervisor::{
+    ArmCondition, Condition, Confidence, EstimateInput, FrameInput, Permission, Resume, State,
+};
 use pb3dp_servo::{Mode, SearchConfig, TargetObservation};
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, StepExperimentConfig, Trajectory};
 use system_tests::repository;
@@ -67,7 +69,7 @@ impl<'a> Bench<'a> {
     fn following(setup: &'a Setup, parts: Parts, experiment: &'a dyn Trajectory) -> Self {
         let Parts { clock, vs, tc, cell, .. } = parts;
         let mut moving = Moving::new(setup, (vs, tc), experiment, clock.now()).unwrap();
-        moving.enable().unwrap();
+        assert!(moving.enable().unwrap());
         let confidence = Confidence::Sure;
         let mut bench =
             Bench { moving, clock, cell, setup, steps: 0, target: Some(1), confidence, fastest_rad_per_s: 0.0 };
@@ -274,7 +276,7 @@ fn nothing_moves_while_the_target_was_never_seen() {
     let setup = setup();
     let Parts { clock, vs, tc, cell, experiment, .. } = wire(&setup).unwrap();
     let mut moving = Moving::new(&setup, (vs, tc), &*experiment, clock.now()).unwrap();
-    moving.enable().unwrap();
+    assert!(moving.enable().unwrap());
     let mut bench = Bench {
         moving,
         clock,
@@ -391,4 +393,32 @@ fn a_swing_whose_replies_get_lost_knows_that_the_arm_held() {
     let swung = swing::run(&setup, with_losses(parts, |exchange| exchange.is_multiple_of(70)), motion).unwrap();
     let held = swung.given.iter().skip(110).take(700).filter(|given| given.velocity_rad_per_s.amax() == 0.0).count();
     assert_eq!(held, 700 / 70, "each lost reply is a held cycle");
+}
+
+/// Brakes take seconds to open, and those of one arm open before those of the other one: a joint that runs away in that time is found
+/// within some hundredths of a second, and both arms stop.
+#[test]
+fn a_joint_that_runs_away_while_both_arms_are_switched_on_stops_both() {
+    let mut setup = read_setup(&repository().join("configs/hil.toml")).unwrap();
+    setup.pace = Pace::Fast;
+    let parts = wire(&setup).unwrap();
+    let experiment = parts.experiment.clone();
+    let Parts { clock, vs, tc, cell, virtual_ends, .. } = parts;
+    let mut moving = Moving::new(&setup, (vs, tc), &*experiment, clock.now()).unwrap();
+    // Behind closed brakes it moves nothing.
+    virtual_ends[0].1.command_line("runaway 2 1.2rad/s").unwrap();
+    let failure = loop {
+        clock.sleep_until(clock.now() + setup.control_period);
+        match moving.enable() {
+            Ok(are_on) => assert!(!are_on, "both arms are on, and a joint has run away"),
+            Err(failure) => break format!("{failure:#}"),
+        }
+    };
+    assert!(failure.contains("vs-robot") && failure.contains("axis 2"), "{failure}");
+    let conditions = [moving.arms().vs.condition(), moving.arms().tc.condition()];
+    assert_eq!(conditions, [ArmCondition::Fault, ArmCondition::StoppedByOther], "{failure}");
+    moving.stop().unwrap();
+    let went_rad = cell.vs.joints.simulated().unwrap().lock().unwrap().state().position_rad - setup.vs.start_rad;
+    assert!((0.02..0.15).contains(&went_rad.amax()), "{went_rad}");
+    assert!(virtual_ends.iter().all(|(_, end)| end.look(|far| far.controller.is_braked())));
 }

@@ -157,9 +157,9 @@ struct Arms<'a> {
 impl Mover for Arms<'_> {
     type Step = Step;
 
-    fn enable(&mut self) -> Result<()> {
+    fn enable(&mut self) -> Result<bool> {
         self.is_on = true;
-        Ok(())
+        Ok(true)
     }
 
     fn begin_at(&mut self, _begin: MonotonicTime) {}

@@ -55,6 +55,14 @@ pub trait DrivenArm: Arm + ArmPower {
     /// # Errors
     /// As [`ArmPower::enable`].
     fn enable_here(&mut self) -> Result<(), ArmError>;
+
+    /// As [`ArmPower::begin_enable`], for [`Self::enable_here`].
+    ///
+    /// # Errors
+    /// As [`ArmPower::enable`].
+    fn begin_enable_here(&mut self) -> Result<(), ArmError> {
+        self.enable_here()
+    }
 }
 
 impl<A: Arm + ArmPower> DrivenArm for Limiter<A> {
@@ -64,6 +72,10 @@ impl<A: Arm + ArmPower> DrivenArm for Limiter<A> {
 
     fn enable_here(&mut self) -> Result<(), ArmError> {
         Self::enable_here(self)
+    }
+
+    fn begin_enable_here(&mut self) -> Result<(), ArmError> {
+        Self::begin_enable_here(self)
     }
 }
 

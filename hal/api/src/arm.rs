@@ -155,6 +155,10 @@ pub trait Arm: Send {
 ///
 /// # For backend authors
 /// * `enable` succeeds only from `Disabled`; it never clears a fault. The arm is at rest and holds afterwards.
+/// * Where `enable` takes its time, `begin_enable` returns at once, and `poll_enable` tells when it is done. `exchange` measures
+///   meanwhile, so that whoever switches an arm on watches it from the moment on in which its brakes open, and every other arm, too.
+///   What wraps an arm passes both on.
+/// * Where `stop` takes its time, `begin_stop` gives the order and returns at once; `stop` waits for the rest of it.
 /// * `stop` ramps to rest, closes the brakes and is harmless when repeated; it leads to `Disabled`, or leaves a latched state.
 /// * `reset` clears a latched state whose cause is gone, to `Disabled`, never further; where nothing is latched it does nothing.
 ///   Only an operator's action calls it.
@@ -172,6 +176,30 @@ pub trait ArmPower: Send {
     /// # Errors
     /// `Fault` or `Rejected` with the reason.
     fn enable(&mut self) -> Result<(), ArmError>;
+
+    /// Begins to switch the drives on. An arm that does so in no time has nothing to begin.
+    ///
+    /// # Errors
+    /// As [`Self::enable`].
+    fn begin_enable(&mut self) -> Result<(), ArmError> {
+        self.enable()
+    }
+
+    /// Whether what [`Self::begin_enable`] has begun is done; to be asked in each cycle, and no more behind an error.
+    ///
+    /// # Errors
+    /// As [`Self::enable`]. The arm has to be stopped then.
+    fn poll_enable(&mut self) -> Result<bool, ArmError> {
+        Ok(true)
+    }
+
+    /// Gives the stop order; [`Self::stop`] has to follow. So two arms come to rest at the same time.
+    ///
+    /// # Errors
+    /// If the arm can not be told.
+    fn begin_stop(&mut self) -> Result<(), ArmError> {
+        Ok(())
+    }
 
     /// Comes to rest and switches the drives off.
     ///
@@ -207,6 +235,18 @@ impl<A: ArmPower + ?Sized> ArmPower for Box<A> {
 
     fn enable(&mut self) -> Result<(), ArmError> {
         (**self).enable()
+    }
+
+    fn begin_enable(&mut self) -> Result<(), ArmError> {
+        (**self).begin_enable()
+    }
+
+    fn poll_enable(&mut self) -> Result<bool, ArmError> {
+        (**self).poll_enable()
+    }
+
+    fn begin_stop(&mut self) -> Result<(), ArmError> {
+        (**self).begin_stop()
     }
 
     fn stop(&mut self) -> Result<(), ArmError> {

@@ -277,6 +277,16 @@ impl<A: Arm + ArmPower> Coupled<A> {
         self.error(ArmErrorKind::Fault, &format!("{reason}; remove the cause, reset that arm, then this one"))
     }
 
+    fn check_latched(&self) -> Result<(), ArmError> {
+        self.latched().map_or(Ok(()), |reason| Err(self.stopped_error(&reason)))
+    }
+
+    /// Where it may be until it rests was known before, and stays so until the next sample.
+    fn note_stop(&self) {
+        let now = self.clock.now();
+        self.cell().sides[self.side].last.note_hold(now);
+    }
+
     /// Passes a command on, and looks at what the arm makes of it.
     fn forward(&mut self, command: JointCommand, now: MonotonicTime) -> Result<JointState, ArmError> {
         let answer = self.arm.exchange(command);
@@ -361,18 +371,33 @@ impl<A: Arm + ArmPower> ArmPower for Coupled<A> {
     }
 
     fn enable(&mut self) -> Result<(), ArmError> {
-        if let Some(reason) = self.latched() {
-            return Err(self.stopped_error(&reason));
-        }
+        self.check_latched()?;
         self.arm.enable()?;
         self.cell().sides[self.side].last.note_rest();
         Ok(())
     }
 
+    fn begin_enable(&mut self) -> Result<(), ArmError> {
+        self.check_latched()?;
+        self.arm.begin_enable()
+    }
+
+    fn poll_enable(&mut self) -> Result<bool, ArmError> {
+        self.check_latched()?;
+        let is_on = self.arm.poll_enable()?;
+        if is_on {
+            self.cell().sides[self.side].last.note_rest();
+        }
+        Ok(is_on)
+    }
+
+    fn begin_stop(&mut self) -> Result<(), ArmError> {
+        self.note_stop();
+        self.arm.begin_stop()
+    }
+
     fn stop(&mut self) -> Result<(), ArmError> {
-        // Where it may be until it rests was known before, and stays so until the next sample.
-        let now = self.clock.now();
-        self.cell().sides[self.side].last.note_hold(now);
+        self.note_stop();
         self.arm.stop()
     }
 

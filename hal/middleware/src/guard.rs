@@ -72,6 +72,9 @@ const OVER_SPEED_SAMPLES: u32 = 2;
 const JUMP_FACTOR: f64 = 1.5;
 /// ... and by this much more, rad; what is beyond is a wrong sample.
 const JUMP_MARGIN_RAD: f64 = 0.002;
+/// Samples that are farther apart, in cycles, are no sequence while an arm is being switched on: nobody measures it with its brakes on,
+/// and three that are lost stop it.
+const OLD_CYCLES: u32 = 5;
 /// So many wrong samples in a row are a fault and not a disturbance of the link.
 const JUMPS_TO_FAULT: u32 = 2;
 /// Angles may be beyond a hard limit by this much without being a fault: rounding of the description and of the encoder, rad.
@@ -98,6 +101,8 @@ pub struct Guard<A> {
     too_fast: [u32; DOF],
     off_track_for: [Duration; DOF],
     jumps: u32,
+    /// The arm is being switched on: it may begin with what was measured of it long ago.
+    is_switching_on: bool,
     /// Why the arm was stopped.
     latched: Option<String>,
     on_stop: Option<Box<dyn FnMut() + Send>>,
@@ -121,6 +126,7 @@ impl<A: Arm> Guard<A> {
             too_fast: [0; DOF],
             off_track_for: [Duration::ZERO; DOF],
             jumps: 0,
+            is_switching_on: false,
             latched: None,
             on_stop: None,
         })
@@ -259,6 +265,10 @@ impl<A: Arm> Guard<A> {
 
     /// Judges a sample; it becomes the newest unless it jumps.
     fn judge(&mut self, sample: JointState) -> Result<JointState, ArmError> {
+        let old = self.arm.info().cycle * OLD_CYCLES;
+        if self.is_switching_on && self.newest.is_some_and(|last| sample.at.saturating_since(last.at) > old) {
+            self.forget();
+        }
         if let Some(reason) = self.beyond_limit(&sample).filter(|_| !is_off(Safeguard::GuardRange)) {
             // A wrong sample may well be out of every limit.
             if self.newest.is_none_or(|last| self.jump(&sample, &last, sample.at.saturating_since(last.at)).is_none()) {
@@ -295,6 +305,22 @@ impl<A: Arm> Guard<A> {
         self.jumps = 0;
     }
 
+    /// What comes before the arm is switched on: a new beginning, unless the arm is stopped.
+    fn prepare(&mut self) -> Result<(), ArmError> {
+        self.check_latched()?;
+        self.is_switching_on = false;
+        self.forget();
+        Ok(())
+    }
+
+    fn check_latched(&self) -> Result<(), ArmError> {
+        self.latched.as_ref().map_or(Ok(()), |reason| Err(self.stopped_error(reason)))
+    }
+
+    fn stopped_error(&self, reason: &str) -> ArmError {
+        self.error(ArmErrorKind::Fault, &format!("stopped: {reason}; remove the cause, then reset"))
+    }
+
     fn error(&self, kind: ArmErrorKind, text: &str) -> ArmError {
         ArmError::new(kind, format!("guard of arm {}: {text}", self.arm.info().name))
     }
@@ -310,10 +336,7 @@ impl<A: Arm> Arm for Guard<A> {
             let sample = self.arm.exchange(JointCommand::Hold)?;
             return match command {
                 JointCommand::Hold => Ok(sample),
-                JointCommand::Velocity(_) => {
-                    let text = format!("stopped: {reason}; remove the cause, then reset");
-                    Err(self.error(ArmErrorKind::Fault, &text))
-                }
+                JointCommand::Velocity(_) => Err(self.stopped_error(&reason)),
             };
         }
         let sample = self.arm.exchange(command);
@@ -341,15 +364,29 @@ impl<A: Arm + ArmPower> ArmPower for Guard<A> {
     }
 
     fn enable(&mut self) -> Result<(), ArmError> {
-        if let Some(reason) = &self.latched {
-            let text = format!("stopped: {reason}; remove the cause, then reset");
-            return Err(self.error(ArmErrorKind::Fault, &text));
-        }
-        self.forget();
+        self.prepare()?;
         self.arm.enable()
     }
 
+    fn begin_enable(&mut self) -> Result<(), ArmError> {
+        self.prepare()?;
+        self.is_switching_on = true;
+        self.arm.begin_enable()
+    }
+
+    fn poll_enable(&mut self) -> Result<bool, ArmError> {
+        self.check_latched()?;
+        let is_on = self.arm.poll_enable()?;
+        self.is_switching_on = !is_on;
+        Ok(is_on)
+    }
+
+    fn begin_stop(&mut self) -> Result<(), ArmError> {
+        self.arm.begin_stop()
+    }
+
     fn stop(&mut self) -> Result<(), ArmError> {
+        self.is_switching_on = false;
         self.forget();
         self.arm.stop()
     }

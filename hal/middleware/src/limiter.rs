@@ -204,6 +204,27 @@ impl<A: Arm> Limiter<A> {
         enabled
     }
 
+    /// As [`Self::enable_here`], begun as [`ArmPower::begin_enable`] does.
+    ///
+    /// # Errors
+    /// As [`ArmPower::enable`].
+    pub fn begin_enable_here(&mut self) -> Result<(), ArmError>
+    where
+        A: ArmPower,
+    {
+        let started = self.started;
+        let begun = self.begin_enable();
+        self.started = started;
+        begun
+    }
+
+    /// Nothing of before counts any more.
+    fn forget(&mut self) {
+        self.last.note_rest();
+        self.newest = None;
+        self.started = false;
+    }
+
     /// What this limiter lets pass.
     pub fn config(&self) -> &LimiterConfig {
         &self.config
@@ -362,10 +383,21 @@ impl<A: Arm + ArmPower> ArmPower for Limiter<A> {
     }
 
     fn enable(&mut self) -> Result<(), ArmError> {
-        self.last.note_rest();
-        self.newest = None;
-        self.started = false;
+        self.forget();
         self.arm.enable()
+    }
+
+    fn begin_enable(&mut self) -> Result<(), ArmError> {
+        self.forget();
+        self.arm.begin_enable()
+    }
+
+    fn poll_enable(&mut self) -> Result<bool, ArmError> {
+        self.arm.poll_enable()
+    }
+
+    fn begin_stop(&mut self) -> Result<(), ArmError> {
+        self.arm.begin_stop()
     }
 
     fn stop(&mut self) -> Result<(), ArmError> {

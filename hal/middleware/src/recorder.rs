@@ -48,6 +48,8 @@ pub struct Recorded<A> {
     arm: A,
     clock: Arc<dyn Clock>,
     log: FlightLog,
+    /// Since when it is being switched on.
+    enabling_since: Option<MonotonicTime>,
 }
 
 impl FlightLog {
@@ -78,7 +80,7 @@ impl FlightLog {
 impl<A> Recorded<A> {
     /// Records what is exchanged with `arm` in `log`, with the times of `clock`.
     pub fn new(arm: A, clock: Arc<dyn Clock>, log: FlightLog) -> Self {
-        Self { arm, clock, log }
+        Self { arm, clock, log, enabling_since: None }
     }
 
     /// The arm, to look at.
@@ -91,8 +93,22 @@ impl<A: Arm + ArmPower> Recorded<A> {
     fn switch(&mut self, asked: Asked, act: impl FnOnce(&mut A) -> Result<(), ArmError>) -> Result<(), ArmError> {
         let at = self.clock.now();
         let result = act(&mut self.arm);
-        let answer = result.as_ref().map(|()| None).map_err(ArmError::kind);
+        self.note_switched(at, asked, result.as_ref().err().map(ArmError::kind));
+        result
+    }
+
+    fn note_switched(&self, at: MonotonicTime, asked: Asked, failed: Option<ArmErrorKind>) {
+        let answer = failed.map_or(Ok(None), Err);
         self.log.push(FlightEntry { at, done: self.clock.now(), asked, answer, state: self.arm.state() });
+    }
+
+    /// Switching on is one entry, when it has come to its end, since it was begun.
+    fn note_enabling<T>(&mut self, result: Result<T, ArmError>, is_done: impl Fn(&T) -> bool) -> Result<T, ArmError> {
+        if result.as_ref().map_or(true, is_done)
+            && let Some(since) = self.enabling_since.take()
+        {
+            self.note_switched(since, Asked::Enable, result.as_ref().err().map(ArmError::kind));
+        }
         result
     }
 }
@@ -123,6 +139,21 @@ impl<A: Arm + ArmPower> ArmPower for Recorded<A> {
 
     fn enable(&mut self) -> Result<(), ArmError> {
         self.switch(Asked::Enable, A::enable)
+    }
+
+    fn begin_enable(&mut self) -> Result<(), ArmError> {
+        self.enabling_since = Some(self.clock.now());
+        let begun = self.arm.begin_enable();
+        self.note_enabling(begun, |()| false)
+    }
+
+    fn poll_enable(&mut self) -> Result<bool, ArmError> {
+        let polled = self.arm.poll_enable();
+        self.note_enabling(polled, |is_on| *is_on)
+    }
+
+    fn begin_stop(&mut self) -> Result<(), ArmError> {
+        self.arm.begin_stop()
     }
 
     fn stop(&mut self) -> Result<(), ArmError> {

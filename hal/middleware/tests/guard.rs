@@ -99,6 +99,31 @@ fn a_joint_that_does_not_go_where_it_is_told_stops_the_arm() {
     bench.assert_latched_until_reset();
 }
 
+/// While an arm is switched on it is measured anew, perhaps long after the last time; from then on a joint that goes by itself is found
+/// before anybody moves the arm.
+#[test]
+fn an_arm_that_is_being_switched_on_is_watched_from_its_first_fresh_sample_on() {
+    let mut bench = Bench::new(START, 0.6);
+    bench.guard.stop().unwrap();
+    bench.guard.begin_enable().unwrap();
+    bench.step(JointCommand::Hold).unwrap();
+    // Somebody had turned it by hand, behind its brakes.
+    bench.tamper(|sample| sample.position_rad[2] += 0.4);
+    bench.clock.sleep_until(bench.clock.now() + Duration::from_secs(3));
+    assert!(bench.until_refused(JointCommand::Hold, Duration::from_secs(1)).is_none());
+    let mut went_rad = 0.4;
+    bench.tamper(move |sample| {
+        went_rad += 0.5 * CYCLE.as_secs_f64();
+        sample.position_rad[2] += went_rad;
+        sample.velocity_rad_per_s[2] = 0.5;
+    });
+    let (after, error) = bench.until_refused(JointCommand::Hold, Duration::from_secs(1)).unwrap();
+    assert!(error.to_string().contains("axis 3 is +") && error.to_string().contains("commands lead"), "{error}");
+    assert!(after < Duration::from_millis(250), "{after:?}");
+    assert_eq!(bench.guard.poll_enable().unwrap_err().kind(), ArmErrorKind::Fault);
+    assert_eq!(bench.guard.state(), ArmState::Fault);
+}
+
 /// Of a jog, at 0.02 rad/s: 0.05 rad are missing after 2.8 s, as 0.002 rad/s may be drift.
 #[test]
 fn a_joint_that_is_blocked_in_a_jog_stops_the_arm() {

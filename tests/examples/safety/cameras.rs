@@ -7,7 +7,7 @@ use crate::faults::{Fault, Kind};
 use crate::scenario::Dice;
 
 /// From the camera's begin to that of the control loop, seconds: both arms are switched on meanwhile.
-pub const LEAD_S: f64 = 2.484;
+pub const LEAD_S: f64 = 1.25;
 
 /// How many kinds there are.
 pub const COUNT: usize = 11;

@@ -331,7 +331,7 @@ struct Faulty<'a> {
 impl Mover for Faulty<'_> {
     type Step = Moved;
 
-    fn enable(&mut self) -> Result<()> {
+    fn enable(&mut self) -> Result<bool> {
         self.inner.enable()
     }
 

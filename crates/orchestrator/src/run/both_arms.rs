@@ -16,13 +16,15 @@ pub struct LedArm {
     arm: Box<dyn DrivenArm>,
     joints: JointState,
     replies_missed: u64,
+    /// It is being switched on.
+    is_switching_on: bool,
 }
 
 impl LedArm {
     /// An arm that is not yet switched on; until it is measured it counts as resting at `start_rad`.
     fn new(name: &'static str, arm: Box<dyn DrivenArm>, start_rad: JointVector, now: MonotonicTime) -> Self {
         let joints = JointState { at: now, position_rad: start_rad, velocity_rad_per_s: JointVector::zeros() };
-        Self { name, arm, joints, replies_missed: 0 }
+        Self { name, arm, joints, replies_missed: 0, is_switching_on: false }
     }
 
     /// What was last measured.
@@ -68,16 +70,36 @@ impl LedArm {
         matches!(self.arm.state(), ArmState::Fault | ArmState::EStop)
     }
 
-    fn enable(&mut self) -> Result<()> {
-        self.arm.enable().with_context(|| format!("{}: enable", self.name))
+    fn begin_enable(&mut self, from: Whence) -> Result<()> {
+        let begun = match from {
+            Whence::Start => self.arm.begin_enable(),
+            Whence::Here if self.arm.state() != ArmState::Disabled => return Ok(()),
+            Whence::Here => self.arm.begin_enable_here(),
+        };
+        begun.with_context(|| self.not_enabled())?;
+        self.is_switching_on = true;
+        Ok(())
     }
 
-    /// As [`Self::enable`], away from the start, too.
-    fn enable_here(&mut self) -> Result<()> {
-        if self.arm.state() == ArmState::Disabled {
-            self.arm.enable_here().with_context(|| format!("{}: enable", self.name))?;
+    /// Whether it is on.
+    fn poll_enable(&mut self) -> Result<bool> {
+        if self.is_switching_on {
+            self.is_switching_on = !self.arm.poll_enable().with_context(|| self.not_enabled())?;
         }
-        self.measure()
+        Ok(!self.is_switching_on)
+    }
+
+    fn not_enabled(&self) -> String {
+        format!("{}: enable", self.name)
+    }
+
+    /// Watched while it or the other one is switched on: whether it is on, and where its joints really are.
+    fn watch(&mut self) -> Result<bool> {
+        if self.is_switching_on {
+            self.look();
+            return Ok(false);
+        }
+        Ok(self.exchange(JointCommand::Hold)?.is_some())
     }
 
     /// What can be measured of an arm that is off or latched; that it fails is no news.
@@ -91,15 +113,19 @@ impl LedArm {
         if self.is_latched() { self.arm.reset().with_context(|| format!("{}: reset", self.name)) } else { Ok(()) }
     }
 
-    /// Where the joints really are, without which nothing is begun.
-    fn measure(&mut self) -> Result<()> {
-        self.joints = self.arm.exchange(JointCommand::Hold).context(self.name)?;
-        Ok(())
-    }
-
     fn stop(&mut self) -> Result<()> {
+        self.is_switching_on = false;
         self.arm.stop().with_context(|| format!("{}: stop", self.name))
     }
+}
+
+/// Where arms may be when they are switched on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Whence {
+    /// At their start: the first velocity is refused elsewhere.
+    Start,
+    /// Where a stop has left them; one that is still on stays so.
+    Here,
 }
 
 /// Both arms.
@@ -108,6 +134,7 @@ pub struct BothArms {
     pub vs: LedArm,
     /// The one that carries the target.
     pub tc: LedArm,
+    is_switching_on: bool,
 }
 
 impl BothArms {
@@ -116,18 +143,39 @@ impl BothArms {
         Self {
             vs: LedArm::new("vs-robot", vs, setup.vs.start_rad, now),
             tc: LedArm::new("tc-robot", tc, setup.tc.start_rad, now),
+            is_switching_on: false,
         }
     }
 
-    /// Drives on, and where the joints really are.
+    /// Switches both on, as far as that is possible now: whether they are on, and where their joints are is known. To be called in each
+    /// control cycle until then. It takes seconds; an arm whose brakes are open is told to hold and watched in each of these cycles,
+    /// as it is when it moves, and what stops one of them stops both.
     ///
     /// # Errors
-    /// The arm that can not be switched on, and why.
-    pub fn enable(&mut self) -> Result<()> {
-        self.vs.enable()?;
-        self.tc.enable()?;
-        self.vs.measure()?;
-        self.tc.measure()
+    /// The arm that can not be switched on or does not hold, and why; both have to be stopped then.
+    pub fn enable(&mut self, from: Whence) -> Result<bool> {
+        let was_switching_on = std::mem::replace(&mut self.is_switching_on, false);
+        if !was_switching_on {
+            self.vs.begin_enable(from)?;
+            self.tc.begin_enable(from)?;
+        }
+        let polled = [self.vs.poll_enable(), self.tc.poll_enable()];
+        let watched = [self.vs.watch(), self.tc.watch()];
+        if self.is_latched() {
+            // The one that failed by itself tells why.
+            self.why_latched()?;
+        }
+        let mut are_on = true;
+        for outcome in polled.into_iter().chain(watched) {
+            are_on &= outcome?;
+        }
+        self.is_switching_on = !are_on;
+        Ok(are_on)
+    }
+
+    /// Whether they are being switched on.
+    pub fn is_switching_on(&self) -> bool {
+        self.is_switching_on
     }
 
     /// Both come to rest with brakes on, whatever happened; the first failure is told.
@@ -135,12 +183,15 @@ impl BothArms {
     /// # Errors
     /// The arm that can not be told.
     pub fn stop(&mut self) -> Result<()> {
-        // Closing the brakes of one takes time in which the other one must not wait for its next velocity.
-        for led in [&mut self.vs, &mut self.tc] {
+        // Closing the brakes of one takes time in which the other one must neither wait for its next velocity nor for its own brakes.
+        self.is_switching_on = false;
+        let arms = [&mut self.vs, &mut self.tc].map(|led| {
             led.arm.exchange(JointCommand::Hold).ok();
-        }
-        let vs = self.vs.stop();
-        let tc = self.tc.stop();
+            // Whoever can not be told is told once more.
+            led.arm.begin_stop().ok();
+            led
+        });
+        let [vs, tc] = arms.map(LedArm::stop);
         vs.and(tc)
     }
 
@@ -156,15 +207,6 @@ impl BothArms {
     pub fn stop_still_on(&mut self) -> Result<()> {
         let still_on = [&mut self.vs, &mut self.tc].into_iter().filter(|led| led.is_on());
         still_on.map(LedArm::stop).fold(Ok(()), Result::and)
-    }
-
-    /// Drives on again after a stop, and where the joints really are: from there they go on, wherever it is.
-    ///
-    /// # Errors
-    /// The arm that can not be switched on, and why.
-    pub fn enable_here(&mut self) -> Result<()> {
-        self.vs.enable_here()?;
-        self.tc.enable_here()
     }
 
     /// Whether one of them has a fault or an emergency stop.
@@ -224,11 +266,12 @@ impl BothArms {
 mod tests {
     use std::path::Path;
     use std::sync::{Arc, Mutex};
+    use std::time::Duration;
 
     use pb3dp_arm_pa10::mock::{MockArm, MockArmConfig, MockArmFaults};
-    use pb3dp_hal_api::Clock;
+    use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, Clock};
     use pb3dp_hal_clock::VirtualClock;
-    use pb3dp_hal_middleware::{Limiter, couple};
+    use pb3dp_hal_middleware::{Limiter, LimiterStatistics, couple};
     use pb3dp_sim::joint_dynamics::JointPlant;
 
     use super::*;
@@ -253,7 +296,7 @@ mod tests {
         let vs = Box::new(Limiter::new(vs, setup.vs.limiter.clone(), Arc::clone(&clock)).unwrap());
         let tc = Box::new(Limiter::new(tc, setup.tc.limiter.clone(), Arc::clone(&clock)).unwrap());
         let mut arms = BothArms::new(&setup, (vs, tc), clock.now());
-        arms.enable().unwrap();
+        assert!(arms.enable(Whence::Start).unwrap());
         (arms, faults)
     }
 
@@ -272,5 +315,139 @@ mod tests {
         faults[0].remove_fault_cause();
         arms.reset().unwrap();
         assert_eq!([&arms.vs, &arms.tc].map(LedArm::condition), [ArmCondition::Disabled; 2]);
+    }
+
+    /// Switched on after so many polls; notes what it is asked, and fails where it is told to.
+    struct Slow {
+        info: ArmInfo,
+        polls_left: u32,
+        fails_after: usize,
+        holds: usize,
+        said: Arc<Mutex<Vec<String>>>,
+    }
+
+    impl Slow {
+        fn boxed(name: &str, polls_left: u32, fails_after: usize, said: &Arc<Mutex<Vec<String>>>) -> Box<Self> {
+            let info = ArmInfo { name: name.to_owned(), cycle: Duration::from_millis(10) };
+            Box::new(Self { info, polls_left, fails_after, holds: 0, said: Arc::clone(said) })
+        }
+
+        fn say(&self, what: &str) {
+            self.said.lock().unwrap().push(format!("{} {what}", self.info.name));
+        }
+
+        fn failed(&self) -> ArmError {
+            ArmError::new(ArmErrorKind::Fault, format!("{} ran away", self.info.name))
+        }
+    }
+
+    impl Arm for Slow {
+        fn info(&self) -> &ArmInfo {
+            &self.info
+        }
+
+        fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+            self.holds += usize::from(command == JointCommand::Hold);
+            if self.state() == ArmState::Fault {
+                return Err(self.failed());
+            }
+            let at = MonotonicTime::ZERO + self.info.cycle * self.holds as u32;
+            Ok(JointState { at, position_rad: JointVector::zeros(), velocity_rad_per_s: JointVector::zeros() })
+        }
+    }
+
+    impl ArmPower for Slow {
+        fn state(&self) -> ArmState {
+            match (self.holds >= self.fails_after, self.polls_left) {
+                (true, _) => ArmState::Fault,
+                (false, 0) => ArmState::Enabled,
+                (false, _) => ArmState::Disabled,
+            }
+        }
+
+        fn enable(&mut self) -> Result<(), ArmError> {
+            self.polls_left = 0;
+            Ok(())
+        }
+
+        fn begin_enable(&mut self) -> Result<(), ArmError> {
+            self.say("begin");
+            Ok(())
+        }
+
+        fn poll_enable(&mut self) -> Result<bool, ArmError> {
+            self.polls_left = self.polls_left.saturating_sub(1);
+            if self.polls_left == 0 {
+                self.say("on");
+            }
+            Ok(self.polls_left == 0)
+        }
+
+        fn begin_stop(&mut self) -> Result<(), ArmError> {
+            self.say("begin to stop");
+            Ok(())
+        }
+
+        fn stop(&mut self) -> Result<(), ArmError> {
+            self.say("stop");
+            Ok(())
+        }
+
+        fn reset(&mut self) -> Result<(), ArmError> {
+            Ok(())
+        }
+    }
+
+    impl DrivenArm for Slow {
+        fn statistics(&self) -> LimiterStatistics {
+            LimiterStatistics::default()
+        }
+
+        fn enable_here(&mut self) -> Result<(), ArmError> {
+            self.enable()
+        }
+
+        fn begin_enable_here(&mut self) -> Result<(), ArmError> {
+            self.begin_enable()
+        }
+    }
+
+    /// Arms of which the second one takes longer to be switched on, and what they are asked.
+    fn slow(fails_after: usize) -> (BothArms, Arc<Mutex<Vec<String>>>) {
+        let said = Arc::default();
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
+        let setup = read_setup(Path::new(file)).unwrap();
+        let pair: (Box<dyn DrivenArm>, Box<dyn DrivenArm>) =
+            (Slow::boxed("vs", 3, fails_after, &said), Slow::boxed("tc", 100, usize::MAX, &said));
+        (BothArms::new(&setup, pair, MonotonicTime::ZERO), said)
+    }
+
+    #[test]
+    fn an_arm_with_open_brakes_is_watched_in_each_cycle_until_the_other_one_is_on() {
+        for from in [Whence::Start, Whence::Here] {
+            let (mut arms, said) = slow(usize::MAX);
+            for cycle in 1..100 {
+                assert!(!arms.enable(from).unwrap() && arms.is_switching_on());
+                let at = MonotonicTime::ZERO + Duration::from_millis(10) * cycle;
+                assert_eq!([arms.vs.joints().at, arms.tc.joints().at], [at; 2]);
+            }
+            assert!(arms.enable(from).unwrap() && !arms.is_switching_on());
+            assert_eq!(*said.lock().unwrap(), ["vs begin", "tc begin", "vs on", "tc on"]);
+        }
+    }
+
+    #[test]
+    fn an_arm_that_fails_while_the_other_one_is_switched_on_stops_both() {
+        let (mut arms, said) = slow(50);
+        let failure = (0..100).find_map(|_| arms.enable(Whence::Start).err()).unwrap();
+        assert_eq!(format!("{failure:#}"), "vs-robot: vs ran away");
+        arms.stop().unwrap();
+        assert!(!arms.is_switching_on());
+        let order = ["vs begin", "tc begin", "vs on", "vs begin to stop", "tc begin to stop", "vs stop", "tc stop"];
+        assert_eq!(
+            *said.lock().unwrap(),
+            order,
+            "the second one must not be switched on, and none waits for the other one's brakes"
+        );
     }
 }

@@ -2,7 +2,7 @@
 //! them, in simulated time or in the machine's, neither knows.
 
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::Result;
@@ -20,11 +20,11 @@ pub trait Mover: Send {
     /// What a control step is remembered by.
     type Step: Copy + Send;
 
-    /// Drives on, and where the joints really are.
+    /// Switches both arms on, as far as that is possible now: whether they are on. To be called in each control cycle until then.
     ///
     /// # Errors
     /// The arm that can not be switched on, and why; the other one may be on.
-    fn enable(&mut self) -> Result<()>;
+    fn enable(&mut self) -> Result<bool>;
 
     /// Control steps begin at this time.
     fn begin_at(&mut self, begin: MonotonicTime);
@@ -251,13 +251,18 @@ pub(super) struct Enabled<'a, M: Mover> {
 }
 
 impl<'a, M: Mover> Enabled<'a, M> {
-    /// Switches both arms on.
+    /// Switches both arms on, unless the course is interrupted meanwhile.
     ///
     /// # Errors
     /// As [`Mover::enable`]; both are stopped then.
-    pub fn new(mover: &'a mut M) -> Result<Self> {
+    pub fn new(course: &Course<'_>, mover: &'a mut M) -> Result<Self> {
         let enabled = Self { mover, is_stopped: false };
-        enabled.mover.enable()?;
+        let mut next = course.clock.now();
+        while !enabled.mover.enable()? && !course.interrupt.load(Ordering::SeqCst) {
+            // A cycle whose time has passed is left out.
+            next = (next + course.setup.control_period).max(course.clock.now());
+            course.clock.sleep_until(next);
+        }
         Ok(enabled)
     }
 

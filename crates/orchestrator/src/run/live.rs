@@ -42,7 +42,7 @@ pub(super) fn drive<M: Mover, W: Parted<Step = M::Step>>(
     mover: &mut M,
     punctuality: &mut Punctuality,
 ) -> Result<()> {
-    let mut enabled = Enabled::new(mover)?;
+    let mut enabled = Enabled::new(course, mover)?;
     let begin = course.clock.now();
     watcher.begin_at(begin);
     enabled.mover().begin_at(begin);

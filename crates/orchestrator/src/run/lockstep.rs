@@ -22,7 +22,7 @@ pub(super) fn drive<M: Mover, W: Watcher<Step = M::Step>>(
     watcher: &mut W,
     mover: &mut M,
 ) -> Result<()> {
-    let mut enabled = Enabled::new(mover)?;
+    let mut enabled = Enabled::new(course, mover)?;
     let begin = course.clock.now();
     watcher.begin_at(begin);
     enabled.mover().begin_at(begin);

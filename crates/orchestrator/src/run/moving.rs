@@ -11,7 +11,7 @@ use pb3dp_servo::{Command, ControlStep, Controller, Mode};
 use pb3dp_sim::placement::FlangePath;
 use pb3dp_sim::trajectory::Trajectory;
 
-use super::both_arms::{BothArms, LedArm};
+use super::both_arms::{BothArms, LedArm, Whence};
 use super::carrier::{carry, off_by};
 use super::halves::Mover;
 use super::operator::{ByCommand, Operator};
@@ -231,7 +231,7 @@ impl<'a> Moving<'a> {
             self.arms.why_latched()?;
             bail!("{}", decision.why)
         }
-        if self.is_stopped {
+        if self.is_stopped && !self.arms.is_switching_on() {
             self.stay_off(now);
             return Ok(());
         }
@@ -273,20 +273,22 @@ impl<'a> Moving<'a> {
         }
     }
 
-    /// Behind the reset both arms stay off until a target is selected; then they are switched on where they are.
+    /// Behind the reset both arms stay off until a target is selected; then they are switched on where they are, in as many steps as
+    /// that takes.
     fn leave_stop(&mut self, decision: &Decision, now: MonotonicTime) {
-        if decision.transition.is_none_or(|transition| transition.event != Event::Select) {
+        let is_selected = decision.transition.is_some_and(|transition| transition.event == Event::Select);
+        if is_selected {
+            self.operator.tell(None);
+            // A target that was seen before is not the one that was selected.
+            self.newest = None;
+        } else if !self.arms.is_switching_on() {
             self.stay_off(now);
             return;
         }
-        let on = self.arms.enable_here();
-        self.is_stopped = on.is_err();
-        self.operator.tell(None);
-        if self.is_stopped {
-            self.stop_because(on);
+        match self.arms.enable(Whence::Here) {
+            Ok(are_on) => self.is_stopped = !are_on,
+            Err(why) => self.stop_because(Err(why)),
         }
-        // A target that was seen before is not the one that was selected.
-        self.newest = None;
     }
 
     /// Tells the arm that carries the cameras; the controller gets to know what its joints do now, if that is not what it wanted.
@@ -311,8 +313,8 @@ impl<'a> Moving<'a> {
 impl Mover for Moving<'_> {
     type Step = Moved;
 
-    fn enable(&mut self) -> Result<()> {
-        self.arms.enable()
+    fn enable(&mut self) -> Result<bool> {
+        self.arms.enable(Whence::Start)
     }
 
     fn begin_at(&mut self, begin: MonotonicTime) {

@@ -13,7 +13,7 @@ use pb3dp_kinematics::{Damping, JointVector, damped_pseudo_inverse};
 use pb3dp_servo::TargetObservation;
 use pb3dp_servo::identification::{Excitation, GivenVelocity};
 
-use super::both_arms::BothArms;
+use super::both_arms::{BothArms, Whence};
 use super::capturing::Captured;
 use super::halves::{Capture, Course, Estimate, Mover, Parted, Record};
 use super::looking::{Estimating, Looking};
@@ -181,10 +181,10 @@ fn keep<T>(kept: &mut Vec<T>, item: T) {
 impl Mover for Swinging<'_> {
     type Step = JointState;
 
-    fn enable(&mut self) -> Result<()> {
-        self.arms.enable()?;
+    fn enable(&mut self) -> Result<bool> {
+        let are_on = self.arms.enable(Whence::Start)?;
         self.base_from_hand_at_begin = base_from_hand(self.setup, self.arms.vs.joints());
-        Ok(())
+        Ok(are_on)
     }
 
     fn begin_at(&mut self, begin: MonotonicTime) {

@@ -467,6 +467,18 @@ impl<A: ArmPower> ArmPower for Tapped<A> {
         self.arm.enable()
     }
 
+    fn begin_enable(&mut self) -> Result<(), ArmError> {
+        self.arm.begin_enable()
+    }
+
+    fn poll_enable(&mut self) -> Result<bool, ArmError> {
+        self.arm.poll_enable()
+    }
+
+    fn begin_stop(&mut self) -> Result<(), ArmError> {
+        self.arm.begin_stop()
+    }
+
     fn stop(&mut self) -> Result<(), ArmError> {
         self.arm.stop()
     }

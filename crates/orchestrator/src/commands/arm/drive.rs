@@ -12,6 +12,7 @@ use pb3dp_kinematics::JointVector;
 
 use super::confirm::Interrupted;
 use super::plan::Plan;
+use crate::wiring::DrivenArm;
 use crate::wiring::commissioning::{ArmChoice, SlowArm};
 
 /// By how much joints may have moved between the plan and the opening of the brakes, rad.
@@ -43,6 +44,17 @@ pub struct Cycle<'a> {
     pub planned_rad: &'a JointVector,
     /// Where they are.
     pub measured: &'a JointState,
+}
+
+/// One of both arms.
+type Which = fn(&mut SlowArm) -> Result<&mut dyn DrivenArm>;
+
+fn this_arm(arm: &mut SlowArm) -> Result<&mut dyn DrivenArm> {
+    Ok(&mut *arm.driven)
+}
+
+fn other_arm(arm: &mut SlowArm) -> Result<&mut dyn DrivenArm> {
+    Ok(&mut *arm.other.as_mut().context("the other arm is not connected")?.driven)
 }
 
 /// Looks on in each cycle; what it returns as an error ends the move.
@@ -80,8 +92,7 @@ impl<'a> Drive<'a> {
     /// # Errors
     /// What the arm or `watch` says, [`Interrupted`], or that a joint did not arrive. The stop order is the caller's.
     pub fn run(&mut self, signals: &mut StopSignals, watch: Watch<'_>) -> Result<JointState> {
-        self.arm.driven.enable()?;
-        let mut newest = self.exchange(JointCommand::Hold)?.context("no joints after the brakes were opened")?;
+        let mut newest = self.switch_on(signals, this_arm)?;
         let moved = newest.position_rad - self.plan.start_rad();
         watch(&Cycle { passed: Duration::ZERO, planned_rad: self.plan.start_rad(), measured: &newest })?;
         if moved.amax() > STAYED_WITHIN_RAD {
@@ -108,6 +119,28 @@ impl<'a> Drive<'a> {
             }
             let velocity = speed_rad_per_s + behind_rad * GAIN_PER_S;
             newest = self.exchange(JointCommand::Velocity(velocity))?.unwrap_or(newest);
+        }
+    }
+
+    /// Opens the brakes of the other arm, which holds then.
+    ///
+    /// # Errors
+    /// What an arm says, or [`Interrupted`]. The stop order is the caller's.
+    pub fn switch_other_on(&mut self, signals: &mut StopSignals) -> Result<()> {
+        self.switch_on(signals, other_arm).map(drop)
+    }
+
+    /// Opens the brakes of an arm, which takes seconds. Whoever has open brakes is watched in each cycle of them.
+    fn switch_on(&mut self, signals: &mut StopSignals, which: Which) -> Result<JointState> {
+        which(self.arm)?.begin_enable()?;
+        let mut next = self.clock.now();
+        loop {
+            let is_on = which(self.arm)?.poll_enable()?;
+            let newest = self.exchange(JointCommand::Hold)?;
+            if let (true, Some(newest)) = (is_on, newest) {
+                return Ok(newest);
+            }
+            next = self.wait(next, signals)?;
         }
     }
 
@@ -161,13 +194,14 @@ mod tests {
 
     use super::*;
     use crate::config::setup::read_setup;
-    use crate::wiring::DrivenArm;
     use crate::wiring::commissioning::OtherArm;
 
     /// Answers what it is told to, the last one first.
     struct Scripted {
         info: ArmInfo,
         answers: Vec<Result<JointState, ArmErrorKind>>,
+        /// How often it says that it is not yet switched on.
+        switching_on: u32,
     }
 
     impl Arm for Scripted {
@@ -189,6 +223,11 @@ mod tests {
             Ok(())
         }
 
+        fn poll_enable(&mut self) -> Result<bool, ArmError> {
+            self.switching_on = self.switching_on.saturating_sub(1);
+            Ok(self.switching_on == 0)
+        }
+
         fn stop(&mut self) -> Result<(), ArmError> {
             Ok(())
         }
@@ -208,39 +247,66 @@ mod tests {
         }
     }
 
-    fn scripted(answers: &[Result<JointState, ArmErrorKind>]) -> Box<dyn DrivenArm> {
-        let info = ArmInfo { name: "scripted".to_owned(), cycle: Duration::from_millis(10) };
-        Box::new(Scripted { info, answers: answers.to_vec() })
+    fn at_rest() -> JointState {
+        let zeros = JointVector::zeros();
+        JointState { at: MonotonicTime::ZERO, position_rad: zeros, velocity_rad_per_s: zeros }
+    }
+
+    /// A cell of this arm and the other one, what they answer, and how long this one takes to be switched on.
+    fn cell(answers: [&[Result<JointState, ArmErrorKind>]; 2], switching_on: u32) -> SlowArm {
+        let scripted = |answers: &[_], switching_on| {
+            let info = ArmInfo { name: "scripted".to_owned(), cycle: Duration::from_millis(10) };
+            Box::new(Scripted { info, answers: answers.to_vec(), switching_on })
+        };
+        let other = OtherArm { driven: scripted(answers[1], 0), monitor: None, flight: FlightLog::with_capacity(1) };
+        SlowArm {
+            driven: scripted(answers[0], switching_on),
+            monitor: None,
+            flight: FlightLog::with_capacity(1),
+            other: Some(other),
+            emulated: Vec::new(),
+        }
+    }
+
+    /// A plan that leads nowhere, and the period of its cycles.
+    fn plan() -> (Plan, Duration) {
+        let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
+        let setup = read_setup(&configs.join("hil.toml")).unwrap();
+        (Plan::new(&setup.vs, setup.vs.start_rad, JointVector::zeros()).unwrap(), setup.control_period)
+    }
+
+    fn kind(error: &anyhow::Error) -> ArmErrorKind {
+        error.downcast_ref::<ArmError>().unwrap().kind()
     }
 
     /// R4: one or two lost replies are borne, whichever arm of the cell they are of.
     #[test]
     fn a_lost_reply_of_the_other_arm_breaks_no_move_off() {
-        let joints = JointState {
-            at: MonotonicTime::ZERO,
-            position_rad: JointVector::zeros(),
-            velocity_rad_per_s: JointVector::zeros(),
-        };
-        let other = [Err(ArmErrorKind::Fault), Err(ArmErrorKind::Timeout), Err(ArmErrorKind::Timeout), Ok(joints)];
-        let driven = scripted(&[Err(ArmErrorKind::Timeout), Ok(joints), Ok(joints)]);
-        let other = OtherArm { driven: scripted(&other), monitor: None, flight: FlightLog::with_capacity(1) };
-        let mut arm = SlowArm {
-            driven,
-            monitor: None,
-            flight: FlightLog::with_capacity(1),
-            other: Some(other),
-            emulated: Vec::new(),
-        };
-        let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
-        let setup = read_setup(&configs.join("hil.toml")).unwrap();
-        let plan = Plan::new(&setup.vs, setup.vs.start_rad, JointVector::zeros()).unwrap();
+        let other = [Err(ArmErrorKind::Fault), Err(ArmErrorKind::Timeout), Err(ArmErrorKind::Timeout), Ok(at_rest())];
+        let mut arm = cell([&[Err(ArmErrorKind::Timeout), Ok(at_rest()), Ok(at_rest())], &other], 0);
+        let (plan, period) = plan();
         let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
-        let mut drive = Drive::new(&mut arm, &plan, &clock, setup.control_period);
-        assert_eq!(drive.exchange(JointCommand::Hold).unwrap(), Some(joints));
-        assert_eq!(drive.exchange(JointCommand::Hold).unwrap(), Some(joints));
+        let mut drive = Drive::new(&mut arm, &plan, &clock, period);
+        assert_eq!(drive.exchange(JointCommand::Hold).unwrap(), Some(at_rest()));
+        assert_eq!(drive.exchange(JointCommand::Hold).unwrap(), Some(at_rest()));
         assert_eq!(drive.exchange(JointCommand::Hold).unwrap(), None);
         assert_eq!(drive.lost(), 3);
-        let error = drive.exchange(JointCommand::Hold).unwrap_err();
-        assert_eq!(error.downcast_ref::<ArmError>().unwrap().kind(), ArmErrorKind::Fault);
+        assert_eq!(kind(&drive.exchange(JointCommand::Hold).unwrap_err()), ArmErrorKind::Fault);
+    }
+
+    /// Brakes take seconds to open: whoever has open ones already is exchanged with in each cycle of them, and what stops him breaks the
+    /// move off.
+    #[test]
+    fn the_other_arm_is_watched_while_this_one_is_switched_on() {
+        let mut other = vec![Err(ArmErrorKind::Fault)];
+        other.resize(60, Ok(at_rest()));
+        let mut arm = cell([&[Ok(at_rest()); 200], &other], 100);
+        let (plan, period) = plan();
+        let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
+        let mut drive = Drive::new(&mut arm, &plan, &clock, period);
+        let mut signals = StopSignals::take_over().unwrap();
+        let error = drive.run(&mut signals, &mut |_| panic!("it moves")).unwrap_err();
+        assert_eq!(kind(&error), ArmErrorKind::Fault, "{error}");
+        assert_eq!(clock.now(), MonotonicTime::ZERO + period * 59, "60 cycles");
     }
 }

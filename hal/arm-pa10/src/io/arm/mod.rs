@@ -61,6 +61,9 @@ const ACTIVITIES_MAX: u32 = 3;
 /// Who lets go of an arm that nobody hears waits for so long for a terminal.
 const LAST_WORDS_MAX: Duration = Duration::from_millis(300);
 
+/// What did not come about.
+const NOT_ENABLED: &str = "it is not enabled";
+
 /// Opening and greeting a link, at most.
 const OPEN_MAX: Duration = Duration::from_secs(2);
 
@@ -69,6 +72,9 @@ const OPEN_MAX: Duration = Duration::from_secs(2);
 /// `exchange` returns at once, and holds no loop up that keeps the pace of the arm. Where answers got lost it waits for the next
 /// measurement, for at most one cycle: two in a row are a `Timeout` at most, as they are counted and borne. In a state in which
 /// nothing is measured `Hold` returns the last measurement with the time at which it was made.
+///
+/// Switching on takes seconds. Whoever has another arm with open brakes begins it ([`ArmPower::begin_enable`]) and goes on exchanging
+/// with both in each cycle: the thread looks after the line, and whether a joint goes where it should is for those to see who exchange.
 ///
 /// Who enables an arm goes on exchanging with it: a velocity fades after 20 ms and stops the arm after 50 ms, and one that only holds
 /// is stopped, latched, after 5 s in which nobody asked for anything.
@@ -85,6 +91,8 @@ pub struct Pa10Arm {
     ends: Receiver<WishEnd>,
     work: Work,
     warnings: Vec<String>,
+    /// The wish to be switched on that is being fulfilled: its number, and when its end has to be known.
+    enabling: Option<(u64, MonotonicTime)>,
 }
 
 /// Who does the work of an arm.
@@ -216,7 +224,7 @@ impl Pa10Arm {
         };
         let info = ArmInfo { name: format!("{name} (pa10 at {target})"), cycle: exchange_cycle };
         let name = Arc::from(info.name.as_str());
-        let mut opened = Self { driver: config, info, name, clock, shared, trip, ends, work, warnings };
+        let mut opened = Self { driver: config, info, name, clock, shared, trip, ends, work, warnings, enabling: None };
         opened.fulfil(Wish::Connect).map_err(|source| ArmOpenError::Connect { arm: of_arm(), source })?;
         Ok(opened)
     }
@@ -244,13 +252,19 @@ impl Pa10Arm {
         self.trip.clone()
     }
 
-    /// Has a wish fulfilled, and waits for its end.
-    fn fulfil(&mut self, wish: Wish) -> Result<(), WishError> {
+    /// Has the thread begin with a wish, which takes the place of any other one: its number, and when its end has to be known.
+    fn begin(&mut self, wish: Wish) -> (u64, MonotonicTime) {
+        self.enabling = None;
         let number = self.shared.put_wish(wish);
         self.trip.wake();
         // The thread ends each wish in bounded time; this is for a thread that does not run.
         let patience = OPEN_MAX + self.driver.activity_timeout * ACTIVITIES_MAX;
-        let deadline = self.clock.now() + patience;
+        (number, self.clock.now() + patience)
+    }
+
+    /// Has a wish fulfilled, and waits for its end.
+    fn fulfil(&mut self, wish: Wish) -> Result<(), WishError> {
+        let (number, deadline) = self.begin(wish);
         loop {
             match self.next_end(deadline) {
                 Some((ended, end)) if ended == number => return end,
@@ -273,6 +287,13 @@ impl Pa10Arm {
                 }
             },
         }
+    }
+
+    /// How the wish of this number has ended, if it has.
+    fn ended(&self, number: u64, deadline: MonotonicTime) -> Option<Result<(), WishError>> {
+        let ended = self.ends.try_iter().find(|(ended, _)| *ended == number);
+        let is_late = self.clock.now() > deadline;
+        ended.map(|(_, end)| end).or_else(|| is_late.then_some(Err(WishError::NoThread)))
     }
 
     /// Waits until the arm is as wanted or this time is over; what is known then.
@@ -423,7 +444,24 @@ impl ArmPower for Pa10Arm {
     }
 
     fn enable(&mut self) -> Result<(), ArmError> {
-        self.fulfil(Wish::Enable).map_err(|error| self.wish_error("it is not enabled", error))
+        self.fulfil(Wish::Enable).map_err(|error| self.wish_error(NOT_ENABLED, error))
+    }
+
+    fn begin_enable(&mut self) -> Result<(), ArmError> {
+        self.enabling = Some(self.begin(Wish::Enable));
+        Ok(())
+    }
+
+    fn poll_enable(&mut self) -> Result<bool, ArmError> {
+        let Some((number, deadline)) = self.enabling else { return Ok(self.state() == ArmState::Enabled) };
+        let Some(end) = self.ended(number, deadline) else { return Ok(false) };
+        self.enabling = None;
+        end.map(|()| true).map_err(|error| self.wish_error(NOT_ENABLED, error))
+    }
+
+    fn begin_stop(&mut self) -> Result<(), ArmError> {
+        self.begin(Wish::Stop);
+        Ok(())
     }
 
     fn stop(&mut self) -> Result<(), ArmError> {

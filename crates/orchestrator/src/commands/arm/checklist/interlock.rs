@@ -8,7 +8,7 @@ use super::operator::{Act, Question};
 use super::record::StepReport;
 use super::session::{Session, refuses_motion};
 use super::steps::{INTERLOCK_REST_MAX_MS, NOTICED_MAX_MS, SAG_MAX_DEG};
-use crate::wiring::commissioning::SlowArm;
+use crate::wiring::commissioning::{OtherArm, SlowArm};
 
 /// Does the step.
 ///
@@ -17,7 +17,8 @@ use crate::wiring::commissioning::SlowArm;
 pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
     let mut arm = session.connect(true)?;
     let outcome = interlock(session, report, &mut arm);
-    if let Some(other) = arm.other.as_mut().filter(|other| other.driven.state() == ArmState::Enabled) {
+    let may_be_on = |other: &&mut OtherArm| matches!(other.driven.state(), ArmState::Enabled | ArmState::Disabled);
+    if let Some(other) = arm.other.as_mut().filter(may_be_on) {
         other.driven.stop().context("the other arm: the stop order; press its emergency stop")?;
     }
     session.keep_if_failed(report, &arm, outcome)
@@ -29,9 +30,7 @@ fn interlock(session: &mut Session<'_>, report: &mut StepReport, arm: &mut SlowA
     let plan = session.announce(arm, act)?;
     check_room(session, arm, &plan)?;
     // An arm with closed brakes would have nothing to say about its emergency stop.
-    let other = arm.other.as_mut().context("the other arm is not connected")?;
-    other.driven.enable()?;
-    other.driven.exchange(JointCommand::Hold)?;
+    session.switch_other_on(arm, &plan)?;
     let stop = session.drive_until(arm, &plan, act)?;
     let other = arm.other.as_mut().context("the other arm is not connected")?;
     let told = other.monitor.as_ref().context("the other arm has no line")?.snapshot().latched;

@@ -254,6 +254,14 @@ impl Session<'_> {
         Ok(plan)
     }
 
+    /// Opens the brakes of the other arm, which holds while this one makes its move.
+    ///
+    /// # Errors
+    /// What an arm says, or a signal.
+    pub fn switch_other_on(&mut self, arm: &mut SlowArm, plan: &Plan) -> Result<()> {
+        Drive::new(arm, plan, &self.clock, self.setup.control_period).switch_other_on(&mut self.signals)
+    }
+
     /// Makes a move that the operator's act is to stop.
     ///
     /// # Errors
