@@ -64,13 +64,16 @@ fn open(path: &str) -> Pa10Arm {
     arm.unwrap_or_else(|error| panic!("{error}: {:?}", std::error::Error::source(&error)))
 }
 
+/// What stops an arm on a machine that is late.
+const LATE: [&str; 2] = ["in a row without a usable reply", "the newest measurement is"];
+
 /// On a loaded machine the link may need more than one try to show that it is quick enough.
 fn enable(arm: &mut Pa10Arm) {
     for _ in 0..20 {
         match arm.enable() {
             Ok(()) => return,
             Err(error) if error.to_string().contains("the brakes stay closed") => {}
-            Err(error) if error.to_string().contains("in a row without a usable reply") => arm.reset().unwrap(),
+            Err(error) if LATE.iter().any(|mark| error.to_string().contains(mark)) => arm.reset().unwrap(),
             Err(error) => panic!("{error}"),
         }
     }
@@ -142,7 +145,10 @@ impl Scene {
     }
 
     fn line(&self) -> String {
-        self.lines.recv_timeout(LONG).unwrap()
+        // Why it ended stands above.
+        self.lines
+            .recv_timeout(LONG)
+            .unwrap_or_else(|error| panic!("the host is gone ({error}): is the machine too loaded?"))
     }
 
     fn signal(&self, signal: Signal) -> Instant {

@@ -1,11 +1,13 @@
 //! Neither the exchange of a real arm nor its thread touches the heap once it moves.
-#![allow(clippy::unwrap_used)] // In helpers of tests.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests may fail the test")]
 
 #[path = "common/far_end.rs"]
 mod far_end;
 #[allow(dead_code, reason = "each test file uses its part")]
 #[path = "common/gateway.rs"]
 mod gateway;
+#[path = "common/patience.rs"]
+mod patience;
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -13,6 +15,7 @@ use std::time::Duration;
 
 use far_end::FarEnd;
 use gateway::FakeGateway;
+use patience::patiently;
 use pb3dp_allocation_count::{leave_this_thread_out, requests_of_all_threads};
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::DriverConfig;
@@ -28,6 +31,10 @@ use pb3dp_kinematics::JointVector;
 
 #[test]
 fn exchanges_do_not_allocate() {
+    patiently(exchanges);
+}
+
+fn exchanges() {
     const CYCLE: Duration = Duration::from_millis(10);
     const ASIDE: [f64; 6] = [0.55, 0.2, 0.4, 0.7, 0.85, 0.3];
     let (dialect, format) = (Dialect::GatewayV1, WireFormat::BigEndian6x10);

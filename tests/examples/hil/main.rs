@@ -1,13 +1,12 @@
 //! The experiment of `configs/hil.toml` three times: in simulated time and in the machine's time with simulated joints in this
 //! process, then through serial lines to emulated arms. Run it by `cargo xtask hil`.
-#![allow(clippy::print_stdout, clippy::print_stderr, reason = "prints its figures")]
-
-mod witness;
+#![allow(clippy::print_stdout, reason = "prints its figures")]
 
 use std::fmt::Write as _;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10::io::arm::Jitter;
+use pb3dp_arm_pa10::io::witness::{PERIOD, TOO_LATE, Witness};
 use pb3dp_orchestrator::config::setup::{ArmLink, Pace, Setup, read_setup};
 use pb3dp_orchestrator::run::channels::Plan;
 use pb3dp_orchestrator::run::cycles::CycleSummary;
@@ -15,12 +14,9 @@ use pb3dp_orchestrator::run::experiment;
 use pb3dp_orchestrator::run::summary::{RmsMax, RunSummary, summarize};
 use pb3dp_orchestrator::wiring::wire;
 use system_tests::repository;
-use witness::{PERIOD, Witness};
 
 /// The hand may be off by so much more with arms behind lines than in simulated time.
 const RATIO_MAX: f64 = 1.2;
-/// A machine that holds its most urgent thread up for longer does not keep a cycle of 10 ms by itself, milliseconds.
-const MACHINE_LATE_MAX_MILLIS: f64 = 5.0;
 
 fn main() -> Result<()> {
     let options = Options::parse(std::env::args().skip(1))?;
@@ -53,7 +49,7 @@ fn run(setup: &Setup, stop_after_s: Option<f64>) -> Result<RunSummary> {
     // In simulated time nobody can be late.
     let witness = (setup.pace == Pace::Live).then(Witness::start).transpose()?;
     let outcome = experiment::run(setup, parts, stop_after_s, None);
-    let machine = witness.map(Witness::end).transpose()?.map(|jitter| machine(&jitter));
+    let machine = witness.map(|witness| machine(&witness.end()));
     let outcome = outcome.with_context(|| machine.as_ref().map_or(String::new(), doubt))?;
     let mut summary = summarize(&outcome.log, &plan);
     summary.cycles.extend(machine);
@@ -79,7 +75,7 @@ fn machine(jitter: &Jitter) -> CycleSummary {
 /// What the machine did meanwhile to a thread that goes before all of ours.
 fn doubt(machine: &CycleSummary) -> String {
     let late = machine.late_max_millis;
-    let advice = if late > MACHINE_LATE_MAX_MILLIS {
+    let advice = if late > TOO_LATE.as_secs_f64() * 1e3 {
         "it keeps no cycle of 10 ms by itself: repeat on a machine that nobody shares (virtual machines often are)"
     } else {
         "so it was not the machine that was late"

@@ -1,7 +1,6 @@
 //! `pb3dp arm` against emulated arms: on pseudo-terminals, and in a program of their own behind TCP.
 
 use std::io::Write;
-use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::{PoisonError, RwLock};
@@ -11,6 +10,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::mock_arm::MockArm;
+use crate::patience::patiently_where;
 use crate::support::{Finished, numbers, repository};
 
 /// `start_deg` of the arm with the cameras in configs/hil.toml.
@@ -37,28 +37,13 @@ static MOVING: RwLock<()> = RwLock::new(());
 /// As [`patiently`], while no other test that is patient runs.
 pub fn patiently_alone(test: impl Fn()) {
     let _alone = MOVING.write().unwrap_or_else(PoisonError::into_inner);
-    again(test);
+    patiently_where(&HELD_UP, test);
 }
 
 /// Again where the machine was held up: a mistake shows each time.
 pub fn patiently(test: impl Fn()) {
     let _beside_others = MOVING.read().unwrap_or_else(PoisonError::into_inner);
-    again(test);
-}
-
-fn again(test: impl Fn()) {
-    for _ in 0..5 {
-        match catch_unwind(AssertUnwindSafe(&test)) {
-            Ok(()) => return,
-            Err(panic) => {
-                let text = panic.downcast_ref::<String>().cloned().unwrap_or_default();
-                if !HELD_UP.iter().any(|mark| text.contains(mark)) {
-                    resume_unwind(panic);
-                }
-            }
-        }
-    }
-    test();
+    patiently_where(&HELD_UP, test);
 }
 
 pub fn hil() -> String {

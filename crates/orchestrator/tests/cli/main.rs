@@ -8,6 +8,8 @@ mod behind_gateway;
 mod estimate;
 mod identify;
 mod mock_arm;
+#[path = "../../../../hal/arm-pa10/tests/common/patience.rs"]
+mod patience;
 mod refusals;
 mod run;
 mod silent_gateway;

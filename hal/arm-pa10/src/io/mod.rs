@@ -5,6 +5,7 @@
 //! * [`gateway`]: a gateway that runs, with a thread that keeps the cycle.
 //! * [`mock_server`]: an emulated arm in real time.
 //! * [`realtime`], [`signals`]: what the thread of a cycle needs, and how it is asked to end.
+//! * [`witness`]: how late the machine itself is.
 //! * [`transport`]: what all byte links have in common, and a pair of them in one process.
 //! * [`serial`], [`tcp`]: the two ways to a gateway.
 //! * [`pty`]: a pseudo-terminal, for a gateway or a controller without hardware.
@@ -21,3 +22,4 @@ pub mod serial;
 pub mod signals;
 pub mod tcp;
 pub mod transport;
+pub mod witness;

@@ -15,6 +15,7 @@ use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, G
 use pb3dp_arm_pa10::io::bus::{BusPort, FRAME_ROOM};
 use pb3dp_arm_pa10::io::realtime::{self, Realtime};
 use pb3dp_arm_pa10::io::transport::{ByteLink, wait};
+use pb3dp_arm_pa10::io::witness::Witness;
 use pb3dp_arm_pa10::link::{GatewayLink, GatewayLinkConfig, LinkError};
 use pb3dp_arm_pa10::mock_controller::{ControlMode, MockController, MockControllerConfig, MockCounters};
 use pb3dp_arm_pa10::watchdog::CommandWatchdog;
@@ -87,8 +88,9 @@ pub fn note_lateness(lateness: Duration) {
 /// keeps time. On one that never does nothing is shown, which is said.
 pub fn calm(scenario: impl Fn()) {
     for _ in 0..TRIES {
+        let witness = Witness::start().unwrap();
         let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(&scenario));
-        let lateness = Duration::from_micros(LATENESS_US.swap(0, Ordering::SeqCst));
+        let lateness = Duration::from_micros(LATENESS_US.swap(0, Ordering::SeqCst)).max(witness.end().max);
         match outcome {
             Ok(()) => return,
             Err(_) if lateness > TOO_LATE => {}

@@ -6,28 +6,42 @@ use super::super::truth::{HAND_ARM, Step};
 use super::{Found, Invariant, Place};
 
 pub(super) fn check(rules: &Rules, steps: &[Step], found: &mut Found) {
-    let lengths_m = &rules.arms[HAND_ARM].body.lengths_m;
-    // Where the flange was when the hand began to be allowed to, and a step ago.
-    let mut way: Option<([f64; 3], [f64; 3], f64)> = None;
-    for step in steps {
+    let arm_rules = &rules.arms[HAND_ARM];
+    let flange_m =
+        |step: &Step| links(&arm_rules.body.lengths_m, &step.arms[HAND_ARM].position_rad).flange.translation_m;
+    let may = |step: &Step| {
         let arm = &step.arms[HAND_ARM];
-        let may = step.may_search && step.pose_age_s > rules.pose_age_max_s && arm.obeys && arm.servo_on;
-        if !may {
-            way = None;
+        step.may_search && step.pose_age_s > rules.pose_age_max_s && arm.obeys && arm.servo_on
+    };
+    // Until when the hand may brake that moved when the target was lost, and from where it then looks for it.
+    let mut braked_s: Option<f64> = None;
+    let mut began_m: Option<[f64; 3]> = None;
+    for pair in steps.windows(2) {
+        let step = &pair[1];
+        if !may(step) {
+            (braked_s, began_m) = (None, None);
             continue;
         }
-        let now_m = links(lengths_m, &arm.position_rad).flange.translation_m;
-        let (began_m, before_m, before_s) = *way.get_or_insert((now_m, now_m, step.t_s));
+        let braked_s = *braked_s.get_or_insert_with(|| {
+            let speeds = step.arms[HAND_ARM].velocity_rad_per_s.iter().enumerate();
+            let within_s = speeds.map(|(joint, speed)| arm_rules.rests_within_s(joint, *speed, rules.rest_rad_per_s));
+            step.t_s + rules.cycle_s + within_s.fold(0.0, f64::max)
+        });
+        let (before_m, now_m) = (flange_m(&pair[0]), flange_m(step));
+        let passed_s = step.t_s - pair[0].t_s;
+        let speed = if passed_s > 0.0 { distance_m(&before_m, &now_m) / passed_s } else { 0.0 };
+        let is_fast = speed > rules.search_m_per_s;
+        if began_m.is_none() && is_fast && step.t_s <= braked_s {
+            continue;
+        }
         let place = Place { invariant: Invariant::Search, arm: Some(HAND_ARM), joint: None, t_s: step.t_s };
-        let far_m = distance_m(&began_m, &now_m);
+        let far_m = distance_m(began_m.get_or_insert(now_m), &now_m);
         if far_m > rules.search_reach_m {
             found.push(place, (far_m, rules.search_reach_m), "m from where it began");
         }
-        let speed = if step.t_s > before_s { distance_m(&before_m, &now_m) / (step.t_s - before_s) } else { 0.0 };
-        if speed > rules.search_m_per_s {
+        if is_fast {
             found.push(place, (speed, rules.search_m_per_s), "m/s");
         }
-        way = Some((began_m, now_m, step.t_s));
     }
 }
 

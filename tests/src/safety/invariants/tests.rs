@@ -258,6 +258,31 @@ fn a_hand_may_look_for_its_target_where_that_is_permitted_near_and_slowly() {
     assert!(only(Invariant::Search, &searching(0.08, 0.5, true)).note.contains("m/s"));
 }
 
+/// S1 moves with 0.3 rad/s when the target is lost, at 1 s, and brakes so much later.
+fn lost_in_motion(later_s: f64) -> Truth {
+    const SPEED: f64 = 0.3;
+    const BRAKING: f64 = 1.9;
+    run(
+        4.0,
+        |_, _| false,
+        |step| {
+            let goes_s = step.t_s.min(1.0 + later_s);
+            let brakes_s = (step.t_s - goes_s).min(SPEED / BRAKING);
+            let hand = &mut step.arms[HAND_ARM];
+            hand.position_rad[0] += SPEED * (goes_s + brakes_s) - 0.5 * BRAKING * brakes_s * brakes_s;
+            hand.velocity_rad_per_s[0] = SPEED - BRAKING * brakes_s;
+            step.may_search = step.t_s > 1.0;
+            step.pose_age_s = if step.may_search { step.t_s } else { 0.0 };
+        },
+    )
+}
+
+#[test]
+fn a_hand_that_moves_when_its_target_is_lost_has_its_time_to_brake_before_it_searches() {
+    silent(&lost_in_motion(0.1));
+    assert!(only(Invariant::Search, &lost_in_motion(0.9)).note.contains("m/s"));
+}
+
 #[test]
 fn a_joint_that_moves_by_itself_has_to_be_stopped() {
     let by_itself = |latched_at_s: f64| {
