@@ -5,7 +5,6 @@
 use std::fmt::Write as _;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_arm_pa10::io::arm::Jitter;
 use pb3dp_arm_pa10::io::witness::{PERIOD, TOO_LATE, Witness};
 use pb3dp_orchestrator::config::setup::{ArmLink, Pace, Setup, read_setup};
 use pb3dp_orchestrator::run::channels::Plan;
@@ -49,27 +48,11 @@ fn run(setup: &Setup, stop_after_s: Option<f64>) -> Result<RunSummary> {
     // In simulated time nobody can be late.
     let witness = (setup.pace == Pace::Live).then(Witness::start).transpose()?;
     let outcome = experiment::run(setup, parts, stop_after_s, None);
-    let machine = witness.map(|witness| machine(&witness.end()));
+    let machine = witness.map(|witness| CycleSummary::new("the machine", PERIOD, &witness.end()));
     let outcome = outcome.with_context(|| machine.as_ref().map_or(String::new(), doubt))?;
     let mut summary = summarize(&outcome.log, &plan);
     summary.cycles.extend(machine);
     Ok(summary)
-}
-
-/// A line about the machine, beside those of its threads.
-fn machine(jitter: &Jitter) -> CycleSummary {
-    let millis = |time: std::time::Duration| time.as_secs_f64() * 1e3;
-    CycleSummary {
-        name: "the machine".to_owned(),
-        period_millis: millis(PERIOD),
-        cycles: jitter.cycles,
-        late_p50_millis: millis(jitter.p50),
-        late_p99_millis: millis(jitter.p99),
-        late_max_millis: millis(jitter.max),
-        missed: 0,
-        dropped: 0,
-        replies_lost: 0,
-    }
 }
 
 /// What the machine did meanwhile to a thread that goes before all of ours.

@@ -69,7 +69,8 @@ pub struct CycleSummary {
 }
 
 impl CycleSummary {
-    fn new(name: &str, period: Duration, jitter: &Jitter) -> Self {
+    /// Of what has this period and was so late; nothing was left out or lost.
+    pub fn new(name: &str, period: Duration, jitter: &Jitter) -> Self {
         Self {
             name: name.to_owned(),
             period_millis: millis(period),
