@@ -13,11 +13,21 @@ struct World {
 /// The one folder of the arm's crate that does I/O; the rest is told bytes and time.
 const ARM_IO: &str = "hal/arm-pa10/src/io/";
 
+/// The one folder of the cameras' crate that asks the system.
+const CAMERA_IO: &str = "hal/camera-v4l2/src/linux/";
+
 const WORLDS: [World; 6] = [
     World {
         what: "files",
         paths: &["std::fs", "std::os", "image::open", "image::ImageReader::open", "image::save_buffer", "File::open"],
-        allowed_in: &["crates/record/", "crates/orchestrator/", "crates/benchmarks/", "hal/camera-replay/", ARM_IO],
+        allowed_in: &[
+            "crates/record/",
+            "crates/orchestrator/",
+            "crates/benchmarks/",
+            "hal/camera-replay/",
+            ARM_IO,
+            CAMERA_IO,
+        ],
     },
     World {
         what: "threads",
@@ -45,7 +55,7 @@ const WORLDS: [World; 6] = [
 ];
 
 /// Crate names of the backends; only the orchestrator wires them.
-const BACKENDS: [&str; 3] = ["pb3dp_camera_replay", "pb3dp_camera_sim", "pb3dp_arm_pa10"];
+const BACKENDS: [&str; 4] = ["pb3dp_camera_replay", "pb3dp_camera_sim", "pb3dp_camera_v4l2", "pb3dp_arm_pa10"];
 const SERDE_TRAITS: [&str; 2] = ["Serialize", "Deserialize"];
 
 /// Checks one Rust file; tests, examples and the project's own commands are exempt.

@@ -1,0 +1,75 @@
+//! How long a picture of 640x480 takes from a driver's bytes to the bytes that are estimated on, on one core.
+//!
+//! `cargo run --release -p pb3dp-camera-v4l2 --example pixel_speed`
+//!
+//! Prints the median of many pictures for each format, for `YUYV` beside the scalar code as well, and fails if `YUYV` takes longer than
+//! the limit.
+
+#![allow(clippy::print_stdout, clippy::expect_used, reason = "a program for the console, whose pictures are its own")]
+
+use std::hint::black_box;
+use std::process::ExitCode;
+use std::time::Instant;
+
+use image::RgbImage;
+use image::codecs::jpeg::JpegEncoder;
+use pb3dp_camera_v4l2::pixels::{Converter, Layout, PixelFormat, YuvKernels, YuvMatrix, YuvRange};
+use pb3dp_geometry::ImageSize;
+
+const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
+const PICTURES: usize = 401;
+
+/// What a `YUYV` picture may take: half a per cent of the time from picture to picture.
+const YUYV_MILLIS_MAX: f64 = 0.15;
+
+fn main() -> ExitCode {
+    println!("| format | kernels | ms per picture of 640x480 (median of {PICTURES}) |");
+    println!("|---|---|---|");
+    for format in PixelFormat::ALL.into_iter().filter(|format| *format != PixelFormat::Yuyv) {
+        println!("| {format} | | {:.3} |", millis(format, YuvKernels::best()));
+    }
+    let scalar = millis(PixelFormat::Yuyv, YuvKernels::SCALAR);
+    let best = millis(PixelFormat::Yuyv, YuvKernels::best());
+    println!("| YUYV | scalar | {scalar:.3} |");
+    println!("| YUYV | {} | {best:.3} |", YuvKernels::best().name());
+    println!("YUYV: vectors are {:.1} times as fast as the scalar code", scalar / best);
+    if best > YUYV_MILLIS_MAX {
+        println!("YUYV takes longer than {YUYV_MILLIS_MAX} ms");
+        return ExitCode::FAILURE;
+    }
+    ExitCode::SUCCESS
+}
+
+fn millis(format: PixelFormat, kernels: YuvKernels) -> f64 {
+    let bytes = picture(format);
+    let stride = format.row_bytes(SIZE.width).unwrap_or(0);
+    let layout = Layout { format, size: SIZE, stride, matrix: YuvMatrix::Bt601, range: YuvRange::Limited };
+    let mut converter = Converter::new(layout).expect("a layout without gaps").with_kernels(kernels);
+    let mut target = RgbImage::new(SIZE.width, SIZE.height);
+    let mut times: Vec<f64> = (0..PICTURES)
+        .map(|_| {
+            let begin = Instant::now();
+            converter.convert(black_box(&bytes), &mut target).expect("a whole picture");
+            black_box(&target);
+            begin.elapsed().as_secs_f64() * 1e3
+        })
+        .collect();
+    times.sort_by(f64::total_cmp);
+    times[PICTURES / 2]
+}
+
+/// Bytes of a picture with structure everywhere.
+fn picture(format: PixelFormat) -> Vec<u8> {
+    let value = |k: u32| (k.wrapping_mul(2_654_435_761) >> 26) as u8 + (k / 97) as u8 % 128;
+    match format.row_bytes(SIZE.width) {
+        Some(row) => (0..row as u32 * SIZE.height).map(value).collect(),
+        None => {
+            let scene = RgbImage::from_fn(SIZE.width, SIZE.height, |x, y| {
+                image::Rgb([(x / 3) as u8, value(x / 8 + 80 * (y / 8)), (y / 2) as u8])
+            });
+            let mut bytes = Vec::new();
+            JpegEncoder::new_with_quality(&mut bytes, 85).encode_image(&scene).expect("a picture");
+            bytes
+        }
+    }
+}

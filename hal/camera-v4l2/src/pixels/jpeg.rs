@@ -1,0 +1,141 @@
+//! Pictures of `MJPG`: JPEGs, whose Huffman tables many cameras leave out.
+//!
+//! A camera that leaves them out means those of ITU-T T.81, annex K.3, which are put back before the decoder sees the picture.
+
+use image::RgbImage;
+use zune_jpeg::JpegDecoder;
+use zune_jpeg::zune_core::bytestream::ZCursor;
+use zune_jpeg::zune_core::colorspace::ColorSpace;
+use zune_jpeg::zune_core::options::DecoderOptions;
+
+use super::PixelError;
+
+/// Start, end, and a frame header: less is no JPEG.
+pub(super) const BYTES_MIN: usize = 24;
+
+const MARKER: u8 = 0xFF;
+const START_OF_IMAGE: u8 = 0xD8;
+const END_OF_IMAGE: u8 = 0xD9;
+const START_OF_SCAN: u8 = 0xDA;
+const HUFFMAN_TABLES: u8 = 0xC4;
+
+/// Decodes JPEGs, with memory for those that have to be completed.
+#[derive(Debug, Default)]
+pub(super) struct Decoder {
+    completed: Vec<u8>,
+}
+
+impl Decoder {
+    /// Decodes into a picture of the size that the JPEG must have.
+    pub(super) fn decode(&mut self, bytes: &[u8], target: &mut RgbImage) -> Result<(), PixelError> {
+        let damaged = |what| PixelError::JpegDamaged { bytes: bytes.len(), what };
+        let anatomy = Anatomy::of(bytes).map_err(damaged)?;
+        // Drivers may leave bytes of no meaning behind the end. In the data of a scan these two bytes can not stand.
+        let end = bytes[anatomy.scan..].windows(2).rposition(|pair| pair == [MARKER, END_OF_IMAGE]);
+        let end = anatomy.scan + 2 + end.ok_or_else(|| damaged("the end marker"))?;
+        let whole = if anatomy.has_tables {
+            &bytes[..end]
+        } else {
+            self.completed.clear();
+            self.completed.extend_from_slice(&bytes[..anatomy.scan]);
+            append_standard_tables(&mut self.completed);
+            self.completed.extend_from_slice(&bytes[anatomy.scan..end]);
+            &self.completed
+        };
+        decode_whole(whole, target)
+    }
+}
+
+fn decode_whole(bytes: &[u8], target: &mut RgbImage) -> Result<(), PixelError> {
+    let failed =
+        |error: zune_jpeg::errors::DecodeErrors| PixelError::Jpeg { bytes: bytes.len(), why: error.to_string() };
+    let options = DecoderOptions::default().set_strict_mode(true).jpeg_set_out_colorspace(ColorSpace::RGB);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+    decoder.decode_headers().map_err(failed)?;
+    let found = decoder.info().map_or((0, 0), |info| (usize::from(info.width), usize::from(info.height)));
+    let expected = target.dimensions();
+    if found != (expected.0 as usize, expected.1 as usize) {
+        return Err(PixelError::JpegSize { found, expected });
+    }
+    decoder.decode_into(target).map_err(failed)
+}
+
+/// Where what lies in a JPEG.
+#[derive(Debug)]
+struct Anatomy {
+    /// Of the marker of the first scan.
+    scan: usize,
+    /// Whether there are Huffman tables before it.
+    has_tables: bool,
+}
+
+impl Anatomy {
+    /// Goes from segment to segment up to the first scan.
+    fn of(bytes: &[u8]) -> Result<Self, &'static str> {
+        if !bytes.starts_with(&[MARKER, START_OF_IMAGE]) {
+            return Err("the start marker");
+        }
+        let (mut at, mut has_tables) = (2, false);
+        loop {
+            let Some([MARKER, kind]) = bytes.get(at..at + 2) else { return Err("a marker before the first scan") };
+            match *kind {
+                // A marker may begin with more than one 0xFF.
+                MARKER => at += 1,
+                START_OF_SCAN => return Ok(Self { scan: at, has_tables }),
+                kind => {
+                    has_tables |= kind == HUFFMAN_TABLES;
+                    let length = bytes.get(at + 2..at + 4).and_then(|length| length.first_chunk().copied());
+                    at += 2 + usize::from(u16::from_be_bytes(length.ok_or("the length of a segment")?));
+                }
+            }
+        }
+    }
+}
+
+/// Class and number, how many codes there are of 1 to 16 bits, and what they stand for.
+type Table = (u8, [u8; 16], &'static [u8]);
+
+fn append_standard_tables(bytes: &mut Vec<u8>) {
+    let length = 2 + STANDARD_TABLES.iter().map(|(_, _, values)| 17 + values.len()).sum::<usize>();
+    bytes.extend_from_slice(&[MARKER, HUFFMAN_TABLES]);
+    bytes.extend_from_slice(&(length as u16).to_be_bytes());
+    for (class, counts, values) in STANDARD_TABLES {
+        bytes.push(class);
+        bytes.extend_from_slice(&counts);
+        bytes.extend_from_slice(values);
+    }
+}
+
+/// ITU-T T.81, tables K.3 to K.6.
+const STANDARD_TABLES: [Table; 4] = [
+    (0x00, [0, 1, 5, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0], &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]),
+    (0x01, [0, 3, 1, 1, 1, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0], &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]),
+    (0x10, [0, 2, 1, 3, 3, 2, 4, 3, 5, 5, 4, 4, 0, 0, 1, 0x7D], &LUMINANCE_AC),
+    (0x11, [0, 2, 1, 2, 4, 4, 3, 4, 7, 5, 4, 4, 0, 1, 2, 0x77], &CHROMINANCE_AC),
+];
+
+#[rustfmt::skip]
+const LUMINANCE_AC: [u8; 162] = [
+    0x01, 0x02, 0x03, 0x00, 0x04, 0x11, 0x05, 0x12, 0x21, 0x31, 0x41, 0x06, 0x13, 0x51, 0x61, 0x07, 0x22, 0x71,
+    0x14, 0x32, 0x81, 0x91, 0xA1, 0x08, 0x23, 0x42, 0xB1, 0xC1, 0x15, 0x52, 0xD1, 0xF0, 0x24, 0x33, 0x62, 0x72,
+    0x82, 0x09, 0x0A, 0x16, 0x17, 0x18, 0x19, 0x1A, 0x25, 0x26, 0x27, 0x28, 0x29, 0x2A, 0x34, 0x35, 0x36, 0x37,
+    0x38, 0x39, 0x3A, 0x43, 0x44, 0x45, 0x46, 0x47, 0x48, 0x49, 0x4A, 0x53, 0x54, 0x55, 0x56, 0x57, 0x58, 0x59,
+    0x5A, 0x63, 0x64, 0x65, 0x66, 0x67, 0x68, 0x69, 0x6A, 0x73, 0x74, 0x75, 0x76, 0x77, 0x78, 0x79, 0x7A, 0x83,
+    0x84, 0x85, 0x86, 0x87, 0x88, 0x89, 0x8A, 0x92, 0x93, 0x94, 0x95, 0x96, 0x97, 0x98, 0x99, 0x9A, 0xA2, 0xA3,
+    0xA4, 0xA5, 0xA6, 0xA7, 0xA8, 0xA9, 0xAA, 0xB2, 0xB3, 0xB4, 0xB5, 0xB6, 0xB7, 0xB8, 0xB9, 0xBA, 0xC2, 0xC3,
+    0xC4, 0xC5, 0xC6, 0xC7, 0xC8, 0xC9, 0xCA, 0xD2, 0xD3, 0xD4, 0xD5, 0xD6, 0xD7, 0xD8, 0xD9, 0xDA, 0xE1, 0xE2,
+    0xE3, 0xE4, 0xE5, 0xE6, 0xE7, 0xE8, 0xE9, 0xEA, 0xF1, 0xF2, 0xF3, 0xF4, 0xF5, 0xF6, 0xF7, 0xF8, 0xF9, 0xFA,
+];
+
+#[rustfmt::skip]
+const CHROMINANCE_AC: [u8; 162] = [
+    0x00, 0x01, 0x02, 0x03, 0x11, 0x04, 0x05, 0x21, 0x31, 0x06, 0x12, 0x41, 0x51, 0x07, 0x61, 0x71, 0x13, 0x22,
+    0x32, 0x81, 0x08, 0x14, 0x42, 0x91, 0xA1, 0xB1, 0xC1, 0x09, 0x23, 0x33, 0x52, 0xF0, 0x15, 0x62, 0x72, 0xD1,
+    0x0A, 0x16, 0x24, 0x34, 0xE1, 0x25, 0xF1, 0x17, 0x18, 0x19, 0x1A, 0x26, 0x27, 0x28, 0x29, 0x2A, 0x35, 0x36,
+    0x37, 0x38, 0x39, 0x3A, 0x43, 0x44, 0x45, 0x46, 0x47, 0x48, 0x49, 0x4A, 0x53, 0x54, 0x55, 0x56, 0x57, 0x58,
+    0x59, 0x5A, 0x63, 0x64, 0x65, 0x66, 0x67, 0x68, 0x69, 0x6A, 0x73, 0x74, 0x75, 0x76, 0x77, 0x78, 0x79, 0x7A,
+    0x82, 0x83, 0x84, 0x85, 0x86, 0x87, 0x88, 0x89, 0x8A, 0x92, 0x93, 0x94, 0x95, 0x96, 0x97, 0x98, 0x99, 0x9A,
+    0xA2, 0xA3, 0xA4, 0xA5, 0xA6, 0xA7, 0xA8, 0xA9, 0xAA, 0xB2, 0xB3, 0xB4, 0xB5, 0xB6, 0xB7, 0xB8, 0xB9, 0xBA,
+    0xC2, 0xC3, 0xC4, 0xC5, 0xC6, 0xC7, 0xC8, 0xC9, 0xCA, 0xD2, 0xD3, 0xD4, 0xD5, 0xD6, 0xD7, 0xD8, 0xD9, 0xDA,
+    0xE2, 0xE3, 0xE4, 0xE5, 0xE6, 0xE7, 0xE8, 0xE9, 0xEA, 0xF2, 0xF3, 0xF4, 0xF5, 0xF6, 0xF7, 0xF8, 0xF9, 0xFA,
+];

@@ -1,0 +1,228 @@
+//! Pixels of every format, against pictures that were made by other means.
+
+#![allow(clippy::unwrap_used, reason = "a test may fail")]
+
+use image::codecs::jpeg::JpegEncoder;
+use image::{ExtendedColorType, RgbImage};
+use pb3dp_camera_v4l2::pixels::{
+    BayerOrder, Converter, Layout, PixelError, PixelFormat, YuvKernels, YuvMatrix, YuvRange,
+};
+use pb3dp_geometry::ImageSize;
+use proptest::prelude::*;
+
+fn layout(format: PixelFormat, (width, height): (u32, u32), stride: usize) -> Layout {
+    let (matrix, range) = (YuvMatrix::Bt601, YuvRange::Limited);
+    Layout { format, size: ImageSize { width, height }, stride, matrix, range }
+}
+
+fn converted(layout: Layout, bytes: &[u8]) -> RgbImage {
+    let mut picture = RgbImage::new(layout.size.width, layout.size.height);
+    Converter::new(layout).unwrap().convert(bytes, &mut picture).unwrap();
+    picture
+}
+
+/// A colourful picture without symmetries.
+fn scene(width: u32, height: u32) -> RgbImage {
+    RgbImage::from_fn(width, height, |x, y| image::Rgb([(3 * x + y) as u8, (x + 5 * y) as u8, (90 + 2 * x - y) as u8]))
+}
+
+/// The picture's bytes, with rows `stride` apart and 0xEE between them; the last row has no padding.
+fn padded(rows: impl Iterator<Item = Vec<u8>>, stride: usize) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    for row in rows {
+        bytes.resize(bytes.len().div_ceil(stride) * stride, 0xEE);
+        bytes.extend(row);
+    }
+    bytes
+}
+
+#[test]
+fn rows_of_plain_formats_keep_their_colours_and_padding_is_left_out() {
+    let scene = scene(7, 5);
+    let rows = |of_pixel: fn(&[u8]) -> Vec<u8>| {
+        scene.chunks_exact(21).map(move |row| row.chunks_exact(3).flat_map(of_pixel).collect::<Vec<u8>>())
+    };
+    let rgb = padded(rows(|p| p.to_vec()), 32);
+    assert_eq!(converted(layout(PixelFormat::Rgb24, (7, 5), 32), &rgb), scene);
+    let bgr = padded(rows(|p| vec![p[2], p[1], p[0]]), 24);
+    assert_eq!(converted(layout(PixelFormat::Bgr24, (7, 5), 24), &bgr), scene);
+    let grey = padded(rows(|p| vec![p[1]]), 16);
+    let found = converted(layout(PixelFormat::Grey, (7, 5), 16), &grey);
+    assert!(found.pixels().zip(scene.pixels()).all(|(found, scene)| found.0 == [scene.0[1]; 3]));
+}
+
+#[test]
+fn yuyv_honours_the_stride_and_an_odd_width() {
+    // 5 pixels in 12 bytes, 20 bytes apart; each row of its own brightness, without colour.
+    let bytes = padded((0..4).map(|row| [40 * row + 20, 128].repeat(6)), 20);
+    let layout = Layout { range: YuvRange::Full, ..layout(PixelFormat::Yuyv, (5, 4), 20) };
+    assert_eq!(layout.bytes_min(), 72);
+    let found = converted(layout, &bytes);
+    assert!(found.enumerate_pixels().all(|(_, y, pixel)| pixel.0 == [40 * y as u8 + 20; 3]), "{found:?}");
+    let mut scalar = RgbImage::new(5, 4);
+    Converter::new(layout).unwrap().with_kernels(YuvKernels::SCALAR).convert(&bytes, &mut scalar).unwrap();
+    assert_eq!(found, scalar);
+}
+
+/// What a sensor with that pattern sees.
+fn mosaic(scene: &RgbImage, order: BayerOrder) -> Vec<u8> {
+    let channels = match order {
+        BayerOrder::Rggb => [[0, 1], [1, 2]],
+        BayerOrder::Grbg => [[1, 0], [2, 1]],
+        BayerOrder::Gbrg => [[1, 2], [0, 1]],
+        BayerOrder::Bggr => [[2, 1], [1, 0]],
+    };
+    scene.enumerate_pixels().map(|(x, y, pixel)| pixel.0[channels[y as usize % 2][x as usize % 2]]).collect()
+}
+
+const ORDERS: [BayerOrder; 4] = [BayerOrder::Rggb, BayerOrder::Grbg, BayerOrder::Gbrg, BayerOrder::Bggr];
+
+#[test]
+fn bayer_pictures_of_linear_colours_come_out_as_they_were() {
+    // The mean of neighbours is exact where colours change linearly; at the rim it is not, since they are mirrored there.
+    for (width, height) in [(8, 6), (9, 7)] {
+        let pixel =
+            |x: u32, y: u32| image::Rgb([(10 + 4 * x + 2 * y) as u8, (200 - 2 * x - 4 * y) as u8, (60 + 6 * y) as u8]);
+        let scene = RgbImage::from_fn(width, height, pixel);
+        for order in ORDERS {
+            let bytes = mosaic(&scene, order);
+            let found = converted(layout(PixelFormat::Bayer8(order), (width, height), width as usize), &bytes);
+            for (x, y, pixel) in found.enumerate_pixels() {
+                let at_rim = x == 0 || y == 0 || x == width - 1 || y == height - 1;
+                assert!(at_rim || *pixel == scene[(x, y)], "{order:?} at {x}, {y}: {pixel:?}, not {:?}", scene[(x, y)]);
+            }
+        }
+    }
+}
+
+#[test]
+fn bayer_pictures_of_one_colour_come_out_as_they_were_to_the_rim() {
+    for size in [(2, 2), (3, 2), (2, 5), (7, 4)] {
+        let scene = RgbImage::from_pixel(size.0, size.1, image::Rgb([200, 90, 30]));
+        for order in ORDERS {
+            let bytes = mosaic(&scene, order);
+            let found = converted(layout(PixelFormat::Bayer8(order), size, size.0 as usize), &bytes);
+            assert_eq!(found, scene, "{order:?} {size:?}");
+        }
+    }
+}
+
+fn jpeg(scene: &RgbImage) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    JpegEncoder::new_with_quality(&mut bytes, 92)
+        .encode(scene, scene.width(), scene.height(), ExtendedColorType::Rgb8)
+        .unwrap();
+    bytes
+}
+
+/// Leaves out every segment of that kind before the first scan.
+fn without(bytes: &[u8], kind: u8) -> Vec<u8> {
+    let (mut out, mut at) = (bytes[..2].to_vec(), 2);
+    while bytes[at + 1] != 0xDA {
+        let end = at + 2 + usize::from(u16::from_be_bytes([bytes[at + 2], bytes[at + 3]]));
+        if bytes[at + 1] != kind {
+            out.extend(&bytes[at..end]);
+        }
+        at = end;
+    }
+    out.extend(&bytes[at..]);
+    out
+}
+
+#[test]
+fn a_jpeg_without_huffman_tables_is_the_same_picture() {
+    let scene = scene(48, 32);
+    let complete = jpeg(&scene);
+    let bare = without(&complete, 0xC4);
+    assert!(bare.len() + 400 < complete.len(), "the encoder wrote tables, and they are gone");
+    let expected = image::load_from_memory(&complete).unwrap().to_rgb8();
+    let layout = layout(PixelFormat::Mjpg, (48, 32), 0);
+    assert_eq!(converted(layout, &complete), expected);
+    assert_eq!(converted(layout, &bare), expected);
+    // Drivers may give more bytes than the picture has.
+    let tail = [bare, vec![0; 1000]].concat();
+    assert_eq!(converted(layout, &tail), expected);
+}
+
+#[test]
+fn damaged_jpegs_are_refused_and_never_shown_half() {
+    let scene = scene(48, 32);
+    let complete = jpeg(&scene);
+    let mut converter = Converter::new(layout(PixelFormat::Mjpg, (48, 32), 0)).unwrap();
+    let mut picture = RgbImage::new(48, 32);
+    for length in [0, 10, 24, 200, complete.len() / 2, complete.len() - 2, complete.len() - 1] {
+        let error = converter.convert(&complete[..length], &mut picture).unwrap_err();
+        assert!(error.to_string().contains(&format!("{length} bytes")), "{error}");
+    }
+    let mut of_other_size = Converter::new(layout(PixelFormat::Mjpg, (40, 32), 0)).unwrap();
+    let error = of_other_size.convert(&complete, &mut picture).unwrap_err();
+    assert_eq!(error.to_string(), "the JPEG has 48x32 pixels, expected are 40x32");
+}
+
+#[test]
+fn what_can_not_be_a_picture_is_refused_with_its_numbers() {
+    let mut picture = RgbImage::new(1, 1);
+    let error = Converter::new(layout(PixelFormat::Yuyv, (640, 480), 1279)).unwrap_err();
+    assert!(matches!(error, PixelError::Stride { row: 1280, stride: 1279, .. }), "{error}");
+    let error = Converter::new(layout(PixelFormat::Bayer8(BayerOrder::Rggb), (1, 480), 1)).unwrap_err();
+    assert!(matches!(error, PixelError::BayerSize { width: 1, .. }), "{error}");
+    let mut converter = Converter::new(layout(PixelFormat::Yuyv, (640, 480), 1280)).unwrap();
+    let error = converter.convert(&vec![0; 614_399], &mut picture).unwrap_err();
+    let expected = "614399 bytes are too few: YUYV of 640x480 pixels has 614400 or more";
+    assert_eq!(error.to_string(), expected);
+}
+
+#[test]
+fn buffers_are_used_again_and_nothing_is_taken_from_the_heap() {
+    for format in PixelFormat::ALL.into_iter().filter(|format| *format != PixelFormat::Mjpg) {
+        let stride = format.row_bytes(64).unwrap();
+        let mut converter = Converter::new(layout(format, (64, 48), stride)).unwrap();
+        let (bytes, mut picture) = (vec![77; stride * 48], RgbImage::new(64, 48));
+        let before = pb3dp_allocation_count::requests();
+        for _ in 0..3 {
+            converter.convert(&bytes, &mut picture).unwrap();
+        }
+        assert_eq!(pb3dp_allocation_count::requests(), before, "{format}");
+        let mut foreign = RgbImage::new(3, 3);
+        converter.convert(&bytes, &mut foreign).unwrap();
+        assert_eq!(foreign, picture, "{format}");
+    }
+}
+
+#[test]
+fn names_lead_back_to_their_formats() {
+    for format in PixelFormat::ALL {
+        assert_eq!(PixelFormat::of_fourcc(format.fourcc()), Some(format));
+    }
+    assert_eq!(PixelFormat::of_fourcc(*b"H264"), None);
+}
+
+proptest! {
+    /// Whatever a driver delivers: a picture or an error.
+    #[test]
+    fn random_bytes_never_do_harm(
+        which in 0_usize..9, width in 0_u32..20, height in 0_u32..9, padding in 0_usize..5,
+        bytes in prop::collection::vec(any::<u8>(), 0..600),
+    ) {
+        let format = PixelFormat::ALL[which];
+        let stride = format.row_bytes(width).unwrap_or(0) + padding;
+        if let Ok(mut converter) = Converter::new(layout(format, (width, height), stride)) {
+            let mut picture = RgbImage::new(width, height);
+            let is_enough = bytes.len() >= converter.layout().bytes_min();
+            let result = converter.convert(&bytes, &mut picture);
+            prop_assert!(result.is_ok() == is_enough || format == PixelFormat::Mjpg, "{result:?}");
+        }
+    }
+
+    #[test]
+    fn damaged_jpegs_never_do_harm(at in 2_usize..1500, byte in any::<u8>(), length in 0_usize..3000) {
+        let mut bytes = without(&jpeg(&scene(40, 24)), 0xC4);
+        if let Some(place) = bytes.get_mut(at) {
+            *place = byte;
+        }
+        bytes.truncate(length);
+        let mut picture = RgbImage::new(40, 24);
+        // Some damage can not be seen; what counts is that nothing panics.
+        let _ = Converter::new(layout(PixelFormat::Mjpg, (40, 24), 0)).unwrap().convert(&bytes, &mut picture);
+    }
+}
