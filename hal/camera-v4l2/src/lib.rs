@@ -1,8 +1,25 @@
 //! Stereo camera backend on two V4L2 devices.
 //!
-//! * [`pixels`] turns the bytes of a driver's buffer into a picture, from every format that is taken.
-//! * [`video`] is what is needed of the operating system, call by call; [`linux`] is how Linux does it.
+//! [`V4l2StereoCamera`] opens two cameras by names that stay theirs ([`names`]), asks for a mode and refuses what the driver has made of
+//! it in silence ([`modes`]), switches automatic modes off ([`controls`]), and delivers pairs: the newest pictures of both sides, with the
+//! middle of their exposures ([`timing`]), matched by time ([`pairing`]). Damaged, short, old and wrongly stamped pictures are left out
+//! and counted ([`StreamCounters`]); a camera that is lost or silent is an error within two periods of the first picture that is missing.
+//!
+//! [`pixels`] turns the bytes of a driver's buffer into a picture, from every format that is taken. [`video`] is what is needed of the
+//! operating system, call by call; [`linux`] is how Linux does it, [`emulated`] are cameras that fail on request.
 
+mod camera;
+pub mod controls;
+pub mod emulated;
+mod error;
 pub mod linux;
+pub mod modes;
+pub mod names;
+pub mod pairing;
 pub mod pixels;
+mod stream;
+pub mod timing;
 pub mod video;
+
+pub use camera::{CameraConfig, SKEW_MAX, Side, StereoConfig, StereoCounters, V4l2StereoCamera};
+pub use stream::StreamCounters;

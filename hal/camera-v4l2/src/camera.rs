@@ -1,0 +1,426 @@
+//! Two cameras as one.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
+
+use crate::controls::{self, Control, ControlSettings};
+use crate::error::{failed, unusable};
+use crate::modes::{self, Mode, ModeRequest};
+use crate::names::{self, CameraName, Found};
+use crate::pairing::{Drift, DriftEstimator, Verdict, judge};
+use crate::pixels::PixelError;
+use crate::stream::{Stream, StreamConfig, StreamCounters};
+use crate::timing::{ClockMap, StampModel, nanos};
+use crate::video::{VideoNode, VideoSystem};
+
+/// Without a good picture for so many periods a camera is silent: one picture may be lost or damaged, and the next one late by half a
+/// period. That is one period and a half after the missing one was due.
+const SILENT_PERIODS: f64 = 2.5;
+
+/// A picture may wait in the driver for so many periods; with those of a late caller it was filled long ago.
+const AGE_PERIODS_MAX: u32 = 4;
+
+/// Memory for pictures that the driver fills: one is held, one is filled, two are room for a caller that is late.
+const BUFFERS: u32 = 4;
+
+/// One camera of the two.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraConfig {
+    /// Which device.
+    pub name: CameraName,
+    /// What is asked of it.
+    pub mode: ModeRequest,
+    /// Exposure, gain, white balance, focus.
+    pub controls: ControlSettings,
+    /// Time of exposure where the camera does not tell it; the camera's own word counts more.
+    pub exposure: Option<Duration>,
+    /// What its stamps mean besides.
+    pub stamps: StampModel,
+}
+
+/// Both, and what holds for pairs.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StereoConfig {
+    /// Left.
+    pub left: CameraConfig,
+    /// Right.
+    pub right: CameraConfig,
+    /// Pairs whose exposures are further apart are refused.
+    pub skew_max: Duration,
+    /// Speed of the target against the cameras for which messages tell what a skew costs, metres per second.
+    pub speed_max_m_per_s: f64,
+}
+
+/// The limit for cameras of a moving hand: 0.5 mm at 100 mm/s.
+pub const SKEW_MAX: Duration = Duration::from_millis(5);
+
+/// What has come, and what was left out.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StereoCounters {
+    /// Of the left camera.
+    pub left: StreamCounters,
+    /// Of the right camera.
+    pub right: StreamCounters,
+    /// Pairs that were delivered.
+    pub pairs: u64,
+    /// Pairs whose exposures were too far apart.
+    pub skew_refused: u64,
+    /// Largest skew of a delivered pair.
+    pub skew_max_nanos: u64,
+    /// How the cameras run against each other; `None` before it is known.
+    pub drift: Option<Drift>,
+}
+
+/// Left or right.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Side {
+    /// The left camera.
+    Left,
+    /// The right camera.
+    Right,
+}
+
+/// Two V4L2 devices that deliver pairs. Both are closed when one is lost; it is opened anew then.
+pub struct V4l2StereoCamera {
+    info: StereoCameraInfo,
+    system: Arc<dyn VideoSystem>,
+    clock: Arc<dyn Clock>,
+    clock_map: ClockMap,
+    period: Duration,
+    skew_max: Duration,
+    speed_max_m_per_s: f64,
+    state: State,
+    counters: StereoCounters,
+    drift: DriftEstimator,
+    last: Option<(u64, MonotonicTime)>,
+    /// When each side had its last good picture, or its silence was last told; `None` before the first one.
+    heard_at: [Option<MonotonicTime>; 2],
+}
+
+enum State {
+    Open(Box<[Stream; 2]>),
+    /// What every call says.
+    Lost(String),
+}
+
+impl V4l2StereoCamera {
+    /// Opens both devices, brings them into the mode and state that is asked for, reads it back, and starts them.
+    ///
+    /// # Errors
+    /// `Disconnected` if a device is not there, `Unusable` if it is used by others, may not be used, or is not what is asked for.
+    pub fn open(
+        system: Arc<dyn VideoSystem>,
+        clock: Arc<dyn Clock>,
+        config: &StereoConfig,
+    ) -> Result<Self, CameraError> {
+        let [(left_found, mut left), (right_found, mut right)] =
+            [names::open(system.as_ref(), &config.left.name)?, names::open(system.as_ref(), &config.right.name)?];
+        let name = format!("v4l2 {} + {}", config.left.name, config.right.name);
+        if left_found.entry.path == right_found.entry.path {
+            return Err(unusable(
+                &name,
+                format!("left and right are the same camera, {}", left_found.entry.path.display()),
+            ));
+        }
+        let left_mode = prepare(left.as_mut(), &left_found, &config.left)?;
+        let right_mode = prepare(right.as_mut(), &right_found, &config.right)?;
+        let size = left_mode.mode.layout.size;
+        if size != right_mode.mode.layout.size {
+            return Err(unusable(
+                &name,
+                format!("pictures differ in size: {size:?} and {:?}", right_mode.mode.layout.size),
+            ));
+        }
+        let [period, other] = [&left_mode, &right_mode].map(|prepared| prepared.mode.period_s);
+        if (period - other).abs() > 1e-6 * period {
+            return Err(unusable(
+                &name,
+                format!("rates differ: {:.4} and {:.4} pictures per second", 1.0 / period, 1.0 / other),
+            ));
+        }
+        let period = Duration::from_secs_f64(period);
+        if config.skew_max >= period / 2 {
+            let what = format!(
+                "a skew of {:?} can not be told from the next picture, which comes after {period:?}",
+                config.skew_max
+            );
+            return Err(unusable(&name, what));
+        }
+        let mut streams = [Stream::new(left, left_mode, BUFFERS)?, Stream::new(right, right_mode, BUFFERS)?];
+        for stream in &mut streams {
+            stream.start()?;
+        }
+        let clock_map = ClockMap::measure(system.as_ref(), clock.as_ref());
+        Ok(Self {
+            info: StereoCameraInfo { name, size, period: Some(period) },
+            system,
+            clock,
+            clock_map,
+            period,
+            skew_max: config.skew_max,
+            speed_max_m_per_s: config.speed_max_m_per_s,
+            state: State::Open(Box::new(streams)),
+            counters: StereoCounters::default(),
+            drift: DriftEstimator::new(period),
+            last: None,
+            heard_at: [None; 2],
+        })
+    }
+
+    /// What has come and what was left out since it was opened.
+    pub fn counters(&self) -> StereoCounters {
+        let mut counters = self.counters;
+        if let State::Open(streams) = &self.state {
+            let [left, right] = &**streams;
+            (counters.left, counters.right) = (left.counters, right.counters);
+        }
+        counters.drift = self.drift.drift();
+        counters
+    }
+
+    /// The mode that a camera has agreed to.
+    ///
+    /// # Errors
+    /// `Disconnected` after the loss of a camera.
+    pub fn mode(&mut self, side: Side) -> Result<Mode, CameraError> {
+        Ok(self.stream(side)?.config.mode)
+    }
+
+    /// Controls of a camera with their values.
+    ///
+    /// # Errors
+    /// As the driver has it; `Disconnected` after the loss of a camera.
+    pub fn controls(&mut self, side: Side) -> Result<Vec<Control>, CameraError> {
+        let stream = self.stream(side)?;
+        let device = stream.config.device.clone();
+        controls::controls(stream.node()).map_err(|error| failed(&device, "reading its controls", error))
+    }
+
+    /// Sets a control while the camera runs, and reads it back. The time of exposure that pictures are stamped by follows.
+    ///
+    /// # Errors
+    /// If the value is not possible or not kept; `Disconnected` after the loss of a camera.
+    pub fn set_control(&mut self, side: Side, id: u32, value: i32) -> Result<(), CameraError> {
+        let stream = self.stream(side)?;
+        let device = stream.config.device.clone();
+        controls::set(stream.node(), &device, id, value)?;
+        if let Some(exposure) = controls::exposure_now(stream.node(), &device)? {
+            stream.config.exposure = exposure;
+        }
+        Ok(())
+    }
+
+    fn stream(&mut self, side: Side) -> Result<&mut Stream, CameraError> {
+        match &mut self.state {
+            State::Open(streams) => Ok(&mut streams[side as usize]),
+            State::Lost(message) => Err(CameraError::new(CameraErrorKind::Disconnected, message.clone())),
+        }
+    }
+
+    /// Closes both devices if the error is the loss of one, so that they can be opened anew.
+    fn remember(&mut self, error: CameraError) -> CameraError {
+        if error.kind() == CameraErrorKind::Disconnected {
+            self.counters = self.counters();
+            self.state = State::Lost(error.to_string());
+        }
+        error
+    }
+
+    fn try_next(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
+        let deadline = self.clock.now() + timeout;
+        loop {
+            self.drain()?;
+            if self.deliver(pair)? {
+                return Ok(());
+            }
+            let now = self.clock.now();
+            let silent_at = self.complain_of_silence(now, deadline)?;
+            if now >= deadline {
+                let message = format!("{}: no pair within {timeout:?}{}", self.info.name, self.complaints());
+                return Err(CameraError::new(CameraErrorKind::Timeout, message));
+            }
+            self.wait(silent_at.saturating_since(now))?;
+        }
+    }
+
+    /// Takes what there is from both drivers.
+    fn drain(&mut self) -> Result<(), CameraError> {
+        let (now_nanos, now) = (self.system.monotonic_nanos(), self.clock.now());
+        let State::Open(streams) = &mut self.state else { return Ok(()) };
+        for (stream, heard_at) in streams.iter_mut().zip(&mut self.heard_at) {
+            if stream.drain(now_nanos)?.has_life {
+                *heard_at = Some(now);
+            }
+        }
+        Ok(())
+    }
+
+    /// Delivers a pair if there is one; leaves out pictures whose partners are lost.
+    fn deliver(&mut self, pair: &mut FramePair) -> Result<bool, CameraError> {
+        let State::Open(streams) = &mut self.state else { return Ok(false) };
+        let [left, right] = &mut **streams;
+        let (Some(left_held), Some(right_held)) = (left.held(), right.held()) else { return Ok(false) };
+        let skew_nanos = right_held.mid_nanos.saturating_sub(left_held.mid_nanos);
+        match judge(left_held.mid_nanos, right_held.mid_nanos, self.period, self.skew_max) {
+            Verdict::LeftIsOld => left.drop_unpaired()?,
+            Verdict::RightIsOld => right.drop_unpaired()?,
+            Verdict::TooFar => {
+                self.drift.add(left_held.mid_nanos, skew_nanos);
+                left.give_back()?;
+                right.give_back()?;
+                self.counters.skew_refused += 1;
+                return Err(self.too_far(skew_nanos));
+            }
+            Verdict::Pair => {
+                self.drift.add(left_held.mid_nanos, skew_nanos);
+                let converted = left.convert(&mut pair.left).map_err(|error| (left.config.device.clone(), error));
+                let converted = converted.and_then(|()| {
+                    right.convert(&mut pair.right).map_err(|error| (right.config.device.clone(), error))
+                });
+                left.give_back()?;
+                right.give_back()?;
+                converted.map_err(|(device, error)| damaged(&device, error))?;
+                return self.stamp(pair, left_held.mid_nanos, skew_nanos).map(|()| true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// Gives a pair its time and number.
+    fn stamp(&mut self, pair: &mut FramePair, left_nanos: i64, skew_nanos: i64) -> Result<(), CameraError> {
+        let bad = |what: &str| CameraError::new(CameraErrorKind::BadPair, format!("{}: {what}", self.info.name));
+        let exposed_at = self
+            .clock_map
+            .program_time(left_nanos)
+            .ok_or_else(|| bad("a pair was exposed before the program began"))?;
+        pair.sequence = match self.last {
+            None => 0,
+            Some((_, last)) if exposed_at <= last => return Err(bad("a pair is not newer than the one before")),
+            // The drivers' own numbers are given twice or begin again; time does not.
+            Some((sequence, last)) => {
+                let periods = exposed_at.saturating_since(last).as_secs_f64() / self.period.as_secs_f64();
+                sequence + (periods.round() as u64).max(1)
+            }
+        };
+        pair.exposed_at = exposed_at;
+        pair.skew_nanos = skew_nanos;
+        self.last = Some((pair.sequence, exposed_at));
+        self.counters.pairs += 1;
+        self.counters.skew_max_nanos = self.counters.skew_max_nanos.max(skew_nanos.unsigned_abs());
+        Ok(())
+    }
+
+    fn too_far(&self, skew_nanos: i64) -> CameraError {
+        let millis = skew_nanos as f64 * 1e-6;
+        let message = format!(
+            "{}: right was exposed {millis:.1} ms after left, at most {:.1} ms are allowed: at {:.0} mm/s that is {:.2} mm; trigger both \
+             cameras by hardware, or start them again until they fit",
+            self.info.name,
+            self.skew_max.as_secs_f64() * 1e3,
+            self.speed_max_m_per_s * 1e3,
+            millis.abs() * self.speed_max_m_per_s,
+        );
+        CameraError::new(CameraErrorKind::BadPair, message)
+    }
+
+    /// When the next camera would be silent or the call is over; an error if one is silent now. A camera that has never sent anything
+    /// has the whole call to begin.
+    fn complain_of_silence(
+        &mut self,
+        now: MonotonicTime,
+        deadline: MonotonicTime,
+    ) -> Result<MonotonicTime, CameraError> {
+        let State::Open(streams) = &self.state else { return Ok(deadline) };
+        let mut earliest = deadline;
+        for (stream, heard_at) in streams.iter().zip(&mut self.heard_at) {
+            let Some(heard) = *heard_at else { continue };
+            let silent_at = heard + self.period.mul_f64(SILENT_PERIODS);
+            if now >= silent_at {
+                // The next call waits as long again.
+                *heard_at = Some(now);
+                let why = stream.complaint().unwrap_or("nothing arrives; look at its plug and cable");
+                let device = &stream.config.device;
+                let millis = now.saturating_since(heard).as_secs_f64() * 1e3;
+                let message = format!("{device}: no good picture for {millis:.0} ms, {SILENT_PERIODS} periods: {why}");
+                return Err(CameraError::new(CameraErrorKind::Timeout, message));
+            }
+            earliest = earliest.min(silent_at);
+        }
+        Ok(earliest)
+    }
+
+    fn complaints(&self) -> String {
+        let State::Open(streams) = &self.state else { return String::new() };
+        let lines = streams.iter().map(|stream| {
+            let nothing = if stream.counters.good == 0 { "no picture yet" } else { "nothing wrong" };
+            format!("; {}: {}", stream.config.device, stream.complaint().unwrap_or(nothing))
+        });
+        lines.collect()
+    }
+
+    /// Waits for either camera.
+    fn wait(&mut self, timeout: Duration) -> Result<(), CameraError> {
+        let State::Open(streams) = &mut self.state else { return Ok(()) };
+        let [left, right] = &**streams;
+        let ready = self
+            .system
+            .wait([left.handle(), right.handle()], timeout)
+            .map_err(|error| failed(&self.info.name, "waiting for a picture", error))?;
+        let now_nanos = self.system.monotonic_nanos();
+        for ((stream, ready), heard_at) in streams.iter_mut().zip(ready).zip(&mut self.heard_at) {
+            if ready.has_failed {
+                // The driver's own error says more, if it has one.
+                let drained = stream.drain(now_nanos)?;
+                if drained.has_life {
+                    *heard_at = Some(self.clock.now());
+                }
+                if drained.taken == 0 {
+                    let message = format!("{}: the driver has stopped its stream; open it again", stream.config.device);
+                    return Err(CameraError::new(CameraErrorKind::Disconnected, message));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn damaged(device: &str, error: PixelError) -> CameraError {
+    let message = format!("{device}: a picture is damaged; if there are many, look at its cable and hub");
+    CameraError::caused_by(CameraErrorKind::BadPair, message, error)
+}
+
+/// Brings a device into the mode and state that is asked for.
+fn prepare(node: &mut dyn VideoNode, found: &Found, config: &CameraConfig) -> Result<StreamConfig, CameraError> {
+    let device = format!("{} ({})", config.name, found.entry.path.display());
+    let mode = modes::negotiate(node, &device, &config.mode)?;
+    let told = controls::apply(node, &device, &config.controls)?;
+    let exposure = told.or(config.exposure).ok_or_else(|| {
+        let what = "it does not tell its time of exposure, without which it is not known when pictures were taken; set an exposure by \
+                    hand, or state its time";
+        unusable(&device, what)
+    })?;
+    let period = Duration::from_secs_f64(mode.period_s);
+    // A stamp may be earlier than the arrival by exposure and transfer, which take up to a period each.
+    let age_max = period * AGE_PERIODS_MAX + exposure + config.stamps.readout + config.stamps.delay;
+    if nanos(age_max) == i64::MAX {
+        return Err(unusable(&device, "its times are longer than a life"));
+    }
+    Ok(StreamConfig { device, mode, exposure, stamps: config.stamps, age_max })
+}
+
+impl StereoCamera for V4l2StereoCamera {
+    fn info(&self) -> &StereoCameraInfo {
+        &self.info
+    }
+
+    /// As the trait has it. A camera that falls silent is told after two periods and a half (`Timeout`), whatever `timeout` is.
+    fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
+        if let State::Lost(message) = &self.state {
+            return Err(CameraError::new(CameraErrorKind::Disconnected, message.clone()));
+        }
+        self.try_next(pair, timeout).map_err(|error| self.remember(error))
+    }
+}

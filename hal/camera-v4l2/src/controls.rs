@@ -1,0 +1,272 @@
+//! Exposure, gain, white balance and focus: set, and read back.
+//!
+//! The automatic modes are off unless they are asked for. Left and right would choose different values and look different to whoever
+//! compares them; automatic focus changes the focal length that was calibrated; automatic exposure changes the time of exposure, by
+//! which pictures are stamped, and may lower the rate.
+
+use std::io;
+use std::time::Duration;
+
+use pb3dp_hal_api::CameraError;
+
+use crate::error::{failed, unusable};
+use crate::video::{ControlEntry, ControlKind, VideoNode};
+
+/// No device has more controls; one whose list has no end must not keep us.
+const CONTROLS_MAX: usize = 512;
+
+/// Numbers of controls, `include/uapi/linux/v4l2-controls.h`.
+pub mod id {
+    /// White balance by the camera itself, 0 or 1.
+    pub const AUTO_WHITE_BALANCE: u32 = 0x0098_090C;
+    /// Gain by the camera itself, 0 or 1.
+    pub const AUTO_GAIN: u32 = 0x0098_0912;
+    /// Gain, in units of the driver's own.
+    pub const GAIN: u32 = 0x0098_0913;
+    /// White balance, kelvin.
+    pub const WHITE_BALANCE_TEMPERATURE: u32 = 0x0098_091A;
+    /// Who chooses the exposure: see the menu.
+    pub const EXPOSURE_AUTO: u32 = 0x009A_0901;
+    /// Time of exposure, 100 microseconds.
+    pub const EXPOSURE_ABSOLUTE: u32 = 0x009A_0902;
+    /// Whether the rate may fall where it is dark, 0 or 1.
+    pub const EXPOSURE_AUTO_PRIORITY: u32 = 0x009A_0903;
+    /// Focus, in units of the driver's own.
+    pub const FOCUS_ABSOLUTE: u32 = 0x009A_090A;
+    /// Focus by the camera itself, 0 or 1.
+    pub const FOCUS_AUTO: u32 = 0x009A_090C;
+}
+
+/// Line of the menu `EXPOSURE_AUTO`: by hand.
+const EXPOSURE_MANUAL: i32 = 1;
+/// Lines of that menu: time by the camera (aperture fixed), and all by the camera.
+const EXPOSURE_BY_CAMERA: [i32; 2] = [3, 0];
+
+/// The unit of [`id::EXPOSURE_ABSOLUTE`].
+const EXPOSURE_UNIT: Duration = Duration::from_micros(100);
+
+/// What is wished of one property.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Setting<T> {
+    /// Not by the camera; the value stays as it is.
+    #[default]
+    Keep,
+    /// That value.
+    Manual(T),
+    /// By the camera itself.
+    Auto,
+}
+
+/// Wishes for one camera. The default keeps all values and switches every automatic mode off.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ControlSettings {
+    /// Time of exposure.
+    pub exposure: Setting<Duration>,
+    /// Gain, in units of the driver's own.
+    pub gain: Setting<i32>,
+    /// White balance, kelvin.
+    pub white_balance: Setting<i32>,
+    /// Focus, in units of the driver's own.
+    pub focus: Setting<i32>,
+    /// Further controls by their numbers, set last and in this order.
+    pub others: Vec<(u32, i32)>,
+}
+
+/// A control with its value.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Control {
+    /// What the driver says of it.
+    pub entry: ControlEntry,
+    /// Its value; `None` if it has none, or can not be read.
+    pub value: Option<i32>,
+    /// Lines of its menu.
+    pub menu: Vec<(i32, String)>,
+}
+
+/// All controls of a device with their values.
+///
+/// # Errors
+/// As the driver has it.
+pub fn controls(node: &dyn VideoNode) -> io::Result<Vec<Control>> {
+    let mut controls = Vec::new();
+    let mut after = 0;
+    while controls.len() < CONTROLS_MAX {
+        let Some(entry) = node.control_after(after)? else { break };
+        if entry.id <= after {
+            break;
+        }
+        after = entry.id;
+        if entry.kind == ControlKind::Other {
+            continue;
+        }
+        let value = if entry.kind == ControlKind::Button { None } else { node.control(entry.id).ok() };
+        let mut menu = Vec::new();
+        if entry.kind == ControlKind::Menu {
+            for line in entry.min.max(0)..=entry.max.min(255) {
+                menu.extend(node.menu_line(entry.id, line as u32)?.map(|text| (line, text)));
+            }
+        }
+        controls.push(Control { entry, value, menu });
+    }
+    Ok(controls)
+}
+
+/// Sets one control and reads it back.
+///
+/// # Errors
+/// If there is none of that number, the value is not possible or is not kept, or as the driver has it.
+pub fn set(node: &mut dyn VideoNode, device: &str, id: u32, value: i32) -> Result<(), CameraError> {
+    let controls = read(node, device)?;
+    let control = find(&controls, id).ok_or_else(|| unusable(device, format!("it has no control {id:#010x}")))?;
+    write(node, device, &control.entry, value)?;
+    verify(node, device, &control.entry, value)
+}
+
+/// Brings a camera into the state that is wished, and reads everything back at the end. Returns the time of exposure if the camera
+/// tells it.
+///
+/// # Errors
+/// If a property is asked for that the camera does not have, a value is not possible or not kept, or as the driver has it.
+pub fn apply(
+    node: &mut dyn VideoNode,
+    device: &str,
+    wishes: &ControlSettings,
+) -> Result<Option<Duration>, CameraError> {
+    let controls = read(node, device)?;
+    let mut plan = Plan { device, controls: &controls, steps: Vec::new() };
+    plan.exposure(wishes.exposure)?;
+    plan.property("gain", id::AUTO_GAIN, id::GAIN, wishes.gain)?;
+    plan.property("white balance", id::AUTO_WHITE_BALANCE, id::WHITE_BALANCE_TEMPERATURE, wishes.white_balance)?;
+    plan.property("focus", id::FOCUS_AUTO, id::FOCUS_ABSOLUTE, wishes.focus)?;
+    for (id, value) in &wishes.others {
+        let control = find(&controls, *id).ok_or_else(|| unusable(device, format!("it has no control {id:#010x}")))?;
+        plan.steps.push((control, *value));
+    }
+    for (control, value) in &plan.steps {
+        write(node, device, &control.entry, *value)?;
+    }
+    // At the end: a control may change another one.
+    for (control, value) in &plan.steps {
+        verify(node, device, &control.entry, *value)?;
+    }
+    exposure(node, device, &controls)
+}
+
+/// The time of exposure that a camera has now; `None` if it does not tell it, or chooses it by itself.
+///
+/// # Errors
+/// As the driver has it.
+pub fn exposure_now(node: &dyn VideoNode, device: &str) -> Result<Option<Duration>, CameraError> {
+    exposure(node, device, &read(node, device)?)
+}
+
+/// The same, of a camera whose controls are known.
+fn exposure(node: &dyn VideoNode, device: &str, controls: &[Control]) -> Result<Option<Duration>, CameraError> {
+    let is_by_hand = match find(controls, id::EXPOSURE_AUTO) {
+        Some(_) => {
+            let mode =
+                node.control(id::EXPOSURE_AUTO).map_err(|error| failed(device, "reading its exposure mode", error))?;
+            mode == EXPOSURE_MANUAL
+        }
+        None => true,
+    };
+    if !is_by_hand || find(controls, id::EXPOSURE_ABSOLUTE).is_none() {
+        return Ok(None);
+    }
+    let units = node.control(id::EXPOSURE_ABSOLUTE).map_err(|error| failed(device, "reading its exposure", error))?;
+    Ok(u32::try_from(units).ok().map(|units| EXPOSURE_UNIT * units))
+}
+
+/// What is to be written, in this order.
+struct Plan<'a> {
+    device: &'a str,
+    controls: &'a [Control],
+    steps: Vec<(&'a Control, i32)>,
+}
+
+impl Plan<'_> {
+    fn exposure(&mut self, wish: Setting<Duration>) -> Result<(), CameraError> {
+        let value = match wish {
+            Setting::Manual(time) => {
+                let units = (time.as_nanos() + EXPOSURE_UNIT.as_nanos() / 2) / EXPOSURE_UNIT.as_nanos();
+                Setting::Manual(i32::try_from(units).unwrap_or(i32::MAX))
+            }
+            Setting::Keep => Setting::Keep,
+            Setting::Auto => Setting::Auto,
+        };
+        if let Some(mode) = find(self.controls, id::EXPOSURE_AUTO) {
+            let has = |line: &i32| mode.menu.iter().any(|(number, _)| number == line);
+            let line = match value {
+                Setting::Auto => EXPOSURE_BY_CAMERA.into_iter().find(has),
+                _ => Some(EXPOSURE_MANUAL).filter(has),
+            };
+            let line = line
+                .ok_or_else(|| unusable(self.device, format!("its control `{}` can not do that", mode.entry.name)))?;
+            self.steps.push((mode, line));
+        }
+        // A dark scene must not lower the rate.
+        self.steps.extend(find(self.controls, id::EXPOSURE_AUTO_PRIORITY).map(|control| (control, 0)));
+        self.value("exposure time", id::EXPOSURE_ABSOLUTE, value)
+    }
+
+    fn property(&mut self, name: &str, auto: u32, value: u32, wish: Setting<i32>) -> Result<(), CameraError> {
+        let by_camera = i32::from(wish == Setting::Auto);
+        match find(self.controls, auto) {
+            Some(control) => self.steps.push((control, by_camera)),
+            None if by_camera == 1 => return Err(self.lacks(name, "mode in which the camera chooses it")),
+            None => {}
+        }
+        self.value(name, value, wish)
+    }
+
+    fn value(&mut self, name: &str, id: u32, wish: Setting<i32>) -> Result<(), CameraError> {
+        if let Setting::Manual(value) = wish {
+            let control = find(self.controls, id).ok_or_else(|| self.lacks(name, "control"))?;
+            self.steps.push((control, value));
+        }
+        Ok(())
+    }
+
+    fn lacks(&self, name: &str, what: &str) -> CameraError {
+        let there: Vec<&str> = self.controls.iter().map(|control| control.entry.name.as_str()).collect();
+        unusable(
+            self.device,
+            format!("it has no {what} for the {name}; leave it out, or use one of: {}", there.join(", ")),
+        )
+    }
+}
+
+fn read(node: &dyn VideoNode, device: &str) -> Result<Vec<Control>, CameraError> {
+    controls(node).map_err(|error| failed(device, "reading its controls", error))
+}
+
+fn find(controls: &[Control], id: u32) -> Option<&Control> {
+    controls.iter().find(|control| control.entry.id == id)
+}
+
+fn write(node: &mut dyn VideoNode, device: &str, entry: &ControlEntry, value: i32) -> Result<(), CameraError> {
+    let ControlEntry { id, name, min, max, step, .. } = entry;
+    let is_step = *step <= 1 || (i64::from(value) - i64::from(*min)) % i64::from(*step) == 0;
+    if value < *min || value > *max || !is_step {
+        return Err(unusable(
+            device,
+            format!("`{name}` can not be {value}: it goes from {min} to {max} by steps of {step}"),
+        ));
+    }
+    node.set_control(*id, value).map_err(|error| failed(device, &format!("setting `{name}` to {value}"), error))
+}
+
+fn verify(node: &dyn VideoNode, device: &str, entry: &ControlEntry, value: i32) -> Result<(), CameraError> {
+    if entry.kind == ControlKind::Button {
+        return Ok(());
+    }
+    let name = &entry.name;
+    let found = node.control(entry.id).map_err(|error| failed(device, &format!("reading `{name}` back"), error))?;
+    if found != value {
+        return Err(unusable(
+            device,
+            format!("`{name}` was set to {value} and is {found}: the driver does not keep it"),
+        ));
+    }
+    Ok(())
+}

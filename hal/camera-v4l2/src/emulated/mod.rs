@@ -1,0 +1,320 @@
+//! Cameras without hardware, at the level of the system's calls: they behave as a driver does, and fail on request.
+//!
+//! [`EmulatedSystem`] is a [`VideoSystem`] with any number of them. Their time is that of an injected clock: on a virtual one a test of
+//! minutes takes milliseconds. What they do wrong is set while they run, by [`EmulatedSystem::with`].
+
+mod node;
+
+use std::collections::BTreeMap;
+use std::io;
+use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use pb3dp_geometry::ImageSize;
+use pb3dp_hal_api::Clock;
+use rustix::io::Errno;
+
+use crate::controls::id;
+use crate::timing::nanos;
+use crate::video::{
+    Capability, ControlEntry, ControlKind, FieldOrder, Handle, Interval, NodeEntry, RawFormat, Readiness, StampSource,
+    VideoNode, VideoSystem,
+};
+use node::EmulatedNode;
+
+/// What the clock of stamps shows when that of the program shows zero: the two have different origins.
+const STAMP_ORIGIN_NANOS: i64 = 1_234_567_000_000;
+
+/// A call that can be made to fail.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Call {
+    /// Opening the device.
+    Open,
+    /// Asking for a format.
+    SetFormat,
+    /// Asking for buffers.
+    RequestBuffers,
+    /// Starting the stream.
+    Start,
+    /// Giving a buffer to the driver.
+    Queue,
+    /// Taking a filled buffer.
+    Dequeue,
+    /// Waiting for any device; that of the first one counts.
+    Wait,
+}
+
+/// What one camera does wrong, or has done.
+#[derive(Clone, Debug, Default)]
+pub struct Faults {
+    /// The cable is pulled: every call fails with `ENODEV`.
+    pub is_unplugged: bool,
+    /// No more pictures come.
+    pub is_silent: bool,
+    /// The stream ends with a last picture.
+    pub ends: bool,
+    /// The driver has stopped by itself and says nothing but that.
+    pub has_stopped: bool,
+    /// The next so many pictures are marked as damaged.
+    pub damaged: u32,
+    /// The next so many pictures are a byte too short.
+    pub short: u32,
+    /// The next so many pictures are lost before they reach a buffer.
+    pub lost: u32,
+    /// The next so many pictures have the number of the one before.
+    pub repeated: u32,
+    /// Stamps are so much later than they should be, nanoseconds.
+    pub stamps_late_nanos: i64,
+    /// Calls that fail, with the error of the system.
+    pub calls: BTreeMap<Call, Errno>,
+    /// Controls that take a value and do not keep it.
+    pub forgetful: Vec<u32>,
+    /// What is given in place of the size that is asked for.
+    pub other_size: Option<(u32, u32)>,
+    /// What is given in place of the interval that is asked for.
+    pub other_interval: Option<Interval>,
+}
+
+/// A size with its intervals.
+pub type EmulatedSize = (ImageSize, Vec<Interval>);
+
+/// One camera: what it is, and what it does.
+#[derive(Clone, Debug)]
+pub struct EmulatedCamera {
+    /// As the system lists it.
+    pub entry: NodeEntry,
+    /// As it describes itself.
+    pub capability: Capability,
+    /// Formats, each with sizes and their intervals.
+    pub formats: Vec<([u8; 4], Vec<EmulatedSize>)>,
+    /// Bytes behind each row.
+    pub padding: u32,
+    /// Which lines of a picture are exposed together.
+    pub field: FieldOrder,
+    /// Controls with their values.
+    pub controls: Vec<(ControlEntry, i32)>,
+    /// What stamps mean.
+    pub source: StampSource,
+    /// From the moment of a stamp until the picture can be taken.
+    pub arrival: Duration,
+    /// When the first picture is stamped, after the start of the stream.
+    pub phase: Duration,
+    /// By how much its clock is slow: seconds per second.
+    pub slowness: f64,
+    /// Number of the first picture.
+    pub first_sequence: u32,
+    /// Content of the picture of that number, counted from the start of the stream.
+    pub paint: fn(u64, &mut [u8]),
+    /// What it does wrong.
+    pub faults: Faults,
+}
+
+impl EmulatedCamera {
+    /// A camera of `YUYV` 640x480 and 64x48 at 30 per second and `GREY` 64x48, with the controls of a usual USB camera, all automatic.
+    pub fn usual(number: u32) -> Self {
+        let sizes = |sizes: &[(u32, u32)]| -> Vec<EmulatedSize> {
+            let interval = Interval { numerator: 1, denominator: 30 };
+            let slow = Interval { numerator: 1, denominator: 15 };
+            sizes
+                .iter()
+                .map(|(width, height)| (ImageSize { width: *width, height: *height }, vec![interval, slow]))
+                .collect()
+        };
+        let control = |id, name: &str, kind, min, max, value| {
+            let entry =
+                ControlEntry { id, name: name.to_owned(), kind, min, max, step: 1, default: value, is_locked: false };
+            (entry, value)
+        };
+        Self {
+            entry: NodeEntry {
+                path: format!("/dev/video{number}").into(),
+                index: Some(0),
+                serial: Some(format!("SN{number:04}")),
+            },
+            capability: Capability {
+                driver: "emulated".to_owned(),
+                card: format!("Emulated camera {number}"),
+                bus: format!("usb-emulated-{number}"),
+                captures: true,
+                streams: true,
+            },
+            formats: vec![(*b"YUYV", sizes(&[(640, 480), (64, 48)])), (*b"GREY", sizes(&[(64, 48)]))],
+            padding: 0,
+            field: FieldOrder::Progressive,
+            controls: vec![
+                control(id::AUTO_WHITE_BALANCE, "White Balance, Automatic", ControlKind::Boolean, 0, 1, 1),
+                control(id::GAIN, "Gain", ControlKind::Integer, 0, 255, 64),
+                control(
+                    id::WHITE_BALANCE_TEMPERATURE,
+                    "White Balance Temperature",
+                    ControlKind::Integer,
+                    2800,
+                    6500,
+                    4600,
+                ),
+                control(id::EXPOSURE_AUTO, "Auto Exposure", ControlKind::Menu, 0, 3, 3),
+                control(id::EXPOSURE_ABSOLUTE, "Exposure Time, Absolute", ControlKind::Integer, 1, 5000, 100),
+                control(id::EXPOSURE_AUTO_PRIORITY, "Exposure, Dynamic Framerate", ControlKind::Boolean, 0, 1, 1),
+                control(id::FOCUS_ABSOLUTE, "Focus, Absolute", ControlKind::Integer, 0, 250, 0),
+                control(id::FOCUS_AUTO, "Focus, Automatic Continuous", ControlKind::Boolean, 0, 1, 1),
+            ],
+            source: StampSource::StartOfExposure,
+            arrival: Duration::from_millis(12),
+            phase: Duration::from_millis(40),
+            slowness: 0.0,
+            first_sequence: 0,
+            paint: |number, memory| {
+                for pixel in memory.chunks_exact_mut(2) {
+                    pixel.copy_from_slice(&[16 + (number % 200) as u8, 128]);
+                }
+            },
+            faults: Faults::default(),
+        }
+    }
+
+    /// Lines of menus: those of the exposure of a usual USB camera.
+    fn menu_line(id: u32, line: u32) -> Option<String> {
+        let text = match (id, line) {
+            (id::EXPOSURE_AUTO, 1) => "Manual Mode",
+            (id::EXPOSURE_AUTO, 3) => "Aperture Priority Mode",
+            _ => return None,
+        };
+        Some(text.to_owned())
+    }
+}
+
+/// What the driver of a camera knows.
+#[derive(Clone, Debug)]
+struct Device {
+    camera: EmulatedCamera,
+    format: RawFormat,
+    interval: Interval,
+    /// Which node has buffers of it.
+    owner: Option<Handle>,
+    stream: Option<Run>,
+}
+
+/// A stream that was started.
+#[derive(Clone, Debug)]
+struct Run {
+    /// Stamp of the first picture.
+    first_nanos: i64,
+    /// Pictures that were made.
+    made: u64,
+    /// Number of the last one.
+    sequence: u32,
+}
+
+impl Device {
+    fn new(camera: EmulatedCamera) -> Self {
+        let interval = Interval { numerator: 1, denominator: 30 };
+        Self { camera, format: RawFormat::default(), interval, owner: None, stream: None }
+    }
+
+    /// Stamp of the picture of that number since the start.
+    fn stamp_nanos(&self, run: &Run, number: u64) -> i64 {
+        let period = self.interval.seconds().unwrap_or(1.0) * 1e9 * (1.0 + self.camera.slowness);
+        run.first_nanos + (number as f64 * period).round() as i64
+    }
+
+    /// A silent camera makes nothing of the pictures that are due.
+    fn skip_silently(&mut self, now_nanos: i64) {
+        let Some(mut run) = self.stream.take() else { return };
+        while self.stamp_nanos(&run, run.made) + nanos(self.camera.arrival) <= now_nanos {
+            run.made += 1;
+        }
+        self.stream = Some(run);
+    }
+
+    /// When the next picture can be taken.
+    fn next_at_nanos(&self) -> Option<i64> {
+        let run = self.stream.as_ref().filter(|_| !self.camera.faults.is_silent)?;
+        Some(self.stamp_nanos(run, run.made) + nanos(self.camera.arrival))
+    }
+}
+
+struct Inner {
+    clock: Arc<dyn Clock>,
+    devices: Mutex<State>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    devices: Vec<Device>,
+    nodes: Vec<node::NodeState>,
+}
+
+/// A system with emulated cameras.
+#[derive(Clone)]
+pub struct EmulatedSystem(Arc<Inner>);
+
+impl EmulatedSystem {
+    /// A system with these cameras, in the time of this clock.
+    pub fn new(clock: Arc<dyn Clock>, cameras: Vec<EmulatedCamera>) -> Self {
+        let devices = cameras.into_iter().map(Device::new).collect();
+        Self(Arc::new(Inner { clock, devices: Mutex::new(State { devices, nodes: Vec::new() }) }))
+    }
+
+    /// Looks at a camera, or changes it. Nothing happens to one that does not exist.
+    pub fn with<T>(&self, number: usize, change: impl FnOnce(&mut EmulatedCamera) -> T) -> Option<T> {
+        self.lock().devices.get_mut(number).map(|device| change(&mut device.camera))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.0.devices.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn now_nanos(&self) -> i64 {
+        STAMP_ORIGIN_NANOS.saturating_add(i64::try_from(self.0.clock.now().as_nanos()).unwrap_or(i64::MAX))
+    }
+}
+
+impl VideoSystem for EmulatedSystem {
+    fn entries(&self) -> io::Result<Vec<NodeEntry>> {
+        let state = self.lock();
+        let there = state.devices.iter().filter(|device| !device.camera.faults.is_unplugged);
+        let mut entries: Vec<NodeEntry> = there.map(|device| device.camera.entry.clone()).collect();
+        entries.sort_by(|a, b| a.path.cmp(&b.path));
+        Ok(entries)
+    }
+
+    fn open(&self, path: &Path) -> io::Result<Box<dyn VideoNode>> {
+        let mut state = self.lock();
+        let is_there = |device: &Device| device.camera.entry.path == path && !device.camera.faults.is_unplugged;
+        let device = state.devices.iter().position(is_there).ok_or(Errno::NOENT)?;
+        if let Some(error) = state.devices[device].camera.faults.calls.get(&Call::Open) {
+            return Err((*error).into());
+        }
+        state.nodes.push(node::NodeState::default());
+        let handle = state.nodes.len() as Handle - 1;
+        drop(state);
+        Ok(Box::new(EmulatedNode::new(self.clone(), device, handle)))
+    }
+
+    fn monotonic_nanos(&self) -> i64 {
+        self.now_nanos()
+    }
+
+    fn wait(&self, handles: [Handle; 2], timeout: Duration) -> io::Result<[Readiness; 2]> {
+        let deadline = self.now_nanos().saturating_add(nanos(timeout));
+        if let Some(error) = self.lock().devices.first().and_then(|device| device.camera.faults.calls.get(&Call::Wait))
+        {
+            return Err((*error).into());
+        }
+        loop {
+            let (ready, next) = {
+                let mut state = self.lock();
+                node::advance(&mut state, self.now_nanos());
+                let next = handles.iter().filter_map(|handle| node::next_at_nanos(&state, *handle)).min();
+                (handles.map(|handle| node::readiness(&state, handle)), next)
+            };
+            let now = self.now_nanos();
+            if now >= deadline || ready.iter().any(|ready| ready.has_buffer || ready.has_failed) {
+                return Ok(ready);
+            }
+            let until = next.map_or(deadline, |next| next.min(deadline)).max(now);
+            self.0.clock.sleep_until(self.0.clock.now() + Duration::from_nanos((until - now).unsigned_abs()));
+        }
+    }
+}

@@ -1,0 +1,190 @@
+//! Names of cameras that stay theirs, and which device has one.
+//!
+//! `/dev/video0` is whoever came first, so left and right could change places at the next boot. The place where a camera is plugged in
+//! (`bus:usb-0000:00:14.0-2`) and its serial number (`serial:4F5A19C0`) stay.
+
+use std::fmt;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use pb3dp_hal_api::{CameraError, CameraErrorKind};
+
+use crate::error::{failed, unusable};
+use crate::video::{Capability, NodeEntry, VideoNode, VideoSystem};
+
+/// What a camera is known by.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum CameraName {
+    /// Where it is plugged in, as its driver tells it.
+    Bus {
+        /// As in [`Capability::bus`].
+        bus: String,
+        /// Which of the device's nodes; without it the first one that captures.
+        index: Option<u32>,
+    },
+    /// Its serial number.
+    Serial {
+        /// As in [`NodeEntry::serial`].
+        serial: String,
+        /// Which of the device's nodes; without it the first one that captures.
+        index: Option<u32>,
+    },
+    /// The file of its node, which may be another camera's tomorrow.
+    Path(PathBuf),
+}
+
+/// A text that is no name of a camera.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "`{0}` names no camera: write bus:PLACE, serial:NUMBER (both as `pb3dp cameras list` shows them) or /dev/videoN"
+)]
+pub struct CameraNameError(String);
+
+impl FromStr for CameraName {
+    type Err = CameraNameError;
+
+    fn from_str(text: &str) -> Result<Self, CameraNameError> {
+        let error = || CameraNameError(text.to_owned());
+        if text.starts_with('/') {
+            return Ok(Self::Path(text.into()));
+        }
+        let (kind, rest) = text.split_once(':').ok_or_else(error)?;
+        let (name, index) = match rest.rsplit_once('#') {
+            Some((name, index)) => (name, Some(index.parse().map_err(|_| error())?)),
+            None => (rest, None),
+        };
+        let name = Some(name.to_owned()).filter(|name| !name.is_empty()).ok_or_else(error)?;
+        match kind {
+            "bus" => Ok(Self::Bus { bus: name, index }),
+            "serial" => Ok(Self::Serial { serial: name, index }),
+            _ => Err(error()),
+        }
+    }
+}
+
+impl fmt::Display for CameraName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (kind, name, index) = match self {
+            Self::Path(path) => return write!(f, "{}", path.display()),
+            Self::Bus { bus, index } => ("bus", bus, index),
+            Self::Serial { serial, index } => ("serial", serial, index),
+        };
+        write!(f, "{kind}:{name}")?;
+        index.map_or(Ok(()), |index| write!(f, "#{index}"))
+    }
+}
+
+/// A device that captures pictures.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Found {
+    /// As the system lists it.
+    pub entry: NodeEntry,
+    /// As it describes itself.
+    pub capability: Capability,
+}
+
+impl Found {
+    /// The names by which it can be asked for again after the next boot, the best one first.
+    pub fn stable_names(&self) -> Vec<CameraName> {
+        let index = self.entry.index.filter(|index| *index > 0);
+        let bus = Some(self.capability.bus.clone()).filter(|bus| !bus.is_empty());
+        let bus = bus.map(|bus| CameraName::Bus { bus, index });
+        let serial = self.entry.serial.clone().map(|serial| CameraName::Serial { serial, index });
+        bus.into_iter().chain(serial).collect()
+    }
+
+    fn has(&self, name: &CameraName) -> bool {
+        let is_node = |index: &Option<u32>| index.is_none() || *index == self.entry.index;
+        match name {
+            CameraName::Path(path) => self.entry.path == *path,
+            CameraName::Bus { bus, index } => self.capability.bus == *bus && is_node(index),
+            CameraName::Serial { serial, index } => self.entry.serial.as_ref() == Some(serial) && is_node(index),
+        }
+    }
+}
+
+/// What looking for cameras has found.
+#[derive(Debug, Default)]
+pub struct Listing {
+    /// Devices that capture pictures, sorted by path.
+    pub found: Vec<Found>,
+    /// Devices that could not be asked.
+    pub refused: Vec<(PathBuf, CameraError)>,
+}
+
+/// Looks for cameras; nodes of other use are left out.
+///
+/// # Errors
+/// If the system can not be asked which devices there are.
+pub fn list(system: &dyn VideoSystem) -> Result<Listing, CameraError> {
+    let entries = system.entries().map_err(|error| failed("cameras", "looking for them", error))?;
+    let mut listing = Listing::default();
+    for entry in entries {
+        let device = entry.path.display().to_string();
+        let asked = system
+            .open(&entry.path)
+            .map_err(|error| failed(&device, "opening it", error))
+            .and_then(|node| node.capability().map_err(|error| failed(&device, "asking what it is", error)));
+        match asked {
+            Ok(capability) if capability.captures && capability.streams => {
+                listing.found.push(Found { entry, capability })
+            }
+            Ok(_) => {}
+            Err(error) => listing.refused.push((entry.path, error)),
+        }
+    }
+    Ok(listing)
+}
+
+/// Opens the camera of that name.
+///
+/// # Errors
+/// `Disconnected` if there is none, `Unusable` if the name fits several, or the one may not be opened.
+pub fn open(system: &dyn VideoSystem, name: &CameraName) -> Result<(Found, Box<dyn VideoNode>), CameraError> {
+    let device = name.to_string();
+    let listing = list(system)?;
+    let mut fitting: Vec<&Found> = listing.found.iter().filter(|found| found.has(name)).collect();
+    // Of several nodes of one device the first one is meant; the same number twice means two devices.
+    let first = fitting.iter().map(|found| found.entry.index).min().unwrap_or_default();
+    fitting.retain(|found| found.entry.index == first);
+    let found = match fitting.as_slice() {
+        [found] => (*found).clone(),
+        [] => return Err(missing(&device, name, listing)),
+        several => {
+            let names: Vec<String> = several.iter().map(|found| describe(found)).collect();
+            let what = format!(
+                "this name fits {} cameras: {}; use the name of a place, bus:...",
+                names.len(),
+                names.join(", ")
+            );
+            return Err(unusable(&device, what));
+        }
+    };
+    let node = system.open(&found.entry.path).map_err(|error| failed(&device, "opening it", error))?;
+    // Between the list and now another camera may have taken the path.
+    let capability = node.capability().map_err(|error| failed(&device, "asking what it is", error))?;
+    if capability != found.capability {
+        let message = format!("{device}: {} is another camera now; open it again", found.entry.path.display());
+        return Err(CameraError::new(CameraErrorKind::Disconnected, message));
+    }
+    Ok((found, node))
+}
+
+fn describe(found: &Found) -> String {
+    let name = found.stable_names().first().map_or_else(String::new, |name| format!(" {name}"));
+    format!("{}{name} ({})", found.entry.path.display(), found.capability.card)
+}
+
+fn missing(device: &str, name: &CameraName, mut listing: Listing) -> CameraError {
+    // A device that may not be asked could be the one; its own error says more.
+    let is_asked_for = |path: &PathBuf| !matches!(name, CameraName::Path(asked) if asked != path);
+    if let Some(at) = listing.refused.iter().position(|(path, _)| is_asked_for(path)) {
+        let (_, error) = listing.refused.swap_remove(at);
+        let message = format!("{device}: no camera that can be asked has this name, and one can not be asked");
+        return CameraError::caused_by(error.kind(), message, error);
+    }
+    let there: Vec<String> = listing.found.iter().map(describe).collect();
+    let there = if there.is_empty() { "none".to_owned() } else { there.join(", ") };
+    let message = format!("{device}: there is no such camera; look at its plug and cable; there are: {there}");
+    CameraError::new(CameraErrorKind::Disconnected, message)
+}
