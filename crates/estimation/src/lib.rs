@@ -20,6 +20,7 @@ pub mod photo_model;
 pub mod plane_hypothesis;
 pub mod published;
 pub mod region;
+pub mod rig_plan;
 pub mod rmga_photometric;
 pub mod search;
 pub mod status;

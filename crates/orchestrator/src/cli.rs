@@ -9,6 +9,7 @@ use pb3dp_record::dataset::TILT_LIMIT_DEG;
 use crate::commands::arm::ArmArgs;
 use crate::commands::identify::IdentifyArgs;
 use crate::commands::mock_arm::MockArmArgs;
+use crate::commands::rig::RigArgs;
 use crate::logging::LogFormat;
 use crate::region_spec::{REGION_HELP, RegionSpec};
 
@@ -44,6 +45,8 @@ pub enum Command {
     MockArm(MockArmArgs),
     /// Own the bus of one PA-10 and its cycle, and serve a host (docs/gateway.md).
     Gateway(GatewayArgs),
+    /// Plan a stereo head: what cameras, lenses and a baseline give (docs/rig.md).
+    Rig(RigArgs),
 }
 
 /// Arguments of `pb3dp gateway`.

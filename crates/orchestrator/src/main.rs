@@ -36,6 +36,7 @@ fn main() -> ExitCode {
         Command::Arm(args) => commands::arm::run(args),
         Command::MockArm(args) => commands::mock_arm::run(args),
         Command::Gateway(args) => commands::gateway::run(args),
+        Command::Rig(args) => commands::rig::run(args),
     };
     match outcome {
         Ok(code) => code,

@@ -39,6 +39,27 @@ pub fn channel_information(samples: impl IntoIterator<Item = BoundSample>, noise
     (plane - taken) / (2.0 * noise_sigma * noise_sigma)
 }
 
+/// Standard deviation of the disparity that one pixel tells, pixels: both images carry independent noise of `noise_sigma` grey
+/// levels, and the channels together have a root mean square of `gradient` grey levels per pixel along rows.
+pub fn pixel_disparity_sigma(noise_sigma: f64, gradient: f64) -> f64 {
+    std::f64::consts::SQRT_2 * noise_sigma / gradient
+}
+
+/// Information on `(d0, du, dv)` at the middle of a rectangle of `size_px`, each pixel of which tells its own disparity to
+/// `pixel_sigma_px`: what [`channel_information`] comes to for a texture that is the same everywhere.
+pub fn rectangle_information(size_px: &Vector2<f64>, pixel_sigma_px: f64) -> Matrix3<f64> {
+    let squares = size_px.component_mul(size_px) / 12.0;
+    let each = size_px.product() / (pixel_sigma_px * pixel_sigma_px);
+    Matrix3::from_diagonal(&(Vector3::new(1.0, squares.x, squares.y) * each))
+}
+
+/// Covariance of `(d0, du, dv)` that an error of calibration of `sigma_px` at the centre, and as much over half the region's
+/// side, leaves; `half_px` are these half sides.
+pub fn calibration_covariance(sigma_px: f64, half_px: &Vector2<f64>) -> Matrix3<f64> {
+    let slope = |half: f64| (sigma_px / half.max(1.0)).powi(2);
+    Matrix3::from_diagonal(&Vector3::new(sigma_px * sigma_px, slope(half_px.x), slope(half_px.y)))
+}
+
 /// What a covariance of `(d0, du, dv)` means in space.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlaneSigma {
@@ -104,6 +125,14 @@ mod tests {
         let rows = (121.0_f64.powi(2) - 1.0) / 12.0;
         assert!((information[(2, 2)] / (expected * rows) - 1.0).abs() < 0.02);
         assert!(information[(0, 2)].abs() < 1e-6 * information[(2, 2)]);
+
+        let pixel_sigma = pixel_disparity_sigma(sigma, a * k / std::f64::consts::SQRT_2);
+        let rectangle = rectangle_information(&Vector2::new(127.0, 121.0), pixel_sigma);
+        for axis in 0..3 {
+            let ratio = rectangle[(axis, axis)] / information[(axis, axis)];
+            // Of whole periods it would be closer.
+            assert!((ratio - 1.0).abs() < 0.03, "axis {axis}: {ratio}");
+        }
     }
 
     #[test]

@@ -6,6 +6,7 @@ pub mod gateway;
 pub mod identify;
 pub mod mock_arm;
 pub mod pair;
+pub mod rig;
 pub mod run;
 pub mod track;
 mod typed_lines;

@@ -11,6 +11,7 @@ mod mock_arm;
 #[path = "../../../../hal/arm-pa10/tests/common/patience.rs"]
 mod patience;
 mod refusals;
+mod rig;
 mod run;
 mod silent_gateway;
 mod support;

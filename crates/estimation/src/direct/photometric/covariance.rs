@@ -9,6 +9,7 @@
 
 use nalgebra::{Matrix3, Matrix4, Vector2, Vector4};
 
+pub(super) use super::super::cramer_rao::calibration_covariance as calibration;
 use super::RefineConfig;
 use super::kernel::Unmodelled;
 
@@ -128,12 +129,6 @@ pub(super) fn unmodelled(
         let moved = (inverse * Vector4::from(scores) * sigma).xyz();
         sum + moved * moved.transpose()
     })
-}
-
-/// What an error of calibration of `sigma_px` at the centre, and as much over half the region's side, leaves.
-pub(super) fn calibration(sigma_px: f64, half_px: &Vector2<f64>) -> Matrix3<f64> {
-    let slope = |half: f64| (sigma_px / half.max(1.0)).powi(2);
-    Matrix3::from_diagonal(&nalgebra::Vector3::new(sigma_px * sigma_px, slope(half_px.x), slope(half_px.y)))
 }
 
 #[cfg(test)]

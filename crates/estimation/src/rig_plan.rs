@@ -1,0 +1,293 @@
+//! What a stereo head can give, from its geometry alone: for choosing cameras, lenses and baseline before they are bought.
+//!
+//! The head has two equal cameras without distortion, side by side and parallel. The target is a flat square that faces them,
+//! midway between their axes. docs/rig.md derives the formulas; what an error of disparity means in space is computed by
+//! [`plane_sigma`], as for measured planes.
+
+use nalgebra::{Matrix3, Vector2};
+use pb3dp_geometry::ImageSize;
+
+use crate::direct::cramer_rao::{
+    PlaneSigma, calibration_covariance, pixel_disparity_sigma, plane_sigma, rectangle_information,
+};
+use crate::direct::disparity_plane::{DisparityPlane, RectifiedGeometry};
+
+/// Two equal, parallel cameras; their axes meet the middles of their pictures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StereoHead {
+    /// From one optical centre to the other, metres.
+    pub baseline_m: f64,
+    /// Focal length, pixels.
+    pub focal_px: f64,
+    /// Of either picture.
+    pub size: ImageSize,
+}
+
+/// How well the disparity of a single pixel is known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PixelNoise {
+    /// From noise and texture of the pictures.
+    Picture {
+        /// Standard deviation of a pixel of either picture, grey levels.
+        noise_grey: f64,
+        /// Root mean square of the gradient along rows, all channels together, grey levels per pixel.
+        gradient_grey_per_px: f64,
+    },
+    /// As somebody has measured it: standard deviation, pixels.
+    Disparity {
+        /// Of one pixel, independent of its neighbours.
+        sigma_px: f64,
+    },
+}
+
+impl PixelNoise {
+    /// Standard deviation of the disparity that one pixel tells, pixels.
+    pub fn disparity_sigma_px(&self) -> f64 {
+        match *self {
+            Self::Picture { noise_grey, gradient_grey_per_px } => {
+                pixel_disparity_sigma(noise_grey, gradient_grey_per_px)
+            }
+            Self::Disparity { sigma_px } => sigma_px,
+        }
+    }
+}
+
+/// What is looked at, and how.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Conditions {
+    /// Side of the square target, metres.
+    pub target_m: f64,
+    /// How well one pixel's disparity is known.
+    pub noise: PixelNoise,
+    /// What calibration leaves: at the target's middle and, as a slope, over half its side, pixels of disparity.
+    pub calibration_px: f64,
+    /// Speed of the target before the cameras, along the baseline, metres per second.
+    pub speed_m_per_s: f64,
+    /// For how long light is gathered, seconds.
+    pub exposure_s: f64,
+    /// From the middle of one camera's exposure to that of the other, seconds.
+    pub skew_s: f64,
+}
+
+/// A lens, as far as its focus matters (thin lens).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lens {
+    /// From one pixel to the next on the sensor, metres.
+    pub pixel_m: f64,
+    /// Focal length over the diameter of the aperture.
+    pub f_number: f64,
+    /// Where it is focused, metres from the lens.
+    pub focused_at_m: f64,
+}
+
+impl Lens {
+    /// Focal length of the lens, metres, for a focal length in pixels: that of the picture, from the lens to the sensor, of
+    /// which the lens is nearer by what focusing takes.
+    pub fn focal_m(&self, focal_px: f64) -> f64 {
+        let to_sensor_m = focal_px * self.pixel_m;
+        to_sensor_m * self.focused_at_m / (to_sensor_m + self.focused_at_m)
+    }
+
+    /// Diameter of the disc that a point at this depth becomes, pixels.
+    pub fn defocus_px(&self, focal_px: f64, z_m: f64) -> f64 {
+        let aperture_m = self.focal_m(focal_px) / self.f_number;
+        focal_px * aperture_m * (1.0 / z_m - 1.0 / self.focused_at_m).abs()
+    }
+}
+
+/// Standard deviations of depth and normal of the target.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlannedErrors {
+    /// What the noise of the pictures allows at best.
+    pub noise: PlaneSigma,
+    /// What calibration adds: the same in all pictures of one pose.
+    pub calibration: PlaneSigma,
+    /// Both.
+    pub both: PlaneSigma,
+}
+
+/// What the head gives at one distance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlannedView {
+    /// The distance, metres.
+    pub z_m: f64,
+    /// Left column minus right column, pixels.
+    pub disparity_px: f64,
+    /// How much depth a pixel of disparity is, metres.
+    pub depth_per_px_m: f64,
+    /// Share of what one camera sees at this distance that the other sees as well, 0 to 1.
+    pub overlap_share: f64,
+    /// Side of the target, pixels.
+    pub target_px: f64,
+    /// Of the target's pose; `None` if the target is not wholly in both pictures.
+    pub errors: Option<PlannedErrors>,
+    /// How far the target moves while light is gathered, pixels.
+    pub blur_px: f64,
+    /// The exposure in which it moves by one pixel, seconds; infinite if it rests.
+    pub one_pixel_exposure_s: f64,
+    /// How far it moves between both exposures, pixels: of disparity along the baseline, of rows across it.
+    pub skew_px: f64,
+    /// How much depth that is, metres.
+    pub skew_depth_m: f64,
+}
+
+impl StereoHead {
+    /// The geometry that pictures of this head have.
+    pub fn geometry(&self) -> RectifiedGeometry {
+        let middle = |pixels: u32| 0.5 * (f64::from(pixels) - 1.0);
+        RectifiedGeometry {
+            focal_px: Vector2::new(self.focal_px, self.focal_px),
+            left_principal_px: Vector2::new(middle(self.size.width), middle(self.size.height)),
+            disparity_offset_px: 0.0,
+            baseline_m: self.baseline_m,
+        }
+    }
+
+    /// Angles of view, horizontal and vertical, radians.
+    pub fn view_rad(&self) -> [f64; 2] {
+        [self.size.width, self.size.height].map(|pixels| 2.0 * (0.5 * f64::from(pixels) / self.focal_px).atan())
+    }
+
+    /// The nearest distance at which a square of this side is wholly in both pictures, midway between the cameras, metres.
+    pub fn nearest_in_both_m(&self, target_m: f64) -> f64 {
+        let across_m = self.focal_px * (target_m + self.baseline_m) / f64::from(self.size.width);
+        let down_m = self.focal_px * target_m / f64::from(self.size.height);
+        across_m.max(down_m)
+    }
+
+    /// What this head gives at a distance; all lengths and times must be positive or zero, and `z_m` positive.
+    pub fn at(&self, z_m: f64, conditions: &Conditions) -> PlannedView {
+        let geometry = self.geometry();
+        let disparity_px = geometry.disparity_px(z_m);
+        let target_px = self.focal_px * conditions.target_m / z_m;
+        let middle_px = geometry.left_principal_px + Vector2::new(0.5 * disparity_px, 0.0);
+        let plane = DisparityPlane { centre_px: middle_px, d0_px: disparity_px, slope: Vector2::zeros() };
+        let sigma = |covariance: &Matrix3<f64>| plane_sigma(covariance, &plane, &geometry);
+        let depth_of_m = |pixels: f64| {
+            let shifted = Matrix3::from_diagonal(&nalgebra::Vector3::new(pixels * pixels, 0.0, 0.0));
+            sigma(&shifted).map_or(f64::NAN, |sigma| sigma.depth_m)
+        };
+        let errors = || {
+            let side_px = Vector2::new(target_px, target_px);
+            let noise = rectangle_information(&side_px, conditions.noise.disparity_sigma_px()).try_inverse()?;
+            let calibration = calibration_covariance(conditions.calibration_px, &(0.5 * side_px));
+            Some(PlannedErrors {
+                noise: sigma(&noise)?,
+                calibration: sigma(&calibration)?,
+                both: sigma(&(noise + calibration))?,
+            })
+        };
+        let speed_px_per_s = self.focal_px * conditions.speed_m_per_s / z_m;
+        let skew_px = speed_px_per_s * conditions.skew_s;
+        PlannedView {
+            z_m,
+            disparity_px,
+            depth_per_px_m: depth_of_m(1.0),
+            overlap_share: (1.0 - disparity_px / f64::from(self.size.width)).max(0.0),
+            target_px,
+            errors: (z_m >= self.nearest_in_both_m(conditions.target_m)).then(errors).flatten(),
+            blur_px: speed_px_per_s * conditions.exposure_s,
+            one_pixel_exposure_s: 1.0 / speed_px_per_s,
+            skew_px,
+            skew_depth_m: depth_of_m(skew_px),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+
+    const HEAD: StereoHead =
+        StereoHead { baseline_m: 0.1, focal_px: 740.0, size: ImageSize { width: 640, height: 480 } };
+
+    fn conditions() -> Conditions {
+        Conditions {
+            target_m: 0.11,
+            noise: PixelNoise::Picture { noise_grey: 3.0, gradient_grey_per_px: 8.0 },
+            calibration_px: 0.1,
+            speed_m_per_s: 0.08,
+            exposure_s: 0.004,
+            skew_s: 0.001,
+        }
+    }
+
+    /// The closed forms of docs/method.md and docs/rig.md, and a plane whose edges are off by a tenth of a pixel, by hand.
+    #[test]
+    fn figures_are_those_of_the_closed_forms() {
+        let view = HEAD.at(0.5, &conditions());
+        let close = |value: f64, expected: f64| assert!((value / expected - 1.0).abs() < 1e-3, "{value}, {expected}");
+        close(view.disparity_px, 148.0);
+        close(view.depth_per_px_m, 0.25 / 74.0);
+        close(view.target_px, 162.8);
+        let errors = view.errors.unwrap();
+        close(errors.calibration.depth_m, 0.25 / 74.0 * 0.1);
+        close(errors.noise.depth_m, 0.25 / 74.0 * (std::f64::consts::SQRT_2 * 3.0 / 8.0) / 162.8);
+        // Of the slope over half the side, z / b times it, about both axes.
+        let tilt = 0.5 / 0.1 * (0.1 / 81.4);
+        assert!((errors.calibration.normal_rad / (tilt * std::f64::consts::SQRT_2) - 1.0).abs() < 0.02);
+        close(view.skew_depth_m, 0.5 * 0.08 * 0.001 / 0.1);
+        close(view.blur_px, 740.0 * 0.08 * 0.004 / 0.5);
+        close(view.one_pixel_exposure_s, 0.004 / view.blur_px);
+        close(errors.both.depth_m, errors.noise.depth_m.hypot(errors.calibration.depth_m));
+    }
+
+    #[test]
+    fn noise_grows_with_the_cube_of_the_distance() {
+        let at = |z_m: f64| HEAD.at(z_m, &conditions()).errors.unwrap().noise;
+        assert!((at(0.8).depth_m / at(0.4).depth_m - 8.0).abs() < 1e-6);
+        assert!((at(0.8).normal_rad / at(0.4).normal_rad - 8.0).abs() < 0.1);
+    }
+
+    /// Corners of the square, projected by hand.
+    #[test]
+    fn the_nearest_distance_is_where_a_corner_leaves_a_picture() {
+        for (target_m, size) in [(0.11, HEAD.size), (0.11, ImageSize { width: 640, height: 200 })] {
+            let head = StereoHead { size, ..HEAD };
+            let nearest_m = head.nearest_in_both_m(target_m);
+            let is_in_both = |z_m: f64| {
+                let corner = |left_m: f64, sx: f64, sy: f64| {
+                    let place = Vector3::new(0.05 - left_m + sx * 0.055, sy * 0.055, z_m);
+                    let half = Vector2::new(f64::from(size.width), f64::from(size.height)) * 0.5;
+                    let at = place.xy() * 740.0 / z_m;
+                    at.x.abs() <= half.x && at.y.abs() <= half.y
+                };
+                [0.0, 0.1].iter().all(|&left| corner(left, -1.0, 1.0) && corner(left, 1.0, -1.0))
+            };
+            assert!(is_in_both(nearest_m * 1.001) && !is_in_both(nearest_m * 0.999), "{nearest_m}");
+            let has_errors = |z_m: f64| head.at(z_m, &conditions()).errors.is_some();
+            assert!(has_errors(nearest_m * 1.001) && !has_errors(nearest_m * 0.999));
+        }
+    }
+
+    #[test]
+    fn cameras_too_far_apart_share_nothing() {
+        let head = StereoHead { baseline_m: 0.5, ..HEAD };
+        let view = head.at(0.5, &conditions());
+        assert_eq!((view.overlap_share, view.errors), (0.0, None));
+        assert!((HEAD.at(0.5, &conditions()).overlap_share - (1.0 - 148.0 / 640.0)).abs() < 1e-12);
+        let view = HEAD.view_rad().map(f64::to_degrees);
+        assert!((view[0] - 46.77).abs() < 0.01 && (view[1] - 35.94).abs() < 0.01, "{view:?}");
+    }
+
+    #[test]
+    fn what_rests_is_sharp() {
+        let view = HEAD.at(0.5, &Conditions { speed_m_per_s: 0.0, ..conditions() });
+        assert_eq!((view.blur_px, view.skew_depth_m, view.one_pixel_exposure_s), (0.0, 0.0, f64::INFINITY));
+    }
+
+    /// A thin lens of 4.8 mm at f/2, traced: the image of a point at z lies at f z / (z - f) behind it.
+    #[test]
+    fn a_point_out_of_focus_is_a_disc() {
+        let (focal_m, at_m, z_m) = (4.8e-3, 0.5, 0.3);
+        let image_m = |z: f64| focal_m * z / (z - focal_m);
+        let lens = Lens { pixel_m: 3e-6, f_number: 2.0, focused_at_m: at_m };
+        let focal_px = image_m(at_m) / lens.pixel_m;
+        assert!((lens.focal_m(focal_px) - focal_m).abs() < 1e-12);
+        let disc_m = (focal_m / 2.0) * (image_m(z_m) - image_m(at_m)).abs() / image_m(z_m);
+        let disc_px = disc_m / lens.pixel_m;
+        assert!((lens.defocus_px(focal_px, z_m) - disc_px).abs() < 1e-9 * disc_px, "{disc_px}");
+        assert_eq!(lens.defocus_px(focal_px, at_m), 0.0);
+    }
+}
