@@ -2,6 +2,7 @@
 
 mod configs;
 mod dependencies;
+mod deploy;
 mod exceptions;
 mod layout;
 mod links;
@@ -16,8 +17,10 @@ use crate::workspace::{SourceFile, Workspace};
 use exceptions::Exceptions;
 
 /// Endings of the files that hold text of ours.
-const TEXT_ENDINGS: [&str; 11] =
-    [".rs", ".toml", ".md", ".json", ".yaml", ".yml", ".urdf", ".sh", ".html", ".svg", ".ci/run"];
+const TEXT_ENDINGS: [&str; 14] = [
+    ".rs", ".toml", ".md", ".json", ".yaml", ".yml", ".urdf", ".sh", ".html", ".svg", ".ci/run", ".rules", ".service",
+    ".conf",
+];
 
 /// Checks the rules of shape that rustfmt and clippy do not know.
 ///
@@ -25,7 +28,7 @@ const TEXT_ENDINGS: [&str; 11] =
 ///   only shrink), no `todo!`, `unimplemented!`, `dbg!`, no ignored tests, no tests that expect a panic by attribute.
 /// * Text: no absolute paths of one machine, no paths out of the repository, `TODO(name, issue)` or none.
 /// * Markdown: one sentence per line; links and paths lead to something.
-/// * configs/: every TOML file and every robot description parses; docs/parameters.md names each parameter of
+/// * configs/: every TOML file, every robot description and every file of configs/deploy parses; docs/parameters.md names each parameter of
 ///   configs/estimator.toml with the same default.
 /// * Layout: the top level holds exactly the agreed entries; every package takes the workspace's lints, version and
 ///   dependencies, and its root file opens with a `//!` text; every third-party dependency is used, and has its reason in

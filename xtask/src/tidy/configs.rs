@@ -3,11 +3,16 @@
 use quick_xml::Reader;
 use quick_xml::events::Event;
 
+use super::deploy;
 use crate::violation::Violation;
 
 /// Checks one file below `configs/`.
 pub fn check(path: &str, text: &str) -> Vec<Violation> {
     let problem = match path.rsplit('.').next() {
+        _ if path.starts_with("configs/deploy/") => match deploy::check(path, text) {
+            Some(judged) => judged.err(),
+            None => Some("only .rules, .service and .conf belong here".to_owned()),
+        },
         Some("toml") => text.parse::<toml::Table>().err().map(|error| error.to_string()),
         Some("urdf") => robot_description(text).err(),
         Some("json") => serde_json::from_str::<serde_json::Value>(text).err().map(|error| error.to_string()),
@@ -63,6 +68,8 @@ mod tests {
             ("configs/a.urdf", "<model><link/></model>"),
             ("configs/a.urdf", "<robot/>"),
             ("configs/a.ini", "[a]"),
+            ("configs/deploy/a.ini", "[a]"),
+            ("configs/deploy/a.rules", "MODE=0660"),
         ] {
             assert_eq!(check(path, text).len(), 1, "{path}: {text}");
         }

@@ -5,6 +5,7 @@ mod arm;
 mod arm_on_bus;
 mod arm_test;
 mod behind_gateway;
+mod deploy;
 mod estimate;
 mod identify;
 mod mock_arm;
