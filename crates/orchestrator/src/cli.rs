@@ -7,6 +7,7 @@ use pb3dp_estimation::estimator::Method;
 use pb3dp_record::dataset::TILT_LIMIT_DEG;
 
 use crate::commands::arm::ArmArgs;
+use crate::commands::doctor::DoctorArgs;
 use crate::commands::identify::IdentifyArgs;
 use crate::commands::mock_arm::MockArmArgs;
 use crate::commands::rig::RigArgs;
@@ -47,6 +48,8 @@ pub enum Command {
     Gateway(GatewayArgs),
     /// Plan a stereo head: what cameras, lenses and a baseline give (docs/rig.md).
     Rig(RigArgs),
+    /// Check whether this machine can do what a rig asks of it, and say what to do where it can not (docs/rig.md).
+    Doctor(DoctorArgs),
 }
 
 /// Arguments of `pb3dp gateway`.

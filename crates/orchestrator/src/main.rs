@@ -37,6 +37,7 @@ fn main() -> ExitCode {
         Command::MockArm(args) => commands::mock_arm::run(args),
         Command::Gateway(args) => commands::gateway::run(args),
         Command::Rig(args) => commands::rig::run(args),
+        Command::Doctor(args) => commands::doctor::run(args),
     };
     match outcome {
         Ok(code) => code,

@@ -83,14 +83,25 @@ impl std::fmt::Display for FileKind {
     }
 }
 
+/// What a file is for, by the tables that it has; none if by them it is nothing.
+///
+/// # Errors
+/// An unreadable file.
+pub fn kind_of(file: &Path) -> Result<Option<FileKind>, ConfigError> {
+    let figment = Figment::from(Toml::string(&text_of(file)?));
+    Ok(FileKind::ALL.into_iter().find(|kind| figment.find_value(kind.own_table()).is_ok()))
+}
+
+fn text_of(file: &Path) -> Result<String, ConfigError> {
+    std::fs::read_to_string(file).map_err(|source| ConfigError::Unreadable { file: file.to_path_buf(), source })
+}
+
 /// Reads `file`, which should be of the kind `wanted`, into the raw struct `T`, whose fields must match the file's keys exactly.
 ///
 /// # Errors
 /// An unreadable file, bad TOML, a file of the other kind, unknown or missing keys, wrong types.
 pub fn read_toml<T: DeserializeOwned>(file: &Path, wanted: FileKind) -> Result<T, ConfigError> {
-    let text =
-        std::fs::read_to_string(file).map_err(|source| ConfigError::Unreadable { file: file.to_path_buf(), source })?;
-    let figment = Figment::from(Toml::string(&text));
+    let figment = Figment::from(Toml::string(&text_of(file)?));
     figment.extract().map_err(|errors| {
         let is_another = |kind: &FileKind| *kind != wanted && figment.find_value(kind.own_table()).is_ok();
         if let Some(found) = FileKind::ALL.into_iter().find(is_another) {

@@ -6,6 +6,7 @@ mod arm_on_bus;
 mod arm_test;
 mod behind_gateway;
 mod deploy;
+mod doctor;
 mod estimate;
 mod identify;
 mod mock_arm;

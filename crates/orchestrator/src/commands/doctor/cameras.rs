@@ -1,0 +1,134 @@
+//! Cameras, and how they hang on the computer.
+
+use super::access::{Identity, denied};
+use super::finding::Finding;
+use super::needs::{Cameras, Needs};
+use super::system::System;
+
+/// Mbit/s of USB 2: what a camera has that reports this, or less.
+const USB2_MBIT_PER_S: f64 = 480.0;
+
+/// A camera, as the kernel lists it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Found {
+    /// `/dev/video0`.
+    path: String,
+    name: String,
+    /// None if it is not at a USB bus.
+    usb: Option<UsbPlace>,
+}
+
+/// Where at the USB a device is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct UsbPlace {
+    /// The controller: `0000:00:14.0`.
+    controller: String,
+    /// The bus: `usb1`. A controller of USB 3 has two.
+    bus: String,
+    /// Its sockets from the computer on: `1-2.3`.
+    port: String,
+    /// `480`, Mbit/s.
+    speed: Option<String>,
+}
+
+/// All checks of this room.
+pub(super) fn check(system: &dyn System, needs: &Needs) -> Vec<Finding> {
+    const CHECK: &str = "cameras";
+    if needs.cameras == Cameras::NotNeeded {
+        return vec![Finding::pass(CHECK, format!("none is needed by {}", needs.source))];
+    }
+    let Some(who) = Identity::of(system) else { return Vec::new() };
+    let cameras = found(system);
+    if cameras.is_empty() {
+        let advice = "for simulation none is needed; else look at cable and hub, and whether `lsusb` and `dmesg` show the camera";
+        return vec![Finding::warning(CHECK, "there is none (/sys/class/video4linux)", advice)];
+    }
+    let mut findings: Vec<_> = cameras.iter().map(|camera| usable(system, &who, camera)).collect();
+    findings.extend(topology(&cameras));
+    findings
+}
+
+/// The nodes that give pictures: the first of each camera.
+fn found(system: &dyn System) -> Vec<Found> {
+    let folder = "/sys/class/video4linux";
+    let names = system.names(folder).into_iter().filter(|name| name.starts_with("video"));
+    let is_first = |name: &String| system.text(&format!("{folder}/{name}/index")).is_none_or(|index| index == "0");
+    let camera = |name: String| Found {
+        name: system.text(&format!("{folder}/{name}/name")).unwrap_or_else(|| "without a name".to_owned()),
+        usb: usb_place(system, &format!("{folder}/{name}/device")),
+        path: format!("/dev/{name}"),
+    };
+    names.filter(is_first).map(camera).collect()
+}
+
+/// From `/sys/devices/pci0000:00/0000:00:14.0/usb1/1-2/1-2.3/1-2.3:1.0`.
+fn usb_place(system: &dyn System, device: &str) -> Option<UsbPlace> {
+    let target = system.target(device)?;
+    let parts: Vec<&str> = target.split('/').collect();
+    let is_bus = |part: &&str| {
+        part.strip_prefix("usb").is_some_and(|rest| !rest.is_empty() && rest.bytes().all(|b| b.is_ascii_digit()))
+    };
+    let bus = parts.iter().position(is_bus)?;
+    let after = &parts[bus + 1..];
+    let depth = after.iter().take_while(|part| part.contains('-') && !part.contains(':')).count();
+    let port = after[..depth].last()?;
+    let device = format!("{}/{}", parts[..=bus].join("/"), after[..depth].join("/"));
+    Some(UsbPlace {
+        controller: bus.checked_sub(1).map(|index| parts[index].to_owned())?,
+        bus: parts[bus].to_owned(),
+        port: (*port).to_owned(),
+        speed: system.text(&format!("{device}/speed")),
+    })
+}
+
+fn usable(system: &dyn System, who: &Identity, camera: &Found) -> Finding {
+    const CHECK: &str = "cameras";
+    let Found { path, name, .. } = camera;
+    let Some(node) = system.node(path) else {
+        let advice = "udev makes it: is it running, and may this program see /dev (containers)?";
+        return Finding::warning(CHECK, format!("{path} ({name}) is listed, but has no node"), advice);
+    };
+    match denied(system, who, path, &node) {
+        Some((found, advice)) => Finding::warning(CHECK, found, advice),
+        None => Finding::pass(CHECK, format!("{path} ({name}) is there, and this user may use it")),
+    }
+}
+
+/// Two cameras that share what one of them fills.
+fn topology(cameras: &[Found]) -> Vec<Finding> {
+    const CHECK: &str = "USB topology";
+    let at_usb: Vec<(&Found, &UsbPlace)> =
+        cameras.iter().filter_map(|camera| camera.usb.as_ref().map(|usb| (camera, usb))).collect();
+    let mbit = |usb: &UsbPlace| usb.speed.as_ref().and_then(|speed| speed.parse::<f64>().ok());
+    let mut findings = Vec::new();
+    for (camera, usb) in &at_usb {
+        if mbit(usb).is_some_and(|speed| speed < USB2_MBIT_PER_S) {
+            let speed = usb.speed.as_deref().unwrap_or_default();
+            findings.push(Finding::fail(
+                CHECK,
+                format!("{} runs at {speed} Mbit/s", camera.path),
+                "another cable, a shorter one, or another socket: pictures need 480 Mbit/s at least",
+            ));
+        }
+    }
+    for (index, (camera, usb)) in at_usb.iter().enumerate() {
+        for (other, other_usb) in &at_usb[index + 1..] {
+            let pair = format!("{} (port {}) and {} (port {})", camera.path, usb.port, other.path, other_usb.port);
+            let is_slow = mbit(usb).is_none_or(|speed| speed <= USB2_MBIT_PER_S);
+            findings.push(if usb.bus != other_usb.bus {
+                Finding::pass(CHECK, format!("{pair} do not share a bus ({}, {})", usb.bus, other_usb.bus))
+            } else if is_slow {
+                Finding::warning(
+                    CHECK,
+                    format!("{pair} share {} of the controller {}, with 480 Mbit/s for both", usb.bus, usb.controller),
+                    "two streams that are not compressed do not fit, and the second camera is then refused (no space left on device): a \
+                     socket of another controller, or MJPG, or less size or rate (docs/rig.md)",
+                )
+            } else {
+                let speed = usb.speed.as_deref().unwrap_or_default();
+                Finding::pass(CHECK, format!("{pair} share {} of the controller {} at {speed} Mbit/s", usb.bus, usb.controller))
+            });
+        }
+    }
+    findings
+}

@@ -1,0 +1,31 @@
+//! Whether there is room for recordings.
+
+use super::finding::Finding;
+use super::needs::Needs;
+use super::system::System;
+
+/// Less than this many minutes of recording do not serve; less than the second number is little.
+const MINUTES_MIN: [f64; 2] = [1.0, 10.0];
+
+pub(super) fn check(system: &dyn System, needs: &Needs) -> Finding {
+    const CHECK: &str = "room for recordings";
+    let folder = needs.recordings.display();
+    let free = match system.free_bytes(&needs.recordings) {
+        Ok(free) => free as f64,
+        Err(error) => return Finding::fail(CHECK, error, "choose another folder: --recordings DIR"),
+    };
+    let minutes = free / needs.recording_bytes_per_s / 60.0;
+    let found = format!(
+        "{folder}: {:.1} GB are free, {minutes:.0} minutes of pairs that do not compress ({:.0} MB/s)",
+        free * 1e-9,
+        needs.recording_bytes_per_s * 1e-6
+    );
+    let advice = "make room, or record elsewhere: --recordings DIR, and the same folder for --record";
+    if minutes < MINUTES_MIN[0] {
+        Finding::fail(CHECK, found, advice)
+    } else if minutes < MINUTES_MIN[1] {
+        Finding::warning(CHECK, found, advice)
+    } else {
+        Finding::pass(CHECK, found)
+    }
+}

@@ -1,0 +1,78 @@
+//! `pb3dp doctor`: whether this machine can do what a rig asks of it, and what to do where it can not (docs/rig.md).
+
+mod access;
+mod cameras;
+mod disk;
+mod drivers;
+mod finding;
+mod needs;
+mod realtime;
+mod serial;
+mod system;
+#[cfg(test)]
+mod tests;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::Result;
+use clap::Args;
+
+use self::finding::{Finding, Report};
+use self::needs::Needs;
+use self::system::{Machine, System};
+use super::estimate::output::print_line;
+
+/// What the exit code and `--json` say.
+const EXIT_CODES: &str = "Exit code: 0 if everything passes, 1 if there are warnings, 2 if something fails.
+Object of --json:
+  worst     pass, warning or fail
+  findings  check, verdict (pass, warning or fail), found, advice (what to do, or null) of each";
+
+/// Arguments of `pb3dp doctor`.
+#[derive(Debug, Args)]
+#[command(after_long_help = EXIT_CODES)]
+pub struct DoctorArgs {
+    /// What this setup or gateway needs, for instance configs/hil.toml or configs/gateway.toml; without it what a rig may need.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Where recordings are to go.
+    #[arg(long, value_name = "DIR", default_value = "out")]
+    recordings: PathBuf,
+    /// One JSON object on standard output instead of text.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// If standard output is not to be written.
+pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
+    let needs = match &args.config {
+        None => Ok(Needs::general(args.recordings.clone())),
+        Some(file) => Needs::of_file(file, args.recordings.clone()),
+    };
+    let report = match needs {
+        Ok(needs) => Report::of(findings(&Machine::new(), &needs)),
+        Err(error) => {
+            let found = format!("{:#}", anyhow::Error::new(error));
+            Report::of(vec![Finding::fail("configuration", found, "correct the file; nothing else was looked at")])
+        }
+    };
+    let text = if args.json { serde_json::to_string(&report)? } else { report.text() };
+    print_line(&text)?;
+    Ok(ExitCode::from(report.worst.exit_code()))
+}
+
+/// Everything that is looked at, in the order of the output.
+fn findings(system: &dyn System, needs: &Needs) -> Vec<Finding> {
+    let mut findings = realtime::check(system, needs);
+    findings.extend(access::check(system, &needs.groups()));
+    findings.extend(serial::check(system, needs));
+    findings.extend(cameras::check(system, needs));
+    findings.extend(drivers::modules(system, needs));
+    findings.extend(drivers::arcnet(system, needs));
+    findings.push(disk::check(system, needs));
+    findings
+}

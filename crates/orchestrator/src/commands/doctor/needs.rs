@@ -1,0 +1,126 @@
+//! What a machine has to have: in general, or for one configuration.
+
+use std::path::{Path, PathBuf};
+
+use pb3dp_arm_pa10::io::arm::{BusTarget, REALTIME};
+
+use crate::config::gateway::{HostPlace, read_gateway};
+use crate::config::load::{ConfigError, FileKind, kind_of};
+use crate::config::setup::{ArmLink, GatewayWay, Pace, Setup, read_setup};
+
+/// What is needed.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Needs {
+    /// What for, as a sentence's end.
+    pub(super) source: String,
+    /// Highest priority of SCHED_FIFO that is asked for.
+    pub(super) priority: u8,
+    /// Whether it does not work without.
+    pub(super) needs_realtime: bool,
+    /// Serial ports by name; none if nothing says which, then all that are there are looked at.
+    pub(super) serial: Option<Vec<String>>,
+    /// ARCNET interfaces.
+    pub(super) arcnet: Vec<String>,
+    /// Whether cameras of this machine are needed.
+    pub(super) cameras: Cameras,
+    /// Where recordings go.
+    pub(super) recordings: PathBuf,
+    /// What a recording writes at most, bytes per second.
+    pub(super) recording_bytes_per_s: f64,
+}
+
+/// Cameras of the machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Cameras {
+    /// None: they are simulated, or it is the computer of a gateway.
+    NotNeeded,
+    /// Nothing says whether; those that are there are looked at.
+    Perhaps,
+}
+
+/// Two pictures of 640 x 480 pixels, three bytes each, 30 times per second.
+const DEFAULT_BYTES_PER_S: f64 = 2.0 * 640.0 * 480.0 * 3.0 * 30.0;
+
+impl Needs {
+    /// Of a rig that nothing is known of.
+    pub(super) fn general(recordings: PathBuf) -> Self {
+        Self {
+            source: "a rig (nothing is needed for sure without --config)".to_owned(),
+            priority: REALTIME.priority.unwrap_or(1),
+            needs_realtime: false,
+            serial: None,
+            arcnet: Vec::new(),
+            cameras: Cameras::Perhaps,
+            recordings,
+            recording_bytes_per_s: DEFAULT_BYTES_PER_S,
+        }
+    }
+
+    /// Of a configuration file: a setup, or a gateway.
+    ///
+    /// # Errors
+    /// As the configuration's own.
+    pub(super) fn of_file(file: &Path, recordings: PathBuf) -> Result<Self, ConfigError> {
+        if kind_of(file)? == Some(FileKind::Gateway) {
+            return Self::of_gateway(file, recordings);
+        }
+        let setup = read_setup(file)?;
+        Ok(Self::of_setup(file, &setup, recordings))
+    }
+
+    /// Groups of the deployment files that a user of this needs.
+    pub(super) fn groups(&self) -> Vec<&'static str> {
+        let is_wanted = |serial: &Vec<String>| !serial.is_empty();
+        let mut groups = vec!["realtime"];
+        groups.extend((self.cameras == Cameras::Perhaps).then_some("video"));
+        groups.extend(self.serial.as_ref().is_none_or(is_wanted).then_some("dialout"));
+        groups
+    }
+
+    fn of_setup(file: &Path, setup: &Setup, recordings: PathBuf) -> Self {
+        let (mut serial, mut arcnet) = (Vec::new(), Vec::new());
+        for link in [&setup.vs.link, &setup.tc.link] {
+            match link {
+                ArmLink::Gateway(_, GatewayWay::Serial(config)) => serial.push(config.path.clone()),
+                ArmLink::Bus(config) => arcnet.extend(interface(&config.target)),
+                ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated | GatewayWay::Tcp(_)) => {}
+            }
+        }
+        let size = setup.rig.left().size();
+        let pixels = f64::from(size.width) * f64::from(size.height);
+        Self {
+            source: format!("{} (pb3dp run)", file.display()),
+            needs_realtime: setup.pace == Pace::Live && !(setup.vs.link.is_toy() && setup.tc.link.is_toy()),
+            serial: Some(serial),
+            arcnet,
+            cameras: Cameras::NotNeeded,
+            recording_bytes_per_s: 2.0 * 3.0 * pixels / setup.camera.period.as_secs_f64().max(1e-3),
+            ..Self::general(recordings)
+        }
+    }
+
+    fn of_gateway(file: &Path, recordings: PathBuf) -> Result<Self, ConfigError> {
+        let gateway = read_gateway(file, None, None)?;
+        let serial = match &gateway.host {
+            HostPlace::Serial(path) => vec![path.clone()],
+            HostPlace::Tcp(_) => Vec::new(),
+        };
+        let general = Self::general(recordings);
+        Ok(Self {
+            source: format!("{} (pb3dp gateway)", file.display()),
+            priority: gateway.realtime.priority.unwrap_or(general.priority),
+            needs_realtime: true,
+            serial: Some(serial),
+            arcnet: interface(&gateway.bus).into_iter().collect(),
+            cameras: Cameras::NotNeeded,
+            ..general
+        })
+    }
+}
+
+fn interface(target: &BusTarget) -> Option<String> {
+    match target {
+        BusTarget::Arcnet(name) => Some(name.clone()),
+        BusTarget::Socket(_) => None,
+    }
+}

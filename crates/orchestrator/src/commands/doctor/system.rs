@@ -1,0 +1,132 @@
+//! What a machine is asked by the checks: files below a root folder, and what has to be tried.
+
+use std::fs;
+use std::os::unix::fs::{FileTypeExt, MetadataExt};
+use std::path::{Path, PathBuf};
+
+use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
+use rustix::fs::statvfs;
+
+/// Rights and owner of a file, and whether it is a device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Node {
+    /// The nine lowest bits: rwx of owner, group, others.
+    pub(super) mode: u32,
+    pub(super) uid: u32,
+    pub(super) gid: u32,
+    pub(super) is_device: bool,
+}
+
+/// A machine. Paths are absolute, as the machine has them.
+pub(super) trait System {
+    /// The text of a file without white space at its ends; none if it is not to be read.
+    fn text(&self, path: &str) -> Option<String>;
+    /// Names in a folder, sorted; none of a folder that is not there.
+    fn names(&self, folder: &str) -> Vec<String>;
+    /// Where a path leads once all links are followed; none if nothing is there.
+    fn target(&self, path: &str) -> Option<String>;
+    /// What stands at a path, links followed.
+    fn node(&self, path: &str) -> Option<Node>;
+    /// Runs a thread with SCHED_FIFO for a moment; what the system says against it, and what to do.
+    fn try_fifo(&self, priority: u8) -> Result<(), String>;
+    /// Keeps the memory of this program for a moment.
+    fn try_memory_lock(&self) -> Result<(), String>;
+    /// Bytes that this user may still write below a path, or below its nearest folder that is there.
+    fn free_bytes(&self, path: &Path) -> Result<u64, String>;
+}
+
+/// Files below a root folder.
+#[derive(Clone, Debug)]
+pub(super) struct Tree {
+    root: PathBuf,
+}
+
+impl Tree {
+    /// Of a folder that stands for `/`.
+    pub(super) fn new(root: &Path) -> Self {
+        Self { root: root.canonicalize().unwrap_or_else(|_| root.to_path_buf()) }
+    }
+
+    fn place(&self, path: &str) -> PathBuf {
+        self.root.join(path.trim_start_matches('/'))
+    }
+
+    pub(super) fn text(&self, path: &str) -> Option<String> {
+        fs::read_to_string(self.place(path)).ok().map(|text| text.trim().to_owned())
+    }
+
+    pub(super) fn names(&self, folder: &str) -> Vec<String> {
+        let entries = fs::read_dir(self.place(folder)).into_iter().flatten().flatten();
+        let mut names: Vec<_> = entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
+        names.sort();
+        names
+    }
+
+    pub(super) fn target(&self, path: &str) -> Option<String> {
+        let target = self.place(path).canonicalize().ok()?;
+        Some(format!("/{}", target.strip_prefix(&self.root).ok()?.display()))
+    }
+
+    fn node(&self, path: &str) -> Option<Node> {
+        let data = fs::metadata(self.place(path)).ok()?;
+        Some(Node {
+            mode: data.mode() & 0o777,
+            uid: data.uid(),
+            gid: data.gid(),
+            is_device: data.file_type().is_char_device(),
+        })
+    }
+}
+
+/// The machine that this program runs on.
+#[derive(Clone, Debug)]
+pub(super) struct Machine {
+    tree: Tree,
+}
+
+impl Machine {
+    pub(super) fn new() -> Self {
+        Self { tree: Tree::new(Path::new("/")) }
+    }
+}
+
+impl System for Machine {
+    fn text(&self, path: &str) -> Option<String> {
+        self.tree.text(path)
+    }
+
+    fn names(&self, folder: &str) -> Vec<String> {
+        self.tree.names(folder)
+    }
+
+    fn target(&self, path: &str) -> Option<String> {
+        self.tree.target(path)
+    }
+
+    fn node(&self, path: &str) -> Option<Node> {
+        self.tree.node(path)
+    }
+
+    fn try_fifo(&self, priority: u8) -> Result<(), String> {
+        tried(Realtime { priority: Some(priority), locks_memory: false, cpu: None })
+    }
+
+    fn try_memory_lock(&self) -> Result<(), String> {
+        tried(Realtime { priority: None, locks_memory: true, cpu: None })
+    }
+
+    fn free_bytes(&self, path: &Path) -> Result<u64, String> {
+        let whole = std::path::absolute(path).map_err(|error| error.to_string())?;
+        let there = whole.ancestors().find(|folder| folder.exists()).unwrap_or(Path::new("/"));
+        let found = statvfs(there).map_err(|error| format!("{}: {error}", there.display()))?;
+        Ok(found.f_bavail.saturating_mul(found.f_frsize))
+    }
+}
+
+/// Asks for it as the threads of an arm do, in a thread that ends at once.
+fn tried(wanted: Realtime) -> Result<(), String> {
+    let thread = std::thread::Builder::new().name("doctor".to_owned()).spawn(move || enter(&wanted));
+    let thread = thread.map_err(|error| error.to_string())?;
+    let shortfalls = thread.join().map_err(|_| "the thread that asked for it has panicked".to_owned())?;
+    shortfalls.first().map_or(Ok(()), |shortfall| Err(shortfall.to_string()))
+}
