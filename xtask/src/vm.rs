@@ -33,8 +33,11 @@ const TRIES: u32 = 3;
 /// serial  the serial ports of an arm: USB adapters (ftdi_sio) and a 16550; how they are found, their rates, who may open them,
 ///         a cable that is pulled while an arm moves, the calls that a cycle of 2 ms needs
 /// arcnet  the bus of an arm: the kernel's ARCNET driver (arc_rimi, arc_rawmode) on a card of plain memory
+/// cameras two cameras (vivid) as one: what is found, modes and controls, 300 pairs at full rate
+///         (where the machine is quick enough, which is told), skew, damaged and lost pictures,
+///         a camera that is pulled, who may open them
 ///
-/// Takes half a minute for both once the program is built. The kernel is the distribution's own (Debian, package linux-image-amd64,
+/// Takes about a minute for all where little else runs, once the programs are built. The kernel is the distribution's own (Debian, package linux-image-amd64,
 /// 6.1 or later), fetched by `apt-get download` and kept in the target folder; QEMU (qemu-system-x86) is installed by apt-get where
 /// that is permitted, and asked for where not. The tests are root in a computer of their own; nothing of this one is touched.
 #[derive(clap::Args)]

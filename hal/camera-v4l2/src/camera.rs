@@ -142,7 +142,7 @@ impl V4l2StereoCamera {
             ));
         }
         let period = Duration::from_secs_f64(period);
-        if config.skew_max >= period / 2 {
+        if config.skew_max >= period {
             let what = format!(
                 "a skew of {:?} can not be told from the next picture, which comes after {period:?}",
                 config.skew_max

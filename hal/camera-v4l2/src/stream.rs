@@ -14,8 +14,9 @@ use crate::video::{Filled, Handle, VideoNode};
 /// A driver that fills buffers faster than they can be taken must not keep us.
 const BUFFERS_AT_ONCE_MAX: u32 = 64;
 
-/// How far a stamp may lie in the future: two clocks are read one after the other.
-const FUTURE_NANOS_MAX: i64 = 1_000_000;
+/// How far a stamp may lie in the future: two clocks are read one after the other, and some drivers (`vivid`) stamp by when a picture
+/// should have come, which is up to a tick of the kernel (4 ms at 250 Hz) before or after.
+const FUTURE_NANOS_MAX: i64 = 4_000_000;
 
 /// Pictures of one camera since it was opened: what came, and what was left out for which reason.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

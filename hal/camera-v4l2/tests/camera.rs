@@ -221,7 +221,7 @@ fn pairs_too_far_apart_are_refused_with_what_they_cost() {
     assert_eq!(camera.next_pair(SECOND).unwrap().skew_nanos, 12_000_000);
     drop(camera);
     // A limit that reaches to the next picture says nothing.
-    let (kind, message) = refused(rig.open(&StereoConfig { skew_max: millis(17), ..config() }));
+    let (kind, message) = refused(rig.open(&StereoConfig { skew_max: millis(34), ..config() }));
     assert_eq!(kind, CameraErrorKind::Unusable);
     assert!(message.contains("can not be told from the next picture"), "{message}");
 }

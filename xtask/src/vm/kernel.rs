@@ -16,7 +16,21 @@ const METAPACKAGE: &str = "linux-image-amd64";
 const OLDEST: [u32; 2] = [6, 1];
 
 /// Parts of the kernel that are kept; all modules would be 400 MB.
-const MODULE_FOLDERS: [&str; 4] = ["drivers/usb", "drivers/net/arcnet", "fs/configfs", "drivers/tty"];
+const MODULE_FOLDERS: [&str; 10] = [
+    "drivers/usb",
+    "drivers/net/arcnet",
+    "fs/configfs",
+    "drivers/tty",
+    "drivers/media/cec",
+    "drivers/media/common",
+    "drivers/media/mc",
+    "drivers/media/rc",
+    "drivers/media/test-drivers",
+    "drivers/media/v4l2-core",
+];
+
+/// The list of parts of a kernel that was kept.
+const PARTS: &str = "parts";
 
 /// A server that does not answer fails the tests instead of holding them up.
 const IMPATIENT: [&str; 6] =
@@ -71,7 +85,7 @@ impl Kernel {
     }
 }
 
-/// The newest kernel that was kept.
+/// The newest kernel that was kept. One with other parts than are wanted now is none.
 fn kept(cache: &Path) -> anyhow::Result<Option<Kernel>> {
     if !cache.is_dir() {
         return Ok(None);
@@ -80,7 +94,8 @@ fn kept(cache: &Path) -> anyhow::Result<Option<Kernel>> {
     for entry in fs::read_dir(cache)? {
         let path = entry?.path();
         let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-        if let Some(numbers) = name.strip_prefix("kernel_").map(numbers) {
+        let has_all = fs::read_to_string(path.join(PARTS)).is_ok_and(|parts| parts == MODULE_FOLDERS.join("\n"));
+        if let Some(numbers) = name.strip_prefix("kernel_").filter(|_| has_all).map(numbers) {
             folders.push((numbers, path));
         }
     }
@@ -163,6 +178,7 @@ fn unpack(file: &Path, folder: &Path) -> anyhow::Result<()> {
     let boot = fs::read_dir(raw.join("boot")).context("the package has no kernel")?;
     let names = boot.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
     let name = names.filter(|name| name.starts_with("vmlinuz-")).max().context("the package has no kernel")?;
+    fs::write(folder.join(PARTS), MODULE_FOLDERS.join("\n"))?;
     fs::write(folder.join("release"), name.trim_start_matches("vmlinuz-"))?;
     keep_image(&raw.join("boot").join(name), folder)?;
     fs::rename(raw, folder.join("modules")).context("the modules can not be put in their place")

@@ -29,8 +29,8 @@ pub struct Device {
     pub what: &'static str,
 }
 
-/// All of them. One of cameras will have the module vivid, and its program in the crate of that backend.
-pub const SUITES: [Suite; 2] = [
+/// All of them.
+pub const SUITES: [Suite; 3] = [
     Suite {
         name: "serial",
         what: "serial ports of an arm: USB adapters, a 16550, a cable that is pulled",
@@ -68,6 +68,19 @@ pub const SUITES: [Suite; 2] = [
         kernel_arguments: "memmap=1M$0x10000000 iomem=relaxed",
         // A port whose interrupt is the card's.
         fixed: &["-chardev", "null,id=nowhere", "-device", "isa-serial,chardev=nowhere,index=1"],
+        pluggable: &[],
+    },
+    Suite {
+        name: "cameras",
+        what: "two cameras by V4L2: modes, controls, pairs, what is damaged, a camera that is pulled",
+        package: "pb3dp-camera-v4l2",
+        example: "guest",
+        modules: &[],
+        // The program says how many cameras there are.
+        modules_by_hand: &["vivid"],
+        // A kernel that tries its timer on a busy machine takes it for broken.
+        kernel_arguments: "no_timer_check",
+        fixed: &[],
         pluggable: &[],
     },
 ];

@@ -9,6 +9,10 @@
 mod arcnet;
 mod card;
 mod cell;
+mod clock {
+    //! The time, for `system.rs`.
+    pub use pb3dp_arm_pa10::io::realtime::{now, sleep_until};
+}
 mod modem;
 mod pulled;
 mod realtime;

@@ -1,4 +1,6 @@
 //! The emulated computer: its file systems, modules, users, and what its kernel says.
+//!
+//! Part of every program for that computer, as `report.rs` is; each has a `clock` of its own.
 
 use std::error::Error;
 use std::ffi::CString;
@@ -9,12 +11,12 @@ use std::os::unix::process::CommandExt;
 use std::process::Command;
 use std::time::Duration;
 
-use pb3dp_arm_pa10::io::realtime::{now, sleep_until};
 use pb3dp_geometry::MonotonicTime;
 use rustix::mount::{MountFlags, mount};
 use rustix::process::{Resource, Rlimit, setrlimit};
 use rustix::system::{RebootCommand, finit_module, reboot, uname};
 
+use crate::clock::{now, sleep_until};
 use crate::report::Outcome;
 
 /// User and group without any rights.
