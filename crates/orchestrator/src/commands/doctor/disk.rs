@@ -9,14 +9,17 @@ const MINUTES_MIN: [f64; 2] = [1.0, 10.0];
 
 pub(super) fn check(system: &dyn System, needs: &Needs) -> Finding {
     const CHECK: &str = "room for recordings";
-    let folder = needs.recordings.display();
-    let free = match system.free_bytes(&needs.recordings) {
+    let Some(folder) = &needs.recordings else {
+        return Finding::pass(CHECK, format!("none is needed by {}", needs.source));
+    };
+    let free = match system.free_bytes(folder) {
         Ok(free) => free as f64,
         Err(error) => return Finding::fail(CHECK, error, "choose another folder: --recordings DIR"),
     };
     let minutes = free / needs.recording_bytes_per_s / 60.0;
     let found = format!(
-        "{folder}: {:.1} GB are free, {minutes:.0} minutes of pairs that do not compress ({:.0} MB/s)",
+        "{}: {:.1} GB are free, {minutes:.0} minutes of pairs that do not compress ({:.0} MB/s)",
+        folder.display(),
         free * 1e-9,
         needs.recording_bytes_per_s * 1e-6
     );

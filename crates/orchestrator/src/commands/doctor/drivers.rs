@@ -100,7 +100,7 @@ fn interface(system: &dyn System, name: &str, kind: Option<&str>, there: &[Strin
             CHECK,
             format!("there is no network interface {name}"),
             if there.is_empty() {
-                "load the driver of the card: modprobe com20020_pci arc_rawmode, and at each start by configs/deploy/pb3dp-modules.conf"
+                "load the driver of the card: modprobe -a com20020_pci arc_rawmode, and at each start by configs/deploy/pb3dp-modules.conf"
                     .to_owned()
             } else {
                 format!("correct the name; there are: {}", there.join(", "))

@@ -23,8 +23,8 @@ pub(super) struct Needs {
     pub(super) arcnet: Vec<String>,
     /// Whether cameras of this machine are needed.
     pub(super) cameras: Cameras,
-    /// Where recordings go.
-    pub(super) recordings: PathBuf,
+    /// Where recordings go; none if none are made.
+    pub(super) recordings: Option<PathBuf>,
     /// What a recording writes at most, bytes per second.
     pub(super) recording_bytes_per_s: f64,
 }
@@ -51,7 +51,7 @@ impl Needs {
             serial: None,
             arcnet: Vec::new(),
             cameras: Cameras::Perhaps,
-            recordings,
+            recordings: Some(recordings),
             recording_bytes_per_s: DEFAULT_BYTES_PER_S,
         }
     }
@@ -113,6 +113,7 @@ impl Needs {
             serial: Some(serial),
             arcnet: interface(&gateway.bus).into_iter().collect(),
             cameras: Cameras::NotNeeded,
+            recordings: None,
             ..general
         })
     }

@@ -321,7 +321,7 @@ fn an_arcnet_interface_that_does_not_serve_is_found() {
     fake.card("arc0", "7", "0x1042");
     only(&fake, &rig(), check, Verdict::Fail, "arc0 is down", "ip link set arc0 up");
     fake.remove("/sys/class/net/arc0");
-    only(&fake, &rig(), check, Verdict::Fail, "no network interface arc0", "modprobe com20020_pci");
+    only(&fake, &rig(), check, Verdict::Fail, "no network interface arc0", "modprobe -a com20020_pci");
     assert_eq!(bad(&fake, &Needs { arcnet: Vec::new(), ..rig() }), []);
     let fake = Fake::good();
     fake.user(1000, "20 44 990", "0000000000000000");
@@ -357,7 +357,9 @@ fn needs_come_from_the_configuration() {
     let of = |name: &str| Needs::of_file(&root.join(name), PathBuf::from("out")).unwrap();
     let gateway = of("gateway.toml");
     assert_eq!((gateway.priority, gateway.needs_realtime, &gateway.arcnet[..]), (80, true, &["arc0".to_owned()][..]));
-    assert_eq!((gateway.serial, gateway.cameras), (Some(Vec::new()), Cameras::NotNeeded));
+    assert_eq!((&gateway.serial, gateway.cameras), (&Some(Vec::new()), Cameras::NotNeeded));
+    let full = Fake { free: Ok(0), ..Fake::good() };
+    assert_eq!(bad(&full, &gateway), [], "a gateway records nothing");
     let emulated = of("hil.toml");
     assert_eq!((emulated.needs_realtime, emulated.serial, emulated.arcnet.len()), (false, Some(Vec::new()), 0));
     assert!((emulated.recording_bytes_per_s / 55.3e6 - 1.0).abs() < 0.01);
