@@ -1,9 +1,28 @@
 //! Logs: human text or JSON, on standard error, so that standard output carries results alone.
+//!
+//! A thread of its own writes them. Who has something to say may be the thread that moves an arm, takes a picture, or hears a signal:
+//! none of them waits for a reader that does not read.
 
-use std::io::IsTerminal;
+use std::io::{self, IsTerminal, Write};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, OnceLock};
+use std::time::{Duration, Instant};
 
+use anyhow::Context;
 use clap::ValueEnum;
+use pb3dp_arm_pa10::io::signals::shielded;
 use tracing_subscriber::EnvFilter;
+use tracing_subscriber::fmt::MakeWriter;
+
+/// Lines that wait to be written; of more, the first ones count.
+const WAITING_MAX: usize = 16_384;
+
+/// How long the end of the program waits for what is not yet written.
+const LAST_WORDS_MAX: Duration = Duration::from_millis(500);
+
+/// How often it looks.
+const LOOK: Duration = Duration::from_millis(1);
 
 /// How log lines look.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -14,18 +33,38 @@ pub enum LogFormat {
     Json,
 }
 
+/// The log of the program. Dropping it, at the end, is [`last_words`].
+#[derive(Debug)]
+pub struct Log(());
+
+/// What was handed over to the thread that writes.
+#[derive(Debug, Default)]
+struct Counts {
+    waiting: AtomicU64,
+    lost: AtomicU64,
+}
+
+/// Where lines go that nobody waits for.
+#[derive(Clone, Debug)]
+struct Lines {
+    give: SyncSender<Vec<u8>>,
+    counts: Arc<Counts>,
+}
+
+static COUNTS: OnceLock<Arc<Counts>> = OnceLock::new();
+
 /// Installs the program's log writer.
 ///
 /// # Errors
-/// If `filter` is not a level (`info`) or directive (`pb3dp_servo=debug,info`).
-pub fn init(format: LogFormat, filter: &str) -> anyhow::Result<()> {
+/// If `filter` is not a level (`info`) or directive (`pb3dp_servo=debug,info`), or the system gives no thread.
+pub fn init(format: LogFormat, filter: &str) -> anyhow::Result<Log> {
     let filter = EnvFilter::builder().parse(filter).map_err(|error| {
         anyhow::anyhow!("--log {filter:?} is not understood ({error}); write error, warn, info, debug or trace")
     })?;
     let builder = tracing_subscriber::fmt()
         .with_env_filter(filter)
-        .with_ansi(std::io::stderr().is_terminal())
-        .with_writer(std::io::stderr)
+        .with_ansi(io::stderr().is_terminal())
+        .with_writer(Lines::begin()?)
         // A reader that is gone is no reason to panic.
         .log_internal_errors(false)
         .with_target(false);
@@ -33,5 +72,71 @@ pub fn init(format: LogFormat, filter: &str) -> anyhow::Result<()> {
         LogFormat::Human => builder.compact().without_time().try_init(),
         LogFormat::Json => builder.json().try_init(),
     };
-    installed.map_err(|error| anyhow::anyhow!("the log writer can not be installed: {error}"))
+    installed.map_err(|error| anyhow::anyhow!("the log writer can not be installed: {error}"))?;
+    Ok(Log(()))
+}
+
+/// Before the program ends: waits a little for what is not yet written.
+pub fn last_words() {
+    let Some(counts) = COUNTS.get() else { return };
+    let begin = Instant::now();
+    while counts.waiting.load(Ordering::SeqCst) > 0 && begin.elapsed() < LAST_WORDS_MAX {
+        std::thread::sleep(LOOK);
+    }
+}
+
+impl Drop for Log {
+    fn drop(&mut self) {
+        last_words();
+    }
+}
+
+impl Lines {
+    fn begin() -> anyhow::Result<Self> {
+        let counts = Arc::clone(COUNTS.get_or_init(Arc::default));
+        let (give, take) = sync_channel(WAITING_MAX);
+        let written = Arc::clone(&counts);
+        let work = move || write_all(&take, &written);
+        // A signal that ends the program is for those who stop an arm first.
+        let started = shielded(|| std::thread::Builder::new().name("log".into()).spawn(work));
+        started.and_then(|thread| thread).context("no thread to write the log")?;
+        Ok(Self { give, counts })
+    }
+}
+
+fn write_all(lines: &Receiver<Vec<u8>>, counts: &Counts) {
+    for line in lines {
+        // A reader that is gone misses it.
+        let _ = io::stderr().write_all(&line);
+        // Told when there is room again.
+        if counts.waiting.fetch_sub(1, Ordering::SeqCst) == 1 {
+            let lost = counts.lost.swap(0, Ordering::SeqCst);
+            if lost > 0 {
+                tracing::warn!("{lost} lines are missing in this log: nobody read it for too long");
+            }
+        }
+    }
+}
+
+impl Write for Lines {
+    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
+        self.counts.waiting.fetch_add(1, Ordering::SeqCst);
+        if self.give.try_send(line.to_vec()).is_err() {
+            self.counts.waiting.fetch_sub(1, Ordering::SeqCst);
+            self.counts.lost.fetch_add(1, Ordering::SeqCst);
+        }
+        Ok(line.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl MakeWriter<'_> for Lines {
+    type Writer = Self;
+
+    fn make_writer(&self) -> Self {
+        self.clone()
+    }
 }

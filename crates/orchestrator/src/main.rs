@@ -15,19 +15,16 @@ const _: () = assert!(
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
-    if let Err(error) = logging::init(cli.log_format, &cli.log) {
-        // There is no log yet that could carry this.
-        let _ = writeln!(std::io::stderr(), "error: {error:#}");
-        return ExitCode::FAILURE;
-    }
     // Lives until the end, also that of a panic.
-    let _panics = match panics::install() {
+    let _log = match logging::init(cli.log_format, &cli.log) {
         Ok(log) => log,
         Err(error) => {
-            tracing::error!("{error:#}");
+            // There is no log yet that could carry this.
+            let _ = writeln!(std::io::stderr(), "error: {error:#}");
             return ExitCode::FAILURE;
         }
     };
+    panics::install();
     let outcome = match &cli.command {
         Command::Run(args) => commands::run::run(args),
         Command::Estimate(args) => commands::estimate::run(args),

@@ -1,4 +1,5 @@
-//! A thread that panics while standard error is a full pipe: it goes on to what it has to do, and its text is written later.
+//! A thread that panics, and says more than a log holds, while standard error is a full pipe: it goes on to what it has to do, and
+//! its text is written later.
 //!
 //! This program starts itself: once as the one that panics, with the word `panics`, and looks on as the other one.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
@@ -10,6 +11,9 @@ use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
 
 use pb3dp_orchestrator::{logging, panics};
+
+/// More than wait to be written.
+const LINES: usize = 20_000;
 
 /// Far more than anything here takes.
 const LONG: Duration = Duration::from_secs(30);
@@ -24,11 +28,12 @@ fn main() {
 
 /// As the thread of an arm does: what follows the panic is its stop order.
 fn panic_and_go_on() {
-    logging::init(logging::LogFormat::Human, "info").unwrap();
-    let _panics = panics::install().unwrap();
+    let _log = logging::init(logging::LogFormat::Human, "info").unwrap();
+    panics::install();
     let thread = std::thread::Builder::new().name("arm 7".into()).spawn(|| {
         assert!(catch_unwind(|| panic!("no such joint")).is_err());
-        panics::error_later("the brakes do not answer".to_owned());
+        tracing::error!("the brakes do not answer");
+        (0..LINES).for_each(|line| tracing::info!("line {line}"));
         let mut output = std::io::stdout();
         writeln!(output, "stopped").unwrap();
     });
@@ -86,8 +91,9 @@ fn its_text_is_written_later() {
     let mut scene = Scene::begin();
     let begin = Instant::now();
     let (mut text, mut piece) = (String::new(), [0; 4096]);
-    while !["arm 7", "no such joint", "the brakes do not answer"].iter().all(|part| text.contains(part)) {
-        assert!(begin.elapsed() < LONG, "{text}");
+    let parts = ["arm 7", "no such joint", "the brakes do not answer", "lines are missing in this log"];
+    while !parts.iter().all(|part| text.contains(part)) {
+        assert!(begin.elapsed() < LONG, "{}", &text[..text.len().min(2000)]);
         let count = scene.unread.read(&mut piece).unwrap();
         text.push_str(&String::from_utf8_lossy(&piece[..count]).replace('x', ""));
     }

@@ -9,6 +9,7 @@ use anyhow::{Context, Result};
 use pb3dp_arm_pa10::io::signals::StopSignals;
 use rustix::event::{PollFd, PollFlags, poll};
 
+use crate::logging;
 use crate::wiring::arm::ArmOnBus;
 
 /// The exit code of a run that a signal has ended.
@@ -37,7 +38,6 @@ pub fn watch(mut signals: StopSignals, interrupt: &Arc<AtomicBool>, on_bus: Vec<
             // A wait that fails is a short one.
             let _ = poll(&mut [PollFd::from_borrowed_fd(signals.as_fd(), PollFlags::IN)], None);
             let Ok(Some(signal)) = signals.try_take() else { continue };
-            // A log that nobody reads must not hold the stop up.
             interrupt.store(true, Ordering::SeqCst);
             if !told.swap(true, Ordering::SeqCst) {
                 tracing::info!("{signal}: both arms stop, then the report");
@@ -56,6 +56,7 @@ pub fn watch(mut signals: StopSignals, interrupt: &Arc<AtomicBool>, on_bus: Vec<
                 );
                 wait_until_stopped(&on_bus, stop_max, trip_max);
             }
+            logging::last_words();
             std::process::exit(i32::from(INTERRUPTED));
         }
     };

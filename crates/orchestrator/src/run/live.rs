@@ -20,7 +20,6 @@ use super::cycles::{Beat, Punctuality};
 use super::halves::{Capture, Course, Enabled, Estimate, Mover, Parted, Record, first_failure};
 use super::handover::{Giver, Newest, Taker, latest};
 use super::percept::Percept;
-use crate::panics::warn_later;
 
 /// Steps that nobody has taken yet: two seconds at 500 Hz.
 const STEPS_MAX: usize = 1000;
@@ -94,7 +93,7 @@ fn join<T>(name: &str, thread: Result<ScopedJoinHandle<'_, T>>) -> Result<T> {
 /// This thread moves arms from now on; what is not to be had is told, and it goes on without.
 pub fn enter_control_thread() {
     for shortfall in enter(&CONTROL_THREAD) {
-        warn_later(format!("control loop: {shortfall}"));
+        tracing::warn!("control loop: {shortfall}");
     }
 }
 

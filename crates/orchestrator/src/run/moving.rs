@@ -18,7 +18,6 @@ use super::operator::{ByCommand, Operator};
 use super::percept::Percept;
 use super::permitting::Permitting;
 use crate::config::setup::{Carrier, Setup};
-use crate::panics::error_later;
 use crate::wiring::DrivenArm;
 
 /// An arm that carries the target and is farther from its way after a stop was led elsewhere meanwhile, metres and radians.
@@ -246,7 +245,7 @@ impl<'a> Moving<'a> {
         let stopped = self.arms.stop();
         self.stop_again_at = None;
         if let (Err(_), Err(trouble)) = (&why, &stopped) {
-            error_later(format!("{trouble:#}"));
+            tracing::error!("{trouble:#}");
         }
         self.why_stopped = why.and(stopped).err().map(|trouble| format!("{trouble:#}"));
         if self.why_stopped.is_some() {
@@ -269,7 +268,7 @@ impl<'a> Moving<'a> {
         self.stop_again_at = None;
         match self.arms.stop_still_on() {
             Ok(()) => self.operator.tell(self.why_stopped.clone()),
-            Err(trouble) => error_later(format!("{trouble:#}")),
+            Err(trouble) => tracing::error!("{trouble:#}"),
         }
     }
 
