@@ -169,7 +169,7 @@ impl Supervisor {
             search,
             found,
             no_arm_may_move: self.state.is_latched() || self.holds_every_arm(now),
-            is_ready: self.is_clear(now) && !rearm && (self.state == State::Selecting || self.state.is_resting()),
+            is_ready: self.is_clear() && !rearm && (self.state == State::Selecting || self.state.is_resting()),
             transition: transition.and_then(|_| self.log.newest()),
             refused,
         }
@@ -226,7 +226,7 @@ impl Supervisor {
             said(Word::Start),
             said(Word::Resume),
             said(Word::Reset),
-            self.by_itself(inputs, now).map(|event| (event, None)),
+            self.by_itself(inputs).map(|event| (event, None)),
         ];
         for (event, cause) in candidates.into_iter().flatten() {
             if let Outcome::To(to, order) = outcome(self.state, event) {
@@ -237,21 +237,20 @@ impl Supervisor {
         None
     }
 
-    /// For how long nothing has spoken against motion, seconds.
-    fn clear_for_s(&self, now: MonotonicTime) -> f64 {
-        self.clear_since.map_or(0.0, |since| now.seconds_since(since))
+    /// For how long nothing has spoken against motion, seconds, up to the newest confident estimate: while none comes nothing is known.
+    fn clear_for_s(&self) -> f64 {
+        let (Some(since), Some(until)) = (self.clear_since, self.findings.confirmed_at) else { return 0.0 };
+        until.seconds_since(since).max(0.0)
     }
 
     /// Whether that is long enough for a word to lead on: a cause that comes and goes from picture to picture is not gone between two.
-    fn is_clear(&self, now: MonotonicTime) -> bool {
-        self.clear_since.is_some()
-            && (self.clear_for_s(now) >= self.config.go_after_s || is_off(Safeguard::ClearForWords))
+    fn is_clear(&self) -> bool {
+        self.clear_since.is_some() && (self.clear_for_s() >= self.config.go_after_s || is_off(Safeguard::ClearForWords))
     }
 
     /// What happens without anybody's word.
-    fn by_itself(&self, inputs: &Inputs, now: MonotonicTime) -> Option<Event> {
-        let may_resume =
-            !self.held_by_operator && !self.needs_word && self.clear_for_s(now) >= self.config.resume_after_s;
+    fn by_itself(&self, inputs: &Inputs) -> Option<Event> {
+        let may_resume = !self.held_by_operator && !self.needs_word && self.clear_for_s() >= self.config.resume_after_s;
         match (self.state, inputs.controller) {
             (State::Approaching, Mode::Tracking) => Some(Event::Reached),
             (State::Tracking, Mode::Approaching) => Some(Event::Left),
@@ -320,7 +319,7 @@ impl Supervisor {
         let latched = [Condition::EmergencyStop, Condition::ArmFault].map(|condition| self.findings.cause(condition));
         match (said.word, self.state) {
             (Word::Start, State::Selecting) | (Word::Resume, State::Holding | State::Lost) => {
-                blocking.map(RefusedFor::Cause).or_else(|| self.not_clear(now))
+                blocking.map(RefusedFor::Cause).or_else(|| self.not_clear())
             }
             (Word::Reset, State::Stopped | State::Fault) => latched.into_iter().flatten().next().map(RefusedFor::Cause),
             _ => None,
@@ -328,9 +327,9 @@ impl Supervisor {
     }
 
     /// Nothing speaks against motion any more, but not for long enough.
-    fn not_clear(&self, now: MonotonicTime) -> Option<RefusedFor> {
-        let (clear_s, wanted_s) = (self.clear_for_s(now), self.config.go_after_s);
-        (!self.is_clear(now)).then_some(RefusedFor::NotClear { cause: self.spoke, clear_s, wanted_s })
+    fn not_clear(&self) -> Option<RefusedFor> {
+        let (clear_s, wanted_s) = (self.clear_for_s(), self.config.go_after_s);
+        (!self.is_clear()).then_some(RefusedFor::NotClear { cause: self.spoke, clear_s, wanted_s })
     }
 
     /// Why a word may not be obeyed because of when it was said.
@@ -423,7 +422,7 @@ impl Supervisor {
         let wants_word = state == State::Selecting || self.held_by_operator || self.needs_word;
         match (state, blocking) {
             (State::Idle, _) => Why::Idle,
-            (State::Selecting | State::Holding | State::Lost, None) if wants_word && !self.is_clear(now) => {
+            (State::Selecting | State::Holding | State::Lost, None) if wants_word && !self.is_clear() => {
                 Why::Settling { state, cause: self.spoke, for_s: self.config.go_after_s }
             }
             (State::Selecting, None) => Why::Ready,

@@ -61,6 +61,8 @@ pub(super) struct Findings {
     posed: Option<EstimateInput>,
     /// Exposure of the newest estimate that counts as confident.
     confident_at: Option<MonotonicTime>,
+    /// When that estimate came.
+    pub(super) confirmed_at: Option<MonotonicTime>,
     /// Pictures from before are not of the target that was selected.
     not_before: MonotonicTime,
     innovation: Innovation,
@@ -82,6 +84,7 @@ impl Findings {
             estimate: None,
             posed: None,
             confident_at: None,
+            confirmed_at: None,
             not_before: MonotonicTime::ZERO,
             innovation: Innovation::NoneNew,
             started_target: None,
@@ -115,6 +118,7 @@ impl Findings {
         self.followed_target = None;
         self.followed_since = None;
         self.confident_at = None;
+        self.confirmed_at = None;
         self.innovation = Innovation::NoneNew;
     }
 
@@ -198,6 +202,7 @@ impl Findings {
         }
         if estimate.confidence == Confidence::Sure {
             self.confident_at = Some(estimate.at);
+            self.confirmed_at = Some(now);
         }
     }
 

@@ -100,7 +100,8 @@ pub struct Policies([Policy; Condition::COUNT]);
 pub struct SupervisorConfig {
     /// What follows on what.
     pub policies: Policies,
-    /// The arm goes on by itself only when nothing has spoken against it for this time, seconds, 0.05 to 60.
+    /// The arm goes on by itself only when nothing has spoken against it for this time, seconds, 0.05 to 60, up to the newest confident
+    /// estimate.
     pub resume_after_s: f64,
     /// `start` and `resume` are obeyed only when nothing has spoken against motion for this time, seconds, 0.05 to
     /// [`Self::resume_after_s`]: what one picture in some shows is not gone between two of them.

@@ -10,7 +10,7 @@ use pb3dp_servo::supervisor::{
 };
 
 pub const STEP_S: f64 = 0.01;
-const FRAME_EVERY: u64 = 3;
+pub const FRAME_EVERY: u64 = 3;
 const LATENCY_S: f64 = 0.02;
 
 /// Strict enough that every condition has an effect.
