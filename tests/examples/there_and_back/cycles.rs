@@ -47,6 +47,11 @@ pub struct Figures {
 }
 
 impl Figures {
+    /// Of so many cycles: what is noted of them is no memory that a run takes more and more of.
+    fn of(cycles: usize) -> Self {
+        Self { returned_mm: Vec::with_capacity(cycles), held: Vec::with_capacity(cycles) }
+    }
+
     /// A cycle has ended.
     pub fn push(&mut self, returned_mm: [f64; 3], held: usize) {
         self.returned_mm.push(Vector3::from(returned_mm));
@@ -123,7 +128,7 @@ pub fn repeat(setup: &Setup, minutes: f64, tell: impl FnMut(&str)) -> Result<Fig
     let looking = Looking::new(&setup, (camera, cell.clone(), target_outline_m), (Strip::default(), now), None)?;
     let mut moving = Moving::new(&setup, (vs, tc), &*experiment, now)?;
     let mut watching =
-        Watching { looking, cell, begin: now, figures: Figures::default(), at_end: AtEnd::default(), tell };
+        Watching { looking, cell, begin: now, figures: Figures::of(cycles), at_end: AtEnd::default(), tell };
     let duration = Duration::from_secs_f64(LEAD_IN_S + CYCLE_S * cycles as f64 + 0.1);
     let course = Course { setup: &setup, clock: &clock, duration, interrupt: &interrupt };
     course.run_in_lockstep(&mut watching, &mut moving)?;
