@@ -33,6 +33,11 @@ pub struct SearchConfig {
 const CORRECTION_PER_S: f64 = 2.0;
 /// And turned back no faster than this, rad/s.
 const TURN_MAX_RAD_PER_S: f64 = 0.1;
+/// Along the pattern the velocity changes no faster than this, m/s^2, in size and in direction: of a sharp turn the joints make, each
+/// within its own limits, something else, in which the hand is faster than before and behind it.
+const ACCELERATION_MAX_M_PER_S2: f64 = 0.05;
+/// Its corners are passed with this share of the speed.
+const CORNER_SHARE: f64 = 0.1;
 /// A hand that is farther from where it began than the pattern leads, by this share and length (metres), ends the search: it does not go
 /// where it is told.
 const BEYOND_SHARE: f64 = 1.2;
@@ -54,25 +59,55 @@ impl SearchConfig {
         self.back_m.hypot(self.radius_m)
     }
 
+    /// Radius of the spiral per radian, metres.
+    fn per_rad_m(&self) -> f64 {
+        self.radius_m / (TAU * self.turns)
+    }
+
+    /// Length of the spiral up to an angle, metres.
+    fn spiral_m(&self, angle: f64) -> f64 {
+        0.5 * self.per_rad_m() * (angle * (1.0 + angle * angle).sqrt() + angle.asinh())
+    }
+
+    /// The way at which the pattern ends, and the hand returns, metres.
+    fn end_m(&self) -> f64 {
+        self.back_m + self.spiral_m(TAU * self.turns)
+    }
+
+    /// The angle of the spiral after this way (metres); `None` before and behind it.
+    fn angle(&self, way_m: f64) -> Option<f64> {
+        if !(self.back_m..=self.end_m()).contains(&way_m) {
+            return None;
+        }
+        let (mut low, mut high) = (0.0, TAU * self.turns);
+        for _ in 0..40 {
+            let middle = 0.5 * (low + high);
+            if self.spiral_m(middle) < way_m - self.back_m { low = middle } else { high = middle }
+        }
+        Some(low)
+    }
+
     /// Where the pattern is after this way (metres), in axes of the hand at its beginning; `None` behind its end.
     fn place(&self, way_m: f64) -> Option<Vector3<f64>> {
         if way_m < self.back_m {
             return Some(Vector3::new(0.0, 0.0, -way_m));
         }
-        // r = a angle; its length up to an angle is a / 2 (angle sqrt(1 + angle^2) + asinh(angle)).
-        let per_rad_m = self.radius_m / (TAU * self.turns);
-        let length_m = |angle: f64| 0.5 * per_rad_m * (angle * (1.0 + angle * angle).sqrt() + angle.asinh());
-        let (mut low, mut high) = (0.0, TAU * self.turns);
-        let on_spiral_m = way_m - self.back_m;
-        if on_spiral_m > length_m(high) {
-            return None;
-        }
-        for _ in 0..40 {
-            let middle = 0.5 * (low + high);
-            if length_m(middle) < on_spiral_m { low = middle } else { high = middle }
-        }
-        let radius_m = per_rad_m * low;
-        Some(Vector3::new(radius_m * low.cos(), radius_m * low.sin(), -self.back_m))
+        let angle = self.angle(way_m)?;
+        let radius_m = self.per_rad_m() * angle;
+        Some(Vector3::new(radius_m * angle.cos(), radius_m * angle.sin(), -self.back_m))
+    }
+
+    /// How fast the pattern is passed after this way (metres), m/s: slowly at its beginning, corner and end, and where it is bent most.
+    fn pace_m_per_s(&self, way_m: f64) -> f64 {
+        let to_corner_m = [0.0, self.back_m, self.end_m()].map(|corner_m| (way_m - corner_m).abs());
+        let to_corner_m = to_corner_m.into_iter().fold(f64::INFINITY, f64::min);
+        let braking = (2.0 * ACCELERATION_MAX_M_PER_S2 * to_corner_m).sqrt();
+        let bent = self.angle(way_m).map_or(f64::INFINITY, |angle| {
+            // Radius of curvature of an Archimedean spiral.
+            let radius_m = self.per_rad_m() * (1.0 + angle * angle).powf(1.5) / (2.0 + angle * angle);
+            (ACCELERATION_MAX_M_PER_S2 * radius_m).sqrt()
+        });
+        braking.min(bent).clamp(CORNER_SHARE * self.speed_m_per_s, self.speed_m_per_s)
     }
 }
 
@@ -128,7 +163,7 @@ impl Search {
             *self = Self::Over;
             return None;
         }
-        let way_m = way_m + config.speed_m_per_s * dt_s;
+        let way_m = way_m + config.pace_m_per_s(way_m) * dt_s;
         let place = config.place(way_m);
         let wanted = from.translation_m() + place.map_or(Vector3::zeros(), |place| from.transform_vector(&place));
         let left = wanted - base_from_hand.translation_m();
@@ -140,8 +175,10 @@ impl Search {
         }
         *self = Self::Under { began, stepped: now, from, way_m };
         let turn = so3::log(&(from.rotation() * base_from_hand.rotation().inverse()));
+        // What leads back to the beginning sets out as slowly as everything else.
+        let most = if place.is_some() { config.speed_m_per_s } else { config.pace_m_per_s(way_m) };
         Some(Twist::new(
-            no_longer_than(along(config, &from, way_m) + left * CORRECTION_PER_S, config.speed_m_per_s),
+            no_longer_than(along(config, &from, way_m) + left * CORRECTION_PER_S, most),
             no_longer_than(turn * CORRECTION_PER_S, TURN_MAX_RAD_PER_S),
         ))
     }
@@ -151,7 +188,7 @@ impl Search {
 fn along(config: &SearchConfig, from: &Pose<Base, Hand>, way_m: f64) -> Vector3<f64> {
     let ahead_m = 1e-4;
     match (config.place(way_m), config.place(way_m + ahead_m)) {
-        (Some(here), Some(there)) => from.transform_vector(&((there - here) * (config.speed_m_per_s / ahead_m))),
+        (Some(here), Some(there)) => from.transform_vector(&((there - here) * (config.pace_m_per_s(way_m) / ahead_m))),
         _ => Vector3::zeros(),
     }
 }
@@ -219,6 +256,23 @@ mod tests {
             assert!(((there - here).norm() / 1e-5 - 1.0).abs() < 0.02, "{way_m}");
         }
         assert!(CONFIG.place(1.0).is_none());
+    }
+
+    /// Not at its beginning, nor at the corner between the way back and the spiral, within the spiral's first turn, or at its end.
+    #[test]
+    fn its_velocity_never_changes_suddenly() {
+        for config in [CONFIG, SearchConfig { back_m: 0.05, radius_m: 0.05, turns: 2.0, speed_m_per_s: 0.03, ..CONFIG }] {
+            let (mut search, mut hand, mut before, mut t_s) = (Search::Off, begin(), Vector3::zeros(), 0.0);
+            search.permit(true);
+            while let Some(twist) = search.step(&config, &hand, at(t_s)) {
+                let change = (twist.linear_m_per_s - before).norm();
+                assert!(change < 0.25 * config.speed_m_per_s, "{change} m/s at {t_s:.2} s");
+                before = twist.linear_m_per_s;
+                hand = Pose::from_parts(hand.translation_m() + before * 0.01, hand.rotation());
+                t_s += 0.01;
+            }
+            assert!(t_s > 10.0);
+        }
     }
 
     #[test]
