@@ -32,6 +32,8 @@ fn every_configuration_is_accepted_by_its_reader() {
             assert!(stretched.norm() > 1.0 && stretched.norm() < 1.6, "{path}: a PA-10 reaches {stretched}");
             assert_eq!(chain.limits().velocity_max_rad_per_s().len(), DOF);
             robots += 1;
+        } else if path.starts_with("deploy/") {
+            // Read by the system; `cargo xtask tidy` parses each of these, and refuses others.
         } else {
             panic!("{path}: no reader is known for this kind of file; name it in this test");
         }

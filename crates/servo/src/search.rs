@@ -261,7 +261,8 @@ mod tests {
     /// Not at its beginning, nor at the corner between the way back and the spiral, within the spiral's first turn, or at its end.
     #[test]
     fn its_velocity_never_changes_suddenly() {
-        for config in [CONFIG, SearchConfig { back_m: 0.05, radius_m: 0.05, turns: 2.0, speed_m_per_s: 0.03, ..CONFIG }] {
+        for config in [CONFIG, SearchConfig { back_m: 0.05, radius_m: 0.05, turns: 2.0, speed_m_per_s: 0.03, ..CONFIG }]
+        {
             let (mut search, mut hand, mut before, mut t_s) = (Search::Off, begin(), Vector3::zeros(), 0.0);
             search.permit(true);
             while let Some(twist) = search.step(&config, &hand, at(t_s)) {
