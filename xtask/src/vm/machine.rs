@@ -19,7 +19,7 @@ const QEMU: &str = "qemu-system-x86_64";
 const PACKAGE: &str = "qemu-system-x86";
 
 /// A guest that takes longer than this hangs. The longest suite takes half a minute where little else runs.
-const LIMIT: Duration = Duration::from_secs(180);
+const LIMIT: Duration = Duration::from_secs(110);
 
 /// Of every emulated computer. KVM is not used, even where it is there: what the tests need works without, and everywhere alike. One
 /// processor of a plain kind is emulated quicker than two.
