@@ -10,6 +10,10 @@ const QUICK_CLOCKS: [&str; 4] = ["tsc", "arch_sys_counter", "kvm-clock", "riscv_
 /// Share of a second that threads of SCHED_FIFO may take at least, of the limit that the kernel has.
 const SHARE_MIN: f64 = 0.9;
 
+/// How a user comes to both rights.
+const RIGHTS: &str =
+    "install configs/deploy/90-pb3dp.conf in /etc/security/limits.d, then: usermod -aG realtime USER, and log in again";
+
 /// All checks of this room.
 pub(super) fn check(system: &dyn System, needs: &Needs) -> Vec<Finding> {
     vec![scheduling(system, needs), memory(system, needs), throttling(system, needs), clock(system), governor(system)]
@@ -20,12 +24,7 @@ fn scheduling(system: &dyn System, needs: &Needs) -> Finding {
     let priority = needs.priority;
     match system.try_fifo(priority) {
         Ok(()) => Finding::pass(CHECK, format!("SCHED_FIFO with priority {priority} is to be had")),
-        Err(said) => Finding::missing(
-            needs.needs_realtime,
-            CHECK,
-            said,
-            "install configs/deploy/90-pb3dp.conf in /etc/security/limits.d, then: usermod -aG realtime USER, and log in again",
-        ),
+        Err(said) => Finding::missing(needs.needs_realtime, CHECK, said, RIGHTS),
     }
 }
 
@@ -33,12 +32,7 @@ fn memory(system: &dyn System, needs: &Needs) -> Finding {
     const CHECK: &str = "memory lock";
     match system.try_memory_lock() {
         Ok(()) => Finding::pass(CHECK, "the program may keep its memory"),
-        Err(said) => Finding::missing(
-            needs.needs_realtime,
-            CHECK,
-            said,
-            "install configs/deploy/90-pb3dp.conf in /etc/security/limits.d, then: usermod -aG realtime USER, and log in again",
-        ),
+        Err(said) => Finding::missing(needs.needs_realtime, CHECK, said, RIGHTS),
     }
 }
 
