@@ -42,6 +42,7 @@ enum Command {
     Bench(bench::Args),
     Hil(hil::Args),
     Soak(soak::Args),
+    #[command(visible_alias = "vm-test")]
     Vm(vm::Args),
 }
 

@@ -1,4 +1,4 @@
-//! A USB adapter that is pulled out while an arm moves through it: once the host's, once the gateway's.
+//! A USB adapter that is pulled out while an arm moves through it: ten times the host's, once the gateway's.
 
 use std::error::Error;
 use std::path::Path;
@@ -14,25 +14,23 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmError, ArmErrorKind, ArmPower};
 
 use crate::cell::{BAUD, CYCLE, Cell};
-use crate::report::{Outcome, Report, ensure, note, plug, unplug};
+use crate::report::{Outcome, Report, ensure, plug, unplug};
 use crate::serial::{GATEWAY, HOST, adapter, config};
 use crate::system::{KernelLog, LONG, wait_for};
 
-/// From the kernel's notice to the host's error, and to joints at rest. A rig has 20 ms and a tenth of a second; an emulated
-/// processor on a machine that others use as well is later than any figure that would mean something, so this shows what hangs and
-/// what comes by a wrong way, and the figures themselves are told.
-const NOTICED_IN: Duration = Duration::from_millis(500);
-const AT_REST_IN: Duration = Duration::from_millis(1000);
-
-/// How often it is tried on a machine that holds threads up.
-const TRIES: u32 = 5;
+/// How often the host's adapter is pulled, and from the kernel's notice to the stop: the median and the longest. After the longest
+/// the joints are at rest.
+const PULLS: usize = 10;
+const NOTICED_IN_MEDIAN: Duration = Duration::from_millis(20);
+const NOTICED_IN: Duration = Duration::from_millis(100);
+const AT_REST_IN: Duration = Duration::from_millis(100);
 
 /// How often a port is lost while bytes go out, and how long closing it may take: 30 s are what the kernel grants bytes.
 const ROUNDS: u32 = 3;
 const CLOSED_IN: Duration = Duration::from_millis(1500);
 
 /// Cycles in which an arm that is plugged in again is told to move, and must not.
-const CYCLES_WITHOUT_RESET: u32 = 100;
+const CYCLES_WITHOUT_RESET: u32 = 30;
 
 /// Whose cable is pulled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,11 +38,6 @@ enum End {
     Host,
     Gateway,
 }
-
-/// A thread was held up for so long that the arm was stopped for that.
-#[derive(Debug, thiserror::Error)]
-#[error("again, as the machine was too slow: {0}")]
-struct TooSlow(String);
 
 /// Of the loop that commands the arm: below the thread of the arm, above all that is no part of it.
 const LOOP: Realtime = Realtime { priority: Some(45), locks_memory: false, cpu: None };
@@ -57,33 +50,55 @@ pub fn check(report: &mut Report) {
         let made = cell.insert(Cell::start(&adapter(HOST)?, &adapter(GATEWAY)?)?);
         ensure(made.arm.warnings().is_empty(), || format!("{:?}", made.arm.warnings()))?;
         let before = made.position_rad();
-        let tries = made.make_move()?;
+        made.make_move()?;
         ensure((made.position_rad() - before).amax() > 0.01, || "no joint has moved".into())?;
-        Ok(format!("in {tries} tries, answers after {:?} (half of them)", made.arm.monitor().round_trips().p50))
+        Ok(format!("answers after {:?} (half of them)", made.arm.monitor().round_trips().p50))
     });
     let Some(mut cell) = cell else { return };
-    report.check("the host's adapter is pulled out", || patiently(&mut cell, End::Host));
-    report.check("the gateway's adapter is pulled out", || patiently(&mut cell, End::Gateway));
+    report.check("the host's adapter is pulled out ten times", || {
+        let mut times = (0..PULLS).map(|_| pull(&mut cell, End::Host)).collect::<Result<Vec<Times>, _>>()?;
+        times.sort_by_key(|times| times.stopped);
+        let (median, longest) = (times[PULLS / 2].stopped, times[PULLS - 1].stopped);
+        ensure(median <= NOTICED_IN_MEDIAN, || format!("noticed after {median:?} (median)"))?;
+        let times: Vec<String> = times.iter().map(Times::to_string).collect();
+        Ok(format!("stopped after {median:?} (median), {longest:?} at most; {}", times.join("; ")))
+    });
+    report.check("the gateway's adapter is pulled out", || Ok(pull(&mut cell, End::Gateway)?.to_string()));
 }
 
-/// Again if the machine was too slow.
-fn patiently(cell: &mut Cell, end: End) -> Outcome {
-    for _ in 1..TRIES {
-        match pull(cell, end) {
-            Err(error) if error.is::<TooSlow>() => note(&error.to_string()),
-            other => return other,
-        }
+/// Since the kernel's notice.
+struct Times {
+    /// The host has stopped the arm.
+    stopped: Duration,
+    /// Its loop has its error.
+    told: Duration,
+    /// The gateway has stopped the arm.
+    gateway: Duration,
+    /// Nothing has moved any more.
+    rest: Duration,
+    /// It moves again, since it was reset.
+    again: Duration,
+}
+
+impl std::fmt::Display for Times {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let [stopped, told, gateway, rest, again] =
+            [self.stopped, self.told, self.gateway, self.rest, self.again].map(|time| time.as_secs_f64() * 1e3);
+        write!(
+            f,
+            "host stopped {stopped:.1} ms, loop told {told:.1} ms, gateway stopped {gateway:.1} ms, joints at rest {rest:.1} ms; moves \
+             {again:.0} ms after its reset"
+        )
     }
-    pull(cell, end)
 }
 
-fn pull(cell: &mut Cell, end: End) -> Outcome {
+/// Of an arm that moves, before and afterwards.
+fn pull(cell: &mut Cell, end: End) -> Result<Times, Box<dyn Error>> {
     let (device, name) = match end {
         End::Host => ("host", HOST),
         End::Gateway => ("gateway", GATEWAY),
     };
     let path = adapter(name)?;
-    cell.make_move()?;
     cell.gateway_stops();
     cell.gateway_messages();
     let mut log = KernelLog::open()?;
@@ -99,7 +114,7 @@ fn pull(cell: &mut Cell, end: End) -> Outcome {
     plug(device);
     let again = adapter(name)?;
     ensure(again == path, || format!("it was {path} and is {again} now: somebody has kept the old port open"))?;
-    let figures = stop?;
+    let times = stop?;
     for _ in 0..CYCLES_WITHOUT_RESET {
         let refused = cell.exchange().err().ok_or("an arm that was not reset takes commands")?;
         ensure(refused.kind() == error.kind(), || format!("first `{error}`, then `{refused}`"))?;
@@ -118,13 +133,9 @@ fn pull(cell: &mut Cell, end: End) -> Outcome {
         .map_err(|error| format!("{error}: {said:?}"))?;
     }
     let reset = now();
-    let tries = cell.make_move()?;
+    cell.make_move()?;
     ensure((cell.position_rad() - position).amax() > 0.01, || "it was reset, and no joint moves".into())?;
-    cell.arm.stop()?;
-    Ok(format!(
-        "{figures}; plugged in again it stays at rest until it is reset, then moves after {} ms ({tries} tries)",
-        now().saturating_since(reset).as_millis()
-    ))
+    Ok(Times { again: now().saturating_since(reset), ..times })
 }
 
 /// A port whose loss shows by a write that fails, before the kernel has taken the port away from its users: what was not sent must not
@@ -187,16 +198,9 @@ fn judge_stop(
     told: MonotonicTime,
     error: &ArmError,
     latched: &Latched,
-) -> Outcome {
+) -> Result<Times, Box<dyn Error>> {
     wait_for("the arm comes to rest", || cell.is_at_rest().then_some(()))?;
     let stops = cell.gateway_stops();
-    let is_slow = matches!(latched.trip, Trip::Fault(FaultCause::CommandTimeout { .. }))
-        || stops.iter().any(|(_, cause)| *cause == StopCause::CycleMissed);
-    // Writing to the port may fail before the kernel tells why.
-    let is_early = latched.at < noticed && latched.trip != Trip::Fault(FaultCause::Unplugged);
-    if is_early || is_slow {
-        return Err(TooSlow(format!("{error}; gateway: {stops:?}")).into());
-    }
     let (kind, cause_fits) = match (end, latched.trip) {
         (End::Host, Trip::Fault(cause)) => (ArmErrorKind::Disconnected, cause == FaultCause::Unplugged),
         (End::Gateway, Trip::Fault(cause)) => (ArmErrorKind::Fault, matches!(cause, FaultCause::LinkLost { .. })),
@@ -214,13 +218,11 @@ fn judge_stop(
     ensure(counters.watchdog_trips == 0, || "the controller's own time-out has stopped it".into())?;
     let still = cell.arm.monitor().snapshot().latched;
     ensure(still == Some(*latched), || format!("first {latched:?}, then {still:?}"))?;
-    let millis = |at: MonotonicTime| format!("{:.1}", at.saturating_since(noticed).as_secs_f64() * 1e3);
-    Ok(format!(
-        "after the kernel's notice the host is stopped in {} ms, its loop has one error in {} ms, the gateway stops the arm in {} ms \
-         (host-silent), the joints are at rest in {} ms",
-        millis(latched.at),
-        millis(told),
-        millis(*stopped),
-        millis(cell.last_motion())
-    ))
+    Ok(Times {
+        stopped: latency,
+        told: told.saturating_since(noticed),
+        gateway: stopped.saturating_since(noticed),
+        rest,
+        again: Duration::ZERO,
+    })
 }

@@ -39,11 +39,6 @@ fn failed(name: &str, why: &str) {
     }
 }
 
-/// For the reader.
-pub fn note(text: &str) {
-    println!("vm: note {text}");
-}
-
 /// Has a device pulled out. When that has happened the kernel says it.
 pub fn unplug(device: &str) {
     println!("vm: unplug {device}");

@@ -175,6 +175,7 @@ pub enum PixelError {
 #[derive(Debug)]
 pub struct Converter {
     layout: Layout,
+    equations: yuyv::Equations,
     kernels: YuvKernels,
     jpeg: jpeg::Decoder,
 }
@@ -192,7 +193,8 @@ impl Converter {
         if matches!(format, PixelFormat::Bayer8(_)) && (width < 2 || height < 2) {
             return Err(PixelError::BayerSize { width, height });
         }
-        Ok(Self { layout, kernels: YuvKernels::best(), jpeg: jpeg::Decoder::default() })
+        let equations = yuyv::Equations::of(layout.matrix, layout.range);
+        Ok(Self { layout, equations, kernels: YuvKernels::best(), jpeg: jpeg::Decoder::default() })
     }
 
     /// What the pictures look like in memory.
@@ -212,7 +214,7 @@ impl Converter {
     /// # Errors
     /// If the bytes are too few, or no JPEG of the right size where one is expected; the target may then hold anything.
     pub fn convert(&mut self, bytes: &[u8], target: &mut RgbImage) -> Result<(), PixelError> {
-        let Layout { format, size: ImageSize { width, height }, stride, matrix, range } = self.layout;
+        let Layout { format, size: ImageSize { width, height }, stride, .. } = self.layout;
         let expected = self.layout.bytes_min();
         if bytes.len() < expected {
             return Err(PixelError::TooShort { found: bytes.len(), expected, format, width, height });
@@ -231,11 +233,10 @@ impl Converter {
             bayer::convert(bytes, stride, order, target);
             return Ok(());
         }
-        let coefficients = yuyv::Coefficients::of(matrix, range);
         for (source, row) in bytes.chunks(stride).zip(target.chunks_exact_mut(3 * width as usize)) {
             let source = &source[..row_bytes];
             match format {
-                PixelFormat::Yuyv => yuyv::convert_row(source, row, &coefficients, self.kernels),
+                PixelFormat::Yuyv => yuyv::convert_row(source, row, &self.equations, self.kernels),
                 PixelFormat::Grey => plain::grey(source, row),
                 PixelFormat::Rgb24 => row.copy_from_slice(source),
                 PixelFormat::Bgr24 => plain::bgr(source, row),

@@ -2,15 +2,15 @@
 
 use std::arch::x86_64::*;
 
-use super::{Coefficients, FRACTION_BITS, scalar};
+use super::{Coefficients, Equations, FRACTION_BITS, scalar};
 
 /// Pixels per step.
 const STEP: usize = 32;
 
 /// Same as [`scalar::convert_row`].
 #[target_feature(enable = "avx2")]
-pub(super) fn convert_row(source: &[u8], target: &mut [u8], coefficients: &Coefficients) {
-    let factors = Factors::of(coefficients);
+pub(super) fn convert_row(source: &[u8], target: &mut [u8], equations: &Equations) {
+    let factors = Factors::of(&equations.coefficients);
     let (sources, source_rest) = source.as_chunks::<{ 2 * STEP }>();
     let (targets, _) = target.as_chunks_mut::<{ 3 * STEP }>();
     let steps = sources.len().min(targets.len());
@@ -18,7 +18,7 @@ pub(super) fn convert_row(source: &[u8], target: &mut [u8], coefficients: &Coeff
         convert_step(source, target, &factors);
     }
     let source_rest = if steps < sources.len() { &source[2 * STEP * steps..] } else { source_rest };
-    scalar::convert_row(source_rest, &mut target[3 * STEP * steps..], coefficients);
+    scalar::convert_row(source_rest, &mut target[3 * STEP * steps..], &equations.tables);
 }
 
 /// The coefficients in all elements; those of colour for U in even elements and for V in odd ones.

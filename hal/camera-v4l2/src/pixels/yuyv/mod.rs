@@ -80,7 +80,7 @@ const FRACTION_BITS: i32 = 5;
 /// A product is `(a * b + 2^14) >> 15`, which processors have as one instruction. Brightness enters as (Y - black) 2^7 and is
 /// multiplied by 2^13 k, colour as (C - 128) 2^8 and 2^12 k, so both products have 5 fractional bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Coefficients {
+struct Coefficients {
     /// Black, in units of 2^-7.
     black: i16,
     luma: i16,
@@ -93,7 +93,7 @@ pub(super) struct Coefficients {
 }
 
 impl Coefficients {
-    pub(super) fn of(matrix: YuvMatrix, range: YuvRange) -> Self {
+    fn of(matrix: YuvMatrix, range: YuvRange) -> Self {
         let (kr, kb) = match matrix {
             YuvMatrix::Bt601 => (0.299, 0.114),
             YuvMatrix::Bt709 => (0.2126, 0.0722),
@@ -116,16 +116,30 @@ impl Coefficients {
     }
 }
 
+/// The equations of one matrix and range, as each family of code needs them.
+#[derive(Clone, Debug)]
+pub(super) struct Equations {
+    coefficients: Coefficients,
+    tables: scalar::Tables,
+}
+
+impl Equations {
+    pub(super) fn of(matrix: YuvMatrix, range: YuvRange) -> Self {
+        let coefficients = Coefficients::of(matrix, range);
+        Self { coefficients, tables: scalar::Tables::of(&coefficients) }
+    }
+}
+
 /// Converts one row: four bytes for two pixels, to three bytes each. An odd last pixel uses the first half of its four bytes.
-pub(super) fn convert_row(source: &[u8], target: &mut [u8], coefficients: &Coefficients, kernels: YuvKernels) {
+pub(super) fn convert_row(source: &[u8], target: &mut [u8], equations: &Equations, kernels: YuvKernels) {
     match kernels.0 {
-        Family::Scalar => scalar::convert_row(source, target, coefficients),
+        Family::Scalar => scalar::convert_row(source, target, &equations.tables),
         #[cfg(target_arch = "x86_64")]
         // SAFETY: this family is made in `YuvKernels::best` only, where the processor was asked.
-        Family::Avx2 => unsafe { avx2::convert_row(source, target, coefficients) },
+        Family::Avx2 => unsafe { avx2::convert_row(source, target, equations) },
         #[cfg(target_arch = "aarch64")]
         // SAFETY: as above.
-        Family::Neon => unsafe { neon::convert_row(source, target, coefficients) },
+        Family::Neon => unsafe { neon::convert_row(source, target, equations) },
     }
 }
 

@@ -2,22 +2,22 @@
 
 use std::arch::aarch64::*;
 
-use super::{Coefficients, FRACTION_BITS, scalar};
+use super::{Coefficients, Equations, FRACTION_BITS, scalar};
 
 /// Pixels per step.
 const STEP: usize = 16;
 
 /// Same as [`scalar::convert_row`].
 #[target_feature(enable = "neon")]
-pub(super) fn convert_row(source: &[u8], target: &mut [u8], coefficients: &Coefficients) {
+pub(super) fn convert_row(source: &[u8], target: &mut [u8], equations: &Equations) {
     let (sources, source_rest) = source.as_chunks::<{ 2 * STEP }>();
     let (targets, _) = target.as_chunks_mut::<{ 3 * STEP }>();
     let steps = sources.len().min(targets.len());
     for (source, target) in sources.iter().zip(targets) {
-        convert_step(source, target, coefficients);
+        convert_step(source, target, &equations.coefficients);
     }
     let source_rest = if steps < sources.len() { &source[2 * STEP * steps..] } else { source_rest };
-    scalar::convert_row(source_rest, &mut target[3 * STEP * steps..], coefficients);
+    scalar::convert_row(source_rest, &mut target[3 * STEP * steps..], &equations.tables);
 }
 
 #[inline]

@@ -1,32 +1,67 @@
-//! The scalar code: what the vectors are compared with.
+//! The scalar code: what the vectors are compared with, and what runs where there are none.
 
 use super::{Coefficients, FRACTION_BITS};
+
+/// What each byte adds to the sums, with [`FRACTION_BITS`] fractional bits: products of a byte are looked up.
+#[derive(Clone, Debug)]
+pub(super) struct Tables {
+    /// With half a step on it, so that sums are rounded when they are cut off.
+    luma: [i16; 256],
+    red_of_v: [i16; 256],
+    green_of_u: [i16; 256],
+    green_of_v: [i16; 256],
+    blue_of_u: [i16; 256],
+}
+
+impl Tables {
+    pub(super) fn of(coefficients: &Coefficients) -> Self {
+        let of_colour = |coefficient| of_each_byte(|byte| product((byte - 128) << 8, coefficient));
+        Self {
+            // At most 255 * 2^7 enters the product: fits.
+            luma: of_each_byte(|byte| {
+                product((byte << 7) - coefficients.black, coefficients.luma) + (1 << (FRACTION_BITS - 1))
+            }),
+            red_of_v: of_colour(coefficients.red_of_v),
+            green_of_u: of_colour(coefficients.green_of_u),
+            green_of_v: of_colour(coefficients.green_of_v),
+            blue_of_u: of_colour(coefficients.blue_of_u),
+        }
+    }
+}
+
+fn of_each_byte(value: impl Fn(i16) -> i16) -> [i16; 256] {
+    let mut table = [0; 256];
+    for (entry, byte) in table.iter_mut().zip(0..) {
+        *entry = value(byte);
+    }
+    table
+}
 
 /// `(a * b + 2^14) >> 15`.
 fn product(a: i16, b: i16) -> i16 {
     ((i32::from(a) * i32::from(b) + (1 << 14)) >> 15) as i16
 }
 
-fn pixel(luma: u8, [red, green, blue]: [i16; 3], coefficients: &Coefficients) -> [u8; 3] {
-    // At most 255 * 2^7: fits.
-    let luma = product(((i32::from(luma) << 7) - i32::from(coefficients.black)) as i16, coefficients.luma);
-    [red, green, blue].map(|of_colour| {
-        let sum = i32::from(luma) + i32::from(of_colour) + (1 << (FRACTION_BITS - 1));
-        (sum >> FRACTION_BITS).clamp(0, 255) as u8
-    })
+/// Converts one row.
+pub(super) fn convert_row(source: &[u8], target: &mut [u8], tables: &Tables) {
+    let (pairs, odd) = target.as_chunks_mut::<6>();
+    let (sources, _) = source.as_chunks::<4>();
+    for (pixels, yuyv) in pairs.iter_mut().zip(sources) {
+        *pixels = two_pixels(*yuyv, tables);
+    }
+    if let Some(last) = sources.get(pairs.len()) {
+        let length = odd.len();
+        odd.copy_from_slice(&two_pixels(*last, tables)[..length]);
+    }
 }
 
-/// Converts one row.
-pub(super) fn convert_row(source: &[u8], target: &mut [u8], coefficients: &Coefficients) {
-    for (pixels, yuyv) in target.chunks_mut(6).zip(source.chunks_exact(4)) {
-        let [u, v] = [yuyv[1], yuyv[3]].map(|colour| ((i32::from(colour) - 128) << 8) as i16);
-        let colour = [
-            product(v, coefficients.red_of_v),
-            product(u, coefficients.green_of_u) + product(v, coefficients.green_of_v),
-            product(u, coefficients.blue_of_u),
-        ];
-        for (target, luma) in pixels.chunks_exact_mut(3).zip([yuyv[0], yuyv[2]]) {
-            target.copy_from_slice(&pixel(luma, colour, coefficients));
-        }
-    }
+#[inline]
+fn two_pixels([first, u, second, v]: [u8; 4], tables: &Tables) -> [u8; 6] {
+    let [first, second] = [first, second].map(|luma| i32::from(tables.luma[usize::from(luma)]));
+    let (u, v) = (usize::from(u), usize::from(v));
+    let red = i32::from(tables.red_of_v[v]);
+    let green = i32::from(tables.green_of_u[u]) + i32::from(tables.green_of_v[v]);
+    let blue = i32::from(tables.blue_of_u[u]);
+    [first + red, first + green, first + blue, second + red, second + green, second + blue]
+        .map(|sum| (sum >> FRACTION_BITS).clamp(0, 255) as u8)
 }

@@ -26,13 +26,13 @@ fn in_floating_point([y, u, v]: [u8; 3], matrix: YuvMatrix, range: YuvRange) -> 
 fn every_colour_is_within_one_step_of_the_equations() {
     let values: Vec<u8> = (0..=255).step_by(3).chain([1, 16, 128, 235, 240, 254]).collect();
     for (matrix, range) in ALL {
-        let coefficients = Coefficients::of(matrix, range);
+        let equations = Equations::of(matrix, range);
         let mut worst = 0.0_f64;
         for y in &values {
             for u in &values {
                 for v in &values {
                     let mut rgb = [0; 6];
-                    convert_row(&[*y, *u, *y, *v], &mut rgb, &coefficients, YuvKernels::SCALAR);
+                    convert_row(&[*y, *u, *y, *v], &mut rgb, &equations, YuvKernels::SCALAR);
                     let expected = in_floating_point([*y, *u, *v], matrix, range);
                     for (found, expected) in rgb.iter().zip(expected) {
                         worst = worst.max((f64::from(*found) - expected).abs());
@@ -56,21 +56,21 @@ fn black_white_and_primaries_are_exact() {
     ] {
         let mut out = [0; 6];
         let bytes = [yuv[0], yuv[1], yuv[0], yuv[2]];
-        let coefficients = Coefficients::of(YuvMatrix::Bt601, YuvRange::Limited);
-        convert_row(&bytes, &mut out, &coefficients, YuvKernels::SCALAR);
+        let equations = Equations::of(YuvMatrix::Bt601, YuvRange::Limited);
+        convert_row(&bytes, &mut out, &equations, YuvKernels::SCALAR);
         assert_eq!(out[..3], rgb, "of {yuv:?}");
     }
 }
 
 #[test]
 fn the_two_pixels_of_a_pair_keep_their_order() {
-    let coefficients = Coefficients::of(YuvMatrix::Bt601, YuvRange::Full);
+    let equations = Equations::of(YuvMatrix::Bt601, YuvRange::Full);
     for kernels in [YuvKernels::SCALAR, YuvKernels::best()] {
         let (mut source, mut target) = (vec![128; 4 * 24], vec![0; 3 * 48]);
         for (k, pixel) in source.iter_mut().step_by(2).enumerate() {
             *pixel = 5 * k as u8;
         }
-        convert_row(&source, &mut target, &coefficients, kernels);
+        convert_row(&source, &mut target, &equations, kernels);
         let expected: Vec<u8> = (0..48).flat_map(|k| [5 * k; 3]).collect();
         assert_eq!(target, expected, "{}", kernels.name());
     }
@@ -82,10 +82,10 @@ proptest! {
         (pixels, source) in (1_usize..150).prop_flat_map(|n| (Just(n), prop::collection::vec(any::<u8>(), n.div_ceil(2) * 4))),
         which in 0_usize..4,
     ) {
-        let coefficients = Coefficients::of(ALL[which].0, ALL[which].1);
+        let equations = Equations::of(ALL[which].0, ALL[which].1);
         let (mut plain, mut vectors) = (vec![0; 3 * pixels], vec![0; 3 * pixels]);
-        convert_row(&source, &mut plain, &coefficients, YuvKernels::SCALAR);
-        convert_row(&source, &mut vectors, &coefficients, YuvKernels::best());
+        convert_row(&source, &mut plain, &equations, YuvKernels::SCALAR);
+        convert_row(&source, &mut vectors, &equations, YuvKernels::best());
         prop_assert_eq!(plain, vectors);
     }
 }
@@ -93,12 +93,12 @@ proptest! {
 #[test]
 fn vectors_and_scalar_code_agree_on_every_brightness_and_colour() {
     for (matrix, range) in ALL {
-        let coefficients = Coefficients::of(matrix, range);
+        let equations = Equations::of(matrix, range);
         for u in 0..=255 {
             let source: Vec<u8> = (0..=255).flat_map(|k: u8| [k, u, 255 - k, k.wrapping_mul(7)]).collect();
             let (mut plain, mut vectors) = (vec![0; 3 * 512], vec![0; 3 * 512]);
-            convert_row(&source, &mut plain, &coefficients, YuvKernels::SCALAR);
-            convert_row(&source, &mut vectors, &coefficients, YuvKernels::best());
+            convert_row(&source, &mut plain, &equations, YuvKernels::SCALAR);
+            convert_row(&source, &mut vectors, &equations, YuvKernels::best());
             assert_eq!(plain, vectors, "{matrix:?} {range:?}, U {u}");
         }
     }
