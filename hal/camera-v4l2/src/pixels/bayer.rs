@@ -27,42 +27,99 @@ impl BayerOrder {
     }
 }
 
-/// Converts a picture of at least 2x2 pixels. Beyond its rim lies what lies inside, mirrored at the outermost pixels, so that colours
-/// stay where the pattern has them.
-pub(super) fn convert(bytes: &[u8], stride: usize, order: BayerOrder, target: &mut RgbImage) {
-    let (width, height) = (target.width() as usize, target.height() as usize);
-    let (red_column, red_row) = order.red();
-    let row_of = |row: usize| &bytes[row * stride..row * stride + width];
-    for (row, out) in target.chunks_exact_mut(3 * width).enumerate() {
-        let above = row_of(if row == 0 { 1 } else { row - 1 });
-        let below = row_of(if row + 1 == height { height - 2 } else { row + 1 });
-        let rows = [above, row_of(row), below];
-        // In a row with red the colour of the other rows is blue, and the other way round.
-        let has_red = row % 2 == red_row;
-        let colour_column = if has_red { red_column } else { 1 - red_column };
-        convert_row(rows, has_red, colour_column, out);
+/// Converts pictures, with memory for a row that is used again and again.
+#[derive(Debug, Default)]
+pub(super) struct Demosaic {
+    rows: RowColours,
+    /// All bits of the columns, without the outermost two, that have their row's colour that is not green: of rows whose column 1 has
+    /// it, and of the others.
+    masks: [Vec<u8>; 2],
+}
+
+/// The colours of a row, without its outermost pixels.
+#[derive(Debug, Default)]
+struct RowColours {
+    /// The row's colour that is not green.
+    own: Vec<u8>,
+    green: Vec<u8>,
+    /// The colour of the rows above and below.
+    other: Vec<u8>,
+}
+
+impl Demosaic {
+    /// Converts a picture of at least 2x2 pixels. Beyond its rim lies what lies inside, mirrored at the outermost pixels, so that
+    /// colours stay where the pattern has them.
+    pub(super) fn convert(&mut self, bytes: &[u8], stride: usize, order: BayerOrder, target: &mut RgbImage) {
+        let (width, height) = (target.width() as usize, target.height() as usize);
+        self.resize(width - 2);
+        let (red_column, red_row) = order.red();
+        let row_of = |row: usize| &bytes[row * stride..row * stride + width];
+        for (row, out) in target.chunks_exact_mut(3 * width).enumerate() {
+            let above = row_of(if row == 0 { 1 } else { row - 1 });
+            let below = row_of(if row + 1 == height { height - 2 } else { row + 1 });
+            let rows = [above, row_of(row), below];
+            // In a row with red the colour of the other rows is blue, and the other way round.
+            let has_red = row % 2 == red_row;
+            let colour_column = if has_red { red_column } else { 1 - red_column };
+            self.convert_row(rows, has_red, colour_column, out);
+        }
+    }
+
+    fn resize(&mut self, inner: usize) {
+        let RowColours { own, green, other } = &mut self.rows;
+        for colour in [own, green, other] {
+            colour.resize(inner, 0);
+        }
+        for (parity, mask) in self.masks.iter_mut().enumerate() {
+            if mask.len() != inner {
+                mask.clear();
+                mask.extend((0..inner).map(|column| if column % 2 == parity { u8::MAX } else { 0 }));
+            }
+        }
+    }
+
+    /// One row; `colour_column` (modulo 2) has the row's colour that is not green.
+    fn convert_row(&mut self, rows: [&[u8]; 3], has_red: bool, colour_column: usize, out: &mut [u8]) {
+        let width = rows[1].len();
+        let columns = |columns: [usize; 3]| rows.map(|row| columns.map(|column| row[column]));
+        let (rim, inner) = out.split_at_mut(3);
+        rim.copy_from_slice(&pixel(columns([1, 0, 1]), has_red, colour_column == 0));
+        let (inner, rim) = inner.split_at_mut(3 * (width - 2));
+        rim.copy_from_slice(&pixel(
+            columns([width - 2, width - 1, width - 2]),
+            has_red,
+            (width - 1) % 2 == colour_column,
+        ));
+        let RowColours { own, green, other } = &mut self.rows;
+        // The first of the inner columns is column 1.
+        inner_colours(rows, &self.masks[1 - colour_column], own, green, other);
+        let (red, blue) = if has_red { (own, other) } else { (other, own) };
+        let colours = red.iter().zip(green.iter()).zip(blue.iter());
+        for (pixel, ((red, green), blue)) in inner.as_chunks_mut::<3>().0.iter_mut().zip(colours) {
+            *pixel = [*red, *green, *blue];
+        }
     }
 }
 
-/// One row; `colour_column` (modulo 2) has the row's colour that is not green.
-fn convert_row(rows: [&[u8]; 3], has_red: bool, colour_column: usize, out: &mut [u8]) {
-    let width = rows[1].len();
-    let columns = |columns: [usize; 3]| rows.map(|row| columns.map(|column| row[column]));
-    let (rim, inner) = out.split_at_mut(3);
-    rim.copy_from_slice(&pixel(columns([1, 0, 1]), has_red, colour_column == 0));
-    let (inner, rim) = inner.split_at_mut(3 * (width - 2));
-    rim.copy_from_slice(&pixel(columns([width - 2, width - 1, width - 2]), has_red, (width - 1) % 2 == colour_column));
-    let squares = rows[0].windows(3).zip(rows[1].windows(3)).zip(rows[2].windows(3));
-    let mut is_colour = colour_column == 1;
-    for (out, ((above, own), below)) in inner.chunks_exact_mut(3).zip(squares) {
-        let square = [[above[0], above[1], above[2]], [own[0], own[1], own[2]], [below[0], below[1], below[2]]];
-        out.copy_from_slice(&pixel(square, has_red, is_colour));
-        is_colour = !is_colour;
+/// The same as [`pixel`] for all columns but the outermost, without a branch: compilers make vectors of it.
+fn inner_colours([above, row, below]: [&[u8]; 3], mask: &[u8], own: &mut [u8], green: &mut [u8], other: &mut [u8]) {
+    let count = mask.len();
+    let (own, green, other) = (&mut own[..count], &mut green[..count], &mut other[..count]);
+    let [a, r, b] = [above, row, below].map(|row| [&row[..count], &row[1..][..count], &row[2..][..count]]);
+    for column in 0..count {
+        let [above, row, below] = [a, r, b].map(|row| row.map(|row| u16::from(row[column])));
+        let beside = row[0] + row[2];
+        let upright = above[1] + below[1];
+        let corners = above[0] + above[2] + below[0] + below[2];
+        let select =
+            |if_colour: u16, else_green: u16| (if_colour as u8 & mask[column]) | (else_green as u8 & !mask[column]);
+        own[column] = select(row[1], (beside + 1) >> 1);
+        green[column] = select((beside + upright + 2) >> 2, row[1]);
+        other[column] = select((corners + 2) >> 2, (upright + 1) >> 1);
     }
 }
 
 /// The pixel in the middle of a square, which has the row's colour that is not green, or green.
-#[inline(always)]
 fn pixel(square: [[u8; 3]; 3], has_red: bool, is_colour: bool) -> [u8; 3] {
     let [above, row, below] = square.map(|row| row.map(u16::from));
     let beside = row[0] + row[2];
@@ -74,4 +131,35 @@ fn pixel(square: [[u8; 3]; 3], has_red: bool, is_colour: bool) -> [u8; 3] {
         ((beside + 1) >> 1, row[1], (upright + 1) >> 1)
     };
     if has_red { [own as u8, green as u8, other as u8] } else { [other as u8, green as u8, own as u8] }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_as_their_pixels_are_one_by_one() {
+        let value = |k: usize| (k.wrapping_mul(2_654_435_761) >> 11) as u8;
+        for (width, order) in
+            [(2, BayerOrder::Rggb), (3, BayerOrder::Grbg), (37, BayerOrder::Gbrg), (64, BayerOrder::Bggr)]
+        {
+            let (height, stride) = (7, width + 5);
+            let bytes: Vec<u8> = (0..height * stride).map(value).collect();
+            let mut found = RgbImage::new(width as u32, height as u32);
+            Demosaic::default().convert(&bytes, stride, order, &mut found);
+            let mirrored = |k: isize, end: usize| if k < 0 { 1 } else { (k as usize).min(2 * (end - 1) - k as usize) };
+            for (x, y, rgb) in found.enumerate_pixels() {
+                let (x, y) = (x as isize, y as isize);
+                let at = |dx: isize, dy: isize| bytes[mirrored(y + dy, height) * stride + mirrored(x + dx, width)];
+                let square = [-1, 0, 1].map(|dy| [-1, 0, 1].map(|dx| at(dx, dy)));
+                let (red_column, red_row) = order.red();
+                let [is_red_row, is_red_column] = [y as usize % 2 == red_row, x as usize % 2 == red_column];
+                assert_eq!(
+                    rgb.0,
+                    pixel(square, is_red_row, is_red_row == is_red_column),
+                    "{order:?} {width}: {x}, {y}"
+                );
+            }
+        }
+    }
 }

@@ -177,6 +177,7 @@ pub struct Converter {
     layout: Layout,
     equations: yuyv::Equations,
     kernels: YuvKernels,
+    bayer: bayer::Demosaic,
     jpeg: jpeg::Decoder,
 }
 
@@ -194,7 +195,13 @@ impl Converter {
             return Err(PixelError::BayerSize { width, height });
         }
         let equations = yuyv::Equations::of(layout.matrix, layout.range);
-        Ok(Self { layout, equations, kernels: YuvKernels::best(), jpeg: jpeg::Decoder::default() })
+        Ok(Self {
+            layout,
+            equations,
+            kernels: YuvKernels::best(),
+            bayer: bayer::Demosaic::default(),
+            jpeg: jpeg::Decoder::default(),
+        })
     }
 
     /// What the pictures look like in memory.
@@ -230,7 +237,7 @@ impl Converter {
             return Ok(());
         }
         if let PixelFormat::Bayer8(order) = format {
-            bayer::convert(bytes, stride, order, target);
+            self.bayer.convert(bytes, stride, order, target);
             return Ok(());
         }
         for (source, row) in bytes.chunks(stride).zip(target.chunks_exact_mut(3 * width as usize)) {
