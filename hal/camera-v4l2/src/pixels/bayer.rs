@@ -28,7 +28,7 @@ impl BayerOrder {
 }
 
 /// Converts pictures, with memory for a row that is used again and again.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Demosaic {
     rows: RowColours,
     /// All bits of the columns, without the outermost two, that have their row's colour that is not green: of rows whose column 1 has
@@ -37,7 +37,7 @@ pub(super) struct Demosaic {
 }
 
 /// The colours of a row, without its outermost pixels.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct RowColours {
     /// The row's colour that is not green.
     own: Vec<u8>,
@@ -47,11 +47,18 @@ struct RowColours {
 }
 
 impl Demosaic {
-    /// Converts a picture of at least 2x2 pixels. Beyond its rim lies what lies inside, mirrored at the outermost pixels, so that
+    /// For pictures of this width, in pixels.
+    pub(super) fn new(width: u32) -> Self {
+        let inner = (width as usize).saturating_sub(2);
+        let row = || vec![0; inner];
+        let columns = |parity| (0..inner).map(|column| if column % 2 == parity { u8::MAX } else { 0 }).collect();
+        Self { rows: RowColours { own: row(), green: row(), other: row() }, masks: [columns(0), columns(1)] }
+    }
+
+    /// Converts a picture of that width and at least 2x2 pixels. Beyond its rim lies what lies inside, mirrored at the outermost pixels, so that
     /// colours stay where the pattern has them.
     pub(super) fn convert(&mut self, bytes: &[u8], stride: usize, order: BayerOrder, target: &mut RgbImage) {
         let (width, height) = (target.width() as usize, target.height() as usize);
-        self.resize(width - 2);
         let (red_column, red_row) = order.red();
         let row_of = |row: usize| &bytes[row * stride..row * stride + width];
         for (row, out) in target.chunks_exact_mut(3 * width).enumerate() {
@@ -62,19 +69,6 @@ impl Demosaic {
             let has_red = row % 2 == red_row;
             let colour_column = if has_red { red_column } else { 1 - red_column };
             self.convert_row(rows, has_red, colour_column, out);
-        }
-    }
-
-    fn resize(&mut self, inner: usize) {
-        let RowColours { own, green, other } = &mut self.rows;
-        for colour in [own, green, other] {
-            colour.resize(inner, 0);
-        }
-        for (parity, mask) in self.masks.iter_mut().enumerate() {
-            if mask.len() != inner {
-                mask.clear();
-                mask.extend((0..inner).map(|column| if column % 2 == parity { u8::MAX } else { 0 }));
-            }
         }
     }
 
@@ -146,7 +140,7 @@ mod tests {
             let (height, stride) = (7, width + 5);
             let bytes: Vec<u8> = (0..height * stride).map(value).collect();
             let mut found = RgbImage::new(width as u32, height as u32);
-            Demosaic::default().convert(&bytes, stride, order, &mut found);
+            Demosaic::new(width as u32).convert(&bytes, stride, order, &mut found);
             let mirrored = |k: isize, end: usize| if k < 0 { 1 } else { (k as usize).min(2 * (end - 1) - k as usize) };
             for (x, y, rgb) in found.enumerate_pixels() {
                 let (x, y) = (x as isize, y as isize);

@@ -199,7 +199,7 @@ impl Converter {
             layout,
             equations,
             kernels: YuvKernels::best(),
-            bayer: bayer::Demosaic::default(),
+            bayer: bayer::Demosaic::new(width),
             jpeg: jpeg::Decoder::default(),
         })
     }
