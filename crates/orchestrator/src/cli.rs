@@ -7,6 +7,7 @@ use pb3dp_estimation::estimator::Method;
 use pb3dp_record::dataset::TILT_LIMIT_DEG;
 
 use crate::commands::arm::ArmArgs;
+use crate::commands::cameras::CamerasArgs;
 use crate::commands::doctor::DoctorArgs;
 use crate::commands::identify::IdentifyArgs;
 use crate::commands::mock_arm::MockArmArgs;
@@ -46,6 +47,8 @@ pub enum Command {
     MockArm(MockArmArgs),
     /// Own the bus of one PA-10 and its cycle, and serve a host (docs/gateway.md).
     Gateway(GatewayArgs),
+    /// The cameras of a rig: which there are, and what they can do (docs/rig.md).
+    Cameras(CamerasArgs),
     /// Plan a stereo head: what cameras, lenses and a baseline give (docs/rig.md).
     Rig(RigArgs),
     /// Check whether this machine can do what a rig asks of it, and say what to do where it can not (docs/rig.md).
@@ -236,7 +239,7 @@ fn method_help() -> String {
     format!("The estimation method by name: {}", all.join(", "))
 }
 
-fn parse_z_range(text: &str) -> Result<ZRange, String> {
+pub(crate) fn parse_z_range(text: &str) -> Result<ZRange, String> {
     let refuse = || format!("{text:?} is not MIN,MAX in millimetres with 0 < MIN < MAX, for instance 350,650");
     let (min, max) = text.split_once(',').ok_or_else(refuse)?;
     match (min.trim().parse::<f64>(), max.trim().parse::<f64>()) {
@@ -261,7 +264,7 @@ pub(crate) fn parse_seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-fn parse_tilt(text: &str) -> Result<f64, String> {
+pub(crate) fn parse_tilt(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(degrees) if (0.0..=TILT_LIMIT_DEG).contains(&degrees) => Ok(degrees),
         _ => Err(format!("{text:?}: must be between 0 and {TILT_LIMIT_DEG} degrees")),

@@ -33,6 +33,7 @@ fn main() -> ExitCode {
         Command::Arm(args) => commands::arm::run(args),
         Command::MockArm(args) => commands::mock_arm::run(args),
         Command::Gateway(args) => commands::gateway::run(args),
+        Command::Cameras(args) => commands::cameras::run(args),
         Command::Rig(args) => commands::rig::run(args),
         Command::Doctor(args) => commands::doctor::run(args),
     };

@@ -241,8 +241,10 @@ impl DisparityMap {
 /// How a recorder stores pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PictureFormat {
-    /// Lossless.
+    /// Lossless, as small as it gets.
     Png,
+    /// Lossless, for pictures that come one after another: several times as fast as [`Self::Png`], and larger.
+    QuickPng,
     /// Smaller, lossy.
     Jpeg {
         /// 1 to 100.
@@ -254,7 +256,7 @@ impl PictureFormat {
     /// The file name's extension.
     pub fn extension(self) -> &'static str {
         match self {
-            Self::Png => "png",
+            Self::Png | Self::QuickPng => "png",
             Self::Jpeg { .. } => "jpg",
         }
     }
@@ -267,9 +269,17 @@ impl PictureFormat {
 pub fn encode(picture: &RgbImage, format: PictureFormat) -> Result<Vec<u8>, image::ImageError> {
     let mut bytes = Vec::new();
     let (width, height) = picture.dimensions();
+    let mut png = |compression, filter| {
+        PngEncoder::new_with_quality(&mut bytes, compression, filter).write_image(
+            picture.as_raw(),
+            width,
+            height,
+            image::ExtendedColorType::Rgb8,
+        )
+    };
     match format {
-        PictureFormat::Png => PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::Adaptive)
-            .write_image(picture.as_raw(), width, height, image::ExtendedColorType::Rgb8)?,
+        PictureFormat::Png => png(CompressionType::Default, FilterType::Adaptive)?,
+        PictureFormat::QuickPng => png(CompressionType::Fast, FilterType::Up)?,
         PictureFormat::Jpeg { quality } => JpegEncoder::new_with_quality(&mut bytes, quality.clamp(1, 100))
             .write_image(picture.as_raw(), width, height, image::ExtendedColorType::Rgb8)?,
     }
@@ -305,6 +315,8 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let (png, jpg) = (dir.path().join("a.png"), dir.path().join("b.jpg"));
         save(&gradient(), &png, PictureFormat::Png).unwrap();
+        assert_eq!(load_rgb(&png).unwrap(), gradient());
+        save(&gradient(), &png, PictureFormat::QuickPng).unwrap();
         assert_eq!(load_rgb(&png).unwrap(), gradient());
         save(&gradient(), &jpg, PictureFormat::Jpeg { quality: 95 }).unwrap();
         let difference: u64 =

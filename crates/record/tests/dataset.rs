@@ -236,6 +236,65 @@ fn a_frame_that_does_not_fit_is_refused_and_leaves_the_recording_usable() {
 }
 
 #[test]
+fn frames_written_by_others_count_as_far_as_they_are_kept() {
+    let dir = tempfile::tempdir().unwrap();
+    let draft = SequenceDraft {
+        region_polygon_left_px: vec![[1.0, 2.0], [20.0, 3.0], [18.0, 20.0]],
+        search: search(),
+        pictures: PictureFormat::QuickPng,
+    };
+    let mut writer = SequenceWriter::create(dir.path(), &rig(), draft).unwrap();
+    let mut files = Vec::new();
+    for i in 0..4 {
+        let (left, right) = (picture(i), picture(100 + i));
+        let frame = WrittenFrame {
+            left: &left,
+            right: &right,
+            exposed_at: MonotonicTime::from_nanos(100 * (1 + u64::from(i))),
+            skew_nanos: -250_000,
+            cam_left_from_model: None,
+        };
+        files.push(writer.accept(&frame).unwrap());
+        files[usize::from(i)].save(&left, &right).unwrap();
+    }
+    // The third one could not be written, say.
+    writer.keep(2);
+    assert_eq!((writer.frames(), writer.finish().unwrap().frames), (2, 2));
+    assert!(files[1].right.exists() && !files[2].left.exists() && !files[3].right.exists());
+    let sequence = load_sequence(dir.path()).unwrap();
+    assert_eq!((sequence.frames(), sequence.skew_s.as_slice()), (2, [-0.000_25; 2].as_slice()));
+    let pictures = sequence.load_pictures(1, ImageSize { width: 32, height: 24 }).unwrap();
+    assert_eq!((pictures.left, pictures.right), (picture(1), picture(101)));
+}
+
+#[test]
+fn a_picture_that_can_not_be_written_is_not_counted() {
+    let dir = tempfile::tempdir().unwrap();
+    let draft = SequenceDraft {
+        region_polygon_left_px: vec![[1.0, 2.0], [20.0, 3.0], [18.0, 20.0]],
+        search: search(),
+        pictures: PictureFormat::Png,
+    };
+    let mut writer = SequenceWriter::create(dir.path(), &rig(), draft).unwrap();
+    let picture = picture(1);
+    let frame = |at| WrittenFrame {
+        left: &picture,
+        right: &picture,
+        exposed_at: MonotonicTime::from_nanos(at),
+        skew_nanos: 0,
+        cam_left_from_model: None,
+    };
+    writer.push(frame(1)).unwrap();
+    std::fs::create_dir(dir.path().join("right_0001.png")).unwrap();
+    let error = writer.push(frame(2)).unwrap_err();
+    assert!(error.to_string().contains("right_0001.png") && !error.is_disk_full(), "{error}");
+    assert!(!dir.path().join("left_0001.png").exists(), "half a frame is none");
+    std::fs::remove_dir(dir.path().join("right_0001.png")).unwrap();
+    writer.push(frame(2)).unwrap();
+    assert_eq!(writer.finish().unwrap().frames, 2);
+}
+
+#[test]
 fn a_bad_picture_costs_its_own_frame_only() {
     let dir = tempfile::tempdir().unwrap();
     recorded(dir.path(), PictureFormat::Png).unwrap();

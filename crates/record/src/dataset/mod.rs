@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 pub use case::{Case, Hardness, PlaneTruth, StereoPictures, load_case};
 pub use sequence::{FramePattern, Sequence, load_sequence};
-pub use writer::{CaseDraft, SequenceDraft, SequenceSummary, SequenceWriter, WrittenFrame, write_case};
+pub use writer::{CaseDraft, FrameFiles, SequenceDraft, SequenceSummary, SequenceWriter, WrittenFrame, write_case};
 
 use crate::calibration_files::CalibrationFileError;
 use crate::images::ImageFileError;
@@ -103,6 +103,23 @@ pub enum DatasetError {
         /// The check that failed.
         reason: String,
     },
+}
+
+impl DatasetError {
+    /// Whether there was no room any more, on the disk or for this user.
+    pub fn is_disk_full(&self) -> bool {
+        match self {
+            Self::Io { source, .. } => is_full(source),
+            Self::Image(error) => std::error::Error::source(error)
+                .and_then(|cause| cause.downcast_ref::<std::io::Error>())
+                .is_some_and(is_full),
+            _ => false,
+        }
+    }
+}
+
+fn is_full(error: &std::io::Error) -> bool {
+    matches!(error.kind(), std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded)
 }
 
 /// Where a plane is searched.

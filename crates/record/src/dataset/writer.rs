@@ -59,6 +59,36 @@ pub struct WrittenFrame<'a> {
     pub cam_left_from_model: Option<Pose<CamLeft, Model>>,
 }
 
+/// Where the pictures of one frame go. They may be written by other threads than the one that has the [`SequenceWriter`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FrameFiles {
+    /// Left picture.
+    pub left: PathBuf,
+    /// Right picture.
+    pub right: PathBuf,
+    /// How both are stored.
+    pub pictures: PictureFormat,
+}
+
+impl FrameFiles {
+    /// Writes both pictures.
+    ///
+    /// # Errors
+    /// A picture that can not be written.
+    pub fn save(&self, left: &RgbImage, right: &RgbImage) -> Result<(), DatasetError> {
+        save(left, &self.left, self.pictures)?;
+        Ok(save(right, &self.right, self.pictures)?)
+    }
+
+    /// Removes what there is of both.
+    fn remove(&self) {
+        for file in [&self.left, &self.right] {
+            // One that is not there is what is wanted; one that stays does no harm, as no description counts it.
+            let _ = std::fs::remove_file(file);
+        }
+    }
+}
+
 /// What a finished recording holds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SequenceSummary {
@@ -159,18 +189,51 @@ impl SequenceWriter {
     /// A frame that is not later than the one before, of a size that is not the calibration's, or with truth where the
     /// others have none; nothing is recorded of such a frame. A picture that can not be written.
     pub fn push(&mut self, frame: WrittenFrame<'_>) -> Result<(), DatasetError> {
-        let number = self.times.len() as u64;
-        self.check(&frame).map_err(|reason| DatasetError::Frame {
+        let files = self.accept(&frame)?;
+        files.save(frame.left, frame.right).inspect_err(|_| self.forget_last())
+    }
+
+    /// Notes the next frame, whose pictures the caller writes: where they go. What could not be written is left out again by
+    /// [`Self::keep`].
+    ///
+    /// # Errors
+    /// As [`Self::push`], but for pictures that can not be written.
+    pub fn accept(&mut self, frame: &WrittenFrame<'_>) -> Result<FrameFiles, DatasetError> {
+        let number = self.frames();
+        self.check(frame).map_err(|reason| DatasetError::Frame {
             frame: number,
             folder: self.folder.clone(),
             reason,
         })?;
-        save(frame.left, &self.folder.join(self.left.name(number)), self.draft.pictures)?;
-        save(frame.right, &self.folder.join(self.right.name(number)), self.draft.pictures)?;
         self.times.push(frame.exposed_at);
         self.skews_nanos.push(frame.skew_nanos);
         self.poses.extend(frame.cam_left_from_model);
-        Ok(())
+        Ok(self.files(number))
+    }
+
+    /// Frames so far.
+    pub fn frames(&self) -> u64 {
+        self.times.len() as u64
+    }
+
+    /// Leaves out all frames but the first ones, and removes their pictures.
+    pub fn keep(&mut self, frames: u64) {
+        while self.frames() > frames {
+            self.forget_last();
+        }
+    }
+
+    fn forget_last(&mut self) {
+        if self.times.pop().is_some() {
+            self.skews_nanos.pop();
+            self.poses.truncate(self.times.len());
+            self.files(self.frames()).remove();
+        }
+    }
+
+    fn files(&self, number: u64) -> FrameFiles {
+        let place = |pattern: &FramePattern| self.folder.join(pattern.name(number));
+        FrameFiles { left: place(&self.left), right: place(&self.right), pictures: self.draft.pictures }
     }
 
     fn check(&self, frame: &WrittenFrame<'_>) -> Result<(), String> {
@@ -193,14 +256,23 @@ impl SequenceWriter {
         Ok(())
     }
 
-    /// Writes `sequence.json`.
+    /// Writes `sequence.json`. Where a full disk has no room for it, the last frames make room.
     ///
     /// # Errors
     /// If no frame was pushed or the file can not be written.
-    pub fn finish(self) -> Result<SequenceSummary, DatasetError> {
+    pub fn finish(mut self) -> Result<SequenceSummary, DatasetError> {
+        loop {
+            match self.describe() {
+                Err(error) if error.is_disk_full() && self.frames() > 1 => self.forget_last(),
+                done => return done,
+            }
+        }
+    }
+
+    fn describe(&self) -> Result<SequenceSummary, DatasetError> {
         if self.times.is_empty() {
             let reason = "a sequence must have at least one frame".into();
-            return Err(DatasetError::Frame { frame: 0, folder: self.folder, reason });
+            return Err(DatasetError::Frame { frame: 0, folder: self.folder.clone(), reason });
         }
         let file = self.folder.join(SEQUENCE_FILE);
         let times_s: Vec<f64> = self.times.iter().map(|t| t.as_secs_f64()).collect();
@@ -269,10 +341,10 @@ fn write_object(file: &Path, keys: &[(&str, Value)]) -> Result<(), DatasetError>
     }
     text.push_str("}\n");
     let partial = file.with_extension("json.partial");
-    std::fs::write(&partial, text).and_then(|()| std::fs::rename(&partial, file)).map_err(|source| DatasetError::Io {
-        file: file.to_owned(),
-        action: "write",
-        source,
+    std::fs::write(&partial, text).and_then(|()| std::fs::rename(&partial, file)).map_err(|source| {
+        // Nothing may be left of it; one that is not there is what is wanted.
+        let _ = std::fs::remove_file(&partial);
+        DatasetError::Io { file: file.to_owned(), action: "write", source }
     })
 }
 

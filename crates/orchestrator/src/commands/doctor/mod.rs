@@ -20,6 +20,7 @@ use clap::Args;
 
 use self::finding::{Finding, Report};
 use self::needs::Needs;
+pub(super) use self::system::free_bytes;
 use self::system::{Machine, System};
 use super::estimate::output::print_line;
 

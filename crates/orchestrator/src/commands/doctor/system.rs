@@ -116,11 +116,19 @@ impl System for Machine {
     }
 
     fn free_bytes(&self, path: &Path) -> Result<u64, String> {
-        let whole = std::path::absolute(path).map_err(|error| error.to_string())?;
-        let there = whole.ancestors().find(|folder| folder.exists()).unwrap_or(Path::new("/"));
-        let found = statvfs(there).map_err(|error| format!("{}: {error}", there.display()))?;
-        Ok(found.f_bavail.saturating_mul(found.f_frsize))
+        free_bytes(path)
     }
+}
+
+/// Bytes that this user may still write below a path, or below its nearest folder that is there.
+///
+/// # Errors
+/// What the system says against it.
+pub(in crate::commands) fn free_bytes(path: &Path) -> Result<u64, String> {
+    let whole = std::path::absolute(path).map_err(|error| error.to_string())?;
+    let there = whole.ancestors().find(|folder| folder.exists()).unwrap_or(Path::new("/"));
+    let found = statvfs(there).map_err(|error| format!("{}: {error}", there.display()))?;
+    Ok(found.f_bavail.saturating_mul(found.f_frsize))
 }
 
 /// Asks for it as the threads of an arm do, in a thread that ends at once.

@@ -1,6 +1,6 @@
 //! `pb3dp rig`: what a stereo head can give, before it is built (docs/rig.md).
 
-mod numbers;
+pub(super) mod numbers;
 mod report;
 
 use std::process::ExitCode;

@@ -18,7 +18,7 @@ const DISTANCE_MM: RangeInclusive<f64> = 50.0..=10_000.0;
 const SIDE_PX: RangeInclusive<u32> = 32..=16_384;
 
 /// A number with a unit.
-pub(super) fn number(
+pub(in crate::commands) fn number(
     unit: &'static str,
     allowed: RangeInclusive<f64>,
 ) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
@@ -53,7 +53,7 @@ pub(super) fn grey(
     number("grey levels", allowed)
 }
 
-pub(super) fn millis(
+pub(in crate::commands) fn millis(
     allowed: RangeInclusive<f64>,
 ) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
     number("ms", allowed)
@@ -64,7 +64,7 @@ pub(super) fn micrometres() -> impl Fn(&str) -> Result<f64, String> + Clone + Se
 }
 
 /// `640x480`.
-pub(super) fn size(text: &str) -> Result<ImageSize, String> {
+pub(in crate::commands) fn size(text: &str) -> Result<ImageSize, String> {
     let side = |text: &str| text.trim().parse::<u32>().ok().filter(|side| SIDE_PX.contains(side));
     let sides = text.split_once('x').and_then(|(width, height)| Some((side(width)?, side(height)?)));
     sides.map(|(width, height)| ImageSize { width, height }).ok_or_else(|| {

@@ -1,0 +1,77 @@
+//! Checks of emulated cameras that show a real pair.
+
+use pb3dp_camera_v4l2::emulated::EmulatedCamera;
+
+use super::super::emulated_rig::{case, system, typed};
+use super::*;
+
+fn check(more: &[&str], change: impl Fn(usize, &mut EmulatedCamera)) -> Result<Report> {
+    let calibration = case().calibration.display().to_string();
+    let args: CheckArgs = typed(&[&["--format", "RGB3", "--calib", &calibration, "--pairs", "120"], more].concat());
+    let (system, clock) = system(change);
+    checked(system, clock, &args)
+}
+
+fn failed(report: &Report) -> Vec<&str> {
+    let findings = report.findings.iter().filter(|finding| finding.passed == Some(false));
+    findings.map(|finding| finding.check.as_str()).collect()
+}
+
+#[test]
+fn good_cameras_pass_every_check() {
+    let report = check(&[], |_, _| {}).unwrap();
+    assert_eq!((failed(&report), report.passed, report.pairs), (vec![], true, 120), "{}", report.text());
+    let checks: Vec<&str> = report.findings.iter().map(|finding| finding.check.as_str()).collect();
+    let expected = [
+        "rate",
+        "jitter",
+        "skew",
+        "missing",
+        "brightness left",
+        "clipped bright left",
+        "clipped dark left",
+        "brightness right",
+        "clipped bright right",
+        "clipped dark right",
+        "brightness of both",
+        "sharpness left",
+        "sharpness right",
+        "focus of both",
+        "rows",
+    ];
+    assert_eq!(checks, expected);
+    assert!(report.text().ends_with("15 passed, 0 failed, 0 not checked"), "{}", report.text());
+    let json = serde_json::to_value(&report).unwrap();
+    assert_eq!((&json["findings"][2]["value"], &json["findings"][2]["limit_max"]), (&1.0.into(), &5.0.into()));
+}
+
+#[test]
+fn each_fault_of_the_cameras_is_found_and_said() {
+    let apart = check(&[], |side, camera| camera.phase = Duration::from_millis(40 + 8 * side as u64)).unwrap();
+    assert_eq!(failed(&apart), ["skew"], "{}", apart.text());
+    let borne = check(&["--skew-max", "9"], |side, camera| camera.phase = Duration::from_millis(40 + 8 * side as u64));
+    assert!(borne.unwrap().passed);
+    let drifting = check(&[], |side, camera| camera.slowness = 2e-4 * side as f64).unwrap();
+    let skew = drifting.findings.iter().find(|finding| finding.check == "skew").unwrap();
+    assert!(skew.found.contains("drifting by +200.") && skew.found.contains("beyond the limit in"), "{skew:?}");
+    let slow = check(&[], |_, camera| camera.slowness = 0.05).unwrap();
+    assert_eq!(failed(&slow), ["rate"], "{}", slow.text());
+    let one_eyed = check(&[], |side, camera| {
+        if side == 1 {
+            camera.paint = |_, memory| memory.fill(90);
+        }
+    });
+    let report = one_eyed.unwrap();
+    assert_eq!(failed(&report), ["sharpness right", "rows"], "{}", report.text());
+}
+
+#[test]
+fn cameras_that_fail_are_told() {
+    let silent = |side: usize, camera: &mut EmulatedCamera| camera.faults.is_silent = side == 1;
+    let error = format!("{:#}", check(&[], silent).unwrap_err());
+    assert!(error.contains("no pairs come") && error.contains("no picture yet"), "{error}");
+    let error = format!("{:#}", check(&[], |side, camera| camera.faults.is_unplugged = side == 0).unwrap_err());
+    assert!(error.contains("there is no such camera"), "{error}");
+    let ends = check(&[], |side, camera| camera.faults.ends = side == 0);
+    assert!(format!("{:#}", ends.unwrap_err()).contains("has ended its stream"));
+}

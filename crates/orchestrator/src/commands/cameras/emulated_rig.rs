@@ -1,0 +1,78 @@
+//! Two emulated cameras that show a real pair of `tests/data`, for tests.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
+
+use clap::Parser;
+use image::RgbImage;
+use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem};
+use pb3dp_camera_v4l2::video::Interval;
+use pb3dp_geometry::ImageSize;
+use pb3dp_hal_api::Clock;
+use pb3dp_hal_clock::VirtualClock;
+use pb3dp_record::dataset::{Case, load_case};
+use pb3dp_record::images::load_rgb;
+
+/// The real pair.
+pub(super) fn case() -> Case {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/cases");
+    let mut folders: Vec<PathBuf> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    folders.sort();
+    load_case(folders.iter().find(|folder| folder.is_dir()).unwrap()).unwrap()
+}
+
+/// Its two pictures.
+pub(super) fn pictures() -> &'static [RgbImage; 2] {
+    static PICTURES: OnceLock<[RgbImage; 2]> = OnceLock::new();
+    PICTURES.get_or_init(|| {
+        let case = case();
+        [load_rgb(&case.left).unwrap(), load_rgb(&case.right).unwrap()]
+    })
+}
+
+/// A picture with its number in its first bytes, so that each one differs.
+fn paint(side: usize, number: u64, memory: &mut [u8]) {
+    memory.copy_from_slice(pictures()[side].as_raw());
+    memory[..8].copy_from_slice(&number.to_le_bytes());
+}
+
+fn paint_left(number: u64, memory: &mut [u8]) {
+    paint(0, number, memory);
+}
+
+fn paint_right(number: u64, memory: &mut [u8]) {
+    paint(1, number, memory);
+}
+
+/// The number in a picture.
+pub(super) fn number_in(picture: &RgbImage) -> u64 {
+    u64::from_le_bytes(picture.as_raw()[..8].try_into().unwrap())
+}
+
+/// A system with both cameras, 640x480 `RGB3` at 30 per second in virtual time; the right one runs 1 ms after the left one.
+pub(super) fn system(change: impl Fn(usize, &mut EmulatedCamera)) -> (Arc<EmulatedSystem>, Arc<dyn Clock>) {
+    let clock: Arc<dyn Clock> = Arc::new(VirtualClock::default());
+    clock.sleep_until(pb3dp_geometry::MonotonicTime::from_nanos(5_000_000_000));
+    let cameras = (0..2).map(|side| {
+        let mut camera = EmulatedCamera::usual(side as u32);
+        let interval = Interval { numerator: 1, denominator: 30 };
+        camera.formats = vec![(*b"RGB3", vec![(ImageSize { width: 640, height: 480 }, vec![interval])])];
+        camera.phase = Duration::from_millis(40 + side as u64);
+        camera.paint = if side == 0 { paint_left } else { paint_right };
+        change(side, &mut camera);
+        camera
+    });
+    (Arc::new(EmulatedSystem::new(clock.clone(), cameras.collect())), clock)
+}
+
+/// Arguments of a command as a user types them, after the names and the exposure of these cameras.
+pub(super) fn typed<A: clap::Args>(more: &[&str]) -> A {
+    #[derive(Parser)]
+    struct Line<A: clap::Args> {
+        #[command(flatten)]
+        args: A,
+    }
+    let words = ["pb3dp", "--left", "serial:SN0000", "--right", "serial:SN0001", "--exposure", "4"];
+    Line::<A>::parse_from(words.iter().chain(more)).args
+}

@@ -1,0 +1,57 @@
+//! `pb3dp cameras`: the cameras of a rig, before anything moves by what they see (docs/rig.md).
+
+mod check;
+mod choice;
+#[cfg(test)]
+mod emulated_rig;
+mod list;
+mod record;
+
+use std::process::ExitCode;
+use std::sync::Arc;
+
+use anyhow::Result;
+use clap::{Args, Subcommand};
+use pb3dp_arm_pa10::io::signals::StopSignals;
+use pb3dp_camera_v4l2::linux::Linux;
+use pb3dp_hal_clock::SystemClock;
+
+/// Arguments of `pb3dp cameras`.
+#[derive(Debug, Args)]
+pub struct CamerasArgs {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// Show which cameras there are: their names, formats, sizes, rates and controls.
+    List(list::ListArgs),
+    /// Record pairs as a sequence folder at the full rate of the cameras, for `pb3dp track`.
+    Record(Box<record::RecordArgs>),
+    /// Measure rate, jitter, skew, losses, exposure, sharpness and rows, each against a limit.
+    Check(Box<check::CheckArgs>),
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// If there is no camera, or standard output is not to be written.
+pub fn run(args: &CamerasArgs) -> Result<ExitCode> {
+    match &args.what {
+        What::List(args) => list::run(&Linux, args),
+        What::Check(args) => check::run(Arc::new(Linux), Arc::new(SystemClock::new()), args),
+        What::Record(args) => record::run(Arc::new(Linux), Arc::new(SystemClock::new()), args),
+    }
+}
+
+/// Whether a signal has come that asks to end; says what follows.
+fn stop_requested(signals: &mut StopSignals, follows: &str) -> bool {
+    match signals.try_take() {
+        Ok(Some(signal)) => {
+            tracing::info!("{signal}: {follows}");
+            true
+        }
+        _ => false,
+    }
+}

@@ -1,0 +1,241 @@
+//! `pb3dp cameras record`: pairs of the cameras as a sequence folder, at their full rate.
+
+mod recorder;
+#[cfg(test)]
+mod tests;
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::{Context, Result, anyhow, bail};
+use clap::Args;
+use pb3dp_arm_pa10::io::signals::StopSignals;
+use pb3dp_camera_v4l2::V4l2StereoCamera;
+use pb3dp_camera_v4l2::video::VideoSystem;
+use pb3dp_geometry::ImageSize;
+use pb3dp_hal_api::{Clock, StereoCamera};
+use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter};
+use pb3dp_record::images::PictureFormat;
+use serde::Serialize;
+
+use self::recorder::{Failure, Missing, Outcome, Plan, record};
+use super::choice::{CameraChoice, Chosen, check_size};
+use super::stop_requested;
+use crate::cli::{ZRange, parse_seconds, parse_tilt, parse_z_range};
+use crate::commands::doctor::free_bytes;
+use crate::commands::estimate::output::print_line;
+use crate::region_spec::RegionSpec;
+
+/// What the exit code and `--json` say.
+const RECORD_JSON: &str =
+    "Ctrl-C ends the recording in order. Exit code: 0 if every pair was kept, 1 if any is missing or something failed; what was written
+before that stays a whole sequence.
+Object of --json:
+  file             its sequence.json, or null if nothing was kept
+  pairs            pairs that were kept
+  seconds          from the first to the last pair
+  missing_queue    pairs left out because they could not be written fast enough
+  missing_cameras  pairs that the cameras did not deliver, or that were damaged or too far apart
+  failure          why it ended before its time, or null";
+
+/// Where to search in what was recorded, unless it is said.
+const Z_RANGE: ZRange = ZRange { min_mm: 300.0, max_mm: 800.0 };
+
+/// Arguments of `pb3dp cameras record`.
+#[derive(Debug, Args)]
+#[command(after_long_help = RECORD_JSON)]
+pub(super) struct RecordArgs {
+    #[command(flatten)]
+    cameras: CameraChoice,
+    /// The folder; it must not hold a sequence.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// End after this many seconds.
+    #[arg(long, value_name = "SECONDS", value_parser = parse_seconds, conflicts_with = "pairs", allow_hyphen_values = true)]
+    seconds: Option<f64>,
+    /// End after this many pairs.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pairs: Option<u64>,
+    /// The target in the left picture of the first pair, for `pb3dp track`: rect:X,Y,WIDTH,HEIGHT or poly:X1,Y1;X2,Y2;X3,Y3; without it
+    /// the middle of the picture.
+    #[arg(long, value_name = "REGION")]
+    region: Option<RegionSpec>,
+    /// Depths to search there, millimetres; without it 300,800.
+    #[arg(long, value_name = "MIN,MAX", value_parser = parse_z_range, allow_hyphen_values = true)]
+    z_range: Option<ZRange>,
+    /// Largest tilt to search there, degrees.
+    #[arg(long, value_name = "DEGREES", value_parser = parse_tilt, default_value = "60", allow_hyphen_values = true)]
+    tilt_max: f64,
+    /// Store pictures as JPEG of this quality, which is lossy; without it as PNG.
+    #[arg(long, value_name = "1..100", value_parser = clap::value_parser!(u8).range(1..=100))]
+    jpeg: Option<u8>,
+    /// Pairs that may wait in memory to be written.
+    #[arg(long, value_name = "N", default_value_t = 90, value_parser = clap::value_parser!(u16).range(2..=2000))]
+    queue: u16,
+    /// Threads that compress and write; without it one less than there are processors.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=64))]
+    writers: Option<u8>,
+    /// One JSON object on standard output instead of text.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// If the cameras or the folder can not be used.
+pub(super) fn run(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &RecordArgs) -> Result<ExitCode> {
+    // Before any other thread is there.
+    let mut signals = StopSignals::take_over().context("signals can not be taken over")?;
+    let mut is_over = || stop_requested(&mut signals, "the recording ends");
+    let line = recorded(system, clock, args, &mut is_over)?;
+    print_line(&if args.json { serde_json::to_string(&line)? } else { line.text() })?;
+    match line.wrong() {
+        None => Ok(ExitCode::SUCCESS),
+        Some(wrong) => Err(anyhow!(wrong)),
+    }
+}
+
+/// What a recording has come to, as `--json` has it.
+#[derive(Debug, Serialize)]
+struct Recorded {
+    file: Option<PathBuf>,
+    pairs: u64,
+    seconds: f64,
+    missing_queue: u64,
+    missing_cameras: u64,
+    failure: Option<String>,
+    #[serde(skip)]
+    complaint: Option<String>,
+}
+
+/// Opens the cameras and records.
+fn recorded(
+    system: Arc<dyn VideoSystem>,
+    clock: Arc<dyn Clock>,
+    args: &RecordArgs,
+    is_over: &mut dyn FnMut() -> bool,
+) -> Result<Recorded> {
+    let Chosen { config, rig } = args.cameras.chosen()?;
+    let Some(rig) = rig else {
+        bail!("a sequence needs a calibration: give --calib FILE (docs/rig.md)");
+    };
+    let plan = Plan {
+        pairs_max: args.pairs,
+        time_max: args.seconds.map(Duration::from_secs_f64),
+        queue: usize::from(args.queue),
+        writers: usize::from(args.writers.unwrap_or_else(writers)),
+    };
+    let draft = draft(args, rig.left().size())?;
+    let mut camera =
+        V4l2StereoCamera::open(system, Arc::clone(&clock), &config).context("the cameras can not be used")?;
+    check_size(&rig, camera.info().size)?;
+    let writer = SequenceWriter::create(&args.out, &rig, draft).context("--out")?;
+    tracing::info!("{}: recording into {}", camera.info().name, args.out.display());
+    let outcome =
+        record(&mut camera, clock.as_ref(), writer, &plan, &|files, pair| files.save(&pair.left, &pair.right), is_over);
+    Ok(Recorded::of(outcome, &args.out))
+}
+
+/// As many threads as there are processors beside that of the cameras.
+fn writers() -> u8 {
+    let processors = std::thread::available_parallelism().map_or(2, usize::from);
+    u8::try_from(processors.saturating_sub(1).clamp(1, 8)).unwrap_or(1)
+}
+
+/// What the sequence says beside its pairs.
+fn draft(args: &RecordArgs, size: ImageSize) -> Result<SequenceDraft> {
+    let [width, height] = [f64::from(size.width), f64::from(size.height)];
+    let middle = RegionSpec::Rectangle([0.375 * width, 0.375 * height, 0.25 * width, 0.25 * height]);
+    let region_polygon_left_px = match args.region.as_ref().unwrap_or(&middle) {
+        RegionSpec::Rectangle([x, y, w, h]) => vec![[*x, *y], [x + w, *y], [x + w, y + h], [*x, y + h]],
+        RegionSpec::Polygon(corners) => corners.clone(),
+        RegionSpec::Mask(_) | RegionSpec::Click(_) => {
+            bail!("--region: a sequence has a polygon: write rect:X,Y,WIDTH,HEIGHT or poly:X1,Y1;X2,Y2;X3,Y3")
+        }
+    };
+    let is_inside = |[u, v]: &[f64; 2]| (-0.5..=width - 0.5).contains(u) && (-0.5..=height - 0.5).contains(v);
+    if let Some([u, v]) = region_polygon_left_px.iter().find(|corner| !is_inside(corner)) {
+        bail!("--region: the corner {u},{v} is outside of the left picture, which has {width}x{height} pixels");
+    }
+    let range = args.z_range.unwrap_or(Z_RANGE);
+    Ok(SequenceDraft {
+        region_polygon_left_px,
+        search: SearchRange {
+            z_min_m: range.min_mm * 1e-3,
+            z_max_m: range.max_mm * 1e-3,
+            tilt_max_rad: args.tilt_max.to_radians(),
+        },
+        pictures: args.jpeg.map_or(PictureFormat::QuickPng, |quality| PictureFormat::Jpeg { quality }),
+    })
+}
+
+impl Recorded {
+    fn of(outcome: Outcome, folder: &Path) -> Self {
+        let Outcome { summary, seconds, missing: Missing { queue, cameras }, complaint, failure } = outcome;
+        let pairs = summary.as_ref().map_or(0, |summary| summary.frames);
+        Self {
+            file: summary.map(|summary| summary.file),
+            pairs,
+            seconds,
+            missing_queue: queue,
+            missing_cameras: cameras,
+            failure: failure.map(|failure| failure_text(failure, folder, pairs)),
+            complaint,
+        }
+    }
+
+    fn text(&self) -> String {
+        let Self { pairs, seconds, missing_queue, missing_cameras, .. } = self;
+        let place = self.file.as_ref().map_or_else(|| "nothing was kept".to_owned(), |file| file.display().to_string());
+        let rate = if *seconds > 0.0 { (pairs + missing_queue).saturating_sub(1) as f64 / seconds } else { 0.0 };
+        format!(
+            "{pairs} pairs in {seconds:.2} s ({rate:.2} per second), {} missing: {place}",
+            missing_queue + missing_cameras
+        )
+    }
+
+    /// What makes the command fail.
+    fn wrong(&self) -> Option<String> {
+        if self.failure.is_some() {
+            return self.failure.clone();
+        }
+        let mut parts = Vec::new();
+        if self.missing_queue > 0 {
+            parts.push(format!(
+                "{} pairs were left out because they could not be written fast enough: a faster disk, more --writers or --queue, or --jpeg 95",
+                self.missing_queue
+            ));
+        }
+        if self.missing_cameras > 0 {
+            let last = self
+                .complaint
+                .as_ref()
+                .map_or_else(String::new, |complaint| format!(" (the last complaint: {complaint})"));
+            parts.push(format!(
+                "{} pairs did not come from the cameras, or not as pairs{last}: `pb3dp cameras check` says what to do",
+                self.missing_cameras
+            ));
+        }
+        if parts.is_empty() && self.file.is_none() {
+            parts.push("not one pair came before the end: nothing was kept".to_owned());
+        }
+        (!parts.is_empty()).then(|| parts.join("; "))
+    }
+}
+
+fn failure_text(failure: Failure, folder: &Path, pairs: u64) -> String {
+    let kept = format!("{pairs} pairs before it are kept in {}", folder.display());
+    match failure {
+        Failure::Disk(error) if error.is_disk_full() => {
+            let free = free_bytes(folder).map_or_else(|_| "unknown how many".to_owned(), |bytes| bytes.to_string());
+            let error = anyhow::Error::new(error);
+            format!("the disk is full, {free} bytes are free: {error:#}; make room, or record elsewhere; {kept}")
+        }
+        Failure::Disk(error) => format!("{:#}; {kept}", anyhow::Error::new(error)),
+        Failure::Camera(error) => format!("{:#}; {kept}", anyhow::Error::new(error)),
+        Failure::Thread(error) => format!("the system gives no thread to write with: {error}; {kept}"),
+    }
+}

@@ -1,0 +1,217 @@
+//! Recordings of emulated cameras.
+
+use std::os::unix::fs::symlink;
+use std::sync::Mutex;
+
+use clap::Parser as _;
+use pb3dp_record::dataset::load_sequence;
+
+use super::super::emulated_rig::{case, number_in, pictures, system, typed};
+use super::*;
+use crate::cli::{Cli, Command};
+
+/// A folder for recordings, and the arguments that lead there.
+struct Place {
+    folder: tempfile::TempDir,
+    calibration: String,
+}
+
+impl Place {
+    fn new() -> Self {
+        Self { folder: tempfile::tempdir().unwrap(), calibration: case().calibration.display().to_string() }
+    }
+
+    fn out(&self) -> PathBuf {
+        self.folder.path().join("sequence")
+    }
+
+    fn args(&self, more: &[&str]) -> RecordArgs {
+        let out = self.out().display().to_string();
+        let words = [
+            &["--format", "RGB3", "--calib", &self.calibration, "--out", &out, "--queue", "20", "--writers", "2"],
+            more,
+        ]
+        .concat();
+        typed(&words)
+    }
+}
+
+fn never() -> bool {
+    false
+}
+
+#[test]
+fn every_pair_is_kept_as_it_was_and_track_reads_it() {
+    let place = Place::new();
+    let case = case();
+    let corners: Vec<String> = case.region_polygon_left_px.iter().map(|[u, v]| format!("{u},{v}")).collect();
+    let range = format!("{},{}", case.search.z_min_m * 1e3, case.search.z_max_m * 1e3);
+    let region = format!("poly:{}", corners.join(";"));
+    let args = place.args(&["--pairs", "6", "--region", &region, "--z-range", &range]);
+    let (system, clock) = system(|_, _| {});
+    let line = recorded(system, clock, &args, &mut never).unwrap();
+    assert_eq!((line.pairs, line.wrong()), (6, None));
+    assert!(line.text().starts_with("6 pairs in 0.17 s (30.00 per second), 0 missing"), "{}", line.text());
+    let sequence = load_sequence(&place.out()).unwrap();
+    assert_eq!((sequence.frames(), sequence.skew_s.as_slice()), (6, [1e-3; 6].as_slice()));
+    let size = ImageSize { width: 640, height: 480 };
+    for frame in 0..6 {
+        let read = sequence.load_pictures(frame, size).unwrap();
+        assert_eq!((number_in(&read.left), number_in(&read.right)), (frame, frame));
+        for (read, painted) in [&read.left, &read.right].into_iter().zip(pictures()) {
+            assert_eq!(read.as_raw()[8..], painted.as_raw()[8..], "frame {frame}");
+        }
+        let since = sequence.times_s[frame as usize] - sequence.times_s[0];
+        assert!((since - frame as f64 / 30.0).abs() < 1e-6, "frame {frame} after {since} s");
+    }
+    let out = place.out().display().to_string();
+    let cli = Cli::try_parse_from(["pb3dp", "track", "--json", "--sequence", &out]).unwrap();
+    let Command::Track(track) = &cli.command else { panic!("{cli:?}") };
+    assert_eq!(crate::commands::track::run(track).unwrap(), ExitCode::SUCCESS);
+}
+
+#[test]
+fn an_end_by_hand_is_an_end_in_order() {
+    let place = Place::new();
+    let mut calls = 0;
+    let mut is_over = || {
+        calls += 1;
+        calls > 4
+    };
+    let (system, clock) = system(|_, _| {});
+    let line = recorded(system, clock, &place.args(&["--jpeg", "90"]), &mut is_over).unwrap();
+    assert_eq!((line.pairs, line.wrong()), (4, None));
+    assert!(load_sequence(&place.out()).unwrap().picture_files(3).0.ends_with("left_0003.jpg"));
+    let (system, clock) = super::super::emulated_rig::system(|_, _| {});
+    let error = recorded(system, clock, &place.args(&[]), &mut never).unwrap_err();
+    assert!(format!("{error:#}").contains("give an empty folder"), "{error:#}");
+}
+
+#[test]
+fn seconds_are_those_of_the_cameras() {
+    let place = Place::new();
+    let (system, clock) = system(|_, _| {});
+    let line = recorded(system, clock, &place.args(&["--seconds", "0.3"]), &mut never).unwrap();
+    assert!((7..=9).contains(&line.pairs), "{line:?}");
+}
+
+/// A writer into the place, and cameras, for the recorder itself.
+fn parts(place: &Place, plan: &[&str]) -> (V4l2StereoCamera, Arc<dyn Clock>, SequenceWriter) {
+    let args = place.args(plan);
+    let Chosen { config, rig } = args.cameras.chosen().unwrap();
+    let rig = rig.unwrap();
+    let (system, clock) = system(|_, _| {});
+    let camera = V4l2StereoCamera::open(system, clock.clone(), &config).unwrap();
+    let draft = draft(&args, rig.left().size()).unwrap();
+    (camera, clock, SequenceWriter::create(&args.out, &rig, draft).unwrap())
+}
+
+#[test]
+fn pairs_that_find_no_room_are_counted_and_fail_the_command() {
+    let place = Place::new();
+    let (mut camera, clock, writer) = parts(&place, &[]);
+    // Nobody writes until ten pairs were taken.
+    let gate = Mutex::new(());
+    let mut closed = gate.lock().ok();
+    let mut calls = 0;
+    let mut is_over = || {
+        calls += 1;
+        if calls > 10 {
+            closed = None;
+        }
+        calls > 10
+    };
+    let plan = Plan { pairs_max: None, time_max: None, queue: 3, writers: 2 };
+    let save = |files: &pb3dp_record::dataset::FrameFiles, pair: &pb3dp_hal_api::FramePair| {
+        drop(gate.lock());
+        files.save(&pair.left, &pair.right)
+    };
+    let outcome = record(&mut camera, clock.as_ref(), writer, &plan, &save, &mut is_over);
+    assert_eq!(outcome.missing, Missing { queue: 7, cameras: 0 });
+    let line = Recorded::of(outcome, &place.out());
+    assert_eq!(line.pairs, 3);
+    let wrong = line.wrong().unwrap();
+    assert!(wrong.contains("7 pairs were left out") && wrong.contains("--jpeg 95"), "{wrong}");
+    assert_eq!(load_sequence(&place.out()).unwrap().frames(), 3);
+}
+
+#[test]
+fn a_full_disk_ends_it_and_what_was_written_stays_whole() {
+    let place = Place::new();
+    std::fs::create_dir_all(place.out()).unwrap();
+    // What is written there finds no room: that picture, and the first try of the description.
+    symlink("/dev/full", place.out().join("right_0005.png")).unwrap();
+    symlink("/dev/full", place.out().join("sequence.json.partial")).unwrap();
+    let (system, clock) = system(|_, _| {});
+    let line = recorded(system, clock, &place.args(&["--pairs", "12"]), &mut never).unwrap();
+    let wrong = line.wrong().unwrap();
+    for part in ["the disk is full", "bytes are free", "right_0005.png", "4 pairs before it are kept in", "make room"] {
+        assert!(wrong.contains(part), "{part:?} is missing: {wrong}");
+    }
+    assert_eq!(line.pairs, 4);
+    let sequence = load_sequence(&place.out()).unwrap();
+    assert_eq!(sequence.frames(), 4);
+    assert!(sequence.load_pictures(3, ImageSize { width: 640, height: 480 }).is_ok());
+    assert!(!place.out().join("left_0005.png").exists() && !place.out().join("left_0004.png").exists());
+}
+
+#[test]
+fn a_camera_that_is_pulled_or_silent_ends_it_with_what_there_is() {
+    for (what, expected) in [("pulled", "the camera is gone"), ("silent", "nothing arrives")] {
+        let place = Place::new();
+        let (system, clock) = system(|_, _| {});
+        let mut calls = 0;
+        let pulled = Arc::clone(&system);
+        let mut is_over = || {
+            calls += 1;
+            if calls == 4 {
+                pulled.with(1, |camera| {
+                    camera.faults.is_unplugged = what == "pulled";
+                    camera.faults.is_silent = what == "silent";
+                });
+            }
+            false
+        };
+        let line = recorded(system, clock, &place.args(&["--pairs", "9"]), &mut is_over).unwrap();
+        let wrong = line.wrong().unwrap();
+        assert!(wrong.contains(expected) && wrong.contains("3 pairs before it are kept"), "{what}: {wrong}");
+        assert_eq!(load_sequence(&place.out()).unwrap().frames(), 3);
+    }
+}
+
+#[test]
+fn pairs_that_the_cameras_lose_are_counted_and_fail_the_command() {
+    let place = Place::new();
+    let (system, clock) = system(|_, _| {});
+    let mut calls = 0;
+    let losing = Arc::clone(&system);
+    let mut is_over = || {
+        calls += 1;
+        if calls == 3 {
+            losing.with(0, |camera| camera.faults.damaged = 1);
+        }
+        false
+    };
+    let line = recorded(system, clock, &place.args(&["--pairs", "6"]), &mut is_over).unwrap();
+    assert_eq!((line.pairs, line.missing_cameras, line.missing_queue), (6, 1, 0));
+    assert!(line.wrong().unwrap().contains("1 pairs did not come from the cameras"));
+}
+
+#[test]
+fn what_can_not_be_recorded_is_refused_before_anything_is_written() {
+    let place = Place::new();
+    let refused = |args: &RecordArgs| {
+        let (system, clock) = system(|_, _| {});
+        format!("{:#}", recorded(system, clock, args, &mut never).unwrap_err())
+    };
+    assert!(refused(&place.args(&["--region", "rect:600,10,80,20"])).contains("the corner 680,10 is outside"));
+    assert!(refused(&place.args(&["--region", "click:1,2"])).contains("a sequence has a polygon"));
+    assert!(
+        refused(&place.args(&["--size", "320x240"]))
+            .contains("the pictures have 320x240 pixels, the calibration 640x480")
+    );
+    assert!(refused(&place.args(&["--rate", "60"])).contains("60.000 pictures per second"));
+    let uncalibrated: RecordArgs = typed(&["--format", "RGB3", "--out", &place.out().display().to_string()]);
+    assert!(refused(&uncalibrated).contains("give --calib FILE"));
+    assert!(!place.out().exists());
+}

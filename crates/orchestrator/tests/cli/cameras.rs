@@ -1,0 +1,28 @@
+//! `pb3dp cameras` on the machine of the tests, whatever that has; what it does with cameras is tested beside its code.
+
+use crate::support::{pb3dp, words};
+
+#[test]
+fn cameras_that_are_not_named_or_not_there_are_refused_with_what_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("sequence");
+    pb3dp(&words(&[&"cameras", &"record", &"--out", &out]))
+        .assert_refused(&["--left NAME --right NAME", "cameras list"]);
+    let check = ["cameras", "check", "--left", "/dev/no_such_camera", "--right", "serial:none"];
+    pb3dp(&check).assert_refused(&["/dev/no_such_camera: there is no such camera", "look at its plug and cable"]);
+    pb3dp(&["cameras", "check", "--left", "/dev/video0"]).assert_refused(&["--right"]);
+    pb3dp(&["cameras", "check", "--left", "front", "--right", "back"])
+        .assert_refused(&["names no camera", "bus:PLACE"]);
+    assert!(!out.exists());
+}
+
+#[test]
+fn a_list_is_whole_or_says_why_not() {
+    let list = pb3dp(&["cameras", "list", "--json"]);
+    for line in list.stdout.lines() {
+        let device: serde_json::Value = serde_json::from_str(line).unwrap();
+        assert!(device["device"].as_str().is_some_and(|path| path.starts_with("/dev/")), "{line}");
+    }
+    // A machine of tests has none, as a rule.
+    assert!(list.success || !list.stdout.is_empty() || list.stderr.contains("there is no camera"), "{}", list.stderr);
+}
