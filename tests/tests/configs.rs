@@ -2,10 +2,12 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
+use pb3dp_geometry::ImageSize;
 use pb3dp_kinematics::{Chain, DOF, JointVector};
 use pb3dp_orchestrator::config::estimator::read_estimator;
 use pb3dp_orchestrator::config::gateway::read_gateway;
-use pb3dp_orchestrator::config::setup::read_setup;
+use pb3dp_orchestrator::config::setup::{read_cameras, read_setup};
+use pb3dp_record::calibration_files::load_stereo;
 use system_tests::{files_below, repository};
 
 #[test]
@@ -22,9 +24,11 @@ fn every_configuration_is_accepted_by_its_reader() {
             // Where it listens is left to the command line.
             read_gateway(file, None, Some("serial:/dev/ttyUSB0")).unwrap_or_else(|error| panic!("{error}"));
             gateways += 1;
-        } else if path.ends_with(".toml") && (path.starts_with("sim") || path == "hil.toml") {
+        } else if path.ends_with(".toml") && (path.starts_with("sim") || path == "hil.toml" || path == "rig.toml") {
             read_setup(file).unwrap_or_else(|error| panic!("{error}"));
             setups += 1;
+        } else if path.starts_with("calibration/") {
+            load_stereo(std::slice::from_ref(file)).unwrap_or_else(|error| panic!("{error}"));
         } else if path.starts_with("robots/") && path.ends_with(".urdf") {
             let chain = Chain::from_urdf_str(&std::fs::read_to_string(file).unwrap(), "base_link", "flange")
                 .unwrap_or_else(|error| panic!("{path}: {error}"));
@@ -45,7 +49,7 @@ fn every_configuration_is_accepted_by_its_reader() {
 fn the_estimator_file_and_the_setup_hold_the_documented_defaults() {
     let defaults = pb3dp_estimation::estimator::EstimatorConfig::default();
     assert_eq!(read_estimator(&repository().join("configs/estimator.toml")).unwrap(), defaults);
-    for file in ["sim.toml", "sim_published.toml", "hil.toml"] {
+    for file in ["sim.toml", "sim_published.toml", "hil.toml", "rig.toml"] {
         let mut of_setup = read_setup(&repository().join("configs").join(file)).unwrap();
         of_setup.estimator.published.rmga.seed = defaults.published.rmga.seed;
         assert_eq!(of_setup.estimator, defaults, "{file}");
@@ -97,4 +101,49 @@ fn the_setup_with_arms_behind_lines_differs_in_how_they_are_reached() {
     let (in_process, through_lines) = (delay_millis(&mut sim), delay_millis(&mut hil));
     assert!((1.0..=15.0).contains(&(through_lines - in_process)), "{in_process} and {through_lines} ms");
     assert_eq!(sim, hil);
+}
+
+/// The rig is the same cell, too: what differs is how it is seen and reached, and that it is slow and asks its operator.
+#[test]
+fn the_rig_differs_in_cameras_arms_and_caution() {
+    let (mut hil, mut rig) = (table("hil.toml"), table("rig.toml"));
+    let differing = [
+        (&["camera"][..], &[][..]),
+        (&["servo", "speed"], &["linear_max_mm_per_s", "angular_max_deg_per_s"]),
+        (&["servo", "approach"], &["linear_max_mm_per_s", "angular_max_deg_per_s"]),
+        (&["supervisor", "policies"], &["target_lost", "position_jump", "orientation_jump", "outlier"]),
+        (&["arms"], &["speed_scale", "first_run"]),
+        (&["arms", "vs"], &["backend"]),
+        (&["arms", "tc"], &["backend"]),
+        (&["experiment"], &["move_s"]),
+    ];
+    for setup in [&mut hil, &mut rig] {
+        for (path, keys) in differing {
+            let (last, above) = path.split_last().unwrap();
+            let parent = above.iter().fold(&mut *setup, |table, key| table[*key].as_table_mut().unwrap());
+            match keys {
+                [] => drop(parent.remove(*last).unwrap()),
+                keys => keys.iter().for_each(|key| drop(parent[*last].as_table_mut().unwrap().remove(*key).unwrap())),
+            }
+        }
+    }
+    assert!(hil.remove("scene").is_some() && !rig.contains_key("scene"));
+    assert!(hil["estimator"].as_table_mut().unwrap().remove("geometric").is_some());
+    for arm in ["vs", "tc"] {
+        let gateway = rig["arms"][arm]["gateway"].as_table_mut().unwrap();
+        assert!(gateway.remove("port").is_some() && gateway.remove("baud").is_some());
+    }
+    assert_eq!(hil, rig);
+}
+
+/// The cameras of a rig by themselves are those of its setup.
+#[test]
+fn the_cameras_of_the_rig_can_be_read_alone() {
+    let file = repository().join("configs/rig.toml");
+    let cameras = read_cameras(&file).unwrap();
+    assert_eq!(Some(&cameras), read_setup(&file).unwrap().real_cameras.as_ref());
+    assert_eq!(cameras.size(), ImageSize { width: 640, height: 480 });
+    assert_eq!(cameras.calibration().unwrap().rig.baseline_m(), 0.1);
+    let refused = read_cameras(&repository().join("configs/hil.toml")).unwrap_err().to_string();
+    assert!(refused.contains("camera.backend = \"sim\""), "{refused}");
 }

@@ -87,6 +87,9 @@ pub struct RunArgs {
     /// Also write every stereo pair with its truth as a sequence folder, for `pb3dp track`.
     #[arg(long, value_name = "DIR")]
     pub record: Option<PathBuf>,
+    /// The target in the first left picture of real cameras; it goes before camera.region of the setup.
+    #[arg(long, value_name = "REGION", help = format!("The target in the first left picture of real cameras; it goes before camera.region of the setup: {REGION_HELP}"))]
+    pub region: Option<RegionSpec>,
     /// Who tells the run what to do.
     #[arg(long, value_enum, default_value_t = OperatorName::Command)]
     pub operator: OperatorName,

@@ -1,7 +1,14 @@
 //! How a region is written on the command line.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
+
+use anyhow::{Context, Result, bail};
+use image::GrayImage;
+use nalgebra::Vector2;
+use pb3dp_estimation::region::Region;
+use pb3dp_geometry::ImageSize;
+use pb3dp_record::images::load_rgb;
 
 /// A region as the user typed it; files are not opened yet.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,7 +29,7 @@ pub const REGION_HELP: &str = "rect:X,Y,WIDTH,HEIGHT | poly:X1,Y1;X2,Y2;X3,Y3...
 impl FromStr for RegionSpec {
     type Err = String;
 
-    fn from_str(text: &str) -> Result<Self, String> {
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
         let (kind, rest) =
             text.split_once(':').ok_or_else(|| format!("region {text:?} has no kind; write one of: {REGION_HELP}"))?;
         match kind {
@@ -33,7 +40,7 @@ impl FromStr for RegionSpec {
                     .split(';')
                     .filter(|p| !p.trim().is_empty())
                     .map(|p| numbers(text, p))
-                    .collect::<Result<Vec<_>, _>>()?;
+                    .collect::<std::result::Result<Vec<_>, _>>()?;
                 if vertices.len() < 3 {
                     return Err(format!(
                         "region {text:?} has {} vertices; a polygon needs at least 3 (a shell ends commands at `;`: quote the region)",
@@ -49,16 +56,56 @@ impl FromStr for RegionSpec {
 }
 
 /// Exactly `N` finite numbers with commas between them.
-fn numbers<const N: usize>(whole: &str, text: &str) -> Result<[f64; N], String> {
+fn numbers<const N: usize>(whole: &str, text: &str) -> std::result::Result<[f64; N], String> {
     let values = text
         .split(',')
         .map(|part| match part.trim().parse::<f64>() {
             Ok(value) if value.is_finite() => Ok(value),
             _ => Err(format!("region {whole:?}: {part:?} is not a number")),
         })
-        .collect::<Result<Vec<f64>, _>>()?;
+        .collect::<std::result::Result<Vec<f64>, _>>()?;
     let count = values.len();
     values.try_into().map_err(|_| format!("region {whole:?}: expected {N} numbers, found {count} in {text:?}"))
+}
+
+/// The region that the command line or a configuration names, in pictures of this size.
+///
+/// # Errors
+/// A mask that can not be read or marks everything, or a rectangle without area.
+pub fn load_region(spec: &RegionSpec, pictures: ImageSize) -> Result<Region> {
+    Ok(match spec {
+        RegionSpec::Rectangle([x, y, width, height]) => {
+            let corners = [[*x, *y], [x + width, *y], [x + width, y + height], [*x, y + height]];
+            if *width <= 0.0 || *height <= 0.0 {
+                bail!("--region rect: width {width} and height {height} must be positive");
+            }
+            match corners[0].iter().chain([width, height]).all(|value| value.fract() == 0.0 && value.abs() < 1e6) {
+                true => Region::Rectangle { x: *x as i32, y: *y as i32, width: *width as u32, height: *height as u32 },
+                false => Region::Polygon { vertices_px: corners.map(|[u, v]| Vector2::new(u, v)).to_vec() },
+            }
+        }
+        RegionSpec::Polygon(vertices) => {
+            Region::Polygon { vertices_px: vertices.iter().map(|&[u, v]| Vector2::new(u, v)).collect() }
+        }
+        RegionSpec::Mask(file) => {
+            let mask = load_mask(file)?;
+            let is_full = mask.pixels().all(|pixel| pixel.0[0] > 0);
+            if is_full && mask.dimensions() == (pictures.width, pictures.height) {
+                bail!(
+                    "{}: the mask has no black pixel, so everything would be the object: is it a mask?",
+                    file.display()
+                );
+            }
+            Region::Mask(mask)
+        }
+        RegionSpec::Click([x, y]) => Region::Click { x: x.round() as i32, y: y.round() as i32 },
+    })
+}
+
+fn load_mask(file: &Path) -> Result<GrayImage> {
+    let picture = load_rgb(file).context("the mask of --region can not be used")?;
+    let any = |pixel: &image::Rgb<u8>| image::Luma([pixel.0.iter().copied().max().unwrap_or(0)]);
+    Ok(GrayImage::from_fn(picture.width(), picture.height(), |x, y| any(picture.get_pixel(x, y))))
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 pub mod arm;
 mod at_once;
+mod cameras;
 pub mod commissioning;
 mod greeting;
 
@@ -10,13 +11,15 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use nalgebra::Point3;
 use pb3dp_arm_pa10::codec::Axis;
 use pb3dp_arm_pa10::io::arm::{ArmMonitor, VirtualEnd, VirtualTime, Way};
 use pb3dp_arm_pa10::io::mock_server::MockServer;
 use pb3dp_camera_replay::{Pacing, ReplayCamera, ReplayOptions};
 use pb3dp_camera_sim::{FaultyCamera, GeometricCamera, SimStereoCamera};
+use pb3dp_camera_v4l2::linux::Linux;
+use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Model, Target, World};
 use pb3dp_hal_api::{Arm, ArmError, ArmPower, Clock, StereoCamera};
@@ -39,8 +42,9 @@ pub use greeting::{bus_doubts, geometry_doubt, watchdog_refusal};
 
 use crate::cli::ReplayPace;
 use crate::config::setup::{ArmSetup, Carrier, Leader, Pace, Setup, fold_seed};
+use crate::region_spec::load_region;
 use crate::run::cell::{FreeTarget, SimulatedCell};
-use crate::run::eyes::Sight;
+use crate::run::eyes::{Marking, NOT_MARKED, Sight};
 use crate::run::flight::{self, ArmFault, Flight, LineCounts, Moment, RawLine};
 use crate::run::operator::{ByCommand, Operator};
 use crate::run::paced_clock::PacedClock;
@@ -95,8 +99,8 @@ pub struct Parts {
     pub experiment: Arc<dyn Trajectory>,
     /// What the flight recorder of each arm holds, by the arm's name.
     pub flights: [(&'static str, FlightLog); 2],
-    /// Outline of the target, points in its own frame: what an operator would draw.
-    pub target_outline_m: Vec<Point3<f64>>,
+    /// What is marked in the first left picture: the outline of a simulated target, or what the operator has marked.
+    pub marking: Marking,
     /// What the links of the arms are like, by the names of the arms, as far as they have one.
     pub monitors: Vec<(&'static str, ArmMonitor)>,
     /// Emulated arms at the other end of links; they end with this.
@@ -116,7 +120,15 @@ pub struct Parts {
 /// # Errors
 /// If a part refuses its parameters, or the arms can not follow the experiment (by how much is said).
 pub fn wire(setup: &Setup) -> Result<Parts> {
-    wire_cell(setup, |cell, start| {
+    wire_with(setup, Arc::new(Linux))
+}
+
+/// As [`wire`], with real cameras among the video devices of this system.
+///
+/// # Errors
+/// As [`wire`].
+pub fn wire_with(setup: &Setup, video: Arc<dyn VideoSystem>) -> Result<Parts> {
+    wire_cell_with(setup, video, |cell, start| {
         let experiment = setup.experiment.motion.begin_at(start)?;
         let reports = match setup.experiment.carrier {
             Carrier::Arm => Vec::from(check_paths(setup, &*experiment)?),
@@ -156,6 +168,17 @@ pub fn wire_cell(
     setup: &Setup,
     begin: impl FnOnce(&mut SimulatedCell, Pose<World, Target>) -> Result<Arc<dyn Trajectory>>,
 ) -> Result<Parts> {
+    wire_cell_with(setup, Arc::new(Linux), begin)
+}
+
+fn wire_cell_with(
+    setup: &Setup,
+    video: Arc<dyn VideoSystem>,
+    begin: impl FnOnce(&mut SimulatedCell, Pose<World, Target>) -> Result<Arc<dyn Trajectory>>,
+) -> Result<Parts> {
+    if setup.real_cameras.as_ref().is_some_and(|cameras| cameras.region.is_none()) {
+        bail!("{NOT_MARKED}");
+    }
     let time = match setup.pace {
         Pace::Fast => Some(Arc::new(VirtualTime::over(Arc::new(VirtualClock::new())))),
         Pace::RealTime => Some(Arc::new(VirtualTime::over(Arc::new(PacedClock::new())))),
@@ -177,7 +200,14 @@ pub fn wire_cell(
     };
     let start = cell.world_from_target_at(clock.now());
     let experiment = begin(&mut cell, start)?;
-    let (camera, target_outline_m) = wire_sight(setup, &cell, &clock)?;
+    let (camera, marking) = match &setup.real_cameras {
+        Some(real) => {
+            let camera = cameras::wire_real(real, &setup.rig, (video, Arc::clone(&clock)))?;
+            let region = real.region.as_ref().context(NOT_MARKED)?;
+            (Sight::Pictures(camera), Marking::Region(load_region(region, real.size())?))
+        }
+        None => wire_sight(setup, &cell, &clock).map(|(camera, outline_m)| (camera, Marking::Outline(outline_m)))?,
+    };
     Ok(Parts {
         clock,
         camera,
@@ -186,7 +216,7 @@ pub fn wire_cell(
         cell,
         experiment,
         flights,
-        target_outline_m,
+        marking,
         monitors,
         emulated,
         virtual_ends,
@@ -196,7 +226,7 @@ pub fn wire_cell(
     })
 }
 
-/// The camera, or what stands for it, and the outline of the target.
+/// The simulated camera, or what stands for it, and the outline of the target.
 fn wire_sight(setup: &Setup, cell: &SimulatedCell, clock: &Arc<dyn Clock>) -> Result<(Sight, Vec<Point3<f64>>)> {
     let (poses, began) = (Box::new(cell.clone()), clock.now());
     let (clock, faults) = (Arc::clone(clock), setup.camera_faults.clone());

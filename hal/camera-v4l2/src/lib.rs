@@ -4,6 +4,7 @@
 //! it in silence ([`modes`]), switches automatic modes off ([`controls`]), and delivers pairs: the newest pictures of both sides, with the
 //! middle of their exposures ([`timing`]), matched by time ([`pairing`]). Damaged, short, old and wrongly stamped pictures are left out
 //! and counted ([`StreamCounters`]); a camera that is lost or silent is an error within two periods of the first picture that is missing.
+//! [`ReopeningCamera`] goes on once lost devices are there again.
 //!
 //! [`pixels`] turns the bytes of a driver's buffer into a picture, from every format that is taken. [`video`] is what is needed of the
 //! operating system, call by call; [`linux`] is how Linux does it, [`emulated`] are cameras that fail on request.
@@ -17,9 +18,11 @@ pub mod modes;
 pub mod names;
 pub mod pairing;
 pub mod pixels;
+mod reopening;
 mod stream;
 pub mod timing;
 pub mod video;
 
 pub use camera::{CameraConfig, SKEW_MAX, Side, StereoConfig, StereoCounters, V4l2StereoCamera};
+pub use reopening::ReopeningCamera;
 pub use stream::StreamCounters;

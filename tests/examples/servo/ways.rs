@@ -2,7 +2,7 @@
 
 use std::sync::PoisonError;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_geometry::frames::{Base, Flange, Hand, Model, Target, World};
 use pb3dp_geometry::{Pose, so3};
@@ -10,6 +10,7 @@ use pb3dp_hal_middleware::StartPose;
 use pb3dp_kinematics::{Damping, JointVector, damped_pseudo_inverse};
 use pb3dp_orchestrator::config::setup::{Leader, Setup};
 use pb3dp_orchestrator::run::experiment;
+use pb3dp_orchestrator::run::eyes::Marking;
 use pb3dp_orchestrator::run::log::{ControlSample, RunLog};
 use pb3dp_orchestrator::run::summary::TrackingError;
 use pb3dp_orchestrator::wiring::wire;
@@ -147,7 +148,7 @@ pub fn out_and_back(channel: Channel, translation_m: f64, move_s: f64) -> Motion
 /// As the parts have them.
 pub fn run_way(name: impl Into<String>, setup: &Setup) -> Result<Way> {
     let (parts, vs, _) = watched(wire(setup)?);
-    let outline_m = parts.target_outline_m.clone();
+    let Marking::Outline(outline_m) = parts.marking.clone() else { bail!("the target is not simulated") };
     let log = experiment::run(setup, parts, None, None)?.log;
     let seen = vs.measured.lock().unwrap_or_else(PoisonError::into_inner);
     let (first, last) = log.control.first().zip(log.control.last()).context("the run has no steps")?;

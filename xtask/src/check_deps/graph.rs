@@ -41,6 +41,7 @@ const ALLOWED: [(&str, &[&str]); 18] = [
             "camera-replay",
             "camera-sim",
             "camera-v4l2",
+            "camera-v4l2",
             "arm-pa10",
         ],
     ),

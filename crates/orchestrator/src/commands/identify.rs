@@ -18,7 +18,9 @@ use serde::Serialize;
 
 use super::arm::confirm;
 use super::estimate::output::print_line;
+use super::run::mark;
 use crate::config::setup::{Setup, read_setup};
+use crate::region_spec::{REGION_HELP, RegionSpec};
 use crate::run::flight::Moment;
 use crate::run::interruption::{INTERRUPTED, watch};
 use crate::run::swing::{self, Swung};
@@ -46,6 +48,8 @@ struct DelayArgs {
     /// The setup: one complete TOML file, for instance configs/sim.toml.
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
+    #[arg(long, value_name = "REGION", help = format!("The target in the first left picture of real cameras: {REGION_HELP}"))]
+    region: Option<RegionSpec>,
     /// Move the arm; with real arms once the name vs-robot was typed. Without it nothing moves.
     #[arg(long = "move")]
     moves: bool,
@@ -75,7 +79,8 @@ pub fn run(args: &IdentifyArgs) -> Result<ExitCode> {
 fn delay(args: &DelayArgs) -> Result<ExitCode> {
     // Before any thread is started: a signal that ends the program would leave the arms to their gateways.
     let mut signals = StopSignals::take_over().context("the signals that end the program can not be taken over")?;
-    let setup = read_setup(&args.config)?;
+    let mut setup = read_setup(&args.config)?;
+    mark(&mut setup, args.region.as_ref())?;
     let motion = Excitation::new(args.way * 1e-3, args.seconds).context("--way is in mm, --seconds in s")?;
     let plan = format!(
         "vs-robot: the hand swings by {:.1} mm to its right and downwards for {:.0} s, at most {:.0} mm/s, and comes back; tc-robot holds \

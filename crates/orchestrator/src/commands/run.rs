@@ -12,6 +12,7 @@ use pb3dp_arm_pa10::io::signals::StopSignals;
 use super::estimate::output::print_line;
 use crate::cli::{OperatorName, RunArgs};
 use crate::config::setup::{Pace, Setup, read_setup};
+use crate::region_spec::RegionSpec;
 use crate::run::channels::Plan;
 use crate::run::console::Console;
 use crate::run::experiment::{self, Ended};
@@ -35,6 +36,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     if let Some(seed) = args.seed {
         setup.reseed(seed);
     }
+    mark(&mut setup, args.region.as_ref())?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
     if args.operator == OperatorName::Console && setup.pace == Pace::Fast {
         bail!("--operator console: at pace = \"fast\" nobody can speak in time; set pace to \"real-time\" or \"live\"");
@@ -88,6 +90,30 @@ fn both(how: Result<()>, told: Result<()>) -> Result<()> {
     }
 }
 
+/// Where the pictures come from.
+fn pictures(setup: &Setup) -> String {
+    match &setup.real_cameras {
+        Some(cameras) => format!("{} and {}", cameras.stereo.left.name, cameras.stereo.right.name),
+        None if setup.leader.needs_pictures() => "rendered".to_owned(),
+        None => "none".to_owned(),
+    }
+}
+
+/// Marks the target of real cameras, if a region is given.
+///
+/// # Errors
+/// If the cameras are simulated.
+pub(super) fn mark(setup: &mut Setup, region: Option<&RegionSpec>) -> Result<()> {
+    match (&mut setup.real_cameras, region) {
+        (_, None) => {}
+        (Some(cameras), Some(region)) => cameras.region = Some(region.clone()),
+        (None, Some(_)) => bail!(
+            "--region: the cameras of this setup are simulated, and where the target is in their pictures is known"
+        ),
+    }
+    Ok(())
+}
+
 /// What somebody needs to repeat the run.
 fn provenance(args: &RunArgs, setup: &Setup, simulated_s: f64, wall_s: f64) -> Vec<(String, String)> {
     let line = |key: &str, value: String| (key.to_owned(), value);
@@ -97,7 +123,7 @@ fn provenance(args: &RunArgs, setup: &Setup, simulated_s: f64, wall_s: f64) -> V
         line("commit", option_env!("PB3DP_COMMIT").unwrap_or("unknown").to_owned()),
         line("configuration", args.config.display().to_string()),
         line("method", setup.leader.name().to_owned()),
-        line("pictures", if setup.leader.needs_pictures() { "rendered" } else { "none" }.to_owned()),
+        line("pictures", pictures(setup)),
         line("compared", if compared.is_empty() { "none".to_owned() } else { compared.join(", ") }),
         line("seed", setup.seed.to_string()),
         line("machine", machine()),

@@ -24,9 +24,11 @@ impl Sample {
     fn new(name: &'static str, read: fn(&Path) -> Result<(), ConfigError>) -> Self {
         let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
         let folder = tempfile::tempdir().unwrap();
-        std::fs::create_dir(folder.path().join("robots")).unwrap();
-        for robot in ["robots/pa10_gen1.urdf", "robots/pa10_gen2.urdf"] {
-            std::fs::copy(configs.join(robot), folder.path().join(robot)).unwrap();
+        for inner in ["robots", "calibration"] {
+            std::fs::create_dir(folder.path().join(inner)).unwrap();
+        }
+        for file in ["robots/pa10_gen1.urdf", "robots/pa10_gen2.urdf", "calibration/nominal.json"] {
+            std::fs::copy(configs.join(file), folder.path().join(file)).unwrap();
         }
         let table = std::fs::read_to_string(configs.join(name)).unwrap().parse().unwrap();
         Self { folder, name, table, read }
@@ -118,9 +120,12 @@ fn check_every_key(sample: &Sample, at_least: usize) {
 }
 
 /// What is stated as allowed is allowed: at the ends of a range, other keys may be refused (whose ranges depend on this one)
-/// or the list that it is in (the length of a vector), but not this key, and nothing by a name that is not in the file.
+/// or the list that it is in (the length of a vector, the files of a calibration), but not this key, and nothing by a name that is not
+/// in the file.
 fn check_ends(sample: &Sample, key: &str, original: &Value) {
-    let all: Vec<String> = sample.numbers().into_iter().map(|(key, _)| key).collect();
+    let mut all: Vec<String> = sample.numbers().into_iter().map(|(key, _)| key).collect();
+    let calibration = sample.table.get("camera").and_then(|camera| camera.get("calibration"));
+    all.extend(calibration.map(|_| "camera.calibration".to_owned()));
     for end in ends(&sample.line_about(key, like(original, 1e12))) {
         for line in sample.refusal(key, like(original, end)).iter().flat_map(|text| text.lines().skip(1)) {
             let named = line.trim_start().split([' ', ':']).next().unwrap();
@@ -145,6 +150,110 @@ fn every_number_of_arms_behind_lines_is_refused_by_its_own_key() {
 #[test]
 fn every_number_of_the_published_law_is_refused_by_its_own_key() {
     check_every_key(&Sample::new("sim_published.toml", |file| read_setup(file).map(drop)), 220);
+}
+
+#[test]
+fn every_number_of_real_cameras_is_refused_by_its_own_key() {
+    let mut sample = Sample::new("rig.toml", |file| read_setup(file).map(drop));
+    let left = sample.table["camera"]["left"].as_table_mut().unwrap();
+    left.extend([("input".into(), Value::Integer(2)), ("stated_exposure_millis".into(), Value::Float(3.5))]);
+    // On a first run not every speed that is allowed elsewhere is.
+    put(&mut sample.table, "arms", "first_run", false);
+    for arm in ["vs", "tc"] {
+        let arm = sample.table["arms"][arm].as_table_mut().unwrap();
+        arm["backend"] = "emulated".into();
+        arm["gateway"].as_table_mut().unwrap().retain(|key, _| !["port", "baud"].contains(&key));
+    }
+    check_every_key(&sample, 220);
+}
+
+/// Each backend of the cameras has keys of its own, and what goes with it.
+#[test]
+fn keys_of_other_cameras_are_refused_with_key_and_backend() {
+    type Change = fn(&mut Table);
+    let changes: [(&'static str, Change, &str); 14] = [
+        ("rig.toml", |root| put(root, "camera", "focal_px", 740.0), "camera.focal_px: unknown key"),
+        ("rig.toml", |root| put(root, "camera", "focal_px", 740.0), "(with camera.backend = \"v4l2\")"),
+        ("sim.toml", |root| put(root, "camera", "format", "YUYV"), "(with camera.backend = \"sim\")"),
+        ("sim.toml", |root| drop(root.remove("scene")), "scene: the table is missing; camera.backend = \"sim\""),
+        (
+            "rig.toml",
+            |root| drop(root.insert("scene".into(), table("sim.toml")["scene"].clone())),
+            "scene: camera.backend = \"v4l2\"",
+        ),
+        ("rig.toml", |root| put(root, "run", "pace", "fast"), "run.pace: real cameras do not wait"),
+        (
+            "rig.toml",
+            |root| put(root, "experiment", "target", "free"),
+            "experiment.target = \"free\": only a simulated target",
+        ),
+        (
+            "rig.toml",
+            |root| put(root, "estimator", "geometric", table("sim.toml")["estimator"]["geometric"].clone()),
+            "estimator.geometric: with camera.backend = \"v4l2\"",
+        ),
+        ("rig.toml", |root| put(root, "camera", "format", "H264"), "camera.format = \"H264\": allowed are YUYV, RGB3"),
+        (
+            "rig.toml",
+            |root| put(root, "camera", "region", "circle:3"),
+            "camera.region: region \"circle:3\" is not understood",
+        ),
+        ("rig.toml", |root| put(root, "camera", "calibration", vec!["no.yaml"]), "camera.calibration: "),
+        (
+            "rig.toml",
+            |root| put(root, "camera", "width_px", 320),
+            "is for pictures of 640x480, the cameras are asked for 320x480",
+        ),
+        (
+            "rig.toml",
+            |root| drop(root["camera"].as_table_mut().unwrap().remove("reopen_for_s")),
+            "camera.reopen_for_s: missing",
+        ),
+        ("rig.toml", |root| put(root, "camera", "backend", "usb"), "camera.backend"),
+    ];
+    for (name, change, expected) in changes {
+        let mut sample = Sample::new(name, |file| read_setup(file).map(drop));
+        change(&mut sample.table);
+        let text = sample.refusal("run.seed", Value::Integer(1)).unwrap_or_else(|| panic!("accepted: {expected}"));
+        assert!(text.contains(expected), "{expected} is not in {text}");
+    }
+}
+
+/// Each eye has a device of its own, and says of each control who chooses.
+#[test]
+fn eyes_that_are_no_cameras_are_refused() {
+    let refusal = |key: &str, value: Value| {
+        let mut sample = Sample::new("rig.toml", |file| read_setup(file).map(drop));
+        sample.table["camera"]["right"].as_table_mut().unwrap().insert(key.to_owned(), value);
+        sample.refusal("run.seed", Value::Integer(1))
+    };
+    let of_left = table("rig.toml")["camera"]["left"]["device"].clone();
+    assert!(refusal("device", of_left).unwrap().contains("camera.left.device is the same"));
+    assert!(
+        refusal("device", "the right one".into()).unwrap().contains("camera.right.device: `the right one` names no")
+    );
+    for word in ["keep", "auto"] {
+        assert_eq!(refusal("gain", word.into()), None);
+    }
+    let text = refusal("gain", "much".into()).unwrap();
+    assert!(text.contains("camera.right.gain") && text.contains("\"keep\""), "{text}");
+    assert!(refusal("gaim", Value::Integer(3)).unwrap().contains("camera.right.gaim: unknown key"));
+    let control: Table = [("id".to_owned(), Value::Integer(0x0098_f901)), ("value".to_owned(), Value::Integer(-3))]
+        .into_iter()
+        .collect();
+    assert_eq!(refusal("further_controls", Value::Array(vec![Value::Table(control.clone())])), None);
+    let control = control.into_iter().map(|(key, _)| (key, Value::Integer(1 << 40))).collect();
+    let text = refusal("further_controls", Value::Array(vec![Value::Table(control)])).unwrap();
+    assert!(text.contains("camera.right.further_controls[0].id = 1099511627776: allowed are 1 to"), "{text}");
+}
+
+fn put(root: &mut Table, table: &str, key: &str, value: impl Into<Value>) {
+    root[table].as_table_mut().unwrap().insert(key.to_owned(), value.into());
+}
+
+fn table(name: &str) -> Table {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs").join(name);
+    std::fs::read_to_string(file).unwrap().parse().unwrap()
 }
 
 /// A law has its own tables, and only these.

@@ -101,18 +101,59 @@ fn text_of(file: &Path) -> Result<String, ConfigError> {
 /// # Errors
 /// An unreadable file, bad TOML, a file of the other kind, unknown or missing keys, wrong types.
 pub fn read_toml<T: DeserializeOwned>(file: &Path, wanted: FileKind) -> Result<T, ConfigError> {
-    let figment = Figment::from(Toml::string(&text_of(file)?));
-    figment.extract().map_err(|errors| {
-        let is_another = |kind: &FileKind| *kind != wanted && figment.find_value(kind.own_table()).is_ok();
+    ConfigFile::read(file, wanted)?.all()
+}
+
+/// A file whose tables are taken one by one: which keys one of them has may depend on what it says itself.
+pub struct ConfigFile {
+    file: PathBuf,
+    wanted: FileKind,
+    figment: Figment,
+}
+
+impl ConfigFile {
+    /// Reads `file`, which should be of the kind `wanted`.
+    ///
+    /// # Errors
+    /// An unreadable file.
+    pub fn read(file: &Path, wanted: FileKind) -> Result<Self, ConfigError> {
+        Ok(Self { file: file.to_path_buf(), wanted, figment: Figment::from(Toml::string(&text_of(file)?)) })
+    }
+
+    /// The whole file.
+    ///
+    /// # Errors
+    /// Bad TOML, a file of the other kind, unknown or missing keys, wrong types.
+    pub fn all<T: DeserializeOwned>(&self) -> Result<T, ConfigError> {
+        self.figment.extract().map_err(|errors| self.refusal(errors, ""))
+    }
+
+    /// One key of it, with everything below; `owner` is what its keys are those of, for messages.
+    ///
+    /// # Errors
+    /// As [`Self::all`].
+    pub fn at<T: DeserializeOwned>(&self, key: &str, owner: &str) -> Result<T, ConfigError> {
+        self.figment.extract_inner(key).map_err(|mut error| {
+            // What is below the key is named before the key itself.
+            let (parts, length) = (key.split('.').count(), error.path.len());
+            error.path.rotate_right(parts.min(length));
+            self.refusal(error, owner)
+        })
+    }
+
+    fn refusal(&self, errors: figment::Error, owner: &str) -> ConfigError {
+        let (file, wanted) = (self.file.clone(), self.wanted);
+        let is_another = |kind: &FileKind| *kind != wanted && self.figment.find_value(kind.own_table()).is_ok();
         if let Some(found) = FileKind::ALL.into_iter().find(is_another) {
-            return ConfigError::OtherKind { file: file.to_path_buf(), found, wanted };
+            return ConfigError::OtherKind { file, found, wanted };
         }
+        let owner = if owner.is_empty() { String::new() } else { format!(" {owner}") };
         let mut lines = String::new();
         for error in errors {
-            let _ = writeln!(lines, "  {}", describe(&error));
+            let _ = writeln!(lines, "  {}{owner}", describe(&error));
         }
-        ConfigError::Keys { file: file.to_path_buf(), lines: lines.trim_end().to_owned() }
-    })
+        ConfigError::Keys { file, lines: lines.trim_end().to_owned() }
+    }
 }
 
 /// One line for one figment error, key first.

@@ -20,8 +20,8 @@ use crate::config::setup::Setup;
 pub struct Captured {
     /// Number and times.
     pub frame: FrameInput,
-    /// The truth at the time of the exposure.
-    pub cam_left_from_target: Pose<CamLeft, Target>,
+    /// The truth at the time of the exposure; none with real cameras.
+    pub cam_left_from_target: Option<Pose<CamLeft, Target>>,
     /// What is to be looked at.
     pub view: View,
 }
@@ -39,8 +39,38 @@ pub enum View {
 pub struct Capturing {
     camera: Camera,
     cell: SimulatedCell,
+    has_truth: bool,
     timeout: Duration,
     pairs_lost: u64,
+    losses: Losses,
+}
+
+/// Pairs that did not come, one after the other.
+#[derive(Default)]
+struct Losses {
+    in_a_row: u64,
+    said: String,
+}
+
+impl Losses {
+    /// One more. What was said before is said again now and then only: a camera that is away says so for as long as that lasts.
+    fn add(&mut self, error: &CameraError) {
+        self.in_a_row += 1;
+        let text = error.to_string();
+        if text != self.said || self.in_a_row.is_power_of_two() {
+            tracing::warn!("{text}");
+            self.said = text;
+        }
+    }
+
+    /// A pair has come.
+    fn end(&mut self) {
+        if self.in_a_row > 1 {
+            tracing::info!("camera: pairs come again, {} did not", self.in_a_row);
+        }
+        self.in_a_row = 0;
+        self.said.clear();
+    }
 }
 
 enum Camera {
@@ -65,12 +95,15 @@ impl Capturing {
             Sight::Pictures(camera) => Camera::Pictures(PictureCamera {
                 before: Arc::new(FramePair::black(camera.info().size)),
                 pool: Vec::new(),
-                has_noise: setup.sensor.read_noise_grey > 0.0 || setup.sensor.shot_noise_grey > 0.0,
+                has_noise: setup.real_cameras.is_some()
+                    || setup.sensor.read_noise_grey > 0.0
+                    || setup.sensor.shot_noise_grey > 0.0,
                 camera,
             }),
             Sight::Geometric(camera) => Camera::Geometric(camera),
         };
-        Self { camera, cell, timeout: setup.camera.period * 2, pairs_lost: 0 }
+        let (timeout, has_truth) = (setup.camera.period * 2, setup.real_cameras.is_none());
+        Self { camera, cell, has_truth, timeout, pairs_lost: 0, losses: Losses::default() }
     }
 
     /// Pairs that the camera could not deliver.
@@ -102,13 +135,16 @@ impl Capture for Capturing {
     fn capture(&mut self) -> Result<Option<Captured>> {
         match self.wait() {
             Ok((frame, view)) => {
-                let world_from_cam_left = self.cell.world_from_cam_left_at(frame.at);
-                let cam_left_from_target = world_from_cam_left.inverse() * self.cell.world_from_target_at(frame.at);
+                self.losses.end();
+                let cam_left_from_target = self.has_truth.then(|| {
+                    let world_from_cam_left = self.cell.world_from_cam_left_at(frame.at);
+                    world_from_cam_left.inverse() * self.cell.world_from_target_at(frame.at)
+                });
                 Ok(Some(Captured { frame, cam_left_from_target, view }))
             }
             Err(error) if matches!(error.kind(), CameraErrorKind::Timeout | CameraErrorKind::BadPair) => {
                 self.pairs_lost += 1;
-                tracing::warn!("{error}");
+                self.losses.add(&error);
                 Ok(None)
             }
             Err(error) => Err(error).context("camera"),

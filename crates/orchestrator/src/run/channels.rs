@@ -161,7 +161,7 @@ fn component(channel: Channel, v: &Vector3<f64>) -> f64 {
 
 /// The figures of each channel that the run reached, and the errors against the pose of the lock over all of them.
 pub fn summaries(log: &RunLog, plan: &Plan) -> (Vec<ChannelSummary>, LockedErrors) {
-    let (Some(first), Some(last)) = (log.control.first(), log.control.last()) else {
+    let (Some(first), Some(last)) = (log.judged().first(), log.judged().last()) else {
         return (Vec::new(), LockedErrors::default());
     };
     let marks_s: Vec<f64> = log.marks.iter().map(|mark| mark.at_s).collect();

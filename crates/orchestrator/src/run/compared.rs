@@ -64,8 +64,8 @@ pub struct Frame<'a> {
     pub region: Option<&'a Region>,
     /// What is known of it beforehand: the motion of the camera since the pair before, from the joints, and the time.
     pub prior: &'a FramePrior,
-    /// The truth.
-    pub cam_left_from_target: Pose<CamLeft, Target>,
+    /// The truth, if there is one.
+    pub cam_left_from_target: Option<Pose<CamLeft, Target>>,
 }
 
 /// Depth error (metres, on the ray of the estimated origin) and angle between the normals (radians) of an estimate.
@@ -84,10 +84,10 @@ impl MethodLog {
 
     /// Adds what a method says of a frame.
     pub fn push(&mut self, frame: &Frame<'_>, estimate: &TrackEstimate, latency_millis: f64) {
-        let errors = plane_errors(estimate, &frame.cam_left_from_target);
+        let errors = frame.cam_left_from_target.as_ref().and_then(|truth| plane_errors(estimate, truth));
         self.rotation_about_normal_observed |= estimate.rotation_about_normal_observed;
         self.estimated.push(estimate.cam_left_from_model);
-        self.truth.push(frame.cam_left_from_target.relabel());
+        self.truth.extend(frame.cam_left_from_target.as_ref().map(Pose::relabel));
         self.frames.push(FrameSample {
             t_s: frame.t_s,
             status: estimate.status.to_string(),
@@ -100,7 +100,7 @@ impl MethodLog {
 
     fn push_error(&mut self, frame: &Frame<'_>, latency_millis: f64) {
         self.estimated.push(None);
-        self.truth.push(frame.cam_left_from_target.relabel());
+        self.truth.extend(frame.cam_left_from_target.as_ref().map(Pose::relabel));
         self.frames.push(FrameSample {
             t_s: frame.t_s,
             status: "error".to_owned(),

@@ -48,7 +48,7 @@ pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Optio
 /// What is refused before an arm is switched on.
 pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Option<&Path>) -> Result<Ended> {
     // Everything that can be refused is made before an arm is switched on.
-    let Parts { clock, camera, vs, tc, cell, experiment, target_outline_m, monitors, emulated, .. } = parts;
+    let Parts { clock, camera, vs, tc, cell, experiment, marking, monitors, emulated, .. } = parts;
     let (operator, interrupt) = (parts.operator, parts.interrupt);
     // When the moves begin is for a person to say.
     let (duration_s, marks) = match operator.is_person() {
@@ -58,7 +58,7 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     let log = RunLog { marks, ..RunLog::default() };
     let strip = Strip::of(setup.experiment.moments(&log.marks));
     let now = clock.now();
-    let looking = Looking::new(setup, (camera, cell.clone(), target_outline_m), (strip, now), record)?;
+    let looking = Looking::new(setup, (camera, cell.clone(), marking), (strip, now), record)?;
     let mut moving = Moving::new(setup, (vs, tc), &*experiment, now)?.with_operator(operator);
     let journal = Journal::new(setup, cell.clone(), (now, duration_s), log);
     let mut watching = Watching { looking, journal, cell };

@@ -1,7 +1,7 @@
 //! What a run sees with: pictures and a method that looks at them, or the truth with noise.
 
 use anyhow::{Context, Result, bail};
-use nalgebra::{Point3, Vector2};
+use nalgebra::Point3;
 use pb3dp_camera_sim::{GeometricCamera, GeometricFrame, Hindrance};
 use pb3dp_estimation::estimator::{FramePrior, Tracker};
 use pb3dp_estimation::published::TrackEstimate;
@@ -26,8 +26,8 @@ pub enum Sight {
 
 /// Who estimates the pose from what was captured.
 pub enum Eyes {
-    /// A method that looks at pictures, and what an operator would draw around the target.
-    Pictures(Box<Follower>, Outline),
+    /// A method that looks at pictures, and what is marked in the first ones.
+    Pictures(Box<Follower>, Marking),
     /// The truth with noise.
     Geometric(GeometricEyes),
 }
@@ -39,19 +39,35 @@ pub struct GeometricEyes {
     tilt_sigma_sure_rad: f64,
 }
 
-/// The outline of the target, points in its own frame.
+/// What is marked in the left picture in which the target is taken.
 #[derive(Clone, Debug)]
-pub struct Outline(pub Vec<Point3<f64>>);
+pub enum Marking {
+    /// The outline of a simulated target, points in its own frame: what an operator would draw.
+    Outline(Vec<Point3<f64>>),
+    /// What the operator has marked, wherever the target truly is.
+    Region(Region),
+}
 
-impl Outline {
-    /// Where it is in the left picture.
+/// What is said where real cameras look at nothing.
+pub const NOT_MARKED: &str = "nobody has marked the target: with real cameras give --region, or set camera.region (`pb3dp cameras record` \
+                              keeps what they see)";
+
+impl Marking {
+    /// The region in the left picture; `cam_left_from_target` is the truth, if there is one.
     ///
     /// # Errors
-    /// If a part of it is not before the camera.
-    pub fn px(&self, setup: &Setup, cam_left_from_target: &Pose<CamLeft, Target>) -> Result<Vec<Vector2<f64>>> {
-        let pixel = |point: &Point3<f64>| setup.rig.left().project(&cam_left_from_target.transform_point(point));
-        let vertices_px: Option<Vec<_>> = self.0.iter().map(pixel).collect();
-        vertices_px.context("the target is not in front of the camera at the beginning")
+    /// If a part of the outline is not before the camera, or there is no truth and no region.
+    pub fn region(&self, setup: &Setup, cam_left_from_target: Option<&Pose<CamLeft, Target>>) -> Result<Region> {
+        match (self, cam_left_from_target) {
+            (Self::Region(region), _) => Ok(region.clone()),
+            (Self::Outline(points_m), Some(pose)) => {
+                let pixel = |point: &Point3<f64>| setup.rig.left().project(&pose.transform_point(point));
+                let vertices_px: Option<Vec<_>> = points_m.iter().map(pixel).collect();
+                let vertices_px = vertices_px.context("the target is not in front of the camera at the beginning")?;
+                Ok(Region::Polygon { vertices_px })
+            }
+            (Self::Outline(_), None) => bail!("{NOT_MARKED}"),
+        }
     }
 }
 
@@ -60,11 +76,11 @@ impl Eyes {
     ///
     /// # Errors
     /// A parameter of the method out of its range, or a leader that does not go with `sight`.
-    pub fn new(setup: &Setup, sight: &Sight, outline: Outline) -> Result<Self> {
+    pub fn new(setup: &Setup, sight: &Sight, marking: Marking) -> Result<Self> {
         match (setup.leader, sight) {
             (Leader::Pictures(method), Sight::Pictures(_)) => {
                 let tracker = Tracker::new(method, &setup.rig, &setup.estimator)?;
-                Ok(Self::Pictures(Box::new(Follower::new(tracker, setup.range)), outline))
+                Ok(Self::Pictures(Box::new(Follower::new(tracker, setup.range)), marking))
             }
             (Leader::Geometric(_), Sight::Geometric(camera)) => Ok(Self::Geometric(GeometricEyes {
                 noise: camera.config().noise,
@@ -74,14 +90,18 @@ impl Eyes {
         }
     }
 
-    /// What an operator would draw around the target, as long as it was not taken; nothing where nobody looks at pictures.
+    /// What is marked, as long as the target was not taken; nothing where nobody looks at pictures.
     ///
     /// # Errors
-    /// If a part of it is not before the camera.
-    pub fn region(&self, setup: &Setup, cam_left_from_target: &Pose<CamLeft, Target>) -> Result<Option<Region>> {
+    /// As [`Marking::region`].
+    pub fn region(
+        &self,
+        setup: &Setup,
+        cam_left_from_target: Option<&Pose<CamLeft, Target>>,
+    ) -> Result<Option<Region>> {
         match self {
-            Self::Pictures(follower, outline) if !follower.is_started() => {
-                Ok(Some(Region::Polygon { vertices_px: outline.px(setup, cam_left_from_target)? }))
+            Self::Pictures(follower, marking) if !follower.is_started() => {
+                marking.region(setup, cam_left_from_target).map(Some)
             }
             _ => Ok(None),
         }

@@ -97,9 +97,17 @@ impl Journal {
             sample.world_from_hand_wanted = sample.world_from_target * wanted * model_from_hand;
             sample.world_from_hand_locked = sample.world_from_target * locked * model_from_hand;
         }
-        let without_pictures = !setup.leader.needs_pictures();
-        let log =
-            RunLog { without_pictures, leading, compared, pairs_lost, lock, commands: commands.into(), ..self.log };
+        let (without_pictures, without_truth) = (!setup.leader.needs_pictures(), setup.real_cameras.is_some());
+        let log = RunLog {
+            without_pictures,
+            without_truth,
+            leading,
+            compared,
+            pairs_lost,
+            lock,
+            commands: commands.into(),
+            ..self.log
+        };
         Outcome { log, strip }
     }
 }

@@ -74,10 +74,17 @@ pub struct MethodLog {
     pub frames: Vec<FrameSample>,
     /// The pose of each frame, if there is one.
     pub estimated: Vec<Option<Pose<CamLeft, Model>>>,
-    /// The true pose of each frame, of another frame on the same body.
+    /// The true pose of each frame, of another frame on the same body; empty where there is no truth.
     pub truth: Vec<Pose<CamLeft, Model>>,
     /// Whether the method measured the rotation about the model's normal in any frame.
     pub rotation_about_normal_observed: bool,
+}
+
+impl RunLog {
+    /// Control steps that can be judged: all, or none where there is no truth.
+    pub fn judged(&self) -> &[ControlSample] {
+        if self.without_truth { &[] } else { &self.control }
+    }
 }
 
 /// Everything written down in one run.
@@ -91,6 +98,9 @@ pub struct RunLog {
     pub compared: Vec<MethodLog>,
     /// Whether no picture was rendered: the poses are the truth with noise.
     pub without_pictures: bool,
+    /// Whether nobody knows where everything truly was: where hand and target are is what the joints of the arms say then, and where the
+    /// hand should be is not known.
+    pub without_truth: bool,
     /// What the leading method said of the first frame in which it had a pose.
     pub lock: Option<Lock>,
     /// Begin of each move of the target.

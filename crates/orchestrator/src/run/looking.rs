@@ -4,7 +4,6 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::Result;
-use nalgebra::Point3;
 use pb3dp_estimation::estimator::FramePrior;
 use pb3dp_estimation::published::TrackEstimate;
 use pb3dp_estimation::region::Region;
@@ -15,7 +14,7 @@ use pb3dp_servo::{JointHistory, TargetObservation};
 
 use super::capturing::{Captured, Capturing};
 use super::cell::{JOINT_GAP_MAX_S, SimulatedCell};
-use super::eyes::{Eyes, Outline, Sight};
+use super::eyes::{Eyes, Marking, Sight};
 use super::halves::Capture;
 use super::noting::{Looked, Noting};
 use super::percept::Percept;
@@ -39,14 +38,13 @@ impl<'a> Looking<'a> {
     /// As [`Eyes::new`] and [`Noting::new`].
     pub fn new(
         setup: &'a Setup,
-        (camera, cell, target_outline_m): (Sight, SimulatedCell, Vec<Point3<f64>>),
+        (camera, cell, marking): (Sight, SimulatedCell, Marking),
         (strip, begin): (Strip, MonotonicTime),
         record: Option<&Path>,
     ) -> Result<Self> {
-        let outline = Outline(target_outline_m);
         Ok(Self {
-            estimating: Estimating::new(setup, Eyes::new(setup, &camera, outline.clone())?),
-            noting: Noting::new(setup, outline, (strip, begin), record)?,
+            estimating: Estimating::new(setup, Eyes::new(setup, &camera, marking.clone())?),
+            noting: Noting::new(setup, marking, (strip, begin), record)?,
             capturing: Capturing::new(setup, camera, cell),
         })
     }
@@ -104,7 +102,7 @@ impl<'a> Estimating<'a> {
     /// If the method fails for good.
     pub fn look(&mut self, captured: Captured) -> Result<Seen> {
         let prior = self.prior(captured.frame.at);
-        let region = self.eyes.region(self.setup, &captured.cam_left_from_target)?;
+        let region = self.eyes.region(self.setup, captured.cam_left_from_target.as_ref())?;
         self.target += u64::from(region.is_some());
         let started = Instant::now();
         let estimate = self.eyes.estimate(&captured.view, region.as_ref(), &prior)?;
@@ -141,7 +139,7 @@ pub struct Seen {
     pub captured: Captured,
     /// Number of the target.
     pub target: u64,
-    /// What an operator would have drawn, in the pair in which the target is taken.
+    /// What was marked, in the pair in which the target is taken.
     pub region: Option<Region>,
     /// What was known beforehand.
     pub prior: FramePrior,

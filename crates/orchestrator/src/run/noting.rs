@@ -3,13 +3,15 @@
 use std::path::Path;
 
 use anyhow::{Result, bail};
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
+use pb3dp_estimation::published::TrackEstimate;
+use pb3dp_estimation::region::Region;
 use pb3dp_geometry::frames::{CamLeft, Model, Target};
 use pb3dp_geometry::{MonotonicTime, Pose};
 
 use super::capturing::{Captured, View};
 use super::compared::{Frame, Onlooker};
-use super::eyes::Outline;
+use super::eyes::Marking;
 use super::log::{Lock, MethodLog};
 use super::looking::Seen;
 use super::recording::Recording;
@@ -21,7 +23,7 @@ use crate::picture::model_frame_on_plane;
 pub struct Noting<'a> {
     setup: &'a Setup,
     begin: MonotonicTime,
-    outline: Outline,
+    marking: Marking,
     /// Where on the target the model's frame is, once the first estimate has said so.
     lock: Option<Lock>,
     leading: MethodLog,
@@ -51,7 +53,7 @@ impl<'a> Noting<'a> {
     /// A parameter of a method that looks on out of its range, or a recording of pictures that there are not.
     pub fn new(
         setup: &'a Setup,
-        outline: Outline,
+        marking: Marking,
         (strip, begin): (Strip, MonotonicTime),
         record: Option<&Path>,
     ) -> Result<Self> {
@@ -64,7 +66,7 @@ impl<'a> Noting<'a> {
             strip: if has_pictures { strip } else { Strip::default() },
             recording: record.map(|folder| Recording::new(folder, setup)),
             begin,
-            outline,
+            marking,
             lock: None,
             leading: MethodLog { method: setup.leader.name().to_owned(), ..MethodLog::default() },
             setup,
@@ -84,7 +86,9 @@ impl<'a> Noting<'a> {
         let Seen { captured, region, prior, estimate, latency_millis, .. } = seen;
         let Captured { frame, cam_left_from_target, view } = captured;
         let t_s = frame.at.seconds_since(self.begin);
-        if let (None, Some(found)) = (&self.lock, &estimate.cam_left_from_model) {
+        if let (None, Some(found), Some(cam_left_from_target)) =
+            (&self.lock, &estimate.cam_left_from_model, cam_left_from_target)
+        {
             self.lock = true_model_frame(found, cam_left_from_target).map(|target_from_model| Lock {
                 at_s: t_s,
                 target_from_model,
@@ -102,9 +106,9 @@ impl<'a> Noting<'a> {
         let Some(recording) = &mut self.recording else { return Ok(()) };
         let outline_px = match recording.is_open() {
             true => None,
-            false => Some(self.outline.px(self.setup, cam_left_from_target)?),
+            false => Some(outline_px(self.marking.region(self.setup, cam_left_from_target.as_ref())?, estimate)),
         };
-        recording.push(pair, cam_left_from_target, outline_px)
+        recording.push(pair, cam_left_from_target.as_ref(), outline_px)
     }
 
     /// Completes the recording; what was recorded until a failure is the best hint at its cause.
@@ -119,6 +123,19 @@ impl<'a> Noting<'a> {
     pub fn finish(self, pairs_lost: u64) -> Looked {
         let compared = self.onlookers.into_iter().map(Onlooker::into_log).collect();
         Looked { leading: self.leading, compared, pairs_lost, strip: self.strip, lock: self.lock }
+    }
+}
+
+/// A region as a polygon; of one that has no corners what the method has made of it.
+fn outline_px(region: Region, estimate: &TrackEstimate) -> Vec<Vector2<f64>> {
+    match region {
+        Region::Polygon { vertices_px } => vertices_px,
+        Region::Rectangle { x, y, width, height } => {
+            let (left, top) = (f64::from(x), f64::from(y));
+            let (right, bottom) = (left + f64::from(width), top + f64::from(height));
+            [[left, top], [right, top], [right, bottom], [left, bottom]].map(Vector2::from).to_vec()
+        }
+        Region::Mask(_) | Region::Click { .. } => estimate.outline_px.clone(),
     }
 }
 

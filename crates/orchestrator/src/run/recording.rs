@@ -1,4 +1,4 @@
-//! Writes the pairs of a run down as a sequence folder with exact truth, for `pb3dp track`.
+//! Writes the pairs of a run down as a sequence folder with the truth, if there is one, for `pb3dp track`.
 
 use std::path::{Path, PathBuf};
 
@@ -34,14 +34,14 @@ impl Recording {
         self.writer.is_some()
     }
 
-    /// Writes a pair with its truth. `outline_px` is the target's region in the left picture, needed for the first pair.
+    /// Writes a pair with its truth, if there is one. `outline_px` is the target's region in the left picture, needed for the first pair.
     ///
     /// # Errors
     /// If a file can not be written.
     pub fn push(
         &mut self,
         pair: &FramePair,
-        cam_left_from_target: &Pose<CamLeft, Target>,
+        cam_left_from_target: Option<&Pose<CamLeft, Target>>,
         outline_px: Option<Vec<Vector2<f64>>>,
     ) -> Result<()> {
         let writer = match &mut self.writer {
@@ -58,7 +58,7 @@ impl Recording {
             exposed_at: pair.exposed_at,
             skew_nanos: pair.skew_nanos,
             // Both frames are fixed to the target; the truth of a sequence may be in any such frame.
-            cam_left_from_model: Some(cam_left_from_target.relabel()),
+            cam_left_from_model: cam_left_from_target.map(Pose::relabel),
         };
         writer.push(frame).context("--record")?;
         Ok(())

@@ -107,7 +107,10 @@ fn page(
 
 /// What kind of run this was.
 fn introduction(summary: &RunSummary) -> &'static str {
-    if summary.without_pictures {
+    if summary.without_truth {
+        "The cameras are real: nobody knows where the target truly is, so there are no errors of hand and estimates here. Where target and \
+         hand are is what the joints of the arms say."
+    } else if summary.without_pictures {
         "No picture was rendered and none was looked at: what the controller was told is the true pose of the target at \
          mid-exposure with the noise that the configuration states (estimator.geometric), as long as both cameras have it in view. \
          Such a run says how the hand moves, and nothing of what a camera would see."
@@ -195,6 +198,7 @@ fn motion_panels(log: &RunLog, world_from_axes: &UnitQuaternion<f64>) -> Vec<Lin
         }),
         ("hand", SeriesColor::Red, |s| (s.world_from_hand.translation_m(), s.world_from_hand.rotation())),
     ];
+    let ways: Vec<_> = ways.into_iter().filter(|(label, ..)| !(log.without_truth && *label == "wanted")).collect();
     let position = |way: Way, axis: usize| -> Vec<[f64; 2]> {
         let moved = |s| world_from_axes.inverse() * (way(s).0 - way(first).0) * 1e3;
         log.control.iter().map(|s| [s.t_s, moved(s)[axis]]).collect()
@@ -241,7 +245,7 @@ pub fn with_marks(plot: LinePlot, log: &RunLog) -> LinePlot {
 
 fn error_panels(log: &RunLog, summary: &RunSummary) -> Vec<LinePlot> {
     let control = |pick: fn(&TrackingError) -> f64| -> Vec<[f64; 2]> {
-        log.control.iter().map(|s| [s.t_s, pick(&TrackingError::of(s))]).collect()
+        log.judged().iter().map(|s| [s.t_s, pick(&TrackingError::of(s))]).collect()
     };
     let frames = |pick: fn(&super::log::FrameSample) -> Option<f64>| -> Vec<[f64; 2]> {
         log.leading.frames.iter().map(|f| [f.t_s, pick(f).unwrap_or(f64::NAN)]).collect()
@@ -352,6 +356,9 @@ pub fn text_table(summary: &RunSummary) -> String {
     text += &format!("{:<34} {sigma}\n", "smallest singular value");
     text += &summary.supervisor.text_lines();
     text += &commands::text_lines(&summary.commands);
+    if summary.without_truth {
+        text += "the cameras are real: nobody knows the truth, and how far hand and estimates are off\n";
+    }
     if summary.without_pictures {
         text += "no picture was rendered: the estimates are the true poses with the noise of estimator.geometric\n";
     }
@@ -396,7 +403,7 @@ fn response_line(c: &ChannelSummary) -> String {
     line
 }
 
-/// One line per control step: times in seconds, positions in millimetres, quaternions as x, y, z, w.
+/// One line per control step: times in seconds, positions in millimetres, quaternions as x, y, z, w; empty cells are not known.
 fn timeseries_csv(log: &RunLog) -> String {
     let mut text = String::from("t_s,mode");
     for body in ["target", "hand", "wanted"] {
@@ -410,10 +417,12 @@ fn timeseries_csv(log: &RunLog) -> String {
             (s.world_from_hand.translation_m(), s.world_from_hand.rotation()),
             (s.world_from_hand_wanted.translation_m(), s.world_from_hand_wanted.rotation()),
         ];
-        for (p, q) in poses {
+        let known = if log.without_truth { 2 } else { 3 };
+        for (p, q) in &poses[..known] {
             let _ = write!(text, ",{:.4},{:.4},{:.4}", p.x * 1e3, p.y * 1e3, p.z * 1e3);
             let _ = write!(text, ",{:.7},{:.7},{:.7},{:.7}", q.i, q.j, q.k, q.w);
         }
+        text += &",".repeat(7 * (poses.len() - known));
         text.push('\n');
     }
     text

@@ -1,7 +1,8 @@
 //! The figures of a run: how well the hand followed, how good the estimates were, how long they took.
 //!
 //! Errors are against the hand's place before the true target. Beside them stand those against its place by the pose of the lock:
-//! whatever the first estimates got wrong stays for the whole run and is no fault of the servo.
+//! whatever the first estimates got wrong stays for the whole run and is no fault of the servo. With real cameras nobody knows the
+//! truth, and there are no such figures.
 
 use std::collections::BTreeMap;
 
@@ -75,6 +76,8 @@ pub struct RunSummary {
     pub estimation_depth_mm: Option<MedianP95>,
     /// Normal error of the estimates, degrees.
     pub estimation_normal_deg: Option<MedianP95>,
+    /// Whether nobody knows the truth: the errors of hand and estimates are not known.
+    pub without_truth: bool,
     /// Whether no picture was rendered: the estimates are the truth with noise.
     pub without_pictures: bool,
     /// The leading method and those that looked on, side by side.
@@ -136,7 +139,7 @@ impl LockSummary {
 
 /// The figures of `log`.
 pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
-    let errors: Vec<TrackingError> = log.control.iter().map(TrackingError::of).collect();
+    let errors: Vec<TrackingError> = log.judged().iter().map(TrackingError::of).collect();
     let column = |pick: fn(&TrackingError) -> f64| errors.iter().map(pick).collect::<Vec<f64>>();
     let (channels, locked) = channels::summaries(log, plan);
     let lags: Vec<f64> = channels.iter().filter_map(|c| c.lag_s).collect();
@@ -155,10 +158,11 @@ pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
         channels,
         estimation_depth_mm: MedianP95::of(&depth),
         estimation_normal_deg: MedianP95::of(&normal),
+        without_truth: log.without_truth,
         without_pictures: log.without_pictures,
         methods: methods::summaries(log),
         frames: log.leading.frames.len(),
-        frames_without_pose: log.leading.frames.iter().filter(|f| f.depth_error_m.is_none()).count(),
+        frames_without_pose: log.leading.estimated.iter().filter(|pose| pose.is_none()).count(),
         frames_by_status: log.leading.frames.iter().fold(BTreeMap::new(), |mut counts, frame| {
             *counts.entry(frame.status.clone()).or_default() += 1;
             counts

@@ -61,8 +61,8 @@ pub fn duration(motion: &Excitation) -> Duration {
 /// # Errors
 /// If an arm, the camera or the estimator fails for good; the arms are stopped first.
 pub fn run(setup: &Setup, parts: Parts, motion: Excitation) -> Result<Swung> {
-    let Parts { clock, camera, vs, tc, cell, target_outline_m, emulated, interrupt, .. } = parts;
-    let sight = (camera, cell, target_outline_m);
+    let Parts { clock, camera, vs, tc, cell, marking, emulated, interrupt, .. } = parts;
+    let sight = (camera, cell, marking);
     let mut looking = OnlyLooking(Looking::new(setup, sight, (Strip::default(), clock.now()), None)?);
     let arms = BothArms::new(setup, (vs, tc), clock.now());
     let mut swinging = Swinging::new(setup, arms, motion)?;

@@ -1,7 +1,9 @@
 //! Cameras, and how they hang on the computer.
 
+use pb3dp_camera_v4l2::names::CameraName;
+
 use super::access::{Identity, denied};
-use super::finding::Finding;
+use super::finding::{Finding, Verdict};
 use super::needs::{Cameras, Needs};
 use super::system::System;
 
@@ -16,6 +18,26 @@ struct Found {
     name: String,
     /// None if it is not at a USB bus.
     usb: Option<UsbPlace>,
+    /// Serial number of its USB device.
+    serial: Option<String>,
+}
+
+impl Found {
+    /// Whether it is the one of that name.
+    fn has(&self, name: &CameraName) -> bool {
+        match name {
+            CameraName::Path(path) => path.as_os_str() == self.path.as_str(),
+            CameraName::Serial { serial, .. } => self.serial.as_ref() == Some(serial),
+            CameraName::Bus { bus, .. } => self.bus().as_ref() == Some(bus),
+        }
+    }
+
+    /// Its place as its driver tells it (`usb_make_path` of the kernel): `usb-0000:00:14.0-2.3`.
+    fn bus(&self) -> Option<String> {
+        let usb = self.usb.as_ref()?;
+        let (_, sockets) = usb.port.split_once('-')?;
+        Some(format!("usb-{}-{sockets}", usb.controller))
+    }
 }
 
 /// Where at the USB a device is.
@@ -39,6 +61,9 @@ pub(super) fn check(system: &dyn System, needs: &Needs) -> Vec<Finding> {
     }
     let Some(who) = Identity::of(system) else { return Vec::new() };
     let cameras = found(system);
+    if let Cameras::These(names) = &needs.cameras {
+        return named(system, &who, &cameras, names);
+    }
     if cameras.is_empty() {
         let advice = "for simulation none is needed; else look at cable and hub, and whether `lsusb` and `dmesg` show the camera";
         return vec![Finding::warning(CHECK, "there is none (/sys/class/video4linux)", advice)];
@@ -48,21 +73,73 @@ pub(super) fn check(system: &dyn System, needs: &Needs) -> Vec<Finding> {
     findings
 }
 
+/// The two cameras of a setup.
+fn named(system: &dyn System, who: &Identity, cameras: &[Found], names: &[CameraName; 2]) -> Vec<Finding> {
+    const CHECK: &str = "cameras";
+    let (mut findings, mut chosen) = (Vec::new(), Vec::new());
+    for (side, name) in ["left", "right"].into_iter().zip(names) {
+        if is_of_driver(name) {
+            let found = format!("whether the {side} camera, {name}, is there only its driver can tell");
+            findings.push(Finding::warning(CHECK, found, "see whether `pb3dp cameras list` shows it"));
+            continue;
+        }
+        match cameras.iter().find(|camera| camera.has(name)) {
+            Some(camera) => {
+                let finding = usable(system, who, camera);
+                findings.push(if finding.verdict == Verdict::Pass {
+                    finding
+                } else {
+                    Finding { verdict: Verdict::Fail, ..finding }
+                });
+                chosen.push(camera.clone());
+            }
+            None => {
+                let there: Vec<String> = cameras
+                    .iter()
+                    .map(|camera| format!("{} at {}", camera.path, camera.bus().unwrap_or_default()))
+                    .collect();
+                let there = if there.is_empty() { "none".to_owned() } else { there.join(", ") };
+                let advice =
+                    format!("look at cable and hub, or put its place into camera.{side}.device; there are: {there}");
+                findings.push(Finding::fail(CHECK, format!("the {side} camera, {name}, is not there"), advice));
+            }
+        }
+    }
+    if let [left, right] = &chosen[..]
+        && left.path == right.path
+    {
+        let found = format!("left and right are the same camera, {}", left.path);
+        findings.push(Finding::fail(CHECK, found, "give each side a name of its own"));
+        chosen.pop();
+    }
+    findings.extend(topology(&chosen));
+    findings
+}
+
+/// Whether only the driver knows who has this name.
+fn is_of_driver(name: &CameraName) -> bool {
+    matches!(name, CameraName::Bus { bus, .. } if !bus.starts_with("usb-"))
+}
+
 /// The nodes that give pictures: the first of each camera.
 fn found(system: &dyn System) -> Vec<Found> {
     let folder = "/sys/class/video4linux";
     let names = system.names(folder).into_iter().filter(|name| name.starts_with("video"));
     let is_first = |name: &String| system.text(&format!("{folder}/{name}/index")).is_none_or(|index| index == "0");
-    let camera = |name: String| Found {
-        name: system.text(&format!("{folder}/{name}/name")).unwrap_or_else(|| "without a name".to_owned()),
-        usb: usb_place(system, &format!("{folder}/{name}/device")),
-        path: format!("/dev/{name}"),
+    let camera = |name: String| {
+        let (usb, serial) = usb_place(system, &format!("{folder}/{name}/device")).unzip();
+        Found {
+            name: system.text(&format!("{folder}/{name}/name")).unwrap_or_else(|| "without a name".to_owned()),
+            usb,
+            serial: serial.flatten(),
+            path: format!("/dev/{name}"),
+        }
     };
     names.filter(is_first).map(camera).collect()
 }
 
-/// From `/sys/devices/pci0000:00/0000:00:14.0/usb1/1-2/1-2.3/1-2.3:1.0`.
-fn usb_place(system: &dyn System, device: &str) -> Option<UsbPlace> {
+/// Place and serial number, from `/sys/devices/pci0000:00/0000:00:14.0/usb1/1-2/1-2.3/1-2.3:1.0`.
+fn usb_place(system: &dyn System, device: &str) -> Option<(UsbPlace, Option<String>)> {
     let target = system.target(device)?;
     let parts: Vec<&str> = target.split('/').collect();
     let is_bus = |part: &&str| {
@@ -73,12 +150,13 @@ fn usb_place(system: &dyn System, device: &str) -> Option<UsbPlace> {
     let depth = after.iter().take_while(|part| part.contains('-') && !part.contains(':')).count();
     let port = after[..depth].last()?;
     let device = format!("{}/{}", parts[..=bus].join("/"), after[..depth].join("/"));
-    Some(UsbPlace {
+    let place = UsbPlace {
         controller: bus.checked_sub(1).map(|index| parts[index].to_owned())?,
         bus: parts[bus].to_owned(),
         port: (*port).to_owned(),
         speed: system.text(&format!("{device}/speed")),
-    })
+    };
+    Some((place, system.text(&format!("{device}/serial"))))
 }
 
 fn usable(system: &dyn System, who: &Identity, camera: &Found) -> Finding {

@@ -14,7 +14,7 @@ pub(super) fn modules(system: &dyn System, needs: &Needs) -> Vec<Finding> {
     const CHECK: &str = "kernel modules";
     let mut wanted = Vec::new();
     let has_serial = needs.serial.as_ref().is_none_or(|ports| !ports.is_empty());
-    if needs.cameras == Cameras::Perhaps {
+    if needs.cameras != Cameras::NotNeeded {
         wanted.push(("uvcvideo", "USB cameras", false));
     }
     if has_serial {

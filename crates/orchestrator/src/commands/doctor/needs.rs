@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use pb3dp_arm_pa10::io::arm::{BusTarget, REALTIME};
+use pb3dp_camera_v4l2::names::CameraName;
 
 use crate::config::gateway::{HostPlace, read_gateway};
 use crate::config::load::{ConfigError, FileKind, kind_of};
@@ -30,12 +31,14 @@ pub(super) struct Needs {
 }
 
 /// Cameras of the machine.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Cameras {
     /// None: they are simulated, or it is the computer of a gateway.
     NotNeeded,
     /// Nothing says whether; those that are there are looked at.
     Perhaps,
+    /// These, left and right.
+    These([CameraName; 2]),
 }
 
 /// Two pictures of 640 x 480 pixels, three bytes each, 30 times per second.
@@ -72,7 +75,7 @@ impl Needs {
     pub(super) fn groups(&self) -> Vec<&'static str> {
         let is_wanted = |serial: &Vec<String>| !serial.is_empty();
         let mut groups = vec!["realtime"];
-        groups.extend((self.cameras == Cameras::Perhaps).then_some("video"));
+        groups.extend((self.cameras != Cameras::NotNeeded).then_some("video"));
         groups.extend(self.serial.as_ref().is_none_or(is_wanted).then_some("dialout"));
         groups
     }
@@ -93,7 +96,10 @@ impl Needs {
             needs_realtime: setup.pace == Pace::Live && !(setup.vs.link.is_toy() && setup.tc.link.is_toy()),
             serial: Some(serial),
             arcnet,
-            cameras: Cameras::NotNeeded,
+            cameras: setup.real_cameras.as_ref().map_or(Cameras::NotNeeded, |cameras| {
+                let eyes = [&cameras.stereo.left, &cameras.stereo.right];
+                Cameras::These(eyes.map(|eye| eye.name.clone()))
+            }),
             recording_bytes_per_s: 2.0 * 3.0 * pixels / setup.camera.period.as_secs_f64().max(1e-3),
             ..Self::general(recordings)
         }

@@ -281,6 +281,39 @@ fn cameras_that_do_not_serve_are_found() {
 }
 
 #[test]
+fn the_cameras_of_a_setup_are_looked_for_by_name() {
+    let with = |left: &str, right: &str| {
+        let names = [left, right].map(|name| name.parse().unwrap());
+        Needs { cameras: Cameras::These(names), ..rig() }
+    };
+    let mut fake = Fake::good();
+    fake.file("/sys/devices/pci0000:00/0000:00:14.0/usb1/1-2/serial", "4F5A19C0");
+    let left = "bus:usb-0000:00:14.0-2";
+    for right in ["bus:usb-0000:00:14.0-1.4", "/dev/video2"] {
+        assert_eq!(bad(&fake, &with(left, right)), []);
+        assert_eq!(bad(&fake, &with("serial:4F5A19C0", right)), []);
+    }
+    let gone = with(left, "bus:usb-0000:00:14.0-3");
+    only(
+        &fake,
+        &gone,
+        "cameras",
+        Verdict::Fail,
+        "the right camera, bus:usb-0000:00:14.0-3, is not there",
+        "usb-0000:00:14.0-1.4",
+    );
+    let same = with(left, "/dev/video0");
+    only(&fake, &same, "cameras", Verdict::Fail, "left and right are the same camera", "a name of its own");
+    let other = with(left, "bus:platform:vivid-001");
+    only(&fake, &other, "cameras", Verdict::Warning, "bus:platform:vivid-001", "pb3dp cameras list");
+    fake.nodes.insert("/dev/video2".to_owned(), Node { mode: 0o660, uid: 0, gid: 0, is_device: true });
+    only(&fake, &with(left, "/dev/video2"), "cameras", Verdict::Fail, "/dev/video2", "70-pb3dp.rules");
+    // One that nobody asked for may be as it is.
+    fake.camera(4, "usb1/1-4", "480");
+    only(&fake, &with(left, "/dev/video2"), "cameras", Verdict::Fail, "/dev/video2", "70-pb3dp.rules");
+}
+
+#[test]
 fn cameras_that_share_a_slow_bus_are_found() {
     let mut fake = Fake::good();
     fake.remove("/sys/class/video4linux/video2");
@@ -357,12 +390,16 @@ fn needs_come_from_the_configuration() {
     let of = |name: &str| Needs::of_file(&root.join(name), PathBuf::from("out")).unwrap();
     let gateway = of("gateway.toml");
     assert_eq!((gateway.priority, gateway.needs_realtime, &gateway.arcnet[..]), (80, true, &["arc0".to_owned()][..]));
-    assert_eq!((&gateway.serial, gateway.cameras), (&Some(Vec::new()), Cameras::NotNeeded));
+    assert_eq!((&gateway.serial, &gateway.cameras), (&Some(Vec::new()), &Cameras::NotNeeded));
     let full = Fake { free: Ok(0), ..Fake::good() };
     assert_eq!(bad(&full, &gateway), [], "a gateway records nothing");
     let emulated = of("hil.toml");
     assert_eq!((emulated.needs_realtime, emulated.serial, emulated.arcnet.len()), (false, Some(Vec::new()), 0));
     assert!((emulated.recording_bytes_per_s / 55.3e6 - 1.0).abs() < 0.01);
+    let rig = of("rig.toml");
+    let names = ["bus:usb-0000:00:14.0-1", "bus:usb-0000:00:14.0-2"].map(|name| name.parse().unwrap());
+    assert_eq!((rig.needs_realtime, &rig.cameras), (true, &Cameras::These(names)));
+    assert!(rig.serial.as_ref().unwrap().len() == 2 && rig.groups().contains(&"video"));
     let missing = Needs::of_file(&root.join("no such file.toml"), PathBuf::from("out"));
     assert!(missing.unwrap_err().to_string().contains("no such file.toml"));
     let other = Needs::of_file(&root.join("estimator.toml"), PathBuf::from("out"));

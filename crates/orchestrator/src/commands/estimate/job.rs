@@ -2,18 +2,18 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
-use image::{GrayImage, RgbImage};
+use anyhow::{Result, bail};
+use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_estimation::region::Region;
-use pb3dp_geometry::{ImageSize, StereoRig};
+use pb3dp_geometry::StereoRig;
 use pb3dp_record::calibration_files::load_stereo_for;
 use pb3dp_record::dataset::{self, Case, load_case};
 use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
 
 use crate::cli::{EstimateArgs, MethodArgs};
-use crate::region_spec::RegionSpec;
+use crate::region_spec::load_region;
 
 /// Everything that an estimate needs, in memory.
 pub struct Job {
@@ -148,44 +148,4 @@ pub fn overridden(given: SearchRange, method: &MethodArgs) -> SearchRange {
         range.tilt_max_rad = tilt_max_deg.to_radians();
     }
     range
-}
-
-/// The region that the command line names, in pictures of this size.
-///
-/// # Errors
-/// A mask that can not be read or marks everything, or a rectangle without area.
-pub fn load_region(spec: &RegionSpec, pictures: ImageSize) -> Result<Region> {
-    Ok(match spec {
-        RegionSpec::Rectangle([x, y, width, height]) => {
-            let corners = [[*x, *y], [x + width, *y], [x + width, y + height], [*x, y + height]];
-            if *width <= 0.0 || *height <= 0.0 {
-                bail!("--region rect: width {width} and height {height} must be positive");
-            }
-            match corners[0].iter().chain([width, height]).all(|value| value.fract() == 0.0 && value.abs() < 1e6) {
-                true => Region::Rectangle { x: *x as i32, y: *y as i32, width: *width as u32, height: *height as u32 },
-                false => Region::Polygon { vertices_px: corners.map(|[u, v]| Vector2::new(u, v)).to_vec() },
-            }
-        }
-        RegionSpec::Polygon(vertices) => {
-            Region::Polygon { vertices_px: vertices.iter().map(|&[u, v]| Vector2::new(u, v)).collect() }
-        }
-        RegionSpec::Mask(file) => {
-            let mask = load_mask(file)?;
-            let is_full = mask.pixels().all(|pixel| pixel.0[0] > 0);
-            if is_full && mask.dimensions() == (pictures.width, pictures.height) {
-                bail!(
-                    "{}: the mask has no black pixel, so everything would be the object: is it a mask?",
-                    file.display()
-                );
-            }
-            Region::Mask(mask)
-        }
-        RegionSpec::Click([x, y]) => Region::Click { x: x.round() as i32, y: y.round() as i32 },
-    })
-}
-
-fn load_mask(file: &Path) -> Result<GrayImage> {
-    let picture = load_rgb(file).context("the mask of --region can not be used")?;
-    let any = |pixel: &image::Rgb<u8>| image::Luma([pixel.0.iter().copied().max().unwrap_or(0)]);
-    Ok(GrayImage::from_fn(picture.width(), picture.height(), |x, y| any(picture.get_pixel(x, y))))
 }

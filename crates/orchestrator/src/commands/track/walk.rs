@@ -15,12 +15,12 @@ use pb3dp_record::dataset::Sequence;
 use pb3dp_record::images::size_of;
 
 use super::super::estimate::estimator_config;
-use super::super::estimate::job::{load_region, overridden, range_of_dataset};
+use super::super::estimate::job::{overridden, range_of_dataset};
 use super::super::pair::check_pictures;
 use crate::cli::TrackArgs;
 use crate::cpu_time::{timed, within};
 use crate::follower::Follower;
-use crate::region_spec::RegionSpec;
+use crate::region_spec::{RegionSpec, load_region};
 
 /// All targets of a sequence.
 pub struct Walk {

@@ -1,4 +1,4 @@
-//! The tables `[camera]` and `[scene]`: the simulated stereo pair and what it sees.
+//! The tables `[camera]` with `backend = "sim"` and `[scene]`: the simulated stereo pair and what it sees.
 
 use pb3dp_camera_sim::{CameraFaults, SimCameraConfig};
 use pb3dp_geometry::frames::{CamLeft, CamRight};
@@ -12,10 +12,14 @@ use super::super::load::{Checker, whole, within};
 use super::camera_faults::{self, FaultSection};
 use super::{fold_seed, millis};
 
+/// What follows keys of this table in messages.
+pub(super) const OWNER: &str = "(with camera.backend = \"sim\")";
+
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct CameraSection {
-    backend: CameraBackend,
+    #[serde(rename = "backend")]
+    _backend: String,
     width_px: i64,
     height_px: i64,
     focal_px: f64,
@@ -33,13 +37,6 @@ pub(super) struct CameraSection {
     faults: Vec<FaultSection>,
 }
 
-/// Which camera backend is wired in; others join by name.
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-enum CameraBackend {
-    Sim,
-}
-
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct EyeSection {
@@ -50,7 +47,6 @@ struct EyeSection {
 
 impl CameraSection {
     pub(super) fn build(&self, check: &mut Checker) -> (Option<StereoRig>, SimCameraConfig, SensorConfig) {
-        let CameraBackend::Sim = self.backend;
         self.check(check);
         let camera = SimCameraConfig {
             period: millis(1000.0 / self.frame_rate_hz),

@@ -8,8 +8,10 @@ mod geometric;
 mod geometry;
 mod law;
 mod link;
+mod real_cameras;
 mod servo;
 mod shape;
+mod sight;
 mod supervisor;
 mod target_state;
 
@@ -31,17 +33,19 @@ use serde::Deserialize;
 
 pub use self::arms::ArmSetup;
 use self::arms::{ArmsSection, MountsSection};
-use self::camera::{CameraSection, SceneSection};
+use self::camera::SceneSection;
 use self::experiment::ExperimentSection;
 pub use self::experiment::{Carrier, Experiment};
 use self::geometric::GeometricSection;
 use self::link::GATEWAY_CYCLE_MAX_MILLIS;
 pub use self::link::{ArmLink, BusLinkConfig, GatewayWay};
+pub use self::real_cameras::{RealCameras, Synchronisation, read_cameras};
 use self::servo::ServoSection;
+use self::sight::{CameraEntry, CameraTable, Sight};
 use self::supervisor::SupervisorSection;
 use super::direct::DirectSection;
 use super::estimator::PublishedSection;
-use super::load::{Checker, ConfigError, FileKind, read_toml, within};
+use super::load::{Checker, ConfigError, ConfigFile, FileKind, within};
 
 /// A setup whose every value has been checked.
 #[derive(Clone, Debug)]
@@ -58,11 +62,13 @@ pub struct Setup {
     pub rig: StereoRig,
     /// When it exposes.
     pub camera: SimCameraConfig,
-    /// What goes wrong with it.
+    /// The cameras of this machine that are to be used, if they are not simulated: then nobody looks at faults, sensor and scene.
+    pub real_cameras: Option<RealCameras>,
+    /// What goes wrong with simulated cameras.
     pub camera_faults: CameraFaults,
-    /// What its sensors do to the light.
+    /// What their sensors do to the light.
     pub sensor: SensorConfig,
-    /// What stands in the cell.
+    /// What stands in the simulated cell.
     pub scene: SceneConfig,
     /// What estimates the pose by which the hand is led.
     pub leader: Leader,
@@ -130,8 +136,8 @@ pub enum Pace {
 #[serde(deny_unknown_fields)]
 struct SetupFile {
     run: RunSection,
-    camera: CameraSection,
-    scene: SceneSection,
+    camera: CameraEntry,
+    scene: Option<SceneSection>,
     estimator: EstimatorSection,
     servo: ServoSection,
     supervisor: SupervisorSection,
@@ -215,9 +221,11 @@ pub fn fold_seed(seed: u64) -> u32 {
 /// # Errors
 /// An unreadable file, unknown or missing keys, values out of range; the error names file, key and what is allowed.
 pub fn read_setup(file: &Path) -> Result<Setup, ConfigError> {
-    let raw: SetupFile = read_toml(file, FileKind::Setup)?;
+    let config = ConfigFile::read(file, FileKind::Setup)?;
+    let raw: SetupFile = config.all()?;
+    let camera = raw.camera.table(&config)?;
     let mut check = Checker::default();
-    let setup = raw.build(file, &mut check);
+    let setup = raw.build(file, &camera, &mut check);
     check.finish(file)?;
     // Every way on which `build` gives nothing leaves a refusal behind.
     setup.ok_or_else(|| ConfigError::Values { file: file.to_path_buf(), lines: "  the setup is not complete".into() })
@@ -245,16 +253,15 @@ fn refuse_one_place(vs: &ArmLink, tc: &ArmLink, check: &mut Checker) {
 }
 
 impl SetupFile {
-    fn build(&self, file: &Path, check: &mut Checker) -> Option<Setup> {
+    fn build(&self, file: &Path, camera: &CameraTable, check: &mut Checker) -> Option<Setup> {
         let period_max_millis = if self.arms.has_link() { GATEWAY_CYCLE_MAX_MILLIS } else { 20.0 };
         check.number("run.control_period_millis", self.run.control_period_millis, 2.0..=period_max_millis);
         check.number("run.estimate_latency_millis", self.run.estimate_latency_millis, 0.0..=500.0);
         let (method, compared, estimator, range) = self.estimator.build(self.run.seed, check);
         let geometric = self.estimator.geometric.map(|section| section.build(&range, self.run.seed, check));
         let leader = self.estimator.leader(method, geometric, check);
-        let (rig, camera, sensor) = self.camera.build(check);
-        let camera_faults = self.camera.faults(self.run.seed, check);
-        let scene = self.scene.build(self.run.seed, check);
+        let hand_speed_max_m_per_s = self.servo.speed_max_m_per_s();
+        let sight = camera.build((file, hand_speed_max_m_per_s), (self.scene.as_ref(), self.run.seed), check);
         let experiment = self.experiment.build(check);
         let control_period_millis = within(self.run.control_period_millis, 2.0, period_max_millis);
         let arms = self.arms.build(file, control_period_millis, check);
@@ -273,18 +280,23 @@ impl SetupFile {
                 ));
             }
         }
+        if camera.is_real() {
+            self.refuse_simulation(experiment.as_ref(), check);
+        }
         refuse_equal_numbers(&vs.link, &tc.link, check);
         refuse_one_place(&vs.link, &tc.link, check);
         if !check.is_clean() {
             return None;
         }
+        let Sight { rig, camera, real_cameras, camera_faults, sensor, scene } = sight?;
         Some(Setup {
             seed: self.run.seed,
             pace: self.run.pace,
             control_period: millis(self.run.control_period_millis),
             estimate_latency: millis(self.run.estimate_latency_millis),
-            rig: rig?,
+            rig,
             camera,
+            real_cameras,
             camera_faults,
             sensor,
             scene,
@@ -301,6 +313,27 @@ impl SetupFile {
             flange_from_target: mounts.flange_from_target,
             experiment: experiment?,
         })
+    }
+}
+
+impl SetupFile {
+    /// What there is only where cameras are simulated.
+    fn refuse_simulation(&self, experiment: Option<&Experiment>, check: &mut Checker) {
+        let with = "with camera.backend = \"v4l2\"";
+        if self.run.pace != Pace::Live {
+            check.refuse(format!("run.pace: real cameras do not wait for simulated time; {with} it is \"live\""));
+        }
+        if self.estimator.is_geometric() || self.estimator.geometric.is_some() {
+            check.refuse(format!(
+                "estimator.geometric: {with} there is no truth that could stand for pictures; remove the table, and choose a method that \
+                 looks at pictures"
+            ));
+        }
+        if experiment.is_some_and(|experiment| experiment.carrier == Carrier::Nothing) {
+            check.refuse(format!(
+                "experiment.target = \"free\": only a simulated target is carried by nothing; {with} it is \"carried\""
+            ));
+        }
     }
 }
 

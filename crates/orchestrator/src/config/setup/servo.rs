@@ -86,6 +86,11 @@ struct SearchSection {
 }
 
 impl ServoSection {
+    /// The fastest that the hand moves, as the file says it.
+    pub(super) fn speed_max_m_per_s(&self) -> f64 {
+        self.speed.linear_max_mm_per_s * 1e-3
+    }
+
     /// Whether the hand looks for a lost target.
     pub(super) fn searches(&self) -> bool {
         self.search.is_some()
@@ -194,7 +199,7 @@ impl SearchSection {
 }
 
 /// Speeds of the hand, in both [`SpeedSection`] and [`ApproachSection`].
-const LINEAR_MM_PER_S: RangeInclusive<f64> = 0.001..=2000.0;
+pub(super) const LINEAR_MM_PER_S: RangeInclusive<f64> = 0.001..=2000.0;
 const ANGULAR_DEG_PER_S: RangeInclusive<f64> = 0.0001..=343.7;
 
 fn speed(linear_mm_per_s: f64, angular_deg_per_s: f64) -> CartesianSpeed {

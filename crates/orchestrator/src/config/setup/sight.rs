@@ -1,0 +1,103 @@
+//! The table `[camera]`, whatever its backend is: what a run sees with.
+
+use std::path::Path;
+use std::time::Duration;
+
+use pb3dp_camera_sim::{CameraFaults, SimCameraConfig};
+use pb3dp_geometry::StereoRig;
+use pb3dp_sim::scene::SceneConfig;
+use pb3dp_sim::sensor::SensorConfig;
+use pb3dp_sim::targets::TargetConfig;
+use serde::Deserialize;
+
+use super::super::load::{Checker, ConfigError, ConfigFile};
+use super::camera::{self, CameraSection, SceneSection};
+use super::fold_seed;
+use super::real_cameras::{self, RealCameras, V4l2Section};
+
+/// The one key that all backends have; the others depend on it.
+#[derive(Clone, Copy, Debug, Deserialize)]
+pub(super) struct CameraEntry {
+    backend: CameraBackend,
+}
+
+/// Which camera backend is wired in; others join by name.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum CameraBackend {
+    Sim,
+    V4l2,
+}
+
+/// The table with the keys of its backend.
+pub(super) enum CameraTable {
+    /// Simulated cameras.
+    Sim(Box<CameraSection>),
+    /// Cameras of this machine.
+    V4l2(Box<V4l2Section>),
+}
+
+/// What a run sees with; see [`Setup`](super::Setup).
+pub(super) struct Sight {
+    pub(super) rig: StereoRig,
+    pub(super) camera: SimCameraConfig,
+    pub(super) real_cameras: Option<RealCameras>,
+    pub(super) camera_faults: CameraFaults,
+    pub(super) sensor: SensorConfig,
+    pub(super) scene: SceneConfig,
+}
+
+impl CameraEntry {
+    /// The whole table.
+    pub(super) fn table(self, config: &ConfigFile) -> Result<CameraTable, ConfigError> {
+        Ok(match self.backend {
+            CameraBackend::Sim => CameraTable::Sim(Box::new(config.at("camera", camera::OWNER)?)),
+            CameraBackend::V4l2 => CameraTable::V4l2(Box::new(config.at("camera", real_cameras::OWNER)?)),
+        })
+    }
+}
+
+impl CameraTable {
+    /// Whether its cameras are not simulated.
+    pub(super) fn is_real(&self) -> bool {
+        matches!(self, Self::V4l2(_))
+    }
+
+    /// What a run sees with: where the file of the configuration is, how fast the hand moves at most, and what stands before simulated
+    /// cameras.
+    pub(super) fn build(
+        &self,
+        (config_file, hand_speed_max_m_per_s): (&Path, f64),
+        (scene, seed): (Option<&SceneSection>, u64),
+        check: &mut Checker,
+    ) -> Option<Sight> {
+        match self {
+            Self::Sim(section) => {
+                let (rig, camera, sensor) = section.build(check);
+                let camera_faults = section.faults(seed, check);
+                if scene.is_none() {
+                    check.refuse("scene: the table is missing; camera.backend = \"sim\" needs it".to_owned());
+                }
+                let scene = scene?.build(seed, check);
+                Some(Sight { rig: rig?, camera, real_cameras: None, camera_faults, sensor, scene })
+            }
+            Self::V4l2(section) => {
+                if scene.is_some() {
+                    check.refuse("scene: camera.backend = \"v4l2\" sees what there is; remove the table".to_owned());
+                }
+                let cameras = section.build(config_file, hand_speed_max_m_per_s, check)?;
+                let calibration = cameras.calibration().inspect_err(|error| check.refuse(format!("{error:#}"))).ok()?;
+                let exposure = cameras.exposure().max(Duration::from_micros(1));
+                let period = cameras.period();
+                Some(Sight {
+                    rig: calibration.rig,
+                    camera: SimCameraConfig { period, exposure, blur_moments: 1, pairs: None },
+                    real_cameras: Some(cameras),
+                    camera_faults: CameraFaults::default(),
+                    sensor: SensorConfig::default(),
+                    scene: SceneConfig { seed: fold_seed(seed), ..SceneConfig::new(TargetConfig::card()) },
+                })
+            }
+        }
+    }
+}

@@ -1,0 +1,167 @@
+//! Two cameras that are opened anew after one of them was lost.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
+
+use crate::camera::{StereoConfig, StereoCounters, V4l2StereoCamera};
+use crate::video::VideoSystem;
+
+/// From one attempt to open lost cameras to the next one. An attempt asks every video device of the computer who it is.
+const AGAIN: Duration = Duration::from_millis(250);
+
+/// A [`V4l2StereoCamera`] that outlives the loss of its devices: while they are away each call is a `Timeout` that says why, and once they
+/// are there again, in the same mode and with the same controls, pairs go on with the numbers and times behind those before.
+///
+/// A call in which cameras are opened takes as long as that does, which may be more than twice its `timeout`: all that their drivers
+/// do for it.
+pub struct ReopeningCamera {
+    system: Arc<dyn VideoSystem>,
+    clock: Arc<dyn Clock>,
+    config: StereoConfig,
+    info: StereoCameraInfo,
+    reopen_for: Duration,
+    state: State,
+    /// Number and time of the newest pair that was delivered.
+    last: Option<(u64, MonotonicTime)>,
+    /// From the numbers of the open camera to those that are delivered; `None` until its first pair.
+    offset: Option<u64>,
+    reopened: u64,
+}
+
+enum State {
+    Open(Box<V4l2StereoCamera>),
+    Lost {
+        since: MonotonicTime,
+        next_try: MonotonicTime,
+        why: String,
+        counters: Box<StereoCounters>,
+    },
+    /// What every call says.
+    GivenUp(String),
+}
+
+impl ReopeningCamera {
+    /// Opens both devices as [`V4l2StereoCamera::open`] does. After a loss they are looked for as long as `reopen_for` says; zero: not at
+    /// all.
+    ///
+    /// # Errors
+    /// As [`V4l2StereoCamera::open`]: what is not there at the beginning is not waited for.
+    pub fn open(
+        system: Arc<dyn VideoSystem>,
+        clock: Arc<dyn Clock>,
+        config: StereoConfig,
+        reopen_for: Duration,
+    ) -> Result<Self, CameraError> {
+        let camera = V4l2StereoCamera::open(Arc::clone(&system), Arc::clone(&clock), &config)?;
+        let info = camera.info().clone();
+        let state = State::Open(Box::new(camera));
+        Ok(Self { system, clock, config, info, reopen_for, state, last: None, offset: None, reopened: 0 })
+    }
+
+    /// What has come and what was left out since the cameras were opened last.
+    pub fn counters(&self) -> StereoCounters {
+        match &self.state {
+            State::Open(camera) => camera.counters(),
+            State::Lost { counters, .. } => **counters,
+            State::GivenUp(_) => StereoCounters::default(),
+        }
+    }
+
+    /// How often they were opened anew.
+    pub fn reopened(&self) -> u64 {
+        self.reopened
+    }
+
+    /// Closes both devices; each call says so until they are open again.
+    fn lose(&mut self, error: CameraError) -> CameraError {
+        if self.reopen_for.is_zero() {
+            self.state = State::GivenUp(error.to_string());
+            return error;
+        }
+        let since = self.clock.now();
+        let counters = Box::new(self.counters());
+        let why = error.to_string();
+        self.state = State::Lost { since, next_try: since, why: why.clone(), counters };
+        self.offset = None;
+        CameraError::new(CameraErrorKind::Timeout, format!("{why}: for {:?} it is looked for", self.reopen_for))
+    }
+
+    /// Tries to open both devices until `deadline`.
+    fn reopen(&mut self, deadline: MonotonicTime) -> Result<(), CameraError> {
+        while let State::Lost { since, next_try, why, .. } = &mut self.state {
+            let now = self.clock.now();
+            if now.saturating_since(*since) >= self.reopen_for {
+                let message = format!("{why}: it did not come back within {:?}", self.reopen_for);
+                self.state = State::GivenUp(message);
+                break;
+            }
+            if now < *next_try {
+                if now >= deadline {
+                    let message = format!("{why}: no pairs until the cameras are there again");
+                    return Err(CameraError::new(CameraErrorKind::Timeout, message));
+                }
+                self.clock.sleep_until((*next_try).min(deadline));
+                continue;
+            }
+            match V4l2StereoCamera::open(Arc::clone(&self.system), Arc::clone(&self.clock), &self.config) {
+                Ok(camera) => {
+                    self.state = State::Open(Box::new(camera));
+                    self.reopened += 1;
+                    return Ok(());
+                }
+                // Whatever it is: a device whose plug is in again is not there, then not permitted, and then busy for a while.
+                Err(error) => {
+                    *why = error.to_string();
+                    *next_try = self.clock.now() + AGAIN;
+                }
+            }
+        }
+        match &self.state {
+            State::GivenUp(message) => Err(CameraError::new(CameraErrorKind::Disconnected, message.clone())),
+            State::Open(_) | State::Lost { .. } => Ok(()),
+        }
+    }
+
+    /// Gives a pair its number behind all before.
+    fn renumber(&mut self, pair: &mut FramePair) -> Result<(), CameraError> {
+        let offset = match (self.offset, self.last) {
+            (Some(offset), _) => offset,
+            (None, None) => 0,
+            (None, Some((_, last))) if pair.exposed_at <= last => {
+                let message =
+                    format!("{}: a pair is not newer than those before the cameras were lost", self.info.name);
+                return Err(CameraError::new(CameraErrorKind::BadPair, message));
+            }
+            (None, Some((sequence, last))) => {
+                let period = self.info.period.unwrap_or(AGAIN).as_secs_f64();
+                let periods = (pair.exposed_at.saturating_since(last).as_secs_f64() / period).round() as u64;
+                (sequence + periods.max(1)).saturating_sub(pair.sequence)
+            }
+        };
+        self.offset = Some(offset);
+        pair.sequence += offset;
+        self.last = Some((pair.sequence, pair.exposed_at));
+        Ok(())
+    }
+}
+
+impl StereoCamera for ReopeningCamera {
+    fn info(&self) -> &StereoCameraInfo {
+        &self.info
+    }
+
+    fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
+        self.reopen(self.clock.now() + timeout)?;
+        let State::Open(camera) = &mut self.state else {
+            return Err(CameraError::new(CameraErrorKind::Timeout, format!("{}: no camera is open", self.info.name)));
+        };
+        match camera.next_pair_into(pair, timeout) {
+            Ok(()) => self.renumber(pair),
+            Err(error) if error.kind() == CameraErrorKind::Disconnected => Err(self.lose(error)),
+            Err(error) => Err(error),
+        }
+    }
+}

@@ -1,0 +1,136 @@
+//! Cameras that are opened anew after one of them was lost.
+
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+mod support;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use pb3dp_camera_v4l2::ReopeningCamera;
+use pb3dp_camera_v4l2::controls::id;
+use pb3dp_camera_v4l2::emulated::Call;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{CameraErrorKind, Clock, FramePair, StereoCamera};
+use pb3dp_hal_conformance::{CameraExpectations, stereo_camera_suite};
+use rustix::io::Errno;
+use support::{PERIOD_MILLIS, Rig, SECOND, SMALL, config, millis};
+
+const LOOKED_FOR: Duration = Duration::from_secs(10);
+
+fn reopening(rig: &Rig, reopen_for: Duration) -> ReopeningCamera {
+    ReopeningCamera::open(Arc::new(rig.system.clone()), rig.clock.clone(), config(), reopen_for).unwrap()
+}
+
+/// Takes pairs for so long: how many came, what was said last, the newest. None is older than those before or than its delivery allows.
+fn take(rig: &Rig, camera: &mut ReopeningCamera, duration: Duration, last: &mut (u64, MonotonicTime)) -> (u32, String) {
+    let (end, mut came, mut said) = (rig.clock.now() + duration, 0, String::new());
+    let mut pair = FramePair::black(SMALL);
+    while rig.clock.now() < end {
+        match camera.next_pair_into(&mut pair, millis(66)) {
+            Ok(()) => {
+                assert!(
+                    (pair.sequence, pair.exposed_at) > *last && pair.exposed_at > last.1,
+                    "{pair:?} after {last:?}"
+                );
+                let age = rig.clock.now().seconds_since(pair.exposed_at);
+                assert!(age < 0.1, "a pair was {age} s old when it was delivered");
+                *last = (pair.sequence, pair.exposed_at);
+                came += 1;
+            }
+            Err(error) => {
+                assert_eq!(error.kind(), CameraErrorKind::Timeout, "{error}");
+                said = error.to_string();
+            }
+        }
+    }
+    (came, said)
+}
+
+#[test]
+fn it_keeps_the_contract() {
+    let rig = Rig::new();
+    stereo_camera_suite(|| reopening(&rig, LOOKED_FOR), &CameraExpectations::endless(40)).assert_passed();
+}
+
+#[test]
+fn pairs_go_on_behind_those_before_once_the_plug_is_in_again() {
+    for number in 0..2 {
+        let rig = Rig::new();
+        let mut camera = reopening(&rig, LOOKED_FOR);
+        let mut last = (0, MonotonicTime::ZERO);
+        assert!(take(&rig, &mut camera, SECOND, &mut last).0 > 25);
+        let before = last;
+        rig.faults(number, |faults| faults.is_unplugged = true);
+        let (came, said) = take(&rig, &mut camera, SECOND * 3, &mut last);
+        assert_eq!(came, 0);
+        assert!(said.contains(&format!("serial:SN000{number}")) && said.contains("no pairs until"), "{said}");
+        // A new device knows nothing of what the old one was told.
+        rig.system
+            .with(number, |camera| {
+                camera.faults.is_unplugged = false;
+                let exposure = camera.controls.iter_mut().find(|(entry, _)| entry.id == id::EXPOSURE_ABSOLUTE);
+                exposure.unwrap().1 = 5000;
+            })
+            .unwrap();
+        let (came, _) = take(&rig, &mut camera, SECOND, &mut last);
+        assert!((20..=30).contains(&came), "{came}");
+        assert_eq!(camera.reopened(), 1);
+        // Numbers stand for periods.
+        let periods = last.1.seconds_since(before.1) * 1e3 / PERIOD_MILLIS;
+        let numbers = (last.0 - before.0) as f64;
+        assert!((numbers - periods).abs() < 2.0, "{numbers} numbers in {periods} periods");
+    }
+}
+
+#[test]
+fn a_plug_that_has_no_rights_yet_is_tried_again() {
+    let rig = Rig::new();
+    let mut camera = reopening(&rig, LOOKED_FOR);
+    let mut last = (0, MonotonicTime::ZERO);
+    take(&rig, &mut camera, SECOND, &mut last);
+    rig.faults(1, |faults| faults.is_unplugged = true);
+    take(&rig, &mut camera, SECOND, &mut last);
+    rig.faults(1, |faults| {
+        faults.is_unplugged = false;
+        faults.calls.insert(Call::Open, Errno::ACCESS);
+    });
+    let (came, said) = take(&rig, &mut camera, SECOND, &mut last);
+    assert!(came == 0 && said.contains("can not be asked"), "{came} came: {said}");
+    rig.faults(1, |faults| faults.calls.clear());
+    assert!(take(&rig, &mut camera, SECOND, &mut last).0 > 20);
+}
+
+#[test]
+fn it_is_given_up_after_its_time_and_at_once_without_any() {
+    let lost = |reopen_for: Duration| {
+        let rig = Rig::new();
+        let mut camera = reopening(&rig, reopen_for);
+        camera.next_pair(SECOND).unwrap();
+        rig.faults(0, |faults| faults.is_unplugged = true);
+        let begin = rig.clock.now();
+        let error = loop {
+            match camera.next_pair(millis(66)) {
+                Ok(_) => {}
+                Err(error) if error.kind() == CameraErrorKind::Timeout => {}
+                Err(error) => break error,
+            }
+        };
+        assert_eq!(error.kind(), CameraErrorKind::Disconnected, "{error}");
+        // It stays so, whatever is plugged in.
+        rig.faults(0, |faults| faults.is_unplugged = false);
+        assert_eq!(camera.next_pair(SECOND).unwrap_err().kind(), CameraErrorKind::Disconnected);
+        (rig.clock.now().seconds_since(begin), error.to_string())
+    };
+    let (took_s, _) = lost(Duration::ZERO);
+    assert!(took_s < 0.1, "{took_s}");
+    let (took_s, said) = lost(SECOND * 2);
+    assert!((2.0..2.4).contains(&took_s) && said.contains("did not come back within 2s"), "{took_s} s: {said}");
+}
+
+#[test]
+fn what_is_not_there_at_the_beginning_is_refused() {
+    let rig = Rig::with(|number, camera| camera.faults.is_unplugged = number == 1);
+    let opened = ReopeningCamera::open(Arc::new(rig.system.clone()), rig.clock.clone(), config(), LOOKED_FOR);
+    assert_eq!(opened.err().unwrap().kind(), CameraErrorKind::Disconnected);
+}
