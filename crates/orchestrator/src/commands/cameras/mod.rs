@@ -6,6 +6,7 @@ mod choice;
 mod emulated_rig;
 mod list;
 mod record;
+mod view;
 
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -27,6 +28,8 @@ pub struct CamerasArgs {
 enum What {
     /// Show which cameras there are: their names, formats, sizes, rates and controls.
     List(list::ListArgs),
+    /// Show both pictures, rate, skew, losses and controls live on a page of this computer; the controls can be changed there.
+    View(Box<view::ViewArgs>),
     /// Record pairs as a sequence folder at the full rate of the cameras, for `pb3dp track`.
     Record(Box<record::RecordArgs>),
     /// Measure rate, jitter, skew, losses, exposure, sharpness and rows, each against a limit.
@@ -41,6 +44,7 @@ pub fn run(args: &CamerasArgs) -> Result<ExitCode> {
     match &args.what {
         What::List(args) => list::run(&Linux, args),
         What::Check(args) => check::run(Arc::new(Linux), Arc::new(SystemClock::new()), args),
+        What::View(args) => view::run(Arc::new(Linux), Arc::new(SystemClock::new()), args),
         What::Record(args) => record::run(Arc::new(Linux), Arc::new(SystemClock::new()), args),
     }
 }

@@ -1,0 +1,68 @@
+//! `pb3dp cameras view`: what the cameras see, live on a page of this computer.
+
+mod answers;
+mod server;
+mod show;
+#[cfg(test)]
+mod tests;
+
+use std::net::{IpAddr, SocketAddr};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::mpsc::sync_channel;
+
+use anyhow::{Context, Result};
+use clap::Args;
+use pb3dp_arm_pa10::io::signals::StopSignals;
+use pb3dp_camera_v4l2::V4l2StereoCamera;
+use pb3dp_camera_v4l2::video::VideoSystem;
+use pb3dp_hal_api::{Clock, StereoCamera};
+use tokio::sync::watch;
+
+use self::server::{Server, Sources};
+use self::show::{ASKS_MAX, Show, State};
+use super::choice::CameraChoice;
+use super::stop_requested;
+use crate::commands::estimate::output::print_line;
+
+/// Arguments of `pb3dp cameras view`.
+#[derive(Debug, Args)]
+pub(super) struct ViewArgs {
+    #[command(flatten)]
+    cameras: CameraChoice,
+    /// Port of the page; 0 for any that is free.
+    #[arg(long, value_name = "PORT", default_value_t = 8040)]
+    port: u16,
+    /// Address of this computer at which the page is offered. Others than 127.0.0.1 let everybody on that network see and change the
+    /// cameras.
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
+    bind: IpAddr,
+}
+
+/// Runs the command until a signal ends it.
+///
+/// # Errors
+/// If the cameras can not be used, or the port is taken.
+pub(super) fn run(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &ViewArgs) -> Result<ExitCode> {
+    // Before any other thread is there.
+    let mut signals = StopSignals::take_over().context("signals can not be taken over")?;
+    let mut is_over = || stop_requested(&mut signals, "the page closes");
+    let config = args.cameras.chosen()?.config;
+    let mut open = || V4l2StereoCamera::open(Arc::clone(&system), Arc::clone(&clock), &config);
+    let camera = open().context("the cameras can not be used")?;
+    let (state, states) = watch::channel(Arc::new(State::new(camera.info())));
+    let (pictures, newest) = watch::channel(None);
+    let (ask, asks) = sync_channel(ASKS_MAX);
+    let sources = Sources { states, pictures: newest, ask };
+    // The page is gone when this is.
+    let server = Server::start(SocketAddr::new(args.bind, args.port), sources)?;
+    if !args.bind.is_loopback() {
+        tracing::warn!(
+            "the page is offered at {}: who reaches this computer there can see and change the cameras",
+            args.bind
+        );
+    }
+    print_line(&format!("http://{}/ shows the cameras; Ctrl-C ends it", server.address()))?;
+    Show { clock: clock.as_ref(), state, pictures, asks }.run(camera, &mut open, &mut is_over)?;
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,279 @@
+//! The cameras behind the page: pairs are taken, turned into JPEGs beside that, and controls are set between two pairs.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use hyper::body::Bytes;
+use pb3dp_camera_v4l2::{Side, StreamCounters, V4l2StereoCamera};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
+use pb3dp_record::images::{PictureFormat, encode};
+use serde::Serialize;
+use tokio::sync::{oneshot, watch};
+
+use super::super::list::ControlLine;
+
+/// Questions that may wait for the cameras.
+pub(super) const ASKS_MAX: usize = 16;
+
+/// How long one call waits for a pair, so that questions and signals are heard.
+const PATIENCE_OF_A_CALL: Duration = Duration::from_millis(250);
+
+/// How often cameras that were lost are looked for.
+const REOPEN: Duration = Duration::from_millis(500);
+
+/// Pairs that the rate is measured over.
+const WINDOW: usize = 60;
+
+/// Of the JPEGs of the page.
+const QUALITY: u8 = 80;
+
+/// What the page tells beside the pictures, and `/state`.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct State {
+    cameras: String,
+    width_px: u32,
+    height_px: u32,
+    /// What the cameras agreed to.
+    asked_hz: Option<f64>,
+    /// Pairs since the page was opened.
+    pairs: u64,
+    /// Over the last pairs.
+    rate_hz: Option<f64>,
+    skew_ms: Option<f64>,
+    /// Over the last pairs.
+    skew_worst_ms: Option<f64>,
+    /// Pairs that did not come.
+    missing: u64,
+    left: Losses,
+    right: Losses,
+    /// What the cameras complain of now.
+    problem: Option<String>,
+}
+
+/// Pictures of one camera that were left out.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+struct Losses {
+    lost: u64,
+    damaged: u64,
+    short: u64,
+    late: u64,
+    unpaired: u64,
+    wrongly_stamped: u64,
+}
+
+impl Losses {
+    fn of(counters: &StreamCounters) -> Self {
+        Self {
+            lost: counters.lost,
+            damaged: counters.damaged,
+            short: counters.short,
+            late: counters.stale + counters.superseded,
+            unpaired: counters.unpaired,
+            wrongly_stamped: counters.not_newer + counters.future + counters.unstamped,
+        }
+    }
+}
+
+impl State {
+    pub(super) fn new(info: &StereoCameraInfo) -> Self {
+        Self {
+            cameras: info.name.clone(),
+            width_px: info.size.width,
+            height_px: info.size.height,
+            asked_hz: info.period.map(|period| 1.0 / period.as_secs_f64()),
+            pairs: 0,
+            rate_hz: None,
+            skew_ms: None,
+            skew_worst_ms: None,
+            missing: 0,
+            left: Losses::default(),
+            right: Losses::default(),
+            problem: None,
+        }
+    }
+}
+
+/// A pair as the page shows it.
+#[derive(Debug)]
+pub(super) struct Pictures {
+    /// JPEGs of left and right.
+    pub(super) jpegs: [Bytes; 2],
+}
+
+/// What is asked of the cameras.
+#[derive(Debug)]
+pub(super) enum Wish {
+    /// All controls of a camera.
+    Controls,
+    /// Another value of one, and all controls after that.
+    Set { id: u32, value: i32 },
+}
+
+/// A question to the cameras, and where its answer goes.
+#[derive(Debug)]
+pub(super) struct Ask {
+    pub(super) side: Side,
+    pub(super) wish: Wish,
+    pub(super) answer: oneshot::Sender<Result<Vec<ControlLine>, String>>,
+}
+
+/// Everything between the cameras and the page.
+pub(super) struct Show<'a> {
+    pub(super) clock: &'a dyn Clock,
+    pub(super) state: watch::Sender<Arc<State>>,
+    pub(super) pictures: watch::Sender<Option<Arc<Pictures>>>,
+    pub(super) asks: Receiver<Ask>,
+}
+
+/// How cameras that were lost are opened again.
+pub(super) type Open<'a> = dyn FnMut() -> Result<V4l2StereoCamera, CameraError> + 'a;
+
+impl Show<'_> {
+    /// Shows the cameras until it is over; those that are lost are looked for again and again.
+    ///
+    /// # Errors
+    /// If the system gives no thread.
+    pub(super) fn run(
+        self,
+        camera: V4l2StereoCamera,
+        open: &mut Open<'_>,
+        is_over: &mut dyn FnMut() -> bool,
+    ) -> Result<()> {
+        let size = camera.info().size;
+        // One pair is taken, one is turned into JPEGs, and none waits: a page wants the newest one.
+        let (give, take) = sync_channel::<Box<FramePair>>(1);
+        let (give_back, back) = sync_channel::<Box<FramePair>>(1);
+        let _ = give_back.try_send(Box::new(FramePair::black(size)));
+        let Self { clock, state, pictures, asks } = self;
+        let encode_all = move || {
+            for pair in take {
+                let jpegs =
+                    [&pair.left, &pair.right].map(|picture| encode(picture, PictureFormat::Jpeg { quality: QUALITY }));
+                if let [Ok(left), Ok(right)] = jpegs {
+                    let jpegs = [left.into(), right.into()];
+                    pictures.send_replace(Some(Arc::new(Pictures { jpegs })));
+                }
+                let _ = give_back.try_send(pair);
+            }
+        };
+        std::thread::Builder::new()
+            .name("page pictures".to_owned())
+            .spawn(encode_all)
+            .context("no thread for pictures")?;
+        let mut taking = Taking {
+            sender: &state,
+            state: State::new(camera.info()),
+            give,
+            back,
+            pair: Box::new(FramePair::black(size)),
+            recent: VecDeque::with_capacity(WINDOW),
+            last_sequence: None,
+        };
+        let mut camera = Some(camera);
+        while !is_over() {
+            match &mut camera {
+                Some(open_one) => {
+                    if !taking.step(open_one) {
+                        camera = None;
+                    }
+                }
+                None => {
+                    clock.sleep_until(clock.now() + REOPEN);
+                    camera = taking.reopen(open);
+                }
+            }
+            for ask in asks.try_iter().take(ASKS_MAX) {
+                // Who has asked may have gone.
+                let _ = ask.answer.send(answered(camera.as_mut(), ask.side, &ask.wish));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn answered(camera: Option<&mut V4l2StereoCamera>, side: Side, wish: &Wish) -> Result<Vec<ControlLine>, String> {
+    let text = |error: CameraError| format!("{:#}", anyhow::Error::new(error));
+    let camera = camera.ok_or_else(|| "the cameras are lost; look at plug, cable and hub".to_owned())?;
+    if let Wish::Set { id, value } = wish {
+        camera.set_control(side, *id, *value).map_err(text)?;
+    }
+    Ok(camera.controls(side).map_err(text)?.iter().map(ControlLine::of).collect())
+}
+
+/// What takes pairs.
+struct Taking<'a> {
+    sender: &'a watch::Sender<Arc<State>>,
+    state: State,
+    give: SyncSender<Box<FramePair>>,
+    back: Receiver<Box<FramePair>>,
+    pair: Box<FramePair>,
+    /// Times and skews of the last pairs.
+    recent: VecDeque<(MonotonicTime, i64)>,
+    last_sequence: Option<u64>,
+}
+
+impl Taking<'_> {
+    /// Takes a pair; returns whether the cameras are still there.
+    fn step(&mut self, camera: &mut V4l2StereoCamera) -> bool {
+        let taken = camera.next_pair_into(&mut self.pair, PATIENCE_OF_A_CALL);
+        let counters = camera.counters();
+        (self.state.left, self.state.right) = (Losses::of(&counters.left), Losses::of(&counters.right));
+        let stays = match taken {
+            Ok(()) => {
+                self.note();
+                self.state.problem = None;
+                // A page that is behind gets a later pair.
+                if let Ok(empty) = self.back.try_recv() {
+                    let _ = self.give.try_send(std::mem::replace(&mut self.pair, empty));
+                }
+                true
+            }
+            Err(error) => {
+                let stays = matches!(error.kind(), CameraErrorKind::Timeout | CameraErrorKind::BadPair);
+                self.state.problem = Some(format!("{:#}", anyhow::Error::new(error)));
+                stays
+            }
+        };
+        self.sender.send_replace(Arc::new(self.state.clone()));
+        stays
+    }
+
+    fn note(&mut self) {
+        let FramePair { sequence, exposed_at, skew_nanos, .. } = *self.pair;
+        let before = self.last_sequence.replace(sequence);
+        self.state.missing += before.map_or(0, |before| sequence.saturating_sub(before + 1));
+        self.state.pairs += 1;
+        if self.recent.len() == WINDOW {
+            self.recent.pop_front();
+        }
+        self.recent.push_back((exposed_at, skew_nanos));
+        let millis = |nanos: i64| nanos as f64 * 1e-6;
+        self.state.skew_ms = Some(millis(skew_nanos));
+        self.state.skew_worst_ms =
+            self.recent.iter().map(|(_, skew)| *skew).max_by_key(|skew| skew.unsigned_abs()).map(millis);
+        let seconds = self.recent.front().map_or(0.0, |(first, _)| exposed_at.seconds_since(*first));
+        self.state.rate_hz = (seconds > 0.0).then(|| (self.recent.len() - 1) as f64 / seconds);
+    }
+
+    /// Looks for cameras that were lost.
+    fn reopen(&mut self, open: &mut Open<'_>) -> Option<V4l2StereoCamera> {
+        match open() {
+            Ok(camera) => {
+                tracing::info!("{}: there again", camera.info().name);
+                self.recent.clear();
+                self.last_sequence = None;
+                Some(camera)
+            }
+            Err(error) => {
+                self.state.rate_hz = None;
+                self.state.problem = Some(format!("{:#}", anyhow::Error::new(error)));
+                self.sender.send_replace(Arc::new(self.state.clone()));
+                None
+            }
+        }
+    }
+}
