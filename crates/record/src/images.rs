@@ -279,7 +279,7 @@ pub fn encode(picture: &RgbImage, format: PictureFormat) -> Result<Vec<u8>, imag
     };
     match format {
         PictureFormat::Png => png(CompressionType::Default, FilterType::Adaptive)?,
-        PictureFormat::QuickPng => png(CompressionType::Fast, FilterType::Up)?,
+        PictureFormat::QuickPng => png(CompressionType::Fast, FilterType::Adaptive)?,
         PictureFormat::Jpeg { quality } => JpegEncoder::new_with_quality(&mut bytes, quality.clamp(1, 100))
             .write_image(picture.as_raw(), width, height, image::ExtendedColorType::Rgb8)?,
     }

@@ -10,12 +10,12 @@ use pb3dp_camera_v4l2::modes::ModeRequest;
 use pb3dp_camera_v4l2::names::CameraName;
 use pb3dp_camera_v4l2::pixels::PixelFormat;
 use pb3dp_camera_v4l2::timing::StampModel;
-use pb3dp_camera_v4l2::video::Interval;
 use pb3dp_camera_v4l2::{CameraConfig, StereoConfig};
 use pb3dp_geometry::{ImageSize, StereoRig};
 use pb3dp_record::calibration_files::load_stereo;
 
 use crate::commands::rig::numbers::{millis, number, size};
+use crate::config::setup::{interval, read_cameras};
 
 /// Speed of the target for which messages tell what a skew costs, where no setup says another one, m/s.
 const SPEED_M_PER_S: f64 = 0.1;
@@ -23,6 +23,9 @@ const SPEED_M_PER_S: f64 = 0.1;
 /// Where the cameras come from.
 #[derive(Debug, Args)]
 pub(super) struct CameraChoice {
+    /// The setup whose cameras these are, for instance configs/rig.toml; with it nothing else of this is needed.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["left", "right"])]
+    config: Option<PathBuf>,
     /// The left camera: bus:PLACE, serial:NUMBER (as `pb3dp cameras list` shows them) or /dev/videoN.
     #[arg(long, value_name = "NAME", requires = "right")]
     left: Option<CameraName>,
@@ -63,8 +66,16 @@ impl CameraChoice {
     /// # Errors
     /// If no cameras are named, or a file can not be used.
     pub(super) fn chosen(&self) -> Result<Chosen> {
+        if let Some(file) = &self.config {
+            let cameras = read_cameras(file)?;
+            let rig = cameras.calibration()?.rig;
+            return Ok(Chosen { config: cameras.stereo, rig: Some(rig) });
+        }
         let (Some(left), Some(right)) = (&self.left, &self.right) else {
-            bail!("no cameras are named: give --left NAME --right NAME; `pb3dp cameras list` shows the names");
+            bail!(
+                "no cameras are named: give --config FILE (as configs/rig.toml), or --left NAME --right NAME; `pb3dp cameras list` shows the \
+                 names"
+            );
         };
         let rig = match self.calib.as_slice() {
             [] => None,
@@ -119,6 +130,19 @@ pub(super) fn check_size(rig: &StereoRig, pictures: ImageSize) -> Result<()> {
     Ok(())
 }
 
+impl CameraChoice {
+    /// The cameras without their calibration, which who only looks does not need.
+    ///
+    /// # Errors
+    /// As [`Self::chosen`], but for the calibration of a setup.
+    pub(super) fn cameras(&self) -> Result<StereoConfig> {
+        match &self.config {
+            Some(file) => Ok(read_cameras(file)?.stereo),
+            None => Ok(self.chosen()?.config),
+        }
+    }
+}
+
 fn format(text: &str) -> Result<PixelFormat, String> {
     let fourcc = <[u8; 4]>::try_from(text.as_bytes()).ok();
     fourcc.and_then(PixelFormat::of_fourcc).ok_or_else(|| {
@@ -127,32 +151,9 @@ fn format(text: &str) -> Result<PixelFormat, String> {
     })
 }
 
-/// The time from picture to picture as drivers have it: the rates of television are a thousandth below whole ones.
-fn interval(rate_hz: f64) -> Interval {
-    let whole = (rate_hz * 1.001).round();
-    let is_television = (rate_hz - rate_hz.round()).abs() > 1e-3 && (rate_hz - whole / 1.001).abs() < 5e-3;
-    if is_television {
-        Interval { numerator: 1001, denominator: (whole * 1000.0) as u32 }
-    } else if (rate_hz - rate_hz.round()).abs() <= 1e-3 {
-        Interval { numerator: 1, denominator: rate_hz.round() as u32 }
-    } else {
-        Interval { numerator: 1000, denominator: (rate_hz * 1000.0).round() as u32 }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn rates_become_the_fractions_of_drivers() {
-        for (rate_hz, expected) in
-            [(30.0, (1, 30)), (29.97, (1001, 30_000)), (59.94, (1001, 60_000)), (7.5, (1000, 7500)), (0.5, (1000, 500))]
-        {
-            let Interval { numerator, denominator } = interval(rate_hz);
-            assert_eq!((numerator, denominator), expected, "{rate_hz}");
-        }
-    }
 
     #[test]
     fn formats_are_those_that_can_be_converted() {

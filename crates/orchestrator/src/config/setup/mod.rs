@@ -39,6 +39,7 @@ pub use self::experiment::{Carrier, Experiment};
 use self::geometric::GeometricSection;
 use self::link::GATEWAY_CYCLE_MAX_MILLIS;
 pub use self::link::{ArmLink, BusLinkConfig, GatewayWay};
+pub(crate) use self::real_cameras::interval;
 pub use self::real_cameras::{RealCameras, Synchronisation, read_cameras};
 use self::servo::ServoSection;
 use self::sight::{CameraEntry, CameraTable, Sight};

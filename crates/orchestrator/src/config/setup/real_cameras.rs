@@ -262,7 +262,7 @@ impl V4l2Section {
 }
 
 /// The time from picture to picture as the shortest fraction that is right to a thousandth of a picture per second.
-fn interval(rate_hz: f64) -> Interval {
+pub(crate) fn interval(rate_hz: f64) -> Interval {
     let (thousandths, mut a, mut b) = ((rate_hz * 1e3).round() as u32, (rate_hz * 1e3).round() as u32, 1000);
     while b > 0 {
         (a, b) = (b, a % b);

@@ -205,7 +205,7 @@ impl Recorded {
         let mut parts = Vec::new();
         if self.missing_queue > 0 {
             parts.push(format!(
-                "{} pairs were left out because they could not be written fast enough: a faster disk, more --writers or --queue, or --jpeg 95",
+                "{} pairs were left out because they could not be written fast enough: more --writers or --queue for a busy processor, another disk or --jpeg 90 for a slow one",
                 self.missing_queue
             ));
         }

@@ -131,7 +131,7 @@ fn pairs_that_find_no_room_are_counted_and_fail_the_command() {
     let line = Recorded::of(outcome, &place.out());
     assert_eq!(line.pairs, 3);
     let wrong = line.wrong().unwrap();
-    assert!(wrong.contains("7 pairs were left out") && wrong.contains("--jpeg 95"), "{wrong}");
+    assert!(wrong.contains("7 pairs were left out") && wrong.contains("--jpeg 90"), "{wrong}");
     assert_eq!(load_sequence(&place.out()).unwrap().frames(), 3);
 }
 

@@ -47,7 +47,7 @@ pub(super) fn run(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &Vi
     // Before any other thread is there.
     let mut signals = StopSignals::take_over().context("signals can not be taken over")?;
     let mut is_over = || stop_requested(&mut signals, "the page closes");
-    let config = args.cameras.chosen()?.config;
+    let config = args.cameras.cameras()?;
     let mut open = || V4l2StereoCamera::open(Arc::clone(&system), Arc::clone(&clock), &config);
     let camera = open().context("the cameras can not be used")?;
     let (state, states) = watch::channel(Arc::new(State::new(camera.info())));
