@@ -1,0 +1,47 @@
+//! How many pairs of 640x480 pixels one thread compresses and writes in a second, in each format: what a recording keeps up with.
+//!
+//! `cargo run --release -p pb3dp-record --example recording_speed` takes a real pair of `tests/data`, and writes into the folder for
+//! temporary files.
+
+#![allow(clippy::print_stdout, reason = "a program for the console")]
+
+use std::error::Error;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use pb3dp_record::dataset::{FrameFiles, load_case};
+use pb3dp_record::images::PictureFormat;
+
+/// For so long each format is measured, and as often; the best one counts, as other programs only take away.
+const WHILE: Duration = Duration::from_millis(500);
+const TIMES: usize = 5;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let case = load_case(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/cases/bb201_c0"))?;
+    let pictures = case.load_pictures()?;
+    let folder = std::env::temp_dir().join(format!("pb3dp-recording-speed-{}", std::process::id()));
+    std::fs::create_dir_all(&folder)?;
+    println!("| format | pairs per second and thread | kB per pair |\n|---|---|---|");
+    for (name, format) in [
+        ("PNG (as `record` writes it)", PictureFormat::QuickPng),
+        ("PNG (as small as it gets)", PictureFormat::Png),
+        ("JPEG 95", PictureFormat::Jpeg { quality: 95 }),
+        ("JPEG 90", PictureFormat::Jpeg { quality: 90 }),
+    ] {
+        let place = |side: &str| folder.join(format!("{side}.{}", format.extension()));
+        let files = FrameFiles { left: place("left"), right: place("right"), pictures: format };
+        let mut best = 0.0_f64;
+        for _ in 0..TIMES {
+            let (begin, mut pairs) = (Instant::now(), 0);
+            while begin.elapsed() < WHILE {
+                files.save(&pictures.left, &pictures.right)?;
+                pairs += 1;
+            }
+            best = best.max(f64::from(pairs) / begin.elapsed().as_secs_f64());
+        }
+        let bytes = std::fs::metadata(&files.left)?.len() + std::fs::metadata(&files.right)?.len();
+        println!("| {name} | {best:.0} | {} |", bytes / 1000);
+    }
+    std::fs::remove_dir_all(&folder)?;
+    Ok(())
+}
