@@ -58,9 +58,13 @@ static COUNTS: OnceLock<Arc<Counts>> = OnceLock::new();
 /// # Errors
 /// If `filter` is not a level (`info`) or directive (`pb3dp_servo=debug,info`), or the system gives no thread.
 pub fn init(format: LogFormat, filter: &str) -> anyhow::Result<Log> {
-    let filter = EnvFilter::builder().parse(filter).map_err(|error| {
-        anyhow::anyhow!("--log {filter:?} is not understood ({error}); write error, warn, info, debug or trace")
-    })?;
+    let refused = |why: &dyn std::fmt::Display| {
+        anyhow::anyhow!("--log {filter:?} is not understood ({why}); write error, warn, info, debug or trace")
+    };
+    if let Some(word) = filter.split(',').find(|part| is_mistaken_level(part.trim())) {
+        return Err(refused(&format!("{word:?} is no level")));
+    }
+    let filter = EnvFilter::builder().parse(filter).map_err(|error| refused(&error))?;
     let builder = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_ansi(io::stderr().is_terminal())
@@ -74,6 +78,12 @@ pub fn init(format: LogFormat, filter: &str) -> anyhow::Result<Log> {
     };
     installed.map_err(|error| anyhow::anyhow!("the log writer can not be installed: {error}"))?;
     Ok(Log(()))
+}
+
+/// A word of its own that is no level means a part of the program to the filter, and everything else is silent then.
+fn is_mistaken_level(part: &str) -> bool {
+    let is_directive = part.contains(['=', '[']) || part.starts_with("pb3dp");
+    !part.is_empty() && !is_directive && part.parse::<tracing_subscriber::filter::LevelFilter>().is_err()
 }
 
 /// Before the program ends: waits a little for what is not yet written.

@@ -182,7 +182,8 @@ fn write(page: &mut String, figures: &Figures, pictured: &Figures, (seed, origin
     writeln!(page, "\n## Margins\n")?;
     writeln!(
         page,
-        "The largest share of a limit that a joint used that obeyed; accelerations without what a stop of the arm itself does.\n"
+        "The largest share of a limit that a joint used that obeyed; accelerations without what a stop of the arm itself does.\n\
+         An acceleration is what the speed changed by within 20 ms; allowed are 2.5 times the limit ([safety.md](../safety.md)).\n"
     )?;
     writeln!(page, "| limit | share | seed |\n|---|---|---|")?;
     for (name, margin) in &figures.margins {

@@ -251,6 +251,14 @@ impl BothArms {
         Ok(())
     }
 
+    /// A failure, or what the arm says that has failed by itself: one that it stopped may be heard first.
+    pub fn traced(&mut self, failure: anyhow::Error) -> anyhow::Error {
+        if !self.is_latched() {
+            return failure;
+        }
+        self.why_latched().err().unwrap_or(failure)
+    }
+
     /// Steps in which an arm had no measurement in time; it held.
     pub fn replies_missed(&self) -> u64 {
         self.vs.replies_missed + self.tc.replies_missed
@@ -315,6 +323,17 @@ mod tests {
         faults[0].remove_fault_cause();
         arms.reset().unwrap();
         assert_eq!([&arms.vs, &arms.tc].map(LedArm::condition), [ArmCondition::Disabled; 2]);
+    }
+
+    #[test]
+    fn a_failure_is_told_by_the_arm_that_has_failed_by_itself() {
+        let (mut arms, faults) = cell();
+        faults[0].raise_fault("an overcurrent");
+        arms.vs.look();
+        let heard_first = arms.tc.exchange(JointCommand::Velocity(JointVector::zeros())).unwrap_err();
+        assert!(!format!("{heard_first:#}").contains("an overcurrent"), "{heard_first:#}");
+        let told = format!("{:#}", arms.traced(heard_first));
+        assert!(told.starts_with("vs-robot") && told.contains("an overcurrent"), "{told}");
     }
 
     /// Switched on after so many polls; notes what it is asked, and fails where it is told to.

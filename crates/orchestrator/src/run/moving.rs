@@ -190,6 +190,9 @@ impl<'a> Moving<'a> {
         if kind != Some(ArmErrorKind::Rejected) || !self.operator.is_person() || self.arms.is_latched() {
             return Err(failure);
         }
+        if self.refusal == Refusal::None {
+            tracing::warn!("the hand holds, as a command was refused: {failure:#}");
+        }
         self.operator.tell(Some(format!("{failure:#}")));
         self.refusal = Refusal::InStepBefore;
         Ok(None)
@@ -340,6 +343,7 @@ impl Mover for Moving<'_> {
         let exchanged = self.bear_refusal(carried).and_then(|_| self.tell(control.command, told));
         if let Err(failure) = exchanged {
             // What is latched is the supervisor's from the next step on, and a person's; anything else ends the run.
+            let failure = self.arms.traced(failure);
             if !(self.operator.is_person() && self.arms.is_latched()) {
                 return Err(failure);
             }

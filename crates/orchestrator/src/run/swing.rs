@@ -205,6 +205,17 @@ impl Mover for Swinging<'_> {
     }
 
     fn step(&mut self, now: MonotonicTime) -> Result<JointState> {
+        self.swing(now).map_err(|failure| self.arms.traced(failure))
+    }
+
+    fn stop(&mut self) -> Result<()> {
+        self.arms.stop()
+    }
+}
+
+impl Swinging<'_> {
+    /// One step of the motion.
+    fn swing(&mut self, now: MonotonicTime) -> Result<JointState> {
         self.arms.tc.exchange(JointCommand::Hold)?;
         let twist = self.motion.twist_at(now.seconds_since(self.begin)).expressed_in(&self.base_from_hand_at_begin);
         let (chain, joints) = (&self.setup.vs.chain, self.arms.vs.joints());
@@ -219,9 +230,5 @@ impl Mover for Swinging<'_> {
             keep(&mut self.record.joints, joints);
         }
         Ok(*self.arms.vs.joints())
-    }
-
-    fn stop(&mut self) -> Result<()> {
-        self.arms.stop()
     }
 }

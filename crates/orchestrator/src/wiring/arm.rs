@@ -383,7 +383,11 @@ fn open(line: Line<'_>, seat: TripSeat, wanted: Wanted<'_>) -> Result<Pa10Arm> {
         bail!("{name} can not be used: {refusal}");
     }
     if let Some(latched) = seen.latched {
-        bail!("{name} can not be used: {}", latched.trip);
+        let arm = name.split('-').next().unwrap_or(name);
+        bail!(
+            "{name} can not be used: {}; it is so since before this run: `pb3dp arm reset --config FILE --arm {arm}` resets it",
+            latched.trip
+        );
     }
     Ok(opened)
 }

@@ -306,7 +306,9 @@ fn times_that_are_none_are_refused() {
         let argument = format!("--stop-after={bad}");
         pb3dp(&words(&[&"run", &"--config", &"x.toml", &argument])).assert_refused(&["--stop-after", bad]);
     }
-    pb3dp(&words(&[&"--log", &"shout=loud", &"run", &"--config", &"x.toml"])).assert_refused(&["--log", "shout=loud"]);
+    for filter in ["shout=loud", "nonsense", "info,loud"] {
+        pb3dp(&words(&[&"--log", &filter, &"run", &"--config", &"x.toml"])).assert_refused(&["--log", filter]);
+    }
 }
 
 /// A run that a person leads by lines on standard input; simulated arms without pictures, at the pace of the wall clock.

@@ -163,12 +163,15 @@ impl fmt::Display for Why {
             Self::CauseGone { state, cause, then: Then::ByItself { after_s } } => {
                 write!(f, "{state}: {}; wait, it goes on by itself after {after_s} s", Gone(&Some(*cause)))
             }
-            Self::HeldByOperator { state, cause: None } => write!(f, "{state}: the operator said hold; say resume"),
+            Self::HeldByOperator { state, cause: None } => write!(f, "{state}: it was told to hold; say resume"),
             Self::HeldByOperator { state, cause: Some(cause) } => {
-                write!(f, "{state}: the operator said hold, and {cause}; {}, then say resume", remedy(cause))
+                write!(f, "{state}: it was told to hold, and {cause}; {}, then say resume", remedy(cause))
             }
             Self::StoppedByOperator => {
-                write!(f, "stopped: the operator said stop; say reset, enable the arms, then select and start")
+                write!(
+                    f,
+                    "stopped: the operator said stop; say reset, then select, which switches the arms on, and start"
+                )
             }
             Self::Latched { state, cause, is_gone: false } => {
                 write!(f, "{state}: {cause}; {}, then say reset", remedy(cause))
@@ -184,7 +187,7 @@ impl fmt::Display for Refusal {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} is refused: ", self.word.name())?;
         match &self.because {
-            RefusedFor::State(state) => write!(f, "it has no place in the state {state}"),
+            RefusedFor::State(state) => write!(f, "it has no place in the state {state}{}", instead(*state)),
             RefusedFor::Age { age_s, age_max_s } => {
                 write!(f, "it was said {age_s:.3} s ago, allowed are {age_max_s:.3} s; say it again")
             }
@@ -206,6 +209,17 @@ impl fmt::Display for Refusal {
                 )
             }
         }
+    }
+}
+
+/// What may be said instead in a state.
+fn instead(state: State) -> &'static str {
+    match state {
+        State::Idle => "; say select",
+        State::Selecting => "; say start",
+        State::Approaching | State::Tracking => ", as the hand follows already; hold and stop are obeyed",
+        State::Holding | State::Lost => "; say resume",
+        State::Stopped | State::Fault => "; say reset",
     }
 }
 
@@ -356,7 +370,7 @@ fn remedy(cause: &Cause) -> &'static str {
     match cause.condition {
         Condition::EmergencyStop => "release it and reset the arm",
         Condition::ArmFault => "remove the cause and reset the arm",
-        Condition::ArmDisabled => "enable the arm",
+        Condition::ArmDisabled => "wait until it is on, or say select, which switches it on",
         Condition::ClockStepped => "look what holds up this computer or sets its clock",
         Condition::OperatorSilent => "look after the panel and its line",
         Condition::JointsStale => "look after the line of the arm",

@@ -183,12 +183,15 @@ fn an_arm_that_does_not_move_says_why_in_each_step() {
          itself 0.2 s after that"
     );
     bench.say(Word::Hold);
-    assert!(bench.why().starts_with("holding: the operator said hold, and both eyes"), "{}", bench.why());
+    assert!(bench.why().starts_with("holding: it was told to hold, and both eyes"), "{}", bench.why());
     bench.truth();
     bench.run(0.3);
-    assert_eq!(bench.why(), "holding: the operator said hold; say resume");
+    assert_eq!(bench.why(), "holding: it was told to hold; say resume");
     bench.say(Word::Stop);
-    assert_eq!(bench.why(), "stopped: the operator said stop; say reset, enable the arms, then select and start");
+    assert_eq!(
+        bench.why(),
+        "stopped: the operator said stop; say reset, then select, which switches the arms on, and start"
+    );
     for _ in 0..200 {
         let decision = bench.step();
         assert_eq!(decision.permission, Permission::Stop);
