@@ -251,9 +251,11 @@ impl BothArms {
         Ok(())
     }
 
-    /// A failure, or what the arm says that has failed by itself: one that it stopped may be heard first.
+    /// A failure of an arm, or, if the other one has stopped that arm, what the other one says: it may be heard second.
     pub fn traced(&mut self, failure: anyhow::Error) -> anyhow::Error {
-        if !self.is_latched() {
+        let name = failure.to_string();
+        let is_told = |led: &LedArm| led.name == name && led.arm.is_stopped_by_other();
+        if !is_told(&self.vs) && !is_told(&self.tc) {
             return failure;
         }
         self.why_latched().err().unwrap_or(failure)
