@@ -2,10 +2,14 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
+#[path = "../../hal/arm-pa10/tests/common/patience.rs"]
+mod patience;
+
 use std::sync::{Arc, LazyLock};
 use std::thread::sleep;
 use std::time::Duration;
 
+use patience::patiently;
 use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem};
 use pb3dp_camera_v4l2::video::Interval;
 use pb3dp_geometry::{Camera, ImageSize, Pinhole, StereoRig};
@@ -96,6 +100,10 @@ fn plug(system: &EmulatedSystem, number: usize, is_in: bool) {
 
 #[test]
 fn a_hand_holds_its_place_rests_while_a_camera_is_away_and_goes_on() {
+    patiently(holds_rests_and_goes_on);
+}
+
+fn holds_rests_and_goes_on() {
     let (setup, system) = rig();
     let Ended { outcome, how } = run(&setup, &system, 9.0, || {
         sleep(Duration::from_secs(4));
@@ -126,6 +134,10 @@ fn a_hand_holds_its_place_rests_while_a_camera_is_away_and_goes_on() {
 
 #[test]
 fn a_camera_that_is_not_waited_for_ends_the_run_with_both_arms_stopped() {
+    patiently(ends_with_its_camera);
+}
+
+fn ends_with_its_camera() {
     let (mut setup, system) = rig();
     cameras(&mut setup).reopen_for = Duration::ZERO;
     let Ended { outcome, how } = run(&setup, &system, 60.0, || {

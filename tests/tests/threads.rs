@@ -2,12 +2,16 @@
 //! here is judged by how long something took: whoever is stalled waits for what the others do meanwhile.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail the test")]
 
+#[path = "../../hal/arm-pa10/tests/common/patience.rs"]
+mod patience;
+
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
+use patience::patiently;
 use pb3dp_allocation_count::requests;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
@@ -338,6 +342,7 @@ const ENOUGH: u64 = 40;
 struct SlowOnce<'a> {
     looking: Looking<'a>,
     seen: Seen,
+    /// Since the hand followed.
     moved: Vec<Moved>,
     /// Ends the run.
     interrupt: Arc<AtomicBool>,
@@ -384,9 +389,11 @@ impl Record for Kept<'_> {
     type Step = Moved;
 
     fn moved(&mut self, step: &Moved) {
-        self.moved.push(*step);
         let has_followed = of(&self.seen.followed) >= ENOUGH;
         let has_rested = of(&self.seen.stale) >= ENOUGH;
+        if has_followed {
+            self.moved.push(*step);
+        }
         if is_stale(step) {
             // On a slow machine pictures may be too old before the method is slow.
             if has_followed {
@@ -434,21 +441,30 @@ impl Parted for SlowOnce<'_> {
 /// As long as the method is at it the arm rests by the policy of stale frames, step by step, and goes on afterwards.
 #[test]
 fn an_arm_rests_while_its_method_takes_too_long() {
-    let mut setup = read_setup(&repository().join("configs/sim.toml")).unwrap();
-    setup.pace = Pace::Live;
-    setup.compared.clear();
-    setup.leader = Leader::Geometric(setup.geometric.unwrap());
-    setup.experiment.steps_mut().unwrap().lead_in_s = 1.0;
-    let Parts { clock, camera, vs, tc, cell, experiment, marking, interrupt, .. } = wire(&setup).unwrap();
-    let now = clock.now();
-    let looking = Looking::new(&setup, (camera, cell, marking), (Strip::default(), now), None).unwrap();
-    let mut moving = Moving::new(&setup, (vs, tc), &*experiment, now).unwrap();
-    let mut slow = SlowOnce { looking, seen: Seen::default(), moved: Vec::new(), interrupt: Arc::clone(&interrupt) };
-    // The recorder ends it long before.
-    let course = Course { setup: &setup, clock: &clock, duration: HELD_UP, interrupt: &interrupt };
-    course.run(&mut slow, &mut moving).0.unwrap();
+    // Whatever fails: a machine that holds its threads up again and again lets the hand rest again and again.
+    patiently(|| {
+        let mut setup = read_setup(&repository().join("configs/sim.toml")).unwrap();
+        setup.pace = Pace::Live;
+        setup.compared.clear();
+        setup.leader = Leader::Geometric(setup.geometric.unwrap());
+        setup.experiment.steps_mut().unwrap().lead_in_s = 1.0;
+        let Parts { clock, camera, vs, tc, cell, experiment, marking, interrupt, .. } = wire(&setup).unwrap();
+        let now = clock.now();
+        let looking = Looking::new(&setup, (camera, cell, marking), (Strip::default(), now), None).unwrap();
+        let mut moving = Moving::new(&setup, (vs, tc), &*experiment, now).unwrap();
+        let mut slow =
+            SlowOnce { looking, seen: Seen::default(), moved: Vec::new(), interrupt: Arc::clone(&interrupt) };
+        // The recorder ends it long before.
+        let course = Course { setup: &setup, clock: &clock, duration: HELD_UP, interrupt: &interrupt };
+        course.run(&mut slow, &mut moving).0.unwrap();
+        rests_while_stale(&slow);
+    });
+}
+
+fn rests_while_stale(slow: &SlowOnce<'_>) {
     let SlowOnce { seen, moved, .. } = slow;
-    assert!(of(&seen.resumed) >= ENOUGH, "{}", moved[moved.len() - 1].decision.why);
+    let why = moved.last().map(|step| &step.decision.why);
+    assert!(of(&seen.resumed) >= ENOUGH, "{why:?}");
     let runs = moved.chunk_by(|a, b| is_stale(a) == is_stale(b)).filter(|run| is_stale(&run[0]));
     let stale = runs.max_by_key(|run| run.len()).unwrap();
     for step in stale {

@@ -1,10 +1,12 @@
 //! A real arm keeps the contract of the arm traits: over a pseudo-terminal, in real time, with the project's gateway before an
 //! emulated servo controller.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 #[path = "common/cell_end.rs"]
 mod cell_end;
+#[path = "common/patience.rs"]
+mod patience;
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -12,6 +14,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use cell_end::{Cell, CellEnd};
+use patience::patiently;
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{DriverConfig, LimitsCheck};
 use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Geometry};
@@ -27,10 +30,6 @@ use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, Report, arm_suite};
 use pb3dp_kinematics::JointVector;
 
 const CYCLE: Duration = Duration::from_millis(10);
-
-/// A loaded machine does not let threads run in time: what the arm does then is tested in virtual time. A rule that is broken for
-/// another reason is broken each time.
-const TRIES: u32 = 4;
 
 /// Limits of the emulated EEPROM.
 fn limits() -> JointVector {
@@ -117,14 +116,8 @@ fn suite(dialect: Dialect, format: WireFormat) -> Report {
 fn keeps_the_contract(dialect: Dialect, format: WireFormat) {
     // Where the machine gives it; the arm's own thread asks for it by itself.
     enter(&Realtime { priority: Some(30), locks_memory: false, cpu: None });
-    for _ in 1..TRIES {
-        let report = suite(dialect, format);
-        if report.passed() {
-            return;
-        }
-        println!("{report}");
-    }
-    suite(dialect, format).assert_passed();
+    // What an arm does on a machine that does not let its threads run in time is tested in virtual time.
+    patiently(|| suite(dialect, format).assert_passed());
 }
 
 #[test]

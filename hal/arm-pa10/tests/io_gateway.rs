@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
 
+#[path = "common/patience.rs"]
+mod patience;
 #[path = "common/world.rs"]
 mod world;
 
@@ -11,6 +13,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+use patience::{note_lateness, patiently};
 use pb3dp_arm_pa10::driver::{DriverState, Request};
 use pb3dp_arm_pa10::gateway_protocol::{Dialect, GatewayState, StopCause};
 use pb3dp_arm_pa10::io::bus::{BusDown, BusPort, FRAME_ROOM, FrameListener, FrameSocket};
@@ -22,7 +25,7 @@ use pb3dp_arm_pa10::io::realtime::{self, Realtime};
 use pb3dp_arm_pa10::io::serial::SerialConfig;
 use pb3dp_arm_pa10::io::tcp::{TcpConfig, TcpLink};
 use pb3dp_arm_pa10::mock_controller::ControlMode;
-use world::{Emulation, FORMAT, Host, LONG, calm, gateway_config, home, ms, note_lateness, velocity};
+use world::{Emulation, FORMAT, Host, LONG, gateway_config, home, ms, velocity};
 
 /// Real-time where it is permitted: the tests run without as well.
 const REALTIME: Realtime = Realtime { priority: Some(20), locks_memory: false, cpu: None };
@@ -135,7 +138,7 @@ fn go_up_and_down(host: &mut Host, emulation: &Emulation) {
 
 #[test]
 fn an_arm_goes_up_and_down_over_a_pseudo_terminal() {
-    calm(up_and_down_over_a_pseudo_terminal);
+    patiently(up_and_down_over_a_pseudo_terminal);
 }
 
 fn up_and_down_over_a_pseudo_terminal() {
@@ -167,7 +170,7 @@ fn up_and_down_over_a_pseudo_terminal() {
 
 #[test]
 fn a_line_that_is_unplugged_in_motion_stops_the_arm_and_is_tried_again() {
-    calm(unplugged_in_motion);
+    patiently(unplugged_in_motion);
 }
 
 fn unplugged_in_motion() {
@@ -191,7 +194,7 @@ fn unplugged_in_motion() {
 
 #[test]
 fn a_host_whose_connection_ends_in_motion_is_silent_and_the_next_one_has_to_reset() {
-    calm(connection_ends_in_motion);
+    patiently(connection_ends_in_motion);
 }
 
 fn connection_ends_in_motion() {
@@ -247,7 +250,7 @@ fn a_connection_that_has_been_silent_for_a_second_gives_way() {
 
 #[test]
 fn a_bus_that_goes_down_stops_the_arm_and_may_come_back() {
-    calm(bus_goes_down);
+    patiently(bus_goes_down);
 }
 
 fn bus_goes_down() {
@@ -328,7 +331,7 @@ impl BusPort for Mistaken {
 /// R8: a mistake of the program does not leave the arm moving.
 #[test]
 fn a_thread_that_panics_in_motion_stops_the_arm() {
-    calm(panics_in_motion);
+    patiently(panics_in_motion);
 }
 
 fn panics_in_motion() {

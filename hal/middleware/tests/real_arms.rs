@@ -3,12 +3,15 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 mod common;
+#[path = "../../arm-pa10/tests/common/patience.rs"]
+mod patience;
 
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use common::{CYCLE, acceleration, guard_config, jerk, velocity};
 use nalgebra::Vector3;
+use patience::patiently;
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::DriverConfig;
 use pb3dp_arm_pa10::gateway::GatewayConfig;
@@ -102,31 +105,33 @@ fn both_are(arms: &mut [CellArm; 2], state: ArmState) {
 /// The trip line stops the other arm quicker than the coupling hears of the fault, which must not take it for a second failure.
 #[test]
 fn the_arm_that_failed_is_reset_first_and_at_the_first_try() {
-    let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
-    let servers = [server(ArmId(1), &clock), server(ArmId(2), &clock)];
-    let mut seats = trip_line(2).unwrap().into_iter();
-    let mut guarded = |i: usize| {
-        let arm = arm(ArmId(i as u8 + 1), &servers[i], seats.next().unwrap(), &clock);
-        Guard::new(Box::new(arm), guard_config(0.1)).unwrap()
-    };
-    let pair = ((guarded(0), coupled_config(0.0)), (guarded(1), coupled_config(1.6)));
-    let (one, two) = couple(pair.0, pair.1, 0.05, &clock).unwrap();
-    let mut arms = [one, two];
-    for failed in [0, 1] {
-        let other = 1 - failed;
-        enable(&mut arms);
-        servers[failed].command_line("alarm 4 0x0e").unwrap();
-        both_are(&mut arms, ArmState::Fault);
-        // Both have heard of it, the one that waits first.
-        for which in [other, failed, other] {
-            assert_eq!(arms[which].exchange(velocity(0, 0.01)).unwrap_err().kind(), ArmErrorKind::Fault);
+    patiently(|| {
+        let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+        let servers = [server(ArmId(1), &clock), server(ArmId(2), &clock)];
+        let mut seats = trip_line(2).unwrap().into_iter();
+        let mut guarded = |i: usize| {
+            let arm = arm(ArmId(i as u8 + 1), &servers[i], seats.next().unwrap(), &clock);
+            Guard::new(Box::new(arm), guard_config(0.1)).unwrap()
+        };
+        let pair = ((guarded(0), coupled_config(0.0)), (guarded(1), coupled_config(1.6)));
+        let (one, two) = couple(pair.0, pair.1, 0.05, &clock).unwrap();
+        let mut arms = [one, two];
+        for failed in [0, 1] {
+            let other = 1 - failed;
+            enable(&mut arms);
+            servers[failed].command_line("alarm 4 0x0e").unwrap();
+            both_are(&mut arms, ArmState::Fault);
+            // Both have heard of it, the one that waits first.
+            for which in [other, failed, other] {
+                assert_eq!(arms[which].exchange(velocity(0, 0.01)).unwrap_err().kind(), ArmErrorKind::Fault);
+            }
+            assert!(arms[other].is_stopped_by_other() && !arms[failed].is_stopped_by_other());
+            servers[failed].command_line("alarm 4 off").unwrap();
+            let error = arms[other].reset().unwrap_err();
+            assert!(error.to_string().contains("still stopped"), "{error}");
+            arms[failed].reset().unwrap_or_else(|error| panic!("the one that failed, first: {error}"));
+            arms[other].reset().unwrap_or_else(|error| panic!("then the other one: {error}"));
+            assert_eq!(arms.each_ref().map(|arm| arm.state()), [ArmState::Disabled; 2]);
         }
-        assert!(arms[other].is_stopped_by_other() && !arms[failed].is_stopped_by_other());
-        servers[failed].command_line("alarm 4 off").unwrap();
-        let error = arms[other].reset().unwrap_err();
-        assert!(error.to_string().contains("still stopped"), "{error}");
-        arms[failed].reset().unwrap_or_else(|error| panic!("the one that failed, first: {error}"));
-        arms[other].reset().unwrap_or_else(|error| panic!("then the other one: {error}"));
-        assert_eq!(arms.each_ref().map(|arm| arm.state()), [ArmState::Disabled; 2]);
-    }
+    });
 }

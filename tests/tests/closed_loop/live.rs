@@ -1,23 +1,20 @@
 //! The whole loop in the machine's time: emulated arms behind gateways on pseudo-terminals, cameras where the arms are. A machine
-//! that is too loaded for it is late, and an arm that waits too long stops: so each run has some tries.
+//! that is too loaded for it is late, and an arm that waits too long stops: so each run is tried again there.
 
 use std::sync::{Mutex, PoisonError};
 
 use pb3dp_arm_pa10::driver::DriverState;
 use pb3dp_estimation::estimator::Method;
-use pb3dp_geometry::MonotonicTime;
 use pb3dp_orchestrator::config::setup::{ArmLink, Pace, Setup, read_setup};
 use pb3dp_orchestrator::run::experiment;
 use pb3dp_orchestrator::run::log::RunLog;
-use pb3dp_orchestrator::wiring::{Parts, wire};
+use pb3dp_orchestrator::wiring::wire;
 use pb3dp_servo::{Gains, LawConfig, PublishedConfig, TargetFilterConfig};
 use pb3dp_sim::trajectory::Channel;
 use system_tests::repository;
 
+use crate::patience::patiently;
 use crate::support::{Pixels, errors, quick_setup, run};
-
-/// How often a run is tried.
-const TRIES: usize = 4;
 
 /// Two runs at once would make each other late.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
@@ -32,17 +29,10 @@ fn hil_setup() -> Setup {
     setup
 }
 
-/// The first answer that is what a machine in time gives.
-fn tried<T>(mut attempt: impl FnMut() -> Result<T, String>) -> T {
+/// Whatever fails is tried again: a loaded machine is late, and who waits too long stops.
+fn tried(attempt: impl Fn()) {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
-    let mut failures = Vec::new();
-    for _ in 0..TRIES {
-        match attempt() {
-            Ok(value) => return value,
-            Err(failure) => failures.push(failure),
-        }
-    }
-    panic!("{}", failures.join("\n"));
+    patiently(attempt);
 }
 
 /// What the law without feed-forward leaves in simulated time is the measure: a loaded machine leaves pictures out.
@@ -67,49 +57,45 @@ fn a_hand_follows_through_serial_lines_as_in_simulated_time() {
     let simulated =
         followed(&run(&with_published_law(quick_setup(Method::Direct, Pixels::Few, &[Channel::X])), None).log);
     let setup = hil_setup();
-    let log = tried(|| {
-        let parts = wire(&setup).map_err(|error| format!("{error:#}"))?;
+    tried(|| {
+        let parts = wire(&setup).unwrap();
         let monitors = parts.monitors.clone();
-        let log = experiment::run(&setup, parts, None, None).map_err(|error| format!("{error:#}"))?.log;
+        let log = experiment::run(&setup, parts, None, None).unwrap().log;
         for (name, monitor) in &monitors {
             let arm = monitor.snapshot();
-            if arm.latched.is_some() || arm.state != DriverState::Connected {
-                return Err(format!("{name} ends {:?} {:?}", arm.state, arm.latched));
-            }
+            let is_well = arm.latched.is_none() && arm.state == DriverState::Connected;
+            assert!(is_well, "{name} ends {:?} {:?}", arm.state, arm.latched);
         }
         let (rms_mm, max_mm) = followed(&log);
         let as_simulated = rms_mm < 1.5 * simulated.0 && max_mm < 1.5 * simulated.1;
-        as_simulated.then_some(log).ok_or_else(|| format!("{rms_mm} and {max_mm} mm, simulated {simulated:?}"))
+        assert!(as_simulated, "{rms_mm} and {max_mm} mm, simulated {simulated:?}");
+        let names: Vec<&str> = log.cycles.iter().map(|cycle| cycle.name.as_str()).collect();
+        assert_eq!(names, ["capture", "estimation", "control", "recording", "vs-robot", "tc-robot"]);
+        for cycle in &log.cycles {
+            let cycles_min = if cycle.period_millis > 30.0 { 60 } else { 200 };
+            assert!(cycle.cycles > cycles_min && cycle.late_p50_millis <= cycle.late_p99_millis, "{cycle:?}");
+        }
     });
-    let names: Vec<&str> = log.cycles.iter().map(|cycle| cycle.name.as_str()).collect();
-    assert_eq!(names, ["capture", "estimation", "control", "recording", "vs-robot", "tc-robot"]);
-    for cycle in &log.cycles {
-        let cycles_min = if cycle.period_millis > 30.0 { 60 } else { 200 };
-        assert!(cycle.cycles > cycles_min && cycle.late_p50_millis <= cycle.late_p99_millis, "{cycle:?}");
-    }
 }
 
 #[test]
 fn an_alarm_of_one_arm_ends_the_run_with_both_at_rest() {
     let setup = hil_setup();
     tried(|| {
-        let parts = wire(&setup).map_err(|error| format!("{error:#}"))?;
+        let parts = wire(&setup).unwrap();
         // Switching both arms on takes up to 3 s; then the target moves after a second.
         parts.emulated[1].command_line("in 5s alarm 4 0x0e").unwrap();
         let cell = parts.cell.clone();
-        let Parts { clock, .. } = &parts;
-        let clock = clock.clone();
-        let Err(error) = experiment::run(&setup, parts, None, None) else { return Err("the run must fail".to_owned()) };
+        let clock = parts.clock.clone();
+        let Err(error) = experiment::run(&setup, parts, None, None) else { panic!("the run must fail") };
         let message = format!("{error:#}");
         for (name, site) in [("vs-robot", &cell.vs), ("tc-robot", &cell.tc)] {
             let mut joints = site.joints.simulated().unwrap().lock().unwrap();
-            let now: MonotonicTime = clock.now();
-            joints.advance_to(now);
+            joints.advance_to(clock.now());
             let speed = joints.state().velocity_rad_per_s.amax();
             assert!(speed < 1e-3, "{name} at {speed} rad/s after: {message}");
         }
         // On a machine that is late an arm may have stopped for that before.
-        let is_told = message.contains("tc-robot") && message.contains("over-current");
-        is_told.then_some(()).ok_or(message)
+        assert!(message.contains("tc-robot") && message.contains("over-current"), "{message}");
     });
 }

@@ -8,6 +8,8 @@ mod following;
 mod geometric;
 mod live;
 mod paths;
+#[path = "../../../hal/arm-pa10/tests/common/patience.rs"]
+mod patience;
 mod repeatable;
 mod seeing_again;
 mod support;

@@ -10,40 +10,26 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::mock_arm::MockArm;
-use crate::patience::patiently_where;
+use crate::patience;
 use crate::support::{Finished, numbers, repository};
 
 /// `start_deg` of the arm with the cameras in configs/hil.toml.
 pub const START_DEG: &str = "0,45.4169239,0,97.48979119,0,-52.90671509,0";
 pub const START_E1_DEG: f64 = 97.48979119;
 
-/// What the program says when a thread was not run for some 10 ms.
-const HELD_UP: [&str; 9] = [
-    "without a usable reply",
-    "the brakes stay closed",
-    "no measurement since",
-    "the newest measurement is",
-    "no velocity for",
-    "host-silent",
-    "had no answer in time",
-    "did not arrive",
-    // Of a checklist, what is complained of.
-    "ms, at most",
-];
-
 /// Arms on a bus of this computer answer within 2 ms: no other arm moves meanwhile.
 static MOVING: RwLock<()> = RwLock::new(());
 
-/// As [`patiently`], while no other test that is patient runs.
+/// As [`patience::patiently`], while no other test that is patient runs.
 pub fn patiently_alone(test: impl Fn()) {
     let _alone = MOVING.write().unwrap_or_else(PoisonError::into_inner);
-    patiently_where(&HELD_UP, test);
+    patience::patiently(test);
 }
 
-/// Again where the machine was held up: a mistake shows each time.
+/// As [`patience::patiently`], beside others.
 pub fn patiently(test: impl Fn()) {
     let _beside_others = MOVING.read().unwrap_or_else(PoisonError::into_inner);
-    patiently_where(&HELD_UP, test);
+    patience::patiently(test);
 }
 
 pub fn hil() -> String {

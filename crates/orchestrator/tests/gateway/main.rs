@@ -1,6 +1,8 @@
 //! `pb3dp gateway` as a process, between an emulated controller and a host: how it ends, is killed and is held up.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests may fail the test")]
 
+#[path = "../../../../hal/arm-pa10/tests/common/patience.rs"]
+mod patience;
 #[path = "../../../../hal/arm-pa10/tests/common/world.rs"]
 mod world;
 
@@ -11,13 +13,14 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus};
 use std::time::{Duration, Instant};
 
+use patience::{note_lateness, patiently};
 use pb3dp_arm_pa10::driver::{DriverState, Request};
 use pb3dp_arm_pa10::gateway_protocol::{Dialect, StopCause};
 use pb3dp_arm_pa10::io::bus::{BusPort, FRAME_ROOM, FrameListener};
 use pb3dp_arm_pa10::io::tcp::{TcpConfig, TcpLink};
 use pb3dp_arm_pa10::mock_controller::ControlMode;
 use rustix::process::{Pid, Signal, kill_process};
-use world::{Emulation, Host, LONG, calm, ms, note_lateness};
+use world::{Emulation, Host, LONG, ms};
 
 /// Of the emulated controller.
 const TIME_OUT: Duration = Duration::from_millis(400);
@@ -126,7 +129,7 @@ fn wait_for<T>(what: &str, mut is: impl FnMut() -> Option<T>) -> T {
 
 #[test]
 fn a_signal_ends_it_through_the_stop_order() {
-    calm(|| {
+    patiently(|| {
         for signal in [Signal::TERM, Signal::INT] {
             let mut scene = Scene::start();
             scene.signal(signal);
@@ -148,7 +151,7 @@ fn a_signal_ends_it_through_the_stop_order() {
 /// The host may be gone when somebody asks what happened: the log of the gateway names axis and alarm.
 #[test]
 fn its_log_names_axis_and_alarm_of_a_fault() {
-    calm(|| {
+    patiently(|| {
         let mut scene = Scene::start();
         scene.emulation.inject("alarm 4 0x0e");
         let told = "moving -> fault: servo-alarm: axis 4 (E1), status word 0x";
@@ -192,7 +195,7 @@ fn a_signal_is_obeyed_while_the_log_is_held_up() {
 /// kill -9: nobody is left to stop the arm but the controller, and the host does not move before an operator resets.
 #[test]
 fn after_a_kill_the_controller_stops_the_arm() {
-    calm(|| {
+    patiently(|| {
         let mut scene = Scene::start();
         scene.signal(Signal::KILL);
         scene.ended();
@@ -208,7 +211,7 @@ fn after_a_kill_the_controller_stops_the_arm() {
 /// SIGSTOP: the controller stops the arm, and a gateway that wakes up again latches.
 #[test]
 fn a_gateway_that_was_held_up_latches() {
-    calm(|| {
+    patiently(|| {
         let mut scene = Scene::start();
         scene.signal(Signal::STOP);
         scene.must_be_braked();

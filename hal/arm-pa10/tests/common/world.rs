@@ -1,13 +1,14 @@
 //! In real time: an emulated controller on a thread, and a host of driver and link on a byte link.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 #![allow(dead_code, reason = "each test file uses its part")]
 
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use crate::patience::note_lateness;
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, Request};
 use pb3dp_arm_pa10::gateway::GatewayConfig;
@@ -15,7 +16,6 @@ use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, G
 use pb3dp_arm_pa10::io::bus::{BusPort, FRAME_ROOM};
 use pb3dp_arm_pa10::io::realtime::{self, Realtime};
 use pb3dp_arm_pa10::io::transport::{ByteLink, wait};
-use pb3dp_arm_pa10::io::witness::Witness;
 use pb3dp_arm_pa10::link::{GatewayLink, GatewayLinkConfig, LinkError};
 use pb3dp_arm_pa10::mock_controller::{ControlMode, MockController, MockControllerConfig, MockCounters};
 use pb3dp_arm_pa10::watchdog::CommandWatchdog;
@@ -68,36 +68,6 @@ fn plant() -> JointPlant {
         history: Duration::from_secs(1),
     };
     JointPlant::new(config, home(), realtime::now()).unwrap()
-}
-
-/// A thread that is late by this much makes a failure worthless: in a chain of four threads an arm may have to stop then.
-const TOO_LATE: Duration = Duration::from_millis(5);
-
-/// How often a scenario is tried on a machine that is too loaded for it.
-const TRIES: u32 = 8;
-
-/// How late any thread of an arm was at worst since this was last looked at, µs.
-static LATENESS_US: AtomicU64 = AtomicU64::new(0);
-
-/// A thread was late.
-pub fn note_lateness(lateness: Duration) {
-    LATENESS_US.fetch_max(lateness.as_micros() as u64, Ordering::SeqCst);
-}
-
-/// Does something that needs threads to run in time, again if it failed and one of them was late: failures count on a machine that
-/// keeps time. On one that never does nothing is shown, which is said.
-pub fn calm(scenario: impl Fn()) {
-    for _ in 0..TRIES {
-        let witness = Witness::start().unwrap();
-        let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(&scenario));
-        let lateness = Duration::from_micros(LATENESS_US.swap(0, Ordering::SeqCst)).max(witness.end().max);
-        match outcome {
-            Ok(()) => return,
-            Err(_) if lateness > TOO_LATE => {}
-            Err(payload) => std::panic::resume_unwind(payload),
-        }
-    }
-    eprintln!("skipped: this machine lets threads wait for more than {TOO_LATE:?}, {TRIES} times in a row");
 }
 
 /// For threads on which an arm depends, where it is permitted.
