@@ -87,7 +87,8 @@ fn damaged_short_and_lost_pictures_are_left_out_and_counted() {
     camera.next_pair(SECOND).unwrap();
     let mut next = |number, change: fn(&mut Faults)| {
         rig.faults(number, change);
-        let pair = camera.next_pair(SECOND).unwrap();
+        // Where a picture is lost nothing comes for two periods, which is silence; the pair is there right behind it.
+        let pair = camera.next_pair(SECOND).or_else(|_| camera.next_pair(millis(1))).unwrap();
         (pair.sequence, camera.counters())
     };
     let (sequence, counters) = next(0, |faults| faults.damaged = 1);
@@ -228,7 +229,7 @@ fn both_cameras_unplugged_at_once_and_a_rig_that_is_not_there() {
 }
 
 #[test]
-fn a_silent_camera_is_told_soon_and_goes_on_when_it_sends_again() {
+fn a_silent_camera_is_told_two_periods_after_its_last_picture_and_goes_on_when_it_sends_again() {
     for number in [0, 1] {
         let rig = Rig::new();
         let mut camera = rig.opened();
@@ -244,7 +245,7 @@ fn a_silent_camera_is_told_soon_and_goes_on_when_it_sends_again() {
                     .starts_with(&format!("serial:SN000{number} (/dev/video{number}): no good picture for")),
                 "{error}"
             );
-            assert!(took <= 2.5 * PERIOD_MILLIS + 0.01, "{took} ms");
+            assert!(took <= 2.0 * PERIOD_MILLIS + 0.01, "{took} ms");
         }
         rig.faults(number, |faults| faults.is_silent = false);
         let now = rig.clock.now();
@@ -252,6 +253,21 @@ fn a_silent_camera_is_told_soon_and_goes_on_when_it_sends_again() {
         assert!(pair.exposed_at.seconds_since(now) > -0.04, "a picture from before the silence");
         assert!(pair.skew_nanos.abs() <= 5_000_000);
     }
+}
+
+#[test]
+fn pictures_that_come_up_to_nine_tenths_of_a_period_late_are_no_silence() {
+    let rig = Rig::with(|number, camera| {
+        camera.lateness = match number {
+            0 => |picture| millis(picture * 7919 % 31),
+            _ => |picture| millis(picture * 104_729 % 31),
+        }
+    });
+    let mut camera = rig.opened();
+    for k in 0..1000 {
+        camera.next_pair(SECOND).unwrap_or_else(|error| panic!("pair {k}: {error}"));
+    }
+    assert_eq!(camera.counters().left.lost + camera.counters().right.lost, 0);
 }
 
 #[test]

@@ -98,6 +98,8 @@ pub struct EmulatedCamera {
     pub source: StampSource,
     /// From the moment of a stamp until the picture can be taken.
     pub arrival: Duration,
+    /// The same besides, of the picture of that number, counted from the start of the stream; less than a period.
+    pub lateness: fn(u64) -> Duration,
     /// When the first picture is stamped, after the start of the stream.
     pub phase: Duration,
     /// By how much its clock is slow: seconds per second.
@@ -161,6 +163,7 @@ impl EmulatedCamera {
             ],
             source: StampSource::StartOfExposure,
             arrival: Duration::from_millis(12),
+            lateness: |_| Duration::ZERO,
             phase: Duration::from_millis(40),
             slowness: 0.0,
             first_sequence: 0,
@@ -218,10 +221,15 @@ impl Device {
         run.first_nanos + (number as f64 * period).round() as i64
     }
 
+    /// When the picture of that number can be taken.
+    fn arrival_nanos(&self, run: &Run, number: u64) -> i64 {
+        self.stamp_nanos(run, number) + nanos(self.camera.arrival + (self.camera.lateness)(number))
+    }
+
     /// A silent camera makes nothing of the pictures that are due.
     fn skip_silently(&mut self, now_nanos: i64) {
         let Some(mut run) = self.stream.take() else { return };
-        while self.stamp_nanos(&run, run.made) + nanos(self.camera.arrival) <= now_nanos {
+        while self.arrival_nanos(&run, run.made) <= now_nanos {
             run.made += 1;
         }
         self.stream = Some(run);
@@ -230,7 +238,7 @@ impl Device {
     /// When the next picture can be taken.
     fn next_at_nanos(&self) -> Option<i64> {
         let run = self.stream.as_ref().filter(|_| !self.camera.faults.is_silent)?;
-        Some(self.stamp_nanos(run, run.made) + nanos(self.camera.arrival))
+        Some(self.arrival_nanos(run, run.made))
     }
 }
 
