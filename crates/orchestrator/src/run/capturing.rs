@@ -13,6 +13,7 @@ use pb3dp_servo::supervisor::FrameInput;
 use super::cell::SimulatedCell;
 use super::eyes::Sight;
 use super::halves::Capture;
+use super::losses::Losses;
 use crate::config::setup::Setup;
 
 /// One frame, on its way to those who look at it and to those who keep it.
@@ -43,34 +44,6 @@ pub struct Capturing {
     timeout: Duration,
     pairs_lost: u64,
     losses: Losses,
-}
-
-/// Pairs that did not come, one after the other.
-#[derive(Default)]
-struct Losses {
-    in_a_row: u64,
-    said: String,
-}
-
-impl Losses {
-    /// One more. What was said before is said again now and then only: a camera that is away says so for as long as that lasts.
-    fn add(&mut self, error: &CameraError) {
-        self.in_a_row += 1;
-        let text = error.to_string();
-        if text != self.said || self.in_a_row.is_power_of_two() {
-            tracing::warn!("{text}");
-            self.said = text;
-        }
-    }
-
-    /// A pair has come.
-    fn end(&mut self) {
-        if self.in_a_row > 1 {
-            tracing::info!("camera: pairs come again, {} did not", self.in_a_row);
-        }
-        self.in_a_row = 0;
-        self.said.clear();
-    }
 }
 
 enum Camera {
@@ -135,7 +108,9 @@ impl Capture for Capturing {
     fn capture(&mut self) -> Result<Option<Captured>> {
         match self.wait() {
             Ok((frame, view)) => {
-                self.losses.end();
+                if let Some(line) = self.losses.pair_has_come() {
+                    tracing::info!("{line}");
+                }
                 let cam_left_from_target = self.has_truth.then(|| {
                     let world_from_cam_left = self.cell.world_from_cam_left_at(frame.at);
                     world_from_cam_left.inverse() * self.cell.world_from_target_at(frame.at)
@@ -144,7 +119,9 @@ impl Capture for Capturing {
             }
             Err(error) if matches!(error.kind(), CameraErrorKind::Timeout | CameraErrorKind::BadPair) => {
                 self.pairs_lost += 1;
-                self.losses.add(&error);
+                if let Some(line) = self.losses.add(&error.to_string()) {
+                    tracing::warn!("{line}");
+                }
                 Ok(None)
             }
             Err(error) => Err(error).context("camera"),

@@ -34,6 +34,8 @@ pub struct Console {
     words: Consumer<(u64, Said)>,
     shared: Arc<Shared>,
     heard_at: Option<MonotonicTime>,
+    /// When words were listened to for the first time: those that were kept until then are said at this moment.
+    begun_at: Option<MonotonicTime>,
     /// Words up to this number were said before a `stop` or `hold` that was taken: they are not said any more.
     overtaken: u64,
     /// What is not shown yet, as somebody was reading.
@@ -44,6 +46,8 @@ pub struct Console {
 #[derive(Default)]
 struct Shared {
     is_closed: AtomicBool,
+    /// Words are listened to: both arms are on.
+    has_begun: AtomicBool,
     stop: Urgent,
     hold: Urgent,
     shown: Mutex<Shown>,
@@ -104,7 +108,7 @@ impl Console {
         };
         let read = move || reading.read(lines);
         Builder::new().name("console".to_owned()).spawn(read).context("no thread for the console")?;
-        Ok(Self { words, shared, heard_at: None, overtaken: 0, untold: None })
+        Ok(Self { words, shared, heard_at: None, begun_at: None, overtaken: 0, untold: None })
     }
 
     fn next_word(&mut self) -> Option<Said> {
@@ -135,11 +139,14 @@ impl Console {
 
 impl Operator for Console {
     fn listen(&mut self, _last: Option<&Decision>, now: MonotonicTime) -> OperatorInput {
+        let begun_at = *self.begun_at.get_or_insert(now);
+        self.shared.has_begun.store(true, Ordering::SeqCst);
         // A console that is open is the sign of life; a person who types nothing has nothing to say.
         if !self.shared.is_closed.load(Ordering::SeqCst) {
             self.heard_at = Some(now);
         }
-        OperatorInput { said: self.next_word(), heard_at: self.heard_at }
+        let said = self.next_word().map(|said| Said { at: said.at.max(begun_at), ..said });
+        OperatorInput { said, heard_at: self.heard_at }
     }
 
     fn show(&mut self, decision: &Decision) {
@@ -259,6 +266,32 @@ impl Reading {
     }
 
     fn say(&mut self, word: Word) -> Option<String> {
+        if !self.shared.has_begun.load(Ordering::SeqCst) {
+            return self.say_early(word);
+        }
+        self.give(word)
+    }
+
+    /// While both arms are still being switched on: `stop` ends that, and so the run; what leads to no motion is kept until somebody
+    /// listens, and what could is refused, as who says it means what is seen now.
+    fn say_early(&mut self, word: Word) -> Option<String> {
+        match word {
+            Word::Stop => {
+                self.interrupt.store(true, Ordering::SeqCst);
+                Some("both arms are still being switched on: that is broken off, both stop, then the report".to_owned())
+            }
+            Word::Select | Word::Hold => Some(
+                self.give(word)
+                    .unwrap_or_else(|| format!("{} is kept: both arms are still being switched on", word.name())),
+            ),
+            Word::Start | Word::Resume | Word::Reset => Some(format!(
+                "{} was not taken: both arms are still being switched on; say it again when that is done",
+                word.name()
+            )),
+        }
+    }
+
+    fn give(&mut self, word: Word) -> Option<String> {
         let said = Said { word, at: self.clock.now() };
         self.words += 1;
         match word {
@@ -274,7 +307,10 @@ impl Reading {
 
     fn status(&self) -> String {
         let Shown { decision, trouble } = self.shared.shown.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let why = decision.map_or_else(|| "not begun yet".to_owned(), |decision| decision.why.to_string());
+        let why = decision.map_or_else(
+            || "not begun yet: both arms are being switched on".to_owned(),
+            |decision| decision.why.to_string(),
+        );
         match trouble {
             Some(trouble) => format!("{why}\n{trouble}"),
             None => why,
@@ -354,18 +390,62 @@ mod tests {
         console.listen(None, NOW).said.map(|said| said.word)
     }
 
+    /// As [`console`], where both arms are on; behind it the words, if there are any.
+    fn begun() -> (Console, PipeWriter, Receiver<String>, Arc<AtomicBool>) {
+        let (lines, writer) = typed();
+        let (mut console, answers, interrupt) = console(lines);
+        assert_eq!(console.listen(None, NOW).said, None);
+        (console, writer, answers, interrupt)
+    }
+
     #[test]
     fn a_console_hands_words_over_in_order_and_ends_the_run_behind_its_end() {
-        let (mut console, answers, interrupt) = console("select\n start \n\nstatus\ngo\nresume".as_bytes());
+        let (mut console, mut writer, answers, interrupt) = begun();
+        write!(writer, "select\n start \n\nstatus\ngo\nresume").unwrap();
+        drop(writer);
         let text: String = answers.iter().collect();
-        assert!(text.contains("not begun yet\n") && text.contains("\"go\" is no word: known are select"), "{text}");
+        assert!(text.contains("not begun yet") && text.contains("\"go\" is no word: known are select"), "{text}");
         assert!(text.ends_with("the words have ended: both arms stop, then the report\n"), "{text}");
         wait_until(|| interrupt.load(Ordering::SeqCst) && console.shared.is_closed.load(Ordering::SeqCst));
-        let heard = [0; 4].map(|_| console.listen(None, NOW));
+        let later = MonotonicTime::from_nanos(70);
+        let heard = [0; 4].map(|_| console.listen(None, later));
         let words = heard.map(|input| input.said.map(|said| (said.word, said.at)));
-        let at = MonotonicTime::from_nanos(5);
-        assert_eq!(words, [Some((Word::Select, at)), Some((Word::Start, at)), Some((Word::Resume, at)), None]);
-        assert_eq!(heard[2].heard_at, None, "it ended before it was ever asked");
+        assert_eq!(words, [Some((Word::Select, NOW)), Some((Word::Start, NOW)), Some((Word::Resume, NOW)), None]);
+        assert_eq!(heard[2].heard_at, Some(NOW), "nobody was there when it was asked again");
+    }
+
+    #[test]
+    fn words_that_are_said_while_the_arms_are_switched_on_are_kept_or_refused_at_once() {
+        let (lines, mut writer) = typed();
+        let (mut console, answers, interrupt) = console(lines);
+        writeln!(writer, "start\nselect\nresume\nreset\nstatus\nhold\nselect").unwrap();
+        let mut text = String::new();
+        while text.matches("kept").count() < 3 {
+            text += &answers.recv().unwrap();
+        }
+        for word in ["start", "resume", "reset"] {
+            let refusal = format!("{word} was not taken: both arms are still being switched on");
+            assert!(text.contains(&refusal), "{text}");
+        }
+        assert!(text.contains("not begun yet: both arms are being switched on"), "{text}");
+        // Ten seconds later; each word is one of this moment, and hold has overtaken the first select.
+        let later = NOW + Duration::from_secs(10);
+        let words = [0; 3].map(|_| console.listen(None, later).said.map(|said| (said.word, said.at)));
+        assert_eq!(words, [Some((Word::Hold, later)), Some((Word::Select, later)), None]);
+        assert!(!interrupt.load(Ordering::SeqCst));
+        // From now on words count as they are said.
+        writeln!(writer, "start").unwrap();
+        wait_until(|| !console.words.is_empty());
+        assert_eq!(word(&mut console), Some(Word::Start));
+    }
+
+    #[test]
+    fn stop_breaks_off_the_switching_on_of_both_arms() {
+        let (lines, mut writer) = typed();
+        let (_console, answers, interrupt) = console(lines);
+        writeln!(writer, "stop").unwrap();
+        assert!(answers.recv().unwrap().contains("that is broken off"));
+        wait_until(|| interrupt.load(Ordering::SeqCst));
     }
 
     #[test]
@@ -381,8 +461,7 @@ mod tests {
 
     #[test]
     fn stop_and_hold_find_room_behind_any_number_of_words_and_overtake_them() {
-        let (lines, mut writer) = typed();
-        let (mut console, answers, _) = console(lines);
+        let (mut console, mut writer, answers, _) = begun();
         // More than there is room for, and no more refusals than answers find room.
         for _ in 0..40 {
             writeln!(writer, "start").unwrap();
@@ -414,6 +493,7 @@ mod tests {
     fn a_person_who_reads_no_answers_is_still_heard() {
         let ((lines, mut writer), (unread, full)) = (typed(), pipe().unwrap());
         let mut console = Console::start(Arc::new(VirtualClock::new()), lines, full, Arc::default()).unwrap();
+        assert_eq!(word(&mut console), None);
         // More than a pipe and the queue of answers hold.
         for _ in 0..4000 {
             writeln!(writer, "what is the matter with you?").unwrap();

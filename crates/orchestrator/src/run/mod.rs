@@ -20,6 +20,7 @@ pub mod live;
 pub mod lockstep;
 pub mod log;
 pub mod looking;
+mod losses;
 pub mod methods;
 pub mod moving;
 pub mod noting;
