@@ -2,6 +2,7 @@
 
 use image::RgbImage;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method, RowMeasurement};
+use pb3dp_estimation::pair_check::{PairCheck, PairVerdict, check_pair};
 use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::FramePair;
 
@@ -34,6 +35,11 @@ const ROWS_MAX_PX: f64 = 1.0;
 /// As many points must be found again in the other picture; with fewer nothing is measured (`row_measurement.rs`).
 const MATCHES_MIN: usize = 15;
 
+/// Matches that may lie behind the cameras, percent: no scene is there, so these have gone wrong (`pair_check.rs`).
+const BEHIND_MAX_PERCENT: f64 = 25.0;
+
+const NO_CALIBRATION: &str = "no calibration was given";
+
 /// All findings about pictures.
 pub(super) fn findings(samples: &[FramePair], rig: Option<&StereoRig>) -> Vec<Finding> {
     let eyes: [Vec<&RgbImage>; 2] =
@@ -45,6 +51,7 @@ pub(super) fn findings(samples: &[FramePair], rig: Option<&StereoRig>) -> Vec<Fi
     }
     findings.push(difference(&exposures));
     findings.extend(sharpness([blur_of(&eyes[0]), blur_of(&eyes[1])]));
+    findings.push(sides(samples, rig));
     findings.push(rows(samples, rig));
     findings
 }
@@ -212,13 +219,54 @@ fn sharpness(blurs: [Option<f64>; 2]) -> Vec<Finding> {
     findings
 }
 
+/// Whether the left picture is the one of the left eye: points that are found in both pictures are in front of the cameras then.
+fn sides(samples: &[FramePair], rig: Option<&StereoRig>) -> Finding {
+    const CHECK: &str = "sides";
+    let Some(rig) = rig else {
+        return Finding::missing(
+            CHECK,
+            None,
+            NO_CALIBRATION,
+            "give --calib FILE to see whether left and right are exchanged",
+        );
+    };
+    let checks: Vec<PairCheck> = samples.iter().map(|pair| check_pair(rig, &pair.left, &pair.right)).collect();
+    let sum = |count: fn(&PairCheck) -> usize| checks.iter().map(count).sum::<usize>();
+    let (points, behind) = (sum(|one| one.agreeing), sum(|one| one.behind));
+    let exchanged = sum(|one| one.fitting_exchanged);
+    let is_swapped = checks.iter().any(|check| check.verdict == PairVerdict::Swapped);
+    let has_verdict = |check: &PairCheck| !matches!(check.verdict, PairVerdict::Unknown | PairVerdict::Unrelated);
+    if !is_swapped && !checks.iter().any(has_verdict) {
+        let found = format!("only {points} points in all are found in both pictures");
+        let advice = "show both cameras a scene with much texture, 300 to 800 mm away";
+        return Finding::missing(CHECK, None, found, advice);
+    }
+    let percent = if is_swapped { 100.0 } else { behind as f64 / points.max(1) as f64 * 100.0 };
+    let (found, advice) = if is_swapped {
+        let found = format!(
+            "left and right are exchanged: once they are the other way round {exchanged} points are in front of them"
+        );
+        (found, "exchange --left and --right (left.device and right.device of a setup); no plug has to be moved")
+    } else {
+        let found = format!("{behind} of {points} points");
+        (found, "the calibration does not belong to these cameras: give the right file, or calibrate again")
+    };
+    Finding::judged(
+        CHECK,
+        (percent, "% of the points behind the cameras"),
+        Limits::at_most(BEHIND_MAX_PERCENT),
+        found,
+        advice,
+    )
+}
+
 fn rows(samples: &[FramePair], rig: Option<&StereoRig>) -> Finding {
     const CHECK: &str = "rows";
     let Some(rig) = rig else {
         return Finding::missing(
             CHECK,
             None,
-            "no calibration was given",
+            NO_CALIBRATION,
             "give --calib FILE to have the rows of both pictures compared",
         );
     };
@@ -305,6 +353,24 @@ mod tests {
         assert_eq!(verdicts(255, 240), [false, false, true, true]);
         assert_eq!(verdicts(3, 3), [false, true, false, true]);
         assert_eq!(verdicts(100, 70), [true, true, true, false]);
+    }
+
+    #[test]
+    fn eyes_that_are_exchanged_are_found() {
+        let [left, right] = pictures().clone();
+        let rig = case().load_calibration().unwrap().rig;
+        let exchanged = findings(&[pair(right.clone(), left.clone()), pair(right, left)], Some(&rig));
+        let sides = named(&exchanged, "sides");
+        assert_eq!((sides.passed, sides.value), (Some(false), Some(100.0)), "{sides:?}");
+        assert!(sides.found.starts_with("left and right are exchanged"), "{sides:?}");
+        assert!(
+            sides.advice.as_ref().is_some_and(|advice| advice.contains("exchange --left and --right")),
+            "{sides:?}"
+        );
+        // What says nothing is not judged.
+        let grey = || RgbImage::from_pixel(640, 480, Rgb([90; 3]));
+        assert_eq!(named(&findings(&[pair(grey(), grey())], Some(&rig)), "sides").passed, None);
+        assert_eq!(named(&findings(&[pair(grey(), grey())], None), "sides").found, NO_CALIBRATION);
     }
 
     #[test]

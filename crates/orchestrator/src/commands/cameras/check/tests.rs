@@ -37,10 +37,11 @@ fn good_cameras_pass_every_check() {
         "sharpness left",
         "sharpness right",
         "focus of both",
+        "sides",
         "rows",
     ];
     assert_eq!(checks, expected);
-    assert!(report.text().ends_with("15 passed, 0 failed, 0 not checked"), "{}", report.text());
+    assert!(report.text().ends_with("16 passed, 0 failed, 0 not checked"), "{}", report.text());
     let json = serde_json::to_value(&report).unwrap();
     assert_eq!((&json["findings"][2]["value"], &json["findings"][2]["limit_max"]), (&1.0.into(), &5.0.into()));
 }
@@ -56,6 +57,8 @@ fn each_fault_of_the_cameras_is_found_and_said() {
     assert!(skew.found.contains("drifting by +200.") && skew.found.contains("beyond the limit in"), "{skew:?}");
     let slow = check(&[], |_, camera| camera.slowness = 0.05).unwrap();
     assert_eq!(failed(&slow), ["rate"], "{}", slow.text());
+    let crossed = check(&[], |side, camera| camera.entry.serial = Some(format!("SN{:04}", 1 - side))).unwrap();
+    assert!(failed(&crossed).contains(&"sides"), "{}", crossed.text());
     let one_eyed = check(&[], |side, camera| {
         if side == 1 {
             camera.paint = |_, memory| memory.fill(90);
