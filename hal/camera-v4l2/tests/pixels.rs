@@ -37,6 +37,20 @@ fn padded(rows: impl Iterator<Item = Vec<u8>>, stride: usize) -> Vec<u8> {
 }
 
 #[test]
+fn formats_are_named_by_their_four_letters() {
+    for format in PixelFormat::ALL {
+        assert_eq!(format.to_string().parse(), Ok(format));
+    }
+    for bad in ["", "H264", "yuyv", "MJPEG"] {
+        let refusal = bad.parse::<PixelFormat>().unwrap_err().to_string();
+        assert!(
+            refusal.starts_with(&format!("{bad:?} is no layout")) && refusal.contains("write one of: YUYV, RGB3"),
+            "{refusal}"
+        );
+    }
+}
+
+#[test]
 fn rows_of_plain_formats_keep_their_colours_and_padding_is_left_out() {
     let scene = scene(7, 5);
     let rows = |of_pixel: fn(&[u8]) -> Vec<u8>| {

@@ -192,7 +192,11 @@ fn keys_of_other_cameras_are_refused_with_key_and_backend() {
             |root| put(root, "estimator", "geometric", table("sim.toml")["estimator"]["geometric"].clone()),
             "estimator.geometric: with camera.backend = \"v4l2\"",
         ),
-        ("rig.toml", |root| put(root, "camera", "format", "H264"), "camera.format = \"H264\": allowed are YUYV, RGB3"),
+        (
+            "rig.toml",
+            |root| put(root, "camera", "format", "H264"),
+            "camera.format: \"H264\" is no layout of pixels that is taken; write one of: YUYV, RGB3",
+        ),
         (
             "rig.toml",
             |root| put(root, "camera", "region", "circle:3"),

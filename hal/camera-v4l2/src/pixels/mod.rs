@@ -75,6 +75,22 @@ impl PixelFormat {
     }
 }
 
+/// Four letters that name no format that is taken.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{text:?} is no layout of pixels that is taken; write one of: {}", PixelFormat::ALL.map(|format| format.to_string()).join(", "))]
+pub struct UnknownFormat {
+    text: String,
+}
+
+impl std::str::FromStr for PixelFormat {
+    type Err = UnknownFormat;
+
+    fn from_str(text: &str) -> Result<Self, UnknownFormat> {
+        let fourcc = <[u8; 4]>::try_from(text.as_bytes()).ok();
+        fourcc.and_then(Self::of_fourcc).ok_or_else(|| UnknownFormat { text: text.to_owned() })
+    }
+}
+
 impl std::fmt::Display for PixelFormat {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(&String::from_utf8_lossy(&self.fourcc()))

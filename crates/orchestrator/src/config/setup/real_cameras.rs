@@ -238,13 +238,8 @@ impl V4l2Section {
     }
 
     fn format(&self, check: &mut Checker) -> Option<PixelFormat> {
-        let fourcc: Option<[u8; 4]> = self.format.as_bytes().try_into().ok();
-        let format = fourcc.and_then(PixelFormat::of_fourcc);
-        if format.is_none() {
-            let known: Vec<String> = PixelFormat::ALL.iter().map(ToString::to_string).collect();
-            check.refuse(format!("camera.format = {:?}: allowed are {}", self.format, known.join(", ")));
-        }
-        format
+        let format: Result<PixelFormat, _> = self.format.parse();
+        format.inspect_err(|error| check.refuse(format!("camera.format: {error}"))).ok()
     }
 
     /// The region, with the path of a mask beside the configuration; `None` if it is refused.
