@@ -9,7 +9,7 @@ use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, MonotonicTime, Pinhole, Pose, StereoRig};
 use pb3dp_record::dataset::{
-    CaseDraft, DatasetError, Hardness, PlaneTruth, SearchRange, SequenceDraft, SequenceWriter, WrittenFrame,
+    CaseDraft, DatasetError, Hardness, PlaneTruth, SearchRange, Sequence, SequenceDraft, SequenceWriter, WrittenFrame,
     find_cases, load_case, load_sequence, write_case,
 };
 use pb3dp_record::images::{ImageProblem, PictureFormat};
@@ -163,18 +163,20 @@ fn pose(i: u64) -> Pose<CamLeft, Model> {
     Pose::from_parts(Vector3::new(0.01 * s, -0.02, 0.5 + 0.003 * s), turn)
 }
 
+fn draft(pictures: PictureFormat) -> SequenceDraft {
+    SequenceDraft { region_polygon_left_px: vec![[1.0, 2.0], [20.0, 3.0], [18.0, 20.0]], search: search(), pictures }
+}
+
+/// A frame with its true pose.
+fn posed(i: u64, [left, right]: &[RgbImage; 2]) -> WrittenFrame<'_> {
+    let exposed_at = MonotonicTime::from_nanos(5_000_000_000 + 33_333_333 * i);
+    WrittenFrame { left, right, exposed_at, skew_nanos: -250_000, cam_left_from_model: Some(pose(i)) }
+}
+
 fn recorded(folder: &Path, pictures: PictureFormat) -> DatasetResult {
-    let region_polygon_left_px = vec![[1.0, 2.0], [20.0, 3.0], [18.0, 20.0]];
-    let mut writer =
-        SequenceWriter::create(folder, &rig(), SequenceDraft { region_polygon_left_px, search: search(), pictures })?;
+    let mut writer = SequenceWriter::create(folder, &rig(), draft(pictures))?;
     for i in 0..3 {
-        writer.push(WrittenFrame {
-            left: &picture(10 * i as u8),
-            right: &picture(10 * i as u8 + 1),
-            exposed_at: MonotonicTime::from_nanos(5_000_000_000 + 33_333_333 * i),
-            skew_nanos: -250_000,
-            cam_left_from_model: Some(pose(i)),
-        })?;
+        writer.push(posed(i, &[picture(10 * i as u8), picture(10 * i as u8 + 1)]))?;
     }
     Ok(writer.finish()?.frames)
 }
@@ -238,12 +240,7 @@ fn a_frame_that_does_not_fit_is_refused_and_leaves_the_recording_usable() {
 #[test]
 fn frames_written_by_others_count_as_far_as_they_are_kept() {
     let dir = tempfile::tempdir().unwrap();
-    let draft = SequenceDraft {
-        region_polygon_left_px: vec![[1.0, 2.0], [20.0, 3.0], [18.0, 20.0]],
-        search: search(),
-        pictures: PictureFormat::QuickPng,
-    };
-    let mut writer = SequenceWriter::create(dir.path(), &rig(), draft).unwrap();
+    let mut writer = SequenceWriter::create(dir.path(), &rig(), draft(PictureFormat::QuickPng)).unwrap();
     let mut files = Vec::new();
     for i in 0..4 {
         let (left, right) = (picture(i), picture(100 + i));
@@ -267,15 +264,61 @@ fn frames_written_by_others_count_as_far_as_they_are_kept() {
     assert_eq!((pictures.left, pictures.right), (picture(1), picture(101)));
 }
 
+/// A recording that nobody finishes: how many frames, and what happens to the folder then.
+fn broken_off(frames: u8, fate: impl FnOnce(&Path)) -> Result<Sequence, DatasetError> {
+    let dir = tempfile::tempdir().unwrap();
+    let mut writer = SequenceWriter::create(dir.path(), &rig(), draft(PictureFormat::QuickPng)).unwrap();
+    for i in 0..frames {
+        writer.push(posed(u64::from(i), &[picture(i), picture(100 + i)])).unwrap();
+    }
+    drop(writer);
+    fate(dir.path());
+    load_sequence(dir.path())
+}
+
+#[test]
+fn what_was_recorded_until_a_program_was_killed_can_be_read() {
+    let whole = broken_off(3, |folder| {
+        assert!(!folder.join("sequence.json").exists());
+        // Nothing is recorded over it.
+        let again = SequenceWriter::create(folder, &rig(), draft(PictureFormat::QuickPng)).unwrap_err();
+        assert!(matches!(again, DatasetError::Exists { .. }), "{again}");
+        let sequence = load_sequence(folder).unwrap();
+        let pictures = sequence.load_pictures(2, ImageSize { width: 32, height: 24 }).unwrap();
+        assert_eq!((pictures.left, pictures.right), (picture(2), picture(102)));
+        assert_eq!(load_sequence(&folder.join("sequence.unfinished.jsonl")).unwrap(), sequence);
+    });
+    let whole = whole.unwrap();
+    assert!(whole.is_unfinished);
+    assert_eq!((whole.frames(), whole.skew_s.as_slice()), (3, [-0.000_25; 3].as_slice()));
+    let poses = whole.cam_left_from_model.unwrap();
+    assert!((poses[2].to_homogeneous() - pose(2).to_homogeneous()).amax() < 1e-12);
+    let frames = |fate: fn(&Path)| broken_off(4, fate).unwrap().frames();
+    // Killed within a picture, before a picture, and within a line of the log.
+    let cut = |name: &str, folder: &Path, bytes: u64| {
+        let file = std::fs::OpenOptions::new().write(true).open(folder.join(name)).unwrap();
+        file.set_len(file.metadata().unwrap().len() - bytes).unwrap();
+    };
+    let cut = &cut;
+    assert_eq!(broken_off(4, |folder| cut("right_0003.png", folder, 7)).unwrap().frames(), 3);
+    assert_eq!(frames(|folder| std::fs::remove_file(folder.join("left_0003.png")).unwrap()), 3);
+    assert_eq!(broken_off(4, |folder| cut("sequence.unfinished.jsonl", folder, 9)).unwrap().frames(), 3);
+    // What is in the middle costs its own frame.
+    assert_eq!(frames(|folder| std::fs::remove_file(folder.join("left_0001.png")).unwrap()), 4);
+    // Not even the first frame is whole.
+    let none = broken_off(1, |folder| std::fs::remove_file(folder.join("left_0000.png")).unwrap()).unwrap_err();
+    assert!(none.to_string().contains("sequence.unfinished.jsonl") && none.to_string().contains("`frames`"), "{none}");
+    // Where no frame came there is nothing in the way of the next recording.
+    let dir = tempfile::tempdir().unwrap();
+    drop(SequenceWriter::create(dir.path(), &rig(), draft(PictureFormat::QuickPng)).unwrap());
+    assert_eq!(recorded(dir.path(), PictureFormat::Png).unwrap(), 3);
+    assert!(!dir.path().join("sequence.unfinished.jsonl").exists());
+}
+
 #[test]
 fn a_picture_that_can_not_be_written_is_not_counted() {
     let dir = tempfile::tempdir().unwrap();
-    let draft = SequenceDraft {
-        region_polygon_left_px: vec![[1.0, 2.0], [20.0, 3.0], [18.0, 20.0]],
-        search: search(),
-        pictures: PictureFormat::Png,
-    };
-    let mut writer = SequenceWriter::create(dir.path(), &rig(), draft).unwrap();
+    let mut writer = SequenceWriter::create(dir.path(), &rig(), draft(PictureFormat::Png)).unwrap();
     let picture = picture(1);
     let frame = |at| WrittenFrame {
         left: &picture,

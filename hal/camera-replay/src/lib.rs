@@ -18,7 +18,7 @@ use image::RgbImage;
 use pb3dp_geometry::{ImageSize, MonotonicTime, StereoRig};
 use pb3dp_hal_api::{CameraError, CameraErrorKind, FramePair, StereoCamera, StereoCameraInfo};
 use pb3dp_record::calibration_files::{StereoCalibration, load_stereo};
-use pb3dp_record::dataset::{CALIBRATION_FILE, CASE_FILE, Case, SEQUENCE_FILE, Sequence, load_case, load_sequence};
+use pb3dp_record::dataset::{CALIBRATION_FILE, CASE_FILE, Case, Sequence, is_sequence, load_case, load_sequence};
 use pb3dp_record::images::{ImageFileError, load_rgb_of_size};
 
 pub use pacing::{Pacing, Stepper};
@@ -74,7 +74,7 @@ impl ReplayCamera {
     /// Kind `Unusable` if the folder, its description or its calibration can not be used; pictures are looked at when
     /// their turn comes.
     pub fn open(folder: &Path, options: ReplayOptions) -> Result<Self, CameraError> {
-        if folder.join(SEQUENCE_FILE).is_file() {
+        if is_sequence(folder) {
             Self::open_sequence(&load_sequence(folder).map_err(|e| unusable(folder, e))?, options)
         } else if folder.join(CASE_FILE).is_file() {
             Self::open_case(&load_case(folder).map_err(|e| unusable(folder, e))?, options)

@@ -388,3 +388,36 @@ fn a_console_needs_a_pace_in_which_a_person_can_speak() {
     let refused = words(&[&"run", &"--operator", &"console", &"--config", &config, &"--out", &dir.path()]);
     pb3dp(&refused).assert_refused(&["--operator console", "real-time"]);
 }
+
+/// Killed in the middle of it, without a chance to write anything.
+#[test]
+fn a_recording_whose_program_is_killed_can_be_tracked() {
+    use std::process::{Command, Stdio};
+    use std::time::{Duration, Instant};
+
+    let dir = tempfile::tempdir().unwrap();
+    let (config, recording) = (repository().join("configs/sim.toml"), dir.path().join("recording"));
+    let mut child = Command::new(env!("CARGO_BIN_EXE_pb3dp"))
+        .args(words(&[&"run", &"--config", &config, &"--out", &dir.path().join("out"), &"--record", &recording]))
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let begin = Instant::now();
+    while !recording.join("right_0011.png").exists() {
+        assert!(
+            begin.elapsed() < Duration::from_secs(60) && child.try_wait().unwrap().is_none(),
+            "nothing is recorded"
+        );
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(!recording.join("sequence.json").exists(), "it was not finished");
+    let output = pb3dp(&words(&[&"track", &"--json", &"--sequence", &recording])).assert_success();
+    assert!(output.stderr.contains("the recording was broken off"), "{}", output.stderr);
+    let frames = output.stdout.lines().count();
+    assert!(frames >= 11 && !output.stdout.contains("\"error\""), "{frames}: {}", output.stdout);
+    let again = words(&[&"run", &"--config", &config, &"--out", &dir.path().join("again"), &"--record", &recording]);
+    pb3dp(&again).assert_refused(&["sequence.unfinished.jsonl exists: give an empty folder"]);
+}

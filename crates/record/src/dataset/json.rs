@@ -24,6 +24,11 @@ impl JsonFile {
         Ok(Self { path: path.to_owned(), root })
     }
 
+    /// What a file says in other words.
+    pub(super) fn of(path: PathBuf, root: Value) -> Self {
+        Self { path, root }
+    }
+
     pub(super) fn root(&self) -> Node<'_> {
         Node { file: &self.path, key: String::new(), value: &self.root }
     }

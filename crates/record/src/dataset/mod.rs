@@ -8,13 +8,14 @@
 mod case;
 mod json;
 mod sequence;
+mod unfinished;
 mod writer;
 
 use std::collections::{HashSet, VecDeque};
 use std::path::{Path, PathBuf};
 
 pub use case::{Case, Hardness, PlaneTruth, StereoPictures, load_case};
-pub use sequence::{FramePattern, Sequence, load_sequence};
+pub use sequence::{FramePattern, Sequence, is_sequence, load_sequence};
 pub use writer::{CaseDraft, FrameFiles, SequenceDraft, SequenceSummary, SequenceWriter, WrittenFrame, write_case};
 
 use crate::calibration_files::CalibrationFileError;
@@ -24,6 +25,8 @@ use crate::images::ImageFileError;
 pub const CASE_FILE: &str = "case.json";
 /// Name of the file that makes a folder a sequence.
 pub const SEQUENCE_FILE: &str = "sequence.json";
+/// Name of what stands in its place as long as a recording is not finished.
+const UNFINISHED_FILE: &str = "sequence.unfinished.jsonl";
 /// Largest tilt of a search range, degrees; that of the estimators.
 pub const TILT_LIMIT_DEG: f64 = 85.0;
 /// How many levels under the folder given cases are looked for.

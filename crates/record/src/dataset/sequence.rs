@@ -9,7 +9,7 @@ use pb3dp_geometry::{ImageSize, Pose};
 
 use super::case::StereoPictures;
 use super::json::{JsonFile, Node};
-use super::{DatasetError, SEQUENCE_FILE, SearchRange, polygon, search_range};
+use super::{DatasetError, SEQUENCE_FILE, SearchRange, UNFINISHED_FILE, polygon, search_range, unfinished};
 use crate::calibration_files::{StereoCalibration, load_stereo};
 use crate::images::load_rgb_of_size;
 
@@ -78,20 +78,28 @@ pub struct Sequence {
     pub cam_left_from_model: Option<Vec<Pose<CamLeft, Model>>>,
     /// Keys that are not part of the format.
     pub other_keys: Vec<String>,
+    /// Whether the recording was broken off before its `sequence.json` was written: these are the frames until the last whole one.
+    pub is_unfinished: bool,
 }
 
 const SEQUENCE_KEYS: [&str; 9] =
     ["left", "right", "frames", "times_s", "skew_s", "calib", "region_polygon_left_px", "search", "truth"];
 
-/// Loads and checks `sequence.json` of a sequence folder.
+/// Whether a folder holds a sequence, finished or not.
+pub fn is_sequence(folder: &Path) -> bool {
+    [SEQUENCE_FILE, UNFINISHED_FILE].iter().any(|name| folder.join(name).is_file())
+}
+
+/// Loads and checks `sequence.json` of a sequence folder; of a recording that was broken off, what there is.
 ///
 /// # Errors
 /// A missing or unreadable file, a missing key, or a value that is not allowed; the message names file, key and value.
 pub fn load_sequence(folder: &Path) -> Result<Sequence, DatasetError> {
     // The file itself is as good as its folder.
-    let is_the_file = folder.ends_with(SEQUENCE_FILE) && folder.is_file();
+    let is_the_file = [SEQUENCE_FILE, UNFINISHED_FILE].iter().any(|name| folder.ends_with(name)) && folder.is_file();
     let folder = folder.parent().filter(|_| is_the_file).unwrap_or(folder);
-    let file = JsonFile::read(&folder.join(SEQUENCE_FILE))?;
+    let is_unfinished = is_sequence(folder) && !folder.join(SEQUENCE_FILE).is_file();
+    let file = if is_unfinished { unfinished::read(folder) } else { JsonFile::read(&folder.join(SEQUENCE_FILE)) }?;
     let root = file.root();
     let frames = root.get("frames")?.count()?;
     let skew_s = root.optional("skew_s").map(|node| per_frame_numbers(&node, frames)).transpose()?.unwrap_or_default();
@@ -107,6 +115,7 @@ pub fn load_sequence(folder: &Path) -> Result<Sequence, DatasetError> {
         search: search_range(&root.get("search")?)?,
         cam_left_from_model: truth,
         other_keys: root.other_keys(&SEQUENCE_KEYS),
+        is_unfinished,
     })
 }
 

@@ -10,7 +10,8 @@ use pb3dp_geometry::{ImageSize, MonotonicTime, Pose, StereoRig};
 use serde_json::{Value, json};
 
 use super::case::{Hardness, PlaneTruth};
-use super::{CALIBRATION_FILE, CASE_FILE, DatasetError, FramePattern, SEQUENCE_FILE, SearchRange};
+use super::unfinished::Log;
+use super::{CALIBRATION_FILE, CASE_FILE, DatasetError, FramePattern, SEQUENCE_FILE, SearchRange, UNFINISHED_FILE};
 use crate::calibration_files::save_json;
 use crate::images::{PictureFormat, save, size_of};
 
@@ -148,8 +149,8 @@ fn truth_value(truth: &PlaneTruth) -> Value {
     value
 }
 
-/// Records a sequence folder frame by frame. Without [`SequenceWriter::finish`] the pictures stay, but no
-/// `sequence.json` is written.
+/// Records a sequence folder frame by frame. Without [`SequenceWriter::finish`] no `sequence.json` is written, but what was recorded
+/// until then can be loaded all the same.
 #[derive(Debug)]
 pub struct SequenceWriter {
     folder: PathBuf,
@@ -160,6 +161,8 @@ pub struct SequenceWriter {
     times: Vec<MonotonicTime>,
     skews_nanos: Vec<i64>,
     poses: Vec<Pose<CamLeft, Model>>,
+    /// As long as there is a frame.
+    log: Option<Log>,
 }
 
 impl SequenceWriter {
@@ -168,6 +171,7 @@ impl SequenceWriter {
     /// # Errors
     /// If the folder holds a sequence already, or can not be written to.
     pub fn create(folder: &Path, rig: &StereoRig, draft: SequenceDraft) -> Result<Self, DatasetError> {
+        start_folder(folder, &folder.join(UNFINISHED_FILE))?;
         start_folder(folder, &folder.join(SEQUENCE_FILE))?;
         save_json(rig, &folder.join(CALIBRATION_FILE))?;
         let extension = draft.pictures.extension();
@@ -180,6 +184,7 @@ impl SequenceWriter {
             times: Vec::new(),
             skews_nanos: Vec::new(),
             poses: Vec::new(),
+            log: None,
         })
     }
 
@@ -208,7 +213,32 @@ impl SequenceWriter {
         self.times.push(frame.exposed_at);
         self.skews_nanos.push(frame.skew_nanos);
         self.poses.extend(frame.cam_left_from_model);
+        self.note(number, frame).inspect_err(|_| self.forget_last())?;
         Ok(self.files(number))
+    }
+
+    fn note(&mut self, number: u64, frame: &WrittenFrame<'_>) -> Result<(), DatasetError> {
+        let log = match self.log.take() {
+            Some(log) => log,
+            None => {
+                let head = self.head().map(|(key, value)| (key.to_owned(), value)).into_iter().collect();
+                Log::create(&self.folder, &Value::Object(head))?
+            }
+        };
+        let log = self.log.insert(log);
+        let times = (frame.exposed_at.as_secs_f64(), frame.skew_nanos as f64 * 1e-9);
+        log.note(number, times, frame.cam_left_from_model.as_ref().map(row_major_millimetres))
+    }
+
+    /// What does not grow with the frames.
+    fn head(&self) -> [(&'static str, Value); 5] {
+        [
+            ("left", json!(self.left.to_string())),
+            ("right", json!(self.right.to_string())),
+            ("calib", json!(CALIBRATION_FILE)),
+            ("region_polygon_left_px", json!(self.draft.region_polygon_left_px)),
+            ("search", search_value(&self.draft.search)),
+        ]
     }
 
     /// Frames so far.
@@ -228,6 +258,9 @@ impl SequenceWriter {
             self.skews_nanos.pop();
             self.poses.truncate(self.times.len());
             self.files(self.frames()).remove();
+            if let Some(log) = self.log.take_if(|_| self.times.is_empty()) {
+                log.remove();
+            }
         }
     }
 
@@ -264,7 +297,12 @@ impl SequenceWriter {
         loop {
             match self.describe() {
                 Err(error) if error.is_disk_full() && self.frames() > 1 => self.forget_last(),
-                done => return done,
+                done => {
+                    if let (Ok(_), Some(log)) = (&done, &self.log) {
+                        log.remove();
+                    }
+                    return done;
+                }
             }
         }
     }
@@ -276,15 +314,9 @@ impl SequenceWriter {
         }
         let file = self.folder.join(SEQUENCE_FILE);
         let times_s: Vec<f64> = self.times.iter().map(|t| t.as_secs_f64()).collect();
-        let mut keys = vec![
-            ("left", json!(self.left.to_string())),
-            ("right", json!(self.right.to_string())),
-            ("frames", json!(times_s.len())),
-            ("times_s", json!(times_s)),
-            ("calib", json!(CALIBRATION_FILE)),
-            ("region_polygon_left_px", json!(self.draft.region_polygon_left_px)),
-            ("search", search_value(&self.draft.search)),
-        ];
+        let [left, right, calibration, region, search] = self.head();
+        let (frames, times) = (("frames", json!(times_s.len())), ("times_s", json!(times_s)));
+        let mut keys = vec![left, right, frames, times, calibration, region, search];
         if self.skews_nanos.iter().any(|skew| *skew != 0) {
             let skew_s: Vec<f64> = self.skews_nanos.iter().map(|nanos| *nanos as f64 * 1e-9).collect();
             keys.push(("skew_s", json!(skew_s)));

@@ -11,11 +11,13 @@ use pb3dp_camera_v4l2::names::CameraName;
 use pb3dp_camera_v4l2::pixels::PixelFormat;
 use pb3dp_camera_v4l2::timing::StampModel;
 use pb3dp_camera_v4l2::{CameraConfig, StereoConfig};
+use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_geometry::{ImageSize, StereoRig};
 use pb3dp_record::calibration_files::load_stereo;
 
 use crate::commands::rig::numbers::{millis, number, size};
-use crate::config::setup::{interval, read_cameras};
+use crate::config::setup::{interval, read_cameras, read_search_range};
+use crate::region_spec::RegionSpec;
 
 /// Speed of the target for which messages tell what a skew costs, where no setup says another one, m/s.
 const SPEED_M_PER_S: f64 = 0.1;
@@ -36,7 +38,7 @@ pub(super) struct CameraChoice {
     #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',', requires = "left")]
     calib: Vec<PathBuf>,
     /// Layout of the pixels: YUYV, MJPG, GREY, RGB3, BGR3, RGGB, GRBG, GBRG or BA81.
-    #[arg(long, value_name = "FOURCC", value_parser = format, default_value = "YUYV", requires = "left")]
+    #[arg(long, value_name = "FOURCC", default_value = "YUYV", requires = "left")]
     format: PixelFormat,
     /// Size of the pictures; without it that of the calibration, or 640x480.
     #[arg(long, value_name = "WxH", value_parser = size, requires = "left")]
@@ -58,6 +60,17 @@ pub(super) struct Chosen {
     pub(super) config: StereoConfig,
     /// The calibration, if there is one.
     pub(super) rig: Option<StereoRig>,
+    /// What a setup says of the target.
+    pub(super) target: ChosenTarget,
+}
+
+/// What a setup says of the target; nothing where there is no setup.
+#[derive(Clone, Debug, Default)]
+pub(super) struct ChosenTarget {
+    /// In the first left picture.
+    pub(super) region: Option<RegionSpec>,
+    /// Where it is searched.
+    pub(super) range: Option<SearchRange>,
 }
 
 impl CameraChoice {
@@ -69,7 +82,8 @@ impl CameraChoice {
         if let Some(file) = &self.config {
             let cameras = read_cameras(file)?;
             let rig = cameras.calibration()?.rig;
-            return Ok(Chosen { config: cameras.stereo, rig: Some(rig) });
+            let target = ChosenTarget { region: cameras.region, range: Some(read_search_range(file)?) };
+            return Ok(Chosen { config: cameras.stereo, rig: Some(rig), target });
         }
         let (Some(left), Some(right)) = (&self.left, &self.right) else {
             bail!(
@@ -108,7 +122,7 @@ impl CameraChoice {
             skew_max: Duration::from_secs_f64(self.skew_max * 1e-3),
             speed_max_m_per_s: SPEED_M_PER_S,
         };
-        Ok(Chosen { config, rig })
+        Ok(Chosen { config, rig, target: ChosenTarget::default() })
     }
 }
 
@@ -139,27 +153,6 @@ impl CameraChoice {
         match &self.config {
             Some(file) => Ok(read_cameras(file)?.stereo),
             None => Ok(self.chosen()?.config),
-        }
-    }
-}
-
-fn format(text: &str) -> Result<PixelFormat, String> {
-    let fourcc = <[u8; 4]>::try_from(text.as_bytes()).ok();
-    fourcc.and_then(PixelFormat::of_fourcc).ok_or_else(|| {
-        let all: Vec<String> = PixelFormat::ALL.iter().map(ToString::to_string).collect();
-        format!("{text:?} is not taken; write one of: {}", all.join(", "))
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn formats_are_those_that_can_be_converted() {
-        assert_eq!(format("MJPG"), Ok(PixelFormat::Mjpg));
-        for bad in ["", "H264", "yuyv", "MJPEG"] {
-            assert!(format(bad).unwrap_err().contains("write one of: YUYV"), "{bad}");
         }
     }
 }

@@ -41,6 +41,12 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     if let Some(file) = &args.surface {
         surface::check_writable(file)?;
     }
+    if sequence.is_unfinished {
+        tracing::warn!(
+            "the recording was broken off: it has no sequence.json; its {} frames until the last whole one are used",
+            sequence.frames()
+        );
+    }
     if !sequence.other_keys.is_empty() {
         tracing::warn!("sequence.json has keys that are not known and not used: {}", sequence.other_keys.join(", "));
     }

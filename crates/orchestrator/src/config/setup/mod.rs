@@ -8,6 +8,7 @@ mod geometric;
 mod geometry;
 mod law;
 mod link;
+mod range;
 mod real_cameras;
 mod servo;
 mod shape;
@@ -39,6 +40,8 @@ pub use self::experiment::{Carrier, Experiment};
 use self::geometric::GeometricSection;
 use self::link::GATEWAY_CYCLE_MAX_MILLIS;
 pub use self::link::{ArmLink, BusLinkConfig, GatewayWay};
+pub use self::range::read_search_range;
+use self::range::search_range;
 pub(crate) use self::real_cameras::interval;
 pub use self::real_cameras::{RealCameras, Synchronisation, read_cameras};
 use self::servo::ServoSection;
@@ -393,18 +396,7 @@ impl EstimatorSection {
     }
 
     fn range(&self, check: &mut Checker) -> SearchRange {
-        check.number("estimator.z_min_mm", self.z_min_mm, 10.0..=100_000.0);
-        check.number("estimator.z_max_mm", self.z_max_mm, within(self.z_min_mm, 10.0, 99_999.0) + 1.0..=100_000.0);
-        check.number("estimator.tilt_max_deg", self.tilt_max_deg, 1.0..=85.0);
-        let range = SearchRange {
-            z_min_m: self.z_min_mm * 1e-3,
-            z_max_m: self.z_max_mm * 1e-3,
-            tilt_max_rad: self.tilt_max_deg.to_radians(),
-        };
-        if let (true, Err(error)) = (check.is_clean(), range.validate()) {
-            check.refuse(format!("estimator: {error}"));
-        }
-        range
+        search_range([self.z_min_mm, self.z_max_mm, self.tilt_max_deg], check)
     }
 }
 

@@ -71,7 +71,7 @@ struct Taken {
 }
 
 fn checked(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &CheckArgs) -> Result<Report> {
-    let Chosen { mut config, rig } = args.cameras.chosen()?;
+    let Chosen { mut config, rig, .. } = args.cameras.chosen()?;
     let skew_max = config.skew_max;
     // All pairs are to come: their skew is measured here, and judged at the end.
     if let Some(period_s) = config.left.mode.interval.seconds() {

@@ -21,7 +21,7 @@ use pb3dp_record::images::PictureFormat;
 use serde::Serialize;
 
 use self::recorder::{Failure, Missing, Outcome, Plan, record};
-use super::choice::{CameraChoice, Chosen, check_size};
+use super::choice::{CameraChoice, Chosen, ChosenTarget, check_size};
 use super::stop_requested;
 use crate::cli::{ZRange, parse_seconds, parse_tilt, parse_z_range};
 use crate::commands::doctor::free_bytes;
@@ -40,8 +40,9 @@ Object of --json:
   missing_cameras  pairs that the cameras did not deliver, or that were damaged or too far apart
   failure          why it ended before its time, or null";
 
-/// Where to search in what was recorded, unless it is said.
-const Z_RANGE: ZRange = ZRange { min_mm: 300.0, max_mm: 800.0 };
+/// Where to search in what was recorded, unless it is said: depths in metres, and the largest tilt.
+const Z_RANGE_M: [f64; 2] = [0.3, 0.8];
+const TILT_MAX_DEG: f64 = 60.0;
 
 /// Arguments of `pb3dp cameras record`.
 #[derive(Debug, Args)]
@@ -59,15 +60,15 @@ pub(super) struct RecordArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pairs: Option<u64>,
     /// The target in the left picture of the first pair, for `pb3dp track`: rect:X,Y,WIDTH,HEIGHT or poly:X1,Y1;X2,Y2;X3,Y3; without it
-    /// the middle of the picture.
+    /// that of the setup, or the middle of the picture.
     #[arg(long, value_name = "REGION")]
     region: Option<RegionSpec>,
-    /// Depths to search there, millimetres; without it 300,800.
+    /// Depths to search there, millimetres; without it those of the setup, or 300,800.
     #[arg(long, value_name = "MIN,MAX", value_parser = parse_z_range, allow_hyphen_values = true)]
     z_range: Option<ZRange>,
-    /// Largest tilt to search there, degrees.
-    #[arg(long, value_name = "DEGREES", value_parser = parse_tilt, default_value = "60", allow_hyphen_values = true)]
-    tilt_max: f64,
+    /// Largest tilt to search there, degrees; without it that of the setup, or 60.
+    #[arg(long, value_name = "DEGREES", value_parser = parse_tilt, allow_hyphen_values = true)]
+    tilt_max: Option<f64>,
     /// Store pictures as JPEG of this quality, which is lossy; without it as PNG.
     #[arg(long, value_name = "1..100", value_parser = clap::value_parser!(u8).range(1..=100))]
     jpeg: Option<u8>,
@@ -118,7 +119,7 @@ fn recorded(
     args: &RecordArgs,
     is_over: &mut dyn FnMut() -> bool,
 ) -> Result<Recorded> {
-    let Chosen { config, rig } = args.cameras.chosen()?;
+    let Chosen { config, rig, target } = args.cameras.chosen()?;
     let Some(rig) = rig else {
         bail!("a sequence needs a calibration: give --calib FILE (docs/rig.md)");
     };
@@ -128,7 +129,7 @@ fn recorded(
         queue: usize::from(args.queue),
         writers: usize::from(args.writers.unwrap_or_else(writers)),
     };
-    let draft = draft(args, rig.left().size())?;
+    let draft = draft(args, &target, rig.left().size())?;
     let mut camera =
         V4l2StereoCamera::open(system, Arc::clone(&clock), &config).context("the cameras can not be used")?;
     check_size(&rig, camera.info().size)?;
@@ -145,29 +146,38 @@ fn writers() -> u8 {
     u8::try_from(processors.saturating_sub(1).clamp(1, 8)).unwrap_or(1)
 }
 
-/// What the sequence says beside its pairs.
-fn draft(args: &RecordArgs, size: ImageSize) -> Result<SequenceDraft> {
+/// What the sequence says beside its pairs: what is typed goes before what the setup has.
+fn draft(args: &RecordArgs, target: &ChosenTarget, size: ImageSize) -> Result<SequenceDraft> {
     let [width, height] = [f64::from(size.width), f64::from(size.height)];
     let middle = RegionSpec::Rectangle([0.375 * width, 0.375 * height, 0.25 * width, 0.25 * height]);
-    let region_polygon_left_px = match args.region.as_ref().unwrap_or(&middle) {
+    let (key, region) = match (&args.region, &target.region) {
+        (Some(region), _) => ("--region", region),
+        (None, Some(RegionSpec::Mask(_) | RegionSpec::Click(_))) => {
+            tracing::warn!(
+                "camera.region: a sequence has a polygon, so it gets the middle of the picture; give --region to have another one"
+            );
+            ("", &middle)
+        }
+        (None, Some(region)) => ("camera.region", region),
+        (None, None) => ("", &middle),
+    };
+    let region_polygon_left_px = match region {
         RegionSpec::Rectangle([x, y, w, h]) => vec![[*x, *y], [x + w, *y], [x + w, y + h], [*x, y + h]],
         RegionSpec::Polygon(corners) => corners.clone(),
         RegionSpec::Mask(_) | RegionSpec::Click(_) => {
-            bail!("--region: a sequence has a polygon: write rect:X,Y,WIDTH,HEIGHT or poly:X1,Y1;X2,Y2;X3,Y3")
+            bail!("{key}: a sequence has a polygon: write rect:X,Y,WIDTH,HEIGHT or poly:X1,Y1;X2,Y2;X3,Y3")
         }
     };
     let is_inside = |[u, v]: &[f64; 2]| (-0.5..=width - 0.5).contains(u) && (-0.5..=height - 0.5).contains(v);
     if let Some([u, v]) = region_polygon_left_px.iter().find(|corner| !is_inside(corner)) {
-        bail!("--region: the corner {u},{v} is outside of the left picture, which has {width}x{height} pixels");
+        bail!("{key}: the corner {u},{v} is outside of the left picture, which has {width}x{height} pixels");
     }
-    let range = args.z_range.unwrap_or(Z_RANGE);
+    let typed = args.z_range.map(|typed| [typed.min_mm * 1e-3, typed.max_mm * 1e-3]);
+    let [z_min_m, z_max_m] = typed.or(target.range.map(|range| [range.z_min_m, range.z_max_m])).unwrap_or(Z_RANGE_M);
+    let tilt_max_rad = args.tilt_max.map(f64::to_radians).or(target.range.map(|range| range.tilt_max_rad));
     Ok(SequenceDraft {
         region_polygon_left_px,
-        search: SearchRange {
-            z_min_m: range.min_mm * 1e-3,
-            z_max_m: range.max_mm * 1e-3,
-            tilt_max_rad: args.tilt_max.to_radians(),
-        },
+        search: SearchRange { z_min_m, z_max_m, tilt_max_rad: tilt_max_rad.unwrap_or(TILT_MAX_DEG.to_radians()) },
         pictures: args.jpeg.map_or(PictureFormat::QuickPng, |quality| PictureFormat::Jpeg { quality }),
     })
 }

@@ -71,6 +71,27 @@ fn every_pair_is_kept_as_it_was_and_track_reads_it() {
 }
 
 #[test]
+fn a_recording_says_what_the_setup_says_of_the_target_unless_it_is_typed() {
+    let place = Place::new();
+    let size = ImageSize { width: 640, height: 480 };
+    let range = pb3dp_estimation::plane_hypothesis::SearchRange { z_min_m: 0.35, z_max_m: 0.65, tilt_max_rad: 0.5 };
+    let with = |region: &str| ChosenTarget { region: Some(region.parse().unwrap()), range: Some(range) };
+    let told = |more: &[&str], target: &ChosenTarget| {
+        let SequenceDraft { region_polygon_left_px, search, .. } = draft(&place.args(more), target, size).unwrap();
+        (region_polygon_left_px[0], [search.z_min_m, search.z_max_m, search.tilt_max_rad])
+    };
+    let of_setup = with("rect:100,120,80,60");
+    assert_eq!(told(&[], &of_setup), ([100.0, 120.0], [0.35, 0.65, 0.5]));
+    let typed = ["--region", "rect:7,8,90,90", "--z-range", "400,500", "--tilt-max", "10"];
+    assert_eq!(told(&typed, &of_setup), ([7.0, 8.0], [0.4, 0.5, 10_f64.to_radians()]));
+    // A point is no polygon; nothing is said without a setup.
+    assert_eq!(told(&[], &with("click:300,200")), ([240.0, 180.0], [0.35, 0.65, 0.5]));
+    assert_eq!(told(&[], &ChosenTarget::default()), ([240.0, 180.0], [0.3, 0.8, 60_f64.to_radians()]));
+    let outside = draft(&place.args(&[]), &with("rect:600,120,80,60"), size).unwrap_err().to_string();
+    assert!(outside.contains("camera.region: the corner 680,120 is outside"), "{outside}");
+}
+
+#[test]
 fn an_end_by_hand_is_an_end_in_order() {
     let place = Place::new();
     let mut calls = 0;
@@ -98,11 +119,11 @@ fn seconds_are_those_of_the_cameras() {
 /// A writer into the place, and cameras, for the recorder itself.
 fn parts(place: &Place, plan: &[&str]) -> (V4l2StereoCamera, Arc<dyn Clock>, SequenceWriter) {
     let args = place.args(plan);
-    let Chosen { config, rig } = args.cameras.chosen().unwrap();
+    let Chosen { config, rig, target } = args.cameras.chosen().unwrap();
     let rig = rig.unwrap();
     let (system, clock) = system(|_, _| {});
     let camera = V4l2StereoCamera::open(system, clock.clone(), &config).unwrap();
-    let draft = draft(&args, rig.left().size()).unwrap();
+    let draft = draft(&args, &target, rig.left().size()).unwrap();
     (camera, clock, SequenceWriter::create(&args.out, &rig, draft).unwrap())
 }
 
