@@ -18,7 +18,10 @@ use pb3dp_orchestrator::config::setup::{ArmLink, RealCameras, Setup, read_setup}
 use pb3dp_orchestrator::run::channels::Plan;
 use pb3dp_orchestrator::run::experiment::{Ended, conduct};
 use pb3dp_orchestrator::run::summary::summarize;
+use pb3dp_orchestrator::run::swing;
 use pb3dp_orchestrator::wiring::wire_with;
+use pb3dp_record::dataset::load_sequence;
+use pb3dp_servo::identification::Excitation;
 use system_tests::repository;
 
 /// Half of the size in `configs/rig.toml`, and half of its rate.
@@ -96,6 +99,62 @@ fn run(setup: &Setup, system: &EmulatedSystem, seconds: f64, fate: impl FnOnce()
 
 fn plug(system: &EmulatedSystem, number: usize, is_in: bool) {
     system.with(number, |camera| camera.faults.is_unplugged = !is_in).unwrap();
+}
+
+#[test]
+fn what_real_cameras_see_is_recorded_and_can_be_read() {
+    patiently(records);
+}
+
+fn records() {
+    let (setup, system) = rig();
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("recording");
+    let parts = wire_with(&setup, Arc::new(system)).unwrap();
+    let Ended { outcome, how } = conduct(&setup, parts, Some(2.0), Some(&folder)).unwrap();
+    how.unwrap();
+    let sequence = load_sequence(&folder).unwrap();
+    assert!(!sequence.is_unfinished && sequence.frames() > 10, "{} frames", sequence.frames());
+    assert!(sequence.frames() as usize <= outcome.log.leading.frames.len() + 1);
+    // The region is the one that was marked, and nobody knows the truth.
+    let side = |axis: usize| sequence.region_polygon_left_px.iter().map(move |corner| corner[axis]);
+    let ends = [0, 1].map(|axis| [side(axis).fold(f64::MAX, f64::min), side(axis).fold(f64::MIN, f64::max)]);
+    let is_near = |found: f64, expected: f64| (found - expected).abs() < 3.0;
+    let marked = [[157.0, 237.0], [80.0, 160.0]];
+    assert!(
+        ends.iter().flatten().zip(marked.iter().flatten()).all(|(found, expected)| is_near(*found, *expected)),
+        "{ends:?}"
+    );
+    assert!(sequence.cam_left_from_model.is_none());
+    assert!((sequence.search.z_min_m - setup.range.z_min_m).abs() < 1e-9, "{:?}", sequence.search);
+    // Each pair is one that was painted, left and right of the same number, 67 ms after the one before or a multiple of that.
+    let number = |picture: &image::RgbImage| (0..8).map(|u| u32::from(picture.get_pixel(u, 0)[0])).collect::<Vec<_>>();
+    let read = |frame| sequence.load_pictures(frame, SIZE).unwrap();
+    for frame in 1..sequence.frames() {
+        let (before, now) = (read(frame - 1), read(frame));
+        assert_eq!(number(&now.left), number(&now.right), "frame {frame}");
+        assert_ne!(number(&now.left), number(&before.left), "frame {frame}");
+        let periods = (sequence.times_s[frame as usize] - sequence.times_s[frame as usize - 1]) * 15.0;
+        assert!((periods - periods.round()).abs() < 0.01 && periods > 0.9, "frame {frame}: {periods} periods");
+    }
+}
+
+#[test]
+fn a_hand_is_swung_before_the_region_that_is_marked() {
+    patiently(swings);
+}
+
+fn swings() {
+    let (setup, system) = rig();
+    let parts = wire_with(&setup, Arc::new(system)).unwrap();
+    let swung = swing::run(&setup, parts, Excitation::new(3e-3, 6.0).unwrap()).unwrap();
+    assert!(swung.seen.len() > 40 && swung.joints.len() > 400, "{} seen", swung.seen.len());
+    // Where the marked region is: straight before the hand, at 500 mm, in pictures that never change.
+    let first = swung.seen[0].cam_left_from_model.translation_m();
+    assert!((first.z - 0.5).abs() < 0.01 && (first.x - 0.05).abs() < 0.01, "{first}");
+    let joint = |k: usize| swung.joints.iter().map(move |sample| sample.position_rad[k]);
+    let way = (0..7).map(|k| joint(k).fold(f64::MIN, f64::max) - joint(k).fold(f64::MAX, f64::min)).fold(0.0, f64::max);
+    assert!(way > 1e-3, "no joint has moved by more than {way} rad");
 }
 
 #[test]

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use pb3dp_camera_v4l2::pairing::Drift;
 use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_camera_v4l2::{ReopeningCamera, StereoConfig};
 use pb3dp_geometry::StereoRig;
@@ -67,11 +68,17 @@ struct WatchedCamera {
 }
 
 impl WatchedCamera {
-    fn look_at_drift(&mut self) {
-        let Some(drift) = self.camera.counters().drift else { return };
+    /// What there is to say of the drift; once, until there is nothing.
+    fn look_at_drift(&mut self) -> Option<String> {
+        let what = self.trouble(&self.camera.counters().drift?);
+        let was_told = std::mem::replace(&mut self.is_drift_told, what.is_some());
+        what.filter(|_| !was_told)
+    }
+
+    fn trouble(&self, drift: &Drift) -> Option<String> {
         let StereoConfig { skew_max, .. } = self.cameras.stereo;
         let (skew_millis, ppm) = (drift.skew_s * 1e3, drift.rate * 1e6);
-        let what = match self.cameras.synchronisation {
+        match self.cameras.synchronisation {
             Synchronisation::HardwareTrigger if drift.rate.abs() > DRIFT_MAX + DRIFT_PER_SCATTER * drift.scatter_s => {
                 Some(format!(
                     "their skew of {skew_millis:.2} ms drifts by {ppm:.0} us per second: they are not triggered by one signal, as \
@@ -85,11 +92,7 @@ impl WatchedCamera {
                 )
             }),
             Synchronisation::HardwareTrigger => None,
-        };
-        if let (Some(what), false) = (&what, self.is_drift_told) {
-            tracing::warn!("cameras: {what}");
         }
-        self.is_drift_told = what.is_some();
     }
 }
 
@@ -101,8 +104,10 @@ impl StereoCamera for WatchedCamera {
     fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
         self.camera.next_pair_into(pair, timeout)?;
         self.pairs += 1;
-        if self.pairs.is_multiple_of(DRIFT_EVERY) {
-            self.look_at_drift();
+        if self.pairs.is_multiple_of(DRIFT_EVERY)
+            && let Some(what) = self.look_at_drift()
+        {
+            tracing::warn!("cameras: {what}");
         }
         Ok(())
     }
@@ -120,5 +125,64 @@ impl Drop for WatchedCamera {
             counters.left,
             counters.right
         );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem};
+    use pb3dp_geometry::ImageSize;
+    use pb3dp_hal_clock::VirtualClock;
+
+    use super::*;
+    use crate::config::setup::read_cameras;
+
+    /// What is told of the drift of two cameras, the right one slower by this, with the number of the pair at which it is told.
+    fn told(synchronisation: Synchronisation, slowness: f64, pairs: u64) -> Vec<(u64, String)> {
+        let clock: Arc<dyn Clock> = Arc::new(VirtualClock::default());
+        let mut cameras = read_cameras(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/rig.toml")).unwrap();
+        cameras.synchronisation = synchronisation;
+        for (number, eye) in [&mut cameras.stereo.left, &mut cameras.stereo.right].into_iter().enumerate() {
+            eye.name = format!("bus:usb-emulated-{number}").parse().unwrap();
+            eye.mode.size = ImageSize { width: 64, height: 48 };
+        }
+        let emulated = (0..2).map(|number| {
+            let slowness = slowness * f64::from(number);
+            EmulatedCamera { slowness, ..EmulatedCamera::usual(number) }
+        });
+        let system = Arc::new(EmulatedSystem::new(clock.clone(), emulated.collect()));
+        let camera = ReopeningCamera::open(system, clock, cameras.stereo.clone(), cameras.reopen_for).unwrap();
+        let mut camera = WatchedCamera { camera, cameras, pairs: 0, is_drift_told: false };
+        let mut pair = FramePair::black(camera.info().size);
+        let mut told = Vec::new();
+        for number in 1..=pairs {
+            camera.camera.next_pair_into(&mut pair, Duration::from_secs(1)).unwrap();
+            if number % DRIFT_EVERY == 0 {
+                told.extend(camera.look_at_drift().map(|what| (number, what)));
+            }
+        }
+        told
+    }
+
+    #[test]
+    fn free_running_cameras_are_told_before_their_pairs_are_refused_and_only_once() {
+        // 0.1 ms per second: 5 ms are reached after 50 s, which is pair 1500; 30 s before that is pair 600.
+        let free = told(Synchronisation::FreeRunning, 1e-4, 1400);
+        let [(number, what)] = free.as_slice() else { panic!("{free:?}") };
+        assert!((600..=600 + 2 * DRIFT_EVERY).contains(number), "{free:?}");
+        assert!(what.contains("drifts by 100 us per second and passes camera.skew_max_millis in"), "{what}");
+        assert_eq!(told(Synchronisation::FreeRunning, 1e-6, 1400), []);
+    }
+
+    #[test]
+    fn cameras_that_are_said_to_be_triggered_and_are_not_are_told() {
+        let apart = told(Synchronisation::HardwareTrigger, 1e-4, 1400);
+        assert!(
+            matches!(apart.as_slice(), [(_, what)] if what.contains("they are not triggered by one signal")),
+            "{apart:?}"
+        );
+        assert_eq!(told(Synchronisation::HardwareTrigger, 0.0, 1400), []);
     }
 }

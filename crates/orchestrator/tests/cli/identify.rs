@@ -32,6 +32,16 @@ fn nothing_moves_without_its_word() {
 }
 
 #[test]
+fn a_region_is_for_real_cameras() {
+    let region = ["--region", "rect:250,170,110,110"];
+    let simulated = ["identify", "delay", "--config", &config("sim.toml")];
+    pb3dp(&[&simulated[..], &region].concat()).assert_refused(&["--region", "the cameras of this setup are simulated"]);
+    let real = ["identify", "delay", "--config", &config("rig.toml")];
+    let output = pb3dp(&[&real[..], &region].concat()).assert_success();
+    assert!(output.stdout.contains("nothing was moved; add --move"), "{}", output.stdout);
+}
+
+#[test]
 fn a_folder_that_can_not_be_made_is_found_before_anything_moves() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("a file");
