@@ -1,6 +1,6 @@
 //! A run with real cameras, whose drivers are emulated call by call: no truth, a region that somebody has marked, and plugs that are pulled.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 #[path = "../../hal/arm-pa10/tests/common/patience.rs"]
 mod patience;
