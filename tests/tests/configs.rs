@@ -128,6 +128,7 @@ fn the_rig_differs_in_cameras_arms_and_caution() {
         }
     }
     assert!(hil.remove("scene").is_some() && !rig.contains_key("scene"));
+    assert!(rig.remove("drift").is_some());
     assert!(hil["estimator"].as_table_mut().unwrap().remove("geometric").is_some());
     for arm in ["vs", "tc"] {
         let gateway = rig["arms"][arm]["gateway"].as_table_mut().unwrap();

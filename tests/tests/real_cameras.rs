@@ -186,6 +186,9 @@ fn holds_rests_and_goes_on() {
     let moved = (last.world_from_hand.translation_m() - first.world_from_hand.translation_m()).norm();
     assert!(moved < 0.02 && last.t_s > 8.5, "{moved} m in {} s", last.t_s);
     assert!(summary.frames > 50 && summary.frames_without_pose < summary.frames / 4, "{told}");
+    // It has looked after its cameras, every two seconds.
+    assert_eq!(summary.drift.len(), 4, "{:?}", summary.drift);
+    assert!(summary.drift.iter().all(|one| one.looks + one.blind_looks >= 2), "{:?}", summary.drift);
     // Nobody knows the truth.
     assert!(summary.without_truth && summary.lock.is_none() && summary.channels.is_empty(), "{summary:?}");
     assert!(summary.tracking_position_mm.is_none() && summary.estimation_depth_mm.is_none(), "{summary:?}");

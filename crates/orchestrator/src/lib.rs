@@ -11,6 +11,7 @@ pub mod follower;
 pub mod logging;
 pub mod panics;
 pub mod picture;
+pub mod picture_quality;
 pub mod region_spec;
 pub mod run;
 pub mod wiring;

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests may fail the test")]
 
 mod both_arms;
+mod drifting;
 mod failing;
 mod following;
 mod geometric;

@@ -84,7 +84,7 @@ impl Journal {
     /// What is left behind. Before the first estimate nobody knew where on the target the model is: those samples are
     /// completed now.
     pub fn finish(mut self, setup: &Setup, looked: Looked, commands: [CommandSummary; 2]) -> Outcome {
-        let Looked { leading, compared, pairs_lost, strip, lock } = looked;
+        let Looked { leading, compared, pairs_lost, strip, lock, drift } = looked;
         let until_s = self.log.marks.first().map_or(f64::INFINITY, |mark| mark.at_s);
         let lock = lock.map(|lock| Lock {
             target_from_model_found: mean_place(&leading, until_s).unwrap_or(lock.target_from_model_found),
@@ -104,6 +104,7 @@ impl Journal {
             leading,
             compared,
             pairs_lost,
+            drift,
             lock,
             commands: commands.into(),
             ..self.log

@@ -7,6 +7,7 @@ use pb3dp_sim::trajectory::Mark;
 
 use super::commands::CommandSummary;
 use super::cycles::CycleSummary;
+use super::drift::DriftSummary;
 use super::supervision::SupervisionLog;
 
 /// One control step.
@@ -109,6 +110,8 @@ pub struct RunLog {
     pub supervision: SupervisionLog,
     /// Pairs that the camera could not deliver.
     pub pairs_lost: u64,
+    /// How far the cameras are from what was calibrated, if somebody has looked at that.
+    pub drift: Vec<DriftSummary>,
     /// What became of the velocities of each arm.
     pub commands: Vec<CommandSummary>,
     /// How punctual the cycles were, of a run in the machine's time.

@@ -9,6 +9,7 @@ pub mod commands;
 pub mod compared;
 pub mod console;
 pub mod cycles;
+pub mod drift;
 pub mod experiment;
 pub mod eyes;
 pub mod flight;

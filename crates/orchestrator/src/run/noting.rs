@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::{Result, bail};
 use nalgebra::{Vector2, Vector3};
+use pb3dp_estimation::EstimationError;
 use pb3dp_estimation::published::TrackEstimate;
 use pb3dp_estimation::region::Region;
 use pb3dp_geometry::frames::{CamLeft, Model, Target};
@@ -11,12 +12,13 @@ use pb3dp_geometry::{MonotonicTime, Pose};
 
 use super::capturing::{Captured, View};
 use super::compared::{Frame, Onlooker};
+use super::drift::{DriftSummary, DriftWatch};
 use super::eyes::Marking;
 use super::log::{Lock, MethodLog};
 use super::looking::Seen;
 use super::recording::Recording;
 use super::strip::Strip;
-use crate::config::setup::Setup;
+use crate::config::setup::{Setup, Synchronisation};
 use crate::picture::model_frame_on_plane;
 
 /// What is written down of pictures; the methods that only look on are a part of it.
@@ -30,6 +32,7 @@ pub struct Noting<'a> {
     onlookers: Vec<Onlooker>,
     strip: Strip,
     recording: Option<Recording>,
+    drift: Option<DriftWatch>,
 }
 
 /// What was written down of pictures.
@@ -44,6 +47,8 @@ pub struct Looked {
     pub strip: Strip,
     /// Where on the target the model's frame is; none without an estimate.
     pub lock: Option<Lock>,
+    /// How far the cameras are from what was calibrated, if somebody has looked at that.
+    pub drift: Vec<DriftSummary>,
 }
 
 impl<'a> Noting<'a> {
@@ -64,6 +69,7 @@ impl<'a> Noting<'a> {
         Ok(Self {
             onlookers: if has_pictures { Onlooker::all_of(setup)? } else { Vec::new() },
             strip: if has_pictures { strip } else { Strip::default() },
+            drift: if has_pictures { watch(setup)? } else { None },
             recording: record.map(|folder| Recording::new(folder, setup)),
             begin,
             marking,
@@ -103,6 +109,10 @@ impl<'a> Noting<'a> {
         for onlooker in &mut self.onlookers {
             onlooker.look(pair, &frame);
         }
+        let drifted = self.drift.as_mut().map(|drift| drift.look(captured.frame.at, captured.frame.skew_s, pair));
+        for line in drifted.into_iter().flatten() {
+            tracing::warn!("{line}");
+        }
         let Some(recording) = &mut self.recording else { return Ok(()) };
         let outline_px = match recording.is_open() {
             true => None,
@@ -122,8 +132,16 @@ impl<'a> Noting<'a> {
     /// What was written down, with the pairs that the camera could not deliver.
     pub fn finish(self, pairs_lost: u64) -> Looked {
         let compared = self.onlookers.into_iter().map(Onlooker::into_log).collect();
-        Looked { leading: self.leading, compared, pairs_lost, strip: self.strip, lock: self.lock }
+        let drift = self.drift.map(DriftWatch::summaries).unwrap_or_default();
+        Looked { leading: self.leading, compared, pairs_lost, strip: self.strip, lock: self.lock, drift }
     }
+}
+
+/// What looks whether the cameras still are what was calibrated, if the setup asks for it.
+fn watch(setup: &Setup) -> Result<Option<DriftWatch>, EstimationError> {
+    let real = setup.real_cameras.as_ref();
+    let is_synchronous = real.is_none_or(|cameras| cameras.synchronisation == Synchronisation::HardwareTrigger);
+    setup.drift.map(|config| DriftWatch::new(config, &setup.rig, is_synchronous)).transpose()
 }
 
 /// A region as a polygon; of one that has no corners what the method has made of it.

@@ -11,6 +11,7 @@ use pb3dp_record::report::{LinePlot, Report, ReportPicture, Series, SeriesColor,
 use super::channels::ChannelSummary;
 use super::commands;
 use super::cycles;
+use super::drift;
 use super::journal::Outcome;
 use super::log::{ControlSample, RunLog};
 use super::methods;
@@ -97,7 +98,7 @@ fn page(
         .paragraph("How many of the velocities the limiter of each arm changed, to keep its limits, and how many were refused.")
         .table(&commands::table(&summary.commands));
     let report = with_cycles(report, summary).heading("Errors over time").panels(&error_panels(log, summary));
-    with_pictures(report, &strip)
+    with_pictures(with_drift(report, summary), &strip)
         .heading("Supervisor")
         .paragraph(&summary.supervisor.paragraph())
         .table(&summary.supervisor.transition_table())
@@ -130,6 +131,20 @@ fn with_pictures(report: Report, strip: &[(ReportPicture<'_>, String)]) -> Repor
         .heading("What the cameras saw")
         .paragraph("Left: region and axes of the model. Right: where the estimated pose puts the region's outline.")
         .images(strip)
+}
+
+/// Whether the cameras still are what was calibrated.
+fn with_drift(report: Report, summary: &RunSummary) -> Report {
+    if summary.drift.is_empty() {
+        return report;
+    }
+    report
+        .heading("Drift of the cameras")
+        .paragraph(
+            "Each value is the median of five looks; all are zero where the calibration holds and both eyes are alike. What is too far \
+             makes estimates worse before it is seen: calibrate again.",
+        )
+        .table(&drift::table(&summary.drift))
 }
 
 /// How punctual a run in the machine's time was.
@@ -362,6 +377,7 @@ pub fn text_table(summary: &RunSummary) -> String {
     if summary.without_pictures {
         text += "no picture was rendered: the estimates are the true poses with the noise of estimator.geometric\n";
     }
+    text += &drift::text_lines(&summary.drift);
     text.push('\n');
     text += &methods::text_table(&summary.methods);
     text.push('\n');

@@ -15,6 +15,7 @@ use serde::Serialize;
 use super::channels::{self, ChannelSummary, LockedErrors, Plan};
 use super::commands::CommandSummary;
 use super::cycles::CycleSummary;
+use super::drift::DriftSummary;
 use super::log::{ControlSample, Lock, RunLog};
 use super::methods::{self, MethodSummary};
 use super::supervision::Supervision;
@@ -92,6 +93,8 @@ pub struct RunSummary {
     pub rotation_about_normal_observed: bool,
     /// Pairs that the camera could not deliver.
     pub pairs_lost: u64,
+    /// How far the cameras are from what was calibrated, if somebody has looked at that.
+    pub drift: Vec<DriftSummary>,
     /// Wall time from the pair in memory to the estimate, milliseconds: median.
     pub latency_p50_millis: Option<f64>,
     /// The same, 99th percentile.
@@ -169,6 +172,7 @@ pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
         }),
         rotation_about_normal_observed: log.leading.rotation_about_normal_observed,
         pairs_lost: log.pairs_lost,
+        drift: log.drift.clone(),
         latency_p50_millis: percentile(&latencies, 50.0),
         latency_p99_millis: percentile(&latencies, 99.0),
         supervisor: log.supervision.summary(),

@@ -3,6 +3,7 @@
 mod arms;
 mod camera;
 mod camera_faults;
+mod drift;
 mod experiment;
 mod geometric;
 mod geometry;
@@ -35,6 +36,8 @@ use serde::Deserialize;
 pub use self::arms::ArmSetup;
 use self::arms::{ArmsSection, MountsSection};
 use self::camera::SceneSection;
+pub use self::drift::DriftConfig;
+use self::drift::DriftSection;
 use self::experiment::ExperimentSection;
 pub use self::experiment::{Carrier, Experiment};
 use self::geometric::GeometricSection;
@@ -70,6 +73,8 @@ pub struct Setup {
     pub real_cameras: Option<RealCameras>,
     /// What goes wrong with simulated cameras.
     pub camera_faults: CameraFaults,
+    /// When a run warns that the cameras are not any more what was calibrated, if the file says so.
+    pub drift: Option<DriftConfig>,
     /// What their sensors do to the light.
     pub sensor: SensorConfig,
     /// What stands in the simulated cell.
@@ -142,6 +147,7 @@ struct SetupFile {
     run: RunSection,
     camera: CameraEntry,
     scene: Option<SceneSection>,
+    drift: Option<DriftSection>,
     estimator: EstimatorSection,
     servo: ServoSection,
     supervisor: SupervisorSection,
@@ -267,6 +273,7 @@ impl SetupFile {
         let hand_speed_max_m_per_s = self.servo.speed_max_m_per_s();
         let sight = camera.build((file, hand_speed_max_m_per_s), (self.scene.as_ref(), self.run.seed), check);
         let experiment = self.experiment.build(check);
+        let drift = self.drift.map(|section| section.build(check));
         let control_period_millis = within(self.run.control_period_millis, 2.0, period_max_millis);
         let arms = self.arms.build(file, control_period_millis, check);
         let mounts = self.mounts.build(check);
@@ -302,6 +309,7 @@ impl SetupFile {
             camera,
             real_cameras,
             camera_faults,
+            drift,
             sensor,
             scene,
             leader: leader?,
