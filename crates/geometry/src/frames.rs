@@ -40,4 +40,6 @@ frames! {
     Model = "model";
     /// The object carried by the target arm, as the simulator describes it.
     Target = "target";
+    /// On a calibration board: origin at its first corner, x along the rows, y down the columns, z into the board.
+    Board = "board";
 }

@@ -177,6 +177,18 @@ fn lens() -> impl Strategy<Value = Camera> {
     })
 }
 
+/// The same lens with one coefficient changed.
+fn moved(lens: &Distortion, index: usize, step: f64) -> Distortion {
+    let mut lens = *lens;
+    match &mut lens {
+        Distortion::None => {}
+        Distortion::BrownConrady5 { coefficients } => coefficients[index] += step,
+        Distortion::BrownConrady8 { coefficients } => coefficients[index] += step,
+        Distortion::Equidistant { coefficients } => coefficients[index] += step,
+    }
+    lens
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
@@ -211,6 +223,20 @@ proptest! {
             behind[axis] -= step;
             let slope = (camera.project(&ahead).unwrap() - camera.project(&behind).unwrap()) / (2.0 * step);
             prop_assert!((slope - jacobian.column(axis)).amax() < 2e-5 * (1.0 + jacobian.amax()), "axis {}", axis);
+        }
+    }
+
+    #[test]
+    fn derivatives_by_coefficients_agree_with_finite_differences(
+        camera in lens(), x in -0.5..0.5_f64, y in -0.4..0.4_f64,
+    ) {
+        let (xy, lens) = (Vector2::new(x, y), *camera.distortion());
+        let derivatives = lens.distort_by_coefficients(&xy);
+        prop_assert_eq!(derivatives.len(), lens.coefficients().len());
+        for (index, derivative) in derivatives.iter().enumerate() {
+            let step = 1e-5;
+            let slope = (moved(&lens, index, step).distort(&xy) - moved(&lens, index, -step).distort(&xy)) / (2.0 * step);
+            prop_assert!((slope - derivative).amax() < 1e-9, "{:?} {}: {} {}", lens, index, slope, derivative);
         }
     }
 

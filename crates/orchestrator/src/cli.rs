@@ -7,6 +7,7 @@ use pb3dp_estimation::estimator::Method;
 use pb3dp_record::dataset::TILT_LIMIT_DEG;
 
 use crate::commands::arm::ArmArgs;
+use crate::commands::calibrate::CalibrateArgs;
 use crate::commands::cameras::CamerasArgs;
 use crate::commands::doctor::DoctorArgs;
 use crate::commands::identify::IdentifyArgs;
@@ -49,6 +50,8 @@ pub enum Command {
     Gateway(GatewayArgs),
     /// The cameras of a rig: which there are, and what they can do (docs/rig.md).
     Cameras(CamerasArgs),
+    /// Calibrate cameras and stereo heads from pictures of a board, by the program pb3dp-calibrate (docs/calibration.md).
+    Calibrate(CalibrateArgs),
     /// Plan a stereo head: what cameras, lenses and a baseline give (docs/rig.md).
     Rig(RigArgs),
     /// Check whether this machine can do what a rig asks of it, and say what to do where it can not (docs/rig.md).

@@ -34,6 +34,7 @@ fn main() -> ExitCode {
         Command::MockArm(args) => commands::mock_arm::run(args),
         Command::Gateway(args) => commands::gateway::run(args),
         Command::Cameras(args) => commands::cameras::run(args),
+        Command::Calibrate(args) => commands::calibrate::run(args),
         Command::Rig(args) => commands::rig::run(args),
         Command::Doctor(args) => commands::doctor::run(args),
     };

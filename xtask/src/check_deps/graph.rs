@@ -7,7 +7,7 @@ use crate::violation::Violation;
 
 /// One line per package: which of our packages it may depend on. Lowest floor first; a package may name only what stands
 /// above its own line. Names without the prefix `pb3dp-`.
-const ALLOWED: [(&str, &[&str]); 18] = [
+const ALLOWED: [(&str, &[&str]); 19] = [
     ("allocation-count", &[]),
     ("safeguards", &[]),
     ("geometry", &[]),
@@ -25,6 +25,7 @@ const ALLOWED: [(&str, &[&str]); 18] = [
     ("camera-v4l2", &["geometry", "hal-api"]),
     ("arm-pa10", &["safeguards", "geometry", "kinematics", "hal-api", "sim"]),
     ("benchmarks", &["geometry", "estimation", "record", "sim"]),
+    ("calibration", &["geometry", "record"]),
     (
         "orchestrator",
         &[
@@ -54,14 +55,14 @@ const ALLOWED_IN_ALL_TESTS: &str = "allocation-count";
 const ALLOWED_IN_HAL_TESTS: [&str; 2] = ["hal-conformance", "hal-clock"];
 
 /// What tests of one package may use besides: a wrapper is tested around the arm that needs no hardware.
-const ALLOWED_IN_TESTS_OF: [(&str, &[&str]); 1] = [("hal-middleware", &["arm-pa10", "sim"])];
+const ALLOWED_IN_TESTS_OF: [(&str, &[&str]); 2] = [("hal-middleware", &["arm-pa10", "sim"]), ("calibration", &["sim"])];
 
 /// Packages outside the table: the whole-system tests see everything, the commands see nothing.
 const SEES_ALL: &str = "system-tests";
 const SEES_NOTHING: &str = "xtask";
 
 /// Packages that may turn structures into text and back.
-const SERDE_USERS: [&str; 3] = ["orchestrator", "record", "benchmarks"];
+const SERDE_USERS: [&str; 4] = ["orchestrator", "record", "benchmarks", "calibration"];
 const SERDE_CRATES: [&str; 6] = ["serde", "serde_json", "serde-saphyr", "toml", "figment", "serde_derive"];
 
 /// Lets tests switch safeguards off: nothing may enable it but who builds a test and says so.

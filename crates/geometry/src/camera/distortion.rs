@@ -82,6 +82,21 @@ impl Distortion {
         }
     }
 
+    /// The derivative of [`Self::distort`] by each coefficient, in the model's order; empty for [`Self::None`].
+    pub fn distort_by_coefficients(&self, xy: &Vector2<f64>) -> Vec<Vector2<f64>> {
+        match self {
+            Self::None => Vec::new(),
+            Self::Equidistant { .. } => {
+                let r = xy.norm();
+                let angle_rad = r.atan();
+                let outwards = if r < 1e-8 { Vector2::zeros() } else { xy / r };
+                (1..=4).map(|n| outwards * angle_rad.powi(2 * n + 1)).collect()
+            }
+            Self::BrownConrady5 { .. } => self.brown().by_coefficients(xy)[..5].to_vec(),
+            Self::BrownConrady8 { .. } => self.brown().by_coefficients(xy).to_vec(),
+        }
+    }
+
     /// The undistorted normalised coordinates whose distortion is `distorted`, within `tolerance` (normalised units);
     /// `None` where the model has no inverse inside `fold_radius` (see [`Self::fold_radius`]).
     pub(crate) fn undistort(&self, distorted: &Vector2<f64>, fold_radius: f64, tolerance: f64) -> Option<Vector2<f64>> {
@@ -174,6 +189,18 @@ impl Brown {
             x * factor + 2.0 * p1 * x * y + p2 * (s + 2.0 * x * x),
             y * factor + p1 * (s + 2.0 * y * y) + 2.0 * p2 * x * y,
         )
+    }
+
+    /// The derivatives by k1, k2, p1, p2, k3, k4, k5, k6.
+    fn by_coefficients(&self, xy: &Vector2<f64>) -> [Vector2<f64>; 8] {
+        let (x, y) = (xy.x, xy.y);
+        let s = x * x + y * y;
+        let (above, below) = (cubic(&self.radial, s).0, cubic(&self.divisor, s).0);
+        let radial = |power: i32| xy * (s.powi(power) / below);
+        let divisor = |power: i32| xy * (-above * s.powi(power) / (below * below));
+        let p1 = Vector2::new(2.0 * x * y, s + 2.0 * y * y);
+        let p2 = Vector2::new(s + 2.0 * x * x, 2.0 * x * y);
+        [radial(1), radial(2), p1, p2, radial(3), divisor(1), divisor(2), divisor(3)]
     }
 
     fn distort_with_jacobian(&self, xy: &Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {

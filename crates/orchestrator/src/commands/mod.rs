@@ -1,6 +1,7 @@
 //! The subcommands, one file each: arguments in, exit code out.
 
 pub mod arm;
+pub mod calibrate;
 pub mod cameras;
 pub mod doctor;
 pub mod estimate;

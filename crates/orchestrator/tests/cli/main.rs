@@ -5,6 +5,7 @@ mod arm;
 mod arm_on_bus;
 mod arm_test;
 mod behind_gateway;
+mod calibrate;
 mod cameras;
 mod deploy;
 mod doctor;

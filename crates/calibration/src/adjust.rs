@@ -1,0 +1,384 @@
+//! The joint adjustment: cameras, their poses to each other and the board's pose in every view, by least squares of the
+//! reprojection errors of all corners.
+//!
+//! Levenberg-Marquardt on the normal equations; the poses of the board are eliminated view by view (Schur complement: Triggs
+//! et al., Bundle Adjustment: A Modern Synthesis, 2000, section 6.1), so what is solved is as large as the number of parameters
+//! that all views share. Poses move by `exp(xi)`, `xi` = [translation; rotation]: the second camera's in its own frame, the
+//! board's in the frame of the board.
+
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Matrix6xX, Point3, SMatrix, Vector2, Vector6};
+use pb3dp_geometry::{Camera, CameraError, Pinhole, se3, so3};
+
+use crate::board::{Chessboard, Sighting};
+use crate::lens::LensModel;
+
+/// Steps allowed; a good start takes five to fifteen.
+const STEPS_MAX: usize = 200;
+/// Where damping begins, and where no step helps any more.
+const DAMPING: [f64; 2] = [1e-4, 1e12];
+/// A step that lowers the cost by a smaller share is the last one.
+const DECREASE_MIN: f64 = 1e-13;
+/// Numbers of a pinhole.
+const PINHOLE: usize = 4;
+/// Numbers of a pose.
+pub(crate) const POSE: usize = 6;
+
+/// What is to be explained: the sightings of each view, one per camera.
+pub(crate) struct Observations<'a> {
+    pub board: &'a Chessboard,
+    pub views: Vec<Vec<&'a Sighting>>,
+}
+
+/// Everything that is estimated.
+#[derive(Clone, Debug)]
+pub(crate) struct State {
+    pub lens: LensModel,
+    pub cameras: Vec<Camera>,
+    /// `cam_c_from_cam_0`; the first one is the identity and stays it.
+    pub from_first: Vec<Isometry3<f64>>,
+    /// `cam_0_from_board` of each view.
+    pub boards: Vec<Isometry3<f64>>,
+}
+
+/// The normal equations of one view.
+#[derive(Clone)]
+struct ViewEquations {
+    /// Shared parameters among themselves.
+    shared: DMatrix<f64>,
+    shared_gradient: DVector<f64>,
+    /// Shared parameters by the board's pose.
+    mixed: DMatrix<f64>,
+    pose: Matrix6<f64>,
+    pose_gradient: Vector6<f64>,
+    cost: f64,
+}
+
+/// The normal equations with the poses eliminated.
+pub(crate) struct Reduced {
+    /// The information about the shared parameters, per px^2 of noise.
+    pub information: DMatrix<f64>,
+    /// What each view adds to it.
+    pub by_view: Vec<DMatrix<f64>>,
+    /// The gradient that each view adds.
+    pub gradients: Vec<DVector<f64>>,
+    /// Inverse of each view's information about its pose, the shared parameters known.
+    pub pose_inverses: Vec<Matrix6<f64>>,
+    /// How each pose follows the shared parameters: minus `pose_inverse * mixed^T`.
+    pub pose_by_shared: Vec<Matrix6xX<f64>>,
+}
+
+/// Why an adjustment came to no end.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum AdjustmentError {
+    /// A corner that the cameras, as they are thought to be, can not see.
+    #[error("view {view}: a corner would lie behind the camera or beyond what its lens can image: leave this view out")]
+    NotVisible {
+        /// Index of the view.
+        view: usize,
+    },
+    /// The views leave something open.
+    #[error(
+        "the views do not determine {parameter}: show the board tilted by 20 to 40 degrees in several directions, and in all corners of the picture"
+    )]
+    Undetermined {
+        /// The parameter that is least known.
+        parameter: String,
+    },
+    /// No end within the steps allowed.
+    #[error(
+        "the adjustment did not settle within {steps} steps: show more views of the board, tilted and near the borders"
+    )]
+    NotSettled {
+        /// Steps made.
+        steps: usize,
+    },
+    /// A camera that can not be.
+    #[error("the adjustment led to a camera that can not be")]
+    Camera(#[from] CameraError),
+}
+
+impl State {
+    fn shared_per_camera(&self) -> usize {
+        PINHOLE + self.lens.coefficient_count()
+    }
+
+    /// Number of parameters that all views share.
+    pub(crate) fn shared_count(&self) -> usize {
+        self.cameras.len() * self.shared_per_camera() + (self.cameras.len() - 1) * POSE
+    }
+
+    /// Names of the shared parameters, in order; `sides` are the names of the cameras.
+    pub(crate) fn shared_names(&self, sides: &[&str]) -> Vec<String> {
+        let of_camera = |side: &str| {
+            let names = ["fx", "fy", "cx", "cy"].into_iter().chain(self.lens.coefficient_names().iter().copied());
+            names.map(|name| format!("{side}.{name}")).collect::<Vec<_>>()
+        };
+        let mut names: Vec<String> = sides.iter().flat_map(|side| of_camera(side)).collect();
+        for side in sides.iter().skip(1) {
+            let pose = ["x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"];
+            names.extend(pose.iter().map(|name| format!("cam_{side}_from_cam_{}.{name}", sides[0])));
+        }
+        names
+    }
+
+    /// Moved by a step of the shared parameters and one of each pose.
+    pub(crate) fn moved(&self, shared: &DVector<f64>, poses: &[Vector6<f64>]) -> Result<Self, CameraError> {
+        let mut next = self.clone();
+        let per_camera = self.shared_per_camera();
+        for (index, camera) in self.cameras.iter().enumerate() {
+            let step = shared.rows(index * per_camera, per_camera);
+            let p = camera.pinhole();
+            let pinhole = Pinhole { fx: p.fx + step[0], fy: p.fy + step[1], cx: p.cx + step[2], cy: p.cy + step[3] };
+            let old = camera.distortion().coefficients().iter().chain(std::iter::repeat(&0.0));
+            let values: Vec<f64> = step.iter().skip(PINHOLE).zip(old).map(|(step, old)| old + step).collect();
+            next.cameras[index] = Camera::new(camera.size(), pinhole, self.lens.lens(&values))?;
+        }
+        for index in 1..self.cameras.len() {
+            let at = self.pose_column(index);
+            next.from_first[index] = se3::exp(&shared.fixed_rows::<POSE>(at).into_owned()) * self.from_first[index];
+        }
+        for (board, step) in next.boards.iter_mut().zip(poses) {
+            *board *= se3::exp(step);
+        }
+        Ok(next)
+    }
+
+    /// The first of the columns of a camera's pose.
+    fn pose_column(&self, camera: usize) -> usize {
+        self.cameras.len() * self.shared_per_camera() + (camera - 1) * POSE
+    }
+
+    /// The normal equations of one view; `None` where a corner is not visible.
+    fn view_equations(&self, observations: &Observations<'_>, view: usize) -> Option<ViewEquations> {
+        let count = self.shared_count();
+        let mut equations = ViewEquations {
+            shared: DMatrix::zeros(count, count),
+            shared_gradient: DVector::zeros(count),
+            mixed: DMatrix::zeros(count, POSE),
+            pose: Matrix6::zeros(),
+            pose_gradient: Vector6::zeros(),
+            cost: 0.0,
+        };
+        for (index, sighting) in observations.views[view].iter().enumerate() {
+            for corner in sighting.corners() {
+                let in_board = observations.board.corner_in_board(corner.column, corner.row);
+                let (error, row) = self.corner_row(index, view, &in_board, &corner.pixel)?;
+                equations.add(&error, &row);
+            }
+        }
+        Some(equations)
+    }
+
+    /// Error of one corner (predicted minus seen, px) and its derivatives.
+    fn corner_row(
+        &self,
+        index: usize,
+        view: usize,
+        in_board: &Point3<f64>,
+        seen: &Vector2<f64>,
+    ) -> Option<(Vector2<f64>, Row)> {
+        let camera = &self.cameras[index];
+        let cam_from_board = self.from_first[index] * self.boards[view];
+        let in_cam = cam_from_board * in_board;
+        let (pixel, by_point) = camera.project_with_jacobian(&in_cam)?;
+        let xy = Vector2::new(in_cam.x / in_cam.z, in_cam.y / in_cam.z);
+        let (distorted, p) = (camera.distort(&xy), camera.pinhole());
+        let first = index * self.shared_per_camera();
+        let mut shared = vec![
+            (first, Vector2::new(distorted.x, 0.0)),
+            (first + 1, Vector2::new(0.0, distorted.y)),
+            (first + 2, Vector2::x()),
+            (first + 3, Vector2::y()),
+        ];
+        let by_coefficients = camera.distortion().distort_by_coefficients(&xy);
+        for (n, by) in by_coefficients.iter().take(self.lens.coefficient_count()).enumerate() {
+            shared.push((first + PINHOLE + n, Vector2::new(p.fx * by.x, p.fy * by.y)));
+        }
+        if index > 0 {
+            let by_pose = by_point * point_by_motion(&in_cam, &Matrix3::identity());
+            let at = self.pose_column(index);
+            shared.extend((0..POSE).map(|n| (at + n, by_pose.column(n).into_owned())));
+        }
+        let turn = cam_from_board.rotation.to_rotation_matrix();
+        let pose = by_point * point_by_motion(in_board, turn.matrix());
+        Some((pixel - seen, Row { shared, pose }))
+    }
+
+    fn equations(&self, observations: &Observations<'_>) -> Result<Vec<ViewEquations>, AdjustmentError> {
+        let of = |view| self.view_equations(observations, view).ok_or(AdjustmentError::NotVisible { view });
+        (0..observations.views.len()).map(of).collect()
+    }
+
+    /// Errors of all corners of one camera in one view, predicted minus seen, px; `None` where a corner is not visible.
+    pub(crate) fn errors(
+        &self,
+        observations: &Observations<'_>,
+        view: usize,
+        camera: usize,
+    ) -> Option<Vec<Vector2<f64>>> {
+        let cam_from_board = self.from_first[camera] * self.boards[view];
+        let corners = observations.views[view][camera].corners().iter();
+        let of = |corner: &crate::board::BoardCorner| {
+            let in_cam = cam_from_board * observations.board.corner_in_board(corner.column, corner.row);
+            Some(self.cameras[camera].project(&in_cam)? - corner.pixel)
+        };
+        corners.map(of).collect()
+    }
+
+    /// Half the sum of the squared errors, px^2; infinite where a corner is not visible.
+    fn cost(&self, observations: &Observations<'_>) -> f64 {
+        let all =
+            (0..observations.views.len()).flat_map(|view| (0..self.cameras.len()).map(move |camera| (view, camera)));
+        let costs = all.map(|(view, camera)| match self.errors(observations, view, camera) {
+            Some(errors) => 0.5 * errors.iter().map(Vector2::norm_squared).sum::<f64>(),
+            None => f64::INFINITY,
+        });
+        costs.sum()
+    }
+}
+
+/// The derivatives of one corner's pixel.
+struct Row {
+    /// Column of a shared parameter, and the derivative by it.
+    shared: Vec<(usize, Vector2<f64>)>,
+    pose: SMatrix<f64, 2, POSE>,
+}
+
+/// How a point moves, seen after `turn`, when its frame moves by `[translation; rotation]`.
+fn point_by_motion(point: &Point3<f64>, turn: &Matrix3<f64>) -> SMatrix<f64, 3, POSE> {
+    let mut by = SMatrix::<f64, 3, POSE>::zeros();
+    by.fixed_view_mut::<3, 3>(0, 0).copy_from(turn);
+    by.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-turn * so3::hat(&point.coords)));
+    by
+}
+
+impl ViewEquations {
+    fn add(&mut self, error: &Vector2<f64>, row: &Row) {
+        self.cost += 0.5 * error.norm_squared();
+        self.pose += row.pose.transpose() * row.pose;
+        self.pose_gradient += row.pose.transpose() * error;
+        for (column, by) in &row.shared {
+            self.shared_gradient[*column] += by.dot(error);
+            for (other, other_by) in &row.shared {
+                self.shared[(*column, *other)] += by.dot(other_by);
+            }
+            let mixed = by.transpose() * row.pose;
+            for n in 0..POSE {
+                self.mixed[(*column, n)] += mixed[n];
+            }
+        }
+    }
+
+    /// With the diagonal made larger by the share `damping`.
+    fn damped(mut self, damping: f64) -> Self {
+        for n in 0..POSE {
+            self.pose[(n, n)] *= 1.0 + damping;
+        }
+        for n in 0..self.shared.nrows() {
+            self.shared[(n, n)] *= 1.0 + damping;
+        }
+        self
+    }
+}
+
+/// Eliminates the poses; `None` where a view does not determine its own.
+fn reduce(views: &[ViewEquations]) -> Option<Reduced> {
+    let count = views.first()?.shared.nrows();
+    let mut reduced = Reduced {
+        information: DMatrix::zeros(count, count),
+        by_view: Vec::with_capacity(views.len()),
+        gradients: Vec::with_capacity(views.len()),
+        pose_inverses: Vec::with_capacity(views.len()),
+        pose_by_shared: Vec::with_capacity(views.len()),
+    };
+    for view in views {
+        let inverse = view.pose.cholesky()?.inverse();
+        let follows = -(inverse * view.mixed.transpose());
+        let information = &view.shared + &view.mixed * &follows;
+        reduced.information += &information;
+        reduced.gradients.push(&view.shared_gradient + follows.transpose() * view.pose_gradient);
+        reduced.by_view.push(information);
+        reduced.pose_inverses.push(inverse);
+        reduced.pose_by_shared.push(follows);
+    }
+    Some(reduced)
+}
+
+/// Solves the damped equations for a step of the shared parameters and one of each pose.
+fn step(views: &[ViewEquations], damping: f64, cameras_stay: bool) -> Option<(DVector<f64>, Vec<Vector6<f64>>)> {
+    let damped: Vec<ViewEquations> = views.iter().cloned().map(|view| view.damped(damping)).collect();
+    let reduced = reduce(&damped)?;
+    let gradient: DVector<f64> = reduced.gradients.iter().sum();
+    let shared =
+        if cameras_stay { DVector::zeros(gradient.len()) } else { -reduced.information.cholesky()?.solve(&gradient) };
+    let pose = |view: usize| {
+        let own = -(reduced.pose_inverses[view] * damped[view].pose_gradient);
+        let follows = &reduced.pose_by_shared[view] * &shared;
+        own + Vector6::from_iterator(follows.iter().copied())
+    };
+    let poses = (0..views.len()).map(pose).collect();
+    Some((shared, poses))
+}
+
+/// Adjusts everything, or with `cameras_stay` the poses of the board alone.
+///
+/// # Errors
+/// A corner that is not visible from where the adjustment begins, or no end.
+pub(crate) fn adjust(
+    start: State,
+    observations: &Observations<'_>,
+    cameras_stay: bool,
+) -> Result<State, AdjustmentError> {
+    let mut state = start;
+    let mut damping = DAMPING[0];
+    for _ in 0..STEPS_MAX {
+        let equations = state.equations(observations)?;
+        let cost: f64 = equations.iter().map(|view| view.cost).sum();
+        let better = loop {
+            if damping > DAMPING[1] {
+                return Ok(state);
+            }
+            let next =
+                step(&equations, damping, cameras_stay).and_then(|(shared, poses)| state.moved(&shared, &poses).ok());
+            match next.map(|next| (next.cost(observations), next)) {
+                Some((next_cost, next)) if next_cost < cost => break (next_cost, next),
+                // Not lower, but as low as rounding allows.
+                Some((next_cost, next)) if next_cost <= cost * (1.0 + DECREASE_MIN) => break (next_cost, next),
+                _ => damping *= 10.0,
+            }
+        };
+        damping = (damping * 0.1).max(1e-12);
+        state = better.1;
+        if cost - better.0 <= DECREASE_MIN * cost {
+            return Ok(state);
+        }
+    }
+    Err(AdjustmentError::NotSettled { steps: STEPS_MAX })
+}
+
+/// The reduced equations at a state.
+///
+/// # Errors
+/// A corner that is not visible, or a parameter that the views do not determine.
+pub(crate) fn reduced_at(
+    state: &State,
+    observations: &Observations<'_>,
+    sides: &[&str],
+) -> Result<Reduced, AdjustmentError> {
+    let equations = state.equations(observations)?;
+    let pose = || AdjustmentError::Undetermined { parameter: "the pose of the board".to_owned() };
+    let reduced = reduce(&equations).ok_or_else(pose)?;
+    let scale = reduced.information.diagonal().map(|value| 1.0 / value.sqrt());
+    let scaled = DMatrix::from_diagonal(&scale) * &reduced.information * DMatrix::from_diagonal(&scale);
+    let names = state.shared_names(sides);
+    let undetermined = |index: usize| AdjustmentError::Undetermined { parameter: names[index].clone() };
+    if let Some(index) = scale.iter().position(|value| !value.is_finite()) {
+        return Err(undetermined(index));
+    }
+    let eigen = scaled.symmetric_eigen();
+    let (least, greatest) = (eigen.eigenvalues.imin(), eigen.eigenvalues.max());
+    if eigen.eigenvalues[least] < 1e-11 * greatest {
+        return Err(undetermined(eigen.eigenvectors.column(least).icamax()));
+    }
+    Ok(reduced)
+}

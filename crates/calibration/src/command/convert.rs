@@ -1,0 +1,57 @@
+//! Calibrations in other formats.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Context, Result};
+use clap::Args;
+use pb3dp_geometry::StereoRig;
+use pb3dp_record::calibration_files::{load_stereo, save_json, save_kalibr, save_opencv, save_ros_pair};
+
+/// Arguments of `pb3dp calibrate convert`.
+#[derive(Debug, Args)]
+pub(super) struct ConvertArgs {
+    /// The calibration: one file, a left and a right one, or a folder; the format is found from the contents.
+    #[arg(required = true, value_name = "FILE", num_args = 1..=2)]
+    from: Vec<PathBuf>,
+    /// Where to write it: .json (ours), a Kalibr camchain (.kalibr.yaml), OpenCV (.opencv.yaml), or a folder for the ROS pair
+    /// left.yaml and right.yaml.
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+}
+
+pub(super) fn run(args: &ConvertArgs) -> Result<ExitCode> {
+    let calibration = load_stereo(&args.from)?;
+    for note in &calibration.notes {
+        super::tell(&format!("note: {note}"))?;
+    }
+    super::tell(&format!("read {}: {}", calibration.format, calibration.source))?;
+    super::tell(&write(&calibration.rig, &args.out)?)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Writes a rig in the format that the name asks for, and says so.
+pub(super) fn write(rig: &StereoRig, out: &Path) -> Result<String> {
+    let name = out.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    let ends = |suffixes: &[&str]| suffixes.iter().any(|suffix| name.ends_with(suffix));
+    let format = if ends(&[".json"]) {
+        save_json(rig, out)?;
+        "calib.json"
+    } else if ends(&[".kalibr.yaml", ".kalibr.yml"]) {
+        save_kalibr(rig, out)?;
+        "a Kalibr camchain"
+    } else if ends(&[".opencv.yaml", ".opencv.yml"]) {
+        save_opencv(rig, out)?;
+        "OpenCV stereo YAML"
+    } else if out.extension().is_none() {
+        std::fs::create_dir_all(out).with_context(|| format!("{}: the folder can not be made", out.display()))?;
+        save_ros_pair(rig, &out.join("left.yaml"), &out.join("right.yaml"))?;
+        "a ROS camera_info pair"
+    } else {
+        anyhow::bail!(
+            "{}: the format can not be told from the name: use .json, .kalibr.yaml, .opencv.yaml, or a folder",
+            out.display()
+        );
+    };
+    Ok(format!("wrote {}: {format}", out.display()))
+}

@@ -1,0 +1,189 @@
+//! The command line of `pb3dp-calibrate`.
+
+mod convert;
+mod gates_file;
+mod numbers;
+mod pictures;
+mod report;
+
+use std::io::Write;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::{Context, Result};
+use clap::{Args, Parser, Subcommand};
+use pb3dp_calibration::board::Chessboard;
+use pb3dp_calibration::fit::View;
+use pb3dp_calibration::gates::Limits;
+use pb3dp_calibration::held_out::{Chosen, choose};
+use pb3dp_calibration::lens::LensModel;
+use pb3dp_calibration::quality::Quality;
+use pb3dp_geometry::ImageSize;
+
+use self::convert::ConvertArgs;
+use self::pictures::Pictures;
+
+/// Calibrate cameras and stereo heads from pictures of a chessboard, and say how good the result is.
+#[derive(Debug, Parser)]
+#[command(name = "pb3dp-calibrate", bin_name = "pb3dp calibrate", version, propagate_version = true)]
+pub struct Cli {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// One camera: focal lengths, principal point, lens.
+    Intrinsics(IntrinsicsArgs),
+    /// A stereo head: both cameras and their pose to each other, in one adjustment.
+    Stereo(StereoArgs),
+    /// Write a calibration in another format.
+    Convert(ConvertArgs),
+}
+
+/// Which lens model is fitted.
+#[derive(Clone, Copy, Debug)]
+enum LensChoice {
+    /// The one whose held-out error says so.
+    Auto,
+    /// This one.
+    Fixed(LensModel),
+}
+
+/// What both ways to calibrate take.
+#[derive(Debug, Args)]
+struct Common {
+    /// Inner corners of the chessboard (where four squares meet), one fewer than squares, for instance 9x6.
+    #[arg(long, value_name = "COLUMNSxROWS", value_parser = numbers::corners)]
+    board: [u32; 2],
+    /// Side of a square, mm. Measure ten squares and divide: pictures can not tell a wrong number.
+    #[arg(long, value_name = "MM", value_parser = numbers::millimetres, allow_hyphen_values = true)]
+    square: f64,
+    /// radial-1, radial-2, brown-4 (k1 k2 p1 p2), brown-5 (and k3), rational-8, or auto: the fewest coefficients whose error on
+    /// views that the fit has not seen is within 1 % of the lowest.
+    #[arg(long, value_name = "MODEL", value_parser = numbers::lens, default_value = "auto")]
+    lens: LensChoice,
+    /// Other limits than the built-in ones (copy configs/calibration_gates.toml).
+    #[arg(long, value_name = "FILE")]
+    gates: Option<PathBuf>,
+    /// Also write the corners that were found, as CSV: view, camera, column, row, u, v.
+    #[arg(long, value_name = "FILE")]
+    corners: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+struct IntrinsicsArgs {
+    /// Folder of the pictures, PNG or JPEG.
+    #[arg(long, value_name = "DIR")]
+    pictures: PathBuf,
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Debug, Args)]
+struct StereoArgs {
+    /// Folder of the left pictures, PNG or JPEG. Pictures are paired by their names without the words left and right.
+    #[arg(long, value_name = "DIR")]
+    left: PathBuf,
+    /// Folder of the right pictures; if it is the same folder, those with `right` in their name.
+    #[arg(long, value_name = "DIR")]
+    right: PathBuf,
+    #[command(flatten)]
+    common: Common,
+    /// The distance for which the head is judged, mm.
+    #[arg(long, value_name = "MM", value_parser = numbers::millimetres, default_value = "500", allow_hyphen_values = true)]
+    distance: f64,
+    /// Write the calibration, also where a gate refuses it: .json (ours), a Kalibr camchain (.kalibr.yaml), OpenCV (.opencv.yaml), or
+    /// a folder for the ROS pair left.yaml and right.yaml.
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+}
+
+/// Runs the command; a calibration that a gate refuses is a failure.
+pub fn run(cli: &Cli) -> Result<ExitCode> {
+    match &cli.what {
+        What::Intrinsics(args) => intrinsics(args),
+        What::Stereo(args) => stereo(args),
+        What::Convert(args) => convert::run(args),
+    }
+}
+
+fn intrinsics(args: &IntrinsicsArgs) -> Result<ExitCode> {
+    let (board, limits) = args.common.checked()?;
+    let pictures = Pictures::<1>::find(&[&args.pictures])?;
+    let seen = pictures.sightings(&board)?;
+    args.common.write_corners(&seen.views)?;
+    tell(&seen.told)?;
+    let chosen = choose(&seen.views, &board, seen.size, args.common.models())?;
+    let quality = Quality::of_camera(&chosen, &seen.views, seen.size);
+    conclude(&chosen, &quality, &limits)
+}
+
+fn stereo(args: &StereoArgs) -> Result<ExitCode> {
+    let (board, limits) = args.common.checked()?;
+    let pictures = Pictures::<2>::find(&[&args.left, &args.right])?;
+    let seen = pictures.sightings(&board)?;
+    args.common.write_corners(&seen.views)?;
+    tell(&seen.told)?;
+    let chosen = choose(&seen.views, &board, seen.size, args.common.models())?;
+    let rig = chosen.fit.rig()?;
+    let quality = Quality::of_stereo(&chosen, &seen.views, seen.size, args.distance * 1e-3)?;
+    tell(&report::rig(&chosen.fit, &rig, args.distance * 1e-3)?)?;
+    let code = conclude(&chosen, &quality, &limits)?;
+    if let Some(out) = &args.out {
+        tell(&convert::write(&rig, out)?)?;
+    }
+    Ok(code)
+}
+
+/// Tells the numbers and the verdict.
+fn conclude<const N: usize>(chosen: &Chosen<N>, quality: &Quality, limits: &Limits) -> Result<ExitCode> {
+    let verdicts = limits.judge(quality);
+    tell(&report::fit(chosen))?;
+    tell(&report::verdicts(quality, &verdicts))?;
+    Ok(if report::is_refused(&verdicts) { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+}
+
+impl Common {
+    fn checked(&self) -> Result<(Chessboard, Limits)> {
+        let [columns, rows] = self.board;
+        let board = Chessboard::new(columns, rows, self.square * 1e-3)?;
+        let limits = self.gates.as_deref().map_or_else(|| Ok(Limits::default()), gates_file::read)?;
+        Ok((board, limits))
+    }
+
+    fn models(&self) -> &[LensModel] {
+        match &self.lens {
+            LensChoice::Auto => &LensModel::ALL,
+            LensChoice::Fixed(model) => std::slice::from_ref(model),
+        }
+    }
+
+    fn write_corners<const N: usize>(&self, views: &[View<N>]) -> Result<()> {
+        let Some(file) = &self.corners else { return Ok(()) };
+        std::fs::write(file, report::corners(views)).with_context(|| format!("{}: can not be written", file.display()))
+    }
+}
+
+/// Lines on standard output.
+fn tell(text: &str) -> Result<()> {
+    if text.is_empty() {
+        return Ok(());
+    }
+    writeln!(std::io::stdout(), "{text}").context("standard output can not be written")
+}
+
+/// The whole chain of an error on standard error.
+pub fn tell_error(error: &anyhow::Error) {
+    // Nobody is left who could be told that this can not be written.
+    let _ = writeln!(std::io::stderr(), "error: {error:#}");
+}
+
+/// The pictures of all views have this size.
+#[derive(Debug)]
+struct Seen<const N: usize> {
+    views: Vec<View<N>>,
+    size: ImageSize,
+    /// Which pictures were left out, and why.
+    told: String,
+}

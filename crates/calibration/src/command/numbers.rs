@@ -1,0 +1,31 @@
+//! Words of the command line.
+
+use pb3dp_calibration::lens::LensModel;
+
+use super::LensChoice;
+
+/// `9x6`.
+pub(super) fn corners(text: &str) -> Result<[u32; 2], String> {
+    let wrong = || format!("{text:?} is not COLUMNSxROWS, for instance 9x6");
+    let (columns, rows) = text.split_once(['x', 'X']).ok_or_else(wrong)?;
+    let number = |text: &str| text.trim().parse::<u32>().map_err(|_| wrong());
+    Ok([number(columns)?, number(rows)?])
+}
+
+/// A length.
+pub(super) fn millimetres(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value > 0.0 && value <= 1e5 => Ok(value),
+        _ => Err(format!("{text:?} is no length in mm: a number between 0 and 100000")),
+    }
+}
+
+/// The name of a lens model, or `auto`.
+pub(super) fn lens(text: &str) -> Result<LensChoice, String> {
+    if text == "auto" {
+        return Ok(LensChoice::Auto);
+    }
+    let names = LensModel::ALL.map(LensModel::name).join(", ");
+    let model = LensModel::from_name(text).ok_or_else(|| format!("{text:?} is none of auto, {names}"))?;
+    Ok(LensChoice::Fixed(model))
+}

@@ -1,0 +1,122 @@
+//! Pictures in folders: which belong together, and what they show.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use pb3dp_calibration::board::{Chessboard, Sighting};
+use pb3dp_calibration::detection::{NoBoard, agree, find_chessboard};
+use pb3dp_calibration::fit::{View, sides};
+use pb3dp_geometry::ImageSize;
+use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
+
+use super::Seen;
+
+const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
+
+/// The pictures of each view, by the name that the view has.
+pub(super) struct Pictures<const N: usize> {
+    views: Vec<(String, [PathBuf; N])>,
+    /// Pictures without a partner.
+    alone: Vec<PathBuf>,
+}
+
+impl<const N: usize> Pictures<N> {
+    /// Looks into one folder per camera.
+    pub(super) fn find(folders: &[&Path; N]) -> Result<Self> {
+        let shared = N > 1 && folders.iter().all(|folder| folder == &folders[0]);
+        let mut by_name: BTreeMap<String, [Option<PathBuf>; N]> = BTreeMap::new();
+        for (index, folder) in folders.iter().enumerate() {
+            for file in pictures_in(folder)? {
+                let stem = file.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
+                if shared && !stem.contains(sides::<N>()[index]) {
+                    continue;
+                }
+                let name = if N > 1 { stem.replace("left", "").replace("right", "") } else { stem };
+                let name = name.trim_matches(['_', '-', '.', ' ']).to_owned();
+                let slots = by_name.entry(name.clone()).or_insert_with(|| std::array::from_fn(|_| None));
+                if let Some(other) = slots[index].replace(file.clone()) {
+                    bail!(
+                        "{} and {} are both picture {name:?} of the {} camera: rename one",
+                        other.display(),
+                        file.display(),
+                        sides::<N>()[index]
+                    );
+                }
+            }
+        }
+        let (mut views, mut alone) = (Vec::new(), Vec::new());
+        for (name, files) in by_name {
+            match files.iter().cloned().collect::<Option<Vec<_>>>().and_then(|list| <[PathBuf; N]>::try_from(list).ok())
+            {
+                Some(files) => views.push((name, files)),
+                None => alone.extend(files.into_iter().flatten()),
+            }
+        }
+        if views.is_empty() {
+            let folders = folders.iter().map(|folder| folder.display().to_string()).collect::<Vec<_>>().join(" and ");
+            bail!(
+                "{folders}: no pictures of {N} camera(s) that belong together: PNG or JPEG files whose names differ only in the words left and right"
+            );
+        }
+        Ok(Self { views, alone })
+    }
+
+    /// Finds the board in all of them. Views in which one camera does not see it are left out, and told.
+    pub(super) fn sightings(&self, board: &Chessboard) -> Result<Seen<N>> {
+        let mut told: Vec<String> =
+            self.alone.iter().map(|file| format!("left out {}: no partner", file.display())).collect();
+        let first = &self.views[0].1[0];
+        let size = size_of(&load_rgb(first)?);
+        let mut views = Vec::new();
+        for (name, files) in &self.views {
+            match view(name, files, board, size, &first.display().to_string())? {
+                Ok(view) => views.push(view),
+                Err((file, reason)) => told.push(format!("left out {}: {reason}", file.display())),
+            }
+        }
+        if views.is_empty() {
+            bail!("the board was found in none of {} views:\n{}", self.views.len(), told.join("\n"));
+        }
+        Ok(Seen { views, size, told: told.join("\n") })
+    }
+}
+
+/// One view, or the picture in which the board was not found.
+fn view<const N: usize>(
+    name: &str,
+    files: &[PathBuf; N],
+    board: &Chessboard,
+    size: ImageSize,
+    first: &str,
+) -> Result<Result<View<N>, (PathBuf, NoBoard)>> {
+    let mut sightings: [Sighting; N] = std::array::from_fn(|_| Sighting::default());
+    for (index, file) in files.iter().enumerate() {
+        let picture = load_rgb_of_size(file, size, first)?;
+        match find_chessboard(&image::DynamicImage::from(picture).into_luma8(), board) {
+            Ok(sighting) => sightings[index] = sighting,
+            Err(reason) => return Ok(Err((file.clone(), reason))),
+        }
+    }
+    if let Some((first, others)) = sightings.split_first_mut() {
+        for other in others.iter_mut().filter(|_| !board.is_told_from_its_half_turn()) {
+            *other = agree(first, std::mem::take(other), board);
+        }
+    }
+    Ok(Ok(View { name: name.to_owned(), sightings }))
+}
+
+/// The picture files of a folder, by name.
+fn pictures_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    let what = || format!("{}: can not be read as a folder of pictures", folder.display());
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).with_context(what)? {
+        let file = entry.with_context(what)?.path();
+        let extension = file.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+        if EXTENSIONS.contains(&extension.as_str()) && file.is_file() {
+            files.push(file);
+        }
+    }
+    files.sort();
+    Ok(files)
+}

@@ -1,0 +1,115 @@
+//! What is told of a calibration.
+
+use std::fmt::Write;
+
+use anyhow::Result;
+use pb3dp_calibration::fit::{Fit, View, sides};
+use pb3dp_calibration::gates::{Grade, Verdict};
+use pb3dp_calibration::held_out::Chosen;
+use pb3dp_calibration::quality::Quality;
+use pb3dp_geometry::StereoRig;
+
+/// So many views with the largest errors are named.
+const WORST_VIEWS: usize = 3;
+
+/// The cameras with the standard deviation of each number, and how the lens model was chosen.
+pub(super) fn fit<const N: usize>(chosen: &Chosen<N>) -> String {
+    let covariance = chosen.fit.covariance();
+    let mut lines = Vec::new();
+    if chosen.tried.len() > 1 {
+        lines.push("lens model: error on views that the fit has not seen, px".to_owned());
+        for held_out in &chosen.tried {
+            let mark = if held_out.lens == chosen.fit.lens() { "  <- chosen" } else { "" };
+            lines.push(match &held_out.rms_px {
+                Ok(rms_px) => format!("  {:<10} {rms_px:.4}{mark}", held_out.lens.name()),
+                Err(reason) => format!("  {:<10} -       {reason}", held_out.lens.name()),
+            });
+        }
+    }
+    for (side, camera) in sides::<N>().into_iter().zip(chosen.fit.cameras()) {
+        let p = camera.pinhole();
+        let pinhole = [("fx", p.fx), ("fy", p.fy), ("cx", p.cx), ("cy", p.cy)];
+        let numbers = pinhole.into_iter().chain(camera.distortion().named_coefficients());
+        let known =
+            numbers.filter_map(|(name, value)| Some((name, value, covariance.sigma(&format!("{side}.{name}"))?)));
+        let text = known.map(|(name, value, sigma)| format!("{name} {value:.4} +- {sigma:.4}")).collect::<Vec<_>>();
+        lines.push(format!("{side}: {}", text.join(", ")));
+    }
+    let scatter = covariance.view_scatter;
+    let raised = if scatter > 1.0 {
+        format!(", raised {:.1} times because views differ by more than their corners explain", scatter.sqrt())
+    } else {
+        String::new()
+    };
+    lines.push(format!("+- is one standard deviation, from {:.3} px per corner{raised}", covariance.corner_sigma_px));
+    lines.join("\n")
+}
+
+/// The pose of the two cameras to each other.
+pub(super) fn rig(fit: &Fit<2>, rig: &StereoRig, depth_m: f64) -> Result<String> {
+    let pose = rig.cam_right_from_cam_left();
+    let (t, turn) = (pose.translation_m() * 1e3, pose.rotation().scaled_axis());
+    let sigma = |name: &str| fit.covariance().sigma(&format!("cam_right_from_cam_left.{name}")).unwrap_or(f64::NAN);
+    let [x, y, z] = ["x_m", "y_m", "z_m"].map(|name| sigma(name) * 1e3);
+    let [rx, ry, rz] = ["rx_rad", "ry_rad", "rz_rad"].map(|name| sigma(name).to_degrees());
+    let degrees = [turn.x, turn.y, turn.z].map(f64::to_degrees);
+    Ok(format!(
+        "baseline {:.3} mm; cam_right_from_cam_left: x {:.3} +- {x:.3}, y {:.3} +- {y:.3}, z {:.3} +- {z:.3} mm, rotation vector {:.4} +- {rx:.4}, {:.4} +- {ry:.4}, {:.4} +- {rz:.4} degrees\na depth of {:.0} mm straight ahead is known to +- {:.3} mm, as far as this calibration goes",
+        rig.baseline_m() * 1e3,
+        t.x,
+        t.y,
+        t.z,
+        degrees[0],
+        degrees[1],
+        degrees[2],
+        depth_m * 1e3,
+        fit.depth_sigma_m(depth_m)? * 1e3
+    ))
+}
+
+/// The gates, the worst views, and the verdict in words.
+pub(super) fn verdicts(quality: &Quality, verdicts: &[Verdict]) -> String {
+    let mut lines: Vec<String> = Vec::new();
+    if let Some(rows) = quality.rows {
+        lines.push(format!(
+            "rows of the rectified pictures, right minus left: mean {:+.3} px, 95 % within {:.3} px",
+            rows.mean_px, rows.p95_px
+        ));
+    }
+    let mut views: Vec<_> = quality.reprojection_rms_by_view_px.iter().collect();
+    views.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let worst = views.iter().take(WORST_VIEWS).map(|(name, rms_px)| format!("{name:?} {rms_px:.3}"));
+    lines.push(format!("views with the largest errors, px rms: {}", worst.collect::<Vec<_>>().join(", ")));
+    lines.extend(verdicts.iter().map(Verdict::to_string));
+    let of = |grade: Grade| verdicts.iter().filter(|verdict| verdict.grade() == grade).count();
+    lines.push(match (of(Grade::Refused), of(Grade::Fair)) {
+        (0, 0) => "verdict: good".to_owned(),
+        (0, fair) => format!("verdict: usable; {fair} of {} gates could be better", verdicts.len()),
+        (refused, _) => format!("verdict: refused by {refused} of {} gates", verdicts.len()),
+    });
+    lines.push(
+        "not judged: the size of the squares, which pictures can not tell; measure a known length with the calibrated cameras"
+            .to_owned(),
+    );
+    lines.join("\n")
+}
+
+/// Whether a gate refuses.
+pub(super) fn is_refused(verdicts: &[Verdict]) -> bool {
+    verdicts.iter().any(|verdict| verdict.grade() == Grade::Refused)
+}
+
+/// All corners as CSV.
+pub(super) fn corners<const N: usize>(views: &[View<N>]) -> String {
+    let mut text = "view,camera,column,row,u,v\n".to_owned();
+    for view in views {
+        for (side, sighting) in sides::<N>().into_iter().zip(&view.sightings) {
+            for corner in sighting.corners() {
+                let (name, pixel) = (&view.name, corner.pixel);
+                // Writing to a text does not fail.
+                let _ = writeln!(text, "{name},{side},{},{},{:.4},{:.4}", corner.column, corner.row, pixel.x, pixel.y);
+            }
+        }
+    }
+    text
+}

@@ -1,0 +1,248 @@
+//! Where the corners of a chessboard are in a picture.
+//!
+//! Corners and their order come from `calib-targets-chessboard`; what is done here is to hold its grid against the board that
+//! was announced, and to say which corner is the first one.
+
+use calib_targets_chessboard::{
+    ChessboardDetection, ChessboardDetector, ChessboardParams, GrayImageView, default_chess_config, detect_corners,
+};
+use image::GrayImage;
+use nalgebra::Vector2;
+
+use crate::board::{BoardCorner, Chessboard, Sighting};
+
+/// Why a picture shows no board that can be used.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NoBoard {
+    /// Nothing that looks like a chessboard.
+    #[error("no chessboard is seen: check light, sharpness and that the whole board is in the picture")]
+    None,
+    /// A grid of another size.
+    #[error(
+        "a grid of {seen_columns} x {seen_rows} corners is seen, the board has {columns} x {rows}: show the whole board, or correct the numbers of its inner corners"
+    )]
+    Size {
+        /// Corners along the longer side of what is seen.
+        seen_columns: u32,
+        /// Corners along the other side.
+        seen_rows: u32,
+        /// Of the board.
+        columns: u32,
+        /// Of the board.
+        rows: u32,
+    },
+    /// The grid has holes.
+    #[error("only {seen} of the board's {all} corners are seen: uncover the board, or avoid glare on it")]
+    Gaps {
+        /// Corners seen.
+        seen: usize,
+        /// Corners of the board.
+        all: usize,
+    },
+}
+
+/// Smaller pictures show no board; the library that looks for corners panics on empty ones (chess-corners-core 2.1.0).
+const SIDE_MIN_PX: u32 = 32;
+/// The smallest share of a board's corners that must be seen.
+const SEEN_SHARE_MIN: f64 = 0.8;
+
+/// Finds the board in a picture.
+///
+/// Of a board that colours tell from its half turn, corner (0, 0) is the one whose square towards (1, 1) is dark. Of other
+/// boards it is one of the corners from where rows run to the right or columns downwards, and [`agree`] makes two pictures
+/// choose the same one.
+///
+/// # Errors
+/// No grid, one of another size than the board's, or one with gaps.
+pub fn find_chessboard(picture: &GrayImage, board: &Chessboard) -> Result<Sighting, NoBoard> {
+    if picture.width().min(picture.height()) < SIDE_MIN_PX {
+        return Err(NoBoard::None);
+    }
+    let view = GrayImageView {
+        width: picture.width() as usize,
+        height: picture.height() as usize,
+        data: picture.as_raw().as_slice(),
+    };
+    let corners = detect_corners(&view, &default_chess_config());
+    let grids = ChessboardParams::sweep_default().into_iter().filter_map(|params| {
+        // The parameters are the library's own, which it does not refuse.
+        ChessboardDetector::new(params).ok()?.detect(&corners)
+    });
+    let grid = grids.max_by_key(|grid| grid.corners.len()).ok_or(NoBoard::None)?;
+    let sighting = placed(&grid, board)?;
+    if board.is_told_from_its_half_turn() && !first_square_is_dark(picture, &sighting) {
+        return Ok(sighting.half_turned(board));
+    }
+    Ok(sighting)
+}
+
+/// The detected grid on the board, turned by a quarter if its sides are exchanged.
+///
+/// Where the board's border or what lies behind it has added corners, the grid is larger than the board: the board is then the
+/// one part of it that holds all of the board's corners.
+fn placed(grid: &ChessboardDetection, board: &Chessboard) -> Result<Sighting, NoBoard> {
+    let (columns, rows) = (board.columns() as i32, board.rows() as i32);
+    let coordinates = || grid.corners.iter().map(|corner| (corner.grid.u, corner.grid.v));
+    let (u_min, v_min) = coordinates().fold((i32::MAX, i32::MAX), |low, (u, v)| (low.0.min(u), low.1.min(v)));
+    let (u_max, v_max) = coordinates().fold((i32::MIN, i32::MIN), |high, (u, v)| (high.0.max(u), high.1.max(v)));
+    let (across, down) = (u_max - u_min + 1, v_max - v_min + 1);
+    let mut parts = Vec::new();
+    for (turned, (width, height)) in [(false, (columns, rows)), (true, (rows, columns))] {
+        for (u, v) in (v_min..=v_max - height + 1).flat_map(|v| (u_min..=u_max - width + 1).map(move |u| (u, v))) {
+            let part = Part { u, v, width, height, turned };
+            parts.push((coordinates().filter(|at| part.holds(*at)).count(), part));
+        }
+    }
+    parts.sort_by_key(|(seen, _)| std::cmp::Reverse(*seen));
+    let all = board.corner_count();
+    let (seen, part) = match parts.as_slice() {
+        [(seen, part)] => (*seen, part),
+        // Of several parts one must be whole, and no other.
+        [(seen, part), (next, _), ..] if *seen == all && *next < all => (*seen, part),
+        _ => {
+            let (seen_columns, seen_rows) = (across.max(down).unsigned_abs(), across.min(down).unsigned_abs());
+            return Err(NoBoard::Size { seen_columns, seen_rows, columns: board.columns(), rows: board.rows() });
+        }
+    };
+    if (seen as f64) < SEEN_SHARE_MIN * all as f64 {
+        return Err(NoBoard::Gaps { seen, all });
+    }
+    let inside = grid.corners.iter().filter(|corner| part.holds((corner.grid.u, corner.grid.v)));
+    let corners = inside.map(|corner| {
+        let (column, row) = part.on_board((corner.grid.u, corner.grid.v));
+        BoardCorner { column, row, pixel: Vector2::new(f64::from(corner.position.x), f64::from(corner.position.y)) }
+    });
+    Ok(Sighting::new(corners.collect()))
+}
+
+/// A rectangle of a grid that may be the board.
+struct Part {
+    u: i32,
+    v: i32,
+    width: i32,
+    height: i32,
+    /// The board's columns run down the grid.
+    turned: bool,
+}
+
+impl Part {
+    fn holds(&self, (u, v): (i32, i32)) -> bool {
+        (self.u..self.u + self.width).contains(&u) && (self.v..self.v + self.height).contains(&v)
+    }
+
+    /// Column and row of a place of the grid that it holds. A quarter turn, not a transposition: the board keeps its handedness.
+    fn on_board(&self, (u, v): (i32, i32)) -> (u32, u32) {
+        let (right, down) = ((u - self.u).unsigned_abs(), (v - self.v).unsigned_abs());
+        if self.turned { (down, self.width.unsigned_abs() - 1 - right) } else { (right, down) }
+    }
+}
+
+/// Whether the squares of the first one's colour are darker than the others, judged at their middles.
+fn first_square_is_dark(picture: &GrayImage, sighting: &Sighting) -> bool {
+    let (mut sums, mut counts) = ([0.0_f64; 2], [0_u32; 2]);
+    for corner in sighting.corners() {
+        let others = [(1, 0), (0, 1), (1, 1)].map(|(c, r)| sighting.at(corner.column + c, corner.row + r));
+        let [Some(a), Some(b), Some(c)] = others else { continue };
+        let middle = (corner.pixel + a.pixel + b.pixel + c.pixel) / 4.0;
+        let (x, y) = (middle.x.round().max(0.0) as u32, middle.y.round().max(0.0) as u32);
+        let Some(pixel) = picture.get_pixel_checked(x, y) else { continue };
+        let colour = ((corner.column + corner.row) % 2) as usize;
+        sums[colour] += f64::from(pixel.0[0]);
+        counts[colour] += 1;
+    }
+    let mean = |colour: usize| sums[colour] / f64::from(counts[colour].max(1));
+    mean(0) < mean(1)
+}
+
+/// The second sighting of a board that looks the same after half a turn, turned so that rows run the same way in both
+/// pictures. For two cameras on one head, whose pictures are turned against each other by less than a quarter.
+pub fn agree(first: &Sighting, second: Sighting, board: &Chessboard) -> Sighting {
+    let along = |sighting: &Sighting| {
+        let mean = |of: &dyn Fn(&BoardCorner) -> bool| {
+            let pixels: Vec<_> =
+                sighting.corners().iter().filter(|corner| of(corner)).map(|corner| corner.pixel).collect();
+            pixels.iter().sum::<Vector2<f64>>() / (pixels.len().max(1) as f64)
+        };
+        let half = board.columns() / 2;
+        mean(&|corner| corner.column >= board.columns() - half) - mean(&|corner| corner.column < half)
+    };
+    if along(first).dot(&along(&second)) < 0.0 { second.half_turned(board) } else { second }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A drawn board of 5 x 4 inner corners, `side` pixels per square, whose upper left inner square is dark or not.
+    fn drawn(side: u32, dark_first: bool) -> GrayImage {
+        let (squares_across, squares_down, margin) = (6, 5, 2 * side);
+        GrayImage::from_fn(squares_across * side + 2 * margin, squares_down * side + 2 * margin, |x, y| {
+            let inside = |at: u32, squares: u32| at >= margin && at < margin + squares * side;
+            if !inside(x, squares_across) || !inside(y, squares_down) {
+                return image::Luma([200]);
+            }
+            let parity = ((x - margin) / side + (y - margin) / side) % 2;
+            image::Luma([if (parity == 0) == dark_first { 30 } else { 220 }])
+        })
+    }
+
+    #[test]
+    fn corners_are_found_where_they_were_drawn() {
+        let board = Chessboard::new(5, 4, 0.02).expect("a board");
+        let sighting = find_chessboard(&drawn(24, true), &board).expect("seen");
+        assert_eq!(sighting.corners().len(), 20);
+        for corner in sighting.corners() {
+            // Edges lie between pixels: half a pixel before the first pixel of the next square.
+            let expected =
+                Vector2::new(f64::from(72 + 24 * corner.column), f64::from(72 + 24 * corner.row)).add_scalar(-0.5);
+            assert!((corner.pixel - expected).norm() < 0.05, "{corner:?}, {expected}");
+        }
+    }
+
+    #[test]
+    fn the_first_corner_is_the_one_before_a_dark_square_whichever_way_up() {
+        let board = Chessboard::new(5, 4, 0.02).expect("a board");
+        for picture in [drawn(24, true), drawn(24, false)] {
+            for picture in [picture.clone(), image::imageops::rotate180(&picture), image::imageops::rotate90(&picture)]
+            {
+                let sighting = find_chessboard(&picture, &board).expect("seen");
+                assert!(first_square_is_dark(&picture, &sighting));
+                // x to the right and y down have a positive cross product: z points into the picture.
+                let [o, x, y] = [(0, 0), (4, 0), (0, 3)].map(|(c, r)| sighting.at(c, r).expect("seen").pixel);
+                assert!((x - o).perp(&(y - o)) > 0.0);
+            }
+        }
+    }
+
+    #[test]
+    fn another_board_is_told_by_its_numbers() {
+        let board = Chessboard::new(9, 6, 0.02).expect("a board");
+        let refusal = find_chessboard(&drawn(24, true), &board).expect_err("another board");
+        assert_eq!(refusal, NoBoard::Size { seen_columns: 5, seen_rows: 4, columns: 9, rows: 6 });
+        // A smaller board is in a larger one in more than one place.
+        let smaller = Chessboard::new(4, 3, 0.02).expect("a board");
+        let refusal = find_chessboard(&drawn(24, true), &smaller).expect_err("a larger board");
+        assert_eq!(refusal, NoBoard::Size { seen_columns: 5, seen_rows: 4, columns: 4, rows: 3 });
+        assert_eq!(find_chessboard(&GrayImage::new(320, 240), &board), Err(NoBoard::None));
+        for (width, height) in [(0, 0), (1, 1), (32, 32), (4, 2000)] {
+            assert_eq!(
+                find_chessboard(&GrayImage::new(width, height), &board),
+                Err(NoBoard::None),
+                "{width} x {height}"
+            );
+        }
+    }
+
+    #[test]
+    fn both_eyes_choose_the_same_corner_of_a_board_that_looks_the_same_upside_down() {
+        let board = Chessboard::new(6, 4, 0.02).expect("a board");
+        let at = |column: u32, row: u32| BoardCorner {
+            column,
+            row,
+            pixel: Vector2::new(100.0 + 20.0 * f64::from(column), 80.0 + 20.0 * f64::from(row)),
+        };
+        let first = Sighting::new((0..4).flat_map(|row| (0..6).map(move |column| at(column, row))).collect());
+        assert_eq!(agree(&first, first.half_turned(&board), &board), first);
+        assert_eq!(agree(&first, first.clone(), &board), first);
+    }
+}

@@ -1,0 +1,309 @@
+//! From sightings of a board to cameras: the fit of one lens model, with what is known about its errors.
+
+use nalgebra::{DMatrix, Isometry3, Vector2};
+use pb3dp_geometry::frames::{Board, CamLeft};
+use pb3dp_geometry::{Camera, ImageSize, Pose, StereoRig, StereoRigError};
+
+use crate::adjust::{AdjustmentError, Observations, State, adjust, reduced_at};
+use crate::board::{BoardCorner, Chessboard, Sighting};
+use crate::lens::LensModel;
+use crate::start::{board_pose, first_camera};
+
+/// The fewest views of which a calibration is tried.
+pub const VIEWS_MIN: usize = 3;
+
+/// One view of the board by all `N` cameras at the same time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct View<const N: usize> {
+    /// What it is called, for instance the name of its file.
+    pub name: String,
+    /// What each camera saw; the left one first.
+    pub sightings: [Sighting; N],
+}
+
+/// Names of the cameras, as parameters and files have them.
+pub fn sides<const N: usize>() -> [&'static str; N] {
+    std::array::from_fn(|index| match (N, index) {
+        (1, _) => "camera",
+        (_, 0) => "left",
+        _ => "right",
+    })
+}
+
+/// Why no calibration came of the views.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum FitError {
+    /// Too few views.
+    #[error("{seen} views of the board can be used, at least {VIEWS_MIN} are needed, 15 are good: take more pictures")]
+    Views {
+        /// Views that can be used.
+        seen: usize,
+    },
+    /// No camera explains a view.
+    #[error(
+        "{side}: no focal length explains what the views show: check the numbers of the board's corners and that all pictures are of one camera"
+    )]
+    NoStart {
+        /// Which camera.
+        side: &'static str,
+    },
+    /// The adjustment failed.
+    #[error(transparent)]
+    Adjustment(#[from] AdjustmentError),
+    /// The cameras are no stereo head.
+    #[error("the cameras are no stereo head; check that the folders of the left and right pictures are not exchanged")]
+    Rig(#[from] StereoRigError),
+}
+
+/// The error of one corner.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CornerError {
+    /// The corner as it was seen.
+    pub corner: BoardCorner,
+    /// Predicted minus seen, px.
+    pub error_px: Vector2<f64>,
+}
+
+/// The covariance of the parameters that all views share.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Covariance {
+    /// Names: `left.fx`, `right.k1`, `cam_right_from_cam_left.x_m`; pixels, metres and radians. The pose moves by
+    /// `exp([x y z rx ry rz])` in `cam_right`.
+    pub names: Vec<String>,
+    /// The matrix, in the order of the names.
+    pub matrix: DMatrix<f64>,
+    /// Standard deviation of a corner in a row or column, px, as the errors have it.
+    pub corner_sigma_px: f64,
+    /// By how much the variance was raised because views differ from each other by more than their corners explain; 1 if
+    /// not. The matrix has it already.
+    pub view_scatter: f64,
+}
+
+impl Covariance {
+    /// Standard deviation of a parameter.
+    pub fn sigma(&self, name: &str) -> Option<f64> {
+        let index = self.names.iter().position(|other| other == name)?;
+        Some(self.matrix[(index, index)].max(0.0).sqrt())
+    }
+}
+
+/// Cameras fitted to views of a board.
+#[derive(Clone, Debug)]
+pub struct Fit<const N: usize> {
+    state: State,
+    errors: Vec<[Vec<CornerError>; N]>,
+    covariance: Covariance,
+}
+
+impl<const N: usize> Fit<N> {
+    /// Fits cameras with pictures of the given size to all views together.
+    ///
+    /// # Errors
+    /// Too few views, views that leave something open, or that no camera explains.
+    pub fn new(views: &[View<N>], board: &Chessboard, size: ImageSize, lens: LensModel) -> Result<Self, FitError> {
+        let start = start(views, board, size)?;
+        Self::from_start(views, board, lens, &start)
+    }
+
+    /// As [`Self::new`], from where another fit of the same or more views has ended.
+    pub(crate) fn near(&self, views: &[View<N>], board: &Chessboard, lens: LensModel) -> Result<Self, FitError> {
+        let boards = poses(&self.state, views, board).ok_or(FitError::NoStart { side: sides::<N>()[0] })?;
+        Self::from_start(views, board, lens, &State { boards, ..self.state.clone() })
+    }
+
+    fn from_start(views: &[View<N>], board: &Chessboard, lens: LensModel, start: &State) -> Result<Self, FitError> {
+        let observations = observations(views, board);
+        let state = adjust(with_lens(start, lens)?, &observations, false)?;
+        let errors = corner_errors(&state, &observations)?;
+        let covariance = covariance(&state, &observations)?;
+        Ok(Self { state, errors, covariance })
+    }
+
+    /// The cameras, the left one first.
+    pub fn cameras(&self) -> [Camera; N] {
+        std::array::from_fn(|index| self.state.cameras[index])
+    }
+
+    /// The lens model.
+    pub fn lens(&self) -> LensModel {
+        self.state.lens
+    }
+
+    /// The board as the first camera sees it, view by view.
+    pub fn cam_left_from_board(&self) -> impl Iterator<Item = Pose<CamLeft, Board>> + '_ {
+        self.state.boards.iter().map(|pose| Pose::from_isometry(*pose))
+    }
+
+    /// The errors of all corners: view by view, camera by camera.
+    pub fn errors(&self) -> &[[Vec<CornerError>; N]] {
+        &self.errors
+    }
+
+    /// What is known about the errors of the shared parameters.
+    pub fn covariance(&self) -> &Covariance {
+        &self.covariance
+    }
+
+    /// Errors of the corners of views that the fit has not seen: only the board's pose is fitted to each of them.
+    ///
+    /// # Errors
+    /// A view whose board can not be placed.
+    pub(crate) fn errors_of_other_views(
+        &self,
+        views: &[View<N>],
+        board: &Chessboard,
+    ) -> Result<Vec<Vector2<f64>>, FitError> {
+        let observations = observations(views, board);
+        let boards = poses(&self.state, views, board).ok_or(FitError::NoStart { side: sides::<N>()[0] })?;
+        let state = adjust(State { boards, ..self.state.clone() }, &observations, true)?;
+        let errors = corner_errors::<N>(&state, &observations)?;
+        Ok(errors.into_iter().flatten().flatten().map(|corner| corner.error_px).collect())
+    }
+}
+
+impl Fit<2> {
+    /// The stereo head.
+    ///
+    /// # Errors
+    /// A right camera that does not stand to the right of the left one.
+    pub fn rig(&self) -> Result<StereoRig, FitError> {
+        rig_of(&self.state)
+    }
+
+    /// Standard deviation of the depth of a point straight ahead of the left camera that the errors of the calibration leave,
+    /// metres; corners of its picture taken as exact.
+    ///
+    /// # Errors
+    /// As [`Self::rig`].
+    pub fn depth_sigma_m(&self, depth_m: f64) -> Result<f64, FitError> {
+        crate::depth::sigma_m(&self.state, &self.covariance.matrix, depth_m)
+    }
+}
+
+/// The stereo head of a state with two cameras.
+pub(crate) fn rig_of(state: &State) -> Result<StereoRig, FitError> {
+    // The states of `Fit<2>` have two cameras, and `from_first` is `cam_right_from_cam_left` there.
+    let cam_right_from_cam_left = Pose::from_isometry(state.from_first[1]);
+    Ok(StereoRig::new(state.cameras[0], state.cameras[1], cam_right_from_cam_left)?)
+}
+
+fn observations<'a, const N: usize>(views: &'a [View<N>], board: &'a Chessboard) -> Observations<'a> {
+    Observations { board, views: views.iter().map(|view| view.sightings.iter().collect()).collect() }
+}
+
+/// Each camera by itself, then their poses to each other from the view that agrees best with the others.
+fn start<const N: usize>(views: &[View<N>], board: &Chessboard, size: ImageSize) -> Result<State, FitError> {
+    if views.len() < VIEWS_MIN {
+        return Err(FitError::Views { seen: views.len() });
+    }
+    let mut alone = Vec::with_capacity(N);
+    for (index, side) in sides::<N>().into_iter().enumerate() {
+        let sightings: Vec<&Sighting> = views.iter().map(|view| &view.sightings[index]).collect();
+        alone.push(start_of_one(&sightings, board, size).ok_or(FitError::NoStart { side })??);
+    }
+    let from_first = (0..N).map(|index| middle_pose(&alone[0].boards, &alone[index].boards)).collect();
+    let cameras = alone.iter().map(|state| state.cameras[0]).collect();
+    Ok(State { lens: alone[0].lens, cameras, from_first, boards: alone.swap_remove(0).boards })
+}
+
+/// One camera with a simple lens.
+fn start_of_one(sightings: &[&Sighting], board: &Chessboard, size: ImageSize) -> Option<Result<State, FitError>> {
+    let camera = first_camera(sightings, board, size)?;
+    let boards: Option<Vec<_>> = sightings.iter().map(|sighting| board_pose(&camera, sighting, board)).collect();
+    let state = State {
+        lens: LensModel::Radial1,
+        cameras: vec![camera],
+        from_first: vec![Isometry3::identity()],
+        boards: boards?,
+    };
+    let observations = Observations { board, views: sightings.iter().map(|sighting| vec![*sighting]).collect() };
+    let settle =
+        |lens, state: &State| -> Result<State, FitError> { Ok(adjust(with_lens(state, lens)?, &observations, false)?) };
+    Some(settle(LensModel::Radial1, &state).and_then(|state| settle(LensModel::Radial2, &state)))
+}
+
+/// Of the poses that the views give, the one nearest to all others.
+fn middle_pose(first: &[Isometry3<f64>], other: &[Isometry3<f64>]) -> Isometry3<f64> {
+    let poses: Vec<Isometry3<f64>> = first.iter().zip(other).map(|(first, other)| other * first.inverse()).collect();
+    let length = poses.iter().map(|pose| pose.translation.vector.norm()).sum::<f64>() / poses.len().max(1) as f64;
+    let distance = |a: &Isometry3<f64>, b: &Isometry3<f64>| {
+        let apart = a.inverse() * b;
+        apart.rotation.angle() + apart.translation.vector.norm() / length.max(1e-6)
+    };
+    let sum = |pose: &Isometry3<f64>| poses.iter().map(|other| distance(pose, other)).sum::<f64>();
+    poses.iter().min_by(|a, b| sum(a).total_cmp(&sum(b))).copied().unwrap_or_default()
+}
+
+/// The board's poses in other views, from the first camera.
+fn poses<const N: usize>(state: &State, views: &[View<N>], board: &Chessboard) -> Option<Vec<Isometry3<f64>>> {
+    views.iter().map(|view| board_pose(&state.cameras[0], &view.sightings[0], board)).collect()
+}
+
+/// The same state with another lens model, whose further coefficients begin at zero.
+fn with_lens(state: &State, lens: LensModel) -> Result<State, FitError> {
+    let camera =
+        |camera: &Camera| Camera::new(camera.size(), *camera.pinhole(), lens.lens(camera.distortion().coefficients()));
+    let cameras = state.cameras.iter().map(camera).collect::<Result<Vec<_>, _>>().map_err(AdjustmentError::from)?;
+    Ok(State { lens, cameras, ..state.clone() })
+}
+
+fn corner_errors<const N: usize>(
+    state: &State,
+    observations: &Observations<'_>,
+) -> Result<Vec<[Vec<CornerError>; N]>, FitError> {
+    let mut all = Vec::with_capacity(observations.views.len());
+    for (view, sightings) in observations.views.iter().enumerate() {
+        let mut of_view: [Vec<CornerError>; N] = std::array::from_fn(|_| Vec::new());
+        for (camera, (list, sighting)) in of_view.iter_mut().zip(sightings).enumerate() {
+            let errors = state.errors(observations, view, camera).ok_or(AdjustmentError::NotVisible { view })?;
+            let corners = sighting.corners().iter().zip(errors);
+            list.extend(corners.map(|(corner, error_px)| CornerError { corner: *corner, error_px }));
+        }
+        all.push(of_view);
+    }
+    Ok(all)
+}
+
+/// The covariance of the shared parameters at the end of an adjustment.
+///
+/// The noise comes from the errors themselves, all corners alike. Errors that the corners of a view share (a bent board, a
+/// lens that the model does not fit) make views disagree by more than that. The sum of the views' gradients is zero, and
+/// with independent errors their squares add up to the noise times the trace of what follows from the information; where
+/// they exceed it by more than two standard deviations of chance, the covariance is raised by that ratio.
+fn covariance(state: &State, observations: &Observations<'_>) -> Result<Covariance, FitError> {
+    let all_sides: &[&str] = if state.cameras.len() == 1 { &sides::<1>() } else { &sides::<2>() };
+    let reduced = reduced_at(state, observations, all_sides)?;
+    let undetermined = || AdjustmentError::Undetermined { parameter: "the cameras".to_owned() };
+    let mut inverse = reduced.information.clone().cholesky().ok_or_else(undetermined)?.inverse();
+    let count = state.shared_count();
+    let mut squares = 0.0;
+    let mut numbers = 0;
+    for view in 0..observations.views.len() {
+        for camera in 0..state.cameras.len() {
+            let errors = state.errors(observations, view, camera).ok_or(AdjustmentError::NotVisible { view })?;
+            squares += errors.iter().map(Vector2::norm_squared).sum::<f64>();
+            numbers += 2 * errors.len();
+        }
+    }
+    let parameters = count + crate::adjust::POSE * observations.views.len();
+    let variance = squares / numbers.saturating_sub(parameters).max(1) as f64;
+    let scatter: f64 = reduced.gradients.iter().map(|gradient| gradient.dot(&(&inverse * gradient))).sum();
+    let expected: f64 = reduced
+        .by_view
+        .iter()
+        .map(|information| {
+            let share = &inverse * information;
+            share.trace() - (&share * &share).trace()
+        })
+        .sum();
+    let ratio = scatter / (variance * expected);
+    let by_chance = 1.0 + 2.0 * (2.0 / expected).sqrt();
+    let view_scatter = if ratio.is_finite() && ratio > by_chance { ratio } else { 1.0 };
+    inverse *= variance * view_scatter;
+    Ok(Covariance {
+        names: state.shared_names(all_sides),
+        matrix: inverse,
+        corner_sigma_px: variance.sqrt(),
+        view_scatter,
+    })
+}

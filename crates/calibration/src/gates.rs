@@ -1,0 +1,239 @@
+//! Gates: what a calibration must reach to be used, and what to do where it does not.
+
+use std::fmt;
+
+use crate::quality::Quality;
+
+/// Something that is judged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Gate {
+    /// Number of views.
+    Views,
+    /// Share of the picture in which the board was seen.
+    Coverage,
+    /// How much the board was tilted.
+    Tilt,
+    /// Reprojection error.
+    Reprojection,
+    /// Error of views that the fit has not seen, over that of the others.
+    HeldOut,
+    /// Rows of the rectified pictures.
+    Rows,
+    /// Error of depth that the calibration leaves.
+    Depth,
+}
+
+impl Gate {
+    /// All of them, in the order in which they are told.
+    pub const ALL: [Self; 7] =
+        [Self::Views, Self::Coverage, Self::Tilt, Self::Reprojection, Self::HeldOut, Self::Rows, Self::Depth];
+
+    /// The name in configurations, files and waivers, with its unit.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Views => "views",
+            Self::Coverage => "coverage_percent",
+            Self::Tilt => "tilt_deg",
+            Self::Reprojection => "reprojection_rms_px",
+            Self::HeldOut => "held_out_ratio",
+            Self::Rows => "row_error_rms_px",
+            Self::Depth => "depth_sigma_percent",
+        }
+    }
+
+    /// Whether larger is better.
+    pub fn is_floor(self) -> bool {
+        matches!(self, Self::Views | Self::Coverage | Self::Tilt)
+    }
+
+    /// What is measured; `None` if this calibration has no such number.
+    fn measured(self, quality: &Quality) -> Option<f64> {
+        match self {
+            Self::Views => Some(quality.views as f64),
+            Self::Coverage => Some(100.0 * quality.coverage),
+            Self::Tilt => Some(quality.tilt_deg),
+            Self::Reprojection => Some(quality.reprojection_rms_px),
+            Self::HeldOut => Some(quality.held_out_ratio()),
+            Self::Rows => quality.rows.map(|rows| rows.rms_px),
+            Self::Depth => quality.depth_sigma_share.map(|share| 100.0 * share),
+        }
+    }
+
+    /// What to do where it is not good.
+    fn advice(self) -> &'static str {
+        match self {
+            Self::Views => "take more pictures of the board, 15 to 20",
+            Self::Coverage => "show the board in the corners and at the borders of the picture, of both cameras",
+            Self::Tilt => "tilt the board by 20 to 40 degrees, about both its axes, in several views",
+            Self::Reprojection => {
+                "look at the views with the largest errors: blur, a bent board, a camera that was touched or refocused; leave them out or take them again"
+            }
+            Self::HeldOut => {
+                "the fit explains its own views better than others: take more views, or choose a lens model with fewer coefficients"
+            }
+            Self::Rows => {
+                "the two cameras do not agree: fix them to each other, leave their focus alone, expose them at the same time, hold the board still, and take the pictures again"
+            }
+            Self::Depth => "show the board nearer, larger in the picture and at the working distance, in more views",
+        }
+    }
+}
+
+/// Up to where a gate is good, and from where it refuses.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limit {
+    /// As good as this is good.
+    pub good: f64,
+    /// Worse than this is refused.
+    pub refused: f64,
+}
+
+/// The limits of all gates.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Limits {
+    limits: [Limit; Gate::ALL.len()],
+}
+
+/// A limit that makes no sense.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "gates.{key}: good = {good}, refused = {refused}: both must be finite and not negative, and good must be the {better} one"
+)]
+pub struct LimitError {
+    key: &'static str,
+    good: f64,
+    refused: f64,
+    better: &'static str,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        let limit = |gate| match gate {
+            Gate::Views => Limit { good: 12.0, refused: 6.0 },
+            Gate::Coverage => Limit { good: 70.0, refused: 45.0 },
+            Gate::Tilt => Limit { good: 20.0, refused: 10.0 },
+            Gate::Reprojection => Limit { good: 0.3, refused: 0.5 },
+            Gate::HeldOut => Limit { good: 1.25, refused: 1.6 },
+            Gate::Rows => Limit { good: 0.2, refused: 0.3 },
+            Gate::Depth => Limit { good: 0.1, refused: 0.5 },
+        };
+        Self { limits: Gate::ALL.map(limit) }
+    }
+}
+
+impl Limits {
+    /// The limit of a gate.
+    pub fn of(&self, gate: Gate) -> Limit {
+        self.limits[gate as usize]
+    }
+
+    /// The same with another limit of one gate.
+    ///
+    /// # Errors
+    /// Numbers that are not finite, negative, or the wrong way round.
+    pub fn with(mut self, gate: Gate, limit: Limit) -> Result<Self, LimitError> {
+        let Limit { good, refused } = limit;
+        let ordered = if gate.is_floor() { good >= refused } else { good <= refused };
+        if !(good.is_finite() && refused.is_finite() && good >= 0.0 && refused >= 0.0 && ordered) {
+            let better = if gate.is_floor() { "larger" } else { "smaller" };
+            return Err(LimitError { key: gate.key(), good, refused, better });
+        }
+        self.limits[gate as usize] = limit;
+        Ok(self)
+    }
+
+    /// Judges a calibration.
+    pub fn judge(&self, quality: &Quality) -> Vec<Verdict> {
+        let of = |gate: Gate| Some(Verdict { gate, measured: gate.measured(quality)?, limit: self.of(gate) });
+        Gate::ALL.into_iter().filter_map(of).collect()
+    }
+}
+
+/// How a gate was passed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Grade {
+    /// As it should be.
+    Good,
+    /// Usable.
+    Fair,
+    /// Not to be used.
+    Refused,
+}
+
+impl Grade {
+    /// Its name in files and on the screen.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Good => "good",
+            Self::Fair => "fair",
+            Self::Refused => "refused",
+        }
+    }
+}
+
+/// What one gate says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Verdict {
+    /// The gate.
+    pub gate: Gate,
+    /// What was measured, in the unit of the gate's key.
+    pub measured: f64,
+    /// What it was held against.
+    pub limit: Limit,
+}
+
+impl Verdict {
+    /// How it was passed; a number that is not finite is refused.
+    pub fn grade(&self) -> Grade {
+        let as_good_as =
+            |limit: f64| if self.gate.is_floor() { self.measured >= limit } else { self.measured <= limit };
+        match (as_good_as(self.limit.good), as_good_as(self.limit.refused)) {
+            (true, _) if self.measured.is_finite() => Grade::Good,
+            (_, true) if self.measured.is_finite() => Grade::Fair,
+            _ => Grade::Refused,
+        }
+    }
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let word = if self.gate.is_floor() { "from" } else { "up to" };
+        let Limit { good, refused } = self.limit;
+        let (key, grade) = (self.gate.key(), self.grade());
+        write!(f, "{:<8} {key} = {:.3} (good {word} {good}, refused beyond {refused})", grade.name(), self.measured)?;
+        if grade == Grade::Good { Ok(()) } else { write!(f, ": {}", self.gate.advice()) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_gate_refuses_beyond_its_limit_and_says_what_to_do() {
+        for gate in Gate::ALL {
+            let limit = Limits::default().of(gate);
+            let grade = |measured| Verdict { gate, measured, limit }.grade();
+            assert_eq!(grade(limit.good), Grade::Good);
+            assert_eq!(grade(0.5 * (limit.good + limit.refused)), Grade::Fair, "{gate:?}");
+            let beyond = limit.refused + 1e-6 * (limit.refused - limit.good);
+            assert_eq!(grade(beyond), Grade::Refused, "{gate:?}");
+            assert_eq!(grade(f64::NAN), Grade::Refused);
+            let text = Verdict { gate, measured: beyond, limit }.to_string();
+            assert!(text.starts_with("refused") && text.contains(gate.key()) && text.contains(gate.advice()), "{text}");
+        }
+    }
+
+    #[test]
+    fn limits_the_wrong_way_round_are_refused() {
+        let refused =
+            |gate, good, refused| Limits::default().with(gate, Limit { good, refused }).map_err(|e| e.to_string());
+        assert!(
+            refused(Gate::Rows, 0.3, 0.2)
+                .is_err_and(|text| text.contains("row_error_rms_px") && text.contains("smaller"))
+        );
+        assert!(refused(Gate::Views, 5.0, 9.0).is_err_and(|text| text.contains("larger")));
+        assert!(refused(Gate::Rows, f64::NAN, 0.2).is_err());
+        assert!(refused(Gate::Rows, 0.1, 0.15).is_ok_and(|limits| limits.of(Gate::Rows).refused == 0.15));
+    }
+}

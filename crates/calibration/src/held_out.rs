@@ -1,0 +1,87 @@
+//! What a calibration is worth on views that it has not seen, and the lens model chosen by that.
+
+use nalgebra::Vector2;
+use pb3dp_geometry::ImageSize;
+
+use crate::board::Chessboard;
+use crate::fit::{Fit, FitError, VIEWS_MIN, View};
+use crate::lens::LensModel;
+
+/// Into how many parts the views are divided: each part is predicted from the others.
+const PARTS: usize = 5;
+/// A model with more coefficients must lower the held-out error by this share to be worth them.
+const WORTH: f64 = 0.01;
+
+/// The held-out error of one lens model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HeldOut {
+    /// The model.
+    pub lens: LensModel,
+    /// Root mean square of the distance between predicted and seen corners in views that the fit has not seen, px; or why
+    /// there is none.
+    pub rms_px: Result<f64, FitError>,
+}
+
+/// The chosen fit and what it was chosen from.
+#[derive(Clone, Debug)]
+pub struct Chosen<const N: usize> {
+    /// The fit to all views.
+    pub fit: Fit<N>,
+    /// Its held-out error, px.
+    pub held_out_rms_px: f64,
+    /// All models that were tried.
+    pub tried: Vec<HeldOut>,
+}
+
+/// Fits the given lens models and keeps the one with the fewest coefficients whose held-out error is within 1 % of the lowest.
+///
+/// # Errors
+/// Too few views, or that of the last model if none could be fitted.
+pub fn choose<const N: usize>(
+    views: &[View<N>],
+    board: &Chessboard,
+    size: ImageSize,
+    models: &[LensModel],
+) -> Result<Chosen<N>, FitError> {
+    if views.len() <= VIEWS_MIN {
+        return Err(FitError::Views { seen: views.len() });
+    }
+    let mut fits: Vec<(Fit<N>, f64)> = Vec::new();
+    let mut tried = Vec::new();
+    for lens in models {
+        // Each model begins where the simpler one before it has ended.
+        let fit = match fits.last() {
+            Some((simpler, _)) => simpler.near(views, board, *lens),
+            None => Fit::new(views, board, size, *lens),
+        };
+        let rms_px = fit.and_then(|fit| Ok((held_out_rms_px(&fit, views, board)?, fit))).map(|(rms_px, fit)| {
+            fits.push((fit, rms_px));
+            rms_px
+        });
+        tried.push(HeldOut { lens: *lens, rms_px });
+    }
+    let lowest = fits.iter().map(|(_, rms_px)| *rms_px).fold(f64::INFINITY, f64::min);
+    match fits.into_iter().find(|(_, rms_px)| *rms_px <= lowest * (1.0 + WORTH)) {
+        Some((fit, held_out_rms_px)) => Ok(Chosen { fit, held_out_rms_px, tried }),
+        None => {
+            let last = tried.pop().and_then(|held_out| held_out.rms_px.err());
+            Err(last.unwrap_or(FitError::Views { seen: views.len() }))
+        }
+    }
+}
+
+/// Root mean square of the held-out errors of a fit's model, px; view `i` is in part `i` modulo the number of parts.
+fn held_out_rms_px<const N: usize>(fit: &Fit<N>, views: &[View<N>], board: &Chessboard) -> Result<f64, FitError> {
+    let parts = PARTS.min(views.len());
+    let (mut sum, mut count) = (0.0, 0_usize);
+    for part in 0..parts {
+        let (held, seen): (Vec<_>, Vec<_>) =
+            views.iter().cloned().enumerate().partition(|(index, _)| index % parts == part);
+        let views_of = |list: Vec<(usize, View<N>)>| list.into_iter().map(|(_, view)| view).collect::<Vec<_>>();
+        let (held, seen) = (views_of(held), views_of(seen));
+        let errors = fit.near(&seen, board, fit.lens())?.errors_of_other_views(&held, board)?;
+        sum += errors.iter().map(Vector2::norm_squared).sum::<f64>();
+        count += errors.len();
+    }
+    Ok((sum / count.max(1) as f64).sqrt())
+}

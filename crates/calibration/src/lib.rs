@@ -1,0 +1,25 @@
+//! Calibrates cameras and stereo heads from pictures of a chessboard, and judges the result.
+//!
+//! The way of the data: [`detection::find_chessboard`] finds the corners of a [`board::Chessboard`] in a picture,
+//! [`fit::Fit`] adjusts all cameras, their poses to each other and the board's poses together, [`held_out::choose`] chooses
+//! the lens model by views that the fit has not seen, [`quality::Quality`] puts the result into numbers, and
+//! [`gates::Limits`] judges them. Calibrations as files are those of `pb3dp_record::calibration_files`.
+//!
+//! The size of a square can not be judged by pictures: with squares that are taken 1 % too large every length is 1 % too
+//! long, and all errors stay the same. Measure ten squares with a ruler, and after the calibration a length.
+//!
+//! This library reads no files and no clock; the program `pb3dp-calibrate`, which `pb3dp calibrate` starts, does. It is a
+//! crate of its own so that what finds boards stays out of the real-time program.
+
+mod adjust;
+pub mod board;
+mod depth;
+pub mod detection;
+pub mod fit;
+pub mod gates;
+pub mod held_out;
+pub mod lens;
+pub mod quality;
+mod start;
+
+pub use adjust::AdjustmentError;

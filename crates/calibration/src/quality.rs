@@ -1,0 +1,171 @@
+//! What a calibration is like, in numbers that gates can judge.
+
+use nalgebra::{Vector2, Vector3};
+use pb3dp_geometry::{Camera, ImageSize, RectificationError, StereoRig};
+
+use crate::board::Sighting;
+use crate::fit::{CornerError, Fit, FitError, View};
+use crate::held_out::Chosen;
+
+/// Cells into which a picture is divided to see whether the board was everywhere.
+const CELLS: [u32; 2] = [8, 6];
+/// So many views must be tilted at least as much as the tilt that is told.
+const TILTED_VIEWS: usize = 3;
+
+/// How far rows of the rectified pictures are apart, right minus left, px.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RowError {
+    /// Root mean square.
+    pub rms_px: f64,
+    /// Mean: a constant shift.
+    pub mean_px: f64,
+    /// 95 % of the corners are below this, without sign.
+    pub p95_px: f64,
+}
+
+/// A calibration in numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Quality {
+    /// Views used.
+    pub views: usize,
+    /// Corners of all views and cameras.
+    pub corners: usize,
+    /// Root mean square of the distance between predicted and seen corners, px, all cameras together.
+    pub reprojection_rms_px: f64,
+    /// The same, camera by camera.
+    pub reprojection_rms_by_camera_px: Vec<f64>,
+    /// The same, view by view.
+    pub reprojection_rms_by_view_px: Vec<(String, f64)>,
+    /// The same for views that the fit has not seen.
+    pub held_out_rms_px: f64,
+    /// Share of the picture's cells in which a corner was seen, of the camera with the lowest.
+    pub coverage: f64,
+    /// Three views show the board tilted by at least so much, degrees.
+    pub tilt_deg: f64,
+    /// Rows of the rectified pictures; of a stereo head only.
+    pub rows: Option<RowError>,
+    /// Standard deviation of depth that the calibration leaves at the working distance, as a share of it; of a stereo head only.
+    pub depth_sigma_share: Option<f64>,
+}
+
+impl Quality {
+    /// Held-out error over the error of the views that the fit has seen.
+    pub fn held_out_ratio(&self) -> f64 {
+        self.held_out_rms_px / self.reprojection_rms_px
+    }
+
+    /// The view with the largest error.
+    pub fn worst_view(&self) -> Option<&(String, f64)> {
+        self.reprojection_rms_by_view_px.iter().max_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// Of a single camera.
+    pub fn of_camera(chosen: &Chosen<1>, views: &[View<1>], size: ImageSize) -> Self {
+        of(chosen, views, size)
+    }
+
+    /// Of a stereo head that is to work at `depth_m`.
+    ///
+    /// # Errors
+    /// A pair that can not be rectified.
+    pub fn of_stereo(
+        chosen: &Chosen<2>,
+        views: &[View<2>],
+        size: ImageSize,
+        depth_m: f64,
+    ) -> Result<Self, QualityError> {
+        let rows = row_error(&chosen.fit.rig()?, views)?;
+        let depth_sigma_share = Some(chosen.fit.depth_sigma_m(depth_m)? / depth_m);
+        Ok(Self { rows: Some(rows), depth_sigma_share, ..of(chosen, views, size) })
+    }
+}
+
+/// Why a stereo calibration could not be judged.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum QualityError {
+    /// It is no stereo head.
+    #[error(transparent)]
+    Fit(#[from] FitError),
+    /// It can not be rectified.
+    #[error("the pair can not be rectified")]
+    Rectification(#[from] RectificationError),
+}
+
+fn of<const N: usize>(chosen: &Chosen<N>, views: &[View<N>], size: ImageSize) -> Quality {
+    let errors = chosen.fit.errors();
+    let rms = |list: &mut dyn Iterator<Item = &CornerError>| {
+        let (sum, count) =
+            list.fold((0.0, 0_usize), |(sum, count), corner| (sum + corner.error_px.norm_squared(), count + 1));
+        (sum / count.max(1) as f64).sqrt()
+    };
+    let by_view =
+        views.iter().zip(errors).map(|(view, of_view)| (view.name.clone(), rms(&mut of_view.iter().flatten())));
+    Quality {
+        views: views.len(),
+        corners: errors.iter().flatten().map(Vec::len).sum(),
+        reprojection_rms_px: rms(&mut errors.iter().flatten().flatten()),
+        reprojection_rms_by_camera_px: (0..N)
+            .map(|camera| rms(&mut errors.iter().flat_map(|of| &of[camera])))
+            .collect(),
+        reprojection_rms_by_view_px: by_view.collect(),
+        held_out_rms_px: chosen.held_out_rms_px,
+        coverage: (0..N)
+            .map(|camera| coverage(views.iter().map(|view| &view.sightings[camera]), size))
+            .fold(1.0, f64::min),
+        tilt_deg: tilt_deg(&chosen.fit),
+        rows: None,
+        depth_sigma_share: None,
+    }
+}
+
+/// Share of the cells of a picture in which a corner was seen.
+fn coverage<'a>(sightings: impl Iterator<Item = &'a Sighting>, size: ImageSize) -> f64 {
+    let [across, down] = CELLS;
+    let mut seen = vec![false; (across * down) as usize];
+    let cell = |at: f64, length: u32, cells: u32| {
+        ((at + 0.5) / f64::from(length) * f64::from(cells)).clamp(0.0, f64::from(cells - 1)) as u32
+    };
+    for corner in sightings.flat_map(Sighting::corners) {
+        let index = cell(corner.pixel.y, size.height, down) * across + cell(corner.pixel.x, size.width, across);
+        seen[index as usize] = true;
+    }
+    seen.iter().filter(|cell| **cell).count() as f64 / seen.len() as f64
+}
+
+/// By how much the board's normal leaves the axis of the first camera in the third most tilted view, degrees.
+fn tilt_deg<const N: usize>(fit: &Fit<N>) -> f64 {
+    let tilt = |normal: Vector3<f64>| normal.z.abs().min(1.0).acos().to_degrees();
+    let mut tilts: Vec<f64> =
+        fit.cam_left_from_board().map(|pose| tilt(pose.transform_vector(&Vector3::z()))).collect();
+    tilts.sort_by(|a, b| b.total_cmp(a));
+    tilts.get(TILTED_VIEWS - 1).copied().unwrap_or(0.0)
+}
+
+/// Rows of all corners in the rectified pictures.
+fn row_error(rig: &StereoRig, views: &[View<2>]) -> Result<RowError, QualityError> {
+    let rectified = rig.rectify()?;
+    let (left_turn, right_turn) = (
+        rectified.cam_left_rect_from_cam_left.rotation_matrix(),
+        rectified.cam_right_rect_from_cam_right.rotation_matrix(),
+    );
+    let row = |camera: &Camera, turn: &nalgebra::Matrix3<f64>, ideal: &Camera, pixel: &Vector2<f64>| -> Option<f64> {
+        let ray = turn * camera.unproject(pixel).ok()?;
+        Some(ideal.project(&ray.into())?.y)
+    };
+    let mut differences = Vec::new();
+    for view in views {
+        let [left, right] = &view.sightings;
+        for corner in left.corners() {
+            let Some(other) = right.at(corner.column, corner.row) else { continue };
+            let of_left = row(rig.left(), &left_turn, rectified.rig.left(), &corner.pixel);
+            let of_right = row(rig.right(), &right_turn, rectified.rig.right(), &other.pixel);
+            differences.extend(of_left.zip(of_right).map(|(left, right)| right - left));
+        }
+    }
+    let count = differences.len().max(1) as f64;
+    let mean_px = differences.iter().sum::<f64>() / count;
+    let rms_px = (differences.iter().map(|d| d * d).sum::<f64>() / count).sqrt();
+    differences.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
+    let p95 = differences.get((differences.len() * 95 / 100).min(differences.len().saturating_sub(1)));
+    Ok(RowError { rms_px, mean_px, p95_px: p95.map_or(0.0, |d| d.abs()) })
+}

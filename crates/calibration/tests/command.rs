@@ -1,0 +1,94 @@
+//! The program, as a user runs it.
+
+#![allow(
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "tests may fail loudly, and show what they measured"
+)]
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use pb3dp_record::calibration_files::load_stereo;
+
+const DATA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data");
+
+fn calibrate(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_pb3dp-calibrate")).args(args).output().expect("it starts")
+}
+
+fn text(output: &Output) -> String {
+    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+}
+
+fn chessboards() -> String {
+    format!("{DATA}/opencv_chessboards")
+}
+
+/// `stereo` of the chessboards, with further arguments.
+fn stereo(further: &[&str]) -> Output {
+    let folder = chessboards();
+    let args = ["stereo", "--left", &folder, "--right", &folder, "--board", "9x6", "--square", "25"];
+    calibrate(&[&args, further].concat())
+}
+
+#[test]
+fn a_head_is_calibrated_from_a_folder_of_pictures() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (corners, json) = (path("corners.csv"), path("calib.json"));
+    let output = stereo(&["--corners", &corners, "--out", &json]);
+    let told = text(&output);
+    println!("{told}");
+    assert!(told.contains("verdict: "), "{told}");
+    assert!(told.contains("not judged: the size of the squares"), "{told}");
+    // What the pictures show is what the committed corners are, which OpenCV had.
+    let found = fs::read_to_string(&corners).expect("corners");
+    assert_eq!(found, fs::read_to_string(Path::new(DATA).join("corners.csv")).expect("corners"));
+    let rig = load_stereo(&[json.clone().into()]).expect("a calibration").rig;
+    assert!((rig.baseline_m() * 1e3 - 83.0).abs() < 1.0, "{rig:?}");
+    for name in ["rig.opencv.yaml", "camchain.kalibr.yaml", "ros"] {
+        let out = path(name);
+        let output = calibrate(&["convert", &json, "--out", &out]);
+        assert!(output.status.success(), "{}", text(&output));
+        let again = load_stereo(&[out.into()]).expect("a calibration").rig;
+        let apart = again.cam_right_from_cam_left().to_homogeneous() - rig.cam_right_from_cam_left().to_homogeneous();
+        assert!(apart.amax() < 1e-14, "{name}: {apart}");
+        assert_eq!(again.left().distortion(), rig.left().distortion());
+    }
+}
+
+#[test]
+fn gates_of_a_file_refuse_and_the_program_fails() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let strict = folder.path().join("gates.toml");
+    let limits = include_str!("../../../configs/calibration_gates.toml");
+    let limits = limits.replace("views = { good = 12, refused = 6 }", "views = { good = 20, refused = 14 }");
+    fs::write(&strict, limits).expect("written");
+    let output = stereo(&["--lens", "brown-4", "--gates", &strict.display().to_string()]);
+    assert!(!output.status.success());
+    let told = text(&output);
+    assert!(told.contains("refused  views = 12.000") && told.contains("take more pictures"), "{told}");
+    assert!(told.contains("verdict: refused"), "{told}");
+}
+
+#[test]
+fn mistakes_are_named() {
+    let folder = chessboards();
+    let refusal = |args: &[&str]| {
+        let output = calibrate(args);
+        assert!(!output.status.success(), "{args:?}");
+        text(&output)
+    };
+    let one = ["intrinsics", "--pictures", &folder, "--square", "25", "--board"];
+    assert!(refusal(&[&one[..], &["8x6"]].concat()).contains("a grid of 9 x 6 corners is seen, the board has 8 x 6"));
+    assert!(refusal(&[&one[..], &["7x7"]].concat()).contains("quarter turn"));
+    assert!(refusal(&[&one[..], &["nine"]].concat()).contains("COLUMNSxROWS"));
+    let empty = tempfile::tempdir().expect("a folder");
+    let empty = empty.path().display().to_string();
+    let stereo = ["stereo", "--left", &empty, "--right", &empty, "--board", "9x6", "--square", "25"];
+    assert!(refusal(&stereo).contains("no pictures of 2 camera(s) that belong together"));
+    assert!(refusal(&["convert", &format!("{DATA}/corners.csv"), "--out", "x.json"]).contains("corners.csv"));
+}

@@ -1,0 +1,163 @@
+//! Simulated stereo heads with exact truth.
+
+use nalgebra::{Isometry3, Vector2, Vector3, Vector6};
+use pb3dp_calibration::board::{BoardCorner, Chessboard, Sighting};
+use pb3dp_calibration::fit::View;
+use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig, se3, so3};
+use pb3dp_sim::noise::{hash, unit};
+
+pub const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
+
+/// Numbers that a seed determines for ever.
+pub struct Random {
+    seed: u32,
+    count: u32,
+}
+
+impl Random {
+    pub fn new(seed: u32) -> Self {
+        Self { seed, count: 0 }
+    }
+
+    /// Evenly between two numbers.
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+        self.count += 1;
+        low + (high - low) * unit(hash(&[self.seed, self.count]))
+    }
+
+    /// Standard normal (Box and Muller).
+    pub fn normal(&mut self) -> f64 {
+        let radius = (-2.0 * self.between(1e-9, 1.0).ln()).sqrt();
+        radius * (std::f64::consts::TAU * self.between(0.0, 1.0)).cos()
+    }
+}
+
+/// What is wrong with a simulated session, and how much.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Session {
+    pub views: usize,
+    /// Standard deviation of a corner, px.
+    pub corner_sigma_px: f64,
+    /// The right camera's focal length is larger by this share from the middle of the session on.
+    pub refocused: f64,
+    /// The board moves by this much between the two exposures, m, in a direction of its own in each view.
+    pub moved_between_eyes_m: f64,
+    /// The board is bowed: its middle stands out by this much, m.
+    pub bow_m: f64,
+}
+
+pub fn board() -> Chessboard {
+    Chessboard::new(9, 6, 0.025).expect("a board")
+}
+
+/// A head with two different cameras, slightly turned against each other.
+pub fn rig(random: &mut Random) -> StereoRig {
+    let focal = random.between(500.0, 900.0);
+    let mut camera = || {
+        let fx = focal * random.between(0.98, 1.02);
+        let pinhole = Pinhole {
+            fx,
+            fy: fx * random.between(0.995, 1.005),
+            cx: random.between(300.0, 340.0),
+            cy: random.between(220.0, 260.0),
+        };
+        let coefficients = [
+            random.between(-0.35, 0.05),
+            random.between(-0.05, 0.15),
+            random.between(-0.001, 0.001),
+            random.between(-0.001, 0.001),
+            0.0,
+        ];
+        Camera::new(SIZE, pinhole, Distortion::BrownConrady5 { coefficients }).expect("a camera")
+    };
+    let (left, right) = (camera(), camera());
+    let mut angle = |degrees: f64| random.between(-degrees, degrees).to_radians();
+    let turn = Vector3::new(angle(1.5), angle(1.0) + 0.05, angle(1.5));
+    let baseline_m = random.between(0.06, 0.14);
+    let shift = Vector3::new(-baseline_m, random.between(-0.003, 0.003), random.between(-0.004, 0.004));
+    StereoRig::new(left, right, Pose::from_parts(shift, so3::exp(&turn))).expect("a head")
+}
+
+/// Views of the board by both cameras of a head, spread over the picture, tilted and turned; boards that leave a picture are
+/// not taken.
+pub fn views(rig: &StereoRig, session: &Session, random: &mut Random) -> Vec<View<2>> {
+    let board = board();
+    let mut views = Vec::with_capacity(session.views);
+    while views.len() < session.views {
+        let late = views.len() >= session.views / 2;
+        let right = if late { refocused(rig.right(), session.refocused) } else { *rig.right() };
+        let cam_left_from_board = placed(rig, &board, random);
+        let moved = Vector3::from_fn(|_, _| random.normal()).normalize() * session.moved_between_eyes_m;
+        let cam_right_from_board = rig.cam_right_from_cam_left().isometry()
+            * Isometry3::translation(moved.x, moved.y, moved.z)
+            * cam_left_from_board;
+        let seen = [
+            sighting(rig.left(), &cam_left_from_board, &board, session, random),
+            sighting(&right, &cam_right_from_board, &board, session, random),
+        ];
+        if let [Some(left), Some(right)] = seen {
+            views.push(View { name: format!("{:02}", views.len()), sightings: [left, right] });
+        }
+    }
+    views
+}
+
+fn refocused(camera: &Camera, share: f64) -> Camera {
+    let p = camera.pinhole();
+    let pinhole = Pinhole { fx: p.fx * (1.0 + share), fy: p.fy * (1.0 + share), ..*p };
+    Camera::new(camera.size(), pinhole, *camera.distortion()).expect("a camera")
+}
+
+/// The middle of the board on the ray of some pixel, the board filling a fifth to three quarters of the picture's width.
+fn placed(rig: &StereoRig, board: &Chessboard, random: &mut Random) -> Isometry3<f64> {
+    let middle = board.corner_in_board(board.columns() - 1, board.rows() - 1).coords * 0.5;
+    let distance_m = 2.0 * middle.x * rig.left().pinhole().fx / (random.between(0.3, 0.75) * f64::from(SIZE.width));
+    let pixel = Vector2::new(random.between(60.0, 580.0), random.between(50.0, 430.0));
+    let ray = rig.left().unproject(&pixel).expect("inside the picture");
+    let (tilt, way) = (random.between(0.0, 0.7), random.between(0.0, std::f64::consts::TAU));
+    let turn = so3::exp(&Vector3::new(tilt * way.cos(), tilt * way.sin(), random.between(-0.5, 0.5)));
+    let to_middle = Isometry3::from_parts((ray * distance_m).into(), turn);
+    to_middle * Isometry3::translation(-middle.x, -middle.y, 0.0)
+}
+
+fn sighting(
+    camera: &Camera,
+    cam_from_board: &Isometry3<f64>,
+    board: &Chessboard,
+    session: &Session,
+    random: &mut Random,
+) -> Option<Sighting> {
+    let mut corners = Vec::with_capacity(board.corner_count());
+    for (column, row) in (0..board.rows()).flat_map(|row| (0..board.columns()).map(move |column| (column, row))) {
+        let mut in_board = board.corner_in_board(column, row);
+        let share = |at: u32, all: u32| 2.0 * f64::from(at) / f64::from(all - 1) - 1.0;
+        in_board.z =
+            session.bow_m * (1.0 - share(column, board.columns()).powi(2)) * (1.0 - share(row, board.rows()).powi(2));
+        let noise = Vector2::new(random.normal(), random.normal()) * session.corner_sigma_px;
+        let pixel = camera.project(&(cam_from_board * in_board))?;
+        let inside = (8.0..632.0).contains(&pixel.x) && (8.0..472.0).contains(&pixel.y);
+        inside.then(|| corners.push(BoardCorner { column, row, pixel: pixel + noise }))?;
+    }
+    Some(Sighting::new(corners))
+}
+
+/// Error of every shared parameter in units of its stated standard deviation, in the order of the covariance.
+pub fn normalised_errors(fit: &pb3dp_calibration::fit::Fit<2>, truth: &StereoRig) -> Vec<(String, f64)> {
+    let rig = fit.rig().expect("a head");
+    let mut errors = Vec::new();
+    for (found, truth) in [(rig.left(), truth.left()), (rig.right(), truth.right())] {
+        let (a, b) = (found.pinhole(), truth.pinhole());
+        errors.extend([a.fx - b.fx, a.fy - b.fy, a.cx - b.cx, a.cy - b.cy]);
+        let coefficients = found.distortion().coefficients().iter().zip(truth.distortion().coefficients());
+        errors.extend(coefficients.take(fit.lens().coefficient_count()).map(|(a, b)| a - b));
+    }
+    // found = exp(xi) truth.
+    let xi: Vector6<f64> =
+        se3::log(&(rig.cam_right_from_cam_left().isometry() * truth.cam_right_from_cam_left().isometry().inverse()));
+    errors.extend(xi.iter());
+    let names = fit.covariance().names.iter();
+    names
+        .zip(errors)
+        .map(|(name, error)| (name.clone(), error / fit.covariance().sigma(name).expect("named")))
+        .collect()
+}
