@@ -93,6 +93,9 @@ pub struct RunArgs {
     /// The target in the first left picture of real cameras; it goes before camera.region of the setup.
     #[arg(long, value_name = "REGION", help = format!("The target in the first left picture of real cameras; it goes before camera.region of the setup: {REGION_HELP}"))]
     pub region: Option<RegionSpec>,
+    /// Move real arms by a calibration that says of itself that no cameras were measured (`calibration_quality`: none).
+    #[arg(long)]
+    pub nominal_calibration: bool,
     /// Who tells the run what to do.
     #[arg(long, value_enum, default_value_t = OperatorName::Command)]
     pub operator: OperatorName,

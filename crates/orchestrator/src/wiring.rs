@@ -5,6 +5,7 @@ mod at_once;
 mod cameras;
 pub mod commissioning;
 mod greeting;
+mod nominal;
 
 use std::path::Path;
 use std::sync::Arc;
@@ -39,6 +40,7 @@ use pb3dp_sim::trajectory::{AtRest, MotionConfig, Trajectory};
 use self::arm::{ArmOnBus, WiredArms, wire_arms};
 use self::at_once::at_once;
 pub use greeting::{bus_doubts, geometry_doubt, watchdog_refusal};
+pub use nominal::MOCK_ARM;
 
 use crate::cli::ReplayPace;
 use crate::config::setup::{ArmSetup, Carrier, Leader, Pace, Setup, fold_seed};
@@ -202,6 +204,9 @@ fn wire_cell_with(
     let experiment = begin(&mut cell, start)?;
     let (camera, marking) = match &setup.real_cameras {
         Some(real) => {
+            if let Some(says) = &setup.nominal_calibration {
+                nominal::look_at_arms(says, &monitors)?;
+            }
             let camera = cameras::wire_real(real, &setup.rig, (video, Arc::clone(&clock)))?;
             let region = real.region.as_ref().context(NOT_MARKED)?;
             (Sight::Pictures(camera), Marking::Region(load_region(region, real.size())?))

@@ -130,6 +130,19 @@ fn camchain_and_case_calibration_are_read() {
 }
 
 #[test]
+fn a_calibration_of_no_cameras_is_known_by_its_own_words() {
+    let nominal = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/calibration/nominal.json");
+    let text = std::fs::read_to_string(&nominal).unwrap();
+    let says = load_stereo(&[nominal]).unwrap().not_measured.unwrap();
+    assert!(says.starts_with("none: the numbers of the drawing"), "{says}");
+    // Other words, and what is no text, are notes.
+    for other in ["\"0.2 px rms of 40 boards\"", "{\"rms_px\": 0.2}"] {
+        let text = text.replace(&format!("\"{says}\""), other);
+        assert_eq!(load_texts(&[("calib.json", &text)]).unwrap().not_measured, None, "{other}");
+    }
+}
+
+#[test]
 fn other_spellings_of_opencv_files_are_read() {
     let text = fs::read_to_string(data("opencv_4_14_stereo.yaml")).unwrap();
     let spelled = text

@@ -18,7 +18,7 @@ use serde::Serialize;
 
 use super::arm::confirm;
 use super::estimate::output::print_line;
-use super::run::mark;
+use super::run::{accept_nominal, mark};
 use crate::config::setup::{Setup, read_setup};
 use crate::region_spec::{REGION_HELP, RegionSpec};
 use crate::run::flight::Moment;
@@ -50,6 +50,9 @@ struct DelayArgs {
     config: PathBuf,
     #[arg(long, value_name = "REGION", help = format!("The target in the first left picture of real cameras: {REGION_HELP}"))]
     region: Option<RegionSpec>,
+    /// Move real arms by a calibration that says of itself that no cameras were measured (`calibration_quality`: none).
+    #[arg(long)]
+    nominal_calibration: bool,
     /// Move the arm; with real arms once the name vs-robot was typed. Without it nothing moves.
     #[arg(long = "move")]
     moves: bool,
@@ -81,6 +84,7 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
     let mut signals = StopSignals::take_over().context("the signals that end the program can not be taken over")?;
     let mut setup = read_setup(&args.config)?;
     mark(&mut setup, args.region.as_ref())?;
+    accept_nominal(&mut setup, args.nominal_calibration);
     let motion = Excitation::new(args.way * 1e-3, args.seconds).context("--way is in mm, --seconds in s")?;
     let plan = format!(
         "vs-robot: the hand swings by {:.1} mm to its right and downwards for {:.0} s, at most {:.0} mm/s, and comes back; tc-robot holds \

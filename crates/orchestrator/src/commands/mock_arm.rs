@@ -20,6 +20,7 @@ use pb3dp_sim::joint_dynamics::JointPlant;
 
 use super::typed_lines::typed_lines;
 use crate::config::names::{FormatName, GeometryName};
+use crate::wiring::MOCK_ARM;
 
 /// What `--fault`, scripts and standard input understand.
 const LINES: &str =
@@ -128,7 +129,7 @@ fn start(args: &MockArmArgs) -> anyhow::Result<MockServer> {
 
 fn face(args: &MockArmArgs, controller: &MockControllerConfig) -> anyhow::Result<MockFace> {
     let firmware =
-        Firmware::new(concat!("mock-arm ", env!("CARGO_PKG_VERSION"))).context("the name of the firmware")?;
+        Firmware::new(&format!("{MOCK_ARM} {}", env!("CARGO_PKG_VERSION"))).context("the name of the firmware")?;
     let gateway = GatewayConfig {
         geometry: args.geometry.into(),
         controller_watchdog: controller.watchdog,

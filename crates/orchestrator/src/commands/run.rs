@@ -37,6 +37,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
         setup.reseed(seed);
     }
     mark(&mut setup, args.region.as_ref())?;
+    accept_nominal(&mut setup, args.nominal_calibration);
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
     if args.operator == OperatorName::Console && setup.pace == Pace::Fast {
         bail!("--operator console: at pace = \"fast\" nobody can speak in time; set pace to \"real-time\" or \"live\"");
@@ -112,6 +113,13 @@ pub(super) fn mark(setup: &mut Setup, region: Option<&RegionSpec>) -> Result<()>
         ),
     }
     Ok(())
+}
+
+/// Lets real arms move by the calibration of no cameras, if that is said.
+pub(crate) fn accept_nominal(setup: &mut Setup, is_accepted: bool) {
+    if let Some(says) = setup.nominal_calibration.take_if(|_| is_accepted) {
+        tracing::warn!("--nominal-calibration: arms move by what is seen with a calibration of no cameras ({says})");
+    }
 }
 
 /// What somebody needs to repeat the run.

@@ -24,6 +24,7 @@ use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, Clock, JointComm
 use pb3dp_hal_middleware::{CoupledArmConfig, FlightLog, Guard, Limiter, Recorded, couple};
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
 
+use super::nominal::EMULATION;
 use super::{DrivenArm, greeting};
 use crate::config::setup::{ArmLink, ArmSetup, BusLinkConfig, GatewayWay, Setup};
 use crate::run::cell::{ArmSite, JointSource};
@@ -334,7 +335,7 @@ fn emulated_parts(
         upper_limit_rad: *hard_limits.position_max_rad(),
         ..MockControllerConfig::new(link.format)
     };
-    let firmware = Firmware::new("pb3dp emulation").context("a name for the gateway")?;
+    let firmware = Firmware::new(EMULATION).context("a name for the gateway")?;
     let gateway = GatewayConfig { geometry: link.geometry, ..GatewayConfig::new(link.arm, link.format, firmware) };
     Ok((controller, gateway, plant))
 }

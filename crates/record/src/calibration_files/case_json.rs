@@ -46,6 +46,12 @@ pub(super) fn read(root: &Node<'_>) -> Result<StereoRig, CalibrationFileError> {
     Ok(rig)
 }
 
+/// What a file says that is the calibration of no cameras. The key is a note, so others have anything else there.
+pub(super) fn not_measured(root: &Node<'_>) -> Option<String> {
+    let text = root.find("calibration_quality")?.text().ok()?;
+    text.starts_with("none").then(|| text.to_owned())
+}
+
 fn camera(root: &Node<'_>, side: &str, size: ImageSize) -> Result<Camera, CalibrationFileError> {
     let intrinsics = root.get(&format!("K_{side}"))?;
     let distortion = match root.find(&format!("distortion_{side}")) {

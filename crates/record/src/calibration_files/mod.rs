@@ -44,6 +44,9 @@ pub struct StereoCalibration {
     pub source: String,
     /// What the reader had to assume or leave out and the user should know, such as a unit of length.
     pub notes: Vec<String>,
+    /// What the file says of itself if it is the calibration of no cameras: `calibration_quality` of a `calib.json` that begins with
+    /// `none`.
+    pub not_measured: Option<String>,
 }
 
 /// The formats that are read and written.
@@ -103,7 +106,11 @@ fn load(paths: &[PathBuf], pictures: Option<ImageSize>) -> Result<StereoCalibrat
         _ => return Err(CalibrationFileError::Paths { count: paths.len() }),
     };
     let source = paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ");
-    Ok(StereoCalibration { rig, format, source, notes })
+    let not_measured = match (documents.as_slice(), format) {
+        ([one], CalibrationFormat::CaseJson) => case_json::not_measured(&one.root()),
+        _ => None,
+    };
+    Ok(StereoCalibration { rig, format, source, notes, not_measured })
 }
 
 /// Writes a ROS `camera_info` YAML file for each camera; the pose goes into the rectification and projection matrices.

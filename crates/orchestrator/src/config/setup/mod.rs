@@ -71,6 +71,8 @@ pub struct Setup {
     pub camera: SimCameraConfig,
     /// The cameras of this machine that are to be used, if they are not simulated: then nobody looks at faults, sensor and scene.
     pub real_cameras: Option<RealCameras>,
+    /// What their calibration says of itself if it is that of no cameras, a drawing's say: by such a one no real arm moves.
+    pub nominal_calibration: Option<String>,
     /// What goes wrong with simulated cameras.
     pub camera_faults: CameraFaults,
     /// When a run warns that the cameras are not any more what was calibrated, if the file says so.
@@ -299,7 +301,7 @@ impl SetupFile {
         if !check.is_clean() {
             return None;
         }
-        let Sight { rig, camera, real_cameras, camera_faults, sensor, scene } = sight?;
+        let Sight { rig, camera, real_cameras, nominal_calibration, camera_faults, sensor, scene } = sight?;
         Some(Setup {
             seed: self.run.seed,
             pace: self.run.pace,
@@ -308,6 +310,7 @@ impl SetupFile {
             rig,
             camera,
             real_cameras,
+            nominal_calibration,
             camera_faults,
             drift,
             sensor,

@@ -42,6 +42,7 @@ pub(super) struct Sight {
     pub(super) rig: StereoRig,
     pub(super) camera: SimCameraConfig,
     pub(super) real_cameras: Option<RealCameras>,
+    pub(super) nominal_calibration: Option<String>,
     pub(super) camera_faults: CameraFaults,
     pub(super) sensor: SensorConfig,
     pub(super) scene: SceneConfig,
@@ -79,7 +80,15 @@ impl CameraTable {
                     check.refuse("scene: the table is missing; camera.backend = \"sim\" needs it".to_owned());
                 }
                 let scene = scene?.build(seed, check);
-                Some(Sight { rig: rig?, camera, real_cameras: None, camera_faults, sensor, scene })
+                Some(Sight {
+                    rig: rig?,
+                    camera,
+                    real_cameras: None,
+                    nominal_calibration: None,
+                    camera_faults,
+                    sensor,
+                    scene,
+                })
             }
             Self::V4l2(section) => {
                 if scene.is_some() {
@@ -91,6 +100,7 @@ impl CameraTable {
                 let period = cameras.period();
                 Some(Sight {
                     rig: calibration.rig,
+                    nominal_calibration: calibration.not_measured,
                     camera: SimCameraConfig { period, exposure, blur_moments: 1, pairs: None },
                     real_cameras: Some(cameras),
                     camera_faults: CameraFaults::default(),
