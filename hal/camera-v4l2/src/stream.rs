@@ -225,7 +225,11 @@ impl Stream {
         let Some(held) = self.held else { return Ok(()) };
         let memory = self.node.memory(held.index);
         let converted = self.converter.convert(&memory[..held.bytes.min(memory.len())], target);
-        self.counters.damaged += u64::from(converted.is_err());
+        if converted.is_err() {
+            // It has looked good until now.
+            self.counters.good -= 1;
+            self.counters.damaged += 1;
+        }
         converted
     }
 

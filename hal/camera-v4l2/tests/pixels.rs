@@ -2,8 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
-use image::codecs::jpeg::JpegEncoder;
-use image::{ExtendedColorType, RgbImage};
+use image::RgbImage;
 use pb3dp_camera_v4l2::pixels::{
     BayerOrder, Converter, Layout, PixelError, PixelFormat, YuvKernels, YuvMatrix, YuvRange,
 };
@@ -121,58 +120,6 @@ fn bayer_pictures_of_one_colour_come_out_as_they_were_to_the_rim() {
     }
 }
 
-fn jpeg(scene: &RgbImage) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    JpegEncoder::new_with_quality(&mut bytes, 92)
-        .encode(scene, scene.width(), scene.height(), ExtendedColorType::Rgb8)
-        .unwrap();
-    bytes
-}
-
-/// Leaves out every segment of that kind before the first scan.
-fn without(bytes: &[u8], kind: u8) -> Vec<u8> {
-    let (mut out, mut at) = (bytes[..2].to_vec(), 2);
-    while bytes[at + 1] != 0xDA {
-        let end = at + 2 + usize::from(u16::from_be_bytes([bytes[at + 2], bytes[at + 3]]));
-        if bytes[at + 1] != kind {
-            out.extend(&bytes[at..end]);
-        }
-        at = end;
-    }
-    out.extend(&bytes[at..]);
-    out
-}
-
-#[test]
-fn a_jpeg_without_huffman_tables_is_the_same_picture() {
-    let scene = scene(48, 32);
-    let complete = jpeg(&scene);
-    let bare = without(&complete, 0xC4);
-    assert!(bare.len() + 400 < complete.len(), "the encoder wrote tables, and they are gone");
-    let expected = image::load_from_memory(&complete).unwrap().to_rgb8();
-    let layout = layout(PixelFormat::Mjpg, (48, 32), 0);
-    assert_eq!(converted(layout, &complete), expected);
-    assert_eq!(converted(layout, &bare), expected);
-    // Drivers may give more bytes than the picture has.
-    let tail = [bare, vec![0; 1000]].concat();
-    assert_eq!(converted(layout, &tail), expected);
-}
-
-#[test]
-fn damaged_jpegs_are_refused_and_never_shown_half() {
-    let scene = scene(48, 32);
-    let complete = jpeg(&scene);
-    let mut converter = Converter::new(layout(PixelFormat::Mjpg, (48, 32), 0)).unwrap();
-    let mut picture = RgbImage::new(48, 32);
-    for length in [0, 10, 24, 200, complete.len() / 2, complete.len() - 2, complete.len() - 1] {
-        let error = converter.convert(&complete[..length], &mut picture).unwrap_err();
-        assert!(error.to_string().contains(&format!("{length} bytes")), "{error}");
-    }
-    let mut of_other_size = Converter::new(layout(PixelFormat::Mjpg, (40, 32), 0)).unwrap();
-    let error = of_other_size.convert(&complete, &mut picture).unwrap_err();
-    assert_eq!(error.to_string(), "the JPEG has 48x32 pixels, expected are 40x32");
-}
-
 #[test]
 fn what_can_not_be_a_picture_is_refused_with_its_numbers() {
     let mut picture = RgbImage::new(1, 1);
@@ -226,17 +173,5 @@ proptest! {
             let result = converter.convert(&bytes, &mut picture);
             prop_assert!(result.is_ok() == is_enough || format == PixelFormat::Mjpg, "{result:?}");
         }
-    }
-
-    #[test]
-    fn damaged_jpegs_never_do_harm(at in 2_usize..1500, byte in any::<u8>(), length in 0_usize..3000) {
-        let mut bytes = without(&jpeg(&scene(40, 24)), 0xC4);
-        if let Some(place) = bytes.get_mut(at) {
-            *place = byte;
-        }
-        bytes.truncate(length);
-        let mut picture = RgbImage::new(40, 24);
-        // Some damage can not be seen; what counts is that nothing panics.
-        let _ = Converter::new(layout(PixelFormat::Mjpg, (40, 24), 0)).unwrap().convert(&bytes, &mut picture);
     }
 }

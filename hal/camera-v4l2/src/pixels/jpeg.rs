@@ -1,6 +1,10 @@
-//! Pictures of `MJPG`: JPEGs, whose Huffman tables many cameras leave out.
+//! Pictures of `MJPG`: JPEGs, whose Huffman tables many cameras leave out, and of whose scan pieces get lost on the bus.
 //!
-//! A camera that leaves them out means those of ITU-T T.81, annex K.3, which are put back before the decoder sees the picture.
+//! A camera that leaves the tables out means those of ITU-T T.81, annex K.3, which are put back before the decoder sees the picture.
+//! Where data are missing decoders go on with zeros, so that the rest of the picture is grey. For that reason ones are put before each
+//! marker of the scan: T.81 gives no symbol the code of ones alone (annex C), so who reads on where data should be finds what he can
+//! not decode. Who has read all that belongs there leaves out what is before the marker; many cameras put a few bytes there themselves.
+//! The markers themselves are counted. What is too short to lack a block, some tens of bytes, is not noticed.
 
 use image::RgbImage;
 use zune_jpeg::JpegDecoder;
@@ -18,8 +22,16 @@ const START_OF_IMAGE: u8 = 0xD8;
 const END_OF_IMAGE: u8 = 0xD9;
 const START_OF_SCAN: u8 = 0xDA;
 const HUFFMAN_TABLES: u8 = 0xC4;
+/// The first one of eight.
+const RESTART: u8 = 0xD0;
+const RESTART_INTERVAL: u8 = 0xDD;
+/// Of frames that have one scan: baseline, and extended sequential.
+const FRAMES: [u8; 2] = [0xC0, 0xC1];
 
-/// Decodes JPEGs, with memory for those that have to be completed.
+/// 64 ones, each 0xFF with its zero behind it: a code has 16 bits at most, and up to 15 more of its number may be read with it.
+const NO_CODE: [u8; 16] = [0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0];
+
+/// Decodes JPEGs, with memory for what the decoder is given.
 #[derive(Debug, Default)]
 pub(super) struct Decoder {
     completed: Vec<u8>,
@@ -28,45 +40,76 @@ pub(super) struct Decoder {
 impl Decoder {
     /// Decodes into a picture of the size that the JPEG must have.
     pub(super) fn decode(&mut self, bytes: &[u8], target: &mut RgbImage) -> Result<(), PixelError> {
-        let damaged = |what| PixelError::JpegDamaged { bytes: bytes.len(), what };
-        let anatomy = Anatomy::of(bytes).map_err(damaged)?;
-        // Drivers may leave bytes of no meaning behind the end. In the data of a scan these two bytes can not stand.
-        let end = bytes[anatomy.scan..].windows(2).rposition(|pair| pair == [MARKER, END_OF_IMAGE]);
-        let end = anatomy.scan + 2 + end.ok_or_else(|| damaged("the end marker"))?;
-        let whole = if anatomy.has_tables {
-            &bytes[..end]
-        } else {
-            self.completed.clear();
-            self.completed.extend_from_slice(&bytes[..anatomy.scan]);
-            append_standard_tables(&mut self.completed);
-            self.completed.extend_from_slice(&bytes[anatomy.scan..end]);
-            &self.completed
+        self.complete(bytes).map_err(|what| PixelError::JpegDamaged { bytes: bytes.len(), what })?;
+        let failed =
+            |error: zune_jpeg::errors::DecodeErrors| PixelError::Jpeg { bytes: bytes.len(), why: error.to_string() };
+        let options = DecoderOptions::default().set_strict_mode(true).jpeg_set_out_colorspace(ColorSpace::RGB);
+        let mut decoder = JpegDecoder::new_with_options(ZCursor::new(&self.completed), options);
+        decoder.decode_headers().map_err(failed)?;
+        let found = decoder.info().map_or((0, 0), |info| (usize::from(info.width), usize::from(info.height)));
+        let expected = target.dimensions();
+        if found != (expected.0 as usize, expected.1 as usize) {
+            return Err(PixelError::JpegSize { found, expected });
+        }
+        decoder.decode_into(target).map_err(failed)
+    }
+
+    /// Takes the picture with tables and with ends that can not be read over.
+    fn complete(&mut self, bytes: &[u8]) -> Result<(), &'static str> {
+        let anatomy = Anatomy::of(bytes)?;
+        let completed = &mut self.completed;
+        completed.clear();
+        completed.extend_from_slice(&bytes[..anatomy.scan]);
+        if !anatomy.has_tables {
+            append_standard_tables(completed);
+        }
+        append_scan(completed, &bytes[anatomy.scan..], anatomy.restarts()?)
+    }
+}
+
+/// Appends the scan, of which pictures of cameras have one, from its marker to the end of the picture. What drivers leave behind that
+/// means nothing.
+fn append_scan(completed: &mut Vec<u8>, bytes: &[u8], restarts_min: usize) -> Result<(), &'static str> {
+    const LACKS: &str = "a piece of the scan: its markers do not follow each other";
+    let header = number_at(bytes, 2).and_then(|length| bytes.get(..2 + length)).ok_or("the header of the scan")?;
+    completed.extend_from_slice(header);
+    let (mut rest, mut restarts) = (&bytes[header.len()..], 0);
+    loop {
+        let at = rest.iter().position(|byte| *byte == MARKER).ok_or("the end marker")?;
+        let (data, from_marker) = rest.split_at(at);
+        completed.extend_from_slice(data);
+        rest = match *from_marker.get(1).ok_or("the end marker")? {
+            // A marker may begin with more than one 0xFF.
+            MARKER => &from_marker[1..],
+            kind => {
+                if kind != 0 {
+                    completed.extend_from_slice(&NO_CODE);
+                }
+                completed.extend_from_slice(&[MARKER, kind]);
+                match kind {
+                    0 => {}
+                    END_OF_IMAGE if restarts >= restarts_min => return Ok(()),
+                    // They are numbered from 0 to 7, and from 0 again.
+                    kind if kind == RESTART + (restarts % 8) as u8 => restarts += 1,
+                    _ => return Err(LACKS),
+                }
+                &from_marker[2..]
+            }
         };
-        decode_whole(whole, target)
     }
 }
 
-fn decode_whole(bytes: &[u8], target: &mut RgbImage) -> Result<(), PixelError> {
-    let failed =
-        |error: zune_jpeg::errors::DecodeErrors| PixelError::Jpeg { bytes: bytes.len(), why: error.to_string() };
-    let options = DecoderOptions::default().set_strict_mode(true).jpeg_set_out_colorspace(ColorSpace::RGB);
-    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
-    decoder.decode_headers().map_err(failed)?;
-    let found = decoder.info().map_or((0, 0), |info| (usize::from(info.width), usize::from(info.height)));
-    let expected = target.dimensions();
-    if found != (expected.0 as usize, expected.1 as usize) {
-        return Err(PixelError::JpegSize { found, expected });
-    }
-    decoder.decode_into(target).map_err(failed)
-}
-
-/// Where what lies in a JPEG.
-#[derive(Debug)]
+/// Where what lies in a JPEG, and what its scan consists of.
+#[derive(Debug, Default)]
 struct Anatomy {
     /// Of the marker of the first scan.
     scan: usize,
     /// Whether there are Huffman tables before it.
     has_tables: bool,
+    /// Blocks that are coded together, of the whole picture.
+    units: usize,
+    /// As many of them stand between two restart markers; zero: there are no markers.
+    interval: usize,
 }
 
 impl Anatomy {
@@ -75,21 +118,51 @@ impl Anatomy {
         if !bytes.starts_with(&[MARKER, START_OF_IMAGE]) {
             return Err("the start marker");
         }
-        let (mut at, mut has_tables) = (2, false);
+        let (mut at, mut found) = (2, Self::default());
         loop {
             let Some([MARKER, kind]) = bytes.get(at..at + 2) else { return Err("a marker before the first scan") };
             match *kind {
                 // A marker may begin with more than one 0xFF.
                 MARKER => at += 1,
-                START_OF_SCAN => return Ok(Self { scan: at, has_tables }),
+                START_OF_SCAN => return Ok(Self { scan: at, ..found }),
                 kind => {
-                    has_tables |= kind == HUFFMAN_TABLES;
-                    let length = bytes.get(at + 2..at + 4).and_then(|length| length.first_chunk().copied());
-                    at += 2 + usize::from(u16::from_be_bytes(length.ok_or("the length of a segment")?));
+                    let length = number_at(bytes, at + 2).ok_or("the length of a segment")?;
+                    let segment = bytes.get(at + 2..at + 2 + length).ok_or("the end of a segment")?;
+                    found.has_tables |= kind == HUFFMAN_TABLES;
+                    if FRAMES.contains(&kind) {
+                        found.units = units(segment).ok_or("the size of the picture")?;
+                    } else if kind == RESTART_INTERVAL {
+                        found.interval = number_at(segment, 2).ok_or("the restart interval")?;
+                    }
+                    at += 2 + length;
                 }
             }
         }
     }
+
+    /// Markers that have to stand in the scan.
+    fn restarts(&self) -> Result<usize, &'static str> {
+        let before_last = self.units.checked_sub(1).ok_or("a frame of one scan")?;
+        Ok(before_last.checked_div(self.interval).unwrap_or(0))
+    }
+}
+
+/// How many blocks, or groups of blocks of all components, the frame of this header has (T.81, A.2).
+fn units(segment: &[u8]) -> Option<usize> {
+    let [height, width] = [number_at(segment, 3)?, number_at(segment, 5)?];
+    let components = segment.get(8..)?.chunks_exact(3);
+    let of_one = components.len() == 1;
+    let largest = |shift: u8| {
+        let factors = components.clone().map(|component| usize::from(component[1] >> shift & 15));
+        if of_one { 1 } else { factors.max().unwrap_or(0) }
+    };
+    let [across, down] = [8 * largest(4), 8 * largest(0)];
+    (across > 0 && down > 0).then(|| width.div_ceil(across) * height.div_ceil(down))
+}
+
+/// A number of two bytes; that of a segment is its length, with these two.
+fn number_at(bytes: &[u8], at: usize) -> Option<usize> {
+    Some(usize::from(u16::from_be_bytes(*bytes.get(at..at + 2)?.first_chunk()?)))
 }
 
 /// Class and number, how many codes there are of 1 to 16 bits, and what they stand for.

@@ -232,7 +232,7 @@ impl Converter {
     }
 
     /// Converts one picture. A target of the right size keeps its memory, and nothing is taken from the heap for it but by
-    /// the decoder of `MJPG`.
+    /// the decoder of `MJPG`, which makes its tables and rows of blocks anew for each picture and has no way to be given them.
     ///
     /// # Errors
     /// If the bytes are too few, or no JPEG of the right size where one is expected; the target may then hold anything.
