@@ -25,6 +25,9 @@ use suites::{SUITES, Suite};
 const TARGET: &str = "x86_64-unknown-linux-gnu";
 const RUSTFLAGS: &str = "-C target-feature=+crt-static -C strip=debuginfo";
 
+/// What computes most. An emulated computer is many times slower than this one: what is not inlined costs minutes.
+const OPTIMIZED: [&str; 4] = ["pb3dp-estimation", "pb3dp-geometry", "pb3dp-kinematics", "pb3dp-sim"];
+
 /// How often a suite is begun whose QEMU crashes: that of Debian 12 does so now and then when a USB device is pulled out.
 const TRIES: u32 = 3;
 
@@ -35,6 +38,8 @@ const TRIES: u32 = 3;
 /// arcnet  the bus of an arm: the kernel's ARCNET driver (arc_rimi, arc_rawmode) on a card of plain memory
 /// cameras two cameras (vivid) as one: what is found, modes and controls, 300 pairs at full rate,
 ///         skew, damaged and lost pictures, a camera that is pulled, who may open them
+/// rig     `pb3dp run` itself with configs/rig.toml, two cameras (vivid) and two emulated
+///         arms at the far ends of serial cables (ftdi_sio): it follows, a camera is pulled, it holds and stops; `pb3dp cameras`
 ///
 /// The emulated computers' time is counted in instructions, so that a busy machine takes longer and finds the same. Suites run side by
 /// side. Takes under a minute for all where little else runs, once the programs are built. The kernel is the distribution's own (Debian, package linux-image-amd64,
@@ -100,12 +105,16 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     let outcomes: Vec<anyhow::Result<()>> = std::thread::scope(|scope| {
         let started: Vec<_> = ready
             .iter()
-            .map(|(suite, program)| scope.spawn(|| run_suite(suite, program, &kernel, &qemu, args.console)))
+            .map(|(suite, built)| {
+                let packed = || pack(suite, &kernel, built, workspace);
+                let (kernel, qemu) = (&kernel, &qemu);
+                scope.spawn(move || run_suite(suite, packed()?, kernel, qemu, args.console))
+            })
             .collect();
         started.into_iter().map(|thread| thread.join().unwrap_or_else(|_| bail!("panicked"))).collect()
     });
     let mut failed = Vec::new();
-    for ((suite, _), outcome) in ready.iter().zip(outcomes) {
+    for ((suite, ..), outcome) in ready.iter().zip(outcomes) {
         if let Err(error) = outcome {
             println!("{}: {error:#}", suite.name);
             failed.push(suite.name);
@@ -127,11 +136,11 @@ fn target_folder(workspace: &Workspace) -> anyhow::Result<PathBuf> {
     Ok(PathBuf::from(folder))
 }
 
-fn run_suite(suite: &Suite, program: &[u8], kernel: &Kernel, qemu: &Path, shows_console: bool) -> anyhow::Result<()> {
+fn run_suite(suite: &Suite, packed: Archive, kernel: &Kernel, qemu: &Path, shows_console: bool) -> anyhow::Result<()> {
     let begin = Instant::now();
     let folder = Folder::new(suite.name)?;
     let disk = folder.0.join("initrd");
-    pack(suite, kernel, program)?.write(&disk)?;
+    packed.write(&disk)?;
     let outcome = try_suite(suite, shows_console, || Machine::start(qemu, &kernel.image, &disk, suite, &folder.0));
     println!("{}: {:.1} s", suite.name, begin.elapsed().as_secs_f64());
     outcome
@@ -169,24 +178,52 @@ struct Tally {
     failed: u32,
 }
 
-/// The program that tests, which runs without anything else. It is read at once: the next suite's may have the same name.
-fn build(workspace: &Workspace, suite: &Suite, target: &Path) -> anyhow::Result<Vec<u8>> {
-    let mut command = workspace.cargo();
-    command.args(["build", "--quiet", "--locked", "--package", suite.package, "--example", suite.example]);
-    command.args(["--target", TARGET]).env("RUSTFLAGS", RUSTFLAGS).env_remove("CARGO_ENCODED_RUSTFLAGS");
-    run_visibly(&mut command)?;
-    let program = target.join(TARGET).join("debug/examples").join(suite.example);
-    std::fs::read(&program).with_context(|| format!("{} was not built", program.display()))
+/// The program that tests, which runs without anything else, and the product.
+struct Built {
+    program: Vec<u8>,
+    product: Option<Vec<u8>>,
 }
 
-/// What the guest starts from: the program, and modules in the order in which they are loaded.
-fn pack(suite: &Suite, kernel: &Kernel, program: &[u8]) -> anyhow::Result<Archive> {
+/// They are read at once: the next suite's program may have the same name. One call of cargo for both, or what they share would be built
+/// once for each.
+fn build(workspace: &Workspace, suite: &Suite, target: &Path) -> anyhow::Result<Built> {
+    let mut command = workspace.cargo();
+    command.args(["build", "--quiet", "--locked", "--package", suite.package, "--example", suite.example]);
+    if suite.has_product {
+        command.args(["--package", "pb3dp-orchestrator", "--bin", "pb3dp"]);
+    }
+    for package in OPTIMIZED {
+        command.args(["--config", &format!("profile.dev.package.{package}.opt-level=3")]);
+    }
+    command.args(["--target", TARGET]).env("RUSTFLAGS", RUSTFLAGS).env_remove("CARGO_ENCODED_RUSTFLAGS");
+    run_visibly(&mut command)?;
+    let read = |name: &str| {
+        let file = target.join(TARGET).join("debug").join(name);
+        std::fs::read(&file).with_context(|| format!("{} was not built", file.display()))
+    };
+    let program = read(&format!("examples/{}", suite.example))?;
+    let product = suite.has_product.then(|| read("pb3dp")).transpose()?;
+    Ok(Built { program, product })
+}
+
+/// What the guest starts from: the program, modules in the order in which they are loaded, and the product with its configurations.
+fn pack(suite: &Suite, kernel: &Kernel, built: &Built, workspace: &Workspace) -> anyhow::Result<Archive> {
     let mut archive = Archive::default();
     for folder in ["dev", "proc", "sys", "tmp", "modules"] {
         archive.folder(folder);
     }
     archive.console();
-    archive.file("init", program, true);
+    archive.file("init", &built.program, true);
+    if let Some(product) = &built.product {
+        for folder in ["bin", "configs", "configs/robots", "configs/calibration"] {
+            archive.folder(folder);
+        }
+        archive.file("bin/pb3dp", product, true);
+        for file in ["configs/rig.toml", "configs/calibration/nominal.json", "configs/robots/pa10_gen2.urdf"] {
+            let content = std::fs::read(workspace.root().join(file)).with_context(|| format!("cannot read {file}"))?;
+            archive.file(file, &content, false);
+        }
+    }
     let (at_start, later) = modules::closure(&kernel.modules, suite.modules, suite.modules_by_hand)?;
     let list = |names: &[String]| names.iter().map(|name| format!("{name}\n")).collect::<String>();
     let names: Vec<String> = at_start.iter().map(|module| module.name.clone()).collect();

@@ -10,6 +10,10 @@ pub struct Suite {
     pub package: &'static str,
     /// Its name: an example of that package.
     pub example: &'static str,
+    /// Whether the product itself is there as well, as `/bin/pb3dp`, with what is in `configs`.
+    pub has_product: bool,
+    /// QEMU's name of the processor: a plain one is emulated quickest, one with long vectors counts fewer instructions for the same work.
+    pub processor: &'static str,
     /// Modules that are loaded before the program starts.
     pub modules: &'static [&'static str],
     /// Modules that the program loads itself.
@@ -29,13 +33,18 @@ pub struct Device {
     pub what: &'static str,
 }
 
+const PLAIN: &str = "qemu64";
+const WITH_VECTORS: &str = "max,la57=off,erms=off,fsrm=off";
+
 /// All of them.
-pub const SUITES: [Suite; 3] = [
+pub const SUITES: [Suite; 4] = [
     Suite {
         name: "serial",
         what: "serial ports of an arm: USB adapters, a 16550, a cable that is pulled",
         package: "pb3dp-arm-pa10",
         example: "guest",
+        has_product: false,
+        processor: PLAIN,
         modules: &["xhci_pci", "ftdi_sio", "configfs", "dummy_hcd", "usb_f_acm", "cdc_acm"],
         modules_by_hand: &[],
         kernel_arguments: "",
@@ -62,6 +71,8 @@ pub const SUITES: [Suite; 3] = [
         what: "the bus of an arm, by the kernel's ARCNET driver",
         package: "pb3dp-arm-pa10",
         example: "guest",
+        has_product: false,
+        processor: PLAIN,
         modules: &["arcnet", "arc_rawmode"],
         modules_by_hand: &["arc_rimi"],
         // A part of the memory that the kernel does not use stands for a card, which the program reads and writes as well.
@@ -75,6 +86,8 @@ pub const SUITES: [Suite; 3] = [
         what: "two cameras by V4L2: modes, controls, pairs, what is damaged, a camera that is pulled",
         package: "pb3dp-camera-v4l2",
         example: "guest",
+        has_product: false,
+        processor: PLAIN,
         modules: &[],
         // The program says how many cameras there are.
         modules_by_hand: &["vivid"],
@@ -82,5 +95,35 @@ pub const SUITES: [Suite; 3] = [
         kernel_arguments: "no_timer_check",
         fixed: &[],
         pluggable: &[],
+    },
+    Suite {
+        name: "rig",
+        what: "`pb3dp run` with configs/rig.toml: two cameras, two emulated arms at serial ports, a camera that is pulled",
+        package: "system-tests",
+        example: "rig",
+        has_product: true,
+        processor: WITH_VECTORS,
+        modules: &["xhci_pci", "ftdi_sio"],
+        modules_by_hand: &["vivid"],
+        kernel_arguments: "no_timer_check",
+        // Two adapters at the ends of each of two cables.
+        fixed: &[
+            "-device",
+            "qemu-xhci,id=usb",
+            "-chardev",
+            "socket,id=cable-1,path=FOLDER/cable1,server=on,wait=off",
+            "-chardev",
+            "socket,id=cable-far-1,path=FOLDER/cable1,reconnect=1",
+            "-chardev",
+            "socket,id=cable-2,path=FOLDER/cable2,server=on,wait=off",
+            "-chardev",
+            "socket,id=cable-far-2,path=FOLDER/cable2,reconnect=1",
+        ],
+        pluggable: &[
+            Device { name: "arm-1", what: "usb-serial,bus=usb.0,chardev=cable-1,serial=ARM1" },
+            Device { name: "far-1", what: "usb-serial,bus=usb.0,chardev=cable-far-1,serial=FAR1" },
+            Device { name: "arm-2", what: "usb-serial,bus=usb.0,chardev=cable-2,serial=ARM2" },
+            Device { name: "far-2", what: "usb-serial,bus=usb.0,chardev=cable-far-2,serial=FAR2" },
+        ],
     },
 ];

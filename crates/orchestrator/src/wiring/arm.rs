@@ -291,6 +291,21 @@ fn shared_plant(config: JointPlantConfig, wanted: Wanted<'_>) -> Result<SharedPl
     Ok(Arc::new(Mutex::new(plant)))
 }
 
+/// What stands at the far end of this arm's line, emulated, and its place in the cell: for a world that is played around the program.
+///
+/// # Errors
+/// If the arm has no gateway, or the emulation can not be had.
+pub fn far_side(
+    (name, arm): (&str, &ArmSetup),
+    face: impl FnOnce(GatewayConfig) -> MockFace,
+    clock: &Arc<dyn Clock>,
+) -> Result<(MockServer, ArmSite)> {
+    let ArmLink::Gateway(link, _) = &arm.link else { bail!("{name}: behind a gateway only an arm can be emulated so") };
+    let wanted = Wanted { name, arm, control_period: link.cycle, clock, time: None };
+    let (server, plant) = emulate(face, link, wanted)?;
+    Ok((server, site(arm, JointSource::plant(plant))))
+}
+
 /// An emulated arm where hosts are to find it, with the joints of the configuration. The link brings its own delay.
 pub(super) fn emulate(
     face: impl FnOnce(GatewayConfig) -> MockFace,

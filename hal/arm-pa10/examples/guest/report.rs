@@ -35,8 +35,13 @@ impl Report {
 fn failed(name: &str, why: &str) {
     println!("vm: failed {name}: {}", why.replace('\n', " "));
     for line in system::last_kernel_messages(8) {
-        println!("vm: note kernel: {line}");
+        note(&format!("kernel: {line}"));
     }
+}
+
+/// Something for the reader.
+pub fn note(text: &str) {
+    println!("vm: note {text}");
 }
 
 /// Has a device pulled out. When that has happened the kernel says it.

@@ -1,0 +1,47 @@
+//! Serial lines: four USB adapters, two at the ends of each cable. One end is the program's, the other one an arm's.
+
+use std::error::Error;
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::path::Path;
+
+use pb3dp_arm_pa10::gateway::GatewayConfig;
+use pb3dp_arm_pa10::io::mock_server::MockFace;
+use pb3dp_arm_pa10::io::serial::{PortDescription, PortKind, SerialConfig, ports};
+use pb3dp_arm_pa10::io::transport::Connector;
+use pb3dp_orchestrator::config::setup::{ArmLink, ArmSetup, GatewayWay};
+
+use crate::report::Outcome;
+use crate::system::wait_for;
+
+/// The path of the adapter with this number of its own.
+fn adapter(number: &str) -> Result<String, Box<dyn Error>> {
+    let wanted =
+        |port: &PortDescription| matches!(&port.kind, PortKind::Usb { serial_number: Some(own), .. } if own == number);
+    let find = || ports().ok()?.into_iter().find(wanted).map(|port| port.path);
+    wait_for(&format!("the adapter {number} is found"), find)
+}
+
+/// The port of the program by the name that the setup has for it, which udev gives elsewhere.
+fn port(arm: &ArmSetup) -> Result<&SerialConfig, Box<dyn Error>> {
+    match &arm.link {
+        ArmLink::Gateway(_, GatewayWay::Serial(port)) => Ok(port),
+        other => Err(format!("the setup has no arm at a serial port: {other:?}").into()),
+    }
+}
+
+/// Gives the adapter `own` the name of the setup.
+pub fn name_port(arm: &ArmSetup, own: &str) -> Outcome {
+    let path = Path::new(&port(arm)?.path);
+    fs::create_dir_all(path.parent().ok_or("a name without a folder")?)?;
+    let adapter = adapter(own)?;
+    symlink(&adapter, path)?;
+    Ok(format!("{} is {adapter}", path.display()))
+}
+
+/// The arm's end of the line, at the adapter `far`.
+pub fn far_end(arm: &ArmSetup, far: &str) -> Result<impl FnOnce(GatewayConfig) -> MockFace, Box<dyn Error>> {
+    let mut port = SerialConfig { path: adapter(far)?, ..port(arm)?.clone() };
+    let link = port.connect().map_err(|error| -> Box<dyn Error> { error })?;
+    Ok(move |gateway| MockFace::Link(gateway, link))
+}

@@ -1,0 +1,111 @@
+//! What the cameras show: `vivid` has video outputs, which its inputs can be made to show.
+
+use std::error::Error;
+use std::path::{Path, PathBuf};
+use std::{fs, io};
+
+use image::RgbImage;
+use pb3dp_camera_v4l2::linux::Linux;
+use pb3dp_camera_v4l2::names;
+
+use crate::outputs::Stream;
+use crate::setup::{LOOP, OSD, control, name};
+use crate::system;
+
+/// Two devices that capture and put out video. Their inputs take a part of the picture and do not scale it.
+const VIVID: &str = "n_devs=2 node_types=0x101,0x101 ccs_cap_mode=1,1";
+
+/// Where the kernel lists video devices.
+const NODES: &str = "/sys/class/video4linux";
+
+/// What an output takes until somebody wishes something else: PAL, in YUYV.
+const FRAME: (usize, usize) = (720, 576);
+
+/// In the upper left corner stand the time and the number of each picture (`vivid`'s menu "Counters Only"): no two pictures are the same,
+/// as noise makes it in those of cameras. The program takes a camera for frozen that delivers one picture twice.
+const COUNTERS: i32 = 1;
+
+/// Makes both cameras, each of which shows what its output is given.
+pub fn prepare() -> Result<(), Box<dyn Error>> {
+    system::load("vivid", VIVID)?;
+    let (looping, text) = (control(LOOP)?, control(OSD)?);
+    for number in 0..2 {
+        let (_, mut node) = names::open(&Linux, &name(number))?;
+        node.set_control(looping, 1)?;
+        node.set_control(text, COUNTERS)?;
+    }
+    Ok(())
+}
+
+/// The output of a camera.
+pub struct Output {
+    path: PathBuf,
+    stream: Option<Stream>,
+    frame: Vec<u8>,
+}
+
+impl Output {
+    pub fn find(number: usize) -> Result<Self, Box<dyn Error>> {
+        let wanted = format!("vivid-{number:03}-vid-out");
+        for entry in fs::read_dir(NODES)? {
+            let folder = entry?.path();
+            if fs::read_to_string(folder.join("name"))?.trim() == wanted {
+                let path = Path::new("/dev").join(folder.file_name().ok_or("a node without a name")?);
+                return Ok(Self { path, stream: None, frame: Vec::new() });
+            }
+        }
+        Err(format!("there is no {wanted}").into())
+    }
+
+    /// Puts the picture into the frame, with its upper left corner there, and its own upper left pixel's colour where nothing was yet. The
+    /// camera takes the upper left part of the frame.
+    pub fn draw(&mut self, picture: &RgbImage, (x, y): (u32, u32)) {
+        let (width, pixels) = (picture.width() as usize, picture.as_raw());
+        if self.frame.is_empty() {
+            let background = [0, 1, 2, 0, 1, 2].map(|channel: usize| pixels[channel]);
+            self.frame = yuyv_of(&background).repeat(FRAME.0 * FRAME.1 / 2);
+        }
+        for (row, pixels) in pixels.chunks_exact(width * 3).enumerate() {
+            let line = &mut self.frame[((y as usize + row) * FRAME.0 + x as usize) * 2..][..width * 2];
+            for (pair, yuyv) in pixels.chunks_exact(6).zip(line.chunks_exact_mut(4)) {
+                yuyv.copy_from_slice(&yuyv_of(pair));
+            }
+        }
+    }
+
+    /// Waits until the next frame can be given.
+    pub fn wait(&mut self) {
+        if self.stream.as_mut().is_some_and(|stream| stream.wait().is_err()) {
+            self.stream = None;
+        }
+    }
+
+    /// Has the frame shown next.
+    ///
+    /// # Errors
+    /// A camera that was pulled comes back when nobody has it open any more, the output included; it is opened anew by the next call.
+    pub fn show(&mut self) -> io::Result<()> {
+        let mut stream = match self.stream.take() {
+            Some(stream) => stream,
+            None => {
+                let mut stream = Stream::open(&self.path)?;
+                // It begins when it has two.
+                stream.give(&self.frame)?;
+                stream
+            }
+        };
+        stream.give(&self.frame)?;
+        self.stream = Some(stream);
+        Ok(())
+    }
+}
+
+/// Two pixels (ITU-R BT.601, 16 to 235), the colour of which is their mean.
+fn yuyv_of(pair: &[u8]) -> [u8; 4] {
+    let [r0, g0, b0, r1, g1, b1] = [0, 1, 2, 3, 4, 5].map(|index| i32::from(pair[index]));
+    let luma = |r: i32, g: i32, b: i32| (((66 * r + 129 * g + 25 * b + 128) >> 8) + 16) as u8;
+    let (r, g, b) = (r0 + r1, g0 + g1, b0 + b1);
+    let u = ((-38 * r - 74 * g + 112 * b + 256) >> 9) + 128;
+    let v = ((112 * r - 94 * g - 18 * b + 256) >> 9) + 128;
+    [luma(r0, g0, b0), u as u8, luma(r1, g1, b1), v as u8]
+}

@@ -1,0 +1,108 @@
+//! The program, as a person has it before them: words go in, lines come out.
+
+use std::error::Error;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::process::{Child, ChildStdin, Command, ExitStatus, Output, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::{Duration, Instant};
+
+use pb3dp_arm_pa10::io::realtime::now;
+
+use crate::report::note;
+
+const PROGRAM: &str = "/bin/pb3dp";
+
+/// Whatever it does takes less than this, in the time of this computer.
+const LONG: Duration = Duration::from_secs(30);
+
+/// A word is said again after this time.
+const AGAIN: Duration = Duration::from_millis(500);
+
+/// Lines that are shown of a program that did not say what it should.
+const LAST_LINES: usize = 30;
+
+/// What it comes to if nobody speaks to it.
+pub fn once(words: &[&str]) -> Result<Output, Box<dyn Error>> {
+    Ok(Command::new(PROGRAM).args(words).output().map_err(|error| format!("{PROGRAM}: {error}"))?)
+}
+
+/// A program that runs, with what it says.
+pub struct Running {
+    child: Child,
+    input: ChildStdin,
+    lines: Receiver<String>,
+    heard: Vec<String>,
+}
+
+impl Running {
+    pub fn start(words: &[&str]) -> Result<Self, Box<dyn Error>> {
+        let mut command = Command::new(PROGRAM);
+        command.args(words).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.spawn().map_err(|error| format!("{PROGRAM}: {error}"))?;
+        let input = child.stdin.take().ok_or("no input")?;
+        let (say, lines) = channel();
+        let outputs: [Option<Box<dyn Read + Send>>; 2] = [
+            child.stdout.take().map(|stream| Box::new(stream) as _),
+            child.stderr.take().map(|stream| Box::new(stream) as _),
+        ];
+        for stream in outputs.into_iter().flatten() {
+            let say = say.clone();
+            std::thread::spawn(move || {
+                for line in BufReader::new(stream).lines().map_while(Result::ok) {
+                    if say.send(line).is_err() {
+                        return;
+                    }
+                }
+            });
+        }
+        Ok(Self { child, input, lines, heard: Vec::new() })
+    }
+
+    pub fn say(&mut self, word: &str) -> Result<(), Box<dyn Error>> {
+        Ok(writeln!(self.input, "{word}").and_then(|()| self.input.flush())?)
+    }
+
+    /// Waits for a line with this in it, and says a word again and again meanwhile.
+    pub fn wait_for(&mut self, part: &str, word: Option<&str>) -> Result<String, Box<dyn Error>> {
+        let end = Instant::now() + LONG;
+        while Instant::now() < end {
+            match self.lines.recv_timeout(AGAIN) {
+                Ok(line) => {
+                    self.heard.push(format!("{:.2} s: {line}", now().as_nanos() as f64 * 1e-9));
+                    if let Some(line) = self.heard.last().filter(|line| line.contains(part)) {
+                        return Ok(line.clone());
+                    }
+                }
+                Err(RecvTimeoutError::Timeout) => word.map_or(Ok(()), |word| self.say(word))?,
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+        }
+        Err(self.untold(part))
+    }
+
+    /// That it did not say this, after what it has said last.
+    fn untold(&self, what: &str) -> Box<dyn Error> {
+        let last = self.heard.len().saturating_sub(LAST_LINES);
+        self.heard[last..].iter().for_each(|line| note(line));
+        format!("the program did not say `{what}` within {LONG:?}").into()
+    }
+
+    /// Waits until it has ended.
+    pub fn end(mut self) -> Result<ExitStatus, Box<dyn Error>> {
+        loop {
+            match self.lines.recv_timeout(LONG) {
+                Ok(line) => self.heard.push(line),
+                Err(RecvTimeoutError::Disconnected) => return Ok(self.child.wait()?),
+                Err(RecvTimeoutError::Timeout) => return Err(self.untold("its end")),
+            }
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // One that was not waited for is in nobody's way any more.
+        self.child.kill().ok();
+        self.child.wait().ok();
+    }
+}

@@ -1,0 +1,105 @@
+//! `pb3dp run` in this computer.
+
+use std::path::Path;
+use std::time::Duration;
+
+use pb3dp_camera_v4l2::linux::Linux;
+use pb3dp_camera_v4l2::names;
+use pb3dp_orchestrator::config::setup::read_setup;
+
+use crate::lines::name_port;
+use crate::pictures;
+use crate::program::Running;
+use crate::report::{Outcome, Report, ensure};
+use crate::setup::{self, BUSES, DISCONNECT, HERE, control, name};
+use crate::system::wait_for;
+use crate::world::World;
+
+/// Of the target in the left picture.
+const REGION: &str = "rect:344,200,100,80";
+
+/// How far the hand may be from where it is wanted.
+const OFF_MAX_M: f64 = 0.005;
+const TURNED_MAX_DEG: f64 = 2.0;
+
+/// For so long the hand is led by pictures before it is looked where it is.
+const TRACKED: Duration = Duration::from_millis(500);
+
+/// What is said of a hand that rests because it was told to.
+const HOLDING: &str = "holding: it was told to hold";
+
+/// The camera that is pulled.
+const PULLED: usize = 1;
+
+/// The world goes on behind it.
+pub fn check(report: &mut Report) -> Option<World> {
+    report.check("the rig is there", || {
+        pictures::prepare()?;
+        setup::write()?;
+        let rig = read_setup(Path::new(HERE))?;
+        Ok(format!("{}, {}", name_port(&rig.vs, "ARM1")?, name_port(&rig.tc, "ARM2")?))
+    });
+    let mut rig = None;
+    report.check("the program starts with cameras and arms", || {
+        let (world, run) = start()?;
+        rig = Some((world, run));
+        Ok(String::new())
+    });
+    let (world, mut run) = rig?;
+    report.check("the hand is led by the pictures, and stays before the target", || follow(&world, &mut run));
+    report
+        .check("a camera that is pulled and plugged in again: the hand rests, and goes on when it is told to", || {
+            pulled(&world, &mut run)
+        });
+    report.check("the hand holds, and both arms stop in order", || end(&world, run));
+    Some(world)
+}
+
+fn start() -> Result<(World, Running), Box<dyn std::error::Error>> {
+    let world = World::start()?;
+    wait_for("the first pictures are shown", || (world.shown() > 1).then_some(()))?;
+    let words = ["run", "--config", HERE, "--operator", "console", "--region", REGION, "--out", "/out"];
+    let mut run = Running::start(&words)?;
+    run.wait_for("target taken", None)?;
+    Ok((world, run))
+}
+
+fn follow(world: &World, run: &mut Running) -> Outcome {
+    run.wait_for("selecting: ", Some("select"))?;
+    run.wait_for("approaching", Some("start"))?;
+    run.wait_for("tracking", None)?;
+    std::thread::sleep(TRACKED);
+    place(world)
+}
+
+/// Where the hand truly is before the target.
+fn place(world: &World) -> Outcome {
+    let (off_m, turned_deg) = world.hand_off();
+    let text = format!("{:.1} mm and {turned_deg:.1} degrees from where it is wanted", off_m * 1e3);
+    ensure(off_m < OFF_MAX_M && turned_deg < TURNED_MAX_DEG, || text.clone())?;
+    Ok(text)
+}
+
+fn pulled(world: &World, run: &mut Running) -> Outcome {
+    let disconnect = control(DISCONNECT)?;
+    // Closed again before the program has noticed: the driver comes back when nobody has it open.
+    let node = names::open(&Linux, &name(PULLED))?.1;
+    let _ = { node }.set_control(disconnect, 0);
+    let lost = run.wait_for("it is looked for", None)?;
+    ensure(lost.contains(BUSES[PULLED]), || format!("it said: {lost}"))?;
+    let rests = run.wait_for("look after the cameras", None)?;
+    run.wait_for("tracking", Some("resume"))?;
+    Ok(format!("{rests}; then {}", place(world)?))
+}
+
+fn end(world: &World, mut run: Running) -> Outcome {
+    run.say("hold")?;
+    let holding = run.wait_for(HOLDING, None)?;
+    run.say("quit")?;
+    let status = run.end()?;
+    ensure(status.success(), || format!("the run ended with {status}"))?;
+    for arm in world.arms() {
+        ensure(arm.is_braked, || format!("an arm has open brakes: {arm}"))?;
+    }
+    Ok(holding)
+}

@@ -1,0 +1,177 @@
+//! The world: arms that do what the bytes on their lines say, and what the cameras on the hand see of it.
+
+use std::error::Error;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use image::RgbImage;
+use pb3dp_arm_pa10::io::mock_server::{MockReport, MockServer};
+use pb3dp_geometry::frames::{Hand, Target};
+use pb3dp_geometry::{Camera, Frame, ImageSize, Pinhole, Pose, StereoRig};
+use pb3dp_hal_api::Clock;
+use pb3dp_hal_clock::SystemClock;
+use pb3dp_orchestrator::config::setup::{Setup, read_setup};
+use pb3dp_orchestrator::run::cell::SimulatedCell;
+use pb3dp_orchestrator::wiring::arm::far_side;
+use pb3dp_sim::raster::StereoRenderer;
+use pb3dp_sim::scene::{Lighting, PoseSource, Scene, ScenePoses};
+use pb3dp_sim::sensor::SensorConfig;
+use pb3dp_sim::targets::{self, TargetConfig};
+
+use crate::lines::far_end;
+use crate::pictures::Output;
+use crate::setup::HERE;
+
+/// What moves less is painted where it was: a hundredth of a pixel.
+const SEEN_M: f64 = 1e-5;
+const SEEN_RAD: f64 = 2e-5;
+
+/// What is rendered of the pictures, around the target; the rest is background. Whole pictures would take this computer longer than they
+/// are shown.
+const WINDOW: ImageSize = ImageSize { width: 208, height: 160 };
+
+/// Where that is in the left and in the right picture: x and y of the upper left pixel.
+const CORNERS: [(u32, u32); 2] = [(290, 160), (142, 160)];
+
+/// An output that is gone is looked for so often.
+const AGAIN: Duration = Duration::from_millis(10);
+
+/// Everything around the program.
+pub struct World {
+    arms: [MockServer; 2],
+    cell: SimulatedCell,
+    /// The middle of the region that is marked is that of the target.
+    hand_wanted_from_target: Pose<Hand, Target>,
+    clock: Arc<dyn Clock>,
+    painter: Option<JoinHandle<()>>,
+    shared: Arc<Shared>,
+}
+
+#[derive(Default)]
+struct Shared {
+    is_over: AtomicBool,
+    shown: AtomicU64,
+}
+
+impl World {
+    /// Arms at the start of the setup, at the far ends of its lines.
+    pub fn start() -> Result<Self, Box<dyn Error>> {
+        let setup = read_setup(Path::new(HERE))?;
+        let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+        let (vs, vs_site) = far_side(("vs", &setup.vs), far_end(&setup.vs, "FAR1")?, &clock)?;
+        let (tc, tc_site) = far_side(("tc", &setup.tc), far_end(&setup.tc, "FAR2")?, &clock)?;
+        let cell = SimulatedCell {
+            vs: vs_site,
+            tc: tc_site,
+            flange_from_hand: setup.controller.flange_from_hand,
+            hand_from_cam_left: setup.controller.hand_from_cam_left,
+            flange_from_target: setup.flange_from_target,
+            free_target: None,
+        };
+        let shared = Arc::new(Shared::default());
+        let painter = Painter::new(&setup, cell.clone(), Arc::clone(&clock), Arc::clone(&shared))?;
+        let painter = Some(std::thread::Builder::new().name("painter".to_owned()).spawn(|| painter.paint())?);
+        let hand_wanted_from_target = setup.controller.model_from_hand_desired.inverse().relabel();
+        Ok(Self { arms: [vs, tc], cell, hand_wanted_from_target, clock, painter, shared })
+    }
+
+    /// How the arms are.
+    pub fn arms(&self) -> [MockReport; 2] {
+        [self.arms[0].report(), self.arms[1].report()]
+    }
+
+    /// How far the hand truly is from where it is wanted before the target: meters, and degrees.
+    pub fn hand_off(&self) -> (f64, f64) {
+        let now = self.clock.now();
+        let hand_from_target = self.cell.world_from_hand_at(now).inverse() * self.cell.world_from_target_at(now);
+        let off = self.hand_wanted_from_target.inverse() * hand_from_target;
+        (off.translation_m().norm(), off.rotation_angle_rad().to_degrees())
+    }
+
+    /// Pairs of pictures that were shown.
+    pub fn shown(&self) -> u64 {
+        self.shared.shown.load(Ordering::SeqCst)
+    }
+}
+
+impl Drop for World {
+    fn drop(&mut self) {
+        self.shared.is_over.store(true, Ordering::SeqCst);
+        if let Some(painter) = self.painter.take() {
+            painter.join().ok();
+        }
+    }
+}
+
+/// Renders what the cameras see, whenever something has moved.
+struct Painter {
+    renderer: StereoRenderer,
+    outputs: [Output; 2],
+    cell: SimulatedCell,
+    clock: Arc<dyn Clock>,
+    shared: Arc<Shared>,
+}
+
+impl Painter {
+    fn new(
+        setup: &Setup,
+        cell: SimulatedCell,
+        clock: Arc<dyn Clock>,
+        shared: Arc<Shared>,
+    ) -> Result<Self, Box<dyn Error>> {
+        // Without a room and without noise, about which this computer would be long.
+        let (target, parts) = targets::build(&TargetConfig::card(), 1)?;
+        let scene = Scene::from_parts(parts, target, Lighting::default())?;
+        let sensor = SensorConfig { right: SensorConfig::default().right, ..SensorConfig::IDEAL };
+        let renderer = StereoRenderer::new(scene, windows(&setup.rig)?, &sensor, 1)?;
+        Ok(Self { renderer, outputs: [Output::find(0)?, Output::find(1)?], cell, clock, shared })
+    }
+
+    fn paint(mut self) {
+        let ImageSize { width, height } = WINDOW;
+        let mut pictures = [RgbImage::new(width, height), RgbImage::new(width, height)];
+        let mut drawn = None;
+        while !self.shared.is_over.load(Ordering::SeqCst) {
+            self.outputs.iter_mut().for_each(Output::wait);
+            let now = self.clock.now();
+            let poses = self.cell.poses_at(now);
+            if drawn.is_none_or(|drawn| is_seen(&drawn, &poses)) {
+                let [left, right] = &mut pictures;
+                self.renderer.render_pair(&poses, 0, left, right);
+                for ((output, picture), corner) in self.outputs.iter_mut().zip(&pictures).zip(CORNERS) {
+                    output.draw(picture, corner);
+                }
+                drawn = Some(poses);
+            }
+            let is_shown = self.outputs.each_mut().map(Output::show).iter().all(Result::is_ok);
+            self.shared.shown.fetch_add(u64::from(is_shown), Ordering::SeqCst);
+            if !is_shown {
+                self.clock.sleep_until(now + AGAIN);
+            }
+        }
+    }
+}
+
+/// The parts of both pictures that are rendered.
+fn windows(rig: &StereoRig) -> Result<StereoRig, Box<dyn Error>> {
+    let window = |camera: &Camera, (x, y): (u32, u32)| {
+        let whole = *camera.pinhole();
+        let part = Pinhole { cx: whole.cx - f64::from(x), cy: whole.cy - f64::from(y), ..whole };
+        Camera::new(WINDOW, part, *camera.distortion())
+    };
+    let (left, right) = (window(rig.left(), CORNERS[0])?, window(rig.right(), CORNERS[1])?);
+    Ok(StereoRig::new(left, right, *rig.cam_right_from_cam_left())?)
+}
+
+/// Whether somebody could see that it is not the same.
+fn is_seen(before: &ScenePoses, now: &ScenePoses) -> bool {
+    fn differ<A: Frame, B: Frame>(before: &Pose<A, B>, now: &Pose<A, B>) -> bool {
+        let motion = before.inverse() * *now;
+        motion.translation_m().norm() > SEEN_M || motion.rotation_angle_rad() > SEEN_RAD
+    }
+    differ(&before.world_from_cam_left, &now.world_from_cam_left)
+        || differ(&before.world_from_target, &now.world_from_target)
+}
