@@ -42,8 +42,8 @@ const TRIES: u32 = 3;
 ///         arms at the far ends of serial cables (ftdi_sio): it follows, a camera is pulled, it holds and stops; `pb3dp cameras`
 ///
 /// The emulated computers' time is counted in instructions, so that a busy machine takes longer and finds the same. Suites run side by
-/// side. Takes under a minute for all where little else runs, once the programs are built. The kernel is the distribution's own (Debian, package linux-image-amd64,
-/// 6.1 or later), fetched by `apt-get download` and kept in the target folder; QEMU (qemu-system-x86) is installed by apt-get where
+/// side. Takes a minute or two for all where little else runs, once the programs are built: the program itself (rig) takes longest.
+/// The kernel is the distribution's own (Debian, package linux-image-amd64, 6.1 or later), fetched by `apt-get download` and kept in the target folder; QEMU (qemu-system-x86) is installed by apt-get where
 /// that is permitted, and asked for where not. The tests are root in a computer of their own; nothing of this one is touched.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]

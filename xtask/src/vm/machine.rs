@@ -18,7 +18,7 @@ use super::suites::Suite;
 const QEMU: &str = "qemu-system-x86_64";
 const PACKAGE: &str = "qemu-system-x86";
 
-/// A guest that takes longer than this hangs. The longest suite takes a minute where little else runs.
+/// A guest that takes longer than this hangs. The longest suite takes a minute or two where little else runs.
 const LIMIT: Duration = Duration::from_secs(600);
 
 /// Of every emulated computer. KVM is not used, even where it is there: what the tests need works without, and everywhere alike. One
