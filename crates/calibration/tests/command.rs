@@ -11,7 +11,7 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use pb3dp_record::calibration_files::load_stereo;
+use pb3dp_record::calibration_files::{CameraIdentity, load_stereo, save_cameras};
 
 const DATA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data");
 
@@ -38,8 +38,11 @@ fn stereo(further: &[&str]) -> Output {
 fn a_head_is_calibrated_from_a_folder_of_pictures() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name).display().to_string();
-    let (corners, json) = (path("corners.csv"), path("calib.json"));
-    let output = stereo(&["--corners", &corners, "--out", &json]);
+    let (corners, toml, cameras) = (path("corners.csv"), path("calib.toml"), path("cameras.toml"));
+    let camera = |serial: &str| CameraIdentity { serial: Some(serial.to_owned()), ..CameraIdentity::default() };
+    let identities = [camera("A1"), camera("B2")];
+    save_cameras(&identities, Path::new(&cameras)).expect("written");
+    let output = stereo(&["--corners", &corners, "--out", &toml, "--cameras", &cameras]);
     let told = text(&output);
     println!("{told}");
     assert!(told.contains("verdict: "), "{told}");
@@ -47,11 +50,22 @@ fn a_head_is_calibrated_from_a_folder_of_pictures() {
     // What the pictures show is what the committed corners are, which OpenCV had.
     let found = fs::read_to_string(&corners).expect("corners");
     assert_eq!(found, fs::read_to_string(Path::new(DATA).join("corners.csv")).expect("corners"));
-    let rig = load_stereo(&[json.clone().into()]).expect("a calibration").rig;
+    let calibration = load_stereo(&[toml.clone().into()]).expect("a calibration");
+    let judgement = calibration.judgement.expect("judged");
+    assert_eq!(judgement.cameras, identities);
+    assert_eq!(judgement.gates.len(), 7, "{judgement:?}");
+    for gate in &judgement.gates {
+        assert!(told.contains(&format!("{} = {:.3}", gate.name, gate.measured)), "{gate:?}\n{told}");
+    }
+    assert_eq!(judgement.refusals().count(), 0, "{told}");
+    let covariance = judgement.covariance.expect("known");
+    assert!(covariance.names.contains(&"cam_right_from_cam_left.x_m".to_owned()), "{:?}", covariance.names);
+    assert!(judgement.numbers.contains(&("corners".to_owned(), 1296.0)), "{:?}", judgement.numbers);
+    let rig = calibration.rig;
     assert!((rig.baseline_m() * 1e3 - 83.0).abs() < 1.0, "{rig:?}");
-    for name in ["rig.opencv.yaml", "camchain.kalibr.yaml", "ros"] {
+    for name in ["calib.json", "rig.opencv.yaml", "camchain.kalibr.yaml", "ros"] {
         let out = path(name);
-        let output = calibrate(&["convert", &json, "--out", &out]);
+        let output = calibrate(&["convert", &toml, "--out", &out]);
         assert!(output.status.success(), "{}", text(&output));
         let again = load_stereo(&[out.into()]).expect("a calibration").rig;
         let apart = again.cam_right_from_cam_left().to_homogeneous() - rig.cam_right_from_cam_left().to_homogeneous();
@@ -91,4 +105,6 @@ fn mistakes_are_named() {
     let stereo = ["stereo", "--left", &empty, "--right", &empty, "--board", "9x6", "--square", "25"];
     assert!(refusal(&stereo).contains("no pictures of 2 camera(s) that belong together"));
     assert!(refusal(&["convert", &format!("{DATA}/corners.csv"), "--out", "x.json"]).contains("corners.csv"));
+    let nominal = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/calibration/nominal.json");
+    assert!(refusal(&["convert", nominal, "--out", "x.toml"]).contains("says how good a calibration is"));
 }

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use nalgebra::Vector3;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig, so3};
 use pb3dp_record::calibration_files::{
-    CalibrationFileError, CalibrationFormat, StereoCalibration, load_stereo, load_stereo_for, save_json, save_kalibr,
-    save_opencv, save_ros_pair,
+    CalibrationFileError, CalibrationFormat, CameraIdentity, Judgement, StereoCalibration, load_stereo,
+    load_stereo_for, save_json, save_judged, save_kalibr, save_opencv, save_ros_pair,
 };
 use proptest::prelude::*;
 
@@ -163,6 +163,19 @@ fn other_spellings_of_opencv_files_are_read() {
     assert!(calibration.notes[0].contains("taken as metres"));
 }
 
+/// Of which nothing is known.
+fn judgement() -> Judgement {
+    Judgement {
+        date: String::new(),
+        tool: String::new(),
+        source: String::new(),
+        cameras: [CameraIdentity::default(), CameraIdentity::default()],
+        numbers: Vec::new(),
+        covariance: None,
+        gates: Vec::new(),
+    }
+}
+
 /// Written and read again by one format.
 fn there_and_back(format: CalibrationFormat, rig: &StereoRig) -> StereoCalibration {
     let directory = tempfile::tempdir().unwrap();
@@ -179,12 +192,22 @@ fn there_and_back(format: CalibrationFormat, rig: &StereoRig) -> StereoCalibrati
             save_json(rig, &one).unwrap();
             return load_stereo(&[directory.path().to_path_buf()]).unwrap();
         }
+        CalibrationFormat::Judged => {
+            let ours = directory.path().join("calibration.toml");
+            save_judged(rig, &judgement(), &ours).unwrap();
+            return load_stereo(&[ours]).unwrap();
+        }
     }
     load_stereo(&[left]).unwrap()
 }
 
-const FORMATS: [CalibrationFormat; 4] =
-    [CalibrationFormat::RosPair, CalibrationFormat::Kalibr, CalibrationFormat::OpenCv, CalibrationFormat::CaseJson];
+const FORMATS: [CalibrationFormat; 5] = [
+    CalibrationFormat::RosPair,
+    CalibrationFormat::Kalibr,
+    CalibrationFormat::OpenCv,
+    CalibrationFormat::CaseJson,
+    CalibrationFormat::Judged,
+];
 
 // The OpenCV file that `save_opencv` writes for `rig([FIVE, EIGHT])` was read once by OpenCV 4.14.0
 // (`cv2.FileStorage(path, cv2.FILE_STORAGE_READ)`, PyPI opencv-python-headless 4.14.0.94): `getNode("M1").mat()` and the

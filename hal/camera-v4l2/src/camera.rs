@@ -6,7 +6,7 @@ use std::time::Duration;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
 
-use crate::controls::{self, Control, ControlSettings};
+use crate::controls::{self, Control, ControlSettings, Focus};
 use crate::error::{failed, unusable};
 use crate::modes::{self, Mode, ModeRequest};
 use crate::names::{self, CameraName, Found};
@@ -87,9 +87,21 @@ pub enum Side {
     Right,
 }
 
+/// What one camera of the two is known by, and how its lens is set.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CameraIdentity {
+    /// Its serial number.
+    pub serial: Option<String>,
+    /// Where it is plugged in.
+    pub place: String,
+    /// What holds its lens.
+    pub focus: Focus,
+}
+
 /// Two V4L2 devices that deliver pairs. Both are closed when one is lost; it is opened anew then.
 pub struct V4l2StereoCamera {
     info: StereoCameraInfo,
+    found: [Found; 2],
     system: Arc<dyn VideoSystem>,
     clock: Arc<dyn Clock>,
     clock_map: ClockMap,
@@ -180,6 +192,7 @@ impl V4l2StereoCamera {
         let clock_map = ClockMap::measure(system.as_ref(), clock.as_ref());
         Ok(Self {
             info: StereoCameraInfo { name, size, period: Some(period) },
+            found: [left_found, right_found],
             system,
             clock,
             clock_map,
@@ -211,6 +224,18 @@ impl V4l2StereoCamera {
     /// `Disconnected` after the loss of a camera.
     pub fn mode(&mut self, side: Side) -> Result<Mode, CameraError> {
         Ok(self.stream(side)?.config.mode)
+    }
+
+    /// What a camera is known by, and how its lens is set now.
+    ///
+    /// # Errors
+    /// As the driver has it; `Disconnected` after the loss of a camera.
+    pub fn identity(&mut self, side: Side) -> Result<CameraIdentity, CameraError> {
+        let stream = self.stream(side)?;
+        let device = stream.config.device.clone();
+        let focus = controls::focus_now(stream.node(), &device)?;
+        let Found { entry, capability } = &self.found[side as usize];
+        Ok(CameraIdentity { serial: entry.serial.clone(), place: capability.bus.clone(), focus })
     }
 
     /// Controls of a camera with their values.

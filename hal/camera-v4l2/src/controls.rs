@@ -72,6 +72,31 @@ pub struct ControlSettings {
     pub others: Vec<(u32, i32)>,
 }
 
+/// What holds a lens where it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Focus {
+    /// A hand: the camera knows nothing of it.
+    ByHand,
+    /// This value, in units of the driver's own.
+    Fixed(i32),
+    /// Nothing: the camera focuses by itself.
+    Automatic,
+}
+
+/// What holds a camera's lens now.
+///
+/// # Errors
+/// As the driver has it.
+pub fn focus_now(node: &dyn VideoNode, device: &str) -> Result<Focus, CameraError> {
+    let controls = read(node, device)?;
+    let value = |id| find(&controls, id).and_then(|control| control.value);
+    Ok(match (value(id::FOCUS_AUTO), value(id::FOCUS_ABSOLUTE)) {
+        (Some(mode), _) if mode != 0 => Focus::Automatic,
+        (_, Some(value)) => Focus::Fixed(value),
+        (_, None) => Focus::ByHand,
+    })
+}
+
 /// A control with its value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Control {

@@ -6,7 +6,7 @@ use std::time::Duration;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
 
-use crate::camera::{StereoConfig, StereoCounters, V4l2StereoCamera};
+use crate::camera::{CameraIdentity, Side, StereoConfig, StereoCounters, V4l2StereoCamera};
 use crate::video::VideoSystem;
 
 /// From one attempt to open lost cameras to the next one. An attempt asks every video device of the computer who it is.
@@ -67,6 +67,19 @@ impl ReopeningCamera {
             State::Open(camera) => camera.counters(),
             State::Lost { counters, .. } => **counters,
             State::GivenUp(_) => StereoCounters::default(),
+        }
+    }
+
+    /// What a camera is known by, and how its lens is set now.
+    ///
+    /// # Errors
+    /// As [`V4l2StereoCamera::identity`]; `Disconnected` while the cameras are lost.
+    pub fn identity(&mut self, side: Side) -> Result<CameraIdentity, CameraError> {
+        match &mut self.state {
+            State::Open(camera) => camera.identity(side),
+            State::Lost { why, .. } | State::GivenUp(why) => {
+                Err(CameraError::new(CameraErrorKind::Disconnected, why.clone()))
+            }
         }
     }
 

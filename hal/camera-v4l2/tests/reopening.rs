@@ -7,9 +7,9 @@ mod support;
 use std::sync::Arc;
 use std::time::Duration;
 
-use pb3dp_camera_v4l2::ReopeningCamera;
-use pb3dp_camera_v4l2::controls::id;
+use pb3dp_camera_v4l2::controls::{Focus, Setting, id};
 use pb3dp_camera_v4l2::emulated::Call;
+use pb3dp_camera_v4l2::{ReopeningCamera, Side};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraErrorKind, Clock, FramePair, StereoCamera};
 use pb3dp_hal_conformance::{CameraExpectations, stereo_camera_suite};
@@ -133,4 +133,30 @@ fn what_is_not_there_at_the_beginning_is_refused() {
     let rig = Rig::with(|number, camera| camera.faults.is_unplugged = number == 1);
     let opened = ReopeningCamera::open(Arc::new(rig.system.clone()), rig.clock.clone(), config(), LOOKED_FOR);
     assert_eq!(opened.err().unwrap().kind(), CameraErrorKind::Disconnected);
+}
+
+#[test]
+fn cameras_are_known_by_number_place_and_focus_while_they_are_there() {
+    let rig = Rig::with(|number, camera| {
+        if number == 1 {
+            camera.entry.serial = None;
+            camera.controls.retain(|(entry, _)| ![id::FOCUS_ABSOLUTE, id::FOCUS_AUTO].contains(&entry.id));
+        }
+    });
+    let mut wishes = config();
+    wishes.right.name = "bus:usb-emulated-1".parse().unwrap();
+    wishes.left.controls.focus = Setting::Manual(30);
+    let open = |wishes| ReopeningCamera::open(Arc::new(rig.system.clone()), rig.clock.clone(), wishes, LOOKED_FOR);
+    let mut camera = open(wishes.clone()).unwrap();
+    let [left, right] = [Side::Left, Side::Right].map(|side| camera.identity(side).unwrap());
+    assert_eq!(left.serial.as_deref(), Some("SN0000"));
+    assert_eq!((left.place.as_str(), left.focus), ("usb-emulated-0", Focus::Fixed(30)));
+    assert_eq!((right.serial, right.place.as_str(), right.focus), (None, "usb-emulated-1", Focus::ByHand));
+    drop(camera);
+    wishes.left.controls.focus = Setting::Auto;
+    let mut camera = open(wishes).unwrap();
+    assert_eq!(camera.identity(Side::Left).unwrap().focus, Focus::Automatic);
+    rig.faults(0, |faults| faults.is_unplugged = true);
+    take(&rig, &mut camera, SECOND, &mut (0, MonotonicTime::ZERO));
+    assert_eq!(camera.identity(Side::Left).unwrap_err().kind(), CameraErrorKind::Disconnected);
 }

@@ -6,7 +6,9 @@ use std::process::ExitCode;
 use anyhow::{Context, Result};
 use clap::Args;
 use pb3dp_geometry::StereoRig;
-use pb3dp_record::calibration_files::{load_stereo, save_json, save_kalibr, save_opencv, save_ros_pair};
+use pb3dp_record::calibration_files::{
+    Judgement, load_stereo, save_json, save_judged, save_kalibr, save_opencv, save_ros_pair,
+};
 
 /// Arguments of `pb3dp calibrate convert`.
 #[derive(Debug, Args)]
@@ -15,7 +17,7 @@ pub(super) struct ConvertArgs {
     #[arg(required = true, value_name = "FILE", num_args = 1..=2)]
     from: Vec<PathBuf>,
     /// Where to write it: .json (ours), a Kalibr camchain (.kalibr.yaml), OpenCV (.opencv.yaml), or a folder for the ROS pair
-    /// left.yaml and right.yaml.
+    /// left.yaml and right.yaml; what a .toml of ours says of the calibration's worth is lost there.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
 }
@@ -26,15 +28,24 @@ pub(super) fn run(args: &ConvertArgs) -> Result<ExitCode> {
         super::tell(&format!("note: {note}"))?;
     }
     super::tell(&format!("read {}: {}", calibration.format, calibration.source))?;
-    super::tell(&write(&calibration.rig, &args.out)?)?;
+    super::tell(&write(&calibration.rig, calibration.judgement.as_ref(), &args.out)?)?;
     Ok(ExitCode::SUCCESS)
 }
 
 /// Writes a rig in the format that the name asks for, and says so.
-pub(super) fn write(rig: &StereoRig, out: &Path) -> Result<String> {
+pub(super) fn write(rig: &StereoRig, judgement: Option<&Judgement>, out: &Path) -> Result<String> {
     let name = out.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     let ends = |suffixes: &[&str]| suffixes.iter().any(|suffix| name.ends_with(suffix));
-    let format = if ends(&[".json"]) {
+    let format = if ends(&[".toml"]) {
+        let judgement = judgement.with_context(|| {
+            format!(
+                "{}: a .toml of ours says how good a calibration is, which this one does not know: calibrate",
+                out.display()
+            )
+        })?;
+        save_judged(rig, judgement, out)?;
+        "a calibration with what is known of it"
+    } else if ends(&[".json"]) {
         save_json(rig, out)?;
         "calib.json"
     } else if ends(&[".kalibr.yaml", ".kalibr.yml"]) {
@@ -49,7 +60,7 @@ pub(super) fn write(rig: &StereoRig, out: &Path) -> Result<String> {
         "a ROS camera_info pair"
     } else {
         anyhow::bail!(
-            "{}: the format can not be told from the name: use .json, .kalibr.yaml, .opencv.yaml, or a folder",
+            "{}: the format can not be told from the name: use .toml, .json, .kalibr.yaml, .opencv.yaml, or a folder",
             out.display()
         );
     };

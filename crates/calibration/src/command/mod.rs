@@ -2,6 +2,7 @@
 
 mod convert;
 mod gates_file;
+mod judgement;
 mod numbers;
 mod pictures;
 mod report;
@@ -93,10 +94,13 @@ struct StereoArgs {
     /// The distance for which the head is judged, mm.
     #[arg(long, value_name = "MM", value_parser = numbers::millimetres, default_value = "500", allow_hyphen_values = true)]
     distance: f64,
-    /// Write the calibration, also where a gate refuses it: .json (ours), a Kalibr camchain (.kalibr.yaml), OpenCV (.opencv.yaml), or
-    /// a folder for the ROS pair left.yaml and right.yaml.
+    /// Write the calibration, also where a gate refuses it: .toml (ours, with gates, date and cameras, as docs/calibration.md has them), or
+    /// without these .json, a Kalibr camchain (.kalibr.yaml), OpenCV (.opencv.yaml), or a folder for the ROS pair left.yaml and right.yaml.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
+    /// Which cameras these were (docs/calibration.md); without it the cameras.toml in or above the left folder.
+    #[arg(long, value_name = "FILE")]
+    cameras: Option<PathBuf>,
 }
 
 /// Runs the command; a calibration that a gate refuses is a failure.
@@ -131,7 +135,9 @@ fn stereo(args: &StereoArgs) -> Result<ExitCode> {
     tell(&report::rig(&chosen.fit, &rig, args.distance * 1e-3)?)?;
     let code = conclude(&chosen, &quality, &limits)?;
     if let Some(out) = &args.out {
-        tell(&convert::write(&rig, out)?)?;
+        let cameras = judgement::cameras(args.cameras.as_deref(), &args.left)?;
+        let judgement = judgement::of(&chosen, &quality, &limits.judge(&quality), (seen.newest.as_str(), cameras));
+        tell(&convert::write(&rig, Some(&judgement), out)?)?;
     }
     Ok(code)
 }
@@ -184,6 +190,8 @@ pub fn tell_error(error: &anyhow::Error) {
 struct Seen<const N: usize> {
     views: Vec<View<N>>,
     size: ImageSize,
+    /// When the newest of the pictures was written, RFC 3339.
+    newest: String,
     /// Which pictures were left out, and why.
     told: String,
 }

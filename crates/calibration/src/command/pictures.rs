@@ -78,7 +78,18 @@ impl<const N: usize> Pictures<N> {
         if views.is_empty() {
             bail!("the board was found in none of {} views:\n{}", self.views.len(), told.join("\n"));
         }
-        Ok(Seen { views, size, told: told.join("\n") })
+        Ok(Seen { views, size, newest: self.newest()?, told: told.join("\n") })
+    }
+
+    /// When the newest picture was written, RFC 3339: a calibration is as old as its pictures.
+    fn newest(&self) -> Result<String> {
+        let mut times = Vec::new();
+        for file in self.views.iter().flat_map(|(_, files)| files) {
+            let time = std::fs::metadata(file).and_then(|metadata| metadata.modified());
+            times.push(time.with_context(|| format!("{}: its time can not be read", file.display()))?);
+        }
+        let newest = times.into_iter().max().context("no pictures")?;
+        Ok(humantime::format_rfc3339_seconds(newest).to_string())
     }
 }
 

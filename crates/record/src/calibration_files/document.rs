@@ -1,4 +1,4 @@
-//! A parsed YAML or JSON file whose every access can say where it went wrong.
+//! A parsed YAML, JSON or TOML file whose every access can say where it went wrong.
 
 use std::fmt::Display;
 use std::io::Read;
@@ -28,7 +28,7 @@ pub(super) struct Node<'a> {
 }
 
 impl Document {
-    /// Reads and parses a file, JSON if it is called so, YAML otherwise.
+    /// Reads and parses a file, JSON or TOML if it is called so, YAML otherwise.
     pub(super) fn read(file: &Path) -> Result<Self, CalibrationFileError> {
         let refuse = |reason: String| CalibrationFileError::Read { file: file.to_path_buf(), reason };
         if file.is_dir() {
@@ -47,12 +47,17 @@ impl Document {
 
     /// Parses a file's text.
     pub(super) fn parse(file: &Path, text: &str) -> Result<Self, CalibrationFileError> {
-        let is_json = file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
+        let is = |name: &str| file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(name));
         let syntax =
             |line, language, reason| CalibrationFileError::Syntax { file: file.to_path_buf(), line, language, reason };
-        let value: Value = if is_json {
+        let value: Value = if is("json") {
             serde_json::from_str(text)
                 .map_err(|error| syntax(u64::try_from(error.line()).unwrap_or(0), "JSON", error.to_string()))?
+        } else if is("toml") {
+            toml::from_str(text).map_err(|error| {
+                let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
+                syntax(before.lines().count().max(1) as u64, "TOML", error.message().to_owned())
+            })?
         } else {
             // Numbers that are not finite must come through, so that their key can be named.
             let options = serde_saphyr::options! {
@@ -108,6 +113,18 @@ impl<'a> Node<'a> {
     /// A whole text.
     pub(super) fn text(&self) -> Result<&'a str, CalibrationFileError> {
         self.value.as_str().ok_or_else(|| self.refuse("must be a text"))
+    }
+
+    /// The elements of a list.
+    pub(super) fn items(&self) -> Result<Vec<Node<'a>>, CalibrationFileError> {
+        self.elements().ok_or_else(|| self.refuse("must be a list"))
+    }
+
+    /// The keys of a table with their values, by name.
+    pub(super) fn entries(&self) -> Result<Vec<(String, Node<'a>)>, CalibrationFileError> {
+        let map = self.map().ok_or_else(|| self.refuse("must be a table"))?;
+        let node = |key: &str, value: &'a Value| Node { file: self.file, key: self.path(key), value };
+        Ok(map.iter().map(|(key, value)| (key.clone(), node(key, value))).collect())
     }
 
     /// A yes or no.

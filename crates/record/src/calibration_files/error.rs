@@ -30,14 +30,14 @@ pub enum CalibrationFileError {
         #[source]
         source: std::io::Error,
     },
-    /// A file is not YAML or JSON.
+    /// A file is not YAML, JSON or TOML.
     #[error("{}, line {line}: not valid {language}, as which a calibration is read: {reason}", file.display())]
     Syntax {
         /// The file.
         file: PathBuf,
         /// Line, from 1.
         line: u64,
-        /// `YAML` or `JSON`.
+        /// `YAML`, `JSON` or `TOML`.
         language: &'static str,
         /// What the parser says.
         reason: String,
@@ -54,7 +54,7 @@ pub enum CalibrationFileError {
     },
     /// A file holds something else.
     #[error(
-        "{}: no stereo calibration that is known here (top-level keys: {found}); accepted are a pair of ROS camera_info YAML files (camera_matrix, projection_matrix), a Kalibr camchain (cam0, cam1), an OpenCV stereo YAML (M1, D1, M2, D2, R, T) and calib.json (K_left, K_right, R, t_mm)",
+        "{}: no stereo calibration that is known here (top-level keys: {found}); accepted are a pair of ROS camera_info YAML files (camera_matrix, projection_matrix), a Kalibr camchain (cam0, cam1), an OpenCV stereo YAML (M1, D1, M2, D2, R, T), calib.json (K_left, K_right, R, t_mm) and a TOML file of pb3dp calibrate (format, left, right, cam_right_from_cam_left)",
         file.display()
     )]
     Format {

@@ -11,6 +11,9 @@
 //! | Kalibr camchain | one YAML with `cam0`, `cam1` | metres | `radtan`, `equidistant`, `none` |
 //! | OpenCV stereo | one YAML, or two (intrinsics, extrinsics) | see [`opencv`] | 4, 5 or 8 coefficients, or fisheye |
 //! | `calib.json` | one JSON | millimetres | optional, as ROS |
+//! | `pb3dp calibrate` | one TOML | metres | as ROS |
+//!
+//! The last one also holds what is known of the calibration's making and worth: [`Judgement`].
 //!
 //! `cam0` and the first camera of OpenCV are the left one. Distortion coefficients that are all zero make an undistorted
 //! camera, except for the equidistant model, for which zeros are an ideal fisheye lens.
@@ -19,6 +22,8 @@ mod case_json;
 mod checks;
 mod document;
 mod error;
+mod identity;
+mod judged;
 mod kalibr;
 pub mod opencv;
 mod ros;
@@ -32,6 +37,8 @@ use pb3dp_geometry::{ImageSize, StereoRig};
 use document::Document;
 pub use error::CalibrationFileError;
 use error::one_line;
+pub use identity::CameraIdentity;
+pub use judged::{JudgedGate, Judgement, ParameterCovariance};
 
 /// A checked stereo calibration and where it came from.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,6 +54,8 @@ pub struct StereoCalibration {
     /// What the file says of itself if it is the calibration of no cameras: `calibration_quality` of a `calib.json` that begins with
     /// `none`.
     pub not_measured: Option<String>,
+    /// What a TOML file of ours says of the calibration's making and worth.
+    pub judgement: Option<Judgement>,
 }
 
 /// The formats that are read and written.
@@ -60,6 +69,8 @@ pub enum CalibrationFormat {
     OpenCv,
     /// Our `calib.json`.
     CaseJson,
+    /// Our TOML of `pb3dp calibrate`.
+    Judged,
 }
 
 impl fmt::Display for CalibrationFormat {
@@ -69,6 +80,7 @@ impl fmt::Display for CalibrationFormat {
             Self::Kalibr => "Kalibr camchain",
             Self::OpenCv => "OpenCV stereo YAML",
             Self::CaseJson => "calib.json",
+            Self::Judged => "pb3dp calibration TOML",
         })
     }
 }
@@ -83,6 +95,14 @@ const IN_DIRECTORY: [&[&str]; 3] = [&["left.yaml", "right.yaml"], &["left.yml", 
 /// Anything that is wrong with the files; see [`CalibrationFileError`].
 pub fn load_stereo(paths: &[PathBuf]) -> Result<StereoCalibration, CalibrationFileError> {
     load(paths, None)
+}
+
+/// Reads which cameras a recording is of: the left and the right one, from its `cameras.toml`.
+///
+/// # Errors
+/// An unreadable file, or one that says something else.
+pub fn load_cameras(path: &Path) -> Result<[CameraIdentity; 2], CalibrationFileError> {
+    identity::read_file(&Document::read(path)?.root())
 }
 
 /// As [`load_stereo`], for pictures of a known size: files that may leave the size out (OpenCV's) get it from there. A
@@ -100,7 +120,7 @@ fn load(paths: &[PathBuf], pictures: Option<ImageSize>) -> Result<StereoCalibrat
         paths => paths.to_vec(),
     };
     let documents = paths.iter().map(|path| Document::read(path)).collect::<Result<Vec<_>, _>>()?;
-    let (rig, format, notes) = match documents.as_slice() {
+    let Parsed { rig, format, notes, judgement } = match documents.as_slice() {
         [one] => read_one(one, pictures)?,
         [first, second] => read_two(first, second, pictures)?,
         _ => return Err(CalibrationFileError::Paths { count: paths.len() }),
@@ -110,7 +130,7 @@ fn load(paths: &[PathBuf], pictures: Option<ImageSize>) -> Result<StereoCalibrat
         ([one], CalibrationFormat::CaseJson) => case_json::not_measured(&one.root()),
         _ => None,
     };
-    Ok(StereoCalibration { rig, format, source, notes, not_measured })
+    Ok(StereoCalibration { rig, format, source, notes, not_measured, judgement })
 }
 
 /// Writes a ROS `camera_info` YAML file for each camera; the pose goes into the rectification and projection matrices.
@@ -144,6 +164,23 @@ pub fn save_opencv(rig: &StereoRig, path: &Path) -> Result<(), CalibrationFileEr
     write_file(path, &opencv::write(rig))
 }
 
+/// Writes one of our TOML files, which comes back bit by bit.
+///
+/// # Errors
+/// Images of unequal size, a number that is not finite; a file that can not be written.
+pub fn save_judged(rig: &StereoRig, judgement: &Judgement, path: &Path) -> Result<(), CalibrationFileError> {
+    check_sizes(rig, CalibrationFormat::Judged)?;
+    write_file(path, &judged::write(rig, judgement)?)
+}
+
+/// Writes the `cameras.toml` of a recording.
+///
+/// # Errors
+/// A file that can not be written.
+pub fn save_cameras(cameras: &[CameraIdentity; 2], path: &Path) -> Result<(), CalibrationFileError> {
+    write_file(path, &identity::write_file(cameras))
+}
+
 /// Writes our `calib.json`, in millimetres.
 ///
 /// # Errors
@@ -154,17 +191,34 @@ pub fn save_json(rig: &StereoRig, path: &Path) -> Result<(), CalibrationFileErro
 }
 
 /// What a reader makes of its documents.
-type Parsed = (StereoRig, CalibrationFormat, Vec<String>);
+/// What one or two files say.
+struct Parsed {
+    rig: StereoRig,
+    format: CalibrationFormat,
+    notes: Vec<String>,
+    judgement: Option<Judgement>,
+}
+
+impl Parsed {
+    fn of(format: CalibrationFormat, rig: StereoRig) -> Self {
+        Self { rig, format, notes: Vec::new(), judgement: None }
+    }
+}
 
 fn read_one(document: &Document, pictures: Option<ImageSize>) -> Result<Parsed, CalibrationFileError> {
     let root = document.root();
-    if case_json::recognises(&root) {
-        Ok((case_json::read(&root)?, CalibrationFormat::CaseJson, Vec::new()))
+    if judged::recognises(&root) {
+        let (rig, judgement) = judged::read(&root)?;
+        let note = |gate: &JudgedGate| format!("{} refused it when it was made: it was {}", gate.name, gate.measured);
+        let notes = judgement.refusals().map(note).collect();
+        Ok(Parsed { notes, judgement: Some(judgement), ..Parsed::of(CalibrationFormat::Judged, rig) })
+    } else if case_json::recognises(&root) {
+        Ok(Parsed::of(CalibrationFormat::CaseJson, case_json::read(&root)?))
     } else if kalibr::recognises(&root) {
-        Ok((kalibr::read(&root)?, CalibrationFormat::Kalibr, Vec::new()))
+        Ok(Parsed::of(CalibrationFormat::Kalibr, kalibr::read(&root)?))
     } else if opencv::recognises(&root) {
         let (rig, notes) = opencv::read(&[root], pictures)?;
-        Ok((rig, CalibrationFormat::OpenCv, notes))
+        Ok(Parsed { notes, ..Parsed::of(CalibrationFormat::OpenCv, rig) })
     } else if ros::recognises(&root) {
         Err(root
             .error("camera_matrix", "this is one camera of a ROS camera_info pair: name the left and the right file"))
@@ -176,10 +230,10 @@ fn read_one(document: &Document, pictures: Option<ImageSize>) -> Result<Parsed, 
 fn read_two(first: &Document, second: &Document, pictures: Option<ImageSize>) -> Result<Parsed, CalibrationFileError> {
     let (one, two) = (first.root(), second.root());
     if ros::recognises(&one) && ros::recognises(&two) {
-        Ok((ros::read(&one, &two)?, CalibrationFormat::RosPair, Vec::new()))
+        Ok(Parsed::of(CalibrationFormat::RosPair, ros::read(&one, &two)?))
     } else if opencv::recognises(&one) || opencv::recognises(&two) {
         let (rig, notes) = opencv::read(&[one, two], pictures)?;
-        Ok((rig, CalibrationFormat::OpenCv, notes))
+        Ok(Parsed { notes, ..Parsed::of(CalibrationFormat::OpenCv, rig) })
     } else {
         let stranger = if ros::recognises(&one) { second } else { first };
         Err(CalibrationFileError::Format { file: stranger.file().to_path_buf(), found: stranger.keys() })

@@ -1,0 +1,67 @@
+//! What a calibration file says of the calibration's making and worth.
+
+use std::path::Path;
+
+use anyhow::Result;
+use pb3dp_calibration::fit::sides;
+use pb3dp_calibration::gates::Verdict;
+use pb3dp_calibration::held_out::Chosen;
+use pb3dp_calibration::quality::Quality;
+use pb3dp_record::calibration_files::{CameraIdentity, JudgedGate, Judgement, ParameterCovariance, load_cameras};
+
+/// The file in the folder of a recording that names its cameras.
+const CAMERAS: &str = "cameras.toml";
+
+/// The cameras that `named` names, or the `cameras.toml` in the folder of the left pictures or above it; without one nothing is known.
+pub(super) fn cameras(named: Option<&Path>, left: &Path) -> Result<[CameraIdentity; 2]> {
+    let near = || [Some(left), left.parent()].into_iter().flatten().map(|folder| folder.join(CAMERAS));
+    let file = named.map(Path::to_path_buf).or_else(|| near().find(|file| file.is_file()));
+    match file {
+        Some(file) => {
+            super::tell(&format!("cameras: {}", file.display()))?;
+            Ok(load_cameras(&file)?)
+        }
+        None => {
+            super::tell(
+                "cameras: not known, and the file will not say which these were; --cameras names a cameras.toml (docs/calibration.md)",
+            )?;
+            Ok(Default::default())
+        }
+    }
+}
+
+/// Everything that is known of a stereo calibration but the cameras themselves.
+pub(super) fn of(
+    chosen: &Chosen<2>,
+    quality: &Quality,
+    verdicts: &[Verdict],
+    (newest, cameras): (&str, [CameraIdentity; 2]),
+) -> Judgement {
+    let mut numbers =
+        vec![("corners".to_owned(), quality.corners as f64), ("held_out_rms_px".to_owned(), quality.held_out_rms_px)];
+    if let Some(rows) = quality.rows {
+        numbers.extend([("row_error_mean_px".to_owned(), rows.mean_px), ("row_error_p95_px".to_owned(), rows.p95_px)]);
+    }
+    let by_camera = sides::<2>().into_iter().zip(&quality.reprojection_rms_by_camera_px);
+    numbers.extend(by_camera.map(|(side, rms_px)| (format!("reprojection_rms_{side}_px"), *rms_px)));
+    let by_view = &quality.reprojection_rms_by_view_px;
+    numbers.extend(by_view.iter().map(|(view, rms_px)| (format!("view {view}: reprojection_rms_px"), *rms_px)));
+    let covariance = chosen.fit.covariance();
+    let rows = covariance.matrix.row_iter().map(|row| row.iter().copied().collect()).collect();
+    let gate = |verdict: &Verdict| JudgedGate {
+        name: verdict.gate.key().to_owned(),
+        measured: verdict.measured,
+        good: verdict.limit.good,
+        refused: verdict.limit.refused,
+        grade: verdict.grade().name().to_owned(),
+    };
+    Judgement {
+        date: newest.to_owned(),
+        tool: concat!("pb3dp-calibrate ", env!("CARGO_PKG_VERSION")).to_owned(),
+        source: format!("{} views of a chessboard, lens model {}", quality.views, chosen.fit.lens()),
+        cameras,
+        numbers,
+        covariance: Some(ParameterCovariance { names: covariance.names.clone(), rows }),
+        gates: verdicts.iter().map(gate).collect(),
+    }
+}

@@ -1,0 +1,251 @@
+//! Our TOML file of a stereo calibration: the cameras, and all that is known of how they were calibrated.
+//!
+//! Numbers are written in the fewest digits that read back as the same number, and the rotation as a quaternion, so a
+//! calibration comes back bit by bit. The file says what it is (`format`), which frames it joins
+//! (`cam_right_from_cam_left`), and in each key its unit.
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use pb3dp_geometry::{Camera, Distortion, Pinhole, Pose, StereoRig};
+
+use super::document::Node;
+use super::error::CalibrationFileError;
+use super::identity::{self, CameraIdentity};
+use super::{CalibrationFormat, checks, write};
+
+/// What the key `format` says.
+const FORMAT: &str = "pb3dp stereo calibration 1";
+/// How far the norm of a quaternion may be from 1.
+const NORM_TOLERANCE: f64 = 1e-9;
+
+/// What is known of a calibration's making and of its worth.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Judgement {
+    /// When the pictures were taken, or it was made, RFC 3339.
+    pub date: String,
+    /// Program and version.
+    pub tool: String,
+    /// What it was made from, for people.
+    pub source: String,
+    /// Which cameras these were: the left and the right one.
+    pub cameras: [CameraIdentity; 2],
+    /// Measured numbers by name, with the unit in the name: residuals, counts. A file has them, and the gates, in the order of
+    /// their names.
+    pub numbers: Vec<(String, f64)>,
+    /// The covariance of the estimated parameters, if it is known.
+    pub covariance: Option<ParameterCovariance>,
+    /// What each gate said.
+    pub gates: Vec<JudgedGate>,
+}
+
+/// A covariance with the names of its rows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ParameterCovariance {
+    /// `left.fx`, `cam_right_from_cam_left.x_m`; pixels, metres, radians.
+    pub names: Vec<String>,
+    /// One row per name.
+    pub rows: Vec<Vec<f64>>,
+}
+
+/// What a gate said when the calibration was made.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JudgedGate {
+    /// Its name, with the unit.
+    pub name: String,
+    /// What was measured.
+    pub measured: f64,
+    /// As good as this is good.
+    pub good: f64,
+    /// Worse than this is refused.
+    pub refused: f64,
+    /// `good`, `fair` or `refused`.
+    pub grade: String,
+}
+
+impl Judgement {
+    /// The gates that refuse the calibration.
+    pub fn refusals(&self) -> impl Iterator<Item = &JudgedGate> {
+        self.gates.iter().filter(|gate| gate.grade == "refused")
+    }
+}
+
+pub(super) fn recognises(root: &Node<'_>) -> bool {
+    root.find("format").is_some() && root.find("cam_right_from_cam_left").is_some()
+}
+
+pub(super) fn read(root: &Node<'_>) -> Result<(StereoRig, Judgement), CalibrationFileError> {
+    let format = root.get("format")?;
+    if format.text()? != FORMAT {
+        return Err(format.refuse(format!("is {:?}, {FORMAT:?} is known here: use a newer pb3dp", format.text()?)));
+    }
+    let cameras = [camera(&root.get("left")?)?, camera(&root.get("right")?)?];
+    let pose = root.get("cam_right_from_cam_left")?;
+    let translation = pose.get("translation_m")?;
+    let rotation = rotation(&pose.get("rotation_wxyz")?)?;
+    let translation_m: Vector3<f64> = translation.matrix()?;
+    // What every calibration must hold is checked on matrices, and the quaternion is kept as it is.
+    checks::rig(&translation, cameras, rotation.to_rotation_matrix().matrix(), translation_m)?;
+    let [left, right] = cameras;
+    let rig = StereoRig::new(left, right, Pose::from_parts(translation_m, rotation));
+    let rig = rig.map_err(|error| translation.refuse(error))?;
+    let identity = |side: &str| {
+        root.get(side)?.find("camera").map_or_else(|| Ok(CameraIdentity::default()), |node| identity::read(&node))
+    };
+    let judgement = Judgement {
+        date: root.get("date")?.text()?.to_owned(),
+        tool: root.get("tool")?.text()?.to_owned(),
+        source: root.get("source")?.text()?.to_owned(),
+        cameras: [identity("left")?, identity("right")?],
+        numbers: numbers(&root.get("measured")?)?,
+        covariance: root.find("covariance").map(|node| covariance(&node)).transpose()?,
+        gates: gates(root)?,
+    };
+    Ok((rig, judgement))
+}
+
+fn camera(node: &Node<'_>) -> Result<Camera, CalibrationFileError> {
+    let number = |key: &str| node.get(key)?.number();
+    let pinhole = Pinhole { fx: number("fx_px")?, fy: number("fy_px")?, cx: number("cx_px")?, cy: number("cy_px")? };
+    let model = node.get("distortion_model")?;
+    let distortion = match model.text()? {
+        "none" => Distortion::None,
+        // Zeros are kept as they are: what was estimated as a lens with coefficients stays one.
+        "plumb_bob" => Distortion::BrownConrady5 { coefficients: list(&node.get("distortion_coefficients")?)? },
+        "rational_polynomial" => {
+            Distortion::BrownConrady8 { coefficients: list(&node.get("distortion_coefficients")?)? }
+        }
+        name => checks::distortion(&model, name, &node.get("distortion_coefficients")?)?,
+    };
+    checks::camera(node, node.get("image_size_px")?.size_pair()?, pinhole, distortion)
+}
+
+fn list<const N: usize>(node: &Node<'_>) -> Result<[f64; N], CalibrationFileError> {
+    let numbers = node.numbers()?;
+    let count = numbers.len();
+    numbers.try_into().map_err(|_| node.refuse(format!("has {count} numbers, {N} are needed")))
+}
+
+fn rotation(node: &Node<'_>) -> Result<UnitQuaternion<f64>, CalibrationFileError> {
+    let [w, x, y, z] = list(node)?;
+    let quaternion = Quaternion::new(w, x, y, z);
+    if (quaternion.norm() - 1.0).abs() > NORM_TOLERANCE {
+        return Err(node.refuse(format!("is no rotation: its length is {}, it must be 1", quaternion.norm())));
+    }
+    // Not normalised once more: the last bits would change with each reading.
+    Ok(UnitQuaternion::new_unchecked(quaternion))
+}
+
+fn numbers(node: &Node<'_>) -> Result<Vec<(String, f64)>, CalibrationFileError> {
+    node.entries()?.into_iter().map(|(name, value)| Ok((name, value.number()?))).collect()
+}
+
+fn covariance(node: &Node<'_>) -> Result<ParameterCovariance, CalibrationFileError> {
+    let names = node.get("names")?.items()?;
+    let names = names.iter().map(|name| Ok(name.text()?.to_owned())).collect::<Result<Vec<_>, _>>()?;
+    let matrix = node.get("matrix")?;
+    let rows = matrix.items()?.iter().map(Node::numbers).collect::<Result<Vec<_>, _>>()?;
+    if rows.len() != names.len() || rows.iter().any(|row| row.len() != names.len()) {
+        return Err(matrix.refuse(format!("must have {0} rows of {0} numbers, as there are names", names.len())));
+    }
+    Ok(ParameterCovariance { names, rows })
+}
+
+fn gates(root: &Node<'_>) -> Result<Vec<JudgedGate>, CalibrationFileError> {
+    let gate = |(name, node): (String, Node<'_>)| {
+        let number = |key: &str| node.get(key)?.number();
+        let grade = node.get("grade")?;
+        if !["good", "fair", "refused"].contains(&grade.text()?) {
+            return Err(grade.refuse(format!("is {:?}, it must be good, fair or refused", grade.text()?)));
+        }
+        let (measured, good, refused) = (number("measured")?, number("good")?, number("refused")?);
+        // Where more is better, good is the larger limit.
+        let is_beyond = if good > refused { measured < refused } else { measured > refused };
+        if is_beyond != (grade.text()? == "refused") {
+            return Err(
+                grade.refuse(format!("is {:?}, but {measured} was measured and {refused} is the limit", grade.text()?))
+            );
+        }
+        Ok(JudgedGate { name, measured, good, refused, grade: grade.text()?.to_owned() })
+    };
+    root.get("gates")?.entries()?.into_iter().map(gate).collect()
+}
+
+/// The text of the file.
+pub(super) fn write(rig: &StereoRig, judgement: &Judgement) -> Result<String, CalibrationFileError> {
+    check_finite(judgement)?;
+    let Judgement { date, tool, source, cameras, numbers, covariance, gates } = judgement;
+    // The writer of TOML quotes what must be quoted.
+    let text = |value: &str| toml::Value::from(value).to_string();
+    let mut file = format!("format = {}\n", text(FORMAT));
+    file += &format!("date = {}\ntool = {}\nsource = {}\n", text(date), text(tool), text(source));
+    for ((side, camera), identity) in [("left", rig.left()), ("right", rig.right())].into_iter().zip(cameras) {
+        file += &format!("\n[{side}]\nimage_size_px = [{}, {}]\n", camera.size().width, camera.size().height);
+        let p = camera.pinhole();
+        for (key, value) in [("fx_px", p.fx), ("fy_px", p.fy), ("cx_px", p.cx), ("cy_px", p.cy)] {
+            file += &format!("{key} = {}\n", write::number(value));
+        }
+        let model = match camera.distortion() {
+            Distortion::None => "none",
+            other => write::distortion(other).0,
+        };
+        file += &format!("distortion_model = {}\n", text(model));
+        file += &format!("distortion_coefficients = {}\n", write::list(camera.distortion().coefficients()));
+        if !identity.is_empty() {
+            file += &format!("\n[{side}.camera]\n{}", identity::write(identity));
+        }
+    }
+    let pose = rig.cam_right_from_cam_left();
+    let rotation = pose.rotation();
+    file += "\n# Maps coordinates in cam_left to cam_right: x right, y down, z forward; whole pixel numbers are pixel centres.\n";
+    file += &format!(
+        "[cam_right_from_cam_left]\nrotation_wxyz = {}\n",
+        write::list(&[rotation.w, rotation.i, rotation.j, rotation.k])
+    );
+    file += &format!("translation_m = {}\n", write::list(pose.translation_m().as_slice()));
+    file += "\n[measured]\n";
+    for (name, value) in numbers {
+        file += &format!("{} = {}\n", key(name), write::number(*value));
+    }
+    for gate in gates {
+        let JudgedGate { name, measured, good, refused, grade } = gate;
+        let [measured, good, refused] = [measured, good, refused].map(|value| write::number(*value));
+        file += &format!(
+            "\n[gates.{}]\nmeasured = {measured}\ngood = {good}\nrefused = {refused}\ngrade = {}\n",
+            key(name),
+            text(grade)
+        );
+    }
+    if gates.is_empty() {
+        file += "\n[gates]\n";
+    }
+    if let Some(ParameterCovariance { names, rows }) = covariance {
+        let names = names.iter().map(|name| text(name)).collect::<Vec<_>>().join(", ");
+        let rows = rows.iter().map(|row| format!("    {},\n", write::list(row))).collect::<String>();
+        file += &format!("\n[covariance]\nnames = [{names}]\nmatrix = [\n{rows}]\n");
+    }
+    Ok(file)
+}
+
+/// A name as a key: quoted only where it must be.
+fn key(name: &str) -> String {
+    let is_bare = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+    if !name.is_empty() && name.chars().all(is_bare) { name.to_owned() } else { toml::Value::from(name).to_string() }
+}
+
+/// Refuses what no reader here would take back.
+fn check_finite(calibration: &Judgement) -> Result<(), CalibrationFileError> {
+    let gates = calibration
+        .gates
+        .iter()
+        .flat_map(|gate| [gate.measured, gate.good, gate.refused].map(|value| (&gate.name, value)));
+    let measured = calibration.numbers.iter().map(|(name, value)| (name, *value));
+    let refuse = |reason| Err(CalibrationFileError::NotRepresentable { format: CalibrationFormat::Judged, reason });
+    if let Some((name, value)) = measured.chain(gates).find(|(_, value)| !value.is_finite()) {
+        return refuse(format!("{name} is {value}"));
+    }
+    let rows = calibration.covariance.iter().flat_map(|covariance| covariance.names.iter().zip(&covariance.rows));
+    let mut elements = rows.flat_map(|(name, row)| row.iter().map(move |value| (name, *value)));
+    match elements.find(|(_, value)| !value.is_finite()) {
+        None => Ok(()),
+        Some((name, value)) => refuse(format!("the covariance of {name} is {value}")),
+    }
+}
