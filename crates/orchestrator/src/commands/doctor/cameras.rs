@@ -62,7 +62,9 @@ pub(super) fn check(system: &dyn System, needs: &Needs) -> Vec<Finding> {
     let Some(who) = Identity::of(system) else { return Vec::new() };
     let cameras = found(system);
     if let Cameras::These(names) = &needs.cameras {
-        return named(system, &who, &cameras, names);
+        let mut findings = named(system, &who, &cameras, names);
+        findings.push(calibration(needs));
+        return findings;
     }
     if cameras.is_empty() {
         let advice = "for simulation none is needed; else look at cable and hub, and whether `lsusb` and `dmesg` show the camera";
@@ -114,6 +116,19 @@ fn named(system: &dyn System, who: &Identity, cameras: &[Found], names: &[Camera
     }
     findings.extend(topology(&chosen));
     findings
+}
+
+/// Whether the setup has a calibration of its cameras, as far as the file itself tells.
+fn calibration(needs: &Needs) -> Finding {
+    const CHECK: &str = "calibration";
+    match &needs.nominal_calibration {
+        None => Finding::pass(CHECK, "it does not say that no cameras were measured"),
+        Some(says) => {
+            let advice = "calibrate the cameras and name the file in camera.calibration; until then real arms do not move without \
+                          --nominal-calibration";
+            Finding::warning(CHECK, format!("that of {} is that of no cameras ({says})", needs.source), advice)
+        }
+    }
 }
 
 /// Whether only the driver knows who has this name.

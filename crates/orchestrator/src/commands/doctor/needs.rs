@@ -24,6 +24,8 @@ pub(super) struct Needs {
     pub(super) arcnet: Vec<String>,
     /// Whether cameras of this machine are needed.
     pub(super) cameras: Cameras,
+    /// What their calibration says of itself if no cameras were measured for it.
+    pub(super) nominal_calibration: Option<String>,
     /// Where recordings go; none if none are made.
     pub(super) recordings: Option<PathBuf>,
     /// What a recording writes at most, bytes per second.
@@ -54,6 +56,7 @@ impl Needs {
             serial: None,
             arcnet: Vec::new(),
             cameras: Cameras::Perhaps,
+            nominal_calibration: None,
             recordings: Some(recordings),
             recording_bytes_per_s: DEFAULT_BYTES_PER_S,
         }
@@ -100,6 +103,7 @@ impl Needs {
                 let eyes = [&cameras.stereo.left, &cameras.stereo.right];
                 Cameras::These(eyes.map(|eye| eye.name.clone()))
             }),
+            nominal_calibration: setup.nominal_calibration.clone(),
             recording_bytes_per_s: 2.0 * 3.0 * pixels / setup.camera.period.as_secs_f64().max(1e-3),
             ..Self::general(recordings)
         }

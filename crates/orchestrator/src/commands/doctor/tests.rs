@@ -306,6 +306,8 @@ fn the_cameras_of_a_setup_are_looked_for_by_name() {
     only(&fake, &same, "cameras", Verdict::Fail, "left and right are the same camera", "a name of its own");
     let other = with(left, "bus:platform:vivid-001");
     only(&fake, &other, "cameras", Verdict::Warning, "bus:platform:vivid-001", "pb3dp cameras list");
+    let nominal = Needs { nominal_calibration: Some("none: a drawing".to_owned()), ..with(left, "/dev/video2") };
+    only(&fake, &nominal, "calibration", Verdict::Warning, "(none: a drawing)", "--nominal-calibration");
     fake.nodes.insert("/dev/video2".to_owned(), Node { mode: 0o660, uid: 0, gid: 0, is_device: true });
     only(&fake, &with(left, "/dev/video2"), "cameras", Verdict::Fail, "/dev/video2", "70-pb3dp.rules");
     // One that nobody asked for may be as it is.
@@ -399,6 +401,10 @@ fn needs_come_from_the_configuration() {
     let rig = of("rig.toml");
     let names = ["bus:usb-0000:00:14.0-1", "bus:usb-0000:00:14.0-2"].map(|name| name.parse().unwrap());
     assert_eq!((rig.needs_realtime, &rig.cameras), (true, &Cameras::These(names)));
+    assert!(
+        rig.nominal_calibration.as_ref().is_some_and(|says| says.starts_with("none"))
+            && emulated.nominal_calibration.is_none()
+    );
     assert!(rig.serial.as_ref().unwrap().len() == 2 && rig.groups().contains(&"video"));
     let missing = Needs::of_file(&root.join("no such file.toml"), PathBuf::from("out"));
     assert!(missing.unwrap_err().to_string().contains("no such file.toml"));

@@ -273,16 +273,17 @@ fn pictures_of(side: Side, mut newest: watch::Receiver<Option<Arc<Pictures>>>) -
     // The one that is there now is shown at once.
     newest.mark_changed();
     tokio::spawn(async move {
+        // A browser shows a part once it has seen the boundary behind it.
+        let mut part = format!("--{BOUNDARY}").into_bytes();
         while newest.changed().await.is_ok() {
             let pictures = newest.borrow_and_update().clone();
             let Some(pictures) = pictures else { continue };
             let jpeg = &pictures.jpegs[side as usize];
-            let mut part =
-                format!("--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", jpeg.len())
-                    .into_bytes();
+            let head = format!("\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", jpeg.len());
+            part.extend_from_slice(head.as_bytes());
             part.extend_from_slice(jpeg);
-            part.extend_from_slice(b"\r\n");
-            if give.send(part.into()).await.is_err() {
+            part.extend_from_slice(format!("\r\n--{BOUNDARY}").as_bytes());
+            if give.send(std::mem::take(&mut part).into()).await.is_err() {
                 return;
             }
         }

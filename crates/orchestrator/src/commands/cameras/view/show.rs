@@ -19,8 +19,9 @@ use super::super::list::ControlLine;
 /// Questions that may wait for the cameras.
 pub(super) const ASKS_MAX: usize = 16;
 
-/// How long one call waits for a pair, so that questions and signals are heard.
+/// How long one call waits for a pair, so that questions and signals are heard; slow cameras have so many periods.
 const PATIENCE_OF_A_CALL: Duration = Duration::from_millis(250);
+const PATIENCE_PERIODS: u32 = 3;
 
 /// How often cameras that were lost are looked for.
 const REOPEN: Duration = Duration::from_millis(500);
@@ -50,6 +51,8 @@ pub(super) struct State {
     missing: u64,
     left: Losses,
     right: Losses,
+    /// How often controls were set or the cameras opened again, after which their values may be others.
+    control_changes: u64,
     /// What the cameras complain of now.
     problem: Option<String>,
 }
@@ -92,6 +95,7 @@ impl State {
             missing: 0,
             left: Losses::default(),
             right: Losses::default(),
+            control_changes: 0,
             problem: None,
         }
     }
@@ -187,6 +191,7 @@ impl Show<'_> {
                 }
             }
             for ask in asks.try_iter().take(ASKS_MAX) {
+                taking.state.control_changes += u64::from(matches!(ask.wish, Wish::Set { .. }));
                 // Who has asked may have gone.
                 let _ = ask.answer.send(answered(camera.as_mut(), ask.side, &ask.wish));
             }
@@ -219,7 +224,9 @@ struct Taking<'a> {
 impl Taking<'_> {
     /// Takes a pair; returns whether the cameras are still there.
     fn step(&mut self, camera: &mut V4l2StereoCamera) -> bool {
-        let taken = camera.next_pair_into(&mut self.pair, PATIENCE_OF_A_CALL);
+        let patience =
+            camera.info().period.map_or(PATIENCE_OF_A_CALL, |period| PATIENCE_OF_A_CALL.max(period * PATIENCE_PERIODS));
+        let taken = camera.next_pair_into(&mut self.pair, patience);
         let counters = camera.counters();
         (self.state.left, self.state.right) = (Losses::of(&counters.left), Losses::of(&counters.right));
         let stays = match taken {
@@ -266,6 +273,7 @@ impl Taking<'_> {
                 tracing::info!("{}: there again", camera.info().name);
                 self.recent.clear();
                 self.last_sequence = None;
+                self.state.control_changes += 1;
                 Some(camera)
             }
             Err(error) => {

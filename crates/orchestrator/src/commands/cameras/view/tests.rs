@@ -146,7 +146,29 @@ fn pictures_and_state_are_shown_live() {
         }
         let text = String::from_utf8_lossy(&bytes).to_lowercase();
         assert!(text.contains("multipart/x-mixed-replace; boundary=pb3dp-next-picture"), "{text:.400}");
-        assert!(text.matches("--pb3dp-next-picture\r\ncontent-type: image/jpeg").count() >= 3);
+        let parts = ["--pb3dp-next-picture", "\r\ncontent-type: image/jpeg"].map(|each| text.matches(each).count());
+        assert!(parts.iter().all(|count| *count >= 3), "{parts:?}");
+    });
+}
+
+#[test]
+fn a_picture_is_whole_before_the_next_one_comes() {
+    with_page(|page| {
+        page.until("/left.jpg", |answer| answer.status == 200);
+        for side in [0, 1] {
+            page.system.with(side, |camera| camera.faults.is_silent = true);
+        }
+        page.until("/state", |answer| answer.json()["problem"].is_string());
+        let host = page.address;
+        let mut socket = page.send(format!("GET /left.mjpg HTTP/1.1\r\nHost: {host}\r\n\r\n").as_bytes());
+        let (mut bytes, mut piece) = (Vec::new(), [0; 4096]);
+        // A browser waits for the boundary behind a part.
+        while bytes.windows(22).filter(|text| text == b"\r\n--pb3dp-next-picture").count() < 2 {
+            let length = socket.read(&mut piece).unwrap();
+            assert!(length > 0, "the stream has ended");
+            bytes.extend_from_slice(&piece[..length]);
+        }
+        assert!(bytes.windows(3).any(|three| three == [0xFF, 0xD8, 0xFF]));
     });
 }
 
@@ -163,6 +185,8 @@ fn controls_are_shown_and_changed() {
         let after = page.post("/controls/right", &change(id::GAIN, 77));
         assert_eq!((after.status, value_of(&after.json(), id::GAIN)), (200, 77));
         assert_eq!(value_of(&page.get("/controls/left").json(), id::GAIN), 64);
+        // Whoever else looks is told that there is something to ask for.
+        page.until("/state", |answer| answer.json()["control_changes"] == 1);
         page.post("/controls/left", &change(id::GAIN, 256)).refused(409, "it goes from 0 to 255 by steps of 1");
         page.post("/controls/left", &change(5, 1)).refused(409, "it has no control 0x00000005");
         page.system.with(0, |camera| camera.faults.forgetful.push(id::GAIN));
@@ -211,6 +235,7 @@ fn cameras_that_are_pulled_are_told_and_come_back() {
         let pairs = page.get("/state").json()["pairs"].as_u64();
         page.until("/state", |answer| answer.json()["problem"].is_null() && answer.json()["pairs"].as_u64() > pairs);
         assert_eq!(page.get("/controls/left").status, 200);
+        assert_eq!(page.get("/state").json()["control_changes"], 1);
     });
 }
 
