@@ -68,6 +68,37 @@ fn numbers<const N: usize>(whole: &str, text: &str) -> std::result::Result<[f64;
     values.try_into().map_err(|_| format!("region {whole:?}: expected {N} numbers, found {count} in {text:?}"))
 }
 
+impl RegionSpec {
+    /// Refuses what lies outside of pictures of this size, or has no area; masks say by themselves where they are.
+    ///
+    /// # Errors
+    /// What is wrong, in words.
+    pub fn check_inside(&self, pictures: ImageSize) -> std::result::Result<(), String> {
+        let corners = match self {
+            Self::Mask(_) => return Ok(()),
+            Self::Click(place) => vec![*place],
+            Self::Polygon(corners) => corners.clone(),
+            Self::Rectangle([x, y, width, height]) => {
+                if *width <= 0.0 || *height <= 0.0 {
+                    return Err(format!("width {width} and height {height} of a rectangle must be positive"));
+                }
+                vec![[*x, *y], [x + width, *y], [x + width, y + height], [*x, y + height]]
+            }
+        };
+        let is_inside = |&&[u, v]: &&[f64; 2]| {
+            (-0.5..=f64::from(pictures.width) - 0.5).contains(&u)
+                && (-0.5..=f64::from(pictures.height) - 0.5).contains(&v)
+        };
+        match corners.iter().find(|corner| !is_inside(corner)) {
+            None => Ok(()),
+            Some([u, v]) => Err(format!(
+                "the corner {u},{v} is outside of the left picture, which has {}x{} pixels",
+                pictures.width, pictures.height
+            )),
+        }
+    }
+}
+
 /// The region that the command line or a configuration names, in pictures of this size.
 ///
 /// # Errors
@@ -118,6 +149,24 @@ mod tests {
         assert_eq!("click:3, 4".parse(), Ok(RegionSpec::Click([3.0, 4.0])));
         assert_eq!("poly:0,0;5,0;5,7".parse(), Ok(RegionSpec::Polygon(vec![[0.0, 0.0], [5.0, 0.0], [5.0, 7.0]])));
         assert_eq!("mask:a:b.png".parse(), Ok(RegionSpec::Mask(PathBuf::from("a:b.png"))));
+    }
+
+    #[test]
+    fn what_is_outside_of_the_picture_is_refused_with_its_corner() {
+        let size = ImageSize { width: 640, height: 480 };
+        let refusal = |text: &str| text.parse::<RegionSpec>().unwrap().check_inside(size);
+        for inside in ["rect:0,0,639.5,479.5", "click:639,0", "poly:0,0;600,0;600,479", "mask:there.png"] {
+            assert_eq!(refusal(inside), Ok(()), "{inside}");
+        }
+        for (outside, part) in [
+            ("rect:600,400,100,50", "700,400"),
+            ("rect:-3,0,100,50", "-3,0"),
+            ("click:640,0", "640,0"),
+            ("poly:0,0;600,0;600,480", "600,480"),
+            ("rect:10,10,0,5", "must be positive"),
+        ] {
+            assert!(refusal(outside).unwrap_err().contains(part), "{outside}: {:?}", refusal(outside));
+        }
     }
 
     #[test]

@@ -142,6 +142,11 @@ pub fn list(system: &dyn VideoSystem) -> Result<Listing, CameraError> {
 /// `Disconnected` if there is none, `Unusable` if the name fits several, or the one may not be opened.
 pub fn open(system: &dyn VideoSystem, name: &CameraName) -> Result<(Found, Box<dyn VideoNode>), CameraError> {
     let device = name.to_string();
+    // A rule of udev may have given the node a name of its own.
+    let name = &match name {
+        CameraName::Path(path) => CameraName::Path(system.resolve(path).unwrap_or_else(|| path.clone())),
+        CameraName::Bus { .. } | CameraName::Serial { .. } => name.clone(),
+    };
     let listing = list(system)?;
     let mut fitting: Vec<&Found> = listing.found.iter().filter(|found| found.has(name)).collect();
     // Of several nodes of one device the first one is meant; the same number twice means two devices.
@@ -149,7 +154,7 @@ pub fn open(system: &dyn VideoSystem, name: &CameraName) -> Result<(Found, Box<d
     fitting.retain(|found| found.entry.index == first);
     let found = match fitting.as_slice() {
         [found] => (*found).clone(),
-        [] => return Err(missing(&device, name, listing)),
+        [] => return Err(missing(system, &device, name, listing)),
         several => {
             let names: Vec<String> = several.iter().map(|found| describe(found)).collect();
             let what = format!(
@@ -175,7 +180,7 @@ fn describe(found: &Found) -> String {
     format!("{}{name} ({})", found.entry.path.display(), found.capability.card)
 }
 
-fn missing(device: &str, name: &CameraName, mut listing: Listing) -> CameraError {
+fn missing(system: &dyn VideoSystem, device: &str, name: &CameraName, mut listing: Listing) -> CameraError {
     // A device that may not be asked could be the one; its own error says more.
     let is_asked_for = |path: &PathBuf| !matches!(name, CameraName::Path(asked) if asked != path);
     if let Some(at) = listing.refused.iter().position(|(path, _)| is_asked_for(path)) {
@@ -185,6 +190,11 @@ fn missing(device: &str, name: &CameraName, mut listing: Listing) -> CameraError
     }
     let there: Vec<String> = listing.found.iter().map(describe).collect();
     let there = if there.is_empty() { "none".to_owned() } else { there.join(", ") };
+    if let CameraName::Path(path) = name
+        && system.resolve(path).is_some()
+    {
+        return unusable(device, format!("this is no device that takes pictures; there are: {there}"));
+    }
     let message = format!("{device}: there is no such camera; look at its plug and cable; there are: {there}");
     CameraError::new(CameraErrorKind::Disconnected, message)
 }

@@ -211,6 +211,9 @@ pub trait VideoSystem: Send + Sync {
     /// As `open(2)`.
     fn open(&self, path: &Path) -> io::Result<Box<dyn VideoNode>>;
 
+    /// The file that a path leads to, through all links; `None` if nothing is there.
+    fn resolve(&self, path: &Path) -> Option<PathBuf>;
+
     /// `CLOCK_MONOTONIC` in nanoseconds: what drivers stamp by.
     fn monotonic_nanos(&self) -> i64;
 

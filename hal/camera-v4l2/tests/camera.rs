@@ -450,6 +450,26 @@ fn names_stay_and_ambiguous_ones_are_refused() {
 }
 
 #[test]
+fn names_that_udev_gives_lead_to_their_cameras() {
+    let rig = Rig::new();
+    rig.system.link("/dev/pb3dp/cam-left", "/dev/video0");
+    rig.system.link("/dev/null", "/dev/null");
+    let mut config = config();
+    config.left.name = "/dev/pb3dp/cam-left".parse().unwrap();
+    rig.open(&config).unwrap().next_pair(SECOND).unwrap();
+    // The link goes with its camera.
+    config.left.name = "/dev/pb3dp/cam-middle".parse().unwrap();
+    let (_, message) = refused(rig.open(&config));
+    assert!(message.starts_with("/dev/pb3dp/cam-middle: there is no such camera; look at its plug"), "{message}");
+    config.left.name = "/dev/null".parse().unwrap();
+    let (_, message) = refused(rig.open(&config));
+    assert!(
+        message.starts_with("/dev/null: this is no device that takes pictures; there are: /dev/video0"),
+        "{message}"
+    );
+}
+
+#[test]
 fn the_steady_state_takes_nothing_from_the_heap() {
     let rig = Rig::new();
     let mut camera = rig.opened();

@@ -24,7 +24,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail, ensure};
 use pb3dp_orchestrator::config::setup::Setup;
 use pb3dp_orchestrator::cpu_time::timed;
-use system_tests::safety::invariants::{Violation, check};
+use system_tests::safety::invariants::{Invariant, Violation, check};
 use system_tests::safety::rules::Rules;
 use system_tests::safety::shape::room_m;
 use system_tests::safety::truth::ARM_NAMES;
@@ -165,6 +165,12 @@ fn trace(judged: &Judged) {
     });
     println!("least room between both arms: {:.0} mm", 1e3 * rooms.fold(f64::INFINITY, f64::min));
     println!("ended: {}", ran.ended.as_deref().unwrap_or("at its time"));
+    let broken = |invariant: Invariant| judged.violations.iter().any(|violation| violation.invariant == invariant);
+    let [held, violated]: [Vec<&str>; 2] = [false, true].map(|wanted| {
+        Invariant::ALL.into_iter().filter(|&invariant| broken(invariant) == wanted).map(Invariant::name).collect()
+    });
+    println!("held, {} of {}: {}", held.len(), Invariant::ALL.len(), held.join(", "));
+    println!("violated: {}", if violated.is_empty() { "none".to_owned() } else { violated.join(", ") });
 }
 
 /// How far a long measurement is: a line each minute.

@@ -6,8 +6,9 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Instant, SystemTime};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use pb3dp_arm_pa10::io::signals::StopSignals;
+use pb3dp_record::dataset::SequenceWriter;
 
 use super::estimate::output::print_line;
 use crate::cli::{OperatorName, RunArgs};
@@ -41,6 +42,10 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
     if args.operator == OperatorName::Console && setup.pace == Pace::Fast {
         bail!("--operator console: at pace = \"fast\" nobody can speak in time; set pace to \"real-time\" or \"live\"");
+    }
+    // What can not be recorded is refused before an arm is switched on, and before the last report is lost.
+    if let Some(folder) = &args.record {
+        SequenceWriter::check_folder(folder).context("--record")?;
     }
     let mut parts = wire(&setup)?;
     if args.operator == OperatorName::Console {
@@ -103,11 +108,14 @@ fn pictures(setup: &Setup) -> String {
 /// Marks the target of real cameras, if a region is given.
 ///
 /// # Errors
-/// If the cameras are simulated.
+/// If the cameras are simulated, or the region is outside of their pictures.
 pub(super) fn mark(setup: &mut Setup, region: Option<&RegionSpec>) -> Result<()> {
     match (&mut setup.real_cameras, region) {
         (_, None) => {}
-        (Some(cameras), Some(region)) => cameras.region = Some(region.clone()),
+        (Some(cameras), Some(region)) => {
+            region.check_inside(cameras.size()).map_err(|why| anyhow!("--region: {why}"))?;
+            cameras.region = Some(region.clone());
+        }
         (None, Some(_)) => bail!(
             "--region: the cameras of this setup are simulated, and where the target is in their pictures is known"
         ),

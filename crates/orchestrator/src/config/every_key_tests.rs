@@ -171,7 +171,7 @@ fn every_number_of_real_cameras_is_refused_by_its_own_key() {
 #[test]
 fn keys_of_other_cameras_are_refused_with_key_and_backend() {
     type Change = fn(&mut Table);
-    let changes: [(&'static str, Change, &str); 14] = [
+    let changes: [(&'static str, Change, &str); 16] = [
         ("rig.toml", |root| put(root, "camera", "focal_px", 740.0), "camera.focal_px: unknown key"),
         ("rig.toml", |root| put(root, "camera", "focal_px", 740.0), "(with camera.backend = \"v4l2\")"),
         ("sim.toml", |root| put(root, "camera", "format", "YUYV"), "(with camera.backend = \"sim\")"),
@@ -201,6 +201,16 @@ fn keys_of_other_cameras_are_refused_with_key_and_backend() {
             "rig.toml",
             |root| put(root, "camera", "region", "circle:3"),
             "camera.region: region \"circle:3\" is not understood",
+        ),
+        (
+            "rig.toml",
+            |root| put(root, "camera", "region", "rect:600,400,100,50"),
+            "camera.region: the corner 700,400 is outside of the left picture, which has 640x480 pixels",
+        ),
+        (
+            "rig.toml",
+            |root| put(root, "camera", "frame_rate_hz", 2.0),
+            "supervisor.policies.frame_stale.age_s = 0.25: allowed are 0.99 to 1",
         ),
         ("rig.toml", |root| put(root, "camera", "calibration", vec!["no.yaml"]), "camera.calibration: "),
         (
@@ -246,6 +256,12 @@ fn eyes_that_are_no_cameras_are_refused() {
         .into_iter()
         .collect();
     assert_eq!(refusal("further_controls", Value::Array(vec![Value::Table(control.clone())])), None);
+    let text = refusal("further_controls", Value::Array(vec![Value::Table(control.clone()); 2])).unwrap();
+    assert!(text.contains("further_controls[1].id = 10025217: further_controls[0] sets the same control"), "{text}");
+    let text = refusal("exposure_millis", Value::Float(50.0)).unwrap();
+    assert!(text.contains("camera.right.exposure_millis = 50: allowed are 0.1 to 33.3"), "{text}");
+    let text = refusal("gain", Value::Float(3.5)).unwrap();
+    assert!(text.contains("camera.right.gain") && text.contains("a whole one"), "{text}");
     let control = control.into_iter().map(|(key, _)| (key, Value::Integer(1 << 40))).collect();
     let text = refusal("further_controls", Value::Array(vec![Value::Table(control)])).unwrap();
     assert!(text.contains("camera.right.further_controls[0].id = 1099511627776: allowed are 1 to"), "{text}");

@@ -23,6 +23,14 @@ fn cameras_that_are_not_named_or_not_there_are_refused_with_what_to_do() {
     rig.assert_refused(&["bus:usb-0000:00:14.0-1", "look at its plug and cable"]);
     let both = ["cameras", "check", "--config", "a", "--left", "/dev/video0", "--right", "/dev/video2"];
     pb3dp(&both).assert_refused(&["cannot be used with"]);
+    // What a setup says itself is not typed beside it.
+    for typed in [["--size", "1280x720"], ["--rate", "5"], ["--format", "GREY"], ["--skew-max", "9"], ["--calib", "a"]]
+    {
+        let both = [&["cameras", "check", "--config", "a"][..], &typed].concat();
+        pb3dp(&both).assert_refused(&["cannot be used with", typed[0]]);
+    }
+    let negative = ["cameras", "check", "--left", "/dev/video0", "--right", "/dev/video2", "--exposure", "-4"];
+    pb3dp(&negative).assert_refused(&["\"-4\": must be a number from 0.05 to 1000 ms"]);
     assert!(!out.exists());
 }
 

@@ -297,7 +297,12 @@ fn a_recorded_run_can_be_tracked() {
         assert!(tracked.stderr.contains("motion error"), "{}", tracked.stderr);
         assert_eq!(tracked.stderr.contains("normal is not observed"), !observed, "{method}: {}", tracked.stderr);
     }
-    run().assert_refused(&["--record"]);
+    // Before an arm is switched on, and before the report of the run before is lost.
+    let report = std::fs::read(out.join("summary.json")).unwrap();
+    let refused = run();
+    refused.assert_refused(&["--record", "sequence.json"]);
+    assert!(!refused.stderr.contains("selecting"), "{}", refused.stderr);
+    assert_eq!(std::fs::read(out.join("summary.json")).unwrap(), report);
 }
 
 #[test]

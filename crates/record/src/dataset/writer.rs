@@ -166,6 +166,21 @@ pub struct SequenceWriter {
 }
 
 impl SequenceWriter {
+    /// Looks whether a recording can be written into `folder`, and makes it.
+    ///
+    /// # Errors
+    /// As [`Self::create`].
+    pub fn check_folder(folder: &Path) -> Result<(), DatasetError> {
+        start_folder(folder, &folder.join(UNFINISHED_FILE))?;
+        start_folder(folder, &folder.join(SEQUENCE_FILE))?;
+        let probe = folder.join("sequence.probe");
+        std::fs::write(&probe, "").and_then(|()| std::fs::remove_file(&probe)).map_err(|source| DatasetError::Io {
+            file: folder.to_owned(),
+            action: "write",
+            source,
+        })
+    }
+
     /// Starts a recording: makes the folder and writes `calib.json`.
     ///
     /// # Errors

@@ -7,7 +7,7 @@ mod node;
 
 use std::collections::BTreeMap;
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -251,6 +251,8 @@ struct Inner {
 struct State {
     devices: Vec<Device>,
     nodes: Vec<node::NodeState>,
+    /// Further names of files, and what they lead to.
+    links: Vec<(PathBuf, PathBuf)>,
 }
 
 /// A system with emulated cameras.
@@ -261,7 +263,12 @@ impl EmulatedSystem {
     /// A system with these cameras, in the time of this clock.
     pub fn new(clock: Arc<dyn Clock>, cameras: Vec<EmulatedCamera>) -> Self {
         let devices = cameras.into_iter().map(Device::new).collect();
-        Self(Arc::new(Inner { clock, devices: Mutex::new(State { devices, nodes: Vec::new() }) }))
+        Self(Arc::new(Inner { clock, devices: Mutex::new(State { devices, ..State::default() }) }))
+    }
+
+    /// Another name of a file, as `udev` makes them.
+    pub fn link(&self, link: impl Into<PathBuf>, file: impl Into<PathBuf>) {
+        self.lock().links.push((link.into(), file.into()));
     }
 
     /// Looks at a camera, or changes it. Nothing happens to one that does not exist.
@@ -298,6 +305,16 @@ impl VideoSystem for EmulatedSystem {
         let handle = state.nodes.len() as Handle - 1;
         drop(state);
         Ok(Box::new(EmulatedNode::new(self.clone(), device, handle)))
+    }
+
+    fn resolve(&self, path: &Path) -> Option<PathBuf> {
+        let state = self.lock();
+        if let Some((_, node)) = state.links.iter().find(|(link, _)| link == path) {
+            return Some(node.clone());
+        }
+        let is_there = |device: &Device| device.camera.entry.path == path && !device.camera.faults.is_unplugged;
+        let is_there = state.devices.iter().any(is_there);
+        is_there.then(|| path.to_owned())
     }
 
     fn monotonic_nanos(&self) -> i64 {

@@ -106,7 +106,7 @@ impl EmulatedNode {
         let mut state = self.system.lock();
         let now_nanos = self.system.now_nanos();
         advance(&mut state, now_nanos);
-        let State { devices, nodes } = &mut *state;
+        let State { devices, nodes, .. } = &mut *state;
         let device = &mut devices[self.device];
         if device.camera.faults.is_unplugged {
             return Err(Errno::NODEV.into());
@@ -330,7 +330,7 @@ impl VideoNode for EmulatedNode {
 impl Drop for EmulatedNode {
     fn drop(&mut self) {
         let mut state = self.system.lock();
-        let State { devices, nodes } = &mut *state;
+        let State { devices, nodes, .. } = &mut *state;
         nodes[self.handle as usize] = NodeState { device: self.device, ..NodeState::default() };
         let device = &mut devices[self.device];
         if device.owner == Some(self.handle) {

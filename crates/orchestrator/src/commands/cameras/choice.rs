@@ -22,11 +22,14 @@ use crate::region_spec::RegionSpec;
 /// Speed of the target for which messages tell what a skew costs, where no setup says another one, m/s.
 const SPEED_M_PER_S: f64 = 0.1;
 
+/// What a setup says itself.
+const OF_NO_SETUP: [&str; 8] = ["left", "right", "calib", "format", "size", "rate", "exposure", "skew_max"];
+
 /// Where the cameras come from.
 #[derive(Debug, Args)]
 pub(super) struct CameraChoice {
     /// The setup whose cameras these are, for instance configs/rig.toml; with it nothing else of this is needed.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["left", "right"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = OF_NO_SETUP)]
     config: Option<PathBuf>,
     /// The left camera: bus:PLACE, serial:NUMBER (as `pb3dp cameras list` shows them) or /dev/videoN.
     #[arg(long, value_name = "NAME", requires = "right")]
@@ -44,13 +47,13 @@ pub(super) struct CameraChoice {
     #[arg(long, value_name = "WxH", value_parser = size, requires = "left")]
     size: Option<ImageSize>,
     /// Pictures per second.
-    #[arg(long, value_name = "HZ", value_parser = number("pictures per second", 0.1..=1000.0), default_value = "30", requires = "left")]
+    #[arg(long, value_name = "HZ", value_parser = number("pictures per second", 0.1..=1000.0), default_value = "30", requires = "left", allow_negative_numbers = true)]
     rate: f64,
     /// Time of exposure, ms; without it as it is set in the cameras.
-    #[arg(long, value_name = "MS", value_parser = millis(0.05..=1000.0), requires = "left")]
+    #[arg(long, value_name = "MS", value_parser = millis(0.05..=1000.0), requires = "left", allow_negative_numbers = true)]
     exposure: Option<f64>,
     /// Refuse pairs whose exposures are further apart, ms.
-    #[arg(long, value_name = "MS", value_parser = millis(0.01..=1000.0), default_value = "5", requires = "left")]
+    #[arg(long, value_name = "MS", value_parser = millis(0.01..=1000.0), default_value = "5", requires = "left", allow_negative_numbers = true)]
     skew_max: f64,
 }
 

@@ -281,7 +281,8 @@ impl SetupFile {
         let mounts = self.mounts.build(check);
         let of_joints = (self.arms.speed_scale, self.arms.vs_acceleration_max_rad_per_s2());
         let controller = self.servo.build(&mounts, of_joints, check);
-        let supervisor = self.supervisor.build(check);
+        let frame_period = sight.as_ref().map_or(Duration::ZERO, |sight| sight.camera.period);
+        let supervisor = self.supervisor.build(frame_period, check);
         if self.servo.searches() && supervisor.search_max_s <= 0.0 {
             check.refuse("servo.search: no search is permitted without supervisor.search_max_s; set it to the seconds that one may take".to_owned());
         }

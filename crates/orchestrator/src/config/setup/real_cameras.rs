@@ -155,7 +155,10 @@ struct EyeSection {
 
 /// A number, or who decides in its place.
 #[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(untagged, expecting = "a number, \"keep\" (the value stays as it is) or \"auto\" (the camera chooses)")]
+#[serde(
+    untagged,
+    expecting = "a number (a whole one, but for exposure_millis), \"keep\" (the value stays as it is) or \"auto\" (the camera chooses)"
+)]
 enum Wish<T> {
     Number(T),
     Word(Word),
@@ -203,9 +206,9 @@ impl V4l2Section {
         }
         let folder = config_file.parent().unwrap_or(Path::new("."));
         let format = self.format(check);
-        let region = self.region(folder, check);
-        let interval = interval(rate_hz);
         let size = ImageSize { width: whole(self.width_px), height: whole(self.height_px) };
+        let region = self.region(folder, size, check);
+        let interval = interval(rate_hz);
         let mode = |format, eye: &EyeSection| ModeRequest {
             format,
             size,
@@ -214,8 +217,8 @@ impl V4l2Section {
             standard: eye.standard.map(whole),
             takes_interlaced: self.interlaced,
         };
-        let names =
-            [("camera.left", &self.left), ("camera.right", &self.right)].map(|(key, eye)| eye.check(key, check));
+        let names = [("camera.left", &self.left), ("camera.right", &self.right)]
+            .map(|(key, eye)| eye.check(key, 1e3 / rate_hz, check));
         let [Some(left), Some(right)] = names else { return None };
         if left == right {
             check.refuse(format!(
@@ -243,9 +246,10 @@ impl V4l2Section {
     }
 
     /// The region, with the path of a mask beside the configuration; `None` if it is refused.
-    fn region(&self, folder: &Path, check: &mut Checker) -> Option<Option<RegionSpec>> {
+    fn region(&self, folder: &Path, size: ImageSize, check: &mut Checker) -> Option<Option<RegionSpec>> {
         let Some(text) = &self.region else { return Some(None) };
-        match text.parse() {
+        let region = text.parse().and_then(|region: RegionSpec| region.check_inside(size).map(|()| region));
+        match region {
             Ok(RegionSpec::Mask(file)) => Some(Some(RegionSpec::Mask(folder.join(file)))),
             Ok(region) => Some(Some(region)),
             Err(why) => {
@@ -267,10 +271,10 @@ pub(crate) fn interval(rate_hz: f64) -> Interval {
 
 impl EyeSection {
     /// Every key by itself; what a camera does not take of it is refused when it is opened. The name of its device, if that is one.
-    fn check(&self, key: &str, check: &mut Checker) -> Option<CameraName> {
+    fn check(&self, key: &str, period_millis: f64, check: &mut Checker) -> Option<CameraName> {
         let number = i64::from(i32::MAX);
         if let Wish::Number(exposure_millis) = self.exposure_millis {
-            check.number(&format!("{key}.exposure_millis"), exposure_millis, 0.1..=TIME_MAX_MILLIS);
+            check.number(&format!("{key}.exposure_millis"), exposure_millis, 0.1..=period_millis);
         }
         if let Some(stated) = self.stated_exposure_millis {
             check.number(&format!("{key}.stated_exposure_millis"), stated, 0.0..=TIME_MAX_MILLIS);
@@ -292,6 +296,12 @@ impl EyeSection {
         for (index, control) in self.further_controls.iter().enumerate() {
             check.count(&format!("{key}.further_controls[{index}].id"), control.id, 1..=i64::from(u32::MAX));
             check.count(&format!("{key}.further_controls[{index}].value"), control.value, -number - 1..=number);
+            if let Some(before) = self.further_controls[..index].iter().position(|before| before.id == control.id) {
+                check.refuse(format!(
+                    "{key}.further_controls[{index}].id = {}: further_controls[{before}] sets the same control; remove one of them",
+                    control.id
+                ));
+            }
         }
         check.number(&format!("{key}.readout_millis"), self.readout_millis, 0.0..=TIME_MAX_MILLIS);
         check.number(&format!("{key}.stamp_delay_millis"), self.stamp_delay_millis, 0.0..=TIME_MAX_MILLIS);

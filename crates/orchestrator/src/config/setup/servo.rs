@@ -166,8 +166,15 @@ impl ServoSection {
         check.number("servo.speed.angular_max_deg_per_s", self.speed.angular_max_deg_per_s, ANGULAR_DEG_PER_S);
         check.number("servo.speed.limit_approach_per_s", self.speed.limit_approach_per_s, 0.1..=20.0);
         check.number("servo.speed.soft_start_s", self.speed.soft_start_s, 0.0..=10.0);
-        check.number("servo.approach.linear_max_mm_per_s", self.approach.linear_max_mm_per_s, LINEAR_MM_PER_S);
-        check.number("servo.approach.angular_max_deg_per_s", self.approach.angular_max_deg_per_s, ANGULAR_DEG_PER_S);
+        // The way to the first contact is at most as quick as what comes behind it.
+        let at_most = |speed: f64, allowed: RangeInclusive<f64>| {
+            let (min, max) = allowed.into_inner();
+            min..=within(speed, min, max)
+        };
+        let linear = at_most(self.speed.linear_max_mm_per_s, LINEAR_MM_PER_S);
+        let angular = at_most(self.speed.angular_max_deg_per_s, ANGULAR_DEG_PER_S);
+        check.number("servo.approach.linear_max_mm_per_s", self.approach.linear_max_mm_per_s, linear);
+        check.number("servo.approach.angular_max_deg_per_s", self.approach.angular_max_deg_per_s, angular);
         check.number("servo.approach.done_within_mm", self.approach.done_within_mm, 0.1..=1000.0);
         check.number("servo.approach.done_within_deg", self.approach.done_within_deg, 0.06..=57.0);
         let observation_s = self.timeouts.observation_s;

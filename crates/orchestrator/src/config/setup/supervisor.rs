@@ -1,6 +1,7 @@
 //! The table `[supervisor]`: what it watches, and what follows.
 
 use std::ops::RangeInclusive;
+use std::time::Duration;
 
 use pb3dp_servo::supervisor::{Action, Condition, Policies, Policy, Resume, SupervisorConfig};
 use serde::Deserialize;
@@ -120,7 +121,8 @@ impl Threshold {
 }
 
 impl SupervisorSection {
-    pub(super) fn build(&self, check: &mut Checker) -> SupervisorConfig {
+    /// What is permitted where a picture comes in each `frame_period`.
+    pub(super) fn build(&self, frame_period: Duration, check: &mut Checker) -> SupervisorConfig {
         check.number("supervisor.resume_after_s", self.resume_after_s, 0.05..=60.0);
         check.number("supervisor.go_after_s", self.go_after_s, 0.05..=within(self.resume_after_s, 0.05, 60.0));
         check.number("supervisor.word_age_max_s", self.word_age_max_s, 0.05..=5.0);
@@ -133,6 +135,12 @@ impl SupervisorSection {
         let lost_s = self.policies.target_lost.age_s.unwrap_or(f64::NAN);
         if lost_s >= 0.05 {
             check.number("supervisor.policies.target_lost.age_s", lost_s, within(stale_s, 0.05, 1.0)..=10.0);
+        }
+        // Two periods are the least that tells a missing picture; a hand that waits for less rests between any two.
+        let frame_stale_s = self.policies.frame_stale.age_s.unwrap_or(f64::NAN);
+        if frame_stale_s >= 0.02 {
+            let two_periods_s = within(2.0 * frame_period.as_secs_f64(), 0.02, 0.99);
+            check.number("supervisor.policies.frame_stale.age_s", frame_stale_s, two_periods_s..=1.0);
         }
         let policies = Policies::of(|condition| self.policies.of(condition).build(condition, check));
         let config = SupervisorConfig {

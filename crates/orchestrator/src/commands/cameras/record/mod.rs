@@ -121,7 +121,10 @@ fn recorded(
 ) -> Result<Recorded> {
     let Chosen { config, rig, target } = args.cameras.chosen()?;
     let Some(rig) = rig else {
-        bail!("a sequence needs a calibration: give --calib FILE (docs/rig.md)");
+        bail!(
+            "a sequence needs a calibration: give --calib FILE; for pictures of which one is to be made, any one of their size will do, \
+             as configs/calibration/nominal.json (docs/calibration.md)"
+        );
     };
     let plan = Plan {
         pairs_max: args.pairs,
@@ -168,10 +171,7 @@ fn draft(args: &RecordArgs, target: &ChosenTarget, size: ImageSize) -> Result<Se
             bail!("{key}: a sequence has a polygon: write rect:X,Y,WIDTH,HEIGHT or poly:X1,Y1;X2,Y2;X3,Y3")
         }
     };
-    let is_inside = |[u, v]: &[f64; 2]| (-0.5..=width - 0.5).contains(u) && (-0.5..=height - 0.5).contains(v);
-    if let Some([u, v]) = region_polygon_left_px.iter().find(|corner| !is_inside(corner)) {
-        bail!("{key}: the corner {u},{v} is outside of the left picture, which has {width}x{height} pixels");
-    }
+    region.check_inside(size).map_err(|why| anyhow!("{key}: {why}"))?;
     let typed = args.z_range.map(|typed| [typed.min_mm * 1e-3, typed.max_mm * 1e-3]);
     let [z_min_m, z_max_m] = typed.or(target.range.map(|range| [range.z_min_m, range.z_max_m])).unwrap_or(Z_RANGE_M);
     let tilt_max_rad = args.tilt_max.map(f64::to_radians).or(target.range.map(|range| range.tilt_max_rad));
