@@ -15,7 +15,7 @@ use crate::system::wait_for;
 const RATE_HZ: f64 = 25.0;
 
 /// Pairs of a recording; its file.
-const PAIRS: usize = 40;
+const PAIRS: usize = 16;
 const FOLDER: &str = "/recorded";
 
 /// Findings of `cameras check` that a picture without noise can pass as well as any.

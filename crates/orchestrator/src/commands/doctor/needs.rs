@@ -77,7 +77,9 @@ impl Needs {
     /// Groups of the deployment files that a user of this needs.
     pub(super) fn groups(&self) -> Vec<&'static str> {
         let is_wanted = |serial: &Vec<String>| !serial.is_empty();
-        let mut groups = vec!["realtime"];
+        // Nothing says what is needed where nothing says which ports.
+        let perhaps = self.needs_realtime || self.serial.is_none();
+        let mut groups: Vec<_> = perhaps.then_some("realtime").into_iter().collect();
         groups.extend((self.cameras != Cameras::NotNeeded).then_some("video"));
         groups.extend(self.serial.as_ref().is_none_or(is_wanted).then_some("dialout"));
         groups

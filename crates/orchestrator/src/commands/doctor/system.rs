@@ -5,7 +5,7 @@ use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::path::{Path, PathBuf};
 
 use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
-use rustix::fs::statvfs;
+use rustix::fs::{Access, access, statvfs};
 
 /// Rights and owner of a file, and whether it is a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -116,8 +116,22 @@ impl System for Machine {
     }
 
     fn free_bytes(&self, path: &Path) -> Result<u64, String> {
+        may_write(path)?;
         free_bytes(path)
     }
+}
+
+/// The nearest folder of a path that is there.
+fn nearest(path: &Path) -> Result<PathBuf, String> {
+    let whole = std::path::absolute(path).map_err(|error| error.to_string())?;
+    Ok(whole.ancestors().find(|folder| folder.exists()).unwrap_or(Path::new("/")).to_path_buf())
+}
+
+/// Whether this user may make files and folders below a path, or below its nearest folder that is there.
+fn may_write(path: &Path) -> Result<(), String> {
+    let there = nearest(path)?;
+    access(&there, Access::WRITE_OK | Access::EXEC_OK)
+        .map_err(|error| format!("{}: this user may not write there: {error}", there.display()))
 }
 
 /// Bytes that this user may still write below a path, or below its nearest folder that is there.
@@ -125,9 +139,8 @@ impl System for Machine {
 /// # Errors
 /// What the system says against it.
 pub(in crate::commands) fn free_bytes(path: &Path) -> Result<u64, String> {
-    let whole = std::path::absolute(path).map_err(|error| error.to_string())?;
-    let there = whole.ancestors().find(|folder| folder.exists()).unwrap_or(Path::new("/"));
-    let found = statvfs(there).map_err(|error| format!("{}: {error}", there.display()))?;
+    let there = nearest(path)?;
+    let found = statvfs(&there).map_err(|error| format!("{}: {error}", there.display()))?;
     Ok(found.f_bavail.saturating_mul(found.f_frsize))
 }
 
@@ -137,4 +150,20 @@ fn tried(wanted: Realtime) -> Result<(), String> {
     let thread = thread.map_err(|error| error.to_string())?;
     let shortfalls = thread.join().map_err(|_| "the thread that asked for it has panicked".to_owned())?;
     shortfalls.first().map_or(Ok(()), |shortfall| Err(shortfall.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_that_can_not_be_written_is_told_also_before_it_is_there() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(may_write(&folder.path().join("recordings/of today")), Ok(()));
+        // A file is no folder, whoever asks.
+        let file = folder.path().join("file");
+        fs::write(&file, "").unwrap();
+        let why = may_write(&file.join("recordings")).unwrap_err();
+        assert!(why.starts_with(&format!("{}: this user may not write there", file.display())), "{why}");
+    }
 }

@@ -396,7 +396,7 @@ fn needs_come_from_the_configuration() {
     let full = Fake { free: Ok(0), ..Fake::good() };
     assert_eq!(bad(&full, &gateway), [], "a gateway records nothing");
     let emulated = of("hil.toml");
-    assert_eq!((emulated.needs_realtime, emulated.serial, emulated.arcnet.len()), (false, Some(Vec::new()), 0));
+    assert_eq!((emulated.needs_realtime, &emulated.serial, emulated.arcnet.len()), (false, &Some(Vec::new()), 0));
     assert!((emulated.recording_bytes_per_s / 55.3e6 - 1.0).abs() < 0.01);
     let rig = of("rig.toml");
     let names = ["bus:usb-0000:00:14.0-1", "bus:usb-0000:00:14.0-2"].map(|name| name.parse().unwrap());
@@ -405,7 +405,9 @@ fn needs_come_from_the_configuration() {
         rig.nominal_calibration.as_ref().is_some_and(|says| says.starts_with("none"))
             && emulated.nominal_calibration.is_none()
     );
-    assert!(rig.serial.as_ref().unwrap().len() == 2 && rig.groups().contains(&"video"));
+    assert!(rig.serial.as_ref().unwrap().len() == 2 && rig.groups() == ["realtime", "video", "dialout"]);
+    assert!(of("sim.toml").groups().is_empty() && emulated.groups().is_empty());
+    assert_eq!(Needs::general(PathBuf::from("out")).groups(), ["realtime", "video", "dialout"]);
     let missing = Needs::of_file(&root.join("no such file.toml"), PathBuf::from("out"));
     assert!(missing.unwrap_err().to_string().contains("no such file.toml"));
     let other = Needs::of_file(&root.join("estimator.toml"), PathBuf::from("out"));
