@@ -25,8 +25,15 @@ use suites::{SUITES, Suite};
 const TARGET: &str = "x86_64-unknown-linux-gnu";
 const RUSTFLAGS: &str = "-C target-feature=+crt-static -C strip=debuginfo";
 
-/// What computes most. An emulated computer is many times slower than this one: what is not inlined costs minutes.
-const OPTIMIZED: [&str; 4] = ["pb3dp-estimation", "pb3dp-geometry", "pb3dp-kinematics", "pb3dp-sim"];
+/// How the programs are built. An emulated computer is many times slower than this one: what is not inlined, or is checked again, costs
+/// minutes. Packages of others are built as for all other checks, so that they are built once.
+const PROFILE: [&str; 5] = [
+    "profile.dev.opt-level=3",
+    "profile.dev.debug-assertions=false",
+    "profile.dev.overflow-checks=false",
+    "profile.dev.package.\"*\".debug-assertions=true",
+    "profile.dev.package.\"*\".overflow-checks=true",
+];
 
 /// How often a suite is begun whose QEMU crashes: that of Debian 12 does so now and then when a USB device is pulled out.
 const TRIES: u32 = 3;
@@ -192,8 +199,8 @@ fn build(workspace: &Workspace, suite: &Suite, target: &Path) -> anyhow::Result<
     if suite.has_product {
         command.args(["--package", "pb3dp-orchestrator", "--bin", "pb3dp"]);
     }
-    for package in OPTIMIZED {
-        command.args(["--config", &format!("profile.dev.package.{package}.opt-level=3")]);
+    for setting in PROFILE {
+        command.args(["--config", setting]);
     }
     command.args(["--target", TARGET]).env("RUSTFLAGS", RUSTFLAGS).env_remove("CARGO_ENCODED_RUSTFLAGS");
     run_visibly(&mut command)?;

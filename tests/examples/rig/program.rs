@@ -62,8 +62,9 @@ impl Running {
         Ok(writeln!(self.input, "{word}").and_then(|()| self.input.flush())?)
     }
 
-    /// Waits for a line with this in it, and says a word again and again meanwhile.
+    /// Waits for a line with this in it, and says a word now, and again whenever nothing is said for a while.
     pub fn wait_for(&mut self, part: &str, word: Option<&str>) -> Result<String, Box<dyn Error>> {
+        word.map_or(Ok(()), |word| self.say(word))?;
         let end = Instant::now() + LONG;
         while Instant::now() < end {
             match self.lines.recv_timeout(AGAIN) {

@@ -94,7 +94,8 @@ fn pulled(world: &World, run: &mut Running) -> Outcome {
 
 fn end(world: &World, mut run: Running) -> Outcome {
     run.say("hold")?;
-    let holding = run.wait_for(HOLDING, None)?;
+    // It says so by itself only where it had moved.
+    let holding = run.wait_for(HOLDING, Some("status"))?;
     run.say("quit")?;
     let status = run.end()?;
     ensure(status.success(), || format!("the run ended with {status}"))?;
