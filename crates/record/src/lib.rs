@@ -7,6 +7,7 @@
 //! * [`metrics`]: errors against truth, statistics, lag;
 //! * [`overlay`]: drawing on pictures, animated pictures;
 //! * [`point_cloud`]: coloured surface points as PLY;
+//! * [`stops`]: where arms stood while pictures were taken, and where they are wanted;
 //! * [`report`]: self-contained HTML reports with SVG plots.
 //!
 //! Files hold millimetres and degrees where people read them; inside everything is metres and radians. This crate
@@ -19,3 +20,5 @@ pub mod metrics;
 pub mod overlay;
 pub mod point_cloud;
 pub mod report;
+
+pub use calibration_files::stops;

@@ -4,18 +4,16 @@
 //! calibration comes back bit by bit. The file says what it is (`format`), which frames it joins
 //! (`cam_right_from_cam_left`), and in each key its unit.
 
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 use pb3dp_geometry::{Camera, Distortion, Pinhole, Pose, StereoRig};
 
 use super::document::Node;
 use super::error::CalibrationFileError;
 use super::identity::{self, CameraIdentity};
-use super::{CalibrationFormat, checks, write};
+use super::{CalibrationFormat, checks, pose, write};
 
 /// What the key `format` says.
 const FORMAT: &str = "pb3dp stereo calibration 1";
-/// How far the norm of a quaternion may be from 1.
-const NORM_TOLERANCE: f64 = 1e-9;
 
 /// What is known of a calibration's making and of its worth.
 #[derive(Clone, Debug, PartialEq)]
@@ -78,9 +76,9 @@ pub(super) fn read(root: &Node<'_>) -> Result<(StereoRig, Judgement), Calibratio
         return Err(format.refuse(format!("is {:?}, {FORMAT:?} is known here: use a newer pb3dp", format.text()?)));
     }
     let cameras = [camera(&root.get("left")?)?, camera(&root.get("right")?)?];
-    let pose = root.get("cam_right_from_cam_left")?;
-    let translation = pose.get("translation_m")?;
-    let rotation = rotation(&pose.get("rotation_wxyz")?)?;
+    let node = root.get("cam_right_from_cam_left")?;
+    let translation = node.get("translation_m")?;
+    let rotation = pose::rotation(&node.get("rotation_wxyz")?)?;
     let translation_m: Vector3<f64> = translation.matrix()?;
     // What every calibration must hold is checked on matrices, and the quaternion is kept as it is.
     checks::rig(&translation, cameras, rotation.to_rotation_matrix().matrix(), translation_m)?;
@@ -109,29 +107,13 @@ fn camera(node: &Node<'_>) -> Result<Camera, CalibrationFileError> {
     let distortion = match model.text()? {
         "none" => Distortion::None,
         // Zeros are kept as they are: what was estimated as a lens with coefficients stays one.
-        "plumb_bob" => Distortion::BrownConrady5 { coefficients: list(&node.get("distortion_coefficients")?)? },
+        "plumb_bob" => Distortion::BrownConrady5 { coefficients: pose::list(&node.get("distortion_coefficients")?)? },
         "rational_polynomial" => {
-            Distortion::BrownConrady8 { coefficients: list(&node.get("distortion_coefficients")?)? }
+            Distortion::BrownConrady8 { coefficients: pose::list(&node.get("distortion_coefficients")?)? }
         }
         name => checks::distortion(&model, name, &node.get("distortion_coefficients")?)?,
     };
     checks::camera(node, node.get("image_size_px")?.size_pair()?, pinhole, distortion)
-}
-
-fn list<const N: usize>(node: &Node<'_>) -> Result<[f64; N], CalibrationFileError> {
-    let numbers = node.numbers()?;
-    let count = numbers.len();
-    numbers.try_into().map_err(|_| node.refuse(format!("has {count} numbers, {N} are needed")))
-}
-
-fn rotation(node: &Node<'_>) -> Result<UnitQuaternion<f64>, CalibrationFileError> {
-    let [w, x, y, z] = list(node)?;
-    let quaternion = Quaternion::new(w, x, y, z);
-    if (quaternion.norm() - 1.0).abs() > NORM_TOLERANCE {
-        return Err(node.refuse(format!("is no rotation: its length is {}, it must be 1", quaternion.norm())));
-    }
-    // Not normalised once more: the last bits would change with each reading.
-    Ok(UnitQuaternion::new_unchecked(quaternion))
 }
 
 fn numbers(node: &Node<'_>) -> Result<Vec<(String, f64)>, CalibrationFileError> {
@@ -193,14 +175,8 @@ pub(super) fn write(rig: &StereoRig, judgement: &Judgement) -> Result<String, Ca
             file += &format!("\n[{side}.camera]\n{}", identity::write(identity));
         }
     }
-    let pose = rig.cam_right_from_cam_left();
-    let rotation = pose.rotation();
     file += "\n# Maps coordinates in cam_left to cam_right: x right, y down, z forward; whole pixel numbers are pixel centres.\n";
-    file += &format!(
-        "[cam_right_from_cam_left]\nrotation_wxyz = {}\n",
-        write::list(&[rotation.w, rotation.i, rotation.j, rotation.k])
-    );
-    file += &format!("translation_m = {}\n", write::list(pose.translation_m().as_slice()));
+    file += &format!("[cam_right_from_cam_left]\n{}", pose::write(rig.cam_right_from_cam_left()));
     file += "\n[measured]\n";
     for (name, value) in numbers {
         file += &format!("{} = {}\n", key(name), write::number(*value));

@@ -26,7 +26,9 @@ mod identity;
 mod judged;
 mod kalibr;
 pub mod opencv;
+mod pose;
 mod ros;
+pub mod stops;
 mod write;
 
 use std::fmt;
