@@ -26,6 +26,10 @@ frames! {
     Base = "base";
     /// Last link of an arm; z along the last joint's axis, away from the arm.
     Flange = "flange";
+    /// Base of the arm that carries the target, where both arms are spoken of.
+    TcBase = "tc_base";
+    /// Flange of the arm that carries the target, where both arms are spoken of.
+    TcFlange = "tc_flange";
     /// The frame of the hand whose pose is servoed; fixed to the flange.
     Hand = "hand";
     /// Left camera: optical centre, x right, y down, z forward.

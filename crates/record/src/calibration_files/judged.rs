@@ -85,10 +85,16 @@ pub(super) fn read(root: &Node<'_>) -> Result<(StereoRig, Judgement), Calibratio
     let [left, right] = cameras;
     let rig = StereoRig::new(left, right, Pose::from_parts(translation_m, rotation));
     let rig = rig.map_err(|error| translation.refuse(error))?;
+    Ok((rig, judgement(root)?))
+}
+
+/// What a file says of its calibration's making and worth.
+pub(super) fn judgement(root: &Node<'_>) -> Result<Judgement, CalibrationFileError> {
     let identity = |side: &str| {
-        root.get(side)?.find("camera").map_or_else(|| Ok(CameraIdentity::default()), |node| identity::read(&node))
+        let camera = root.find(side).and_then(|node| node.find("camera"));
+        camera.map_or_else(|| Ok(CameraIdentity::default()), |node| identity::read(&node))
     };
-    let judgement = Judgement {
+    Ok(Judgement {
         date: root.get("date")?.text()?.to_owned(),
         tool: root.get("tool")?.text()?.to_owned(),
         source: root.get("source")?.text()?.to_owned(),
@@ -96,8 +102,7 @@ pub(super) fn read(root: &Node<'_>) -> Result<(StereoRig, Judgement), Calibratio
         numbers: numbers(&root.get("measured")?)?,
         covariance: root.find("covariance").map(|node| covariance(&node)).transpose()?,
         gates: gates(root)?,
-    };
-    Ok((rig, judgement))
+    })
 }
 
 fn camera(node: &Node<'_>) -> Result<Camera, CalibrationFileError> {
@@ -154,12 +159,9 @@ fn gates(root: &Node<'_>) -> Result<Vec<JudgedGate>, CalibrationFileError> {
 /// The text of the file.
 pub(super) fn write(rig: &StereoRig, judgement: &Judgement) -> Result<String, CalibrationFileError> {
     check_finite(judgement)?;
-    let Judgement { date, tool, source, cameras, numbers, covariance, gates } = judgement;
-    // The writer of TOML quotes what must be quoted.
-    let text = |value: &str| toml::Value::from(value).to_string();
-    let mut file = format!("format = {}\n", text(FORMAT));
-    file += &format!("date = {}\ntool = {}\nsource = {}\n", text(date), text(tool), text(source));
-    for ((side, camera), identity) in [("left", rig.left()), ("right", rig.right())].into_iter().zip(cameras) {
+    let mut file = write_head(FORMAT, judgement);
+    for ((side, camera), identity) in [("left", rig.left()), ("right", rig.right())].into_iter().zip(&judgement.cameras)
+    {
         file += &format!("\n[{side}]\nimage_size_px = [{}, {}]\n", camera.size().width, camera.size().height);
         let p = camera.pinhole();
         for (key, value) in [("fx_px", p.fx), ("fy_px", p.fy), ("cx_px", p.cx), ("cy_px", p.cy)] {
@@ -171,13 +173,34 @@ pub(super) fn write(rig: &StereoRig, judgement: &Judgement) -> Result<String, Ca
         };
         file += &format!("distortion_model = {}\n", text(model));
         file += &format!("distortion_coefficients = {}\n", write::list(camera.distortion().coefficients()));
-        if !identity.is_empty() {
-            file += &format!("\n[{side}.camera]\n{}", identity::write(identity));
-        }
+        file += &write_identity(side, identity);
     }
     file += "\n# Maps coordinates in cam_left to cam_right: x right, y down, z forward; whole pixel numbers are pixel centres.\n";
     file += &format!("[cam_right_from_cam_left]\n{}", pose::write(rig.cam_right_from_cam_left()));
-    file += "\n[measured]\n";
+    Ok(file + &write_worth(judgement))
+}
+
+/// A text as TOML: its writer quotes what must be quoted.
+fn text(value: &str) -> String {
+    toml::Value::from(value).to_string()
+}
+
+/// What a file begins with.
+pub(super) fn write_head(format: &str, judgement: &Judgement) -> String {
+    let Judgement { date, tool, source, .. } = judgement;
+    let head = [("format", format), ("date", date), ("tool", tool), ("source", source)];
+    head.map(|(key, value)| format!("{key} = {}\n", text(value))).concat()
+}
+
+/// The table of a camera that something is known of.
+pub(super) fn write_identity(side: &str, identity: &CameraIdentity) -> String {
+    if identity.is_empty() { String::new() } else { format!("\n[{side}.camera]\n{}", identity::write(identity)) }
+}
+
+/// What was measured, the gates and the covariance.
+pub(super) fn write_worth(judgement: &Judgement) -> String {
+    let Judgement { numbers, covariance, gates, .. } = judgement;
+    let mut file = "\n[measured]\n".to_owned();
     for (name, value) in numbers {
         file += &format!("{} = {}\n", key(name), write::number(*value));
     }
@@ -198,7 +221,7 @@ pub(super) fn write(rig: &StereoRig, judgement: &Judgement) -> Result<String, Ca
         let rows = rows.iter().map(|row| format!("    {},\n", write::list(row))).collect::<String>();
         file += &format!("\n[covariance]\nnames = [{names}]\nmatrix = [\n{rows}]\n");
     }
-    Ok(file)
+    file
 }
 
 /// A name as a key: quoted only where it must be.
@@ -208,7 +231,7 @@ fn key(name: &str) -> String {
 }
 
 /// Refuses what no reader here would take back.
-fn check_finite(calibration: &Judgement) -> Result<(), CalibrationFileError> {
+pub(super) fn check_finite(calibration: &Judgement) -> Result<(), CalibrationFileError> {
     let gates = calibration
         .gates
         .iter()

@@ -15,6 +15,8 @@
 //!
 //! The last one also holds what is known of the calibration's making and worth: [`Judgement`].
 //!
+//! Beside them stand hand-eye calibrations ([`load_hand_eye`]), which say where the left camera sits on an arm.
+//!
 //! `cam0` and the first camera of OpenCV are the left one. Distortion coefficients that are all zero make an undistorted
 //! camera, except for the equidistant model, for which zeros are an ideal fisheye lens.
 
@@ -22,6 +24,7 @@ mod case_json;
 mod checks;
 mod document;
 mod error;
+mod hand_eye;
 mod identity;
 mod judged;
 mod kalibr;
@@ -39,6 +42,7 @@ use pb3dp_geometry::{ImageSize, StereoRig};
 use document::Document;
 pub use error::CalibrationFileError;
 use error::one_line;
+pub use hand_eye::{BoardPlace, HandEye};
 pub use identity::CameraIdentity;
 pub use judged::{JudgedGate, Judgement, ParameterCovariance};
 
@@ -105,6 +109,22 @@ pub fn load_stereo(paths: &[PathBuf]) -> Result<StereoCalibration, CalibrationFi
 /// An unreadable file, or one that says something else.
 pub fn load_cameras(path: &Path) -> Result<[CameraIdentity; 2], CalibrationFileError> {
     identity::read_file(&Document::read(path)?.root())
+}
+
+/// Reads one of our TOML files of a hand-eye calibration.
+///
+/// # Errors
+/// Anything that is wrong with the file; see [`CalibrationFileError`].
+pub fn load_hand_eye(path: &Path) -> Result<HandEye, CalibrationFileError> {
+    hand_eye::read(&Document::read(path)?.root())
+}
+
+/// Writes one of our TOML files of a hand-eye calibration, which comes back bit by bit.
+///
+/// # Errors
+/// A number of the judgement that is not finite; a file that can not be written.
+pub fn save_hand_eye(hand_eye: &HandEye, path: &Path) -> Result<(), CalibrationFileError> {
+    write_file(path, &hand_eye::write(hand_eye)?)
 }
 
 /// As [`load_stereo`], for pictures of a known size: files that may leave the size out (OpenCV's) get it from there. A
