@@ -24,7 +24,9 @@ fn every_configuration_is_accepted_by_its_reader() {
             // Where it listens is left to the command line.
             read_gateway(file, None, Some("serial:/dev/ttyUSB0")).unwrap_or_else(|error| panic!("{error}"));
             gateways += 1;
-        } else if path.ends_with(".toml") && (path.starts_with("sim") || path == "hil.toml" || path == "rig.toml") {
+        } else if path.ends_with(".toml")
+            && (path.starts_with("sim") || ["hil.toml", "rig.toml", "bare.toml"].contains(&path.as_str()))
+        {
             read_setup(file).unwrap_or_else(|error| panic!("{error}"));
             setups += 1;
         } else if path == "calibration_gates.toml" {
@@ -51,7 +53,7 @@ fn every_configuration_is_accepted_by_its_reader() {
 fn the_estimator_file_and_the_setup_hold_the_documented_defaults() {
     let defaults = pb3dp_estimation::estimator::EstimatorConfig::default();
     assert_eq!(read_estimator(&repository().join("configs/estimator.toml")).unwrap(), defaults);
-    for file in ["sim.toml", "sim_published.toml", "hil.toml", "rig.toml"] {
+    for file in ["sim.toml", "sim_published.toml", "hil.toml", "rig.toml", "bare.toml"] {
         let mut of_setup = read_setup(&repository().join("configs").join(file)).unwrap();
         of_setup.estimator.published.rmga.seed = defaults.published.rmga.seed;
         assert_eq!(of_setup.estimator, defaults, "{file}");

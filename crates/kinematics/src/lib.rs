@@ -3,6 +3,7 @@
 //! * [`Chain`] is read from a URDF text and answers where the flange and every joint are, and how they move.
 //! * [`JointLimits`] are the position and speed limits that the description states.
 //! * [`clearance()`] is the room between two arms, [`clearance_within`] what is left of it while their joints move.
+//! * [`reach()`] finds the joint angles that bring the flange to a pose.
 //! * [`damped_pseudo_inverse`], [`smallest_singular_value`] and [`manipulability`] judge and invert a [`Jacobian`].
 //!
 //! Metres, radians, seconds; seven revolute joints, counted from the base.
@@ -11,6 +12,7 @@ pub mod chain;
 pub mod clearance;
 pub mod jacobian;
 pub mod limits;
+pub mod reach;
 mod urdf;
 
 use nalgebra::SVector;
@@ -25,6 +27,7 @@ pub use jacobian::{
     singular_values, smallest_singular_value,
 };
 pub use limits::{JointLimits, JointLimitsError, PositionViolation};
+pub use reach::{NotReached, reach};
 pub use urdf::ChainError;
 
 /// Joints of the arms that this project drives (PA-10, seven revolute joints).

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Flange};
 use pb3dp_kinematics::{
-    Chain, DOF, Damping, Jacobian, JointVector, damped_pseudo_inverse, manipulability, singular_values,
+    Chain, DOF, Damping, Jacobian, JointVector, damped_pseudo_inverse, manipulability, reach, singular_values,
     smallest_singular_value,
 };
 use proptest::prelude::*;
@@ -258,4 +258,21 @@ proptest! {
             - damped_pseudo_inverse(&chain.jacobian(&nearer), &damping)).amax();
         prop_assert!(jump < 1e-3, "jump {jump}");
     }
+}
+
+#[test]
+fn poses_are_reached_near_the_start_and_those_out_of_reach_are_told() {
+    let chain = chain(GEN2);
+    let damping = Damping::new(0.04, 0.04).unwrap();
+    let start_rad = JointVector::from([0.1, 0.8, -0.2, 1.6, 0.3, -0.9, 0.2]);
+    let wanted_rad = start_rad + JointVector::from([0.2, -0.15, 0.1, 0.25, -0.2, 0.15, -0.3]);
+    let wanted = chain.forward(&wanted_rad);
+    let reached_rad = reach(&chain, &start_rad, &wanted, &damping).unwrap();
+    let off = chain.forward(&reached_rad).inverse() * wanted;
+    assert!(off.translation_m().norm() < 1e-8 && off.rotation_angle_rad() < 1e-8, "{off:?}");
+    // Seven joints: others do as well, but none far away.
+    assert!((reached_rad - start_rad).norm() <= (wanted_rad - start_rad).norm() * 1.1, "{reached_rad}");
+    let far = Pose::from_parts(wanted.translation_m() * 3.0, wanted.rotation());
+    let refused = reach(&chain, &start_rad, &far, &damping).unwrap_err();
+    assert!(refused.position_error_m > 0.3 && refused.to_string().starts_with("out of reach"), "{refused}");
 }

@@ -2,6 +2,7 @@
 
 pub mod arm;
 mod at_once;
+pub(crate) mod calibration;
 mod cameras;
 pub mod commissioning;
 mod greeting;
@@ -10,7 +11,7 @@ mod nominal;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use anyhow::{Context, Result, bail};
 use nalgebra::Point3;
@@ -26,7 +27,7 @@ use pb3dp_geometry::frames::{Model, Target, World};
 use pb3dp_hal_api::{Arm, ArmError, ArmPower, Clock, StereoCamera};
 use pb3dp_hal_clock::{SystemClock, VirtualClock};
 use pb3dp_hal_middleware::{FlightLog, Limiter, LimiterStatistics};
-use pb3dp_record::calibration_files::StereoCalibration;
+use pb3dp_record::calibration_files::{CameraIdentity, StereoCalibration};
 use pb3dp_record::dataset::Sequence;
 use pb3dp_sim::geometric::GeometricTracker;
 use pb3dp_sim::placement::{
@@ -43,7 +44,7 @@ pub use greeting::{bus_doubts, geometry_doubt, watchdog_refusal};
 pub use nominal::MOCK_ARM;
 
 use crate::cli::ReplayPace;
-use crate::config::setup::{ArmSetup, Carrier, Leader, Pace, Setup, fold_seed};
+use crate::config::setup::{ArmSetup, Carrier, Leader, Pace, Setup, Truth, fold_seed};
 use crate::region_spec::load_region;
 use crate::run::cell::{FreeTarget, SimulatedCell};
 use crate::run::eyes::{Marking, NOT_MARKED, Sight};
@@ -91,6 +92,8 @@ pub struct Parts {
     pub clock: Arc<dyn Clock>,
     /// The stereo pair, or what stands for it.
     pub camera: Sight,
+    /// Which cameras these are, if they are real.
+    pub cameras: Option<[CameraIdentity; 2]>,
     /// The arm that carries the cameras.
     pub vs: Box<dyn DrivenArm>,
     /// The arm that carries the target.
@@ -130,6 +133,7 @@ pub fn wire(setup: &Setup) -> Result<Parts> {
 /// # Errors
 /// As [`wire`].
 pub fn wire_with(setup: &Setup, video: Arc<dyn VideoSystem>) -> Result<Parts> {
+    check_marked(setup)?;
     wire_cell_with(setup, video, |cell, start| {
         let experiment = setup.experiment.motion.begin_at(start)?;
         let reports = match setup.experiment.carrier {
@@ -158,6 +162,15 @@ pub fn wire_with(setup: &Setup, video: Arc<dyn VideoSystem>) -> Result<Parts> {
 /// # Errors
 /// If a part refuses its parameters.
 pub fn wire_at_rest(setup: &Setup, duration: Duration) -> Result<Parts> {
+    check_marked(setup)?;
+    wire_to_look(setup, duration)
+}
+
+/// As [`wire_at_rest`], for who only takes pictures: nobody has to mark a target.
+///
+/// # Errors
+/// If a part refuses its parameters.
+pub fn wire_to_look(setup: &Setup, duration: Duration) -> Result<Parts> {
     let duration_s = duration.as_secs_f64();
     wire_cell(setup, |_, world_from_target| Ok(Arc::new(AtRest { world_from_target, duration_s })))
 }
@@ -178,9 +191,7 @@ fn wire_cell_with(
     video: Arc<dyn VideoSystem>,
     begin: impl FnOnce(&mut SimulatedCell, Pose<World, Target>) -> Result<Arc<dyn Trajectory>>,
 ) -> Result<Parts> {
-    if setup.real_cameras.as_ref().is_some_and(|cameras| cameras.region.is_none()) {
-        bail!("{NOT_MARKED}");
-    }
+    calibration::look_at(&setup.calibrations, SystemTime::now())?;
     let time = match setup.pace {
         Pace::Fast => Some(Arc::new(VirtualTime::over(Arc::new(VirtualClock::new())))),
         Pace::RealTime => Some(Arc::new(VirtualTime::over(Arc::new(PacedClock::new())))),
@@ -200,22 +211,27 @@ fn wire_cell_with(
         flange_from_target: setup.flange_from_target,
         free_target: None,
     };
+    // What is planned is planned with what the setup says, what happens follows the truth.
     let start = cell.world_from_target_at(clock.now());
     let experiment = begin(&mut cell, start)?;
+    follow_truth(&mut cell, &setup.truth);
+    let mut cameras = None;
     let (camera, marking) = match &setup.real_cameras {
         Some(real) => {
             if let Some(says) = &setup.nominal_calibration {
                 nominal::look_at_arms(says, &monitors)?;
             }
-            let camera = cameras::wire_real(real, &setup.rig, (video, Arc::clone(&clock)))?;
-            let region = real.region.as_ref().context(NOT_MARKED)?;
-            (Sight::Pictures(camera), Marking::Region(load_region(region, real.size())?))
+            let wired = cameras::wire_real(real, setup, (video, Arc::clone(&clock)))?;
+            cameras = Some(wired.identities);
+            let region = real.region.as_ref().map(|region| load_region(region, real.size())).transpose()?;
+            (Sight::Pictures(wired.camera), region.map_or(Marking::Nobody, Marking::Region))
         }
         None => wire_sight(setup, &cell, &clock).map(|(camera, outline_m)| (camera, Marking::Outline(outline_m)))?,
     };
     Ok(Parts {
         clock,
         camera,
+        cameras,
         vs,
         tc,
         cell,
@@ -231,6 +247,26 @@ fn wire_cell_with(
     })
 }
 
+/// Puts things where they truly are.
+fn follow_truth(cell: &mut SimulatedCell, truth: &Truth) {
+    if let Some(flange_from_cam_left) = &truth.flange_from_cam_left {
+        cell.hand_from_cam_left = cell.flange_from_hand.inverse() * *flange_from_cam_left;
+    }
+    cell.flange_from_target = truth.flange_from_target.unwrap_or(cell.flange_from_target);
+    cell.tc.world_from_base = truth.tc_world_from_base.unwrap_or(cell.tc.world_from_base);
+}
+
+/// Refuses real cameras in whose pictures nobody has marked a target.
+///
+/// # Errors
+/// What to do.
+fn check_marked(setup: &Setup) -> Result<()> {
+    match &setup.real_cameras {
+        Some(cameras) if cameras.region.is_none() => bail!("{NOT_MARKED}"),
+        _ => Ok(()),
+    }
+}
+
 /// The simulated camera, or what stands for it, and the outline of the target.
 fn wire_sight(setup: &Setup, cell: &SimulatedCell, clock: &Arc<dyn Clock>) -> Result<(Sight, Vec<Point3<f64>>)> {
     let (poses, began) = (Box::new(cell.clone()), clock.now());
@@ -239,7 +275,7 @@ fn wire_sight(setup: &Setup, cell: &SimulatedCell, clock: &Arc<dyn Clock>) -> Re
         Leader::Pictures(_) => {
             let scene = Scene::build(&setup.scene).context("table [scene]")?;
             let outline_m = scene.target().outline_m.clone();
-            let renderer = StereoRenderer::new(scene, setup.rig, &setup.sensor, fold_seed(setup.seed));
+            let renderer = StereoRenderer::new(scene, *setup.true_rig(), &setup.sensor, fold_seed(setup.seed));
             let mut renderer = renderer.context("table [camera]")?;
             if setup.pace != Pace::Fast {
                 // A pair has to be there before the next one.
@@ -254,7 +290,7 @@ fn wire_sight(setup: &Setup, cell: &SimulatedCell, clock: &Arc<dyn Clock>) -> Re
         }
         Leader::Geometric(config) => {
             let target = targets::model(&setup.scene.target, setup.scene.seed).context("table [scene]")?;
-            let tracker = GeometricTracker::new(config, setup.rig, target.outline_m.clone())?;
+            let tracker = GeometricTracker::new(config, *setup.true_rig(), target.outline_m.clone())?;
             let camera = GeometricCamera::new(tracker, poses, clock, &setup.camera)?.with_faults(faults, began)?;
             Ok((Sight::Geometric(Box::new(camera)), target.outline_m))
         }

@@ -6,6 +6,7 @@
 //! * [`images`]: pictures in files;
 //! * [`metrics`]: errors against truth, statistics, lag;
 //! * [`overlay`]: drawing on pictures, animated pictures;
+//! * [`picture_quality`]: brightness and sharpness of pictures;
 //! * [`point_cloud`]: coloured surface points as PLY;
 //! * [`stops`]: where arms stood while pictures were taken, and where they are wanted;
 //! * [`report`]: self-contained HTML reports with SVG plots.
@@ -18,6 +19,7 @@ pub mod dataset;
 pub mod images;
 pub mod metrics;
 pub mod overlay;
+pub mod picture_quality;
 pub mod point_cloud;
 pub mod report;
 

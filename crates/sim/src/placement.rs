@@ -9,7 +9,10 @@ mod refusal;
 use nalgebra::{Vector3, Vector6};
 use pb3dp_geometry::frames::{Base, Flange, Hand, Model, Target, World};
 use pb3dp_geometry::{Pose, Twist};
-use pb3dp_kinematics::{Chain, DOF, Damping, JointLimits, JointVector, SingularForm, damped_pseudo_inverse};
+use pb3dp_kinematics::reach::twist_between;
+use pb3dp_kinematics::{
+    Chain, DOF, Damping, JointLimits, JointVector, NotReached, SingularForm, damped_pseudo_inverse, reach,
+};
 
 use crate::trajectory::Trajectory;
 
@@ -19,12 +22,6 @@ pub use self::refusal::{PathRefusal, ToolSpeed};
 const CORRECTION_PER_S: f64 = 10.0;
 /// Farther off the path than this the arm does not follow it, m and rad.
 const FOLLOWS_WITHIN: f64 = 1e-3;
-/// Iterations to reach the beginning of the path, and the largest step of a joint in each, rad.
-const START_ITERATIONS: usize = 500;
-const START_STEP_MAX_RAD: f64 = 0.05;
-/// The beginning is reached when position (m) and angle (rad) are this near.
-const START_REACHED: f64 = 1e-9;
-
 /// The way of a flange that is rigidly tied to a moving target, and of the tool on it.
 #[derive(Clone, Copy)]
 pub struct FlangePath<'a> {
@@ -185,7 +182,12 @@ pub fn check_experiment(
 ) -> Result<PathReport, PathRefusal> {
     check_requirements(requirements)?;
     let damping = damping(requirements)?;
-    let begin_rad = reach_begin(chain, start_rad, &path.base_from_flange_at(0.0), &damping)?;
+    let begin_rad = reach(chain, start_rad, &path.base_from_flange_at(0.0), &damping).map_err(
+        |NotReached { position_error_m, angle_error_rad }| PathRefusal::BeginUnreachable {
+            position_error_m,
+            angle_error_rad,
+        },
+    )?;
     let mut report = PathReport::begin(begin_rad);
     let steps = (path.duration_s() / requirements.step_s).ceil() as usize;
     let mut position_rad = begin_rad;
@@ -297,39 +299,9 @@ fn worst(extremes: &[Extreme; DOF], is_worse: fn(f64, f64) -> bool) -> (usize, E
     found
 }
 
-/// `[linear; angular]` that leads from one pose to the other in one second, in `base`.
-fn twist_between(from: &Pose<Base, Flange>, to: &Pose<Base, Flange>) -> Vector6<f64> {
-    let linear = to.translation_m() - from.translation_m();
-    let angular = (to.rotation() * from.rotation().inverse()).scaled_axis();
-    Twist::<Base>::new(linear, angular).to_vector()
-}
-
 /// Position and angle of a `[linear; angular]` error.
 fn sizes(error: &Vector6<f64>) -> (f64, f64) {
     (error.fixed_rows::<3>(0).norm(), error.fixed_rows::<3>(3).norm())
-}
-
-/// Newton steps of bounded length from the start angles to the first pose of the path.
-fn reach_begin(
-    chain: &Chain,
-    start_rad: &JointVector,
-    base_from_flange: &Pose<Base, Flange>,
-    damping: &Damping,
-) -> Result<JointVector, PathRefusal> {
-    let mut position_rad = *start_rad;
-    let mut error = twist_between(&chain.forward(&position_rad), base_from_flange);
-    for _ in 0..START_ITERATIONS {
-        let (position_error_m, angle_error_rad) = sizes(&error);
-        if position_error_m < START_REACHED && angle_error_rad < START_REACHED {
-            return Ok(position_rad);
-        }
-        let step = damped_pseudo_inverse(&chain.jacobian(&position_rad), damping) * error;
-        let shorten = (START_STEP_MAX_RAD / step.amax()).min(1.0);
-        position_rad += step * shorten;
-        error = twist_between(&chain.forward(&position_rad), base_from_flange);
-    }
-    let (position_error_m, angle_error_rad) = sizes(&error);
-    Err(PathRefusal::BeginUnreachable { position_error_m, angle_error_rad })
 }
 
 fn check_follows(error: &Vector6<f64>, at_s: f64) -> Result<(), PathRefusal> {

@@ -4,6 +4,7 @@
 //! cameras when it is seen frontally: the axes of the `model` frame.
 
 pub mod backdrop;
+pub mod board;
 pub mod box_target;
 pub mod card;
 pub mod crab;
@@ -48,6 +49,13 @@ pub enum TargetConfig {
         /// Length, height, thickness, 0.02 to 0.4 m.
         size_m: [f64; 3],
     },
+    /// A chessboard, for calibrations.
+    Chessboard {
+        /// Inner corners along its width and its height, 3 to 20.
+        corners: [u32; 2],
+        /// Side of a square, 0.005 to 0.05 m.
+        square_m: f64,
+    },
 }
 
 impl TargetConfig {
@@ -71,13 +79,14 @@ impl TargetConfig {
         Self::Potato { size_m: [0.115, 0.08, 0.07] }
     }
 
-    /// Name as it stands in configurations: `crab`, `card`, `box`, `potato`.
+    /// Name as it stands in configurations: `crab`, `card`, `box`, `potato`; of a board, which stands in none, `chessboard`.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Crab { .. } => "crab",
             Self::Card { .. } => "card",
             Self::GreyBox { .. } => "box",
             Self::Potato { .. } => "potato",
+            Self::Chessboard { .. } => "chessboard",
         }
     }
 }
@@ -85,7 +94,7 @@ impl TargetConfig {
 /// What is known about a target besides its picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TargetModel {
-    /// `crab`, `card`, `box`, `potato`.
+    /// `crab`, `card`, `box`, `potato`, `chessboard`.
     pub name: &'static str,
     /// The target's outline seen frontally from half a metre, as points on its surface in `target`, metres; the last point is
     /// joined to the first. Projected into the left picture it is the region that an operator would draw.
@@ -114,6 +123,7 @@ pub fn build(config: &TargetConfig, seed: u32) -> Result<(TargetModel, Vec<Scene
         TargetConfig::Card { size_m } => card::build(size_m, seed),
         TargetConfig::GreyBox { size_m } => box_target::build(size_m, seed),
         TargetConfig::Potato { size_m } => potato::build(size_m, seed),
+        TargetConfig::Chessboard { corners, square_m } => board::build(*corners, *square_m),
     };
     Ok(finish(draft))
 }
@@ -130,6 +140,9 @@ pub fn model(config: &TargetConfig, seed: u32) -> Result<TargetModel, SceneError
         TargetConfig::Card { size_m } => card::build_with(size_m, Arc::clone(&plain), plain),
         TargetConfig::GreyBox { size_m } => box_target::build_with(size_m, |_| Arc::clone(&plain)),
         TargetConfig::Potato { size_m } => potato::build_with(size_m, seed, |_| Arc::clone(&plain)),
+        TargetConfig::Chessboard { corners, square_m } => {
+            board::build_with(*corners, *square_m, Arc::clone(&plain), plain)
+        }
     };
     Ok(finish(draft).0)
 }
@@ -142,8 +155,20 @@ fn check_config(config: &TargetConfig) -> Result<(), SceneError> {
         }
         TargetConfig::Card { size_m } => size_m,
         TargetConfig::GreyBox { size_m } | TargetConfig::Potato { size_m } => size_m,
+        TargetConfig::Chessboard { corners, square_m } => {
+            for count in corners {
+                check("target.corners", f64::from(*count), 3.0, 20.0)?;
+            }
+            check("target.square_m", *square_m, 0.005, 0.05)?;
+            &[]
+        }
     };
     sizes.iter().try_for_each(|&size| check("target.size_m", size, 0.02, 0.4))
+}
+
+/// Width and height of a chessboard with so many inner corners and the white around it, metres.
+pub fn board_size_m(corners: [u32; 2], square_m: f64) -> [f64; 2] {
+    corners.map(|corners| f64::from(corners + 3) * square_m)
 }
 
 /// Makes a target of the crab's outline and relief (metres, 0 to 0.04) in any paint: for measurements in which only the
@@ -186,12 +211,13 @@ fn finish(mut draft: Draft) -> (TargetModel, Vec<ScenePart>) {
 mod tests {
     use super::*;
 
-    const ALL: [TargetConfig; 5] = [
+    const ALL: [TargetConfig; 6] = [
         TargetConfig::crab(0.0),
         TargetConfig::crab(0.025),
         TargetConfig::card(),
         TargetConfig::grey_box(),
         TargetConfig::potato(),
+        TargetConfig::Chessboard { corners: [8, 5], square_m: 0.0115 },
     ];
 
     #[test]

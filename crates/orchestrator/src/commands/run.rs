@@ -12,7 +12,7 @@ use pb3dp_record::dataset::SequenceWriter;
 
 use super::estimate::output::print_line;
 use crate::cli::{OperatorName, RunArgs};
-use crate::config::setup::{Pace, Setup, read_setup};
+use crate::config::setup::{CalibrationInUse, Pace, Setup, read_setup};
 use crate::region_spec::RegionSpec;
 use crate::run::channels::Plan;
 use crate::run::console::Console;
@@ -133,6 +133,7 @@ pub(crate) fn accept_nominal(setup: &mut Setup, is_accepted: bool) {
 /// What somebody needs to repeat the run.
 fn provenance(args: &RunArgs, setup: &Setup, simulated_s: f64, wall_s: f64) -> Vec<(String, String)> {
     let line = |key: &str, value: String| (key.to_owned(), value);
+    let calibrations: Vec<String> = setup.calibrations.iter().map(CalibrationInUse::text).collect();
     let compared: Vec<&str> = setup.compared.iter().map(|method| method.name()).collect();
     vec![
         line("program", format!("pb3dp {}", env!("CARGO_PKG_VERSION"))),
@@ -140,6 +141,10 @@ fn provenance(args: &RunArgs, setup: &Setup, simulated_s: f64, wall_s: f64) -> V
         line("configuration", args.config.display().to_string()),
         line("method", setup.leader.name().to_owned()),
         line("pictures", pictures(setup)),
+        line(
+            "calibrations",
+            if calibrations.is_empty() { "none: as drawn".to_owned() } else { calibrations.join("; ") },
+        ),
         line("compared", if compared.is_empty() { "none".to_owned() } else { compared.join(", ") }),
         line("seed", setup.seed.to_string()),
         line("machine", machine()),

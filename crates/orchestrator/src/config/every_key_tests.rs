@@ -27,7 +27,8 @@ impl Sample {
         for inner in ["robots", "calibration"] {
             std::fs::create_dir(folder.path().join(inner)).unwrap();
         }
-        for file in ["robots/pa10_gen1.urdf", "robots/pa10_gen2.urdf", "calibration/nominal.json"] {
+        let calibrations = ["calibration/nominal.json", "calibration/bare_truth.json"];
+        for file in ["robots/pa10_gen1.urdf", "robots/pa10_gen2.urdf"].into_iter().chain(calibrations) {
             std::fs::copy(configs.join(file), folder.path().join(file)).unwrap();
         }
         let table = std::fs::read_to_string(configs.join(name)).unwrap().parse().unwrap();
@@ -148,6 +149,14 @@ fn every_number_of_arms_behind_lines_is_refused_by_its_own_key() {
 }
 
 #[test]
+fn every_number_of_a_truth_and_of_calibrations_is_refused_by_its_own_key() {
+    let mut sample = Sample::new("bare.toml", |file| read_setup(file).map(drop));
+    put(&mut sample.table, "camera", "calibration", vec!["calibration/nominal.json"]);
+    put(&mut sample.table, "camera", "calibration_age_max_days", 30.0);
+    check_every_key(&sample, 240);
+}
+
+#[test]
 fn every_number_of_the_published_law_is_refused_by_its_own_key() {
     check_every_key(&Sample::new("sim_published.toml", |file| read_setup(file).map(drop)), 220);
 }
@@ -167,10 +176,50 @@ fn every_number_of_real_cameras_is_refused_by_its_own_key() {
     check_every_key(&sample, 220);
 }
 
+type Change = fn(&mut Table);
+
+/// What is in a file of the repository is refused after a change, with these words.
+fn check_refusals<const N: usize>(changes: [(&'static str, Change, &str); N]) {
+    for (name, change, expected) in changes {
+        let mut sample = Sample::new(name, |file| read_setup(file).map(drop));
+        change(&mut sample.table);
+        let text = sample.refusal("run.seed", Value::Integer(1)).unwrap_or_else(|| panic!("accepted: {expected}"));
+        assert!(text.contains(expected), "{expected} is not in {text}");
+    }
+}
+
+/// What is calibrated or truly elsewhere stands in one place only, and in files that fit.
+#[test]
+fn calibrations_and_truths_that_do_not_fit_are_refused() {
+    check_refusals([
+        (
+            "rig.toml",
+            |root| drop(root.insert("truth".into(), table("bare.toml")["truth"].clone())),
+            "truth: with camera.backend = \"v4l2\" nobody knows it",
+        ),
+        ("bare.toml", |root| put(root, "truth", "calibration", vec!["no.json"]), "truth.calibration: "),
+        ("bare.toml", |root| put(root, "camera", "width_px", 320), "truth.calibration: "),
+        (
+            "rig.toml",
+            |root| put(root, "camera", "waived_gates", vec!["rows"]),
+            "camera.waived_gates: \"rows\" is no gate of",
+        ),
+        ("sim.toml", |root| put(root, "mounts", "hand_eye", "hand_eye.toml"), "both are set"),
+        (
+            "sim.toml",
+            |root| {
+                let mounts = root["mounts"].as_table_mut().unwrap();
+                mounts.remove("hand_from_cam_left");
+                mounts.insert("hand_eye".into(), "hand_eye.toml".into());
+            },
+            "mounts.hand_eye: ",
+        ),
+    ]);
+}
+
 /// Each backend of the cameras has keys of its own, and what goes with it.
 #[test]
 fn keys_of_other_cameras_are_refused_with_key_and_backend() {
-    type Change = fn(&mut Table);
     let changes: [(&'static str, Change, &str); 16] = [
         ("rig.toml", |root| put(root, "camera", "focal_px", 740.0), "camera.focal_px: unknown key"),
         ("rig.toml", |root| put(root, "camera", "focal_px", 740.0), "(with camera.backend = \"v4l2\")"),
@@ -225,12 +274,7 @@ fn keys_of_other_cameras_are_refused_with_key_and_backend() {
         ),
         ("rig.toml", |root| put(root, "camera", "backend", "usb"), "camera.backend"),
     ];
-    for (name, change, expected) in changes {
-        let mut sample = Sample::new(name, |file| read_setup(file).map(drop));
-        change(&mut sample.table);
-        let text = sample.refusal("run.seed", Value::Integer(1)).unwrap_or_else(|| panic!("accepted: {expected}"));
-        assert!(text.contains(expected), "{expected} is not in {text}");
-    }
+    check_refusals(changes);
 }
 
 /// Each eye has a device of its own, and says of each control who chooses.
@@ -344,7 +388,6 @@ fn a_search_needs_its_pattern_and_its_permission() {
 /// What a setup whose arms are behind lines refuses.
 #[test]
 fn ways_to_an_arm_that_do_not_fit_are_refused() {
-    type Change = fn(&mut Table);
     let changes: [(Change, &str); 9] = [
         (
             |root| {

@@ -1,7 +1,8 @@
 //! Whether the cameras still are what was calibrated, from what a run sees anyway.
 //!
 //! Every few seconds a pair is measured: by how much rows of the right picture are off, how much softer and brighter one eye is than the
-//! other one, and how far apart their exposures are. All four are zero where the calibration holds and both eyes are alike. The median of
+//! other one, and how far apart their exposures are. All four are zero where the calibration holds and both eyes are alike; where the
+//! file of the calibration says how unlike both eyes were when it was made, blur and brightness are what has come to that. The median of
 //! the newest looks is compared with its limit, so that a hand before a lens for a moment says nothing, and what is too far is told once.
 
 use std::collections::VecDeque;
@@ -9,6 +10,7 @@ use std::collections::VecDeque;
 use pb3dp_estimation::EstimationError;
 use pb3dp_geometry::{MonotonicTime, StereoRig};
 use pb3dp_hal_api::FramePair;
+use pb3dp_record::calibration_files::Judgement;
 use pb3dp_record::report::Table;
 use serde::Serialize;
 
@@ -19,6 +21,29 @@ use crate::picture_quality::{Exposure, MATCHES_MIN, RowMeter, blur_of, brighter_
 const LOOKS: usize = 5;
 /// What was too far is good again below this share of its limit: a value near it is not told over and over.
 const GOOD_SHARE: f64 = 0.8;
+
+/// What the pictures of a calibration were like, as far as its file says it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct WhenCalibrated {
+    /// 95 % of the rows were off by no more than this, pixels.
+    pub rows_px: Option<f64>,
+    /// Blur of one eye only, pixels; positive: of the right one.
+    pub focus_px: Option<f64>,
+    /// Difference in brightness, percent; positive: the right eye was brighter.
+    pub brightness_percent: Option<f64>,
+}
+
+impl WhenCalibrated {
+    /// Out of the measured numbers of a calibration, by the names that `pb3dp calibrate stereo` gives them.
+    pub fn of(judgement: &Judgement) -> Self {
+        let number = |name: &str| judgement.numbers.iter().find(|(key, _)| key == name).map(|(_, value)| *value);
+        Self {
+            rows_px: number("row_error_p95_px"),
+            focus_px: number("focus_difference_px"),
+            brightness_percent: number("brightness_difference_percent"),
+        }
+    }
+}
 
 /// What is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -96,6 +121,8 @@ pub struct DriftSummary {
     pub worst: Option<f64>,
     /// Magnitude that a median may have.
     pub limit: f64,
+    /// What it was when the cameras were calibrated, if the file of the calibration says it: for rows what 95 % of them kept to.
+    pub when_calibrated: Option<f64>,
 }
 
 impl DriftSummary {
@@ -114,7 +141,7 @@ struct Series {
 }
 
 impl Series {
-    fn new(quantity: Quantity, config: &DriftConfig) -> Self {
+    fn new(quantity: Quantity, (config, when_calibrated): (&DriftConfig, &WhenCalibrated)) -> Self {
         let summary = DriftSummary {
             quantity: quantity.name(),
             unit: quantity.unit(),
@@ -124,6 +151,12 @@ impl Series {
             at_last: None,
             worst: None,
             limit: quantity.limit(config),
+            when_calibrated: match quantity {
+                Quantity::Rows => when_calibrated.rows_px,
+                Quantity::Focus => when_calibrated.focus_px,
+                Quantity::Brightness => when_calibrated.brightness_percent,
+                Quantity::Skew => None,
+            },
         };
         Self { quantity, newest: VecDeque::with_capacity(LOOKS), is_told: false, summary }
     }
@@ -175,6 +208,7 @@ pub struct DriftWatch {
     all: [Series; 4],
     /// Whether the cameras are to expose at the same time.
     is_synchronous: bool,
+    when_calibrated: WhenCalibrated,
 }
 
 impl DriftWatch {
@@ -182,9 +216,13 @@ impl DriftWatch {
     ///
     /// # Errors
     /// A rig that the method `direct` can not use.
-    pub fn new(config: DriftConfig, rig: &StereoRig, is_synchronous: bool) -> Result<Self, EstimationError> {
-        let all = Quantity::ALL.map(|quantity| Series::new(quantity, &config));
-        Ok(Self { config, rows: RowMeter::new(rig)?, next_at: None, all, is_synchronous })
+    pub fn new(
+        config: DriftConfig,
+        rig: &StereoRig,
+        (is_synchronous, when_calibrated): (bool, WhenCalibrated),
+    ) -> Result<Self, EstimationError> {
+        let all = Quantity::ALL.map(|quantity| Series::new(quantity, (&config, &when_calibrated)));
+        Ok(Self { config, rows: RowMeter::new(rig)?, next_at: None, all, is_synchronous, when_calibrated })
     }
 
     /// A pair that was exposed at this time: what there is to say of it, if it is time to look.
@@ -200,8 +238,13 @@ impl DriftWatch {
         let blurs_px = eyes.map(|picture| blur_of(&[picture]));
         let values = [
             measured.map(|measured| self.rows.worst_px(&measured)),
-            blurs_px[0].zip(blurs_px[1]).map(|(left, right)| softer_by_px([left, right])),
-            Some(brighter_by_percent(&eyes.map(|picture| Exposure::of(&[picture])))),
+            blurs_px[0].zip(blurs_px[1]).map(|(left, right)| {
+                added_blur_px(softer_by_px([left, right]), self.when_calibrated.focus_px.unwrap_or(0.0))
+            }),
+            Some(
+                brighter_by_percent(&eyes.map(|picture| Exposure::of(&[picture])))
+                    - self.when_calibrated.brightness_percent.unwrap_or(0.0),
+            ),
             Some(skew_s * 1e3).filter(|_| self.is_synchronous),
         ];
         self.all.iter_mut().zip(values).filter_map(|(series, value)| series.push(value)).collect()
@@ -215,9 +258,26 @@ impl DriftWatch {
     }
 }
 
+/// The blur of one eye only that has come to another one: variances add up.
+fn added_blur_px(now_px: f64, before_px: f64) -> f64 {
+    let variance = now_px * now_px.abs() - before_px * before_px.abs();
+    variance.abs().sqrt().copysign(variance)
+}
+
 /// The figures as a table of the report.
 pub fn table(summaries: &[DriftSummary]) -> Table {
-    let headings = ["what", "unit", "at first", "at last", "worst", "allowed", "looks", "nothing to see", ""];
+    let headings = [
+        "what",
+        "unit",
+        "when calibrated",
+        "since then: at first",
+        "at last",
+        "worst",
+        "allowed",
+        "looks",
+        "nothing to see",
+        "",
+    ];
     let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
     summaries.iter().fold(Table::new(headings), |table, one| {
         let verdict = match (one.worst, one.was_too_far()) {
@@ -228,6 +288,7 @@ pub fn table(summaries: &[DriftSummary]) -> Table {
         table.row([
             one.quantity.to_owned(),
             one.unit.to_owned(),
+            number(one.when_calibrated),
             number(one.at_first),
             number(one.at_last),
             number(one.worst),
@@ -290,7 +351,7 @@ mod tests {
         skew_s: f64,
         is_synchronous: bool,
     ) -> (Vec<String>, Vec<DriftSummary>) {
-        let mut watch = DriftWatch::new(CONFIG, rig, is_synchronous).unwrap();
+        let mut watch = DriftWatch::new(CONFIG, rig, (is_synchronous, WhenCalibrated::default())).unwrap();
         let look = |k: u64| watch.look(MonotonicTime::from_nanos(k * 500_000_000), skew_s, pair);
         // Ten seconds in pairs that come every half second.
         let said = (0..20).flat_map(look).collect();
@@ -364,9 +425,32 @@ mod tests {
         assert!(cells.contains("not known"), "{cells}");
     }
 
+    #[test]
+    fn eyes_that_were_unlike_when_they_were_calibrated_are_judged_by_what_has_come_to_it() {
+        let case = case();
+        let rig = case.load_calibration().unwrap().rig;
+        let sound = pair(&case);
+        let softer = FramePair { right: image::imageops::blur(&sound.right, 1.5), ..sound.clone() };
+        let (_, as_now) = watched(&rig, &softer, 0.0, true);
+        let [focus_px, brightness_percent] = [1, 2].map(|n| as_now[n].at_last);
+        let mut watch =
+            DriftWatch::new(CONFIG, &rig, (true, WhenCalibrated { rows_px: Some(0.2), focus_px, brightness_percent }))
+                .unwrap();
+        let look = |k: u64| watch.look(MonotonicTime::from_nanos(k * 2_000_000_000), 0.0, &softer);
+        let said: Vec<String> = (0..6).flat_map(look).collect();
+        let found = watch.summaries();
+        assert!(said.is_empty(), "{said:?}");
+        assert!(found[1].at_last.is_some_and(|px| px.abs() < 0.01), "{found:#?}");
+        assert!(found[2].at_last.is_some_and(|percent| percent.abs() < 0.01), "{found:#?}");
+        assert_eq!([found[0].when_calibrated, found[1].when_calibrated], [Some(0.2), focus_px]);
+        // Where both were alike and one has become softer, that is what has come to it; the other one's blur takes it back.
+        assert!((added_blur_px(1.5, 0.0) - 1.5).abs() < 1e-12 && (added_blur_px(0.0, 1.5) + 1.5).abs() < 1e-12);
+        assert!((added_blur_px(-1.0, 1.0) + 2f64.sqrt()).abs() < 1e-12);
+    }
+
     /// What is said of these values, one look each.
     fn said_of(values: &[f64]) -> Vec<Option<bool>> {
-        let mut series = Series::new(Quantity::Rows, &CONFIG);
+        let mut series = Series::new(Quantity::Rows, (&CONFIG, &WhenCalibrated::default()));
         let verdict = |line: String| !line.contains("again what was");
         values.iter().map(|&value| series.push(Some(value)).map(verdict)).collect()
     }
@@ -386,7 +470,7 @@ mod tests {
     fn a_clock_that_was_set_back_does_not_end_the_looks() {
         let case = case();
         let (rig, pair) = (case.load_calibration().unwrap().rig, pair(&case));
-        let mut watch = DriftWatch::new(CONFIG, &rig, true).unwrap();
+        let mut watch = DriftWatch::new(CONFIG, &rig, (true, WhenCalibrated::default())).unwrap();
         for second in [100, 101, 5, 7] {
             watch.look(MonotonicTime::from_nanos(second * 1_000_000_000), 0.0, &pair);
         }

@@ -46,6 +46,8 @@ pub enum Marking {
     Outline(Vec<Point3<f64>>),
     /// What the operator has marked, wherever the target truly is.
     Region(Region),
+    /// Nobody has marked anything.
+    Nobody,
 }
 
 /// What is said where real cameras look at nothing.
@@ -61,7 +63,7 @@ impl Marking {
         match (self, cam_left_from_target) {
             (Self::Region(region), _) => Ok(region.clone()),
             (Self::Outline(points_m), Some(pose)) => {
-                let pixel = |point: &Point3<f64>| setup.rig.left().project(&pose.transform_point(point));
+                let pixel = |point: &Point3<f64>| setup.true_rig().left().project(&pose.transform_point(point));
                 let vertices_px: Option<Vec<_>> = points_m.iter().map(pixel).collect();
                 let vertices_px = vertices_px.context(
                     "the target is not in front of the camera at the beginning: where arms.vs.start_deg puts the hand it looks elsewhere; \
@@ -69,7 +71,7 @@ impl Marking {
                 )?;
                 Ok(Region::Polygon { vertices_px })
             }
-            (Self::Outline(_), None) => bail!("{NOT_MARKED}"),
+            (Self::Outline(_), None) | (Self::Nobody, _) => bail!("{NOT_MARKED}"),
         }
     }
 }

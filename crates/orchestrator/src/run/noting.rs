@@ -12,7 +12,7 @@ use pb3dp_geometry::{MonotonicTime, Pose};
 
 use super::capturing::{Captured, View};
 use super::compared::{Frame, Onlooker};
-use super::drift::{DriftSummary, DriftWatch};
+use super::drift::{DriftSummary, DriftWatch, WhenCalibrated};
 use super::eyes::Marking;
 use super::log::{Lock, MethodLog};
 use super::looking::Seen;
@@ -141,7 +141,10 @@ impl<'a> Noting<'a> {
 fn watch(setup: &Setup) -> Result<Option<DriftWatch>, EstimationError> {
     let real = setup.real_cameras.as_ref();
     let is_synchronous = real.is_none_or(|cameras| cameras.synchronisation == Synchronisation::HardwareTrigger);
-    setup.drift.map(|config| DriftWatch::new(config, &setup.rig, is_synchronous)).transpose()
+    let of_head = setup.calibrations.iter().find(|calibration| calibration.table == "camera");
+    let judgement = of_head.and_then(|calibration| calibration.judgement.as_ref());
+    let when_calibrated = judgement.map(WhenCalibrated::of).unwrap_or_default();
+    setup.drift.map(|config| DriftWatch::new(config, &setup.rig, (is_synchronous, when_calibrated))).transpose()
 }
 
 /// A region as a polygon; of one that has no corners what the method has made of it.

@@ -6,12 +6,13 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use pb3dp_camera_v4l2::pairing::Drift;
 use pb3dp_camera_v4l2::video::VideoSystem;
-use pb3dp_camera_v4l2::{ReopeningCamera, StereoConfig};
-use pb3dp_geometry::StereoRig;
+use pb3dp_camera_v4l2::{ReopeningCamera, Side, StereoConfig};
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
+use pb3dp_record::calibration_files::CameraIdentity;
 
+use super::calibration::{identity, look_at_cameras};
 use crate::commands::pair::check_pictures;
-use crate::config::setup::{RealCameras, Synchronisation};
+use crate::config::setup::{RealCameras, Setup, Synchronisation};
 
 /// Some cameras take a second or two to begin; none takes longer.
 const FIRST_PAIR_WITHIN: Duration = Duration::from_secs(10);
@@ -25,22 +26,32 @@ const DRIFT_PER_SCATTER: f64 = 0.05;
 /// A limit of the skew that is so near is warned of, seconds.
 const LIMIT_NEAR_S: f64 = 30.0;
 
+/// Cameras that have delivered a first pair.
+pub(super) struct WiredCameras {
+    pub(super) camera: Box<dyn StereoCamera>,
+    /// Which ones they are: the left and the right one.
+    pub(super) identities: [CameraIdentity; 2],
+}
+
 /// Opens both cameras, and takes a first pair.
 ///
 /// # Errors
-/// As [`ReopeningCamera::open`]; no pair; left and right exchanged.
+/// As [`ReopeningCamera::open`]; cameras that are not those of the setup's calibrations; no pair; left and right exchanged.
 pub(super) fn wire_real(
     real: &RealCameras,
-    rig: &StereoRig,
+    setup: &Setup,
     (system, clock): (Arc<dyn VideoSystem>, Arc<dyn Clock>),
-) -> Result<Box<dyn StereoCamera>> {
+) -> Result<WiredCameras> {
     let camera = ReopeningCamera::open(system, Arc::clone(&clock), real.stereo.clone(), real.reopen_for);
     let camera = camera.context("table [camera]")?;
     let mut camera = WatchedCamera { camera, cameras: real.clone(), pairs: 0, is_drift_told: false };
     let first = first_pair(&mut camera, &*clock)?;
-    check_pictures("cameras", rig, &first.left, &first.right)
+    let mut identity_of = |side| camera.camera.identity(side).map(identity).context("table [camera]");
+    let identities = [identity_of(Side::Left)?, identity_of(Side::Right)?];
+    look_at_cameras(&setup.calibrations, &identities)?;
+    check_pictures("cameras", &setup.rig, &first.left, &first.right)
         .context("table [camera]: exchange left.device and right.device if they are the wrong way round")?;
-    Ok(Box::new(camera))
+    Ok(WiredCameras { camera: Box::new(camera), identities })
 }
 
 /// What an arm waits for before it is switched on: that there are pairs at all.

@@ -20,3 +20,4 @@ mod run;
 mod silent_gateway;
 mod support;
 mod track;
+mod visit;

@@ -5,10 +5,11 @@ pub(super) mod confirm;
 mod drive;
 mod flights;
 mod motion;
-mod plan;
+pub(crate) mod plan;
 mod probe;
 mod probe_report;
 mod reset;
+mod visit;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -38,6 +39,8 @@ enum ArmCommand {
     /// Go through the checklist of a rig step by step (link, one axis, emergency stop, cable, kill -9, two arms) and write a dated report;
     /// without --move only say what would be done.
     Test(checklist::TestArgs),
+    /// Bring an arm to poses one behind the other and take a pair at each, for a calibration; without --move only say how.
+    Visit(visit::VisitArgs),
 }
 
 #[derive(Debug, Args)]
@@ -170,6 +173,7 @@ pub fn run(args: &ArmArgs) -> anyhow::Result<ExitCode> {
         ArmCommand::Probe(args) => probe::run(args),
         ArmCommand::Reset(ResetArgs { place }) => reset::run(place),
         ArmCommand::Test(args) => checklist::run(args),
+        ArmCommand::Visit(args) => visit::run(args),
         ArmCommand::Home(HomeArgs { place, motion }) => motion::run(place, motion, motion::Goal::Start),
         ArmCommand::Jog(JogArgs { place, axis, by, motion }) => {
             motion::run(place, motion, motion::Goal::Jog { joint: usize::from(axis - 1), by_rad: by.to_radians() })

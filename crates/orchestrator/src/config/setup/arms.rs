@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use pb3dp_arm_pa10::watchdog::CommandWatchdog;
 use pb3dp_geometry::Pose;
-use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, Target, World};
+use pb3dp_geometry::frames::{Base, World};
 use pb3dp_hal_middleware::{CommandFade, GuardConfig, LimiterConfig, PA10_MECHANICAL_RANGE_DEG, StartPose};
 use pb3dp_kinematics::{ArmShape, Chain, DOF, JointLimits, JointVector};
 use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
@@ -16,7 +16,7 @@ use super::super::load::{Checker, within};
 use super::geometry::check_geometry;
 use super::link::{ArmBackend, ArmLink, BusSection, GatewaySection};
 use super::shape::{PartEntry, build_shape};
-use super::{IN_THE_CELL_MM, ON_THE_ARM_MM, PoseEntry, millis};
+use super::{IN_THE_CELL_MM, PoseEntry, millis};
 
 /// One arm, ready to be wired.
 #[derive(Clone, Debug)]
@@ -67,33 +67,6 @@ const FIRST_RUN_SPEED_SCALE: f64 = 0.25;
 /// Arms count as not run yet unless the file says otherwise.
 fn yes() -> bool {
     true
-}
-
-/// What is mounted where.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct MountsSection {
-    flange_from_hand: PoseEntry,
-    hand_from_cam_left: PoseEntry,
-    flange_from_target: PoseEntry,
-}
-
-/// [`MountsSection`] as transforms.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Mounts {
-    pub(super) flange_from_hand: Pose<Flange, Hand>,
-    pub(super) hand_from_cam_left: Pose<Hand, CamLeft>,
-    pub(super) flange_from_target: Pose<Flange, Target>,
-}
-
-impl MountsSection {
-    pub(super) fn build(&self, check: &mut Checker) -> Mounts {
-        Mounts {
-            flange_from_hand: self.flange_from_hand.build("mounts.flange_from_hand", ON_THE_ARM_MM, check),
-            hand_from_cam_left: self.hand_from_cam_left.build("mounts.hand_from_cam_left", ON_THE_ARM_MM, check),
-            flange_from_target: self.flange_from_target.build("mounts.flange_from_target", ON_THE_ARM_MM, check),
-        }
-    }
 }
 
 #[derive(Clone, Debug, Deserialize)]

@@ -1,5 +1,7 @@
 //! The tables `[camera]` with `backend = "sim"` and `[scene]`: the simulated stereo pair and what it sees.
 
+use std::path::{Path, PathBuf};
+
 use pb3dp_camera_sim::{CameraFaults, SimCameraConfig};
 use pb3dp_geometry::frames::{CamLeft, CamRight};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
@@ -9,7 +11,9 @@ use pb3dp_sim::targets::{BackdropConfig, TargetConfig};
 use serde::Deserialize;
 
 use super::super::load::{Checker, whole, within};
+use super::calibration::CalibrationInUse;
 use super::camera_faults::{self, FaultSection};
+use super::real_cameras::load_calibration;
 use super::{fold_seed, millis};
 
 /// What follows keys of this table in messages.
@@ -20,6 +24,9 @@ pub(super) const OWNER: &str = "(with camera.backend = \"sim\")";
 pub(super) struct CameraSection {
     #[serde(rename = "backend")]
     _backend: String,
+    calibration: Option<Vec<PathBuf>>,
+    waived_gates: Option<Vec<String>>,
+    calibration_age_max_days: Option<f64>,
     width_px: i64,
     height_px: i64,
     focal_px: f64,
@@ -65,6 +72,28 @@ impl CameraSection {
             check.refuse(format!("camera: {error}"));
         }
         (self.rig(check), camera, sensor)
+    }
+
+    /// What the program takes the cameras for: those of the calibration, if one is named, else those that are rendered.
+    pub(super) fn calibrated(
+        &self,
+        config_file: &Path,
+        drawn: Option<StereoRig>,
+        check: &mut Checker,
+    ) -> (Option<StereoRig>, Option<CalibrationInUse>) {
+        let Some((rig, files)) = drawn.zip(self.calibration.as_deref()) else { return (drawn, None) };
+        let folder = config_file.parent().unwrap_or(Path::new("."));
+        let files: Vec<PathBuf> = files.iter().map(|file| folder.join(file)).collect();
+        let loaded = match load_calibration(&files, rig.left().size()) {
+            Ok(loaded) => loaded,
+            Err(error) => {
+                check.refuse(format!("{error:#}"));
+                return (None, None);
+            }
+        };
+        let waivers = (self.waived_gates.as_deref(), self.calibration_age_max_days);
+        let in_use = CalibrationInUse::new(("camera", loaded.source), loaded.judgement, waivers, check);
+        (Some(loaded.rig), Some(in_use))
     }
 
     pub(super) fn faults(&self, seed: u64, check: &mut Checker) -> CameraFaults {

@@ -1,6 +1,7 @@
 //! The file of one setup, for `pb3dp run`: every table, checked, and turned into the parameters of the parts.
 
 mod arms;
+mod calibration;
 mod camera;
 mod camera_faults;
 mod drift;
@@ -9,6 +10,7 @@ mod geometric;
 mod geometry;
 mod law;
 mod link;
+mod mounts;
 mod range;
 mod real_cameras;
 mod servo;
@@ -16,6 +18,7 @@ mod shape;
 mod sight;
 mod supervisor;
 mod target_state;
+mod truth;
 
 use std::path::Path;
 use std::time::Duration;
@@ -34,7 +37,8 @@ use pb3dp_sim::sensor::SensorConfig;
 use serde::Deserialize;
 
 pub use self::arms::ArmSetup;
-use self::arms::{ArmsSection, MountsSection};
+use self::arms::ArmsSection;
+pub use self::calibration::{AGE, CAMERAS, CalibrationInUse, rounded};
 use self::camera::SceneSection;
 pub use self::drift::DriftConfig;
 use self::drift::DriftSection;
@@ -43,6 +47,7 @@ pub use self::experiment::{Carrier, Experiment};
 use self::geometric::GeometricSection;
 use self::link::GATEWAY_CYCLE_MAX_MILLIS;
 pub use self::link::{ArmLink, BusLinkConfig, GatewayWay};
+use self::mounts::MountsSection;
 pub use self::range::read_search_range;
 use self::range::search_range;
 pub(crate) use self::real_cameras::interval;
@@ -50,6 +55,8 @@ pub use self::real_cameras::{RealCameras, Synchronisation, read_cameras};
 use self::servo::ServoSection;
 use self::sight::{CameraEntry, CameraTable, Sight};
 use self::supervisor::SupervisorSection;
+pub use self::truth::Truth;
+use self::truth::TruthSection;
 use super::direct::DirectSection;
 use super::estimator::PublishedSection;
 use super::load::{Checker, ConfigError, ConfigFile, FileKind, within};
@@ -73,6 +80,10 @@ pub struct Setup {
     pub real_cameras: Option<RealCameras>,
     /// What their calibration says of itself if it is that of no cameras, a drawing's say: by such a one no real arm moves.
     pub nominal_calibration: Option<String>,
+    /// The calibrations that it uses, if they are files: of the cameras, and of where they are on the arm.
+    pub calibrations: Vec<CalibrationInUse>,
+    /// Where things of the simulation truly are.
+    pub truth: Truth,
     /// What goes wrong with simulated cameras.
     pub camera_faults: CameraFaults,
     /// When a run warns that the cameras are not any more what was calibrated, if the file says so.
@@ -149,6 +160,7 @@ struct SetupFile {
     run: RunSection,
     camera: CameraEntry,
     scene: Option<SceneSection>,
+    truth: Option<TruthSection>,
     drift: Option<DriftSection>,
     estimator: EstimatorSection,
     servo: ServoSection,
@@ -208,6 +220,11 @@ impl PoseEntry {
 }
 
 impl Setup {
+    /// The cameras that pictures are rendered with: those of the setup, unless the truth is another one.
+    pub fn true_rig(&self) -> &StereoRig {
+        self.truth.rig.as_ref().unwrap_or(&self.rig)
+    }
+
     /// The same setup with another seed.
     pub fn reseed(&mut self, seed: u64) {
         let rmga = &mut self.estimator.published.rmga.seed;
@@ -275,10 +292,12 @@ impl SetupFile {
         let hand_speed_max_m_per_s = self.servo.speed_max_m_per_s();
         let sight = camera.build((file, hand_speed_max_m_per_s), (self.scene.as_ref(), self.run.seed), check);
         let experiment = self.experiment.build(check);
+        let size = sight.as_ref().map(|sight| sight.rig.left().size());
+        let truth = self.truth.as_ref().map(|truth| truth.build(file, size, check)).unwrap_or_default();
         let drift = self.drift.map(|section| section.build(check));
         let control_period_millis = within(self.run.control_period_millis, 2.0, period_max_millis);
         let arms = self.arms.build(file, control_period_millis, check);
-        let mounts = self.mounts.build(check);
+        let mounts = self.mounts.build(file, check);
         let of_joints = (self.arms.speed_scale, self.arms.vs_acceleration_max_rad_per_s2());
         let controller = self.servo.build(&mounts, of_joints, check);
         let frame_period = sight.as_ref().map_or(Duration::ZERO, |sight| sight.camera.period);
@@ -302,7 +321,8 @@ impl SetupFile {
         if !check.is_clean() {
             return None;
         }
-        let Sight { rig, camera, real_cameras, nominal_calibration, camera_faults, sensor, scene } = sight?;
+        let Sight { rig, camera, real_cameras, nominal_calibration, calibration, camera_faults, sensor, scene } =
+            sight?;
         Some(Setup {
             seed: self.run.seed,
             pace: self.run.pace,
@@ -312,6 +332,8 @@ impl SetupFile {
             camera,
             real_cameras,
             nominal_calibration,
+            calibrations: calibration.into_iter().chain(mounts.calibration).collect(),
+            truth,
             camera_faults,
             drift,
             sensor,
@@ -338,6 +360,9 @@ impl SetupFile {
         let with = "with camera.backend = \"v4l2\"";
         if self.run.pace != Pace::Live {
             check.refuse(format!("run.pace: real cameras do not wait for simulated time; {with} it is \"live\""));
+        }
+        if self.truth.is_some() {
+            check.refuse(format!("truth: {with} nobody knows it; remove the table"));
         }
         if self.estimator.is_geometric() || self.estimator.geometric.is_some() {
             check.refuse(format!(

@@ -12,10 +12,11 @@ use pb3dp_camera_v4l2::timing::StampModel;
 use pb3dp_camera_v4l2::video::Interval;
 use pb3dp_camera_v4l2::{CameraConfig, SKEW_MAX, StereoConfig};
 use pb3dp_geometry::ImageSize;
-use pb3dp_record::calibration_files::{StereoCalibration, load_stereo_for};
+use pb3dp_record::calibration_files::{Judgement, StereoCalibration, load_stereo_for};
 use serde::Deserialize;
 
 use super::super::load::{Checker, ConfigError, ConfigFile, FileKind, whole, within};
+use super::calibration::CalibrationInUse;
 use super::millis;
 use super::servo::LINEAR_MM_PER_S;
 use crate::region_spec::RegionSpec;
@@ -75,21 +76,28 @@ impl RealCameras {
     /// # Errors
     /// Files that can not be used, or that are for pictures of another size.
     pub fn calibration(&self) -> Result<StereoCalibration> {
-        let size = self.size();
-        let calibration = load_stereo_for(&self.calibration_files, size).context("camera.calibration")?;
-        let calibrated = calibration.rig.left().size();
-        if calibrated != size {
-            bail!(
-                "camera.calibration: {} is for pictures of {}x{}, the cameras are asked for {}x{}: calibrate again in that size",
-                calibration.source,
-                calibrated.width,
-                calibrated.height,
-                size.width,
-                size.height
-            );
-        }
-        Ok(calibration)
+        load_calibration(&self.calibration_files, self.size())
     }
+}
+
+/// Reads the calibration that the table `[camera]` names, for pictures of this size.
+///
+/// # Errors
+/// Files that can not be used, or that are for pictures of another size.
+pub(super) fn load_calibration(files: &[PathBuf], size: ImageSize) -> Result<StereoCalibration> {
+    let calibration = load_stereo_for(files, size).context("camera.calibration")?;
+    let calibrated = calibration.rig.left().size();
+    if calibrated != size {
+        bail!(
+            "camera.calibration: {} is for pictures of {}x{}, the cameras are asked for {}x{}: calibrate again in that size",
+            calibration.source,
+            calibrated.width,
+            calibrated.height,
+            size.width,
+            size.height
+        );
+    }
+    Ok(calibration)
 }
 
 /// Reads the real cameras of a setup: of the file's other tables only `servo.speed.linear_max_mm_per_s` is looked at, which messages
@@ -122,6 +130,8 @@ pub(super) struct V4l2Section {
     #[serde(rename = "backend")]
     _backend: String,
     calibration: Vec<PathBuf>,
+    waived_gates: Option<Vec<String>>,
+    calibration_age_max_days: Option<f64>,
     region: Option<String>,
     format: String,
     width_px: i64,
@@ -238,6 +248,16 @@ impl V4l2Section {
             calibration_files: self.calibration.iter().map(|path| folder.join(path)).collect(),
             region: region?,
         })
+    }
+
+    /// The calibration with what this table waives of it.
+    pub(super) fn in_use(
+        &self,
+        (source, judgement): (String, Option<Judgement>),
+        check: &mut Checker,
+    ) -> CalibrationInUse {
+        let waivers = (self.waived_gates.as_deref(), self.calibration_age_max_days);
+        CalibrationInUse::new(("camera", source), judgement, waivers, check)
     }
 
     fn format(&self, check: &mut Checker) -> Option<PixelFormat> {

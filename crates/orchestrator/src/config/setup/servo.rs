@@ -10,11 +10,11 @@ use pb3dp_servo::{
 use serde::Deserialize;
 
 use super::super::load::{Checker, whole, within};
-use super::arms::Mounts;
 use super::law::{
     ArmResponseSection, FeedForwardSection, GainsSection, HybridSection, ImageBasedSection, LawName, LawTables,
     NullMotionSection, SmoothingSection, UnstatedSection,
 };
+use super::mounts::Mounts;
 use super::target_state::TargetStateSection;
 use super::{ON_THE_ARM_MM, PoseEntry};
 

@@ -11,6 +11,7 @@ use pb3dp_sim::targets::TargetConfig;
 use serde::Deserialize;
 
 use super::super::load::{Checker, ConfigError, ConfigFile};
+use super::calibration::CalibrationInUse;
 use super::camera::{self, CameraSection, SceneSection};
 use super::fold_seed;
 use super::real_cameras::{self, RealCameras, V4l2Section};
@@ -43,6 +44,7 @@ pub(super) struct Sight {
     pub(super) camera: SimCameraConfig,
     pub(super) real_cameras: Option<RealCameras>,
     pub(super) nominal_calibration: Option<String>,
+    pub(super) calibration: Option<CalibrationInUse>,
     pub(super) camera_faults: CameraFaults,
     pub(super) sensor: SensorConfig,
     pub(super) scene: SceneConfig,
@@ -75,6 +77,7 @@ impl CameraTable {
         match self {
             Self::Sim(section) => {
                 let (rig, camera, sensor) = section.build(check);
+                let (rig, calibration) = section.calibrated(config_file, rig, check);
                 let camera_faults = section.faults(seed, check);
                 if scene.is_none() {
                     check.refuse("scene: the table is missing; camera.backend = \"sim\" needs it".to_owned());
@@ -85,6 +88,7 @@ impl CameraTable {
                     camera,
                     real_cameras: None,
                     nominal_calibration: None,
+                    calibration,
                     camera_faults,
                     sensor,
                     scene,
@@ -101,6 +105,7 @@ impl CameraTable {
                 Some(Sight {
                     rig: calibration.rig,
                     nominal_calibration: calibration.not_measured,
+                    calibration: Some(section.in_use((calibration.source, calibration.judgement), check)),
                     camera: SimCameraConfig { period, exposure, blur_moments: 1, pairs: None },
                     real_cameras: Some(cameras),
                     camera_faults: CameraFaults::default(),

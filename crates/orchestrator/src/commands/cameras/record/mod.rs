@@ -12,10 +12,11 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use pb3dp_arm_pa10::io::signals::StopSignals;
-use pb3dp_camera_v4l2::V4l2StereoCamera;
 use pb3dp_camera_v4l2::video::VideoSystem;
+use pb3dp_camera_v4l2::{Side, V4l2StereoCamera};
 use pb3dp_geometry::ImageSize;
 use pb3dp_hal_api::{Clock, StereoCamera};
+use pb3dp_record::calibration_files::save_cameras;
 use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter};
 use pb3dp_record::images::PictureFormat;
 use serde::Serialize;
@@ -27,6 +28,7 @@ use crate::cli::{ZRange, parse_seconds, parse_tilt, parse_z_range};
 use crate::commands::doctor::free_bytes;
 use crate::commands::estimate::output::print_line;
 use crate::region_spec::RegionSpec;
+use crate::wiring::calibration::identity;
 
 /// What the exit code and `--json` say.
 const RECORD_JSON: &str =
@@ -136,7 +138,11 @@ fn recorded(
     let mut camera =
         V4l2StereoCamera::open(system, Arc::clone(&clock), &config).context("the cameras can not be used")?;
     check_size(&rig, camera.info().size)?;
+    let mut identity_of = |side| camera.identity(side).map(identity);
+    let identities = [identity_of(Side::Left)?, identity_of(Side::Right)?];
     let writer = SequenceWriter::create(&args.out, &rig, draft).context("--out")?;
+    // What is calibrated with these pictures says of which cameras it is.
+    save_cameras(&identities, &args.out.join("cameras.toml")).context("--out")?;
     tracing::info!("{}: recording into {}", camera.info().name, args.out.display());
     let outcome =
         record(&mut camera, clock.as_ref(), writer, &plan, &|files, pair| files.save(&pair.left, &pair.right), is_over);

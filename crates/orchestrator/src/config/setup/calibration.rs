@@ -1,0 +1,84 @@
+//! What is asked of a calibration before arms move by what is seen with it.
+
+use std::time::Duration;
+
+use pb3dp_record::calibration_files::Judgement;
+
+use super::super::load::{Checker, within};
+
+/// Waives the age of a calibration.
+pub const AGE: &str = "age";
+/// Waives that a calibration belongs to the cameras that are there.
+pub const CAMERAS: &str = "cameras";
+
+/// An older calibration is refused unless the file says otherwise.
+const AGE_MAX_DAYS: f64 = 180.0;
+
+/// A calibration that a setup uses, with what its file says of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CalibrationInUse {
+    /// The table of the setup that names it: `camera` or `mounts`.
+    pub table: &'static str,
+    /// Its files, for messages and reports.
+    pub source: String,
+    /// What it says of its making and worth; most formats say nothing.
+    pub judgement: Option<Judgement>,
+    /// Gates that the setup waives: those that it names, [`AGE`] and [`CAMERAS`].
+    pub waived: Vec<String>,
+    /// An older one is refused.
+    pub age_max: Duration,
+}
+
+impl CalibrationInUse {
+    /// With what the setup waives; the age is in days.
+    pub(super) fn new(
+        (table, source): (&'static str, String),
+        judgement: Option<Judgement>,
+        (waived, age_max_days): (Option<&[String]>, Option<f64>),
+        check: &mut Checker,
+    ) -> Self {
+        let age_max_days = age_max_days.unwrap_or(AGE_MAX_DAYS);
+        check.number(&format!("{table}.calibration_age_max_days"), age_max_days, 1.0..=3650.0);
+        let waived = waived.unwrap_or_default().to_vec();
+        let gates = judgement.iter().flat_map(|judgement| &judgement.gates).map(|gate| gate.name.as_str());
+        let known: Vec<&str> = gates.chain([AGE, CAMERAS]).collect();
+        for name in waived.iter().filter(|name| !known.contains(&name.as_str())) {
+            check.refuse(format!(
+                "{table}.waived_gates: {name:?} is no gate of {source}: {} can be waived",
+                known.join(", ")
+            ));
+        }
+        Self {
+            table,
+            source,
+            judgement,
+            waived,
+            age_max: Duration::from_secs_f64(86_400.0 * within(age_max_days, 1.0, 3650.0)),
+        }
+    }
+
+    /// Whether the setup waives this gate.
+    pub fn waives(&self, gate: &str) -> bool {
+        self.waived.iter().any(|name| name == gate)
+    }
+
+    /// What a report says of it: the file, when it was made, what refuses it and is waived.
+    pub fn text(&self) -> String {
+        let Some(judgement) = &self.judgement else {
+            return format!("{}, which says nothing of its worth", self.source);
+        };
+        let refused = judgement
+            .refusals()
+            .map(|gate| format!("{} was {} ({} allowed), WAIVED", gate.name, rounded(gate.measured), gate.refused));
+        let others = [AGE, CAMERAS].into_iter().filter(|gate| self.waives(gate)).map(|gate| format!("{gate} WAIVED"));
+        let waivers: Vec<String> = refused.chain(others).collect();
+        let worth = if waivers.is_empty() { "all gates passed".to_owned() } else { waivers.join("; ") };
+        format!("{}, of {}: {worth}", self.source, judgement.date)
+    }
+}
+
+/// A measured number with four digits, for people.
+pub fn rounded(value: f64) -> String {
+    let digits = (3.0 - value.abs().max(1e-9).log10().floor()).clamp(0.0, 9.0) as usize;
+    format!("{value:.digits$}")
+}
