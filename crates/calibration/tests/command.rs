@@ -75,6 +75,32 @@ fn a_head_is_calibrated_from_a_folder_of_pictures() {
 }
 
 #[test]
+fn colour_pictures_of_another_board_give_the_committed_corners() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let corners = folder.path().join("corners.csv").display().to_string();
+    let pictures = format!("{DATA}/bumblebee2_chessboards");
+    let output = calibrate(&[
+        "stereo",
+        "--left",
+        &pictures,
+        "--right",
+        &pictures,
+        "--board",
+        "6x4",
+        "--square",
+        "30",
+        "--corners",
+        &corners,
+    ]);
+    let told = text(&output);
+    println!("{told}");
+    // Eleven boards in the middle of the picture.
+    assert!(!output.status.success() && told.contains("refused  coverage_percent"), "{told}");
+    let found = fs::read_to_string(&corners).expect("corners");
+    assert_eq!(found, fs::read_to_string(Path::new(DATA).join("bumblebee2_corners.csv")).expect("corners"));
+}
+
+#[test]
 fn gates_of_a_file_refuse_and_the_program_fails() {
     let folder = tempfile::tempdir().expect("a folder");
     let strict = folder.path().join("gates.toml");

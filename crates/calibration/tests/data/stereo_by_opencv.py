@@ -3,12 +3,15 @@
 Made with Python 3.11, numpy 2.4.6 and opencv-python-headless 4.14.0.94 from PyPI:
 
     pb3dp calibrate stereo --left opencv_chessboards --right opencv_chessboards --board 9x6 --square 25 --corners corners.csv
-    python stereo_by_opencv.py corners.csv 640 480 25 > opencv_4_14_stereo.csv
+    python stereo_by_opencv.py corners.csv 640 480 25 brown-5 > opencv_4_14_stereo.csv
+    pb3dp calibrate stereo --left bumblebee2_chessboards --right bumblebee2_chessboards --board 6x4 --square 30 --corners bumblebee2_corners.csv
+    python stereo_by_opencv.py bumblebee2_corners.csv 640 480 30 radial-1 > bumblebee2_4_14_stereo.csv
 
-The first file holds view, camera, column, row, u, v; the second one numbers by name, lengths in mm. Each camera is calibrated by
-itself first, then both and their pose together, again and again until the rms does not fall, with k1 k2 p1 p2 k3 and no further flags; OpenCV's rms is that of the
-distance between predicted and seen corners. Boards: rotation vector and translation of each view's board in the left
-camera, as stereoCalibrate gives them.
+A file of corners holds view, camera, column, row, u, v; what comes out numbers by name, lengths in mm. Each camera is calibrated by
+itself first, then both and their pose together, again and again until the rms does not fall, with the coefficients of the
+lens model that is named (brown-5: k1 k2 p1 p2 k3; radial-1: k1) and no further flags; OpenCV's rms is that of the distance
+between predicted and seen corners. Boards: rotation vector and translation of each view's board in the left camera, as
+stereoCalibrate gives them.
 """
 
 import csv
@@ -19,6 +22,7 @@ import numpy as np
 
 cv2.setNumThreads(1)
 file, width, height, square_mm = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), float(sys.argv[4])
+lens = {"brown-5": 0, "radial-1": cv2.CALIB_FIX_K2 + cv2.CALIB_FIX_K3 + cv2.CALIB_ZERO_TANGENT_DIST}[sys.argv[5]]
 views = {}
 with open(file, newline="") as text:
     for row in csv.DictReader(text):
@@ -35,13 +39,13 @@ for name, cameras in views.items():
 
 stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 1000, 1e-12)
 size = (width, height)
-rms_left, k1, d1, _, _ = cv2.calibrateCamera(objects, lefts, size, None, None, criteria=stop)
-rms_right, k2, d2, _, _ = cv2.calibrateCamera(objects, rights, size, None, None, criteria=stop)
+rms_left, k1, d1, _, _ = cv2.calibrateCamera(objects, lefts, size, None, None, flags=lens, criteria=stop)
+rms_right, k2, d2, _, _ = cv2.calibrateCamera(objects, rights, size, None, None, flags=lens, criteria=stop)
 rms, before = np.inf, np.inf
 for _ in range(10):
     rms, k1, d1, k2, d2, turn, shift, _, _, rvecs, tvecs, _ = cv2.stereoCalibrateExtended(
         objects, lefts, rights, k1, d1, k2, d2, size, np.eye(3), np.zeros((3, 1)),
-        flags=cv2.CALIB_USE_INTRINSIC_GUESS, criteria=stop,
+        flags=cv2.CALIB_USE_INTRINSIC_GUESS + lens, criteria=stop,
     )
     # One call ends before the lowest point; the next one goes on from its cameras.
     if not rms < before - 1e-12:
