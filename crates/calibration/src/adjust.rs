@@ -124,6 +124,13 @@ impl State {
     /// Moved by a step of the shared parameters and one of each pose.
     pub(crate) fn moved(&self, shared: &DVector<f64>, poses: &[Vector6<f64>]) -> Result<Self, CameraError> {
         let mut next = self.clone();
+        for (board, step) in next.boards.iter_mut().zip(poses) {
+            *board *= se3::exp(step);
+        }
+        // Cameras that stay are not made anew, so that they may have any lens.
+        if shared.iter().all(|step| *step == 0.0) {
+            return Ok(next);
+        }
         let per_camera = self.shared_per_camera();
         for (index, camera) in self.cameras.iter().enumerate() {
             let step = shared.rows(index * per_camera, per_camera);
@@ -136,9 +143,6 @@ impl State {
         for index in 1..self.cameras.len() {
             let at = self.pose_column(index);
             next.from_first[index] = se3::exp(&shared.fixed_rows::<POSE>(at).into_owned()) * self.from_first[index];
-        }
-        for (board, step) in next.boards.iter_mut().zip(poses) {
-            *board *= se3::exp(step);
         }
         Ok(next)
     }

@@ -34,7 +34,7 @@ pub(crate) fn sigma_m(state: &State, covariance: &DMatrix<f64>, depth_m: f64) ->
 }
 
 /// The point in the middle between two rays: one from the origin, one from `second_origin`.
-fn meeting(first: &Vector3<f64>, second: &Vector3<f64>, second_origin: &Vector3<f64>) -> Vector3<f64> {
+pub(crate) fn meeting(first: &Vector3<f64>, second: &Vector3<f64>, second_origin: &Vector3<f64>) -> Vector3<f64> {
     let (aa, ab, bb) = (first.dot(first), first.dot(second), second.dot(second));
     let (ao, bo) = (first.dot(second_origin), second.dot(second_origin));
     let determinant = aa * bb - ab * ab;

@@ -134,6 +134,23 @@ impl<const N: usize> Fit<N> {
         self.state.boards.iter().map(|pose| Pose::from_isometry(*pose))
     }
 
+    /// The shared parameters by name, in the order of the covariance: pixels, metres and radians; of a pose its translation and its
+    /// rotation vector.
+    pub fn parameters(&self) -> Vec<(String, f64)> {
+        let of_camera = |camera: &Camera| {
+            let p = camera.pinhole();
+            let coefficients = camera.distortion().coefficients().iter().copied().take(self.lens().coefficient_count());
+            [p.fx, p.fy, p.cx, p.cy].into_iter().chain(coefficients).collect::<Vec<_>>()
+        };
+        let of_pose = |pose: &Isometry3<f64>| {
+            let turn = pose.rotation.scaled_axis();
+            pose.translation.vector.iter().chain(turn.iter()).copied().collect::<Vec<_>>()
+        };
+        let cameras = self.state.cameras.iter().flat_map(of_camera);
+        let values = cameras.chain(self.state.from_first.iter().skip(1).flat_map(of_pose));
+        self.covariance.names.iter().cloned().zip(values).collect()
+    }
+
     /// The errors of all corners: view by view, camera by camera.
     pub fn errors(&self) -> &[[Vec<CornerError>; N]] {
         &self.errors

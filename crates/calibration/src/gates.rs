@@ -60,7 +60,7 @@ impl Gate {
     }
 
     /// What to do where it is not good.
-    fn advice(self) -> &'static str {
+    pub fn advice(self) -> &'static str {
         match self {
             Self::Views => "take more pictures of the board, 15 to 20",
             Self::Coverage => "show the board in the corners and at the borders of the picture, of both cameras",
@@ -86,6 +86,19 @@ pub struct Limit {
     pub good: f64,
     /// Worse than this is refused.
     pub refused: f64,
+}
+
+impl Limit {
+    /// The limit, if its numbers make sense for a gate of which larger (`is_floor`) or smaller is better.
+    pub(crate) fn checked(self, key: &'static str, is_floor: bool) -> Result<Self, LimitError> {
+        let Self { good, refused } = self;
+        let ordered = if is_floor { good >= refused } else { good <= refused };
+        if good.is_finite() && refused.is_finite() && good >= 0.0 && refused >= 0.0 && ordered {
+            return Ok(self);
+        }
+        let better = if is_floor { "larger" } else { "smaller" };
+        Err(LimitError { key, good, refused, better })
+    }
 }
 
 /// The limits of all gates.
@@ -132,13 +145,7 @@ impl Limits {
     /// # Errors
     /// Numbers that are not finite, negative, or the wrong way round.
     pub fn with(mut self, gate: Gate, limit: Limit) -> Result<Self, LimitError> {
-        let Limit { good, refused } = limit;
-        let ordered = if gate.is_floor() { good >= refused } else { good <= refused };
-        if !(good.is_finite() && refused.is_finite() && good >= 0.0 && refused >= 0.0 && ordered) {
-            let better = if gate.is_floor() { "larger" } else { "smaller" };
-            return Err(LimitError { key: gate.key(), good, refused, better });
-        }
-        self.limits[gate as usize] = limit;
+        self.limits[gate as usize] = limit.checked(gate.key(), gate.is_floor())?;
         Ok(self)
     }
 

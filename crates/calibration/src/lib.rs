@@ -20,6 +20,11 @@ pub mod gates;
 pub mod held_out;
 pub mod lens;
 pub mod quality;
+pub mod report;
+pub mod selection;
+pub mod sharpness;
+pub mod stand;
 mod start;
+pub mod verify;
 
 pub use adjust::AdjustmentError;

@@ -6,9 +6,8 @@ use pb3dp_geometry::{Camera, ImageSize, RectificationError, StereoRig};
 use crate::board::Sighting;
 use crate::fit::{CornerError, Fit, FitError, View};
 use crate::held_out::Chosen;
+use crate::stand::Cells;
 
-/// Cells into which a picture is divided to see whether the board was everywhere.
-const CELLS: [u32; 2] = [8, 6];
 /// So many views must be tilted at least as much as the tilt that is told.
 const TILTED_VIEWS: usize = 3;
 
@@ -120,16 +119,7 @@ fn of<const N: usize>(chosen: &Chosen<N>, views: &[View<N>], size: ImageSize) ->
 
 /// Share of the cells of a picture in which a corner was seen.
 fn coverage<'a>(sightings: impl Iterator<Item = &'a Sighting>, size: ImageSize) -> f64 {
-    let [across, down] = CELLS;
-    let mut seen = vec![false; (across * down) as usize];
-    let cell = |at: f64, length: u32, cells: u32| {
-        ((at + 0.5) / f64::from(length) * f64::from(cells)).clamp(0.0, f64::from(cells - 1)) as u32
-    };
-    for corner in sightings.flat_map(Sighting::corners) {
-        let index = cell(corner.pixel.y, size.height, down) * across + cell(corner.pixel.x, size.width, across);
-        seen[index as usize] = true;
-    }
-    seen.iter().filter(|cell| **cell).count() as f64 / seen.len() as f64
+    sightings.fold(Cells::default(), |cells, sighting| cells.with(Cells::of(sighting, size))).share()
 }
 
 /// By how much the board's normal leaves the axis of the first camera in the third most tilted view, degrees.
@@ -141,8 +131,20 @@ fn tilt_deg<const N: usize>(fit: &Fit<N>) -> f64 {
     tilts.get(TILTED_VIEWS - 1).copied().unwrap_or(0.0)
 }
 
-/// Rows of all corners in the rectified pictures.
-fn row_error(rig: &StereoRig, views: &[View<2>]) -> Result<RowError, QualityError> {
+/// By how much the rows of a corner differ in the rectified pictures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RowDifference {
+    /// Where the left camera saw it, px.
+    pub left_px: Vector2<f64>,
+    /// Right row minus left row, px of the rectified pictures.
+    pub difference_px: f64,
+}
+
+/// Rows of all corners that both cameras saw.
+///
+/// # Errors
+/// A pair that can not be rectified.
+pub fn row_differences(rig: &StereoRig, views: &[View<2>]) -> Result<Vec<RowDifference>, RectificationError> {
     let rectified = rig.rectify()?;
     let (left_turn, right_turn) = (
         rectified.cam_left_rect_from_cam_left.rotation_matrix(),
@@ -159,9 +161,19 @@ fn row_error(rig: &StereoRig, views: &[View<2>]) -> Result<RowError, QualityErro
             let Some(other) = right.at(corner.column, corner.row) else { continue };
             let of_left = row(rig.left(), &left_turn, rectified.rig.left(), &corner.pixel);
             let of_right = row(rig.right(), &right_turn, rectified.rig.right(), &other.pixel);
-            differences.extend(of_left.zip(of_right).map(|(left, right)| right - left));
+            let Some((left, right)) = of_left.zip(of_right) else { continue };
+            differences.push(RowDifference { left_px: corner.pixel, difference_px: right - left });
         }
     }
+    Ok(differences)
+}
+
+/// Rows of all corners in the rectified pictures.
+///
+/// # Errors
+/// A pair that can not be rectified.
+pub fn row_error(rig: &StereoRig, views: &[View<2>]) -> Result<RowError, RectificationError> {
+    let mut differences: Vec<f64> = row_differences(rig, views)?.iter().map(|row| row.difference_px).collect();
     let count = differences.len().max(1) as f64;
     let mean_px = differences.iter().sum::<f64>() / count;
     let rms_px = (differences.iter().map(|d| d * d).sum::<f64>() / count).sqrt();

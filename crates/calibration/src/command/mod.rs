@@ -4,11 +4,15 @@ mod convert;
 mod gates_file;
 mod judgement;
 mod numbers;
+mod page;
 mod pictures;
+mod recording;
 mod report;
+mod verify;
+mod verify_limits;
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, Result};
@@ -19,10 +23,12 @@ use pb3dp_calibration::gates::Limits;
 use pb3dp_calibration::held_out::{Chosen, choose};
 use pb3dp_calibration::lens::LensModel;
 use pb3dp_calibration::quality::Quality;
+use pb3dp_calibration::report::{of_camera, of_stereo};
 use pb3dp_geometry::ImageSize;
 
 use self::convert::ConvertArgs;
 use self::pictures::Pictures;
+use self::verify::VerifyArgs;
 
 /// Calibrate cameras and stereo heads from pictures of a chessboard, and say how good the result is.
 #[derive(Debug, Parser)]
@@ -38,6 +44,8 @@ enum What {
     Intrinsics(IntrinsicsArgs),
     /// A stereo head: both cameras and their pose to each other, in one adjustment.
     Stereo(StereoArgs),
+    /// Whether a calibration still holds: fresh views of the board, a second calibration, a length, places that were touched.
+    Verify(VerifyArgs),
     /// Write a calibration in another format.
     Convert(ConvertArgs),
 }
@@ -67,6 +75,9 @@ struct Common {
     /// Other limits than the built-in ones (copy configs/calibration_gates.toml).
     #[arg(long, value_name = "FILE")]
     gates: Option<PathBuf>,
+    /// Also write a report as one page of HTML: errors and coverage over the pictures, rows, lens models, the worst views.
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
     /// Also write the corners that were found, as CSV: view, camera, column, row, u, v.
     #[arg(long, value_name = "FILE")]
     corners: Option<PathBuf>,
@@ -81,14 +92,44 @@ struct IntrinsicsArgs {
     common: Common,
 }
 
+/// Where pairs of pictures are.
+#[derive(Debug, Args)]
+struct Pairs {
+    /// A recording, as `pb3dp cameras record` makes it, also at full rate: views are chosen from it. Or one of stops of an arm
+    /// (stops.toml): each stop is a view.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["left", "right"])]
+    recording: Option<PathBuf>,
+    /// Folder of the left pictures, PNG or JPEG. Pictures are paired by their names without the words left and right.
+    #[arg(long, value_name = "DIR", requires = "right")]
+    left: Option<PathBuf>,
+    /// Folder of the right pictures; if it is the same folder, those with `right` in their name.
+    #[arg(long, value_name = "DIR", requires = "left")]
+    right: Option<PathBuf>,
+}
+
+impl Pairs {
+    fn sightings(&self, board: &Chessboard) -> Result<Seen<2>> {
+        match (&self.recording, &self.left, &self.right) {
+            (Some(recording), ..) => recording::sightings(recording, board),
+            (None, Some(left), Some(right)) => Pictures::<2>::find(&[left, right])?.sightings(board),
+            _ => anyhow::bail!("give --recording DIR, or --left DIR and --right DIR"),
+        }
+    }
+
+    fn are_given(&self) -> bool {
+        self.recording.is_some() || self.left.is_some()
+    }
+
+    /// The folder in which, or above which, a `cameras.toml` may be.
+    fn folder(&self) -> &Path {
+        self.recording.as_deref().or(self.left.as_deref()).unwrap_or(Path::new("."))
+    }
+}
+
 #[derive(Debug, Args)]
 struct StereoArgs {
-    /// Folder of the left pictures, PNG or JPEG. Pictures are paired by their names without the words left and right.
-    #[arg(long, value_name = "DIR")]
-    left: PathBuf,
-    /// Folder of the right pictures; if it is the same folder, those with `right` in their name.
-    #[arg(long, value_name = "DIR")]
-    right: PathBuf,
+    #[command(flatten)]
+    pairs: Pairs,
     #[command(flatten)]
     common: Common,
     /// The distance for which the head is judged, mm.
@@ -108,6 +149,7 @@ pub fn run(cli: &Cli) -> Result<ExitCode> {
     match &cli.what {
         What::Intrinsics(args) => intrinsics(args),
         What::Stereo(args) => stereo(args),
+        What::Verify(args) => verify::run(args),
         What::Convert(args) => convert::run(args),
     }
 }
@@ -120,13 +162,16 @@ fn intrinsics(args: &IntrinsicsArgs) -> Result<ExitCode> {
     tell(&seen.told)?;
     let chosen = choose(&seen.views, &board, seen.size, args.common.models())?;
     let quality = Quality::of_camera(&chosen, &seen.views, seen.size);
+    if let Some(file) = &args.common.report {
+        let page = of_camera(&chosen, &quality, &limits.judge(&quality), &seen.views, seen.size);
+        tell(&page::write(page, &chosen, &quality, &seen, file)?)?;
+    }
     conclude(&chosen, &quality, &limits)
 }
 
 fn stereo(args: &StereoArgs) -> Result<ExitCode> {
     let (board, limits) = args.common.checked()?;
-    let pictures = Pictures::<2>::find(&[&args.left, &args.right])?;
-    let seen = pictures.sightings(&board)?;
+    let seen = args.pairs.sightings(&board)?;
     args.common.write_corners(&seen.views)?;
     tell(&seen.told)?;
     let chosen = choose(&seen.views, &board, seen.size, args.common.models())?;
@@ -134,8 +179,12 @@ fn stereo(args: &StereoArgs) -> Result<ExitCode> {
     let quality = Quality::of_stereo(&chosen, &seen.views, seen.size, args.distance * 1e-3)?;
     tell(&report::rig(&chosen.fit, &rig, args.distance * 1e-3)?)?;
     let code = conclude(&chosen, &quality, &limits)?;
+    if let Some(file) = &args.common.report {
+        let page = of_stereo(&chosen, &quality, &limits.judge(&quality), &seen.views, args.distance * 1e-3)?;
+        tell(&page::write(page, &chosen, &quality, &seen, file)?)?;
+    }
     if let Some(out) = &args.out {
-        let cameras = judgement::cameras(args.cameras.as_deref(), &args.left)?;
+        let cameras = judgement::cameras(args.cameras.as_deref(), args.pairs.folder())?;
         let judgement = judgement::of(&chosen, &quality, &limits.judge(&quality), (seen.newest.as_str(), cameras));
         tell(&convert::write(&rig, Some(&judgement), out)?)?;
     }
@@ -194,4 +243,6 @@ struct Seen<const N: usize> {
     newest: String,
     /// Which pictures were left out, and why.
     told: String,
+    /// The pictures of each view.
+    files: Vec<[PathBuf; N]>,
 }

@@ -29,3 +29,11 @@ pub(super) fn lens(text: &str) -> Result<LensChoice, String> {
     let model = LensModel::from_name(text).ok_or_else(|| format!("{text:?} is none of auto, {names}"))?;
     Ok(LensChoice::Fixed(model))
 }
+
+/// `8,0`: a corner of the board.
+pub(super) fn corner(text: &str) -> Result<[u32; 2], String> {
+    let wrong = || format!("{text:?} is not COLUMN,ROW, for instance 8,0");
+    let (column, row) = text.split_once(',').ok_or_else(wrong)?;
+    let number = |text: &str| text.trim().parse::<u32>().map_err(|_| wrong());
+    Ok([number(column)?, number(row)?])
+}

@@ -9,6 +9,7 @@ use pb3dp_calibration::detection::{NoBoard, agree, find_chessboard};
 use pb3dp_calibration::fit::{View, sides};
 use pb3dp_geometry::ImageSize;
 use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
+use pb3dp_record::stops::{Stop, load_stops};
 
 use super::Seen;
 
@@ -68,29 +69,47 @@ impl<const N: usize> Pictures<N> {
             self.alone.iter().map(|file| format!("left out {}: no partner", file.display())).collect();
         let first = &self.views[0].1[0];
         let size = size_of(&load_rgb(first)?);
-        let mut views = Vec::new();
+        let (mut views, mut used) = (Vec::new(), Vec::new());
         for (name, files) in &self.views {
             match view(name, files, board, size, &first.display().to_string())? {
-                Ok(view) => views.push(view),
+                Ok(view) => {
+                    views.push(view);
+                    used.push(files.clone());
+                }
                 Err((file, reason)) => told.push(format!("left out {}: {reason}", file.display())),
             }
         }
         if views.is_empty() {
             bail!("the board was found in none of {} views:\n{}", self.views.len(), told.join("\n"));
         }
-        Ok(Seen { views, size, newest: self.newest()?, told: told.join("\n") })
+        let newest = written(self.views.iter().flat_map(|(_, files)| files))?;
+        Ok(Seen { views, size, newest, told: told.join("\n"), files: used })
     }
+}
 
-    /// When the newest picture was written, RFC 3339: a calibration is as old as its pictures.
-    fn newest(&self) -> Result<String> {
-        let mut times = Vec::new();
-        for file in self.views.iter().flat_map(|(_, files)| files) {
-            let time = std::fs::metadata(file).and_then(|metadata| metadata.modified());
-            times.push(time.with_context(|| format!("{}: its time can not be read", file.display()))?);
+impl Pictures<2> {
+    /// Those of a recording of stops, in their order.
+    pub(super) fn of_stops(folder: &Path) -> Result<Self> {
+        let stops = load_stops(folder)?.stops;
+        if stops.is_empty() {
+            bail!("{}: a recording without stops", folder.display());
         }
-        let newest = times.into_iter().max().context("no pictures")?;
-        Ok(humantime::format_rfc3339_seconds(newest).to_string())
+        let view = |(number, stop): (usize, &Stop)| {
+            (format!("stop {number:02}"), [&stop.left, &stop.right].map(|file| folder.join(file)))
+        };
+        Ok(Self { views: stops.iter().enumerate().map(view).collect(), alone: Vec::new() })
     }
+}
+
+/// When the newest of some pictures was written, RFC 3339: a calibration is as old as its pictures.
+pub(super) fn written<'a>(files: impl Iterator<Item = &'a PathBuf>) -> Result<String> {
+    let mut times = Vec::new();
+    for file in files {
+        let time = std::fs::metadata(file).and_then(|metadata| metadata.modified());
+        times.push(time.with_context(|| format!("{}: its time can not be read", file.display()))?);
+    }
+    let newest = times.into_iter().max().context("no pictures")?;
+    Ok(humantime::format_rfc3339_seconds(newest).to_string())
 }
 
 /// One view, or the picture in which the board was not found.
@@ -109,12 +128,17 @@ fn view<const N: usize>(
             Err(reason) => return Ok(Err((file.clone(), reason))),
         }
     }
+    Ok(Ok(View { name: name.to_owned(), sightings: agreed(sightings, board) }))
+}
+
+/// Sightings of one board, whose first corner is the same one in all of them.
+pub(super) fn agreed<const N: usize>(mut sightings: [Sighting; N], board: &Chessboard) -> [Sighting; N] {
     if let Some((first, others)) = sightings.split_first_mut() {
         for other in others.iter_mut().filter(|_| !board.is_told_from_its_half_turn()) {
             *other = agree(first, std::mem::take(other), board);
         }
     }
-    Ok(Ok(View { name: name.to_owned(), sightings }))
+    sightings
 }
 
 /// The picture files of a folder, by name.

@@ -7,6 +7,7 @@ use pb3dp_calibration::fit::{Fit, View, sides};
 use pb3dp_calibration::gates::{Grade, Verdict};
 use pb3dp_calibration::held_out::Chosen;
 use pb3dp_calibration::quality::Quality;
+use pb3dp_calibration::report::{GateLine, verdict_in_words};
 use pb3dp_geometry::StereoRig;
 
 /// So many views with the largest errors are named.
@@ -81,12 +82,8 @@ pub(super) fn verdicts(quality: &Quality, verdicts: &[Verdict]) -> String {
     let worst = views.iter().take(WORST_VIEWS).map(|(name, rms_px)| format!("{name:?} {rms_px:.3}"));
     lines.push(format!("views with the largest errors, px rms: {}", worst.collect::<Vec<_>>().join(", ")));
     lines.extend(verdicts.iter().map(Verdict::to_string));
-    let of = |grade: Grade| verdicts.iter().filter(|verdict| verdict.grade() == grade).count();
-    lines.push(match (of(Grade::Refused), of(Grade::Fair)) {
-        (0, 0) => "verdict: good".to_owned(),
-        (0, fair) => format!("verdict: usable; {fair} of {} gates could be better", verdicts.len()),
-        (refused, _) => format!("verdict: refused by {refused} of {} gates", verdicts.len()),
-    });
+    let gates: Vec<GateLine> = verdicts.iter().map(GateLine::from).collect();
+    lines.push(format!("verdict: {}", verdict_in_words(&gates).1));
     lines.push(
         "not judged: the size of the squares, which pictures can not tell; measure a known length with the calibrated cameras"
             .to_owned(),

@@ -49,7 +49,7 @@ pub enum SeriesColor {
 }
 
 impl SeriesColor {
-    fn class(self) -> &'static str {
+    pub(super) fn class(self) -> &'static str {
         match self {
             Self::Ink => "c-ink",
             Self::Red => "c-red",

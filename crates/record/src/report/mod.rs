@@ -14,8 +14,10 @@
 //! ```
 
 mod axis;
+mod bars;
 mod base64;
 mod line_plot;
+mod picture_plot;
 mod svg_file;
 
 use std::fmt::Write as _;
@@ -23,8 +25,10 @@ use std::path::{Path, PathBuf};
 
 use image::RgbImage;
 
+pub use bars::Bars;
 use line_plot::PlotWidth;
 pub use line_plot::{LinePlot, Mark, Series, SeriesColor};
+pub use picture_plot::{PicturePlot, VectorAt};
 pub use svg_file::svg_file;
 
 use crate::images::{PictureFormat, encode};
@@ -86,6 +90,27 @@ pub enum ReportPicture<'a> {
     EncodedPng(&'a [u8]),
 }
 
+/// How something was judged; each has its colour, and its word is always written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tone {
+    /// As it should be.
+    Good,
+    /// Usable.
+    Fair,
+    /// Not to be used.
+    Bad,
+}
+
+impl Tone {
+    fn class(self) -> &'static str {
+        match self {
+            Self::Good => "c-green",
+            Self::Fair => "c-orange",
+            Self::Bad => "c-red",
+        }
+    }
+}
+
 /// A report that is being put together, from top to bottom. Every text is escaped.
 #[derive(Debug)]
 pub struct Report {
@@ -117,6 +142,18 @@ impl Report {
     #[must_use]
     pub fn paragraph(self, text: &str) -> Self {
         self.add(format_args!("<p>{}</p>", escape(text)))
+    }
+
+    /// What it comes to, in a large line, and what to do, a line each.
+    #[must_use]
+    pub fn verdict(self, tone: Tone, verdict: &str, what_to_do: &[String]) -> Self {
+        let lines: String = what_to_do.iter().map(|line| format!("<li>{}</li>", escape(line))).collect();
+        let list = if lines.is_empty() { String::new() } else { format!("<ul>{lines}</ul>") };
+        self.add(format_args!(
+            "<div class=\"verdict {}\"><strong>{}</strong>{list}</div>",
+            tone.class(),
+            escape(verdict)
+        ))
     }
 
     /// A row of large figures: name and value with its unit.
@@ -152,6 +189,20 @@ impl Report {
     #[must_use]
     pub fn panels(self, plots: &[LinePlot]) -> Self {
         let panels: String = plots.iter().map(|plot| plot.to_html(PlotWidth::PANEL)).collect();
+        self.add(format_args!("<div class=\"panels\">{panels}</div>"))
+    }
+
+    /// Plots over the area of pictures, side by side where the window is wide enough.
+    #[must_use]
+    pub fn picture_plots(self, plots: &[PicturePlot]) -> Self {
+        let panels: String = plots.iter().map(PicturePlot::to_html).collect();
+        self.add(format_args!("<div class=\"panels\">{panels}</div>"))
+    }
+
+    /// Groups of bars, side by side where the window is wide enough.
+    #[must_use]
+    pub fn bars(self, groups: &[Bars]) -> Self {
+        let panels: String = groups.iter().map(Bars::to_html).collect();
         self.add(format_args!("<div class=\"panels\">{panels}</div>"))
     }
 
@@ -251,6 +302,9 @@ mod tests {
             .figures(&[(nasty, nasty.to_owned())])
             .table(&Table::new([nasty]).row([nasty]))
             .panels(&[plot])
+            .verdict(Tone::Bad, nasty, &[nasty.to_owned()])
+            .picture_plots(&[PicturePlot::new(nasty, [4, 3])])
+            .bars(&[Bars::new(nasty, 1).bar(nasty, 1.0).limit(nasty, 2.0)])
             .images(&[(ReportPicture::Photo(&picture), nasty.to_owned())])
             .to_html()
             .unwrap();

@@ -1,0 +1,68 @@
+//! Reports as files: the page with the pictures of the worst views.
+
+use std::path::Path;
+
+use anyhow::Result;
+use image::RgbImage;
+use image::imageops::FilterType;
+use pb3dp_calibration::fit::CornerError;
+use pb3dp_calibration::held_out::Chosen;
+use pb3dp_calibration::quality::Quality;
+use pb3dp_record::images::load_rgb;
+use pb3dp_record::overlay::{Stroke, arrow, colors, cross, side_by_side};
+use pb3dp_record::report::{PicturePlot, Report, ReportPicture, VectorAt};
+
+use super::Seen;
+
+/// So many views with the largest errors are shown.
+const WORST_VIEWS: usize = 3;
+/// Width of each picture on the page.
+const WIDTH_PX: u32 = 480;
+
+/// Adds the pictures of the worst views, writes the page, and says so.
+pub(super) fn write<const N: usize>(
+    page: Report,
+    chosen: &Chosen<N>,
+    quality: &Quality,
+    seen: &Seen<N>,
+    file: &Path,
+) -> Result<String> {
+    let mut views: Vec<(usize, &(String, f64))> = quality.reprojection_rms_by_view_px.iter().enumerate().collect();
+    views.sort_by(|a, b| b.1.1.total_cmp(&a.1.1));
+    let mut strip = Vec::new();
+    for (index, (name, rms_px)) in views.into_iter().take(WORST_VIEWS) {
+        let (Some(files), Some(errors)) = (seen.files.get(index), chosen.fit.errors().get(index)) else { continue };
+        let all: Vec<VectorAt> = errors
+            .iter()
+            .flatten()
+            .map(|error| VectorAt { at_px: error.corner.pixel.into(), vector_px: error.error_px.into() })
+            .collect();
+        let magnified = PicturePlot::magnification(&all, seen.size.width);
+        let mut pictures = Vec::with_capacity(N);
+        for (file, errors) in files.iter().zip(errors) {
+            pictures.push(picture(file, errors, magnified)?);
+        }
+        let together = pictures.into_iter().reduce(|left, right| side_by_side(&left, &right));
+        let caption = format!("view {name}: {rms_px:.3} px rms; errors drawn {magnified} times longer");
+        strip.extend(together.map(|picture| (picture, caption)));
+    }
+    let strip: Vec<_> =
+        strip.iter().map(|(picture, caption)| (ReportPicture::Photo(picture), caption.clone())).collect();
+    page.heading("Views with the largest errors").images(&strip).write(file)?;
+    Ok(format!("wrote {}: a report", file.display()))
+}
+
+/// A picture, smaller, with its corners and their errors.
+fn picture(file: &Path, errors: &[CornerError], magnified: f64) -> Result<RgbImage> {
+    let whole = load_rgb(file)?;
+    let scale = (f64::from(WIDTH_PX) / f64::from(whole.width())).min(1.0);
+    let size = [whole.width(), whole.height()].map(|length| ((f64::from(length) * scale).round() as u32).max(1));
+    let mut small = image::imageops::resize(&whole, size[0], size[1], FilterType::Triangle);
+    for error in errors {
+        let at = error.corner.pixel.map(|pixel| (pixel + 0.5) * scale - 0.5);
+        let tip = at + error.error_px * (magnified * scale);
+        cross(&mut small, at.into(), 2.0, Stroke { color: colors::REGION, width_px: 1.0 });
+        arrow(&mut small, at.into(), tip.into(), Stroke { color: colors::BAD, width_px: 1.2 });
+    }
+    Ok(small)
+}

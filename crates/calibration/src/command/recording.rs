@@ -1,0 +1,197 @@
+//! Recordings: pairs at full rate, of which views are chosen, or stops of an arm, each of which is a view.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::PoisonError;
+
+use anyhow::{Context, Result, bail};
+use image::GrayImage;
+use pb3dp_calibration::board::{Chessboard, Sighting};
+use pb3dp_calibration::detection::find_chessboard;
+use pb3dp_calibration::fit::{View, sides};
+use pb3dp_calibration::selection::{Candidate, Selection, Wanted, select};
+use pb3dp_calibration::sharpness::{blur_px, moved_px};
+use pb3dp_geometry::ImageSize;
+use pb3dp_record::dataset::{Sequence, load_sequence};
+use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
+use pb3dp_record::stops::STOPS_FILE;
+
+use super::Seen;
+use super::pictures::{Pictures, agreed, written};
+
+/// So many pairs of a recording are looked at, as long as that are not more than one in this time.
+const LOOKS_MAX: u64 = 400;
+const LOOK_EVERY_S: f64 = 0.2;
+/// Neighbours farther away in time do not tell whether the board was still.
+const NEIGHBOUR_MAX_S: f64 = 0.6;
+/// Threads that look for boards.
+const THREADS_MAX: usize = 4;
+
+/// So many reasons why there is no board are told.
+const REASONS_TOLD: usize = 5;
+
+/// A pair that was looked at, by its number in the recording.
+struct Look {
+    frame: u64,
+    found: Result<Candidate<2>, String>,
+}
+
+/// Views of a recording.
+pub(super) fn sightings(folder: &Path, board: &Chessboard) -> Result<Seen<2>> {
+    if folder.join(STOPS_FILE).is_file() {
+        return Pictures::of_stops(folder)?.sightings(board);
+    }
+    let sequence = load_sequence(folder)?;
+    let first = first_picture(&sequence)?;
+    let size = size_of(&load_rgb(&first)?);
+    let recording = Recording { sequence: &sequence, board, size, because_of: first.display().to_string() };
+    let looks = recording.looks()?;
+    let frames: Vec<u64> = looks.iter().filter(|look| look.found.is_ok()).map(|look| look.frame).collect();
+    let mut without: BTreeMap<&str, usize> = BTreeMap::new();
+    for reason in looks.iter().filter_map(|look| look.found.as_ref().err()) {
+        *without.entry(reason).or_default() += 1;
+    }
+    let candidates: Vec<Candidate<2>> = looks.iter().filter_map(|look| look.found.clone().ok()).collect();
+    let speed = |index: usize| recording.speed_px_per_s(frames[index], &candidates[index]);
+    let wanted = Wanted::default();
+    let selection = select(&candidates, board, size, &wanted, speed)?;
+    let told = told(&sequence, looks.len(), &selection, &without, &wanted);
+    if selection.chosen.is_empty() {
+        bail!("{}: no pair can be used\n{told}", folder.display());
+    }
+    let files: Vec<[PathBuf; 2]> = selection.chosen.iter().map(|index| recording.files(frames[*index])).collect();
+    let views = selection.chosen.iter().map(|index| candidates[*index].view.clone()).collect();
+    Ok(Seen { views, size, newest: written(files.iter().flatten())?, told, files })
+}
+
+/// The first left picture that is there.
+fn first_picture(sequence: &Sequence) -> Result<PathBuf> {
+    let mut files = (0..sequence.frames()).map(|frame| sequence.picture_files(frame).0);
+    files
+        .find(|file| file.is_file())
+        .with_context(|| format!("{}: none of its pictures is there", sequence.folder.display()))
+}
+
+/// What was looked at, and why the rest was left out.
+fn told(
+    sequence: &Sequence,
+    looks: usize,
+    selection: &Selection,
+    without: &BTreeMap<&str, usize>,
+    wanted: &Wanted,
+) -> String {
+    let mut lines = vec![format!(
+        "{}: looked at {looks} of {} pairs, took {} as views",
+        sequence.folder.display(),
+        sequence.frames(),
+        selection.chosen.len()
+    )];
+    if sequence.is_unfinished {
+        lines.push("the recording was broken off, or is still going on".to_owned());
+    }
+    let mut reasons: Vec<(usize, String)> =
+        without.iter().map(|(reason, count)| (*count, (*reason).to_owned())).collect();
+    reasons.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
+    let more = [
+        (selection.moving, format!("the board moves by more than {} px per second", wanted.speed_max_px_per_s)),
+        (selection.blurred, format!("edges are blurred by more than {} px", wanted.blur_max_px)),
+        (selection.nothing_new, "others show the same".to_owned()),
+        (selection.unexplained, "no camera explains what was seen".to_owned()),
+    ];
+    let rare: usize = reasons.iter().skip(REASONS_TOLD).map(|(count, _)| count).sum();
+    reasons.truncate(REASONS_TOLD);
+    reasons.push((rare, "for other reasons".to_owned()));
+    let all = more.into_iter().chain(reasons).filter(|(count, _)| *count > 0);
+    lines.extend(all.map(|(count, reason)| format!("left out {count}: {reason}")));
+    lines.join("\n")
+}
+
+/// What is needed to look at a pair.
+struct Recording<'a> {
+    sequence: &'a Sequence,
+    board: &'a Chessboard,
+    size: ImageSize,
+    because_of: String,
+}
+
+impl Recording<'_> {
+    fn files(&self, frame: u64) -> [PathBuf; 2] {
+        <[PathBuf; 2]>::from(self.sequence.picture_files(frame))
+    }
+
+    /// Every n-th pair, so that none is missed that stands for a moment.
+    fn frames_to_look_at(&self) -> Vec<u64> {
+        let frames = self.sequence.frames();
+        let times_s = &self.sequence.times_s;
+        let lasts_s = times_s.last().zip(times_s.first()).map_or(0.0, |(last, first)| last - first);
+        let of_time = (lasts_s / LOOK_EVERY_S).ceil().max(1.0) as u64;
+        let every = frames.div_ceil(of_time.min(LOOKS_MAX)).max(1);
+        (0..frames).step_by(usize::try_from(every).unwrap_or(1)).collect()
+    }
+
+    /// Looks at every n-th pair, on all processors.
+    fn looks(&self) -> Result<Vec<Look>> {
+        let frames = self.frames_to_look_at();
+        let threads = std::thread::available_parallelism().map_or(1, usize::from).min(THREADS_MAX);
+        let (next, looks) = (Mutex::new(frames.iter()), Mutex::new(Vec::with_capacity(frames.len())));
+        let work = || {
+            loop {
+                let frame = next.lock().unwrap_or_else(PoisonError::into_inner).next();
+                let Some(frame) = frame else { return };
+                let look = Look { frame: *frame, found: self.look(*frame) };
+                looks.lock().unwrap_or_else(PoisonError::into_inner).push(look);
+            }
+        };
+        std::thread::scope(|scope| {
+            for _ in 1..threads {
+                // Where the system gives no thread, this one does all.
+                let _ = std::thread::Builder::new().spawn_scoped(scope, work);
+            }
+            work();
+        });
+        let mut looks = looks.into_inner().unwrap_or_else(PoisonError::into_inner);
+        looks.sort_by_key(|look| look.frame);
+        Ok(looks)
+    }
+
+    /// What a pair shows, or why it can not be used.
+    fn look(&self, frame: u64) -> Result<Candidate<2>, String> {
+        let mut sightings: [Sighting; 2] = Default::default();
+        let mut blur: Option<f64> = Some(0.0);
+        for ((sighting, file), side) in sightings.iter_mut().zip(self.files(frame)).zip(sides::<2>()) {
+            let picture = self
+                .picture(&file)
+                .map_err(|_| format!("the {side} picture is missing, damaged or of another size"))?;
+            *sighting = find_chessboard(&picture, self.board).map_err(|reason| format!("{side}: {reason}"))?;
+            blur = blur.zip(blur_px(&picture, sighting)).map(|(one, other)| one.max(other));
+        }
+        let name = format!("{frame:04}");
+        Ok(Candidate { view: View { name, sightings: agreed(sightings, self.board) }, blur_px: blur })
+    }
+
+    fn picture(&self, file: &Path) -> Result<GrayImage> {
+        let picture = load_rgb_of_size(file, self.size, &self.because_of)?;
+        Ok(image::DynamicImage::from(picture).into_luma8())
+    }
+
+    /// How fast the board moves in the left picture, from the pair before to the one behind, px per second; `None` where it can not
+    /// be told. A recording whose pairs are far apart in time was taken one by one, so nothing is asked of it.
+    fn speed_px_per_s(&self, frame: u64, candidate: &Candidate<2>) -> Result<Option<f64>> {
+        let mut fastest: Option<f64> = None;
+        let time_s = |frame: u64| usize::try_from(frame).ok().and_then(|at| self.sequence.times_s.get(at)).copied();
+        for other in [frame.checked_sub(1), Some(frame + 1)].into_iter().flatten() {
+            let Some(apart_s) = time_s(other).zip(time_s(frame)).map(|(a, b)| (a - b).abs()) else { continue };
+            if apart_s > NEIGHBOUR_MAX_S {
+                fastest = fastest.or(Some(0.0));
+                continue;
+            }
+            let Ok(picture) = self.picture(&self.files(other)[0]) else { continue };
+            let Ok(sighting) = find_chessboard(&picture, self.board) else { return Ok(None) };
+            let [here, there] = agreed([candidate.view.sightings[0].clone(), sighting], self.board);
+            let Some(moved_px) = moved_px(&here, &there) else { return Ok(None) };
+            fastest = Some(fastest.unwrap_or(0.0).max(moved_px / apart_s));
+        }
+        Ok(fastest)
+    }
+}

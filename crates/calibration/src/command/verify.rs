@@ -1,0 +1,229 @@
+//! `pb3dp calibrate verify`: whether a calibration still holds.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use nalgebra::DMatrix;
+use pb3dp_calibration::board::Chessboard;
+use pb3dp_calibration::gates::Grade;
+use pb3dp_calibration::report::{GateLine, verdict_in_words};
+use pb3dp_calibration::verify::against::{Comparison, Known, compare};
+use pb3dp_calibration::verify::limits::{Check, VerifyLimits};
+use pb3dp_calibration::verify::{Checked, check, depth_sigma_m, lengths_m};
+use pb3dp_record::calibration_files::{StereoCalibration, load_stereo};
+
+use super::{Pairs, Seen, numbers, tell, verify_limits};
+
+/// Arguments of `pb3dp calibrate verify`.
+#[derive(Debug, Args)]
+pub(super) struct VerifyArgs {
+    /// The calibration, in any format that is read here.
+    #[arg(value_name = "CALIBRATION")]
+    calibration: PathBuf,
+    #[command(flatten)]
+    pairs: Pairs,
+    /// Inner corners of the chessboard, for instance 9x6.
+    #[arg(long, value_name = "COLUMNSxROWS", value_parser = numbers::corners)]
+    board: Option<[u32; 2]>,
+    /// Side of a square, mm, as measured.
+    #[arg(long, value_name = "MM", value_parser = numbers::millimetres, allow_hyphen_values = true)]
+    square: Option<f64>,
+    /// A second calibration of the same head.
+    #[arg(long, value_name = "CALIBRATION")]
+    against: Option<PathBuf>,
+    /// Two corners of the board whose distance was measured with a ruler: column and row of each, from 0,0.
+    #[arg(long, value_name = "COLUMN,ROW", num_args = 2, value_parser = numbers::corner, requires = "length")]
+    corners: Option<Vec<[u32; 2]>>,
+    /// That distance, mm.
+    #[arg(long, value_name = "MM", value_parser = numbers::millimetres, requires = "corners", allow_hyphen_values = true)]
+    length: Option<f64>,
+    /// The distance for which the head is judged, mm.
+    #[arg(long, value_name = "MM", value_parser = numbers::millimetres, default_value = "500", allow_hyphen_values = true)]
+    distance: f64,
+    /// Other limits than the built-in ones (copy configs/calibration_verify.toml).
+    #[arg(long, value_name = "FILE")]
+    limits: Option<PathBuf>,
+}
+
+/// Runs the command; a calibration that a check refuses is a failure.
+pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
+    let limits = args.limits.as_deref().map_or_else(|| Ok(VerifyLimits::default()), verify_limits::read)?;
+    let calibration = load_stereo(std::slice::from_ref(&args.calibration))?;
+    let known = known(&calibration);
+    let depth_m = args.distance * 1e-3;
+    let made = calibration.judgement.as_ref().map_or_else(String::new, |judgement| format!(", of {}", judgement.date));
+    tell(&format!("{}{made}: baseline {:.3} mm", calibration.source, known.rig.baseline_m() * 1e3))?;
+    let mut gates = Vec::new();
+    // Squares of what the hand will be off, metres: what was seen, and what the calibration leaves by its own account.
+    let mut hand_m2 = depth_sigma_m(&known, depth_m).map_or(0.0, |sigma_m| sigma_m.powi(2));
+    if args.pairs.are_given() {
+        let (seen, board) = args.seen()?;
+        tell(&seen.told)?;
+        let checked = check(&known.rig, &seen.views, &board)?;
+        tell(&of_views(&checked, depth_m))?;
+        let scale = checked.scale_at(depth_m);
+        hand_m2 += ((scale.scale - 1.0).powi(2) + scale.sigma.powi(2)) * depth_m * depth_m;
+        gates.push(limits.judge(Check::Reprojection, checked.reprojection_rms_px));
+        gates.push(limits.judge(Check::Rows, checked.rows.rms_px));
+        gates.push(limits.judge(Check::Scale, 100.0 * (scale.scale - 1.0).abs()));
+        gates.extend(args.ruler(&known, &seen, &limits)?);
+    }
+    if let Some(other) = &args.against {
+        let second = self::known(&load_stereo(std::slice::from_ref(other))?);
+        if second.rig.left().size() != known.rig.left().size() {
+            bail!("{}: is of pictures of another size: compare calibrations of the same pictures", other.display());
+        }
+        let comparison = compare(&known, &second, depth_m);
+        tell(&of_comparison(&comparison, args.distance))?;
+        gates.extend(comparison.sigmas.map(|sigmas| limits.judge(Check::Sigmas, sigmas)));
+        gates.push(limits.judge(Check::Difference, comparison.p95_m()[2] * 1e3));
+    }
+    if gates.is_empty() {
+        bail!(
+            "nothing to verify it by: give --recording DIR (or --left and --right) with --board and --square, or --against CALIBRATION"
+        );
+    }
+    if args.pairs.are_given() {
+        gates.push(limits.judge(Check::HandError, hand_m2.sqrt() * 1e3));
+    }
+    conclude(&gates, args.distance)
+}
+
+/// Tells the checks and the verdict.
+fn conclude(gates: &[GateLine], distance_mm: f64) -> Result<ExitCode> {
+    for gate in gates {
+        tell(&gate.to_string())?;
+    }
+    if let Some(gate) = gates.iter().find(|gate| gate.name == Check::HandError.key()) {
+        tell(&format!(
+            "at {distance_mm:.0} mm the cameras put the hand wrong by about {:.2} mm; what arm and hand-eye calibration add is not in it",
+            gate.measured
+        ))?;
+    }
+    tell(&format!("verdict: {}", verdict_in_words(gates).1))?;
+    let is_refused = gates.iter().any(|gate| gate.grade == Grade::Refused);
+    Ok(if is_refused { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+}
+
+/// The calibration with what it says of its errors.
+fn known(calibration: &StereoCalibration) -> Known {
+    let covariance = calibration.judgement.as_ref().and_then(|judgement| judgement.covariance.as_ref());
+    let names = covariance.map_or_else(Vec::new, |covariance| covariance.names.clone());
+    // The reader has checked that there are as many rows and columns as names.
+    let value = |row: usize, column: usize| covariance.map_or(0.0, |covariance| covariance.rows[row][column]);
+    Known { rig: calibration.rig, covariance: DMatrix::from_fn(names.len(), names.len(), value), names }
+}
+
+impl VerifyArgs {
+    fn seen(&self) -> Result<(Seen<2>, Chessboard)> {
+        let [columns, rows] = self.board.context("--board: must be given with pictures, for instance 9x6")?;
+        let square_mm = self.square.context("--square: must be given with pictures: the side of a square, mm")?;
+        let board = Chessboard::new(columns, rows, square_mm * 1e-3)?;
+        Ok((self.pairs.sightings(&board)?, board))
+    }
+
+    /// The length that was measured with a ruler.
+    fn ruler(&self, known: &Known, seen: &Seen<2>, limits: &VerifyLimits) -> Result<Option<GateLine>> {
+        let (Some([from, to]), Some(length_mm)) = (self.corners.as_deref(), self.length) else { return Ok(None) };
+        let lengths_m = lengths_m(&known.rig, &seen.views, [*from, *to])?;
+        let count = lengths_m.len() as f64;
+        let mean_mm = lengths_m.iter().sum::<f64>() / count * 1e3;
+        let scatter_mm = (lengths_m.iter().map(|m| (m * 1e3 - mean_mm).powi(2)).sum::<f64>() / count).sqrt();
+        let percent = 100.0 * (mean_mm / length_mm - 1.0);
+        tell(&format!(
+            "corners {},{} and {},{}: {mean_mm:.3} mm by the cameras ({count} views, each +- {scatter_mm:.3}), {length_mm} mm by the ruler: {percent:+.3} %",
+            from[0], from[1], to[0], to[1]
+        ))?;
+        Ok(Some(limits.judge(Check::Length, percent.abs())))
+    }
+}
+
+/// Views by depth: what lengths on the board come to, and how flat it seems.
+fn of_views(checked: &Checked, depth_m: f64) -> String {
+    let mut views: Vec<_> = checked.views.iter().collect();
+    views.sort_by(|a, b| a.depth_m.total_cmp(&b.depth_m));
+    let mut text = format!(
+        "{} views of a calibration that stays as it is: {:.3} px rms, rows {:+.3} px in the mean\n  depth, mm      views  length, % wrong    flat within, mm\n",
+        views.len(),
+        checked.reprojection_rms_px,
+        checked.rows.mean_px
+    );
+    for part in views.chunks(views.len().div_ceil(3).max(1)) {
+        let count = part.len() as f64;
+        let mean = part.iter().map(|view| view.scale - 1.0).sum::<f64>() / count;
+        let scatter = (part.iter().map(|view| (view.scale - 1.0 - mean).powi(2)).sum::<f64>() / count).sqrt();
+        let flatness = (part.iter().map(|view| view.flatness_m.powi(2)).sum::<f64>() / count).sqrt();
+        let (from, to) = (part[0].depth_m * 1e3, part[part.len() - 1].depth_m * 1e3);
+        // Writing to a text does not fail.
+        let _ = writeln!(
+            text,
+            "  {from:>4.0} to {to:<4.0}  {:>6}  {:>+7.3} +- {:.3}  {:>15.3}",
+            part.len(),
+            100.0 * mean,
+            100.0 * scatter,
+            flatness * 1e3
+        );
+    }
+    let scale = checked.scale_at(depth_m);
+    let _ = write!(
+        text,
+        "at {:.0} mm lengths come out {:+.3} +- {:.3} % wrong",
+        depth_m * 1e3,
+        100.0 * (scale.scale - 1.0),
+        100.0 * scale.sigma
+    );
+    match scale.slope_per_m {
+        Some(slope) => {
+            let _ = write!(
+                text,
+                ", {:+.3} % more for each 100 mm farther away (alike at all depths: baseline or squares; growing: disparity)",
+                10.0 * slope
+            );
+        }
+        None => text.push_str("; show the board nearer and farther away to see whether that changes with depth"),
+    }
+    text
+}
+
+/// Parameter by parameter, and over the picture.
+fn of_comparison(comparison: &Comparison, distance_mm: f64) -> String {
+    let mut text = String::new();
+    if comparison.parameters.is_empty() {
+        text.push_str("parameters are not compared: not both files say how well they are known\n");
+    } else {
+        text.push_str("second minus first, in standard deviations of the difference:\n");
+    }
+    for parameter in &comparison.parameters {
+        let (name, factor) = match (parameter.name.strip_suffix("_m"), parameter.name.strip_suffix("_rad")) {
+            (Some(stem), _) => (format!("{stem}, mm"), 1e3),
+            (_, Some(stem)) => (format!("{stem}, degrees"), 1_f64.to_degrees()),
+            _ => (parameter.name.clone(), 1.0),
+        };
+        let _ = writeln!(
+            text,
+            "  {name:<34} {:>+10.5} +- {:<9.5} {:>+6.2}",
+            parameter.difference * factor,
+            parameter.sigma * factor,
+            parameter.sigmas()
+        );
+    }
+    match comparison.sigmas {
+        Some(sigmas) => {
+            let _ = writeln!(text, "all together: {sigmas:.2} standard deviations rms (1 is chance)");
+        }
+        None => text.push_str("not judged together: not the same numbers were estimated in both\n"),
+    }
+    let [depth_m, lateral_m, both_m] = comparison.p95_m();
+    let _ = write!(
+        text,
+        "a point at {distance_mm:.0} mm is placed differently by, in 95 % of the picture: depth {:.3} mm, sideways {:.3} mm, both {:.3} mm ({} places)",
+        depth_m * 1e3,
+        lateral_m * 1e3,
+        both_m * 1e3,
+        comparison.displacements.len()
+    );
+    text
+}

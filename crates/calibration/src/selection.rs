@@ -1,0 +1,110 @@
+//! Which pairs of a recording are taken as views: sharp ones of a board at rest, each of which adds something.
+
+use pb3dp_geometry::ImageSize;
+
+use crate::board::Chessboard;
+use crate::fit::View;
+use crate::stand::{Cells, Judge, Stand};
+
+/// What a view must be like.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wanted {
+    /// No more views than this.
+    pub views_max: usize,
+    /// Blur of the board's edges that is allowed, px ([`crate::sharpness::blur_px`]).
+    pub blur_max_px: f64,
+    /// How fast corners may move in the picture, px per second.
+    pub speed_max_px_per_s: f64,
+    /// What a view must add: how different it is from all others, in the measure of [`Stand::apart`], and a tenth for each cell in
+    /// which a camera has not seen a corner yet.
+    pub worth_min: f64,
+}
+
+impl Default for Wanted {
+    fn default() -> Self {
+        Self { views_max: 25, blur_max_px: 2.0, speed_max_px_per_s: 15.0, worth_min: 0.25 }
+    }
+}
+
+/// What new cells of the two pictures are worth beside difference.
+const CELL_WORTH: f64 = 0.1;
+
+/// A pair in which both cameras see the board.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Candidate<const N: usize> {
+    /// What the cameras saw.
+    pub view: View<N>,
+    /// Blur of the blurrier picture, px; `None` where it can not be measured.
+    pub blur_px: Option<f64>,
+}
+
+/// What was taken, and why the rest was not.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Selection {
+    /// Indices of the views, in the order of the candidates.
+    pub chosen: Vec<usize>,
+    /// Left out because the edges are blurred.
+    pub blurred: usize,
+    /// Left out because the board moves.
+    pub moving: usize,
+    /// Left out because others show the same.
+    pub nothing_new: usize,
+    /// Left out because no camera explains them.
+    pub unexplained: usize,
+}
+
+/// Chooses views, the one that adds most first. `speed_px_per_s` measures how fast the board moves in the picture of a candidate;
+/// it is asked for candidates only that would be taken, as it costs more pictures, and `None` is that it can not be told.
+///
+/// # Errors
+/// That of `speed_px_per_s`.
+pub fn select<const N: usize, E>(
+    candidates: &[Candidate<N>],
+    board: &Chessboard,
+    size: ImageSize,
+    wanted: &Wanted,
+    mut speed_px_per_s: impl FnMut(usize) -> Result<Option<f64>, E>,
+) -> Result<Selection, E> {
+    let is_sharp = |candidate: &Candidate<N>| candidate.blur_px.is_some_and(|blur_px| blur_px <= wanted.blur_max_px);
+    let mut selection =
+        Selection { blurred: candidates.iter().filter(|c| !is_sharp(c)).count(), ..Selection::default() };
+    let sharp: Vec<(usize, &Candidate<N>)> = candidates.iter().enumerate().filter(|(_, c)| is_sharp(c)).collect();
+    let views: Vec<View<N>> = sharp.iter().map(|(_, candidate)| candidate.view.clone()).collect();
+    let Some(judge) = Judge::new(&views, board, size) else {
+        selection.unexplained = sharp.len();
+        return Ok(selection);
+    };
+    let stands = sharp.iter().zip(&views).map(|((index, _), view)| Some((*index, judge.stand(view, board)?)));
+    let mut left: Vec<(usize, Stand)> = stands.flatten().collect();
+    selection.unexplained = sharp.len() - left.len();
+    let mut seen = vec![Cells::default(); N];
+    let mut chosen: Vec<(usize, Stand)> = Vec::new();
+    while chosen.len() < wanted.views_max {
+        let worths = left.iter().map(|(_, stand)| worth(stand, &chosen, &seen, wanted));
+        let best = worths.enumerate().filter_map(|(at, worth)| Some((at, worth?))).max_by(|a, b| a.1.total_cmp(&b.1));
+        let Some((at, _)) = best else { break };
+        let (index, stand) = left.swap_remove(at);
+        if speed_px_per_s(index)?.is_some_and(|speed| speed <= wanted.speed_max_px_per_s) {
+            for (seen, cells) in seen.iter_mut().zip(&stand.cells) {
+                *seen = seen.with(*cells);
+            }
+            chosen.push((index, stand));
+        } else {
+            selection.moving += 1;
+        }
+    }
+    selection.nothing_new = left.len();
+    selection.chosen = chosen.into_iter().map(|(index, _)| index).collect();
+    selection.chosen.sort_unstable();
+    Ok(selection)
+}
+
+/// What a stand adds to those that were chosen; `None` if nothing.
+fn worth(stand: &Stand, chosen: &[(usize, Stand)], seen: &[Cells], wanted: &Wanted) -> Option<f64> {
+    // The first one is the one that fills most of the picture: it is nearest and seen best.
+    let apart = chosen.iter().map(|(_, other)| stand.apart(other)).fold(f64::INFINITY, f64::min);
+    let apart = if apart.is_finite() { apart } else { stand.size };
+    let cells: u32 = stand.cells.iter().zip(seen).map(|(cells, seen)| cells.without(*seen).count()).sum();
+    let worth = apart + CELL_WORTH * f64::from(cells);
+    (worth >= wanted.worth_min).then_some(worth)
+}
