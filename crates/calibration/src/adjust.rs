@@ -249,7 +249,7 @@ struct Row {
 }
 
 /// How a point moves, seen after `turn`, when its frame moves by `[translation; rotation]`.
-fn point_by_motion(point: &Point3<f64>, turn: &Matrix3<f64>) -> SMatrix<f64, 3, POSE> {
+pub(crate) fn point_by_motion(point: &Point3<f64>, turn: &Matrix3<f64>) -> SMatrix<f64, 3, POSE> {
     let mut by = SMatrix::<f64, 3, POSE>::zeros();
     by.fixed_view_mut::<3, 3>(0, 0).copy_from(turn);
     by.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-turn * so3::hat(&point.coords)));

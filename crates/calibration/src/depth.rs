@@ -1,6 +1,7 @@
 //! What errors of a calibration do to a depth.
 
-use nalgebra::{DMatrix, DVector, Point3, Vector3};
+use nalgebra::{DMatrix, DVector, Point3, Vector2, Vector3};
+use pb3dp_geometry::StereoRig;
 
 use crate::adjust::State;
 use crate::fit::{FitError, rig_of};
@@ -18,10 +19,7 @@ pub(crate) fn sigma_m(state: &State, covariance: &DMatrix<f64>, depth_m: f64) ->
     };
     let count = covariance.nrows();
     let depth = |step: &DVector<f64>| -> Option<f64> {
-        let rig = rig_of(&state.moved(step, &[]).ok()?).ok()?;
-        let (a, b) = (rig.left().unproject(&left).ok()?, rig.right().unproject(&right).ok()?);
-        let cam_left_from_cam_right = rig.cam_right_from_cam_left().inverse();
-        Some(meeting(&a, &cam_left_from_cam_right.transform_vector(&b), &cam_left_from_cam_right.translation_m()).z)
+        Some(triangulated(&rig_of(&state.moved(step, &[]).ok()?).ok()?, &left, &right)?.z)
     };
     let mut gradient = DVector::zeros(count);
     for index in 0..count {
@@ -31,6 +29,13 @@ pub(crate) fn sigma_m(state: &State, covariance: &DMatrix<f64>, depth_m: f64) ->
         gradient[index] = if size > 0.0 { (above - below) / (2.0 * size) } else { 0.0 };
     }
     Ok(gradient.dot(&(covariance * &gradient)).max(0.0).sqrt())
+}
+
+/// The point in `cam_left` that a pair of pixels shows, metres.
+pub(crate) fn triangulated(rig: &StereoRig, left: &Vector2<f64>, right: &Vector2<f64>) -> Option<Vector3<f64>> {
+    let (a, b) = (rig.left().unproject(left).ok()?, rig.right().unproject(right).ok()?);
+    let cam_left_from_cam_right = rig.cam_right_from_cam_left().inverse();
+    Some(meeting(&a, &cam_left_from_cam_right.transform_vector(&b), &cam_left_from_cam_right.translation_m()))
 }
 
 /// The point in the middle between two rays: one from the origin, one from `second_origin`.

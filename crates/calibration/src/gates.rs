@@ -192,23 +192,34 @@ pub struct Verdict {
 impl Verdict {
     /// How it was passed; a number that is not finite is refused.
     pub fn grade(&self) -> Grade {
-        let as_good_as =
-            |limit: f64| if self.gate.is_floor() { self.measured >= limit } else { self.measured <= limit };
-        match (as_good_as(self.limit.good), as_good_as(self.limit.refused)) {
-            (true, _) if self.measured.is_finite() => Grade::Good,
-            (_, true) if self.measured.is_finite() => Grade::Fair,
+        self.limit.grade(self.measured, self.gate.is_floor())
+    }
+}
+
+impl Limit {
+    /// How a number passes; one that is not finite is refused.
+    pub(crate) fn grade(self, measured: f64, is_floor: bool) -> Grade {
+        let as_good_as = |limit: f64| if is_floor { measured >= limit } else { measured <= limit };
+        match (as_good_as(self.good), as_good_as(self.refused)) {
+            (true, _) if measured.is_finite() => Grade::Good,
+            (_, true) if measured.is_finite() => Grade::Fair,
             _ => Grade::Refused,
         }
+    }
+
+    /// The line of a gate: what was measured, the limits, and what to do if it is not good.
+    pub(crate) fn line(self, key: &str, measured: f64, is_floor: bool, advice: &str) -> String {
+        let word = if is_floor { "from" } else { "up to" };
+        let Self { good, refused } = self;
+        let grade = self.grade(measured, is_floor);
+        let told = format!("{:<8} {key} = {measured:.3} (good {word} {good}, refused beyond {refused})", grade.name());
+        if grade == Grade::Good { told } else { format!("{told}: {advice}") }
     }
 }
 
 impl fmt::Display for Verdict {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let word = if self.gate.is_floor() { "from" } else { "up to" };
-        let Limit { good, refused } = self.limit;
-        let (key, grade) = (self.gate.key(), self.grade());
-        write!(f, "{:<8} {key} = {:.3} (good {word} {good}, refused beyond {refused})", grade.name(), self.measured)?;
-        if grade == Grade::Good { Ok(()) } else { write!(f, ": {}", self.gate.advice()) }
+        f.write_str(&self.limit.line(self.gate.key(), self.measured, self.gate.is_floor(), self.gate.advice()))
     }
 }
 

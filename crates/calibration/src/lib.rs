@@ -5,6 +5,8 @@
 //! the lens model by views that the fit has not seen, [`quality::Quality`] puts the result into numbers, and
 //! [`gates::Limits`] judges them. Calibrations as files are those of `pb3dp_record::calibration_files`.
 //!
+//! [`hand_eye`] finds where the cameras sit on a robot.
+//!
 //! The size of a square can not be judged by pictures: with squares that are taken 1 % too large every length is 1 % too
 //! long, and all errors stay the same. Measure ten squares with a ruler, and after the calibration a length.
 //!
@@ -17,6 +19,7 @@ mod depth;
 pub mod detection;
 pub mod fit;
 pub mod gates;
+pub mod hand_eye;
 pub mod held_out;
 pub mod lens;
 pub mod quality;

@@ -4,38 +4,60 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_calibration::gates::{Gate, Limit, Limits};
+use pb3dp_calibration::hand_eye::gates::{HandEyeGate, HandEyeLimits};
 
 /// Reads a file like `configs/calibration_gates.toml`: a table `gates` with all gates, each with `good` and `refused`.
 pub(super) fn read(file: &Path) -> Result<Limits> {
+    read_with(file, parse)
+}
+
+/// Reads a file like `configs/hand_eye_gates.toml`.
+pub(super) fn read_hand_eye(file: &Path) -> Result<HandEyeLimits> {
+    read_with(file, parse_hand_eye)
+}
+
+fn read_with<T>(file: &Path, parse: impl Fn(&str) -> Result<T>) -> Result<T> {
     let text = std::fs::read_to_string(file).with_context(|| format!("{}: can not be read", file.display()))?;
     parse(&text).with_context(|| format!("{}: no limits of gates", file.display()))
 }
 
 fn parse(text: &str) -> Result<Limits> {
+    let limits = table(text, "gates", &Gate::ALL.map(Gate::key))?;
+    let with = |all: Limits, (gate, limit)| all.with(gate, limit);
+    Ok(Gate::ALL.into_iter().zip(limits).try_fold(Limits::default(), with)?)
+}
+
+fn parse_hand_eye(text: &str) -> Result<HandEyeLimits> {
+    let limits = table(text, "hand_eye_gates", &HandEyeGate::ALL.map(HandEyeGate::key))?;
+    let with = |all: HandEyeLimits, (gate, limit)| all.with(gate, limit);
+    Ok(HandEyeGate::ALL.into_iter().zip(limits).try_fold(HandEyeLimits::default(), with)?)
+}
+
+/// The limits of the gates with the given keys, in their order, from the one table of a file.
+fn table(text: &str, name: &str, keys: &[&str]) -> Result<Vec<Limit>> {
     let root: toml::Table = text.parse()?;
-    if let Some(key) = root.keys().find(|key| *key != "gates") {
-        bail!("{key}: is not known here: the one table is gates");
+    if let Some(key) = root.keys().find(|key| *key != name) {
+        bail!("{key}: is not known here: the one table is {name}");
     }
-    let gates = root.get("gates").and_then(toml::Value::as_table).context("the table gates is missing")?;
-    if let Some(key) = gates.keys().find(|key| Gate::ALL.iter().all(|gate| gate.key() != *key)) {
-        bail!("gates.{key}: there is no such gate: {}", Gate::ALL.map(Gate::key).join(", "));
+    let gates =
+        root.get(name).and_then(toml::Value::as_table).with_context(|| format!("the table {name} is missing"))?;
+    if let Some(key) = gates.keys().find(|key| !keys.contains(&key.as_str())) {
+        bail!("{name}.{key}: there is no such gate: {}", keys.join(", "));
     }
-    let mut limits = Limits::default();
-    for gate in Gate::ALL {
-        let key = gate.key();
-        let table = gates.get(key).and_then(toml::Value::as_table);
-        let table = table.with_context(|| format!("gates.{key} is missing: {{ good = ..., refused = ... }}"))?;
+    let limit = |key: &&str| {
+        let table = gates.get(*key).and_then(toml::Value::as_table);
+        let table = table.with_context(|| format!("{name}.{key} is missing: {{ good = ..., refused = ... }}"))?;
         if let Some(other) = table.keys().find(|name| !["good", "refused"].contains(&name.as_str())) {
-            bail!("gates.{key}.{other}: is not known here: good and refused are");
+            bail!("{name}.{key}.{other}: is not known here: good and refused are");
         }
-        let number = |name: &str| {
-            let value = table.get(name);
+        let number = |which: &str| {
+            let value = table.get(which);
             let value = value.and_then(|value| value.as_float().or_else(|| value.as_integer().map(|n| n as f64)));
-            value.with_context(|| format!("gates.{key}.{name}: must be a number"))
+            value.with_context(|| format!("{name}.{key}.{which}: must be a number"))
         };
-        limits = limits.with(gate, Limit { good: number("good")?, refused: number("refused")? })?;
-    }
-    Ok(limits)
+        Ok(Limit { good: number("good")?, refused: number("refused")? })
+    };
+    keys.iter().map(limit).collect()
 }
 
 #[cfg(test)]
@@ -43,10 +65,12 @@ mod tests {
     use super::*;
 
     const FILE: &str = include_str!("../../../../configs/calibration_gates.toml");
+    const HAND_EYE_FILE: &str = include_str!("../../../../configs/hand_eye_gates.toml");
 
     #[test]
     fn the_file_states_the_built_in_limits() {
         assert_eq!(parse(FILE).expect("limits"), Limits::default());
+        assert_eq!(parse_hand_eye(HAND_EYE_FILE).expect("limits"), HandEyeLimits::default());
     }
 
     #[test]
@@ -62,6 +86,8 @@ mod tests {
             let error = format!("{:#}", parse(&text).expect_err(to));
             assert!(error.contains(named), "{error}");
         }
+        let error = format!("{:#}", parse_hand_eye(FILE).expect_err("gates of cameras"));
+        assert!(error.contains("the one table is hand_eye_gates"), "{error}");
         let without = FILE.lines().filter(|line| !line.starts_with("views")).collect::<Vec<_>>().join("\n");
         assert!(format!("{:#}", parse(&without).expect_err("a gate is missing")).contains("gates.views is missing"));
     }

@@ -2,10 +2,14 @@
 
 mod convert;
 mod gates_file;
+mod hand_eye;
+mod hand_eye_report;
 mod judgement;
 mod numbers;
 mod page;
 mod pictures;
+mod poses;
+mod propose;
 mod recording;
 mod report;
 mod verify;
@@ -27,7 +31,9 @@ use pb3dp_calibration::report::{of_camera, of_stereo};
 use pb3dp_geometry::ImageSize;
 
 use self::convert::ConvertArgs;
+use self::hand_eye::HandEyeArgs;
 use self::pictures::Pictures;
+use self::propose::ProposeArgs;
 use self::verify::VerifyArgs;
 
 /// Calibrate cameras and stereo heads from pictures of a chessboard, and say how good the result is.
@@ -46,6 +52,10 @@ enum What {
     Stereo(StereoArgs),
     /// Whether a calibration still holds: fresh views of the board, a second calibration, a length, places that were touched.
     Verify(VerifyArgs),
+    /// Where the cameras sit on the arm, and with a board on the other arm where both arms stand to each other.
+    HandEye(HandEyeArgs),
+    /// The poses that an arm is to visit for a calibration, from a first look at the board.
+    Propose(ProposeArgs),
     /// Write a calibration in another format.
     Convert(ConvertArgs),
 }
@@ -150,6 +160,8 @@ pub fn run(cli: &Cli) -> Result<ExitCode> {
         What::Intrinsics(args) => intrinsics(args),
         What::Stereo(args) => stereo(args),
         What::Verify(args) => verify::run(args),
+        What::HandEye(args) => hand_eye::run(args),
+        What::Propose(args) => propose::run(args),
         What::Convert(args) => convert::run(args),
     }
 }

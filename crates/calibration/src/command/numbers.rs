@@ -1,5 +1,6 @@
 //! Words of the command line.
 
+use pb3dp_calibration::hand_eye::RobotSigma;
 use pb3dp_calibration::lens::LensModel;
 
 use super::LensChoice;
@@ -18,6 +19,15 @@ pub(super) fn millimetres(text: &str) -> Result<f64, String> {
         Ok(value) if value.is_finite() && value > 0.0 && value <= 1e5 => Ok(value),
         _ => Err(format!("{text:?} is no length in mm: a number between 0 and 100000")),
     }
+}
+
+/// Noise of an arm: millimetres and degrees.
+pub(super) fn robot_sigma(text: &str) -> Result<RobotSigma, String> {
+    let number = |text: &str| text.trim().parse::<f64>().ok().filter(|number| number.is_finite() && *number > 0.0);
+    let both = text.split_once(',').and_then(|(mm, degrees)| number(mm).zip(number(degrees)));
+    let (mm, degrees) =
+        both.ok_or_else(|| format!("{text:?} is not MM,DEG, for instance 0.1,0.02, both above zero"))?;
+    Ok(RobotSigma { translation_m: mm * 1e-3, rotation_rad: degrees.to_radians() })
 }
 
 /// The name of a lens model, or `auto`.

@@ -113,7 +113,7 @@ pub(super) fn written<'a>(files: impl Iterator<Item = &'a PathBuf>) -> Result<St
 }
 
 /// One view, or the picture in which the board was not found.
-fn view<const N: usize>(
+pub(super) fn view<const N: usize>(
     name: &str,
     files: &[PathBuf; N],
     board: &Chessboard,

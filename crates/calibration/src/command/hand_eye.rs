@@ -1,0 +1,205 @@
+//! `pb3dp calibrate hand-eye`: where the cameras sit on the arm.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use pb3dp_calibration::board::Chessboard;
+use pb3dp_calibration::gates::Grade;
+use pb3dp_calibration::hand_eye::gates::{HandEyeLimits, HandEyeVerdict};
+use pb3dp_calibration::hand_eye::{CalibrationCovariance, Given, HandEyeFit, HandEyeStop, RobotSigma, tc_has_moved};
+use pb3dp_geometry::ImageSize;
+use pb3dp_record::calibration_files::{
+    HandEye, JudgedGate, Judgement, ParameterCovariance, StereoCalibration, load_stereo, save_hand_eye,
+};
+use pb3dp_record::stops::{Stops, load_stops};
+
+use super::{gates_file, hand_eye_report, numbers, pictures, poses, tell};
+
+/// What is looked at, and through which cameras.
+#[derive(Debug, Args)]
+pub(super) struct Recording {
+    /// Folders with the stops: a stops.toml, as `pb3dp arm visit` records it, and the pictures it names. Board and cameras must not have been
+    /// moved between them.
+    #[arg(long, required = true, value_name = "DIR", num_args = 1..)]
+    recording: Vec<PathBuf>,
+    /// The stereo calibration: one file, or a left and a right one.
+    #[arg(long, required = true, value_name = "FILE", num_args = 1..=2)]
+    calib: Vec<PathBuf>,
+    /// Inner corners of the chessboard (where four squares meet), one fewer than squares, for instance 9x6; one number odd, the other even.
+    #[arg(long, value_name = "COLUMNSxROWS", value_parser = numbers::corners)]
+    board: [u32; 2],
+    /// Side of a square, mm. Measure ten squares and divide.
+    #[arg(long, value_name = "MM", value_parser = numbers::millimetres, allow_hyphen_values = true)]
+    square: f64,
+}
+
+/// Arguments of `pb3dp calibrate hand-eye`.
+#[derive(Debug, Args)]
+pub(super) struct HandEyeArgs {
+    #[command(flatten)]
+    recording: Recording,
+    /// Noise of an arm's flange from stop to stop, one standard deviation: millimetres in each direction, degrees about each axis.
+    #[arg(long, value_name = "MM,DEG", value_parser = numbers::robot_sigma, default_value = "0.1,0.02", allow_hyphen_values = true)]
+    robot_sigma: RobotSigma,
+    /// The distance for which the hand is judged, mm.
+    #[arg(long, value_name = "MM", value_parser = numbers::millimetres, default_value = "500", allow_hyphen_values = true)]
+    distance: f64,
+    /// Other limits than the built-in ones (copy configs/hand_eye_gates.toml).
+    #[arg(long, value_name = "FILE")]
+    gates: Option<PathBuf>,
+    /// The setup whose arms.vs.world_from_base the lines for arms.tc are told with; without it the world is the base of vs.
+    #[arg(long, value_name = "FILE")]
+    setup: Option<PathBuf>,
+    /// Write the calibration (.toml), also where a gate refuses it.
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+}
+
+/// A recording whose pictures have been looked at.
+pub(super) struct Looked {
+    pub calibration: StereoCalibration,
+    pub board: Chessboard,
+    pub date: String,
+    /// Stops at which both cameras see the board.
+    pub stops: Vec<HandEyeStop>,
+}
+
+impl Recording {
+    /// Finds the board in all pictures; stops at which a camera does not see it are left out, and told.
+    pub(super) fn look(&self) -> Result<Looked> {
+        let [columns, rows] = self.board;
+        let board = Chessboard::new(columns, rows, self.square * 1e-3)?;
+        let calibration = load_stereo(&self.calib)?;
+        for note in &calibration.notes {
+            tell(&format!("note: {note}"))?;
+        }
+        let (mut stops, mut date, mut count) = (Vec::new(), String::new(), 0);
+        for folder in &self.recording {
+            let recorded = load_stops(folder)?;
+            count += recorded.stops.len();
+            stops.extend(self.stops(folder, &recorded, &board, calibration.rig.left().size())?);
+            // A calibration is as old as its oldest picture.
+            if date.is_empty() || recorded.date < date {
+                date = recorded.date;
+            }
+        }
+        if stops.is_empty() {
+            bail!("the board was found at none of {count} stops");
+        }
+        Ok(Looked { calibration, board, date, stops })
+    }
+
+    /// The stops of one folder.
+    fn stops(&self, folder: &Path, recorded: &Stops, board: &Chessboard, size: ImageSize) -> Result<Vec<HandEyeStop>> {
+        let mut stops = Vec::with_capacity(recorded.stops.len());
+        for stop in &recorded.stops {
+            let files = [&stop.left, &stop.right].map(|file| folder.join(file));
+            let alone = self.recording.len() == 1;
+            let name = if alone { stop.left.clone() } else { files[0].display().to_string() };
+            match pictures::view(&name, &files, board, size, "the calibration")? {
+                Ok(view) => stops.push(HandEyeStop {
+                    name: view.name,
+                    sightings: view.sightings,
+                    base_from_flange: stop.vs.base_from_flange,
+                    // The same numbers; a base and a flange of its own.
+                    tc_base_from_tc_flange: stop.tc.map(|tc| tc.base_from_flange.relabel()),
+                }),
+                Err((file, reason)) => tell(&format!("left out {}: {reason}", file.display()))?,
+            }
+        }
+        Ok(stops)
+    }
+}
+
+pub(super) fn run(args: &HandEyeArgs) -> Result<ExitCode> {
+    let limits = args.gates.as_deref().map_or_else(|| Ok(HandEyeLimits::default()), gates_file::read_hand_eye)?;
+    let vs_world_from_base =
+        args.setup.as_deref().map(|file| poses::Setup::read(file)?.world_from_base("vs")).transpose()?;
+    let looked = args.recording.look()?;
+    if let Some(reason) = &looked.calibration.not_measured {
+        bail!(
+            "{} is the calibration of no cameras ({reason}): calibrate the head first, with `pb3dp calibrate stereo`; the same pictures will do",
+            looked.calibration.source
+        );
+    }
+    let rig = &looked.calibration.rig;
+    let judgement = looked.calibration.judgement.as_ref();
+    let covariance = judgement.and_then(|judgement| judgement.covariance.as_ref());
+    let rig_covariance = covariance.map(|covariance| CalibrationCovariance::new(rig, covariance)).transpose()?;
+    if rig_covariance.is_none() {
+        tell(
+            "the stereo calibration does not say how good it is, so its errors are not counted; a .toml of `pb3dp calibrate stereo` does",
+        )?;
+    }
+    tell(if tc_has_moved(&looked.stops) {
+        "both arms have moved: the board is on the flange of tc"
+    } else {
+        "the arm tc has not moved: the board is at rest in the room"
+    })?;
+    let given = Given { rig, rig_covariance: rig_covariance.as_ref(), board: &looked.board, robot: args.robot_sigma };
+    let fit = HandEyeFit::new(&looked.stops, &given)?;
+    let verdicts = limits.judge(&fit, args.distance * 1e-3);
+    tell(&hand_eye_report::fit(&fit, args.robot_sigma))?;
+    tell(&hand_eye_report::lines(&fit, rig, vs_world_from_base))?;
+    tell(&hand_eye_report::verdicts(&verdicts))?;
+    if let Some(out) = &args.out {
+        write(&hand_eye(&fit, &looked, &verdicts, args.distance), out)?;
+    }
+    let is_refused = verdicts.iter().any(|verdict| verdict.grade() == Grade::Refused);
+    Ok(if is_refused { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+}
+
+fn write(hand_eye: &HandEye, out: &Path) -> Result<()> {
+    if out.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("toml")) {
+        bail!("{}: a hand-eye calibration is written as .toml", out.display());
+    }
+    save_hand_eye(hand_eye, out).with_context(|| "the hand-eye calibration is lost")?;
+    tell(&format!("wrote {}", out.display()))
+}
+
+/// What the file says.
+fn hand_eye(fit: &HandEyeFit, looked: &Looked, verdicts: &[HandEyeVerdict], distance_mm: f64) -> HandEye {
+    let scales = fit.scales;
+    let number = |name: &str, value: f64| (name.to_owned(), value);
+    let mut measured = vec![
+        number("distance_mm", distance_mm),
+        number("corner_sigma_px", fit.corner_sigma_px),
+        number("robot_noise_ratio", fit.robot_noise_ratio),
+        number("scale_squares", scales.squares.factor),
+        number("scale_squares_sigma", scales.squares.sigma),
+        number("scale_baseline", scales.baseline.factor),
+        number("scale_baseline_sigma", scales.baseline.sigma),
+    ];
+    for stop in &fit.stops {
+        let what = if stop.used { "stop" } else { "rejected stop" };
+        measured.push((format!("{what} {}: left_out_mm", stop.name), stop.left_out_mm));
+        measured.push((format!("{what} {}: left_out_deg", stop.name), stop.left_out_deg));
+    }
+    measured.sort_by(|a, b| a.0.cmp(&b.0));
+    let gate = |verdict: &HandEyeVerdict| JudgedGate {
+        name: verdict.gate.key().to_owned(),
+        measured: verdict.measured,
+        good: verdict.limit.good,
+        refused: verdict.limit.refused,
+        grade: verdict.grade().name().to_owned(),
+    };
+    let rows = fit.covariance.row_iter().map(|row| row.iter().copied().collect()).collect();
+    let of_head = looked.calibration.judgement.as_ref();
+    let judgement = Judgement {
+        date: looked.date.clone(),
+        tool: concat!("pb3dp-calibrate ", env!("CARGO_PKG_VERSION")).to_owned(),
+        source: format!(
+            "{} stops, {} of them used; head: {}",
+            fit.stops.len(),
+            fit.used().count(),
+            looked.calibration.source
+        ),
+        cameras: of_head.map(|judgement| judgement.cameras.clone()).unwrap_or_default(),
+        numbers: measured,
+        covariance: Some(ParameterCovariance { names: fit.names.clone(), rows }),
+        gates: verdicts.iter().map(gate).collect(),
+    };
+    HandEye { flange_from_cam_left: fit.flange_from_cam_left(), board: fit.board(), judgement }
+}

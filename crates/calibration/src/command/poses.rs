@@ -1,0 +1,69 @@
+//! Poses on the command line and in setups: millimetres and a rotation vector in degrees.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use nalgebra::Vector3;
+use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, World};
+use pb3dp_geometry::{Frame, Pose, so3};
+
+/// Six numbers: x, y, z in mm, and a rotation vector in degrees.
+pub(super) fn six(text: &str) -> Result<[f64; 6], String> {
+    let wrong = || format!("{text:?} are not six numbers X,Y,Z,RX,RY,RZ: mm, and a rotation vector in degrees");
+    let numbers = text.split(',').map(|number| number.trim().parse::<f64>().ok().filter(|number| number.is_finite()));
+    numbers.collect::<Option<Vec<_>>>().and_then(|numbers| numbers.try_into().ok()).ok_or_else(wrong)
+}
+
+/// The pose of six numbers.
+pub(super) fn pose<To: Frame, From: Frame>([x, y, z, rx, ry, rz]: [f64; 6]) -> Pose<To, From> {
+    let turn = Vector3::new(rx, ry, rz).map(f64::to_radians);
+    Pose::from_parts(Vector3::new(x, y, z) * 1e-3, so3::exp(&turn))
+}
+
+/// The tables of a setup (`configs/rig.toml`) that say where things are; the whole of it is for `pb3dp run`.
+pub(super) struct Setup {
+    file: PathBuf,
+    root: toml::Table,
+}
+
+impl Setup {
+    pub(super) fn read(file: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(file).with_context(|| format!("{}: can not be read", file.display()))?;
+        let root = text.parse().with_context(|| format!("{}: is no setup", file.display()))?;
+        Ok(Self { file: file.to_path_buf(), root })
+    }
+
+    /// Where an arm stands.
+    pub(super) fn world_from_base(&self, arm: &str) -> Result<Pose<World, Base>> {
+        self.pose(&["arms", arm, "world_from_base"])
+    }
+
+    /// Where the left camera sits.
+    pub(super) fn flange_from_cam_left(&self) -> Result<Pose<Flange, CamLeft>> {
+        let flange_from_hand: Pose<Flange, Hand> = self.pose(&["mounts", "flange_from_hand"])?;
+        let hand_from_cam_left: Pose<Hand, CamLeft> = self.pose(&["mounts", "hand_from_cam_left"])?;
+        Ok(flange_from_hand * hand_from_cam_left)
+    }
+
+    /// A pose whose frames are claimed by its key.
+    fn pose<To: Frame, From: Frame>(&self, keys: &[&str]) -> Result<Pose<To, From>> {
+        let place = || format!("{}: {}", self.file.display(), keys.join("."));
+        let (last, above) = keys.split_last().with_context(place)?;
+        let mut table = Some(&self.root);
+        for key in above {
+            table = table.and_then(|table| table.get(*key)).and_then(toml::Value::as_table);
+        }
+        let value = table.and_then(|table| table.get(*last)).with_context(|| format!("{}: is missing", place()))?;
+        let three = |key: &str| {
+            let list = value.get(key).and_then(toml::Value::as_array)?;
+            let number = |value: &toml::Value| value.as_float().or_else(|| value.as_integer().map(|n| n as f64));
+            let numbers = list.iter().map(number).collect::<Option<Vec<_>>>()?;
+            <[f64; 3]>::try_from(numbers).ok()
+        };
+        let wrong =
+            || format!("{}: must be {{ translation_mm = [x, y, z], rotation_vector_deg = [x, y, z] }}", place());
+        let [x, y, z] = three("translation_mm").with_context(wrong)?;
+        let [rx, ry, rz] = three("rotation_vector_deg").with_context(wrong)?;
+        Ok(pose([x, y, z, rx, ry, rz]))
+    }
+}

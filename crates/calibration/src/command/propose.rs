@@ -1,0 +1,156 @@
+//! `pb3dp calibrate propose`: the poses that an arm is to visit for a calibration.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::{Context, Result, bail};
+use clap::{Args, ValueEnum};
+use pb3dp_calibration::hand_eye::place_board;
+use pb3dp_calibration::hand_eye::propose::{Wish, propose};
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{Base, CamLeft, Flange, TcBase, TcFlange};
+use pb3dp_record::calibration_files::{BoardPlace, load_hand_eye};
+use pb3dp_record::stops::{ArmOfPoses, WantedPoses, save_poses};
+
+use super::hand_eye::Recording;
+use super::{numbers, poses, tell};
+
+/// What a pose of the camera that was guessed, and a focal length that nobody measured, may be wrong by.
+const GUESSED: (f64, f64, f64) = (0.010, 3.0, 0.02);
+/// What one may be wrong by that a calibration says.
+const CALIBRATED: (f64, f64, f64) = (0.002, 0.5, 0.005);
+
+/// Which arm is to move.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Arm {
+    /// The one with the cameras.
+    Vs,
+    /// The one with the board.
+    Tc,
+}
+
+/// Arguments of `pb3dp calibrate propose`.
+#[derive(Debug, Args)]
+pub(super) struct ProposeArgs {
+    #[command(flatten)]
+    recording: Recording,
+    /// The arm that is to move; the other one rests where it was at the last stop of the recording.
+    #[arg(long, default_value = "vs")]
+    arm: Arm,
+    /// How many poses: 15 to 20, and some to spare for those that the arm can not reach.
+    #[arg(long, default_value_t = 18)]
+    count: usize,
+    /// From the left camera to the board, mm: the working distance.
+    #[arg(long, value_name = "MM", value_parser = numbers::millimetres, default_value = "500", allow_hyphen_values = true)]
+    distance: f64,
+    /// Where the left camera sits on the flange, about: 10 mm and 3 degrees are near enough. X,Y,Z in mm, and a rotation vector in degrees.
+    #[arg(long, value_name = "X,Y,Z,RX,RY,RZ", value_parser = poses::six, allow_hyphen_values = true, conflicts_with = "hand_eye")]
+    guess: Option<[f64; 6]>,
+    /// For --arm tc: where the base of tc stands in that of vs, about.
+    #[arg(long, value_name = "X,Y,Z,RX,RY,RZ", value_parser = poses::six, allow_hyphen_values = true)]
+    guess_bases: Option<[f64; 6]>,
+    /// A hand-eye calibration, which takes the place of the guesses it knows.
+    #[arg(long, value_name = "FILE")]
+    hand_eye: Option<PathBuf>,
+    /// A setup, whose mounts and places of the arms take the place of guesses.
+    #[arg(long, value_name = "FILE")]
+    setup: Option<PathBuf>,
+    /// Where to write the poses, for `pb3dp arm visit`.
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+}
+
+/// What is thought of the places of cameras and arms.
+struct Guesses {
+    flange_from_cam_left: Pose<Flange, CamLeft>,
+    vs_base_from_tc_base: Option<Pose<Base, TcBase>>,
+    /// Whether they are calibrated.
+    is_calibrated: bool,
+}
+
+impl ProposeArgs {
+    fn guesses(&self) -> Result<Guesses> {
+        let setup = self.setup.as_deref().map(poses::Setup::read).transpose()?;
+        let hand_eye = self.hand_eye.as_deref().map(load_hand_eye).transpose()?;
+        let flange_from_cam_left = match (&hand_eye, self.guess, &setup) {
+            (Some(hand_eye), ..) => hand_eye.flange_from_cam_left,
+            (None, Some(guess), _) => poses::pose(guess),
+            (None, None, Some(setup)) => setup.flange_from_cam_left()?,
+            (None, None, None) => bail!(
+                "where the cameras sit on the flange is not known: measure it by eye (--guess X,Y,Z,RX,RY,RZ), or name a --setup with mounts, or a --hand-eye calibration"
+            ),
+        };
+        let by_hand_eye = match hand_eye.as_ref().map(|hand_eye| hand_eye.board) {
+            Some(BoardPlace::Carried { vs_base_from_tc_base, .. }) => Some(vs_base_from_tc_base),
+            _ => None,
+        };
+        let by_setup = || -> Result<Option<Pose<Base, TcBase>>> {
+            let Some(setup) = &setup else { return Ok(None) };
+            let vs = setup.world_from_base("vs")?;
+            // The same numbers; the base is that of tc.
+            Ok(Some(vs.inverse() * setup.world_from_base("tc")?.relabel()))
+        };
+        let vs_base_from_tc_base = match (by_hand_eye, self.guess_bases, self.arm) {
+            (Some(bases), ..) => Some(bases),
+            (None, Some(guess), _) => Some(poses::pose(guess)),
+            (None, None, Arm::Tc) => by_setup()?,
+            (None, None, Arm::Vs) => None,
+        };
+        let is_calibrated = hand_eye.is_some() && (self.arm == Arm::Vs || by_hand_eye.is_some());
+        Ok(Guesses { flange_from_cam_left, vs_base_from_tc_base, is_calibrated })
+    }
+}
+
+pub(super) fn run(args: &ProposeArgs) -> Result<ExitCode> {
+    let guesses = args.guesses()?;
+    let looked = args.recording.look()?;
+    let rig = &looked.calibration.rig;
+    let Some(first) = looked.stops.last() else { bail!("the board was found at no stop") };
+    let cam_left_from_board = place_board(rig, &looked.board, &first.sightings).with_context(|| {
+        format!("stop {:?}: no pose of the board explains its corners: check --board and --calib", first.name)
+    })?;
+    let (guess_error_m, guess_error_deg, _) = if guesses.is_calibrated { CALIBRATED } else { GUESSED };
+    let (.., focal_error) = if looked.calibration.not_measured.is_some() { GUESSED } else { CALIBRATED };
+    let wish = Wish {
+        count: args.count,
+        distance_m: args.distance * 1e-3,
+        guess_error_m,
+        guess_error_rad: guess_error_deg.to_radians(),
+        focal_error,
+    };
+    let views = propose(rig, &looked.board, &cam_left_from_board, &wish)?;
+    let base_from_cam_left = first.base_from_flange * guesses.flange_from_cam_left;
+    let wanted = match args.arm {
+        Arm::Vs => {
+            let base_from_board = base_from_cam_left * cam_left_from_board;
+            let cam_left_from_flange = guesses.flange_from_cam_left.inverse();
+            let poses = views.cam_left_from_board.iter();
+            let poses = poses.map(|view| base_from_board * view.inverse() * cam_left_from_flange).collect();
+            WantedPoses { arm: ArmOfPoses::Vs, poses }
+        }
+        Arm::Tc => {
+            let tc = first.tc_base_from_tc_flange.context("the recording does not say where the arm tc was")?;
+            let bases = guesses.vs_base_from_tc_base.context(
+                "where the base of tc stands in that of vs is not known: --guess-bases, or a --setup, or a --hand-eye calibration of both arms",
+            )?;
+            let tc_base_from_cam_left = bases.inverse() * base_from_cam_left;
+            let pose = |view: &Pose<CamLeft, _>| -> Pose<TcBase, TcFlange> {
+                let motion: Pose<CamLeft, CamLeft> = *view * cam_left_from_board.inverse();
+                tc_base_from_cam_left * motion * tc_base_from_cam_left.inverse() * tc
+            };
+            // The file has one kind of poses, and says whose they are.
+            let poses = views.cam_left_from_board.iter().map(|view| pose(view).relabel()).collect();
+            WantedPoses { arm: ArmOfPoses::Tc, poses }
+        }
+    };
+    save_poses(&args.out, &wanted)?;
+    let [left, right] = views.coverage.map(|share| 100.0 * share);
+    tell(&format!(
+        "{} poses of {} for the last stop, {:?}; corners of the board will be in {left:.0} % of the cells of the left picture and {right:.0} % of the right one\nwrote {}",
+        wanted.poses.len(),
+        wanted.arm.name(),
+        first.name,
+        args.out.display()
+    ))?;
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,195 @@
+//! Gates: what a hand-eye calibration must reach to be used, and what to do where it does not.
+
+use std::fmt;
+
+use super::{HandEyeFit, Scale};
+use crate::gates::{Grade, Limit, LimitError};
+
+/// A factor of lengths is off only where chance does not explain it: by more than so many standard deviations.
+const SCALE_SIGMAS: f64 = 2.0;
+
+/// Something that is judged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum HandEyeGate {
+    /// Stops that were used.
+    Stops,
+    /// Stops that disagree with all others.
+    Outliers,
+    /// Rotations about a second axis.
+    RotationSpread,
+    /// Reprojection error.
+    Corners,
+    /// Place of the board by each stop, against the calibration by all others.
+    LeftOutDistance,
+    /// The same, angle.
+    LeftOutAngle,
+    /// Lengths, by the robot's metres.
+    Scale,
+    /// Error of the hand that the calibration leaves.
+    HandError,
+}
+
+impl HandEyeGate {
+    /// All of them, in the order in which they are told.
+    pub const ALL: [Self; 8] = [
+        Self::Stops,
+        Self::Outliers,
+        Self::RotationSpread,
+        Self::Corners,
+        Self::LeftOutDistance,
+        Self::LeftOutAngle,
+        Self::Scale,
+        Self::HandError,
+    ];
+
+    /// The name in configurations, files and waivers, with its unit.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Stops => "stops",
+            Self::Outliers => "outliers_percent",
+            Self::RotationSpread => "rotation_spread_deg",
+            Self::Corners => "corner_rms_px",
+            Self::LeftOutDistance => "left_out_mm",
+            Self::LeftOutAngle => "left_out_deg",
+            Self::Scale => "scale_percent",
+            Self::HandError => "hand_error_mm",
+        }
+    }
+
+    /// Whether larger is better.
+    pub fn is_floor(self) -> bool {
+        matches!(self, Self::Stops | Self::RotationSpread)
+    }
+
+    /// What is measured, for a hand that works at the given distance.
+    fn measured(self, fit: &HandEyeFit, distance_m: f64) -> f64 {
+        let used = fit.used().count() as f64;
+        let rms =
+            |of: fn(&super::StopCheck) -> f64| (fit.used().map(|stop| of(stop).powi(2)).sum::<f64>() / used).sqrt();
+        match self {
+            Self::Stops => used,
+            Self::Outliers => 100.0 * fit.rejected().count() as f64 / fit.stops.len() as f64,
+            Self::RotationSpread => fit.rotation_spread_deg,
+            Self::Corners => fit.corner_rms_px,
+            Self::LeftOutDistance => rms(|stop| stop.left_out_mm),
+            Self::LeftOutAngle => rms(|stop| stop.left_out_deg),
+            Self::Scale => 100.0 * off(fit.scales.squares).max(off(fit.scales.baseline)),
+            Self::HandError => fit.hand_error_m(distance_m) * 1e3,
+        }
+    }
+
+    /// What to do where it is not good.
+    fn advice(self, fit: &HandEyeFit) -> &'static str {
+        match self {
+            Self::Stops => "visit more poses, 15 to 20, from which both cameras see the whole board",
+            Self::Outliers => {
+                "stops that disagree with all others: wait until the arm is still before a picture, fix the board, and visit them again"
+            }
+            Self::RotationSpread => {
+                "turn the flange about two axes at least, by 15 to 30 degrees each; `pb3dp calibrate propose` chooses such poses"
+            }
+            Self::Corners => {
+                "does the stereo calibration belong to these cameras, as they are now? Look for blur and a bent board, and calibrate the head anew from these pictures"
+            }
+            Self::LeftOutDistance | Self::LeftOutAngle => {
+                "the stops contradict each other: see that cameras and board are fixed and the arm is still, that the robot's description is that of this arm, and its zero positions are right"
+            }
+            Self::Scale => scale_advice(fit),
+            Self::HandError => "visit more poses, with larger rotations, and with the board nearer",
+        }
+    }
+}
+
+/// How far a factor is from 1 beyond what chance explains.
+fn off(scale: Scale) -> f64 {
+    let off = (scale.factor - 1.0).abs() - SCALE_SIGMAS * scale.sigma;
+    // Not `max`, which would hide what is no number.
+    if off < 0.0 { 0.0 } else { off }
+}
+
+/// Which length is wrong: both, if one is off by a third of the other at least.
+fn scale_advice(fit: &HandEyeFit) -> &'static str {
+    let [squares, baseline] = [fit.scales.squares, fit.scales.baseline].map(|scale| (scale.factor - 1.0).abs());
+    if squares > 3.0 * baseline {
+        "measure the squares: their side is not what was typed here (ten squares with a ruler, divided by ten)"
+    } else if baseline > 3.0 * squares {
+        "measure the squares with which the stereo head was calibrated, and calibrate it anew: its baseline is wrong"
+    } else {
+        "measure the squares (ten with a ruler, divided by ten), then calibrate the stereo head and the hand anew; if they are right, the robot's description is not that of this arm"
+    }
+}
+
+/// The limits of all gates.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HandEyeLimits {
+    limits: [Limit; HandEyeGate::ALL.len()],
+}
+
+impl Default for HandEyeLimits {
+    fn default() -> Self {
+        let limit = |gate| match gate {
+            HandEyeGate::Stops => Limit { good: 12.0, refused: 8.0 },
+            HandEyeGate::Outliers => Limit { good: 10.0, refused: 30.0 },
+            HandEyeGate::RotationSpread => Limit { good: 10.0, refused: 5.0 },
+            HandEyeGate::Corners => Limit { good: 0.3, refused: 0.5 },
+            HandEyeGate::LeftOutDistance => Limit { good: 0.7, refused: 2.0 },
+            HandEyeGate::LeftOutAngle => Limit { good: 0.1, refused: 0.3 },
+            HandEyeGate::Scale => Limit { good: 0.1, refused: 0.3 },
+            HandEyeGate::HandError => Limit { good: 0.3, refused: 1.0 },
+        };
+        Self { limits: HandEyeGate::ALL.map(limit) }
+    }
+}
+
+impl HandEyeLimits {
+    /// The limit of a gate.
+    pub fn of(&self, gate: HandEyeGate) -> Limit {
+        self.limits[gate as usize]
+    }
+
+    /// The same with another limit of one gate.
+    ///
+    /// # Errors
+    /// Numbers that are not finite, negative, or the wrong way round.
+    pub fn with(mut self, gate: HandEyeGate, limit: Limit) -> Result<Self, LimitError> {
+        self.limits[gate as usize] = limit.checked(gate.key(), gate.is_floor())?;
+        Ok(self)
+    }
+
+    /// Judges a calibration of a hand that works at the given distance.
+    pub fn judge(&self, fit: &HandEyeFit, distance_m: f64) -> Vec<HandEyeVerdict> {
+        let of = |gate: HandEyeGate| HandEyeVerdict {
+            gate,
+            measured: gate.measured(fit, distance_m),
+            limit: self.of(gate),
+            advice: gate.advice(fit),
+        };
+        HandEyeGate::ALL.map(of).to_vec()
+    }
+}
+
+/// What one gate says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HandEyeVerdict {
+    /// The gate.
+    pub gate: HandEyeGate,
+    /// What was measured, in the unit of the gate's key.
+    pub measured: f64,
+    /// What it was held against.
+    pub limit: Limit,
+    /// What to do where it is not good.
+    pub advice: &'static str,
+}
+
+impl HandEyeVerdict {
+    /// How it was passed; a number that is not finite is refused.
+    pub fn grade(&self) -> Grade {
+        self.limit.grade(self.measured, self.gate.is_floor())
+    }
+}
+
+impl fmt::Display for HandEyeVerdict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.limit.line(self.gate.key(), self.measured, self.gate.is_floor(), self.advice))
+    }
+}

@@ -1,0 +1,192 @@
+//! Which stops agree: each one is held against the calibration by all others.
+
+use nalgebra::{DMatrix, Matrix6, Vector6};
+use pb3dp_geometry::se3;
+
+use super::adjust::{Adjusted, adjust};
+use super::model::{Corners, POSE, SCALES, Seen, Setting, State};
+use super::start::{Poses, start};
+use super::{Difference, HandEyeError};
+
+/// Squared Mahalanobis distance in six dimensions that one in a thousand good stops exceeds.
+const SQUARED_SIGMAS_MAX: f64 = 22.46;
+/// Its median for good stops.
+const SQUARED_SIGMAS_MEDIAN: f64 = 5.35;
+/// The share of the stops, those nearest to the start, with which the first adjustment is made.
+const AT_FIRST: f64 = 0.6;
+/// Fewer agreeing stops than this share are no majority.
+const MAJORITY: f64 = 0.55;
+
+/// The stops that agree, and their adjustment.
+pub(super) struct Settled {
+    pub used: Vec<bool>,
+    pub adjusted: Adjusted,
+    pub variance_factor: f64,
+}
+
+/// By how much the noise of the arms exceeds the stated one, as a variance: what the chain of poses adds to the errors that the
+/// corners have by themselves, per degree of freedom.
+pub(super) fn variance_factor(adjusted: &Adjusted, squares_alone: f64, setting: &Setting<'_>) -> f64 {
+    let stops = adjusted.information.len();
+    let free = (POSE * stops).saturating_sub(adjusted.state.shared_count(setting)).max(1);
+    let by_corners = squares_alone / setting.corner_sigma_px.powi(2);
+    ((adjusted.chi2 - by_corners) / free as f64).max(0.0)
+}
+
+/// Finds the stops that agree; lengths are as free as the setting says.
+///
+/// From a start that explains most pairs of stops, the stop that differs most from the calibration by all others is left out while
+/// it differs by more than one in a thousand good ones would; one that was left out comes back when it agrees. Where the arms are
+/// noisier than stated, all differences are compared with what is usual among the stops.
+pub(super) fn settle(
+    seen: &[Seen<'_>],
+    alone: &[(Poses, Corners)],
+    setting: &Setting<'_>,
+) -> Result<Settled, HandEyeError> {
+    let poses: Vec<Poses> = alone.iter().map(|(poses, _)| *poses).collect();
+    let first = start(&poses)?;
+    let mut used = near_start(&first, &poses);
+    let mut left_out = vec![0_usize; seen.len()];
+    let mut is_first = true;
+    loop {
+        let agree = used.iter().filter(|used| **used).count();
+        if (agree as f64) < (MAJORITY * seen.len() as f64).max(super::STOPS_MIN as f64) {
+            return Err(HandEyeError::Contradiction { agree, all: seen.len() });
+        }
+        let (adjusted, alone, checks) = match checked(&first, seen, alone, &used, setting) {
+            // What is nearest to the start may be of one arm alone, or turn about one axis.
+            Err(_) if is_first && agree < seen.len() => {
+                (used, is_first) = (vec![true; seen.len()], false);
+                continue;
+            }
+            checked => checked?,
+        };
+        is_first = false;
+        let limit = SQUARED_SIGMAS_MAX * usual(&checks, &used);
+        let all = || checks.iter().map(|check| check.squared_sigmas).enumerate();
+        let worst = all().filter(|(i, d)| used[*i] && *d > limit).max_by(|a, b| a.1.total_cmp(&b.1));
+        // A stop comes back once only, so that this ends.
+        let best =
+            all().filter(|(i, d)| !used[*i] && *d < limit && left_out[*i] < 2).min_by(|a, b| a.1.total_cmp(&b.1));
+        match (worst, best) {
+            (Some((index, _)), _) => {
+                used[index] = false;
+                left_out[index] += 1;
+            }
+            (None, Some((index, _))) => {
+                used[index] = true;
+                left_out[index] += 1;
+            }
+            (None, None) => {
+                let squares_alone = alone.iter().zip(&used).filter(|(_, used)| **used).map(|((_, c), _)| c.squares);
+                let variance_factor = variance_factor(&adjusted, squares_alone.sum(), setting);
+                return Ok(Settled { used, adjusted, variance_factor });
+            }
+        }
+    }
+}
+
+/// The adjustment of the stops that are used, the board by each stop alone with lengths as that found them, and each stop's difference.
+type Checked = (Adjusted, Vec<(Poses, Corners)>, Vec<Difference>);
+
+fn checked(
+    first: &State,
+    seen: &[Seen<'_>],
+    alone: &[(Poses, Corners)],
+    used: &[bool],
+    setting: &Setting<'_>,
+) -> Result<Checked, HandEyeError> {
+    let adjusted = adjust(only(first, used), &only_seen(seen, used), setting)?;
+    let alone = with_scales(seen, alone, adjusted.state.scales, setting)?;
+    let checks = checks(seen, &alone, used, &adjusted, setting)?;
+    Ok((adjusted, alone, checks))
+}
+
+/// How large differences are among the stops that are used, as a variance over what it should be; not below 1.
+fn usual(checks: &[Difference], used: &[bool]) -> f64 {
+    let of_used = checks.iter().zip(used).filter(|(_, used)| **used);
+    let mut squared: Vec<f64> = of_used.map(|(check, _)| check.squared_sigmas).collect();
+    squared.sort_by(f64::total_cmp);
+    let median = squared.get(squared.len() / 2).copied().unwrap_or(0.0);
+    (median / SQUARED_SIGMAS_MEDIAN).max(1.0)
+}
+
+/// The board by each stop alone, with lengths as an adjustment found them.
+fn with_scales(
+    seen: &[Seen<'_>],
+    alone: &[(Poses, Corners)],
+    scales: [f64; SCALES],
+    setting: &Setting<'_>,
+) -> Result<Vec<(Poses, Corners)>, HandEyeError> {
+    let of = |(seen, (poses, _)): (&Seen<'_>, &(Poses, Corners))| {
+        let (cam_from_board, corners) = seen.by_itself(setting, poses.cam_from_board, scales)?;
+        Some((Poses { cam_from_board, ..*poses }, corners))
+    };
+    seen.iter().zip(alone).map(of).collect::<Option<Vec<_>>>().ok_or(HandEyeError::NotVisible)
+}
+
+/// The stops that are nearest to the start.
+fn near_start(state: &State, poses: &[Poses]) -> Vec<bool> {
+    let off = |(poses, arms): (&Poses, &Vec<_>)| {
+        let apart = se3::log(&(poses.cam_from_board.inverse() * state.cam_from_board(arms)));
+        // A radian as half a metre.
+        apart.fixed_rows::<3>(0).norm() + 0.5 * apart.fixed_rows::<3>(3).norm()
+    };
+    let off: Vec<f64> = poses.iter().zip(&state.arms).map(off).collect();
+    let mut sorted = off.clone();
+    sorted.sort_by(f64::total_cmp);
+    let kept = ((AT_FIRST * off.len() as f64).ceil() as usize).max(super::STOPS_MIN).min(off.len());
+    let farthest = sorted.get(kept.saturating_sub(1)).copied().unwrap_or(f64::INFINITY);
+    off.iter().map(|off| *off <= farthest).collect()
+}
+
+fn only(state: &State, used: &[bool]) -> State {
+    let arms = state.arms.iter().zip(used).filter(|(_, used)| **used).map(|(arms, _)| arms.clone()).collect();
+    State { arms, ..state.clone() }
+}
+
+fn only_seen<'a>(seen: &[Seen<'a>], used: &[bool]) -> Vec<Seen<'a>> {
+    seen.iter().zip(used).filter(|(_, used)| **used).map(|(seen, _)| seen.clone()).collect()
+}
+
+/// Each stop against the calibration by all (other) stops that are used.
+///
+/// Without the stop the calibration is where one step of the equations of the others leads: stops are many and their
+/// contradictions small, so the equations are the same there.
+pub(super) fn checks(
+    seen: &[Seen<'_>],
+    alone: &[(Poses, Corners)],
+    used: &[bool],
+    adjusted: &Adjusted,
+    setting: &Setting<'_>,
+) -> Result<Vec<Difference>, HandEyeError> {
+    let robot = setting.robot_information.cholesky().map(|factor| factor.inverse()).unwrap_or_else(Matrix6::zeros);
+    let mut at = 0;
+    let mut checks = Vec::with_capacity(seen.len());
+    for (((seen, (poses, corners)), used), index) in seen.iter().zip(alone).zip(used).zip(0..) {
+        let (state, covariance) = if *used {
+            let covariance = adjusted.covariance_without(Some(at), setting)?;
+            let state = adjusted.state.moved(&(&covariance * &adjusted.gradients[at]));
+            at += 1;
+            (state, covariance)
+        } else {
+            (adjusted.state.clone(), adjusted.covariance_without(None, setting)?)
+        };
+        let arms = seen.arms();
+        let links = state.links(&arms);
+        let by = se3::log(&(poses.cam_from_board.inverse() * state.cam_from_board(&arms)));
+        let of_poses = covariance.view((0, 0), (links.shared.ncols(), links.shared.ncols()));
+        let mut of_difference: DMatrix<f64> = &links.shared * of_poses * links.shared.transpose();
+        for arm in 0..arms.len() {
+            let block = links.arms.columns(POSE * arm, POSE);
+            of_difference += block * robot * block.transpose();
+        }
+        let undetermined = || HandEyeError::Undetermined { parameter: format!("the board at stop {index}") };
+        let information: Matrix6<f64> = corners.information.fixed_view::<POSE, POSE>(0, 0).into_owned();
+        let by_corners = information.cholesky().ok_or_else(undetermined)?.inverse() * setting.corner_sigma_px.powi(2);
+        let total = Matrix6::from_iterator(of_difference.iter().copied()) + by_corners;
+        let solved: Vector6<f64> = total.cholesky().ok_or_else(undetermined)?.solve(&by);
+        checks.push(Difference { by, squared_sigmas: by.dot(&solved) });
+    }
+    Ok(checks)
+}

@@ -1,0 +1,191 @@
+//! Where the adjustment begins: closed forms, and the consensus of most pairs of stops.
+//!
+//! Between two stops the flange moves by `A` and what the camera sees by `B`, and `A X = X B` for the camera's pose `X` on the
+//! flange. Rotations first, from the rotation vectors (`alpha = R beta`: Park and Martin, IEEE Trans. Robotics and Automation 10
+//! (1994), section IV), as the rotation that fits them best; then the translation, which is linear.
+
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use pb3dp_geometry::so3;
+
+use super::HandEyeError;
+use super::model::{Place, State};
+
+/// Rotation vectors are not told apart from their opposites near half a turn.
+const TURN_MAX_RAD: f64 = 2.8;
+/// Rotations about a second axis below this are none, degrees rms.
+const SECOND_AXIS_MIN_DEG: f64 = 0.5;
+/// An arm whose flange is as near as this has not moved.
+const AT_REST: (f64, f64) = (1e-3, 2e-3);
+/// How many starts are tried.
+const TRIED_MAX: usize = 500;
+/// The share of all pairs that a start must explain: of pairs without an outlier there are fewer than of stops.
+const CONSENSUS: f64 = 0.35;
+/// A metre of translation counts as so many radians.
+const RAD_PER_M: f64 = 2.0;
+
+/// The fewest stops of which a calibration is tried.
+pub const STOPS_MIN: usize = 4;
+
+/// What one stop gives: flange poses and the board as the left camera sees it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Poses {
+    pub vs: Isometry3<f64>,
+    pub tc: Option<Isometry3<f64>>,
+    pub cam_from_board: Isometry3<f64>,
+}
+
+/// The motions between two stops, `A X = X B`.
+#[derive(Clone, Copy)]
+struct Motions {
+    a: Isometry3<f64>,
+    b: Isometry3<f64>,
+    alpha: Vector3<f64>,
+    beta: Vector3<f64>,
+}
+
+impl Motions {
+    /// `None` where the rotation is near half a turn.
+    fn new(a: Isometry3<f64>, b: Isometry3<f64>) -> Option<Self> {
+        let (alpha, beta) = (so3::log(&a.rotation), so3::log(&b.rotation));
+        (alpha.norm().max(beta.norm()) < TURN_MAX_RAD).then_some(Self { a, b, alpha, beta })
+    }
+
+    /// How badly `x` explains them.
+    fn misfit(&self, x: &Isometry3<f64>) -> f64 {
+        let (ax, xb) = (self.a * x, x * self.b);
+        ax.rotation.angle_to(&xb.rotation) + RAD_PER_M * (ax.translation.vector - xb.translation.vector).norm()
+    }
+}
+
+/// Whether an arm has not moved between two poses of its flange.
+pub(super) fn rests(a: &Isometry3<f64>, b: &Isometry3<f64>) -> bool {
+    let apart = a.inverse() * b;
+    apart.translation.vector.norm() < AT_REST.0 && apart.rotation.angle() < AT_REST.1
+}
+
+/// Root mean square of the rotations between stops about the axis that is used second most, degrees.
+pub(super) fn rotation_spread_deg(flanges: &[Isometry3<f64>]) -> f64 {
+    let mut sum = Matrix3::zeros();
+    let mut count = 0.0_f64;
+    for (i, a) in flanges.iter().enumerate() {
+        for b in &flanges[i + 1..] {
+            let turn = so3::log(&(a.rotation.inverse() * b.rotation));
+            sum += turn * turn.transpose();
+            count += 1.0;
+        }
+    }
+    let mut squares: Vec<f64> = (sum / count.max(1.0)).symmetric_eigenvalues().iter().copied().collect();
+    squares.sort_by(|a, b| b.total_cmp(a));
+    squares.get(1).copied().unwrap_or(0.0).max(0.0).sqrt().to_degrees()
+}
+
+/// The state from which the adjustment begins.
+///
+/// # Errors
+/// An arm that has not turned about two axes, or that never moved while the other one was at rest.
+pub(super) fn start(stops: &[Poses]) -> Result<State, HandEyeError> {
+    let carried = stops.iter().all(|stop| stop.tc.is_some());
+    let tc = |stop: &Poses| stop.tc.unwrap_or_default();
+    let (mut of_camera, mut of_board) = (Vec::new(), Vec::new());
+    for (i, first) in stops.iter().enumerate() {
+        for second in &stops[i + 1..] {
+            if !carried || rests(&tc(first), &tc(second)) {
+                let b = second.cam_from_board * first.cam_from_board.inverse();
+                of_camera.extend(Motions::new(second.vs.inverse() * first.vs, b));
+            } else if rests(&first.vs, &second.vs) {
+                let b = second.cam_from_board.inverse() * first.cam_from_board;
+                of_board.extend(Motions::new(tc(second).inverse() * tc(first), b));
+            }
+        }
+    }
+    let flange_from_cam = consensus(&of_camera, "vs", carried)?;
+    let place = if carried {
+        let tc_flange_from_board = consensus(&of_board, "tc", carried)?;
+        let bases = stops
+            .iter()
+            .map(|stop| stop.vs * flange_from_cam * stop.cam_from_board * (tc(stop) * tc_flange_from_board).inverse());
+        Place::Carried { vs_base_from_tc_base: middle(&bases.collect::<Vec<_>>()), tc_flange_from_board }
+    } else {
+        let boards = stops.iter().map(|stop| stop.vs * flange_from_cam * stop.cam_from_board);
+        Place::Room { base_from_board: middle(&boards.collect::<Vec<_>>()) }
+    };
+    let arms = stops.iter().map(|stop| [Some(stop.vs), stop.tc].into_iter().flatten().collect()).collect();
+    Ok(State { flange_from_cam, place, scales: [1.0; 2], arms })
+}
+
+/// The `X` that explains most of the pairs best.
+fn consensus(pairs: &[Motions], arm: &'static str, carried: bool) -> Result<Isometry3<f64>, HandEyeError> {
+    if pairs.len() < 3 {
+        return Err(if carried {
+            HandEyeError::OneAtATime { arm }
+        } else {
+            HandEyeError::Axes { arm, second_deg: 0.0 }
+        });
+    }
+    let second_deg = second_axis_deg(pairs);
+    let axes = || HandEyeError::Axes { arm, second_deg };
+    if second_deg < SECOND_AXIS_MIN_DEG {
+        return Err(axes());
+    }
+    let score = |x: &Isometry3<f64>| {
+        let mut misfits: Vec<f64> = pairs.iter().map(|pair| pair.misfit(x)).collect();
+        let at = ((CONSENSUS * misfits.len() as f64) as usize).min(misfits.len() - 1);
+        *misfits.select_nth_unstable_by(at, f64::total_cmp).1
+    };
+    let all = (0..pairs.len()).flat_map(|i| (i + 1..pairs.len()).map(move |j| (i, j)));
+    // Taken evenly from all combinations; the step shares no divisor with their number's usual ones.
+    let every = (pairs.len() * (pairs.len() - 1) / 2).div_ceil(TRIED_MAX) | 1;
+    let tried = all.step_by(every).filter_map(|(i, j)| solve(&[pairs[i], pairs[j]])).chain(solve(pairs));
+    let (best, x) = tried.map(|x| (score(&x), x)).min_by(|a, b| a.0.total_cmp(&b.0)).ok_or_else(axes)?;
+    let near: Vec<Motions> = pairs.iter().filter(|pair| pair.misfit(&x) <= 3.0 * best).copied().collect();
+    match solve(&near) {
+        Some(refined) if score(&refined) <= best => Ok(refined),
+        _ => Ok(x),
+    }
+}
+
+fn second_axis_deg(pairs: &[Motions]) -> f64 {
+    let sum: Matrix3<f64> = pairs.iter().map(|pair| pair.alpha * pair.alpha.transpose()).sum();
+    let mut squares: Vec<f64> = (sum / pairs.len() as f64).symmetric_eigenvalues().iter().copied().collect();
+    squares.sort_by(|a, b| b.total_cmp(a));
+    squares.get(1).copied().unwrap_or(0.0).max(0.0).sqrt().to_degrees()
+}
+
+/// `X` of `A X = X B` by least squares; `None` where the axes are parallel.
+fn solve(pairs: &[Motions]) -> Option<Isometry3<f64>> {
+    let moment: Matrix3<f64> = pairs.iter().map(|pair| pair.alpha * pair.beta.transpose()).sum();
+    let svd = moment.svd(true, true);
+    let (u, v_t) = (svd.u?, svd.v_t?);
+    let mut sizes: Vec<f64> = svd.singular_values.iter().copied().collect();
+    sizes.sort_by(|a, b| b.total_cmp(a));
+    if sizes[1] <= 1e-4 * sizes[0] {
+        return None;
+    }
+    // The least singular value's direction is turned where the product mirrors.
+    let mut signs = Vector3::repeat(1.0);
+    signs[svd.singular_values.imin()] = (u.determinant() * v_t.determinant()).signum();
+    let rotation = Rotation3::from_matrix_unchecked(u * Matrix3::from_diagonal(&signs) * v_t);
+    let rotation = UnitQuaternion::from_rotation_matrix(&rotation);
+    let mut left = DMatrix::zeros(3 * pairs.len(), 3);
+    let mut right = DVector::zeros(3 * pairs.len());
+    for (n, pair) in pairs.iter().enumerate() {
+        let turn = pair.a.rotation.to_rotation_matrix().into_inner() - Matrix3::identity();
+        left.fixed_view_mut::<3, 3>(3 * n, 0).copy_from(&turn);
+        right.fixed_rows_mut::<3>(3 * n).copy_from(&(rotation * pair.b.translation.vector - pair.a.translation.vector));
+    }
+    let normal: Matrix3<f64> = Matrix3::from_iterator((left.transpose() * &left).iter().copied());
+    let moment = Vector3::from_iterator((left.transpose() * right).iter().copied());
+    let translation = normal.cholesky()?.solve(&moment);
+    let is_finite = translation.iter().chain(rotation.coords.iter()).all(|value| value.is_finite());
+    is_finite.then(|| Isometry3::from_parts(Translation3::from(translation), rotation))
+}
+
+/// Of some poses the one nearest to all others.
+fn middle(poses: &[Isometry3<f64>]) -> Isometry3<f64> {
+    let distance = |a: &Isometry3<f64>, b: &Isometry3<f64>| {
+        let apart = a.inverse() * b;
+        apart.rotation.angle() + RAD_PER_M * (a.translation.vector - b.translation.vector).norm()
+    };
+    let sum = |pose: &Isometry3<f64>| poses.iter().map(|other| distance(pose, other)).sum::<f64>();
+    poses.iter().min_by(|a, b| sum(a).total_cmp(&sum(b))).copied().unwrap_or_default()
+}

@@ -1,0 +1,110 @@
+//! What the errors of the stereo calibration do to a hand-eye calibration.
+
+use nalgebra::{DMatrix, DVector, Isometry3, Point3, Vector2};
+use pb3dp_geometry::{StereoRig, se3};
+use pb3dp_record::calibration_files::ParameterCovariance;
+
+use super::HandEyeError;
+use super::adjust::adjust;
+use super::model::{Place, Seen, Setting, State};
+use crate::adjust as head;
+use crate::depth::triangulated;
+use crate::fit::{rig_of, sides};
+use crate::lens::LensModel;
+
+/// The covariance of a stereo calibration, as its file has it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CalibrationCovariance {
+    lens: LensModel,
+    matrix: DMatrix<f64>,
+}
+
+impl CalibrationCovariance {
+    /// From the covariance of a file of ours.
+    ///
+    /// # Errors
+    /// Other parameters than those of a stereo head.
+    pub fn new(rig: &StereoRig, covariance: &ParameterCovariance) -> Result<Self, HandEyeError> {
+        let names_of = |lens: LensModel| head_of(rig, lens).shared_names(&sides::<2>());
+        let lens = LensModel::ALL.into_iter().find(|lens| names_of(*lens) == covariance.names);
+        let lens = lens.ok_or_else(|| HandEyeError::RigCovariance {
+            found: covariance.names.join(", "),
+            expected: names_of(LensModel::Brown4).join(", "),
+        })?;
+        let count = covariance.names.len();
+        let matrix = DMatrix::from_row_iterator(count, count, covariance.rows.iter().flatten().copied());
+        Ok(Self { lens, matrix })
+    }
+}
+
+/// The head as the adjustment of cameras has it.
+fn head_of(rig: &StereoRig, lens: LensModel) -> head::State {
+    let from_first = vec![Isometry3::identity(), *rig.cam_right_from_cam_left().isometry()];
+    head::State { lens, cameras: vec![*rig.left(), *rig.right()], from_first, boards: Vec::new() }
+}
+
+/// One uncertain direction of the head: the head moved by a standard deviation to either side, and what is adjusted to it.
+#[derive(Clone, Debug)]
+pub(super) struct Direction {
+    pub sides: [(StereoRig, State); 2],
+}
+
+impl Direction {
+    /// How far the shared poses move by one standard deviation.
+    pub(super) fn step(&self) -> DVector<f64> {
+        let [(_, below), (_, above)] = &self.sides;
+        difference(below, above) * 0.5
+    }
+
+    /// How far a point moves on the flange by one standard deviation that both eyes see at given pixels, metres.
+    pub(super) fn point_step_m(&self, [left, right]: &[Vector2<f64>; 2]) -> f64 {
+        let on_flange = |(rig, state): &(StereoRig, State)| {
+            Some(state.flange_from_cam * Point3::from(triangulated(rig, left, right)?))
+        };
+        let [below, above] = &self.sides;
+        on_flange(below).zip(on_flange(above)).map_or(f64::INFINITY, |(a, b)| 0.5 * (b - a).norm())
+    }
+}
+
+/// The head's uncertain directions, each moved by a standard deviation to either side, and everything adjusted anew.
+pub(super) fn directions(
+    state: &State,
+    seen: &[Seen<'_>],
+    setting: &Setting<'_>,
+    covariance: &CalibrationCovariance,
+) -> Result<Vec<Direction>, HandEyeError> {
+    let head = head_of(setting.rig, covariance.lens);
+    // Of numbers of different units: scaled to standard deviations first, so that small ones are not taken for zero.
+    let sigma = covariance.matrix.diagonal().map(|variance| variance.max(0.0).sqrt());
+    let inverse = sigma.map(|sigma| if sigma > 0.0 { 1.0 / sigma } else { 0.0 });
+    let correlation = DMatrix::from_diagonal(&inverse) * &covariance.matrix * DMatrix::from_diagonal(&inverse);
+    let eigen = correlation.symmetric_eigen();
+    let mut directions = Vec::with_capacity(sigma.len());
+    for (direction, value) in eigen.eigenvectors.column_iter().zip(eigen.eigenvalues.iter()) {
+        let step = direction.component_mul(&sigma) * value.max(0.0).sqrt();
+        let moved = |sign: f64| -> Result<(StereoRig, State), HandEyeError> {
+            let moved = head.moved(&(&step * sign), &[]).ok().and_then(|head| rig_of(&head).ok());
+            let Some(rig) = moved else { return Err(HandEyeError::NotVisible) };
+            let state = adjust(state.clone(), seen, &Setting { rig: &rig, ..setting.clone() })?.state;
+            Ok((rig, state))
+        };
+        directions.push(Direction { sides: [moved(-1.0)?, moved(1.0)?] });
+    }
+    Ok(directions)
+}
+
+/// From one state's shared poses to the other's.
+fn difference(from: &State, to: &State) -> DVector<f64> {
+    let poses = |state: &State| match state.place {
+        Place::Room { base_from_board } => vec![state.flange_from_cam, base_from_board],
+        Place::Carried { vs_base_from_tc_base, tc_flange_from_board } => {
+            vec![state.flange_from_cam, vs_base_from_tc_base, tc_flange_from_board]
+        }
+    };
+    let steps: Vec<f64> = poses(from)
+        .iter()
+        .zip(poses(to))
+        .flat_map(|(from, to)| se3::log(&(from.inverse() * to)).iter().copied().collect::<Vec<_>>())
+        .collect();
+    DVector::from_vec(steps)
+}

@@ -1,0 +1,376 @@
+//! Simulated heads on arms: hand-eye calibrations against exact truth, beside OpenCV, and planted defects.
+
+#![allow(
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "tests may fail loudly, and show what they measured"
+)]
+
+#[allow(dead_code, reason = "each test uses a part of it")]
+mod support;
+
+#[allow(dead_code, reason = "each test uses a part of it")]
+#[path = "support/arm.rs"]
+mod arm;
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use pb3dp_calibration::fit::Fit;
+use pb3dp_calibration::gates::Grade;
+use pb3dp_calibration::hand_eye::gates::{HandEyeGate, HandEyeLimits};
+use pb3dp_calibration::hand_eye::{CalibrationCovariance, Given, HandEyeError, HandEyeFit, HandEyeStop, RobotSigma};
+use pb3dp_calibration::lens::LensModel;
+use pb3dp_geometry::{StereoRig, se3, so3};
+use pb3dp_record::calibration_files::{BoardPlace, ParameterCovariance};
+
+use arm::{GOOD, JointWorld, Visit, World};
+use support::{Random, Session, board};
+
+const RIGS: u32 = 100;
+/// Of those that take long: joints for each pose, a calibration of the head.
+const RIGS_OF_ARM: u32 = 40;
+/// Where the board is, about, metres.
+const DISTANCE_M: f64 = 0.5;
+
+fn fit(stops: &[HandEyeStop], rig: &StereoRig) -> Result<HandEyeFit, HandEyeError> {
+    HandEyeFit::new(stops, &Given { rig, rig_covariance: None, board: &board(), robot: RobotSigma::default() })
+}
+
+fn poses(fit: &HandEyeFit) -> Vec<Isometry3<f64>> {
+    let mut poses = vec![*fit.flange_from_cam_left().isometry()];
+    match fit.board() {
+        BoardPlace::Room { base_from_board } => poses.push(*base_from_board.isometry()),
+        BoardPlace::Carried { vs_base_from_tc_base, tc_flange_from_board } => {
+            poses.extend([*vs_base_from_tc_base.isometry(), *tc_flange_from_board.isometry()]);
+        }
+    }
+    poses
+}
+
+/// Distance in mm and angle in degrees.
+fn apart(a: &Isometry3<f64>, b: &Isometry3<f64>) -> [f64; 2] {
+    [(a.translation.vector - b.translation.vector).norm() * 1e3, a.rotation.angle_to(&b.rotation).to_degrees()]
+}
+
+/// Median and 95th of a hundred.
+fn quantiles(mut values: Vec<f64>) -> [f64; 2] {
+    values.sort_by(f64::total_cmp);
+    [values[values.len() / 2], values[values.len() * 95 / 100]]
+}
+
+/// What a hundred rigs show.
+#[derive(Default)]
+struct Tally {
+    /// Errors of each pose: mm and degrees.
+    errors: Vec<Vec<[f64; 2]>>,
+    within: usize,
+    all: usize,
+    squares: f64,
+    refused: usize,
+    noise_ratios: Vec<f64>,
+}
+
+impl Tally {
+    fn add(&mut self, seed: u32, fit: &HandEyeFit, truth: &[Isometry3<f64>]) {
+        let found = poses(fit);
+        self.errors.resize(found.len(), Vec::new());
+        for (index, (found, truth)) in found.iter().zip(truth).enumerate() {
+            self.errors[index].push(apart(found, truth));
+            let off = se3::log(&(found.inverse() * truth));
+            for (n, off) in off.iter().enumerate() {
+                let error = off / fit.covariance[(6 * index + n, 6 * index + n)].sqrt();
+                self.within += usize::from(error.abs() <= 1.0);
+                self.all += 1;
+                self.squares += error * error;
+            }
+        }
+        self.noise_ratios.push(fit.robot_noise_ratio);
+        let refused = refused(fit);
+        if !refused.is_empty() {
+            println!("seed {seed}: {refused:?}");
+        }
+        self.refused += usize::from(!refused.is_empty());
+    }
+
+    fn share(&self) -> f64 {
+        self.within as f64 / self.all as f64
+    }
+
+    /// Median and 95th of a hundred of a pose's errors.
+    fn of(&self, pose: usize) -> [[f64; 2]; 2] {
+        [0, 1].map(|which| quantiles(self.errors[pose].iter().map(|error| error[which]).collect()))
+    }
+
+    fn tell(&self, what: &str, names: &[&str]) {
+        println!("{what}: {} rigs, {} refused", self.noise_ratios.len(), self.refused);
+        for (index, name) in names.iter().enumerate() {
+            let [mm, deg] = self.of(index);
+            println!("  {name}: median {:.3} mm, {:.4} deg; p95 {:.3} mm, {:.4} deg", mm[0], deg[0], mm[1], deg[1]);
+        }
+        println!(
+            "  within one stated sigma: {:.1} % of {} numbers, mean square {:.2}; robot noise over the stated one: median {:.2}",
+            100.0 * self.share(),
+            self.all,
+            self.squares / self.all as f64,
+            quantiles(self.noise_ratios.clone())[0]
+        );
+    }
+}
+
+/// The gates that refuse.
+fn refused(fit: &HandEyeFit) -> Vec<(HandEyeGate, f64)> {
+    let verdicts = HandEyeLimits::default().judge(fit, DISTANCE_M);
+    verdicts.iter().filter(|v| v.grade() == Grade::Refused).map(|v| (v.gate, v.measured)).collect()
+}
+
+fn visited(seed: u32, visit: &Visit) -> (World, Vec<HandEyeStop>) {
+    let mut random = Random::new(seed);
+    let world = World::in_room(&mut random);
+    let stops = world.visit(visit, &mut random);
+    (world, stops)
+}
+
+#[test]
+fn exact_stops_give_back_the_exact_poses() {
+    let visit = Visit { corner_sigma_px: 0.0, robot_sigma_m: 0.0, robot_sigma_rad: 0.0, ..GOOD };
+    let mut random = Random::new(11);
+    for world in [World::in_room(&mut random), World::carried(&mut random)] {
+        let stops = world.visit(&visit, &mut random);
+        let fit = fit(&stops, &world.rig).expect("a fit");
+        for (found, truth) in poses(&fit).iter().zip(world.poses()) {
+            assert!((found.to_homogeneous() - truth.to_homogeneous()).amax() < 1e-8, "{found}, {truth}");
+        }
+        let scales = fit.scales;
+        assert!((scales.squares.factor - 1.0).abs() < 1e-8 && (scales.baseline.factor - 1.0).abs() < 1e-8);
+        assert_eq!(fit.rejected().count(), 0);
+    }
+}
+
+#[test]
+fn a_head_on_an_arm_is_found_and_its_errors_are_stated() {
+    let mut tally = Tally::default();
+    for seed in 0..RIGS {
+        let (world, stops) = visited(seed, &GOOD);
+        let fit = fit(&stops, &world.rig).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
+        tally.add(seed, &fit, &world.poses());
+    }
+    tally.tell("0.1 mm and 0.02 deg of the flange, 0.1 px, 15 stops", &["flange_from_cam_left", "base_from_board"]);
+    let [mm, deg] = tally.of(0);
+    assert!(mm[0] <= 0.3 && deg[0] <= 0.05, "{mm:?} mm, {deg:?} deg");
+    assert!((tally.share() - 0.683).abs() <= 0.08, "{}", tally.share());
+    assert!(tally.refused <= 3, "{}", tally.refused);
+}
+
+#[test]
+fn noise_in_the_joints_of_a_pa10_that_visits_the_proposed_poses_is_borne() {
+    let mut tally = Tally::default();
+    for seed in 0..RIGS_OF_ARM {
+        let mut random = Random::new(3000 + seed);
+        let arm = JointWorld::new(1e-4, &mut random);
+        let stops = arm.visit(&GOOD, &mut random);
+        let fit = fit(&stops, &arm.world.rig).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
+        tally.add(seed, &fit, &arm.world.poses());
+    }
+    tally.tell("joints of a PA-10, 0.1 mm at the flange", &["flange_from_cam_left", "base_from_board"]);
+    let [mm, deg] = tally.of(0);
+    assert!(mm[0] <= 0.3 && deg[0] <= 0.05, "{mm:?} mm, {deg:?} deg");
+    assert!((tally.share() - 0.683).abs() <= 0.08, "{}", tally.share());
+    assert!(tally.refused <= 1, "{}", tally.refused);
+}
+
+#[test]
+fn base_to_base_and_flange_to_board_are_found_in_one_adjustment() {
+    let mut tally = Tally::default();
+    for seed in 0..RIGS {
+        let mut random = Random::new(2000 + seed);
+        let world = World::carried(&mut random);
+        let stops = world.visit(&Visit { stops: 24, ..GOOD }, &mut random);
+        let fit = fit(&stops, &world.rig).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
+        tally.add(seed, &fit, &world.poses());
+    }
+    let names = ["flange_from_cam_left", "vs_base_from_tc_base", "tc_flange_from_board"];
+    tally.tell("board on the other arm, 12 stops of each arm", &names);
+    for pose in [0, 2] {
+        let [mm, deg] = tally.of(pose);
+        assert!(mm[0] <= 0.4 && deg[0] <= 0.05, "{}: {mm:?} mm, {deg:?} deg", names[pose]);
+    }
+    assert!((tally.share() - 0.683).abs() <= 0.08, "{}", tally.share());
+    assert!(tally.refused <= 3, "{}", tally.refused);
+}
+
+/// How far a point ahead of the cameras, which both eyes see, is on the flange from where it is thought to be, metres.
+fn point_error_m(world: &World, believed: &StereoRig, fit: &HandEyeFit) -> f64 {
+    let point = Point3::new(0.0, 0.0, DISTANCE_M);
+    let left = world.rig.left().project(&point).expect("in sight");
+    let right = world.rig.cam_right_from_cam_left().transform_point(&point);
+    let right = world.rig.right().project(&right).expect("in sight");
+    let cam_left_from_cam_right = believed.cam_right_from_cam_left().inverse();
+    let a = believed.left().unproject(&left).expect("a ray");
+    let b = cam_left_from_cam_right.transform_vector(&believed.right().unproject(&right).expect("a ray"));
+    let origin = cam_left_from_cam_right.translation_m();
+    // s a and origin + t b as near to each other as can be.
+    let rays = nalgebra::Matrix3x2::from_columns(&[a, -b]);
+    let st = (rays.transpose() * rays).try_inverse().expect("two rays") * rays.transpose() * origin;
+    let found = 0.5 * (a * st.x + origin + b * st.y);
+    let on_flange = fit.flange_from_cam_left().transform_point(&found.into());
+    (on_flange - world.flange_from_cam_left * point).norm()
+}
+
+#[test]
+fn errors_of_the_stereo_calibration_are_counted() {
+    let session = Session { views: 15, corner_sigma_px: 0.1, ..Session::default() };
+    let (mut counted, mut left_out) = (Tally::default(), Tally::default());
+    let (mut points_mm, mut squares) = (Vec::new(), 0.0);
+    for seed in 0..RIGS_OF_ARM {
+        let mut random = Random::new(5000 + seed);
+        let world = World::in_room(&mut random);
+        let views = support::views(&world.rig, &session, &mut random);
+        let head = Fit::<2>::new(&views, &board(), support::SIZE, LensModel::Brown4).expect("a head");
+        let covariance = head.covariance();
+        let rows = covariance.matrix.row_iter().map(|row| row.iter().copied().collect()).collect();
+        let covariance = ParameterCovariance { names: covariance.names.clone(), rows };
+        let rig = head.rig().expect("a head");
+        let covariance = CalibrationCovariance::new(&rig, &covariance).expect("of a head");
+        let stops = world.visit(&GOOD, &mut random);
+        let given = Given { rig: &rig, rig_covariance: None, board: &board(), robot: RobotSigma::default() };
+        left_out.add(seed, &HandEyeFit::new(&stops, &given).expect("a fit"), &world.poses());
+        let given = Given { rig_covariance: Some(&covariance), ..given };
+        let fit = HandEyeFit::new(&stops, &given).expect("a fit");
+        counted.add(seed, &fit, &world.poses());
+        let error_m = point_error_m(&world, &rig, &fit);
+        points_mm.push(error_m * 1e3);
+        squares += (error_m / fit.hand_error_m(DISTANCE_M)).powi(2) / f64::from(RIGS_OF_ARM);
+    }
+    let [median, p95] = quantiles(points_mm);
+    println!(
+        "a point 500 mm ahead, on the flange: median {median:.3}, p95 {p95:.3} mm; mean square over the stated one {squares:.2}"
+    );
+    assert!((0.5..1.8).contains(&squares), "{squares}");
+    counted.tell("heads calibrated from 15 views, errors counted", &["flange_from_cam_left", "base_from_board"]);
+    println!("  without: {:.1} % within one stated sigma", 100.0 * left_out.share());
+    assert!((counted.share() - 0.683).abs() <= 0.08, "{}", counted.share());
+    assert!(counted.share() > left_out.share() + 0.05, "{}", left_out.share());
+    let [mm, deg] = counted.of(0);
+    assert!(mm[0] <= 0.45 && deg[0] <= 0.07, "{mm:?} mm, {deg:?} deg");
+    assert!(counted.refused <= 1, "{}", counted.refused);
+}
+
+/// What OpenCV's five methods make of the same stops (tests/data/hand_eye_by_opencv.py).
+const OPENCV: &str = include_str!("data/opencv_4_14_hand_eye.csv");
+
+#[test]
+fn opencv_is_farther_from_the_truth_on_the_same_stops() {
+    let truths: Vec<_> = (0..RIGS).map(|seed| visited(seed, &GOOD)).collect();
+    let mut theirs: std::collections::BTreeMap<&str, Vec<[f64; 2]>> = std::collections::BTreeMap::new();
+    for line in OPENCV.lines().skip(1) {
+        let fields: Vec<&str> = line.split(',').collect();
+        let [rig, method, numbers @ ..] = &fields[..] else { panic!("{line}") };
+        let numbers: Vec<f64> = numbers.iter().map(|number| number.parse().expect(line)).collect();
+        let [rx, ry, rz, x, y, z] = numbers[..] else { panic!("{line}") };
+        let found = Isometry3::from_parts(Vector3::new(x, y, z).into(), so3::exp(&Vector3::new(rx, ry, rz)));
+        let truth = &truths[rig.parse::<usize>().expect(line)].0.flange_from_cam_left;
+        theirs.entry(method).or_default().push(apart(&found, truth));
+    }
+    let of = |errors: &[[f64; 2]]| [0, 1].map(|which| quantiles(errors.iter().map(|error| error[which]).collect()));
+    let tell = |name: &str, [mm, deg]: [[f64; 2]; 2]| {
+        println!("{name:<10} median {:.3} mm, {:.4} deg; p95 {:.3} mm, {:.4} deg", mm[0], deg[0], mm[1], deg[1]);
+    };
+    let ours: Vec<[f64; 2]> = truths
+        .iter()
+        .map(|(world, stops)| {
+            let fit = fit(stops, &world.rig).expect("a fit");
+            apart(fit.flange_from_cam_left().isometry(), &world.flange_from_cam_left)
+        })
+        .collect();
+    tell("ours", of(&ours));
+    assert_eq!(theirs.len(), 5);
+    for (method, errors) in &theirs {
+        assert_eq!(errors.len(), RIGS as usize, "{method}");
+        tell(method, of(errors));
+        for which in [0, 1] {
+            let (ours, theirs) = (of(&ours)[which][0], of(errors)[which][0]);
+            assert!(ours < theirs, "{method}: {ours} and {theirs}");
+        }
+    }
+}
+
+#[test]
+fn stops_that_were_recorded_while_moving_are_found() {
+    for moving in [1, 4] {
+        let (mut found, mut wrong) = (0, 0);
+        let mut errors = Vec::new();
+        for seed in 0..RIGS {
+            let (world, stops) = visited(seed, &Visit { moving, ..GOOD });
+            let fit = fit(&stops, &world.rig).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
+            errors.push(apart(fit.flange_from_cam_left().isometry(), &world.flange_from_cam_left)[0]);
+            let is_moving = |name: &str| {
+                let index: usize = name.parse().expect("a number");
+                index % (15 / moving) == 2 && index / (15 / moving) < moving
+            };
+            let rejected: Vec<_> = fit.rejected().collect();
+            found += rejected.iter().filter(|stop| is_moving(&stop.name)).count();
+            wrong += rejected.iter().filter(|stop| !is_moving(&stop.name)).count();
+            for stop in rejected.iter().filter(|stop| is_moving(&stop.name)) {
+                assert!((stop.left_out_mm - 5.0).abs() < 2.0, "{stop:?}");
+            }
+        }
+        let [median_mm, p95_mm] = quantiles(errors);
+        println!(
+            "{moving} of 15 stops 5 mm off: {found} of {} found, {wrong} good ones rejected; errors: median {median_mm:.3}, p95 {p95_mm:.3} mm",
+            moving * RIGS as usize
+        );
+        assert_eq!(found, moving * RIGS as usize);
+        assert!(wrong <= 5, "{wrong}");
+        assert!(median_mm <= 0.35, "{median_mm}");
+    }
+}
+
+#[test]
+fn wrong_squares_are_refused_and_named() {
+    // Typed wrong here alone, and typed wrong when the head was calibrated, too: then its baseline is wrong as well.
+    for both in [false, true] {
+        for seed in 0..RIGS {
+            let (world, stops) = visited(seed, &Visit { squares: 1.01, ..GOOD });
+            let rig = &world.rig;
+            let shift_m = rig.cam_right_from_cam_left().translation_m() / 1.01;
+            let turn = rig.cam_right_from_cam_left().rotation();
+            let small = StereoRig::new(*rig.left(), *rig.right(), pb3dp_geometry::Pose::from_parts(shift_m, turn));
+            let small = small.expect("a head");
+            let fit =
+                fit(&stops, if both { &small } else { rig }).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
+            let verdicts = HandEyeLimits::default().judge(&fit, DISTANCE_M);
+            let scale = verdicts.iter().find(|v| v.gate == HandEyeGate::Scale).expect("judged");
+            let told = scale.to_string();
+            if seed < 2 {
+                println!("{told}\n{:?}", fit.scales);
+            }
+            assert!(scale.grade() == Grade::Refused && told.contains("measure the squares"), "seed {seed}: {told}");
+            assert_eq!(told.contains("calibrate the stereo head"), both, "seed {seed}: {told}");
+        }
+    }
+}
+
+#[test]
+fn turns_about_one_axis_are_refused_and_named() {
+    let mut reasons = std::collections::BTreeMap::<String, usize>::new();
+    for seed in 0..RIGS {
+        let (world, stops) = visited(seed, &Visit { one_axis: true, ..GOOD });
+        let reason = match fit(&stops, &world.rig) {
+            Err(error @ (HandEyeError::Axes { .. } | HandEyeError::Undetermined { .. })) => {
+                assert!(error.to_string().contains("two axes"), "{error}");
+                format!("{error:?}").split([' ', '{']).next().unwrap_or_default().to_owned()
+            }
+            Err(error) => panic!("seed {seed}: {error}"),
+            Ok(fit) => {
+                let refused = refused(&fit);
+                assert!(
+                    refused.iter().any(|(gate, _)| *gate == HandEyeGate::RotationSpread),
+                    "seed {seed}: {refused:?}"
+                );
+                "RotationSpread".to_owned()
+            }
+        };
+        *reasons.entry(reason).or_default() += 1;
+    }
+    println!("{reasons:?}");
+}

@@ -1,0 +1,151 @@
+//! The poses that are proposed: the board stays whole in both pictures although little is known, and a head can be calibrated from them.
+
+#![allow(
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "tests may fail loudly, and show what they measured"
+)]
+
+#[allow(dead_code, reason = "each test uses a part of it")]
+mod support;
+
+#[allow(dead_code, reason = "each test uses a part of it")]
+#[path = "support/arm.rs"]
+mod arm;
+
+use nalgebra::{Isometry3, Vector3};
+use pb3dp_calibration::fit::View;
+use pb3dp_calibration::gates::{Gate, Grade, Limits};
+use pb3dp_calibration::hand_eye::propose::{ProposeError, Wish, propose};
+use pb3dp_calibration::held_out::choose;
+use pb3dp_calibration::lens::LensModel;
+use pb3dp_calibration::quality::Quality;
+use pb3dp_geometry::{Camera, Pinhole, Pose, StereoRig, so3};
+
+use arm::{GOOD, World};
+use support::{Random, SIZE, board};
+
+const RIGS: u32 = 20;
+const WISH: Wish = Wish {
+    count: 18,
+    distance_m: 0.5,
+    guess_error_m: 0.01,
+    guess_error_rad: 3.0 * std::f64::consts::PI / 180.0,
+    focal_error: 0.02,
+};
+
+/// The board about in the middle of the left picture.
+fn first_look(random: &mut Random, distance_m: f64) -> Isometry3<f64> {
+    let middle = board().corner_in_board(8, 5).coords * 0.5;
+    let at = Vector3::new(random.between(0.02, 0.07), random.between(-0.03, 0.03), distance_m);
+    let turn = so3::exp(&Vector3::from_fn(|_, _| random.between(-0.2, 0.2)));
+    Isometry3::from_parts(at.into(), turn) * Isometry3::translation(-middle.x, -middle.y, 0.0)
+}
+
+/// The head with another focal length.
+fn with_focal(rig: &StereoRig, factor: f64) -> StereoRig {
+    let camera = |camera: &Camera| {
+        let p = camera.pinhole();
+        let pinhole = Pinhole { fx: p.fx * factor, fy: p.fy * factor, ..*p };
+        Camera::new(camera.size(), pinhole, *camera.distortion()).expect("a camera")
+    };
+    StereoRig::new(camera(rig.left()), camera(rig.right()), *rig.cam_right_from_cam_left()).expect("a head")
+}
+
+/// A direction, evenly.
+fn direction(random: &mut Random) -> Vector3<f64> {
+    Vector3::from_fn(|_, _| random.normal()).normalize()
+}
+
+#[test]
+fn the_board_stays_whole_and_the_views_calibrate_the_head() {
+    let (mut whole, mut all) = (0, 0);
+    let mut coverages = Vec::new();
+    let mut refused = 0;
+    for seed in 0..RIGS {
+        let mut random = Random::new(4000 + seed);
+        let world = World::in_room(&mut random);
+        // What is believed is wrong by as much as is allowed for.
+        let factor = if seed % 2 == 0 { 1.02 } else { 1.0 / 1.02 };
+        let believed = with_focal(&world.rig, factor);
+        let (turn, shift) =
+            (direction(&mut random) * WISH.guess_error_rad, direction(&mut random) * WISH.guess_error_m);
+        let error = Isometry3::from_parts(shift.into(), so3::exp(&turn));
+        let first = first_look(&mut random, 0.55);
+        let mut first_believed = first;
+        first_believed.translation.vector *= factor;
+        let views = propose(&believed, &board(), &Pose::from_isometry(first_believed), &WISH)
+            .unwrap_or_else(|error| panic!("seed {seed}: {error}"));
+        assert_eq!(views.cam_left_from_board.len(), WISH.count);
+        let mut seen = Vec::new();
+        for (index, view) in views.cam_left_from_board.iter().enumerate() {
+            let motion = error * (view.isometry() * first_believed.inverse()) * error.inverse();
+            let sightings = world.sightings(&(motion * first), &GOOD, &mut random);
+            seen.extend(sightings.map(|sightings| View { name: format!("{index:02}"), sightings }));
+        }
+        (whole, all) = (whole + seen.len(), all + WISH.count);
+        let chosen = choose(&seen, &board(), SIZE, &[LensModel::Brown4]).expect("a calibration");
+        let quality = Quality::of_stereo(&chosen, &seen, SIZE, 0.5).expect("judged");
+        let verdicts = Limits::default().judge(&quality);
+        let bad: Vec<_> = verdicts.iter().filter(|v| v.grade() != Grade::Good).map(|v| (v.gate, v.measured)).collect();
+        println!(
+            "seed {seed}, focal length {:.0}: coverage promised {:.2?}, measured {:.2}, tilt {:.0} deg; not good: {bad:?}",
+            world.rig.left().pinhole().fx,
+            views.coverage,
+            quality.coverage,
+            quality.tilt_deg
+        );
+        coverages.push(quality.coverage);
+        assert!(quality.tilt_deg >= 20.0, "seed {seed}: {}", quality.tilt_deg);
+        refused += usize::from(verdicts.iter().any(|v| v.grade() == Grade::Refused && v.gate != Gate::Coverage));
+    }
+    coverages.sort_by(f64::total_cmp);
+    println!(
+        "{whole} of {all} views whole; coverage: median {:.2}, least {:.2}",
+        coverages[coverages.len() / 2],
+        coverages[0]
+    );
+    assert!(whole as f64 >= 0.98 * all as f64, "{whole} of {all}");
+    assert_eq!(refused, 0);
+}
+
+#[test]
+fn the_way_is_short_and_turns_about_both_axes() {
+    let mut random = Random::new(17);
+    let world = World::in_room(&mut random);
+    let first = first_look(&mut random, 0.5);
+    let views = propose(&world.rig, &board(), &Pose::from_isometry(first), &WISH).expect("views");
+    let poses: Vec<_> = views.cam_left_from_board.iter().map(|view| *view.isometry()).collect();
+    let turn = |a: &Isometry3<f64>, b: &Isometry3<f64>| a.rotation.angle_to(&b.rotation).to_degrees();
+    let way: f64 = poses.windows(2).map(|pair| turn(&pair[0], &pair[1])).sum::<f64>() + turn(&first, &poses[0]);
+    // In the order of a hash instead.
+    let mut shuffled = poses.clone();
+    for index in 0..shuffled.len() {
+        let other = random.between(0.0, shuffled.len() as f64) as usize;
+        shuffled.swap(index, other);
+    }
+    let other: f64 = shuffled.windows(2).map(|pair| turn(&pair[0], &pair[1])).sum();
+    println!("turns along the way: {way:.0} deg, in another order {other:.0} deg");
+    assert!(way < 0.8 * other, "{way} and {other}");
+    let mut spread = nalgebra::Matrix3::zeros();
+    for pose in &poses {
+        let turn = so3::log(&pose.rotation).map(f64::to_degrees);
+        spread += turn * turn.transpose() / poses.len() as f64;
+    }
+    let mut axes: Vec<f64> = spread.symmetric_eigenvalues().iter().map(|square| square.sqrt()).collect();
+    axes.sort_by(f64::total_cmp);
+    println!("rotations about three axes, degrees rms: {axes:.1?}");
+    assert!(axes[0] > 5.0 && axes[1] > 10.0, "{axes:?}");
+}
+
+#[test]
+fn a_board_that_is_too_near_is_refused_with_numbers() {
+    let mut random = Random::new(23);
+    let world = World::in_room(&mut random);
+    let first = first_look(&mut random, 0.5);
+    let wish = Wish { distance_m: 0.15, ..WISH };
+    let error = propose(&world.rig, &board(), &Pose::from_isometry(first), &wish).expect_err("too near");
+    assert!(matches!(error, ProposeError::TooFew { found: 0, wanted: 18, .. }), "{error:?}");
+    assert!(error.to_string().contains("150 mm") && error.to_string().contains("--distance"), "{error}");
+}
