@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use pb3dp_calibration::hand_eye::place_board;
-use pb3dp_calibration::hand_eye::propose::{Wish, propose};
+use pb3dp_calibration::hand_eye::propose::{Wish, head_of_look, propose};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, TcBase, TcFlange};
 use pb3dp_record::calibration_files::{BoardPlace, load_hand_eye};
@@ -104,8 +104,13 @@ impl ProposeArgs {
 pub(super) fn run(args: &ProposeArgs) -> Result<ExitCode> {
     let guesses = args.guesses()?;
     let looked = args.recording.look()?;
-    let rig = &looked.calibration.rig;
     let Some(first) = looked.stops.last() else { bail!("the board was found at no stop") };
+    let drawn = &looked.calibration.rig;
+    let of_look = looked.calibration.not_measured.as_ref().and_then(|_| {
+        tell("the calibration is that of no cameras: how they stand to each other is taken from the look").ok()?;
+        head_of_look(drawn, &looked.board, &first.sightings)
+    });
+    let rig = of_look.as_ref().unwrap_or(drawn);
     let cam_left_from_board = place_board(rig, &looked.board, &first.sightings).with_context(|| {
         format!("stop {:?}: no pose of the board explains its corners: check --board and --calib", first.name)
     })?;

@@ -8,8 +8,9 @@ use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 use pb3dp_geometry::frames::{Board, CamLeft};
 use pb3dp_geometry::{Camera, Pinhole, Pose, StereoRig, so3};
 
-use crate::board::Chessboard;
+use crate::board::{Chessboard, Sighting};
 use crate::stand::{CELLS, cell_of};
+use crate::start::board_pose;
 
 /// The distances that are tried, as shares of the wanted one.
 const DISTANCES: [f64; 4] = [0.8, 1.0, 1.25, 1.5];
@@ -110,6 +111,16 @@ pub fn propose(
     // Views of the board as the left camera sees it.
     let cam_left_from_board = tour(first, poses).into_iter().map(Pose::from_isometry).collect();
     Ok(Views { cam_left_from_board, coverage })
+}
+
+/// A head of which only a drawing is known, with its right camera where one look at the board shows it: of cameras that are screwed on by
+/// hand nobody knows the angles to each other. `None` if the corners do not determine the board's pose in either picture.
+pub fn head_of_look(drawn: &StereoRig, board: &Chessboard, sightings: &[Sighting; 2]) -> Option<StereoRig> {
+    let [left, right] = sightings;
+    let cam_left_from_board = board_pose(drawn.left(), left, board)?;
+    let cam_right_from_board = board_pose(drawn.right(), right, board)?;
+    let cam_right_from_cam_left = Pose::from_isometry(cam_right_from_board * cam_left_from_board.inverse());
+    StereoRig::new(*drawn.left(), *drawn.right(), cam_right_from_cam_left).ok()
 }
 
 /// How everything may really be: the cameras, the first look, and the error of the camera's pose on the arm.

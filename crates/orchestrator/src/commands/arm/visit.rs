@@ -21,7 +21,7 @@ use super::confirm;
 use super::plan::Plan;
 use crate::cli::parse_seconds;
 use crate::commands::estimate::output::print_line;
-use crate::config::setup::{ArmSetup, Setup, read_setup};
+use crate::config::setup::{Setup, read_setup};
 use crate::run::flight::Moment;
 use crate::run::interruption::{INTERRUPTED, watch};
 use crate::run::visiting::{self, Tour, Visited};
@@ -177,12 +177,10 @@ fn plan_tour(setup: &Setup, parts: &mut Parts, wanted: &WantedPoses, patience: D
         wanted.poses.len(),
         choice.other().name()
     ))?;
-    let (arm, mut ways, mut from_rad) = (choice.of(setup), Vec::new(), begin_rad);
-    let damping = Damping::new(setup.controller.damping.threshold, setup.controller.damping.factor_max)?;
+    let (mut ways, mut from_rad) = (Vec::new(), begin_rad);
     for (index, pose) in wanted.poses.iter().enumerate() {
-        let plan = nearest(arm, [&from_rad, &begin_rad], pose, &damping)
-            .and_then(|to_rad| free_way(setup, (choice, &other_rad), &from_rad, &to_rad));
-        match plan {
+        let way = way_to(setup, (choice, &other_rad), [&from_rad, &begin_rad], pose);
+        match way {
             Ok((plan, room)) => {
                 from_rad = plan.end_rad();
                 let turn_deg = plan.by_rad().amax().to_degrees();
@@ -212,20 +210,34 @@ fn plan_tour(setup: &Setup, parts: &mut Parts, wanted: &WantedPoses, patience: D
     Ok(tour)
 }
 
-/// Joint angles for a pose, near the first of these or, if that is the shorter way from there, near the other ones: seven joints leave a
-/// choice, and what is near to one place after the other wanders off.
-fn nearest<const N: usize>(
-    arm: &ArmSetup,
-    starts_rad: [&JointVector; N],
+/// Turns of the third joint from which a pose is also reached, rad: with seven joints the elbow may stand elsewhere, and there a pose may
+/// be within the ranges of all joints that is not within them here.
+const ELBOW_TURNS_RAD: [f64; 4] = [0.5, -0.5, 1.0, -1.0];
+
+/// The shortest free way to a pose: with the elbow as it is, as it was at the beginning (else it wanders off from stop to stop), or turned.
+fn way_to(
+    setup: &Setup,
+    (choice, other_rad): (ArmChoice, &JointVector),
+    [from_rad, begin_rad]: [&JointVector; 2],
     pose: &Pose<Base, Flange>,
-    damping: &Damping,
-) -> Result<JointVector> {
-    let found = starts_rad.map(|start_rad| reach(&arm.chain, start_rad, pose, damping));
-    let away = |joints_rad: &JointVector| (joints_rad - starts_rad[0]).amax();
-    let best = found.iter().flatten().min_by(|one, other| away(one).total_cmp(&away(other)));
-    match (best, found[0]) {
-        (Some(best), _) => Ok(*best),
-        (None, first) => Ok(first?),
+) -> Result<(Plan, String)> {
+    let damping = Damping::new(setup.controller.damping.threshold, setup.controller.damping.factor_max)?;
+    let turned = ELBOW_TURNS_RAD.map(|turn_rad| {
+        let mut start_rad = *begin_rad;
+        start_rad[2] += turn_rad;
+        start_rad
+    });
+    let mut ways = [*from_rad, *begin_rad].into_iter().chain(turned).map(|start_rad| {
+        let to_rad = reach(&choice.of(setup).chain, &start_rad, pose, &damping)?;
+        free_way(setup, (choice, other_rad), from_rad, &to_rad)
+    });
+    let first = ways.next().unwrap_or_else(|| bail!("no way was tried"));
+    let shorter =
+        |one: (Plan, String), other: (Plan, String)| if other.0.duration() < one.0.duration() { other } else { one };
+    match (first, ways.flatten().reduce(shorter)) {
+        (Ok(first), Some(other)) => Ok(shorter(first, other)),
+        (first, None) => first,
+        (Err(_), Some(other)) => Ok(other),
     }
 }
 
