@@ -15,6 +15,7 @@
 
 mod adjust;
 pub mod board;
+pub mod coach;
 mod depth;
 pub mod detection;
 pub mod fit;

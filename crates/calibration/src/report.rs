@@ -186,24 +186,21 @@ fn errors<const N: usize>(report: Report, chosen: &Chosen<N>, views: &[View<N>],
             )
         })
         .collect();
-    let coverage: Vec<PicturePlot> = sides::<N>()
-        .into_iter()
-        .enumerate()
-        .map(|(camera, side)| {
-            let counts = counts_by_cell(views.iter().map(|view| &view.sightings[camera]), size);
-            PicturePlot::new(format!("{side}: corners seen in each cell"), wide(size)).cells(
-                CELLS[0] as usize,
-                counts,
-                0,
-            )
-        })
-        .collect();
     report
         .heading("Errors of the corners")
         .paragraph("Good ones point everywhere. Where neighbours point the same way, the lens model does not fit, the board is bent, or a camera has changed.")
         .picture_plots(&plots)
         .heading("Where the board was seen")
-        .picture_plots(&coverage)
+        .picture_plots(&coverage_plots(views, size))
+}
+
+/// How many corners were seen in each cell, camera by camera.
+pub fn coverage_plots<const N: usize>(views: &[View<N>], size: ImageSize) -> Vec<PicturePlot> {
+    let plot = |(camera, side): (usize, &str)| {
+        let counts = counts_by_cell(views.iter().map(|view| &view.sightings[camera]), size);
+        PicturePlot::new(format!("{side}: corners seen in each cell"), wide(size)).cells(CELLS[0] as usize, counts, 0)
+    };
+    sides::<N>().into_iter().enumerate().map(plot).collect()
 }
 
 /// Views, lens models and parameters.

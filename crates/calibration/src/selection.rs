@@ -77,17 +77,14 @@ pub fn select<const N: usize, E>(
     let stands = sharp.iter().zip(&views).map(|((index, _), view)| Some((*index, judge.stand(view, board)?)));
     let mut left: Vec<(usize, Stand)> = stands.flatten().collect();
     selection.unexplained = sharp.len() - left.len();
-    let mut seen = vec![Cells::default(); N];
     let mut chosen: Vec<(usize, Stand)> = Vec::new();
     while chosen.len() < wanted.views_max {
-        let worths = left.iter().map(|(_, stand)| worth(stand, &chosen, &seen, wanted));
+        let others = || chosen.iter().map(|(_, stand)| stand);
+        let worths = left.iter().map(|(_, stand)| worth(stand, others(), wanted));
         let best = worths.enumerate().filter_map(|(at, worth)| Some((at, worth?))).max_by(|a, b| a.1.total_cmp(&b.1));
         let Some((at, _)) = best else { break };
         let (index, stand) = left.swap_remove(at);
         if speed_px_per_s(index)?.is_some_and(|speed| speed <= wanted.speed_max_px_per_s) {
-            for (seen, cells) in seen.iter_mut().zip(&stand.cells) {
-                *seen = seen.with(*cells);
-            }
             chosen.push((index, stand));
         } else {
             selection.moving += 1;
@@ -99,12 +96,22 @@ pub fn select<const N: usize, E>(
     Ok(selection)
 }
 
-/// What a stand adds to those that were chosen; `None` if nothing.
-fn worth(stand: &Stand, chosen: &[(usize, Stand)], seen: &[Cells], wanted: &Wanted) -> Option<f64> {
+/// Whether a stand adds enough to others.
+pub fn adds(stand: &Stand, others: &[Stand], wanted: &Wanted) -> bool {
+    worth(stand, others.iter(), wanted).is_some()
+}
+
+/// What a stand adds to others; `None` if that is too little.
+fn worth<'a>(stand: &Stand, others: impl Iterator<Item = &'a Stand> + Clone, wanted: &Wanted) -> Option<f64> {
+    let apart = others.clone().map(|other| stand.apart(other)).fold(f64::INFINITY, f64::min);
     // The first one is the one that fills most of the picture: it is nearest and seen best.
-    let apart = chosen.iter().map(|(_, other)| stand.apart(other)).fold(f64::INFINITY, f64::min);
     let apart = if apart.is_finite() { apart } else { stand.size };
-    let cells: u32 = stand.cells.iter().zip(seen).map(|(cells, seen)| cells.without(*seen).count()).sum();
-    let worth = apart + CELL_WORTH * f64::from(cells);
+    let new = stand.cells.iter().enumerate().map(|(camera, cells)| cells.without(seen(others.clone(), camera)).count());
+    let worth = apart + CELL_WORTH * f64::from(new.sum::<u32>());
     (worth >= wanted.worth_min).then_some(worth)
+}
+
+/// The cells of a camera's picture in which corners were seen.
+pub fn seen<'a>(stands: impl Iterator<Item = &'a Stand>, camera: usize) -> Cells {
+    stands.filter_map(|stand| stand.cells.get(camera)).fold(Cells::default(), |all, cells| all.with(*cells))
 }

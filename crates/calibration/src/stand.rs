@@ -69,7 +69,7 @@ impl Cells {
 pub struct Stand {
     /// Cells of each picture in which corners were seen, the left one first.
     pub cells: Vec<Cells>,
-    /// Middle of the seen corners in the first picture, as shares of its width and height, 0 to 1.
+    /// Middle of the seen corners, as shares of a picture's width and height, 0 to 1; the mean of all pictures.
     pub centre: Vector2<f64>,
     /// Side of a square with the area that the board has in the first picture, as a share of the picture's width.
     pub size: f64,
@@ -124,8 +124,8 @@ impl Judge {
     pub fn stand<const N: usize>(&self, view: &View<N>, board: &Chessboard) -> Option<Stand> {
         let first = view.sightings.first()?;
         let pose = board_pose(&self.camera, first, board)?;
-        let count = first.corners().len() as f64;
-        let middle = first.corners().iter().map(|corner| corner.pixel).sum::<Vector2<f64>>() / count;
+        let middle = middle_px(first);
+        let middles = view.sightings.iter().map(middle_px).sum::<Vector2<f64>>() / N as f64;
         let (width, height) = (f64::from(self.size.width), f64::from(self.size.height));
         let ray = self.camera.unproject(&middle).ok()?.normalize();
         let normal = pose.rotation * Vector3::z();
@@ -136,7 +136,7 @@ impl Judge {
         let across = pose.rotation * Vector3::x();
         Some(Stand {
             cells: view.sightings.iter().map(|sighting| Cells::of(sighting, self.size)).collect(),
-            centre: Vector2::new((middle.x + 0.5) / width, (middle.y + 0.5) / height),
+            centre: Vector2::new((middles.x + 0.5) / width, (middles.y + 0.5) / height),
             size: area_px(first).sqrt() / width,
             tilt_deg: aside.try_normalize(1e-9).map_or_else(Vector2::zeros, |way| -way * angle),
             roll_deg: (across.y / across.x).atan().to_degrees(),
@@ -144,10 +144,15 @@ impl Judge {
     }
 }
 
+/// The middle of the corners that were seen, px.
+fn middle_px(sighting: &Sighting) -> Vector2<f64> {
+    let count = sighting.corners().len().max(1) as f64;
+    sighting.corners().iter().map(|corner| corner.pixel).sum::<Vector2<f64>>() / count
+}
+
 /// The area that the board's corners span in the picture, px^2, from their spread.
 fn area_px(sighting: &Sighting) -> f64 {
-    let count = sighting.corners().len().max(1) as f64;
-    let mean = sighting.corners().iter().map(|corner| corner.pixel).sum::<Vector2<f64>>() / count;
+    let (count, mean) = (sighting.corners().len().max(1) as f64, middle_px(sighting));
     let mut spread = nalgebra::Matrix2::zeros();
     for corner in sighting.corners() {
         let aside = corner.pixel - mean;

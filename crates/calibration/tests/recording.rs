@@ -16,8 +16,9 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use film::{AT_REST, Studio, board, places, record, rig};
+use nalgebra::Isometry3;
 use pb3dp_geometry::Pose;
-use pb3dp_record::calibration_files::load_stereo;
+use pb3dp_record::calibration_files::{BoardPlace, HandEye, Judgement, load_stereo, save_hand_eye, save_json};
 use pb3dp_record::stops::{ArmStand, Stop, Stops, save_stops};
 
 fn calibrate(args: &[&str]) -> Output {
@@ -145,4 +146,111 @@ fn each_stop_of_an_arm_is_a_view() {
     let seen = fs::read_to_string(&corners).expect("corners");
     assert!(text(&output).contains("views = 6.000"), "{}", text(&output));
     assert!(seen.contains("\nstop 00,left,0,0,") && seen.contains("\nstop 05,right,8,5,"), "{}", text(&output));
+}
+
+/// The hand sees a board that rests in the room, from six stops.
+#[test]
+fn what_was_touched_is_where_the_cameras_say() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    let studio = Studio::new(rig());
+    let pose = |shift: [f64; 3], turn: [f64; 3]| Isometry3::new(shift.into(), turn.into());
+    let base_from_board = pose([0.52, -0.11, 0.07], [2.9, 0.2, -0.4]);
+    let flange_from_cam_left = pose([0.031, -0.045, 0.082], [0.1, -0.2, 1.4]);
+    let mut stops = Vec::new();
+    for (number, cam_left_from_board) in places(&studio.rig).iter().enumerate().take(6) {
+        let base_from_flange = base_from_board * cam_left_from_board.inverse() * flange_from_cam_left.inverse();
+        let [left, right] = ["left", "right"].map(|side| format!("{side}_{number}.png"));
+        for (picture, name) in studio.pair(cam_left_from_board, 0.0).iter().zip([&left, &right]) {
+            picture.save(path(name)).expect("written");
+        }
+        let vs = ArmStand { joints_rad: [0.1; 7], base_from_flange: Pose::from_isometry(base_from_flange) };
+        stops.push(Stop { left, right, vs, tc: None });
+    }
+    save_stops(folder.path(), &Stops { date: "2026-11-22T09:00:00Z".to_owned(), stops }).expect("written");
+    save_json(&studio.rig, &path("calib.json")).expect("written");
+    let judgement = Judgement {
+        date: "2026-11-22T10:00:00Z".to_owned(),
+        tool: "a test".to_owned(),
+        source: "exact".to_owned(),
+        cameras: Default::default(),
+        numbers: Vec::new(),
+        covariance: None,
+        gates: Vec::new(),
+    };
+    let place = BoardPlace::Room { base_from_board: Pose::from_isometry(base_from_board) };
+    let flange_from_cam_left = Pose::from_isometry(flange_from_cam_left);
+    let hand_eye = HandEye { flange_from_cam_left, board: place, judgement };
+    save_hand_eye(&hand_eye, &path("hand_eye.toml")).expect("written");
+    // The third one was read wrongly by `off_mm`.
+    let touch_file = |off_mm: f64| {
+        let place = |([column, row], off_mm): ([u32; 2], f64)| {
+            let at = base_from_board * board().corner_in_board(column, row) * 1e3;
+            let (x, y, z) = (at.x, at.y + off_mm, at.z);
+            format!("[[touch]]\nboard_corner = [{column}, {row}]\nbase_position_mm = [{x:.2}, {y:.2}, {z:.2}]\n")
+        };
+        [([0, 0], 0.0), ([8, 0], 0.0), ([3, 5], off_mm)].map(place).concat()
+    };
+    let verify = |off_mm: f64| {
+        fs::write(path("touch.toml"), touch_file(off_mm)).expect("written");
+        let [calib, recording, touch, hand_eye] =
+            ["calib.json", "", "touch.toml", "hand_eye.toml"].map(|name| path(name).display().to_string());
+        let args = ["verify", &calib, "--recording", &recording, "--board", "9x6", "--square", "25"];
+        calibrate(&[&args[..], &["--touch", &touch, "--hand-eye", &hand_eye]].concat())
+    };
+    let good = verify(0.0);
+    println!("{}", text(&good));
+    assert!(good.status.success() && text(&good).contains("good     touch_mm = 0."), "{}", text(&good));
+    let wrong = verify(-5.0);
+    let told = text(&wrong);
+    assert!(!wrong.status.success() && told.contains("refused  touch_mm = "), "{told}");
+    assert!(told.lines().any(|line| line.starts_with("corner 3,5: touched at") && line.contains("6 stops")), "{told}");
+}
+
+/// Lines that a program writes, one by one.
+fn lines(child: &mut std::process::Child) -> impl Iterator<Item = String> + use<> {
+    let stdout = child.stdout.take().expect("a pipe");
+    std::io::BufRead::lines(std::io::BufReader::new(stdout)).map(|line| line.expect("a line"))
+}
+
+/// The recording grows only when the coach has said something about what there is: no clock decides.
+#[test]
+fn the_coach_looks_at_a_recording_that_grows() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (recording, page) = (folder.path().join("live"), folder.path().join("coach.html"));
+    let studio = Studio::new(rig());
+    let places = places(&studio.rig);
+    let mut child = Command::new(env!("CARGO_BIN_EXE_pb3dp-calibrate"))
+        .args(["coach", &recording.display().to_string(), "--board", "9x6", "--square", "25"])
+        .args(["--page", &page.display().to_string()])
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .expect("it starts");
+    let mut told = lines(&mut child);
+    assert!(told.next().expect("a line").contains("waiting for pictures"));
+    let mut writer = film::writer(&recording, &studio.rig);
+    let pair = studio.pair(&places[0], 0.0);
+    film::push(&mut writer, &pair);
+    // One pair alone does not tell whether the board rests.
+    assert!(told.next().expect("a line").contains("0 views, 0 % covered: the board moves"));
+    assert!(told.next().expect("a line").contains("next: hold the board in the middle of the pictures"));
+    film::push(&mut writer, &pair);
+    assert!(told.next().expect("a line").contains("1 views") && told.next().expect("a line").contains("next: "));
+    film::push(&mut writer, &pair);
+    assert!(told.next().expect("a line").contains("such a view is there already"));
+    assert!(told.next().expect("a line").contains("next: "));
+    for _ in 0..2 {
+        film::push(&mut writer, &studio.pair(&places[3], 0.0));
+    }
+    let taken = told.by_ref().find(|line| line.contains("2 views")).expect("a line");
+    assert!(taken.contains("taken"), "{taken}");
+    let next = told.next().expect("a line");
+    println!("{taken}\n{next}");
+    let html = fs::read_to_string(&page).expect("a page");
+    check_html(&html.replace("http-equiv", ""));
+    writer.finish().expect("written");
+    let rest: Vec<String> = told.collect();
+    assert!(rest.iter().any(|line| line.contains("the recording has ended with 2 views")), "{rest:?}");
+    assert!(!child.wait().expect("it ends").success());
+    assert!(html.contains("Calibration coach") && html.contains("http-equiv=\"refresh\""));
 }

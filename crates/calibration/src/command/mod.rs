@@ -1,5 +1,6 @@
 //! The command line of `pb3dp-calibrate`.
 
+mod coach;
 mod convert;
 mod gates_file;
 mod hand_eye;
@@ -12,6 +13,7 @@ mod poses;
 mod propose;
 mod recording;
 mod report;
+mod touch_test;
 mod verify;
 mod verify_limits;
 
@@ -30,6 +32,7 @@ use pb3dp_calibration::quality::Quality;
 use pb3dp_calibration::report::{of_camera, of_stereo};
 use pb3dp_geometry::ImageSize;
 
+use self::coach::CoachArgs;
 use self::convert::ConvertArgs;
 use self::hand_eye::HandEyeArgs;
 use self::pictures::Pictures;
@@ -50,6 +53,8 @@ enum What {
     Intrinsics(IntrinsicsArgs),
     /// A stereo head: both cameras and their pose to each other, in one adjustment.
     Stereo(StereoArgs),
+    /// Look at a recording while it grows, and say what view of the board is missing next.
+    Coach(CoachArgs),
     /// Whether a calibration still holds: fresh views of the board, a second calibration, a length, places that were touched.
     Verify(VerifyArgs),
     /// Where the cameras sit on the arm, and with a board on the other arm where both arms stand to each other.
@@ -159,6 +164,7 @@ pub fn run(cli: &Cli) -> Result<ExitCode> {
     match &cli.what {
         What::Intrinsics(args) => intrinsics(args),
         What::Stereo(args) => stereo(args),
+        What::Coach(args) => coach::run(args),
         What::Verify(args) => verify::run(args),
         What::HandEye(args) => hand_eye::run(args),
         What::Propose(args) => propose::run(args),

@@ -43,9 +43,8 @@ pub(super) fn sightings(folder: &Path, board: &Chessboard) -> Result<Seen<2>> {
         return Pictures::of_stops(folder)?.sightings(board);
     }
     let sequence = load_sequence(folder)?;
-    let first = first_picture(&sequence)?;
-    let size = size_of(&load_rgb(&first)?);
-    let recording = Recording { sequence: &sequence, board, size, because_of: first.display().to_string() };
+    let recording = Recording::new(&sequence, board)?;
+    let size = recording.size;
     let looks = recording.looks()?;
     let frames: Vec<u64> = looks.iter().filter(|look| look.found.is_ok()).map(|look| look.frame).collect();
     let mut without: BTreeMap<&str, usize> = BTreeMap::new();
@@ -108,14 +107,22 @@ fn told(
 }
 
 /// What is needed to look at a pair.
-struct Recording<'a> {
-    sequence: &'a Sequence,
+pub(super) struct Recording<'a> {
+    pub(super) sequence: &'a Sequence,
     board: &'a Chessboard,
-    size: ImageSize,
+    /// Of its pictures.
+    pub(super) size: ImageSize,
     because_of: String,
 }
 
-impl Recording<'_> {
+impl<'a> Recording<'a> {
+    /// A recording whose first picture tells the size of all.
+    pub(super) fn new(sequence: &'a Sequence, board: &'a Chessboard) -> Result<Self> {
+        let first = first_picture(sequence)?;
+        let size = size_of(&load_rgb(&first)?);
+        Ok(Self { sequence, board, size, because_of: first.display().to_string() })
+    }
+
     fn files(&self, frame: u64) -> [PathBuf; 2] {
         <[PathBuf; 2]>::from(self.sequence.picture_files(frame))
     }
@@ -156,7 +163,7 @@ impl Recording<'_> {
     }
 
     /// What a pair shows, or why it can not be used.
-    fn look(&self, frame: u64) -> Result<Candidate<2>, String> {
+    pub(super) fn look(&self, frame: u64) -> Result<Candidate<2>, String> {
         let mut sightings: [Sighting; 2] = Default::default();
         let mut blur: Option<f64> = Some(0.0);
         for ((sighting, file), side) in sightings.iter_mut().zip(self.files(frame)).zip(sides::<2>()) {
@@ -177,7 +184,7 @@ impl Recording<'_> {
 
     /// How fast the board moves in the left picture, from the pair before to the one behind, px per second; `None` where it can not
     /// be told. A recording whose pairs are far apart in time was taken one by one, so nothing is asked of it.
-    fn speed_px_per_s(&self, frame: u64, candidate: &Candidate<2>) -> Result<Option<f64>> {
+    pub(super) fn speed_px_per_s(&self, frame: u64, candidate: &Candidate<2>) -> Result<Option<f64>> {
         let mut fastest: Option<f64> = None;
         let time_s = |frame: u64| usize::try_from(frame).ok().and_then(|at| self.sequence.times_s.get(at)).copied();
         for other in [frame.checked_sub(1), Some(frame + 1)].into_iter().flatten() {

@@ -12,10 +12,11 @@ use pb3dp_calibration::gates::Grade;
 use pb3dp_calibration::report::{GateLine, verdict_in_words};
 use pb3dp_calibration::verify::against::{Comparison, Known, compare};
 use pb3dp_calibration::verify::limits::{Check, VerifyLimits};
+use pb3dp_calibration::verify::touch::TouchResult;
 use pb3dp_calibration::verify::{Checked, check, depth_sigma_m, lengths_m};
 use pb3dp_record::calibration_files::{StereoCalibration, load_stereo};
 
-use super::{Pairs, Seen, numbers, tell, verify_limits};
+use super::{Pairs, Seen, numbers, tell, touch_test, verify_limits};
 
 /// Arguments of `pb3dp calibrate verify`.
 #[derive(Debug, Args)]
@@ -40,6 +41,12 @@ pub(super) struct VerifyArgs {
     /// That distance, mm.
     #[arg(long, value_name = "MM", value_parser = numbers::millimetres, requires = "corners", allow_hyphen_values = true)]
     length: Option<f64>,
+    /// A touch test: a TOML file with corners of the board that the arm has touched (docs/calibration.md), for a recording of stops.
+    #[arg(long, value_name = "FILE", requires = "hand_eye", requires = "recording")]
+    touch: Option<PathBuf>,
+    /// The hand-eye calibration for it.
+    #[arg(long, value_name = "FILE", requires = "touch")]
+    hand_eye: Option<PathBuf>,
     /// The distance for which the head is judged, mm.
     #[arg(long, value_name = "MM", value_parser = numbers::millimetres, default_value = "500", allow_hyphen_values = true)]
     distance: f64,
@@ -70,6 +77,7 @@ pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
         gates.push(limits.judge(Check::Rows, checked.rows.rms_px));
         gates.push(limits.judge(Check::Scale, 100.0 * (scale.scale - 1.0).abs()));
         gates.extend(args.ruler(&known, &seen, &limits)?);
+        gates.extend(args.touched(&known, &seen, &limits)?);
     }
     if let Some(other) = &args.against {
         let second = self::known(&load_stereo(std::slice::from_ref(other))?);
@@ -123,6 +131,15 @@ impl VerifyArgs {
         let square_mm = self.square.context("--square: must be given with pictures: the side of a square, mm")?;
         let board = Chessboard::new(columns, rows, square_mm * 1e-3)?;
         Ok((self.pairs.sightings(&board)?, board))
+    }
+
+    /// Corners that the arm has touched.
+    fn touched(&self, known: &Known, seen: &Seen<2>, limits: &VerifyLimits) -> Result<Option<GateLine>> {
+        let (Some(file), Some(hand_eye)) = (&self.touch, &self.hand_eye) else { return Ok(None) };
+        let results = touch_test::run(known, seen, self.pairs.folder(), hand_eye, file)?;
+        tell(&touch_test::told(&results))?;
+        let worst_m = results.iter().map(TouchResult::error_m).fold(0.0, f64::max);
+        Ok(Some(limits.judge(Check::Touch, worst_m * 1e3)))
     }
 
     /// The length that was measured with a ruler.

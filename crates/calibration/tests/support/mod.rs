@@ -102,6 +102,20 @@ pub fn views(rig: &StereoRig, session: &Session, random: &mut Random) -> Vec<Vie
     views
 }
 
+/// The sightings of a board by both cameras; `None` if it leaves a picture.
+#[allow(dead_code, reason = "not every test that has this module places its boards by itself")]
+pub fn seen_by_both(
+    rig: &StereoRig,
+    cam_left_from_board: &Isometry3<f64>,
+    session: &Session,
+    random: &mut Random,
+) -> Option<[Sighting; 2]> {
+    let board = board();
+    let cam_right_from_board = rig.cam_right_from_cam_left().isometry() * cam_left_from_board;
+    let left = sighting(rig.left(), cam_left_from_board, &board, session, random)?;
+    Some([left, sighting(rig.right(), &cam_right_from_board, &board, session, random)?])
+}
+
 fn refocused(camera: &Camera, share: f64) -> Camera {
     let p = camera.pinhole();
     let pinhole = Pinhole { fx: p.fx * (1.0 + share), fy: p.fy * (1.0 + share), ..*p };

@@ -117,12 +117,20 @@ pub struct Report {
     title: String,
     body: String,
     failed: Option<ReportError>,
+    reload_s: Option<u32>,
 }
 
 impl Report {
     /// An empty report.
     pub fn new(title: impl Into<String>) -> Self {
-        Self { title: title.into(), body: String::new(), failed: None }
+        Self { title: title.into(), body: String::new(), failed: None, reload_s: None }
+    }
+
+    /// A page that loads itself again after so many seconds: for what is written anew while somebody looks.
+    #[must_use]
+    pub fn reloading(mut self, every_s: u32) -> Self {
+        self.reload_s = Some(every_s);
+        self
     }
 
     fn add(mut self, html: std::fmt::Arguments<'_>) -> Self {
@@ -242,8 +250,10 @@ impl Report {
 
     fn page(&self) -> String {
         let title = escape(&self.title);
+        let reload =
+            self.reload_s.map_or_else(String::new, |s| format!("<meta http-equiv=\"refresh\" content=\"{s}\">\n"));
         format!(
-            "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+            "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n{reload}\
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n\
              <style>\n{}</style>\n</head>\n<body>\n<main>\n<h1>{title}</h1>\n{}</main>\n</body>\n</html>\n",
             include_str!("style.css"),
@@ -311,6 +321,13 @@ mod tests {
         assert!(!html.contains("<script") && !html.contains("alert('"), "{html}");
         assert!(html.contains("&lt;script&gt;alert(&#39;a &amp; &quot;b&quot;&#39;)&lt;/script&gt;"));
         assert!(!html.contains("http"), "no external resource");
+    }
+
+    #[test]
+    fn a_page_loads_itself_again_only_if_it_is_asked_to() {
+        let html = |report: Report| report.to_html().unwrap();
+        assert!(html(Report::new("t").reloading(2)).contains("http-equiv=\"refresh\" content=\"2\""));
+        assert!(!html(Report::new("t")).contains("refresh"));
     }
 
     #[test]

@@ -1,0 +1,207 @@
+//! What view of the board is missing next, and when there are enough.
+//!
+//! Judged by how the board stood in the views so far ([`Stand`]), so that it can be told before anything is calibrated. The wishes
+//! are those of the gates: cells of both pictures without corners, tilts in all four directions, near views, and enough of them.
+
+use std::fmt;
+
+use nalgebra::Vector2;
+
+use crate::gates::{Gate, Limits};
+use crate::selection::seen;
+use crate::stand::{CELLS, Cells, Stand};
+
+/// So many views are enough if everything else is.
+const VIEWS_ENOUGH: usize = 15;
+/// With so many the rest is not worth the time.
+pub const VIEWS_MAX: usize = 25;
+/// A view counts as tilted in a direction from here on; what is asked for is more.
+const TILTED_DEG: f64 = 18.0;
+const TILT_ASKED_DEG: f64 = 30.0;
+/// Views that are wanted in each direction of tilt.
+const TILTED_EACH: usize = 2;
+/// A board with this side (of a square of its area, as a share of the picture's width) is near; where both cameras never see the
+/// whole board so large, this share of the largest is. What is asked for, and how many.
+const NEAR: f64 = 0.36;
+const NEAR_OF_LARGEST: f64 = 0.85;
+const NEAR_ASKED: f64 = 0.42;
+const NEAR_VIEWS: usize = 4;
+/// The size that is asked for otherwise, so that the board fits into the corners of the picture.
+const MIDDLE_ASKED: f64 = 0.3;
+/// Parts of the picture across and down.
+const PARTS: u32 = 3;
+/// Coverage beyond the gate's limit, as corners that are at a border of a cell may fall into the next one.
+const COVERAGE_MORE: f64 = 0.04;
+
+/// A direction into which the board is tilted: the side that is farther away.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Farther {
+    /// Its right side.
+    Right,
+    /// Its left side.
+    Left,
+    /// Its lower side.
+    Lower,
+    /// Its upper side.
+    Upper,
+}
+
+impl Farther {
+    /// All of them, in the order in which they are asked for.
+    pub const ALL: [Self; 4] = [Self::Right, Self::Lower, Self::Left, Self::Upper];
+
+    /// The direction in [`Stand::tilt_deg`].
+    pub fn direction(self) -> Vector2<f64> {
+        match self {
+            Self::Right => Vector2::x(),
+            Self::Left => -Vector2::x(),
+            Self::Lower => Vector2::y(),
+            Self::Upper => -Vector2::y(),
+        }
+    }
+
+    /// Its name, for people.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Right => "right",
+            Self::Left => "left",
+            Self::Lower => "lower",
+            Self::Upper => "upper",
+        }
+    }
+}
+
+/// A view that is wanted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wish {
+    /// Part of the picture: column and row, each 0 to 2.
+    pub part: [u32; 2],
+    /// Which side is to be farther away; `None` is a board that faces the cameras.
+    pub farther: Option<Farther>,
+    /// By how much, degrees.
+    pub tilt_deg: f64,
+    /// Side of a square with the board's area, as a share of the picture's width.
+    pub size: f64,
+}
+
+impl fmt::Display for Wish {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let place = match self.part {
+            [0, 0] => "in the upper left corner",
+            [1, 0] => "at the upper edge",
+            [2, 0] => "in the upper right corner",
+            [0, 1] => "at the left edge",
+            [2, 1] => "at the right edge",
+            [0, 2] => "in the lower left corner",
+            [1, 2] => "at the lower edge",
+            [2, 2] => "in the lower right corner",
+            _ => "in the middle",
+        };
+        write!(f, "hold the board {place} of the pictures")?;
+        if self.part != [1, 1] {
+            write!(f, ", as far out as both still show all of it")?;
+        }
+        match self.farther {
+            Some(side) => write!(f, ", its {} side {:.0} degrees farther away", side.name(), self.tilt_deg)?,
+            None => write!(f, ", facing the cameras")?,
+        }
+        write!(f, ", {}", if self.size >= NEAR { "near: as large as fits" } else { "a third of the picture wide" })
+    }
+}
+
+/// What there is so far.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Progress {
+    /// Views.
+    pub views: usize,
+    /// Cells of each picture in which corners were seen.
+    pub cells: Vec<Cells>,
+    /// Views in which each side was farther away, in the order of [`Farther::ALL`].
+    pub tilted: [usize; 4],
+    /// Views in which the board was near.
+    pub near: usize,
+}
+
+impl Progress {
+    /// Of the camera with the lowest, as the gate has it.
+    pub fn coverage(&self) -> f64 {
+        self.cells.iter().map(|cells| cells.share()).fold(1.0, f64::min)
+    }
+}
+
+/// What is missing next.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Advice {
+    /// What there is so far.
+    pub progress: Progress,
+    /// The next view; `None` if it is enough.
+    pub wish: Option<Wish>,
+}
+
+/// Says what view is missing next. `limits` are those of the gates that will judge.
+pub fn advice(stands: &[Stand], limits: &Limits) -> Advice {
+    let cameras = stands.iter().map(|stand| stand.cells.len()).max().unwrap_or(1);
+    let tilted = Farther::ALL
+        .map(|side| stands.iter().filter(|stand| stand.tilt_deg.dot(&side.direction()) >= TILTED_DEG).count());
+    let largest = stands.iter().map(|stand| stand.size).fold(0.0, f64::max);
+    let near = NEAR.min(NEAR_OF_LARGEST * largest);
+    let progress = Progress {
+        views: stands.len(),
+        cells: (0..cameras).map(|camera| seen(stands.iter(), camera)).collect(),
+        tilted,
+        near: stands.iter().filter(|stand| stand.size >= near).count(),
+    };
+    let is_covered = progress.coverage() >= (limits.of(Gate::Coverage).good / 100.0 + COVERAGE_MORE).min(1.0);
+    let is_tilted = tilted.iter().all(|count| *count >= TILTED_EACH);
+    let views_enough = VIEWS_ENOUGH.max(limits.of(Gate::Views).good.ceil() as usize);
+    let is_all = is_covered && is_tilted && progress.near >= NEAR_VIEWS && stands.len() >= views_enough;
+    if is_all || stands.len() >= VIEWS_MAX.max(views_enough) {
+        return Advice { progress, wish: None };
+    }
+    let wish = if stands.is_empty() {
+        Wish { part: [1, 1], farther: None, tilt_deg: 0.0, size: NEAR_ASKED }
+    } else {
+        next(stands, &progress, is_covered)
+    };
+    Advice { progress, wish: Some(wish) }
+}
+
+/// The part of the picture with the most to gain, the rarest tilt, and every third view near, in the middle.
+fn next(stands: &[Stand], progress: &Progress, is_covered: bool) -> Wish {
+    let rarest = Farther::ALL.into_iter().zip(progress.tilted).min_by_key(|(_, count)| *count).map(|(side, _)| side);
+    // More near ones are asked for between the others, as the same side of the board is not turned away in all of them.
+    let is_near = progress.near < NEAR_VIEWS && (is_covered || 4 * progress.near < stands.len());
+    if is_near {
+        return Wish { part: [1, 1], farther: rarest, tilt_deg: TILT_ASKED_DEG, size: NEAR_ASKED };
+    }
+    let parts = (0..PARTS).flat_map(|row| (0..PARTS).map(move |column| [column, row]));
+    // The middle fills itself. A part that was asked for and stays empty is where not both cameras can see the board.
+    let outer = parts.filter(|part| *part != [1, 1]);
+    let gain = |part: &[u32; 2]| {
+        let visits = stands.iter().filter(|stand| part_of(&stand.centre) == *part).count();
+        f64::from(empty_cells(progress, *part)).max(0.1) / (1.0 + visits as f64)
+    };
+    let part = outer.max_by(|a, b| gain(a).total_cmp(&gain(b))).unwrap_or([1, 1]);
+    Wish { part, farther: rarest, tilt_deg: TILT_ASKED_DEG, size: MIDDLE_ASKED }
+}
+
+/// The part of the picture for the middle of a board there: outer parts begin where a board of a third of the width ends.
+fn part_of(centre: &Vector2<f64>) -> [u32; 2] {
+    [centre.x, centre.y].map(|share| {
+        if share < 0.42 {
+            0
+        } else if share > 0.58 {
+            2
+        } else {
+            1
+        }
+    })
+}
+
+/// Cells of a part without corners, in all pictures together.
+fn empty_cells(progress: &Progress, part: [u32; 2]) -> u32 {
+    let cells = (0..CELLS[1]).flat_map(|row| (0..CELLS[0]).map(move |column| [column, row]));
+    let in_part = |[column, row]: &[u32; 2]| [PARTS * column / CELLS[0], PARTS * row / CELLS[1]] == part;
+    let is_empty = |cell: &[u32; 2]| progress.cells.iter().filter(|cells| !cells.has(*cell)).count() as u32;
+    cells.filter(in_part).map(|cell| is_empty(&cell)).sum()
+}

@@ -1,0 +1,254 @@
+//! `pb3dp calibrate coach`: looks at a recording while it grows, and says what view of the board is missing next.
+//!
+//! What it says stands in the terminal and, if wanted, on a page that loads itself again: a plain file, as a server would need the
+//! network and a browser on the same machine can open a file as well.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use pb3dp_calibration::board::Chessboard;
+use pb3dp_calibration::coach::{Advice, Farther, advice};
+use pb3dp_calibration::fit::{View, sides};
+use pb3dp_calibration::gates::Limits;
+use pb3dp_calibration::report::coverage_plots;
+use pb3dp_calibration::selection::{Candidate, Wanted, adds};
+use pb3dp_calibration::stand::{Judge, Stand};
+use pb3dp_record::dataset::{Sequence, is_sequence, load_sequence};
+use pb3dp_record::report::{Report, Table, Tone};
+
+use super::recording::Recording;
+use super::{gates_file, numbers, tell};
+
+/// Time between two looks, and how long nothing new may come.
+const PAUSE: Duration = Duration::from_millis(150);
+const PATIENCE_PAUSES: u32 = 400;
+/// Views from which on the focal length is guessed; before, the recording's own calibration must do.
+const GUESS_FROM: usize = 4;
+/// The page loads itself again after this time, s.
+const RELOAD_S: u32 = 1;
+
+/// Arguments of `pb3dp calibrate coach`.
+#[derive(Debug, Args)]
+pub(super) struct CoachArgs {
+    /// The folder into which `pb3dp cameras record` writes.
+    #[arg(value_name = "DIR")]
+    folder: PathBuf,
+    /// Inner corners of the chessboard, for instance 9x6.
+    #[arg(long, value_name = "COLUMNSxROWS", value_parser = numbers::corners)]
+    board: [u32; 2],
+    /// Side of a square, mm.
+    #[arg(long, value_name = "MM", value_parser = numbers::millimetres, allow_hyphen_values = true)]
+    square: f64,
+    /// Also write a page that loads itself again each second, to be opened in a browser.
+    #[arg(long, value_name = "FILE.html")]
+    page: Option<PathBuf>,
+    /// Limits of the gates that will judge (copy configs/calibration_gates.toml).
+    #[arg(long, value_name = "FILE")]
+    gates: Option<PathBuf>,
+}
+
+/// What the newest pair was worth.
+#[derive(Clone, Debug, PartialEq)]
+enum Look {
+    NoBoard(String),
+    Blurred,
+    Moving,
+    SeenBefore,
+    Unexplained,
+    Taken,
+}
+
+impl Look {
+    fn text(&self) -> String {
+        match self {
+            Self::NoBoard(reason) => reason.clone(),
+            Self::Blurred => "blurred: hold the board still, give more light, or focus".to_owned(),
+            Self::Moving => "the board moves: hold it still for a moment".to_owned(),
+            Self::SeenBefore => "such a view is there already".to_owned(),
+            Self::Unexplained => "no camera explains what is seen: check that the board is flat".to_owned(),
+            Self::Taken => "taken".to_owned(),
+        }
+    }
+}
+
+/// Numbers of the newest pair.
+#[derive(Clone, Copy, Debug, Default)]
+struct Now {
+    blur_px: Option<f64>,
+    speed_px_per_s: Option<f64>,
+    tilt_deg: Option<f64>,
+}
+
+/// What was taken so far.
+struct Coach<'a> {
+    board: &'a Chessboard,
+    limits: Limits,
+    args: &'a CoachArgs,
+    views: Vec<View<2>>,
+    told: Option<(Look, usize)>,
+}
+
+/// Runs the command until it is enough, or the recording ends; the latter is a failure if views are missing.
+pub(super) fn run(args: &CoachArgs) -> Result<ExitCode> {
+    let [columns, rows] = args.board;
+    let board = Chessboard::new(columns, rows, args.square * 1e-3)?;
+    let limits = args.gates.as_deref().map_or_else(|| Ok(Limits::default()), gates_file::read)?;
+    let mut coach = Coach { board: &board, limits, args, views: Vec::new(), told: None };
+    let (mut last, mut waited) = (None, 0);
+    tell(&format!("{}: waiting for pictures", args.folder.display()))?;
+    loop {
+        let sequence = newest(&args.folder);
+        let frame = sequence.as_ref().ok().and_then(|sequence| sequence.frames().checked_sub(1));
+        let (Ok(sequence), Some(frame)) = (sequence.as_ref(), frame.filter(|frame| last != Some(*frame))) else {
+            let is_over = sequence.as_ref().is_ok_and(|sequence| !sequence.is_unfinished);
+            if is_over && last.is_some() {
+                return coach.ended();
+            }
+            waited += 1;
+            if waited > PATIENCE_PAUSES {
+                sequence.context("nothing new comes")?;
+                bail!("{}: nothing new comes: start `pb3dp cameras record`", args.folder.display());
+            }
+            std::thread::sleep(PAUSE);
+            continue;
+        };
+        (last, waited) = (Some(frame), 0);
+        if coach.look(sequence, frame)? {
+            return Ok(ExitCode::SUCCESS);
+        }
+        std::thread::sleep(PAUSE);
+    }
+}
+
+/// The recording as far as it is written; one that has just begun has no pair yet.
+fn newest(folder: &Path) -> Result<Sequence> {
+    if !is_sequence(folder) {
+        bail!("{}: no recording has begun here: start `pb3dp cameras record --out` with this folder", folder.display());
+    }
+    Ok(load_sequence(folder)?)
+}
+
+impl Coach<'_> {
+    /// Looks at a pair and says what is missing; whether it is enough.
+    fn look(&mut self, sequence: &Sequence, frame: u64) -> Result<bool> {
+        let recording = Recording::new(sequence, self.board)?;
+        let mut now = Now::default();
+        let look = match recording.look(frame) {
+            Err(reason) => Look::NoBoard(reason),
+            Ok(candidate) => self.judged(&recording, frame, candidate, &mut now)?,
+        };
+        let size = recording.size;
+        let stands = self.stands(sequence);
+        let advice = advice(&stands, &self.limits);
+        if self.told.as_ref() != Some(&(look.clone(), self.views.len())) {
+            tell(&self.line(&look, &advice))?;
+            self.told = Some((look.clone(), self.views.len()));
+        }
+        if let Some(file) = &self.args.page {
+            let page = self.page(&look, &advice, &now).picture_plots(&coverage_plots(&self.views, size));
+            // As a whole, so that no browser gets half of it.
+            let partial = file.with_extension("partial");
+            page.write(&partial)?;
+            std::fs::rename(&partial, file).with_context(|| format!("{}: can not be written", file.display()))?;
+        }
+        Ok(advice.wish.is_none())
+    }
+
+    /// Takes a pair as a view if it is worth it.
+    fn judged(
+        &mut self,
+        recording: &Recording<'_>,
+        frame: u64,
+        candidate: Candidate<2>,
+        now: &mut Now,
+    ) -> Result<Look> {
+        let wanted = Wanted::default();
+        now.blur_px = candidate.blur_px;
+        now.speed_px_per_s = recording.speed_px_per_s(frame, &candidate)?;
+        let stand = self.judge(recording.sequence).and_then(|judge| judge.stand(&candidate.view, self.board));
+        let Some(stand) = stand else { return Ok(Look::Unexplained) };
+        now.tilt_deg = Some(stand.tilt_angle_deg());
+        if !adds(&stand, &self.stands(recording.sequence), &wanted) {
+            return Ok(Look::SeenBefore);
+        }
+        if !now.speed_px_per_s.is_some_and(|speed| speed <= wanted.speed_max_px_per_s) {
+            return Ok(Look::Moving);
+        }
+        if !now.blur_px.is_some_and(|blur| blur <= wanted.blur_max_px) {
+            return Ok(Look::Blurred);
+        }
+        self.views.push(candidate.view);
+        Ok(Look::Taken)
+    }
+
+    /// Judges stands: at first by the calibration that the recording has, which may be a nominal one.
+    fn judge(&self, sequence: &Sequence) -> Option<Judge> {
+        let size = sequence.load_calibration().ok().map(|calibration| *calibration.rig.left());
+        let known = size.filter(|_| self.views.len() < GUESS_FROM);
+        known.map(Judge::of_camera).or_else(|| Judge::new(&self.views, self.board, size?.size()))
+    }
+
+    fn stands(&self, sequence: &Sequence) -> Vec<Stand> {
+        let judge = self.judge(sequence);
+        judge.iter().flat_map(|judge| self.views.iter().filter_map(|view| judge.stand(view, self.board))).collect()
+    }
+
+    /// What to do now.
+    fn next(&self, advice: &Advice) -> String {
+        let [columns, rows] = self.args.board;
+        match &advice.wish {
+            Some(wish) => format!("next: {wish}"),
+            None => format!(
+                "enough: stop the recording and run pb3dp calibrate stereo --recording {} --board {columns}x{rows} --square {} --out calibration.toml --report calibration.html",
+                self.args.folder.display(),
+                self.args.square
+            ),
+        }
+    }
+
+    fn line(&self, look: &Look, advice: &Advice) -> String {
+        let progress = &advice.progress;
+        let so_far = format!("{} views, {:.0} % covered", progress.views, 100.0 * progress.coverage());
+        format!("{so_far}: {}\n  {}", look.text(), self.next(advice))
+    }
+
+    fn page(&self, look: &Look, advice: &Advice, now: &Now) -> Report {
+        let progress = &advice.progress;
+        let number =
+            |value: Option<f64>, unit: &str| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.1}{unit}"));
+        let tone = match (&advice.wish, look) {
+            (None, _) | (_, Look::Taken) => Tone::Good,
+            (_, Look::SeenBefore) => Tone::Fair,
+            _ => Tone::Bad,
+        };
+        let mut tilts = Table::new(["side that was farther away", "views"]);
+        for (side, count) in Farther::ALL.into_iter().zip(progress.tilted) {
+            tilts = tilts.row([side.name().to_owned(), count.to_string()]);
+        }
+        Report::new("Calibration coach")
+            .reloading(RELOAD_S)
+            .verdict(tone, &self.next(advice), &[format!("now: {}", look.text())])
+            .figures(&[
+                ("views", progress.views.to_string()),
+                ("of the picture covered, worse camera", format!("{:.0} %", 100.0 * progress.coverage())),
+                ("blur of edges now", number(now.blur_px, " px")),
+                ("motion now", number(now.speed_px_per_s, " px/s")),
+                ("tilt now", number(now.tilt_deg, "\u{b0}")),
+                ("near views", progress.near.to_string()),
+            ])
+            .table(&tilts)
+            .heading(&format!("Corners seen so far, {} and {}", sides::<2>()[0], sides::<2>()[1]))
+    }
+
+    /// The recording has ended before it was enough.
+    fn ended(&self) -> Result<ExitCode> {
+        let views = self.views.len();
+        tell(&format!(
+            "the recording has ended with {views} views, before it was enough: pb3dp calibrate stereo says what the gates make of them"
+        ))?;
+        Ok(ExitCode::FAILURE)
+    }
+}

@@ -1,0 +1,126 @@
+//! The touch test: corners of the board that somebody has touched with the arm, in a TOML file.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use nalgebra::{Isometry3, Point3};
+use pb3dp_calibration::verify::against::Known;
+use pb3dp_calibration::verify::touch::{Touch, TouchResult, touched};
+use pb3dp_record::calibration_files::load_hand_eye;
+use pb3dp_record::stops::load_stops;
+
+use super::Seen;
+
+/// Fewer places can not tell a turned hand from a shifted one.
+const PLACES_MIN: usize = 3;
+
+/// Where the touched corners are by cameras, hand-eye calibration and the stops of a recording.
+pub(super) fn run(
+    known: &Known,
+    seen: &Seen<2>,
+    recording: &Path,
+    hand_eye: &Path,
+    file: &Path,
+) -> Result<Vec<TouchResult>> {
+    let text = std::fs::read_to_string(file).with_context(|| format!("{}: can not be read", file.display()))?;
+    let touches = parse(&text).with_context(|| format!("{}: no touch test", file.display()))?;
+    let flange_from_cam_left = load_hand_eye(hand_eye)?.flange_from_cam_left;
+    let stops = load_stops(recording).context("the touch test needs a recording of stops")?.stops;
+    let mut poses: Vec<Isometry3<f64>> = Vec::with_capacity(seen.views.len());
+    for [left, _] in &seen.files {
+        let stop = stops.iter().find(|stop| recording.join(&stop.left) == *left);
+        let stop = stop.with_context(|| format!("{}: is the picture of no stop", left.display()))?;
+        poses.push(*(stop.vs.base_from_flange * flange_from_cam_left).isometry());
+    }
+    Ok(touched(&known.rig, &seen.views, &poses, &touches)?)
+}
+
+/// `[[touch]]` with `board_corner = [column, row]` and `base_position_mm = [x, y, z]`.
+fn parse(text: &str) -> Result<Vec<Touch>> {
+    let root: toml::Table = text.parse()?;
+    if let Some(key) = root.keys().find(|key| *key != "touch") {
+        bail!("{key}: is not known here: each place is a [[touch]]");
+    }
+    let places = root.get("touch").and_then(toml::Value::as_array).context("there is no [[touch]]")?;
+    if places.len() < PLACES_MIN {
+        bail!("touch: {} places, at least {PLACES_MIN} are needed, far from each other", places.len());
+    }
+    places.iter().enumerate().map(|(number, place)| touch(number, place)).collect()
+}
+
+fn touch(number: usize, place: &toml::Value) -> Result<Touch> {
+    let known = ["board_corner", "base_position_mm"];
+    let table = place.as_table().with_context(|| format!("touch[{number}]: must be a [[touch]]"))?;
+    if let Some(key) = table.keys().find(|key| !known.contains(&key.as_str())) {
+        bail!("touch[{number}].{key}: is not known here: {}", known.join(", "));
+    }
+    let [column, row] = numbers::<2>(table, number, "board_corner")?;
+    let [x, y, z] = numbers::<3>(table, number, "base_position_mm")?;
+    let is_place = |value: f64| value.fract() == 0.0 && (0.0..100.0).contains(&value);
+    if !is_place(column) || !is_place(row) {
+        bail!("touch[{number}].board_corner: is [{column}, {row}], must be column and row of a corner, from 0");
+    }
+    Ok(Touch { board_corner: [column as u32, row as u32], in_base_m: Point3::new(x, y, z) * 1e-3 })
+}
+
+fn numbers<const N: usize>(table: &toml::Table, number: usize, key: &str) -> Result<[f64; N]> {
+    let list = table.get(key).and_then(toml::Value::as_array).into_iter().flatten();
+    let numbers = list.map(|value| value.as_float().or_else(|| value.as_integer().map(|whole| whole as f64)));
+    let numbers: Option<Vec<f64>> = numbers.map(|value| value.filter(|value| value.is_finite())).collect();
+    let numbers = numbers.and_then(|numbers| <[f64; N]>::try_from(numbers).ok());
+    numbers.with_context(|| format!("touch[{number}].{key}: must be {N} numbers"))
+}
+
+/// Place by place.
+pub(super) fn told(results: &[TouchResult]) -> String {
+    let line = |result: &TouchResult| {
+        let [column, row] = result.touch.board_corner;
+        let [touched, seen] = [result.touch.in_base_m, result.seen_in_base_m].map(|point| point * 1e3);
+        let apart = seen - touched;
+        format!(
+            "corner {column},{row}: touched at {:.2}, {:.2}, {:.2} mm in base, seen {:.2} mm beside it ({:+.2}, {:+.2}, {:+.2}; {} stops, scattered by {:.2} mm)",
+            touched.x,
+            touched.y,
+            touched.z,
+            apart.norm(),
+            apart.x,
+            apart.y,
+            apart.z,
+            result.stops,
+            result.scatter_m * 1e3
+        )
+    };
+    results.iter().map(line).collect::<Vec<_>>().join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FILE: &str = "[[touch]]\nboard_corner = [0, 0]\nbase_position_mm = [412.5, -80, 31.2]\n
+[[touch]]\nboard_corner = [8, 0]\nbase_position_mm = [612.5, -80, 31.2]\n
+[[touch]]\nboard_corner = [0, 5]\nbase_position_mm = [412.5, 45, 30]\n";
+
+    #[test]
+    fn places_are_read_in_metres() {
+        let touches = parse(FILE).expect("places");
+        assert_eq!(touches.len(), 3);
+        assert_eq!(touches[1].board_corner, [8, 0]);
+        assert!((touches[1].in_base_m - Point3::new(0.6125, -0.08, 0.0312)).norm() < 1e-12);
+    }
+
+    #[test]
+    fn mistakes_are_named() {
+        for (from, to, named) in [
+            ("board_corner = [8, 0]", "board_corner = [8.5, 0]", "touch[1].board_corner"),
+            ("board_corner = [8, 0]", "board_corner = [8]", "touch[1].board_corner: must be 2 numbers"),
+            ("[412.5, 45, 30]", "[412.5, 45]", "touch[2].base_position_mm: must be 3 numbers"),
+            ("[412.5, 45, 30]", "[412.5, 45, nan]", "touch[2].base_position_mm"),
+            ("board_corner = [8, 0]", "corner = [8, 0]", "touch[1].corner"),
+            ("\n[[touch]]\nboard_corner = [8, 0]\nbase_position_mm = [612.5, -80, 31.2]\n", "", "2 places"),
+        ] {
+            let error = format!("{:#}", parse(&FILE.replacen(from, to, 1)).expect_err(to));
+            assert!(error.contains(named), "{error}");
+        }
+    }
+}
