@@ -5,11 +5,11 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 
 use crate::workspace::{Workspace, run_visibly};
-use crate::{check_deps, licences, test, tidy, vm};
+use crate::{check_deps, commissioning, licences, test, tidy, vm};
 
 /// Runs every check, the cheapest first, and stops at the first that fails.
 ///
-/// fmt, tidy, check-deps, licences, clippy, rustdoc, tests, safeguards switched off one by one, drivers in an emulated computer, a quick run of the accuracy benchmark:
+/// fmt, tidy, check-deps, licences, clippy, rustdoc, tests, safeguards switched off one by one, a bare rig calibrated by the commands of its documentation, drivers in an emulated computer, a quick run of the accuracy benchmark:
 /// warnings of clippy and rustdoc are errors here. At the end stands a table with the time of each; after a failure, the command that
 /// repeats it alone. Needs the rustup components rustfmt and clippy (the failure says what to type), and nothing else beside rustc,
 /// cargo and cc. The step vm wants QEMU and a kernel, which it fetches by apt-get where that is permitted; elsewhere it is skipped,
@@ -27,7 +27,7 @@ struct Step {
     run: fn(&Workspace) -> anyhow::Result<()>,
 }
 
-const STEPS: [Step; 10] = [
+const STEPS: [Step; 11] = [
     Step { name: "fmt", run: fmt },
     Step { name: "tidy", run: |workspace| tidy::run(workspace, &tidy::Args {}) },
     Step { name: "check-deps", run: |workspace| check_deps::run(workspace, &check_deps::Args {}) },
@@ -36,6 +36,7 @@ const STEPS: [Step; 10] = [
     Step { name: "doc", run: doc },
     Step { name: "test", run: |workspace| run_visibly(&mut test::all_tests(workspace)) },
     Step { name: "safeguards", run: safeguards },
+    Step { name: "commissioning", run: commissioning::calibrate },
     Step { name: "vm", run: vm::run_all },
     Step { name: "accuracy", run: accuracy },
 ];
@@ -97,7 +98,7 @@ fn summary(done: &[Done]) -> String {
                 "SKIPPED"
             }
         };
-        table.push_str(&format!("{name:<10} {:>9.1}  {result}\n", time.as_secs_f64()));
+        table.push_str(&format!("{name:<13} {:>6.1}  {result}\n", time.as_secs_f64()));
     }
     table + &skipped
 }

@@ -7,6 +7,7 @@
 mod bench;
 mod check_deps;
 mod ci;
+mod commissioning;
 mod demo;
 mod hil;
 mod licences;
@@ -42,6 +43,7 @@ enum Command {
     Bench(bench::Args),
     Hil(hil::Args),
     Soak(soak::Args),
+    Commissioning(commissioning::Args),
     #[command(visible_alias = "vm-test")]
     Vm(vm::Args),
 }
@@ -57,6 +59,7 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Bench(args) => bench::run(&workspace, args),
         Command::Hil(args) => hil::run(&workspace, args),
         Command::Soak(args) => soak::run(&workspace, args),
+        Command::Commissioning(args) => commissioning::run(&workspace, args),
         Command::Vm(args) => vm::run(&workspace, args),
     }
 }
