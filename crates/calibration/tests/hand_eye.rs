@@ -14,7 +14,7 @@ mod support;
 #[path = "support/arm.rs"]
 mod arm;
 
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Vector3};
 use pb3dp_calibration::fit::Fit;
 use pb3dp_calibration::gates::Grade;
 use pb3dp_calibration::hand_eye::gates::{HandEyeGate, HandEyeLimits};
@@ -198,24 +198,6 @@ fn base_to_base_and_flange_to_board_are_found_in_one_adjustment() {
     assert!(tally.refused <= 3, "{}", tally.refused);
 }
 
-/// How far a point ahead of the cameras, which both eyes see, is on the flange from where it is thought to be, metres.
-fn point_error_m(world: &World, believed: &StereoRig, fit: &HandEyeFit) -> f64 {
-    let point = Point3::new(0.0, 0.0, DISTANCE_M);
-    let left = world.rig.left().project(&point).expect("in sight");
-    let right = world.rig.cam_right_from_cam_left().transform_point(&point);
-    let right = world.rig.right().project(&right).expect("in sight");
-    let cam_left_from_cam_right = believed.cam_right_from_cam_left().inverse();
-    let a = believed.left().unproject(&left).expect("a ray");
-    let b = cam_left_from_cam_right.transform_vector(&believed.right().unproject(&right).expect("a ray"));
-    let origin = cam_left_from_cam_right.translation_m();
-    // s a and origin + t b as near to each other as can be.
-    let rays = nalgebra::Matrix3x2::from_columns(&[a, -b]);
-    let st = (rays.transpose() * rays).try_inverse().expect("two rays") * rays.transpose() * origin;
-    let found = 0.5 * (a * st.x + origin + b * st.y);
-    let on_flange = fit.flange_from_cam_left().transform_point(&found.into());
-    (on_flange - world.flange_from_cam_left * point).norm()
-}
-
 #[test]
 fn errors_of_the_stereo_calibration_are_counted() {
     let session = Session { views: 15, corner_sigma_px: 0.1, ..Session::default() };
@@ -237,7 +219,7 @@ fn errors_of_the_stereo_calibration_are_counted() {
         let given = Given { rig_covariance: Some(&covariance), ..given };
         let fit = HandEyeFit::new(&stops, &given).expect("a fit");
         counted.add(seed, &fit, &world.poses());
-        let error_m = point_error_m(&world, &rig, &fit);
+        let error_m = world.point_error_m(&rig, &fit.flange_from_cam_left(), DISTANCE_M);
         points_mm.push(error_m * 1e3);
         squares += (error_m / fit.hand_error_m(DISTANCE_M)).powi(2) / f64::from(RIGS_OF_ARM);
     }

@@ -54,8 +54,10 @@ const ALLOWED_IN_ALL_TESTS: &str = "allocation-count";
 /// What tests of a package in `hal/` may use besides: the suite that every backend must pass, and a clock to run it by.
 const ALLOWED_IN_HAL_TESTS: [&str; 2] = ["hal-conformance", "hal-clock"];
 
-/// What tests of one package may use besides: a wrapper is tested around the arm that needs no hardware.
-const ALLOWED_IN_TESTS_OF: [(&str, &[&str]); 2] = [("hal-middleware", &["arm-pa10", "sim"]), ("calibration", &["sim"])];
+/// What tests of one package may use besides: a wrapper is tested around the arm that needs no hardware, and a calibration on simulated
+/// rigs, whose arms have joints.
+const ALLOWED_IN_TESTS_OF: [(&str, &[&str]); 2] =
+    [("hal-middleware", &["arm-pa10", "sim"]), ("calibration", &["kinematics", "sim"])];
 
 /// Packages outside the table: the whole-system tests see everything, the commands see nothing.
 const SEES_ALL: &str = "system-tests";

@@ -12,8 +12,10 @@ use super::model::{LOCAL, POSE, SCALES, Seen, Setting, State};
 const STEPS_MAX: usize = 100;
 /// Where damping begins, and where no step helps any more.
 const DAMPING: [f64; 2] = [1e-6, 1e12];
-/// A step that lowers the cost by a smaller share is the last one.
+/// A step that raises the cost by no larger share is as good as one that lowers it: rounding.
 const DECREASE_MIN: f64 = 1e-12;
+/// A step that lowers the cost by a smaller share is the last one.
+const SETTLED: f64 = 1e-10;
 /// Least eigenvalue of the scaled information, as a share of the largest, below which something is not determined.
 const DETERMINED_MIN: f64 = 1e-11;
 
@@ -78,18 +80,18 @@ impl Adjusted {
     }
 }
 
-/// How far an arm's pose was corrected, and the cost of it.
-fn correction(measured: &Isometry3<f64>, corrected: &Isometry3<f64>, setting: &Setting<'_>) -> (Vector6<f64>, f64) {
-    let by = se3::log(&(measured.inverse() * corrected));
-    (by, 0.5 * by.dot(&(setting.robot_information * by)))
+/// How far an arm's pose was corrected.
+fn correction(measured: &Isometry3<f64>, corrected: &Isometry3<f64>) -> Vector6<f64> {
+    se3::log(&(measured.inverse() * corrected))
 }
 
 /// Half the sum of the squared errors over their variances.
 fn cost(state: &State, stops: &[Seen<'_>], setting: &Setting<'_>) -> f64 {
     let of = |(stop, arms): (&Seen<'_>, &Vec<Isometry3<f64>>)| {
         let squares = stop.squares(setting, &state.cam_from_board(arms), state.scales);
-        let measured = stop.arms();
-        let robot: f64 = measured.iter().zip(arms).map(|(a, b)| correction(a, b, setting).1).sum();
+        let corrections = stop.arms().into_iter().zip(arms).map(|(measured, arm)| correction(&measured, arm));
+        let of_arm = |(arm, by): (usize, Vector6<f64>)| 0.5 * by.dot(&(stop.robot_information(arm, setting) * by));
+        let robot: f64 = corrections.enumerate().map(of_arm).sum();
         0.5 * squares / setting.corner_sigma_px.powi(2) + robot
     };
     stops.iter().zip(&state.arms).map(of).sum()
@@ -119,14 +121,14 @@ fn equations(state: &State, index: usize, stop: &Seen<'_>, setting: &Setting<'_>
         cost: 0.5 * corners.squares * weight,
     };
     for (arm, (measured, corrected)) in stop.arms().iter().zip(arms).enumerate() {
-        let (by, cost) = correction(measured, corrected, setting);
+        let (by, information) = (correction(measured, corrected), stop.robot_information(arm, setting));
         let jacobian = se3::right_jacobian_inverse(&by);
-        let half = jacobian.transpose() * setting.robot_information;
+        let half = jacobian.transpose() * information;
         let mut block = equations.arms.fixed_view_mut::<POSE, POSE>(POSE * arm, POSE * arm);
         block += half * jacobian;
         let mut rows = equations.arms_gradient.fixed_rows_mut::<POSE>(POSE * arm);
         rows += half * by;
-        equations.cost += cost;
+        equations.cost += 0.5 * by.dot(&(information * by));
     }
     Some(equations)
 }
@@ -195,7 +197,7 @@ pub(super) fn adjust(start: State, stops: &[Seen<'_>], setting: &Setting<'_>) ->
         };
         damping *= 0.1;
         state = better;
-        if before - after <= DECREASE_MIN * before + 1e-15 {
+        if before - after <= SETTLED * before + 1e-14 {
             let all = stops.iter().enumerate().map(|(index, stop)| equations(&state, index, stop, setting));
             return end(state.clone(), &all.collect::<Option<Vec<_>>>().ok_or(HandEyeError::NotVisible)?);
         }

@@ -295,6 +295,8 @@ impl HandEyeFit {
         let squares_alone: f64 = used.iter().map(|index| all.alone[*index].1.squares).sum();
         let factor = outliers::variance_factor(&adjusted, squares_alone, &fixed);
         let by_stops = adjusted.covariance_without(None, &fixed)? * factor;
+        let by_rest = uncertain::rest_directions(&adjusted.state, &seen, &fixed, factor)?;
+        let by_stops = by_rest.iter().fold(by_stops, |sum, step| sum + step * step.transpose());
         let by_head =
             rig_covariance.map(|covariance| uncertain::directions(&adjusted.state, &seen, &fixed, covariance));
         let by_head = by_head.transpose()?.unwrap_or_default();
@@ -397,7 +399,7 @@ struct All<'a> {
 /// The board in the left camera by the corners of both eyes; `None` if no pose explains them.
 pub fn place_board(rig: &StereoRig, board: &Chessboard, sightings: &[Sighting; 2]) -> Option<Pose<CamLeft, Board>> {
     let [left, right] = sightings;
-    let seen = Seen { sightings: [left, right], vs: Isometry3::identity(), tc: None };
+    let seen = Seen { sightings: [left, right], vs: Isometry3::identity(), tc: None, rests: [None; 2] };
     let setting = Setting {
         rig,
         board,
@@ -427,9 +429,24 @@ fn seen(stops: &[HandEyeStop]) -> Result<Vec<Seen<'_>>, HandEyeError> {
             (false, _) => None,
         };
         let [left, right] = &stop.sightings;
-        seen.push(Seen { sightings: [left, right], vs: *stop.base_from_flange.isometry(), tc });
+        seen.push(Seen { sightings: [left, right], vs: *stop.base_from_flange.isometry(), tc, rests: [None; 2] });
+    }
+    let places = [places(&seen, |seen| Some(seen.vs)), places(&seen, |seen| seen.tc)];
+    for (index, seen) in seen.iter_mut().enumerate() {
+        seen.rests = [0, 1].map(|arm| places[arm][index]);
     }
     Ok(seen)
+}
+
+/// Of each stop the number of the first one at which an arm was in the same place, if there are several such stops.
+fn places(seen: &[Seen<'_>], pose: impl Fn(&Seen<'_>) -> Option<Isometry3<f64>>) -> Vec<Option<usize>> {
+    let first = |stop: &Seen<'_>| {
+        let here = pose(stop)?;
+        seen.iter().position(|other| pose(other).is_some_and(|there| rests(&here, &there)))
+    };
+    let firsts: Vec<Option<usize>> = seen.iter().map(first).collect();
+    let several = |place: &Option<usize>| firsts.iter().filter(|other| *other == place).count() > 1;
+    firsts.iter().map(|place| place.filter(|_| several(place))).collect()
 }
 
 /// The board by the corners of one stop alone.

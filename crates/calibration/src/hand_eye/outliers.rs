@@ -160,7 +160,6 @@ pub(super) fn checks(
     adjusted: &Adjusted,
     setting: &Setting<'_>,
 ) -> Result<Vec<Difference>, HandEyeError> {
-    let robot = setting.robot_information.cholesky().map(|factor| factor.inverse()).unwrap_or_else(Matrix6::zeros);
     let mut at = 0;
     let mut checks = Vec::with_capacity(seen.len());
     for (((seen, (poses, corners)), used), index) in seen.iter().zip(alone).zip(used).zip(0..) {
@@ -179,6 +178,8 @@ pub(super) fn checks(
         let mut of_difference: DMatrix<f64> = &links.shared * of_poses * links.shared.transpose();
         for arm in 0..arms.len() {
             let block = links.arms.columns(POSE * arm, POSE);
+            let information = seen.robot_information(arm, setting);
+            let robot = information.cholesky().map(|factor| factor.inverse()).unwrap_or_else(Matrix6::zeros);
             of_difference += block * robot * block.transpose();
         }
         let undetermined = || HandEyeError::Undetermined { parameter: format!("the board at stop {index}") };

@@ -1,12 +1,12 @@
-//! What the errors of the stereo calibration do to a hand-eye calibration.
+//! What errors do to a hand-eye calibration that are the same at several stops: those of the stereo calibration, and of an arm that rests.
 
-use nalgebra::{DMatrix, DVector, Isometry3, Point3, Vector2};
+use nalgebra::{DMatrix, DVector, Isometry3, Point3, Vector2, Vector6};
 use pb3dp_geometry::{StereoRig, se3};
 use pb3dp_record::calibration_files::ParameterCovariance;
 
 use super::HandEyeError;
 use super::adjust::adjust;
-use super::model::{Place, Seen, Setting, State};
+use super::model::{POSE, Place, Seen, Setting, State};
 use crate::adjust as head;
 use crate::depth::triangulated;
 use crate::fit::{rig_of, sides};
@@ -91,6 +91,42 @@ pub(super) fn directions(
         directions.push(Direction { sides: [moved(-1.0)?, moved(1.0)?] });
     }
     Ok(directions)
+}
+
+/// How far the shared poses move by one standard deviation of each number of each place where an arm rests: its error there is the same
+/// at all these stops, so it is none from stop to stop. `factor` is that of the arms' variance.
+pub(super) fn rest_directions(
+    state: &State,
+    seen: &[Seen<'_>],
+    setting: &Setting<'_>,
+    factor: f64,
+) -> Result<Vec<DVector<f64>>, HandEyeError> {
+    let mut steps = Vec::new();
+    for arm in 0..state.place.arm_count() {
+        let mut places: Vec<usize> = seen.iter().filter_map(|stop| stop.rests[arm]).collect();
+        places.sort_unstable();
+        places.dedup();
+        for (place, number) in places.into_iter().flat_map(|place| (0..POSE).map(move |number| (place, number))) {
+            let sigma = (factor / setting.robot_information[(number, number)]).sqrt();
+            let moved = |sign: f64| -> Result<State, HandEyeError> {
+                let by = se3::exp(&Vector6::ith(number, sign * sigma));
+                let (mut state, mut seen) = (state.clone(), seen.to_vec());
+                for (stop, corrected) in
+                    seen.iter_mut().zip(&mut state.arms).filter(|(stop, _)| stop.rests[arm] == Some(place))
+                {
+                    match (arm, &mut stop.tc) {
+                        (0, _) => stop.vs *= by,
+                        (_, Some(tc)) => *tc *= by,
+                        _ => {}
+                    }
+                    corrected[arm] *= by;
+                }
+                Ok(adjust(state, &seen, setting)?.state)
+            };
+            steps.push(difference(&moved(-1.0)?, &moved(1.0)?) * 0.5);
+        }
+    }
+    Ok(steps)
 }
 
 /// From one state's shared poses to the other's.

@@ -1,9 +1,10 @@
 //! Simulated stereo heads on an arm, and boards in a room or on another arm, with exact truth.
 
-use nalgebra::{Isometry3, Vector2, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix3x2, Point3, Vector2, Vector3, Vector6};
 use pb3dp_calibration::board::{BoardCorner, Chessboard, Sighting};
 use pb3dp_calibration::hand_eye::HandEyeStop;
 use pb3dp_calibration::hand_eye::propose::{Wish, propose};
+use pb3dp_geometry::frames::{CamLeft, Flange};
 use pb3dp_geometry::{Camera, Pose, StereoRig, se3, so3};
 use pb3dp_kinematics::{Chain, Damping, JointVector, damped_pseudo_inverse};
 
@@ -83,6 +84,28 @@ impl World {
         Self { rig: rig(random), flange_from_cam_left, place }
     }
 
+    /// How far a point straight ahead of the cameras, which both eyes see, is on the flange from where it is thought to be, metres.
+    pub fn point_error_m(
+        &self,
+        believed: &StereoRig,
+        flange_from_cam_left: &Pose<Flange, CamLeft>,
+        distance_m: f64,
+    ) -> f64 {
+        let point = Point3::new(0.0, 0.0, distance_m);
+        let left = self.rig.left().project(&point).expect("in sight");
+        let right = self.rig.cam_right_from_cam_left().transform_point(&point);
+        let right = self.rig.right().project(&right).expect("in sight");
+        let cam_left_from_cam_right = believed.cam_right_from_cam_left().inverse();
+        let a = believed.left().unproject(&left).expect("a ray");
+        let b = cam_left_from_cam_right.transform_vector(&believed.right().unproject(&right).expect("a ray"));
+        let origin = cam_left_from_cam_right.translation_m();
+        // s a and origin + t b as near to each other as can be.
+        let rays = Matrix3x2::from_columns(&[a, -b]);
+        let st = (rays.transpose() * rays).try_inverse().expect("two rays") * rays.transpose() * origin;
+        let found = 0.5 * (a * st.x + origin + b * st.y);
+        (flange_from_cam_left.transform_point(&found.into()) - self.flange_from_cam_left * point).norm()
+    }
+
     /// The poses in the order of the parameters.
     pub fn poses(&self) -> Vec<Isometry3<f64>> {
         match self.place {
@@ -117,7 +140,7 @@ impl World {
             Isometry3::from_parts(Vector3::new(0.9, 0.15, 0.6).into(), so3::exp(&Vector3::new(0.2, 1.5, 0.3)));
         let board_at_rest = vs_base_from_tc_base * tc_at_rest * tc_flange_from_board;
         let half = visit.stops / 2;
-        let mut stops = Vec::new();
+        let mut stops: Vec<HandEyeStop> = Vec::new();
         let mut vs = Isometry3::identity();
         for index in 0..visit.stops {
             let (cam_left_from_board, sightings) = self.look(visit, random);
@@ -128,7 +151,16 @@ impl World {
                 let base_from_board = vs * self.flange_from_cam_left * cam_left_from_board;
                 tc = vs_base_from_tc_base.inverse() * base_from_board * tc_flange_from_board.inverse();
             }
-            stops.push(self.stop(index, visit, (vs, Some(tc)), sightings, random));
+            let mut stop = self.stop(index, visit, (vs, Some(tc)), sightings, random);
+            // An arm that rests says the same each time.
+            if let Some(before) = stops.last() {
+                if index < half {
+                    stop.tc_base_from_tc_flange = before.tc_base_from_tc_flange;
+                } else {
+                    stop.base_from_flange = before.base_from_flange;
+                }
+            }
+            stops.push(stop);
         }
         stops
     }

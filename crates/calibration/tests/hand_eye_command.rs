@@ -1,0 +1,258 @@
+//! A head on an arm, calibrated by the commands alone, from rendered pictures: first look, proposed poses, head, hand, and the
+//! board on the other arm.
+
+#![allow(
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "tests may fail loudly, and show what they measured"
+)]
+
+#[allow(dead_code, reason = "each test uses a part of it")]
+mod support;
+
+#[allow(dead_code, reason = "each test uses a part of it")]
+#[path = "support/arm.rs"]
+mod arm;
+
+#[path = "support/pictures.rs"]
+mod pictures;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use nalgebra::{Isometry3, Vector3, Vector6};
+use pb3dp_geometry::frames::{Base, Flange};
+use pb3dp_geometry::{Camera, Pinhole, Pose, StereoRig, se3, so3};
+use pb3dp_record::calibration_files::{
+    BoardPlace, CameraIdentity, HandEye, load_hand_eye, load_stereo, save_cameras, save_json,
+};
+use pb3dp_record::stops::{ArmOfPoses, ArmStand, Stop, Stops, load_poses, save_stops};
+
+use arm::{GOOD, Place, World};
+use pictures::Painter;
+use support::{Random, board};
+
+fn calibrate(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_pb3dp-calibrate")).args(args).output().expect("it starts")
+}
+
+fn text(output: &Output) -> String {
+    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+}
+
+/// What a command that succeeds says.
+fn told(args: &[&str]) -> String {
+    let output = calibrate(args);
+    let told = text(&output);
+    assert!(output.status.success(), "{args:?}\n{told}");
+    told
+}
+
+/// A cell with two arms, one of which carries the board.
+struct Cell {
+    world: World,
+    painters: [Painter; 2],
+    random: Random,
+    folder: PathBuf,
+}
+
+impl Cell {
+    fn base_from_board(&self, tc: &Isometry3<f64>) -> Isometry3<f64> {
+        let Place::Carried { vs_base_from_tc_base, tc_flange_from_board } = self.world.place else { panic!("carried") };
+        vs_base_from_tc_base * tc * tc_flange_from_board
+    }
+
+    /// Where an arm says it is.
+    fn stand(&mut self, flange: &Isometry3<f64>) -> ArmStand {
+        let noise = Vector6::from_fn(|n, _| {
+            self.random.normal() * if n < 3 { GOOD.robot_sigma_m } else { GOOD.robot_sigma_rad }
+        });
+        ArmStand { joints_rad: [0.0; 7], base_from_flange: Pose::from_isometry(flange * se3::exp(&noise)) }
+    }
+
+    /// Records pictures and stops at the given poses of both arms.
+    fn record(&mut self, name: &str, poses: &[[Isometry3<f64>; 2]]) -> PathBuf {
+        let folder = self.folder.join(name);
+        fs::create_dir_all(&folder).expect("a folder");
+        let mut stops = Vec::new();
+        let mut resting: [Option<(Isometry3<f64>, ArmStand)>; 2] = [None; 2];
+        for (index, arms) in poses.iter().enumerate() {
+            let [vs, tc] = arms;
+            let cam_left_from_board = (vs * self.world.flange_from_cam_left).inverse() * self.base_from_board(tc);
+            let right = self.world.rig.cam_right_from_cam_left().isometry() * cam_left_from_board;
+            let files = ["left", "right"].map(|side| format!("{side}_{index:02}.png"));
+            for ((painter, pose), file) in self.painters.iter().zip([cam_left_from_board, right]).zip(&files) {
+                painter.picture(&pose, &board(), &mut self.random).save(folder.join(file)).expect("written");
+            }
+            let [left, right] = files;
+            // An arm that rests says the same each time.
+            let [vs, tc] = [0, 1].map(|arm| match resting[arm] {
+                Some((pose, stand)) if pose == arms[arm] => stand,
+                _ => self.stand(&arms[arm]),
+            });
+            resting = [Some((arms[0], vs)), Some((arms[1], tc))];
+            stops.push(Stop { left, right, vs, tc: Some(tc) });
+        }
+        let cameras =
+            ["A1", "B2"].map(|serial| CameraIdentity { serial: Some(serial.to_owned()), ..Default::default() });
+        save_cameras(&cameras, &folder.join("cameras.toml")).expect("written");
+        save_stops(&folder, &Stops { date: "2026-11-22T09:00:00Z".to_owned(), stops }).expect("written");
+        folder
+    }
+}
+
+/// The six numbers of a pose that is off by 10 mm and 3 degrees.
+fn guess(pose: &Isometry3<f64>) -> String {
+    let off =
+        Isometry3::from_parts(Vector3::new(0.006, -0.006, 0.005).into(), so3::exp(&Vector3::new(0.03, 0.03, -0.03)));
+    let pose = pose * off;
+    let (t, turn) = (pose.translation.vector * 1e3, so3::log(&pose.rotation).map(f64::to_degrees));
+    format!("{},{},{},{},{},{}", t.x, t.y, t.z, turn.x, turn.y, turn.z)
+}
+
+fn poses_of(file: &Path, arm: ArmOfPoses) -> Vec<Isometry3<f64>> {
+    let wanted = load_poses(file).expect("poses");
+    assert_eq!(wanted.arm, arm);
+    wanted.poses.iter().map(|pose: &Pose<Base, Flange>| *pose.isometry()).collect()
+}
+
+#[track_caller]
+fn check(name: &str, found: &Isometry3<f64>, truth: &Isometry3<f64>, [mm, deg]: [f64; 2]) {
+    let distance = (found.translation.vector - truth.translation.vector).norm() * 1e3;
+    let angle = found.rotation.angle_to(&truth.rotation).to_degrees();
+    println!("{name}: {distance:.3} mm, {angle:.4} deg from the truth");
+    assert!(distance < mm && angle < deg, "{name}: {distance} mm, {angle} deg");
+}
+
+/// The head with a focal length that is wrong by 2 %, as a file that nobody measured has it.
+fn save_nominal(rig: &StereoRig, file: &Path) {
+    let camera = |camera: &Camera| {
+        let p = camera.pinhole();
+        let pinhole = Pinhole { fx: p.fx * 1.02, fy: p.fy * 1.02, ..*p };
+        Camera::new(camera.size(), pinhole, pb3dp_geometry::Distortion::None).expect("a camera")
+    };
+    let rig = StereoRig::new(camera(rig.left()), camera(rig.right()), *rig.cam_right_from_cam_left()).expect("a head");
+    save_json(&rig, file).expect("written");
+    let text = fs::read_to_string(file).expect("read");
+    let text = text.replacen('{', "{\n  \"calibration_quality\": \"none: nominal\",", 1);
+    fs::write(file, text).expect("written");
+}
+
+const TARGET: [&str; 4] = ["--board", "9x6", "--square", "25"];
+
+/// Where the arms are at the first look: the board about in the middle of the pictures.
+fn first_look(cell: &Cell) -> [Isometry3<f64>; 2] {
+    let tc = Isometry3::from_parts(Vector3::new(0.9, 0.15, 0.6).into(), so3::exp(&Vector3::new(0.2, 1.5, 0.3)));
+    let middle = board().corner_in_board(8, 5).coords * 0.5;
+    let turn = so3::exp(&Vector3::new(0.1, -0.1, 0.05));
+    let to_middle = Isometry3::from_parts(Vector3::new(0.05, 0.01, 0.5).into(), turn);
+    let look_from_board = to_middle * Isometry3::translation(-middle.x, -middle.y, 0.0);
+    [cell.base_from_board(&tc) * (cell.world.flange_from_cam_left * look_from_board).inverse(), tc]
+}
+
+#[test]
+fn head_hand_and_both_arms_are_calibrated_by_the_commands_alone() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let mut random = Random::new(77);
+    let world = World::carried(&mut random);
+    let painters = [world.rig.left(), world.rig.right()].map(Painter::new);
+    let mut cell = Cell { world, painters, random, folder: folder.path().to_path_buf() };
+    let [calib, nominal, hand_eye, vs_poses] = ["calib.toml", "nominal.json", "hand_eye.toml", "vs.toml"].map(path);
+    let first = first_look(&cell);
+    let look = cell.record("look", &[first]).display().to_string();
+    save_nominal(&cell.world.rig, Path::new(&nominal));
+
+    // Poses of the arm with the cameras; the head and the hand from them.
+    let guessed = guess(&cell.world.flange_from_cam_left);
+    let from_look = ["propose", "--recording", &look, "--calib", &nominal];
+    println!("{}", told(&[&from_look, &TARGET[..], &["--guess", &guessed, "--out", &vs_poses]].concat()));
+    let of_vs: Vec<_> = poses_of(Path::new(&vs_poses), ArmOfPoses::Vs).iter().map(|pose| [*pose, first[1]]).collect();
+    assert_eq!(of_vs.len(), 18);
+    let stops = cell.record("stops", &of_vs).display().to_string();
+    let head = told(&[&["stereo", "--left", &stops, "--right", &stops, "--out", &calib], &TARGET[..]].concat());
+    println!("{head}");
+    assert!(head.contains("good     views = 18.000"), "{head}");
+    let hand = ["hand-eye", "--recording", &stops, "--calib", &calib];
+    let told_hand = told(&[&hand, &TARGET[..], &["--out", &hand_eye]].concat());
+    println!("{told_hand}");
+    assert!(
+        told_hand.contains("the arm tc has not moved") && told_hand.contains("flange_from_hand = {"),
+        "{told_hand}"
+    );
+    let found = load_hand_eye(Path::new(&hand_eye)).expect("a hand-eye calibration");
+    check_hand(&found, &cell, &calib);
+    assert!(matches!(found.board, BoardPlace::Room { .. }));
+    assert_eq!(found.judgement.refusals().count(), 0);
+    assert_eq!(found.judgement.cameras[1].serial.as_deref(), Some("B2"));
+    assert_eq!(found.judgement.date, "2026-11-22T09:00:00Z");
+
+    // Squares that are typed wrong.
+    let wrong = calibrate(&[&hand[..], &["--board", "9x6", "--square", "25.25"]].concat());
+    let said = text(&wrong);
+    assert!(!wrong.status.success(), "{said}");
+    assert!(said.contains("refused  scale_percent") && said.contains("measure the squares"), "{said}");
+    both_arms(&mut cell, first[0], [&look, &stops, &calib, &hand_eye]);
+}
+
+/// The same cell with poses of the arm that carries the board.
+fn both_arms(cell: &mut Cell, vs: Isometry3<f64>, [look, stops, calib, hand_eye]: [&str; 4]) {
+    let Place::Carried { vs_base_from_tc_base, tc_flange_from_board } = cell.world.place else { panic!("carried") };
+    let tc_poses = cell.folder.join("tc.toml").display().to_string();
+    let bases = guess(&vs_base_from_tc_base);
+    let known = ["--arm", "tc", "--count", "12", "--hand-eye", hand_eye, "--guess-bases", &bases, "--out", &tc_poses];
+    let from_look = ["propose", "--recording", look, "--calib", calib];
+    println!("{}", told(&[&from_look, &TARGET[..], &known].concat()));
+    let of_tc: Vec<_> = poses_of(Path::new(&tc_poses), ArmOfPoses::Tc).iter().map(|pose| [vs, *pose]).collect();
+    let more = cell.record("more", &of_tc).display().to_string();
+    let both = ["hand-eye", "--recording", stops, &more, "--calib", calib, "--out", hand_eye];
+    let told_both = told(&[&both, &TARGET[..]].concat());
+    println!("{told_both}");
+    assert!(told_both.contains("the board is on the flange of tc") && told_both.contains("[arms.tc]"), "{told_both}");
+    let found = load_hand_eye(Path::new(hand_eye)).expect("a hand-eye calibration");
+    let BoardPlace::Carried { vs_base_from_tc_base: bases, tc_flange_from_board: on_flange } = found.board else {
+        panic!("{:?}", found.board)
+    };
+    check_hand(&found, cell, calib);
+    check("vs_base_from_tc_base", bases.isometry(), &vs_base_from_tc_base, [3.0, 0.15]);
+    check("tc_flange_from_board", on_flange.isometry(), &tc_flange_from_board, [1.0, 0.15]);
+}
+
+/// The camera on the flange, by itself and for a point that is seen.
+fn check_hand(found: &HandEye, cell: &Cell, calib: &str) {
+    // The pose by itself has the errors of the head, whose lens model is simpler than the truth; a point that is seen has not.
+    check("flange_from_cam_left", found.flange_from_cam_left.isometry(), &cell.world.flange_from_cam_left, [2.0, 0.3]);
+    let believed = load_stereo(&[PathBuf::from(calib)]).expect("a head").rig;
+    let point_mm = cell.world.point_error_m(&believed, &found.flange_from_cam_left, 0.5) * 1e3;
+    println!("a point 500 mm ahead, on the flange: {point_mm:.3} mm from the truth");
+    assert!(point_mm < 0.8, "{point_mm}");
+}
+
+#[test]
+fn what_can_not_be_is_refused_with_the_way_out() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let nominal = path("nominal.json");
+    save_nominal(&World::in_room(&mut Random::new(3)).rig, Path::new(&nominal));
+    let here = folder.path().display().to_string();
+    let refusal = |args: &[&str]| {
+        let output = calibrate(args);
+        assert!(!output.status.success(), "{args:?}");
+        text(&output)
+    };
+    let target = ["--recording", &here, "--calib", &nominal, "--board", "9x6", "--square", "25"];
+    assert!(refusal(&[&["hand-eye"], &target[..]].concat()).contains("stops.toml"));
+    let sigma = refusal(&[&["hand-eye", "--robot-sigma", "0.1"], &target[..]].concat());
+    assert!(sigma.contains("MM,DEG"), "{sigma}");
+    let no_guess = refusal(&[&["propose", "--out", "x.toml"], &target[..]].concat());
+    assert!(no_guess.contains("--guess X,Y,Z,RX,RY,RZ"), "{no_guess}");
+    let five = refusal(&[&["propose", "--out", "x.toml", "--guess", "1,2,3,4,5"], &target[..]].concat());
+    assert!(five.contains("six numbers"), "{five}");
+    let setup = path("setup.toml");
+    fs::write(&setup, "[mounts]\nflange_from_hand = { translation_mm = [0, 0], rotation_vector_deg = [0, 0, 0] }\n")
+        .expect("written");
+    let wrong = refusal(&[&["propose", "--out", "x.toml", "--setup", &setup], &target[..]].concat());
+    assert!(wrong.contains("mounts.flange_from_hand: must be"), "{wrong}");
+}
