@@ -6,10 +6,12 @@
 //! that all views share. Poses move by `exp(xi)`, `xi` = [translation; rotation]: the second camera's in its own frame, the
 //! board's in the frame of the board.
 
-use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Matrix6xX, Point3, SMatrix, Vector2, Vector6};
+use nalgebra::{
+    DMatrix, DVector, Isometry3, Matrix2x3, Matrix3, Matrix6, Matrix6xX, MatrixXx6, Point3, SMatrix, Vector2, Vector6,
+};
 use pb3dp_geometry::{Camera, CameraError, Pinhole, se3, so3};
 
-use crate::board::{Chessboard, Sighting};
+use crate::board::{BoardCorner, Chessboard, Sighting};
 use crate::lens::LensModel;
 
 /// Steps allowed; a good start takes five to fifteen.
@@ -18,6 +20,8 @@ const STEPS_MAX: usize = 200;
 const DAMPING: [f64; 2] = [1e-4, 1e12];
 /// A step that lowers the cost by a smaller share is the last one.
 const DECREASE_MIN: f64 = 1e-13;
+/// Numbers of the board's shape: the surfaces of [`Chessboard::surfaces`].
+pub(crate) const SHAPE: usize = 3;
 /// Numbers of a pinhole.
 const PINHOLE: usize = 4;
 /// Numbers of a pose.
@@ -38,6 +42,8 @@ pub(crate) struct State {
     pub from_first: Vec<Isometry3<f64>>,
     /// `cam_0_from_board` of each view.
     pub boards: Vec<Isometry3<f64>>,
+    /// By how much the board stands out of its plane, metres; `None` where it is taken as flat.
+    pub shape: Option<[f64; SHAPE]>,
 }
 
 /// The normal equations of one view.
@@ -104,7 +110,22 @@ impl State {
 
     /// Number of parameters that all views share.
     pub(crate) fn shared_count(&self) -> usize {
+        self.shape_column() + if self.shape.is_some() { SHAPE } else { 0 }
+    }
+
+    /// The first of the columns of the board's shape.
+    pub(crate) fn shape_column(&self) -> usize {
         self.cameras.len() * self.shared_per_camera() + (self.cameras.len() - 1) * POSE
+    }
+
+    /// A corner of the board, out of its plane as the shape has it.
+    fn corner_in_board(&self, board: &Chessboard, corner: &BoardCorner) -> Point3<f64> {
+        let mut in_board = board.corner_in_board(corner.column, corner.row);
+        if let Some(shape) = &self.shape {
+            let surfaces = board.surfaces(corner.column, corner.row);
+            in_board.z += shape.iter().zip(surfaces).map(|(height, surface)| height * surface).sum::<f64>();
+        }
+        in_board
     }
 
     /// Names of the shared parameters, in order; `sides` are the names of the cameras.
@@ -117,6 +138,9 @@ impl State {
         for side in sides.iter().skip(1) {
             let pose = ["x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"];
             names.extend(pose.iter().map(|name| format!("cam_{side}_from_cam_{}.{name}", sides[0])));
+        }
+        if self.shape.is_some() {
+            names.extend(["bow_of_rows_m", "bow_of_columns_m", "twist_m"].map(|name| format!("board.{name}")));
         }
         names
     }
@@ -144,6 +168,10 @@ impl State {
             let at = self.pose_column(index);
             next.from_first[index] = se3::exp(&shared.fixed_rows::<POSE>(at).into_owned()) * self.from_first[index];
         }
+        let at = self.shape_column();
+        for (n, height) in next.shape.iter_mut().flatten().enumerate() {
+            *height += shared[at + n];
+        }
         Ok(next)
     }
 
@@ -154,7 +182,19 @@ impl State {
 
     /// The normal equations of one view; `None` where a corner is not visible.
     fn view_equations(&self, observations: &Observations<'_>, view: usize) -> Option<ViewEquations> {
-        let count = self.shared_count();
+        self.view_equations_with(observations, view, 0, |_| Vec::new())
+    }
+
+    /// The same with `count` further parameters behind the shared ones; `columns` gives the derivatives of a corner's pixel by
+    /// those that it depends on.
+    fn view_equations_with(
+        &self,
+        observations: &Observations<'_>,
+        view: usize,
+        further: usize,
+        columns: impl Fn(&Predicted) -> Vec<(usize, Vector2<f64>)>,
+    ) -> Option<ViewEquations> {
+        let count = self.shared_count() + further;
         let mut equations = ViewEquations {
             shared: DMatrix::zeros(count, count),
             shared_gradient: DVector::zeros(count),
@@ -164,23 +204,28 @@ impl State {
             cost: 0.0,
         };
         for (index, sighting) in observations.views[view].iter().enumerate() {
+            let mut rows = Vec::with_capacity(sighting.corners().len());
             for corner in sighting.corners() {
-                let in_board = observations.board.corner_in_board(corner.column, corner.row);
-                let (error, row) = self.corner_row(index, view, &in_board, &corner.pixel)?;
-                equations.add(&error, &row);
+                let in_board = self.corner_in_board(observations.board, corner);
+                let surfaces = observations.board.surfaces(corner.column, corner.row);
+                let (predicted, mut row) = self.corner_row(index, view, &in_board, &surfaces)?;
+                let behind = columns(&predicted).into_iter().map(|(n, by)| (self.shared_count() + n, by));
+                row.shared.extend(behind);
+                rows.push((predicted.pixel - corner.pixel, row));
             }
+            equations.add(&rows);
         }
         Some(equations)
     }
 
-    /// Error of one corner (predicted minus seen, px) and its derivatives.
+    /// Where a corner should be seen, and the derivatives of its pixel.
     fn corner_row(
         &self,
         index: usize,
         view: usize,
         in_board: &Point3<f64>,
-        seen: &Vector2<f64>,
-    ) -> Option<(Vector2<f64>, Row)> {
+        surfaces: &[f64; SHAPE],
+    ) -> Option<(Predicted, Row)> {
         let camera = &self.cameras[index];
         let cam_from_board = self.from_first[index] * self.boards[view];
         let in_cam = cam_from_board * in_board;
@@ -205,7 +250,13 @@ impl State {
         }
         let turn = cam_from_board.rotation.to_rotation_matrix();
         let pose = by_point * point_by_motion(in_board, turn.matrix());
-        Some((pixel - seen, Row { shared, pose }))
+        if self.shape.is_some() {
+            let by_height = by_point * turn.matrix().column(2);
+            let at = self.shape_column();
+            shared.extend(surfaces.iter().enumerate().map(|(n, surface)| (at + n, by_height * *surface)));
+        }
+        let predicted = Predicted { view, camera: index, pixel, by_point };
+        Some((predicted, Row { shared, pose }))
     }
 
     fn equations(&self, observations: &Observations<'_>) -> Result<Vec<ViewEquations>, AdjustmentError> {
@@ -222,8 +273,8 @@ impl State {
     ) -> Option<Vec<Vector2<f64>>> {
         let cam_from_board = self.from_first[camera] * self.boards[view];
         let corners = observations.views[view][camera].corners().iter();
-        let of = |corner: &crate::board::BoardCorner| {
-            let in_cam = cam_from_board * observations.board.corner_in_board(corner.column, corner.row);
+        let of = |corner: &BoardCorner| {
+            let in_cam = cam_from_board * self.corner_in_board(observations.board, corner);
             Some(self.cameras[camera].project(&in_cam)? - corner.pixel)
         };
         corners.map(of).collect()
@@ -239,6 +290,15 @@ impl State {
         });
         costs.sum()
     }
+}
+
+/// A corner as a state predicts it.
+pub(crate) struct Predicted {
+    pub view: usize,
+    pub camera: usize,
+    pub pixel: Vector2<f64>,
+    /// Derivative of the pixel by the point in the camera's frame, px per metre.
+    pub by_point: Matrix2x3<f64>,
 }
 
 /// The derivatives of one corner's pixel.
@@ -257,20 +317,33 @@ pub(crate) fn point_by_motion(point: &Point3<f64>, turn: &Matrix3<f64>) -> SMatr
 }
 
 impl ViewEquations {
-    fn add(&mut self, error: &Vector2<f64>, row: &Row) {
-        self.cost += 0.5 * error.norm_squared();
-        self.pose += row.pose.transpose() * row.pose;
-        self.pose_gradient += row.pose.transpose() * error;
-        for (column, by) in &row.shared {
-            self.shared_gradient[*column] += by.dot(error);
-            for (other, other_by) in &row.shared {
-                self.shared[(*column, *other)] += by.dot(other_by);
-            }
-            let mixed = by.transpose() * row.pose;
-            for n in 0..POSE {
-                self.mixed[(*column, n)] += mixed[n];
+    /// The corners of one camera, which all depend on the same parameters.
+    fn add(&mut self, rows: &[(Vector2<f64>, Row)]) {
+        let Some((_, first)) = rows.first() else { return };
+        let count = first.shared.len();
+        let (mut shared, mut pose) = (DMatrix::zeros(2 * rows.len(), count), MatrixXx6::zeros(2 * rows.len()));
+        let mut errors = DVector::zeros(2 * rows.len());
+        for (index, (error, row)) in rows.iter().enumerate() {
+            errors.fixed_rows_mut::<2>(2 * index).copy_from(error);
+            pose.fixed_view_mut::<2, POSE>(2 * index, 0).copy_from(&row.pose);
+            for (n, (_, by)) in row.shared.iter().enumerate() {
+                shared.fixed_view_mut::<2, 1>(2 * index, n).copy_from(by);
             }
         }
+        let (squares, mixed) = (shared.tr_mul(&shared), shared.tr_mul(&pose));
+        let gradient = shared.tr_mul(&errors);
+        for (n, (column, _)) in first.shared.iter().enumerate() {
+            self.shared_gradient[*column] += gradient[n];
+            for (m, (other, _)) in first.shared.iter().enumerate() {
+                self.shared[(*column, *other)] += squares[(n, m)];
+            }
+            for m in 0..POSE {
+                self.mixed[(*column, m)] += mixed[(n, m)];
+            }
+        }
+        self.pose += pose.tr_mul(&pose);
+        self.pose_gradient += pose.tr_mul(&errors);
+        self.cost += 0.5 * errors.norm_squared();
     }
 
     /// With the diagonal made larger by the share `damping`.
@@ -385,4 +458,17 @@ pub(crate) fn reduced_at(
         return Err(undetermined(eigen.eigenvectors.column(least).icamax()));
     }
     Ok(reduced)
+}
+
+/// The normal equations with `count` further parameters behind the shared ones, the poses eliminated, and the cost, px^2; `None`
+/// where a corner is not visible or a view does not determine its pose.
+pub(crate) fn reduced_with(
+    state: &State,
+    observations: &Observations<'_>,
+    count: usize,
+    columns: impl Fn(&Predicted) -> Vec<(usize, Vector2<f64>)>,
+) -> Option<(Reduced, f64)> {
+    let of = |view| state.view_equations_with(observations, view, count, &columns);
+    let equations: Vec<ViewEquations> = (0..observations.views.len()).map(of).collect::<Option<_>>()?;
+    Some((reduce(&equations)?, equations.iter().map(|view| view.cost).sum()))
 }

@@ -82,6 +82,14 @@ impl Chessboard {
         Point3::new(f64::from(column) * self.square_m, f64::from(row) * self.square_m, 0.0)
     }
 
+    /// The surfaces of second order of which a board that is not flat is made, at a corner: bowed along the rows, bowed along the
+    /// columns, twisted. The first two are 1 in the middle and 0 at the board's borders, the last one is 1 at corner (0, 0).
+    pub(crate) fn surfaces(&self, column: u32, row: u32) -> [f64; 3] {
+        let along = |at: u32, all: u32| 2.0 * f64::from(at) / f64::from(all - 1) - 1.0;
+        let (u, v) = (along(column, self.columns), along(row, self.rows));
+        [1.0 - u * u, 1.0 - v * v, u * v]
+    }
+
     /// Whether the colours of the squares tell the board from itself turned by half a turn: if one number of corners is odd and
     /// the other one even.
     pub fn is_told_from_its_half_turn(&self) -> bool {

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, Isometry3, Vector2};
 use pb3dp_geometry::frames::{Board, CamLeft};
 use pb3dp_geometry::{Camera, ImageSize, Pose, StereoRig, StereoRigError};
 
-use crate::adjust::{AdjustmentError, Observations, State, adjust, reduced_at};
+use crate::adjust::{AdjustmentError, Observations, SHAPE, State, adjust, reduced_at};
 use crate::board::{BoardCorner, Chessboard, Sighting};
 use crate::lens::LensModel;
 use crate::start::{board_pose, first_camera};
@@ -80,6 +80,18 @@ pub struct Covariance {
 }
 
 impl Covariance {
+    /// Of the cameras and their pose alone, without the shape of the board.
+    #[must_use]
+    pub fn of_cameras(&self) -> Self {
+        let kept: Vec<usize> =
+            self.names.iter().enumerate().filter(|(_, name)| !name.starts_with("board.")).map(|(n, _)| n).collect();
+        Self {
+            names: kept.iter().map(|n| self.names[*n].clone()).collect(),
+            matrix: self.matrix.select_rows(&kept).select_columns(&kept),
+            ..self.clone()
+        }
+    }
+
     /// Standard deviation of a parameter.
     pub fn sigma(&self, name: &str) -> Option<f64> {
         let index = self.names.iter().position(|other| other == name)?;
@@ -90,7 +102,8 @@ impl Covariance {
 /// Cameras fitted to views of a board.
 #[derive(Clone, Debug)]
 pub struct Fit<const N: usize> {
-    state: State,
+    pub(crate) state: State,
+    pub(crate) board: Chessboard,
     errors: Vec<[Vec<CornerError>; N]>,
     covariance: Covariance,
 }
@@ -111,12 +124,27 @@ impl<const N: usize> Fit<N> {
         Self::from_start(views, board, lens, &State { boards, ..self.state.clone() })
     }
 
+    /// Fits again from where this fit has ended, with the shape of the board among what is estimated: a surface of second order.
+    ///
+    /// # Errors
+    /// Views that leave the shape open: not tilted enough.
+    pub fn with_shape(&self, views: &[View<N>]) -> Result<Self, FitError> {
+        let start = State { shape: Some([0.0; SHAPE]), ..self.state.clone() };
+        Self::from_start(views, &self.board, self.state.lens, &start)
+    }
+
+    /// By how much the board stands out of its plane, metres: bowed along its rows and its columns, in the middle, and twisted, at
+    /// corner (0, 0); `None` where it was taken as flat.
+    pub fn board_shape_m(&self) -> Option<[f64; 3]> {
+        self.state.shape
+    }
+
     fn from_start(views: &[View<N>], board: &Chessboard, lens: LensModel, start: &State) -> Result<Self, FitError> {
         let observations = observations(views, board);
         let state = adjust(with_lens(start, lens)?, &observations, false)?;
         let errors = corner_errors(&state, &observations)?;
         let covariance = covariance(&state, &observations)?;
-        Ok(Self { state, errors, covariance })
+        Ok(Self { state, board: *board, errors, covariance })
     }
 
     /// The cameras, the left one first.
@@ -204,7 +232,7 @@ pub(crate) fn rig_of(state: &State) -> Result<StereoRig, FitError> {
     Ok(StereoRig::new(state.cameras[0], state.cameras[1], cam_right_from_cam_left)?)
 }
 
-fn observations<'a, const N: usize>(views: &'a [View<N>], board: &'a Chessboard) -> Observations<'a> {
+pub(crate) fn observations<'a, const N: usize>(views: &'a [View<N>], board: &'a Chessboard) -> Observations<'a> {
     Observations { board, views: views.iter().map(|view| view.sightings.iter().collect()).collect() }
 }
 
@@ -220,7 +248,7 @@ fn start<const N: usize>(views: &[View<N>], board: &Chessboard, size: ImageSize)
     }
     let from_first = (0..N).map(|index| middle_pose(&alone[0].boards, &alone[index].boards)).collect();
     let cameras = alone.iter().map(|state| state.cameras[0]).collect();
-    Ok(State { lens: alone[0].lens, cameras, from_first, boards: alone.swap_remove(0).boards })
+    Ok(State { lens: alone[0].lens, cameras, from_first, boards: alone.swap_remove(0).boards, shape: None })
 }
 
 /// One camera with a simple lens.
@@ -232,6 +260,7 @@ fn start_of_one(sightings: &[&Sighting], board: &Chessboard, size: ImageSize) ->
         cameras: vec![camera],
         from_first: vec![Isometry3::identity()],
         boards: boards?,
+        shape: None,
     };
     let observations = Observations { board, views: sightings.iter().map(|sighting| vec![*sighting]).collect() };
     let settle =

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use crate::defects::Defects;
 use crate::quality::Quality;
 
 /// Something that is judged.
@@ -13,20 +14,39 @@ pub enum Gate {
     Coverage,
     /// How much the board was tilted.
     Tilt,
+    /// How flat the board is.
+    Flatness,
+    /// Whether a focal length changed.
+    Focus,
+    /// Whether the board moved between the exposures of the two eyes.
+    Motion,
     /// Reprojection error.
     Reprojection,
     /// Error of views that the fit has not seen, over that of the others.
     HeldOut,
     /// Rows of the rectified pictures.
     Rows,
+    /// The baseline beside one that was measured otherwise.
+    Scale,
     /// Error of depth that the calibration leaves.
     Depth,
 }
 
 impl Gate {
     /// All of them, in the order in which they are told.
-    pub const ALL: [Self; 7] =
-        [Self::Views, Self::Coverage, Self::Tilt, Self::Reprojection, Self::HeldOut, Self::Rows, Self::Depth];
+    pub const ALL: [Self; 11] = [
+        Self::Views,
+        Self::Coverage,
+        Self::Tilt,
+        Self::Flatness,
+        Self::Focus,
+        Self::Motion,
+        Self::Reprojection,
+        Self::HeldOut,
+        Self::Rows,
+        Self::Scale,
+        Self::Depth,
+    ];
 
     /// The name in configurations, files and waivers, with its unit.
     pub fn key(self) -> &'static str {
@@ -34,9 +54,13 @@ impl Gate {
             Self::Views => "views",
             Self::Coverage => "coverage_percent",
             Self::Tilt => "tilt_deg",
+            Self::Flatness => "board_flatness_mm",
+            Self::Focus => "focus_change_percent",
+            Self::Motion => "motion_rms_px",
             Self::Reprojection => "reprojection_rms_px",
             Self::HeldOut => "held_out_ratio",
             Self::Rows => "row_error_rms_px",
+            Self::Scale => "scale_percent",
             Self::Depth => "depth_sigma_percent",
         }
     }
@@ -52,9 +76,15 @@ impl Gate {
             Self::Views => Some(quality.views as f64),
             Self::Coverage => Some(100.0 * quality.coverage),
             Self::Tilt => Some(quality.tilt_deg),
+            Self::Flatness => Some(1e3 * quality.defects.as_ref()?.flatness_m?),
+            Self::Focus => Some(defects(quality, |defects| defects.refocused.share * 100.0)),
+            Self::Motion => {
+                quality.rows.map(|_| defects(quality, |defects| defects.moved.map_or(f64::NAN, |moved| moved.rms_px)))
+            }
             Self::Reprojection => Some(quality.reprojection_rms_px),
             Self::HeldOut => Some(quality.held_out_ratio()),
             Self::Rows => quality.rows.map(|rows| rows.rms_px),
+            Self::Scale => quality.scale_error_share.map(|share| 100.0 * share.abs()),
             Self::Depth => quality.depth_sigma_share.map(|share| 100.0 * share),
         }
     }
@@ -65,6 +95,15 @@ impl Gate {
             Self::Views => "take more pictures of the board, 15 to 20",
             Self::Coverage => "show the board in the corners and at the borders of the picture, of both cameras",
             Self::Tilt => "tilt the board by 20 to 40 degrees, about both its axes, in several views",
+            Self::Flatness => {
+                "the board is bent: fix it to glass or an aluminium plate, or take another one, and take all pictures again"
+            }
+            Self::Focus => {
+                "a focal length changed between the views: lock the focus, switch autofocus off, do not touch the lenses, and take all pictures again"
+            }
+            Self::Motion => {
+                "the two eyes do not see the board at the same place: hold the board still (put it down or on a tripod), expose both cameras at the same time, fix them to each other, and take the pictures again"
+            }
             Self::Reprojection => {
                 "look at the views with the largest errors: blur, a bent board, a camera that was touched or refocused; leave them out or take them again"
             }
@@ -74,9 +113,17 @@ impl Gate {
             Self::Rows => {
                 "the two cameras do not agree: fix them to each other, leave their focus alone, expose them at the same time, hold the board still, and take the pictures again"
             }
+            Self::Scale => {
+                "the baseline is not the one that was measured: measure ten squares of the board and divide, correct --square, or measure the baseline again"
+            }
             Self::Depth => "show the board nearer, larger in the picture and at the working distance, in more views",
         }
     }
+}
+
+/// A number of the defects; not a number, which is refused, where they could not be estimated.
+fn defects(quality: &Quality, number: impl Fn(&Defects) -> f64) -> f64 {
+    quality.defects.as_ref().map_or(f64::NAN, number)
 }
 
 /// Up to where a gate is good, and from where it refuses.
@@ -125,9 +172,13 @@ impl Default for Limits {
             Gate::Views => Limit { good: 12.0, refused: 6.0 },
             Gate::Coverage => Limit { good: 70.0, refused: 45.0 },
             Gate::Tilt => Limit { good: 20.0, refused: 10.0 },
+            Gate::Flatness => Limit { good: 0.5, refused: 1.0 },
+            Gate::Focus => Limit { good: 0.1, refused: 0.3 },
+            Gate::Motion => Limit { good: 0.03, refused: 0.05 },
             Gate::Reprojection => Limit { good: 0.3, refused: 0.5 },
             Gate::HeldOut => Limit { good: 1.25, refused: 1.6 },
             Gate::Rows => Limit { good: 0.2, refused: 0.3 },
+            Gate::Scale => Limit { good: 1.5, refused: 3.0 },
             Gate::Depth => Limit { good: 0.1, refused: 0.5 },
         };
         Self { limits: Gate::ALL.map(limit) }

@@ -33,7 +33,7 @@ pub struct Chosen<const N: usize> {
     pub tried: Vec<HeldOut>,
 }
 
-/// Fits the given lens models and keeps the one with the fewest coefficients whose held-out error is within 1 % of the lowest.
+/// Fits the given lens models, and the shape of the board with them, and keeps the one with the fewest coefficients whose held-out error is within 1 % of the lowest.
 ///
 /// # Errors
 /// Too few views, or that of the last model if none could be fitted.
@@ -52,7 +52,8 @@ pub fn choose<const N: usize>(
         // Each model begins where the simpler one before it has ended.
         let fit = match fits.last() {
             Some((simpler, _)) => simpler.near(views, board, *lens),
-            None => Fit::new(views, board, size, *lens),
+            // A shape that the views do not determine is no reason to refuse them: the board is taken as flat then.
+            None => Fit::new(views, board, size, *lens).map(|flat| flat.with_shape(views).unwrap_or(flat)),
         };
         let rms_px = fit.and_then(|fit| Ok((held_out_rms_px(&fit, views, board)?, fit))).map(|(rms_px, fit)| {
             fits.push((fit, rms_px));

@@ -16,6 +16,7 @@
 mod adjust;
 pub mod board;
 pub mod coach;
+pub mod defects;
 mod depth;
 pub mod detection;
 pub mod fit;

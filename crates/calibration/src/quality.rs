@@ -4,6 +4,7 @@ use nalgebra::{Vector2, Vector3};
 use pb3dp_geometry::{Camera, ImageSize, RectificationError, StereoRig};
 
 use crate::board::Sighting;
+use crate::defects::Defects;
 use crate::fit::{CornerError, Fit, FitError, View};
 use crate::held_out::Chosen;
 use crate::stand::Cells;
@@ -41,6 +42,10 @@ pub struct Quality {
     pub coverage: f64,
     /// Three views show the board tilted by at least so much, degrees.
     pub tilt_deg: f64,
+    /// What the errors say about the board and how the pictures were taken; `None` where they can not say it.
+    pub defects: Option<Defects>,
+    /// The baseline over the one that was measured otherwise, less 1; where one was given.
+    pub scale_error_share: Option<f64>,
     /// Rows of the rectified pictures; of a stereo head only.
     pub rows: Option<RowError>,
     /// Standard deviation of depth that the calibration leaves at the working distance, as a share of it; of a stereo head only.
@@ -56,6 +61,12 @@ impl Quality {
     /// The view with the largest error.
     pub fn worst_view(&self) -> Option<&(String, f64)> {
         self.reprojection_rms_by_view_px.iter().max_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// With the scale judged by a baseline that was measured otherwise, with a ruler or by the maker of the head.
+    #[must_use]
+    pub fn with_known_baseline(self, rig: &StereoRig, known_m: f64) -> Self {
+        Self { scale_error_share: Some(rig.baseline_m() / known_m - 1.0), ..self }
     }
 
     /// Of a single camera.
@@ -112,6 +123,8 @@ fn of<const N: usize>(chosen: &Chosen<N>, views: &[View<N>], size: ImageSize) ->
             .map(|camera| coverage(views.iter().map(|view| &view.sightings[camera]), size))
             .fold(1.0, f64::min),
         tilt_deg: tilt_deg(&chosen.fit),
+        defects: Defects::of(&chosen.fit, views),
+        scale_error_share: None,
         rows: None,
         depth_sigma_share: None,
     }

@@ -27,22 +27,34 @@ pub(crate) fn board_pose(camera: &Camera, sighting: &Sighting, board: &Chessboar
 pub(crate) fn first_camera(sightings: &[&Sighting], board: &Chessboard, size: ImageSize) -> Option<Camera> {
     let (width, height) = (f64::from(size.width), f64::from(size.height));
     let ratio = (FOCAL_RANGE[1] / FOCAL_RANGE[0]).powf(1.0 / f64::from(FOCAL_STEPS));
+    let from_board: Vec<Matrix3<f64>> = sightings
+        .iter()
+        .map(|sighting| {
+            let pairs = sighting
+                .corners()
+                .iter()
+                .map(|corner| (board.corner_in_board(corner.column, corner.row).xy(), corner.pixel));
+            homography(&pairs.collect::<Vec<_>>())
+        })
+        .collect::<Option<_>>()?;
     let tried = (0..=FOCAL_STEPS).filter_map(|step| {
         let focal = width * FOCAL_RANGE[0] * ratio.powi(step);
         let pinhole = Pinhole { fx: focal, fy: focal, cx: 0.5 * (width - 1.0), cy: 0.5 * (height - 1.0) };
         let camera = Camera::new(size, pinhole, Distortion::None).ok()?;
-        let squares: Option<Vec<f64>> = sightings.iter().map(|sighting| misfit(&camera, sighting, board)).collect();
+        let ray_from_pixel = pinhole.matrix().try_inverse()?;
+        let squares = sightings.iter().zip(&from_board).map(|(sighting, pixel_from_board)| {
+            misfit(&camera, &pose_of(&(ray_from_pixel * pixel_from_board))?, sighting, board)
+        });
         // The median view: one odd view must not choose the lens.
-        let mut squares = squares?;
+        let mut squares = squares.collect::<Option<Vec<f64>>>()?;
         squares.sort_by(f64::total_cmp);
         Some((squares.iter().take(squares.len().div_ceil(2)).sum::<f64>(), camera))
     });
     tried.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, camera)| camera)
 }
 
-/// Mean squared error of the corners of one sighting after its pose is guessed, px^2.
-fn misfit(camera: &Camera, sighting: &Sighting, board: &Chessboard) -> Option<f64> {
-    let cam_from_board = board_pose(camera, sighting, board)?;
+/// Mean squared error of the corners of one sighting at a pose, px^2.
+fn misfit(camera: &Camera, cam_from_board: &Isometry3<f64>, sighting: &Sighting, board: &Chessboard) -> Option<f64> {
     let mut sum = 0.0;
     for corner in sighting.corners() {
         let in_cam = cam_from_board * board.corner_in_board(corner.column, corner.row);

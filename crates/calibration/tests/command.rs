@@ -53,11 +53,15 @@ fn a_head_is_calibrated_from_a_folder_of_pictures() {
     let calibration = load_stereo(&[toml.clone().into()]).expect("a calibration");
     let judgement = calibration.judgement.expect("judged");
     assert_eq!(judgement.cameras, identities);
-    assert_eq!(judgement.gates.len(), 7, "{judgement:?}");
+    assert_eq!(judgement.gates.len(), 10, "{judgement:?}");
     for gate in &judgement.gates {
         assert!(told.contains(&format!("{} = {:.3}", gate.name, gate.measured)), "{gate:?}\n{told}");
     }
-    assert_eq!(judgement.refusals().count(), 0, "{told}");
+    // The board was in somebody's hand, and nothing made both cameras expose at the same time.
+    assert!(!output.status.success());
+    let refusals: Vec<&str> = judgement.refusals().map(|gate| gate.name.as_str()).collect();
+    assert_eq!(refusals, ["motion_rms_px"], "{told}");
+    assert!(told.contains("hold the board still"), "{told}");
     let covariance = judgement.covariance.expect("known");
     assert!(covariance.names.contains(&"cam_right_from_cam_left.x_m".to_owned()), "{:?}", covariance.names);
     assert!(judgement.numbers.contains(&("corners".to_owned(), 1296.0)), "{:?}", judgement.numbers);
@@ -110,8 +114,37 @@ fn gates_of_a_file_refuse_and_the_program_fails() {
     let output = stereo(&["--lens", "brown-4", "--gates", &strict.display().to_string()]);
     assert!(!output.status.success());
     let told = text(&output);
+    assert!(told.contains("board: bowed along its rows by "), "{told}");
     assert!(told.contains("refused  views = 12.000") && told.contains("take more pictures"), "{told}");
     assert!(told.contains("verdict: refused"), "{told}");
+}
+
+#[test]
+fn a_wrong_size_of_the_squares_is_refused_where_the_baseline_is_known() {
+    let pictures = format!("{DATA}/bumblebee2_chessboards");
+    for (square, grade) in [("30", "good "), ("29", "refused")] {
+        let output = calibrate(&[
+            "stereo",
+            "--left",
+            &pictures,
+            "--right",
+            &pictures,
+            "--board",
+            "6x4",
+            "--square",
+            square,
+            "--baseline",
+            "120",
+            "--lens",
+            "radial-1",
+        ]);
+        let told = text(&output);
+        let line = told.lines().find(|line| line.contains("scale_percent")).unwrap_or_default();
+        println!("{square} mm: {line}");
+        assert!(line.starts_with(grade), "{told}");
+        assert_eq!(line.contains("measure ten squares"), square == "29", "{told}");
+        assert!(!told.contains("not judged"), "{told}");
+    }
 }
 
 #[test]

@@ -23,8 +23,15 @@ use pb3dp_geometry::{Pose, StereoRig, so3};
 
 use support::{Random, SIZE, Session, board, rig, views};
 
-const GOOD: Session =
-    Session { views: 15, corner_sigma_px: 0.1, refocused: 0.0, moved_between_eyes_m: 0.0, bow_m: 0.0 };
+const GOOD: Session = Session {
+    views: 15,
+    corner_sigma_px: 0.1,
+    refocused: 0.0,
+    moved_between_eyes_m: 0.0,
+    flatness_m: 0.0,
+    streak_max_px: 0.0,
+    tilt_max_rad: 0.0,
+};
 
 fn calibrated(truth: &StereoRig, random: &mut Random) -> Known {
     let views = views(truth, &GOOD, random);

@@ -46,7 +46,7 @@ pub(super) fn of(
     numbers.extend(by_camera.map(|(side, rms_px)| (format!("reprojection_rms_{side}_px"), *rms_px)));
     let by_view = &quality.reprojection_rms_by_view_px;
     numbers.extend(by_view.iter().map(|(view, rms_px)| (format!("view {view}: reprojection_rms_px"), *rms_px)));
-    let covariance = chosen.fit.covariance();
+    let covariance = chosen.fit.covariance().of_cameras();
     let rows = covariance.matrix.row_iter().map(|row| row.iter().copied().collect()).collect();
     let gate = |verdict: &Verdict| JudgedGate {
         name: verdict.gate.key().to_owned(),

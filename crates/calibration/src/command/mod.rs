@@ -150,6 +150,10 @@ struct StereoArgs {
     /// The distance for which the head is judged, mm.
     #[arg(long, value_name = "MM", value_parser = numbers::millimetres, default_value = "500", allow_hyphen_values = true)]
     distance: f64,
+    /// The baseline, mm, as measured with a ruler between the lenses, to 1 %, or as the maker states it: with it a wrong size of the
+    /// squares is found.
+    #[arg(long, value_name = "MM", value_parser = numbers::millimetres, allow_hyphen_values = true)]
+    baseline: Option<f64>,
     /// Write the calibration, also where a gate refuses it: .toml (ours, with gates, date and cameras, as docs/calibration.md has them), or
     /// without these .json, a Kalibr camchain (.kalibr.yaml), OpenCV (.opencv.yaml), or a folder for the ROS pair left.yaml and right.yaml.
     #[arg(long, value_name = "FILE")]
@@ -195,6 +199,10 @@ fn stereo(args: &StereoArgs) -> Result<ExitCode> {
     let chosen = choose(&seen.views, &board, seen.size, args.common.models())?;
     let rig = chosen.fit.rig()?;
     let quality = Quality::of_stereo(&chosen, &seen.views, seen.size, args.distance * 1e-3)?;
+    let quality = match args.baseline {
+        Some(known_mm) => quality.with_known_baseline(&rig, known_mm * 1e-3),
+        None => quality,
+    };
     tell(&report::rig(&chosen.fit, &rig, args.distance * 1e-3)?)?;
     let code = conclude(&chosen, &quality, &limits)?;
     if let Some(file) = &args.common.report {

@@ -36,6 +36,15 @@ pub(super) fn fit<const N: usize>(chosen: &Chosen<N>) -> String {
         let text = known.map(|(name, value, sigma)| format!("{name} {value:.4} +- {sigma:.4}")).collect::<Vec<_>>();
         lines.push(format!("{side}: {}", text.join(", ")));
     }
+    if let Some(heights_m) = chosen.fit.board_shape_m() {
+        let names = ["bow_of_rows_m", "bow_of_columns_m", "twist_m"];
+        let sigma_mm = |name: &str| covariance.sigma(&format!("board.{name}")).unwrap_or(f64::NAN) * 1e3;
+        let [rows, columns, twist] =
+            std::array::from_fn(|n| format!("{:+.3} +- {:.3}", heights_m[n] * 1e3, sigma_mm(names[n])));
+        lines.push(format!(
+            "board: bowed along its rows by {rows} mm, along its columns by {columns} mm, twisted by {twist} mm"
+        ));
+    }
     let scatter = covariance.view_scatter;
     let raised = if scatter > 1.0 {
         format!(", raised {:.1} times because views differ by more than their corners explain", scatter.sqrt())
@@ -77,6 +86,7 @@ pub(super) fn verdicts(quality: &Quality, verdicts: &[Verdict]) -> String {
             rows.mean_px, rows.p95_px
         ));
     }
+    lines.extend(defects(quality));
     let mut views: Vec<_> = quality.reprojection_rms_by_view_px.iter().collect();
     views.sort_by(|a, b| b.1.total_cmp(&a.1));
     let worst = views.iter().take(WORST_VIEWS).map(|(name, rms_px)| format!("{name:?} {rms_px:.3}"));
@@ -84,11 +94,30 @@ pub(super) fn verdicts(quality: &Quality, verdicts: &[Verdict]) -> String {
     lines.extend(verdicts.iter().map(Verdict::to_string));
     let gates: Vec<GateLine> = verdicts.iter().map(GateLine::from).collect();
     lines.push(format!("verdict: {}", verdict_in_words(&gates).1));
-    lines.push(
-        "not judged: the size of the squares, which pictures can not tell; measure a known length with the calibrated cameras"
-            .to_owned(),
-    );
+    if quality.scale_error_share.is_none() {
+        lines.push(
+            "not judged: the size of the squares, which pictures can not tell: measure the baseline with a ruler and give --baseline, or measure a known length with the calibrated cameras"
+                .to_owned(),
+        );
+    }
     lines.join("\n")
+}
+
+/// Where the defects are that were found.
+fn defects(quality: &Quality) -> Vec<String> {
+    let Some(defects) = &quality.defects else { return Vec::new() };
+    let name = |view: usize| quality.reprojection_rms_by_view_px.get(view).map_or("", |(name, _)| name.as_str());
+    let mut lines = Vec::new();
+    let refocused = defects.refocused;
+    if refocused.share > 0.0 {
+        let side = if quality.rows.is_none() { "the" } else { sides::<2>()[refocused.camera.min(1)] };
+        let from = name(refocused.from_view);
+        lines.push(format!("{side} camera: another focal length from view {from:?} on, in the order of the names"));
+    }
+    if let Some(moved) = defects.moved.filter(|moved| moved.rms_px > 0.0) {
+        lines.push(format!("the eyes see the board at different places most in view {:?}", name(moved.worst_view)));
+    }
+    lines
 }
 
 /// Whether a gate refuses.

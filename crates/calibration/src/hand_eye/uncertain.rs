@@ -40,7 +40,7 @@ impl CalibrationCovariance {
 /// The head as the adjustment of cameras has it.
 fn head_of(rig: &StereoRig, lens: LensModel) -> head::State {
     let from_first = vec![Isometry3::identity(), *rig.cam_right_from_cam_left().isometry()];
-    head::State { lens, cameras: vec![*rig.left(), *rig.right()], from_first, boards: Vec::new() }
+    head::State { lens, cameras: vec![*rig.left(), *rig.right()], from_first, boards: Vec::new(), shape: None }
 }
 
 /// One uncertain direction of the head: the head moved by a standard deviation to either side, and what is adjusted to it.

@@ -149,6 +149,7 @@ fn pose_errors(rig: &StereoRig, view: &View<2>, board: &Chessboard) -> Result<(f
         cameras: vec![*rig.left(), *rig.right()],
         from_first: vec![Isometry3::identity(), *rig.cam_right_from_cam_left().isometry()],
         boards: vec![board_pose(rig.left(), &view.sightings[0], board).ok_or_else(unplaced)?],
+        shape: None,
     };
     let state = adjust(start, &observations, true)?;
     let mut squares = (0.0, 0);
@@ -165,7 +166,10 @@ fn pose_errors(rig: &StereoRig, view: &View<2>, board: &Chessboard) -> Result<(f
 pub fn depth_sigma_m(known: &Known, depth_m: f64) -> Option<f64> {
     let cameras = vec![*known.rig.left(), *known.rig.right()];
     let from_first = vec![Isometry3::identity(), *known.rig.cam_right_from_cam_left().isometry()];
-    let state = |lens| State { lens, cameras: cameras.clone(), from_first: from_first.clone(), boards: Vec::new() };
+    let state = |lens| {
+        let (cameras, from_first) = (cameras.clone(), from_first.clone());
+        State { lens, cameras, from_first, boards: Vec::new(), shape: None }
+    };
     let is_it = |state: &State| state.shared_names(&sides::<2>()) == known.names;
     let state = LensModel::ALL.into_iter().map(state).find(is_it)?;
     crate::depth::sigma_m(&state, &known.covariance, depth_m).ok()

@@ -42,8 +42,25 @@ pub struct Session {
     pub refocused: f64,
     /// The board moves by this much between the two exposures, m, in a direction of its own in each view.
     pub moved_between_eyes_m: f64,
-    /// The board is bowed: its middle stands out by this much, m.
-    pub bow_m: f64,
+    /// The board is bowed and twisted: the distance of the two planes between which its corners lie, m.
+    pub flatness_m: f64,
+    /// The board moves while a picture is exposed: the longest streak, px, in a direction of its own in each view.
+    pub streak_max_px: f64,
+    /// The largest tilt of the board, radians; 0.7 if this is 0.
+    pub tilt_max_rad: f64,
+}
+
+/// A board that is not flat.
+struct Shape {
+    bow_m: f64,
+    twist_m: f64,
+}
+
+/// What a moving board does to the corners of one picture.
+struct Streak {
+    direction: Vector2<f64>,
+    sigma_px: f64,
+    shift_px: f64,
 }
 
 pub fn board() -> Chessboard {
@@ -82,19 +99,44 @@ pub fn rig(random: &mut Random) -> StereoRig {
 /// not taken.
 pub fn views(rig: &StereoRig, session: &Session, random: &mut Random) -> Vec<View<2>> {
     let board = board();
+    let (share, signs) = (random.between(0.0, 1.0), [random.between(-1.0, 1.0), random.between(-1.0, 1.0)]);
+    let shape = Shape {
+        bow_m: session.flatness_m * share.copysign(signs[0]),
+        twist_m: 0.5 * session.flatness_m * (1.0 - share).copysign(signs[1]),
+    };
     let mut views = Vec::with_capacity(session.views);
     while views.len() < session.views {
         let late = views.len() >= session.views / 2;
         let right = if late { refocused(rig.right(), session.refocused) } else { *rig.right() };
-        let cam_left_from_board = placed(rig, &board, random);
+        let cam_left_from_board = placed(rig, &board, session, random);
         let moved = Vector3::from_fn(|_, _| random.normal()).normalize() * session.moved_between_eyes_m;
         let cam_right_from_board = rig.cam_right_from_cam_left().isometry()
             * Isometry3::translation(moved.x, moved.y, moved.z)
             * cam_left_from_board;
-        let seen = [
-            sighting(rig.left(), &cam_left_from_board, &board, session, random),
-            sighting(&right, &cam_right_from_board, &board, session, random),
-        ];
+        let (way, length_px) =
+            (random.between(0.0, std::f64::consts::TAU), session.streak_max_px * random.between(0.4, 1.0));
+        // Where the edges of a streak are found varies with its length, and the eyes do not see it alike.
+        let mut streak = || Streak {
+            direction: Vector2::new(way.cos(), way.sin()),
+            sigma_px: 0.15 * length_px,
+            shift_px: 0.05 * length_px * random.normal(),
+        };
+        let streaks = [streak(), streak()];
+        let mut seen = |camera: &Camera, pose: &Isometry3<f64>, streak: &Streak| {
+            sighting(
+                camera,
+                pose,
+                &board,
+                &shape,
+                |random| {
+                    let noise = Vector2::new(random.normal(), random.normal()) * session.corner_sigma_px;
+                    noise + streak.direction * (streak.shift_px + streak.sigma_px * random.normal())
+                },
+                random,
+            )
+        };
+        let seen =
+            [seen(rig.left(), &cam_left_from_board, &streaks[0]), seen(&right, &cam_right_from_board, &streaks[1])];
         if let [Some(left), Some(right)] = seen {
             views.push(View { name: format!("{:02}", views.len()), sightings: [left, right] });
         }
@@ -123,12 +165,13 @@ fn refocused(camera: &Camera, share: f64) -> Camera {
 }
 
 /// The middle of the board on the ray of some pixel, the board filling a fifth to three quarters of the picture's width.
-fn placed(rig: &StereoRig, board: &Chessboard, random: &mut Random) -> Isometry3<f64> {
+fn placed(rig: &StereoRig, board: &Chessboard, session: &Session, random: &mut Random) -> Isometry3<f64> {
     let middle = board.corner_in_board(board.columns() - 1, board.rows() - 1).coords * 0.5;
     let distance_m = 2.0 * middle.x * rig.left().pinhole().fx / (random.between(0.3, 0.75) * f64::from(SIZE.width));
     let pixel = Vector2::new(random.between(60.0, 580.0), random.between(50.0, 430.0));
     let ray = rig.left().unproject(&pixel).expect("inside the picture");
-    let (tilt, way) = (random.between(0.0, 0.7), random.between(0.0, std::f64::consts::TAU));
+    let tilt_max_rad = if session.tilt_max_rad > 0.0 { session.tilt_max_rad } else { 0.7 };
+    let (tilt, way) = (random.between(0.0, tilt_max_rad), random.between(0.0, std::f64::consts::TAU));
     let turn = so3::exp(&Vector3::new(tilt * way.cos(), tilt * way.sin(), random.between(-0.5, 0.5)));
     let to_middle = Isometry3::from_parts((ray * distance_m).into(), turn);
     to_middle * Isometry3::translation(-middle.x, -middle.y, 0.0)
@@ -138,16 +181,17 @@ fn sighting(
     camera: &Camera,
     cam_from_board: &Isometry3<f64>,
     board: &Chessboard,
-    session: &Session,
+    shape: &Shape,
+    noise: impl Fn(&mut Random) -> Vector2<f64>,
     random: &mut Random,
 ) -> Option<Sighting> {
     let mut corners = Vec::with_capacity(board.corner_count());
     for (column, row) in (0..board.rows()).flat_map(|row| (0..board.columns()).map(move |column| (column, row))) {
         let mut in_board = board.corner_in_board(column, row);
         let share = |at: u32, all: u32| 2.0 * f64::from(at) / f64::from(all - 1) - 1.0;
-        in_board.z =
-            session.bow_m * (1.0 - share(column, board.columns()).powi(2)) * (1.0 - share(row, board.rows()).powi(2));
-        let noise = Vector2::new(random.normal(), random.normal()) * session.corner_sigma_px;
+        let (u, v) = (share(column, board.columns()), share(row, board.rows()));
+        in_board.z = shape.bow_m * (1.0 - u * u) * (1.0 - v * v) + shape.twist_m * u * v;
+        let noise = noise(random);
         let pixel = camera.project(&(cam_from_board * in_board))?;
         let inside = (8.0..632.0).contains(&pixel.x) && (8.0..472.0).contains(&pixel.y);
         inside.then(|| corners.push(BoardCorner { column, row, pixel: pixel + noise }))?;
