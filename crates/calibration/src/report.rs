@@ -1,5 +1,7 @@
 //! Reports of calibrations as one page of HTML: the verdict with what to do, the gates, and the errors over the pictures.
 
+mod hand_eye;
+
 use std::collections::BTreeMap;
 use std::fmt;
 
@@ -12,6 +14,7 @@ use crate::gates::{Gate, Grade, Verdict};
 use crate::held_out::Chosen;
 use crate::quality::{Quality, row_differences};
 use crate::stand::{CELLS, cell_of};
+pub use hand_eye::of_hand_eye;
 
 /// A gate as a report shows it, whatever was judged.
 #[derive(Clone, Debug, PartialEq)]

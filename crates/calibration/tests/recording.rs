@@ -18,7 +18,9 @@ use std::process::{Command, Output};
 use film::{AT_REST, Studio, board, places, record, rig};
 use nalgebra::Isometry3;
 use pb3dp_geometry::Pose;
-use pb3dp_record::calibration_files::{BoardPlace, HandEye, Judgement, load_stereo, save_hand_eye, save_json};
+use pb3dp_record::calibration_files::{
+    BoardPlace, HandEye, JudgedGate, Judgement, load_hand_eye, load_stereo, save_hand_eye, save_json,
+};
 use pb3dp_record::stops::{ArmStand, Stop, Stops, save_stops};
 
 fn calibrate(args: &[&str]) -> Output {
@@ -93,7 +95,14 @@ fn views_are_chosen_from_a_recording_and_the_head_is_found() {
     assert!(chosen.len() * AT_REST < rests.len());
 }
 
-fn report_says_what_the_file_says(html: &str, gates: &[pb3dp_record::calibration_files::JudgedGate], told: &str) {
+fn report_says_what_the_file_says(html: &str, gates: &[JudgedGate], told: &str) {
+    says(html, gates, told);
+    let html = fs::read_to_string(html).expect("a report");
+    assert!(html.contains("data:image/jpeg;base64,") && html.matches("drawn").count() > 4);
+}
+
+/// A page with the gates and the verdict of a file and of what was told.
+fn says(html: &str, gates: &[JudgedGate], told: &str) {
     let html = fs::read_to_string(html).expect("a report");
     check_html(&html);
     for gate in gates {
@@ -102,7 +111,6 @@ fn report_says_what_the_file_says(html: &str, gates: &[pb3dp_record::calibration
     }
     let verdict = told.lines().find_map(|line| line.strip_prefix("verdict: ")).expect("a verdict");
     assert!(html.contains(&format!("Verdict: {verdict}")), "{verdict}");
-    assert!(html.contains("data:image/jpeg;base64,") && html.matches("drawn").count() > 4);
 }
 
 /// The same board holds, one that is typed wrong does not.
@@ -148,7 +156,7 @@ fn each_stop_of_an_arm_is_a_view() {
     assert!(seen.contains("\nstop 00,left,0,0,") && seen.contains("\nstop 05,right,8,5,"), "{}", text(&output));
 }
 
-/// The hand sees a board that rests in the room, from six stops.
+/// The hand sees a board that rests in the room, from many stops.
 #[test]
 fn what_was_touched_is_where_the_cameras_say() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -158,7 +166,7 @@ fn what_was_touched_is_where_the_cameras_say() {
     let base_from_board = pose([0.52, -0.11, 0.07], [2.9, 0.2, -0.4]);
     let flange_from_cam_left = pose([0.031, -0.045, 0.082], [0.1, -0.2, 1.4]);
     let mut stops = Vec::new();
-    for (number, cam_left_from_board) in places(&studio.rig).iter().enumerate().take(6) {
+    for (number, cam_left_from_board) in places(&studio.rig).iter().enumerate() {
         let base_from_flange = base_from_board * cam_left_from_board.inverse() * flange_from_cam_left.inverse();
         let [left, right] = ["left", "right"].map(|side| format!("{side}_{number}.png"));
         for (picture, name) in studio.pair(cam_left_from_board, 0.0).iter().zip([&left, &right]) {
@@ -201,10 +209,25 @@ fn what_was_touched_is_where_the_cameras_say() {
     let good = verify(0.0);
     println!("{}", text(&good));
     assert!(good.status.success() && text(&good).contains("good     touch_mm = 0."), "{}", text(&good));
+    hand_eye_has_a_report(folder.path());
     let wrong = verify(-5.0);
     let told = text(&wrong);
     assert!(!wrong.status.success() && told.contains("refused  touch_mm = "), "{told}");
-    assert!(told.lines().any(|line| line.starts_with("corner 3,5: touched at") && line.contains("6 stops")), "{told}");
+    assert!(told.lines().any(|line| line.starts_with("corner 3,5: touched at") && line.contains("12 stops")), "{told}");
+}
+
+/// The page of a hand-eye calibration by the stops of a folder says what its file says.
+fn hand_eye_has_a_report(folder: &Path) {
+    let [recording, calib, html, out] =
+        ["", "calib.json", "hand.html", "found.toml"].map(|name| folder.join(name).display().to_string());
+    let args = ["hand-eye", "--recording", &recording, "--calib", &calib, "--board", "9x6", "--square", "25"];
+    let output = calibrate(&[&args[..], &["--report", &html, "--out", &out]].concat());
+    println!("{}", text(&output));
+    let gates = load_hand_eye(Path::new(&out)).expect("a calibration").judgement.gates;
+    assert_eq!(gates.len(), 8);
+    says(&html, &gates, &text(&output));
+    let page = fs::read_to_string(&html).expect("a page");
+    assert!(page.contains("left_5.png") && page.contains("base_from_board.rz, degrees"));
 }
 
 /// Lines that a program writes, one by one.

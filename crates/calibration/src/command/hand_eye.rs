@@ -9,6 +9,7 @@ use pb3dp_calibration::board::Chessboard;
 use pb3dp_calibration::gates::Grade;
 use pb3dp_calibration::hand_eye::gates::{HandEyeLimits, HandEyeVerdict};
 use pb3dp_calibration::hand_eye::{CalibrationCovariance, Given, HandEyeFit, HandEyeStop, RobotSigma, tc_has_moved};
+use pb3dp_calibration::report::of_hand_eye;
 use pb3dp_geometry::ImageSize;
 use pb3dp_record::calibration_files::{
     HandEye, JudgedGate, Judgement, ParameterCovariance, StereoCalibration, load_stereo, save_hand_eye,
@@ -52,6 +53,9 @@ pub(super) struct HandEyeArgs {
     /// The setup whose arms.vs.world_from_base the lines for arms.tc are told with; without it the world is the base of vs.
     #[arg(long, value_name = "FILE")]
     setup: Option<PathBuf>,
+    /// Also write a report as one page of HTML: the verdict, the gates, and each stop against all others.
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
     /// Write the calibration (.toml), also where a gate refuses it.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -144,6 +148,10 @@ pub(super) fn run(args: &HandEyeArgs) -> Result<ExitCode> {
     tell(&hand_eye_report::fit(&fit, args.robot_sigma))?;
     tell(&hand_eye_report::lines(&fit, rig, vs_world_from_base))?;
     tell(&hand_eye_report::verdicts(&verdicts))?;
+    if let Some(file) = &args.report {
+        of_hand_eye(&fit, &verdicts, args.distance * 1e-3).write(file)?;
+        tell(&format!("wrote {}: a report", file.display()))?;
+    }
     if let Some(out) = &args.out {
         write(&hand_eye(&fit, &looked, &verdicts, args.distance), out)?;
     }
