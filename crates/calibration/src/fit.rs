@@ -175,7 +175,8 @@ impl<const N: usize> Fit<N> {
             pose.translation.vector.iter().chain(turn.iter()).copied().collect::<Vec<_>>()
         };
         let cameras = self.state.cameras.iter().flat_map(of_camera);
-        let values = cameras.chain(self.state.from_first.iter().skip(1).flat_map(of_pose));
+        let poses = self.state.from_first.iter().skip(1).flat_map(of_pose);
+        let values = cameras.chain(poses).chain(self.state.shape.into_iter().flatten());
         self.covariance.names.iter().cloned().zip(values).collect()
     }
 

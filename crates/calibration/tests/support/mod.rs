@@ -154,8 +154,10 @@ pub fn seen_by_both(
 ) -> Option<[Sighting; 2]> {
     let board = board();
     let cam_right_from_board = rig.cam_right_from_cam_left().isometry() * cam_left_from_board;
-    let left = sighting(rig.left(), cam_left_from_board, &board, session, random)?;
-    Some([left, sighting(rig.right(), &cam_right_from_board, &board, session, random)?])
+    let flat = Shape { bow_m: 0.0, twist_m: 0.0 };
+    let noise = |random: &mut Random| Vector2::new(random.normal(), random.normal()) * session.corner_sigma_px;
+    let left = sighting(rig.left(), cam_left_from_board, &board, &flat, noise, random)?;
+    Some([left, sighting(rig.right(), &cam_right_from_board, &board, &flat, noise, random)?])
 }
 
 fn refocused(camera: &Camera, share: f64) -> Camera {
