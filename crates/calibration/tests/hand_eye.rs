@@ -332,6 +332,33 @@ fn wrong_squares_are_refused_and_named() {
     }
 }
 
+/// Why a calibration is refused, in a word.
+fn reason(fit: Result<HandEyeFit, HandEyeError>) -> String {
+    match fit {
+        Err(error) => format!("{error:?}").split([' ', '{']).next().unwrap_or_default().to_owned(),
+        Ok(fit) => format!("{:?}", refused(&fit).iter().map(|(gate, _)| gate.key()).collect::<Vec<_>>()),
+    }
+}
+
+#[test]
+fn a_board_that_was_moved_and_the_wrong_robot_are_refused() {
+    let mut reasons = std::collections::BTreeMap::<String, usize>::new();
+    for seed in 0..RIGS_OF_ARM {
+        let (world, stops) = visited(seed, &Visit { board_moved_m: 0.01, ..GOOD });
+        let reason = reason(fit(&stops, &world.rig));
+        assert_ne!(reason, "[]", "seed {seed}");
+        *reasons.entry(format!("board moved: {reason}")).or_default() += 1;
+    }
+    for seed in 0..10 {
+        let mut random = Random::new(6000 + seed);
+        let arm = JointWorld::new(1e-4, &mut random).taken_for_the_first_generation();
+        let reason = reason(fit(&arm.visit(&GOOD, &mut random), &arm.world.rig));
+        assert_ne!(reason, "[]", "seed {seed}");
+        *reasons.entry(format!("other robot: {reason}")).or_default() += 1;
+    }
+    println!("{reasons:#?}");
+}
+
 #[test]
 fn turns_about_one_axis_are_refused_and_named() {
     let mut reasons = std::collections::BTreeMap::<String, usize>::new();

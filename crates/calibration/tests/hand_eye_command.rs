@@ -227,7 +227,7 @@ fn check_hand(found: &HandEye, cell: &Cell, calib: &str) {
     let believed = load_stereo(&[PathBuf::from(calib)]).expect("a head").rig;
     let point_mm = cell.world.point_error_m(&believed, &found.flange_from_cam_left, 0.5) * 1e3;
     println!("a point 500 mm ahead, on the flange: {point_mm:.3} mm from the truth");
-    assert!(point_mm < 0.8, "{point_mm}");
+    assert!(point_mm < 1.2, "{point_mm}");
 }
 
 #[test]

@@ -73,7 +73,7 @@ impl HandEyeGate {
             Self::Corners => fit.corner_rms_px,
             Self::LeftOutDistance => rms(|stop| stop.left_out_mm),
             Self::LeftOutAngle => rms(|stop| stop.left_out_deg),
-            Self::Scale => 100.0 * off(fit.scales.squares).max(off(fit.scales.baseline)),
+            Self::Scale => 100.0 * worst(off(fit.scales.squares), off(fit.scales.baseline)),
             Self::HandError => fit.hand_error_m(distance_m) * 1e3,
         }
     }
@@ -102,9 +102,12 @@ impl HandEyeGate {
 
 /// How far a factor is from 1 beyond what chance explains.
 fn off(scale: Scale) -> f64 {
-    let off = (scale.factor - 1.0).abs() - SCALE_SIGMAS * scale.sigma;
-    // Not `max`, which would hide what is no number.
-    if off < 0.0 { 0.0 } else { off }
+    worst(0.0, (scale.factor - 1.0).abs() - SCALE_SIGMAS * scale.sigma)
+}
+
+/// The larger one, and what is no number before any other: `max` would hide it.
+fn worst(a: f64, b: f64) -> f64 {
+    if a > b || a.is_nan() { a } else { b }
 }
 
 /// Which length is wrong: both, if one is off by a third of the other at least.
@@ -191,5 +194,37 @@ impl HandEyeVerdict {
 impl fmt::Display for HandEyeVerdict {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.limit.line(self.gate.key(), self.measured, self.gate.is_floor(), self.advice))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_gate_refuses_beyond_its_limit_and_says_what_to_do() {
+        for gate in HandEyeGate::ALL {
+            let limit = HandEyeLimits::default().of(gate);
+            let verdict = |measured| HandEyeVerdict { gate, measured, limit, advice: "do this" };
+            assert_eq!(verdict(limit.good).grade(), Grade::Good);
+            assert_eq!(verdict(0.5 * (limit.good + limit.refused)).grade(), Grade::Fair, "{gate:?}");
+            let beyond = verdict(limit.refused + 1e-6 * (limit.refused - limit.good));
+            assert_eq!(beyond.grade(), Grade::Refused, "{gate:?}");
+            assert_eq!(verdict(f64::NAN).grade(), Grade::Refused);
+            let text = beyond.to_string();
+            assert!(text.starts_with("refused") && text.contains(gate.key()) && text.contains("do this"), "{text}");
+        }
+        let wrong = HandEyeLimits::default().with(HandEyeGate::Stops, Limit { good: 5.0, refused: 9.0 });
+        assert!(wrong.is_err_and(|error| error.to_string().contains("stops") && error.to_string().contains("larger")));
+    }
+
+    #[test]
+    fn a_factor_that_is_no_number_is_not_hidden() {
+        let good = Scale { factor: 1.001, sigma: 0.001 };
+        let wrong = Scale { factor: 0.99, sigma: 0.001 };
+        assert_eq!(off(good), 0.0);
+        assert!((off(wrong) - 0.008).abs() < 1e-12);
+        let none = off(Scale { factor: f64::NAN, sigma: 0.001 });
+        assert!(worst(none, off(good)).is_nan() && worst(off(good), none).is_nan());
     }
 }

@@ -33,6 +33,8 @@ pub struct Visit {
     pub robot_sigma_rad: f64,
     /// True side of a square over the stated one.
     pub squares: f64,
+    /// From the middle of the visit on the board is elsewhere, m.
+    pub board_moved_m: f64,
     /// Only turns about the camera's axis.
     pub one_axis: bool,
     /// So many stops whose joints were recorded while the arm moved, off by 5 mm.
@@ -45,6 +47,7 @@ pub const GOOD: Visit = Visit {
     robot_sigma_m: 1e-4,
     robot_sigma_rad: 0.02 * std::f64::consts::PI / 180.0,
     squares: 1.0,
+    board_moved_m: 0.0,
     one_axis: false,
     moving: 0,
 };
@@ -127,6 +130,8 @@ impl World {
     fn room_stop(&self, index: usize, visit: &Visit, random: &mut Random) -> HandEyeStop {
         let Place::Room { base_from_board } = self.place else { panic!("a board in a room") };
         let (cam_left_from_board, sightings) = self.look(visit, random);
+        let moved_m = if 2 * index >= visit.stops { visit.board_moved_m } else { 0.0 };
+        let base_from_board = base_from_board * Isometry3::translation(moved_m, 0.0, 0.0);
         let base_from_flange = base_from_board * (self.flange_from_cam_left * cam_left_from_board).inverse();
         self.stop(index, visit, (base_from_flange, None), sightings, random)
     }
@@ -250,6 +255,8 @@ fn sighting(camera: &Camera, cam_from_board: &Isometry3<f64>, visit: &Visit, ran
 pub struct JointWorld {
     pub world: World,
     chain: Chain,
+    /// The arm as the robot's description has it.
+    believed: Chain,
     rest_rad: JointVector,
     joint_sigma_rad: f64,
 }
@@ -270,7 +277,14 @@ impl JointWorld {
         let cam_left_from_board = to_middle * Isometry3::translation(-middle.x, -middle.y, 0.0);
         let base_from_board = chain.forward(&rest_rad).isometry() * world.flange_from_cam_left * cam_left_from_board;
         world.place = Place::Room { base_from_board };
-        Self { world, chain, rest_rad, joint_sigma_rad: flange_sigma_m / levers }
+        Self { world, believed: chain.clone(), chain, rest_rad, joint_sigma_rad: flange_sigma_m / levers }
+    }
+
+    /// The same arm, taken for one of the first generation.
+    pub fn taken_for_the_first_generation(mut self) -> Self {
+        let urdf = include_str!("../../../../configs/robots/pa10_gen1.urdf");
+        self.believed = Chain::from_urdf_str(urdf, "base_link", "flange").expect("an arm");
+        self
     }
 
     /// Visits the poses that are proposed from a first look, with a camera that is thought to sit where it does not quite.
@@ -297,7 +311,7 @@ impl JointWorld {
             stops.push(HandEyeStop {
                 name: format!("{:02}", stops.len()),
                 sightings,
-                base_from_flange: self.chain.forward(&told_rad),
+                base_from_flange: self.believed.forward(&told_rad),
                 tc_base_from_tc_flange: None,
             });
         }
