@@ -48,8 +48,7 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     let text =
         fs::read_to_string(workspace.root().join(DOCUMENT)).with_context(|| format!("{DOCUMENT} can not be read"))?;
     for command in commands(&text)? {
-        println!("$ {command}");
-        run_visibly(shell(&place, &programs).args(["-c", &command]))?;
+        in_shell(&place, &programs, &command)?;
     }
     if args.calibrate_only {
         return Ok(());
@@ -103,13 +102,15 @@ fn commands(document: &str) -> anyhow::Result<Vec<String>> {
     Ok(commands)
 }
 
-/// A shell in the copy that finds our programs first.
-fn shell(place: &Path, programs: &Path) -> Command {
-    let mut command = Command::new("sh");
+/// Runs a command in the copy, by a shell that finds our programs first.
+fn in_shell(place: &Path, programs: &Path, command: &str) -> anyhow::Result<()> {
+    println!("$ {command}");
     let path = std::env::var_os("PATH").unwrap_or_default();
     let paths = std::iter::once(programs.to_path_buf()).chain(std::env::split_paths(&path));
-    command.current_dir(place).env("PATH", std::env::join_paths(paths).unwrap_or(path));
-    command
+    let mut shell = Command::new("sh");
+    shell.current_dir(place).env("PATH", std::env::join_paths(paths)?).args(["-c", command]);
+    let status = shell.status().context("cannot run sh")?;
+    if status.success() { Ok(()) } else { bail!("ended with {status}: {command}") }
 }
 
 /// The calibrated setup in a cell that is exactly as it says, but for the second arm.
@@ -127,8 +128,7 @@ fn exact_cell(place: &Path) -> anyhow::Result<()> {
 /// The summary of a run.
 fn experiment(place: &Path, programs: &Path, name: &str) -> anyhow::Result<serde_json::Value> {
     println!("Fig. 7, {name}");
-    let run = format!("pb3dp run --config configs/{name}.toml --out out/{name}");
-    run_visibly(shell(place, programs).args(["-c", &run]))?;
+    in_shell(place, programs, &format!("pb3dp run --config configs/{name}.toml --out out/{name}"))?;
     let file = place.join("out").join(name).join("summary.json");
     let text = fs::read_to_string(&file).with_context(|| format!("{} is not there", file.display()))?;
     Ok(serde_json::from_str(&text)?)

@@ -2,6 +2,7 @@
 
 mod coach;
 mod convert;
+mod eyes;
 mod gates_file;
 mod hand_eye;
 mod hand_eye_report;
@@ -211,7 +212,8 @@ fn stereo(args: &StereoArgs) -> Result<ExitCode> {
     }
     if let Some(out) = &args.out {
         let cameras = judgement::cameras(args.cameras.as_deref(), args.pairs.folder())?;
-        let judgement = judgement::of(&chosen, &quality, &limits.judge(&quality), (seen.newest.as_str(), cameras));
+        let mut judgement = judgement::of(&chosen, &quality, &limits.judge(&quality), (seen.newest.as_str(), cameras));
+        judgement.numbers.extend(eyes::numbers(&seen.files)?);
         tell(&convert::write(&rig, Some(&judgement), out)?)?;
     }
     Ok(code)

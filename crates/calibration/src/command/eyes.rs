@@ -1,0 +1,53 @@
+//! How unlike both eyes are while they are calibrated: what a run later compares its own pictures with.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use pb3dp_record::images::load_rgb;
+use pb3dp_record::picture_quality::{Exposure, blur_of, brighter_by_percent, softer_by_px};
+
+/// Medians over the pairs, by the names that a run knows them by (docs/rig.md, cameras that drift): blur that the right eye has and the
+/// left one has not, and by how much it is brighter. What the pictures do not tell is left out.
+pub(super) fn numbers(pairs: &[[PathBuf; 2]]) -> Result<Vec<(String, f64)>> {
+    let (mut softer_px, mut brighter_percent) = (Vec::new(), Vec::new());
+    for [left, right] in pairs {
+        let pictures = [load_rgb(left)?, load_rgb(right)?];
+        let [left_px, right_px] = [&pictures[0], &pictures[1]].map(|picture| blur_of(&[picture]));
+        softer_px.extend(left_px.zip(right_px).map(|(left, right)| softer_by_px([left, right])));
+        brighter_percent
+            .push(brighter_by_percent(&[&pictures[0], &pictures[1]].map(|picture| Exposure::of(&[picture]))));
+    }
+    let medians =
+        [("focus_difference_px", median(softer_px)), ("brightness_difference_percent", median(brighter_percent))];
+    Ok(medians.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?))).collect())
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_right_eye_that_is_softer_and_darker_is_told() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let sharp = image::RgbImage::from_fn(160, 120, |x, y| {
+            image::Rgb([if (x / 16 + y / 16) % 2 == 0 { 40 } else { 200 }; 3])
+        });
+        // Something that a lens would make of it, so that no edge is a step.
+        let left = image::imageops::blur(&sharp, 0.7);
+        let mut right = image::imageops::blur(&sharp, 1.6);
+        right.iter_mut().for_each(|level| *level = (f64::from(*level) * 0.8) as u8);
+        let files = ["left.png", "right.png"].map(|name| folder.path().join(name));
+        left.save(&files[0]).expect("saved");
+        right.save(&files[1]).expect("saved");
+        let found = numbers(&[files.clone(), files]).expect("numbers");
+        let of = |name: &str| found.iter().find(|(key, _)| key == name).expect(name).1;
+        assert!((of("focus_difference_px") - (1.6f64 * 1.6 - 0.7 * 0.7).sqrt()).abs() < 0.25, "{found:?}");
+        assert!((of("brightness_difference_percent") + 20.0).abs() < 1.0, "{found:?}");
+        assert_eq!(median(Vec::new()), None);
+    }
+}
