@@ -1,17 +1,45 @@
 //! The calibration target: what is known of it before it is seen.
 
+use calib_targets_aruco::{Dictionary, resolve_dictionary};
 use nalgebra::Point3;
 
-/// A plane chessboard, described by its inner corners: the points where four squares meet.
+/// A plane board, described by the corners that are seen of it: points where four squares meet, or the corners of tags.
+///
+/// Corners have a column and a row. Of chessboards and ChArUco boards these are the inner corners, of AprilGrids two columns and
+/// two rows belong to each tag.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Chessboard {
+pub struct Board {
     columns: u32,
     rows: u32,
-    square_m: f64,
+    pattern: Pattern,
+}
+
+/// A board that [`Board::new`] makes.
+pub type Chessboard = Board;
+
+/// What is printed on a board.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Pattern {
+    /// Squares.
+    Chessboard { square_m: f64 },
+    /// Squares with markers in the white ones, as OpenCV prints them since 4.6: the first square is black.
+    Charuco { square_m: f64, marker_m: f64, markers: Markers },
+    /// Tags 36h11 with black squares between their corners, as Kalibr prints them: tag 0 below on the left.
+    AprilGrid { tag_m: f64, spacing: f64 },
+}
+
+/// A family of markers.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Markers(pub Dictionary);
+
+impl PartialEq for Markers {
+    fn eq(&self, other: &Self) -> bool {
+        self.0.name() == other.0.name()
+    }
 }
 
 /// Why a board was refused.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum BoardError {
     /// Too few or too many corners.
     #[error(
@@ -23,6 +51,18 @@ pub enum BoardError {
         /// Inner corners along a column.
         rows: u32,
     },
+    /// Too few or too many squares or tags.
+    #[error("a board of {columns} x {rows} {what}: each number must be between {least} and 50")]
+    Size {
+        /// Along a row.
+        columns: u32,
+        /// Along a column.
+        rows: u32,
+        /// Squares or tags.
+        what: &'static str,
+        /// The smallest number.
+        least: u32,
+    },
     /// A board that looks the same after a quarter turn.
     #[error(
         "a board of {corners} x {corners} inner corners looks the same after a quarter turn, so two cameras may disagree about its first corner: use one with unequal numbers, best one odd and one even as 9 x 6"
@@ -31,16 +71,68 @@ pub enum BoardError {
         /// Inner corners along both sides.
         corners: u32,
     },
-    /// A square of impossible size.
-    #[error("squares of {square_mm} mm: must be between 1 and 1000 mm; measure ten squares with a ruler and divide")]
-    Square {
+    /// A square or tag of impossible size.
+    #[error("{what} of {side_mm} mm: must be between 1 and 1000 mm; measure ten of them with a ruler and divide")]
+    Side {
+        /// Squares or tags.
+        what: &'static str,
+        /// The side, millimetres.
+        side_mm: f64,
+    },
+    /// Markers that are not inside of their squares.
+    #[error("markers of {marker_mm} mm in squares of {square_mm} mm: must be between 0.3 and 0.95 of a square")]
+    Marker {
+        /// The side of a marker, millimetres.
+        marker_mm: f64,
         /// The side of a square, millimetres.
         square_mm: f64,
     },
+    /// A gap between tags that is none.
+    #[error("tags with a spacing of {spacing}: the gap over the side of a tag, must be between 0.1 and 1")]
+    Spacing {
+        /// The gap between two tags over the side of a tag.
+        spacing: f64,
+    },
+    /// No such family of markers.
+    #[error(
+        "{name:?} is no dictionary of markers: DICT_4X4_50 to DICT_7X7_1000, DICT_APRILTAG_36h11, as OpenCV names them"
+    )]
+    Dictionary {
+        /// The name that was given.
+        name: String,
+    },
+    /// More markers than the family has.
+    #[error("the board has {needed} markers, and {name} only {there}: take a larger dictionary")]
+    Markers {
+        /// Markers of the board.
+        needed: usize,
+        /// Markers of the family.
+        there: usize,
+        /// The family.
+        name: &'static str,
+    },
 }
 
-impl Chessboard {
-    /// A board of `columns` x `rows` inner corners whose squares have sides of `square_m` metres.
+/// The family of the tags of an AprilGrid, by the name that OpenCV has for it.
+pub(crate) const APRIL_TAGS: &str = "DICT_APRILTAG_36h11";
+
+/// A side in metres.
+fn side(what: &'static str, side_m: f64) -> Result<(), BoardError> {
+    if (1e-3..=1.0).contains(&side_m) { Ok(()) } else { Err(BoardError::Side { what, side_mm: side_m * 1e3 }) }
+}
+
+fn dictionary(name: &str) -> Result<Dictionary, BoardError> {
+    resolve_dictionary(name).ok_or_else(|| BoardError::Dictionary { name: name.to_owned() })
+}
+
+/// Whether the family has as many markers.
+fn enough(dictionary: &Dictionary, needed: usize) -> Result<(), BoardError> {
+    let there = dictionary.codes().len();
+    if needed <= there { Ok(()) } else { Err(BoardError::Markers { needed, there, name: dictionary.name() }) }
+}
+
+impl Board {
+    /// A chessboard of `columns` x `rows` inner corners whose squares have sides of `square_m` metres.
     ///
     /// # Errors
     /// Fewer than 3 or more than 100 corners in a direction, as many in both, squares below 1 mm or above 1 m.
@@ -51,49 +143,114 @@ impl Chessboard {
         if columns == rows {
             return Err(BoardError::Equal { corners: columns });
         }
-        if !(1e-3..=1.0).contains(&square_m) {
-            return Err(BoardError::Square { square_mm: square_m * 1e3 });
-        }
-        Ok(Self { columns, rows, square_m })
+        side("squares", square_m)?;
+        Ok(Self { columns, rows, pattern: Pattern::Chessboard { square_m } })
     }
 
-    /// Inner corners along a row.
+    /// A ChArUco board of `squares_x` x `squares_y` squares with sides of `square_m` metres, markers of `marker_m` metres from a
+    /// dictionary of OpenCV in the white ones; the square at the top on the left is black (OpenCV's pattern since 4.6).
+    ///
+    /// # Errors
+    /// Fewer than 3 or more than 50 squares in a direction, impossible sizes, a dictionary that is not known or too small.
+    pub fn charuco(
+        [squares_x, squares_y]: [u32; 2],
+        square_m: f64,
+        marker_m: f64,
+        dictionary_name: &str,
+    ) -> Result<Self, BoardError> {
+        if !(3..=50).contains(&squares_x) || !(3..=50).contains(&squares_y) {
+            return Err(BoardError::Size { columns: squares_x, rows: squares_y, what: "squares", least: 3 });
+        }
+        side("squares", square_m)?;
+        if !(0.3..=0.95).contains(&(marker_m / square_m)) {
+            return Err(BoardError::Marker { marker_mm: marker_m * 1e3, square_mm: square_m * 1e3 });
+        }
+        let dictionary = dictionary(dictionary_name)?;
+        enough(&dictionary, (squares_x * squares_y / 2) as usize)?;
+        let pattern = Pattern::Charuco { square_m, marker_m, markers: Markers(dictionary) };
+        Ok(Self { columns: squares_x - 1, rows: squares_y - 1, pattern })
+    }
+
+    /// An AprilGrid of `tags_x` x `tags_y` tags of the family 36h11 with sides of `tag_m` metres, and gaps of `spacing` times
+    /// this, as Kalibr prints it: black squares in the gaps touch the tags' corners.
+    ///
+    /// # Errors
+    /// Fewer than 2 or more than 50 tags in a direction or more than the family has, impossible sizes.
+    pub fn april_grid([tags_x, tags_y]: [u32; 2], tag_m: f64, spacing: f64) -> Result<Self, BoardError> {
+        if !(2..=50).contains(&tags_x) || !(2..=50).contains(&tags_y) {
+            return Err(BoardError::Size { columns: tags_x, rows: tags_y, what: "tags", least: 2 });
+        }
+        side("tags", tag_m)?;
+        if !(0.1..=1.0).contains(&spacing) {
+            return Err(BoardError::Spacing { spacing });
+        }
+        enough(&dictionary(APRIL_TAGS)?, (tags_x * tags_y) as usize)?;
+        Ok(Self { columns: 2 * tags_x, rows: 2 * tags_y, pattern: Pattern::AprilGrid { tag_m, spacing } })
+    }
+
+    /// Corners along a row.
     pub fn columns(&self) -> u32 {
         self.columns
     }
 
-    /// Inner corners along a column.
+    /// Corners along a column.
     pub fn rows(&self) -> u32 {
         self.rows
     }
 
-    /// Side of a square, metres.
-    pub fn square_m(&self) -> f64 {
-        self.square_m
+    pub(crate) fn pattern(&self) -> &Pattern {
+        &self.pattern
     }
 
-    /// How many inner corners there are.
+    /// What the board is called in texts: a chessboard, a ChArUco board, an AprilGrid.
+    pub fn kind(&self) -> &'static str {
+        match self.pattern {
+            Pattern::Chessboard { .. } => "a chessboard",
+            Pattern::Charuco { .. } => "a ChArUco board",
+            Pattern::AprilGrid { .. } => "an AprilGrid",
+        }
+    }
+
+    /// Side of a square, or of a tag, metres.
+    pub fn square_m(&self) -> f64 {
+        match self.pattern {
+            Pattern::Chessboard { square_m } | Pattern::Charuco { square_m, .. } => square_m,
+            Pattern::AprilGrid { tag_m, .. } => tag_m,
+        }
+    }
+
+    /// How many corners there are.
     pub fn corner_count(&self) -> usize {
         (self.columns * self.rows) as usize
     }
 
     /// A corner in the frame `board`, metres: origin at corner (0, 0), x along the row, y down the column, z into the board.
     pub fn corner_in_board(&self, column: u32, row: u32) -> Point3<f64> {
-        Point3::new(f64::from(column) * self.square_m, f64::from(row) * self.square_m, 0.0)
+        Point3::new(self.along(column), self.along(row), 0.0)
+    }
+
+    /// The distance of a column or row from the first one, metres.
+    fn along(&self, index: u32) -> f64 {
+        match self.pattern {
+            Pattern::Chessboard { square_m } | Pattern::Charuco { square_m, .. } => f64::from(index) * square_m,
+            Pattern::AprilGrid { tag_m, spacing } => {
+                (f64::from(index / 2) * (1.0 + spacing) + f64::from(index % 2)) * tag_m
+            }
+        }
     }
 
     /// The surfaces of second order of which a board that is not flat is made, at a corner: bowed along the rows, bowed along the
     /// columns, twisted. The first two are 1 in the middle and 0 at the board's borders, the last one is 1 at corner (0, 0).
     pub(crate) fn surfaces(&self, column: u32, row: u32) -> [f64; 3] {
-        let along = |at: u32, all: u32| 2.0 * f64::from(at) / f64::from(all - 1) - 1.0;
-        let (u, v) = (along(column, self.columns), along(row, self.rows));
+        let place = |at: u32, all: u32| 2.0 * self.along(at) / self.along(all - 1) - 1.0;
+        let (u, v) = (place(column, self.columns), place(row, self.rows));
         [1.0 - u * u, 1.0 - v * v, u * v]
     }
 
-    /// Whether the colours of the squares tell the board from itself turned by half a turn: if one number of corners is odd and
-    /// the other one even.
+    /// Whether the board tells which way up it is: by its markers, or by the colours of its squares if one number of corners is
+    /// odd and the other one even.
     pub fn is_told_from_its_half_turn(&self) -> bool {
-        (self.columns + self.rows) % 2 == 1
+        !matches!(self.pattern, Pattern::Chessboard { .. }) || (self.columns + self.rows) % 2 == 1
     }
 }
 
@@ -128,7 +285,7 @@ impl Sighting {
     }
 
     /// The same pixels on the board turned by half a turn about its normal.
-    pub(crate) fn half_turned(&self, board: &Chessboard) -> Self {
+    pub(crate) fn half_turned(&self, board: &Board) -> Self {
         let turn = |corner: &BoardCorner| BoardCorner {
             column: board.columns() - 1 - corner.column,
             row: board.rows() - 1 - corner.row,

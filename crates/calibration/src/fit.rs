@@ -133,6 +133,11 @@ impl<const N: usize> Fit<N> {
         Self::from_start(views, &self.board, self.state.lens, &start)
     }
 
+    /// The board.
+    pub fn board(&self) -> &Chessboard {
+        &self.board
+    }
+
     /// By how much the board stands out of its plane, metres: bowed along its rows and its columns, in the middle, and twisted, at
     /// corner (0, 0); `None` where it was taken as flat.
     pub fn board_shape_m(&self) -> Option<[f64; 3]> {

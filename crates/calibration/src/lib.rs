@@ -1,6 +1,6 @@
-//! Calibrates cameras and stereo heads from pictures of a chessboard, and judges the result.
+//! Calibrates cameras and stereo heads from pictures of a board, and judges the result.
 //!
-//! The way of the data: [`detection::find_chessboard`] finds the corners of a [`board::Chessboard`] in a picture,
+//! The way of the data: [`detection::find_board`] finds the corners of a [`board::Board`] in a picture,
 //! [`fit::Fit`] adjusts all cameras, their poses to each other and the board's poses together, [`held_out::choose`] chooses
 //! the lens model by views that the fit has not seen, [`quality::Quality`] puts the result into numbers, and
 //! [`gates::Limits`] judges them. Calibrations as files are those of `pb3dp_record::calibration_files`.
@@ -23,6 +23,7 @@ pub mod fit;
 pub mod gates;
 pub mod hand_eye;
 pub mod held_out;
+pub mod ink;
 pub mod lens;
 pub mod quality;
 pub mod report;

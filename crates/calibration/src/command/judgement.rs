@@ -58,7 +58,7 @@ pub(super) fn of(
     Judgement {
         date: newest.to_owned(),
         tool: concat!("pb3dp-calibrate ", env!("CARGO_PKG_VERSION")).to_owned(),
-        source: format!("{} views of a chessboard, lens model {}", quality.views, chosen.fit.lens()),
+        source: format!("{} views of {}, lens model {}", quality.views, chosen.fit.board().kind(), chosen.fit.lens()),
         cameras,
         numbers,
         covariance: Some(ParameterCovariance { names: covariance.names.clone(), rows }),

@@ -1,5 +1,6 @@
 //! The command line of `pb3dp-calibrate`.
 
+mod board;
 mod coach;
 mod convert;
 mod eyes;
@@ -24,7 +25,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use clap::{Args, Parser, Subcommand};
-use pb3dp_calibration::board::Chessboard;
+use pb3dp_calibration::board::Board;
 use pb3dp_calibration::fit::View;
 use pb3dp_calibration::gates::Limits;
 use pb3dp_calibration::held_out::{Chosen, choose};
@@ -33,6 +34,7 @@ use pb3dp_calibration::quality::Quality;
 use pb3dp_calibration::report::{of_camera, of_stereo};
 use pb3dp_geometry::ImageSize;
 
+use self::board::BoardArgs;
 use self::coach::CoachArgs;
 use self::convert::ConvertArgs;
 use self::hand_eye::HandEyeArgs;
@@ -40,7 +42,7 @@ use self::pictures::Pictures;
 use self::propose::ProposeArgs;
 use self::verify::VerifyArgs;
 
-/// Calibrate cameras and stereo heads from pictures of a chessboard, and say how good the result is.
+/// Calibrate cameras and stereo heads from pictures of a board, and say how good the result is.
 #[derive(Debug, Parser)]
 #[command(name = "pb3dp-calibrate", bin_name = "pb3dp calibrate", version, propagate_version = true)]
 pub struct Cli {
@@ -62,6 +64,8 @@ enum What {
     HandEye(HandEyeArgs),
     /// The poses that an arm is to visit for a calibration, from a first look at the board.
     Propose(ProposeArgs),
+    /// Write a board for printing.
+    Board(board::PrintArgs),
     /// Write a calibration in another format.
     Convert(ConvertArgs),
 }
@@ -78,12 +82,8 @@ enum LensChoice {
 /// What both ways to calibrate take.
 #[derive(Debug, Args)]
 struct Common {
-    /// Inner corners of the chessboard (where four squares meet), one fewer than squares, for instance 9x6.
-    #[arg(long, value_name = "COLUMNSxROWS", value_parser = numbers::corners)]
-    board: [u32; 2],
-    /// Side of a square, mm. Measure ten squares and divide: pictures can not tell a wrong number.
-    #[arg(long, value_name = "MM", value_parser = numbers::millimetres, allow_hyphen_values = true)]
-    square: f64,
+    #[command(flatten)]
+    board: BoardArgs,
     /// radial-1, radial-2, brown-4 (k1 k2 p1 p2), brown-5 (and k3), rational-8, or auto: the fewest coefficients whose error on
     /// views that the fit has not seen is within 1 % of the lowest.
     #[arg(long, value_name = "MODEL", value_parser = numbers::lens, default_value = "auto")]
@@ -124,7 +124,7 @@ struct Pairs {
 }
 
 impl Pairs {
-    fn sightings(&self, board: &Chessboard) -> Result<Seen<2>> {
+    fn sightings(&self, board: &Board) -> Result<Seen<2>> {
         match (&self.recording, &self.left, &self.right) {
             (Some(recording), ..) => recording::sightings(recording, board),
             (None, Some(left), Some(right)) => Pictures::<2>::find(&[left, right])?.sightings(board),
@@ -173,6 +173,7 @@ pub fn run(cli: &Cli) -> Result<ExitCode> {
         What::Verify(args) => verify::run(args),
         What::HandEye(args) => hand_eye::run(args),
         What::Propose(args) => propose::run(args),
+        What::Board(args) => board::run(args),
         What::Convert(args) => convert::run(args),
     }
 }
@@ -228,9 +229,8 @@ fn conclude<const N: usize>(chosen: &Chosen<N>, quality: &Quality, limits: &Limi
 }
 
 impl Common {
-    fn checked(&self) -> Result<(Chessboard, Limits)> {
-        let [columns, rows] = self.board;
-        let board = Chessboard::new(columns, rows, self.square * 1e-3)?;
+    fn checked(&self) -> Result<(Board, Limits)> {
+        let board = self.board.board()?;
         let limits = self.gates.as_deref().map_or_else(|| Ok(Limits::default()), gates_file::read)?;
         Ok((board, limits))
     }

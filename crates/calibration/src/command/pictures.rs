@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use pb3dp_calibration::board::{Chessboard, Sighting};
-use pb3dp_calibration::detection::{NoBoard, agree, find_chessboard};
+use pb3dp_calibration::detection::{NoBoard, agree, find_board};
 use pb3dp_calibration::fit::{View, sides};
 use pb3dp_geometry::ImageSize;
 use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
@@ -123,7 +123,7 @@ pub(super) fn view<const N: usize>(
     let mut sightings: [Sighting; N] = std::array::from_fn(|_| Sighting::default());
     for (index, file) in files.iter().enumerate() {
         let picture = load_rgb_of_size(file, size, first)?;
-        match find_chessboard(&image::DynamicImage::from(picture).into_luma8(), board) {
+        match find_board(&image::DynamicImage::from(picture).into_luma8(), board) {
             Ok(sighting) => sightings[index] = sighting,
             Err(reason) => return Ok(Err((file.clone(), reason))),
         }

@@ -8,7 +8,7 @@ use std::sync::PoisonError;
 use anyhow::{Context, Result, bail};
 use image::GrayImage;
 use pb3dp_calibration::board::{Chessboard, Sighting};
-use pb3dp_calibration::detection::find_chessboard;
+use pb3dp_calibration::detection::find_board;
 use pb3dp_calibration::fit::{View, sides};
 use pb3dp_calibration::selection::{Candidate, Selection, Wanted, select};
 use pb3dp_calibration::sharpness::{blur_px, moved_px};
@@ -170,7 +170,7 @@ impl<'a> Recording<'a> {
             let picture = self
                 .picture(&file)
                 .map_err(|_| format!("the {side} picture is missing, damaged or of another size"))?;
-            *sighting = find_chessboard(&picture, self.board).map_err(|reason| format!("{side}: {reason}"))?;
+            *sighting = find_board(&picture, self.board).map_err(|reason| format!("{side}: {reason}"))?;
             blur = blur.zip(blur_px(&picture, sighting)).map(|(one, other)| one.max(other));
         }
         let name = format!("{frame:04}");
@@ -194,7 +194,7 @@ impl<'a> Recording<'a> {
                 continue;
             }
             let Ok(picture) = self.picture(&self.files(other)[0]) else { continue };
-            let Ok(sighting) = find_chessboard(&picture, self.board) else { return Ok(None) };
+            let Ok(sighting) = find_board(&picture, self.board) else { return Ok(None) };
             let [here, there] = agreed([candidate.view.sightings[0].clone(), sighting], self.board);
             let Some(moved_px) = moved_px(&here, &there) else { return Ok(None) };
             fastest = Some(fastest.unwrap_or(0.0).max(moved_px / apart_s));

@@ -98,7 +98,18 @@ pub fn rig(random: &mut Random) -> StereoRig {
 /// Views of the board by both cameras of a head, spread over the picture, tilted and turned; boards that leave a picture are
 /// not taken.
 pub fn views(rig: &StereoRig, session: &Session, random: &mut Random) -> Vec<View<2>> {
-    let board = board();
+    views_of(&board(), rig, session, 1.0, random)
+}
+
+/// The same of any board, of which both cameras see at least a share.
+pub fn views_of(
+    board: &Chessboard,
+    rig: &StereoRig,
+    session: &Session,
+    share_min: f64,
+    random: &mut Random,
+) -> Vec<View<2>> {
+    let outside_max = ((1.0 - share_min) * board.corner_count() as f64) as usize;
     let (share, signs) = (random.between(0.0, 1.0), [random.between(-1.0, 1.0), random.between(-1.0, 1.0)]);
     let shape = Shape {
         bow_m: session.flatness_m * share.copysign(signs[0]),
@@ -108,7 +119,7 @@ pub fn views(rig: &StereoRig, session: &Session, random: &mut Random) -> Vec<Vie
     while views.len() < session.views {
         let late = views.len() >= session.views / 2;
         let right = if late { refocused(rig.right(), session.refocused) } else { *rig.right() };
-        let cam_left_from_board = placed(rig, &board, session, random);
+        let cam_left_from_board = placed(rig, board, session, random);
         let moved = Vector3::from_fn(|_, _| random.normal()).normalize() * session.moved_between_eyes_m;
         let cam_right_from_board = rig.cam_right_from_cam_left().isometry()
             * Isometry3::translation(moved.x, moved.y, moved.z)
@@ -126,7 +137,7 @@ pub fn views(rig: &StereoRig, session: &Session, random: &mut Random) -> Vec<Vie
             sighting(
                 camera,
                 pose,
-                &board,
+                (board, outside_max),
                 &shape,
                 |random| {
                     let noise = Vector2::new(random.normal(), random.normal()) * session.corner_sigma_px;
@@ -156,8 +167,8 @@ pub fn seen_by_both(
     let cam_right_from_board = rig.cam_right_from_cam_left().isometry() * cam_left_from_board;
     let flat = Shape { bow_m: 0.0, twist_m: 0.0 };
     let noise = |random: &mut Random| Vector2::new(random.normal(), random.normal()) * session.corner_sigma_px;
-    let left = sighting(rig.left(), cam_left_from_board, &board, &flat, noise, random)?;
-    Some([left, sighting(rig.right(), &cam_right_from_board, &board, &flat, noise, random)?])
+    let left = sighting(rig.left(), cam_left_from_board, (&board, 0), &flat, noise, random)?;
+    Some([left, sighting(rig.right(), &cam_right_from_board, (&board, 0), &flat, noise, random)?])
 }
 
 fn refocused(camera: &Camera, share: f64) -> Camera {
@@ -182,21 +193,26 @@ fn placed(rig: &StereoRig, board: &Chessboard, session: &Session, random: &mut R
 fn sighting(
     camera: &Camera,
     cam_from_board: &Isometry3<f64>,
-    board: &Chessboard,
+    (board, outside_max): (&Chessboard, usize),
     shape: &Shape,
     noise: impl Fn(&mut Random) -> Vector2<f64>,
     random: &mut Random,
 ) -> Option<Sighting> {
-    let mut corners = Vec::with_capacity(board.corner_count());
+    let (mut corners, mut outside) = (Vec::with_capacity(board.corner_count()), 0);
     for (column, row) in (0..board.rows()).flat_map(|row| (0..board.columns()).map(move |column| (column, row))) {
         let mut in_board = board.corner_in_board(column, row);
         let share = |at: u32, all: u32| 2.0 * f64::from(at) / f64::from(all - 1) - 1.0;
         let (u, v) = (share(column, board.columns()), share(row, board.rows()));
         in_board.z = shape.bow_m * (1.0 - u * u) * (1.0 - v * v) + shape.twist_m * u * v;
         let noise = noise(random);
-        let pixel = camera.project(&(cam_from_board * in_board))?;
-        let inside = (8.0..632.0).contains(&pixel.x) && (8.0..472.0).contains(&pixel.y);
-        inside.then(|| corners.push(BoardCorner { column, row, pixel: pixel + noise }))?;
+        let inside = |pixel: &Vector2<f64>| (8.0..632.0).contains(&pixel.x) && (8.0..472.0).contains(&pixel.y);
+        match camera.project(&(cam_from_board * in_board)).filter(inside) {
+            Some(pixel) => corners.push(BoardCorner { column, row, pixel: pixel + noise }),
+            None => outside += 1,
+        }
+        if outside > outside_max {
+            return None;
+        }
     }
     Some(Sighting::new(corners))
 }

@@ -1,7 +1,12 @@
-//! Where the corners of a chessboard are in a picture.
+//! Where the corners of a board are in a picture.
 //!
-//! Corners and their order come from `calib-targets-chessboard`; what is done here is to hold its grid against the board that
-//! was announced, and to say which corner is the first one.
+//! Corners and the order of those of a chessboard come from `calib-targets-chessboard`, those of ChArUco boards from
+//! `calib-targets-charuco`; what is done here is to hold a chessboard's grid against the board that was announced, to say which
+//! corner is the first one, and to find which corners belong to the tags of an AprilGrid.
+
+mod april_grid;
+mod charuco;
+mod refine;
 
 use calib_targets_chessboard::{
     ChessboardDetection, ChessboardDetector, ChessboardParams, GrayImageView, default_chess_config, detect_corners,
@@ -9,7 +14,7 @@ use calib_targets_chessboard::{
 use image::GrayImage;
 use nalgebra::Vector2;
 
-use crate::board::{BoardCorner, Chessboard, Sighting};
+use crate::board::{Board, BoardCorner, Chessboard, Pattern, Sighting};
 
 /// Why a picture shows no board that can be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -31,6 +36,23 @@ pub enum NoBoard {
         /// Of the board.
         rows: u32,
     },
+    /// No marker that can be read.
+    #[error(
+        "no marker of the board can be read: check light, sharpness and glare, come nearer, and compare the board with --board (its dictionary, its numbers)"
+    )]
+    Markers,
+    /// A board with markers of which too little is seen.
+    #[error(
+        "only {seen} of the board's {all} corners are seen beside readable markers, at least {least} in 3 columns and 3 rows are needed: show more of the board, or come nearer"
+    )]
+    Few {
+        /// Corners seen.
+        seen: usize,
+        /// Corners of the board.
+        all: usize,
+        /// The smallest number.
+        least: usize,
+    },
     /// The grid has holes.
     #[error("only {seen} of the board's {all} corners are seen: uncover the board, or avoid glare on it")]
     Gaps {
@@ -46,7 +68,50 @@ const SIDE_MIN_PX: u32 = 32;
 /// The smallest share of a board's corners that must be seen.
 const SEEN_SHARE_MIN: f64 = 0.8;
 
-/// Finds the board in a picture.
+/// The smallest number of corners of a board with markers.
+const CODED_MIN: usize = 12;
+
+/// Finds a board of any kind in a picture. Chessboards must be seen as a whole, boards with markers in part.
+///
+/// # Errors
+/// As [`find_chessboard`]; of boards with markers, none that can be read, or too few corners.
+pub fn find_board(picture: &GrayImage, board: &Board) -> Result<Sighting, NoBoard> {
+    if picture.width().min(picture.height()) < SIDE_MIN_PX {
+        return Err(NoBoard::None);
+    }
+    match *board.pattern() {
+        Pattern::Chessboard { .. } => find_chessboard(picture, board),
+        Pattern::Charuco { square_m, marker_m, markers } => charuco::find(picture, board, marker_m / square_m, markers),
+        Pattern::AprilGrid { .. } => april_grid::find(picture, board),
+    }
+}
+
+/// A picture as the detectors take it.
+fn gray_view(picture: &GrayImage) -> GrayImageView<'_> {
+    GrayImageView {
+        width: picture.width() as usize,
+        height: picture.height() as usize,
+        data: picture.as_raw().as_slice(),
+    }
+}
+
+/// The sighting of a board with markers, if it shows enough of it to place it.
+fn enough(corners: Vec<BoardCorner>, board: &Board) -> Result<Sighting, NoBoard> {
+    let sighting = Sighting::new(corners);
+    let different = |of: fn(&BoardCorner) -> u32| {
+        let mut all: Vec<u32> = sighting.corners().iter().map(of).collect();
+        all.sort_unstable();
+        all.dedup();
+        all.len()
+    };
+    let (seen, least) = (sighting.corners().len(), CODED_MIN.min(board.corner_count()));
+    if seen < least || different(|corner| corner.column) < 3 || different(|corner| corner.row) < 3 {
+        return Err(NoBoard::Few { seen, all: board.corner_count(), least });
+    }
+    Ok(sighting)
+}
+
+/// Finds a chessboard in a picture.
 ///
 /// Of a board that colours tell from its half turn, corner (0, 0) is the one whose square towards (1, 1) is dark. Of other
 /// boards it is one of the corners from where rows run to the right or columns downwards, and [`agree`] makes two pictures
@@ -58,12 +123,7 @@ pub fn find_chessboard(picture: &GrayImage, board: &Chessboard) -> Result<Sighti
     if picture.width().min(picture.height()) < SIDE_MIN_PX {
         return Err(NoBoard::None);
     }
-    let view = GrayImageView {
-        width: picture.width() as usize,
-        height: picture.height() as usize,
-        data: picture.as_raw().as_slice(),
-    };
-    let corners = detect_corners(&view, &default_chess_config());
+    let corners = detect_corners(&gray_view(picture), &default_chess_config());
     let grids = ChessboardParams::sweep_default().into_iter().filter_map(|params| {
         // The parameters are the library's own, which it does not refuse.
         ChessboardDetector::new(params).ok()?.detect(&corners)

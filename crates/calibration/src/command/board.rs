@@ -1,0 +1,131 @@
+//! Which board, and printing it.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use pb3dp_calibration::board::Board;
+use pb3dp_calibration::ink::{draw, ink, svg};
+
+use super::numbers;
+
+/// White around a printed board: as wide as this share of its shorter side.
+const MARGIN_SHARE: f64 = 0.08;
+/// The longest side of a picture of a board, pixels.
+const SIDE_MAX_PX: f64 = 30_000.0;
+
+/// A board without its sizes.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum BoardName {
+    /// Inner corners.
+    Chessboard([u32; 2]),
+    /// Squares, and the dictionary.
+    Charuco([u32; 2], String),
+    /// Tags.
+    AprilGrid([u32; 2]),
+}
+
+/// The board.
+#[derive(Clone, Debug, Args)]
+pub(super) struct BoardArgs {
+    /// 9x6: a chessboard, by its inner corners (where four squares meet), one fewer than squares. charuco:8x6:DICT_4X4_50: a ChArUco
+    /// board, by its squares and OpenCV's name of its dictionary. aprilgrid:6x6: an AprilGrid of Kalibr, by its tags.
+    #[arg(long, value_name = "BOARD", value_parser = numbers::board)]
+    pub(super) board: BoardName,
+    /// Side of a square, mm, of a chessboard or a ChArUco board. Measure ten squares and divide: pictures can not tell a wrong number.
+    #[arg(long, value_name = "MM", value_parser = numbers::millimetres, allow_hyphen_values = true)]
+    pub(super) square: Option<f64>,
+    /// Side of a marker of a ChArUco board, mm.
+    #[arg(long, value_name = "MM", value_parser = numbers::millimetres, allow_hyphen_values = true)]
+    pub(super) marker: Option<f64>,
+    /// Side of a tag of an AprilGrid, mm, from one outer black edge to the other.
+    #[arg(long, value_name = "MM", value_parser = numbers::millimetres, allow_hyphen_values = true)]
+    pub(super) tag: Option<f64>,
+    /// Gap between two tags of an AprilGrid, over the side of a tag.
+    #[arg(long, value_name = "SHARE", default_value = "0.3")]
+    pub(super) spacing: f64,
+}
+
+impl BoardArgs {
+    /// The board, if all its sizes are given.
+    pub(super) fn board(&self) -> Result<Board> {
+        let needed = |length: Option<f64>, option: &str| {
+            let missing = || format!("{option} MM: must be given with such a board; measure it with a ruler");
+            length.map(|length_mm| length_mm * 1e-3).with_context(missing)
+        };
+        let idle = match &self.board {
+            BoardName::Chessboard(_) => [("--marker", self.marker), ("--tag", self.tag)],
+            BoardName::Charuco(..) => [("--tag", self.tag), ("", None)],
+            BoardName::AprilGrid(_) => [("--square", self.square), ("--marker", self.marker)],
+        };
+        if let Some((option, _)) = idle.iter().find(|(_, length)| length.is_some()) {
+            bail!("{option}: such a board has none");
+        }
+        Ok(match &self.board {
+            BoardName::Chessboard([columns, rows]) => Board::new(*columns, *rows, needed(self.square, "--square")?)?,
+            BoardName::Charuco(squares, dictionary) => Board::charuco(
+                *squares,
+                needed(self.square, "--square")?,
+                needed(self.marker, "--marker")?,
+                dictionary,
+            )?,
+            BoardName::AprilGrid(tags) => Board::april_grid(*tags, needed(self.tag, "--tag")?, self.spacing)?,
+        })
+    }
+}
+
+/// Arguments of `pb3dp calibrate board`.
+#[derive(Debug, Args)]
+pub(super) struct PrintArgs {
+    #[command(flatten)]
+    board: BoardArgs,
+    /// Where to write it: .svg or .png. Print it without scaling to the page, and measure it.
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Pixels per inch of a .png.
+    #[arg(long, default_value_t = 300, value_parser = clap::value_parser!(u32).range(50..=2400))]
+    dpi: u32,
+}
+
+/// Writes a board for printing.
+pub(super) fn run(args: &PrintArgs) -> Result<ExitCode> {
+    let board = args.board.board()?;
+    let ink = ink(&board);
+    let [left, top, right, bottom] = pb3dp_calibration::ink::extent_m(&ink);
+    let (width_m, height_m) = (right - left, bottom - top);
+    let margin_m = MARGIN_SHARE * width_m.min(height_m);
+    let (file, px_per_m) = (args.out.as_path(), f64::from(args.dpi) / 0.0254);
+    let ends = |suffix: &str| file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(suffix));
+    if ends("svg") {
+        std::fs::write(file, svg(&ink, margin_m)).with_context(|| format!("{}: can not be written", file.display()))?;
+    } else if ends("png") {
+        if width_m.max(height_m) * px_per_m > SIDE_MAX_PX {
+            bail!("{} dpi: the picture would be too large; take fewer, or write an .svg", args.dpi);
+        }
+        write_png(&draw(&ink, px_per_m, margin_m).picture, px_per_m, file)
+            .with_context(|| format!("{}: can not be written", file.display()))?;
+    } else {
+        bail!("{}: the format can not be told from the name: use .svg or .png", file.display());
+    }
+    super::tell(&format!(
+        "wrote {}: {}, black from edge to edge {:.2} x {:.2} mm; print it without scaling, fix it to something flat, and measure these lengths: they give the sizes to calibrate with",
+        file.display(),
+        board.kind(),
+        width_m * 1e3,
+        height_m * 1e3
+    ))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// A PNG that says how large its pixels are.
+fn write_png(picture: &image::GrayImage, px_per_m: f64, file: &Path) -> Result<()> {
+    let mut encoder = png::Encoder::new(BufWriter::new(File::create(file)?), picture.width(), picture.height());
+    encoder.set_color(png::ColorType::Grayscale);
+    let per_m = px_per_m.round() as u32;
+    encoder.set_pixel_dims(Some(png::PixelDimensions { xppu: per_m, yppu: per_m, unit: png::Unit::Meter }));
+    encoder.write_header()?.write_image_data(picture.as_raw())?;
+    Ok(())
+}
