@@ -142,7 +142,8 @@ fn compare(found: &serde_json::Value, exact: &serde_json::Value) -> anyhow::Resu
         let (found, exact) = (rms(found)?, rms(exact)?);
         println!("| {name} | {found:.2} | {exact:.2} | {:.2} |", found / exact);
         // What is no number is too far.
-        if !(found <= RATIO_MAX * exact) {
+        let is_near = found <= RATIO_MAX * exact;
+        if !is_near {
             too_far.push(name);
         }
     }
