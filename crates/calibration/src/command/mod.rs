@@ -85,7 +85,7 @@ struct Common {
     #[command(flatten)]
     board: BoardArgs,
     /// radial-1, radial-2, brown-4 (k1 k2 p1 p2), brown-5 (and k3), rational-8, or auto: the fewest coefficients whose error on
-    /// views that the fit has not seen is within 1 % of the lowest.
+    /// views that the fit has not seen is within 0.2 % of the lowest.
     #[arg(long, value_name = "MODEL", value_parser = numbers::lens, default_value = "auto")]
     lens: LensChoice,
     /// Other limits than the built-in ones (copy configs/calibration_gates.toml).
