@@ -34,7 +34,7 @@ pub fn sides<const N: usize>() -> [&'static str; N] {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FitError {
     /// Too few views.
-    #[error("{seen} views of the board can be used, at least {VIEWS_MIN} are needed, 15 are good: take more pictures")]
+    #[error("{seen} views of the board can be used, more than {VIEWS_MIN} are needed, 15 are good: take more pictures")]
     Views {
         /// Views that can be used.
         seen: usize,

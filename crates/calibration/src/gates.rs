@@ -263,7 +263,11 @@ impl Limit {
         let word = if is_floor { "from" } else { "up to" };
         let Self { good, refused } = self;
         let grade = self.grade(measured, is_floor);
-        let told = format!("{:<8} {key} = {measured:.3} (good {word} {good}, refused beyond {refused})", grade.name());
+        let told = format!(
+            "{:<8} {key} = {measured:.3} (good {word} {good}, refused {} {refused})",
+            grade.name(),
+            if is_floor { "below" } else { "above" }
+        );
         if grade == Grade::Good { told } else { format!("{told}: {advice}") }
     }
 }

@@ -50,7 +50,12 @@ impl fmt::Display for GateLine {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let word = if self.good > self.refused { "from" } else { "up to" };
         let Self { name, measured, good, refused, grade, advice } = self;
-        write!(f, "{:<8} {name} = {measured:.3} (good {word} {good}, refused beyond {refused})", grade.name())?;
+        write!(
+            f,
+            "{:<8} {name} = {measured:.3} (good {word} {good}, refused {} {refused})",
+            grade.name(),
+            if self.good > self.refused { "below" } else { "above" }
+        )?;
         if *grade == Grade::Good { Ok(()) } else { write!(f, ": {advice}") }
     }
 }

@@ -156,7 +156,11 @@ fn mistakes_are_named() {
         text(&output)
     };
     let one = ["intrinsics", "--pictures", &folder, "--square", "25", "--board"];
-    assert!(refusal(&[&one[..], &["8x6"]].concat()).contains("a grid of 9 x 6 corners is seen, the board has 8 x 6"));
+    let both = ["stereo", "--left", &folder, "--right", &folder, "--square", "25", "--board"];
+    assert!(refusal(&[&both[..], &["8x6"]].concat()).contains("a grid of 9 x 6 corners is seen, the board has 8 x 6"));
+    assert!(refusal(&[&one[..], &["9x6"]].concat()).contains("pictures are called left and"));
+    let no_format = refusal(&[&both[..], &["9x6", "--out", "calibration.yaml"]].concat());
+    assert!(no_format.contains("the format can not be told") && !no_format.contains("baseline"), "{no_format}");
     assert!(refusal(&[&one[..], &["7x7"]].concat()).contains("quarter turn"));
     assert!(refusal(&[&one[..], &["nine"]].concat()).contains("COLUMNSxROWS"));
     let empty = tempfile::tempdir().expect("a folder");

@@ -18,7 +18,7 @@ use pb3dp_calibration::lens::LensModel;
 use pb3dp_calibration::verify::against::{Known, compare};
 use pb3dp_calibration::verify::limits::{Check, VerifyLimits};
 use pb3dp_calibration::verify::touch::{Touch, touched};
-use pb3dp_calibration::verify::{check, corner_in_cam_left, depth_sigma_m};
+use pb3dp_calibration::verify::{check, corner_in_cam_left, depth_sigma_m, length_ratio};
 use pb3dp_geometry::{Pose, StereoRig, so3};
 
 use support::{Random, SIZE, Session, board, rig, views};
@@ -134,4 +134,15 @@ fn board_from_cam_left(rig: &StereoRig, view: &pb3dp_calibration::fit::View<2>) 
     let (x, z) = ((x - o).normalize(), (x - o).cross(&(y - o)).normalize());
     let rotation = nalgebra::Rotation3::from_matrix_unchecked(nalgebra::Matrix3::from_columns(&[x, z.cross(&x), z]));
     Isometry3::from_parts(o.coords.into(), rotation.into()).inverse()
+}
+
+#[test]
+fn squares_that_were_typed_wrong_are_measured_by_the_head() {
+    let mut random = Random::new(77);
+    let truth = rig(&mut random);
+    let views = views(&truth, &GOOD, &mut random);
+    let typed = Chessboard::new(9, 6, 0.020).expect("a board");
+    let ratio =
+        |board: &Chessboard| length_ratio(&truth, views.iter().map(|view| &view.sightings), board).expect("seen");
+    assert!((ratio(&typed) - 1.25).abs() < 0.01 && (ratio(&board()) - 1.0).abs() < 0.01, "{}", ratio(&typed));
 }

@@ -18,6 +18,7 @@ use pb3dp_calibration::selection::{Candidate, Wanted, adds};
 use pb3dp_calibration::stand::{Judge, Stand};
 use pb3dp_record::dataset::{Sequence, is_sequence, load_sequence};
 use pb3dp_record::report::{Report, Table, Tone};
+use pb3dp_record::stops::STOPS_FILE;
 
 use super::recording::Recording;
 use super::{gates_file, numbers, tell};
@@ -97,8 +98,14 @@ pub(super) fn run(args: &CoachArgs) -> Result<ExitCode> {
     let board = Chessboard::new(columns, rows, args.square * 1e-3)?;
     let limits = args.gates.as_deref().map_or_else(|| Ok(Limits::default()), gates_file::read)?;
     let mut coach = Coach { board: &board, limits, args, views: Vec::new(), told: None };
+    if args.folder.join(STOPS_FILE).exists() {
+        bail!(
+            "{}: is a recording of stops, which does not grow: pb3dp calibrate stereo --recording uses it",
+            args.folder.display()
+        );
+    }
     let (mut last, mut waited) = (None, 0);
-    tell(&format!("{}: waiting for pictures", args.folder.display()))?;
+    tell(&format!("{}: waiting for pictures; start `pb3dp cameras record --out {0}` now", args.folder.display()))?;
     loop {
         let sequence = newest(&args.folder);
         let frame = sequence.as_ref().ok().and_then(|sequence| sequence.frames().checked_sub(1));
@@ -247,7 +254,7 @@ impl Coach<'_> {
     fn ended(&self) -> Result<ExitCode> {
         let views = self.views.len();
         tell(&format!(
-            "the recording has ended with {views} views, before it was enough: pb3dp calibrate stereo says what the gates make of them"
+            "the recording has ended with {views} views taken from its newest pairs, before it was enough; pb3dp calibrate stereo --recording looks at all of it, and says what the gates make of it"
         ))?;
         Ok(ExitCode::FAILURE)
     }

@@ -32,6 +32,19 @@ pub(super) fn run(args: &ConvertArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// Refuses a name that asks for no format.
+pub(super) fn check_name(out: &Path) -> Result<()> {
+    let name = out.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    let known = [".toml", ".json", ".kalibr.yaml", ".kalibr.yml", ".opencv.yaml", ".opencv.yml"];
+    if known.iter().any(|ending| name.ends_with(ending)) || out.extension().is_none() {
+        return Ok(());
+    }
+    anyhow::bail!(
+        "{}: the format can not be told from the name: use .toml, .json, .kalibr.yaml, .opencv.yaml, or a folder",
+        out.display()
+    )
+}
+
 /// Writes a rig in the format that the name asks for, and says so.
 pub(super) fn write(rig: &StereoRig, judgement: Option<&Judgement>, out: &Path) -> Result<String> {
     let name = out.file_name().unwrap_or_default().to_string_lossy().to_lowercase();

@@ -5,12 +5,13 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use pb3dp_calibration::board::Chessboard;
+use pb3dp_calibration::board::{Chessboard, Sighting};
 use pb3dp_calibration::gates::Grade;
 use pb3dp_calibration::hand_eye::gates::{HandEyeLimits, HandEyeVerdict};
 use pb3dp_calibration::hand_eye::{CalibrationCovariance, Given, HandEyeFit, HandEyeStop, RobotSigma, tc_has_moved};
 use pb3dp_calibration::report::of_hand_eye;
-use pb3dp_geometry::ImageSize;
+use pb3dp_calibration::verify::length_ratio;
+use pb3dp_geometry::{ImageSize, StereoRig};
 use pb3dp_record::calibration_files::{
     HandEye, JudgedGate, Judgement, ParameterCovariance, StereoCalibration, load_stereo, save_hand_eye,
 };
@@ -117,6 +118,27 @@ impl Recording {
     }
 }
 
+/// Lengths on the board that are off by a larger share are a typing error, in these squares or in those of the head's calibration.
+const SQUARES_OFF_MAX: f64 = 0.03;
+
+/// Refuses squares that do not fit the head at all, before its errors are looked for elsewhere.
+pub(super) fn check_squares<'a>(
+    rig: &StereoRig,
+    views: impl Iterator<Item = &'a [Sighting; 2]>,
+    board: &Chessboard,
+) -> Result<()> {
+    match length_ratio(rig, views, board) {
+        Some(ratio) if (ratio - 1.0).abs() > SQUARES_OFF_MAX => bail!(
+            "the squares do not fit this head: --square says {} mm, and by the head's calibration they are about {:.1} mm; measure ten squares \
+             with a ruler and divide, and correct --square, or calibrate the head again if it was done with the wrong one (or if these are \
+             not its cameras, or left and right are exchanged)",
+            (board.square_m() * 1e6).round() / 1e3,
+            board.square_m() * 1e3 * ratio
+        ),
+        _ => Ok(()),
+    }
+}
+
 pub(super) fn run(args: &HandEyeArgs) -> Result<ExitCode> {
     let limits = args.gates.as_deref().map_or_else(|| Ok(HandEyeLimits::default()), gates_file::read_hand_eye)?;
     let vs_world_from_base =
@@ -129,6 +151,7 @@ pub(super) fn run(args: &HandEyeArgs) -> Result<ExitCode> {
         );
     }
     let rig = &looked.calibration.rig;
+    check_squares(rig, looked.stops.iter().map(|stop| &stop.sightings), &looked.board)?;
     let judgement = looked.calibration.judgement.as_ref();
     let covariance = judgement.and_then(|judgement| judgement.covariance.as_ref());
     let rig_covariance = covariance.map(|covariance| CalibrationCovariance::new(rig, covariance)).transpose()?;

@@ -181,6 +181,7 @@ pub fn run(cli: &Cli) -> Result<ExitCode> {
 fn intrinsics(args: &IntrinsicsArgs) -> Result<ExitCode> {
     let (board, limits) = args.common.checked()?;
     let pictures = Pictures::<1>::find(&[&args.pictures])?;
+    pictures.check_one_camera(&args.pictures)?;
     let seen = pictures.sightings(&board)?;
     args.common.write_corners(&seen.views)?;
     tell(&seen.told)?;
@@ -195,6 +196,11 @@ fn intrinsics(args: &IntrinsicsArgs) -> Result<ExitCode> {
 
 fn stereo(args: &StereoArgs) -> Result<ExitCode> {
     let (board, limits) = args.common.checked()?;
+    // What can not be written is refused before all the work.
+    args.out.as_deref().map(convert::check_name).transpose()?;
+    for file in args.out.iter().chain(&args.common.report) {
+        make_folder_of(file)?;
+    }
     let seen = args.pairs.sightings(&board)?;
     args.common.write_corners(&seen.views)?;
     tell(&seen.told)?;
@@ -207,15 +213,15 @@ fn stereo(args: &StereoArgs) -> Result<ExitCode> {
     };
     tell(&report::rig(&chosen.fit, &rig, args.distance * 1e-3)?)?;
     let code = conclude(&chosen, &quality, &limits)?;
-    if let Some(file) = &args.common.report {
-        let page = of_stereo(&chosen, &quality, &limits.judge(&quality), &seen.views, args.distance * 1e-3)?;
-        tell(&page::write(page, &chosen, &quality, &seen, file)?)?;
-    }
     if let Some(out) = &args.out {
         let cameras = judgement::cameras(args.cameras.as_deref(), args.pairs.folder())?;
         let mut judgement = judgement::of(&chosen, &quality, &limits.judge(&quality), (seen.newest.as_str(), cameras));
         judgement.numbers.extend(eyes::numbers(&seen.files)?);
         tell(&convert::write(&rig, Some(&judgement), out)?)?;
+    }
+    if let Some(file) = &args.common.report {
+        let page = of_stereo(&chosen, &quality, &limits.judge(&quality), &seen.views, args.distance * 1e-3)?;
+        tell(&page::write(page, &chosen, &quality, &seen, file)?)?;
     }
     Ok(code)
 }
@@ -245,6 +251,16 @@ impl Common {
     fn write_corners<const N: usize>(&self, views: &[View<N>]) -> Result<()> {
         let Some(file) = &self.corners else { return Ok(()) };
         std::fs::write(file, report::corners(views)).with_context(|| format!("{}: can not be written", file.display()))
+    }
+}
+
+/// Makes the folder in which a file is to be.
+fn make_folder_of(file: &Path) -> Result<()> {
+    match file.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => {
+            std::fs::create_dir_all(folder).with_context(|| format!("{}: the folder can not be made", folder.display()))
+        }
+        _ => Ok(()),
     }
 }
 

@@ -9,7 +9,7 @@ use pb3dp_calibration::detection::{NoBoard, agree, find_board};
 use pb3dp_calibration::fit::{View, sides};
 use pb3dp_geometry::ImageSize;
 use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
-use pb3dp_record::stops::{Stop, load_stops};
+use pb3dp_record::stops::{Stop, Stops, load_stops};
 
 use super::Seen;
 
@@ -20,6 +20,8 @@ pub(super) struct Pictures<const N: usize> {
     views: Vec<(String, [PathBuf; N])>,
     /// Pictures without a partner.
     alone: Vec<PathBuf>,
+    /// When they were taken, if that is written down.
+    date: Option<String>,
 }
 
 impl<const N: usize> Pictures<N> {
@@ -60,7 +62,7 @@ impl<const N: usize> Pictures<N> {
                 "{folders}: no pictures of {N} camera(s) that belong together: PNG or JPEG files whose names differ only in the words left and right"
             );
         }
-        Ok(Self { views, alone })
+        Ok(Self { views, alone, date: None })
     }
 
     /// Finds the board in all of them. Views in which one camera does not see it are left out, and told.
@@ -82,22 +84,41 @@ impl<const N: usize> Pictures<N> {
         if views.is_empty() {
             bail!("the board was found in none of {} views:\n{}", self.views.len(), told.join("\n"));
         }
-        let newest = written(self.views.iter().flat_map(|(_, files)| files))?;
+        let newest = match &self.date {
+            Some(date) => date.clone(),
+            None => written(self.views.iter().flat_map(|(_, files)| files))?,
+        };
         Ok(Seen { views, size, newest, told: told.join("\n"), files: used })
+    }
+}
+
+impl Pictures<1> {
+    /// Refuses a folder in which the names say that there are two cameras.
+    pub(super) fn check_one_camera(&self, folder: &Path) -> Result<()> {
+        let named = |side: &str| self.views.iter().filter(|(name, _)| name.contains(side)).count();
+        let [left, right] = ["left", "right"].map(named);
+        if left > 0 && right > 0 {
+            bail!(
+                "{}: {left} pictures are called left and {right} right: give a folder with the pictures of one camera, or calibrate both with \
+                 `pb3dp calibrate stereo`",
+                folder.display()
+            );
+        }
+        Ok(())
     }
 }
 
 impl Pictures<2> {
     /// Those of a recording of stops, in their order.
     pub(super) fn of_stops(folder: &Path) -> Result<Self> {
-        let stops = load_stops(folder)?.stops;
+        let Stops { date, stops } = load_stops(folder)?;
         if stops.is_empty() {
             bail!("{}: a recording without stops", folder.display());
         }
         let view = |(number, stop): (usize, &Stop)| {
             (format!("stop {number:02}"), [&stop.left, &stop.right].map(|file| folder.join(file)))
         };
-        Ok(Self { views: stops.iter().enumerate().map(view).collect(), alone: Vec::new() })
+        Ok(Self { views: stops.iter().enumerate().map(view).collect(), alone: Vec::new(), date: Some(date) })
     }
 }
 

@@ -148,6 +148,7 @@ pub(super) fn run(args: &ProposeArgs) -> Result<ExitCode> {
             WantedPoses { arm: ArmOfPoses::Tc, poses }
         }
     };
+    super::make_folder_of(&args.out)?;
     save_poses(&args.out, &wanted)?;
     let [left, right] = views.coverage.map(|share| 100.0 * share);
     tell(&format!(

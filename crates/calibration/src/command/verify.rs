@@ -16,6 +16,7 @@ use pb3dp_calibration::verify::touch::TouchResult;
 use pb3dp_calibration::verify::{Checked, check, depth_sigma_m, lengths_m};
 use pb3dp_record::calibration_files::{StereoCalibration, load_stereo};
 
+use super::hand_eye::check_squares;
 use super::{Pairs, Seen, numbers, tell, touch_test, verify_limits};
 
 /// Arguments of `pb3dp calibrate verify`.
@@ -63,12 +64,16 @@ pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
     let depth_m = args.distance * 1e-3;
     let made = calibration.judgement.as_ref().map_or_else(String::new, |judgement| format!(", of {}", judgement.date));
     tell(&format!("{}{made}: baseline {:.3} mm", calibration.source, known.rig.baseline_m() * 1e3))?;
+    for note in &calibration.notes {
+        tell(&format!("note: {note}"))?;
+    }
     let mut gates = Vec::new();
     // Squares of what the hand will be off, metres: what was seen, and what the calibration leaves by its own account.
     let mut hand_m2 = depth_sigma_m(&known, depth_m).map_or(0.0, |sigma_m| sigma_m.powi(2));
     if args.pairs.are_given() {
         let (seen, board) = args.seen()?;
         tell(&seen.told)?;
+        check_squares(&known.rig, seen.views.iter().map(|view| &view.sightings), &board)?;
         let checked = check(&known.rig, &seen.views, &board)?;
         tell(&of_views(&checked, depth_m))?;
         let scale = checked.scale_at(depth_m);

@@ -12,7 +12,7 @@ use pb3dp_geometry::{RectificationError, StereoRig};
 
 use self::against::Known;
 use crate::adjust::{AdjustmentError, Observations, State, adjust};
-use crate::board::Chessboard;
+use crate::board::{Chessboard, Sighting};
 use crate::depth::meeting;
 use crate::fit::{View, sides};
 use crate::lens::LensModel;
@@ -192,6 +192,31 @@ fn triangulated(rig: &StereoRig, view: &View<2>, board: &Chessboard) -> (Vec<Poi
         Some((board.corner_in_board(corner.column, corner.row), in_cam_left))
     });
     both.unzip()
+}
+
+/// How long the squares of a board are by triangulation over how long they are said to be, the median over neighbouring corners of all
+/// views; `None` where too few corners are seen by both cameras. It is far from 1 where the squares were typed wrong, whatever else is.
+pub fn length_ratio<'a>(
+    rig: &StereoRig,
+    views: impl Iterator<Item = &'a [Sighting; 2]>,
+    board: &Chessboard,
+) -> Option<f64> {
+    let mut ratios = Vec::new();
+    for [left, right] in views {
+        let seen =
+            |column: u32, row: u32| triangulate(rig, &left.at(column, row)?.pixel, &right.at(column, row)?.pixel);
+        for corner in left.corners() {
+            let (column, row) = (corner.column, corner.row);
+            for (next_column, next_row) in [(column + 1, row), (column, row + 1)] {
+                let Some((here, there)) = seen(column, row).zip(seen(next_column, next_row)) else { continue };
+                let stated_m =
+                    (board.corner_in_board(next_column, next_row) - board.corner_in_board(column, row)).norm();
+                ratios.push((there - here).norm() / stated_m);
+            }
+        }
+    }
+    ratios.sort_by(f64::total_cmp);
+    ratios.get(ratios.len() / 2).copied().filter(|ratio| ratio.is_finite())
 }
 
 /// Where a corner of the board is in `cam_left` in a view, metres; `None` if not both cameras see it.

@@ -60,7 +60,7 @@ fn pairs_and_joints_are_taken_where_they_were_asked_for() {
 
         let dry = visit("bare.toml", &out, &more).assert_success();
         assert!(
-            dry.stdout.contains("dry run") && dry.stdout.contains("pose 2 is left out: out of reach"),
+            dry.stdout.contains("dry run") && dry.stdout.contains("   -     2  left out: out of reach"),
             "{}",
             dry.stdout
         );

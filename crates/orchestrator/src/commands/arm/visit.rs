@@ -172,7 +172,7 @@ fn plan_tour(setup: &Setup, parts: &mut Parts, wanted: &WantedPoses, patience: D
     let begin_rad = goes.exchange(JointCommand::Hold).context(choice.name())?.position_rad;
     let other_rad = stays.exchange(JointCommand::Hold).context(choice.other().name())?.position_rad;
     print_line(&format!(
-        "{}: {} poses\nstop  longest turn, deg  way, s  room to the {}",
+        "{}: {} poses\nstop  pose  longest turn, deg  way, s  room to the {}",
         choice.name(),
         wanted.poses.len(),
         choice.other().name()
@@ -186,12 +186,13 @@ fn plan_tour(setup: &Setup, parts: &mut Parts, wanted: &WantedPoses, patience: D
                 let turn_deg = plan.by_rad().amax().to_degrees();
                 ways.push(plan.clone());
                 print_line(&format!(
-                    "{:>4}  {turn_deg:>17.1}  {:>6.1}  {room}",
+                    "{:>4}  {:>4}  {turn_deg:>17.1}  {:>6.1}  {room}",
                     ways.len(),
+                    index + 1,
                     plan.duration().as_secs_f64()
                 ))?;
             }
-            Err(error) => print_line(&format!("   -  pose {} is left out: {error:#}", index + 1))?,
+            Err(error) => print_line(&format!("   -  {:>4}  left out: {error:#}", index + 1))?,
         }
     }
     if ways.is_empty() {
@@ -263,6 +264,9 @@ fn tell(args: &VisitArgs, tour: &Tour, visited: &Visited) -> Result<()> {
         );
     }
     let end = if visited.is_whole { "back at the beginning" } else { "ended before its time" };
+    if visited.taken == 0 {
+        return Ok(print_line(&format!("none of {} stops taken, {end}", tour.stops()))?);
+    }
     Ok(print_line(&format!(
         "{} of {} stops taken, {end}: {}",
         visited.taken,
