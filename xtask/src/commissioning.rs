@@ -78,7 +78,7 @@ fn build(workspace: &Workspace, release: bool) -> anyhow::Result<PathBuf> {
 fn copy_folder(from: &Path, to: &Path) -> anyhow::Result<()> {
     fs::create_dir_all(to).with_context(|| format!("{} can not be made", to.display()))?;
     for entry in fs::read_dir(from).with_context(|| format!("{} can not be read", from.display()))? {
-        let (entry, to) = (entry?.path(), to);
+        let entry = entry?.path();
         let copy = to.join(entry.file_name().context("a file without a name")?);
         if entry.is_dir() {
             copy_folder(&entry, &copy)?;

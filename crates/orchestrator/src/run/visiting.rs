@@ -185,7 +185,7 @@ pub struct VisitStep {
 /// Where in its way the arm is.
 #[derive(Clone, Copy, Debug)]
 enum Phase {
-    /// Before the first way: since when is known with the first step.
+    /// Before the first step.
     Leading,
     /// Under way since then.
     Going(MonotonicTime),
@@ -213,9 +213,7 @@ impl Mover for Visiting<'_> {
         self.arms.enable(Whence::Start)
     }
 
-    fn begin_at(&mut self, begin: MonotonicTime) {
-        self.phase = Phase::Going(begin + LEAD);
-    }
+    fn begin_at(&mut self, _begin: MonotonicTime) {}
 
     fn observe(&mut self, _percept: Percept, _now: MonotonicTime) {}
 
@@ -237,6 +235,12 @@ impl Visiting<'_> {
     }
 
     fn visit(&mut self, now: MonotonicTime) -> Result<VisitStep> {
+        if matches!(self.phase, Phase::Leading) {
+            let begins_rad = self.led()[0].joints().position_rad;
+            // An operator may have taken minutes to type, and brakes that open let an arm sag.
+            self.tour.ways[0].check_begin(&begins_rad)?;
+            self.phase = Phase::Going(now + LEAD);
+        }
         let command = self.command(now)?;
         let [goes, stays] = self.led();
         stays.exchange(JointCommand::Hold)?;

@@ -15,8 +15,6 @@ use super::plan::Plan;
 use crate::wiring::DrivenArm;
 use crate::wiring::commissioning::{ArmChoice, SlowArm};
 
-/// By how much joints may have moved between the plan and the opening of the brakes, rad.
-pub const STAYED_WITHIN_RAD: f64 = 0.01;
 /// Speed per angle by which a joint is behind its plan, 1/s.
 const GAIN_PER_S: f64 = 2.0;
 /// A joint that is this near to its end has arrived, rad.
@@ -93,13 +91,8 @@ impl<'a> Drive<'a> {
     /// What the arm or `watch` says, [`Interrupted`], or that a joint did not arrive. The stop order is the caller's.
     pub fn run(&mut self, signals: &mut StopSignals, watch: Watch<'_>) -> Result<JointState> {
         let mut newest = self.switch_on(signals, this_arm)?;
-        let moved = newest.position_rad - self.plan.start_rad();
         watch(&Cycle { passed: Duration::ZERO, planned_rad: self.plan.start_rad(), measured: &newest })?;
-        if moved.amax() > STAYED_WITHIN_RAD {
-            let joint = moved.iamax();
-            let off_deg = moved[joint].to_degrees();
-            bail!("{} is {off_deg:+.3} degrees from where the plan begins: plan again", Axis::ALL[joint]);
-        }
+        self.plan.check_begin(&newest.position_rad)?;
         let (begin, duration) = (self.clock.now(), self.plan.duration());
         let mut next = begin;
         loop {

@@ -17,6 +17,8 @@ const SPEED_SHARE: f64 = 0.9;
 const PEAKS: [f64; 3] = [1.875, 5.774, 60.0];
 /// Shortest move.
 const SHORTEST_S: f64 = 0.5;
+/// By how much joints may have moved between the plan and the opening of the brakes, rad.
+pub const STAYED_WITHIN_RAD: f64 = 0.01;
 /// Places of the way at which the room to the other arm is looked at.
 const PLACES: u32 = 200;
 
@@ -76,6 +78,23 @@ impl Plan {
     /// Where it begins, rad.
     pub fn start_rad(&self) -> &JointVector {
         &self.from_rad
+    }
+
+    /// Refuses joints that are not where the plan begins: what it says of ranges and room holds from there only.
+    ///
+    /// # Errors
+    /// The axis that is farthest away.
+    pub fn check_begin(&self, position_rad: &JointVector) -> Result<()> {
+        let moved = position_rad - self.from_rad;
+        if moved.amax() <= STAYED_WITHIN_RAD {
+            return Ok(());
+        }
+        let joint = moved.iamax();
+        bail!(
+            "{} is {:+.3} degrees from where the plan begins: plan again",
+            Axis::ALL[joint],
+            moved[joint].to_degrees()
+        )
     }
 
     /// Where it ends, rad.
@@ -159,5 +178,28 @@ impl Room {
 impl std::fmt::Display for Room {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{:.0} mm ({})", 1e3 * self.distance_m, self.parts)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::setup::read_setup;
+
+    #[test]
+    fn a_plan_begins_where_it_was_made_and_nowhere_else() {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
+        let setup = read_setup(std::path::Path::new(file)).unwrap();
+        let from_rad = setup.vs.start_rad;
+        let plan = Plan::new(&setup.vs, from_rad, JointVector::repeat(0.05)).unwrap();
+        let moved = |joint: usize, by_rad: f64| {
+            let mut at_rad = from_rad;
+            at_rad[joint] += by_rad;
+            plan.check_begin(&at_rad).map_err(|refusal| refusal.to_string())
+        };
+        assert_eq!(moved(3, -0.9 * STAYED_WITHIN_RAD), Ok(()));
+        let refusal = moved(3, -0.02).unwrap_err();
+        assert!(refusal.contains("-1.146 degrees from where the plan begins: plan again"), "{refusal}");
+        assert!(refusal.starts_with(&Axis::ALL[3].to_string()), "{refusal}");
     }
 }

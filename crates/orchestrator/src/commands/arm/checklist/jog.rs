@@ -3,7 +3,7 @@
 use anyhow::{Context, Result};
 use pb3dp_hal_api::JointCommand;
 
-use super::super::drive::STAYED_WITHIN_RAD;
+use super::super::plan::STAYED_WITHIN_RAD;
 use super::operator::Question;
 use super::record::StepReport;
 use super::session::{Seen, Session};
