@@ -65,13 +65,18 @@ impl Said {
         self.error.is_some() && self.estimate.status.depth_is_sure()
     }
 
-    /// Whether the servo's filter would take it for what it is: within the gate, with the trust that configs/sim.toml has in it.
+    /// Whether the error is one that the covariance admits, with the trust that configs/sim.toml has in it. Chosen: measured is 6.7 at
+    /// most, of six independent numbers one in a hundred is beyond 16.8, and the gate of the servo's filter is at 80.
     fn is_right(&self) -> bool {
+        self.normalised_error() < 12.0
+    }
+
+    fn normalised_error(&self) -> f64 {
         let (error, mut covariance) = (self.error.unwrap(), self.estimate.covariance.unwrap() * 2.5);
         for i in 0..6 {
             covariance[(i, i)] += if i < 3 { 1e-8 } else { 0.06f64.to_radians().powi(2) };
         }
-        error.dot(&(covariance.try_inverse().unwrap() * error)) < 40.0
+        error.dot(&(covariance.try_inverse().unwrap() * error))
     }
 }
 
@@ -119,20 +124,32 @@ fn line(said: &Said) -> String {
     format!("pair {number}: {}, {}; off by {error:?}", estimate.status, estimate.reason)
 }
 
-/// Neither while the fault lasts nor afterwards is a wrong pose given as a sure one, and afterwards the target is found again.
-fn is_borne(kind: CameraFaultKind) -> Vec<Said> {
+/// Neither while the fault lasts nor afterwards is a wrong pose given as a sure one, and in all pairs afterwards the target is followed.
+/// In at least so many of the pairs that suffer the method is sure, and right.
+fn is_borne(kind: CameraFaultKind, sure_at_least: usize) -> Vec<Said> {
     let said = follow(kind);
     for said in &said[4..] {
         assert!(!said.is_sure() || said.is_right(), "{}: {}", kind.name(), line(said));
     }
-    let last = said.last().unwrap();
-    assert!(last.is_sure(), "{}: found again, {}", kind.name(), line(last));
+    let after: Vec<&Said> = said.iter().filter(|said| said.number >= SUFFER.end).collect();
+    assert_eq!(after.len(), 4, "{}", kind.name());
+    for said in after {
+        assert!(said.is_sure(), "{}: found again, {}", kind.name(), line(said));
+    }
+    let sure = suffering(&said).filter(|said| said.is_sure()).count();
+    assert!(sure >= sure_at_least, "{}: sure of {sure} pairs that suffer", kind.name());
     said
+}
+
+fn suffering(said: &[Said]) -> impl Iterator<Item = &Said> {
+    said.iter().filter(|said| SUFFER.contains(&said.number))
 }
 
 /// In each pair that suffers the method is not sure of anything.
 fn is_told(kind: CameraFaultKind) {
-    for said in is_borne(kind).iter().filter(|said| SUFFER.contains(&said.number)) {
+    let said = is_borne(kind, 0);
+    assert_eq!(suffering(&said).count(), SUFFER.len(), "{}", kind.name());
+    for said in suffering(&said) {
         assert!(!said.is_sure(), "{}: {}", kind.name(), line(said));
     }
 }
@@ -147,18 +164,21 @@ fn pictures_without_a_target_are_no_pose() {
 #[test]
 fn pictures_that_are_harder_to_read_are_read_right_or_not_at_all() {
     for (eyes, factor) in [(Eyes::Right, 0.7), (Eyes::Both, 0.3), (Eyes::Both, 1.6)] {
-        is_borne(CameraFaultKind::Brightness { eyes, factor });
+        is_borne(CameraFaultKind::Brightness { eyes, factor }, 4);
     }
-    is_borne(CameraFaultKind::Occluder { width_share: 0.1, crosses: true });
-    is_borne(CameraFaultKind::Late { pairs: 2 });
-    is_borne(CameraFaultKind::Miscalibrated { columns_px: 0.0, rows_px: 4.0, roll_rad: 0.0, scale: 1.0 });
+    is_borne(CameraFaultKind::Occluder { width_share: 0.1, crosses: true }, 2);
+    // Two of the four do not come at all.
+    is_borne(CameraFaultKind::Late { pairs: 2 }, 2);
+    is_told(CameraFaultKind::Miscalibrated { columns_px: 0.0, rows_px: 4.0, roll_rad: 0.0, scale: 1.0 });
 }
 
 /// Both pictures torn at the same row show one bent target: what it moved in a period, 1.7 mm, is all that can be wrong, over half of
 /// its height, 20 mm.
 #[test]
 fn a_torn_pair_is_off_by_no_more_than_the_target_moved() {
-    for said in follow(CameraFaultKind::Torn { share: 1.0 }).iter().filter(|said| said.number > 3 && said.is_sure()) {
+    let said = follow(CameraFaultKind::Torn { share: 1.0 });
+    assert!(suffering(&said).filter(|said| said.is_sure()).count() >= 3, "torn pairs are read");
+    for said in said.iter().filter(|said| said.number > 3 && said.is_sure()) {
         let error = said.error.unwrap();
         let (off_m, turned_rad) = (error.fixed_rows::<3>(0).norm(), error.fixed_rows::<3>(3).norm());
         assert!(off_m < 1.7e-3 && turned_rad < 1.7 / 20.0, "{}", line(said));
@@ -173,9 +193,10 @@ fn what_no_picture_tells_is_off_by_what_geometry_says() {
     let kind = CameraFaultKind::Miscalibrated { columns_px, rows_px: 0.0, roll_rad: 0.0, scale: 1.0 };
     let farther_mm = 500.0 * (disparity_px / (disparity_px - columns_px) - 1.0);
     let said = follow(kind);
-    for said in said.iter().filter(|said| SUFFER.contains(&said.number) && said.is_sure()) {
+    assert!(suffering(&said).filter(|said| said.is_sure()).count() >= 3, "no picture tells, so the method is sure");
+    for said in suffering(&said).filter(|said| said.is_sure()) {
         let off_mm = said.error.unwrap().fixed_rows::<3>(0).norm() * 1e3;
-        assert!((off_mm - farther_mm).abs() < 1.5, "{farther_mm} mm: {}", line(said));
+        assert!((off_mm - farther_mm).abs() < 1.0, "{farther_mm} mm: {}", line(said));
     }
     let last = said.last().unwrap();
     assert!(last.is_sure() && last.is_right(), "{}", line(last));

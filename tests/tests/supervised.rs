@@ -1,8 +1,6 @@
 //! The supervisor between the controller and the arms of a run: what is not permitted does not move.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail the test")]
 
-mod between;
-
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -25,7 +23,7 @@ use pb3dp_servo::{Mode, SearchConfig, TargetObservation};
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, StepExperimentConfig, Trajectory};
 use system_tests::repository;
 
-use between::Between;
+use crate::between::Between;
 
 /// A joint that is slower than this rests, rad/s: one count of the resolver in one cycle is 0.8 mrad/s.
 const AT_REST_RAD_PER_S: f64 = 1e-3;

@@ -139,7 +139,7 @@ fn safety(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
     command.args(["run", "--release", "--locked", "--package", "system-tests", "--example", "safety"]);
     // Safeguards that can be switched off are in no other build.
     if options.iter().any(|option| option == "--disabled") {
-        command.args(["--features", "disabled-guards"]);
+        command.args(["--features", "disabled-guards", "--config", "profile.release.debug-assertions=true"]);
     }
     command.args(["--", "--origin", &origin(workspace)]).args(options);
     if options.is_empty() || options == ["--disabled"] {

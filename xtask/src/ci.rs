@@ -1,45 +1,39 @@
 //! `cargo xtask ci`: everything that must hold before a change is taken.
 
+mod changes;
+mod steps;
+
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail};
-
-use crate::workspace::{Workspace, run_visibly};
-use crate::{check_deps, commissioning, licences, test, tidy, vm};
+use crate::not_possible::NotPossible;
+use crate::workspace::Workspace;
+use changes::Changes;
+use steps::{Ground, STEPS, Step};
 
 /// Runs every check, the cheapest first, and stops at the first that fails.
 ///
-/// fmt, tidy, check-deps, licences, clippy, rustdoc, tests, safeguards switched off one by one, a bare rig calibrated by the commands of its documentation, drivers in an emulated computer, a quick run of the accuracy benchmark:
-/// warnings of clippy and rustdoc are errors here. At the end stands a table with the time of each; after a failure, the command that
-/// repeats it alone. Needs the rustup components rustfmt and clippy (the failure says what to type), and nothing else beside rustc,
-/// cargo and cc. The step vm wants QEMU and a kernel, which it fetches by apt-get where that is permitted; elsewhere it is skipped,
-/// and the last lines say so.
+/// fmt, tidy, check-deps, licences, clippy, rustdoc, tests, safeguards; then, where the change touches what they check: a bare rig
+/// calibrated by the commands of its documentation, a quick run of the accuracy benchmark, drivers in emulated computers, the fuzz
+/// targets, Miri, the oldest compiler. The change is what differs from the merge base with the main branch (or from the commit that
+/// PB3DP_CI_BASE names), with all packages that depend on it; where no base is known everything runs. Tests run their long sweeps
+/// for touched packages only. What was left out is printed at the end.
+///
+/// Warnings of clippy and rustdoc are errors. Needs the rustup components rustfmt and clippy (the failure says what to type), and
+/// nothing else beside rustc, cargo and cc. Steps that want more (QEMU and a kernel, a nightly compiler) fetch it where that is
+/// permitted, and are skipped where it is not.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {
-    /// Run one check only.
+    /// Run one check only, whatever the change touches.
     #[arg(long, value_parser = STEPS.map(|step| step.name))]
     only: Option<String>,
+    /// Run everything, whatever the change touches.
+    #[arg(long)]
+    all: bool,
+    /// Also print the 20 slowest test programs with build and run time.
+    #[arg(long)]
+    timings: bool,
 }
-
-struct Step {
-    name: &'static str,
-    run: fn(&Workspace) -> anyhow::Result<()>,
-}
-
-const STEPS: [Step; 11] = [
-    Step { name: "fmt", run: fmt },
-    Step { name: "tidy", run: |workspace| tidy::run(workspace, &tidy::Args {}) },
-    Step { name: "check-deps", run: |workspace| check_deps::run(workspace, &check_deps::Args {}) },
-    Step { name: "licences", run: licences::run },
-    Step { name: "clippy", run: clippy },
-    Step { name: "doc", run: doc },
-    Step { name: "test", run: |workspace| run_visibly(&mut test::all_tests(workspace)) },
-    Step { name: "safeguards", run: safeguards },
-    Step { name: "commissioning", run: commissioning::calibrate },
-    Step { name: "vm", run: vm::run_all },
-    Step { name: "accuracy", run: accuracy },
-];
 
 /// What became of a step.
 enum Outcome {
@@ -47,6 +41,8 @@ enum Outcome {
     Failed,
     /// This machine lacks what it needs.
     Skipped(String),
+    /// The change does not touch what it checks.
+    LeftOut,
 }
 
 /// A step that ran, or not.
@@ -59,99 +55,84 @@ struct Done {
 /// # Errors
 /// If a check fails.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
-    let wanted = |step: &&Step| args.only.as_deref().is_none_or(|only| only == step.name);
-    let mut done: Vec<Done> = Vec::new();
-    for step in STEPS.iter().filter(wanted) {
-        println!("== {}", step.name);
-        let start = Instant::now();
-        let result = (step.run)(workspace);
-        let time = start.elapsed();
-        let (outcome, error) = match result {
-            Ok(()) => (Outcome::Passed, None),
-            Err(error) => match error.downcast_ref::<vm::NotPossible>() {
-                Some(why) => (Outcome::Skipped(why.to_string()), None),
-                None => (Outcome::Failed, Some(error)),
-            },
-        };
-        done.push(Done { name: step.name, time, outcome });
+    let changes = match args.all || args.only.is_some() {
+        true => Changes::Everything("by --all or --only".to_owned()),
+        false => changes::find(workspace)?,
+    };
+    println!("{}", changes.text());
+    let mut ground = Ground { workspace, changes, tested: None };
+    let mut done = Vec::new();
+    let mut failure = None;
+    for step in STEPS.iter().filter(|step| args.only.as_deref().is_none_or(|only| only == step.name)) {
+        let (ended, error) = take(step, &mut ground);
+        done.push(ended);
         if let Some(error) = error {
-            print!("{}", summary(&done));
-            return Err(
-                error.context(format!("`{}` failed; to repeat it: cargo xtask ci --only {}", step.name, step.name))
-            );
+            failure = Some(error);
+            break;
         }
     }
-    print!("{}", summary(&done));
-    Ok(())
+    if args.timings
+        && let Some(tested) = &ground.tested
+    {
+        print!("{}", tested.timings());
+    }
+    print!("{}", summary(&done, &ground));
+    if let Some(tested) = &ground.tested {
+        tested.report.tell();
+    }
+    failure.map_or(Ok(()), Err)
 }
 
-/// The table of the checks that ran, and what was not checked.
-fn summary(done: &[Done]) -> String {
+fn take(step: &Step, ground: &mut Ground<'_>) -> (Done, Option<anyhow::Error>) {
+    let is_due = step.of.is_empty() || ground.changes.touch(step.of);
+    if !is_due {
+        return (Done { name: step.name, time: Duration::ZERO, outcome: Outcome::LeftOut }, None);
+    }
+    println!("== {}", step.name);
+    let start = Instant::now();
+    let result = (step.run)(ground);
+    let (outcome, error) = match result {
+        Ok(()) => (Outcome::Passed, None),
+        Err(error) => match error.downcast_ref::<NotPossible>() {
+            Some(why) => (Outcome::Skipped(why.to_string()), None),
+            None => {
+                let repeat = format!("`{}` failed; to repeat it: cargo xtask ci --only {}", step.name, step.name);
+                (Outcome::Failed, Some(error.context(repeat)))
+            }
+        },
+    };
+    (Done { name: step.name, time: start.elapsed(), outcome }, error)
+}
+
+/// The table of the checks, and what was not checked.
+fn summary(done: &[Done], ground: &Ground<'_>) -> String {
+    let mut text = table(done);
+    if let Changes::Packages { .. } = ground.changes {
+        text.push_str(&format!(
+            "\nleft out: long sweeps of packages that are not touched; {}\n",
+            ground.changes.text()
+        ));
+    }
+    text
+}
+
+fn table(done: &[Done]) -> String {
     let mut table = String::from("\ncheck        time, s  result\n");
     let mut skipped = String::new();
     for Done { name, time, outcome } in done {
         let result = match outcome {
             Outcome::Passed => "ok",
             Outcome::Failed => "FAILED",
+            Outcome::LeftOut => "left out: not touched",
             Outcome::Skipped(why) => {
-                skipped.push_str(&format!("\nNOT CHECKED on this machine: {name}, as {why}\n"));
+                skipped.push_str(&format!("\nNOT CHECKED: {name}: {why}\n"));
                 "SKIPPED"
             }
         };
         table.push_str(&format!("{name:<13} {:>6.1}  {result}\n", time.as_secs_f64()));
     }
+    table.push_str(&format!("all           {:>6.1}\n", done.iter().map(|done| done.time.as_secs_f64()).sum::<f64>()));
     table + &skipped
-}
-
-/// Fails with what to type if a component of the toolchain is missing.
-fn require(workspace: &Workspace, command: &str, component: &str) -> anyhow::Result<()> {
-    let status = workspace.cargo().args([command, "--version"]).output().context("cannot run cargo")?.status;
-    if !status.success() {
-        bail!("`cargo {command}` is missing: type `rustup component add {component}`");
-    }
-    Ok(())
-}
-
-fn fmt(workspace: &Workspace) -> anyhow::Result<()> {
-    require(workspace, "fmt", "rustfmt")?;
-    run_visibly(workspace.cargo().args(["fmt", "--all", "--check"]))
-}
-
-fn clippy(workspace: &Workspace) -> anyhow::Result<()> {
-    require(workspace, "clippy", "clippy")?;
-    let args = ["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"];
-    run_visibly(workspace.cargo().args(args))
-}
-
-fn doc(workspace: &Workspace) -> anyhow::Result<()> {
-    let mut command = workspace.cargo();
-    command.args(["doc", "--workspace", "--no-deps", "--locked"]).env("RUSTDOCFLAGS", "-D warnings");
-    run_visibly(&mut command)
-}
-
-/// The feature that lets tests switch safeguards off.
-const SWITCHES: &str = "disabled-guards";
-
-/// Each safeguard, switched off in a test build, has to be missed; and no program for real arms comes of such a build.
-fn safeguards(workspace: &Workspace) -> anyhow::Result<()> {
-    let mut tests = workspace.cargo();
-    tests.args(["test", "--locked", "--package", "pb3dp-safeguards", "--package", "system-tests", "--lib"]);
-    run_visibly(tests.args(["--example", "safety", "--features", SWITCHES]))?;
-    let mut program = workspace.cargo();
-    program.args(["build", "--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"]);
-    let built =
-        program.args(["--features", "pb3dp-safeguards/disabled-guards"]).output().context("cannot run cargo")?;
-    let said = String::from_utf8_lossy(&built.stderr);
-    if built.status.success() || !said.contains("pb3dp is not built with the feature disabled-guards") {
-        bail!("pb3dp was built with the feature {SWITCHES}, or failed for another reason:\n{said}");
-    }
-    Ok(())
-}
-
-/// The accuracy benchmark with few poses, with optimisation: fails if a limit is not kept.
-fn accuracy(workspace: &Workspace) -> anyhow::Result<()> {
-    let package = ["run", "--release", "--locked", "--package", "pb3dp-benchmarks"];
-    run_visibly(workspace.cargo().args(package).args(["--bin", "pb3dp-bench", "--", "accuracy", "--quick"]))
 }
 
 #[cfg(test)]
@@ -165,11 +146,13 @@ mod tests {
         let done = [
             step("fmt", 1500, Outcome::Passed),
             step("vm", 200, Outcome::Skipped(why)),
+            step("miri", 0, Outcome::LeftOut),
             step("clippy", 61_000, Outcome::Failed),
         ];
         let expected = "\ncheck        time, s  result\nfmt              1.5  ok\nvm               0.2  SKIPPED\n\
-                        clippy          61.0  FAILED\n\nNOT CHECKED on this machine: vm, as qemu is missing\n";
-        assert_eq!(summary(&done), expected);
-        assert!(!summary(&done[..1]).contains("FAILED"));
+                        miri             0.0  left out: not touched\nclippy          61.0  FAILED\nall             62.7\n\n\
+                        NOT CHECKED: vm: qemu is missing\n";
+        assert_eq!(table(&done), expected);
+        assert!(!table(&done[..1]).contains("FAILED"));
     }
 }

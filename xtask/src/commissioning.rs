@@ -39,7 +39,10 @@ pub struct Args {
 /// # Errors
 /// If a command fails, or the hand is off by too much.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
-    let programs = build(workspace, args.release)?;
+    with_programs(workspace, args, &build(workspace, args.release)?)
+}
+
+fn with_programs(workspace: &Workspace, args: &Args, programs: &Path) -> anyhow::Result<()> {
     let place = workspace.root().join(PLACE);
     if place.exists() {
         fs::remove_dir_all(&place).with_context(|| format!("{PLACE} can not be removed"))?;
@@ -48,22 +51,26 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     let text =
         fs::read_to_string(workspace.root().join(DOCUMENT)).with_context(|| format!("{DOCUMENT} can not be read"))?;
     for command in commands(&text)? {
-        in_shell(&place, &programs, &command)?;
+        in_shell(&place, programs, &command)?;
     }
     if args.calibrate_only {
         return Ok(());
     }
     exact_cell(&place)?;
-    let [found, exact] = ["calibrated", "exact"].map(|name| experiment(&place, &programs, name));
+    let [found, exact] = ["calibrated", "exact"].map(|name| experiment(&place, programs, name));
     compare(&found?, &exact?)
 }
 
-/// The calibration alone, for `cargo xtask ci`.
+/// The calibration alone, for `cargo xtask ci`, with programs that are there or are built.
 ///
 /// # Errors
 /// As [`run`].
-pub fn calibrate(workspace: &Workspace) -> anyhow::Result<()> {
-    run(workspace, &Args { calibrate_only: true, release: false })
+pub fn calibrate(workspace: &Workspace, programs: Option<&Path>) -> anyhow::Result<()> {
+    let args = Args { calibrate_only: true, release: false };
+    match programs {
+        Some(programs) => with_programs(workspace, &args, programs),
+        None => run(workspace, &args),
+    }
 }
 
 /// The folder with both programs.

@@ -9,8 +9,14 @@ mod check_deps;
 mod ci;
 mod commissioning;
 mod demo;
+mod fuzz_build;
 mod hil;
 mod licences;
+mod miri;
+mod msrv;
+mod nightly;
+mod not_possible;
+mod required;
 mod rust_text;
 mod soak;
 mod test;
@@ -46,6 +52,8 @@ enum Command {
     Commissioning(commissioning::Args),
     #[command(visible_alias = "vm-test")]
     Vm(vm::Args),
+    FuzzBuild(fuzz_build::Args),
+    Miri(miri::Args),
 }
 
 fn run(cli: &Cli) -> anyhow::Result<()> {
@@ -61,6 +69,8 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Soak(args) => soak::run(&workspace, args),
         Command::Commissioning(args) => commissioning::run(&workspace, args),
         Command::Vm(args) => vm::run(&workspace, args),
+        Command::FuzzBuild(_) => fuzz_build::run(&workspace),
+        Command::Miri(_) => miri::run(&workspace),
     }
 }
 

@@ -1,28 +1,51 @@
 //! `cargo xtask test`: every test of the project.
 
-use std::process::{Command, Stdio};
+mod build;
+mod emulated;
+mod prove_red;
+mod report;
+mod runner;
+mod timings;
 
-use anyhow::{Context, bail};
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::bail;
 
 use crate::workspace::{Workspace, run_visibly};
+pub use build::Built;
+pub use report::Report;
+use runner::Runner;
 
-/// Runs every test: unit tests, crate tests, examples in the documentation, whole-system tests.
+/// Runs every test: unit tests, integration tests, examples in the documentation, whole-system tests.
 ///
-/// This is `cargo test --workspace --no-fail-fast` with the locked dependencies; it needs no hardware, no network (once the
-/// dependencies are there) and no further tool. The whole-system tests are the package `system-tests` in tests/. To run the
-/// tests of one crate, or one test by a part of its name: `cargo test -p pb3dp-geometry`, `cargo test -p pb3dp-sim lag`.
+/// Test programs run while others build. Tests whose threads must run in time (`real_time::` in their names) run one at a time, with
+/// real-time priority where the system grants it, else alone. Needs no hardware, no network (once the dependencies are there) and no
+/// further tool. Ends with the tests that this machine cannot check (`NOT CHECKED: name: reason`) and the line `N passed, N failed,
+/// N skipped`. For one crate, or one test by a part of its name: `cargo test -p pb3dp-geometry`, `cargo test -p pb3dp-sim lag`.
+///
 /// With `--aarch64` it runs the unit tests of the crates with vector kernels as ARM programs in an emulator, which is how those of
 /// NEON are tested on a PC. That needs a cross linker and QEMU, on Debian the packages gcc-aarch64-linux-gnu,
 /// libc6-dev-arm64-cross and qemu-user-static, and `rustup target add aarch64-unknown-linux-gnu`.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {
-    /// With optimisation: slower to build, quicker to run.
+    /// Also the long sweeps: 100 simulated rigs, five minutes there and back, 60 000 random byte strings.
     #[arg(long)]
-    release: bool,
+    all: bool,
+    /// Prints the 20 slowest test programs with build and run time.
+    #[arg(long)]
+    timings: bool,
     /// The unit tests of the crates with vector kernels for 64-bit ARM, in an emulator.
     #[arg(long)]
     aarch64: bool,
+    /// Builds everything and runs nothing: the time to compare with.
+    #[arg(long)]
+    no_run: bool,
+    /// Breaks the product in ten ways in a scratch copy; the test that names each must fail, on the machine as it is and beside four
+    /// busy loops. With a filter: the patches in tests/red whose names contain it.
+    #[arg(long)]
+    prove_red: bool,
     /// Run only the tests whose name contains this.
     filter: Option<String>,
 }
@@ -30,45 +53,84 @@ pub struct Args {
 /// # Errors
 /// If a test fails or does not build, or a tool for `--aarch64` is missing.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
-    let mut command = if args.aarch64 { emulated_tests(workspace)? } else { all_tests(workspace) };
-    if args.release {
-        command.arg("--release");
+    if args.aarch64 {
+        return run_visibly(emulated::tests(workspace)?.args(args.filter.as_ref()));
     }
-    command.args(args.filter.as_ref());
-    run_visibly(&mut command)
-}
-
-/// The command that runs every test.
-pub fn all_tests(workspace: &Workspace) -> Command {
-    let mut command = workspace.cargo();
-    command.args(["test", "--workspace", "--locked", "--no-fail-fast"]);
-    command
-}
-
-/// The crates that have code for one kind of processor.
-const WITH_KERNELS: [&str; 2] = ["pb3dp-estimation", "pb3dp-camera-v4l2"];
-
-/// The command that runs their unit tests as static ARM programs.
-fn emulated_tests(workspace: &Workspace) -> anyhow::Result<Command> {
-    const LINKER: &str = "aarch64-linux-gnu-gcc";
-    let emulators = ["qemu-aarch64-static", "qemu-aarch64"];
-    if !is_there(LINKER) {
-        bail!("--aarch64 needs the linker {LINKER}: install gcc-aarch64-linux-gnu and libc6-dev-arm64-cross");
+    if args.prove_red {
+        return prove_red::run(workspace, args.filter.as_deref());
     }
-    let emulator = emulators.into_iter().find(|name| is_there(name));
-    let emulator = emulator.with_context(|| format!("--aarch64 needs {}: install qemu-user-static", emulators[0]))?;
-    let mut command = workspace.cargo();
-    command.args(["test", "--lib", "--locked", "--target", "aarch64-unknown-linux-gnu"]);
-    command.args(WITH_KERNELS.iter().flat_map(|package| ["-p", package]));
-    let variable = |name: &str| format!("CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_{name}");
-    command.env(variable("LINKER"), LINKER).env(variable("RUNNER"), emulator);
-    command.env(variable("RUSTFLAGS"), "-C target-feature=+crt-static");
-    Ok(command)
+    if args.no_run {
+        return build::run(workspace, |_| {}).map(|_| ());
+    }
+    let long = if args.all { Long::Everywhere } else { Long::Nowhere };
+    let tested = all(workspace, &Plan { long, filter: args.filter.clone() })?;
+    if args.timings {
+        print!("{}", tested.timings());
+    }
+    tested.report.conclude()
 }
 
-/// Whether a program can be started.
-fn is_there(program: &str) -> bool {
-    let mut command = Command::new(program);
-    command.arg("--version").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-    command.status().is_ok_and(|status| status.success())
+/// Which packages run their long sweeps.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Long {
+    /// None.
+    Nowhere,
+    /// All.
+    Everywhere,
+    /// These.
+    In(Vec<String>),
+}
+
+impl Long {
+    fn includes(&self, package: &str) -> bool {
+        match self {
+            Self::Nowhere => false,
+            Self::Everywhere => true,
+            Self::In(packages) => packages.iter().any(|name| name == package),
+        }
+    }
+}
+
+/// What to run.
+pub struct Plan {
+    /// Long sweeps.
+    pub long: Long,
+    /// A part of the names of the tests to run.
+    pub filter: Option<String>,
+}
+
+/// What was built, and what the tests came to.
+pub struct Tested {
+    /// The build.
+    pub built: Built,
+    /// The results.
+    pub report: Report,
+}
+
+impl Tested {
+    /// The slowest test programs, build and run time apart.
+    pub fn timings(&self) -> String {
+        timings::table(&self.built.units(), &self.report)
+    }
+}
+
+/// Builds and runs everything. Failed tests are no error here: [`Report::conclude`] tells of them.
+///
+/// # Errors
+/// If something does not build, or no program can be started.
+pub fn all(workspace: &Workspace, plan: &Plan) -> anyhow::Result<Tested> {
+    let begin = Instant::now();
+    let (runner, mut report) = Runner::new(workspace, plan)?;
+    let built = runner.run(|runner| build::run(workspace, |program| runner.ready(program)), &mut report)?;
+    report.add(runner::doctests(workspace, plan.filter.as_deref())?);
+    if report.is_empty() {
+        bail!("no test ran: does the filter fit a name?");
+    }
+    report.took = begin.elapsed();
+    Ok(Tested { built, report })
+}
+
+/// Where this command keeps what it knows from one run to the next.
+fn notebook(target: &std::path::Path) -> PathBuf {
+    target.join("xtask")
 }

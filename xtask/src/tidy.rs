@@ -9,6 +9,7 @@ mod links;
 mod markdown;
 mod method_table;
 mod rust;
+mod test_files;
 mod text;
 
 use crate::violation::{Violation, conclude};
@@ -26,6 +27,7 @@ const TEXT_ENDINGS: [&str; 14] = [
 ///
 /// * Rust: files of at most 600 lines, functions of at most 70 (exceptions only in xtask/tidy-exceptions.toml, and they may
 ///   only shrink), no `todo!`, `unimplemented!`, `dbg!`, no ignored tests, no tests that expect a panic by attribute.
+/// * Tests: each file in a folder `tests` is part of a test program.
 /// * Text: no absolute paths of one machine, no paths out of the repository, `TODO(name, issue)` or none.
 /// * Markdown: one sentence per line; links and paths lead to something.
 /// * configs/: every TOML file, every robot description and every file of configs/deploy parses; docs/parameters.md names each parameter of
@@ -51,6 +53,7 @@ pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
     }
     violations.extend(dependencies::check(&texts));
     violations.extend(method_table::check(&texts));
+    violations.extend(test_files::check(&texts));
     violations.extend(exceptions.unused());
     conclude("tidy", &format!("{} files, {} of them text", files.len(), texts.len()), violations)
 }

@@ -14,6 +14,7 @@ use std::time::Instant;
 
 use anyhow::{Context, bail};
 
+use crate::not_possible::NotPossible;
 use crate::workspace::{Workspace, run_visibly};
 use archive::Archive;
 use console::Said;
@@ -25,15 +26,8 @@ use suites::{SUITES, Suite};
 const TARGET: &str = "x86_64-unknown-linux-gnu";
 const RUSTFLAGS: &str = "-C target-feature=+crt-static -C strip=debuginfo";
 
-/// How the programs are built. An emulated computer is many times slower than this one: what is not inlined, or is checked again, costs
-/// minutes. Packages of others are built as for all other checks, so that they are built once.
-const PROFILE: [&str; 5] = [
-    "profile.dev.opt-level=3",
-    "profile.dev.debug-assertions=false",
-    "profile.dev.overflow-checks=false",
-    "profile.dev.package.\"*\".debug-assertions=true",
-    "profile.dev.package.\"*\".overflow-checks=true",
-];
+/// How the programs are built: an emulated computer is many times slower than this one, and what is not inlined costs minutes.
+const PROFILE: &str = "guest";
 
 /// How often a suite is begun whose QEMU crashes: that of Debian 12 does so now and then when a USB device is pulled out.
 const TRIES: u32 = 3;
@@ -50,7 +44,7 @@ const TRIES: u32 = 3;
 ///
 /// The emulated computers' time is counted in instructions, so that a busy machine takes longer and finds the same. Suites run side by
 /// side. Takes a minute or two for all where little else runs, once the programs are built: the program itself (rig) takes longest.
-/// The kernel is the distribution's own (Debian, package linux-image-amd64, 6.1 or later), fetched by `apt-get download` and kept in the target folder; QEMU (qemu-system-x86) is installed by apt-get where
+/// The kernel is the distribution's own (Debian, package linux-image-amd64, 6.1 or later), fetched by `apt-get download` and kept in the cache folder of the user; QEMU (qemu-system-x86) is installed by apt-get where
 /// that is permitted, and asked for where not. The tests are root in a computer of their own; nothing of this one is touched.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -66,30 +60,17 @@ pub struct Args {
     console: bool,
 }
 
-/// The machine lacks what the tests need: nothing is wrong with what they test.
-#[derive(Debug)]
-pub struct NotPossible(String);
-
-impl NotPossible {
-    fn because(why: impl Into<String>) -> anyhow::Error {
-        anyhow::Error::new(Self(why.into()))
-    }
+/// Names of the suites that test a package for which this is true.
+pub fn suites_of(is_wanted: impl Fn(&str) -> bool) -> Vec<String> {
+    SUITES.iter().filter(|suite| is_wanted(suite.package)).map(|suite| suite.name.to_owned()).collect()
 }
 
-impl std::fmt::Display for NotPossible {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl std::error::Error for NotPossible {}
-
-/// Every suite.
+/// Some suites.
 ///
 /// # Errors
 /// As [`run`].
-pub fn run_all(workspace: &Workspace) -> anyhow::Result<()> {
-    run(workspace, &Args { suites: Vec::new(), renew: false, console: false })
+pub fn run_suites(workspace: &Workspace, suites: Vec<String>) -> anyhow::Result<()> {
+    run(workspace, &Args { suites, renew: false, console: false })
 }
 
 /// # Errors
@@ -98,16 +79,12 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     if !cfg!(all(target_arch = "x86_64", target_os = "linux")) {
         return Err(NotPossible::because("the guest is a Linux on x86-64, and is built on one"));
     }
-    let target = target_folder(workspace)?;
     let qemu = machine::find_qemu()?;
-    let kernel = Kernel::get(&target.join("vm"), args.renew)?;
+    let kernel = Kernel::get(&cache_folder(workspace)?, args.renew)?;
     println!("kernel {} of {}", kernel.release, kernel.package);
     let wanted = |suite: &&Suite| args.suites.is_empty() || args.suites.iter().any(|name| name == suite.name);
-    let mut ready = Vec::new();
-    for suite in SUITES.iter().filter(wanted) {
-        println!("-- {}: {}", suite.name, suite.what);
-        ready.push((suite, build(workspace, suite, &target)?));
-    }
+    let wanted: Vec<&Suite> = SUITES.iter().filter(wanted).collect();
+    let ready = build(workspace, &wanted)?;
     // An emulated computer has one processor: they do not disturb each other, as their time is counted.
     let outcomes: Vec<anyhow::Result<()>> = std::thread::scope(|scope| {
         let started: Vec<_> = ready
@@ -135,12 +112,6 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
         failed.join(", "),
         failed[0]
     )
-}
-
-fn target_folder(workspace: &Workspace) -> anyhow::Result<PathBuf> {
-    let metadata = workspace.metadata()?;
-    let folder = metadata["target_directory"].as_str().context("`cargo metadata` names no target folder")?;
-    Ok(PathBuf::from(folder))
 }
 
 fn run_suite(suite: &Suite, packed: Archive, kernel: &Kernel, qemu: &Path, shows_console: bool) -> anyhow::Result<()> {
@@ -191,26 +162,44 @@ struct Built {
     product: Option<Vec<u8>>,
 }
 
-/// They are read at once: the next suite's program may have the same name. One call of cargo for both, or what they share would be built
-/// once for each.
-fn build(workspace: &Workspace, suite: &Suite, target: &Path) -> anyhow::Result<Built> {
+/// All programs in one call of cargo, or what they share would be built once for each.
+fn build<'a>(workspace: &Workspace, suites: &[&'a Suite]) -> anyhow::Result<Vec<(&'a Suite, Built)>> {
     let mut command = workspace.cargo();
-    command.args(["build", "--quiet", "--locked", "--package", suite.package, "--example", suite.example]);
-    if suite.has_product {
-        command.args(["--package", "pb3dp-orchestrator", "--bin", "pb3dp"]);
+    command.args(["build", "--quiet", "--locked", "--profile", PROFILE, "--target", TARGET]);
+    let mut asked: Vec<[&str; 2]> = Vec::new();
+    for suite in suites {
+        println!("-- {}: {}", suite.name, suite.what);
+        asked.extend([["--package", suite.package], ["--example", suite.example]]);
+        if suite.has_product {
+            asked.extend([["--package", "pb3dp-orchestrator"], ["--bin", "pb3dp"]]);
+        }
     }
-    for setting in PROFILE {
-        command.args(["--config", setting]);
-    }
-    command.args(["--target", TARGET]).env("RUSTFLAGS", RUSTFLAGS).env_remove("CARGO_ENCODED_RUSTFLAGS");
+    asked.sort_unstable();
+    asked.dedup();
+    command.args(asked.concat());
+    command.env("RUSTFLAGS", RUSTFLAGS).env_remove("CARGO_ENCODED_RUSTFLAGS");
     run_visibly(&mut command)?;
+    let folder = workspace.target_folder()?.join(TARGET).join(PROFILE);
     let read = |name: &str| {
-        let file = target.join(TARGET).join("debug").join(name);
+        let file = folder.join(name);
         std::fs::read(&file).with_context(|| format!("{} was not built", file.display()))
     };
-    let program = read(&format!("examples/{}", suite.example))?;
-    let product = suite.has_product.then(|| read("pb3dp")).transpose()?;
-    Ok(Built { program, product })
+    let built = |suite: &&'a Suite| {
+        let program = read(&format!("examples/{}", suite.example))?;
+        Ok((*suite, Built { program, product: suite.has_product.then(|| read("pb3dp")).transpose()? }))
+    };
+    suites.iter().map(built).collect()
+}
+
+/// Where unpacked kernels are kept, beside no build: a folder of the user's, or the target folder where there is none.
+fn cache_folder(workspace: &Workspace) -> anyhow::Result<PathBuf> {
+    let named = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    let cache = named("XDG_CACHE_HOME").or_else(|| Some(named("HOME")?.join(".cache")));
+    let ours = cache.map(|cache| cache.join("pb3dp").join("kernels"));
+    match ours.filter(|folder| std::fs::create_dir_all(folder).is_ok()) {
+        Some(folder) => Ok(folder),
+        None => Ok(workspace.target_folder()?.join("vm")),
+    }
 }
 
 /// What the guest starts from: the program, modules in the order in which they are loaded, and the product with its configurations.

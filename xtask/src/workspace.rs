@@ -98,6 +98,16 @@ impl Workspace {
         serde_json::from_slice(&output.stdout).context("`cargo metadata` did not print JSON")
     }
 
+    /// The folder in which cargo builds.
+    ///
+    /// # Errors
+    /// As [`Self::metadata`].
+    pub fn target_folder(&self) -> anyhow::Result<PathBuf> {
+        let metadata = self.metadata()?;
+        let folder = metadata["target_directory"].as_str().context("`cargo metadata` names no target folder")?;
+        Ok(PathBuf::from(folder))
+    }
+
     /// Trimmed standard output of a program, `None` if it is missing or fails.
     pub fn output_of(&self, program: &str, args: &[&str]) -> Option<String> {
         let output = self.command(program).args(args).output().ok()?;

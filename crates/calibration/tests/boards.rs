@@ -8,8 +8,6 @@
     reason = "tests may fail loudly, and show what they measured"
 )]
 
-mod support;
-
 use std::collections::BTreeMap;
 
 use image::GrayImage;
@@ -20,7 +18,7 @@ use pb3dp_calibration::fit::{Fit, View};
 use pb3dp_calibration::ink::{draw, ink};
 use pb3dp_calibration::lens::LensModel;
 
-use support::{Random, SIZE, Session, board, normalised_errors, rig, views, views_of};
+use crate::support::{Random, SIZE, Session, board, normalised_errors, rig, views, views_of};
 
 const DATA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data");
 

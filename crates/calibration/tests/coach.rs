@@ -8,8 +8,6 @@
     reason = "tests may fail loudly, show what they measured, and share more than one of them needs"
 )]
 
-mod support;
-
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 use pb3dp_calibration::coach::{VIEWS_MAX, Wish, advice};
 use pb3dp_calibration::fit::View;
@@ -20,7 +18,7 @@ use pb3dp_calibration::quality::Quality;
 use pb3dp_calibration::stand::{Judge, Stand};
 use pb3dp_geometry::{StereoRig, so3};
 
-use support::{Random, SIZE, Session, board, rig, seen_by_both, views};
+use crate::support::{Random, SIZE, Session, board, rig, seen_by_both, views};
 
 const GOOD: Session = Session {
     views: 15,

@@ -8,16 +8,6 @@
     reason = "tests may fail loudly, and show what they measured"
 )]
 
-#[allow(dead_code, reason = "each test uses a part of it")]
-mod support;
-
-#[allow(dead_code, reason = "each test uses a part of it")]
-#[path = "support/arm.rs"]
-mod arm;
-
-#[path = "support/pictures.rs"]
-mod pictures;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -30,9 +20,9 @@ use pb3dp_record::calibration_files::{
 };
 use pb3dp_record::stops::{ArmOfPoses, ArmStand, Stop, Stops, load_poses, save_stops};
 
-use arm::{GOOD, Place, World};
-use pictures::Painter;
-use support::{Random, board};
+use crate::arm::{GOOD, Place, World};
+use crate::pictures::Painter;
+use crate::support::{Random, board};
 
 fn calibrate(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_pb3dp-calibrate")).args(args).output().expect("it starts")

@@ -7,13 +7,6 @@
     reason = "tests may fail loudly, and show what they measured"
 )]
 
-#[allow(dead_code, reason = "each test uses a part of it")]
-mod support;
-
-#[allow(dead_code, reason = "each test uses a part of it")]
-#[path = "support/arm.rs"]
-mod arm;
-
 use nalgebra::{Isometry3, Vector3};
 use pb3dp_calibration::fit::View;
 use pb3dp_calibration::gates::{Gate, Grade, Limits};
@@ -23,8 +16,8 @@ use pb3dp_calibration::lens::LensModel;
 use pb3dp_calibration::quality::Quality;
 use pb3dp_geometry::{Camera, Pinhole, Pose, StereoRig, so3};
 
-use arm::{GOOD, World};
-use support::{Random, SIZE, board};
+use crate::arm::{GOOD, World};
+use crate::support::{Random, SIZE, board};
 
 const RIGS: u32 = 20;
 const WISH: Wish = Wish {

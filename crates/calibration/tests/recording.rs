@@ -7,15 +7,13 @@
     reason = "tests may fail loudly, and show what they measured"
 )]
 
-#[path = "support/film.rs"]
-mod film;
-
+use crate::film;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use film::{AT_REST, Studio, board, places, record, rig};
+use crate::film::{AT_REST, Studio, board, places, record, rig};
 use nalgebra::Isometry3;
 use pb3dp_geometry::Pose;
 use pb3dp_record::calibration_files::{

@@ -8,8 +8,6 @@
     reason = "tests may fail loudly, show what they measured, and share more than one of them needs"
 )]
 
-mod support;
-
 use nalgebra::{Isometry3, Point3, Vector3};
 use pb3dp_calibration::board::Chessboard;
 use pb3dp_calibration::fit::Fit;
@@ -21,7 +19,7 @@ use pb3dp_calibration::verify::touch::{Touch, touched};
 use pb3dp_calibration::verify::{check, corner_in_cam_left, depth_sigma_m, length_ratio};
 use pb3dp_geometry::{Pose, StereoRig, so3};
 
-use support::{Random, SIZE, Session, board, rig, views};
+use crate::support::{Random, SIZE, Session, board, rig, views};
 
 const GOOD: Session = Session {
     views: 15,

@@ -85,6 +85,24 @@ impl Default for Kernels {
     }
 }
 
+/// Every family that this processor can run, for the running test, which compares them. A family that is missing is reported as not
+/// checked: where all are missing the portable code is compared with itself.
+#[cfg(test)]
+pub(crate) fn every_kernel() -> impl Iterator<Item = Kernels> {
+    use std::collections::BTreeSet;
+    use std::sync::{Mutex, PoisonError};
+    static REPORTED: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    // The harness names the thread of a test by the test.
+    let test = std::thread::current().name().unwrap_or("kernels").to_owned();
+    let missing = KernelSet::ALL.into_iter().filter(|set| !set.is_available()).map(KernelSet::name);
+    let missing: Vec<&str> = missing.collect();
+    // A test that asks again and again reports once.
+    if !missing.is_empty() && REPORTED.lock().unwrap_or_else(PoisonError::into_inner).insert(test.clone()) {
+        pb3dp_test_support::not_checked(&test, &format!("this processor has no {}", missing.join(", no ")));
+    }
+    Kernels::available()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -58,7 +58,7 @@ pub(crate) fn sum_lanes(lanes: &[f32; LANES]) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cpu::Kernels;
+    use crate::cpu::every_kernel;
 
     #[inline(always)]
     fn dot_kernel(a: &[f32], b: &[f32]) -> f32 {
@@ -80,7 +80,7 @@ mod tests {
         };
         let (a, b) = (values(1), values(77));
         let plain = dot_kernel(&a, &b);
-        for kernels in Kernels::available() {
+        for kernels in every_kernel() {
             assert_eq!(dot(kernels, &a, &b).to_bits(), plain.to_bits(), "{}", kernels.set().name());
         }
     }

@@ -1,9 +1,8 @@
 //! The direct method on single pairs: rendered discs of known depth and tilt, and what must not be answered.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
-#[path = "support/scene.rs"]
-mod scene;
-
+use crate::scene;
+use crate::scene::Scene;
 use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_estimation::direct::estimator::{DirectConfig, DirectEstimator};
@@ -12,7 +11,6 @@ use pb3dp_estimation::plane_hypothesis::{PlaneHypothesis, SearchRange};
 use pb3dp_estimation::region::{Region, RegionMask};
 use pb3dp_estimation::status::Status;
 use pb3dp_geometry::{ImageSize, StereoRig};
-use scene::Scene;
 
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 

@@ -2,15 +2,12 @@
 //! answer.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
-#[path = "support/plane_pair.rs"]
-mod plane_pair;
-
+use crate::plane_pair::{Paint, Setup, Texture, render};
 use nalgebra::Vector2;
 use pb3dp_estimation::direct::estimator::{DirectConfig, DirectEstimator};
 use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_estimation::region::Region;
 use pb3dp_estimation::status::Status;
-use plane_pair::{Paint, Setup, Texture, render};
 
 /// The words of an answer, and the crossings of a row with a polygon.
 const WORDS_MAX: usize = 1500;

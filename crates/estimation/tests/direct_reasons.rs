@@ -1,10 +1,8 @@
 //! What the direct method says where no plane, or none that was allowed, fits the region.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
-#[path = "support/scene.rs"]
-#[allow(dead_code, reason = "shared with tests that use more of it")]
-mod scene;
-
+use crate::scene;
+use crate::scene::Scene;
 use image::{Rgb, RgbImage};
 use nalgebra::Vector2;
 use pb3dp_estimation::direct::estimator::{DirectConfig, DirectEstimator};
@@ -14,7 +12,6 @@ use pb3dp_estimation::plane_hypothesis::SearchRange;
 use pb3dp_estimation::region::Region;
 use pb3dp_estimation::status::Status;
 use pb3dp_geometry::{ImageSize, StereoRig};
-use scene::Scene;
 
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 

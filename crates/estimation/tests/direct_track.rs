@@ -1,10 +1,8 @@
 //! The direct tracker on small rendered sequences.
 #![allow(clippy::expect_used, reason = "inputs that are valid")]
 
-#[path = "support/moving_plane.rs"]
-mod moving_plane;
-
-use moving_plane::{Shot, general_rig, moving, plane, rectified_rig, region, render, render_all};
+use crate::moving_plane;
+use crate::moving_plane::{Shot, general_rig, moving, plane, rectified_rig, region, render, render_all};
 use nalgebra::Vector3;
 use pb3dp_estimation::direct::estimator::DirectConfig;
 use pb3dp_estimation::direct::track::{DirectTracker, DirectTrackerConfig, FramePrior};
@@ -54,20 +52,25 @@ impl Run {
 fn check_motion(rig: StereoRig, fps: f64, frames: u32) {
     let track = DirectTrackerConfig { points: 512, ..DirectTrackerConfig::default() };
     let mut run = Run::start(rig, moving(0.0), track);
+    let mut sum = 0.0;
     for frame in 1..=frames {
         let pose = moving(f64::from(frame) / fps);
         let estimate = run.update(Some(pose), 1.0 / fps);
         assert_eq!(estimate.status, Status::Ok, "frame {frame}: {}", estimate.reason);
         assert!(estimate.rotation_about_normal_observed);
         let (distance_mm, angle_deg) = run.error(&estimate, &pose);
-        assert!(distance_mm < 0.5 && angle_deg < 0.6, "frame {frame}: {distance_mm} mm, {angle_deg} degrees");
-        // One standard deviation says where it may be: no error is far outside.
+        // Measured: 0.034 mm and 0.08 degrees at most.
+        assert!(distance_mm < 0.06 && angle_deg < 0.15, "frame {frame}: {distance_mm} mm, {angle_deg} degrees");
         let sigma = estimate.covariance.expect("covariance");
         let error =
             (run.target_from_model.inverse() * (pose.inverse() * estimate.cam_left_from_model.expect("pose"))).log();
         let normalised = error.dot(&sigma.cholesky().expect("positive").solve(&error)) / 6.0;
-        assert!(normalised < 12.0, "frame {frame}: normalised error squared {normalised}");
+        // Of six independent numbers one set in a thousand is beyond 3.75; measured is 2.4 at most, and 1.4 on average in the worst case.
+        assert!(normalised < 3.75, "frame {frame}: normalised error squared {normalised}");
+        sum += normalised;
     }
+    let mean = sum / f64::from(frames);
+    assert!((0.2..2.0).contains(&mean), "normalised error squared {mean} on average");
 }
 
 #[test]
@@ -285,11 +288,11 @@ fn a_deadline_gives_the_best_answer_so_far() {
         asked < 2
     };
     run.tracker.update_into(&left, &right, &FramePrior::default(), &mut over, &mut estimate).expect("update");
-    assert!(asked >= 1);
-    if estimate.status == Status::Ok {
-        let (distance_mm, _) = run.error(&estimate, &pose);
-        assert!(distance_mm < 2.0, "{distance_mm} mm");
-    }
+    assert_eq!(asked, 2);
+    assert!(matches!(estimate.status, Status::Ok | Status::WeakTilt), "{}: {}", estimate.status, estimate.reason);
+    let (distance_mm, angle_deg) = run.error(&estimate, &pose);
+    // Measured: 0.037 mm and 0.07 degrees.
+    assert!(distance_mm < 0.08 && angle_deg < 0.15, "{distance_mm} mm, {angle_deg} degrees");
 }
 
 /// Nothing but noise: the start says so, and what follows is neither an error nor a pose.

@@ -1,10 +1,7 @@
 //! Small rectangles across the edge of a disc that moves before another one at rest: what is tracked is one surface.
 #![allow(clippy::expect_used, reason = "inputs that are valid")]
 
-#[path = "support/moving_plane.rs"]
-mod moving_plane;
-
-use moving_plane::{RADIUS_M, Shot, moving, plane, rectified_rig, render_all};
+use crate::moving_plane::{RADIUS_M, Shot, moving, plane, rectified_rig, render_all};
 use nalgebra::{Isometry3, Point3, Vector3};
 use pb3dp_estimation::direct::estimator::DirectConfig;
 use pb3dp_estimation::direct::track::{DirectTracker, FramePrior};

@@ -1,10 +1,7 @@
 //! A tracked frame of the direct method does not allocate, nor does a lost one.
 #![allow(clippy::expect_used, reason = "inputs that are valid")]
 
-#[path = "support/moving_plane.rs"]
-mod moving_plane;
-
-use moving_plane::{Shot, moving, plane, rectified_rig, region, render};
+use crate::moving_plane::{Shot, moving, plane, rectified_rig, region, render};
 use pb3dp_estimation::direct::estimator::DirectConfig;
 use pb3dp_estimation::direct::track::{DirectTracker, FramePrior};
 use pb3dp_estimation::status::Status;

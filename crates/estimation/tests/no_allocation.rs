@@ -1,9 +1,8 @@
 //! The steady-state frame loop does not allocate: conversion, model, preparation, search.
 #![allow(clippy::expect_used, reason = "inputs that are valid")]
 
-#[path = "support/scene.rs"]
-mod scene;
-
+use crate::scene;
+use crate::scene::Scene;
 use nalgebra::Vector2;
 use pb3dp_estimation::cpu::Kernels;
 use pb3dp_estimation::fitness::{FitnessConfig, HueFitness, Unseen};
@@ -14,7 +13,6 @@ use pb3dp_estimation::region::RegionMask;
 use pb3dp_estimation::search::exhaustive;
 use pb3dp_estimation::search::rmga::{Population, RmGa, RmGaConfig};
 use pb3dp_geometry::{ImageSize, StereoRig};
-use scene::Scene;
 
 const SIZE: ImageSize = ImageSize { width: 320, height: 240 };
 

@@ -1,9 +1,8 @@
 //! What the refinement of a plane reaches on ray-traced pairs, beside the Cramér-Rao bound.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
-#[path = "support/plane_pair.rs"]
-mod plane_pair;
-
+use crate::common::every_kernel;
+use crate::plane_pair::{Paint, Pair, Random, SIZE, Setup, Texture, render};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use pb3dp_estimation::cpu::Kernels;
 use pb3dp_estimation::direct::colour_planes::{OPPONENT_FROM_RGB, Wanted};
@@ -14,7 +13,6 @@ use pb3dp_estimation::direct::photometric::{PlaneRefiner, RefineConfig, RefinedP
 use pb3dp_estimation::direct::region_pyramid::{PyramidSource, RegionPyramid};
 use pb3dp_estimation::direct::row_offset::RowOffset;
 use pb3dp_estimation::region::RegionMask;
-use plane_pair::{Paint, Pair, Random, SIZE, Setup, Texture, render};
 
 /// A pair, taken in, and its true plane.
 struct Taken {
@@ -204,10 +202,10 @@ fn a_blank_target_has_no_answer_that_looks_sure() {
     let pair = render(&setup, &plain, &plain);
     let taken = take(&pair, Kernels::best());
     let mut refiner = PlaneRefiner::new(RefineConfig::default(), Kernels::best());
-    if let Some(found) = taken.refine(&mut refiner, &pair, &taken.truth) {
-        let sigma = plane_sigma(&found.covariance, &found.plane, &taken.geometry);
-        assert!(sigma.is_none_or(|s| s.normal_rad.to_degrees() > 5.0), "{found:?}");
-    }
+    // Measured: 10.4 degrees.
+    let found = taken.refine(&mut refiner, &pair, &taken.truth).unwrap();
+    let sigma = plane_sigma(&found.covariance, &found.plane, &taken.geometry);
+    assert!(!found.converged && sigma.is_none_or(|s| s.normal_rad.to_degrees() > 5.0), "{found:?}");
 }
 
 #[test]
@@ -215,10 +213,17 @@ fn a_start_far_off_is_not_called_converged() {
     let pair = render(&Setup::default(), &Texture::new(Paint::Grey, 3), &Texture::new(Paint::Sand, 9));
     let taken = take(&pair, Kernels::best());
     let mut refiner = PlaneRefiner::new(RefineConfig::default(), Kernels::best());
-    let start = taken.truth.with_parameters(&(taken.truth.parameters() + Vector3::new(9.0, 0.0, 0.0)));
-    if let Some(found) = taken.refine(&mut refiner, &pair, &start) {
-        assert!(!found.converged, "{found:?}");
+    let mut refine = |off_px: f64| {
+        let start = taken.truth.with_parameters(&(taken.truth.parameters() + Vector3::new(off_px, 0.0, 0.0)));
+        taken.refine(&mut refiner, &pair, &start).unwrap()
+    };
+    for off_px in [-9.0, 9.0, 14.0] {
+        let found = refine(off_px);
+        assert!(!found.converged, "{off_px}: {found:?}");
     }
+    // From nearby the same pair is one that is called converged.
+    let found = refine(0.7);
+    assert!(found.converged, "{found:?}");
 }
 
 #[test]
@@ -226,7 +231,7 @@ fn every_kernel_gives_the_same_bits() {
     let setup = Setup { tilt_x_rad: 0.25, tilt_y_rad: -0.3, ..Setup::default() };
     let pair = render(&setup, &Texture::new(Paint::Colour, 3), &Texture::new(Paint::Sand, 9));
     let mut first: Option<RefinedPlane> = None;
-    for kernels in Kernels::available() {
+    for kernels in every_kernel("photometric::every_kernel_gives_the_same_bits") {
         let taken = take(&pair, kernels);
         let push = Vector3::new(0.4, -0.006, 0.004);
         let start = taken.truth.with_parameters(&(taken.truth.parameters() + push));

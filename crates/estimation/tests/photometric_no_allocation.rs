@@ -1,9 +1,7 @@
 //! The refinement of a plane does not allocate once it has seen a region of the size.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
-#[path = "support/plane_pair.rs"]
-mod plane_pair;
-
+use crate::plane_pair::{Paint, SIZE, Setup, Texture, render};
 use pb3dp_estimation::cpu::Kernels;
 use pb3dp_estimation::direct::colour_planes::Wanted;
 use pb3dp_estimation::direct::disparity_plane::DisparityPlane;
@@ -12,7 +10,6 @@ use pb3dp_estimation::direct::photometric::{PlaneRefiner, RefineConfig};
 use pb3dp_estimation::direct::region_pyramid::{PyramidSource, RegionPyramid};
 use pb3dp_estimation::direct::row_offset::RowOffset;
 use pb3dp_estimation::region::RegionMask;
-use plane_pair::{Paint, SIZE, Setup, Texture, render};
 
 #[test]
 fn a_second_refinement_allocates_nothing() {

@@ -2,12 +2,10 @@
 
 #![allow(clippy::expect_used)]
 
-mod common;
-
-use common::{Look, Shot};
+use crate::common;
+use crate::common::{Look, Shot};
 use nalgebra::Vector2;
 use pb3dp_estimation::EstimationError;
-use pb3dp_estimation::cpu::Kernels;
 use pb3dp_estimation::estimate::PlaneEstimate;
 use pb3dp_estimation::estimate::ReferenceOptimum;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
@@ -139,7 +137,7 @@ fn the_answer_depends_on_the_input_alone() {
     let rig = common::general_rig();
     let Shot { left, right } = common::render(&rig, Some(&pose()), Look::Colourful);
     let first = estimate(&rig, Look::Colourful, PublishedConfig::default());
-    for kernels in Kernels::available() {
+    for kernels in common::every_kernel("published_estimate::the_answer_depends_on_the_input_alone") {
         let mut estimator =
             PublishedEstimator::with_kernels(&rig, PublishedConfig::default(), kernels).expect("a config");
         let other = Region::Rectangle { x: 20, y: 30, width: 60, height: 50 };

@@ -2,9 +2,8 @@
 
 #![allow(clippy::expect_used)]
 
-mod common;
-
-use common::{Look, Shot};
+use crate::common;
+use crate::common::{Look, Shot};
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_estimation::EstimationError;
 use pb3dp_estimation::estimate::EstimateWarning;

@@ -2,9 +2,8 @@
 
 #![allow(clippy::expect_used)]
 
-mod common;
-
-use common::{Look, Shot};
+use crate::common;
+use crate::common::{Look, Shot};
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_estimation::photo_model::PhotoModelConfig;
 use pb3dp_estimation::plane_hypothesis::SearchRange;

@@ -1,17 +1,28 @@
 //! Whatever comes in: no panic, no number that is none, always a reason.
 
-#[path = "support/abuse.rs"]
-mod abuse;
-
+use crate::abuse;
+use pb3dp_test_support::sweep;
 use proptest::prelude::*;
+use proptest::test_runner::{RngSeed, TestRunner};
 
-proptest! {
-    #![proptest_config(ProptestConfig { cases: 96, ..ProptestConfig::default() })]
+/// Chosen: any value serves, but the same value gives the same inputs in every run. `PROPTEST_RNG_SEED` replaces it.
+const SEED: u64 = 20_260;
 
-    #[test]
-    fn every_method_survives_any_pair(bytes in proptest::collection::vec(any::<u8>(), 0..64)) {
-        abuse::every_method_survives(&bytes);
-    }
+/// Runs the body of a fuzz target on seeded random bytes. A test of xtask fails if a fuzz target has no such call.
+fn survives_seeded_bytes(target: &str, cases: u32, length: std::ops::Range<usize>, body: fn(&[u8])) {
+    let config = ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(cases) };
+    let seed = if config.rng_seed == RngSeed::Random { RngSeed::Fixed(SEED) } else { config.rng_seed };
+    let mut runner = TestRunner::new(ProptestConfig { rng_seed: seed, ..config });
+    let result = runner.run(&proptest::collection::vec(any::<u8>(), length), |bytes| {
+        body(&bytes);
+        Ok(())
+    });
+    assert_eq!(result, Ok(()), "fuzz target {target}, PROPTEST_RNG_SEED={seed}");
+}
+
+#[test]
+fn every_method_survives_any_pair() {
+    survives_seeded_bytes("estimators", sweep(96, 960), 0..64, abuse::every_method_survives);
 }
 
 /// The extremes by name, so that no run misses them: every pattern, in pictures of 100, 1, 3 and 16 pixels.
@@ -22,6 +33,8 @@ fn every_method_survives_the_classics() {
             let mut bytes = abuse::ordinary_prefix(side_choice);
             // Three frames of one pattern, then shifts.
             bytes.extend([2, pattern, pattern, pattern, pattern, 5, 0, 9, 0, 13, 0]);
+            // Bytes that are no abuse check nothing.
+            assert_eq!(abuse::Abuse::from_bytes(&bytes).unwrap().pairs.len(), 3, "{pattern} {side_choice}");
             abuse::every_method_survives(&bytes);
         }
     }
@@ -40,13 +53,16 @@ fn most_abuses_reach_the_methods() {
         worked +=
             usize::from(estimator.is_ok_and(|mut e| e.estimate(left, right, &abuse.region, &abuse.range).is_ok()));
     }
-    assert!(worked >= 8, "{worked} of 40");
+    // The bytes are the same each time: 14 when this was written.
+    assert!(worked >= 12, "{worked} of 40");
 }
 
 /// What the fuzzer has found, each with what it was.
 #[test]
 fn every_method_survives_what_fuzzing_found() {
-    let found: [&[u8]; 1] = [
+    let found: [&[u8]; 2] = [
+        // Found by proptest.
+        &[212, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 160, 48, 6, 42, 0, 0, 2],
         // Intrinsics that turn the depth range into 10^9 pixels of disparity, for which memory was asked.
         &[
             10, 114, 255, 255, 33, 0, 0, 0, 255, 255, 255, 255, 255, 255, 33, 0, 0, 0, 255, 255, 255, 219, 72, 0, 0, 0,
@@ -54,6 +70,7 @@ fn every_method_survives_what_fuzzing_found() {
         ],
     ];
     for bytes in found {
+        assert!(abuse::Abuse::from_bytes(bytes).is_some(), "{bytes:?} check nothing");
         abuse::every_method_survives(bytes);
     }
 }

@@ -1,10 +1,7 @@
 //! What is no surface is not tracked: two pictures that do not belong together, of soft texture.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
-#[path = "support/scene.rs"]
-#[allow(dead_code, reason = "shared with tests that use more of it")]
-mod scene;
-
+use crate::scene;
 use image::{Rgb, RgbImage};
 use pb3dp_estimation::direct::estimator::DirectConfig;
 use pb3dp_estimation::direct::track::DirectTracker;

@@ -1,13 +1,11 @@
 //! SO(3) and SE(3) against Pinocchio, against power series and against finite differences.
 
-mod pinocchio;
-
 use std::f64::consts::PI;
 
+use crate::pinocchio::{INTERPOLATED, MOTIONS, ROTATIONS};
 use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix4, Matrix6, Rotation3, SMatrix, UnitQuaternion, Vector3, Vector6};
 use pb3dp_geometry::frames::{Base, CamLeft};
 use pb3dp_geometry::{Pose, se3, so3};
-use pinocchio::{INTERPOLATED, MOTIONS, ROTATIONS};
 use proptest::prelude::*;
 
 fn assert_close<const R: usize, const C: usize>(

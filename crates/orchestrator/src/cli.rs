@@ -16,9 +16,16 @@ use crate::commands::rig::RigArgs;
 use crate::logging::LogFormat;
 use crate::region_spec::{REGION_HELP, RegionSpec};
 
+/// A test build must not be taken for a program that may drive a real arm.
+const VERSION: &str = if pb3dp_safeguards::CAN_BE_OFF {
+    concat!(env!("CARGO_PKG_VERSION"), " (test build: safeguards can be switched off)")
+} else {
+    env!("CARGO_PKG_VERSION")
+};
+
 /// Robot vision that needs to know nothing about its target: pose of any object from one calibrated stereo pair.
 #[derive(Debug, Parser)]
-#[command(name = "pb3dp", version, propagate_version = true)]
+#[command(name = "pb3dp", version = VERSION, propagate_version = true)]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]
@@ -81,7 +88,7 @@ pub struct RunArgs {
     /// Folder for report.html, summary.json and the recorded time series.
     #[arg(long, value_name = "DIR", default_value = "out/run")]
     pub out: PathBuf,
-    /// Another seed than the configuration's.
+    /// Seed of everything random, instead of `run.seed` of the setup: scene, noise, searches, camera faults and emulated arms.
     #[arg(long, value_name = "N", value_parser = parse_seed, allow_hyphen_values = true)]
     pub seed: Option<u64>,
     /// End after this many seconds of the experiment.

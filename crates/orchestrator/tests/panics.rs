@@ -10,6 +10,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
 
+use libtest_mimic::{Arguments, Trial};
 use pb3dp_orchestrator::{logging, panics};
 
 /// More than wait to be written.
@@ -22,8 +23,19 @@ fn main() {
     if std::env::args().nth(1).as_deref() == Some("panics") {
         return panic_and_go_on();
     }
-    its_text_is_written_later();
-    nobody_ever_reads_its_text();
+    let mut arguments = Arguments::from_args();
+    arguments.test_threads = Some(1);
+    let trial = |(name, test): (&'static str, fn())| {
+        Trial::test(name, move || {
+            test();
+            Ok(())
+        })
+    };
+    let tests: [(&str, fn()); 2] = [
+        ("its_text_is_written_later", its_text_is_written_later),
+        ("nobody_ever_reads_its_text", nobody_ever_reads_its_text),
+    ];
+    libtest_mimic::run(&arguments, tests.map(trial).into()).exit();
 }
 
 /// As the thread of an arm does: what follows the panic is its stop order.

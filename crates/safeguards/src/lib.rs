@@ -2,7 +2,13 @@
 //! is there for something.
 //!
 //! Whoever holds a safeguard asks [`is_off`]. Without the feature `disabled-guards` that is the constant `false`, and nothing of this
-//! crate is left in a program; with it the program `pb3dp` does not compile ([`CAN_BE_OFF`]).
+//! crate is left in a program. With the feature a build without debug assertions does not compile, so that no release of `pb3dp` has it; a
+//! test build of `pb3dp` says so in its version ([`CAN_BE_OFF`]).
+
+#[cfg(all(feature = "disabled-guards", not(debug_assertions)))]
+compile_error!(
+    "the feature disabled-guards is for tests, which are built with debug assertions: no program for real arms may have it"
+);
 
 /// Whether this is a test build in which safeguards can be switched off.
 pub const CAN_BE_OFF: bool = cfg!(feature = "disabled-guards");

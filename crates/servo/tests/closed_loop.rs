@@ -1,9 +1,8 @@
 //! The loop closed around joints and a camera in pure maths: it converges as fast as the gains say, trails as far as the
 //! theory says, and keeps its limits.
 
-mod common;
-
-use common::{Cell, IDEAL, Plant, config, published, rotation, with_filter};
+use crate::common;
+use crate::common::{Cell, IDEAL, Plant, config, published, rotation, with_filter};
 use nalgebra::Vector3;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Model};

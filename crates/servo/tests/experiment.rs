@@ -2,9 +2,7 @@
 //! method on a colourful card at 500 mm, by an arm with delay and lag.
 #![allow(clippy::unwrap_used, clippy::panic)] // In helpers of tests.
 
-mod common;
-
-use common::{Cell, Plant, feed_forward, feed_forward_config};
+use crate::common::{Cell, Plant, feed_forward, feed_forward_config};
 use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Hand, Model};
@@ -134,7 +132,7 @@ fn the_hand_keeps_its_place_to_a_millimetre_while_the_target_moves() {
     assert!(figures.late_s.abs() < 0.01, "{figures:?}");
 }
 
-/// The table of gains in docs/servo.md: `cargo test -p pb3dp-servo --test experiment -- --nocapture`. A larger gain follows better.
+/// The table of gains in docs/servo.md: `cargo test -p pb3dp-servo --test integration experiment -- --nocapture`. A larger gain follows better.
 #[test]
 fn a_larger_gain_makes_good_sooner_what_the_prediction_missed() {
     let gains_per_s = [7.0, 9.2, 15.0, 20.0, 30.0];

@@ -2,11 +2,9 @@
 //! nor stops with a step.
 #![allow(clippy::unwrap_used, clippy::panic)] // In helpers of tests.
 
-mod common;
-
 use std::f64::consts::TAU;
 
-use common::{Cell, Plant, config, feed_forward, feed_forward_config, published, rotation};
+use crate::common::{Cell, Plant, config, feed_forward, feed_forward_config, published, rotation};
 use nalgebra::Vector3;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Model};

@@ -1,9 +1,7 @@
 //! When the hand rests, why, and what makes it move again.
 #![allow(clippy::unwrap_used, clippy::panic)] // In helpers of tests.
 
-mod common;
-
-use common::{Cell, IDEAL, config, rotation, with_filter};
+use crate::common::{Cell, IDEAL, config, rotation, with_filter};
 use nalgebra::Vector3;
 use pb3dp_geometry::frames::{Base, Model};
 use pb3dp_geometry::{MonotonicTime, Pose};

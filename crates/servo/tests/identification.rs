@@ -2,9 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-mod common;
-
-use common::chain;
+use crate::common::chain;
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose, Twist};

@@ -1,9 +1,7 @@
 //! A control cycle does not touch the heap.
 #![allow(clippy::unwrap_used)] // In helpers of tests.
 
-mod common;
-
-use common::{Cell, IDEAL, config, feed_forward, feed_forward_config, rotation};
+use crate::common::{Cell, IDEAL, config, feed_forward, feed_forward_config, rotation};
 use nalgebra::Vector3;
 use pb3dp_allocation_count::requests;
 use pb3dp_servo::{ArmResponse, ControllerConfig};

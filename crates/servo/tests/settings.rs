@@ -1,9 +1,7 @@
 //! Settings out of range are refused with key, value and range.
 #![allow(clippy::unwrap_used, clippy::panic)] // In helpers of tests.
 
-mod common;
-
-use common::{chain, config, feed_forward, feed_forward_config, limits};
+use crate::common::{chain, config, feed_forward, feed_forward_config, limits};
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_geometry::Pose;
 use pb3dp_servo::{

@@ -2,9 +2,7 @@
 //! an arm that was pulled straight comes back.
 #![allow(clippy::unwrap_used, clippy::panic)] // In helpers of tests.
 
-mod common;
-
-use common::{Cell, Plant, feed_forward, feed_forward_config};
+use crate::common::{Cell, Plant, feed_forward, feed_forward_config};
 use nalgebra::Vector3;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Model};

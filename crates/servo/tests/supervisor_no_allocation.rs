@@ -1,10 +1,6 @@
 //! A step of the supervisor does not touch the heap, whatever happens in it.
-#![allow(dead_code, clippy::unwrap_used)] // In helpers of tests.
 
-#[path = "supervisor/bench.rs"]
-mod bench;
-
-use bench::{Bench, config};
+use crate::supervisor::bench::{Bench, config};
 use pb3dp_allocation_count::requests;
 use pb3dp_servo::supervisor::{ArmCondition, Supervisor, Word};
 

@@ -1,9 +1,7 @@
 //! Commands that somebody behind the controller did not let pass.
 #![allow(clippy::unwrap_used, clippy::panic)] // In helpers of tests.
 
-mod common;
-
-use common::{Cell, IDEAL, config, rotation};
+use crate::common::{Cell, IDEAL, config, rotation};
 use nalgebra::Vector3;
 use pb3dp_servo::{Command, ControlStep};
 

@@ -1,15 +1,13 @@
 //! The renderer is the ground truth for sub-pixel stereo: places in its pictures against the camera model.
 #![allow(clippy::unwrap_used, clippy::panic)] // clippy allows them in #[test] functions only, not in their helpers.
 
-mod support;
-
+use crate::support::{distorted_rig, poses, rectified_rig, render, square_scene, turned};
 use image::RgbImage;
 use nalgebra::{Point3, Vector2};
 use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_geometry::{Camera, Pose};
 use pb3dp_sim::noise::ValueNoise;
 use pb3dp_sim::sensor::SensorConfig;
-use support::{distorted_rig, poses, rectified_rig, render, square_scene, turned};
 
 /// Spacing of the marks, metres.
 const MARK_SPACING_M: f64 = 0.025;

@@ -2,15 +2,11 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-#[path = "common/bus_bench.rs"]
-#[allow(dead_code, reason = "each test file uses its part")]
-mod bus_bench;
-
-use bus_bench::BusBench;
 use pb3dp_arm_pa10::codec::{SequenceModulus, WireFormat};
 use pb3dp_arm_pa10::driver::{DriverState, FaultCause, Request, Trip};
 use pb3dp_arm_pa10::link::BusLink;
 use pb3dp_arm_pa10::mock_controller::ControlMode;
+use pb3dp_arm_pa10_test_support::bus_bench::BusBench;
 
 /// R17, R19: it is named, at once, and its brakes stay on.
 #[test]

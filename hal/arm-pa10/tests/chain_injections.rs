@@ -2,21 +2,15 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-#[path = "common/bus_bench.rs"]
-#[allow(dead_code, reason = "each test file uses its part")]
-mod bus_bench;
-#[path = "common/chain.rs"]
-mod chain;
-#[path = "common/injection.rs"]
-mod injection;
-
 use std::time::Duration;
 
-use chain::{ARM, Chain, Spoil, Way};
-use injection::{Braking, Dice, Stop, braking_time, controller_alarm, joints, last_motion, servo_alarm, table_line};
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{DriverState, Request};
 use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Frame, FrameParser, Received};
+use pb3dp_arm_pa10_test_support::chain::{ARM, Chain, Spoil, Way};
+use pb3dp_arm_pa10_test_support::injection::{
+    Braking, Dice, Stop, braking_time, controller_alarm, joints, last_motion, servo_alarm, table_line,
+};
 
 /// Who finds the fault, and how long the rules give it until the arm begins to brake.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -2,21 +2,13 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-#[path = "common/bus_bench.rs"]
-#[allow(dead_code, reason = "each test file uses its part")]
-mod bus_bench;
-#[path = "common/chain.rs"]
-mod chain;
-#[path = "common/injection.rs"]
-mod injection;
-
 use std::time::Duration;
 
-use chain::Chain;
-use injection::{Braking, Dice, braking_time, joints, last_motion};
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{DriverState, Request};
 use pb3dp_arm_pa10::gateway_protocol::{Dialect, GatewayState, StopCause};
+use pb3dp_arm_pa10_test_support::chain::Chain;
+use pb3dp_arm_pa10_test_support::injection::{Braking, Dice, braking_time, joints, last_motion};
 use pb3dp_kinematics::JointVector;
 
 /// A host notices three answers of 10 ms, a gateway a command of 50 ms.

@@ -3,11 +3,8 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-mod common;
-
 use std::time::Duration;
 
-use common::{Bench, CYCLE, Kind};
 use pb3dp_arm_pa10::codec::{
     AngleCounts, ArmReply, Axis, AxisReply, AxisStatus, CommStatus, CommWord, ServoWord, SpeedCounts, TorqueCounts,
     TorqueScale, WireFormat,
@@ -17,6 +14,7 @@ use pb3dp_arm_pa10::driver::{
 };
 use pb3dp_arm_pa10::gateway_protocol::{GatewayState, State, StopCause};
 use pb3dp_arm_pa10::watchdog::CommandWatchdog;
+use pb3dp_arm_pa10_test_support::driver_bench::{Bench, CYCLE, Kind};
 use pb3dp_kinematics::JointVector;
 
 const fn ms(ms: u64) -> Duration {

@@ -2,12 +2,10 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-mod common;
-
 use std::time::Duration;
 
-use common::{Bench, Kind};
 use pb3dp_arm_pa10::driver::{DriverState, FaultCause, Request, Trip};
+use pb3dp_arm_pa10_test_support::driver_bench::{Bench, Kind};
 
 const fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)

@@ -2,13 +2,11 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-mod common;
-
 use std::time::Duration;
 
-use common::{Bench, CYCLE, Kind, kind, velocity};
 use pb3dp_arm_pa10::codec::{CommAlarm, CommWord, ServoAlarm, ServoWord};
 use pb3dp_arm_pa10::driver::{Activity, BadReply, DriverConfig, DriverState, Request};
+use pb3dp_arm_pa10_test_support::driver_bench::{Bench, CYCLE, Kind, kind, velocity};
 use proptest::prelude::*;
 
 /// Something that happens to a driver.

@@ -1,12 +1,10 @@
 //! The table of the state machine, all states by all events, written a second time from the requirements.
 
-mod common;
-
 use std::time::Duration;
 
-use common::{Bench, velocity};
 use pb3dp_arm_pa10::driver::table::outcome;
 use pb3dp_arm_pa10::driver::{Activity, DriverState, Event, Outcome, Refusal, Request};
+use pb3dp_arm_pa10_test_support::driver_bench::{Bench, velocity};
 
 /// What is allowed; all that is not listed is refused.
 fn expected(state: DriverState, event: Event) -> Outcome {

@@ -2,15 +2,12 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-#[path = "common/gateway_bench.rs"]
-mod bench;
-
-use bench::{Bench, config, control, hello, ms, rejected};
 use pb3dp_arm_pa10::codec::{Axis, AxisCommand, ControlMessage, Letter, ServoWord, WireFormat};
 use pb3dp_arm_pa10::gateway::Gateway;
 use pb3dp_arm_pa10::gateway_protocol::{
     ArmOperation, Control, ControlReply, Dialect, GatewayMessage, GatewayState, HostMessage, RejectReason, StopCause,
 };
+use pb3dp_arm_pa10_test_support::gateway_bench::{Bench, config, control, hello, ms, rejected};
 
 const STATES: [GatewayState; 7] = [
     GatewayState::Idle,

@@ -2,18 +2,16 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-#[path = "common/gateway_bench.rs"]
-mod bench;
-
+use pb3dp_arm_pa10_test_support::gateway_bench as bench;
 use std::time::Duration;
 
-use bench::{Bench, Sent, config, control, hello, ms, raw, raw_command, velocity};
 use pb3dp_arm_pa10::codec::{
     AngleCounts, ArmCommand, AxisCommand, CommWord, ControlMessage, ServoWord, SpeedCounts, Supervision, WireFormat,
 };
 use pb3dp_arm_pa10::gateway_protocol::{
     ArmOperation, Control, Dialect, DriveMode, GatewayMessage, GatewayState, HostMessage,
 };
+use pb3dp_arm_pa10_test_support::gateway_bench::{Bench, Sent, config, control, hello, ms, raw, raw_command, velocity};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
 use proptest::prelude::*;

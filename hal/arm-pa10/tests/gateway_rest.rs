@@ -2,12 +2,9 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-#[path = "common/gateway_bench.rs"]
-mod bench;
-
-use bench::{Bench, HOST_CYCLE, TICK, ms};
 use pb3dp_arm_pa10::codec::{ArmCommand, ControlMessage};
 use pb3dp_arm_pa10::gateway_protocol::{DriveMode, GatewayMessage, GatewayState};
+use pb3dp_arm_pa10_test_support::gateway_bench::{Bench, HOST_CYCLE, TICK, ms};
 use pb3dp_kinematics::JointVector;
 
 /// What was sent on the bus last.

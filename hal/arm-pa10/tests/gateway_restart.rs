@@ -2,21 +2,15 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-#[path = "common/gateway_bench.rs"]
-mod bench;
-#[path = "common/bus_bench.rs"]
-#[allow(dead_code, reason = "each test file uses its part")]
-mod bus_bench;
-#[path = "common/chain.rs"]
-mod chain;
-
-use bench::{Bench, config, ms};
-use chain::{ARM, Chain};
 use pb3dp_arm_pa10::codec::{ArmCommand, AxisCommand, ControlMessage, ServoWord, Supervision, WireFormat};
 use pb3dp_arm_pa10::driver::DriverState;
 use pb3dp_arm_pa10::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10::gateway_protocol::{Dialect, Firmware, GatewayState, StopCause};
 use pb3dp_arm_pa10::mock_controller::{ControlMode, pa10_joints};
+use pb3dp_arm_pa10_test_support::bus_bench;
+use pb3dp_arm_pa10_test_support::chain::{ARM, Chain};
+use pb3dp_arm_pa10_test_support::gateway_bench as bench;
+use pb3dp_arm_pa10_test_support::gateway_bench::{Bench, config, ms};
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant};
 

@@ -2,16 +2,13 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-#[path = "common/gateway_bench.rs"]
-mod bench;
-
-use bench::{ARM, Bench, config, control, hello, ms, raw, rejected, velocity};
 use pb3dp_arm_pa10::codec::{Axis, ControlMessage, WireFormat};
 use pb3dp_arm_pa10::gateway::table::{Ask, Deed, deed};
 use pb3dp_arm_pa10::gateway_protocol::{
     ArmId, ArmOperation, Control, ControlReply, Dialect, DriveMode, Frame, GatewayMessage, GatewayState, HostMessage,
     Payload, RejectReason, State, StopCause,
 };
+use pb3dp_arm_pa10_test_support::gateway_bench::{ARM, Bench, config, control, hello, ms, raw, rejected, velocity};
 use pb3dp_kinematics::JointVector;
 
 const SPECIFICATION: &str = include_str!("../../../docs/arm-protocol.md");

@@ -2,18 +2,18 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-#[path = "common/gateway_bench.rs"]
-mod bench;
-
+use pb3dp_arm_pa10_test_support::gateway_bench as bench;
 use std::time::Duration;
 
-use bench::{Bench, CYCLE, HOST_CYCLE, Sent, TICK, config, control, hello, ms, rejected, velocity};
 use pb3dp_arm_pa10::codec::{AxisCommand, ControlMessage, Letter, SpeedCounts, WireFormat};
 use pb3dp_arm_pa10::gateway::{Gateway, GatewayConfig, GatewayConfigError};
 use pb3dp_arm_pa10::gateway_protocol::{
     ArmOperation, Dialect, DriveMode, FaultReport, GatewayMessage, GatewayState, HostMessage, RejectReason, StopCause,
 };
 use pb3dp_arm_pa10::watchdog::CommandWatchdog;
+use pb3dp_arm_pa10_test_support::gateway_bench::{
+    Bench, CYCLE, HOST_CYCLE, Sent, TICK, config, control, hello, ms, rejected, velocity,
+};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
 

@@ -2,10 +2,6 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-#[path = "common/gateway_bench.rs"]
-mod bench;
-
-use bench::{Bench, config, control, hello, ms, raw, raw_command, rejected, velocity};
 use pb3dp_arm_pa10::codec::{
     AngleCounts, ArmCommand, Axis, AxisCommand, COUNTS_PER_TURN, CommAlarm, CommWord, ControlMessage, Letter,
     ServoAlarm, ServoWord, SpeedCounts, Supervision, WireFormat,
@@ -14,6 +10,10 @@ use pb3dp_arm_pa10::gateway::GatewayConfig;
 use pb3dp_arm_pa10::gateway_protocol::{
     ArmOperation, Control, Dialect, DriveMode, FaultReport, GatewayMessage, GatewayState, Health, HostMessage,
     RejectReason, StopCause,
+};
+use pb3dp_arm_pa10_test_support::gateway_bench as bench;
+use pb3dp_arm_pa10_test_support::gateway_bench::{
+    Bench, config, control, hello, ms, raw, raw_command, rejected, velocity,
 };
 use pb3dp_kinematics::JointVector;
 

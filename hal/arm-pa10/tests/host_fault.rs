@@ -2,22 +2,17 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-#[path = "common/bus_bench.rs"]
-#[allow(dead_code, reason = "each test file uses its part")]
-mod bus_bench;
-#[path = "common/chain.rs"]
-mod chain;
-
+use pb3dp_arm_pa10_test_support::bus_bench;
 use std::time::Duration;
 
-use bus_bench::HOST_CYCLE;
-use chain::{ARM, Chain, Way};
 use pb3dp_arm_pa10::codec::{Axis, WireFormat};
 use pb3dp_arm_pa10::driver::{Driver, DriverConfig, DriverState, EmergencyStopCause, FaultCause, Request, Trip};
 use pb3dp_arm_pa10::gateway_protocol::{
     ArmOperation, Control, Dialect, FrameParser, GatewayState, HostMessage, Received, RejectReason, StopCause,
 };
 use pb3dp_arm_pa10::mock_controller::pa10_joints;
+use pb3dp_arm_pa10_test_support::bus_bench::HOST_CYCLE;
+use pb3dp_arm_pa10_test_support::chain::{ARM, Chain, Way};
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant};
 

@@ -1,6 +1,6 @@
 //! The bus through the kernel: a packet socket on an ARCNET interface whose other end is a tunnel, and a socket in its place.
 
-#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "tests, which say what they can not do here")]
+#![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -13,6 +13,7 @@ use pb3dp_arm_pa10::io::bus::{
     ArcnetError, ArcnetSocket, BusPort, FRAME_ROOM, FrameListener, FrameSocket, FrameSocketError,
 };
 use pb3dp_arm_pa10::io::transport::Symptom;
+use pb3dp_test_support::not_checked;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 /// Without something for this long a test fails.
@@ -79,9 +80,9 @@ impl Tunnel {
 
 #[test]
 fn frames_go_through_an_arcnet_interface_whole() {
-    let Ok(mut tunnel) = Tunnel::open("arctest0", libc::ARPHRD_ARCNET).map_err(|why| eprintln!("skipped: {why}"))
-    else {
-        return;
+    let mut tunnel = match Tunnel::open("arctest0", libc::ARPHRD_ARCNET) {
+        Ok(tunnel) => tunnel,
+        Err(why) => return not_checked("io_bus::frames_go_through_an_arcnet_interface_whole", &why),
     };
     assert_eq!(ArcnetSocket::open("arctest0").unwrap_err(), ArcnetError::Down { name: "arctest0".into() });
     tunnel.switch(true);

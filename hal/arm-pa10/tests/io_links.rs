@@ -2,16 +2,13 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-#[path = "common/byte_links.rs"]
-mod byte_links;
-
 use std::fs::File;
 use std::io::{Read, Write};
 use std::time::{Duration, Instant};
 
-use byte_links::{LONG, read_exactly};
 use pb3dp_arm_pa10::io::pty::Pty;
 use pb3dp_arm_pa10::io::transport::{ByteLink, Symptom, judge, pair, wait};
+use pb3dp_arm_pa10_test_support::byte_links::{LONG, read_exactly};
 use rustix::io::Errno;
 
 #[test]

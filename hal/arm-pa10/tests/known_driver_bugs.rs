@@ -2,16 +2,14 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-mod common;
-
 use std::time::Duration;
 
-use common::{Bench, CYCLE, Kind, velocity};
 use pb3dp_arm_pa10::codec::{
     AngleCounts, ArmCommand, Axis, AxisCommand, CodecError, ControlMessage, ControlPacket, Letter, ReplyMessage,
     ReplyPacket, SequenceModulus, ServoAlarm, ServoWord, SpeedCounts, Supervision, WireFormat,
 };
 use pb3dp_arm_pa10::driver::{DriverState, FaultCause, Request, Trip};
+use pb3dp_arm_pa10_test_support::driver_bench::{Bench, CYCLE, Kind, velocity};
 use pb3dp_kinematics::JointVector;
 
 fn moving(velocity_rad_per_s: [f64; 7]) -> ControlMessage {

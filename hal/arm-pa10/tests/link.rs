@@ -2,9 +2,6 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-#[path = "common/rig.rs"]
-mod rig;
-
 use std::time::Duration;
 
 use pb3dp_arm_pa10::arcnet::{self, Route};
@@ -20,8 +17,8 @@ use pb3dp_arm_pa10::gateway_protocol::{
     RejectReason, StopCause,
 };
 use pb3dp_arm_pa10::link::{BusFrameError, BusLink, GatewayLink, GatewayLinkConfig, HelloError, LinkError};
+use pb3dp_arm_pa10_test_support::link_rig::{ARM, CYCLE, FakeGateway, Rig, driver_config, link_config, ms, velocity};
 use pb3dp_geometry::MonotonicTime;
-use rig::{ARM, CYCLE, FakeGateway, Rig, driver_config, link_config, ms, velocity};
 
 fn rigs() -> [Rig; 3] {
     [

@@ -2,17 +2,14 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-#[path = "common/rig.rs"]
-mod rig;
-
 use std::time::Duration;
 
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{Activity, DriverState, FaultCause, Request, Trip};
 use pb3dp_arm_pa10::gateway_protocol::Dialect;
+use pb3dp_arm_pa10_test_support::link_rig::{CYCLE, Line, Rig, TICK, Way, good_line, ms, velocity};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
-use rig::{CYCLE, Line, Rig, TICK, Way, good_line, ms, velocity};
 
 fn rig() -> Rig {
     Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10)

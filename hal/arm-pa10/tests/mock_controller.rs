@@ -1,20 +1,15 @@
 //! The emulated controller, byte by byte. Bytes are those of the sources (docs of each wire format), written by hand.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
-#[path = "common/bus_bench.rs"]
-#[allow(dead_code, reason = "each test file uses its part")]
-mod bus_bench;
-#[path = "common/byte_bus.rs"]
-mod byte_bus;
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use bus_bench::{BusBench, START, home, plant};
-use byte_bus::Bus;
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{DriverState, Request};
 use pb3dp_arm_pa10::mock_controller::{ControlMode, MockController, MockControllerConfig};
+use pb3dp_arm_pa10_test_support::bus_bench::{BusBench, START, home, plant};
+use pb3dp_arm_pa10_test_support::byte_bus::Bus;
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::AxisMode;
 

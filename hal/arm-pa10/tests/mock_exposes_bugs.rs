@@ -3,19 +3,13 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-#[path = "common/bus_bench.rs"]
-#[allow(dead_code, reason = "each test file uses its part")]
-mod bus_bench;
-#[path = "common/byte_bus.rs"]
-mod byte_bus;
-
 use std::time::Duration;
 
-use bus_bench::{BusBench, START, home, plant, plant_config};
-use byte_bus::Bus;
 use pb3dp_arm_pa10::codec::{Axis, CommAlarm, ServoAlarm, WireFormat};
 use pb3dp_arm_pa10::driver::{EmergencyStopCause, FaultCause, Request, Trip};
 use pb3dp_arm_pa10::mock_controller::{ControlMode, MockControllerConfig};
+use pb3dp_arm_pa10_test_support::bus_bench::{BusBench, START, home, plant, plant_config};
+use pb3dp_arm_pa10_test_support::byte_bus::Bus;
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::JointPlant;
 

@@ -3,19 +3,15 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-#[path = "common/bus_bench.rs"]
-#[allow(dead_code, reason = "each test file uses its part")]
-mod bus_bench;
-#[path = "common/injection.rs"]
-mod injection;
-
 use std::time::Duration;
 
-use bus_bench::{BUS_CYCLE, BusBench};
-use injection::{Braking, Dice, Stop, braking_time, controller_alarm, joints, last_motion, servo_alarm, table_line};
 use pb3dp_arm_pa10::codec::{Supervision, WireFormat};
 use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, Request};
 use pb3dp_arm_pa10::mock_controller::{ControlMode, MockControllerConfig};
+use pb3dp_arm_pa10_test_support::bus_bench::{BUS_CYCLE, BusBench};
+use pb3dp_arm_pa10_test_support::injection::{
+    Braking, Dice, Stop, braking_time, controller_alarm, joints, last_motion, servo_alarm, table_line,
+};
 use pb3dp_kinematics::JointVector;
 
 /// A kind of fault.

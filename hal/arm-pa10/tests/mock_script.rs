@@ -212,8 +212,8 @@ fn the_documentation_names_tests_that_exist() {
     let hal = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let mut found = 0;
     for (file, test) in table.split('`').skip(1).step_by(2).filter_map(|quoted| quoted.split_once("::")) {
-        let paths =
-            ["arm-pa10", "middleware"].map(|package| hal.join(package).join("tests").join(format!("{file}.rs")));
+        let folders = ["arm-pa10/tests", "arm-pa10/tests/real_time", "arm-pa10/tests/alone", "middleware/tests"];
+        let paths = folders.map(|folder| hal.join(folder).join(format!("{file}.rs")));
         let text: String = paths.iter().filter_map(|path| std::fs::read_to_string(path).ok()).collect();
         assert!(text.contains(&format!("#[test]\nfn {test}()")), "{file}::{test}");
         found += 1;

@@ -1,11 +1,6 @@
 //! The cycle of driver, codec and link does not touch the heap.
 #![allow(clippy::unwrap_used)] // In helpers of tests.
 
-mod common;
-#[path = "common/gateway_bench.rs"]
-mod gateway_bench;
-
-use common::{Bench, CYCLE, velocity};
 use pb3dp_allocation_count::requests;
 use pb3dp_arm_pa10::arcnet::{self, Route};
 use pb3dp_arm_pa10::codec::{ControlPacket, ReplyMessage, ReplyPacket, SequenceModulus, WireFormat};
@@ -13,6 +8,8 @@ use pb3dp_arm_pa10::driver::{DriverState, Reply, Request};
 use pb3dp_arm_pa10::gateway_protocol::{
     ArmId, ArmOperation, DriveCommand, DriveMode, FrameParser, GatewayState, HostMessage, Received,
 };
+use pb3dp_arm_pa10_test_support::driver_bench::{Bench, CYCLE, velocity};
+use pb3dp_arm_pa10_test_support::gateway_bench;
 
 #[test]
 fn cycles_do_not_allocate() {

@@ -2,21 +2,15 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-#[path = "common/bus_bench.rs"]
-#[allow(dead_code, reason = "each test file uses its part")]
-mod bus_bench;
-#[path = "common/chain.rs"]
-mod chain;
-
 use std::time::Duration;
 
-use bus_bench::plant;
-use chain::{ARM, Chain, Way};
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{Activity, DriverState, FaultCause, MEASUREMENT_AGE_MAX, Request, Trip};
 use pb3dp_arm_pa10::gateway_protocol::{
     Dialect, Frame, FrameParser, GatewayMessage, GatewayState, Received, State, StopCause,
 };
+use pb3dp_arm_pa10_test_support::bus_bench::plant;
+use pb3dp_arm_pa10_test_support::chain::{ARM, Chain, Way};
 use pb3dp_kinematics::JointVector;
 
 const fn ms(ms: u64) -> Duration {

@@ -2,16 +2,12 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-#[path = "common/bus_bench.rs"]
-#[allow(dead_code, reason = "each test file uses its part")]
-mod bus_bench;
-
 use std::time::Duration;
 
-use bus_bench::{BUS_CYCLE, BusBench, START, assert_held};
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, FaultCause, Request, Trip};
 use pb3dp_arm_pa10::mock_controller::{ControlMode, MockControllerConfig, pa10_joints};
+use pb3dp_arm_pa10_test_support::bus_bench::{BUS_CYCLE, BusBench, START, assert_held};
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant};
 

@@ -2,21 +2,16 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-#[path = "common/bus_bench.rs"]
-#[allow(dead_code, reason = "each test file uses its part")]
-mod bus_bench;
-#[path = "common/chain.rs"]
-mod chain;
-
+use pb3dp_arm_pa10_test_support::bus_bench;
 use std::time::Duration;
 
-use bus_bench::{START, assert_held};
-use chain::{ARM, Chain};
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, FaultCause, Request, Trip};
 use pb3dp_arm_pa10::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10::gateway_protocol::{Dialect, Firmware, GatewayState, RejectReason, StopCause};
 use pb3dp_arm_pa10::mock_controller::{ControlMode, pa10_joints};
+use pb3dp_arm_pa10_test_support::bus_bench::{START, assert_held};
+use pb3dp_arm_pa10_test_support::chain::{ARM, Chain};
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant};
 

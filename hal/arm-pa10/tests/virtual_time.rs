@@ -2,15 +2,11 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-#[path = "common/plant_config.rs"]
-mod joints;
-
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use joints::plant_config;
 use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, FaultCause, LimitsCheck, Trip};
 use pb3dp_arm_pa10::far_end::FarEnd;
@@ -19,6 +15,7 @@ use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, G
 use pb3dp_arm_pa10::io::arm::{Pa10Arm, Pa10ArmConfig, RawBytes, TripSeat, VirtualEnd, VirtualTime, virtual_trip_line};
 use pb3dp_arm_pa10::link::GatewayLinkConfig;
 use pb3dp_arm_pa10::mock_controller::{MockController, MockControllerConfig};
+use pb3dp_arm_pa10_test_support::plant_config::plant_config;
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, arm_suite};

@@ -2,11 +2,10 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "helpers of tests")]
 
-mod support;
-
 use std::sync::Arc;
 use std::time::Duration;
 
+use crate::support::{PERIOD_MILLIS, Rig, SECOND, SMALL, config, millis};
 use pb3dp_camera_v4l2::controls::{Setting, id};
 use pb3dp_camera_v4l2::emulated::{Call, EmulatedCamera, EmulatedSystem, Faults};
 use pb3dp_camera_v4l2::names::CameraName;
@@ -17,7 +16,6 @@ use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_conformance::{CameraExpectations, stereo_camera_suite};
 use rustix::io::Errno;
-use support::{PERIOD_MILLIS, Rig, SECOND, SMALL, config, millis};
 
 fn refused(result: Result<V4l2StereoCamera, CameraError>) -> (CameraErrorKind, String) {
     let error = result.err().expect("it must be refused");

@@ -2,14 +2,12 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
-mod support;
-
+use crate::support::{Rig, SECOND, config};
 use image::RgbImage;
 use pb3dp_camera_v4l2::pixels::{Converter, Layout, PixelError, PixelFormat, YuvMatrix, YuvRange};
 use pb3dp_geometry::ImageSize;
 use pb3dp_hal_api::{CameraErrorKind, StereoCamera};
 use proptest::prelude::*;
-use support::{Rig, SECOND, config};
 
 /// 160 x 96 pixels of a photograph as cameras send them: 4:2:2, the standard tables; in the second one a restart marker for each 8 rows.
 const PLAIN: &[u8] = include_bytes!("data/plain.jpg");

@@ -2,11 +2,10 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-mod support;
-
 use std::sync::Arc;
 use std::time::Duration;
 
+use crate::support::{PERIOD_MILLIS, Rig, SECOND, SMALL, config, millis};
 use pb3dp_camera_v4l2::controls::{Focus, Setting, id};
 use pb3dp_camera_v4l2::emulated::Call;
 use pb3dp_camera_v4l2::{ReopeningCamera, Side};
@@ -14,7 +13,6 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraErrorKind, Clock, FramePair, StereoCamera};
 use pb3dp_hal_conformance::{CameraExpectations, stereo_camera_suite};
 use rustix::io::Errno;
-use support::{PERIOD_MILLIS, Rig, SECOND, SMALL, config, millis};
 
 const LOOKED_FOR: Duration = Duration::from_secs(10);
 

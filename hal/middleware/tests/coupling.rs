@@ -2,12 +2,10 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-mod common;
-
 use std::sync::Arc;
 use std::time::Duration;
 
-use common::{
+use crate::common::{
     COMMAND_TIMEOUT, CYCLE, acceleration, assert_contract, guard_config, jerk, limiter_config, mock_arm, velocity,
 };
 use nalgebra::{UnitQuaternion, Vector3};

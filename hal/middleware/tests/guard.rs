@@ -2,12 +2,12 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-mod common;
-
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use common::{CYCLE, Tamper, Tampered, assert_contract, guard_config, hard_limits, limiter_config, mock_arm, velocity};
+use crate::common::{
+    CYCLE, Tamper, Tampered, assert_contract, guard_config, hard_limits, limiter_config, mock_arm, velocity,
+};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_clock::VirtualClock;

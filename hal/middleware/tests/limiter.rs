@@ -2,12 +2,10 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-mod common;
-
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use common::{
+use crate::common::{
     COMMAND_TIMEOUT, CYCLE, Tamper, Tampered, acceleration, assert_contract, hard_limits, jerk, limiter_config,
     mock_arm, operating_range_rad, velocity,
 };

@@ -2,11 +2,9 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-mod common;
-
 use std::sync::Arc;
 
-use common::{CYCLE, assert_contract, mock_arm, velocity};
+use crate::common::{CYCLE, assert_contract, mock_arm, velocity};
 use pb3dp_arm_pa10::MockArm;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};

@@ -10,12 +10,12 @@ mod lines;
 mod outputs;
 mod pictures;
 mod program;
-#[path = "../../../hal/arm-pa10/examples/guest/report.rs"]
+#[path = "../../../hal/arm-pa10/examples/arm_guest/report.rs"]
 #[allow(dead_code, reason = "other programs have cables that are pulled")]
 mod report;
 mod run;
 mod setup;
-#[path = "../../../hal/arm-pa10/examples/guest/system.rs"]
+#[path = "../../../hal/arm-pa10/examples/arm_guest/system.rs"]
 #[allow(dead_code, reason = "other programs read what the kernel says")]
 mod system;
 mod world;

@@ -44,7 +44,8 @@ fn main() -> Result<()> {
 /// The repository's setup, with the card.
 fn setup(geometric: bool, seed: u64) -> Result<Setup> {
     let mut setup = read_setup(&repository().join("configs/sim.toml"))?;
-    (setup.seed, setup.scene.target) = (seed, TargetConfig::card());
+    setup.reseed(seed);
+    setup.scene.target = TargetConfig::card();
     setup.compared.clear();
     if geometric {
         setup.leader =
@@ -56,13 +57,17 @@ fn setup(geometric: bool, seed: u64) -> Result<Setup> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use pb3dp_test_support::sweep;
+
     use crate::cycles::Figures;
 
+    /// As few as can be judged; five with `cargo xtask test --all`.
     #[test]
-    fn five_minutes_leave_memory_and_hand_as_they_were() {
-        let figures = repeat(&setup(true, 1).unwrap(), 5.0, |_| ()).unwrap();
+    fn minutes_there_and_back_leave_memory_and_hand_as_they_were() {
+        let (minutes, cycles) = sweep((2.4, 24), (5.0, 50));
+        let figures = repeat(&setup(true, 1).unwrap(), minutes, |_| ()).unwrap();
         println!("{}", figures.text());
-        assert_eq!(figures.cycles(), 50);
+        assert_eq!(figures.cycles(), cycles);
         figures.judge().unwrap();
     }
 

@@ -13,7 +13,7 @@ use pb3dp_orchestrator::wiring::{Parts, wire};
 use pb3dp_sim::trajectory::Channel;
 use serde_json::Value;
 
-use crate::support::*;
+use crate::closed_loop::support::*;
 
 /// The arm with the target is wired like the arm with the cameras: the same refusals, states and limits.
 #[test]

@@ -6,8 +6,8 @@ use pb3dp_orchestrator::wiring::wire;
 use pb3dp_record::dataset::load_sequence;
 use pb3dp_sim::trajectory::Channel;
 
-use crate::support::*;
-use crate::watched::watched;
+use crate::closed_loop::support::*;
+use crate::closed_loop::watched::watched;
 
 /// Runs until one arm fails in the middle of the target's first move.
 fn check(which: &str) {

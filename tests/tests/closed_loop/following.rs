@@ -11,10 +11,11 @@ use pb3dp_orchestrator::wiring::wire;
 use pb3dp_sim::targets::TargetConfig;
 use pb3dp_sim::trajectory::Channel;
 
-use crate::support::*;
-use crate::watched::{Notes, watched};
+use crate::closed_loop::support::*;
+use crate::closed_loop::watched::{Notes, watched};
 
-/// How far the hand may be off at rest, and in its ways along x and about y.
+/// How far the hand may be off at rest, and in its ways along x and about y. Chosen: half as much again as was measured with
+/// two seeds, and far less than the way of a hand that never moves.
 struct Limits {
     rms_mm: f64,
     rms_deg: f64,
@@ -26,7 +27,7 @@ struct Limits {
 
 #[test]
 fn with_the_published_method_the_hand_follows_the_crab_and_both_arms_keep_their_limits() {
-    let limits = Limits { rms_mm: 38.0, rms_deg: 4.5, max_mm: 45.0, max_deg: 5.0, way_x_mm: 40.0, way_ry_mm: 45.0 };
+    let limits = Limits { rms_mm: 20.0, rms_deg: 2.0, max_mm: 26.0, max_deg: 3.0, way_x_mm: 18.0, way_ry_mm: 30.0 };
     let log = follow_the_crab(Method::Published, &limits);
     let without_pose = log.leading.frames.iter().filter(|frame| frame.depth_error_m.is_none()).count();
     let frames = log.leading.frames.len();
@@ -36,7 +37,7 @@ fn with_the_published_method_the_hand_follows_the_crab_and_both_arms_keep_their_
 /// The crab's shell is 10 mm high: the plane through it is not the true one, and what is left at rest is mostly this.
 #[test]
 fn with_the_direct_method_the_hand_follows_the_crab_and_both_arms_keep_their_limits() {
-    let limits = Limits { rms_mm: 8.0, rms_deg: 1.0, max_mm: 9.0, max_deg: 1.2, way_x_mm: 3.0, way_ry_mm: 5.0 };
+    let limits = Limits { rms_mm: 8.0, rms_deg: 1.0, max_mm: 9.0, max_deg: 1.2, way_x_mm: 1.0, way_ry_mm: 2.5 };
     let log = follow_the_crab(Method::Direct, &limits);
     assert!(log.leading.frames.iter().all(|frame| frame.status == "ok"), "nothing lost, nothing doubted");
     assert!(log.leading.rotation_about_normal_observed);
@@ -68,7 +69,7 @@ fn follow_the_crab(method: Method, limits: &Limits) -> RunLog {
     let (hand_mm, wanted_mm) = ways_mm(log, 5.95, 8.45);
     assert!((wanted_mm.norm() - 173.6).abs() < 5.0, "{wanted_mm}");
     assert!((hand_mm - wanted_mm).norm() < limits.way_ry_mm, "the hand went {hand_mm}, wanted {wanted_mm}");
-    assert!(log.control.iter().all(|sample| sample.smallest_singular_value > 0.05));
+    assert!(log.control.iter().all(|sample| sample.smallest_singular_value > 0.15));
     keeps_its_speeds("vs-robot", &setup.vs, &vs);
     keeps_its_speeds("tc-robot", &setup.tc, &tc);
     outcome.log
@@ -92,7 +93,7 @@ fn keeps_its_speeds(name: &str, arm: &ArmSetup, notes: &Notes) {
             fastest = fastest.max(told.abs() / allowed[joint]);
         }
     }
-    assert!(fastest > 0.2, "{name} moved: {fastest} of what is allowed");
+    assert!(fastest > 0.4, "{name} moved: {fastest} of what is allowed");
 }
 
 #[test]
@@ -103,6 +104,7 @@ fn with_the_published_method_the_card_is_followed_as_well() {
     let Errors { rms_mm, rms_deg, .. } = errors(&log, 2.6, 3.0);
     assert!(rms_mm < 45.0 && rms_deg < 6.0, "the hand is off by {rms_mm:.1} mm and {rms_deg:.1} degrees");
     let (hand_mm, wanted_mm) = ways_mm(&log, 0.9, 2.95);
+    // With the seed of the file 36 mm, with another one 3 mm; a hand that never moves is 100 mm away.
     assert!((hand_mm - wanted_mm).norm() < 45.0, "went {hand_mm}, wanted {wanted_mm}");
 }
 
@@ -117,36 +119,48 @@ fn with_the_direct_method_card_and_grey_box_are_followed_to_a_millimetre() {
         let last = TrackingError::of(log.control.last().unwrap());
         let about_deg = last.orientation_rad.to_degrees();
         let what = format!("{target:?}: off by {rms_mm:.2} mm, tilt {rms_deg:.2}, in all {about_deg:.2} degrees");
-        assert!(rms_mm < 2.0 && rms_deg < 0.3 && about_deg < 0.3, "{what}");
+        assert!(rms_mm < 0.8 && rms_deg < 0.1 && about_deg < 0.12, "{what}");
         assert!(log.leading.frames.iter().all(|frame| frame.status == "ok"), "{what}");
         let turned =
             log.control[0].world_from_hand.rotation().angle_to(&log.control.last().unwrap().world_from_hand.rotation());
-        assert!((turned.to_degrees() - 20.0).abs() < 0.5, "the hand turned by {} degrees", turned.to_degrees());
+        assert!((turned.to_degrees() - 20.0).abs() < 0.3, "the hand turned by {} degrees", turned.to_degrees());
     }
 }
 
-/// The potato's hue is near that of the sand behind it, and it is no plane: a method may doubt, and then the hand rests.
+/// The potato's hue is near that of the sand behind it, and it is no plane: the published method doubts every pose, and the hand rests.
 #[test]
-fn the_potato_is_followed_or_the_hand_rests() {
-    check_potato(Method::Published);
-    check_potato(Method::Direct);
+fn with_the_published_method_the_hand_rests_before_the_potato() {
+    let (log, sure) = before_the_potato(Method::Published);
+    assert_eq!(sure, 0);
+    let (hand_mm, wanted_mm) = ways_mm(&log, 0.0, 2.95);
+    assert!(hand_mm.norm() < 1e-9, "moved by {hand_mm} without a sure estimate");
+    assert!(wanted_mm.norm() > 80.0, "the target itself did move: {wanted_mm}");
 }
 
-fn check_potato(method: Method) {
+/// What is off at first is the plane that the direct method lays through a round target; the way from there on is the target's.
+#[test]
+fn with_the_direct_method_the_potato_is_followed() {
+    let (log, sure) = before_the_potato(Method::Direct);
+    assert_eq!(sure, log.leading.frames.len());
+    for frame in &log.leading.frames {
+        let off_mm = frame.depth_error_m.unwrap().abs() * 1e3;
+        assert!(off_mm < 10.0, "sure at {:.2} s of a depth that is off by {off_mm:.1} mm", frame.t_s);
+    }
+    let (hand_mm, wanted_mm) = ways_mm(&log, 0.9, 2.95);
+    assert!((wanted_mm.norm() - 100.0).abs() < 2.0, "the target went 100 mm: {wanted_mm}");
+    let apart_mm = (hand_mm - wanted_mm).norm();
+    // Measured: 45 mm, mostly along the sight. A hand that never moves is 100 mm away.
+    assert!(apart_mm < 65.0, "the hand went {hand_mm}, wanted {wanted_mm}");
+}
+
+/// A run before the potato, and how many of its frames had a sure pose.
+fn before_the_potato(method: Method) -> (RunLog, usize) {
     let mut setup = quick_setup(method, Pixels::Few, &[Channel::X]);
     setup.scene.target = TargetConfig::potato();
     let log = run(&setup, Some(3.0)).log;
-    let is_sure = |status: &str| ["ok", "weak-tilt"].contains(&status);
-    let sure = log.leading.frames.iter().filter(|frame| is_sure(&frame.status)).count();
-    let (hand_mm, wanted_mm) = ways_mm(&log, 0.0, 2.95);
-    if sure == 0 {
-        assert!(hand_mm.norm() < 1e-9, "moved by {hand_mm} without a sure estimate");
-    }
-    for frame in log.leading.frames.iter().filter(|frame| is_sure(&frame.status)) {
-        let off_mm = frame.depth_error_m.unwrap().abs() * 1e3;
-        assert!(off_mm < 35.0, "sure at {:.2} s of a depth that is off by {off_mm:.1} mm", frame.t_s);
-    }
-    assert!((hand_mm - wanted_mm).norm() < 110.0, "never farther away than by resting: {hand_mm}, {wanted_mm}");
+    assert!(log.leading.frames.len() > 85, "{}", log.leading.frames.len());
+    let sure = log.leading.frames.iter().filter(|frame| ["ok", "weak-tilt"].contains(&frame.status.as_str())).count();
+    (log, sure)
 }
 
 /// The hand stays where it is. While the box is where it was marked, no frame has a pose; later the marked place may show some of

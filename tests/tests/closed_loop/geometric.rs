@@ -10,8 +10,8 @@ use pb3dp_servo::LawConfig;
 use pb3dp_sim::geometric::{GeometricConfig, PoseSigma};
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig};
 
-use crate::support::*;
-use crate::watched::watched;
+use crate::closed_loop::support::*;
+use crate::closed_loop::watched::watched;
 
 pub const QUIET: GeometricConfig = GeometricConfig {
     noise: PoseSigma { lateral_m: 0.0, depth_m: 0.0, tilt_rad: 0.0, about_normal_rad: 0.0 },

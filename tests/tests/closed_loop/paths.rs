@@ -12,7 +12,7 @@ use pb3dp_orchestrator::config::setup::Setup;
 use pb3dp_orchestrator::wiring::{check_paths, wire};
 use pb3dp_sim::trajectory::{Channel, Trajectory};
 
-use crate::support::whole_setup;
+use crate::closed_loop::support::whole_setup;
 
 /// The bound for the smallest singular value of the Jacobian, metres and radians.
 const SINGULAR_VALUE_MIN: f64 = 0.05;

@@ -8,7 +8,7 @@ use pb3dp_orchestrator::run::report;
 use pb3dp_orchestrator::run::summary::summarize;
 use pb3dp_sim::trajectory::Channel;
 
-use crate::support::*;
+use crate::closed_loop::support::*;
 
 /// Everything that a run writes down, without what depends on the machine's speed: the file of the time series, and the log
 /// with numbers to the last bit.

@@ -19,8 +19,8 @@ use pb3dp_sim::scene::{Scene, SceneConfig};
 use pb3dp_sim::targets::TargetConfig;
 use pb3dp_sim::trajectory::Channel;
 
-use crate::geometric::QUIET;
-use crate::support::*;
+use crate::closed_loop::geometric::QUIET;
+use crate::closed_loop::support::*;
 
 fn fault(kind: CameraFaultKind, from_s: f64, until_s: f64) -> CameraFault {
     CameraFault { kind, from: Duration::from_secs_f64(from_s), until: Duration::from_secs_f64(until_s) }

@@ -64,9 +64,7 @@ pub fn manifest(path: &str, text: &str) -> Vec<Violation> {
     }
     for key in ["version", "edition", "rust-version", "license", "publish"] {
         let value = table.get("package").and_then(|package| package.get(key));
-        // A package that few need may want a newer compiler than the rest; docs/adr/0002-dependencies.md says why.
-        let states_its_own = key == "rust-version" && value.is_some_and(toml::Value::is_str);
-        if !inherits(value) && !states_its_own {
+        if !inherits(value) {
             violations.push(Violation::of(path, "manifest", format!("`{key}.workspace = true` is missing")));
         }
     }
@@ -112,11 +110,10 @@ mod tests {
     #[test]
     fn a_manifest_of_its_own_mind_is_caught() {
         assert_eq!(manifest("crates/a/Cargo.toml", MANIFEST), []);
-        let newer = MANIFEST.replace("rust-version.workspace = true", "rust-version = \"1.91\"");
-        assert_eq!(manifest("crates/a/Cargo.toml", &newer), []);
         for (from, to) in [
             ("[lints]\nworkspace = true\n", ""),
             ("edition.workspace = true", "edition = \"2021\""),
+            ("rust-version.workspace = true", "rust-version = \"1.95\""),
             ("nalgebra.workspace = true", "nalgebra = \"0.34\""),
         ] {
             let text = MANIFEST.replace(from, to);

@@ -7,7 +7,8 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, bail};
 
 use super::modules::unpacked;
-use super::{NotPossible, output_of};
+use super::output_of;
+use crate::not_possible::NotPossible;
 
 /// The package that needs the kernel of the day: the name of that one changes with every update.
 const METAPACKAGE: &str = "linux-image-amd64";

@@ -9,11 +9,11 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 
-use super::NotPossible;
 use super::control::Control;
 use super::kernel::{apt_get, is_root};
 use super::output_of;
 use super::suites::Suite;
+use crate::not_possible::NotPossible;
 
 const QEMU: &str = "qemu-system-x86_64";
 const PACKAGE: &str = "qemu-system-x86";

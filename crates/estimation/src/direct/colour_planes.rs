@@ -231,7 +231,7 @@ mod tests {
     #[test]
     fn planes_are_the_turn_of_the_pixels_with_every_kernel() {
         let (image, window) = (image(), PixelWindow { x: 3, y: -2, width: 80, height: 8 });
-        for kernels in Kernels::available() {
+        for kernels in crate::cpu::every_kernel() {
             let mut planes = ColourPlanes::default();
             planes.update(&image, window, Wanted::Colour, kernels);
             assert_eq!(planes.window, PixelWindow { x: 3, y: 0, width: 58, height: 6 });

@@ -350,7 +350,7 @@ mod tests {
                 sum
             };
             let mut first: Option<ImagePlane> = None;
-            for kernels in Kernels::available() {
+            for kernels in crate::cpu::every_kernel() {
                 let mut out = ImagePlane::default();
                 Smoother::default().smooth(&plane, &rows, &columns, &mut out, kernels);
                 for (x, y) in (0..width).flat_map(|x| (0..height).map(move |y| (x, y))) {
@@ -371,7 +371,7 @@ mod tests {
             });
             let source = PixelRows { size: (width, height), rows: &rows, first: 1, wanted: (4, height - 3) };
             let mut first: Option<[ImagePlane; 3]> = None;
-            for kernels in Kernels::available() {
+            for kernels in crate::cpu::every_kernel() {
                 let (mut smoother, mut out) = (Smoother::default(), <[ImagePlane; 3]>::default());
                 smoother.smooth_pixels(&source, (&along, &across), &middle, &mut out, kernels);
                 for (c, out) in out.iter().enumerate() {

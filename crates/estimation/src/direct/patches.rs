@@ -418,7 +418,7 @@ mod tests {
     fn a_plane_that_is_a_little_off_is_put_right_with_every_kernel() {
         let start = LevelPlane { a: 0.05, b: -0.025, c: 9.6, row: 0 };
         let mut bits = Vec::new();
-        for kernels in Kernels::available() {
+        for kernels in crate::cpu::every_kernel() {
             let (mut level, mut patches) = (level(f64::MAX), SlantedPatches::default());
             let config = PatchConfig { support_px: 1.5, ..PatchConfig::default() };
             let first = patches.run(&mut level, &start, &config, kernels);

@@ -95,7 +95,7 @@ fn votes_are_those_of_the_paper() {
         let range = range(0.7);
         let mut exact = 0;
         let psis = random_hypotheses(17, &range, 400);
-        for kernels in Kernels::available() {
+        for kernels in crate::cpu::every_kernel() {
             let mut fitness = HueFitness::new(FitnessConfig::default(), kernels).expect("config");
             let frame = fitness.prepare(&pair, &model, &right, &range).expect("frame");
             for psi in &psis {
@@ -130,6 +130,23 @@ fn kernels_agree_on_many_hypotheses() {
     }
 }
 
+/// Small enough for the interpreter Miri (`cargo xtask miri`), with points at the border of the image and outside of it.
+#[test]
+fn kernels_agree_on_a_small_image() {
+    const SMALL: ImageSize = ImageSize { width: 40, height: 30 };
+    let right_rgb = RgbImage::from_fn(SMALL.width, SMALL.height, |x, y| Rgb([200, (x * 37 + y * 91) as u8, 40]));
+    let right = HuePlane::from_rgb(&right_rgb, &GATE);
+    let hue = Hue::from_degrees(30.0);
+    let points = |step: usize| (0..30).step_by(step).map(|k| ModelPoint { u: k + 5, v: k % 30, hue }).collect();
+    let model = PhotoModel::from_points(Vector2::new(20.2, 14.8), points(1), points(4));
+    let range = SearchRange::new(0.3, 0.7, 0.4).expect("range");
+    let psis = random_hypotheses(3, &range, 20);
+    for rig in [scene::rectified_rig(SMALL), scene::general_rig(SMALL)] {
+        let pair = PinholePair::from_rig(&rig).expect("pair");
+        assert!(check_kernels(&pair, &model, &right, &range, &psis) > 10, "few hypotheses are accepted");
+    }
+}
+
 /// Compares all kernels, in batches and one by one, mismatching and abstaining; returns how many were scored.
 fn check_kernels(
     pair: &PinholePair,
@@ -142,7 +159,7 @@ fn check_kernels(
     for unseen in [Unseen::Mismatch, Unseen::Abstain] {
         let config = FitnessConfig { unseen, ..FitnessConfig::default() };
         let mut expected = vec![0; psis.len()];
-        for kernels in Kernels::available() {
+        for kernels in crate::cpu::every_kernel() {
             let mut fitness = HueFitness::new(config, kernels).expect("config");
             let frame = fitness.prepare(pair, model, right, range).expect("frame");
             let mut scores = vec![7; psis.len()];

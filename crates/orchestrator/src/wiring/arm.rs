@@ -312,10 +312,10 @@ pub(super) fn emulate(
     link: &GatewayLinkConfig,
     wanted: Wanted<'_>,
 ) -> Result<(MockServer, SharedPlant)> {
-    let Wanted { name, clock, .. } = wanted;
+    let Wanted { name, arm, clock, .. } = wanted;
     let (controller, gateway, plant) = emulated_parts(link, wanted)?;
     let realtime = Realtime { priority: Some(EMULATION_PRIORITY), locks_memory: false, cpu: None };
-    let config = MockServerConfig { controller, seed: 0, script: Script::default(), realtime };
+    let config = MockServerConfig { controller, seed: arm.emulation_seed, script: Script::default(), realtime };
     let server = MockServer::start(config, face(gateway), Arc::clone(&plant), Arc::clone(clock))
         .with_context(|| format!("{name}: emulation"))?;
     Ok((server, plant))
@@ -323,10 +323,10 @@ pub(super) fn emulate(
 
 /// The same in simulated time.
 fn emulate_virtually(link: &GatewayLinkConfig, wanted: Wanted<'_>) -> Result<(VirtualEnd, SharedPlant)> {
-    let Wanted { name, clock, .. } = wanted;
+    let Wanted { name, arm, clock, .. } = wanted;
     let (controller, gateway, plant) = emulated_parts(link, wanted)?;
     let now = clock.now();
-    let controller = MockController::new(controller, Arc::clone(&plant), 0, now);
+    let controller = MockController::new(controller, Arc::clone(&plant), arm.emulation_seed, now);
     let controller = controller.with_context(|| format!("{name}: emulation"))?;
     let gateway = Gateway::new(gateway, now).with_context(|| format!("{name}: emulation"))?;
     Ok((VirtualEnd::new(FarEnd::new(controller, Some(gateway), now), EMULATED_BAUD), plant))

@@ -1,6 +1,6 @@
 //! `pb3dp cameras` on the machine of the tests, whatever that has; what it does with cameras is tested beside its code.
 
-use crate::support::{pb3dp, words};
+use crate::cli::support::{pb3dp, words};
 
 #[test]
 fn cameras_that_are_not_named_or_not_there_are_refused_with_what_to_do() {
@@ -17,7 +17,7 @@ fn cameras_that_are_not_named_or_not_there_are_refused_with_what_to_do() {
     pb3dp(&["cameras", "check", "--left", "front", "--right", "back"])
         .assert_refused(&["names no camera", "bus:PLACE"]);
     // A setup names them; its cameras are simulated, or not of this machine.
-    let setup = |name: &str| crate::support::repository().join("configs").join(name);
+    let setup = |name: &str| crate::cli::support::repository().join("configs").join(name);
     pb3dp(&words(&[&"cameras", &"check", &"--config", &setup("sim.toml")])).assert_refused(&["camera.backend", "v4l2"]);
     let rig = pb3dp(&words(&[&"cameras", &"record", &"--config", &setup("rig.toml"), &"--out", &out]));
     rig.assert_refused(&["bus:usb-0000:00:14.0-1", "look at its plug and cable"]);

@@ -1,5 +1,4 @@
 //! The files of configs/deploy, as far as the tools of this machine can judge them. That they parse, `cargo xtask tidy` checks.
-#![allow(clippy::print_stderr, reason = "tells what was left out")]
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -7,8 +6,9 @@ use std::process::Command;
 use clap::Parser;
 use pb3dp_orchestrator::cli::Cli;
 use pb3dp_orchestrator::config::gateway::read_gateway;
+use pb3dp_test_support::not_checked;
 
-use crate::support::repository;
+use crate::cli::support::repository;
 
 fn deployed(name: &str) -> PathBuf {
     repository().join("configs/deploy").join(name)
@@ -25,15 +25,15 @@ fn values(key: &str) -> Vec<String> {
     text.lines().filter_map(of).collect()
 }
 
-/// What a tool says of a file; none, and said so, where the machine has no such tool.
-fn judged(tool: &str, arguments: &[&str], file: &Path) -> Option<(bool, String)> {
+/// What a tool says of a file; none, and the test is reported as not checked, where the machine has no such tool.
+fn judged(test: &str, tool: &str, arguments: &[&str], file: &Path) -> Option<(bool, String)> {
     match Command::new(tool).args(arguments).arg(file).output() {
         Ok(output) => {
             let said = [output.stdout, output.stderr].concat();
             Some((output.status.success(), String::from_utf8_lossy(&said).into_owned()))
         }
         Err(error) => {
-            eprintln!("left out: {tool} {arguments:?}, which this machine has not ({error})");
+            not_checked(&format!("cli::deploy::{test}"), &format!("{tool} {arguments:?} cannot be run: {error}"));
             None
         }
     }
@@ -82,7 +82,7 @@ fn systemd_finds_nothing_wrong_with_the_unit() {
     // The program is not where it will be installed.
     let verify = |text: &str| {
         std::fs::write(&file, text.replace("/usr/local/bin/pb3dp", env!("CARGO_BIN_EXE_pb3dp"))).unwrap();
-        judged("systemd-analyze", &["verify", "--man=no"], &file)
+        judged("systemd_finds_nothing_wrong_with_the_unit", "systemd-analyze", &["verify", "--man=no"], &file)
     };
     let Some((works, said)) = verify(&unit()) else { return };
     // It also tells of other units of the machine.
@@ -93,10 +93,11 @@ fn systemd_finds_nothing_wrong_with_the_unit() {
 
 #[test]
 fn udev_finds_nothing_wrong_with_the_rules() {
-    let Some((works, said)) = judged("udevadm", &["verify"], &deployed("70-pb3dp.rules")) else { return };
+    let test = "udev_finds_nothing_wrong_with_the_rules";
+    let Some((works, said)) = judged(test, "udevadm", &["verify"], &deployed("70-pb3dp.rules")) else { return };
     if said.contains("nrecognized command") || said.contains("nknown command") {
-        eprintln!("left out: this udevadm is older than its command verify (254): {said}");
-        return;
+        let reason = format!("this udevadm is older than its command verify (254): {said}");
+        return not_checked(&format!("cli::deploy::{test}"), &reason);
     }
     assert!(works, "{said}");
 }
@@ -106,7 +107,8 @@ fn systemd_makes_the_groups() {
     let root = tempfile::tempdir().unwrap();
     std::fs::create_dir(root.path().join("etc")).unwrap();
     let rooted = format!("--root={}", root.path().display());
-    let Some((works, said)) = judged("systemd-sysusers", &[&rooted], &deployed("pb3dp-sysusers.conf")) else { return };
+    let (test, file) = ("systemd_makes_the_groups", deployed("pb3dp-sysusers.conf"));
+    let Some((works, said)) = judged(test, "systemd-sysusers", &[&rooted], &file) else { return };
     assert!(works, "{said}");
     let groups = std::fs::read_to_string(root.path().join("etc/group")).unwrap();
     for (group, member) in [("realtime", "pb3dp"), ("dialout", "pb3dp"), ("video", "")] {

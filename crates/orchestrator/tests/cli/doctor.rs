@@ -4,7 +4,7 @@ use std::process::Command;
 
 use serde_json::Value;
 
-use crate::support::repository;
+use crate::cli::support::repository;
 
 fn doctor(more: &[&str]) -> (Option<i32>, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_pb3dp")).arg("doctor").args(more).output().unwrap();

@@ -12,7 +12,7 @@ use pb3dp_sim::scene::SceneObject;
 use pb3dp_sim::targets::TargetConfig;
 use serde_json::Value;
 
-use crate::support::*;
+use crate::cli::support::*;
 
 /// The method of the paper, and the default.
 const METHODS: [&str; 2] = ["published", "direct"];

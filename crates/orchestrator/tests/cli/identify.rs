@@ -1,6 +1,6 @@
 //! `pb3dp identify delay` on the simulated cell, whose delays are known.
 
-use crate::support::{pb3dp, repository};
+use crate::cli::support::{pb3dp, repository};
 
 fn config(name: &str) -> String {
     repository().join("configs").join(name).display().to_string()

@@ -5,7 +5,7 @@ use std::os::unix::fs::FileTypeExt;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::support::pb3dp;
+use crate::cli::support::pb3dp;
 
 pub struct MockArm {
     child: Child,

@@ -3,7 +3,7 @@
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-use crate::support::*;
+use crate::cli::support::*;
 
 /// One real pair, copied, with the words that estimate it.
 struct Pair {

@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use crate::support::{pb3dp, repository};
+use crate::cli::support::{pb3dp, repository};
 
 fn plan(options: &str) -> Value {
     let args = [&["rig", "plan"], &options.split_whitespace().collect::<Vec<_>>()[..], &["--json"]].concat();

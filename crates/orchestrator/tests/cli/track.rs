@@ -9,7 +9,7 @@ use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter, WrittenF
 use pb3dp_record::images::PictureFormat;
 use pb3dp_sim::targets::TargetConfig;
 
-use crate::support::*;
+use crate::cli::support::*;
 
 const FRAMES: usize = 7;
 /// How far the target goes from frame to frame, mm: right, up, away.

@@ -8,7 +8,7 @@ use pb3dp_geometry::{Pose, so3};
 use pb3dp_record::images::load_rgb;
 use pb3dp_record::stops::{ArmOfPoses, Stops, WantedPoses, load_stops, save_poses};
 
-use crate::support::{Finished, pb3dp, repository, words};
+use crate::cli::support::{Finished, pb3dp, repository, words};
 
 const BOARD: [&str; 2] = ["--emulated-board", "9x6:20"];
 

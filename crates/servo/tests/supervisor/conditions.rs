@@ -7,7 +7,7 @@ use pb3dp_servo::supervisor::{
 };
 use pb3dp_servo::{HoldReason, Mode};
 
-use crate::bench::{Bench, STEP_S, at, config, with};
+use super::bench::{Bench, STEP_S, at, config, with};
 
 /// What is told otherwise than it is.
 type Lie = Box<dyn Fn(&mut Inputs)>;

@@ -2,7 +2,7 @@
 
 use pb3dp_servo::supervisor::{Action, Condition, Policy, Resume, Supervisor, SupervisorConfig};
 
-use crate::bench::{config, with};
+use super::bench::{config, with};
 
 fn refusal(config: SupervisorConfig) -> Option<String> {
     Supervisor::new(config).err().map(|error| error.to_string())

@@ -12,7 +12,7 @@ use pb3dp_servo::supervisor::{
     Permission, RangeEnd, Said, State, Supervisor, SupervisorConfig, Word,
 };
 
-use crate::bench::{at, config};
+use super::bench::{at, config};
 
 /// One step: what is wrong in it, if anything.
 #[derive(Clone, Debug)]

@@ -2,7 +2,7 @@
 
 use pb3dp_servo::supervisor::{Condition, Confidence, Innovation, Inputs, RefusedFor, State, SupervisorConfig, Word};
 
-use crate::bench::{Bench, FRAME_EVERY, STEP_S, at, config};
+use super::bench::{Bench, FRAME_EVERY, STEP_S, at, config};
 
 /// One picture in three shows the target where its motion does not lead to expect it.
 fn outliers(inputs: &mut Inputs) {

@@ -6,7 +6,7 @@ use pb3dp_servo::supervisor::{
 };
 use pb3dp_servo::{HoldReason, Mode};
 
-use crate::bench::{Bench, at, config, good, with};
+use super::bench::{Bench, at, config, good, with};
 
 /// A bench with a selected target that nothing speaks against.
 fn selected() -> Bench {

@@ -7,7 +7,7 @@ use pb3dp_servo::supervisor::{
 };
 use pb3dp_servo::{HoldReason, Mode};
 
-use crate::bench::{Bench, config};
+use super::bench::{Bench, config};
 
 /// A cause of each condition, with every detail that it can have, and what its line has to name.
 fn causes() -> Vec<(Cause, Vec<String>)> {

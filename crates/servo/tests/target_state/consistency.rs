@@ -8,7 +8,7 @@ use pb3dp_servo::{
     TargetStateConfig,
 };
 
-use crate::bench::{Noise, askew, at_s, diagonal, fine, measured};
+use super::bench::{Noise, askew, at_s, diagonal, fine, measured};
 
 /// Only Singer's model, the covariance believed as it is.
 fn singer() -> TargetStateConfig {

@@ -1,4 +1,4 @@
-//! The table of the filter in docs/servo.md: `cargo test -p pb3dp-servo --test target_state figures -- --nocapture`.
+//! The table of the filter in docs/servo.md: `cargo test -p pb3dp-servo --test integration figures -- --nocapture`.
 
 use nalgebra::Matrix6;
 use pb3dp_servo::{MotionConfig, TargetStateConfig};

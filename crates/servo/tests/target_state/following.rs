@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use nalgebra::{Matrix6, Vector3, Vector6};
 use pb3dp_servo::{MeasurementVerdict, SurpriseConfig, TargetState, TargetStateConfig};
 
-use crate::bench::{FIG7_S, Noise, at_s, coarse, fig7, fig7_phase, fine, follow, measured, model_from_hand, pose_of};
+use super::bench::{FIG7_S, Noise, at_s, coarse, fig7, fig7_phase, fine, follow, measured, model_from_hand, pose_of};
 
 /// An oblique axis of the model.
 const AXIS: [f64; 3] = [0.6, 0.64, 0.48];

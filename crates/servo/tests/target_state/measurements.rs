@@ -7,7 +7,7 @@ use pb3dp_geometry::{MonotonicTime, Pose, so3};
 use pb3dp_servo::{MeasurementVerdict, NotPredictable, PoseMeasurement, Prediction, TargetState, TargetStateConfig};
 use proptest::prelude::*;
 
-use crate::bench::{Noise, askew, at_s, coarse, fig7, measured, model_from_hand, pose_of};
+use super::bench::{Noise, askew, at_s, coarse, fig7, measured, model_from_hand, pose_of};
 
 const CONFIG_HISTORY: usize = 12;
 

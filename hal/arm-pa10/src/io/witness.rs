@@ -1,17 +1,13 @@
-//! How late the machine itself is: threads that do nothing but sleep, before all others on every processor or among them, and bytes that
-//! only go through a pseudo-terminal.
+//! How late the machine itself is: threads that do nothing but sleep, before all others, on every processor.
 
-use std::fs::File;
-use std::io::{self, Read};
+use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Barrier};
 use std::thread::{Builder, JoinHandle, available_parallelism};
 use std::time::Duration;
 
 use super::arm::{Jitter, JitterMeter};
-use super::pty::Pty;
 use super::realtime::{Realtime, enter, now, sleep_until};
-use super::transport::ByteLink;
 
 /// Above every thread of an arm: only the system and the machine below it hold these threads up, where the priority is to be had.
 const PRIORITY: u8 = 90;
@@ -34,30 +30,16 @@ impl Witness {
     /// If the system gives no thread.
     pub fn start() -> io::Result<Self> {
         let mut witness = Self { is_over: Arc::default(), threads: Vec::new() };
-        witness.on_each_processor(Some(PRIORITY))?;
+        witness.on_each_processor(PRIORITY)?;
         Ok(witness)
     }
 
-    /// As [`Self::start`], and beside these threads others that wait for their turn like every program, and bytes through a
-    /// pseudo-terminal, which a thread of the kernel carries that waits for its turn, too: whatever an arm at an emulated line depends on.
-    ///
-    /// # Errors
-    /// If the system gives no thread or no pseudo-terminal.
-    pub fn of_lines() -> io::Result<Self> {
-        let mut witness = Self::start()?;
-        witness.on_each_processor(None)?;
-        let line = Pty::open()?;
-        let far = File::open(line.path())?;
-        witness.spawn(move |is_over| echo(line, far, is_over))?;
-        Ok(witness)
-    }
-
-    fn on_each_processor(&mut self, priority: Option<u8>) -> io::Result<()> {
+    fn on_each_processor(&mut self, priority: u8) -> io::Result<()> {
         for cpu in 0..available_parallelism()?.get() {
             let runs = Arc::new(Barrier::new(2));
             let begun = Arc::clone(&runs);
             self.spawn(move |is_over| {
-                watch(&Realtime { priority, locks_memory: false, cpu: Some(cpu) }, &begun, is_over)
+                watch(&Realtime { priority: Some(priority), locks_memory: false, cpu: Some(cpu) }, &begun, is_over)
             })?;
             runs.wait();
         }
@@ -97,45 +79,15 @@ fn watch(place: &Realtime, begun: &Barrier, is_over: &AtomicBool) -> Jitter {
     meter.summary()
 }
 
-/// How long a byte takes through the line.
-fn echo(mut line: Pty, mut far: File, is_over: &AtomicBool) -> Jitter {
-    let _ = enter(&Realtime { priority: Some(PRIORITY), locks_memory: false, cpu: None });
-    let meter = JitterMeter::default();
-    while !is_over.load(Ordering::Relaxed) {
-        let at = now();
-        // Whoever can not write to a line of its own can not watch it either.
-        if !matches!(line.try_write(&[0x55]), Ok(1)) || far.read_exact(&mut [0]).is_err() {
-            break;
-        }
-        meter.record(now().saturating_since(at));
-        sleep_until(at + PERIOD);
-    }
-    meter.summary()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn it_counts_while_it_lives() {
-        for witness in [Witness::start(), Witness::of_lines()] {
-            let witness = witness.unwrap();
-            sleep_until(now() + Duration::from_millis(50));
-            let seen = witness.end();
-            assert!(seen.cycles > 0 && seen.max >= seen.p50, "{seen:?}");
-        }
-    }
-
-    #[test]
-    fn a_line_carries_its_bytes() {
-        let line = Pty::open().unwrap();
-        let far = File::open(line.path()).unwrap();
-        let is_over = Arc::new(AtomicBool::new(false));
-        let ends = Arc::clone(&is_over);
-        let thread = std::thread::spawn(move || echo(line, far, &ends));
+        let witness = Witness::start().unwrap();
         sleep_until(now() + Duration::from_millis(50));
-        is_over.store(true, Ordering::Relaxed);
-        assert!(thread.join().unwrap().cycles > 2);
+        let seen = witness.end();
+        assert!(seen.cycles > 0 && seen.max >= seen.p50, "{seen:?}");
     }
 }

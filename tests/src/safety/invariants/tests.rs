@@ -115,6 +115,27 @@ fn a_joint_beyond_its_range_is_found() {
     };
     silent(&run(1.0, always, free(260.0)));
     only(Invariant::Position, &run(1.0, always, free(270.5)));
+    // A joint that moved by itself may be out until the arm is back within its range, and not once more.
+    let disobeyed = |back_s: f64, out_again_s: f64| {
+        run(
+            1.0,
+            |_, _| false,
+            move |step| {
+                let t_s = step.t_s;
+                let is_out = t_s < back_s || t_s >= out_again_s;
+                let arm = &mut step.arms[TARGET_ARM];
+                arm.position_rad[4] = if is_out { 249.3f64 } else { 249.1 }.to_radians();
+                (arm.obeys, arm.by_itself) = (t_s >= 0.2, (t_s < 0.2).then_some(4));
+            },
+        )
+    };
+    let first_s = |truth: &Truth| {
+        let found = found_in(truth);
+        found.iter().find(|seen| seen.invariant == Invariant::Position).map(|seen| seen.first_s)
+    };
+    assert_eq!(first_s(&disobeyed(2.0, 2.0)), None);
+    assert_eq!(first_s(&disobeyed(0.5, 2.0)), None);
+    assert_eq!(first_s(&disobeyed(0.5, 0.8)), Some(0.8));
 }
 
 #[test]
@@ -170,12 +191,12 @@ fn acceleration_beyond_the_limit_is_found_in_jumps_and_in_ramps() {
         })
     };
     silent(&accelerates(2.0, 0.5));
-    let seen = only(Invariant::Acceleration, &accelerates(3.0, 0.5));
+    let seen = only(Invariant::Acceleration, &accelerates(2.5, 0.5));
     assert!(seen.note.contains("100 ms") && seen.joint == Some(2), "{seen}");
     let jump = run(1.0, always, |step| {
         let t_s = (step.t_s - 0.5).max(0.0);
-        step.arms[HAND_ARM].velocity_rad_per_s[2] = if t_s > 0.0 { 0.15 } else { 0.0 };
-        step.arms[HAND_ARM].position_rad[2] = 0.15 * t_s;
+        step.arms[HAND_ARM].velocity_rad_per_s[2] = if t_s > 0.0 { 0.09 } else { 0.0 };
+        step.arms[HAND_ARM].position_rad[2] = 0.09 * t_s;
     });
     assert!(only(Invariant::Acceleration, &jump).note.contains("20 ms"));
 }
@@ -347,7 +368,7 @@ fn a_hand_that_goes_nearer_than_the_target_allows_is_found_and_a_target_that_com
         },
     );
     let seen = only(Invariant::TargetApart, &leans);
-    assert!(seen.value > 0.18 && seen.note.contains("are left"), "{seen}");
+    assert!(seen.value > 0.06 && seen.note.contains("are left"), "{seen}");
 }
 
 #[test]

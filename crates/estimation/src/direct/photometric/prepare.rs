@@ -475,7 +475,7 @@ mod tests {
 
     #[test]
     fn a_single_coloured_pixel_is_seen_with_every_kernel() {
-        for kernels in Kernels::available() {
+        for kernels in crate::cpu::every_kernel() {
             let mut row: Vec<u8> = (0..70_u8).flat_map(|value| [value; 3]).collect();
             assert!(!has_colour(kernels, &row));
             for i in 0..row.len() {
@@ -488,7 +488,7 @@ mod tests {
 
     #[test]
     fn channels_near_a_saturated_one_are_marked_only_if_they_are_high() {
-        for (kernels, scale) in Kernels::available().flat_map(|kernels| [1, 2, 4].map(|scale| (kernels, scale))) {
+        for (kernels, scale) in crate::cpu::every_kernel().flat_map(|kernels| [1, 2, 4].map(|scale| (kernels, scale))) {
             let mut row = [245_u8; 3 * 20];
             row[3 * 9..3 * 10].copy_from_slice(&[SATURATED_FROM, 245, 100]);
             let mut marks = [[0_u8; 20]; 3];

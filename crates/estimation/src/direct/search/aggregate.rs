@@ -323,6 +323,7 @@ fn vertex(sums: [u16; 3], best: u16) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cpu::every_kernel;
     use crate::direct::search::volume::{COST_NEUTRAL, LevelBox};
 
     const PENALTIES: Penalties = Penalties { small: 8, large: 40 };
@@ -380,7 +381,7 @@ mod tests {
 
     #[test]
     fn sums_are_those_of_the_recursion_with_every_kernel() {
-        for (count, kernels) in [20, 64, 150].into_iter().flat_map(|n| Kernels::available().map(move |k| (n, k))) {
+        for (count, kernels) in [20, 64, 150].into_iter().flat_map(|n| every_kernel().map(move |k| (n, k))) {
             let volume = volume(count);
             let mut aggregation = Aggregation::default();
             aggregation.run(&volume, PENALTIES, RULES, kernels);
@@ -410,7 +411,7 @@ mod tests {
     /// Straight from the words: lowest sum, no rival, the same winner from the right, vertex of the parabola.
     #[test]
     fn winners_are_those_of_a_plain_search_with_every_kernel() {
-        for (count, kernels) in [20, 64, 150].into_iter().flat_map(|n| Kernels::available().map(move |k| (n, k))) {
+        for (count, kernels) in [20, 64, 150].into_iter().flat_map(|n| every_kernel().map(move |k| (n, k))) {
             let volume = volume(count);
             let mut aggregation = Aggregation::default();
             aggregation.run(&volume, PENALTIES, RULES, kernels);

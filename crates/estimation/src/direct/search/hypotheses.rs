@@ -444,7 +444,7 @@ mod tests {
     #[test]
     fn both_planes_are_found_the_larger_first_with_every_kernel() {
         let points = two_planes();
-        for kernels in Kernels::available() {
+        for kernels in crate::cpu::every_kernel() {
             let mut search = HypothesisSearch::default();
             search.run(&points, &[], (60.0, 40.0), &RULES, |_| true, kernels);
             let expected = [Vector3::new(20.0, 0.05, -0.03), Vector3::new(11.0, -0.02, 0.04)];
@@ -461,7 +461,7 @@ mod tests {
         let mut search = HypothesisSearch::default();
         search.run(&points, &[], (60.0, 40.0), &RULES, |_| true, Kernels::best());
         let best = search.kept[0].share;
-        for kernels in Kernels::available() {
+        for kernels in crate::cpu::every_kernel() {
             let mut search = HypothesisSearch::default();
             let share = search.best_share(&points, (60.0, 40.0), &rules, |_| true, kernels);
             assert!((share - best).abs() < 0.01, "{share} of {best}");

@@ -39,6 +39,8 @@ pub struct ArmSetup {
     pub shape: ArmShape,
     /// The arm stops by itself if no command comes for longer than this.
     pub command_timeout: Duration,
+    /// Of the random faults of the arm, if it is emulated.
+    pub emulation_seed: u64,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -178,8 +180,7 @@ impl ArmSection {
         let mechanical_max_rad = JointVector::from(self.mechanical_range_deg).map(f64::to_radians);
         let operating_max_rad = JointVector::from(self.operating_range_deg).map(f64::to_radians);
         let acceleration_max_rad_per_s2 = JointVector::from(self.acceleration_max_rad_per_s2);
-        let hard_limits = *chain.limits();
-        let link = link?;
+        let (link, hard_limits) = (link?, *chain.limits());
         let fade = fade(&link);
         Some(ArmSetup {
             link,
@@ -219,6 +220,7 @@ impl ArmSection {
                 tracking_error_for: millis(all.tracking_error_millis),
             },
             command_timeout: millis(timeout),
+            emulation_seed: 0, // Each run seeds it: `Setup::reseed`.
             chain,
         })
     }

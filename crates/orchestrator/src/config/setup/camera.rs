@@ -13,8 +13,8 @@ use serde::Deserialize;
 use super::super::load::{Checker, whole, within};
 use super::calibration::CalibrationInUse;
 use super::camera_faults::{self, FaultSection};
+use super::millis;
 use super::real_cameras::load_calibration;
-use super::{fold_seed, millis};
 
 /// What follows keys of this table in messages.
 pub(super) const OWNER: &str = "(with camera.backend = \"sim\")";
@@ -96,8 +96,8 @@ impl CameraSection {
         (Some(loaded.rig), Some(in_use))
     }
 
-    pub(super) fn faults(&self, seed: u64, check: &mut Checker) -> CameraFaults {
-        camera_faults::build(&self.faults, seed, check)
+    pub(super) fn faults(&self, check: &mut Checker) -> CameraFaults {
+        camera_faults::build(&self.faults, check)
     }
 
     /// Every key by itself. The ranges are those of the parts, which check again; focal length and distortion, which the parts
@@ -179,7 +179,7 @@ enum TargetName {
 }
 
 impl SceneSection {
-    pub(super) fn build(&self, seed: u64, check: &mut Checker) -> SceneConfig {
+    pub(super) fn build(&self, check: &mut Checker) -> SceneConfig {
         check.number("scene.relief_mm", self.relief_mm, 0.0..=40.0);
         check.numbers("scene.backdrop_size_mm", &self.backdrop_size_mm, 50.0..=2000.0);
         check.number("scene.backdrop_gap_mm", self.backdrop_gap_mm, 0.0..=1000.0);
@@ -193,6 +193,6 @@ impl SceneSection {
             size_m: self.backdrop_size_mm.map(|size| size * 1e-3),
             gap_m: self.backdrop_gap_mm * 1e-3,
         };
-        SceneConfig { backdrop: self.backdrop.then_some(backdrop), seed: fold_seed(seed), ..SceneConfig::new(target) }
+        SceneConfig { backdrop: self.backdrop.then_some(backdrop), ..SceneConfig::new(target) }
     }
 }

@@ -6,7 +6,6 @@ use pb3dp_camera_sim::{CameraFault, CameraFaultKind, CameraFaults, Eyes};
 use serde::Deserialize;
 
 use super::super::load::{Checker, whole};
-use super::fold_seed;
 
 /// One fault; each kind has keys of its own, and all have their time.
 #[derive(Clone, Debug, Deserialize)]
@@ -44,9 +43,9 @@ impl From<EyesName> for Eyes {
 }
 
 /// All faults of a setup.
-pub(super) fn build(sections: &[FaultSection], seed: u64, check: &mut Checker) -> CameraFaults {
+pub(super) fn build(sections: &[FaultSection], check: &mut Checker) -> CameraFaults {
     let built = sections.iter().enumerate().map(|(index, section)| section.build(index, check));
-    let faults = CameraFaults { list: built.collect(), seed: fold_seed(seed) };
+    let faults = CameraFaults { list: built.collect(), ..CameraFaults::default() };
     if let (true, Err(error)) = (check.is_clean(), faults.validate()) {
         check.refuse(format!("camera.faults: {error}"));
     }

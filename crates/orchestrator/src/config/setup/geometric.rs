@@ -5,7 +5,6 @@ use pb3dp_sim::geometric::{GeometricConfig, PoseSigma};
 use serde::Deserialize;
 
 use super::super::load::Checker;
-use super::fold_seed;
 
 /// The name by which a setup asks for it.
 pub(super) const NAME: &str = "geometric";
@@ -33,7 +32,7 @@ struct SigmaSection {
 
 impl GeometricSection {
     /// Where it sees is the range of the search.
-    pub(super) fn build(&self, range: &SearchRange, seed: u64, check: &mut Checker) -> GeometricConfig {
+    pub(super) fn build(&self, range: &SearchRange, check: &mut Checker) -> GeometricConfig {
         let key = |name: &str| format!("estimator.{NAME}.{name}");
         check.number(&key("in_view_share_min"), self.in_view_share_min, 0.0..=1.0);
         check.number(&key("turned_max_deg"), self.turned_max_deg, 6.0..=85.0);
@@ -44,7 +43,8 @@ impl GeometricSection {
             turned_max_rad: self.turned_max_deg.to_radians(),
             z_min_m: range.z_min_m,
             z_max_m: range.z_max_m,
-            seed: fold_seed(seed),
+            // Each run seeds it: see `Setup::reseed`.
+            seed: 0,
         }
     }
 }

@@ -13,6 +13,7 @@ mod link;
 mod mounts;
 mod range;
 mod real_cameras;
+pub mod seeds;
 mod servo;
 mod shape;
 mod sight;
@@ -52,6 +53,7 @@ pub use self::range::read_search_range;
 use self::range::search_range;
 pub(crate) use self::real_cameras::interval;
 pub use self::real_cameras::{RealCameras, Synchronisation, read_cameras};
+use self::seeds::Stream;
 use self::servo::ServoSection;
 use self::sight::{CameraEntry, CameraTable, Sight};
 use self::supervisor::SupervisorSection;
@@ -64,7 +66,7 @@ use super::load::{Checker, ConfigError, ConfigFile, FileKind, within};
 /// A setup whose every value has been checked.
 #[derive(Clone, Debug)]
 pub struct Setup {
-    /// Seed of everything random.
+    /// Seed of everything random; [`Setup::reseed`] changes it.
     pub seed: u64,
     /// Whether the simulation waits for the wall clock.
     pub pace: Pace,
@@ -224,25 +226,6 @@ impl Setup {
     pub fn true_rig(&self) -> &StereoRig {
         self.truth.rig.as_ref().unwrap_or(&self.rig)
     }
-
-    /// The same setup with another seed.
-    pub fn reseed(&mut self, seed: u64) {
-        let rmga = &mut self.estimator.published.rmga.seed;
-        *rmga = rmga.wrapping_sub(self.seed).wrapping_add(seed);
-        self.scene.seed = fold_seed(seed);
-        if let Some(config) = &mut self.geometric {
-            config.seed = fold_seed(seed);
-        }
-        if let Leader::Geometric(config) = &mut self.leader {
-            config.seed = fold_seed(seed);
-        }
-        self.seed = seed;
-    }
-}
-
-/// The 32 bits of seed that scene and sensor noise take; every bit of the run's seed stays in play.
-pub fn fold_seed(seed: u64) -> u32 {
-    (seed ^ (seed >> 32)) as u32
 }
 
 /// Reads and checks a setup.
@@ -254,7 +237,7 @@ pub fn read_setup(file: &Path) -> Result<Setup, ConfigError> {
     let raw: SetupFile = config.all()?;
     let camera = raw.camera.table(&config)?;
     let mut check = Checker::default();
-    let setup = raw.build(file, &camera, &mut check);
+    let setup = raw.build(file, &camera, &mut check).map(Setup::seeded);
     check.finish(file)?;
     // Every way on which `build` gives nothing leaves a refusal behind.
     setup.ok_or_else(|| ConfigError::Values { file: file.to_path_buf(), lines: "  the setup is not complete".into() })
@@ -287,10 +270,10 @@ impl SetupFile {
         check.number("run.control_period_millis", self.run.control_period_millis, 2.0..=period_max_millis);
         check.number("run.estimate_latency_millis", self.run.estimate_latency_millis, 0.0..=500.0);
         let (method, compared, estimator, range) = self.estimator.build(self.run.seed, check);
-        let geometric = self.estimator.geometric.map(|section| section.build(&range, self.run.seed, check));
+        let geometric = self.estimator.geometric.map(|section| section.build(&range, check));
         let leader = self.estimator.leader(method, geometric, check);
         let hand_speed_max_m_per_s = self.servo.speed_max_m_per_s();
-        let sight = camera.build((file, hand_speed_max_m_per_s), (self.scene.as_ref(), self.run.seed), check);
+        let sight = camera.build((file, hand_speed_max_m_per_s), self.scene.as_ref(), check);
         let experiment = self.experiment.build(check);
         let size = sight.as_ref().map(|sight| sight.rig.left().size());
         let truth = self.truth.as_ref().map(|truth| truth.build(file, size, check)).unwrap_or_default();
@@ -387,7 +370,7 @@ impl EstimatorSection {
         };
         let compared = self.compared(method, check);
         let mut published = self.published.build("estimator.published", check);
-        published.rmga.seed = published.rmga.seed.wrapping_add(seed);
+        published.rmga.seed = published.rmga.seed.wrapping_add(Stream::PublishedSearch.of(seed));
         let direct = self.direct.build("estimator.direct", published.region, check);
         (method, compared, EstimatorConfig { published, direct, ..EstimatorConfig::default() }, range)
     }

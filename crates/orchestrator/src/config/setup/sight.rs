@@ -13,7 +13,6 @@ use serde::Deserialize;
 use super::super::load::{Checker, ConfigError, ConfigFile};
 use super::calibration::CalibrationInUse;
 use super::camera::{self, CameraSection, SceneSection};
-use super::fold_seed;
 use super::real_cameras::{self, RealCameras, V4l2Section};
 
 /// The one key that all backends have; the others depend on it.
@@ -71,18 +70,18 @@ impl CameraTable {
     pub(super) fn build(
         &self,
         (config_file, hand_speed_max_m_per_s): (&Path, f64),
-        (scene, seed): (Option<&SceneSection>, u64),
+        scene: Option<&SceneSection>,
         check: &mut Checker,
     ) -> Option<Sight> {
         match self {
             Self::Sim(section) => {
                 let (rig, camera, sensor) = section.build(check);
                 let (rig, calibration) = section.calibrated(config_file, rig, check);
-                let camera_faults = section.faults(seed, check);
+                let camera_faults = section.faults(check);
                 if scene.is_none() {
                     check.refuse("scene: the table is missing; camera.backend = \"sim\" needs it".to_owned());
                 }
-                let scene = scene?.build(seed, check);
+                let scene = scene?.build(check);
                 Some(Sight {
                     rig: rig?,
                     camera,
@@ -110,7 +109,7 @@ impl CameraTable {
                     real_cameras: Some(cameras),
                     camera_faults: CameraFaults::default(),
                     sensor: SensorConfig::default(),
-                    scene: SceneConfig { seed: fold_seed(seed), ..SceneConfig::new(TargetConfig::card()) },
+                    scene: SceneConfig::new(TargetConfig::card()),
                 })
             }
         }

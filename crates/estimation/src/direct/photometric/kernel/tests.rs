@@ -205,7 +205,7 @@ fn sums_are_those_of_single_points_with_every_kernel() {
                 assert!(near(sum, expected, scale), "channel {c}, sum {k}: {sum}, not {expected}");
             }
         }
-        for kernels in Kernels::available() {
+        for kernels in crate::cpu::every_kernel() {
             let sums = accumulate(kernels, &points, &right, &warp, Thinning { step });
             assert_eq!(sums, plain, "{}", kernels.set().name());
         }
@@ -238,7 +238,7 @@ fn scores_add_up_to_the_slope_with_every_kernel() {
         let size: f64 = plain[k].iter().map(|s| f64::from(s.abs())).sum();
         assert!((sum - expected).abs() < 1e-4 * size, "{k}: {sum}, not {expected}");
     }
-    for kernels in Kernels::available() {
+    for kernels in crate::cpu::every_kernel() {
         assert_eq!(run(kernels), (plain.clone(), unmodelled), "{}", kernels.set().name());
     }
 }
@@ -290,7 +290,7 @@ fn places_outside_the_right_planes_are_not_read() {
         [(43.3, 1.04), (f32::NAN, 1.0), (f32::INFINITY, 1.0), (-1e30, 1.0), (1e30, f32::NEG_INFINITY)]
     {
         let warp = Warp { column, per_x, ..warp(3) };
-        for kernels in Kernels::available() {
+        for kernels in crate::cpu::every_kernel() {
             let sums = accumulate(kernels, &points, &right, &warp, Thinning::NONE);
             assert!(sums.seen <= SHARING as f64 && sums.channel.iter().flatten().all(|sum| sum.is_finite()));
         }

@@ -1,0 +1,20 @@
+//! Integration tests of the calibration.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
+
+#[path = "support/arm.rs"]
+mod arm;
+mod boards;
+mod coach;
+mod command;
+#[path = "support/film.rs"]
+mod film;
+mod hand_eye;
+mod hand_eye_command;
+mod opencv;
+#[path = "support/pictures.rs"]
+mod pictures;
+mod propose;
+mod recording;
+mod simulated_rigs;
+mod support;
+mod verify;

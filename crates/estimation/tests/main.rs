@@ -1,0 +1,30 @@
+//! Integration tests of the estimation methods.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
+
+#[path = "support/abuse.rs"]
+mod abuse;
+mod common;
+mod deadline;
+mod direct_estimate;
+mod direct_estimate_no_allocation;
+mod direct_reasons;
+mod direct_small_regions;
+mod direct_track;
+mod direct_track_edges;
+mod direct_track_no_allocation;
+#[path = "support/moving_plane.rs"]
+mod moving_plane;
+mod no_allocation;
+mod photometric;
+mod photometric_no_allocation;
+#[path = "support/plane_pair.rs"]
+mod plane_pair;
+mod published_estimate;
+mod published_track;
+mod published_track_safety;
+mod rig_plan;
+mod rmga_photometric;
+mod robustness;
+#[path = "support/scene.rs"]
+mod scene;
+mod track_no_surface;

@@ -1,0 +1,6 @@
+//! Integration tests of the kinematics.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
+
+mod clearance;
+mod pa10;
+mod refusals;

@@ -1,0 +1,16 @@
+//! The program as its user meets it: arguments and files in, lines, images and exit codes out.
+
+mod calibrate;
+mod cameras;
+mod deploy;
+mod doctor;
+mod estimate;
+mod identify;
+pub mod mock_arm;
+mod refusals;
+mod rig;
+pub mod run;
+pub mod silent_gateway;
+pub mod support;
+mod track;
+mod visit;

@@ -1,0 +1,90 @@
+//! `pb3dp arm` before `pb3dp gateway`, a mock arm behind it as the controller on the bus.
+
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use tempfile::TempDir;
+
+use crate::cli::mock_arm::MockArm;
+use crate::cli::support::repository;
+use crate::real_time::arm::{START_DEG, assert_problem, pb3dp_arm, setup_at};
+use pb3dp_test_support::programs_in_real_time_beside_others;
+
+/// A gateway as a program of its own, and the controller behind it.
+struct Gateway {
+    program: Program,
+    address: SocketAddr,
+    controller: MockArm,
+    _folder: TempDir,
+}
+
+/// Ends with this, also when a test fails.
+struct Program(Child);
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        self.0.kill().ok();
+        self.0.wait().ok();
+    }
+}
+
+impl Gateway {
+    /// With longer times than those of the shipped file: tests run on loaded machines.
+    fn start(stop_after_millis: &str) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let bus = folder.path().join("bus").display().to_string();
+        let mut controller = MockArm::start(&["--bus", &bus, "--watchdog", "400ms", "--pose-deg", START_DEG]);
+        controller.line();
+        let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        let shipped = std::fs::read_to_string(repository().join("configs/gateway.toml")).unwrap();
+        let text = [
+            ("port = \"arcnet:arc0\"", format!("port = \"socket:{bus}\"")),
+            ("tcp:127.0.0.1:4534", format!("tcp:{address}")),
+            ("cycle_millis = 2.0", "cycle_millis = 10.0".to_owned()),
+            ("lateness_allowed_millis = 2.0", "lateness_allowed_millis = 45.0".to_owned()),
+            ("stop_after_millis = 50.0", format!("stop_after_millis = {stop_after_millis}")),
+            ("priority = 80", "priority = 45".to_owned()),
+        ]
+        .iter()
+        .fold(shipped, |text, (from, to)| crate::cli::support::replaced(&text, from, to));
+        let file = folder.path().join("gateway.toml");
+        std::fs::write(&file, text).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_pb3dp"));
+        let child = command.args(["gateway", "--config"]).arg(file).stderr(Stdio::null()).spawn().unwrap();
+        let program = Program(child);
+        let until = Instant::now() + Duration::from_secs(20);
+        while TcpStream::connect(address).is_err() {
+            assert!(Instant::now() < until, "the gateway does not listen");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        Self { program, address, controller, _folder: folder }
+    }
+
+    fn end(self) {
+        drop(self.program);
+        self.controller.quit();
+    }
+}
+
+/// R10, R11: the limiter can not leave room for an arm that goes on for longer than it knows of.
+#[test]
+fn a_gateway_that_stops_later_than_the_limiter_counts_on_moves_nothing() {
+    programs_in_real_time_beside_others(|| {
+        let mut gateway = Gateway::start("120.0");
+        let folder = setup_at(&gateway.address.to_string());
+        let file = folder.path().join("cell.toml");
+        let config = file.display().to_string();
+        let values = ["stops the arm 120ms after the last command", "command_timeout_millis of the arm says 50ms"];
+        let jog = ["jog", "--axis", "7", "--by", "1", "--move"];
+        pb3dp_arm(&config, &jog, Some("vs-robot")).assert_refused(&values);
+        assert_problem(&pb3dp_arm(&config, &["probe"], None), &values);
+        assert_eq!(gateway.controller.state()[0], "controller: adjustment mode, all brakes closed");
+        let text = std::fs::read_to_string(&file).unwrap();
+        std::fs::write(&file, text.replacen("command_timeout_millis = 50.0", "command_timeout_millis = 120.0", 1))
+            .unwrap();
+        let seen = pb3dp_arm(&config, &["jog", "--axis", "7", "--by", "1"], None).assert_success();
+        assert!(seen.stdout.contains("dry run"), "{}", seen.stdout);
+        gateway.end();
+    });
+}

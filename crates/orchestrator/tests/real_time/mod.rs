@@ -1,0 +1,7 @@
+//! Tests whose threads must run in time: through `programs_in_real_time`.
+
+pub mod arm;
+pub mod arm_on_bus;
+pub mod arm_test;
+pub mod behind_gateway;
+pub mod gateway;

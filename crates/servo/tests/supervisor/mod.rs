@@ -1,0 +1,12 @@
+//! The supervisor: what it permits, and what it says.
+#![allow(clippy::unwrap_used, clippy::panic)] // In helpers of tests.
+
+pub mod bench;
+mod conditions;
+mod policies;
+mod properties;
+mod searching;
+mod settling;
+mod starting;
+mod table;
+mod words;

@@ -1,0 +1,176 @@
+//! Tests whose threads must run in time.
+
+use std::any::{Any, type_name};
+use std::fs::File;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use crate::not_checked;
+use crate::scheduling::{Entered, Policy, Preferred};
+use crate::verdict::{Tries, Verdict, judge};
+use crate::witness::{Delay, Witness};
+
+/// The delays of the running test's own threads.
+static OWN: Mutex<Vec<Delay>> = Mutex::new(Vec::new());
+
+/// How a test holds the lock of all tests in real time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Company {
+    /// No other test in real time runs.
+    Alone,
+    /// Others of this kind may run: the test mostly sleeps, and leaves most of a cycle for the others.
+    BesideOthers,
+}
+
+fn of<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The priority of the threads of a test.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Priority {
+    /// One of SCHED_FIFO, where that is granted.
+    Granted,
+    /// Among all usual threads, before most of them where that is granted, unless a thread asks for a priority itself.
+    Usual,
+}
+
+/// Records that a thread of the running test was late by itself, just now.
+pub fn note_lateness(late: Duration) {
+    note_lateness_at(Instant::now(), late);
+}
+
+/// As [`note_lateness`], for a delay that is read later than it ended: witnesses are asked about the moment at which it ended.
+pub fn note_lateness_at(at: Instant, late: Duration) {
+    of(&OWN).push(Delay { at, late });
+}
+
+/// Runs a test whose threads must run in time: under one lock of all such tests of this user, in whichever process, with a priority of
+/// SCHED_FIFO where that is granted, beside witnesses of the machine. No other such test runs meanwhile.
+///
+/// A failure counts at once if the machine kept time. If the machine was late the test is tried again, up to [`Tries::MAX`] times;
+/// when none passes the test fails, unless each failure was lateness and the machine was as late in that moment. Then the test is
+/// reported as not checked. What an arm does when its machine is late is tested in virtual time, and in the emulated computer.
+///
+/// # Panics
+/// If the test fails.
+pub fn in_real_time<T: Fn()>(test: T) {
+    in_real_time_as(&name_of::<T>(), Company::Alone, Priority::Granted, test);
+}
+
+/// As [`in_real_time`], for a test that mostly sleeps: others of this kind may run meanwhile.
+///
+/// # Panics
+/// If the test fails.
+pub fn in_real_time_beside_others<T: Fn()>(test: T) {
+    in_real_time_as(&name_of::<T>(), Company::BesideOthers, Priority::Granted, test);
+}
+
+/// As [`in_real_time`], for a test of programs or threads that compute: they ask for the priority that they need themselves, as they do
+/// on a rig. With a priority for all of their computing they would hold up the lines on which they depend.
+///
+/// # Panics
+/// If the test fails.
+pub fn programs_in_real_time<T: Fn()>(test: T) {
+    in_real_time_as(&name_of::<T>(), Company::Alone, Priority::Usual, test);
+}
+
+/// As [`programs_in_real_time`], beside others.
+///
+/// # Panics
+/// If the test fails.
+pub fn programs_in_real_time_beside_others<T: Fn()>(test: T) {
+    in_real_time_as(&name_of::<T>(), Company::BesideOthers, Priority::Usual, test);
+}
+
+/// As [`in_real_time`], for a test whose name its type does not tell.
+///
+/// # Panics
+/// If the test fails.
+pub fn in_real_time_as(name: &str, company: Company, priority: Priority, test: impl Fn()) {
+    let _turn = take_turn(company);
+    let mut tries = Tries::default();
+    loop {
+        let begin = Instant::now();
+        let preferred = (priority == Priority::Usual).then(Preferred::new);
+        let of_witness = if priority == Priority::Granted { Policy::WITNESS } else { Policy::current() };
+        let witness = Witness::start(of_witness).expect("threads and a line that watch the machine");
+        let entered = (priority == Priority::Granted).then(|| Entered::new(Policy::TEST));
+        let outcome = catch_unwind(AssertUnwindSafe(&test));
+        drop((entered, preferred));
+        let seen = witness.end();
+        let Err(panic) = outcome else { return };
+        let own: Vec<Delay> = of(&OWN).iter().filter(|delay| delay.at >= begin).copied().collect();
+        match tries.failed(judge(text(panic.as_ref()), &own, &seen), &seen) {
+            Verdict::Failed => resume_unwind(panic),
+            Verdict::NotChecked { worst } => {
+                let reason =
+                    format!("this machine delays threads by {worst:?}; last failure: {}", text(panic.as_ref()));
+                return not_checked(name, &reason);
+            }
+            Verdict::Open | Verdict::Passed => {}
+        }
+    }
+}
+
+/// The path of a test by the type of its closure: `integration::real_time::io_arm::a_name::{{closure}}`.
+fn name_of<T>() -> String {
+    let name = type_name::<T>().split("::{{closure}}").next().unwrap_or_default();
+    name.split_once("::").map_or(name, |(_crate, path)| path).to_owned()
+}
+
+fn text(panic: &(dyn Any + Send)) -> &str {
+    let owned = panic.downcast_ref::<String>().map(String::as_str);
+    owned.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without a text")
+}
+
+/// Waits until the test may run. The lock is held as long as the file is open.
+fn take_turn(company: Company) -> File {
+    let name = format!("pb3dp-real-time-tests-{}.lock", rustix::process::geteuid().as_raw());
+    let path = std::env::temp_dir().join(name);
+    let file = File::options().create(true).truncate(false).write(true).open(path).expect("a file to lock");
+    match company {
+        Company::Alone => file.lock(),
+        Company::BesideOthers => file.lock_shared(),
+    }
+    .expect("the lock of all tests in real time");
+    file
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicU32, Ordering};
+
+    use super::*;
+
+    #[test]
+    fn a_test_has_the_name_of_its_function() {
+        fn of_closure<T: Fn()>(_: T) -> String {
+            name_of::<T>()
+        }
+        assert_eq!(of_closure(|| {}), "real_time::tests::a_test_has_the_name_of_its_function");
+    }
+
+    #[test]
+    fn a_failure_of_the_product_is_not_lost() {
+        let tries = AtomicU32::new(0);
+        let failed = catch_unwind(AssertUnwindSafe(|| {
+            in_real_time(|| {
+                tries.fetch_add(1, Ordering::SeqCst);
+                resume_unwind(Box::new("moved by 0.3 rad"));
+            });
+        }));
+        assert!(failed.is_err());
+        assert!((1..=Tries::MAX).contains(&tries.load(Ordering::SeqCst)));
+    }
+
+    #[test]
+    fn a_test_that_passes_runs_once() {
+        let tries = AtomicU32::new(0);
+        in_real_time(|| {
+            tries.fetch_add(1, Ordering::SeqCst);
+        });
+        assert_eq!(tries.load(Ordering::SeqCst), 1);
+    }
+}

@@ -1,0 +1,120 @@
+//! Scheduling of the calling thread.
+
+use rustix::thread::{CpuSet, sched_setaffinity};
+
+/// Priority of the threads of a test in real time: above all threads without such a priority, below every thread of the product that asks
+/// for one (40 and more).
+const TEST: i32 = 1;
+/// Priority of a witness: the computing of the test itself must not count as lateness of the machine.
+const WITNESS: i32 = 2;
+
+/// Niceness of tests of whole programs, which compute: before all other programs, but no wall for the threads of the kernel.
+const OF_PROGRAMS: i32 = -10;
+
+/// A scheduling policy with its priority.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Policy {
+    policy: libc::c_int,
+    priority: libc::c_int,
+}
+
+impl Policy {
+    /// Of tests in real time.
+    pub const TEST: Self = Self { policy: libc::SCHED_FIFO, priority: TEST };
+    /// Of witnesses.
+    pub const WITNESS: Self = Self { policy: libc::SCHED_FIFO, priority: WITNESS };
+
+    /// Of the calling thread.
+    pub fn current() -> Self {
+        let mut parameters = libc::sched_param { sched_priority: 0 };
+        // SAFETY: both calls read the calling thread (0) only; the parameters live through the second.
+        let policy = unsafe { libc::sched_getscheduler(0) };
+        unsafe { libc::sched_getparam(0, &raw mut parameters) };
+        Self { policy, priority: parameters.sched_priority }
+    }
+
+    /// Gives the calling thread this policy, which threads and processes that it starts inherit. Whether the system grants it.
+    pub fn enter(self) -> bool {
+        let parameters = libc::sched_param { sched_priority: self.priority };
+        // SAFETY: the parameters live through the call, which changes nothing but the policy of this thread (0).
+        unsafe { libc::sched_setscheduler(0, self.policy, &raw const parameters) == 0 }
+    }
+}
+
+/// The calling thread runs with a policy until this goes.
+pub struct Entered {
+    before: Policy,
+    is_granted: bool,
+}
+
+impl Entered {
+    /// Enters the policy where the system grants it.
+    pub fn new(policy: Policy) -> Self {
+        let before = Policy::current();
+        Self { before, is_granted: policy.enter() }
+    }
+}
+
+impl Drop for Entered {
+    fn drop(&mut self) {
+        if self.is_granted {
+            self.before.enter();
+        }
+    }
+}
+
+/// The calling thread goes before others of the usual policy until this goes, where that is granted; so do threads and processes that it
+/// starts.
+pub struct Preferred {
+    before: i32,
+}
+
+impl Preferred {
+    /// Enters.
+    pub fn new() -> Self {
+        // SAFETY: both calls concern the calling thread (0) only.
+        let before = unsafe { libc::getpriority(libc::PRIO_PROCESS, 0) };
+        unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, OF_PROGRAMS) };
+        Self { before }
+    }
+}
+
+impl Default for Preferred {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Drop for Preferred {
+    fn drop(&mut self) {
+        // SAFETY: as above.
+        unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, self.before) };
+    }
+}
+
+/// Keeps the calling thread on one processor, where that is granted.
+pub fn run_on(cpu: usize) {
+    let mut set = CpuSet::new();
+    if cpu < CpuSet::MAX_CPU {
+        set.set(cpu);
+        let _ = sched_setaffinity(None, &set);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_policy_is_left_again() {
+        std::thread::spawn(|| {
+            let before = Policy::current();
+            let entered = Entered::new(Policy::TEST);
+            assert_eq!(entered.is_granted, Policy::current() == Policy::TEST);
+            drop(entered);
+            assert_eq!(Policy::current(), before);
+        })
+        .join()
+        .expect("the thread ends");
+    }
+}

@@ -1,0 +1,200 @@
+//! How late the machine itself is: threads that only sleep, and bytes that only go through a pseudo-terminal.
+//!
+//! On each processor one thread sleeps for a millisecond again and again, in the scheduling class of the test. What delays this thread
+//! delays the product: another program, the kernel, the hypervisor. In the class SCHED_FIFO the witness stands one priority above the
+//! test, so that the product's own computing is never taken for lateness of the machine.
+
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Barrier};
+use std::thread::{Builder, JoinHandle, available_parallelism};
+use std::time::{Duration, Instant};
+
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+
+use crate::scheduling::{Policy, run_on};
+
+/// Time from one waking to the next.
+pub const PERIOD: Duration = Duration::from_millis(1);
+/// A machine that is later than this does not keep the cycles of an arm (10 ms, of which an exchange may take half).
+pub const TOO_LATE: Duration = Duration::from_millis(5);
+/// Delays below this are not recorded.
+const WORTH_RECORDING: Duration = Duration::from_millis(1);
+/// Delays that a thread records; the worst is kept in any case.
+const ROOM: usize = 1 << 14;
+
+/// One delay: a thread or a byte was due before and came at this time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Delay {
+    /// When it came.
+    pub at: Instant,
+    /// How late.
+    pub late: Duration,
+}
+
+impl Delay {
+    /// Whether both lasted at the same time.
+    pub fn overlaps(&self, other: &Self) -> bool {
+        let begin = |delay: &Self| delay.at.checked_sub(delay.late).unwrap_or(delay.at);
+        begin(self) <= other.at && begin(other) <= self.at
+    }
+}
+
+/// What the witnesses of a test saw.
+#[derive(Clone, Debug, Default)]
+pub struct Testimony {
+    /// The delays worth recording, of all witnesses.
+    pub delays: Vec<Delay>,
+    /// The longest.
+    pub worst: Duration,
+}
+
+impl Testimony {
+    fn see(&mut self, due: Instant, at: Instant) {
+        let late = at.saturating_duration_since(due);
+        self.worst = self.worst.max(late);
+        // Without asking the heap for anything: tests count what it is asked for.
+        if late >= WORTH_RECORDING && self.delays.len() < self.delays.capacity() {
+            self.delays.push(Delay { at, late });
+        }
+    }
+
+    fn with_room() -> Self {
+        Self { delays: Vec::with_capacity(ROOM), worst: Duration::ZERO }
+    }
+
+    fn join(mut self, other: Self) -> Self {
+        self.delays.extend(other.delays);
+        self.worst = self.worst.max(other.worst);
+        self
+    }
+}
+
+/// Threads that record how late they wake.
+#[derive(Debug)]
+pub struct Witness {
+    is_over: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<Testimony>>,
+    policy: Policy,
+}
+
+impl Witness {
+    /// Witnesses with this policy, where it is granted. All of them run when this returns, and ask the heap for nothing until they end.
+    ///
+    /// # Errors
+    /// If the system gives no thread or no pseudo-terminal.
+    pub fn start(policy: Policy) -> io::Result<Self> {
+        let mut witness = Self { is_over: Arc::default(), threads: Vec::new(), policy };
+        for cpu in 0..available_parallelism()?.get() {
+            witness.spawn(move |testimony, is_over| {
+                run_on(cpu);
+                sleep_and_see(testimony, is_over);
+            })?;
+        }
+        let (near, far) = open_line()?;
+        witness.spawn(move |testimony, is_over| echo(near, far, testimony, is_over))?;
+        Ok(witness)
+    }
+
+    fn spawn(&mut self, watch: impl FnOnce(&mut Testimony, &AtomicBool) + Send + 'static) -> io::Result<()> {
+        let is_over = Arc::clone(&self.is_over);
+        let runs = Arc::new(Barrier::new(2));
+        let begun = Arc::clone(&runs);
+        let policy = self.policy;
+        let thread = Builder::new().name("witness".to_owned()).spawn(move || {
+            // Not granted: the witness waits among all other programs, as the test does.
+            policy.enter();
+            let mut testimony = Testimony::with_room();
+            begun.wait();
+            watch(&mut testimony, &is_over);
+            testimony
+        })?;
+        runs.wait();
+        self.threads.push(thread);
+        Ok(())
+    }
+
+    /// What all of them saw.
+    pub fn end(mut self) -> Testimony {
+        self.is_over.store(true, Ordering::Relaxed);
+        let seen = self.threads.drain(..).filter_map(|thread| thread.join().ok());
+        seen.fold(Testimony::default(), Testimony::join)
+    }
+}
+
+impl Drop for Witness {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+    }
+}
+
+fn sleep_and_see(testimony: &mut Testimony, is_over: &AtomicBool) {
+    while !is_over.load(Ordering::Relaxed) {
+        let due = Instant::now() + PERIOD;
+        std::thread::sleep(PERIOD);
+        testimony.see(due, Instant::now());
+    }
+}
+
+/// Both ends of a pseudo-terminal in raw mode.
+fn open_line() -> io::Result<(File, File)> {
+    let near = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
+    grantpt(&near)?;
+    unlockpt(&near)?;
+    let name = ptsname(&near, Vec::new())?;
+    let path = name.to_str().map_err(|_| io::Error::from(io::ErrorKind::InvalidData))?.to_owned();
+    let far = File::options().read(true).write(true).open(path)?;
+    let mut attributes = tcgetattr(&far)?;
+    attributes.make_raw();
+    tcsetattr(&far, OptionalActions::Now, &attributes)?;
+    Ok((File::from(near), far))
+}
+
+/// How long a byte takes through the line: a thread of the kernel carries it.
+fn echo(mut near: File, mut far: File, testimony: &mut Testimony, is_over: &AtomicBool) {
+    while !is_over.load(Ordering::Relaxed) {
+        let sent = Instant::now();
+        // A line that fails shows nothing.
+        if near.write_all(&[0x55]).is_err() || far.read_exact(&mut [0]).is_err() {
+            break;
+        }
+        testimony.see(sent, Instant::now());
+        std::thread::sleep(PERIOD);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_held_processor_is_seen() {
+        // No thread with a lower or without a priority can hold a witness up: the record itself is checked.
+        let mut testimony = Testimony::with_room();
+        let due = Instant::now();
+        testimony.see(due, due + Duration::from_micros(900));
+        testimony.see(due, due + Duration::from_millis(7));
+        assert_eq!(testimony.worst, Duration::from_millis(7));
+        assert_eq!(testimony.delays, [Delay { at: due + Duration::from_millis(7), late: Duration::from_millis(7) }]);
+    }
+
+    #[test]
+    fn witnesses_watch_until_they_end() {
+        let witness = Witness::start(Policy::WITNESS).expect("threads and a line");
+        assert_eq!(witness.threads.len(), available_parallelism().expect("a number").get() + 1);
+        std::thread::sleep(Duration::from_millis(30));
+        let seen = witness.end();
+        assert!(seen.worst > Duration::ZERO, "{seen:?}");
+    }
+
+    #[test]
+    fn delays_overlap_in_time() {
+        let zero = Instant::now() + Duration::from_secs(10);
+        let delay =
+            |at_ms, late_ms| Delay { at: zero + Duration::from_millis(at_ms), late: Duration::from_millis(late_ms) };
+        assert!(delay(20, 10).overlaps(&delay(25, 10)) && delay(25, 10).overlaps(&delay(20, 10)));
+        assert!(!delay(20, 10).overlaps(&delay(40, 10)) && !delay(40, 10).overlaps(&delay(20, 10)));
+    }
+}

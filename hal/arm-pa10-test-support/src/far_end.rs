@@ -1,0 +1,90 @@
+//! A gateway at the far end of a real line, in a thread of its own, with a line that can be made bad.
+
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
+use pb3dp_arm_pa10::io::transport::{ByteLink, wait};
+
+use crate::gateway::FakeGateway;
+
+/// What can be done to the far end while it works.
+#[derive(Default)]
+pub struct Line {
+    /// The next so many pieces of answers get lost.
+    pub drop_answers: AtomicU32,
+    /// Sent before the next answer.
+    pub noise: Mutex<Vec<u8>>,
+    /// Nobody reads, and nobody answers.
+    pub stalled: AtomicBool,
+    pub closed: AtomicBool,
+}
+
+pub struct FarEnd {
+    pub gateway: Arc<Mutex<FakeGateway>>,
+    pub line: Arc<Line>,
+    thread: Option<JoinHandle<Instant>>,
+}
+
+impl FarEnd {
+    /// Serves this end until it is closed.
+    pub fn serve(bytes: Box<dyn ByteLink>, gateway: FakeGateway) -> Self {
+        Self::serve_after(bytes, gateway, || {})
+    }
+
+    /// The same, after something that the thread does first.
+    pub fn serve_after(bytes: Box<dyn ByteLink>, gateway: FakeGateway, begin: fn()) -> Self {
+        let gateway = Arc::new(Mutex::new(gateway));
+        let line = Arc::new(Line::default());
+        let (of_thread, line_of_thread) = (Arc::clone(&gateway), Arc::clone(&line));
+        let thread = std::thread::spawn(move || {
+            begin();
+            // Where the machine gives it: this stands for a device of its own.
+            enter(&Realtime { priority: Some(40), locks_memory: false, cpu: None });
+            pump(bytes, &of_thread, &line_of_thread)
+        });
+        Self { gateway, line, thread: Some(thread) }
+    }
+
+    /// Unplugs the line. When it was done.
+    pub fn unplug(&mut self) -> Instant {
+        self.line.closed.store(true, Ordering::SeqCst);
+        self.thread.take().unwrap().join().unwrap()
+    }
+}
+
+impl Drop for FarEnd {
+    fn drop(&mut self) {
+        self.line.closed.store(true, Ordering::SeqCst);
+    }
+}
+
+fn pump(mut bytes: Box<dyn ByteLink>, gateway: &Mutex<FakeGateway>, line: &Line) -> Instant {
+    let begin = Instant::now();
+    let mut buffer = [0; 512];
+    while !line.closed.load(Ordering::SeqCst) {
+        if line.stalled.load(Ordering::SeqCst) {
+            std::thread::sleep(Duration::from_millis(2));
+            continue;
+        }
+        wait(Some(bytes.as_ref()), false, None, Duration::from_millis(2));
+        // The other side may be gone, and come back.
+        let Ok(count) = bytes.try_read(&mut buffer) else { break };
+        let mut answer = std::mem::take(&mut *line.noise.lock().unwrap());
+        {
+            let mut gateway = gateway.lock().unwrap();
+            gateway.clock_us = begin.elapsed().as_micros() as u64;
+            answer.extend(gateway.answer(&buffer[..count]));
+        }
+        if !answer.is_empty() {
+            let drop = |left: u32| left.checked_sub(1);
+            if line.drop_answers.fetch_update(Ordering::SeqCst, Ordering::SeqCst, drop).is_err() {
+                let _ = bytes.try_write(&answer);
+            }
+        }
+    }
+    drop(bytes);
+    Instant::now()
+}

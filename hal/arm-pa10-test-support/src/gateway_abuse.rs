@@ -1,0 +1,383 @@
+//! What must hold for a gateway whatever host, controller and time do: shared by a fuzz target in `tests/fuzz` and a run over random
+//! bytes in the tests.
+//!
+//! Bytes are a play: each says what happens next. The checks stand in `World::take_frame` and `World::fall_silent`.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "what fails here is found by it")]
+
+use std::time::Duration;
+
+use pb3dp_arm_pa10::arcnet::{self, Route};
+use pb3dp_arm_pa10::codec::{
+    AngleCounts, ArmCommand, ArmReply, Axis, AxisCommand, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord,
+    ControlMessage, ControlPacket, EepromAxis, ReplyMessage, ReplyPacket, ServoWord, SpeedCounts, Supervision,
+    TorqueCounts, WireFormat,
+};
+use pb3dp_arm_pa10::gateway::{Gateway, GatewayConfig};
+use pb3dp_arm_pa10::gateway_protocol::{
+    ArmId, ArmOperation, Control, Dialect, DriveCommand, DriveMode, Firmware, Frame, FrameParser, GatewayMessage,
+    GatewayState, Hello, HostMessage, PAYLOAD_LENGTH_MAX, Payload, RawMessage, Received,
+};
+use pb3dp_geometry::MonotonicTime;
+
+const ARM: ArmId = ArmId(1);
+
+/// Quicker than real ones, so that a play is short.
+const BRAKE_TIME: Duration = Duration::from_millis(20);
+
+/// The slowest way to rest: a silent host in `started`, the stop order, and letters that nobody answers.
+const REST_MAX: Duration = Duration::from_millis(1500);
+
+/// How often it is looked whether the arm is at rest.
+const REST_PIECE: Duration = Duration::from_millis(20);
+
+/// Things that happen in a play.
+const STEPS_MAX: usize = 200;
+
+/// Answers that a gateway may have for its host at one time.
+const ANSWERS_MAX: usize = 64;
+
+struct World {
+    gateway: Gateway,
+    config: GatewayConfig,
+    now: MonotonicTime,
+    /// What the controller does.
+    answers: bool,
+    servo: u16,
+    comm: u16,
+    asked: Option<ControlPacket>,
+    /// What the host says next.
+    sequence: u16,
+    /// Hears what the host says, as the gateway does.
+    host_ear: FrameParser,
+    own_ear: FrameParser,
+    heard_host: MonotonicTime,
+    /// The largest speed that was ever asked for, on each axis.
+    speed_max: [u16; Axis::COUNT],
+    /// Since when each brake is told to be on.
+    closed_since: [Option<MonotonicTime>; Axis::COUNT],
+}
+
+/// A play of random bytes.
+pub fn gateway_core_survives(bytes: &[u8]) {
+    let [choice, rest @ ..] = bytes else { return };
+    let mut world = World::new(*choice);
+    let mut play = rest;
+    for _ in 0..STEPS_MAX {
+        let [what, tail @ ..] = play else { break };
+        play = world.act(*what, tail);
+    }
+    world.fall_silent();
+}
+
+/// The next so many bytes, and what is left.
+fn split(bytes: &[u8], most: usize) -> (&[u8], &[u8]) {
+    bytes.split_at(bytes.len().min(most))
+}
+
+impl World {
+    fn new(choice: u8) -> Self {
+        let format = WireFormat::ALL[usize::from(choice & 1)];
+        let firmware = Firmware::new("fuzz").unwrap();
+        let config = GatewayConfig {
+            brake_time: BRAKE_TIME,
+            interpolates: choice & 2 == 0,
+            ..GatewayConfig::new(ARM, format, firmware)
+        };
+        let now = MonotonicTime::from_nanos(5_000_000_000);
+        Self {
+            gateway: Gateway::new(config, now).unwrap(),
+            config,
+            now,
+            answers: choice & 4 == 0,
+            servo: 0,
+            comm: 0,
+            asked: None,
+            sequence: u16::from(choice) << 8,
+            host_ear: FrameParser::new(ARM),
+            own_ear: FrameParser::new(ARM),
+            heard_host: now,
+            speed_max: [0; Axis::COUNT],
+            closed_since: [None; Axis::COUNT],
+        }
+    }
+
+    /// What the first byte says, with what it needs of the others; the rest comes back.
+    fn act<'a>(&mut self, what: u8, bytes: &'a [u8]) -> &'a [u8] {
+        let (first, rest) = match bytes {
+            [first, rest @ ..] => (*first, rest),
+            [] => (0, bytes),
+        };
+        match what % 14 {
+            0 | 1 => self.run(Duration::from_micros(u64::from(first) * 500)),
+            2 => self.say(&HostMessage::Hello(Hello {
+                dialect: if first & 1 == 0 { Dialect::GatewayV1 } else { Dialect::Transparent },
+                cycle_us: 2000 + u32::from(first) * 30,
+            })),
+            3 | 4 => return self.command(first, rest),
+            5 => self.say(&HostMessage::Control(control(first))),
+            6 => return self.raw(first, rest),
+            7 => self.say(&HostMessage::Heartbeat),
+            8 => {
+                let (body, later) = split(rest, usize::from(first));
+                self.tell(body);
+                return later;
+            }
+            9 => {
+                let (body, later) = split(rest, usize::from(first).min(PAYLOAD_LENGTH_MAX));
+                let payload = Payload::from_slice(body).unwrap();
+                self.tell_frame(&Frame {
+                    arm: ARM,
+                    frame_type: what,
+                    sequence: self.sequence,
+                    timestamp_us: 5,
+                    payload,
+                });
+                return later;
+            }
+            10 => {
+                let (body, later) = split(rest, usize::from(first));
+                self.gateway.handle_bus_frame(self.now, body);
+                return later;
+            }
+            11 => match first % 6 {
+                0 => self.answers = !self.answers,
+                1 => self.servo = u16::from(first) << 4,
+                2 => self.comm = u16::from(first) << 4,
+                3 => (self.servo, self.comm) = (0, 0),
+                4 => self.servo = u16::from(first) << 8,
+                _ => self.comm = u16::from(first) << 8,
+            },
+            12 => match first % 3 {
+                0 => self.gateway.handle_host_gone(self.now),
+                1 => self.gateway.stop(self.now),
+                _ => self.now = self.now + Duration::from_millis(u64::from(first)),
+            },
+            _ => {
+                // Commands in the host's pace.
+                for _ in 0..first % 16 {
+                    self.command(what.wrapping_mul(first), rest);
+                    self.run(Duration::from_millis(10));
+                }
+            }
+        }
+        self.listen();
+        rest
+    }
+
+    fn command<'a>(&mut self, choice: u8, bytes: &'a [u8]) -> &'a [u8] {
+        let (speeds, later) = split(bytes, Axis::COUNT);
+        let mode = [DriveMode::Off, DriveMode::Braked, DriveMode::Follow, DriveMode::Follow][usize::from(choice % 4)];
+        let mut command = DriveCommand::at_rest(mode);
+        if choice & 4 == 0 {
+            for (to, speed) in command.speed_urad_per_s.iter_mut().zip(speeds) {
+                *to = i32::from(*speed as i8) * 51_000;
+            }
+        }
+        if self.gateway.status().host == Some(Dialect::Transparent) {
+            let axes = std::array::from_fn(|axis| match mode {
+                DriveMode::Off => AxisCommand::Off,
+                DriveMode::Braked => AxisCommand::Braked,
+                DriveMode::Follow => AxisCommand::Speed(SpeedCounts((command.speed_urad_per_s[axis] / 200) as i16)),
+            });
+            let message = ControlMessage::Cyclic(ArmCommand { axes, supervision: Supervision::default() });
+            let data = message.encode_data(self.config.format).unwrap();
+            self.say(&HostMessage::Raw(RawMessage { letter: b'C', data: ByteBuffer::from_slice(&data).unwrap() }));
+        } else {
+            self.say(&HostMessage::Command(command));
+        }
+        later
+    }
+
+    /// Any letter with any data.
+    fn raw<'a>(&mut self, letter: u8, bytes: &'a [u8]) -> &'a [u8] {
+        let length = match letter {
+            b'C' if self.config.format == WireFormat::BigEndian6x10 => 44,
+            b'C' => 35,
+            _ => usize::from(letter % 4),
+        };
+        let (data, later) = split(bytes, length);
+        self.say(&HostMessage::Raw(RawMessage { letter, data: ByteBuffer::from_slice(data).unwrap() }));
+        later
+    }
+
+    fn say(&mut self, message: &HostMessage) {
+        let frame = message.frame(ARM, self.sequence, self.now.as_nanos() / 1000);
+        self.tell_frame(&frame);
+    }
+
+    fn tell_frame(&mut self, frame: &Frame) {
+        self.sequence = self.sequence.wrapping_add(1);
+        self.tell(&frame.encode());
+    }
+
+    fn tell(&mut self, bytes: &[u8]) {
+        let (speed_max, format) = (&mut self.speed_max, self.config.format);
+        self.host_ear.feed(bytes, |received| {
+            let Received::Frame(frame) = received else { return };
+            note_speeds(speed_max, format, &frame);
+        });
+        self.heard_host = self.now;
+        self.gateway.handle_host_bytes(self.now, bytes);
+        self.listen();
+    }
+
+    fn run(&mut self, time: Duration) {
+        let end = self.now + time;
+        loop {
+            let due = self.gateway.next_deadline();
+            if due > end {
+                break;
+            }
+            self.now = self.now.max(due);
+            self.answer();
+            if let Some(frame) = self.gateway.poll_bus_frame(self.now) {
+                self.take_frame(&frame);
+            }
+            self.listen();
+            if self.now >= end {
+                break;
+            }
+        }
+        self.now = self.now.max(end);
+    }
+
+    /// The controller's reply to the last message.
+    fn answer(&mut self) {
+        let Some(asked) = self.asked.take().filter(|_| self.answers) else { return };
+        let message = match asked.message {
+            ControlMessage::Cyclic(_) => ReplyMessage::Cyclic(self.reply()),
+            ControlMessage::ReadEeprom(axis) => ReplyMessage::Eeprom(EepromAxis {
+                axis,
+                positive_limit: AngleCounts(391_139),
+                negative_limit: AngleCounts(-391_139),
+                zero_offset_raw: 0,
+                poles: 2,
+            }),
+            other => ReplyMessage::Done(other.letter()),
+        };
+        let packet = ReplyPacket { sequence: asked.sequence, message }.encode(self.config.format).unwrap();
+        let frame = arcnet::encode(Route::TO_HOST, &packet).unwrap();
+        self.gateway.handle_bus_frame(self.now, &frame);
+    }
+
+    fn reply(&self) -> ArmReply {
+        let documented = self.config.format == WireFormat::BigEndian6x10;
+        let axes = std::array::from_fn(|index| {
+            let word = if index == 3 { self.servo } else { 0 };
+            AxisReply {
+                status: if documented { AxisStatus::Servo(ServoWord(word)) } else { AxisStatus::Undocumented(word) },
+                angle: AngleCounts(1000),
+                speed: documented.then_some(SpeedCounts(0)),
+                torque: TorqueCounts(0),
+            }
+        });
+        let comm = if documented { CommStatus::Comm(CommWord(self.comm)) } else { CommStatus::Undocumented(self.comm) };
+        ArmReply { axes, comm }
+    }
+
+    /// Nothing but sound messages, no letter but S, C, E, A and R, no speed beyond what was asked for, none that outlives its
+    /// command, and no servo off behind a brake that does not hold yet.
+    fn take_frame(&mut self, frame: &[u8]) {
+        let packet = arcnet::decode(Route::TO_CONTROLLER, frame).unwrap();
+        assert!(b"SCEAR".contains(&packet[1]), "letter {}", packet[1]);
+        let packet = ControlPacket::decode(self.config.format, packet).unwrap();
+        self.asked = Some(packet);
+        let holds = |since: &Option<MonotonicTime>| since.is_some_and(|at| self.now.saturating_since(at) >= BRAKE_TIME);
+        match packet.message {
+            ControlMessage::Cyclic(command) => {
+                let silent_for = self.now.saturating_since(self.heard_host);
+                for (axis, told) in command.axes.iter().enumerate() {
+                    let speed = told.speed().0.unsigned_abs();
+                    assert!(speed <= self.speed_max[axis], "axis {axis}: {speed}, {} asked for", self.speed_max[axis]);
+                    assert!(
+                        speed == 0 || silent_for <= self.config.watchdog.stop_after(),
+                        "{speed} after {silent_for:?}"
+                    );
+                    assert!(*told != AxisCommand::Off || holds(&self.closed_since[axis]), "axis {axis} falls");
+                    let is_open = matches!(told, AxisCommand::Speed(_));
+                    let since = self.closed_since[axis].or((!is_open).then_some(self.now));
+                    self.closed_since[axis] = since.filter(|_| !is_open);
+                }
+            }
+            ControlMessage::End => assert!(self.closed_since.iter().all(holds), "E, and the brakes do not hold"),
+            _ => {}
+        }
+    }
+
+    /// Takes what the gateway says, which is sound, and not without end.
+    fn listen(&mut self) {
+        let mut count = 0;
+        while let Some(bytes) = self.gateway.poll_host_output(self.now) {
+            self.own_ear.feed(&bytes, |received| {
+                let Received::Frame(frame) = received else { panic!("{received:?}") };
+                GatewayMessage::decode(&frame).unwrap();
+            });
+            count += 1;
+            assert!(count <= ANSWERS_MAX, "it does not stop talking");
+        }
+        assert!(!self.own_ear.is_within_frame());
+    }
+
+    fn run_to_rest(&mut self) {
+        let end = self.now + REST_MAX;
+        while !self.gateway.is_at_rest() && self.now < end {
+            self.run(REST_PIECE);
+        }
+    }
+
+    /// Nobody says anything any more: the arm comes to rest behind closed brakes, and stays there. A controller that does not answer
+    /// is told so until it does.
+    fn fall_silent(&mut self) {
+        self.run_to_rest();
+        if !self.answers && !self.gateway.is_at_rest() {
+            assert!(self.gateway.status().is_unheard, "{:?}", self.gateway.status());
+            assert!(self.closed_since.iter().all(Option::is_some));
+            self.answers = true;
+            self.run_to_rest();
+        }
+        let status = self.gateway.status();
+        assert!(self.gateway.is_at_rest(), "{status:?}");
+        assert!(
+            matches!(status.state, GatewayState::Idle | GatewayState::Fault | GatewayState::EmergencyStop),
+            "{status:?}"
+        );
+        assert!(self.closed_since.iter().all(Option::is_some));
+        self.asked = None;
+        self.run(Duration::from_millis(20));
+        assert_eq!(self.asked, None);
+    }
+}
+
+fn control(choice: u8) -> Control {
+    let axis = Axis::ALL[usize::from(choice / 8) % Axis::COUNT];
+    match choice % 8 {
+        0 | 1 => Control::Arm(ArmOperation::Start),
+        2 => Control::Arm(ArmOperation::Abort),
+        3 => Control::Arm(ArmOperation::End),
+        4 => Control::Arm(ArmOperation::Stop),
+        5 => Control::Arm(ArmOperation::Reset),
+        6 => Control::ClearAlarm(axis),
+        _ => Control::ReadEeprom(axis),
+    }
+}
+
+/// The speeds of a command of the host, whether or not the gateway will take it.
+fn note_speeds(speed_max: &mut [u16; Axis::COUNT], format: WireFormat, frame: &Frame) {
+    let counts = match HostMessage::decode(frame) {
+        Ok(HostMessage::Command(command)) => {
+            let asked = ArmCommand::velocities(&command.velocity_rad_per_s(), Supervision::default());
+            asked.map(|asked| asked.axes.map(|axis| axis.speed().0.unsigned_abs()))
+        }
+        Ok(HostMessage::Raw(raw)) if raw.letter == b'C' => {
+            match ControlMessage::decode_data(format, pb3dp_arm_pa10::codec::Letter::Cyclic, &raw.data) {
+                Ok(ControlMessage::Cyclic(asked)) => Ok(asked.axes.map(|axis| axis.speed().0.unsigned_abs())),
+                _ => return,
+            }
+        }
+        _ => return,
+    };
+    for (most, speed) in speed_max.iter_mut().zip(counts.into_iter().flatten()) {
+        *most = (*most).max(speed);
+    }
+}

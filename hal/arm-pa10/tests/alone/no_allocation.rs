@@ -1,0 +1,69 @@
+//! Neither the exchange of a real arm nor its thread touches the heap once it moves.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use pb3dp_allocation_count::{leave_this_thread_out, requests_of_all_threads};
+use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::driver::DriverConfig;
+use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Geometry};
+use pb3dp_arm_pa10::io::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
+use pb3dp_arm_pa10::io::pty::Pty;
+use pb3dp_arm_pa10::io::serial::SerialConfig;
+use pb3dp_arm_pa10::io::transport::ByteLink;
+use pb3dp_arm_pa10::link::GatewayLinkConfig;
+use pb3dp_arm_pa10_test_support::far_end::FarEnd;
+use pb3dp_arm_pa10_test_support::gateway::FakeGateway;
+use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, JointCommand};
+use pb3dp_hal_clock::SystemClock;
+use pb3dp_kinematics::JointVector;
+
+pub fn exchanges() {
+    const CYCLE: Duration = Duration::from_millis(10);
+    const ASIDE: [f64; 6] = [0.55, 0.2, 0.4, 0.7, 0.85, 0.3];
+    let (dialect, format) = (Dialect::GatewayV1, WireFormat::BigEndian6x10);
+    let pty = Pty::open().unwrap();
+    let serial = SerialConfig { path: pty.name().to_owned(), baud: 460_800, dialect, format, cycle: CYCLE };
+    let far = FarEnd::serve_after(Box::new(pty), FakeGateway::new(ArmId(2), format), leave_this_thread_out);
+    let link = GatewayLinkConfig { arm: ArmId(2), dialect, format, geometry: Geometry::Unknown, cycle: CYCLE };
+    let config = Pa10ArmConfig::new("arm", DriverConfig::with_cycle(CYCLE), link);
+    let seat = trip_line(1).unwrap().remove(0);
+    let mut arm = Pa10Arm::open(config, Box::new(serial), Arc::new(SystemClock::new()), seat).unwrap_or_else(|error| {
+        panic!("{error}: {:?}", std::error::Error::source(&error));
+    });
+    let monitor = arm.monitor();
+    // On a loaded machine the link may need more than one try to show that it is quick enough.
+    assert!((0..20).any(|_| arm.enable().is_ok()));
+    let velocity = JointCommand::Velocity(JointVector::from([0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 0.7]));
+    let exchange = |arm: &mut Pa10Arm, cycle: i32| {
+        let command = if cycle % 50 == 20 { JointCommand::Hold } else { velocity };
+        std::thread::sleep(CYCLE);
+        // A loaded machine may be late.
+        arm.exchange(command).map(|_| ()).map_err(|error| match error.kind() {
+            ArmErrorKind::Timeout => (),
+            _ => panic!("{error}"),
+        })
+    };
+    for cycle in 0..20 {
+        let _ = exchange(&mut arm, cycle);
+    }
+    let (mut quiet, mut late) = (0, 0);
+    for cycle in 0..300 {
+        if cycle % 50 == 30 {
+            // An exchange that waits for its measurement keeps step with the arm from then on, and the two that are lost are over
+            // before it misses them: aside of it, it is late. How far aside, hangs on the machine.
+            std::thread::sleep(CYCLE.mul_f64(ASIDE[cycle as usize / 50]));
+            far.line.drop_answers.store(2, Ordering::SeqCst);
+        }
+        let before = requests_of_all_threads();
+        let told = exchange(&mut arm, cycle);
+        assert_eq!(requests_of_all_threads(), before, "exchange {cycle}: {told:?}");
+        *(if told.is_ok() { &mut quiet } else { &mut late }) += 1;
+        let _ = std::hint::black_box((monitor.snapshot(), monitor.jitter()));
+    }
+    assert!(quiet > 200 && late > 0, "{quiet} exchanges, {late} late");
+    let probe = requests_of_all_threads();
+    drop(std::hint::black_box(Box::new([0u8; 64])));
+    assert!(requests_of_all_threads() > probe, "the counter counts");
+}

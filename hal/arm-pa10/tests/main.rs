@@ -1,0 +1,43 @@
+//! Integration tests of the PA-10 driver, its gateway and its emulation.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
+
+mod bus_format;
+mod chain_injections;
+mod chain_line;
+mod chain_shown;
+mod codec_golden;
+mod codec_properties;
+mod conformance;
+mod driver;
+mod driver_connection;
+mod driver_doubts;
+mod driver_owner;
+mod driver_properties;
+mod driver_table;
+mod frame_parser;
+mod gateway_abort;
+mod gateway_properties;
+mod gateway_protocol;
+mod gateway_rest;
+mod gateway_restart;
+mod gateway_table;
+mod gateway_watchdogs;
+mod gateway_work;
+mod host_fault;
+mod io_bus;
+mod io_links;
+mod io_serial;
+mod known_driver_bugs;
+mod link;
+mod link_faults;
+mod mock_controller;
+mod mock_exposes_bugs;
+mod mock_injections;
+mod mock_script;
+mod no_allocation;
+mod old_measurements;
+mod random_bytes;
+mod real_time;
+mod unheard_bus;
+mod unheard_gateway;
+mod virtual_time;

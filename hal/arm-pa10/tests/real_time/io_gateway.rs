@@ -1,0 +1,367 @@
+//! A gateway that runs, between an emulated controller and a host, through the kernel and in real time.
+
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+
+use std::net::{SocketAddr, TcpListener};
+use std::os::fd::BorrowedFd;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use pb3dp_arm_pa10::driver::{DriverState, Request};
+use pb3dp_arm_pa10::gateway_protocol::{Dialect, GatewayState, StopCause};
+use pb3dp_arm_pa10::io::bus::{BusDown, BusPort, FRAME_ROOM, FrameListener, FrameSocket};
+use pb3dp_arm_pa10::io::gateway::{
+    BusOpener, GatewayEvent, GatewayServer, GatewayServerConfig, GatewayServerError, Happened, HostSide,
+};
+use pb3dp_arm_pa10::io::pty::Pty;
+use pb3dp_arm_pa10::io::realtime::{self, Realtime};
+use pb3dp_arm_pa10::io::serial::SerialConfig;
+use pb3dp_arm_pa10::io::tcp::{TcpConfig, TcpLink};
+use pb3dp_arm_pa10::mock_controller::ControlMode;
+use pb3dp_arm_pa10_test_support::world::{Emulation, FORMAT, Host, LONG, gateway_config, home, ms, velocity};
+use pb3dp_test_support::in_real_time;
+use pb3dp_test_support::real_time::note_lateness_at;
+
+/// Real-time where it is permitted: the tests run without as well.
+const REALTIME: Realtime = Realtime { priority: Some(20), locks_memory: false, cpu: None };
+
+fn server(host: HostSide) -> (GatewayServer, Emulation) {
+    let (gateway, controller) = FrameSocket::pair("bus").unwrap();
+    let emulation = Emulation::start(Box::new(controller), Some(ms(400)));
+    (start(once(gateway), host), emulation)
+}
+
+/// Opens what is open already, and nothing more.
+fn once(port: FrameSocket) -> BusOpener {
+    let mut port = Some(port);
+    Box::new(move || Ok(Box::new(port.take().ok_or("it was opened before")?) as Box<dyn BusPort>))
+}
+
+fn start(bus: BusOpener, host: HostSide) -> GatewayServer {
+    let config = GatewayServerConfig { gateway: gateway_config(), realtime: REALTIME };
+    GatewayServer::start(config, bus, host).unwrap()
+}
+
+fn tcp() -> (HostSide, SocketAddr) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    listener.set_nonblocking(true).unwrap();
+    let address = listener.local_addr().unwrap();
+    (HostSide::Tcp(listener), address)
+}
+
+fn serial(pty: &Pty) -> HostSide {
+    HostSide::Line(Box::new(SerialConfig {
+        path: pty.path().to_str().unwrap().to_owned(),
+        baud: 921_600,
+        dialect: Dialect::GatewayV1,
+        format: FORMAT,
+        cycle: ms(10),
+    }))
+}
+
+fn connect(address: SocketAddr, dialect: Dialect) -> Host {
+    Host::new(Box::new(TcpLink::connect(&TcpConfig { address }).unwrap()), dialect)
+}
+
+fn events(server: &GatewayServer) -> Vec<Happened> {
+    std::iter::from_fn(|| server.try_event()).map(|GatewayEvent { what, .. }| what).collect()
+}
+
+/// What happened up to a state.
+fn events_until(server: &GatewayServer, wanted: GatewayState) -> Vec<Happened> {
+    let (mut happened, since) = (Vec::new(), Instant::now());
+    while !matches!(happened.last(), Some(Happened::State { to, .. }) if *to == wanted) {
+        assert!(since.elapsed() < LONG, "never {wanted}: {happened:?}");
+        match server.try_event() {
+            Some(GatewayEvent { what: Happened::Overrun { .. }, .. }) => {}
+            Some(event) => happened.push(event.what),
+            None => std::thread::sleep(ms(2)),
+        }
+    }
+    happened
+}
+
+/// Shows what happened to a gateway if the test fails, and notes how late it was.
+struct Witness<'a>(&'a GatewayServer);
+
+impl Drop for Witness<'_> {
+    fn drop(&mut self) {
+        if !std::thread::panicking() {
+            return;
+        }
+        // A thread that is late tells of it when it runs again.
+        std::thread::sleep(ms(1000));
+        while let Some(GatewayEvent { at, what }) = self.0.try_event() {
+            if let Happened::Overrun { late } = what {
+                // It is read a second later: witnesses of the machine are asked about the cycle that began late.
+                let ended = Instant::now().checked_sub(realtime::now().saturating_since(at));
+                note_lateness_at(ended.unwrap(), late);
+            }
+            eprintln!("{at:?} {what:?}");
+        }
+    }
+}
+
+fn messages_until(server: &GatewayServer, word: &str) {
+    let since = Instant::now();
+    loop {
+        if server.try_message().is_some_and(|text| text.contains(word)) {
+            return;
+        }
+        assert!(since.elapsed() < LONG, "never said: {word}");
+        std::thread::sleep(ms(2));
+    }
+}
+
+/// From HELLO to motion to a stop.
+fn go_up_and_down(host: &mut Host, emulation: &Emulation) {
+    host.open();
+    host.lead_to_moving();
+    assert!(
+        host.run_for(ms(500), |_| false) || host.driver.state() == DriverState::Moving,
+        "{:?}",
+        host.driver.latched()
+    );
+    let seen = emulation.seen();
+    let moved = seen.position_rad - home();
+    assert!(moved[6] > 0.25 * velocity()[6], "{moved}");
+    host.do_it(Request::Stop);
+    host.must_be(DriverState::Connected);
+    emulation.wait_for("at rest", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
+    let counters = emulation.seen().counters;
+    assert_eq!((counters.forbidden, counters.malformed, counters.odd, counters.let_go), (0, 0, 0, 0));
+    assert_eq!(counters.watchdog_trips, 0, "E came before the controller stopped by itself");
+}
+
+#[test]
+fn an_arm_goes_up_and_down_over_a_pseudo_terminal() {
+    in_real_time(up_and_down_over_a_pseudo_terminal);
+}
+
+fn up_and_down_over_a_pseudo_terminal() {
+    for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
+        let pty = Pty::open().unwrap();
+        let (server, emulation) = server(serial(&pty));
+        messages_until(&server, "is open");
+        let mut host = Host::new(Box::new(pty), dialect);
+        let witness = Witness(&server);
+        go_up_and_down(&mut host, &emulation);
+        drop(witness);
+        let mut happened = events_until(&server, GatewayState::Moving);
+        happened.extend(events_until(&server, GatewayState::Idle));
+        assert!(happened.contains(&Happened::HostGreeted(dialect)), "{happened:?}");
+        let states = happened.iter().filter_map(|what| match what {
+            Happened::State { to, .. } => Some(*to),
+            _ => None,
+        });
+        let states = states.collect::<Vec<_>>();
+        use GatewayState::{Holding, Idle, Moving, Started};
+        assert!(states.windows(3).any(|run| run == [Started, Holding, Moving]), "{states:?}");
+        assert_eq!(states.last(), Some(&Idle), "{states:?}");
+        let status = server.end().unwrap();
+        assert_eq!((status.cause, status.answers_dropped), (StopCause::None, 0));
+        // The line is gone with its owner.
+        assert!(!host.run_for(ms(5), |host| host.is_gone));
+    }
+}
+
+#[test]
+fn a_line_that_is_unplugged_in_motion_stops_the_arm_and_is_tried_again() {
+    in_real_time(unplugged_in_motion);
+}
+
+fn unplugged_in_motion() {
+    let pty = Pty::open().unwrap();
+    let (server, emulation) = server(serial(&pty));
+    messages_until(&server, "is open");
+    let witness = Witness(&server);
+    let mut host = Host::new(Box::new(pty), Dialect::GatewayV1);
+    host.open();
+    host.lead_to_moving();
+    drop(witness);
+    drop(host);
+    emulation.wait_for("braked", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
+    assert_eq!(emulation.seen().counters.watchdog_trips, 0, "the gateway stopped it");
+    let happened = events_until(&server, GatewayState::Fault);
+    assert!(happened.iter().any(|what| matches!(what, Happened::HostGone(_))), "{happened:?}");
+    let silent = |what: &Happened| matches!(what, Happened::State { cause: StopCause::HostSilent, .. });
+    assert!(happened.iter().any(silent), "{happened:?}");
+    messages_until(&server, "can not be opened");
+}
+
+#[test]
+fn a_host_whose_connection_ends_in_motion_is_silent_and_the_next_one_has_to_reset() {
+    in_real_time(connection_ends_in_motion);
+}
+
+fn connection_ends_in_motion() {
+    let (side, address) = tcp();
+    let (server, emulation) = server(side);
+    let witness = Witness(&server);
+    let mut host = connect(address, Dialect::GatewayV1);
+    host.open();
+    host.lead_to_moving();
+    // While it is there nobody else comes in.
+    let mut second = connect(address, Dialect::GatewayV1);
+    messages_until(&server, "was turned away");
+    assert!(second.run_for(LONG, |host| host.is_gone));
+    host.must_be(DriverState::Moving);
+    // As kill -9 of the host ends it.
+    drop(host);
+    emulation.wait_for("braked", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
+    let mut next = connect(address, Dialect::GatewayV1);
+    next.open();
+    assert_eq!(next.link.hello().unwrap().cause, StopCause::HostSilent);
+    next.do_it(Request::Connect);
+    assert!(next.driver.latched().is_some(), "a latched gateway does not start");
+    next.do_it(Request::Reset);
+    next.lead_on_to_moving();
+    next.must_be(DriverState::Moving);
+    drop(witness);
+    let happened = events(&server);
+    assert!(happened.iter().any(|what| matches!(what, Happened::HostGone(_))), "{happened:?}");
+    // The owner ends the gateway in motion: through the stop order.
+    let status = server.end().unwrap();
+    assert_eq!((status.state, status.cause), (GatewayState::Idle, StopCause::None));
+    let seen = emulation.seen();
+    assert!(seen.is_braked && seen.mode == ControlMode::Adjustment, "{seen:?}");
+    assert_eq!(seen.counters.watchdog_trips, 0);
+    assert!(next.run_for(LONG, |host| host.is_gone));
+    assert!(next.driver.latched().is_some());
+}
+
+#[test]
+fn a_connection_that_has_been_silent_for_a_second_gives_way() {
+    let (side, address) = tcp();
+    let (server, _emulation) = server(side);
+    // Half-open: nothing is ever said, and the end is never told.
+    let silent = connect(address, Dialect::GatewayV1);
+    messages_until(&server, "a host connected");
+    std::thread::sleep(ms(1200));
+    let mut host = connect(address, Dialect::GatewayV1);
+    host.open();
+    let happened = events(&server);
+    assert!(happened.contains(&Happened::HostReplaced), "{happened:?}");
+    drop(silent);
+}
+
+#[test]
+fn a_bus_that_goes_down_stops_the_arm_and_may_come_back() {
+    in_real_time(bus_goes_down);
+}
+
+fn bus_goes_down() {
+    let folder = std::env::temp_dir().join(format!("pb3dp-gateway-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("bus");
+    let listener = FrameListener::bind(&path).unwrap();
+    let its_path = path.clone();
+    let (side, address) = tcp();
+    let opener: BusOpener = Box::new(move || Ok(Box::new(FrameSocket::connect(&its_path)?) as Box<dyn BusPort>));
+    let server = start(opener, side);
+    let accept = || {
+        let since = Instant::now();
+        loop {
+            if let Some(socket) = listener.try_accept().unwrap() {
+                return Box::new(socket);
+            }
+            assert!(since.elapsed() < LONG);
+            std::thread::sleep(ms(2));
+        }
+    };
+    let emulation = Emulation::start(accept(), None);
+    let witness = Witness(&server);
+    let mut host = connect(address, Dialect::GatewayV1);
+    host.open();
+    host.lead_to_moving();
+    let mut controller = emulation.unplug();
+    assert!(host.run_for(LONG, |host| host.driver.state() == DriverState::Fault));
+    // Long after the stop order was said to nobody the arm moves on.
+    host.run_for(ms(700), |_| false);
+    controller.advance(realtime::now());
+    let (_, speed) = controller.true_joints();
+    assert!((speed - velocity()).amax() < 1e-3, "{speed}");
+    let emulation = Emulation::carry_on(accept(), controller);
+    // It is stopped by what is said again, by nobody's order.
+    emulation.wait_for("stopped", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
+    let resting = emulation.seen().position_rad;
+    assert!(host.run_for(LONG, |host| host.driver.activity() == pb3dp_arm_pa10::driver::Activity::None));
+    assert!((emulation.seen().position_rad - resting).amax() < 1e-6);
+    host.must_be(DriverState::Fault);
+    host.do_it(Request::Reset);
+    host.must_be(DriverState::Connected);
+    drop(witness);
+    let happened = events(&server);
+    let position =
+        |wanted: fn(&Happened) -> bool| happened.iter().position(wanted).unwrap_or_else(|| panic!("{happened:?}"));
+    assert!(position(|what| matches!(what, Happened::BusDown(_))) < position(|what| matches!(what, Happened::BusUp)));
+    drop((host, server, emulation));
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+/// A bus whose code has a mistake: from a moment on receiving panics, once or always.
+struct Mistaken {
+    port: FrameSocket,
+    is_wrong: Arc<AtomicBool>,
+    is_wrong_always: bool,
+}
+
+impl BusPort for Mistaken {
+    fn name(&self) -> &str {
+        self.port.name()
+    }
+
+    fn try_send(&mut self, frame: &[u8]) -> Result<bool, BusDown> {
+        self.port.try_send(frame)
+    }
+
+    fn try_receive(&mut self, buffer: &mut [u8; FRAME_ROOM]) -> Result<Option<usize>, BusDown> {
+        assert!(!self.is_wrong.fetch_and(self.is_wrong_always, Ordering::SeqCst), "a mistake, for this test");
+        self.port.try_receive(buffer)
+    }
+
+    fn fd(&self) -> BorrowedFd<'_> {
+        self.port.fd()
+    }
+}
+
+/// R8: a mistake of the program does not leave the arm moving.
+#[test]
+fn a_thread_that_panics_in_motion_stops_the_arm() {
+    in_real_time(panics_in_motion);
+}
+
+fn panics_in_motion() {
+    for is_wrong_always in [false, true] {
+        let (port, controller) = FrameSocket::pair("bus").unwrap();
+        let is_wrong = Arc::new(AtomicBool::new(false));
+        let mut port = Some(Mistaken { port, is_wrong: Arc::clone(&is_wrong), is_wrong_always });
+        let opener: BusOpener =
+            Box::new(move || Ok(Box::new(port.take().ok_or("it was opened before")?) as Box<dyn BusPort>));
+        let emulation = Emulation::start(Box::new(controller), Some(ms(400)));
+        let (side, address) = tcp();
+        let server = start(opener, side);
+        let witness = Witness(&server);
+        let mut host = connect(address, Dialect::GatewayV1);
+        host.open();
+        host.lead_to_moving();
+        drop(witness);
+        is_wrong.store(true, Ordering::SeqCst);
+        emulation.wait_for("at rest", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
+        assert_eq!(emulation.seen().counters.watchdog_trips, 0, "the gateway stopped it");
+        assert!(host.run_for(LONG, |host| host.driver.latched().is_some()), "the host learns of it");
+        assert_eq!(server.end(), None);
+    }
+}
+
+#[test]
+fn what_can_not_be_started_is_refused_by_name() {
+    let (side, address) = tcp();
+    let error = HostSide::listen(address).err().unwrap();
+    assert!(matches!(error, GatewayServerError::Listen { .. }), "{error}");
+    let nobody: BusOpener = Box::new(|| Err("nobody there".into()));
+    let config = GatewayServerConfig { gateway: gateway_config(), realtime: REALTIME };
+    let error = GatewayServer::start(config, nobody, side).unwrap_err();
+    assert!(matches!(error, GatewayServerError::Bus(_)), "{error}");
+}

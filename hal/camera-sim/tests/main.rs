@@ -1,0 +1,4 @@
+//! Integration tests of the rendering camera.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
+
+mod camera;

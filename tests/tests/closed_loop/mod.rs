@@ -1,0 +1,14 @@
+//! The whole loop in the simulated cell: cameras, estimation, servo, limiter, arms. Pictures are small and the experiment
+//! short, so that the suite is quick; the setup is the repository's otherwise.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests may fail the test")]
+
+mod both_arms;
+mod drifting;
+mod failing;
+mod following;
+mod geometric;
+mod paths;
+mod repeatable;
+mod seeing_again;
+pub mod support;
+mod watched;

@@ -1,0 +1,13 @@
+//! Tests of the whole system.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
+
+mod between;
+mod camera_faults;
+mod closed_loop;
+mod configs;
+mod control_no_allocation;
+mod real_pairs;
+mod real_time;
+mod safety_numbers;
+mod start_and_resume;
+mod supervised;

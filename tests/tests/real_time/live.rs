@@ -1,0 +1,90 @@
+//! The whole loop in the machine's time: emulated arms behind gateways on pseudo-terminals, cameras where the arms are. A machine
+//! that is too loaded for it is late, and an arm that waits too long stops: so each run is tried again there.
+
+use pb3dp_arm_pa10::driver::DriverState;
+use pb3dp_estimation::estimator::Method;
+use pb3dp_orchestrator::config::setup::{ArmLink, Pace, Setup, read_setup};
+use pb3dp_orchestrator::run::experiment;
+use pb3dp_orchestrator::run::log::RunLog;
+use pb3dp_orchestrator::wiring::wire;
+use pb3dp_servo::{Gains, LawConfig, PublishedConfig, TargetFilterConfig};
+use pb3dp_sim::trajectory::Channel;
+use system_tests::repository;
+
+use crate::closed_loop::support::{Pixels, errors, quick_setup, run};
+use pb3dp_test_support::programs_in_real_time;
+
+/// A quick setup whose arms are reached as `configs/hil.toml` says.
+fn hil_setup() -> Setup {
+    let hil = read_setup(&repository().join("configs/hil.toml")).unwrap();
+    let mut setup = quick_setup(Method::Direct, Pixels::Few, &[Channel::X]);
+    setup.pace = Pace::Live;
+    (setup.vs.link, setup.tc.link) = (hil.vs.link, hil.tc.link);
+    assert!(setup.vs.link != ArmLink::InProcess && setup.tc.link != ArmLink::InProcess);
+    setup
+}
+
+/// What the law without feed-forward leaves in simulated time is the measure: a loaded machine leaves pictures out.
+fn with_published_law(mut setup: Setup) -> Setup {
+    let gains = Gains { position_per_s: 8.0, velocity: 0.0, orientation_per_s: 16.0, angular_velocity: 0.0 };
+    let target_filter = TargetFilterConfig {
+        position_time_constant_s: 0.03,
+        orientation_time_constant_s: 0.03,
+        ..TargetFilterConfig::default()
+    };
+    setup.controller.law = LawConfig::Published(PublishedConfig { gains, target_filter });
+    setup
+}
+
+fn followed(log: &RunLog) -> (f64, f64) {
+    let moving = errors(log, 1.0, 2.5);
+    (moving.rms_mm, moving.max_mm)
+}
+
+#[test]
+fn a_hand_follows_through_serial_lines_as_in_simulated_time() {
+    let simulated =
+        followed(&run(&with_published_law(quick_setup(Method::Direct, Pixels::Few, &[Channel::X])), None).log);
+    let setup = hil_setup();
+    programs_in_real_time(|| {
+        let parts = wire(&setup).unwrap();
+        let monitors = parts.monitors.clone();
+        let log = experiment::run(&setup, parts, None, None).unwrap().log;
+        for (name, monitor) in &monitors {
+            let arm = monitor.snapshot();
+            let is_well = arm.latched.is_none() && arm.state == DriverState::Connected;
+            assert!(is_well, "{name} ends {:?} {:?}", arm.state, arm.latched);
+        }
+        let (rms_mm, max_mm) = followed(&log);
+        let as_simulated = rms_mm < 1.5 * simulated.0 && max_mm < 1.5 * simulated.1;
+        assert!(as_simulated, "{rms_mm} and {max_mm} mm, simulated {simulated:?}");
+        let names: Vec<&str> = log.cycles.iter().map(|cycle| cycle.name.as_str()).collect();
+        assert_eq!(names, ["capture", "estimation", "control", "recording", "vs-robot", "tc-robot"]);
+        for cycle in &log.cycles {
+            let cycles_min = if cycle.period_millis > 30.0 { 60 } else { 200 };
+            assert!(cycle.cycles > cycles_min && cycle.late_p50_millis <= cycle.late_p99_millis, "{cycle:?}");
+        }
+    });
+}
+
+#[test]
+fn an_alarm_of_one_arm_ends_the_run_with_both_at_rest() {
+    let setup = hil_setup();
+    programs_in_real_time(|| {
+        let parts = wire(&setup).unwrap();
+        // Switching both arms on takes up to 3 s; then the target moves after a second.
+        parts.emulated[1].command_line("in 5s alarm 4 0x0e").unwrap();
+        let cell = parts.cell.clone();
+        let clock = parts.clock.clone();
+        let Err(error) = experiment::run(&setup, parts, None, None) else { panic!("the run must fail") };
+        let message = format!("{error:#}");
+        for (name, site) in [("vs-robot", &cell.vs), ("tc-robot", &cell.tc)] {
+            let mut joints = site.joints.simulated().unwrap().lock().unwrap();
+            joints.advance_to(clock.now());
+            let speed = joints.state().velocity_rad_per_s.amax();
+            assert!(speed < 1e-3, "{name} at {speed} rad/s after: {message}");
+        }
+        // On a machine that is late an arm may have stopped for that before.
+        assert!(message.contains("tc-robot") && message.contains("over-current"), "{message}");
+    });
+}

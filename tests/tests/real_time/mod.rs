@@ -1,0 +1,5 @@
+//! Tests whose threads must run in time: through `programs_in_real_time`.
+
+mod live;
+mod real_cameras;
+mod threads;

@@ -1,0 +1,472 @@
+//! The threads of a run in the machine's time: who is slow, stalled or mistaken holds nobody else up, and both arms are stopped. Nothing
+//! here is judged by how long something took: whoever is stalled waits for what the others do meanwhile.
+#![allow(clippy::unwrap_used, reason = "helpers of tests may fail the test")]
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, bail};
+use pb3dp_allocation_count::requests;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::Clock;
+use pb3dp_hal_clock::{SystemClock, VirtualClock};
+use pb3dp_orchestrator::config::setup::{Leader, Pace, Setup, read_setup};
+use pb3dp_orchestrator::run::capturing::Captured;
+use pb3dp_orchestrator::run::cycles::Punctuality;
+use pb3dp_orchestrator::run::halves::{Capture, Course, Estimate, Mover, Parted, Record};
+use pb3dp_orchestrator::run::looking::{Estimating, Looking};
+use pb3dp_orchestrator::run::moving::{Moved, Moving};
+use pb3dp_orchestrator::run::percept::Percept;
+use pb3dp_orchestrator::run::strip::Strip;
+use pb3dp_orchestrator::wiring::{Parts, wire};
+use pb3dp_servo::supervisor::{Condition, Confidence, EstimateInput, FrameInput, State};
+use pb3dp_test_support::programs_in_real_time;
+use system_tests::repository;
+
+/// What waits for others fails after this: they are held up.
+const HELD_UP: Duration = Duration::from_secs(60);
+
+/// What a control step is remembered by: about as large as that of a run.
+type Step = [u64; 64];
+
+/// What all parts have done so far.
+#[derive(Default)]
+struct Done {
+    captured: AtomicU64,
+    estimated: AtomicU64,
+    observed: AtomicU64,
+    recorded: AtomicU64,
+    steps: AtomicU64,
+    stops: AtomicU64,
+    /// What the thread of the control steps has asked the heap for between them.
+    requests: AtomicU64,
+    /// The course is to end.
+    is_enough: AtomicBool,
+}
+
+fn count(counter: &AtomicU64) -> u64 {
+    counter.fetch_add(1, Ordering::SeqCst) + 1
+}
+
+fn of(counter: &AtomicU64) -> u64 {
+    counter.load(Ordering::SeqCst)
+}
+
+/// Waits until each of the counters has gone on by so much, or the arms are stopped.
+fn wait_for(done: &Done, more: u64, counters: &[&AtomicU64]) {
+    let begin = Instant::now();
+    let until: Vec<u64> = counters.iter().map(|counter| of(counter) + more).collect();
+    while of(&done.stops) == 0 && counters.iter().zip(&until).any(|(counter, until)| of(counter) < *until) {
+        assert!(begin.elapsed() < HELD_UP, "the others are held up");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+type Deed = fn(&Done) -> Result<()>;
+
+/// What the parts do beside their work.
+#[derive(Clone, Copy)]
+struct Script {
+    capture: Deed,
+    estimate: Deed,
+    record: Deed,
+    step: Deed,
+    stop: Deed,
+}
+
+const NOTHING: Deed = |_| Ok(());
+const QUIET: Script = Script { capture: NOTHING, estimate: NOTHING, record: NOTHING, step: NOTHING, stop: NOTHING };
+
+/// A half that looks, and each of its parts. Frames are numbers, one each two milliseconds.
+#[derive(Clone, Copy)]
+struct Part<'a>(&'a Done, Script);
+
+impl Capture for Part<'_> {
+    type Frame = u64;
+
+    fn capture(&mut self) -> Result<Option<u64>> {
+        std::thread::sleep(Duration::from_millis(2));
+        (self.1.capture)(self.0)?;
+        Ok(Some(count(&self.0.captured)))
+    }
+
+    fn input(frame: &u64) -> FrameInput {
+        FrameInput { sequence: *frame, at: MonotonicTime::ZERO, skew_s: 0.0 }
+    }
+}
+
+impl Estimate for Part<'_> {
+    type Frame = u64;
+    type Seen = u64;
+    type Step = Step;
+
+    fn moved(&mut self, _step: &Step) {}
+
+    fn look(&mut self, frame: u64) -> Result<(Percept, u64)> {
+        (self.1.estimate)(self.0)?;
+        count(&self.0.estimated);
+        let input = Self::input(&frame);
+        let estimate = EstimateInput { at: input.at, confidence: Confidence::NoPose, covariance: None, target: 1 };
+        Ok((Percept { frame: input, estimate, observation: None }, frame))
+    }
+}
+
+impl Record for Part<'_> {
+    type Seen = u64;
+    type Step = Step;
+
+    fn moved(&mut self, _step: &Step) {}
+
+    fn note(&mut self, _seen: u64) -> Result<()> {
+        (self.1.record)(self.0)?;
+        count(&self.0.recorded);
+        Ok(())
+    }
+}
+
+impl Parted for Part<'_> {
+    type Step = Step;
+    type Frame = u64;
+    type Seen = u64;
+
+    fn begin_at(&mut self, _begin: MonotonicTime) {}
+
+    fn parts(
+        &mut self,
+    ) -> (
+        impl Capture<Frame = u64>,
+        impl Estimate<Frame = u64, Seen = u64, Step = Step>,
+        impl Record<Seen = u64, Step = Step>,
+    ) {
+        (*self, *self, *self)
+    }
+}
+
+/// Arms that only count; what the loop does between two steps is watched.
+struct Arms<'a> {
+    done: &'a Done,
+    script: Script,
+    is_on: bool,
+    newest: u64,
+    /// Requests to the heap behind the step before.
+    requests: Option<usize>,
+    interrupt: &'a AtomicBool,
+}
+
+impl Mover for Arms<'_> {
+    type Step = Step;
+
+    fn enable(&mut self) -> Result<bool> {
+        self.is_on = true;
+        Ok(true)
+    }
+
+    fn begin_at(&mut self, _begin: MonotonicTime) {}
+
+    fn observe(&mut self, percept: Percept, _now: MonotonicTime) {
+        assert!(percept.frame.sequence > self.newest, "a percept comes once, and none behind a newer one");
+        self.newest = percept.frame.sequence;
+        count(&self.done.observed);
+    }
+
+    fn step(&mut self, _now: MonotonicTime) -> Result<Step> {
+        let between = self.requests.map_or(0, |before| requests() - before);
+        self.done.requests.fetch_add(between as u64, Ordering::SeqCst);
+        count(&self.done.steps);
+        (self.script.step)(self.done)?;
+        if self.done.is_enough.load(Ordering::SeqCst) {
+            self.interrupt.store(true, Ordering::SeqCst);
+        }
+        self.requests = Some(requests());
+        Ok([7; 64])
+    }
+
+    fn stop(&mut self) -> Result<()> {
+        self.is_on = false;
+        count(&self.done.stops);
+        (self.script.stop)(self.done)
+    }
+}
+
+fn setup(pace: Pace) -> Setup {
+    Setup {
+        pace,
+        control_period: Duration::from_millis(2),
+        ..read_setup(&repository().join("configs/sim.toml")).unwrap()
+    }
+}
+
+/// What a course leaves behind, that ends when it is enough, after ten minutes, or by a failure or panic (`None`).
+fn run(pace: Pace, script: Script) -> (Done, Option<Result<()>>, Punctuality) {
+    let (done, interrupt) = (Done::default(), AtomicBool::new(false));
+    let clock: Arc<dyn Clock> = match pace {
+        Pace::Live => Arc::new(SystemClock::new()),
+        Pace::Fast | Pace::RealTime => Arc::new(VirtualClock::new()),
+    };
+    let setup = setup(pace);
+    let mut arms = Arms { done: &done, script, is_on: false, newest: 0, requests: None, interrupt: &interrupt };
+    let course = Course { setup: &setup, clock: &clock, duration: Duration::from_secs(600), interrupt: &interrupt };
+    let ended = catch_unwind(AssertUnwindSafe(|| course.run(&mut Part(&done, script), &mut arms)));
+    assert!(!arms.is_on, "both arms are stopped, however a course ends");
+    assert_eq!(of(&done.stops), 1);
+    let (ended, punctuality) = ended.map_or((None, None), |(ended, punctuality)| (Some(ended), punctuality));
+    (done, ended, punctuality.unwrap_or_default())
+}
+
+/// What has ended a course, as a line.
+fn failure(ended: Option<Result<()>>) -> String {
+    ended.map_or_else(|| "a panic".to_owned(), |ended| format!("{:#}", ended.unwrap_err()))
+}
+
+#[test]
+fn a_stalled_recorder_holds_neither_estimation_nor_control_up() {
+    const MANY: u64 = 100;
+    let record: Deed = |done| {
+        if of(&done.recorded) == 3 {
+            wait_for(done, MANY, &[&done.captured, &done.estimated, &done.observed, &done.steps]);
+            done.is_enough.store(true, Ordering::SeqCst);
+        }
+        Ok(())
+    };
+    let (done, ended, punctuality) = run(Pace::Live, Script { record, ..QUIET });
+    ended.unwrap().unwrap();
+    // What found no room was left out and counted; the rest was written down in the end.
+    let (recorded, estimated) = (of(&done.recorded), of(&done.estimated));
+    assert!(
+        punctuality.estimation.dropped >= estimated - recorded && estimated - recorded > MANY / 2,
+        "{punctuality:?}"
+    );
+    assert!(recorded > 4, "{recorded}");
+    assert_eq!(punctuality.recording.lateness.summary().cycles, recorded);
+}
+
+#[test]
+fn a_slow_estimator_holds_neither_capture_nor_control_up_and_gets_the_newest_frame() {
+    const MANY: u64 = 100;
+    let estimate: Deed = |done| {
+        match of(&done.estimated) {
+            3 => wait_for(done, MANY, &[&done.captured, &done.steps]),
+            5 => done.is_enough.store(true, Ordering::SeqCst),
+            _ => {}
+        }
+        Ok(())
+    };
+    let (done, ended, punctuality) = run(Pace::Live, Script { estimate, ..QUIET });
+    ended.unwrap().unwrap();
+    let (captured, estimated) = (of(&done.captured), of(&done.estimated));
+    assert!(punctuality.capture.dropped >= MANY - 1, "{punctuality:?}");
+    assert!(captured > MANY && estimated < MANY, "{captured} frames, {estimated} of them looked at");
+    assert_eq!(punctuality.control.lateness.summary().cycles, of(&done.steps));
+}
+
+#[test]
+fn a_camera_that_waits_holds_control_not_up() {
+    let capture: Deed = |done| {
+        wait_for(done, 20, &[&done.steps]);
+        done.is_enough.store(of(&done.captured) > 3, Ordering::SeqCst);
+        Ok(())
+    };
+    run(Pace::Live, Script { capture, ..QUIET }).1.unwrap().unwrap();
+}
+
+/// Rings and slots that are full, empty and overwritten in turn: the thread of the control steps takes nothing from the heap between two
+/// of them.
+#[test]
+fn handing_over_takes_nothing_from_the_heap() {
+    let record: Deed = |done| {
+        match of(&done.recorded) {
+            // More than the rings hold.
+            10 => wait_for(done, 1200, &[&done.steps]),
+            60 => done.is_enough.store(true, Ordering::SeqCst),
+            _ => {}
+        }
+        Ok(())
+    };
+    let (done, ended, punctuality) = run(Pace::Live, Script { record, ..QUIET });
+    ended.unwrap().unwrap();
+    assert_eq!(of(&done.requests), 0, "in {} steps", of(&done.steps));
+    assert!(of(&done.observed) > 100 && punctuality.control.dropped > 100, "{punctuality:?}");
+}
+
+#[test]
+fn a_mistake_in_any_thread_stops_both_arms() {
+    let mistake: Deed = |done| if of(&done.steps) >= 5 { panic!("a mistake of the test") } else { Ok(()) };
+    let scripts = [
+        ("capture", Script { capture: mistake, ..QUIET }),
+        ("estimation", Script { estimate: mistake, ..QUIET }),
+        ("control", Script { step: mistake, ..QUIET }),
+        ("recording", Script { record: mistake, ..QUIET }),
+    ];
+    for (part, script) in scripts {
+        let (done, ended, _) = run(Pace::Live, script);
+        let why = failure(ended);
+        // The recorder has the thread of the caller.
+        let expected =
+            if part == "recording" { "a panic".to_owned() } else { format!("the thread of {part} has failed") };
+        assert!(why.contains(&expected), "{part}: {why}");
+        assert!(of(&done.steps) >= 5, "{part}");
+        let (_, ended, _) = run(Pace::Fast, script);
+        assert_eq!(failure(ended), "a panic", "{part}");
+    }
+}
+
+#[test]
+fn a_failure_in_any_thread_stops_both_arms_and_is_told() {
+    let fail: Deed = |done| if of(&done.steps) >= 5 { bail!("the part is gone") } else { Ok(()) };
+    let scripts = [
+        Script { capture: fail, ..QUIET },
+        Script { estimate: fail, ..QUIET },
+        Script { step: fail, ..QUIET },
+        Script { record: fail, ..QUIET },
+    ];
+    // A stop that fails does not hide why both arms were stopped.
+    let stop: Deed = |_| bail!("an arm can not be told");
+    for script in scripts {
+        for pace in [Pace::Live, Pace::Fast] {
+            for script in [script, Script { stop, ..script }] {
+                assert_eq!(failure(run(pace, script).1), "the part is gone", "{pace:?}");
+            }
+        }
+    }
+}
+
+/// Steps that the hand follows before its method takes long, rests meanwhile, and follows afterwards.
+const ENOUGH: u64 = 40;
+
+/// A run whose method once takes as long as it needs to make the newest pictures too old.
+struct SlowOnce<'a> {
+    looking: Looking<'a>,
+    seen: Seen,
+    /// Since the hand followed.
+    moved: Vec<Moved>,
+    /// Ends the run.
+    interrupt: Arc<AtomicBool>,
+}
+
+/// What the recorder has been told of so far.
+#[derive(Default)]
+struct Seen {
+    followed: AtomicU64,
+    stale: AtomicU64,
+    /// The hand has gone on after it had rested.
+    resumed: AtomicU64,
+}
+
+struct SlowMethod<'w, 'a>(&'w mut Estimating<'a>, &'w Seen);
+
+struct Kept<'w> {
+    moved: &'w mut Vec<Moved>,
+    seen: &'w Seen,
+    interrupt: &'w AtomicBool,
+}
+
+impl Estimate for SlowMethod<'_, '_> {
+    type Frame = Captured;
+    type Seen = ();
+    type Step = Moved;
+
+    fn moved(&mut self, step: &Moved) {
+        self.0.push_joints(step.vs_joints);
+    }
+
+    fn look(&mut self, frame: Captured) -> Result<(Percept, ())> {
+        let begin = Instant::now();
+        while of(&self.1.followed) >= ENOUGH && of(&self.1.stale) < ENOUGH {
+            assert!(begin.elapsed() < HELD_UP, "the hand does not rest");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        Ok((self.0.look(frame)?.percept(), ()))
+    }
+}
+
+impl Record for Kept<'_> {
+    type Seen = ();
+    type Step = Moved;
+
+    fn moved(&mut self, step: &Moved) {
+        let has_followed = of(&self.seen.followed) >= ENOUGH;
+        let has_rested = of(&self.seen.stale) >= ENOUGH;
+        if has_followed {
+            self.moved.push(*step);
+        }
+        if is_stale(step) {
+            // On a slow machine pictures may be too old before the method is slow.
+            if has_followed {
+                count(&self.seen.stale);
+            }
+        } else if step.decision.state == State::Tracking {
+            let counter = if has_rested { &self.seen.resumed } else { &self.seen.followed };
+            if count(counter) >= ENOUGH && has_rested {
+                self.interrupt.store(true, Ordering::SeqCst);
+            }
+        }
+    }
+
+    fn note(&mut self, _seen: ()) -> Result<()> {
+        Ok(())
+    }
+}
+
+fn is_stale(step: &Moved) -> bool {
+    step.decision.found.contains(Condition::FrameStale)
+}
+
+impl Parted for SlowOnce<'_> {
+    type Step = Moved;
+    type Frame = Captured;
+    type Seen = ();
+
+    fn begin_at(&mut self, begin: MonotonicTime) {
+        self.looking.begin_at(begin);
+    }
+
+    fn parts(
+        &mut self,
+    ) -> (
+        impl Capture<Frame = Captured>,
+        impl Estimate<Frame = Captured, Seen = (), Step = Moved>,
+        impl Record<Seen = (), Step = Moved>,
+    ) {
+        let Looking { capturing, estimating, .. } = &mut self.looking;
+        let seen = &self.seen;
+        (capturing, SlowMethod(estimating, seen), Kept { moved: &mut self.moved, seen, interrupt: &self.interrupt })
+    }
+}
+
+/// As long as the method is at it the arm rests by the policy of stale frames, step by step, and goes on afterwards.
+#[test]
+fn an_arm_rests_while_its_method_takes_too_long() {
+    // Whatever fails: a machine that holds its threads up again and again lets the hand rest again and again.
+    programs_in_real_time(|| {
+        let mut setup = read_setup(&repository().join("configs/sim.toml")).unwrap();
+        setup.pace = Pace::Live;
+        setup.compared.clear();
+        setup.leader = Leader::Geometric(setup.geometric.unwrap());
+        setup.experiment.steps_mut().unwrap().lead_in_s = 1.0;
+        let Parts { clock, camera, vs, tc, cell, experiment, marking, interrupt, .. } = wire(&setup).unwrap();
+        let now = clock.now();
+        let looking = Looking::new(&setup, (camera, cell, marking), (Strip::default(), now), None).unwrap();
+        let mut moving = Moving::new(&setup, (vs, tc), &*experiment, now).unwrap();
+        let mut slow =
+            SlowOnce { looking, seen: Seen::default(), moved: Vec::new(), interrupt: Arc::clone(&interrupt) };
+        // The recorder ends it long before.
+        let course = Course { setup: &setup, clock: &clock, duration: HELD_UP, interrupt: &interrupt };
+        course.run(&mut slow, &mut moving).0.unwrap();
+        rests_while_stale(&slow);
+    });
+}
+
+fn rests_while_stale(slow: &SlowOnce<'_>) {
+    let SlowOnce { seen, moved, .. } = slow;
+    let why = moved.last().map(|step| &step.decision.why);
+    assert!(of(&seen.resumed) >= ENOUGH, "{why:?}");
+    let runs = moved.chunk_by(|a, b| is_stale(a) == is_stale(b)).filter(|run| is_stale(&run[0]));
+    let stale = runs.max_by_key(|run| run.len()).unwrap();
+    for step in stale {
+        assert!(matches!(step.decision.state, State::Holding | State::Lost), "{}", step.decision.why);
+    }
+    let speed = stale[stale.len() - 1].vs_joints.velocity_rad_per_s.amax();
+    assert!(speed < 1e-3, "the arm moves at {speed} rad/s");
+}

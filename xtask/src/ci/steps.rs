@@ -1,0 +1,134 @@
+//! What `cargo xtask ci` checks, step by step.
+
+use std::path::Path;
+
+use anyhow::{Context, bail};
+
+use super::changes::Changes;
+use crate::workspace::{Workspace, run_visibly};
+use crate::{check_deps, commissioning, fuzz_build, licences, miri, msrv, required, test, tidy, vm};
+
+/// What steps share.
+pub struct Ground<'a> {
+    /// The workspace.
+    pub workspace: &'a Workspace,
+    /// What the change touches.
+    pub changes: Changes,
+    /// What the step `test` left.
+    pub tested: Option<test::Tested>,
+}
+
+impl Ground<'_> {
+    /// Folder of the programs that the step `test` has built, if it ran.
+    fn programs(&self) -> Option<&Path> {
+        self.tested.as_ref().and_then(|tested| tested.built.folder().ok())
+    }
+}
+
+/// A step.
+pub struct Step {
+    /// On the command line.
+    pub name: &'static str,
+    /// The packages whose change it checks; none for a step that always runs.
+    pub of: &'static [&'static str],
+    /// Does it.
+    pub run: fn(&mut Ground<'_>) -> anyhow::Result<()>,
+}
+
+const ALWAYS: &[&str] = &[];
+/// With unsafe kernels, or read by fuzz targets.
+const KERNELS: &[&str] = &["pb3dp-estimation", "pb3dp-camera-v4l2"];
+const FUZZED: &[&str] = &["pb3dp-estimation", "pb3dp-arm-pa10"];
+/// What every package depends on: touched with the manifests, the lock file or the tool chain only.
+const MANIFESTS: &[&str] = &["manifests"];
+
+/// The cheapest first.
+pub const STEPS: [Step; 14] = [
+    Step { name: "fmt", of: ALWAYS, run: |ground| fmt(ground.workspace) },
+    Step { name: "tidy", of: ALWAYS, run: |ground| tidy::run(ground.workspace, &tidy::Args {}) },
+    Step { name: "check-deps", of: ALWAYS, run: |ground| check_deps::run(ground.workspace, &check_deps::Args {}) },
+    Step { name: "licences", of: ALWAYS, run: |ground| licences::run(ground.workspace) },
+    Step { name: "clippy", of: ALWAYS, run: |ground| clippy(ground.workspace) },
+    Step { name: "doc", of: ALWAYS, run: |ground| doc(ground.workspace) },
+    Step { name: "test", of: ALWAYS, run: tests },
+    Step { name: "safeguards", of: ALWAYS, run: |ground| safeguards(ground.workspace) },
+    Step {
+        name: "commissioning",
+        of: &["pb3dp-calibration", "pb3dp-orchestrator"],
+        run: |ground| commissioning::calibrate(ground.workspace, ground.programs()),
+    },
+    Step { name: "accuracy", of: &["pb3dp-benchmarks"], run: accuracy },
+    Step { name: "vm", of: &["pb3dp-arm-pa10", "pb3dp-camera-v4l2", "system-tests"], run: guests },
+    Step { name: "fuzz", of: FUZZED, run: |ground| fuzz_build::run(ground.workspace) },
+    Step { name: "miri", of: KERNELS, run: |ground| miri::run(ground.workspace) },
+    Step { name: "msrv", of: MANIFESTS, run: |ground| msrv::run(ground.workspace) },
+];
+
+/// Fails with what to type if a component of the toolchain is missing.
+fn require(workspace: &Workspace, command: &str, component: &str) -> anyhow::Result<()> {
+    let status = workspace.cargo().args([command, "--version"]).output().context("cannot run cargo")?.status;
+    if !status.success() {
+        bail!("`cargo {command}` is missing: type `rustup component add {component}`");
+    }
+    Ok(())
+}
+
+fn fmt(workspace: &Workspace) -> anyhow::Result<()> {
+    require(workspace, "fmt", "rustfmt")?;
+    run_visibly(workspace.cargo().args(["fmt", "--all", "--check"]))
+}
+
+fn clippy(workspace: &Workspace) -> anyhow::Result<()> {
+    require(workspace, "clippy", "clippy")?;
+    let args = ["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"];
+    run_visibly(workspace.cargo().args(args))
+}
+
+fn doc(workspace: &Workspace) -> anyhow::Result<()> {
+    let mut command = workspace.cargo();
+    command.args(["doc", "--workspace", "--no-deps", "--locked"]).env("RUSTDOCFLAGS", "-D warnings");
+    run_visibly(&mut command)
+}
+
+/// All tests, with the long sweeps of what the change touches. The tests that keep people safe must have been checked.
+fn tests(ground: &mut Ground<'_>) -> anyhow::Result<()> {
+    let long = match &ground.changes {
+        Changes::Everything(_) => test::Long::Everywhere,
+        Changes::Packages { names, .. } => test::Long::In(names.iter().cloned().collect()),
+    };
+    let tested = test::all(ground.workspace, &test::Plan { long, filter: None })?;
+    let tested = ground.tested.insert(tested);
+    tested.report.conclude()?;
+    required::check(&tested.report)
+}
+
+/// The feature that lets tests switch safeguards off.
+const SWITCHES: &str = "disabled-guards";
+
+/// No release can have the switches of safeguards, and without the feature none can be off. The tests of the example `safety` show that
+/// each safeguard is missed when it is off.
+fn safeguards(workspace: &Workspace) -> anyhow::Result<()> {
+    let package = ["--locked", "--package", "pb3dp-safeguards"];
+    run_visibly(workspace.cargo().arg("test").args(package))?;
+    let mut release = workspace.cargo();
+    release.args(["check", "--release", "--features", SWITCHES]).args(package);
+    let built = release.output().context("cannot run cargo")?;
+    let said = String::from_utf8_lossy(&built.stderr);
+    if built.status.success() || !said.contains("no program for real arms may have it") {
+        bail!("a release was built with the feature {SWITCHES}, or failed for another reason:\n{said}");
+    }
+    Ok(())
+}
+
+/// The accuracy benchmark with few poses: fails if a limit is not kept. Built for release: with the checks of the test build the run takes
+/// more than three times as long (over 9 minutes instead of 3, 2026-11-22), which is more than the second build.
+fn accuracy(ground: &mut Ground<'_>) -> anyhow::Result<()> {
+    let package = ["run", "--release", "--locked", "--package", "pb3dp-benchmarks"];
+    run_visibly(ground.workspace.cargo().args(package).args(["--bin", "pb3dp-bench", "--", "accuracy", "--quick"]))
+}
+
+/// The suites in emulated computers whose packages are touched.
+fn guests(ground: &mut Ground<'_>) -> anyhow::Result<()> {
+    let suites = vm::suites_of(|package| ground.changes.touch(&[package]));
+    vm::run_suites(ground.workspace, suites)
+}

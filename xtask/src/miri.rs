@@ -1,0 +1,83 @@
+//! `cargo xtask miri`: undefined behaviour in the unsafe kernels.
+
+use crate::nightly;
+use crate::workspace::{Workspace, run_visibly};
+
+/// Looks for undefined behaviour in the scalar forms of the unsafe kernels: runs some of their unit tests in the interpreter Miri.
+///
+/// Miri checks each memory access and each unchecked conversion. It reports no processor features, so each kernel runs in its scalar
+/// form. An interpreter is some thousand times slower than the processor, so only small tests run.
+/// Needs the nightly toolchain with the components miri and rust-src: `rustup toolchain install nightly --profile minimal`,
+/// `rustup component add --toolchain nightly miri rust-src`. Without them the check is not possible.
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Args {}
+
+/// The unit tests of one package that run in Miri.
+struct Interpreted {
+    package: &'static str,
+    /// Parts of their names.
+    tests: &'static [&'static str],
+}
+
+/// All kernels that have unsafe code. Tests on large images, and those of proptest, take minutes in an interpreter and are left out.
+const INTERPRETED: [Interpreted; 2] = [
+    Interpreted {
+        package: "pb3dp-estimation",
+        tests: &[
+            "direct::photometric::kernel::tests::places_outside_the_right_planes_are_not_read",
+            "fitness::tests::kernels_agree_on_a_small_image",
+            "hue::tests::agrees_with_golden_hues",
+            "hue::tests::the_gate_is_explicit",
+            "wide::tests::every_width_gives_the_same_bits",
+        ],
+    },
+    Interpreted {
+        package: "pb3dp-camera-v4l2",
+        tests: &[
+            "pixels::yuyv::tests::black_white_and_primaries_are_exact",
+            "pixels::yuyv::tests::the_two_pixels_of_a_pair_keep_their_order",
+        ],
+    },
+];
+
+/// # Errors
+/// [`NotPossible`](crate::not_possible::NotPossible) if the nightly toolchain or Miri is missing; else if Miri finds undefined behaviour,
+/// or a test fails.
+pub fn run(workspace: &Workspace) -> anyhow::Result<()> {
+    let target = workspace.target_folder()?.join("miri");
+    for Interpreted { package, tests } in &INTERPRETED {
+        let mut command = nightly::cargo(workspace, Some("miri"))?;
+        command.args(["miri", "test", "--locked", "--lib", "--package", package, "--", "--exact"]).args(*tests);
+        // proptest and `sweep` read environment variables.
+        command.env("CARGO_TARGET_DIR", &target).env("MIRIFLAGS", "-Zmiri-disable-isolation");
+        run_visibly(&mut command)?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// With a name that no test has, nothing would run and the check would pass.
+    #[test]
+    fn every_interpreted_test_exists() {
+        let workspace = Workspace::find().unwrap();
+        let sources = workspace.texts(&[".rs"]).unwrap();
+        for Interpreted { package, tests } in &INTERPRETED {
+            let folder = if *package == "pb3dp-estimation" { "crates/estimation/src/" } else { "hal/camera-v4l2/src/" };
+            for test in *tests {
+                let (module, name) = test.rsplit_once("::").unwrap();
+                let module = module.trim_end_matches("::tests").replace("::", "/");
+                let declared = format!("#[test]\nfn {name}()");
+                let indented = format!("#[test]\n    fn {name}()");
+                let found = sources.iter().any(|source| {
+                    source.path.starts_with(&format!("{folder}{module}"))
+                        && (source.text.contains(&declared) || source.text.contains(&indented))
+                });
+                assert!(found, "{package} has no test {test}");
+            }
+        }
+    }
+}

@@ -1,0 +1,38 @@
+//! The nightly compiler, which a few checks need.
+
+use std::process::Command;
+
+use crate::not_possible::NotPossible;
+use crate::workspace::Workspace;
+
+/// The nightly cargo. `rustup run` picks the toolchain, because the cargo that runs us is a given toolchain's own program.
+///
+/// # Errors
+/// [`NotPossible`] if the nightly toolchain, or a `component` of it (a cargo subcommand), is missing. The message says what to type.
+pub fn cargo(workspace: &Workspace, component: Option<&str>) -> anyhow::Result<Command> {
+    if !answers(&mut plain(workspace)) {
+        let install = "rustup toolchain install nightly --profile minimal";
+        return Err(NotPossible::because(format!("the nightly toolchain is missing: type `{install}`")));
+    }
+    if let Some(component) = component
+        && !answers(plain(workspace).arg(component))
+    {
+        let install = format!("rustup component add --toolchain nightly {component} rust-src");
+        return Err(NotPossible::because(format!("{component} is missing: type `{install}`")));
+    }
+    Ok(plain(workspace))
+}
+
+/// Our own cargo sets variables that name its toolchain; with them the nightly cargo would call the stable rustc.
+fn plain(workspace: &Workspace) -> Command {
+    let mut command = workspace.command("rustup");
+    command.args(["run", "nightly", "cargo"]);
+    for variable in ["CARGO", "RUSTC", "RUSTDOC", "RUSTUP_TOOLCHAIN", "RUSTFLAGS", "CARGO_ENCODED_RUSTFLAGS"] {
+        command.env_remove(variable);
+    }
+    command
+}
+
+fn answers(command: &mut Command) -> bool {
+    command.arg("--version").output().is_ok_and(|output| output.status.success())
+}

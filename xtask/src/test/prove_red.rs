@@ -1,0 +1,207 @@
+//! `cargo xtask test --prove-red`: breaks the product in ten ways, and sees the test of each turn red.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::Instant;
+
+use anyhow::{Context, bail};
+
+use crate::required::{REQUIRED, Required};
+use crate::workspace::Workspace;
+
+/// Patches of the product, one for each required test.
+const PATCHES: &str = "tests/red";
+/// Programs that keep the machine busy in the second half.
+const BUSY_LOOPS: usize = 4;
+
+/// Builds a scratch copy, in which each required test must pass; then breaks what each of them guards, and each must fail, on the machine
+/// as it is and beside four busy loops.
+///
+/// # Errors
+/// If a patch does not fit, the copy does not build, or a test has the wrong colour.
+pub fn run(workspace: &Workspace, filter: Option<&str>) -> anyhow::Result<()> {
+    let begin = Instant::now();
+    let scratch = Scratch::new(workspace)?;
+    let wanted = REQUIRED.iter().filter(|required| filter.is_none_or(|part| required.patch.contains(part)));
+    let wanted: Vec<&Required> = wanted.collect();
+    if wanted.is_empty() {
+        bail!("no patch in {PATCHES} has such a name");
+    }
+    let mut wrong = Vec::new();
+    for required in &wanted {
+        println!("-- {} ({})", required.what, required.patch);
+        let program = scratch.build(required)?;
+        let mut colours = vec![("unbroken", Colour::Green, scratch.run(&program, required)?)];
+        scratch.apply(required, false)?;
+        let program = scratch.build(required)?;
+        colours.push(("broken", Colour::Red, scratch.run(&program, required)?));
+        let busy = Busy::start()?;
+        colours.push(("broken, beside four busy loops", Colour::Red, scratch.run(&program, required)?));
+        drop(busy);
+        scratch.apply(required, true)?;
+        for (how, expected, (seen, took_s)) in colours {
+            println!("   {how}: {} in {took_s:.1} s", seen.word());
+            if seen != expected {
+                wrong.push(format!("{} {how} is {}", required.test, seen.word()));
+            }
+        }
+    }
+    println!("{} patches in {:.0} s", wanted.len(), begin.elapsed().as_secs_f64());
+    if wrong.is_empty() {
+        return Ok(());
+    }
+    bail!("tests of the wrong colour: {}", wrong.join("; "))
+}
+
+/// What a test came to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Colour {
+    Green,
+    Red,
+    /// The test was not checked, or there is none of this name.
+    Grey,
+}
+
+impl Colour {
+    fn word(self) -> &'static str {
+        match self {
+            Self::Green => "green",
+            Self::Red => "red",
+            Self::Grey => "not checked",
+        }
+    }
+
+    /// From what the test program printed.
+    fn of(output: &str, succeeded: bool) -> Self {
+        if output.contains("NOT CHECKED: ") {
+            return Self::Grey;
+        }
+        match (succeeded, output.contains("test result: ok. 1 passed"), output.contains(" 0 passed; 1 failed")) {
+            (true, true, _) => Self::Green,
+            (false, _, true) => Self::Red,
+            _ => Self::Grey,
+        }
+    }
+}
+
+/// A copy of the work tree, built into a folder of its own.
+struct Scratch {
+    tree: PathBuf,
+    target: PathBuf,
+}
+
+impl Scratch {
+    fn new(workspace: &Workspace) -> anyhow::Result<Self> {
+        let folder = super::notebook(&workspace.target_folder()?).join("red");
+        let (tree, target) = (folder.join("tree"), folder.join("target"));
+        if tree.exists() {
+            fs::remove_dir_all(&tree).with_context(|| format!("cannot remove {}", tree.display()))?;
+        }
+        for file in workspace.files()? {
+            let (from, to) = (workspace.root().join(&file), tree.join(&file));
+            fs::create_dir_all(to.parent().context("a file lies in a folder")?)?;
+            // With its time: what was built from the last copy is built.
+            fs::copy(&from, &to).with_context(|| format!("cannot copy {file}"))?;
+            let modified = fs::metadata(&from)?.modified()?;
+            fs::File::options().write(true).open(&to).and_then(|file| file.set_modified(modified)).ok();
+        }
+        Ok(Self { tree, target })
+    }
+
+    /// Applies a patch, or takes it back.
+    fn apply(&self, required: &Required, reverse: bool) -> anyhow::Result<()> {
+        let mut command = Command::new("git");
+        command.arg("apply").args(reverse.then_some("--reverse"));
+        command.arg(Path::new(PATCHES).join(required.patch)).current_dir(&self.tree);
+        // Git must not take the tree for a part of the repository around it.
+        command
+            .env("GIT_CEILING_DIRECTORIES", self.tree.parent().context("the copy lies in a folder")?)
+            .env_remove("GIT_DIR");
+        let output = command.output().context("cannot run git")?;
+        if !output.status.success() {
+            let said = String::from_utf8_lossy(&output.stderr);
+            bail!("{PATCHES}/{} does not fit any more: make it anew: {}", required.patch, said.trim_end());
+        }
+        Ok(())
+    }
+
+    /// The test program.
+    fn build(&self, required: &Required) -> anyhow::Result<PathBuf> {
+        let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+        command.current_dir(&self.tree).env("CARGO_TARGET_DIR", &self.target);
+        command.args(["test", "--locked", "--no-run", "--package", required.package, "--test", required.program]);
+        command.args(["--quiet", "--message-format", "json-render-diagnostics"]).stderr(Stdio::piped());
+        let output = command.output().context("cannot run cargo")?;
+        if !output.status.success() {
+            bail!("{} does not build: {}", required.patch, String::from_utf8_lossy(&output.stderr));
+        }
+        let text = String::from_utf8_lossy(&output.stdout);
+        let messages = text.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
+        let is_wanted = |message: &serde_json::Value| {
+            message["target"]["name"] == required.program && message["profile"]["test"] == true
+        };
+        let program =
+            messages.filter(is_wanted).find_map(|message| Some(PathBuf::from(message["executable"].as_str()?)));
+        program.with_context(|| format!("cargo has not built {} {}", required.package, required.program))
+    }
+
+    /// The colour of the test, and how long it took, s.
+    fn run(&self, program: &Path, required: &Required) -> anyhow::Result<(Colour, f64)> {
+        let begin = Instant::now();
+        let mut command = Command::new(program);
+        command.args(["--exact", required.test]).current_dir(&self.tree).stdin(Stdio::null());
+        let output = command.output().with_context(|| format!("cannot start {}", program.display()))?;
+        let text = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned()).concat();
+        Ok((Colour::of(&text, output.status.success()), begin.elapsed().as_secs_f64()))
+    }
+}
+
+/// Programs that compute nothing as fast as they can, until this goes.
+struct Busy(Vec<Child>);
+
+impl Busy {
+    fn start() -> anyhow::Result<Self> {
+        let mut busy = Self(Vec::new());
+        for _ in 0..BUSY_LOOPS {
+            let mut command = Command::new("sh");
+            busy.0.push(command.args(["-c", "while :; do :; done"]).spawn().context("cannot start sh")?);
+        }
+        Ok(busy)
+    }
+}
+
+impl Drop for Busy {
+    fn drop(&mut self) {
+        for child in &mut self.0 {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_failure_of_the_test_itself_is_red() {
+        let ok = "test result: ok. 1 passed; 0 failed; 0 ignored";
+        assert_eq!(Colour::of(ok, true), Colour::Green);
+        assert_eq!(Colour::of("test result: FAILED. 0 passed; 1 failed; 0 ignored", false), Colour::Red);
+        assert_eq!(Colour::of("test result: ok. 0 passed; 0 failed; 0 ignored; 9 filtered out", true), Colour::Grey);
+        assert_eq!(Colour::of(&format!("NOT CHECKED: a: late\n{ok}"), true), Colour::Grey);
+        assert_eq!(Colour::of("", false), Colour::Grey);
+    }
+
+    #[test]
+    fn each_required_test_has_a_patch() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(PATCHES);
+        let mut there: Vec<String> =
+            fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        let mut wanted: Vec<String> = REQUIRED.iter().map(|required| required.patch.to_owned()).collect();
+        there.sort();
+        wanted.sort();
+        assert_eq!(there, wanted);
+    }
+}

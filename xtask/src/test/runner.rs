@@ -1,0 +1,344 @@
+//! Runs test programs while others build.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::available_parallelism;
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+
+use super::report::{Report, Run};
+use super::{Built, Long, Plan, build::Program, notebook};
+use crate::workspace::Workspace;
+
+/// The module of the tests whose threads must run in time.
+const REAL_TIME: &str = "real_time::";
+/// Programs all of whose tests must run in time.
+const ALONE: &str = "alone";
+/// A program that runs for longer than this hangs.
+const LONGEST: Duration = Duration::from_secs(1200);
+/// With which tests run their long sweeps.
+const LONG_TESTS: &str = "PB3DP_LONG_TESTS";
+/// Packages whose punctual tests start whole programs, which compute: they run alone, when everything else has run.
+const COMPUTING: [&str; 2] = ["pb3dp-orchestrator", "system-tests"];
+/// How many punctual tests run beside each other: those that mostly sleep, and those that compute.
+const PUNCTUAL_THREADS: [&str; 2] = ["4", "2"];
+/// Politeness of tests that need not be punctual.
+const NICE: &str = "10";
+
+/// Which tests of a program run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Part {
+    All,
+    Punctual,
+    Others,
+}
+
+/// A program to be run.
+#[derive(Clone, Debug)]
+struct Job {
+    program: Program,
+    part: Part,
+}
+
+impl Job {
+    fn name(&self) -> String {
+        let more = if self.part == Part::Punctual { ", real time" } else { "" };
+        format!("{}{more}", self.program.name())
+    }
+
+    fn is_punctual(&self) -> bool {
+        self.part == Part::Punctual || self.program.target == ALONE
+    }
+
+    fn computes(&self) -> bool {
+        COMPUTING.contains(&self.program.package.as_str())
+    }
+}
+
+#[derive(Default)]
+struct State {
+    others: Vec<Job>,
+    punctual: Vec<Job>,
+    is_building: bool,
+    /// Jobs of tests that need not be punctual.
+    running: usize,
+    /// Jobs of punctual tests.
+    running_punctual: usize,
+    /// Whether one of these computes.
+    is_computing: bool,
+}
+
+/// Takes test programs as they are built, and runs them: the punctual ones under their lock, the others on all processors that the build
+/// leaves.
+pub struct Runner {
+    state: Mutex<State>,
+    changed: Condvar,
+    /// Whether punctual tests can run beside others: they go before all of them.
+    has_priority: bool,
+    long: Long,
+    filter: Option<String>,
+    /// How long each run took last time, s.
+    before: BTreeMap<String, f64>,
+    notebook: PathBuf,
+    outputs: AtomicUsize,
+}
+
+fn of<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Runner {
+    /// With what is known from the last run.
+    ///
+    /// # Errors
+    /// If the target folder is not known or cannot be written.
+    pub fn new(workspace: &Workspace, plan: &Plan) -> anyhow::Result<(Self, Report)> {
+        let notebook = notebook(&workspace.target_folder()?);
+        fs::create_dir_all(&notebook).with_context(|| format!("cannot make {}", notebook.display()))?;
+        let before = fs::read_to_string(notebook.join("durations.json")).ok();
+        let runner = Self {
+            state: Mutex::new(State { is_building: true, ..State::default() }),
+            changed: Condvar::new(),
+            has_priority: grants_real_time(),
+            long: plan.long.clone(),
+            filter: plan.filter.clone(),
+            before: before.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default(),
+            notebook,
+            outputs: AtomicUsize::new(0),
+        };
+        Ok((runner, Report::default()))
+    }
+
+    /// Builds, and runs what is handed over meanwhile, until all of it has run.
+    ///
+    /// # Errors
+    /// If the build fails; the programs that are there already run to their ends.
+    pub fn run(
+        &self,
+        build: impl FnOnce(&Self) -> anyhow::Result<Built>,
+        report: &mut Report,
+    ) -> anyhow::Result<Built> {
+        let processors = available_parallelism().map_or(1, usize::from);
+        let report = Mutex::new(report);
+        let built = std::thread::scope(|scope| {
+            scope.spawn(|| {
+                while let Some(job) = self.next_punctual() {
+                    self.work(&job, &report)
+                }
+            });
+            for place in 0..processors {
+                let report = &report;
+                scope.spawn(move || {
+                    while let Some(job) = self.next_other(place) {
+                        self.work(&job, report);
+                    }
+                });
+            }
+            let built = build(self);
+            let mut state = of(&self.state);
+            state.is_building = false;
+            if built.is_err() {
+                (state.others, state.punctual) = (Vec::new(), Vec::new());
+            }
+            drop(state);
+            self.changed.notify_all();
+            built
+        })?;
+        let report = report.into_inner().unwrap_or_else(PoisonError::into_inner);
+        self.remember(report)?;
+        Ok(built)
+    }
+
+    /// A program has been built.
+    pub fn ready(&self, program: Program) {
+        // With a filter, the few tests that fit wait for each other where they must.
+        let has_both = self.filter.is_none()
+            && program.kind == "test"
+            && list(&program).lines().any(|line| line.starts_with(REAL_TIME));
+        let job = |part| Job { program: program.clone(), part };
+        let mut state = of(&self.state);
+        if program.target == ALONE {
+            state.punctual.push(job(Part::All));
+        } else if has_both {
+            state.punctual.push(job(Part::Punctual));
+            state.others.push(job(Part::Others));
+        } else {
+            state.others.push(job(Part::All));
+        }
+        drop(state);
+        self.changed.notify_all();
+    }
+
+    /// The next job of tests that need not be punctual. While a build runs, it has all processors but what one job takes.
+    fn next_other(&self, place: usize) -> Option<Job> {
+        let mut state = of(&self.state);
+        loop {
+            let may_run = place == 0 || !state.is_building;
+            if may_run && let Some(index) = self.longest(&state.others, |_| true) {
+                state.running += 1;
+                return Some(state.others.remove(index));
+            }
+            if !state.is_building && state.others.is_empty() {
+                return None;
+            }
+            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// The next job of punctual tests. Without priority, nothing else may run beside them.
+    fn next_punctual(&self) -> Option<Job> {
+        let mut state = of(&self.state);
+        loop {
+            let is_quiet = !state.is_building && state.others.is_empty() && state.running == 0;
+            let may_run = |job: &Job| match job.computes() {
+                true => is_quiet && state.running_punctual == 0,
+                false => (is_quiet || self.has_priority) && !state.is_computing,
+            };
+            if let Some(index) = self.longest(&state.punctual, may_run) {
+                let job = state.punctual.remove(index);
+                state.is_computing = job.computes();
+                state.running_punctual += 1;
+                return Some(job);
+            }
+            if !state.is_building && state.punctual.is_empty() {
+                return None;
+            }
+            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// The job that took longest last time, of those that may run; one that is not known counts as long.
+    fn longest(&self, jobs: &[Job], may_run: impl Fn(&Job) -> bool) -> Option<usize> {
+        let seconds = |index: &usize| self.before.get(&jobs[*index].name()).copied().unwrap_or(60.0);
+        let due = (0..jobs.len()).filter(|index| may_run(&jobs[*index]));
+        due.max_by(|left, right| seconds(left).total_cmp(&seconds(right)))
+    }
+
+    fn work(&self, job: &Job, report: &Mutex<&mut Report>) {
+        let run = self.run_program(job);
+        let mut state = of(&self.state);
+        if job.is_punctual() {
+            state.running_punctual = state.running_punctual.saturating_sub(1);
+            state.is_computing &= !job.computes();
+        } else {
+            state.running = state.running.saturating_sub(1);
+        }
+        drop(state);
+        self.changed.notify_all();
+        // A program without a test is not worth a line.
+        if run.passed + run.failed + run.ignored > 0 {
+            of(report).add(run);
+        }
+    }
+
+    fn run_program(&self, job: &Job) -> Run {
+        let begin = Instant::now();
+        let file = self.notebook.join(format!("output-{}", self.outputs.fetch_add(1, Ordering::Relaxed)));
+        let ended = self.command(job, &file).and_then(|mut command| wait(&mut command, begin));
+        let mut output = fs::read(&file).map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).unwrap_or_default();
+        fs::remove_file(&file).ok();
+        let succeeded = match ended {
+            Ok(succeeded) => succeeded,
+            Err(error) => {
+                output.push_str(&format!("\n{error:#}\n"));
+                false
+            }
+        };
+        let mut run = Run::read(job.name(), output, succeeded, begin.elapsed());
+        run.is_punctual = job.is_punctual();
+        run
+    }
+
+    /// The program with its output in a file: both streams in the order in which they were written.
+    fn command(&self, job: &Job, output: &Path) -> anyhow::Result<Command> {
+        let Program { path, folder, package, .. } = &job.program;
+        let mut command = if job.is_punctual() { Command::new(path) } else { politely(path) };
+        command.current_dir(folder).env("CARGO_MANIFEST_DIR", folder).env("CARGO_PKG_NAME", package);
+        command.env_remove(LONG_TESTS);
+        if self.long.includes(package) {
+            command.env(LONG_TESTS, "1");
+        }
+        match job.part {
+            Part::All => {}
+            Part::Punctual => {
+                command.args([REAL_TIME, "--test-threads", PUNCTUAL_THREADS[usize::from(job.computes())]]);
+            }
+            Part::Others => {
+                command.args(["--skip", REAL_TIME]);
+            }
+        }
+        command.args(self.filter.as_ref());
+        let file = File::create(output).with_context(|| format!("cannot write {}", output.display()))?;
+        command.stdin(Stdio::null()).stderr(file.try_clone()?).stdout(file);
+        Ok(command)
+    }
+
+    fn remember(&self, report: &Report) -> anyhow::Result<()> {
+        let mut known = self.before.clone();
+        known.extend(report.programs.iter().map(|run| (run.name.clone(), run.took.as_secs_f64())));
+        let text = serde_json::to_string_pretty(&known)?;
+        fs::write(self.notebook.join("durations.json"), text).context("cannot write how long the tests took")
+    }
+}
+
+/// Examples in the documentation of all libraries that do not say `doctest = false`.
+///
+/// # Errors
+/// If cargo cannot be run.
+pub fn doctests(workspace: &Workspace, filter: Option<&str>) -> anyhow::Result<Run> {
+    let begin = Instant::now();
+    let mut command = workspace.cargo();
+    command.args(["test", "--quiet", "--doc", "--locked", "--workspace", "--features", super::build::FEATURES]);
+    let output = command.args(filter).output().context("cannot run cargo")?;
+    let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).concat();
+    Ok(Run::read("examples in the documentation".to_owned(), text, output.status.success(), begin.elapsed()))
+}
+
+/// A program that lets others go before.
+fn politely(program: &Path) -> Command {
+    let mut command = Command::new("nice");
+    command.args(["-n", NICE]).arg(program);
+    command
+}
+
+/// Waits for the end of a program; whether it succeeded.
+fn wait(command: &mut Command, begin: Instant) -> anyhow::Result<bool> {
+    let mut child = command.spawn().with_context(|| format!("cannot start {command:?}"))?;
+    loop {
+        if let Some(status) = child.try_wait()? {
+            return Ok(status.success());
+        }
+        if begin.elapsed() > LONGEST {
+            child.kill()?;
+            child.wait()?;
+            anyhow::bail!("ended after {} s: it hangs", LONGEST.as_secs());
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// Names of the tests of a program.
+fn list(program: &Program) -> String {
+    let output =
+        Command::new(&program.path).args(["--list", "--format", "terse"]).current_dir(&program.folder).output();
+    output.map(|output| String::from_utf8_lossy(&output.stdout).into_owned()).unwrap_or_default()
+}
+
+/// Whether this process may use SCHED_FIFO: it has the capability, or its limit allows a priority.
+fn grants_real_time() -> bool {
+    const SYS_NICE: u32 = 23;
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let capabilities = status.lines().find_map(|line| line.strip_prefix("CapEff:"));
+    let has_capability = capabilities
+        .and_then(|digits| u64::from_str_radix(digits.trim(), 16).ok())
+        .is_some_and(|bits| bits >> SYS_NICE & 1 == 1);
+    let limits = fs::read_to_string("/proc/self/limits").unwrap_or_default();
+    let limit = limits.lines().find_map(|line| line.strip_prefix("Max realtime priority"));
+    let has_limit = limit.and_then(|rest| rest.split_whitespace().next()).is_some_and(|soft| soft != "0");
+    has_capability || has_limit
+}
