@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use crate::not_possible::NotPossible;
 use crate::workspace::Workspace;
 use changes::Changes;
-use steps::{Ground, STEPS, Step};
+use steps::{Progress, STEPS, Step};
 
 /// Runs every check, the cheapest first, and stops at the first that fails.
 ///
@@ -60,11 +60,11 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
         false => changes::find(workspace)?,
     };
     println!("{}", changes.text());
-    let mut ground = Ground { workspace, changes, tested: None };
+    let mut progress = Progress { workspace, changes, tested: None };
     let mut done = Vec::new();
     let mut failure = None;
     for step in STEPS.iter().filter(|step| args.only.as_deref().is_none_or(|only| only == step.name)) {
-        let (ended, error) = take(step, &mut ground);
+        let (ended, error) = take(step, &mut progress);
         done.push(ended);
         if let Some(error) = error {
             failure = Some(error);
@@ -72,25 +72,25 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
         }
     }
     if args.timings
-        && let Some(tested) = &ground.tested
+        && let Some(tested) = &progress.tested
     {
         print!("{}", tested.timings());
     }
-    print!("{}", summary(&done, &ground));
-    if let Some(tested) = &ground.tested {
+    print!("{}", summary(&done, &progress));
+    if let Some(tested) = &progress.tested {
         tested.report.tell();
     }
     failure.map_or(Ok(()), Err)
 }
 
-fn take(step: &Step, ground: &mut Ground<'_>) -> (Done, Option<anyhow::Error>) {
-    let is_due = step.of.is_empty() || ground.changes.touch(step.of);
+fn take(step: &Step, progress: &mut Progress<'_>) -> (Done, Option<anyhow::Error>) {
+    let is_due = step.of.is_empty() || progress.changes.touch(step.of);
     if !is_due {
         return (Done { name: step.name, time: Duration::ZERO, outcome: Outcome::LeftOut }, None);
     }
     println!("== {}", step.name);
     let start = Instant::now();
-    let result = (step.run)(ground);
+    let result = (step.run)(progress);
     let (outcome, error) = match result {
         Ok(()) => (Outcome::Passed, None),
         Err(error) => match error.downcast_ref::<NotPossible>() {
@@ -105,12 +105,12 @@ fn take(step: &Step, ground: &mut Ground<'_>) -> (Done, Option<anyhow::Error>) {
 }
 
 /// The table of the checks, and what was not checked.
-fn summary(done: &[Done], ground: &Ground<'_>) -> String {
+fn summary(done: &[Done], progress: &Progress<'_>) -> String {
     let mut text = table(done);
-    if let Changes::Packages { .. } = ground.changes {
+    if let Changes::Packages { .. } = progress.changes {
         text.push_str(&format!(
             "\nleft out: long sweeps of packages that are not touched; {}\n",
-            ground.changes.text()
+            progress.changes.text()
         ));
     }
     text

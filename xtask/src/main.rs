@@ -14,10 +14,12 @@ mod hil;
 mod licences;
 mod miri;
 mod msrv;
+mod mutants;
 mod nightly;
 mod not_possible;
 mod required;
 mod rust_text;
+mod scratch;
 mod soak;
 mod test;
 mod tidy;
@@ -54,6 +56,7 @@ enum Command {
     Vm(vm::Args),
     FuzzBuild(fuzz_build::Args),
     Miri(miri::Args),
+    Mutants(mutants::Args),
 }
 
 fn run(cli: &Cli) -> anyhow::Result<()> {
@@ -71,6 +74,7 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Vm(args) => vm::run(&workspace, args),
         Command::FuzzBuild(_) => fuzz_build::run(&workspace),
         Command::Miri(_) => miri::run(&workspace),
+        Command::Mutants(args) => mutants::run(&workspace, args),
     }
 }
 

@@ -16,7 +16,7 @@ static OWN: Mutex<Vec<Delay>> = Mutex::new(Vec::new());
 
 /// How a test holds the lock of all tests in real time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Company {
+pub enum Turn {
     /// No other test in real time runs.
     Alone,
     /// Others of this kind may run: the test mostly sleeps, and leaves most of a cycle for the others.
@@ -56,7 +56,7 @@ pub fn note_lateness_at(at: Instant, late: Duration) {
 /// # Panics
 /// If the test fails.
 pub fn in_real_time<T: Fn()>(test: T) {
-    in_real_time_as(&name_of::<T>(), Company::Alone, Priority::Granted, test);
+    in_real_time_as(&name_of::<T>(), Turn::Alone, Priority::Granted, test);
 }
 
 /// As [`in_real_time`], for a test that mostly sleeps: others of this kind may run meanwhile.
@@ -64,7 +64,7 @@ pub fn in_real_time<T: Fn()>(test: T) {
 /// # Panics
 /// If the test fails.
 pub fn in_real_time_beside_others<T: Fn()>(test: T) {
-    in_real_time_as(&name_of::<T>(), Company::BesideOthers, Priority::Granted, test);
+    in_real_time_as(&name_of::<T>(), Turn::BesideOthers, Priority::Granted, test);
 }
 
 /// As [`in_real_time`], for a test of programs or threads that compute: they ask for the priority that they need themselves, as they do
@@ -73,7 +73,7 @@ pub fn in_real_time_beside_others<T: Fn()>(test: T) {
 /// # Panics
 /// If the test fails.
 pub fn programs_in_real_time<T: Fn()>(test: T) {
-    in_real_time_as(&name_of::<T>(), Company::Alone, Priority::Usual, test);
+    in_real_time_as(&name_of::<T>(), Turn::Alone, Priority::Usual, test);
 }
 
 /// As [`programs_in_real_time`], beside others.
@@ -81,15 +81,15 @@ pub fn programs_in_real_time<T: Fn()>(test: T) {
 /// # Panics
 /// If the test fails.
 pub fn programs_in_real_time_beside_others<T: Fn()>(test: T) {
-    in_real_time_as(&name_of::<T>(), Company::BesideOthers, Priority::Usual, test);
+    in_real_time_as(&name_of::<T>(), Turn::BesideOthers, Priority::Usual, test);
 }
 
 /// As [`in_real_time`], for a test whose name its type does not tell.
 ///
 /// # Panics
 /// If the test fails.
-pub fn in_real_time_as(name: &str, company: Company, priority: Priority, test: impl Fn()) {
-    let _turn = take_turn(company);
+pub fn in_real_time_as(name: &str, turn: Turn, priority: Priority, test: impl Fn()) {
+    let _turn = take_turn(turn);
     let mut tries = Tries::default();
     loop {
         let begin = Instant::now();
@@ -109,7 +109,7 @@ pub fn in_real_time_as(name: &str, company: Company, priority: Priority, test: i
                     format!("this machine delays threads by {worst:?}; last failure: {}", text(panic.as_ref()));
                 return not_checked(name, &reason);
             }
-            Verdict::Open | Verdict::Passed => {}
+            Verdict::Open => {}
         }
     }
 }
@@ -126,13 +126,13 @@ fn text(panic: &(dyn Any + Send)) -> &str {
 }
 
 /// Waits until the test may run. The lock is held as long as the file is open.
-fn take_turn(company: Company) -> File {
+fn take_turn(turn: Turn) -> File {
     let name = format!("pb3dp-real-time-tests-{}.lock", rustix::process::geteuid().as_raw());
     let path = std::env::temp_dir().join(name);
     let file = File::options().create(true).truncate(false).write(true).open(path).expect("a file to lock");
-    match company {
-        Company::Alone => file.lock(),
-        Company::BesideOthers => file.lock_shared(),
+    match turn {
+        Turn::Alone => file.lock(),
+        Turn::BesideOthers => file.lock_shared(),
     }
     .expect("the lock of all tests in real time");
     file

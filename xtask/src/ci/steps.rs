@@ -9,7 +9,7 @@ use crate::workspace::{Workspace, run_visibly};
 use crate::{check_deps, commissioning, fuzz_build, licences, miri, msrv, required, test, tidy, vm};
 
 /// What steps share.
-pub struct Ground<'a> {
+pub struct Progress<'a> {
     /// The workspace.
     pub workspace: &'a Workspace,
     /// What the change touches.
@@ -18,7 +18,7 @@ pub struct Ground<'a> {
     pub tested: Option<test::Tested>,
 }
 
-impl Ground<'_> {
+impl Progress<'_> {
     /// Folder of the programs that the step `test` has built, if it ran.
     fn programs(&self) -> Option<&Path> {
         self.tested.as_ref().and_then(|tested| tested.built.folder().ok())
@@ -32,7 +32,7 @@ pub struct Step {
     /// The packages whose change it checks; none for a step that always runs.
     pub of: &'static [&'static str],
     /// Does it.
-    pub run: fn(&mut Ground<'_>) -> anyhow::Result<()>,
+    pub run: fn(&mut Progress<'_>) -> anyhow::Result<()>,
 }
 
 const ALWAYS: &[&str] = &[];
@@ -44,24 +44,24 @@ const MANIFESTS: &[&str] = &["manifests"];
 
 /// The cheapest first.
 pub const STEPS: [Step; 14] = [
-    Step { name: "fmt", of: ALWAYS, run: |ground| fmt(ground.workspace) },
-    Step { name: "tidy", of: ALWAYS, run: |ground| tidy::run(ground.workspace, &tidy::Args {}) },
-    Step { name: "check-deps", of: ALWAYS, run: |ground| check_deps::run(ground.workspace, &check_deps::Args {}) },
-    Step { name: "licences", of: ALWAYS, run: |ground| licences::run(ground.workspace) },
-    Step { name: "clippy", of: ALWAYS, run: |ground| clippy(ground.workspace) },
-    Step { name: "doc", of: ALWAYS, run: |ground| doc(ground.workspace) },
+    Step { name: "fmt", of: ALWAYS, run: |progress| fmt(progress.workspace) },
+    Step { name: "tidy", of: ALWAYS, run: |progress| tidy::run(progress.workspace, &tidy::Args {}) },
+    Step { name: "check-deps", of: ALWAYS, run: |progress| check_deps::run(progress.workspace, &check_deps::Args {}) },
+    Step { name: "licences", of: ALWAYS, run: |progress| licences::run(progress.workspace) },
+    Step { name: "clippy", of: ALWAYS, run: |progress| clippy(progress.workspace) },
+    Step { name: "doc", of: ALWAYS, run: |progress| doc(progress.workspace) },
     Step { name: "test", of: ALWAYS, run: tests },
-    Step { name: "safeguards", of: ALWAYS, run: |ground| safeguards(ground.workspace) },
+    Step { name: "safeguards", of: ALWAYS, run: |progress| safeguards(progress.workspace) },
     Step {
         name: "commissioning",
         of: &["pb3dp-calibration", "pb3dp-orchestrator"],
-        run: |ground| commissioning::calibrate(ground.workspace, ground.programs()),
+        run: |progress| commissioning::calibrate(progress.workspace, progress.programs()),
     },
     Step { name: "accuracy", of: &["pb3dp-benchmarks"], run: accuracy },
     Step { name: "vm", of: &["pb3dp-arm-pa10", "pb3dp-camera-v4l2", "system-tests"], run: guests },
-    Step { name: "fuzz", of: FUZZED, run: |ground| fuzz_build::run(ground.workspace) },
-    Step { name: "miri", of: KERNELS, run: |ground| miri::run(ground.workspace) },
-    Step { name: "msrv", of: MANIFESTS, run: |ground| msrv::run(ground.workspace) },
+    Step { name: "fuzz", of: FUZZED, run: |progress| fuzz_build::run(progress.workspace) },
+    Step { name: "miri", of: KERNELS, run: |progress| miri::run(progress.workspace) },
+    Step { name: "msrv", of: MANIFESTS, run: |progress| msrv::run(progress.workspace) },
 ];
 
 /// Fails with what to type if a component of the toolchain is missing.
@@ -91,13 +91,13 @@ fn doc(workspace: &Workspace) -> anyhow::Result<()> {
 }
 
 /// All tests, with the long sweeps of what the change touches. The tests that keep people safe must have been checked.
-fn tests(ground: &mut Ground<'_>) -> anyhow::Result<()> {
-    let long = match &ground.changes {
+fn tests(progress: &mut Progress<'_>) -> anyhow::Result<()> {
+    let long = match &progress.changes {
         Changes::Everything(_) => test::Long::Everywhere,
         Changes::Packages { names, .. } => test::Long::In(names.iter().cloned().collect()),
     };
-    let tested = test::all(ground.workspace, &test::Plan { long, filter: None })?;
-    let tested = ground.tested.insert(tested);
+    let tested = test::all(progress.workspace, &test::Plan { long, filter: None })?;
+    let tested = progress.tested.insert(tested);
     tested.report.conclude()?;
     required::check(&tested.report)
 }
@@ -122,13 +122,13 @@ fn safeguards(workspace: &Workspace) -> anyhow::Result<()> {
 
 /// The accuracy benchmark with few poses: fails if a limit is not kept. Built for release: with the checks of the test build the run takes
 /// more than three times as long (over 9 minutes instead of 3, 2026-11-22), which is more than the second build.
-fn accuracy(ground: &mut Ground<'_>) -> anyhow::Result<()> {
+fn accuracy(progress: &mut Progress<'_>) -> anyhow::Result<()> {
     let package = ["run", "--release", "--locked", "--package", "pb3dp-benchmarks"];
-    run_visibly(ground.workspace.cargo().args(package).args(["--bin", "pb3dp-bench", "--", "accuracy", "--quick"]))
+    run_visibly(progress.workspace.cargo().args(package).args(["--bin", "pb3dp-bench", "--", "accuracy", "--quick"]))
 }
 
 /// The suites in emulated computers whose packages are touched.
-fn guests(ground: &mut Ground<'_>) -> anyhow::Result<()> {
-    let suites = vm::suites_of(|package| ground.changes.touch(&[package]));
-    vm::run_suites(ground.workspace, suites)
+fn guests(progress: &mut Progress<'_>) -> anyhow::Result<()> {
+    let suites = vm::suites_of(|package| progress.changes.touch(&[package]));
+    vm::run_suites(progress.workspace, suites)
 }

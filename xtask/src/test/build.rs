@@ -78,18 +78,53 @@ pub fn run(workspace: &Workspace, mut ready: impl FnMut(Program)) -> anyhow::Res
     let mut child = command.stdout(Stdio::piped()).spawn().context("cannot run cargo")?;
     let output = child.stdout.take().context("cargo has no output")?;
     let mut built = Built { programs: Vec::new(), target: workspace.target_folder()? };
+    let mut handover = Handover::new(&workspace.metadata()?);
     for line in BufReader::new(output).lines() {
         let message: Value = serde_json::from_str(&line?).context("cargo did not print JSON")?;
-        match artifact(&message) {
-            Some((true, program)) => ready(program),
-            Some((false, program)) => built.programs.push((program.target, program.path)),
-            None => {}
+        let Some((is_test, program)) = artifact(&message) else { continue };
+        handover.take(is_test, &program).into_iter().for_each(&mut ready);
+        if !is_test {
+            built.programs.push((program.target, program.path));
         }
     }
     if !child.wait()?.success() {
         bail!("the tests do not build: the compiler's errors stand above");
     }
     Ok(built)
+}
+
+/// Holds test programs back until the programs that they start are there. Cargo does not: it tells tests where a program will be, and may
+/// link it after them.
+struct Handover {
+    /// Package and name of what is not built yet.
+    awaited: Vec<(String, String)>,
+    held: Vec<Program>,
+}
+
+impl Handover {
+    /// From `cargo metadata`.
+    fn new(metadata: &Value) -> Self {
+        let of = |value: &Value| value["name"].as_str().unwrap_or_default().to_owned();
+        let mut awaited = Vec::new();
+        for package in metadata["packages"].as_array().into_iter().flatten() {
+            let targets = package["targets"].as_array().into_iter().flatten();
+            awaited.extend(targets.filter(|target| target["kind"][0] == "bin").map(|target| (of(package), of(target))));
+        }
+        Self { awaited, held: Vec::new() }
+    }
+
+    /// The tests that can run after one more program has been built.
+    fn take(&mut self, is_test: bool, program: &Program) -> Vec<Program> {
+        if is_test {
+            self.held.push(program.clone());
+        } else {
+            self.awaited.retain(|(package, name)| *package != program.package || *name != program.target);
+        }
+        let must_wait = |program: &Program| {
+            program.kind == "test" && self.awaited.iter().any(|(package, _)| *package == program.package)
+        };
+        self.held.extract_if(.., |program| !must_wait(program)).collect()
+    }
 }
 
 /// A program from one of cargo's messages, and whether it is a test.
@@ -118,6 +153,29 @@ fn package_of(id: &str, folder: &Path) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn tests_wait_for_the_programs_that_they_start() {
+        let package = |name: &str, kind: &str, target: &str| serde_json::json!({ "name": name, "targets": [{ "name": target, "kind": [kind] }] });
+        let packages = [package("pb3dp-servo", "lib", "pb3dp_servo"), package("pb3dp-calibration", "bin", "calibrate")];
+        let mut handover = Handover::new(&serde_json::json!({ "packages": packages }));
+        let program = |package: &str, kind: &str, target: &str| Program {
+            package: package.to_owned(),
+            target: target.to_owned(),
+            kind: kind.to_owned(),
+            path: PathBuf::new(),
+            folder: PathBuf::new(),
+        };
+        let tests = program("pb3dp-calibration", "test", "integration");
+        let unit_tests = program("pb3dp-calibration", "lib", "pb3dp_calibration");
+        let others = program("pb3dp-servo", "test", "integration");
+        assert_eq!(handover.take(true, &tests), []);
+        assert_eq!(handover.take(true, &others), [others]);
+        assert_eq!(handover.take(true, &unit_tests), [unit_tests]);
+        // The unit tests of a program are no program.
+        assert_eq!(handover.take(true, &program("pb3dp-calibration", "bin", "calibrate")).len(), 1);
+        assert_eq!(handover.take(false, &program("pb3dp-calibration", "bin", "calibrate")), [tests]);
+    }
 
     #[test]
     fn programs_are_found_in_what_cargo_prints() {

@@ -1,6 +1,5 @@
 //! `cargo xtask test --prove-red`: breaks the product in ten ways, and sees the test of each turn red.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Instant;
@@ -8,6 +7,7 @@ use std::time::Instant;
 use anyhow::{Context, bail};
 
 use crate::required::{REQUIRED, Required};
+use crate::scratch::Scratch;
 use crate::workspace::Workspace;
 
 /// Patches of the product, one for each required test.
@@ -22,31 +22,26 @@ const BUSY_LOOPS: usize = 4;
 /// If a patch does not fit, the copy does not build, or a test has the wrong colour.
 pub fn run(workspace: &Workspace, filter: Option<&str>) -> anyhow::Result<()> {
     let begin = Instant::now();
-    let scratch = Scratch::new(workspace)?;
     let wanted = REQUIRED.iter().filter(|required| filter.is_none_or(|part| required.patch.contains(part)));
     let wanted: Vec<&Required> = wanted.collect();
     if wanted.is_empty() {
         bail!("no patch in {PATCHES} has such a name");
     }
-    let mut wrong = Vec::new();
+    let mut proof = Proof { scratch: Scratch::new(workspace, "red")?, wrong: Vec::new() };
     for required in &wanted {
-        println!("-- {} ({})", required.what, required.patch);
-        let program = scratch.build(required)?;
-        let mut colours = vec![("unbroken", Colour::Green, scratch.run(&program, required)?)];
-        scratch.apply(required, false)?;
-        let program = scratch.build(required)?;
-        colours.push(("broken", Colour::Red, scratch.run(&program, required)?));
-        let busy = Busy::start()?;
-        colours.push(("broken, beside four busy loops", Colour::Red, scratch.run(&program, required)?));
-        drop(busy);
-        scratch.apply(required, true)?;
-        for (how, expected, (seen, took_s)) in colours {
-            println!("   {how}: {} in {took_s:.1} s", seen.word());
-            if seen != expected {
-                wrong.push(format!("{} {how} is {}", required.test, seen.word()));
-            }
-        }
+        let program = proof.build(required)?;
+        proof.expect(Colour::Green, "unbroken", &program, required)?;
     }
+    for required in &wanted {
+        proof.apply(required, false)?;
+        let program = proof.build(required)?;
+        proof.expect(Colour::Red, "broken", &program, required)?;
+        let busy = Busy::start()?;
+        proof.expect(Colour::Red, "broken, beside four busy loops", &program, required)?;
+        drop(busy);
+        proof.apply(required, true)?;
+    }
+    let wrong = proof.wrong;
     println!("{} patches in {:.0} s", wanted.len(), begin.elapsed().as_secs_f64());
     if wrong.is_empty() {
         return Ok(());
@@ -85,38 +80,30 @@ impl Colour {
     }
 }
 
-/// A copy of the work tree, built into a folder of its own.
-struct Scratch {
-    tree: PathBuf,
-    target: PathBuf,
+/// The copy, and the tests that had the wrong colour.
+struct Proof {
+    scratch: Scratch,
+    wrong: Vec<String>,
 }
 
-impl Scratch {
-    fn new(workspace: &Workspace) -> anyhow::Result<Self> {
-        let folder = super::notebook(&workspace.target_folder()?).join("red");
-        let (tree, target) = (folder.join("tree"), folder.join("target"));
-        if tree.exists() {
-            fs::remove_dir_all(&tree).with_context(|| format!("cannot remove {}", tree.display()))?;
+impl Proof {
+    fn expect(&mut self, expected: Colour, how: &str, program: &Path, required: &Required) -> anyhow::Result<()> {
+        let (seen, took_s) = self.run(program, required)?;
+        println!("{}, {how}: {} in {took_s:.1} s", required.patch, seen.word());
+        if seen != expected {
+            self.wrong.push(format!("{} {how} is {}", required.test, seen.word()));
         }
-        for file in workspace.files()? {
-            let (from, to) = (workspace.root().join(&file), tree.join(&file));
-            fs::create_dir_all(to.parent().context("a file lies in a folder")?)?;
-            // With its time: what was built from the last copy is built.
-            fs::copy(&from, &to).with_context(|| format!("cannot copy {file}"))?;
-            let modified = fs::metadata(&from)?.modified()?;
-            fs::File::options().write(true).open(&to).and_then(|file| file.set_modified(modified)).ok();
-        }
-        Ok(Self { tree, target })
+        Ok(())
     }
 
     /// Applies a patch, or takes it back.
     fn apply(&self, required: &Required, reverse: bool) -> anyhow::Result<()> {
         let mut command = Command::new("git");
         command.arg("apply").args(reverse.then_some("--reverse"));
-        command.arg(Path::new(PATCHES).join(required.patch)).current_dir(&self.tree);
+        command.arg(Path::new(PATCHES).join(required.patch)).current_dir(&self.scratch.tree);
         // Git must not take the tree for a part of the repository around it.
         command
-            .env("GIT_CEILING_DIRECTORIES", self.tree.parent().context("the copy lies in a folder")?)
+            .env("GIT_CEILING_DIRECTORIES", self.scratch.tree.parent().context("the copy lies in a folder")?)
             .env_remove("GIT_DIR");
         let output = command.output().context("cannot run git")?;
         if !output.status.success() {
@@ -129,7 +116,7 @@ impl Scratch {
     /// The test program.
     fn build(&self, required: &Required) -> anyhow::Result<PathBuf> {
         let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-        command.current_dir(&self.tree).env("CARGO_TARGET_DIR", &self.target);
+        command.current_dir(&self.scratch.tree).env("CARGO_TARGET_DIR", &self.scratch.target);
         command.args(["test", "--locked", "--no-run", "--package", required.package, "--test", required.program]);
         command.args(["--quiet", "--message-format", "json-render-diagnostics"]).stderr(Stdio::piped());
         let output = command.output().context("cannot run cargo")?;
@@ -150,7 +137,7 @@ impl Scratch {
     fn run(&self, program: &Path, required: &Required) -> anyhow::Result<(Colour, f64)> {
         let begin = Instant::now();
         let mut command = Command::new(program);
-        command.args(["--exact", required.test]).current_dir(&self.tree).stdin(Stdio::null());
+        command.args(["--exact", required.test]).current_dir(&self.scratch.tree).stdin(Stdio::null());
         let output = command.output().with_context(|| format!("cannot start {}", program.display()))?;
         let text = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned()).concat();
         Ok((Colour::of(&text, output.status.success()), begin.elapsed().as_secs_f64()))
@@ -198,7 +185,7 @@ mod tests {
     fn each_required_test_has_a_patch() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(PATCHES);
         let mut there: Vec<String> =
-            fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+            std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
         let mut wanted: Vec<String> = REQUIRED.iter().map(|required| required.patch.to_owned()).collect();
         there.sort();
         wanted.sort();

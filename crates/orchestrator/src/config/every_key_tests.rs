@@ -45,8 +45,15 @@ impl Sample {
 
     /// Reads the file with one number changed; `None` if it is accepted.
     fn refusal(&self, key: &str, value: Value) -> Option<String> {
+        self.refusal_of(&[(key.to_owned(), value)])
+    }
+
+    /// Reads the file with these numbers changed; `None` if it is accepted.
+    fn refusal_of(&self, changes: &[(String, Value)]) -> Option<String> {
         let mut root = Value::Table(self.table.clone());
-        *find(&mut root, key) = value;
+        for (key, value) in changes {
+            *find(&mut root, key) = value.clone();
+        }
         let file = self.folder.path().join(self.name);
         std::fs::write(&file, toml::to_string(&root).unwrap()).unwrap();
         (self.read)(&file).err().map(|error| error.to_string())
@@ -57,9 +64,12 @@ impl Sample {
         let stated = format!("{key} = {value}");
         let Some(text) = self.refusal(key, value) else { panic!("{stated} is accepted") };
         assert!(text.contains(self.name), "{text}");
-        let line = text.lines().find(|line| line.trim_start().starts_with(&format!("{key} = ")));
-        line.unwrap_or_else(|| panic!("{stated}: the key is not named in {text}")).to_owned()
+        line_about(key, &text).unwrap_or_else(|| panic!("{stated}: the key is not named in {text}")).to_owned()
     }
+}
+
+fn line_about<'a>(key: &str, text: &'a str) -> Option<&'a str> {
+    text.lines().find(|line| line.trim_start().starts_with(&format!("{key} = ")))
 }
 
 fn collect(value: &Value, key: &str, found: &mut Vec<(String, Value)>) {
@@ -105,19 +115,32 @@ fn ends(line: &str) -> [f64; 2] {
 fn check_every_key(sample: &Sample, at_least: usize) {
     let numbers = sample.numbers();
     assert!(numbers.len() >= at_least, "only {} numbers in {}", numbers.len(), sample.name);
+    assert_eq!(sample.refusal_of(&[]), None);
+    for absurd in [-1e12, f64::NAN, f64::INFINITY] {
+        check_absurd(sample, &numbers, absurd);
+    }
     for (key, original) in &numbers {
-        assert_eq!(sample.refusal(key, original.clone()), None);
-        let mut absurd = vec![1e12, -1e12];
-        if original.is_float() {
-            absurd.extend([f64::NAN, f64::INFINITY]);
-        }
-        for number in absurd {
-            let line = sample.line_about(key, like(original, number));
-            let [min, max] = ends(&line);
-            assert!(min < max && min.abs() <= 1e7 && max.abs() <= 1e7, "{line}");
-        }
         check_ends(sample, key, original);
     }
+}
+
+/// One number for all keys at once: a file is refused with a line for each key. What another mistake hides is refused alone.
+fn check_absurd(sample: &Sample, numbers: &[(String, Value)], absurd: f64) {
+    let can_be = |original: &Value| absurd.is_finite() || original.is_float();
+    let changes = numbers.iter().filter(|(_, original)| can_be(original));
+    let changes: Vec<_> = changes.map(|(key, original)| (key.clone(), like(original, absurd))).collect();
+    let text = sample.refusal_of(&changes).unwrap();
+    let hidden = changes.iter().filter(|(key, _)| line_about(key, &text).is_none());
+    let alone = hidden.map(|(key, value)| sample.line_about(key, value.clone()));
+    for line in text.lines().skip(1).map(str::to_owned).chain(alone).filter(|line| line.contains(": allowed are ")) {
+        check_range(&line);
+    }
+}
+
+fn check_range(line: &str) -> [f64; 2] {
+    let [min, max] = ends(line);
+    assert!(min < max && min.abs() <= 1e7 && max.abs() <= 1e7, "{line}");
+    [min, max]
 }
 
 /// What is stated as allowed is allowed: at the ends of a range, other keys may be refused (whose ranges depend on this one)
@@ -127,7 +150,7 @@ fn check_ends(sample: &Sample, key: &str, original: &Value) {
     let mut all: Vec<String> = sample.numbers().into_iter().map(|(key, _)| key).collect();
     let calibration = sample.table.get("camera").and_then(|camera| camera.get("calibration"));
     all.extend(calibration.map(|_| "camera.calibration".to_owned()));
-    for end in ends(&sample.line_about(key, like(original, 1e12))) {
+    for end in check_range(&sample.line_about(key, like(original, 1e12))) {
         for line in sample.refusal(key, like(original, end)).iter().flat_map(|text| text.lines().skip(1)) {
             let named = line.trim_start().split([' ', ':']).next().unwrap();
             assert!(

@@ -8,7 +8,7 @@ mod killed;
 mod no_allocation;
 
 use libtest_mimic::{Arguments, Trial};
-use pb3dp_test_support::real_time::{Company, Priority, in_real_time_as};
+use pb3dp_test_support::real_time::{Priority, Turn, in_real_time_as};
 
 const TESTS: [(&str, fn()); 5] = [
     ("killed::braked_after_kill_9", killed::killed),
@@ -27,7 +27,7 @@ fn main() {
     arguments.test_threads = Some(1);
     let trial = |(name, test): (&'static str, fn())| {
         Trial::test(name, move || {
-            in_real_time_as(name, Company::Alone, Priority::Granted, test);
+            in_real_time_as(name, Turn::Alone, Priority::Granted, test);
             Ok(())
         })
     };

@@ -1,0 +1,326 @@
+//! `cargo xtask mutants`: changes the product in small ways, and sees whether a test notices.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, bail};
+use serde_json::Value;
+
+use crate::not_possible::NotPossible;
+use crate::scratch::Scratch;
+use crate::workspace::{Workspace, run_visibly};
+
+/// Changes the code of the safety chain in small ways, and sees whether a test notices.
+///
+/// A mutant is one small change: `<` for `<=`, a function that returns at once, an arm of a match that is gone. From each part a seeded
+/// sample is drawn, and the tests in virtual time run against each mutant in a scratch copy. A mutant that no test notices must be
+/// explained in tests/mutants.toml. Results are kept: a run that was ended goes on where it was, and only what was not noticed is tried
+/// again. Ends with an error if less than 95 % of a part are noticed or explained. Needs cargo-mutants:
+/// `cargo install --locked cargo-mutants`.
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Args {
+    /// The part: middleware, clearance or law. Without it, all of them.
+    part: Option<String>,
+    /// Draws the sample.
+    #[arg(long, default_value_t = 20)]
+    seed: u64,
+    /// Mutants of each part; all of them where there are fewer.
+    #[arg(long, default_value_t = 60)]
+    sample: usize,
+    /// Only the K-th of N shares of the sample, from 1, as K/N: for several machines, or several evenings.
+    #[arg(long, value_parser = Shard::parse, default_value = "1/1")]
+    shard: Shard,
+}
+
+/// A share of a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Shard {
+    index: usize,
+    count: usize,
+}
+
+impl Shard {
+    fn parse(text: &str) -> Result<Self, String> {
+        let numbers = text.split_once('/').and_then(|(index, count)| Some((index.parse().ok()?, count.parse().ok()?)));
+        match numbers {
+            Some((index, count)) if (1..=count).contains(&index) => Ok(Self { index: index - 1, count }),
+            _ => Err(format!("{text:?} is no share: write K/N with K from 1 to N, as 2/5")),
+        }
+    }
+}
+
+/// Code that must not change unnoticed.
+struct Part {
+    name: &'static str,
+    package: &'static str,
+    files: &'static str,
+}
+
+const PARTS: [Part; 3] = [
+    Part { name: "middleware", package: "pb3dp-hal-middleware", files: "hal/middleware/src/**/*.rs" },
+    Part { name: "clearance", package: "pb3dp-kinematics", files: "crates/kinematics/src/clearance.rs" },
+    Part { name: "law", package: "pb3dp-servo", files: "crates/servo/src/law/**/*.rs" },
+];
+/// The share that must be noticed or explained.
+const NOTICED_MIN: f64 = 0.95;
+/// Mutants that change nothing which the product promises, each with its reason.
+const EXPLAINED: &str = "tests/mutants.toml";
+
+/// # Errors
+/// [`NotPossible`] if cargo-mutants is missing; else if the tests fail without a change, or too few mutants are noticed.
+pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
+    if !Command::new("cargo-mutants").args(["mutants", "--version"]).output().is_ok_and(|out| out.status.success()) {
+        return Err(NotPossible::because("cargo-mutants is missing: type `cargo install --locked cargo-mutants`"));
+    }
+    let parts: Vec<&Part> =
+        PARTS.iter().filter(|part| args.part.as_ref().is_none_or(|name| name == part.name)).collect();
+    if parts.is_empty() {
+        bail!("there is no such part; write one of: {}", PARTS.map(|part| part.name).join(", "));
+    }
+    let explained = explained(workspace)?;
+    let scratch = Scratch::new(workspace, "mutants")?;
+    let mut lines = Vec::new();
+    let mut short = Vec::new();
+    for part in parts {
+        let mutants = list(&scratch, part)?;
+        let all = mutants.len();
+        let sample = sample(mutants, args.sample, args.seed);
+        let share: Vec<Mutant> = sample.into_iter().skip(args.shard.index).step_by(args.shard.count).collect();
+        let tally = Tally::of(&share, &test(&scratch, part, &share)?, &explained);
+        for mutant in &tally.unnoticed {
+            println!("not noticed: {}\n    {}", mutant.name, mutant.line);
+        }
+        lines.push(tally.line(part, all));
+        if tally.share_noticed() < NOTICED_MIN {
+            short.push(part.name);
+        }
+    }
+    println!("\n| part | mutants | tried | do not build | noticed | too slow | explained | not noticed |");
+    println!("|---|---|---|---|---|---|---|---|\n{}", lines.join("\n"));
+    match short[..] {
+        [] => Ok(()),
+        _ => bail!("fewer than {:.0} % are noticed or explained: {}", 100.0 * NOTICED_MIN, short.join(", ")),
+    }
+}
+
+/// One small change.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Mutant {
+    /// `file:line:column: what is changed`.
+    name: String,
+    file: String,
+    /// What is changed, without its place.
+    change: String,
+    /// The line of the source.
+    line: String,
+}
+
+impl Mutant {
+    fn read(value: &Value, tree: &Path) -> Option<Self> {
+        let (name, file) = (value["name"].as_str()?, value["file"].as_str()?);
+        let place = &value["span"]["start"]["line"];
+        let source = fs::read_to_string(tree.join(file)).ok()?;
+        let line = source.lines().nth(usize::try_from(place.as_u64()?).ok()?.checked_sub(1)?)?.trim().to_owned();
+        let change = name.splitn(4, ':').nth(3)?.trim().to_owned();
+        Some(Self { name: name.to_owned(), file: file.to_owned(), change, line })
+    }
+}
+
+fn cargo_mutants(scratch: &Scratch, part: &Part) -> Command {
+    let mut command = Command::new("cargo-mutants");
+    command.args(["mutants", "--no-config", "--package", part.package, "--file", part.files]);
+    command.arg("--dir").arg(&scratch.tree).env("CARGO_TARGET_DIR", &scratch.target);
+    command
+}
+
+/// All mutants of a part.
+fn list(scratch: &Scratch, part: &Part) -> anyhow::Result<Vec<Mutant>> {
+    let output =
+        cargo_mutants(scratch, part).args(["--list", "--json"]).output().context("cannot run cargo-mutants")?;
+    if !output.status.success() {
+        bail!("cargo-mutants cannot list mutants: {}", String::from_utf8_lossy(&output.stderr));
+    }
+    let listed: Vec<Value> = serde_json::from_slice(&output.stdout).context("cargo-mutants lists no JSON")?;
+    let read = |value: &Value| {
+        Mutant::read(value, &scratch.tree).with_context(|| format!("cargo-mutants 26.1 or newer is needed: {value}"))
+    };
+    listed.iter().map(read).collect()
+}
+
+/// Some of the mutants: the same ones for the same seed, whatever their order.
+fn sample(mut mutants: Vec<Mutant>, count: usize, seed: u64) -> Vec<Mutant> {
+    mutants.sort_by_cached_key(|mutant| (scrambled(seed, &mutant.name), mutant.name.clone()));
+    mutants.truncate(count);
+    mutants
+}
+
+/// A number that follows from the seed and the text: FNV-1a, whose last bits are mixed once more as in SplitMix64.
+fn scrambled(seed: u64, text: &str) -> u64 {
+    let hash = text
+        .bytes()
+        .fold(0xcbf2_9ce4_8422_2325 ^ seed, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3));
+    let mixed = (hash ^ hash >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    (mixed ^ mixed >> 27).wrapping_mul(0x94d0_49bb_1331_11eb)
+}
+
+/// Results by the names of the mutants, in the words of cargo-mutants.
+type Results = BTreeMap<String, String>;
+
+/// Runs the tests against these mutants, but for those that were noticed in a run before.
+fn test(scratch: &Scratch, part: &Part, mutants: &[Mutant]) -> anyhow::Result<Results> {
+    let folder = scratch.target.join("results").join(part.name);
+    fs::create_dir_all(&folder)?;
+    let names: Vec<String> = mutants.iter().map(|mutant| escaped(&mutant.name)).collect();
+    let mut command = cargo_mutants(scratch, part);
+    command.args(["--in-place", "--iterate", "--no-shuffle", "--cap-lints", "true", "--minimum-test-timeout", "60"]);
+    command.arg("--output").arg(&folder).arg("--re").arg(format!("^({})$", names.join("|")));
+    // Mutants in code that waits would have to be waited for: only tests in virtual time run.
+    command.args(["--", "--lib", "--test", "integration", "--", "--skip", "real_time::"]);
+    // It ends with an error if a mutant is missed: the results say so.
+    let ended = run_visibly(&mut command);
+    let results = read_results(&folder.join("mutants.out"))?;
+    if results.is_empty() {
+        ended?;
+        bail!("cargo-mutants tried nothing in {}", part.files);
+    }
+    Ok(results)
+}
+
+/// As a pattern that fits only itself.
+fn escaped(name: &str) -> String {
+    name.chars().flat_map(|c| r"\.+*?()|[]{}^$".contains(c).then_some('\\').into_iter().chain([c])).collect()
+}
+
+fn read_results(folder: &Path) -> anyhow::Result<Results> {
+    let mut results = Results::new();
+    for word in ["caught", "previously_caught", "unviable", "timeout", "missed"] {
+        let file: PathBuf = folder.join(word).with_extension("txt");
+        let names = fs::read_to_string(&file).unwrap_or_default();
+        results.extend(names.lines().map(|name| (name.to_owned(), word.to_owned())));
+    }
+    Ok(results)
+}
+
+/// A mutant that need not be noticed.
+#[derive(Debug, PartialEq, Eq)]
+struct Explained {
+    file: String,
+    change: String,
+    line: String,
+}
+
+fn explained(workspace: &Workspace) -> anyhow::Result<Vec<Explained>> {
+    let file = workspace.root().join(EXPLAINED);
+    let text = fs::read_to_string(&file).with_context(|| format!("cannot read {EXPLAINED}"))?;
+    let table: toml::Table = text.parse().with_context(|| format!("{EXPLAINED} is no TOML"))?;
+    let entries = table.get("mutant").and_then(toml::Value::as_array).cloned().unwrap_or_default();
+    let read = |entry: &toml::Value| {
+        let of = |key: &str| entry.get(key).and_then(toml::Value::as_str).map(str::to_owned);
+        of("why").filter(|why| !why.is_empty())?;
+        Some(Explained { file: of("file")?, change: of("change")?, line: of("line")? })
+    };
+    let complete =
+        |entry| read(entry).with_context(|| format!("{EXPLAINED}: file, change, line or why is missing in {entry}"));
+    entries.iter().map(complete).collect()
+}
+
+/// What came of the mutants of a part.
+#[derive(Default)]
+struct Tally {
+    noticed: usize,
+    too_slow: usize,
+    unviable: usize,
+    explained: usize,
+    unnoticed: Vec<Mutant>,
+    untried: usize,
+}
+
+impl Tally {
+    fn of(mutants: &[Mutant], results: &Results, explained: &[Explained]) -> Self {
+        let mut tally = Self::default();
+        for mutant in mutants {
+            let is_explained = explained
+                .iter()
+                .any(|known| (&known.file, &known.change, &known.line) == (&mutant.file, &mutant.change, &mutant.line));
+            match results.get(&mutant.name).map(String::as_str) {
+                Some("caught" | "previously_caught") => tally.noticed += 1,
+                Some("timeout") => tally.too_slow += 1,
+                Some("unviable") => tally.unviable += 1,
+                Some("missed") if is_explained => tally.explained += 1,
+                Some(_) => tally.unnoticed.push(mutant.clone()),
+                None => tally.untried += 1,
+            }
+        }
+        tally
+    }
+
+    /// Of those that build. What was not tried was not noticed.
+    fn share_noticed(&self) -> f64 {
+        let good = self.noticed + self.too_slow + self.explained;
+        good as f64 / (good + self.unnoticed.len() + self.untried).max(1) as f64
+    }
+
+    fn line(&self, part: &Part, all: usize) -> String {
+        let Self { noticed, too_slow, unviable, explained, unnoticed, untried } = self;
+        let missed = unnoticed.len();
+        let tried = noticed + too_slow + unviable + explained + missed;
+        let rest = if *untried > 0 { format!(" (and {untried} not tried)") } else { String::new() };
+        format!(
+            "| {} | {all} | {tried}{rest} | {unviable} | {noticed} | {too_slow} | {explained} | {missed} |",
+            part.name
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn mutant(line: u32) -> Mutant {
+        let change = "replace < with <= in Limiter::limit".to_owned();
+        let file = "hal/middleware/src/limiter.rs".to_owned();
+        Mutant { name: format!("{file}:{line}:9: {change}"), file, change, line: format!("if a < {line} {{") }
+    }
+
+    #[test]
+    fn a_sample_depends_on_the_seed_and_not_on_the_order() {
+        let all: Vec<Mutant> = (0..50).map(mutant).collect();
+        let mut reversed = all.clone();
+        reversed.reverse();
+        let drawn = sample(all.clone(), 10, 7);
+        assert_eq!(drawn, sample(reversed, 10, 7));
+        assert_ne!(drawn, sample(all.clone(), 10, 8));
+        assert_eq!(sample(all, 90, 7).len(), 50);
+    }
+
+    #[test]
+    fn what_is_missed_counts_unless_its_line_is_explained() {
+        let mutants: Vec<Mutant> = (1..=5).map(mutant).collect();
+        let words = ["caught", "missed", "missed", "timeout"];
+        let results: Results =
+            mutants.iter().zip(words).map(|(mutant, word)| (mutant.name.clone(), word.to_owned())).collect();
+        let known = &mutants[1];
+        let explained =
+            [Explained { file: known.file.clone(), change: known.change.clone(), line: known.line.clone() }];
+        let tally = Tally::of(&mutants, &results, &explained);
+        assert_eq!((tally.noticed, tally.too_slow, tally.explained, tally.untried), (1, 1, 1, 1));
+        assert_eq!(tally.unnoticed, [mutants[2].clone()]);
+        assert!((tally.share_noticed() - 0.6).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_share_is_one_of_several() {
+        assert_eq!(Shard::parse("2/5"), Ok(Shard { index: 1, count: 5 }));
+        for wrong in ["0/5", "6/5", "2", "a/b", ""] {
+            assert!(Shard::parse(wrong).unwrap_err().contains("is no share"), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn names_are_no_patterns() {
+        assert_eq!(escaped("a/b.rs:3: replace < with * in f -> [T]"), r"a/b\.rs:3: replace < with \* in f -> \[T\]");
+    }
+}
