@@ -133,14 +133,10 @@ fn check_absurd(sample: &Sample, numbers: &[(String, Value)], absurd: f64) {
     let hidden = changes.iter().filter(|(key, _)| line_about(key, &text).is_none());
     let alone = hidden.map(|(key, value)| sample.line_about(key, value.clone()));
     for line in text.lines().skip(1).map(str::to_owned).chain(alone).filter(|line| line.contains(": allowed are ")) {
-        check_range(&line);
+        // A range may follow from another number, which is wrong here too.
+        let [min, max] = ends(&line);
+        assert!(min <= max && min.abs() <= 1e7 && max.abs() <= 1e7, "{line}");
     }
-}
-
-fn check_range(line: &str) -> [f64; 2] {
-    let [min, max] = ends(line);
-    assert!(min < max && min.abs() <= 1e7 && max.abs() <= 1e7, "{line}");
-    [min, max]
 }
 
 /// What is stated as allowed is allowed: at the ends of a range, other keys may be refused (whose ranges depend on this one)
@@ -150,7 +146,10 @@ fn check_ends(sample: &Sample, key: &str, original: &Value) {
     let mut all: Vec<String> = sample.numbers().into_iter().map(|(key, _)| key).collect();
     let calibration = sample.table.get("camera").and_then(|camera| camera.get("calibration"));
     all.extend(calibration.map(|_| "camera.calibration".to_owned()));
-    for end in check_range(&sample.line_about(key, like(original, 1e12))) {
+    let line = sample.line_about(key, like(original, 1e12));
+    let [min, max] = ends(&line);
+    assert!(min < max && min.abs() <= 1e7 && max.abs() <= 1e7, "{line}");
+    for end in [min, max] {
         for line in sample.refusal(key, like(original, end)).iter().flat_map(|text| text.lines().skip(1)) {
             let named = line.trim_start().split([' ', ':']).next().unwrap();
             assert!(

@@ -11,7 +11,7 @@ use crate::cli::mock_arm::MockArm;
 use crate::cli::run::SMALL;
 use crate::cli::support::{pb3dp, replaced};
 use crate::real_time::arm::{Cell, START_DEG, assert_problem, command, json, write_setup};
-use pb3dp_test_support::programs_in_real_time;
+use pb3dp_test_support::programs_in_real_time_beside_others;
 
 const GATEWAY: &str = "[arms.vs.gateway]";
 
@@ -47,7 +47,7 @@ fn cell(args: &[&str], wire_format: &str) -> Cell {
 
 #[test]
 fn a_probe_reads_the_controller_itself() {
-    programs_in_real_time(|| {
+    programs_in_real_time_beside_others(|| {
         for (wire_format, format) in [("A", "a"), ("B", "b")] {
             let cell = cell(&["--format", format, "--pose-deg", START_DEG], wire_format);
             let report = json(&cell.pb3dp(&["probe", "--json"], None).assert_success());
@@ -64,7 +64,7 @@ fn a_probe_reads_the_controller_itself() {
 /// R19: the length of a reply tells the format.
 #[test]
 fn a_controller_of_the_other_wire_format_is_named() {
-    programs_in_real_time(|| {
+    programs_in_real_time_beside_others(|| {
         for (format, told, seen) in [("a", "B", "format A"), ("b", "A", "format B")] {
             let cell = cell(&["--format", format], told);
             let parts =
@@ -80,7 +80,7 @@ fn a_controller_of_the_other_wire_format_is_named() {
 /// What a gateway's file says of brakes and switches, the table says of an arm without one.
 #[test]
 fn the_table_tells_of_brakes_and_switches() {
-    programs_in_real_time(|| {
+    programs_in_real_time_beside_others(|| {
         let mut cell = cell(&["--pose-deg", START_DEG], "B");
         let config = cell.config();
         let text = std::fs::read_to_string(&config).unwrap();
@@ -106,7 +106,7 @@ fn the_table_tells_of_brakes_and_switches() {
 
 #[test]
 fn a_jog_turns_one_joint_and_closes_the_brakes() {
-    programs_in_real_time(|| {
+    programs_in_real_time_beside_others(|| {
         let mut cell = cell(&["--pose-deg", START_DEG], "B");
         cell.assert_jogs();
         cell.arm.quit();
@@ -181,7 +181,7 @@ fn fastest_deg_per_s(arm: &mut MockArm) -> f64 {
 /// Who asks twice does not want to wait for the report; for the arm, which nothing else stops, the program waits all the same.
 #[test]
 fn two_signals_do_not_leave_an_arm_without_a_gateway_moving() {
-    programs_in_real_time(|| {
+    programs_in_real_time_beside_others(|| {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("bus").display().to_string();
         let start = ["--bus", &path, "--priority", "45", "--watchdog", "none", "--pose-deg", TC_START_DEG];
@@ -200,7 +200,7 @@ fn two_signals_do_not_leave_an_arm_without_a_gateway_moving() {
 
 #[test]
 fn a_jog_that_is_interrupted_twice_closes_the_brakes() {
-    programs_in_real_time(|| {
+    programs_in_real_time_beside_others(|| {
         let mut cell = cell(&["--pose-deg", START_DEG, "--watchdog", "none"], "B");
         let config = cell.config().display().to_string();
         let mut jog = command(&config, &["jog", "--axis", "7", "--by", "20", "--move"]).spawn().unwrap();

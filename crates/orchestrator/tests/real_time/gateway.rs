@@ -16,7 +16,7 @@ use pb3dp_arm_pa10::io::bus::{BusPort, FRAME_ROOM, FrameListener};
 use pb3dp_arm_pa10::io::tcp::{TcpConfig, TcpLink};
 use pb3dp_arm_pa10::mock_controller::ControlMode;
 use pb3dp_arm_pa10_test_support::world::{Emulation, Host, LONG, ms};
-use pb3dp_test_support::programs_in_real_time;
+use pb3dp_test_support::programs_in_real_time_beside_others;
 use rustix::process::{Pid, Signal, kill_process};
 
 /// Of the emulated controller.
@@ -141,7 +141,7 @@ fn wait_for<T>(what: &str, mut is: impl FnMut() -> Option<T>) -> T {
 
 #[test]
 fn a_signal_ends_it_through_the_stop_order() {
-    programs_in_real_time(|| {
+    programs_in_real_time_beside_others(|| {
         for signal in [Signal::TERM, Signal::INT] {
             with_scene(|scene| {
                 scene.signal(signal);
@@ -164,7 +164,7 @@ fn a_signal_ends_it_through_the_stop_order() {
 /// The host may be gone when somebody asks what happened: the log of the gateway names axis and alarm.
 #[test]
 fn its_log_names_axis_and_alarm_of_a_fault() {
-    programs_in_real_time(|| {
+    programs_in_real_time_beside_others(|| {
         with_scene(|scene| {
             scene.emulation.inject("alarm 4 0x0e");
             let told = "moving -> fault: servo-alarm: axis 4 (E1), status word 0x";
@@ -209,7 +209,7 @@ fn a_signal_is_obeyed_while_the_log_is_held_up() {
 /// kill -9: nobody is left to stop the arm but the controller, and the host does not move before an operator resets.
 #[test]
 fn after_a_kill_the_controller_stops_the_arm() {
-    programs_in_real_time(|| {
+    programs_in_real_time_beside_others(|| {
         with_scene(|scene| {
             scene.signal(Signal::KILL);
             scene.ended();
@@ -226,7 +226,7 @@ fn after_a_kill_the_controller_stops_the_arm() {
 /// SIGSTOP: the controller stops the arm, and a gateway that wakes up again latches.
 #[test]
 fn a_gateway_that_was_held_up_latches() {
-    programs_in_real_time(|| {
+    programs_in_real_time_beside_others(|| {
         with_scene(|scene| {
             scene.signal(Signal::STOP);
             scene.must_be_braked();

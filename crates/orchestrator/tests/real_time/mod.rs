@@ -1,4 +1,4 @@
-//! Tests whose threads must run in time: through `programs_in_real_time`.
+//! Tests whose threads must run in time: through `programs_in_real_time_beside_others`.
 
 pub mod arm;
 pub mod arm_on_bus;

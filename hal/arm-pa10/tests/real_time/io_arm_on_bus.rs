@@ -21,7 +21,7 @@ use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, JointComman
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::JointPlant;
-use pb3dp_test_support::in_real_time;
+use pb3dp_test_support::in_real_time_beside_others;
 
 const BUS_CYCLE: Duration = Duration::from_millis(2);
 const EXCHANGE_CYCLE: Duration = Duration::from_millis(10);
@@ -207,7 +207,7 @@ fn enable_and_move(arm: &mut Pa10Arm) {
 
 #[test]
 fn an_arm_on_the_bus_itself_goes_up_moves_and_comes_down() {
-    in_real_time(|| {
+    in_real_time_beside_others(|| {
         for format in WireFormat::ALL {
             let far = Far::new("moves", format);
             let mut arm = open(&far, format);
@@ -227,7 +227,7 @@ fn an_arm_on_the_bus_itself_goes_up_moves_and_comes_down() {
 /// R8: brakes that close slowly are waited for; without E the controller would have to stop by itself.
 #[test]
 fn who_lets_go_of_an_arm_with_slow_brakes_still_ends_its_control_mode() {
-    in_real_time(|| {
+    in_real_time_beside_others(|| {
         let format = WireFormat::BigEndian6x10;
         let far = Far::new("slow", format);
         let mut config = config(&far, format);
@@ -244,7 +244,7 @@ fn who_lets_go_of_an_arm_with_slow_brakes_still_ends_its_control_mode() {
 
 #[test]
 fn a_bus_that_goes_down_is_told_as_unplugged_and_its_arm_is_stopped_when_it_is_back() {
-    in_real_time(|| {
+    in_real_time_beside_others(|| {
         let format = WireFormat::BigEndian6x10;
         // The controller goes on with the last velocities.
         let mut far = Far::with("down", format, None);
@@ -286,7 +286,7 @@ fn a_program_that_lets_go_of_an_arm_that_does_not_hear_it_says_so() {
     if std::env::var_os(CHILD).is_some() {
         return let_go_of_a_deaf_arm();
     }
-    in_real_time(|| {
+    in_real_time_beside_others(|| {
         let name = "real_time::io_arm_on_bus::a_program_that_lets_go_of_an_arm_that_does_not_hear_it_says_so";
         let mut child = std::process::Command::new(std::env::current_exe().unwrap());
         let ended = child.args([name, "--exact", "--nocapture"]).env(CHILD, "1").output().unwrap();
@@ -320,7 +320,7 @@ fn let_go_of_a_deaf_arm() {
 
 #[test]
 fn an_emergency_stop_is_told_and_reset_when_it_is_released() {
-    in_real_time(|| {
+    in_real_time_beside_others(|| {
         let format = WireFormat::BigEndian6x10;
         let far = Far::new("e-stop", format);
         let mut arm = open(&far, format);
@@ -341,7 +341,7 @@ fn an_emergency_stop_is_told_and_reset_when_it_is_released() {
 
 #[test]
 fn a_bus_that_is_not_there_and_cycles_that_do_not_fit_are_refused() {
-    in_real_time(|| {
+    in_real_time_beside_others(|| {
         let far = Far::new("refused", WireFormat::BigEndian6x10);
         let good = config(&far, WireFormat::BigEndian6x10);
         let open = |config| {

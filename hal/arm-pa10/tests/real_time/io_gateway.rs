@@ -4,6 +4,7 @@
 
 use std::net::{SocketAddr, TcpListener};
 use std::os::fd::BorrowedFd;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -20,7 +21,7 @@ use pb3dp_arm_pa10::io::serial::SerialConfig;
 use pb3dp_arm_pa10::io::tcp::{TcpConfig, TcpLink};
 use pb3dp_arm_pa10::mock_controller::ControlMode;
 use pb3dp_arm_pa10_test_support::world::{Emulation, FORMAT, Host, LONG, gateway_config, home, ms, velocity};
-use pb3dp_test_support::in_real_time;
+use pb3dp_test_support::in_real_time_beside_others;
 use pb3dp_test_support::real_time::note_lateness_at;
 
 /// Real-time where it is permitted: the tests run without as well.
@@ -50,9 +51,9 @@ fn tcp() -> (HostSide, SocketAddr) {
     (HostSide::Tcp(listener), address)
 }
 
-fn serial(pty: &Pty) -> HostSide {
+fn serial(path: &Path) -> HostSide {
     HostSide::Line(Box::new(SerialConfig {
-        path: pty.path().to_str().unwrap().to_owned(),
+        path: path.to_str().unwrap().to_owned(),
         baud: 921_600,
         dialect: Dialect::GatewayV1,
         format: FORMAT,
@@ -136,13 +137,13 @@ fn go_up_and_down(host: &mut Host, emulation: &Emulation) {
 
 #[test]
 fn an_arm_goes_up_and_down_over_a_pseudo_terminal() {
-    in_real_time(up_and_down_over_a_pseudo_terminal);
+    in_real_time_beside_others(up_and_down_over_a_pseudo_terminal);
 }
 
 fn up_and_down_over_a_pseudo_terminal() {
     for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
         let pty = Pty::open().unwrap();
-        let (server, emulation) = server(serial(&pty));
+        let (server, emulation) = server(serial(pty.path()));
         messages_until(&server, "is open");
         let mut host = Host::new(Box::new(pty), dialect);
         let witness = Witness(&server);
@@ -168,18 +169,23 @@ fn up_and_down_over_a_pseudo_terminal() {
 
 #[test]
 fn a_line_that_is_unplugged_in_motion_stops_the_arm_and_is_tried_again() {
-    in_real_time(unplugged_in_motion);
+    in_real_time_beside_others(unplugged_in_motion);
 }
 
 fn unplugged_in_motion() {
     let pty = Pty::open().unwrap();
-    let (server, emulation) = server(serial(&pty));
+    // The number of the terminal may soon be another test's: what is tried again is a name of its own.
+    let folder = tempfile::tempdir().unwrap();
+    let line = folder.path().join("line");
+    std::os::unix::fs::symlink(pty.path(), &line).unwrap();
+    let (server, emulation) = server(serial(&line));
     messages_until(&server, "is open");
     let witness = Witness(&server);
     let mut host = Host::new(Box::new(pty), Dialect::GatewayV1);
     host.open();
     host.lead_to_moving();
     drop(witness);
+    std::fs::remove_file(&line).unwrap();
     drop(host);
     emulation.wait_for("braked", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
     assert_eq!(emulation.seen().counters.watchdog_trips, 0, "the gateway stopped it");
@@ -192,7 +198,7 @@ fn unplugged_in_motion() {
 
 #[test]
 fn a_host_whose_connection_ends_in_motion_is_silent_and_the_next_one_has_to_reset() {
-    in_real_time(connection_ends_in_motion);
+    in_real_time_beside_others(connection_ends_in_motion);
 }
 
 fn connection_ends_in_motion() {
@@ -248,7 +254,7 @@ fn a_connection_that_has_been_silent_for_a_second_gives_way() {
 
 #[test]
 fn a_bus_that_goes_down_stops_the_arm_and_may_come_back() {
-    in_real_time(bus_goes_down);
+    in_real_time_beside_others(bus_goes_down);
 }
 
 fn bus_goes_down() {
@@ -329,7 +335,7 @@ impl BusPort for Mistaken {
 /// R8: a mistake of the program does not leave the arm moving.
 #[test]
 fn a_thread_that_panics_in_motion_stops_the_arm() {
-    in_real_time(panics_in_motion);
+    in_real_time_beside_others(panics_in_motion);
 }
 
 fn panics_in_motion() {
