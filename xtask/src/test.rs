@@ -5,6 +5,7 @@ mod emulated;
 mod prove_red;
 mod report;
 mod runner;
+mod scheduling;
 mod timings;
 
 use std::path::PathBuf;
@@ -60,7 +61,7 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
         return prove_red::run(workspace, args.filter.as_deref());
     }
     if args.no_run {
-        return build::run(workspace, |_| {}).map(|_| ());
+        return build::run(workspace, &[], |_| {}).map(|_| ());
     }
     let long = if args.all { Long::Everywhere } else { Long::Nowhere };
     let tested = all(workspace, &Plan { long, filter: args.filter.clone() })?;
@@ -121,7 +122,8 @@ impl Tested {
 pub fn all(workspace: &Workspace, plan: &Plan) -> anyhow::Result<Tested> {
     let begin = Instant::now();
     let (runner, mut report) = Runner::new(workspace, plan)?;
-    let built = runner.run(|runner| build::run(workspace, |program| runner.ready(program)), &mut report)?;
+    let build = |runner: &Runner| build::run(workspace, runner.precedence.of_build(), |program| runner.ready(program));
+    let built = runner.run(build, &mut report)?;
     report.add(runner::doctests(workspace, plan.filter.as_deref())?);
     if report.is_empty() {
         bail!("no test ran: does the filter fit a name?");

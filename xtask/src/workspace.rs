@@ -1,6 +1,6 @@
 //! The workspace on disk: its root, its files, its packages, and how programs are run in it.
 
-use std::ffi::OsStr;
+use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -51,7 +51,16 @@ impl Workspace {
 
     /// The cargo that runs us.
     pub fn cargo(&self) -> Command {
-        self.command(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
+        self.cargo_after(&[])
+    }
+
+    /// The cargo that runs us, started by another program: `["nice", "-n", "10"]`.
+    pub fn cargo_after(&self, before: &[&str]) -> Command {
+        let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+        let mut words = before.iter().map(|word| OsString::from(*word)).chain([cargo]);
+        let mut command = self.command(words.next().unwrap_or_default());
+        command.args(words);
+        command
     }
 
     /// All files of the project (tracked, or new and not ignored), sorted, as paths inside the workspace with slashes.

@@ -64,12 +64,12 @@ impl Built {
     }
 }
 
-/// Builds everything, and hands each test program over as soon as it is there.
+/// Builds everything, and hands each test program over as soon as it is there. `before` is what the command of cargo begins with.
 ///
 /// # Errors
 /// If something does not build.
-pub fn run(workspace: &Workspace, mut ready: impl FnMut(Program)) -> anyhow::Result<Built> {
-    let mut command = workspace.cargo();
+pub fn run(workspace: &Workspace, before: &[&str], mut ready: impl FnMut(Program)) -> anyhow::Result<Built> {
+    let mut command = workspace.cargo_after(before);
     command.args(["test", "--workspace", "--locked", "--no-run", "--lib", "--bins", "--tests", "--timings"]);
     command.args(["--features", FEATURES]);
     command.args(TESTED_EXAMPLES.iter().flat_map(|name| ["--example", name]));

@@ -1,6 +1,7 @@
 //! Runs test programs while others build.
 
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -12,6 +13,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 
 use super::report::{Report, Run};
+use super::scheduling::{LowSession, Precedence};
 use super::{Built, Long, Plan, build::Program, notebook};
 use crate::workspace::Workspace;
 
@@ -23,12 +25,10 @@ const ALONE: &str = "alone";
 const LONGEST: Duration = Duration::from_secs(1200);
 /// With which tests run their long sweeps.
 const LONG_TESTS: &str = "PB3DP_LONG_TESTS";
-/// Packages whose punctual tests start whole programs, which compute: they run alone, when everything else has run.
+/// Packages whose punctual tests start whole programs, which compute: no priority of SCHED_FIFO is for them.
 const COMPUTING: [&str; 2] = ["pb3dp-orchestrator", "system-tests"];
-/// How many punctual tests run beside each other: those that mostly sleep, and those that compute.
-const PUNCTUAL_THREADS: [&str; 2] = ["4", "2"];
-/// Politeness of tests that need not be punctual.
-const NICE: &str = "10";
+/// How many punctual tests run beside each other: those of programs sleep for the most part.
+const PUNCTUAL_THREADS: [&str; 2] = ["4", "6"];
 
 /// Which tests of a program run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,10 +67,6 @@ struct State {
     is_building: bool,
     /// Jobs of tests that need not be punctual.
     running: usize,
-    /// Jobs of punctual tests.
-    running_punctual: usize,
-    /// Whether one of these computes.
-    is_computing: bool,
 }
 
 /// Takes test programs as they are built, and runs them: the punctual ones under their lock, the others on all processors that the build
@@ -78,8 +74,8 @@ struct State {
 pub struct Runner {
     state: Mutex<State>,
     changed: Condvar,
-    /// Whether punctual tests can run beside others: they go before all of them.
-    has_priority: bool,
+    /// What punctual tests can go before.
+    pub precedence: Precedence,
     long: Long,
     filter: Option<String>,
     /// How long each run took last time, s.
@@ -104,7 +100,7 @@ impl Runner {
         let runner = Self {
             state: Mutex::new(State { is_building: true, ..State::default() }),
             changed: Condvar::new(),
-            has_priority: grants_real_time(),
+            precedence: Precedence::find(),
             long: plan.long.clone(),
             filter: plan.filter.clone(),
             before: before.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default(),
@@ -125,6 +121,7 @@ impl Runner {
     ) -> anyhow::Result<Built> {
         let processors = available_parallelism().map_or(1, usize::from);
         let report = Mutex::new(report);
+        let _low = LowSession::enter();
         let built = std::thread::scope(|scope| {
             scope.spawn(|| {
                 while let Some(job) = self.next_punctual() {
@@ -190,20 +187,17 @@ impl Runner {
         }
     }
 
-    /// The next job of punctual tests. Without priority, nothing else may run beside them.
+    /// The next job of punctual tests, which run one program at a time. Where nothing lets them go before others, others have to end first.
     fn next_punctual(&self) -> Option<Job> {
         let mut state = of(&self.state);
         loop {
             let is_quiet = !state.is_building && state.others.is_empty() && state.running == 0;
             let may_run = |job: &Job| match job.computes() {
-                true => is_quiet && state.running_punctual == 0,
-                false => (is_quiet || self.has_priority) && !state.is_computing,
+                true => is_quiet || self.precedence > Precedence::Priority,
+                false => is_quiet || self.precedence > Precedence::None,
             };
             if let Some(index) = self.longest(&state.punctual, may_run) {
-                let job = state.punctual.remove(index);
-                state.is_computing = job.computes();
-                state.running_punctual += 1;
-                return Some(job);
+                return Some(state.punctual.remove(index));
             }
             if !state.is_building && state.punctual.is_empty() {
                 return None;
@@ -222,12 +216,7 @@ impl Runner {
     fn work(&self, job: &Job, report: &Mutex<&mut Report>) {
         let run = self.run_program(job);
         let mut state = of(&self.state);
-        if job.is_punctual() {
-            state.running_punctual = state.running_punctual.saturating_sub(1);
-            state.is_computing &= !job.computes();
-        } else {
-            state.running = state.running.saturating_sub(1);
-        }
+        state.running -= usize::from(!job.is_punctual());
         drop(state);
         self.changed.notify_all();
         // A program without a test is not worth a line.
@@ -257,8 +246,10 @@ impl Runner {
     /// The program with its output in a file: both streams in the order in which they were written.
     fn command(&self, job: &Job, output: &Path) -> anyhow::Result<Command> {
         let Program { path, folder, package, .. } = &job.program;
-        let mut command = if job.is_punctual() { Command::new(path) } else { politely(path) };
-        command.current_dir(folder).env("CARGO_MANIFEST_DIR", folder).env("CARGO_PKG_NAME", package);
+        let before = if job.is_punctual() { &[] } else { self.precedence.of_tests() };
+        let mut words = before.iter().map(OsStr::new).chain([path.as_os_str()]);
+        let mut command = Command::new(words.next().unwrap_or_default());
+        command.args(words).current_dir(folder).env("CARGO_MANIFEST_DIR", folder).env("CARGO_PKG_NAME", package);
         command.env_remove(LONG_TESTS);
         if self.long.includes(package) {
             command.env(LONG_TESTS, "1");
@@ -299,13 +290,6 @@ pub fn doctests(workspace: &Workspace, filter: Option<&str>) -> anyhow::Result<R
     Ok(Run::read("examples in the documentation".to_owned(), text, output.status.success(), begin.elapsed()))
 }
 
-/// A program that lets others go before.
-fn politely(program: &Path) -> Command {
-    let mut command = Command::new("nice");
-    command.args(["-n", NICE]).arg(program);
-    command
-}
-
 /// Waits for the end of a program; whether it succeeded.
 fn wait(command: &mut Command, begin: Instant) -> anyhow::Result<bool> {
     let mut child = command.spawn().with_context(|| format!("cannot start {command:?}"))?;
@@ -327,18 +311,4 @@ fn list(program: &Program) -> String {
     let output =
         Command::new(&program.path).args(["--list", "--format", "terse"]).current_dir(&program.folder).output();
     output.map(|output| String::from_utf8_lossy(&output.stdout).into_owned()).unwrap_or_default()
-}
-
-/// Whether this process may use SCHED_FIFO: it has the capability, or its limit allows a priority.
-fn grants_real_time() -> bool {
-    const SYS_NICE: u32 = 23;
-    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let capabilities = status.lines().find_map(|line| line.strip_prefix("CapEff:"));
-    let has_capability = capabilities
-        .and_then(|digits| u64::from_str_radix(digits.trim(), 16).ok())
-        .is_some_and(|bits| bits >> SYS_NICE & 1 == 1);
-    let limits = fs::read_to_string("/proc/self/limits").unwrap_or_default();
-    let limit = limits.lines().find_map(|line| line.strip_prefix("Max realtime priority"));
-    let has_limit = limit.and_then(|rest| rest.split_whitespace().next()).is_some_and(|soft| soft != "0");
-    has_capability || has_limit
 }

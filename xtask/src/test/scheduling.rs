@@ -1,0 +1,134 @@
+//! Who goes before whom while tests run.
+
+use std::fs;
+use std::process::Command;
+
+/// Niceness of the session while tests run.
+const NICE_OF_SESSION: &str = "19";
+/// Starts a program in the class SCHED_IDLE.
+const IDLE: &[&str] = &["chrt", "--idle", "0"];
+const AUTOGROUP: &str = "/proc/self/autogroup";
+
+/// What punctual tests can go before on this machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Precedence {
+    /// Nothing: they run when all else has run.
+    None,
+    /// All usual programs, if their threads get a priority of SCHED_FIFO. Whole programs, which compute, wait until all else has run.
+    Priority,
+    /// The build and the other tests, which run in the class SCHED_IDLE.
+    Class(Idle),
+}
+
+/// That usual programs go before those of the class SCHED_IDLE, and so do the threads of the kernel that carry bytes to a terminal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Idle(());
+
+impl Precedence {
+    /// Of this machine.
+    pub fn find() -> Self {
+        match (grants_real_time(), Idle::find()) {
+            (false, _) => Self::None,
+            (true, None) => Self::Priority,
+            (true, Some(idle)) => Self::Class(idle),
+        }
+    }
+
+    /// What the command of a test that need not be punctual begins with: a program that lets others go before.
+    pub fn of_tests(self) -> &'static [&'static str] {
+        match self {
+            Self::Class(_) => IDLE,
+            _ => &["nice", "-n", "10"],
+        }
+    }
+
+    /// What the command of the build begins with.
+    pub fn of_build(self) -> &'static [&'static str] {
+        match self {
+            Self::Class(_) => IDLE,
+            _ => &[],
+        }
+    }
+}
+
+impl Idle {
+    /// In a control group of its own, a program of the class competes with the kernel's threads by the weight of its group; so it would in
+    /// a session of its own, but for the niceness of the session ([`LowSession`]).
+    fn find() -> Option<Self> {
+        let groups = fs::read_to_string("/proc/self/cgroup").ok()?;
+        let has_chrt = Command::new(IDLE[0]).args(&IDLE[1..]).arg("true").status().is_ok_and(|status| status.success());
+        (has_chrt && shares_processors_with_kernel(&groups)).then_some(Self(()))
+    }
+}
+
+/// Whether processors are shared with the threads of the kernel without a group between: from /proc/self/cgroup.
+fn shares_processors_with_kernel(groups: &str) -> bool {
+    let mut group_of_all = None;
+    for line in groups.lines() {
+        let mut parts = line.splitn(3, ':').skip(1);
+        let (Some(controllers), Some(path)) = (parts.next(), parts.next()) else { continue };
+        if controllers.split(',').any(|name| name == "cpu") {
+            return path == "/";
+        }
+        if controllers.is_empty() {
+            group_of_all = Some(path);
+        }
+    }
+    group_of_all == Some("/")
+}
+
+/// The session of this program comes after all others, until this goes. Linux divides processors between sessions first (sched(7), "The
+/// autogroup feature"): without this, the class of a program counts within its session only, and the kernel's threads are in none.
+pub struct LowSession {
+    before: Option<String>,
+}
+
+impl LowSession {
+    /// Where the machine divides processors by sessions.
+    pub fn enter() -> Self {
+        let before = fs::read_to_string(AUTOGROUP).ok();
+        let nice = before.as_deref().and_then(|text| text.split_whitespace().last()).map(str::to_owned);
+        let is_lowered = nice.is_some() && fs::write(AUTOGROUP, NICE_OF_SESSION).is_ok();
+        Self { before: nice.filter(|_| is_lowered) }
+    }
+}
+
+impl Drop for LowSession {
+    fn drop(&mut self) {
+        if let Some(nice) = &self.before {
+            fs::write(AUTOGROUP, nice).ok();
+        }
+    }
+}
+
+/// Whether this process may use SCHED_FIFO: it has the capability, or its limit allows a priority.
+fn grants_real_time() -> bool {
+    const SYS_NICE: u32 = 23;
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let capabilities = status.lines().find_map(|line| line.strip_prefix("CapEff:"));
+    let has_capability = capabilities
+        .and_then(|digits| u64::from_str_radix(digits.trim(), 16).ok())
+        .is_some_and(|bits| bits >> SYS_NICE & 1 == 1);
+    let limits = fs::read_to_string("/proc/self/limits").unwrap_or_default();
+    let limit = limits.lines().find_map(|line| line.strip_prefix("Max realtime priority"));
+    let has_limit = limit.and_then(|rest| rest.split_whitespace().next()).is_some_and(|soft| soft != "0");
+    has_capability || has_limit
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_without_a_group_are_processors_shared_with_the_kernel() {
+        for (groups, expected) in [
+            ("9:name=systemd:/\n4:memory:/a\n1:cpu:/\n0::/\n", true),
+            ("3:cpu,cpuacct:/user.slice\n0::/\n", false),
+            ("0::/\n", true),
+            ("0::/user.slice/user-1000.slice/session-2.scope\n", false),
+            ("", false),
+        ] {
+            assert_eq!(shares_processors_with_kernel(groups), expected, "{groups:?}");
+        }
+    }
+}
