@@ -276,7 +276,7 @@ mod tests {
     use super::*;
     use crate::scene::SceneConfig;
     use crate::targets::TargetConfig;
-    use crate::wide::tests::without_avx2;
+    use crate::wide::tests::{has_two_versions, without_avx2};
     use nalgebra::Vector3;
     use pb3dp_geometry::{Camera, Distortion, Pinhole, Pose};
 
@@ -304,6 +304,12 @@ mod tests {
         };
         let widest = pair(&mut renderer);
         assert!(widest.0 != widest.1);
+        if !has_two_versions() {
+            pb3dp_test_support::not_checked(
+                "raster::tests::both_versions_of_the_kernels_and_any_order_of_the_eyes_give_the_same_bytes",
+                "this processor has no AVX2",
+            );
+        }
         let plain = without_avx2(|| pair(&mut renderer));
         assert!(widest == plain);
         let right_first = pair(&mut renderer.with_run_both(|left, right| {

@@ -41,6 +41,14 @@ pub(crate) mod tests {
         pub(crate) static PLAIN_ONLY: Cell<bool> = const { Cell::new(false) };
     }
 
+    /// Whether this processor can run both.
+    pub(crate) fn has_two_versions() -> bool {
+        #[cfg(target_arch = "x86_64")]
+        return super::has_avx2();
+        #[cfg(not(target_arch = "x86_64"))]
+        false
+    }
+
     /// Runs `f` with the kernels for every processor.
     pub(crate) fn without_avx2<T>(f: impl FnOnce() -> T) -> T {
         PLAIN_ONLY.with(|plain| plain.set(true));
