@@ -27,7 +27,7 @@ pub struct Args {
     /// Draws the sample.
     #[arg(long, default_value_t = 20)]
     seed: u64,
-    /// Mutants of each part; all of them where there are fewer.
+    /// Mutants of each part that build; all of them where there are fewer.
     #[arg(long, default_value_t = 60)]
     sample: usize,
     /// Only the K-th of N shares of the sample, from 1, as K/N: for several machines, or several evenings.
@@ -85,11 +85,10 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     let mut lines = Vec::new();
     let mut short = Vec::new();
     for part in parts {
-        let mutants = list(&scratch, part)?;
+        let mutants = shuffled(list(&scratch, part)?, args.seed);
         let all = mutants.len();
-        let sample = sample(mutants, args.sample, args.seed);
-        let share: Vec<Mutant> = sample.into_iter().skip(args.shard.index).step_by(args.shard.count).collect();
-        let tally = Tally::of(&share, &test(&scratch, part, &share)?, &explained);
+        let share: Vec<Mutant> = mutants.into_iter().skip(args.shard.index).step_by(args.shard.count).collect();
+        let tally = draw(&scratch, part, &share, args.sample.div_ceil(args.shard.count), &explained)?;
         for mutant in &tally.unnoticed {
             println!("not noticed: {}\n    {}", mutant.name, mutant.line);
         }
@@ -150,11 +149,30 @@ fn list(scratch: &Scratch, part: &Part) -> anyhow::Result<Vec<Mutant>> {
     listed.iter().map(read).collect()
 }
 
-/// Some of the mutants: the same ones for the same seed, whatever their order.
-fn sample(mut mutants: Vec<Mutant>, count: usize, seed: u64) -> Vec<Mutant> {
+/// The mutants in an order that the seed alone decides.
+fn shuffled(mut mutants: Vec<Mutant>, seed: u64) -> Vec<Mutant> {
     mutants.sort_by_cached_key(|mutant| (scrambled(seed, &mutant.name), mutant.name.clone()));
-    mutants.truncate(count);
     mutants
+}
+
+/// Tries mutants until so many of them build, or all have been tried.
+fn draw(
+    scratch: &Scratch,
+    part: &Part,
+    mutants: &[Mutant],
+    wanted: usize,
+    explained: &[Explained],
+) -> anyhow::Result<Tally> {
+    let mut drawn = wanted.min(mutants.len());
+    loop {
+        let sample = &mutants[..drawn];
+        let tally = Tally::of(sample, &test(scratch, part, sample)?, explained);
+        let more = (wanted + tally.unviable).min(mutants.len());
+        if more <= drawn {
+            return Ok(tally);
+        }
+        drawn = more;
+    }
 }
 
 /// A number that follows from the seed and the text: FNV-1a, whose last bits are mixed once more as in SplitMix64.
@@ -286,14 +304,14 @@ mod tests {
     }
 
     #[test]
-    fn a_sample_depends_on_the_seed_and_not_on_the_order() {
+    fn the_order_depends_on_the_seed_alone() {
         let all: Vec<Mutant> = (0..50).map(mutant).collect();
         let mut reversed = all.clone();
         reversed.reverse();
-        let drawn = sample(all.clone(), 10, 7);
-        assert_eq!(drawn, sample(reversed, 10, 7));
-        assert_ne!(drawn, sample(all.clone(), 10, 8));
-        assert_eq!(sample(all, 90, 7).len(), 50);
+        let drawn = shuffled(all.clone(), 7);
+        assert_eq!(drawn, shuffled(reversed, 7));
+        assert_ne!(drawn, all);
+        assert_ne!(drawn, shuffled(all, 8));
     }
 
     #[test]

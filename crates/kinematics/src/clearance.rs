@@ -343,6 +343,29 @@ mod tests {
         });
     }
 
+    /// By hand, on the arm that stands up: the elbow is 0.45 m above the shoulder, the flange 0.55 m above the elbow.
+    #[test]
+    fn what_is_carried_moves_by_the_arcs_of_all_joints_below_it() {
+        two_arms(|chain, shape, places| {
+            let frames = chain.joint_frames(&JointVector::zeros());
+            let arm = PlacedArm { shape, world_from_base: &places[0], frames: &frames };
+            let of = |carrier, end_m: [f64; 3], reach_rad: [f64; DOF]| {
+                let capsule = capsule([0.0; 3], end_m, 0.1);
+                arm.moves_by(&ArmPart { name: "part".to_owned(), carrier, capsule }, &JointVector::from(reach_rad))
+            };
+            // The joint that carries a part moves it as well.
+            let upper_arm = of(Carrier::Joint(1), [0.0, 0.0, 0.45], [0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0]);
+            assert!((upper_arm - 0.1 * 0.45).abs() < 1e-12, "{upper_arm}");
+            // A joint behind a part does not.
+            assert_eq!(of(Carrier::Joint(1), [0.0, 0.0, 0.45], [0.0, 0.0, 0.3, 0.4, 0.5, 0.6, 0.7]), 0.0);
+            // What E1 adds is farther from the shoulder when S2 turns.
+            let tool = of(Carrier::Flange, [0.0, 0.0, 0.2], [0.0, -0.2, 0.0, 0.3, 0.0, 0.0, 0.0]);
+            let by_elbow_m = 0.3 * (0.55 + 0.2);
+            let by_hand_m = by_elbow_m + 0.2 * (0.45 + 0.55 + 0.2 + by_elbow_m);
+            assert!((tool - by_hand_m).abs() < 1e-12, "{tool} {by_hand_m}");
+        });
+    }
+
     #[test]
     fn an_arm_of_many_parts_is_looked_at_to_its_last_part() {
         two_arms(|chain, shape, places| {

@@ -233,6 +233,22 @@ mod tests {
         }
     }
 
+    /// A hand that is in its place and only turned the wrong way has no direction to brake along, and brakes its turn all the same.
+    #[test]
+    fn a_turn_in_place_is_braked_with_what_the_joints_have() {
+        let hand = Pose::from_parts(Vector3::new(0.6, -0.1, 0.4), rotation(0.3, -1.1, 0.7));
+        let aimed = Pose::from_parts(hand.translation_m(), rotation(0.0, 0.0, 0.5) * hand.rotation());
+        let aim = Aim { base_from_hand_at_rest: aimed, feed_forward: Twist::zero() };
+        let joints = |twist: &Twist<Base>| {
+            let mut joints = JointVector::zeros();
+            joints[2] = 3.0 * twist.angular_rad_per_s.z + twist.linear_m_per_s.x;
+            joints
+        };
+        let within = aim.gains_within(&GAINS, &hand, &JointVector::from_element(2.0), joints);
+        // 2 rad/s^2 ask for 6 of the 1.4 that the joint may be braked with.
+        assert!((within.angular_rad_per_s2 - 2.0 * 1.4 / 6.0).abs() < 1e-12, "{within:?}");
+    }
+
     /// 400 mm at 100 mm/s take 4 s: 0.4 rad, which could be done in 1 s, take as long.
     #[test]
     fn on_the_way_to_a_target_way_and_turn_end_together() {
