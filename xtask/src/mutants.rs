@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 use anyhow::{Context, bail};
@@ -64,6 +64,8 @@ const PARTS: [Part; 3] = [
     Part { name: "clearance", package: "pb3dp-kinematics", files: "crates/kinematics/src/clearance.rs" },
     Part { name: "law", package: "pb3dp-servo", files: "crates/servo/src/law/**/*.rs" },
 ];
+/// File of the results of all runs.
+const KEPT: &str = "results.json";
 /// The share that must be noticed or explained.
 const NOTICED_MIN: f64 = 0.95;
 /// Mutants that change nothing which the product promises, each with its reason.
@@ -187,24 +189,32 @@ fn scrambled(seed: u64, text: &str) -> u64 {
 /// Results by the names of the mutants, in the words of cargo-mutants.
 type Results = BTreeMap<String, String>;
 
-/// Runs the tests against these mutants, but for those that were noticed in a run before.
+/// Runs the tests against these mutants, but for those that an earlier run has settled: noticed, or not to be built.
 fn test(scratch: &Scratch, part: &Part, mutants: &[Mutant]) -> anyhow::Result<Results> {
     let folder = scratch.target.join("results").join(part.name);
     fs::create_dir_all(&folder)?;
-    let names: Vec<String> = mutants.iter().map(|mutant| escaped(&mutant.name)).collect();
-    let mut command = cargo_mutants(scratch, part);
-    command.args(["--in-place", "--iterate", "--no-shuffle", "--cap-lints", "true", "--minimum-test-timeout", "60"]);
-    command.arg("--output").arg(&folder).arg("--re").arg(format!("^({})$", names.join("|")));
-    // Mutants in code that waits would have to be waited for: only tests in virtual time run.
-    command.args(["--", "--lib", "--test", "integration", "--", "--skip", "real_time::"]);
-    // It ends with an error if a mutant is missed: the results say so.
-    let ended = run_visibly(&mut command);
-    let results = read_results(&folder.join("mutants.out"))?;
-    if results.is_empty() {
-        ended?;
-        bail!("cargo-mutants tried nothing in {}", part.files);
+    // With what a run has left that was ended.
+    let mut known = read_kept(&folder);
+    known.extend(read_results(&folder.join("mutants.out")));
+    let is_open = |mutant: &&Mutant| known.get(&mutant.name).is_none_or(|word| word == "missed");
+    let names: Vec<String> = mutants.iter().filter(is_open).map(|mutant| escaped(&mutant.name)).collect();
+    if !names.is_empty() {
+        let mut command = cargo_mutants(scratch, part);
+        command.args(["--in-place", "--no-shuffle", "--cap-lints", "true", "--minimum-test-timeout", "60"]);
+        command.arg("--output").arg(&folder).arg("--re").arg(format!("^({})$", names.join("|")));
+        // Mutants in code that waits would have to be waited for: only tests in virtual time run.
+        command.args(["--", "--lib", "--test", "integration", "--", "--skip", "real_time::"]);
+        // It ends with an error if a mutant is missed: the results say so.
+        let ended = run_visibly(&mut command);
+        let results = read_results(&folder.join("mutants.out"));
+        if results.is_empty() {
+            ended?;
+            bail!("cargo-mutants tried nothing in {}", part.files);
+        }
+        known.extend(results);
     }
-    Ok(results)
+    fs::write(folder.join(KEPT), serde_json::to_string_pretty(&known)?).context("cannot keep the results")?;
+    Ok(known)
 }
 
 /// As a pattern that fits only itself.
@@ -212,14 +222,18 @@ fn escaped(name: &str) -> String {
     name.chars().flat_map(|c| r"\.+*?()|[]{}^$".contains(c).then_some('\\').into_iter().chain([c])).collect()
 }
 
-fn read_results(folder: &Path) -> anyhow::Result<Results> {
+fn read_results(folder: &Path) -> Results {
     let mut results = Results::new();
-    for word in ["caught", "previously_caught", "unviable", "timeout", "missed"] {
-        let file: PathBuf = folder.join(word).with_extension("txt");
-        let names = fs::read_to_string(&file).unwrap_or_default();
+    for word in ["caught", "unviable", "timeout", "missed"] {
+        let names = fs::read_to_string(folder.join(word).with_extension("txt")).unwrap_or_default();
         results.extend(names.lines().map(|name| (name.to_owned(), word.to_owned())));
     }
-    Ok(results)
+    results
+}
+
+fn read_kept(folder: &Path) -> Results {
+    let text = fs::read_to_string(folder.join(KEPT)).unwrap_or_default();
+    serde_json::from_str(&text).unwrap_or_default()
 }
 
 /// A mutant that need not be noticed.
@@ -264,7 +278,7 @@ impl Tally {
                 .iter()
                 .any(|known| (&known.file, &known.change, &known.line) == (&mutant.file, &mutant.change, &mutant.line));
             match results.get(&mutant.name).map(String::as_str) {
-                Some("caught" | "previously_caught") => tally.noticed += 1,
+                Some("caught") => tally.noticed += 1,
                 Some("timeout") => tally.too_slow += 1,
                 Some("unviable") => tally.unviable += 1,
                 Some("missed") if is_explained => tally.explained += 1,

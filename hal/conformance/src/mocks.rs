@@ -24,6 +24,8 @@ mock! {
 
     impl ArmPower for ScriptedArm {
         fn state(&self) -> ArmState;
+        fn is_stopped_by_other(&self) -> bool;
+        fn begin_enable(&mut self) -> Result<(), ArmError>;
         fn enable(&mut self) -> Result<(), ArmError>;
         fn stop(&mut self) -> Result<(), ArmError>;
         fn reset(&mut self) -> Result<(), ArmError>;

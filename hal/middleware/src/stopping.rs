@@ -120,6 +120,9 @@ mod tests {
         // Letting go at full acceleration takes 0.1 s and 0.1 rad/s.
         let meanwhile = 0.5 * 0.1 + 2.0 * 0.01 / 2.0 - 20.0 * 0.001 / 6.0;
         assert!((LIMIT.way_to_rest(0.5, 2.0) - (meanwhile + 0.12)).abs() < 1e-15);
+        // Braking that fades to nothing in T ends at rest if v = j T^2 / 2, after j T^3 / 6.
+        let fading_s = (2.0f64 * 0.05 / 20.0).sqrt();
+        assert!((LIMIT.way_to_rest(0.05, -2.0) - 20.0 * fading_s.powi(3) / 6.0).abs() < 1e-15);
         assert_eq!(LIMIT.way_to_rest(-0.6, 0.0), 0.0);
         assert_eq!(LIMIT.way_to_rest(-0.6, 2.0), 0.0, "it is at -0.5 when the acceleration is gone");
         assert!(LIMIT.way_to_rest(-0.05, 2.0) > 0.0, "it is at +0.05 when the acceleration is gone");

@@ -124,6 +124,19 @@ fn an_arm_that_is_being_switched_on_is_watched_from_its_first_fresh_sample_on() 
     assert_eq!(bench.guard.state(), ArmState::Fault);
 }
 
+/// An arm that is on is watched across a gap in its samples: a place that it cannot have come to meanwhile is no place.
+#[test]
+fn an_arm_that_is_on_is_not_measured_anew() {
+    let mut bench = Bench::new(START, 0.6);
+    bench.guard.stop().unwrap();
+    bench.guard.begin_enable().unwrap();
+    assert!(bench.guard.poll_enable().unwrap());
+    bench.step(JointCommand::Hold).unwrap();
+    bench.tamper(|sample| sample.position_rad[2] += 2.0);
+    bench.clock.sleep_until(bench.clock.now() + Duration::from_millis(200));
+    assert!(bench.step(JointCommand::Hold).is_err());
+}
+
 /// Of a jog, at 0.02 rad/s: 0.05 rad are missing after 2.8 s, as 0.002 rad/s may be drift.
 #[test]
 fn a_joint_that_is_blocked_in_a_jog_stops_the_arm() {

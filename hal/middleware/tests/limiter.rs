@@ -208,21 +208,24 @@ fn an_arm_that_is_switched_on_where_it_is_at_the_second_try_goes_on() {
 
 #[test]
 fn beyond_a_servo_limit_only_the_way_back_is_open() {
-    let mut outside = sample(MonotonicTime::ZERO);
-    outside.position_rad[1] = 1.6;
-    let (mut limiter, _) = scripted(|arm| {
-        let mut in_order = mockall::Sequence::new();
-        let is_hold = eq(JointCommand::Hold);
-        arm.expect_exchange().with(is_hold).times(2).in_sequence(&mut in_order).returning(move |_| Ok(outside));
-        let back = velocity(1, -0.004);
-        arm.expect_exchange().with(eq(back)).times(1).in_sequence(&mut in_order).returning(move |_| Ok(outside));
-    });
-    limiter.exchange(JointCommand::Hold).unwrap();
-    let error = limiter.exchange(velocity(1, 1e-6)).unwrap_err();
-    assert_eq!((error.kind(), limiter.statistics().refused_outwards), (ArmErrorKind::Rejected, 1));
-    let text = error.to_string();
-    assert!(text.contains("axis 2 is at 91.67 degrees, beyond its servo limits -91.00 to 91.00"), "{text}");
-    limiter.exchange(velocity(1, -0.5)).unwrap();
+    for outwards in [1.0, -1.0] {
+        let mut outside = sample(MonotonicTime::ZERO);
+        outside.position_rad[1] = 1.6 * outwards;
+        let (mut limiter, _) = scripted(|arm| {
+            let mut in_order = mockall::Sequence::new();
+            let is_hold = eq(JointCommand::Hold);
+            arm.expect_exchange().with(is_hold).times(2).in_sequence(&mut in_order).returning(move |_| Ok(outside));
+            let back = velocity(1, -0.004 * outwards);
+            arm.expect_exchange().with(eq(back)).times(1).in_sequence(&mut in_order).returning(move |_| Ok(outside));
+        });
+        limiter.exchange(JointCommand::Hold).unwrap();
+        let error = limiter.exchange(velocity(1, 1e-6 * outwards)).unwrap_err();
+        assert_eq!((error.kind(), limiter.statistics().refused_outwards), (ArmErrorKind::Rejected, 1));
+        let sign = if outwards > 0.0 { "" } else { "-" };
+        let expected = format!("axis 2 is at {sign}91.67 degrees, beyond its servo limits -91.00 to 91.00");
+        assert!(error.to_string().contains(&expected), "{error}");
+        limiter.exchange(velocity(1, -0.5 * outwards)).unwrap();
+    }
 }
 
 /// E2 and W2 go to 249 degrees: an angle beyond half a turn is one, and no smaller angle the other way round.
@@ -321,11 +324,15 @@ fn after_an_error_of_the_arm_the_start_is_from_rest() {
 fn power_is_the_arms_own() {
     let (mut limiter, _) = scripted(|arm| {
         arm.expect_state().times(1).return_const(ArmState::EStop);
+        for by_other in [true, false] {
+            arm.expect_is_stopped_by_other().times(1).return_const(by_other);
+        }
         arm.expect_enable().times(1).returning(|| Err(ArmError::new(ArmErrorKind::Fault, "latched")));
         arm.expect_stop().times(1).returning(|| Ok(()));
         arm.expect_reset().times(1).returning(|| Ok(()));
     });
     assert_eq!(limiter.state(), ArmState::EStop);
+    assert!(limiter.is_stopped_by_other() && !limiter.is_stopped_by_other());
     assert_eq!(limiter.enable().unwrap_err().kind(), ArmErrorKind::Fault);
     limiter.stop().unwrap();
     limiter.reset().unwrap();

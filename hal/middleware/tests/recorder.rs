@@ -7,8 +7,9 @@ use std::sync::Arc;
 use crate::common::{CYCLE, assert_contract, mock_arm, velocity};
 use pb3dp_arm_pa10::MockArm;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
 use pb3dp_hal_clock::VirtualClock;
+use pb3dp_hal_conformance::mocks::MockScriptedArm;
 use pb3dp_hal_middleware::{Asked, FlightLog, Recorded};
 use pb3dp_kinematics::JointVector;
 
@@ -47,6 +48,18 @@ fn the_last_exchanges_are_kept_with_what_came_of_them() {
     assert!(arm.reset().is_err());
     let last: Vec<_> = log.entries().into_iter().skip(2).map(|entry| (entry.asked, entry.answer.is_ok())).collect();
     assert_eq!(last, [(Asked::Exchange(JointCommand::Hold), true), (Asked::Stop, true), (Asked::Reset, false)]);
+}
+
+#[test]
+fn an_arm_that_refuses_to_begin_is_told_and_kept() {
+    let log = FlightLog::with_capacity(5);
+    let mut arm = MockScriptedArm::new();
+    arm.expect_begin_enable().times(1).returning(|| Err(ArmError::new(ArmErrorKind::Fault, "latched")));
+    arm.expect_state().return_const(ArmState::Fault);
+    let mut arm = Recorded::new(arm, Arc::new(VirtualClock::new()), log.clone());
+    assert_eq!(arm.begin_enable().unwrap_err().kind(), ArmErrorKind::Fault);
+    let kept: Vec<_> = log.entries().into_iter().map(|entry| (entry.asked, entry.answer, entry.state)).collect();
+    assert_eq!(kept, [(Asked::Enable, Err(ArmErrorKind::Fault), ArmState::Fault)]);
 }
 
 #[test]

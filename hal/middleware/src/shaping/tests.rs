@@ -45,6 +45,20 @@ impl Bench {
     }
 }
 
+/// At the moment of the set-point itself the joint has the acceleration of the set-point: 2 rad/s^2 upwards, which take 0.1 s and
+/// 0.0567 rad to let go of, and another 0.12 rad to come to rest from 0.6 rad/s.
+#[test]
+fn a_joint_that_is_gaining_speed_needs_room_for_it() {
+    let drive = DriveLimit { acceleration: 2.0, jerk: 20.0 };
+    let joint =
+        |upwards: f64| JointStep { velocity: 0.5 * upwards, acceleration: 2.0 * upwards, dt_s: 0.0, drive, speed: 1.0 };
+    let room = |way_rad: f64| Room { to_ends: [JointVector::repeat(way_rad); 2], reaction_s: 0.0, ..much_room() };
+    for (side, upwards) in [(0, -1.0), (1, 1.0)] {
+        assert!(joint(upwards).has_room(&room(0.177), 4, side, 0.5), "{side}");
+        assert!(!joint(upwards).has_room(&room(0.176), 4, side, 0.5), "{side}");
+    }
+}
+
 #[test]
 fn outside_its_range_a_joint_may_only_return() {
     let mut position = JointVector::zeros();
