@@ -293,6 +293,13 @@ mod tests {
     }
 
     #[test]
+    fn the_ball_around_a_capsule_touches_both_its_ends() {
+        let (middle, radius_m) = capsule([1.0, -2.0, 0.5], [3.0, 1.0, 6.5], 0.1).ball();
+        // 2, 3, 6: 7 m long.
+        assert!((middle - Point3::new(2.0, -0.5, 3.5)).norm() < 1e-15 && (radius_m - 3.6).abs() < 1e-15, "{radius_m}");
+    }
+
+    #[test]
     fn what_is_no_number_is_never_room() {
         let rod = capsule([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], 0.1);
         let lost = capsule([f64::NAN, 3.0, 0.0], [0.0, 4.0, 0.0], 0.1);
