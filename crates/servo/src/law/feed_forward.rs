@@ -216,6 +216,9 @@ mod tests {
         let along_y = within(Vector3::new(0.0, 0.3, 0.0));
         assert!((along_y.linear_m_per_s2 - 0.7 * 2.0 / 4.0).abs() < 1e-12, "{along_y:?}");
         assert!((along_y.angular_rad_per_s2 / GAINS.angular_rad_per_s2 - along_y.linear_m_per_s2 / 0.64).abs() < 1e-12);
+        // The nearer the place, the less of that braking is left to share the joint with: 0.75 of it at 0.75 x a / K^2.
+        let near = within(Vector3::new(0.0, 0.0075, 0.0));
+        assert!((near.angular_rad_per_s2 - 2.0 * 1.4 / (0.75 * 4.0 * 0.64)).abs() < 1e-12, "{near:?}");
         // Near its place it is corrected as with all accelerations: K e.
         let speed_m_per_s = |y_m: f64| {
             let by = Vector3::new(0.0, y_m, 0.0);
