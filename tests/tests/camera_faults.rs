@@ -193,7 +193,7 @@ fn what_no_picture_tells_is_off_by_what_geometry_says() {
     let kind = CameraFaultKind::Miscalibrated { columns_px, rows_px: 0.0, roll_rad: 0.0, scale: 1.0 };
     let farther_mm = 500.0 * (disparity_px / (disparity_px - columns_px) - 1.0);
     let said = follow(kind);
-    assert!(suffering(&said).filter(|said| said.is_sure()).count() >= 3, "no picture tells, so the method is sure");
+    assert!(suffering(&said).filter(|said| said.is_sure()).count() >= 3, "no image tells, so the method is sure");
     for said in suffering(&said).filter(|said| said.is_sure()) {
         let off_mm = said.error.unwrap().fixed_rows::<3>(0).norm() * 1e3;
         assert!((off_mm - farther_mm).abs() < 1.0, "{farther_mm} mm: {}", line(said));

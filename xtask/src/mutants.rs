@@ -16,8 +16,7 @@ use crate::workspace::{Workspace, run_visibly};
 ///
 /// A mutant is one small change: `<` for `<=`, a function that returns at once, an arm of a match that is gone. From each part a seeded
 /// sample is drawn, and the tests in virtual time run against each mutant in a scratch copy. A mutant that no test notices must be
-/// explained in tests/mutants.toml. Results are kept: a run that was ended goes on where it was, and only what was not noticed is tried
-/// again. Ends with an error if less than 95 % of a part are noticed or explained. Needs cargo-mutants:
+/// explained in tests/mutants.toml. Results are kept until a source file changes: a run that was ended goes on where it was. Ends with an error if less than 95 % of a part are noticed or explained. Needs cargo-mutants:
 /// `cargo install --locked cargo-mutants`.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -83,6 +82,7 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
         bail!("there is no such part; write one of: {}", PARTS.map(|part| part.name).join(", "));
     }
     let explained = explained(workspace)?;
+    let sources = sources(workspace)?;
     let scratch = Scratch::new(workspace, "mutants")?;
     let mut lines = Vec::new();
     let mut short = Vec::new();
@@ -90,7 +90,8 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
         let mutants = shuffled(list(&scratch, part)?, args.seed);
         let all = mutants.len();
         let share: Vec<Mutant> = mutants.into_iter().skip(args.shard.index).step_by(args.shard.count).collect();
-        let tally = draw(&scratch, part, &share, args.sample.div_ceil(args.shard.count), &explained)?;
+        let wanted = args.sample.div_ceil(args.shard.count);
+        let tally = draw(&share, wanted, &explained, |sample| test(&scratch, part, sample, sources))?;
         for mutant in &tally.unnoticed {
             println!("not noticed: {}\n    {}", mutant.name, mutant.line);
         }
@@ -157,18 +158,17 @@ fn shuffled(mut mutants: Vec<Mutant>, seed: u64) -> Vec<Mutant> {
     mutants
 }
 
-/// Tries mutants until so many of them build, or all have been tried.
+/// Tries mutants until so many of them build, or all have been tried. `test` gives the results of all that it is given.
 fn draw(
-    scratch: &Scratch,
-    part: &Part,
     mutants: &[Mutant],
     wanted: usize,
     explained: &[Explained],
+    test: impl Fn(&[Mutant]) -> anyhow::Result<Results>,
 ) -> anyhow::Result<Tally> {
     let mut drawn = wanted.min(mutants.len());
     loop {
         let sample = &mutants[..drawn];
-        let tally = Tally::of(sample, &test(scratch, part, sample)?, explained);
+        let tally = Tally::of(sample, &test(sample)?, explained);
         let more = (wanted + tally.unviable).min(mutants.len());
         if more <= drawn {
             return Ok(tally);
@@ -189,15 +189,15 @@ fn scrambled(seed: u64, text: &str) -> u64 {
 /// Results by the names of the mutants, in the words of cargo-mutants.
 type Results = BTreeMap<String, String>;
 
-/// Runs the tests against these mutants, but for those that an earlier run has settled: noticed, or not to be built.
-fn test(scratch: &Scratch, part: &Part, mutants: &[Mutant]) -> anyhow::Result<Results> {
-    let folder = scratch.target.join("results").join(part.name);
+/// Runs the tests against the mutants that have no result yet. A result holds as long as no source file changes.
+fn test(scratch: &Scratch, part: &Part, mutants: &[Mutant], sources: u64) -> anyhow::Result<Results> {
+    let folder = scratch.target.join("results").join(part.name).join(format!("{sources:016x}"));
     fs::create_dir_all(&folder)?;
     // With what a run has left that was ended.
     let mut known = read_kept(&folder);
     known.extend(read_results(&folder.join("mutants.out")));
-    let is_open = |mutant: &&Mutant| known.get(&mutant.name).is_none_or(|word| word == "missed");
-    let names: Vec<String> = mutants.iter().filter(is_open).map(|mutant| escaped(&mutant.name)).collect();
+    let names = mutants.iter().filter(|mutant| !known.contains_key(&mutant.name)).map(|mutant| escaped(&mutant.name));
+    let names: Vec<String> = names.collect();
     if !names.is_empty() {
         let mut command = cargo_mutants(scratch, part);
         command.args(["--in-place", "--no-shuffle", "--cap-lints", "true", "--minimum-test-timeout", "60"]);
@@ -215,6 +215,13 @@ fn test(scratch: &Scratch, part: &Part, mutants: &[Mutant]) -> anyhow::Result<Re
     }
     fs::write(folder.join(KEPT), serde_json::to_string_pretty(&known)?).context("cannot keep the results")?;
     Ok(known)
+}
+
+/// A number that changes with every source file, product and tests.
+fn sources(workspace: &Workspace) -> anyhow::Result<u64> {
+    let files = workspace.texts(&[".rs", ".toml", ".urdf", "Cargo.lock"])?;
+    let files = files.iter().filter(|file| !file.path.starts_with("xtask/") && file.path != EXPLAINED);
+    Ok(files.fold(0, |sum, file| scrambled(scrambled(sum, &file.path), &file.text)))
 }
 
 /// As a pattern that fits only itself.
@@ -341,6 +348,20 @@ mod tests {
         assert_eq!((tally.noticed, tally.too_slow, tally.explained, tally.untried), (1, 1, 1, 1));
         assert_eq!(tally.unnoticed, [mutants[2].clone()]);
         assert!((tally.share_noticed() - 0.6).abs() < 1e-12);
+    }
+
+    #[test]
+    fn as_many_are_drawn_as_build() {
+        let mutants: Vec<Mutant> = (0..20).map(mutant).collect();
+        // Every second one does not build.
+        let test = |sample: &[Mutant]| {
+            let words = ["unviable", "caught"].into_iter().cycle();
+            Ok(sample.iter().zip(words).map(|(mutant, word)| (mutant.name.clone(), word.to_owned())).collect())
+        };
+        let tally = draw(&mutants, 6, &[], test).unwrap();
+        assert_eq!((tally.noticed, tally.unviable), (6, 6));
+        let tally = draw(&mutants, 60, &[], test).unwrap();
+        assert_eq!((tally.noticed, tally.unviable), (10, 10));
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! A gateway as docs/arm-protocol.md describes it, without a watchdog: it answers, and keeps to its table.
 
 use pb3dp_arm_pa10::codec::{
-    AngleCounts, ArmReply, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord, ControlMessage, EepromAxis, Letter,
-    ReplyMessage, ReplyPacket, ServoWord, SpeedCounts, TorqueCounts, TorqueScale, WireFormat,
+    AngleCounts, ArmReply, Axis, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord, ControlMessage, EepromAxis,
+    Letter, ReplyMessage, ReplyPacket, ServoWord, SpeedCounts, TorqueCounts, TorqueScale, WireFormat,
 };
 use pb3dp_arm_pa10::gateway_protocol::{
     ArmId, ArmOperation, Control, ControlReply, Dialect, DriveMode, EepromLimits, Firmware, Frame, FrameParser,
@@ -197,13 +197,7 @@ impl FakeGateway {
                 self.control(Control::Arm(ArmOperation::End))?;
                 ReplyMessage::Done(letter)
             }
-            ControlMessage::ReadEeprom(axis) => ReplyMessage::Eeprom(EepromAxis {
-                axis,
-                positive_limit: AngleCounts(391_139),
-                negative_limit: AngleCounts(-391_139),
-                zero_offset_raw: 0,
-                poles: 2,
-            }),
+            ControlMessage::ReadEeprom(axis) => ReplyMessage::Eeprom(plausible_eeprom(axis)),
             _ => ReplyMessage::Done(letter),
         };
         let packet = ReplyPacket { sequence: 0, message: reply }.encode(self.format).unwrap();
@@ -255,5 +249,16 @@ impl FakeGateway {
             host_lost: 0,
             host_stale: 0,
         }
+    }
+}
+
+/// What the memory of an arm may say of an axis.
+pub fn plausible_eeprom(axis: Axis) -> EepromAxis {
+    EepromAxis {
+        axis,
+        positive_limit: AngleCounts(391_139),
+        negative_limit: AngleCounts(-391_139),
+        zero_offset_raw: 0,
+        poles: 2,
     }
 }

@@ -7,11 +7,12 @@
 
 use std::time::Duration;
 
+use crate::gateway::plausible_eeprom;
 use pb3dp_arm_pa10::arcnet::{self, Route};
 use pb3dp_arm_pa10::codec::{
     AngleCounts, ArmCommand, ArmReply, Axis, AxisCommand, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord,
-    ControlMessage, ControlPacket, EepromAxis, ReplyMessage, ReplyPacket, ServoWord, SpeedCounts, Supervision,
-    TorqueCounts, WireFormat,
+    ControlMessage, ControlPacket, ReplyMessage, ReplyPacket, ServoWord, SpeedCounts, Supervision, TorqueCounts,
+    WireFormat,
 };
 use pb3dp_arm_pa10::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10::gateway_protocol::{
@@ -247,13 +248,7 @@ impl World {
         let Some(asked) = self.asked.take().filter(|_| self.answers) else { return };
         let message = match asked.message {
             ControlMessage::Cyclic(_) => ReplyMessage::Cyclic(self.reply()),
-            ControlMessage::ReadEeprom(axis) => ReplyMessage::Eeprom(EepromAxis {
-                axis,
-                positive_limit: AngleCounts(391_139),
-                negative_limit: AngleCounts(-391_139),
-                zero_offset_raw: 0,
-                poles: 2,
-            }),
+            ControlMessage::ReadEeprom(axis) => ReplyMessage::Eeprom(plausible_eeprom(axis)),
             other => ReplyMessage::Done(other.letter()),
         };
         let packet = ReplyPacket { sequence: asked.sequence, message }.encode(self.config.format).unwrap();

@@ -2,11 +2,12 @@
 
 use std::time::Duration;
 
+use crate::gateway::plausible_eeprom;
 use pb3dp_arm_pa10::arcnet::{self, Route};
 use pb3dp_arm_pa10::codec::{
     AngleCounts, ArmCommand, ArmReply, AxisCommand, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord,
-    ControlMessage, ControlPacket, EepromAxis, Letter, Packet, ReplyMessage, ReplyPacket, ServoWord, SpeedCounts,
-    Supervision, TorqueCounts, WireFormat,
+    ControlMessage, ControlPacket, Letter, Packet, ReplyMessage, ReplyPacket, ServoWord, SpeedCounts, Supervision,
+    TorqueCounts, WireFormat,
 };
 use pb3dp_arm_pa10::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10::gateway_protocol::{
@@ -127,13 +128,7 @@ impl Controller {
         };
         let message = match asked.message {
             ControlMessage::Cyclic(_) => ReplyMessage::Cyclic(self.arm_reply(format)),
-            ControlMessage::ReadEeprom(axis) => ReplyMessage::Eeprom(EepromAxis {
-                axis,
-                positive_limit: AngleCounts(391_139),
-                negative_limit: AngleCounts(-391_139),
-                zero_offset_raw: 0,
-                poles: 2,
-            }),
+            ControlMessage::ReadEeprom(axis) => ReplyMessage::Eeprom(plausible_eeprom(axis)),
             _ => ReplyMessage::Done(letter),
         };
         let sequence = asked.sequence.wrapping_add(self.sequence_error);

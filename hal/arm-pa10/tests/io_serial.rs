@@ -68,7 +68,7 @@ fn is_exclusive(pty: &Pty) -> bool {
     let line = rustix::fs::open(pty.path(), rustix::fs::OFlags::NOCTTY, rustix::fs::Mode::empty());
     let line = match line {
         Ok(line) => line,
-        // Whoever is not root can not even open it.
+        // A user other than root cannot even open it.
         Err(rustix::io::Errno::BUSY) => return true,
         Err(error) => panic!("{}: {error}", pty.name()),
     };

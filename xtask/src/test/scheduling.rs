@@ -16,28 +16,25 @@ pub enum Precedence {
     None,
     /// All usual programs, if their threads get a priority of SCHED_FIFO. Whole programs, which compute, wait until all else has run.
     Priority,
-    /// The build and the other tests, which run in the class SCHED_IDLE.
-    Class(Idle),
+    /// The build and the other tests, which run in the class SCHED_IDLE. The threads of the kernel that carry bytes to a terminal go before
+    /// those, too.
+    Class,
 }
-
-/// That usual programs go before those of the class SCHED_IDLE, and so do the threads of the kernel that carry bytes to a terminal.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Idle(());
 
 impl Precedence {
     /// Of this machine.
     pub fn find() -> Self {
-        match (grants_real_time(), Idle::find()) {
+        match (grants_real_time(), has_idle_class()) {
             (false, _) => Self::None,
-            (true, None) => Self::Priority,
-            (true, Some(idle)) => Self::Class(idle),
+            (true, false) => Self::Priority,
+            (true, true) => Self::Class,
         }
     }
 
     /// What the command of a test that need not be punctual begins with: a program that lets others go before.
     pub fn of_tests(self) -> &'static [&'static str] {
         match self {
-            Self::Class(_) => IDLE,
+            Self::Class => IDLE,
             _ => &["nice", "-n", "10"],
         }
     }
@@ -45,20 +42,18 @@ impl Precedence {
     /// What the command of the build begins with.
     pub fn of_build(self) -> &'static [&'static str] {
         match self {
-            Self::Class(_) => IDLE,
+            Self::Class => IDLE,
             _ => &[],
         }
     }
 }
 
-impl Idle {
-    /// In a control group of its own, a program of the class competes with the kernel's threads by the weight of its group; so it would in
-    /// a session of its own, but for the niceness of the session ([`LowSession`]).
-    fn find() -> Option<Self> {
-        let groups = fs::read_to_string("/proc/self/cgroup").ok()?;
-        let has_chrt = Command::new(IDLE[0]).args(&IDLE[1..]).arg("true").status().is_ok_and(|status| status.success());
-        (has_chrt && shares_processors_with_kernel(&groups)).then_some(Self(()))
-    }
+/// Whether all usual threads go before a program of the class SCHED_IDLE. In a control group of its own the program competes with the
+/// kernel's threads by the weight of its group; so it would in a session of its own, but for the niceness of the session ([`LowSession`]).
+fn has_idle_class() -> bool {
+    let groups = fs::read_to_string("/proc/self/cgroup").unwrap_or_default();
+    let chrt = Command::new(IDLE[0]).args(&IDLE[1..]).arg("true").status();
+    chrt.is_ok_and(|status| status.success()) && shares_processors_with_kernel(&groups)
 }
 
 /// Whether processors are shared with the threads of the kernel without a group between: from /proc/self/cgroup.
@@ -96,6 +91,8 @@ impl LowSession {
 impl Drop for LowSession {
     fn drop(&mut self) {
         if let Some(nice) = &self.before {
+            // A run that was interrupted has left the session low.
+            let nice = if nice == NICE_OF_SESSION { "0" } else { nice };
             fs::write(AUTOGROUP, nice).ok();
         }
     }

@@ -306,7 +306,7 @@ fn damaged() -> Outcome {
     let mut pair = FramePair::black(camera.info().size);
     next(&mut camera, &mut pair)?;
     camera.set_control(Side::Left, dropped, 20)?;
-    // The driver draws which pictures it loses: that fewer than three of 200 are lost has a chance of 1e-16.
+    // The driver draws which images it loses: that fewer than three of 200 are lost has a chance of 1e-16.
     for _ in 0..200 {
         next(&mut camera, &mut pair)?;
         if camera.counters().left.lost >= 3 {
@@ -315,7 +315,7 @@ fn damaged() -> Outcome {
     }
     camera.set_control(Side::Left, dropped, 0)?;
     let counters = camera.counters();
-    ensure(counters.left.lost >= 3, || format!("of 200 pictures and a fifth lost: {counters:?}"))?;
+    ensure(counters.left.lost >= 3, || format!("of 200 images and a fifth lost: {counters:?}"))?;
     camera.set_control(Side::Right, flag_error, 0)?;
     for _ in 0..5 {
         next(&mut camera, &mut pair)?;
