@@ -16,7 +16,7 @@ use crate::workspace::{Workspace, run_visibly};
 ///
 /// A mutant is one small change: `<` for `<=`, a function that returns at once, an arm of a match that is gone. From each part a seeded
 /// sample is drawn, and the tests in virtual time run against each mutant in a scratch copy. A mutant that no test notices must be
-/// explained in tests/mutants.toml. Results are kept until a source file changes: a run that was ended goes on where it was. Ends with an error if less than 95 % of a part are noticed or explained. Needs cargo-mutants:
+/// explained in tests/mutants.toml. Results are kept until a source file changes: a run that was ended goes on where it was. Ends with an error if less than 95 % of a part are noticed, too slow or explained. Needs cargo-mutants:
 /// `cargo install --locked cargo-mutants`.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]

@@ -20,8 +20,8 @@ use runner::Runner;
 
 /// Runs every test: unit tests, integration tests, examples in the documentation, whole-system tests.
 ///
-/// Test programs run while others build. Tests whose threads must run in time (`real_time::` in their names) run one at a time, with
-/// real-time priority where the system grants it, else alone. Needs no hardware, no network (once the dependencies are there) and no
+/// Test programs run while others build. Tests whose threads must run in time (`real_time::` in their names) go
+/// before all others where the system grants a priority, else they run when all else has run. Needs no hardware, no network (once the dependencies are there) and no
 /// further tool. Ends with the tests that this machine cannot check (`NOT CHECKED: name: reason`) and the line `N passed, N failed,
 /// N skipped`. For one crate, or one test by a part of its name: `cargo test -p pb3dp-geometry`, `cargo test -p pb3dp-sim lag`.
 ///
