@@ -178,7 +178,7 @@ pub fn board_size_m(corners: [u32; 2], square_m: f64) -> [f64; 2] {
 /// A relief out of its range.
 pub fn build_painted(paint: Paint, relief_m: f64, seed: u32) -> Result<(TargetModel, Vec<ScenePart>), SceneError> {
     check("target.relief_m", relief_m, 0.0, 0.04)?;
-    let texture = Arc::new(paint.texture(seed));
+    let texture = texture::painted_once((paint.name(), [u64::from(seed), 0, 0, 0]), || paint.texture(seed));
     Ok(finish(Draft { name: paint.name(), ..crab::build_with(relief_m, seed, texture) }))
 }
 

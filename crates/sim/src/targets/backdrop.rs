@@ -6,7 +6,7 @@ use nalgebra::Point3;
 
 use super::card::whole_face;
 use super::mesh::box_faces;
-use super::texture::{Colour, Texture, colour_from_hsv, mix_colours};
+use super::texture::{Colour, Texture, colour_from_hsv, mix_colours, painted_once};
 use crate::noise::{ScatteredPoints, ValueNoise, hash, smooth_step};
 use crate::scene::{Anchor, SceneError, SceneObject, ScenePart, check};
 
@@ -44,7 +44,8 @@ pub fn build(config: &BackdropConfig, rear_z_m: f64, seed: u32) -> Result<Vec<Sc
     let front = rear_z_m + config.gap_m.max(GAP_MIN_M);
     let faces = box_faces(&Point3::new(-half_x, -half_y, front), &Point3::new(half_x, half_y, front + THICKNESS_M));
     let board = Arc::new(Texture::from_fn(0, 0, |_, _| [96.0, 92.0, 86.0]));
-    let sand = Arc::new(paint(config.size_m, seed));
+    let sizes = config.size_m.map(f64::to_bits);
+    let sand = painted_once(("sand", [u64::from(seed), sizes[0], sizes[1], 0]), || paint(config.size_m, seed));
     let textures = std::iter::once(sand).chain(std::iter::repeat(board));
     Ok(faces
         .iter()

@@ -7,11 +7,13 @@ use nalgebra::Point3;
 use super::Draft;
 use super::card::whole_face;
 use super::mesh::box_faces;
-use super::texture::{Texture, colour_from_hsv};
+use super::texture::{Texture, colour_from_hsv, painted_once};
 use crate::noise::{ScatteredPoints, ValueNoise, hash, smooth_step};
 
 pub(super) fn build(size_m: &[f64; 3], seed: u32) -> Draft {
-    build_with(size_m, |side| Arc::new(paint(hash(&[seed, 0xB0C5, side]))))
+    build_with(size_m, |side| {
+        painted_once(("box", [u64::from(seed), u64::from(side), 0, 0]), || paint(hash(&[seed, 0xB0C5, side])))
+    })
 }
 
 /// The box's shape with a texture for each of its sides.

@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector2};
 
 use super::Draft;
 use super::mesh::{Face, Mesh, box_faces};
-use super::texture::{Colour, Texture, colour_from_hsv, mix_colours};
+use super::texture::{Colour, Texture, colour_from_hsv, mix_colours, painted_once};
 use crate::noise::{ScatteredPoints, ValueNoise, hash, smooth_step};
 
 /// Thickness, metres.
@@ -17,7 +17,7 @@ const MARGIN: f64 = 0.02;
 
 pub(super) fn build(size_m: &[f64; 2], seed: u32) -> Draft {
     let paper = Texture::from_fn(0, 0, |_, _| [205.0, 202.0, 194.0]);
-    build_with(size_m, Arc::new(paint(seed)), Arc::new(paper))
+    build_with(size_m, painted_once(("card", [u64::from(seed), 0, 0, 0]), || paint(seed)), Arc::new(paper))
 }
 
 /// The card's shape with any textures: of the front, and of the other sides.

@@ -8,7 +8,7 @@ use nalgebra::{Point2, Point3, Vector2, Vector3};
 use super::Draft;
 use super::mesh::{Mesh, Vertex};
 use super::outline::{CutGrid, GridArea, cut_grid};
-use super::texture::{Colour, Texture, colour_from_hsv, mix_colours};
+use super::texture::{Colour, Texture, colour_from_hsv, mix_colours, painted_once};
 use crate::noise::{ScatteredPoints, ValueNoise, hash, smooth_step};
 
 /// The texture and the grid reach from minus this to plus this, metres.
@@ -46,7 +46,11 @@ const FINGERS: [Limb; 2] = [[[42.5, -35.0, 5.8], [37.0, -48.0, 1.6]], [[45.5, -3
 
 /// The crab, relief in metres, in its own colours.
 pub(super) fn build(relief_m: f64, seed: u32) -> Draft {
-    build_with(relief_m, seed, Arc::new(paint(seed, HUE_DEG)))
+    build_with(
+        relief_m,
+        seed,
+        painted_once(("crab", [u64::from(seed), HUE_DEG.to_bits(), 0, 0]), || paint(seed, HUE_DEG)),
+    )
 }
 
 /// The crab's shape with any texture, whose middle lies at the origin; see [`place_mm`].

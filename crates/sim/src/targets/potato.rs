@@ -7,7 +7,7 @@ use nalgebra::{Point2, Point3, Vector2, Vector3};
 use super::Draft;
 use super::mesh::{Mesh, Vertex};
 use super::outline::convex_hull;
-use super::texture::{Colour, Texture, colour_from_hsv, mix_colours};
+use super::texture::{Colour, Texture, colour_from_hsv, mix_colours, painted_once};
 use crate::noise::{ValueNoise, hash, smooth_step};
 
 /// Cells along each side of the six patches of the surface.
@@ -23,7 +23,10 @@ const VIEWING_DISTANCE_M: f64 = 0.5;
 type Side = [Vector3<f64>; 3];
 
 pub(super) fn build(size_m: &[f64; 3], seed: u32) -> Draft {
-    build_with(size_m, seed, |side| Arc::new(paint(side, seed)))
+    build_with(size_m, seed, |side| {
+        let [x, y, z] = side[0].map(f64::to_bits).into();
+        painted_once(("potato", [u64::from(seed), x, y, z]), || paint(side, seed))
+    })
 }
 
 /// The potato's shape with a texture for each of its sides.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector2};
 
 use super::mesh::{Face, Mesh};
-use super::texture::{Colour, Texture, colour_from_hsv, mix_colours};
+use super::texture::{Colour, Texture, colour_from_hsv, mix_colours, painted_once};
 use crate::noise::{ValueNoise, hash, smooth_step};
 use crate::scene::{Anchor, SceneObject, ScenePart};
 
@@ -27,9 +27,10 @@ pub fn build(seed: u32) -> Vec<ScenePart> {
         anchor: Anchor::World,
         object: SceneObject::Room,
     };
-    let wall = Arc::new(blocks(seed));
-    let floor = Arc::new(plain(hash(&[seed, 1]), [92.0, 96.0, 94.0]));
-    let ceiling = Arc::new(plain(hash(&[seed, 2]), [178.0, 177.0, 172.0]));
+    let wall = painted_once(("blocks", [u64::from(seed), 0, 0, 0]), || blocks(seed));
+    let floor = painted_once(("floor", [u64::from(seed), 0, 0, 0]), || plain(hash(&[seed, 1]), [92.0, 96.0, 94.0]));
+    let ceiling =
+        painted_once(("ceiling", [u64::from(seed), 0, 0, 0]), || plain(hash(&[seed, 2]), [178.0, 177.0, 172.0]));
     let faces = faces();
     let textures = [&wall, &wall, &wall, &wall, &floor, &ceiling];
     faces.iter().zip(textures).map(|(face, texture)| surface(face, texture)).collect()
