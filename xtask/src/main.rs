@@ -19,6 +19,7 @@ mod nightly;
 mod not_possible;
 mod required;
 mod rust_text;
+mod same_answers;
 mod scratch;
 mod soak;
 mod test;
@@ -57,6 +58,7 @@ enum Command {
     FuzzBuild(fuzz_build::Args),
     Miri(miri::Args),
     Mutants(mutants::Args),
+    SameAnswers(same_answers::Args),
 }
 
 fn run(cli: &Cli) -> anyhow::Result<()> {
@@ -75,6 +77,7 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::FuzzBuild(_) => fuzz_build::run(&workspace),
         Command::Miri(_) => miri::run(&workspace),
         Command::Mutants(args) => mutants::run(&workspace, args),
+        Command::SameAnswers(args) => same_answers::run(&workspace, args),
     }
 }
 

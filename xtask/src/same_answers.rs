@@ -1,0 +1,245 @@
+//! `cargo xtask same-answers`: a change of structure that changed no answer.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, bail, ensure};
+use serde_json::Value;
+
+use crate::workspace::{Workspace, run_visibly};
+
+/// Methods that are compared.
+const METHODS: [&str; 2] = ["direct", "published"];
+
+/// The cases of the repository.
+const CASES: &str = "tests/data/cases";
+
+/// Keys whose values are times of the computer, at any depth of a JSON document.
+const TIMES: [&str; 6] = ["ms", "cpu_ms", "frame_cpu_ms", "cpu_millis", "wall_s", "origin"];
+
+/// Lines that differ and are shown, of each answer.
+const SHOWN: usize = 5;
+
+/// Compares the work tree's answers with those of an earlier commit, byte for byte, times aside.
+///
+/// Builds the programs of both with optimisation. Then both run the experiment in simulation (summary.json), estimate the
+/// four cases of the repository and those of --cases DIR with each method (`estimate --json`), track --sequence DIR
+/// (`track --json`), and go through seeded safety runs (a digest of each whole record). The first build of a commit takes
+/// some minutes; it is kept below the target folder.
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Args {
+    /// The commit before the change.
+    #[arg(long, value_name = "COMMIT")]
+    before: String,
+    /// Also estimate each case in this folder.
+    #[arg(long, value_name = "DIR")]
+    cases: Option<PathBuf>,
+    /// Also track this sequence, with each method.
+    #[arg(long, value_name = "DIR")]
+    sequence: Option<PathBuf>,
+    /// Number of seeded safety runs.
+    #[arg(long, default_value_t = 200)]
+    seeds: u64,
+}
+
+/// What is asked of both programs.
+struct Questions {
+    /// Folders of cases, absolute, and a name for each.
+    cases: Vec<(&'static str, PathBuf)>,
+    sequence: Option<PathBuf>,
+    seeds: u64,
+}
+
+/// A checkout, and where its programs are built.
+struct Tree {
+    root: PathBuf,
+    target: PathBuf,
+}
+
+/// One thing that both were asked, and its lines.
+struct Answer {
+    name: String,
+    lines: Vec<String>,
+}
+
+/// # Errors
+/// If a program does not build or fails, or an answer differs.
+pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
+    let folder = workspace.target_folder()?.join("xtask").join("same-answers");
+    let before = checked_out(workspace, &args.before, &folder)?;
+    let now = Tree { root: workspace.root().to_path_buf(), target: workspace.target_folder()? };
+    let absolute = |given: &Path| given.canonicalize().with_context(|| format!("cannot find {}", given.display()));
+    let mut cases = vec![("cases of the repository", workspace.root().join(CASES))];
+    cases.extend(args.cases.as_deref().map(absolute).transpose()?.map(|given| ("given cases", given)));
+    let sequence = args.sequence.as_deref().map(absolute).transpose()?;
+    let questions = Questions { cases, sequence, seeds: args.seeds };
+
+    let mut answers = Vec::new();
+    for (tree, name) in [(&before, "before"), (&now, "now")] {
+        println!("== {name}: {}", tree.root.display());
+        answers.push(tree.answers(workspace, &questions, &folder.join(name))?);
+    }
+    let [before, now] = answers.try_into().ok().context("two trees were asked")?;
+    conclude(&before, &now)
+}
+
+/// The files of a commit, in a folder of their own that is named after it.
+fn checked_out(workspace: &Workspace, commit: &str, folder: &Path) -> anyhow::Result<Tree> {
+    let wanted = format!("{commit}^{{commit}}");
+    let commit = workspace
+        .output_of("git", &["rev-parse", "--verify", &wanted])
+        .with_context(|| format!("--before {commit}: git knows no such commit"))?;
+    let root = folder.join(&commit);
+    let index = folder.join(format!("{commit}.index"));
+    if !root.is_dir() {
+        fs::create_dir_all(&root).with_context(|| format!("cannot make {}", root.display()))?;
+        let git = || {
+            let mut command = workspace.command("git");
+            command.env("GIT_INDEX_FILE", &index);
+            command
+        };
+        run_visibly(git().args(["read-tree", &commit]))?;
+        run_visibly(git().args(["checkout-index", "--all"]).arg(format!("--prefix={}/", root.display())))?;
+    }
+    Ok(Tree { root, target: folder.join("target") })
+}
+
+impl Tree {
+    /// A release build of a program; what it is called as well as what it is called by.
+    fn cargo(&self, workspace: &Workspace, words: &[&str]) -> Command {
+        let mut command = workspace.cargo();
+        command.current_dir(&self.root).env("CARGO_TARGET_DIR", &self.target);
+        command.arg(words[0]).args(["--release", "--locked", "--quiet"]).args(&words[1..]);
+        command
+    }
+
+    /// Builds both programs and asks them everything; what a run leaves goes into `out`.
+    fn answers(&self, workspace: &Workspace, questions: &Questions, out: &Path) -> anyhow::Result<Vec<Answer>> {
+        run_visibly(&mut self.cargo(workspace, &["build", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"]))?;
+        run_visibly(&mut self.cargo(workspace, &["build", "--package", "system-tests", "--example", "safety"]))?;
+        let mut answers = vec![self.experiment(out)?];
+        for method in METHODS {
+            for (name, folder) in &questions.cases {
+                let words = ["estimate", "--method", method, "--json", "--cases"];
+                answers.push(self.lines(format!("estimate, {method}, {name}"), &words, folder)?);
+            }
+            if let Some(folder) = &questions.sequence {
+                let words = ["track", "--method", method, "--json", "--sequence"];
+                answers.push(self.lines(format!("track, {method}"), &words, folder)?);
+            }
+        }
+        answers.push(self.safety(questions.seeds)?);
+        Ok(answers)
+    }
+
+    fn program(&self) -> Command {
+        let mut command = Command::new(self.target.join("release").join("pb3dp"));
+        command.current_dir(&self.root);
+        command
+    }
+
+    /// The figures of the experiment in simulation.
+    fn experiment(&self, out: &Path) -> anyhow::Result<Answer> {
+        let output = self.program().args(["run", "--config", "configs/sim.toml", "--out"]).arg(out).output()?;
+        ensure!(output.status.success(), "the experiment failed:\n{}", String::from_utf8_lossy(&output.stderr));
+        let file = out.join("summary.json");
+        let text = fs::read_to_string(&file).with_context(|| format!("cannot read {}", file.display()))?;
+        let summary = without_times(serde_json::from_str(&text)?);
+        let lines = serde_json::to_string_pretty(&summary)?.lines().map(str::to_owned).collect();
+        Ok(Answer { name: "summary.json of the experiment".into(), lines })
+    }
+
+    /// The JSON lines of a command. A refused case ends it with a failure; what it says of the case is a line as all others.
+    fn lines(&self, name: String, words: &[&str], folder: &Path) -> anyhow::Result<Answer> {
+        let output = self.program().args(words).arg(folder).output()?;
+        let text = String::from_utf8(output.stdout).with_context(|| format!("{name}: no text"))?;
+        let lines: Vec<String> = text
+            .lines()
+            .map(|line| Ok(without_times(serde_json::from_str(line)?).to_string()))
+            .collect::<anyhow::Result<_>>()
+            .with_context(|| format!("{name}: a line is not JSON"))?;
+        ensure!(!lines.is_empty(), "{name}: no answer:\n{}", String::from_utf8_lossy(&output.stderr));
+        Ok(Answer { name, lines })
+    }
+
+    /// A digest of each seeded run, in the order of seeds.
+    fn safety(&self, seeds: u64) -> anyhow::Result<Answer> {
+        let mut command = Command::new(self.target.join("release").join("examples").join("safety"));
+        let output = command.current_dir(&self.root).args(["--trace", "--runs", &seeds.to_string()]).output()?;
+        ensure!(output.status.success(), "safety runs failed:\n{}", String::from_utf8_lossy(&output.stderr));
+        let text = String::from_utf8_lossy(&output.stdout);
+        let mut lines: Vec<String> = text
+            .lines()
+            .filter(|line| line.starts_with("seed ") && line.contains(", digest "))
+            .map(str::to_owned)
+            .collect();
+        lines.sort();
+        ensure!(lines.len() as u64 == seeds, "{} of {seeds} safety runs have a digest", lines.len());
+        Ok(Answer { name: "safety runs".into(), lines })
+    }
+}
+
+/// The document without what the clock decides.
+fn without_times(value: Value) -> Value {
+    match value {
+        Value::Object(entries) => entries
+            .into_iter()
+            .filter(|(key, _)| !TIMES.contains(&key.as_str()))
+            .map(|(key, value)| (key, without_times(value)))
+            .collect(),
+        Value::Array(entries) => entries.into_iter().map(without_times).collect(),
+        other => other,
+    }
+}
+
+/// Tells for each answer whether it is the same.
+fn conclude(before: &[Answer], now: &[Answer]) -> anyhow::Result<()> {
+    let mut different = 0;
+    for (before, now) in before.iter().zip(now) {
+        let differences = differences(&before.lines, &now.lines);
+        let verdict = if differences.is_empty() { "same" } else { "DIFFERENT" };
+        println!("{verdict:<9}  {:>5} lines  {}", now.lines.len(), now.name);
+        for line in differences.iter().take(SHOWN) {
+            println!("{line}");
+        }
+        different += usize::from(!differences.is_empty());
+    }
+    if different > 0 {
+        bail!("{different} of {} answers differ", now.len());
+    }
+    Ok(())
+}
+
+fn differences(before: &[String], now: &[String]) -> Vec<String> {
+    let count = before.len().max(now.len());
+    let line = |lines: &[String], at: usize| lines.get(at).map_or_else(|| "(no line)".to_owned(), Clone::clone);
+    (0..count)
+        .filter(|&at| before.get(at) != now.get(at))
+        .map(|at| format!("  before: {}\n  now:    {}", line(before, at), line(now, at)))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn times_are_left_out_at_any_depth_and_nothing_else() {
+        let document = json!({"ms": 1.5, "z_mm": 300.1, "cycles": {"cpu_ms": 2, "count": 3}, "all": [{"ms": 4}, 5]});
+        let expected = json!({"z_mm": 300.1, "cycles": {"count": 3}, "all": [{}, 5]});
+        assert_eq!(without_times(document), expected);
+    }
+
+    #[test]
+    fn a_changed_digit_a_missing_line_and_a_new_one_are_differences() {
+        let lines = |texts: &[&str]| texts.iter().map(|text| (*text).to_owned()).collect::<Vec<_>>();
+        assert!(differences(&lines(&["a", "b"]), &lines(&["a", "b"])).is_empty());
+        assert_eq!(differences(&lines(&["a", "b"]), &lines(&["a", "c"])).len(), 1);
+        assert_eq!(differences(&lines(&["a", "b"]), &lines(&["a"])), ["  before: b\n  now:    (no line)"]);
+        assert_eq!(differences(&lines(&["a"]), &lines(&["a", "b"])).len(), 1);
+    }
+}
