@@ -53,7 +53,7 @@ pub struct Args {
     /// Only cells and sequences whose name contains one of these texts, separated by commas.
     #[arg(long, value_delimiter = ',', value_name = "TEXTS")]
     only: Vec<String>,
-    /// Methods, separated by commas; if not given published and direct, as rmga-photometric takes thirty times their time.
+    /// Methods, separated by commas.
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     methods: Vec<Method>,
     /// Poses per cell.
@@ -152,7 +152,6 @@ fn measure_sequences(specs: &[SequenceSpec], options: &Options, as_json: bool) -
     if !specs.is_empty() && !as_json {
         println!("\n{}", sequence_summary::line(&sequence_summary::HEADINGS.map(str::to_owned)));
     }
-    let methods: Vec<Method> = options.methods.iter().copied().filter(|method| method.tracks()).collect();
     let queue = Mutex::new(specs.iter().enumerate());
     let found = Mutex::new(Vec::new());
     let work = || -> anyhow::Result<()> {
@@ -160,7 +159,7 @@ fn measure_sequences(specs: &[SequenceSpec], options: &Options, as_json: bool) -
         loop {
             let next = queue.lock().ok().and_then(|mut queue| queue.next());
             let Some((index, spec)) = next else { return Ok(()) };
-            let rows = track::run_sequence(spec, &methods, options.seed, &mut scenes)
+            let rows = track::run_sequence(spec, &options.methods, options.seed, &mut scenes)
                 .with_context(|| format!("sequence {}", spec.name))?;
             for row in &rows {
                 if as_json {

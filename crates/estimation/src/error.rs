@@ -69,12 +69,6 @@ pub enum EstimationError {
         /// The names that exist.
         known: String,
     },
-    /// A method that does single pairs only.
-    #[error("the method {method} has no tracker: estimate every pair by itself, or track with another method")]
-    NoTracker {
-        /// Name of the method.
-        method: &'static str,
-    },
     /// A tracker was asked for the next frame before the first.
     #[error("the tracker has no target yet: call start with the first frame and its region")]
     NotStarted,

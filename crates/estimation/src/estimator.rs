@@ -12,40 +12,30 @@ use crate::estimate::{EstimateWarning, PlaneEstimate};
 use crate::plane_hypothesis::SearchRange;
 use crate::published::{PublishedConfig, TrackEstimate};
 use crate::region::Region;
-use crate::rmga_photometric::RmgaPhotometricConfig;
 
 pub use crate::direct::row_measurement::RowMeasurement;
 pub use crate::direct::track::{DirectTracker, FramePrior, SurfacePoint};
 pub use crate::published::{PublishedEstimator, PublishedTracker};
-pub use crate::rmga_photometric::RmgaPhotometricEstimator;
 
 /// A method of this crate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Method {
     /// RM-GA on hue votes, as published.
     Published,
-    /// The same search with a photometric score; single pairs only.
-    RmgaPhotometric,
     /// Semi-global search, slanted patches and photometric refinement, of any texture.
     Direct,
 }
 
 impl Method {
     /// All methods.
-    pub const ALL: [Self; 3] = [Self::Published, Self::RmgaPhotometric, Self::Direct];
+    pub const ALL: [Self; 2] = [Self::Published, Self::Direct];
 
     /// Its name in commands, configurations and results.
     pub fn name(self) -> &'static str {
         match self {
             Self::Published => "published",
-            Self::RmgaPhotometric => "rmga-photometric",
             Self::Direct => "direct",
         }
-    }
-
-    /// Whether it follows a target through a sequence: [`Tracker::new`].
-    pub fn tracks(self) -> bool {
-        self != Self::RmgaPhotometric
     }
 
     /// Whether its tracker recovers the surface of the target: [`Tracker::surface`].
@@ -83,8 +73,6 @@ impl fmt::Display for Method {
 pub struct EstimatorConfig {
     /// Of the published method.
     pub published: PublishedConfig,
-    /// Of RM-GA with a photometric score.
-    pub rmga_photometric: RmgaPhotometricConfig,
     /// Of the direct method.
     pub direct: DirectConfig,
 }
@@ -94,8 +82,6 @@ pub struct EstimatorConfig {
 pub enum Estimator {
     /// The published method.
     Published(Box<PublishedEstimator>),
-    /// RM-GA with a photometric score.
-    RmgaPhotometric(Box<RmgaPhotometricEstimator>),
     /// The direct method.
     Direct(Box<DirectEstimator>),
 }
@@ -108,10 +94,6 @@ impl Estimator {
     pub fn new(method: Method, rig: &StereoRig, config: &EstimatorConfig) -> Result<Self, EstimationError> {
         match method {
             Method::Published => Ok(Self::Published(Box::new(PublishedEstimator::new(rig, config.published.clone())?))),
-            Method::RmgaPhotometric => {
-                let config = config.rmga_photometric.clone();
-                Ok(Self::RmgaPhotometric(Box::new(RmgaPhotometricEstimator::new(rig, config)?)))
-            }
             Method::Direct => Ok(Self::Direct(Box::new(DirectEstimator::new(rig, config.direct.clone())?))),
         }
     }
@@ -134,7 +116,6 @@ impl Estimator {
     pub fn method(&self) -> Method {
         match self {
             Self::Published(_) => Method::Published,
-            Self::RmgaPhotometric(_) => Method::RmgaPhotometric,
             Self::Direct(_) => Method::Direct,
         }
     }
@@ -147,7 +128,7 @@ impl Estimator {
     /// Images that do not fit the calibration.
     pub fn prepare(&mut self, left: &RgbImage, right: &RgbImage) -> Result<Option<RowMeasurement>, EstimationError> {
         match self {
-            Self::Published(_) | Self::RmgaPhotometric(_) => Ok(None),
+            Self::Published(_) => Ok(None),
             Self::Direct(estimator) => estimator.measure_rows(left, right).map(Some),
         }
     }
@@ -155,7 +136,7 @@ impl Estimator {
     /// Uses what [`Self::prepare`] found on another pair of the same rig or scene.
     pub fn use_rows(&mut self, measured: &RowMeasurement) {
         match self {
-            Self::Published(_) | Self::RmgaPhotometric(_) => {}
+            Self::Published(_) => {}
             Self::Direct(estimator) => estimator.set_rows(measured.rows),
         }
     }
@@ -192,7 +173,6 @@ impl Estimator {
         let ask = &mut || asked.may_continue();
         let mut estimate = match self {
             Self::Published(estimator) => estimator.estimate_while(left, right, region, range, ask),
-            Self::RmgaPhotometric(estimator) => estimator.estimate_while(left, right, region, range, ask),
             Self::Direct(estimator) => estimator.estimate_while(left, right, region, range, ask),
         }?;
         if asked.was_refused {
@@ -219,7 +199,6 @@ impl Tracker {
     pub fn new(method: Method, rig: &StereoRig, config: &EstimatorConfig) -> Result<Self, EstimationError> {
         match method {
             Method::Published => Ok(Self::Published(Box::new(PublishedTracker::new(rig, config.published.clone())?))),
-            Method::RmgaPhotometric => Err(EstimationError::NoTracker { method: method.name() }),
             Method::Direct => Ok(Self::Direct(Box::new(DirectTracker::new(rig, config.direct.clone())?))),
         }
     }
@@ -358,9 +337,6 @@ mod tests {
             assert_eq!(method.to_string().parse(), Ok(method));
         }
         let error = Method::from_name("ViSP").expect_err("unknown");
-        assert_eq!(
-            error.to_string(),
-            "there is no method \"ViSP\": known methods are published, rmga-photometric, direct"
-        );
+        assert_eq!(error.to_string(), "there is no method \"ViSP\": known methods are published, direct");
     }
 }

@@ -21,7 +21,6 @@ pub mod plane_hypothesis;
 pub mod published;
 pub mod region;
 pub mod rig_plan;
-pub mod rmga_photometric;
 pub mod search;
 pub mod status;
 mod trig;

@@ -23,7 +23,6 @@ mod published_estimate;
 mod published_track;
 mod published_track_safety;
 mod rig_plan;
-mod rmga_photometric;
 mod robustness;
 #[path = "support/scene.rs"]
 mod scene;

@@ -248,7 +248,6 @@ pub struct ZRange {
 fn method_help() -> String {
     let what = |method: Method| match method {
         Method::Published => "RM-GA on hue votes, the method of the paper",
-        Method::RmgaPhotometric => "the same search with a photometric score, single pairs only",
         Method::Direct => "photometric, of any texture, with covariances; tracks in six degrees of freedom",
     };
     let all: Vec<String> = Method::ALL.iter().map(|&method| format!("{method} ({})", what(method))).collect();

@@ -10,7 +10,7 @@ pub const RADIUS_MAX: usize = 15;
 /// Weights of the spline's prefilter beyond this are below a thousandth, and smoothing makes them smaller.
 const SPLINE_RADIUS: usize = 5;
 
-/// A row of weights that sum up to 1.
+/// A row of weights that sum up to 1, the same on both sides of their centre.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Taps {
     radius: usize,
@@ -18,12 +18,11 @@ pub struct Taps {
 }
 
 impl Taps {
-    /// A Gaussian of standard deviation `sigma_px`, looked up `shift_px` further on: the filtered signal at `i` is the smooth
-    /// signal at `i + shift_px`. A shift of up to half a pixel is meant, which needs a sigma of 0.6 px or more.
-    pub fn gaussian(sigma_px: f64, shift_px: f64) -> Self {
-        let radius = ((3.0 * sigma_px + shift_px.abs()).ceil() as usize).clamp(1, RADIUS_MAX);
+    /// A Gaussian of standard deviation `sigma_px`.
+    pub fn gaussian(sigma_px: f64) -> Self {
+        let radius = ((3.0 * sigma_px).ceil() as usize).clamp(1, RADIUS_MAX);
         let value = |i: usize| {
-            let x = (i as f64 - radius as f64 - shift_px) / sigma_px.max(1e-3);
+            let x = (i as f64 - radius as f64) / sigma_px.max(1e-3);
             if i <= 2 * radius { (-0.5 * x * x).exp() } else { 0.0 }
         };
         let sum: f64 = (0..=2 * radius).map(value).sum();
@@ -33,7 +32,7 @@ impl Taps {
     /// A Gaussian of standard deviation `sigma_px`, then from values to the coefficients of the cubic spline through them:
     /// with the coefficients `c`, the filtered signal at `i` is `(c[i - 1] + 4 c[i] + c[i + 1]) / 6`.
     pub fn spline(sigma_px: f64) -> Self {
-        let smooth = Self::gaussian(sigma_px, 0.0);
+        let smooth = Self::gaussian(sigma_px);
         // The impulse response of the spline's prefilter: pole sqrt(3) - 2 (Unser 1999).
         let pole = 3f64.sqrt() - 2.0;
         let response = |k: i32| 3f64.sqrt() * pole.powi(k.abs());
@@ -62,35 +61,13 @@ impl Taps {
 #[derive(Clone, Debug, Default)]
 pub struct Smoother {
     row: Vec<f32>,
-    between: ImagePlane,
 }
 
 impl Smoother {
-    /// Writes `source`, smoothed along rows and along columns, into `out`; beyond its edges the plane is taken to go on as
-    /// its outermost pixels.
-    pub fn smooth(&mut self, source: &ImagePlane, rows: &Taps, columns: &Taps, out: &mut ImagePlane, kernels: Kernels) {
-        let (width, height) = (source.width(), source.height());
-        self.between.resize(width, height);
-        out.resize(width, height);
-        if width == 0 || height == 0 {
-            return;
-        }
-        self.row.resize(width + 2 * RADIUS_MAX, 0.0);
-        for y in 0..height {
-            let line = source.row(y);
-            let (before, rest) = self.row.split_at_mut(rows.radius);
-            before.fill(line[0]);
-            rest[..width].copy_from_slice(line);
-            rest[width..width + rows.radius].fill(line[width - 1]);
-            filter_row(kernels, &self.row, rows, self.between.row_mut(y));
-        }
-        filter_columns(kernels, &self.between, columns, out);
-    }
-}
-
-impl Smoother {
-    /// As [`Self::smooth`] for pixels of as many values as there are planes in `out`, which stand side by side in the rows of
-    /// `source`; `middle` is taken off them. The weights must be the same on both sides of their centre.
+    /// Smooths pixels along rows and along columns; beyond its edges an image is taken to go on as its outermost pixels.
+    ///
+    /// A pixel has as many values as there are planes in `out`; they stand side by side in the rows of `source`. `middle` is
+    /// subtracted from them.
     pub fn smooth_pixels(
         &mut self,
         source: &PixelRows<'_>,
@@ -162,12 +139,12 @@ fn smooth_pixels_kernel<const N: usize>(
             let row = (y as isize + j as isize - across.radius as isize).clamp(0, last) as usize;
             *start = (row - source.first) * stride;
         }
-        filter_groups::<true>(source.rows.values(), &starts, across, &mut padded[side..side + width]);
+        filter_groups(source.rows.values(), &starts, across, &mut padded[side..side + width]);
         for k in 0..side {
             padded[k] = padded[side + k % N];
             padded[side + width + k] = padded[side + width - N + k % N];
         }
-        filter_groups::<true>(padded, &row_starts, along, mixed);
+        filter_groups(padded, &row_starts, along, mixed);
         take_apart(mixed, &middle, out.each_mut().map(|plane| plane.row_mut(y)));
     }
 }
@@ -191,43 +168,8 @@ fn take_apart<const N: usize>(pixels: &[f32], middle: &[f32; N], mut out: [&mut 
     }
 }
 
-wide! {
-    fn filter_row(padded: &[f32], taps: &Taps, out: &mut [f32]) = filter_row_kernel;
-}
-
-wide! {
-    fn filter_columns(source: &ImagePlane, taps: &Taps, out: &mut ImagePlane) = filter_columns_kernel;
-}
-
 /// Columns that are filtered side by side where the row is long enough: so many sums need not wait for each other.
 const SIDE_BY_SIDE: usize = 4 * LANES;
-
-/// Writes `N` neighbouring columns from `first` on: weight `j` meets the values from `starts[j] + first` on.
-#[inline(always)]
-fn filter_group<const N: usize>(values: &[f32], starts: &Starts, taps: &Taps, first: usize, out: &mut [f32]) {
-    let mut sums = [0.0_f32; N];
-    for (start, weight) in starts.iter().zip(taps.weights()) {
-        let values = &values[start + first..][..N];
-        for i in 0..N {
-            sums[i] += weight * values[i];
-        }
-    }
-    out[first..first + N].copy_from_slice(&sums);
-}
-
-#[inline(always)]
-fn filter<const N: usize, const SYMMETRIC: bool>(
-    values: &[f32],
-    starts: &Starts,
-    taps: &Taps,
-    first: usize,
-    out: &mut [f32],
-) {
-    match SYMMETRIC {
-        true => filter_symmetric_group::<N>(values, starts, taps, first, out),
-        false => filter_group::<N>(values, starts, taps, first, out),
-    }
-}
 
 /// Where the values of the weights begin.
 type Starts = [usize; 2 * RADIUS_MAX + 1];
@@ -243,29 +185,29 @@ const ROW_STARTS: Starts = {
     starts
 };
 
-/// Writes all columns of a row; the last group may overlap the one before. `SYMMETRIC` weights are the same on both sides of
-/// their centre.
+/// Writes all columns of a row; the last group may overlap the one before.
 #[inline(always)]
-fn filter_groups<const SYMMETRIC: bool>(values: &[f32], starts: &Starts, taps: &Taps, out: &mut [f32]) {
+fn filter_groups(values: &[f32], starts: &Starts, taps: &Taps, out: &mut [f32]) {
     let width = out.len();
     let mut first = 0;
     while first + SIDE_BY_SIDE <= width {
-        filter::<SIDE_BY_SIDE, SYMMETRIC>(values, starts, taps, first, out);
+        filter_group::<SIDE_BY_SIDE>(values, starts, taps, first, out);
         first += SIDE_BY_SIDE;
     }
     while first < width && width >= LANES {
-        filter::<LANES, SYMMETRIC>(values, starts, taps, first.min(width - LANES), out);
+        filter_group::<LANES>(values, starts, taps, first.min(width - LANES), out);
         first += LANES;
     }
     while first < width {
-        filter::<1, SYMMETRIC>(values, starts, taps, first, out);
+        filter_group::<1>(values, starts, taps, first, out);
         first += 1;
     }
 }
 
-/// As [`filter_group`] for weights that are the same on both sides of their centre.
+/// Writes `N` neighbouring columns from `first` on: weight `j` meets the values from `starts[j] + first` on. Uses that the
+/// weights are the same on both sides of their centre.
 #[inline(always)]
-fn filter_symmetric_group<const N: usize>(values: &[f32], starts: &Starts, taps: &Taps, first: usize, out: &mut [f32]) {
+fn filter_group<const N: usize>(values: &[f32], starts: &Starts, taps: &Taps, first: usize, out: &mut [f32]) {
     let (weights, radius) = (taps.weights(), taps.radius);
     let mut sums = [0.0_f32; N];
     let centre = &values[starts[radius] + first..][..N];
@@ -282,45 +224,27 @@ fn filter_symmetric_group<const N: usize>(values: &[f32], starts: &Starts, taps:
     out[first..first + N].copy_from_slice(&sums);
 }
 
-#[inline(always)]
-fn filter_row_kernel(padded: &[f32], taps: &Taps, out: &mut [f32]) {
-    filter_groups::<false>(padded, &ROW_STARTS, taps, out);
-}
-
-#[inline(always)]
-fn filter_columns_kernel(source: &ImagePlane, taps: &Taps, out: &mut ImagePlane) {
-    let (width, height, radius) = (source.width(), source.height(), taps.radius as isize);
-    let mut starts = [0; 2 * RADIUS_MAX + 1];
-    for y in 0..height {
-        for (j, start) in starts.iter_mut().enumerate().take(taps.weights().len()) {
-            *start = (y as isize + j as isize - radius).clamp(0, height as isize - 1) as usize * width;
-        }
-        filter_groups::<false>(source.values(), &starts, taps, out.row_mut(y));
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn gaussians_keep_the_mean_and_move_by_their_shift() {
-        for (sigma, shift) in [(0.7, 0.0), (0.8, 0.5), (1.5, -0.31), (3.0, 0.2)] {
-            let taps = Taps::gaussian(sigma, shift);
+    fn gaussians_keep_the_mean_and_have_their_width() {
+        for sigma in [0.7, 0.8, 1.5, 3.0] {
+            let taps = Taps::gaussian(sigma);
             let moment = |power: i32| -> f64 {
                 let at = |i: usize| i as f64 - taps.radius() as f64;
                 taps.weights().iter().enumerate().map(|(i, w)| f64::from(*w) * at(i).powi(power)).sum()
             };
-            assert!((moment(0) - 1.0).abs() < 1e-6);
-            assert!((moment(1) - shift).abs() < 0.01, "{} for {shift}", moment(1));
-            assert!((moment(2) - shift * shift - sigma * sigma).abs() < 0.1 * sigma * sigma);
+            assert!((moment(0) - 1.0).abs() < 1e-6 && moment(1).abs() < 1e-6);
+            assert!((moment(2) - sigma * sigma).abs() < 0.1 * sigma * sigma);
         }
     }
 
     #[test]
     fn splines_go_through_the_smooth_values() {
         for sigma in [0.4, 0.6, 1.3] {
-            let (spline, plain) = (Taps::spline(sigma), Taps::gaussian(sigma, 0.0));
+            let (spline, plain) = (Taps::spline(sigma), Taps::gaussian(sigma));
             let tap = |taps: &Taps, at: i32| {
                 let index = at + taps.radius() as i32;
                 usize::try_from(index).ok().and_then(|i| taps.weights().get(i)).map_or(0.0, |w| f64::from(*w))
@@ -332,59 +256,54 @@ mod tests {
         }
     }
 
-    #[test]
-    fn every_kernel_smooths_as_a_plain_sum_does() {
-        let value = |x: i32, y: i32| ((x * 37 + y * 101) % 97) as f32 - 40.0;
-        for (width, height) in [(61, 23), (16, 5), (9, 7), (1, 1)] {
-            let plane = ImagePlane::from_fn(width, height, |x, y| value(x as i32, y as i32));
-            let (rows, columns) = (Taps::gaussian(1.1, 0.0), Taps::gaussian(0.8, 0.4));
-            let expected = |x: usize, y: usize| -> f64 {
-                let mut sum = 0.0;
-                for (j, b) in columns.weights().iter().enumerate() {
-                    for (i, a) in rows.weights().iter().enumerate() {
-                        let u = (x as i32 + i as i32 - rows.radius() as i32).clamp(0, width as i32 - 1);
-                        let v = (y as i32 + j as i32 - columns.radius() as i32).clamp(0, height as i32 - 1);
-                        sum += f64::from(a * b * value(u, v));
-                    }
-                }
-                sum
-            };
-            let mut first: Option<ImagePlane> = None;
-            for kernels in crate::cpu::every_kernel() {
-                let mut out = ImagePlane::default();
-                Smoother::default().smooth(&plane, &rows, &columns, &mut out, kernels);
-                for (x, y) in (0..width).flat_map(|x| (0..height).map(move |y| (x, y))) {
-                    assert!((f64::from(out.row(y)[x]) - expected(x, y)).abs() < 1e-3);
-                }
-                assert_eq!(*first.get_or_insert(out.clone()), out, "{}", kernels.set().name());
+    /// Smooths by the definition: a sum over all pairs of weights, edges repeated.
+    fn plain_sum(
+        value: impl Fn(usize, usize) -> f32,
+        size: (usize, usize),
+        taps: (&Taps, &Taps),
+        at: (usize, usize),
+    ) -> f64 {
+        let (mut sum, along, across) = (0.0, taps.0, taps.1);
+        for (j, b) in across.weights().iter().enumerate() {
+            for (i, a) in along.weights().iter().enumerate() {
+                let u = (at.0 as i32 + i as i32 - along.radius() as i32).clamp(0, size.0 as i32 - 1) as usize;
+                let v = (at.1 as i32 + j as i32 - across.radius() as i32).clamp(0, size.1 as i32 - 1) as usize;
+                sum += f64::from(*a) * f64::from(*b) * f64::from(value(u, v));
             }
+        }
+        sum
+    }
+
+    fn check<const N: usize>((width, height): (usize, usize), middle: [f32; N]) {
+        let value = |x: usize, y: usize, c: usize| ((x * 37 + y * 101 + c * 53) % 97) as f32;
+        let (along, across) = (Taps::spline(0.6), Taps::gaussian(0.8));
+        // One row is missing at each end, and one column is too many.
+        let rows = ImagePlane::from_fn(N * width + 1, height - 2, |i, y| {
+            if i < N * width { value(i / N, y + 1, i % N) } else { f32::NAN }
+        });
+        let size = (width, height);
+        let edge = 1 + across.radius();
+        let source = PixelRows { size, rows: &rows, first: 1, wanted: (edge, height - edge) };
+        let mut first: Option<[ImagePlane; N]> = None;
+        for kernels in crate::cpu::every_kernel() {
+            let mut out = std::array::from_fn(|_| ImagePlane::default());
+            Smoother::default().smooth_pixels(&source, (&along, &across), &middle, &mut out, kernels);
+            for (c, out) in out.iter().enumerate() {
+                for (x, y) in (0..width).flat_map(|x| (edge..height - edge).map(move |y| (x, y))) {
+                    let expected = plain_sum(|u, v| value(u, v, c), size, (&along, &across), (x, y));
+                    let found = f64::from(out.row(y)[x] + middle[c]);
+                    assert!((found - expected).abs() < 1e-3, "{width} {x} {y} {c}: {found}, not {expected}");
+                }
+            }
+            assert_eq!(*first.get_or_insert(out.clone()), out, "{}", kernels.set().name());
         }
     }
 
     #[test]
-    fn pixels_are_smoothed_as_planes_are_with_every_kernel() {
-        let value = |x: usize, y: usize, c: usize| ((x * 37 + y * 101 + c * 53) % 97) as f32;
-        let (along, across, middle) = (Taps::spline(0.6), Taps::gaussian(0.6, 0.0), [3.0, -5.0, 40.0]);
-        for (width, height) in [(91, 20), (16, 9), (5, 7)] {
-            let rows = ImagePlane::from_fn(3 * width + 1, height - 2, |i, y| {
-                if i < 3 * width { value(i / 3, y + 1, i % 3) } else { f32::NAN }
-            });
-            let source = PixelRows { size: (width, height), rows: &rows, first: 1, wanted: (4, height - 3) };
-            let mut first: Option<[ImagePlane; 3]> = None;
-            for kernels in crate::cpu::every_kernel() {
-                let (mut smoother, mut out) = (Smoother::default(), <[ImagePlane; 3]>::default());
-                smoother.smooth_pixels(&source, (&along, &across), &middle, &mut out, kernels);
-                for (c, out) in out.iter().enumerate() {
-                    let (mut plain, plane) =
-                        (ImagePlane::default(), ImagePlane::from_fn(width, height, |x, y| value(x, y, c)));
-                    smoother.smooth(&plane, &along, &across, &mut plain, kernels);
-                    for (x, y) in (0..width).flat_map(|x| (4..height - 3).map(move |y| (x, y))) {
-                        let difference = out.row(y)[x] + middle[c] - plain.row(y)[x];
-                        assert!(difference.abs() < 1e-3, "{width} {x} {y} {c}: {difference}");
-                    }
-                }
-                assert_eq!(*first.get_or_insert(out.clone()), out, "{}", kernels.set().name());
-            }
+    fn pixels_are_smoothed_as_a_plain_sum_does_with_every_kernel() {
+        for size in [(91, 20), (61, 23), (16, 9), (9, 11)] {
+            check(size, [3.0, -5.0, 40.0]);
+            check(size, [7.5]);
         }
     }
 }

@@ -15,14 +15,12 @@ use serde::Deserialize;
 
 use super::direct::DirectSection;
 use super::load::{Checker, ConfigError, FileKind, read_toml, whole};
-use super::rmga_photometric::RmgaPhotometricSection;
 
 /// The whole file `configs/estimator.toml`.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct EstimatorFile {
     published: PublishedSection,
-    rmga_photometric: RmgaPhotometricSection,
     direct: DirectSection,
 }
 
@@ -34,10 +32,9 @@ pub fn read_estimator(file: &Path) -> Result<EstimatorConfig, ConfigError> {
     let raw: EstimatorFile = read_toml(file, FileKind::Estimator)?;
     let mut check = Checker::default();
     let published = raw.published.build("published", &mut check);
-    let rmga_photometric = raw.rmga_photometric.build("rmga_photometric", &published, &mut check);
     let direct = raw.direct.build("direct", published.region, &mut check);
     check.finish(file)?;
-    Ok(EstimatorConfig { published, rmga_photometric, direct })
+    Ok(EstimatorConfig { published, direct })
 }
 
 /// Parameters of the published method.

@@ -7,7 +7,6 @@ mod every_key_tests;
 pub mod gateway;
 pub mod load;
 pub mod names;
-pub mod rmga_photometric;
 pub mod setup;
 
 pub use load::ConfigError;

@@ -112,7 +112,7 @@ impl<'a> Job<'a> {
         wish: &'a Wish,
         rows: Option<RowOffset>,
     ) -> Self {
-        let smoothing = [Taps::spline(wish.smoothing_px), Taps::gaussian(wish.smoothing_px, 0.0)];
+        let smoothing = [Taps::spline(wish.smoothing_px), Taps::gaussian(wish.smoothing_px)];
         let (part, reach) = (&wish.part, smoothing[1].radius());
         let (first_row, end) = (wish.rows.0.saturating_sub(reach), (wish.rows.1 + reach).min(part.height));
         let s = scale as i32;
