@@ -5,10 +5,10 @@ use std::time::Duration;
 
 use nalgebra::Vector2;
 use pb3dp_camera_replay::{ReplayCamera, ReplayOptions};
-use pb3dp_estimation::estimate::PlaneEstimate;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
-use pb3dp_estimation::plane_hypothesis::SearchRange;
-use pb3dp_estimation::region::Region;
+use pb3dp_estimation_core::estimate::PlaneEstimate;
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::Region;
 use pb3dp_hal_api::{CameraErrorKind, FramePair, StereoCamera};
 use pb3dp_record::dataset::{Case, StereoPictures, find_cases, load_case};
 use pb3dp_record::metrics;

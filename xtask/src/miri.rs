@@ -21,15 +21,18 @@ struct Interpreted {
 }
 
 /// All kernels that have unsafe code. Tests on large images, and those of proptest, take minutes in an interpreter and are left out.
-const INTERPRETED: [Interpreted; 2] = [
+const INTERPRETED: [Interpreted; 4] = [
+    Interpreted { package: "pb3dp-estimation-core", tests: &["wide::tests::every_width_gives_the_same_bits"] },
     Interpreted {
-        package: "pb3dp-estimation",
+        package: "pb3dp-estimation-direct",
+        tests: &["photometric::kernel::tests::places_outside_the_right_planes_are_not_read"],
+    },
+    Interpreted {
+        package: "pb3dp-estimation-published",
         tests: &[
-            "direct::photometric::kernel::tests::places_outside_the_right_planes_are_not_read",
             "fitness::tests::kernels_agree_on_a_small_image",
             "hue::tests::agrees_with_golden_hues",
             "hue::tests::the_gate_is_explicit",
-            "wide::tests::every_width_gives_the_same_bits",
         ],
     },
     Interpreted {
@@ -66,7 +69,9 @@ mod tests {
         let workspace = Workspace::find().unwrap();
         let sources = workspace.texts(&[".rs"]).unwrap();
         for Interpreted { package, tests } in &INTERPRETED {
-            let folder = if *package == "pb3dp-estimation" { "crates/estimation/src/" } else { "hal/camera-v4l2/src/" };
+            let name = package.trim_start_matches("pb3dp-");
+            let parent = if name.starts_with("camera") { "hal" } else { "crates" };
+            let folder = format!("{parent}/{name}/src/");
             for test in *tests {
                 let (module, name) = test.rsplit_once("::").unwrap();
                 let module = module.trim_end_matches("::tests").replace("::", "/");

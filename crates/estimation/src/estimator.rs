@@ -4,18 +4,18 @@ use std::fmt;
 use std::str::FromStr;
 
 use image::RgbImage;
+use pb3dp_estimation_core::error::EstimationError;
+use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, TrackEstimate};
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
+use pb3dp_estimation_published::estimator::PublishedConfig;
+use pb3dp_estimation_track::DirectTrackerConfig;
 use pb3dp_geometry::StereoRig;
 
-use crate::direct::estimator::{DirectConfig, DirectEstimator};
-use crate::error::EstimationError;
-use crate::estimate::{EstimateWarning, PlaneEstimate};
-use crate::plane_hypothesis::SearchRange;
-use crate::published::{PublishedConfig, TrackEstimate};
-use crate::region::Region;
-
-pub use crate::direct::row_measurement::RowMeasurement;
-pub use crate::direct::track::{DirectTracker, FramePrior, SurfacePoint};
-pub use crate::published::{PublishedEstimator, PublishedTracker};
+pub use pb3dp_estimation_direct::row_measurement::RowMeasurement;
+pub use pb3dp_estimation_published::estimator::{PublishedEstimator, PublishedTracker};
+pub use pb3dp_estimation_track::{DirectTracker, FramePrior, SurfacePoint};
 
 /// A method of this crate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -75,6 +75,8 @@ pub struct EstimatorConfig {
     pub published: PublishedConfig,
     /// Of the direct method.
     pub direct: DirectConfig,
+    /// Of the direct method on sequences.
+    pub track: DirectTrackerConfig,
 }
 
 /// An estimator of any method, for single pairs.
@@ -199,7 +201,7 @@ impl Tracker {
     pub fn new(method: Method, rig: &StereoRig, config: &EstimatorConfig) -> Result<Self, EstimationError> {
         match method {
             Method::Published => Ok(Self::Published(Box::new(PublishedTracker::new(rig, config.published.clone())?))),
-            Method::Direct => Ok(Self::Direct(Box::new(DirectTracker::new(rig, config.direct.clone())?))),
+            Method::Direct => Ok(Self::Direct(Box::new(DirectTracker::new(rig, config.direct.clone(), config.track)?))),
         }
     }
 

@@ -20,10 +20,10 @@ mod plane;
 mod tests;
 
 use image::RgbImage;
+use pb3dp_estimation_core::trig;
 use pb3dp_geometry::StereoRig;
 
 use self::matching::{Match, Search, matches_of};
-use crate::trig;
 
 /// Fewest well-textured patches to judge by.
 const PATCHES_MIN: usize = 30;

@@ -5,12 +5,11 @@
 //! [`plane_sigma`], as for measured planes.
 
 use nalgebra::{Matrix3, Vector2};
-use pb3dp_geometry::ImageSize;
-
-use crate::direct::cramer_rao::{
+use pb3dp_estimation_direct::cramer_rao::{
     PlaneSigma, calibration_covariance, pixel_disparity_sigma, plane_sigma, rectangle_information,
 };
-use crate::direct::disparity_plane::{DisparityPlane, RectifiedGeometry};
+use pb3dp_estimation_direct::disparity_plane::{DisparityPlane, RectifiedGeometry};
+use pb3dp_geometry::ImageSize;
 
 /// Two equal, parallel cameras; their axes meet the middles of their pictures.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -196,8 +195,9 @@ impl StereoHead {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use nalgebra::Vector3;
+
+    use super::*;
 
     const HEAD: StereoHead =
         StereoHead { baseline_m: 0.1, focal_px: 740.0, size: ImageSize { width: 640, height: 480 } };

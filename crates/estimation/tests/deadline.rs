@@ -1,13 +1,14 @@
 //! Answers that are cut short: whatever time there is, the best so far, with a word about it.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
-use crate::plane_pair::{Paint, Pair, SIZE, Setup, Texture, render};
 use image::{GrayImage, Luma};
-use pb3dp_estimation::estimate::{EstimateWarning, PlaneEstimate};
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, FramePrior, Method, Tracker};
-use pb3dp_estimation::plane_hypothesis::SearchRange;
-use pb3dp_estimation::region::Region;
-use pb3dp_estimation::status::Status;
+use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate};
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_core::status::Status;
+
+use crate::plane_pair::{Paint, Pair, SIZE, Setup, Texture, render};
 
 fn pair(z_m: f64) -> Pair {
     let setup = Setup { tilt_x_rad: 0.21, tilt_y_rad: -0.33, z_m, ..Setup::default() };

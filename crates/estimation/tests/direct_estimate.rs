@@ -1,15 +1,14 @@
 //! The direct method on single pairs: rendered discs of known depth and tilt, and what must not be answered.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
-use crate::scene;
-use crate::scene::Scene;
 use image::RgbImage;
 use nalgebra::Vector2;
-use pb3dp_estimation::direct::estimator::{DirectConfig, DirectEstimator};
-use pb3dp_estimation::estimate::PlaneEstimate;
-use pb3dp_estimation::plane_hypothesis::{PlaneHypothesis, SearchRange};
-use pb3dp_estimation::region::{Region, RegionMask};
-use pb3dp_estimation::status::Status;
+use pb3dp_estimation_core::estimate::PlaneEstimate;
+use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
+use pb3dp_estimation_core::region::{Region, RegionMask};
+use pb3dp_estimation_core::status::Status;
+use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
+use pb3dp_estimation_test_support::scene::{self, Scene};
 use pb3dp_geometry::{ImageSize, StereoRig};
 
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };

@@ -2,12 +2,13 @@
 //! answer.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
-use crate::plane_pair::{Paint, Setup, Texture, render};
 use nalgebra::Vector2;
-use pb3dp_estimation::direct::estimator::{DirectConfig, DirectEstimator};
-use pb3dp_estimation::plane_hypothesis::SearchRange;
-use pb3dp_estimation::region::Region;
-use pb3dp_estimation::status::Status;
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_core::status::Status;
+use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
+
+use crate::plane_pair::{Paint, Setup, Texture, render};
 
 /// The words of an answer, and the crossings of a row with a polygon.
 const WORDS_MAX: usize = 1500;

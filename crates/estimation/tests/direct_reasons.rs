@@ -1,16 +1,15 @@
 //! What the direct method says where no plane, or none that was allowed, fits the region.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
-use crate::scene;
-use crate::scene::Scene;
 use image::{Rgb, RgbImage};
 use nalgebra::Vector2;
-use pb3dp_estimation::direct::estimator::{DirectConfig, DirectEstimator};
-use pb3dp_estimation::direct::track::DirectTracker;
-use pb3dp_estimation::estimate::{EstimateWarning, PlaneEstimate};
-use pb3dp_estimation::plane_hypothesis::SearchRange;
-use pb3dp_estimation::region::Region;
-use pb3dp_estimation::status::Status;
+use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate};
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_core::status::Status;
+use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
+use pb3dp_estimation_test_support::scene::{self, Scene};
+use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig};
 use pb3dp_geometry::{ImageSize, StereoRig};
 
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
@@ -62,7 +61,7 @@ fn of_a_curved_surface_the_plane_that_explains_most_is_given_as_ambiguous() {
 
     // It is a surface beyond doubt all the same.
     assert!(found.warnings.contains(&EstimateWarning::NoPlane), "{:?}", found.warnings);
-    let mut tracker = DirectTracker::new(&rig, DirectConfig::default()).unwrap();
+    let mut tracker = DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).unwrap();
     let range = SearchRange::new(0.4, 0.7, 60_f64.to_radians()).unwrap();
     let started = tracker.start(&left, &right, &region, &range).unwrap();
     assert_eq!(started.status, Status::Ok, "{}", started.reason);
@@ -78,7 +77,7 @@ fn a_surface_outside_the_range_is_not_tracked() {
     let (left, right) = scene.render(&rig);
     let region = Region::Rectangle { x: 312, y: 196, width: 80, height: 80 };
     let started = |z_min_m: f64, z_max_m: f64| {
-        let mut tracker = DirectTracker::new(&rig, DirectConfig::default()).unwrap();
+        let mut tracker = DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).unwrap();
         let range = SearchRange::new(z_min_m, z_max_m, 60_f64.to_radians()).unwrap();
         tracker.start(&left, &right, &region, &range).unwrap()
     };

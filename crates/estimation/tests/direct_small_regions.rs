@@ -1,13 +1,12 @@
 //! The direct method on small regions: what goes on around them in their plane helps the tilt, anything else does not hurt.
 #![allow(clippy::unwrap_used, reason = "helpers of tests, with inputs that are valid")]
 
-use crate::scene;
-use crate::scene::Scene;
 use nalgebra::Vector2;
-use pb3dp_estimation::direct::estimator::{DirectConfig, DirectEstimator};
-use pb3dp_estimation::estimate::PlaneEstimate;
-use pb3dp_estimation::plane_hypothesis::{PlaneHypothesis, SearchRange};
-use pb3dp_estimation::region::{Region, RegionMask};
+use pb3dp_estimation_core::estimate::PlaneEstimate;
+use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
+use pb3dp_estimation_core::region::{Region, RegionMask};
+use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
+use pb3dp_estimation_test_support::scene::{self, Scene};
 use pb3dp_geometry::ImageSize;
 
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };

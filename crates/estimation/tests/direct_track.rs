@@ -1,17 +1,16 @@
 //! The direct tracker on small rendered sequences.
 #![allow(clippy::expect_used, reason = "inputs that are valid")]
 
-use crate::moving_plane;
-use crate::moving_plane::{Shot, general_rig, moving, plane, rectified_rig, region, render, render_all};
 use nalgebra::Vector3;
-use pb3dp_estimation::direct::estimator::DirectConfig;
-use pb3dp_estimation::direct::track::{DirectTracker, DirectTrackerConfig, FramePrior};
-use pb3dp_estimation::estimate::EstimateWarning;
-use pb3dp_estimation::plane_hypothesis::SearchRange;
-use pb3dp_estimation::published::TrackEstimate;
-use pb3dp_estimation::status::Status;
+use pb3dp_estimation_core::estimate::{EstimateWarning, TrackEstimate};
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::status::Status;
+use pb3dp_estimation_direct::estimator::DirectConfig;
+use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig, FramePrior};
 use pb3dp_geometry::frames::{CamLeft, Model, Target};
 use pb3dp_geometry::{Pose, StereoRig, so3};
+
+use crate::moving_plane::{self, Shot, general_rig, moving, plane, rectified_rig, region, render, render_all};
 
 /// A tracker, and what it should say.
 struct Run {
@@ -23,8 +22,7 @@ struct Run {
 
 impl Run {
     fn start(rig: StereoRig, first: Pose<CamLeft, Target>, track: DirectTrackerConfig) -> Self {
-        let config = DirectConfig { track, ..DirectConfig::default() };
-        let mut tracker = DirectTracker::new(&rig, config).expect("tracker");
+        let mut tracker = DirectTracker::new(&rig, DirectConfig::default(), track).expect("tracker");
         let (left, right) = render(&rig, &Shot { cam_left_from_target: Some(first), frame: 0, right_gain: 0.9 });
         let estimate = tracker.start_from_plane(&left, &right, &region(&rig, &first), &plane(&first)).expect("start");
         assert_eq!(estimate.status, Status::Ok, "{}", estimate.reason);
@@ -163,7 +161,8 @@ fn a_twin_is_not_taken_for_a_hidden_target() {
     let twin = at(0.11, 0.47, 0.1);
     let shot = |frame: u32| Shot { cam_left_from_target: None, frame, right_gain: 0.9 };
     let first = own(0);
-    let mut tracker = DirectTracker::new(&rig, DirectConfig::default()).expect("tracker");
+    let mut tracker =
+        DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).expect("tracker");
     let (left, right) = render_all(&rig, &[first, twin], &shot(0));
     let estimate = tracker.start_from_plane(&left, &right, &region(&rig, &first), &plane(&first)).expect("start");
     let target_from_model = first.inverse() * estimate.cam_left_from_model.expect("pose");
@@ -241,7 +240,8 @@ fn views_are_kept_and_used_again() {
 #[test]
 fn a_cold_start_needs_no_plane() {
     let (rig, first) = (rectified_rig(), moving(0.0));
-    let mut tracker = DirectTracker::new(&rig, DirectConfig::default()).expect("tracker");
+    let mut tracker =
+        DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).expect("tracker");
     let (left, right) = render(&rig, &Shot { cam_left_from_target: Some(first), frame: 0, right_gain: 0.9 });
     assert!(tracker.update(&left, &right, &FramePrior::default()).is_err(), "nothing to follow yet");
     let range = SearchRange::new(0.35, 0.7, 0.7).expect("range");
@@ -266,7 +266,8 @@ fn a_start_beyond_the_tilt_that_was_searched_says_so() {
     let (rig, first) = (rectified_rig(), moving(0.0));
     let (left, right) = render(&rig, &Shot { cam_left_from_target: Some(first), frame: 0, right_gain: 0.9 });
     let start = |tilt_max_rad: f64| {
-        let mut tracker = DirectTracker::new(&rig, DirectConfig::default()).expect("tracker");
+        let mut tracker =
+            DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).expect("tracker");
         let range = SearchRange::new(0.35, 0.7, tilt_max_rad).expect("range");
         tracker.start(&left, &right, &region(&rig, &first), &range).expect("start").warnings
     };
@@ -299,7 +300,8 @@ fn a_deadline_gives_the_best_answer_so_far() {
 #[test]
 fn a_blank_wall_is_no_target() {
     let rig = rectified_rig();
-    let mut tracker = DirectTracker::new(&rig, DirectConfig::default()).expect("tracker");
+    let mut tracker =
+        DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).expect("tracker");
     let blank = |seed: u32| {
         image::RgbImage::from_fn(moving_plane::SIZE.width, moving_plane::SIZE.height, |x, y| {
             image::Rgb([0, 1, 2].map(|c| (120.0 + 2.0 * moving_plane::noise(x, y, 3 * seed + c)).round() as u8))
@@ -339,7 +341,8 @@ fn the_start_forgets_the_plane_that_it_was_given() {
     let (left, right) = (faint(&left, 1), faint(&right, 2));
     let normal = |turn: Vector3<f64>| {
         let turned = Pose::from_parts(first.translation_m(), so3::exp(&turn) * first.rotation());
-        let mut tracker = DirectTracker::new(&rig, DirectConfig::default()).expect("tracker");
+        let mut tracker =
+            DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).expect("tracker");
         let estimate = tracker.start_from_plane(&left, &right, &region(&rig, &first), &plane(&turned)).expect("start");
         let pose = estimate.cam_left_from_model.expect("pose");
         let points: Vec<Vector3<f64>> =

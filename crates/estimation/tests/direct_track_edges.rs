@@ -1,13 +1,14 @@
 //! Small rectangles across the edge of a disc that moves before another one at rest: what is tracked is one surface.
 #![allow(clippy::expect_used, reason = "inputs that are valid")]
 
-use crate::moving_plane::{RADIUS_M, Shot, moving, plane, rectified_rig, render_all};
 use nalgebra::{Isometry3, Point3, Vector3};
-use pb3dp_estimation::direct::estimator::DirectConfig;
-use pb3dp_estimation::direct::track::{DirectTracker, FramePrior};
-use pb3dp_estimation::region::Region;
-use pb3dp_estimation::status::Status;
+use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_core::status::Status;
+use pb3dp_estimation_direct::estimator::DirectConfig;
+use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig, FramePrior};
 use pb3dp_geometry::Pose;
+
+use crate::moving_plane::{RADIUS_M, Shot, moving, plane, rectified_rig, render_all};
 
 /// How far the disc at rest lies behind the other one, and beside it.
 const BEHIND_M: f64 = 0.035;
@@ -18,7 +19,8 @@ const FPS: f64 = 15.0;
 /// Sure and wrong frames of a track from a rectangle around a pixel.
 fn track(centre_px: [f64; 2], side_px: u32) -> (u32, u32) {
     let rig = rectified_rig();
-    let mut tracker = DirectTracker::new(&rig, DirectConfig::default()).expect("tracker");
+    let mut tracker =
+        DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).expect("tracker");
     let half = f64::from(side_px) / 2.0;
     let [x, y] = centre_px.map(|c| (c - half).round() as i32);
     let region = Region::Rectangle { x, y, width: side_px, height: side_px };

@@ -1,16 +1,18 @@
 //! A tracked frame of the direct method does not allocate, nor does a lost one.
 #![allow(clippy::expect_used, reason = "inputs that are valid")]
 
+use pb3dp_estimation_core::status::Status;
+use pb3dp_estimation_direct::estimator::DirectConfig;
+use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig, FramePrior};
+
 use crate::moving_plane::{Shot, moving, plane, rectified_rig, region, render};
-use pb3dp_estimation::direct::estimator::DirectConfig;
-use pb3dp_estimation::direct::track::{DirectTracker, FramePrior};
-use pb3dp_estimation::status::Status;
 
 #[test]
 fn frames_do_not_allocate() {
     let (rig, first) = (rectified_rig(), moving(0.0));
     let shot = |pose, frame| render(&rig, &Shot { cam_left_from_target: pose, frame, right_gain: 0.9 });
-    let mut tracker = DirectTracker::new(&rig, DirectConfig::default()).expect("tracker");
+    let mut tracker =
+        DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).expect("tracker");
     let (left, right) = shot(Some(first), 0);
     tracker.start_from_plane(&left, &right, &region(&rig, &first), &plane(&first)).expect("start");
     // Seen, hidden, seen: turning, so that views are kept too.

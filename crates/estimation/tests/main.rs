@@ -24,6 +24,4 @@ mod published_track;
 mod published_track_safety;
 mod rig_plan;
 mod robustness;
-#[path = "support/scene.rs"]
-mod scene;
 mod track_no_surface;

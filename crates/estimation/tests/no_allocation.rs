@@ -1,17 +1,16 @@
 //! The steady-state frame loop does not allocate: conversion, model, preparation, search.
 #![allow(clippy::expect_used, reason = "inputs that are valid")]
 
-use crate::scene;
-use crate::scene::Scene;
 use nalgebra::Vector2;
-use pb3dp_estimation::cpu::Kernels;
-use pb3dp_estimation::fitness::{FitnessConfig, HueFitness, Unseen};
-use pb3dp_estimation::hue::{HueConfig, HuePlane};
-use pb3dp_estimation::photo_model::{PhotoModel, PhotoModelConfig, PhotoModelScratch};
-use pb3dp_estimation::plane_hypothesis::{PinholePair, SearchRange};
-use pb3dp_estimation::region::RegionMask;
-use pb3dp_estimation::search::exhaustive;
-use pb3dp_estimation::search::rmga::{Population, RmGa, RmGaConfig};
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::plane_hypothesis::{PinholePair, SearchRange};
+use pb3dp_estimation_core::region::RegionMask;
+use pb3dp_estimation_published::fitness::{FitnessConfig, HueFitness, Unseen};
+use pb3dp_estimation_published::hue::{HueConfig, HuePlane};
+use pb3dp_estimation_published::photo_model::{PhotoModel, PhotoModelConfig, PhotoModelScratch};
+use pb3dp_estimation_published::search::exhaustive;
+use pb3dp_estimation_published::search::rmga::{Population, RmGa, RmGaConfig};
+use pb3dp_estimation_test_support::scene::{self, Scene};
 use pb3dp_geometry::{ImageSize, StereoRig};
 
 const SIZE: ImageSize = ImageSize { width: 320, height: 240 };

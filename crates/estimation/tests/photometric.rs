@@ -1,18 +1,19 @@
 //! What the refinement of a plane reaches on ray-traced pairs, beside the Cramér-Rao bound.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
-use crate::common::every_kernel;
-use crate::plane_pair::{Paint, Pair, Random, SIZE, Setup, Texture, render};
 use nalgebra::{Matrix3, Vector2, Vector3};
-use pb3dp_estimation::cpu::Kernels;
-use pb3dp_estimation::direct::colour_planes::{OPPONENT_FROM_RGB, Wanted};
-use pb3dp_estimation::direct::cramer_rao::{BoundSample, channel_information, plane_sigma};
-use pb3dp_estimation::direct::disparity_plane::{DisparityPlane, RectifiedGeometry};
-use pb3dp_estimation::direct::front_end::StereoFrontEnd;
-use pb3dp_estimation::direct::photometric::{PlaneRefiner, RefineConfig, RefinedPlane};
-use pb3dp_estimation::direct::region_pyramid::{PyramidSource, RegionPyramid};
-use pb3dp_estimation::direct::row_offset::RowOffset;
-use pb3dp_estimation::region::RegionMask;
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::region::RegionMask;
+use pb3dp_estimation_direct::colour_planes::{OPPONENT_FROM_RGB, Wanted};
+use pb3dp_estimation_direct::cramer_rao::{BoundSample, channel_information, plane_sigma};
+use pb3dp_estimation_direct::disparity_plane::{DisparityPlane, RectifiedGeometry};
+use pb3dp_estimation_direct::front_end::StereoFrontEnd;
+use pb3dp_estimation_direct::photometric::{PlaneRefiner, RefineConfig, RefinedPlane};
+use pb3dp_estimation_direct::region_pyramid::{PyramidSource, RegionPyramid};
+use pb3dp_estimation_direct::row_offset::RowOffset;
+use pb3dp_estimation_test_support::every_kernel;
+
+use crate::plane_pair::{Paint, Pair, Random, SIZE, Setup, Texture, render};
 
 /// A pair, taken in, and its true plane.
 struct Taken {
@@ -231,7 +232,7 @@ fn every_kernel_gives_the_same_bits() {
     let setup = Setup { tilt_x_rad: 0.25, tilt_y_rad: -0.3, ..Setup::default() };
     let pair = render(&setup, &Texture::new(Paint::Colour, 3), &Texture::new(Paint::Sand, 9));
     let mut first: Option<RefinedPlane> = None;
-    for kernels in every_kernel("photometric::every_kernel_gives_the_same_bits") {
+    for kernels in every_kernel() {
         let taken = take(&pair, kernels);
         let push = Vector3::new(0.4, -0.006, 0.004);
         let start = taken.truth.with_parameters(&(taken.truth.parameters() + push));

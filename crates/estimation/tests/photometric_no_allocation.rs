@@ -1,15 +1,16 @@
 //! The refinement of a plane does not allocate once it has seen a region of the size.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::region::RegionMask;
+use pb3dp_estimation_direct::colour_planes::Wanted;
+use pb3dp_estimation_direct::disparity_plane::DisparityPlane;
+use pb3dp_estimation_direct::front_end::StereoFrontEnd;
+use pb3dp_estimation_direct::photometric::{PlaneRefiner, RefineConfig};
+use pb3dp_estimation_direct::region_pyramid::{PyramidSource, RegionPyramid};
+use pb3dp_estimation_direct::row_offset::RowOffset;
+
 use crate::plane_pair::{Paint, SIZE, Setup, Texture, render};
-use pb3dp_estimation::cpu::Kernels;
-use pb3dp_estimation::direct::colour_planes::Wanted;
-use pb3dp_estimation::direct::disparity_plane::DisparityPlane;
-use pb3dp_estimation::direct::front_end::StereoFrontEnd;
-use pb3dp_estimation::direct::photometric::{PlaneRefiner, RefineConfig};
-use pb3dp_estimation::direct::region_pyramid::{PyramidSource, RegionPyramid};
-use pb3dp_estimation::direct::row_offset::RowOffset;
-use pb3dp_estimation::region::RegionMask;
 
 #[test]
 fn a_second_refinement_allocates_nothing() {

@@ -2,20 +2,19 @@
 
 #![allow(clippy::expect_used)]
 
-use crate::common;
-use crate::common::{Look, Shot};
 use nalgebra::Vector2;
-use pb3dp_estimation::EstimationError;
-use pb3dp_estimation::estimate::PlaneEstimate;
-use pb3dp_estimation::estimate::ReferenceOptimum;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
-use pb3dp_estimation::photo_model::PhotoModelConfig;
-use pb3dp_estimation::plane_hypothesis::SearchRange;
-use pb3dp_estimation::published::{PublishedConfig, PublishedEstimator};
-use pb3dp_estimation::region::{Region, RegionError, RegionWarning};
-use pb3dp_estimation::status::Status;
+use pb3dp_estimation_core::error::EstimationError;
+use pb3dp_estimation_core::estimate::{PlaneEstimate, ReferenceOptimum};
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::{Region, RegionError, RegionWarning};
+use pb3dp_estimation_core::status::Status;
+use pb3dp_estimation_published::estimator::{PublishedConfig, PublishedEstimator};
+use pb3dp_estimation_published::photo_model::PhotoModelConfig;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
+
+use crate::common::{self, Look, Shot};
 
 fn range() -> SearchRange {
     SearchRange::new(0.35, 0.70, 45.0_f64.to_radians()).expect("a range")
@@ -92,7 +91,8 @@ fn a_grey_target_is_not_searched() {
     assert_eq!(found.status, Status::NotObservable);
     assert_eq!((found.pose, found.psi, found.fitness), (None, None, None));
     assert!(found.reason.contains("have a hue"), "{}", found.reason);
-    let grey = |w: &_| matches!(w, pb3dp_estimation::estimate::EstimateWarning::Region(RegionWarning::Grey { .. }));
+    let grey =
+        |w: &_| matches!(w, pb3dp_estimation_core::estimate::EstimateWarning::Region(RegionWarning::Grey { .. }));
     assert!(found.warnings.iter().any(grey), "{:?}", found.warnings);
 }
 
@@ -137,7 +137,7 @@ fn the_answer_depends_on_the_input_alone() {
     let rig = common::general_rig();
     let Shot { left, right } = common::render(&rig, Some(&pose()), Look::Colourful);
     let first = estimate(&rig, Look::Colourful, PublishedConfig::default());
-    for kernels in common::every_kernel("published_estimate::the_answer_depends_on_the_input_alone") {
+    for kernels in pb3dp_estimation_test_support::every_kernel() {
         let mut estimator =
             PublishedEstimator::with_kernels(&rig, PublishedConfig::default(), kernels).expect("a config");
         let other = Region::Rectangle { x: 20, y: 30, width: 60, height: 50 };

@@ -2,18 +2,18 @@
 
 #![allow(clippy::expect_used)]
 
-use crate::common;
-use crate::common::{Look, Shot};
 use nalgebra::{UnitQuaternion, Vector3};
-use pb3dp_estimation::EstimationError;
-use pb3dp_estimation::estimate::EstimateWarning;
 use pb3dp_estimation::estimator::{EstimatorConfig, FramePrior, Method, Tracker};
-use pb3dp_estimation::plane_hypothesis::SearchRange;
-use pb3dp_estimation::published::{PublishedConfig, PublishedTracker, TrackEstimate};
-use pb3dp_estimation::region::{Region, RegionWarning};
-use pb3dp_estimation::status::Status;
+use pb3dp_estimation_core::error::EstimationError;
+use pb3dp_estimation_core::estimate::{EstimateWarning, TrackEstimate};
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::{Region, RegionWarning};
+use pb3dp_estimation_core::status::Status;
+use pb3dp_estimation_published::estimator::{PublishedConfig, PublishedTracker};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
+
+use crate::common::{self, Look, Shot};
 
 fn range() -> SearchRange {
     SearchRange::new(0.35, 0.70, 45.0_f64.to_radians()).expect("a range")

@@ -2,16 +2,17 @@
 
 #![allow(clippy::expect_used)]
 
-use crate::common;
-use crate::common::{Look, Shot};
 use nalgebra::{UnitQuaternion, Vector3};
-use pb3dp_estimation::photo_model::PhotoModelConfig;
-use pb3dp_estimation::plane_hypothesis::SearchRange;
-use pb3dp_estimation::published::{PublishedConfig, PublishedTracker, TrackEstimate, TrackerConfig};
-use pb3dp_estimation::region::Region;
-use pb3dp_estimation::status::Status;
+use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_core::status::Status;
+use pb3dp_estimation_published::estimator::{PublishedConfig, PublishedTracker, TrackerConfig};
+use pb3dp_estimation_published::photo_model::PhotoModelConfig;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
+
+use crate::common::{self, Look, Shot};
 
 /// Frames after which a target that is never sure is given up, in these tests.
 const ASSURE_FRAMES_MAX: u32 = 4;

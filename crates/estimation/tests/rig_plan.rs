@@ -1,13 +1,14 @@
 //! What is planned for a stereo head against what the direct method reaches on ray-traced pairs of it.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
-use crate::plane_pair::{Paint, Pair, Random, SIZE, Setup, Texture, render};
 use image::{GrayImage, Luma};
 use nalgebra::Vector3;
-use pb3dp_estimation::direct::estimator::{DirectConfig, DirectEstimator};
-use pb3dp_estimation::plane_hypothesis::SearchRange;
-use pb3dp_estimation::region::Region;
 use pb3dp_estimation::rig_plan::{Conditions, PixelNoise, StereoHead};
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
+
+use crate::plane_pair::{Paint, Pair, Random, SIZE, Setup, Texture, render};
 
 /// Pixels of the target whose neighbours along the row show it as well, and the rms gradient there, all channels together.
 fn texture_of(pair: &Pair) -> (usize, f64) {

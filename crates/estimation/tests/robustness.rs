@@ -1,9 +1,10 @@
 //! Whatever comes in: no panic, no number that is none, always a reason.
 
-use crate::abuse;
 use pb3dp_test_support::sweep;
 use proptest::prelude::*;
 use proptest::test_runner::{RngSeed, TestRunner};
+
+use crate::abuse;
 
 /// Chosen: any value serves, but the same value gives the same inputs in every run. `PROPTEST_RNG_SEED` replaces it.
 const SEED: u64 = 20_260;

@@ -1,13 +1,13 @@
 //! What is no surface is not tracked: two pictures that do not belong together, of soft texture.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
-use crate::scene;
 use image::{Rgb, RgbImage};
-use pb3dp_estimation::direct::estimator::DirectConfig;
-use pb3dp_estimation::direct::track::DirectTracker;
-use pb3dp_estimation::plane_hypothesis::SearchRange;
-use pb3dp_estimation::region::Region;
-use pb3dp_estimation::status::Status;
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_core::status::Status;
+use pb3dp_estimation_direct::estimator::DirectConfig;
+use pb3dp_estimation_test_support::scene;
+use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig};
 use pb3dp_geometry::ImageSize;
 
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
@@ -36,7 +36,7 @@ fn soft_picture(seed: u32) -> RgbImage {
 fn soft_texture_of_another_scene_is_not_taken_for_a_surface() {
     let rig = scene::rectified_rig(SIZE);
     let range = SearchRange::new(0.35, 0.8, 45_f64.to_radians()).unwrap();
-    let mut tracker = DirectTracker::new(&rig, DirectConfig::default()).unwrap();
+    let mut tracker = DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).unwrap();
     let mut taken = Vec::new();
     for seed in 0..5 {
         let (left, right) = (soft_picture(seed), soft_picture(seed + 100));

@@ -295,8 +295,9 @@ fn parse_deadline(text: &str) -> Result<f64, String> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use clap::CommandFactory;
+
+    use super::*;
 
     #[test]
     fn the_command_line_is_consistent() {
@@ -319,7 +320,7 @@ mod tests {
 
     #[test]
     fn the_largest_tilt_is_that_of_the_estimators() {
-        let search = |deg: f64| pb3dp_estimation::plane_hypothesis::SearchRange::new(0.3, 0.6, deg.to_radians());
+        let search = |deg: f64| pb3dp_estimation_core::plane_hypothesis::SearchRange::new(0.3, 0.6, deg.to_radians());
         assert!(parse_tilt("85").is_ok_and(|deg| search(deg).is_ok()) && search(85.01).is_err());
         let message = "must be between 0 and 85 degrees";
         assert!(parse_tilt("85.01").is_err_and(|error| error.contains(message)));

@@ -1,12 +1,12 @@
 //! One target through a sequence of pairs: a tracker with the region that was marked for it.
 
 use image::RgbImage;
-use pb3dp_estimation::EstimationError;
 use pb3dp_estimation::estimator::{FramePrior, Tracker};
-use pb3dp_estimation::plane_hypothesis::SearchRange;
-use pb3dp_estimation::published::TrackEstimate;
-use pb3dp_estimation::region::Region;
-use pb3dp_estimation::status::Status;
+use pb3dp_estimation_core::error::EstimationError;
+use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_core::status::Status;
 
 /// A target that is in none of so many pairs after it was marked is given up: by then its region may show something else.
 const TRIES_MAX: u32 = 15;

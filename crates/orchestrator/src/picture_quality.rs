@@ -1,7 +1,7 @@
 //! What pictures are like: brightness, sharpness, and by how much rows of both eyes are off.
 
-use pb3dp_estimation::EstimationError;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method, RowMeasurement};
+use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_geometry::{ImageSize, StereoRig};
 use pb3dp_hal_api::FramePair;
 

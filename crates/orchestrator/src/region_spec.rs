@@ -6,7 +6,7 @@ use std::str::FromStr;
 use anyhow::{Context, Result, bail};
 use image::GrayImage;
 use nalgebra::Vector2;
-use pb3dp_estimation::region::Region;
+use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::ImageSize;
 use pb3dp_record::images::load_rgb;
 

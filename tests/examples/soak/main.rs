@@ -11,11 +11,10 @@ mod rig;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_estimation::search::rng::SplitMix64;
-use pb3dp_hal_api::ArmErrorKind;
-
 use faults::{FAULTS, Fault};
 use figures::Figures;
+use pb3dp_estimation_core::rng::SplitMix64;
+use pb3dp_hal_api::ArmErrorKind;
 use rig::{Rig, Stopped};
 
 /// How long a fault may take to be noticed.

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
-use pb3dp_estimation::search::rng::SplitMix64;
+use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmErrorKind, ArmState, Clock, JointCommand};
 use pb3dp_hal_clock::SystemClock;

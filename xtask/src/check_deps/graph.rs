@@ -7,13 +7,18 @@ use crate::violation::Violation;
 
 /// One line per package: which of our packages it may depend on. Lowest floor first; a package may name only what stands
 /// above its own line. Names without the prefix `pb3dp-`.
-const ALLOWED: [(&str, &[&str]); 21] = [
+const ALLOWED: [(&str, &[&str]); 26] = [
     ("allocation-count", &[]),
     ("test-support", &[]),
     ("safeguards", &[]),
     ("geometry", &[]),
     ("kinematics", &["geometry"]),
-    ("estimation", &["geometry"]),
+    ("estimation-core", &["geometry"]),
+    ("estimation-test-support", &["geometry", "estimation-core", "test-support"]),
+    ("estimation-direct", &["geometry", "estimation-core"]),
+    ("estimation-track", &["geometry", "estimation-core", "estimation-direct"]),
+    ("estimation-published", &["geometry", "estimation-core"]),
+    ("estimation", &["geometry", "estimation-core", "estimation-direct", "estimation-track", "estimation-published"]),
     ("record", &["geometry"]),
     ("servo", &["safeguards", "geometry", "kinematics"]),
     ("sim", &["geometry", "kinematics"]),
@@ -26,7 +31,19 @@ const ALLOWED: [(&str, &[&str]); 21] = [
     ("camera-v4l2", &["geometry", "hal-api"]),
     ("arm-pa10", &["safeguards", "geometry", "kinematics", "hal-api", "sim"]),
     ("arm-pa10-test-support", &["geometry", "kinematics", "hal-api", "hal-clock", "sim", "arm-pa10", "test-support"]),
-    ("benchmarks", &["geometry", "estimation", "record", "sim"]),
+    (
+        "benchmarks",
+        &[
+            "geometry",
+            "estimation-core",
+            "estimation-direct",
+            "estimation-track",
+            "estimation-published",
+            "estimation",
+            "record",
+            "sim",
+        ],
+    ),
     ("calibration", &["geometry", "record"]),
     (
         "orchestrator",
@@ -34,6 +51,10 @@ const ALLOWED: [(&str, &[&str]); 21] = [
             "safeguards",
             "geometry",
             "kinematics",
+            "estimation-core",
+            "estimation-direct",
+            "estimation-track",
+            "estimation-published",
             "estimation",
             "record",
             "servo",
@@ -58,7 +79,12 @@ const ALLOWED_IN_HAL_TESTS: [&str; 2] = ["hal-conformance", "hal-clock"];
 
 /// What tests of one package may use besides: a wrapper is tested around the arm that needs no hardware, and a calibration on simulated
 /// rigs, whose arms have joints.
-const ALLOWED_IN_TESTS_OF: [(&str, &[&str]); 4] = [
+const ALLOWED_IN_TESTS_OF: [(&str, &[&str]); 9] = [
+    ("estimation-core", &["estimation-test-support"]),
+    ("estimation-direct", &["estimation-test-support"]),
+    ("estimation-track", &["estimation-test-support"]),
+    ("estimation-published", &["estimation-test-support"]),
+    ("estimation", &["estimation-test-support"]),
     ("hal-middleware", &["arm-pa10", "arm-pa10-test-support", "sim"]),
     ("arm-pa10", &["arm-pa10-test-support"]),
     ("orchestrator", &["arm-pa10-test-support"]),

@@ -37,7 +37,13 @@ pub struct Step {
 
 const ALWAYS: &[&str] = &[];
 /// With unsafe kernels, or read by fuzz targets.
-const KERNELS: &[&str] = &["pb3dp-estimation", "pb3dp-camera-v4l2"];
+const KERNELS: &[&str] = &[
+    "pb3dp-estimation-core",
+    "pb3dp-estimation-direct",
+    "pb3dp-estimation-track",
+    "pb3dp-estimation-published",
+    "pb3dp-camera-v4l2",
+];
 const FUZZED: &[&str] = &["pb3dp-estimation", "pb3dp-arm-pa10"];
 /// What every package depends on: touched with the manifests, the lock file or the tool chain only.
 const MANIFESTS: &[&str] = &["manifests"];

@@ -7,7 +7,13 @@ use anyhow::{Context, bail};
 use crate::workspace::Workspace;
 
 /// The crates that have code for one kind of processor.
-const WITH_KERNELS: [&str; 2] = ["pb3dp-estimation", "pb3dp-camera-v4l2"];
+const WITH_KERNELS: [&str; 5] = [
+    "pb3dp-estimation-core",
+    "pb3dp-estimation-direct",
+    "pb3dp-estimation-track",
+    "pb3dp-estimation-published",
+    "pb3dp-camera-v4l2",
+];
 
 /// The command that runs their unit tests as static ARM programs.
 pub fn tests(workspace: &Workspace) -> anyhow::Result<Command> {

@@ -1,7 +1,7 @@
 //! The bound against an estimator that reaches it, and against numerical derivatives.
 
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
-use pb3dp_estimation::plane_hypothesis::PlaneHypothesis;
+use pb3dp_estimation_core::plane_hypothesis::PlaneHypothesis;
 use pb3dp_sim::targets::Paint;
 
 use super::super::cell::{Cell, RigKind};

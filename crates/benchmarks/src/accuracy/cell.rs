@@ -1,6 +1,6 @@
 //! What a measurement is made of: one factor varied from the nominal set-up.
 
-use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_sim::targets::Paint;
 
 use super::random::Random;

@@ -1,6 +1,6 @@
 //! The measurements on single pairs.
 
-use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_sim::targets::Paint;
 
 use super::cell::{Backdrop, Cell, Light, PoseRange, Question, RegionKind, RigKind, Setup, Shape, Tilt};
@@ -156,7 +156,7 @@ mod tests {
         let mut random = super::super::random::Random::of(1, "x", 0);
         for _ in 0..20 {
             let [theta_x_rad, theta_y_rad] = poses.tilt_rad(&mut random);
-            let psi = pb3dp_estimation::plane_hypothesis::PlaneHypothesis { z_m: 1.0, theta_x_rad, theta_y_rad };
+            let psi = pb3dp_estimation_core::plane_hypothesis::PlaneHypothesis { z_m: 1.0, theta_x_rad, theta_y_rad };
             assert!((psi.normal().z.acos().to_degrees() - 30.0).abs() < 1e-6);
         }
     }

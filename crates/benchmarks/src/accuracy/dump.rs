@@ -4,17 +4,17 @@ use std::path::PathBuf;
 
 use anyhow::{Context, bail};
 use image::RgbImage;
-use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_record::dataset::{self, CaseDraft, PlaneTruth, SequenceDraft, SequenceWriter, WrittenFrame, write_case};
 use pb3dp_record::images::PictureFormat;
 
 use super::cell::Cell;
+use super::cells;
 use super::measure::Worker;
 use super::scenes::SceneStore;
-use super::sequences::{SEARCH, SequenceSpec, long};
+use super::sequences::{self, SEARCH, SequenceSpec, long};
 use super::track::Frames;
-use super::{cells, sequences};
 
 /// Writes one cell as case folders, or one sequence as a sequence folder (docs/dataset-format.md).
 #[derive(clap::Args)]
@@ -104,8 +104,9 @@ fn dump_sequence(spec: &SequenceSpec, args: &Args) -> anyhow::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use pb3dp_record::dataset::{load_case, load_sequence};
+
+    use super::*;
 
     #[test]
     fn what_is_written_can_be_read_with_its_truth() {

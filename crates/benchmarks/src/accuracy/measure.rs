@@ -6,11 +6,11 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use anyhow::Context;
 use image::RgbImage;
 use nalgebra::{Matrix3, Vector3};
-use pb3dp_estimation::estimate::PlaneEstimate;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
-use pb3dp_estimation::plane_hypothesis::PlaneHypothesis;
-use pb3dp_estimation::region::RegionConfig;
-use pb3dp_estimation::status::Status;
+use pb3dp_estimation_core::estimate::PlaneEstimate;
+use pb3dp_estimation_core::plane_hypothesis::PlaneHypothesis;
+use pb3dp_estimation_core::region::RegionConfig;
+use pb3dp_estimation_core::status::Status;
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::Scene;
 

@@ -185,11 +185,12 @@ fn limits_table(findings: &Findings) -> String {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::{Matrix3, Vector2};
+    use pb3dp_estimation_core::status::Status;
+
     use super::super::measure::{Measured, Outcome};
     use super::super::trial::PlaneErrors;
     use super::*;
-    use nalgebra::{Matrix3, Vector2};
-    use pb3dp_estimation::status::Status;
 
     fn findings() -> Findings {
         let cells: Vec<Cell> = super::super::cells::all().into_iter().filter(|cell| cell.factor() == "noise").collect();

@@ -2,17 +2,17 @@
 
 use anyhow::Context;
 use nalgebra::{Vector2, Vector3};
-use pb3dp_estimation::cpu::Kernels;
-use pb3dp_estimation::direct::colour_planes::{ColourPlanes, Wanted};
-use pb3dp_estimation::direct::front_end::{Eye, StereoFrontEnd};
-use pb3dp_estimation::direct::image_plane::{ImagePlane, PixelWindow};
-use pb3dp_estimation::fitness::HueFitness;
-use pb3dp_estimation::hue::HuePlane;
-use pb3dp_estimation::photo_model::PhotoModel;
-use pb3dp_estimation::plane_hypothesis::{PinholePair, PlaneHypothesis};
-use pb3dp_estimation::published::PublishedConfig;
-use pb3dp_estimation::region::{RegionConfig, RegionMask};
-use pb3dp_estimation::search::PlaneScore;
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::plane_hypothesis::{PinholePair, PlaneHypothesis};
+use pb3dp_estimation_core::region::{RegionConfig, RegionMask};
+use pb3dp_estimation_direct::colour_planes::{ColourPlanes, Wanted};
+use pb3dp_estimation_direct::front_end::{Eye, StereoFrontEnd};
+use pb3dp_estimation_direct::image_plane::{ImagePlane, PixelWindow};
+use pb3dp_estimation_published::estimator::PublishedConfig;
+use pb3dp_estimation_published::fitness::HueFitness;
+use pb3dp_estimation_published::hue::HuePlane;
+use pb3dp_estimation_published::photo_model::PhotoModel;
+use pb3dp_estimation_published::search::PlaneScore;
 use pb3dp_geometry::StereoRig;
 
 use super::cell::Cell;

@@ -1,7 +1,7 @@
 //! Figures of one method on one sequence.
 
 use nalgebra::Vector3;
-use pb3dp_estimation::status::Status;
+use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_record::metrics::{MotionErrors, compare_motion, median, percentile, rms};
@@ -225,8 +225,9 @@ pub fn line(cells: &[String; 14]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use nalgebra::UnitQuaternion;
+
+    use super::*;
 
     #[test]
     fn a_wrong_pose_behind_what_hides_it_is_counted_and_the_way_back_too() {

@@ -1,7 +1,7 @@
 //! The measurements on sequences: motions, and what stands in the way.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
-use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model, Target, World};
 use pb3dp_sim::scene::ScenePoses;

@@ -1,12 +1,12 @@
 //! Figures of one method on one cell.
 
-use pb3dp_estimation::status::Status;
+use nalgebra::Matrix3;
+use pb3dp_estimation_core::status::Status;
 use pb3dp_record::metrics::{median, percentile, rms};
 use serde_json::{Value, json};
 
 use super::cell::{Cell, Question};
 use super::measure::{Measured, Outcome};
-use nalgebra::Matrix3;
 
 /// Errors that are never called wrong: metres, radians.
 const TOLERANCE: (f64, f64) = (2e-3, 3.0 * std::f64::consts::PI / 180.0);
@@ -171,9 +171,10 @@ fn is_wrong_ok(outcome: &Outcome, (z, angle): (f64, f64)) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::{Vector2, Vector3};
+
     use super::super::trial::PlaneErrors;
     use super::*;
-    use nalgebra::{Vector2, Vector3};
 
     fn outcome(status: Status, z_mm: f64, tilt_deg: f64) -> Outcome {
         let tilt_rad = Vector2::new(0.6, -0.8) * tilt_deg.to_radians();

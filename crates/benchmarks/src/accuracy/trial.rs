@@ -1,8 +1,8 @@
 //! One pose of one cell: where everything is, what is true, and what the operator marks.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
-use pb3dp_estimation::estimate::PlaneEstimate;
-use pb3dp_estimation::region::Region;
+use pb3dp_estimation_core::estimate::PlaneEstimate;
+use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::frames::{CamLeft, Target, World};
 use pb3dp_geometry::{Camera, Frame, Pose};
 use pb3dp_sim::raster::{GroundTruth, StereoRenderer};
@@ -183,8 +183,9 @@ pub fn plane_errors(found: &Vector3<f64>, truth: &Vector3<f64>, ray: &Vector3<f6
 
 #[cfg(test)]
 mod tests {
+    use pb3dp_estimation_core::plane_hypothesis::PlaneHypothesis;
+
     use super::*;
-    use pb3dp_estimation::plane_hypothesis::PlaneHypothesis;
 
     /// A rectangle with something behind and something before the target: what fills more of it is seen on its plane.
     #[test]

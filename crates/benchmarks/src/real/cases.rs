@@ -5,8 +5,8 @@ use std::rc::Rc;
 
 use anyhow::{Context, bail};
 use nalgebra::Vector2;
-use pb3dp_estimation::plane_hypothesis::SearchRange;
-use pb3dp_estimation::region::{Region, RegionConfig};
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::{Region, RegionConfig};
 use pb3dp_geometry::StereoRig;
 use pb3dp_record::dataset::{Case, PlaneTruth, StereoPictures, find_cases, load_case};
 use pb3dp_record::images::DisparityMap;

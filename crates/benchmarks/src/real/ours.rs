@@ -3,8 +3,8 @@
 use std::rc::Rc;
 
 use nalgebra::Vector2;
-use pb3dp_estimation::estimate::PlaneEstimate;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
+use pb3dp_estimation_core::estimate::PlaneEstimate;
 use pb3dp_record::metrics::{self, DisparityAgreement, compare_plane};
 
 use super::cases::Prepared;

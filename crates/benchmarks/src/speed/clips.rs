@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use image::RgbImage;
 use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
-use pb3dp_estimation::plane_hypothesis::SearchRange;
-use pb3dp_estimation::region::Region;
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::frames::{CamLeft, Target, World};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 use pb3dp_sim::raster::StereoRenderer;

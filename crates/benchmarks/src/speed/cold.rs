@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::Context;
-use pb3dp_estimation::cpu::Kernels;
-use pb3dp_estimation::direct::estimator::{DirectConfig, DirectEstimator};
-use pb3dp_estimation::direct::row_offset::RowOffset;
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
+use pb3dp_estimation_direct::row_offset::RowOffset;
 use pb3dp_geometry::ImageSize;
 use pb3dp_record::metrics;
 use serde_json::{Value, json};
@@ -72,7 +72,7 @@ impl SizeRow {
     }
 }
 
-fn problem<'a>(clip: &'a Clip, region: &'a pb3dp_estimation::region::Region) -> Problem<'a> {
+fn problem<'a>(clip: &'a Clip, region: &'a pb3dp_estimation_core::region::Region) -> Problem<'a> {
     let (left, right) = &clip.pairs[0];
     Problem { rig: &clip.rig, left, right, region, range: &SEARCH, rows: RowOffset::default() }
 }
@@ -127,7 +127,7 @@ pub fn kernels(rounds: usize) -> anyhow::Result<Vec<KernelRow>> {
 pub fn kernel_row(
     name: &str,
     unit: &'static str,
-    times: impl Iterator<Item = (pb3dp_estimation::cpu::KernelSet, f64)>,
+    times: impl Iterator<Item = (pb3dp_estimation_core::cpu::KernelSet, f64)>,
 ) -> KernelRow {
     let mut scalar = None;
     let sets = times.map(|(set, ns)| (set.name(), ns, *scalar.get_or_insert(ns) / ns)).collect();
@@ -253,7 +253,7 @@ mod tests {
 
     #[test]
     fn ratios_are_to_the_scalar_family() {
-        use pb3dp_estimation::cpu::KernelSet;
+        use pb3dp_estimation_core::cpu::KernelSet;
         let row = kernel_row("a part", "pixel", [(KernelSet::Scalar, 6.0), (KernelSet::Avx2, 1.5)].into_iter());
         assert_eq!(row.sets, [("scalar", 6.0, 1.0), ("AVX2", 1.5, 4.0)]);
     }

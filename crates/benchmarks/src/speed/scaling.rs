@@ -1,8 +1,8 @@
 //! What the times depend on: points, size of the pictures, number of targets, threads.
 
 use anyhow::Context;
-use pb3dp_estimation::cpu::Kernels;
-use pb3dp_estimation::direct::estimator::{DirectConfig, DirectEstimator};
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
 use pb3dp_geometry::ImageSize;
 use serde_json::{Value, json};
 

@@ -2,20 +2,20 @@
 
 use anyhow::{Context, bail};
 use image::RgbImage;
-use pb3dp_estimation::cpu::{KernelSet, Kernels};
-use pb3dp_estimation::direct::colour_planes::Wanted;
-use pb3dp_estimation::direct::disparity_plane::DisparityPlane;
-use pb3dp_estimation::direct::estimator::{DirectConfig, DirectEstimator};
-use pb3dp_estimation::direct::front_end::StereoFrontEnd;
-use pb3dp_estimation::direct::patches::SlantedPatches;
-use pb3dp_estimation::direct::photometric::PlaneRefiner;
-use pb3dp_estimation::direct::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
-use pb3dp_estimation::direct::row_offset::RowOffset;
-use pb3dp_estimation::direct::search::PlaneSearch;
-use pb3dp_estimation::direct::search::aggregate::Aggregation;
-use pb3dp_estimation::direct::search::volume::{CostVolume, LevelBox};
-use pb3dp_estimation::plane_hypothesis::SearchRange;
-use pb3dp_estimation::region::{Region, RegionMask};
+use pb3dp_estimation_core::cpu::{KernelSet, Kernels};
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::{Region, RegionMask};
+use pb3dp_estimation_direct::colour_planes::Wanted;
+use pb3dp_estimation_direct::disparity_plane::DisparityPlane;
+use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
+use pb3dp_estimation_direct::front_end::StereoFrontEnd;
+use pb3dp_estimation_direct::patches::SlantedPatches;
+use pb3dp_estimation_direct::photometric::PlaneRefiner;
+use pb3dp_estimation_direct::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
+use pb3dp_estimation_direct::row_offset::RowOffset;
+use pb3dp_estimation_direct::search::PlaneSearch;
+use pb3dp_estimation_direct::search::aggregate::Aggregation;
+use pb3dp_estimation_direct::search::volume::{CostVolume, LevelBox};
 use pb3dp_geometry::StereoRig;
 
 use super::times::Times;

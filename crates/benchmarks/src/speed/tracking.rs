@@ -1,11 +1,11 @@
 //! Frames of the tracker: both pictures in, six degrees of freedom and their covariance out.
 
 use anyhow::{Context, bail};
-use pb3dp_estimation::cpu::Kernels;
-use pb3dp_estimation::direct::estimator::DirectConfig;
-use pb3dp_estimation::direct::track::{DirectTracker, FramePrior};
-use pb3dp_estimation::published::TrackEstimate;
-use pb3dp_estimation::status::Status;
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::status::Status;
+use pb3dp_estimation_direct::estimator::DirectConfig;
+use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig, FramePrior};
 use serde_json::{Value, json};
 
 use super::clips::{Clip, SEARCH, crab, empty_place};
@@ -57,9 +57,8 @@ impl Follower {
     /// # Errors
     /// If the target is not found: there is nothing to measure then.
     pub fn start(clip: &Clip, index: usize, points: usize, kernels: Kernels) -> anyhow::Result<Self> {
-        let mut config = DirectConfig::default();
-        config.track.points = points;
-        let mut tracker = DirectTracker::with_kernels(&clip.rig, config, kernels)?;
+        let track = DirectTrackerConfig { points, ..DirectTrackerConfig::default() };
+        let mut tracker = DirectTracker::with_kernels(&clip.rig, DirectConfig::default(), track, kernels)?;
         let region = clip.regions.get(index).context("the clip has no such region")?;
         let (left, right) = clip.pair(0);
         let estimate = tracker.start(left, right, region, &SEARCH)?;

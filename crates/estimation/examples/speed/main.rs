@@ -7,11 +7,7 @@
 
 mod machine;
 mod measure;
-#[path = "../../tests/support/naive.rs"]
-mod naive;
 mod report;
-#[path = "../../tests/support/scene.rs"]
-mod scene;
 
 use std::process::ExitCode;
 

@@ -5,18 +5,17 @@ use std::time::Instant;
 
 use image::RgbImage;
 use nalgebra::Vector2;
-use pb3dp_estimation::cpu::{KernelSet, Kernels};
-use pb3dp_estimation::fitness::{FitnessConfig, HueFitness};
-use pb3dp_estimation::hue::{HueConfig, HuePlane};
-use pb3dp_estimation::photo_model::{ModelPoint, PhotoModel, PhotoModelConfig, PhotoModelScratch};
-use pb3dp_estimation::plane_hypothesis::{PinholePair, PlaneHypothesis, SearchRange};
-use pb3dp_estimation::region::RegionMask;
-use pb3dp_estimation::search::PlaneScore;
-use pb3dp_estimation::search::rmga::{Population, RmGa, RmGaConfig};
+use pb3dp_estimation_core::cpu::{KernelSet, Kernels};
+use pb3dp_estimation_core::plane_hypothesis::{PinholePair, PlaneHypothesis, SearchRange};
+use pb3dp_estimation_core::region::RegionMask;
+use pb3dp_estimation_published::fitness::{FitnessConfig, HueFitness};
+use pb3dp_estimation_published::hue::{HueConfig, HuePlane};
+use pb3dp_estimation_published::photo_model::{ModelPoint, PhotoModel, PhotoModelConfig, PhotoModelScratch};
+use pb3dp_estimation_published::search::PlaneScore;
+use pb3dp_estimation_published::search::rmga::{Population, RmGa, RmGaConfig};
+use pb3dp_estimation_test_support::naive::{self, Naive};
+use pb3dp_estimation_test_support::scene::{self, Scene};
 use pb3dp_geometry::{ImageSize, StereoRig};
-
-use crate::naive::{self, Naive};
-use crate::scene::{self, Scene};
 
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 /// Times that a batch of 60 is scored within one reading of the clock.

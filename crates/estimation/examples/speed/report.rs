@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use pb3dp_estimation::cpu::KernelSet;
+use pb3dp_estimation_core::cpu::KernelSet;
 
 use crate::machine::Machine;
 use crate::measure::{KernelResult, PairKind, PairResult, SEED};

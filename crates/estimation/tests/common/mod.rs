@@ -7,20 +7,8 @@
 
 use image::{Rgb, RgbImage};
 use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
-use pb3dp_estimation::cpu::{KernelSet, Kernels};
 use pb3dp_geometry::frames::{CamLeft, CamRight, Model};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
-
-/// Every family of kernels that this processor can run, for a test that compares them. A family that is missing is reported as not
-/// checked: where all are missing the portable code is compared with itself.
-pub fn every_kernel(test: &str) -> impl Iterator<Item = Kernels> + use<> {
-    let missing = KernelSet::ALL.into_iter().filter(|set| !set.is_available()).map(KernelSet::name);
-    let missing: Vec<&str> = missing.collect();
-    if !missing.is_empty() {
-        pb3dp_test_support::not_checked(test, &format!("this processor has no {}", missing.join(", no ")));
-    }
-    Kernels::available()
-}
 
 /// Corners of the target on its plane, metres: no symmetry.
 pub const TARGET_OUTLINE_M: [(f64, f64); 6] =

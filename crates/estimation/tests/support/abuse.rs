@@ -4,11 +4,10 @@
 
 use image::{Rgb, RgbImage};
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
-use pb3dp_estimation::estimate::PlaneEstimate;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, FramePrior, Method, Tracker};
-use pb3dp_estimation::plane_hypothesis::SearchRange;
-use pb3dp_estimation::published::TrackEstimate;
-use pb3dp_estimation::region::Region;
+use pb3dp_estimation_core::estimate::{PlaneEstimate, TrackEstimate};
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::frames::{CamLeft, CamRight};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 

@@ -3,8 +3,8 @@
 
 use image::RgbImage;
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
-use pb3dp_estimation::estimate::PlanePose;
-use pb3dp_estimation::region::Region;
+use pb3dp_estimation_core::estimate::PlanePose;
+use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig, so3};
 

@@ -2,15 +2,15 @@
 //!
 //! What a user can sensibly change; the rest stays as the method's own defaults have it.
 
-use pb3dp_estimation::direct::cold_start::ColdStartConfig;
-use pb3dp_estimation::direct::estimator::DirectConfig;
-use pb3dp_estimation::direct::patches::PatchConfig;
-use pb3dp_estimation::direct::photometric::RefineConfig;
-use pb3dp_estimation::direct::search::PlaneSearchConfig;
-use pb3dp_estimation::direct::search::hypotheses::HypothesisRules;
-use pb3dp_estimation::direct::track::DirectTrackerConfig;
-use pb3dp_estimation::direct::verdict::DirectVerdictConfig;
-use pb3dp_estimation::region::RegionConfig;
+use pb3dp_estimation_core::region::RegionConfig;
+use pb3dp_estimation_direct::cold_start::ColdStartConfig;
+use pb3dp_estimation_direct::estimator::DirectConfig;
+use pb3dp_estimation_direct::patches::PatchConfig;
+use pb3dp_estimation_direct::photometric::RefineConfig;
+use pb3dp_estimation_direct::search::PlaneSearchConfig;
+use pb3dp_estimation_direct::search::hypotheses::HypothesisRules;
+use pb3dp_estimation_direct::verdict::DirectVerdictConfig;
+use pb3dp_estimation_track::DirectTrackerConfig;
 use serde::Deserialize;
 
 use super::load::{Checker, whole};
@@ -85,6 +85,15 @@ struct TrackerSection {
 }
 
 impl DirectSection {
+    /// The parameters of tracking; what is out of range goes to `check` under `key`.
+    pub fn build_tracker(&self, key: &str, check: &mut Checker) -> DirectTrackerConfig {
+        let config = self.tracker.build(&format!("{key}.tracker"), check);
+        if let (true, Err(error)) = (check.is_clean(), config.validate()) {
+            check.refuse(format!("{key}: {error}"));
+        }
+        config
+    }
+
     /// The parameters in the units of the estimator, for regions as in `region`; what is out of range goes to `check` under
     /// `key`.
     pub fn build(&self, key: &str, region: RegionConfig, check: &mut Checker) -> DirectConfig {
@@ -102,7 +111,6 @@ impl DirectSection {
                 surroundings_px: whole(self.refine.surroundings_px),
             },
             verdict: self.status.build(&format!("{key}.status"), check),
-            track: self.tracker.build(&format!("{key}.tracker"), check),
         };
         if let (true, Err(error)) = (check.is_clean(), config.validate()) {
             check.refuse(format!("{key}: {error}"));

@@ -3,14 +3,14 @@
 use std::path::Path;
 
 use pb3dp_estimation::estimator::EstimatorConfig;
-use pb3dp_estimation::fitness::{FitnessConfig, Unseen};
-use pb3dp_estimation::hue::HueConfig;
-use pb3dp_estimation::observability::ObservabilityConfig;
-use pb3dp_estimation::photo_model::PhotoModelConfig;
-use pb3dp_estimation::published::{ColdStartConfig, HueSupportConfig, PublishedConfig, TrackerConfig};
-use pb3dp_estimation::region::RegionConfig;
-use pb3dp_estimation::search::chromosome::Coding;
-use pb3dp_estimation::search::rmga::{Mutation, RmGaConfig};
+use pb3dp_estimation_core::region::RegionConfig;
+use pb3dp_estimation_published::estimator::{ColdStartConfig, HueSupportConfig, PublishedConfig, TrackerConfig};
+use pb3dp_estimation_published::fitness::{FitnessConfig, Unseen};
+use pb3dp_estimation_published::hue::HueConfig;
+use pb3dp_estimation_published::observability::ObservabilityConfig;
+use pb3dp_estimation_published::photo_model::PhotoModelConfig;
+use pb3dp_estimation_published::search::chromosome::Coding;
+use pb3dp_estimation_published::search::rmga::{Mutation, RmGaConfig};
 use serde::Deserialize;
 
 use super::direct::DirectSection;
@@ -33,8 +33,9 @@ pub fn read_estimator(file: &Path) -> Result<EstimatorConfig, ConfigError> {
     let mut check = Checker::default();
     let published = raw.published.build("published", &mut check);
     let direct = raw.direct.build("direct", published.region, &mut check);
+    let track = raw.direct.build_tracker("direct", &mut check);
     check.finish(file)?;
-    Ok(EstimatorConfig { published, direct })
+    Ok(EstimatorConfig { published, direct, track })
 }
 
 /// Parameters of the published method.

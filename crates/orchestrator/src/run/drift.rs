@@ -7,7 +7,7 @@
 
 use std::collections::VecDeque;
 
-use pb3dp_estimation::EstimationError;
+use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_geometry::{MonotonicTime, StereoRig};
 use pb3dp_hal_api::FramePair;
 use pb3dp_record::calibration_files::Judgement;

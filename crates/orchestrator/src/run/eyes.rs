@@ -4,9 +4,9 @@ use anyhow::{Context, Result, bail};
 use nalgebra::Point3;
 use pb3dp_camera_sim::{GeometricCamera, GeometricFrame, Hindrance};
 use pb3dp_estimation::estimator::{FramePrior, Tracker};
-use pb3dp_estimation::published::TrackEstimate;
-use pb3dp_estimation::region::Region;
-use pb3dp_estimation::status::Status;
+use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_hal_api::StereoCamera;
@@ -89,7 +89,7 @@ impl Eyes {
             }
             (Leader::Geometric(_), Sight::Geometric(camera)) => Ok(Self::Geometric(GeometricEyes {
                 noise: camera.config().noise,
-                tilt_sigma_sure_rad: setup.estimator.direct.track.tilt_sigma_sure_deg.to_radians(),
+                tilt_sigma_sure_rad: setup.estimator.track.tilt_sigma_sure_deg.to_radians(),
             })),
             (leader, _) => bail!("estimator.method = {:?} does not go with this camera", leader.name()),
         }

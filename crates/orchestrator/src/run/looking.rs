@@ -5,8 +5,8 @@ use std::time::Instant;
 
 use anyhow::Result;
 use pb3dp_estimation::estimator::FramePrior;
-use pb3dp_estimation::published::TrackEstimate;
-use pb3dp_estimation::region::Region;
+use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::frames::{Base, CamLeft};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::JointState;

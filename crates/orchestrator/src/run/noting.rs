@@ -4,9 +4,9 @@ use std::path::Path;
 
 use anyhow::{Result, bail};
 use nalgebra::{Vector2, Vector3};
-use pb3dp_estimation::EstimationError;
-use pb3dp_estimation::published::TrackEstimate;
-use pb3dp_estimation::region::Region;
+use pb3dp_estimation_core::error::EstimationError;
+use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::frames::{CamLeft, Model, Target};
 use pb3dp_geometry::{MonotonicTime, Pose};
 

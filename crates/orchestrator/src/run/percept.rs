@@ -1,7 +1,7 @@
 //! What one pair of pictures tells those who move.
 
-use pb3dp_estimation::published::TrackEstimate;
-use pb3dp_estimation::status::Status;
+use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::status::Status;
 use pb3dp_servo::TargetObservation;
 use pb3dp_servo::supervisor::{Confidence, EstimateInput, FrameInput};
 

@@ -2,7 +2,7 @@
 
 use image::RgbImage;
 use image::imageops::{FilterType, resize};
-use pb3dp_estimation::published::TrackEstimate;
+use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::FramePair;
 

@@ -11,7 +11,7 @@ use pb3dp_camera_v4l2::names::CameraName;
 use pb3dp_camera_v4l2::pixels::PixelFormat;
 use pb3dp_camera_v4l2::timing::StampModel;
 use pb3dp_camera_v4l2::{CameraConfig, StereoConfig};
-use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::{ImageSize, StereoRig};
 use pb3dp_record::calibration_files::load_stereo;
 

@@ -10,10 +10,10 @@ use std::process::ExitCode;
 
 use anyhow::{Result, bail};
 use nalgebra::Vector2;
-use pb3dp_estimation::estimate::{PlaneEstimate, ReferenceOptimum, SecondPlane};
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
-use pb3dp_estimation::region::{Region, RegionConfig};
-use pb3dp_estimation::status::Status;
+use pb3dp_estimation_core::estimate::{PlaneEstimate, ReferenceOptimum, SecondPlane};
+use pb3dp_estimation_core::region::{Region, RegionConfig};
+use pb3dp_estimation_core::status::Status;
 use pb3dp_record::dataset::{find_cases, load_case};
 use pb3dp_record::images::{PictureFormat, save};
 use pb3dp_record::metrics::{self, DisparityAgreement, EvaluatedCase, Group, compare_plane, table};

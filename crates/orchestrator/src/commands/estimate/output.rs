@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use nalgebra::Vector2;
-use pb3dp_estimation::estimate::{PlaneEstimate, SecondPlane};
+use pb3dp_estimation_core::estimate::{PlaneEstimate, SecondPlane};
 use serde::Serialize;
 
 /// The result of one case, in the units of the interface; the order of the fields is that of the JSON line.

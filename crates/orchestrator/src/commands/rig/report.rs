@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
-use pb3dp_estimation::direct::cramer_rao::PlaneSigma;
 use pb3dp_estimation::rig_plan::{Conditions, Lens, PixelNoise, PlannedView, StereoHead};
+use pb3dp_estimation_direct::cramer_rao::PlaneSigma;
 use serde::Serialize;
 
 /// Rows of the table.

@@ -1,6 +1,6 @@
 //! What `pb3dp track` prints: a line per frame and target.
 
-use pb3dp_estimation::published::TrackEstimate;
+use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use serde::Serialize;
@@ -125,8 +125,9 @@ pub fn row_major_mm(pose: &Pose<CamLeft, Model>) -> [f64; 16] {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use nalgebra::{UnitQuaternion, Vector3};
+
+    use super::*;
 
     #[test]
     fn matrices_are_row_major_in_millimetres() {

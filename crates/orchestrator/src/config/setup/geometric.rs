@@ -1,6 +1,6 @@
 //! The table `[estimator.geometric]`: what a tracker without pictures gets wrong and can not see.
 
-use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_sim::geometric::{GeometricConfig, PoseSigma};
 use serde::Deserialize;
 

@@ -27,7 +27,7 @@ use std::time::Duration;
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_camera_sim::{CameraFaults, SimCameraConfig};
 use pb3dp_estimation::estimator::{EstimatorConfig, Method};
-use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::frames::{Flange, Target};
 use pb3dp_geometry::{Frame, Pose, StereoRig};
 use pb3dp_servo::ControllerConfig;

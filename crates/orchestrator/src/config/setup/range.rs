@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use pb3dp_estimation::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 
 use super::super::load::{Checker, ConfigError, ConfigFile, FileKind, within};
 

@@ -1,6 +1,6 @@
 //! The seeds of a run: one number, `run.seed` or `--seed`, from which every consumer of random numbers gets a seed of its own.
 
-use pb3dp_estimation::search::rng::SplitMix64;
+use pb3dp_estimation_core::rng::SplitMix64;
 
 use super::{Leader, Setup};
 

@@ -74,7 +74,8 @@ fn every_pair_is_kept_as_it_was_and_track_reads_it() {
 fn a_recording_says_what_the_setup_says_of_the_target_unless_it_is_typed() {
     let place = Place::new();
     let size = ImageSize { width: 640, height: 480 };
-    let range = pb3dp_estimation::plane_hypothesis::SearchRange { z_min_m: 0.35, z_max_m: 0.65, tilt_max_rad: 0.5 };
+    let range =
+        pb3dp_estimation_core::plane_hypothesis::SearchRange { z_min_m: 0.35, z_max_m: 0.65, tilt_max_rad: 0.5 };
     let with = |region: &str| ChosenTarget { region: Some(region.parse().unwrap()), range: Some(range) };
     let told = |more: &[&str], target: &ChosenTarget| {
         let SequenceDraft { region_polygon_left_px, search, .. } = draft(&place.args(more), target, size).unwrap();

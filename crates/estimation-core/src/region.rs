@@ -1,0 +1,421 @@
+//! The operator's "this object": which pixels of the left image belong to the target.
+//!
+//! A region is given as a rectangle, a polygon, a mask or a click, and rasterised to a [`RegionMask`]. Coordinates are
+//! pixels of the raw left image, integer coordinates are pixel centres. Regions that can not serve are refused with a
+//! [`RegionError`]; regions that may serve badly are told by [`RegionWarning`]s from [`Region::inspect`].
+
+use image::{GrayImage, RgbImage};
+use nalgebra::Vector2;
+use pb3dp_geometry::ImageSize;
+
+mod grow;
+mod mask;
+mod outline;
+pub mod polygon;
+
+pub use mask::{PixelBox, RegionMask};
+
+/// Vertices and rectangles farther from the origin than this are refused, pixels.
+const COORDINATE_MAX_PX: f64 = 100_000.0;
+
+/// The target in the left image, as the operator marks it.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Region {
+    /// Columns `x..x + width` and rows `y..y + height`.
+    Rectangle {
+        /// First column, pixels.
+        x: i32,
+        /// First row, pixels.
+        y: i32,
+        /// Number of columns, pixels.
+        width: u32,
+        /// Number of rows, pixels.
+        height: u32,
+    },
+    /// A closed polygon: the pixels whose centre is inside by the even-odd rule or lies on the outline.
+    Polygon {
+        /// Vertices (u, v) in order, either way round, pixels.
+        vertices_px: Vec<Vector2<f64>>,
+    },
+    /// An image of the left image's size: every pixel that is not zero is inside.
+    Mask(GrayImage),
+    /// The connected surface around a pixel: grown from it by hue if it is coloured, by luminance if it is grey, with
+    /// the tolerances of [`RegionConfig`] and holes filled. Of a many-coloured object this takes one colour only.
+    Click {
+        /// Column, pixels.
+        x: i32,
+        /// Row, pixels.
+        y: i32,
+    },
+}
+
+/// Limits and tolerances for regions. None of them is stated in the paper.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RegionConfig {
+    /// Smallest region that is accepted, pixels inside the image. Default 150.
+    pub area_min_px: usize,
+    /// A click joins pixels whose hue differs from the seed's by at most this, degrees. Default 20.
+    pub click_hue_tolerance_deg: f64,
+    /// A click on grey joins pixels whose luminance differs from the seed's by at most this, grey levels. Default 20.
+    pub click_luminance_tolerance: f64,
+    /// A pixel (3x3 mean) is coloured if its largest and smallest channel differ by at least this, grey levels.
+    /// Default 24.
+    pub click_chroma_min: f64,
+    /// A region grown from a click may take at most this share of the image. Default 0.35.
+    pub click_area_share_max: f64,
+    /// Warn of a grey region if a smaller share of its pixels is coloured. Default 0.3.
+    pub coloured_share_min: f64,
+    /// Warn of a textureless region if the luminance of its 3x3 means varies by less, standard deviation in grey
+    /// levels. Default 3.
+    pub luminance_deviation_min: f64,
+}
+
+impl Default for RegionConfig {
+    fn default() -> Self {
+        Self {
+            area_min_px: 150,
+            click_hue_tolerance_deg: 20.0,
+            click_luminance_tolerance: 20.0,
+            click_chroma_min: 24.0,
+            click_area_share_max: 0.35,
+            coloured_share_min: 0.3,
+            luminance_deviation_min: 3.0,
+        }
+    }
+}
+
+/// Why a region was refused.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum RegionError {
+    /// A polygon needs an inside.
+    #[error("the region polygon has {count} vertices: give at least 3")]
+    TooFewVertices {
+        /// Number of vertices.
+        count: usize,
+    },
+    /// A vertex is not a number or far off every image.
+    #[error("vertex {index} of the region polygon is ({x}, {y}): coordinates must be finite and within 100000 px")]
+    Vertex {
+        /// Index of the vertex, from 0.
+        index: usize,
+        /// Column.
+        x: f64,
+        /// Row.
+        y: f64,
+    },
+    /// A rectangle is far off every image.
+    #[error("the region rectangle {width} x {height} at ({x}, {y}) is out of range: give pixels of the left image")]
+    Rectangle {
+        /// First column.
+        x: i32,
+        /// First row.
+        y: i32,
+        /// Columns.
+        width: u32,
+        /// Rows.
+        height: u32,
+    },
+    /// Nothing of the region is in the image.
+    #[error(
+        "the region ({covered_px} px) lies outside the left image of {image_width} x {image_height} px: check the coordinates"
+    )]
+    OffImage {
+        /// Pixels that the region covers, all outside.
+        covered_px: usize,
+        /// Columns of the image.
+        image_width: u32,
+        /// Rows of the image.
+        image_height: u32,
+    },
+    /// Too few pixels.
+    #[error("the region has {area_px} px inside the left image, at least {area_min_px} are needed: mark a larger area")]
+    TooSmall {
+        /// Pixels inside the image.
+        area_px: usize,
+        /// The minimum, [`RegionConfig::area_min_px`].
+        area_min_px: usize,
+    },
+    /// A mask of another size.
+    #[error(
+        "the mask has {mask_width} x {mask_height} px but the left image {image_width} x {image_height}: they must agree"
+    )]
+    MaskSize {
+        /// Columns of the mask.
+        mask_width: u32,
+        /// Rows of the mask.
+        mask_height: u32,
+        /// Columns of the image.
+        image_width: u32,
+        /// Rows of the image.
+        image_height: u32,
+    },
+    /// The clicked pixel is not in the image.
+    #[error("the click ({x}, {y}) lies outside the left image of {image_width} x {image_height} px")]
+    ClickOffImage {
+        /// Column.
+        x: i32,
+        /// Row.
+        y: i32,
+        /// Columns of the image.
+        image_width: u32,
+        /// Rows of the image.
+        image_height: u32,
+    },
+    /// A grown region took most of the image.
+    #[error(
+        "the region grown from the click ({x}, {y}) by {measure} covers {area_px} px, more than {area_max_px}: the click lies on the background, or the background has the target's {measure}; mark a rectangle or polygon instead"
+    )]
+    ClickGrewTooFar {
+        /// Column.
+        x: i32,
+        /// Row.
+        y: i32,
+        /// Pixels of the grown region.
+        area_px: usize,
+        /// The most that is accepted.
+        area_max_px: usize,
+        /// What was compared: hue or luminance.
+        measure: &'static str,
+    },
+    /// A grown region is tiny.
+    #[error(
+        "the region grown from the click ({x}, {y}) by {measure} has {area_px} px, at least {area_min_px} are needed: click on a larger patch of one colour, or mark a rectangle or polygon"
+    )]
+    ClickTooSmall {
+        /// Column.
+        x: i32,
+        /// Row.
+        y: i32,
+        /// Pixels of the grown region.
+        area_px: usize,
+        /// The minimum, [`RegionConfig::area_min_px`].
+        area_min_px: usize,
+        /// What was compared: hue or luminance.
+        measure: &'static str,
+    },
+}
+
+/// What may make a region serve badly.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum RegionWarning {
+    /// A part of the region is not in the image.
+    #[error("{outside_px} of the region's {covered_px} px lie outside the left image and are left out")]
+    PartlyOffImage {
+        /// Pixels outside.
+        outside_px: usize,
+        /// Pixels in all.
+        covered_px: usize,
+    },
+    /// Two edges of the polygon cross.
+    #[error(
+        "edges {first_edge} and {second_edge} of the region polygon cross: areas enclosed twice are left out (even-odd rule); check the order of the vertices"
+    )]
+    SelfIntersecting {
+        /// Index of one edge, from its first vertex.
+        first_edge: usize,
+        /// Index of the other.
+        second_edge: usize,
+    },
+    /// Hue means little here.
+    #[error(
+        "only {coloured_percent:.0} % of the region's pixels are coloured (limit {limit_percent:.0} %): hue means little on grey; choose a coloured target"
+    )]
+    Grey {
+        /// Share of coloured pixels, percent.
+        coloured_percent: f64,
+        /// Limit, percent.
+        limit_percent: f64,
+    },
+    /// Nothing to hold on to but the outline.
+    #[error(
+        "the region's luminance varies by {deviation:.1} grey levels (limit {limit:.1}): it has no texture, only its outline can be matched; include the outline or choose a textured part"
+    )]
+    Textureless {
+        /// Standard deviation of the luminance, grey levels.
+        deviation: f64,
+        /// Limit, grey levels.
+        limit: f64,
+    },
+}
+
+impl Region {
+    /// The pixels of `left` that belong to the region. What lies outside the image is left out.
+    ///
+    /// # Errors
+    /// Regions that can not serve: off the image, too small, malformed; see [`RegionError`].
+    pub fn rasterize(&self, left: &RgbImage, config: &RegionConfig) -> Result<RegionMask, RegionError> {
+        let mut mask = RegionMask::empty(ImageSize { width: 0, height: 0 });
+        self.rasterize_into(left, config, &mut mask)?;
+        Ok(mask)
+    }
+
+    /// As [`Self::rasterize`]; the pixels of a rectangle or polygon are written into the memory that `mask` has.
+    ///
+    /// # Errors
+    /// As [`Self::rasterize`]; what the mask holds then is arbitrary.
+    pub fn rasterize_into(
+        &self,
+        left: &RgbImage,
+        config: &RegionConfig,
+        mask: &mut RegionMask,
+    ) -> Result<(), RegionError> {
+        let size = size_of(left);
+        mask.reset(size);
+        let covered_px = match self {
+            Self::Rectangle { x, y, width, height } => rectangle(*x, *y, *width, *height, mask)?,
+            Self::Polygon { vertices_px } => polygon_mask(vertices_px, mask)?,
+            Self::Mask(image) => {
+                let (found, covered_px) = mask_of_image(image, size)?;
+                *mask = found;
+                covered_px
+            }
+            Self::Click { x, y } => {
+                *mask = click(left, *x, *y, config)?;
+                return Ok(());
+            }
+        };
+        let area_px = mask.area_px();
+        if area_px == 0 && covered_px > 0 {
+            return Err(RegionError::OffImage { covered_px, image_width: size.width, image_height: size.height });
+        }
+        if area_px < config.area_min_px {
+            return Err(RegionError::TooSmall { area_px, area_min_px: config.area_min_px });
+        }
+        Ok(())
+    }
+
+    /// What may make the region serve badly; `mask` is the outcome of [`Self::rasterize`] on the same image.
+    pub fn inspect(&self, left: &RgbImage, mask: &RegionMask, config: &RegionConfig) -> Vec<RegionWarning> {
+        let mut warnings = self.inspect_shape(mask);
+        warnings.extend(appearance_warnings(left, mask, config));
+        warnings
+    }
+
+    /// As [`Self::inspect`], of the shape alone: for methods that judge texture by themselves.
+    pub fn inspect_shape(&self, mask: &RegionMask) -> Vec<RegionWarning> {
+        let mut warnings = Vec::new();
+        let covered_px = match self {
+            Self::Rectangle { width, height, .. } => *width as usize * *height as usize,
+            Self::Polygon { vertices_px } => polygon::covered_px(vertices_px),
+            Self::Mask(_) | Self::Click { .. } => mask.area_px(),
+        };
+        let outside_px = covered_px.saturating_sub(mask.area_px());
+        if outside_px > 0 {
+            warnings.push(RegionWarning::PartlyOffImage { outside_px, covered_px });
+        }
+        if let Self::Polygon { vertices_px } = self
+            && let Some((first_edge, second_edge)) = polygon::first_self_intersection(vertices_px)
+        {
+            warnings.push(RegionWarning::SelfIntersecting { first_edge, second_edge });
+        }
+        warnings
+    }
+
+    /// The region's outline as a polygon, pixels: its own corners where it has them, else traced around the largest
+    /// part of `mask`.
+    pub fn outline_px(&self, mask: &RegionMask) -> Vec<Vector2<f64>> {
+        match self {
+            Self::Polygon { vertices_px } => vertices_px.clone(),
+            Self::Rectangle { x, y, width, height } => {
+                let (x0, y0) = (f64::from(*x) - 0.5, f64::from(*y) - 0.5);
+                let (x1, y1) = (x0 + f64::from(*width), y0 + f64::from(*height));
+                vec![Vector2::new(x0, y0), Vector2::new(x1, y0), Vector2::new(x1, y1), Vector2::new(x0, y1)]
+            }
+            Self::Mask(_) | Self::Click { .. } => mask.outline_px(),
+        }
+    }
+}
+
+fn size_of(image: &RgbImage) -> ImageSize {
+    ImageSize { width: image.width(), height: image.height() }
+}
+
+fn rectangle(x: i32, y: i32, width: u32, height: u32, mask: &mut RegionMask) -> Result<usize, RegionError> {
+    let far = |v: i64| v.unsigned_abs() as f64 > COORDINATE_MAX_PX;
+    let (right, bottom) = (i64::from(x) + i64::from(width), i64::from(y) + i64::from(height));
+    if [i64::from(x), i64::from(y), right, bottom].into_iter().any(far) {
+        return Err(RegionError::Rectangle { x, y, width, height });
+    }
+    for row in i64::from(y)..bottom {
+        mask.insert_span(row, i64::from(x), right - 1);
+    }
+    Ok(width as usize * height as usize)
+}
+
+fn polygon_mask(vertices_px: &[Vector2<f64>], mask: &mut RegionMask) -> Result<usize, RegionError> {
+    if vertices_px.len() < 3 {
+        return Err(RegionError::TooFewVertices { count: vertices_px.len() });
+    }
+    let out_of_range = |v: &Vector2<f64>| !v.iter().all(|c| c.abs() <= COORDINATE_MAX_PX);
+    if let Some(index) = vertices_px.iter().position(out_of_range) {
+        return Err(RegionError::Vertex { index, x: vertices_px[index].x, y: vertices_px[index].y });
+    }
+    Ok(polygon::fill(vertices_px, mask))
+}
+
+fn mask_of_image(image: &GrayImage, size: ImageSize) -> Result<(RegionMask, usize), RegionError> {
+    if image.width() != size.width || image.height() != size.height {
+        return Err(RegionError::MaskSize {
+            mask_width: image.width(),
+            mask_height: image.height(),
+            image_width: size.width,
+            image_height: size.height,
+        });
+    }
+    let mask = RegionMask::from_fn(size, |x, y| image.get_pixel(x, y)[0] != 0);
+    let covered_px = mask.area_px();
+    Ok((mask, covered_px))
+}
+
+fn click(left: &RgbImage, x: i32, y: i32, config: &RegionConfig) -> Result<RegionMask, RegionError> {
+    let size = size_of(left);
+    let inside = x >= 0 && y >= 0 && (x as u32) < size.width && (y as u32) < size.height;
+    if !inside {
+        return Err(RegionError::ClickOffImage { x, y, image_width: size.width, image_height: size.height });
+    }
+    let (seed, mask) = grow::from_seed(left, x as u32, y as u32, config);
+    let measure = match seed {
+        grow::Seed::Hue(_) => "hue",
+        grow::Seed::Luminance(_) => "luminance",
+    };
+    let area_px = mask.area_px();
+    let area_max_px = (f64::from(size.width) * f64::from(size.height) * config.click_area_share_max) as usize;
+    if area_px > area_max_px {
+        return Err(RegionError::ClickGrewTooFar { x, y, area_px, area_max_px, measure });
+    }
+    if area_px < config.area_min_px {
+        return Err(RegionError::ClickTooSmall { x, y, area_px, area_min_px: config.area_min_px, measure });
+    }
+    Ok(mask)
+}
+
+fn appearance_warnings(left: &RgbImage, mask: &RegionMask, config: &RegionConfig) -> Vec<RegionWarning> {
+    let (mut count, mut coloured, mut sum, mut sum_of_squares) = (0_usize, 0_usize, 0.0, 0.0);
+    mask.for_each(|x, y| {
+        let colour = grow::smooth_colour(left, x, y);
+        count += 1;
+        coloured += usize::from(colour.chroma >= config.click_chroma_min);
+        sum += colour.luminance;
+        sum_of_squares += colour.luminance * colour.luminance;
+    });
+    let mut warnings = Vec::new();
+    if count == 0 {
+        return warnings;
+    }
+    let n = count as f64;
+    let coloured_share = coloured as f64 / n;
+    if coloured_share < config.coloured_share_min {
+        warnings.push(RegionWarning::Grey {
+            coloured_percent: 100.0 * coloured_share,
+            limit_percent: 100.0 * config.coloured_share_min,
+        });
+    }
+    let deviation = (sum_of_squares / n - (sum / n).powi(2)).max(0.0).sqrt();
+    if deviation < config.luminance_deviation_min {
+        warnings.push(RegionWarning::Textureless { deviation, limit: config.luminance_deviation_min });
+    }
+    warnings
+}
+
+#[cfg(test)]
+mod tests;

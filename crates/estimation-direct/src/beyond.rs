@@ -1,0 +1,110 @@
+//! What lies beyond the searched range of depths.
+//!
+//! A range that misses the target leaves the search nothing but what resembles it: one period of a repetitive texture further
+//! on, or chance. The range alone can not tell. The right picture can, where it shows the target: so a doubtful answer is
+//! compared with the best plane of all depths at which the right picture shows anything. Both are judged in the same way and
+//! on the same level, a coarser one than that of the search.
+
+use pb3dp_estimation_core::cpu::Kernels;
+
+use super::cold_start::{ColdStartOutcome, surface_score};
+use super::disparity_plane::DisparityPlane;
+use super::front_end::StereoFrontEnd;
+use super::patches::{PatchConfig, SlantedPatches};
+use super::region_pyramid::{PyramidSource, RegionPyramid};
+use super::search::hypotheses::HypothesisRules;
+use super::search::{PlaneSearch, PlaneSearchConfig};
+
+/// The comparison runs on the first level on which the region has at most this many pixels.
+const AREA_MAX_PX: usize = 900;
+/// Planes whose disparity at the centroid is off the range by no more than this are not beyond it, pixels: what lies at an end
+/// of the range is told apart from what lies in it.
+const END_PX: f64 = 2.0;
+
+/// Most three-point planes that are drawn: what is looked for has most of the region.
+const DRAWS: usize = 100;
+
+/// Looks beyond ranges; keeps its buffers.
+#[derive(Clone, Debug)]
+pub(super) struct Beyond {
+    pyramid: RegionPyramid,
+    search: PlaneSearch,
+    patches: SlantedPatches,
+}
+
+impl Default for Beyond {
+    fn default() -> Self {
+        Self {
+            pyramid: RegionPyramid::up_to(AREA_MAX_PX),
+            search: PlaneSearch::default(),
+            patches: SlantedPatches::default(),
+        }
+    }
+}
+
+/// A plane beyond the range and how it stands to the answer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BeyondRange {
+    /// The plane in the rectified pair.
+    pub plane: DisparityPlane,
+    /// Its score over that of the answer.
+    pub score_ratio: f64,
+}
+
+impl Beyond {
+    /// The best plane whose disparity at the region's centroid is not among those of `source`, with its score over that of
+    /// `answer` and all planes within them; `None` if there is none.
+    #[allow(clippy::too_many_arguments, reason = "two configurations, the pair, and what was found")]
+    pub fn best(
+        &mut self,
+        front_end: &StereoFrontEnd,
+        source: &PyramidSource<'_>,
+        answer: &DisparityPlane,
+        (search, patches): (&PlaneSearchConfig, &PatchConfig),
+        allowed: impl Fn(&DisparityPlane) -> bool,
+        kernels: Kernels,
+    ) -> Option<BeyondRange> {
+        let searched_px = source.disparity_px;
+        let region = source.region.bbox()?;
+        // From infinity to where the right picture ends.
+        let visible_px = (-front_end.geometry().disparity_offset_px, f64::from(region.x + region.width));
+        let wide = PyramidSource { disparity_px: visible_px, search_area_px: AREA_MAX_PX, ..*source };
+        if visible_px.0 >= visible_px.1 || !self.pyramid.update(front_end, &wide) {
+            return None;
+        }
+        let (centre, level) = (self.pyramid.centroid_px(), &self.pyramid.levels()[0]);
+        let hypotheses = HypothesisRules { draws: search.hypotheses.draws.min(DRAWS), ..search.hypotheses };
+        let search = &PlaneSearchConfig { hypotheses, ..*search };
+        self.search.run(level, visible_px, search, |plane| allowed(&level.full_plane(plane, centre)), kernels);
+        let (mut within, mut beyond) = (0.0_f64, None::<(DisparityPlane, f64)>);
+        let level = &mut self.pyramid.levels_mut()[0];
+        let own = level.level_plane(answer);
+        let own_share = self.search.share_within(level, &own, search.hypotheses.tolerance_px, kernels);
+        let candidates = self.search.candidates.iter().map(|candidate| (candidate.plane, candidate.share));
+        for (plane, share) in candidates.chain([(own, own_share)]) {
+            let found = self.patches.run(level, &plane, patches, kernels);
+            let score = surface_score(&found, self.search.valid_share * share);
+            let full = level.full_plane(&found.plane, centre);
+            let d0_px = full.d0_px;
+            if d0_px < searched_px.0 - END_PX || d0_px > searched_px.1 + END_PX {
+                if beyond.is_none_or(|(_, best)| score > best) {
+                    beyond = Some((full, score));
+                }
+            } else {
+                within = within.max(score);
+            }
+        }
+        beyond.map(|(plane, score)| BeyondRange { plane, score_ratio: score / within.max(1e-9) })
+    }
+}
+
+/// A surface with this score and these correlations has no need of a comparison.
+const DECISIVE_SCORE: f64 = 1.2;
+const DECISIVE_CORRELATION: f64 = 0.9;
+
+/// Whether an answer leaves doubts. What only resembles the target may correlate well on the coarse level that was searched;
+/// so the finest one that the patches looked at counts as well.
+pub(super) fn is_doubtful(outcome: &ColdStartOutcome) -> bool {
+    let correlation = outcome.first.patches.mean_correlation.min(outcome.finest.mean_correlation);
+    outcome.first.score < DECISIVE_SCORE || correlation < DECISIVE_CORRELATION
+}

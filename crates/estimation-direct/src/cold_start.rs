@@ -1,0 +1,570 @@
+//! From a region and a range of depths to one refined plane: search, patches, refinement.
+//!
+//! Works in the rectified pair; [`super::estimator`] makes an answer of what is found here.
+
+mod contest;
+mod levels;
+
+use nalgebra::Vector2;
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::error::{EstimationError, check_range};
+
+use super::beyond::{Beyond, BeyondRange, is_doubtful};
+use super::disparity_plane::DisparityPlane;
+use super::front_end::StereoFrontEnd;
+use super::patches::{PatchConfig, PatchOutcome, SUPPORTS, SlantedPatches};
+use super::photometric::{PlaneRefiner, RefineConfig, RefinedPlane};
+use super::region_pyramid::{PyramidSource, RegionPyramid};
+use super::repetition::Repetition;
+use super::search::{PlaneSearch, PlaneSearchConfig};
+use super::surroundings::{self, Surroundings};
+
+/// Parameters of the cold start.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ColdStartConfig {
+    /// The search over all disparities runs first on the first level on which the region has at most this many pixels.
+    pub quick_area_px: usize,
+    /// Where that does not decide, it runs on the first level on which the region has at most this many pixels.
+    pub search_area_px: usize,
+    /// Share of the region's pixels that must lie on one plane for the quick search to decide.
+    pub quick_share_min: f64,
+    /// Patches are looked at down to the first level on which the region has at most this many pixels.
+    pub patch_area_px: usize,
+    /// The search.
+    pub search: PlaneSearchConfig,
+    /// The patches.
+    pub patches: PatchConfig,
+    /// The refinement.
+    pub refine: RefineConfig,
+    /// A small region whose tilt is uncertain is refined together with what agrees with its plane up to so many pixels
+    /// around it, 0 to 16; 0: the region alone.
+    pub surroundings_px: usize,
+}
+
+impl Default for ColdStartConfig {
+    fn default() -> Self {
+        Self {
+            quick_area_px: 6000,
+            search_area_px: 12_000,
+            quick_share_min: 0.6,
+            patch_area_px: 24_000,
+            search: PlaneSearchConfig::default(),
+            patches: PatchConfig::default(),
+            refine: RefineConfig {
+                levels_max: 1,
+                erosion_max_px: 2.0,
+                erosion_share_max: 0.12,
+                calibration_sigma_px: CALIBRATION_SIGMA_PX,
+                blur_sigma_px2: BLUR_SIGMA_PX2,
+                ..RefineConfig::default()
+            },
+            surroundings_px: 16,
+        }
+    }
+}
+
+impl ColdStartConfig {
+    /// Levels on which the region has more pixels than this are not needed.
+    pub fn finest_area_px(&self) -> usize {
+        self.patch_area_px.max(self.refine.area_max_px)
+    }
+
+    /// Checks all ranges.
+    ///
+    /// # Errors
+    /// The parameter that is out of its range.
+    pub fn validate(&self) -> Result<(), EstimationError> {
+        let area =
+            |name, value: usize| check_range(name, value as f64, (200.0, 1e6), "must be between 200 and 1000000");
+        area("direct.search.area_max_px", self.search_area_px)?;
+        area("direct.search.quick_area_max_px", self.quick_area_px)?;
+        area("direct.patches.area_max_px", self.patch_area_px)?;
+        let share = self.quick_share_min;
+        check_range("direct.search.quick_share_min", share, (0.0, 1.0), "must be between 0 and 1")?;
+        let (reach, reach_max) = (self.surroundings_px as f64, surroundings::REACH_MAX_PX as f64);
+        check_range("direct.refine.surroundings_px", reach, (0.0, reach_max), "must be between 0 and 16 pixels")?;
+        self.search.validate()?;
+        self.patches.validate()?;
+        validate_refine(&self.refine)
+    }
+}
+
+/// The ranges of the refinement that may be set from outside.
+fn validate_refine(refine: &RefineConfig) -> Result<(), EstimationError> {
+    let area = refine.area_max_px as f64;
+    check_range("direct.refine.area_max_px", area, (200.0, 1e6), "must be between 200 and 1000000")?;
+    let points = refine.points_max as f64;
+    check_range("direct.refine.points_max", points, (100.0, 1e6), "must be between 100 and 1000000")?;
+    let steps = refine.iterations_max as f64;
+    check_range("direct.refine.iterations_max", steps, (1.0, 100.0), "must be between 1 and 100")?;
+    let place = refine.place_sigma_px;
+    check_range("direct.refine.place_sigma_px", place, (0.0, 2.0), "must be between 0 and 2 pixels")?;
+    let pixels = |name, value| check_range(name, value, (0.0, 5.0), "must be between 0 and 5 pixels");
+    pixels("direct.refine.row_sigma_px", refine.row_sigma_px)?;
+    pixels("direct.refine.calibration_sigma_px", refine.calibration_sigma_px)?;
+    let blur = refine.blur_sigma_px2;
+    check_range("direct.refine.blur_sigma_px2", blur, (0.0, 5.0), "must be between 0 and 5 squared pixels")
+}
+
+/// What the calibration of real rigs leaves of disparity, pixels: on real pairs with known truth, covariances without it are
+/// too small. Where the calibration is exact, as on rendered pairs, it is to be set to what is right there.
+const CALIBRATION_SIGMA_PX: f64 = 0.03;
+/// Lenses, focus and the demosaicing of colours make edges of real pairs differ by this much, squared pixels.
+const BLUR_SIGMA_PX2: f64 = 0.2;
+
+/// A candidate with what the patches say of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Surface {
+    /// The plane in the rectified pair.
+    pub plane: DisparityPlane,
+    /// Share of the region's clear disparities on it, soft.
+    pub share: f64,
+    /// What the patches said of it on the search level.
+    pub patches: PatchOutcome,
+    /// What orders the surfaces: at most 2.
+    pub score: f64,
+    /// Index of its patches' votes.
+    mask: usize,
+}
+
+/// How another surface stands to the best one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rival {
+    /// The plane in the rectified pair.
+    pub plane: DisparityPlane,
+    /// Its score over that of the best.
+    pub score_ratio: f64,
+    /// Share of the region's pixels that support it and not the best.
+    pub own_share: f64,
+    /// Of the pixels that support the one of both with fewer, the share that supports both.
+    pub overlap: f64,
+}
+
+/// The plane that explains the most clear disparities within a pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WidestPlane {
+    /// The plane in the rectified pair.
+    pub plane: DisparityPlane,
+    /// Whether the disparities lie spread around the refined plane instead of on it: then the region is no plane.
+    pub is_spread: bool,
+}
+
+/// What a cold start found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ColdStartOutcome {
+    /// The best surface of the search level.
+    pub first: Surface,
+    /// The surface that most of the other pixels lie on, if there is another.
+    pub second: Option<Rival>,
+    /// The best of the planes that explain the pixels of the first as something else, if there is one.
+    pub alias: Option<Rival>,
+    /// The best of the other explanations of the same pixels that are near the first on the level of the search, with its score
+    /// over that of the first on the finest level.
+    pub contender: Option<Rival>,
+    /// Share of the region's pixels with a clear disparity.
+    pub valid_share: f64,
+    /// What the patches said of the plane on the finest level that they looked at.
+    pub finest: PatchOutcome,
+    /// The plane of the patches.
+    pub patch_plane: DisparityPlane,
+    /// The refined plane; `None` if it had too few points.
+    pub refined: Option<RefinedPlane>,
+    /// What the patches said of the refined plane, on the same level.
+    pub at_refined: Option<PatchOutcome>,
+    /// Where the patches around the refined plane would have it.
+    pub plane_at_refined: Option<DisparityPlane>,
+    /// Where less than half of the region agrees with the plane: the plane that explains the most disparities within a pixel.
+    pub widest: Option<WidestPlane>,
+    /// Where the plane explains little: the plane of any depth and tilt that explains the most, with its share of the
+    /// region's pixels.
+    pub unlimited: Option<(DisparityPlane, f64)>,
+    /// Where the plane has not all of the region: the period along the rows of a texture that repeats, if that many pixels
+    /// away the disparity is outside the searched range.
+    pub repeats_px: Option<f64>,
+}
+
+/// A candidate on the finest level.
+#[derive(Clone, Copy, Debug)]
+struct Descent {
+    /// The plane that the patches make of the candidate's.
+    plane: DisparityPlane,
+    /// What they say of it.
+    patches: PatchOutcome,
+    /// Index of the level.
+    level: usize,
+}
+
+/// Finds planes; keeps its buffers.
+#[derive(Clone, Debug, Default)]
+pub struct ColdStart {
+    config: ColdStartConfig,
+    kernels: Kernels,
+    pyramid: RegionPyramid,
+    search: PlaneSearch,
+    patches: SlantedPatches,
+    refiner: PlaneRefiner,
+    surroundings: Surroundings,
+    repetition: Repetition,
+    beyond: Beyond,
+    surfaces: Vec<Surface>,
+    masks: Vec<Vec<u8>>,
+    searched: usize,
+}
+
+impl ColdStart {
+    /// With all buffers empty.
+    pub fn new(config: ColdStartConfig, kernels: Kernels) -> Self {
+        let refiner = PlaneRefiner::new(config.refine.clone(), kernels);
+        let pyramid = RegionPyramid::up_to(config.finest_area_px());
+        Self { config, kernels, pyramid, refiner, ..Self::default() }
+    }
+
+    /// The parameters.
+    pub fn config(&self) -> &ColdStartConfig {
+        &self.config
+    }
+
+    /// The region of the last pair.
+    pub fn pyramid(&self) -> &RegionPyramid {
+        &self.pyramid
+    }
+
+    /// Index of the level that the last answer was searched on.
+    pub fn searched_level(&self) -> usize {
+        self.searched
+    }
+
+    /// Candidate surfaces of the last pair, best first.
+    pub fn surfaces(&self) -> &[Surface] {
+        &self.surfaces
+    }
+
+    /// Searches the plane of a region within the disparities of `source`; `is_tilt_allowed` says which planes are tilted by
+    /// no more than the search range allows. Once `may_continue` says no, finer levels and the refinement are left out.
+    /// `None` if there is no candidate.
+    pub fn run(
+        &mut self,
+        front_end: &StereoFrontEnd,
+        source: &PyramidSource<'_>,
+        is_tilt_allowed: impl Fn(&DisparityPlane) -> bool,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Option<ColdStartOutcome> {
+        let allowed = |plane: &DisparityPlane| {
+            let within = plane.d0_px >= source.disparity_px.0 - 1.0 && plane.d0_px <= source.disparity_px.1 + 1.0;
+            within && is_tilt_allowed(plane)
+        };
+        self.surfaces.clear();
+        if !self.pyramid.update(front_end, source) {
+            return None;
+        }
+        self.search(source.disparity_px, &allowed, may_continue);
+        let (Descent { plane: patch_plane, patches: finest, level }, contender) = self.contest(may_continue)?;
+        let first = *self.surfaces.first()?;
+        let (second, alias) = self.rivals(&first);
+        let refined = match may_continue() {
+            true => self.refiner.refine(front_end, source, &self.pyramid, &patch_plane),
+            false => None,
+        };
+        let refined = match refined {
+            Some(own) if may_continue() => Some(self.with_surroundings(own, front_end, source)),
+            _ => refined,
+        };
+        let at_refined = refined.map(|refined| match self.is_settled(level, &patch_plane, &refined.plane) {
+            true => finest,
+            false => self.look(level, &refined.plane),
+        });
+        let (centre, valid_share) = (self.pyramid.centroid_px(), self.search.valid_share);
+        let plane_at_refined = at_refined.map(|found| self.pyramid.levels()[level].full_plane(&found.plane, centre));
+        let reached = refined.map_or(patch_plane, |refined| refined.plane);
+        let (mut widest, mut unlimited) = (None, None);
+        if support_of(&finest) < PLANE_SUPPORT_MIN && may_continue() {
+            if finest.mean_correlation >= PLANE_CORRELATION_MIN {
+                widest = self.widest(&[reached, patch_plane], allowed);
+            }
+            unlimited = self.unlimited();
+        }
+        let repeats_px = match support_of(&finest) < WHOLE_SUPPORT_MIN && may_continue() {
+            true => self.repeats_px(&reached, source.disparity_px, front_end.geometry().disparity_offset_px),
+            false => None,
+        };
+        Some(ColdStartOutcome {
+            first,
+            second,
+            alias,
+            contender,
+            valid_share,
+            finest,
+            patch_plane,
+            refined,
+            at_refined,
+            plane_at_refined,
+            widest,
+            unlimited,
+            repeats_px,
+        })
+    }
+
+    /// The best plane beyond the searched disparities, if what was found in the last pair leaves doubts and the right picture
+    /// shows one; the other arguments are those of [`Self::run`].
+    pub fn look_beyond(
+        &mut self,
+        outcome: &ColdStartOutcome,
+        front_end: &StereoFrontEnd,
+        source: &PyramidSource<'_>,
+        is_tilt_allowed: impl Fn(&DisparityPlane) -> bool,
+    ) -> Option<BeyondRange> {
+        if !is_doubtful(outcome) {
+            return None;
+        }
+        let configs = (&self.config.search, &self.config.patches);
+        self.beyond.best(front_end, source, &outcome.first.plane, configs, is_tilt_allowed, self.kernels)
+    }
+
+    /// The plane of a small region with what agrees around it, if that is known better; see [`super::surroundings`].
+    fn with_surroundings(
+        &mut self,
+        own: RefinedPlane,
+        front_end: &StereoFrontEnd,
+        source: &PyramidSource<'_>,
+    ) -> RefinedPlane {
+        let reach = self.config.surroundings_px.min(surroundings::REACH_MAX_PX);
+        let is_full_size = self.pyramid.levels().first().is_some_and(|level| level.scale == 1);
+        let is_small = is_full_size && self.pyramid.area_px() <= surroundings::AREA_MAX_PX;
+        if reach == 0 || !is_small || !surroundings::are_wanted(&own, front_end.geometry()) {
+            return own;
+        }
+        let level = &mut self.pyramid.levels_mut()[0];
+        let added = self.surroundings.extend(level, &own, reach, self.kernels);
+        let wide = if added > 0 { self.refiner.refine(front_end, source, &self.pyramid, &own.plane) } else { None };
+        self.surroundings.restore(&mut self.pyramid.levels_mut()[0]);
+        wide.filter(|wide| surroundings::replaces(wide, &own)).unwrap_or(own)
+    }
+
+    /// The plane that explains the most clear disparities within a pixel, if there are many, it is not the first of `known`, and
+    /// it is not another surface.
+    fn widest(&mut self, known: &[DisparityPlane], allowed: impl Fn(&DisparityPlane) -> bool) -> Option<WidestPlane> {
+        let (centre, level) = (self.pyramid.centroid_px(), &self.pyramid.levels()[self.searched]);
+        let tolerance_px = (WIDEST_PX / level.scale as f64).max(WIDEST_LEVEL_PX_MIN);
+        if self.search.valid_share < WIDEST_VALID_MIN {
+            return None;
+        }
+        let own = level.level_plane(known.first()?);
+        let share = |tolerance_px| self.search.share_within(level, &own, tolerance_px, self.kernels);
+        let is_spread = share(0.5 * tolerance_px) < SPREAD_NEAR_MAX * share(tolerance_px);
+        let seeds = known.iter().chain(self.surfaces.iter().map(|surface| &surface.plane));
+        let found = self.search.widest(
+            level,
+            seeds.map(|plane| level.level_plane(plane)),
+            (&self.config.search, tolerance_px),
+            |plane| allowed(&level.full_plane(plane, centre)),
+            self.kernels,
+        )?;
+        let plane = level.full_plane(&found.plane, centre);
+        // Where disparities lie on a plane and not around it, one that is farther from it is another surface.
+        if !is_spread && (plane.at(&centre) - known[0].at(&centre)).abs() > WIDEST_PX {
+            return None;
+        }
+        let apart = |at: &Vector2<f64>| (plane.at(at) - known[0].at(at)).abs() > WIDEST_APART_PX;
+        self.box_corners().iter().any(apart).then_some(WidestPlane { plane, is_spread })
+    }
+
+    /// The plane that explains the most clear disparities, whatever its depth and tilt, with its share of the region.
+    fn unlimited(&mut self) -> Option<(DisparityPlane, f64)> {
+        let (centre, level) = (self.pyramid.centroid_px(), &self.pyramid.levels()[self.searched]);
+        let rules = (&self.config.search, self.config.search.hypotheses.tolerance_px);
+        let found = self.search.widest(level, std::iter::empty(), rules, |_| true, self.kernels)?;
+        Some((level.full_plane(&found.plane, centre), found.share * self.search.valid_share))
+    }
+
+    /// The period of the region's texture, if a plane that is off by it would lie outside the searched disparities.
+    fn repeats_px(&mut self, plane: &DisparityPlane, searched_px: (f64, f64), infinity_px: f64) -> Option<f64> {
+        let level = &self.pyramid.levels()[self.searched];
+        let scale = level.scale as f64;
+        let own_px = plane.at(&self.pyramid.centroid_px());
+        // Nearer than this the right picture does not show the middle of the region.
+        let nearest_px = searched_px.1.min(self.pyramid.centroid_px().x);
+        let leaves_px = (own_px - searched_px.0).min(nearest_px - own_px).max(0.0);
+        let places = (own_px / scale, infinity_px / scale);
+        Some(scale * self.repetition.period_px(level, &level.level_plane(plane), places, leaves_px / scale)?)
+    }
+
+    /// Looks at the patches around a plane.
+    fn look(&mut self, index: usize, plane: &DisparityPlane) -> PatchOutcome {
+        let level = &mut self.pyramid.levels_mut()[index];
+        self.patches.run(level, &level.level_plane(plane), &self.config.patches, self.kernels)
+    }
+
+    /// Looks at the patches of every candidate and puts the candidates into order.
+    fn judge_candidates(&mut self, index: usize, centre: Vector2<f64>) {
+        if self.masks.len() < self.search.candidates.len() {
+            self.masks.resize_with(self.search.candidates.len(), Vec::new);
+        }
+        for (mask, candidate) in self.search.candidates.iter().enumerate() {
+            let level = &mut self.pyramid.levels_mut()[index];
+            let patches = self.patches.run(level, &candidate.plane, &self.config.patches, self.kernels);
+            let score = surface_score(&patches, self.search.valid_share * candidate.share);
+            let plane = level.full_plane(&patches.plane, centre);
+            self.masks[mask].clone_from(&level.support);
+            self.surfaces.push(Surface { plane, share: candidate.share, patches, score, mask });
+        }
+        self.surfaces.sort_by(|a, b| b.score.total_cmp(&a.score));
+        self.look_again_at_near_equals(index, centre);
+    }
+
+    /// Candidates are looked at where single pixels have put them. Where another is nearly as good as the best, that is not
+    /// fair to the one that was farther off, so those are looked at again where their patches have put them.
+    fn look_again_at_near_equals(&mut self, index: usize, centre: Vector2<f64>) {
+        let Some(first) = self.surfaces.first().copied() else { return };
+        let is_near = |other: &Surface| other.score >= NEARLY_EQUAL * first.score;
+        let count = self.surfaces.iter().take_while(|other| is_near(other)).count();
+        if !self.surfaces[..count].iter().any(|other| self.differs(&first.plane, &other.plane)) {
+            return;
+        }
+        for i in 0..count {
+            let old = self.surfaces[i];
+            let patches = self.look(index, &old.plane);
+            let score = surface_score(&patches, self.search.valid_share * old.share);
+            let level = &self.pyramid.levels()[index];
+            self.masks[old.mask].clone_from(&level.support);
+            self.surfaces[i] = Surface { plane: level.full_plane(&patches.plane, centre), patches, score, ..old };
+        }
+        self.surfaces.sort_by(|a, b| b.score.total_cmp(&a.score));
+    }
+
+    /// From the level that was searched to the finest one for patches, one or two looks each. The levels are left with the
+    /// pixels marked that agree with the plane.
+    fn descend(&mut self, start: DisparityPlane, may_continue: &mut dyn FnMut() -> bool) -> Descent {
+        let (centre, coarsest, limit) = (self.pyramid.centroid_px(), self.searched, self.config.patch_area_px);
+        let finest = self.pyramid.levels().iter().position(|l| l.area_px <= limit).unwrap_or(coarsest).min(coarsest);
+        let mut plane = start;
+        let mut index = coarsest;
+        loop {
+            let outcome = self.look_twice(index, &mut plane, centre);
+            if index == finest || !may_continue() {
+                let (plane, patches) = self.closest(index, (plane, outcome), centre);
+                return Descent { plane, patches, level: index };
+            }
+            index -= 1;
+        }
+    }
+
+    /// What was found on a level, or the plane that clearly more of its patches lie closely on, if no fewer support that one.
+    fn closest(
+        &mut self,
+        index: usize,
+        found: (DisparityPlane, PatchOutcome),
+        centre: Vector2<f64>,
+    ) -> (DisparityPlane, PatchOutcome) {
+        let Some(closest) = self.patches.closest_plane(self.kernels) else { return found };
+        let mut plane = self.pyramid.levels()[index].full_plane(&closest, centre);
+        let outcome = self.look_twice(index, &mut plane, centre);
+        if support_of(&outcome) >= support_of(&found.1) {
+            return (plane, outcome);
+        }
+        self.look(index, &found.0);
+        found
+    }
+
+    /// Looks at the patches around a plane, and puts it right; once more if that has moved it.
+    fn look_twice(&mut self, index: usize, plane: &mut DisparityPlane, centre: Vector2<f64>) -> PatchOutcome {
+        let mut outcome = self.look(index, plane);
+        let found = self.pyramid.levels()[index].full_plane(&outcome.plane, centre);
+        let is_settled = self.is_settled(index, plane, &found);
+        *plane = found;
+        if !is_settled {
+            outcome = self.look(index, plane);
+            *plane = self.pyramid.levels()[index].full_plane(&outcome.plane, centre);
+        }
+        outcome
+    }
+
+    /// Whether what the patches of a level say of one plane holds for another.
+    fn is_settled(&self, index: usize, a: &DisparityPlane, b: &DisparityPlane) -> bool {
+        let limit = SETTLED_PX * self.pyramid.levels()[index].scale as f64;
+        self.box_corners().iter().all(|at| (a.at(at) - b.at(at)).abs() <= limit)
+    }
+
+    fn box_corners(&self) -> [Vector2<f64>; 4] {
+        let box_px = self.pyramid.box_px();
+        let corner = |x: u32, y: u32| Vector2::new(f64::from(box_px.x + x), f64::from(box_px.y + y));
+        let (w, h) = (box_px.width, box_px.height);
+        [corner(0, 0), corner(w, 0), corner(0, h), corner(w, h)]
+    }
+
+    /// The other surface with the most pixels of its own, and the best other explanation of the same pixels.
+    fn rivals(&self, first: &Surface) -> (Option<Rival>, Option<Rival>) {
+        let (mut second, mut alias): (Option<Rival>, Option<Rival>) = (None, None);
+        for other in self.surfaces.iter().skip(1).filter(|other| self.differs(&first.plane, &other.plane)) {
+            let rival = self.rival(first, other);
+            if rival.overlap > OVERLAP_OF_ALIAS {
+                if alias.is_none_or(|known| rival.score_ratio > known.score_ratio) {
+                    alias = Some(rival);
+                }
+            } else if rival.own_share >= OWN_SHARE_MIN && second.is_none_or(|known| rival.own_share > known.own_share) {
+                second = Some(rival);
+            }
+        }
+        (second, alias)
+    }
+
+    fn rival(&self, first: &Surface, other: &Surface) -> Rival {
+        let (mut a, mut b, mut both) = (0_usize, 0_usize, 0_usize);
+        for (p, q) in self.masks[first.mask].iter().zip(&self.masks[other.mask]) {
+            let (p, q) = (usize::from(p & SUPPORTS != 0), usize::from(q & SUPPORTS != 0));
+            a += p;
+            b += q;
+            both += p & q;
+        }
+        let area_px = self.pyramid.levels()[self.searched].area_px.max(1);
+        Rival {
+            plane: other.plane,
+            score_ratio: other.score / first.score.max(1e-9),
+            own_share: (b - both) as f64 / area_px as f64,
+            overlap: both as f64 / a.min(b).max(1) as f64,
+        }
+    }
+
+    /// Whether two planes differ by more than two pixels of the search level in the middle of the region or, on average, at
+    /// the corners of its box.
+    fn differs(&self, a: &DisparityPlane, b: &DisparityPlane) -> bool {
+        let limit = 2.0 * self.pyramid.levels()[self.searched].scale as f64;
+        let gap = |at: &Vector2<f64>| (a.at(at) - b.at(at)).abs();
+        gap(&self.pyramid.centroid_px()) > limit || self.box_corners().iter().map(gap).sum::<f64>() > 4.0 * limit
+    }
+}
+
+/// What orders surfaces; `clear_share` is the share of the region's pixels with a clear disparity on the plane.
+pub(super) fn surface_score(patches: &PatchOutcome, clear_share: f64) -> f64 {
+    support_of(patches) * patches.mean_correlation + clear_share
+}
+
+/// Share of the region's pixels whose patch has texture and agrees.
+pub(super) fn support_of(patches: &PatchOutcome) -> f64 {
+    patches.textured_share * patches.support_share
+}
+
+/// A plane with more support than this has its outline in its place, and is no alias.
+const WHOLE_SUPPORT_MIN: f64 = 0.7;
+/// With less support than this, the region may be no plane.
+const PLANE_SUPPORT_MIN: f64 = 0.5;
+/// If what agrees with a plane correlates less, noise may be why the rest does not.
+const PLANE_CORRELATION_MIN: f64 = 0.8;
+/// Disparities this near to a plane are explained by it, pixels; and at least, pixels of the level that was searched.
+const WIDEST_PX: f64 = 1.0;
+const WIDEST_LEVEL_PX_MIN: f64 = 0.5;
+/// It replaces a refined plane that is off by more at a corner of the region's box, pixels.
+const WIDEST_APART_PX: f64 = 0.5;
+/// Clear disparities speak for the region if at least this share of its pixels has one.
+const WIDEST_VALID_MIN: f64 = 0.6;
+/// If half of the tolerance holds less than this share of what the whole holds, disparities lie spread around the plane; evenly
+/// spread ones give one half, those of a plane nearly one.
+const SPREAD_NEAR_MAX: f64 = 0.6;
+/// A rival that shares more than this of its pixels with the first is another explanation of the same surface.
+const OVERLAP_OF_ALIAS: f64 = 0.5;
+/// What the patches say of a plane holds for another that differs by no more than this at the corners of the region's box,
+/// pixels of the level: the top of a correlation is flat.
+const SETTLED_PX: f64 = 0.1;
+/// Candidates whose score is at least this share of the best one's are nearly as good.
+const NEARLY_EQUAL: f64 = 0.9;
+/// A second surface has at least this share of the region for itself.
+const OWN_SHARE_MIN: f64 = 0.08;

@@ -1,0 +1,594 @@
+//! The direct method on single pairs.
+
+use image::RgbImage;
+use nalgebra::{Matrix3, Vector2, Vector3};
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::error::EstimationError;
+use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose, SecondPlane};
+use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
+use pb3dp_estimation_core::region::{Region, RegionConfig, RegionMask};
+use pb3dp_estimation_core::status::Status;
+use pb3dp_geometry::StereoRig;
+
+use super::cold_start::{ColdStart, ColdStartConfig, ColdStartOutcome, Rival};
+use super::colour_planes::Wanted;
+use super::disparity_plane::{DisparityPlane, RectifiedGeometry, inverse_depth_from_disparity};
+use super::front_end::StereoFrontEnd;
+use super::patches::PatchOutcome;
+use super::region_pyramid::PyramidSource;
+use super::row_measurement::{RowMeasurement, measure_rows};
+use super::row_offset::RowOffset;
+use super::verdict::{
+    DirectVerdictConfig, SAME_PICTURE, Searched, Steeper, UNSEEN_CORRELATION_MIN, is_no_plane, judge, lies_beyond,
+    may_be_unseen, nothing_found,
+};
+
+/// Parameters of the direct method.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DirectConfig {
+    /// Regions.
+    pub region: RegionConfig,
+    /// From nothing to a plane.
+    pub cold_start: ColdStartConfig,
+    /// The judgement of answers.
+    pub verdict: DirectVerdictConfig,
+}
+
+impl DirectConfig {
+    /// Checks all ranges.
+    ///
+    /// # Errors
+    /// The parameter that is out of its range.
+    pub fn validate(&self) -> Result<(), EstimationError> {
+        self.cold_start.validate()?;
+        self.verdict.validate()
+    }
+}
+
+/// The direct method on single pairs.
+///
+/// A rig whose rows are misaligned by some tenths of a pixel costs accuracy: measure its row offset once with
+/// [`Self::measure_rows`], or give it with [`Self::set_rows`]. A small rest is found with every plane.
+#[derive(Clone, Debug)]
+pub struct DirectEstimator {
+    front_end: StereoFrontEnd,
+    config: DirectConfig,
+    cold_start: ColdStart,
+    rows: RowOffset,
+    outcome: Option<ColdStartOutcome>,
+    mask: RegionMask,
+}
+
+/// What turns a plane of the rectified pair into one of the raw left camera.
+struct RawView {
+    geometry: RectifiedGeometry,
+    /// Rotation `cam_left_from_cam_left_rect`.
+    turn: Matrix3<f64>,
+    /// Ray of the region's centroid, third component 1.
+    ray: Vector3<f64>,
+}
+
+impl RawView {
+    fn inverse_depth_plane(&self, plane: &DisparityPlane) -> Vector3<f64> {
+        self.turn * plane.inverse_depth_plane(&self.geometry)
+    }
+
+    fn pose(&self, plane: &DisparityPlane) -> Option<PlanePose> {
+        PlanePose::from_inverse_depth_plane(self.inverse_depth_plane(plane), &self.ray)
+    }
+}
+
+impl DirectEstimator {
+    /// An estimator for a calibrated pair, rectified or not, with lens distortion or without.
+    ///
+    /// # Errors
+    /// A parameter out of its range, or a rig that can not be rectified.
+    pub fn new(rig: &StereoRig, config: DirectConfig) -> Result<Self, EstimationError> {
+        Self::with_kernels(rig, config, Kernels::best())
+    }
+
+    /// As [`Self::new`], with given kernels; the answers are the same, the speed is not.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn with_kernels(rig: &StereoRig, config: DirectConfig, kernels: Kernels) -> Result<Self, EstimationError> {
+        config.validate()?;
+        let front_end = StereoFrontEnd::new(rig, kernels)?;
+        let cold_start = ColdStart::new(config.cold_start.clone(), kernels);
+        let mask = RegionMask::empty(rig.left().size());
+        Ok(Self { front_end, config, cold_start, rows: RowOffset::default(), outcome: None, mask })
+    }
+
+    /// The same estimator for another rig: parameters and memory are kept, the row offset is not.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn for_rig(self, rig: &StereoRig) -> Result<Self, EstimationError> {
+        let front_end = StereoFrontEnd::new(rig, self.front_end.kernels())?;
+        Ok(Self { front_end, rows: RowOffset::default(), outcome: None, ..self })
+    }
+
+    /// The parameters.
+    pub fn config(&self) -> &DirectConfig {
+        &self.config
+    }
+
+    /// Measures the row offset of the rig on a pair of raw images and uses it from now on. It takes some
+    /// milliseconds, and is for once per rig or per scene. Where too few points are found again the offset is zero.
+    ///
+    /// # Errors
+    /// Images that do not fit the calibration.
+    pub fn measure_rows(&mut self, left: &RgbImage, right: &RgbImage) -> Result<RowMeasurement, EstimationError> {
+        self.front_end.check(left, right)?;
+        let measured = measure_rows(&self.front_end, left, right);
+        self.rows = measured.rows;
+        Ok(measured)
+    }
+
+    /// The row offset in use.
+    pub fn rows(&self) -> &RowOffset {
+        &self.rows
+    }
+
+    /// Uses a row offset that is known.
+    pub fn set_rows(&mut self, rows: RowOffset) {
+        self.rows = rows;
+    }
+
+    fn rows_warning(&self, right: &RgbImage) -> Option<EstimateWarning> {
+        let offset_max_px = self.rows.magnitude_max_px(right.width(), right.height());
+        (offset_max_px > ROWS_OFF_MAX_PX).then_some(EstimateWarning::RowsOff { offset_max_px })
+    }
+
+    /// What the cold start of the last pair found.
+    pub fn outcome(&self) -> Option<&ColdStartOutcome> {
+        self.outcome.as_ref()
+    }
+
+    /// The cold start with its state after the last pair.
+    pub fn cold_start(&self) -> &ColdStart {
+        &self.cold_start
+    }
+
+    /// The plane of a region of one pair of raw images, from nothing: no start value, the whole `range` is searched.
+    ///
+    /// The same input gives the same answer after any other calls that do not change the row offset.
+    ///
+    /// # Errors
+    /// Images that do not fit the calibration, a region that can not serve, a bad range. That a plane can not be determined
+    /// is not an error but the status `not-observable`.
+    pub fn estimate(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+    ) -> Result<PlaneEstimate, EstimationError> {
+        self.estimate_while(left, right, region, range, &mut || true)
+    }
+
+    /// As [`Self::estimate`]; once `may_continue` says no, what the stages so far have found is judged and given: without
+    /// the refinement there is no standard deviation, and the status is `weak-tilt` at best.
+    ///
+    /// # Errors
+    /// As [`Self::estimate`].
+    pub fn estimate_while(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<PlaneEstimate, EstimationError> {
+        range.validate()?;
+        self.front_end.check(left, right)?;
+        region.rasterize_into(left, &self.config.region, &mut self.mask)?;
+        let centroid_px = self.mask.centroid_px().unwrap_or_default();
+        let of_region = region.inspect_shape(&self.mask).into_iter().map(EstimateWarning::Region);
+        let warnings = of_region.chain(self.rows_warning(right)).collect();
+        if is_same_picture(left, right) {
+            return Ok(PlaneEstimate { reason: SAME_PICTURE.to_owned(), warnings, ..self.blank(centroid_px) });
+        }
+        let view = self.view(&centroid_px)?;
+        let mask = self.front_end.rectified_region(&self.mask)?;
+        let disparity_px = disparity_range(&view, range);
+        let source = PyramidSource {
+            left,
+            right,
+            region: &mask,
+            disparity_px,
+            rows: self.rows,
+            wanted: Wanted::Luminance,
+            search_area_px: self.config.cold_start.search_area_px,
+        };
+        let limits = TiltLimits::new(range);
+        let allowed = |plane: &DisparityPlane| limits.allow(&view.inverse_depth_plane(plane));
+        self.outcome = self.cold_start.run(&self.front_end, &source, allowed, may_continue);
+        let mut estimate = PlaneEstimate { warnings, ..self.blank(centroid_px) };
+        match &self.outcome {
+            Some(outcome) => self.fill(&mut estimate, outcome, &view, range),
+            None => estimate.reason = nothing_found(range),
+        }
+        let limit = self.config.verdict.alias_score_max;
+        if estimate.status.depth_is_sure()
+            && may_continue()
+            && let Some(outcome) = &self.outcome
+            && let Some(reason) =
+                objection(&mut self.cold_start, outcome, (&self.front_end, &source), allowed, (&view, limit))
+        {
+            (estimate.status, estimate.reason) = (Status::Ambiguous, reason);
+        }
+        Ok(estimate)
+    }
+
+    fn view(&self, centroid_px: &Vector2<f64>) -> Result<RawView, EstimationError> {
+        let back = self.front_end.cam_left_rect_from_cam_left().inverse();
+        let columns = [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| back.transform_vector(&axis));
+        Ok(RawView {
+            geometry: *self.front_end.geometry(),
+            turn: Matrix3::from_columns(&columns),
+            ray: self.front_end.raw_rig().left().unproject(centroid_px)?,
+        })
+    }
+
+    fn fill(&self, estimate: &mut PlaneEstimate, outcome: &ColdStartOutcome, view: &RawView, range: &SearchRange) {
+        let side_px = (self.cold_start.pyramid().area_px() as f64).sqrt();
+        let is_exact = self.config.cold_start.refine.calibration_sigma_px == 0.0;
+        let (plane, covariance) = answer(outcome, side_px, is_exact);
+        let Some(pose) = view.pose(&plane) else {
+            estimate.reason = "the best plane lies behind the camera: check range and calibration".to_owned();
+            return;
+        };
+        let spread = covariance.map(|covariance| Spread::of(&covariance, &plane, &pose, view));
+        let normal_sigma_rad = spread.map(|spread| spread.normal_sigma_rad);
+        let searched = Searched { range: *range, steeper: steeper(outcome, view, range) };
+        let verdict = judge(outcome, normal_sigma_rad, &searched, &self.config.verdict);
+        (estimate.status, estimate.reason) = (verdict.status, verdict.reason);
+        estimate.psi = PlaneHypothesis::from_inverse_depth_plane(&pose.inverse_depth_plane, &view.ray);
+        estimate.fitness = Some(outcome.finest.mean_correlation);
+        estimate.row_offset_px = Some(self.row_offset_px(outcome, &plane));
+        if estimate.status == Status::NotObservable {
+            return;
+        }
+        if is_no_plane(outcome, &self.config.verdict) {
+            estimate.warnings.push(EstimateWarning::NoPlane);
+        }
+        estimate.pose = Some(pose);
+        estimate.z_sigma_m = spread.map(|spread| spread.covariance[(0, 0)].sqrt());
+        estimate.normal_sigma_rad = normal_sigma_rad;
+        estimate.plane_covariance = spread.map(|spread| spread.covariance);
+        let second = |rival: &Rival| Some(SecondPlane { pose: view.pose(&rival.plane)?, share: rival.own_share });
+        estimate.second_plane = outcome.second.as_ref().and_then(second);
+        let (farthest_px, nearest_px) = disparity_range(view, range);
+        if plane.d0_px < farthest_px + END_OF_RANGE_PX || plane.d0_px > nearest_px - END_OF_RANGE_PX {
+            estimate.warnings.push(EstimateWarning::EndOfRange { z_mm: 1000.0 * pose.z_m });
+            if estimate.status.depth_is_sure() {
+                estimate.status = Status::Ambiguous;
+                estimate.reason.push_str(", but it lies at the end of the depth range: the target may lie beyond");
+            }
+        }
+        // What is exactly at the limit may be found a little beyond it.
+        if !TiltLimits::new(range).allow(&view.inverse_depth_plane(&plane)) {
+            let limit_deg = range.tilt_max_rad.to_degrees();
+            estimate.warnings.push(EstimateWarning::BeyondTilt { limit_deg });
+            let is_beyond = spread.is_some_and(|spread| spread.is_tilted_beyond(&pose, range.tilt_max_rad));
+            if is_beyond && estimate.status.depth_is_sure() {
+                estimate.status = Status::Ambiguous;
+                estimate.reason.push_str(", but it is tilted beyond the range: raise the limit (--tilt-max)");
+            }
+        }
+    }
+
+    /// Known and found row offset at the region's centroid.
+    fn row_offset_px(&self, outcome: &ColdStartOutcome, plane: &DisparityPlane) -> f64 {
+        let right_px = plane.centre_px - Vector2::new(plane.d0_px, 0.0);
+        self.rows.at(&right_px) + outcome.refined.map_or(0.0, |refined| refined.row_offset_px)
+    }
+
+    fn blank(&self, centroid_px: Vector2<f64>) -> PlaneEstimate {
+        PlaneEstimate {
+            status: Status::NotObservable,
+            reason: String::new(),
+            warnings: Vec::new(),
+            centroid_px,
+            pose: None,
+            psi: None,
+            fitness: None,
+            z_sigma_m: None,
+            normal_sigma_rad: None,
+            plane_covariance: None,
+            second_plane: None,
+            row_offset_px: None,
+            reference_optimum: None,
+            left_camera: *self.front_end.raw_rig().left(),
+        }
+    }
+}
+
+/// Rows that are further off than this tell of a calibration that does not hold, pixels: those of real rigs are off by up to
+/// half a pixel.
+const ROWS_OFF_MAX_PX: f64 = 1.5;
+
+/// Whether both pictures are one; two that show nothing, each of one colour, may well be equal.
+fn is_same_picture(left: &RgbImage, right: &RgbImage) -> bool {
+    let shows_something = || left.pixels().any(|pixel| Some(pixel) != left.pixels().next());
+    left.as_raw() == right.as_raw() && shows_something()
+}
+
+/// What speaks against a sure answer and lies outside of what was searched: depths at which the right picture does not show the
+/// region, and those beyond the range, where a plane may reach `score_max` of the answer's score.
+fn objection(
+    cold_start: &mut ColdStart,
+    outcome: &ColdStartOutcome,
+    (front_end, source): (&StereoFrontEnd, &PyramidSource<'_>),
+    allowed: impl Fn(&DisparityPlane) -> bool,
+    (view, score_max): (&RawView, f64),
+) -> Option<String> {
+    let centre_px = cold_start.pyramid().centroid_px();
+    // From this disparity on, the middle of the region is out of the right picture.
+    let leaves_px = centre_px.x;
+    let correlation = outcome.finest.mean_correlation;
+    if source.disparity_px.1 > leaves_px && correlation < UNSEEN_CORRELATION_MIN {
+        let nearest = view.pose(&DisparityPlane { centre_px, d0_px: leaves_px, slope: Vector2::zeros() })?;
+        return Some(may_be_unseen(nearest.z_m, correlation));
+    }
+    let found = cold_start.look_beyond(outcome, front_end, source, allowed)?;
+    let z_m = view.pose(&found.plane).map(|pose| pose.z_m);
+    (found.score_ratio > score_max).then(|| lies_beyond(z_m, found.score_ratio))
+}
+
+/// An answer so near to an end of the depth range is warned of, pixels of disparity: the search sees hardly less beyond it.
+const END_OF_RANGE_PX: f64 = 0.5;
+
+/// The patches agree with a plane as well as with their own if support times correlation is worse by no more than this.
+const AGREEMENT_TOLERANCE: f64 = 0.005;
+/// The planes are the same to the patches if they differ by no more than this at the border of the region, pixels.
+const PATCH_PRECISION_PX: f64 = 0.25;
+/// Patches compare rows as they are: with rows farther off than this they are wrong themselves, pixels.
+const PATCH_ROWS_PX: f64 = 0.2;
+
+/// Of two planes that err on their own, equally far, the variance of each is this share of their squared difference.
+const EQUAL_ERRORS: f64 = 0.5;
+
+/// Planes much nearer than this at the border of the region, pixels, differ by noise, which moves the patches more than the
+/// refined plane. With half of it the errors on rendered grey targets grow by a quarter.
+const PATCH_SIGMA_PX: f64 = 0.2;
+/// Where patches correlate less, noise moves them further than the refinement.
+const CLEAR_CORRELATION_MIN: f64 = 0.9;
+
+/// The plane of an outcome with the covariance of `(d0, du, dv)`: between the refined plane, if the refinement came to rest near
+/// the patches' plane, and that of the patches. On real surfaces both err on their own and equally far, so the mean of both is
+/// better than either; but patches can not tell planes apart that are as near as they are precise, so the answer goes the less
+/// towards their plane the nearer it is. Where that is farther off, and they agree with the refined plane clearly less than with
+/// their own, the answer lies half-way. Where no plane fits, the answer is the one that explains the most disparities.
+///
+/// Two planes of the same pixels that differ by `gap` and err on their own, equally far, have half of `gap gap^T` as variance
+/// each, and their mean a quarter. Where pictures hold no errors but noise (`is_exact`), that of the refinement is known to be
+/// the smaller one, and it is the answer if the patches agree with it.
+fn answer(outcome: &ColdStartOutcome, side_px: f64, is_exact: bool) -> (DisparityPlane, Option<Matrix3<f64>>) {
+    let Some(refined) = &outcome.refined else {
+        return (outcome.widest.map_or(outcome.patch_plane, |widest| widest.plane), None);
+    };
+    let own = refined.plane.parameters();
+    if let Some(widest) = outcome.widest {
+        let moved = widest.plane.centred_at(refined.plane.centre_px).parameters() - own;
+        return (refined.plane.with_parameters(&(own + moved)), Some(refined.covariance + moved * moved.transpose()));
+    }
+    let theirs = match outcome.plane_at_refined {
+        Some(plane) if refined.converged => plane,
+        _ => outcome.patch_plane,
+    };
+    let gap = theirs.centred_at(refined.plane.centre_px).parameters() - own;
+    let agreement = |patches: &PatchOutcome| patches.support_share * patches.mean_correlation;
+    let lost = outcome.at_refined.map_or(0.0, |found| agreement(&outcome.finest) - agreement(&found));
+    let apart_px = gap.x.abs() + 0.5 * side_px * (gap.y.abs() + gap.z.abs());
+    let rows_off = refined.row_offset_px.abs() > PATCH_ROWS_PX;
+    let (moved_by, counted) = if refined.converged {
+        let is_better = lost > AGREEMENT_TOLERANCE && !rows_off;
+        let is_clear = outcome.finest.mean_correlation >= CLEAR_CORRELATION_MIN && !rows_off && !is_exact;
+        let moved_by = towards_patches(apart_px, is_better, is_clear);
+        (moved_by, if rows_off || is_exact { moved_by * moved_by } else { variance_between(moved_by) })
+    } else {
+        (1.0, 1.0)
+    };
+    (refined.plane.with_parameters(&(own + gap * moved_by)), Some(refined.covariance + gap * gap.transpose() * counted))
+}
+
+/// Which share of the way to the patches' plane the answer goes if the planes are `apart_px` apart at the region's border:
+/// `is_better` says that the patches agree with their own plane clearly more, `is_clear` that noise moves them little.
+fn towards_patches(apart_px: f64, is_better: bool, is_clear: bool) -> f64 {
+    match is_better && apart_px > PATCH_PRECISION_PX {
+        true => 0.5,
+        false if is_clear => 0.5 * apart_px.powi(2) / (apart_px.powi(2) + PATCH_SIGMA_PX.powi(2)),
+        false => 0.0,
+    }
+}
+
+/// Variance of what lies a share of the way from one estimate to another that errs on its own and equally far, over the squared
+/// difference of both.
+fn variance_between(share: f64) -> f64 {
+    EQUAL_ERRORS * ((1.0 - share).powi(2) + share.powi(2))
+}
+
+/// The plane that explains the most, if it lies within the depths of the range but is tilted by more than it allows.
+fn steeper(outcome: &ColdStartOutcome, view: &RawView, range: &SearchRange) -> Option<Steeper> {
+    let (plane, share) = outcome.unlimited?;
+    let pose = view.pose(&plane)?;
+    let q = &pose.inverse_depth_plane;
+    let is_within = (range.z_min_m..=range.z_max_m).contains(&pose.z_m) && q.z > 0.0;
+    let is_better = share > STEEPER_GAIN_MIN * outcome.valid_share * outcome.first.share;
+    let tilt_rad = (q.x.abs() / q.z).atan().max((q.y.abs() / q.norm()).asin());
+    (is_within && is_better && !TiltLimits::new(range).allow(q))
+        .then_some(Steeper { tilt_deg: tilt_rad.to_degrees(), share })
+}
+
+/// A plane that is steeper than allowed is named if it explains so many times as many pixels.
+const STEEPER_GAIN_MIN: f64 = 1.5;
+
+/// Disparities of the ends of a depth range on the centroid's ray, lowest first.
+fn disparity_range(view: &RawView, range: &SearchRange) -> (f64, f64) {
+    let depth_factor = (view.turn.transpose() * view.ray).z;
+    let at = |z_m: f64| view.geometry.disparity_px(z_m * depth_factor);
+    (at(range.z_max_m), at(range.z_min_m))
+}
+
+/// Root mean square angle between the middle of a half-sphere and normals spread evenly over it, `sqrt(pi - 2)`, radians: a
+/// normal that faces the camera can not be known worse.
+const ANY_NORMAL_RAD: f64 = 1.0684;
+
+/// An answer is tilted beyond the range if it exceeds the limit by so many standard deviations.
+const TILT_SIGMAS: f64 = 2.0;
+
+/// Uncertainty of a plane in `cam_left`.
+#[derive(Clone, Copy, Debug)]
+struct Spread {
+    /// Of `(z, theta_x, theta_y)`: metres and radians.
+    covariance: Matrix3<f64>,
+    normal_sigma_rad: f64,
+}
+
+impl Spread {
+    fn of(covariance: &Matrix3<f64>, plane: &DisparityPlane, pose: &PlanePose, view: &RawView) -> Self {
+        let j = view.turn * inverse_depth_from_disparity(&view.geometry, &plane.centre_px);
+        let q_covariance = j * covariance * j.transpose();
+        let q = pose.inverse_depth_plane;
+        // z = 1 / (q . ray), theta_x = atan2(-qy, r) with r = |(qx, qz)|, theta_y = atan2(qx, qz).
+        let (r2, n2) = (q.x * q.x + q.z * q.z, q.norm_squared());
+        let r = r2.sqrt();
+        let dz = view.ray * (-pose.z_m * pose.z_m);
+        let dx = Vector3::new(q.x * q.y / r, -r, q.z * q.y / r) / n2;
+        let dy = Vector3::new(q.z, 0.0, -q.x) / r2;
+        let jacobian = Matrix3::from_rows(&[dz.transpose(), dx.transpose(), dy.transpose()]);
+        let normal = q / q.norm();
+        let across = (Matrix3::identity() - normal * normal.transpose()) / q.norm();
+        let normal_sigma_rad = (across * q_covariance * across.transpose()).trace().max(0.0).sqrt().min(ANY_NORMAL_RAD);
+        Self { covariance: jacobian * q_covariance * jacobian.transpose(), normal_sigma_rad }
+    }
+
+    /// Whether a tilt of `pose` exceeds a limit by more than its uncertainty.
+    fn is_tilted_beyond(&self, pose: &PlanePose, limit_rad: f64) -> bool {
+        let q = pose.inverse_depth_plane;
+        let tilts_rad = [(-q.y).atan2(q.x.hypot(q.z)), q.x.atan2(q.z)];
+        let is_beyond = |(axis, tilt_rad): (usize, f64)| {
+            tilt_rad.abs() - limit_rad > TILT_SIGMAS * self.covariance[(axis + 1, axis + 1)].max(0.0).sqrt()
+        };
+        tilts_rad.into_iter().enumerate().any(is_beyond)
+    }
+}
+
+/// The tilts that a search range allows.
+#[derive(Clone, Copy, Debug)]
+struct TiltLimits {
+    tangent: f64,
+    sine: f64,
+}
+
+impl TiltLimits {
+    fn new(range: &SearchRange) -> Self {
+        Self { tangent: range.tilt_max_rad.tan(), sine: range.tilt_max_rad.sin() }
+    }
+
+    /// Whether an inverse-depth plane in `cam_left` is tilted by no more.
+    fn allow(&self, q: &Vector3<f64>) -> bool {
+        q.z > 0.0 && q.x.abs() <= self.tangent * q.z && q.y.abs() <= self.sine * q.norm()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn view() -> RawView {
+        let turn = pb3dp_geometry::so3::exp(&Vector3::new(0.03, -0.06, 0.02)).to_rotation_matrix();
+        RawView {
+            geometry: RectifiedGeometry {
+                focal_px: Vector2::new(740.0, 755.0),
+                left_principal_px: Vector2::new(311.0, 252.0),
+                disparity_offset_px: 12.5,
+                baseline_m: 0.1,
+            },
+            turn: *turn.matrix(),
+            ray: Vector3::new(0.12, -0.07, 1.0),
+        }
+    }
+
+    fn plane() -> DisparityPlane {
+        DisparityPlane { centre_px: Vector2::new(380.0, 210.0), d0_px: 133.0, slope: Vector2::new(0.06, -0.04) }
+    }
+
+    /// Differences of the plane's own parameters, not the formula's.
+    #[test]
+    fn the_covariance_is_that_of_small_changes() {
+        let (view, plane) = (view(), plane());
+        let psi = |p: &Vector3<f64>| {
+            let q = view.inverse_depth_plane(&plane.with_parameters(p));
+            let psi = PlaneHypothesis::from_inverse_depth_plane(&q, &view.ray).unwrap();
+            Vector3::new(psi.z_m, psi.theta_x_rad, psi.theta_y_rad)
+        };
+        let p0 = plane.parameters();
+        let steps = [1e-4, 1e-7, 1e-7];
+        let jacobian = Matrix3::from_columns(&[0, 1, 2].map(|i| {
+            let step = Vector3::ith(i, steps[i]);
+            (psi(&(p0 + step)) - psi(&(p0 - step))) / (2.0 * steps[i])
+        }));
+        let root = Matrix3::new(0.05, 0.0, 0.0, 1e-4, 3e-4, 0.0, -2e-4, 1e-4, 4e-4);
+        let covariance = root * root.transpose();
+        let pose = view.pose(&plane).unwrap();
+        let spread = Spread::of(&covariance, &plane, &pose, &view);
+        let expected = jacobian * covariance * jacobian.transpose();
+        for i in 0..3 {
+            for j in 0..3 {
+                let scale = (expected[(i, i)] * expected[(j, j)]).sqrt();
+                assert!((spread.covariance[(i, j)] - expected[(i, j)]).abs() < 1e-4 * scale, "{i} {j}");
+            }
+        }
+        // A turn by theta_y moves the normal by cos theta_x of it.
+        let cosine = psi(&p0).y.cos();
+        let sum = expected[(1, 1)] + cosine * cosine * expected[(2, 2)];
+        assert!((spread.normal_sigma_rad - sum.sqrt()).abs() < 1e-4 * sum.sqrt());
+    }
+
+    /// Where two estimates err on their own and equally far, the mean has half the variance of each.
+    #[test]
+    fn the_answer_goes_at_most_half_way_to_the_patches() {
+        assert_eq!((variance_between(0.0), variance_between(0.5)), (0.5, 0.25));
+        let shares = [0.0, 0.02, 0.1, 0.3, 2.0].map(|apart_px| towards_patches(apart_px, false, true));
+        assert!(
+            shares[0] == 0.0 && shares[1] < 0.01 && (shares[2] - 0.1).abs() < 1e-12 && shares[4] < 0.5,
+            "{shares:?}"
+        );
+        assert!(shares.windows(2).all(|pair| pair[0] < pair[1]), "{shares:?}");
+        assert_eq!(
+            [(0.2, true), (0.3, true), (0.3, false)].map(|(px, b)| towards_patches(px, b, false)),
+            [0.0, 0.5, 0.0]
+        );
+    }
+
+    #[test]
+    fn no_normal_is_known_worse_than_one_that_may_be_any() {
+        let (view, plane) = (view(), plane());
+        let pose = view.pose(&plane).unwrap();
+        let sigma = |scale: f64| Spread::of(&(Matrix3::identity() * scale), &plane, &pose, &view).normal_sigma_rad;
+        assert!(sigma(1e-8) < 0.01 && sigma(1.0) == ANY_NORMAL_RAD, "{} {}", sigma(1e-8), sigma(1.0));
+        // Simpson's rule over the squared angle, weighted by the ring of normals at that angle.
+        let value = |i: usize| {
+            (std::f64::consts::FRAC_PI_2 * i as f64 / 1000.0).powi(2)
+                * (std::f64::consts::FRAC_PI_2 * i as f64 / 1000.0).sin()
+        };
+        let inner: f64 = (1..1000).map(|i| value(i) * if i % 2 == 1 { 4.0 } else { 2.0 }).sum();
+        let mean = (value(0) + inner + value(1000)) * std::f64::consts::FRAC_PI_2 / 3000.0;
+        assert!((mean.sqrt() - ANY_NORMAL_RAD).abs() < 1e-4, "{}", mean.sqrt());
+    }
+
+    #[test]
+    fn tilts_beyond_the_range_are_not_allowed() {
+        let limits = TiltLimits::new(&SearchRange::new(0.3, 0.9, 0.5).unwrap());
+        let ray = Vector3::new(0.1, 0.05, 1.0);
+        for (theta_x_rad, theta_y_rad, allowed) in
+            [(0.49, 0.0, true), (0.51, 0.1, false), (-0.3, -0.49, true), (0.2, 0.52, false)]
+        {
+            let psi = PlaneHypothesis { z_m: 0.5, theta_x_rad, theta_y_rad };
+            assert_eq!(limits.allow(&psi.inverse_depth_plane(&ray).unwrap()), allowed);
+        }
+    }
+}

@@ -1,0 +1,469 @@
+//! Slanted patches: how far the right eye is off a plane, around every pixel of the region.
+//!
+//! The right window is warped by the plane, so that a pixel and its partner stand at the same place. Where the plane is wrong
+//! by `e` pixels of disparity, the 15 x 15 neighbourhoods agree best after a shift by `-e / (1 - a)` columns (`a`: the
+//! plane's slope along columns). The agreement is the zero-mean normalised cross-correlation of all whole shifts within a
+//! reach, from running sums; a parabola gives the fraction.
+
+mod closest;
+mod fit;
+mod kernels;
+
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::error::{EstimationError, check_range};
+use pb3dp_estimation_core::wide::{LANES, sum_lanes, wide};
+
+use self::closest::Sampled;
+use self::fit::{PatchVotes, fit_votes};
+use super::colour_planes::ColourPlanes;
+use super::region_pyramid::{LevelPlane, RegionLevel, is_seen};
+use super::search::volume::LevelBox;
+
+/// Pixels from the centre of a patch to its side.
+pub const RADIUS: usize = 7;
+/// Side of a patch.
+pub(super) const SIDE: usize = 2 * RADIUS + 1;
+/// Most columns that a patch is shifted by.
+pub const REACH_MAX: usize = 3;
+/// Number of pixels of a patch.
+pub(super) const PATCH_PX: f32 = (SIDE * SIDE) as f32;
+/// Patches are looked at around the pixels of every so manieth row: the next rows have nearly the same patches.
+const ROW_STEP: usize = 2;
+
+/// Bit of [`RegionLevel::support`]: the pixel may be used, as far as its patch can tell.
+pub const USABLE: u8 = 1;
+/// Bit of [`RegionLevel::support`]: the pixel's patch has texture and agrees with the plane.
+pub const SUPPORTS: u8 = 2;
+
+/// Parameters of the patches.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PatchConfig {
+    /// Columns that a patch is shifted by to both sides, 1 to [`REACH_MAX`].
+    pub reach: usize,
+    /// Farthest peak of a patch that supports the plane, pixels of the level.
+    pub support_px: f64,
+    /// Lowest correlation of a patch that supports the plane.
+    pub correlation_min: f64,
+    /// A patch whose luminance varies by less (standard deviation) says nothing.
+    pub texture_min: f64,
+    /// A patch with this mean gradient along the row (root mean square, luminance per pixel) has half the weight of a very
+    /// sharp one.
+    pub gradient_half: f64,
+}
+
+impl Default for PatchConfig {
+    fn default() -> Self {
+        Self { reach: 2, support_px: 0.5, correlation_min: 0.5, texture_min: 2.0, gradient_half: 1.0 }
+    }
+}
+
+impl PatchConfig {
+    /// Checks all ranges.
+    ///
+    /// # Errors
+    /// The parameter that is out of its range.
+    pub fn validate(&self) -> Result<(), EstimationError> {
+        let reach = (1.0, REACH_MAX as f64);
+        check_range("direct.patches.reach_px", self.reach as f64, reach, "must be between 1 and 3 pixels")?;
+        check_range("direct.patches.support_px", self.support_px, (0.1, 2.0), "must be between 0.1 and 2 pixels")?;
+        let correlation = self.correlation_min;
+        check_range("direct.patches.correlation_min", correlation, (0.0, 1.0), "must be between 0 and 1")?;
+        check_range("direct.patches.texture_min", self.texture_min, (0.0, 100.0), "must be between 0 and 100")?;
+        check_range("direct.patches.gradient_half", self.gradient_half, (0.0, 100.0), "must be between 0 and 100")
+    }
+}
+
+/// What the patches say of a plane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PatchOutcome {
+    /// The plane, corrected by the supporting patches.
+    pub plane: LevelPlane,
+    /// Share of the region's pixels whose patch could be looked at and has texture.
+    pub textured_share: f64,
+    /// Share of the textured ones that support the given plane.
+    pub support_share: f64,
+    /// Mean correlation, at the given plane, of the supporting ones; 0 if there is none.
+    pub mean_correlation: f64,
+}
+
+/// Evaluates patches; keeps its buffers.
+#[derive(Clone, Debug, Default)]
+pub struct SlantedPatches {
+    left: Vec<f32>,
+    gradient: Vec<f32>,
+    warped: Vec<f32>,
+    rows: kernels::Rows,
+    votes: PatchVotes,
+    sampled: Sampled,
+    /// The plane that was looked at last.
+    given: Option<LevelPlane>,
+}
+
+impl SlantedPatches {
+    /// Looks at all patches around `plane` and fits a better plane. Writes into `level.support` which pixels of the region
+    /// agree with `plane` or have nothing to say.
+    pub fn run(
+        &mut self,
+        level: &mut RegionLevel,
+        plane: &LevelPlane,
+        config: &PatchConfig,
+        kernels: Kernels,
+    ) -> PatchOutcome {
+        let area = patch_box(level);
+        let reach = config.reach.clamp(1, REACH_MAX);
+        self.given = None;
+        if area.width < SIDE || area.height < SIDE || level.right.window.width < 4 {
+            level.reset_support();
+            return Tally::default().outcome(level.area_px, *plane);
+        }
+        self.load(level, &area, plane, reach, kernels);
+        self.votes.clear();
+        self.sampled.start(level.area_px, ROW_STEP);
+        self.given = Some(*plane);
+        level.support.fill(0);
+        let mut tally = Tally::default();
+        self.rows.start(area.width, reach);
+        for y in 0..area.height {
+            self.rows.advance(y, area.width, &self.left, &self.gradient, &self.warped, kernels);
+            if y + 1 >= SIDE && (y + 1 - SIDE).is_multiple_of(ROW_STEP) {
+                self.rows.peaks(config, kernels);
+                self.judge_rows(level, &area, area.y + y - RADIUS, config, &mut tally, kernels);
+            }
+        }
+        keep_unseen_pixels(level, &area);
+        let correction = fit_votes(&mut self.votes, config.support_px, kernels);
+        tally.outcome(level.area_px, corrected(plane, correction))
+    }
+
+    /// A plane that clearly more of the patches of the last run lie closely on than on the one that was given there, if there is
+    /// one.
+    pub fn closest_plane(&mut self, kernels: Kernels) -> Option<LevelPlane> {
+        let given = self.given?;
+        Some(corrected(&given, Some(self.sampled.closest(kernels)?)))
+    }
+
+    /// Writes what the patches of one row say for that row and the next.
+    fn judge_rows(
+        &mut self,
+        level: &mut RegionLevel,
+        area: &LevelBox,
+        row: usize,
+        config: &PatchConfig,
+        tally: &mut Tally,
+        kernels: Kernels,
+    ) {
+        let (stride, first) = (level.left.window.width, area.x + RADIUS);
+        let (count, end) = (area.width - 2 * RADIUS, area.y + area.height - RADIUS);
+        let limits = (config.support_px as f32, config.correlation_min as f32);
+        self.rows.judge(limits, kernels);
+        for row_here in row..(row + ROW_STEP).min(end) {
+            let range = row_here * stride + first..row_here * stride + first + count;
+            let (inside, support) = (&level.region[range.clone()], &mut level.support[range]);
+            tally.add(&self.rows.spread_row(inside, support, kernels));
+        }
+        let inside = &level.region[row * stride + first..][..count];
+        self.votes.extend_row((first, row), inside, self.rows.offsets(), self.rows.weights());
+        if self.sampled.takes_row(row - area.y - RADIUS) {
+            let patches = (self.rows.offsets(), self.rows.weights(), self.rows.correlations());
+            let limits = (config.reach.clamp(1, REACH_MAX) as f32, limits.1);
+            self.sampled.take_row((first, row), inside, patches, limits);
+        }
+    }
+
+    /// Copies the left window's part and warps the right window onto it, `reach` columns wider on both sides.
+    fn load(&mut self, level: &RegionLevel, area: &LevelBox, plane: &LevelPlane, reach: usize, kernels: Kernels) {
+        let (width, wide) = (area.width, area.width + 2 * reach);
+        self.left.resize(width * area.height, 0.0);
+        self.gradient.resize(width * area.height, 0.0);
+        self.warped.resize(wide * area.height, 0.0);
+        let source = level.left.luminance();
+        let mean = mean_of(&level.left, area);
+        for y in 0..area.height {
+            let row = &source.row(area.y + y)[area.x..area.x + width];
+            let here = y * width..(y + 1) * width;
+            centre_row(kernels, row, mean, &mut self.left[here.clone()], &mut self.gradient[here]);
+            let out = &mut self.warped[y * wide..(y + 1) * wide];
+            warp_row(&level.right, area, y, plane, reach, mean, kernels, out);
+        }
+    }
+}
+
+wide! {
+    fn centre_row(row: &[f32], mean: f32, left: &mut [f32], gradient: &mut [f32]) = centre_row_kernel;
+}
+
+/// Values without the mean, and gradients along the row, 0 at its ends.
+#[inline(always)]
+fn centre_row_kernel(row: &[f32], mean: f32, left: &mut [f32], gradient: &mut [f32]) {
+    let width = row.len();
+    for (out, value) in left.iter_mut().zip(row) {
+        *out = value - mean;
+    }
+    gradient[0] = 0.0;
+    gradient[width - 1] = 0.0;
+    for ((out, before), after) in gradient[1..width - 1].iter_mut().zip(row).zip(&row[2..]) {
+        *out = 0.5 * (after - before);
+    }
+}
+
+/// The plane whose disparity is larger by `correction.0 + correction.1 x + correction.2 y` columns of shift.
+fn corrected(plane: &LevelPlane, correction: Option<[f64; 3]>) -> LevelPlane {
+    let Some(shift) = correction else { return *plane };
+    // A shift by k columns of the warped image is a change of disparity by -k (1 - a).
+    let factor = -(1.0 - plane.a);
+    LevelPlane {
+        a: plane.a + factor * shift[1],
+        b: plane.b + factor * shift[2],
+        c: plane.c + factor * shift[0],
+        row: plane.row,
+    }
+}
+
+/// Columns of the right image at the places of one row, cubic; the border is repeated.
+#[allow(clippy::too_many_arguments, reason = "a kernel takes its buffers and settings one by one")]
+fn warp_row(
+    right: &ColourPlanes,
+    area: &LevelBox,
+    y: usize,
+    plane: &LevelPlane,
+    reach: usize,
+    mean: f32,
+    kernels: Kernels,
+    out: &mut [f32],
+) {
+    let y_left = (area.y + y) as f64;
+    let row = (y_left as i64 + i64::from(plane.row)).clamp(0, right.window.height as i64 - 1) as usize;
+    let source = right.luminance().row(row);
+    let first_x = area.x as f64 - reach as f64;
+    let start = (first_x - (plane.c + plane.a * first_x + plane.b * y_left)) as f32;
+    let step = (1.0 - plane.a) as f32;
+    warp_places(kernels, source, (start, step), mean, out);
+}
+
+wide! {
+    fn warp_places(source: &[f32], places: (f32, f32), mean: f32, out: &mut [f32]) = warp_places_kernel;
+}
+
+/// Values at the places `start`, `start + step`, ... less the mean.
+#[inline(always)]
+fn warp_places_kernel(source: &[f32], (start, step): (f32, f32), mean: f32, out: &mut [f32]) {
+    // Over a group, places drift by less than a pixel from one column per column.
+    match (step - 1.0).abs() {
+        drift if drift < 1.0 / 16.0 => warp_groups::<16>(source, start, step, mean, out),
+        drift if drift < 1.0 / 8.0 => warp_groups::<8>(source, start, step, mean, out),
+        drift if drift < 1.0 / 4.0 => warp_groups::<4>(source, start, step, mean, out),
+        _ => warp_groups::<1>(source, start, step, mean, out),
+    }
+}
+
+/// In groups of `G` places: the four neighbours of each begin at one of two columns.
+#[inline(always)]
+fn warp_groups<const G: usize>(source: &[f32], start: f32, step: f32, mean: f32, out: &mut [f32]) {
+    let (drift, last) = (step - 1.0, source.len() as f32 - 1.0);
+    let mut first = 0;
+    while first < out.len() {
+        // The last group may overlap the one before.
+        let k = first.min(out.len().saturating_sub(G));
+        let from = start + step * k as f32;
+        let low = from.min(from + drift * (G - 1) as f32).floor();
+        if G > out.len() || !(low >= 1.0 && low + G as f32 + 2.0 <= last) {
+            out[first] = value_at(source, start + step * first as f32) - mean;
+            first += 1;
+            continue;
+        }
+        let base = low as usize - 1;
+        let near: [&[f32; G]; 5] = std::array::from_fn(|j| source[base + j..].first_chunk().unwrap_or(&[0.0; G]));
+        let out: &mut [f32] = &mut out[k..k + G];
+        let t = from - low;
+        for i in 0..G {
+            let place = t + drift * i as f32;
+            let is_next = place >= 1.0;
+            let values = near.map(|near| near[i]);
+            let four: [f32; 4] = std::array::from_fn(|j| if is_next { values[j + 1] } else { values[j] });
+            out[i] = cubic(four, if is_next { place - 1.0 } else { place }) - mean;
+        }
+        first = k + G;
+    }
+}
+
+/// The value `t` after the second of four neighbours (Keys 1981, a = -1/2).
+#[inline(always)]
+fn cubic([a, b, c, d]: [f32; 4], t: f32) -> f32 {
+    let (p, q) = (c - a, 2.0 * a - 5.0 * b + 4.0 * c - d);
+    b + 0.5 * t * (p + t * (q + t * (3.0 * (b - c) + d - a)))
+}
+
+/// The value at any place of a row.
+#[inline(always)]
+fn value_at(source: &[f32], at: f32) -> f32 {
+    let floor = at.floor();
+    match source.get((floor as usize).wrapping_sub(1)..).and_then(|rest| rest.first_chunk()) {
+        Some(four) if floor >= 1.0 => cubic(*four, at - floor),
+        _ => border_value(source, at),
+    }
+}
+
+/// Linear near the ends of a row, whose last values are repeated.
+fn border_value(source: &[f32], at: f32) -> f32 {
+    let last = source.len() - 1;
+    let at = at.clamp(0.0, last as f32);
+    let floor = (at as usize).min(last.saturating_sub(1));
+    let next = source[(floor + 1).min(last)];
+    source[floor] + (at - floor as f32) * (next - source[floor])
+}
+
+/// The region's box, larger by a patch's radius where the window allows it.
+fn patch_box(level: &RegionLevel) -> LevelBox {
+    super::search::region_box(level, RADIUS)
+}
+
+fn mean_of(eye: &ColourPlanes, area: &LevelBox) -> f32 {
+    let rows = (area.y..area.y + area.height).step_by(4);
+    let (mut sums, mut count) = ([0.0_f32; LANES], 0);
+    for y in rows {
+        let (groups, rest) = eye.luminance().row(y)[area.x..area.x + area.width].as_chunks::<LANES>();
+        for group in groups {
+            for i in 0..LANES {
+                sums[i] += group[i];
+            }
+        }
+        sums[0] += rest.iter().sum::<f32>();
+        count += area.width;
+    }
+    sum_lanes(&sums) / count.max(1) as f32
+}
+
+/// Pixels too near to the window's border for a patch keep the right to speak for themselves.
+fn keep_unseen_pixels(level: &mut RegionLevel, area: &LevelBox) {
+    let width = level.left.window.width;
+    let columns = area.x + RADIUS..area.x + area.width - RADIUS.min(area.width);
+    let rows = area.y + RADIUS..area.y + area.height - RADIUS.min(area.height);
+    let pixels = level.support.chunks_exact_mut(width).zip(level.region.chunks_exact(width));
+    for (y, ((support, region), flags)) in pixels.zip(level.left.flags.chunks_exact(width)).enumerate() {
+        let judged = if rows.contains(&y) { columns.clone() } else { 0..0 };
+        for part in [0..judged.start, judged.end..width] {
+            for (support, region) in support[part.clone()].iter_mut().zip(&region[part]) {
+                *support = region * USABLE;
+            }
+        }
+        for (support, flags) in support.iter_mut().zip(flags) {
+            *support = if is_seen(*flags) { *support } else { 0 };
+        }
+    }
+}
+
+/// Counts of pixels of the region.
+#[derive(Clone, Copy, Debug, Default)]
+struct Tally {
+    textured: f64,
+    supporting: f64,
+    correlation: f64,
+}
+
+impl Tally {
+    /// Adds a row: its textured pixels, its supporting ones, and their correlations.
+    fn add(&mut self, row: &[f32; 3]) {
+        self.textured += f64::from(row[0]);
+        self.supporting += f64::from(row[1]);
+        self.correlation += f64::from(row[2]);
+    }
+
+    fn outcome(&self, area_px: usize, plane: LevelPlane) -> PatchOutcome {
+        PatchOutcome {
+            plane,
+            textured_share: self.textured / area_px.max(1) as f64,
+            support_share: self.supporting / self.textured.max(1.0),
+            mean_correlation: self.correlation / self.supporting.max(1.0),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::colour_planes::Wanted;
+    use crate::image_plane::PixelWindow;
+
+    const TRUTH: LevelPlane = LevelPlane { a: 0.06, b: -0.03, c: 9.3, row: 0 };
+
+    /// A smooth texture without symmetry.
+    fn texture(x: f64, y: f64) -> f64 {
+        let waves = [(0.9, 0.4, 0.3), (0.35, -0.7, 1.1), (-0.6, 0.25, 2.0), (0.15, 0.9, 0.7), (1.3, 0.8, 0.2)];
+        100.0 + waves.iter().map(|(u, v, phase)| 20.0 * (u * x + v * y + phase).sin()).sum::<f64>()
+    }
+
+    /// A level of 70 x 50 pixels whose right eye shows the texture through `TRUTH`, but for columns from `edge` on, which
+    /// are 4 pixels nearer.
+    fn level(edge: f64) -> RegionLevel {
+        let mut level = RegionLevel { scale: 1, ..RegionLevel::default() };
+        let window = PixelWindow { x: 0, y: 0, width: 70, height: 50 };
+        level.left.resize(window, Wanted::Luminance);
+        level.right.resize(window, Wanted::Luminance);
+        for y in 0..50 {
+            for x in 0..70 {
+                level.left.planes[0].row_mut(y)[x] = texture(x as f64, y as f64) as f32;
+                // The left column that meets this right one: x_left - (c + a x_left + b y) = x.
+                let from = |nearer: f64| (x as f64 + TRUTH.c + nearer + TRUTH.b * y as f64) / (1.0 - TRUTH.a);
+                let source = if from(4.0) >= edge { from(4.0) } else { from(0.0) };
+                level.right.planes[0].row_mut(y)[x] = (1.2 * texture(source, y as f64) - 15.0) as f32;
+            }
+        }
+        level.left.flags.fill(0);
+        level.region = (0..70 * 50).map(|i| u8::from(i % 70 >= 22 && (8..42).contains(&(i / 70)))).collect();
+        level.area_px = level.region.iter().map(|&inside| usize::from(inside)).sum();
+        level.reset_support();
+        level
+    }
+
+    #[test]
+    fn a_plane_that_is_a_little_off_is_put_right_with_every_kernel() {
+        let start = LevelPlane { a: 0.05, b: -0.025, c: 9.6, row: 0 };
+        let mut bits = Vec::new();
+        for kernels in pb3dp_estimation_test_support::every_kernel() {
+            let (mut level, mut patches) = (level(f64::MAX), SlantedPatches::default());
+            let config = PatchConfig { support_px: 1.5, ..PatchConfig::default() };
+            let first = patches.run(&mut level, &start, &config, kernels);
+            let second = patches.run(&mut level, &first.plane, &config, kernels);
+            let found = second.plane;
+            for (x, y) in [(25.0, 10.0), (65.0, 10.0), (25.0, 40.0), (65.0, 40.0)] {
+                let gap = (found.c - TRUTH.c) + (found.a - TRUTH.a) * x + (found.b - TRUTH.b) * y;
+                assert!(gap.abs() < 0.03, "{gap} at {x} {y}: {found:?}");
+            }
+            assert!(second.support_share > 0.98 && second.mean_correlation > 0.98, "{second:?}");
+            bits.push([found.a.to_bits(), found.b.to_bits(), found.c.to_bits()]);
+        }
+        assert!(bits.windows(2).all(|pair| pair[0] == pair[1]), "kernels differ: {bits:?}");
+    }
+
+    #[test]
+    fn pixels_of_another_surface_do_not_support_the_plane() {
+        let (mut level, mut patches) = (level(48.0), SlantedPatches::default());
+        let outcome = patches.run(&mut level, &TRUTH, &PatchConfig::default(), Kernels::best());
+        let at = |x: usize, y: usize| level.support[y * 70 + x];
+        assert_eq!(at(32, 25), USABLE | SUPPORTS);
+        assert_eq!(at(58, 25), 0);
+        assert!((0.3..0.7).contains(&outcome.support_share), "{outcome:?}");
+        let gap = outcome.plane.c - TRUTH.c + (outcome.plane.a - TRUTH.a) * 35.0 + (outcome.plane.b - TRUTH.b) * 25.0;
+        assert!(gap.abs() < 0.1, "{gap}");
+    }
+
+    #[test]
+    fn without_texture_nothing_supports_and_everything_is_usable() {
+        let (mut level, mut patches) = (level(f64::MAX), SlantedPatches::default());
+        level.left.planes[0].values_mut().fill(77.0);
+        let outcome = patches.run(&mut level, &TRUTH, &PatchConfig::default(), Kernels::best());
+        assert_eq!((outcome.textured_share, outcome.support_share, outcome.plane), (0.0, 0.0, TRUTH));
+        assert!(level.support.iter().zip(&level.region).all(|(support, region)| *support == region * USABLE));
+    }
+
+    #[test]
+    fn regions_smaller_than_a_patch_say_nothing() {
+        let mut level = level(f64::MAX);
+        level.left.resize(PixelWindow { x: 0, y: 0, width: 12, height: 9 }, Wanted::Luminance);
+        level.region = vec![1; 12 * 9];
+        level.area_px = 12 * 9;
+        level.reset_support();
+        let outcome = SlantedPatches::default().run(&mut level, &TRUTH, &PatchConfig::default(), Kernels::best());
+        assert_eq!((outcome.textured_share, outcome.plane), (0.0, TRUTH));
+    }
+}

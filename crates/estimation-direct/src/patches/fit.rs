@@ -1,0 +1,138 @@
+//! A plane through the votes of patches.
+
+use nalgebra::{Matrix3, Vector3};
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::wide::{LANES, sum_lanes, wide};
+
+/// Votes `(x, y, offset, weight)`.
+#[derive(Clone, Debug, Default)]
+pub(super) struct PatchVotes {
+    x: Vec<f32>,
+    y: Vec<f32>,
+    offset: Vec<f32>,
+    weight: Vec<f32>,
+}
+
+impl PatchVotes {
+    pub(super) fn clear(&mut self) {
+        for values in [&mut self.x, &mut self.y, &mut self.offset, &mut self.weight] {
+            values.clear();
+        }
+    }
+
+    pub(super) fn push(&mut self, x: f32, y: f32, offset: f32, weight: f32) {
+        self.x.push(x);
+        self.y.push(y);
+        self.offset.push(offset);
+        self.weight.push(weight);
+    }
+
+    /// Adds the votes of a row from pixel `first` on; those outside the region have no weight.
+    pub(super) fn extend_row(&mut self, first: (usize, usize), inside: &[u8], offset: &[f32], weight: &[f32]) {
+        self.x.extend((first.0..first.0 + inside.len()).map(|x| x as f32));
+        self.y.resize(self.x.len(), first.1 as f32);
+        self.offset.extend_from_slice(offset);
+        self.weight.extend(inside.iter().zip(weight).map(|(inside, weight)| f32::from(*inside) * weight));
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.x.len()
+    }
+
+    /// The plane through three votes; `None` if they stand in a line.
+    pub(super) fn through(&self, votes: [usize; 3]) -> Option<[f64; 3]> {
+        let row = |i: usize| [1.0, f64::from(self.x[i]), f64::from(self.y[i])];
+        let offset = Vector3::from(votes.map(|i| f64::from(self.offset[i])));
+        let plane = Matrix3::from(votes.map(row)).transpose().try_inverse()? * offset;
+        plane.iter().all(|v| v.is_finite()).then(|| plane.into())
+    }
+
+    /// How far two planes are apart, at most, at the corners of the box around all votes that count.
+    pub(super) fn gap(&self, a: &[f64; 3], b: &[f64; 3]) -> f64 {
+        let places = || self.x.iter().zip(&self.y).zip(&self.weight).filter(|(_, weight)| **weight > 0.0);
+        let ends = |values: &mut dyn Iterator<Item = f32>| {
+            values.fold((f32::MAX, f32::MIN), |(low, high), value| (low.min(value), high.max(value)))
+        };
+        let (x, y) = (ends(&mut places().map(|((x, _), _)| *x)), ends(&mut places().map(|((_, y), _)| *y)));
+        let gap = |x: f32, y: f32| (a[0] - b[0] + (a[1] - b[1]) * f64::from(x) + (a[2] - b[2]) * f64::from(y)).abs();
+        gap(x.0, y.0).max(gap(x.1, y.0)).max(gap(x.0, y.1)).max(gap(x.1, y.1))
+    }
+
+    /// Fills the last group with votes that do not count.
+    pub(super) fn pad(&mut self) {
+        while !self.x.len().is_multiple_of(LANES) {
+            self.push(0.0, 0.0, 0.0, 0.0);
+        }
+    }
+}
+
+/// Steps of re-weighting.
+const STEPS: usize = 4;
+
+/// `offset = p0 + p1 x + p2 y` by Tukey's weights, whose width shrinks to `width_px`; `None` if the votes do not determine a
+/// plane.
+pub(super) fn fit_votes(votes: &mut PatchVotes, width_px: f64, kernels: Kernels) -> Option<[f64; 3]> {
+    votes.pad();
+    let mut plane = Vector3::zeros();
+    for step in 0..STEPS {
+        let width = width_px * if step == 0 { 2.0 } else { 1.33 };
+        let p: [f32; 3] = std::array::from_fn(|k| plane[k] as f32);
+        let scale = (1.0 / (width * width)) as f32;
+        let s = sums(kernels, &votes.x, &votes.y, &votes.offset, &votes.weight, p, scale).map(f64::from);
+        let h = Matrix3::new(s[0], s[1], s[2], s[1], s[3], s[4], s[2], s[4], s[5]);
+        // Twenty pixels' worth of sharp patches.
+        if s[0] < 20.0 {
+            return None;
+        }
+        plane += h.cholesky()?.solve(&Vector3::new(s[6], s[7], s[8]));
+    }
+    plane.iter().all(|v| v.is_finite()).then(|| plane.into())
+}
+
+/// The weight of the votes near a plane, by Tukey's weights of this width.
+pub(super) fn weight_near(votes: &PatchVotes, plane: &[f64; 3], width_px: f64, kernels: Kernels) -> f64 {
+    f64::from(weighted(votes, plane, width_px, kernels)[0])
+}
+
+/// A plane moved to the middle of the votes near it; `None` if these do not determine one.
+pub(super) fn improve(votes: &PatchVotes, plane: &[f64; 3], width_px: f64, kernels: Kernels) -> Option<[f64; 3]> {
+    let s = weighted(votes, plane, width_px, kernels).map(f64::from);
+    let h = Matrix3::new(s[0], s[1], s[2], s[1], s[3], s[4], s[2], s[4], s[5]);
+    let moved = Vector3::from(*plane) + h.cholesky()?.solve(&Vector3::new(s[6], s[7], s[8]));
+    moved.iter().all(|v| v.is_finite()).then(|| moved.into())
+}
+
+/// Sums over padded votes.
+fn weighted(votes: &PatchVotes, plane: &[f64; 3], width_px: f64, kernels: Kernels) -> [f32; 9] {
+    let scale = (1.0 / (width_px * width_px)) as f32;
+    sums(kernels, &votes.x, &votes.y, &votes.offset, &votes.weight, plane.map(|p| p as f32), scale)
+}
+
+wide! {
+    fn sums(x: &[f32], y: &[f32], offset: &[f32], weight: &[f32], plane: [f32; 3], scale: f32) -> [f32; 9] = sums_kernel;
+}
+
+#[inline(always)]
+fn sums_kernel(x: &[f32], y: &[f32], offset: &[f32], weight: &[f32], plane: [f32; 3], scale: f32) -> [f32; 9] {
+    let mut sums = [[0.0_f32; LANES]; 9];
+    let places = x.chunks_exact(LANES).zip(y.chunks_exact(LANES));
+    let votes = offset.chunks_exact(LANES).zip(weight.chunks_exact(LANES));
+    for ((x, y), (offset, weight)) in places.zip(votes) {
+        for i in 0..LANES {
+            let r = offset[i] - (plane[0] + plane[1] * x[i] + plane[2] * y[i]);
+            let inlier = (1.0 - r * r * scale).max(0.0);
+            let w = weight[i] * inlier * inlier;
+            let (wx, wy, wr) = (w * x[i], w * y[i], w * r);
+            sums[0][i] += w;
+            sums[1][i] += wx;
+            sums[2][i] += wy;
+            sums[3][i] += wx * x[i];
+            sums[4][i] += wx * y[i];
+            sums[5][i] += wy * y[i];
+            sums[6][i] += wr;
+            sums[7][i] += wr * x[i];
+            sums[8][i] += wr * y[i];
+        }
+    }
+    std::array::from_fn(|k| sum_lanes(&sums[k]))
+}

@@ -1,0 +1,600 @@
+//! Refinement of a plane: the right eye, seen through the plane, is made to look like the left eye.
+//!
+//! Gauss-Newton in the disparity plane `(d0, du, dv)` and a small row offset, from coarse to fine. Each channel (red, green,
+//! blue) has a gain and an offset of its own, which are eliminated in every step. Tukey's weights keep what does not belong
+//! to the plane out. Where the rows turn out to be off, or one eye is less sharp than the other, the channels are made anew
+//! with the rows moved and the sharper eye smoothed, and the steps go on. The covariance is that of the scores of blocks of
+//! pixels (sandwich), not the inverse of the Gauss-Newton matrix.
+
+mod covariance;
+mod kernel;
+mod level_rows;
+mod points;
+mod prepare;
+mod sharpness;
+mod solve;
+mod start;
+
+use covariance::BlockPulls;
+use kernel::{CHANNELS_MAX, ChannelState, PointSet, Shade, Sums, Thinning, Warp};
+use nalgebra::{Matrix3, Vector2, Vector4};
+use pb3dp_estimation_core::cpu::Kernels;
+use points::{RightRows, Selection};
+use prepare::{EyeChannels, Pair, Preparation, Wish, inside, reach_px, rows_of};
+use sharpness::Sharpness;
+use solve::{Normal, bounded_step, reliability, tukey_limit, tukey_moments};
+use start::first_state;
+
+use super::disparity_plane::DisparityPlane;
+use super::front_end::StereoFrontEnd;
+use super::image_plane::PixelWindow;
+use super::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
+
+/// Fewest points that are refined.
+const POINTS_MIN: usize = 40;
+/// Tukey's limit of a single residual starts no lower, grey levels.
+const START_LIMIT_GREY: f64 = 15.0;
+/// The border is judged at this step on the finest level.
+const BORDER_JUDGED_AT: usize = 2;
+/// The border is judged if it and the rest have this many points.
+const BORDER_POINTS_MIN: f64 = 200.0;
+/// The border is bad if its points have less than this of the weight of others, or more than this of their squared
+/// residuals.
+const BORDER_WEIGHT_MIN: f64 = 0.9;
+const BORDER_SQUARES_MAX: f64 = 1.25;
+/// The plane has converged if the last step moved no point of the region further, pixels of the level.
+const SETTLED_PX: f64 = 0.03;
+/// The first steps are taken on every so manieth group of points, as long as that many points are left,
+const THINNING_MAX: usize = 4;
+const THINNED_POINTS: usize = 1200;
+/// and until a step moves no point of the region further than this, pixels of the level.
+const THINNED_TO_PX: f64 = 0.1;
+/// A step of so many standard deviations, by the noise of single pixels alone, is small enough.
+const SIGMAS_LEFT: f64 = 0.1;
+/// The channels are made anew at most so often.
+const PASSES_MAX: usize = 4;
+/// Rows are moved if they are off by this, pixels: less is linear.
+const ROWS_MOVED_FROM_PX: f64 = 0.1;
+/// The sharper eye is smoothed if the variances of both eyes' blur differ by this, squared pixels of the level.
+const BLUR_EVENED_FROM_PX2: f64 = 0.3;
+/// Noise may make so much of the squared gradients of texture; more, and both eyes are smoothed more.
+const NOISE_SHARE_MAX: f64 = 0.5;
+/// The smoothing is chosen so that noise makes this share.
+const NOISE_SHARE: f64 = 0.3;
+/// Largest smoothing, pixels of the level.
+const SMOOTHING_MAX_PX: f64 = 1.6;
+/// So many standard deviations of the blur beyond a common one, the background is mixed into the region's border.
+const MIXED_SIGMAS: f64 = 2.0;
+/// Residuals are never taken to be better than this, grey levels.
+const SIGMA_MIN_GREY: f64 = 0.3;
+
+/// Parameters of the refinement.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RefineConfig {
+    /// Most levels that are used, the finest first.
+    pub levels_max: usize,
+    /// The finest level is the first on which the region has at most this many pixels.
+    pub area_max_px: usize,
+    /// Most points per level; those with the strongest gradients are taken.
+    pub points_max: usize,
+    /// Most steps on the finest level.
+    pub iterations_max: usize,
+    /// A plane that moves further than this at the region's centroid has not converged, pixels.
+    pub jump_max_px: f64,
+    /// Width of the border of the region that is always left out, pixels; half of the share below at most.
+    pub erosion_min_px: f64,
+    /// Width of the border that is left out if it agrees worse than the rest, pixels.
+    pub erosion_max_px: f64,
+    /// Share of the square root of the region's area that may be left out at each side.
+    pub erosion_share_max: f64,
+    /// Standard deviation of the smoothing, pixels of a level.
+    pub smoothing_px: f64,
+    /// Standard deviation of where a pixel samples the scene, pixels: gradient times this counts as noise.
+    pub place_sigma_px: f64,
+    /// Standard deviation of the row offset that is left after the pair's known offset, pixels; 0 keeps the rows fixed.
+    pub row_sigma_px: f64,
+    /// Standard deviation of disparity that a calibration error leaves at the region's centroid and, as a slope, over half
+    /// the region's side, pixels.
+    pub calibration_sigma_px: f64,
+    /// Standard deviation of the difference between the variances of both eyes' blur at an edge, squared pixels. The width of
+    /// an edge must not be taken for a slope.
+    pub blur_sigma_px2: f64,
+}
+
+impl Default for RefineConfig {
+    fn default() -> Self {
+        Self {
+            levels_max: 2,
+            area_max_px: 24_000,
+            points_max: 5000,
+            iterations_max: 8,
+            jump_max_px: 1.5,
+            erosion_min_px: 2.0,
+            erosion_max_px: 6.0,
+            erosion_share_max: 0.06,
+            smoothing_px: 0.5,
+            place_sigma_px: 0.05,
+            row_sigma_px: 0.3,
+            calibration_sigma_px: 0.002,
+            blur_sigma_px2: 0.0,
+        }
+    }
+}
+
+/// A refined plane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RefinedPlane {
+    /// The plane, at the region's centroid.
+    pub plane: DisparityPlane,
+    /// Covariance of `(d0, du, dv)` of [`Self::plane`]: pixels, and pixel per pixel.
+    pub covariance: Matrix3<f64>,
+    /// Row of the right image minus row of the left one, beyond what the pyramid knows, pixels.
+    pub row_offset_px: f64,
+    /// Variance of the right eye's blur minus that of the left one's, as far as it was evened out, squared pixels.
+    pub blur_px2: f64,
+    /// Share of the points that agree with the plane, 0 to 1.
+    pub inlier_share: f64,
+    /// Share of the points that the right window shows, 0 to 1.
+    pub seen_share: f64,
+    /// Standard deviation of the residuals of points that agree, grey levels of the first channel.
+    pub residual_sigma: f64,
+    /// Gain of the right eye over the left one: a right value is this times the left one.
+    pub gain: f64,
+    /// How many points were compared on the finest level.
+    pub points: usize,
+    /// Steps on all levels.
+    pub iterations: usize,
+    /// Whether the last step was small and the plane has stayed near its start.
+    pub converged: bool,
+}
+
+/// Refines planes; keeps its buffers, so that it allocates only when a region is larger than all before.
+#[derive(Clone, Debug, Default)]
+pub struct PlaneRefiner {
+    config: RefineConfig,
+    kernels: Kernels,
+    preparation: Preparation,
+    selection: Selection,
+    left: EyeChannels,
+    right: EyeChannels,
+    points: PointSet,
+    made: Option<Made>,
+    scores: [Vec<f32>; 4],
+    pulls: BlockPulls,
+}
+
+/// What goes from level to level.
+#[derive(Clone, Copy, Debug)]
+struct Progress {
+    plane: DisparityPlane,
+    row_px: f64,
+    /// Variance of the right eye's blur minus that of the left one's, squared pixels of the level.
+    blur_px2: f64,
+    /// Smoothing of the sharper eye, pixels of the level.
+    smoothing_px: f64,
+    states: Option<[ChannelState; CHANNELS_MAX]>,
+    /// States to start with, if they are known already.
+    first: Option<[ChannelState; CHANNELS_MAX]>,
+    weights: [f64; CHANNELS_MAX],
+    iterations: usize,
+    settled: bool,
+}
+
+impl Progress {
+    /// Standard deviations of the smoothing of the left and the right eye that make both equally sharp, pixels of the level.
+    fn smoothings_px(&self) -> (f64, f64) {
+        let own = self.smoothing_px.powi(2);
+        ((own + self.blur_px2.max(0.0)).sqrt(), (own - self.blur_px2.min(0.0)).sqrt())
+    }
+}
+
+/// What the points of the left eye were made of: they serve again where only the right eye changes.
+#[derive(Clone, Copy, Debug)]
+struct Made {
+    scale: usize,
+    rims: (usize, usize),
+    /// The box of the marked pixels and their number.
+    marked: (PixelWindow, usize),
+    wish: Wish,
+    channels: usize,
+}
+
+/// A level that is ready to be compared.
+struct Prepared {
+    /// The centre of the points, place in the left window.
+    centre: Vector2<f64>,
+    scale: f64,
+    channels: usize,
+    /// Half the extent of the points, pixels of the level.
+    half: Vector2<f64>,
+    /// Right column of the right planes minus the left column of the left window, at shift zero.
+    column_shift: f64,
+    /// Row offset in the right planes, pixels of the level.
+    row_applied: f64,
+    /// Whether some points lie on a border that may turn out bad.
+    has_border: bool,
+    /// For the first steps.
+    thinning: Thinning,
+    count: usize,
+}
+
+impl PlaneRefiner {
+    /// A refiner with these parameters.
+    pub fn new(config: RefineConfig, kernels: Kernels) -> Self {
+        Self { config, kernels, ..Self::default() }
+    }
+
+    /// The parameters.
+    pub fn config(&self) -> &RefineConfig {
+        &self.config
+    }
+
+    /// Refines a plane on the supported pixels of a region; `pyramid` is made of `source`. `None` if there are too few of
+    /// them or the right window does not show them.
+    pub fn refine(
+        &mut self,
+        front_end: &StereoFrontEnd,
+        source: &PyramidSource<'_>,
+        pyramid: &RegionPyramid,
+        start: &DisparityPlane,
+    ) -> Option<RefinedPlane> {
+        let pair = Pair { front_end, source };
+        self.made = None;
+        let levels = pyramid.levels();
+        let finest =
+            levels.iter().position(|l| l.area_px <= self.config.area_max_px).unwrap_or(levels.len().max(1) - 1);
+        let coarsest = (finest + self.config.levels_max.max(1) - 1).min(levels.len().max(1) - 1);
+        let mut progress = Progress {
+            plane: start.centred_at(pyramid.centroid_px()),
+            row_px: 0.0,
+            blur_px2: 0.0,
+            smoothing_px: self.config.smoothing_px,
+            states: None,
+            first: None,
+            weights: [1.0; CHANNELS_MAX],
+            iterations: 0,
+            settled: false,
+        };
+        for index in (finest + 1..=coarsest).rev() {
+            let level = levels.get(index)?;
+            if let Some(prepared) = self.prepare(&pair, level, &progress) {
+                self.descend(level, &prepared, &mut progress, false);
+            }
+        }
+        let level = levels.get(finest)?;
+        let mut prepared = self.prepare(&pair, level, &progress)?;
+        if self.smooth_more(level, &prepared, &mut progress) {
+            prepared = self.prepare(&pair, level, &progress)?;
+        }
+        for _ in 1..PASSES_MAX {
+            self.descend(level, &prepared, &mut progress, true);
+            let sums = self.sums_there(level, &prepared, &progress)?;
+            if !self.adapt(&sums, &prepared, &mut progress) {
+                return self.finish(level, &prepared, &progress, &sums, start);
+            }
+            prepared = self.prepare(&pair, level, &progress)?;
+        }
+        self.descend(level, &prepared, &mut progress, true);
+        let sums = self.sums_there(level, &prepared, &progress)?;
+        self.finish(level, &prepared, &progress, &sums, start)
+    }
+
+    /// The sums over all points at the place reached; `None` before the first step.
+    fn sums_there(&self, level: &RegionLevel, prepared: &Prepared, progress: &Progress) -> Option<Sums> {
+        let states = progress.states?;
+        Some(self.accumulate(&self.warp(level, prepared, progress, &states), Thinning::NONE))
+    }
+
+    /// Chooses a stronger smoothing where noise makes much of the gradients; says whether it does.
+    fn smooth_more(&self, level: &RegionLevel, prepared: &Prepared, progress: &mut Progress) -> bool {
+        let states = self.start_states(level, prepared, progress);
+        let sums = self.accumulate(&self.warp(level, prepared, progress, &states), prepared.thinning);
+        let (texture, all) = sums
+            .channel
+            .iter()
+            .take(prepared.channels)
+            .fold((0.0, 0.0), |(texture, all), s| (texture + s[20], all + s[0]));
+        let noise_share = (all - texture) / texture.max(0.02 * all);
+        if noise_share <= NOISE_SHARE_MAX {
+            progress.first = Some(states);
+            return false;
+        }
+        let wanted_px = progress.smoothing_px * (noise_share / NOISE_SHARE).powf(0.25);
+        progress.smoothing_px = wanted_px.min(SMOOTHING_MAX_PX).max(progress.smoothing_px);
+        true
+    }
+
+    /// Says whether the channels must be made anew: rows or sharpness are not what they were made for, or the plane moves.
+    fn adapt(&self, sums: &Sums, prepared: &Prepared, progress: &mut Progress) -> bool {
+        let (left, right) = progress.smoothings_px();
+        let change = Sharpness { left_px: left, right_px: right }.difference_px2(&sums.sharpness);
+        let blurred = change.abs() > BLUR_EVENED_FROM_PX2;
+        if blurred {
+            progress.blur_px2 += change;
+        }
+        !progress.settled
+            || blurred
+            || (progress.row_px - prepared.row_applied * prepared.scale).abs() > ROWS_MOVED_FROM_PX
+    }
+
+    /// Smooths both eyes around the region as the plane maps it, and takes the points.
+    fn prepare(&mut self, pair: &Pair<'_>, level: &RegionLevel, progress: &Progress) -> Option<Prepared> {
+        let scale = level.scale as f64;
+        let side_px = (level.area_px as f64).sqrt();
+        let mixed_px = MIXED_SIGMAS * progress.blur_px2.abs().sqrt();
+        let rim = |px: f64, share: f64| (px / scale + mixed_px).min(share * side_px).round() as usize;
+        let c = &self.config;
+        let rims = (rim(c.erosion_min_px, 0.5 * c.erosion_share_max), rim(c.erosion_max_px, c.erosion_share_max));
+        let rims = (rims.0, rims.1.max(rims.0));
+        let known = self.made.filter(|made| (made.scale, made.rims) == (level.scale, rims));
+        let (bounds, count) = match known {
+            Some(made) => made.marked,
+            None => self.selection.mark(level, rims)?,
+        };
+        if count < POINTS_MIN {
+            return None;
+        }
+        let (left_px, right_px) = progress.smoothings_px();
+        let margin = reach_px(left_px.max(right_px)) as u32 + 1;
+        let part = inside(&bounds.grown(margin), &level.left.window);
+        let right_part = self.right_part(level, progress, &bounds, margin + 3)?;
+        // Gradients along columns need one row more on either side.
+        let wish = Wish { part, rows: rows_of(&bounds.grown(1), 0, &part), smoothing_px: left_px };
+        let known = known.filter(|made| made.wish == wish);
+        let channels = match known {
+            Some(made) => made.channels,
+            None => self.preparation.left(pair, level, &wish, &mut self.left),
+        };
+        self.made = Some(Made { scale: level.scale, rims, marked: (bounds, count), wish, channels });
+        let rows = rows_of(&bounds, level.left.window.y - level.right.window.y, &right_part);
+        let wish = Wish { part: right_part, rows, smoothing_px: right_px };
+        let row_px = if progress.row_px.abs() > ROWS_MOVED_FROM_PX { progress.row_px } else { 0.0 };
+        self.preparation.right(pair, level, (&wish, row_px), channels, &mut self.right);
+        let rows = RightRows {
+            shift: level.left.window.y - level.right.window.y - right_part.y,
+            width: right_part.width,
+            height: right_part.height,
+        };
+        if known.is_none() {
+            let wanted = (count, self.config.points_max);
+            self.selection.collect(level, &self.left, channels, wanted, &rows, self.kernels);
+        }
+        self.points.place(&self.selection, level, &part, &rows);
+        if known.is_none() {
+            self.points.take(&self.left, channels, self.kernels);
+        }
+        let count = self.selection.count();
+        let centre = Vector2::new(f64::from(part.x), f64::from(part.y))
+            + Vector2::new(part.width as f64 - 1.0, part.height as f64 - 1.0) / 2.0;
+        (count >= POINTS_MIN).then_some(Prepared {
+            centre,
+            scale,
+            channels,
+            half: Vector2::new(bounds.width as f64, bounds.height as f64) / 2.0,
+            column_shift: -f64::from(right_part.x),
+            row_applied: row_px / scale,
+            has_border: rims.1 > rims.0,
+            thinning: Thinning { step: (count / THINNED_POINTS).clamp(1, THINNING_MAX) },
+            count,
+        })
+    }
+
+    /// The part of the right window that the points can need.
+    fn right_part(
+        &self,
+        level: &RegionLevel,
+        progress: &Progress,
+        bounds: &PixelWindow,
+        margin: u32,
+    ) -> Option<PixelWindow> {
+        let plane = level.level_plane(&progress.plane);
+        let (x0, y0) = (f64::from(bounds.x), f64::from(bounds.y));
+        let (x1, y1) = (x0 + bounds.width as f64, y0 + bounds.height as f64);
+        let corners = [(x0, y0), (x1, y0), (x0, y1), (x1, y1)].map(|(x, y)| x - (plane.c + plane.a * x + plane.b * y));
+        let (low, high) = corners.iter().fold((f64::MAX, f64::MIN), |(low, high), &x| (low.min(x), high.max(x)));
+        if !(low.abs() < 1e6 && high.abs() < 1e6) {
+            return None;
+        }
+        let reach = (self.config.jump_max_px / level.scale as f64).ceil();
+        let (low, high) = ((low - reach).floor() as i32, (high + reach).ceil() as i32);
+        let wanted = PixelWindow {
+            x: low,
+            y: bounds.y + plane.row,
+            width: (high - low + 1).max(1) as usize,
+            height: bounds.height,
+        };
+        let part = inside(&wanted.grown(margin), &level.right.window);
+        (part.width >= 6 && part.height >= 1).then_some(part)
+    }
+
+    fn warp(&self, level: &RegionLevel, prepared: &Prepared, progress: &Progress, states: &[ChannelState]) -> Warp {
+        let plane = level.level_plane(&progress.plane);
+        let at = prepared.centre;
+        let column = at.x - (plane.c + plane.a * at.x + plane.b * at.y) + prepared.column_shift;
+        Warp {
+            column: column as f32,
+            per_x: (1.0 - plane.a) as f32,
+            per_y: -plane.b as f32,
+            row: (progress.row_px / prepared.scale - prepared.row_applied) as f32,
+            width: self.right.part.width,
+            channels: prepared.channels,
+            shades: std::array::from_fn(|c| states.get(c).map(Shade::from).unwrap_or_default()),
+            place_variance: self.config.place_sigma_px.powi(2) as f32,
+            limit: tukey_limit(prepared.channels) as f32,
+        }
+    }
+
+    fn accumulate(&self, warp: &Warp, thinning: Thinning) -> Sums {
+        kernel::accumulate(self.kernels, &self.points, &self.right_planes(), warp, thinning)
+    }
+
+    fn right_planes(&self) -> [&[f32]; CHANNELS_MAX] {
+        std::array::from_fn(|c| self.right.planes[c].values())
+    }
+
+    /// Gauss-Newton steps on one level.
+    fn descend(&mut self, level: &RegionLevel, prepared: &Prepared, progress: &mut Progress, finest: bool) {
+        let channels = prepared.channels;
+        let mut thinning = if progress.states.is_none() { prepared.thinning } else { Thinning::NONE };
+        let mut states = progress.first.take().unwrap_or_else(|| self.start_states(level, prepared, progress));
+        let steps = if finest { self.config.iterations_max } else { self.config.iterations_max.min(5) };
+        let tolerance_px = if finest { 0.006 } else { 0.05 };
+        progress.settled = false;
+        for step_index in 0..steps {
+            let warp = self.warp(level, prepared, progress, &states);
+            if step_index >= BORDER_JUDGED_AT {
+                thinning = Thinning::NONE;
+            }
+            let mut sums = self.accumulate(&warp, thinning);
+            if finest && prepared.has_border && step_index == BORDER_JUDGED_AT {
+                sums = self.drop_bad_border(&warp, sums);
+            }
+            let normal = self.normal(&sums, prepared, progress, &states);
+            let Some(step) = bounded_step(&normal, &prepared.half) else { break };
+            normal.move_states(&step, channels, &mut states);
+            self.follow_scale(&sums, channels, &mut states, &mut progress.weights);
+            apply(level, prepared, &step, progress);
+            progress.iterations += 1;
+            let size = step.x.abs() + (step.y * prepared.half.x).abs() + (step.z * prepared.half.y).abs();
+            progress.settled = size < SETTLED_PX;
+            let earliest = if prepared.has_border { BORDER_JUDGED_AT } else { 1 };
+            let is_small = size < tolerance_px || (progress.settled && normal.sigmas(&step) < SIGMAS_LEFT);
+            if is_small && step_index >= earliest && thinning == Thinning::NONE {
+                break;
+            }
+            if size < THINNED_TO_PX {
+                thinning = Thinning::NONE;
+            }
+        }
+        progress.states = Some(states);
+    }
+
+    /// Leaves the border of the region out if it agrees worse than the rest: there the background shines in when a camera
+    /// is out of focus.
+    fn drop_bad_border(&mut self, warp: &Warp, all: Sums) -> Sums {
+        let squares = |sums: &Sums| sums.channel.iter().take(warp.channels).map(|s| s[21]).sum::<f64>();
+        let inner = &all.inner;
+        let border_seen = all.seen - inner.seen;
+        let (border_weight, border_squares) = (all.weight - inner.weight, squares(&all) - inner.squares);
+        let enough = inner.seen >= BORDER_POINTS_MIN && border_seen >= BORDER_POINTS_MIN;
+        let lost = border_weight / border_seen < BORDER_WEIGHT_MIN * inner.weight / inner.seen;
+        let worse = border_squares * inner.weight > BORDER_SQUARES_MAX * inner.squares * border_weight;
+        if enough && (lost || worse) {
+            std::mem::swap(&mut self.points.unit, &mut self.points.inner);
+            return self.accumulate(warp, Thinning::NONE);
+        }
+        all
+    }
+
+    fn normal(
+        &self,
+        sums: &Sums,
+        prepared: &Prepared,
+        progress: &Progress,
+        states: &[ChannelState; CHANNELS_MAX],
+    ) -> Normal {
+        let mut normal = Normal::of(sums, prepared.channels, states, &progress.weights);
+        let sigma = self.config.row_sigma_px.max(1e-6) / prepared.scale;
+        normal.matrix[(3, 3)] += sigma.powi(-2);
+        normal.slope[3] += progress.row_px / prepared.scale * sigma.powi(-2);
+        normal
+    }
+
+    /// Variances and weights of the channels as the residuals and gradients say.
+    fn follow_scale(
+        &self,
+        sums: &Sums,
+        channels: usize,
+        states: &mut [ChannelState; CHANNELS_MAX],
+        weights: &mut [f64; CHANNELS_MAX],
+    ) {
+        let squared = tukey_moments(channels).square;
+        for c in 0..channels {
+            let s = &sums.channel[c];
+            let ratio = if s[29] > 0.0 { s[21] / (squared * s[29]) } else { 1.0 };
+            states[c].variance = (states[c].variance * ratio.clamp(0.1, 2.0)).max(SIGMA_MIN_GREY.powi(2));
+            weights[c] = reliability(s);
+        }
+    }
+
+    /// Gains, offsets and variances to start a level with.
+    fn start_states(
+        &self,
+        level: &RegionLevel,
+        prepared: &Prepared,
+        progress: &Progress,
+    ) -> [ChannelState; CHANNELS_MAX] {
+        let lowest = (START_LIMIT_GREY / tukey_limit(1).sqrt()).powi(2);
+        if let Some(mut states) = progress.states {
+            for state in &mut states {
+                state.variance = (4.0 * state.variance).max(lowest);
+            }
+            return states;
+        }
+        let plain = [ChannelState { gain_root: 1.0, offset: 0.0, variance: 1.0 }; CHANNELS_MAX];
+        let warp = self.warp(level, prepared, progress, &plain);
+        std::array::from_fn(|c| match c < prepared.channels {
+            true => first_state(&self.points, self.right.planes[c].values(), &warp, c, lowest),
+            false => plain[c],
+        })
+    }
+
+    fn finish(
+        &mut self,
+        level: &RegionLevel,
+        prepared: &Prepared,
+        progress: &Progress,
+        sums: &Sums,
+        start: &DisparityPlane,
+    ) -> Option<RefinedPlane> {
+        let states = progress.states?;
+        let warp = self.warp(level, prepared, progress, &states);
+        let normal = self.normal(sums, prepared, progress, &states);
+        let length = self.points.x.len();
+        for scores in &mut self.scores {
+            scores.resize(length, 0.0);
+        }
+        let unmodelled = kernel::scores(
+            self.kernels,
+            &self.points,
+            &std::array::from_fn(|c| self.right.planes[c].values()),
+            &warp,
+            &normal.projections(),
+            &mut self.scores,
+        );
+        let row_information = (self.config.row_sigma_px.max(1e-6) / prepared.scale).powi(-2);
+        self.pulls.sum(&self.scores, &self.selection.block_ends, &self.selection.block_places);
+        let response = normal.matrix * tukey_moments(prepared.channels).response;
+        let inverse = normal.matrix.try_inverse()?;
+        let local = self.pulls.covariance(&response, row_information)?
+            + covariance::unmodelled(&inverse, &unmodelled, &self.config, &prepared.half, prepared.scale);
+        let centre_px = level.full_from_level(&prepared.centre);
+        let floor = covariance::calibration(self.config.calibration_sigma_px, &(prepared.half * prepared.scale));
+        let covariance = covariance::at_full_size(&local, prepared.scale) + floor;
+        let covariance = covariance::moved(&covariance, &(progress.plane.centre_px - centre_px));
+        let jump_px = (progress.plane.at(&progress.plane.centre_px) - start.at(&progress.plane.centre_px)).abs();
+        let used: f64 = self.points.unit.iter().map(|&unit| f64::from(unit)).sum();
+        let mean_weight = tukey_moments(prepared.channels).weight;
+        let finite = covariance.iter().chain(progress.plane.parameters().iter()).all(|value| value.is_finite());
+        finite.then_some(RefinedPlane {
+            plane: progress.plane,
+            covariance,
+            row_offset_px: progress.row_px,
+            blur_px2: progress.blur_px2 * prepared.scale * prepared.scale,
+            inlier_share: (sums.weight / (mean_weight * sums.seen.max(1.0))).min(1.0),
+            seen_share: sums.seen / used.max(1.0),
+            residual_sigma: states[0].variance.sqrt(),
+            gain: states[0].gain_root.powi(-2),
+            points: prepared.count,
+            iterations: progress.iterations,
+            converged: progress.settled && jump_px <= self.config.jump_max_px,
+        })
+    }
+}
+
+fn apply(level: &RegionLevel, prepared: &Prepared, step: &Vector4<f64>, progress: &mut Progress) {
+    let at = progress.plane.centred_at(level.full_from_level(&prepared.centre));
+    let change = nalgebra::Vector3::new(step.x * prepared.scale, step.y, step.z);
+    progress.plane = at.with_parameters(&(at.parameters() + change)).centred_at(progress.plane.centre_px);
+    progress.row_px += step.w * prepared.scale;
+}

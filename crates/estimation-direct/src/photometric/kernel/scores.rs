@@ -1,0 +1,150 @@
+//! What every point pulls.
+
+use pb3dp_estimation_core::wide::{LANES, sum_lanes, wide};
+
+use super::compare::{Group, Lanes, lanes};
+use super::sums::Places;
+use super::{CHANNELS_MAX, PointSet, SHARING, Warp};
+
+/// How the derivatives of a point become its score: weight of the channel, and what the gain takes up of each of the four
+/// derivatives.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Projection {
+    pub weight: f32,
+    pub mean: [f32; 4],
+}
+
+/// What the scores would be in all if both eyes differed in ways that the model leaves out.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Unmodelled {
+    /// Rows off by a pixel per column.
+    pub row_by_column: [f64; 4],
+    /// Rows off by a pixel per row, beyond the middle.
+    pub row_by_row: [f64; 4],
+    /// One eye blurred along the rows by a variance of one squared pixel more.
+    pub blur: [f64; 4],
+}
+
+/// Lane sums over a group: a weighted difference between the eyes, alone and times each of the four derivatives.
+type DifferenceSums = [Lanes; 5];
+
+#[inline(always)]
+fn scores_kernel(
+    points: &PointSet,
+    right: &[&[f32]; CHANNELS_MAX],
+    warp: &Warp,
+    projections: &[Projection; CHANNELS_MAX],
+    scores: &mut [Vec<f32>; 4],
+) -> Unmodelled {
+    match warp.channels {
+        1 => score_channels::<1>(points, right, warp, projections, scores),
+        2 => score_channels::<2>(points, right, warp, projections, scores),
+        _ => score_channels::<3>(points, right, warp, projections, scores),
+    }
+}
+
+#[inline(always)]
+fn score_channels<const N: usize>(
+    points: &PointSet,
+    right: &[&[f32]; CHANNELS_MAX],
+    warp: &Warp,
+    projections: &[Projection; CHANNELS_MAX],
+    scores: &mut [Vec<f32>; 4],
+) -> Unmodelled {
+    let mut group = Group::<N>::empty();
+    let mut unmodelled = Unmodelled::default();
+    for index in 0..points.x.len() / SHARING {
+        let first = index * SHARING;
+        group.compare(points, first, right, warp);
+        let mut out = [[0.0_f32; SHARING]; 4];
+        for c in 0..N {
+            let places = Places::new(points, first, c, warp);
+            add_scores(&group, c, &places, &projections[c], &mut out, &mut unmodelled);
+        }
+        for (scores, out) in scores.iter_mut().zip(&out) {
+            scores[first..first + SHARING].copy_from_slice(out);
+        }
+    }
+    unmodelled
+}
+
+/// Adds what a channel of a group pulls at `(d0, du, dv, row)`, and what it would pull with each of the differences that are
+/// not modelled as its residuals, without what the gain and the group's offset take up.
+#[inline(always)]
+fn add_scores<const N: usize>(
+    group: &Group<N>,
+    c: usize,
+    places: &Places<'_>,
+    p: &Projection,
+    out: &mut [[f32; SHARING]; 4],
+    unmodelled: &mut Unmodelled,
+) {
+    let own = &group.channel[c];
+    // Sums of weights, and of residuals and derivatives times weights.
+    let mut sums = [[0.0_f32; LANES]; 6];
+    let mut derivatives = [[0.0_f32; SHARING]; 4];
+    let mut differences = [[0.0_f32; SHARING]; 3];
+    let mut difference_sums: [DifferenceSums; 3] = [[[0.0; LANES]; 5]; 3];
+    for i in 0..SHARING {
+        let (g, m, gy) = (own.gradient[i], own.mean[i], places.left * places.gradient_y[i]);
+        derivatives[0][i] = -g - p.mean[0] * m;
+        derivatives[1][i] = -g * places.x[i] - p.mean[1] * m;
+        derivatives[2][i] = -g * places.y[i] - p.mean[2] * m;
+        derivatives[3][i] = gy - p.mean[3] * m;
+        differences[0][i] = gy * places.x[i];
+        differences[1][i] = gy * places.y[i];
+        differences[2][i] = places.left * 0.5 * places.curvature[i];
+    }
+    for k in 0..SHARING / LANES {
+        let (weight, certainty, residual) =
+            (lanes(&group.weight, k), lanes(&own.certainty, k), lanes(&own.residual, k));
+        let [d0, d1, d2, d3] = [0, 1, 2, 3].map(|j| lanes(&derivatives[j], k));
+        for i in 0..LANES {
+            let w = weight[i] * certainty[i];
+            sums[0][i] += w;
+            sums[1][i] += w * residual[i];
+            sums[2][i] += w * d0[i];
+            sums[3][i] += w * d1[i];
+            sums[4][i] += w * d2[i];
+            sums[5][i] += w * d3[i];
+        }
+        for (difference, sums) in differences.iter().zip(&mut difference_sums) {
+            let difference = lanes(difference, k);
+            for i in 0..LANES {
+                let pull = weight[i] * certainty[i] * difference[i];
+                sums[0][i] += pull;
+                sums[1][i] += pull * d0[i];
+                sums[2][i] += pull * d1[i];
+                sums[3][i] += pull * d2[i];
+                sums[4][i] += pull * d3[i];
+            }
+        }
+    }
+    let weight = sum_lanes(&sums[0]).max(f32::MIN_POSITIVE);
+    let means: [f32; 6] = std::array::from_fn(|k| sum_lanes(&sums[k]) / weight);
+    for i in 0..SHARING {
+        let pull = p.weight * (group.weight[i] * own.certainty[i]) * (own.residual[i] - means[1]);
+        for j in 0..4 {
+            out[j][i] += pull * (derivatives[j][i] - means[2 + j]);
+        }
+    }
+    let Unmodelled { row_by_column, row_by_row, blur } = unmodelled;
+    for (scores, sums) in [row_by_column, row_by_row, blur].into_iter().zip(&difference_sums) {
+        let pull = sum_lanes(&sums[0]);
+        for j in 0..4 {
+            scores[j] += f64::from(p.weight * (sum_lanes(&sums[1 + j]) - pull * means[2 + j]));
+        }
+    }
+}
+
+wide! {
+    /// The gradient of the cost by `(d0, du, dv, row)`, point by point, with gains and offsets eliminated; returns what it
+    /// would be in all if the eyes differed in ways that are not modelled.
+    pub(crate) fn scores(
+        points: &PointSet,
+        right: &[&[f32]; CHANNELS_MAX],
+        warp: &Warp,
+        projections: &[Projection; CHANNELS_MAX],
+        scores: &mut [Vec<f32>; 4],
+    ) -> Unmodelled = scores_kernel;
+}

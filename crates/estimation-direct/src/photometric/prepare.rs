@@ -1,0 +1,502 @@
+//! From raw images to the channels of one eye: red, green and blue of the part that is needed, smoothed, as coefficients of
+//! cubic splines along the rows.
+//!
+//! The channels are those of the sensor: each has a gain and a noise of its own, which a turn of the colours would mix. An
+//! image whose three channels are equal has one.
+//! A cubic spline (Unser, "Splines: a perfect fit for signal and image processing", 1999) costs as much per point as cubic
+//! convolution, but its errors of phase and the change of its noise between pixels are far smaller: where a whole region lies
+//! at one fraction of a pixel, as on a plane that faces the cameras, these errors do not cancel.
+
+use std::ops::Range;
+
+use image::RgbImage;
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::wide::wide;
+
+use super::super::colour_planes::{ColourPlanes, SATURATED, SATURATED_FROM, UNSEEN, Wanted};
+use super::super::filters::{PixelRows, Smoother, Taps};
+use super::super::front_end::{Eye, StereoFrontEnd};
+use super::super::image_plane::{ImagePlane, PixelWindow};
+use super::super::region_pyramid::{PyramidSource, RegionLevel};
+use super::super::row_offset::RowOffset;
+use super::super::row_shift::BLOCK;
+use super::kernel::{CHANNELS_MAX, UNUSABLE};
+use super::level_rows::{Grid, Picture, average_bytes, average_colours, average_values};
+
+/// Of a pixel with a saturated channel, channels from this value on are not used, grey levels: interpolation may have taken
+/// some of the brightness away.
+const NEARLY_SATURATED_GREY: u8 = 240;
+
+/// The channels of one eye of one level.
+#[derive(Clone, Debug, Default)]
+pub(super) struct EyeChannels {
+    /// Part of the level's window that the planes hold.
+    pub part: PixelWindow,
+    /// Spline coefficients along rows, one plane per channel; [`UNUSABLE`] where a channel can not be used.
+    pub planes: [ImagePlane; CHANNELS_MAX],
+}
+
+/// Makes channels; keeps its buffers.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Preparation {
+    smoother: Smoother,
+    /// Of an eye that is resampled.
+    loaded: ColourPlanes,
+    /// Of an eye without colours: its only channel.
+    grey: Vec<u8>,
+    /// Means over the pixels of the level.
+    means: ImagePlane,
+    /// Whether a row of the image has saturated pixels.
+    flagged: Vec<bool>,
+    /// Per channel: 1 for pixels that can not be used, else 0; and a row of them.
+    unusable: [Vec<u8>; CHANNELS_MAX],
+    unusable_row: Vec<u8>,
+    /// Taken off the channels of both eyes to keep sums small, grey levels.
+    middle: [f32; CHANNELS_MAX],
+}
+
+/// The pair that the channels are made of.
+#[derive(Clone, Copy)]
+pub(super) struct Pair<'a> {
+    pub front_end: &'a StereoFrontEnd,
+    pub source: &'a PyramidSource<'a>,
+}
+
+/// Which part of an eye, and how.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Wish {
+    /// Part of the level's window.
+    pub part: PixelWindow,
+    /// First row of the part that is needed, and one past the last: only those are filled.
+    pub rows: (usize, usize),
+    /// Standard deviation of the smoothing, pixels of the level.
+    pub smoothing_px: f64,
+}
+
+/// Pixels around a point that take part in it.
+pub(super) fn reach_px(smoothing_px: f64) -> usize {
+    Taps::spline(smoothing_px).radius()
+}
+
+/// The part of a box (relative to a window) inside the window.
+pub(super) fn inside(part: &PixelWindow, window: &PixelWindow) -> PixelWindow {
+    part.clipped(window.width as u32, window.height as u32)
+}
+
+/// The rows of a part that a box, moved down by `shift`, has in common with it: the first, and one past the last.
+pub(super) fn rows_of(bounds: &PixelWindow, shift: i32, part: &PixelWindow) -> (usize, usize) {
+    let first = bounds.y + shift - part.y;
+    let row = |row: i32| row.clamp(0, part.height as i32) as usize;
+    (row(first), row(first + bounds.height as i32))
+}
+
+/// What the channels of one eye are made of.
+struct Job<'a> {
+    front_end: &'a StereoFrontEnd,
+    eye: Eye,
+    image: &'a RgbImage,
+    wish: &'a Wish,
+    grid: Grid,
+    /// The first row of the grid is this row of the part.
+    first_row: usize,
+    /// Rows of the image that are read, the last one excluded.
+    read: (i32, i32),
+    smoothing: [Taps; 2],
+}
+
+impl<'a> Job<'a> {
+    fn new(
+        pair: &Pair<'a>,
+        eye: Eye,
+        (window, scale): (&PixelWindow, usize),
+        wish: &'a Wish,
+        rows: Option<RowOffset>,
+    ) -> Self {
+        let smoothing = [Taps::spline(wish.smoothing_px), Taps::gaussian(wish.smoothing_px)];
+        let (part, reach) = (&wish.part, smoothing[1].radius());
+        let (first_row, end) = (wish.rows.0.saturating_sub(reach), (wish.rows.1 + reach).min(part.height));
+        let s = scale as i32;
+        let first = ((window.x + part.x) * s, (window.y + part.y + first_row as i32) * s);
+        let grid = Grid { scale, first, size: (part.width, end.saturating_sub(first_row)), rows };
+        let height = pair.front_end.size(eye).height as i32;
+        let (from, to) = grid.rows_read();
+        let from = from.clamp(0, height - 1);
+        let image = if eye == Eye::Left { pair.source.left } else { pair.source.right };
+        Self {
+            front_end: pair.front_end,
+            eye,
+            image,
+            wish,
+            grid,
+            first_row,
+            read: (from, to.clamp(from + 1, height)),
+            smoothing,
+        }
+    }
+
+    /// Columns of the image that are read.
+    fn width(&self) -> usize {
+        self.grid.size.0 * self.grid.scale
+    }
+
+    /// Red, green and blue of a row of the image.
+    fn bytes(&self, row: i32) -> &'a [u8] {
+        let start = (row as usize * self.image.width() as usize + self.grid.first.0 as usize) * 3;
+        &self.image.as_raw()[start..start + self.width() * 3]
+    }
+
+    /// The row of the image, if it has one, that row `row` of the full image shows in a block of columns.
+    fn nearest(&self, row: i32, block: usize) -> Option<i32> {
+        let (first, step) = self.grid.offsets(f64::from(row));
+        let nearest = f64::from(row) + (first + step * block as f64).round();
+        (0.0..f64::from(self.front_end.size(self.eye).height)).contains(&nearest).then_some(nearest as i32)
+    }
+}
+
+impl Preparation {
+    /// Fills the channels of the left eye and returns their number.
+    pub fn left(&mut self, pair: &Pair<'_>, level: &RegionLevel, wish: &Wish, out: &mut EyeChannels) -> usize {
+        let job = Job::new(pair, Eye::Left, (&level.left.window, level.scale), wish, None);
+        let kernels = pair.front_end.kernels();
+        let grey = if pair.front_end.resamples() {
+            self.load(&job);
+            let [red, green, blue] = &self.loaded.planes;
+            red == green && green == blue
+        } else {
+            (job.read.0..job.read.1).all(|row| !has_colour(kernels, job.bytes(row)))
+        };
+        let channels = if grey { 1 } else { CHANNELS_MAX };
+        self.find_middle(&job, channels);
+        self.fill(&job, channels, out);
+        channels
+    }
+
+    /// Fills the channels of the right eye, its rows moved by the pair's row offset and `row_px` more.
+    pub fn right(
+        &mut self,
+        pair: &Pair<'_>,
+        level: &RegionLevel,
+        (wish, row_px): (&Wish, f64),
+        channels: usize,
+        out: &mut EyeChannels,
+    ) {
+        let rows = RowOffset { offset_px: pair.source.rows.offset_px + row_px, ..pair.source.rows };
+        let rows = (!rows.is_zero()).then_some(rows);
+        let job = Job::new(pair, Eye::Right, (&level.right.window, level.scale), wish, rows);
+        if pair.front_end.resamples() {
+            self.load(&job);
+        }
+        self.fill(&job, channels, out);
+    }
+
+    /// Resamples what is read of an eye.
+    fn load(&mut self, job: &Job<'_>) {
+        let height = (job.read.1 - job.read.0) as usize;
+        let window = PixelWindow { x: job.grid.first.0, y: job.read.0, width: job.width(), height };
+        job.front_end.load(job.eye, job.image, window, Wanted::Rgb, &mut self.loaded);
+    }
+
+    /// The mean of every channel, from some rows and columns.
+    fn find_middle(&mut self, job: &Job<'_>, channels: usize) {
+        for c in 0..channels {
+            self.middle[c] = if job.front_end.resamples() {
+                let values = self.loaded.planes[c].values();
+                mean(values.iter().step_by((values.len() / MIDDLE_OF).max(1)).copied())
+            } else {
+                let rows = (job.read.1 - job.read.0) as usize;
+                let step = (rows as f64 * job.width() as f64 / MIDDLE_OF as f64).sqrt().ceil() as usize;
+                let some = (job.read.0..job.read.1).step_by(step.max(1));
+                mean(some.flat_map(|row| job.bytes(row)[c..].iter().step_by(3 * step.max(1)).map(|&v| f32::from(v))))
+            };
+        }
+    }
+
+    /// Means over the pixels of a level, smoothed.
+    fn fill(&mut self, job: &Job<'_>, channels: usize, out: &mut EyeChannels) {
+        out.part = job.wish.part;
+        let kernels = job.front_end.kernels();
+        if job.front_end.resamples() {
+            for c in 0..channels {
+                let loaded = &self.loaded;
+                let picture = Picture {
+                    values: loaded.planes[c].values(),
+                    stride: loaded.window.width,
+                    start: 0,
+                    top: loaded.window.y,
+                    rows: loaded.window.height,
+                };
+                average_values(kernels, &picture, &job.grid, &mut self.means);
+                self.smooth(job, c, &mut out.planes[c..=c]);
+            }
+        } else if channels == 1 {
+            self.take_grey(job);
+            let (values, width) = (self.grey.as_slice(), job.width());
+            let rows = (job.read.1 - job.read.0) as usize;
+            let picture = Picture { values, stride: width, start: 0, top: job.read.0, rows };
+            average_bytes(kernels, &picture, &job.grid, &mut self.means);
+            self.smooth(job, 0, &mut out.planes[..1]);
+        } else {
+            let (stride, rows) = (job.image.width() as usize * 3, job.image.height() as usize);
+            let start = job.grid.first.0 as usize * 3;
+            let picture = Picture { values: job.image.as_raw().as_slice(), stride, start, top: 0, rows };
+            average_colours(kernels, &picture, &job.grid, &mut self.means);
+            self.smooth(job, 0, &mut out.planes);
+        }
+        if self.find_unusable(job, channels) {
+            for (plane, unusable) in out.planes.iter_mut().zip(&self.unusable).take(channels) {
+                mark_unusable(unusable, &mut self.unusable_row, job.wish.rows, plane, kernels);
+            }
+        }
+    }
+
+    /// Smooths the means into the channels from `c` on.
+    fn smooth(&mut self, job: &Job<'_>, c: usize, out: &mut [ImagePlane]) {
+        let part = &job.wish.part;
+        let source = PixelRows {
+            size: (part.width, part.height),
+            rows: &self.means,
+            first: job.first_row,
+            wanted: job.wish.rows,
+        };
+        let [along, across] = &job.smoothing;
+        self.smoother.smooth_pixels(&source, (along, across), &self.middle[c..], out, job.front_end.kernels());
+    }
+
+    /// Takes the first channel of what is read.
+    fn take_grey(&mut self, job: &Job<'_>) {
+        let (width, rows) = (job.width(), (job.read.1 - job.read.0) as usize);
+        // The last row has room for a whole block too.
+        self.grey.resize(width * rows + BLOCK, 0);
+        for (row, out) in (job.read.0..job.read.1).zip(self.grey.chunks_exact_mut(width)) {
+            first_of_three(job.front_end.kernels(), job.bytes(row), out);
+        }
+    }
+
+    /// Finds the pixels that can not be used, channel by channel; says whether there are any.
+    fn find_unusable(&mut self, job: &Job<'_>, channels: usize) -> bool {
+        let (read, kernels) = (job.read, job.front_end.kernels());
+        self.flagged.clear();
+        if job.front_end.resamples() {
+            let width = self.loaded.window.width;
+            self.flagged.extend(self.loaded.flags.chunks_exact(width.max(1)).map(any_flag));
+        } else {
+            self.flagged.extend((read.0..read.1).map(|row| highest(kernels, job.bytes(row)) >= SATURATED_FROM));
+        }
+        let s = job.grid.scale;
+        let rows = (job.grid.first.1, job.grid.first.1 + (job.grid.size.1 * s) as i32);
+        let blocks = job.width().div_ceil(BLOCK);
+        // What lies inside the image at its four corners is there everywhere.
+        let corners =
+            [rows.0, rows.1 - 1].map(|row| [0, blocks.saturating_sub(1)].map(|block| job.nearest(row, block)));
+        if !self.flagged.contains(&true) && corners.as_flattened().iter().all(Option::is_some) {
+            return false;
+        }
+        let part = &job.wish.part;
+        for (c, unusable) in self.unusable.iter_mut().enumerate() {
+            unusable.clear();
+            unusable.resize(if c < channels { part.width * part.height } else { 0 }, 0);
+        }
+        for (row, block) in (rows.0..rows.1).flat_map(|row| (0..blocks).map(move |block| (row, block))) {
+            let nearest = job.nearest(row, block);
+            if nearest.is_some_and(|row| !self.flagged.get((row - read.0) as usize).copied().unwrap_or(false)) {
+                continue;
+            }
+            let columns = block * BLOCK..((block + 1) * BLOCK).min(job.width());
+            let first = (job.first_row + (row - rows.0) as usize / s) * part.width;
+            let squares = first + columns.start / s..first + columns.end.div_ceil(s);
+            let [a, b, c] = self.unusable.each_mut().map(|all| all.get_mut(squares.clone()).unwrap_or_default());
+            match nearest {
+                None => [a, b, c].into_iter().for_each(|all| all.fill(1)),
+                Some(row) if job.front_end.resamples() => {
+                    mark_resampled(&self.loaded, ((row - read.0) as usize, columns), s, [a, b, c]);
+                }
+                Some(row) => mark_saturated(kernels, &job.bytes(row)[3 * columns.start..3 * columns.end], s, [a, b, c]),
+            }
+        }
+        true
+    }
+}
+
+/// Marks the pixels of a part of a resampled row that can not be used, square by square.
+fn mark_resampled(
+    loaded: &ColourPlanes,
+    (y, columns): (usize, Range<usize>),
+    scale: usize,
+    out: [&mut [u8]; CHANNELS_MAX],
+) {
+    let flags = &loaded.flags[y * loaded.window.width..][..loaded.window.width];
+    for (plane, out) in loaded.planes.iter().zip(out).filter(|(_, out)| !out.is_empty()) {
+        for (i, x) in columns.clone().enumerate() {
+            let is_high = flags[x] & SATURATED != 0 && plane.row(y)[x] >= f32::from(NEARLY_SATURATED_GREY);
+            out[i / scale] |= u8::from(is_high || flags[x] & UNSEEN != 0);
+        }
+    }
+}
+
+wide! {
+    /// Marks the pixels of at most a block of columns whose channels are saturated, square by square.
+    fn mark_saturated(rgb: &[u8], scale: usize, out: [&mut [u8]; CHANNELS_MAX]) = mark_saturated_kernel;
+}
+
+#[inline(always)]
+fn mark_saturated_kernel(rgb: &[u8], scale: usize, out: [&mut [u8]; CHANNELS_MAX]) {
+    if highest_kernel(rgb) < SATURATED_FROM {
+        return;
+    }
+    let mut bytes = [0; 3 * BLOCK];
+    bytes[..rgb.len()].copy_from_slice(rgb);
+    let mut marks = [[0_u8; BLOCK]; CHANNELS_MAX];
+    for i in 0..BLOCK {
+        let (r, g, b) = (bytes[3 * i], bytes[3 * i + 1], bytes[3 * i + 2]);
+        let saturated = u8::from(r.max(g).max(b) >= SATURATED_FROM);
+        marks[0][i] = saturated & u8::from(r >= NEARLY_SATURATED_GREY);
+        marks[1][i] = saturated & u8::from(g >= NEARLY_SATURATED_GREY);
+        marks[2][i] = saturated & u8::from(b >= NEARLY_SATURATED_GREY);
+    }
+    for (out, marks) in out.into_iter().zip(&marks) {
+        match scale {
+            1 => out.iter_mut().zip(marks).for_each(|(out, mark)| *out |= mark),
+            _ => {
+                for (out, marks) in out.iter_mut().zip(marks.chunks(scale)) {
+                    *out |= marks.iter().fold(0, |any, mark| any | mark);
+                }
+            }
+        }
+    }
+}
+
+/// So many values are enough for a mean.
+const MIDDLE_OF: usize = 2000;
+
+wide! {
+    /// Whether any pixel of a row has channels that differ.
+    fn has_colour(rgb: &[u8]) -> bool = has_colour_kernel;
+}
+
+#[inline(always)]
+fn has_colour_kernel(rgb: &[u8]) -> bool {
+    // Each value and the next one of the same pixel.
+    const SAME: [u8; 48] = {
+        let mut same = [255; 48];
+        let mut i = 2;
+        while i < 48 {
+            same[i] = 0;
+            i += 3;
+        }
+        same
+    };
+    let mut first = 0;
+    while first + 49 <= rgb.len() {
+        let (here, next) = (&rgb[first..first + 48], &rgb[first + 1..first + 49]);
+        let mut differs = 0;
+        for i in 0..48 {
+            differs |= (here[i] ^ next[i]) & SAME[i];
+        }
+        if differs != 0 {
+            return true;
+        }
+        first += 48;
+    }
+    rgb[first..].as_chunks::<3>().0.iter().any(|[r, g, b]| r != g || g != b)
+}
+
+wide! {
+    /// The first channel of a row.
+    fn first_of_three(rgb: &[u8], out: &mut [u8]) = first_of_three_kernel;
+}
+
+#[inline(always)]
+fn first_of_three_kernel(rgb: &[u8], out: &mut [u8]) {
+    for (out, rgb) in out.iter_mut().zip(rgb.as_chunks::<3>().0) {
+        *out = rgb[0];
+    }
+}
+
+wide! {
+    /// The highest of some values.
+    fn highest(values: &[u8]) -> u8 = highest_kernel;
+}
+
+#[inline(always)]
+fn highest_kernel(values: &[u8]) -> u8 {
+    values.iter().fold(0, |highest, &value| highest.max(value))
+}
+
+/// Whether any of some flags is set.
+fn any_flag(flags: &[u8]) -> bool {
+    flags.iter().fold(0, |all, flag| all | flag) != 0
+}
+
+fn mean(values: impl Iterator<Item = f32>) -> f32 {
+    let (sum, count) = values.fold((0.0, 0.0_f32), |(sum, count), v| (sum + v, count + 1.0));
+    if count > 0.0 { sum / count } else { 0.0 }
+}
+
+/// Marks pixels that can not be used, and their neighbours, which smoothing has touched.
+fn mark_unusable(
+    unusable: &[u8],
+    touched: &mut Vec<u8>,
+    rows: (usize, usize),
+    plane: &mut ImagePlane,
+    kernels: Kernels,
+) {
+    let (width, height) = (plane.width(), plane.height());
+    for y in rows.0..rows.1 {
+        touched.clear();
+        touched.resize(width + 2, 0);
+        // One column further right, with room for both neighbours.
+        for row in unusable[y.saturating_sub(1) * width..(y + 2).min(height) * width].chunks_exact(width) {
+            for (touched, unusable) in touched[1..].iter_mut().zip(row) {
+                *touched |= unusable;
+            }
+        }
+        if any_flag(touched) {
+            mark_row(kernels, touched, plane.row_mut(y));
+        }
+    }
+}
+
+wide! {
+    /// Marks the values beside a touched column; `touched` begins one column earlier.
+    fn mark_row(touched: &[u8], values: &mut [f32]) = mark_row_kernel;
+}
+
+#[inline(always)]
+fn mark_row_kernel(touched: &[u8], values: &mut [f32]) {
+    let beside = touched.iter().zip(&touched[1..]).zip(&touched[2..]);
+    for (value, ((before, here), after)) in values.iter_mut().zip(beside) {
+        *value = if before | here | after != 0 { UNUSABLE } else { *value };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_single_coloured_pixel_is_seen_with_every_kernel() {
+        for kernels in pb3dp_estimation_test_support::every_kernel() {
+            let mut row: Vec<u8> = (0..70_u8).flat_map(|value| [value; 3]).collect();
+            assert!(!has_colour(kernels, &row));
+            for i in 0..row.len() {
+                row[i] += 1;
+                assert!(has_colour(kernels, &row), "{i}");
+                row[i] -= 1;
+            }
+        }
+    }
+
+    #[test]
+    fn channels_near_a_saturated_one_are_marked_only_if_they_are_high() {
+        for (kernels, scale) in
+            pb3dp_estimation_test_support::every_kernel().flat_map(|kernels| [1, 2, 4].map(|scale| (kernels, scale)))
+        {
+            let mut row = [245_u8; 3 * 20];
+            row[3 * 9..3 * 10].copy_from_slice(&[SATURATED_FROM, 245, 100]);
+            let mut marks = [[0_u8; 20]; 3];
+            mark_saturated(kernels, &row, scale, marks.each_mut().map(|marks| &mut marks[..20 / scale]));
+            let expected = |c: usize| std::array::from_fn(|x| u8::from(c < 2 && x == 9 / scale));
+            assert_eq!(marks, [expected(0), expected(1), expected(2)], "{scale}");
+        }
+    }
+}

@@ -1,0 +1,388 @@
+//! From the whole range of depths to a few candidate planes, on one level of the pyramid.
+
+pub mod aggregate;
+pub mod hypotheses;
+pub mod volume;
+
+use nalgebra::Vector3;
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::error::{EstimationError, check_range};
+use pb3dp_estimation_core::wide::wide;
+
+use self::aggregate::{Aggregation, Penalties, WinnerRules};
+use self::hypotheses::{
+    Candidate, DisparityPoints, HypothesisRules, HypothesisSearch, PlaneCoefficients, inlier_share,
+};
+use self::volume::{COST_NEUTRAL, CostVolume, LevelBox};
+use super::region_pyramid::{LevelPlane, RegionLevel};
+
+/// Pixels around the region's box that take part in the aggregation.
+const MARGIN: usize = 2;
+/// A plane moved along the rows is looked at if the region agrees with it at least so well, compared to the best.
+const ALIAS_SHARE: f64 = 0.5;
+
+/// Parameters of the search.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaneSearchConfig {
+    /// Noise of a pixel in the normalisation of neighbourhoods, luminance.
+    pub noise: f64,
+    /// Costs of changes of disparity; a pixel without agreement costs 63.
+    pub penalties: Penalties,
+    /// When a disparity counts.
+    pub winner: WinnerRules,
+    /// How planes are drawn.
+    pub hypotheses: HypothesisRules,
+}
+
+impl Default for PlaneSearchConfig {
+    fn default() -> Self {
+        Self {
+            noise: 2.0,
+            penalties: Penalties { small: 8, large: 40 },
+            winner: WinnerRules { uniqueness: 0.05, left_right_max: 1 },
+            hypotheses: HypothesisRules { draws: 300, tolerance_px: 0.5, distinct_px: 1.0, kept: 6, steps: 3 },
+        }
+    }
+}
+
+impl PlaneSearchConfig {
+    /// Checks all ranges.
+    ///
+    /// # Errors
+    /// The parameter that is out of its range.
+    pub fn validate(&self) -> Result<(), EstimationError> {
+        let Penalties { small, large } = self.penalties;
+        check_range("direct.search.noise_grey", self.noise, (0.1, 50.0), "must be between 0.1 and 50 grey levels")?;
+        check_range("direct.search.penalty_large", large.into(), (1.0, 120.0), "must be between 1 and 120")?;
+        let limit = (0.0, large.into());
+        check_range("direct.search.penalty_small", small.into(), limit, "must be at most penalty_large")?;
+        let tolerance = self.hypotheses.tolerance_px;
+        check_range("direct.search.tolerance_px", tolerance, (0.1, 5.0), "must be between 0.1 and 5 pixels")?;
+        let draws = self.hypotheses.draws as f64;
+        check_range("direct.search.draws", draws, (1.0, 100_000.0), "must be between 1 and 100000")
+    }
+}
+
+/// A candidate plane in pixels of the level that was searched.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaneCandidate {
+    /// The plane.
+    pub plane: LevelPlane,
+    /// Share of the region's clear disparities that lie on it, soft.
+    pub share: f64,
+}
+
+/// Searches planes; keeps its buffers.
+#[derive(Clone, Debug, Default)]
+pub struct PlaneSearch {
+    volume: CostVolume,
+    aggregation: Aggregation,
+    points: DisparityPoints,
+    hypotheses: HypothesisSearch,
+    seeds: Vec<PlaneCoefficients>,
+    histogram: Vec<u32>,
+    column: Vec<u32>,
+    row_sums: Vec<u16>,
+    /// The candidates, best first.
+    pub candidates: Vec<PlaneCandidate>,
+    /// Share of the region's pixels that have a clear disparity.
+    pub valid_share: f64,
+}
+
+impl PlaneSearch {
+    /// Searches disparities `range_px` (full size) on `level`. `allowed` says which planes are within the range of tilts.
+    pub fn run(
+        &mut self,
+        level: &RegionLevel,
+        range_px: (f64, f64),
+        config: &PlaneSearchConfig,
+        allowed: impl Fn(&LevelPlane) -> bool,
+        kernels: Kernels,
+    ) {
+        if self.match_pixels(level, range_px, config, kernels) {
+            self.find_planes(level, config, allowed, kernels);
+        }
+    }
+
+    /// The first half of [`Self::run`]: finds the clear disparities; `false` if the right window shows none of the range.
+    pub fn match_pixels(
+        &mut self,
+        level: &RegionLevel,
+        range_px: (f64, f64),
+        config: &PlaneSearchConfig,
+        kernels: Kernels,
+    ) -> bool {
+        let area = region_box(level, MARGIN);
+        let scale = level.scale as f64;
+        self.candidates.clear();
+        self.valid_share = 0.0;
+        let range = ((range_px.0 / scale).floor() as i32, (range_px.1 / scale).ceil() as i32);
+        let Some(range) = visible(level, range) else { return false };
+        self.volume.compute(level, area, range, config.noise as f32, kernels);
+        self.aggregation.run(&self.volume, config.penalties, config.winner, kernels);
+        self.collect(level, area);
+        true
+    }
+
+    /// Whether at least `share` of the clear disparities lies on one plane; if so, the answer is no with a probability of
+    /// less than one in a million.
+    pub fn has_plane(
+        &mut self,
+        level: &RegionLevel,
+        (config, share): (&PlaneSearchConfig, f64),
+        allowed: impl Fn(&LevelPlane) -> bool,
+        kernels: Kernels,
+    ) -> bool {
+        let size = (self.volume.area.width as f64, self.volume.area.height as f64);
+        // Of three points all lie on it with this probability.
+        let misses = 1e-6_f64.ln() / (1.0 - share.powi(3)).max(1e-9).ln();
+        let rules =
+            HypothesisRules { draws: (misses.ceil() as usize).min(config.hypotheses.draws), ..config.hypotheses };
+        let allowed = |p: &PlaneCoefficients| allowed(&level_plane(&self.volume, level, p));
+        self.hypotheses.best_share(&self.points, size, &rules, allowed, kernels) >= share
+    }
+
+    /// The second half of [`Self::run`]: finds the planes through the clear disparities.
+    pub fn find_planes(
+        &mut self,
+        level: &RegionLevel,
+        config: &PlaneSearchConfig,
+        allowed: impl Fn(&LevelPlane) -> bool,
+        kernels: Kernels,
+    ) {
+        let area = self.volume.area;
+        self.make_seeds(level, area, kernels);
+        let size = (area.width as f64, area.height as f64);
+        self.hypotheses.run(
+            &self.points,
+            &self.seeds,
+            size,
+            &config.hypotheses,
+            |p| allowed(&level_plane(&self.volume, level, p)),
+            kernels,
+        );
+        let kept = self.hypotheses.kept.iter();
+        self.candidates.extend(kept.map(|&Candidate { plane, share }| PlaneCandidate {
+            plane: level_plane(&self.volume, level, &plane),
+            share,
+        }));
+        if let Some(best) = self.hypotheses.kept.first().map(|best| best.plane) {
+            self.sweep(level, area, &best, kernels);
+            let aliases = self.seeds.iter().map(|shift| level_plane(&self.volume, level, &(best + shift)));
+            let aliases = aliases.map(|plane| PlaneCandidate { plane, share: 0.0 });
+            self.candidates.extend(aliases.filter(|alias| allowed(&alias.plane)));
+        }
+    }
+
+    /// The plane that most of the clear disparities of the last search lie on, counted with `tolerance_px` (pixels of the
+    /// level); `seeds` are counted whether they are allowed or not.
+    pub fn widest(
+        &mut self,
+        level: &RegionLevel,
+        seeds: impl Iterator<Item = LevelPlane>,
+        (config, tolerance_px): (&PlaneSearchConfig, f64),
+        allowed: impl Fn(&LevelPlane) -> bool,
+        kernels: Kernels,
+    ) -> Option<PlaneCandidate> {
+        self.seeds.clear();
+        self.seeds.extend(seeds.map(|plane| coefficients(&self.volume, level, &plane)));
+        let size = (self.volume.area.width as f64, self.volume.area.height as f64);
+        let rules = HypothesisRules { tolerance_px, ..config.hypotheses };
+        let allowed = |p: &PlaneCoefficients| allowed(&level_plane(&self.volume, level, p));
+        self.hypotheses.run_once(&self.points, &self.seeds, size, &rules, &allowed, kernels);
+        let best = self.hypotheses.kept.first()?;
+        Some(PlaneCandidate { plane: level_plane(&self.volume, level, &best.plane), share: best.share })
+    }
+
+    /// Share of the clear disparities of the last search that lie on a plane, soft, with a tolerance in pixels of the level.
+    pub fn share_within(&self, level: &RegionLevel, plane: &LevelPlane, tolerance_px: f64, kernels: Kernels) -> f64 {
+        inlier_share(&self.points, &coefficients(&self.volume, level, plane), tolerance_px, kernels)
+    }
+
+    /// Moves the best plane through all disparities: where else the region as a whole agrees well is left in the seeds, as
+    /// shifts. A repetitive texture has such places.
+    fn sweep(&mut self, level: &RegionLevel, area: LevelBox, plane: &PlaneCoefficients, kernels: Kernels) {
+        let count = self.volume.count;
+        self.column.clear();
+        self.column.resize(2 * count + 1, 0);
+        let (p, stride) = (plane.map(|p| p as f32), self.volume.stride);
+        for y in 0..area.height {
+            let inside = &level.region[(area.y + y) * level.left.window.width + area.x..][..area.width];
+            let costs = &self.volume.costs[y * area.width * stride..][..area.width * stride];
+            let start = (p.x + p.z * y as f32, p.y);
+            add_swept(kernels, costs, inside, (stride, count), start, &mut self.row_sums, &mut self.column);
+        }
+        let own = (count - 1..=count + 1).map(|i| self.column[i]).max().unwrap_or(0);
+        for sum in &mut self.column[count - 1..=count + 1] {
+            *sum = 0;
+        }
+        self.seeds.clear();
+        push_peaks(&self.column, 2, &mut self.seeds);
+        let column = &self.column;
+        self.seeds.retain(|peak| f64::from(column[peak.x as usize]) > ALIAS_SHARE * f64::from(own));
+        for peak in &mut self.seeds {
+            peak.x -= count as f64;
+        }
+    }
+
+    /// Clear disparities of the region, in pixels of the box and steps of the volume.
+    fn collect(&mut self, level: &RegionLevel, area: LevelBox) {
+        self.points.clear();
+        let stride = level.left.window.width;
+        for y in 0..area.height {
+            let inside = &level.region[(area.y + y) * stride + area.x..][..area.width];
+            let values = &self.aggregation.disparity[y * area.width..][..area.width];
+            for (x, (&inside, &d)) in inside.iter().zip(values).enumerate() {
+                if inside != 0 && d.is_finite() {
+                    self.points.push(x as f32, y as f32, d);
+                }
+            }
+        }
+        self.points.finish();
+        self.valid_share = self.points.len() as f64 / level.area_px.max(1) as f64;
+    }
+
+    /// Fronto-parallel planes: where most pixels have their disparity, and where the region as a whole agrees best.
+    fn make_seeds(&mut self, level: &RegionLevel, area: LevelBox, kernels: Kernels) {
+        self.seeds.clear();
+        self.histogram.clear();
+        self.histogram.resize(self.volume.count, 0);
+        for d in self.points.disparities() {
+            self.histogram[(d + 0.5) as usize] += 1;
+        }
+        push_peaks(&self.histogram, 4, &mut self.seeds);
+        self.column.clear();
+        self.column.resize(self.volume.count, 0);
+        let stride = self.volume.stride;
+        for y in 0..area.height {
+            let inside = &level.region[(area.y + y) * level.left.window.width + area.x..][..area.width];
+            let costs = &self.volume.costs[y * area.width * stride..][..area.width * stride];
+            add_agreement(kernels, costs, inside, stride, &mut self.row_sums, &mut self.column);
+        }
+        push_peaks(&self.column, 4, &mut self.seeds);
+    }
+}
+
+/// From pixels of the box and steps of the volume to a plane of the level.
+fn level_plane(volume: &CostVolume, level: &RegionLevel, p: &PlaneCoefficients) -> LevelPlane {
+    let at_origin = p.x - p.y * volume.area.x as f64 - p.z * volume.area.y as f64;
+    let c = at_origin + f64::from(volume.first) - f64::from(level.column_shift());
+    LevelPlane { a: p.y, b: p.z, c, row: level.left.window.y - level.right.window.y }
+}
+
+/// The way back.
+fn coefficients(volume: &CostVolume, level: &RegionLevel, plane: &LevelPlane) -> PlaneCoefficients {
+    let at_corner = plane.c + plane.a * volume.area.x as f64 + plane.b * volume.area.y as f64;
+    Vector3::new(at_corner - f64::from(volume.first) + f64::from(level.column_shift()), plane.a, plane.b)
+}
+
+/// Pixels whose agreement is summed up in 16 bits.
+const SUMMED_PX: usize = 512;
+
+wide! {
+    fn add_agreement(costs: &[u8], inside: &[u8], stride: usize, sums: &mut Vec<u16>, column: &mut [u32]) = add_agreement_kernel;
+}
+
+/// Adds, disparity by disparity, by how much the pixels of a row that are inside agree better than not at all, plus
+/// [`COST_NEUTRAL`].
+#[inline(always)]
+fn add_agreement_kernel(costs: &[u8], inside: &[u8], stride: usize, sums: &mut Vec<u16>, column: &mut [u32]) {
+    for (costs, inside) in costs.chunks(SUMMED_PX * stride).zip(inside.chunks(SUMMED_PX)) {
+        sums.clear();
+        sums.resize(stride, 0);
+        for (costs, _) in costs.chunks_exact(stride).zip(inside).filter(|(_, inside)| **inside != 0) {
+            for (sum, cost) in sums.iter_mut().zip(costs) {
+                *sum += u16::from((2 * COST_NEUTRAL).saturating_sub(*cost));
+            }
+        }
+        add_sums(sums, column);
+    }
+}
+
+wide! {
+    fn add_swept(costs: &[u8], inside: &[u8], shape: (usize, usize), start: (f32, f32), sums: &mut Vec<u16>,
+        column: &mut [u32]) = add_swept_kernel;
+}
+
+/// The same, each pixel from the disparity that a plane has there, `start.0 + start.1 x`: `count` before to `count` after.
+#[inline(always)]
+fn add_swept_kernel(
+    costs: &[u8],
+    inside: &[u8],
+    (stride, count): (usize, usize),
+    start: (f32, f32),
+    sums: &mut Vec<u16>,
+    column: &mut [u32],
+) {
+    for (part, (costs, inside)) in costs.chunks(SUMMED_PX * stride).zip(inside.chunks(SUMMED_PX)).enumerate() {
+        sums.clear();
+        sums.resize(2 * count + 1, 0);
+        for (x, (costs, inside)) in costs.chunks_exact(stride).zip(inside).enumerate() {
+            let at = start.0 + start.1 * (part * SUMMED_PX + x) as f32 + 0.5;
+            if *inside != 0 && at >= 0.0 && at < count as f32 {
+                for (sum, cost) in sums[count - at as usize..].iter_mut().zip(&costs[..count]) {
+                    *sum += u16::from(COST_NEUTRAL.saturating_sub(*cost));
+                }
+            }
+        }
+        add_sums(sums, column);
+    }
+}
+
+#[inline(always)]
+fn add_sums(sums: &[u16], column: &mut [u32]) {
+    for (column, sum) in column.iter_mut().zip(sums) {
+        *column += u32::from(*sum);
+    }
+}
+
+/// The `count` highest local maxima of a histogram, as fronto-parallel planes.
+fn push_peaks(histogram: &[u32], count: usize, out: &mut Vec<PlaneCoefficients>) {
+    let mut limit = (u32::MAX, 0);
+    for _ in 0..count {
+        let at = |i: usize| histogram.get(i).copied().unwrap_or(0);
+        let is_peak = |i: usize| at(i) > 0 && at(i) >= at(i.wrapping_sub(1)) && at(i) >= at(i + 1);
+        let below = |i: usize| at(i) < limit.0 || (at(i) == limit.0 && i > limit.1);
+        let next = (0..histogram.len()).filter(|&i| is_peak(i) && below(i)).max_by_key(|&i| (at(i), usize::MAX - i));
+        let Some(i) = next else { return };
+        out.push(Vector3::new(i as f64, 0.0, 0.0));
+        limit = (at(i), i);
+    }
+}
+
+/// The box of the region in the left window of a level, with a margin where the window has it.
+pub(super) fn region_box(level: &RegionLevel, margin: usize) -> LevelBox {
+    let (width, height) = (level.left.window.width, level.left.window.height);
+    let (mut x, mut y) = ((width, 0), (height, 0));
+    for (row, inside) in level.region.chunks_exact(width.max(1)).enumerate() {
+        if let Some((first, last)) = ends_of(inside) {
+            x = (x.0.min(first), x.1.max(last));
+            y = (y.0.min(row), y.1.max(row));
+        }
+    }
+    let (x0, y0) = (x.0.saturating_sub(margin), y.0.saturating_sub(margin));
+    let (x1, y1) = ((x.1 + 1 + margin).min(width), (y.1 + 1 + margin).min(height));
+    LevelBox { x: x0, y: y0, width: x1.saturating_sub(x0), height: y1.saturating_sub(y0) }
+}
+
+/// The first and the last place of a row that is not zero.
+pub(super) fn ends_of(row: &[u8]) -> Option<(usize, usize)> {
+    // Most of a row is zeros before and behind: these are passed over in blocks.
+    const BLOCK: usize = 16;
+    let is_clear = |block: &[u8]| block.iter().fold(0, |all, one| all | one) == 0;
+    let before = BLOCK * row.chunks(BLOCK).take_while(|block| is_clear(block)).count();
+    let behind = BLOCK * row.rchunks(BLOCK).take_while(|block| is_clear(block)).count();
+    let first = before + row.get(before..)?.iter().position(|&at| at != 0)?;
+    let last = row[..row.len() - behind].iter().rposition(|&at| at != 0)?;
+    Some((first, last))
+}
+
+/// The disparities of a range, and one more at either end, at which the right window shows some of the left one; `None` if
+/// there are none. A calibration that fits nothing must not ask for more than the images have.
+fn visible(level: &RegionLevel, range: (i32, i32)) -> Option<(i32, i32)> {
+    let (left, right) = (&level.left.window, &level.right.window);
+    let lowest = left.x.saturating_sub(right.x.saturating_add(right.width as i32));
+    let highest = left.x.saturating_add(left.width as i32).saturating_sub(right.x);
+    let (first, last) = (range.0.saturating_sub(1).max(lowest), range.1.saturating_add(1).min(highest));
+    (first <= last).then_some((first, last))
+}

@@ -1,0 +1,194 @@
+//! How well every pixel of the region agrees with every pixel of its row in the other eye.
+//!
+//! The neighbourhood of a pixel becomes a vector of mean zero and length `DESCRIPTOR_LENGTH` in whole numbers; the product
+//! of two such vectors is their zero-mean normalised cross-correlation. A term for the noise of the camera in the
+//! normalisation makes a neighbourhood without texture agree with nothing, instead of with anything at random.
+
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::wide::{LANES, wide};
+
+use crate::colour_planes::ColourPlanes;
+use crate::region_pyramid::{RegionLevel, is_seen};
+
+/// Pixels of a neighbourhood.
+const DESCRIPTOR: usize = 9;
+/// Length of a descriptor: its square, twice, must fit into 16 bits with sign.
+const DESCRIPTOR_LENGTH: f32 = 127.0;
+/// Disparities are worked on in groups of so many.
+pub(super) const GROUP: usize = 32;
+/// Cost of a perfect agreement is 0, of none [`COST_NEUTRAL`], of the opposite twice that.
+pub const COST_NEUTRAL: u8 = 63;
+/// Cost of what can not be.
+pub(super) const COST_IMPOSSIBLE: u8 = 255;
+
+/// Part of the left window of a level.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LevelBox {
+    /// First column.
+    pub x: usize,
+    /// First row.
+    pub y: usize,
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+}
+
+/// Costs of all pixels of a box and all whole disparities of a range.
+#[derive(Clone, Debug, Default)]
+pub struct CostVolume {
+    /// Which pixels of the left window.
+    pub area: LevelBox,
+    /// Lowest disparity, pixels of the level's grid.
+    pub first: i32,
+    /// Number of disparities.
+    pub count: usize,
+    /// Disparities stored per pixel: `count` and some impossible ones.
+    pub stride: usize,
+    /// Pixel by pixel, row-major, [`Self::stride`] costs each.
+    pub costs: Vec<u8>,
+    /// Descriptors of a row: left, right, and right mirrored.
+    left: Vec<i16>,
+    described: Vec<i16>,
+    right: Vec<i16>,
+}
+
+impl CostVolume {
+    /// Computes the costs of `area` for the disparities `range` (pixels of the level's grid, both ends included).
+    pub fn compute(&mut self, level: &RegionLevel, area: LevelBox, range: (i32, i32), noise: f32, kernels: Kernels) {
+        self.area = area;
+        self.first = range.0;
+        self.count = (range.1 - range.0 + 1).max(1) as usize;
+        self.stride = self.count.div_ceil(GROUP) * GROUP;
+        self.costs.resize(area.width * area.height * self.stride, 0);
+        let right_width = level.right.window.width;
+        // Mirrored, so that growing disparities are growing addresses, with room for places beyond both borders.
+        let padding = area.width + self.stride + GROUP + level.left.window.width;
+        let row_length = right_width + 2 * padding;
+        self.left.resize(area.width * DESCRIPTOR, 0);
+        self.right.clear();
+        self.right.resize(row_length * DESCRIPTOR, 0);
+        self.described.resize(right_width * DESCRIPTOR, 0);
+        let row_shift = level.left.window.y - level.right.window.y;
+        for y in 0..area.height {
+            let y_left = area.y + y;
+            describe(&level.left, y_left as i64, noise, (area.x, area.width), kernels, &mut self.left);
+            let y_right = y_left as i64 + i64::from(row_shift);
+            describe(&level.right, y_right, noise, (0, right_width), kernels, &mut self.described);
+            for k in 0..DESCRIPTOR {
+                let mirrored = &mut self.right[k * row_length + padding..][..right_width];
+                let described = &self.described[k * right_width..(k + 1) * right_width];
+                for (to, from) in mirrored.iter_mut().rev().zip(described) {
+                    *to = *from;
+                }
+            }
+            // Left column x at disparity d meets the right column x - d + shift, mirrored width - 1 - that.
+            let first_mirrored = padding as i64 + right_width as i64 - 1 - area.x as i64 + i64::from(self.first)
+                - i64::from(level.column_shift());
+            let costs = &mut self.costs[y * area.width * self.stride..][..area.width * self.stride];
+            cost_row(kernels, &self.left, &self.right, row_length, first_mirrored, self.stride, costs);
+        }
+        if self.stride > self.count {
+            for pixel in self.costs.chunks_exact_mut(self.stride) {
+                pixel[self.count..].fill(COST_IMPOSSIBLE);
+            }
+        }
+    }
+}
+
+/// Descriptors of columns `first..first + count` of row `y`, component by component; zero where the neighbourhood is not in
+/// the window.
+fn describe(eye: &ColourPlanes, y: i64, noise: f32, (first, count): (usize, usize), kernels: Kernels, out: &mut [i16]) {
+    let (plane, width) = (eye.luminance(), eye.window.width);
+    // Columns whose neighbours are in the window.
+    let (start, end) = (first.max(1), (first + count).min(width.saturating_sub(1)));
+    if y < 1 || y + 1 >= eye.window.height as i64 || start >= end {
+        out.fill(0);
+        return;
+    }
+    let rows: [&[f32]; 3] = std::array::from_fn(|j| &plane.row(y as usize + j - 1)[start - 1..end + 1]);
+    describe_row(kernels, rows, DESCRIPTOR as f32 * noise * noise, count, start - first, out);
+    let flags = &eye.flags[y as usize * width..(y as usize + 1) * width];
+    for x in first..first + count {
+        if x < start || x >= end || !is_seen(flags[x]) {
+            for k in 0..DESCRIPTOR {
+                out[k * count + x - first] = 0;
+            }
+        }
+    }
+}
+
+wide! {
+    fn describe_row(rows: [&[f32]; 3], floor: f32, stride: usize, first: usize, out: &mut [i16]) = describe_row_kernel;
+}
+
+#[inline(always)]
+fn describe_row_kernel(rows: [&[f32]; 3], floor: f32, stride: usize, first: usize, out: &mut [i16]) {
+    let count = rows[0].len() - 2;
+    let wide = count / LANES * LANES;
+    let mut at = 0;
+    while at < count {
+        let lanes = if at < wide { LANES } else { count - at };
+        let mut v = [[0.0_f32; LANES]; DESCRIPTOR];
+        for (k, v) in v.iter_mut().enumerate() {
+            v[..lanes].copy_from_slice(&rows[k / 3][at + k % 3..][..lanes]);
+        }
+        let (mut sum, mut energy) = ([0.0_f32; LANES], [0.0_f32; LANES]);
+        for v in &v {
+            for i in 0..LANES {
+                sum[i] += v[i];
+            }
+        }
+        for v in &mut v {
+            for i in 0..LANES {
+                v[i] -= sum[i] * (1.0 / DESCRIPTOR as f32);
+                energy[i] += v[i] * v[i];
+            }
+        }
+        let scale: [f32; LANES] = std::array::from_fn(|i| DESCRIPTOR_LENGTH / (energy[i] + floor).sqrt());
+        for (k, v) in v.iter().enumerate() {
+            let mut rounded = [0_i16; LANES];
+            for i in 0..LANES {
+                // Adding and taking off 1.5 * 2^23 rounds to whole numbers.
+                let value = v[i] * scale[i] + 12_582_912.0;
+                rounded[i] = (value.to_bits() as i32).wrapping_sub(0x4B40_0000) as i16;
+            }
+            out[k * stride + first + at..][..lanes].copy_from_slice(&rounded[..lanes]);
+        }
+        at += lanes;
+    }
+}
+
+wide! {
+    fn cost_row(left: &[i16], right: &[i16], row_length: usize, first_mirrored: i64, stride: usize, costs: &mut [u8]) = cost_row_kernel;
+}
+
+#[inline(always)]
+fn cost_row_kernel(
+    left: &[i16],
+    right: &[i16],
+    row_length: usize,
+    first_mirrored: i64,
+    stride: usize,
+    costs: &mut [u8],
+) {
+    let perfect = (DESCRIPTOR_LENGTH * DESCRIPTOR_LENGTH) as i16;
+    let rows: [&[i16]; DESCRIPTOR] = std::array::from_fn(|k| &right[k * row_length..(k + 1) * row_length]);
+    let width = left.len() / DESCRIPTOR;
+    for (x, costs) in costs.chunks_exact_mut(stride).enumerate() {
+        let left: [i16; DESCRIPTOR] = std::array::from_fn(|k| left[k * width + x]);
+        for (group, costs) in costs.chunks_exact_mut(GROUP).enumerate() {
+            let start = (first_mirrored - x as i64 + (group * GROUP) as i64).clamp(0, (row_length - GROUP) as i64);
+            let mut sum = [0_i16; GROUP];
+            for k in 0..DESCRIPTOR {
+                let (l, r) = (left[k], &rows[k][start as usize..start as usize + GROUP]);
+                for i in 0..GROUP {
+                    sum[i] = sum[i].wrapping_add(l.wrapping_mul(r[i]));
+                }
+            }
+            for i in 0..GROUP {
+                costs[i] = ((perfect.wrapping_sub(sum[i])).max(0) >> 8) as u8;
+            }
+        }
+    }
+}

@@ -1,0 +1,271 @@
+//! The method as published, end to end: hue model of the left image, RM-GA over planes, votes in the right image.
+//!
+//! [`PublishedEstimator`] answers one pair from nothing (cold start); [`PublishedTracker`] follows a target from frame to
+//! frame. Both take raw images of any calibrated pair: images with lens distortion are undistorted first, everything
+//! inside works on pinholes.
+//!
+//! The paper gives no status. Here every answer is judged by [`crate::observability`]; a target whose pixels have no hue
+//! is not searched at all.
+
+use image::RgbImage;
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::error::{EstimationError, check_range};
+use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose};
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::{Region, RegionConfig};
+use pb3dp_estimation_core::status::{Status, Verdict};
+use pb3dp_geometry::StereoRig;
+
+use crate::fitness::FitnessConfig;
+use crate::hue::HueConfig;
+use crate::observability::{Landscape, ObservabilityConfig};
+use crate::photo_model::PhotoModelConfig;
+use crate::search::rmga::{Population, RmGa, RmGaConfig};
+
+mod backprojection;
+mod core;
+mod front_end;
+mod model_frame;
+mod outline_fit;
+mod target;
+mod tracker;
+mod tracker_config;
+
+use self::core::{Core, Found};
+pub use pb3dp_estimation_core::estimate::TrackEstimate;
+pub use tracker::PublishedTracker;
+pub use tracker_config::TrackerConfig;
+
+/// The answer lies at an end of the depth range if it is this close to it, as a share of the range.
+const END_OF_RANGE_SHARE: f64 = 0.004;
+
+/// Everything that the published method leaves open.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PublishedConfig {
+    /// When a pixel has a hue.
+    pub hue: HueConfig,
+    /// Points of the model. Default here: 600 on the target and 400 around it; fewer points cost less time and give a
+    /// rougher fitness.
+    pub model: PhotoModelConfig,
+    /// The votes.
+    pub fitness: FitnessConfig,
+    /// The genetic algorithm; its `generations` are those of a frame of the tracker.
+    pub rmga: RmGaConfig,
+    /// Generations of a cold start.
+    pub cold_start: ColdStartConfig,
+    /// Regions.
+    pub region: RegionConfig,
+    /// The judgement of answers.
+    pub observability: ObservabilityConfig,
+    /// What a target must have to be searched at all.
+    pub hue_support: HueSupportConfig,
+    /// Region tracking and loss.
+    pub tracker: TrackerConfig,
+    /// Whether an estimate also looks up the best of all 2^24 chromosomes (about a second). Default false.
+    pub reference_optimum: bool,
+}
+
+impl Default for PublishedConfig {
+    fn default() -> Self {
+        Self {
+            hue: HueConfig::default(),
+            model: PhotoModelConfig { inner_points: 600, outer_points: 400, ..PhotoModelConfig::default() },
+            fitness: FitnessConfig::default(),
+            rmga: RmGaConfig::default(),
+            cold_start: ColdStartConfig::default(),
+            region: RegionConfig::default(),
+            observability: ObservabilityConfig::default(),
+            hue_support: HueSupportConfig::default(),
+            tracker: TrackerConfig::default(),
+            reference_optimum: false,
+        }
+    }
+}
+
+/// The search from nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ColdStartConfig {
+    /// Generations, 1 to 100000. Default 40: the genetic algorithm reaches its optimum in 20 to 40.
+    pub generations: usize,
+}
+
+impl Default for ColdStartConfig {
+    fn default() -> Self {
+        Self { generations: 40 }
+    }
+}
+
+/// How much of the target must have a hue.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HueSupportConfig {
+    /// Smallest share of the target's model points that have a hue, 0 to 1. Default 0.3.
+    pub coloured_share_min: f64,
+    /// Smallest number of the target's model points that have a hue. Default 40.
+    pub points_min: usize,
+}
+
+impl Default for HueSupportConfig {
+    fn default() -> Self {
+        Self { coloured_share_min: 0.3, points_min: 40 }
+    }
+}
+
+impl PublishedConfig {
+    /// Checks all ranges.
+    ///
+    /// # Errors
+    /// The parameter that is out of its range.
+    pub fn validate(&self) -> Result<(), EstimationError> {
+        self.hue.validate()?;
+        self.model.validate()?;
+        self.fitness.validate()?;
+        self.rmga.validate()?;
+        self.cold_start_rmga().validate()?;
+        self.observability.validate()?;
+        self.tracker.validate()?;
+        let share = self.hue_support.coloured_share_min;
+        check_range("hue support coloured_share_min", share, (0.0, 1.0), "must be between 0 and 1")
+    }
+
+    /// The limits for answers whose depth is known roughly from the frame before.
+    fn tracked_observability(&self) -> ObservabilityConfig {
+        ObservabilityConfig { depth_spread_sure: self.tracker.depth_spread_sure, ..self.observability }
+    }
+
+    /// The genetic algorithm of a cold start.
+    fn cold_start_rmga(&self) -> RmGaConfig {
+        RmGaConfig { generations: self.cold_start.generations, ..self.rmga }
+    }
+}
+
+/// The published method on single pairs.
+#[derive(Clone, Debug)]
+pub struct PublishedEstimator {
+    core: Core,
+}
+
+impl PublishedEstimator {
+    /// An estimator for a calibrated pair, rectified or not, with lens distortion or without.
+    ///
+    /// # Errors
+    /// A parameter out of its range.
+    pub fn new(rig: &StereoRig, config: PublishedConfig) -> Result<Self, EstimationError> {
+        Ok(Self { core: Core::new(rig, config, Kernels::best())? })
+    }
+
+    /// As [`Self::new`], with given kernels; the answers are the same, the speed is not.
+    ///
+    /// # Errors
+    /// A parameter out of its range.
+    pub fn with_kernels(rig: &StereoRig, config: PublishedConfig, kernels: Kernels) -> Result<Self, EstimationError> {
+        Ok(Self { core: Core::new(rig, config, kernels)? })
+    }
+
+    /// The parameters.
+    pub fn config(&self) -> &PublishedConfig {
+        self.core.config()
+    }
+
+    /// The plane of a region of one pair of raw images, from nothing: no start value, the whole `range` is searched.
+    ///
+    /// The same input gives the same answer after any other calls and, for pictures without lens distortion, on every machine;
+    /// with distortion the undistortion may differ in last bits between system libraries.
+    ///
+    /// # Errors
+    /// Images that do not fit the calibration, a region that can not serve, a bad range. That a plane can not be determined
+    /// is not an error but the status `not-observable`.
+    pub fn estimate(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+    ) -> Result<PlaneEstimate, EstimationError> {
+        self.estimate_while(left, right, region, range, &mut || true)
+    }
+
+    /// As [`Self::estimate`]; once `may_continue` says no, the best of the generations so far is judged and given.
+    ///
+    /// # Errors
+    /// As [`Self::estimate`].
+    pub fn estimate_while(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<PlaneEstimate, EstimationError> {
+        range.validate()?;
+        let taken = self.core.take(left, right, region)?;
+        let warnings = taken.warnings.into_iter().map(EstimateWarning::Region).collect();
+        let mut estimate = self.core.blank_estimate(taken.centroid_px, warnings);
+        if let Some(reason) = self.core.lack_of_hue() {
+            estimate.reason = reason;
+            return Ok(estimate);
+        }
+        let rmga_config = self.core.config().cold_start_rmga();
+        let mut rmga = RmGa::new(rmga_config, *range)?;
+        let mut population = Population::random(&rmga_config);
+        let Some(found) = self.core.search(&mut rmga, &mut population, may_continue)? else {
+            estimate.reason = "every hypothesis of the search range lies behind a camera: check the range".to_owned();
+            return Ok(estimate);
+        };
+        let landscape = self.core.survey(&found, range)?;
+        self.fill(&mut estimate, &found, &landscape, range);
+        if self.core.config().reference_optimum {
+            estimate.reference_optimum = self.core.reference_optimum(rmga.codec())?;
+        }
+        Ok(estimate)
+    }
+
+    fn fill(&self, estimate: &mut PlaneEstimate, found: &Found, landscape: &Landscape, range: &SearchRange) {
+        let Verdict { status, reason } = landscape.verdict(&self.core.config().observability);
+        let pose = self.core.plane_pose(&found.psi, &estimate.centroid_px);
+        estimate.pose = pose.filter(|_| status != Status::NotObservable);
+        (estimate.status, estimate.reason) = (status, reason);
+        (estimate.psi, estimate.fitness) = (Some(found.psi), Some(found.fitness));
+        if landscape.fitness_highest > found.fitness + 0.02 {
+            estimate
+                .warnings
+                .push(EstimateWarning::SearchIncomplete { found: found.fitness, grid: landscape.fitness_highest });
+        }
+        let margin_m = END_OF_RANGE_SHARE * (range.z_max_m - range.z_min_m);
+        if found.psi.z_m < range.z_min_m + margin_m || found.psi.z_m > range.z_max_m - margin_m {
+            estimate.warnings.push(EstimateWarning::EndOfRange { z_mm: 1000.0 * found.psi.z_m });
+        }
+    }
+}
+
+/// Shared by estimator and tracker.
+impl Core {
+    /// An estimate that says nothing yet.
+    fn blank_estimate(&self, centroid_px: nalgebra::Vector2<f64>, warnings: Vec<EstimateWarning>) -> PlaneEstimate {
+        PlaneEstimate {
+            status: Status::NotObservable,
+            reason: String::new(),
+            warnings,
+            centroid_px,
+            pose: None,
+            psi: None,
+            fitness: None,
+            z_sigma_m: None,
+            normal_sigma_rad: None,
+            plane_covariance: None,
+            second_plane: None,
+            row_offset_px: None,
+            reference_optimum: None,
+            left_camera: *self.left_camera(),
+        }
+    }
+
+    /// The plane of a hypothesis, with its depth on the ray of a raw pixel.
+    fn plane_pose(
+        &self,
+        psi: &pb3dp_estimation_core::plane_hypothesis::PlaneHypothesis,
+        raw_px: &nalgebra::Vector2<f64>,
+    ) -> Option<PlanePose> {
+        let q = psi.inverse_depth_plane(&self.pair().left_ray(&self.model_centre_px()))?;
+        PlanePose::from_inverse_depth_plane(q, &self.left_camera().unproject(raw_px).ok()?)
+    }
+}

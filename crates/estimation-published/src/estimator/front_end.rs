@@ -1,0 +1,126 @@
+//! From raw images to hue: undistortion where the rig has distortion, then both hue planes.
+
+use image::RgbImage;
+use nalgebra::Vector2;
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::error::EstimationError;
+use pb3dp_estimation_core::plane_hypothesis::PinholePair;
+use pb3dp_estimation_core::region::RegionMask;
+use pb3dp_geometry::maps::RemapTable;
+use pb3dp_geometry::{Camera, Distortion, ImageSize, StereoRig};
+
+use crate::hue::{HueConfig, HuePlane};
+
+/// One eye: its camera, its undistortion and the hue of its latest image.
+#[derive(Clone, Debug)]
+struct Eye {
+    name: &'static str,
+    camera: Camera,
+    /// The table and the undistorted image, if the camera has distortion.
+    undistortion: Option<(RemapTable, RgbImage)>,
+    hue: HuePlane,
+}
+
+/// Both eyes with their buffers; allocates only on the first pair.
+#[derive(Clone, Debug)]
+pub(super) struct FrontEnd {
+    left: Eye,
+    right: Eye,
+    pair: PinholePair,
+    hue_config: HueConfig,
+    kernels: Kernels,
+}
+
+impl FrontEnd {
+    pub(super) fn new(rig: &StereoRig, hue_config: HueConfig, kernels: Kernels) -> Result<Self, EstimationError> {
+        hue_config.validate()?;
+        let pair = PinholePair::from_rig(&rig.undistorted())?;
+        let (left, right) = (Eye::new("left", rig.left()), Eye::new("right", rig.right()));
+        Ok(Self { left, right, pair, hue_config, kernels })
+    }
+
+    /// Takes a pair of raw images.
+    pub(super) fn load(&mut self, left: &RgbImage, right: &RgbImage) -> Result<(), EstimationError> {
+        self.left.check_size(left)?;
+        self.right.check_size(right)?;
+        self.left.load(left, &self.hue_config, self.kernels)?;
+        self.right.load(right, &self.hue_config, self.kernels)
+    }
+
+    /// Refuses a left image of another size than the calibration's.
+    pub(super) fn check_left_size(&self, left: &RgbImage) -> Result<(), EstimationError> {
+        self.left.check_size(left)
+    }
+
+    /// Pinholes and motion of the undistorted pair.
+    pub(super) fn pair(&self) -> &PinholePair {
+        &self.pair
+    }
+
+    /// The left camera of the raw image.
+    pub(super) fn left_camera(&self) -> &Camera {
+        &self.left.camera
+    }
+
+    pub(super) fn left_hue(&self) -> &HuePlane {
+        &self.left.hue
+    }
+
+    pub(super) fn right_hue(&self) -> &HuePlane {
+        &self.right.hue
+    }
+
+    /// The region in the undistorted left image.
+    pub(super) fn undistort_region(&self, mask: RegionMask) -> Result<RegionMask, EstimationError> {
+        let Some((table, _)) = &self.left.undistortion else { return Ok(mask) };
+        let (source_size, size) = (mask.size(), table.size());
+        let mut source = vec![0; source_size.width as usize * source_size.height as usize];
+        mask.for_each(|x, y| source[(y * source_size.width + x) as usize] = 255);
+        let mut destination = vec![0; size.width as usize * size.height as usize];
+        table.remap_mask(&source, source_size, &mut destination)?;
+        Ok(RegionMask::from_fn(size, |x, y| destination[(y * size.width + x) as usize] != 0))
+    }
+
+    /// The pixel of the undistorted left image of a pixel of the raw one.
+    pub(super) fn undistort_pixel(&self, pixel: &Vector2<f64>) -> Result<Vector2<f64>, EstimationError> {
+        let ray = self.left.camera.unproject(pixel)?;
+        Ok(self.left.camera.pinhole().pixel_from_normalized(&ray.xy()))
+    }
+}
+
+impl Eye {
+    fn new(name: &'static str, camera: &Camera) -> Self {
+        let undistortion = (!matches!(camera.distortion(), Distortion::None)).then(|| {
+            let table = RemapTable::undistort(camera);
+            let image = RgbImage::new(table.size().width, table.size().height);
+            (table, image)
+        });
+        Self { name, camera: *camera, undistortion, hue: HuePlane::default() }
+    }
+
+    fn check_size(&self, image: &RgbImage) -> Result<(), EstimationError> {
+        let expected = self.camera.size();
+        if image.width() == expected.width && image.height() == expected.height {
+            return Ok(());
+        }
+        Err(EstimationError::ImageSize {
+            eye: self.name,
+            width: image.width() as usize,
+            height: image.height() as usize,
+            expected_width: expected.width as usize,
+            expected_height: expected.height as usize,
+        })
+    }
+
+    fn load(&mut self, image: &RgbImage, config: &HueConfig, kernels: Kernels) -> Result<(), EstimationError> {
+        let size = ImageSize { width: image.width(), height: image.height() };
+        match &mut self.undistortion {
+            Some((table, undistorted)) => {
+                table.remap_rgb(image.as_raw(), size, undistorted)?;
+                self.hue.update_from_rgb(undistorted, config, kernels);
+            }
+            None => self.hue.update_from_rgb(image, config, kernels),
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,119 @@
+//! The target as the tracker knows it between two frames.
+
+use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
+use pb3dp_estimation_core::plane_hypothesis::PlaneHypothesis;
+use pb3dp_estimation_core::trig;
+use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_geometry::{Pinhole, Pose};
+
+use super::backprojection::Backprojection;
+use super::outline_fit::OutlineEdge;
+use crate::search::rmga::{Population, RmGa};
+
+/// Outline vertices are kept within this distance of the image's origin, pixels: beyond it the target is out of sight.
+const VERTEX_MAX_PX: f64 = 20_000.0;
+
+/// The target as of the last frame.
+#[derive(Clone, Debug)]
+pub(super) struct Target {
+    pub rmga: RmGa,
+    pub cold_rmga: RmGa,
+    pub population: Population,
+    pub cam_left_from_model: Pose<CamLeft, Model>,
+    /// Rotation `cam_left_from_model` of the first frame, carried by the known motion of the camera.
+    pub reference_rotation: UnitQuaternion<f64>,
+    /// The first frame's outline on the plane, metres.
+    pub outline_in_model_m: Vec<Vector2<f64>>,
+    pub outline_edge: OutlineEdge,
+    /// How far the outline has turned on the plane since the first frame, radians: of the region, not of the pose.
+    pub outline_roll_rad: f64,
+    pub appearance: Appearance,
+    /// Below this fitness the target is lost.
+    pub fitness_floor: f64,
+    /// Frames since the target was last seen.
+    pub lost_frames: u32,
+    /// Whether the whole search range was surveyed since the target was last found, and held no rival.
+    pub is_assured: bool,
+    /// Whether that was ever so: until then the size of the outline may be that of a rival's depth.
+    pub was_assured: bool,
+}
+
+/// How the target is told from its surroundings.
+#[derive(Clone, Debug)]
+pub(super) struct Appearance {
+    pub colours: Backprojection,
+    /// Centroid of the target's weights on the plane, metres.
+    pub mass_centre_in_model_m: Vector2<f64>,
+    /// Sum of the weights over the area of the region, first frame.
+    pub mass_per_area: f64,
+}
+
+/// A region carried to a new frame.
+pub(super) struct Carried {
+    pub outline_px: Vec<Vector2<f64>>,
+    /// Where the model's origin is seen, undistorted left image.
+    pub origin_px: Vector2<f64>,
+    /// Where the centroid of the target's weights is expected.
+    pub mass_centre_px: Vector2<f64>,
+}
+
+impl Carried {
+    pub(super) fn shift(&mut self, shift_px: &Vector2<f64>) {
+        self.outline_px.iter_mut().for_each(|vertex| *vertex += shift_px);
+        self.origin_px += shift_px;
+        self.mass_centre_px += shift_px;
+    }
+}
+
+impl Target {
+    /// The region as the last pose puts it into the image; `None` if a part of it is not in front of the camera.
+    pub(super) fn region_in(&self, pinhole: &Pinhole) -> Option<Carried> {
+        let turn = trig::rotation(self.outline_roll_rad);
+        let turned = |point: &Vector2<f64>| pixel_of(&self.cam_left_from_model, pinhole, &(turn * point));
+        Some(Carried {
+            outline_px: self.outline_in_model_m.iter().map(turned).collect::<Option<_>>()?,
+            origin_px: turned(&Vector2::zeros())?,
+            mass_centre_px: turned(&self.appearance.mass_centre_in_model_m)?,
+        })
+    }
+
+    /// Expresses the last pose in the camera of the new frame, the target taken as standing still.
+    pub(super) fn move_camera(&mut self, cam_left_prev_from_cam_left_now: &Pose<CamLeft, CamLeft>) {
+        let cam_left_now_from_cam_left_prev = cam_left_prev_from_cam_left_now.inverse();
+        self.cam_left_from_model = cam_left_now_from_cam_left_prev * self.cam_left_from_model;
+        self.reference_rotation = cam_left_now_from_cam_left_prev.rotation() * self.reference_rotation;
+        self.reference_rotation.renormalize();
+    }
+
+    /// Does the same to every individual; those that the motion puts behind the camera stay as they are.
+    pub(super) fn move_population(
+        &mut self,
+        cam_left_prev_from_cam_left_now: &Pose<CamLeft, CamLeft>,
+        old_centre_ray: &Vector3<f64>,
+        new_centre_ray: &Vector3<f64>,
+    ) {
+        let rotation = cam_left_prev_from_cam_left_now.rotation_matrix();
+        let translation_m = cam_left_prev_from_cam_left_now.translation_m();
+        let moved = |psi: &PlaneHypothesis| {
+            // A plane q . X = 1 seen from the new camera: X = R X' + t gives (RT q) . X' = 1 - q . t.
+            let q = psi.inverse_depth_plane(old_centre_ray)?;
+            let rest = 1.0 - q.dot(&translation_m);
+            let q_now = rotation.transpose() * q / rest;
+            (rest > 0.0).then(|| PlaneHypothesis::from_inverse_depth_plane(&q_now, new_centre_ray)).flatten()
+        };
+        self.population.shift(self.rmga.codec(), |psi| moved(&psi).unwrap_or(psi));
+    }
+}
+
+/// Undistorted left pixel of a point of the model's plane, metres; `None` if it is not in front of the camera or far out
+/// of sight.
+pub(super) fn pixel_of(
+    cam_left_from_model: &Pose<CamLeft, Model>,
+    pinhole: &Pinhole,
+    point_in_model_m: &Vector2<f64>,
+) -> Option<Vector2<f64>> {
+    let point_in_model = Point3::new(point_in_model_m.x, point_in_model_m.y, 0.0);
+    let point_in_cam_left = cam_left_from_model.transform_point(&point_in_model);
+    let pixel = pinhole.pixel_from_normalized(&(point_in_cam_left.coords.xy() / point_in_cam_left.z));
+    (point_in_cam_left.z > 0.0 && pixel.iter().all(|c| c.abs() < VERTEX_MAX_PX)).then_some(pixel)
+}

@@ -1,0 +1,457 @@
+//! The published method over time: the population, the region and the model frame carried from frame to frame.
+
+use image::RgbImage;
+use nalgebra::{Point3, Vector2};
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::error::EstimationError;
+use pb3dp_estimation_core::estimate::{EstimateWarning, PlanePose, TrackEstimate};
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::{Region, RegionMask, polygon};
+use pb3dp_estimation_core::status::{Status, Verdict};
+use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_geometry::{ImageSize, Pinhole, Pose, StereoRig};
+
+use super::backprojection::Backprojection;
+use super::core::{Core, Found, Taken};
+use super::outline_fit::OutlineEdge;
+use super::target::{Appearance, Carried, Target, pixel_of};
+use super::{PublishedConfig, model_frame};
+use crate::observability::Landscape;
+use crate::search::rmga::{Population, RmGa};
+
+/// Follows one target from frame to frame with the published method.
+///
+/// Per frame: the last pose, moved by the known motion of the camera, puts the first frame's outline into the new left
+/// image; the pixels of the target's hues re-centre it (see [`TrackerConfig`](super::TrackerConfig)); the model is made anew inside it; the
+/// population, moved by the same known motion, evolves for the configured generations; all individuals, the elite
+/// included, are scored anew.
+///
+/// A lost target is looked for in the following frames in a window that doubles with every frame, up to the whole image,
+/// with a fresh population and the generations of a cold start.
+///
+/// An answer counts as sure only once a survey of the whole search range has found no rival, after the start and after every
+/// loss. A target that is never sure is given up after some frames and stays lost until it is marked again.
+#[derive(Clone, Debug)]
+pub struct PublishedTracker {
+    core: Core,
+    start: Option<Start>,
+    target: Option<Target>,
+    mask: RegionMask,
+    /// Frames since the start, or since the target was found again, in which it was not sure.
+    unsure_frames: u32,
+}
+
+/// What the tracker was asked to follow.
+#[derive(Clone, Debug)]
+struct Start {
+    region: Region,
+    range: SearchRange,
+}
+
+impl PublishedTracker {
+    /// A tracker for a calibrated pair, rectified or not, with lens distortion or without.
+    ///
+    /// # Errors
+    /// A parameter out of its range.
+    pub fn new(rig: &StereoRig, config: PublishedConfig) -> Result<Self, EstimationError> {
+        let core = Core::new(rig, config, Kernels::best())?;
+        let mask = RegionMask::empty(ImageSize { width: 0, height: 0 });
+        Ok(Self { core, start: None, target: None, mask, unsure_frames: 0 })
+    }
+
+    /// The parameters.
+    pub fn config(&self) -> &PublishedConfig {
+        self.core.config()
+    }
+
+    /// Takes a new target: cold start on the first pair of raw images, the region given in the left one.
+    ///
+    /// If the pose is not observable there is no target yet: [`Self::update`] then tries the same region again, for a few
+    /// frames.
+    ///
+    /// # Errors
+    /// Images that do not fit the calibration, a region that can not serve, a bad range.
+    pub fn start(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+    ) -> Result<TrackEstimate, EstimationError> {
+        self.start_while(left, right, region, range, &mut || true)
+    }
+
+    /// As [`Self::start`]; once `may_continue` says no, the best of the generations so far is judged and given.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub fn start_while(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<TrackEstimate, EstimationError> {
+        range.validate()?;
+        self.unsure_frames = 0;
+        self.start = Some(Start { region: region.clone(), range: *range });
+        self.take_target(left, right, region, range, may_continue)
+    }
+
+    fn take_target(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<TrackEstimate, EstimationError> {
+        self.target = None;
+        let taken = self.core.take(left, right, region)?;
+        let mut estimate = TrackEstimate {
+            warnings: taken.warnings.iter().cloned().map(EstimateWarning::Region).collect(),
+            ..self.blank_estimate(&taken.outline_px)
+        };
+        if let Some(reason) = self.core.lack_of_hue() {
+            return Ok(TrackEstimate { reason, ..estimate });
+        }
+        let config = self.core.config().clone();
+        let mut cold_rmga = RmGa::new(config.cold_start_rmga(), *range)?;
+        let mut population = Population::random(&config.rmga);
+        let Some(found) = self.core.search(&mut cold_rmga, &mut population, may_continue)? else {
+            return Ok(TrackEstimate { reason: no_hypothesis(), ..estimate });
+        };
+        let landscape = self.core.survey(&found, range)?;
+        let Verdict { status, reason } = landscape.verdict(&config.observability);
+        (estimate.status, estimate.reason) = (status, reason);
+        (estimate.psi, estimate.fitness) = (Some(found.psi), Some(found.fitness));
+        if status != Status::NotObservable {
+            let rmga = RmGa::new(config.rmga, *range)?;
+            let target = self.first_target(&taken, &found, &landscape, (rmga, cold_rmga, population));
+            estimate.cam_left_from_model = target.as_ref().map(|target| target.cam_left_from_model);
+            self.target = target;
+        }
+        Ok(estimate)
+    }
+
+    /// Follows the target into the next pair of raw images. `cam_left_prev_from_cam_left_now` is the motion of the left
+    /// camera between the two exposures, if known (from the arm): only the target's own motion is then left to find.
+    ///
+    /// # Errors
+    /// Images that do not fit the calibration, or no [`Self::start`] before. A lost target is not an error but a status.
+    pub fn update(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        cam_left_prev_from_cam_left_now: Option<&Pose<CamLeft, CamLeft>>,
+    ) -> Result<TrackEstimate, EstimationError> {
+        self.update_while(left, right, cam_left_prev_from_cam_left_now, &mut || true)
+    }
+
+    /// As [`Self::update`]; once `may_continue` says no, the best of the generations so far is judged and given.
+    ///
+    /// # Errors
+    /// As [`Self::update`].
+    pub fn update_while(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        cam_left_prev_from_cam_left_now: Option<&Pose<CamLeft, CamLeft>>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<TrackEstimate, EstimationError> {
+        let limit = self.core.config().tracker.assure_frames_max;
+        if self.start.is_some() && self.unsure_frames >= limit {
+            self.target = None;
+            let reason = format!("the target was never sure within {limit} frames and is given up: mark it again");
+            return Ok(TrackEstimate { status: Status::Lost, reason, ..self.blank_estimate(&[]) });
+        }
+        let Some(mut target) = self.target.take() else {
+            let Start { region, range } = self.start.clone().ok_or(EstimationError::NotStarted)?;
+            self.unsure_frames += 1;
+            let again = self.take_target(left, right, &region, &range, may_continue)?;
+            return Ok(TrackEstimate { warnings: Vec::new(), ..again });
+        };
+        let outcome = self.follow(&mut target, (left, right), cam_left_prev_from_cam_left_now, may_continue);
+        self.target = Some(target);
+        outcome
+    }
+
+    fn follow(
+        &mut self,
+        target: &mut Target,
+        (left, right): (&RgbImage, &RgbImage),
+        motion: Option<&Pose<CamLeft, CamLeft>>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<TrackEstimate, EstimationError> {
+        self.core.load(left, right)?;
+        let old_centre_px = self.core.model_centre_px();
+        if let Some(motion) = motion {
+            target.move_camera(motion);
+        }
+        let carried = match self.carry_region(target) {
+            Ok(carried) => carried,
+            Err(reason) => return Ok(self.lost(target, reason, &[])),
+        };
+        self.core.remake_model(&self.mask);
+        if let Some(reason) = self.core.lack_of_hue() {
+            return Ok(self.lost(target, reason, &carried.outline_px));
+        }
+        let new_centre_px = self.core.model_centre_px();
+        if let Some(motion) = motion {
+            let rays = (self.core.pair().left_ray(&old_centre_px), self.core.pair().left_ray(&new_centre_px));
+            target.move_population(motion, &rays.0, &rays.1);
+        }
+        let rmga = if target.lost_frames > 0 {
+            target.population.scatter();
+            &mut target.cold_rmga
+        } else {
+            &mut target.rmga
+        };
+        let Some(found) = self.core.search(rmga, &mut target.population, may_continue)? else {
+            return Ok(self.lost(target, no_hypothesis(), &carried.outline_px));
+        };
+        if found.fitness < target.fitness_floor {
+            let (fitness, floor) = (found.fitness, target.fitness_floor);
+            let reason = format!("the fitness has fallen to {fitness:.3}, below {floor:.3}");
+            let lost = self.lost(target, reason, &carried.outline_px);
+            return Ok(TrackEstimate { psi: Some(found.psi), fitness: Some(fitness), ..lost });
+        }
+        self.accept(target, &found, &carried)
+    }
+
+    /// Takes over what was found, and judges it.
+    fn accept(
+        &mut self,
+        target: &mut Target,
+        found: &Found,
+        carried: &Carried,
+    ) -> Result<TrackEstimate, EstimationError> {
+        let mut estimate = self.blank_estimate(&carried.outline_px);
+        let centre_ray = self.core.pair().left_ray(&self.core.model_centre_px());
+        let origin_ray = self.core.pair().left_ray(&carried.origin_px);
+        let plane = found.psi.inverse_depth_plane(&centre_ray);
+        let Some(plane) = plane.and_then(|q| PlanePose::from_inverse_depth_plane(q, &origin_ray)) else {
+            return Ok(self.lost(target, no_hypothesis(), &carried.outline_px));
+        };
+        let jump = plane.z_m / target.cam_left_from_model.translation_m().z - 1.0;
+        if !target.was_assured && jump.abs() > self.core.config().observability.depth_spread_max {
+            self.retake(target, found, carried)?;
+        } else {
+            let rotation = model_frame::with_normal(&target.reference_rotation, &-plane.normal_in_cam_left);
+            target.cam_left_from_model = Pose::from_parts(origin_ray * plane.z_m, rotation);
+        }
+        target.lost_frames = 0;
+        let verdict = self.judge(target, found)?;
+        estimate.cam_left_from_model = (verdict.status != Status::NotObservable).then_some(target.cam_left_from_model);
+        (estimate.status, estimate.reason) = (verdict.status, verdict.reason);
+        (estimate.psi, estimate.fitness) = (Some(found.psi), Some(found.fitness));
+        Ok(estimate)
+    }
+
+    /// Takes the target anew from the region of this frame: where it was held for was a rival's depth, and with it the size
+    /// of the outline was wrong. The model frame begins here.
+    fn retake(&mut self, target: &mut Target, found: &Found, carried: &Carried) -> Result<(), EstimationError> {
+        let range = *target.rmga.codec().range();
+        let landscape = self.core.survey(found, &range)?;
+        let mask = self.mask.clone();
+        let centroid_px = mask.centroid_px().unwrap_or_default();
+        let taken = Taken { warnings: Vec::new(), centroid_px, mask, outline_px: carried.outline_px.clone() };
+        let search = (target.rmga.clone(), target.cold_rmga.clone(), target.population.clone());
+        if let Some(anew) = self.first_target(&taken, found, &landscape, search) {
+            *target = anew;
+        }
+        Ok(())
+    }
+
+    /// How far the answer for a frame can be trusted. Other peaks are ruled out by continuity only once the whole search
+    /// range has been surveyed and found without a rival; until then it is surveyed in every frame.
+    fn judge(&mut self, target: &mut Target, found: &Found) -> Result<Verdict, EstimationError> {
+        let range = *target.rmga.codec().range();
+        let config = self.core.config().tracked_observability();
+        let verdict = if target.is_assured {
+            config.verdict_nearby(self.core.survey_nearby(found, &range)?)
+        } else {
+            self.core.survey(found, &range)?.verdict(&config)
+        };
+        target.is_assured |= verdict.status.depth_is_sure();
+        target.was_assured |= target.is_assured;
+        self.unsure_frames = if target.is_assured { 0 } else { self.unsure_frames + 1 };
+        let contrast_min = self.core.config().tracker.contrast_min;
+        if verdict.status.depth_is_sure() && target.appearance.mass_per_area < contrast_min {
+            let reason = format!(
+                "the region can not be re-centred: its hues stand out from those around it by {:.2} only (limit {contrast_min:.2})",
+                target.appearance.mass_per_area
+            );
+            return Ok(Verdict { status: Status::Ambiguous, reason });
+        }
+        Ok(verdict)
+    }
+
+    /// The region of the new frame, left in `self.mask`.
+    fn carry_region(&mut self, target: &mut Target) -> Result<Carried, String> {
+        let visible_share_min = self.core.config().tracker.visible_share_min;
+        let out_of_sight = || "the target lies out of the camera's sight".to_owned();
+        let pinhole = *self.core.pair().left();
+        let mut carried = target.region_in(&pinhole).ok_or_else(out_of_sight)?;
+        let mut covered_px = self.rasterize(&carried.outline_px);
+        if let Some(shift_px) = self.recentre(target, &carried.mass_centre_px, covered_px)? {
+            target.outline_roll_rad = self.turn_outline(target, &pinhole, &shift_px);
+            carried = target.region_in(&pinhole).ok_or_else(out_of_sight)?;
+            carried.shift(&shift_px);
+            covered_px = self.rasterize(&carried.outline_px);
+        }
+        let visible = self.mask.area_px() as f64 / covered_px.max(1) as f64;
+        if visible < visible_share_min {
+            let (percent, limit) = (100.0 * visible, 100.0 * visible_share_min);
+            return Err(format!("{percent:.0} % of the region is left in the image (limit {limit:.0} %)"));
+        }
+        Ok(carried)
+    }
+
+    /// How far the outline has turned, once it is re-centred.
+    fn turn_outline(&self, target: &Target, pinhole: &Pinhole, shift_px: &Vector2<f64>) -> f64 {
+        let hue = self.core.left_hue();
+        target.outline_edge.fit(target.outline_roll_rad, |point| {
+            let pixel = pixel_of(&target.cam_left_from_model, pinhole, point).map(|pixel| pixel + shift_px);
+            pixel.map_or(0.0, |pixel| target.appearance.colours.weight_at(hue, &pixel))
+        })
+    }
+
+    /// How far the target's pixels have moved; `None` if they can not be told from the background.
+    fn recentre(
+        &self,
+        target: &Target,
+        expected_px: &Vector2<f64>,
+        covered_px: usize,
+    ) -> Result<Option<Vector2<f64>>, String> {
+        let config = self.core.config().tracker;
+        let appearance = &target.appearance;
+        if appearance.mass_per_area < config.contrast_min {
+            return Ok(None);
+        }
+        let area = covered_px as f64;
+        let widening = f64::from(1_u32 << target.lost_frames.min(8));
+        let shift_max_px = config.shift_max_share * area.sqrt() * widening;
+        let limits = (config.shift_steps_max, shift_max_px);
+        let hue = self.core.left_hue();
+        let mut window = self.mask.dilate(config.window_margin_px);
+        let mut start_px = Vector2::zeros();
+        if target.lost_frames > 0 {
+            // First the middle of everything that looks like the target in a wide window, then as usual from there.
+            let wide = grown_box(&self.mask, (shift_max_px.ceil() as u32).max(config.window_margin_px));
+            if let Some((shift_px, _)) = appearance.colours.mean_shift(hue, &wide, expected_px, limits) {
+                start_px = shift_px;
+                window = window.translate(shift_px.x.round() as i32, shift_px.y.round() as i32);
+            }
+        }
+        let start_px = start_px.map(f64::round);
+        let found = appearance.colours.mean_shift(hue, &window, &(expected_px + start_px), limits);
+        let share = found.map_or(0.0, |(_, mass)| mass.sum_px / (appearance.mass_per_area * area.max(1.0)));
+        match found {
+            Some((shift_px, _)) if share >= config.mass_share_min => Ok(Some(start_px + shift_px)),
+            _ => {
+                let (percent, limit) = (100.0 * share, 100.0 * config.mass_share_min);
+                Err(format!("{percent:.0} % of the target's pixels are found by their hue (limit {limit:.0} %)"))
+            }
+        }
+    }
+
+    /// Rasterises an outline into `self.mask`; returns how many pixels it covers in and outside the image.
+    fn rasterize(&mut self, outline_px: &[Vector2<f64>]) -> usize {
+        self.mask.reset(self.core.pair().left_size());
+        polygon::fill(outline_px, &mut self.mask)
+    }
+
+    fn first_target(
+        &mut self,
+        taken: &Taken,
+        found: &Found,
+        landscape: &Landscape,
+        (rmga, cold_rmga, population): (RmGa, RmGa, Population),
+    ) -> Option<Target> {
+        let pair = *self.core.pair();
+        let centre_px = self.core.model_centre_px();
+        let centre_ray = pair.left_ray(&centre_px);
+        let q = found.psi.inverse_depth_plane(&centre_ray)?;
+        let plane = PlanePose::from_inverse_depth_plane(q, &centre_ray)?;
+        let reference_rotation = model_frame::first_rotation(&-plane.normal_in_cam_left);
+        let cam_left_from_model: Pose<CamLeft, Model> = Pose::from_parts(centre_ray * plane.z_m, reference_rotation);
+        let model_from_cam_left = cam_left_from_model.inverse();
+        let on_plane = |pixel: &Vector2<f64>| {
+            let ray = pair.left_ray(pixel);
+            let point_in_cam_left = Point3::from(ray * plane.depth_on_ray(&ray)?);
+            Some(model_from_cam_left.transform_point(&point_in_cam_left).coords.xy())
+        };
+        let outline_in_model_m: Option<Vec<_>> = taken.outline_px.iter().map(on_plane).collect();
+        let outline_in_model_m = outline_in_model_m?;
+        self.mask = taken.mask.clone();
+        let config = self.core.config();
+        let window = taken.mask.dilate(config.tracker.window_margin_px);
+        let around = RegionMask::from_fn(window.size(), |x, y| {
+            window.contains(x as i32, y as i32) && !taken.mask.contains(x as i32, y as i32)
+        });
+        let colours = Backprojection::learn(self.core.left_hue(), &taken.mask, &around);
+        let mass = colours.mass(self.core.left_hue(), &window, &Vector2::zeros());
+        let (sum_px, mass_px) = mass.map_or((0.0, centre_px), |mass| (mass.sum_px, mass.centroid_px));
+        let height = landscape.fitness_highest - landscape.fitness_median;
+        let is_assured = landscape.verdict(&config.observability).status.depth_is_sure();
+        Some(Target {
+            rmga,
+            cold_rmga,
+            population,
+            cam_left_from_model,
+            reference_rotation,
+            outline_edge: OutlineEdge::new(&outline_in_model_m, plane.z_m / pair.left().fx),
+            outline_in_model_m,
+            outline_roll_rad: 0.0,
+            appearance: Appearance {
+                colours,
+                mass_centre_in_model_m: on_plane(&mass_px)?,
+                mass_per_area: sum_px / taken.mask.area_px().max(1) as f64,
+            },
+            fitness_floor: landscape.fitness_median + config.tracker.height_share_min * height,
+            lost_frames: 0,
+            is_assured,
+            was_assured: is_assured,
+        })
+    }
+
+    fn lost(&self, target: &mut Target, reason: String, outline_px: &[Vector2<f64>]) -> TrackEstimate {
+        target.lost_frames = target.lost_frames.saturating_add(1);
+        target.is_assured = false;
+        TrackEstimate { status: Status::Lost, reason, ..self.blank_estimate(outline_px) }
+    }
+
+    fn blank_estimate(&self, undistorted_outline_px: &[Vector2<f64>]) -> TrackEstimate {
+        let camera = self.core.left_camera();
+        let raw = |pixel: &Vector2<f64>| camera.project(&Point3::from(self.core.pair().left_ray(pixel)));
+        TrackEstimate {
+            status: Status::NotObservable,
+            reason: String::new(),
+            warnings: Vec::new(),
+            cam_left_from_model: None,
+            covariance: None,
+            psi: None,
+            fitness: None,
+            outline_px: undistorted_outline_px.iter().filter_map(raw).collect(),
+            rotation_about_normal_observed: false,
+        }
+    }
+}
+
+/// The mask's box, grown by `margin_px` on all sides.
+fn grown_box(mask: &RegionMask, margin_px: u32) -> RegionMask {
+    let mut grown = RegionMask::empty(mask.size());
+    if let Some(bounds) = mask.bbox() {
+        let (x, y, margin) = (i64::from(bounds.x), i64::from(bounds.y), i64::from(margin_px));
+        for row in (y - margin).max(0)..(y + i64::from(bounds.height) + margin).min(i64::from(mask.size().height)) {
+            grown.insert_span(row, x - margin, x + i64::from(bounds.width) + margin);
+        }
+    }
+    grown
+}
+
+fn no_hypothesis() -> String {
+    "every hypothesis of the search range lies behind a camera: check the range".to_owned()
+}

@@ -1,0 +1,541 @@
+//! Whether the images determine the answer: a look at the landscape of the score around and away from it.
+//!
+//! A high fitness is not knowledge: on a target of one hue before a background of the same hue every hypothesis scores 1.
+//! So the answer is judged by what else scores as well, and by how far the summit moves when other points had been
+//! sampled:
+//!
+//! 1. The score is taken on a coarse grid over the whole search range and on a fine grid around the answer.
+//! 2. The model's points are cut into square blocks. Each of a number of resamples draws as many blocks as there are,
+//!    with replacement (a block bootstrap: neighbouring points are not independent), and finds the hypotheses whose
+//!    fitness is highest within a small tolerance.
+//! 3. The rms deviation of these summits from the answer, over all resamples, is the *spread*: of depth (relative) and of
+//!    the normal (angle). A flat landscape gives a spread as wide as the search range, a rough or lopsided one a spread
+//!    that measures how much the answer owes to chance.
+//!
+//! The probe is deterministic and knows nothing of the truth; its limits are parameters of [`ObservabilityConfig`]. It
+//! does not see a bias that all points share (a wrong calibration, relief), so the spreads are not given out as standard
+//! deviations.
+
+use nalgebra::Vector3;
+use pb3dp_estimation_core::error::{EstimationError, check_range};
+use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
+use pb3dp_estimation_core::rng::SplitMix64;
+use pb3dp_estimation_core::status::{Status, Verdict};
+use pb3dp_estimation_core::trig;
+
+use crate::search::{PlaneScore, REFUSED};
+
+/// Nodes of the fine grid on either side of the answer, in depth and in each tilt; beside a coarse grid, and alone.
+const FINE_HALF: i32 = 6;
+const FINE_HALF_ALONE: i32 = 4;
+
+/// An answer nearer than this to an end of the search range, as a share of the depth, may be the foot of a summit outside.
+const END_OF_RANGE_ROOM: f64 = 0.005;
+
+/// Bands of disparity in which rivals are looked for.
+const RIVAL_BANDS: usize = 8;
+/// Steps of the climb to the summit of a rival.
+const CLIMB_STEPS_MAX: usize = 16;
+
+/// Grids and limits of the probe.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ObservabilityConfig {
+    /// Step of the coarse grid in disparity at the model's centre, pixels, 0.1 to 20; the fine grid's is half of it.
+    /// Default 1.
+    pub disparity_step_px: f64,
+    /// Most depths of the coarse grid, 8 to 1024; wide ranges are sampled coarser. Default 96.
+    pub depth_nodes_max: usize,
+    /// Largest tilt step of the coarse grid, radians. Default 15 degrees.
+    pub coarse_tilt_step_rad: f64,
+    /// Tilt step of the fine grid, radians. Default 5 degrees.
+    pub fine_tilt_step_rad: f64,
+    /// Blocks along each side of the region, 2 to 8. Default 4.
+    pub blocks_per_side: u32,
+    /// Number of resamples, 4 to 1000. Default 24.
+    pub resamples: usize,
+    /// Number of hypotheses that take part in the resamples, the best of the grids, 100 to 100000. Default 1000.
+    pub candidates_max: usize,
+    /// Hypotheses whose fitness is lower than a resample's highest by at most this share together with it. Default 0.01.
+    pub fitness_tolerance: f64,
+    /// Not observable if the summit stands less than this above the median of the coarse grid. Default 0.1.
+    pub height_min: f64,
+    /// Not observable if the spread of depth is larger than this share of the depth. Default 0.05.
+    pub depth_spread_max: f64,
+    /// Ambiguous if the spread of depth is larger than this share of the depth. Default 0.008: on real scenes nearly all
+    /// depths below it were within 1 %.
+    pub depth_spread_sure: f64,
+    /// Ambiguous if a depth farther away than `depth_spread_max` reaches this share of the summit's height. Default 0.85.
+    pub runner_up_max: f64,
+    /// Ambiguous if the fitness of the answer is below this, 0 to 1: votes for and against nearly balance. A high fitness
+    /// proves nothing, a low one does. Below zero: not observable. Default 0.35.
+    pub fitness_sure: f64,
+    /// Weak tilt if the spread of the normal is larger than this, radians. Default 6 degrees.
+    pub tilt_spread_sure_rad: f64,
+}
+
+impl Default for ObservabilityConfig {
+    fn default() -> Self {
+        Self {
+            disparity_step_px: 1.0,
+            depth_nodes_max: 96,
+            coarse_tilt_step_rad: 15.0_f64.to_radians(),
+            fine_tilt_step_rad: 5.0_f64.to_radians(),
+            blocks_per_side: 4,
+            resamples: 24,
+            candidates_max: 1000,
+            fitness_tolerance: 0.01,
+            height_min: 0.1,
+            depth_spread_max: 0.05,
+            depth_spread_sure: 0.008,
+            runner_up_max: 0.85,
+            fitness_sure: 0.35,
+            tilt_spread_sure_rad: 6.0_f64.to_radians(),
+        }
+    }
+}
+
+impl ObservabilityConfig {
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    /// The parameter that is out of its range.
+    pub fn validate(&self) -> Result<(), EstimationError> {
+        let share = |name, value| check_range(name, value, (0.0, 10.0), "must be between 0 and 10");
+        let angle = |name, value| check_range(name, value, (0.005, 1.5), "must be between 0.005 and 1.5 rad");
+        check_range("probe disparity_step_px", self.disparity_step_px, (0.1, 20.0), "must be between 0.1 and 20")?;
+        check_range("probe depth_nodes_max", self.depth_nodes_max as f64, (8.0, 1024.0), "must be between 8 and 1024")?;
+        angle("probe coarse_tilt_step_rad", self.coarse_tilt_step_rad)?;
+        angle("probe fine_tilt_step_rad", self.fine_tilt_step_rad)?;
+        angle("probe tilt_spread_sure_rad", self.tilt_spread_sure_rad)?;
+        check_range("probe blocks_per_side", f64::from(self.blocks_per_side), (2.0, 8.0), "must be between 2 and 8")?;
+        check_range("probe resamples", self.resamples as f64, (4.0, 1000.0), "must be between 4 and 1000")?;
+        let candidates = self.candidates_max as f64;
+        check_range("probe candidates_max", candidates, (100.0, 1e5), "must be between 100 and 100000")?;
+        share("probe fitness_tolerance", self.fitness_tolerance)?;
+        share("probe height_min", self.height_min)?;
+        share("probe depth_spread_max", self.depth_spread_max)?;
+        share("probe depth_spread_sure", self.depth_spread_sure)?;
+        share("probe fitness_sure", self.fitness_sure)?;
+        share("probe runner_up_max", self.runner_up_max)
+    }
+}
+
+impl ObservabilityConfig {
+    /// The status that the spreads of depth (relative) and normal (radians) near the answer allow, and why. It can not see
+    /// other peaks.
+    pub fn verdict_nearby(&self, (depth_spread, tilt_spread_rad): (f64, f64)) -> Verdict {
+        let (status, reason) = if depth_spread > self.depth_spread_sure {
+            (Status::Ambiguous, depth_reason(depth_spread, self.depth_spread_sure))
+        } else if tilt_spread_rad > self.tilt_spread_sure_rad {
+            let (spread_deg, limit_deg) = (tilt_spread_rad.to_degrees(), self.tilt_spread_sure_rad.to_degrees());
+            let reason = format!("the normal is determined to {spread_deg:.1} degrees only (limit {limit_deg:.1})");
+            (Status::WeakTilt, reason)
+        } else {
+            let (percent, degrees) = (100.0 * depth_spread, tilt_spread_rad.to_degrees());
+            (Status::Ok, format!("resampling moves the depth by {percent:.2} % and the normal by {degrees:.1} degrees"))
+        };
+        Verdict { status, reason }
+    }
+}
+
+fn depth_reason(spread: f64, limit: f64) -> String {
+    format!("the depth is determined to {:.2} % only (limit {:.2} %)", 100.0 * spread, 100.0 * limit)
+}
+
+/// A score and the highest value that it can reach.
+#[derive(Clone, Copy, Debug)]
+pub struct Scored<S> {
+    /// The score.
+    pub score: S,
+    /// Its highest possible value: score over this is the fitness.
+    pub score_max: i32,
+}
+
+/// What the probe found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Landscape {
+    /// Number of hypotheses that were scored.
+    pub hypotheses: usize,
+    /// Highest fitness among them, the answer included.
+    pub fitness_highest: f64,
+    /// Median fitness of the coarse grid.
+    pub fitness_median: f64,
+    /// Best hypothesis whose depth differs from the answer's by more than `depth_spread_max`, and its fitness.
+    pub runner_up: Option<(PlaneHypothesis, f64)>,
+    /// Spread of the depth, as a share of the depth.
+    pub depth_spread: f64,
+    /// Spread of the normal, radians.
+    pub tilt_spread_rad: f64,
+    /// Room between the answer and the nearer and the farther end of the search range, as shares of the depth.
+    pub range_room: (f64, f64),
+}
+
+impl Landscape {
+    /// The status that these figures allow, and why.
+    pub fn verdict(&self, config: &ObservabilityConfig) -> Verdict {
+        let height = self.fitness_highest - self.fitness_median;
+        if height < config.height_min {
+            return Verdict { status: Status::NotObservable, reason: self.flat_reason(height, config) };
+        }
+        if self.fitness_highest <= 0.0 {
+            let reason = format!("more points disagree than agree: fitness {:.3}", self.fitness_highest);
+            return Verdict { status: Status::NotObservable, reason };
+        }
+        let rival_min = self.fitness_median + config.runner_up_max * height;
+        if let Some((psi, fitness)) = self.runner_up.filter(|(_, fitness)| *fitness >= rival_min) {
+            let (z_mm, highest) = (1000.0 * psi.z_m, self.fitness_highest);
+            let reason = format!("another depth, {z_mm:.1} mm, reaches fitness {fitness:.3} of {highest:.3}");
+            return Verdict { status: Status::Ambiguous, reason };
+        }
+        if self.depth_spread > config.depth_spread_max {
+            let reason = depth_reason(self.depth_spread, config.depth_spread_max);
+            return Verdict { status: Status::NotObservable, reason };
+        }
+        if self.fitness_highest < config.fitness_sure {
+            let (found, limit) = (self.fitness_highest, config.fitness_sure);
+            let reason = format!("too few points agree: fitness {found:.3} (limit {limit:.2})");
+            return Verdict { status: Status::Ambiguous, reason };
+        }
+        let (near, far) = self.range_room;
+        if near.min(far) < END_OF_RANGE_ROOM || near + far < 2.0 * config.depth_spread_max {
+            return Verdict { status: Status::Ambiguous, reason: self.narrow_reason(config) };
+        }
+        config.verdict_nearby((self.depth_spread, self.tilt_spread_rad))
+    }
+
+    fn narrow_reason(&self, config: &ObservabilityConfig) -> String {
+        let (near, far) = self.range_room;
+        format!(
+            "the search range leaves {:.1} % of the depth before and {:.1} % behind the answer: the target may lie outside; widen the range (at least {:.1} and together {:.0} % are needed)",
+            100.0 * near,
+            100.0 * far,
+            100.0 * END_OF_RANGE_ROOM,
+            200.0 * config.depth_spread_max
+        )
+    }
+
+    fn flat_reason(&self, height: f64, config: &ObservabilityConfig) -> String {
+        format!(
+            "the fitness is flat: its summit {:.3} stands {height:.3} above the median of the search range (limit {:.2}); target and background may share their hue",
+            self.fitness_highest, config.height_min
+        )
+    }
+}
+
+/// Where the probe looks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ProbeTarget {
+    /// The answer to judge.
+    pub answer: PlaneHypothesis,
+    /// What was searched.
+    pub range: SearchRange,
+    /// Focal length times baseline, pixel metres: disparity = this / depth.
+    pub focal_baseline_px_m: f64,
+}
+
+/// The probe with its buffers.
+#[derive(Clone, Debug)]
+pub struct LandscapeProbe {
+    config: ObservabilityConfig,
+    hypotheses: Vec<PlaneHypothesis>,
+    whole: Vec<i32>,
+    /// Scores of the blocks, one row per block.
+    blocks: Vec<i32>,
+    /// Squared deviations from the answer: relative depth, angle of the normal.
+    deviations: Vec<(f64, f64)>,
+    sums: Vec<i32>,
+}
+
+impl LandscapeProbe {
+    /// A probe.
+    ///
+    /// # Errors
+    /// A parameter out of its range.
+    pub fn new(config: ObservabilityConfig) -> Result<Self, EstimationError> {
+        config.validate()?;
+        let (hypotheses, whole, blocks) = (Vec::new(), Vec::new(), Vec::new());
+        Ok(Self { config, hypotheses, whole, blocks, deviations: Vec::new(), sums: Vec::new() })
+    }
+
+    /// The parameters.
+    pub fn config(&self) -> &ObservabilityConfig {
+        &self.config
+    }
+
+    /// Surveys the whole search range and the surroundings of the answer. `blocks` are the scores of disjoint parts of the
+    /// points of `whole`.
+    pub fn survey<S: PlaneScore>(
+        &mut self,
+        whole: &Scored<S>,
+        blocks: &[Scored<S>],
+        target: &ProbeTarget,
+    ) -> Landscape {
+        self.hypotheses.clear();
+        self.add_coarse_grid(target);
+        let coarse = self.hypotheses.len();
+        self.add_fine_grid(target, FINE_HALF);
+        let coarse = self.score_whole(&whole.score, coarse);
+        let fitness = |score: i32| f64::from(score) / f64::from(whole.score_max.max(1));
+        let median = median(&mut self.whole[..coarse].to_vec());
+        let hypotheses = self.hypotheses.len();
+        self.measure_deviations(&target.answer);
+        let rival = self.runner_up(&whole.score, target);
+        if let Some((psi, score)) = rival {
+            self.hypotheses.push(psi);
+            self.whole.push(score);
+        }
+        let highest = self.whole.iter().copied().max().unwrap_or(REFUSED);
+        let runner_up = rival.map(|(psi, score)| (psi, fitness(score)));
+        self.keep_candidates();
+        self.measure_deviations(&target.answer);
+        let (depth_spread, tilt_spread_rad) = self.spreads(blocks);
+        Landscape {
+            hypotheses,
+            fitness_highest: fitness(highest),
+            fitness_median: fitness(median),
+            runner_up,
+            depth_spread,
+            tilt_spread_rad,
+            range_room: (
+                1.0 - target.range.z_min_m / target.answer.z_m,
+                target.range.z_max_m / target.answer.z_m - 1.0,
+            ),
+        }
+    }
+
+    /// As [`Self::survey`], but of the fine grid alone: cheap enough for every frame of a tracker, blind to other peaks.
+    pub fn survey_nearby<S: PlaneScore>(
+        &mut self,
+        whole: &Scored<S>,
+        blocks: &[Scored<S>],
+        target: &ProbeTarget,
+    ) -> (f64, f64) {
+        self.hypotheses.clear();
+        self.add_fine_grid(target, FINE_HALF_ALONE);
+        self.score_whole(&whole.score, 0);
+        self.keep_candidates();
+        self.measure_deviations(&target.answer);
+        self.spreads(blocks)
+    }
+
+    /// Depths evenly spaced in disparity, tilts evenly spaced in angle.
+    fn add_coarse_grid(&mut self, target: &ProbeTarget) {
+        let range = &target.range;
+        let (far, near) = (target.focal_baseline_px_m / range.z_max_m, target.focal_baseline_px_m / range.z_min_m);
+        let wanted = ((near - far) / self.config.disparity_step_px).ceil() as usize;
+        let depth_steps = wanted.clamp(8, self.config.depth_nodes_max);
+        let tilt_steps = 2 * (range.tilt_max_rad / self.config.coarse_tilt_step_rad).ceil() as usize;
+        let tilt = |k: usize| range.tilt_max_rad * (2.0 * k as f64 / tilt_steps.max(1) as f64 - 1.0);
+        for i in 0..=depth_steps {
+            let disparity_px = far + (near - far) * i as f64 / depth_steps as f64;
+            let z_m = target.focal_baseline_px_m / disparity_px;
+            for k in 0..=tilt_steps {
+                for l in 0..=tilt_steps {
+                    let psi = PlaneHypothesis { z_m, theta_x_rad: tilt(k), theta_y_rad: tilt(l) };
+                    self.hypotheses.push(psi);
+                }
+            }
+        }
+    }
+
+    fn add_fine_grid(&mut self, target: &ProbeTarget, half: i32) {
+        let answer = &target.answer;
+        let disparity_px = target.focal_baseline_px_m / answer.z_m;
+        self.hypotheses.push(*answer);
+        for i in -half..=half {
+            let shifted_px = disparity_px + 0.5 * self.config.disparity_step_px * f64::from(i);
+            if shifted_px <= 0.0 {
+                continue;
+            }
+            let z_m = target.focal_baseline_px_m / shifted_px;
+            for k in -half..=half {
+                for l in -half..=half {
+                    let psi = PlaneHypothesis {
+                        z_m,
+                        theta_x_rad: answer.theta_x_rad + self.config.fine_tilt_step_rad * f64::from(k),
+                        theta_y_rad: answer.theta_y_rad + self.config.fine_tilt_step_rad * f64::from(l),
+                    };
+                    if target.range.contains(&psi) {
+                        self.hypotheses.push(psi);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Scores all hypotheses and drops those that can not be scored; returns how many of the first `coarse` remain.
+    fn score_whole<S: PlaneScore>(&mut self, score: &S, coarse: usize) -> usize {
+        self.whole.clear();
+        self.whole.resize(self.hypotheses.len(), REFUSED);
+        score.score(&self.hypotheses, &mut self.whole);
+        let mut kept = 0;
+        let mut coarse_kept = 0;
+        for i in 0..self.hypotheses.len() {
+            if self.whole[i] != REFUSED {
+                self.hypotheses[kept] = self.hypotheses[i];
+                self.whole[kept] = self.whole[i];
+                kept += 1;
+                coarse_kept += usize::from(i < coarse);
+            }
+        }
+        self.hypotheses.truncate(kept);
+        self.whole.truncate(kept);
+        coarse_kept
+    }
+
+    /// Keeps the hypotheses that may win a resample: about the best `candidates_max`. Of a plateau that is larger than that,
+    /// an even selection.
+    fn keep_candidates(&mut self) {
+        let (total, wanted) = (self.whole.len(), self.config.candidates_max);
+        if total <= wanted {
+            return;
+        }
+        let mut ranked = self.whole.clone();
+        let threshold = *ranked.select_nth_unstable(total - wanted).1;
+        let reaching = self.whole.iter().filter(|score| **score >= threshold).count();
+        let (mut kept, mut seen) = (0, 0);
+        for i in 0..total {
+            if self.whole[i] >= threshold {
+                // Bresenham's rule: `wanted` of `reaching`, evenly spread.
+                if (seen + 1) * wanted / reaching > seen * wanted / reaching {
+                    self.hypotheses[kept] = self.hypotheses[i];
+                    kept += 1;
+                }
+                seen += 1;
+            }
+        }
+        self.hypotheses.truncate(kept);
+    }
+
+    fn measure_deviations(&mut self, answer: &PlaneHypothesis) {
+        let normal = answer.normal();
+        self.deviations.clear();
+        self.deviations.extend(self.hypotheses.iter().map(|psi| {
+            let depth = psi.z_m / answer.z_m - 1.0;
+            let angle = angle_between(&psi.normal(), &normal);
+            (depth * depth, angle * angle)
+        }));
+    }
+
+    /// The best hypothesis far from the answer in depth: of every band of disparities the best one climbs to its summit.
+    fn runner_up<S: PlaneScore>(&self, score: &S, target: &ProbeTarget) -> Option<(PlaneHypothesis, i32)> {
+        let far = self.config.depth_spread_max * self.config.depth_spread_max;
+        let mut starts: [Option<usize>; RIVAL_BANDS] = [None; RIVAL_BANDS];
+        let (near, range) = (1.0 / target.range.z_min_m, 1.0 / target.range.z_min_m - 1.0 / target.range.z_max_m);
+        for i in (0..self.hypotheses.len()).filter(|i| self.deviations[*i].0 > far) {
+            let share = (near - 1.0 / self.hypotheses[i].z_m) / range;
+            let start = &mut starts[((share * RIVAL_BANDS as f64) as usize).min(RIVAL_BANDS - 1)];
+            if start.is_none_or(|best| self.whole[i] > self.whole[best]) {
+                *start = Some(i);
+            }
+        }
+        let summits =
+            starts.into_iter().flatten().map(|i| self.climb(score, (self.hypotheses[i], self.whole[i]), target));
+        summits.max_by_key(|(_, score)| *score)
+    }
+
+    /// The summit near a hypothesis of the coarse grid, which seldom meets a narrow peak itself: the best of the 26
+    /// neighbours again and again, with steps that are halved where none is better. Stays far from the answer in depth.
+    fn climb<S: PlaneScore>(
+        &self,
+        score: &S,
+        start: (PlaneHypothesis, i32),
+        target: &ProbeTarget,
+    ) -> (PlaneHypothesis, i32) {
+        let mut best = start;
+        let (mut disparity_step_px, mut tilt_step_rad) =
+            (0.5 * self.config.disparity_step_px, 0.5 * self.config.coarse_tilt_step_rad);
+        let mut scores = [REFUSED; 27];
+        for _ in 0..CLIMB_STEPS_MAX {
+            let disparity_px = target.focal_baseline_px_m / best.0.z_m;
+            let neighbours: [PlaneHypothesis; 27] = std::array::from_fn(|k| {
+                let offset = |divisor: usize| (k / divisor % 3) as f64 - 1.0;
+                PlaneHypothesis {
+                    z_m: target.focal_baseline_px_m / (disparity_px + offset(1) * disparity_step_px),
+                    theta_x_rad: best.0.theta_x_rad + offset(3) * tilt_step_rad,
+                    theta_y_rad: best.0.theta_y_rad + offset(9) * tilt_step_rad,
+                }
+            });
+            score.score(&neighbours, &mut scores);
+            let allowed = |psi: &PlaneHypothesis| {
+                let depth = psi.z_m / target.answer.z_m - 1.0;
+                target.range.contains(psi) && depth.abs() > self.config.depth_spread_max
+            };
+            let better = neighbours.iter().zip(scores).filter(|(psi, score)| *score > best.1 && allowed(psi));
+            match better.max_by_key(|(_, score)| *score) {
+                Some((psi, score)) => best = (*psi, score),
+                None => (disparity_step_px, tilt_step_rad) = (0.5 * disparity_step_px, 0.5 * tilt_step_rad),
+            }
+        }
+        best
+    }
+
+    /// Rms deviation of the resampled summits from the answer: relative depth, and angle of the normal in radians.
+    fn spreads<S: PlaneScore>(&mut self, blocks: &[Scored<S>]) -> (f64, f64) {
+        let n = self.hypotheses.len();
+        if n == 0 || blocks.is_empty() {
+            return (f64::INFINITY, f64::INFINITY);
+        }
+        self.blocks.clear();
+        self.blocks.resize(n * blocks.len(), REFUSED);
+        for (row, block) in self.blocks.chunks_exact_mut(n).zip(blocks) {
+            block.score.score(&self.hypotheses, row);
+        }
+        let mut rng = SplitMix64::new(1);
+        let (mut depth, mut angle) = (0.0, 0.0);
+        for _ in 0..self.config.resamples {
+            let score_max = self.resample(blocks, &mut rng);
+            let (d, a) = self.mean_deviation_of_summit(score_max);
+            depth += d;
+            angle += a;
+        }
+        let resamples = self.config.resamples as f64;
+        ((depth / resamples).sqrt(), (angle / resamples).sqrt())
+    }
+
+    /// Draws blocks with replacement and adds up their scores; returns the highest possible sum.
+    fn resample<S>(&mut self, blocks: &[Scored<S>], rng: &mut SplitMix64) -> i32 {
+        let n = self.hypotheses.len();
+        self.sums.clear();
+        self.sums.resize(n, 0);
+        let mut score_max = 0_i32;
+        for _ in 0..blocks.len() {
+            let drawn = rng.below(blocks.len() as u32) as usize;
+            score_max = score_max.saturating_add(blocks[drawn].score_max);
+            for (sum, score) in self.sums.iter_mut().zip(&self.blocks[drawn * n..(drawn + 1) * n]) {
+                *sum = sum.saturating_add(*score);
+            }
+        }
+        score_max
+    }
+
+    fn mean_deviation_of_summit(&self, score_max: i32) -> (f64, f64) {
+        let highest = self.sums.iter().copied().max().unwrap_or(REFUSED);
+        let tolerance = (f64::from(score_max) * self.config.fitness_tolerance) as i32;
+        let (mut count, mut depth, mut angle) = (0_usize, 0.0, 0.0);
+        for (sum, deviation) in self.sums.iter().zip(&self.deviations) {
+            if *sum >= highest.saturating_sub(tolerance) {
+                count += 1;
+                depth += deviation.0;
+                angle += deviation.1;
+            }
+        }
+        let count = count.max(1) as f64;
+        (depth / count, angle / count)
+    }
+}
+
+fn angle_between(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
+    trig::atan2(a.cross(b).norm(), a.dot(b))
+}
+
+fn median(scores: &mut [i32]) -> i32 {
+    if scores.is_empty() {
+        return REFUSED;
+    }
+    let middle = scores.len() / 2;
+    *scores.select_nth_unstable(middle).1
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,221 @@
+//! The photo model: sample points of the left image, each with its hue, on the target and in a band around it.
+//!
+//! No prior data is needed; the model can be made again in every frame. The paper leaves counts, spacing and the band open:
+//! they are parameters here. Points stand on a regular grid whose spacing follows from the area and the wanted count, so
+//! the count is met approximately (within 15 % for compact regions; a region with fewer pixels gives one point per pixel).
+//! A grid point whose pixel has no hue (see [`HueConfig`](crate::hue::HueConfig)) is left out: it neither votes nor counts
+//! in the fitness' normalisation.
+
+use nalgebra::Vector2;
+use pb3dp_estimation_core::error::{EstimationError, check_range};
+use pb3dp_estimation_core::region::RegionMask;
+
+use crate::hue::{Hue, HuePlane};
+
+/// Counts and band of a photo model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PhotoModelConfig {
+    /// Wanted number of points on the target, 1 to 20000. Default 240.
+    pub inner_points: u32,
+    /// Wanted number of points in the band, 0 (no band) to 20000. Default 80.
+    pub outer_points: u32,
+    /// Grid points of either set are never closer to each other than this, pixels, 1 to 100. Default 1. With counts that are
+    /// out of reach, this alone sets the spacing.
+    pub spacing_min_px: u32,
+    /// Distance between the region and the band, pixels, 0 to 200: keeps the blurred outline out. Default 2.
+    pub band_gap_px: u32,
+    /// Width of the band, pixels, 1 to 200. Default 8.
+    pub band_width_px: u32,
+}
+
+impl Default for PhotoModelConfig {
+    fn default() -> Self {
+        Self { inner_points: 240, outer_points: 80, spacing_min_px: 1, band_gap_px: 2, band_width_px: 8 }
+    }
+}
+
+impl PhotoModelConfig {
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    /// The parameter that is out of its range.
+    pub fn validate(&self) -> Result<(), EstimationError> {
+        let check = |name, value, range, expected| check_range(name, f64::from(value), range, expected);
+        check("photo model inner_points", self.inner_points, (1.0, 2e4), "must be between 1 and 20000")?;
+        check("photo model outer_points", self.outer_points, (0.0, 2e4), "must be between 0 and 20000")?;
+        check("photo model spacing_min_px", self.spacing_min_px, (1.0, 100.0), "must be between 1 and 100")?;
+        check("photo model band_gap_px", self.band_gap_px, (0.0, 200.0), "must be between 0 and 200")?;
+        check("photo model band_width_px", self.band_width_px, (1.0, 200.0), "must be between 1 and 200")
+    }
+}
+
+/// A sample point: a left pixel and its hue.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ModelPoint {
+    /// Column of the left image.
+    pub u: i32,
+    /// Row of the left image.
+    pub v: i32,
+    /// Hue of the left image there.
+    pub hue: Hue,
+}
+
+/// Sample points of one region of one left image.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PhotoModel {
+    centre_px: Vector2<f64>,
+    inner: Vec<ModelPoint>,
+    outer: Vec<ModelPoint>,
+    inner_sampled: usize,
+    outer_sampled: usize,
+}
+
+/// Work space of [`PhotoModel::resample`], kept between frames so that nothing is allocated.
+#[derive(Clone, Debug)]
+pub struct PhotoModelScratch {
+    near: RegionMask,
+    far: RegionMask,
+}
+
+impl Default for PhotoModelScratch {
+    fn default() -> Self {
+        let empty = RegionMask::empty(pb3dp_geometry::ImageSize { width: 0, height: 0 });
+        Self { near: empty.clone(), far: empty }
+    }
+}
+
+impl PhotoModel {
+    /// The model of `region` in the left image whose hues are `hue`. Empty if the region is empty.
+    pub fn sample(hue: &HuePlane, region: &RegionMask, config: &PhotoModelConfig) -> Self {
+        let mut model = Self::default();
+        model.resample(hue, region, config, &mut PhotoModelScratch::default());
+        model
+    }
+
+    /// Makes the model anew in the memory of the old one.
+    pub fn resample(
+        &mut self,
+        hue: &HuePlane,
+        region: &RegionMask,
+        config: &PhotoModelConfig,
+        scratch: &mut PhotoModelScratch,
+    ) {
+        self.inner.clear();
+        self.outer.clear();
+        (self.inner_sampled, self.outer_sampled) = (0, 0);
+        let Some(centre_px) = region.centroid_px() else { return };
+        self.centre_px = centre_px;
+        let inner_grid = Grid::new(centre_px, region.area_px(), config.inner_points, config.spacing_min_px);
+        self.inner_sampled = inner_grid.sample(region, |_, _| false, hue, &mut self.inner);
+        if config.outer_points == 0 {
+            return;
+        }
+        dilate_into(region, config.band_gap_px, &mut scratch.near);
+        dilate_into(region, config.band_gap_px + config.band_width_px, &mut scratch.far);
+        let band_area_px = scratch.far.area_px() - scratch.near.area_px();
+        let outer_grid = Grid::new(centre_px, band_area_px, config.outer_points, config.spacing_min_px);
+        let near = &scratch.near;
+        self.outer_sampled = outer_grid.sample(&scratch.far, |u, v| near.contains(u, v), hue, &mut self.outer);
+    }
+
+    /// A model from given points, for callers that choose the points themselves.
+    pub fn from_points(centre_px: Vector2<f64>, inner: Vec<ModelPoint>, outer: Vec<ModelPoint>) -> Self {
+        let (inner_sampled, outer_sampled) = (inner.len(), outer.len());
+        Self { centre_px, inner, outer, inner_sampled, outer_sampled }
+    }
+
+    /// The model's centre: mean of the region's pixels, left image.
+    pub fn centre_px(&self) -> Vector2<f64> {
+        self.centre_px
+    }
+
+    /// Points on the target that have a hue, row by row.
+    pub fn inner(&self) -> &[ModelPoint] {
+        &self.inner
+    }
+
+    /// Points in the band that have a hue, row by row.
+    pub fn outer(&self) -> &[ModelPoint] {
+        &self.outer
+    }
+
+    /// Grid points on the target, with or without hue.
+    pub fn inner_sampled(&self) -> usize {
+        self.inner_sampled
+    }
+
+    /// Grid points in the band, with or without hue.
+    pub fn outer_sampled(&self) -> usize {
+        self.outer_sampled
+    }
+
+    /// Share of the target's grid points that have a hue, 0 to 1; 0 for an empty model. Low on grey targets, where this
+    /// method can not work.
+    pub fn coloured_share(&self) -> f64 {
+        self.inner.len() as f64 / self.inner_sampled.max(1) as f64
+    }
+}
+
+/// Regular grid through the pixel next to the centre.
+struct Grid {
+    origin: (i32, i32),
+    spacing_px: f64,
+}
+
+impl Grid {
+    /// One point per `area_px / points`, but never closer than `spacing_min_px`, nor than one pixel.
+    fn new(centre_px: Vector2<f64>, area_px: usize, points: u32, spacing_min_px: u32) -> Self {
+        let spacing_px = (area_px as f64 / f64::from(points.max(1))).sqrt().max(f64::from(spacing_min_px.max(1)));
+        Self { origin: (centre_px.x.round() as i32, centre_px.y.round() as i32), spacing_px }
+    }
+
+    /// Appends the grid points inside `mask` that are not excluded and have a hue; returns how many there were with or
+    /// without hue.
+    fn sample(
+        &self,
+        mask: &RegionMask,
+        excluded: impl Fn(i32, i32) -> bool,
+        hue: &HuePlane,
+        points: &mut Vec<ModelPoint>,
+    ) -> usize {
+        let Some(bounds) = mask.bbox() else { return 0 };
+        let mut sampled = 0;
+        for v in self.lines(self.origin.1, bounds.y, bounds.height) {
+            for u in self.lines(self.origin.0, bounds.x, bounds.width) {
+                if !mask.contains(u, v) || excluded(u, v) {
+                    continue;
+                }
+                sampled += 1;
+                if let Some(hue) = hue.at(u, v) {
+                    points.push(ModelPoint { u, v, hue });
+                }
+            }
+        }
+        sampled
+    }
+
+    /// Grid coordinates that may fall into `first..first + count`.
+    fn lines(&self, origin: i32, first: u32, count: u32) -> impl Iterator<Item = i32> + use<> {
+        let spacing_px = self.spacing_px;
+        let before = (f64::from(first) - f64::from(origin)) / spacing_px;
+        let steps = (f64::from(count) / spacing_px) as i32 + 2;
+        let start = before.floor() as i32;
+        (start..=start + steps).map(move |k| origin + (f64::from(k) * spacing_px).round() as i32)
+    }
+}
+
+/// `RegionMask::dilate` into existing memory.
+fn dilate_into(mask: &RegionMask, radius_px: u32, grown: &mut RegionMask) {
+    grown.reset(mask.size());
+    let radius = i64::from(radius_px);
+    mask.for_each_run(|y, first, last| {
+        for dy in -radius..=radius {
+            let reach = ((radius * radius - dy * dy) as f64).sqrt() as i64;
+            grown.insert_span(i64::from(y) + dy, i64::from(first) - reach, i64::from(last) + reach);
+        }
+    });
+}
+
+#[cfg(test)]
+#[path = "photo_model_tests.rs"]
+mod tests;

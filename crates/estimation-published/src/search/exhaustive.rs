@@ -1,0 +1,80 @@
+//! The best chromosome there is: every one of the 2^24 is scored.
+//!
+//! Offline: it tells what the score itself is worth, free of any fault of a search. The work is cut by depth codes, so that
+//! a caller may share it out between threads: [`optimum_in`] for each part, [`Optimum::merge`] for the results, in any
+//! order.
+
+use std::ops::Range;
+
+use pb3dp_estimation_core::plane_hypothesis::PlaneHypothesis;
+
+use super::chromosome::{Chromosome, Codec, Codes, TILT_CODES, Z_CODES};
+use super::{PlaneScore, REFUSED};
+
+/// The highest score and where it is reached.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Optimum {
+    /// The score; [`REFUSED`] if no hypothesis could be scored.
+    pub score: i32,
+    /// The lowest chromosome that reaches it.
+    pub chromosome: Chromosome,
+    /// How many chromosomes reach it: the summit of a vote count is flat.
+    pub ties: u64,
+}
+
+impl Optimum {
+    /// Of no hypothesis at all: the neutral element of [`Optimum::merge`].
+    pub const NONE: Self = Self { score: REFUSED, chromosome: Chromosome::LAST, ties: 0 };
+
+    /// The optimum of two disjoint sets of hypotheses.
+    #[must_use]
+    pub fn merge(self, other: Self) -> Self {
+        if self.score != other.score {
+            return if self.score > other.score { self } else { other };
+        }
+        Self { score: self.score, chromosome: self.chromosome.min(other.chromosome), ties: self.ties + other.ties }
+    }
+}
+
+/// The optimum over the depth codes in `z_codes` (`0..1024` for all) and all tilts. Does not allocate.
+pub fn optimum_in(score: &impl PlaneScore, codec: &Codec, z_codes: Range<u32>) -> Optimum {
+    let mut hypotheses = [codec.range().centre(); TILT_CODES as usize];
+    let mut scores = [REFUSED; TILT_CODES as usize];
+    let mut best = Optimum::NONE;
+    for z in z_codes.start..z_codes.end.min(Z_CODES) {
+        for theta_x in 0..TILT_CODES {
+            let codes = |theta_y| Codes { z, theta_x, theta_y };
+            fill(&mut hypotheses, |theta_y| codec.hypothesis(codes(theta_y)));
+            score.score(&hypotheses, &mut scores);
+            let highest = scores.iter().copied().max().unwrap_or(REFUSED);
+            // Nearly every line lies below the optimum so far and needs no closer look.
+            if highest > REFUSED && highest >= best.score {
+                best = best.merge(line_optimum(&scores, highest, |theta_y| codec.chromosome(codes(theta_y))));
+            }
+        }
+    }
+    best
+}
+
+/// The optimum over all 2^24 chromosomes, in this thread.
+pub fn optimum(score: &impl PlaneScore, codec: &Codec) -> Optimum {
+    optimum_in(score, codec, 0..Z_CODES)
+}
+
+fn fill(hypotheses: &mut [PlaneHypothesis], hypothesis: impl Fn(u32) -> PlaneHypothesis) {
+    for (slot, theta_y) in hypotheses.iter_mut().zip(0..) {
+        *slot = hypothesis(theta_y);
+    }
+}
+
+fn line_optimum(scores: &[i32], highest: i32, chromosome: impl Fn(u32) -> Chromosome) -> Optimum {
+    let mut best = Optimum { score: highest, ..Optimum::NONE };
+    for (theta_y, _) in (0..).zip(scores).filter(|(_, score)| **score == highest) {
+        best = Optimum { chromosome: best.chromosome.min(chromosome(theta_y)), ties: best.ties + 1, ..best };
+    }
+    best
+}
+
+#[cfg(test)]
+#[path = "exhaustive_tests.rs"]
+mod tests;

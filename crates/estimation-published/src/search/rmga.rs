@@ -1,0 +1,273 @@
+//! The Real-time Multi-step Genetic Algorithm of the paper (section 3.2).
+//!
+//! Several generations per frame, each in the order evaluation, sorting, obsolete, crossover, mutation; what has evolved is
+//! the start of the next frame, where everyone, the elite included, is evaluated anew on the new image. The paper states
+//! neither population nor rates: they are parameters here, with the defaults of the group's earlier work.
+
+use std::cmp::Reverse;
+
+use pb3dp_estimation_core::error::{EstimationError, check_range};
+use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
+use pb3dp_estimation_core::rng::SplitMix64;
+
+use super::chromosome::{BITS, Chromosome, Codec, Coding};
+use super::{PlaneScore, REFUSED};
+
+/// How newly bred individuals mutate. The paper does not say.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Mutation {
+    /// With this probability, one bit, chosen at random, is flipped.
+    PerIndividual(f64),
+    /// Each bit is flipped with this probability.
+    PerBit(f64),
+}
+
+/// Parameters of the genetic algorithm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RmGaConfig {
+    /// Individuals, 2 to 10000. Default 60.
+    pub population: usize,
+    /// How many of the best live on and become parents, 2 to `population`; the rest is made obsolete and refilled by
+    /// crossover. Default 36 (60 %).
+    pub survivors: usize,
+    /// How many of the best never mutate, 1 to `survivors`. Default 1.
+    pub elite: usize,
+    /// Generations per frame, 1 to 100000. Default 9.
+    pub generations: usize,
+    /// Mutation of everyone who is not elite. Default: each bit with 0.10 in those that crossover has refilled.
+    pub mutation: Mutation,
+    /// Whether survivors other than the elite mutate too. Default false.
+    pub mutate_survivors: bool,
+    /// How numbers are written in the genes. Default Gray.
+    pub coding: Coding,
+    /// Seed of the random numbers. Default 1.
+    pub seed: u64,
+}
+
+impl Default for RmGaConfig {
+    fn default() -> Self {
+        Self {
+            population: 60,
+            survivors: 36,
+            elite: 1,
+            generations: 9,
+            mutation: Mutation::PerBit(0.10),
+            mutate_survivors: false,
+            coding: Coding::Gray,
+            seed: 1,
+        }
+    }
+}
+
+impl RmGaConfig {
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    /// The parameter that is out of its range.
+    pub fn validate(&self) -> Result<(), EstimationError> {
+        let population = self.population as f64;
+        let survivors = self.survivors as f64;
+        let rate = match self.mutation {
+            Mutation::PerIndividual(rate) | Mutation::PerBit(rate) => rate,
+        };
+        check_range("RM-GA population", population, (2.0, 1e4), "must be between 2 and 10000")?;
+        check_range("RM-GA survivors", survivors, (2.0, population), "must be between 2 and the population")?;
+        check_range("RM-GA elite", self.elite as f64, (1.0, survivors), "must be between 1 and the survivors")?;
+        check_range("RM-GA generations", self.generations as f64, (1.0, 1e5), "must be between 1 and 100000")?;
+        check_range("RM-GA mutation rate", rate, (0.0, 1.0), "must be between 0 and 1")
+    }
+}
+
+/// What is carried from frame to frame: the individuals and the state of the random numbers.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Population {
+    individuals: Vec<Chromosome>,
+    rng: SplitMix64,
+}
+
+impl Population {
+    /// Individuals spread at random over the whole search range.
+    pub fn random(config: &RmGaConfig) -> Self {
+        let mut rng = SplitMix64::new(config.seed);
+        let individuals = (0..config.population).map(|_| Chromosome::from_bits(rng.below(1 << BITS))).collect();
+        Self { individuals, rng }
+    }
+
+    /// The individuals, best first after an evolution.
+    pub fn individuals(&self) -> &[Chromosome] {
+        &self.individuals
+    }
+
+    /// Spreads everyone at random again, continuing the random numbers: after the target was lost.
+    pub fn scatter(&mut self) {
+        for individual in &mut self.individuals {
+            *individual = Chromosome::from_bits(self.rng.below(1 << BITS));
+        }
+    }
+
+    /// Moves every individual, by the known motion of the cameras since the last frame, say. Those that leave the search
+    /// range stop at its end.
+    pub fn shift(&mut self, codec: &Codec, motion: impl Fn(PlaneHypothesis) -> PlaneHypothesis) {
+        for individual in &mut self.individuals {
+            *individual = codec.encode(&motion(codec.decode(*individual)));
+        }
+    }
+}
+
+/// The best individual of a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Best {
+    /// Its genes.
+    pub chromosome: Chromosome,
+    /// What they mean.
+    pub hypothesis: PlaneHypothesis,
+    /// Its score; [`REFUSED`] if nobody could be scored.
+    pub score: i32,
+}
+
+impl Best {
+    /// Whether anybody could be scored at all.
+    pub fn is_scored(&self) -> bool {
+        self.score != REFUSED
+    }
+}
+
+/// The algorithm with its buffers; allocates only when it is made.
+#[derive(Clone, Debug)]
+pub struct RmGa {
+    config: RmGaConfig,
+    codec: Codec,
+    hypotheses: Vec<PlaneHypothesis>,
+    scores: Vec<i32>,
+    ranking: Vec<(Reverse<i32>, Chromosome)>,
+    best_scores: Vec<i32>,
+}
+
+impl RmGa {
+    /// For a search range.
+    ///
+    /// # Errors
+    /// A parameter out of its range.
+    pub fn new(config: RmGaConfig, range: SearchRange) -> Result<Self, EstimationError> {
+        config.validate()?;
+        range.validate()?;
+        Ok(Self {
+            config,
+            codec: Codec::new(range, config.coding),
+            hypotheses: vec![range.centre(); config.population],
+            scores: vec![REFUSED; config.population],
+            ranking: vec![(Reverse(REFUSED), Chromosome::default()); config.population],
+            best_scores: Vec::with_capacity(config.generations),
+        })
+    }
+
+    /// The parameters.
+    pub fn config(&self) -> &RmGaConfig {
+        &self.config
+    }
+
+    /// How chromosomes are read.
+    pub fn codec(&self) -> &Codec {
+        &self.codec
+    }
+
+    /// Takes another search range; the carried population keeps its bits and so changes its meaning, see
+    /// [`Population::shift`].
+    ///
+    /// # Errors
+    /// A range that is refused by [`SearchRange::validate`].
+    pub fn set_range(&mut self, range: SearchRange) -> Result<(), EstimationError> {
+        range.validate()?;
+        self.codec = Codec::new(range, self.config.coding);
+        Ok(())
+    }
+
+    /// Best score of each generation of the last frame.
+    pub fn best_scores(&self) -> &[i32] {
+        &self.best_scores
+    }
+
+    /// One frame: the configured number of generations. The population is left as bred after the last sorting, the best
+    /// individual first: it is the start of the next frame.
+    pub fn evolve(&mut self, population: &mut Population, score: &impl PlaneScore) -> Best {
+        self.evolve_while(population, score, &mut || true)
+    }
+
+    /// As [`Self::evolve`], as long as `may_continue` says so before each generation; the first one always takes place.
+    pub fn evolve_while(
+        &mut self,
+        population: &mut Population,
+        score: &impl PlaneScore,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Best {
+        self.fit(population);
+        self.best_scores.clear();
+        for generation in 0..self.config.generations {
+            if generation > 0 && !may_continue() {
+                break;
+            }
+            self.evaluate(&population.individuals, score);
+            self.ranking.sort_unstable();
+            self.best_scores.push(self.ranking[0].0.0);
+            self.breed(population);
+        }
+        let (Reverse(score), chromosome) = self.ranking[0];
+        Best { chromosome, hypothesis: self.codec.decode(chromosome), score }
+    }
+
+    /// Gives a population of another size the configured size.
+    fn fit(&self, population: &mut Population) {
+        let Population { individuals, rng } = population;
+        individuals.resize_with(self.config.population, || Chromosome::from_bits(rng.below(1 << BITS)));
+    }
+
+    fn evaluate(&mut self, individuals: &[Chromosome], score: &impl PlaneScore) {
+        for (hypothesis, individual) in self.hypotheses.iter_mut().zip(individuals) {
+            *hypothesis = self.codec.decode(*individual);
+        }
+        score.score(&self.hypotheses, &mut self.scores);
+        // Equal scores are ranked by the genes, so that the order is the same everywhere.
+        for (rank, (individual, score)) in self.ranking.iter_mut().zip(individuals.iter().zip(&self.scores)) {
+            *rank = (Reverse(*score), *individual);
+        }
+    }
+
+    /// Obsolete, crossover, mutation.
+    fn breed(&self, population: &mut Population) {
+        let Population { individuals, rng } = population;
+        let survivors = self.config.survivors;
+        for (individual, rank) in individuals.iter_mut().zip(&self.ranking).take(survivors) {
+            *individual = rank.1;
+        }
+        for k in survivors..individuals.len() {
+            individuals[k] = self.cross(&individuals[..survivors], rng);
+        }
+        let first = if self.config.mutate_survivors { self.config.elite } else { survivors };
+        for individual in &mut individuals[first..] {
+            *individual = self.mutate(*individual, rng);
+        }
+    }
+
+    /// Two-point crossover of two different parents.
+    fn cross(&self, parents: &[Chromosome], rng: &mut SplitMix64) -> Chromosome {
+        let count = parents.len() as u32;
+        let mother = rng.below(count);
+        let father = (mother + 1 + rng.below(count - 1)) % count;
+        let (a, b) = (rng.below(BITS + 1), rng.below(BITS + 1));
+        parents[mother as usize].crossed(parents[father as usize], a.min(b), a.max(b))
+    }
+
+    fn mutate(&self, individual: Chromosome, rng: &mut SplitMix64) -> Chromosome {
+        match self.config.mutation {
+            Mutation::PerIndividual(rate) if rng.chance(rate) => individual.flipped(rng.below(BITS)),
+            Mutation::PerIndividual(_) => individual,
+            Mutation::PerBit(rate) => {
+                (0..BITS).fold(individual, |mutated, bit| if rng.chance(rate) { mutated.flipped(bit) } else { mutated })
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+#[path = "rmga_tests.rs"]
+mod tests;

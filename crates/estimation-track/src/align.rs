@@ -1,0 +1,438 @@
+//! Gauss-Newton from coarse to fine: the pose at which a kept view explains both images.
+
+use nalgebra::{Isometry3, Vector6};
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_geometry::{Pose, StereoRig};
+
+use super::images::{EyeImages, LEVELS};
+use super::kernels::{
+    self, CHANNELS, CameraRows, GroupScore, NormalSums, PATCH, PairWeights, Photometry, ROW, ResidualGroup,
+    ResidualSums, SHAPE, SeenGroup, TERMS, ViewGroup,
+};
+use super::normal::{Free, NormalEquations, PatchScore, Prior, Step, Unknowns, UnknownsMatrix};
+use super::relief::Correlation;
+use super::surface::Surface;
+use super::view::View;
+
+/// Variance that residuals start with before anything is known, grey levels squared: small starts reject everything where
+/// the cameras differ in gain.
+const VARIANCE_START: f32 = 1600.0;
+/// Smallest variance, grey levels squared: below, quantisation counts.
+const VARIANCE_MIN: f32 = 0.5;
+/// What the robust weights take off the variance of normal residuals.
+const TUKEY_LOSS: f32 = 1.25;
+/// A level is done when a step moves the points by less, pixels of that level.
+const STEP_DONE_PX: [f64; LEVELS] = [0.012, 0.05, 0.1, 0.15];
+/// Rounds in which weights and variances find each other, in each step.
+const SCALE_ROUNDS: usize = 3;
+/// A view resembles the images from this correlation on, by level.
+const RESEMBLANCE_MIN: [f64; LEVELS] = [0.75, 0.7, 0.6, 0.0];
+/// Fewer points in sight than this determine nothing.
+const POINTS_MIN: f32 = 24.0;
+/// Standard deviations of a motion between frames that is not believed in at all: metres and radians.
+const MOTION_SIGMA: (f64, f64) = (0.1, 0.7);
+
+/// Everything that is carried from frame to frame.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Estimate {
+    pub(super) cam_left_from_model: Pose<CamLeft, Model>,
+    pub(super) row_offset_px: f64,
+    pub(super) gain: [[f32; CHANNELS]; 2],
+    pub(super) offset: [[f32; CHANNELS]; 2],
+    /// Of the residuals at full resolution.
+    pub(super) variance: [[f32; CHANNELS]; TERMS],
+    /// Standard deviation of a patch's offset against the kept view, grey levels.
+    pub(super) patch_sigma: f64,
+}
+
+impl Estimate {
+    pub(super) fn at(cam_left_from_model: Pose<CamLeft, Model>) -> Self {
+        Self {
+            cam_left_from_model,
+            row_offset_px: 0.0,
+            gain: [[1.0; CHANNELS]; 2],
+            offset: [[0.0; CHANNELS]; 2],
+            variance: [[VARIANCE_START; CHANNELS]; TERMS],
+            patch_sigma: 1.0,
+        }
+    }
+}
+
+/// What a frame is aligned with.
+pub(super) struct Problem<'a> {
+    pub(super) surface: &'a mut Surface,
+    pub(super) view: &'a View,
+    pub(super) images: &'a [EyeImages; 2],
+    pub(super) rig: &'a StereoRig,
+    /// What is known of row offset and surface.
+    pub(super) knowledge: &'a Knowledge,
+}
+
+/// Where an alignment begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum StartLevel {
+    /// At the finest level at which view and images already resemble each other.
+    Resembling,
+    /// At the coarsest level.
+    Coarsest,
+}
+
+/// What earlier frames know.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Knowledge {
+    /// Row offset, pixels, and its information, 1/px^2.
+    pub(super) row_offset_px: f64,
+    pub(super) row_information: f64,
+    /// Information about the surface's plane.
+    pub(super) shape_information: nalgebra::Matrix3<f64>,
+}
+
+/// What came out.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Aligned {
+    /// Whether the last step moved nothing.
+    pub(super) has_converged: bool,
+    /// The last step, for the surface.
+    pub(super) last: Step,
+}
+
+/// Buffers for one surface.
+#[derive(Clone, Debug)]
+pub(super) struct Aligner {
+    kernels: Kernels,
+    pub(super) seen: [Vec<[SeenGroup; 2]>; LEVELS],
+    pub(super) residuals: Vec<ResidualGroup>,
+    patches: Vec<[f32; PATCH]>,
+    group_scores: Vec<GroupScore>,
+    pub(super) scores: Vec<PatchScore>,
+    sums: Box<NormalSums>,
+}
+
+impl Aligner {
+    pub(super) fn new(surface: &Surface, kernels: Kernels) -> Self {
+        let count = surface.levels.iter().map(|level| level.groups.len()).max().unwrap_or(0);
+        Self {
+            kernels,
+            seen: std::array::from_fn(|level| vec![Default::default(); surface.levels[level].groups.len()]),
+            residuals: vec![ResidualGroup::default(); count],
+            patches: vec![[0.0; PATCH]; count],
+            group_scores: vec![GroupScore::default(); count],
+            scores: Vec::with_capacity(count),
+            sums: Box::default(),
+        }
+    }
+
+    /// Aligns on `levels`, coarse to fine; `may_continue` is asked before each step. `None` if too little is in sight or
+    /// the equations determine nothing.
+    pub(super) fn align(
+        &mut self,
+        problem: &mut Problem<'_>,
+        estimate: &mut Estimate,
+        levels: std::ops::RangeInclusive<usize>,
+        (start, free, steps_max): (StartLevel, Free, usize),
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Option<Aligned> {
+        let mut aligned = None;
+        let mut steps = 0;
+        let (first, mut is_fresh) = match start {
+            StartLevel::Coarsest => (*levels.end(), false),
+            StartLevel::Resembling => self.first_level(problem, estimate, levels.clone()),
+        };
+        let levels = *levels.start()..=first;
+        for level in levels.rev() {
+            if problem.surface.levels[level].groups.is_empty() {
+                continue;
+            }
+            if !is_fresh {
+                problem.linearise_lenses(level, &estimate.cam_left_from_model);
+            }
+            let mut photometry = estimate.photometry();
+            for _ in 0..steps_max {
+                if steps > 0 && !may_continue() {
+                    return aligned;
+                }
+                let free = if level == 0 { free } else { free.without_shape() };
+                let last = self.step(problem, estimate, level, &mut photometry, (free, is_fresh))?;
+                is_fresh = false;
+                steps += 1;
+                let moved_px = problem.moved_px(estimate, &last.unknowns);
+                let has_converged = moved_px < STEP_DONE_PX[level] * f64::from(1_u32 << level);
+                aligned = Some(Aligned { has_converged, last });
+                if has_converged {
+                    break;
+                }
+            }
+            if level == 0 {
+                estimate.variance = photometry.variance;
+            }
+        }
+        aligned
+    }
+
+    /// The finest level at which the view already resembles both images: from there Gauss-Newton finds the way, and coarser
+    /// levels, which know less, would only lead astray.
+    fn first_level(
+        &mut self,
+        problem: &mut Problem<'_>,
+        estimate: &Estimate,
+        levels: std::ops::RangeInclusive<usize>,
+    ) -> (usize, bool) {
+        for level in levels.clone() {
+            problem.linearise_lenses(level, &estimate.cam_left_from_model);
+            if self.look(problem, estimate, level, &estimate.photometry()).is_some()
+                && self.resemblance(problem, level) >= RESEMBLANCE_MIN[level]
+            {
+                return (level, true);
+            }
+        }
+        (*levels.end(), true)
+    }
+
+    /// Correlation of the view with the image that it resembles less.
+    pub(super) fn resemblance(&self, problem: &Problem<'_>, level: usize) -> f64 {
+        let [left, right] = kernels::correlate(self.kernels, &self.seen[level], &problem.view.levels[level], None);
+        left.value().min(right.value())
+    }
+
+    /// Weighted correlations of the view with both images at full resolution.
+    pub(super) fn correlate(&self, view: &[ViewGroup]) -> [Correlation; 2] {
+        kernels::correlate(self.kernels, &self.seen[0], view, Some(&self.residuals))
+    }
+
+    /// One step.
+    fn step(
+        &mut self,
+        problem: &mut Problem<'_>,
+        estimate: &mut Estimate,
+        level: usize,
+        photometry: &mut Photometry,
+        (free, is_fresh): (Free, bool),
+    ) -> Option<Step> {
+        let mut sums = if is_fresh {
+            self.weigh(problem, level, photometry)
+        } else {
+            self.look(problem, estimate, level, photometry)?
+        };
+        for _ in 0..SCALE_ROUNDS {
+            photometry.learn(&sums);
+            sums = self.weigh(problem, level, photometry);
+        }
+        let count = problem.surface.levels[level].groups.len();
+        let weights = PairWeights::of(&photometry.variance);
+        *self.sums = NormalSums::default();
+        self.accumulate(problem, level, 0..count, &weights);
+        let mut equations = NormalEquations::empty();
+        equations.add(&self.sums);
+        equations.remove_patch_offsets(&self.patches[..count], estimate.patch_sigma);
+        let step = equations.solve(&problem.prior(estimate), free)?;
+        estimate.apply(&step, free);
+        (photometry.gain, photometry.offset) = (estimate.gain, estimate.offset);
+        Some(step)
+    }
+
+    /// Projects, samples and weighs at the present estimate.
+    pub(super) fn look(
+        &mut self,
+        problem: &Problem<'_>,
+        estimate: &Estimate,
+        level: usize,
+        photometry: &Photometry,
+    ) -> Option<ResidualSums> {
+        let (kernels, surface) = (self.kernels, &problem.surface.levels[level]);
+        let seen = &mut self.seen[level];
+        for (eye, images) in problem.images.iter().enumerate() {
+            let rows = camera_rows(&problem.cam_from_model(eye, &estimate.cam_left_from_model));
+            let row_offset = if eye == 1 { estimate.row_offset_px as f32 } else { 0.0 };
+            kernels::project(kernels, &surface.groups, &surface.lens[eye], &rows, row_offset, seen, eye);
+            kernels::sample(kernels, images, level, seen, eye);
+        }
+        let sums = self.weigh(problem, level, photometry);
+        (sums.points[0].max(sums.points[1]) >= POINTS_MIN).then_some(sums)
+    }
+
+    fn weigh(&mut self, problem: &Problem<'_>, level: usize, photometry: &Photometry) -> ResidualSums {
+        let view = &problem.view.levels[level];
+        kernels::weigh(self.kernels, &self.seen[level], view, photometry, &mut self.residuals)
+    }
+
+    fn accumulate(
+        &mut self,
+        problem: &Problem<'_>,
+        level: usize,
+        range: std::ops::Range<usize>,
+        weights: &PairWeights,
+    ) {
+        kernels::accumulate(
+            self.kernels,
+            &problem.surface.levels[level].groups[range.clone()],
+            &self.seen[level][range.clone()],
+            &problem.view.levels[level][range.clone()],
+            &self.residuals[range.clone()],
+            weights,
+            &mut self.sums,
+            &mut self.patches[range],
+        );
+    }
+
+    /// The equations at the estimate, patch by patch, at full resolution: for covariance, relief and judgement. Variances
+    /// are held below `variance_max`. What the last step has sampled is used again if it `is_fresh`: if that step moved nothing.
+    pub(super) fn examine(
+        &mut self,
+        problem: &Problem<'_>,
+        estimate: &Estimate,
+        variance_max: &[[f32; CHANNELS]; TERMS],
+        is_fresh: bool,
+    ) -> Option<NormalEquations> {
+        let mut variance = estimate.variance;
+        for (own, most) in variance.iter_mut().flatten().zip(variance_max.iter().flatten()) {
+            *own = own.min(*most);
+        }
+        let photometry = estimate.photometry_with(variance);
+        if is_fresh {
+            self.weigh(problem, 0, &photometry);
+        } else {
+            self.look(problem, estimate, 0, &photometry)?;
+        }
+        let sharing = problem.surface.noise_sharing as f32;
+        let weights = PairWeights::of(&photometry.variance.map(|term| term.map(|v| v * sharing)));
+        let count = problem.surface.levels[0].groups.len();
+        *self.sums = NormalSums::default();
+        self.accumulate(problem, 0, 0..count, &weights);
+        let mut equations = NormalEquations::empty();
+        equations.add(&self.sums);
+        equations.remove_patch_offsets(&self.patches[..count], estimate.patch_sigma);
+        kernels::score(
+            self.kernels,
+            &problem.surface.levels[0].groups,
+            &self.seen[0],
+            &problem.view.levels[0],
+            &self.residuals,
+            &weights,
+            &mut self.group_scores[..count],
+        );
+        self.scores.clear();
+        let groups = self.group_scores[..count].iter().zip(&self.patches);
+        self.scores.extend(groups.map(|(group, patch)| PatchScore::of(group, patch, estimate.patch_sigma)));
+        Some(equations)
+    }
+
+    /// Mean residual of each patch against the kept view: how far shading departs, as a standard deviation in grey levels.
+    pub(super) fn patch_spread(&self) -> f64 {
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for patch in &self.patches[..self.scores.len()] {
+            let own = f64::from(patch[PATCH - 2]);
+            if own > 0.0 {
+                let mean = f64::from(patch[PATCH - 1]) / own;
+                sum += own * (mean * mean - 1.0 / own);
+                weight += own;
+            }
+        }
+        if weight > 0.0 { (sum / weight).max(0.0).sqrt() } else { 0.0 }
+    }
+
+    /// Projects one level of the surface into the left image, for taking a view.
+    pub(super) fn project_left(
+        &mut self,
+        problem_surface: &mut Surface,
+        level: usize,
+        rig: &StereoRig,
+        pose: &Pose<CamLeft, Model>,
+    ) {
+        problem_surface.linearise_lens(level, 0, rig.left(), pose.isometry());
+        let surface = &problem_surface.levels[level];
+        let rows = camera_rows(pose.isometry());
+        kernels::project(self.kernels, &surface.groups, &surface.lens[0], &rows, 0.0, &mut self.seen[level], 0);
+    }
+}
+
+impl Free {
+    fn without_shape(self) -> Self {
+        if self == Self::Everything { Self::Motion } else { self }
+    }
+}
+
+impl Estimate {
+    /// As a level begins: nothing is known of its residuals.
+    pub(super) fn photometry(&self) -> Photometry {
+        self.photometry_with([[VARIANCE_START; CHANNELS]; TERMS])
+    }
+
+    fn photometry_with(&self, variance: [[f32; CHANNELS]; TERMS]) -> Photometry {
+        Photometry { gain: self.gain, offset: self.offset, variance }
+    }
+
+    fn apply(&mut self, step: &Step, free: Free) {
+        if free != Free::Surface {
+            let xi: Vector6<f64> = step.unknowns.fixed_rows::<6>(0).into_owned();
+            self.cam_left_from_model = self.cam_left_from_model.perturbed_in_from(&xi);
+        }
+        self.row_offset_px += step.unknowns[ROW];
+        for eye in 0..2 {
+            for c in 0..CHANNELS {
+                self.gain[eye][c] += step.gain[eye][c] as f32;
+                self.offset[eye][c] += step.offset[eye][c] as f32;
+            }
+        }
+    }
+}
+
+impl Photometry {
+    /// Takes the variance of the residuals over; within a level it only falls.
+    fn learn(&mut self, sums: &ResidualSums) {
+        for term in 0..TERMS {
+            for c in 0..CHANNELS {
+                if sums.weights[term] > 0.0 {
+                    let measured = TUKEY_LOSS * sums.squares[term][c] / sums.weights[term];
+                    self.variance[term][c] = measured.min(self.variance[term][c]).max(VARIANCE_MIN);
+                }
+            }
+        }
+    }
+}
+
+impl Problem<'_> {
+    pub(super) fn cam_from_model(&self, eye: usize, cam_left_from_model: &Pose<CamLeft, Model>) -> Isometry3<f64> {
+        match eye {
+            0 => *cam_left_from_model.isometry(),
+            _ => *(*self.rig.cam_right_from_cam_left() * *cam_left_from_model).isometry(),
+        }
+    }
+
+    fn linearise_lenses(&mut self, level: usize, pose: &Pose<CamLeft, Model>) {
+        let (left, right) = (self.cam_from_model(0, pose), self.cam_from_model(1, pose));
+        self.surface.linearise_lens(level, 0, self.rig.left(), &left);
+        self.surface.linearise_lens(level, 1, self.rig.right(), &right);
+    }
+
+    pub(super) fn prior(&self, estimate: &Estimate) -> Prior {
+        self.knowledge.prior(estimate)
+    }
+
+    /// How far a step moves the points, pixels.
+    fn moved_px(&self, estimate: &Estimate, unknowns: &Unknowns) -> f64 {
+        let scale = self.rig.left().pinhole().fx / estimate.cam_left_from_model.translation_m().z.abs().max(1e-3);
+        let (rho, phi) = (unknowns.fixed_rows::<3>(0).norm(), unknowns.fixed_rows::<3>(3).norm());
+        scale * (rho + phi * 0.5 * self.surface.radius_m)
+    }
+}
+
+impl Knowledge {
+    pub(super) fn prior(&self, estimate: &Estimate) -> Prior {
+        let mut information = UnknownsMatrix::zeros();
+        for i in 0..6 {
+            let sigma = if i < 3 { MOTION_SIGMA.0 } else { MOTION_SIGMA.1 };
+            information[(i, i)] = 1.0 / (sigma * sigma);
+        }
+        information[(ROW, ROW)] = self.row_information;
+        information.fixed_view_mut::<3, 3>(SHAPE, SHAPE).copy_from(&self.shape_information);
+        let mut pull = Unknowns::zeros();
+        pull[ROW] = self.row_information * (self.row_offset_px - estimate.row_offset_px);
+        Prior { information, pull }
+    }
+}
+
+fn camera_rows(cam_from_model: &Isometry3<f64>) -> CameraRows {
+    let matrix = cam_from_model.to_homogeneous();
+    std::array::from_fn(|i| matrix[(i / 4, i % 4)] as f32)
+}

@@ -1,0 +1,77 @@
+//! Parameters of the tracker.
+
+use pb3dp_estimation_core::error::{EstimationError, check_range};
+
+/// What the direct tracker leaves open.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DirectTrackerConfig {
+    /// Points of the model at full resolution, 64 to 16384. More points cost time in proportion and lower the error with
+    /// their square root. Default 1024.
+    pub points: usize,
+    /// Pixels that are left out along the region's outline, where a defocused camera mixes target and background, 0 to 50.
+    /// Default 6.
+    pub erosion_px: u32,
+    /// Most steps of Gauss-Newton per frame and level, 1 to 50. Default 16.
+    pub steps_max: usize,
+    /// Most kept views, 1 to 100; the first one is never given up. Default 12.
+    pub views_max: usize,
+    /// A new view is kept when every kept one is turned by more than this, degrees, 2 to 60. Default 16.
+    pub view_turn_deg: f64,
+    /// A new view is kept when every kept one is larger or smaller by more than this factor, 1.05 to 4. Default 1.4.
+    pub view_scale: f64,
+    /// Standard deviation of the surface about its plane, pixels of disparity, 0 (the target is flat) to 10. Default 1.5.
+    pub relief_sigma_px: f64,
+    /// Lost if fewer of the points in sight fit, as a share, 0.05 to 0.95. Default 0.35.
+    pub inlier_share_min: f64,
+    /// Lost if the correlation of the kept view with either image is less than this share of what its noise allows, 0 to
+    /// 1. Default 0.6.
+    pub correlation_min: f64,
+    /// `weak-tilt` if the normal's standard deviation is larger, degrees, 0.01 to 90. Default 3.
+    pub tilt_sigma_sure_deg: f64,
+}
+
+impl Default for DirectTrackerConfig {
+    fn default() -> Self {
+        Self {
+            points: 1024,
+            erosion_px: 6,
+            steps_max: 16,
+            views_max: 12,
+            view_turn_deg: 16.0,
+            view_scale: 1.4,
+            relief_sigma_px: 1.5,
+            inlier_share_min: 0.35,
+            correlation_min: 0.6,
+            tilt_sigma_sure_deg: 3.0,
+        }
+    }
+}
+
+impl DirectTrackerConfig {
+    /// Checks all ranges.
+    ///
+    /// # Errors
+    /// The parameter that is out of its range.
+    pub fn validate(&self) -> Result<(), EstimationError> {
+        check_range("direct.tracker.points", self.points as f64, (64.0, 16_384.0), "must be between 64 and 16384")?;
+        check_range("direct.tracker.erosion_px", f64::from(self.erosion_px), (0.0, 50.0), "must be between 0 and 50")?;
+        check_range("direct.tracker.steps_max", self.steps_max as f64, (1.0, 50.0), "must be between 1 and 50")?;
+        check_range("direct.tracker.views_max", self.views_max as f64, (1.0, 100.0), "must be between 1 and 100")?;
+        check_range("direct.tracker.view_turn_deg", self.view_turn_deg, (2.0, 60.0), "must be between 2 and 60")?;
+        check_range("direct.tracker.view_scale", self.view_scale, (1.05, 4.0), "must be between 1.05 and 4")?;
+        check_range("direct.tracker.relief_sigma_px", self.relief_sigma_px, (0.0, 10.0), "must be between 0 and 10")?;
+        check_range(
+            "direct.tracker.inlier_share_min",
+            self.inlier_share_min,
+            (0.05, 0.95),
+            "must be between 0.05 and 0.95",
+        )?;
+        check_range("direct.tracker.correlation_min", self.correlation_min, (0.0, 1.0), "must be between 0 and 1")?;
+        check_range(
+            "direct.tracker.tilt_sigma_sure_deg",
+            self.tilt_sigma_sure_deg,
+            (0.01, 90.0),
+            "must be between 0.01 and 90",
+        )
+    }
+}

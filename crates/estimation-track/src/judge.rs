@@ -1,0 +1,160 @@
+//! Whether what was found is the target.
+
+use std::fmt;
+
+use pb3dp_estimation_core::wide::LANES;
+
+use super::distinct::beyond_chance;
+use super::kernels::{CHANNELS, ResidualGroup, SeenGroup, TERMS, ViewGroup};
+use super::relief::Correlation;
+
+/// A point fits if its robust weight reaches this.
+pub(super) const FITS_FROM: f32 = 0.3;
+
+/// Shares that plane and relief must reach in the first pair where no plane was found by itself.
+const SURFACE_INLIERS_MIN: f64 = 0.7;
+const SURFACE_CORRELATION_MIN: f64 = 0.85;
+/// Share of the points that the right image must show there.
+const SURFACE_VISIBLE_MIN: f64 = 0.8;
+/// By how many standard deviations the correlation must be more than chance would show there: each patch of the relief is
+/// tried at many disparities.
+const SURFACE_BEYOND_CHANCE_MIN: f64 = 8.0;
+/// Images disagree if one of them fits at less than this share of the points that fit another.
+const AGREEMENT_MIN: f64 = 0.85;
+
+/// How well a kept view fits both images.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Fit {
+    /// Share of the model's points that the view and each image show, left and right, 0 to 1.
+    pub visible_share: [f64; 2],
+    /// Share of those that fit within the noise: view against left image, view against right image, left against right.
+    pub inlier_share: [f64; TERMS],
+    /// Correlation of the view with each image over the points that fit, -1 to 1.
+    pub correlation: [f64; 2],
+    /// What the correlation would be if noise alone disturbed it.
+    pub correlation_expected: [f64; 2],
+}
+
+/// Limits for a fit.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Limits {
+    pub(super) inlier_share_min: f64,
+    /// As a share of what is expected.
+    pub(super) correlation_min: f64,
+    pub(super) visible_share_min: f64,
+}
+
+impl Limits {
+    /// The same for what must fit better by this factor.
+    pub(super) fn stricter(self, factor: f64) -> Self {
+        Self {
+            inlier_share_min: (self.inlier_share_min * factor).min(0.95),
+            correlation_min: (self.correlation_min * factor).min(0.95),
+            ..self
+        }
+    }
+}
+
+/// What a fit lacks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Misfit {
+    what: &'static str,
+    percent: f64,
+    limit_percent: f64,
+}
+
+impl fmt::Display for Misfit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} is {:.0} % (limit {:.0} %)", self.what, self.percent, self.limit_percent)
+    }
+}
+
+impl Fit {
+    /// Of one level; `correlations` are weighted, `reference` are the variances of residuals of a target that fits.
+    pub(super) fn measure(
+        seen: &[[SeenGroup; 2]],
+        view: &[ViewGroup],
+        residuals: &[ResidualGroup],
+        correlations: &[Correlation; 2],
+        points: f64,
+        reference: &[[f32; CHANNELS]; TERMS],
+    ) -> Self {
+        let (mut visible, mut inliers) = ([0_u32; TERMS], [0_u32; TERMS]);
+        for ((seen, view), residual) in seen.iter().zip(view).zip(residuals) {
+            let valid = [0, 1].map(|eye| seen[eye].valid * view.valid);
+            let valid = [valid[0], valid[1], valid[0] * valid[1]];
+            for term in 0..TERMS {
+                for i in 0..LANES {
+                    visible[term] += u32::from(valid[term].0[i] > 0.0);
+                    inliers[term] += u32::from(residual.weight[term].0[i] >= FITS_FROM);
+                }
+            }
+        }
+        let (visible, inliers) = (visible.map(f64::from), inliers.map(f64::from));
+        let expected = |eye: usize| {
+            let [kept, now, _] = correlations[eye].moments();
+            let noise: f64 = reference[eye].iter().map(|&v| f64::from(v)).sum();
+            (1.0 - 0.5 * noise / (kept * now).sqrt().max(1e-9)).max(0.05)
+        };
+        Self {
+            visible_share: [0, 1].map(|eye| visible[eye] / points.max(1.0)),
+            inlier_share: std::array::from_fn(|term| inliers[term] / visible[term].max(1.0)),
+            correlation: [0, 1].map(|eye| correlations[eye].value()),
+            correlation_expected: [0, 1].map(expected),
+        }
+    }
+
+    /// The first limit that the fit misses.
+    pub(super) fn misfit(&self, limits: &Limits) -> Option<Misfit> {
+        const EYES: [&str; 2] = ["left", "right"];
+        const VISIBLE: [&str; 2] =
+            ["the part of the target in the left image", "the part of the target in the right image"];
+        const INLIERS: [&str; TERMS] = [
+            "the share of the target's points that fit the left image",
+            "the share of the target's points that fit the right image",
+            "the share of the target's points that fit each other in left and right image",
+        ];
+        const CORRELATION: [&str; 2] = [
+            "the correlation with the left image, of what noise allows,",
+            "the correlation with the right image, of what noise allows,",
+        ];
+        let short = |what, value: f64, limit: f64| {
+            (value.is_nan() || value < limit).then_some(Misfit {
+                what,
+                percent: 100.0 * value,
+                limit_percent: 100.0 * limit,
+            })
+        };
+        for eye in 0..EYES.len() {
+            let relative = self.correlation[eye] / self.correlation_expected[eye];
+            let misfit = short(VISIBLE[eye], self.visible_share[eye], limits.visible_share_min)
+                .or_else(|| short(INLIERS[eye], self.inlier_share[eye], limits.inlier_share_min))
+                .or_else(|| short(CORRELATION[eye], relative, limits.correlation_min));
+            if misfit.is_some() {
+                return misfit;
+            }
+        }
+        short(INLIERS[2], self.inlier_share[2], limits.inlier_share_min)
+    }
+
+    /// Whether the first pair shows one surface beyond doubt: to be asked where no plane was found. Its texture is worth so
+    /// many `independent` points; a relief can be bent until soft texture fits any other.
+    pub(super) fn is_a_surface(&self, independent: f64) -> bool {
+        let (share, correlation) = (self.inlier_share[1], self.correlation[1]);
+        share >= SURFACE_INLIERS_MIN
+            && correlation >= SURFACE_CORRELATION_MIN
+            && self.visible_share[1] >= SURFACE_VISIBLE_MIN
+            && beyond_chance(correlation, share * self.visible_share[1], independent) >= SURFACE_BEYOND_CHANCE_MIN
+    }
+
+    /// Whether the view fits one image clearly better than the other, or than they fit each other.
+    pub(super) fn images_disagree(&self) -> bool {
+        let (low, high) = self.inlier_share.iter().fold((1.0_f64, 0.0_f64), |(a, b), &x| (a.min(x), b.max(x)));
+        low < AGREEMENT_MIN * high
+    }
+
+    /// One number for comparing fits of the same surface.
+    pub(super) fn goodness(&self) -> f64 {
+        self.inlier_share[0] * self.inlier_share[1] * self.correlation[0].max(0.0) * self.correlation[1].max(0.0)
+    }
+}

@@ -1,0 +1,485 @@
+//! The inner loops: points into both images, residuals, weights, normal equations.
+
+use pb3dp_estimation_core::wide::{LANES, wide};
+
+use super::images::{EyeImages, Texel};
+use super::lanes::{Lanes, each_lane};
+use super::relief::Correlation;
+
+/// Unknowns beside gains: the motion `[rho; phi]` of the model in its own frame (metres, radians), the row offset of the
+/// right image (pixels), the change of the inverse-depth plane of the surface (1/m).
+pub(super) const UNKNOWNS: usize = 10;
+/// Index of the row offset.
+pub(super) const ROW: usize = 6;
+/// Index of the first of three numbers of the surface's plane.
+pub(super) const SHAPE: usize = 7;
+/// Entries of the upper triangle.
+pub(super) const TRIANGLE: usize = UNKNOWNS * (UNKNOWNS + 1) / 2;
+/// Channels: Y, A, B'.
+pub(super) const CHANNELS: usize = 3;
+/// Residuals per point and channel: kept view against left, kept view against right, left against right.
+pub(super) const TERMS: usize = 3;
+/// Numbers that the offset of a patch leaves: with every unknown, with gain and offset of both eyes, with itself, residual.
+pub(super) const PATCH: usize = UNKNOWNS + 6;
+
+/// A group of points of the surface, in `model`.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct SurfaceGroup {
+    /// Position, metres.
+    pub(super) point: [Lanes; 3],
+    /// Derivative of the position by the raw left pixel (u, v) of the first view, metres per pixel: x, y, z by u, then by v.
+    pub(super) base: [Lanes; 6],
+    /// Derivative of the position by the inverse depth in the first view.
+    pub(super) slide: [Lanes; 3],
+    /// Ray (x, y) in the first view; its third component is 1.
+    pub(super) ray: [Lanes; 2],
+    /// 1 where there is a point.
+    pub(super) mask: Lanes,
+}
+
+/// A lens, linear about where each point is expected: normalised (x, y), its pixel (u, v), and the derivative of the pixel
+/// (u by x, u by y, v by x, v by y).
+pub(super) type LensGroup = [Lanes; 8];
+
+/// How a kept view shows a group.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct ViewGroup {
+    /// The channels.
+    pub(super) value: [Lanes; CHANNELS],
+    /// Their derivatives by the raw left pixel of the first view, along the surface.
+    pub(super) gradient: [[Lanes; 2]; CHANNELS],
+    /// 1 where the view shows the point.
+    pub(super) valid: Lanes,
+}
+
+/// A group in one image of the present pair.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct SeenGroup {
+    /// Raw pixel.
+    pub(super) pixel: [Lanes; 2],
+    /// Derivative of the pixel (u, then v) by the position in `model`.
+    pub(super) by_point: [Lanes; 6],
+    /// Derivative of the first view's pixel by this pixel: inverse of the local warp, row-major.
+    pub(super) unwarp: [Lanes; 4],
+    /// The channels there.
+    pub(super) value: [Lanes; CHANNELS],
+    /// 1 where the image shows the point.
+    pub(super) valid: Lanes,
+}
+
+/// Residuals and weights of a group.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct ResidualGroup {
+    /// Left and right image minus the kept view.
+    pub(super) residual: [[Lanes; CHANNELS]; 2],
+    /// Robust weight of each term, 0 to 1.
+    pub(super) weight: [Lanes; TERMS],
+}
+
+/// What the residuals are weighed with.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Photometry {
+    /// Gain and offset by eye and channel.
+    pub(super) gain: [[f32; CHANNELS]; 2],
+    pub(super) offset: [[f32; CHANNELS]; 2],
+    /// Variance of each term and channel, grey levels squared.
+    pub(super) variance: [[f32; CHANNELS]; TERMS],
+}
+
+/// What the residuals came to.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct ResidualSums {
+    /// Weighted squares by term and channel.
+    pub(super) squares: [[f32; CHANNELS]; TERMS],
+    /// Weights by term.
+    pub(super) weights: [f32; TERMS],
+    /// Points that the images show, by term.
+    pub(super) points: [f32; TERMS],
+}
+
+/// A camera: rotation (row-major) and translation of `cam_from_model`.
+pub(super) type CameraRows = [f32; 12];
+
+wide! {
+    /// Projects groups into one image.
+    pub(super) fn project(surface: &[SurfaceGroup], lens: &[LensGroup], camera: &CameraRows, row_offset: f32, seen: &mut [[SeenGroup; 2]], eye: usize) = project_kernel;
+}
+
+wide! {
+    /// Reads the channels where the groups are seen.
+    pub(super) fn sample(images: &EyeImages, level: usize, seen: &mut [[SeenGroup; 2]], eye: usize) = sample_kernel;
+}
+
+wide! {
+    /// Residuals against a kept view, and their robust weights.
+    pub(super) fn weigh(seen: &[[SeenGroup; 2]], view: &[ViewGroup], photometry: &Photometry, out: &mut [ResidualGroup]) -> ResidualSums = weigh_kernel;
+}
+
+wide! {
+    /// Adds the normal equations of groups to `sums`; the part of each group's own offset goes to `patches`.
+    pub(super) fn accumulate(surface: &[SurfaceGroup], seen: &[[SeenGroup; 2]], view: &[ViewGroup], residuals: &[ResidualGroup], weights: &PairWeights, sums: &mut NormalSums, patches: &mut [[f32; PATCH]]) = accumulate_kernel;
+}
+
+wide! {
+    /// Sums for the correlation of a view with both images: over all points seen, or by their weights.
+    pub(super) fn correlate(seen: &[[SeenGroup; 2]], view: &[ViewGroup], residuals: Option<&[ResidualGroup]>) -> [Correlation; 2] = correlate_kernel;
+}
+
+wide! {
+    /// The right-hand side of each group by itself, and its second derivatives by its inverse depth.
+    pub(super) fn score(surface: &[SurfaceGroup], seen: &[[SeenGroup; 2]], view: &[ViewGroup], residuals: &[ResidualGroup], weights: &PairWeights, scores: &mut [GroupScore]) = score_kernel;
+}
+
+/// The right-hand side of a group.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct GroupScore {
+    /// Derivative times residual.
+    pub(super) slope: [f32; UNKNOWNS],
+    /// By channel: residual with (gain left, offset left, gain right, offset right).
+    pub(super) gain_slope: [[f32; 4]; CHANNELS],
+    /// Second derivatives by the inverse depth of the group and each unknown; the last one is by itself twice.
+    pub(super) by_depth: [f32; UNKNOWNS],
+    /// By channel: second derivatives by the inverse depth and each gain and offset, with the opposite sign.
+    pub(super) gain_by_depth: [[f32; 4]; CHANNELS],
+}
+
+impl Default for GroupScore {
+    fn default() -> Self {
+        let gains = [[0.0; 4]; CHANNELS];
+        Self { slope: [0.0; UNKNOWNS], gain_slope: gains, by_depth: [0.0; UNKNOWNS], gain_by_depth: gains }
+    }
+}
+
+#[inline(always)]
+#[allow(clippy::needless_range_loop, reason = "eyes and channels index several arrays")]
+fn correlate_kernel(
+    seen: &[[SeenGroup; 2]],
+    view: &[ViewGroup],
+    residuals: Option<&[ResidualGroup]>,
+) -> [Correlation; 2] {
+    let mut sums = [[[Lanes::ZERO; 5]; CHANNELS]; 2];
+    let mut counts = [Lanes::ZERO; 2];
+    for (index, (seen, view)) in seen.iter().zip(view).enumerate() {
+        for eye in 0..2 {
+            let weight = match residuals {
+                Some(residuals) => residuals[index].weight[eye],
+                None => seen[eye].valid * view.valid,
+            };
+            counts[eye] += weight;
+            for c in 0..CHANNELS {
+                let (a, b) = (view.value[c], seen[eye].value[c]);
+                let (wa, wb) = (weight * a, weight * b);
+                let sums = &mut sums[eye][c];
+                sums[0] += wa;
+                sums[1] += wb;
+                sums[2] = sums[2].plus(wa, a);
+                sums[3] = sums[3].plus(wb, b);
+                sums[4] = sums[4].plus(wa, b);
+            }
+        }
+    }
+    std::array::from_fn(|eye| {
+        let sums = std::array::from_fn(|c| std::array::from_fn(|i| f64::from(sums[eye][c][i].sum())));
+        Correlation::of_sums(f64::from(counts[eye].sum()), sums)
+    })
+}
+
+#[inline(always)]
+fn score_kernel(
+    surface: &[SurfaceGroup],
+    seen: &[[SeenGroup; 2]],
+    view: &[ViewGroup],
+    residuals: &[ResidualGroup],
+    weights: &PairWeights,
+    scores: &mut [GroupScore],
+) {
+    let groups = surface.iter().zip(seen).zip(view).zip(residuals).zip(scores);
+    for ((((surface, seen), view), residual), score) in groups {
+        let mut slope = [Lanes::ZERO; UNKNOWNS];
+        let mut by_depth = [Lanes::ZERO; UNKNOWNS];
+        for c in 0..CHANNELS {
+            let [left, right, pair] = pair_weights(residual, weights, c);
+            let in_left = derivatives(surface, &seen[0], &view.gradient[c], 0);
+            let in_right = derivatives(surface, &seen[1], &view.gradient[c], 1);
+            let (r_left, r_right) = (residual.residual[0][c], residual.residual[1][c]);
+            let to_left = (left + pair) * r_left - pair * r_right;
+            let to_right = (right + pair) * r_right - pair * r_left;
+            let (a, b) = (in_left[UNKNOWNS - 1], in_right[UNKNOWNS - 1]);
+            let depth = [(left + pair) * a - pair * b, (right + pair) * b - pair * a];
+            for i in 0..UNKNOWNS {
+                slope[i] = slope[i].plus(in_left[i], to_left).plus(in_right[i], to_right);
+                by_depth[i] = by_depth[i].plus(in_left[i], depth[0]).plus(in_right[i], depth[1]);
+            }
+            score.gain_slope[c] =
+                [(to_left * view.value[c]).sum(), to_left.sum(), (to_right * view.value[c]).sum(), to_right.sum()];
+            let value = view.value[c];
+            score.gain_by_depth[c] =
+                [(depth[0] * value).sum(), depth[0].sum(), (depth[1] * value).sum(), depth[1].sum()];
+        }
+        score.slope = slope.map(|lanes| lanes.sum());
+        score.by_depth = by_depth.map(|lanes| lanes.sum());
+    }
+}
+
+#[inline(always)]
+fn project_kernel(
+    surface: &[SurfaceGroup],
+    lens: &[LensGroup],
+    camera: &CameraRows,
+    row_offset: f32,
+    seen: &mut [[SeenGroup; 2]],
+    eye: usize,
+) {
+    let row =
+        |i: usize| [Lanes::splat(camera[4 * i]), Lanes::splat(camera[4 * i + 1]), Lanes::splat(camera[4 * i + 2])];
+    let (r0, r1, r2) = (row(0), row(1), row(2));
+    for ((group, lens), seen) in surface.iter().zip(lens).zip(seen) {
+        let z = Lanes::splat(camera[11]) + dot(&r2, &group.point);
+        let inverse_z = z.max(1e-3).reciprocal();
+        let x = (Lanes::splat(camera[3]) + dot(&r0, &group.point)) * inverse_z;
+        let y = (Lanes::splat(camera[7]) + dot(&r1, &group.point)) * inverse_z;
+        let (dx, dy) = (x - lens[0], y - lens[1]);
+        let out = &mut seen[eye];
+        out.pixel = [
+            lens[2].plus(lens[4], dx).plus(lens[5], dy),
+            (lens[3] + Lanes::splat(row_offset)).plus(lens[6], dx).plus(lens[7], dy),
+        ];
+        for i in 0..3 {
+            let (by_x, by_y) = ((r0[i] - x * r2[i]) * inverse_z, (r1[i] - y * r2[i]) * inverse_z);
+            out.by_point[i] = lens[4] * by_x + lens[5] * by_y;
+            out.by_point[3 + i] = lens[6] * by_x + lens[7] * by_y;
+        }
+        let [u0, u1, u2, v0, v1, v2] = out.by_point;
+        let [x0, x1, x2, y0, y1, y2] = group.base;
+        let (by_u, by_v, along_x, along_y) = ([u0, u1, u2], [v0, v1, v2], [x0, x1, x2], [y0, y1, y2]);
+        let (a, b) = (dot(&by_u, &along_x), dot(&by_u, &along_y));
+        let (c, d) = (dot(&by_v, &along_x), dot(&by_v, &along_y));
+        let determinant = a * d - b * c;
+        let inverse = determinant.max(EDGE_ON).reciprocal();
+        out.unwarp = [d * inverse, -b * inverse, -c * inverse, a * inverse];
+        out.valid = each_lane!(i => if z.0[i] > 2e-3 && determinant.0[i] > EDGE_ON { group.mask.0[i] } else { 0.0 });
+    }
+}
+
+#[inline(always)]
+fn dot(a: &[Lanes; 3], b: &[Lanes; 3]) -> Lanes {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// A surface patch that shrinks to less of its area in the first view is not used.
+const EDGE_ON: f32 = 0.08;
+/// Share of saturated pixels above which a sample is not used.
+const SATURATED_MAX: f32 = 0.15;
+
+#[inline(always)]
+fn sample_kernel(images: &EyeImages, level: usize, seen: &mut [[SeenGroup; 2]], eye: usize) {
+    let origin_px = images.origin_px();
+    let factor = 1.0 / (1_u32 << level) as f32;
+    for seen in seen {
+        let seen = &mut seen[eye];
+        for i in 0..LANES {
+            if seen.valid.0[i] == 0.0 {
+                continue;
+            }
+            let x = (seen.pixel[0].0[i] - origin_px[0] + 0.5) * factor - 0.5;
+            let y = (seen.pixel[1].0[i] - origin_px[1] + 0.5) * factor - 0.5;
+            match images.sample(level, x, y) {
+                Some([luminance, a, b, saturated]) if saturated < SATURATED_MAX => {
+                    (seen.value[0].0[i], seen.value[1].0[i], seen.value[2].0[i]) = (luminance, a, b);
+                }
+                _ => seen.valid.0[i] = 0.0,
+            }
+        }
+    }
+}
+
+/// The texel at a raw pixel of a level, for making views.
+pub(super) fn texel_at(images: &EyeImages, level: usize, pixel: [f32; 2]) -> Option<Texel> {
+    let origin_px = images.origin_px();
+    let factor = 1.0 / (1_u32 << level) as f32;
+    let [x, y] = std::array::from_fn(|i| (pixel[i] - origin_px[i] + 0.5) * factor - 0.5);
+    images.sample(level, x, y)
+}
+
+/// Beyond this many standard deviations (root mean square over the channels) a residual has no weight.
+const TUKEY: f32 = 3.0;
+
+#[inline(always)]
+#[allow(clippy::needless_range_loop, reason = "eyes and channels index several arrays")]
+fn weigh_kernel(
+    seen: &[[SeenGroup; 2]],
+    view: &[ViewGroup],
+    photometry: &Photometry,
+    out: &mut [ResidualGroup],
+) -> ResidualSums {
+    let inverse: [[f32; CHANNELS]; TERMS] =
+        photometry.variance.map(|term| term.map(|v| 1.0 / (v * (CHANNELS as f32) * TUKEY * TUKEY)));
+    let mut squares = [[Lanes::ZERO; CHANNELS]; TERMS];
+    let mut weights = [Lanes::ZERO; TERMS];
+    let mut points = [Lanes::ZERO; TERMS];
+    for ((seen, view), out) in seen.iter().zip(view).zip(out) {
+        for eye in 0..2 {
+            for c in 0..CHANNELS {
+                let (gain, offset) = (photometry.gain[eye][c], photometry.offset[eye][c]);
+                out.residual[eye][c] = seen[eye].value[c] - view.value[c].scale(gain) - Lanes::splat(offset);
+            }
+        }
+        let valid = [seen[0].valid * view.valid, seen[1].valid * view.valid];
+        let valid = [valid[0], valid[1], valid[0] * valid[1]];
+        for term in 0..TERMS {
+            let mut square = [Lanes::ZERO; CHANNELS];
+            let mut distance = Lanes::ZERO;
+            for c in 0..CHANNELS {
+                let r = match term {
+                    0 | 1 => out.residual[term][c],
+                    _ => out.residual[1][c] - out.residual[0][c],
+                };
+                square[c] = r * r;
+                distance += square[c].scale(inverse[term][c]);
+            }
+            let near = (Lanes::splat(1.0) - distance).max(0.0);
+            let weight = near * near * valid[term];
+            out.weight[term] = weight;
+            weights[term] += weight;
+            points[term] += valid[term];
+            for c in 0..CHANNELS {
+                squares[term][c] = squares[term][c].plus(weight, square[c]);
+            }
+        }
+    }
+    ResidualSums {
+        squares: squares.map(|term| term.map(|lanes| lanes.sum())),
+        weights: weights.map(|lanes| lanes.sum()),
+        points: points.map(|lanes| lanes.sum()),
+    }
+}
+
+/// Inverse variances of the three terms by channel, for residuals that share the noise of the kept view.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct PairWeights {
+    pub(super) by_term: [[f32; CHANNELS]; TERMS],
+}
+
+/// Sums of the normal equations, lane by lane.
+#[derive(Clone, Debug)]
+pub(super) struct NormalSums {
+    /// Upper triangle over the unknowns, row by row.
+    pub(super) hessian: [Lanes; TRIANGLE],
+    /// Derivative times residual.
+    pub(super) slope: [Lanes; UNKNOWNS],
+    /// By channel: each unknown with (gain left, offset left, gain right, offset right).
+    pub(super) cross: [[[Lanes; 4]; UNKNOWNS]; CHANNELS],
+    /// By channel: for left-left, left-right, right-right the sums of value squared, value, 1.
+    pub(super) gains: [[[Lanes; 3]; 3]; CHANNELS],
+    /// By channel: residual with (gain left, offset left, gain right, offset right).
+    pub(super) gain_slope: [[Lanes; 4]; CHANNELS],
+}
+
+impl Default for NormalSums {
+    fn default() -> Self {
+        Self {
+            hessian: [Lanes::ZERO; TRIANGLE],
+            slope: [Lanes::ZERO; UNKNOWNS],
+            cross: [[[Lanes::ZERO; 4]; UNKNOWNS]; CHANNELS],
+            gains: [[[Lanes::ZERO; 3]; 3]; CHANNELS],
+            gain_slope: [[Lanes::ZERO; 4]; CHANNELS],
+        }
+    }
+}
+
+/// Weights of the three differences of a channel.
+#[inline(always)]
+fn pair_weights(residual: &ResidualGroup, weights: &PairWeights, channel: usize) -> [Lanes; TERMS] {
+    let ([left, right, pair], by_term) = (&residual.weight, &weights.by_term);
+    [left.scale(by_term[0][channel]), right.scale(by_term[1][channel]), pair.scale(by_term[2][channel])]
+}
+
+/// Derivatives of a channel of one image by the unknowns.
+#[inline(always)]
+fn derivatives(surface: &SurfaceGroup, seen: &SeenGroup, gradient: &[Lanes; 2], eye: usize) -> [Lanes; UNKNOWNS] {
+    let by_u = gradient[0] * seen.unwarp[0] + gradient[1] * seen.unwarp[2];
+    let by_v = gradient[0] * seen.unwarp[1] + gradient[1] * seen.unwarp[3];
+    let by = &seen.by_point;
+    let m = [by_u * by[0] + by_v * by[3], by_u * by[1] + by_v * by[4], by_u * by[2] + by_v * by[5]];
+    let p = &surface.point;
+    let slide = m[0] * surface.slide[0] + m[1] * surface.slide[1] + m[2] * surface.slide[2];
+    [
+        m[0],
+        m[1],
+        m[2],
+        p[1] * m[2] - p[2] * m[1],
+        p[2] * m[0] - p[0] * m[2],
+        p[0] * m[1] - p[1] * m[0],
+        if eye == 1 { by_v } else { Lanes::ZERO },
+        slide * surface.ray[0],
+        slide * surface.ray[1],
+        slide,
+    ]
+}
+
+#[inline(always)]
+fn accumulate_kernel(
+    surface: &[SurfaceGroup],
+    seen: &[[SeenGroup; 2]],
+    view: &[ViewGroup],
+    residuals: &[ResidualGroup],
+    weights: &PairWeights,
+    sums: &mut NormalSums,
+    patches: &mut [[f32; PATCH]],
+) {
+    let groups = surface.iter().zip(seen).zip(view).zip(residuals).zip(patches);
+    for ((((surface, seen), view), residual), patch) in groups {
+        for c in 0..CHANNELS {
+            let [left, right, pair] = pair_weights(residual, weights, c);
+            let (ll, rr) = (left + pair, right + pair);
+            let in_left = derivatives(surface, &seen[0], &view.gradient[c], 0);
+            let in_right = derivatives(surface, &seen[1], &view.gradient[c], 1);
+            let (r_left, r_right) = (residual.residual[0][c], residual.residual[1][c]);
+            let value = view.value[c];
+            let weighted = [ll * r_left - pair * r_right, rr * r_right - pair * r_left];
+            let mut common = [Lanes::ZERO; UNKNOWNS];
+            let mut entry = 0;
+            for i in 0..UNKNOWNS {
+                let by_left = ll * in_left[i] - pair * in_right[i];
+                let by_right = rr * in_right[i] - pair * in_left[i];
+                for j in i..UNKNOWNS {
+                    sums.hessian[entry] = sums.hessian[entry].plus(by_left, in_left[j]).plus(by_right, in_right[j]);
+                    entry += 1;
+                }
+                sums.slope[i] = sums.slope[i].plus(by_left, r_left).plus(by_right, r_right);
+                let cross = &mut sums.cross[c][i];
+                cross[0] = cross[0].plus(by_left, value);
+                cross[1] += by_left;
+                cross[2] = cross[2].plus(by_right, value);
+                cross[3] += by_right;
+                common[i] = by_left + by_right;
+            }
+            for (pair_sums, weight) in sums.gains[c].iter_mut().zip([ll, -pair, rr]) {
+                let by_value = weight * value;
+                pair_sums[0] = pair_sums[0].plus(by_value, value);
+                pair_sums[1] += by_value;
+                pair_sums[2] += weight;
+            }
+            for (i, weighted) in weighted.into_iter().enumerate() {
+                let slope = &mut sums.gain_slope[c];
+                slope[2 * i] = slope[2 * i].plus(weighted, value);
+                slope[2 * i + 1] += weighted;
+            }
+            if c == 0 {
+                for i in 0..UNKNOWNS {
+                    patch[i] = common[i].sum();
+                }
+                patch[UNKNOWNS] = (left * value).sum();
+                patch[UNKNOWNS + 1] = left.sum();
+                patch[UNKNOWNS + 2] = (right * value).sum();
+                patch[UNKNOWNS + 3] = right.sum();
+                patch[UNKNOWNS + 4] = (left + right).sum();
+                patch[UNKNOWNS + 5] = (left * r_left + right * r_right).sum();
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+#[path = "kernels_tests.rs"]
+mod tests;

@@ -1,0 +1,158 @@
+//! Which part of a region is one surface: what is marked across a depth edge shows two, and they need not move together.
+
+use nalgebra::{Matrix3, Vector3};
+use pb3dp_estimation_core::region::RegionMask;
+use pb3dp_estimation_core::wide::LANES;
+
+use super::judge::FITS_FROM;
+use super::kernels::{CHANNELS, ResidualGroup, SurfaceGroup, ViewGroup};
+use super::relief::Relief;
+use super::shape::Shape;
+use super::surface::Surface;
+
+/// A patch belongs to a surface if this share of its points fits the right image.
+const FITTING_MIN: f64 = 0.6;
+/// And if its squared residuals are at most this much of those of the quarter that fits best, plus this share of its texture:
+/// what lies elsewhere leaves twice the texture.
+const NOISE_MAX: f64 = 3.0;
+const UNEXPLAINED_MAX: f64 = 0.2;
+/// Neighbours are one surface if depth changes by at most this much of the way along the image from one to the other.
+const STEEPEST: f64 = 2.0;
+/// Less than this share of the points beside the surface is left to the robust weights; and where a larger one was taken out
+/// before, so that there are several surfaces.
+const BESIDE_MIN: f64 = 0.15;
+const BESIDE_SEVERAL_MIN: f64 = 0.05;
+
+/// A part of the surface.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Part {
+    /// Its plane in the first left camera: inverse depth is `plane . ray`.
+    pub(super) plane: Vector3<f64>,
+    /// By node of the relief: whether it belongs to the part.
+    pub(super) nodes: Vec<bool>,
+}
+
+/// What a node of the relief shows.
+#[derive(Clone, Copy, Debug, Default)]
+struct Node {
+    /// Points that the first left image shows, and how many of them fit the right one.
+    points: f64,
+    fitting: f64,
+    /// Squared residuals of the right image over its points, and squared differences from the mean of its patch that the left
+    /// image shows, all channels, grey levels squared.
+    residual: f64,
+    texture: f64,
+    /// Position in the first left camera, metres.
+    position: Vector3<f64>,
+}
+
+impl Node {
+    #[allow(clippy::needless_range_loop, reason = "channels index several arrays")]
+    fn add(&mut self, group: &SurfaceGroup, view: &ViewGroup, residual: &ResidualGroup) {
+        let points = || (0..LANES).filter(|&i| group.mask.0[i] > 0.0);
+        let count = f64::from(group.mask.sum()).max(1.0);
+        self.points += f64::from(group.mask.sum());
+        self.fitting += points().filter(|&i| residual.weight[1].0[i] >= FITS_FROM).count() as f64;
+        for c in 0..CHANNELS {
+            let mean = points().map(|i| f64::from(view.value[c].0[i])).sum::<f64>() / count;
+            self.texture += points().map(|i| (f64::from(view.value[c].0[i]) - mean).powi(2)).sum::<f64>();
+            self.residual += points().map(|i| f64::from(residual.residual[1][c].0[i]).powi(2)).sum::<f64>();
+        }
+    }
+
+    fn fits(&self, noise: f64) -> bool {
+        self.points > 0.0
+            && self.fitting >= FITTING_MIN * self.points
+            && self.residual <= NOISE_MAX * noise * self.points + UNEXPLAINED_MAX * self.texture
+    }
+}
+
+/// The largest part that is one surface, where that is not all of it; `of_several`: of what is left of several surfaces.
+pub(super) fn largest_part(
+    surface: &Surface,
+    view: &[ViewGroup],
+    residuals: &[ResidualGroup],
+    of_several: bool,
+) -> Option<Part> {
+    let Surface { relief, shape, levels, .. } = surface;
+    let mut nodes = vec![Node::default(); shape.mean.len()];
+    let common = shape.common_plane();
+    for (index, (node, ray)) in nodes.iter_mut().zip(shape.rays()).enumerate() {
+        let beyond = shape.beyond(index, &common) * relief.inverse_depth_per_px();
+        node.position = ray / (surface.plane.dot(ray) + beyond).max(1e-3);
+    }
+    let groups = levels[0].groups.iter().zip(view).zip(residuals).zip(relief.node_of_group());
+    for (((group, view), residual), &node) in groups {
+        nodes[node].add(group, view, residual);
+    }
+    let kept = largest(&nodes, shape);
+    let sum = |kept_only: bool| -> f64 {
+        let of = nodes.iter().zip(&kept).filter(|(_, kept)| **kept || !kept_only);
+        of.map(|(node, _)| node.points).sum()
+    };
+    let beside_min = if of_several { BESIDE_SEVERAL_MIN } else { BESIDE_MIN };
+    if sum(false) - sum(true) < beside_min * sum(false) {
+        return None;
+    }
+    let plane = plane_through(nodes.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(node, _)| node))?;
+    Some(Part { plane, nodes: kept })
+}
+
+/// The nodes of the part with the most fitting points.
+fn largest(nodes: &[Node], shape: &Shape) -> Vec<bool> {
+    let noise = noise(nodes);
+    let fits: Vec<bool> = nodes.iter().map(|node| node.fits(noise)).collect();
+    let mut part: Vec<usize> = (0..nodes.len()).collect();
+    for &(i, j, _) in shape.edges() {
+        let (a, b) = (&nodes[i], &nodes[j]);
+        if fits[i] && fits[j] && is_one_surface(&a.position, &b.position) {
+            let (from, to) = (part[i], part[j]);
+            part.iter_mut().filter(|part| **part == from).for_each(|part| *part = to);
+        }
+    }
+    let mut fitting = vec![0.0; nodes.len()];
+    (0..nodes.len()).filter(|&i| fits[i]).for_each(|i| fitting[part[i]] += nodes[i].fitting);
+    let best = (0..nodes.len()).max_by(|&a, &b| fitting[a].total_cmp(&fitting[b]));
+    (0..nodes.len()).map(|i| fits[i] && Some(part[i]) == best).collect()
+}
+
+/// Squared residual of a point of the quarter of the nodes that fits best.
+fn noise(nodes: &[Node]) -> f64 {
+    let mut squares: Vec<f64> = nodes.iter().filter(|n| n.points > 0.0).map(|n| n.residual / n.points).collect();
+    squares.sort_unstable_by(f64::total_cmp);
+    squares.get(squares.len() / 4).copied().unwrap_or(0.0)
+}
+
+/// Whether a surface from one point to the other would be no steeper than a surface that can be compared.
+fn is_one_surface(a: &Vector3<f64>, b: &Vector3<f64>) -> bool {
+    let sight = (a + b).normalize();
+    let way = b - a;
+    let deep = way.dot(&sight);
+    deep.abs() <= STEEPEST * (way - sight * deep).norm()
+}
+
+/// The plane with the least squared differences of inverse depth.
+fn plane_through<'a>(nodes: impl Iterator<Item = &'a Node>) -> Option<Vector3<f64>> {
+    let (mut matrix, mut rhs) = (Matrix3::identity() * 1e-9, Vector3::zeros());
+    for node in nodes {
+        let ray = node.position / node.position.z;
+        matrix += ray * ray.transpose() * node.fitting;
+        rhs += ray * (node.fitting / node.position.z);
+    }
+    matrix.cholesky().map(|factor| factor.solve(&rhs))
+}
+
+impl Part {
+    /// Its pixels among those of a region, and those of them that are in the region's `inner` ones and not next to another
+    /// part, by `border_px`.
+    pub(super) fn pixels(&self, relief: &Relief, [mask, inner]: &[RegionMask; 2], border_px: u32) -> [RegionMask; 2] {
+        let patches = relief.patches_of(&self.nodes);
+        let own = RegionMask::from_fn(mask.size(), |x, y| {
+            mask.contains(x as i32, y as i32) && patches[relief.patch_at([f64::from(x), f64::from(y)])]
+        });
+        let eroded = own.erode(border_px);
+        let inside = |x: u32, y: u32| inner.contains(x as i32, y as i32) && eroded.contains(x as i32, y as i32);
+        let inside = RegionMask::from_fn(mask.size(), inside);
+        [own, inside]
+    }
+}

@@ -1,0 +1,153 @@
+//! Where the target is expected in the next frame.
+
+use nalgebra::Vector3;
+use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_geometry::{Pose, so3};
+
+/// What a caller may know of a frame before it is looked at.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FramePrior {
+    /// Motion of the left camera between the last exposure and this one, from the arm: only the target's own motion is then
+    /// left to find.
+    pub cam_left_prev_from_cam_left_now: Option<Pose<CamLeft, CamLeft>>,
+    /// The expected pose, from a filter of the caller; it takes the place of the tracker's own prediction.
+    pub cam_left_from_model: Option<Pose<CamLeft, Model>>,
+    /// Time between the last exposure and this one, seconds; `None`: as between the two before.
+    pub dt_s: Option<f64>,
+}
+
+impl FramePrior {
+    /// Nothing is known but, perhaps, the motion of the camera.
+    pub fn of_motion(cam_left_prev_from_cam_left_now: Option<&Pose<CamLeft, CamLeft>>) -> Self {
+        Self { cam_left_prev_from_cam_left_now: cam_left_prev_from_cam_left_now.copied(), ..Self::default() }
+    }
+}
+
+/// The last pose and how the target moved: its origin at a constant velocity, its axes at a constant angular velocity, both
+/// in a frame that does not move with the camera.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Motion {
+    pub(super) cam_left_from_model: Pose<CamLeft, Model>,
+    /// Metres and radians per unit of time (seconds, or frames where no time is given), in `cam_left`.
+    velocity: Option<(Vector3<f64>, Vector3<f64>)>,
+    /// Units of time between the last two frames.
+    interval: f64,
+}
+
+/// What is left of the velocity after each frame without the target.
+const COASTING: f64 = 0.6;
+/// Longest step that is extrapolated, as a multiple of the last one.
+const STRETCH_MAX: f64 = 8.0;
+
+impl Motion {
+    pub(super) fn resting(cam_left_from_model: Pose<CamLeft, Model>) -> Self {
+        Self { cam_left_from_model, velocity: None, interval: 1.0 }
+    }
+
+    /// Whether a velocity is known.
+    pub(super) fn is_known(&self) -> bool {
+        self.velocity.is_some()
+    }
+
+    /// The pose in the camera frame of the next exposure.
+    pub(super) fn predict(&self, prior: &FramePrior) -> Pose<CamLeft, Model> {
+        if let Some(pose) = prior.cam_left_from_model.filter(Pose::is_finite) {
+            return pose;
+        }
+        let still = prior.cam_left_prev_from_cam_left_now.unwrap_or_else(Pose::coincident).inverse();
+        still * self.advanced(self.step(prior))
+    }
+
+    fn step(&self, prior: &FramePrior) -> f64 {
+        prior.dt_s.filter(|dt| *dt > 0.0 && dt.is_finite()).unwrap_or(self.interval)
+    }
+
+    fn advanced(&self, by: f64) -> Pose<CamLeft, Model> {
+        let Some((linear, angular)) = self.velocity else { return self.cam_left_from_model };
+        let by = by.min(STRETCH_MAX * self.interval);
+        let rotation = so3::exp(&(angular * by)) * self.cam_left_from_model.rotation();
+        let rotation = nalgebra::UnitQuaternion::new_normalize(rotation.into_inner());
+        Pose::from_parts(self.cam_left_from_model.translation_m() + linear * by, rotation)
+    }
+
+    /// Takes over the pose found.
+    pub(super) fn learn(&mut self, found: &Pose<CamLeft, Model>, prior: &FramePrior) {
+        let step = self.step(prior);
+        let prev_from_now = prior.cam_left_prev_from_cam_left_now.unwrap_or_else(Pose::coincident);
+        let in_prev = prev_from_now * *found;
+        let linear = (in_prev.translation_m() - self.cam_left_from_model.translation_m()) / step;
+        let angular = so3::log(&(in_prev.rotation() * self.cam_left_from_model.rotation().inverse())) / step;
+        let turn = prev_from_now.rotation().inverse();
+        self.velocity = Some((turn * linear, turn * angular));
+        (self.cam_left_from_model, self.interval) = (*found, step);
+    }
+
+    /// The target was not found: it is expected where it would have gone, ever slower.
+    pub(super) fn coast(&mut self, prior: &FramePrior) {
+        let (found, step) = (self.predict(prior), self.step(prior));
+        let now_from_prev = prior.cam_left_prev_from_cam_left_now.unwrap_or_else(Pose::coincident).inverse().rotation();
+        self.velocity = self
+            .velocity
+            .map(|(linear, angular)| (now_from_prev * linear * COASTING, now_from_prev * angular * COASTING));
+        (self.cam_left_from_model, self.interval) = (found, step);
+    }
+
+    /// The target was found again: where it is known, how it moves not.
+    pub(super) fn restart(&mut self, found: &Pose<CamLeft, Model>) {
+        *self = Self { interval: self.interval, ..Self::resting(*found) };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector6;
+
+    use super::*;
+
+    fn pose() -> Pose<CamLeft, Model> {
+        Pose::exp(&Vector6::new(0.05, -0.02, 0.5, 0.2, -0.3, 0.5))
+    }
+
+    #[test]
+    fn a_screw_about_the_origin_is_foretold_with_any_time_step() {
+        let at = |t: f64| {
+            let turn = so3::exp(&(Vector3::new(0.4, -0.2, 0.9) * t));
+            Pose::from_parts(pose().translation_m() + Vector3::new(0.3, 0.1, -0.2) * t, turn * pose().rotation())
+        };
+        let mut motion = Motion::resting(at(0.0));
+        let prior = |dt_s| FramePrior { dt_s: Some(dt_s), ..FramePrior::default() };
+        motion.learn(&at(0.04), &prior(0.04));
+        let error = at(0.14).inverse() * motion.predict(&prior(0.10));
+        assert!(error.log().norm() < 1e-9, "{error:?}");
+    }
+
+    #[test]
+    fn known_motion_of_the_camera_is_taken_out() {
+        let prev_from_now: Pose<CamLeft, CamLeft> = Pose::exp(&Vector6::new(0.01, 0.02, -0.01, 0.03, -0.02, 0.04));
+        let prior = FramePrior { cam_left_prev_from_cam_left_now: Some(prev_from_now), ..FramePrior::default() };
+        let mut motion = Motion::resting(pose());
+        let second = prev_from_now.inverse() * pose();
+        assert!((motion.predict(&prior).inverse() * second).log().norm() < 1e-12);
+        motion.learn(&second, &prior);
+        // A target that stands still while the camera moves has no velocity of its own.
+        let third = prev_from_now.inverse() * second;
+        assert!((motion.predict(&prior).inverse() * third).log().norm() < 1e-12);
+    }
+
+    #[test]
+    fn ten_thousand_predictions_stay_a_rigid_motion() {
+        let mut motion = Motion::resting(pose());
+        let prior = FramePrior::default();
+        for frame in 0..10_000 {
+            let wobble = Vector6::new(1e-4, -2e-4, 1e-4, 0.01, 0.02, -0.015) * f64::from(frame % 7);
+            let found = motion.predict(&prior).perturbed_in_from(&(wobble * 0.1));
+            motion.learn(&found, &prior);
+            if frame % 50 == 49 {
+                motion.restart(&pose());
+            }
+        }
+        let rotation = motion.cam_left_from_model.rotation_matrix();
+        assert!((rotation * rotation.transpose() - nalgebra::Matrix3::identity()).norm() < 1e-12);
+        assert!((motion.cam_left_from_model.rotation().norm() - 1.0).abs() < 1e-12);
+    }
+}

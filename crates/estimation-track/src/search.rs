@@ -1,0 +1,291 @@
+//! A lost target is looked for in the whole left image, at an eighth of the resolution, and along the disparities of what
+//! is found there.
+
+use nalgebra::{Isometry3, Point3, Vector2, Vector3};
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::wide::{LANES, wide};
+use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_geometry::{Camera, Pose, StereoRig, so3};
+
+use super::images::{EyeImages, LEVELS, Texel};
+use super::kernels::{CHANNELS, SurfaceGroup, ViewGroup, texel_at};
+use super::relief::Correlation;
+use super::view::View;
+
+/// Points of a template, at most.
+const POINTS_MAX: usize = 64;
+/// Fewer points are no template.
+const POINTS_MIN: usize = 12;
+/// Places kept of each search.
+pub(super) const PLACES: usize = 3;
+/// Depths that are tried, as multiples of the template's.
+const DEPTH_REACH: f64 = 1.6;
+/// Most depths tried.
+const DEPTHS_MAX: usize = 160;
+/// Share of a template that must lie in the image.
+const VISIBLE_MIN: f64 = 0.7;
+
+/// A place in the left image where a template fits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Place {
+    pub(super) cam_left_from_model: Pose<CamLeft, Model>,
+    pub(super) correlation: f64,
+}
+
+/// A point of a template: where it lies from the template's centre, whole pixels of the coarsest level, and its channels.
+#[derive(Clone, Copy, Debug, Default)]
+struct TemplatePoint {
+    offset_px: [i32; 2],
+    value: Texel,
+}
+
+/// Buffers of the search.
+#[derive(Clone, Debug)]
+pub(super) struct Searcher {
+    kernels: Kernels,
+    template: Vec<TemplatePoint>,
+    scores: Vec<f32>,
+}
+
+impl Searcher {
+    /// Room for images of this size.
+    pub(super) fn new(width: u32, height: u32, kernels: Kernels) -> Self {
+        let side = 1_usize << (LEVELS - 1);
+        Self {
+            kernels,
+            template: Vec::with_capacity(POINTS_MAX),
+            scores: Vec::with_capacity((width as usize / side + 1) * (height as usize / side + 1)),
+        }
+    }
+
+    /// The best places of the target, seen with the rotation and at the depth of `hypothesis`, in the left image.
+    pub(super) fn places(
+        &mut self,
+        groups: &[SurfaceGroup],
+        view: &[ViewGroup],
+        hypothesis: &Pose<CamLeft, Model>,
+        left: &EyeImages,
+        camera: &Camera,
+    ) -> [Option<Place>; PLACES] {
+        if !self.make_template(groups, view, hypothesis, camera) {
+            return [None; PLACES];
+        }
+        let plane = &left.levels[LEVELS - 1];
+        let (width, height) = (plane.width, plane.height);
+        self.scores.clear();
+        self.scores.resize(width * height, -1.0);
+        for (y, scores) in self.scores.chunks_exact_mut(width.max(1)).enumerate() {
+            score_row(self.kernels, &self.template, &plane.texels, (width, height), y, scores);
+        }
+        let mut places = [None; PLACES];
+        for place in &mut places {
+            let best = (0..width * height).max_by(|&a, &b| self.scores[a].total_cmp(&self.scores[b]));
+            let Some(best) = best.filter(|&best| self.scores[best] > 0.2) else { break };
+            let (x, y) = (best % width, best / width);
+            *place = self.place(x, y, best, hypothesis, left, camera);
+            for (row, column) in (y.saturating_sub(2)..(y + 3).min(height))
+                .flat_map(|row| (x.saturating_sub(2)..(x + 3).min(width)).map(move |column| (row, column)))
+            {
+                self.scores[row * width + column] = -1.0;
+            }
+        }
+        places
+    }
+
+    fn place(
+        &self,
+        x: usize,
+        y: usize,
+        index: usize,
+        hypothesis: &Pose<CamLeft, Model>,
+        left: &EyeImages,
+        camera: &Camera,
+    ) -> Option<Place> {
+        let side = f64::from(1_u32 << (LEVELS - 1));
+        let raw = |x: usize, origin: i32| f64::from(origin) + (x as f64 + 0.5) * side - 0.5;
+        let ray = camera.unproject(&Vector2::new(raw(x, left.window.x), raw(y, left.window.y))).ok()?;
+        let cam_left_from_model = moved_to_ray(hypothesis, &ray);
+        Some(Place { cam_left_from_model, correlation: f64::from(self.scores[index]) })
+    }
+
+    fn make_template(
+        &mut self,
+        groups: &[SurfaceGroup],
+        view: &[ViewGroup],
+        hypothesis: &Pose<CamLeft, Model>,
+        camera: &Camera,
+    ) -> bool {
+        self.template.clear();
+        let pinhole = camera.pinhole();
+        let frontal = moved_to_ray(hypothesis, &Vector3::z());
+        let count: f32 = view.iter().map(|view| view.valid.sum()).sum();
+        let keep_every = (count as usize).div_ceil(POINTS_MAX).max(1);
+        let side = f64::from(1_u32 << (LEVELS - 1));
+        let mut index = 0;
+        for (group, view) in groups.iter().zip(view) {
+            for i in (0..LANES).filter(|&i| view.valid.0[i] * group.mask.0[i] > 0.0) {
+                index += 1;
+                let point = frontal.transform_point(&Point3::from(group.point.map(|x| f64::from(x.0[i]))));
+                if index % keep_every != 0 || point.z < 1e-3 {
+                    continue;
+                }
+                let offset = [pinhole.fx * point.x / point.z / side, pinhole.fy * point.y / point.z / side];
+                let [y, a, b] = view.value.map(|v| v.0[i]);
+                let value = [y, a, b, 0.0];
+                if self.template.len() < POINTS_MAX {
+                    self.template.push(TemplatePoint { offset_px: offset.map(|x| x.round() as i32), value });
+                }
+            }
+        }
+        self.template.len() >= POINTS_MIN
+    }
+}
+
+/// The hypothesis, seen from the same side and at the same depth, on another ray (third component 1).
+fn moved_to_ray(hypothesis: &Pose<CamLeft, Model>, ray: &Vector3<f64>) -> Pose<CamLeft, Model> {
+    let from = hypothesis.translation_m();
+    let turn = nalgebra::UnitQuaternion::rotation_between(&from, ray).unwrap_or_default();
+    Pose::from_parts(ray * from.z, turn * hypothesis.rotation())
+}
+
+wide! {
+    /// Correlation of the template at the pixels of a row, over all channels.
+    fn score_row(template: &[TemplatePoint], texels: &[Texel], size: (usize, usize), y: usize, scores: &mut [f32]) = score_row_kernel;
+}
+
+#[inline(always)]
+fn score_row_kernel(
+    template: &[TemplatePoint],
+    texels: &[Texel],
+    (width, height): (usize, usize),
+    y: usize,
+    scores: &mut [f32],
+) {
+    for (x, score) in scores.iter_mut().enumerate() {
+        let mut count = 0.0_f32;
+        let mut sums = [[0.0_f32; 4]; 5];
+        for point in template {
+            let (column, row) = (x as i32 + point.offset_px[0], y as i32 + point.offset_px[1]);
+            if column < 0 || row < 0 || column >= width as i32 || row >= height as i32 {
+                continue;
+            }
+            let (a, b) = (&point.value, &texels[row as usize * width + column as usize]);
+            count += 1.0;
+            for c in 0..4 {
+                sums[0][c] += a[c];
+                sums[1][c] += b[c];
+                sums[2][c] += a[c] * a[c];
+                sums[3][c] += b[c] * b[c];
+                sums[4][c] += a[c] * b[c];
+            }
+        }
+        // The fourth lane counts saturated pixels.
+        let (mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0);
+        let [a, b, a2, b2, product] = &sums;
+        for c in 0..CHANNELS {
+            aa += a2[c] - a[c] * a[c] / count;
+            bb += b2[c] - b[c] * b[c] / count;
+            ab += product[c] - a[c] * b[c] / count;
+        }
+        let is_visible = count >= template.len() as f32 * VISIBLE_MIN as f32;
+        *score = if is_visible && aa > 1.0 && bb > 1.0 { ab / (aa * bb).sqrt() } else { -1.0 };
+    }
+}
+
+/// A pose moved along its ray to the distance at which the right image fits the view best.
+pub(super) fn depth_by_stereo(
+    groups: &[SurfaceGroup],
+    view: &[ViewGroup],
+    level: usize,
+    pose: &Pose<CamLeft, Model>,
+    right: &EyeImages,
+    rig: &StereoRig,
+) -> Option<Pose<CamLeft, Model>> {
+    let z = pose.translation_m().z;
+    let focal_baseline = rig.left().pinhole().fx * rig.baseline_m();
+    let (near, far) = (focal_baseline / (z / DEPTH_REACH), focal_baseline / (z * DEPTH_REACH));
+    let step_px = 0.5 * f64::from(1_u32 << level);
+    let count = (((near - far) / step_px).ceil() as usize).clamp(2, DEPTHS_MAX);
+    let mut best: Option<(f64, f64)> = None;
+    for k in 0..count {
+        let disparity = far + (near - far) * k as f64 / (count - 1) as f64;
+        let scale = focal_baseline / disparity / z;
+        let correlation = right_correlation(groups, view, level, pose, scale, right, rig);
+        if best.is_none_or(|(value, _)| correlation > value) {
+            best = Some((correlation, scale));
+        }
+    }
+    let (correlation, scale) = best?;
+    (correlation > 0.2).then(|| Pose::from_parts(pose.translation_m() * scale, pose.rotation()))
+}
+
+/// Correlation with the right image of the surface at another distance.
+fn right_correlation(
+    groups: &[SurfaceGroup],
+    view: &[ViewGroup],
+    level: usize,
+    pose: &Pose<CamLeft, Model>,
+    scale: f64,
+    right: &EyeImages,
+    rig: &StereoRig,
+) -> f64 {
+    let moved: Pose<CamLeft, Model> = Pose::from_parts(pose.translation_m() * scale, pose.rotation());
+    let cam_right: Isometry3<f64> = *(*rig.cam_right_from_cam_left() * moved).isometry();
+    let (mut correlation, mut tried) = (Correlation::default(), 0.0);
+    for (group, view) in groups.iter().zip(view) {
+        for i in (0..LANES).step_by(2).filter(|&i| view.valid.0[i] * group.mask.0[i] > 0.0) {
+            tried += 1.0;
+            let point = cam_right * Point3::from(group.point.map(|x| f64::from(x.0[i])));
+            let Some(pixel) = rig.right().project(&point) else { continue };
+            let at = [pixel.x as f32, pixel.y as f32];
+            if let Some([y, a, b, _]) = texel_at(right, level, at) {
+                correlation.add(1.0, view.value.map(|v| v.0[i]), [y, a, b]);
+            }
+        }
+    }
+    if correlation.count() < VISIBLE_MIN * tried { -1.0 } else { correlation.value() }
+}
+
+/// Turns that are tried about the axis of sight, radians.
+const ROLLS: [f64; 5] = [0.0, 0.35, -0.35, 0.7, -0.7];
+
+/// The `index`-th guess from where the target may be seen: as last seen, and as each view was, each also rolled.
+pub(super) fn hypothesis(index: usize, last: &Pose<CamLeft, Model>, views: &[View]) -> (usize, Pose<CamLeft, Model>) {
+    let sources = views.len() + 1;
+    let (source, roll) = (index % sources, ROLLS[index / sources % ROLLS.len()]);
+    let base = if source == 0 { *last } else { views[source - 1].cam_left_from_model };
+    let axis = base.translation_m().try_normalize(1e-9).unwrap_or_else(Vector3::z);
+    let pose = Pose::from_parts(base.translation_m(), so3::exp(&(axis * roll)) * base.rotation());
+    (source, pose)
+}
+
+/// The pose with its tilt mirrored: the normal is on the other side of the axis of sight.
+pub(super) fn mirrored(pose: &Pose<CamLeft, Model>) -> Pose<CamLeft, Model> {
+    let normal = pose.rotation() * Vector3::z();
+    let sight = pose.translation_m().try_normalize(1e-9).unwrap_or_else(Vector3::z);
+    let opposite = sight * (2.0 * normal.dot(&sight)) - normal;
+    let turn = nalgebra::UnitQuaternion::rotation_between(&normal, &opposite).unwrap_or_default();
+    Pose::from_parts(pose.translation_m(), turn * pose.rotation())
+}
+
+/// How many different guesses there are.
+pub(super) fn hypotheses(views: usize) -> usize {
+    (views + 1) * ROLLS.len()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mirrored_tilt_is_as_large_on_the_other_side() {
+        let pose: Pose<CamLeft, Model> =
+            Pose::from_parts(Vector3::new(0.1, -0.05, 0.5), so3::exp(&Vector3::new(0.3, -0.2, 0.6)));
+        let other = mirrored(&pose);
+        let sight = pose.translation_m().normalize();
+        let [own, opposite] = [&pose, &other].map(|pose| pose.rotation() * Vector3::z());
+        assert!((own.dot(&sight) - opposite.dot(&sight)).abs() < 1e-12);
+        assert!((own + opposite).cross(&sight).norm() < 1e-12 && own.angle(&opposite) > 0.3);
+        assert!((mirrored(&other).inverse() * pose).log().norm() < 1e-9, "twice is nothing");
+    }
+}

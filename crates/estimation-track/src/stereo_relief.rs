@@ -1,0 +1,81 @@
+//! The relief from the first pair.
+
+use nalgebra::Vector3;
+use pb3dp_estimation_core::wide::LANES;
+
+use super::align::{Aligner, Estimate, Problem, StartLevel};
+use super::kernels::SHAPE;
+use super::normal::Free;
+use super::relief::{Correlation, patches_of};
+
+/// Step between candidate offsets, pixels of disparity, and how many standard deviations they reach.
+const STEP_PX: f64 = 0.5;
+const REACH_SIGMAS: f64 = 5.0;
+/// Levels whose points take part in the choice between candidates.
+const LEVELS_USED: usize = 2;
+/// Most rounds of refinement, and the move (root mean square over the patches, pixels) after which none follows.
+const ROUNDS: usize = 40;
+const MOVE_DONE_PX: f64 = 0.003;
+
+/// Finds the relief between candidates, then refines plane and patches in turn. The pose is held: it is the definition of
+/// the frame `model`.
+pub(super) fn find(aligner: &mut Aligner, problem: &mut Problem<'_>, estimate: &mut Estimate, sigma_px: f64) {
+    if sigma_px > 0.0 {
+        choose(aligner, problem, estimate, sigma_px);
+    } else {
+        problem.surface.relief.hold_flat();
+    }
+    for _ in 0..ROUNDS {
+        let Some(aligned) =
+            aligner.align(problem, estimate, 0..=0, (StartLevel::Coarsest, Free::Surface, 1), &mut || true)
+        else {
+            return;
+        };
+        let step: Vector3<f64> = aligned.last.unknowns.fixed_rows::<3>(SHAPE).into_owned();
+        problem.surface.plane += step;
+        problem.surface.rebuild();
+        let Some(equations) = aligner.examine(problem, estimate, &estimate.variance, false) else { return };
+        let Some(equations) = equations.inverse(&problem.prior(estimate), Free::Row) else { return };
+        let surface = &mut *problem.surface;
+        surface.restart_shape();
+        surface.shape.read(&equations, &aligner.scores, surface.relief.inverse_depth_per_px());
+        if !surface.shape.learn_all() {
+            return;
+        }
+        surface.take_shape();
+        if surface.shape.moved_px() < MOVE_DONE_PX {
+            return;
+        }
+    }
+}
+
+fn choose(aligner: &mut Aligner, problem: &mut Problem<'_>, estimate: &Estimate, sigma_px: f64) {
+    let count = (REACH_SIGMAS * sigma_px / STEP_PX).ceil() as i32;
+    let candidates_px: Vec<f64> = (-count..=count).map(|i| f64::from(i) * STEP_PX).collect();
+    let patches = problem.surface.relief.patches();
+    let mut correlations = vec![vec![Correlation::default(); candidates_px.len()]; patches];
+    for (index, &offset_px) in candidates_px.iter().enumerate() {
+        problem.surface.relief.set_all(offset_px);
+        problem.surface.rebuild();
+        for level in 0..LEVELS_USED {
+            if aligner.look(problem, estimate, level, &estimate.photometry()).is_none() {
+                continue;
+            }
+            let weight = if level == 0 { 1.0 } else { 2.0 };
+            for (group, seen) in aligner.seen[level].iter().enumerate() {
+                let view = &problem.view.levels[level][group];
+                let place = &problem.surface.levels[level].places[group];
+                let pixels = (0..LANES).map(|i| place.pixel.map(|x| f64::from(x.0[i])));
+                for (i, patch) in patches_of(&problem.surface.relief, pixels).into_iter().enumerate() {
+                    if patch < patches && seen[1].valid.0[i] * view.valid.0[i] > 0.0 {
+                        let (kept, now) = (view.value.map(|v| v.0[i]), seen[1].value.map(|v| v.0[i]));
+                        correlations[patch][index].add(weight, kept, now);
+                    }
+                }
+            }
+        }
+    }
+    let costs: Vec<Vec<f64>> = correlations.iter().map(|patch| patch.iter().map(Correlation::cost).collect()).collect();
+    problem.surface.relief.take_best(&candidates_px, &costs, sigma_px);
+    problem.surface.rebuild();
+}

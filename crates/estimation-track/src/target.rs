@@ -1,0 +1,594 @@
+//! One target: its surface, its views, and what is known of it.
+
+use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector2};
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::wide::LANES;
+use pb3dp_estimation_direct::image_plane::PixelWindow;
+use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_geometry::{Camera, Pose, StereoRig};
+
+use super::align::{Aligned, Aligner, Estimate, Knowledge, Problem, StartLevel};
+use super::config::DirectTrackerConfig;
+use super::distinct::independent_points;
+use super::export::SurfacePoint;
+use super::images::{EyeImages, LEVELS};
+use super::judge::{Fit, Limits, Misfit};
+use super::kernels::{CHANNELS, ROW, TERMS};
+use super::normal::{Free, NormalEquations};
+use super::one_surface::{Part, largest_part};
+use super::predict::{FramePrior, Motion};
+use super::reach::{Sighting, in_sight};
+use super::search::{PLACES, Place, Searcher, depth_by_stereo, hypotheses, hypothesis, mirrored};
+use super::shape::Shares;
+use super::stereo_relief;
+use super::surface::Surface;
+use super::view::View;
+
+/// What is taken over of a frame's information about the surface: all frames share the noise of the kept view. Disparities
+/// between left and right, which tell the relief, hardly have any of it. What tells the plane's tilt from the pose's is the
+/// view alone: half of the variance is its own, so that any number of frames tells no more than two of them would without it.
+const SHARES: Shares = Shares { relief: 0.5, plane: 0.15, plane_in_all: 2.0 };
+/// As above, about the row offset, and the most that is believed of it (0.01 px).
+const ROW_SHARE: f64 = 0.02;
+const ROW_INFORMATION_MAX: f64 = 1e4;
+/// Variances of residuals are judged by those of frames that fitted, times this.
+const VARIANCE_SLACK: f32 = 3.0;
+/// How fast the reference follows.
+const REFERENCE_RATE: f32 = 0.05;
+/// Least share of the model that must be visible.
+const VISIBLE_MIN: f64 = 0.35;
+/// A fit is as good as noise allows from these shares on: of the expected correlation, of inliers.
+const WELL_CORRELATED: f64 = 0.96;
+const WELL_FITTING: f64 = 0.88;
+/// Templates per frame while the target is lost, and places that are looked into.
+const TEMPLATES_PER_FRAME: usize = 7;
+const CANDIDATES: usize = 4;
+/// Steps per level of a first look into a place, and the correlation that it must reach.
+const ROUGH_STEPS: usize = 6;
+const ROUGH_RESEMBLANCE_MIN: f64 = 0.5;
+/// A target and its twin are farther apart than this, metres, and one is clearly nearer than the other by this factor.
+const APART_M: f64 = 0.02;
+const CLEARLY_NEARER: f64 = 2.0;
+/// A target that is found again must fit by this much better than one that was never lost.
+const FOUND_AGAIN_STRICTER: f64 = 1.25;
+/// Range of the shading's standard deviation, grey levels.
+const PATCH_SIGMA: (f64, f64) = (0.5, 30.0);
+const PATCH_SIGMA_RATE: f64 = 0.2;
+
+/// What a frame is looked at with.
+pub(super) struct Frame<'a> {
+    pub(super) images: &'a [EyeImages; 2],
+    pub(super) rig: &'a StereoRig,
+    pub(super) config: &'a DirectTrackerConfig,
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct Target {
+    pub(super) surface: Surface,
+    /// Views in use; the first is the start.
+    pub(super) views: Vec<View>,
+    /// Views to come, made beforehand so that keeping one takes no memory.
+    spare_views: Vec<View>,
+    view: usize,
+    aligner: Aligner,
+    searcher: Searcher,
+    pub(super) estimate: Estimate,
+    knowledge: Knowledge,
+    pub(super) motion: Motion,
+    pub(super) frame: u64,
+    pub(super) lost_frames: u32,
+    /// Time since the target was last found, seconds.
+    pub(super) away_s: f64,
+    pub(super) outline_in_model: Vec<Point3<f64>>,
+    pub(super) covariance: Option<Matrix6<f64>>,
+    pub(super) fit: Fit,
+    reference: [[f32; CHANNELS]; TERMS],
+    /// How many independent points the texture is worth.
+    independent_points: f64,
+    /// Whether the first pair shows something else that could be taken for the target.
+    has_twin: bool,
+}
+
+/// How a frame ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Ending {
+    /// The pose was found and fits.
+    Found,
+    /// It does not fit.
+    Misfit(Misfit),
+    /// Too little of where the target is expected is in sight to say anything.
+    OutOfSight,
+    /// The target is expected in sight, and nothing resembles it.
+    NothingAlike,
+    /// An eye (0 left, 1 right) delivers its last picture again.
+    Stuck(usize),
+    /// What resembles the target is farther from where it was than it can have moved, or resembles it too little for that.
+    OutOfReach,
+}
+
+impl Target {
+    /// A target whose surface is near `surface`'s plane, in the first pair (both windows loaded).
+    pub(super) fn first(
+        mut surface: Surface,
+        pose: Pose<CamLeft, Model>,
+        outline_in_model: Vec<Point3<f64>>,
+        frame: &Frame<'_>,
+        kernels: Kernels,
+    ) -> Self {
+        let aligner = Aligner::new(&surface, kernels);
+        let blank = View::empty(std::array::from_fn(|level| surface.levels[level].groups.len()));
+        surface.rebuild();
+        let size = frame.rig.left().size();
+        let mut target = Self {
+            surface,
+            views: Vec::with_capacity(frame.config.views_max),
+            spare_views: vec![blank; frame.config.views_max],
+            view: 0,
+            aligner,
+            searcher: Searcher::new(size.width, size.height, kernels),
+            estimate: Estimate::at(pose),
+            knowledge: Knowledge {
+                row_offset_px: 0.0,
+                row_information: 4.0,
+                shape_information: Matrix3::identity() * 1e-3,
+            },
+            motion: Motion::resting(pose),
+            frame: 0,
+            lost_frames: 0,
+            away_s: 0.0,
+            outline_in_model,
+            covariance: None,
+            fit: Fit::default(),
+            reference: [[0.0; CHANNELS]; TERMS],
+            independent_points: 0.0,
+            has_twin: false,
+        };
+        target.keep_view(frame, false);
+        target.independent_points = independent_points(&target.surface.levels[0], &target.views[0].levels[0]);
+        target.find_relief(frame);
+        target
+    }
+
+    fn find_relief(&mut self, frame: &Frame<'_>) {
+        let Self { surface, views, aligner, estimate, knowledge, .. } = self;
+        let Some(view) = views.first() else { return };
+        let mut problem = Problem { surface, view, images: frame.images, rig: frame.rig, knowledge };
+        stereo_relief::find(aligner, &mut problem, estimate, frame.config.relief_sigma_px);
+        // The view is the left image itself: it differs from it as little as from the right one by noise alone.
+        estimate.variance[0] = estimate.variance[1];
+        self.reference = self.estimate.variance;
+        if let Some(equations) = self.examine(frame, false) {
+            self.judge();
+            self.conclude(&equations, false);
+        }
+    }
+
+    /// The largest part of the region that is one surface, where that is not all of it; `of_several`: of what is left of
+    /// several surfaces.
+    pub(super) fn largest_part(&self, of_several: bool) -> Option<Part> {
+        largest_part(&self.surface, &self.views[0].levels[0], &self.aligner.residuals, of_several)
+    }
+
+    /// Looks for others that look the same, in the whole first pair.
+    pub(super) fn look_for_twins(&mut self, frame: &Frame<'_>) {
+        let (estimate, fit) = (self.estimate, self.fit);
+        let own = estimate.cam_left_from_model;
+        let limits = self.limits(frame.config).stricter(FOUND_AGAIN_STRICTER);
+        for index in 0..hypotheses(0) {
+            let (_, turned) = hypothesis(index, &own, &[]);
+            for place in self.places_of(0, &turned, frame).into_iter().flatten() {
+                self.estimate = estimate;
+                let fits = self.look_into((place, true), frame, &mut || true).is_ok();
+                self.has_twin |= fits && self.fit.misfit(&limits).is_none() && self.sighting(&own).is_another();
+            }
+        }
+        self.view = 0;
+        (self.estimate, self.fit) = (estimate, fit);
+    }
+
+    /// The points of the surface, as the first view showed them.
+    pub(super) fn surface_points(&self) -> Vec<SurfacePoint> {
+        let (groups, view) = (&self.surface.levels[0].groups, &self.views[0].levels[0]);
+        let lanes = groups.iter().zip(view).flat_map(|(group, view)| {
+            (0..LANES).filter(|&i| group.mask.0[i] > 0.0).map(move |i| SurfacePoint::of(group, view, i))
+        });
+        lanes.collect()
+    }
+
+    /// Aligns from a predicted pose, and judges.
+    pub(super) fn follow(
+        &mut self,
+        predicted: &Pose<CamLeft, Model>,
+        frame: &Frame<'_>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Ending {
+        self.view = self.nearest_view(predicted, frame.config).0;
+        let mut found = self.attempt(predicted, StartLevel::Resembling, frame, may_continue);
+        if !found.as_ref().is_some_and(|_| self.fits_well()) && may_continue() {
+            found = self.or_better(found, (predicted, StartLevel::Coarsest), frame, may_continue);
+        }
+        let found = self.or_mirrored(found, frame, may_continue);
+        let Some(equations) = found else { return Ending::OutOfSight };
+        if let Some(misfit) = self.fit.misfit(&self.limits(frame.config)) {
+            return Ending::Misfit(misfit);
+        }
+        if !self.fits_well() && !self.sighting(predicted).can_have_moved() {
+            return Ending::OutOfReach;
+        }
+        self.learn(&equations);
+        Ending::Found
+    }
+
+    /// What was found, or what another start finds if that fits better.
+    fn or_better(
+        &mut self,
+        found: Option<NormalEquations>,
+        (from, start): (&Pose<CamLeft, Model>, StartLevel),
+        frame: &Frame<'_>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Option<NormalEquations> {
+        let (estimate, fit) = (self.estimate, self.fit);
+        let other = self.attempt(from, start, frame, may_continue);
+        let Some(found) = found else { return other };
+        if other.is_some() && self.fit.goodness() > fit.goodness() {
+            return other;
+        }
+        (self.estimate, self.fit) = (estimate, fit);
+        Some(self.examine(frame, false).unwrap_or(found))
+    }
+
+    /// What was found, or the same with the tilt mirrored if that fits better. To one eye a small target looks nearly the
+    /// same either way; if the images do not agree, an alignment may have ended at the wrong one of the two.
+    fn or_mirrored(
+        &mut self,
+        found: Option<NormalEquations>,
+        frame: &Frame<'_>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Option<NormalEquations> {
+        let mirrored = mirrored(&self.estimate.cam_left_from_model);
+        if found.is_none() || self.fits_well() || !self.fit.images_disagree() || !may_continue() {
+            return found;
+        }
+        self.or_better(found, (&mirrored, StartLevel::Resembling), frame, may_continue)
+    }
+
+    /// One alignment from a pose, examined and judged by [`Self::fit`].
+    fn attempt(
+        &mut self,
+        from: &Pose<CamLeft, Model>,
+        start: StartLevel,
+        frame: &Frame<'_>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Option<NormalEquations> {
+        self.estimate.cam_left_from_model = *from;
+        let aligned = self.align(frame, start, Free::Motion, may_continue)?;
+        let equations = self.examine(frame, aligned.has_converged)?;
+        self.judge();
+        Some(equations)
+    }
+
+    /// Whether the fit is as good as noise allows, so that nothing better is to be looked for.
+    fn fits_well(&self) -> bool {
+        let relative = |eye: usize| self.fit.correlation[eye] / self.fit.correlation_expected[eye];
+        relative(0).min(relative(1)) >= WELL_CORRELATED
+            && self.fit.inlier_share[0].min(self.fit.inlier_share[1]) >= WELL_FITTING
+    }
+
+    fn problem<'a>(&'a mut self, frame: &'a Frame<'_>) -> (Problem<'a>, &'a mut Aligner, &'a mut Estimate) {
+        let Self { surface, views, view, aligner, estimate, knowledge, .. } = self;
+        (Problem { surface, view: &views[*view], images: frame.images, rig: frame.rig, knowledge }, aligner, estimate)
+    }
+
+    fn align(
+        &mut self,
+        frame: &Frame<'_>,
+        start: StartLevel,
+        free: Free,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Option<Aligned> {
+        let steps_max = frame.config.steps_max;
+        let (mut problem, aligner, estimate) = self.problem(frame);
+        aligner.align(&mut problem, estimate, 0..=LEVELS - 1, (start, free, steps_max), may_continue)
+    }
+
+    fn examine(&mut self, frame: &Frame<'_>, is_fresh: bool) -> Option<NormalEquations> {
+        let most = self.reference.map(|term| term.map(|v| v * VARIANCE_SLACK));
+        let (problem, aligner, estimate) = self.problem(frame);
+        aligner.examine(&problem, estimate, &most, is_fresh)
+    }
+
+    fn limits(&self, config: &DirectTrackerConfig) -> Limits {
+        let limits = Limits {
+            inlier_share_min: config.inlier_share_min,
+            correlation_min: config.correlation_min,
+            visible_share_min: VISIBLE_MIN,
+        };
+        limits.stricter(if self.lost_frames > 0 { FOUND_AGAIN_STRICTER } else { 1.0 })
+    }
+
+    fn judge(&mut self) {
+        let view = &self.views[self.view].levels[0];
+        let points = self.surface.points() as f64;
+        let Aligner { seen, residuals, .. } = &self.aligner;
+        let correlations = self.aligner.correlate(view);
+        self.fit = Fit::measure(&seen[0], view, residuals, &correlations, points, &self.reference);
+    }
+
+    /// Says how sure the pose is; if the frame `learns`, takes over what it says about the surface, and corrects the pose.
+    fn conclude(&mut self, equations: &NormalEquations, learns: bool) {
+        let Self { surface, aligner, estimate, knowledge, .. } = self;
+        self.covariance = None;
+        let Some(equations) = equations.inverse(&knowledge.prior(estimate), Free::Motion) else { return };
+        let depth_sigma = surface.relief.depth_sigma();
+        let Some(covariance) = equations.pose_covariance(&aligner.scores, depth_sigma) else { return };
+        surface.shape.read(&equations, &aligner.scores, surface.relief.inverse_depth_per_px());
+        let is_known = if learns { surface.shape.learn(&SHARES) } else { surface.shape.hold() };
+        if !is_known {
+            return;
+        }
+        let (step, open) = surface.shape.pose();
+        self.covariance = Some(covariance + open);
+        if learns {
+            estimate.cam_left_from_model = estimate.cam_left_from_model.perturbed_in_from(&step);
+            surface.take_shape();
+        }
+        let row = equations.inverse[(ROW, ROW)];
+        let gained = (1.0 / row - knowledge.row_information).max(0.0);
+        knowledge.row_information = (knowledge.row_information + ROW_SHARE * gained).min(ROW_INFORMATION_MAX);
+        knowledge.row_offset_px = estimate.row_offset_px;
+    }
+
+    /// Takes over what the frame says about surface, row offset, noise and shading. Later views hang on poses that were
+    /// found, errors included, so they say nothing about the surface: what they would say is their own error.
+    fn learn(&mut self, equations: &NormalEquations) {
+        let fits_well = self.fits_well();
+        self.conclude(equations, fits_well && self.view == 0);
+        let Self { aligner, estimate, reference, .. } = self;
+        if !fits_well {
+            return;
+        }
+        for (old, new) in reference.iter_mut().flatten().zip(estimate.variance.iter().flatten()) {
+            *old += REFERENCE_RATE * (new.min(VARIANCE_SLACK * *old) - *old);
+        }
+        let spread = aligner.patch_spread().clamp(PATCH_SIGMA.0, PATCH_SIGMA.1);
+        estimate.patch_sigma += PATCH_SIGMA_RATE * (spread - estimate.patch_sigma);
+    }
+
+    /// The view nearest to a pose, and how far it is: 1 where a new view is due.
+    fn nearest_view(&self, pose: &Pose<CamLeft, Model>, config: &DirectTrackerConfig) -> (usize, f64) {
+        let distance = |view: &View| view.distance(pose, config.view_turn_deg.to_radians(), config.view_scale);
+        let mut best = (0, f64::MAX);
+        for (index, view) in self.views.iter().enumerate() {
+            let distance = distance(view);
+            if distance < best.1 {
+                best = (index, distance);
+            }
+        }
+        best
+    }
+
+    /// Ends a frame in which the target was found: motion, and a new view if all are far.
+    pub(super) fn accept(&mut self, frame: &Frame<'_>, prior: &FramePrior) {
+        let pose = self.estimate.cam_left_from_model;
+        if self.lost_frames > 0 {
+            self.motion.restart(&pose);
+        } else {
+            self.motion.learn(&pose, prior);
+        }
+        (self.lost_frames, self.away_s) = (0, 0.0);
+        self.views[self.view].last_used = self.frame;
+        if self.fits_well() && self.nearest_view(&pose, frame.config).1 > 1.0 {
+            self.keep_view(frame, true);
+        }
+    }
+
+    /// Keeps the present left image as a view; with all places taken, in the place of the one that served longest ago.
+    fn keep_view(&mut self, frame: &Frame<'_>, only_fitting: bool) {
+        let pose = self.estimate.cam_left_from_model;
+        let index = if let Some(view) = self.spare_views.pop() {
+            self.views.push(view);
+            self.views.len() - 1
+        } else {
+            let oldest = (1..self.views.len()).min_by_key(|&i| self.views[i].last_used);
+            let Some(oldest) = oldest else { return };
+            oldest
+        };
+        for level in 0..LEVELS {
+            self.aligner.project_left(&mut self.surface, level, frame.rig, &pose);
+            let fitting = (only_fitting && level == 0).then_some(self.aligner.residuals.as_slice());
+            self.views[index].take_level(level, &frame.images[0], &self.aligner.seen[level], fitting);
+        }
+        self.views[index].cam_left_from_model = pose;
+        self.views[index].last_used = self.frame;
+    }
+
+    /// Looks for a lost target in whole images.
+    pub(super) fn search(
+        &mut self,
+        predicted: &Pose<CamLeft, Model>,
+        frame: &Frame<'_>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Ending {
+        let before = self.estimate;
+        let is_outside = in_sight(&self.outline_in_model, predicted, frame.rig) < VISIBLE_MIN;
+        let mut ending = if is_outside { Ending::OutOfSight } else { Ending::NothingAlike };
+        let mut candidates: [Option<(Place, bool)>; CANDIDATES + 1] = [None; CANDIDATES + 1];
+        candidates[0] = Some((Place { cam_left_from_model: *predicted, correlation: 1.0 }, false));
+        for place in self.places(frame).into_iter().flatten() {
+            insert(&mut candidates, place);
+        }
+        let mut alike: [Option<Alike>; CANDIDATES + 1] = [None; CANDIDATES + 1];
+        for (candidate, alike) in candidates.into_iter().flatten().zip(&mut alike) {
+            if !may_continue() {
+                break;
+            }
+            self.estimate = before;
+            match self.look_into(candidate, frame, may_continue) {
+                Ok(equations) if self.sighting(predicted).can_be_the_target() => {
+                    self.conclude(&equations, false);
+                    return Ending::Found;
+                }
+                Ok(_) => {
+                    ending = Ending::OutOfReach;
+                    let sighting = self.sighting(predicted);
+                    let (view, way_m, estimate, fit) = (self.view, sighting.way_m, self.estimate, self.fit);
+                    *alike = sighting.is_one_of_two().then_some(Alike { view, way_m, estimate, fit });
+                }
+                Err(Ending::OutOfSight) => {}
+                Err(other) => ending = other,
+            }
+        }
+        if let Some(own) = nearest_of_several(&alike) {
+            (self.view, self.estimate, self.fit) = (own.view, own.estimate, own.fit);
+            if let Some(equations) = self.examine(frame, false) {
+                self.conclude(&equations, false);
+                return Ending::Found;
+            }
+        }
+        self.estimate = before;
+        ending
+    }
+
+    /// Aligns at a place of the search, and judges.
+    fn look_into(
+        &mut self,
+        (place, with_depth): (Place, bool),
+        frame: &Frame<'_>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<NormalEquations, Ending> {
+        let before = self.estimate;
+        let at = place.cam_left_from_model;
+        let start = if with_depth { self.with_depth(&at, frame) } else { Some(at) }.ok_or(Ending::OutOfSight)?;
+        self.view = self.nearest_view(&start, frame.config).0;
+        let rough = self.rough(&start, frame, may_continue).ok_or(Ending::OutOfSight)?;
+        self.estimate = before;
+        let found = self.attempt(&rough, StartLevel::Resembling, frame, may_continue);
+        let equations = self.or_mirrored(found, frame, may_continue).ok_or(Ending::OutOfSight)?;
+        self.fit.misfit(&self.limits(frame.config)).map_or(Ok(equations), |misfit| Err(Ending::Misfit(misfit)))
+    }
+
+    /// Whether the first pair shows one surface beyond doubt.
+    pub(super) fn is_a_surface(&self) -> bool {
+        self.fit.is_a_surface(self.independent_points)
+    }
+
+    /// The estimate, where the target was expected elsewhere.
+    fn sighting(&self, expected: &Pose<CamLeft, Model>) -> Sighting<'_> {
+        let found = &self.estimate.cam_left_from_model;
+        Sighting {
+            fit: &self.fit,
+            independent: self.independent_points,
+            way_m: (found.translation_m() - expected.translation_m()).norm(),
+            turn_rad: found.rotation().angle_to(&expected.rotation()),
+            away_s: self.away_s,
+            has_twin: self.has_twin,
+        }
+    }
+
+    /// A few steps at coarse levels: a place that then does not resemble the target is not worth more.
+    fn rough(
+        &mut self,
+        start: &Pose<CamLeft, Model>,
+        frame: &Frame<'_>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Option<Pose<CamLeft, Model>> {
+        self.estimate.cam_left_from_model = *start;
+        let (mut problem, aligner, estimate) = self.problem(frame);
+        let how = (StartLevel::Coarsest, Free::Motion, ROUGH_STEPS);
+        aligner.align(&mut problem, estimate, 1..=LEVELS - 1, how, may_continue)?;
+        aligner.look(&problem, estimate, 1, &estimate.photometry())?;
+        (aligner.resemblance(&problem, 1) >= ROUGH_RESEMBLANCE_MIN).then_some(estimate.cam_left_from_model)
+    }
+
+    fn with_depth(&self, pose: &Pose<CamLeft, Model>, frame: &Frame<'_>) -> Option<Pose<CamLeft, Model>> {
+        const LEVEL: usize = 2;
+        let view = self.nearest_view(pose, frame.config).0;
+        let (groups, view) = (&self.surface.levels[LEVEL].groups, &self.views[view].levels[LEVEL]);
+        depth_by_stereo(groups, view, LEVEL, pose, &frame.images[1], frame.rig)
+    }
+
+    /// Places that this frame's share of the templates finds.
+    fn places(&mut self, frame: &Frame<'_>) -> [Option<Place>; PLACES * TEMPLATES_PER_FRAME] {
+        let mut all = [None; PLACES * TEMPLATES_PER_FRAME];
+        let count = hypotheses(self.views.len());
+        let last = self.motion.cam_left_from_model;
+        let nearest = self.nearest_view(&last, frame.config).0;
+        for turn in 0..TEMPLATES_PER_FRAME.min(count) {
+            let others = (self.lost_frames as usize * (TEMPLATES_PER_FRAME - 1) + turn).saturating_sub(1);
+            let index = if turn == 0 { 0 } else { 1 + others % (count - 1) };
+            let (source, pose) = hypothesis(index, &last, &self.views);
+            let view = if source == 0 { nearest } else { source - 1 };
+            let found = self.places_of(view, &pose, frame);
+            all[turn * PLACES..(turn + 1) * PLACES].copy_from_slice(&found);
+        }
+        all
+    }
+
+    /// Places in the left image that look like a view of the target from this pose.
+    fn places_of(&mut self, view: usize, pose: &Pose<CamLeft, Model>, frame: &Frame<'_>) -> [Option<Place>; PLACES] {
+        const LEVEL: usize = LEVELS - 1;
+        let (groups, view) = (&self.surface.levels[LEVEL].groups, &self.views[view].levels[LEVEL]);
+        self.searcher.places(groups, view, pose, &frame.images[0], frame.rig.left())
+    }
+}
+
+/// Something that looks like the target as much as its twin does.
+#[derive(Clone, Copy, Debug)]
+struct Alike {
+    view: usize,
+    /// From where the target is expected, metres.
+    way_m: f64,
+    estimate: Estimate,
+    fit: Fit,
+}
+
+/// The target, if it and its twin are both in sight and it is clearly nearer to where it is expected. One alone may be either.
+fn nearest_of_several(alike: &[Option<Alike>]) -> Option<Alike> {
+    let all = || alike.iter().flatten();
+    let nearest = all().min_by(|a, b| a.way_m.total_cmp(&b.way_m))?;
+    let place = |alike: &Alike| alike.estimate.cam_left_from_model.translation_m();
+    let mut others = all().filter(|other| (place(other) - place(nearest)).norm() > APART_M).peekable();
+    let is_clear = others.peek().is_some() && others.all(|other| other.way_m > CLEARLY_NEARER * nearest.way_m);
+    is_clear.then_some(*nearest)
+}
+
+/// Keeps the best places behind the prediction, best first; a place next to a better one is not kept.
+fn insert(candidates: &mut [Option<(Place, bool)>; CANDIDATES + 1], place: Place) {
+    let at = place.cam_left_from_model.translation_m();
+    let near = |other: &Place| (other.cam_left_from_model.translation_m() - at).norm() < 0.02 * at.z.abs();
+    let Some(index) =
+        (1..=CANDIDATES).find(|&i| candidates[i].is_none_or(|(other, _)| other.correlation < place.correlation))
+    else {
+        return;
+    };
+    if (1..index).any(|i| candidates[i].is_some_and(|(other, _)| near(&other))) {
+        return;
+    }
+    candidates[index..].rotate_right(1);
+    candidates[index] = Some((place, true));
+}
+
+/// Box around the target in an image.
+pub(super) fn window(
+    outline_in_model: &[Point3<f64>],
+    camera: &Camera,
+    cam_from_model: &Isometry3<f64>,
+) -> PixelWindow {
+    let (mut low, mut high) = (Vector2::repeat(f64::MAX), Vector2::repeat(f64::MIN));
+    for point in outline_in_model {
+        if let Some(px) = camera.project(&(cam_from_model * point)) {
+            (low, high) = (low.inf(&px), high.sup(&px));
+        }
+    }
+    if low.x > high.x {
+        return PixelWindow::default();
+    }
+    let most = 2.0 * f64::from(camera.size().width.max(camera.size().height));
+    let (low, high) = (low.map(|x| x.clamp(-most, most)), high.map(|x| x.clamp(-most, most)));
+    PixelWindow {
+        x: low.x.floor() as i32,
+        y: low.y.floor() as i32,
+        width: (high.x - low.x).ceil() as usize + 1,
+        height: (high.y - low.y).ceil() as usize + 1,
+    }
+}

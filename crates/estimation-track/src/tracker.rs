@@ -1,0 +1,560 @@
+//! From frame to frame: the tracker that callers see.
+
+use std::fmt::Write;
+
+use image::RgbImage;
+use nalgebra::{Matrix6, Point3, Vector2, Vector3};
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::error::EstimationError;
+use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose, TrackEstimate};
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::{Region, RegionConfig, RegionMask};
+use pb3dp_estimation_core::status::Status;
+use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
+use pb3dp_estimation_direct::image_plane::PixelWindow;
+use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_geometry::{Pose, StereoRig};
+
+use super::config::DirectTrackerConfig;
+use super::export::SurfacePoint;
+use super::images::EyeImages;
+use super::judge::Fit;
+use super::predict::FramePrior;
+use super::repeated::{Remembered, stuck_eye};
+use super::surface::{Surface, model_frame};
+use super::target::{Ending, Frame, Target};
+
+/// Margins of the windows about the predicted target, pixels: with a velocity known, and without.
+const MARGIN_PX: u32 = 24;
+const MARGIN_UNSURE_PX: u32 = 48;
+/// Time between frames where the caller does not tell it, seconds.
+const USUAL_INTERVAL_S: f64 = 1.0 / 30.0;
+/// Margin at the start: the relief may reach beyond the plane's outline in the right image.
+const MARGIN_START_PX: u32 = 40;
+
+/// Follows one target in six degrees of freedom.
+///
+/// [`Self::start`] finds the target's plane and relief in the first pair and keeps its view. Each [`Self::update`] finds the
+/// pose at which a kept view explains both images of the next pair (gains and offsets of both cameras, the row offset of the
+/// right one, and what is still open about the surface are unknowns beside the pose), judges it, and keeps a new view where
+/// none is near. A pose that does not fit is not given: the status is `lost`, and from that very frame on the target is
+/// looked for in the whole image.
+///
+/// Frame `model`: origin in the plane on the ray of the region's centroid in the first left image, z along the plane's normal
+/// away from the camera, x the image's x axis projected into the plane. The pose of the first frame is this definition; all
+/// later ones are measured. Where the region shows several surfaces, one of them is followed, and the centroid is that of
+/// its pixels.
+///
+/// The covariance is that of `xi = [rho; phi]` (metres, radians; axes of `model`) in `true = found * exp(xi)`, see
+/// [`Pose::perturbed_in_from`]; it contains what is open about the surface since the first frame, and is widened where
+/// residuals of neighbouring points agree more than noise would.
+///
+/// Several targets are several trackers on the same pair: they share nothing, and cost adds up.
+#[derive(Clone, Debug)]
+pub struct DirectTracker {
+    rig: StereoRig,
+    config: DirectTrackerConfig,
+    kernels: Kernels,
+    estimator: DirectEstimator,
+    region_config: RegionConfig,
+    images: [EyeImages; 2],
+    /// Where the last frame showed the target.
+    remembered: [Remembered; 2],
+    target: Option<Target>,
+    was_started: bool,
+}
+
+impl DirectTracker {
+    /// A tracker for a calibrated pair, rectified or not, with lens distortion or without; `pair` is of its cold start.
+    ///
+    /// # Errors
+    /// A parameter out of its range, or a rig that can not be rectified.
+    pub fn new(rig: &StereoRig, pair: DirectConfig, config: DirectTrackerConfig) -> Result<Self, EstimationError> {
+        Self::with_kernels(rig, pair, config, Kernels::best())
+    }
+
+    /// As [`Self::new`], with given kernels; the answers are the same, the speed is not.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn with_kernels(
+        rig: &StereoRig,
+        pair: DirectConfig,
+        config: DirectTrackerConfig,
+        kernels: Kernels,
+    ) -> Result<Self, EstimationError> {
+        config.validate()?;
+        let region_config = pair.region;
+        let estimator = DirectEstimator::with_kernels(rig, pair, kernels)?;
+        let mut images: [EyeImages; 2] = Default::default();
+        let mut remembered: [Remembered; 2] = Default::default();
+        for (eye, camera) in [rig.left(), rig.right()].into_iter().enumerate() {
+            let (width, height) = (camera.size().width as usize, camera.size().height as usize);
+            images[eye].reserve(width, height);
+            remembered[eye].reserve(width * height);
+        }
+        Ok(Self {
+            rig: *rig,
+            config,
+            kernels,
+            estimator,
+            region_config,
+            images,
+            remembered,
+            target: None,
+            was_started: false,
+        })
+    }
+
+    /// The parameters.
+    pub fn config(&self) -> &DirectTrackerConfig {
+        &self.config
+    }
+
+    /// Takes a new target: cold start in the first pair of raw images, the region given in the left one.
+    ///
+    /// If the plane is not observable there is no target, and the status says so; unless what kept it from being one is a
+    /// relief, and plane and relief together explain both images.
+    ///
+    /// # Errors
+    /// Images that do not fit the calibration, a region that can not serve, a bad range.
+    pub fn start(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+    ) -> Result<TrackEstimate, EstimationError> {
+        self.start_while(left, right, region, range, &mut || true)
+    }
+
+    /// As [`Self::start`]; once `may_continue` says no, the cold start gives what it has. The relief is found all the same.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub fn start_while(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        range: &SearchRange,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<TrackEstimate, EstimationError> {
+        self.target = None;
+        self.was_started = true;
+        let found = self.estimator.estimate_while(left, right, region, range, may_continue)?;
+        let refused = TrackEstimate {
+            status: found.status,
+            reason: found.reason.clone(),
+            warnings: warnings_of(&found),
+            ..blank()
+        };
+        let sure = found.pose.filter(|_| found.status.depth_is_sure());
+        let Some(plane) = sure.or_else(|| self.unsure_plane(&found)) else { return Ok(refused) };
+        let estimate = self.start_from_plane(left, right, region, &plane)?;
+        if sure.is_none() {
+            let is_solid = estimate.status == Status::Ok && self.target.as_ref().is_some_and(Target::is_a_surface);
+            let solid_pose = estimate.cam_left_from_model.filter(|_| is_solid);
+            let outside = solid_pose.and_then(|pose| self.surface_outside(&pose, range));
+            if solid_pose.is_some() && outside.is_none() {
+                return Ok(TrackEstimate { warnings: refused.warnings, ..estimate });
+            }
+            self.target = None;
+            return Ok(TrackEstimate { reason: outside.unwrap_or(refused.reason), ..refused });
+        }
+        let is_worse = estimate.status == Status::Ok && found.status != Status::Ok;
+        let (status, reason) = if is_worse { (found.status, found.reason) } else { (estimate.status, estimate.reason) };
+        Ok(TrackEstimate { status, reason, warnings: refused.warnings, ..estimate })
+    }
+
+    /// What is said if half of the recovered surface lies nearer or farther than the depth range allows: a relief may reach
+    /// a target that the range misses, from a plane that is none.
+    fn surface_outside(&self, pose: &Pose<CamLeft, Model>, range: &SearchRange) -> Option<String> {
+        let depth_m = |point: &SurfacePoint| pose.transform_point(&point.position_in_model_m).z;
+        let mut depths_m: Vec<f64> = self.surface().iter().map(depth_m).collect();
+        depths_m.sort_unstable_by(f64::total_cmp);
+        let z_m = *depths_m.get(depths_m.len() / 2)?;
+        (!(range.z_min_m..=range.z_max_m).contains(&z_m)).then(|| {
+            format!(
+                "the surface that fits lies {:.0} mm away, outside of the depth range of {:.0} to {:.0} mm: widen it (--z-range)",
+                1e3 * z_m,
+                1e3 * range.z_min_m,
+                1e3 * range.z_max_m
+            )
+        })
+    }
+
+    /// The plane of a region that is not one plane: a start for its relief, which then decides.
+    fn unsure_plane(&self, found: &PlaneEstimate) -> Option<PlanePose> {
+        let is_no_plane = found.status == Status::NotObservable || found.warnings.contains(&EstimateWarning::NoPlane);
+        let psi = found.psi.filter(|_| is_no_plane)?;
+        let ray = self.rig.left().unproject(&found.centroid_px).ok()?;
+        PlanePose::from_inverse_depth_plane(psi.inverse_depth_plane(&ray)?, &ray)
+    }
+
+    /// As [`Self::start`], where the plane of the region is known to a few pixels of disparity.
+    ///
+    /// # Errors
+    /// Images that do not fit the calibration, a region that can not serve.
+    pub fn start_from_plane(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        region: &Region,
+        plane: &PlanePose,
+    ) -> Result<TrackEstimate, EstimationError> {
+        self.target = None;
+        self.was_started = true;
+        check_sizes(&self.rig, left, right)?;
+        let mask = region.rasterize(left, &self.region_config)?;
+        let inner = mask.erode(self.config.erosion_px);
+        let outline_px = region.outline_px(&mask);
+        let q = plane.inverse_depth_plane;
+        let Some(mut target) = self.first_target((left, right), &outline_px, (&mask, &inner), q)? else {
+            let reason = "the region has too little to hold on to once its border is left out".to_owned();
+            return Ok(TrackEstimate { reason, ..blank() });
+        };
+        let mut pixels = [mask, inner];
+        for round in 0..PARTS_MAX {
+            let Some(part) = target.largest_part(round > 0) else { break };
+            pixels = part.pixels(&target.surface.relief, &pixels, self.config.erosion_px / 2);
+            let [own, inside] = &pixels;
+            let Some(next) = self.first_target((left, right), &outline_px, (own, inside), part.plane)? else {
+                let reason =
+                    "the region shows several surfaces, and of each too little to hold on to: mark one of them";
+                let reason = reason.to_owned();
+                return Ok(TrackEstimate { reason, ..blank() });
+            };
+            target = next;
+        }
+        self.load_whole(left, right);
+        target.look_for_twins(&Frame { images: &self.images, rig: &self.rig, config: &self.config });
+        self.remember(&target, left, right);
+        let mut estimate = blank();
+        self.target = Some(target);
+        self.report(Ending::Found, &mut estimate);
+        Ok(estimate)
+    }
+
+    /// A target whose points lie in `inner` pixels of a region, near a plane; `None` if there are too few.
+    fn first_target(
+        &mut self,
+        (left, right): (&RgbImage, &RgbImage),
+        outline_px: &[Vector2<f64>],
+        (mask, inner): (&RegionMask, &RegionMask),
+        q: Vector3<f64>,
+    ) -> Result<Option<Target>, EstimationError> {
+        let Some((surface, pose)) = self.first_surface(left, (mask, inner), q)? else { return Ok(None) };
+        let model_from_first = pose.inverse();
+        let on_plane = |px: &Vector2<f64>| {
+            let ray = self.rig.left().unproject(px).ok()?;
+            let inverse_depth = q.dot(&ray);
+            (inverse_depth > 0.0).then(|| model_from_first.transform_point(&Point3::from(ray / inverse_depth)))
+        };
+        let outline_in_model: Vec<Point3<f64>> = outline_px.iter().filter_map(on_plane).collect();
+        self.load(left, right, &pose, &outline_in_model, MARGIN_START_PX);
+        let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
+        Ok(Some(Target::first(surface, pose, outline_in_model, &frame, self.kernels)))
+    }
+
+    /// Points of the first left image, and where the model's frame lies; `None` if there are too few.
+    fn first_surface(
+        &mut self,
+        left: &RgbImage,
+        (mask, inner): (&RegionMask, &RegionMask),
+        q: Vector3<f64>,
+    ) -> Result<Option<FirstSurface>, EstimationError> {
+        let (Some(centroid_px), Some(bounds)) = (mask.centroid_px(), mask.bbox()) else { return Ok(None) };
+        let window = PixelWindow {
+            x: bounds.x as i32,
+            y: bounds.y as i32,
+            width: bounds.width as usize,
+            height: bounds.height as usize,
+        };
+        self.images[0].update(left, window.grown(MARGIN_START_PX), self.kernels);
+        let Some(pose) = model_frame(&q, &self.rig.left().unproject(&centroid_px)?) else { return Ok(None) };
+        let surface = Surface::choose(
+            &self.images[0],
+            inner,
+            &self.rig,
+            q,
+            &pose,
+            (self.config.points, self.config.relief_sigma_px),
+        );
+        Ok((surface.points() >= POINTS_MIN).then_some((surface, pose)))
+    }
+
+    /// Follows the target into the next pair of raw images.
+    ///
+    /// # Errors
+    /// Images that do not fit the calibration, or no [`Self::start`] before. A lost target is not an error but a status, and
+    /// so is a target that the start did not find: `not-observable` until the next start.
+    pub fn update(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        prior: &FramePrior,
+    ) -> Result<TrackEstimate, EstimationError> {
+        self.update_while(left, right, prior, &mut || true)
+    }
+
+    /// As [`Self::update`]; `may_continue` is asked before each further step, and once it says no, what has been reached is
+    /// judged and given.
+    ///
+    /// # Errors
+    /// As [`Self::update`].
+    pub fn update_while(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        prior: &FramePrior,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<TrackEstimate, EstimationError> {
+        let mut estimate = blank();
+        self.update_into(left, right, prior, may_continue, &mut estimate)?;
+        Ok(estimate)
+    }
+
+    /// As [`Self::update_while`], for a loop that must not allocate: the answer is written into `estimate`, whose buffers are
+    /// used again.
+    ///
+    /// # Errors
+    /// As [`Self::update`].
+    pub fn update_into(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        prior: &FramePrior,
+        may_continue: &mut dyn FnMut() -> bool,
+        estimate: &mut TrackEstimate,
+    ) -> Result<(), EstimationError> {
+        check_sizes(&self.rig, left, right)?;
+        let Some(mut target) = self.target.take() else {
+            if !self.was_started {
+                return Err(EstimationError::NotStarted);
+            }
+            self.report(Ending::OutOfSight, estimate);
+            estimate.status = Status::NotObservable;
+            estimate.reason.push_str("the start found no target to follow: mark it again");
+            return Ok(());
+        };
+        let mut was_stopped = false;
+        let mut ask = || {
+            was_stopped = was_stopped || !may_continue();
+            !was_stopped
+        };
+        let ending = self.follow(&mut target, left, right, prior, &mut ask);
+        if was_stopped {
+            // The equations of a pose that has not come to rest say how sure one that has would be.
+            target.covariance = None;
+        }
+        self.target = Some(target);
+        self.report(ending, estimate);
+        Ok(())
+    }
+
+    fn follow(
+        &mut self,
+        target: &mut Target,
+        left: &RgbImage,
+        right: &RgbImage,
+        prior: &FramePrior,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Ending {
+        target.frame += 1;
+        if let Some(eye) = stuck_eye(&self.remembered, [left, right]) {
+            target.away_s += passed_s(prior);
+            target.motion.coast(prior);
+            return Ending::Stuck(eye);
+        }
+        let predicted = target.motion.predict(prior);
+        let mut ending = Ending::OutOfSight;
+        if target.lost_frames == 0 {
+            let margin = if target.motion.is_known() { MARGIN_PX } else { MARGIN_UNSURE_PX };
+            self.load(left, right, &predicted, &target.outline_in_model, margin);
+            let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
+            let before = target.estimate;
+            ending = target.follow(&predicted, &frame, may_continue);
+            if ending != Ending::Found {
+                target.estimate = before;
+            }
+        }
+        if ending != Ending::Found {
+            target.lost_frames = target.lost_frames.saturating_add(1);
+            target.away_s += passed_s(prior);
+            if may_continue() {
+                self.load_whole(left, right);
+                let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
+                let again = target.search(&predicted, &frame, may_continue);
+                // What the target lacks where it is expected says more than that it is nowhere else.
+                if again == Ending::Found || ending == Ending::OutOfSight {
+                    ending = again;
+                }
+            }
+        }
+        if ending == Ending::Found {
+            let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
+            target.accept(&frame, prior);
+        } else {
+            target.motion.coast(prior);
+        }
+        self.remember(target, left, right);
+        ending
+    }
+
+    /// Keeps what both eyes show where the target was found last.
+    fn remember(&mut self, target: &Target, left: &RgbImage, right: &RgbImage) {
+        let pose = target.estimate.cam_left_from_model;
+        let right_pose = *self.rig.cam_right_from_cam_left() * pose;
+        let eyes = [(left, self.rig.left(), pose.isometry()), (right, self.rig.right(), right_pose.isometry())];
+        for (remembered, (image, camera, cam_from_model)) in self.remembered.iter_mut().zip(eyes) {
+            remembered.keep(image, &super::target::window(&target.outline_in_model, camera, cam_from_model));
+        }
+    }
+
+    /// Converts whole images.
+    fn load_whole(&mut self, left: &RgbImage, right: &RgbImage) {
+        for (images, image) in self.images.iter_mut().zip([left, right]) {
+            let (width, height) = (image.width() as usize, image.height() as usize);
+            images.update(image, PixelWindow { x: 0, y: 0, width, height }, self.kernels);
+        }
+    }
+
+    /// Converts the windows around the expected target.
+    fn load(
+        &mut self,
+        left: &RgbImage,
+        right: &RgbImage,
+        pose: &Pose<CamLeft, Model>,
+        outline: &[Point3<f64>],
+        margin: u32,
+    ) {
+        let right_pose = *self.rig.cam_right_from_cam_left() * *pose;
+        let eyes = [(left, self.rig.left(), pose.isometry()), (right, self.rig.right(), right_pose.isometry())];
+        for (images, (image, camera, cam_from_model)) in self.images.iter_mut().zip(eyes) {
+            let window = super::target::window(outline, camera, cam_from_model).grown(margin);
+            images.update(image, window, self.kernels);
+        }
+    }
+
+    /// How well the kept view fits the last frame; `None` before a start.
+    pub fn fit(&self) -> Option<&Fit> {
+        self.target.as_ref().map(|target| &target.fit)
+    }
+
+    /// The target's surface as far as it is known: its points with normals and the colours of the first frame, in `model`.
+    /// Empty before a start.
+    pub fn surface(&self) -> Vec<SurfacePoint> {
+        self.target.as_ref().map_or_else(Vec::new, Target::surface_points)
+    }
+
+    /// How many views are kept.
+    pub fn views(&self) -> usize {
+        self.target.as_ref().map_or(0, |target| target.views.len())
+    }
+
+    fn report(&self, ending: Ending, out: &mut TrackEstimate) {
+        (out.psi, out.fitness, out.rotation_about_normal_observed) = (None, None, true);
+        out.warnings.clear();
+        out.reason.clear();
+        out.outline_px.clear();
+        (out.cam_left_from_model, out.covariance) = (None, None);
+        let Some(target) = &self.target else { return };
+        // Writing into a string can not fail.
+        let _ = match ending {
+            Ending::Misfit(misfit) => write!(out.reason, "{misfit}"),
+            Ending::Stuck(eye) => {
+                let (stuck, other) = if eye == 0 { ("left", "right") } else { ("right", "left") };
+                write!(
+                    out.reason,
+                    "the {stuck} picture is the last one again while the {other} one is new: check that camera"
+                )
+            }
+            Ending::OutOfSight => {
+                write!(out.reason, "the target is expected out of sight of at least one camera")
+            }
+            Ending::NothingAlike => write!(
+                out.reason,
+                "nothing resembles the target, neither where it is expected nor elsewhere: it is hidden, or looks different"
+            ),
+            Ending::OutOfReach => {
+                write!(
+                    out.reason,
+                    "what resembles the target is too far from where it was, too unlike it to be believed there, or not the only \
+                     one of its kind"
+                )
+            }
+            Ending::Found => Ok(()),
+        };
+        out.status = Status::Lost;
+        if ending == Ending::Found {
+            let pose = target.estimate.cam_left_from_model;
+            out.cam_left_from_model = Some(pose);
+            out.covariance = target.covariance;
+            out.fitness = Some(target.fit.correlation[0].min(target.fit.correlation[1]));
+            out.status = self.judge_covariance(target.covariance.as_ref(), &mut out.reason);
+            let project = |point: &Point3<f64>| self.rig.left().project(&pose.transform_point(point));
+            out.outline_px.extend(target.outline_in_model.iter().filter_map(project));
+        }
+    }
+
+    fn judge_covariance(&self, covariance: Option<&Matrix6<f64>>, reason: &mut String) -> Status {
+        let limit = self.config.tilt_sigma_sure_deg;
+        let tilt_deg = covariance.map_or(f64::INFINITY, |c| (c[(3, 3)] + c[(4, 4)]).sqrt().to_degrees());
+        let sure = tilt_deg <= limit;
+        let verb = if sure { "is determined" } else { "is not" };
+        let _ = write!(
+            reason,
+            "the normal's standard deviation is {tilt_deg:.2} degrees (limit {limit:.2}): the tilt {verb}"
+        );
+        if sure { Status::Ok } else { Status::WeakTilt }
+    }
+}
+
+/// A surface and the pose of its frame.
+type FirstSurface = (Surface, Pose<CamLeft, Model>);
+
+/// How often the surface of a region that shows several is looked for again among what is left.
+const PARTS_MAX: usize = 4;
+/// Fewer points than this are no target.
+const POINTS_MIN: usize = 40;
+
+fn check_sizes(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Result<(), EstimationError> {
+    for (eye, image, camera) in [("left", left, rig.left()), ("right", right, rig.right())] {
+        let expected = camera.size();
+        if image.width() != expected.width || image.height() != expected.height {
+            return Err(EstimationError::ImageSize {
+                eye,
+                width: image.width() as usize,
+                height: image.height() as usize,
+                expected_width: expected.width as usize,
+                expected_height: expected.height as usize,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// What the cold start warns of; a tracked surface need be no plane.
+fn warnings_of(found: &PlaneEstimate) -> Vec<EstimateWarning> {
+    found.warnings.iter().filter(|warning| **warning != EstimateWarning::NoPlane).cloned().collect()
+}
+
+/// Time since the last frame, seconds.
+fn passed_s(prior: &FramePrior) -> f64 {
+    prior.dt_s.filter(|dt| dt.is_finite()).map_or(USUAL_INTERVAL_S, |dt| dt.max(0.0))
+}
+
+fn blank() -> TrackEstimate {
+    TrackEstimate {
+        status: Status::NotObservable,
+        reason: String::new(),
+        warnings: Vec::new(),
+        cam_left_from_model: None,
+        covariance: None,
+        psi: None,
+        fitness: None,
+        outline_px: Vec::new(),
+        rotation_about_normal_observed: true,
+    }
+}

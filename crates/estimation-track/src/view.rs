@@ -1,0 +1,78 @@
+//! Kept views: how the surface looked from somewhere.
+
+use pb3dp_estimation_core::wide::LANES;
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{CamLeft, Model};
+
+use super::images::{EyeImages, LEVELS};
+use super::kernels::{ResidualGroup, SeenGroup, ViewGroup, texel_at};
+
+/// The surface's channels, as the left camera showed them once.
+#[derive(Clone, Debug)]
+pub(super) struct View {
+    pub(super) cam_left_from_model: Pose<CamLeft, Model>,
+    pub(super) levels: [Vec<ViewGroup>; LEVELS],
+    /// Frame in which it last served.
+    pub(super) last_used: u64,
+}
+
+impl View {
+    /// Room for views of a surface with so many groups per level.
+    pub(super) fn empty(groups: [usize; LEVELS]) -> Self {
+        Self {
+            cam_left_from_model: Pose::coincident(),
+            levels: groups.map(|count| vec![ViewGroup::default(); count]),
+            last_used: 0,
+        }
+    }
+
+    /// How far the view is from a pose: turn over `turn_rad`, plus scale over `scale`; turning about the axis of sight
+    /// counts half, because it hides nothing.
+    pub(super) fn distance(&self, pose: &Pose<CamLeft, Model>, turn_rad: f64, scale: f64) -> f64 {
+        let turn = pose.rotation() * self.cam_left_from_model.rotation().inverse();
+        let axis = turn.scaled_axis();
+        let turned = nalgebra::Vector3::new(axis.x, axis.y, 0.5 * axis.z).norm() / turn_rad;
+        let (here, there) = (pose.translation_m().z, self.cam_left_from_model.translation_m().z);
+        let scaled = (here / there).abs().max(1e-6).ln().abs() / scale.ln();
+        turned.hypot(scaled)
+    }
+
+    /// Takes one level from the left image; `seen` are the groups projected with this view's pose. Points that do not fit
+    /// (residuals given) are hidden by something, also by the target itself, and left out.
+    pub(super) fn take_level(
+        &mut self,
+        level: usize,
+        left: &EyeImages,
+        seen: &[[SeenGroup; 2]],
+        residuals: Option<&[ResidualGroup]>,
+    ) {
+        let step = (1_u32 << level) as f32;
+        for (index, (view, seen)) in self.levels[level].iter_mut().zip(seen).enumerate() {
+            *view = ViewGroup::default();
+            let fits = |i: usize| residuals.is_none_or(|groups| groups[index].weight[0].0[i] > 0.0);
+            for i in (0..LANES).filter(|&i| seen[0].valid.0[i] > 0.0 && fits(i)) {
+                let pixel = seen[0].pixel.map(|x| x.0[i]);
+                let at = |du: f32, dv: f32| texel_at(left, level, [pixel[0] + du, pixel[1] + dv]);
+                let samples = [at(0.0, 0.0), at(step, 0.0), at(-step, 0.0), at(0.0, step), at(0.0, -step)];
+                let [Some(centre), Some(right), Some(left), Some(down), Some(up)] = samples else { continue };
+                if centre[3] + left[3] + right[3] + up[3] + down[3] > 0.3 {
+                    continue;
+                }
+                view.valid.0[i] = 1.0;
+                let warp = inverse_2x2(seen[0].unwarp.map(|x| x.0[i]));
+                for c in 0..view.value.len() {
+                    view.value[c].0[i] = centre[c];
+                    let by_u = (right[c] - left[c]) * (0.5 / step);
+                    let by_v = (down[c] - up[c]) * (0.5 / step);
+                    view.gradient[c][0].0[i] = by_u * warp[0] + by_v * warp[2];
+                    view.gradient[c][1].0[i] = by_u * warp[1] + by_v * warp[3];
+                }
+            }
+        }
+    }
+}
+
+fn inverse_2x2([a, b, c, d]: [f32; 4]) -> [f32; 4] {
+    let inverse = 1.0 / (a * d - b * c);
+    [d * inverse, -b * inverse, -c * inverse, a * inverse]
+}
