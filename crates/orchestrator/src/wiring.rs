@@ -15,9 +15,10 @@ use std::time::{Duration, SystemTime};
 
 use anyhow::{Context, Result, bail};
 use nalgebra::Point3;
-use pb3dp_arm_pa10::codec::Axis;
-use pb3dp_arm_pa10::io::arm::{ArmMonitor, VirtualEnd, VirtualTime, Way};
-use pb3dp_arm_pa10::io::mock_server::MockServer;
+use pb3dp_arm_pa10::arm::{ArmMonitor, VirtualTime, Way};
+use pb3dp_arm_pa10_emulation::line::mock_server::MockServer;
+use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
+use pb3dp_arm_pa10_protocol::codec::Axis;
 use pb3dp_camera_replay::{Pacing, ReplayCamera, ReplayOptions};
 use pb3dp_camera_sim::{FaultyCamera, GeometricCamera, SimStereoCamera};
 use pb3dp_camera_v4l2::linux::Linux;

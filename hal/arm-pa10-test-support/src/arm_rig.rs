@@ -3,16 +3,16 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::arm::{ArmMonitor, ArmOpenError, Pa10Arm, Pa10ArmConfig, TripSeat, trip_line};
 use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, LimitsCheck, Trip};
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Geometry, HostMessage};
-use pb3dp_arm_pa10::io::arm::{ArmMonitor, ArmOpenError, Pa10Arm, Pa10ArmConfig, TripSeat, trip_line};
-use pb3dp_arm_pa10::io::pty::Pty;
-use pb3dp_arm_pa10::io::serial::SerialConfig;
-use pb3dp_arm_pa10::io::transport::ByteLink;
 use pb3dp_arm_pa10::link::GatewayLinkConfig;
+use pb3dp_arm_pa10::serial::SerialConfig;
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry, HostMessage};
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, JointCommand};
 use pb3dp_hal_clock::SystemClock;
+use pb3dp_hal_platform::pty::Pty;
+use pb3dp_hal_platform::transport::ByteLink;
 use pb3dp_kinematics::JointVector;
 
 use crate::far_end::FarEnd;

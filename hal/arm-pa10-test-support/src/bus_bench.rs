@@ -3,11 +3,11 @@
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use pb3dp_arm_pa10::arcnet::{self, Route};
-use pb3dp_arm_pa10::codec::{SequenceModulus, WireFormat};
 use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, Request};
 use pb3dp_arm_pa10::link::BusLink;
-use pb3dp_arm_pa10::mock_controller::{ControlMode, MockController, MockControllerConfig};
+use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockController, MockControllerConfig};
+use pb3dp_arm_pa10_protocol::arcnet::{self, Route};
+use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, WireFormat};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::{AxisMode, JointPlant};

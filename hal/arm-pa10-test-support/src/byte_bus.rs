@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use pb3dp_arm_pa10::mock_controller::{MockController, MockControllerConfig};
+use pb3dp_arm_pa10_emulation::mock_controller::{MockController, MockControllerConfig};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::JointPlant;

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::io::transport::{ByteLink, wait};
+use pb3dp_hal_platform::transport::{ByteLink, wait};
 
 pub const LONG: Duration = Duration::from_secs(5);
 

@@ -5,13 +5,13 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use pb3dp_arm_pa10::codec::WireFormat;
-use pb3dp_arm_pa10::gateway::{Gateway, GatewayConfig, GatewayStatus};
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Firmware, GatewayState};
-use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
-use pb3dp_arm_pa10::io::transport::{ByteLink, wait};
-use pb3dp_arm_pa10::mock_controller::{MockController, MockControllerConfig};
+use pb3dp_arm_pa10_emulation::mock_controller::{MockController, MockControllerConfig};
+use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig, GatewayStatus};
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Firmware, GatewayState};
 use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_platform::realtime::{Realtime, enter};
+use pb3dp_hal_platform::transport::{ByteLink, wait};
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::JointPlant;
 

@@ -2,11 +2,11 @@
 
 #![allow(clippy::unwrap_used, reason = "what fails here is found by it")]
 
-use pb3dp_arm_pa10::arcnet::{self, Route};
-use pb3dp_arm_pa10::codec::{
+use pb3dp_arm_pa10_protocol::arcnet::{self, Route};
+use pb3dp_arm_pa10_protocol::codec::{
     ArmCommand, Axis, AxisCommand, ControlMessage, ControlPacket, ReplyMessage, ReplyPacket, Supervision, WireFormat,
 };
-use pb3dp_arm_pa10::gateway_protocol::{
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, Frame, FrameParser, GatewayMessage, HostMessage, OVERHEAD, PAYLOAD_LENGTH_MAX, Payload, Received,
 };
 

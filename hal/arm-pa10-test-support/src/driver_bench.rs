@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::{
-    AngleCounts, ArmReply, AxisCommand, AxisReply, AxisStatus, CommStatus, CommWord, ControlMessage, Letter, ServoWord,
-    SpeedCounts, TorqueCounts,
-};
 use pb3dp_arm_pa10::driver::{
     Activity, ArmCondition, AxisLimits, Driver, DriverConfig, DriverState, Reply, Request, Sample, Transmit,
+};
+use pb3dp_arm_pa10_protocol::codec::{
+    AngleCounts, ArmReply, AxisCommand, AxisReply, AxisStatus, CommStatus, CommWord, ControlMessage, Letter, ServoWord,
+    SpeedCounts, TorqueCounts,
 };
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;

@@ -5,8 +5,8 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
-use pb3dp_arm_pa10::io::transport::{ByteLink, wait};
+use pb3dp_hal_platform::realtime::{Realtime, enter};
+use pb3dp_hal_platform::transport::{ByteLink, wait};
 
 use crate::gateway::FakeGateway;
 

@@ -1,10 +1,10 @@
 //! A gateway as docs/arm-protocol.md describes it, without a watchdog: it answers, and keeps to its table.
 
-use pb3dp_arm_pa10::codec::{
+use pb3dp_arm_pa10_protocol::codec::{
     AngleCounts, ArmReply, Axis, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord, ControlMessage, EepromAxis,
     Letter, ReplyMessage, ReplyPacket, ServoWord, SpeedCounts, TorqueCounts, TorqueScale, WireFormat,
 };
-use pb3dp_arm_pa10::gateway_protocol::{
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, ArmOperation, Control, ControlReply, Dialect, DriveMode, EepromLimits, Firmware, Frame, FrameParser,
     GatewayMessage, GatewayState, Geometry, Health, HelloReply, HostMessage, RawMessage, Received, Reject,
     RejectReason, State, StopCause,
@@ -181,7 +181,7 @@ impl FakeGateway {
         let reply = match message {
             ControlMessage::Cyclic(command) => {
                 let speeds = command.velocity_rad_per_s();
-                let follows = matches!(command.axes[0], pb3dp_arm_pa10::codec::AxisCommand::Speed(_));
+                let follows = matches!(command.axes[0], pb3dp_arm_pa10_protocol::codec::AxisCommand::Speed(_));
                 let latched = matches!(self.state, GatewayState::Fault | GatewayState::EmergencyStop);
                 if latched {
                     return Err(RejectReason::WrongState);

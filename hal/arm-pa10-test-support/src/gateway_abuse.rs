@@ -7,19 +7,20 @@
 
 use std::time::Duration;
 
-use crate::gateway::plausible_eeprom;
-use pb3dp_arm_pa10::arcnet::{self, Route};
-use pb3dp_arm_pa10::codec::{
+use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
+use pb3dp_arm_pa10_protocol::arcnet::{self, Route};
+use pb3dp_arm_pa10_protocol::codec::{
     AngleCounts, ArmCommand, ArmReply, Axis, AxisCommand, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord,
     ControlMessage, ControlPacket, ReplyMessage, ReplyPacket, ServoWord, SpeedCounts, Supervision, TorqueCounts,
     WireFormat,
 };
-use pb3dp_arm_pa10::gateway::{Gateway, GatewayConfig};
-use pb3dp_arm_pa10::gateway_protocol::{
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, ArmOperation, Control, Dialect, DriveCommand, DriveMode, Firmware, Frame, FrameParser, GatewayMessage,
     GatewayState, Hello, HostMessage, PAYLOAD_LENGTH_MAX, Payload, RawMessage, Received,
 };
 use pb3dp_geometry::MonotonicTime;
+
+use crate::gateway::plausible_eeprom;
 
 const ARM: ArmId = ArmId(1);
 
@@ -365,7 +366,7 @@ fn note_speeds(speed_max: &mut [u16; Axis::COUNT], format: WireFormat, frame: &F
             asked.map(|asked| asked.axes.map(|axis| axis.speed().0.unsigned_abs()))
         }
         Ok(HostMessage::Raw(raw)) if raw.letter == b'C' => {
-            match ControlMessage::decode_data(format, pb3dp_arm_pa10::codec::Letter::Cyclic, &raw.data) {
+            match ControlMessage::decode_data(format, pb3dp_arm_pa10_protocol::codec::Letter::Cyclic, &raw.data) {
                 Ok(ControlMessage::Cyclic(asked)) => Ok(asked.axes.map(|axis| axis.speed().0.unsigned_abs())),
                 _ => return,
             }

@@ -2,20 +2,21 @@
 
 use std::time::Duration;
 
-use crate::gateway::plausible_eeprom;
-use pb3dp_arm_pa10::arcnet::{self, Route};
-use pb3dp_arm_pa10::codec::{
+use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
+use pb3dp_arm_pa10_protocol::arcnet::{self, Route};
+use pb3dp_arm_pa10_protocol::codec::{
     AngleCounts, ArmCommand, ArmReply, AxisCommand, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord,
     ControlMessage, ControlPacket, Letter, Packet, ReplyMessage, ReplyPacket, ServoWord, SpeedCounts, Supervision,
     TorqueCounts, WireFormat,
 };
-use pb3dp_arm_pa10::gateway::{Gateway, GatewayConfig};
-use pb3dp_arm_pa10::gateway_protocol::{
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, ArmOperation, Control, Dialect, DriveCommand, DriveMode, Firmware, Frame, FrameParser, GatewayMessage,
     GatewayState, Hello, HostMessage, RawMessage, Received, Reject, RejectReason, StopCause,
 };
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
+
+use crate::gateway::plausible_eeprom;
 
 pub const ARM: ArmId = ArmId(2);
 pub const CYCLE: Duration = Duration::from_millis(2);

@@ -3,9 +3,9 @@
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::{CommAlarm, ServoAlarm, WireFormat};
 use pb3dp_arm_pa10::driver::DriverConfig;
-use pb3dp_arm_pa10::mock_controller::MockControllerConfig;
+use pb3dp_arm_pa10_emulation::mock_controller::MockControllerConfig;
+use pb3dp_arm_pa10_protocol::codec::{CommAlarm, ServoAlarm, WireFormat};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant};

@@ -2,10 +2,10 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use pb3dp_arm_pa10::codec::{SequenceModulus, WireFormat};
 use pb3dp_arm_pa10::driver::{DriverState, FaultCause, Request, Trip};
 use pb3dp_arm_pa10::link::BusLink;
-use pb3dp_arm_pa10::mock_controller::ControlMode;
+use pb3dp_arm_pa10_emulation::mock_controller::ControlMode;
+use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, WireFormat};
 use pb3dp_arm_pa10_test_support::bus_bench::BusBench;
 
 /// R17, R19: it is named, at once, and its brakes stay on.

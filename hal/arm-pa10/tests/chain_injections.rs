@@ -4,9 +4,9 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{DriverState, Request};
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Frame, FrameParser, Received};
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Frame, FrameParser, Received};
 use pb3dp_arm_pa10_test_support::chain::{ARM, Chain, Spoil, Way};
 use pb3dp_arm_pa10_test_support::injection::{
     Braking, Dice, Stop, braking_time, controller_alarm, joints, last_motion, servo_alarm, table_line,

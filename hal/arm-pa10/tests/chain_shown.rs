@@ -4,9 +4,9 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{DriverState, Request};
-use pb3dp_arm_pa10::gateway_protocol::{Dialect, GatewayState};
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, GatewayState};
 use pb3dp_arm_pa10_test_support::chain::Chain;
 use pb3dp_arm_pa10_test_support::injection::joints;
 use pb3dp_kinematics::JointVector;

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use pb3dp_arm_pa10::codec::{
+use pb3dp_arm_pa10_protocol::codec::{
     AngleCounts, ArmCommand, ArmReply, Axis, AxisCommand, AxisStatus, CodecError, CommAlarm, CommStatus, CommWord,
     ControlMessage, ControlPacket, EepromAxis, Letter, ReplyMessage, ReplyPacket, SequenceModulus, ServoAlarm,
     ServoWord, SpeedCounts, Supervision, TorqueCounts, TorqueScale, WireFormat, packet_pointer,
@@ -258,7 +258,7 @@ fn the_format_shows_in_the_length_of_a_reply() {
 
 #[test]
 fn a_reply_is_encoded_only_in_the_format_that_has_its_fields() {
-    let with_speed = pb3dp_arm_pa10::codec::AxisReply {
+    let with_speed = pb3dp_arm_pa10_protocol::codec::AxisReply {
         status: AxisStatus::Servo(ServoWord(0)),
         angle: AngleCounts(5),
         speed: Some(SpeedCounts(1)),

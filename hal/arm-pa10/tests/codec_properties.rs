@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use pb3dp_arm_pa10::codec::{
+use pb3dp_arm_pa10_protocol::codec::{
     AngleCounts, ArmCommand, ArmReply, Axis, AxisCommand, AxisReply, AxisStatus, CommStatus, CommWord, ControlMessage,
     ControlPacket, ReplyMessage, ReplyPacket, ServoWord, SpeedCounts, Supervision, TorqueCounts, WireFormat,
 };

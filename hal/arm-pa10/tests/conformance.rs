@@ -5,7 +5,7 @@
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use pb3dp_arm_pa10::{MockArm, MockArmConfig};
+use pb3dp_arm_pa10_emulation::mock::{MockArm, MockArmConfig};
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, arm_suite};

@@ -4,11 +4,13 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::{CommAlarm, CommWord, ControlMessage, ServoAlarm, ServoWord, TorqueScale, WireFormat};
 use pb3dp_arm_pa10::driver::{
     Activity, DriverConfig, DriverState, EmergencyStopCause, FaultCause, Refusal, Reply, Request, Sample, Trip,
 };
-use pb3dp_arm_pa10::gateway_protocol::{GatewayState, RejectReason, State, StopCause};
+use pb3dp_arm_pa10_protocol::codec::{
+    CommAlarm, CommWord, ControlMessage, ServoAlarm, ServoWord, TorqueScale, WireFormat,
+};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, RejectReason, State, StopCause};
 use pb3dp_arm_pa10_test_support::driver_bench::{Bench, CYCLE, Kind, arm_reply, kind, velocity};
 use pb3dp_kinematics::JointVector;
 

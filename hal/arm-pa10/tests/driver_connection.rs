@@ -4,12 +4,12 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::{CommWord, TorqueScale, WireFormat};
 use pb3dp_arm_pa10::driver::{
     Activity, BadReply, Driver, DriverConfig, DriverConfigError, DriverState, FaultCause, LimitsCheck, Reply, Request,
     Sample, Trip, WarmUpFailure,
 };
-use pb3dp_arm_pa10::gateway_protocol::{RejectReason, State};
+use pb3dp_arm_pa10_protocol::codec::{CommWord, TorqueScale, WireFormat};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{RejectReason, State};
 use pb3dp_arm_pa10_test_support::driver_bench::{Bench, CYCLE, Kind, arm_reply, kind};
 use pb3dp_kinematics::JointVector;
 

@@ -4,8 +4,8 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::{CommAlarm, CommWord, ServoAlarm, ServoWord};
 use pb3dp_arm_pa10::driver::{Activity, BadReply, DriverConfig, DriverState, Request};
+use pb3dp_arm_pa10_protocol::codec::{CommAlarm, CommWord, ServoAlarm, ServoWord};
 use pb3dp_arm_pa10_test_support::driver_bench::{Bench, CYCLE, Kind, kind, velocity};
 use proptest::prelude::*;
 

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
-use pb3dp_arm_pa10::gateway_protocol::{
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, FRAME_BYTES_MAX, Frame, FrameParser, OVERHEAD, PAYLOAD_LENGTH_MAX, Payload, Received,
 };
 use proptest::prelude::*;

@@ -2,9 +2,9 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-use pb3dp_arm_pa10::codec::{Axis, AxisCommand, ControlMessage, Letter, ServoWord, WireFormat};
-use pb3dp_arm_pa10::gateway::Gateway;
-use pb3dp_arm_pa10::gateway_protocol::{
+use pb3dp_arm_pa10_gateway::gateway::Gateway;
+use pb3dp_arm_pa10_protocol::codec::{Axis, AxisCommand, ControlMessage, Letter, ServoWord, WireFormat};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmOperation, Control, ControlReply, Dialect, GatewayMessage, GatewayState, HostMessage, RejectReason, StopCause,
 };
 use pb3dp_arm_pa10_test_support::gateway_bench::{Bench, config, control, hello, ms, rejected};

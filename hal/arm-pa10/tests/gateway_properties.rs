@@ -2,15 +2,15 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-use pb3dp_arm_pa10_test_support::gateway_bench as bench;
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::{
+use pb3dp_arm_pa10_protocol::codec::{
     AngleCounts, ArmCommand, AxisCommand, CommWord, ControlMessage, ServoWord, SpeedCounts, Supervision, WireFormat,
 };
-use pb3dp_arm_pa10::gateway_protocol::{
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmOperation, Control, Dialect, DriveMode, GatewayMessage, GatewayState, HostMessage,
 };
+use pb3dp_arm_pa10_test_support::gateway_bench as bench;
 use pb3dp_arm_pa10_test_support::gateway_bench::{Bench, Sent, config, control, hello, ms, raw, raw_command, velocity};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
@@ -153,10 +153,10 @@ impl Watched {
             Happening::Heartbeat => self.tell(HostMessage::Heartbeat),
             Happening::Control(operation) => self.tell(control(*operation)),
             Happening::ClearAlarm(axis) => {
-                self.tell(HostMessage::Control(Control::ClearAlarm(pb3dp_arm_pa10::codec::Axis::ALL[*axis])));
+                self.tell(HostMessage::Control(Control::ClearAlarm(pb3dp_arm_pa10_protocol::codec::Axis::ALL[*axis])));
             }
             Happening::ReadLimits(axis) => {
-                self.tell(HostMessage::Control(Control::ReadEeprom(pb3dp_arm_pa10::codec::Axis::ALL[*axis])));
+                self.tell(HostMessage::Control(Control::ReadEeprom(pb3dp_arm_pa10_protocol::codec::Axis::ALL[*axis])));
             }
             Happening::Commands(mode, speed, count) => {
                 self.commands(*mode, velocity() * f64::from(*speed), *count);

@@ -4,17 +4,17 @@
 
 use std::collections::BTreeMap;
 
-use pb3dp_arm_pa10::codec::{
+use pb3dp_arm_pa10::watchdog::CommandWatchdog;
+use pb3dp_arm_pa10_protocol::codec::{
     AngleCounts, ArmReply, Axis, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord, ServoWord, SpeedCounts,
     TorqueCounts, TorqueScale, WireFormat,
 };
-use pb3dp_arm_pa10::gateway_protocol::{
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, ArmOperation, AxisState, Control, ControlOperation, ControlReply, Dialect, DriveCommand, DriveMode,
     EepromLimits, FRAME_BYTES_MAX, FaultReport, Firmware, Frame, FrameParser, GatewayMessage, GatewayState, Geometry,
     Health, Hello, HelloReply, HostMessage, MessageError, Payload, RawMessage, Received, Reject, RejectReason, State,
     StopCause, check_line, exchange_bytes, exchange_time,
 };
-use pb3dp_arm_pa10::watchdog::CommandWatchdog;
 use pb3dp_kinematics::JointVector;
 
 const SPECIFICATION: &str = include_str!("../../../docs/arm-protocol.md");

@@ -2,8 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-use pb3dp_arm_pa10::codec::{ArmCommand, ControlMessage};
-use pb3dp_arm_pa10::gateway_protocol::{DriveMode, GatewayMessage, GatewayState};
+use pb3dp_arm_pa10_protocol::codec::{ArmCommand, ControlMessage};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{DriveMode, GatewayMessage, GatewayState};
 use pb3dp_arm_pa10_test_support::gateway_bench::{Bench, HOST_CYCLE, TICK, ms};
 use pb3dp_kinematics::JointVector;
 

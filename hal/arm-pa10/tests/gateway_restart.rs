@@ -2,15 +2,14 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-use pb3dp_arm_pa10::codec::{ArmCommand, AxisCommand, ControlMessage, ServoWord, Supervision, WireFormat};
 use pb3dp_arm_pa10::driver::DriverState;
-use pb3dp_arm_pa10::gateway::{Gateway, GatewayConfig};
-use pb3dp_arm_pa10::gateway_protocol::{Dialect, Firmware, GatewayState, StopCause};
-use pb3dp_arm_pa10::mock_controller::{ControlMode, pa10_joints};
-use pb3dp_arm_pa10_test_support::bus_bench;
+use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, pa10_joints};
+use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
+use pb3dp_arm_pa10_protocol::codec::{ArmCommand, AxisCommand, ControlMessage, ServoWord, Supervision, WireFormat};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, Firmware, GatewayState, StopCause};
 use pb3dp_arm_pa10_test_support::chain::{ARM, Chain};
-use pb3dp_arm_pa10_test_support::gateway_bench as bench;
 use pb3dp_arm_pa10_test_support::gateway_bench::{Bench, config, ms};
+use pb3dp_arm_pa10_test_support::{bus_bench, gateway_bench as bench};
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant};
 

@@ -2,9 +2,9 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-use pb3dp_arm_pa10::codec::{Axis, ControlMessage, WireFormat};
-use pb3dp_arm_pa10::gateway::table::{Ask, Deed, deed};
-use pb3dp_arm_pa10::gateway_protocol::{
+use pb3dp_arm_pa10_gateway::gateway::table::{Ask, Deed, deed};
+use pb3dp_arm_pa10_protocol::codec::{Axis, ControlMessage, WireFormat};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, ArmOperation, Control, ControlReply, Dialect, DriveMode, Frame, GatewayMessage, GatewayState, HostMessage,
     Payload, RejectReason, State, StopCause,
 };
@@ -262,7 +262,8 @@ fn stop_reset_and_abort_exist_in_both_dialects_and_the_rest_in_its_own() {
         let mut bench = bench(Dialect::GatewayV1, WireFormat::BigEndian6x10, state);
         assert_eq!(rejected(bench.ask(raw(b'S', &[]))), (RejectReason::WrongDialect, 2), "{state}");
         let mut bench = self::bench(Dialect::Transparent, WireFormat::BigEndian6x10, state);
-        let command = HostMessage::Command(pb3dp_arm_pa10::gateway_protocol::DriveCommand::at_rest(DriveMode::Off));
+        let command =
+            HostMessage::Command(pb3dp_arm_pa10_protocol::gateway_protocol::DriveCommand::at_rest(DriveMode::Off));
         assert_eq!(rejected(bench.ask(command)), (RejectReason::WrongDialect, 1), "{state}");
     }
 }

@@ -2,15 +2,15 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-use pb3dp_arm_pa10_test_support::gateway_bench as bench;
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::{AxisCommand, ControlMessage, Letter, SpeedCounts, WireFormat};
-use pb3dp_arm_pa10::gateway::{Gateway, GatewayConfig, GatewayConfigError};
-use pb3dp_arm_pa10::gateway_protocol::{
+use pb3dp_arm_pa10::watchdog::CommandWatchdog;
+use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig, GatewayConfigError};
+use pb3dp_arm_pa10_protocol::codec::{AxisCommand, ControlMessage, Letter, SpeedCounts, WireFormat};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmOperation, Dialect, DriveMode, FaultReport, GatewayMessage, GatewayState, HostMessage, RejectReason, StopCause,
 };
-use pb3dp_arm_pa10::watchdog::CommandWatchdog;
+use pb3dp_arm_pa10_test_support::gateway_bench as bench;
 use pb3dp_arm_pa10_test_support::gateway_bench::{
     Bench, CYCLE, HOST_CYCLE, Sent, TICK, config, control, hello, ms, rejected, velocity,
 };
@@ -331,7 +331,8 @@ fn a_command_that_waited_in_a_buffer_is_refused_and_feeds_no_watchdog() {
     let command = bench.command(DriveMode::Follow, velocity());
     for _ in 0..4 {
         let frame = bench.frame_of(&command);
-        let late = pb3dp_arm_pa10::gateway_protocol::Frame { timestamp_us: frame.timestamp_us - 25_000, ..frame };
+        let late =
+            pb3dp_arm_pa10_protocol::gateway_protocol::Frame { timestamp_us: frame.timestamp_us - 25_000, ..frame };
         let (reason, delay) = rejected(bench.ask_frame(&late));
         assert_eq!(reason, RejectReason::Stale);
         assert!((24_000..=25_500).contains(&delay), "{delay}");
@@ -431,7 +432,7 @@ fn a_configuration_that_leaves_less_than_required_is_refused_by_name() {
     }
     let expected = GatewayConfigError::Watchdog { got: ms(10) };
     assert_eq!(refused(GatewayConfig { watchdog: watchdog(10, 50), ..good }), expected);
-    let supervision = pb3dp_arm_pa10::codec::Supervision { dead_man: true, ..Default::default() };
+    let supervision = pb3dp_arm_pa10_protocol::codec::Supervision { dead_man: true, ..Default::default() };
     assert_eq!(refused(GatewayConfig { supervision, ..good }), GatewayConfigError::Supervision);
     let expected = GatewayConfigError::EmergencyStopBits { got: 8 };
     assert_eq!(refused(GatewayConfig { emergency_stop_bits: 8, ..good }), expected);

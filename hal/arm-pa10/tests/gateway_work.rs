@@ -2,12 +2,12 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-use pb3dp_arm_pa10::codec::{
+use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
+use pb3dp_arm_pa10_protocol::codec::{
     AngleCounts, ArmCommand, Axis, AxisCommand, COUNTS_PER_TURN, CommAlarm, CommWord, ControlMessage, Letter,
     ServoAlarm, ServoWord, SpeedCounts, Supervision, WireFormat,
 };
-use pb3dp_arm_pa10::gateway::GatewayConfig;
-use pb3dp_arm_pa10::gateway_protocol::{
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmOperation, Control, Dialect, DriveMode, FaultReport, GatewayMessage, GatewayState, Health, HostMessage,
     RejectReason, StopCause,
 };
@@ -545,7 +545,7 @@ fn health_counts_what_happened() {
 
 #[test]
 fn numbers_of_the_bus_count_up_by_one() {
-    use pb3dp_arm_pa10::codec::SequenceModulus::{Modulo128, Modulo256};
+    use pb3dp_arm_pa10_protocol::codec::SequenceModulus::{Modulo128, Modulo256};
     for (modulus, last) in [(Modulo128, 0x7F), (Modulo256, 0xFF)] {
         let counting = GatewayConfig { modulus, ..config(WireFormat::BigEndian6x10) };
         let mut bench = Bench::greeted(counting, Dialect::GatewayV1);

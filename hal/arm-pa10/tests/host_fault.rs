@@ -2,16 +2,15 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-use pb3dp_arm_pa10_test_support::bus_bench;
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::{Axis, WireFormat};
 use pb3dp_arm_pa10::driver::{Driver, DriverConfig, DriverState, EmergencyStopCause, FaultCause, Request, Trip};
-use pb3dp_arm_pa10::gateway_protocol::{
+use pb3dp_arm_pa10_emulation::mock_controller::pa10_joints;
+use pb3dp_arm_pa10_protocol::codec::{Axis, WireFormat};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmOperation, Control, Dialect, FrameParser, GatewayState, HostMessage, Received, RejectReason, StopCause,
 };
-use pb3dp_arm_pa10::mock_controller::pa10_joints;
-use pb3dp_arm_pa10_test_support::bus_bench::HOST_CYCLE;
+use pb3dp_arm_pa10_test_support::bus_bench::{self, HOST_CYCLE};
 use pb3dp_arm_pa10_test_support::chain::{ARM, Chain, Way};
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant};

@@ -7,12 +7,12 @@ use std::io::{Read, Write};
 use std::os::fd::AsRawFd;
 use std::time::Duration;
 
-use pb3dp_arm_pa10::arcnet::{self, Route};
-use pb3dp_arm_pa10::codec::{ArmCommand, AxisCommand, ControlMessage, ControlPacket, Supervision, WireFormat};
-use pb3dp_arm_pa10::io::bus::{
+use pb3dp_arm_pa10::bus::{
     ArcnetError, ArcnetSocket, BusPort, FRAME_ROOM, FrameListener, FrameSocket, FrameSocketError,
 };
-use pb3dp_arm_pa10::io::transport::Symptom;
+use pb3dp_arm_pa10_protocol::arcnet::{self, Route};
+use pb3dp_arm_pa10_protocol::codec::{ArmCommand, AxisCommand, ControlMessage, ControlPacket, Supervision, WireFormat};
+use pb3dp_hal_platform::transport::Symptom;
 use pb3dp_test_support::not_checked;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
@@ -170,7 +170,7 @@ fn a_socket_in_the_place_of_the_bus_keeps_frames_apart() {
 
 #[test]
 fn sleeping_to_a_moment_ends_after_it_and_soon() {
-    use pb3dp_arm_pa10::io::realtime::{Realtime, enter, now, sleep_until};
+    use pb3dp_hal_platform::realtime::{Realtime, enter, now, sleep_until};
     let shortfalls = std::thread::spawn(|| {
         let wanted = Realtime { priority: Some(10), locks_memory: false, cpu: Some(0) };
         enter(&wanted)

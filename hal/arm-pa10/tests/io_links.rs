@@ -6,9 +6,9 @@ use std::fs::File;
 use std::io::{Read, Write};
 use std::time::{Duration, Instant};
 
-use pb3dp_arm_pa10::io::pty::Pty;
-use pb3dp_arm_pa10::io::transport::{ByteLink, Symptom, judge, pair, wait};
 use pb3dp_arm_pa10_test_support::byte_links::{LONG, read_exactly};
+use pb3dp_hal_platform::pty::Pty;
+use pb3dp_hal_platform::transport::{ByteLink, Symptom, judge, pair, wait};
 use rustix::io::Errno;
 
 #[test]

@@ -6,13 +6,13 @@ use std::fs::File;
 use std::net::{SocketAddr, TcpListener};
 use std::time::{Duration, Instant};
 
-use pb3dp_arm_pa10::codec::WireFormat;
-use pb3dp_arm_pa10::gateway_protocol::Dialect;
-use pb3dp_arm_pa10::io::pty::Pty;
-use pb3dp_arm_pa10::io::serial::{SerialConfig, SerialError, SerialLink};
-use pb3dp_arm_pa10::io::tcp::{TcpConfig, TcpLink};
-use pb3dp_arm_pa10::io::transport::{ByteLink, Connector};
+use pb3dp_arm_pa10::serial::{SerialConfig, SerialError, SerialLink};
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::gateway_protocol::Dialect;
 use pb3dp_arm_pa10_test_support::byte_links::{LONG, read_exactly};
+use pb3dp_hal_platform::pty::Pty;
+use pb3dp_hal_platform::tcp::{TcpConfig, TcpLink};
+use pb3dp_hal_platform::transport::{ByteLink, Connector};
 
 pub fn config(path: &str) -> SerialConfig {
     SerialConfig {

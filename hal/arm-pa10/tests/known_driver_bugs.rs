@@ -4,11 +4,11 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::{
+use pb3dp_arm_pa10::driver::{DriverState, FaultCause, Request, Trip};
+use pb3dp_arm_pa10_protocol::codec::{
     AngleCounts, ArmCommand, Axis, AxisCommand, CodecError, ControlMessage, ControlPacket, Letter, ReplyMessage,
     ReplyPacket, SequenceModulus, ServoAlarm, ServoWord, SpeedCounts, Supervision, WireFormat,
 };
-use pb3dp_arm_pa10::driver::{DriverState, FaultCause, Request, Trip};
 use pb3dp_arm_pa10_test_support::driver_bench::{Bench, CYCLE, Kind, velocity};
 use pb3dp_kinematics::JointVector;
 

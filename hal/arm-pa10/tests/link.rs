@@ -4,19 +4,19 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::arcnet::{self, Route};
-use pb3dp_arm_pa10::codec::{
-    AngleCounts, ArmReply, AxisReply, AxisStatus, CodecError, CommStatus, ControlMessage, ControlPacket, Packet,
-    ReplyMessage, ReplyPacket, SequenceModulus, ServoAlarm, ServoWord, TorqueCounts, WireFormat,
-};
 use pb3dp_arm_pa10::driver::{
     Activity, Driver, DriverConfig, DriverState, EmergencyStopCause, FaultCause, Request, Trip, WarmUpFailure,
 };
-use pb3dp_arm_pa10::gateway_protocol::{
+use pb3dp_arm_pa10::link::{BusFrameError, BusLink, GatewayLink, GatewayLinkConfig, HelloError, LinkError};
+use pb3dp_arm_pa10_protocol::arcnet::{self, Route};
+use pb3dp_arm_pa10_protocol::codec::{
+    AngleCounts, ArmReply, AxisReply, AxisStatus, CodecError, CommStatus, ControlMessage, ControlPacket, Packet,
+    ReplyMessage, ReplyPacket, SequenceModulus, ServoAlarm, ServoWord, TorqueCounts, WireFormat,
+};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, ArmOperation, Control, Dialect, FaultReport, GatewayMessage, GatewayState, Geometry, HostMessage,
     RejectReason, StopCause,
 };
-use pb3dp_arm_pa10::link::{BusFrameError, BusLink, GatewayLink, GatewayLinkConfig, HelloError, LinkError};
 use pb3dp_arm_pa10_test_support::link_rig::{ARM, CYCLE, FakeGateway, Rig, driver_config, link_config, ms, velocity};
 use pb3dp_geometry::MonotonicTime;
 
@@ -264,7 +264,7 @@ fn a_restarted_gateway_counts_time_anew_and_its_measurements_are_not_taken_for_o
 #[test]
 fn a_fault_report_names_axis_and_alarm() {
     let over_current = ServoWord(0).with_alarm(ServoAlarm::OverCurrent).0;
-    let axis = pb3dp_arm_pa10::codec::Axis::ALL[3];
+    let axis = pb3dp_arm_pa10_protocol::codec::Axis::ALL[3];
     let report = |cause, axis, word| FaultReport { cause, state_before: GatewayState::Moving, axis, word };
     for (report, expected) in [
         (

@@ -4,9 +4,9 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{Activity, DriverState, FaultCause, Request, Trip};
-use pb3dp_arm_pa10::gateway_protocol::Dialect;
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::gateway_protocol::Dialect;
 use pb3dp_arm_pa10_test_support::link_rig::{CYCLE, Line, Rig, TICK, Way, good_line, ms, velocity};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};

@@ -5,9 +5,9 @@
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{DriverState, Request};
-use pb3dp_arm_pa10::mock_controller::{ControlMode, MockController, MockControllerConfig};
+use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockController, MockControllerConfig};
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
 use pb3dp_arm_pa10_test_support::bus_bench::{BusBench, START, home, plant};
 use pb3dp_arm_pa10_test_support::byte_bus::Bus;
 use pb3dp_kinematics::JointVector;

@@ -5,9 +5,9 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::{Axis, CommAlarm, ServoAlarm, WireFormat};
 use pb3dp_arm_pa10::driver::{EmergencyStopCause, FaultCause, Request, Trip};
-use pb3dp_arm_pa10::mock_controller::{ControlMode, MockControllerConfig};
+use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockControllerConfig};
+use pb3dp_arm_pa10_protocol::codec::{Axis, CommAlarm, ServoAlarm, WireFormat};
 use pb3dp_arm_pa10_test_support::bus_bench::{BusBench, START, home, plant, plant_config};
 use pb3dp_arm_pa10_test_support::byte_bus::Bus;
 use pb3dp_kinematics::JointVector;

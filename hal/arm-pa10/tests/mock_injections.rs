@@ -5,9 +5,9 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::{Supervision, WireFormat};
 use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, Request};
-use pb3dp_arm_pa10::mock_controller::{ControlMode, MockControllerConfig};
+use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockControllerConfig};
+use pb3dp_arm_pa10_protocol::codec::{Supervision, WireFormat};
 use pb3dp_arm_pa10_test_support::bus_bench::{BUS_CYCLE, BusBench};
 use pb3dp_arm_pa10_test_support::injection::{
     Braking, Dice, Stop, braking_time, controller_alarm, joints, last_motion, servo_alarm, table_line,

@@ -4,8 +4,8 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::{Axis, CommAlarm, ServoAlarm};
-use pb3dp_arm_pa10::mock_controller::{Fault, LineFault, ReplyFault, Script, ScriptLine, Side, When};
+use pb3dp_arm_pa10_emulation::mock_controller::{Fault, LineFault, ReplyFault, Script, ScriptLine, Side, When};
+use pb3dp_arm_pa10_protocol::codec::{Axis, CommAlarm, ServoAlarm};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 

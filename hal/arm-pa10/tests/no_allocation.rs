@@ -2,10 +2,10 @@
 #![allow(clippy::unwrap_used)] // In helpers of tests.
 
 use pb3dp_allocation_count::requests;
-use pb3dp_arm_pa10::arcnet::{self, Route};
-use pb3dp_arm_pa10::codec::{ControlPacket, ReplyMessage, ReplyPacket, SequenceModulus, WireFormat};
 use pb3dp_arm_pa10::driver::{DriverState, Reply, Request};
-use pb3dp_arm_pa10::gateway_protocol::{
+use pb3dp_arm_pa10_protocol::arcnet::{self, Route};
+use pb3dp_arm_pa10_protocol::codec::{ControlPacket, ReplyMessage, ReplyPacket, SequenceModulus, WireFormat};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, ArmOperation, DriveCommand, DriveMode, FrameParser, GatewayState, HostMessage, Received,
 };
 use pb3dp_arm_pa10_test_support::driver_bench::{Bench, CYCLE, velocity};

@@ -4,9 +4,9 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{Activity, DriverState, FaultCause, MEASUREMENT_AGE_MAX, Request, Trip};
-use pb3dp_arm_pa10::gateway_protocol::{
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
     Dialect, Frame, FrameParser, GatewayMessage, GatewayState, Received, State, StopCause,
 };
 use pb3dp_arm_pa10_test_support::bus_bench::plant;

@@ -4,9 +4,9 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, FaultCause, Request, Trip};
-use pb3dp_arm_pa10::mock_controller::{ControlMode, MockControllerConfig, pa10_joints};
+use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockControllerConfig, pa10_joints};
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
 use pb3dp_arm_pa10_test_support::bus_bench::{BUS_CYCLE, BusBench, START, assert_held};
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant};

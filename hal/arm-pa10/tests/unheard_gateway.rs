@@ -2,15 +2,14 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-use pb3dp_arm_pa10_test_support::bus_bench;
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, FaultCause, Request, Trip};
-use pb3dp_arm_pa10::gateway::{Gateway, GatewayConfig};
-use pb3dp_arm_pa10::gateway_protocol::{Dialect, Firmware, GatewayState, RejectReason, StopCause};
-use pb3dp_arm_pa10::mock_controller::{ControlMode, pa10_joints};
-use pb3dp_arm_pa10_test_support::bus_bench::{START, assert_held};
+use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, pa10_joints};
+use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, Firmware, GatewayState, RejectReason, StopCause};
+use pb3dp_arm_pa10_test_support::bus_bench::{self, START, assert_held};
 use pb3dp_arm_pa10_test_support::chain::{ARM, Chain};
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant};

@@ -7,14 +7,15 @@ use std::rc::Rc;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, RawBytes, TripSeat, VirtualTime, virtual_trip_line};
 use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, FaultCause, LimitsCheck, Trip};
-use pb3dp_arm_pa10::far_end::FarEnd;
-use pb3dp_arm_pa10::gateway::{Gateway, GatewayConfig};
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, Geometry};
-use pb3dp_arm_pa10::io::arm::{Pa10Arm, Pa10ArmConfig, RawBytes, TripSeat, VirtualEnd, VirtualTime, virtual_trip_line};
 use pb3dp_arm_pa10::link::GatewayLinkConfig;
-use pb3dp_arm_pa10::mock_controller::{MockController, MockControllerConfig};
+use pb3dp_arm_pa10_emulation::far_end::FarEnd;
+use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
+use pb3dp_arm_pa10_emulation::mock_controller::{MockController, MockControllerConfig};
+use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, Geometry};
 use pb3dp_arm_pa10_test_support::plant_config::plant_config;
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
 use pb3dp_hal_clock::VirtualClock;
@@ -43,7 +44,7 @@ fn open(arm: u8, time: &Arc<VirtualTime>, seat: TripSeat) -> (Pa10Arm, VirtualEn
     let dialect = Dialect::GatewayV1;
     let link = GatewayLinkConfig { arm: ArmId(arm), dialect, format: FORMAT, geometry, cycle: CYCLE };
     let config = Pa10ArmConfig::new(&format!("arm-{arm}"), driver, link);
-    (Pa10Arm::open_virtual(config, end.clone(), time, seat).unwrap(), end)
+    (Pa10Arm::open_virtual(config, Box::new(end.clone()), time, seat).unwrap(), end)
 }
 
 fn seat() -> TripSeat {

@@ -5,11 +5,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::common::{
-    COMMAND_TIMEOUT, CYCLE, acceleration, assert_contract, guard_config, jerk, limiter_config, mock_arm, velocity,
-};
 use nalgebra::{UnitQuaternion, Vector3};
-use pb3dp_arm_pa10::MockArm;
+use pb3dp_arm_pa10_emulation::mock::MockArm;
 use pb3dp_geometry::frames::{Base, World};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
@@ -17,6 +14,10 @@ use pb3dp_hal_clock::VirtualClock;
 use pb3dp_hal_middleware::{Coupled, CoupledArmConfig, CoupledError, Guard, Limiter, couple};
 use pb3dp_kinematics::{ArmPart, ArmShape, Capsule, Carrier, Chain, JointVector, PlacedArm, clearance};
 use proptest::prelude::*;
+
+use crate::common::{
+    COMMAND_TIMEOUT, CYCLE, acceleration, assert_contract, guard_config, jerk, limiter_config, mock_arm, velocity,
+};
 
 const LEAST_M: f64 = 0.05;
 

@@ -3,21 +3,21 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-use crate::common;
-use pb3dp_arm_pa10_test_support::bus_bench;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::WireFormat;
 use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, FaultCause, Request, Trip};
-use pb3dp_arm_pa10::mock_controller::MockControllerConfig;
-use pb3dp_arm_pa10_test_support::bus_bench::{AT_REST_RAD_PER_S, BUS_CYCLE, BusBench, HOST_CYCLE, plant_config};
+use pb3dp_arm_pa10_emulation::mock_controller::MockControllerConfig;
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_test_support::bus_bench::{self, AT_REST_RAD_PER_S, BUS_CYCLE, BusBench, HOST_CYCLE, plant_config};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_middleware::{CommandFade, Guard, GuardConfig, Limiter, LimiterConfig};
 use pb3dp_kinematics::{JointLimits, JointVector};
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
 use proptest::prelude::*;
+
+use crate::common;
 
 const SPEED_SCALE: f64 = 0.3;
 

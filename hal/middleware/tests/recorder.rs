@@ -4,14 +4,15 @@
 
 use std::sync::Arc;
 
-use crate::common::{CYCLE, assert_contract, mock_arm, velocity};
-use pb3dp_arm_pa10::MockArm;
+use pb3dp_arm_pa10_emulation::mock::MockArm;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_hal_conformance::mocks::MockScriptedArm;
 use pb3dp_hal_middleware::{Asked, FlightLog, Recorded};
 use pb3dp_kinematics::JointVector;
+
+use crate::common::{CYCLE, assert_contract, mock_arm, velocity};
 
 fn recorded(clock: &Arc<VirtualClock>, entries: usize) -> (Recorded<MockArm>, FlightLog) {
     let log = FlightLog::with_capacity(entries);

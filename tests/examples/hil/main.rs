@@ -5,7 +5,7 @@
 use std::fmt::Write as _;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_arm_pa10::io::witness::{PERIOD, TOO_LATE, Witness};
+use pb3dp_hal_platform::witness::{PERIOD, TOO_LATE, Witness};
 use pb3dp_orchestrator::config::setup::{ArmLink, Pace, Setup, read_setup};
 use pb3dp_orchestrator::run::channels::Plan;
 use pb3dp_orchestrator::run::cycles::CycleSummary;

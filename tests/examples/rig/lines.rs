@@ -5,10 +5,10 @@ use std::fs;
 use std::os::unix::fs::symlink;
 use std::path::Path;
 
-use pb3dp_arm_pa10::gateway::GatewayConfig;
-use pb3dp_arm_pa10::io::mock_server::MockFace;
-use pb3dp_arm_pa10::io::serial::{PortDescription, PortKind, SerialConfig, ports};
-use pb3dp_arm_pa10::io::transport::Connector;
+use pb3dp_arm_pa10::serial::{PortDescription, PortKind, SerialConfig, ports};
+use pb3dp_arm_pa10_emulation::line::mock_server::MockFace;
+use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
+use pb3dp_hal_platform::transport::Connector;
 use pb3dp_orchestrator::config::setup::{ArmLink, ArmSetup, GatewayWay};
 
 use crate::report::Outcome;

@@ -22,7 +22,7 @@ mod world;
 
 mod clock {
     //! The time, for `system.rs`.
-    pub use pb3dp_arm_pa10::io::realtime::{now, sleep_until};
+    pub use pb3dp_hal_platform::realtime::{now, sleep_until};
 }
 
 use std::process::ExitCode;

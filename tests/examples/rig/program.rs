@@ -6,7 +6,7 @@ use std::process::{Child, ChildStdin, Command, ExitStatus, Output, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
-use pb3dp_arm_pa10::io::realtime::now;
+use pb3dp_hal_platform::realtime::now;
 
 use crate::report::note;
 

@@ -8,7 +8,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use image::RgbImage;
-use pb3dp_arm_pa10::io::mock_server::{MockReport, MockServer};
+use pb3dp_arm_pa10_emulation::line::mock_server::{MockReport, MockServer};
 use pb3dp_geometry::frames::{Hand, Target};
 use pb3dp_geometry::{Camera, Frame, ImageSize, Pinhole, Pose, StereoRig};
 use pb3dp_hal_api::Clock;

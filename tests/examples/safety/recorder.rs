@@ -4,9 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use pb3dp_arm_pa10::gateway::Gateway;
-use pb3dp_arm_pa10::gateway_protocol::GatewayState;
-use pb3dp_arm_pa10::io::arm::{ArmMonitor, VirtualEnd};
+use pb3dp_arm_pa10::arm::ArmMonitor;
+use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
+use pb3dp_arm_pa10_gateway::gateway::Gateway;
+use pb3dp_arm_pa10_protocol::gateway_protocol::GatewayState;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_orchestrator::run::cell::SimulatedCell;
 use pb3dp_orchestrator::run::moving::Moved;

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use nalgebra::{Matrix6, Vector3, Vector6};
-use pb3dp_arm_pa10::io::arm::VirtualEnd;
+use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_camera_sim::CameraFaultKind;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;

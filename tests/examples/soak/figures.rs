@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use anyhow::{Result, bail};
 use pb3dp_arm_pa10::driver::LinkCounters;
-use pb3dp_arm_pa10::io::arm::Jitter;
+use pb3dp_hal_platform::jitter::Jitter;
 
 use crate::rig::{AT_REST_RAD_PER_S, DEADLINE, Stopped};
 

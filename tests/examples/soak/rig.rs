@@ -6,12 +6,12 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
 use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmErrorKind, ArmState, Clock, JointCommand};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_middleware::StartPose;
+use pb3dp_hal_platform::realtime::{Realtime, enter};
 use pb3dp_kinematics::JointVector;
 use pb3dp_orchestrator::config::setup::read_setup;
 use pb3dp_orchestrator::run::cell::ArmSite;

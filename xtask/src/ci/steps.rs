@@ -44,7 +44,7 @@ const KERNELS: &[&str] = &[
     "pb3dp-estimation-published",
     "pb3dp-camera-v4l2",
 ];
-const FUZZED: &[&str] = &["pb3dp-estimation", "pb3dp-arm-pa10"];
+const FUZZED: &[&str] = &["pb3dp-estimation", "pb3dp-arm-pa10-test-support"];
 /// What every package depends on: touched with the manifests, the lock file or the tool chain only.
 const MANIFESTS: &[&str] = &["manifests"];
 
@@ -64,7 +64,7 @@ pub const STEPS: [Step; 14] = [
         run: |progress| commissioning::calibrate(progress.workspace, progress.programs()),
     },
     Step { name: "accuracy", of: &["pb3dp-benchmarks"], run: accuracy },
-    Step { name: "vm", of: &["pb3dp-arm-pa10", "pb3dp-camera-v4l2", "system-tests"], run: guests },
+    Step { name: "vm", of: &["pb3dp-arm-pa10-emulation", "pb3dp-camera-v4l2", "system-tests"], run: guests },
     Step { name: "fuzz", of: FUZZED, run: |progress| fuzz_build::run(progress.workspace) },
     Step { name: "miri", of: KERNELS, run: |progress| miri::run(progress.workspace) },
     Step { name: "msrv", of: MANIFESTS, run: |progress| msrv::run(progress.workspace) },

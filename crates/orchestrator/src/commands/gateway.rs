@@ -5,12 +5,12 @@ use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use pb3dp_arm_pa10::gateway::GatewayStatus;
-use pb3dp_arm_pa10::gateway_protocol::{Dialect, GatewayState, StopCause};
-use pb3dp_arm_pa10::io::arm::BusTarget;
-use pb3dp_arm_pa10::io::gateway::{BusOpener, Ending, GatewayServer, GatewayServerConfig, Happened, HostSide};
-use pb3dp_arm_pa10::io::serial::SerialConfig;
-use pb3dp_arm_pa10::io::signals::{StopSignal, StopSignals};
+use pb3dp_arm_pa10::arm::BusTarget;
+use pb3dp_arm_pa10::serial::SerialConfig;
+use pb3dp_arm_pa10_gateway::gateway::GatewayStatus;
+use pb3dp_arm_pa10_gateway::service::{BusOpener, Ending, GatewayServer, GatewayServerConfig, Happened, HostSide};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, GatewayState, StopCause};
+use pb3dp_hal_platform::signals::{StopSignal, StopSignals};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use crate::cli::GatewayArgs;

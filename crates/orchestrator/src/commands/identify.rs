@@ -9,7 +9,7 @@ use std::time::SystemTime;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand};
-use pb3dp_arm_pa10::io::signals::StopSignals;
+use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::metrics::percentile;
 use pb3dp_servo::identification::{
     ArmResponseEstimate, BATCHES, CameraOnHand, Excitation, Interval, arm_response, exposure_offset,

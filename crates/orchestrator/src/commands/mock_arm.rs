@@ -8,13 +8,13 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::{ArgGroup, Args};
-use pb3dp_arm_pa10::gateway::GatewayConfig;
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Firmware};
-use pb3dp_arm_pa10::io::mock_server::{MockFace, MockServer, MockServerConfig, SocketAddr};
-use pb3dp_arm_pa10::io::realtime::Realtime;
-use pb3dp_arm_pa10::mock_controller::{MockControllerConfig, Script, ScriptLine, pa10_joints};
+use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, MockServerConfig, SocketAddr};
+use pb3dp_arm_pa10_emulation::mock_controller::{MockControllerConfig, Script, ScriptLine, pa10_joints};
+use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Firmware};
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_clock::SystemClock;
+use pb3dp_hal_platform::realtime::Realtime;
 use pb3dp_kinematics::{DOF, JointVector};
 use pb3dp_sim::joint_dynamics::JointPlant;
 
@@ -190,7 +190,7 @@ fn parse_watchdog(text: &str) -> Result<Watchdog, String> {
     if text == "none" {
         return Ok(Watchdog(None));
     }
-    let time = pb3dp_arm_pa10::mock_controller::parse_time(text).filter(|time| !time.is_zero());
+    let time = pb3dp_arm_pa10_emulation::mock_controller::parse_time(text).filter(|time| !time.is_zero());
     time.map(|time| Watchdog(Some(time))).ok_or_else(|| format!("{text:?} is neither a time such as 6ms nor none"))
 }
 

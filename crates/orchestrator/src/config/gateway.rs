@@ -3,13 +3,13 @@
 use std::path::Path;
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::{SequenceModulus, Supervision, TorqueScale, WireFormat};
-use pb3dp_arm_pa10::gateway::GatewayConfig;
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Firmware};
-use pb3dp_arm_pa10::io::arm::BusTarget;
-use pb3dp_arm_pa10::io::realtime::Realtime;
-use pb3dp_arm_pa10::io::tcp::TcpConfig;
+use pb3dp_arm_pa10::arm::BusTarget;
 use pb3dp_arm_pa10::watchdog::CommandWatchdog;
+use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
+use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, Supervision, TorqueScale, WireFormat};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Firmware};
+use pb3dp_hal_platform::realtime::Realtime;
+use pb3dp_hal_platform::tcp::TcpConfig;
 use serde::Deserialize;
 
 use super::load::{Checker, ConfigError, FileKind, read_toml, whole};

@@ -1,8 +1,8 @@
 //! Wire formats, geometries and sequences by their names, in files and on the command line.
 
 use clap::ValueEnum;
-use pb3dp_arm_pa10::codec::{SequenceModulus, WireFormat};
-use pb3dp_arm_pa10::gateway_protocol::Geometry;
+use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, WireFormat};
+use pb3dp_arm_pa10_protocol::gateway_protocol::Geometry;
 use serde::Deserialize;
 
 use super::load::Checker;

@@ -278,7 +278,7 @@ mod tests {
     use std::sync::{Arc, Mutex};
     use std::time::Duration;
 
-    use pb3dp_arm_pa10::mock::{MockArm, MockArmConfig, MockArmFaults};
+    use pb3dp_arm_pa10_emulation::mock::{MockArm, MockArmConfig, MockArmFaults};
     use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, Clock};
     use pb3dp_hal_clock::VirtualClock;
     use pb3dp_hal_middleware::{Limiter, LimiterStatistics, couple};

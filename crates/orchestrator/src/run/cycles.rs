@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::io::arm::{ArmMonitor, Jitter, JitterMeter};
+use pb3dp_arm_pa10::arm::ArmMonitor;
+use pb3dp_hal_platform::jitter::{Jitter, JitterMeter};
 use pb3dp_record::report::Table;
 use serde::Serialize;
 

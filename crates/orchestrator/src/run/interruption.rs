@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use pb3dp_arm_pa10::io::signals::StopSignals;
+use pb3dp_hal_platform::signals::StopSignals;
 use rustix::event::{PollFd, PollFlags, poll};
 
 use crate::logging;

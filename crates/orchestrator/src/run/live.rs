@@ -11,9 +11,9 @@ use std::thread::{Builder, Scope, ScopedJoinHandle};
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
-use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
+use pb3dp_hal_platform::realtime::{Realtime, enter};
 use rtrb::{Consumer, Producer, RingBuffer};
 
 use super::cycles::{Beat, Punctuality};

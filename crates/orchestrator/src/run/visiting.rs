@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_arm_pa10::codec::Axis;
+use pb3dp_arm_pa10_protocol::codec::Axis;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Clock, FramePair, JointCommand};
 use pb3dp_kinematics::{Chain, DOF, JointVector};

@@ -5,23 +5,24 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_arm_pa10::driver::{Activity, DriverConfig, DriverState, LimitsCheck};
-use pb3dp_arm_pa10::far_end::FarEnd;
-use pb3dp_arm_pa10::gateway::{Gateway, GatewayConfig};
-use pb3dp_arm_pa10::gateway_protocol::Firmware;
-use pb3dp_arm_pa10::io::arm::{
-    ArmMonitor, BusArmConfig, Pa10Arm, Pa10ArmConfig, REALTIME, TripHandle, TripSeat, VirtualEnd, VirtualTime,
-    trip_line, virtual_trip_line,
+use pb3dp_arm_pa10::arm::{
+    ArmMonitor, BusArmConfig, Pa10Arm, Pa10ArmConfig, REALTIME, TripHandle, TripSeat, VirtualTime, trip_line,
+    virtual_trip_line,
 };
-use pb3dp_arm_pa10::io::mock_server::{MockFace, MockPort, MockServer, MockServerConfig};
-use pb3dp_arm_pa10::io::realtime::Realtime;
-use pb3dp_arm_pa10::io::serial::SerialConfig;
-use pb3dp_arm_pa10::io::transport::Connector;
+use pb3dp_arm_pa10::driver::{Activity, DriverConfig, DriverState, LimitsCheck};
 use pb3dp_arm_pa10::link::GatewayLinkConfig;
-use pb3dp_arm_pa10::mock::{MockArm, MockArmConfig};
-use pb3dp_arm_pa10::mock_controller::{MockController, MockControllerConfig, Script, pa10_joints};
+use pb3dp_arm_pa10::serial::SerialConfig;
+use pb3dp_arm_pa10_emulation::far_end::FarEnd;
+use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockPort, MockServer, MockServerConfig};
+use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
+use pb3dp_arm_pa10_emulation::mock::{MockArm, MockArmConfig};
+use pb3dp_arm_pa10_emulation::mock_controller::{MockController, MockControllerConfig, Script, pa10_joints};
+use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
+use pb3dp_arm_pa10_protocol::gateway_protocol::Firmware;
 use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_middleware::{CoupledArmConfig, FlightLog, Guard, Limiter, Recorded, couple};
+use pb3dp_hal_platform::realtime::Realtime;
+use pb3dp_hal_platform::transport::Connector;
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
 
 use super::nominal::EMULATION;
@@ -419,7 +420,7 @@ pub(super) fn connect(line: Line<'_>, (seat, limits): (TripSeat, LimitsCheck), w
     let clock = Arc::clone(clock);
     let config = |link: &GatewayLinkConfig| Pa10ArmConfig::new(name, driver(link.cycle), *link);
     Ok(match line {
-        Line::Virtual(link, end, time) => Pa10Arm::open_virtual(config(link), end, time, seat)?,
+        Line::Virtual(link, end, time) => Pa10Arm::open_virtual(config(link), Box::new(end), time, seat)?,
         Line::Gateway(link, connector) => {
             let opened = Pa10Arm::open(config(link), connector, clock, seat)?;
             if let Some(hello) = &opened.monitor().snapshot().gateway {

@@ -3,13 +3,13 @@
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
+use pb3dp_arm_pa10::arm::{ArmMonitor, Pa10Arm};
 use pb3dp_arm_pa10::driver::{FaultCause, LimitsCheck, Trip};
-use pb3dp_arm_pa10::gateway_protocol::StopCause;
-use pb3dp_arm_pa10::io::arm::{ArmMonitor, Pa10Arm};
-use pb3dp_arm_pa10::io::mock_server::{MockFace, MockServer, SocketAddr};
-use pb3dp_arm_pa10::io::tcp::TcpConfig;
+use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, SocketAddr};
+use pb3dp_arm_pa10_protocol::gateway_protocol::StopCause;
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_middleware::{FlightLog, StartPose};
+use pb3dp_hal_platform::tcp::TcpConfig;
 use pb3dp_kinematics::{JointLimits, JointVector};
 
 use super::DrivenArm;

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::WireFormat;
-use pb3dp_arm_pa10::gateway_protocol::{Geometry, HelloReply};
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{Geometry, HelloReply};
 
 use crate::config::setup::BusLinkConfig;
 

@@ -1,8 +1,8 @@
 //! A calibration that is that of no cameras, a drawing's say: by what is seen with it no real arm moves unless somebody says so.
 
 use anyhow::{Result, bail};
-use pb3dp_arm_pa10::gateway_protocol::HelloReply;
-use pb3dp_arm_pa10::io::arm::ArmMonitor;
+use pb3dp_arm_pa10::arm::ArmMonitor;
+use pb3dp_arm_pa10_protocol::gateway_protocol::HelloReply;
 
 /// How the firmware of a gateway calls itself that is emulated in this program; it moves nothing.
 pub(super) const EMULATION: &str = "pb3dp emulation";

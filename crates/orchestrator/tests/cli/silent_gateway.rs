@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Frame, FrameParser, Received};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Frame, FrameParser, Received};
 
 /// Between two commands.
 const CYCLE: Duration = Duration::from_millis(10);

@@ -1,7 +1,6 @@
 //! `pb3dp gateway` as a process, between an emulated controller and a host: how it ends, is killed and is held up.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests may fail the test")]
 
-use pb3dp_arm_pa10_test_support::world;
 use std::fs::File;
 use std::io::Write;
 use std::net::{SocketAddr, TcpListener};
@@ -10,12 +9,12 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus};
 use std::time::{Duration, Instant};
 
+use pb3dp_arm_pa10::bus::{BusPort, FRAME_ROOM, FrameListener};
 use pb3dp_arm_pa10::driver::{DriverState, Request};
-use pb3dp_arm_pa10::gateway_protocol::{Dialect, StopCause};
-use pb3dp_arm_pa10::io::bus::{BusPort, FRAME_ROOM, FrameListener};
-use pb3dp_arm_pa10::io::tcp::{TcpConfig, TcpLink};
-use pb3dp_arm_pa10::mock_controller::ControlMode;
-use pb3dp_arm_pa10_test_support::world::{Emulation, Host, LONG, ms};
+use pb3dp_arm_pa10_emulation::mock_controller::ControlMode;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, StopCause};
+use pb3dp_arm_pa10_test_support::world::{self, Emulation, Host, LONG, ms};
+use pb3dp_hal_platform::tcp::{TcpConfig, TcpLink};
 use pb3dp_test_support::programs_in_real_time_beside_others;
 use rustix::process::{Pid, Signal, kill_process};
 
@@ -216,7 +215,7 @@ fn after_a_kill_the_controller_stops_the_arm() {
             scene.must_be_braked();
             assert_eq!(scene.emulation.seen().counters.watchdog_trips, 1);
             scene.host.run_for(LONG, |host| host.driver.state() == DriverState::Fault);
-            let now = pb3dp_arm_pa10::io::realtime::now();
+            let now = pb3dp_hal_platform::realtime::now();
             assert!(scene.host.driver.handle_request(now, Request::Move(world::velocity())).is_err());
             assert!(scene.host.driver.handle_request(now, Request::Enable).is_err());
         });
@@ -234,7 +233,7 @@ fn a_gateway_that_was_held_up_latches() {
             scene.signal(Signal::CONT);
             wait_for("it latches", || scene.log().contains("cycle-missed").then_some(()));
             scene.host.run_for(LONG, |host| host.driver.state() == DriverState::Fault);
-            scene.host.link.open(pb3dp_arm_pa10::io::realtime::now());
+            scene.host.link.open(pb3dp_hal_platform::realtime::now());
             assert!(scene.host.run_for(LONG, |host| host.link.hello().is_some()));
             assert_eq!(scene.host.link.hello().unwrap().cause, StopCause::CycleMissed);
             scene.signal(Signal::TERM);

@@ -4,10 +4,10 @@ use std::error::Error;
 use std::fs;
 use std::time::Duration;
 
-use pb3dp_arm_pa10::arcnet::{self, Route};
-use pb3dp_arm_pa10::codec::{Packet, WireFormat};
-use pb3dp_arm_pa10::io::bus::{ArcnetError, ArcnetSocket, BusPort, FRAME_ROOM};
-use pb3dp_arm_pa10::io::realtime::now;
+use pb3dp_arm_pa10::bus::{ArcnetError, ArcnetSocket, BusPort, FRAME_ROOM};
+use pb3dp_arm_pa10_protocol::arcnet::{self, Route};
+use pb3dp_arm_pa10_protocol::codec::{Packet, WireFormat};
+use pb3dp_hal_platform::realtime::now;
 
 use crate::card::{Card, Frame, module_parameters};
 use crate::report::{Outcome, Report, ensure};

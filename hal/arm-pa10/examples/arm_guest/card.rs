@@ -10,7 +10,7 @@ use std::fs::{File, OpenOptions};
 use std::os::unix::fs::FileExt;
 use std::time::Duration;
 
-use pb3dp_arm_pa10::io::realtime::{now, sleep_until};
+use pb3dp_hal_platform::realtime::{now, sleep_until};
 
 /// As on the kernel's command line.
 const MEMORY: u64 = 0x1000_0000;

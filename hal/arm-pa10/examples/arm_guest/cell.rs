@@ -7,19 +7,19 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, REALTIME, trip_line};
+use pb3dp_arm_pa10::bus::{BusPort, FrameSocket};
 use pb3dp_arm_pa10::driver::DriverConfig;
-use pb3dp_arm_pa10::gateway::GatewayConfig;
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, Geometry, StopCause};
-use pb3dp_arm_pa10::io::arm::{Pa10Arm, Pa10ArmConfig, REALTIME, trip_line};
-use pb3dp_arm_pa10::io::bus::{BusPort, FrameSocket};
-use pb3dp_arm_pa10::io::gateway::{BusOpener, GatewayServer, GatewayServerConfig, Happened, HostSide};
-use pb3dp_arm_pa10::io::mock_server::{MockFace, MockServer, MockServerConfig};
-use pb3dp_arm_pa10::io::realtime::{Realtime, enter, now, sleep_until};
 use pb3dp_arm_pa10::link::GatewayLinkConfig;
-use pb3dp_arm_pa10::mock_controller::{MockControllerConfig, Script, pa10_joints};
+use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, MockServerConfig};
+use pb3dp_arm_pa10_emulation::mock_controller::{MockControllerConfig, Script, pa10_joints};
+use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
+use pb3dp_arm_pa10_gateway::service::{BusOpener, GatewayServer, GatewayServerConfig, Happened, HostSide};
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, Geometry, StopCause};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
+use pb3dp_hal_platform::realtime::{Realtime, enter, now, sleep_until};
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::JointPlant;
 

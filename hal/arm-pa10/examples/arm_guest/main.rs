@@ -11,7 +11,7 @@ mod card;
 mod cell;
 mod clock {
     //! The time, for `system.rs`.
-    pub use pb3dp_arm_pa10::io::realtime::{now, sleep_until};
+    pub use pb3dp_hal_platform::realtime::{now, sleep_until};
 }
 mod modem;
 mod pulled;

@@ -7,9 +7,9 @@ use std::os::unix::fs::symlink;
 use std::path::Path;
 use std::time::Duration;
 
-use pb3dp_arm_pa10::io::realtime::now;
-use pb3dp_arm_pa10::io::serial::{Latency, PortKind, SerialLink, ports};
-use pb3dp_arm_pa10::io::transport::{ByteLink, wait};
+use pb3dp_arm_pa10::serial::{Latency, PortKind, SerialLink, ports};
+use pb3dp_hal_platform::realtime::now;
+use pb3dp_hal_platform::transport::{ByteLink, wait};
 use rustix::mount::{MountFlags, mount};
 
 use crate::report::{Outcome, ensure};

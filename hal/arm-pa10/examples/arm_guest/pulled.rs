@@ -6,12 +6,12 @@ use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::time::Duration;
 
 use pb3dp_arm_pa10::driver::{FaultCause, Latched, Trip};
-use pb3dp_arm_pa10::gateway_protocol::StopCause;
-use pb3dp_arm_pa10::io::realtime::{Realtime, enter, now, sleep_until};
-use pb3dp_arm_pa10::io::serial::SerialLink;
-use pb3dp_arm_pa10::io::transport::{ByteLink, wait};
+use pb3dp_arm_pa10::serial::SerialLink;
+use pb3dp_arm_pa10_protocol::gateway_protocol::StopCause;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmError, ArmErrorKind, ArmPower};
+use pb3dp_hal_platform::realtime::{Realtime, enter, now, sleep_until};
+use pb3dp_hal_platform::transport::{ByteLink, wait};
 
 use crate::cell::{BAUD, CYCLE, Cell};
 use crate::report::{Outcome, Report, ensure, plug, unplug};

@@ -3,8 +3,8 @@
 use std::fs;
 use std::time::Duration;
 
-use pb3dp_arm_pa10::io::arm::REALTIME;
-use pb3dp_arm_pa10::io::realtime::{Realtime, Shortfall, enter, now, sleep_until};
+use pb3dp_arm_pa10::arm::REALTIME;
+use pb3dp_hal_platform::realtime::{Realtime, Shortfall, enter, now, sleep_until};
 
 use crate::report::{Outcome, Report, ensure};
 use crate::system::{User, as_user};

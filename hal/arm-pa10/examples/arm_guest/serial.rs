@@ -6,11 +6,11 @@ use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt;
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::WireFormat;
-use pb3dp_arm_pa10::gateway_protocol::Dialect;
-use pb3dp_arm_pa10::io::realtime::now;
-use pb3dp_arm_pa10::io::serial::{Latency, PortDescription, PortKind, SerialConfig, SerialError, SerialLink, ports};
-use pb3dp_arm_pa10::io::transport::{ByteLink, wait};
+use pb3dp_arm_pa10::serial::{Latency, PortDescription, PortKind, SerialConfig, SerialError, SerialLink, ports};
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::gateway_protocol::Dialect;
+use pb3dp_hal_platform::realtime::now;
+use pb3dp_hal_platform::transport::{ByteLink, wait};
 use rustix::termios::tcgetattr;
 
 use crate::modem;

@@ -2,11 +2,13 @@
 
 use std::time::Duration;
 
+use pb3dp_arm_pa10_protocol::codec::{
+    ArmReply, Axis, AxisStatus, CommAlarm, CommStatus, ServoAlarm, TorqueScale, WireFormat,
+};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, RejectReason, State, StopCause};
 use pb3dp_kinematics::JointVector;
 
 use super::WarmUpFailure;
-use crate::codec::{ArmReply, Axis, AxisStatus, CommAlarm, CommStatus, ServoAlarm, TorqueScale, WireFormat};
-use crate::gateway_protocol::{GatewayState, RejectReason, State, StopCause};
 
 /// An arm whose newest measurement is older than this is not watched any more: three commands of a host at 100 Hz.
 pub const MEASUREMENT_AGE_MAX: Duration = Duration::from_millis(30);
@@ -39,7 +41,7 @@ pub struct ArmCondition {
 
 /// An axis without power or control; without an axis the controller says so of the whole arm.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Uncontrollable {
+pub struct Uncontrollable {
     axis: Option<Axis>,
     word: u16,
 }
@@ -354,7 +356,7 @@ impl ArmCondition {
     }
 
     /// An axis that can not be held by its servo, where all should be; or the whole arm, as the controller says.
-    pub(crate) fn uncontrollable(&self) -> Option<Uncontrollable> {
+    pub fn uncontrollable(&self) -> Option<Uncontrollable> {
         let lost = |axis: &Axis| match self.axes[axis.index()] {
             AxisStatus::Servo(word) if word.is_power_off() || word.is_uncontrollable() => {
                 Some(Uncontrollable { axis: Some(*axis), word: word.0 })

@@ -3,9 +3,9 @@
 use std::f64::consts::TAU;
 use std::time::Duration;
 
+use pb3dp_arm_pa10_protocol::codec::Supervision;
 use pb3dp_kinematics::{DOF, JointVector};
 
-use crate::codec::Supervision;
 use crate::watchdog::CommandWatchdog;
 
 /// Fewest exchanges before brakes open.

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::codec::Axis;
+use pb3dp_arm_pa10_protocol::codec::Axis;
 
 /// Exchanges in a row without a usable reply that are tolerated.
 const MISSES_TOLERATED: u32 = 2;

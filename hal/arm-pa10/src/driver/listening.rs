@@ -4,13 +4,13 @@
 //! answered goes on with the step that closes the brakes, for as long as the program lives; and as nobody knows who drove the arm
 //! before, looking at it begins with that step, too. Whatever is heard, the time of the brakes counts from there.
 
+use pb3dp_arm_pa10_protocol::codec::{ArmCommand, AxisCommand, ControlMessage, Supervision};
 use pb3dp_geometry::MonotonicTime;
 
 use super::machine::Driver;
 use super::phase::{Heard, LookStep, Phase, StopStep};
 use super::table::Activity;
 use super::{FaultCause, Sample, Trip};
-use crate::codec::{ArmCommand, AxisCommand, ControlMessage, Supervision};
 
 /// Messages in a row without an answer that say that there is none: more than a bus loses, or a held-up computer.
 const CHECKS: u32 = 10;

@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use pb3dp_arm_pa10_protocol::codec::{ArmCommand, Axis, AxisCommand, CodecError, ControlMessage, Letter};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{RejectReason, StopCause};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::{JointState, JointVector};
 
@@ -13,8 +15,6 @@ use super::torque::TorqueMonitor;
 use super::{
     BadReply, DriverConfig, DriverConfigError, FaultCause, LinkCounters, Refusal, Request, Sample, Trip, WarmUpFailure,
 };
-use crate::codec::{ArmCommand, Axis, AxisCommand, CodecError, ControlMessage, Letter};
-use crate::gateway_protocol::{RejectReason, StopCause};
 
 /// A message that is due.
 ///

@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use pb3dp_arm_pa10_protocol::codec::{Axis, Letter};
+use pb3dp_arm_pa10_protocol::gateway_protocol::RejectReason;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::{JointState, JointVector};
 use pb3dp_safeguards::{Safeguard, is_off};
@@ -13,8 +15,6 @@ use super::phase::{LookStep, Phase, StopStep};
 use super::table::{Activity, DriverState, Event, Outcome, outcome};
 use super::torque::TorqueMonitor;
 use super::{FaultCause, Sample, Trip, WarmUpFailure};
-use crate::codec::{Axis, Letter};
-use crate::gateway_protocol::RejectReason;
 
 /// How often E is sent without an answer.
 const END_TRIES_MAX: u32 = 3;

@@ -1,9 +1,9 @@
 //! What operator and control loop may ask for, and why it may be refused.
 
+use pb3dp_arm_pa10_protocol::codec::CodecError;
 use pb3dp_kinematics::JointVector;
 
 use super::{Activity, DriverState, Event};
-use crate::codec::CodecError;
 
 /// What operator and control loop may ask for.
 #[derive(Clone, Copy, Debug, PartialEq)]

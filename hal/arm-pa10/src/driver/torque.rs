@@ -1,10 +1,10 @@
 //! How long joints carry more than they may.
 
+use pb3dp_arm_pa10_protocol::codec::Axis;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
 
 use super::{DriverConfig, FaultCause};
-use crate::codec::Axis;
 
 /// Since when each joint carries more than it may.
 #[derive(Clone, Copy, Debug, Default)]

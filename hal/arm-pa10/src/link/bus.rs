@@ -1,9 +1,9 @@
 //! The link to the servo controller itself.
 
+use pb3dp_arm_pa10_protocol::arcnet::{self, Frame, FrameError, Route};
+use pb3dp_arm_pa10_protocol::codec::{CodecError, ControlPacket, ReplyPacket, SequenceModulus, WireFormat};
 use pb3dp_geometry::MonotonicTime;
 
-use crate::arcnet::{self, Frame, FrameError, Route};
-use crate::codec::{CodecError, ControlPacket, ReplyPacket, SequenceModulus, WireFormat};
 use crate::driver::{BadReply, Driver, FaultCause, Transmit, Trip};
 
 /// Puts messages into ARCNET frames, and takes replies out of them.

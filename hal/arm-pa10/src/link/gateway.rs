@@ -2,18 +2,18 @@
 
 use std::time::Duration;
 
-use pb3dp_geometry::MonotonicTime;
-
-use crate::codec::{
+use pb3dp_arm_pa10_protocol::codec::{
     Axis, AxisCommand, CodecError, CommAlarm, ControlMessage, ReplyMessage, ServoAlarm, ServoWord, WireFormat,
 };
-use crate::driver::{
-    Activity, AxisLimits, BadReply, Driver, EmergencyStopCause, FaultCause, Reply, Sample, Transmit, Trip,
-};
-use crate::gateway_protocol::{
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, ArmOperation, BRAKE_TIME_MAX, Control, DelayMeter, Dialect, DriveCommand, DriveMode, FaultReport, Frame,
     FrameBytes, FrameParser, GatewayMessage, GatewayState, Geometry, Hello, HelloReply, HostMessage, ParserCounters,
     RawMessage, Received, Reject, RejectReason, StopCause,
+};
+use pb3dp_geometry::MonotonicTime;
+
+use crate::driver::{
+    Activity, AxisLimits, BadReply, Driver, EmergencyStopCause, FaultCause, Reply, Sample, Transmit, Trip,
 };
 use crate::watchdog::{CommandWatchdog, WatchdogError};
 
@@ -462,7 +462,7 @@ fn control_of(message: &ControlMessage) -> Option<Control> {
 fn transparent(format: WireFormat, message: &ControlMessage) -> Result<HostMessage, LinkError> {
     let data = message.encode_data(format)?;
     let too_long = CodecError::PacketLength { got: data.len() };
-    let data = crate::codec::ByteBuffer::from_slice(&data).ok_or(too_long)?;
+    let data = pb3dp_arm_pa10_protocol::codec::ByteBuffer::from_slice(&data).ok_or(too_long)?;
     Ok(HostMessage::Raw(RawMessage { letter: message.letter().byte(), data }))
 }
 
@@ -491,7 +491,7 @@ fn gateway_v1(message: &ControlMessage) -> Result<HostMessage, LinkError> {
 /// Why the gateway stopped the arm, as exactly as its report tells.
 fn trip(report: &FaultReport) -> Trip {
     let servo = |axis: Axis| ServoWord(report.word).alarm().map(|alarm: ServoAlarm| (axis, alarm));
-    let controller = || crate::codec::CommWord(report.word).alarm();
+    let controller = || pb3dp_arm_pa10_protocol::codec::CommWord(report.word).alarm();
     match report.cause {
         StopCause::EmergencyStop => Trip::EStop(match report.axis {
             Some(axis) => servo(axis)

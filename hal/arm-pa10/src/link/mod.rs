@@ -9,7 +9,8 @@ mod gateway;
 pub use bus::{BusFrameError, BusLink};
 pub use gateway::{GatewayLink, GatewayLinkConfig, HEARTBEAT_INTERVAL, HELLO_TIMEOUT, HelloError, LinkError, SILENCE};
 
-use crate::codec::{ReplyMessage, TorqueScale, WireFormat};
+use pb3dp_arm_pa10_protocol::codec::{ReplyMessage, TorqueScale, WireFormat};
+
 use crate::driver::{AxisLimits, Reply, Sample};
 
 /// What a reply of the servo controller tells the driver, with torques as its wire format has them.

@@ -9,17 +9,17 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
-use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
 use pb3dp_arm_pa10::driver::DriverConfig;
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, GatewayState, Geometry, StopCause};
-use pb3dp_arm_pa10::io::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
-use pb3dp_arm_pa10::io::pty::Pty;
-use pb3dp_arm_pa10::io::serial::SerialConfig;
-use pb3dp_arm_pa10::io::transport::ByteLink;
 use pb3dp_arm_pa10::link::GatewayLinkConfig;
+use pb3dp_arm_pa10::serial::SerialConfig;
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, GatewayState, Geometry, StopCause};
 use pb3dp_arm_pa10_test_support::cell_end::{Cell, CellEnd};
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, JointCommand};
 use pb3dp_hal_clock::SystemClock;
+use pb3dp_hal_platform::pty::Pty;
+use pb3dp_hal_platform::transport::ByteLink;
 use pb3dp_kinematics::JointVector;
 use rustix::process::{Pid, Signal, kill_process};
 

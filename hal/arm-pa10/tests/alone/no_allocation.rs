@@ -5,18 +5,18 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use pb3dp_allocation_count::{leave_this_thread_out, requests_of_all_threads};
-use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
 use pb3dp_arm_pa10::driver::DriverConfig;
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Geometry};
-use pb3dp_arm_pa10::io::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
-use pb3dp_arm_pa10::io::pty::Pty;
-use pb3dp_arm_pa10::io::serial::SerialConfig;
-use pb3dp_arm_pa10::io::transport::ByteLink;
 use pb3dp_arm_pa10::link::GatewayLinkConfig;
+use pb3dp_arm_pa10::serial::SerialConfig;
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry};
 use pb3dp_arm_pa10_test_support::far_end::FarEnd;
 use pb3dp_arm_pa10_test_support::gateway::FakeGateway;
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, JointCommand};
 use pb3dp_hal_clock::SystemClock;
+use pb3dp_hal_platform::pty::Pty;
+use pb3dp_hal_platform::transport::ByteLink;
 use pb3dp_kinematics::JointVector;
 
 pub fn exchanges() {

@@ -6,19 +6,19 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use pb3dp_arm_pa10::codec::ServoWord;
+use pb3dp_arm_pa10::arm::{ArmOpenError, Pa10Arm, Way, WishError, trip_line};
 use pb3dp_arm_pa10::driver::{DriverState, FaultCause, Trip};
-use pb3dp_arm_pa10::gateway_protocol::{
+use pb3dp_arm_pa10_protocol::codec::ServoWord;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, ArmOperation, Control, DriveMode, FrameParser, GatewayState, HostMessage, Received, StopCause,
 };
-use pb3dp_arm_pa10::io::arm::{ArmOpenError, Pa10Arm, Way, WishError, trip_line};
-use pb3dp_arm_pa10::io::pty::Pty;
 use pb3dp_arm_pa10_test_support::arm_rig::{FORMAT, Rig, config, open_at, rig, rig_with, seat, serial, velocity};
 use pb3dp_arm_pa10_test_support::far_end::FarEnd;
 use pb3dp_arm_pa10_test_support::gateway::FakeGateway;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
 use pb3dp_hal_clock::SystemClock;
+use pb3dp_hal_platform::pty::Pty;
 use pb3dp_kinematics::JointVector;
 use pb3dp_test_support::in_real_time_beside_others;
 use pb3dp_test_support::real_time::note_lateness_at;

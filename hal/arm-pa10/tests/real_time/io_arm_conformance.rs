@@ -8,19 +8,19 @@ use std::rc::Rc;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
 use pb3dp_arm_pa10::driver::{DriverConfig, LimitsCheck};
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Geometry};
-use pb3dp_arm_pa10::io::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
-use pb3dp_arm_pa10::io::pty::Pty;
-use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
-use pb3dp_arm_pa10::io::serial::SerialConfig;
-use pb3dp_arm_pa10::io::transport::ByteLink;
 use pb3dp_arm_pa10::link::GatewayLinkConfig;
+use pb3dp_arm_pa10::serial::SerialConfig;
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry};
 use pb3dp_arm_pa10_test_support::cell_end::{Cell, CellEnd};
 use pb3dp_hal_api::{ArmPower, ArmState};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, Report, arm_suite};
+use pb3dp_hal_platform::pty::Pty;
+use pb3dp_hal_platform::realtime::{Realtime, enter};
+use pb3dp_hal_platform::transport::ByteLink;
 use pb3dp_kinematics::JointVector;
 use pb3dp_test_support::in_real_time_beside_others;
 

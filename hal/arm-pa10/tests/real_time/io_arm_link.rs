@@ -7,20 +7,20 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use pb3dp_arm_pa10::arm::{ArmOpenError, Pa10Arm, WishError};
 use pb3dp_arm_pa10::driver::{DriverState, FaultCause, Trip};
-use pb3dp_arm_pa10::gateway_protocol::{
+use pb3dp_arm_pa10::serial::SerialConfig;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, ArmOperation, Control, ControlReply, GatewayMessage, GatewayState, StopCause,
 };
-use pb3dp_arm_pa10::io::arm::{ArmOpenError, Pa10Arm, WishError};
-use pb3dp_arm_pa10::io::pty::Pty;
-use pb3dp_arm_pa10::io::serial::SerialConfig;
-use pb3dp_arm_pa10::io::tcp::{TcpConfig, TcpLink};
-use pb3dp_arm_pa10::io::transport::{ByteLink, ConnectError, Connector, Symptom, Unplugged};
 use pb3dp_arm_pa10_test_support::arm_rig::{CYCLE, FORMAT, Rig, config, rig, seat, serial, velocity};
 use pb3dp_arm_pa10_test_support::far_end::FarEnd;
 use pb3dp_arm_pa10_test_support::gateway::FakeGateway;
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, JointCommand};
 use pb3dp_hal_clock::SystemClock;
+use pb3dp_hal_platform::pty::Pty;
+use pb3dp_hal_platform::tcp::{TcpConfig, TcpLink};
+use pb3dp_hal_platform::transport::{ByteLink, ConnectError, Connector, Symptom, Unplugged};
 use pb3dp_test_support::in_real_time_beside_others;
 use rustix::io::Errno;
 

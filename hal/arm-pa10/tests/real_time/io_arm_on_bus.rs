@@ -2,23 +2,23 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
 
-use pb3dp_arm_pa10_test_support::cell_end;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use pb3dp_arm_pa10::codec::{SequenceModulus, WireFormat};
+use pb3dp_arm_pa10::arm::{ArmOpenError, BusArmConfig, BusTarget, Pa10Arm, REALTIME, trip_line};
+use pb3dp_arm_pa10::bus::{BusPort, FRAME_ROOM, FrameListener};
 use pb3dp_arm_pa10::driver::{DriverConfig, FaultCause, LimitsCheck, Trip};
-use pb3dp_arm_pa10::gateway_protocol::ArmId;
-use pb3dp_arm_pa10::io::arm::{ArmOpenError, BusArmConfig, BusTarget, Pa10Arm, REALTIME, trip_line};
-use pb3dp_arm_pa10::io::bus::{BusPort, FRAME_ROOM, FrameListener};
-use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
-use pb3dp_arm_pa10::io::transport::wait_for;
-use pb3dp_arm_pa10::mock_controller::{ControlMode, MockController, MockControllerConfig};
+use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockController, MockControllerConfig};
+use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, WireFormat};
+use pb3dp_arm_pa10_protocol::gateway_protocol::ArmId;
+use pb3dp_arm_pa10_test_support::cell_end;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, JointCommand, JointState};
 use pb3dp_hal_clock::SystemClock;
+use pb3dp_hal_platform::realtime::{Realtime, enter};
+use pb3dp_hal_platform::transport::wait_for;
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::JointPlant;
 use pb3dp_test_support::in_real_time_beside_others;

@@ -9,18 +9,18 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+use pb3dp_arm_pa10::bus::{BusDown, BusPort, FRAME_ROOM, FrameListener, FrameSocket};
 use pb3dp_arm_pa10::driver::{DriverState, Request};
-use pb3dp_arm_pa10::gateway_protocol::{Dialect, GatewayState, StopCause};
-use pb3dp_arm_pa10::io::bus::{BusDown, BusPort, FRAME_ROOM, FrameListener, FrameSocket};
-use pb3dp_arm_pa10::io::gateway::{
+use pb3dp_arm_pa10::serial::SerialConfig;
+use pb3dp_arm_pa10_emulation::mock_controller::ControlMode;
+use pb3dp_arm_pa10_gateway::service::{
     BusOpener, GatewayEvent, GatewayServer, GatewayServerConfig, GatewayServerError, Happened, HostSide,
 };
-use pb3dp_arm_pa10::io::pty::Pty;
-use pb3dp_arm_pa10::io::realtime::{self, Realtime};
-use pb3dp_arm_pa10::io::serial::SerialConfig;
-use pb3dp_arm_pa10::io::tcp::{TcpConfig, TcpLink};
-use pb3dp_arm_pa10::mock_controller::ControlMode;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, GatewayState, StopCause};
 use pb3dp_arm_pa10_test_support::world::{Emulation, FORMAT, Host, LONG, gateway_config, home, ms, velocity};
+use pb3dp_hal_platform::pty::Pty;
+use pb3dp_hal_platform::realtime::{self, Realtime};
+use pb3dp_hal_platform::tcp::{TcpConfig, TcpLink};
 use pb3dp_test_support::in_real_time_beside_others;
 use pb3dp_test_support::real_time::note_lateness_at;
 

@@ -7,23 +7,23 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
+use pb3dp_arm_pa10::bus::{BusPort, FRAME_ROOM, FrameSocket};
 use pb3dp_arm_pa10::driver::{DriverConfig, LimitsCheck};
-use pb3dp_arm_pa10::gateway::GatewayConfig;
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, Geometry, StopCause};
-use pb3dp_arm_pa10::io::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
-use pb3dp_arm_pa10::io::bus::{BusPort, FRAME_ROOM, FrameSocket};
-use pb3dp_arm_pa10::io::mock_server::{MockFace, MockServer, MockServerConfig, MockServerError};
-use pb3dp_arm_pa10::io::pty::Pty;
-use pb3dp_arm_pa10::io::realtime::Realtime;
-use pb3dp_arm_pa10::io::serial::SerialConfig;
-use pb3dp_arm_pa10::io::tcp::TcpConfig;
-use pb3dp_arm_pa10::io::transport::{ByteLink, ConnectError, Connector};
 use pb3dp_arm_pa10::link::GatewayLinkConfig;
-use pb3dp_arm_pa10::mock_controller::{ControlMode, MockControllerConfig, Script, pa10_joints};
+use pb3dp_arm_pa10::serial::SerialConfig;
+use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, MockServerConfig, MockServerError};
+use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockControllerConfig, Script, pa10_joints};
+use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, Geometry, StopCause};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
 use pb3dp_hal_clock::SystemClock;
+use pb3dp_hal_platform::pty::Pty;
+use pb3dp_hal_platform::realtime::Realtime;
+use pb3dp_hal_platform::tcp::TcpConfig;
+use pb3dp_hal_platform::transport::{ByteLink, ConnectError, Connector};
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
 use pb3dp_test_support::in_real_time_beside_others;
@@ -292,7 +292,7 @@ impl Connector for Once {
 #[test]
 fn a_line_that_is_full_holds_no_host_up() {
     in_real_time_beside_others(|| {
-        let (host, far) = pb3dp_arm_pa10::io::transport::pair("test").unwrap();
+        let (host, far) = pb3dp_hal_platform::transport::pair("test").unwrap();
         rustix::net::sockopt::set_socket_send_buffer_size(host.fd().unwrap(), 1).unwrap();
         let rig = rig(MockFace::Link(gateway(), Box::new(far)));
         let mut arm = rig.enabled(Box::new(Once(Some(Box::new(host)))));
@@ -420,7 +420,7 @@ fn a_socket_stands_in_the_place_of_the_bus() {
 #[test]
 fn answers_that_nobody_reads_are_dropped() {
     in_real_time_beside_others(|| {
-        let (mut host, far) = pb3dp_arm_pa10::io::transport::pair("test").unwrap();
+        let (mut host, far) = pb3dp_hal_platform::transport::pair("test").unwrap();
         let rig = rig(MockFace::Link(gateway(), Box::new(far)));
         let hello = [
             0xa5, 0x5a, 0x01, 0x02, 0x01, 0x05, 0x00, 0x00, 0x60, 0xe3, 0x16, 0x00, 0x00, 0x00, 0x00, 0x00, 0x58, 0x02,
@@ -428,7 +428,7 @@ fn answers_that_nobody_reads_are_dropped() {
         ];
         let flooded = wait_for(|| {
             for _ in 0..50 {
-                pb3dp_arm_pa10::io::transport::ByteLink::try_write(&mut host, &hello).unwrap();
+                pb3dp_hal_platform::transport::ByteLink::try_write(&mut host, &hello).unwrap();
             }
             rig.server.report().unread > 0
         });

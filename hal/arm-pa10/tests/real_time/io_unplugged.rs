@@ -2,9 +2,9 @@
 
 use std::time::{Duration, Instant};
 
-use pb3dp_arm_pa10::io::pty::Pty;
-use pb3dp_arm_pa10::io::transport::{ByteLink, wait};
 use pb3dp_arm_pa10_test_support::byte_links::LONG;
+use pb3dp_hal_platform::pty::Pty;
+use pb3dp_hal_platform::transport::{ByteLink, wait};
 use pb3dp_test_support::in_real_time_beside_others;
 use pb3dp_test_support::real_time::note_lateness_at;
 

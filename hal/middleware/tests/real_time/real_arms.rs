@@ -5,25 +5,26 @@
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use crate::common::{CYCLE, acceleration, guard_config, jerk, velocity};
 use nalgebra::Vector3;
-use pb3dp_arm_pa10::codec::WireFormat;
+use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, TripSeat, trip_line};
 use pb3dp_arm_pa10::driver::DriverConfig;
-use pb3dp_arm_pa10::gateway::GatewayConfig;
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, Dialect, Firmware, Geometry};
-use pb3dp_arm_pa10::io::arm::{Pa10Arm, Pa10ArmConfig, TripSeat, trip_line};
-use pb3dp_arm_pa10::io::mock_server::{MockFace, MockServer, MockServerConfig};
-use pb3dp_arm_pa10::io::realtime::Realtime;
-use pb3dp_arm_pa10::io::serial::SerialConfig;
 use pb3dp_arm_pa10::link::GatewayLinkConfig;
-use pb3dp_arm_pa10::mock_controller::{MockControllerConfig, Script, pa10_joints};
+use pb3dp_arm_pa10::serial::SerialConfig;
+use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, MockServerConfig};
+use pb3dp_arm_pa10_emulation::mock_controller::{MockControllerConfig, Script, pa10_joints};
+use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, Geometry};
 use pb3dp_geometry::Pose;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_middleware::{Coupled, CoupledArmConfig, Guard, couple};
+use pb3dp_hal_platform::realtime::Realtime;
 use pb3dp_kinematics::{ArmPart, ArmShape, Capsule, Carrier, Chain, JointVector};
 use pb3dp_sim::joint_dynamics::JointPlant;
 use pb3dp_test_support::in_real_time_beside_others;
+
+use crate::common::{CYCLE, acceleration, guard_config, jerk, velocity};
 
 const FORMAT: WireFormat = WireFormat::BigEndian6x10;
 const LONG: Duration = Duration::from_secs(20);

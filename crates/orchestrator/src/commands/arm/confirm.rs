@@ -4,7 +4,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
-use pb3dp_arm_pa10::io::signals::{StopSignal, StopSignals};
+use pb3dp_hal_platform::signals::{StopSignal, StopSignals};
 
 use crate::commands::typed_lines::typed_lines;
 

@@ -4,10 +4,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_arm_pa10::codec::Axis;
-use pb3dp_arm_pa10::io::signals::StopSignals;
+use pb3dp_arm_pa10_protocol::codec::Axis;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmError, ArmErrorKind, Clock, JointCommand, JointState};
+use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::JointVector;
 
 use super::confirm::Interrupted;

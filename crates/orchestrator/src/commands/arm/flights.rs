@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use anyhow::{Context, Error, Result};
-use pb3dp_arm_pa10::io::arm::ArmMonitor;
+use pb3dp_arm_pa10::arm::ArmMonitor;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_middleware::FlightLog;
 

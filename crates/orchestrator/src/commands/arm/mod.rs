@@ -15,7 +15,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand, ValueEnum};
-use pb3dp_arm_pa10::io::mock_server::SocketAddr;
+use pb3dp_arm_pa10_emulation::line::mock_server::SocketAddr;
 
 use crate::wiring::commissioning::ArmChoice;
 

@@ -6,9 +6,9 @@ use std::sync::Arc;
 use std::time::SystemTime;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_arm_pa10::io::signals::StopSignals;
 use pb3dp_hal_api::{Clock, JointCommand, JointState};
 use pb3dp_hal_clock::SystemClock;
+use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::{DOF, JointVector};
 use serde::{Deserialize, Serialize};
 

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use anyhow::{Result, bail};
-use pb3dp_arm_pa10::codec::Axis;
+use pb3dp_arm_pa10_protocol::codec::Axis;
 use pb3dp_kinematics::{DOF, JointVector, PlacedArm, clearance};
 
 use crate::config::setup::{ArmSetup, Setup};

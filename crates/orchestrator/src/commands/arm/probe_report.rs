@@ -2,10 +2,11 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::{Axis, AxisStatus, CommStatus, WireFormat};
+use pb3dp_arm_pa10::arm::{ArmMonitor, ArmSnapshot};
 use pb3dp_arm_pa10::driver::{ArmCondition, AxisLimits, FaultCause, Trip};
-use pb3dp_arm_pa10::gateway_protocol::{Dialect, HelloReply};
-use pb3dp_arm_pa10::io::arm::{ArmMonitor, ArmSnapshot, Jitter};
+use pb3dp_arm_pa10_protocol::codec::{Axis, AxisStatus, CommStatus, WireFormat};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, HelloReply};
+use pb3dp_hal_platform::jitter::Jitter;
 use serde::Serialize;
 
 use crate::config::setup::{ArmLink, ArmSetup};

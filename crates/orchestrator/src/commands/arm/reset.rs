@@ -4,9 +4,9 @@ use std::process::ExitCode;
 use std::sync::Arc;
 
 use anyhow::Result;
-use pb3dp_arm_pa10::io::signals::StopSignals;
 use pb3dp_hal_api::{ArmPower, Clock};
 use pb3dp_hal_clock::SystemClock;
+use pb3dp_hal_platform::signals::StopSignals;
 
 use super::{Place, confirm};
 use crate::commands::estimate::output::print_line;

@@ -8,10 +8,10 @@ use std::time::{Duration, SystemTime};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use pb3dp_arm_pa10::io::signals::StopSignals;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Flange};
 use pb3dp_hal_api::{Arm, JointCommand};
+use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::{Damping, JointVector, reach};
 use pb3dp_record::calibration_files::save_cameras;
 use pb3dp_record::stops::{ArmOfPoses, STOPS_FILE, WantedPoses, load_poses};

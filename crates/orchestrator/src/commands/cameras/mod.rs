@@ -13,9 +13,9 @@ use std::sync::Arc;
 
 use anyhow::Result;
 use clap::{Args, Subcommand};
-use pb3dp_arm_pa10::io::signals::StopSignals;
 use pb3dp_camera_v4l2::linux::Linux;
 use pb3dp_hal_clock::SystemClock;
+use pb3dp_hal_platform::signals::StopSignals;
 
 /// Arguments of `pb3dp cameras`.
 #[derive(Debug, Args)]

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use pb3dp_arm_pa10::io::arm::{BusTarget, REALTIME};
+use pb3dp_arm_pa10::arm::{BusTarget, REALTIME};
 use pb3dp_camera_v4l2::names::CameraName;
 
 use crate::config::gateway::{HostPlace, read_gateway};

@@ -4,7 +4,7 @@ use std::fs;
 use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::path::{Path, PathBuf};
 
-use pb3dp_arm_pa10::io::realtime::{Realtime, enter};
+use pb3dp_hal_platform::realtime::{Realtime, enter};
 use rustix::fs::{Access, access, statvfs};
 
 /// Rights and owner of a file, and whether it is a device.

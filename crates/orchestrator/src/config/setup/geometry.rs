@@ -1,6 +1,6 @@
 //! Whether the robot description of an arm has the lengths of the geometry that its table says.
 
-use pb3dp_arm_pa10::gateway_protocol::Geometry;
+use pb3dp_arm_pa10_protocol::gateway_protocol::Geometry;
 use pb3dp_kinematics::{Chain, JointVector};
 
 use super::super::load::Checker;

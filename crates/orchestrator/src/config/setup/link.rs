@@ -2,14 +2,14 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::codec::{SequenceModulus, Supervision, WireFormat};
-use pb3dp_arm_pa10::gateway_protocol::{ArmId, BRAKE_TIME_MAX, Dialect, Geometry, check_line};
-use pb3dp_arm_pa10::io::arm::BusTarget;
-use pb3dp_arm_pa10::io::mock_server::SocketAddr;
-use pb3dp_arm_pa10::io::serial::SerialConfig;
-use pb3dp_arm_pa10::io::tcp::TcpConfig;
+use pb3dp_arm_pa10::arm::BusTarget;
 use pb3dp_arm_pa10::link::GatewayLinkConfig;
+use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10::watchdog::CommandWatchdog;
+use pb3dp_arm_pa10_emulation::line::mock_server::SocketAddr;
+use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, Supervision, WireFormat};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, BRAKE_TIME_MAX, Dialect, Geometry, check_line};
+use pb3dp_hal_platform::tcp::TcpConfig;
 use serde::Deserialize;
 
 use super::super::load::{Checker, whole};

@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use pb3dp_arm_pa10::io::mock_server::MockServer;
-use pb3dp_arm_pa10::io::signals::StopSignals;
+use pb3dp_arm_pa10_emulation::line::mock_server::MockServer;
+use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::JointVector;
 
 use super::super::confirm::Console;

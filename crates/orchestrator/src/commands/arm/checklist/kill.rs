@@ -6,7 +6,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
-use pb3dp_arm_pa10::io::arm::ArmSnapshot;
+use pb3dp_arm_pa10::arm::ArmSnapshot;
 use pb3dp_hal_api::{Arm, ArmPower, JointCommand, JointState};
 use pb3dp_kinematics::JointVector;
 use rustix::process::{Pid, Signal, kill_process};

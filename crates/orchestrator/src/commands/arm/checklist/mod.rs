@@ -19,12 +19,12 @@ use std::time::{Duration, SystemTime};
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
-use pb3dp_arm_pa10::codec::Axis;
-use pb3dp_arm_pa10::io::arm::ArmSnapshot;
-use pb3dp_arm_pa10::io::mock_server::SocketAddr;
-use pb3dp_arm_pa10::io::signals::StopSignals;
+use pb3dp_arm_pa10::arm::ArmSnapshot;
+use pb3dp_arm_pa10_emulation::line::mock_server::SocketAddr;
+use pb3dp_arm_pa10_protocol::codec::Axis;
 use pb3dp_hal_api::{Clock, JointCommand};
 use pb3dp_hal_clock::SystemClock;
+use pb3dp_hal_platform::signals::StopSignals;
 use sha2::{Digest, Sha256};
 
 use self::emulated::Emulated;

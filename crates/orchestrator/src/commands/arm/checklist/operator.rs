@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use anyhow::{Result, bail};
-use pb3dp_arm_pa10::codec::Axis;
-use pb3dp_arm_pa10::io::signals::StopSignals;
+use pb3dp_arm_pa10_protocol::codec::Axis;
+use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::JointVector;
 
 use super::super::confirm::{Console, Line};

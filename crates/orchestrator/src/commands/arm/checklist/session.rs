@@ -5,21 +5,20 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow, bail};
-use pb3dp_arm_pa10::codec::Axis;
+use pb3dp_arm_pa10::arm::ArmMonitor;
 use pb3dp_arm_pa10::driver::Latched;
-use pb3dp_arm_pa10::gateway_protocol::HelloReply;
-use pb3dp_arm_pa10::io::arm::ArmMonitor;
-use pb3dp_arm_pa10::io::mock_server::SocketAddr;
-use pb3dp_arm_pa10::io::signals::StopSignals;
+use pb3dp_arm_pa10_emulation::line::mock_server::SocketAddr;
+use pb3dp_arm_pa10_protocol::codec::Axis;
+use pb3dp_arm_pa10_protocol::gateway_protocol::HelloReply;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::JointVector;
 
-use super::super::Place;
 use super::super::confirm::Interrupted;
 use super::super::drive::{self, Cycle, Drive};
-use super::super::flights;
 use super::super::plan::Plan;
+use super::super::{Place, flights};
 use super::operator::{Act, Operator, Question};
 use super::record::{Answer, StepReport};
 use super::steps::{OVER_SPEED, Step, WRONG_WAY_DEG};

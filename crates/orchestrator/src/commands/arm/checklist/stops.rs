@@ -1,7 +1,7 @@
 //! The emergency stop and the pulled cable, each while the arm moves.
 
 use anyhow::{Context, Result};
-use pb3dp_arm_pa10::gateway_protocol::{GatewayState, StopCause};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, StopCause};
 use pb3dp_hal_api::{ArmState, JointState};
 
 use super::operator::{Act, Question};

@@ -11,11 +11,11 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
-use pb3dp_arm_pa10::io::signals::StopSignals;
 use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_camera_v4l2::{Side, V4l2StereoCamera};
 use pb3dp_geometry::ImageSize;
 use pb3dp_hal_api::{Clock, StereoCamera};
+use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::calibration_files::save_cameras;
 use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter};
 use pb3dp_record::images::PictureFormat;

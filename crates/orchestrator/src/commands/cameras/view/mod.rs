@@ -13,10 +13,10 @@ use std::sync::mpsc::sync_channel;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use pb3dp_arm_pa10::io::signals::StopSignals;
 use pb3dp_camera_v4l2::V4l2StereoCamera;
 use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_hal_api::{Clock, StereoCamera};
+use pb3dp_hal_platform::signals::StopSignals;
 use tokio::sync::watch;
 
 use self::server::{Server, Sources};

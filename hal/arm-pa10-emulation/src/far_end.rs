@@ -1,0 +1,90 @@
+//! What is at the far end of the line to an emulated arm, without I/O and clock: a servo controller, and the gateway before it.
+//!
+//! Whoever owns it hands in the bytes of the host, lets it go on to a time, and takes what is for the host: a thread that keeps the
+//! machine's time (`io::mock_server`), or a simulation that keeps its own (`io::arm::VirtualTime`).
+
+use std::time::Duration;
+
+use pb3dp_arm_pa10_gateway::gateway::Gateway;
+use pb3dp_arm_pa10_protocol::arcnet::Frame;
+use pb3dp_geometry::MonotonicTime;
+
+use crate::mock_controller::MockController;
+
+/// An emulated servo controller, and the gateway before it if there is one.
+#[derive(Debug)]
+pub struct FarEnd {
+    /// The controller with its arm.
+    pub controller: MockController,
+    /// What hosts talk with; without one they are on the bus themselves.
+    pub gateway: Option<Gateway>,
+    now: MonotonicTime,
+}
+
+impl FarEnd {
+    /// Both begin at `now`.
+    pub fn new(controller: MockController, gateway: Option<Gateway>, now: MonotonicTime) -> Self {
+        Self { controller, gateway, now }
+    }
+
+    /// How far both are.
+    pub fn now(&self) -> MonotonicTime {
+        self.now
+    }
+
+    /// Lets both go on to a time, each event at its own. Without a gateway `bus` gets the frames for the host.
+    pub fn advance(&mut self, to: MonotonicTime, mut bus: impl FnMut(&[u8])) {
+        loop {
+            self.exchange(&mut bus);
+            let wanted = self.gateway.as_ref().map(Gateway::next_deadline);
+            let next = [wanted, self.controller.next_deadline()].into_iter().flatten().min();
+            let Some(next) = next.filter(|next| *next <= to) else { break };
+            self.now = next.max(self.now + Duration::from_nanos(1));
+        }
+        self.now = self.now.max(to);
+        self.controller.advance(self.now);
+    }
+
+    /// What is due on the bus now.
+    pub fn exchange(&mut self, bus: &mut impl FnMut(&[u8])) {
+        while let Some(frame) = self.controller.poll_frame(self.now) {
+            match &mut self.gateway {
+                Some(gateway) => gateway.handle_bus_frame(self.now, &frame),
+                None => bus(&frame),
+            }
+        }
+        if let Some(frame) = self.gateway.as_mut().and_then(|gateway| gateway.poll_bus_frame(self.now)) {
+            self.controller.handle_frame(self.now, &frame);
+        }
+    }
+
+    /// Bytes of the host for the gateway.
+    pub fn hear(&mut self, now: MonotonicTime, bytes: &[u8]) {
+        let Self { controller, gateway: Some(gateway), .. } = self else { return };
+        controller.hear_on_line(now, bytes, |bytes| gateway.handle_host_bytes(now, bytes));
+    }
+
+    /// Answers of the gateway go on the line; `host` gets those that have come to its end.
+    pub fn answer(&mut self, now: MonotonicTime, mut host: impl FnMut(&Frame)) {
+        while let Some(bytes) = self.gateway.as_mut().and_then(|gateway| gateway.poll_host_output(now)) {
+            self.controller.send_on_line(now, &bytes);
+        }
+        while let Some(bytes) = self.controller.poll_line(now) {
+            host(&bytes);
+        }
+    }
+
+    /// The line is gone, and what was on it.
+    pub fn hang_up(&mut self) {
+        self.controller.clear_line();
+        if let Some(gateway) = &mut self.gateway {
+            gateway.handle_host_gone(self.now);
+        }
+    }
+
+    /// When something is due by itself.
+    pub fn next_deadline(&self) -> Option<MonotonicTime> {
+        let wanted = self.gateway.as_ref().map(Gateway::next_deadline);
+        [wanted, self.controller.next_deadline(), self.controller.next_on_line()].into_iter().flatten().min()
+    }
+}

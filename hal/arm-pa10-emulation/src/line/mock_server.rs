@@ -1,0 +1,483 @@
+//! An emulated arm in real time: on a pseudo-terminal or a TCP port behind a gateway, or as frames on a socket in the place of a bus.
+//!
+//! [`MockServer`] runs [`MockController`] and, where a host is to talk with a gateway, [`Gateway`] in a thread of its own. Both are
+//! worked on at the times at which they want it, whenever the thread gets to it: a machine that is too busy makes the arm answer
+//! late, but no fault of the arm's own; how late the thread was is counted ([`MockReport`]).
+
+pub use std::net::SocketAddr;
+use std::net::TcpListener;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use pb3dp_arm_pa10::bus::{BusPort, FRAME_ROOM, FrameListener, FrameSocketError};
+use pb3dp_arm_pa10::serial::SerialConfig;
+use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig, GatewayConfigError};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::Clock;
+use pb3dp_hal_platform::jitter::JitterMeter;
+use pb3dp_hal_platform::pty::Pty;
+use pb3dp_hal_platform::realtime::{Realtime, Shortfall, enter};
+use pb3dp_hal_platform::tcp::TcpLink;
+use pb3dp_hal_platform::transport::{ByteLink, ConnectError, Connector, wait};
+use pb3dp_sim::joint_dynamics::JointPlant;
+
+use crate::far_end::FarEnd;
+use crate::mock_controller::{LineError, MockController, MockControllerConfig, MockControllerError, Script};
+
+mod report;
+pub use report::MockReport;
+
+/// The thread looks whether it is to end at least this often, and whether somebody wants to connect.
+const WAIT_MAX: Duration = Duration::from_millis(5);
+
+/// Waking up later than this after the time that was planned counts as late.
+const LATE: Duration = Duration::from_millis(1);
+
+/// Answers that a host does not read are kept up to so many bytes; what comes then is lost.
+const UNREAD_MAX: usize = 4096;
+
+/// Where hosts find the arm.
+pub enum MockFace {
+    /// Behind a gateway on a new pseudo-terminal.
+    Pty(GatewayConfig),
+    /// Behind a gateway on a TCP port of this address; port 0 takes a free one.
+    Tcp(GatewayConfig, SocketAddr),
+    /// Behind a gateway on a link that is there already.
+    Link(GatewayConfig, Box<dyn ByteLink>),
+    /// The controller alone, by frames on a socket at this path.
+    BusSocket(PathBuf),
+    /// The controller alone, on a bus that is there already.
+    Bus(Box<dyn BusPort>),
+}
+
+/// What an emulated arm is and does.
+#[derive(Clone, Debug)]
+pub struct MockServerConfig {
+    /// The controller.
+    pub controller: MockControllerConfig,
+    /// Of everything that is random.
+    pub seed: u64,
+    /// Faults that come by themselves.
+    pub script: Script,
+    /// What the thread asks the system for. Without it other programs make the arm answer late.
+    pub realtime: Realtime,
+}
+
+/// Why an emulated arm can not be started.
+#[derive(Debug, thiserror::Error)]
+pub enum MockServerError {
+    /// The controller.
+    #[error("the emulated controller can not be made")]
+    Controller(#[from] MockControllerError),
+    /// The gateway.
+    #[error("the gateway before the emulated controller can not be made")]
+    Gateway(#[from] GatewayConfigError),
+    /// No pseudo-terminal.
+    #[error("no pseudo-terminal is to be had; is /dev/pts mounted, and is there room (/proc/sys/kernel/pty/max)?")]
+    Pty(#[source] std::io::Error),
+    /// The TCP port.
+    #[error("nobody can listen at {address}; is the port taken, and is the address one of this machine?")]
+    Tcp {
+        /// Where.
+        address: SocketAddr,
+        /// What the system says.
+        #[source]
+        source: std::io::Error,
+    },
+    /// The socket in the place of a bus.
+    #[error(transparent)]
+    Socket(#[from] FrameSocketError),
+    /// No thread.
+    #[error("the thread of the emulated arm does not start")]
+    Thread(#[source] std::io::Error),
+}
+
+/// An emulated arm in real time. Dropping it ends it.
+#[derive(Debug)]
+pub struct MockServer {
+    shared: Arc<Shared>,
+    thread: Option<JoinHandle<()>>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    core: Mutex<Core>,
+    address: Mutex<String>,
+    lateness: JitterMeter,
+    is_running: AtomicBool,
+    is_plugged: AtomicBool,
+}
+
+/// The arm and its gateway, and how far they are.
+#[derive(Debug)]
+struct Core {
+    far: FarEnd,
+    clock: SharedClock,
+    unread: u64,
+    shortfalls: Vec<Shortfall>,
+}
+
+#[derive(Clone)]
+struct SharedClock(Arc<dyn Clock>);
+
+impl std::fmt::Debug for SharedClock {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("clock")
+    }
+}
+
+impl MockServer {
+    /// Starts an emulated arm with these joints, which others may share; `clock` is that of the joints.
+    ///
+    /// # Errors
+    /// If a configuration is none, or the place where hosts are to find it is not to be had.
+    pub fn start(
+        config: MockServerConfig,
+        face: MockFace,
+        joints: Arc<Mutex<JointPlant>>,
+        clock: Arc<dyn Clock>,
+    ) -> Result<Self, MockServerError> {
+        let now = clock.now();
+        let mut controller = MockController::new(config.controller, joints, config.seed, now)?;
+        controller.play(now, &config.script);
+        let gateway = face.gateway().map(|config| Gateway::new(*config, now)).transpose()?;
+        let line = Line::open(face)?;
+        let clock = SharedClock(clock);
+        let core = Core { far: FarEnd::new(controller, gateway, now), clock, unread: 0, shortfalls: Vec::new() };
+        let shared = Arc::new(Shared {
+            core: Mutex::new(core),
+            address: Mutex::new(line.address()),
+            lateness: JitterMeter::default(),
+            is_running: AtomicBool::new(true),
+            is_plugged: AtomicBool::new(true),
+        });
+        let worker = Worker { shared: Arc::clone(&shared), line, output: Vec::new() };
+        let realtime = config.realtime;
+        let thread = std::thread::Builder::new().name("mock-arm".to_owned()).spawn(move || worker.run(&realtime));
+        Ok(Self { shared, thread: Some(thread.map_err(MockServerError::Thread)?) })
+    }
+
+    /// Where hosts find the arm: the path of a terminal or socket, or address and port. Another one after [`Self::plug`].
+    pub fn address(&self) -> String {
+        lock(&self.shared.address).clone()
+    }
+
+    /// A way to the terminal of this arm, wherever it is after [`Self::plug`]; the path of `config` does not count.
+    pub fn port(&self, config: SerialConfig) -> MockPort {
+        MockPort { shared: Arc::clone(&self.shared), config: SerialConfig { path: self.address(), ..config } }
+    }
+
+    /// Lets something go wrong, or end going wrong: a line as in a script.
+    ///
+    /// # Errors
+    /// Names the word that is wrong and what to write instead; nothing happens then.
+    pub fn command_line(&self, line: &str) -> Result<(), LineError> {
+        let mut core = lock(&self.shared.core);
+        // Not later than the gateway has come: the controller would miss what is still to be said to it.
+        let now = core.far.now();
+        core.far.controller.command_line(now, line)
+    }
+
+    /// Pulls the cable: a terminal vanishes, a connection ends, and nobody can connect.
+    pub fn unplug(&self) {
+        self.shared.is_plugged.store(false, Ordering::SeqCst);
+    }
+
+    /// Plugs the cable in again. A terminal is a new one, with another [`Self::address`], within some milliseconds.
+    pub fn plug(&self) {
+        self.shared.is_plugged.store(true, Ordering::SeqCst);
+    }
+
+    /// How often its thread woke up later than this after the time that was planned (exact to an eighth): what it answers is late
+    /// then, and no fault of the arm's own.
+    pub fn wakes_later_than(&self, limit: Duration) -> u64 {
+        self.shared.lateness.later_than(limit)
+    }
+
+    /// How the arm is.
+    pub fn report(&self) -> MockReport {
+        let core = lock(&self.shared.core);
+        let (position_rad, velocity_rad_per_s) = core.far.controller.true_joints();
+        MockReport {
+            mode: core.far.controller.mode(),
+            is_powered: core.far.controller.is_powered(),
+            is_braked: core.far.controller.is_braked(),
+            axes: core.far.controller.axis_modes(),
+            position_rad,
+            velocity_rad_per_s,
+            counters: core.far.controller.counters().clone(),
+            gateway: core.far.gateway.as_ref().map(Gateway::status),
+            late: self.wakes_later_than(LATE),
+            latest: self.shared.lateness.summary().max,
+            unread: core.unread,
+            shortfalls: core.shortfalls.clone(),
+        }
+    }
+}
+
+/// A way to the terminal of an emulated arm, as a name that stays with an adapter is to a real one.
+#[derive(Debug)]
+pub struct MockPort {
+    shared: Arc<Shared>,
+    config: SerialConfig,
+}
+
+impl Connector for MockPort {
+    fn connect(&mut self) -> Result<Box<dyn ByteLink>, ConnectError> {
+        self.config.path.clone_from(&lock(&self.shared.address));
+        self.config.connect()
+    }
+
+    fn target(&self) -> String {
+        format!("emulated {}", self.config.target())
+    }
+}
+
+impl Drop for MockServer {
+    fn drop(&mut self) {
+        self.shared.is_running.store(false, Ordering::SeqCst);
+        if let Some(thread) = self.thread.take() {
+            // It looks every few milliseconds.
+            thread.join().ok();
+        }
+    }
+}
+
+impl MockFace {
+    fn gateway(&self) -> Option<&GatewayConfig> {
+        match self {
+            Self::Pty(config) | Self::Tcp(config, _) | Self::Link(config, _) => Some(config),
+            Self::BusSocket(_) | Self::Bus(_) => None,
+        }
+    }
+}
+
+impl Core {
+    /// Answers that have come to the host, as many as there is room for.
+    fn collect(&mut self, now: MonotonicTime, output: &mut Vec<u8>) {
+        let unread = &mut self.unread;
+        self.far.answer(now, |bytes| {
+            if output.len() + bytes.len() > UNREAD_MAX {
+                *unread += 1;
+            } else {
+                output.extend_from_slice(bytes);
+            }
+        });
+    }
+}
+
+/// The way to the host.
+enum Line {
+    /// A terminal, until it is unplugged.
+    Pty(Option<Pty>),
+    Tcp(TcpListener, Option<TcpLink>),
+    Link(Option<Box<dyn ByteLink>>),
+    BusSocket(FrameListener, PathBuf, Option<Box<dyn BusPort>>),
+    Bus(Option<Box<dyn BusPort>>),
+}
+
+impl Line {
+    fn open(face: MockFace) -> Result<Self, MockServerError> {
+        Ok(match face {
+            MockFace::Pty(_) => Self::Pty(Some(Pty::open().map_err(MockServerError::Pty)?)),
+            MockFace::Tcp(_, address) => {
+                let listener = TcpListener::bind(address)
+                    .and_then(|listener| listener.set_nonblocking(true).map(|()| listener))
+                    .map_err(|source| MockServerError::Tcp { address, source })?;
+                Self::Tcp(listener, None)
+            }
+            MockFace::Link(_, link) => Self::Link(Some(link)),
+            MockFace::BusSocket(path) => Self::BusSocket(FrameListener::bind(&path)?, path, None),
+            MockFace::Bus(bus) => Self::Bus(Some(bus)),
+        })
+    }
+
+    fn address(&self) -> String {
+        match self {
+            Self::Pty(pty) => pty.as_ref().map_or_else(String::new, |pty| pty.path().display().to_string()),
+            Self::Tcp(listener, _) => listener.local_addr().map_or_else(|_| String::new(), |at| at.to_string()),
+            Self::Link(link) => link.as_ref().map_or_else(String::new, |link| link.name().to_owned()),
+            Self::BusSocket(_, path, _) => path.display().to_string(),
+            Self::Bus(bus) => bus.as_ref().map_or_else(String::new, |bus| bus.name().to_owned()),
+        }
+    }
+
+    fn byte_link(&mut self) -> Option<&mut dyn ByteLink> {
+        match self {
+            Self::Pty(pty) => pty.as_mut().map(|pty| pty as &mut dyn ByteLink),
+            Self::Tcp(_, link) => link.as_mut().map(|link| link as &mut dyn ByteLink),
+            Self::Link(link) => link.as_deref_mut().map(|link| link as &mut dyn ByteLink),
+            Self::BusSocket(..) | Self::Bus(_) => None,
+        }
+    }
+
+    fn bus_port(&mut self) -> Option<&mut Box<dyn BusPort>> {
+        match self {
+            Self::BusSocket(_, _, bus) | Self::Bus(bus) => bus.as_mut(),
+            Self::Pty(_) | Self::Tcp(..) | Self::Link(_) => None,
+        }
+    }
+
+    fn is_connected(&mut self) -> bool {
+        self.byte_link().is_some() || self.bus_port().is_some()
+    }
+
+    /// Whoever is at the other end is gone.
+    fn hang_up(&mut self) {
+        match self {
+            Self::Pty(pty) => *pty = None,
+            Self::Tcp(_, link) => *link = None,
+            Self::Link(link) => *link = None,
+            Self::BusSocket(_, _, bus) | Self::Bus(bus) => *bus = None,
+        }
+    }
+
+    /// Lets somebody connect, if anybody wants to.
+    fn accept(&mut self) {
+        match self {
+            Self::Pty(pty) => *pty = Pty::open().ok(),
+            Self::Tcp(listener, link) => {
+                *link = listener.accept().ok().and_then(|(stream, _)| TcpLink::from_stream(stream).ok());
+            }
+            Self::BusSocket(listener, _, bus) => {
+                *bus = listener.try_accept().ok().flatten().map(|socket| Box::new(socket) as Box<dyn BusPort>);
+            }
+            Self::Link(_) | Self::Bus(_) => {}
+        }
+    }
+}
+
+/// What the thread owns.
+struct Worker {
+    shared: Arc<Shared>,
+    line: Line,
+    /// Bytes that the line had no room for.
+    output: Vec<u8>,
+}
+
+impl Worker {
+    fn run(mut self, realtime: &Realtime) {
+        lock(&self.shared.core).shortfalls = enter(realtime);
+        while self.shared.is_running.load(Ordering::SeqCst) {
+            self.keep_plugged();
+            let next = self.work();
+            self.wait_until(next);
+        }
+    }
+
+    /// Makes the line what the operator wants it to be.
+    fn keep_plugged(&mut self) {
+        match (self.shared.is_plugged.load(Ordering::SeqCst), self.line.is_connected()) {
+            (false, true) => self.hang_up(),
+            (true, false) => {
+                self.line.accept();
+                if self.line.is_connected() {
+                    *lock(&self.shared.address) = self.line.address();
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn hang_up(&mut self) {
+        self.line.hang_up();
+        self.output.clear();
+        let mut core = lock(&self.shared.core);
+        core.far.hang_up();
+    }
+
+    /// Everything that is due; when something is due next.
+    fn work(&mut self) -> MonotonicTime {
+        let shared = Arc::clone(&self.shared);
+        let mut core = lock(&shared.core);
+        let now = core.clock.0.now().max(core.far.now());
+        let is_gone = match self.line.bus_port() {
+            Some(bus) => work_bus(&mut core, now, bus.as_mut()).is_err(),
+            None => self.work_line(&mut core, now).is_err(),
+        };
+        let next = core.far.next_deadline().unwrap_or(now + WAIT_MAX);
+        drop(core);
+        if is_gone {
+            self.hang_up();
+        }
+        next
+    }
+
+    /// Bytes of the host, and answers.
+    fn work_line(&mut self, core: &mut Core, now: MonotonicTime) -> Result<(), Gone> {
+        core.far.advance(now, |_| {});
+        let Some(link) = self.line.byte_link() else { return Ok(()) };
+        let mut buffer = [0; 512];
+        loop {
+            let room = core.far.controller.readable_on_line(now).min(buffer.len());
+            if room == 0 {
+                break;
+            }
+            let count = link.try_read(&mut buffer[..room]).map_err(|_| Gone)?;
+            if count == 0 {
+                break;
+            }
+            core.far.hear(now, &buffer[..count]);
+            core.collect(now, &mut self.output);
+        }
+        core.far.exchange(&mut |_| {});
+        core.collect(now, &mut self.output);
+        if !self.output.is_empty() {
+            let written = link.try_write(&self.output).map_err(|_| Gone)?;
+            self.output.drain(..written);
+        }
+        Ok(())
+    }
+
+    fn wait_until(&mut self, next: MonotonicTime) {
+        let core = lock(&self.shared.core);
+        let clock = core.clock.clone();
+        let now = clock.0.now();
+        // What it does not read must not wake it.
+        let reads = core.far.controller.readable_on_line(now) > 0;
+        let again = core.far.controller.reads_line_again().filter(|_| !reads);
+        drop(core);
+        let planned = next.min(now + WAIT_MAX).min(again.unwrap_or(next));
+        let timeout = planned.saturating_since(now);
+        let for_room = !self.output.is_empty();
+        if let Some(link) = self.line.byte_link().filter(|_| reads) {
+            wait(Some(link), for_room, None, timeout);
+        } else if let Some(bus) = self.line.bus_port() {
+            pb3dp_arm_pa10::bus::wait(bus.as_ref(), timeout);
+        } else {
+            clock.0.sleep_until(planned);
+        }
+        let late = clock.0.now().saturating_since(planned);
+        // What comes wakes it before its time.
+        if late > Duration::ZERO {
+            self.shared.lateness.record(late);
+        }
+    }
+}
+
+/// The other side has gone.
+struct Gone;
+
+/// Frames of the host, and replies.
+fn work_bus(core: &mut Core, now: MonotonicTime, bus: &mut dyn BusPort) -> Result<(), Gone> {
+    let mut sent = Ok(true);
+    let mut send = |frame: &[u8]| {
+        if sent.is_ok() {
+            sent = bus.try_send(frame);
+        }
+    };
+    core.far.advance(now, &mut send);
+    let mut buffer = [0; FRAME_ROOM];
+    sent.map_err(|_| Gone)?;
+    while let Some(count) = bus.try_receive(&mut buffer).map_err(|_| Gone)? {
+        core.far.controller.handle_frame(now, &buffer[..count]);
+    }
+    Ok(())
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,107 @@
+//! The far end of an arm's line in virtual time: gateway and servo controller, and the cable to them.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+
+use pb3dp_arm_pa10::arm::VirtualFarEnd;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::Clock;
+use pb3dp_hal_platform::transport::Connector;
+
+use super::virtual_line::{SharedLine, VirtualLine, VirtualPort, lock};
+use crate::far_end::FarEnd;
+use crate::mock_controller::LineError;
+
+/// The far end of the line of an arm in virtual time: what an operator and a test can do there.
+#[derive(Clone, Debug)]
+pub struct VirtualEnd {
+    far: Arc<Mutex<FarEnd>>,
+    line: SharedLine,
+    /// Something was done that the host has not seen.
+    touched: Arc<AtomicBool>,
+}
+
+impl VirtualEnd {
+    /// The far end of a line of so many bits per second.
+    pub fn new(far: FarEnd, baud: u32) -> Self {
+        Self {
+            far: Arc::new(Mutex::new(far)),
+            line: Arc::new(Mutex::new(VirtualLine::new(baud))),
+            touched: Arc::default(),
+        }
+    }
+
+    /// Looks at gateway and controller.
+    pub fn look<T>(&self, look: impl FnOnce(&FarEnd) -> T) -> T {
+        look(&lock(&self.far))
+    }
+
+    /// Lets something go wrong, or end going wrong: a line as in a script.
+    ///
+    /// # Errors
+    /// Names the word that is wrong and what to write instead; nothing happens then.
+    pub fn command_line(&self, line: &str) -> Result<(), LineError> {
+        let mut far = lock(&self.far);
+        let now = far.now();
+        far.controller.command_line(now, line)
+    }
+
+    /// Pulls the cable: both sides notice.
+    pub fn unplug(&self) {
+        self.set_plugged(false);
+    }
+
+    /// Plugs the cable in again. The arm is had again by a reset.
+    pub fn plug(&self) {
+        self.set_plugged(true);
+    }
+
+    fn set_plugged(&self, is_plugged: bool) {
+        let mut line = lock(&self.line);
+        if line.is_plugged() != is_plugged {
+            line.set_plugged(is_plugged);
+            lock(&self.far).hang_up();
+            self.touched.store(true, Ordering::Release);
+        }
+    }
+}
+
+impl VirtualFarEnd for VirtualEnd {
+    fn connector(&self, clock: Arc<dyn Clock>) -> Box<dyn Connector> {
+        Box::new(VirtualPort { line: Arc::clone(&self.line), clock })
+    }
+
+    fn is_touched(&self) -> bool {
+        self.touched.load(Ordering::Acquire)
+    }
+
+    fn next_deadline(&self, now: MonotonicTime) -> Option<MonotonicTime> {
+        let line = lock(&self.line);
+        let far = lock(&self.far);
+        let heard = line.to_gateway.next_arrival().and_then(|at| match far.controller.readable_on_line(at.max(now)) {
+            0 => far.controller.reads_line_again(),
+            _ => Some(at),
+        });
+        [heard, line.to_host.next_arrival(), far.next_deadline()].into_iter().flatten().min()
+    }
+
+    fn work(&self, now: MonotonicTime) -> bool {
+        let mut line = lock(&self.line);
+        let arrives = line.to_host.next_arrival().is_some_and(|at| at <= now);
+        let mut far = lock(&self.far);
+        far.advance(now, |_| {});
+        let mut buffer = [0; 512];
+        let room = far.controller.readable_on_line(now).min(buffer.len());
+        let count = line.to_gateway.take(now, &mut buffer[..room]);
+        if count > 0 {
+            far.hear(now, &buffer[..count]);
+            far.exchange(&mut |_| {});
+        }
+        far.answer(now, |bytes| {
+            if line.is_plugged() {
+                line.answer(now, bytes);
+            }
+        });
+        self.touched.swap(false, Ordering::AcqRel) || arrives
+    }
+}

@@ -1,0 +1,101 @@
+//! What an emulated controller is told about itself.
+
+use std::f64::consts::TAU;
+use std::time::Duration;
+
+use pb3dp_arm_pa10_protocol::codec::{AngleCounts, Axis, COUNTS_PER_TURN, WireFormat};
+use pb3dp_kinematics::{JointLimits, JointLimitsError, JointVector};
+use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
+
+/// Limits of a PA10-7C(E) by MHI's model data and two drivers: +-177, 91, 174, 137, 255, 165, 255 degrees; S2 by OpenRAVE, others give 94.
+const SERVO_LIMITS_DEG: [f64; Axis::COUNT] = [177.0, 91.0, 174.0, 137.0, 255.0, 165.0, 255.0];
+
+/// Where joints meet their end stops, degrees (INRIA, for a PA10-7CE).
+const END_STOPS_DEG: [f64; Axis::COUNT] = [180.0, 97.0, 180.0, 143.0, 270.0, 180.0, 270.0];
+
+/// How fast joints can be, rad/s (INRIA; E2 is slower by another source).
+const SPEED_MAX_RAD_PER_S: [f64; Axis::COUNT] = [1.0, 1.0, 2.0, 2.0, TAU, TAU, TAU];
+
+/// Joints of a PA10-7C(E) for an emulated arm. No source tells their accelerations and lags: drives here are as quick as a stop
+/// within a tenth of a second needs.
+///
+/// # Errors
+/// Never, as these limits are in order.
+pub fn pa10_joints() -> Result<JointPlantConfig, JointLimitsError> {
+    let stops = JointVector::from(END_STOPS_DEG.map(f64::to_radians));
+    Ok(JointPlantConfig {
+        limits: JointLimits::new(-stops, stops, JointVector::from(SPEED_MAX_RAD_PER_S))?,
+        acceleration_max_rad_per_s2: JointVector::repeat(40.0),
+        velocity_time_constant: Duration::from_millis(5),
+        command_delay: Duration::ZERO,
+        angle_quantum_rad: PA10_ANGLE_QUANTUM_RAD,
+        history: Duration::from_secs(2),
+    })
+}
+
+/// What an emulated controller is told about itself.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MockControllerConfig {
+    /// How it speaks.
+    pub format: WireFormat,
+    /// How long it goes without a message in control mode before it stops by itself: sources say 6, 10 or 400 ms. `None`: it goes on
+    /// with the last velocities, which one source reports, too.
+    pub watchdog: Option<Duration>,
+    /// From a message to its reply, on the bus and in the controller.
+    pub reply_delay: Duration,
+    /// How long a brake takes to open: until then it holds.
+    pub brake_open: Duration,
+    /// How long a brake takes to close: until then it does not hold.
+    pub brake_close: Duration,
+    /// Lower software limits in the EEPROM, rad.
+    pub lower_limit_rad: JointVector,
+    /// Upper software limits in the EEPROM, rad.
+    pub upper_limit_rad: JointVector,
+    /// Whether it answers the letter A. If not, S clears the alarms whose cause is gone.
+    pub knows_clear_alarm: bool,
+}
+
+/// Why a controller can not be emulated.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum MockControllerError {
+    /// A time-out of zero.
+    #[error("a watchdog of 0 s would stop the arm between two commands: give 6 ms or more, or none")]
+    Watchdog,
+    /// Limits that are no range around zero.
+    #[error("{axis}: limits of {lower_rad} to {upper_rad} rad are no range around 0 within two turns; correct them")]
+    Limits {
+        /// Which axis.
+        axis: Axis,
+        /// The lower limit given, rad.
+        lower_rad: f64,
+        /// The upper limit given, rad.
+        upper_rad: f64,
+    },
+}
+
+impl MockControllerConfig {
+    /// A controller with this format and its time-out at 6 ms; the rest as the sources suggest it.
+    pub fn new(format: WireFormat) -> Self {
+        let limits = JointVector::from(SERVO_LIMITS_DEG.map(f64::to_radians));
+        Self {
+            format,
+            watchdog: Some(Duration::from_millis(6)),
+            reply_delay: Duration::from_micros(400),
+            brake_open: Duration::from_millis(150),
+            brake_close: Duration::from_millis(50),
+            lower_limit_rad: -limits,
+            upper_limit_rad: limits,
+            knows_clear_alarm: true,
+        }
+    }
+
+    /// Lower and upper limit of an axis as the EEPROM keeps them.
+    pub(super) fn limits(&self, axis: Axis) -> Result<[AngleCounts; 2], MockControllerError> {
+        let (lower_rad, upper_rad) = (self.lower_limit_rad[axis.index()], self.upper_limit_rad[axis.index()]);
+        let wrong = MockControllerError::Limits { axis, lower_rad, upper_rad };
+        let counts = |angle_rad| AngleCounts::from_rad(axis, angle_rad).map_err(|_| wrong);
+        let (lower, upper) = (counts(lower_rad)?, counts(upper_rad)?);
+        let possible = lower.0 < 0 && upper.0 > 0 && lower.0 >= -2 * COUNTS_PER_TURN && upper.0 <= 2 * COUNTS_PER_TURN;
+        if possible { Ok([lower, upper]) } else { Err(wrong) }
+    }
+}

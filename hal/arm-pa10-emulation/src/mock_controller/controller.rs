@@ -1,0 +1,378 @@
+//! The controller: messages in, replies out, brakes and joints in between.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use pb3dp_arm_pa10_protocol::arcnet::{self, Frame, Route};
+use pb3dp_arm_pa10_protocol::codec::{AngleCounts, ArmReply, Axis, CommAlarm, ServoAlarm};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_kinematics::JointVector;
+use pb3dp_sim::joint_dynamics::{AxisMode, JointPlant};
+
+use super::axis::{AxisDrive, Brake, BrakeTimes};
+use super::config::{MockControllerConfig, MockControllerError};
+use super::fault::{Fault, ReplyFault};
+use super::line::Line;
+use super::outbox::Outbox;
+use super::panel::{Cause, Panel};
+use super::random::Random;
+use super::schedule::Schedule;
+use super::script::{Script, ScriptLine};
+use super::words::LineError;
+
+/// What the controller is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ControlMode {
+    /// Brakes on, servos off: after power-up, E or a time-out.
+    Adjustment,
+    /// Between S and E: commands are followed.
+    Control,
+    /// Between T and E: brakes open, servos off; the arm falls.
+    BrakeRelease,
+}
+
+/// What happened to an emulated controller since it was made.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct MockCounters {
+    /// Frames that came for it.
+    pub frames: u64,
+    /// Messages that were answered.
+    pub answered: u64,
+    /// Letters that must never come, refused: M, W, P, and T without the feature.
+    pub forbidden: u64,
+    /// Frames that are no message: a wrong length, an unknown letter, an axis that is none.
+    pub malformed: u64,
+    /// Commands that no sound driver sends: torques, bits without meaning.
+    pub odd: u64,
+    /// Axes that were told to have neither brake nor servo.
+    pub let_go: u64,
+    /// How often it stopped by itself because no message came.
+    pub watchdog_trips: u64,
+    /// Faults that came, by their name in scripts.
+    pub faults: BTreeMap<&'static str, u64>,
+}
+
+/// The servo controller of a PA-10 with its arm, byte for byte and without I/O: see the [module](super).
+#[derive(Debug)]
+pub struct MockController {
+    pub(super) config: MockControllerConfig,
+    pub(super) limits: [[AngleCounts; 2]; Axis::COUNT],
+    pub(super) plant: Arc<Mutex<JointPlant>>,
+    pub(super) axes: [AxisDrive; Axis::COUNT],
+    pub(super) panel: Panel,
+    pub(super) mode: ControlMode,
+    powered: bool,
+    /// In control mode: when the last message came.
+    pub(super) last_message: MonotonicTime,
+    pub(super) watches_dead_man: bool,
+    pub(super) angle_offset_rad: JointVector,
+    pub(super) torque_n_m: JointVector,
+    pub(super) stale: Option<ArmReply>,
+    deaf: u32,
+    pub(super) outbox: Outbox,
+    pub(super) line: Line,
+    schedule: Schedule,
+    pub(super) counters: MockCounters,
+    now: MonotonicTime,
+}
+
+impl MockController {
+    /// A controller that was just switched on, with these joints.
+    ///
+    /// # Errors
+    /// If a number of the configuration is out of range.
+    pub fn new(
+        config: MockControllerConfig,
+        plant: Arc<Mutex<JointPlant>>,
+        seed: u64,
+        now: MonotonicTime,
+    ) -> Result<Self, MockControllerError> {
+        if config.watchdog.is_some_and(|time| time.is_zero()) {
+            return Err(MockControllerError::Watchdog);
+        }
+        let mut limits = [[AngleCounts(0); 2]; Axis::COUNT];
+        for axis in Axis::ALL {
+            limits[axis.index()] = config.limits(axis)?;
+        }
+        let mut controller = Self {
+            config,
+            limits,
+            plant,
+            axes: [AxisDrive::AT_REST; Axis::COUNT],
+            panel: Panel::new(),
+            mode: ControlMode::Adjustment,
+            powered: true,
+            last_message: now,
+            watches_dead_man: false,
+            angle_offset_rad: JointVector::zeros(),
+            torque_n_m: JointVector::zeros(),
+            stale: None,
+            deaf: 0,
+            outbox: Outbox::new(Random::new(seed)),
+            line: Line::new(Random::new(seed.rotate_left(32))),
+            schedule: Schedule::new(now, Random::new(!seed)),
+            counters: MockCounters::default(),
+            now,
+        };
+        controller.move_joints(now);
+        Ok(controller)
+    }
+
+    /// The joints, to be shared with what else sees this arm.
+    pub fn plant(&self) -> Arc<Mutex<JointPlant>> {
+        Arc::clone(&self.plant)
+    }
+
+    /// What the controller is doing.
+    pub fn mode(&self) -> ControlMode {
+        self.mode
+    }
+
+    /// Whether it has power.
+    pub fn is_powered(&self) -> bool {
+        self.powered
+    }
+
+    /// What happened so far.
+    pub fn counters(&self) -> &MockCounters {
+        &self.counters
+    }
+
+    /// Whether no brake is open, opening or closing.
+    pub fn is_braked(&self) -> bool {
+        self.axes.iter().all(|axis| axis.brake == Brake::Closed)
+    }
+
+    /// What holds or moves each joint.
+    pub fn axis_modes(&self) -> [AxisMode; Axis::COUNT] {
+        self.axes.map(|axis| axis.mode())
+    }
+
+    /// True angles (rad) and speeds (rad/s) of the joints.
+    pub fn true_joints(&self) -> (JointVector, JointVector) {
+        let joints = self.joints();
+        // The present is always known.
+        joints.motion_at(joints.now()).unwrap_or_else(|| (JointVector::zeros(), JointVector::zeros()))
+    }
+
+    /// What each servo is told, rad/s.
+    pub fn commanded_rad_per_s(&self) -> JointVector {
+        JointVector::from(self.axes.map(|axis| axis.velocity_rad_per_s))
+    }
+
+    /// A frame from the bus. Frames for other nodes are left alone.
+    pub fn handle_frame(&mut self, now: MonotonicTime, frame: &[u8]) {
+        self.advance(now);
+        let Ok(packet) = arcnet::decode(Route::TO_CONTROLLER, frame) else {
+            let foreign = frame.first_chunk().is_some_and(|&[_, receiver]| receiver != arcnet::CONTROLLER_NODE);
+            self.counters.malformed += u64::from(!foreign);
+            return;
+        };
+        if !self.powered {
+            return;
+        }
+        if self.deaf > 0 {
+            self.deaf -= 1;
+            return;
+        }
+        for fault in self.schedule.roll() {
+            self.inject(now, fault);
+        }
+        if !self.powered || self.deaf > 0 {
+            self.deaf = self.deaf.saturating_sub(1);
+            return;
+        }
+        self.counters.frames += 1;
+        self.handle_packet(now, packet);
+        self.move_joints(now);
+    }
+
+    /// A reply that has arrived at the host by now.
+    pub fn poll_frame(&mut self, now: MonotonicTime) -> Option<Frame> {
+        self.advance(now);
+        self.outbox.poll(now)
+    }
+
+    /// When something happens by itself: a reply arrives, a brake has moved, the watchdog runs out, a fault comes.
+    pub fn next_deadline(&self) -> Option<MonotonicTime> {
+        [self.next_event(), self.outbox.next_arrival()].into_iter().flatten().min()
+    }
+
+    fn next_event(&self) -> Option<MonotonicTime> {
+        let mut next = [self.watchdog_deadline(), self.schedule.next()].into_iter().flatten().min();
+        // Asked for several times in each cycle, in which mostly no brake moves.
+        for at in self.axes.iter().filter_map(AxisDrive::next_change) {
+            next = Some(next.map_or(at, |next| next.min(at)));
+        }
+        next
+    }
+
+    fn watchdog_deadline(&self) -> Option<MonotonicTime> {
+        let watches = self.mode != ControlMode::Adjustment;
+        self.config.watchdog.filter(|_| watches).map(|time| self.last_message + time)
+    }
+
+    /// Lets time pass: everything happens at its own time and in its order. A time in the past does nothing.
+    pub fn advance(&mut self, now: MonotonicTime) {
+        while let Some(at) = self.next_event().filter(|at| *at <= now) {
+            let at = at.max(self.now);
+            self.now = at;
+            self.axes.iter_mut().for_each(|axis| axis.advance(at));
+            if self.watchdog_deadline().is_some_and(|deadline| deadline <= at) {
+                self.counters.watchdog_trips += 1;
+                self.time_out(at);
+            }
+            while let Some(fault) = self.schedule.pop(at) {
+                self.inject(at, fault);
+            }
+            self.move_joints(at);
+        }
+        self.now = self.now.max(now);
+        self.joints().advance_to(self.now);
+    }
+
+    /// Lets the lines of a script happen at their times, counted from the moment at which the controller was made.
+    pub fn play(&mut self, now: MonotonicTime, script: &Script) {
+        script.lines.iter().for_each(|line| self.schedule.add(now, line));
+    }
+
+    /// Does what one line says, as a script has it.
+    ///
+    /// # Errors
+    /// Names the word that is wrong and what to write instead; nothing happens then.
+    pub fn command_line(&mut self, now: MonotonicTime, line: &str) -> Result<(), LineError> {
+        if let Some(line) = ScriptLine::parse(line)? {
+            self.schedule.add(now, &line);
+            self.advance(now);
+        }
+        Ok(())
+    }
+
+    /// Lets something go wrong at once, or end going wrong.
+    pub fn inject(&mut self, now: MonotonicTime, fault: Fault) {
+        *self.counters.faults.entry(fault.name()).or_default() += 1;
+        let times = self.brake_times();
+        match fault {
+            Fault::Reply { kind, count } => {
+                self.stale = (kind == ReplyFault::Stale).then(|| self.measure()).or(self.stale.take());
+                self.outbox.spoil(kind, count);
+            }
+            Fault::Delay { count, by } => self.outbox.delay(count, by),
+            Fault::Deaf { count } => self.deaf = count,
+            Fault::Silence(on) => self.outbox.silent = on,
+            Fault::Slow(by) => self.outbox.slow = by,
+            Fault::ServoAlarm { axis, alarm, only_reported } => {
+                let memory = &mut self.panel.servo[axis.index()];
+                if only_reported {
+                    memory.set_reported_cause(alarm)
+                } else {
+                    memory.set_cause(Cause::Other, alarm)
+                }
+                if alarm.is_some() && !only_reported {
+                    self.axes[axis.index()].cut(now, times);
+                }
+            }
+            Fault::ControllerAlarm { alarm, only_reported } => {
+                let memory = &mut self.panel.comm;
+                if only_reported {
+                    memory.set_reported_cause(alarm)
+                } else {
+                    memory.set_cause(Cause::Other, alarm)
+                }
+                if alarm.is_some() && !only_reported {
+                    self.stop(now);
+                }
+            }
+            Fault::EmergencyStop { pressed } => {
+                self.panel.press_e_stop(pressed);
+                if pressed {
+                    self.cut_power(now);
+                }
+            }
+            Fault::DeadMan { held } => {
+                self.panel.dead_man_held = held;
+                self.watch_dead_man(now);
+            }
+            Fault::LimitSwitch { open } => {
+                self.panel.limit_switch_open = open;
+                self.panel.comm.set_cause(Cause::LimitSwitch, open.then_some(CommAlarm::LimitSwitch));
+                if open {
+                    self.stop(now);
+                }
+            }
+            Fault::TeachingSwitch { on } => self.panel.teaching = on,
+            Fault::PowerTemperature { high } => self.panel.power_too_warm = high,
+            Fault::Power { on } => self.set_power(now, on),
+            Fault::TimeOut => self.time_out(now),
+            Fault::Stuck { axis, on } => self.axes[axis.index()].stuck = on,
+            Fault::Runaway { axis, velocity_rad_per_s } => {
+                self.axes[axis.index()].runaway_rad_per_s = velocity_rad_per_s;
+            }
+            Fault::Jump { axis, by_rad } => self.angle_offset_rad[axis.index()] += by_rad,
+            Fault::Torque { axis, torque_n_m } => self.torque_n_m[axis.index()] = torque_n_m,
+            Fault::Line(fault) => self.line.inject(fault),
+        }
+        self.move_joints(now);
+    }
+
+    pub(super) fn brake_times(&self) -> BrakeTimes {
+        BrakeTimes { open: self.config.brake_open, close: self.config.brake_close }
+    }
+
+    /// Comes to rest, closes the brakes, leaves the control mode.
+    pub(super) fn stop(&mut self, now: MonotonicTime) {
+        self.mode = ControlMode::Adjustment;
+        let times = self.brake_times();
+        self.axes.iter_mut().for_each(|axis| axis.stop(now, times));
+    }
+
+    fn time_out(&mut self, now: MonotonicTime) {
+        self.panel.raise_everywhere(ServoAlarm::CommunicationTimeout, CommAlarm::HostTimeout);
+        self.stop(now);
+    }
+
+    fn cut_power(&mut self, now: MonotonicTime) {
+        self.mode = ControlMode::Adjustment;
+        let times = self.brake_times();
+        self.axes.iter_mut().for_each(|axis| axis.cut(now, times));
+    }
+
+    fn set_power(&mut self, now: MonotonicTime, on: bool) {
+        if on && !self.powered {
+            self.panel.clear_all();
+        }
+        if !on {
+            self.cut_power(now);
+            self.outbox.clear();
+        }
+        self.powered = on;
+    }
+
+    /// Stops if the dead-man switch is let go while commands ask to watch it.
+    pub(super) fn watch_dead_man(&mut self, now: MonotonicTime) {
+        let let_go = self.watches_dead_man && self.mode == ControlMode::Control && !self.panel.dead_man_held;
+        let cause = let_go.then_some((ServoAlarm::DeadManOff, CommAlarm::DeadManOff));
+        if let Some((servo, comm)) = cause {
+            self.panel.raise_everywhere(servo, comm);
+            self.stop(now);
+        }
+    }
+
+    pub(super) fn joints(&self) -> MutexGuard<'_, JointPlant> {
+        self.plant.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Lets the joints do what brakes and servos say.
+    fn move_joints(&mut self, now: MonotonicTime) {
+        let (modes, velocity) = (self.axis_modes(), self.commanded_rad_per_s());
+        let mut plant = self.joints();
+        plant.advance_to(now);
+        if *plant.commanded_rad_per_s() != velocity {
+            // Speeds are counts of the wire times a constant, or finite numbers of a script.
+            plant.command(now, velocity).ok();
+        }
+        if *plant.modes() != modes {
+            plant.set_modes(now, modes).ok();
+        }
+    }
+}

@@ -1,0 +1,311 @@
+//! The line between host and gateway: what happens to frames there.
+
+use std::time::Duration;
+
+use pb3dp_arm_pa10_protocol::arcnet;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Frame, FrameParser, Received};
+use pb3dp_geometry::MonotonicTime;
+
+use super::fault::{LineFault, Side};
+use super::outbox::Outbox;
+use super::random::Random;
+
+/// Where a frame names its arm.
+const ARM_AT: usize = 3;
+
+/// A reader that takes so many bytes per second takes at once what comes to it in this time.
+const READ_AT_ONCE: Duration = Duration::from_millis(10);
+
+/// The line between host and gateway.
+#[derive(Clone, Debug)]
+pub(super) struct Line {
+    outbox: Outbox,
+    wrong_arm: u32,
+    is_deaf: bool,
+    reader: Option<SlowReader>,
+    /// How far the clocks are off, µs.
+    host_clock_us: i64,
+    gateway_clock_us: i64,
+    /// Finds the frames of the host, to change their times.
+    parser: FrameParser,
+}
+
+impl Line {
+    pub fn new(random: Random) -> Self {
+        Self {
+            outbox: Outbox::new(random),
+            wrong_arm: 0,
+            is_deaf: false,
+            reader: None,
+            host_clock_us: 0,
+            gateway_clock_us: 0,
+            // Frames of any arm are handed on.
+            parser: FrameParser::new(ArmId(0)),
+        }
+    }
+
+    pub fn inject(&mut self, fault: LineFault) {
+        match fault {
+            LineFault::Answers { kind, count } => self.outbox.spoil(kind, count),
+            LineFault::WrongArm { count } => self.wrong_arm = count,
+            LineFault::Delay { count, by } => self.outbox.delay(count, by),
+            LineFault::Slow(by) => self.outbox.slow = by,
+            LineFault::Silence(on) => self.outbox.silent = on,
+            LineFault::Deaf(on) => self.is_deaf = on,
+            LineFault::SlowReader { bytes_per_second } => {
+                self.reader = bytes_per_second.map(|rate| SlowReader { rate, next: MonotonicTime::ZERO });
+            }
+            LineFault::ClockJump { side: Side::Host, by_us } => {
+                self.host_clock_us = self.host_clock_us.wrapping_add(by_us);
+            }
+            LineFault::ClockJump { side: Side::Gateway, by_us } => {
+                self.gateway_clock_us = self.gateway_clock_us.wrapping_add(by_us);
+            }
+        }
+    }
+
+    /// How many bytes of the host the gateway takes now, at most.
+    pub fn readable(&self, now: MonotonicTime) -> usize {
+        self.reader.map_or(usize::MAX, |reader| reader.readable(now))
+    }
+
+    /// When it takes bytes again, if it takes none now and ever will.
+    pub fn reads_again(&self) -> Option<MonotonicTime> {
+        self.reader.filter(|reader| reader.rate > 0).map(|reader| reader.next)
+    }
+
+    /// Bytes of the host, and what of them comes to the gateway.
+    pub fn hear(&mut self, now: MonotonicTime, bytes: &[u8], mut gateway: impl FnMut(&[u8])) {
+        if let Some(reader) = &mut self.reader {
+            reader.take(now, bytes.len());
+        }
+        if self.is_deaf {
+            return;
+        }
+        if self.host_clock_us == 0 {
+            return gateway(bytes);
+        }
+        let by_us = self.host_clock_us;
+        self.parser.feed(bytes, |received| {
+            let (Received::Frame(frame) | Received::OtherArm(frame)) = received;
+            gateway(&postdated(&frame, by_us).encode());
+        });
+    }
+
+    /// A frame on its way to the host.
+    pub fn send(&mut self, now: MonotonicTime, frame: &[u8]) {
+        let mut frame = frame.to_vec();
+        if self.wrong_arm > 0 {
+            self.wrong_arm -= 1;
+            frame = readdressed(frame);
+        }
+        if self.gateway_clock_us != 0 {
+            frame = changed(frame, |frame| postdated(&frame, self.gateway_clock_us));
+        }
+        // Frames of the gateway are shorter than those of the bus.
+        if let Some(frame) = arcnet::Frame::from_slice(&frame) {
+            self.outbox.send(now, &frame);
+        }
+    }
+
+    /// Bytes that have come to the host.
+    pub fn poll(&mut self, now: MonotonicTime) -> Option<arcnet::Frame> {
+        self.outbox.poll(now)
+    }
+
+    pub fn next_arrival(&self) -> Option<MonotonicTime> {
+        self.outbox.next_arrival()
+    }
+
+    /// What was under way is gone.
+    pub fn clear(&mut self) {
+        self.outbox.clear();
+        self.parser.restart();
+    }
+}
+
+/// Somebody who does not take what comes as quickly as it comes.
+#[derive(Clone, Copy, Debug)]
+struct SlowReader {
+    /// Bytes per second.
+    rate: u32,
+    /// When the next byte is taken.
+    next: MonotonicTime,
+}
+
+impl SlowReader {
+    /// Time that was not used for reading is lost.
+    fn next(&self, now: MonotonicTime) -> MonotonicTime {
+        self.next.max(now - READ_AT_ONCE)
+    }
+
+    fn readable(&self, now: MonotonicTime) -> usize {
+        let next = self.next(now);
+        if self.rate == 0 || now < next {
+            return 0;
+        }
+        1 + (now.saturating_since(next).as_secs_f64() * f64::from(self.rate)) as usize
+    }
+
+    fn take(&mut self, now: MonotonicTime, bytes: usize) {
+        if self.rate > 0 {
+            self.next = self.next(now) + Duration::from_secs_f64(bytes as f64 / f64::from(self.rate));
+        }
+    }
+}
+
+/// The same frame, sent at another time.
+fn postdated(frame: &Frame, by_us: i64) -> Frame {
+    Frame { timestamp_us: frame.timestamp_us.wrapping_add_signed(by_us), ..*frame }
+}
+
+/// The same frame of another arm, sound.
+fn readdressed(bytes: Vec<u8>) -> Vec<u8> {
+    changed(bytes, |frame| Frame { arm: ArmId(frame.arm.0.wrapping_add(1)), ..frame })
+}
+
+/// A frame with something in it changed, sound.
+fn changed(bytes: Vec<u8>, change: impl FnOnce(Frame) -> Frame) -> Vec<u8> {
+    let Some(arm) = bytes.get(ARM_AT).copied() else { return bytes };
+    let mut found = None;
+    FrameParser::new(ArmId(arm)).feed(&bytes, |received| found = Some(received));
+    match found {
+        Some(Received::Frame(frame)) => change(frame).encode().as_slice().to_vec(),
+        _ => bytes,
+    }
+}
+
+impl super::MockController {
+    /// Gives a frame of the gateway to the line to the host, where faults of the line happen to it.
+    pub fn send_on_line(&mut self, now: MonotonicTime, frame: &[u8]) {
+        self.line.send(now, frame);
+    }
+
+    /// Bytes that have come to the host by now.
+    pub fn poll_line(&mut self, now: MonotonicTime) -> Option<arcnet::Frame> {
+        self.line.poll(now)
+    }
+
+    /// When the next bytes come to the host.
+    pub fn next_on_line(&self) -> Option<MonotonicTime> {
+        self.line.next_arrival()
+    }
+
+    /// How many bytes of the host the gateway takes from the line now, at most.
+    pub fn readable_on_line(&self, now: MonotonicTime) -> usize {
+        self.line.readable(now)
+    }
+
+    /// When it takes bytes again, if it is slow and takes any.
+    pub fn reads_line_again(&self) -> Option<MonotonicTime> {
+        self.line.reads_again()
+    }
+
+    /// Gives bytes of the host to the line, and to the gateway what of them comes through now.
+    pub fn hear_on_line(&mut self, now: MonotonicTime, bytes: &[u8], gateway: impl FnMut(&[u8])) {
+        self.line.hear(now, bytes, gateway);
+    }
+
+    /// The line was cut: what was under way is gone.
+    pub fn clear_line(&mut self) {
+        self.line.clear();
+    }
+}
+
+#[allow(clippy::unwrap_used, reason = "tests")]
+#[cfg(test)]
+mod tests {
+    use pb3dp_arm_pa10_protocol::gateway_protocol::HostMessage;
+
+    use super::*;
+    use crate::mock_controller::ReplyFault;
+
+    /// HEARTBEAT stands for any frame.
+    fn frame() -> Vec<u8> {
+        HostMessage::Heartbeat.frame(ArmId(4), 9, 77).encode().as_slice().to_vec()
+    }
+
+    fn after(fault: LineFault, frames: usize) -> Vec<Vec<u8>> {
+        let mut line = Line::new(Random::new(1));
+        line.inject(fault);
+        let (mut now, mut came) = (MonotonicTime::ZERO, Vec::new());
+        for _ in 0..frames {
+            line.send(now, &frame());
+            now = now + std::time::Duration::from_millis(1);
+            came.extend(std::iter::from_fn(|| line.poll(now)).map(|bytes| bytes.as_slice().to_vec()));
+        }
+        came
+    }
+
+    #[test]
+    fn faults_of_the_line_happen_to_frames() {
+        let answers = |kind| LineFault::Answers { kind, count: 2 };
+        assert_eq!(after(answers(ReplyFault::Drop), 3), [frame()]);
+        assert_eq!(after(answers(ReplyFault::Duplicate), 2).len(), 4);
+        assert_eq!(after(LineFault::Silence(true), 3).len(), 0);
+        let millis = std::time::Duration::from_millis;
+        assert_eq!(after(LineFault::Slow(millis(2)), 5).len(), 4, "of 5 ms the last three frames are late by 2 ms");
+        let readdressed = after(LineFault::WrongArm { count: 1 }, 2);
+        assert_eq!((readdressed[0][3], &readdressed[1]), (5, &frame()));
+        for damaged in [after(answers(ReplyFault::Corrupt), 3), after(answers(ReplyFault::Truncate), 3)] {
+            assert!(damaged[0] != frame() && damaged[1] != frame() && damaged[2] == frame(), "{damaged:?}");
+        }
+        for (kind, sound) in [(LineFault::WrongArm { count: 1 }, true), (answers(ReplyFault::Corrupt), false)] {
+            let mut parser = FrameParser::new(ArmId(4));
+            let mut found = Vec::new();
+            parser.feed(&after(kind, 1)[0], |received| found.push(received));
+            assert_eq!(matches!(found[..], [Received::OtherArm(_)]), sound, "{found:?}");
+        }
+    }
+
+    fn times(bytes: &[u8]) -> Vec<u64> {
+        let mut times = Vec::new();
+        FrameParser::new(ArmId(4)).feed(bytes, |received| {
+            let (Received::Frame(frame) | Received::OtherArm(frame)) = received;
+            times.push(frame.timestamp_us);
+        });
+        times
+    }
+
+    /// Again and again by so much more, round at zero, and in pieces of any size.
+    #[test]
+    fn a_clock_that_jumps_shows_in_every_frame_of_its_side() {
+        let jump = |side, by_us| LineFault::ClockJump { side, by_us };
+        let sent = after(jump(Side::Gateway, -78), 2);
+        assert_eq!([times(&sent[0]), times(&sent[1])], [[u64::MAX], [u64::MAX]]);
+        assert_eq!(after(jump(Side::Host, 5), 1), [frame()]);
+        let mut line = Line::new(Random::new(1));
+        let mut heard = Vec::new();
+        for by_us in [3_600_000_000, -600_000_000] {
+            line.inject(jump(Side::Host, by_us));
+            for piece in [frame(), frame()].concat().chunks(7) {
+                line.hear(MonotonicTime::ZERO, piece, |bytes| heard.extend_from_slice(bytes));
+            }
+        }
+        assert_eq!(times(&heard), [3_600_000_077, 3_600_000_077, 3_000_000_077, 3_000_000_077]);
+    }
+
+    #[test]
+    fn a_slow_reader_takes_so_many_bytes_in_a_second() {
+        let read = |rate: Option<u32>| {
+            let mut line = Line::new(Random::new(1));
+            line.inject(LineFault::SlowReader { bytes_per_second: rate });
+            let (mut now, mut count) = (MonotonicTime::ZERO + Duration::from_secs(100), 0);
+            for _ in 0..2000 {
+                now = now + Duration::from_millis(1);
+                let bytes = [0; 50];
+                let room = line.readable(now).min(bytes.len());
+                line.hear(now, &bytes[..room], |heard| count += heard.len());
+                let again = line.reads_again();
+                assert!(line.readable(now) > 0 || rate == Some(0) || again.is_some_and(|again| again > now));
+            }
+            count
+        };
+        assert_eq!([read(None), read(Some(0))], [100_000, 0]);
+        for rate in [1, 30, 600, 5000, 20_000] {
+            // In 2 s, and what it takes at once.
+            let expected = 2 * rate as usize;
+            assert!((expected..=expected + 1 + rate as usize / 100 + 50).contains(&read(Some(rate))), "{rate}");
+        }
+    }
+}

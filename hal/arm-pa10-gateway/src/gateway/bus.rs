@@ -1,0 +1,190 @@
+//! The side of the bus: numbers messages, knows which reply is waited for, and judges what comes.
+
+use pb3dp_arm_pa10_protocol::arcnet::{self, Frame, FrameError, Route};
+use pb3dp_arm_pa10_protocol::codec::{
+    ArmReply, ByteBuffer, COUNTS_PER_TURN, CodecError, ControlMessage, ControlPacket, EepromAxis, Letter,
+    PACKET_LENGTH_MAX, ReplyMessage, WireFormat,
+};
+use pb3dp_geometry::MonotonicTime;
+
+use super::config::GatewayConfig;
+use super::host::Asker;
+
+/// Messages to which a reply counts as late and not as foreign.
+const LATE_MESSAGES_MAX: u8 = 16;
+
+/// Hosts that can wait for the reply to one cyclic command.
+const ASKERS_MAX: usize = 4;
+
+/// An angle beyond two turns from zero is none.
+const ANGLE_COUNTS_MAX: u32 = 2 * COUNTS_PER_TURN.unsigned_abs();
+
+/// Counts of the bus, since the gateway started. They stop at their maximum.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BusCounters {
+    /// Messages sent.
+    pub exchanges: u64,
+    /// Messages whose reply did not come in time.
+    pub lost: u64,
+    /// Replies that came after their time.
+    pub late: u64,
+    /// Replies with a wrong number, letter or length.
+    pub mismatched: u64,
+}
+
+/// Frames of the host that wait for the reply to a cyclic command.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Askers {
+    list: [Option<Asker>; ASKERS_MAX],
+}
+
+impl Askers {
+    /// Adds one; the oldest gives way, and comes back.
+    pub fn push(&mut self, asker: Asker) -> Option<Asker> {
+        if let Some(place) = self.list.iter_mut().find(|place| place.is_none()) {
+            *place = Some(asker);
+            return None;
+        }
+        self.list.rotate_left(1);
+        self.list[ASKERS_MAX - 1].replace(asker)
+    }
+
+    pub fn take(&mut self) -> impl Iterator<Item = Asker> + use<> {
+        std::mem::take(self).list.into_iter().flatten()
+    }
+}
+
+/// A message whose reply is waited for.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Outstanding {
+    packet: ControlPacket,
+    /// Cycles that have begun since.
+    pub cycles: u32,
+    /// Who waits for it in the dialect `transparent`.
+    pub askers: Askers,
+}
+
+/// What a frame of the bus is.
+#[derive(Clone, Debug)]
+pub(super) enum Arrived {
+    /// Nothing that is waited for; it is counted.
+    Nothing,
+    /// The measurement that was waited for.
+    Sample(ArmReply, Askers, RawReply),
+    /// The table of an axis that was waited for.
+    Eeprom(Option<EepromAxis>, RawReply),
+    /// Another reply that was waited for.
+    Done(RawReply),
+    /// A reply that shows that this is not the arm of the configuration.
+    Unusable,
+}
+
+/// The data of a reply as it came.
+pub(super) type RawReply = ByteBuffer<PACKET_LENGTH_MAX>;
+
+/// The side of the bus.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Bus {
+    pub outstanding: Option<Outstanding>,
+    pub counters: BusCounters,
+    /// Messages in a row without a usable reply.
+    pub misses: u32,
+    /// The format that replies have shown.
+    pub seen_format: Option<WireFormat>,
+    last_sequence: u8,
+}
+
+impl Bus {
+    /// The frame of a message, whose reply is waited for from now on.
+    pub fn send(
+        &mut self,
+        config: &GatewayConfig,
+        message: ControlMessage,
+        askers: Askers,
+    ) -> Result<Frame, CodecError> {
+        let packet = ControlPacket { sequence: config.modulus.reduce(self.counters.exchanges), message };
+        let frame = arcnet::encode(Route::TO_CONTROLLER, &packet.encode(config.format)?)?;
+        count(&mut self.counters.exchanges);
+        self.last_sequence = packet.sequence;
+        self.outstanding = Some(Outstanding { packet, cycles: 0, askers });
+        Ok(frame)
+    }
+
+    /// The reply that is waited for did not come.
+    pub fn give_up(&mut self) -> Option<Outstanding> {
+        let outstanding = self.outstanding.take()?;
+        count(&mut self.counters.lost);
+        self.misses = self.misses.saturating_add(1);
+        Some(outstanding)
+    }
+
+    /// A frame of the bus.
+    pub fn handle_frame(&mut self, config: &GatewayConfig, frame: &[u8]) -> Arrived {
+        let packet = match arcnet::decode(Route::TO_HOST, frame) {
+            Ok(packet) => packet,
+            // Other nodes may talk as they like.
+            Err(FrameError::Route { .. }) => return Arrived::Nothing,
+            Err(_) => return self.mismatch(),
+        };
+        // A frame that was decoded has a number and a letter.
+        let [sequence, letter, data @ ..] = packet else { return self.mismatch() };
+        let asked = match &self.outstanding {
+            Some(outstanding) if outstanding.packet.sequence == *sequence => outstanding.packet.message,
+            _ => return self.old(config, *sequence),
+        };
+        if *letter != asked.letter().byte() {
+            return self.mismatch();
+        }
+        let raw = RawReply::from_slice(data).unwrap_or(RawReply::EMPTY);
+        match ReplyMessage::decode_data(config.format, &asked, *letter, data) {
+            Ok(ReplyMessage::Cyclic(reply)) => self.sample(config, &reply, raw),
+            Ok(ReplyMessage::Eeprom(table)) => self.used(|_| Arrived::Eeprom(Some(table), raw)),
+            Ok(ReplyMessage::Done(_)) => self.used(|_| Arrived::Done(raw)),
+            Err(CodecError::OtherFormat { got, .. }) => {
+                self.seen_format = Some(got);
+                count(&mut self.counters.mismatched);
+                Arrived::Unusable
+            }
+            // A table of another layout is for the host to read, in the dialect that passes it on.
+            Err(_) if asked.letter() == Letter::ReadEeprom => self.used(|_| Arrived::Eeprom(None, raw)),
+            Err(_) => self.mismatch(),
+        }
+    }
+
+    fn sample(&mut self, config: &GatewayConfig, reply: &ArmReply, raw: RawReply) -> Arrived {
+        self.seen_format = Some(config.format);
+        if reply.axes.iter().any(|axis| axis.angle.0.unsigned_abs() > ANGLE_COUNTS_MAX) {
+            count(&mut self.counters.mismatched);
+            return Arrived::Unusable;
+        }
+        self.used(|outstanding| Arrived::Sample(*reply, outstanding.askers, raw))
+    }
+
+    fn used(&mut self, arrived: impl FnOnce(Outstanding) -> Arrived) -> Arrived {
+        self.misses = 0;
+        self.outstanding.take().map_or(Arrived::Nothing, arrived)
+    }
+
+    fn mismatch(&mut self) -> Arrived {
+        count(&mut self.counters.mismatched);
+        Arrived::Nothing
+    }
+
+    /// A reply to no message that is waited for.
+    fn old(&mut self, config: &GatewayConfig, sequence: u8) -> Arrived {
+        let modulus = config.modulus.reduce(u64::MAX);
+        let behind = self.last_sequence.wrapping_sub(sequence) & modulus;
+        let is_late = sequence <= modulus && behind < LATE_MESSAGES_MAX && self.counters.exchanges > 0;
+        count(if is_late { &mut self.counters.late } else { &mut self.counters.mismatched });
+        Arrived::Nothing
+    }
+}
+
+pub(super) fn count(counter: &mut u64) {
+    *counter = counter.saturating_add(1);
+}
+
+/// A monotonic clock in µs, as frames carry it.
+pub(super) fn micros(now: MonotonicTime) -> u64 {
+    now.as_nanos() / 1000
+}

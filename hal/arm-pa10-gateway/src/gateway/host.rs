@@ -1,0 +1,188 @@
+//! The side of the host: which frames are accepted, who waits for an answer, and what is to be sent.
+
+use std::time::Duration;
+
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
+    Arrival, ControlOperation, DelayMeter, Dialect, FaultReport, Frame, FrameBytes, GatewayMessage, HostMessage,
+    MessageError, Reject, RejectReason, SequenceTracker,
+};
+use pb3dp_geometry::MonotonicTime;
+
+use super::bus::{count, micros};
+
+/// Answers that wait to be written. A frame of the host has at least 19 bytes, so this is enough for pieces of 600 bytes.
+const OUTBOX_MAX: usize = 32;
+
+/// A frame that gets an answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Asker {
+    pub sequence: u16,
+    pub frame_type: u8,
+    /// Whether it came by RAW: then its answer is RAW_REPLY.
+    pub is_raw: bool,
+}
+
+/// Why a frame is refused, with the detail of that reason.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Refused(pub RejectReason, pub u32);
+
+/// Something to send, and since when it waits.
+#[derive(Clone, Copy, Debug)]
+struct Waiting {
+    message: GatewayMessage,
+    sequence: u16,
+    since: MonotonicTime,
+}
+
+/// What is to be sent to the host, in order.
+#[derive(Clone, Debug)]
+struct Outbox {
+    ring: [Option<Waiting>; OUTBOX_MAX],
+    first: usize,
+    length: usize,
+}
+
+/// The side of the host.
+#[derive(Clone, Debug)]
+pub(super) struct Host {
+    /// The dialect since the last HELLO; none before it.
+    pub dialect: Option<Dialect>,
+    /// Time between two commands, as the host says.
+    pub cycle: Duration,
+    /// The last frame that was understood.
+    pub heard: MonotonicTime,
+    pub sequence: SequenceTracker,
+    /// Frames that waited in a buffer for too long.
+    pub waited: u64,
+    /// Answers that found no place, as nobody took the ones before.
+    pub answers_dropped: u64,
+    delay: DelayMeter,
+    faults: u16,
+    outbox: Outbox,
+}
+
+impl Host {
+    pub fn new() -> Self {
+        Self {
+            dialect: None,
+            cycle: Duration::ZERO,
+            heard: MonotonicTime::ZERO,
+            sequence: SequenceTracker::default(),
+            waited: 0,
+            answers_dropped: 0,
+            delay: DelayMeter::default(),
+            faults: 0,
+            outbox: Outbox { ring: [None; OUTBOX_MAX], first: 0, length: 0 },
+        }
+    }
+
+    /// Nobody is there any more: what was to be said is said to nobody.
+    pub fn forget(&mut self) {
+        self.dialect = None;
+        self.outbox = Outbox { ring: [None; OUTBOX_MAX], first: 0, length: 0 };
+    }
+
+    /// A HELLO was accepted: sequence and clock of the host begin anew.
+    pub fn greet(&mut self, now: MonotonicTime, frame: &Frame, dialect: Dialect, cycle: Duration) {
+        self.dialect = Some(dialect);
+        self.cycle = cycle;
+        self.heard = now;
+        self.sequence.restart();
+        self.sequence.handle(frame.sequence);
+        self.delay = DelayMeter::default();
+        self.delay.handle(frame.timestamp_us, micros(now));
+    }
+
+    /// The message in a frame of a host that said HELLO, if it is new and in time.
+    pub fn judge(
+        &mut self,
+        now: MonotonicTime,
+        frame: &Frame,
+        delay_allowed: Duration,
+    ) -> Result<HostMessage, Refused> {
+        let delay = self.delay.handle(frame.timestamp_us, micros(now));
+        if self.sequence.handle(frame.sequence) == Arrival::Stale {
+            return Err(Refused(RejectReason::Stale, 0));
+        }
+        let message = HostMessage::decode(frame).map_err(|error| refusal_of(&error))?;
+        self.heard = now;
+        let drives = matches!(message, HostMessage::Command(_) | HostMessage::Raw(_));
+        if drives && delay > delay_allowed {
+            count(&mut self.waited);
+            return Err(Refused(RejectReason::Stale, u32::try_from(delay.as_micros()).unwrap_or(u32::MAX)));
+        }
+        Ok(message)
+    }
+
+    /// To be sent with the sequence of the frame that it answers.
+    pub fn answer(&mut self, now: MonotonicTime, asker: &Asker, message: GatewayMessage) {
+        self.put(Waiting { message, sequence: asker.sequence, since: now });
+    }
+
+    pub fn refuse(&mut self, now: MonotonicTime, asker: &Asker, refused: Refused) {
+        let Refused(reason, detail) = refused;
+        let reject = Reject { reason, frame_type: asker.frame_type, detail };
+        self.answer(now, asker, GatewayMessage::Reject(reject));
+    }
+
+    pub fn report(&mut self, now: MonotonicTime, report: FaultReport) {
+        if self.dialect.is_some() {
+            self.put(Waiting { message: GatewayMessage::Fault(report), sequence: self.faults, since: now });
+        }
+        self.faults = self.faults.wrapping_add(1);
+    }
+
+    /// The next frame to write.
+    pub fn poll(
+        &mut self,
+        now: MonotonicTime,
+        arm: pb3dp_arm_pa10_protocol::gateway_protocol::ArmId,
+    ) -> Option<FrameBytes> {
+        let Waiting { mut message, sequence, since } = self.outbox.pop()?;
+        if let GatewayMessage::State(state) = &mut message {
+            let waited = u32::try_from(now.saturating_since(since).as_micros()).unwrap_or(u32::MAX);
+            state.sample_age_us = state.sample_age_us.saturating_add(waited);
+        }
+        Some(message.frame(arm, sequence, micros(now)).encode())
+    }
+
+    fn put(&mut self, waiting: Waiting) {
+        if !self.outbox.push(waiting) {
+            count(&mut self.answers_dropped);
+        }
+    }
+}
+
+impl Outbox {
+    fn push(&mut self, waiting: Waiting) -> bool {
+        if self.length == OUTBOX_MAX {
+            return false;
+        }
+        self.ring[(self.first + self.length) % OUTBOX_MAX] = Some(waiting);
+        self.length += 1;
+        true
+    }
+
+    fn pop(&mut self) -> Option<Waiting> {
+        let waiting = self.ring[self.first].take()?;
+        self.first = (self.first + 1) % OUTBOX_MAX;
+        self.length -= 1;
+        Some(waiting)
+    }
+}
+
+/// Why a frame that is no message is refused.
+pub(super) fn refusal_of(error: &MessageError) -> Refused {
+    match error {
+        MessageError::Type { .. } => Refused(RejectReason::UnknownType, 0),
+        MessageError::Length { expected, .. } => {
+            Refused(RejectReason::WrongLength, u32::try_from(*expected).unwrap_or(u32::MAX))
+        }
+        MessageError::Value { .. } | MessageError::Codec(_) => Refused(RejectReason::BadValue, 0),
+    }
+}
+
+/// The operations of the dialect `transparent`.
+pub(super) fn is_in_both_dialects(operation: ControlOperation) -> bool {
+    matches!(operation, ControlOperation::Stop | ControlOperation::Reset | ControlOperation::Abort)
+}

@@ -1,0 +1,191 @@
+//! What the bus brings, and what becomes of it.
+
+use pb3dp_arm_pa10::driver::{ArmCondition, EmergencyStopCause, FaultCause, Sample, Trip};
+use pb3dp_arm_pa10_protocol::codec::{ArmReply, Axis, AxisStatus, ByteBuffer, CommStatus, EepromAxis, Letter};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
+    ArmOperation, Control, ControlReply, EepromLimits, GatewayMessage, GatewayState, RawMessage, RejectReason,
+    StopCause,
+};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_safeguards::{Safeguard, is_off};
+
+use super::bus::{Arrived, Askers, RawReply};
+use super::host::{Asker, Refused};
+use super::machine::{Job, Machine, Measured, ResetStep, Task, Work};
+
+/// Micro-units per unit.
+const MICRO: f64 = 1e6;
+
+/// Why the arm has to stop, as FAULT tells it.
+#[derive(Clone, Copy, Debug)]
+struct Found {
+    cause: StopCause,
+    axis: Option<Axis>,
+    word: u16,
+}
+
+impl Machine {
+    /// A frame of the bus.
+    pub fn handle_bus_frame(&mut self, now: MonotonicTime, frame: &[u8]) {
+        match self.bus.handle_frame(&self.config, frame) {
+            Arrived::Nothing => {}
+            Arrived::Unusable => self.handle_unusable(now),
+            Arrived::Sample(reply, askers, raw) => self.handle_sample(now, &reply, askers, &raw),
+            Arrived::Eeprom(table, raw) => self.handle_eeprom(now, table.as_ref(), &raw),
+            Arrived::Done(raw) => self.handle_done(now, &raw),
+        }
+    }
+
+    fn handle_unusable(&mut self, now: MonotonicTime) {
+        if let Work::Job(Job { asker, task: Task::Reset(_) }) = self.work {
+            self.bus.outstanding = None;
+            self.go_on(asker, ResetStep::End { found: StopCause::ReplyUnusable });
+        }
+        self.trip(now, StopCause::ReplyUnusable, None, 0);
+    }
+
+    fn handle_sample(&mut self, now: MonotonicTime, reply: &ArmReply, mut askers: Askers, raw: &RawReply) {
+        self.measured = Some(Measured { reply: *reply, at: now });
+        self.hear(now);
+        self.note_found(now, reply);
+        let condition = Sample::from_reply(reply, &self.config.torque_scale).condition;
+        let found = self.judge(&condition).filter(|_| !is_off(Safeguard::GatewayAlarms));
+        if let Work::Job(Job { asker, task: Task::Reset(ResetStep::Look) }) = self.work {
+            let found = found.map_or(StopCause::None, |found| found.cause);
+            self.go_on(asker, ResetStep::End { found });
+            return;
+        }
+        for asker in askers.take() {
+            self.answer_raw(now, &asker, Letter::Cyclic, raw);
+        }
+        if let Some(asker) = self.opening.take() {
+            self.answer_control(now, &asker, Control::Arm(ArmOperation::Start));
+        }
+        if let Some(Found { cause, axis, word }) = found {
+            self.trip(now, cause, axis, word);
+        }
+    }
+
+    fn handle_eeprom(&mut self, now: MonotonicTime, table: Option<&EepromAxis>, raw: &RawReply) {
+        let Work::Job(Job { asker, task: Task::Read(_) }) = self.work else { return };
+        self.work = Work::Steady;
+        if asker.is_raw {
+            self.answer_raw(now, &asker, Letter::ReadEeprom, raw);
+        } else if let Some(table) = table {
+            let urad = |rad: f64| (rad * MICRO).round() as i32;
+            let limits = EepromLimits {
+                axis: table.axis,
+                // Within two turns, as the table was checked.
+                positive_limit_urad: urad(table.positive_limit.to_rad()),
+                negative_limit_urad: urad(table.negative_limit.to_rad()),
+            };
+            self.host.answer(now, &asker, GatewayMessage::EepromLimits(limits));
+        } else {
+            self.host.refuse(now, &asker, Refused(RejectReason::NoAnswer, 0));
+        }
+    }
+
+    fn handle_done(&mut self, now: MonotonicTime, raw: &RawReply) {
+        match self.work {
+            Work::Job(job) => self.advance(now, &job, raw),
+            Work::Close { .. } => self.end_close(now),
+            // Of E, with which the order ends.
+            Work::Stop(_) => self.end_stop(now),
+            Work::Steady => {}
+        }
+    }
+
+    fn advance(&mut self, now: MonotonicTime, job: &Job, raw: &RawReply) {
+        let asker = job.asker;
+        let (letter, control) = match job.task {
+            Task::Start => {
+                self.state = GatewayState::Started;
+                self.work = Work::Steady;
+                self.measured = None;
+                self.motion.restart(now, self.config.supervision);
+                if asker.is_raw {
+                    self.answer_raw(now, &asker, Letter::Start, raw);
+                } else {
+                    self.opening = Some(asker);
+                }
+                return;
+            }
+            Task::End => {
+                self.state = GatewayState::Idle;
+                (Letter::End, Control::Arm(ArmOperation::End))
+            }
+            Task::Clear(axis) => (Letter::ClearAlarm, Control::ClearAlarm(axis)),
+            // Its reply is no bare letter.
+            Task::Read(_) => return,
+            Task::Reset(ResetStep::Start | ResetStep::Look) => return self.go_on(asker, ResetStep::Look),
+            Task::Reset(ResetStep::End { found: StopCause::None }) => {
+                (self.state, self.cause, self.found) = (GatewayState::Idle, StopCause::None, None);
+                (Letter::End, Control::Arm(ArmOperation::Reset))
+            }
+            Task::Reset(ResetStep::End { found }) => {
+                self.work = Work::Steady;
+                let present = Refused(RejectReason::CausePresent, u32::from(found.byte()));
+                return self.host.refuse(now, &asker, present);
+            }
+        };
+        self.work = Work::Steady;
+        if asker.is_raw {
+            self.answer_raw(now, &asker, letter, raw);
+        } else {
+            self.answer_control(now, &asker, control);
+        }
+    }
+
+    fn go_on(&mut self, asker: Asker, step: ResetStep) {
+        self.work = Work::Job(Job { asker, task: Task::Reset(step) });
+    }
+
+    pub fn answer_control(&mut self, now: MonotonicTime, asker: &Asker, control: Control) {
+        let reply = ControlReply { control, state: self.state };
+        self.host.answer(now, asker, GatewayMessage::ControlReply(reply));
+    }
+
+    pub fn answer_raw(&mut self, now: MonotonicTime, asker: &Asker, letter: Letter, data: &[u8]) {
+        match ByteBuffer::from_slice(data) {
+            Some(data) => {
+                let reply = RawMessage { letter: letter.byte(), data };
+                self.host.answer(now, asker, GatewayMessage::RawReply(reply));
+            }
+            // Longer than any reply that is known, and than what a frame can carry.
+            None => self.host.refuse(now, asker, Refused(RejectReason::NoAnswer, 0)),
+        }
+    }
+
+    /// Whether the newest measurement shows that the arm would not hold itself with open brakes.
+    pub fn is_uncontrollable(&self) -> bool {
+        let condition = |measured: &Measured| Sample::from_reply(&measured.reply, &self.config.torque_scale).condition;
+        self.measured.as_ref().is_some_and(|measured| condition(measured).uncontrollable().is_some())
+    }
+
+    /// What stops the arm in what it tells of itself. Format A tells nothing.
+    fn judge(&self, condition: &ArmCondition) -> Option<Found> {
+        let comm = match condition.comm {
+            CommStatus::Comm(word) => word.0,
+            CommStatus::Undocumented(_) => 0,
+        };
+        let of_axis = |cause, axis: Axis| {
+            let word = match condition.axes[axis.index()] {
+                AxisStatus::Servo(word) => word.0,
+                AxisStatus::Undocumented(_) => 0,
+            };
+            Found { cause, axis: Some(axis), word }
+        };
+        let of_arm = |cause| Found { cause, axis: None, word: comm };
+        let open = matches!(self.state, GatewayState::Holding | GatewayState::Moving);
+        let trip = condition.trip(self.config.emergency_stop_bits);
+        let trip = trip.or_else(|| condition.uncontrollable().filter(|_| open).map(|lost| Trip::Fault(lost.into())));
+        Some(match trip? {
+            Trip::EStop(EmergencyStopCause::Axis { axis, .. }) => of_axis(StopCause::EmergencyStop, axis),
+            Trip::EStop(_) => of_arm(StopCause::EmergencyStop),
+            Trip::Fault(FaultCause::ServoAlarm { axis, .. }) => of_axis(StopCause::ServoAlarm, axis),
+            Trip::Fault(FaultCause::AxisUncontrollable { axis, .. }) => of_axis(StopCause::AxisUncontrollable, axis),
+            Trip::Fault(FaultCause::ArmUncontrollable { .. }) => of_arm(StopCause::AxisUncontrollable),
+            Trip::Fault(_) => of_arm(StopCause::ControllerAlarm),
+        })
+    }
+}

@@ -1,0 +1,348 @@
+//! What the host asks for, and what becomes of it.
+
+use std::time::Duration;
+
+use pb3dp_arm_pa10_protocol::codec::{ArmCommand, AxisCommand, CodecError, ControlMessage, Letter};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
+    ArmOperation, Control, Dialect, DriveCommand, DriveMode, Frame, GatewayMessage, GatewayState, HELLO, Health, Hello,
+    HelloReply, HostMessage, RawMessage, RejectReason, State, StopCause,
+};
+use pb3dp_geometry::MonotonicTime;
+
+use super::host::{Asker, Refused, is_in_both_dialects, refusal_of};
+use super::machine::{Job, Machine, ResetStep, StopStep, Task, Work, wrong_state};
+use super::motion::{self, Kind};
+use super::table::{Ask, Deed, deed};
+
+impl Machine {
+    /// A sound frame of another arm.
+    pub fn handle_other_arm(&mut self, now: MonotonicTime, frame: &Frame) {
+        let refused = Refused(RejectReason::WrongArm, u32::from(frame.arm.0));
+        self.host.refuse(now, &asker(frame), refused);
+    }
+
+    /// A sound frame of this arm: it gets exactly one answer, now or later.
+    pub fn handle_frame(&mut self, now: MonotonicTime, frame: &Frame) {
+        // What has run out runs out before a new command could hide it.
+        self.check_host(now);
+        let asker = asker(frame);
+        let refused = if frame.frame_type == HELLO {
+            self.handle_hello(now, frame, &asker).err()
+        } else if self.host.dialect.is_none() {
+            Some(Refused(RejectReason::NotConnected, 0))
+        } else {
+            let message = self.host.judge(now, frame, self.config.watchdog.ramp_after());
+            message.and_then(|message| self.handle_message(now, &message, &asker)).err()
+        };
+        if let Some(refused) = refused {
+            self.host.refuse(now, &asker, refused);
+        }
+    }
+
+    /// The host is gone: unplugged, closed.
+    pub fn handle_host_gone(&mut self, now: MonotonicTime) {
+        let may_have_started = matches!(self.work, Work::Job(Job { task: Task::Start | Task::Reset(_), .. }));
+        self.cancel(now, wrong_state(self.state));
+        self.host.forget();
+        match self.state {
+            GatewayState::Holding | GatewayState::Moving => {
+                self.trip(now, StopCause::HostSilent, None, 0);
+            }
+            GatewayState::Started => self.end_started(now),
+            _ if may_have_started => self.close(),
+            _ => {}
+        }
+    }
+
+    /// The stop order, for whoever asks for it.
+    pub fn stop(&mut self, now: MonotonicTime) {
+        let state = self.state;
+        let starting = matches!(self.work, Work::Job(Job { task: Task::Start, .. }));
+        let resetting = matches!(self.work, Work::Job(Job { task: Task::Reset(_), .. }));
+        match deed(state, Ask::Stop) {
+            Deed::BeginStop => {
+                self.state = GatewayState::Stopping;
+                self.cancel(now, wrong_state(self.state));
+                self.begin_stop(now, state);
+            }
+            // It may have started: what was said to be stopped must not go on.
+            _ if starting => {
+                self.state = GatewayState::Stopping;
+                self.cancel(now, wrong_state(self.state));
+                self.work = Work::Stop(StopStep::End { tries: 0 });
+            }
+            _ if resetting => {
+                self.cancel(now, wrong_state(state));
+                self.close();
+            }
+            _ => {
+                if let Some(job) = self.queued.take() {
+                    self.host.refuse(now, &job.asker, wrong_state(state));
+                }
+            }
+        }
+    }
+
+    /// The stop order for a host that has found a fault: nothing but a reset leads on.
+    fn abort(&mut self, now: MonotonicTime) {
+        match deed(self.state, Ask::Abort) {
+            Deed::Latch => self.trip(now, StopCause::HostFault, None, 0),
+            // It is latched and keeps its cause; what is under way to let go of it ends.
+            _ => self.stop(now),
+        }
+    }
+
+    fn handle_hello(&mut self, now: MonotonicTime, frame: &Frame, asker: &Asker) -> Result<(), Refused> {
+        let message = HostMessage::decode(frame).map_err(|error| refusal_of(&error))?;
+        let HostMessage::Hello(Hello { dialect, cycle_us }) = message else {
+            return Err(Refused(RejectReason::UnknownType, 0));
+        };
+        let is_open = self.motion.sent().axes.iter().any(motion::is_open);
+        if is_open && self.host.dialect.is_some_and(|in_force| in_force != dialect) {
+            return Err(wrong_state(self.state));
+        }
+        self.host.greet(now, frame, dialect, Duration::from_micros(u64::from(cycle_us)));
+        let reply = self.hello_reply(dialect);
+        self.host.answer(now, asker, GatewayMessage::HelloReply(reply));
+        Ok(())
+    }
+
+    fn handle_message(&mut self, now: MonotonicTime, message: &HostMessage, asker: &Asker) -> Result<(), Refused> {
+        let dialect = self.host.dialect.unwrap_or(Dialect::GatewayV1);
+        let only = |wanted: Dialect| {
+            let other = Refused(RejectReason::WrongDialect, u32::from(dialect.byte()));
+            if dialect == wanted { Ok(()) } else { Err(other) }
+        };
+        match message {
+            // Was handled before.
+            HostMessage::Hello(_) => Err(Refused(RejectReason::UnknownType, 0)),
+            HostMessage::Heartbeat => {
+                let health = self.health();
+                self.host.answer(now, asker, GatewayMessage::Health(health));
+                Ok(())
+            }
+            HostMessage::Command(command) => {
+                only(Dialect::GatewayV1)?;
+                self.handle_command(now, command, asker)
+            }
+            HostMessage::Control(control) => {
+                if !is_in_both_dialects(control.operation()) {
+                    only(Dialect::GatewayV1)?;
+                }
+                self.handle_control(now, *control, asker)
+            }
+            HostMessage::Raw(raw) => {
+                only(Dialect::Transparent)?;
+                self.handle_raw(now, raw, &Asker { is_raw: true, ..*asker })
+            }
+        }
+    }
+
+    fn handle_command(&mut self, now: MonotonicTime, command: &DriveCommand, asker: &Asker) -> Result<(), Refused> {
+        let supervision = self.config.supervision;
+        let asked = match command.mode {
+            DriveMode::Off => ArmCommand::uniform(AxisCommand::Off, supervision),
+            DriveMode::Braked => ArmCommand::uniform(AxisCommand::Braked, supervision),
+            DriveMode::Follow => ArmCommand::velocities(&command.velocity_rad_per_s(), supervision)
+                .map_err(|_| Refused(RejectReason::BadValue, 0))?,
+        };
+        let next = self.judge_command(now, &asked)?;
+        let state = self.arm_state(now).ok_or(Refused(RejectReason::NoAnswer, 0))?;
+        if let Some(next) = next {
+            let over = if self.config.interpolates { self.host.cycle } else { Duration::ZERO };
+            if self.slowed {
+                self.motion.follow_anew(now, asked, over);
+            } else {
+                self.motion.follow(now, asked, over);
+            }
+            self.state = next;
+        }
+        self.host.answer(now, asker, GatewayMessage::State(State { gateway: self.state, ..state }));
+        Ok(())
+    }
+
+    /// The state to which a command leads; none if it is only shown the state.
+    fn judge_command(&self, now: MonotonicTime, asked: &ArmCommand) -> Result<Option<GatewayState>, Refused> {
+        let ask = match motion::kind(asked) {
+            Kind::BrakesOn => Ask::BrakesOn,
+            Kind::Rest => Ask::Rest,
+            Kind::Motion => Ask::Motion,
+        };
+        match deed(self.state, ask) {
+            Deed::Show => Ok(None),
+            Deed::Follow(next) => {
+                let possible = !self.is_busy()
+                    && !self.motion.brakes_motion(asked)
+                    && self.motion.may_move(now, asked)
+                    && (self.state != GatewayState::Moving || self.motion.keeps_brakes(asked));
+                let opens = self.state == GatewayState::Started && next == GatewayState::Holding;
+                if possible && opens && self.measured.is_none() {
+                    return Err(Refused(RejectReason::NoAnswer, 0));
+                }
+                if possible && opens && self.is_uncontrollable() {
+                    let cause = u32::from(StopCause::AxisUncontrollable.byte());
+                    return Err(Refused(RejectReason::CausePresent, cause));
+                }
+                if possible { Ok(Some(next)) } else { Err(wrong_state(self.state)) }
+            }
+            _ => Err(wrong_state(self.state)),
+        }
+    }
+
+    fn handle_control(&mut self, now: MonotonicTime, control: Control, asker: &Asker) -> Result<(), Refused> {
+        match control {
+            Control::Arm(ArmOperation::Stop) => {
+                self.stop(now);
+                self.answer_control(now, asker, control);
+                Ok(())
+            }
+            Control::Arm(ArmOperation::Abort) => {
+                self.abort(now);
+                self.answer_control(now, asker, control);
+                Ok(())
+            }
+            Control::Arm(ArmOperation::Start) => self.ask(now, Ask::Start, Task::Start, asker, control),
+            Control::Arm(ArmOperation::End) => self.ask(now, Ask::End, Task::End, asker, control),
+            Control::Arm(ArmOperation::Reset) => {
+                self.ask(now, Ask::Reset, Task::Reset(ResetStep::Start), asker, control)
+            }
+            Control::ClearAlarm(axis) => self.ask(now, Ask::Service, Task::Clear(axis), asker, control),
+            Control::ReadEeprom(axis) => self.ask(now, Ask::Service, Task::Read(axis), asker, control),
+        }
+    }
+
+    /// Asks for something that takes a message to the controller, unless it is done already.
+    fn ask(
+        &mut self,
+        now: MonotonicTime,
+        ask: Ask,
+        task: Task,
+        asker: &Asker,
+        control: Control,
+    ) -> Result<(), Refused> {
+        match deed(self.state, ask) {
+            _ if self.is_busy() => Err(wrong_state(self.state)),
+            Deed::Nothing if asker.is_raw => {
+                let letter = if ask == Ask::Start { Letter::Start } else { Letter::End };
+                self.answer_raw(now, asker, letter, &[]);
+                Ok(())
+            }
+            Deed::Nothing => {
+                self.answer_control(now, asker, control);
+                Ok(())
+            }
+            Deed::Speak => self.begin(now, Job { asker: *asker, task }),
+            _ => Err(wrong_state(self.state)),
+        }
+    }
+
+    fn begin(&mut self, now: MonotonicTime, job: Job) -> Result<(), Refused> {
+        if self.is_listening() {
+            return self.ask_for_end(job);
+        }
+        let is_stopping = matches!(self.work, Work::Stop(_));
+        let falls = matches!(job.task, Task::End) && !self.motion.brakes_closed(now);
+        if is_stopping || falls {
+            return Err(wrong_state(self.state));
+        }
+        if matches!(self.work, Work::Close { .. }) {
+            self.queued = Some(job);
+        } else {
+            self.work = Work::Job(job);
+        }
+        Ok(())
+    }
+
+    fn handle_raw(&mut self, now: MonotonicTime, raw: &RawMessage, asker: &Asker) -> Result<(), Refused> {
+        let forbidden = Refused(RejectReason::ForbiddenLetter, u32::from(raw.letter));
+        let letter = Letter::from_byte(raw.letter).map_err(|_| forbidden)?;
+        let message = ControlMessage::decode_data(self.config.format, letter, &raw.data).map_err(refusal_of_data)?;
+        let arm = |operation| Control::Arm(operation);
+        match message {
+            ControlMessage::Start => self.ask(now, Ask::Start, Task::Start, asker, arm(ArmOperation::Start)),
+            ControlMessage::End => self.ask(now, Ask::End, Task::End, asker, arm(ArmOperation::End)),
+            ControlMessage::ClearAlarm(axis) => {
+                self.ask(now, Ask::Service, Task::Clear(axis), asker, Control::ClearAlarm(axis))
+            }
+            ControlMessage::ReadEeprom(axis) => {
+                self.ask(now, Ask::Service, Task::Read(axis), asker, Control::ReadEeprom(axis))
+            }
+            ControlMessage::Cyclic(command) => {
+                let next = self.judge_command(now, &command)?.ok_or(wrong_state(self.state))?;
+                self.motion.follow(now, command, Duration::ZERO);
+                self.state = next;
+                if let Some(oldest) = self.waiting.push(*asker) {
+                    self.host.refuse(now, &oldest, Refused(RejectReason::NoAnswer, 0));
+                }
+                Ok(())
+            }
+            #[cfg(feature = "brake-release")]
+            ControlMessage::ReleaseBrakes => Err(forbidden),
+        }
+    }
+
+    /// The newest measurement; none if there is none since the control mode began.
+    fn arm_state(&self, now: MonotonicTime) -> Option<State> {
+        let measured = self.measured.as_ref()?;
+        let state =
+            State::from_reply(&measured.reply, &self.config.torque_scale, us(now.saturating_since(measured.at)));
+        let (gateway, cause, is_ramping) = (self.state, self.cause, self.slowed);
+        Some(State { gateway, cause, is_ramping, ..state.ok()? })
+    }
+
+    fn hello_reply(&self, dialect: Dialect) -> HelloReply {
+        let config = &self.config;
+        HelloReply {
+            has_transparent: true,
+            has_gateway_v1: true,
+            dialect,
+            wire_format: self.bus.seen_format,
+            geometry: config.geometry,
+            state: self.state,
+            cause: self.cause,
+            cycle_us: us(config.cycle),
+            ramp_after_us: us(config.watchdog.ramp_after()),
+            stop_after_us: us(config.watchdog.stop_after()),
+            controller_watchdog_us: config.controller_watchdog.map_or(0, us),
+            brake_release_us: us(config.brake_time),
+            firmware: config.firmware,
+        }
+    }
+
+    fn health(&mut self) -> Health {
+        let number = |count: u64| u32::try_from(count).unwrap_or(u32::MAX);
+        let bus = &self.bus.counters;
+        Health {
+            state: self.state,
+            cause: self.cause,
+            exchanges: number(bus.exchanges),
+            replies_lost: number(bus.lost),
+            replies_late: number(bus.late),
+            replies_mismatched: number(bus.mismatched),
+            overruns: number(self.cycles.overruns),
+            worst_cycle_us: us(std::mem::take(&mut self.worst_lately)),
+            host_damaged: number(self.damaged),
+            host_lost: number(self.host.sequence.lost()),
+            host_stale: number(self.host.sequence.stale().saturating_add(self.host.waited)),
+        }
+    }
+}
+
+fn asker(frame: &Frame) -> Asker {
+    Asker { sequence: frame.sequence, frame_type: frame.frame_type, is_raw: false }
+}
+
+/// Why the data of a letter is refused: the length counts the letter.
+fn refusal_of_data(error: CodecError) -> Refused {
+    match error {
+        CodecError::Length { expected, .. } => {
+            Refused(RejectReason::WrongLength, u32::try_from(expected + 1).unwrap_or(u32::MAX))
+        }
+        _ => Refused(RejectReason::BadValue, 0),
+    }
+}
+
+/// Whole microseconds, up to the maximum.
+fn us(duration: Duration) -> u32 {
+    u32::try_from(duration.as_micros()).unwrap_or(u32::MAX)
+}

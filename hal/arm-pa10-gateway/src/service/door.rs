@@ -1,0 +1,251 @@
+//! The door: opens lines for the thread of the cycle, and closes those that it has done with.
+
+use std::net::TcpListener;
+use std::os::fd::AsFd;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::time::Duration;
+
+use pb3dp_arm_pa10::bus::BusPort;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_platform::realtime::{now, sleep_until};
+use pb3dp_hal_platform::tcp::TcpLink;
+use pb3dp_hal_platform::transport::{ByteLink, Connector};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+
+use super::{BusOpener, HostSide, Shared};
+
+/// How often something that can not be opened is tried again.
+const AGAIN: Duration = Duration::from_millis(500);
+
+/// How often the door looks up.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// A host that has said nothing for this long gives way to another one: a living one says something every 250 ms.
+const GIVES_WAY: Duration = Duration::from_secs(1);
+
+/// The ends of the cycle's thread. None of them ever waits.
+pub(super) struct Lines {
+    pub hosts: Receiver<Box<dyn ByteLink>>,
+    pub buses: Receiver<Box<dyn BusPort>>,
+    pub old_hosts: SyncSender<Box<dyn ByteLink>>,
+    pub old_buses: SyncSender<Box<dyn BusPort>>,
+}
+
+/// The ends of the door.
+pub(super) struct LineEnds {
+    hosts: SyncSender<Box<dyn ByteLink>>,
+    buses: SyncSender<Box<dyn BusPort>>,
+    old_hosts: Receiver<Box<dyn ByteLink>>,
+    old_buses: Receiver<Box<dyn BusPort>>,
+}
+
+impl Lines {
+    pub fn pairs() -> (Self, LineEnds) {
+        let (hosts_in, hosts) = sync_channel(1);
+        let (buses_in, buses) = sync_channel(1);
+        // One that gives way and one that follows it.
+        let (old_hosts, hosts_out) = sync_channel(4);
+        let (old_buses, buses_out) = sync_channel(4);
+        let ends = LineEnds { hosts: hosts_in, buses: buses_in, old_hosts: hosts_out, old_buses: buses_out };
+        (Self { hosts, buses, old_hosts, old_buses }, ends)
+    }
+}
+
+/// The thread that opens and closes.
+pub(super) struct Door {
+    pub shared: Arc<Shared>,
+    pub lines: LineEnds,
+    pub tell: SyncSender<String>,
+    pub bus: BusOpener,
+    pub host: HostSide,
+}
+
+/// When to try again, and what was said the last time.
+struct Patience {
+    again: MonotonicTime,
+    said: Option<String>,
+}
+
+impl Patience {
+    fn new() -> Self {
+        Self { again: MonotonicTime::ZERO, said: None }
+    }
+
+    fn is_over(&self) -> bool {
+        now() >= self.again
+    }
+
+    /// It was tried: what there is to say, unless it was said the last time.
+    fn note(&mut self, error: Option<&(dyn std::error::Error + 'static)>, what: &str) -> Option<String> {
+        self.again = now() + AGAIN;
+        let text = error.map(|error| format!("{what} can not be opened: {}", chain(error)));
+        if self.said == text {
+            return None;
+        }
+        self.said.clone_from(&text);
+        text
+    }
+}
+
+/// An error with its causes.
+fn chain(error: &(dyn std::error::Error + 'static)) -> String {
+    let mut text = error.to_string();
+    let mut source = error.source();
+    while let Some(cause) = source {
+        text.push_str(": ");
+        text.push_str(&cause.to_string());
+        source = cause.source();
+    }
+    text
+}
+
+impl Door {
+    pub fn run(mut self) {
+        let (mut host, mut bus) = (Patience::new(), Patience::new());
+        while !self.shared.end.load(Ordering::SeqCst) {
+            while self.lines.old_hosts.try_recv().is_ok() {}
+            while self.lines.old_buses.try_recv().is_ok() {}
+            if self.shared.wants_bus.load(Ordering::SeqCst) && bus.is_over() {
+                self.open_bus(&mut bus);
+            }
+            match &mut self.host {
+                HostSide::Tcp(listener) => accept(listener, &self.shared, &self.lines, &self.tell),
+                HostSide::Line(connector) => {
+                    if !self.shared.has_host.load(Ordering::SeqCst) && host.is_over() {
+                        let said = open_line(connector.as_mut(), &self.shared, &self.lines, &mut host);
+                        said.into_iter().for_each(|text| say(&self.tell, text));
+                    }
+                    sleep_until(now() + LOOK);
+                }
+            }
+        }
+    }
+
+    fn open_bus(&mut self, patience: &mut Patience) {
+        let said = match (self.bus)() {
+            Ok(port) => {
+                self.shared.wants_bus.store(false, Ordering::SeqCst);
+                let _ = self.lines.buses.try_send(port);
+                self.shared.wake();
+                patience.note(None, "")
+            }
+            Err(error) => patience.note(Some(error.as_ref()), "the bus"),
+        };
+        said.into_iter().for_each(|text| say(&self.tell, text));
+    }
+}
+
+/// To the owner, who may have gone to sleep.
+fn say(tell: &SyncSender<String>, text: String) {
+    let _ = tell.try_send(text);
+}
+
+fn open_line(
+    connector: &mut dyn Connector,
+    shared: &Shared,
+    lines: &LineEnds,
+    patience: &mut Patience,
+) -> Option<String> {
+    let target = connector.target();
+    match connector.connect() {
+        Ok(link) => {
+            let warning = link.warning();
+            hand_over(link, shared, lines);
+            patience.note(None, "");
+            Some(match warning {
+                Some(warning) => format!("{target} is open; {warning}"),
+                None => format!("{target} is open"),
+            })
+        }
+        Err(error) => patience.note(Some(error.as_ref()), &target),
+    }
+}
+
+/// Waits for a host for a moment, and lets it in unless another one is there.
+fn accept(listener: &TcpListener, shared: &Shared, lines: &LineEnds, tell: &SyncSender<String>) {
+    let timeout = Timespec { tv_sec: 0, tv_nsec: i64::from(LOOK.subsec_nanos()) };
+    let mut fds = [PollFd::from_borrowed_fd(listener.as_fd(), PollFlags::IN)];
+    if !matches!(poll(&mut fds, Some(&timeout)), Ok(1..)) {
+        return;
+    }
+    let (stream, address) = match listener.accept() {
+        Ok(accepted) => accepted,
+        // It went away again, or the system has no room now.
+        Err(_) => return sleep_until(now() + LOOK),
+    };
+    let silent = now().saturating_since(MonotonicTime::from_nanos(shared.heard.load(Ordering::SeqCst)));
+    if shared.has_host.load(Ordering::SeqCst) && silent < GIVES_WAY {
+        say(tell, format!("a connection from {address} was turned away: another host is connected"));
+        return;
+    }
+    match TcpLink::from_stream(stream) {
+        Ok(link) => {
+            say(tell, format!("a host connected from {address}"));
+            hand_over(Box::new(link), shared, lines);
+        }
+        Err(error) => say(tell, format!("a connection from {address} can not be used: {error}")),
+    }
+}
+
+/// Told before the line is there: the thread of the cycle may find it gone at once, and its word has to be the last.
+fn hand_over(link: Box<dyn ByteLink>, shared: &Shared, lines: &LineEnds) {
+    shared.heard.store(now().as_nanos(), Ordering::SeqCst);
+    let had_host = shared.has_host.swap(true, Ordering::SeqCst);
+    if lines.hosts.try_send(link).is_ok() {
+        shared.wake();
+    } else if !had_host {
+        shared.has_host.store(false, Ordering::SeqCst);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+    use std::sync::atomic::{AtomicBool, AtomicU64};
+
+    use pb3dp_hal_platform::pty::Pty;
+    use rustix::event::{EventfdFlags, eventfd};
+
+    use super::*;
+
+    /// A line that is gone as soon as it is taken leaves the door open for the next one.
+    #[test]
+    fn a_line_that_is_gone_at_once_is_not_taken_for_a_host() {
+        let shared = Arc::new(Shared {
+            end: AtomicBool::new(false),
+            has_host: AtomicBool::new(false),
+            wants_bus: AtomicBool::new(false),
+            heard: AtomicU64::new(0),
+            waker: eventfd(0, EventfdFlags::NONBLOCK | EventfdFlags::CLOEXEC).unwrap(),
+        });
+        let (cycle, door) = Lines::pairs();
+        let (seen, back) = sync_channel(0);
+        let for_cycle = Arc::clone(&shared);
+        let taker = std::thread::spawn(move || {
+            loop {
+                match cycle.hosts.try_recv() {
+                    Ok(link) => {
+                        for_cycle.has_host.store(true, Ordering::SeqCst);
+                        for_cycle.has_host.store(false, Ordering::SeqCst);
+                        if seen.send(link).is_err() {
+                            return;
+                        }
+                    }
+                    Err(std::sync::mpsc::TryRecvError::Empty) => std::hint::spin_loop(),
+                    Err(std::sync::mpsc::TryRecvError::Disconnected) => return,
+                }
+            }
+        });
+        let mut link: Box<dyn ByteLink> = Box::new(Pty::open().unwrap());
+        for round in 0..20_000 {
+            hand_over(link, &shared, &door);
+            link = back.recv().unwrap();
+            assert!(!shared.has_host.load(Ordering::SeqCst), "round {round}");
+        }
+        drop((door, back));
+        taker.join().unwrap();
+    }
+}

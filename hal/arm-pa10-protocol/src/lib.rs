@@ -1,0 +1,9 @@
+//! What travels between a host, a gateway and the servo controller of a Mitsubishi PA-10. Pure functions: no I/O, no clock.
+//!
+//! * [`codec`]: the two wire formats of the servo controller, its messages, replies and alarms.
+//! * [`arcnet`]: the frames in which Linux passes these messages through an ARCNET card.
+//! * [`gateway_protocol`]: the framed protocol between a host and the gateway that owns the bus of an arm.
+
+pub mod arcnet;
+pub mod codec;
+pub mod gateway_protocol;

@@ -1,0 +1,195 @@
+//! The link to the servo controller itself, over the bus of a computer that holds the ARCNET card.
+
+use std::os::fd::BorrowedFd;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use pb3dp_arm_pa10_protocol::arcnet::Frame;
+use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, WireFormat};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{HelloReply, ParserCounters};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_platform::transport::{ConnectError, Unplugged, wait_for};
+
+use super::port::{Greeted, HostPort};
+use super::trace::{Tracer, Way};
+use crate::bus::{ArcnetSocket, BusDown, BusPort, FRAME_ROOM, FrameSocket};
+use crate::driver::{Activity, Driver, Transmit};
+use crate::link::BusLink;
+
+/// Frames of one turn; what is left is read in the next one.
+const FRAMES_MAX: usize = 16;
+
+/// Where a bus is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum BusTarget {
+    /// The ARCNET interface of this name: `arc0`.
+    Arcnet(String),
+    /// A socket in the place of a bus, at which an emulated controller listens.
+    Socket(PathBuf),
+}
+
+impl BusTarget {
+    /// Opens it.
+    ///
+    /// # Errors
+    /// If there is none, or it may not be used.
+    pub fn open(&self) -> Result<Box<dyn BusPort>, ConnectError> {
+        Ok(match self {
+            Self::Arcnet(interface) => Box::new(ArcnetSocket::open(interface)?),
+            Self::Socket(path) => Box::new(FrameSocket::connect(path)?),
+        })
+    }
+}
+
+/// Why a text names no bus.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is no bus: write arcnet:INTERFACE or socket:PATH")]
+pub struct NoBus(String);
+
+impl std::str::FromStr for BusTarget {
+    type Err = NoBus;
+
+    /// `arcnet:INTERFACE` or `socket:PATH`.
+    fn from_str(text: &str) -> Result<Self, NoBus> {
+        match text.split_once(':') {
+            Some(("arcnet", interface)) if !interface.is_empty() => Ok(Self::Arcnet(interface.to_owned())),
+            Some(("socket", path)) if !path.is_empty() => Ok(Self::Socket(PathBuf::from(path))),
+            _ => Err(NoBus(text.to_owned())),
+        }
+    }
+}
+
+impl std::fmt::Display for BusTarget {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Arcnet(interface) => write!(f, "ARCNET interface {interface}"),
+            Self::Socket(path) => write!(f, "socket {}", path.display()),
+        }
+    }
+}
+
+/// A link to a controller.
+pub(super) struct ControllerPort {
+    link: BusLink,
+    target: BusTarget,
+    /// Nothing once it is down.
+    bus: Option<Box<dyn BusPort>>,
+    gone: Option<Unplugged>,
+    pending: Option<Frame>,
+    frames_unsent: u64,
+    tracer: Tracer,
+}
+
+impl ControllerPort {
+    /// Opens the bus.
+    ///
+    /// # Errors
+    /// If it can not be opened.
+    pub fn open(
+        format: WireFormat,
+        modulus: SequenceModulus,
+        target: BusTarget,
+        tracer: Tracer,
+    ) -> Result<Self, ConnectError> {
+        let bus = Some(target.open()?);
+        let link = BusLink::new(format, modulus);
+        Ok(Self { link, target, bus, gone: None, pending: None, frames_unsent: 0, tracer })
+    }
+
+    fn lose(&mut self, down: BusDown) -> Result<(), Unplugged> {
+        let gone = Unplugged { symptom: down.symptom };
+        self.bus = None;
+        self.gone = Some(gone);
+        self.pending = None;
+        Err(gone)
+    }
+}
+
+impl HostPort for ControllerPort {
+    fn reopen(&mut self) -> Result<(), ConnectError> {
+        self.bus = Some(self.target.open()?);
+        self.gone = None;
+        Ok(())
+    }
+
+    fn warning(&self) -> Option<String> {
+        None
+    }
+
+    fn gone(&self) -> Option<Unplugged> {
+        self.gone
+    }
+
+    fn hello(&self) -> Option<&HelloReply> {
+        None
+    }
+
+    fn found(&self) -> Option<&HelloReply> {
+        None
+    }
+
+    fn line(&self) -> ParserCounters {
+        ParserCounters::default()
+    }
+
+    fn frames_unsent(&self) -> u64 {
+        self.frames_unsent
+    }
+
+    /// A controller is greeted by looking at the arm.
+    fn greet(&mut self, _now: MonotonicTime) {}
+
+    fn greet_again(&mut self, _now: MonotonicTime) {}
+
+    fn greeted(&mut self, _now: MonotonicTime) -> Greeted {
+        Greeted::Done
+    }
+
+    fn receive(&mut self, now: MonotonicTime, driver: &mut Driver) -> Result<(), Unplugged> {
+        let mut buffer = [0; FRAME_ROOM];
+        for _ in 0..FRAMES_MAX {
+            let Some(bus) = &mut self.bus else { return Ok(()) };
+            match bus.try_receive(&mut buffer) {
+                Ok(None) => break,
+                Ok(Some(length)) => {
+                    self.tracer.record(now, Way::In, &buffer[..length]);
+                    // Why a frame is none the driver has counted.
+                    let _ = self.link.handle_frame(now, &buffer[..length], driver);
+                }
+                Err(down) => return self.lose(down),
+            }
+        }
+        Ok(())
+    }
+
+    fn send(&mut self, _now: MonotonicTime, transmit: &Transmit, _activity: Activity) {
+        // What can not be expressed gets no answer, which the driver counts.
+        self.pending = self.link.send(transmit).ok();
+    }
+
+    /// As on a bus: a frame without room is lost.
+    fn flush(&mut self, now: MonotonicTime) -> Result<(), Unplugged> {
+        let (Some(frame), Some(bus)) = (self.pending.take(), &mut self.bus) else { return Ok(()) };
+        match bus.try_send(&frame) {
+            Ok(sent) => {
+                self.tracer.record(now, Way::Out, &frame);
+                self.frames_unsent += u64::from(!sent);
+                Ok(())
+            }
+            Err(down) => self.lose(down),
+        }
+    }
+
+    /// A controller says nothing by itself.
+    fn silence(&self, _now: MonotonicTime) -> Option<u32> {
+        None
+    }
+
+    fn next_deadline(&self) -> Option<MonotonicTime> {
+        None
+    }
+
+    fn wait(&self, waker: Option<BorrowedFd<'_>>, timeout: Duration) {
+        wait_for(self.bus.as_ref().map(|bus| bus.fd()), false, waker, timeout);
+    }
+}

@@ -1,0 +1,226 @@
+//! The link to a gateway with the bytes under it.
+
+use std::os::fd::BorrowedFd;
+use std::time::Duration;
+
+use pb3dp_arm_pa10_protocol::gateway_protocol::{FrameBytes, HelloReply, ParserCounters};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_platform::transport::{ByteLink, ConnectError, Connector, Unplugged, wait};
+
+use super::closer::Closer;
+use super::port::{Greeted, HostPort};
+use super::trace::{Tracer, Way};
+use crate::driver::{Activity, Driver, Sample, Transmit};
+use crate::link::{GatewayLink, GatewayLinkConfig, HEARTBEAT_INTERVAL, HELLO_TIMEOUT};
+
+/// HELLO is said again after this long: one may get lost.
+const HELLO_AGAIN: Duration = Duration::from_millis(200);
+
+/// A gateway that answers no heartbeat for this long is gone.
+const SILENCE_MAX: Duration = HEARTBEAT_INTERVAL.saturating_mul(4);
+
+/// Reads of one turn; what is left is read in the next one, so a flood of bytes holds nothing else up.
+const READS_MAX: usize = 8;
+
+/// A link to a gateway.
+pub(super) struct GatewayPort {
+    link: GatewayLink,
+    connector: Box<dyn Connector>,
+    closer: Closer,
+    /// Nothing once it is gone: who keeps a port open keeps others from it, and himself.
+    bytes: Option<Box<dyn ByteLink>>,
+    gone: Option<Unplugged>,
+    /// A frame that is on its way, and how much of it has gone.
+    pending: FrameBytes,
+    written: usize,
+    frames_unsent: u64,
+    greeting: Option<Greeting>,
+    found: Option<HelloReply>,
+    last_received: MonotonicTime,
+    tracer: Tracer,
+}
+
+/// HELLO was said.
+#[derive(Clone, Copy)]
+struct Greeting {
+    since: MonotonicTime,
+    again: MonotonicTime,
+}
+
+impl GatewayPort {
+    /// Opens the bytes.
+    ///
+    /// # Errors
+    /// If they can not be opened.
+    pub fn open(
+        config: GatewayLinkConfig,
+        mut connector: Box<dyn Connector>,
+        closer: Closer,
+        tracer: Tracer,
+    ) -> Result<Self, ConnectError> {
+        Ok(Self {
+            link: GatewayLink::new(config),
+            bytes: Some(connector.connect()?),
+            connector,
+            closer,
+            gone: None,
+            pending: FrameBytes::EMPTY,
+            written: 0,
+            frames_unsent: 0,
+            greeting: None,
+            found: None,
+            last_received: MonotonicTime::ZERO,
+            tracer,
+        })
+    }
+
+    fn lose(&mut self, gone: Unplugged) -> Result<(), Unplugged> {
+        if let Some(bytes) = self.bytes.take() {
+            self.closer.close(bytes);
+        }
+        self.gone = Some(gone);
+        self.greeting = None;
+        (self.pending, self.written) = (FrameBytes::EMPTY, 0);
+        Err(gone)
+    }
+}
+
+impl HostPort for GatewayPort {
+    fn reopen(&mut self) -> Result<(), ConnectError> {
+        self.closer.wait()?;
+        self.bytes = Some(self.connector.connect()?);
+        self.gone = None;
+        (self.pending, self.written) = (FrameBytes::EMPTY, 0);
+        Ok(())
+    }
+
+    fn warning(&self) -> Option<String> {
+        self.bytes.as_ref().and_then(|bytes| bytes.warning())
+    }
+
+    fn gone(&self) -> Option<Unplugged> {
+        self.gone
+    }
+
+    fn hello(&self) -> Option<&HelloReply> {
+        self.link.hello()
+    }
+
+    fn found(&self) -> Option<&HelloReply> {
+        self.found.as_ref()
+    }
+
+    fn shown(&self) -> Option<&Sample> {
+        self.link.shown()
+    }
+
+    fn line(&self) -> ParserCounters {
+        *self.link.counters()
+    }
+
+    fn frames_unsent(&self) -> u64 {
+        self.frames_unsent
+    }
+
+    fn greet(&mut self, now: MonotonicTime) {
+        self.found = None;
+        self.greet_again(now);
+    }
+
+    fn greet_again(&mut self, now: MonotonicTime) {
+        self.link.open(now);
+        self.greeting = Some(Greeting { since: now, again: now + HELLO_AGAIN });
+        self.last_received = now;
+    }
+
+    fn greeted(&mut self, now: MonotonicTime) -> Greeted {
+        if let Some(hello) = self.link.hello() {
+            self.found.get_or_insert(*hello);
+            self.greeting = None;
+            return Greeted::Done;
+        }
+        if let Some(error) = self.link.hello_error() {
+            self.greeting = None;
+            return Greeted::Refused(*error);
+        }
+        let Some(Greeting { since, again }) = self.greeting else { return Greeted::Silent };
+        if now.saturating_since(since) >= HELLO_TIMEOUT {
+            self.greeting = None;
+            return Greeted::Silent;
+        }
+        if now >= again {
+            self.link.open(now);
+            self.greeting = Some(Greeting { since, again: now + HELLO_AGAIN });
+        }
+        Greeted::Waiting
+    }
+
+    fn receive(&mut self, now: MonotonicTime, driver: &mut Driver) -> Result<(), Unplugged> {
+        let mut buffer = [0; 512];
+        for _ in 0..READS_MAX {
+            let Some(bytes) = &mut self.bytes else { return Ok(()) };
+            match bytes.try_read(&mut buffer) {
+                Ok(0) => break,
+                Ok(count) => {
+                    self.last_received = now;
+                    self.tracer.record(now, Way::In, &buffer[..count]);
+                    self.link.handle_bytes(now, &buffer[..count], driver);
+                }
+                Err(gone) => return self.lose(gone),
+            }
+        }
+        self.link.handle_timeout(now, driver);
+        Ok(())
+    }
+
+    fn send(&mut self, now: MonotonicTime, transmit: &Transmit, activity: Activity) {
+        // What can not be sent gets no answer, which the driver counts.
+        let _ = self.link.send(now, transmit, activity);
+    }
+
+    /// A frame of which no byte was written yet gives way to a newer one.
+    fn flush(&mut self, now: MonotonicTime) -> Result<(), Unplugged> {
+        loop {
+            if self.written == 0
+                && let Some(newer) = self.link.poll_output(now)
+            {
+                self.frames_unsent += u64::from(!self.pending.is_empty());
+                self.pending = newer;
+            }
+            if self.pending.is_empty() {
+                return Ok(());
+            }
+            let Some(bytes) = &mut self.bytes else {
+                self.pending = FrameBytes::EMPTY;
+                continue;
+            };
+            match bytes.try_write(&self.pending[self.written..]) {
+                Ok(0) => return Ok(()),
+                Ok(count) => {
+                    self.tracer.record(now, Way::Out, &self.pending[self.written..self.written + count]);
+                    self.written += count;
+                }
+                Err(gone) => return self.lose(gone),
+            }
+            if self.written == self.pending.len() {
+                (self.pending, self.written) = (FrameBytes::EMPTY, 0);
+            }
+        }
+    }
+
+    fn silence(&self, now: MonotonicTime) -> Option<u32> {
+        let silent = now.saturating_since(self.last_received);
+        let expected = self.bytes.is_some() && self.link.hello().is_some();
+        (expected && silent >= SILENCE_MAX).then(|| (silent.as_millis() / HEARTBEAT_INTERVAL.as_millis()) as u32)
+    }
+
+    fn next_deadline(&self) -> Option<MonotonicTime> {
+        self.bytes.as_ref()?;
+        let greeting = self.greeting.map(|greeting| greeting.again.min(greeting.since + HELLO_TIMEOUT));
+        [self.link.next_deadline(), greeting].into_iter().flatten().min()
+    }
+
+    fn wait(&self, waker: Option<BorrowedFd<'_>>, timeout: Duration) {
+        wait(self.bytes.as_deref(), !self.pending.is_empty(), waker, timeout);
+    }
+}

@@ -1,0 +1,519 @@
+//! A real PA-10, behind a gateway or on a bus of this computer: the arm traits over a thread of its own.
+//!
+//! The thread owns the driver, the link and the bytes. It cycles by absolute time, notices what happens on the line at once, keeps the
+//! gateway informed while nothing moves, and stops the arm when its owner stays away. [`Pa10Arm`] hands commands to it and takes
+//! samples from it; [`ArmMonitor`] looks on; [`TripHandle`] stops it; a [`trip_line`] makes the arms of a cell stop each other.
+
+mod bus_port;
+mod closer;
+mod config;
+mod gateway_port;
+mod port;
+mod shared;
+mod trace;
+mod trip_line;
+mod virtual_time;
+mod wish;
+mod worker;
+
+use std::io::Write as _;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use pb3dp_arm_pa10_protocol::codec::{ArmCommand, CodecError};
+use pb3dp_arm_pa10_protocol::gateway_protocol::ArmId;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand};
+use pb3dp_hal_platform::realtime::{Realtime, Shortfall, enter};
+use pb3dp_hal_platform::transport::{ConnectError, Connector};
+use pb3dp_kinematics::JointState;
+
+use self::bus_port::ControllerPort;
+use self::closer::Closer;
+use self::gateway_port::GatewayPort;
+use self::port::HostPort;
+use self::shared::{Shared, Wish};
+use self::trace::Tracer;
+use self::worker::{LET_GO_MAX, Progress, WishEnd, Worker};
+use crate::driver::{Activity, Driver, DriverConfig, Trip};
+use crate::link::GatewayLinkConfig;
+
+pub use bus_port::{BusTarget, NoBus};
+pub use config::{ArmOpenError, BusArmConfig, Pa10ArmConfig, REALTIME};
+pub use shared::{ArmMonitor, ArmSnapshot};
+pub use trace::{RawBytes, Way};
+pub use trip_line::{TripHandle, TripSeat, trip_line, virtual_trip_line};
+pub use virtual_time::{VirtualFarEnd, VirtualTime};
+pub use wish::WishError;
+
+/// A measurement that came so long ago, in cycles, or less, is the newest one that there can be: a little later than expected the
+/// next one is still no reason to wait.
+const FRESH_CYCLES: f64 = 1.5;
+
+/// Activities in a row that a wish may take at most.
+const ACTIVITIES_MAX: u32 = 3;
+
+/// Who lets go of an arm that nobody hears waits for so long for a terminal.
+const LAST_WORDS_MAX: Duration = Duration::from_millis(300);
+
+/// What did not come about.
+const NOT_ENABLED: &str = "it is not enabled";
+
+/// Opening and greeting a link, at most.
+const OPEN_MAX: Duration = Duration::from_secs(2);
+
+/// A real PA-10.
+///
+/// `exchange` returns at once, and holds no loop up that keeps the pace of the arm. Where answers got lost it waits for the next
+/// measurement, for at most one cycle: two in a row are a `Timeout` at most, as they are counted and borne. In a state in which
+/// nothing is measured `Hold` returns the last measurement with the time at which it was made.
+///
+/// Switching on takes seconds. Whoever has another arm with open brakes begins it ([`ArmPower::begin_enable`]) and goes on exchanging
+/// with both in each cycle: the thread looks after the line, and whether a joint goes where it should is for those to see who exchange.
+///
+/// Who enables an arm goes on exchanging with it: a velocity fades after 20 ms and stops the arm after 50 ms, and one that only holds
+/// is stopped, latched, after 5 s in which nobody asked for anything.
+///
+/// Dropping it stops the arm: it is at rest within its emergency ramp, and the brakes are told to close within 100 ms.
+pub struct Pa10Arm {
+    driver: DriverConfig,
+    info: ArmInfo,
+    /// As in `info`.
+    name: Arc<str>,
+    clock: Arc<dyn Clock>,
+    shared: Arc<Shared>,
+    trip: TripHandle,
+    ends: Receiver<WishEnd>,
+    work: Work,
+    warnings: Vec<String>,
+    /// The wish to be switched on that is being fulfilled: its number, and when its end has to be known.
+    enabling: Option<(u64, MonotonicTime)>,
+}
+
+/// Who does the work of an arm.
+enum Work {
+    /// A thread of its own, until it has ended.
+    Thread(Option<JoinHandle<()>>),
+    /// Whoever waits in virtual time.
+    Virtual(Arc<VirtualTime>),
+}
+
+/// Where the work of an arm is to be done.
+enum Place {
+    Thread(Realtime),
+    Virtual(Arc<VirtualTime>, Box<dyn VirtualFarEnd>),
+}
+
+/// What is the same for every way to an arm.
+struct Start {
+    name: String,
+    arm: ArmId,
+    driver: DriverConfig,
+    exchange_cycle: Duration,
+    place: Place,
+    target: String,
+}
+
+impl Pa10Arm {
+    /// Opens the link, greets the gateway and looks at the arm, which stays as it is: brakes on.
+    ///
+    /// An arm that is stopped by a fault or an emergency stop is opened, too, so that an operator can reset it: its state tells.
+    /// `clock` is a real clock. Each arm of a cell has one place of the same [`trip_line`].
+    ///
+    /// # Errors
+    /// If the link can not be opened, nobody answers, or it is not the gateway of the configuration.
+    pub fn open(
+        config: Pa10ArmConfig,
+        connector: Box<dyn Connector>,
+        clock: Arc<dyn Clock>,
+        seat: TripSeat,
+    ) -> Result<Self, ArmOpenError> {
+        let Pa10ArmConfig { name, driver, link, realtime } = config;
+        check_cycles(&name, &driver, &link)?;
+        let (target, place) = (connector.target(), Place::Thread(realtime));
+        let start = Start { name, arm: link.arm, driver, exchange_cycle: link.cycle, place, target };
+        let open = move |tracer| {
+            Ok(Box::new(GatewayPort::open(link, connector, Closer::start()?, tracer)?) as Box<dyn HostPort>)
+        };
+        Self::start(start, open, clock, seat)
+    }
+
+    /// The same for an arm that is emulated in virtual time, with a seat of a [`virtual_trip_line`]; what is asked of a thread does
+    /// not count.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_virtual(
+        config: Pa10ArmConfig,
+        end: Box<dyn VirtualFarEnd>,
+        time: &Arc<VirtualTime>,
+        seat: TripSeat,
+    ) -> Result<Self, ArmOpenError> {
+        let Pa10ArmConfig { name, driver, link, .. } = config;
+        check_cycles(&name, &driver, &link)?;
+        let clock: Arc<dyn Clock> = Arc::clone(time) as Arc<dyn Clock>;
+        let connector = end.connector(Arc::clone(&clock));
+        let (target, place) = (connector.target(), Place::Virtual(Arc::clone(time), end));
+        let start = Start { name, arm: link.arm, driver, exchange_cycle: link.cycle, place, target };
+        let open = move |tracer| {
+            Ok(Box::new(GatewayPort::open(link, connector, Closer::at_once(), tracer)?) as Box<dyn HostPort>)
+        };
+        Self::start(start, open, clock, seat)
+    }
+
+    /// The same for an arm whose ARCNET card is in this computer.
+    ///
+    /// # Errors
+    /// If the bus can not be opened. An arm whose controller does not answer is opened and stopped by that fault.
+    pub fn open_on_bus(config: BusArmConfig, clock: Arc<dyn Clock>, seat: TripSeat) -> Result<Self, ArmOpenError> {
+        let BusArmConfig { name, arm, driver, exchange_cycle, format, modulus, target, realtime } = config;
+        if exchange_cycle < driver.cycle || exchange_cycle * 2 > driver.watchdog.ramp_after() {
+            return Err(ArmOpenError::ExchangeCycle { arm: name, got: exchange_cycle, bus: driver.cycle });
+        }
+        let place = Place::Thread(realtime);
+        let start = Start { name, arm, driver, exchange_cycle, place, target: target.to_string() };
+        Self::start(
+            start,
+            move |tracer| Ok(Box::new(ControllerPort::open(format, modulus, target, tracer)?)),
+            clock,
+            seat,
+        )
+    }
+
+    fn start(
+        start: Start,
+        open: impl FnOnce(Tracer) -> Result<Box<dyn HostPort>, ConnectError>,
+        clock: Arc<dyn Clock>,
+        seat: TripSeat,
+    ) -> Result<Self, ArmOpenError> {
+        let Start { name, arm, driver: config, exchange_cycle, place, target } = start;
+        let of_arm = || name.clone();
+        let driver = Driver::new(config).map_err(|source| ArmOpenError::Config { arm: of_arm(), source })?;
+        let shared = Arc::new(Shared::new());
+        let opened = open(Tracer::new(shared.trace.clone()));
+        let port = opened.map_err(|source| ArmOpenError::Open { arm: of_arm(), target: target.clone(), source })?;
+        let mut warnings: Vec<_> = port.warning().into_iter().collect();
+        let trip = seat.handle();
+        let (ends_out, ends) = channel();
+        let worker = Worker {
+            arm,
+            cycle: config.cycle,
+            driver,
+            port,
+            clock: Arc::clone(&clock),
+            seat,
+            shared: Arc::clone(&shared),
+            ends: ends_out,
+            progress: Progress::default(),
+        };
+        let work = match place {
+            Place::Thread(realtime) => {
+                let (thread, shortfalls) = spawn(&name, worker, realtime)?;
+                warnings.extend(shortfalls.iter().map(|shortfall| format!("arm {name}: {shortfall}")));
+                Work::Thread(Some(thread))
+            }
+            Place::Virtual(time, end) => {
+                time.add(worker, end);
+                Work::Virtual(time)
+            }
+        };
+        let info = ArmInfo { name: format!("{name} (pa10 at {target})"), cycle: exchange_cycle };
+        let name = Arc::from(info.name.as_str());
+        let mut opened = Self { driver: config, info, name, clock, shared, trip, ends, work, warnings, enabling: None };
+        opened.fulfil(Wish::Connect).map_err(|source| ArmOpenError::Connect { arm: of_arm(), source })?;
+        Ok(opened)
+    }
+
+    /// What the operator should know: of the link, and of what the system did not give to the thread.
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
+    }
+
+    /// Looks at an arm that is connected once more, as when it was opened: the brakes stay on.
+    ///
+    /// # Errors
+    /// If it is not only connected, or what is seen stops it.
+    pub fn look(&mut self) -> Result<(), ArmError> {
+        self.fulfil(Wish::Look).map_err(|error| self.wish_error("looking at it", error))
+    }
+
+    /// Looks on.
+    pub fn monitor(&self) -> ArmMonitor {
+        ArmMonitor { shared: Arc::clone(&self.shared) }
+    }
+
+    /// Stops this arm from anywhere.
+    pub fn trip_handle(&self) -> TripHandle {
+        self.trip.clone()
+    }
+
+    /// Has the thread begin with a wish, which takes the place of any other one: its number, and when its end has to be known.
+    fn begin(&mut self, wish: Wish) -> (u64, MonotonicTime) {
+        self.enabling = None;
+        let number = self.shared.put_wish(wish);
+        self.trip.wake();
+        // The thread ends each wish in bounded time; this is for a thread that does not run.
+        let patience = OPEN_MAX + self.driver.activity_timeout * ACTIVITIES_MAX;
+        (number, self.clock.now() + patience)
+    }
+
+    /// Has a wish fulfilled, and waits for its end.
+    fn fulfil(&mut self, wish: Wish) -> Result<(), WishError> {
+        let (number, deadline) = self.begin(wish);
+        loop {
+            match self.next_end(deadline) {
+                Some((ended, end)) if ended == number => return end,
+                Some(_) => {}
+                None => return Err(WishError::NoThread),
+            }
+        }
+    }
+
+    /// Waits for the end of a wish.
+    fn next_end(&self, deadline: MonotonicTime) -> Option<WishEnd> {
+        match &self.work {
+            Work::Thread(_) => self.ends.recv_timeout(deadline.saturating_since(self.clock.now())).ok(),
+            Work::Virtual(time) => loop {
+                if let Ok(end) = self.ends.try_recv() {
+                    return Some(end);
+                }
+                if !time.step(deadline) {
+                    return None;
+                }
+            },
+        }
+    }
+
+    /// How the wish of this number has ended, if it has.
+    fn ended(&self, number: u64, deadline: MonotonicTime) -> Option<Result<(), WishError>> {
+        let ended = self.ends.try_iter().find(|(ended, _)| *ended == number);
+        let is_late = self.clock.now() > deadline;
+        ended.map(|(_, end)| end).or_else(|| is_late.then_some(Err(WishError::NoThread)))
+    }
+
+    /// Waits until the arm is as wanted or this time is over; what is known then.
+    fn wait_for(&self, timeout: Duration, wanted: impl Fn(&ArmSnapshot) -> bool) -> ArmSnapshot {
+        let Work::Virtual(time) = &self.work else { return self.shared.wait_for(timeout, wanted) };
+        let deadline = self.clock.now() + timeout;
+        loop {
+            let now = self.shared.snapshot();
+            if wanted(&now) || !time.step(deadline) {
+                return now;
+            }
+        }
+    }
+
+    /// The error of a wish that was not fulfilled.
+    fn wish_error(&self, what: &str, error: WishError) -> ArmError {
+        let kind = match &error {
+            WishError::Refused(_) | WishError::WarmUp(_) | WishError::StillStopping(_) => ArmErrorKind::Rejected,
+            WishError::Unplugged(_) | WishError::Connect(_) | WishError::NoGateway => ArmErrorKind::Disconnected,
+            WishError::Stopped(_)
+            | WishError::Gateway(_)
+            | WishError::Stuck(_)
+            | WishError::Unheard
+            | WishError::NoThread => {
+                if self.shared.snapshot().unplugged.is_some() {
+                    ArmErrorKind::Disconnected
+                } else {
+                    ArmErrorKind::Fault
+                }
+            }
+        };
+        let trip = if let WishError::Stopped(latched) = &error { Some(latched.trip) } else { None };
+        about(ArmError::caused_by(kind, format!("arm {}: {what}: {error}", self.info.name), error), trip)
+    }
+
+    fn error(&self, kind: ArmErrorKind, text: impl std::fmt::Display) -> ArmError {
+        ArmError::new(kind, format!("arm {}: {text}", self.info.name))
+    }
+
+    /// Why no command reaches the arm, where it is stopped or its link is gone.
+    fn stopped(&self, now: &ArmSnapshot) -> ArmError {
+        if now.failed {
+            return self.error(ArmErrorKind::Fault, crate::driver::FaultCause::Program);
+        }
+        if let Some(gone) = now.unplugged {
+            return self.error(ArmErrorKind::Disconnected, gone);
+        }
+        match now.latched {
+            Some(latched) => about(self.error(ArmErrorKind::Fault, latched.trip), Some(latched.trip)),
+            None => self.error(ArmErrorKind::NotEnabled, format_args!("it is {}; enable it first", now.state)),
+        }
+    }
+
+    /// Whether nothing of this command may be sent.
+    fn refuse(&self, command: &JointCommand) -> Result<(), ArmError> {
+        let JointCommand::Velocity(velocity) = command else { return Ok(()) };
+        let sendable = ArmCommand::velocities(velocity, self.driver.supervision);
+        sendable.map(|_| ()).map_err(|error| {
+            let message = format!("arm {}: the velocity is refused as a whole: {error}", self.info.name);
+            let refused = ArmError::caused_by(ArmErrorKind::Rejected, message, error);
+            if let CodecError::SpeedRange { axis, .. } = error { refused.of_joint(axis.index()) } else { refused }
+        })
+    }
+
+    /// The newest measurement: of an arm that is being measured one that is fresh, waited for if there is none.
+    fn newest(&self, command: &JointCommand) -> Result<JointState, ArmError> {
+        let fresh = self.info.cycle.mul_f64(FRESH_CYCLES);
+        let is_fresh =
+            |now: &ArmSnapshot| now.sample_at.is_some_and(|at| self.clock.now().saturating_since(at) <= fresh);
+        let snapshot = self.wait_for(self.info.cycle, |now| is_fresh(now) || !is_followed(now));
+        if !is_followed(&snapshot) && (matches!(command, JointCommand::Velocity(_)) || is_gone(&snapshot)) {
+            return Err(self.stopped(&snapshot));
+        }
+        match snapshot.joints {
+            Some(joints) if is_fresh(&snapshot) || !is_followed(&snapshot) => Ok(joints),
+            Some(joints) => {
+                let age = self.clock.now().saturating_since(joints.at);
+                Err(ArmError::late(Arc::clone(&self.name), age, self.info.cycle))
+            }
+            None => Err(self.stopped(&snapshot)),
+        }
+    }
+}
+
+fn check_cycles(arm: &str, driver: &DriverConfig, link: &GatewayLinkConfig) -> Result<(), ArmOpenError> {
+    if driver.cycle == link.cycle {
+        return Ok(());
+    }
+    Err(ArmOpenError::Cycles { arm: arm.to_owned(), driver: driver.cycle, link: link.cycle })
+}
+
+/// The thread of an arm, and what the system did not give to it.
+fn spawn(name: &str, worker: Worker, realtime: Realtime) -> Result<(JoinHandle<()>, Vec<Shortfall>), ArmOpenError> {
+    let (shortfalls_out, shortfalls) = channel();
+    let serve = move || {
+        // Nobody can be gone who waits for it.
+        let _ = shortfalls_out.send(enter(&realtime));
+        worker::run(worker);
+    };
+    let thread = std::thread::Builder::new().name(format!("arm {name}")).spawn(serve);
+    let thread = thread.map_err(|source| ArmOpenError::Thread { arm: name.to_owned(), source })?;
+    Ok((thread, shortfalls.recv_timeout(OPEN_MAX).unwrap_or_default()))
+}
+
+/// The same error with joint and alarm code of what stopped the arm.
+fn about(error: ArmError, trip: Option<Trip>) -> ArmError {
+    let (axis, code) = (trip.and_then(|trip| trip.axis()), trip.and_then(|trip| trip.code()));
+    let error = if let Some(axis) = axis { error.of_joint(axis.index()) } else { error };
+    if let Some(code) = code { error.with_code(u16::from(code)) } else { error }
+}
+
+/// Whether velocities reach the arm.
+fn is_followed(now: &ArmSnapshot) -> bool {
+    now.state.has_open_brakes() && now.activity == Activity::None && !is_gone(now)
+}
+
+fn is_gone(now: &ArmSnapshot) -> bool {
+    now.failed || now.unplugged.is_some()
+}
+
+impl Arm for Pa10Arm {
+    fn info(&self) -> &ArmInfo {
+        &self.info
+    }
+
+    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        let result = self.refuse(&command).and_then(|()| {
+            self.shared.put_command(self.clock.now(), command);
+            self.newest(&command)
+        });
+        if result.is_err() {
+            // Any error cancels the motion.
+            self.shared.put_command(self.clock.now(), JointCommand::Hold);
+        }
+        result
+    }
+}
+
+impl ArmPower for Pa10Arm {
+    fn state(&self) -> ArmState {
+        self.shared.snapshot().arm_state()
+    }
+
+    fn is_stopped_by_other(&self) -> bool {
+        let now = self.shared.snapshot();
+        let by_other = |latched: crate::driver::Latched| latched.trip.is_by_other_arm();
+        !now.failed && now.latched.is_some_and(by_other)
+    }
+
+    fn enable(&mut self) -> Result<(), ArmError> {
+        self.fulfil(Wish::Enable).map_err(|error| self.wish_error(NOT_ENABLED, error))
+    }
+
+    fn begin_enable(&mut self) -> Result<(), ArmError> {
+        self.enabling = Some(self.begin(Wish::Enable));
+        Ok(())
+    }
+
+    fn poll_enable(&mut self) -> Result<bool, ArmError> {
+        let Some((number, deadline)) = self.enabling else { return Ok(self.state() == ArmState::Enabled) };
+        let Some(end) = self.ended(number, deadline) else { return Ok(false) };
+        self.enabling = None;
+        end.map(|()| true).map_err(|error| self.wish_error(NOT_ENABLED, error))
+    }
+
+    fn begin_stop(&mut self) -> Result<(), ArmError> {
+        self.begin(Wish::Stop);
+        Ok(())
+    }
+
+    fn stop(&mut self) -> Result<(), ArmError> {
+        self.fulfil(Wish::Stop).map_err(|error| self.wish_error("stopping", error))
+    }
+
+    fn reset(&mut self) -> Result<(), ArmError> {
+        if !matches!(self.state(), ArmState::Fault | ArmState::EStop) {
+            return Ok(());
+        }
+        self.fulfil(Wish::Reset).map_err(|error| self.wish_error("it is not reset", error))
+    }
+}
+
+impl Drop for Pa10Arm {
+    fn drop(&mut self) {
+        self.shared.let_go();
+        self.trip.wake();
+        let thread = match &mut self.work {
+            Work::Thread(thread) => thread.take(),
+            Work::Virtual(time) => {
+                return time.let_go(&self.shared, self.clock.now() + LET_GO_MAX + self.driver.brake_time);
+            }
+        };
+        let Some(thread) = thread else { return };
+        // The program may end right after this: the thread gets its time. It needs no more than this, unless it does not run.
+        let told_us = self.shared.snapshot().gateway.map_or(0, |hello| hello.brake_release_us);
+        let brakes = self.driver.brake_time.max(Duration::from_micros(told_us.into()));
+        let deadline = self.clock.now() + LET_GO_MAX + brakes + Duration::from_millis(500);
+        while !thread.is_finished() && self.clock.now() < deadline {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        if thread.is_finished() {
+            let _ = thread.join();
+        }
+        if self.shared.snapshot().unheard {
+            last_words(&self.info.name);
+        }
+    }
+}
+
+/// Nobody is left who tells this arm to stop: the operator has to. Told where it can be read, but a terminal that takes nothing more
+/// does not hold up the other arms, which are let go of after this one.
+fn last_words(name: &str) {
+    let words = format!(
+        "\nEMERGENCY STOP: press it at arm {name}. The program lets go of it, its controller has not answered the stop order, and it \
+         may still move.\n"
+    );
+    let (told, is_told) = channel();
+    let tell = move || {
+        let mut errors = std::io::stderr();
+        let _ = errors.write_all(words.as_bytes()).and_then(|()| errors.flush());
+        let _ = told.send(());
+    };
+    if std::thread::Builder::new().name("arm last words".to_owned()).spawn(tell).is_ok() {
+        let _ = is_told.recv_timeout(LAST_WORDS_MAX);
+    }
+}

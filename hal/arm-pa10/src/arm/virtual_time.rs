@@ -1,0 +1,120 @@
+//! Arms in virtual time: what their threads, lines, gateways and servo controllers do happens when somebody sleeps, in the order of its
+//! times and in one thread.
+//!
+//! [`VirtualTime`] stands in the place of the clock. Whoever waits until a time lets everything happen that is due before it; the work
+//! of an arm's thread is that of the real one, turn for turn. The same commands at the same times give the same bytes.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::Clock;
+use pb3dp_hal_platform::transport::Connector;
+
+use super::shared::Shared;
+use super::worker::Worker;
+
+/// Time that passes only when somebody sleeps, and the arms that live in it.
+pub struct VirtualTime {
+    clock: Arc<dyn Clock>,
+    arms: Mutex<Vec<Stepped>>,
+}
+
+/// One arm.
+struct Stepped {
+    worker: Worker,
+    end: Box<dyn VirtualFarEnd>,
+    /// When there was something to do last: time goes on after it.
+    worked_at: MonotonicTime,
+    /// When the worker looks around by itself.
+    turn_at: MonotonicTime,
+}
+
+/// The far end of the line of an arm in virtual time: what answers there, and the line itself.
+pub trait VirtualFarEnd: Send + Sync {
+    /// The host's way to it.
+    fn connector(&self, clock: Arc<dyn Clock>) -> Box<dyn Connector>;
+
+    /// Whether something was done that the host has not seen.
+    fn is_touched(&self) -> bool;
+
+    /// When something happens next by itself, here or on the line; `None`: nothing does.
+    fn next_deadline(&self, now: MonotonicTime) -> Option<MonotonicTime>;
+
+    /// Does everything that is due. Whether the host has to see to its line: bytes have come, or something was done.
+    fn work(&self, now: MonotonicTime) -> bool;
+}
+
+impl VirtualTime {
+    /// Over a clock that shows simulated time, and passes when somebody sleeps.
+    pub fn over(clock: Arc<dyn Clock>) -> Self {
+        Self { clock, arms: Mutex::default() }
+    }
+
+    /// Whether no arm lives in it.
+    pub fn is_empty(&self) -> bool {
+        lock(&self.arms).is_empty()
+    }
+
+    pub(super) fn add(&self, mut worker: Worker, end: Box<dyn VirtualFarEnd>) {
+        let now = self.clock.now();
+        worker.turn();
+        lock(&self.arms).push(Stepped { worker, end, worked_at: now, turn_at: now });
+    }
+
+    /// An arm whose owner is gone is stopped, at most until then.
+    pub(super) fn let_go(&self, shared: &Arc<Shared>, deadline: MonotonicTime) {
+        let lives = || lock(&self.arms).iter().any(|arm| Arc::ptr_eq(&arm.worker.shared, shared));
+        while lives() && self.step(deadline) {}
+        lock(&self.arms).retain(|arm| !Arc::ptr_eq(&arm.worker.shared, shared));
+    }
+
+    /// Lets the next thing happen, if it happens until then; else time goes on to then, and `false` comes back.
+    pub(super) fn step(&self, until: MonotonicTime) -> bool {
+        let mut arms = lock(&self.arms);
+        let now = self.clock.now();
+        let next = arms.iter().map(|arm| arm.next(now)).enumerate().min_by_key(|(_, at)| *at);
+        let Some((index, at)) = next.filter(|(_, at)| *at <= until) else {
+            self.clock.sleep_until(until);
+            return false;
+        };
+        self.clock.sleep_until(at);
+        arms[index].work(at);
+        if arms[index].worker.is_over() {
+            arms.remove(index);
+        }
+        true
+    }
+}
+
+impl Clock for VirtualTime {
+    fn now(&self) -> MonotonicTime {
+        self.clock.now()
+    }
+
+    fn sleep_until(&self, deadline: MonotonicTime) {
+        while self.step(deadline) {}
+    }
+}
+
+impl Stepped {
+    fn next(&self, now: MonotonicTime) -> MonotonicTime {
+        if self.worker.seat.is_woken() || self.end.is_touched() {
+            return now;
+        }
+        let next = self.end.next_deadline(now).map_or(self.turn_at, |due| due.min(self.turn_at));
+        next.max(self.worked_at + Duration::from_nanos(1))
+    }
+
+    fn work(&mut self, now: MonotonicTime) {
+        self.worked_at = now;
+        if self.end.work(now) || self.worker.seat.is_woken() || self.turn_at <= now {
+            self.worker.turn();
+            self.turn_at = now + self.worker.idle_for(now);
+        }
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,345 @@
+//! What an operator wants, step by step: each wish takes several activities of the driver.
+
+use std::time::Duration;
+
+use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, HelloReply, RejectReason, StopCause};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_platform::transport::{ConnectError, Unplugged};
+
+use super::port::{Greeted, HostPort};
+use super::shared::Wish;
+use crate::driver::{
+    Activity, Driver, DriverState, EmergencyStopCause, FaultCause, Latched, Refusal, Request, Sample, Trip,
+    WarmUpFailure,
+};
+use crate::link::HelloError;
+
+/// Cycles by which the host waits longer for the brakes than the gateway, which counts from a later moment.
+const BRAKE_MARGIN_CYCLES: u32 = 3;
+
+/// After a gateway that still stops its arm was asked, this passes before it is asked again.
+const ASK_AGAIN: Duration = Duration::from_millis(50);
+
+/// A gateway has brought its arm to rest after the time of the brakes and this.
+const STOP_MAX: Duration = Duration::from_secs(1);
+
+/// Why a wish was not fulfilled.
+#[derive(Debug, thiserror::Error)]
+pub enum WishError {
+    /// Not possible now.
+    #[error(transparent)]
+    Refused(#[from] Refusal),
+    /// The arm is stopped.
+    #[error("{}", .0.trip)]
+    Stopped(Latched),
+    /// The link is not good enough for open brakes.
+    #[error("the brakes stay closed: {0}")]
+    WarmUp(WarmUpFailure),
+    /// The gateway does not answer.
+    #[error(
+        "no gateway answers within 0.5 s; check its power, the cable, the rate and the number of the arm, and that no other program \
+         has the line"
+    )]
+    NoGateway,
+    /// The gateway is not that of the configuration.
+    #[error(transparent)]
+    Gateway(HelloError),
+    /// The gateway goes through its stop order for longer than that takes.
+    #[error(
+        "the gateway still brings the arm to rest after {0:?}: try again in a second, and look at the gateway's log"
+    )]
+    StillStopping(Duration),
+    /// On a bus: the controller has not answered the stop order.
+    #[error(
+        "its controller has not answered the stop order, and the arm may still move: press its emergency stop; it is told to stop \
+         for as long as this program runs"
+    )]
+    Unheard,
+    /// The link can not be opened again.
+    #[error("the link can not be opened")]
+    Connect(#[source] ConnectError),
+    /// The link is gone.
+    #[error(transparent)]
+    Unplugged(#[from] Unplugged),
+    /// The thread of the arm does not answer.
+    #[error(
+        "the thread that watches the arm does not answer: a mistake of the program; report it, and start the program again"
+    )]
+    NoThread,
+    /// The driver did nothing of what it was asked for.
+    #[error("the driver stays {0}: a mistake of the program; report it")]
+    Stuck(DriverState),
+}
+
+/// Where a wish stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    /// Nothing was done for it.
+    New,
+    /// HELLO was said.
+    Greeting,
+    /// The driver was asked for this wish's activity.
+    Asked,
+    /// The gateway still stops the arm: it is asked again at this time.
+    Pausing(MonotonicTime),
+}
+
+/// A wish that is being fulfilled.
+#[derive(Debug)]
+pub(super) struct Running {
+    pub number: u64,
+    wish: Wish,
+    stage: Stage,
+    /// Since when the gateway was found stopping.
+    stopping: Option<MonotonicTime>,
+}
+
+/// What a wish may use.
+pub(super) struct Means<'a> {
+    pub driver: &'a mut Driver,
+    pub port: &'a mut dyn HostPort,
+    /// Of the host.
+    pub cycle: Duration,
+}
+
+impl Running {
+    pub fn new(number: u64, wish: Wish) -> Self {
+        Self { number, wish, stage: Stage::New, stopping: None }
+    }
+
+    /// Does what can be done now. `Some` when the wish is fulfilled or can not be.
+    pub fn advance(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Option<Result<(), WishError>> {
+        let done = match self.wish {
+            Wish::Connect => self.connect(now, means),
+            Wish::Enable => self.enable(now, means),
+            Wish::Stop => self.stop(now, means),
+            Wish::Reset => self.reset(now, means),
+            Wish::Look => self.look(now, means),
+        };
+        done.transpose()
+    }
+
+    /// `Ok(Some(()))` when done, `Ok(None)` when it goes on.
+    fn connect(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<()>, WishError> {
+        match self.stage {
+            Stage::New => {
+                means.port.greet(now);
+                self.stage = Stage::Greeting;
+            }
+            // Another arm has answered, or another one of the cell has stopped.
+            Stage::Greeting if is_stopped_from_elsewhere(means.driver) => return Err(stopped(means.driver)),
+            Stage::Pausing(until) => self.ask_again(now, until, means),
+            Stage::Greeting => {
+                if greeted(now, means)? {
+                    if means.port.hello().is_some_and(|hello| comes_to_rest(hello.state)) {
+                        self.pause(now, means)?;
+                        return Ok(None);
+                    }
+                    if let Some(trip) = means.port.hello().and_then(|hello| stopped_before(hello, means.port.shown())) {
+                        // The operator has to see it, and to reset it.
+                        means.driver.handle_trip(now, trip);
+                    }
+                    // It may also have told so by itself, meanwhile.
+                    if means.driver.state().is_latched() {
+                        return Ok(Some(()));
+                    }
+                    means.driver.handle_request(now, Request::Connect)?;
+                    self.stage = Stage::Asked;
+                }
+            }
+            Stage::Asked if means.driver.activity() != Activity::None => {}
+            Stage::Asked => return Ok(Some(())),
+        }
+        still_plugged(means)?;
+        Ok(None)
+    }
+
+    /// Connects anew an arm that is connected.
+    fn look(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<()>, WishError> {
+        if self.stage == Stage::New {
+            if means.driver.activity() != Activity::None {
+                return Ok(None);
+            }
+            still_plugged(means)?;
+            match means.driver.state() {
+                DriverState::Fault | DriverState::EStop => return Err(stopped(means.driver)),
+                DriverState::Disconnected => {}
+                // Refused by the driver, with its reason, where the control mode is on.
+                _ => means.driver.handle_request(now, Request::Disconnect)?,
+            }
+        }
+        self.connect(now, means)
+    }
+
+    fn enable(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<()>, WishError> {
+        let driver = &mut *means.driver;
+        if driver.activity() != Activity::None {
+            return Ok(None);
+        }
+        let request = match (driver.state(), self.stage) {
+            (DriverState::Holding | DriverState::Moving, Stage::Asked) => return Ok(Some(())),
+            // Refused by the driver, with its reason.
+            (DriverState::Holding | DriverState::Moving, _) => Request::Enable,
+            (DriverState::Fault | DriverState::EStop, _) => return Err(stopped(driver)),
+            (DriverState::Disconnected, _) => Request::Connect,
+            (DriverState::Connected, Stage::Asked) => {
+                return Err(driver
+                    .warm_up_failure()
+                    .map_or(WishError::Stuck(driver.state()), |why| WishError::WarmUp(*why)));
+            }
+            (DriverState::Connected, _) => {
+                self.stage = Stage::Asked;
+                Request::Enable
+            }
+            (DriverState::Enabled, _) => {
+                self.stage = Stage::Asked;
+                Request::ReleaseBrakes
+            }
+        };
+        driver.handle_request(now, request)?;
+        Ok(None)
+    }
+
+    fn stop(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<()>, WishError> {
+        if self.stage == Stage::New {
+            means.driver.handle_request(now, Request::Stop)?;
+            self.stage = Stage::Asked;
+        }
+        if means.driver.activity() != Activity::None {
+            return Ok(None);
+        }
+        still_plugged(means)?;
+        if means.driver.is_unheard() {
+            return Err(WishError::Unheard);
+        }
+        Ok(Some(()))
+    }
+
+    fn reset(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<()>, WishError> {
+        if means.driver.activity() != Activity::None {
+            // It comes to rest, or is being cleared.
+            return Ok(None);
+        }
+        match self.stage {
+            Stage::New if !means.driver.state().is_latched() => {
+                // Refused by the driver, with its reason.
+                means.driver.handle_request(now, Request::Reset)?;
+                return Ok(Some(()));
+            }
+            Stage::New => {
+                if means.port.gone().is_some() {
+                    means.port.reopen().map_err(WishError::Connect)?;
+                }
+                means.port.greet(now);
+                self.stage = Stage::Greeting;
+            }
+            Stage::Pausing(until) => self.ask_again(now, until, means),
+            Stage::Greeting => {
+                if greeted(now, means)? {
+                    means.driver.handle_request(now, Request::Reset)?;
+                    self.stage = Stage::Asked;
+                }
+            }
+            // After a host that died the gateway needs its time, and refuses until then.
+            Stage::Asked if is_refused_while_stopping(means.driver) => self.pause(now, means)?,
+            Stage::Asked if means.driver.state().is_latched() => return Err(stopped(means.driver)),
+            Stage::Asked => return Ok(Some(())),
+        }
+        still_plugged(means)?;
+        Ok(None)
+    }
+}
+
+impl Running {
+    /// Lets the gateway come to its end with the arm, but not for ever.
+    fn pause(&mut self, now: MonotonicTime, means: &Means<'_>) -> Result<(), WishError> {
+        let brakes =
+            means.port.hello().map_or(Duration::ZERO, |hello| Duration::from_micros(hello.brake_release_us.into()));
+        let waited = now.saturating_since(*self.stopping.get_or_insert(now));
+        if waited > brakes + STOP_MAX {
+            return Err(WishError::StillStopping(waited));
+        }
+        self.stage = Stage::Pausing(now + ASK_AGAIN);
+        Ok(())
+    }
+
+    fn ask_again(&mut self, now: MonotonicTime, until: MonotonicTime, means: &mut Means<'_>) {
+        if now >= until {
+            means.port.greet_again(now);
+            self.stage = Stage::Greeting;
+        }
+    }
+}
+
+/// Whether something else than the gateway at the other end has stopped the arm.
+fn is_stopped_from_elsewhere(driver: &Driver) -> bool {
+    let by_gateway = |latched: &Latched| {
+        matches!(
+            latched.trip,
+            Trip::EStop(_)
+                | Trip::Fault(
+                    FaultCause::Gateway(_) | FaultCause::ServoAlarm { .. } | FaultCause::ControllerAlarm { .. }
+                )
+        )
+    };
+    driver.latched().is_some_and(|latched| !by_gateway(latched))
+}
+
+/// Whether a gateway stops its arm, or will as soon as it misses the host that was there before.
+fn comes_to_rest(state: GatewayState) -> bool {
+    matches!(state, GatewayState::Holding | GatewayState::Moving | GatewayState::Stopping)
+}
+
+/// Whether a reset failed because the gateway was not there yet.
+fn is_refused_while_stopping(driver: &Driver) -> bool {
+    let refused = Trip::Fault(FaultCause::Rejected(RejectReason::WrongState));
+    driver.state().is_latched() && driver.latched().is_some_and(|latched| latched.trip == refused)
+}
+
+/// Whether the other side was greeted and is the right one.
+fn greeted(now: MonotonicTime, means: &mut Means<'_>) -> Result<bool, WishError> {
+    match means.port.greeted(now) {
+        Greeted::Waiting => Ok(false),
+        Greeted::Silent => {
+            still_plugged(means)?;
+            Err(WishError::NoGateway)
+        }
+        Greeted::Refused(error) => Err(WishError::Gateway(error)),
+        Greeted::Done => {
+            if let Some(hello) = means.port.hello() {
+                let brakes = Duration::from_micros(u64::from(hello.brake_release_us));
+                means.driver.raise_brake_time(brakes + means.cycle * BRAKE_MARGIN_CYCLES);
+            }
+            Ok(true)
+        }
+    }
+}
+
+/// Why the gateway has stopped the arm before this host came, if it has: after a host that died, for one.
+fn stopped_before(hello: &HelloReply, shown: Option<&Sample>) -> Option<Trip> {
+    // Status words name switch, axis and alarm; bits of switches are the gateway's to judge.
+    let named = shown.and_then(|sample| sample.condition.trip(0));
+    match (hello.state, hello.cause) {
+        (GatewayState::EmergencyStop, _) | (_, StopCause::EmergencyStop) => {
+            let emergency_stop = named.filter(|trip| matches!(trip, Trip::EStop(_)));
+            Some(emergency_stop.unwrap_or(Trip::EStop(EmergencyStopCause::Gateway)))
+        }
+        (_, StopCause::None) => None,
+        (_, cause) => {
+            let is_alarm = |trip: &Trip| match cause {
+                StopCause::ServoAlarm => matches!(trip, Trip::Fault(FaultCause::ServoAlarm { .. })),
+                StopCause::ControllerAlarm => matches!(trip, Trip::Fault(FaultCause::ControllerAlarm { .. })),
+                _ => false,
+            };
+            Some(named.filter(is_alarm).unwrap_or(Trip::Fault(FaultCause::Gateway(cause))))
+        }
+    }
+}
+
+fn still_plugged(means: &Means<'_>) -> Result<(), WishError> {
+    means.port.gone().map_or(Ok(()), |gone| Err(gone.into()))
+}
+
+fn stopped(driver: &Driver) -> WishError {
+    driver.latched().map_or(WishError::Stuck(driver.state()), |latched| WishError::Stopped(*latched))
+}

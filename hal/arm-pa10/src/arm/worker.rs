@@ -1,0 +1,285 @@
+//! The thread of an arm: it owns driver, link and bytes, and nothing holds it up.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::mpsc::Sender;
+use std::time::Duration;
+
+use pb3dp_arm_pa10_protocol::codec::Letter;
+use pb3dp_arm_pa10_protocol::gateway_protocol::ArmId;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{Clock, JointCommand};
+
+use super::port::HostPort;
+use super::shared::{ArmSnapshot, Shared};
+use super::trip_line::TripSeat;
+use super::wish::{Means, Running, WishError};
+use crate::driver::{Activity, Driver, FaultCause, Request, Trip};
+
+/// The thread looks around at least this often.
+const IDLE: Duration = Duration::from_millis(50);
+
+/// It comes back this soon to a lock that the owner held, or to a time that has passed already.
+const SOON: Duration = Duration::from_micros(200);
+
+/// A bus that is gone while the arm may still be driven is opened again this often.
+const OPEN_AGAIN: Duration = Duration::from_millis(200);
+
+/// When the program lets go of an arm, the thread stops it within this time and that of the brakes, or ends without.
+pub(super) const LET_GO_MAX: Duration = Duration::from_millis(1300);
+
+/// How a wish ended: its number, and why it was not fulfilled.
+pub(super) type WishEnd = (u64, Result<(), WishError>);
+
+pub(super) struct Worker {
+    pub arm: ArmId,
+    pub cycle: Duration,
+    pub driver: Driver,
+    pub port: Box<dyn HostPort>,
+    pub clock: Arc<dyn Clock>,
+    pub seat: TripSeat,
+    pub shared: Arc<Shared>,
+    pub ends: Sender<WishEnd>,
+    pub progress: Progress,
+}
+
+/// What the thread has done so far.
+#[derive(Default)]
+pub(super) struct Progress {
+    command: u64,
+    wish: u64,
+    running: Option<Running>,
+    /// How the last wish ended, until the owner is told.
+    ended: Option<WishEnd>,
+    /// The others were told that this arm has stopped.
+    others_told: bool,
+    samples: u64,
+    last_sample: MonotonicTime,
+    sample_at: Option<MonotonicTime>,
+    /// The owner held a lock: its command is not yet taken, or its snapshot is old.
+    come_back: bool,
+    /// When the last message was sent, how many answers there were before, and whether it was a cyclic command.
+    asked: Option<(MonotonicTime, u64, bool)>,
+    letting_go: Option<MonotonicTime>,
+    /// When a bus that is gone was last opened again, or tried to.
+    opened: Option<MonotonicTime>,
+    failed: bool,
+}
+
+/// What the thread does from its start to its end.
+pub(super) fn run(mut worker: Worker) {
+    // A mistake of ours must not leave the arm moving: what is still sound stops it.
+    if catch_unwind(AssertUnwindSafe(|| worker.serve())).is_err() {
+        worker.progress.failed = true;
+        worker.seat.trip_others(worker.arm);
+        let _ = catch_unwind(AssertUnwindSafe(|| worker.stop_after_failure()));
+        let _ = catch_unwind(AssertUnwindSafe(|| worker.shared.publish_waiting(&worker.snapshot())));
+    }
+}
+
+impl Worker {
+    /// Until the owner lets go and the arm is stopped.
+    fn serve(&mut self) {
+        loop {
+            self.turn();
+            if self.is_over() {
+                return;
+            }
+            self.wait();
+        }
+    }
+
+    /// Everything that is due now.
+    pub(super) fn turn(&mut self) {
+        let now = self.clock.now();
+        self.take_trip(now);
+        self.take_wish();
+        self.take_command(now);
+        self.let_go(now);
+        self.open_again(now);
+        self.receive(now);
+        self.advance_wish(now);
+        self.transmit();
+        self.tell_others();
+        self.publish();
+    }
+
+    fn take_trip(&mut self, now: MonotonicTime) {
+        self.seat.forget_wakings();
+        if let Some(trip) = self.seat.take() {
+            self.driver.handle_trip(now, trip);
+        }
+    }
+
+    fn take_wish(&mut self) {
+        let Some((number, wish)) = self.shared.wish() else { return };
+        if number != self.progress.wish {
+            self.progress.wish = number;
+            self.progress.running = Some(Running::new(number, wish));
+        }
+    }
+
+    fn advance_wish(&mut self, now: MonotonicTime) {
+        let Self { driver, port, cycle, .. } = self;
+        let Some(running) = &mut self.progress.running else { return };
+        let mut means = Means { driver, port: port.as_mut(), cycle: *cycle };
+        if let Some(end) = running.advance(now, &mut means) {
+            self.progress.ended = Some((running.number, end));
+            self.progress.running = None;
+        }
+    }
+
+    fn take_command(&mut self, now: MonotonicTime) {
+        let slot = self.shared.command();
+        self.progress.come_back = slot.is_none();
+        let Some(slot) = slot else { return };
+        if slot.ticket == self.progress.command {
+            return;
+        }
+        self.progress.command = slot.ticket;
+        // What has run out runs out before a new velocity could hide it. Its age counts from when it was given.
+        self.driver.handle_timeout(now);
+        let (at, request) = match slot.command {
+            JointCommand::Hold => (now, Request::Hold),
+            JointCommand::Velocity(velocity) => (slot.at, Request::Move(velocity)),
+        };
+        // Refused where the arm can not move now: its owner sees the state.
+        let _ = self.driver.handle_request(at, request);
+    }
+
+    /// The owner is gone: stop, as quickly as a fault does where the arm could move.
+    fn let_go(&mut self, now: MonotonicTime) {
+        if !self.shared.is_let_go() || self.progress.letting_go.is_some() {
+            return;
+        }
+        self.progress.letting_go = Some(now);
+        self.progress.running = None;
+        if self.driver.state().has_open_brakes() {
+            self.driver.handle_trip(now, Trip::Fault(FaultCause::LetGo));
+        } else {
+            let _ = self.driver.handle_request(now, Request::Stop);
+        }
+    }
+
+    /// Nobody has heard of the stop order, and nobody will over a bus that is gone. Only a bus: a gateway stops its arm by itself.
+    fn open_again(&mut self, now: MonotonicTime) {
+        if !self.driver.is_unheard() || self.port.gone().is_none() {
+            return;
+        }
+        if self.progress.opened.is_none_or(|last| now.saturating_since(last) >= OPEN_AGAIN) {
+            self.progress.opened = Some(now);
+            // It may not be there yet.
+            let _ = self.port.reopen();
+        }
+    }
+
+    fn receive(&mut self, now: MonotonicTime) {
+        if self.port.receive(now, &mut self.driver).is_err() {
+            self.driver.handle_unplugged(now);
+        }
+        let answered = self.driver.counters().answered;
+        if let Some((asked, _, is_cyclic)) = self.progress.asked.take_if(|(_, before, _)| answered > *before) {
+            let meter = if is_cyclic { &self.shared.round_trips } else { &self.shared.control_trips };
+            meter.record(now.saturating_since(asked));
+        }
+        if let Some(misses) = self.port.silence(now).filter(|_| !self.driver.state().is_latched()) {
+            self.driver.handle_trip(now, Trip::Fault(FaultCause::LinkLost { misses }));
+        }
+        if let Some(joints) = self.driver.joints()
+            && joints.at > self.progress.last_sample
+        {
+            self.progress.last_sample = joints.at;
+            self.progress.samples += 1;
+            self.progress.sample_at = Some(now);
+        }
+    }
+
+    fn transmit(&mut self) {
+        let now = self.clock.now();
+        let due = self.driver.transmit_due();
+        if let Some(transmit) = self.driver.poll_transmit(now) {
+            let is_cyclic = transmit.message.letter() == Letter::Cyclic;
+            if is_cyclic {
+                self.shared.jitter.record(now.saturating_since(due));
+            }
+            self.progress.asked = Some((now, self.driver.counters().answered, is_cyclic));
+            self.port.send(now, &transmit, self.driver.activity());
+        }
+        if self.port.flush(now).is_err() {
+            self.driver.handle_unplugged(now);
+        }
+    }
+
+    /// An arm that stops stops the others, unless it was them who stopped it.
+    fn tell_others(&mut self) {
+        let Some(latched) = self.driver.latched() else {
+            self.progress.others_told = false;
+            return;
+        };
+        if !self.progress.others_told && !latched.trip.is_by_other_arm() {
+            self.seat.trip_others(self.arm);
+        }
+        self.progress.others_told = true;
+    }
+
+    fn publish(&mut self) {
+        let published = self.shared.publish(&self.snapshot());
+        self.progress.come_back |= !published;
+        // Only now, so that the owner finds the state that the wish has led to.
+        if published && let Some(ended) = self.progress.ended.take() {
+            // An owner that does not wait any more does not want to know.
+            let _ = self.ends.send(ended);
+        }
+    }
+
+    fn snapshot(&self) -> ArmSnapshot {
+        let driver = &self.driver;
+        ArmSnapshot {
+            state: driver.state(),
+            activity: driver.activity(),
+            latched: driver.latched().copied(),
+            unplugged: self.port.gone(),
+            failed: self.progress.failed,
+            joints: driver.joints().copied(),
+            sample_at: self.progress.sample_at,
+            samples: self.progress.samples,
+            sample: driver.sample().copied(),
+            shown: self.port.shown().copied(),
+            limits: *driver.limits(),
+            gateway: self.port.hello().copied(),
+            gateway_found: self.port.found().copied(),
+            counters: *driver.counters(),
+            line: self.port.line(),
+            frames_unsent: self.port.frames_unsent(),
+            unheard: driver.is_unheard(),
+        }
+    }
+
+    /// Whether the owner has let go, and nothing is left to do for the arm.
+    pub(super) fn is_over(&self) -> bool {
+        let Some(since) = self.progress.letting_go else { return false };
+        let at_rest = self.driver.activity() == Activity::None || self.port.gone().is_some();
+        (at_rest && !self.driver.is_unheard())
+            || self.clock.now().saturating_since(since) >= LET_GO_MAX + self.driver.brake_time()
+    }
+
+    fn wait(&mut self) {
+        let left = self.idle_for(self.clock.now());
+        self.port.wait(self.seat.waker(), left);
+    }
+
+    /// For how long there is nothing to do, unless something comes.
+    pub(super) fn idle_for(&self, now: MonotonicTime) -> Duration {
+        let soon = self.progress.come_back.then(|| now + SOON);
+        let deadlines = [self.driver.next_deadline(), self.port.next_deadline(), soon];
+        let next = deadlines.into_iter().flatten().min().unwrap_or(now + IDLE);
+        if next <= now { SOON } else { next.saturating_since(now).min(IDLE) }
+    }
+
+    fn stop_after_failure(&mut self) {
+        self.shared.let_go();
+        let now = self.clock.now();
+        self.driver.handle_trip(now, Trip::Fault(FaultCause::Program));
+        self.serve();
+    }
+}

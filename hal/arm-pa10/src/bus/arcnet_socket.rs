@@ -1,0 +1,198 @@
+//! Frames through an ARCNET card of this machine.
+//!
+//! Linux gives an ARCNET interface to programs as a packet socket of the protocol `ETH_P_ARCNET`. What goes through it is a whole
+//! frame, as [`pb3dp_arm_pa10_protocol::arcnet`] makes it.
+
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
+
+use rustix::io::Errno;
+use rustix::net::netdevice::name_to_index;
+use rustix::net::{
+    AddressFamily, Protocol, RecvFlags, SendFlags, SocketAddrUnix, SocketFlags, SocketType, recv, send, socket_with,
+};
+
+use super::{BusDown, BusPort, FRAME_ROOM, judge};
+
+/// `ETH_P_ARCNET` of `linux/if_ether.h`.
+const ETH_P_ARCNET: u16 = 0x001A;
+
+/// Why an ARCNET interface can not be used.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ArcnetError {
+    /// There is no such interface.
+    #[error(
+        "there is no network interface {name}; load the driver of the card (com20020_pci for most) and arc_rawmode, and look for \
+         its name with `ip link`"
+    )]
+    Missing {
+        /// Its name.
+        name: String,
+    },
+    /// The interface is of another kind.
+    #[error(
+        "network interface {name} is of type {got}, not ARCNET (7); choose the one that `ip link` shows as link/arcnet"
+    )]
+    OtherKind {
+        /// Its name.
+        name: String,
+        /// What the system says of its type.
+        got: u16,
+    },
+    /// The interface is switched off.
+    #[error("network interface {name} is down; switch it on: ip link set {name} up")]
+    Down {
+        /// Its name.
+        name: String,
+    },
+    /// Somebody has it.
+    #[error("network interface {name} is in use by another program or arm; end that one, or correct the name")]
+    InUse {
+        /// Its name.
+        name: String,
+    },
+    /// Not permitted.
+    #[error(
+        "packet sockets are not permitted to this user; run as root, or give the program the right: \
+         setcap cap_net_raw,cap_sys_nice,cap_ipc_lock+ep PROGRAM"
+    )]
+    Permission,
+    /// Another error of the operating system.
+    #[error("network interface {name}: {error}")]
+    Os {
+        /// Its name.
+        name: String,
+        /// What the system says.
+        error: Errno,
+    },
+}
+
+/// An ARCNET interface.
+#[derive(Debug)]
+pub struct ArcnetSocket {
+    socket: OwnedFd,
+    name: String,
+    /// Keeps other programs of ours away from this bus.
+    _claim: OwnedFd,
+}
+
+impl ArcnetSocket {
+    /// Opens an interface by its name.
+    ///
+    /// # Errors
+    /// If there is none of that name, it is no ARCNET interface, it is down, another owner has it, or this user may not.
+    pub fn open(interface: &str) -> Result<Self, ArcnetError> {
+        let name = || interface.to_owned();
+        let os = |error| ArcnetError::Os { name: name(), error };
+        let about = About::ask(interface).map_err(|error| match error {
+            Errno::NODEV | Errno::INVAL => ArcnetError::Missing { name: name() },
+            other => os(other),
+        })?;
+        if about.kind != libc::ARPHRD_ARCNET {
+            return Err(ArcnetError::OtherKind { name: name(), got: about.kind });
+        }
+        if !about.is_up {
+            return Err(ArcnetError::Down { name: name() });
+        }
+        let flags = SocketFlags::NONBLOCK | SocketFlags::CLOEXEC;
+        let protocol = Protocol::from_raw(u32::from(ETH_P_ARCNET.to_be()).try_into().map_err(|_| os(Errno::INVAL))?);
+        let socket = socket_with(AddressFamily::PACKET, SocketType::RAW, flags, Some(protocol));
+        let socket = socket.map_err(|error| match error {
+            Errno::PERM | Errno::ACCESS => ArcnetError::Permission,
+            other => os(other),
+        })?;
+        let claim = claim(interface).map_err(|error| match error {
+            Errno::ADDRINUSE => ArcnetError::InUse { name: name() },
+            other => os(other),
+        })?;
+        bind(&socket, about.index).map_err(os)?;
+        Ok(Self { socket, name: format!("ARCNET interface {interface}"), _claim: claim })
+    }
+
+    fn receive(&self, buffer: &mut [u8]) -> Result<usize, Errno> {
+        recv(&self.socket, buffer, RecvFlags::empty()).map(|(count, _)| count)
+    }
+}
+
+impl BusPort for ArcnetSocket {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn try_send(&mut self, frame: &[u8]) -> Result<bool, BusDown> {
+        judge(send(&self.socket, frame, SendFlags::NOSIGNAL)).map(|sent| sent == Some(frame.len()))
+    }
+
+    fn try_receive(&mut self, buffer: &mut [u8; FRAME_ROOM]) -> Result<Option<usize>, BusDown> {
+        judge(self.receive(buffer))
+    }
+
+    fn fd(&self) -> BorrowedFd<'_> {
+        self.socket.as_fd()
+    }
+}
+
+/// Takes an interface for this program alone: by a name that only one socket can have, that is as private to a network namespace as
+/// interfaces are, and that vanishes with the program.
+fn claim(interface: &str) -> Result<OwnedFd, Errno> {
+    let claim = socket_with(AddressFamily::UNIX, SocketType::DGRAM, SocketFlags::CLOEXEC, None)?;
+    let name = format!("pb3dp owner of ARCNET interface {interface}");
+    rustix::net::bind(&claim, &SocketAddrUnix::new_abstract_name(name.as_bytes())?)?;
+    Ok(claim)
+}
+
+/// What the kernel says of an interface.
+struct About {
+    index: u32,
+    /// ARPHRD_ of `linux/if_arp.h`.
+    kind: u16,
+    is_up: bool,
+}
+
+impl About {
+    fn ask(interface: &str) -> Result<Self, Errno> {
+        let socket = socket_with(AddressFamily::INET, SocketType::DGRAM, SocketFlags::CLOEXEC, None)?;
+        let hardware = query(&socket, libc::SIOCGIFHWADDR, interface)?;
+        let flags = query(&socket, libc::SIOCGIFFLAGS, interface)?;
+        // SAFETY: these calls fill in these parts, and any bits are valid numbers.
+        let (kind, flags) = unsafe { (hardware.ifr_ifru.ifru_hwaddr.sa_family, flags.ifr_ifru.ifru_flags) };
+        let is_up = libc::c_int::from(flags) & libc::IFF_UP != 0;
+        Ok(Self { index: name_to_index(&socket, interface)?, kind, is_up })
+    }
+}
+
+/// Asks the kernel for something about an interface.
+fn query(socket: &OwnedFd, call: libc::Ioctl, interface: &str) -> Result<libc::ifreq, Errno> {
+    // SAFETY: all zeros are a valid request.
+    let mut request: libc::ifreq = unsafe { std::mem::zeroed() };
+    let is_name = !interface.is_empty() && interface.len() < request.ifr_name.len() && !interface.contains('\0');
+    if !is_name {
+        return Err(Errno::INVAL);
+    }
+    for (place, byte) in request.ifr_name.iter_mut().zip(interface.bytes()) {
+        *place = byte as libc::c_char;
+    }
+    // SAFETY: the socket is open, and the request is whole and lives through the call, which writes into it alone.
+    let result = unsafe { libc::ioctl(socket.as_raw_fd(), call, &raw mut request) };
+    if result == 0 { Ok(request) } else { Err(last_error()) }
+}
+
+/// Binds a packet socket to an interface, by which frames that are sent find it.
+fn bind(socket: &OwnedFd, index: u32) -> Result<(), Errno> {
+    let address = libc::sockaddr_ll {
+        sll_family: libc::AF_PACKET as libc::c_ushort,
+        sll_protocol: ETH_P_ARCNET.to_be(),
+        sll_ifindex: i32::try_from(index).map_err(|_| Errno::INVAL)?,
+        sll_hatype: 0,
+        sll_pkttype: 0,
+        sll_halen: 0,
+        sll_addr: [0; 8],
+    };
+    let length = size_of::<libc::sockaddr_ll>() as libc::socklen_t;
+    // SAFETY: the address is a whole sockaddr_ll of that length and lives through the call; the socket is open.
+    let result = unsafe { libc::bind(socket.as_raw_fd(), (&raw const address).cast(), length) };
+    if result == 0 { Ok(()) } else { Err(last_error()) }
+}
+
+fn last_error() -> Errno {
+    Errno::from_io_error(&std::io::Error::last_os_error()).unwrap_or(Errno::IO)
+}

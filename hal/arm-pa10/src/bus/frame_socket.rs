@@ -1,0 +1,157 @@
+//! Frames through a Unix socket (`SOCK_SEQPACKET`), in the place of a bus: one frame out is one frame in.
+
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::path::{Path, PathBuf};
+
+use pb3dp_hal_platform::transport::Symptom;
+use rustix::io::Errno;
+use rustix::net::{
+    AddressFamily, RecvFlags, SendFlags, SocketAddrUnix, SocketFlags, SocketType, accept_with, bind, connect, listen,
+    recv, send, socket_with, socketpair,
+};
+
+use super::{BusDown, BusPort, FRAME_ROOM, judge};
+
+/// Why there is no such socket.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FrameSocketError {
+    /// Nobody listens there.
+    #[error("nobody listens at the socket {path}; start the emulated controller first (`pb3dp mock-arm`), or correct the path", path = path.display())]
+    Nobody {
+        /// Its path.
+        path: PathBuf,
+    },
+    /// Somebody listens there already.
+    #[error("somebody listens at the socket {path} already; end that program, or choose another path", path = path.display())]
+    InUse {
+        /// Its path.
+        path: PathBuf,
+    },
+    /// Another error of the operating system.
+    #[error("socket {path}: {error}", path = path.display())]
+    Os {
+        /// Its path.
+        path: PathBuf,
+        /// What the system says.
+        error: Errno,
+    },
+}
+
+/// One end of a connection.
+#[derive(Debug)]
+pub struct FrameSocket {
+    socket: OwnedFd,
+    name: String,
+}
+
+/// Where connections come in. The path vanishes with it.
+#[derive(Debug)]
+pub struct FrameListener {
+    socket: OwnedFd,
+    path: PathBuf,
+}
+
+impl FrameSocket {
+    /// Connects to an emulated controller.
+    ///
+    /// # Errors
+    /// If nobody listens there.
+    pub fn connect(path: &Path) -> Result<Self, FrameSocketError> {
+        let os = |error| match error {
+            Errno::NOENT | Errno::CONNREFUSED => FrameSocketError::Nobody { path: path.to_path_buf() },
+            error => FrameSocketError::Os { path: path.to_path_buf(), error },
+        };
+        let address = SocketAddrUnix::new(path).map_err(os)?;
+        let socket = socket().map_err(os)?;
+        connect(&socket, &address).map_err(os)?;
+        Ok(Self { socket, name: format!("socket {}", path.display()) })
+    }
+
+    /// Two ends in one process.
+    ///
+    /// # Errors
+    /// If the operating system has no more file descriptors.
+    pub fn pair(name: &str) -> std::io::Result<(Self, Self)> {
+        let flags = SocketFlags::NONBLOCK | SocketFlags::CLOEXEC;
+        let (one, other) = socketpair(AddressFamily::UNIX, SocketType::SEQPACKET, flags, None)?;
+        let end = |socket, end: &str| Self { socket, name: format!("{name} ({end})") };
+        Ok((end(one, "gateway"), end(other, "controller")))
+    }
+}
+
+impl FrameListener {
+    /// Listens at a path. A socket that nobody listens at any more is replaced.
+    ///
+    /// # Errors
+    /// If somebody listens there, or the path can not be made.
+    pub fn bind(path: &Path) -> Result<Self, FrameSocketError> {
+        let os = |error| FrameSocketError::Os { path: path.to_path_buf(), error };
+        let address = SocketAddrUnix::new(path).map_err(os)?;
+        match FrameSocket::connect(path) {
+            Ok(_) => return Err(FrameSocketError::InUse { path: path.to_path_buf() }),
+            Err(FrameSocketError::Nobody { .. }) if is_socket(path) => {
+                rustix::fs::unlink(path).map_err(os)?;
+            }
+            Err(_) => {}
+        }
+        let socket = socket().map_err(os)?;
+        bind(&socket, &address).map_err(os)?;
+        listen(&socket, 1).map_err(os)?;
+        Ok(Self { socket, path: path.to_path_buf() })
+    }
+
+    /// A connection, if somebody has come.
+    ///
+    /// # Errors
+    /// If the operating system gives none.
+    pub fn try_accept(&self) -> Result<Option<FrameSocket>, FrameSocketError> {
+        match accept_with(&self.socket, SocketFlags::NONBLOCK | SocketFlags::CLOEXEC) {
+            Ok(socket) => Ok(Some(FrameSocket { socket, name: format!("socket {}", self.path.display()) })),
+            Err(Errno::AGAIN | Errno::INTR | Errno::CONNABORTED) => Ok(None),
+            Err(error) => Err(FrameSocketError::Os { path: self.path.clone(), error }),
+        }
+    }
+}
+
+impl AsFd for FrameListener {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.socket.as_fd()
+    }
+}
+
+impl Drop for FrameListener {
+    fn drop(&mut self) {
+        let _ = rustix::fs::unlink(&self.path);
+    }
+}
+
+impl BusPort for FrameSocket {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn try_send(&mut self, frame: &[u8]) -> Result<bool, BusDown> {
+        judge(send(&self.socket, frame, SendFlags::NOSIGNAL)).map(|sent| sent == Some(frame.len()))
+    }
+
+    fn try_receive(&mut self, buffer: &mut [u8; FRAME_ROOM]) -> Result<Option<usize>, BusDown> {
+        match judge(recv(&self.socket, &mut buffer[..], RecvFlags::empty()).map(|(count, _)| count))? {
+            // Frames have bytes.
+            Some(0) => Err(BusDown { symptom: Symptom::EndOfStream }),
+            other => Ok(other),
+        }
+    }
+
+    fn fd(&self) -> BorrowedFd<'_> {
+        self.socket.as_fd()
+    }
+}
+
+fn socket() -> Result<OwnedFd, Errno> {
+    let flags = SocketFlags::NONBLOCK | SocketFlags::CLOEXEC;
+    socket_with(AddressFamily::UNIX, SocketType::SEQPACKET, flags, None)
+}
+
+fn is_socket(path: &Path) -> bool {
+    rustix::fs::stat(path).is_ok_and(|stat| rustix::fs::FileType::from_raw_mode(stat.st_mode).is_socket())
+}

@@ -1,0 +1,259 @@
+//! Serial ports.
+//!
+//! The port is tokio-serial's, because its writes never wait: the plain port of serialport waits in the kernel until a full buffer
+//! has room, whatever its time-out says. Waiting is done by [`wait`](pb3dp_hal_platform::transport::wait), because tokio's timers count whole
+//! milliseconds.
+
+mod discovery;
+mod latency;
+
+use std::io::{Read, Write};
+use std::os::fd::{AsRawFd, BorrowedFd, OwnedFd};
+use std::time::Duration;
+
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, LineTooSlow, check_line};
+use pb3dp_hal_platform::transport::{ByteLink, ConnectError, Connector, Unplugged, judge, wait_for_hangup};
+use rustix::fs::{FlockOperation, Mode, OFlags, flock};
+use rustix::io::Errno;
+use tokio_serial::{ClearBuffer, DataBits, FlowControl, Parity, SerialPort, SerialStream, StopBits};
+
+pub use discovery::{PortDescription, PortKind, ports};
+pub use latency::Latency;
+
+/// By how much the rate of a port may differ from the one asked for, parts of it: what receivers with 10 bits per byte bear.
+const BAUD_TOLERANCE: f64 = 0.02;
+
+/// The kernel takes a port that is gone from its users within milliseconds, unless one of them keeps it from that.
+const HANGUP_MAX: Duration = Duration::from_secs(1);
+
+/// Which port, how quick, and for what.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SerialConfig {
+    /// `/dev/ttyUSB0`; better a name below `/dev/serial/by-id`, which stays with the adapter.
+    pub path: String,
+    /// Bits per second.
+    pub baud: u32,
+    /// What is spoken: decides with the format whether the line is quick enough.
+    pub dialect: Dialect,
+    /// Wire format of the arm.
+    pub format: WireFormat,
+    /// Time between two commands.
+    pub cycle: Duration,
+}
+
+/// Why a port can not be used.
+#[derive(Debug, thiserror::Error)]
+pub enum SerialError {
+    /// The line does not carry a command and its answer.
+    #[error("serial port {port}")]
+    TooSlow {
+        /// Its path.
+        port: String,
+        /// How slow.
+        #[source]
+        source: LineTooSlow,
+    },
+    /// Somebody has it.
+    #[error("serial port {port} is in use by another program or arm; end that one, or correct the path")]
+    InUse {
+        /// Its path.
+        port: String,
+    },
+    /// There is none.
+    #[error("serial port {port} does not exist; plug it in, or correct the path ({present})")]
+    Missing {
+        /// Its path.
+        port: String,
+        /// Which ports there are.
+        present: String,
+    },
+    /// Not permitted.
+    #[error("serial port {port} may not be opened by this user; on most systems the group dialout may")]
+    Permission {
+        /// Its path.
+        port: String,
+    },
+    /// Opening failed for another reason.
+    #[error("serial port {port} can not be opened with {baud} baud; is it a serial port?")]
+    Open {
+        /// Its path.
+        port: String,
+        /// The rate asked for.
+        baud: u32,
+        /// What the system says.
+        #[source]
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
+    /// The port runs at another rate than it was told.
+    #[error(
+        "serial port {port} was told {asked} baud and runs at {got}; choose a rate that it has, or another adapter"
+    )]
+    Baud {
+        /// Its path.
+        port: String,
+        /// Told.
+        asked: u32,
+        /// Read back.
+        got: u32,
+    },
+}
+
+/// An open serial port, 8N1, without flow control, for this program alone.
+#[derive(Debug)]
+pub struct SerialLink {
+    // Before the runtime, which must outlive it.
+    stream: SerialStream,
+    _runtime: tokio::runtime::Runtime,
+    path: String,
+    baud: u32,
+    latency: Latency,
+    /// Reading or writing has failed.
+    is_gone: bool,
+}
+
+impl SerialLink {
+    /// Opens a port. What it received before is forgotten.
+    ///
+    /// # Errors
+    /// If it can not be had alone, is too slow for the cycle, or runs at another rate than it was told.
+    pub fn open(config: &SerialConfig) -> Result<Self, SerialError> {
+        let SerialConfig { path, baud, dialect, format, cycle } = config;
+        let port = || path.clone();
+        check_line(*dialect, *format, *baud, *cycle).map_err(|source| SerialError::TooSlow { port: port(), source })?;
+        let other =
+            |source: Box<dyn std::error::Error + Send + Sync>| SerialError::Open { port: port(), baud: *baud, source };
+        let probe = probe(path)?;
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build().map_err(|e| other(e.into()))?;
+        let builder = tokio_serial::new(path, *baud)
+            .data_bits(DataBits::Eight)
+            .parity(Parity::None)
+            .stop_bits(StopBits::One)
+            .flow_control(FlowControl::None);
+        let stream = {
+            let _guard = runtime.enter();
+            SerialStream::open(&builder).map_err(|error| other(error.into()))?
+        };
+        // Only now, so that the port is never without a user: some adapters reset what hangs on them when it is.
+        drop(probe);
+        let got = stream.baud_rate().map_err(|error| other(error.into()))?;
+        judge_baud(path, *baud, got)?;
+        stream.clear(ClearBuffer::All).map_err(|error| other(error.into()))?;
+        let (path, latency) = (path.clone(), Latency::NotUsb);
+        let mut link = Self { stream, _runtime: runtime, path, baud: got, latency, is_gone: false };
+        link.latency = latency::lower(link.descriptor(), &config.path);
+        Ok(link)
+    }
+
+    /// The rate that the port says it has, bits per second.
+    pub fn baud(&self) -> u32 {
+        self.baud
+    }
+
+    /// Whether the adapter hands bytes on at once.
+    pub fn latency(&self) -> &Latency {
+        &self.latency
+    }
+}
+
+impl SerialLink {
+    fn descriptor(&self) -> BorrowedFd<'_> {
+        // SAFETY: the stream owns the descriptor and is borrowed for as long as the result.
+        unsafe { BorrowedFd::borrow_raw(self.stream.as_raw_fd()) }
+    }
+}
+
+impl ByteLink for SerialLink {
+    fn name(&self) -> &str {
+        &self.path
+    }
+
+    fn try_read(&mut self, buffer: &mut [u8]) -> Result<usize, Unplugged> {
+        // A port that is unplugged reads 0 bytes as often as it fails.
+        let read = judge(self.stream.read(buffer), !buffer.is_empty());
+        self.is_gone |= read.is_err();
+        read
+    }
+
+    fn try_write(&mut self, bytes: &[u8]) -> Result<usize, Unplugged> {
+        let written = judge(self.stream.write(bytes), false);
+        self.is_gone |= written.is_err();
+        written
+    }
+
+    fn fd(&self) -> Option<BorrowedFd<'_>> {
+        Some(self.descriptor())
+    }
+
+    fn warning(&self) -> Option<String> {
+        self.latency.warning(&self.path)
+    }
+}
+
+impl Drop for SerialLink {
+    fn drop(&mut self) {
+        if self.is_gone {
+            // Writing fails earlier than the kernel takes a port away. Closed in between, it would wait for up to 30 s for bytes that
+            // can not leave any more, and keep the kernel from taking it away: plugged in again, it would not come back before that.
+            wait_for_hangup(self.descriptor(), HANGUP_MAX);
+        }
+        // Else closing waits for up to 30 s until bytes that nobody takes are gone.
+        let _ = self.stream.clear(ClearBuffer::Output);
+    }
+}
+
+impl Connector for SerialConfig {
+    fn connect(&mut self) -> Result<Box<dyn ByteLink>, ConnectError> {
+        Ok(Box::new(SerialLink::open(self)?))
+    }
+
+    fn target(&self) -> String {
+        format!("serial port {} ({} baud)", self.path, self.baud)
+    }
+}
+
+/// Finds out whether somebody has the port, without touching what he has.
+///
+/// Opening it by serialport would, where root does it: the refused port takes the kernel's own mark of exclusive use away when it is
+/// closed, and a third program gets in.
+fn probe(path: &str) -> Result<OwnedFd, SerialError> {
+    let port = || path.to_owned();
+    let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    let probe = rustix::fs::open(path, flags, Mode::empty()).map_err(|error| match error {
+        Errno::BUSY => SerialError::InUse { port: port() },
+        Errno::NOENT | Errno::NODEV | Errno::NXIO => SerialError::Missing { port: port(), present: discovery::names() },
+        Errno::ACCESS | Errno::PERM => SerialError::Permission { port: port() },
+        source => SerialError::Open { port: port(), baud: 0, source: source.into() },
+    })?;
+    flock(&probe, FlockOperation::NonBlockingLockExclusive).map_err(|_| SerialError::InUse { port: port() })?;
+    // The port takes the lock itself.
+    flock(&probe, FlockOperation::Unlock).map_err(|_| SerialError::InUse { port: port() })?;
+    Ok(probe)
+}
+
+/// Drivers round the rate to what their chip has, and some take any rate and keep their own.
+fn judge_baud(port: &str, asked: u32, got: u32) -> Result<(), SerialError> {
+    let difference = (f64::from(got) - f64::from(asked)).abs();
+    if difference <= BAUD_TOLERANCE * f64::from(asked) {
+        return Ok(());
+    }
+    Err(SerialError::Baud { port: port.to_owned(), asked, got })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_port_that_keeps_its_own_rate_is_refused() {
+        // As measured on a 16550: 1 Mbaud is accepted and 115200 read back.
+        let error = judge_baud("/dev/ttyS0", 1_000_000, 115_200).unwrap_err();
+        assert!(error.to_string().contains("told 1000000 baud and runs at 115200"), "{error}");
+        for got in [921_600, 923_076, 909_091] {
+            assert!(judge_baud("/dev/ttyUSB0", 921_600, got).is_ok(), "{got}");
+        }
+        for got in [0, 460_800, 890_000, 950_000, u32::MAX] {
+            assert!(judge_baud("/dev/ttyUSB0", 921_600, got).is_err(), "{got}");
+        }
+    }
+}

@@ -1,0 +1,13 @@
+//! What backends need of the operating system. Linux only, as far as it waits: `ppoll`, `eventfd`.
+//!
+//! * [`transport`]: what all byte links have in common, and a pair of them in one process; [`tcp`] and [`pty`] are two.
+//! * [`realtime`], [`signals`]: what the thread of a cycle needs, and how it is asked to end.
+//! * [`jitter`], [`witness`]: how late a cycle is, and how late the machine itself.
+
+pub mod jitter;
+pub mod pty;
+pub mod realtime;
+pub mod signals;
+pub mod tcp;
+pub mod transport;
+pub mod witness;

@@ -1,0 +1,93 @@
+//! How late the machine itself is: threads that do nothing but sleep, before all others, on every processor.
+
+use std::io;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Barrier};
+use std::thread::{Builder, JoinHandle, available_parallelism};
+use std::time::Duration;
+
+use super::realtime::{Realtime, enter, now, sleep_until};
+use crate::jitter::{Jitter, JitterMeter};
+
+/// Above every thread of an arm: only the system and the machine below it hold these threads up, where the priority is to be had.
+const PRIORITY: u8 = 90;
+/// Time from one waking to the next.
+pub const PERIOD: Duration = Duration::from_millis(1);
+/// A machine that is later than this by itself does not keep the cycles of an arm.
+pub const TOO_LATE: Duration = Duration::from_millis(5);
+
+/// Threads that see how late they wake.
+#[derive(Debug)]
+pub struct Witness {
+    is_over: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<Jitter>>,
+}
+
+impl Witness {
+    /// One thread on each processor; all of them run when this returns, and ask the heap for nothing until they end.
+    ///
+    /// # Errors
+    /// If the system gives no thread.
+    pub fn start() -> io::Result<Self> {
+        let mut witness = Self { is_over: Arc::default(), threads: Vec::new() };
+        witness.on_each_processor(PRIORITY)?;
+        Ok(witness)
+    }
+
+    fn on_each_processor(&mut self, priority: u8) -> io::Result<()> {
+        for cpu in 0..available_parallelism()?.get() {
+            let runs = Arc::new(Barrier::new(2));
+            let begun = Arc::clone(&runs);
+            self.spawn(move |is_over| {
+                watch(&Realtime { priority: Some(priority), locks_memory: false, cpu: Some(cpu) }, &begun, is_over)
+            })?;
+            runs.wait();
+        }
+        Ok(())
+    }
+
+    fn spawn(&mut self, watch: impl FnOnce(&AtomicBool) -> Jitter + Send + 'static) -> io::Result<()> {
+        let is_over = Arc::clone(&self.is_over);
+        self.threads.push(Builder::new().name("witness".to_owned()).spawn(move || watch(&is_over))?);
+        Ok(())
+    }
+
+    /// What the thread saw that was held up longest.
+    pub fn end(mut self) -> Jitter {
+        self.is_over.store(true, Ordering::Relaxed);
+        let seen = self.threads.drain(..).filter_map(|thread| thread.join().ok());
+        seen.max_by_key(|jitter| jitter.max).unwrap_or_default()
+    }
+}
+
+impl Drop for Witness {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+    }
+}
+
+fn watch(place: &Realtime, begun: &Barrier, is_over: &AtomicBool) -> Jitter {
+    // What is not to be had makes it see more: other programs, too.
+    let _ = enter(place);
+    let meter = JitterMeter::default();
+    begun.wait();
+    while !is_over.load(Ordering::Relaxed) {
+        let at = now() + PERIOD;
+        sleep_until(at);
+        meter.record(now().saturating_since(at));
+    }
+    meter.summary()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_counts_while_it_lives() {
+        let witness = Witness::start().unwrap();
+        sleep_until(now() + Duration::from_millis(50));
+        let seen = witness.end();
+        assert!(seen.cycles > 0 && seen.max >= seen.p50, "{seen:?}");
+    }
+}
