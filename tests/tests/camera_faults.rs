@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use nalgebra::{Point3, UnitQuaternion, Vector3, Vector6};
 use pb3dp_camera_sim::{CameraFault, CameraFaultKind, CameraFaults, Eyes, FaultyCamera, SimStereoCamera};
+use pb3dp_cell::follower::Follower;
 use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::region::Region;
@@ -14,8 +15,7 @@ use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, MonotonicTime, Pinhole, Pose, StereoRig};
 use pb3dp_hal_api::{Clock, StereoCamera};
 use pb3dp_hal_clock::VirtualClock;
-use pb3dp_orchestrator::config::setup::{Setup, read_setup};
-use pb3dp_orchestrator::follower::Follower;
+use pb3dp_setup::setup::{Setup, read_setup};
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::{PoseSource, Scene, ScenePoses};
 use pb3dp_sim::targets::TargetConfig;

@@ -4,10 +4,10 @@
 
 use pb3dp_geometry::ImageSize;
 use pb3dp_kinematics::{Chain, DOF, JointVector};
-use pb3dp_orchestrator::config::estimator::read_estimator;
-use pb3dp_orchestrator::config::gateway::read_gateway;
-use pb3dp_orchestrator::config::setup::{read_cameras, read_setup};
 use pb3dp_record::calibration_files::load_stereo;
+use pb3dp_setup::estimator::read_estimator;
+use pb3dp_setup::gateway::read_gateway;
+use pb3dp_setup::setup::{read_cameras, read_setup};
 use system_tests::{files_below, repository};
 
 #[test]

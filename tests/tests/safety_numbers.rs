@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use pb3dp_geometry::Pose;
 use pb3dp_kinematics::clearance::{PlacedArm, clearance};
 use pb3dp_kinematics::{Chain, JointVector};
-use pb3dp_orchestrator::config::setup::{ArmSetup, Setup, read_setup};
+use pb3dp_setup::setup::{ArmSetup, Setup, read_setup};
 use system_tests::repository;
 use system_tests::safety::pa10::{FIRST_GENERATION_M, SECOND_GENERATION_M, links};
 use system_tests::safety::rules::{ArmRules, Rules};

@@ -3,19 +3,20 @@
 
 use std::sync::{Arc, Mutex};
 
+use pb3dp_cell::channels::Plan;
+use pb3dp_cell::experiment::{Ended, conduct};
+use pb3dp_cell::operator::Operator;
+use pb3dp_cell::parts::{DrivenArm, Parts};
+use pb3dp_cell::report;
+use pb3dp_cell::summary::{RunSummary, summarize};
+use pb3dp_cell::supervision::TransitionNote;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_middleware::{Asked, FlightLog, LimiterStatistics};
 use pb3dp_kinematics::JointVector;
-use pb3dp_orchestrator::config::setup::{Leader, Setup, read_setup};
-use pb3dp_orchestrator::run::channels::Plan;
-use pb3dp_orchestrator::run::experiment::{Ended, conduct};
-use pb3dp_orchestrator::run::operator::Operator;
-use pb3dp_orchestrator::run::report;
-use pb3dp_orchestrator::run::summary::{RunSummary, summarize};
-use pb3dp_orchestrator::run::supervision::TransitionNote;
-use pb3dp_orchestrator::wiring::{DrivenArm, Parts, wire};
+use pb3dp_orchestrator::wiring::wire;
 use pb3dp_servo::supervisor::{Decision, OperatorInput, Said, Word};
+use pb3dp_setup::setup::{Leader, Setup, read_setup};
 use system_tests::repository;
 
 /// Both arms move at least so fast when they are stopped, rad/s.

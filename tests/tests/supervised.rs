@@ -4,22 +4,22 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use pb3dp_cell::cell::SimulatedCell;
+use pb3dp_cell::halves::Mover;
+use pb3dp_cell::moving::{Moved, Moving};
+use pb3dp_cell::parts::Parts;
+use pb3dp_cell::percept::Percept;
+use pb3dp_cell::{experiment, swing};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Hand, World};
 use pb3dp_hal_api::{ArmError, ArmErrorKind, Clock, JointCommand};
-use pb3dp_orchestrator::config::setup::{Carrier, Leader, Pace, Setup, read_setup};
-use pb3dp_orchestrator::run::cell::SimulatedCell;
-use pb3dp_orchestrator::run::experiment;
-use pb3dp_orchestrator::run::halves::Mover;
-use pb3dp_orchestrator::run::moving::{Moved, Moving};
-use pb3dp_orchestrator::run::percept::Percept;
-use pb3dp_orchestrator::run::swing;
-use pb3dp_orchestrator::wiring::{Parts, wire, wire_at_rest};
+use pb3dp_orchestrator::wiring::{Wired, wire, wire_at_rest, wire_watched};
 use pb3dp_servo::identification::Excitation;
 use pb3dp_servo::supervisor::{
     ArmCondition, Condition, Confidence, EstimateInput, FrameInput, Permission, Resume, State,
 };
 use pb3dp_servo::{Mode, SearchConfig, TargetObservation};
+use pb3dp_setup::setup::{Carrier, Leader, Pace, Setup, read_setup};
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, StepExperimentConfig, Trajectory};
 use system_tests::repository;
 
@@ -387,7 +387,7 @@ fn a_swing_whose_replies_get_lost_knows_that_the_arm_held() {
     let mut setup = setup();
     setup.leader = Leader::Geometric(setup.geometric.unwrap());
     let motion = Excitation::new(0.003, 8.0).unwrap();
-    let parts = wire_at_rest(&setup, swing::duration(&motion)).unwrap();
+    let parts = wire_at_rest(&setup, swing::duration(&motion)).unwrap().parts;
     let swung = swing::run(&setup, with_losses(parts, |exchange| exchange.is_multiple_of(70)), motion).unwrap();
     let held = swung.given.iter().skip(110).take(700).filter(|given| given.velocity_rad_per_s.amax() == 0.0).count();
     assert_eq!(held, 700 / 70, "each lost reply is a held cycle");
@@ -399,9 +399,9 @@ fn a_swing_whose_replies_get_lost_knows_that_the_arm_held() {
 fn a_joint_that_runs_away_while_both_arms_are_switched_on_stops_both() {
     let mut setup = read_setup(&repository().join("configs/hil.toml")).unwrap();
     setup.pace = Pace::Fast;
-    let parts = wire(&setup).unwrap();
+    let Wired { parts, virtual_ends, .. } = wire_watched(&setup).unwrap();
     let experiment = parts.experiment.clone();
-    let Parts { clock, vs, tc, cell, virtual_ends, .. } = parts;
+    let Parts { clock, vs, tc, cell, .. } = parts;
     let mut moving = Moving::new(&setup, (vs, tc), &*experiment, clock.now()).unwrap();
     // Behind closed brakes it moves nothing.
     virtual_ends[0].1.command_line("runaway 2 1.2rad/s").unwrap();

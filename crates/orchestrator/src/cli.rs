@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
 use pb3dp_estimation::estimator::Method;
 use pb3dp_record::dataset::TILT_LIMIT_DEG;
+use pb3dp_setup::region_spec::{REGION_HELP, RegionSpec};
 
 use crate::commands::arm::ArmArgs;
 use crate::commands::calibrate::CalibrateArgs;
@@ -14,7 +15,6 @@ use crate::commands::identify::IdentifyArgs;
 use crate::commands::mock_arm::MockArmArgs;
 use crate::commands::rig::RigArgs;
 use crate::logging::LogFormat;
-use crate::region_spec::{REGION_HELP, RegionSpec};
 
 /// A test build must not be taken for a program that may drive a real arm.
 const VERSION: &str = if pb3dp_safeguards::CAN_BE_OFF {

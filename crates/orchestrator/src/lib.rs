@@ -5,13 +5,6 @@
 
 pub mod cli;
 pub mod commands;
-pub mod config;
-pub mod cpu_time;
-pub mod follower;
 pub mod logging;
 pub mod panics;
-pub mod picture;
-pub mod picture_quality;
-pub mod region_spec;
-pub mod run;
 pub mod wiring;

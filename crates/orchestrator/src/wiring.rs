@@ -10,13 +10,11 @@ mod nominal;
 
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 use std::time::{Duration, SystemTime};
 
 use anyhow::{Context, Result, bail};
 use nalgebra::Point3;
 use pb3dp_arm_pa10::arm::{ArmMonitor, VirtualTime, Way};
-use pb3dp_arm_pa10_emulation::line::mock_server::MockServer;
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_arm_pa10_protocol::codec::Axis;
 use pb3dp_camera_replay::{Pacing, ReplayCamera, ReplayOptions};
@@ -25,10 +23,10 @@ use pb3dp_camera_v4l2::linux::Linux;
 use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Model, Target, World};
-use pb3dp_hal_api::{Arm, ArmError, ArmPower, Clock, StereoCamera};
+use pb3dp_hal_api::{Clock, StereoCamera};
 use pb3dp_hal_clock::{SystemClock, VirtualClock};
-use pb3dp_hal_middleware::{FlightLog, Limiter, LimiterStatistics};
-use pb3dp_record::calibration_files::{CameraIdentity, StereoCalibration};
+use pb3dp_hal_middleware::FlightLog;
+use pb3dp_record::calibration_files::StereoCalibration;
 use pb3dp_record::dataset::Sequence;
 use pb3dp_sim::geometric::GeometricTracker;
 use pb3dp_sim::placement::{
@@ -39,87 +37,31 @@ use pb3dp_sim::scene::Scene;
 use pb3dp_sim::targets;
 use pb3dp_sim::trajectory::{AtRest, MotionConfig, Trajectory};
 
-use self::arm::{ArmOnBus, WiredArms, wire_arms};
+use self::arm::{EmulatedServer, MonitoredLink, WiredArms, wire_arms};
 use self::at_once::at_once;
 pub use greeting::{bus_doubts, geometry_doubt, watchdog_refusal};
 pub use nominal::MOCK_ARM;
 
+use pb3dp_cell::cell::{FreeTarget, SimulatedCell};
+use pb3dp_cell::eyes::{Marking, NOT_MARKED, Sight};
+use pb3dp_cell::flight::{self, ArmFault, Flight, LineCounts, Moment, RawLine};
+use pb3dp_cell::operator::ByCommand;
+use pb3dp_cell::paced_clock::PacedClock;
+use pb3dp_cell::parts::{EmulatedArm, LinkMonitor, Parts};
+use pb3dp_setup::region_spec::load_region;
+use pb3dp_setup::setup::seeds::Stream;
+use pb3dp_setup::setup::{ArmSetup, Carrier, Leader, Pace, Setup, Truth};
+
 use crate::cli::ReplayPace;
-use crate::config::setup::seeds::Stream;
-use crate::config::setup::{ArmSetup, Carrier, Leader, Pace, Setup, Truth};
-use crate::region_spec::load_region;
-use crate::run::cell::{FreeTarget, SimulatedCell};
-use crate::run::eyes::{Marking, NOT_MARKED, Sight};
-use crate::run::flight::{self, ArmFault, Flight, LineCounts, Moment, RawLine};
-use crate::run::operator::{ByCommand, Operator};
-use crate::run::paced_clock::PacedClock;
 
-/// An arm with its limiter: motion, power, and how often the limiter stepped in.
-pub trait DrivenArm: Arm + ArmPower {
-    /// How often the limiter stepped in so far.
-    fn statistics(&self) -> LimiterStatistics;
-
-    /// As [`ArmPower::enable`], and the motion goes on from where the arm is, if it has begun at its start before.
-    ///
-    /// # Errors
-    /// As [`ArmPower::enable`].
-    fn enable_here(&mut self) -> Result<(), ArmError>;
-
-    /// As [`ArmPower::begin_enable`], for [`Self::enable_here`].
-    ///
-    /// # Errors
-    /// As [`ArmPower::enable`].
-    fn begin_enable_here(&mut self) -> Result<(), ArmError> {
-        self.enable_here()
-    }
-}
-
-impl<A: Arm + ArmPower> DrivenArm for Limiter<A> {
-    fn statistics(&self) -> LimiterStatistics {
-        Self::statistics(self)
-    }
-
-    fn enable_here(&mut self) -> Result<(), ArmError> {
-        Self::enable_here(self)
-    }
-
-    fn begin_enable_here(&mut self) -> Result<(), ArmError> {
-        Self::begin_enable_here(self)
-    }
-}
-
-/// Everything that a run steps.
-pub struct Parts {
-    /// The one clock.
-    pub clock: Arc<dyn Clock>,
-    /// The stereo pair, or what stands for it.
-    pub camera: Sight,
-    /// Which cameras these are, if they are real.
-    pub cameras: Option<[CameraIdentity; 2]>,
-    /// The arm that carries the cameras.
-    pub vs: Box<dyn DrivenArm>,
-    /// The arm that carries the target.
-    pub tc: Box<dyn DrivenArm>,
-    /// The truth.
-    pub cell: SimulatedCell,
-    /// How the target moves.
-    pub experiment: Arc<dyn Trajectory>,
-    /// What the flight recorder of each arm holds, by the arm's name.
-    pub flights: [(&'static str, FlightLog); 2],
-    /// What is marked in the first left picture: the outline of a simulated target, or what the operator has marked.
-    pub marking: Marking,
+/// A cell, and what only this module knows of its arms.
+pub struct Wired {
+    /// What a run steps.
+    pub parts: Parts,
     /// What the links of the arms are like, by the names of the arms, as far as they have one.
     pub monitors: Vec<(&'static str, ArmMonitor)>,
-    /// Emulated arms at the other end of links; they end with this.
-    pub emulated: Vec<MockServer>,
     /// Far ends of arms that are emulated in simulated time, by the names of the arms.
     pub virtual_ends: Vec<(&'static str, VirtualEnd)>,
-    /// Arms that no gateway would stop.
-    pub on_bus: Vec<ArmOnBus>,
-    /// Who tells the run what to do.
-    pub operator: Box<dyn Operator>,
-    /// Once this is set, the run ends before its time: both arms are stopped as at its end.
-    pub interrupt: Arc<AtomicBool>,
 }
 
 /// Wires the cell, and what its target does by the setup.
@@ -127,6 +69,14 @@ pub struct Parts {
 /// # Errors
 /// If a part refuses its parameters, or the arms can not follow the experiment (by how much is said).
 pub fn wire(setup: &Setup) -> Result<Parts> {
+    Ok(wire_watched(setup)?.parts)
+}
+
+/// As [`wire`], with what only this module knows of the arms.
+///
+/// # Errors
+/// As [`wire`].
+pub fn wire_watched(setup: &Setup) -> Result<Wired> {
     wire_with(setup, Arc::new(Linux))
 }
 
@@ -134,7 +84,7 @@ pub fn wire(setup: &Setup) -> Result<Parts> {
 ///
 /// # Errors
 /// As [`wire`].
-pub fn wire_with(setup: &Setup, video: Arc<dyn VideoSystem>) -> Result<Parts> {
+pub fn wire_with(setup: &Setup, video: Arc<dyn VideoSystem>) -> Result<Wired> {
     check_marked(setup)?;
     wire_cell_with(setup, video, |cell, start| {
         let experiment = setup.experiment.motion.begin_at(start)?;
@@ -163,7 +113,7 @@ pub fn wire_with(setup: &Setup, video: Arc<dyn VideoSystem>) -> Result<Parts> {
 ///
 /// # Errors
 /// If a part refuses its parameters.
-pub fn wire_at_rest(setup: &Setup, duration: Duration) -> Result<Parts> {
+pub fn wire_at_rest(setup: &Setup, duration: Duration) -> Result<Wired> {
     check_marked(setup)?;
     wire_to_look(setup, duration)
 }
@@ -172,7 +122,7 @@ pub fn wire_at_rest(setup: &Setup, duration: Duration) -> Result<Parts> {
 ///
 /// # Errors
 /// If a part refuses its parameters.
-pub fn wire_to_look(setup: &Setup, duration: Duration) -> Result<Parts> {
+pub fn wire_to_look(setup: &Setup, duration: Duration) -> Result<Wired> {
     let duration_s = duration.as_secs_f64();
     wire_cell(setup, |_, world_from_target| Ok(Arc::new(AtRest { world_from_target, duration_s })))
 }
@@ -184,7 +134,7 @@ pub fn wire_to_look(setup: &Setup, duration: Duration) -> Result<Parts> {
 pub fn wire_cell(
     setup: &Setup,
     begin: impl FnOnce(&mut SimulatedCell, Pose<World, Target>) -> Result<Arc<dyn Trajectory>>,
-) -> Result<Parts> {
+) -> Result<Wired> {
     wire_cell_with(setup, Arc::new(Linux), begin)
 }
 
@@ -192,7 +142,7 @@ fn wire_cell_with(
     setup: &Setup,
     video: Arc<dyn VideoSystem>,
     begin: impl FnOnce(&mut SimulatedCell, Pose<World, Target>) -> Result<Arc<dyn Trajectory>>,
-) -> Result<Parts> {
+) -> Result<Wired> {
     calibration::look_at(&setup.calibrations, SystemTime::now())?;
     let time = match setup.pace {
         Pace::Fast => Some(Arc::new(VirtualTime::over(Arc::new(VirtualClock::new())))),
@@ -230,7 +180,7 @@ fn wire_cell_with(
         }
         None => wire_sight(setup, &cell, &clock).map(|(camera, outline_m)| (camera, Marking::Outline(outline_m)))?,
     };
-    Ok(Parts {
+    let parts = Parts {
         clock,
         camera,
         cameras,
@@ -240,13 +190,16 @@ fn wire_cell_with(
         experiment,
         flights,
         marking,
-        monitors,
-        emulated,
-        virtual_ends,
+        links: monitors
+            .iter()
+            .map(|(name, monitor)| (*name, Box::new(MonitoredLink(monitor.clone())) as Box<dyn LinkMonitor>))
+            .collect(),
+        emulated: emulated.into_iter().map(|server| Box::new(EmulatedServer(server)) as Box<dyn EmulatedArm>).collect(),
         on_bus,
         operator: Box::new(ByCommand),
         interrupt: Arc::default(),
-    })
+    };
+    Ok(Wired { parts, monitors, virtual_ends })
 }
 
 /// Puts things where they truly are.
@@ -453,9 +406,9 @@ fn keys_of(table: &str, refusal: &PathRefusal) -> String {
 #[cfg(test)]
 mod tests {
     use pb3dp_camera_sim::{CameraFault, CameraFaultKind, GeometricFrame};
+    use pb3dp_setup::setup::read_setup;
 
     use super::*;
-    use crate::config::setup::read_setup;
 
     /// What the cameras without images deliver in 60 periods, of which a fault takes about half.
     fn delivered(seed: u64) -> Vec<GeometricFrame> {

@@ -9,7 +9,7 @@ use pb3dp_arm_pa10::serial::{PortDescription, PortKind, SerialConfig, ports};
 use pb3dp_arm_pa10_emulation::line::mock_server::MockFace;
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_hal_platform::transport::Connector;
-use pb3dp_orchestrator::config::setup::{ArmLink, ArmSetup, GatewayWay};
+use pb3dp_setup::setup::{ArmLink, ArmSetup, GatewayWay};
 
 use crate::report::Outcome;
 use crate::system::wait_for;

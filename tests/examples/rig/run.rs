@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use pb3dp_camera_v4l2::linux::Linux;
 use pb3dp_camera_v4l2::names;
-use pb3dp_orchestrator::config::setup::read_setup;
+use pb3dp_setup::setup::read_setup;
 
 use crate::lines::name_port;
 use crate::pictures;

@@ -9,13 +9,13 @@ use std::time::Duration;
 
 use image::RgbImage;
 use pb3dp_arm_pa10_emulation::line::mock_server::{MockReport, MockServer};
+use pb3dp_cell::cell::SimulatedCell;
 use pb3dp_geometry::frames::{Hand, Target};
 use pb3dp_geometry::{Camera, Frame, ImageSize, Pinhole, Pose, StereoRig};
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_clock::SystemClock;
-use pb3dp_orchestrator::config::setup::{Setup, read_setup};
-use pb3dp_orchestrator::run::cell::SimulatedCell;
 use pb3dp_orchestrator::wiring::arm::far_side;
+use pb3dp_setup::setup::{Setup, read_setup};
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::{Lighting, PoseSource, Scene, ScenePoses};
 use pb3dp_sim::sensor::SensorConfig;

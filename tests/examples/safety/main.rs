@@ -22,17 +22,16 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail, ensure};
-use pb3dp_orchestrator::config::setup::Setup;
-use pb3dp_orchestrator::cpu_time::timed;
+use digest::digest;
+use figures::Figures;
+use pb3dp_cell::cpu_time::timed;
+use pb3dp_setup::setup::Setup;
+use rig::{Ran, base, run};
+use scenario::{RUN_S, Scenario};
 use system_tests::safety::invariants::{Invariant, Violation, check};
 use system_tests::safety::rules::Rules;
 use system_tests::safety::shape::room_m;
 use system_tests::safety::truth::ARM_NAMES;
-
-use digest::digest;
-use figures::Figures;
-use rig::{Ran, base, run};
-use scenario::{RUN_S, Scenario};
 
 /// Runs of a whole measurement.
 const RUNS: u64 = 20_000;

@@ -9,8 +9,8 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::{Result, ensure};
-use pb3dp_orchestrator::config::setup::{Carrier, Setup};
 use pb3dp_safeguards::{Safeguard, without};
+use pb3dp_setup::setup::{Carrier, Setup};
 use pb3dp_sim::trajectory::MotionConfig;
 use system_tests::safety::invariants::Violation;
 use system_tests::safety::rules::Rules;

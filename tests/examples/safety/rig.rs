@@ -9,18 +9,18 @@ use anyhow::{Context, Result};
 use nalgebra::{Matrix6, Vector3, Vector6};
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_camera_sim::CameraFaultKind;
+use pb3dp_cell::cell::FreeTarget;
+use pb3dp_cell::halves::{Course, Mover, Watcher};
+use pb3dp_cell::looking::Looking;
+use pb3dp_cell::moving::{Moved, Moving};
+use pb3dp_cell::percept::Percept;
+use pb3dp_cell::strip::Strip;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
-use pb3dp_orchestrator::config::setup::{Carrier, Leader, Pace, Setup, read_setup};
-use pb3dp_orchestrator::run::cell::FreeTarget;
-use pb3dp_orchestrator::run::halves::{Course, Mover, Watcher};
-use pb3dp_orchestrator::run::looking::Looking;
-use pb3dp_orchestrator::run::moving::{Moved, Moving};
-use pb3dp_orchestrator::run::percept::Percept;
-use pb3dp_orchestrator::run::strip::Strip;
-use pb3dp_orchestrator::wiring::wire_cell;
+use pb3dp_orchestrator::wiring::{Wired, wire_cell};
 use pb3dp_servo::SearchConfig;
 use pb3dp_servo::supervisor::Confidence;
+use pb3dp_setup::setup::{Carrier, Leader, Pace, Setup, read_setup};
 use system_tests::repository;
 use system_tests::safety::truth::Truth;
 
@@ -87,15 +87,15 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
         setup.controller.search = Some(SEARCH);
         setup.supervisor.search_max_s = SEARCH_MAX_S;
     }
-    let parts = wire_cell(&setup, |cell, start| {
+    let Wired { parts, monitors, virtual_ends } = wire_cell(&setup, |cell, start| {
         let motion = scenario.motion.begin_at(start)?;
         if scenario.carrier == Carrier::Nothing {
             cell.free_target = Some(FreeTarget::new(Arc::clone(&motion)));
         }
         Ok(motion)
     })?;
-    let ends = parts.virtual_ends.iter().map(|(_, end)| end.clone()).collect::<Vec<_>>();
-    let monitors = parts.monitors.iter().map(|(_, monitor)| monitor.clone());
+    let ends = virtual_ends.into_iter().map(|(_, end)| end).collect::<Vec<_>>();
+    let monitors = monitors.into_iter().map(|(_, monitor)| monitor);
     let arms: Vec<_> = monitors.zip(ends.clone()).collect();
     let arms = arms.try_into().map_err(|_| anyhow::anyhow!("not two emulated arms"))?;
     let recorder: Shared = Arc::new(Mutex::new(Recorder::new(scenario.clone(), parts.cell.clone(), arms)));

@@ -1,6 +1,6 @@
 //! One run of the simulation, drawn from its seed: how the target moves, and what goes wrong when.
 
-use pb3dp_orchestrator::config::setup::Carrier;
+use pb3dp_setup::setup::Carrier;
 use pb3dp_sim::noise::{hash, unit};
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig, StepExperimentConfig};
 

@@ -1,16 +1,15 @@
 //! A person at the panel: who goes on where that is possible, and at times says something else, too late, or nothing at all.
 
 use std::sync::Arc;
-
-use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::Clock;
-use pb3dp_orchestrator::run::operator::Operator;
-use pb3dp_servo::supervisor::{Decision, OperatorInput, Said, State, Word};
 use std::time::Duration;
 
+use pb3dp_cell::operator::Operator;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::Clock;
+use pb3dp_servo::supervisor::{Decision, OperatorInput, Said, State, Word};
+
 use crate::faults::Kind;
-use crate::recorder::Shared;
-use crate::recorder::lock;
+use crate::recorder::{Shared, lock};
 use crate::scenario::{Dice, Scenario};
 
 /// How long this person thinks, seconds.

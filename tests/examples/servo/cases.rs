@@ -5,8 +5,8 @@ use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Hand, World};
 use pb3dp_kinematics::JointVector;
-use pb3dp_orchestrator::config::setup::{Leader, Setup};
 use pb3dp_servo::{HybridConfig, ImageBasedConfig, LawConfig};
+use pb3dp_setup::setup::{Leader, Setup};
 use pb3dp_sim::trajectory::Channel;
 
 use crate::runs::{Ran, run};

@@ -1,11 +1,10 @@
 //! What a motion of the target demands of the arm that follows it, as shares of what it may; and how soon it could follow a step.
 
 use anyhow::{Context, Result};
-use pb3dp_geometry::Pose;
-use pb3dp_geometry::Twist;
 use pb3dp_geometry::frames::{Model, Target, World};
+use pb3dp_geometry::{Pose, Twist};
 use pb3dp_kinematics::{DOF, JointLimits, JointVector};
-use pb3dp_orchestrator::config::setup::Setup;
+use pb3dp_setup::setup::Setup;
 use pb3dp_sim::placement::{FlangePath, PathReport, PathRequirements, check_experiment};
 use pb3dp_sim::trajectory::{Mark, MotionConfig, StepExperimentConfig, Trajectory};
 

@@ -9,9 +9,9 @@
 //! It knows the noise, and the very motion over which it is judged; it is linear, always the same, and remembers a limited time.
 
 use nalgebra::{DMatrix, DVector, Vector6};
+use pb3dp_cell::log::RunLog;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Hand, Target, World};
-use pb3dp_orchestrator::run::log::RunLog;
 use pb3dp_record::metrics::rms;
 use pb3dp_sim::trajectory::Trajectory;
 
@@ -147,10 +147,11 @@ fn least_square(rows: &[Vec<Vector6<f64>>], axis: usize, sigma: f64) -> Option<f
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use nalgebra::{UnitQuaternion, Vector3};
     use pb3dp_geometry::Twist;
     use pb3dp_sim::trajectory::{Mark, StepExperimentConfig};
+
+    use super::*;
 
     /// Moves along x by this function of time.
     struct Along(fn(f64) -> f64);

@@ -2,7 +2,7 @@
 
 use pb3dp_hal_api::JointState;
 use pb3dp_kinematics::DOF;
-use pb3dp_orchestrator::config::setup::Setup;
+use pb3dp_setup::setup::Setup;
 
 /// How much of its limits an arm used.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -22,10 +22,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use anyhow::{Context, Result, bail};
-use pb3dp_sim::trajectory::Channel;
-
 use cases::{Approach, Approached, Law, LawFindings, Singular};
 use limits::Check;
+use pb3dp_sim::trajectory::Channel;
 use runs::{Fig7, Response, Step, fig7, fig7_of, response, step_response};
 use setups::{DELAYS_MILLIS, Fig7Case, Who, geometric};
 use ways::Way;
@@ -152,7 +151,7 @@ impl Findings {
         let setup = Who::Ours.setup(DELAYS_MILLIS[0])?;
         let motion = setup.experiment.motion.clone();
         let mut setup = geometric(setup, motion)?;
-        setup.experiment.carrier = pb3dp_orchestrator::config::setup::Carrier::Arm;
+        setup.experiment.carrier = pb3dp_setup::setup::Carrier::Arm;
         self.geometric_times_real_time = runs::run(&setup, None)?.times_real_time;
         let case = Fig7Case { who: Who::Ours, target: 0, delay_millis: DELAYS_MILLIS[0] };
         self.fig7.push(fig7_of(&setup, &case, "without pictures", None)?);

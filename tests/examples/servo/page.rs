@@ -3,18 +3,17 @@
 use std::fmt::Write as _;
 
 use nalgebra::UnitQuaternion;
+use pb3dp_cell::log::{ControlSample, RunLog};
+use pb3dp_cell::summary::RmsMax;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Hand, World};
-use pb3dp_orchestrator::run::log::{ControlSample, RunLog};
-use pb3dp_orchestrator::run::summary::RmsMax;
 use pb3dp_record::report::{LinePlot, Series, SeriesColor, svg_file};
 
-use crate::Findings;
 use crate::ideal::{Ideal, TAPS};
 use crate::limits::Check;
 use crate::runs::{Fig7, Response, Step};
 use crate::setups::{NOISE_GREY, Who};
-use crate::ways_page;
+use crate::{Findings, ways_page};
 
 /// Seconds between two points of a line.
 const LINE_STEP_S: f64 = 0.12;

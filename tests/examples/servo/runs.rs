@@ -3,12 +3,12 @@
 use std::time::Instant;
 
 use anyhow::{Context, Result};
-use pb3dp_orchestrator::config::setup::Setup;
-use pb3dp_orchestrator::run::channels::{ChannelSummary, Plan};
-use pb3dp_orchestrator::run::experiment;
-use pb3dp_orchestrator::run::log::RunLog;
-use pb3dp_orchestrator::run::summary::{RunSummary, summarize};
+use pb3dp_cell::channels::{ChannelSummary, Plan};
+use pb3dp_cell::experiment;
+use pb3dp_cell::log::RunLog;
+use pb3dp_cell::summary::{RunSummary, summarize};
 use pb3dp_orchestrator::wiring::wire;
+use pb3dp_setup::setup::Setup;
 use pb3dp_sim::trajectory::{Channel, MotionConfig};
 
 use crate::demands::{Demand, demands, shortest_step};

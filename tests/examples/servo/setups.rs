@@ -3,9 +3,9 @@
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use pb3dp_orchestrator::config::setup::{Carrier, Leader, Setup, read_setup};
 use pb3dp_servo::supervisor::{Action, Condition};
 use pb3dp_servo::{ArmResponse, LawConfig};
+use pb3dp_setup::setup::{Carrier, Leader, Setup, read_setup};
 use pb3dp_sim::targets::TargetConfig;
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig, StepExperimentConfig};
 use system_tests::repository;

@@ -4,17 +4,17 @@ use std::sync::PoisonError;
 
 use anyhow::{Context, Result, bail, ensure};
 use nalgebra::{UnitQuaternion, Vector3};
+use pb3dp_cell::experiment;
+use pb3dp_cell::eyes::Marking;
+use pb3dp_cell::log::{ControlSample, RunLog};
+use pb3dp_cell::summary::TrackingError;
 use pb3dp_geometry::frames::{Base, Flange, Hand, Model, Target, World};
 use pb3dp_geometry::{Pose, so3};
 use pb3dp_hal_middleware::StartPose;
 use pb3dp_kinematics::{Damping, JointVector, damped_pseudo_inverse};
-use pb3dp_orchestrator::config::setup::{Leader, Setup};
-use pb3dp_orchestrator::run::experiment;
-use pb3dp_orchestrator::run::eyes::Marking;
-use pb3dp_orchestrator::run::log::{ControlSample, RunLog};
-use pb3dp_orchestrator::run::summary::TrackingError;
 use pb3dp_orchestrator::wiring::wire;
 use pb3dp_record::metrics::settled_from;
+use pb3dp_setup::setup::{Leader, Setup};
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, StepExperimentConfig};
 
 use crate::limit_use::LimitUse;

@@ -6,6 +6,9 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use pb3dp_cell::cell::ArmSite;
+use pb3dp_cell::live::CONTROL_THREAD;
+use pb3dp_cell::parts::DrivenArm;
 use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmErrorKind, ArmState, Clock, JointCommand};
@@ -13,11 +16,8 @@ use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_middleware::StartPose;
 use pb3dp_hal_platform::realtime::{Realtime, enter};
 use pb3dp_kinematics::JointVector;
-use pb3dp_orchestrator::config::setup::read_setup;
-use pb3dp_orchestrator::run::cell::ArmSite;
-use pb3dp_orchestrator::run::live::CONTROL_THREAD;
-use pb3dp_orchestrator::wiring::DrivenArm;
 use pb3dp_orchestrator::wiring::arm::{WiredArms, wire_arms};
+use pb3dp_setup::setup::read_setup;
 use system_tests::repository;
 
 use crate::figures::Figures;

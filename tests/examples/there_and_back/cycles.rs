@@ -5,15 +5,16 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use nalgebra::Vector3;
 use pb3dp_allocation_count::held_bytes;
+use pb3dp_cell::cell::SimulatedCell;
+use pb3dp_cell::halves::{Course, Watcher};
+use pb3dp_cell::looking::Looking;
+use pb3dp_cell::moving::{Moved, Moving};
+use pb3dp_cell::parts::Parts;
+use pb3dp_cell::percept::Percept;
+use pb3dp_cell::strip::Strip;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_orchestrator::config::setup::Setup;
-use pb3dp_orchestrator::run::cell::SimulatedCell;
-use pb3dp_orchestrator::run::halves::{Course, Watcher};
-use pb3dp_orchestrator::run::looking::Looking;
-use pb3dp_orchestrator::run::moving::{Moved, Moving};
-use pb3dp_orchestrator::run::percept::Percept;
-use pb3dp_orchestrator::run::strip::Strip;
-use pb3dp_orchestrator::wiring::{Parts, wire};
+use pb3dp_orchestrator::wiring::wire;
+use pb3dp_setup::setup::Setup;
 use pb3dp_sim::trajectory::Channel;
 
 /// A move out, a rest, a move back, a rest.

@@ -12,11 +12,10 @@
 mod cycles;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_orchestrator::config::setup::{Leader, Setup, read_setup};
+use cycles::repeat;
+use pb3dp_setup::setup::{Leader, Setup, read_setup};
 use pb3dp_sim::targets::TargetConfig;
 use system_tests::repository;
-
-use cycles::repeat;
 
 /// A week.
 const MINUTES_MAX: f64 = 10_080.0;
@@ -56,9 +55,9 @@ fn setup(geometric: bool, seed: u64) -> Result<Setup> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use pb3dp_test_support::sweep;
 
+    use super::*;
     use crate::cycles::Figures;
 
     /// As few as can be judged; five with `cargo xtask test --all`.

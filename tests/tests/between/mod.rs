@@ -1,8 +1,8 @@
 //! What a test puts between a run and one of its arms.
 
+use pb3dp_cell::parts::DrivenArm;
 use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
 use pb3dp_hal_middleware::LimiterStatistics;
-use pb3dp_orchestrator::wiring::DrivenArm;
 
 type Exchange = dyn FnMut(&mut dyn DrivenArm, JointCommand) -> Result<JointState, ArmError> + Send;
 

@@ -3,13 +3,14 @@
 use std::path::Path;
 use std::time::{Duration, SystemTime};
 
+use pb3dp_cell::experiment;
+use pb3dp_cell::flight::{self, ArmFault, Flight, LineCounts, Moment, RawLine};
+use pb3dp_cell::parts::Parts;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_hal_api::{ArmErrorKind, JointCommand};
 use pb3dp_hal_middleware::LimiterStatistics;
 use pb3dp_kinematics::JointVector;
-use pb3dp_orchestrator::run::experiment;
-use pb3dp_orchestrator::run::flight::{self, ArmFault, Flight, LineCounts, Moment, RawLine};
-use pb3dp_orchestrator::wiring::{Parts, wire};
+use pb3dp_orchestrator::wiring::wire;
 use pb3dp_sim::trajectory::Channel;
 use serde_json::Value;
 

@@ -3,12 +3,12 @@
 use std::time::Duration;
 
 use nalgebra::{UnitQuaternion, Vector3};
+use pb3dp_cell::drift::DriftSummary;
+use pb3dp_cell::experiment;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_geometry::{Pose, StereoRig};
-use pb3dp_orchestrator::config::setup::{DriftConfig, Setup};
-use pb3dp_orchestrator::run::drift::DriftSummary;
-use pb3dp_orchestrator::run::experiment;
 use pb3dp_orchestrator::wiring::wire;
+use pb3dp_setup::setup::{DriftConfig, Setup};
 use pb3dp_sim::trajectory::Channel;
 
 use super::support::{Pixels, quick_setup};

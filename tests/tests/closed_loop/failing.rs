@@ -1,7 +1,7 @@
 //! What is left when a part fails in the middle of a run: arms at rest, and the recording so far.
 
+use pb3dp_cell::experiment;
 use pb3dp_estimation::estimator::Method;
-use pb3dp_orchestrator::run::experiment;
 use pb3dp_orchestrator::wiring::wire;
 use pb3dp_record::dataset::load_sequence;
 use pb3dp_sim::trajectory::Channel;

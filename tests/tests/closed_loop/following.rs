@@ -1,13 +1,13 @@
 //! The hand follows what it can see, keeps its limits, and rests where it can not see.
 
+use pb3dp_cell::experiment;
+use pb3dp_cell::log::RunLog;
+use pb3dp_cell::summary::TrackingError;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_hal_api::JointCommand;
 use pb3dp_kinematics::DOF;
-use pb3dp_orchestrator::config::setup::ArmSetup;
-use pb3dp_orchestrator::run::experiment;
-use pb3dp_orchestrator::run::log::RunLog;
-use pb3dp_orchestrator::run::summary::TrackingError;
 use pb3dp_orchestrator::wiring::wire;
+use pb3dp_setup::setup::ArmSetup;
 use pb3dp_sim::targets::TargetConfig;
 use pb3dp_sim::trajectory::Channel;
 

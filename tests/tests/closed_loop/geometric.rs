@@ -1,12 +1,12 @@
 //! Runs without pictures: the whole loop with the true pose and stated noise in place of cameras and estimation.
 
 use nalgebra::Vector3;
+use pb3dp_cell::channels::Plan;
+use pb3dp_cell::summary::{RunSummary, summarize};
 use pb3dp_estimation::estimator::Method;
-use pb3dp_orchestrator::config::setup::{Carrier, Leader, Setup};
-use pb3dp_orchestrator::run::channels::Plan;
-use pb3dp_orchestrator::run::summary::{RunSummary, summarize};
 use pb3dp_orchestrator::wiring::wire;
 use pb3dp_servo::LawConfig;
+use pb3dp_setup::setup::{Carrier, Leader, Setup};
 use pb3dp_sim::geometric::{GeometricConfig, PoseSigma};
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig};
 
@@ -115,7 +115,7 @@ fn a_free_target_is_where_its_motion_says_and_the_second_arm_rests() {
     let sine = SineConfig { channel: Channel::Z, amplitude, period_s, periods: 1, lead_in_s: 1.0, axes };
     setup.experiment.motion = MotionConfig::Sine(sine);
     let (parts, _, tc) = watched(wire(&setup).unwrap());
-    let log = pb3dp_orchestrator::run::experiment::run(&setup, parts, None, None).unwrap().log;
+    let log = pb3dp_cell::experiment::run(&setup, parts, None, None).unwrap().log;
     let start = at(&log, 0.0).world_from_target.translation_m();
     let there = at(&log, 1.0 + period_s + 1.0).world_from_target.translation_m();
     // A quarter of a period into the steady part; the sample is at most one control period late.
@@ -134,7 +134,7 @@ fn what_does_not_go_together_is_refused() {
     let error = wire(&geometric)
         .and_then(|parts| {
             let folder = tempfile::tempdir()?;
-            pb3dp_orchestrator::run::experiment::run(&geometric, parts, None, Some(folder.path()))
+            pb3dp_cell::experiment::run(&geometric, parts, None, Some(folder.path()))
         })
         .map(drop)
         .unwrap_err();
@@ -142,6 +142,6 @@ fn what_does_not_go_together_is_refused() {
     let mut with_pictures = whole_setup(Method::Direct);
     let parts = wire(&with_pictures).unwrap();
     with_pictures.leader = Leader::Geometric(QUIET);
-    let error = pb3dp_orchestrator::run::experiment::run(&with_pictures, parts, None, None).map(drop).unwrap_err();
+    let error = pb3dp_cell::experiment::run(&with_pictures, parts, None, None).map(drop).unwrap_err();
     assert!(format!("{error:#}").contains("does not go with this camera"), "{error:#}");
 }

@@ -8,8 +8,8 @@ use pb3dp_estimation::estimator::Method;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Flange, Target, World};
 use pb3dp_kinematics::{Chain, DOF, JointVector};
-use pb3dp_orchestrator::config::setup::Setup;
 use pb3dp_orchestrator::wiring::{check_paths, wire};
+use pb3dp_setup::setup::Setup;
 use pb3dp_sim::trajectory::{Channel, Trajectory};
 
 use crate::closed_loop::support::whole_setup;

@@ -1,11 +1,11 @@
 //! The same seed gives the same run to the last bit; another seed gives another run.
 
 use nalgebra::UnitQuaternion;
+use pb3dp_cell::channels::Plan;
+use pb3dp_cell::report;
+use pb3dp_cell::summary::summarize;
 use pb3dp_estimation::estimator::Method;
-use pb3dp_orchestrator::config::setup::Setup;
-use pb3dp_orchestrator::run::channels::Plan;
-use pb3dp_orchestrator::run::report;
-use pb3dp_orchestrator::run::summary::summarize;
+use pb3dp_setup::setup::Setup;
 use pb3dp_sim::trajectory::Channel;
 
 use crate::closed_loop::support::*;

@@ -1,14 +1,14 @@
 //! Setups that are quick to run, and figures of what they leave.
 
 use nalgebra::Vector3;
+use pb3dp_cell::experiment;
+use pb3dp_cell::journal::Outcome;
+use pb3dp_cell::log::{ControlSample, RunLog};
+use pb3dp_cell::summary::TrackingError;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, StereoRig};
-use pb3dp_orchestrator::config::setup::{Leader, Setup, read_setup};
-use pb3dp_orchestrator::run::experiment;
-use pb3dp_orchestrator::run::journal::Outcome;
-use pb3dp_orchestrator::run::log::{ControlSample, RunLog};
-use pb3dp_orchestrator::run::summary::TrackingError;
 use pb3dp_orchestrator::wiring::wire;
+use pb3dp_setup::setup::{Leader, Setup, read_setup};
 use pb3dp_sim::trajectory::{Channel, StepExperimentConfig};
 use system_tests::repository;
 

@@ -9,10 +9,9 @@ mod between;
 
 use std::sync::{Arc, Mutex};
 
-use pb3dp_hal_api::{ArmError, ArmErrorKind, JointCommand, JointState};
-use pb3dp_orchestrator::wiring::{DrivenArm, Parts};
-
 use between::Between;
+use pb3dp_cell::parts::{DrivenArm, Parts};
+use pb3dp_hal_api::{ArmError, ArmErrorKind, JointCommand, JointState};
 
 /// What one arm was told (before its limiter) and measured, one entry per control step.
 #[derive(Clone, Default)]

@@ -2,17 +2,17 @@
 //! that is too loaded for it is late, and an arm that waits too long stops: so each run is tried again there.
 
 use pb3dp_arm_pa10::driver::DriverState;
+use pb3dp_cell::experiment;
+use pb3dp_cell::log::RunLog;
 use pb3dp_estimation::estimator::Method;
-use pb3dp_orchestrator::config::setup::{ArmLink, Pace, Setup, read_setup};
-use pb3dp_orchestrator::run::experiment;
-use pb3dp_orchestrator::run::log::RunLog;
-use pb3dp_orchestrator::wiring::wire;
+use pb3dp_orchestrator::wiring::{Wired, wire, wire_watched};
 use pb3dp_servo::{Gains, LawConfig, PublishedConfig, TargetFilterConfig};
+use pb3dp_setup::setup::{ArmLink, Pace, Setup, read_setup};
 use pb3dp_sim::trajectory::Channel;
+use pb3dp_test_support::programs_in_real_time;
 use system_tests::repository;
 
 use crate::closed_loop::support::{Pixels, errors, quick_setup, run};
-use pb3dp_test_support::programs_in_real_time;
 
 /// A quick setup whose arms are reached as `configs/hil.toml` says.
 fn hil_setup() -> Setup {
@@ -47,8 +47,7 @@ fn a_hand_follows_through_serial_lines_as_in_simulated_time() {
         followed(&run(&with_published_law(quick_setup(Method::Direct, Pixels::Few, &[Channel::X])), None).log);
     let setup = hil_setup();
     programs_in_real_time(|| {
-        let parts = wire(&setup).unwrap();
-        let monitors = parts.monitors.clone();
+        let Wired { parts, monitors, .. } = wire_watched(&setup).unwrap();
         let log = experiment::run(&setup, parts, None, None).unwrap().log;
         for (name, monitor) in &monitors {
             let arm = monitor.snapshot();

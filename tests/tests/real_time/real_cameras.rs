@@ -8,16 +8,16 @@ use std::time::Duration;
 
 use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem};
 use pb3dp_camera_v4l2::video::Interval;
+use pb3dp_cell::channels::Plan;
+use pb3dp_cell::experiment::{Ended, conduct};
+use pb3dp_cell::summary::summarize;
+use pb3dp_cell::swing;
 use pb3dp_geometry::{Camera, ImageSize, Pinhole, StereoRig};
 use pb3dp_hal_clock::SystemClock;
-use pb3dp_orchestrator::config::setup::{ArmLink, RealCameras, Setup, read_setup};
-use pb3dp_orchestrator::run::channels::Plan;
-use pb3dp_orchestrator::run::experiment::{Ended, conduct};
-use pb3dp_orchestrator::run::summary::summarize;
-use pb3dp_orchestrator::run::swing;
 use pb3dp_orchestrator::wiring::wire_with;
 use pb3dp_record::dataset::load_sequence;
 use pb3dp_servo::identification::Excitation;
+use pb3dp_setup::setup::{ArmLink, RealCameras, Setup, read_setup};
 use pb3dp_test_support::programs_in_real_time;
 use system_tests::repository;
 
@@ -87,7 +87,7 @@ fn cameras(setup: &mut Setup) -> &mut RealCameras {
 
 /// Runs for so long, and does meanwhile what `fate` says.
 fn run(setup: &Setup, system: &EmulatedSystem, seconds: f64, fate: impl FnOnce() + Send) -> Ended {
-    let parts = wire_with(setup, Arc::new(system.clone())).unwrap();
+    let parts = wire_with(setup, Arc::new(system.clone())).unwrap().parts;
     std::thread::scope(|scope| {
         scope.spawn(fate);
         conduct(setup, parts, Some(seconds), None).unwrap()
@@ -107,7 +107,7 @@ fn records() {
     let (setup, system) = rig();
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("recording");
-    let parts = wire_with(&setup, Arc::new(system)).unwrap();
+    let parts = wire_with(&setup, Arc::new(system)).unwrap().parts;
     let Ended { outcome, how } = conduct(&setup, parts, Some(2.0), Some(&folder)).unwrap();
     how.unwrap();
     let sequence = load_sequence(&folder).unwrap();
@@ -143,7 +143,7 @@ fn a_hand_is_swung_before_the_region_that_is_marked() {
 
 fn swings() {
     let (setup, system) = rig();
-    let parts = wire_with(&setup, Arc::new(system)).unwrap();
+    let parts = wire_with(&setup, Arc::new(system)).unwrap().parts;
     let swung = swing::run(&setup, parts, Excitation::new(3e-3, 6.0).unwrap()).unwrap();
     assert!(swung.seen.len() > 40 && swung.joints.len() > 400, "{} seen", swung.seen.len());
     // Where the marked region is: straight before the hand, at 500 mm, in pictures that never change.

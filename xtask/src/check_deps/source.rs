@@ -35,6 +35,11 @@ const WORLDS: [World; 6] = [
         paths: &["std::fs", "std::os", "image::open", "image::ImageReader::open", "image::save_buffer", "File::open"],
         allowed_in: &[
             "crates/record/",
+            "crates/setup/",
+            "crates/cell/src/flight.rs",
+            "crates/cell/src/interruption.rs",
+            "crates/cell/src/report.rs",
+            "crates/cell/src/visiting.rs",
             "crates/orchestrator/",
             "crates/benchmarks/",
             "hal/camera-replay/",
@@ -52,6 +57,10 @@ const WORLDS: [World; 6] = [
         what: "threads",
         paths: &["std::thread", "rayon"],
         allowed_in: &[
+            "crates/cell/src/console.rs",
+            "crates/cell/src/interruption.rs",
+            "crates/cell/src/live.rs",
+            "crates/cell/src/paced_clock.rs",
             "crates/orchestrator/",
             "crates/benchmarks/",
             "hal/clock/",
@@ -72,13 +81,32 @@ const WORLDS: [World; 6] = [
             "Instant::now",
             "SystemTime::now",
         ],
-        allowed_in: &["crates/orchestrator/", "hal/clock/", "hal/conformance/", PLATFORM, ARM, ARM_BUS],
+        allowed_in: &[
+            "crates/cell/src/compared.rs",
+            "crates/cell/src/flight.rs",
+            "crates/cell/src/interruption.rs",
+            "crates/cell/src/looking.rs",
+            "crates/cell/src/paced_clock.rs",
+            "crates/orchestrator/",
+            "hal/clock/",
+            "hal/conformance/",
+            PLATFORM,
+            ARM,
+            ARM_BUS,
+        ],
     },
     World { what: "the environment", paths: &["std::env"], allowed_in: &["crates/orchestrator/"] },
     World {
         what: "other programs",
         paths: &["std::process"],
-        allowed_in: &["crates/orchestrator/", "crates/benchmarks/", "crates/calibration/src/main.rs", CALIBRATION_IO],
+        allowed_in: &[
+            // Ends the program when a second signal asks for it.
+            "crates/cell/src/interruption.rs",
+            "crates/orchestrator/",
+            "crates/benchmarks/",
+            "crates/calibration/src/main.rs",
+            CALIBRATION_IO,
+        ],
     },
     World {
         what: "the network",
@@ -97,6 +125,30 @@ const BACKENDS: [&str; 7] = [
     "pb3dp_arm_pa10_gateway",
     "pb3dp_arm_pa10_emulation",
 ];
+
+/// Who may name a backend: wiring, and the commands that are about one. What still takes types of settings from a backend comes last.
+const NAME_BACKENDS: [&str; 18] = [
+    "crates/orchestrator/src/wiring",
+    "crates/orchestrator/src/commands/arm/",
+    "crates/orchestrator/src/commands/cameras/",
+    "crates/orchestrator/src/commands/doctor/",
+    "crates/orchestrator/src/commands/gateway.rs",
+    "crates/orchestrator/src/commands/mock_arm.rs",
+    "crates/setup/src/gateway.rs",
+    "crates/setup/src/names.rs",
+    "crates/setup/src/setup/arms.rs",
+    "crates/setup/src/setup/camera.rs",
+    "crates/setup/src/setup/camera_faults.rs",
+    "crates/setup/src/setup/geometry.rs",
+    "crates/setup/src/setup/link.rs",
+    "crates/setup/src/setup/mod.rs",
+    "crates/setup/src/setup/real_cameras.rs",
+    "crates/setup/src/setup/sight.rs",
+    "crates/cell/src/eyes.rs",
+    "crates/cell/src/capturing.rs",
+];
+/// Who may derive the traits of serde.
+const DERIVE_SERDE: [&str; 4] = ["crates/setup/", "crates/cell/", "crates/orchestrator/", "crates/record/"];
 const SERDE_TRAITS: [&str; 2] = ["Serialize", "Deserialize"];
 
 /// Checks one Rust file; tests, examples and the project's own commands are exempt.
@@ -141,26 +193,30 @@ fn leads_to(name: &str, forbidden: &str) -> bool {
 }
 
 fn backends(path: &str, code: &str) -> Vec<Violation> {
-    if !path.starts_with("crates/") || path.starts_with("crates/orchestrator/") {
+    if !path.starts_with("crates/") || NAME_BACKENDS.iter().any(|place| path.starts_with(place)) {
         return Vec::new();
     }
     let violation = |backend: &str| {
         let line = line_at(code, code.find(backend).unwrap_or_default());
-        Violation::at(path, line, "backend-named", format!("`{backend}`: only the orchestrator names backends"))
+        Violation::at(
+            path,
+            line,
+            "backend-named",
+            format!("`{backend}`: only wiring and {NAME_BACKENDS:?} name backends"),
+        )
     };
     BACKENDS.into_iter().filter(|backend| code.contains(backend)).map(violation).collect()
 }
 
 fn serde_derives(path: &str, code: &str) -> Vec<Violation> {
-    if ["crates/orchestrator/", "crates/record/"].iter().any(|folder| path.starts_with(folder)) {
+    if DERIVE_SERDE.iter().any(|folder| path.starts_with(folder)) {
         return Vec::new();
     }
     let mut violations = Vec::new();
     for (at, mark) in code.match_indices("derive(") {
         let derived = code[at + mark.len()..].split(')').next().unwrap_or_default();
         if SERDE_TRAITS.iter().any(|name| derived.contains(name)) {
-            let message =
-                "serde derives stand in record and orchestrator only: give the file format a type of its own there";
+            let message = "serde derives stand in setup, cell, record and orchestrator only: give the file format a type of its own there";
             violations.push(Violation::at(path, line_at(code, at), "serde", message));
         }
     }
@@ -237,6 +293,8 @@ mod tests {
     fn backends_and_derives_are_caught() {
         assert_eq!(rules("crates/servo/src/a.rs", "use pb3dp_arm_pa10::Mock;"), ["backend-named"]);
         assert!(rules("crates/orchestrator/src/wiring.rs", "use pb3dp_arm_pa10::Mock;").is_empty());
+        assert_eq!(rules("crates/orchestrator/src/commands/run.rs", "use pb3dp_arm_pa10::Mock;"), ["backend-named"]);
+        assert_eq!(rules("crates/cell/src/moving.rs", "use pb3dp_arm_pa10::Mock;"), ["backend-named"]);
         assert_eq!(rules("crates/servo/src/a.rs", "#[derive(Debug, serde::Serialize)]\nstruct A;"), ["serde"]);
         assert!(rules("crates/record/src/a.rs", "#[derive(Debug, Serialize)]\nstruct A;").is_empty());
     }

@@ -11,10 +11,10 @@ use pb3dp_arm_pa10_gateway::gateway::GatewayStatus;
 use pb3dp_arm_pa10_gateway::service::{BusOpener, Ending, GatewayServer, GatewayServerConfig, Happened, HostSide};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, GatewayState, StopCause};
 use pb3dp_hal_platform::signals::{StopSignal, StopSignals};
+use pb3dp_setup::gateway::{GatewaySetup, HostPlace, read_gateway};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use crate::cli::GatewayArgs;
-use crate::config::gateway::{GatewaySetup, HostPlace, read_gateway};
 
 /// How often the log is written.
 const LOOK: Duration = Duration::from_millis(50);

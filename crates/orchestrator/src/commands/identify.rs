@@ -9,22 +9,23 @@ use std::time::SystemTime;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand};
+use pb3dp_cell::flight::Moment;
+use pb3dp_cell::interruption::{INTERRUPTED, watch};
+use pb3dp_cell::swing::{self, Swung};
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::metrics::percentile;
 use pb3dp_servo::identification::{
     ArmResponseEstimate, BATCHES, CameraOnHand, Excitation, Interval, arm_response, exposure_offset,
 };
+use pb3dp_setup::region_spec::{REGION_HELP, RegionSpec};
+use pb3dp_setup::setup::{Setup, read_setup};
 use serde::Serialize;
 
 use super::arm::confirm;
 use super::estimate::output::print_line;
 use super::run::{accept_nominal, mark};
-use crate::config::setup::{Setup, read_setup};
-use crate::region_spec::{REGION_HELP, RegionSpec};
-use crate::run::flight::Moment;
-use crate::run::interruption::{INTERRUPTED, watch};
-use crate::run::swing::{self, Swung};
-use crate::wiring::{wire_at_rest, write_flights};
+use crate::logging::last_words;
+use crate::wiring::{Wired, wire_at_rest, write_flights};
 
 /// An arm that does what it is told, with dead time and lag, leaves less than this.
 const RESIDUAL_MAX_DEG: f64 = 0.01;
@@ -103,10 +104,10 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
     }
     // Before anything moves: what an arm says when it stops must find its place.
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
-    let mut parts = wire_at_rest(&setup, swing::duration(&motion))?;
+    let Wired { mut parts, monitors, .. } = wire_at_rest(&setup, swing::duration(&motion))?;
     let interrupt = Arc::clone(&parts.interrupt);
-    let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus))?;
-    let (clock, flights, monitors) = (Arc::clone(&parts.clock), parts.flights.clone(), parts.monitors.clone());
+    let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
+    let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
     let swung = swing::run(&setup, parts, motion);
     if let Err(failure) = &swung {
         let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };

@@ -16,10 +16,10 @@ use pb3dp_hal_api::Clock;
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_platform::realtime::Realtime;
 use pb3dp_kinematics::{DOF, JointVector};
+use pb3dp_setup::names::{FormatName, GeometryName};
 use pb3dp_sim::joint_dynamics::JointPlant;
 
 use super::typed_lines::typed_lines;
-use crate::config::names::{FormatName, GeometryName};
 use crate::wiring::MOCK_ARM;
 
 /// What `--fault`, scripts and standard input understand.

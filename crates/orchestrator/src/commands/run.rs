@@ -7,21 +7,22 @@ use std::sync::atomic::Ordering;
 use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result, anyhow, bail};
+use pb3dp_cell::channels::Plan;
+use pb3dp_cell::console::Console;
+use pb3dp_cell::experiment::{self, Ended};
+use pb3dp_cell::flight::Moment;
+use pb3dp_cell::interruption::{INTERRUPTED, watch};
+use pb3dp_cell::report;
+use pb3dp_cell::summary::{RunSummary, summarize};
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::dataset::SequenceWriter;
+use pb3dp_setup::region_spec::RegionSpec;
+use pb3dp_setup::setup::{CalibrationInUse, Pace, Setup, read_setup};
 
 use super::estimate::output::print_line;
 use crate::cli::{OperatorName, RunArgs};
-use crate::config::setup::{CalibrationInUse, Pace, Setup, read_setup};
-use crate::region_spec::RegionSpec;
-use crate::run::channels::Plan;
-use crate::run::console::Console;
-use crate::run::experiment::{self, Ended};
-use crate::run::flight::Moment;
-use crate::run::interruption::{INTERRUPTED, watch};
-use crate::run::report;
-use crate::run::summary::{RunSummary, summarize};
-use crate::wiring::{wire, write_flights};
+use crate::logging::last_words;
+use crate::wiring::{Wired, wire_watched, write_flights};
 
 /// A run in which the hand followed for a smaller share of the time is pointed out.
 const FOLLOWING_EXPECTED: f64 = 0.9;
@@ -47,7 +48,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     if let Some(folder) = &args.record {
         SequenceWriter::check_folder(folder).context("--record")?;
     }
-    let mut parts = wire(&setup)?;
+    let Wired { mut parts, monitors, .. } = wire_watched(&setup)?;
     if args.operator == OperatorName::Console {
         let lines = BufReader::new(std::io::stdin());
         let (clock, interrupt) = (Arc::clone(&parts.clock), Arc::clone(&parts.interrupt));
@@ -56,8 +57,8 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let plan = Plan::of(&setup.experiment.motion, &*parts.experiment);
     let started = Instant::now();
     let interrupt = Arc::clone(&parts.interrupt);
-    let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus))?;
-    let (clock, flights, monitors) = (Arc::clone(&parts.clock), parts.flights.clone(), parts.monitors.clone());
+    let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
+    let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
     let Ended { outcome, how } = experiment::conduct(&setup, parts, args.stop_after, args.record.as_deref())?;
     if let Err(failure) = &how {
         let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };

@@ -19,17 +19,19 @@ use pb3dp_arm_pa10_emulation::mock::{MockArm, MockArmConfig};
 use pb3dp_arm_pa10_emulation::mock_controller::{MockController, MockControllerConfig, Script, pa10_joints};
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10_protocol::gateway_protocol::Firmware;
+use pb3dp_cell::cell::{ArmSite, JointSource};
+use pb3dp_cell::flight::FLIGHT;
+use pb3dp_cell::parts::{ArmOnBus, DrivenArm, EmulatedArm, LinkCounts, LinkMonitor, StopOrder};
 use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
-use pb3dp_hal_middleware::{CoupledArmConfig, FlightLog, Guard, Limiter, Recorded, couple};
+use pb3dp_hal_middleware::{FlightLog, Guard, Limiter, Recorded, couple};
+use pb3dp_hal_platform::jitter::Jitter;
 use pb3dp_hal_platform::realtime::Realtime;
 use pb3dp_hal_platform::transport::Connector;
+use pb3dp_setup::setup::{ArmLink, ArmSetup, BusLinkConfig, GatewayWay, Setup};
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
 
+use super::greeting;
 use super::nominal::EMULATION;
-use super::{DrivenArm, greeting};
-use crate::config::setup::{ArmLink, ArmSetup, BusLinkConfig, GatewayWay, Setup};
-use crate::run::cell::{ArmSite, JointSource};
-use crate::run::flight::FLIGHT;
 
 /// By how much limits in a controller's EEPROM may differ from those of the robot description, degrees.
 pub const LIMITS_TOLERANCE_DEG: f64 = 0.5;
@@ -61,24 +63,44 @@ pub struct WiredArms {
     pub on_bus: Vec<ArmOnBus>,
 }
 
-/// An arm on a bus of this computer: nothing but this program stops it.
-pub struct ArmOnBus {
-    /// For messages.
-    pub name: &'static str,
-    /// Shows it.
-    pub monitor: ArmMonitor,
-    /// Stops it from anywhere.
-    pub trip: TripHandle,
-    /// How long its brakes take to close.
-    pub brake_time: Duration,
+/// The stop order of an arm on a bus, and whether it was heard.
+struct BusStop {
+    monitor: ArmMonitor,
+    trip: TripHandle,
 }
 
-impl ArmOnBus {
-    /// Whether its stop order is done and was heard, or none was needed.
-    pub fn is_stopped(&self) -> bool {
+impl StopOrder for BusStop {
+    fn is_done(&self) -> bool {
         let now = self.monitor.snapshot();
         let is_off = now.latched.is_some() || matches!(now.state, DriverState::Disconnected | DriverState::Connected);
         is_off && now.activity == Activity::None && !now.unheard
+    }
+
+    fn give(&self) {
+        self.trip.trip();
+    }
+}
+
+/// The link of a real or emulated arm.
+pub(super) struct MonitoredLink(pub ArmMonitor);
+
+impl LinkMonitor for MonitoredLink {
+    fn lateness(&self) -> Jitter {
+        self.0.jitter()
+    }
+
+    fn counts(&self) -> LinkCounts {
+        let counters = self.0.snapshot().counters;
+        LinkCounts { missed: counters.overruns, replies_lost: counters.lost }
+    }
+}
+
+/// An arm that is emulated in this process, in real time.
+pub(super) struct EmulatedServer(pub MockServer);
+
+impl EmulatedArm for EmulatedServer {
+    fn command_line(&self, line: &str) -> anyhow::Result<()> {
+        Ok(self.0.command_line(line)?)
     }
 }
 
@@ -100,7 +122,7 @@ pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>, time: Option<&Arc<Virtua
     let on_bus = [(vs_name, &setup.vs, &vs), (tc_name, &setup.tc, &tc)].into_iter().filter_map(arm_on_bus).collect();
     let (vs_guarded, vs_flight) = guarded(vs_wanted, vs.backend, vs.trip)?;
     let (tc_guarded, tc_flight) = guarded(tc_wanted, tc.backend, tc.trip)?;
-    let pair = ((vs_guarded, coupled_config(&setup.vs)), (tc_guarded, coupled_config(&setup.tc)));
+    let pair = ((vs_guarded, setup.vs.coupled()), (tc_guarded, setup.tc.coupled()));
     let (vs_coupled, tc_coupled) = couple(pair.0, pair.1, setup.least_room_m, clock).context("table [arms]")?;
     let monitors = [(vs_name, vs.monitor), (tc_name, tc.monitor)];
     Ok(WiredArms {
@@ -121,7 +143,8 @@ fn virtual_end((name, emulated): (&'static str, &Option<Emulation>)) -> Option<(
 
 fn arm_on_bus((name, arm, wired): (&'static str, &ArmSetup, &WiredBackend)) -> Option<ArmOnBus> {
     let ArmLink::Bus(BusLinkConfig { brake_time, .. }) = arm.link else { return None };
-    Some(ArmOnBus { name, monitor: wired.monitor.clone()?, trip: wired.trip.clone()?, brake_time })
+    let order = BusStop { monitor: wired.monitor.clone()?, trip: wired.trip.clone()? };
+    Some(ArmOnBus { name, order: Box::new(order), brake_time })
 }
 
 /// One arm alone, which knows nothing of the other one: for its commissioning. From the inside out: backend, recorder, guard, limiter.
@@ -186,20 +209,6 @@ fn limited<A: Arm + ArmPower + 'static>(wanted: Wanted<'_>, inner: A) -> Result<
     Ok(Box::new(limiter.with_context(|| format!("{}: limiter", wanted.name))?))
 }
 
-/// What the coupling has to know of an arm.
-pub(crate) fn coupled_config(arm: &ArmSetup) -> CoupledArmConfig {
-    CoupledArmConfig {
-        chain: arm.chain.clone(),
-        shape: arm.shape.clone(),
-        world_from_base: arm.world_from_base,
-        acceleration_max_rad_per_s2: arm.limiter.acceleration_max_rad_per_s2,
-        jerk_max_rad_per_s3: arm.limiter.jerk_max_rad_per_s3,
-        reaction_time: arm.limiter.reaction_time,
-        command_timeout: arm.limiter.command_timeout,
-        fade: arm.limiter.fade,
-    }
-}
-
 /// An arm whose backend is wired.
 struct WiredBackend {
     site: ArmSite,
@@ -252,7 +261,7 @@ fn wire_backend(wanted: Wanted<'_>, seat: TripSeat) -> Result<WiredBackend> {
 
 /// What leads to an arm, with the emulated arm and its joints if there is one at the other end; `None` if the arm is simulated in
 /// process.
-pub(super) fn line(wanted: Wanted<'_>) -> Result<Option<(Line<'_>, Option<EmulatedArm>)>> {
+pub(super) fn line(wanted: Wanted<'_>) -> Result<Option<(Line<'_>, Option<ArmAndPlant>)>> {
     Ok(Some(match &wanted.arm.link {
         ArmLink::InProcess => return Ok(None),
         ArmLink::Gateway(link, GatewayWay::Emulated) => {
@@ -271,7 +280,7 @@ pub(super) fn line(wanted: Wanted<'_>) -> Result<Option<(Line<'_>, Option<Emulat
 }
 
 /// An emulated arm and its joints.
-type EmulatedArm = (Emulation, SharedPlant);
+type ArmAndPlant = (Emulation, SharedPlant);
 
 type SharedPlant = Arc<Mutex<JointPlant>>;
 

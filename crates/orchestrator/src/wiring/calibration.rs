@@ -6,8 +6,7 @@ use std::time::{Duration, SystemTime};
 use anyhow::{Result, bail};
 use pb3dp_camera_v4l2::controls::Focus;
 use pb3dp_record::calibration_files::{CameraIdentity, Judgement};
-
-use crate::config::setup::{AGE, CAMERAS, CalibrationInUse, rounded};
+use pb3dp_setup::setup::{AGE, CAMERAS, CalibrationInUse, rounded};
 
 const DAY: Duration = Duration::from_secs(86_400);
 

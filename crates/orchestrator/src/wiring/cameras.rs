@@ -9,10 +9,10 @@ use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_camera_v4l2::{ReopeningCamera, Side, StereoConfig};
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
 use pb3dp_record::calibration_files::CameraIdentity;
+use pb3dp_setup::setup::{RealCameras, Setup, Synchronisation};
 
 use super::calibration::{identity, look_at_cameras};
 use crate::commands::pair::check_pictures;
-use crate::config::setup::{RealCameras, Setup, Synchronisation};
 
 /// Some cameras take a second or two to begin; none takes longer.
 const FIRST_PAIR_WITHIN: Duration = Duration::from_secs(10);
@@ -146,9 +146,9 @@ mod tests {
     use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem};
     use pb3dp_geometry::ImageSize;
     use pb3dp_hal_clock::VirtualClock;
+    use pb3dp_setup::setup::read_cameras;
 
     use super::*;
-    use crate::config::setup::read_cameras;
 
     /// What is told of the drift of two cameras, the right one slower by this, with the number of the pair at which it is told.
     fn told(synchronisation: Synchronisation, slowness: f64, pairs: u64) -> Vec<(u64, String)> {

@@ -7,69 +7,19 @@ use pb3dp_arm_pa10::arm::{ArmMonitor, Pa10Arm};
 use pb3dp_arm_pa10::driver::{FaultCause, LimitsCheck, Trip};
 use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, SocketAddr};
 use pb3dp_arm_pa10_protocol::gateway_protocol::StopCause;
+use pb3dp_cell::parts::{ArmChoice, DrivenArm};
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_middleware::{FlightLog, StartPose};
 use pb3dp_hal_platform::tcp::TcpConfig;
-use pb3dp_kinematics::{JointLimits, JointVector};
+use pb3dp_kinematics::JointLimits;
+use pb3dp_setup::setup::{ArmLink, GatewayWay, Setup};
 
-use super::DrivenArm;
 use super::arm::{AloneArm, Wanted, WiredArms, alone, connect, emulate, line, wire_alone, wire_arms};
-use crate::config::setup::{ArmLink, ArmSetup, GatewayWay, Setup};
 
 pub use super::arm::LIMITS_TOLERANCE_DEG;
 
 /// Largest share of the joints' speeds in commissioning.
 const SPEED_SCALE_MAX: f64 = 0.10;
-
-/// Which arm of a cell.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ArmChoice {
-    /// The one with the cameras.
-    Vs,
-    /// The one with the target.
-    Tc,
-}
-
-impl ArmChoice {
-    /// The name in messages.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Vs => "vs-robot",
-            Self::Tc => "tc-robot",
-        }
-    }
-
-    /// The name of its table in a setup.
-    pub fn table(self) -> &'static str {
-        match self {
-            Self::Vs => "arms.vs",
-            Self::Tc => "arms.tc",
-        }
-    }
-
-    /// The other one.
-    pub fn other(self) -> Self {
-        match self {
-            Self::Vs => Self::Tc,
-            Self::Tc => Self::Vs,
-        }
-    }
-
-    /// Its part of a setup.
-    pub fn of(self, setup: &Setup) -> &ArmSetup {
-        match self {
-            Self::Vs => &setup.vs,
-            Self::Tc => &setup.tc,
-        }
-    }
-
-    fn of_mut(self, setup: &mut Setup) -> &mut ArmSetup {
-        match self {
-            Self::Vs => &mut setup.vs,
-            Self::Tc => &mut setup.tc,
-        }
-    }
-}
 
 /// An arm that is only looked at. Its limits are read, not compared.
 pub struct SeenArm {
@@ -152,11 +102,6 @@ pub fn slow_setup(setup: &Setup, choice: ArmChoice, joint_max_rad_per_s: f64) ->
     arm.limiter.hard_limits = at_most(&arm.limiter.hard_limits, joint_max_rad_per_s)?;
     arm.guard.hard_limits = at_most(&arm.guard.hard_limits, joint_max_rad_per_s + RIPPLE_RAD_PER_S)?;
     Ok(slow)
-}
-
-/// Largest joint speeds of a setup, rad/s.
-pub fn speeds_rad_per_s(arm: &ArmSetup) -> JointVector {
-    arm.limiter.hard_limits.velocity_max_rad_per_s() * arm.limiter.speed_scale
 }
 
 /// Connects an arm of a [`slow_setup`], alone or beside the other one; brakes stay on.

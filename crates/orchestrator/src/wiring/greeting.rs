@@ -4,8 +4,7 @@ use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{Geometry, HelloReply};
-
-use crate::config::setup::BusLinkConfig;
+use pb3dp_setup::setup::BusLinkConfig;
 
 /// Writes down which gateway and arm answered, and warns of what nobody compares.
 pub(super) fn tell(name: &str, configured: Geometry, hello: &HelloReply) {

@@ -41,7 +41,7 @@ mod tests {
     #[test]
     fn the_shipped_rig_has_the_calibration_of_no_cameras_until_somebody_accepts_it() {
         let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/rig.toml");
-        let mut setup = crate::config::setup::read_setup(&file).unwrap();
+        let mut setup = pb3dp_setup::setup::read_setup(&file).unwrap();
         assert!(
             setup.nominal_calibration.as_ref().is_some_and(|says| says.starts_with("none: the numbers of the drawing"))
         );

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use clap::Parser;
 use pb3dp_orchestrator::cli::Cli;
-use pb3dp_orchestrator::config::gateway::read_gateway;
+use pb3dp_setup::gateway::read_gateway;
 use pb3dp_test_support::not_checked;
 
 use crate::cli::support::repository;

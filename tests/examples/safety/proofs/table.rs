@@ -1,15 +1,15 @@
 //! Which safeguard is shown by what.
 
-use pb3dp_orchestrator::config::setup::Carrier::{Arm, Nothing};
 use pb3dp_safeguards::Safeguard::{self, *};
 use pb3dp_servo::supervisor::Word;
+use pb3dp_setup::setup::Carrier::{Arm, Nothing};
 use pb3dp_sim::trajectory::Channel;
 
 use super::Proof;
 use crate::faults::Kind;
 use crate::scenario::{Dice, swing, there_and_back};
 
-type Motion = fn(&mut Dice) -> (pb3dp_sim::trajectory::MotionConfig, pb3dp_orchestrator::config::setup::Carrier);
+type Motion = fn(&mut Dice) -> (pb3dp_sim::trajectory::MotionConfig, pb3dp_setup::setup::Carrier);
 type Faults = fn(&mut Dice) -> Vec<(f64, f64, Kind)>;
 
 /// The hand follows a target that swings by itself, or on the other arm.

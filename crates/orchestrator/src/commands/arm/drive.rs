@@ -5,15 +5,15 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10_protocol::codec::Axis;
+use pb3dp_cell::parts::{ArmChoice, DrivenArm};
+use pb3dp_cell::plan::Plan;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmError, ArmErrorKind, Clock, JointCommand, JointState};
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::JointVector;
 
 use super::confirm::Interrupted;
-use super::plan::Plan;
-use crate::wiring::DrivenArm;
-use crate::wiring::commissioning::{ArmChoice, SlowArm};
+use crate::wiring::commissioning::SlowArm;
 
 /// Speed per angle by which a joint is behind its plan, 1/s.
 const GAIN_PER_S: f64 = 2.0;
@@ -184,9 +184,9 @@ mod tests {
     use pb3dp_hal_api::{Arm, ArmInfo, ArmPower, ArmState};
     use pb3dp_hal_clock::VirtualClock;
     use pb3dp_hal_middleware::{FlightLog, LimiterStatistics};
+    use pb3dp_setup::setup::read_setup;
 
     use super::*;
-    use crate::config::setup::read_setup;
     use crate::wiring::commissioning::OtherArm;
 
     /// Answers what it is told to, the last one first.

@@ -5,11 +5,12 @@ use std::time::SystemTime;
 
 use anyhow::{Context, Error, Result};
 use pb3dp_arm_pa10::arm::ArmMonitor;
+use pb3dp_cell::flight::{self, Flight, Moment};
+use pb3dp_cell::parts::ArmChoice;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_middleware::FlightLog;
 
-use crate::run::flight::{self, Flight, Moment};
-use crate::wiring::commissioning::{ArmChoice, SlowArm};
+use crate::wiring::commissioning::SlowArm;
 use crate::wiring::{line_facts, raw_lines};
 
 /// A moment as UTC in the form of RFC 3339, whole seconds.

@@ -5,7 +5,6 @@ pub(super) mod confirm;
 mod drive;
 mod flights;
 mod motion;
-pub(crate) mod plan;
 mod probe;
 mod probe_report;
 mod reset;
@@ -16,8 +15,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Subcommand, ValueEnum};
 use pb3dp_arm_pa10_emulation::line::mock_server::SocketAddr;
-
-use crate::wiring::commissioning::ArmChoice;
+use pb3dp_cell::parts::ArmChoice;
 
 /// Arguments of `pb3dp arm`.
 #[derive(Debug, Args)]

@@ -6,20 +6,21 @@ use std::sync::Arc;
 use std::time::SystemTime;
 
 use anyhow::{Context, Result, bail};
+use pb3dp_cell::live::enter_control_thread;
+use pb3dp_cell::parts::ArmChoice;
+use pb3dp_cell::plan::Plan;
 use pb3dp_hal_api::{Clock, JointCommand, JointState};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::{DOF, JointVector};
+use pb3dp_setup::setup::{ArmLink, Setup, read_setup};
 use serde::{Deserialize, Serialize};
 
 use super::drive::{self, Cycle, Drive};
 use super::flights::{self, folder_of};
-use super::plan::Plan;
 use super::{MotionArgs, Place, confirm};
 use crate::commands::estimate::output::print_line;
-use crate::config::setup::{ArmLink, Setup, read_setup};
-use crate::run::live::enter_control_thread;
-use crate::wiring::commissioning::{ArmChoice, SlowArm, set_line, slow_setup, wire_slow};
+use crate::wiring::commissioning::{SlowArm, set_line, slow_setup, wire_slow};
 
 /// Of a jog, for every joint: the speed of the first motion in the checklist of the rig.
 pub const JOG_RAD_PER_S: f64 = 0.02;

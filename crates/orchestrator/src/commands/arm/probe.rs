@@ -6,11 +6,11 @@ use std::sync::Arc;
 use anyhow::Result;
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_clock::SystemClock;
+use pb3dp_setup::setup::read_setup;
 
 use super::ProbeArgs;
 use super::probe_report::{Findings, ProbeReport};
 use crate::commands::estimate::output::print_line;
-use crate::config::setup::read_setup;
 use crate::wiring::commissioning::see;
 
 /// Runs the command.

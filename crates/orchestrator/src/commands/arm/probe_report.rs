@@ -6,11 +6,12 @@ use pb3dp_arm_pa10::arm::{ArmMonitor, ArmSnapshot};
 use pb3dp_arm_pa10::driver::{ArmCondition, AxisLimits, FaultCause, Trip};
 use pb3dp_arm_pa10_protocol::codec::{Axis, AxisStatus, CommStatus, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, HelloReply};
+use pb3dp_cell::parts::ArmChoice;
 use pb3dp_hal_platform::jitter::Jitter;
+use pb3dp_setup::setup::{ArmLink, ArmSetup};
 use serde::Serialize;
 
-use crate::config::setup::{ArmLink, ArmSetup};
-use crate::wiring::commissioning::{ArmChoice, LIMITS_TOLERANCE_DEG, is_of_another_format};
+use crate::wiring::commissioning::{LIMITS_TOLERANCE_DEG, is_of_another_format};
 use crate::wiring::{bus_doubts, geometry_doubt, watchdog_refusal};
 
 /// Lost messages in a hundred that a link may have.

@@ -7,10 +7,10 @@ use anyhow::Result;
 use pb3dp_hal_api::{ArmPower, Clock};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_platform::signals::StopSignals;
+use pb3dp_setup::setup::read_setup;
 
 use super::{Place, confirm};
 use crate::commands::estimate::output::print_line;
-use crate::config::setup::read_setup;
 use crate::wiring::commissioning::see;
 
 /// Runs the command.

@@ -8,6 +8,11 @@ use std::time::{Duration, SystemTime};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use pb3dp_cell::flight::Moment;
+use pb3dp_cell::interruption::{INTERRUPTED, watch};
+use pb3dp_cell::parts::{ArmChoice, Parts};
+use pb3dp_cell::plan::Plan;
+use pb3dp_cell::visiting::{self, Tour, Visited};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Flange};
 use pb3dp_hal_api::{Arm, JointCommand};
@@ -15,18 +20,15 @@ use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::{Damping, JointVector, reach};
 use pb3dp_record::calibration_files::save_cameras;
 use pb3dp_record::stops::{ArmOfPoses, STOPS_FILE, WantedPoses, load_poses};
+use pb3dp_setup::setup::{Setup, read_setup};
 use pb3dp_sim::targets::TargetConfig;
 
 use super::confirm;
-use super::plan::Plan;
 use crate::cli::parse_seconds;
 use crate::commands::estimate::output::print_line;
-use crate::config::setup::{Setup, read_setup};
-use crate::run::flight::Moment;
-use crate::run::interruption::{INTERRUPTED, watch};
-use crate::run::visiting::{self, Tour, Visited};
-use crate::wiring::commissioning::{ArmChoice, slow_setup};
-use crate::wiring::{Parts, wire_to_look, write_flights};
+use crate::logging::last_words;
+use crate::wiring::commissioning::slow_setup;
+use crate::wiring::{Wired, wire_to_look, write_flights};
 
 /// Of every joint, as on the way home.
 const JOINT_MAX_RAD_PER_S: f64 = 0.1;
@@ -82,10 +84,10 @@ pub(super) fn run(args: &VisitArgs) -> Result<ExitCode> {
     let patience = Duration::from_secs_f64(args.patience);
     let date = humantime::format_rfc3339_seconds(SystemTime::now()).to_string();
     // Arms and cameras are connected; all brakes stay on.
-    let mut parts = wire_to_look(&setup, patience)?;
+    let Wired { mut parts, monitors, .. } = wire_to_look(&setup, patience)?;
     let cameras = parts.cameras.clone();
     let Some(wanted) = wanted else {
-        let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus))?;
+        let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
         std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
         visiting::look_here(&setup, parts, patience, &args.out, date)?;
         save_identities(args, cameras.as_ref())?;
@@ -109,8 +111,8 @@ pub(super) fn run(args: &VisitArgs) -> Result<ExitCode> {
     }
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
     save_identities(args, cameras.as_ref())?;
-    let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus))?;
-    let (clock, flights, monitors) = (Arc::clone(&parts.clock), parts.flights.clone(), parts.monitors.clone());
+    let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
+    let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
     let visited = visiting::run(&setup, parts, &tour, &args.out, date);
     if let Err(failure) = &visited {
         let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };

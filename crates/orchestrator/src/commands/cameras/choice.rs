@@ -14,10 +14,10 @@ use pb3dp_camera_v4l2::{CameraConfig, StereoConfig};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::{ImageSize, StereoRig};
 use pb3dp_record::calibration_files::load_stereo;
+use pb3dp_setup::region_spec::RegionSpec;
+use pb3dp_setup::setup::{interval, read_cameras, read_search_range};
 
 use crate::commands::rig::numbers::{millis, number, size};
-use crate::config::setup::{interval, read_cameras, read_search_range};
-use crate::region_spec::RegionSpec;
 
 /// Speed of the target for which messages tell what a skew costs, where no setup says another one, m/s.
 const SPEED_M_PER_S: f64 = 0.1;

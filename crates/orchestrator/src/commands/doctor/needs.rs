@@ -4,10 +4,9 @@ use std::path::{Path, PathBuf};
 
 use pb3dp_arm_pa10::arm::{BusTarget, REALTIME};
 use pb3dp_camera_v4l2::names::CameraName;
-
-use crate::config::gateway::{HostPlace, read_gateway};
-use crate::config::load::{ConfigError, FileKind, kind_of};
-use crate::config::setup::{ArmLink, GatewayWay, Pace, Setup, read_setup};
+use pb3dp_setup::gateway::{HostPlace, read_gateway};
+use pb3dp_setup::load::{ConfigError, FileKind, kind_of};
+use pb3dp_setup::setup::{ArmLink, GatewayWay, Pace, Setup, read_setup};
 
 /// What is needed.
 #[derive(Clone, Debug, PartialEq)]

@@ -11,9 +11,9 @@ use pb3dp_geometry::StereoRig;
 use pb3dp_record::calibration_files::load_stereo_for;
 use pb3dp_record::dataset::{self, Case, load_case};
 use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
+use pb3dp_setup::region_spec::load_region;
 
 use crate::cli::{EstimateArgs, MethodArgs};
-use crate::region_spec::load_region;
 
 /// Everything that an estimate needs, in memory.
 pub struct Job {

@@ -10,6 +10,8 @@ use std::process::ExitCode;
 
 use anyhow::{Result, bail};
 use nalgebra::Vector2;
+use pb3dp_cell::cpu_time::{timed, within};
+use pb3dp_cell::picture::{Annotation, annotate, model_frame_on_plane, polygon_px};
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation_core::estimate::{PlaneEstimate, ReferenceOptimum, SecondPlane};
 use pb3dp_estimation_core::region::{Region, RegionConfig};
@@ -17,15 +19,13 @@ use pb3dp_estimation_core::status::Status;
 use pb3dp_record::dataset::{find_cases, load_case};
 use pb3dp_record::images::{PictureFormat, save};
 use pb3dp_record::metrics::{self, DisparityAgreement, EvaluatedCase, Group, compare_plane, table};
+use pb3dp_setup::estimator::read_estimator;
 
 use self::job::{Job, pair_name};
 use self::output::{EstimateLine, print_line};
 use self::rigs::Rigs;
 use super::pair::{check_pictures, make_overlay_folder};
 use crate::cli::{EstimateArgs, MethodArgs};
-use crate::config::estimator::read_estimator;
-use crate::cpu_time::{timed, within};
-use crate::picture::{Annotation, annotate, model_frame_on_plane, polygon_px};
 
 /// Runs the command. The exit code is a failure if a case could not be worked on; all others are worked on all the same.
 ///

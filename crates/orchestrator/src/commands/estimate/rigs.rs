@@ -4,10 +4,10 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
+use pb3dp_cell::cpu_time::timed;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method, RowMeasurement};
 
 use super::job::Job;
-use crate::cpu_time::timed;
 
 /// What is known of the rigs so far, by their calibration files.
 #[derive(Default)]

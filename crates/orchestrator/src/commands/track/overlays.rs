@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
+use pb3dp_cell::picture::{Annotation, annotate, polygon_px};
 use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::FramePair;
 use pb3dp_record::images::{PictureFormat, save};
@@ -11,7 +12,6 @@ use pb3dp_record::overlay::{Animation, AnimationLimits};
 use super::super::pair::make_overlay_folder;
 use super::walk::{Found, Outcome};
 use crate::cli::MethodArgs;
-use crate::picture::{Annotation, annotate, polygon_px};
 
 /// Pictures per frame and one animated picture of all, if they are wanted.
 pub struct Overlays {

@@ -3,6 +3,8 @@
 use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use nalgebra::Vector2;
+use pb3dp_cell::cpu_time::{timed, within};
+use pb3dp_cell::follower::Follower;
 use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
@@ -13,14 +15,12 @@ use pb3dp_geometry::{Pose, StereoRig};
 use pb3dp_hal_api::FramePair;
 use pb3dp_record::dataset::Sequence;
 use pb3dp_record::images::size_of;
+use pb3dp_setup::region_spec::{RegionSpec, load_region};
 
 use super::super::estimate::estimator_config;
 use super::super::estimate::job::{overridden, range_of_dataset};
 use super::super::pair::check_pictures;
 use crate::cli::TrackArgs;
-use crate::cpu_time::{timed, within};
-use crate::follower::Follower;
-use crate::region_spec::{RegionSpec, load_region};
 
 /// All targets of a sequence.
 pub struct Walk {

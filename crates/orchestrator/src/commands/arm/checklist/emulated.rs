@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use pb3dp_arm_pa10_emulation::line::mock_server::MockServer;
+use pb3dp_cell::parts::ArmChoice;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::JointVector;
 
@@ -11,7 +12,6 @@ use super::super::confirm::Console;
 use super::operator::{Act, Operator, Question};
 use super::steps::REST_RAD_PER_S;
 use crate::commands::estimate::output::print_line;
-use crate::wiring::commissioning::ArmChoice;
 
 /// What eyes can tell, rad.
 const SEEN_WITHIN_RAD: f64 = 0.01;

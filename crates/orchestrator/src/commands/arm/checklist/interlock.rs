@@ -1,9 +1,9 @@
 //! Two arms: the emergency stop of the one that holds stops the one that moves.
 
 use anyhow::{Context, Result};
+use pb3dp_cell::plan::Plan;
 use pb3dp_hal_api::{ArmState, JointCommand};
 
-use super::super::plan::Plan;
 use super::operator::{Act, Question};
 use super::record::StepReport;
 use super::session::{Session, refuses_motion};

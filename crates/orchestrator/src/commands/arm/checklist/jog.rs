@@ -1,9 +1,9 @@
 //! One axis, there and back.
 
 use anyhow::{Context, Result};
+use pb3dp_cell::plan::STAYED_WITHIN_RAD;
 use pb3dp_hal_api::JointCommand;
 
-use super::super::plan::STAYED_WITHIN_RAD;
 use super::operator::Question;
 use super::record::StepReport;
 use super::session::{Seen, Session};

@@ -22,9 +22,12 @@ use clap::{Args, ValueEnum};
 use pb3dp_arm_pa10::arm::ArmSnapshot;
 use pb3dp_arm_pa10_emulation::line::mock_server::SocketAddr;
 use pb3dp_arm_pa10_protocol::codec::Axis;
+use pb3dp_cell::live::enter_control_thread;
+use pb3dp_cell::parts::ArmChoice;
 use pb3dp_hal_api::{Clock, JointCommand};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_platform::signals::StopSignals;
+use pb3dp_setup::setup::{ArmLink, GatewayWay, Setup, read_setup};
 use sha2::{Digest, Sha256};
 
 use self::emulated::Emulated;
@@ -40,9 +43,7 @@ use super::probe_report::GatewayFacts;
 use super::{Company, Place, parse_jog};
 use crate::commands::estimate::output::print_line;
 use crate::commands::run::machine;
-use crate::config::setup::{ArmLink, GatewayWay, Setup, read_setup};
-use crate::run::live::enter_control_thread;
-use crate::wiring::commissioning::{ArmChoice, emulate_at_address, see, set_line, slow_setup};
+use crate::wiring::commissioning::{emulate_at_address, see, set_line, slow_setup};
 
 /// Of the form of the report.
 const REPORT_FORMAT: u32 = 1;

@@ -4,12 +4,12 @@ use std::time::Duration;
 
 use anyhow::{Result, bail};
 use pb3dp_arm_pa10_protocol::codec::Axis;
+use pb3dp_cell::parts::ArmChoice;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::JointVector;
 
 use super::super::confirm::{Console, Line};
 use crate::commands::estimate::output::print_line;
-use crate::wiring::commissioning::ArmChoice;
 
 /// Something that a hand does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

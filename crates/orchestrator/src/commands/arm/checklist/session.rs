@@ -10,22 +10,23 @@ use pb3dp_arm_pa10::driver::Latched;
 use pb3dp_arm_pa10_emulation::line::mock_server::SocketAddr;
 use pb3dp_arm_pa10_protocol::codec::Axis;
 use pb3dp_arm_pa10_protocol::gateway_protocol::HelloReply;
+use pb3dp_cell::parts::ArmChoice;
+use pb3dp_cell::plan::Plan;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::JointVector;
+use pb3dp_setup::setup::Setup;
 
 use super::super::confirm::Interrupted;
 use super::super::drive::{self, Cycle, Drive};
-use super::super::plan::Plan;
 use super::super::{Place, flights};
 use super::operator::{Act, Operator, Question};
 use super::record::{Answer, StepReport};
 use super::steps::{OVER_SPEED, Step, WRONG_WAY_DEG};
 use crate::commands::arm::motion::JOG_RAD_PER_S;
 use crate::commands::estimate::output::print_line;
-use crate::config::setup::Setup;
-use crate::wiring::commissioning::{ArmChoice, SlowArm, wire_slow};
+use crate::wiring::commissioning::{SlowArm, wire_slow};
 
 /// The share of a move's duration at which the operator is to act.
 const ACT_AT: f64 = 0.35;
@@ -431,7 +432,7 @@ pub fn is_interruption(error: &anyhow::Error) -> bool {
 }
 
 /// Whether an arm refuses to be switched on and to be moved; an arm that does not is stopped again.
-pub fn refuses_motion(report: &mut StepReport, when: &str, arm: &mut dyn crate::wiring::DrivenArm) {
+pub fn refuses_motion(report: &mut StepReport, when: &str, arm: &mut dyn pb3dp_cell::parts::DrivenArm) {
     let enabled = arm.enable();
     let moved = arm.exchange(JointCommand::Velocity(JointVector::zeros()));
     if enabled.is_ok() {

@@ -1,15 +1,15 @@
 //! What pictures are like: exposure, sharpness, and whether the rows of both belong together.
 
 use image::RgbImage;
+use pb3dp_cell::picture_quality::{
+    EDGE_MIN_GREY, EDGES_MIN, Exposure, MATCHES_MIN, RowMeter, blur_of, brighter_by_percent, softer_by_px,
+};
 use pb3dp_estimation::estimator::RowMeasurement;
 use pb3dp_estimation::pair_check::{PairCheck, PairVerdict, check_pair};
 use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::FramePair;
 
 use super::finding::{Finding, Limits};
-use crate::picture_quality::{
-    EDGE_MIN_GREY, EDGES_MIN, Exposure, MATCHES_MIN, RowMeter, blur_of, brighter_by_percent, softer_by_px,
-};
 
 /// Share of such pixels, percent: a lamp or its reflection, a black background.
 const BRIGHT_MAX_PERCENT: f64 = 2.0;
@@ -197,10 +197,10 @@ fn rows(samples: &[FramePair], rig: Option<&StereoRig>) -> Finding {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use image::Rgb;
 
     use super::super::super::emulated_rig::{case, pictures};
+    use super::*;
 
     fn pair(left: RgbImage, right: RgbImage) -> FramePair {
         FramePair { left, right, ..FramePair::black(pb3dp_geometry::ImageSize { width: 1, height: 1 }) }

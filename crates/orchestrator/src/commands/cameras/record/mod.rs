@@ -19,6 +19,7 @@ use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::calibration_files::save_cameras;
 use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter};
 use pb3dp_record::images::PictureFormat;
+use pb3dp_setup::region_spec::RegionSpec;
 use serde::Serialize;
 
 use self::recorder::{Failure, Missing, Outcome, Plan, record};
@@ -27,7 +28,6 @@ use super::stop_requested;
 use crate::cli::{ZRange, parse_seconds, parse_tilt, parse_z_range};
 use crate::commands::doctor::free_bytes;
 use crate::commands::estimate::output::print_line;
-use crate::region_spec::RegionSpec;
 use crate::wiring::calibration::identity;
 
 /// What the exit code and `--json` say.

@@ -1,0 +1,174 @@
+//! What a run captures: pairs of pictures, or the truth with noise; and what was true of each of them.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use pb3dp_camera_sim::{GeometricCamera, GeometricFrame};
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{CamLeft, Target};
+use pb3dp_hal_api::{CameraError, CameraErrorKind, FramePair, StereoCamera};
+use pb3dp_servo::supervisor::FrameInput;
+use pb3dp_setup::setup::Setup;
+
+use super::cell::SimulatedCell;
+use super::eyes::Sight;
+use super::halves::Capture;
+use super::losses::Losses;
+
+/// One frame, on its way to those who look at it and to those who keep it.
+#[derive(Clone, Debug)]
+pub struct Captured {
+    /// Number and times.
+    pub frame: FrameInput,
+    /// The truth at the time of the exposure; none with real cameras.
+    pub cam_left_from_target: Option<Pose<CamLeft, Target>>,
+    /// What is to be looked at.
+    pub view: View,
+}
+
+/// What is to be looked at.
+#[derive(Clone, Debug)]
+pub enum View {
+    /// Two pictures.
+    Pictures(Arc<FramePair>),
+    /// The truth with noise.
+    Geometric(Box<GeometricFrame>),
+}
+
+/// A camera, and what it has delivered.
+pub struct Capturing {
+    camera: Camera,
+    cell: SimulatedCell,
+    has_truth: bool,
+    timeout: Duration,
+    pairs_lost: u64,
+    losses: Losses,
+}
+
+enum Camera {
+    Pictures(PictureCamera),
+    Geometric(Box<GeometricCamera>),
+}
+
+struct PictureCamera {
+    camera: Box<dyn StereoCamera>,
+    /// The pair before; black before the first one.
+    before: Arc<FramePair>,
+    /// Pairs that were made so far: those that nobody holds any more are used again.
+    pool: Vec<Arc<FramePair>>,
+    /// Whether two pictures of the same scene differ.
+    has_noise: bool,
+}
+
+impl Capturing {
+    /// A camera that has delivered nothing yet.
+    pub fn new(setup: &Setup, sight: Sight, cell: SimulatedCell) -> Self {
+        let camera = match sight {
+            Sight::Pictures(camera) => Camera::Pictures(PictureCamera {
+                before: Arc::new(FramePair::black(camera.info().size)),
+                pool: Vec::new(),
+                has_noise: setup.real_cameras.is_some()
+                    || setup.sensor.read_noise_grey > 0.0
+                    || setup.sensor.shot_noise_grey > 0.0,
+                camera,
+            }),
+            Sight::Geometric(camera) => Camera::Geometric(camera),
+        };
+        let (timeout, has_truth) = (setup.camera.period * 2, setup.real_cameras.is_none());
+        Self { camera, cell, has_truth, timeout, pairs_lost: 0, losses: Losses::default() }
+    }
+
+    /// Pairs that the camera could not deliver.
+    pub fn pairs_lost(&self) -> u64 {
+        self.pairs_lost
+    }
+
+    /// If the frame does not come, or a picture is the one before, byte for byte: noise makes no picture twice, so the camera is frozen,
+    /// whatever its numbers and times say.
+    fn wait(&mut self) -> Result<(FrameInput, View), CameraError> {
+        match &mut self.camera {
+            Camera::Pictures(camera) => camera.wait(self.timeout),
+            Camera::Geometric(camera) => {
+                let frame = camera.next_frame(self.timeout)?;
+                if !frame.is_new {
+                    return Err(frozen(frame.sequence, "both pictures are"));
+                }
+                let skew_s = frame.skew_nanos as f64 * 1e-9;
+                let input = FrameInput { sequence: frame.sequence, at: frame.exposed_at, skew_s };
+                Ok((input, View::Geometric(Box::new(frame))))
+            }
+        }
+    }
+}
+
+impl Capture for Capturing {
+    type Frame = Captured;
+
+    fn capture(&mut self) -> Result<Option<Captured>> {
+        match self.wait() {
+            Ok((frame, view)) => {
+                if let Some(line) = self.losses.pair_has_come() {
+                    tracing::info!("{line}");
+                }
+                let cam_left_from_target = self.has_truth.then(|| {
+                    let world_from_cam_left = self.cell.world_from_cam_left_at(frame.at);
+                    world_from_cam_left.inverse() * self.cell.world_from_target_at(frame.at)
+                });
+                Ok(Some(Captured { frame, cam_left_from_target, view }))
+            }
+            Err(error) if matches!(error.kind(), CameraErrorKind::Timeout | CameraErrorKind::BadPair) => {
+                self.pairs_lost += 1;
+                if let Some(line) = self.losses.add(&error.to_string()) {
+                    tracing::warn!("{line}");
+                }
+                Ok(None)
+            }
+            Err(error) => Err(error).context("camera"),
+        }
+    }
+
+    fn input(frame: &Captured) -> FrameInput {
+        frame.frame
+    }
+}
+
+fn frozen(sequence: u64, which: &str) -> CameraError {
+    let message = format!(
+        "camera: {which} the same as before, byte for byte, in pair {sequence}: it is frozen, or sees nothing at all; look after it"
+    );
+    CameraError::new(CameraErrorKind::BadPair, message)
+}
+
+impl PictureCamera {
+    fn wait(&mut self, timeout: Duration) -> Result<(FrameInput, View), CameraError> {
+        let mut taken = self.free_pair();
+        let Some(pair) = Arc::get_mut(&mut taken) else {
+            return Err(CameraError::new(CameraErrorKind::Unusable, "camera: a pair without an owner is held twice"));
+        };
+        let came = self.camera.next_pair_into(pair, timeout);
+        self.pool.push(Arc::clone(&taken));
+        // What is in the buffer after an error may be anything.
+        came?;
+        let before = std::mem::replace(&mut self.before, Arc::clone(&taken));
+        let FramePair { sequence, exposed_at, skew_nanos, .. } = *taken;
+        // Pictures that differ do so in their first pixels: this costs nothing.
+        let same = [taken.left == before.left, taken.right == before.right];
+        match same.map(|same| same && self.has_noise) {
+            [true, true] => return Err(frozen(sequence, "both pictures are")),
+            [true, false] => return Err(frozen(sequence, "the left picture is")),
+            [false, true] => return Err(frozen(sequence, "the right picture is")),
+            [false, false] => (),
+        }
+        let input = FrameInput { sequence, at: exposed_at, skew_s: skew_nanos as f64 * 1e-9 };
+        Ok((input, View::Pictures(taken)))
+    }
+
+    /// A pair that nobody holds, taken out of the pool; a new one if there is none.
+    fn free_pair(&mut self) -> Arc<FramePair> {
+        match self.pool.iter_mut().position(|pair| Arc::get_mut(pair).is_some()) {
+            Some(index) => self.pool.swap_remove(index),
+            None => Arc::new(FramePair::black(self.camera.info().size)),
+        }
+    }
+}

@@ -1,0 +1,113 @@
+//! Methods that look on: they get the same pairs as the method that leads the hand, and have no say in where it goes.
+
+use std::time::Instant;
+
+use anyhow::Result;
+use nalgebra::Vector3;
+use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
+use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::region::Region;
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{CamLeft, Target};
+use pb3dp_hal_api::FramePair;
+use pb3dp_setup::setup::Setup;
+
+use super::log::{FrameSample, MethodLog};
+use crate::follower::Follower;
+
+/// One method that looks on.
+pub struct Onlooker {
+    method: Method,
+    follower: Follower,
+    log: MethodLog,
+}
+
+impl Onlooker {
+    /// The methods that a setup compares with the leading one.
+    ///
+    /// # Errors
+    /// A parameter of a method out of its range.
+    pub fn all_of(setup: &Setup) -> Result<Vec<Self>> {
+        let onlooker = |&method: &Method| {
+            let tracker = Tracker::new(method, &setup.rig, &setup.estimator)?;
+            Ok(Self { method, follower: Follower::new(tracker, setup.range), log: MethodLog::new(method) })
+        };
+        setup.compared.iter().map(onlooker).collect()
+    }
+
+    /// Looks at a pair: at the first with the operator's region, later with the known motion of the camera. What it can not
+    /// work on is written down as an error and leaves the run alone.
+    pub fn look(&mut self, pair: &FramePair, frame: &Frame<'_>) {
+        let started = Instant::now();
+        let outcome = self.follower.look(&pair.left, &pair.right, frame.region, frame.prior);
+        let latency_millis = started.elapsed().as_secs_f64() * 1e3;
+        match outcome {
+            Ok(estimate) => self.log.push(frame, &estimate, latency_millis),
+            Err(error) => {
+                tracing::warn!("{}, which looks on: {error}", self.method);
+                self.log.push_error(frame, latency_millis);
+            }
+        }
+    }
+
+    /// What it has seen.
+    pub fn into_log(self) -> MethodLog {
+        self.log
+    }
+}
+
+/// One pair and what is known about it.
+pub struct Frame<'a> {
+    /// Seconds since the experiment began.
+    pub t_s: f64,
+    /// What the operator marks in the first pair.
+    pub region: Option<&'a Region>,
+    /// What is known of it beforehand: the motion of the camera since the pair before, from the joints, and the time.
+    pub prior: &'a FramePrior,
+    /// The truth, if there is one.
+    pub cam_left_from_target: Option<Pose<CamLeft, Target>>,
+}
+
+/// Depth error (metres, on the ray of the estimated origin) and angle between the normals (radians) of an estimate.
+pub fn plane_errors(estimate: &TrackEstimate, cam_left_from_target: &Pose<CamLeft, Target>) -> Option<(f64, f64)> {
+    let pose = estimate.cam_left_from_model?;
+    let away = cam_left_from_target.transform_vector(&Vector3::z());
+    let origin = pose.translation_m();
+    let true_depth_m = away.dot(&cam_left_from_target.translation_m()) / away.dot(&(origin / origin.z));
+    Some((origin.z - true_depth_m, pose.transform_vector(&Vector3::z()).angle(&away)))
+}
+
+impl MethodLog {
+    fn new(method: Method) -> Self {
+        Self { method: method.name().to_owned(), ..Self::default() }
+    }
+
+    /// Adds what a method says of a frame.
+    pub fn push(&mut self, frame: &Frame<'_>, estimate: &TrackEstimate, latency_millis: f64) {
+        let errors = frame.cam_left_from_target.as_ref().and_then(|truth| plane_errors(estimate, truth));
+        self.rotation_about_normal_observed |= estimate.rotation_about_normal_observed;
+        self.estimated.push(estimate.cam_left_from_model);
+        self.truth.extend(frame.cam_left_from_target.as_ref().map(Pose::relabel));
+        self.frames.push(FrameSample {
+            t_s: frame.t_s,
+            status: estimate.status.to_string(),
+            fitness: estimate.fitness,
+            depth_error_m: errors.map(|(depth_m, _)| depth_m),
+            normal_error_rad: errors.map(|(_, normal_rad)| normal_rad),
+            latency_millis,
+        });
+    }
+
+    fn push_error(&mut self, frame: &Frame<'_>, latency_millis: f64) {
+        self.estimated.push(None);
+        self.truth.extend(frame.cam_left_from_target.as_ref().map(Pose::relabel));
+        self.frames.push(FrameSample {
+            t_s: frame.t_s,
+            status: "error".to_owned(),
+            fitness: None,
+            depth_error_m: None,
+            normal_error_rad: None,
+            latency_millis,
+        });
+    }
+}

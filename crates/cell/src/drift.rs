@@ -1,0 +1,479 @@
+//! Whether the cameras still are what was calibrated, from what a run sees anyway.
+//!
+//! Every few seconds a pair is measured: by how much rows of the right picture are off, how much softer and brighter one eye is than the
+//! other one, and how far apart their exposures are. All four are zero where the calibration holds and both eyes are alike; where the
+//! file of the calibration says how unlike both eyes were when it was made, blur and brightness are what has come to that. The median of
+//! the newest looks is compared with its limit, so that a hand before a lens for a moment says nothing, and what is too far is told once.
+
+use std::collections::VecDeque;
+
+use pb3dp_estimation_core::error::EstimationError;
+use pb3dp_geometry::{MonotonicTime, StereoRig};
+use pb3dp_hal_api::FramePair;
+use pb3dp_record::calibration_files::Judgement;
+use pb3dp_record::report::Table;
+use pb3dp_setup::setup::DriftConfig;
+use serde::Serialize;
+
+use crate::picture_quality::{Exposure, MATCHES_MIN, RowMeter, blur_of, brighter_by_percent, softer_by_px};
+
+/// Looks whose median is judged.
+const LOOKS: usize = 5;
+/// What was too far is good again below this share of its limit: a value near it is not told over and over.
+const GOOD_SHARE: f64 = 0.8;
+
+/// What the pictures of a calibration were like, as far as its file says it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct WhenCalibrated {
+    /// 95 % of the rows were off by no more than this, pixels.
+    pub rows_px: Option<f64>,
+    /// Blur of one eye only, pixels; positive: of the right one.
+    pub focus_px: Option<f64>,
+    /// Difference in brightness, percent; positive: the right eye was brighter.
+    pub brightness_percent: Option<f64>,
+}
+
+impl WhenCalibrated {
+    /// Out of the measured numbers of a calibration, by the names that `pb3dp calibrate stereo` gives them.
+    pub fn of(judgement: &Judgement) -> Self {
+        let number = |name: &str| judgement.numbers.iter().find(|(key, _)| key == name).map(|(_, value)| *value);
+        Self {
+            rows_px: number("row_error_p95_px"),
+            focus_px: number("focus_difference_px"),
+            brightness_percent: number("brightness_difference_percent"),
+        }
+    }
+}
+
+/// What is measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Quantity {
+    Rows,
+    Focus,
+    Brightness,
+    Skew,
+}
+
+impl Quantity {
+    const ALL: [Self; 4] = [Self::Rows, Self::Focus, Self::Brightness, Self::Skew];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Rows => "rows of the right picture, where they are off most",
+            Self::Focus => "blur of one eye only (+: of the right one)",
+            Self::Brightness => "difference in brightness (+: the right eye is brighter)",
+            Self::Skew => "time between both exposures (+: the right one is later)",
+        }
+    }
+
+    fn unit(self) -> &'static str {
+        match self {
+            Self::Rows | Self::Focus => "px",
+            Self::Brightness => "%",
+            Self::Skew => "ms",
+        }
+    }
+
+    fn limit(self, config: &DriftConfig) -> f64 {
+        match self {
+            Self::Rows => config.rows_max_px,
+            Self::Focus => config.focus_max_px,
+            Self::Brightness => config.brightness_max_percent,
+            Self::Skew => config.skew_max.as_secs_f64() * 1e3,
+        }
+    }
+
+    fn advice(self) -> &'static str {
+        match self {
+            Self::Rows => {
+                "the cameras have moved against each other since they were calibrated (a knock, a loose screw, heat): screw them down, let \
+                 them warm up, and calibrate again"
+            }
+            Self::Focus => {
+                "one lens is dirty, or its focus has moved: clean it; a lens that was focused anew has to be calibrated again"
+            }
+            Self::Brightness => {
+                "one lens is dirty or shaded, or exposure, gain or aperture are not equal any more: `pb3dp cameras check` tells which"
+            }
+            Self::Skew => {
+                "one camera is triggered or stamped later than the other one: look after the trigger's line, and after stamp_delay_millis"
+            }
+        }
+    }
+}
+
+/// What was found of one quantity.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct DriftSummary {
+    /// What was measured.
+    pub quantity: &'static str,
+    /// Unit of all values.
+    pub unit: &'static str,
+    /// How often it could be measured.
+    pub looks: u64,
+    /// How often it could not: nothing with texture was in sight.
+    pub blind_looks: u64,
+    /// Median of the first looks; none of too few looks.
+    pub at_first: Option<f64>,
+    /// Median of the newest ones.
+    pub at_last: Option<f64>,
+    /// The median that was largest in magnitude.
+    pub worst: Option<f64>,
+    /// Magnitude that a median may have.
+    pub limit: f64,
+    /// What it was when the cameras were calibrated, if the file of the calibration says it: for rows what 95 % of them kept to.
+    pub when_calibrated: Option<f64>,
+}
+
+impl DriftSummary {
+    /// Whether it ever was farther off than it may be.
+    pub fn was_too_far(&self) -> bool {
+        self.worst.is_some_and(|worst| worst.abs() > self.limit)
+    }
+}
+
+/// One quantity over the run.
+struct Series {
+    quantity: Quantity,
+    newest: VecDeque<f64>,
+    is_told: bool,
+    summary: DriftSummary,
+}
+
+impl Series {
+    fn new(quantity: Quantity, (config, when_calibrated): (&DriftConfig, &WhenCalibrated)) -> Self {
+        let summary = DriftSummary {
+            quantity: quantity.name(),
+            unit: quantity.unit(),
+            looks: 0,
+            blind_looks: 0,
+            at_first: None,
+            at_last: None,
+            worst: None,
+            limit: quantity.limit(config),
+            when_calibrated: match quantity {
+                Quantity::Rows => when_calibrated.rows_px,
+                Quantity::Focus => when_calibrated.focus_px,
+                Quantity::Brightness => when_calibrated.brightness_percent,
+                Quantity::Skew => None,
+            },
+        };
+        Self { quantity, newest: VecDeque::with_capacity(LOOKS), is_told: false, summary }
+    }
+
+    /// One more look: what is to be said of it.
+    fn push(&mut self, value: Option<f64>) -> Option<String> {
+        let Some(value) = value.filter(|value| value.is_finite()) else {
+            self.summary.blind_looks += 1;
+            return None;
+        };
+        self.summary.looks += 1;
+        if self.newest.len() == LOOKS {
+            self.newest.pop_front();
+        }
+        self.newest.push_back(value);
+        if self.newest.len() < LOOKS {
+            return None;
+        }
+        let mut sorted: Vec<f64> = self.newest.iter().copied().collect();
+        sorted.sort_by(f64::total_cmp);
+        self.judge(sorted[LOOKS / 2])
+    }
+
+    fn judge(&mut self, median: f64) -> Option<String> {
+        let DriftSummary { limit, unit, quantity, .. } = self.summary;
+        self.summary.at_first.get_or_insert(median);
+        self.summary.at_last = Some(median);
+        if self.summary.worst.is_none_or(|worst| median.abs() > worst.abs()) {
+            self.summary.worst = Some(median);
+        }
+        let is_far = median.abs() > if self.is_told { GOOD_SHARE * limit } else { limit };
+        if is_far == self.is_told {
+            return None;
+        }
+        self.is_told = is_far;
+        let found = format!("{quantity}: {median:.2} {unit}, allowed are {limit:.2}");
+        Some(match is_far {
+            true => format!("the cameras are not any more what was calibrated: {found}; {}", self.quantity.advice()),
+            false => format!("the cameras are again what was calibrated: {found}"),
+        })
+    }
+}
+
+/// What looks at the cameras during a run.
+pub struct DriftWatch {
+    config: DriftConfig,
+    rows: RowMeter,
+    next_at: Option<MonotonicTime>,
+    all: [Series; 4],
+    /// Whether the cameras are to expose at the same time.
+    is_synchronous: bool,
+    when_calibrated: WhenCalibrated,
+}
+
+impl DriftWatch {
+    /// Has not looked yet. Of cameras that are not synchronous the skew is not looked at.
+    ///
+    /// # Errors
+    /// A rig that the method `direct` can not use.
+    pub fn new(
+        config: DriftConfig,
+        rig: &StereoRig,
+        (is_synchronous, when_calibrated): (bool, WhenCalibrated),
+    ) -> Result<Self, EstimationError> {
+        let all = Quantity::ALL.map(|quantity| Series::new(quantity, (&config, &when_calibrated)));
+        Ok(Self { config, rows: RowMeter::new(rig)?, next_at: None, all, is_synchronous, when_calibrated })
+    }
+
+    /// A pair that was exposed at this time: what there is to say of it, if it is time to look.
+    pub fn look(&mut self, at: MonotonicTime, skew_s: f64, pair: &FramePair) -> Vec<String> {
+        // A clock that was set back does not end the looks.
+        let is_due = self.next_at.is_none_or(|next_at| at >= next_at || next_at > at + self.config.every);
+        if !is_due {
+            return Vec::new();
+        }
+        self.next_at = Some(at + self.config.every);
+        let measured = self.rows.measure(pair).ok().filter(|measured| measured.matches >= MATCHES_MIN);
+        let eyes = [&pair.left, &pair.right];
+        let blurs_px = eyes.map(|picture| blur_of(&[picture]));
+        let values = [
+            measured.map(|measured| self.rows.worst_px(&measured)),
+            blurs_px[0].zip(blurs_px[1]).map(|(left, right)| {
+                added_blur_px(softer_by_px([left, right]), self.when_calibrated.focus_px.unwrap_or(0.0))
+            }),
+            Some(
+                brighter_by_percent(&eyes.map(|picture| Exposure::of(&[picture])))
+                    - self.when_calibrated.brightness_percent.unwrap_or(0.0),
+            ),
+            Some(skew_s * 1e3).filter(|_| self.is_synchronous),
+        ];
+        self.all.iter_mut().zip(values).filter_map(|(series, value)| series.push(value)).collect()
+    }
+
+    /// What was found.
+    pub fn summaries(self) -> Vec<DriftSummary> {
+        let [rows, focus, brightness, skew] = self.all.map(|series| series.summary);
+        let skew = Some(skew).filter(|_| self.is_synchronous);
+        [rows, focus, brightness].into_iter().chain(skew).collect()
+    }
+}
+
+/// The blur of one eye only that has come to another one: variances add up.
+fn added_blur_px(now_px: f64, before_px: f64) -> f64 {
+    let variance = now_px * now_px.abs() - before_px * before_px.abs();
+    variance.abs().sqrt().copysign(variance)
+}
+
+/// The figures as a table of the report.
+pub fn table(summaries: &[DriftSummary]) -> Table {
+    let headings = [
+        "what",
+        "unit",
+        "when calibrated",
+        "since then: at first",
+        "at last",
+        "worst",
+        "allowed",
+        "looks",
+        "nothing to see",
+        "",
+    ];
+    let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
+    summaries.iter().fold(Table::new(headings), |table, one| {
+        let verdict = match (one.worst, one.was_too_far()) {
+            (None, _) => "not known",
+            (Some(_), true) => "TOO FAR",
+            (Some(_), false) => "good",
+        };
+        table.row([
+            one.quantity.to_owned(),
+            one.unit.to_owned(),
+            number(one.when_calibrated),
+            number(one.at_first),
+            number(one.at_last),
+            number(one.worst),
+            format!("{:.2}", one.limit),
+            one.looks.to_string(),
+            one.blind_looks.to_string(),
+            verdict.to_owned(),
+        ])
+    })
+}
+
+/// A line for each quantity that was too far.
+pub fn text_lines(summaries: &[DriftSummary]) -> String {
+    let too_far = summaries.iter().filter(|one| one.was_too_far());
+    too_far
+        .filter_map(|one| {
+            let worst = one.worst?;
+            Some(format!(
+                "the cameras are not what was calibrated: {} {worst:.2} {}, allowed are {:.2}\n",
+                one.quantity, one.unit, one.limit
+            ))
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::time::Duration;
+
+    use image::RgbImage;
+    use nalgebra::{UnitQuaternion, Vector3};
+    use pb3dp_geometry::Pose;
+    use pb3dp_record::dataset::{Case, load_case};
+    use pb3dp_record::images::load_rgb;
+
+    use super::*;
+
+    const CONFIG: DriftConfig = DriftConfig {
+        every: Duration::from_secs(2),
+        rows_max_px: 0.5,
+        focus_max_px: 1.0,
+        brightness_max_percent: 15.0,
+        skew_max: Duration::from_millis(1),
+    };
+
+    fn case() -> Case {
+        load_case(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/cases/bb201_c0")).unwrap()
+    }
+
+    fn pair(case: &Case) -> FramePair {
+        let [left, right] = [&case.left, &case.right].map(|file| load_rgb(file).unwrap());
+        FramePair { left, right, ..FramePair::black(pb3dp_geometry::ImageSize { width: 1, height: 1 }) }
+    }
+
+    /// What is said of this pair, looked at so often, and what is found.
+    fn watched(
+        rig: &StereoRig,
+        pair: &FramePair,
+        skew_s: f64,
+        is_synchronous: bool,
+    ) -> (Vec<String>, Vec<DriftSummary>) {
+        let mut watch = DriftWatch::new(CONFIG, rig, (is_synchronous, WhenCalibrated::default())).unwrap();
+        let look = |k: u64| watch.look(MonotonicTime::from_nanos(k * 500_000_000), skew_s, pair);
+        // Ten seconds in pairs that come every half second.
+        let said = (0..20).flat_map(look).collect();
+        (said, watch.summaries())
+    }
+
+    fn values(found: &[DriftSummary]) -> Vec<f64> {
+        found.iter().map(|one| one.at_last.unwrap_or(f64::NAN)).collect()
+    }
+
+    #[test]
+    fn a_pair_that_fits_its_calibration_says_nothing() {
+        let case = case();
+        let (said, found) = watched(&case.load_calibration().unwrap().rig, &pair(&case), 0.2e-3, true);
+        assert!(said.is_empty(), "{said:?}");
+        assert!(found.iter().all(|one| one.looks == 5 && one.blind_looks == 0 && !one.was_too_far()), "{found:#?}");
+        assert!((values(&found)[3] - 0.2).abs() < 1e-9, "{found:#?}");
+    }
+
+    #[test]
+    fn each_eye_that_has_changed_is_told_by_what_has_changed() {
+        let case = case();
+        let rig = case.load_calibration().unwrap().rig;
+        let sound = pair(&case);
+        let (_, before) = watched(&rig, &sound, 0.0, true);
+        let before = values(&before);
+        // The right camera nods by 0.1 degrees: all rows go by the focal length times the angle, seen from the wrong calibration.
+        let nod = Pose::from_parts(
+            Vector3::zeros(),
+            UnitQuaternion::from_scaled_axis(Vector3::new(0.1_f64.to_radians(), 0.0, 0.0)),
+        );
+        let nodded = StereoRig::new(*rig.left(), *rig.right(), nod * *rig.cam_right_from_cam_left()).unwrap();
+        let by_px = rig.right().pinhole().fy * 0.1_f64.to_radians();
+        let (said, found) = watched(&nodded, &sound, 0.0, true);
+        assert!((values(&found)[0] - by_px).abs() < 0.3 + before[0], "{} px, {by_px} expected", values(&found)[0]);
+        assert!(said.len() == 1 && said[0].contains("rows") && said[0].contains("calibrate again"), "{said:?}");
+
+        // A softer eye has the blur that it was given; the other values stay.
+        let softer = FramePair { right: image::imageops::blur(&sound.right, 1.5), ..sound.clone() };
+        let (said, found) = watched(&rig, &softer, 0.0, true);
+        assert!(said.len() == 1 && said[0].contains("blur of one eye"), "{said:?}");
+        assert!((values(&found)[1] - 1.5).abs() < 0.4, "{found:#?}");
+        let (_, found) =
+            watched(&rig, &FramePair { left: image::imageops::blur(&sound.left, 1.5), ..sound.clone() }, 0.0, true);
+        assert!((values(&found)[1] + 1.5).abs() < 0.4, "{found:#?}");
+
+        // A third less light.
+        let darker = |picture: &RgbImage| {
+            let mut darker = picture.clone();
+            darker.iter_mut().for_each(|level| *level = (f64::from(*level) * 2.0 / 3.0) as u8);
+            darker
+        };
+        let (said, found) = watched(&rig, &FramePair { left: darker(&sound.left), ..sound.clone() }, 0.0, true);
+        assert!(said.len() == 1 && said[0].contains("the right eye is brighter"), "{said:?}");
+        assert!((values(&found)[2] - 100.0 / 3.0).abs() < 8.0, "{found:#?}");
+
+        let (said, _) = watched(&rig, &sound, -2e-3, true);
+        assert!(said.len() == 1 && said[0].contains("-2.00 ms, allowed are 1.00"), "{said:?}");
+        let (said, found) = watched(&rig, &sound, -2e-3, false);
+        assert!(said.is_empty() && found.len() == 3, "{said:?} {found:#?}");
+    }
+
+    #[test]
+    fn pictures_without_texture_are_blind_looks() {
+        let case = case();
+        let size = case.load_calibration().unwrap().rig.left().size();
+        let (said, found) = watched(&case.load_calibration().unwrap().rig, &FramePair::black(size), 0.0, true);
+        assert!(said.is_empty(), "{said:?}");
+        assert_eq!((found[0].looks, found[0].blind_looks, found[1].blind_looks), (0, 5, 5));
+        let cells = format!("{:?}", table(&found));
+        assert!(cells.contains("not known"), "{cells}");
+    }
+
+    #[test]
+    fn eyes_that_were_unlike_when_they_were_calibrated_are_judged_by_what_has_come_to_it() {
+        let case = case();
+        let rig = case.load_calibration().unwrap().rig;
+        let sound = pair(&case);
+        let softer = FramePair { right: image::imageops::blur(&sound.right, 1.5), ..sound.clone() };
+        let (_, as_now) = watched(&rig, &softer, 0.0, true);
+        let [focus_px, brightness_percent] = [1, 2].map(|n| as_now[n].at_last);
+        let mut watch =
+            DriftWatch::new(CONFIG, &rig, (true, WhenCalibrated { rows_px: Some(0.2), focus_px, brightness_percent }))
+                .unwrap();
+        let look = |k: u64| watch.look(MonotonicTime::from_nanos(k * 2_000_000_000), 0.0, &softer);
+        let said: Vec<String> = (0..6).flat_map(look).collect();
+        let found = watch.summaries();
+        assert!(said.is_empty(), "{said:?}");
+        assert!(found[1].at_last.is_some_and(|px| px.abs() < 0.01), "{found:#?}");
+        assert!(found[2].at_last.is_some_and(|percent| percent.abs() < 0.01), "{found:#?}");
+        assert_eq!([found[0].when_calibrated, found[1].when_calibrated], [Some(0.2), focus_px]);
+        // Where both were alike and one has become softer, that is what has come to it; the other one's blur takes it back.
+        assert!((added_blur_px(1.5, 0.0) - 1.5).abs() < 1e-12 && (added_blur_px(0.0, 1.5) + 1.5).abs() < 1e-12);
+        assert!((added_blur_px(-1.0, 1.0) + 2f64.sqrt()).abs() < 1e-12);
+    }
+
+    /// What is said of these values, one look each.
+    fn said_of(values: &[f64]) -> Vec<Option<bool>> {
+        let mut series = Series::new(Quantity::Rows, (&CONFIG, &WhenCalibrated::default()));
+        let verdict = |line: String| !line.contains("again what was");
+        values.iter().map(|&value| series.push(Some(value)).map(verdict)).collect()
+    }
+
+    #[test]
+    fn one_bad_look_says_nothing_and_what_lasts_is_told_once() {
+        let calm = [0.1; 5];
+        assert!(said_of(&[&calm[..], &[9.0, f64::NAN, 9.0], &calm[..]].concat()).iter().all(Option::is_none));
+        let bad = said_of(&[&calm[..], &[-0.6; 20]].concat());
+        assert_eq!((bad.iter().flatten().count(), bad[7]), (1, Some(true)), "{bad:?}");
+        // Just below the limit is not good again, and good again is told once.
+        let wavering = said_of(&[&[0.6; 5][..], &[0.45; 10], &[0.55; 10], &[0.3; 10]].concat());
+        assert_eq!(wavering.into_iter().flatten().collect::<Vec<_>>(), [true, false]);
+    }
+
+    #[test]
+    fn a_clock_that_was_set_back_does_not_end_the_looks() {
+        let case = case();
+        let (rig, pair) = (case.load_calibration().unwrap().rig, pair(&case));
+        let mut watch = DriftWatch::new(CONFIG, &rig, (true, WhenCalibrated::default())).unwrap();
+        for second in [100, 101, 5, 7] {
+            watch.look(MonotonicTime::from_nanos(second * 1_000_000_000), 0.0, &pair);
+        }
+        assert_eq!(watch.summaries()[2].looks, 3);
+    }
+}

@@ -1,0 +1,164 @@
+//! What is written down of control steps, beside the truth.
+
+use nalgebra::Vector6;
+use pb3dp_geometry::frames::{CamLeft, Model, Target};
+use pb3dp_geometry::{MonotonicTime, Pose};
+use pb3dp_kinematics::{Chain, smallest_singular_value};
+use pb3dp_setup::setup::Setup;
+
+use super::cell::SimulatedCell;
+use super::commands::CommandSummary;
+use super::log::{ControlSample, Lock, MethodLog, RunLog};
+use super::moving::Moved;
+use super::noting::Looked;
+use super::strip::Strip;
+
+/// How often progress is told, seconds of the experiment.
+const PROGRESS_EVERY_S: f64 = 5.0;
+
+/// What a run leaves behind.
+pub struct Outcome {
+    /// Everything written down.
+    pub log: RunLog,
+    /// Annotated pictures from moments of interest.
+    pub strip: Strip,
+}
+
+/// Writes control steps down.
+pub struct Journal {
+    cell: SimulatedCell,
+    chain: Chain,
+    begin: MonotonicTime,
+    duration_s: f64,
+    next_progress_s: f64,
+    steps_untrue: u64,
+    log: RunLog,
+}
+
+impl Journal {
+    /// An empty journal of an experiment with this duration that begins at `begin`.
+    pub fn new(setup: &Setup, cell: SimulatedCell, (begin, duration_s): (MonotonicTime, f64), log: RunLog) -> Self {
+        Self { cell, chain: setup.vs.chain.clone(), begin, duration_s, next_progress_s: 0.0, steps_untrue: 0, log }
+    }
+
+    /// The experiment begins at this time.
+    pub fn begin_at(&mut self, begin: MonotonicTime) {
+        self.begin = begin;
+    }
+
+    /// Steps that came so late that nobody knows any more where everything truly was: only what the supervisor said is written down.
+    pub fn steps_untrue(&self) -> u64 {
+        self.steps_untrue
+    }
+
+    /// Writes a step down, and where everything truly was, if the simulation still knows it.
+    pub fn note(&mut self, moved: &Moved) {
+        let t_s = moved.at.seconds_since(self.begin);
+        if let Some(note) = self.log.supervision.note(t_s, &moved.decision) {
+            tracing::info!("{t_s:7.2} s  {}", note.why);
+        }
+        if let Some(refused) = &moved.decision.refused {
+            tracing::warn!("{t_s:7.2} s  {refused}");
+        }
+        if t_s >= self.next_progress_s {
+            self.next_progress_s += PROGRESS_EVERY_S;
+            tracing::info!("{t_s:5.1} of {:.1} s  {}", self.duration_s, moved.decision.why);
+        }
+        if !self.cell.remembers(moved.at) {
+            self.steps_untrue += 1;
+            return;
+        }
+        let jacobian = self.chain.jacobian(&moved.vs_joints.position_rad);
+        self.log.control.push(ControlSample {
+            t_s,
+            world_from_target: self.cell.world_from_target_at(moved.at),
+            world_from_hand: self.cell.world_from_hand_at(moved.at),
+            // Completed at the end of the run.
+            world_from_hand_wanted: Pose::coincident(),
+            world_from_hand_locked: Pose::coincident(),
+            mode: moved.mode.to_string(),
+            smallest_singular_value: smallest_singular_value(&jacobian),
+        });
+    }
+
+    /// What is left behind. Before the first estimate nobody knew where on the target the model is: those samples are
+    /// completed now.
+    pub fn finish(mut self, setup: &Setup, looked: Looked, commands: [CommandSummary; 2]) -> Outcome {
+        let Looked { leading, compared, pairs_lost, strip, lock, drift } = looked;
+        let until_s = self.log.marks.first().map_or(f64::INFINITY, |mark| mark.at_s);
+        let lock = lock.map(|lock| Lock {
+            target_from_model_found: mean_place(&leading, until_s).unwrap_or(lock.target_from_model_found),
+            ..lock
+        });
+        let places = lock.map(|lock| (lock.target_from_model, lock.target_from_model_found));
+        let (wanted, locked) = places.unwrap_or_else(|| (Pose::coincident(), Pose::coincident()));
+        let model_from_hand = setup.controller.model_from_hand_desired;
+        for sample in &mut self.log.control {
+            sample.world_from_hand_wanted = sample.world_from_target * wanted * model_from_hand;
+            sample.world_from_hand_locked = sample.world_from_target * locked * model_from_hand;
+        }
+        let (without_pictures, without_truth) = (!setup.leader.needs_pictures(), setup.real_cameras.is_some());
+        let log = RunLog {
+            without_pictures,
+            without_truth,
+            leading,
+            compared,
+            pairs_lost,
+            drift,
+            lock,
+            commands: commands.into(),
+            ..self.log
+        };
+        Outcome { log, strip }
+    }
+}
+
+/// Where on the target the estimates put the model's frame, mean of all before `until_s`; none without any.
+fn mean_place(log: &MethodLog, until_s: f64) -> Option<Pose<Target, Model>> {
+    let frames = log.frames.iter().zip(&log.estimated).zip(&log.truth);
+    let mut places = frames
+        .filter(|((frame, _), _)| frame.t_s < until_s)
+        .filter_map(|((_, estimated), truth)| Some(truth.relabel::<CamLeft, Target>().inverse() * (*estimated)?));
+    let first = places.next()?;
+    let (sum, count) = places
+        .fold((Vector6::zeros(), 1.0), |(sum, count), place| (sum + (first.inverse() * place).log(), count + 1.0));
+    Some(first.perturbed_in_from(&(sum / count)))
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+    use pb3dp_geometry::Frame;
+
+    use super::super::log::FrameSample;
+    use super::*;
+
+    fn pose<To: Frame, From: Frame>(t: [f64; 3], r: [f64; 3]) -> Pose<To, From> {
+        Pose::from_parts(Vector3::from(t), UnitQuaternion::from_scaled_axis(Vector3::from(r)))
+    }
+
+    #[test]
+    fn the_place_of_the_model_is_the_mean_before_the_first_move() {
+        let place = pose::<Target, Model>([0.01, -0.02, 0.003], [0.2, -0.1, 0.4]);
+        let mut log = MethodLog::default();
+        // Off to one side and to the other, once not at all, and something else after the move has begun.
+        for (k, off) in [1.0, -1.0, 0.5, -0.5, 0.0, 77.0].into_iter().enumerate() {
+            let truth = pose::<CamLeft, Target>([0.03, 0.01 * k as f64, 0.5], [0.1, 0.2 * k as f64, -0.3]);
+            let found = place.perturbed_in_from(&(Vector6::new(1e-3, -2e-3, 5e-4, 1e-3, 3e-3, -2e-3) * off));
+            log.estimated.push((k != 4).then(|| truth * found));
+            log.truth.push(truth.relabel());
+            log.frames.push(FrameSample {
+                t_s: k as f64,
+                status: "ok".to_owned(),
+                fitness: None,
+                depth_error_m: None,
+                normal_error_rad: None,
+                latency_millis: 0.0,
+            });
+        }
+        let mean = mean_place(&log, 5.0).unwrap();
+        // Of second order in what they are off by.
+        assert!((place.inverse() * mean).log().norm() < 1e-5, "{mean:?}");
+        assert_eq!(mean_place(&log, 0.0), None);
+    }
+}

@@ -1,0 +1,169 @@
+//! The half of a run that looks: pairs in, observations for the controller out, and all that is written down of pictures.
+
+use std::path::Path;
+use std::time::Instant;
+
+use anyhow::Result;
+use pb3dp_estimation::estimator::FramePrior;
+use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::region::Region;
+use pb3dp_geometry::frames::{Base, CamLeft};
+use pb3dp_geometry::{MonotonicTime, Pose};
+use pb3dp_kinematics::JointState;
+use pb3dp_servo::{JointHistory, TargetObservation};
+use pb3dp_setup::setup::Setup;
+
+use super::capturing::{Captured, Capturing};
+use super::cell::{JOINT_GAP_MAX_S, SimulatedCell};
+use super::eyes::{Eyes, Marking, Sight};
+use super::halves::Capture;
+use super::noting::{Looked, Noting};
+use super::percept::Percept;
+use super::strip::Strip;
+
+/// Camera, methods, and what they have seen: the three parts may have a thread each.
+pub struct Looking<'a> {
+    /// The camera.
+    pub capturing: Capturing,
+    /// The method that leads the hand.
+    pub estimating: Estimating<'a>,
+    /// What is written down of pictures.
+    pub noting: Noting<'a>,
+}
+
+impl<'a> Looking<'a> {
+    /// A camera whose pairs have been looked at by nobody. Every pair is also written to the folder `record`, if given.
+    ///
+    /// # Errors
+    /// As [`Eyes::new`] and [`Noting::new`].
+    pub fn new(
+        setup: &'a Setup,
+        (camera, cell, marking): (Sight, SimulatedCell, Marking),
+        (strip, begin): (Strip, MonotonicTime),
+        record: Option<&Path>,
+    ) -> Result<Self> {
+        Ok(Self {
+            estimating: Estimating::new(setup, Eyes::new(setup, &camera, marking.clone())?),
+            noting: Noting::new(setup, marking, (strip, begin), record)?,
+            capturing: Capturing::new(setup, camera, cell),
+        })
+    }
+
+    /// The experiment begins at this time.
+    pub fn begin_at(&mut self, begin: MonotonicTime) {
+        self.noting.begin_at(begin);
+    }
+
+    /// The arm that carries the cameras was measured.
+    pub fn push_joints(&mut self, sample: JointState) {
+        self.estimating.push_joints(sample);
+    }
+
+    /// Waits for the next pair and looks at it. `None` if it did not come.
+    ///
+    /// # Errors
+    /// If the camera or the leading method fails for good.
+    pub fn look(&mut self) -> Result<Option<Seen>> {
+        self.capturing.capture()?.map(|captured| self.estimating.look(captured)).transpose()
+    }
+
+    /// What was written down.
+    pub fn finish(self) -> Looked {
+        self.noting.finish(self.capturing.pairs_lost())
+    }
+}
+
+/// The method that leads the hand, with what the joints tell it.
+pub struct Estimating<'a> {
+    setup: &'a Setup,
+    eyes: Eyes,
+    /// Number of the target: how many were marked.
+    target: u64,
+    /// The arm that carries the cameras, as it was measured.
+    joints: JointHistory,
+    /// When the pair before was exposed, and where the camera was, as far as the joints tell.
+    previous: Option<(MonotonicTime, Option<Pose<Base, CamLeft>>)>,
+}
+
+impl<'a> Estimating<'a> {
+    fn new(setup: &'a Setup, eyes: Eyes) -> Self {
+        let joints = JointHistory::new(setup.controller.joint_history_samples, JOINT_GAP_MAX_S);
+        Self { setup, eyes, target: 0, joints, previous: None }
+    }
+
+    /// The arm that carries the cameras was measured.
+    pub fn push_joints(&mut self, sample: JointState) {
+        self.joints.push(sample);
+    }
+
+    /// Looks at a pair.
+    ///
+    /// # Errors
+    /// If the method fails for good.
+    pub fn look(&mut self, captured: Captured) -> Result<Seen> {
+        let prior = self.prior(captured.frame.at);
+        let region = self.eyes.region(self.setup, captured.cam_left_from_target.as_ref())?;
+        self.target += u64::from(region.is_some());
+        let started = Instant::now();
+        let estimate = self.eyes.estimate(&captured.view, region.as_ref(), &prior)?;
+        let latency_millis = started.elapsed().as_secs_f64() * 1e3;
+        if region.is_some() {
+            for warning in &estimate.warnings {
+                tracing::warn!("{warning}");
+            }
+            tracing::info!("target taken: {}: {}", estimate.status, estimate.reason);
+        }
+        Ok(Seen { captured, target: self.target, region, prior, estimate, latency_millis })
+    }
+
+    /// The pose of the left camera from the measured joints, as a rig without truth knows it.
+    fn base_from_cam_left_at(&self, at: MonotonicTime) -> Option<Pose<Base, CamLeft>> {
+        let position_rad = self.joints.position_at(at).ok()?;
+        let controller = &self.setup.controller;
+        Some(self.setup.vs.chain.forward(&position_rad) * controller.flange_from_hand * controller.hand_from_cam_left)
+    }
+
+    /// What the joints and the clock tell about the new frame before it is looked at.
+    fn prior(&mut self, at: MonotonicTime) -> FramePrior {
+        let base_from_cam_left = self.base_from_cam_left_at(at);
+        let previous = self.previous.replace((at, base_from_cam_left));
+        let motion = previous.and_then(|(_, prev)| Some(prev?.inverse() * base_from_cam_left?));
+        let dt_s = previous.map(|(before, _)| at.seconds_since(before));
+        FramePrior { dt_s, ..FramePrior::of_motion(motion.as_ref()) }
+    }
+}
+
+/// What was seen in one pair.
+pub struct Seen {
+    /// The pair.
+    pub captured: Captured,
+    /// Number of the target.
+    pub target: u64,
+    /// What was marked, in the pair in which the target is taken.
+    pub region: Option<Region>,
+    /// What was known beforehand.
+    pub prior: FramePrior,
+    /// What the method says.
+    pub estimate: TrackEstimate,
+    /// Wall time of the method, milliseconds.
+    pub latency_millis: f64,
+}
+
+impl Seen {
+    /// What those who move are told.
+    pub fn percept(&self) -> Percept {
+        Percept::new(self.captured.frame, &self.estimate, self.target, self.observation())
+    }
+
+    /// What the controller is told, if there is a pose.
+    pub fn observation(&self) -> Option<TargetObservation> {
+        let cam_left_from_model = self.estimate.cam_left_from_model?;
+        Some(TargetObservation {
+            at: self.captured.frame.at,
+            cam_left_from_model,
+            trusted: self.estimate.status.depth_is_sure(),
+            covariance: self.estimate.covariance,
+            rotation_about_normal_observed: self.estimate.rotation_about_normal_observed,
+        })
+    }
+}

@@ -1,0 +1,358 @@
+//! The half of a run that moves: both arms, the controller, and what each control step is to be remembered by.
+
+use std::time::Duration;
+
+use anyhow::{Result, bail};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{ArmError, ArmErrorKind, JointCommand, JointState};
+use pb3dp_kinematics::{Damping, JointVector};
+use pb3dp_servo::supervisor::{Decision, Event, OperatorInput, Permission, Said, State, Word};
+use pb3dp_servo::{Command, ControlStep, Controller, Mode};
+use pb3dp_setup::setup::{Carrier, Setup};
+use pb3dp_sim::placement::FlangePath;
+use pb3dp_sim::trajectory::Trajectory;
+
+use super::both_arms::{BothArms, LedArm, Whence};
+use super::carrier::{carry, off_by};
+use super::halves::Mover;
+use super::operator::{ByCommand, Operator};
+use super::parts::DrivenArm;
+use super::percept::Percept;
+use super::permitting::Permitting;
+
+/// An arm that carries the target and is farther from its way after a stop was led elsewhere meanwhile, metres and radians.
+const AWAY_M: f64 = 0.05;
+const AWAY_RAD: f64 = 0.17;
+
+/// An arm that is still switched on behind a stop is stopped again after this.
+const STOP_AGAIN: Duration = Duration::from_millis(100);
+
+/// Both arms with what leads them.
+pub struct Moving<'a> {
+    setup: &'a Setup,
+    arms: BothArms,
+    /// The way of the arm that carries the target; none if it rests.
+    path: Option<FlangePath<'a>>,
+    controller: Controller,
+    permitting: Permitting,
+    operator: Box<dyn Operator>,
+    /// Both arms are stopped, and wait for the operator's reset and selection.
+    is_stopped: bool,
+    /// Why they are, as far as the arms themselves tell.
+    why_stopped: Option<String>,
+    /// A command that an arm has refused, where a person leads.
+    refusal: Refusal,
+    /// When an arm that is still switched on is to be stopped again; none if that is not yet known to be so.
+    stop_again_at: Option<MonotonicTime>,
+    damping: Damping,
+    begin: MonotonicTime,
+    stepped_at: Option<MonotonicTime>,
+    /// The arm that carries the target is not on its way, and rests.
+    is_away: bool,
+    /// For how long the way of the arm that carries the target has waited.
+    waited: Duration,
+    newest: Option<Percept>,
+}
+
+/// A command that an arm has refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Refusal {
+    None,
+    InStepBefore,
+    /// A person has not gone on since.
+    Told,
+}
+
+/// One control step.
+#[derive(Clone, Copy, Debug)]
+pub struct Moved {
+    /// When it was begun.
+    pub at: MonotonicTime,
+    /// What the controller was doing.
+    pub mode: Mode,
+    /// What the supervisor made of it.
+    pub decision: Decision,
+    /// The arm that carries the cameras, as it was measured.
+    pub vs_joints: JointState,
+}
+
+impl<'a> Moving<'a> {
+    /// Arms that are not yet switched on. The experiment begins at `begin`.
+    ///
+    /// # Errors
+    /// A parameter of the controller or the supervisor out of its range.
+    pub fn new(
+        setup: &'a Setup,
+        arms: (Box<dyn DrivenArm>, Box<dyn DrivenArm>),
+        experiment: &'a dyn Trajectory,
+        begin: MonotonicTime,
+    ) -> Result<Self> {
+        let limiter = &setup.vs.limiter;
+        let limits = limiter.hard_limits.with_position_range(limiter.operating_min_rad, limiter.operating_max_rad)?;
+        Ok(Self {
+            arms: BothArms::new(setup, arms, begin),
+            controller: Controller::new(setup.controller, setup.vs.chain.clone(), limits)?,
+            permitting: Permitting::new(&setup.supervisor, limits)?,
+            operator: Box::new(ByCommand),
+            is_stopped: false,
+            why_stopped: None,
+            refusal: Refusal::None,
+            stop_again_at: None,
+            damping: Damping::new(setup.controller.damping.threshold, setup.controller.damping.factor_max)?,
+            path: (setup.experiment.carrier == Carrier::Arm)
+                .then(|| FlangePath::of_carrier(experiment, &setup.tc.world_from_base, &setup.flange_from_target)),
+            begin,
+            stepped_at: None,
+            is_away: false,
+            waited: Duration::ZERO,
+            newest: None,
+            setup,
+        })
+    }
+
+    /// The same, told by somebody else than the command itself.
+    pub fn with_operator(self, operator: Box<dyn Operator>) -> Self {
+        Self { operator, ..self }
+    }
+
+    /// Both arms.
+    pub fn arms(&self) -> &BothArms {
+        &self.arms
+    }
+
+    /// What the controller wants, and what of it the arm that carries the cameras is to be told.
+    fn decide(&mut self, now: MonotonicTime) -> (ControlStep, Decision, Command) {
+        let observation = self.newest.as_ref().and_then(|percept| percept.observation.as_ref());
+        let control = self.controller.step(self.arms.vs.joints(), observation, now);
+        let heard = self.listen(now);
+        let arms = [&self.arms.vs, &self.arms.tc].map(|arm| (arm.condition(), arm.joints()));
+        let decision = self.permitting.step(heard, &control, self.newest.as_ref(), arms, now);
+        self.operator.show(&decision);
+        let told = match (decision.permission, control.command) {
+            (Permission::Move { share }, Command::Velocity(velocity)) => Command::Velocity(velocity * share),
+            _ => Command::Hold,
+        };
+        self.controller.permit_search(decision.search);
+        if decision.rearm {
+            self.controller.acquire();
+        }
+        (control, decision, told)
+    }
+
+    /// What the operator says. A reset that is to reach the arms clears what is latched in them; the supervisor refuses as long as
+    /// something still is.
+    fn listen(&mut self, now: MonotonicTime) -> OperatorInput {
+        let heard = self.operator.listen(self.permitting.last(), now);
+        let heard = self.held_if_refused(heard, now);
+        let conditions = [&self.arms.vs, &self.arms.tc].map(LedArm::condition);
+        if !heard.said.is_some_and(|said| self.permitting.would_reset(said, conditions, now)) {
+            return heard;
+        }
+        if let Some(name) = self.arms.still_on() {
+            self.operator.tell(Some(format!(
+                "reset is refused: {name} is still switched on, and is told to stop again and again; use the emergency stop if that does not help"
+            )));
+            return OperatorInput { said: None, ..heard };
+        }
+        match self.arms.reset() {
+            Ok(()) => {
+                self.why_stopped = None;
+                self.operator.tell(None);
+            }
+            Err(trouble) => self.operator.tell(Some(format!("{trouble:#}"))),
+        }
+        heard
+    }
+
+    /// Behind a refused command the hand rests as after the word `hold`; only `stop` goes before it. What was refused is told until
+    /// a person has gone on.
+    fn held_if_refused(&mut self, heard: OperatorInput, now: MonotonicTime) -> OperatorInput {
+        let word = heard.said.map(|said| said.word);
+        match (self.refusal, word) {
+            (Refusal::InStepBefore, Some(Word::Stop)) => self.refusal = Refusal::Told,
+            (Refusal::InStepBefore, _) => {
+                self.refusal = Refusal::Told;
+                return OperatorInput { said: Some(Said { word: Word::Hold, at: now }), ..heard };
+            }
+            (Refusal::Told, Some(Word::Resume | Word::Start)) => {
+                self.refusal = Refusal::None;
+                self.operator.tell(None);
+            }
+            (Refusal::None | Refusal::Told, _) => {}
+        }
+        heard
+    }
+
+    /// What was measured. An arm that refuses a command holds: where a person leads, that ends nothing but the motion.
+    fn bear_refusal(&mut self, exchanged: Result<Option<JointState>>) -> Result<Option<JointState>> {
+        let Err(failure) = exchanged else { return exchanged };
+        let kind = failure.downcast_ref::<ArmError>().map(ArmError::kind);
+        if kind != Some(ArmErrorKind::Rejected) || !self.operator.is_person() || self.arms.is_latched() {
+            return Err(failure);
+        }
+        if self.refusal == Refusal::None {
+            tracing::warn!("the hand holds, as a command was refused: {failure:#}");
+        }
+        self.operator.tell(Some(format!("{failure:#}")));
+        self.refusal = Refusal::InStepBefore;
+        Ok(None)
+    }
+
+    /// What the arm that carries the target is told: its way, which waits as long as no arm may move at all.
+    fn carrying(&mut self, decision: &Decision, now: MonotonicTime) -> JointCommand {
+        let since = self.stepped_at.replace(now).map_or(Duration::ZERO, |before| now.saturating_since(before));
+        let Some(path) = &self.path else { return JointCommand::Hold };
+        // Where a person leads, nothing at all moves before the word.
+        let has_begun = !matches!(decision.state, State::Idle | State::Selecting) || !self.operator.is_person();
+        if decision.no_arm_may_move || !has_begun {
+            self.waited += since;
+            return JointCommand::Hold;
+        }
+        let t_s = now.seconds_since(self.begin) - self.waited.as_secs_f64();
+        let position_rad = &self.arms.tc.joints().position_rad;
+        let (off_m, off_rad) = off_by(&self.setup.tc.chain, path, t_s, position_rad);
+        let was_away =
+            std::mem::replace(&mut self.is_away, self.operator.is_person() && (off_m > AWAY_M || off_rad > AWAY_RAD));
+        if self.is_away {
+            self.waited += since;
+            if !was_away {
+                let (off_mm, off_deg) = (off_m * 1e3, off_rad.to_degrees());
+                self.operator.tell(Some(format!(
+                    "tc-robot is {off_mm:.0} mm and {off_deg:.0} degrees from its way and rests: bring it back to its start, then begin the run anew"
+                )));
+            }
+            return JointCommand::Hold;
+        }
+        JointCommand::Velocity(carry(&self.setup.tc.chain, &self.damping, path, t_s, position_rad))
+    }
+
+    /// Both arms rest with brakes on until a person resets them. Where there is none the run ends; an arm that has failed says more about
+    /// it than the supervisor knows.
+    fn stay_stopped(&mut self, decision: &Decision, now: MonotonicTime) -> Result<()> {
+        if !self.operator.is_person() {
+            self.arms.why_latched()?;
+            bail!("{}", decision.why)
+        }
+        if self.is_stopped && !self.arms.is_switching_on() {
+            self.stay_off(now);
+            return Ok(());
+        }
+        self.is_stopped = true;
+        let why = self.arms.why_latched();
+        self.stop_because(why);
+        Ok(())
+    }
+
+    /// Stops both arms; what went wrong first is what a person is told.
+    fn stop_because(&mut self, why: Result<()>) {
+        let stopped = self.arms.stop();
+        self.stop_again_at = None;
+        if let (Err(_), Err(trouble)) = (&why, &stopped) {
+            tracing::error!("{trouble:#}");
+        }
+        self.why_stopped = why.and(stopped).err().map(|trouble| format!("{trouble:#}"));
+        if self.why_stopped.is_some() {
+            self.operator.tell(self.why_stopped.clone());
+        }
+    }
+
+    /// Looks at arms that are to be off; one that a stop has left on is stopped again, every so often.
+    fn stay_off(&mut self, now: MonotonicTime) {
+        self.arms.look();
+        if self.arms.still_on().is_none() {
+            self.stop_again_at = None;
+            return;
+        }
+        let again_at = *self.stop_again_at.get_or_insert(now + STOP_AGAIN);
+        if now < again_at {
+            return;
+        }
+        // A stop takes its time: the next one is due that long after the step behind it.
+        self.stop_again_at = None;
+        match self.arms.stop_still_on() {
+            Ok(()) => self.operator.tell(self.why_stopped.clone()),
+            Err(trouble) => tracing::error!("{trouble:#}"),
+        }
+    }
+
+    /// Behind the reset both arms stay off until a target is selected; then they are switched on where they are, in as many steps as
+    /// that takes.
+    fn leave_stop(&mut self, decision: &Decision, now: MonotonicTime) {
+        let is_selected = decision.transition.is_some_and(|transition| transition.event == Event::Select);
+        if is_selected {
+            self.operator.tell(None);
+            // A target that was seen before is not the one that was selected.
+            self.newest = None;
+        } else if !self.arms.is_switching_on() {
+            self.stay_off(now);
+            return;
+        }
+        match self.arms.enable(Whence::Here) {
+            Ok(are_on) => self.is_stopped = !are_on,
+            Err(why) => self.stop_because(Err(why)),
+        }
+    }
+
+    /// Tells the arm that carries the cameras; the controller gets to know what its joints do now, if that is not what it wanted.
+    fn tell(&mut self, wanted: Command, told: Command) -> Result<()> {
+        let exchanged = self.arms.vs.exchange(match told {
+            Command::Velocity(velocity) => JointCommand::Velocity(velocity),
+            Command::Hold => JointCommand::Hold,
+        });
+        let measured = self.bear_refusal(exchanged)?;
+        let done = match (measured, told) {
+            // An arm that did not answer holds until it is told again.
+            (None, Command::Velocity(_)) => Command::Velocity(JointVector::zeros()),
+            _ => told,
+        };
+        if done != wanted {
+            self.controller.note_told(done);
+        }
+        Ok(())
+    }
+}
+
+impl Mover for Moving<'_> {
+    type Step = Moved;
+
+    fn enable(&mut self) -> Result<bool> {
+        self.arms.enable(Whence::Start)
+    }
+
+    fn begin_at(&mut self, begin: MonotonicTime) {
+        self.begin = begin;
+    }
+
+    fn observe(&mut self, percept: Percept, _now: MonotonicTime) {
+        self.newest = Some(percept);
+    }
+
+    fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
+        let (control, decision, told) = self.decide(now);
+        let moved = Moved { at: now, mode: control.mode, decision, vs_joints: *self.arms.vs.joints() };
+        if decision.permission == Permission::Stop {
+            self.stay_stopped(&decision, now)?;
+            return Ok(moved);
+        }
+        if self.is_stopped {
+            self.leave_stop(&decision, now);
+            return Ok(moved);
+        }
+        let carrying = self.carrying(&decision, now);
+        let carried = self.arms.tc.exchange(carrying);
+        let exchanged = self.bear_refusal(carried).and_then(|_| self.tell(control.command, told));
+        if let Err(failure) = exchanged {
+            // What is latched is the supervisor's from the next step on, and a person's; anything else ends the run.
+            let failure = self.arms.traced(failure);
+            if !(self.operator.is_person() && self.arms.is_latched()) {
+                return Err(failure);
+            }
+            self.operator.tell(Some(format!("{failure:#}")));
+        }
+        Ok(Moved { vs_joints: *self.arms.vs.joints(), ..moved })
+    }
+
+    fn stop(&mut self) -> Result<()> {
+        self.arms.stop()
+    }
+}

@@ -1,0 +1,173 @@
+//! What is written down of pictures: what the methods say beside the truth, and what is kept of the pictures themselves.
+
+use std::path::Path;
+
+use anyhow::{Result, bail};
+use nalgebra::{Vector2, Vector3};
+use pb3dp_estimation_core::error::EstimationError;
+use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::region::Region;
+use pb3dp_geometry::frames::{CamLeft, Model, Target};
+use pb3dp_geometry::{MonotonicTime, Pose};
+use pb3dp_setup::setup::{Setup, Synchronisation};
+
+use super::capturing::{Captured, View};
+use super::compared::{Frame, Onlooker};
+use super::drift::{DriftSummary, DriftWatch, WhenCalibrated};
+use super::eyes::Marking;
+use super::log::{Lock, MethodLog};
+use super::looking::Seen;
+use super::recording::Recording;
+use super::strip::Strip;
+use crate::picture::model_frame_on_plane;
+
+/// What is written down of pictures; the methods that only look on are a part of it.
+pub struct Noting<'a> {
+    setup: &'a Setup,
+    begin: MonotonicTime,
+    marking: Marking,
+    /// Where on the target the model's frame is, once the first estimate has said so.
+    lock: Option<Lock>,
+    leading: MethodLog,
+    onlookers: Vec<Onlooker>,
+    strip: Strip,
+    recording: Option<Recording>,
+    drift: Option<DriftWatch>,
+}
+
+/// What was written down of pictures.
+pub struct Looked {
+    /// What the method that leads the hand said.
+    pub leading: MethodLog,
+    /// What the methods said that only looked on.
+    pub compared: Vec<MethodLog>,
+    /// Pairs that the camera could not deliver.
+    pub pairs_lost: u64,
+    /// Annotated pictures from moments of interest.
+    pub strip: Strip,
+    /// Where on the target the model's frame is; none without an estimate.
+    pub lock: Option<Lock>,
+    /// How far the cameras are from what was calibrated, if somebody has looked at that.
+    pub drift: Vec<DriftSummary>,
+}
+
+impl<'a> Noting<'a> {
+    /// Nothing is written down yet. Every pair is also written to the folder `record`, if given.
+    ///
+    /// # Errors
+    /// A parameter of a method that looks on out of its range, or a recording of pictures that there are not.
+    pub fn new(
+        setup: &'a Setup,
+        marking: Marking,
+        (strip, begin): (Strip, MonotonicTime),
+        record: Option<&Path>,
+    ) -> Result<Self> {
+        let has_pictures = setup.leader.needs_pictures();
+        if record.is_some() && !has_pictures {
+            bail!("--record: with estimator.method = {:?} there are no pictures to record", setup.leader.name());
+        }
+        Ok(Self {
+            onlookers: if has_pictures { Onlooker::all_of(setup)? } else { Vec::new() },
+            strip: if has_pictures { strip } else { Strip::default() },
+            drift: if has_pictures { watch(setup)? } else { None },
+            recording: record.map(|folder| Recording::new(folder, setup)),
+            begin,
+            marking,
+            lock: None,
+            leading: MethodLog { method: setup.leader.name().to_owned(), ..MethodLog::default() },
+            setup,
+        })
+    }
+
+    /// The experiment begins at this time.
+    pub fn begin_at(&mut self, begin: MonotonicTime) {
+        self.begin = begin;
+    }
+
+    /// Writes down what was seen in a pair, beside the truth at the time of its exposure; the onlookers look at it, too.
+    ///
+    /// # Errors
+    /// If the recording can not be written.
+    pub fn note(&mut self, seen: &Seen) -> Result<()> {
+        let Seen { captured, region, prior, estimate, latency_millis, .. } = seen;
+        let Captured { frame, cam_left_from_target, view } = captured;
+        let t_s = frame.at.seconds_since(self.begin);
+        if let (None, Some(found), Some(cam_left_from_target)) =
+            (&self.lock, &estimate.cam_left_from_model, cam_left_from_target)
+        {
+            self.lock = true_model_frame(found, cam_left_from_target).map(|target_from_model| Lock {
+                at_s: t_s,
+                target_from_model,
+                target_from_model_found: cam_left_from_target.inverse() * *found,
+                covariance: estimate.covariance,
+            });
+        }
+        let frame = Frame { t_s, region: region.as_ref(), prior, cam_left_from_target: *cam_left_from_target };
+        self.leading.push(&frame, estimate, *latency_millis);
+        let View::Pictures(pair) = view else { return Ok(()) };
+        self.strip.offer(t_s, pair, &self.setup.rig, estimate);
+        for onlooker in &mut self.onlookers {
+            onlooker.look(pair, &frame);
+        }
+        let drifted = self.drift.as_mut().map(|drift| drift.look(captured.frame.at, captured.frame.skew_s, pair));
+        for line in drifted.into_iter().flatten() {
+            tracing::warn!("{line}");
+        }
+        let Some(recording) = &mut self.recording else { return Ok(()) };
+        let outline_px = match recording.is_open() {
+            true => None,
+            false => Some(outline_px(self.marking.region(self.setup, cam_left_from_target.as_ref())?, estimate)),
+        };
+        recording.push(pair, cam_left_from_target.as_ref(), outline_px)
+    }
+
+    /// Completes the recording; what was recorded until a failure is the best hint at its cause.
+    ///
+    /// # Errors
+    /// If it can not be written.
+    pub fn finish_recording(&mut self) -> Result<()> {
+        self.recording.take().map_or(Ok(()), Recording::finish)
+    }
+
+    /// What was written down, with the pairs that the camera could not deliver.
+    pub fn finish(self, pairs_lost: u64) -> Looked {
+        let compared = self.onlookers.into_iter().map(Onlooker::into_log).collect();
+        let drift = self.drift.map(DriftWatch::summaries).unwrap_or_default();
+        Looked { leading: self.leading, compared, pairs_lost, strip: self.strip, lock: self.lock, drift }
+    }
+}
+
+/// What looks whether the cameras still are what was calibrated, if the setup asks for it.
+fn watch(setup: &Setup) -> Result<Option<DriftWatch>, EstimationError> {
+    let real = setup.real_cameras.as_ref();
+    let is_synchronous = real.is_none_or(|cameras| cameras.synchronisation == Synchronisation::HardwareTrigger);
+    let of_head = setup.calibrations.iter().find(|calibration| calibration.table == "camera");
+    let judgement = of_head.and_then(|calibration| calibration.judgement.as_ref());
+    let when_calibrated = judgement.map(WhenCalibrated::of).unwrap_or_default();
+    setup.drift.map(|config| DriftWatch::new(config, &setup.rig, (is_synchronous, when_calibrated))).transpose()
+}
+
+/// A region as a polygon; of one that has no corners what the method has made of it.
+fn outline_px(region: Region, estimate: &TrackEstimate) -> Vec<Vector2<f64>> {
+    match region {
+        Region::Polygon { vertices_px } => vertices_px,
+        Region::Rectangle { x, y, width, height } => {
+            let (left, top) = (f64::from(x), f64::from(y));
+            let (right, bottom) = (left + f64::from(width), top + f64::from(height));
+            [[left, top], [right, top], [right, bottom], [left, bottom]].map(Vector2::from).to_vec()
+        }
+        Region::Mask(_) | Region::Click { .. } => estimate.outline_px.clone(),
+    }
+}
+
+/// Where on the target the model's frame truly is: on the target's plane, on the ray of the estimated origin.
+fn true_model_frame(
+    cam_left_from_model: &Pose<CamLeft, Model>,
+    cam_left_from_target: &Pose<CamLeft, Target>,
+) -> Option<Pose<Target, Model>> {
+    let away = cam_left_from_target.transform_vector(&Vector3::z());
+    let origin = cam_left_from_model.translation_m();
+    let ray = origin / origin.z;
+    let true_depth_m = away.dot(&cam_left_from_target.translation_m()) / away.dot(&ray);
+    Some(cam_left_from_target.inverse() * model_frame_on_plane(ray * true_depth_m, &-away)?)
+}

@@ -1,0 +1,199 @@
+//! One straight move of all joints together, at rest at both ends.
+
+use std::time::Duration;
+
+use anyhow::{Result, bail};
+use pb3dp_kinematics::{DOF, JointVector, PlacedArm, clearance};
+use pb3dp_setup::setup::{ArmSetup, Setup};
+
+use super::parts::{ArmChoice, speeds_rad_per_s};
+
+/// Share of the limits of acceleration and jerk that is used.
+const SHARE: f64 = 0.5;
+/// Share of the speed that is used; the rest is for what joints are behind.
+const SPEED_SHARE: f64 = 0.9;
+/// Largest values of the first, second and third derivative of the course over its duration.
+const PEAKS: [f64; 3] = [1.875, 5.774, 60.0];
+/// Shortest move.
+const SHORTEST_S: f64 = 0.5;
+/// By how much joints may have moved between the plan and the opening of the brakes, rad.
+pub const STAYED_WITHIN_RAD: f64 = 0.01;
+/// Places of the way at which the room to the other arm is looked at.
+const PLACES: u32 = 200;
+
+/// A planned move.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    from_rad: JointVector,
+    by_rad: JointVector,
+    duration_s: f64,
+}
+
+/// How near the way comes to the other arm, and with which parts.
+#[derive(Clone, Debug)]
+pub struct Room {
+    distance_m: f64,
+    parts: String,
+}
+
+impl Plan {
+    /// From measured joints by these angles, within the limits of the arm.
+    ///
+    /// # Errors
+    /// If a joint would end outside of its operating range, farther out than it is.
+    pub fn new(arm: &ArmSetup, from_rad: JointVector, by_rad: JointVector) -> Result<Self> {
+        let to_rad = from_rad + by_rad;
+        let limiter = &arm.limiter;
+        for joint in 0..DOF {
+            let (low, high) = (limiter.operating_min_rad[joint], limiter.operating_max_rad[joint]);
+            let outside = |angle: f64| (low - angle).max(angle - high).max(0.0);
+            if outside(to_rad[joint]) > 0.0 && outside(to_rad[joint]) >= outside(from_rad[joint]) {
+                bail!(
+                    "axis {} would end at {:.3} degrees, outside of its operating range {:.1} to {:.1}: choose a shorter way",
+                    joint + 1,
+                    to_rad[joint].to_degrees(),
+                    low.to_degrees(),
+                    high.to_degrees()
+                );
+            }
+        }
+        let speeds = speeds_rad_per_s(arm);
+        let times = (0..DOF).map(|joint| {
+            let by = by_rad[joint].abs();
+            let [speed, acceleration, jerk] = PEAKS;
+            let by_speed = speed * by / (SPEED_SHARE * speeds[joint]);
+            let by_acceleration = (acceleration * by / (SHARE * limiter.acceleration_max_rad_per_s2[joint])).sqrt();
+            let by_jerk = (jerk * by / (SHARE * limiter.jerk_max_rad_per_s3[joint])).cbrt();
+            by_speed.max(by_acceleration).max(by_jerk)
+        });
+        Ok(Self { from_rad, by_rad, duration_s: times.fold(SHORTEST_S, f64::max) })
+    }
+
+    /// From its beginning to its end.
+    pub fn duration(&self) -> Duration {
+        Duration::from_secs_f64(self.duration_s)
+    }
+
+    /// Where it begins, rad.
+    pub fn start_rad(&self) -> &JointVector {
+        &self.from_rad
+    }
+
+    /// Refuses joints that are not where the plan begins: what it says of ranges and room holds from there only.
+    ///
+    /// # Errors
+    /// The axis that is farthest away.
+    pub fn check_begin(&self, position_rad: &JointVector) -> Result<()> {
+        let moved = position_rad - self.from_rad;
+        if moved.amax() <= STAYED_WITHIN_RAD {
+            return Ok(());
+        }
+        let joint = moved.iamax();
+        bail!("axis {} is {:+.3} degrees from where the plan begins: plan again", joint + 1, moved[joint].to_degrees())
+    }
+
+    /// Where it ends, rad.
+    pub fn end_rad(&self) -> JointVector {
+        self.from_rad + self.by_rad
+    }
+
+    /// By how much, rad.
+    pub fn by_rad(&self) -> &JointVector {
+        &self.by_rad
+    }
+
+    /// Joints and their speeds at a time, rad and rad/s.
+    pub fn at(&self, time: Duration) -> (JointVector, JointVector) {
+        let u = (time.as_secs_f64() / self.duration_s).clamp(0.0, 1.0);
+        // The polynomial of least order with no speed and no acceleration at both ends.
+        let share = u * u * u * (10.0 + u * (6.0 * u - 15.0));
+        let speed = 30.0 * u * u * (1.0 - u) * (1.0 - u) / self.duration_s;
+        (self.from_rad + self.by_rad * share, self.by_rad * speed)
+    }
+
+    /// The least room to the other arm on the way.
+    pub fn room(&self, setup: &Setup, choice: ArmChoice, other_rad: &JointVector) -> Room {
+        let (arm, other) = (choice.of(setup), choice.other().of(setup));
+        let other_frames = other.chain.joint_frames(other_rad);
+        let standing =
+            PlacedArm { shape: &other.shape, world_from_base: &other.world_from_base, frames: &other_frames };
+        let room_at = |place: u32| {
+            let (joints_rad, _) = self.at(self.duration() * place / PLACES);
+            let frames = arm.chain.joint_frames(&joints_rad);
+            let moving = PlacedArm { shape: &arm.shape, world_from_base: &arm.world_from_base, frames: &frames };
+            let nearest = clearance(&moving, &standing);
+            Room { distance_m: nearest.distance_m, parts: format!("{} to {}", nearest.first, nearest.second) }
+        };
+        let nearer = |one: Room, other: Room| if other.distance_m < one.distance_m { other } else { one };
+        (1..=PLACES).map(room_at).fold(room_at(0), nearer)
+    }
+
+    /// What it does, joint by joint.
+    pub fn table(&self, arm: &ArmSetup) -> String {
+        let limiter = &arm.limiter;
+        let (low, high) = (&limiter.operating_min_rad, &limiter.operating_max_rad);
+        let hard = &limiter.hard_limits;
+        let mut text =
+            "axis   now deg    to deg    by deg  fastest rad/s  left to operating range  to servo limit, deg\n"
+                .to_owned();
+        let to_rad = self.end_rad();
+        for joint in 0..DOF {
+            let left = |low: f64, high: f64| (to_rad[joint] - low).min(high - to_rad[joint]).to_degrees();
+            text += &format!(
+                "{:<4}  {:>8.3}  {:>8.3}  {:>+8.3}  {:>13.4}  {:>23.2}  {:>19.2}\n",
+                joint + 1,
+                self.from_rad[joint].to_degrees(),
+                to_rad[joint].to_degrees(),
+                self.by_rad[joint].to_degrees(),
+                PEAKS[0] * self.by_rad[joint].abs() / self.duration_s,
+                left(low[joint], high[joint]),
+                left(hard.position_min_rad()[joint], hard.position_max_rad()[joint]),
+            );
+        }
+        text
+    }
+}
+
+impl Room {
+    /// Whether it is enough.
+    ///
+    /// # Errors
+    /// If it is less than the setup allows.
+    pub fn check(&self, setup: &Setup) -> Result<()> {
+        // What is no number is not enough.
+        if self.distance_m >= setup.least_room_m {
+            return Ok(());
+        }
+        bail!("{self} is less than arms.least_room_mm, {:.0} mm: move the other arm away", 1e3 * setup.least_room_m)
+    }
+}
+
+impl std::fmt::Display for Room {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:.0} mm ({})", 1e3 * self.distance_m, self.parts)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use pb3dp_setup::setup::read_setup;
+
+    use super::*;
+
+    #[test]
+    fn a_plan_begins_where_it_was_made_and_nowhere_else() {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
+        let setup = read_setup(std::path::Path::new(file)).unwrap();
+        let from_rad = setup.vs.start_rad;
+        let plan = Plan::new(&setup.vs, from_rad, JointVector::repeat(0.05)).unwrap();
+        let moved = |joint: usize, by_rad: f64| {
+            let mut at_rad = from_rad;
+            at_rad[joint] += by_rad;
+            plan.check_begin(&at_rad).map_err(|refusal| refusal.to_string())
+        };
+        assert_eq!(moved(3, -0.9 * STAYED_WITHIN_RAD), Ok(()));
+        let refusal = moved(3, -0.02).unwrap_err();
+        assert!(refusal.contains("-1.146 degrees from where the plan begins: plan again"), "{refusal}");
+        assert!(refusal.starts_with("axis 4"), "{refusal}");
+    }
+}

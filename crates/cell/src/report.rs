@@ -1,0 +1,442 @@
+//! The report of a run: one self-contained page, and the same figures as text and JSON.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use nalgebra::{UnitQuaternion, Vector3};
+use pb3dp_record::report::{LinePlot, Report, ReportPicture, Series, SeriesColor, Table};
+
+use super::channels::ChannelSummary;
+use super::journal::Outcome;
+use super::log::{ControlSample, RunLog};
+use super::summary::{MedianP95, RmsMax, RunSummary, TrackingError};
+use super::{commands, cycles, drift, methods};
+
+/// Writes `report.html`, `summary.json` and `timeseries.csv` into `folder`.
+///
+/// # Errors
+/// If a file can not be written.
+pub fn write(
+    folder: &Path,
+    outcome: &Outcome,
+    summary: &RunSummary,
+    (provenance, world_from_axes): (&[(String, String)], &UnitQuaternion<f64>),
+) -> Result<()> {
+    let json = serde_json::json!({
+        "provenance": provenance.iter().cloned().collect::<std::collections::BTreeMap<_, _>>(),
+        "summary": summary,
+    });
+    let write = |name: &str, text: String| {
+        let file = folder.join(name);
+        fs::write(&file, text).with_context(|| format!("{}: can not be written", file.display()))
+    };
+    write("summary.json", serde_json::to_string_pretty(&json)? + "\n")?;
+    write("timeseries.csv", timeseries_csv(&outcome.log))?;
+    page(outcome, summary, (provenance, world_from_axes)).write(&folder.join("report.html"))?;
+    Ok(())
+}
+
+fn page(
+    outcome: &Outcome,
+    summary: &RunSummary,
+    (provenance, world_from_axes): (&[(String, String)], &UnitQuaternion<f64>),
+) -> Report {
+    let log = &outcome.log;
+    let strip: Vec<_> = outcome
+        .strip
+        .pictures
+        .iter()
+        .map(|(picture, caption)| (ReportPicture::Photo(picture), caption.clone()))
+        .collect();
+    let origin =
+        provenance.iter().fold(Table::new(["run", ""]), |table, (key, value)| table.row([key.clone(), value.clone()]));
+    let report = Report::new("pb3dp: a hand follows an unknown object");
+    let report = match &summary.ended_by {
+        Some(failure) => report.heading("The run has ended before its time").paragraph(failure),
+        None => report,
+    };
+    let report = report
+        .paragraph(introduction(summary))
+        .figures(&figures(summary))
+        .heading("Target and hand")
+        .paragraph(
+            "Displacement since the beginning and vector part of the unit quaternion of the rotation since then, along the axes \
+             in which the experiment is described (unless it says otherwise those of the target at the start: x right, y down, z \
+             away from the cameras); of a turn by 20 degrees the part is 0.17. When the target turns, the hand has to swing \
+             around it. Wanted is where the hand should be in front of the true target.",
+        )
+        .panels(&motion_panels(log, world_from_axes))
+        .heading("Each axis by itself")
+        .paragraph(
+            "Error of the hand along the axis that moves, and how far it trails. Lag is by cross-correlation over the way out \
+             and back; rise delay is the hand's 10 to 90 % rise time less that of its wanted way. The wanted place is in front of \
+             the target's true plane: what is left at rest contains how far the plane that the method laid through the target in \
+             the first pair is off, in depth, and in tilt times the distance of the hand.",
+        )
+        .table(&channel_table(summary))
+        .paragraph(
+            "The same against the hand's place by the pose of the lock, which takes the mean of the estimates before the first move \
+             for the truth: distance and angle, not along one axis only. What is left here is the servo's, and the noise of the estimates.",
+        )
+        .table(&locked_table(summary))
+        .paragraph(&lock_note(summary))
+        .paragraph(&normal_note(summary))
+        .heading("Methods side by side")
+        .paragraph(
+            "All methods saw the same pairs; the leading one moved the hand, the others looked on. Depth and normal against \
+             the true plane of the target: a constant that the first pair leaves, larger on a target with relief, which is no \
+             plane. Motion and rotation since the first pose: median / p95.",
+        )
+        .table(&methods::table(&summary.methods))
+        .panels(&methods::panels(log))
+        .heading("Commands")
+        .paragraph("How many of the velocities the limiter of each arm changed, to keep its limits, and how many were refused.")
+        .table(&commands::table(&summary.commands));
+    let report = with_cycles(report, summary).heading("Errors over time").panels(&error_panels(log, summary));
+    with_pictures(with_drift(report, summary), &strip)
+        .heading("Supervisor")
+        .paragraph(&summary.supervisor.paragraph())
+        .table(&summary.supervisor.transition_table())
+        .heading("How this run was made")
+        .table(&origin)
+}
+
+/// What kind of run this was.
+fn introduction(summary: &RunSummary) -> &'static str {
+    if summary.without_truth {
+        "The cameras are real: nobody knows where the target truly is, so there are no errors of hand and estimates here. Where target and \
+         hand are is what the joints of the arms say."
+    } else if summary.without_pictures {
+        "No picture was rendered and none was looked at: what the controller was told is the true pose of the target at \
+         mid-exposure with the noise that the configuration states (estimator.geometric), as long as both cameras have it in view. \
+         Such a run says how the hand moves, and nothing of what a camera would see."
+    } else {
+        "At the marks the target begins to move as the configuration says. The hand that carries the two \
+         cameras knows nothing about it but the region marked in the first left picture, and keeps its place in front of it. Truth \
+         comes from the simulation."
+    }
+}
+
+/// The strip of pictures, if there is one.
+fn with_pictures(report: Report, strip: &[(ReportPicture<'_>, String)]) -> Report {
+    if strip.is_empty() {
+        return report;
+    }
+    report
+        .heading("What the cameras saw")
+        .paragraph("Left: region and axes of the model. Right: where the estimated pose puts the region's outline.")
+        .images(strip)
+}
+
+/// Whether the cameras still are what was calibrated.
+fn with_drift(report: Report, summary: &RunSummary) -> Report {
+    if summary.drift.is_empty() {
+        return report;
+    }
+    report
+        .heading("Drift of the cameras")
+        .paragraph(
+            "Each value is the median of five looks; all are zero where the calibration holds and both eyes are alike. What is too far \
+             makes estimates worse before it is seen: calibrate again.",
+        )
+        .table(&drift::table(&summary.drift))
+}
+
+/// How punctual a run in the machine's time was.
+fn with_cycles(report: Report, summary: &RunSummary) -> Report {
+    if summary.cycles.is_empty() {
+        return report;
+    }
+    report
+        .heading("Cycles")
+        .paragraph(
+            "How late cycles began, in the machine's time. Cycles whose time had passed were left out. A link tolerates two lost \
+             replies in a row.",
+        )
+        .table(&cycles::table(&summary.cycles))
+}
+
+/// What the methods say of the rotation about the normal.
+fn normal_note(summary: &RunSummary) -> String {
+    let leading = if summary.rotation_about_normal_observed {
+        "The rotation about the model's normal (rz) is observed."
+    } else {
+        "The rotation about the model's normal (rz) was not observed by the leading method; it is held at its first value."
+    };
+    let blind: Vec<&str> = summary
+        .methods
+        .iter()
+        .filter(|method| !method.leads && !method.rotation_about_normal_observed)
+        .map(|method| method.method.as_str())
+        .collect();
+    match blind.is_empty() {
+        true => leading.to_owned(),
+        false => format!("{leading} Of the methods that looked on, it is not observed by: {}.", blind.join(", ")),
+    }
+}
+
+/// The hand's error of orientation as far as the method can know it: whole, or without the rotation about the normal.
+fn orientation(summary: &RunSummary) -> (&'static str, Option<RmsMax>) {
+    match summary.rotation_about_normal_observed {
+        true => ("hand orientation error, rms", summary.tracking_orientation_deg),
+        false => ("hand viewing direction error, rms", summary.tracking_tilt_deg),
+    }
+}
+
+fn figures(summary: &RunSummary) -> Vec<(&'static str, String)> {
+    let rms = |value: Option<RmsMax>, unit: &str| value.map_or("-".into(), |v| format!("{:.1} {unit}", v.rms));
+    let median = |value: Option<MedianP95>, unit: &str| value.map_or("-".into(), |v| format!("{:.2} {unit}", v.median));
+    let (orientation_name, orientation) = orientation(summary);
+    vec![
+        ("hand position error, rms", rms(summary.tracking_position_mm, "mm")),
+        (orientation_name, rms(orientation, "deg")),
+        ("lag, median over the axes", summary.lag_s.map_or("-".into(), |lag| format!("{lag:.2} s"))),
+        ("estimated depth, median error", median(summary.estimation_depth_mm, "mm")),
+        ("estimated normal, median error", median(summary.estimation_normal_deg, "deg")),
+        ("frame to estimate, p50", summary.latency_p50_millis.map_or("-".into(), |ms| format!("{ms:.1} ms"))),
+    ]
+}
+
+/// The six panels of Fig. 7.
+fn motion_panels(log: &RunLog, world_from_axes: &UnitQuaternion<f64>) -> Vec<LinePlot> {
+    let Some(first) = log.control.first() else { return Vec::new() };
+    type Way = fn(&ControlSample) -> (Vector3<f64>, UnitQuaternion<f64>);
+    let ways: [(&str, SeriesColor, Way); 3] = [
+        ("target", SeriesColor::Ink, |s| (s.world_from_target.translation_m(), s.world_from_target.rotation())),
+        ("wanted", SeriesColor::Grey, |s| {
+            (s.world_from_hand_wanted.translation_m(), s.world_from_hand_wanted.rotation())
+        }),
+        ("hand", SeriesColor::Red, |s| (s.world_from_hand.translation_m(), s.world_from_hand.rotation())),
+    ];
+    let ways: Vec<_> = ways.into_iter().filter(|(label, ..)| !(log.without_truth && *label == "wanted")).collect();
+    let position = |way: Way, axis: usize| -> Vec<[f64; 2]> {
+        let moved = |s| world_from_axes.inverse() * (way(s).0 - way(first).0) * 1e3;
+        log.control.iter().map(|s| [s.t_s, moved(s)[axis]]).collect()
+    };
+    let orientation = |way: Way, axis: usize| -> Vec<[f64; 2]> {
+        let start = way(first).1.inverse();
+        log.control
+            .iter()
+            .map(|s| {
+                let turned = way(s).1 * start;
+                let about = world_from_axes.inverse() * turned.imag();
+                [s.t_s, about[axis] * turned.w.signum()]
+            })
+            .collect()
+    };
+    let mut panels = Vec::new();
+    for (axis, name) in ["x", "y", "z"].iter().enumerate() {
+        let plot =
+            LinePlot::new(format!("({}) position {name}", ["a", "b", "c"][axis]), ("time", "s"), ("position", "mm"));
+        let plot =
+            ways.iter().fold(plot, |plot, (label, color, way)| plot.series(line(label, *color, position(*way, axis))));
+        panels.push(with_marks(plot, log));
+    }
+    for (axis, name) in ["1", "2", "3"].iter().enumerate() {
+        let title = format!("({}) orientation, quaternion part {name}", ["d", "e", "f"][axis]);
+        let plot = LinePlot::new(title, ("time", "s"), ("vector part", ""));
+        let plot = ways
+            .iter()
+            .fold(plot, |plot, (label, color, way)| plot.series(line(label, *color, orientation(*way, axis))));
+        panels.push(with_marks(plot, log));
+    }
+    panels
+}
+
+fn line(label: &str, color: SeriesColor, points: Vec<[f64; 2]>) -> Series {
+    let series = Series::line(label, color, points);
+    if color == SeriesColor::Grey { series.dashed() } else { series }
+}
+
+/// The plot with the marks of the experiment.
+pub fn with_marks(plot: LinePlot, log: &RunLog) -> LinePlot {
+    log.marks.iter().fold(plot, |plot, mark| plot.mark(mark.at_s, format!("({})", mark.number)))
+}
+
+fn error_panels(log: &RunLog, summary: &RunSummary) -> Vec<LinePlot> {
+    let control = |pick: fn(&TrackingError) -> f64| -> Vec<[f64; 2]> {
+        log.judged().iter().map(|s| [s.t_s, pick(&TrackingError::of(s))]).collect()
+    };
+    let frames = |pick: fn(&super::log::FrameSample) -> Option<f64>| -> Vec<[f64; 2]> {
+        log.leading.frames.iter().map(|f| [f.t_s, pick(f).unwrap_or(f64::NAN)]).collect()
+    };
+    let plot = |title: &str, y: (&str, &str), color: SeriesColor, points: Vec<[f64; 2]>| {
+        with_marks(LinePlot::new(title, ("time", "s"), y).series(Series::line(title, color, points)), log)
+    };
+    let orientation = match summary.rotation_about_normal_observed {
+        true => ("hand: orientation error", control(|e| e.orientation_rad.to_degrees())),
+        false => ("hand: viewing direction error", control(|e| e.tilt_rad.to_degrees())),
+    };
+    let mut panels = vec![
+        plot("hand: position error", ("error", "mm"), SeriesColor::Red, control(|e| e.position_m * 1e3)),
+        plot(orientation.0, ("error", "deg"), SeriesColor::Red, orientation.1),
+    ];
+    // Not every method has a fitness.
+    if log.leading.frames.iter().any(|f| f.fitness.is_some()) {
+        panels.push(plot("fitness", ("fitness", ""), SeriesColor::Green, frames(|f| f.fitness)));
+    }
+    let latency = frames(|f| Some(f.latency_millis));
+    panels.push(plot("frame to estimate", ("wall time", "ms"), SeriesColor::Purple, latency));
+    panels
+}
+
+fn number(value: Option<f64>) -> String {
+    value.map_or("-".to_owned(), |x| format!("{x:.2}"))
+}
+
+fn channel_table(summary: &RunSummary) -> Table {
+    let has = |pick: fn(&ChannelSummary) -> Option<f64>| summary.channels.iter().any(|c| pick(c).is_some());
+    type Pick = fn(&ChannelSummary) -> Option<f64>;
+    let columns: [(&str, Pick); 10] = [
+        ("moving, rms", |c| c.moving.map(|e| e.rms)),
+        ("moving, max", |c| c.moving.map(|e| e.max)),
+        ("hold, rms", |c| c.hold.map(|e| e.rms)),
+        ("hold, max", |c| c.hold.map(|e| e.max)),
+        ("lag, s", |c| c.lag_s),
+        ("rise delay, s", |c| c.rise_delay_s),
+        ("gain, dB", |c| c.gain_db),
+        ("phase, deg", |c| c.phase_deg),
+        ("settled after, s", |c| c.settled_after_s),
+        ("overshoot, %", |c| c.overshoot_percent),
+    ];
+    // What this kind of motion does not have is left out.
+    let columns: Vec<_> = columns.into_iter().filter(|(_, pick)| has(*pick)).collect();
+    let headings = ["axis", "unit"].into_iter().chain(columns.iter().map(|(name, _)| *name));
+    summary.channels.iter().fold(Table::new(headings), |table, c| {
+        let names = [c.channel.clone(), c.unit.to_owned()];
+        table.row(names.into_iter().chain(columns.iter().map(|(_, pick)| number(pick(c)))))
+    })
+}
+
+fn locked_table(summary: &RunSummary) -> Table {
+    let headings =
+        ["axis", "moving, rms mm", "max", "moving, rms deg", "max", "hold, rms mm", "max", "hold, rms deg", "max"];
+    let all = ("all".to_owned(), summary.locked);
+    let rows = summary.channels.iter().map(|c| (c.channel.clone(), c.locked)).chain(std::iter::once(all));
+    rows.fold(Table::new(headings), |table, (name, locked)| {
+        let errors = [locked.moving_mm, locked.moving_deg, locked.hold_mm, locked.hold_deg];
+        let cells = errors.into_iter().flat_map(|e| [number(e.map(|e| e.rms)), number(e.map(|e| e.max))]);
+        table.row(std::iter::once(name).chain(cells))
+    })
+}
+
+/// What the lock got wrong.
+fn lock_note(summary: &RunSummary) -> String {
+    let Some(lock) = &summary.lock else { return "There was no lock.".to_owned() };
+    let stated = match lock.tilt_sigma_deg.zip(lock.hand_by_tilt_sigma_mm) {
+        Some((deg, mm)) => {
+            format!("; the estimate stated a standard deviation of {deg:.2} degrees, {mm:.1} mm at the hand")
+        }
+        None => String::new(),
+    };
+    let (hand, tilt) = (lock.hand_mm, lock.tilt_deg);
+    format!(
+        "The lock puts the hand {hand:.1} mm beside its place before the true plane, and is tilted by {tilt:.2} degrees{stated}."
+    )
+}
+
+/// The summary as a plain table for a terminal.
+pub fn text_table(summary: &RunSummary) -> String {
+    let mut text = String::new();
+    let rms_max = |name: &str, value: Option<RmsMax>, unit: &str| {
+        let figures = value.map_or("-".to_owned(), |v| format!("rms {:.2}, max {:.2} {unit}", v.rms, v.max));
+        format!("{name:<34} {figures}\n")
+    };
+    let median_p95 = |name: &str, value: Option<MedianP95>, unit: &str| {
+        let figures = value.map_or("-".to_owned(), |v| format!("median {:.2}, p95 {:.2} {unit}", v.median, v.p95));
+        format!("{name:<34} {figures}\n")
+    };
+    text += &rms_max("hand, position", summary.tracking_position_mm, "mm");
+    text += &rms_max("hand, viewing direction", summary.tracking_tilt_deg, "deg");
+    text += &rms_max("hand, whole orientation", summary.tracking_orientation_deg, "deg");
+    text +=
+        &format!("{:<34} {}\n", "lag, median over the axes", summary.lag_s.map_or("-".into(), |s| format!("{s:.3} s")));
+    text += &median_p95("estimate, depth", summary.estimation_depth_mm, "mm");
+    text += &median_p95("estimate, normal", summary.estimation_normal_deg, "deg");
+    let latency = summary.latency_p50_millis.zip(summary.latency_p99_millis);
+    let latency = latency.map_or("-".into(), |(p50, p99)| format!("p50 {p50:.2}, p99 {p99:.2} ms"));
+    text += &format!("{:<34} {latency}\n", "frame in memory to estimate");
+    text += &format!("{:<34} {} of {}\n", "frames without a pose", summary.frames_without_pose, summary.frames);
+    let statuses: Vec<String> = summary.frames_by_status.iter().map(|(status, n)| format!("{n} {status}")).collect();
+    text += &format!("{:<34} {}\n", "frames by status", statuses.join(", "));
+    let modes: Vec<String> =
+        summary.share_by_mode.iter().map(|(mode, share)| format!("{mode} {:.0} %", 100.0 * share)).collect();
+    text += &format!("{:<34} {}\n", "controller", modes.join(", "));
+    let sigma = summary.smallest_singular_value.map_or("-".into(), |s| format!("{s:.3}"));
+    text += &format!("{:<34} {sigma}\n", "smallest singular value");
+    text += &summary.supervisor.text_lines();
+    text += &commands::text_lines(&summary.commands);
+    if summary.without_truth {
+        text += "the cameras are real: nobody knows the truth, and how far hand and estimates are off\n";
+    }
+    if summary.without_pictures {
+        text += "no picture was rendered: the estimates are the true poses with the noise of estimator.geometric\n";
+    }
+    text += &drift::text_lines(&summary.drift);
+    text.push('\n');
+    text += &methods::text_table(&summary.methods);
+    text.push('\n');
+    let _ = writeln!(text, "axis unit  moving rms    max   hold rms    max   lag s");
+    for c in &summary.channels {
+        let _ = writeln!(
+            text,
+            "{:<4} {:<4} {:>11} {:>6} {:>10} {:>6} {:>7}",
+            c.channel,
+            c.unit,
+            number(c.moving.map(|e| e.rms)),
+            number(c.moving.map(|e| e.max)),
+            number(c.hold.map(|e| e.rms)),
+            number(c.hold.map(|e| e.max)),
+            number(c.lag_s)
+        );
+    }
+    for c in &summary.channels {
+        text += &response_line(c);
+    }
+    let _ = writeln!(text, "{}", lock_note(summary));
+    text += &cycles::text_table(&summary.cycles);
+    if !summary.rotation_about_normal_observed {
+        text += "rz, the rotation about the normal, is not observed by this method: it is held\n";
+    }
+    text
+}
+
+/// Gain and phase, or settling and overshoot, of a channel that has them.
+fn response_line(c: &ChannelSummary) -> String {
+    let mut line = String::new();
+    if let Some((gain_db, phase_deg)) = c.gain_db.zip(c.phase_deg) {
+        let _ = writeln!(line, "{}: gain {gain_db:.2} dB, phase {phase_deg:.1} deg", c.channel);
+    }
+    if let Some(overshoot) = c.overshoot_percent {
+        let settled = c.settled_after_s.map_or("has not settled".to_owned(), |s| format!("settled after {s:.2} s"));
+        let _ = writeln!(line, "{}: {settled}, overshoot {overshoot:.1} %", c.channel);
+    }
+    line
+}
+
+/// One line per control step: times in seconds, positions in millimetres, quaternions as x, y, z, w; empty cells are not known.
+fn timeseries_csv(log: &RunLog) -> String {
+    let mut text = String::from("t_s,mode");
+    for body in ["target", "hand", "wanted"] {
+        let _ = write!(text, ",{body}_x_mm,{body}_y_mm,{body}_z_mm,{body}_qx,{body}_qy,{body}_qz,{body}_qw");
+    }
+    text.push('\n');
+    for s in &log.control {
+        let _ = write!(text, "{:.4},{}", s.t_s, s.mode_word());
+        let poses = [
+            (s.world_from_target.translation_m(), s.world_from_target.rotation()),
+            (s.world_from_hand.translation_m(), s.world_from_hand.rotation()),
+            (s.world_from_hand_wanted.translation_m(), s.world_from_hand_wanted.rotation()),
+        ];
+        let known = if log.without_truth { 2 } else { 3 };
+        for (p, q) in &poses[..known] {
+            let _ = write!(text, ",{:.4},{:.4},{:.4}", p.x * 1e3, p.y * 1e3, p.z * 1e3);
+            let _ = write!(text, ",{:.7},{:.7},{:.7},{:.7}", q.i, q.j, q.k, q.w);
+        }
+        text += &",".repeat(7 * (poses.len() - known));
+        text.push('\n');
+    }
+    text
+}

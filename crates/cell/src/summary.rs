@@ -1,0 +1,388 @@
+//! The figures of a run: how well the hand followed, how good the estimates were, how long they took.
+//!
+//! Errors are against the hand's place before the true target. Beside them stand those against its place by the pose of the lock:
+//! whatever the first estimates got wrong stays for the whole run and is no fault of the servo. With real cameras nobody knows the
+//! truth, and there are no such figures.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Vector3;
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{Hand, World};
+use pb3dp_record::metrics::{Statistics, max_abs, percentile, rms};
+use serde::Serialize;
+
+use super::channels::{self, ChannelSummary, LockedErrors, Plan};
+use super::commands::CommandSummary;
+use super::cycles::CycleSummary;
+use super::drift::DriftSummary;
+use super::log::{ControlSample, Lock, RunLog};
+use super::methods::{self, MethodSummary};
+use super::supervision::Supervision;
+
+/// Root mean square and largest value of an error.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct RmsMax {
+    /// Root mean square.
+    pub rms: f64,
+    /// Largest absolute value.
+    pub max: f64,
+}
+
+impl RmsMax {
+    /// Of errors; `None` without any.
+    pub fn of(samples: &[f64]) -> Option<Self> {
+        Some(Self { rms: rms(samples)?, max: max_abs(samples)? })
+    }
+}
+
+/// Median and 95th percentile of an error.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct MedianP95 {
+    /// Median.
+    pub median: f64,
+    /// 95th percentile.
+    pub p95: f64,
+}
+
+impl MedianP95 {
+    /// Of absolute errors; `None` without any.
+    pub fn of(samples: &[f64]) -> Option<Self> {
+        Statistics::of(samples).map(|s| Self { median: s.median, p95: s.p95 })
+    }
+}
+
+/// The figures of a run.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RunSummary {
+    /// What has ended the run before its time; none if nothing has failed.
+    pub ended_by: Option<String>,
+    /// Duration of the experiment, seconds.
+    pub duration_s: f64,
+    /// Distance of the hand from where it should be, mm.
+    pub tracking_position_mm: Option<RmsMax>,
+    /// Angle of the hand to where it should be, degrees.
+    pub tracking_orientation_deg: Option<RmsMax>,
+    /// The same angle without the rotation about the model's normal, degrees.
+    pub tracking_tilt_deg: Option<RmsMax>,
+    /// Against the hand's place by the pose of the lock, over all channels.
+    pub locked: LockedErrors,
+    /// What the lock got wrong; none without one.
+    pub lock: Option<LockSummary>,
+    /// Median lag over the channels that the hand follows, seconds.
+    pub lag_s: Option<f64>,
+    /// Each channel by itself.
+    pub channels: Vec<ChannelSummary>,
+    /// Absolute depth error of the estimates, mm.
+    pub estimation_depth_mm: Option<MedianP95>,
+    /// Normal error of the estimates, degrees.
+    pub estimation_normal_deg: Option<MedianP95>,
+    /// Whether nobody knows the truth: the errors of hand and estimates are not known.
+    pub without_truth: bool,
+    /// Whether no picture was rendered: the estimates are the truth with noise.
+    pub without_pictures: bool,
+    /// The leading method and those that looked on, side by side.
+    pub methods: Vec<MethodSummary>,
+    /// Frames seen.
+    pub frames: usize,
+    /// Frames without a pose.
+    pub frames_without_pose: usize,
+    /// Number of frames with each status.
+    pub frames_by_status: BTreeMap<String, usize>,
+    /// Whether the method measured the rotation about the model's normal.
+    pub rotation_about_normal_observed: bool,
+    /// Pairs that the camera could not deliver.
+    pub pairs_lost: u64,
+    /// How far the cameras are from what was calibrated, if somebody has looked at that.
+    pub drift: Vec<DriftSummary>,
+    /// Wall time from the pair in memory to the estimate, milliseconds: median.
+    pub latency_p50_millis: Option<f64>,
+    /// The same, 99th percentile.
+    pub latency_p99_millis: Option<f64>,
+    /// Share of the control steps in each mode of the controller, 0 to 1.
+    pub share_by_mode: BTreeMap<String, f64>,
+    /// What the supervisor decided.
+    pub supervisor: Supervision,
+    /// Smallest singular value of the Jacobian during the run.
+    pub smallest_singular_value: Option<f64>,
+    /// What became of the velocities of each arm.
+    pub commands: Vec<CommandSummary>,
+    /// How punctual the cycles were; of a run in the machine's time only.
+    pub cycles: Vec<CycleSummary>,
+}
+
+/// What the first estimates got wrong: constant for the whole run.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LockSummary {
+    /// Distance between the hand's places by the true plane and by the estimate, mm.
+    pub hand_mm: f64,
+    /// Angle between the true normal and the estimated one, degrees.
+    pub tilt_deg: f64,
+    /// Standard deviation of that angle about one axis, as the estimate stated it (rms of both axes), degrees; none if it did not.
+    pub tilt_sigma_deg: Option<f64>,
+    /// How far such a tilt moves the hand: distance of the hand times the standard deviation, mm.
+    pub hand_by_tilt_sigma_mm: Option<f64>,
+}
+
+impl LockSummary {
+    fn of(lock: &Lock, sample: &ControlSample) -> Self {
+        let tilt_sigma_rad = lock.covariance.map(|covariance| (0.5 * (covariance[(3, 3)] + covariance[(4, 4)])).sqrt());
+        let normals =
+            [lock.target_from_model, lock.target_from_model_found].map(|pose| pose.transform_vector(&Vector3::z()));
+        let (wanted, locked) = (&sample.world_from_hand_wanted, &sample.world_from_hand_locked);
+        let model_from_hand = (sample.world_from_target * lock.target_from_model).inverse() * *wanted;
+        Self {
+            hand_mm: (wanted.translation_m() - locked.translation_m()).norm() * 1e3,
+            tilt_deg: normals[0].angle(&normals[1]).to_degrees(),
+            tilt_sigma_deg: tilt_sigma_rad.map(f64::to_degrees),
+            hand_by_tilt_sigma_mm: tilt_sigma_rad.map(|sigma| model_from_hand.translation_m().norm() * sigma * 1e3),
+        }
+    }
+}
+
+/// The figures of `log`.
+pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
+    let errors: Vec<TrackingError> = log.judged().iter().map(TrackingError::of).collect();
+    let column = |pick: fn(&TrackingError) -> f64| errors.iter().map(pick).collect::<Vec<f64>>();
+    let (channels, locked) = channels::summaries(log, plan);
+    let lags: Vec<f64> = channels.iter().filter_map(|c| c.lag_s).collect();
+    let latencies: Vec<f64> = log.leading.frames.iter().map(|f| f.latency_millis).collect();
+    let depth: Vec<f64> = log.leading.frames.iter().filter_map(|f| f.depth_error_m).map(|e| e.abs() * 1e3).collect();
+    let normal: Vec<f64> = log.leading.frames.iter().filter_map(|f| f.normal_error_rad).map(f64::to_degrees).collect();
+    RunSummary {
+        ended_by: None,
+        duration_s: log.control.last().map_or(0.0, |sample| sample.t_s),
+        tracking_position_mm: RmsMax::of(&column(|e| e.position_m * 1e3)),
+        tracking_orientation_deg: RmsMax::of(&column(|e| e.orientation_rad.to_degrees())),
+        tracking_tilt_deg: RmsMax::of(&column(|e| e.tilt_rad.to_degrees())),
+        locked,
+        lock: log.lock.as_ref().zip(log.control.last()).map(|(lock, sample)| LockSummary::of(lock, sample)),
+        lag_s: percentile(&lags, 50.0),
+        channels,
+        estimation_depth_mm: MedianP95::of(&depth),
+        estimation_normal_deg: MedianP95::of(&normal),
+        without_truth: log.without_truth,
+        without_pictures: log.without_pictures,
+        methods: methods::summaries(log),
+        frames: log.leading.frames.len(),
+        frames_without_pose: log.leading.estimated.iter().filter(|pose| pose.is_none()).count(),
+        frames_by_status: log.leading.frames.iter().fold(BTreeMap::new(), |mut counts, frame| {
+            *counts.entry(frame.status.clone()).or_default() += 1;
+            counts
+        }),
+        rotation_about_normal_observed: log.leading.rotation_about_normal_observed,
+        pairs_lost: log.pairs_lost,
+        drift: log.drift.clone(),
+        latency_p50_millis: percentile(&latencies, 50.0),
+        latency_p99_millis: percentile(&latencies, 99.0),
+        supervisor: log.supervision.summary(),
+        share_by_mode: shares(log.control.iter().map(ControlSample::mode_word)),
+        smallest_singular_value: log.control.iter().map(|s| s.smallest_singular_value).reduce(f64::min),
+        commands: log.commands.clone(),
+        cycles: log.cycles.clone(),
+    }
+}
+
+/// How often each word occurs, as a share of all.
+fn shares<'a>(words: impl Iterator<Item = &'a str>) -> BTreeMap<String, f64> {
+    let mut counts = BTreeMap::<String, f64>::new();
+    words.for_each(|word| *counts.entry(word.to_owned()).or_default() += 1.0);
+    let total: f64 = counts.values().sum();
+    counts.values_mut().for_each(|count| *count /= total);
+    counts
+}
+
+impl RunSummary {
+    /// Share of the time in which the hand followed or approached, 0 to 1.
+    pub fn share_following(&self) -> f64 {
+        self.supervisor.share_following()
+    }
+}
+
+/// Distance between the hand and its wanted pose.
+#[derive(Clone, Copy, Debug)]
+pub struct TrackingError {
+    /// Metres.
+    pub position_m: f64,
+    /// Radians.
+    pub orientation_rad: f64,
+    /// Angle between the viewing axes, radians: without the rotation about them.
+    pub tilt_rad: f64,
+}
+
+impl TrackingError {
+    /// The error of one control step, against the place before the true target.
+    pub fn of(sample: &ControlSample) -> Self {
+        Self::between(&sample.world_from_hand_wanted, &sample.world_from_hand)
+    }
+
+    /// The error of one control step, against the place by the pose of the lock.
+    pub fn of_locked(sample: &ControlSample) -> Self {
+        Self::between(&sample.world_from_hand_locked, &sample.world_from_hand)
+    }
+
+    fn between(wanted: &Pose<World, Hand>, is: &Pose<World, Hand>) -> Self {
+        let axis = |pose: &Pose<World, Hand>| pose.transform_vector(&Vector3::z());
+        Self {
+            position_m: (is.translation_m() - wanted.translation_m()).norm(),
+            orientation_rad: wanted.rotation().angle_to(&is.rotation()),
+            tilt_rad: axis(wanted).angle(&axis(is)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix6, UnitQuaternion, Vector6};
+    use pb3dp_geometry::frames::{Model, Target};
+    use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig, StepExperimentConfig, Trajectory};
+
+    use super::*;
+
+    /// A hand that follows 300 ms late and 2 mm beside its place, with the target's axes turned against the world's.
+    fn late_hand() -> (RunLog, Plan) {
+        let start = start();
+        let config = StepExperimentConfig { channels: vec![Channel::X, Channel::Ry], ..Default::default() };
+        let (log, plan, _) = follows(MotionConfig::Steps(config), start, |t| (t - 0.3).max(0.0));
+        (log, plan)
+    }
+
+    /// A hand that is where it should have been at another time, and 2 mm beside.
+    fn follows(
+        motion: MotionConfig,
+        start: Pose<World, Target>,
+        other: impl Fn(f64) -> f64,
+    ) -> (RunLog, Plan, std::sync::Arc<dyn Trajectory>) {
+        let experiment = motion.begin_at(start).unwrap();
+        let plan = Plan::of(&motion, &*experiment);
+        let wanted = |t: f64| -> Pose<World, Hand> {
+            experiment.pose_at(t) * Pose::from_translation(Vector3::new(0.01, 0.02, -0.5))
+        };
+        let beside = start.transform_vector(&Vector3::new(0.002, 0.0, 0.0));
+        let control = (0..)
+            .map(|i| f64::from(i) * 0.01)
+            .take_while(|&t| t <= experiment.duration_s())
+            .map(|t| {
+                let late = wanted(other(t));
+                ControlSample {
+                    t_s: t,
+                    world_from_target: experiment.pose_at(t),
+                    world_from_hand: Pose::from_parts(late.translation_m() + beside, late.rotation()),
+                    world_from_hand_wanted: wanted(t),
+                    world_from_hand_locked: wanted(t),
+                    mode: "tracking".into(),
+                    smallest_singular_value: 0.2,
+                }
+            })
+            .collect();
+        (RunLog { control, marks: experiment.marks().to_vec(), ..Default::default() }, plan, experiment)
+    }
+
+    fn start() -> Pose<World, Target> {
+        Pose::from_parts(Vector3::new(0.9, -0.2, 1.1), UnitQuaternion::from_euler_angles(0.4, -0.7, 1.2))
+    }
+
+    #[test]
+    fn lag_and_errors_are_those_that_were_put_in() {
+        let (log, plan) = late_hand();
+        let summary = summarize(&log, &plan);
+        let x = &summary.channels[0];
+        let ry = &summary.channels[1];
+        assert_eq!((x.channel.as_str(), x.unit, ry.channel.as_str(), ry.unit), ("x", "mm", "ry", "deg"));
+        for channel in &summary.channels {
+            assert!((channel.lag_s.unwrap() - 0.3).abs() < 0.02, "{channel:?}");
+            assert!(channel.rise_delay_s.unwrap().abs() < 0.02, "{channel:?}");
+        }
+        // Beside by 2 mm along x at rest; 300 ms late at up to 1.875 x 50 mm/s while moving.
+        assert!((x.hold.unwrap().rms - 2.0).abs() < 0.05, "{x:?}");
+        assert!(x.moving.unwrap().max > 25.0 && x.moving.unwrap().max < 32.0, "{x:?}");
+        assert!(ry.hold.unwrap().max < 0.05 && ry.moving.unwrap().max > 4.5, "{ry:?}");
+        assert!(summary.tracking_tilt_deg.unwrap().max <= summary.tracking_orientation_deg.unwrap().max + 1e-9);
+    }
+
+    #[test]
+    fn a_turn_about_the_viewing_axis_is_no_tilt() {
+        let (mut log, plan) = late_hand();
+        for sample in &mut log.control {
+            let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.0, 0.35));
+            let wanted = sample.world_from_hand_wanted;
+            sample.world_from_hand = Pose::from_parts(wanted.translation_m(), wanted.rotation() * turn);
+        }
+        let summary = summarize(&log, &plan);
+        assert!((summary.tracking_orientation_deg.unwrap().rms - 0.35_f64.to_degrees()).abs() < 1e-6);
+        assert!(summary.tracking_tilt_deg.unwrap().max < 1e-4);
+    }
+
+    #[test]
+    fn a_sinusoid_has_gain_and_phase_and_no_rest() {
+        // 0.3 s late of 5 s: 21.6 degrees; a turn by 0.35 rad about a fixed axis has the same phase.
+        for (channel, amplitude) in [(Channel::Y, 0.1), (Channel::Rx, 0.35)] {
+            let axes = ExperimentAxes::TargetAtStart;
+            let sine = SineConfig { channel, amplitude, period_s: 5.0, periods: 2, lead_in_s: 1.0, axes };
+            let (log, plan, _) = follows(MotionConfig::Sine(sine), start(), |t| t - 0.3);
+            let summary = summarize(&log, &plan);
+            let [found] = &summary.channels[..] else { panic!("one channel: {summary:?}") };
+            assert!(found.gain_db.unwrap().abs() < 0.01, "{found:?}");
+            assert!((found.phase_deg.unwrap() + 21.6).abs() < 0.1, "{found:?}");
+            assert!((found.lag_s.unwrap() - 0.3).abs() < 0.02, "{found:?}");
+            assert!(found.moving.is_some() && found.hold.is_none() && found.rise_delay_s.is_none(), "{found:?}");
+            assert!(found.settled_after_s.is_none() && found.overshoot_percent.is_none());
+        }
+    }
+
+    #[test]
+    fn a_sudden_move_has_settling_and_overshoot_and_no_lag() {
+        let steps = StepExperimentConfig {
+            channels: vec![Channel::Z],
+            move_s: 0.0,
+            hold_s: 2.0,
+            lead_in_s: 1.0,
+            ..Default::default()
+        };
+        // The hand comes half a second late on the way out, and 0.8 s on the way back; 2 mm beside its place it never settles.
+        let late = |t: f64| if t < 3.0 { t - 0.5 } else { t - 0.8 };
+        let (mut log, plan, _) = follows(MotionConfig::Steps(steps), start(), late);
+        assert_eq!(summarize(&log, &plan).channels[0].settled_after_s, None);
+        // By the pose of the lock it is where it should be, and 4 mm too far in between.
+        let away = start().transform_vector(&Vector3::new(0.0, 0.0, 0.004));
+        let beside = start().transform_vector(&Vector3::new(0.002, 0.0, 0.0));
+        for sample in &mut log.control {
+            let wanted = sample.world_from_hand_wanted;
+            sample.world_from_hand_locked = Pose::from_parts(wanted.translation_m() + beside, wanted.rotation());
+            if (1.6..1.7).contains(&sample.t_s) {
+                let hand = sample.world_from_hand;
+                sample.world_from_hand = Pose::from_parts(hand.translation_m() + away, hand.rotation());
+            }
+        }
+        let found = &summarize(&log, &plan).channels[0];
+        assert!((found.settled_after_s.unwrap() - 0.8).abs() < 0.011, "{found:?}");
+        assert!((found.overshoot_percent.unwrap() - 4.0).abs() < 1e-6, "{found:?}");
+        assert!(found.lag_s.is_none() && found.rise_delay_s.is_none() && found.moving.is_none(), "{found:?}");
+    }
+
+    #[test]
+    fn what_the_lock_got_wrong_is_told_apart() {
+        let (mut log, plan) = late_hand();
+        let target_from_model = Pose::<Target, Model>::from_translation(Vector3::new(0.01, 0.02, 0.0));
+        let tilted = Pose::from_parts(Vector3::zeros(), UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.01, 0.0)));
+        let model_from_hand = Pose::<Model, Hand>::from_translation(Vector3::new(0.0, 0.0, -0.5));
+        let found = target_from_model * tilted;
+        for sample in &mut log.control {
+            sample.world_from_hand_locked = sample.world_from_target * found * model_from_hand;
+        }
+        let covariance = Some(Matrix6::from_diagonal(&Vector6::new(0.0, 0.0, 0.0, 9e-6, 1.6e-5, 1.0)));
+        log.lock = Some(Lock { at_s: 0.0, target_from_model, target_from_model_found: found, covariance });
+        let lock = summarize(&log, &plan).lock.unwrap();
+        // 500 mm x 2 sin(0.005); sigma is the root of the mean of 9 and 16, in mrad.
+        assert!((lock.hand_mm - 1000.0 * 0.005_f64.sin()).abs() < 1e-9, "{lock:?}");
+        assert!((lock.tilt_deg - 0.01_f64.to_degrees()).abs() < 1e-9, "{lock:?}");
+        assert!((lock.hand_by_tilt_sigma_mm.unwrap() - 500.0 * 12.5e-6_f64.sqrt()).abs() < 1e-6, "{lock:?}");
+    }
+
+    #[test]
+    fn an_empty_log_has_no_figures() {
+        let (_, plan) = late_hand();
+        let summary = summarize(&RunLog::default(), &plan);
+        assert!(summary.channels.is_empty() && summary.tracking_position_mm.is_none() && summary.frames == 0);
+    }
+}

@@ -1,0 +1,234 @@
+//! The hand swings by some millimetres before a target that rests: what is recorded tells the delays of the rig.
+//!
+//! The same parts as of a run, with limiter, guard and coupling; only what leads the hand is fixed beforehand, and the arm with the
+//! target holds.
+
+use std::time::Duration;
+
+use anyhow::Result;
+use pb3dp_geometry::frames::{Base, CamLeft, Hand, Model};
+use pb3dp_geometry::{MonotonicTime, Pose};
+use pb3dp_hal_api::{JointCommand, JointState};
+use pb3dp_kinematics::{Damping, JointVector, damped_pseudo_inverse};
+use pb3dp_servo::TargetObservation;
+use pb3dp_servo::identification::{Excitation, GivenVelocity};
+use pb3dp_setup::setup::Setup;
+
+use super::both_arms::{BothArms, Whence};
+use super::capturing::Captured;
+use super::halves::{Capture, Course, Estimate, Mover, Parted, Record};
+use super::looking::{Estimating, Looking};
+use super::parts::Parts;
+use super::percept::Percept;
+use super::strip::Strip;
+
+/// Before the hand begins to swing: the target is taken, and the arm has come to rest.
+const LEAD_IN: Duration = Duration::from_secs(1);
+/// Behind the end: what was told last still has to be seen.
+const LEAD_OUT: Duration = Duration::from_millis(500);
+
+/// One estimate that was stood by.
+#[derive(Clone, Copy, Debug)]
+pub struct SeenPose {
+    /// Stamp of the pair: the middle of its exposure, as the camera says.
+    pub at: MonotonicTime,
+    /// The first control step that had it.
+    pub used_at: MonotonicTime,
+    /// What was estimated.
+    pub cam_left_from_model: Pose<CamLeft, Model>,
+}
+
+/// What was recorded.
+#[derive(Debug, Default)]
+pub struct Swung {
+    /// What the arm with the cameras was told.
+    pub given: Vec<GivenVelocity>,
+    /// What was measured of it.
+    pub joints: Vec<JointState>,
+    /// What was seen.
+    pub seen: Vec<SeenPose>,
+    /// Pairs without an estimate that was stood by.
+    pub untrusted: usize,
+}
+
+/// From switching both arms on until they are stopped.
+pub fn duration(motion: &Excitation) -> Duration {
+    LEAD_IN + Duration::from_secs_f64(motion.duration_s()) + LEAD_OUT
+}
+
+/// Swings the hand, and stops both arms on every way out.
+///
+/// # Errors
+/// If an arm, the camera or the estimator fails for good; the arms are stopped first.
+pub fn run(setup: &Setup, parts: Parts, motion: Excitation) -> Result<Swung> {
+    let Parts { clock, camera, vs, tc, cell, marking, emulated, interrupt, .. } = parts;
+    let sight = (camera, cell, marking);
+    let mut looking = OnlyLooking(Looking::new(setup, sight, (Strip::default(), clock.now()), None)?);
+    let arms = BothArms::new(setup, (vs, tc), clock.now());
+    let mut swinging = Swinging::new(setup, arms, motion)?;
+    let course = Course { setup, clock: &clock, duration: duration(&motion), interrupt: &interrupt };
+    let (ended, _) = course.run(&mut looking, &mut swinging);
+    // The arms go before what is at the other end of their lines.
+    let Swinging { arms, record, .. } = swinging;
+    drop(arms);
+    drop(emulated);
+    ended.map(|()| record)
+}
+
+/// Looks, and leaves it to the half that moves to keep what was seen.
+struct OnlyLooking<'a>(Looking<'a>);
+
+impl Parted for OnlyLooking<'_> {
+    type Step = JointState;
+    type Frame = Captured;
+    type Seen = ();
+
+    fn begin_at(&mut self, begin: MonotonicTime) {
+        self.0.begin_at(begin);
+    }
+
+    fn parts(
+        &mut self,
+    ) -> (
+        impl Capture<Frame = Captured>,
+        impl Estimate<Frame = Captured, Seen = (), Step = JointState>,
+        impl Record<Seen = (), Step = JointState>,
+    ) {
+        (&mut self.0.capturing, Leading(&mut self.0.estimating), NothingKept)
+    }
+}
+
+/// The method, without anything to be written down.
+struct Leading<'w, 'a>(&'w mut Estimating<'a>);
+
+impl Estimate for Leading<'_, '_> {
+    type Frame = Captured;
+    type Seen = ();
+    type Step = JointState;
+
+    fn moved(&mut self, step: &JointState) {
+        self.0.push_joints(*step);
+    }
+
+    fn look(&mut self, frame: Captured) -> Result<(Percept, ())> {
+        Ok((self.0.look(frame)?.percept(), ()))
+    }
+}
+
+struct NothingKept;
+
+impl Record for NothingKept {
+    type Seen = ();
+    type Step = JointState;
+
+    fn moved(&mut self, _step: &JointState) {}
+
+    fn note(&mut self, _seen: ()) -> Result<()> {
+        Ok(())
+    }
+}
+
+/// Both arms with the fixed motion.
+struct Swinging<'a> {
+    setup: &'a Setup,
+    arms: BothArms,
+    motion: Excitation,
+    damping: Damping,
+    /// Where the hand was at the beginning: its axes there are those of the motion.
+    base_from_hand_at_begin: Pose<Base, Hand>,
+    /// When the motion begins.
+    begin: MonotonicTime,
+    record: Swung,
+    last_seen_at: Option<MonotonicTime>,
+}
+
+impl<'a> Swinging<'a> {
+    fn new(setup: &'a Setup, arms: BothArms, motion: Excitation) -> Result<Self> {
+        let seconds = duration(&motion).as_secs_f64() + 1.0;
+        // The thread that moves takes nothing from the heap.
+        let steps = (seconds / setup.control_period.as_secs_f64()) as usize;
+        let frames = (seconds / setup.camera.period.as_secs_f64()) as usize;
+        let record = Swung {
+            given: Vec::with_capacity(steps),
+            joints: Vec::with_capacity(steps),
+            seen: Vec::with_capacity(frames),
+            untrusted: 0,
+        };
+        Ok(Self {
+            motion,
+            damping: Damping::new(setup.controller.damping.threshold, setup.controller.damping.factor_max)?,
+            base_from_hand_at_begin: base_from_hand(setup, arms.vs.joints()),
+            begin: MonotonicTime::ZERO,
+            record,
+            last_seen_at: None,
+            arms,
+            setup,
+        })
+    }
+}
+
+fn base_from_hand(setup: &Setup, joints: &JointState) -> Pose<Base, Hand> {
+    setup.vs.chain.forward(&joints.position_rad) * setup.controller.flange_from_hand
+}
+
+/// What finds room; the rest is not kept.
+fn keep<T>(kept: &mut Vec<T>, item: T) {
+    if kept.len() < kept.capacity() {
+        kept.push(item);
+    }
+}
+
+impl Mover for Swinging<'_> {
+    type Step = JointState;
+
+    fn enable(&mut self) -> Result<bool> {
+        let are_on = self.arms.enable(Whence::Start)?;
+        self.base_from_hand_at_begin = base_from_hand(self.setup, self.arms.vs.joints());
+        Ok(are_on)
+    }
+
+    fn begin_at(&mut self, begin: MonotonicTime) {
+        self.begin = begin + LEAD_IN;
+    }
+
+    fn observe(&mut self, percept: Percept, now: MonotonicTime) {
+        let Some(TargetObservation { at, cam_left_from_model, trusted, .. }) = percept.observation else { return };
+        if self.last_seen_at.is_some_and(|last| at <= last) {
+            return;
+        }
+        self.last_seen_at = Some(at);
+        if trusted {
+            keep(&mut self.record.seen, SeenPose { at, used_at: now, cam_left_from_model });
+        } else {
+            self.record.untrusted += 1;
+        }
+    }
+
+    fn step(&mut self, now: MonotonicTime) -> Result<JointState> {
+        self.swing(now).map_err(|failure| self.arms.traced(failure))
+    }
+
+    fn stop(&mut self) -> Result<()> {
+        self.arms.stop()
+    }
+}
+
+impl Swinging<'_> {
+    /// One step of the motion.
+    fn swing(&mut self, now: MonotonicTime) -> Result<JointState> {
+        self.arms.tc.exchange(JointCommand::Hold)?;
+        let twist = self.motion.twist_at(now.seconds_since(self.begin)).expressed_in(&self.base_from_hand_at_begin);
+        let (chain, joints) = (&self.setup.vs.chain, self.arms.vs.joints());
+        let frames = chain.joint_frames(&joints.position_rad);
+        let jacobian = chain.jacobian_at(&frames, &base_from_hand(self.setup, joints).translation_m().into());
+        let velocity_rad_per_s = damped_pseudo_inverse(&jacobian, &self.damping) * twist.to_vector();
+        let measured = self.arms.vs.exchange(JointCommand::Velocity(velocity_rad_per_s))?;
+        // An arm that did not answer holds.
+        let velocity_rad_per_s = measured.map_or(JointVector::zeros(), |_| velocity_rad_per_s);
+        keep(&mut self.record.given, GivenVelocity { at: now, velocity_rad_per_s });
+        if let Some(joints) = measured {
+            keep(&mut self.record.joints, joints);
+        }
+        Ok(*self.arms.vs.joints())
+    }
+}

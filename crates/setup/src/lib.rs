@@ -1,0 +1,13 @@
+//! Configuration files: read, checked, and turned into the parameters of the parts.
+
+pub mod direct;
+pub mod estimator;
+#[cfg(test)]
+mod every_key_tests;
+pub mod gateway;
+pub mod load;
+pub mod names;
+pub mod region_spec;
+pub mod setup;
+
+pub use load::ConfigError;

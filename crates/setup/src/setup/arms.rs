@@ -1,0 +1,295 @@
+//! The table `[arms]`: where the arms stand, what they are, how their simulated drives answer, and their limits.
+
+use std::f64::consts::TAU;
+use std::path::Path;
+use std::time::Duration;
+
+use pb3dp_arm_pa10::watchdog::CommandWatchdog;
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{Base, World};
+use pb3dp_hal_middleware::{
+    CommandFade, CoupledArmConfig, GuardConfig, LimiterConfig, PA10_MECHANICAL_RANGE_DEG, StartPose,
+};
+use pb3dp_kinematics::{ArmShape, Chain, DOF, JointLimits, JointVector};
+use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
+use serde::Deserialize;
+
+use super::super::load::{Checker, within};
+use super::geometry::check_geometry;
+use super::link::{ArmBackend, ArmLink, BusSection, GatewaySection};
+use super::shape::{PartEntry, build_shape};
+use super::{IN_THE_CELL_MM, PoseEntry, millis};
+
+/// One arm, ready to be wired.
+#[derive(Clone, Debug)]
+pub struct ArmSetup {
+    /// How it is reached.
+    pub link: ArmLink,
+    /// Kinematics.
+    pub chain: Chain,
+    /// Where it stands.
+    pub world_from_base: Pose<World, Base>,
+    /// Joint angles at the beginning, rad.
+    pub start_rad: JointVector,
+    /// How the simulated drives answer.
+    pub plant: JointPlantConfig,
+    /// The limiter before them.
+    pub limiter: LimiterConfig,
+    /// The guard behind it.
+    pub guard: GuardConfig,
+    /// Its shape with all that is mounted, for the room between both arms.
+    pub shape: ArmShape,
+    /// The arm stops by itself if no command comes for longer than this.
+    pub command_timeout: Duration,
+    /// Of the random faults of the arm, if it is emulated.
+    pub emulation_seed: u64,
+}
+
+impl ArmSetup {
+    /// What the coupling of both arms has to know of it.
+    pub fn coupled(&self) -> CoupledArmConfig {
+        CoupledArmConfig {
+            chain: self.chain.clone(),
+            shape: self.shape.clone(),
+            world_from_base: self.world_from_base,
+            acceleration_max_rad_per_s2: self.limiter.acceleration_max_rad_per_s2,
+            jerk_max_rad_per_s3: self.limiter.jerk_max_rad_per_s3,
+            reaction_time: self.limiter.reaction_time,
+            command_timeout: self.limiter.command_timeout,
+            fade: self.limiter.fade,
+        }
+    }
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ArmsSection {
+    #[serde(default = "rig_speed_scale")]
+    pub(super) speed_scale: f64,
+    #[serde(default = "yes")]
+    first_run: bool,
+    pub(super) stale_after_millis: f64,
+    tracking_error_max_deg: f64,
+    tracking_error_millis: f64,
+    pub(super) least_room_mm: f64,
+    vs: ArmSection,
+    tc: ArmSection,
+}
+
+/// The share of their speeds with which arms run unless the file says otherwise, R11 of the requirements.
+fn rig_speed_scale() -> f64 {
+    0.10
+}
+
+/// The largest share as long as the arms have not been run yet.
+const FIRST_RUN_SPEED_SCALE: f64 = 0.25;
+
+/// Arms count as not run yet unless the file says otherwise.
+fn yes() -> bool {
+    true
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ArmSection {
+    backend: ArmBackend,
+    gateway: Option<GatewaySection>,
+    bus: Option<BusSection>,
+    robot: String,
+    base_link: String,
+    flange_link: String,
+    world_from_base: PoseEntry,
+    parts: Vec<PartEntry>,
+    start_deg: [f64; DOF],
+    mechanical_range_deg: [f64; DOF],
+    operating_range_deg: [f64; DOF],
+    acceleration_max_rad_per_s2: [f64; DOF],
+    jerk_max_rad_per_s3: [f64; DOF],
+    velocity_time_constant_millis: f64,
+    command_delay_millis: f64,
+    command_timeout_millis: f64,
+}
+
+/// The joints' past that the simulation keeps, so that the cameras can ask where the arms were.
+const PLANT_HISTORY: Duration = Duration::from_secs(1);
+
+/// The largest accelerations that an arm may be given, rad/s^2, base to tip: no source has any, see docs/arm-limits.md.
+const ACCELERATION_MAX_RAD_PER_S2: [f64; DOF] = [2.0, 2.0, 2.0, 2.0, 5.0, 5.0, 5.0];
+
+fn check_accelerations(key: &str, accelerations: &[f64; DOF], check: &mut Checker) {
+    for (joint, (&value, most)) in accelerations.iter().zip(ACCELERATION_MAX_RAD_PER_S2).enumerate() {
+        check.number(&format!("{key}.acceleration_max_rad_per_s2[{joint}]"), value, 0.01..=most);
+    }
+}
+
+/// What becomes of a velocity that no other one follows: the driver of a real arm fades it.
+fn fade(link: &ArmLink) -> Option<CommandFade> {
+    let watchdog = CommandWatchdog::default();
+    match link {
+        ArmLink::InProcess => None,
+        ArmLink::Gateway(..) | ArmLink::Bus(_) => {
+            Some(CommandFade { begins_after: watchdog.ramp_after(), ends_after: watchdog.stop_after() })
+        }
+    }
+}
+
+impl ArmsSection {
+    /// Whether an arm is at the end of a link.
+    pub(super) fn has_link(&self) -> bool {
+        [&self.vs, &self.tc].into_iter().any(|arm| arm.gateway.is_some() || arm.bus.is_some())
+    }
+
+    /// Largest accelerations of the arm that carries the cameras, unchecked.
+    pub(super) fn vs_acceleration_max_rad_per_s2(&self) -> JointVector {
+        JointVector::from(self.vs.acceleration_max_rad_per_s2)
+    }
+
+    /// Both arms; `None` if a file can not be read or a limit is refused.
+    pub(super) fn build(
+        &self,
+        config_file: &Path,
+        control_period_millis: f64,
+        check: &mut Checker,
+    ) -> Option<(ArmSetup, ArmSetup)> {
+        check.number("arms.speed_scale", self.speed_scale, 0.01..=1.0);
+        if self.first_run && self.speed_scale > FIRST_RUN_SPEED_SCALE && self.speed_scale <= 1.0 {
+            check.refuse(format!(
+                "arms.speed_scale = {}: at most {FIRST_RUN_SPEED_SCALE} on the first run (arms.first_run, also if it is not set)",
+                self.speed_scale
+            ));
+        }
+        check.number("arms.stale_after_millis", self.stale_after_millis, control_period_millis..=200.0);
+        // To a tenth of a degree, upwards.
+        let tracking_error_max_deg = (GuardConfig::TRACKING_ERROR_MAX_RAD.to_degrees() * 10.0).ceil() / 10.0;
+        check.number("arms.tracking_error_max_deg", self.tracking_error_max_deg, 0.1..=tracking_error_max_deg);
+        check.number("arms.least_room_mm", self.least_room_mm, 1.0..=1000.0);
+        let tracking_error_millis = control_period_millis..=GuardConfig::TRACKING_ERROR_FOR.as_secs_f64() * 1e3;
+        check.number("arms.tracking_error_millis", self.tracking_error_millis, tracking_error_millis);
+        let vs = self.vs.build("arms.vs", self, config_file, control_period_millis, check);
+        let tc = self.tc.build("arms.tc", self, config_file, control_period_millis, check);
+        vs.zip(tc)
+    }
+}
+
+impl ArmSection {
+    fn build(
+        &self,
+        key: &str,
+        all: &ArmsSection,
+        config_file: &Path,
+        control_period_millis: f64,
+        check: &mut Checker,
+    ) -> Option<ArmSetup> {
+        let link = self.backend.link((self.gateway.as_ref(), self.bus.as_ref()), (key, control_period_millis), check);
+        let accelerations = &self.acceleration_max_rad_per_s2;
+        check_accelerations(key, accelerations, check);
+        check.numbers(&format!("{key}.jerk_max_rad_per_s3"), &self.jerk_max_rad_per_s3, 0.1..=10_000.0);
+        let lag = self.velocity_time_constant_millis;
+        check.number(&format!("{key}.velocity_time_constant_millis"), lag, 0.0..=1000.0);
+        check.number(&format!("{key}.command_delay_millis"), self.command_delay_millis, 0.0..=500.0);
+        let timeout = self.command_timeout_millis;
+        self.check_timeout(key, control_period_millis, check);
+        let world_from_base = self.world_from_base.build(&format!("{key}.world_from_base"), IN_THE_CELL_MM, check);
+        let shape = build_shape(&format!("{key}.parts"), &self.parts, check);
+        let chain = self.chain((key, config_file), link.as_ref(), check);
+        self.check_angles(key, chain.as_ref().map(Chain::limits), check);
+        let (chain, shape) = chain.zip(shape)?;
+        let start_rad = JointVector::from(self.start_deg).map(f64::to_radians);
+        let mechanical_max_rad = JointVector::from(self.mechanical_range_deg).map(f64::to_radians);
+        let operating_max_rad = JointVector::from(self.operating_range_deg).map(f64::to_radians);
+        let acceleration_max_rad_per_s2 = JointVector::from(self.acceleration_max_rad_per_s2);
+        let (link, hard_limits) = (link?, *chain.limits());
+        let fade = fade(&link);
+        Some(ArmSetup {
+            link,
+            world_from_base,
+            shape,
+            start_rad,
+            plant: JointPlantConfig {
+                limits: hard_limits,
+                acceleration_max_rad_per_s2,
+                velocity_time_constant: millis(lag),
+                command_delay: millis(self.command_delay_millis),
+                angle_quantum_rad: PA10_ANGLE_QUANTUM_RAD,
+                history: PLANT_HISTORY,
+            },
+            limiter: LimiterConfig {
+                hard_limits,
+                operating_min_rad: -operating_max_rad,
+                operating_max_rad,
+                speed_scale: all.speed_scale,
+                acceleration_max_rad_per_s2,
+                jerk_max_rad_per_s3: JointVector::from(self.jerk_max_rad_per_s3),
+                reaction_time: millis(control_period_millis + self.command_delay_millis + lag),
+                command_timeout: millis(timeout),
+                fade,
+                stale_after: millis(all.stale_after_millis),
+                start: StartPose::Near { position_rad: start_rad, tolerance_rad: StartPose::TOLERANCE_RAD },
+            },
+            guard: GuardConfig {
+                hard_limits,
+                mechanical_min_rad: -mechanical_max_rad,
+                mechanical_max_rad,
+                speed_scale: all.speed_scale,
+                acceleration_max_rad_per_s2,
+                delay: millis(self.command_delay_millis),
+                lag: millis(lag),
+                tracking_error_max_rad: all.tracking_error_max_deg.to_radians(),
+                tracking_error_for: millis(all.tracking_error_millis),
+            },
+            command_timeout: millis(timeout),
+            emulation_seed: 0, // Each run seeds it: `Setup::reseed`.
+            chain,
+        })
+    }
+
+    /// The limiter leaves room for as long as the arm may go on with its last command.
+    fn check_timeout(&self, key: &str, control_period_millis: f64, check: &mut Checker) {
+        let timeout = self.command_timeout_millis;
+        let least = self.backend.goes_on_millis(control_period_millis);
+        check.number(&format!("{key}.command_timeout_millis"), timeout, least..=200.0);
+        let time_out = self.bus.as_ref().map_or(0.0, BusSection::controller_time_out_millis);
+        if time_out > timeout {
+            check.refuse(format!(
+                "{key}.bus.controller_time_out_millis = {time_out}: the arm may go on for longer after its last command than \
+                 {key}.command_timeout_millis = {timeout}, for which the limiter leaves room; raise that, up to 200, or put a \
+                 gateway before the arm (docs/gateway.md)"
+            ));
+        }
+    }
+
+    /// The operating range lies within the limits of the robot's joints (if they are known) and these within the mechanical
+    /// range, the start within the operating range.
+    fn check_angles(&self, key: &str, limits: Option<&JointLimits>, check: &mut Checker) {
+        for (joint, (operating_deg, start_deg)) in self.operating_range_deg.into_iter().zip(self.start_deg).enumerate()
+        {
+            let hard_rad =
+                limits.map_or(TAU, |limits| limits.position_max_rad()[joint].min(-limits.position_min_rad()[joint]));
+            let outer_rad =
+                limits.map_or(0.1, |limits| limits.position_max_rad()[joint].max(-limits.position_min_rad()[joint]));
+            let outer_deg = (outer_rad.to_degrees() * 100.0).ceil() / 100.0;
+            let mechanical_deg = self.mechanical_range_deg[joint];
+            let most_deg = PA10_MECHANICAL_RANGE_DEG[joint].max(outer_deg);
+            check.number(&format!("{key}.mechanical_range_deg[{joint}]"), mechanical_deg, outer_deg..=most_deg);
+            let hard_deg = ((hard_rad.to_degrees() * 100.0).floor() / 100.0).max(1.0);
+            check.number(&format!("{key}.operating_range_deg[{joint}]"), operating_deg, 1.0..=hard_deg);
+            let operating_deg = within(operating_deg, 1.0, hard_deg);
+            check.number(&format!("{key}.start_deg[{joint}]"), start_deg, -operating_deg..=operating_deg);
+        }
+    }
+
+    /// The robot description, found beside the configuration file, with the lengths of the arm that it is to describe.
+    fn chain(&self, (key, config_file): (&str, &Path), link: Option<&ArmLink>, check: &mut Checker) -> Option<Chain> {
+        let file = config_file.parent().unwrap_or(Path::new(".")).join(&self.robot);
+        let xml = std::fs::read_to_string(&file)
+            .inspect_err(|error| check.refuse(format!("{key}.robot: {} can not be read: {error}", file.display())))
+            .ok()?;
+        let chain = Chain::from_urdf_str(&xml, &self.base_link, &self.flange_link)
+            .inspect_err(|error| check.refuse(format!("{key}.robot: {}: {error}", file.display())))
+            .ok()?;
+        if let Some((geometry, table)) = link.and_then(ArmLink::geometry) {
+            check_geometry((key, table), geometry, &chain, check);
+        }
+        Some(chain)
+    }
+}

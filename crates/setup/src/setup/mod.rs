@@ -1,0 +1,431 @@
+//! The file of one setup, for `pb3dp run`: every table, checked, and turned into the parameters of the parts.
+
+mod arms;
+mod calibration;
+mod camera;
+mod camera_faults;
+mod drift;
+mod experiment;
+mod geometric;
+mod geometry;
+mod law;
+mod link;
+mod mounts;
+mod range;
+mod real_cameras;
+pub mod seeds;
+mod servo;
+mod shape;
+mod sight;
+mod supervisor;
+mod target_state;
+mod truth;
+
+use std::path::Path;
+use std::time::Duration;
+
+use nalgebra::{UnitQuaternion, Vector3};
+use pb3dp_camera_sim::{CameraFaults, SimCameraConfig};
+use pb3dp_estimation::estimator::{EstimatorConfig, Method};
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_geometry::frames::{Flange, Target};
+use pb3dp_geometry::{Frame, Pose, StereoRig};
+use pb3dp_servo::ControllerConfig;
+use pb3dp_servo::supervisor::SupervisorConfig;
+use pb3dp_sim::geometric::GeometricConfig;
+use pb3dp_sim::scene::SceneConfig;
+use pb3dp_sim::sensor::SensorConfig;
+use serde::Deserialize;
+
+pub use self::arms::ArmSetup;
+use self::arms::ArmsSection;
+pub use self::calibration::{AGE, CAMERAS, CalibrationInUse, rounded};
+use self::camera::SceneSection;
+pub use self::drift::DriftConfig;
+use self::drift::DriftSection;
+use self::experiment::ExperimentSection;
+pub use self::experiment::{Carrier, Experiment};
+use self::geometric::GeometricSection;
+use self::link::GATEWAY_CYCLE_MAX_MILLIS;
+pub use self::link::{ArmLink, BusLinkConfig, GatewayWay};
+use self::mounts::MountsSection;
+pub use self::range::read_search_range;
+use self::range::search_range;
+pub use self::real_cameras::{RealCameras, Synchronisation, interval, read_cameras};
+use self::seeds::Stream;
+use self::servo::ServoSection;
+use self::sight::{CameraEntry, CameraTable, Sight};
+use self::supervisor::SupervisorSection;
+pub use self::truth::Truth;
+use self::truth::TruthSection;
+use super::direct::DirectSection;
+use super::estimator::PublishedSection;
+use super::load::{Checker, ConfigError, ConfigFile, FileKind, within};
+
+/// A setup whose every value has been checked.
+#[derive(Clone, Debug)]
+pub struct Setup {
+    /// Seed of everything random; [`Setup::reseed`] changes it.
+    pub seed: u64,
+    /// Whether the simulation waits for the wall clock.
+    pub pace: Pace,
+    /// Time between two control steps.
+    pub control_period: Duration,
+    /// Time from the end of an exposure to the moment at which its estimate reaches the controller.
+    pub estimate_latency: Duration,
+    /// The stereo pair.
+    pub rig: StereoRig,
+    /// When it exposes.
+    pub camera: SimCameraConfig,
+    /// The cameras of this machine that are to be used, if they are not simulated: then nobody looks at faults, sensor and scene.
+    pub real_cameras: Option<RealCameras>,
+    /// What their calibration says of itself if it is that of no cameras, a drawing's say: by such a one no real arm moves.
+    pub nominal_calibration: Option<String>,
+    /// The calibrations that it uses, if they are files: of the cameras, and of where they are on the arm.
+    pub calibrations: Vec<CalibrationInUse>,
+    /// Where things of the simulation truly are.
+    pub truth: Truth,
+    /// What goes wrong with simulated cameras.
+    pub camera_faults: CameraFaults,
+    /// When a run warns that the cameras are not any more what was calibrated, if the file says so.
+    pub drift: Option<DriftConfig>,
+    /// What their sensors do to the light.
+    pub sensor: SensorConfig,
+    /// What stands in the simulated cell.
+    pub scene: SceneConfig,
+    /// What estimates the pose by which the hand is led.
+    pub leader: Leader,
+    /// What would stand in its place without pictures, if the file says so.
+    pub geometric: Option<GeometricConfig>,
+    /// Methods that get the same pairs and only look on.
+    pub compared: Vec<Method>,
+    /// Parameters of all methods.
+    pub estimator: EstimatorConfig,
+    /// Where it searches.
+    pub range: SearchRange,
+    /// The visual-servo controller.
+    pub controller: ControllerConfig,
+    /// What is permitted to it.
+    pub supervisor: SupervisorConfig,
+    /// The arm that carries the cameras.
+    pub vs: ArmSetup,
+    /// The arm that carries the target, with the mounting of the target on its flange.
+    pub tc: ArmSetup,
+    /// Least room between the surfaces of both arms, metres.
+    pub least_room_m: f64,
+    /// Mounting of the target on the second arm.
+    pub flange_from_target: Pose<Flange, Target>,
+    /// How the target moves.
+    pub experiment: Experiment,
+}
+
+/// What estimates the pose by which the hand is led.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Leader {
+    /// A method that looks at pictures.
+    Pictures(Method),
+    /// None: the truth with noise, and no picture is rendered.
+    Geometric(GeometricConfig),
+}
+
+impl Leader {
+    /// Its name in configurations and reports.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Pictures(method) => method.name(),
+            Self::Geometric(_) => geometric::NAME,
+        }
+    }
+
+    /// Whether it looks at pictures.
+    pub fn needs_pictures(&self) -> bool {
+        matches!(self, Self::Pictures(_))
+    }
+}
+
+/// What time is in a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Pace {
+    /// As fast as the machine can.
+    Fast,
+    /// One simulated second takes at least one second; the results are those of `Fast`.
+    RealTime,
+    /// The machine's: looking and moving have a thread each, and what takes too long comes too late.
+    Live,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SetupFile {
+    run: RunSection,
+    camera: CameraEntry,
+    scene: Option<SceneSection>,
+    truth: Option<TruthSection>,
+    drift: Option<DriftSection>,
+    estimator: EstimatorSection,
+    servo: ServoSection,
+    supervisor: SupervisorSection,
+    arms: ArmsSection,
+    mounts: MountsSection,
+    experiment: ExperimentSection,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RunSection {
+    seed: u64,
+    pace: Pace,
+    control_period_millis: f64,
+    estimate_latency_millis: f64,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct EstimatorSection {
+    method: String,
+    compare: Vec<String>,
+    z_min_mm: f64,
+    z_max_mm: f64,
+    tilt_max_deg: f64,
+    published: PublishedSection,
+    direct: DirectSection,
+    geometric: Option<GeometricSection>,
+}
+
+/// A rigid transform in a file; the key names its frames.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PoseEntry {
+    translation_mm: [f64; 3],
+    rotation_vector_deg: [f64; 3],
+}
+
+/// Farthest that two frames on one arm, or on hand and target, may be apart: the controller's bound.
+const ON_THE_ARM_MM: f64 = 5000.0;
+/// Farthest that an arm may stand from the origin of the world.
+const IN_THE_CELL_MM: f64 = 20_000.0;
+
+impl PoseEntry {
+    /// The transform; its origins are at most `length_max_mm` apart.
+    fn build<To: Frame, From: Frame>(&self, key: &str, length_max_mm: f64, check: &mut Checker) -> Pose<To, From> {
+        check.numbers(&format!("{key}.translation_mm"), &self.translation_mm, -length_max_mm..=length_max_mm);
+        if self.translation_mm.iter().all(|component| component.abs() <= length_max_mm) {
+            let length_mm = Vector3::from(self.translation_mm).norm();
+            check.number(&format!("{key}.translation_mm (its length)"), length_mm, 0.0..=length_max_mm);
+        }
+        check.numbers(&format!("{key}.rotation_vector_deg"), &self.rotation_vector_deg, -360.0..=360.0);
+        let rotation = Vector3::from(self.rotation_vector_deg).map(f64::to_radians);
+        Pose::from_parts(Vector3::from(self.translation_mm) * 1e-3, UnitQuaternion::from_scaled_axis(rotation))
+    }
+}
+
+impl Setup {
+    /// The cameras that pictures are rendered with: those of the setup, unless the truth is another one.
+    pub fn true_rig(&self) -> &StereoRig {
+        self.truth.rig.as_ref().unwrap_or(&self.rig)
+    }
+}
+
+/// Reads and checks a setup.
+///
+/// # Errors
+/// An unreadable file, unknown or missing keys, values out of range; the error names file, key and what is allowed.
+pub fn read_setup(file: &Path) -> Result<Setup, ConfigError> {
+    let config = ConfigFile::read(file, FileKind::Setup)?;
+    let raw: SetupFile = config.all()?;
+    let camera = raw.camera.table(&config)?;
+    let mut check = Checker::default();
+    let setup = raw.build(file, &camera, &mut check).map(Setup::seeded);
+    check.finish(file)?;
+    // Every way on which `build` gives nothing leaves a refusal behind.
+    setup.ok_or_else(|| ConfigError::Values { file: file.to_path_buf(), lines: "  the setup is not complete".into() })
+}
+
+/// Two arms that bear one number: behind gateways swapped cables would not be noticed.
+fn refuse_equal_numbers(vs: &ArmLink, tc: &ArmLink, check: &mut Checker) {
+    if let (Some((vs, vs_table)), Some((tc, tc_table))) = (vs.number(), tc.number())
+        && vs == tc
+    {
+        check.refuse(format!(
+            "arms.tc.{tc_table}.arm = {}: arms.vs.{vs_table}.arm is the same; give each arm a number of its own",
+            tc.0
+        ));
+    }
+}
+
+/// Two arms at the end of one line: a line has one arm.
+fn refuse_one_place(vs: &ArmLink, tc: &ArmLink, check: &mut Checker) {
+    if let (Some((_, vs)), Some((key, tc))) = (vs.place(), tc.place())
+        && vs == tc
+    {
+        check.refuse(format!("arms.tc.{key} = \"{tc}\": arms.vs.{key} is the same; each arm has a line of its own"));
+    }
+}
+
+impl SetupFile {
+    fn build(&self, file: &Path, camera: &CameraTable, check: &mut Checker) -> Option<Setup> {
+        let period_max_millis = if self.arms.has_link() { GATEWAY_CYCLE_MAX_MILLIS } else { 20.0 };
+        check.number("run.control_period_millis", self.run.control_period_millis, 2.0..=period_max_millis);
+        check.number("run.estimate_latency_millis", self.run.estimate_latency_millis, 0.0..=500.0);
+        let (method, compared, estimator, range) = self.estimator.build(self.run.seed, check);
+        let geometric = self.estimator.geometric.map(|section| section.build(&range, check));
+        let leader = self.estimator.leader(method, geometric, check);
+        let hand_speed_max_m_per_s = self.servo.speed_max_m_per_s();
+        let sight = camera.build((file, hand_speed_max_m_per_s), self.scene.as_ref(), check);
+        let experiment = self.experiment.build(check);
+        let size = sight.as_ref().map(|sight| sight.rig.left().size());
+        let truth = self.truth.as_ref().map(|truth| truth.build(file, size, check)).unwrap_or_default();
+        let drift = self.drift.map(|section| section.build(check));
+        let control_period_millis = within(self.run.control_period_millis, 2.0, period_max_millis);
+        let arms = self.arms.build(file, control_period_millis, check);
+        let mounts = self.mounts.build(file, check);
+        let of_joints = (self.arms.speed_scale, self.arms.vs_acceleration_max_rad_per_s2());
+        let controller = self.servo.build(&mounts, of_joints, check);
+        let frame_period = sight.as_ref().map_or(Duration::ZERO, |sight| sight.camera.period);
+        let supervisor = self.supervisor.build(frame_period, check);
+        if self.servo.searches() && supervisor.search_max_s <= 0.0 {
+            check.refuse("servo.search: no search is permitted without supervisor.search_max_s; set it to the seconds that one may take".to_owned());
+        }
+        let (vs, tc) = arms?;
+        for (key, arm) in [("arms.vs", &vs), ("arms.tc", &tc)] {
+            if !arm.link.is_toy() && self.run.pace != Pace::Live {
+                check.refuse(format!(
+                    "run.pace: an arm that is not simulated in this program ({key}.backend) needs pace = \"live\""
+                ));
+            }
+        }
+        if camera.is_real() {
+            self.refuse_simulation(experiment.as_ref(), check);
+        }
+        refuse_equal_numbers(&vs.link, &tc.link, check);
+        refuse_one_place(&vs.link, &tc.link, check);
+        if !check.is_clean() {
+            return None;
+        }
+        let Sight { rig, camera, real_cameras, nominal_calibration, calibration, camera_faults, sensor, scene } =
+            sight?;
+        Some(Setup {
+            seed: self.run.seed,
+            pace: self.run.pace,
+            control_period: millis(self.run.control_period_millis),
+            estimate_latency: millis(self.run.estimate_latency_millis),
+            rig,
+            camera,
+            real_cameras,
+            nominal_calibration,
+            calibrations: calibration.into_iter().chain(mounts.calibration).collect(),
+            truth,
+            camera_faults,
+            drift,
+            sensor,
+            scene,
+            leader: leader?,
+            geometric,
+            compared,
+            estimator,
+            range,
+            controller,
+            supervisor,
+            vs,
+            tc,
+            least_room_m: self.arms.least_room_mm * 1e-3,
+            flange_from_target: mounts.flange_from_target,
+            experiment: experiment?,
+        })
+    }
+}
+
+impl SetupFile {
+    /// What there is only where cameras are simulated.
+    fn refuse_simulation(&self, experiment: Option<&Experiment>, check: &mut Checker) {
+        let with = "with camera.backend = \"v4l2\"";
+        if self.run.pace != Pace::Live {
+            check.refuse(format!("run.pace: real cameras do not wait for simulated time; {with} it is \"live\""));
+        }
+        if self.truth.is_some() {
+            check.refuse(format!("truth: {with} nobody knows it; remove the table"));
+        }
+        if self.estimator.is_geometric() || self.estimator.geometric.is_some() {
+            check.refuse(format!(
+                "estimator.geometric: {with} there is no truth that could stand for pictures; remove the table, and choose a method that \
+                 looks at pictures"
+            ));
+        }
+        if experiment.is_some_and(|experiment| experiment.carrier == Carrier::Nothing) {
+            check.refuse(format!(
+                "experiment.target = \"free\": only a simulated target is carried by nothing; {with} it is \"carried\""
+            ));
+        }
+    }
+}
+
+impl EstimatorSection {
+    fn build(&self, seed: u64, check: &mut Checker) -> (Option<Method>, Vec<Method>, EstimatorConfig, SearchRange) {
+        let range = self.range(check);
+        let method = match self.is_geometric() {
+            true => None,
+            false => named("estimator.method", (&self.method, geometric::ALSO_KNOWN), check),
+        };
+        let compared = self.compared(method, check);
+        let mut published = self.published.build("estimator.published", check);
+        published.rmga.seed = published.rmga.seed.wrapping_add(Stream::PublishedSearch.of(seed));
+        let direct = self.direct.build("estimator.direct", published.region, check);
+        let track = self.direct.build_tracker("estimator.direct", check);
+        (method, compared, EstimatorConfig { published, direct, track }, range)
+    }
+
+    fn is_geometric(&self) -> bool {
+        self.method == geometric::NAME
+    }
+
+    /// What leads the hand; `None` if it is refused.
+    fn leader(
+        &self,
+        method: Option<Method>,
+        geometric: Option<GeometricConfig>,
+        check: &mut Checker,
+    ) -> Option<Leader> {
+        if !self.is_geometric() {
+            return method.map(Leader::Pictures);
+        }
+        if geometric.is_none() {
+            let method = &self.method;
+            check.refuse(format!("estimator.geometric: the table is missing; estimator.method = {method:?} needs it"));
+        }
+        geometric.map(Leader::Geometric)
+    }
+
+    /// The methods that look on.
+    fn compared(&self, method: Option<Method>, check: &mut Checker) -> Vec<Method> {
+        let compared: Vec<Method> =
+            self.compare.iter().filter_map(|name| named("estimator.compare", (name, ""), check)).collect();
+        let names = self.compare.join(", ");
+        if compared.iter().enumerate().any(|(i, other)| Some(*other) == method || compared[..i].contains(other)) {
+            check.refuse(format!(
+                "estimator.compare = [{names}]: name every other method once, and not `method` itself"
+            ));
+        }
+        if self.is_geometric() && !compared.is_empty() {
+            check.refuse(format!(
+                "estimator.compare = [{names}]: with method = {:?} no picture is rendered, and nobody can look on",
+                self.method
+            ));
+        }
+        compared
+    }
+
+    fn range(&self, check: &mut Checker) -> SearchRange {
+        search_range([self.z_min_mm, self.z_max_mm, self.tilt_max_deg], check)
+    }
+}
+
+/// The method of a name; `None` if it is refused, with the other ones that are known.
+fn named(key: &str, (name, also): (&str, &str), check: &mut Checker) -> Option<Method> {
+    Method::from_name(name).inspect_err(|error| check.refuse(format!("{key} = {name:?}: {error}{also}"))).ok()
+}
+
+/// A duration of a checked number of milliseconds; what is not a number gives zero.
+fn millis(value: f64) -> Duration {
+    Duration::try_from_secs_f64(value * 1e-3).unwrap_or_default()
+}

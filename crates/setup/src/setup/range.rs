@@ -1,0 +1,50 @@
+//! Where a method searches: keys of the table `[estimator]`.
+
+use std::path::Path;
+
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+
+use super::super::load::{Checker, ConfigError, ConfigFile, FileKind, within};
+
+const KEYS: [&str; 3] = ["estimator.z_min_mm", "estimator.z_max_mm", "estimator.tilt_max_deg"];
+
+/// The range of these values, checked.
+pub(super) fn search_range([z_min_mm, z_max_mm, tilt_max_deg]: [f64; 3], check: &mut Checker) -> SearchRange {
+    check.number(KEYS[0], z_min_mm, 10.0..=100_000.0);
+    check.number(KEYS[1], z_max_mm, within(z_min_mm, 10.0, 99_999.0) + 1.0..=100_000.0);
+    check.number(KEYS[2], tilt_max_deg, 1.0..=85.0);
+    let range =
+        SearchRange { z_min_m: z_min_mm * 1e-3, z_max_m: z_max_mm * 1e-3, tilt_max_rad: tilt_max_deg.to_radians() };
+    if let (true, Err(error)) = (check.is_clean(), range.validate()) {
+        check.refuse(format!("estimator: {error}"));
+    }
+    range
+}
+
+/// Reads nothing but the search range of a setup.
+///
+/// # Errors
+/// An unreadable file, missing keys, values out of range.
+pub fn read_search_range(file: &Path) -> Result<SearchRange, ConfigError> {
+    let config = ConfigFile::read(file, FileKind::Setup)?;
+    let mut values = [0.0; 3];
+    for (value, key) in values.iter_mut().zip(KEYS) {
+        *value = config.at(key, "")?;
+    }
+    let mut check = Checker::default();
+    let range = search_range(values, &mut check);
+    check.finish(file)?;
+    Ok(range)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::setup::read_setup;
+
+    #[test]
+    fn the_range_by_itself_is_that_of_the_whole_setup() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/rig.toml");
+        assert_eq!(read_search_range(&file).unwrap(), read_setup(&file).unwrap().range);
+    }
+}

@@ -1,0 +1,347 @@
+//! The table `[camera]` with `backend = "v4l2"`: two cameras of this machine, as [`pb3dp_camera_v4l2`] takes them.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use pb3dp_camera_v4l2::controls::{ControlSettings, Setting};
+use pb3dp_camera_v4l2::modes::ModeRequest;
+use pb3dp_camera_v4l2::names::CameraName;
+use pb3dp_camera_v4l2::pixels::PixelFormat;
+use pb3dp_camera_v4l2::timing::StampModel;
+use pb3dp_camera_v4l2::video::Interval;
+use pb3dp_camera_v4l2::{CameraConfig, SKEW_MAX, StereoConfig};
+use pb3dp_geometry::ImageSize;
+use pb3dp_record::calibration_files::{Judgement, StereoCalibration, load_stereo_for};
+use serde::Deserialize;
+
+use super::super::load::{Checker, ConfigError, ConfigFile, FileKind, whole, within};
+use super::calibration::CalibrationInUse;
+use super::millis;
+use super::servo::LINEAR_MM_PER_S;
+use crate::region_spec::RegionSpec;
+
+/// What follows keys of this table in messages.
+pub(super) const OWNER: &str = "(with camera.backend = \"v4l2\")";
+
+/// Longest exposure that can be asked for, and the longest time that a stamp may be off, milliseconds.
+const TIME_MAX_MILLIS: f64 = 1000.0;
+
+/// Two cameras of this machine: everything that `pb3dp run` and `pb3dp cameras` need to open them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RealCameras {
+    /// Devices, modes, controls and the limit of the skew.
+    pub stereo: StereoConfig,
+    /// What the cameras begin their exposures by.
+    pub synchronisation: Synchronisation,
+    /// For how long a camera that was lost is looked for; zero: its loss ends a run.
+    pub reopen_for: Duration,
+    /// The calibration: one or two files, or a folder, as `--calib` of `pb3dp estimate` takes them.
+    pub calibration_files: Vec<PathBuf>,
+    /// The target in the first left picture, if the file says so.
+    pub region: Option<RegionSpec>,
+}
+
+/// What two cameras begin their exposures by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Synchronisation {
+    /// One signal for both: they do not drift.
+    HardwareTrigger,
+    /// Each by its own clock: the skew drifts through all values.
+    FreeRunning,
+}
+
+impl RealCameras {
+    /// Size of the pictures.
+    pub fn size(&self) -> ImageSize {
+        self.stereo.left.mode.size
+    }
+
+    /// Time from picture to picture, as it is asked for.
+    pub fn period(&self) -> Duration {
+        Duration::from_secs_f64(self.stereo.left.mode.interval.seconds().unwrap_or(1.0))
+    }
+
+    /// Time of the left exposure as far as the file says it; zero where the camera tells it.
+    pub fn exposure(&self) -> Duration {
+        match (self.stereo.left.controls.exposure, self.stereo.left.exposure) {
+            (Setting::Manual(time), _) | (Setting::Keep | Setting::Auto, Some(time)) => time,
+            (Setting::Keep | Setting::Auto, None) => Duration::ZERO,
+        }
+    }
+
+    /// Reads the calibration.
+    ///
+    /// # Errors
+    /// Files that can not be used, or that are for pictures of another size.
+    pub fn calibration(&self) -> Result<StereoCalibration> {
+        load_calibration(&self.calibration_files, self.size())
+    }
+}
+
+/// Reads the calibration that the table `[camera]` names, for pictures of this size.
+///
+/// # Errors
+/// Files that can not be used, or that are for pictures of another size.
+pub(super) fn load_calibration(files: &[PathBuf], size: ImageSize) -> Result<StereoCalibration> {
+    let calibration = load_stereo_for(files, size).context("camera.calibration")?;
+    let calibrated = calibration.rig.left().size();
+    if calibrated != size {
+        bail!(
+            "camera.calibration: {} is for pictures of {}x{}, the cameras are asked for {}x{}: calibrate again in that size",
+            calibration.source,
+            calibrated.width,
+            calibrated.height,
+            size.width,
+            size.height
+        );
+    }
+    Ok(calibration)
+}
+
+/// Reads the real cameras of a setup: of the file's other tables only `servo.speed.linear_max_mm_per_s` is looked at, which messages
+/// about skew need. The calibration is not read: see [`RealCameras::calibration`].
+///
+/// # Errors
+/// An unreadable file, cameras that are simulated, unknown or missing keys, values out of range.
+pub fn read_cameras(file: &Path) -> Result<RealCameras, ConfigError> {
+    let config = ConfigFile::read(file, FileKind::Setup)?;
+    let backend: String = config.at("camera.backend", "")?;
+    if backend != "v4l2" {
+        let lines = format!(
+            "  camera.backend = {backend:?}: cameras of this machine are needed here, \"v4l2\", as in configs/rig.toml"
+        );
+        return Err(ConfigError::Values { file: file.to_path_buf(), lines });
+    }
+    let mut check = Checker::default();
+    let section: V4l2Section = config.at("camera", OWNER)?;
+    let key = "servo.speed.linear_max_mm_per_s";
+    let speed_mm_per_s: f64 = config.at(key, "")?;
+    check.number(key, speed_mm_per_s, LINEAR_MM_PER_S);
+    let cameras = section.build(file, speed_mm_per_s * 1e-3, &mut check);
+    check.finish(file)?;
+    cameras.ok_or_else(|| ConfigError::Values { file: file.to_path_buf(), lines: "  camera: not complete".into() })
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct V4l2Section {
+    #[serde(rename = "backend")]
+    _backend: String,
+    calibration: Vec<PathBuf>,
+    waived_gates: Option<Vec<String>>,
+    calibration_age_max_days: Option<f64>,
+    region: Option<String>,
+    format: String,
+    width_px: i64,
+    height_px: i64,
+    frame_rate_hz: f64,
+    #[serde(default)]
+    interlaced: bool,
+    synchronisation: Synchronisation,
+    skew_max_millis: Option<f64>,
+    reopen_for_s: f64,
+    left: EyeSection,
+    right: EyeSection,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct EyeSection {
+    device: String,
+    input: Option<i64>,
+    standard: Option<i64>,
+    exposure_millis: Wish<f64>,
+    stated_exposure_millis: Option<f64>,
+    gain: Wish<i64>,
+    white_balance_kelvin: Wish<i64>,
+    focus: Wish<i64>,
+    #[serde(default)]
+    further_controls: Vec<ControlEntry>,
+    readout_millis: f64,
+    stamp_delay_millis: f64,
+}
+
+/// A number, or who decides in its place.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(
+    untagged,
+    expecting = "a number (a whole one, but for exposure_millis), \"keep\" (the value stays as it is) or \"auto\" (the camera chooses)"
+)]
+enum Wish<T> {
+    Number(T),
+    Word(Word),
+}
+
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Word {
+    Keep,
+    Auto,
+}
+
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ControlEntry {
+    id: i64,
+    value: i64,
+}
+
+impl<T> Wish<T> {
+    fn setting<U>(self, turned: impl FnOnce(T) -> U) -> Setting<U> {
+        match self {
+            Self::Number(number) => Setting::Manual(turned(number)),
+            Self::Word(Word::Keep) => Setting::Keep,
+            Self::Word(Word::Auto) => Setting::Auto,
+        }
+    }
+}
+
+impl V4l2Section {
+    /// The cameras; `speed_max_m_per_s` is the fastest that the hand moves against the target.
+    pub(super) fn build(&self, config_file: &Path, speed_max_m_per_s: f64, check: &mut Checker) -> Option<RealCameras> {
+        check.count("camera.width_px", self.width_px, 64..=4096);
+        check.count("camera.height_px", self.height_px, 64..=4096);
+        check.number("camera.frame_rate_hz", self.frame_rate_hz, 1.0..=240.0);
+        let rate_hz = within(self.frame_rate_hz, 1.0, 240.0);
+        // A skew of a period can not be told from the next picture.
+        let skew_max_millis = self.skew_max_millis.unwrap_or(SKEW_MAX.as_secs_f64() * 1e3);
+        check.number("camera.skew_max_millis", skew_max_millis, 0.1..=900.0 / rate_hz);
+        check.number("camera.reopen_for_s", self.reopen_for_s, 0.0..=86_400.0);
+        if self.calibration.is_empty() {
+            check.refuse(
+                "camera.calibration = []: name the calibration file, as for --calib of `pb3dp estimate`".to_owned(),
+            );
+        }
+        let folder = config_file.parent().unwrap_or(Path::new("."));
+        let format = self.format(check);
+        let size = ImageSize { width: whole(self.width_px), height: whole(self.height_px) };
+        let region = self.region(folder, size, check);
+        let interval = interval(rate_hz);
+        let mode = |format, eye: &EyeSection| ModeRequest {
+            format,
+            size,
+            interval,
+            input: eye.input.map(whole),
+            standard: eye.standard.map(whole),
+            takes_interlaced: self.interlaced,
+        };
+        let names = [("camera.left", &self.left), ("camera.right", &self.right)]
+            .map(|(key, eye)| eye.check(key, 1e3 / rate_hz, check));
+        let [Some(left), Some(right)] = names else { return None };
+        if left == right {
+            check.refuse(format!(
+                "camera.right.device = \"{right}\": camera.left.device is the same; each side has a camera of its own"
+            ));
+        }
+        let format = format?;
+        Some(RealCameras {
+            stereo: StereoConfig {
+                left: self.left.build(left, mode(format, &self.left)),
+                right: self.right.build(right, mode(format, &self.right)),
+                skew_max: millis(skew_max_millis),
+                speed_max_m_per_s,
+            },
+            synchronisation: self.synchronisation,
+            reopen_for: millis(self.reopen_for_s * 1e3),
+            calibration_files: self.calibration.iter().map(|path| folder.join(path)).collect(),
+            region: region?,
+        })
+    }
+
+    /// The calibration with what this table waives of it.
+    pub(super) fn in_use(
+        &self,
+        (source, judgement): (String, Option<Judgement>),
+        check: &mut Checker,
+    ) -> CalibrationInUse {
+        let waivers = (self.waived_gates.as_deref(), self.calibration_age_max_days);
+        CalibrationInUse::new(("camera", source), judgement, waivers, check)
+    }
+
+    fn format(&self, check: &mut Checker) -> Option<PixelFormat> {
+        let format: Result<PixelFormat, _> = self.format.parse();
+        format.inspect_err(|error| check.refuse(format!("camera.format: {error}"))).ok()
+    }
+
+    /// The region, with the path of a mask beside the configuration; `None` if it is refused.
+    fn region(&self, folder: &Path, size: ImageSize, check: &mut Checker) -> Option<Option<RegionSpec>> {
+        let Some(text) = &self.region else { return Some(None) };
+        let region = text.parse().and_then(|region: RegionSpec| region.check_inside(size).map(|()| region));
+        match region {
+            Ok(RegionSpec::Mask(file)) => Some(Some(RegionSpec::Mask(folder.join(file)))),
+            Ok(region) => Some(Some(region)),
+            Err(why) => {
+                check.refuse(format!("camera.region: {why}"));
+                None
+            }
+        }
+    }
+}
+
+/// The time from picture to picture as the shortest fraction that is right to a thousandth of a picture per second.
+pub fn interval(rate_hz: f64) -> Interval {
+    let (thousandths, mut a, mut b) = ((rate_hz * 1e3).round() as u32, (rate_hz * 1e3).round() as u32, 1000);
+    while b > 0 {
+        (a, b) = (b, a % b);
+    }
+    Interval { numerator: 1000 / a.max(1), denominator: thousandths / a.max(1) }
+}
+
+impl EyeSection {
+    /// Every key by itself; what a camera does not take of it is refused when it is opened. The name of its device, if that is one.
+    fn check(&self, key: &str, period_millis: f64, check: &mut Checker) -> Option<CameraName> {
+        let number = i64::from(i32::MAX);
+        if let Wish::Number(exposure_millis) = self.exposure_millis {
+            check.number(&format!("{key}.exposure_millis"), exposure_millis, 0.1..=period_millis);
+        }
+        if let Some(stated) = self.stated_exposure_millis {
+            check.number(&format!("{key}.stated_exposure_millis"), stated, 0.0..=TIME_MAX_MILLIS);
+        }
+        for (name, wish, allowed) in [
+            ("gain", self.gain, 0..=100_000),
+            ("white_balance_kelvin", self.white_balance_kelvin, 1000..=20_000),
+            ("focus", self.focus, 0..=100_000),
+        ] {
+            if let Wish::Number(value) = wish {
+                check.count(&format!("{key}.{name}"), value, allowed);
+            }
+        }
+        for (name, value, max) in [("input", self.input, 63), ("standard", self.standard, i64::from(u32::MAX))] {
+            if let Some(value) = value {
+                check.count(&format!("{key}.{name}"), value, 0..=max);
+            }
+        }
+        for (index, control) in self.further_controls.iter().enumerate() {
+            check.count(&format!("{key}.further_controls[{index}].id"), control.id, 1..=i64::from(u32::MAX));
+            check.count(&format!("{key}.further_controls[{index}].value"), control.value, -number - 1..=number);
+            if let Some(before) = self.further_controls[..index].iter().position(|before| before.id == control.id) {
+                check.refuse(format!(
+                    "{key}.further_controls[{index}].id = {}: further_controls[{before}] sets the same control; remove one of them",
+                    control.id
+                ));
+            }
+        }
+        check.number(&format!("{key}.readout_millis"), self.readout_millis, 0.0..=TIME_MAX_MILLIS);
+        check.number(&format!("{key}.stamp_delay_millis"), self.stamp_delay_millis, 0.0..=TIME_MAX_MILLIS);
+        let name: Result<CameraName, _> = self.device.parse();
+        name.inspect_err(|error| check.refuse(format!("{key}.device: {error}"))).ok()
+    }
+
+    fn build(&self, name: CameraName, mode: ModeRequest) -> CameraConfig {
+        CameraConfig {
+            name,
+            mode,
+            controls: ControlSettings {
+                exposure: self.exposure_millis.setting(millis),
+                gain: self.gain.setting(whole),
+                white_balance: self.white_balance_kelvin.setting(whole),
+                focus: self.focus.setting(whole),
+                others: self.further_controls.iter().map(|control| (whole(control.id), whole(control.value))).collect(),
+            },
+            exposure: self.stated_exposure_millis.map(millis),
+            stamps: StampModel { readout: millis(self.readout_millis), delay: millis(self.stamp_delay_millis) },
+        }
+    }
+}
