@@ -7,10 +7,10 @@ use pb3dp_cell::halves::Mover;
 use pb3dp_cell::moving::Moving;
 use pb3dp_cell::parts::Parts;
 use pb3dp_cell::percept::Percept;
-use pb3dp_orchestrator::wiring::wire;
 use pb3dp_servo::supervisor::{Confidence, EstimateInput, FrameInput, Permission};
 use pb3dp_servo::{Mode, TargetObservation};
 use pb3dp_setup::setup::read_setup;
+use pb3dp_wiring::wire;
 use system_tests::repository;
 
 /// Steps after which every ring is full: more than the joints' past and the flight recorder hold.

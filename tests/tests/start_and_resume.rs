@@ -14,9 +14,9 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_middleware::{Asked, FlightLog, LimiterStatistics};
 use pb3dp_kinematics::JointVector;
-use pb3dp_orchestrator::wiring::wire;
 use pb3dp_servo::supervisor::{Decision, OperatorInput, Said, Word};
 use pb3dp_setup::setup::{Leader, Setup, read_setup};
+use pb3dp_wiring::wire;
 use system_tests::repository;
 
 /// Both arms move at least so fast when they are stopped, rad/s.

@@ -13,7 +13,6 @@ use pb3dp_cell::{experiment, swing};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Hand, World};
 use pb3dp_hal_api::{ArmError, ArmErrorKind, Clock, JointCommand};
-use pb3dp_orchestrator::wiring::{Wired, wire, wire_at_rest, wire_watched};
 use pb3dp_servo::identification::Excitation;
 use pb3dp_servo::supervisor::{
     ArmCondition, Condition, Confidence, EstimateInput, FrameInput, Permission, Resume, State,
@@ -21,6 +20,7 @@ use pb3dp_servo::supervisor::{
 use pb3dp_servo::{Mode, SearchConfig, TargetObservation};
 use pb3dp_setup::setup::{Carrier, Leader, Pace, Setup, read_setup};
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, StepExperimentConfig, Trajectory};
+use pb3dp_wiring::{Wired, wire, wire_at_rest, wire_watched};
 use system_tests::repository;
 
 use crate::between::Between;

@@ -27,6 +27,7 @@ pub struct Plan {
     from_rad: JointVector,
     by_rad: JointVector,
     duration_s: f64,
+    axis_names: [String; DOF],
 }
 
 /// How near the way comes to the other arm, and with which parts.
@@ -49,8 +50,8 @@ impl Plan {
             let outside = |angle: f64| (low - angle).max(angle - high).max(0.0);
             if outside(to_rad[joint]) > 0.0 && outside(to_rad[joint]) >= outside(from_rad[joint]) {
                 bail!(
-                    "axis {} would end at {:.3} degrees, outside of its operating range {:.1} to {:.1}: choose a shorter way",
-                    joint + 1,
+                    "{} would end at {:.3} degrees, outside of its operating range {:.1} to {:.1}: choose a shorter way",
+                    arm.axis_name(joint),
                     to_rad[joint].to_degrees(),
                     low.to_degrees(),
                     high.to_degrees()
@@ -66,7 +67,8 @@ impl Plan {
             let by_jerk = (jerk * by / (SHARE * limiter.jerk_max_rad_per_s3[joint])).cbrt();
             by_speed.max(by_acceleration).max(by_jerk)
         });
-        Ok(Self { from_rad, by_rad, duration_s: times.fold(SHORTEST_S, f64::max) })
+        let axis_names = std::array::from_fn(|joint| arm.axis_name(joint));
+        Ok(Self { from_rad, by_rad, duration_s: times.fold(SHORTEST_S, f64::max), axis_names })
     }
 
     /// From its beginning to its end.
@@ -89,7 +91,16 @@ impl Plan {
             return Ok(());
         }
         let joint = moved.iamax();
-        bail!("axis {} is {:+.3} degrees from where the plan begins: plan again", joint + 1, moved[joint].to_degrees())
+        bail!(
+            "{} is {:+.3} degrees from where the plan begins: plan again",
+            self.axis_names[joint],
+            moved[joint].to_degrees()
+        )
+    }
+
+    /// What messages call a joint, 0 at the base.
+    pub fn axis_name(&self, joint: usize) -> &str {
+        &self.axis_names[joint]
     }
 
     /// Where it ends, rad.
@@ -140,8 +151,9 @@ impl Plan {
         for joint in 0..DOF {
             let left = |low: f64, high: f64| (to_rad[joint] - low).min(high - to_rad[joint]).to_degrees();
             text += &format!(
-                "{:<4}  {:>8.3}  {:>8.3}  {:>+8.3}  {:>13.4}  {:>23.2}  {:>19.2}\n",
+                "{} {}  {:>8.3}  {:>8.3}  {:>+8.3}  {:>13.4}  {:>23.2}  {:>19.2}\n",
                 joint + 1,
+                arm.chain.joint_names()[joint].to_uppercase(),
                 self.from_rad[joint].to_degrees(),
                 to_rad[joint].to_degrees(),
                 self.by_rad[joint].to_degrees(),
@@ -194,6 +206,6 @@ mod tests {
         assert_eq!(moved(3, -0.9 * STAYED_WITHIN_RAD), Ok(()));
         let refusal = moved(3, -0.02).unwrap_err();
         assert!(refusal.contains("-1.146 degrees from where the plan begins: plan again"), "{refusal}");
-        assert!(refusal.starts_with("axis 4"), "{refusal}");
+        assert!(refusal.starts_with("axis 4 (E1)"), "{refusal}");
     }
 }

@@ -266,8 +266,8 @@ impl Visiting<'_> {
         if passed > plan.duration() + LATE_MAX {
             let joint = behind_rad.iamax();
             bail!(
-                "axis {} did not arrive at stop {}: {:+.3} degrees are left",
-                joint + 1,
+                "{} did not arrive at stop {}: {:+.3} degrees are left",
+                plan.axis_name(joint),
                 self.way + 1,
                 behind_rad[joint].to_degrees()
             );

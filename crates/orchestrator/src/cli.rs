@@ -2,17 +2,20 @@
 
 use std::path::PathBuf;
 
-use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
+use clap::{ArgGroup, Args, Parser, Subcommand};
+use pb3dp_cell::terminal::parse_seconds;
+use pb3dp_commissioning::arm::ArmArgs;
+use pb3dp_commissioning::gateway::GatewayArgs;
+use pb3dp_commissioning::mock_arm::MockArmArgs;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_record::dataset::TILT_LIMIT_DEG;
 use pb3dp_setup::region_spec::{REGION_HELP, RegionSpec};
+use pb3dp_wiring::ReplayPace;
 
-use crate::commands::arm::ArmArgs;
 use crate::commands::calibrate::CalibrateArgs;
 use crate::commands::cameras::CamerasArgs;
 use crate::commands::doctor::DoctorArgs;
 use crate::commands::identify::IdentifyArgs;
-use crate::commands::mock_arm::MockArmArgs;
 use crate::commands::rig::RigArgs;
 use crate::logging::LogFormat;
 
@@ -63,20 +66,6 @@ pub enum Command {
     Rig(RigArgs),
     /// Check whether this machine can do what a rig asks of it, and say what to do where it can not (docs/rig.md).
     Doctor(DoctorArgs),
-}
-
-/// Arguments of `pb3dp gateway`.
-#[derive(Debug, Args)]
-pub struct GatewayArgs {
-    /// The arm, its bus and its host: one complete TOML file, for instance configs/gateway.toml.
-    #[arg(long, value_name = "FILE")]
-    pub config: PathBuf,
-    /// Another bus than the configuration's: arcnet:INTERFACE or socket:PATH.
-    #[arg(long, value_name = "BUS")]
-    pub bus: Option<String>,
-    /// Another line to the host than the configuration's: serial:DEVICE or tcp:ADDRESS:PORT.
-    #[arg(long, value_name = "LINE")]
-    pub host: Option<String>,
 }
 
 /// Arguments of `pb3dp run`.
@@ -226,15 +215,6 @@ pub struct TrackArgs {
     pub method: MethodArgs,
 }
 
-/// When the frames of a recording are delivered.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum ReplayPace {
-    /// As fast as they are worked on.
-    Fast,
-    /// At the times of the recording.
-    Original,
-}
-
 /// Depths to search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ZRange {
@@ -270,13 +250,6 @@ pub(crate) fn parse_z_range(text: &str) -> Result<ZRange, String> {
 
 fn parse_seed(text: &str) -> Result<u64, String> {
     text.parse().map_err(|_| format!("{text:?} is not a whole number from 0 to {}", u64::MAX))
-}
-
-pub(crate) fn parse_seconds(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(seconds) if (0.0..=1e6).contains(&seconds) => Ok(seconds),
-        _ => Err(format!("{text:?} is not a number of seconds between 0 and 1000000")),
-    }
 }
 
 pub(crate) fn parse_tilt(text: &str) -> Result<f64, String> {

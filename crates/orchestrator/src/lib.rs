@@ -7,4 +7,9 @@ pub mod cli;
 pub mod commands;
 pub mod logging;
 pub mod panics;
-pub mod wiring;
+
+/// The commit that the program was built from.
+pub const COMMIT: &str = match option_env!("PB3DP_COMMIT") {
+    Some(commit) => commit,
+    None => "unknown",
+};

@@ -7,6 +7,9 @@ use clap::Parser;
 use pb3dp_orchestrator::cli::{Cli, Command};
 use pb3dp_orchestrator::{commands, logging, panics};
 
+const PROGRAM: pb3dp_commissioning::Program =
+    pb3dp_commissioning::Program { commit: pb3dp_orchestrator::COMMIT, last_words: logging::last_words };
+
 fn main() -> ExitCode {
     let cli = Cli::parse();
     // Lives until the end, also that of a panic.
@@ -24,9 +27,9 @@ fn main() -> ExitCode {
         Command::Estimate(args) => commands::estimate::run(args),
         Command::Track(args) => commands::track::run(args),
         Command::Identify(args) => commands::identify::run(args),
-        Command::Arm(args) => commands::arm::run(args),
-        Command::MockArm(args) => commands::mock_arm::run(args),
-        Command::Gateway(args) => commands::gateway::run(args),
+        Command::Arm(args) => pb3dp_commissioning::arm::run(args, PROGRAM),
+        Command::MockArm(args) => pb3dp_commissioning::mock_arm::run(args),
+        Command::Gateway(args) => pb3dp_commissioning::gateway::run(args),
         Command::Cameras(args) => commands::cameras::run(args),
         Command::Calibrate(args) => commands::calibrate::run(args),
         Command::Rig(args) => commands::rig::run(args),

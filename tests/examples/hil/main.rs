@@ -10,8 +10,8 @@ use pb3dp_cell::cycles::CycleSummary;
 use pb3dp_cell::experiment;
 use pb3dp_cell::summary::{RmsMax, RunSummary, summarize};
 use pb3dp_hal_platform::witness::{PERIOD, TOO_LATE, Witness};
-use pb3dp_orchestrator::wiring::wire;
 use pb3dp_setup::setup::{ArmLink, Pace, Setup, read_setup};
+use pb3dp_wiring::wire;
 use system_tests::repository;
 
 /// The hand may be off by so much more with arms behind lines than in simulated time.

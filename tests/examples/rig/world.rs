@@ -14,12 +14,12 @@ use pb3dp_geometry::frames::{Hand, Target};
 use pb3dp_geometry::{Camera, Frame, ImageSize, Pinhole, Pose, StereoRig};
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_clock::SystemClock;
-use pb3dp_orchestrator::wiring::arm::far_side;
 use pb3dp_setup::setup::{Setup, read_setup};
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::{Lighting, PoseSource, Scene, ScenePoses};
 use pb3dp_sim::sensor::SensorConfig;
 use pb3dp_sim::targets::{self, TargetConfig};
+use pb3dp_wiring::arm::far_side;
 
 use crate::lines::far_end;
 use crate::pictures::Output;

@@ -17,10 +17,10 @@ use pb3dp_cell::percept::Percept;
 use pb3dp_cell::strip::Strip;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
-use pb3dp_orchestrator::wiring::{Wired, wire_cell};
 use pb3dp_servo::SearchConfig;
 use pb3dp_servo::supervisor::Confidence;
 use pb3dp_setup::setup::{Carrier, Leader, Pace, Setup, read_setup};
+use pb3dp_wiring::{Wired, wire_cell};
 use system_tests::repository;
 use system_tests::safety::truth::Truth;
 

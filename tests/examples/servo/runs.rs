@@ -7,9 +7,9 @@ use pb3dp_cell::channels::{ChannelSummary, Plan};
 use pb3dp_cell::experiment;
 use pb3dp_cell::log::RunLog;
 use pb3dp_cell::summary::{RunSummary, summarize};
-use pb3dp_orchestrator::wiring::wire;
 use pb3dp_setup::setup::Setup;
 use pb3dp_sim::trajectory::{Channel, MotionConfig};
+use pb3dp_wiring::wire;
 
 use crate::demands::{Demand, demands, shortest_step};
 use crate::ideal::{HandNoise, Ideal, Seen, hand_noise};

@@ -12,10 +12,10 @@ use pb3dp_geometry::frames::{Base, Flange, Hand, Model, Target, World};
 use pb3dp_geometry::{Pose, so3};
 use pb3dp_hal_middleware::StartPose;
 use pb3dp_kinematics::{Damping, JointVector, damped_pseudo_inverse};
-use pb3dp_orchestrator::wiring::wire;
 use pb3dp_record::metrics::settled_from;
 use pb3dp_setup::setup::{Leader, Setup};
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, StepExperimentConfig};
+use pb3dp_wiring::wire;
 
 use crate::limit_use::LimitUse;
 use crate::setups::geometric;

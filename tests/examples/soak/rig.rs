@@ -16,8 +16,8 @@ use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_middleware::StartPose;
 use pb3dp_hal_platform::realtime::{Realtime, enter};
 use pb3dp_kinematics::JointVector;
-use pb3dp_orchestrator::wiring::arm::{WiredArms, wire_arms};
 use pb3dp_setup::setup::read_setup;
+use pb3dp_wiring::arm::{WiredArms, wire_arms};
 use system_tests::repository;
 
 use crate::figures::Figures;

@@ -13,9 +13,9 @@ use pb3dp_cell::parts::Parts;
 use pb3dp_cell::percept::Percept;
 use pb3dp_cell::strip::Strip;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_orchestrator::wiring::wire;
 use pb3dp_setup::setup::Setup;
 use pb3dp_sim::trajectory::Channel;
+use pb3dp_wiring::wire;
 
 /// A move out, a rest, a move back, a rest.
 const MOVE_S: f64 = 1.5;

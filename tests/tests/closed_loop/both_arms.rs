@@ -10,8 +10,8 @@ use pb3dp_estimation::estimator::Method;
 use pb3dp_hal_api::{ArmErrorKind, JointCommand};
 use pb3dp_hal_middleware::LimiterStatistics;
 use pb3dp_kinematics::JointVector;
-use pb3dp_orchestrator::wiring::wire;
 use pb3dp_sim::trajectory::Channel;
+use pb3dp_wiring::wire;
 use serde_json::Value;
 
 use crate::closed_loop::support::*;

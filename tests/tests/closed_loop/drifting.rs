@@ -7,9 +7,9 @@ use pb3dp_cell::drift::DriftSummary;
 use pb3dp_cell::experiment;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_geometry::{Pose, StereoRig};
-use pb3dp_orchestrator::wiring::wire;
 use pb3dp_setup::setup::{DriftConfig, Setup};
 use pb3dp_sim::trajectory::Channel;
+use pb3dp_wiring::wire;
 
 use super::support::{Pixels, quick_setup};
 

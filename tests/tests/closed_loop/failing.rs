@@ -2,9 +2,9 @@
 
 use pb3dp_cell::experiment;
 use pb3dp_estimation::estimator::Method;
-use pb3dp_orchestrator::wiring::wire;
 use pb3dp_record::dataset::load_sequence;
 use pb3dp_sim::trajectory::Channel;
+use pb3dp_wiring::wire;
 
 use crate::closed_loop::support::*;
 use crate::closed_loop::watched::watched;

@@ -6,10 +6,10 @@ use pb3dp_cell::summary::TrackingError;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_hal_api::JointCommand;
 use pb3dp_kinematics::DOF;
-use pb3dp_orchestrator::wiring::wire;
 use pb3dp_setup::setup::ArmSetup;
 use pb3dp_sim::targets::TargetConfig;
 use pb3dp_sim::trajectory::Channel;
+use pb3dp_wiring::wire;
 
 use crate::closed_loop::support::*;
 use crate::closed_loop::watched::{Notes, watched};

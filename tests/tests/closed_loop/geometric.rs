@@ -4,11 +4,11 @@ use nalgebra::Vector3;
 use pb3dp_cell::channels::Plan;
 use pb3dp_cell::summary::{RunSummary, summarize};
 use pb3dp_estimation::estimator::Method;
-use pb3dp_orchestrator::wiring::wire;
 use pb3dp_servo::LawConfig;
 use pb3dp_setup::setup::{Carrier, Leader, Setup};
 use pb3dp_sim::geometric::{GeometricConfig, PoseSigma};
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig};
+use pb3dp_wiring::wire;
 
 use crate::closed_loop::support::*;
 use crate::closed_loop::watched::watched;

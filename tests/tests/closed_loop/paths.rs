@@ -8,9 +8,9 @@ use pb3dp_estimation::estimator::Method;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Flange, Target, World};
 use pb3dp_kinematics::{Chain, DOF, JointVector};
-use pb3dp_orchestrator::wiring::{check_paths, wire};
 use pb3dp_setup::setup::Setup;
 use pb3dp_sim::trajectory::{Channel, Trajectory};
+use pb3dp_wiring::{check_paths, wire};
 
 use crate::closed_loop::support::whole_setup;
 

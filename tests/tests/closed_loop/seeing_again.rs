@@ -12,13 +12,13 @@ use pb3dp_cell::supervision::Supervision;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, Clock, FramePair, StereoCamera, StereoCameraInfo};
-use pb3dp_orchestrator::wiring::wire;
 use pb3dp_servo::supervisor::{Condition, Resume};
 use pb3dp_setup::setup::{Leader, Setup};
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::{Scene, SceneConfig};
 use pb3dp_sim::targets::TargetConfig;
 use pb3dp_sim::trajectory::Channel;
+use pb3dp_wiring::wire;
 
 use crate::closed_loop::geometric::QUIET;
 use crate::closed_loop::support::*;

@@ -7,9 +7,9 @@ use pb3dp_cell::log::{ControlSample, RunLog};
 use pb3dp_cell::summary::TrackingError;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, StereoRig};
-use pb3dp_orchestrator::wiring::wire;
 use pb3dp_setup::setup::{Leader, Setup, read_setup};
 use pb3dp_sim::trajectory::{Channel, StepExperimentConfig};
+use pb3dp_wiring::wire;
 use system_tests::repository;
 
 /// The setup of the repository in which a method leads the hand; none looks on.

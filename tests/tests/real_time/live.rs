@@ -5,11 +5,11 @@ use pb3dp_arm_pa10::driver::DriverState;
 use pb3dp_cell::experiment;
 use pb3dp_cell::log::RunLog;
 use pb3dp_estimation::estimator::Method;
-use pb3dp_orchestrator::wiring::{Wired, wire, wire_watched};
 use pb3dp_servo::{Gains, LawConfig, PublishedConfig, TargetFilterConfig};
 use pb3dp_setup::setup::{ArmLink, Pace, Setup, read_setup};
 use pb3dp_sim::trajectory::Channel;
 use pb3dp_test_support::programs_in_real_time;
+use pb3dp_wiring::{Wired, wire, wire_watched};
 use system_tests::repository;
 
 use crate::closed_loop::support::{Pixels, errors, quick_setup, run};

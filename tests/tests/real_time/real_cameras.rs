@@ -14,11 +14,11 @@ use pb3dp_cell::summary::summarize;
 use pb3dp_cell::swing;
 use pb3dp_geometry::{Camera, ImageSize, Pinhole, StereoRig};
 use pb3dp_hal_clock::SystemClock;
-use pb3dp_orchestrator::wiring::wire_with;
 use pb3dp_record::dataset::load_sequence;
 use pb3dp_servo::identification::Excitation;
 use pb3dp_setup::setup::{ArmLink, RealCameras, Setup, read_setup};
 use pb3dp_test_support::programs_in_real_time;
+use pb3dp_wiring::wire_with;
 use system_tests::repository;
 
 /// Half of the size in `configs/rig.toml`, and half of its rate.

@@ -20,10 +20,10 @@ use pb3dp_cell::strip::Strip;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_clock::{SystemClock, VirtualClock};
-use pb3dp_orchestrator::wiring::wire;
 use pb3dp_servo::supervisor::{Condition, Confidence, EstimateInput, FrameInput, State};
 use pb3dp_setup::setup::{Leader, Pace, Setup, read_setup};
 use pb3dp_test_support::programs_in_real_time;
+use pb3dp_wiring::wire;
 use system_tests::repository;
 
 /// What waits for others fails after this: they are held up.

@@ -12,6 +12,8 @@ use clap::{Args, Subcommand};
 use pb3dp_cell::flight::Moment;
 use pb3dp_cell::interruption::{INTERRUPTED, watch};
 use pb3dp_cell::swing::{self, Swung};
+use pb3dp_cell::terminal::print_line;
+use pb3dp_commissioning::arm::confirm;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::metrics::percentile;
 use pb3dp_servo::identification::{
@@ -19,13 +21,11 @@ use pb3dp_servo::identification::{
 };
 use pb3dp_setup::region_spec::{REGION_HELP, RegionSpec};
 use pb3dp_setup::setup::{Setup, read_setup};
+use pb3dp_wiring::{Wired, accept_nominal, wire_at_rest, write_flights};
 use serde::Serialize;
 
-use super::arm::confirm;
-use super::estimate::output::print_line;
-use super::run::{accept_nominal, mark};
+use super::run::mark;
 use crate::logging::last_words;
-use crate::wiring::{Wired, wire_at_rest, write_flights};
 
 /// An arm that does what it is told, with dead time and lag, leaves less than this.
 const RESIDUAL_MAX_DEG: f64 = 0.01;

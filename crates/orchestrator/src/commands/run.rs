@@ -12,17 +12,18 @@ use pb3dp_cell::console::Console;
 use pb3dp_cell::experiment::{self, Ended};
 use pb3dp_cell::flight::Moment;
 use pb3dp_cell::interruption::{INTERRUPTED, watch};
+use pb3dp_cell::machine::machine;
 use pb3dp_cell::report;
 use pb3dp_cell::summary::{RunSummary, summarize};
+use pb3dp_cell::terminal::print_line;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::dataset::SequenceWriter;
 use pb3dp_setup::region_spec::RegionSpec;
 use pb3dp_setup::setup::{CalibrationInUse, Pace, Setup, read_setup};
+use pb3dp_wiring::{Wired, accept_nominal, wire_watched, write_flights};
 
-use super::estimate::output::print_line;
 use crate::cli::{OperatorName, RunArgs};
 use crate::logging::last_words;
-use crate::wiring::{Wired, wire_watched, write_flights};
 
 /// A run in which the hand followed for a smaller share of the time is pointed out.
 const FOLLOWING_EXPECTED: f64 = 0.9;
@@ -124,13 +125,6 @@ pub(super) fn mark(setup: &mut Setup, region: Option<&RegionSpec>) -> Result<()>
     Ok(())
 }
 
-/// Lets real arms move by the calibration of no cameras, if that is said.
-pub(crate) fn accept_nominal(setup: &mut Setup, is_accepted: bool) {
-    if let Some(says) = setup.nominal_calibration.take_if(|_| is_accepted) {
-        tracing::warn!("--nominal-calibration: arms move by what is seen with a calibration of no cameras ({says})");
-    }
-}
-
 /// What somebody needs to repeat the run.
 fn provenance(args: &RunArgs, setup: &Setup, simulated_s: f64, wall_s: f64) -> Vec<(String, String)> {
     let line = |key: &str, value: String| (key.to_owned(), value);
@@ -138,7 +132,7 @@ fn provenance(args: &RunArgs, setup: &Setup, simulated_s: f64, wall_s: f64) -> V
     let compared: Vec<&str> = setup.compared.iter().map(|method| method.name()).collect();
     vec![
         line("program", format!("pb3dp {}", env!("CARGO_PKG_VERSION"))),
-        line("commit", option_env!("PB3DP_COMMIT").unwrap_or("unknown").to_owned()),
+        line("commit", crate::COMMIT.to_owned()),
         line("configuration", args.config.display().to_string()),
         line("method", setup.leader.name().to_owned()),
         line("pictures", pictures(setup)),
@@ -151,16 +145,6 @@ fn provenance(args: &RunArgs, setup: &Setup, simulated_s: f64, wall_s: f64) -> V
         line("machine", machine()),
         line("duration", format!("{simulated_s:.1} s simulated in {wall_s:.1} s")),
     ]
-}
-
-/// Processor and number of cores, as far as the system tells.
-pub(super) fn machine() -> String {
-    let model = std::fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
-        let line = text.lines().find(|line| line.starts_with("model name"))?;
-        Some(line.split_once(':')?.1.trim().to_owned())
-    });
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    format!("{}, {cores} cores, {}", model.unwrap_or_else(|| "unknown processor".into()), std::env::consts::OS)
 }
 
 #[cfg(test)]

@@ -46,6 +46,12 @@ pub struct ArmSetup {
 }
 
 impl ArmSetup {
+    /// What messages call a joint, 0 at the base: `axis 2 (S2)`, with its name in the robot description.
+    pub fn axis_name(&self, joint: usize) -> String {
+        let name = self.chain.joint_names().get(joint).map(|name| name.to_uppercase()).unwrap_or_default();
+        format!("axis {} ({name})", joint + 1)
+    }
+
     /// What the coupling of both arms has to know of it.
     pub fn coupled(&self) -> CoupledArmConfig {
         CoupledArmConfig {

@@ -11,9 +11,8 @@ use pb3dp_camera_v4l2::modes::{OfferedFormat, offered};
 use pb3dp_camera_v4l2::names::{self, Found};
 use pb3dp_camera_v4l2::pixels::PixelFormat;
 use pb3dp_camera_v4l2::video::{ControlKind, IntervalEntry, SizeEntry, VideoSystem};
+use pb3dp_cell::terminal::print_line;
 use serde::Serialize;
-
-use crate::commands::estimate::output::print_line;
 
 /// What the exit code and `--json` say.
 const LIST_JSON: &str =
@@ -310,13 +309,14 @@ impl ControlLine {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use std::sync::Arc;
 
     use pb3dp_camera_v4l2::emulated::{Call, EmulatedCamera, EmulatedSystem};
     use pb3dp_geometry::ImageSize;
     use pb3dp_hal_clock::VirtualClock;
     use rustix::io::Errno;
+
+    use super::*;
 
     fn system(cameras: Vec<EmulatedCamera>) -> EmulatedSystem {
         EmulatedSystem::new(Arc::new(VirtualClock::default()), cameras)

@@ -21,8 +21,9 @@ use clap::Args;
 use self::finding::{Finding, Report};
 use self::needs::Needs;
 pub(super) use self::system::free_bytes;
+use pb3dp_cell::terminal::print_line;
+
 use self::system::{Machine, System};
-use super::estimate::output::print_line;
 
 /// What the exit code and `--json` say.
 const EXIT_CODES: &str = "Exit code: 0 if everything passes, 1 if there are warnings, 2 if something fails.

@@ -11,7 +11,9 @@ use std::process::ExitCode;
 use anyhow::{Result, bail};
 use nalgebra::Vector2;
 use pb3dp_cell::cpu_time::{timed, within};
+use pb3dp_cell::pair::check_pictures;
 use pb3dp_cell::picture::{Annotation, annotate, model_frame_on_plane, polygon_px};
+use pb3dp_cell::terminal::print_line;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation_core::estimate::{PlaneEstimate, ReferenceOptimum, SecondPlane};
 use pb3dp_estimation_core::region::{Region, RegionConfig};
@@ -22,9 +24,9 @@ use pb3dp_record::metrics::{self, DisparityAgreement, EvaluatedCase, Group, comp
 use pb3dp_setup::estimator::read_estimator;
 
 use self::job::{Job, pair_name};
-use self::output::{EstimateLine, print_line};
+use self::output::EstimateLine;
 use self::rigs::Rigs;
-use super::pair::{check_pictures, make_overlay_folder};
+use super::overlay_folder::make_overlay_folder;
 use crate::cli::{EstimateArgs, MethodArgs};
 
 /// Runs the command. The exit code is a failure if a case could not be worked on; all others are worked on all the same.

@@ -1,7 +1,5 @@
 //! What `pb3dp estimate` prints: a line per case, and the errors by group where the truth is known.
 
-use std::io::{self, Write};
-
 use nalgebra::Vector2;
 use pb3dp_estimation_core::estimate::{PlaneEstimate, SecondPlane};
 use serde::Serialize;
@@ -126,16 +124,5 @@ impl EstimateLine {
             number(self.fitness, 3),
             number(self.ms, 2)
         )
-    }
-}
-
-/// Writes one line to standard output; a closed pipe is no error.
-///
-/// # Errors
-/// If standard output can not be written for another reason.
-pub fn print_line(line: &str) -> io::Result<()> {
-    match writeln!(io::stdout().lock(), "{line}") {
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
-        other => other,
     }
 }

@@ -7,12 +7,12 @@ use std::process::ExitCode;
 
 use anyhow::Result;
 use clap::{Args, Subcommand};
+use pb3dp_cell::terminal::print_line;
 use pb3dp_estimation::rig_plan::{Conditions, Lens, PixelNoise, StereoHead};
 use pb3dp_geometry::ImageSize;
 
 use self::numbers::{Span, distance, grey, micrometres, millimetres, millis, number, pixels, size, span};
 use self::report::Plan;
-use super::estimate::output::print_line;
 
 /// Arguments of `pb3dp rig`.
 #[derive(Debug, Args)]

@@ -9,17 +9,17 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use pb3dp_cell::terminal::print_line;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_hal_api::{CameraErrorKind, FramePair};
 use pb3dp_record::dataset::{Sequence, load_sequence};
 use pb3dp_record::metrics::{MotionSummary, compare_motion};
+use pb3dp_wiring::wire_replay;
 
 use self::output::TrackLine;
 use self::overlays::Overlays;
 use self::walk::Walk;
-use super::estimate::output::print_line;
 use crate::cli::TrackArgs;
-use crate::wiring::wire_replay;
 
 /// A replay does not wait for pictures, so this only bounds what can not happen.
 const PAIR_TIMEOUT: Duration = Duration::from_secs(10);

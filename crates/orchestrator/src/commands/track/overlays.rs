@@ -9,7 +9,7 @@ use pb3dp_hal_api::FramePair;
 use pb3dp_record::images::{PictureFormat, save};
 use pb3dp_record::overlay::{Animation, AnimationLimits};
 
-use super::super::pair::make_overlay_folder;
+use super::super::overlay_folder::make_overlay_folder;
 use super::walk::{Found, Outcome};
 use crate::cli::MethodArgs;
 

@@ -5,6 +5,7 @@ use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_cell::cpu_time::{timed, within};
 use pb3dp_cell::follower::Follower;
+use pb3dp_cell::pair::check_pictures;
 use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
@@ -19,7 +20,6 @@ use pb3dp_setup::region_spec::{RegionSpec, load_region};
 
 use super::super::estimate::estimator_config;
 use super::super::estimate::job::{overridden, range_of_dataset};
-use super::super::pair::check_pictures;
 use crate::cli::TrackArgs;
 
 /// All targets of a sequence.

@@ -14,12 +14,12 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_camera_v4l2::{StereoCounters, V4l2StereoCamera};
+use pb3dp_cell::terminal::print_line;
 use pb3dp_hal_api::{CameraErrorKind, Clock, FramePair, StereoCamera};
 
 use self::finding::{Finding, Report};
 use self::times::Moment;
 use super::choice::{CameraChoice, Chosen, check_size};
-use crate::commands::estimate::output::print_line;
 
 /// Pairs that are looked into, spread over the measurement.
 const SAMPLES: usize = 6;

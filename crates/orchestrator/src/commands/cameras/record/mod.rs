@@ -13,6 +13,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_camera_v4l2::{Side, V4l2StereoCamera};
+use pb3dp_cell::terminal::{parse_seconds, print_line};
 use pb3dp_geometry::ImageSize;
 use pb3dp_hal_api::{Clock, StereoCamera};
 use pb3dp_hal_platform::signals::StopSignals;
@@ -20,15 +21,14 @@ use pb3dp_record::calibration_files::save_cameras;
 use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter};
 use pb3dp_record::images::PictureFormat;
 use pb3dp_setup::region_spec::RegionSpec;
+use pb3dp_wiring::calibration::identity;
 use serde::Serialize;
 
 use self::recorder::{Failure, Missing, Outcome, Plan, record};
 use super::choice::{CameraChoice, Chosen, ChosenTarget, check_size};
 use super::stop_requested;
-use crate::cli::{ZRange, parse_seconds, parse_tilt, parse_z_range};
+use crate::cli::{ZRange, parse_tilt, parse_z_range};
 use crate::commands::doctor::free_bytes;
-use crate::commands::estimate::output::print_line;
-use crate::wiring::calibration::identity;
 
 /// What the exit code and `--json` say.
 const RECORD_JSON: &str =

@@ -15,6 +15,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use pb3dp_camera_v4l2::V4l2StereoCamera;
 use pb3dp_camera_v4l2::video::VideoSystem;
+use pb3dp_cell::terminal::print_line;
 use pb3dp_hal_api::{Clock, StereoCamera};
 use pb3dp_hal_platform::signals::StopSignals;
 use tokio::sync::watch;
@@ -23,7 +24,6 @@ use self::server::{Server, Sources};
 use self::show::{ASKS_MAX, Show, State};
 use super::choice::CameraChoice;
 use super::stop_requested;
-use crate::commands::estimate::output::print_line;
 
 /// Arguments of `pb3dp cameras view`.
 #[derive(Debug, Args)]

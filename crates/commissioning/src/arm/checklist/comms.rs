@@ -1,0 +1,49 @@
+//! Messages only: the link, the joints at rest, and that nothing can move.
+
+use anyhow::{Context, Result};
+use pb3dp_hal_api::{Arm, JointCommand};
+use pb3dp_kinematics::JointVector;
+use pb3dp_wiring::commissioning::see;
+
+use super::operator::Question;
+use super::record::StepReport;
+use super::session::Session;
+use super::steps::{BRAKED_MAX_DEG, EXCHANGES, LATE_MAX_MS, LOST_PERCENT_MAX};
+
+/// Does the step.
+///
+/// # Errors
+/// An arm that does not answer, an operator who does not.
+pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
+    let mut seen = see(&session.setup, session.choice, &session.clock)?;
+    let monitor = seen.arm.monitor();
+    let first = monitor.snapshot().joints.context("the arm told no joints")?.position_rad;
+    let mut moved_rad = 0.0_f64;
+    // Each look is at least one message, so this ends.
+    for _ in 0..EXCHANGES {
+        if monitor.snapshot().counters.sent >= u64::from(EXCHANGES) {
+            break;
+        }
+        session.pause(std::time::Duration::ZERO)?;
+        seen.arm.look()?;
+        let joints = monitor.snapshot().joints.context("the arm told no joints")?;
+        moved_rad = moved_rad.max((joints.position_rad - first).amax());
+    }
+    let snapshot = monitor.snapshot();
+    let counters = snapshot.counters;
+    let trips = monitor.control_trips();
+    let watchdog_us = u64::from(session.gateway.stop_after_us)
+        .min(u64::try_from(session.choice.of(&session.setup).command_timeout.as_micros()).unwrap_or(u64::MAX));
+    let lost_percent = 100.0 * counters.lost as f64 / counters.sent.max(1) as f64;
+    report.at_least("messages sent", counters.sent as f64, f64::from(EXCHANGES), "");
+    report.at_most("messages without an answer", lost_percent, LOST_PERCENT_MAX, "%");
+    report.at_most("damaged or foreign answers", (counters.damaged + counters.mismatched) as f64, 0.0, "");
+    // R5: half of the shorter watchdog.
+    report.at_most("round trip, 99 of 100", trips.p99.as_secs_f64() * 1e3, watchdog_us as f64 / 2e3, "ms");
+    report.at_most("commands sent late, 99 of 100", monitor.jitter().p99.as_secs_f64() * 1e3, LATE_MAX_MS, "ms");
+    report.at_most("largest motion of a joint", moved_rad.to_degrees(), BRAKED_MAX_DEG, "deg");
+    let velocity = seen.arm.exchange(JointCommand::Velocity(JointVector::zeros()));
+    let found = velocity.as_ref().map_or_else(ToString::to_string, |_| "it was taken".to_owned());
+    report.holds("a velocity is refused while the brakes are on", velocity.is_err(), found);
+    session.ask(report, &Question::Pose { shown_rad: first })
+}

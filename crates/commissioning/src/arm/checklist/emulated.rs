@@ -1,0 +1,98 @@
+//! An operator for emulated arms: his hand is at the faults of the emulation, his eyes see the true joints.
+
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use pb3dp_arm_pa10_emulation::line::mock_server::MockServer;
+use pb3dp_cell::parts::ArmChoice;
+use pb3dp_cell::terminal::print_line;
+use pb3dp_hal_platform::signals::StopSignals;
+use pb3dp_kinematics::JointVector;
+
+use super::super::confirm::Console;
+use super::operator::{Act, Operator, Question};
+use super::steps::REST_RAD_PER_S;
+
+/// What eyes can tell, rad.
+const SEEN_WITHIN_RAD: f64 = 0.01;
+/// An emulated thread takes a moment until it has pulled or plugged a cable.
+const MOMENT: Duration = Duration::from_millis(50);
+
+/// The program itself.
+pub struct Emulated {
+    console: Console,
+    patience: Duration,
+    arms: Vec<(ArmChoice, MockServer)>,
+    /// Where the first arm was when the operator was last asked whether he is ready, rad.
+    before_rad: JointVector,
+}
+
+impl Emulated {
+    /// The operator of these arms, the tested one first. Only the word to begin is still a person's.
+    pub fn new((console, patience): (Console, Duration), arms: Vec<(ArmChoice, MockServer)>) -> Self {
+        let before_rad = arms.first().map_or_else(JointVector::zeros, |(_, arm)| arm.report().position_rad);
+        Self { console, patience, arms, before_rad }
+    }
+
+    fn arm(&self, choice: ArmChoice) -> Result<&MockServer> {
+        let found = self.arms.iter().find(|(name, _)| *name == choice);
+        found.map(|(_, arm)| arm).with_context(|| format!("the {} is not emulated here", choice.name()))
+    }
+
+    fn tested(&self) -> Result<&MockServer> {
+        self.arms.first().map(|(_, arm)| arm).context("no emulated arm")
+    }
+}
+
+impl Operator for Emulated {
+    fn name(&self) -> &'static str {
+        "emulated"
+    }
+
+    fn is_prompt(&self) -> bool {
+        true
+    }
+
+    fn confirm(&mut self, name: &str, signals: &mut StopSignals) -> Result<()> {
+        self.console.typed(name, Some(self.patience), signals)
+    }
+
+    fn act(&mut self, act: Act) -> Result<()> {
+        match act {
+            Act::PressEmergencyStop(choice) => self.arm(choice)?.command_line("e-stop press")?,
+            Act::ReleaseEmergencyStop(choice) => self.arm(choice)?.command_line("e-stop release")?,
+            Act::PullCable(choice) => self.arm(choice)?.unplug(),
+            Act::PlugCable(choice) => self.arm(choice)?.plug(),
+        }
+        Ok(())
+    }
+
+    fn ready(&mut self, text: &str, act: Option<Act>, _signals: &mut StopSignals) -> Result<()> {
+        print_line(&format!("emulated operator: {}{text}", act.map(|act| format!("{act}. ")).unwrap_or_default()))?;
+        if let Some(act) = act {
+            self.act(act)?;
+            std::thread::sleep(MOMENT);
+        }
+        self.before_rad = self.tested()?.report().position_rad;
+        Ok(())
+    }
+
+    fn ask(&mut self, question: &Question, _signals: &mut StopSignals) -> Result<bool> {
+        let yes = match question {
+            Question::Pose { shown_rad } => {
+                (self.tested()?.report().position_rad - shown_rad).amax() <= SEEN_WITHIN_RAD
+            }
+            Question::Turned { axis, by_rad } => {
+                let mut off_rad = self.tested()?.report().position_rad - self.before_rad;
+                off_rad[axis.index()] -= by_rad;
+                off_rad.amax() <= SEEN_WITHIN_RAD
+            }
+            Question::Stopped(choice) => {
+                let seen = self.arm(*choice)?.report();
+                seen.is_braked && seen.velocity_rad_per_s.amax() <= REST_RAD_PER_S
+            }
+        };
+        print_line(&format!("{question} emulated operator: {}", if yes { "yes" } else { "no" }))?;
+        Ok(yes)
+    }
+}

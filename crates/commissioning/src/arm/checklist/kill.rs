@@ -1,0 +1,219 @@
+//! The program that moves the arm, killed: the gateway alone has to stop it.
+
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+use pb3dp_arm_pa10::arm::ArmSnapshot;
+use pb3dp_cell::terminal::print_line;
+use pb3dp_hal_api::{Arm, ArmPower, JointCommand, JointState};
+use pb3dp_kinematics::JointVector;
+use pb3dp_wiring::commissioning::see;
+use rustix::process::{Pid, Signal, kill_process};
+
+use super::super::drive::LATE_MAX;
+use super::super::motion::JointReport;
+use super::Company;
+use super::operator::Question;
+use super::record::StepReport;
+use super::session::{Session, refused};
+use super::steps::{BRAKED_MAX_DEG, LEFT_ALONE};
+use super::stops::{stopped_by_gateway, way};
+
+/// The share of the way after which the program is killed.
+const KILL_AT: f64 = 0.35;
+/// Until the program has proved the link, opened the brakes and tells of joints.
+const STARTED_WITHIN: Duration = Duration::from_secs(20);
+/// How often it is looked whether a signal asks to end.
+const LOOK: Duration = Duration::from_millis(20);
+/// How long a program that is asked to end may take for its stop order.
+const ENDS_WITHIN: Duration = Duration::from_secs(5);
+/// Between two looks at an arm that has to be at rest.
+const BETWEEN_LOOKS: Duration = Duration::from_millis(500);
+
+/// Does the step.
+///
+/// # Errors
+/// If the arm was not moved, or an operator does not answer.
+pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
+    let (choice, axis) = (session.choice, session.axis);
+    let plan = {
+        // The program that will be killed needs the line for itself.
+        let mut arm = session.connect(false)?;
+        session.plan(&mut arm)?
+    };
+    let by_rad = plan.by_rad()[axis.index()];
+    let text = format!(
+        "Next, another program turns {axis} by {:+.1} degrees within {:.0} s, and is killed on the way. Keep a hand on the emergency stop.",
+        by_rad.to_degrees(),
+        plan.duration().as_secs_f64()
+    );
+    session.operator.ready(&text, None, &mut session.signals)?;
+    let begin = session.clock.now();
+    let mut mover = Mover::start(session, by_rad)?;
+    let last_rad = mover.moved(session, plan.start_rad(), (by_rad * KILL_AT, plan.duration()))?;
+    mover.kill()?;
+    let last_rad = mover.last_line().unwrap_or(last_rad);
+    let killed = session.clock.now();
+    let last = JointState { at: killed, position_rad: last_rad, velocity_rad_per_s: JointVector::zeros() };
+    report.note(format!("killed {:.2} s after it was started", killed.seconds_since(begin)));
+    session.pause(LEFT_ALONE)?;
+
+    let seen = see(&session.setup, choice, &session.clock).map_err(|error| format!("{error:#}"));
+    found_stopped(report, seen.as_ref().map(|seen| seen.arm.monitor().snapshot()))?;
+    session.ask(report, &Question::Stopped(choice))?;
+    let Ok(mut seen) = seen else { return Ok(()) };
+    if !report.complaints().is_empty() {
+        return Ok(());
+    }
+    let monitor = seen.arm.monitor();
+    let enabled = seen.arm.enable();
+    let moved = seen.arm.exchange(JointCommand::Velocity(JointVector::zeros()));
+    if enabled.is_ok() {
+        // What comes of it shows in the figure.
+        let _ = seen.arm.stop();
+    }
+    refused(report, "before the reset", (enabled, moved.map(drop)));
+    session.operator.ready("Next, the arm is reset.", None, &mut session.signals)?;
+    session.reset(&mut seen.arm)?;
+    seen.arm.look()?;
+    let rests = monitor.snapshot().joints.context("the arm told no joints")?;
+    session.pause(BETWEEN_LOOKS)?;
+    seen.arm.look()?;
+    let later = monitor.snapshot().joints.context("the arm told no joints")?;
+    way(session, report, (&last, &rests));
+    let moves_deg = (later.position_rad - rests.position_rad).amax().to_degrees();
+    report.at_most("motion between two looks afterwards", moves_deg, BRAKED_MAX_DEG, "deg");
+    Ok(())
+}
+
+/// What the next program finds: an arm that its gateway has stopped, before anybody came.
+fn found_stopped(report: &mut StepReport, seen: Result<ArmSnapshot, &String>) -> Result<()> {
+    let latched = seen.map(|seen| seen.latched.map(|latched| latched.trip.to_string()));
+    let found = match &latched {
+        Ok(latched) => latched.clone().unwrap_or_else(|| "nothing has stopped it".to_owned()),
+        Err(error) => format!("it can not connect: {error}"),
+    };
+    report.holds("the next program finds the arm stopped", matches!(latched, Ok(Some(_))), found);
+    let gateway = seen.ok().and_then(|seen| seen.gateway_found);
+    if let Some(gateway) = gateway {
+        stopped_by_gateway(report, gateway.state, gateway.cause);
+    }
+    if !report.complaints().is_empty() {
+        let is = gateway.map_or_else(|| "not known".to_owned(), |gateway| gateway.state.to_string());
+        print_line(&format!("PRESS THE EMERGENCY STOP: the gateway has not stopped the arm, it is {is}"))?;
+    }
+    Ok(())
+}
+
+/// A program of its own that moves the arm. Dropping it ends it by its stop order.
+struct Mover {
+    child: Child,
+    lines: Receiver<String>,
+}
+
+impl Mover {
+    fn start(session: &Session<'_>, by_rad: f64) -> Result<Self> {
+        let program = std::env::current_exe().context("the path of this program is not known")?;
+        let mut command = Command::new(program);
+        command.args(["--log", "warn", "arm", "jog", "--alone", "--move", "--report-joints", "--config"]);
+        command.arg(&session.place.config).args(["--arm", session.place.arm_word()]);
+        command.args(["--axis", &session.axis.number().to_string(), "--by", &by_rad.to_degrees().to_string()]);
+        if let Some(address) = session.line {
+            command.args(["--line", &address.to_string()]);
+        }
+        command.stdin(Stdio::piped()).stdout(Stdio::piped());
+        let mut child = command.spawn().context("the program that is to move the arm does not start")?;
+        let (input, output) = (child.stdin.take(), child.stdout.take());
+        let (sender, lines) = channel();
+        let mover = Self { child, lines };
+        let output = output.context("the program that moves the arm has no output")?;
+        let read = move || {
+            for line in BufReader::new(output).lines().map_while(Result::ok) {
+                if sender.send(line).is_err() {
+                    return;
+                }
+            }
+        };
+        std::thread::Builder::new().name("mover".to_owned()).spawn(read).context("no thread for its lines")?;
+        // The operator has typed the name before, and the room on the way is known.
+        let mut input = input.context("the program that moves the arm has no input")?;
+        writeln!(input, "{}", Company::ALONE.word(session.choice))
+            .context("the program that is to move the arm has ended")?;
+        Ok(mover)
+    }
+
+    /// Waits until the axis has turned so far; where the joints are then, rad.
+    fn moved(
+        &mut self,
+        session: &mut Session<'_>,
+        from_rad: &JointVector,
+        (by_rad, duration): (f64, Duration),
+    ) -> Result<JointVector> {
+        let joint = session.axis.index();
+        let patience = STARTED_WITHIN + duration + LATE_MAX;
+        let begin = Instant::now();
+        loop {
+            session.pause(Duration::ZERO)?;
+            match self.lines.recv_timeout(LOOK) {
+                Ok(line) => {
+                    let Some(position_rad) = joints_of(&line) else { continue };
+                    if (position_rad[joint] - from_rad[joint]) / by_rad >= 1.0 {
+                        return Ok(position_rad);
+                    }
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => {
+                    bail!("the program that moves the arm has ended by itself: see above")
+                }
+            }
+            if begin.elapsed() > patience {
+                bail!("the program that is to move the arm did not do so within {patience:?}: see above");
+            }
+        }
+    }
+
+    fn kill(&mut self) -> Result<()> {
+        self.child.kill().context("the program that moves the arm can not be killed")?;
+        self.child.wait().context("the program that moved the arm can not be waited for").map(drop)
+    }
+
+    /// The last joints that it told of before it was killed.
+    fn last_line(&self) -> Option<JointVector> {
+        let mut last = None;
+        // Its end closes the pipe, which ends the thread and with it these lines.
+        while let Ok(line) = self.lines.recv_timeout(LOOK) {
+            last = joints_of(&line).or(last);
+        }
+        last
+    }
+}
+
+impl Drop for Mover {
+    fn drop(&mut self) {
+        if !matches!(self.child.try_wait(), Ok(None)) {
+            return;
+        }
+        if let Some(pid) = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw) {
+            // It may have ended meanwhile.
+            kill_process(pid, Signal::TERM).ok();
+        }
+        let begin = Instant::now();
+        while begin.elapsed() < ENDS_WITHIN {
+            if !matches!(self.child.try_wait(), Ok(None)) {
+                return;
+            }
+            std::thread::sleep(LOOK);
+        }
+        // Then its gateway stops the arm.
+        self.child.kill().ok();
+        self.child.wait().ok();
+    }
+}
+
+/// The joints in a line of the program that moves the arm, if that is what the line tells.
+fn joints_of(line: &str) -> Option<JointVector> {
+    serde_json::from_str::<JointReport>(line).ok().map(|report| JointVector::from(report.position_rad))
+}

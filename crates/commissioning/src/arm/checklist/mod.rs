@@ -1,0 +1,344 @@
+//! `pb3dp arm test`: the checklist of a rig, step by step, and a dated report of it.
+
+mod comms;
+mod emulated;
+mod interlock;
+mod jog;
+mod kill;
+mod operator;
+mod record;
+mod report;
+mod session;
+mod steps;
+mod stops;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::time::{Duration, SystemTime};
+
+use anyhow::{Context, Result, bail};
+use clap::{Args, ValueEnum};
+use pb3dp_arm_pa10::arm::ArmSnapshot;
+use pb3dp_arm_pa10_emulation::line::mock_server::SocketAddr;
+use pb3dp_arm_pa10_protocol::codec::Axis;
+use pb3dp_cell::live::enter_control_thread;
+use pb3dp_cell::machine::machine;
+use pb3dp_cell::parts::ArmChoice;
+use pb3dp_cell::terminal::print_line;
+use pb3dp_hal_api::{Clock, JointCommand};
+use pb3dp_hal_clock::SystemClock;
+use pb3dp_hal_platform::signals::StopSignals;
+use pb3dp_setup::setup::{ArmLink, GatewayWay, Setup, read_setup};
+use pb3dp_wiring::commissioning::{emulate_at_address, see, set_line, slow_setup};
+use sha2::{Digest, Sha256};
+
+use self::emulated::Emulated;
+use self::operator::{Operator, Person};
+use self::record::{Outcome, StepReport};
+use self::report::{ProgramFacts, TestReport, Verdict};
+use self::session::{Session, is_interruption};
+use self::steps::Step;
+use super::confirm::Console;
+use super::flights::{folder_of, utc};
+use super::motion::{JOG_RAD_PER_S, show_room};
+use super::probe_report::GatewayFacts;
+use super::{Company, Place, parse_jog};
+
+/// Of the form of the report.
+const REPORT_FORMAT: u32 = 1;
+
+/// Arguments of `pb3dp arm test`.
+#[derive(Debug, Args)]
+pub struct TestArgs {
+    #[command(flatten)]
+    place: Place,
+    /// Do the steps, once the arm's name was typed. Without it nothing moves.
+    #[arg(long = "move")]
+    moves: bool,
+    #[command(flatten)]
+    company: Company,
+    /// The axis that moves, 1 at the base to 7 at the flange.
+    #[arg(long, value_name = "1..7", default_value_t = 7, value_parser = clap::value_parser!(u8).range(1..=7))]
+    axis: u8,
+    /// How far it moves, degrees, at most 30. A move of 10 degrees takes 18 s, in which the operator has to act.
+    #[arg(long, value_name = "DEGREES", default_value = "10", value_parser = parse_jog, allow_hyphen_values = true)]
+    by: f64,
+    /// These steps only, with commas between.
+    #[arg(long, value_enum, value_name = "STEP", value_delimiter = ',', conflicts_with = "skip")]
+    only: Vec<Step>,
+    /// All steps but these.
+    #[arg(long, value_enum, value_name = "STEP", value_delimiter = ',')]
+    skip: Vec<Step>,
+    /// Whose hand is at switches and cables: yours, or the program's where the arm is emulated.
+    #[arg(long, value_enum, default_value = "person")]
+    operator: OperatorName,
+    /// How long an answer is waited for, seconds.
+    #[arg(long, value_name = "SECONDS", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..=3600))]
+    patience: u32,
+    /// Folder for report.md and report.json; without it out/arm-test-ARM-DATE.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+/// Operators by their names on the command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum OperatorName {
+    Person,
+    Emulated,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A configuration that is refused, an arm that does not answer or is stopped, a confirmation that does not come, a report that can not
+/// be written.
+pub fn run(args: &TestArgs, commit: &'static str) -> Result<ExitCode> {
+    // Before any thread is started.
+    let signals = StopSignals::take_over()?;
+    let began = SystemTime::now();
+    let setup = read_setup(&args.place.config)?;
+    let asked = asked(args, &setup)?;
+    let setup_text = std::fs::read(&args.place.config)
+        .with_context(|| format!("{}: can not be read", args.place.config.display()))?;
+    let (mut session, target) = begin((args, &asked), &setup, signals, began)?;
+    show(args, &asked, &session)?;
+    if !args.moves {
+        print_line("dry run: the brakes stayed on and nothing moved; --move does it")?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    confirm(&args.company.word(session.choice), &asked, &mut session)?;
+    std::fs::create_dir_all(&session.out).with_context(|| format!("{}: can not be made", session.out.display()))?;
+    enter_control_thread();
+    let steps = all_steps(&asked, &mut session)?;
+    let result = Verdict::of(&steps);
+    let report = TestReport {
+        format: REPORT_FORMAT,
+        result,
+        arm: session.choice.name(),
+        began: utc(began),
+        ended: utc(SystemTime::now()),
+        program: ProgramFacts { version: env!("CARGO_PKG_VERSION"), commit },
+        machine: machine(),
+        config: args.place.config.clone(),
+        config_sha256: sha256(&setup_text),
+        target,
+        is_emulated: session.line.is_some(),
+        gateway: GatewayFacts::of(&session.gateway),
+        operator: session.operator.name(),
+        axis: args.axis,
+        by_deg: args.by,
+        speed_rad_per_s: JOG_RAD_PER_S,
+        steps,
+    };
+    let path = report.write(&session.out)?;
+    print_line(&format!("{}: {}\nreport: {}", session.choice.name(), result.word(), path.display()))?;
+    let is_well = matches!(result, Verdict::Passed | Verdict::Incomplete);
+    Ok(if is_well { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// The steps that are asked for, in their order.
+fn asked(args: &TestArgs, setup: &Setup) -> Result<Vec<Step>> {
+    let is_toy = args.place.choice().other().of(setup).link.is_toy();
+    // Nobody can press the switch of an arm that is emulated, but who emulates it.
+    let has_other = !args.company.alone && (!is_toy || args.operator == OperatorName::Emulated);
+    let wanted = |step: &Step| match args.only.is_empty() {
+        true => !args.skip.contains(step) && (*step != Step::Interlock || has_other),
+        false => args.only.contains(step),
+    };
+    let asked: Vec<_> = Step::ALL.into_iter().filter(wanted).collect();
+    if asked.contains(&Step::Interlock) && args.company.alone {
+        bail!("the step interlock needs the other arm: leave --alone out");
+    }
+    if asked.is_empty() {
+        bail!("no step is left: skip fewer");
+    }
+    Ok(asked)
+}
+
+/// Finds the arm and looks at it; how it was reached.
+fn begin<'a>(
+    (args, asked): (&'a TestArgs, &[Step]),
+    setup: &Setup,
+    signals: StopSignals,
+    began: SystemTime,
+) -> Result<(Session<'a>, String)> {
+    let choice = args.place.choice();
+    let mut setup = slow_setup(setup, choice, JOG_RAD_PER_S)?;
+    let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+    if let ArmLink::Bus(_) = &choice.of(&setup).link {
+        bail!(
+            "{}.backend = \"arcnet\" has no gateway, whose watchdog half of this test is about: test its stops by hand \
+             (docs/commissioning.md)",
+            choice.table()
+        );
+    }
+    let (operator, line) = operator((args, asked), &mut setup, &clock)?;
+    let (snapshot, target) = look(&setup, choice, &clock)?;
+    let out = args.out.clone().unwrap_or_else(|| folder_of("test", choice, began));
+    if out.join("report.json").exists() {
+        bail!("{}: there is a report already; give another --out", out.display());
+    }
+    let session = Session {
+        place: &args.place,
+        setup,
+        choice,
+        clock,
+        signals,
+        operator,
+        axis: Axis::from_number(u16::from(args.axis))?,
+        by_rad: args.by.to_radians(),
+        home_rad: snapshot.joints.context("the arm told no joints")?.position_rad,
+        gateway: snapshot.gateway.context("the arm has no gateway")?,
+        line,
+        out,
+    };
+    Ok((session, target))
+}
+
+/// What is known of the arm, and how it was reached.
+fn look(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<(ArmSnapshot, String)> {
+    let mut seen = see(setup, choice, clock)?;
+    if let Some(latched) = seen.arm.monitor().snapshot().latched {
+        bail!("{} is stopped: {}; `pb3dp arm reset` clears it once the cause is gone", choice.name(), latched.trip);
+    }
+    // A gateway knows the wire format once the controller has answered.
+    seen.arm.look()?;
+    Ok((seen.arm.monitor().snapshot(), seen.target))
+}
+
+/// Who acts; and where the arm is found, if it is emulated for this.
+fn operator(
+    (args, asked): (&TestArgs, &[Step]),
+    setup: &mut Setup,
+    clock: &Arc<dyn Clock>,
+) -> Result<(Box<dyn Operator>, Option<SocketAddr>)> {
+    let choice = args.place.choice();
+    let patience = Duration::from_secs(u64::from(args.patience));
+    if args.operator == OperatorName::Person {
+        let hands = if asked.contains(&Step::Interlock) { vec![choice, choice.other()] } else { vec![choice] };
+        let is_emulated = |arm: &&ArmChoice| matches!(&arm.of(setup).link, ArmLink::Gateway(_, GatewayWay::Emulated));
+        if let (Some(emulated), true) = (hands.iter().find(is_emulated), args.moves) {
+            bail!(
+                "{}.backend = \"emulated\" has no switch and no cable for you: give --operator emulated, or run `pb3dp mock-arm --tcp` in \
+                 another terminal and set backend = \"tcp\"",
+                emulated.table()
+            );
+        }
+        return Ok((Box::new(Person::new(Console::start()?, patience)), None));
+    }
+    let choices: &[ArmChoice] = if args.company.alone { &[choice] } else { &[choice, choice.other()] };
+    let mut arms = Vec::new();
+    let mut line = None;
+    for choice in choices {
+        let server = emulate_at_address(setup, *choice, clock).context("--operator emulated")?;
+        let address = server.address().parse().context("the address of the emulated arm")?;
+        set_line(setup, *choice, address);
+        line = line.or(Some(address));
+        arms.push((*choice, server));
+    }
+    Ok((Box::new(Emulated::new((Console::start()?, patience), arms)), line))
+}
+
+/// Says what would be done.
+fn show(args: &TestArgs, asked: &[Step], session: &Session<'_>) -> Result<()> {
+    let choice = session.choice;
+    print_line(&format!("{}: test, {} of {} steps", choice.name(), asked.len(), Step::ALL.len()))?;
+    for (index, step) in asked.iter().enumerate() {
+        print_line(&step.line(index + 1))?;
+    }
+    if !asked.iter().any(|step| step.moves()) {
+        return Ok(());
+    }
+    let mut arm = session.connect(!args.company.alone)?;
+    let now_rad = arm.driven.exchange(JointCommand::Hold)?.position_rad;
+    let other_rad = match &mut arm.other {
+        Some(other) => Some(other.driven.exchange(JointCommand::Hold)?.position_rad),
+        None => None,
+    };
+    print_line(&format!("each move is one of these, at most {JOG_RAD_PER_S} rad/s, there or back:"))?;
+    for by_rad in [session.by_rad, -session.by_rad] {
+        let plan = session.plan_by(now_rad, by_rad)?;
+        print_line(plan.table(choice.of(&session.setup)).trim_end())?;
+        print_line(&format!("within {:.1} s", plan.duration().as_secs_f64()))?;
+        show_room(&session.setup, choice, &plan, other_rad.as_ref())?;
+    }
+    // At the switch or the cable is a hand while the arm moves.
+    let acts = |step: &Step| matches!(step, Step::EStop | Step::Cable | Step::Interlock);
+    let plan = session.plan_by(now_rad, session.by_rad)?;
+    if let (true, Some(warning)) = (asked.iter().any(acts), session.too_short_for_a_person(&plan)) {
+        print_line(&format!("warning: {warning}"))?;
+    }
+    Ok(())
+}
+
+/// The operator's word that arms may move.
+fn confirm(word: &str, asked: &[Step], session: &mut Session<'_>) -> Result<()> {
+    if asked.iter().any(|step| step.moves()) {
+        let others = if asked.contains(&Step::Interlock) { " The brakes of both arms open." } else { "" };
+        print_line(&format!(
+            "The arm will move.{others} Nobody may be within its reach, and a hand has to be on the emergency stop."
+        ))?;
+    }
+    print_line(&format!("Type {word} to begin:"))?;
+    session.operator.confirm(word, &mut session.signals)
+}
+
+/// Does the steps; those after one that failed are not done.
+fn all_steps(asked: &[Step], session: &mut Session<'_>) -> Result<Vec<StepReport>> {
+    let mut reports: Vec<StepReport> = Vec::new();
+    let mut failed: Option<Step> = None;
+    for step in Step::ALL {
+        let report = match failed {
+            _ if !asked.contains(&step) => StepReport::skipped(step, "not asked for"),
+            Some(before) => StepReport::skipped(step, format!("the step {} did not pass", before.name())),
+            None => one_step(step, session)?,
+        };
+        if matches!(report.result, Outcome::Failed | Outcome::Interrupted) {
+            failed = Some(step);
+        }
+        reports.push(report);
+    }
+    Ok(reports)
+}
+
+fn one_step(step: Step, session: &mut Session<'_>) -> Result<StepReport> {
+    print_line(&format!("\n{}: {}", step.name(), step.title()))?;
+    let (wall, begin) = (SystemTime::now(), session.clock.now());
+    let mut report = StepReport::begin(step);
+    let outcome = match step {
+        Step::Comms => comms::run(session, &mut report),
+        Step::Jog => jog::run(session, &mut report),
+        Step::EStop => stops::e_stop(session, &mut report),
+        Step::Cable => stops::cable(session, &mut report),
+        Step::Kill => kill::run(session, &mut report),
+        Step::Interlock => interlock::run(session, &mut report),
+    };
+    report.began = Some(utc(wall));
+    report.monotonic_s = Some(begin.as_secs_f64());
+    report.took_s = session.clock.now().seconds_since(begin);
+    let complaints = report.complaints();
+    report.result = match &outcome {
+        Err(error) if is_interruption(error) => Outcome::Interrupted,
+        Ok(()) if complaints.is_empty() => Outcome::Passed,
+        _ => Outcome::Failed,
+    };
+    report.reasons.extend(complaints);
+    if let Err(error) = outcome {
+        report.reasons.push(format!("{error:#}"));
+    }
+    for figure in &report.figures {
+        let word = if figure.passed { "ok" } else { "NOT OK" };
+        print_line(&format!("  {}: {} ({}) {word}", figure.what, figure.found, figure.allowed))?;
+    }
+    for reason in &report.reasons {
+        print_line(&format!("  {reason}"))?;
+    }
+    print_line(&format!("{}: {}", step.name(), report.result.word()))?;
+    Ok(report)
+}
+
+/// What `sha256sum` prints of a file with this content.
+fn sha256(content: &[u8]) -> String {
+    Sha256::digest(content).iter().map(|byte| format!("{byte:02x}")).collect()
+}

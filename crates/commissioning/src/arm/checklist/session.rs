@@ -1,0 +1,490 @@
+//! What all steps of a checklist share: the arm, the operator, the way to move and to look.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::{Context, Result, anyhow, bail};
+use pb3dp_arm_pa10::arm::ArmMonitor;
+use pb3dp_arm_pa10::driver::Latched;
+use pb3dp_arm_pa10_emulation::line::mock_server::SocketAddr;
+use pb3dp_arm_pa10_protocol::codec::Axis;
+use pb3dp_arm_pa10_protocol::gateway_protocol::HelloReply;
+use pb3dp_cell::parts::ArmChoice;
+use pb3dp_cell::plan::Plan;
+use pb3dp_cell::terminal::print_line;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_hal_platform::signals::StopSignals;
+use pb3dp_kinematics::JointVector;
+use pb3dp_setup::setup::Setup;
+use pb3dp_wiring::commissioning::{SlowArm, wire_slow};
+
+use super::super::confirm::Interrupted;
+use super::super::drive::{self, Cycle, Drive};
+use super::super::{Place, flights};
+use super::operator::{Act, Operator, Question};
+use super::record::{Answer, StepReport};
+use super::steps::{OVER_SPEED, Step, WRONG_WAY_DEG};
+use crate::arm::motion::JOG_RAD_PER_S;
+
+/// The share of a move's duration at which the operator is to act.
+const ACT_AT: f64 = 0.35;
+/// A person who reads NOW needs this long to act.
+const PERSON_NEEDS: Duration = Duration::from_secs(4);
+/// A stop of an axis that is slower than this proves nothing, rad/s.
+const MOVING_RAD_PER_S: f64 = 0.25 * JOG_RAD_PER_S;
+/// How often an arm is looked at that comes to rest.
+const LOOK: Duration = Duration::from_millis(2);
+/// How often it is looked whether something has stopped an arm.
+const LATCHED_LOOKS: u32 = 25;
+/// An arm that tells nothing for this long tells nothing more.
+const QUIET: Duration = Duration::from_millis(500);
+/// No arm takes longer to come to rest.
+const WATCHED_FOR: Duration = Duration::from_secs(4);
+/// A gateway that still brings an arm to rest refuses to be reset; an adapter that was plugged in takes a moment.
+const RESET_WITHIN: Duration = Duration::from_secs(10);
+/// Between two tries.
+const RESET_AGAIN: Duration = Duration::from_millis(250);
+
+/// What all steps share.
+pub struct Session<'a> {
+    /// Which arm of which file.
+    pub place: &'a Place,
+    /// The setup with the speeds of commissioning.
+    pub setup: Setup,
+    /// Which arm.
+    pub choice: ArmChoice,
+    /// The one clock.
+    pub clock: Arc<dyn Clock>,
+    /// What may end all.
+    pub signals: StopSignals,
+    /// Hands and eyes.
+    pub operator: Box<dyn Operator>,
+    /// The axis that moves.
+    pub axis: Axis,
+    /// How far, rad.
+    pub by_rad: f64,
+    /// Where the joints were at the beginning, rad.
+    pub home_rad: JointVector,
+    /// What the gateway says of itself.
+    pub gateway: HelloReply,
+    /// Where the arm is found, if not where the file says.
+    pub line: Option<SocketAddr>,
+    /// The folder of the report.
+    pub out: PathBuf,
+}
+
+/// What an arm did when it was stopped.
+pub struct Stop {
+    /// When the program's own hand acted.
+    pub acted: Option<MonotonicTime>,
+    /// When the driver of the arm noticed.
+    pub noticed: MonotonicTime,
+    /// What it says.
+    pub cause: String,
+    /// The state afterwards.
+    pub state: ArmState,
+    /// The last measurement before.
+    pub before: JointState,
+    /// All measurements afterwards.
+    pub after: Vec<JointState>,
+}
+
+impl Stop {
+    /// How long it took to rest, milliseconds; infinite if it was not seen at rest.
+    pub fn to_rest_ms(&self) -> f64 {
+        let slow = |sample: &JointState| sample.velocity_rad_per_s.amax() <= super::steps::REST_RAD_PER_S;
+        match self.after.iter().rposition(|sample| !slow(sample)) {
+            None if self.after.is_empty() => f64::INFINITY,
+            None => 0.0,
+            Some(last) => {
+                let rested = self.after.get(last + 1);
+                rested.map_or(f64::INFINITY, |sample| 1e3 * sample.at.seconds_since(self.noticed).max(0.0))
+            }
+        }
+    }
+
+    /// The fastest joint afterwards, rad/s.
+    pub fn fastest_rad_per_s(&self) -> f64 {
+        self.after.iter().map(|sample| sample.velocity_rad_per_s.amax()).fold(0.0, f64::max)
+    }
+
+    /// Which joint got farthest, and how far it is at the end from where it was before, degrees.
+    pub fn way(&self) -> (Axis, f64) {
+        farthest(&self.before, self.after.last().unwrap_or(&self.before))
+    }
+
+    /// From the hand of the program to the stop, milliseconds.
+    pub fn noticed_ms(&self) -> Option<f64> {
+        self.acted.map(|acted| 1e3 * self.noticed.seconds_since(acted))
+    }
+}
+
+/// The joint that got farthest, and how far, degrees.
+pub fn farthest(before: &JointState, after: &JointState) -> (Axis, f64) {
+    let way_rad = (after.position_rad - before.position_rad).abs();
+    let axis = Axis::ALL[way_rad.imax()];
+    (axis, way_rad[axis.index()].to_degrees())
+}
+
+/// What a move showed while it was made.
+#[derive(Debug, Default)]
+pub struct Seen {
+    /// How far joints sagged when the brakes opened, degrees.
+    pub sagged_deg: f64,
+    /// How far the axis was behind its plan at most, degrees.
+    pub behind_deg: f64,
+    /// How far any other joint moved, degrees.
+    pub others_deg: f64,
+    /// The largest speed of two samples in a row, rad/s.
+    pub fastest_rad_per_s: f64,
+    opened_rad: Option<JointVector>,
+    last: Option<JointState>,
+    last_speed_rad_per_s: f64,
+}
+
+impl Seen {
+    fn take(&mut self, plan: &Plan, axis: Axis, cycle: &Cycle<'_>) -> Result<()> {
+        let (joint, measured) = (axis.index(), cycle.measured);
+        let opened_rad = *self.opened_rad.get_or_insert_with(|| {
+            self.sagged_deg = (measured.position_rad - plan.start_rad()).amax().to_degrees();
+            measured.position_rad
+        });
+        let mut moved = measured.position_rad - opened_rad;
+        let turned_deg = moved[joint].to_degrees() * plan.by_rad()[joint].signum();
+        moved[joint] = 0.0;
+        self.others_deg = self.others_deg.max(moved.amax().to_degrees());
+        if self.last.is_none_or(|last| measured.at > last.at) {
+            // A measurement may be a cycle old, which counts as being behind.
+            let behind_rad = cycle.planned_rad[joint] - measured.position_rad[joint];
+            self.behind_deg = self.behind_deg.max(behind_rad.abs().to_degrees());
+            let speed = measured.velocity_rad_per_s[joint].abs();
+            self.fastest_rad_per_s = self.fastest_rad_per_s.max(speed.min(self.last_speed_rad_per_s));
+            self.last_speed_rad_per_s = speed;
+            self.last = Some(*measured);
+        }
+        if turned_deg < -WRONG_WAY_DEG {
+            bail!(
+                "{axis} turns the wrong way: {turned_deg:.3} degrees where it was told to turn the other way; the sign of its encoder or \
+                 drive is not that of the robot description"
+            );
+        }
+        Ok(())
+    }
+
+    /// What the speed may be, rad/s.
+    pub fn fastest_allowed_rad_per_s() -> f64 {
+        OVER_SPEED * JOG_RAD_PER_S
+    }
+}
+
+impl Session<'_> {
+    /// The arm, alone or beside the other one; its brakes stay on.
+    ///
+    /// # Errors
+    /// If it does not answer, or is stopped.
+    pub fn connect(&self, beside_other: bool) -> Result<SlowArm> {
+        wire_slow(&self.setup, self.choice, beside_other, &self.clock)
+    }
+
+    /// The next move: away from where the test began, or back.
+    ///
+    /// # Errors
+    /// If it leads out of the operating range.
+    pub fn plan(&self, arm: &mut SlowArm) -> Result<Plan> {
+        let now_rad = arm.driven.exchange(JointCommand::Hold)?.position_rad;
+        let joint = self.axis.index();
+        let out = (now_rad[joint] - self.home_rad[joint]) * self.by_rad.signum();
+        let by = if out > 0.25 * self.by_rad.abs() { -self.by_rad } else { self.by_rad };
+        self.plan_by(now_rad, by)
+    }
+
+    /// A move of the axis by this angle.
+    ///
+    /// # Errors
+    /// If it leads out of the operating range.
+    pub fn plan_by(&self, from_rad: JointVector, by: f64) -> Result<Plan> {
+        let mut by_rad = JointVector::zeros();
+        by_rad[self.axis.index()] = by;
+        Plan::new(self.choice.of(&self.setup), from_rad, by_rad)
+    }
+
+    /// What is to be said to a person who has too little of a move left after NOW.
+    pub fn too_short_for_a_person(&self, plan: &Plan) -> Option<String> {
+        let left = plan.duration().mul_f64(1.0 - ACT_AT);
+        let is_short = !self.operator.is_prompt() && left < PERSON_NEEDS;
+        // The speed is the same: twice the way takes twice as long, and a little less where it is hardly reached.
+        let needed_deg = self.by_rad.to_degrees().abs() * PERSON_NEEDS.as_secs_f64() / left.as_secs_f64();
+        is_short.then(|| {
+            format!(
+                "--by {:.1}: after NOW you have {:.1} s until the move ends, and a person needs {} s; give --by {:.0} or more",
+                self.by_rad.to_degrees(),
+                left.as_secs_f64(),
+                PERSON_NEEDS.as_secs(),
+                needed_deg.ceil().copysign(self.by_rad)
+            )
+        })
+    }
+
+    /// Makes a move that nothing is to stop; the brakes are closed afterwards.
+    ///
+    /// # Errors
+    /// What stopped it.
+    pub fn drive(&mut self, arm: &mut SlowArm, plan: &Plan) -> Result<(JointState, Seen)> {
+        let (axis, mut seen) = (self.axis, Seen::default());
+        let mut drive = Drive::new(arm, plan, &self.clock, self.setup.control_period);
+        let outcome = drive.run(&mut self.signals, &mut |cycle| seen.take(plan, axis, cycle));
+        Ok((drive::stopped_after(self.choice, arm, outcome)?, seen))
+    }
+
+    /// The next move, during which the operator is to act, and of which he knows.
+    ///
+    /// # Errors
+    /// If it leads out of the operating range, or the operator does not want to go on.
+    pub fn announce(&mut self, arm: &mut SlowArm, act: Act) -> Result<Plan> {
+        let plan = self.plan(arm)?;
+        let by_deg = plan.by_rad()[self.axis.index()].to_degrees();
+        let text = format!(
+            "Next, {} turns by {by_deg:+.1} degrees within {:.0} s. While it moves: {act}. Keep a hand on the emergency stop.",
+            self.axis,
+            plan.duration().as_secs_f64()
+        );
+        self.operator.ready(&text, None, &mut self.signals)?;
+        Ok(plan)
+    }
+
+    /// Opens the brakes of the other arm, which holds while this one makes its move.
+    ///
+    /// # Errors
+    /// What an arm says, or a signal.
+    pub fn switch_other_on(&mut self, arm: &mut SlowArm, plan: &Plan) -> Result<()> {
+        Drive::new(arm, plan, &self.clock, self.setup.control_period).switch_other_on(&mut self.signals)
+    }
+
+    /// Makes a move that the operator's act is to stop.
+    ///
+    /// # Errors
+    /// If nothing stopped it, or what ended it besides.
+    pub fn drive_until(&mut self, arm: &mut SlowArm, plan: &Plan, act: Act) -> Result<Stop> {
+        let (axis, duration) = (self.axis, plan.duration());
+        let (mut acted, mut last, mut seen) = (None, None, Seen::default());
+        let mut speed_rad_per_s = 0.0;
+        let Self { operator, signals, clock, setup, .. } = self;
+        let mut watch = |cycle: &Cycle<'_>| {
+            seen.take(plan, axis, cycle)?;
+            last = Some(*cycle.measured);
+            speed_rad_per_s = plan.at(cycle.passed).1[axis.index()].abs();
+            if acted.is_none() && cycle.passed >= duration.mul_f64(ACT_AT) {
+                acted = Some(clock.now());
+                operator.act(act)?;
+            }
+            Ok(())
+        };
+        let outcome = Drive::new(arm, plan, clock, setup.control_period).run(signals, &mut watch);
+        let monitor = arm.monitor.clone().context("an arm without a line")?;
+        // An arm that was not stopped has to be, at once.
+        let stopped = outcome.as_ref().err().filter(|error| is_stop(error)).map(|error| format!("{error:#}"));
+        let latched = if stopped.is_some() { latched_soon(&monitor) } else { None };
+        let (Some(cause), Some(latched)) = (stopped, latched) else {
+            let ended = drive::stopped_after(self.choice, arm, outcome);
+            ended.map_err(|error| match acted {
+                Some(_) if !is_interruption(&error) => {
+                    error.context(format!("the arm did not tell that anything had stopped it ({act})"))
+                }
+                _ => error,
+            })?;
+            bail!(
+                "the move has ended and nothing had stopped it ({act}): repeat this step, and do it while the arm moves"
+            );
+        };
+        if acted.is_none() || speed_rad_per_s < MOVING_RAD_PER_S {
+            bail!(
+                "the arm stopped at {speed_rad_per_s:.4} rad/s, when it had hardly begun to move or was about to rest, which proves \
+                 nothing: repeat this step, and act when NOW is written ({cause})"
+            );
+        }
+        let before = last.context("nothing was measured")?;
+        let after = self.watch_rest(&monitor, latched.at)?;
+        Ok(Stop {
+            acted: acted.filter(|_| self.operator.is_prompt()),
+            noticed: latched.at,
+            cause,
+            state: arm.driven.state(),
+            before,
+            after,
+        })
+    }
+
+    /// All that an arm tells from a moment on, until it tells nothing more.
+    ///
+    /// # Errors
+    /// [`Interrupted`].
+    pub fn watch_rest(&mut self, monitor: &ArmMonitor, from: MonotonicTime) -> Result<Vec<JointState>> {
+        let mut samples: Vec<JointState> = Vec::new();
+        let begin = self.clock.now();
+        let mut newest = begin;
+        loop {
+            let now = self.clock.now();
+            if let Some(joints) = monitor.snapshot().joints
+                && joints.at >= from
+                && samples.last().is_none_or(|last| joints.at > last.at)
+            {
+                samples.push(joints);
+                newest = now;
+            }
+            if now.saturating_since(newest) > QUIET || now.saturating_since(begin) > WATCHED_FOR {
+                return Ok(samples);
+            }
+            self.pause(LOOK)?;
+        }
+    }
+
+    /// Waits, for no signal.
+    ///
+    /// # Errors
+    /// [`Interrupted`].
+    pub fn pause(&mut self, time: Duration) -> Result<()> {
+        let end = self.clock.now() + time;
+        loop {
+            if let Some(signal) = self.signals.try_take()? {
+                return Err(Interrupted(signal).into());
+            }
+            let now = self.clock.now();
+            if now >= end {
+                return Ok(());
+            }
+            self.clock.sleep_until(end.min(now + Duration::from_millis(50)));
+        }
+    }
+
+    /// Asks the operator, and notes what he says.
+    ///
+    /// # Errors
+    /// If he does not answer.
+    pub fn ask(&mut self, report: &mut StepReport, question: &Question) -> Result<()> {
+        let yes = self.operator.ask(question, &mut self.signals)?;
+        report.answers.push(Answer { question: question.to_string(), yes });
+        if let (false, Question::Stopped(choice)) = (yes, question) {
+            print_line(&format!("PRESS THE EMERGENCY STOP of the {}: nothing else may stop it", choice.name()))?;
+        }
+        Ok(())
+    }
+
+    /// Clears what stopped an arm, as soon as it can be cleared.
+    ///
+    /// # Errors
+    /// If it can not be within ten seconds.
+    pub fn reset(&mut self, arm: &mut (impl ArmPower + ?Sized)) -> Result<()> {
+        let begin = self.clock.now();
+        loop {
+            let Err(error) = arm.reset() else { return Ok(()) };
+            if self.clock.now().saturating_since(begin) > RESET_WITHIN {
+                let text = "the reset was refused for 10 s: remove the cause, then `pb3dp arm reset`";
+                return Err(anyhow::Error::new(error).context(text));
+            }
+            self.pause(RESET_AGAIN)?;
+        }
+    }
+
+    /// Keeps the flight recorders of a step that did not pass, and notes the files.
+    ///
+    /// # Errors
+    /// Those of `outcome`.
+    pub fn keep_if_failed(&self, report: &mut StepReport, arm: &SlowArm, outcome: Result<()>) -> Result<()> {
+        let complaints = report.complaints();
+        let failure = match &outcome {
+            Err(error) => format!("{error:#}"),
+            Ok(()) if complaints.is_empty() => return outcome,
+            Ok(()) => complaints.join("; "),
+        };
+        let folder = self.out.join(report.step.name());
+        for kept in flights::keep(&folder, self.choice, arm, &anyhow!("{failure}"), self.clock.now()) {
+            match kept {
+                Ok(path) => report.flights.push(path.display().to_string()),
+                Err(error) => report.note(format!("{error:#}")),
+            }
+        }
+        outcome
+    }
+}
+
+/// What has stopped an arm. What stands before it may know a moment earlier than its driver.
+fn latched_soon(monitor: &ArmMonitor) -> Option<Latched> {
+    (0..LATCHED_LOOKS).find_map(|look| {
+        if look > 0 {
+            std::thread::sleep(LOOK);
+        }
+        monitor.snapshot().latched
+    })
+}
+
+/// Whether the arm, or what stands before it, has stopped by itself.
+fn is_stop(error: &anyhow::Error) -> bool {
+    use ArmErrorKind::{Disconnected, Fault, NotEnabled};
+    let of_arm = error.chain().find_map(|cause| cause.downcast_ref::<ArmError>());
+    of_arm.is_some_and(|error| matches!(error.kind(), Disconnected | Fault | NotEnabled))
+}
+
+/// Whether a signal asked to end.
+pub fn is_interruption(error: &anyhow::Error) -> bool {
+    error.chain().any(|cause| cause.is::<Interrupted>())
+}
+
+/// Whether an arm refuses to be switched on and to be moved; an arm that does not is stopped again.
+pub fn refuses_motion(report: &mut StepReport, when: &str, arm: &mut dyn pb3dp_cell::parts::DrivenArm) {
+    let enabled = arm.enable();
+    let moved = arm.exchange(JointCommand::Velocity(JointVector::zeros()));
+    if enabled.is_ok() {
+        // What comes of it shows in the figure.
+        let _ = arm.stop();
+    }
+    refused(report, when, (enabled, moved.map(drop)));
+}
+
+/// Notes what an arm said to being switched on and to being moved.
+pub fn refused(report: &mut StepReport, when: &str, (enabled, moved): (Result<(), ArmError>, Result<(), ArmError>)) {
+    let what = format!("motion is refused {when}");
+    match (enabled, moved) {
+        (Err(error), Err(_)) => report.holds(what, true, error.to_string()),
+        (Ok(()), _) => report.holds(what, false, "the arm could be switched on"),
+        (_, Ok(())) => report.holds(what, false, "a velocity was taken"),
+    }
+}
+
+impl Step {
+    /// A line of the list that is shown before anything is done.
+    pub fn line(self, number: usize) -> String {
+        format!("{number}. {}: {}\n   has to show: {}", self.name(), self.title(), self.expects())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample(at_ms: u64, angle_deg: f64, speed_rad_per_s: f64) -> JointState {
+        JointState {
+            at: MonotonicTime::from_nanos(at_ms * 1_000_000),
+            position_rad: JointVector::repeat(angle_deg.to_radians()),
+            velocity_rad_per_s: JointVector::from([0.0, 0.0, 0.0, speed_rad_per_s, 0.0, 0.0, 0.0]),
+        }
+    }
+
+    fn stop(after: &[JointState]) -> Stop {
+        let noticed = MonotonicTime::from_nanos(1_000_000_000);
+        let (cause, state, before) = (String::new(), ArmState::EStop, sample(995, 10.0, 0.018));
+        Stop { acted: None, noticed, cause, state, before, after: after.to_vec() }
+    }
+
+    #[test]
+    fn an_arm_rests_from_the_first_measurement_on_after_which_it_is_never_fast() {
+        let falls = [sample(1005, 10.0, 0.0), sample(1015, 10.2, -0.4), sample(1025, 10.5, 0.001)];
+        let fell = stop(&falls);
+        assert!((fell.to_rest_ms() - 25.0).abs() < 1e-9, "{}", fell.to_rest_ms());
+        assert!((fell.way().1 - 0.5).abs() < 1e-9 && fell.fastest_rad_per_s() == 0.4);
+        assert_eq!(stop(&falls[..2]).to_rest_ms(), f64::INFINITY, "it was not seen at rest");
+        assert_eq!(stop(&[]).to_rest_ms(), f64::INFINITY, "it was not seen at all");
+        assert_eq!(stop(&falls[..1]).to_rest_ms(), 0.0);
+    }
+}

@@ -1,0 +1,305 @@
+//! A planned move, made: one command per cycle through all that stands before the arm.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use pb3dp_arm_pa10_protocol::codec::Axis;
+use pb3dp_cell::parts::{ArmChoice, DrivenArm};
+use pb3dp_cell::plan::Plan;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{ArmError, ArmErrorKind, Clock, JointCommand, JointState};
+use pb3dp_hal_platform::signals::StopSignals;
+use pb3dp_kinematics::JointVector;
+use pb3dp_wiring::commissioning::SlowArm;
+
+use super::confirm::Interrupted;
+
+/// Speed per angle by which a joint is behind its plan, 1/s.
+const GAIN_PER_S: f64 = 2.0;
+/// A joint that is this near to its end has arrived, rad.
+const ARRIVED_WITHIN_RAD: f64 = 5e-4;
+/// How long joints may take to arrive after the move should have ended.
+pub const LATE_MAX: Duration = Duration::from_secs(3);
+/// How long the arm holds before its brakes close.
+const HOLD: Duration = Duration::from_millis(300);
+
+/// A move that is being made.
+pub struct Drive<'a> {
+    arm: &'a mut SlowArm,
+    plan: &'a Plan,
+    clock: &'a Arc<dyn Clock>,
+    period: Duration,
+    lost: u64,
+}
+
+/// One cycle of a move, for whoever looks on.
+#[derive(Clone, Copy, Debug)]
+pub struct Cycle<'a> {
+    /// Since the move has begun.
+    pub passed: Duration,
+    /// Where the joints should be, rad.
+    pub planned_rad: &'a JointVector,
+    /// Where they are.
+    pub measured: &'a JointState,
+}
+
+/// One of both arms.
+type Which = fn(&mut SlowArm) -> Result<&mut dyn DrivenArm>;
+
+fn this_arm(arm: &mut SlowArm) -> Result<&mut dyn DrivenArm> {
+    Ok(&mut *arm.driven)
+}
+
+fn other_arm(arm: &mut SlowArm) -> Result<&mut dyn DrivenArm> {
+    Ok(&mut *arm.other.as_mut().context("the other arm is not connected")?.driven)
+}
+
+/// Looks on in each cycle; what it returns as an error ends the move.
+pub type Watch<'a> = &'a mut dyn FnMut(&Cycle<'_>) -> Result<()>;
+
+/// The stop order after a move, whatever came of it.
+///
+/// # Errors
+/// What came of the move, and whether the stop order was given.
+pub fn stopped_after(choice: ArmChoice, arm: &mut SlowArm, outcome: Result<JointState>) -> Result<JointState> {
+    let stopped = arm.driven.stop().with_context(|| format!("{}: the stop order", choice.name()));
+    match (outcome, stopped) {
+        (Ok(reached), Ok(())) => Ok(reached),
+        (Ok(_), Err(error)) => Err(error),
+        (Err(error), Ok(())) => {
+            Err(error.context(format!("{}: the move was broken off and the stop order given", choice.name())))
+        }
+        (Err(error), Err(stop)) => Err(error.context(format!("{stop:#}; press the emergency stop"))),
+    }
+}
+
+impl<'a> Drive<'a> {
+    /// A move with one command per period.
+    pub fn new(arm: &'a mut SlowArm, plan: &'a Plan, clock: &'a Arc<dyn Clock>, period: Duration) -> Self {
+        Self { arm, plan, clock, period, lost: 0 }
+    }
+
+    /// Replies that were late or lost.
+    pub fn lost(&self) -> u64 {
+        self.lost
+    }
+
+    /// Opens the brakes and makes the move; the arm holds at its end, with open brakes.
+    ///
+    /// # Errors
+    /// What the arm or `watch` says, [`Interrupted`], or that a joint did not arrive. The stop order is the caller's.
+    pub fn run(&mut self, signals: &mut StopSignals, watch: Watch<'_>) -> Result<JointState> {
+        let mut newest = self.switch_on(signals, this_arm)?;
+        watch(&Cycle { passed: Duration::ZERO, planned_rad: self.plan.start_rad(), measured: &newest })?;
+        self.plan.check_begin(&newest.position_rad)?;
+        let (begin, duration) = (self.clock.now(), self.plan.duration());
+        let mut next = begin;
+        loop {
+            next = self.wait(next, signals)?;
+            let passed = self.clock.now().saturating_since(begin);
+            let (planned_rad, speed_rad_per_s) = self.plan.at(passed);
+            watch(&Cycle { passed, planned_rad: &planned_rad, measured: &newest })?;
+            let behind_rad = planned_rad - newest.position_rad;
+            let is_there = passed >= duration && behind_rad.amax() <= ARRIVED_WITHIN_RAD;
+            if is_there {
+                return self.hold(next, signals, newest);
+            }
+            if passed > duration + LATE_MAX {
+                let joint = behind_rad.iamax();
+                let left_deg = behind_rad[joint].to_degrees();
+                bail!("{} did not arrive: {left_deg:+.3} degrees are left", Axis::ALL[joint]);
+            }
+            let velocity = speed_rad_per_s + behind_rad * GAIN_PER_S;
+            newest = self.exchange(JointCommand::Velocity(velocity))?.unwrap_or(newest);
+        }
+    }
+
+    /// Opens the brakes of the other arm, which holds then.
+    ///
+    /// # Errors
+    /// What an arm says, or [`Interrupted`]. The stop order is the caller's.
+    pub fn switch_other_on(&mut self, signals: &mut StopSignals) -> Result<()> {
+        self.switch_on(signals, other_arm).map(drop)
+    }
+
+    /// Opens the brakes of an arm, which takes seconds. Whoever has open brakes is watched in each cycle of them.
+    fn switch_on(&mut self, signals: &mut StopSignals, which: Which) -> Result<JointState> {
+        which(self.arm)?.begin_enable()?;
+        let mut next = self.clock.now();
+        loop {
+            let is_on = which(self.arm)?.poll_enable()?;
+            let newest = self.exchange(JointCommand::Hold)?;
+            if let (true, Some(newest)) = (is_on, newest) {
+                return Ok(newest);
+            }
+            next = self.wait(next, signals)?;
+        }
+    }
+
+    fn hold(&mut self, from: MonotonicTime, signals: &mut StopSignals, newest: JointState) -> Result<JointState> {
+        let (mut next, mut newest) = (from, newest);
+        while next < from + HOLD {
+            next = self.wait(next, signals)?;
+            newest = self.exchange(JointCommand::Hold)?.unwrap_or(newest);
+        }
+        Ok(newest)
+    }
+
+    /// Waits for the next cycle, and for no signal.
+    fn wait(&self, last: MonotonicTime, signals: &mut StopSignals) -> Result<MonotonicTime> {
+        if let Some(signal) = signals.try_take()? {
+            return Err(Interrupted(signal).into());
+        }
+        // A cycle whose time has passed is left out.
+        let next = (last + self.period).max(self.clock.now());
+        self.clock.sleep_until(next);
+        Ok(next)
+    }
+
+    /// One exchange with each arm that is connected; `None` if this one's reply is late.
+    fn exchange(&mut self, command: JointCommand) -> Result<Option<JointState>> {
+        if let Some(other) = &mut self.arm.other {
+            measured(other.driven.exchange(JointCommand::Hold), &mut self.lost)?;
+        }
+        Ok(measured(self.arm.driven.exchange(command), &mut self.lost)?)
+    }
+}
+
+/// What was measured; `None` if the reply is late, which an arm itself counts and bears twice in a row.
+fn measured(exchanged: Result<JointState, ArmError>, lost: &mut u64) -> Result<Option<JointState>, ArmError> {
+    match exchanged {
+        Err(error) if error.kind() == ArmErrorKind::Timeout => {
+            *lost += 1;
+            Ok(None)
+        }
+        other => other.map(Some),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use pb3dp_hal_api::{Arm, ArmInfo, ArmPower, ArmState};
+    use pb3dp_hal_clock::VirtualClock;
+    use pb3dp_hal_middleware::{FlightLog, LimiterStatistics};
+    use pb3dp_setup::setup::read_setup;
+    use pb3dp_wiring::commissioning::OtherArm;
+
+    use super::*;
+
+    /// Answers what it is told to, the last one first.
+    struct Scripted {
+        info: ArmInfo,
+        answers: Vec<Result<JointState, ArmErrorKind>>,
+        /// How often it says that it is not yet switched on.
+        switching_on: u32,
+    }
+
+    impl Arm for Scripted {
+        fn info(&self) -> &ArmInfo {
+            &self.info
+        }
+
+        fn exchange(&mut self, _: JointCommand) -> Result<JointState, ArmError> {
+            self.answers.pop().unwrap().map_err(|kind| ArmError::new(kind, "as told".to_owned()))
+        }
+    }
+
+    impl ArmPower for Scripted {
+        fn state(&self) -> ArmState {
+            ArmState::Enabled
+        }
+
+        fn enable(&mut self) -> Result<(), ArmError> {
+            Ok(())
+        }
+
+        fn poll_enable(&mut self) -> Result<bool, ArmError> {
+            self.switching_on = self.switching_on.saturating_sub(1);
+            Ok(self.switching_on == 0)
+        }
+
+        fn stop(&mut self) -> Result<(), ArmError> {
+            Ok(())
+        }
+
+        fn reset(&mut self) -> Result<(), ArmError> {
+            Ok(())
+        }
+    }
+
+    impl DrivenArm for Scripted {
+        fn statistics(&self) -> LimiterStatistics {
+            LimiterStatistics::default()
+        }
+
+        fn enable_here(&mut self) -> Result<(), ArmError> {
+            Ok(())
+        }
+    }
+
+    fn at_rest() -> JointState {
+        let zeros = JointVector::zeros();
+        JointState { at: MonotonicTime::ZERO, position_rad: zeros, velocity_rad_per_s: zeros }
+    }
+
+    /// A cell of this arm and the other one, what they answer, and how long this one takes to be switched on.
+    fn cell(answers: [&[Result<JointState, ArmErrorKind>]; 2], switching_on: u32) -> SlowArm {
+        let scripted = |answers: &[_], switching_on| {
+            let info = ArmInfo { name: "scripted".to_owned(), cycle: Duration::from_millis(10) };
+            Box::new(Scripted { info, answers: answers.to_vec(), switching_on })
+        };
+        let other = OtherArm { driven: scripted(answers[1], 0), monitor: None, flight: FlightLog::with_capacity(1) };
+        SlowArm {
+            driven: scripted(answers[0], switching_on),
+            monitor: None,
+            flight: FlightLog::with_capacity(1),
+            other: Some(other),
+            emulated: Vec::new(),
+        }
+    }
+
+    /// A plan that leads nowhere, and the period of its cycles.
+    fn plan() -> (Plan, Duration) {
+        let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
+        let setup = read_setup(&configs.join("hil.toml")).unwrap();
+        (Plan::new(&setup.vs, setup.vs.start_rad, JointVector::zeros()).unwrap(), setup.control_period)
+    }
+
+    fn kind(error: &anyhow::Error) -> ArmErrorKind {
+        error.downcast_ref::<ArmError>().unwrap().kind()
+    }
+
+    /// R4: one or two lost replies are borne, whichever arm of the cell they are of.
+    #[test]
+    fn a_lost_reply_of_the_other_arm_breaks_no_move_off() {
+        let other = [Err(ArmErrorKind::Fault), Err(ArmErrorKind::Timeout), Err(ArmErrorKind::Timeout), Ok(at_rest())];
+        let mut arm = cell([&[Err(ArmErrorKind::Timeout), Ok(at_rest()), Ok(at_rest())], &other], 0);
+        let (plan, period) = plan();
+        let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
+        let mut drive = Drive::new(&mut arm, &plan, &clock, period);
+        assert_eq!(drive.exchange(JointCommand::Hold).unwrap(), Some(at_rest()));
+        assert_eq!(drive.exchange(JointCommand::Hold).unwrap(), Some(at_rest()));
+        assert_eq!(drive.exchange(JointCommand::Hold).unwrap(), None);
+        assert_eq!(drive.lost(), 3);
+        assert_eq!(kind(&drive.exchange(JointCommand::Hold).unwrap_err()), ArmErrorKind::Fault);
+    }
+
+    /// Brakes take seconds to open: whoever has open ones already is exchanged with in each cycle of them, and what stops him breaks the
+    /// move off.
+    #[test]
+    fn the_other_arm_is_watched_while_this_one_is_switched_on() {
+        let mut other = vec![Err(ArmErrorKind::Fault)];
+        other.resize(60, Ok(at_rest()));
+        let mut arm = cell([&[Ok(at_rest()); 200], &other], 100);
+        let (plan, period) = plan();
+        let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
+        let mut drive = Drive::new(&mut arm, &plan, &clock, period);
+        let mut signals = StopSignals::take_over().unwrap();
+        let error = drive.run(&mut signals, &mut |_| panic!("it moves")).unwrap_err();
+        assert_eq!(kind(&error), ArmErrorKind::Fault, "{error}");
+        assert_eq!(clock.now(), MonotonicTime::ZERO + period * 59, "60 cycles");
+    }
+}

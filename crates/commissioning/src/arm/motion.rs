@@ -1,0 +1,177 @@
+//! `pb3dp arm home` and `pb3dp arm jog`: one slow move through limiter and guard, and nothing without an operator's word.
+
+use std::io::Write;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::time::SystemTime;
+
+use anyhow::{Context, Result, bail};
+use pb3dp_cell::live::enter_control_thread;
+use pb3dp_cell::parts::ArmChoice;
+use pb3dp_cell::plan::Plan;
+use pb3dp_cell::terminal::print_line;
+use pb3dp_hal_api::{Clock, JointCommand, JointState};
+use pb3dp_hal_clock::SystemClock;
+use pb3dp_hal_platform::signals::StopSignals;
+use pb3dp_kinematics::{DOF, JointVector};
+use pb3dp_setup::setup::{ArmLink, Setup, read_setup};
+use pb3dp_wiring::commissioning::{SlowArm, set_line, slow_setup, wire_slow};
+use serde::{Deserialize, Serialize};
+
+use super::drive::{self, Cycle, Drive};
+use super::flights::{self, folder_of};
+use super::{MotionArgs, Place, confirm};
+
+/// Of a jog, for every joint: the speed of the first motion in the checklist of the rig.
+pub const JOG_RAD_PER_S: f64 = 0.02;
+
+/// Of the way home, for every joint: a hand on the emergency stop has time.
+const HOME_RAD_PER_S: f64 = 0.1;
+
+/// Where to.
+#[derive(Clone, Copy, Debug)]
+pub enum Goal {
+    /// The start_deg of the setup.
+    Start,
+    /// One joint by an angle.
+    Jog {
+        /// Index from the base, 0 to 6.
+        joint: usize,
+        /// By how much, rad.
+        by_rad: f64,
+    },
+}
+
+impl Goal {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Start => "home",
+            Self::Jog { .. } => "jog",
+        }
+    }
+
+    fn joint_max_rad_per_s(self) -> f64 {
+        match self {
+            Self::Start => HOME_RAD_PER_S,
+            Self::Jog { .. } => JOG_RAD_PER_S,
+        }
+    }
+
+    fn by_rad(self, from_rad: &JointVector, start_rad: &JointVector) -> JointVector {
+        match self {
+            Self::Start => start_rad - from_rad,
+            Self::Jog { joint, by_rad } => {
+                let mut by = JointVector::zeros();
+                by[joint] = by_rad;
+                by
+            }
+        }
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A configuration or a way that is refused, a confirmation that does not come, an arm that does not answer or stopped.
+pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
+    let (choice, began) = (place.choice(), SystemTime::now());
+    // Before any thread is started.
+    let mut signals = StopSignals::take_over()?;
+    let mut setup = read_setup(&place.config)?;
+    if let Some(address) = args.line {
+        set_line(&mut setup, choice, address);
+    }
+    if choice.of(&setup).link == ArmLink::InProcess {
+        bail!("{}.backend = \"mock\" has no arm to move; set emulated, serial, tcp or arcnet", choice.table());
+    }
+    let setup = slow_setup(&setup, choice, goal.joint_max_rad_per_s())?;
+    let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+    let mut arm = wire_slow(&setup, choice, !args.company.alone, &clock)?;
+    let now_rad = arm.driven.exchange(JointCommand::Hold)?.position_rad;
+    let plan = Plan::new(choice.of(&setup), now_rad, goal.by_rad(&now_rad, &choice.of(&setup).start_rad))?;
+    show(&setup, (choice, goal), &plan, &mut arm)?;
+    if !args.moves {
+        print_line("dry run: the brakes stayed on and nothing moved; --move does it")?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    print_line(&format!(
+        "The arm will move. Nobody may be within its reach, and a hand has to be on the emergency stop.\nType {} to move it:",
+        args.company.word(choice)
+    ))?;
+    confirm::typed(&args.company.word(choice), &mut signals)?;
+    enter_control_thread();
+    let mut drive = Drive::new(&mut arm, &plan, &clock, setup.control_period);
+    let outcome = drive.run(&mut signals, &mut |cycle| if args.report_joints { tell(cycle) } else { Ok(()) });
+    let lost = drive.lost();
+    let reached = drive::stopped_after(choice, &mut arm, outcome);
+    if let Err(failure) = &reached {
+        let folder = args.out.clone().unwrap_or_else(|| folder_of(goal.name(), choice, began));
+        for kept in flights::keep(&folder, choice, &arm, failure, clock.now()) {
+            match kept {
+                Ok(path) => tracing::info!("what the arm did before: {}", path.display()),
+                Err(error) => tracing::warn!("{error:#}"),
+            }
+        }
+    }
+    let reached = reached?;
+    let off_deg = (reached.position_rad - plan.end_rad()).amax().to_degrees();
+    print_line(&format!("done: every joint within {off_deg:.3} degrees of its end, brakes on; {lost} replies lost"))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Tells another program where the joints are. One that has ended wants no more motion.
+fn tell(cycle: &Cycle<'_>) -> Result<()> {
+    let line = serde_json::to_string(&JointReport::of(cycle.measured))?;
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "{line}").and_then(|()| out.flush()).context("nobody reads where the joints are any more")
+}
+
+/// Where the joints are, for another program.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct JointReport {
+    /// Joint angles, rad, from the base.
+    pub position_rad: [f64; DOF],
+}
+
+impl JointReport {
+    fn of(measured: &JointState) -> Self {
+        Self { position_rad: measured.position_rad.into() }
+    }
+}
+
+/// Says what would be sent.
+fn show(setup: &Setup, (choice, goal): (ArmChoice, Goal), plan: &Plan, arm: &mut SlowArm) -> Result<()> {
+    let duration = plan.duration();
+    let commands = (duration.as_secs_f64() / setup.control_period.as_secs_f64()).ceil();
+    print_line(&format!("{}: {}, {}", choice.name(), goal.name(), arm.driven.info().name))?;
+    print_line(plan.table(choice.of(setup)).trim_end())?;
+    print_line(&format!(
+        "1. servos on, brakes on, at least 100 exchanges that prove the link; brakes open at speed 0\n2. {commands} velocities, one \
+         every {:?}, for {:.2} s: all joints together on a straight way, at rest at both ends\n3. speed 0, brakes on, servos off",
+        setup.control_period,
+        duration.as_secs_f64()
+    ))?;
+    let other_rad = match &mut arm.other {
+        Some(other) => Some(other.driven.exchange(JointCommand::Hold)?.position_rad),
+        None => None,
+    };
+    show_room(setup, choice, plan, other_rad.as_ref())
+}
+
+/// Says how near the other arm comes, and refuses what is too near.
+///
+/// # Errors
+/// If it is nearer than allowed.
+pub fn show_room(setup: &Setup, choice: ArmChoice, plan: &Plan, other_rad: Option<&JointVector>) -> Result<()> {
+    let other = choice.other();
+    let Some(other_rad) = other_rad else {
+        return Ok(print_line(&format!(
+            "room to the {}: not known, as it is left out (--alone): look yourself that the way is free",
+            other.name()
+        ))?);
+    };
+    let room = plan.room(setup, choice, other_rad);
+    let emulated = if other.of(setup).link.is_toy() { " (emulated, where it would start)" } else { "" };
+    print_line(&format!("least room to the {}{emulated} on the way: {room}", other.name()))?;
+    room.check(setup)
+}

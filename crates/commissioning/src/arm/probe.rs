@@ -1,0 +1,50 @@
+//! `pb3dp arm probe`: everything that can be known of an arm while its brakes stay on.
+
+use std::process::ExitCode;
+use std::sync::Arc;
+
+use anyhow::Result;
+use pb3dp_cell::terminal::print_line;
+use pb3dp_hal_api::Clock;
+use pb3dp_hal_clock::SystemClock;
+use pb3dp_setup::setup::read_setup;
+use pb3dp_wiring::commissioning::see;
+
+use super::ProbeArgs;
+use super::probe_report::{Findings, ProbeReport};
+
+/// Runs the command.
+///
+/// # Errors
+/// A configuration that is refused.
+pub fn run(args: &ProbeArgs) -> Result<ExitCode> {
+    let setup = read_setup(&args.place.config)?;
+    let choice = args.place.choice();
+    let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+    let report = match see(&setup, choice, &clock) {
+        Ok(mut seen) => {
+            let mut findings = Findings::default();
+            for warning in seen.arm.warnings() {
+                findings.warn(warning.clone());
+            }
+            let monitor = seen.arm.monitor();
+            // Each look is at least one message, so this ends.
+            for _ in 0..args.exchanges {
+                let snapshot = monitor.snapshot();
+                if snapshot.latched.is_some() || snapshot.counters.sent >= u64::from(args.exchanges) {
+                    break;
+                }
+                if let Err(error) = seen.arm.look() {
+                    if monitor.snapshot().latched.is_none() {
+                        findings.refuse(error.to_string());
+                    }
+                    break;
+                }
+            }
+            ProbeReport::of(choice, choice.of(&setup), (seen.target.clone(), &monitor), findings)
+        }
+        Err(error) => ProbeReport::unreached(choice, choice.of(&setup), format!("{error:#}")),
+    };
+    print_line(&if args.json { serde_json::to_string(&report)? } else { report.to_string() })?;
+    Ok(if report.fits { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}

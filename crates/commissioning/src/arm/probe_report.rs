@@ -1,0 +1,503 @@
+//! What was seen of an arm, judged against its configuration.
+
+use std::time::Duration;
+
+use pb3dp_arm_pa10::arm::{ArmMonitor, ArmSnapshot};
+use pb3dp_arm_pa10::driver::{ArmCondition, AxisLimits, FaultCause, Trip};
+use pb3dp_arm_pa10_protocol::codec::{Axis, AxisStatus, CommStatus, WireFormat};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, HelloReply};
+use pb3dp_cell::parts::ArmChoice;
+use pb3dp_hal_platform::jitter::Jitter;
+use pb3dp_setup::setup::{ArmLink, ArmSetup};
+use pb3dp_wiring::commissioning::{LIMITS_TOLERANCE_DEG, is_of_another_format};
+use pb3dp_wiring::{bus_doubts, geometry_doubt, watchdog_refusal};
+use serde::Serialize;
+
+/// Lost messages in a hundred that a link may have.
+const LOST_PERCENT_MAX: f64 = 1.0;
+
+/// What does not fit, and what is worth knowing.
+#[derive(Debug, Default)]
+pub struct Findings {
+    problems: Vec<String>,
+    warnings: Vec<String>,
+}
+
+impl Findings {
+    /// Something that has to be changed, with what to do.
+    pub fn refuse(&mut self, text: String) {
+        self.problems.push(text);
+    }
+
+    /// Something worth knowing.
+    pub fn warn(&mut self, text: String) {
+        self.warnings.push(text);
+    }
+}
+
+/// What was seen of an arm.
+#[derive(Debug, Serialize)]
+pub struct ProbeReport {
+    /// Its name.
+    pub arm: &'static str,
+    /// Where it was found.
+    pub target: Option<String>,
+    /// Nothing has to be changed.
+    pub fits: bool,
+    /// What has to be changed, with what to do.
+    pub problems: Vec<String>,
+    /// What is worth knowing.
+    pub warnings: Vec<String>,
+    /// State of the driver.
+    pub state: Option<String>,
+    /// What the gateway says of itself.
+    pub gateway: Option<GatewayFacts>,
+    /// From the base on.
+    pub joints: Vec<JointFacts>,
+    /// Status word of the controller.
+    pub controller_word: Option<String>,
+    /// The link.
+    pub link: Option<LinkFacts>,
+}
+
+/// What a gateway says of itself.
+#[derive(Debug, Serialize)]
+pub struct GatewayFacts {
+    firmware: String,
+    dialect: String,
+    /// As replies of the controller showed it by their length; none before the first one.
+    wire_format: Option<String>,
+    geometry: String,
+    state: String,
+    cause: String,
+    cycle_ms: f64,
+    ramp_after_ms: f64,
+    stop_after_ms: f64,
+    /// None if the gateway does not know it.
+    controller_watchdog_ms: Option<f64>,
+    brake_release_ms: f64,
+}
+
+/// One joint.
+#[derive(Debug, Serialize)]
+pub struct JointFacts {
+    axis: u8,
+    name: &'static str,
+    now_deg: Option<f64>,
+    start_deg: f64,
+    from_start_deg: Option<f64>,
+    /// Lower and upper limit in the controller's EEPROM.
+    eeprom_deg: Option<[f64; 2]>,
+    /// Those of the robot description.
+    configured_deg: [f64; 2],
+    /// EEPROM minus configuration.
+    difference_deg: Option<[f64; 2]>,
+    status_word: Option<String>,
+    alarm: Option<String>,
+}
+
+/// How well messages came through.
+#[derive(Debug, Serialize)]
+pub struct LinkFacts {
+    sent: u64,
+    answered: u64,
+    lost: u64,
+    late: u64,
+    damaged: u64,
+    mismatched: u64,
+    /// How often bytes had to be skipped to find the next frame.
+    resyncs: u64,
+    /// How many bytes that were.
+    skipped_bytes: u64,
+    /// Of commands with brakes on and servos off.
+    round_trips: TimeFacts,
+    /// Of all other messages, most of which read a limit.
+    control_round_trips: TimeFacts,
+    /// How late the commands were sent.
+    lateness: TimeFacts,
+}
+
+/// Times of many events.
+#[derive(Debug, Serialize)]
+pub struct TimeFacts {
+    count: u64,
+    p50_ms: f64,
+    p99_ms: f64,
+    max_ms: f64,
+}
+
+impl From<Jitter> for TimeFacts {
+    fn from(times: Jitter) -> Self {
+        Self { count: times.cycles, p50_ms: millis(times.p50), p99_ms: millis(times.p99), max_ms: millis(times.max) }
+    }
+}
+
+fn millis(time: Duration) -> f64 {
+    (time.as_secs_f64() * 1e6).round() / 1e3
+}
+
+fn degrees(rad: f64) -> f64 {
+    // Plus zero, so that nothing is minus zero.
+    (rad.to_degrees() * 1e4).round() / 1e4 + 0.0
+}
+
+impl ProbeReport {
+    /// Of an arm that was not reached.
+    pub fn unreached(choice: ArmChoice, arm: &ArmSetup, problem: String) -> Self {
+        let (table, what) = if let ArmLink::Bus(_) = arm.link { ("bus", "controller") } else { ("gateway", "gateway") };
+        let hint = format!(
+            "{}: check the table {}.{table}, the cable, the power of the {what}, and that no other program has the line",
+            choice.name(),
+            choice.table()
+        );
+        Self {
+            arm: choice.name(),
+            target: None,
+            fits: false,
+            problems: vec![problem, hint],
+            warnings: Vec::new(),
+            state: None,
+            gateway: None,
+            joints: Vec::new(),
+            controller_word: None,
+            link: None,
+        }
+    }
+
+    /// Of an arm that was reached.
+    pub fn of(
+        choice: ArmChoice,
+        arm: &ArmSetup,
+        (target, monitor): (String, &ArmMonitor),
+        mut findings: Findings,
+    ) -> Self {
+        let seen = monitor.snapshot();
+        judge_stop(&seen, &mut findings);
+        if let Some(hello) = &seen.gateway {
+            judge_gateway(arm, hello, &mut findings);
+        }
+        if let ArmLink::Bus(link) = &arm.link {
+            bus_doubts(link).for_each(|doubt| findings.warn(doubt.to_owned()));
+            judge_silence(&seen, &mut findings);
+        }
+        let joints = Axis::ALL.map(|axis| joint(choice, arm, &seen, axis, &mut findings));
+        let controller_word = seen.sample.or(seen.shown).map(|sample| controller(&sample.condition, &mut findings));
+        let link = link(&seen, monitor, &mut findings);
+        Self {
+            arm: choice.name(),
+            target: Some(target),
+            fits: findings.problems.is_empty(),
+            problems: findings.problems,
+            warnings: findings.warnings,
+            state: Some(seen.state.to_string()),
+            gateway: seen.gateway.as_ref().map(GatewayFacts::of),
+            joints: joints.into(),
+            controller_word,
+            link: Some(link),
+        }
+    }
+}
+
+fn judge_stop(seen: &ArmSnapshot, findings: &mut Findings) {
+    let Some(latched) = &seen.latched else { return };
+    findings.refuse(format!("the arm is stopped: {}", latched.trip));
+    match (&seen.sample, &seen.shown, &seen.gateway) {
+        (Some(_), _, _) => {}
+        (None, Some(shown), _) => {
+            let seconds = shown.age.as_secs_f64();
+            findings.warn(format!("joints and status words are those of {seconds:.1} s ago: the gateway measures nothing now"));
+        }
+        (None, None, Some(gateway)) if gateway.dialect == Dialect::Transparent => findings.warn(
+            "no joints: in the dialect transparent a gateway shows none of an arm that it has stopped; reset it, or probe in gateway-v1"
+                .to_owned(),
+        ),
+        (None, None, Some(_)) => {
+            findings.warn("no joints: the gateway has measured nothing since it was started; reset the arm".to_owned());
+        }
+        (None, None, None) => findings.warn("no joints: the arm was stopped before it told any".to_owned()),
+    }
+    if is_of_another_format(&latched.trip) {
+        findings.refuse(
+            "the controller's answers do not have the length of the configured wire format: set wire_format to the other one, here \
+             and at the gateway if there is one"
+                .to_owned(),
+        );
+    }
+}
+
+/// A controller that answers, but no cyclic command.
+fn judge_silence(seen: &ArmSnapshot, findings: &mut Findings) {
+    let is_lost = |trip| matches!(trip, Trip::Fault(FaultCause::LinkLost { .. }));
+    let is_silent = seen.latched.is_some_and(|latched| is_lost(latched.trip));
+    if is_silent && seen.sample.is_none() && seen.counters.answered > 0 {
+        findings.refuse(
+            "the controller has answered, but no cyclic command: it may speak the other wire format, so try the other wire_format"
+                .to_owned(),
+        );
+    }
+}
+
+fn judge_gateway(arm: &ArmSetup, hello: &HelloReply, findings: &mut Findings) {
+    if hello.controller_watchdog_us == 0 {
+        findings.warn("the gateway does not know the controller's watchdog: find it out on the rig".to_owned());
+    }
+    if let ArmLink::Gateway(link, _) = &arm.link
+        && let Some(doubt) = geometry_doubt(link.geometry, hello.geometry)
+    {
+        findings.warn(doubt.to_owned());
+    }
+    if let Some(refusal) = watchdog_refusal(arm.command_timeout, hello) {
+        findings.refuse(refusal);
+    }
+}
+
+impl GatewayFacts {
+    /// What it said when it was greeted.
+    pub fn of(hello: &HelloReply) -> Self {
+        let ms = |us: u32| f64::from(us) / 1e3;
+        Self {
+            firmware: hello.firmware.as_str().to_owned(),
+            dialect: hello.dialect.to_string(),
+            wire_format: hello.wire_format.map(|format: WireFormat| format.to_string()),
+            geometry: hello.geometry.to_string(),
+            state: hello.state.to_string(),
+            cause: hello.cause.to_string(),
+            cycle_ms: ms(hello.cycle_us),
+            ramp_after_ms: ms(hello.ramp_after_us),
+            stop_after_ms: ms(hello.stop_after_us),
+            controller_watchdog_ms: (hello.controller_watchdog_us > 0).then(|| ms(hello.controller_watchdog_us)),
+            brake_release_ms: ms(hello.brake_release_us),
+        }
+    }
+}
+
+fn joint(choice: ArmChoice, arm: &ArmSetup, seen: &ArmSnapshot, axis: Axis, findings: &mut Findings) -> JointFacts {
+    let index = axis.index();
+    let hard = &arm.limiter.hard_limits;
+    let configured_deg = [degrees(hard.position_min_rad()[index]), degrees(hard.position_max_rad()[index])];
+    let eeprom_deg =
+        seen.limits[index].map(|limits: AxisLimits| [degrees(limits.lower_rad), degrees(limits.upper_rad)]);
+    let difference_deg =
+        eeprom_deg.map(|found| [0, 1].map(|end| ((found[end] - configured_deg[end]) * 1e4).round() / 1e4));
+    match difference_deg {
+        Some(difference) if difference.iter().any(|by| by.abs() > LIMITS_TOLERANCE_DEG) => findings.refuse(format!(
+            "{axis}: the controller's limits differ by {:+.3} and {:+.3} degrees from those of the robot description: find out \
+             whether this is the arm of {}, then correct the limits in {}.robot",
+            difference[0],
+            difference[1],
+            choice.table(),
+            choice.table()
+        )),
+        None if seen.latched.is_none() => {
+            findings.refuse(format!("{axis}: the controller did not tell its limits; probe it again"));
+        }
+        _ => {}
+    }
+    let sample = seen.sample.or(seen.shown);
+    let now_rad = sample.map(|sample| sample.position_rad[index]);
+    if let Some(angle) = now_rad {
+        judge_angle(arm, (axis, angle), findings);
+    }
+    let (word, alarm) = sample.map(|sample| status(&sample.condition, axis, findings)).unwrap_or_default();
+    JointFacts {
+        axis: axis.number(),
+        name: axis.name(),
+        now_deg: now_rad.map(degrees),
+        start_deg: degrees(arm.start_rad[index]),
+        from_start_deg: now_rad.map(|angle| degrees(angle - arm.start_rad[index])),
+        eeprom_deg,
+        configured_deg,
+        difference_deg,
+        status_word: word,
+        alarm,
+    }
+}
+
+fn judge_angle(arm: &ArmSetup, (axis, angle_rad): (Axis, f64), findings: &mut Findings) {
+    let index = axis.index();
+    let (lower, upper) = (arm.limiter.operating_min_rad[index], arm.limiter.operating_max_rad[index]);
+    let (guard, angle) = (&arm.guard, angle_rad.to_degrees());
+    if !(guard.mechanical_min_rad[index]..=guard.mechanical_max_rad[index]).contains(&angle_rad) {
+        findings.refuse(format!(
+            "{axis}: {angle:.3} degrees lie beyond the mechanical range: encoder or zero point are wrong; do not move the arm"
+        ));
+    } else if !(lower..=upper).contains(&angle_rad) {
+        findings.refuse(format!(
+            "{axis}: {angle:.3} degrees lie outside of the operating range {:.1} to {:.1}: jog it back",
+            lower.to_degrees(),
+            upper.to_degrees()
+        ));
+    }
+}
+
+/// The status word of an axis, and its alarm.
+fn status(condition: &ArmCondition, axis: Axis, findings: &mut Findings) -> (Option<String>, Option<String>) {
+    match condition.axes[axis.index()] {
+        AxisStatus::Servo(word) => {
+            let alarm = word.alarm().map(|alarm| alarm.to_string());
+            if let Some(alarm) = &alarm {
+                findings.refuse(format!("{axis}: {alarm}: remove the cause"));
+            }
+            (Some(format!("0x{:04x}", word.0)), alarm)
+        }
+        AxisStatus::Undocumented(word) => {
+            if word != 0 {
+                findings.warn(format!(
+                    "{axis}: status word 0x{word:04x}; what its bits mean in format A is not known: note it with what the arm shows"
+                ));
+            }
+            (Some(format!("0x{word:04x}")), None)
+        }
+    }
+}
+
+fn controller(condition: &ArmCondition, findings: &mut Findings) -> String {
+    let word = match condition.comm {
+        CommStatus::Comm(word) => word,
+        CommStatus::Undocumented(word) => return format!("0x{word:04x}"),
+    };
+    if let Some(alarm) = word.alarm() {
+        findings.refuse(format!("controller: {alarm}: remove the cause"));
+    }
+    let flags = [
+        (word.is_dead_man_on(), "dead-man on"),
+        (word.is_power_too_warm(), "power supply too warm"),
+        (word.is_100_v_output_on(), "100 V output on"),
+        (word.is_e_stop_switch_open(), "bit of the emergency stop"),
+        (word.is_teaching_switch_set(), "teaching switch"),
+        (word.is_limit_switch_open(), "bit of the limit switch"),
+        (word.is_uncontrollable(), "uncontrollable"),
+    ];
+    let set: Vec<&str> = flags.into_iter().filter_map(|(is_set, name)| is_set.then_some(name)).collect();
+    format!("0x{:04x} ({})", word.0, if set.is_empty() { "nothing set".to_owned() } else { set.join(", ") })
+}
+
+fn link(seen: &ArmSnapshot, monitor: &ArmMonitor, findings: &mut Findings) -> LinkFacts {
+    let counters = &seen.counters;
+    let lost_percent = 100.0 * counters.lost as f64 / counters.sent.max(1) as f64;
+    if lost_percent > LOST_PERCENT_MAX {
+        findings.refuse(format!(
+            "{} of {} messages had no answer in time: check the latency timer of the adapter, the rate and the load of the machine",
+            counters.lost, counters.sent
+        ));
+    } else if counters.lost > 0 {
+        findings.warn(format!("{} of {} messages had no answer in time", counters.lost, counters.sent));
+    }
+    let bad = counters.damaged + counters.mismatched;
+    if bad > 0 {
+        findings
+            .refuse(format!("{bad} answers were damaged or foreign; none may be: check cable, ground and baud rate"));
+    }
+    LinkFacts {
+        sent: counters.sent,
+        answered: counters.answered,
+        lost: counters.lost,
+        late: counters.late,
+        damaged: counters.damaged,
+        mismatched: counters.mismatched,
+        resyncs: seen.line.resyncs,
+        skipped_bytes: seen.line.skipped_bytes,
+        round_trips: monitor.round_trips().into(),
+        control_round_trips: monitor.control_trips().into(),
+        lateness: monitor.jitter().into(),
+    }
+}
+
+impl std::fmt::Display for ProbeReport {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match (&self.target, &self.state) {
+            (Some(target), Some(state)) => writeln!(f, "{} at {target}: {state}", self.arm)?,
+            _ => writeln!(f, "{}: not reached", self.arm)?,
+        }
+        if let Some(gateway) = &self.gateway {
+            writeln!(f, "{gateway}")?;
+        }
+        if !self.joints.is_empty() {
+            writeln!(
+                f,
+                "axis   now deg  from start   EEPROM deg           configured deg       difference     status"
+            )?;
+        }
+        for joint in &self.joints {
+            writeln!(f, "{joint}")?;
+        }
+        if let Some(word) = &self.controller_word {
+            writeln!(f, "controller: status {word}")?;
+        }
+        if let Some(link) = &self.link {
+            writeln!(f, "{link}")?;
+        }
+        for warning in &self.warnings {
+            writeln!(f, "warning: {warning}")?;
+        }
+        for problem in &self.problems {
+            writeln!(f, "PROBLEM: {problem}")?;
+        }
+        f.write_str(if self.fits { "everything fits" } else { "something does not fit: see above" })
+    }
+}
+
+impl std::fmt::Display for GatewayFacts {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let format = self.wire_format.as_deref().unwrap_or("format not seen yet");
+        writeln!(
+            f,
+            "gateway: {:?}, {}, {format}, geometry {}, {}",
+            self.firmware, self.dialect, self.geometry, self.state
+        )?;
+        let controller = self.controller_watchdog_ms.map_or("unknown".to_owned(), |ms| format!("{ms} ms"));
+        write!(
+            f,
+            "  cycle {} ms; without commands slower after {} ms, stopped after {} ms; controller's watchdog {controller}; brakes \
+             {} ms",
+            self.cycle_ms, self.ramp_after_ms, self.stop_after_ms, self.brake_release_ms
+        )
+    }
+}
+
+impl std::fmt::Display for JointFacts {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.3}"));
+        let range = |ends: Option<[f64; 2]>| ends.map_or("-".to_owned(), |[low, high]| format!("{low:.3} {high:.3}"));
+        let difference = self.difference_deg.map_or("-".to_owned(), |[low, high]| format!("{low:+.3} {high:+.3}"));
+        write!(
+            f,
+            "{} {}  {:>8}  {:>10}   {:<19}  {:<19}  {difference:<13}  {} {}",
+            self.axis,
+            self.name,
+            number(self.now_deg),
+            number(self.from_start_deg),
+            range(self.eeprom_deg),
+            range(Some(self.configured_deg)),
+            self.status_word.as_deref().unwrap_or("-"),
+            self.alarm.as_deref().unwrap_or("")
+        )
+    }
+}
+
+impl std::fmt::Display for LinkFacts {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        writeln!(
+            f,
+            "link: {} messages, {} answered, {} lost, {} late, {} damaged, {} foreign; {} resyncs, {} bytes skipped",
+            self.sent,
+            self.answered,
+            self.lost,
+            self.late,
+            self.damaged,
+            self.mismatched,
+            self.resyncs,
+            self.skipped_bytes
+        )?;
+        writeln!(f, "  commands:       round trip {}", self.round_trips)?;
+        writeln!(f, "  other messages: round trip {}", self.control_round_trips)?;
+        write!(f, "  commands sent late by {}", self.lateness)
+    }
+}
+
+impl std::fmt::Display for TimeFacts {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { count, p50_ms, p99_ms, max_ms } = self;
+        write!(f, "p50 {p50_ms:.3} ms, p99 {p99_ms:.3} ms, max {max_ms:.3} ms (of {count})")
+    }
+}

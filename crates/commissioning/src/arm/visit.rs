@@ -1,0 +1,276 @@
+//! `pb3dp arm visit`: an arm goes to poses, and at each of them a pair is taken and the joints are read (docs/commissioning.md).
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, SystemTime};
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use pb3dp_cell::flight::Moment;
+use pb3dp_cell::interruption::{INTERRUPTED, watch};
+use pb3dp_cell::parts::{ArmChoice, Parts};
+use pb3dp_cell::plan::Plan;
+use pb3dp_cell::terminal::{parse_seconds, print_line};
+use pb3dp_cell::visiting::{self, Tour, Visited};
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{Base, Flange};
+use pb3dp_hal_api::{Arm, JointCommand};
+use pb3dp_hal_platform::signals::StopSignals;
+use pb3dp_kinematics::{Damping, JointVector, reach};
+use pb3dp_record::calibration_files::save_cameras;
+use pb3dp_record::stops::{ArmOfPoses, STOPS_FILE, WantedPoses, load_poses};
+use pb3dp_setup::setup::{Setup, read_setup};
+use pb3dp_sim::targets::TargetConfig;
+use pb3dp_wiring::commissioning::slow_setup;
+use pb3dp_wiring::{Wired, wire_to_look, write_flights};
+
+use super::confirm;
+
+/// Of every joint, as on the way home.
+const JOINT_MAX_RAD_PER_S: f64 = 0.1;
+
+/// Arguments of `pb3dp arm visit`.
+#[derive(Debug, Args)]
+pub(super) struct VisitArgs {
+    /// The setup with both arms and the cameras.
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    /// The poses, as `pb3dp calibrate propose` writes them; the file says which arm.
+    #[arg(long, value_name = "FILE", required_unless_present = "here", conflicts_with = "here")]
+    poses: Option<PathBuf>,
+    /// Take one pair where both arms are, brakes on; nothing moves.
+    #[arg(long)]
+    here: bool,
+    /// Folder for the pairs and stops.toml; it must not hold any.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Move the arm; a real one once its name was typed. Without it nothing moves.
+    #[arg(long = "move")]
+    moves: bool,
+    /// How long pictures may take at a stop until they rest; a stop that takes longer is left out.
+    #[arg(long, value_name = "SECONDS", value_parser = parse_seconds, default_value = "10")]
+    patience: f64,
+    /// With simulated cameras: the chessboard that the second arm holds in place of the target, inner corners and side of a square in
+    /// mm, for instance 9x6:20.
+    #[arg(long, value_name = "COLUMNSxROWS:MM", value_parser = parse_board)]
+    emulated_board: Option<TargetConfig>,
+}
+
+fn parse_board(text: &str) -> Result<TargetConfig, String> {
+    let refuse = || format!("{text:?}: must be inner corners and the side of a square in mm, for instance 9x6:20");
+    let (corners, square) = text.split_once(':').ok_or_else(refuse)?;
+    let (columns, rows) = corners.split_once('x').ok_or_else(refuse)?;
+    let corner = |text: &str| text.parse::<u32>().map_err(|_| refuse());
+    let square_mm: f64 = square.parse().map_err(|_| refuse())?;
+    Ok(TargetConfig::Chessboard { corners: [corner(columns)?, corner(rows)?], square_m: square_mm * 1e-3 })
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A setup or poses that are refused, a confirmation that does not come, a part that fails.
+pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
+    // Before any thread is started: a signal that ends the program would leave the arms to their gateways.
+    let mut signals = StopSignals::take_over().context("the signals that end the program can not be taken over")?;
+    let wanted = args.poses.as_deref().map(load_poses).transpose().context("--poses")?;
+    let setup = to_look(read_setup(&args.config)?, args.emulated_board)?;
+    if args.out.join(STOPS_FILE).exists() {
+        bail!("--out: {} holds a recording of stops already: name another folder", args.out.display());
+    }
+    let patience = Duration::from_secs_f64(args.patience);
+    let date = humantime::format_rfc3339_seconds(SystemTime::now()).to_string();
+    // Arms and cameras are connected; all brakes stay on.
+    let Wired { mut parts, monitors, .. } = wire_to_look(&setup, patience)?;
+    let cameras = parts.cameras.clone();
+    let Some(wanted) = wanted else {
+        let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
+        std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
+        visiting::look_here(&setup, parts, patience, &args.out, date)?;
+        save_identities(args, cameras.as_ref())?;
+        if was_interrupted.load(Ordering::SeqCst) {
+            return Ok(ExitCode::from(INTERRUPTED));
+        }
+        print_line(&format!("one pair and the joints: {}", args.out.join(STOPS_FILE).display()))?;
+        return Ok(ExitCode::SUCCESS);
+    };
+    let tour = plan_tour(&setup, &mut parts, &wanted, patience)?;
+    if !args.moves {
+        print_line("dry run: the brakes stayed on and nothing moved; --move does it")?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    if !(setup.vs.link.is_toy() && setup.tc.link.is_toy()) {
+        let name = tour.choice.name();
+        print_line(&format!(
+            "The arm will move. Nobody may be within its reach, and a hand has to be on the emergency stop.\nType {name} to move it:"
+        ))?;
+        confirm::typed(name, &mut signals)?;
+    }
+    std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
+    save_identities(args, cameras.as_ref())?;
+    let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
+    let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
+    let visited = visiting::run(&setup, parts, &tour, &args.out, date);
+    if let Err(failure) = &visited {
+        let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
+        write_flights(&args.out, &flights, &monitors, failure, moment);
+    }
+    let visited = visited?;
+    tell(args, &tour, &visited)?;
+    Ok(match (was_interrupted.load(Ordering::SeqCst), visited.taken > 0) {
+        (true, _) => ExitCode::from(INTERRUPTED),
+        (false, true) => ExitCode::SUCCESS,
+        (false, false) => ExitCode::FAILURE,
+    })
+}
+
+/// The setup for who makes a calibration and needs none: slow, with the board before simulated cameras.
+fn to_look(mut setup: Setup, board: Option<TargetConfig>) -> Result<Setup> {
+    if !setup.leader.needs_pictures() {
+        bail!(
+            "estimator.method = {:?} renders no picture, and there is nothing to take: set \"direct\"",
+            setup.leader.name()
+        );
+    }
+    match (board, setup.real_cameras.is_some()) {
+        (Some(_), true) => {
+            bail!("--emulated-board: the cameras of this setup are real and see what there is; leave it out")
+        }
+        (None, false) => bail!(
+            "the cameras of this setup are simulated and see the target of its table [scene]; give --emulated-board 9x6:20, or another one, \
+             to have a chessboard in its place"
+        ),
+        (Some(board), false) => setup.scene.target = board,
+        (None, true) => {}
+    }
+    setup.calibrations.clear();
+    setup.nominal_calibration = None;
+    setup.drift = None;
+    let setup = slow_setup(&setup, ArmChoice::Vs, JOINT_MAX_RAD_PER_S)?;
+    slow_setup(&setup, ArmChoice::Tc, JOINT_MAX_RAD_PER_S)
+}
+
+/// Which cameras took the pairs, where that is known.
+fn save_identities(
+    args: &VisitArgs,
+    cameras: Option<&[pb3dp_record::calibration_files::CameraIdentity; 2]>,
+) -> Result<()> {
+    cameras.map_or(Ok(()), |cameras| Ok(save_cameras(cameras, &args.out.join("cameras.toml"))?))
+}
+
+/// The ways to all poses that can be reached, and back; says which, and what is left out.
+fn plan_tour(setup: &Setup, parts: &mut Parts, wanted: &WantedPoses, patience: Duration) -> Result<Tour> {
+    let choice = match wanted.arm {
+        ArmOfPoses::Vs => ArmChoice::Vs,
+        ArmOfPoses::Tc => ArmChoice::Tc,
+    };
+    let (goes, stays) = match choice {
+        ArmChoice::Vs => (&mut parts.vs, &mut parts.tc),
+        ArmChoice::Tc => (&mut parts.tc, &mut parts.vs),
+    };
+    let begin_rad = goes.exchange(JointCommand::Hold).context(choice.name())?.position_rad;
+    let other_rad = stays.exchange(JointCommand::Hold).context(choice.other().name())?.position_rad;
+    print_line(&format!(
+        "{}: {} poses\nstop  pose  longest turn, deg  way, s  room to the {}",
+        choice.name(),
+        wanted.poses.len(),
+        choice.other().name()
+    ))?;
+    let (mut ways, mut from_rad) = (Vec::new(), begin_rad);
+    for (index, pose) in wanted.poses.iter().enumerate() {
+        let way = way_to(setup, (choice, &other_rad), [&from_rad, &begin_rad], pose);
+        match way {
+            Ok((plan, room)) => {
+                from_rad = plan.end_rad();
+                let turn_deg = plan.by_rad().amax().to_degrees();
+                ways.push(plan.clone());
+                print_line(&format!(
+                    "{:>4}  {:>4}  {turn_deg:>17.1}  {:>6.1}  {room}",
+                    ways.len(),
+                    index + 1,
+                    plan.duration().as_secs_f64()
+                ))?;
+            }
+            Err(error) => print_line(&format!("   -  {:>4}  left out: {error:#}", index + 1))?,
+        }
+    }
+    if ways.is_empty() {
+        bail!("no pose can be visited: propose others, nearer to where the arm is");
+    }
+    let (back, _) =
+        free_way(setup, (choice, &other_rad), &from_rad, &begin_rad).context("the way back to the beginning")?;
+    ways.push(back);
+    let tour = Tour { choice, ways, patience };
+    print_line(&format!(
+        "{} of {} poses, ways of {:.0} s, at most {JOINT_MAX_RAD_PER_S} rad/s; then back to where it is now",
+        tour.stops(),
+        wanted.poses.len(),
+        tour.ways_take().as_secs_f64()
+    ))?;
+    Ok(tour)
+}
+
+/// Turns of the third joint from which a pose is also reached, rad: with seven joints the elbow may stand elsewhere, and there a pose may
+/// be within the ranges of all joints that is not within them here.
+const ELBOW_TURNS_RAD: [f64; 4] = [0.5, -0.5, 1.0, -1.0];
+
+/// The shortest free way to a pose: with the elbow as it is, as it was at the beginning (else it wanders off from stop to stop), or turned.
+fn way_to(
+    setup: &Setup,
+    (choice, other_rad): (ArmChoice, &JointVector),
+    [from_rad, begin_rad]: [&JointVector; 2],
+    pose: &Pose<Base, Flange>,
+) -> Result<(Plan, String)> {
+    let damping = Damping::new(setup.controller.damping.threshold, setup.controller.damping.factor_max)?;
+    let turned = ELBOW_TURNS_RAD.map(|turn_rad| {
+        let mut start_rad = *begin_rad;
+        start_rad[2] += turn_rad;
+        start_rad
+    });
+    let mut ways = [*from_rad, *begin_rad].into_iter().chain(turned).map(|start_rad| {
+        let to_rad = reach(&choice.of(setup).chain, &start_rad, pose, &damping)?;
+        free_way(setup, (choice, other_rad), from_rad, &to_rad)
+    });
+    let first = ways.next().unwrap_or_else(|| bail!("no way was tried"));
+    let shorter =
+        |one: (Plan, String), other: (Plan, String)| if other.0.duration() < one.0.duration() { other } else { one };
+    match (first, ways.flatten().reduce(shorter)) {
+        (Ok(first), Some(other)) => Ok(shorter(first, other)),
+        (first, None) => first,
+        (Err(_), Some(other)) => Ok(other),
+    }
+}
+
+/// A straight way that keeps its room to the other arm, and that room.
+fn free_way(
+    setup: &Setup,
+    (choice, other_rad): (ArmChoice, &JointVector),
+    from_rad: &JointVector,
+    to_rad: &JointVector,
+) -> Result<(Plan, String)> {
+    let plan = Plan::new(choice.of(setup), *from_rad, to_rad - from_rad)?;
+    let room = plan.room(setup, choice, other_rad);
+    room.check(setup)?;
+    Ok((plan, room.to_string()))
+}
+
+fn tell(args: &VisitArgs, tour: &Tour, visited: &Visited) -> Result<()> {
+    for stop in &visited.restless {
+        tracing::warn!(
+            "stop {stop} is left out: no picture rested within {:?} (at most {} px from one to the next)",
+            tour.patience,
+            visiting::STILL_WITHIN_PX
+        );
+    }
+    let end = if visited.is_whole { "back at the beginning" } else { "ended before its time" };
+    if visited.taken == 0 {
+        return Ok(print_line(&format!("none of {} stops taken, {end}", tour.stops()))?);
+    }
+    Ok(print_line(&format!(
+        "{} of {} stops taken, {end}: {}",
+        visited.taken,
+        tour.stops(),
+        args.out.join(STOPS_FILE).display()
+    ))?)
+}

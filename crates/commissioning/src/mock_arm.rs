@@ -1,0 +1,206 @@
+//! `pb3dp mock-arm`: an emulated PA-10 in real time that fails on request.
+
+use std::io::Write;
+use std::process::ExitCode;
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use clap::{ArgGroup, Args};
+use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, MockServerConfig, SocketAddr};
+use pb3dp_arm_pa10_emulation::mock_controller::{MockControllerConfig, Script, ScriptLine, pa10_joints};
+use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Firmware};
+use pb3dp_cell::terminal::typed_lines;
+use pb3dp_hal_api::Clock;
+use pb3dp_hal_clock::SystemClock;
+use pb3dp_hal_platform::realtime::Realtime;
+use pb3dp_kinematics::{DOF, JointVector};
+use pb3dp_setup::names::{FormatName, GeometryName};
+use pb3dp_sim::joint_dynamics::JointPlant;
+use pb3dp_wiring::MOCK_ARM;
+
+/// What `--fault`, scripts and standard input understand.
+const LINES: &str =
+    "Faults, one per line, in a script, in --fault or typed while the arm runs (docs/mock-arm.md has all of them):
+  at 2s e-stop press            two seconds after the start
+  in 500ms alarm 4 0x0e         over-current of axis 4, half a second from now
+  chance 1% at-most 2 drop 1    one reply in a hundred lost, never three in a row
+  power off                     at once
+Typed lines may also be:
+  state                         how the arm is
+  unplug, plug                  pull the cable, plug it in again (a terminal gets another path)
+  quit                          end";
+
+/// How long the end of standard input or a line is waited for before the time is looked at again.
+const LOOK: Duration = Duration::from_millis(100);
+
+/// Arguments of `pb3dp mock-arm`.
+#[derive(Debug, Args)]
+#[command(after_long_help = LINES, group = ArgGroup::new("face").args(["tcp", "bus"]))]
+pub struct MockArmArgs {
+    /// Listen here for a host instead of on a new pseudo-terminal; port 0 takes a free one.
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    pub tcp: Option<SocketAddr>,
+    /// Be the controller alone, without a gateway: ARCNET frames on a socket at this path.
+    #[arg(long, value_name = "PATH")]
+    pub bus: Option<std::path::PathBuf>,
+    /// Wire format of the controller: a (little-endian, 5 and 8 bytes per axis) or b (big-endian, 6 and 10).
+    #[arg(long, value_enum, default_value = "b")]
+    pub format: FormatName,
+    /// What the gateway says of the arm's lengths.
+    #[arg(long, value_enum, default_value = "second")]
+    pub geometry: GeometryName,
+    /// The arm's number in every frame of the gateway.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub arm: u8,
+    /// Time-out of the controller, for instance 6ms, 10ms or 400ms; none: it goes on with the last speeds.
+    #[arg(long, value_name = "TIME", default_value = "6ms", value_parser = parse_watchdog)]
+    pub watchdog: Watchdog,
+    /// Where the joints start, degrees, from the base.
+    #[arg(long, value_name = "Q1,..,Q7", default_value = "0,30,0,60,0,45,0", value_parser = parse_pose, allow_hyphen_values = true)]
+    pub pose_deg: PoseDeg,
+    /// Limits in its EEPROM, degrees to both sides, from the base: those of a PA10-7C unless given.
+    #[arg(long, value_name = "L1,..,L7", value_parser = parse_pose, allow_hyphen_values = true)]
+    pub limits_deg: Option<PoseDeg>,
+    /// A script of faults.
+    #[arg(long, value_name = "FILE")]
+    pub script: Option<std::path::PathBuf>,
+    /// One line of a script; may be given more than once.
+    #[arg(long, value_name = "LINE", value_parser = parse_fault)]
+    pub fault: Vec<ScriptLine>,
+    /// Seed of everything that is random.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// Priority of its thread (SCHED_FIFO, 1 to 99), where it is to be had; without it other programs may make the arm answer late.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=99))]
+    pub priority: Option<u8>,
+    /// End after this many seconds; without it at `quit` or a signal.
+    #[arg(long, value_name = "SECONDS", value_parser = pb3dp_cell::terminal::parse_seconds, allow_hyphen_values = true)]
+    pub stop_after: Option<f64>,
+}
+
+/// The time-out of the controller, if it has one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Watchdog(pub Option<Duration>);
+
+/// Joint angles, degrees, from the base.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseDeg(pub [f64; DOF]);
+
+/// Runs the emulated arm until it is told to end.
+///
+/// # Errors
+/// If an input can not be used, or the place where hosts are to find the arm is not to be had.
+pub fn run(args: &MockArmArgs) -> anyhow::Result<ExitCode> {
+    let server = start(args)?;
+    let address = server.address();
+    say(&address)?;
+    tracing::info!("an emulated arm is at {address}; type `state`, a fault or `quit`");
+    serve(&server, &typed_lines()?, args.stop_after.map(Duration::from_secs_f64))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn start(args: &MockArmArgs) -> anyhow::Result<MockServer> {
+    let mut script = Script::default();
+    if let Some(path) = &args.script {
+        let text =
+            std::fs::read_to_string(path).with_context(|| format!("script {} can not be read", path.display()))?;
+        script = Script::parse(&text).with_context(|| format!("script {}", path.display()))?;
+    }
+    script.lines.extend(&args.fault);
+    let format = args.format.into();
+    let mut controller = MockControllerConfig { watchdog: args.watchdog.0, ..MockControllerConfig::new(format) };
+    if let Some(limits) = args.limits_deg {
+        controller.upper_limit_rad = JointVector::from(limits.0.map(f64::to_radians));
+        controller.lower_limit_rad = -controller.upper_limit_rad;
+    }
+    let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+    let pose = JointVector::from(args.pose_deg.0.map(f64::to_radians));
+    let joints = JointPlant::new(pa10_joints()?, pose, clock.now()).context("--pose-deg")?;
+    let joints = Arc::new(Mutex::new(joints));
+    let face = face(args, &controller)?;
+    let realtime = Realtime { priority: args.priority, locks_memory: false, cpu: None };
+    let config = MockServerConfig { controller, seed: args.seed, script, realtime };
+    Ok(MockServer::start(config, face, joints, clock)?)
+}
+
+fn face(args: &MockArmArgs, controller: &MockControllerConfig) -> anyhow::Result<MockFace> {
+    let firmware =
+        Firmware::new(&format!("{MOCK_ARM} {}", env!("CARGO_PKG_VERSION"))).context("the name of the firmware")?;
+    let gateway = GatewayConfig {
+        geometry: args.geometry.into(),
+        controller_watchdog: controller.watchdog,
+        ..GatewayConfig::new(ArmId(args.arm), controller.format, firmware)
+    };
+    Ok(match (&args.bus, args.tcp) {
+        (Some(path), _) => MockFace::BusSocket(path.clone()),
+        (None, Some(address)) => MockFace::Tcp(gateway, address),
+        (None, None) => MockFace::Pty(gateway),
+    })
+}
+
+/// Until it is told to end; the end of standard input ends nothing.
+fn serve(
+    server: &MockServer,
+    lines: &Receiver<std::io::Result<String>>,
+    stop_after: Option<Duration>,
+) -> anyhow::Result<()> {
+    let (begin, mut address) = (Instant::now(), server.address());
+    loop {
+        let is_over = stop_after.is_some_and(|time| begin.elapsed() >= time);
+        if is_over {
+            return Ok(());
+        }
+        match lines.recv_timeout(LOOK) {
+            Ok(Ok(line)) if line.trim() == "quit" => return Ok(()),
+            Ok(Ok(line)) => obey(server, line.trim())?,
+            Ok(Err(_)) | Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => std::thread::sleep(LOOK),
+        }
+        if server.address() != address {
+            address = server.address();
+            say(&address)?;
+        }
+    }
+}
+
+fn obey(server: &MockServer, line: &str) -> anyhow::Result<()> {
+    match line {
+        "state" => say(&server.report().to_string())?,
+        "unplug" => server.unplug(),
+        "plug" => server.plug(),
+        line => {
+            if let Err(error) = server.command_line(line) {
+                tracing::error!("{line:?}: {error}; or type state, unplug, plug or quit");
+            }
+        }
+    }
+    Ok(())
+}
+
+fn say(text: &str) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "{text}").and_then(|()| out.flush()).context("nobody reads what the emulated arm says")
+}
+
+fn parse_watchdog(text: &str) -> Result<Watchdog, String> {
+    if text == "none" {
+        return Ok(Watchdog(None));
+    }
+    let time = pb3dp_arm_pa10_emulation::mock_controller::parse_time(text).filter(|time| !time.is_zero());
+    time.map(|time| Watchdog(Some(time))).ok_or_else(|| format!("{text:?} is neither a time such as 6ms nor none"))
+}
+
+fn parse_pose(text: &str) -> Result<PoseDeg, String> {
+    let angles: Option<Vec<f64>> = text.split(',').map(|angle| angle.trim().parse().ok()).collect();
+    let angles = angles.and_then(|angles| <[f64; DOF]>::try_from(angles).ok());
+    let finite = angles.filter(|angles| angles.iter().all(|angle| angle.is_finite()));
+    finite.map(PoseDeg).ok_or_else(|| format!("{text:?} is not seven angles in degrees, for instance 0,30,0,60,0,45,0"))
+}
+
+fn parse_fault(text: &str) -> Result<ScriptLine, String> {
+    let line = ScriptLine::parse(text).map_err(|error| error.to_string())?;
+    line.ok_or_else(|| "the line is empty; write a fault such as `at 2s e-stop press`".to_owned())
+}

@@ -1,0 +1,238 @@
+//! Calibrations by which arms move: refused where they failed, are too old, or are those of other cameras, unless the setup says
+//! which of that it waives.
+
+use std::time::{Duration, SystemTime};
+
+use anyhow::{Result, bail};
+use pb3dp_camera_v4l2::controls::Focus;
+use pb3dp_record::calibration_files::{CameraIdentity, Judgement};
+use pb3dp_setup::setup::{AGE, CAMERAS, CalibrationInUse, rounded};
+
+const DAY: Duration = Duration::from_secs(86_400);
+
+/// Looks at what the files of calibrations say of themselves.
+///
+/// # Errors
+/// The first calibration that failed or is too old, and is not to be used all the same; what to do is said.
+pub(super) fn look_at(calibrations: &[CalibrationInUse], now: SystemTime) -> Result<()> {
+    for calibration in calibrations {
+        match &calibration.judgement {
+            Some(judgement) => {
+                look_at_gates(calibration, judgement)?;
+                look_at_age(calibration, judgement, now)?;
+            }
+            None => tracing::warn!(
+                "{}.calibration: {} says nothing of its worth, so nobody knows how wrong what is seen may be; `pb3dp calibrate` says it",
+                calibration.table,
+                calibration.source
+            ),
+        }
+    }
+    Ok(())
+}
+
+fn look_at_gates(calibration: &CalibrationInUse, judgement: &Judgement) -> Result<()> {
+    let table = calibration.table;
+    for gate in judgement.refusals() {
+        let found = format!(
+            "{} of {} was {}, and {} is the limit",
+            gate.name,
+            calibration.source,
+            rounded(gate.measured),
+            gate.refused
+        );
+        if !calibration.waives(&gate.name) {
+            bail!(
+                "{found}: this calibration was refused when it was made; calibrate again (docs/calibration.md says what the gate wants), or \
+                 waive it with {table}.waived_gates = [\"{}\"] if you know why it is right",
+                gate.name
+            );
+        }
+        tracing::warn!("{found}: waived by {table}.waived_gates");
+    }
+    Ok(())
+}
+
+fn look_at_age(calibration: &CalibrationInUse, judgement: &Judgement, now: SystemTime) -> Result<()> {
+    let (table, source) = (calibration.table, &calibration.source);
+    let days = |time: Duration| time.as_secs_f64() / DAY.as_secs_f64();
+    let found = match humantime::parse_rfc3339(&judgement.date) {
+        Err(error) => format!("the date of {source}, {:?}, can not be read: {error}", judgement.date),
+        // Clocks of two computers may differ by some hours.
+        Ok(made) => match now.duration_since(made) {
+            Err(ahead) if ahead.duration() > DAY => format!(
+                "{source} is of {}, in {:.0} days: one of the clocks is wrong",
+                judgement.date,
+                days(ahead.duration())
+            ),
+            Ok(age) if age > calibration.age_max => format!(
+                "{source} is of {}, {:.0} days old; {:.0} are allowed ({table}.calibration_age_max_days)",
+                judgement.date,
+                days(age),
+                days(calibration.age_max)
+            ),
+            _ => return Ok(()),
+        },
+    };
+    if !calibration.waives(AGE) {
+        bail!("{found}: calibrate again, or waive it with {table}.waived_gates = [\"{AGE}\"]");
+    }
+    tracing::warn!("{found}: waived by {table}.waived_gates");
+    Ok(())
+}
+
+/// Looks whether calibrations are those of the cameras that are there.
+///
+/// # Errors
+/// The first one that is of other cameras, of cameras that have changed places, or of another focus, and does not waive it.
+pub(super) fn look_at_cameras(calibrations: &[CalibrationInUse], there: &[CameraIdentity; 2]) -> Result<()> {
+    for calibration in calibrations {
+        let Some(judgement) = &calibration.judgement else { continue };
+        let (table, source) = (calibration.table, &calibration.source);
+        if judgement.cameras.iter().all(CameraIdentity::is_empty) {
+            tracing::warn!(
+                "{source} does not say of which cameras it is: whether they are these, nobody can tell (docs/calibration.md, --cameras)"
+            );
+            continue;
+        }
+        let Some(other) = other_than(&judgement.cameras, there) else { continue };
+        if !calibration.waives(CAMERAS) {
+            bail!(
+                "{source} is not the calibration of these cameras: {other}; calibrate these, name the right file, or waive it with \
+                 {table}.waived_gates = [\"{CAMERAS}\"]"
+            );
+        }
+        tracing::warn!("{source} is not the calibration of these cameras: {other}: waived by {table}.waived_gates");
+    }
+    Ok(())
+}
+
+/// What differs of what both know. A camera with a serial number may be plugged in elsewhere.
+fn other_than(calibrated: &[CameraIdentity; 2], there: &[CameraIdentity; 2]) -> Option<String> {
+    let mut sides = ["left", "right"].into_iter().zip(calibrated.iter().zip(there));
+    sides.find_map(|(side, (was, is))| {
+        let differs = |what: &str, was: &Option<String>, is: &Option<String>| match (was, is) {
+            (Some(was), Some(is)) if was != is => {
+                Some(format!("the {side} one had the {what} {was}, and this has {is}"))
+            }
+            _ => None,
+        };
+        let serial = differs("serial number", &was.serial, &is.serial);
+        let is_known_by_number = was.serial.is_some() && is.serial.is_some();
+        let place = if is_known_by_number { None } else { differs("place", &was.place, &is.place) };
+        let focus = || differs("focus", &was.focus.map(|v| v.to_string()), &is.focus.map(|v| v.to_string()));
+        serial.or(place).or_else(focus)
+    })
+}
+
+/// As a calibration has it.
+pub fn identity(camera: pb3dp_camera_v4l2::CameraIdentity) -> CameraIdentity {
+    let focus = match camera.focus {
+        Focus::Fixed(value) => Some(value),
+        Focus::ByHand | Focus::Automatic => None,
+    };
+    CameraIdentity { serial: camera.serial, place: Some(camera.place).filter(|place| !place.is_empty()), focus }
+}
+
+#[cfg(test)]
+mod tests {
+    use pb3dp_record::calibration_files::JudgedGate;
+
+    use super::*;
+
+    fn camera(serial: Option<&str>, place: &str, focus: Option<i32>) -> CameraIdentity {
+        CameraIdentity { serial: serial.map(str::to_owned), place: Some(place.to_owned()), focus }
+    }
+
+    fn cameras() -> [CameraIdentity; 2] {
+        [camera(Some("A0"), "usb-1", Some(30)), camera(None, "usb-2", None)]
+    }
+
+    fn in_use(waived: &[&str]) -> CalibrationInUse {
+        let gate = |name: &str, measured: f64, grade: &str| JudgedGate {
+            name: name.to_owned(),
+            measured,
+            good: 0.3,
+            refused: 0.5,
+            grade: grade.to_owned(),
+        };
+        let judgement = Judgement {
+            date: "2026-11-01T10:00:00Z".to_owned(),
+            tool: "pb3dp-calibrate 0.1.0".to_owned(),
+            source: "15 views".to_owned(),
+            cameras: cameras(),
+            numbers: Vec::new(),
+            covariance: None,
+            gates: vec![gate("rows_px", 0.1, "good"), gate("reprojection_rms_px", 0.71234, "refused")],
+        };
+        CalibrationInUse {
+            table: "camera",
+            source: "head.toml".to_owned(),
+            judgement: Some(judgement),
+            waived: waived.iter().map(|name| (*name).to_owned()).collect(),
+            age_max: 10 * DAY,
+        }
+    }
+
+    fn at(date: &str) -> SystemTime {
+        humantime::parse_rfc3339(date).unwrap()
+    }
+
+    fn refusal(waived: &[&str], date: &str) -> Option<String> {
+        look_at(&[in_use(waived)], at(date)).err().map(|error| error.to_string())
+    }
+
+    #[test]
+    fn a_calibration_that_was_refused_is_refused_until_its_gate_is_waived() {
+        let text = refusal(&[], "2026-11-02T10:00:00Z").unwrap();
+        for part in ["reprojection_rms_px of head.toml was 0.7123, and 0.5 is the limit", "camera.waived_gates"] {
+            assert!(text.contains(part), "{text}");
+        }
+        assert!(refusal(&["rows_px"], "2026-11-02T10:00:00Z").is_some());
+        assert_eq!(refusal(&["reprojection_rms_px"], "2026-11-02T10:00:00Z"), None);
+    }
+
+    #[test]
+    fn a_calibration_that_is_too_old_or_of_the_future_is_refused() {
+        let waived = ["reprojection_rms_px"];
+        assert_eq!(refusal(&waived, "2026-11-11T09:00:00Z"), None);
+        let text = refusal(&waived, "2026-11-13T10:00:00Z").unwrap();
+        assert!(text.contains("12 days old; 10 are allowed (camera.calibration_age_max_days)"), "{text}");
+        assert_eq!(refusal(&["reprojection_rms_px", "age"], "2026-11-13T10:00:00Z"), None);
+        // Clocks differ, but not by days.
+        assert_eq!(refusal(&waived, "2026-10-31T15:00:00Z"), None);
+        assert!(refusal(&waived, "2026-10-20T10:00:00Z").is_some_and(|text| text.contains("clocks is wrong")));
+        let mut undated = in_use(&waived);
+        undated.judgement.as_mut().unwrap().date = "yesterday".to_owned();
+        let text = look_at(&[undated], at("2026-11-02T10:00:00Z")).unwrap_err().to_string();
+        assert!(text.contains("\"yesterday\", can not be read"), "{text}");
+    }
+
+    #[test]
+    fn cameras_that_are_others_are_named() {
+        let told = |there: [CameraIdentity; 2], waived: &[&str]| {
+            look_at_cameras(&[in_use(waived)], &there).err().map(|error| error.to_string())
+        };
+        assert_eq!(told(cameras(), &[]), None);
+        let [left, right] = cameras();
+        // One with a number may be plugged in elsewhere; one without is known by its place.
+        assert_eq!(told([camera(Some("A0"), "usb-9", Some(30)), right.clone()], &[]), None);
+        for (there, part) in [
+            (
+                [camera(Some("B7"), "usb-1", Some(30)), right.clone()],
+                "the left one had the serial number A0, and this has B7",
+            ),
+            ([left.clone(), camera(None, "usb-3", None)], "the right one had the place usb-2, and this has usb-3"),
+            ([camera(Some("A0"), "usb-1", Some(31)), right.clone()], "the left one had the focus 30, and this has 31"),
+            ([right.clone(), left.clone()], "the left one had the place usb-1, and this has usb-2"),
+        ] {
+            let text = told(there.clone(), &[]).unwrap();
+            assert!(text.contains(part) && text.contains("waived_gates = [\"cameras\"]"), "{text}");
+            assert_eq!(told(there, &["cameras"]), None);
+        }
+        // Nothing is known of them, nothing can be compared.
+        let mut unnamed = in_use(&[]);
+        unnamed.judgement.as_mut().unwrap().cameras = Default::default();
+        assert!(look_at_cameras(&[unnamed], &cameras()).is_ok());
+    }
+}

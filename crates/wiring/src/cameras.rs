@@ -1,0 +1,199 @@
+//! Cameras of this machine: opened, looked at once before an arm is switched on, and watched while they run.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use pb3dp_camera_v4l2::pairing::Drift;
+use pb3dp_camera_v4l2::video::VideoSystem;
+use pb3dp_camera_v4l2::{ReopeningCamera, Side, StereoConfig};
+use pb3dp_cell::pair::check_pictures;
+use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
+use pb3dp_record::calibration_files::CameraIdentity;
+use pb3dp_setup::setup::{RealCameras, Setup, Synchronisation};
+
+use super::calibration::{identity, look_at_cameras};
+
+/// Some cameras take a second or two to begin; none takes longer.
+const FIRST_PAIR_WITHIN: Duration = Duration::from_secs(10);
+
+/// Pairs from one look at the drift to the next one: 9 s at 30 per second.
+const DRIFT_EVERY: u64 = 256;
+/// Cameras with one trigger do not drift; estimates of a drift do by so much, seconds per second.
+const DRIFT_MAX: f64 = 20e-6;
+/// The same, as a share of the scatter of single pairs: five standard deviations of a line through 512 of them, in 17 s.
+const DRIFT_PER_SCATTER: f64 = 0.05;
+/// A limit of the skew that is so near is warned of, seconds.
+const LIMIT_NEAR_S: f64 = 30.0;
+
+/// Cameras that have delivered a first pair.
+pub(super) struct WiredCameras {
+    pub(super) camera: Box<dyn StereoCamera>,
+    /// Which ones they are: the left and the right one.
+    pub(super) identities: [CameraIdentity; 2],
+}
+
+/// Opens both cameras, and takes a first pair.
+///
+/// # Errors
+/// As [`ReopeningCamera::open`]; cameras that are not those of the setup's calibrations; no pair; left and right exchanged.
+pub(super) fn wire_real(
+    real: &RealCameras,
+    setup: &Setup,
+    (system, clock): (Arc<dyn VideoSystem>, Arc<dyn Clock>),
+) -> Result<WiredCameras> {
+    let camera = ReopeningCamera::open(system, Arc::clone(&clock), real.stereo.clone(), real.reopen_for);
+    let camera = camera.context("table [camera]")?;
+    let mut camera = WatchedCamera { camera, cameras: real.clone(), pairs: 0, is_drift_told: false };
+    let first = first_pair(&mut camera, &*clock)?;
+    let mut identity_of = |side| camera.camera.identity(side).map(identity).context("table [camera]");
+    let identities = [identity_of(Side::Left)?, identity_of(Side::Right)?];
+    look_at_cameras(&setup.calibrations, &identities)?;
+    check_pictures("cameras", &setup.rig, &first.left, &first.right)
+        .context("table [camera]: exchange left.device and right.device if they are the wrong way round")?;
+    Ok(WiredCameras { camera: Box::new(camera), identities })
+}
+
+/// What an arm waits for before it is switched on: that there are pairs at all.
+fn first_pair(camera: &mut WatchedCamera, clock: &dyn Clock) -> Result<FramePair> {
+    let deadline = clock.now() + FIRST_PAIR_WITHIN;
+    loop {
+        match camera.next_pair(Duration::from_secs(1)) {
+            Ok(pair) => return Ok(pair),
+            Err(error) if matches!(error.kind(), CameraErrorKind::Timeout | CameraErrorKind::BadPair) => {
+                if clock.now() >= deadline {
+                    bail!("cameras: no first pair within {FIRST_PAIR_WITHIN:?}: {error}");
+                }
+            }
+            Err(error) => return Err(error).context("cameras: no first pair"),
+        }
+    }
+}
+
+/// Cameras of this machine that tell when they run apart, and at their end what was left out.
+struct WatchedCamera {
+    camera: ReopeningCamera,
+    cameras: RealCameras,
+    pairs: u64,
+    is_drift_told: bool,
+}
+
+impl WatchedCamera {
+    /// What there is to say of the drift; once, until there is nothing.
+    fn look_at_drift(&mut self) -> Option<String> {
+        let what = self.trouble(&self.camera.counters().drift?);
+        let was_told = std::mem::replace(&mut self.is_drift_told, what.is_some());
+        what.filter(|_| !was_told)
+    }
+
+    fn trouble(&self, drift: &Drift) -> Option<String> {
+        let StereoConfig { skew_max, .. } = self.cameras.stereo;
+        let (skew_millis, ppm) = (drift.skew_s * 1e3, drift.rate * 1e6);
+        match self.cameras.synchronisation {
+            Synchronisation::HardwareTrigger if drift.rate.abs() > DRIFT_MAX + DRIFT_PER_SCATTER * drift.scatter_s => {
+                Some(format!(
+                    "their skew of {skew_millis:.2} ms drifts by {ppm:.0} us per second: they are not triggered by one signal, as \
+                     camera.synchronisation says; look at the wiring, and at the cameras' trigger mode"
+                ))
+            }
+            Synchronisation::FreeRunning => drift.seconds_until(skew_max).filter(|s| *s < LIMIT_NEAR_S).map(|seconds| {
+                format!(
+                    "their skew of {skew_millis:.2} ms drifts by {ppm:.0} us per second and passes camera.skew_max_millis in {seconds:.0} s: \
+                     pairs are refused then, for as long as it takes to come round"
+                )
+            }),
+            Synchronisation::HardwareTrigger => None,
+        }
+    }
+}
+
+impl StereoCamera for WatchedCamera {
+    fn info(&self) -> &StereoCameraInfo {
+        self.camera.info()
+    }
+
+    fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
+        self.camera.next_pair_into(pair, timeout)?;
+        self.pairs += 1;
+        if self.pairs.is_multiple_of(DRIFT_EVERY)
+            && let Some(what) = self.look_at_drift()
+        {
+            tracing::warn!("cameras: {what}");
+        }
+        Ok(())
+    }
+}
+
+impl Drop for WatchedCamera {
+    fn drop(&mut self) {
+        let counters = self.camera.counters();
+        tracing::info!(
+            "cameras: {} pairs, opened anew {} times; since then at most {:.2} ms of skew, {} pairs refused for it, left {:?}, right {:?}",
+            self.pairs,
+            self.camera.reopened(),
+            counters.skew_max_nanos as f64 * 1e-6,
+            counters.skew_refused,
+            counters.left,
+            counters.right
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem};
+    use pb3dp_geometry::ImageSize;
+    use pb3dp_hal_clock::VirtualClock;
+    use pb3dp_setup::setup::read_cameras;
+
+    use super::*;
+
+    /// What is told of the drift of two cameras, the right one slower by this, with the number of the pair at which it is told.
+    fn told(synchronisation: Synchronisation, slowness: f64, pairs: u64) -> Vec<(u64, String)> {
+        let clock: Arc<dyn Clock> = Arc::new(VirtualClock::default());
+        let mut cameras = read_cameras(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/rig.toml")).unwrap();
+        cameras.synchronisation = synchronisation;
+        for (number, eye) in [&mut cameras.stereo.left, &mut cameras.stereo.right].into_iter().enumerate() {
+            eye.name = format!("bus:usb-emulated-{number}").parse().unwrap();
+            eye.mode.size = ImageSize { width: 64, height: 48 };
+        }
+        let emulated = (0..2).map(|number| {
+            let slowness = slowness * f64::from(number);
+            EmulatedCamera { slowness, ..EmulatedCamera::usual(number) }
+        });
+        let system = Arc::new(EmulatedSystem::new(clock.clone(), emulated.collect()));
+        let camera = ReopeningCamera::open(system, clock, cameras.stereo.clone(), cameras.reopen_for).unwrap();
+        let mut camera = WatchedCamera { camera, cameras, pairs: 0, is_drift_told: false };
+        let mut pair = FramePair::black(camera.info().size);
+        let mut told = Vec::new();
+        for number in 1..=pairs {
+            camera.camera.next_pair_into(&mut pair, Duration::from_secs(1)).unwrap();
+            if number % DRIFT_EVERY == 0 {
+                told.extend(camera.look_at_drift().map(|what| (number, what)));
+            }
+        }
+        told
+    }
+
+    #[test]
+    fn free_running_cameras_are_told_before_their_pairs_are_refused_and_only_once() {
+        // 0.1 ms per second: 5 ms are reached after 50 s, which is pair 1500; 30 s before that is pair 600.
+        let free = told(Synchronisation::FreeRunning, 1e-4, 1400);
+        let [(number, what)] = free.as_slice() else { panic!("{free:?}") };
+        assert!((600..=600 + 2 * DRIFT_EVERY).contains(number), "{free:?}");
+        assert!(what.contains("drifts by 100 us per second and passes camera.skew_max_millis in"), "{what}");
+        assert_eq!(told(Synchronisation::FreeRunning, 1e-6, 1400), []);
+    }
+
+    #[test]
+    fn cameras_that_are_said_to_be_triggered_and_are_not_are_told() {
+        let apart = told(Synchronisation::HardwareTrigger, 1e-4, 1400);
+        assert!(
+            matches!(apart.as_slice(), [(_, what)] if what.contains("they are not triggered by one signal")),
+            "{apart:?}"
+        );
+        assert_eq!(told(Synchronisation::HardwareTrigger, 0.0, 1400), []);
+    }
+}
