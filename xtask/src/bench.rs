@@ -11,6 +11,8 @@ use serde_json::{Value, json};
 use crate::workspace::{Workspace, run_visibly};
 
 const OUT: &str = "out/bench";
+/// Benches that are programs of their own.
+const EXAMPLES: &str = "crates/benchmarks/examples";
 const PAGES: &str = "docs/benchmarks";
 
 /// Rounds of the example `speed` in a quick run.
@@ -35,8 +37,7 @@ const QUICK_ROUNDS: &str = "40";
 ///         must show; --only NAME: some of them; all of them write their part of that page
 /// all     speed and raster
 ///
-/// The examples `speed` of crates/estimation and `raster_speed` of crates/sim measure the published method and the
-/// rasteriser, `servo` of tests the servo, `pb3dp-bench` of crates/benchmarks all others; each prints its own table. The figures are also kept in `out/bench/*.json`, with
+/// The examples `published_speed` and `raster_speed` of crates/benchmarks measure the published method and the rasteriser, `servo` of tests the servo, `pb3dp-bench` of crates/benchmarks all others; each prints its own table. The figures are also kept in `out/bench/*.json`, with
 /// commit, processor and compiler. Measure on an idle machine.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -74,26 +75,12 @@ const OF_ALL: [What; 2] = [What::Speed, What::Raster];
 struct Bench {
     what: What,
     name: &'static str,
-    package: &'static str,
     example: &'static str,
-    folder: &'static str,
 }
 
 const BENCHES: [Bench; 2] = [
-    Bench {
-        what: What::Speed,
-        name: "speed_published",
-        package: "pb3dp-estimation",
-        example: "speed",
-        folder: "crates/estimation/examples",
-    },
-    Bench {
-        what: What::Raster,
-        name: "raster",
-        package: "pb3dp-sim",
-        example: "raster_speed",
-        folder: "crates/sim/examples",
-    },
+    Bench { what: What::Speed, name: "speed_published", example: "published_speed" },
+    Bench { what: What::Raster, name: "raster", example: "raster_speed" },
 ];
 
 /// # Errors
@@ -166,16 +153,25 @@ fn run_program(workspace: &Workspace, subcommand: &str, args: &Args) -> anyhow::
 /// reads them as figures.
 fn measure(workspace: &Workspace, bench: &Bench, args: &Args) -> anyhow::Result<()> {
     let mut command = workspace.cargo();
-    command.args(["run", "--release", "--locked", "--quiet", "--package", bench.package, "--example", bench.example]);
+    command.args([
+        "run",
+        "--release",
+        "--locked",
+        "--quiet",
+        "--package",
+        "pb3dp-benchmarks",
+        "--example",
+        bench.example,
+    ]);
     let as_json = args.json || bench.what == What::Speed;
     command.arg("--");
-    if offers_json(&workspace.root().join(bench.folder), bench.example)? && as_json {
+    if offers_json(&workspace.root().join(EXAMPLES), bench.example)? && as_json {
         command.arg("--json");
     }
     if bench.what == What::Speed && args.options.iter().any(|option| option == "--quick") {
         command.args(["--rounds", QUICK_ROUNDS]);
     }
-    println!("== {} (cargo run --release -p {} --example {})", bench.name, bench.package, bench.example);
+    println!("== {} (cargo run --release -p {} --example {})", bench.name, "pb3dp-benchmarks", bench.example);
     let (results, table) = run_and_collect(&mut command)?;
     let folder = workspace.root().join(OUT);
     std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {OUT}"))?;
@@ -298,7 +294,7 @@ mod tests {
 
     #[test]
     fn an_example_is_found_as_file_or_folder_and_missed_if_it_is_gone() {
-        let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../crates/sim/examples");
+        let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(EXAMPLES);
         assert!(offers_json(&examples, "raster_speed").is_ok());
         let error = offers_json(&examples, "no_such_example").expect_err("not there");
         assert!(error.to_string().contains("no_such_example"), "{error}");

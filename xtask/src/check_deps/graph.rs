@@ -202,13 +202,14 @@ const ALLOWED_IN_HAL_TESTS: [&str; 2] = ["hal-conformance", "hal-clock"];
 
 /// What tests of one package may use besides: a wrapper is tested around the arm that needs no hardware, and a calibration on simulated
 /// rigs, whose arms have joints.
-const ALLOWED_IN_TESTS_OF: [(&str, &[&str]); 10] = [
+const ALLOWED_IN_TESTS_OF: [(&str, &[&str]); 11] = [
     ("cell", &["arm-pa10-emulation"]),
     ("estimation-core", &["estimation-test-support"]),
     ("estimation-direct", &["estimation-test-support"]),
     ("estimation-track", &["estimation-test-support"]),
     ("estimation-published", &["estimation-test-support"]),
     ("estimation", &["estimation-test-support"]),
+    ("benchmarks", &["estimation-test-support"]),
     (
         "hal-middleware",
         &[

@@ -2,7 +2,7 @@
 //!
 //! Processor time is counted where the system tells it, so that a busy machine does not spoil the figure.
 //!
-//! `cargo run --release -p pb3dp-sim --example raster_speed [SECONDS]`
+//! `cargo run --release -p pb3dp-benchmarks --example raster_speed [SECONDS]`
 #![allow(clippy::print_stdout)]
 
 mod common;

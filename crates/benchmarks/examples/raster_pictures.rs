@@ -1,7 +1,7 @@
 //! Writes a sheet per target into a folder, to be looked at: left and right, frontal with an ideal lens and turned with a
 //! distorted one.
 //!
-//! `cargo run --release -p pb3dp-sim --example raster_pictures FOLDER`
+//! `cargo run --release -p pb3dp-benchmarks --example raster_pictures FOLDER`
 #![allow(clippy::print_stdout)]
 
 mod common;

@@ -1,7 +1,7 @@
 //! How fast the published method is on this machine: kernels, a full frame, and the ratio to a naive implementation
 //! measured in the same run.
 //!
-//! `cargo run --release -p pb3dp-estimation --example speed -- [--json] [--check] [--rounds N]`
+//! `cargo run --release -p pb3dp-benchmarks --example published_speed -- [--json] [--check] [--rounds N]`
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program that reports to its user")]
 #![allow(clippy::expect_used, reason = "the inputs of the benchmark are valid")]
 
