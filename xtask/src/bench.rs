@@ -171,7 +171,7 @@ fn measure(workspace: &Workspace, bench: &Bench, args: &Args) -> anyhow::Result<
     if bench.what == What::Speed && args.options.iter().any(|option| option == "--quick") {
         command.args(["--rounds", QUICK_ROUNDS]);
     }
-    println!("== {} (cargo run --release -p {} --example {})", bench.name, "pb3dp-benchmarks", bench.example);
+    println!("== {} (cargo run --release -p pb3dp-benchmarks --example {})", bench.name, bench.example);
     let (results, table) = run_and_collect(&mut command)?;
     let folder = workspace.root().join(OUT);
     std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {OUT}"))?;

@@ -1,6 +1,7 @@
 //! `cargo xtask check-deps`: who may know whom.
 
 mod graph;
+mod modules;
 mod source;
 
 use crate::violation::{Violation, conclude};
@@ -10,10 +11,11 @@ use crate::workspace::Workspace;
 ///
 /// * Dependencies between our packages run downwards only, as in the table of xtask/src/check_deps/graph.rs; every package
 ///   of the workspace has its line there.
-/// * crates/* name no backend, except the orchestrator; backends do not name each other, the estimation or the servo.
+/// * No circle between the modules that a package's lib.rs declares.
+/// * Who may name a backend is a list of modules; backends do not name each other, the estimation or the servo.
 /// * Nothing enables the feature `disabled-guards`, with which tests switch safeguards off, but who asks for it by name.
-/// * serde stands in the orchestrator and in record only.
-/// * Files, threads, clocks, the environment, the network: each may be used only by the packages that the table of
+/// * serde stands in setup, cell, commissioning, orchestrator, record, benchmarks and calibration only.
+/// * Files, threads, clocks, the environment, the network: each may be used only by the modules that the table of
 ///   xtask/src/check_deps/source.rs allows; tests are exempt.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -28,5 +30,6 @@ pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
     for file in &texts {
         violations.extend(source::check(&file.path, &file.text));
     }
+    violations.extend(modules::check(&texts));
     conclude("check-deps", &format!("{} packages, {} Rust files", packages.len(), texts.len()), violations)
 }

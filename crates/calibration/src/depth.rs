@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector, Point3, Vector2, Vector3};
 use pb3dp_geometry::StereoRig;
 
 use crate::adjust::State;
-use crate::fit::{FitError, rig_of};
+use crate::fitted_rig::{FitError, rig_of};
 
 /// Steps of the differences, in standard deviations of a parameter.
 const STEP_SIGMAS: f64 = 0.1;

@@ -2,15 +2,13 @@
 
 use nalgebra::{DMatrix, Isometry3, Vector2};
 use pb3dp_geometry::frames::{Board, CamLeft};
-use pb3dp_geometry::{Camera, ImageSize, Pose, StereoRig, StereoRigError};
+use pb3dp_geometry::{Camera, ImageSize, Pose, StereoRig};
 
 use crate::adjust::{AdjustmentError, Observations, SHAPE, State, adjust, reduced_at};
 use crate::board::{BoardCorner, Chessboard, Sighting};
+use crate::fitted_rig::{FitError, VIEWS_MIN, rig_of};
 use crate::lens::LensModel;
 use crate::start::{board_pose, first_camera};
-
-/// The fewest views of which a calibration is tried.
-pub const VIEWS_MIN: usize = 3;
 
 /// One view of the board by all `N` cameras at the same time.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,31 +26,6 @@ pub fn sides<const N: usize>() -> [&'static str; N] {
         (_, 0) => "left",
         _ => "right",
     })
-}
-
-/// Why no calibration came of the views.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum FitError {
-    /// Too few views.
-    #[error("{seen} views of the board can be used, more than {VIEWS_MIN} are needed, 15 are good: take more pictures")]
-    Views {
-        /// Views that can be used.
-        seen: usize,
-    },
-    /// No camera explains a view.
-    #[error(
-        "{side}: no focal length explains what the views show: check the numbers of the board's corners and that all pictures are of one camera"
-    )]
-    NoStart {
-        /// Which camera.
-        side: &'static str,
-    },
-    /// The adjustment failed.
-    #[error(transparent)]
-    Adjustment(#[from] AdjustmentError),
-    /// The cameras are no stereo head.
-    #[error("the cameras are no stereo head; check that the folders of the left and right pictures are not exchanged")]
-    Rig(#[from] StereoRigError),
 }
 
 /// The error of one corner.
@@ -229,13 +202,6 @@ impl Fit<2> {
     pub fn depth_sigma_m(&self, depth_m: f64) -> Result<f64, FitError> {
         crate::depth::sigma_m(&self.state, &self.covariance.matrix, depth_m)
     }
-}
-
-/// The stereo head of a state with two cameras.
-pub(crate) fn rig_of(state: &State) -> Result<StereoRig, FitError> {
-    // The states of `Fit<2>` have two cameras, and `from_first` is `cam_right_from_cam_left` there.
-    let cam_right_from_cam_left = Pose::from_isometry(state.from_first[1]);
-    Ok(StereoRig::new(state.cameras[0], state.cameras[1], cam_right_from_cam_left)?)
 }
 
 pub(crate) fn observations<'a, const N: usize>(views: &'a [View<N>], board: &'a Chessboard) -> Observations<'a> {

@@ -4,7 +4,9 @@ use nalgebra::Vector2;
 use pb3dp_geometry::ImageSize;
 
 use crate::board::Chessboard;
-use crate::fit::{Fit, FitError, VIEWS_MIN, View};
+use crate::fit::{Fit, View};
+use crate::fitted_rig::FitError;
+use crate::fitted_rig::VIEWS_MIN;
 use crate::lens::LensModel;
 
 /// Into how many parts the views are divided: each part is predicted from the others.

@@ -20,6 +20,7 @@ pub mod defects;
 mod depth;
 pub mod detection;
 pub mod fit;
+pub mod fitted_rig;
 pub mod gates;
 pub mod hand_eye;
 pub mod held_out;

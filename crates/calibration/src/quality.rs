@@ -5,7 +5,8 @@ use pb3dp_geometry::{Camera, ImageSize, RectificationError, StereoRig};
 
 use crate::board::Sighting;
 use crate::defects::Defects;
-use crate::fit::{CornerError, Fit, FitError, View};
+use crate::fit::{CornerError, Fit, View};
+use crate::fitted_rig::FitError;
 use crate::held_out::Chosen;
 use crate::stand::Cells;
 

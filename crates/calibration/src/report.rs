@@ -161,7 +161,7 @@ pub fn of_stereo(
 pub enum ReportError {
     /// The cameras are no head.
     #[error(transparent)]
-    Fit(#[from] crate::fit::FitError),
+    Fit(#[from] crate::fitted_rig::FitError),
     /// They can not be rectified.
     #[error("the pair can not be rectified")]
     Rectification(#[from] RectificationError),

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use pb3dp_camera_sim::{GeometricCamera, GeometricFrame};
+use pb3dp_camera_sim::GeometricCamera;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_hal_api::{CameraError, CameraErrorKind, FramePair, StereoCamera};
@@ -15,6 +15,7 @@ use super::cell::SimulatedCell;
 use super::eyes::Sight;
 use super::halves::Capture;
 use super::losses::Losses;
+use crate::eyes::View;
 
 /// One frame, on its way to those who look at it and to those who keep it.
 #[derive(Clone, Debug)]
@@ -25,15 +26,6 @@ pub struct Captured {
     pub cam_left_from_target: Option<Pose<CamLeft, Target>>,
     /// What is to be looked at.
     pub view: View,
-}
-
-/// What is to be looked at.
-#[derive(Clone, Debug)]
-pub enum View {
-    /// Two pictures.
-    Pictures(Arc<FramePair>),
-    /// The truth with noise.
-    Geometric(Box<GeometricFrame>),
 }
 
 /// A camera, and what it has delivered.

@@ -13,7 +13,7 @@ use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, Trajectory};
 use serde::Serialize;
 
 use super::log::{ControlSample, RunLog};
-use super::summary::{RmsMax, TrackingError};
+use crate::figures::{RmsMax, TrackingError};
 
 /// The hand settles for this long after each move before "hold" is judged, seconds.
 const SETTLE_S: f64 = 1.0;

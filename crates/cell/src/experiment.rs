@@ -13,12 +13,13 @@ use super::cycles::CycleSummary;
 use super::halves::{Capture, Course, Estimate, Parted, Record, first_failure};
 use super::journal::{Journal, Outcome};
 use super::log::RunLog;
-use super::looking::{Estimating, Looking, Seen};
+use super::looking::{Estimating, Looking};
 use super::moving::{Moved, Moving};
 use super::noting::Noting;
 use super::parts::Parts;
 use super::percept::Percept;
 use super::strip::Strip;
+use crate::noting::Seen;
 
 /// A run that a person leads ends with the word `quit`, or after this time: what is written down stays in memory until then, seconds.
 pub const LED_BY_PERSON_MAX_S: f64 = 3600.0;

@@ -1,5 +1,7 @@
 //! What a run sees with: pictures and a method that looks at them, or the truth with noise.
 
+use std::sync::Arc;
+
 use anyhow::{Context, Result, bail};
 use nalgebra::Point3;
 use pb3dp_camera_sim::{GeometricCamera, GeometricFrame, Hindrance};
@@ -9,11 +11,10 @@ use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Target};
-use pb3dp_hal_api::StereoCamera;
+use pb3dp_hal_api::{FramePair, StereoCamera};
 use pb3dp_setup::setup::{Leader, Setup};
 use pb3dp_sim::geometric::PoseSigma;
 
-use super::capturing::View;
 use crate::follower::Follower;
 
 /// Where frames come from.
@@ -157,4 +158,13 @@ impl GeometricEyes {
             rotation_about_normal_observed: found.is_some(),
         }
     }
+}
+
+/// What is to be looked at.
+#[derive(Clone, Debug)]
+pub enum View {
+    /// Two pictures.
+    Pictures(Arc<FramePair>),
+    /// The truth with noise.
+    Geometric(Box<GeometricFrame>),
 }

@@ -9,11 +9,9 @@ use anyhow::Result;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use pb3dp_servo::supervisor::FrameInput;
-use pb3dp_setup::setup::{Pace, Setup};
+use pb3dp_setup::setup::Setup;
 
-use super::cycles::Punctuality;
 use super::percept::Percept;
-use super::{live, lockstep};
 
 /// The half that moves both arms.
 pub trait Mover: Send {
@@ -92,39 +90,6 @@ pub trait Parted {
     );
 }
 
-/// The parts one behind the other.
-struct InTurn<'w, W: Parted> {
-    parted: &'w mut W,
-    /// What is not yet written down.
-    seen: Option<W::Seen>,
-}
-
-impl<W: Parted> Watcher for InTurn<'_, W> {
-    type Step = W::Step;
-
-    fn begin_at(&mut self, begin: MonotonicTime) {
-        self.parted.begin_at(begin);
-    }
-
-    fn moved(&mut self, step: &W::Step) {
-        let (_, mut estimator, mut recorder) = self.parted.parts();
-        estimator.moved(step);
-        recorder.moved(step);
-    }
-
-    fn look(&mut self) -> Result<Option<Percept>> {
-        let (mut camera, mut estimator, _) = self.parted.parts();
-        let Some(frame) = camera.capture()? else { return Ok(None) };
-        let (percept, seen) = estimator.look(frame)?;
-        self.seen = Some(seen);
-        Ok(Some(percept))
-    }
-
-    fn note(&mut self) -> Result<()> {
-        self.seen.take().map_or(Ok(()), |seen| self.parted.parts().2.note(seen))
-    }
-}
-
 /// What captures frames.
 pub trait Capture: Send {
     /// What is captured.
@@ -198,34 +163,6 @@ pub struct Course<'a> {
     pub duration: Duration,
     /// Once this is set, the course ends before its time.
     pub interrupt: &'a AtomicBool,
-}
-
-impl Course<'_> {
-    /// Steps both halves from switching both arms on until they are stopped, in the loop that the pace of the setup asks for. How punctual
-    /// each thread was is known only in the machine's time.
-    ///
-    /// # Errors
-    /// The first failure of an arm, the camera or the estimator for good; both arms are stopped first.
-    pub fn run<M: Mover, W: Parted<Step = M::Step>>(
-        &self,
-        watcher: &mut W,
-        mover: &mut M,
-    ) -> (Result<()>, Option<Punctuality>) {
-        if self.setup.pace == Pace::Live {
-            let mut punctuality = Punctuality::default();
-            (live::drive(self, watcher, mover, &mut punctuality), Some(punctuality))
-        } else {
-            (self.run_in_lockstep(&mut InTurn { parted: watcher, seen: None }, mover), None)
-        }
-    }
-
-    /// The same in simulated time, whatever the pace of the setup is: one thread steps both halves.
-    ///
-    /// # Errors
-    /// As [`Self::run`].
-    pub fn run_in_lockstep<M: Mover, W: Watcher<Step = M::Step>>(&self, watcher: &mut W, mover: &mut M) -> Result<()> {
-        lockstep::drive(self, watcher, mover)
-    }
 }
 
 /// The first failure of several outcomes, in the order in which they came about; the others are logged.

@@ -5,12 +5,10 @@ use std::time::Instant;
 
 use anyhow::Result;
 use pb3dp_estimation::estimator::FramePrior;
-use pb3dp_estimation_core::estimate::TrackEstimate;
-use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::frames::{Base, CamLeft};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::JointState;
-use pb3dp_servo::{JointHistory, TargetObservation};
+use pb3dp_servo::JointHistory;
 use pb3dp_setup::setup::Setup;
 
 use super::capturing::{Captured, Capturing};
@@ -18,8 +16,8 @@ use super::cell::{JOINT_GAP_MAX_S, SimulatedCell};
 use super::eyes::{Eyes, Marking, Sight};
 use super::halves::Capture;
 use super::noting::{Looked, Noting};
-use super::percept::Percept;
 use super::strip::Strip;
+use crate::noting::Seen;
 
 /// Camera, methods, and what they have seen: the three parts may have a thread each.
 pub struct Looking<'a> {
@@ -130,40 +128,5 @@ impl<'a> Estimating<'a> {
         let motion = previous.and_then(|(_, prev)| Some(prev?.inverse() * base_from_cam_left?));
         let dt_s = previous.map(|(before, _)| at.seconds_since(before));
         FramePrior { dt_s, ..FramePrior::of_motion(motion.as_ref()) }
-    }
-}
-
-/// What was seen in one pair.
-pub struct Seen {
-    /// The pair.
-    pub captured: Captured,
-    /// Number of the target.
-    pub target: u64,
-    /// What was marked, in the pair in which the target is taken.
-    pub region: Option<Region>,
-    /// What was known beforehand.
-    pub prior: FramePrior,
-    /// What the method says.
-    pub estimate: TrackEstimate,
-    /// Wall time of the method, milliseconds.
-    pub latency_millis: f64,
-}
-
-impl Seen {
-    /// What those who move are told.
-    pub fn percept(&self) -> Percept {
-        Percept::new(self.captured.frame, &self.estimate, self.target, self.observation())
-    }
-
-    /// What the controller is told, if there is a pose.
-    pub fn observation(&self) -> Option<TargetObservation> {
-        let cam_left_from_model = self.estimate.cam_left_from_model?;
-        Some(TargetObservation {
-            at: self.captured.frame.at,
-            cam_left_from_model,
-            trusted: self.estimate.status.depth_is_sure(),
-            covariance: self.estimate.covariance,
-            rotation_about_normal_observed: self.estimate.rotation_about_normal_observed,
-        })
     }
 }

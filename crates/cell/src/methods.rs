@@ -8,8 +8,8 @@ use pb3dp_record::report::{LinePlot, Series, SeriesColor, Table};
 use serde::Serialize;
 
 use super::log::{FrameSample, MethodLog, RunLog};
-use super::report::with_marks;
-use super::summary::MedianP95;
+use crate::figures::MedianP95;
+use crate::marks::with_marks;
 
 /// How one method saw the run.
 #[derive(Clone, Debug, PartialEq, Serialize)]

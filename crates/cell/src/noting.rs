@@ -4,21 +4,24 @@ use std::path::Path;
 
 use anyhow::{Result, bail};
 use nalgebra::{Vector2, Vector3};
+use pb3dp_estimation::estimator::FramePrior;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::frames::{CamLeft, Model, Target};
 use pb3dp_geometry::{MonotonicTime, Pose};
+use pb3dp_servo::TargetObservation;
 use pb3dp_setup::setup::{Setup, Synchronisation};
 
-use super::capturing::{Captured, View};
+use super::capturing::Captured;
 use super::compared::{Frame, Onlooker};
 use super::drift::{DriftSummary, DriftWatch, WhenCalibrated};
 use super::eyes::Marking;
 use super::log::{Lock, MethodLog};
-use super::looking::Seen;
+use super::percept::Percept;
 use super::recording::Recording;
 use super::strip::Strip;
+use crate::eyes::View;
 use crate::picture::model_frame_on_plane;
 
 /// What is written down of pictures; the methods that only look on are a part of it.
@@ -170,4 +173,39 @@ fn true_model_frame(
     let ray = origin / origin.z;
     let true_depth_m = away.dot(&cam_left_from_target.translation_m()) / away.dot(&ray);
     Some(cam_left_from_target.inverse() * model_frame_on_plane(ray * true_depth_m, &-away)?)
+}
+
+/// What was seen in one pair.
+pub struct Seen {
+    /// The pair.
+    pub captured: Captured,
+    /// Number of the target.
+    pub target: u64,
+    /// What was marked, in the pair in which the target is taken.
+    pub region: Option<Region>,
+    /// What was known beforehand.
+    pub prior: FramePrior,
+    /// What the method says.
+    pub estimate: TrackEstimate,
+    /// Wall time of the method, milliseconds.
+    pub latency_millis: f64,
+}
+
+impl Seen {
+    /// What those who move are told.
+    pub fn percept(&self) -> Percept {
+        Percept::new(self.captured.frame, &self.estimate, self.target, self.observation())
+    }
+
+    /// What the controller is told, if there is a pose.
+    pub fn observation(&self) -> Option<TargetObservation> {
+        let cam_left_from_model = self.estimate.cam_left_from_model?;
+        Some(TargetObservation {
+            at: self.captured.frame.at,
+            cam_left_from_model,
+            trusted: self.estimate.status.depth_is_sure(),
+            covariance: self.estimate.covariance,
+            rotation_about_normal_observed: self.estimate.rotation_about_normal_observed,
+        })
+    }
 }

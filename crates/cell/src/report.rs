@@ -11,8 +11,10 @@ use pb3dp_record::report::{LinePlot, Report, ReportPicture, Series, SeriesColor,
 use super::channels::ChannelSummary;
 use super::journal::Outcome;
 use super::log::{ControlSample, RunLog};
-use super::summary::{MedianP95, RmsMax, RunSummary, TrackingError};
+use super::summary::RunSummary;
 use super::{commands, cycles, drift, methods};
+use crate::figures::{MedianP95, RmsMax, TrackingError};
+use crate::marks::with_marks;
 
 /// Writes `report.html`, `summary.json` and `timeseries.csv` into `folder`.
 ///
@@ -248,11 +250,6 @@ fn motion_panels(log: &RunLog, world_from_axes: &UnitQuaternion<f64>) -> Vec<Lin
 fn line(label: &str, color: SeriesColor, points: Vec<[f64; 2]>) -> Series {
     let series = Series::line(label, color, points);
     if color == SeriesColor::Grey { series.dashed() } else { series }
-}
-
-/// The plot with the marks of the experiment.
-pub fn with_marks(plot: LinePlot, log: &RunLog) -> LinePlot {
-    log.marks.iter().fold(plot, |plot, mark| plot.mark(mark.at_s, format!("({})", mark.number)))
 }
 
 fn error_panels(log: &RunLog, summary: &RunSummary) -> Vec<LinePlot> {

@@ -18,12 +18,13 @@ use pb3dp_servo::supervisor::{Confidence, EstimateInput, FrameInput};
 use pb3dp_setup::setup::{Pace, Setup};
 
 use super::both_arms::{BothArms, LedArm, Whence};
-use super::capturing::{Captured, Capturing, View};
+use super::capturing::{Captured, Capturing};
 use super::halves::{Capture, Course, Estimate, Mover, Parted, Record};
 use super::parts::{ArmChoice, Parts};
 use super::percept::Percept;
 use super::plan::Plan;
 use super::stillness::shift_px;
+use crate::eyes::View;
 
 /// Speed per angle by which a joint is behind its plan, 1/s.
 const GAIN_PER_S: f64 = 2.0;

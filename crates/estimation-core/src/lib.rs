@@ -1,5 +1,5 @@
 //! What every estimation method shares: the [region] of the target, the [plane hypothesis](plane_hypothesis) that is searched,
-//! the [answer](estimate) with its [status], and vector kernels from one source ([wide]).
+//! the [answer](estimate) with its [status], and vector kernels from one source ([`mod@wide`]).
 //!
 //! No method lives here, and no file, clock, thread or environment.
 

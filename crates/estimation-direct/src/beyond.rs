@@ -7,13 +7,13 @@
 
 use pb3dp_estimation_core::cpu::Kernels;
 
-use super::cold_start::{ColdStartOutcome, surface_score};
 use super::disparity_plane::DisparityPlane;
 use super::front_end::StereoFrontEnd;
 use super::patches::{PatchConfig, SlantedPatches};
 use super::region_pyramid::{PyramidSource, RegionPyramid};
 use super::search::hypotheses::HypothesisRules;
 use super::search::{PlaneSearch, PlaneSearchConfig};
+use crate::outcome::{ColdStartOutcome, surface_score};
 
 /// The comparison runs on the first level on which the region has at most this many pixels.
 const AREA_MAX_PX: usize = 900;

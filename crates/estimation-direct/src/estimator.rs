@@ -10,7 +10,7 @@ use pb3dp_estimation_core::region::{Region, RegionConfig, RegionMask};
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::StereoRig;
 
-use super::cold_start::{ColdStart, ColdStartConfig, ColdStartOutcome, Rival};
+use super::cold_start::{ColdStart, ColdStartConfig};
 use super::colour_planes::Wanted;
 use super::disparity_plane::{DisparityPlane, RectifiedGeometry, inverse_depth_from_disparity};
 use super::front_end::StereoFrontEnd;
@@ -22,6 +22,7 @@ use super::verdict::{
     DirectVerdictConfig, SAME_PICTURE, Searched, Steeper, UNSEEN_CORRELATION_MIN, is_no_plane, judge, lies_beyond,
     may_be_unseen, nothing_found,
 };
+use crate::outcome::{ColdStartOutcome, Rival};
 
 /// Parameters of the direct method.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -10,6 +10,7 @@ use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::region::RegionMask;
+use pb3dp_estimation_core::wide::wide;
 use pb3dp_geometry::frames::{CamLeft, CamLeftRect};
 use pb3dp_geometry::maps::RemapTable;
 use pb3dp_geometry::{Camera, ImageSize, Pose, StereoRig};
@@ -17,7 +18,6 @@ use pb3dp_geometry::{Camera, ImageSize, Pose, StereoRig};
 use super::colour_planes::{ColourPlanes, OPPONENT_FROM_RGB, SATURATED, SATURATED_FROM, UNSEEN, Wanted};
 use super::disparity_plane::RectifiedGeometry;
 use super::image_plane::PixelWindow;
-use super::region_pyramid::halve_eye;
 
 /// Makes windows of the rectified pair from raw images.
 #[derive(Clone, Debug)]
@@ -227,6 +227,33 @@ fn cubic(raw: &RgbImage, at: &Vector2<f64>) -> Option<([f32; 3], u8)> {
 fn keys(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
     [0.5 * (2.0 * t2 - t - t3), 0.5 * (3.0 * t3 - 5.0 * t2 + 2.0), 0.5 * (4.0 * t2 + t - 3.0 * t3), 0.5 * (t3 - t2)]
+}
+
+/// Channels and flags at half the size.
+pub(super) fn halve_eye(finer: &ColourPlanes, kernels: Kernels, out: &mut ColourPlanes) {
+    let window = finer.window.halved();
+    let wanted = if finer.planes[1].width() > 0 { Wanted::Colour } else { Wanted::Luminance };
+    out.resize(window, wanted);
+    for (finer, out) in finer.planes.iter().zip(&mut out.planes) {
+        finer.halve_into(out);
+    }
+    let fine_width = finer.window.width;
+    for (y, out) in out.flags.chunks_exact_mut(window.width.max(1)).enumerate() {
+        let (upper, lower) = finer.flags[2 * y * fine_width..(2 * y + 2) * fine_width].split_at(fine_width);
+        halve_flags_row(kernels, upper, lower, out);
+    }
+}
+
+wide! {
+    fn halve_flags_row(upper: &[u8], lower: &[u8], out: &mut [u8]) = halve_flags_row_kernel;
+}
+
+#[inline(always)]
+fn halve_flags_row_kernel(upper: &[u8], lower: &[u8], out: &mut [u8]) {
+    let pairs = upper.chunks_exact(2).zip(lower.chunks_exact(2));
+    for (out, (upper, lower)) in out.iter_mut().zip(pairs) {
+        *out = (upper[0] | upper[1]) | (lower[0] | lower[1]);
+    }
 }
 
 #[cfg(test)]

@@ -15,9 +15,10 @@ use super::colour_planes::{ColourPlanes, UNSEEN, Wanted};
 use super::disparity_plane::DisparityPlane;
 use super::front_end::{Eye, StereoFrontEnd};
 use super::image_plane::PixelWindow;
+use super::reach;
 use super::row_offset::RowOffset;
 use super::row_shift::shift_rows;
-use super::surroundings;
+use crate::front_end::halve_eye;
 
 /// Most levels of a pyramid.
 pub const LEVELS_MAX: usize = 6;
@@ -26,7 +27,7 @@ const HALVED_FROM_PX: usize = 600;
 /// Pixels of the search level that the windows reach over the region: half a patch and a filter.
 const MARGIN_PX: u32 = 10;
 /// Pixels that the windows reach over a small region, whose surroundings may help.
-const SURROUNDINGS_PX: u32 = (surroundings::REACH_MAX_PX + surroundings::MARGIN_PX) as u32;
+const SURROUNDINGS_PX: u32 = (reach::REACH_MAX_PX + reach::MARGIN_PX) as u32;
 
 /// What a pyramid is made of.
 #[derive(Clone, Copy, Debug)]
@@ -213,7 +214,7 @@ impl RegionPyramid {
         finest: usize,
         count: usize,
     ) -> [PixelWindow; 2] {
-        let around = if self.area_px <= surroundings::AREA_MAX_PX { SURROUNDINGS_PX } else { 0 };
+        let around = if self.area_px <= reach::AREA_MAX_PX { SURROUNDINGS_PX } else { 0 };
         let margin = i64::from((MARGIN_PX << (finest + self.search_level)).max(around));
         let grid = 1_i64 << (finest + count - 1);
         let b = self.box_px;
@@ -317,21 +318,6 @@ impl RegionLevel {
     }
 }
 
-/// Channels and flags at half the size.
-pub(super) fn halve_eye(finer: &ColourPlanes, kernels: Kernels, out: &mut ColourPlanes) {
-    let window = finer.window.halved();
-    let wanted = if finer.planes[1].width() > 0 { Wanted::Colour } else { Wanted::Luminance };
-    out.resize(window, wanted);
-    for (finer, out) in finer.planes.iter().zip(&mut out.planes) {
-        finer.halve_into(out);
-    }
-    let fine_width = finer.window.width;
-    for (y, out) in out.flags.chunks_exact_mut(window.width.max(1)).enumerate() {
-        let (upper, lower) = finer.flags[2 * y * fine_width..(2 * y + 2) * fine_width].split_at(fine_width);
-        halve_flags_row(kernels, upper, lower, out);
-    }
-}
-
 /// A pixel of half the size belongs to the region if half of its four pixels do.
 fn halve_region(finer: &[u8], fine_width: usize, kernels: Kernels, out: &mut Vec<u8>) {
     let (width, height) = (fine_width / 2, finer.len() / fine_width.max(1) / 2);
@@ -340,18 +326,6 @@ fn halve_region(finer: &[u8], fine_width: usize, kernels: Kernels, out: &mut Vec
     for (y, out) in out.chunks_exact_mut(width.max(1)).enumerate() {
         let (upper, lower) = finer[2 * y * fine_width..(2 * y + 2) * fine_width].split_at(fine_width);
         halve_region_row(kernels, upper, lower, out);
-    }
-}
-
-wide! {
-    fn halve_flags_row(upper: &[u8], lower: &[u8], out: &mut [u8]) = halve_flags_row_kernel;
-}
-
-#[inline(always)]
-fn halve_flags_row_kernel(upper: &[u8], lower: &[u8], out: &mut [u8]) {
-    let pairs = upper.chunks_exact(2).zip(lower.chunks_exact(2));
-    for (out, (upper, lower)) in out.iter_mut().zip(pairs) {
-        *out = (upper[0] | upper[1]) | (lower[0] | lower[1]);
     }
 }
 

@@ -17,13 +17,8 @@ use super::disparity_plane::RectifiedGeometry;
 use super::patches::USABLE;
 use super::photometric::RefinedPlane;
 use super::region_pyramid::{LevelPlane, RegionLevel};
+use crate::reach::REACH_MAX_PX;
 
-/// Regions with more pixels have lever enough.
-pub(super) const AREA_MAX_PX: usize = 2500;
-/// Farthest that the surroundings reach, pixels.
-pub(super) const REACH_MAX_PX: usize = 16;
-/// So much farther must the windows reach, for filters and gradients.
-pub(super) const MARGIN_PX: usize = 8;
 /// A normal with a smaller standard deviation needs no help, radians (1 degree).
 const NORMAL_SIGMA_RAD: f64 = 0.0175;
 /// Side of a tile, pixels.

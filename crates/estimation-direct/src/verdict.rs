@@ -4,7 +4,7 @@ use pb3dp_estimation_core::error::{EstimationError, check_range};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::status::{Status, Verdict};
 
-use super::cold_start::{ColdStartOutcome, support_of};
+use crate::outcome::{ColdStartOutcome, support_of};
 
 /// Limits between the statuses. They were chosen on real pairs.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -11,9 +11,9 @@ use super::kernels::{
     ResidualSums, SHAPE, SeenGroup, TERMS, ViewGroup,
 };
 use super::normal::{Free, NormalEquations, PatchScore, Prior, Step, Unknowns, UnknownsMatrix};
-use super::relief::Correlation;
 use super::surface::Surface;
 use super::view::View;
+use crate::kernels::Correlation;
 
 /// Variance that residuals start with before anything is known, grey levels squared: small starts reject everything where
 /// the cameras differ in gain.

@@ -6,7 +6,7 @@ use pb3dp_estimation_core::wide::LANES;
 
 use super::distinct::beyond_chance;
 use super::kernels::{CHANNELS, ResidualGroup, SeenGroup, TERMS, ViewGroup};
-use super::relief::Correlation;
+use crate::kernels::Correlation;
 
 /// A point fits if its robust weight reaches this.
 pub(super) const FITS_FROM: f32 = 0.3;

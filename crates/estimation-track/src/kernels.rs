@@ -4,7 +4,6 @@ use pb3dp_estimation_core::wide::{LANES, wide};
 
 use super::images::{EyeImages, Texel};
 use super::lanes::{Lanes, each_lane};
-use super::relief::Correlation;
 
 /// Unknowns beside gains: the motion `[rho; phi]` of the model in its own frame (metres, radians), the row offset of the
 /// right image (pixels), the change of the inverse-depth plane of the surface (1/m).
@@ -483,3 +482,57 @@ fn accumulate_kernel(
 #[cfg(test)]
 #[path = "kernels_tests.rs"]
 mod tests;
+
+/// Sums for a correlation between a view and an image.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Correlation {
+    count: f64,
+    sums: [[f64; 5]; CHANNELS],
+}
+
+impl Correlation {
+    /// Of sums by channel: view, image, view squared, image squared, view times image.
+    pub(super) fn of_sums(count: f64, sums: [[f64; 5]; CHANNELS]) -> Self {
+        Self { count, sums }
+    }
+
+    /// Adds a point with a weight.
+    pub(super) fn add(&mut self, weight: f64, view: [f32; CHANNELS], image: [f32; CHANNELS]) {
+        self.count += weight;
+        for ((sums, a), b) in self.sums.iter_mut().zip(view).zip(image) {
+            let (a, b) = (f64::from(a), f64::from(b));
+            for (sum, term) in sums.iter_mut().zip([a, b, a * a, b * b, a * b]) {
+                *sum += weight * term;
+            }
+        }
+    }
+
+    /// The number of points, by weight.
+    pub(super) fn count(&self) -> f64 {
+        self.count
+    }
+
+    /// Variances of view and image and their covariance, summed over the channels, grey levels squared.
+    pub(super) fn moments(&self) -> [f64; 3] {
+        let n = self.count.max(1e-9);
+        let mut moments = [0.0; 3];
+        for [a, b, aa, bb, ab] in self.sums {
+            moments[0] += aa / n - a * a / (n * n);
+            moments[1] += bb / n - b * b / (n * n);
+            moments[2] += ab / n - a * b / (n * n);
+        }
+        moments
+    }
+
+    /// Normalised cross-correlation over all channels, -1 to 1; 0 where nothing varies.
+    pub(super) fn value(&self) -> f64 {
+        let [a, b, ab] = self.moments();
+        if a > 1e-9 && b > 1e-9 { (ab / (a * b).sqrt()).clamp(-1.0, 1.0) } else { 0.0 }
+    }
+
+    /// Negative log likelihood of the image given the view, for unknown gain, offset and noise.
+    pub(super) fn cost(&self) -> f64 {
+        let value = self.value().max(0.0);
+        0.5 * self.count * (1.0 - value * value + 0.01).ln()
+    }
+}

@@ -13,6 +13,7 @@
 //! Several targets are several [`DirectTracker`]s on the same pair: they share nothing, and cost adds up.
 
 mod align;
+pub mod cells;
 mod config;
 mod dense;
 mod distinct;

@@ -4,7 +4,7 @@
 use pb3dp_geometry::{Distortion, ImageSize, Pinhole};
 
 use super::*;
-use crate::surface::Cell;
+use crate::cells::Cell;
 
 const SIDE_PX: f64 = 16.0;
 

@@ -9,8 +9,8 @@ use pb3dp_geometry::{Camera, Pose, StereoRig, so3};
 
 use super::images::{EyeImages, LEVELS, Texel};
 use super::kernels::{CHANNELS, SurfaceGroup, ViewGroup, texel_at};
-use super::relief::Correlation;
 use super::view::View;
+use crate::kernels::Correlation;
 
 /// Points of a template, at most.
 const POINTS_MAX: usize = 64;

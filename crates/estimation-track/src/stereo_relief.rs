@@ -6,7 +6,8 @@ use pb3dp_estimation_core::wide::LANES;
 use super::align::{Aligner, Estimate, Problem, StartLevel};
 use super::kernels::SHAPE;
 use super::normal::Free;
-use super::relief::{Correlation, patches_of};
+use super::relief::patches_of;
+use crate::kernels::Correlation;
 
 /// Step between candidate offsets, pixels of disparity, and how many standard deviations they reach.
 const STEP_PX: f64 = 0.5;

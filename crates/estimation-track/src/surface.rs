@@ -11,6 +11,7 @@ use super::kernels::{LensGroup, SurfaceGroup};
 use super::lanes::Lanes;
 use super::relief::Relief;
 use super::shape::Shape;
+use crate::cells::{Cell, Cells};
 
 /// Sub-cells along a side of a cell: each gives its sharpest pixel, a cell is a group.
 const SUB_CELLS: usize = 4;
@@ -258,26 +259,6 @@ fn place_point(
             group.base[3 * k + axis].0[i] = *by as f32;
         }
     }
-}
-
-/// A cell and the pixels chosen in it, raw pixels.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Cell {
-    pub(super) column: usize,
-    pub(super) row: usize,
-    pub(super) pixels: Vec<[f64; 2]>,
-}
-
-/// Cells over a region.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Cells {
-    /// Centre of cell (0, 0), raw pixels.
-    pub(super) first_centre_px: [f64; 2],
-    /// Side of a cell, raw pixels.
-    pub(super) side_px: f64,
-    pub(super) columns: usize,
-    pub(super) rows: usize,
-    pub(super) cells: Vec<Cell>,
 }
 
 /// A pixel that might be chosen: column and row in its level, and how sharp it is.

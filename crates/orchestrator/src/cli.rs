@@ -1,17 +1,11 @@
 //! The command line.
 
-use std::path::PathBuf;
-
-use clap::{ArgGroup, Args, Parser, Subcommand};
-use pb3dp_cell::terminal::parse_seconds;
+use clap::{Parser, Subcommand};
 use pb3dp_commissioning::arm::ArmArgs;
 use pb3dp_commissioning::gateway::GatewayArgs;
 use pb3dp_commissioning::mock_arm::MockArmArgs;
-use pb3dp_estimation::estimator::Method;
-use pb3dp_record::dataset::TILT_LIMIT_DEG;
-use pb3dp_setup::region_spec::{REGION_HELP, RegionSpec};
-use pb3dp_wiring::ReplayPace;
 
+use crate::arguments::{EstimateArgs, RunArgs, TrackArgs};
 use crate::commands::calibrate::CalibrateArgs;
 use crate::commands::cameras::CamerasArgs;
 use crate::commands::doctor::DoctorArgs;
@@ -68,204 +62,6 @@ pub enum Command {
     Doctor(DoctorArgs),
 }
 
-/// Arguments of `pb3dp run`.
-#[derive(Debug, Args)]
-pub struct RunArgs {
-    /// The setup: one complete TOML file, for instance configs/sim.toml.
-    #[arg(long, value_name = "FILE")]
-    pub config: PathBuf,
-    /// Folder for report.html, summary.json and the recorded time series.
-    #[arg(long, value_name = "DIR", default_value = "out/run")]
-    pub out: PathBuf,
-    /// Seed of everything random, instead of `run.seed` of the setup: scene, noise, searches, camera faults and emulated arms.
-    #[arg(long, value_name = "N", value_parser = parse_seed, allow_hyphen_values = true)]
-    pub seed: Option<u64>,
-    /// End after this many seconds of the experiment.
-    #[arg(long, value_name = "SECONDS", value_parser = parse_seconds, allow_hyphen_values = true)]
-    pub stop_after: Option<f64>,
-    /// Also write every stereo pair with its truth as a sequence folder, for `pb3dp track`.
-    #[arg(long, value_name = "DIR")]
-    pub record: Option<PathBuf>,
-    /// The target in the first left picture of real cameras; it goes before camera.region of the setup.
-    #[arg(long, value_name = "REGION", help = format!("The target in the first left picture of real cameras; it goes before camera.region of the setup: {REGION_HELP}"))]
-    pub region: Option<RegionSpec>,
-    /// Move real arms by a calibration that says of itself that no cameras were measured (`calibration_quality`: none).
-    #[arg(long)]
-    pub nominal_calibration: bool,
-    /// Who tells the run what to do.
-    #[arg(long, value_enum, default_value_t = OperatorName::Command)]
-    pub operator: OperatorName,
-}
-
-/// Who tells a run what to do.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum OperatorName {
-    /// The command itself: it selects the target and starts once; what stops the arms ends the run.
-    Command,
-    /// A person, by lines on standard input: select, start, hold, resume, stop, reset, status, quit. Nothing moves before start; a stop
-    /// or fault does not end the run. Without --stop-after it ends after an hour at the latest.
-    Console,
-}
-
-/// Arguments that choose and tune the estimation method.
-#[derive(Debug, Args)]
-pub struct MethodArgs {
-    /// The estimation method by name.
-    #[arg(long, value_name = "NAME", default_value = Method::Direct.name(), help = method_help())]
-    pub method: String,
-    /// A TOML file with all of the method's parameters (copy configs/estimator.toml); without it the documented defaults.
-    #[arg(long, value_name = "FILE")]
-    pub config: Option<PathBuf>,
-    /// Another seed than the configuration's.
-    #[arg(long, value_name = "N", value_parser = parse_seed, allow_hyphen_values = true)]
-    pub seed: Option<u64>,
-    /// Depths to search, millimetres; overrides what a case or sequence says.
-    #[arg(long, value_name = "MIN,MAX", value_parser = parse_z_range, allow_hyphen_values = true)]
-    pub z_range: Option<ZRange>,
-    /// Largest tilt to search, degrees; overrides what a case or sequence says. Without either 60.
-    #[arg(long, value_name = "DEGREES", value_parser = parse_tilt, allow_hyphen_values = true)]
-    pub tilt_max: Option<f64>,
-    /// Give the best answer so far once a pair has taken this much time, milliseconds; a warning tells of it.
-    #[arg(long, value_name = "MS", value_parser = parse_deadline, allow_hyphen_values = true)]
-    pub deadline: Option<f64>,
-    /// One JSON object per line on standard output instead of a table.
-    #[arg(long)]
-    pub json: bool,
-    /// Write pictures with region, re-projected model and pose axes into this folder; `track` also writes one animated PNG, sequence.png.
-    #[arg(long, value_name = "DIR")]
-    pub overlay: Option<PathBuf>,
-}
-
-/// What the numbers of `pb3dp estimate --json` are.
-const ESTIMATE_JSON: &str = "Lines of --json (one per case):
-  case, method      their names
-  status            ok, weak-tilt, ambiguous, not-observable or error
-  z_mm              depth of the plane on the ray of the region's centroid, millimetres, or null
-  normal            3 numbers or null: unit normal of the plane along the axes of the left camera, towards the camera
-  fitness           how well the pictures agree, at most 1, or null
-  z_sigma_mm        standard deviation of z_mm, or null
-  normal_sigma_deg  standard deviation of the normal, degrees, or null
-  ms                CPU time of one thread from the pictures in memory to the pose, milliseconds
-  centroid_px       the point of the left picture on whose ray the depths are given
-  second_plane      z_mm, normal and share of another surface in the region, or null
-  row_offset_px     row of the right picture minus row of the left one (rectified), as measured, or null
-  reason            what led to the status
-  warnings          what may make the answer worse than it looks";
-
-/// Arguments of `pb3dp estimate`.
-#[derive(Debug, Args)]
-#[command(after_long_help = ESTIMATE_JSON, group = ArgGroup::new("pictures").required(true).args(["cases", "left"]))]
-pub struct EstimateArgs {
-    /// Every case folder (one with a case.json) under DIR; the format is described in docs/dataset-format.md.
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["left", "right", "calib", "region"])]
-    pub cases: Option<PathBuf>,
-    /// The left picture (PNG or JPEG).
-    #[arg(long, value_name = "FILE", requires_all = ["right", "calib", "region"])]
-    pub left: Option<PathBuf>,
-    /// The right picture.
-    #[arg(long, value_name = "FILE", requires = "left")]
-    pub right: Option<PathBuf>,
-    /// Calibration: our calib.json, a Kalibr camchain, an OpenCV stereo YAML (or intrinsics,extrinsics), or a ROS camera_info pair (a folder, or two files with a comma between).
-    #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',', requires = "left")]
-    pub calib: Vec<PathBuf>,
-    /// The object in the left picture.
-    #[arg(long, value_name = "REGION", help = format!("The object in the left picture: {REGION_HELP}"), requires = "left")]
-    pub region: Option<RegionSpec>,
-    /// Also search every hypothesis that a chromosome can express, so that search error and fitness error are told apart (slow; --method published only).
-    #[arg(long)]
-    pub reference_optimum: bool,
-    /// How to estimate.
-    #[command(flatten)]
-    pub method: MethodArgs,
-}
-
-/// What the numbers of `pb3dp track --json` are.
-const TRACK_JSON: &str =
-    "Lines of --json (one per frame; one per frame and target, with the key `target`, if there are several):
-  frame                counts from 0
-  target               only with --region: 0 is the target of the sequence, then those of --region in their order
-  t_s                  mid-exposure, seconds
-  status               ok, weak-tilt, ambiguous, not-observable, lost or error
-  cam_left_from_model  16 numbers, row by row, millimetres: maps the model's coordinates to the left camera's
-  covariance           36 numbers, row by row, or null: of xi = (x, y, z in mm, then a rotation vector in radians), both
-                       along the axes of the model, with true pose = cam_left_from_model * exp(xi)
-  fitness              how well the pictures agree, at most 1, or null
-  ms                   CPU time of one thread from the pictures in memory to the pose, milliseconds
-  reason               what led to the status
-  warnings             what may make the pose worse than it looks";
-
-/// Arguments of `pb3dp track`.
-#[derive(Debug, Args)]
-#[command(after_long_help = TRACK_JSON)]
-pub struct TrackArgs {
-    /// A sequence folder (one with a sequence.json); the format is described in docs/dataset-format.md.
-    #[arg(long, value_name = "DIR")]
-    pub sequence: PathBuf,
-    /// Frames as fast as they are worked on, or at the times of the recording.
-    #[arg(long, value_enum, default_value = "fast")]
-    pub pace: ReplayPace,
-    /// Further targets in the left picture of frame 0, beside that of the sequence.
-    #[arg(long, value_name = "REGION", help = format!("A further target in the left picture of frame 0, beside that of the sequence; may be given more than once: {REGION_HELP}"))]
-    pub region: Vec<RegionSpec>,
-    /// Write the recovered surface with its colours into this PLY file, in the frame of the model (direct only).
-    #[arg(long, value_name = "FILE")]
-    pub surface: Option<PathBuf>,
-    /// How to estimate.
-    #[command(flatten)]
-    pub method: MethodArgs,
-}
-
-/// Depths to search.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ZRange {
-    /// Nearest, millimetres.
-    pub min_mm: f64,
-    /// Farthest, millimetres.
-    pub max_mm: f64,
-}
-
-/// The methods by name, with what each is for.
-fn method_help() -> String {
-    let what = |method: Method| match method {
-        Method::Published => "RM-GA on hue votes, the method of the paper",
-        Method::Direct => "photometric, of any texture, with covariances; tracks in six degrees of freedom",
-    };
-    let all: Vec<String> = Method::ALL.iter().map(|&method| format!("{method} ({})", what(method))).collect();
-    format!("The estimation method by name: {}", all.join(", "))
-}
-
-pub(crate) fn parse_z_range(text: &str) -> Result<ZRange, String> {
-    let refuse = || format!("{text:?} is not MIN,MAX in millimetres with 0 < MIN < MAX, for instance 350,650");
-    let (min, max) = text.split_once(',').ok_or_else(refuse)?;
-    match (min.trim().parse::<f64>(), max.trim().parse::<f64>()) {
-        (Ok(min), Ok(max)) if min > 0.0 && min < max && max < 20.0 => {
-            Err(format!("{text:?} is in millimetres; did you mean {},{}?", 1e3 * min, 1e3 * max))
-        }
-        (Ok(min_mm), Ok(max_mm)) if min_mm > 0.0 && min_mm < max_mm && max_mm.is_finite() => {
-            Ok(ZRange { min_mm, max_mm })
-        }
-        _ => Err(refuse()),
-    }
-}
-
-fn parse_seed(text: &str) -> Result<u64, String> {
-    text.parse().map_err(|_| format!("{text:?} is not a whole number from 0 to {}", u64::MAX))
-}
-
-pub(crate) fn parse_tilt(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(degrees) if (0.0..=TILT_LIMIT_DEG).contains(&degrees) => Ok(degrees),
-        _ => Err(format!("{text:?}: must be between 0 and {TILT_LIMIT_DEG} degrees")),
-    }
-}
-
-fn parse_deadline(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(millis) if (0.0..=1e6).contains(&millis) => Ok(millis),
-        _ => Err(format!("{text:?}: must be between 0 and 1000000 milliseconds")),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use clap::CommandFactory;
@@ -275,29 +71,6 @@ mod tests {
     #[test]
     fn the_command_line_is_consistent() {
         Cli::command().debug_assert();
-    }
-
-    #[test]
-    fn ranges_are_checked() {
-        assert_eq!(parse_z_range("350, 650"), Ok(ZRange { min_mm: 350.0, max_mm: 650.0 }));
-        assert!(parse_z_range("0.25,0.55").unwrap_err().contains("millimetres; did you mean 250,550?"));
-        for bad in ["350", "650,350", "-1,5", "a,b", "1,inf"] {
-            assert!(parse_z_range(bad).unwrap_err().contains("MIN,MAX"), "{bad}");
-        }
-        assert!(
-            ["nan", "-1", "inf", "x"].iter().all(|bad| parse_seconds(bad).is_err()) && parse_seconds("2.5") == Ok(2.5)
-        );
-        assert!(["-1", "1.5", "x", ""].iter().all(|bad| parse_seed(bad).is_err()) && parse_seed("7") == Ok(7));
-        assert!(["85.01", "-1", "nan", "x"].iter().all(|bad| parse_tilt(bad).is_err()) && parse_tilt("45") == Ok(45.0));
-    }
-
-    #[test]
-    fn the_largest_tilt_is_that_of_the_estimators() {
-        let search = |deg: f64| pb3dp_estimation_core::plane_hypothesis::SearchRange::new(0.3, 0.6, deg.to_radians());
-        assert!(parse_tilt("85").is_ok_and(|deg| search(deg).is_ok()) && search(85.01).is_err());
-        let message = "must be between 0 and 85 degrees";
-        assert!(parse_tilt("85.01").is_err_and(|error| error.contains(message)));
-        assert!(search(85.01).is_err_and(|error| error.to_string().contains(message)));
     }
 
     #[test]

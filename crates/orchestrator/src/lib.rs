@@ -3,6 +3,7 @@
 //! This is the only crate that names backends, reads configuration files and the machine's clock. The library exists so
 //! that the system tests can run the commands; the binary is `pb3dp`.
 
+pub mod arguments;
 pub mod cli;
 pub mod commands;
 pub mod logging;

@@ -5,6 +5,7 @@ mod laws;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Flange, Frame, Hand, Model};
 
+use crate::config_error::{ConfigError, check};
 use crate::search::SearchConfig;
 
 pub use laws::{
@@ -114,18 +115,6 @@ pub struct Timeouts {
     pub joints_s: f64,
 }
 
-/// A number of the configuration that is refused.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("servo setting {key} is {value}: allowed is {allowed}")]
-pub struct ConfigError {
-    /// Name of the setting as a path of field names.
-    pub key: &'static str,
-    /// Its value.
-    pub value: f64,
-    /// What is allowed.
-    pub allowed: &'static str,
-}
-
 impl ControllerConfig {
     /// Checks every number.
     ///
@@ -181,16 +170,6 @@ impl Timeouts {
 }
 
 const TINY: f64 = 1e-6;
-
-pub(crate) fn check(
-    key: &'static str,
-    value: f64,
-    min: f64,
-    max: f64,
-    allowed: &'static str,
-) -> Result<(), ConfigError> {
-    if value >= min && value <= max { Ok(()) } else { Err(ConfigError { key, value, allowed }) }
-}
 
 fn check_pose<A: Frame, B: Frame>(key: &'static str, pose: &Pose<A, B>) -> Result<(), ConfigError> {
     let value = pose.translation_m().norm();

@@ -4,12 +4,14 @@ mod driving;
 
 use std::fmt;
 
+use driving::Pace;
 use pb3dp_geometry::frames::{Base, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::{Chain, Damping, JointLimits, JointState, JointVector};
 use pb3dp_safeguards::{Safeguard, is_off};
 
-use crate::config::{ConfigError, ControllerConfig};
+use crate::config::ControllerConfig;
+use crate::config_error::ConfigError;
 use crate::given_commands::GivenCommands;
 use crate::joint_history::JointHistory;
 use crate::known_target::KnownTarget;
@@ -17,7 +19,6 @@ use crate::law::pose_based::HandError;
 use crate::resolved_rate::{HandJacobian, Limitation};
 use crate::search::Search;
 use crate::target_filter::{ObservationVerdict, TargetObservation};
-use driving::Pace;
 
 /// What the arm shall do until the next step.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -5,9 +5,10 @@ use pb3dp_geometry::frames::{Base, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose, Twist};
 
 use crate::config::{
-    ConfigError, FeedForwardConfig, HybridConfig, ImageBasedConfig, LawConfig, PublishedConfig, TargetFilterConfig,
+    FeedForwardConfig, HybridConfig, ImageBasedConfig, LawConfig, PublishedConfig, TargetFilterConfig,
     UnstatedCovariance,
 };
+use crate::config_error::ConfigError;
 use crate::target_filter::{ObservationVerdict, TargetObservation, TargetTrack};
 use crate::target_state::{MeasurementVerdict, PoseMeasurement, Prediction, TargetState};
 

@@ -12,6 +12,7 @@
 //! limits, and the [`redundancy`] adds what the seventh joint can do.
 
 pub mod config;
+pub mod config_error;
 pub mod controller;
 pub mod given_commands;
 pub mod identification;
@@ -25,9 +26,10 @@ pub mod supervisor;
 pub mod target_filter;
 pub mod target_state;
 
+pub use crate::config_error::ConfigError;
 pub use config::{
-    ApproachConfig, ArmResponse, CartesianSpeed, ConfigError, ControllerConfig, DampingConfig, FeedForwardConfig,
-    FeedForwardGains, Gains, HybridConfig, ImageBasedConfig, LawConfig, PublishedConfig, RedundancyConfig, SpeedConfig,
+    ApproachConfig, ArmResponse, CartesianSpeed, ControllerConfig, DampingConfig, FeedForwardConfig, FeedForwardGains,
+    Gains, HybridConfig, ImageBasedConfig, LawConfig, PublishedConfig, RedundancyConfig, SpeedConfig,
     TargetFilterConfig, Timeouts, UnstatedCovariance,
 };
 pub use controller::{Command, ControlStep, Controller, HoldReason, Mode};

@@ -12,7 +12,7 @@ use nalgebra::Vector3;
 use pb3dp_geometry::frames::{Base, Hand};
 use pb3dp_geometry::{MonotonicTime, Pose, Twist, so3};
 
-use crate::config::{ConfigError, check};
+use crate::config_error::{ConfigError, check};
 
 /// The pattern and its bounds.
 #[derive(Clone, Copy, Debug, PartialEq)]

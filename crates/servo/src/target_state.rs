@@ -13,7 +13,7 @@ use nalgebra::{Matrix6, Vector3};
 use pb3dp_geometry::frames::{Base, Frame, Model};
 use pb3dp_geometry::{MonotonicTime, Pose, Twist, se3};
 
-use crate::config::ConfigError;
+use crate::config_error::ConfigError;
 
 mod bank;
 mod config;

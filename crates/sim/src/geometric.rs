@@ -301,9 +301,10 @@ fn facing(cam_left_from_target: &Pose<CamLeft, Target>) -> Pose<Target, Model> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use nalgebra::Matrix3;
     use pb3dp_geometry::{Distortion, ImageSize, Pinhole};
+
+    use super::*;
 
     const CONFIG: GeometricConfig = GeometricConfig {
         noise: PoseSigma { lateral_m: 2e-4, depth_m: 7e-4, tilt_rad: 3e-3, about_normal_rad: 1e-3 },

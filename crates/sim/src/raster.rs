@@ -22,8 +22,9 @@ use self::shade::{RUN_MAX, Scratch, shade_run};
 use self::triangle::ScreenTriangle;
 use self::view::View;
 use self::visibility::{NOTHING, TRIANGLE_BITS, Visibility, triangle_index};
-use crate::scene::{Scene, SceneObject, ScenePart, ScenePoses};
+use crate::scene::{Scene, ScenePoses};
 use crate::sensor::{NoiseKey, SensorConfig, SensorError};
+use crate::targets::part::{SceneObject, ScenePart};
 use crate::wide::wide;
 
 /// Light where nothing is seen, in 256ths of a grey level.
@@ -273,12 +274,13 @@ fn shade_surfaces_kernel(seen: &Seen<'_>, light: &mut [u16]) {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+    use pb3dp_geometry::{Camera, Distortion, Pinhole, Pose};
+
     use super::*;
     use crate::scene::SceneConfig;
     use crate::targets::TargetConfig;
     use crate::wide::tests::{has_two_versions, without_avx2};
-    use nalgebra::Vector3;
-    use pb3dp_geometry::{Camera, Distortion, Pinhole, Pose};
 
     #[test]
     fn both_versions_of_the_kernels_and_any_order_of_the_eyes_give_the_same_bytes() {

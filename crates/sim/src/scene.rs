@@ -1,13 +1,10 @@
 //! What stands in the simulated cell, and where at one moment.
 
-use std::sync::Arc;
-
 use nalgebra::Vector3;
 use pb3dp_geometry::frames::{CamLeft, Target, World};
 use pb3dp_geometry::{MonotonicTime, Pose};
 
-use crate::targets::mesh::Mesh;
-use crate::targets::texture::Texture;
+use crate::targets::part::{SceneError, ScenePart, check};
 use crate::targets::{self, BackdropConfig, TargetConfig, TargetModel};
 
 /// Where the moving things of the cell are at one moment. Metres.
@@ -33,41 +30,6 @@ impl PoseSource for ScenePoses {
     fn poses_at(&mut self, _at: MonotonicTime) -> ScenePoses {
         *self
     }
-}
-
-/// What a part of the scene is fixed to, and so the frame of its mesh.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Anchor {
-    /// The cell.
-    World,
-    /// The carried target.
-    Target,
-}
-
-/// What a pixel shows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SceneObject {
-    /// Nothing at all.
-    Nothing,
-    /// Walls, floor, ceiling.
-    Room,
-    /// The panel behind the target.
-    Backdrop,
-    /// The target.
-    Target,
-}
-
-/// One textured surface.
-#[derive(Clone, Debug)]
-pub struct ScenePart {
-    /// The surface, in the frame of its anchor.
-    pub mesh: Mesh,
-    /// Its colours.
-    pub texture: Arc<Texture>,
-    /// What it is fixed to.
-    pub anchor: Anchor,
-    /// What it belongs to.
-    pub object: SceneObject,
 }
 
 /// Light in the cell: even light from everywhere and one wide lamp, without shadows.
@@ -152,35 +114,6 @@ impl SceneConfig {
     pub fn new(target: TargetConfig) -> Self {
         Self { target, backdrop: Some(BackdropConfig::default()), lighting: Lighting::default(), seed: 1 }
     }
-}
-
-/// Why a scene was refused.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum SceneError {
-    /// A number is out of its range.
-    #[error("scene parameter {name} is {value}: set it between {min} and {max}")]
-    Parameter {
-        /// Which parameter.
-        name: &'static str,
-        /// Its value.
-        value: f64,
-        /// Smallest allowed.
-        min: f64,
-        /// Largest allowed.
-        max: f64,
-    },
-    /// More surfaces than the renderer can tell apart.
-    #[error("the scene has {parts} surfaces with up to {triangles} triangles: 4000 and 500000 are possible")]
-    TooLarge {
-        /// Number of parts.
-        parts: usize,
-        /// Number of triangles in all parts.
-        triangles: usize,
-    },
-}
-
-pub(crate) fn check(name: &'static str, value: f64, min: f64, max: f64) -> Result<(), SceneError> {
-    if (min..=max).contains(&value) { Ok(()) } else { Err(SceneError::Parameter { name, value, min, max }) }
 }
 
 /// Everything that can be seen.

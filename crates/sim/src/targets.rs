@@ -11,6 +11,7 @@ pub mod crab;
 pub mod mesh;
 pub mod outline;
 pub mod paint;
+pub mod part;
 pub mod potato;
 pub mod room;
 pub mod texture;
@@ -22,9 +23,10 @@ use nalgebra::{Point3, Vector3};
 pub use backdrop::BackdropConfig;
 pub use paint::Paint;
 
-use crate::scene::{Anchor, SceneError, SceneObject, ScenePart, check};
 use mesh::Mesh;
 use texture::Texture;
+
+use crate::targets::part::{Anchor, SceneError, SceneObject, ScenePart, check};
 
 /// Which target, and its shape.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,14 +1,16 @@
 //! What the renderer promises beside geometry: reproducibility, ground truth, motion blur, colours, refusals.
 #![allow(clippy::unwrap_used, clippy::panic)] // clippy allows them in #[test] functions only, not in their helpers.
 
-use crate::support::{distorted_rig, poses, rectified_rig, square_scene, turned};
 use image::RgbImage;
 use nalgebra::{Vector2, Vector3};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 use pb3dp_sim::raster::{RenderError, StereoRenderer};
-use pb3dp_sim::scene::{Highlight, Lighting, Scene, SceneConfig, SceneObject};
+use pb3dp_sim::scene::{Highlight, Lighting, Scene, SceneConfig};
 use pb3dp_sim::sensor::SensorConfig;
 use pb3dp_sim::targets::TargetConfig;
+use pb3dp_sim::targets::part::SceneObject;
+
+use crate::support::{distorted_rig, poses, rectified_rig, square_scene, turned};
 
 fn crab_renderer(sensor: &SensorConfig, seed: u32) -> StereoRenderer {
     let scene = Scene::build(&SceneConfig::new(TargetConfig::crab(0.015))).unwrap();

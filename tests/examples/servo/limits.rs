@@ -1,6 +1,6 @@
 //! What the servo must keep.
 
-use pb3dp_cell::summary::RmsMax;
+use pb3dp_cell::figures::RmsMax;
 
 use crate::cases::Approached;
 use crate::runs::{Fig7, Response, Step};

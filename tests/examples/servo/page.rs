@@ -3,8 +3,8 @@
 use std::fmt::Write as _;
 
 use nalgebra::UnitQuaternion;
+use pb3dp_cell::figures::RmsMax;
 use pb3dp_cell::log::{ControlSample, RunLog};
-use pb3dp_cell::summary::RmsMax;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Hand, World};
 use pb3dp_record::report::{LinePlot, Series, SeriesColor, svg_file};

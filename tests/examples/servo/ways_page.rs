@@ -106,7 +106,7 @@ pub fn law_table(laws: &[LawFindings]) -> String {
     );
     for LawFindings { law, fig7, .. } in laws {
         let locked = &fig7.summary.locked;
-        let rms = |error: Option<pb3dp_cell::summary::RmsMax>, digits| number(error.map(|error| error.rms), digits);
+        let rms = |error: Option<pb3dp_cell::figures::RmsMax>, digits| number(error.map(|error| error.rms), digits);
         let lags = fig7.summary.channels.iter().filter_map(|channel| channel.lag_s);
         let lag_s = lags.max_by(|a, b| a.abs().total_cmp(&b.abs()));
         let _ = writeln!(

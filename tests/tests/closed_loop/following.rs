@@ -1,8 +1,8 @@
 //! The hand follows what it can see, keeps its limits, and rests where it can not see.
 
 use pb3dp_cell::experiment;
+use pb3dp_cell::figures::TrackingError;
 use pb3dp_cell::log::RunLog;
-use pb3dp_cell::summary::TrackingError;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_hal_api::JointCommand;
 use pb3dp_kinematics::DOF;

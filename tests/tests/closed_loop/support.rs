@@ -2,9 +2,9 @@
 
 use nalgebra::Vector3;
 use pb3dp_cell::experiment;
+use pb3dp_cell::figures::TrackingError;
 use pb3dp_cell::journal::Outcome;
 use pb3dp_cell::log::{ControlSample, RunLog};
-use pb3dp_cell::summary::TrackingError;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, StereoRig};
 use pb3dp_setup::setup::{Leader, Setup, read_setup};

@@ -20,8 +20,9 @@ use anyhow::Context;
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Matrix3x2, RowVector3, Vector2, Vector3};
 use pb3dp_geometry::{Camera, StereoRig};
 use pb3dp_sim::raster::{GroundTruth, StereoRenderer};
-use pb3dp_sim::scene::{Scene, SceneObject, ScenePoses};
+use pb3dp_sim::scene::{Scene, ScenePoses};
 use pb3dp_sim::sensor::SensorConfig;
+use pb3dp_sim::targets::part::SceneObject;
 
 use super::cell::{OFFSET_GREY, Setup};
 use super::scenes::{moved, sensor};

@@ -6,9 +6,10 @@ use std::sync::Arc;
 use anyhow::Context;
 use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
-use pb3dp_sim::scene::{Anchor, Highlight, Lighting, Scene, SceneObject, ScenePart};
+use pb3dp_sim::scene::{Highlight, Lighting, Scene};
 use pb3dp_sim::sensor::{EyeResponse, SensorConfig};
 use pb3dp_sim::targets::mesh::Mesh;
+use pb3dp_sim::targets::part::{Anchor, SceneObject, ScenePart};
 use pb3dp_sim::targets::texture::{Colour, Texture, colour_from_hsv};
 use pb3dp_sim::targets::{BackdropConfig, Paint, TargetModel, backdrop, build_painted};
 

@@ -6,7 +6,8 @@ use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::frames::{CamLeft, Target, World};
 use pb3dp_geometry::{Camera, Frame, Pose};
 use pb3dp_sim::raster::{GroundTruth, StereoRenderer};
-use pb3dp_sim::scene::{SceneObject, ScenePoses};
+use pb3dp_sim::scene::ScenePoses;
+use pb3dp_sim::targets::part::SceneObject;
 
 use super::cell::{Cell, RegionKind};
 use super::random::Random;

@@ -9,9 +9,10 @@ use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::frames::{CamLeft, Target, World};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 use pb3dp_sim::raster::StereoRenderer;
-use pb3dp_sim::scene::{Anchor, Lighting, Scene, SceneObject, ScenePart, ScenePoses};
+use pb3dp_sim::scene::{Lighting, Scene, ScenePoses};
 use pb3dp_sim::sensor::SensorConfig;
 use pb3dp_sim::targets::mesh::Mesh;
+use pb3dp_sim::targets::part::{Anchor, SceneObject, ScenePart};
 use pb3dp_sim::targets::{BackdropConfig, Paint, TargetModel, backdrop, build_painted};
 
 /// Seed of textures and noise.

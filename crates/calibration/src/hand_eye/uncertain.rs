@@ -9,7 +9,8 @@ use super::adjust::adjust;
 use super::model::{POSE, Place, Seen, Setting, State};
 use crate::adjust as head;
 use crate::depth::triangulated;
-use crate::fit::{rig_of, sides};
+use crate::fit::sides;
+use crate::fitted_rig::rig_of;
 use crate::lens::LensModel;
 
 /// The covariance of a stereo calibration, as its file has it.

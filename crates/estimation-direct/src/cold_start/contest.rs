@@ -5,7 +5,8 @@
 //! more. What they say decides, and where the levels disagree, or finer pixels leave two of them nearly equal, the outcome
 //! names the other one.
 
-use super::{ColdStart, Descent, OVERLAP_OF_ALIAS, Rival, Surface, surface_score};
+use super::{ColdStart, Descent, OVERLAP_OF_ALIAS, Surface};
+use crate::outcome::{Rival, surface_score};
 
 /// Candidates with this share of the best one's score, on the level where that is lower, are compared again.
 const NEAR_SCORE: f64 = 0.6;

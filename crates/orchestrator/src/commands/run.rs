@@ -22,7 +22,7 @@ use pb3dp_setup::region_spec::RegionSpec;
 use pb3dp_setup::setup::{CalibrationInUse, Pace, Setup, read_setup};
 use pb3dp_wiring::{Wired, accept_nominal, wire_watched, write_flights};
 
-use crate::cli::{OperatorName, RunArgs};
+use crate::arguments::{OperatorName, RunArgs};
 use crate::logging::last_words;
 
 /// A run in which the hand followed for a smaller share of the time is pointed out.

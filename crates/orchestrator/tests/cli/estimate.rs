@@ -8,8 +8,8 @@ use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_record::calibration_files::{save_json, save_kalibr, save_opencv, save_ros_pair};
 use pb3dp_record::dataset::{CaseDraft, Hardness, PlaneTruth, SearchRange, write_case};
 use pb3dp_record::images::{PictureFormat, save};
-use pb3dp_sim::scene::SceneObject;
 use pb3dp_sim::targets::TargetConfig;
+use pb3dp_sim::targets::part::SceneObject;
 use serde_json::Value;
 
 use crate::cli::support::*;

@@ -2,7 +2,8 @@
 
 use pb3dp_kinematics::JointVector;
 
-use super::{ConfigError, TINY, check};
+use super::TINY;
+use crate::config_error::{ConfigError, check};
 use crate::target_state::TargetStateConfig;
 
 /// Which law leads the hand, with its numbers.

@@ -1,6 +1,6 @@
 //! The numbers of the target's state, and the check that refuses bad ones.
 
-use crate::config::{ConfigError, check};
+use crate::config_error::{ConfigError, check};
 
 /// Everything that [`crate::TargetState::new`] needs.
 #[derive(Clone, Copy, Debug, PartialEq)]

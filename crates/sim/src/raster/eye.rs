@@ -10,8 +10,9 @@ use super::triangle::{PartPose, ScreenTriangle, collect_triangles};
 use super::view::View;
 use super::visibility::Visibility;
 use super::{RenderError, shade};
-use crate::scene::{Anchor, Scene, ScenePoses};
+use crate::scene::{Scene, ScenePoses};
 use crate::sensor::{Developer, EyeResponse, NoiseKey, SensorConfig};
+use crate::targets::part::Anchor;
 
 /// One camera, with all that it needs to render: both can work at the same time.
 #[derive(Clone, Debug)]

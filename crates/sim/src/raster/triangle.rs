@@ -8,7 +8,8 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::view::{PixelBox, RayRange, View};
-use crate::scene::{Lighting, ScenePart};
+use crate::scene::Lighting;
+use crate::targets::part::ScenePart;
 
 /// A linear function of the ray: `a x + b y + c`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -8,7 +8,7 @@ use super::card::whole_face;
 use super::mesh::box_faces;
 use super::texture::{Colour, Texture, colour_from_hsv, mix_colours, painted_once};
 use crate::noise::{ScatteredPoints, ValueNoise, hash, smooth_step};
-use crate::scene::{Anchor, SceneError, SceneObject, ScenePart, check};
+use crate::targets::part::{Anchor, SceneError, SceneObject, ScenePart, check};
 
 /// Thickness of the panel, metres.
 const THICKNESS_M: f64 = 0.008;

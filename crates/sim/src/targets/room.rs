@@ -7,7 +7,7 @@ use nalgebra::{Point3, Vector2};
 use super::mesh::{Face, Mesh};
 use super::texture::{Colour, Texture, colour_from_hsv, mix_colours, painted_once};
 use crate::noise::{ValueNoise, hash, smooth_step};
-use crate::scene::{Anchor, SceneObject, ScenePart};
+use crate::targets::part::{Anchor, SceneObject, ScenePart};
 
 /// Half the width of the room in x and y of `world`, metres.
 const HALF_WIDTH_M: f64 = 3.2;

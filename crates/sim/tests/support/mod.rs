@@ -8,10 +8,11 @@ use nalgebra::{Matrix3, Point3, Quaternion, UnitQuaternion, Vector2, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 use pb3dp_sim::raster::StereoRenderer;
-use pb3dp_sim::scene::{Anchor, Lighting, Scene, SceneObject, ScenePart, ScenePoses};
+use pb3dp_sim::scene::{Lighting, Scene, ScenePoses};
 use pb3dp_sim::sensor::SensorConfig;
 use pb3dp_sim::targets::TargetModel;
 use pb3dp_sim::targets::mesh::Mesh;
+use pb3dp_sim::targets::part::{Anchor, SceneObject, ScenePart};
 use pb3dp_sim::targets::texture::{Colour, Texture};
 
 pub const SIZE: ImageSize = ImageSize { width: 640, height: 480 };

@@ -13,7 +13,7 @@ use pb3dp_record::dataset::{self, Case, load_case};
 use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
 use pb3dp_setup::region_spec::load_region;
 
-use crate::cli::{EstimateArgs, MethodArgs};
+use crate::arguments::{EstimateArgs, MethodArgs};
 
 /// Everything that an estimate needs, in memory.
 pub struct Job {

@@ -19,7 +19,7 @@ use pb3dp_wiring::wire_replay;
 use self::output::TrackLine;
 use self::overlays::Overlays;
 use self::walk::Walk;
-use crate::cli::TrackArgs;
+use crate::arguments::TrackArgs;
 
 /// A replay does not wait for pictures, so this only bounds what can not happen.
 const PAIR_TIMEOUT: Duration = Duration::from_secs(10);

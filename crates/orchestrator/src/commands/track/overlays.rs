@@ -11,7 +11,7 @@ use pb3dp_record::overlay::{Animation, AnimationLimits};
 
 use super::super::overlay_folder::make_overlay_folder;
 use super::walk::{Found, Outcome};
-use crate::cli::MethodArgs;
+use crate::arguments::MethodArgs;
 
 /// Pictures per frame and one animated picture of all, if they are wanted.
 pub struct Overlays {

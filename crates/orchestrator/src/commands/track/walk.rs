@@ -20,7 +20,7 @@ use pb3dp_setup::region_spec::{RegionSpec, load_region};
 
 use super::super::estimate::estimator_config;
 use super::super::estimate::job::{overridden, range_of_dataset};
-use crate::cli::TrackArgs;
+use crate::arguments::TrackArgs;
 
 /// All targets of a sequence.
 pub struct Walk {

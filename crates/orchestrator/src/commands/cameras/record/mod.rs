@@ -27,7 +27,7 @@ use serde::Serialize;
 use self::recorder::{Failure, Missing, Outcome, Plan, record};
 use super::choice::{CameraChoice, Chosen, ChosenTarget, check_size};
 use super::stop_requested;
-use crate::cli::{ZRange, parse_tilt, parse_z_range};
+use crate::arguments::{ZRange, parse_tilt, parse_z_range};
 use crate::commands::doctor::free_bytes;
 
 /// What the exit code and `--json` say.

@@ -1,0 +1,70 @@
+//! Parts of a scene, and why one is refused.
+
+use std::sync::Arc;
+
+use crate::targets::mesh::Mesh;
+use crate::targets::texture::Texture;
+
+/// What a part of the scene is fixed to, and so the frame of its mesh.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Anchor {
+    /// The cell.
+    World,
+    /// The carried target.
+    Target,
+}
+
+/// What a pixel shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SceneObject {
+    /// Nothing at all.
+    Nothing,
+    /// Walls, floor, ceiling.
+    Room,
+    /// The panel behind the target.
+    Backdrop,
+    /// The target.
+    Target,
+}
+
+/// One textured surface.
+#[derive(Clone, Debug)]
+pub struct ScenePart {
+    /// The surface, in the frame of its anchor.
+    pub mesh: Mesh,
+    /// Its colours.
+    pub texture: Arc<Texture>,
+    /// What it is fixed to.
+    pub anchor: Anchor,
+    /// What it belongs to.
+    pub object: SceneObject,
+}
+
+/// Why a scene was refused.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SceneError {
+    /// A number is out of its range.
+    #[error("scene parameter {name} is {value}: set it between {min} and {max}")]
+    Parameter {
+        /// Which parameter.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// Smallest allowed.
+        min: f64,
+        /// Largest allowed.
+        max: f64,
+    },
+    /// More surfaces than the renderer can tell apart.
+    #[error("the scene has {parts} surfaces with up to {triangles} triangles: 4000 and 500000 are possible")]
+    TooLarge {
+        /// Number of parts.
+        parts: usize,
+        /// Number of triangles in all parts.
+        triangles: usize,
+    },
+}
+
+pub(crate) fn check(name: &'static str, value: f64, min: f64, max: f64) -> Result<(), SceneError> {
+    if (min..=max).contains(&value) { Ok(()) } else { Err(SceneError::Parameter { name, value, min, max }) }
+}

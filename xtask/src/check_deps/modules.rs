@@ -1,0 +1,174 @@
+//! Circles between the modules of a package. A module is what `lib.rs` declares, with all that lies below it.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::rust_text::{code_only, paths, without_test_items};
+use crate::violation::Violation;
+use crate::workspace::SourceFile;
+
+/// Circles that are still there: the package's folder, and the modules. A line goes when its circle does; none is added.
+const KNOWN: [(&str, &[&str]); 0] = [];
+
+/// Modules of one package that take names from each other: from which to which, and a place where that happens.
+type Arrows<'a> = BTreeMap<(&'a str, &'a str), (&'a str, usize)>;
+
+/// Checks all packages.
+pub fn check(files: &[SourceFile]) -> Vec<Violation> {
+    check_against(files, &KNOWN)
+}
+
+fn check_against(files: &[SourceFile], known: &[(&str, &[&str])]) -> Vec<Violation> {
+    let mut packages: BTreeMap<&str, Vec<(&str, &SourceFile)>> = BTreeMap::new();
+    for file in files {
+        if let Some((package, inside)) = product_file(&file.path) {
+            packages.entry(package).or_default().push((inside, file));
+        }
+    }
+    let mut violations = Vec::new();
+    for (package, files) in &packages {
+        let arrows = arrows(files);
+        let circles = circles(&arrows);
+        for circle in &circles {
+            let is_known = known.iter().any(|(of, modules)| of == package && circle.iter().eq(modules.iter()));
+            if !is_known {
+                violations.push(of_circle(package, circle, &arrows));
+            }
+        }
+        for (_, modules) in known.iter().filter(|(of, _)| of == package) {
+            if !circles.iter().any(|circle| circle.iter().eq(modules.iter())) {
+                let message = format!(
+                    "the circle {modules:?} is gone: take its line out of KNOWN in xtask/src/check_deps/modules.rs"
+                );
+                violations.push(Violation::of(package, "module-circle", message));
+            }
+        }
+    }
+    violations
+}
+
+/// The package's folder and the path below its `src`, of a file that is product code.
+fn product_file(path: &str) -> Option<(&str, &str)> {
+    let (package, inside) = path.split_once("/src/")?;
+    let is_test = inside.ends_with("_tests.rs") || inside.split('/').any(|part| part == "tests" || part == "tests.rs");
+    let is_ours = (package.starts_with("crates/") || package.starts_with("hal/")) && package.matches('/').count() == 1;
+    (is_ours && !is_test).then_some((package, inside))
+}
+
+/// The module path of a file: `a/b.rs` and `a/b/mod.rs` are `[a, b]`, the root of a package is empty.
+fn module_of(inside: &str) -> Vec<&str> {
+    let mut parts: Vec<&str> = inside.trim_end_matches(".rs").split('/').collect();
+    if parts.last().is_some_and(|last| ["mod", "lib", "main"].contains(last)) {
+        parts.pop();
+    }
+    parts
+}
+
+fn arrows<'a>(files: &[(&'a str, &'a SourceFile)]) -> Arrows<'a> {
+    let tops: BTreeSet<&str> = files.iter().filter_map(|(inside, _)| module_of(inside).first().copied()).collect();
+    let mut arrows = Arrows::new();
+    for (inside, file) in files {
+        let module = module_of(inside);
+        let Some(&from) = module.first() else { continue };
+        for (line, name) in paths(&without_test_items(&code_only(&file.text))) {
+            let Some(to) = top_of(&name, &module).and_then(|to| tops.get(to.as_str()).copied()) else { continue };
+            if to != from {
+                arrows.entry((from, to)).or_insert((&file.path, line));
+            }
+        }
+    }
+    arrows
+}
+
+/// The topmost module of a path that stands in `module`; none for what is not of this package.
+fn top_of(path: &str, module: &[&str]) -> Option<String> {
+    let mut parts = path.split("::").map(str::trim);
+    let ups = match parts.next()? {
+        "crate" => module.len(),
+        "super" => 1 + parts.clone().take_while(|part| *part == "super").count(),
+        _ => return None,
+    };
+    let inner = module.get(..module.len().checked_sub(ups)?)?;
+    match inner.first() {
+        Some(top) => Some((*top).to_owned()),
+        None => path.split("::").map(str::trim).find(|part| !["crate", "super"].contains(part)).map(str::to_owned),
+    }
+}
+
+/// Sets of modules each of which leads to every other one, sorted.
+fn circles<'a>(arrows: &Arrows<'a>) -> Vec<Vec<&'a str>> {
+    let modules: BTreeSet<&str> = arrows.keys().flat_map(|(from, to)| [*from, *to]).collect();
+    let reach: BTreeMap<&str, BTreeSet<&str>> =
+        modules.iter().map(|module| (*module, reachable(module, arrows))).collect();
+    let mut circles: BTreeSet<Vec<&str>> = BTreeSet::new();
+    for module in &modules {
+        let back = |other: &&&str| reach[module].contains(**other) && reach[**other].contains(module);
+        let circle: Vec<&str> = modules.iter().filter(back).copied().collect();
+        if circle.len() > 1 {
+            circles.insert(circle);
+        }
+    }
+    circles.into_iter().collect()
+}
+
+fn reachable<'a>(start: &str, arrows: &Arrows<'a>) -> BTreeSet<&'a str> {
+    let mut found = BTreeSet::new();
+    let mut open: Vec<&str> = vec![start];
+    while let Some(module) = open.pop() {
+        for (_, to) in arrows.keys().filter(|(from, _)| *from == module) {
+            if found.insert(*to) {
+                open.push(to);
+            }
+        }
+    }
+    found
+}
+
+fn of_circle(package: &str, circle: &[&str], arrows: &Arrows<'_>) -> Violation {
+    let within = arrows.iter().filter(|((from, to), _)| circle.contains(from) && circle.contains(to));
+    let ties: Vec<String> =
+        within.map(|((from, to), (file, line))| format!("{from} -> {to} ({file}:{line})")).collect();
+    let message = format!("the modules {circle:?} form a circle: {}; move what both need below them", ties.join(", "));
+    Violation::of(package, "module-circle", message)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn files(texts: &[(&str, &str)]) -> Vec<SourceFile> {
+        texts.iter().map(|(path, text)| SourceFile { path: (*path).to_owned(), text: (*text).to_owned() }).collect()
+    }
+
+    #[test]
+    fn a_planted_circle_is_found_with_its_places() {
+        let planted = files(&[
+            ("crates/a/src/lib.rs", "pub mod one; pub mod two; pub mod three;"),
+            ("crates/a/src/one.rs", "use crate::two::B;\nmod inner;"),
+            ("crates/a/src/one/inner.rs", "use super::super::three::C;"),
+            ("crates/a/src/two/mod.rs", "use super::{one::A};"),
+            ("crates/a/src/three.rs", "pub struct C;"),
+        ]);
+        let [violation] = &check_against(&planted, &[])[..] else { panic!("one circle") };
+        assert!(violation.message.contains(r#"["one", "two"]"#), "{violation}");
+        assert!(violation.message.contains("two -> one (crates/a/src/two/mod.rs:1)"), "{violation}");
+        assert!(check_against(&planted, &[("crates/a", &["one", "two"])]).is_empty());
+    }
+
+    #[test]
+    fn below_a_module_and_in_tests_names_go_both_ways() {
+        let sound = files(&[
+            ("hal/a/src/one.rs", "use self::inner::B;\nmod inner;\nuse crate::two::C;"),
+            ("hal/a/src/one/inner.rs", "use super::A;"),
+            ("hal/a/src/two.rs", "#[cfg(test)]\nmod tests { use crate::one::A; }"),
+            ("hal/a/src/two_tests.rs", "use crate::one::A;"),
+        ]);
+        assert_eq!(check_against(&sound, &[]), []);
+    }
+
+    #[test]
+    fn a_circle_that_is_gone_is_no_longer_known() {
+        let sound = files(&[("crates/a/src/one.rs", "use crate::two::B;"), ("crates/a/src/two.rs", "struct B;")]);
+        let found = check_against(&sound, &[("crates/a", &["one", "two"])]);
+        assert!(found.len() == 1 && found[0].message.contains("is gone"), "{found:?}");
+    }
+}
