@@ -16,7 +16,7 @@ const METHODS: [&str; 2] = ["direct", "published"];
 const CASES: &str = "tests/data/cases";
 
 /// Keys whose values the clock or the commit decides, at any depth of a JSON document.
-const TIMES: [&str; 5] = ["ms", "latency_p50_millis", "latency_p99_millis", "duration", "commit"];
+const NOT_COMPARED: [&str; 5] = ["ms", "latency_p50_millis", "latency_p99_millis", "duration", "commit"];
 
 /// Lines that differ and are shown, of each answer.
 const SHOWN: usize = 5;
@@ -92,22 +92,27 @@ fn checked_out(workspace: &Workspace, commit: &str, folder: &Path) -> anyhow::Re
         .output_of("git", &["rev-parse", "--verify", &wanted])
         .with_context(|| format!("--before {commit}: git knows no such commit"))?;
     let root = folder.join(&commit);
-    let index = folder.join(format!("{commit}.index"));
+    let (index, begun) = (folder.join(format!("{commit}.index")), folder.join("begun"));
     if !root.is_dir() {
-        fs::create_dir_all(&root).with_context(|| format!("cannot make {}", root.display()))?;
+        // Under another name until it is whole: a checkout that is cut short is not taken for one.
+        if begun.is_dir() {
+            fs::remove_dir_all(&begun).with_context(|| format!("cannot remove {}", begun.display()))?;
+        }
+        fs::create_dir_all(&begun).with_context(|| format!("cannot make {}", begun.display()))?;
         let git = || {
             let mut command = workspace.command("git");
             command.env("GIT_INDEX_FILE", &index);
             command
         };
         run_visibly(git().args(["read-tree", &commit]))?;
-        run_visibly(git().args(["checkout-index", "--all"]).arg(format!("--prefix={}/", root.display())))?;
+        run_visibly(git().args(["checkout-index", "--all"]).arg(format!("--prefix={}/", begun.display())))?;
+        fs::rename(&begun, &root).with_context(|| format!("cannot make {}", root.display()))?;
     }
     Ok(Tree { root, target: folder.join("target") })
 }
 
 impl Tree {
-    /// A release build of a program; what it is called as well as what it is called by.
+    /// A cargo command with optimisation in this tree: the first word is the subcommand.
     fn cargo(&self, workspace: &Workspace, words: &[&str]) -> Command {
         let mut command = workspace.cargo();
         command.current_dir(&self.root).env("CARGO_TARGET_DIR", &self.target);
@@ -186,7 +191,7 @@ fn without_times(value: Value) -> Value {
     match value {
         Value::Object(entries) => entries
             .into_iter()
-            .filter(|(key, _)| !TIMES.contains(&key.as_str()))
+            .filter(|(key, _)| !NOT_COMPARED.contains(&key.as_str()))
             .map(|(key, value)| (key, without_times(value)))
             .collect(),
         Value::Array(entries) => entries.into_iter().map(without_times).collect(),

@@ -333,7 +333,7 @@ fn check_package(package: &Package, ours: &[&str]) -> Vec<Violation> {
     }
     if package.name != SEES_NOTHING && !SERDE_USERS.contains(&package.name.as_str()) {
         for name in package.dependencies.iter().filter(|name| SERDE_CRATES.contains(&name.as_str())) {
-            let message = format!("must not depend on {name}: files are read and written by record and orchestrator");
+            let message = format!("must not depend on {name}: files are read and written by {SERDE_USERS:?}");
             violations.push(Violation::of(&place, "serde", message));
         }
     }

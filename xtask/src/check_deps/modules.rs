@@ -6,44 +6,22 @@ use crate::rust_text::{code_only, paths, without_test_items};
 use crate::violation::Violation;
 use crate::workspace::SourceFile;
 
-/// Circles that are still there: the package's folder, and the modules. A line goes when its circle does; none is added.
-const KNOWN: [(&str, &[&str]); 0] = [];
-
 /// Modules of one package that take names from each other: from which to which, and a place where that happens.
 type Arrows<'a> = BTreeMap<(&'a str, &'a str), (&'a str, usize)>;
 
 /// Checks all packages.
 pub fn check(files: &[SourceFile]) -> Vec<Violation> {
-    check_against(files, &KNOWN)
-}
-
-fn check_against(files: &[SourceFile], known: &[(&str, &[&str])]) -> Vec<Violation> {
     let mut packages: BTreeMap<&str, Vec<(&str, &SourceFile)>> = BTreeMap::new();
     for file in files {
         if let Some((package, inside)) = product_file(&file.path) {
             packages.entry(package).or_default().push((inside, file));
         }
     }
-    let mut violations = Vec::new();
-    for (package, files) in &packages {
+    let of_package = |(package, files): (&&str, &Vec<(&str, &SourceFile)>)| {
         let arrows = arrows(files);
-        let circles = circles(&arrows);
-        for circle in &circles {
-            let is_known = known.iter().any(|(of, modules)| of == package && circle.iter().eq(modules.iter()));
-            if !is_known {
-                violations.push(of_circle(package, circle, &arrows));
-            }
-        }
-        for (_, modules) in known.iter().filter(|(of, _)| of == package) {
-            if !circles.iter().any(|circle| circle.iter().eq(modules.iter())) {
-                let message = format!(
-                    "the circle {modules:?} is gone: take its line out of KNOWN in xtask/src/check_deps/modules.rs"
-                );
-                violations.push(Violation::of(package, "module-circle", message));
-            }
-        }
-    }
-    violations
+        circles(&arrows).iter().map(|circle| of_circle(package, circle, &arrows)).collect::<Vec<_>>()
+    };
+    packages.iter().flat_map(of_package).collect()
 }
 
 /// The package's folder and the path below its `src`, of a file that is product code.
@@ -148,10 +126,9 @@ mod tests {
             ("crates/a/src/two/mod.rs", "use super::{one::A};"),
             ("crates/a/src/three.rs", "pub struct C;"),
         ]);
-        let [violation] = &check_against(&planted, &[])[..] else { panic!("one circle") };
+        let [violation] = &check(&planted)[..] else { panic!("one circle") };
         assert!(violation.message.contains(r#"["one", "two"]"#), "{violation}");
         assert!(violation.message.contains("two -> one (crates/a/src/two/mod.rs:1)"), "{violation}");
-        assert!(check_against(&planted, &[("crates/a", &["one", "two"])]).is_empty());
     }
 
     #[test]
@@ -162,13 +139,6 @@ mod tests {
             ("hal/a/src/two.rs", "#[cfg(test)]\nmod tests { use crate::one::A; }"),
             ("hal/a/src/two_tests.rs", "use crate::one::A;"),
         ]);
-        assert_eq!(check_against(&sound, &[]), []);
-    }
-
-    #[test]
-    fn a_circle_that_is_gone_is_no_longer_known() {
-        let sound = files(&[("crates/a/src/one.rs", "use crate::two::B;"), ("crates/a/src/two.rs", "struct B;")]);
-        let found = check_against(&sound, &[("crates/a", &["one", "two"])]);
-        assert!(found.len() == 1 && found[0].message.contains("is gone"), "{found:?}");
+        assert_eq!(check(&sound), []);
     }
 }

@@ -13,7 +13,7 @@ struct World {
 /// Byte links, signals and real-time scheduling, for all backends.
 const PLATFORM: &str = "hal/platform/";
 
-/// The folders of the arm's crates that do I/O; the rest is told bytes and time.
+/// The folders of the arm's crates that do I/O; the rest receives bytes and time.
 const ARM: &str = "hal/arm-pa10/src/arm/";
 const ARM_BUS: &str = "hal/arm-pa10/src/bus/";
 const ARM_SERIAL: &str = "hal/arm-pa10/src/serial/";
@@ -229,7 +229,7 @@ fn serde_derives(path: &str, code: &str) -> Vec<Violation> {
     for (at, mark) in code.match_indices("derive(") {
         let derived = code[at + mark.len()..].split(')').next().unwrap_or_default();
         if SERDE_TRAITS.iter().any(|name| derived.contains(name)) {
-            let message = "serde derives stand in setup, cell, record and orchestrator only: give the file format a type of its own there";
+            let message = "serde derives stand in setup, cell, commissioning, record and orchestrator only: give the file format a type of its own there";
             violations.push(Violation::at(path, line_at(code, at), "serde", message));
         }
     }
