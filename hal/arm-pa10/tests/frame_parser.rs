@@ -49,6 +49,13 @@ fn stream(frames: &[Frame]) -> Vec<u8> {
     frames.iter().flat_map(|frame| frame.encode().as_slice().to_vec()).collect()
 }
 
+/// Whether a frame that nobody sent stands at the head of these bytes, sound to the bit.
+///
+/// The CRC has 16 bits: one damaged frame in 65 536 passes, with bytes of the frame behind it at its end. No parser can tell.
+fn is_sound_by_chance(found: &Frame, sent: &[Frame], damaged: &[u8]) -> bool {
+    !sent.contains(found) && damaged.starts_with(found.encode().as_slice())
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(1000))]
 
@@ -106,14 +113,13 @@ proptest! {
     ) {
         let whole = hit.encode();
         let keep = keep % whole.len();
-        let mut bytes = stream(&[before]);
-        bytes.extend(&whole[..keep]);
-        bytes.extend(stream(&after));
-        let (found, _) = parse(&bytes, piece);
+        let damaged = [&whole[..keep], &stream(&after)].concat();
+        let (found, _) = parse(&[stream(&[before]), damaged.clone()].concat(), piece);
         let without_hit: Vec<Frame> = [before].into_iter().chain(after.iter().copied()).collect();
         // Where the missing end is the same as the beginning of the next frame, it is that one whose beginning is missing.
         let without_next: Vec<Frame> = [before, hit].into_iter().chain(after[1..].iter().copied()).collect();
-        prop_assert!(found == without_hit || found == without_next, "{found:?}");
+        let chance = found.get(1).is_some_and(|frame| is_sound_by_chance(frame, &without_next, &damaged));
+        prop_assert!(found == without_hit || found == without_next || chance, "{found:?}");
     }
 
     #[test]
@@ -126,12 +132,12 @@ proptest! {
         if double {
             damaged.splice(at..at, [byte, byte]);
         }
-        let mut bytes = stream(&[before]);
-        bytes.extend(&damaged);
-        bytes.extend(stream(&[after]));
-        let (found, _) = parse(&bytes, 64);
-        let lost = [before, hit, after].iter().filter(|frame| !found.contains(frame)).count();
-        prop_assert!(found.contains(&before) && lost <= 1, "{found:?}");
+        damaged.extend(stream(&[after]));
+        let (found, _) = parse(&[stream(&[before]), damaged.clone()].concat(), 64);
+        let sent = [before, hit, after];
+        let lost = sent.iter().filter(|frame| !found.contains(frame)).count();
+        let chance = found.get(1).is_some_and(|frame| is_sound_by_chance(frame, &sent, &damaged));
+        prop_assert!(found.contains(&before) && (lost <= 1 || chance), "{found:?}");
     }
 
     #[test]
@@ -182,6 +188,23 @@ fn a_missing_end_that_the_next_frame_begins_with_costs_one_frame() {
     let mut bytes = whole[..whole.len() - 1].to_vec();
     bytes.extend(stream(&[next, last]));
     assert_eq!(parse(&bytes, 64).0, [hit, last]);
+}
+
+#[test]
+fn a_frame_that_is_sound_by_chance_costs_the_frames_that_it_reaches_into() {
+    let (next, last) = (frame(&[1]), frame(&[2]));
+    let behind = stream(&[next, last]);
+    let with_a_byte_lost = |payload: u32| {
+        let whole = frame(&payload.to_le_bytes()).encode();
+        [&whole[..17], &whole[18..], &behind].concat()
+    };
+    let taken_for_sound: Vec<_> =
+        (0..500_000).map(with_a_byte_lost).filter(|bytes| parse(bytes, 64).0 != [next, last]).collect();
+    assert!(!taken_for_sound.is_empty());
+    for bytes in taken_for_sound {
+        let (found, _) = parse(&bytes, 64);
+        assert!(is_sound_by_chance(&found[0], &[next, last], &bytes) && found[1..] == [last], "{found:?}");
+    }
 }
 
 #[test]
