@@ -85,16 +85,16 @@ fn the_setup_of_the_cell_keeps_to_the_rules() {
 }
 
 fn keeps_to(name: &str, arm: &ArmSetup, rules: &ArmRules) {
-    let limiter = &arm.limiter;
+    let (limits, operating) = (&arm.limits, arm.limits.operating());
     for joint in 0..7 {
         let what = format!("{name}, axis {}", joint + 1);
-        let operating = limiter.operating_max_rad[joint].max(-limiter.operating_min_rad[joint]);
-        assert!(operating <= rules.operating_rad[joint] + 1e-9, "{what}: {operating}");
-        let speed = limiter.hard_limits.velocity_max_rad_per_s()[joint] * limiter.speed_scale;
+        let range = operating.position_max_rad()[joint].max(-operating.position_min_rad()[joint]);
+        assert!(range <= rules.operating_rad[joint] + 1e-9, "{what}: {range}");
+        let speed = limits.velocity_max_rad_per_s()[joint];
         assert!(speed <= rules.speed_rad_per_s[joint] + 1e-6, "{what}: {speed}");
-        let acceleration = limiter.acceleration_max_rad_per_s2[joint];
+        let acceleration = limits.acceleration_max_rad_per_s2()[joint];
         assert!(acceleration <= rules.acceleration_rad_per_s2[joint] + 1e-9, "{what}: {acceleration}");
-        let jerk = limiter.jerk_max_rad_per_s3[joint];
+        let jerk = limits.jerk_max_rad_per_s3()[joint];
         assert!((jerk - rules.jerk_rad_per_s3[joint]).abs() < 1e-9, "{what}: {jerk}");
     }
 }

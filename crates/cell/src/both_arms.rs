@@ -302,8 +302,8 @@ mod tests {
         let faults = [vs.faults(), tc.faults()];
         let pair = ((vs, setup.vs.coupled()), (tc, setup.tc.coupled()));
         let (vs, tc) = couple(pair.0, pair.1, setup.least_room_m, &clock).unwrap();
-        let vs = Box::new(Limiter::new(vs, setup.vs.limiter.clone(), Arc::clone(&clock)).unwrap());
-        let tc = Box::new(Limiter::new(tc, setup.tc.limiter.clone(), Arc::clone(&clock)).unwrap());
+        let vs = Box::new(Limiter::new(vs, setup.vs.limits, setup.vs.limiter.clone(), Arc::clone(&clock)).unwrap());
+        let tc = Box::new(Limiter::new(tc, setup.tc.limits, setup.tc.limiter.clone(), Arc::clone(&clock)).unwrap());
         let mut arms = BothArms::new(&setup, (vs, tc), clock.now());
         assert!(arms.enable(Whence::Start).unwrap());
         (arms, faults)

@@ -87,12 +87,10 @@ impl<'a> Moving<'a> {
         experiment: &'a dyn Trajectory,
         begin: MonotonicTime,
     ) -> Result<Self> {
-        let limiter = &setup.vs.limiter;
-        let limits = limiter.hard_limits.with_position_range(limiter.operating_min_rad, limiter.operating_max_rad)?;
         Ok(Self {
             arms: BothArms::new(setup, arms, begin),
-            controller: Controller::new(setup.controller, setup.vs.chain.clone(), limits)?,
-            permitting: Permitting::new(&setup.supervisor, limits)?,
+            controller: Controller::new(setup.controller, setup.vs.chain.clone(), setup.vs.limits)?,
+            permitting: Permitting::new(&setup.supervisor, *setup.vs.limits.operating())?,
             operator: Box::new(ByCommand),
             is_stopped: false,
             why_stopped: None,

@@ -8,7 +8,6 @@ use anyhow::Result;
 use pb3dp_hal_api::{Arm, ArmError, ArmPower, Clock};
 use pb3dp_hal_middleware::{FlightLog, Limiter, LimiterStatistics};
 use pb3dp_hal_platform::jitter::Jitter;
-use pb3dp_kinematics::JointVector;
 use pb3dp_record::calibration_files::CameraIdentity;
 use pb3dp_setup::setup::{ArmSetup, Setup};
 use pb3dp_sim::trajectory::Trajectory;
@@ -153,11 +152,6 @@ impl ArmChoice {
             Self::Tc => &mut setup.tc,
         }
     }
-}
-
-/// Largest joint speeds of a setup, rad/s.
-pub fn speeds_rad_per_s(arm: &ArmSetup) -> JointVector {
-    arm.limiter.hard_limits.velocity_max_rad_per_s() * arm.limiter.speed_scale
 }
 
 /// Everything that a run steps.

@@ -6,7 +6,7 @@ use anyhow::{Result, bail};
 use pb3dp_kinematics::{DOF, JointVector, PlacedArm, clearance};
 use pb3dp_setup::setup::{ArmSetup, Setup};
 
-use super::parts::{ArmChoice, speeds_rad_per_s};
+use super::parts::ArmChoice;
 
 /// Share of the limits of acceleration and jerk that is used.
 const SHARE: f64 = 0.5;
@@ -44,9 +44,9 @@ impl Plan {
     /// If a joint would end outside of its operating range, farther out than it is.
     pub fn new(arm: &ArmSetup, from_rad: JointVector, by_rad: JointVector) -> Result<Self> {
         let to_rad = from_rad + by_rad;
-        let limiter = &arm.limiter;
+        let (limits, operating) = (&arm.limits, arm.limits.operating());
         for joint in 0..DOF {
-            let (low, high) = (limiter.operating_min_rad[joint], limiter.operating_max_rad[joint]);
+            let (low, high) = (operating.position_min_rad()[joint], operating.position_max_rad()[joint]);
             let outside = |angle: f64| (low - angle).max(angle - high).max(0.0);
             if outside(to_rad[joint]) > 0.0 && outside(to_rad[joint]) >= outside(from_rad[joint]) {
                 bail!(
@@ -58,13 +58,13 @@ impl Plan {
                 );
             }
         }
-        let speeds = speeds_rad_per_s(arm);
+        let speeds = limits.velocity_max_rad_per_s();
         let times = (0..DOF).map(|joint| {
             let by = by_rad[joint].abs();
             let [speed, acceleration, jerk] = PEAKS;
             let by_speed = speed * by / (SPEED_SHARE * speeds[joint]);
-            let by_acceleration = (acceleration * by / (SHARE * limiter.acceleration_max_rad_per_s2[joint])).sqrt();
-            let by_jerk = (jerk * by / (SHARE * limiter.jerk_max_rad_per_s3[joint])).cbrt();
+            let by_acceleration = (acceleration * by / (SHARE * limits.acceleration_max_rad_per_s2()[joint])).sqrt();
+            let by_jerk = (jerk * by / (SHARE * limits.jerk_max_rad_per_s3()[joint])).cbrt();
             by_speed.max(by_acceleration).max(by_jerk)
         });
         let axis_names = std::array::from_fn(|joint| arm.axis_name(joint));
@@ -141,9 +141,7 @@ impl Plan {
 
     /// What it does, joint by joint.
     pub fn table(&self, arm: &ArmSetup) -> String {
-        let limiter = &arm.limiter;
-        let (low, high) = (&limiter.operating_min_rad, &limiter.operating_max_rad);
-        let hard = &limiter.hard_limits;
+        let (operating, servo) = (arm.limits.operating(), arm.limits.servo());
         let mut text =
             "axis   now deg    to deg    by deg  fastest rad/s  left to operating range  to servo limit, deg\n"
                 .to_owned();
@@ -158,8 +156,8 @@ impl Plan {
                 to_rad[joint].to_degrees(),
                 self.by_rad[joint].to_degrees(),
                 PEAKS[0] * self.by_rad[joint].abs() / self.duration_s,
-                left(low[joint], high[joint]),
-                left(hard.position_min_rad()[joint], hard.position_max_rad()[joint]),
+                left(operating.position_min_rad()[joint], operating.position_max_rad()[joint]),
+                left(servo.position_min_rad()[joint], servo.position_max_rad()[joint]),
             );
         }
         text

@@ -2,6 +2,7 @@
 //!
 //! * [`Chain`] is read from a URDF text and answers where the flange and every joint are, and how they move.
 //! * [`JointLimits`] are the position and speed limits that the description states.
+//! * [`EffectiveLimits`] are what one arm may do in one run: everything that moves it, or watches it, receives them.
 //! * [`clearance()`] is the room between two arms, [`clearance_within`] what is left of it while their joints move.
 //! * [`reach()`] finds the joint angles that bring the flange to a pose.
 //! * [`damped_pseudo_inverse`], [`smallest_singular_value`] and [`manipulability`] judge and invert a [`Jacobian`].
@@ -10,6 +11,7 @@
 
 pub mod chain;
 pub mod clearance;
+pub mod effective_limits;
 pub mod jacobian;
 pub mod limits;
 pub mod reach;
@@ -22,6 +24,7 @@ pub use chain::{Chain, JointFrames};
 pub use clearance::{
     ArmPart, ArmShape, ArmShapeError, Capsule, Carrier, Clearance, PlacedArm, clearance, clearance_within,
 };
+pub use effective_limits::{EffectiveLimits, EffectiveLimitsError, StatedLimits};
 pub use jacobian::{
     Damping, DampingError, Jacobian, PseudoInverse, SingularForm, damped_pseudo_inverse, manipulability,
     singular_values, smallest_singular_value,

@@ -106,6 +106,14 @@ impl JointLimits {
         Ok(inner)
     }
 
+    /// The same ranges with other speeds, rad/s.
+    ///
+    /// # Errors
+    /// If a speed is not positive and finite; the error names the joint.
+    pub fn with_velocity_max(&self, velocity_max_rad_per_s: JointVector) -> Result<Self, JointLimitsError> {
+        Self::new(self.position_min_rad, self.position_max_rad, velocity_max_rad_per_s)
+    }
+
     /// Lower ends of the position ranges, rad.
     pub fn position_min_rad(&self) -> &JointVector {
         &self.position_min_rad

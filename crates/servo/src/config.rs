@@ -79,13 +79,11 @@ impl CartesianSpeed {
     }
 }
 
-/// How fast hand and joints may move. There are no defaults: these are safety limits.
+/// How fast the hand may move, and how joints approach the ends of their ranges. There are no defaults: these are safety limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpeedConfig {
     /// Largest speed of the hand while it follows.
     pub tracking: CartesianSpeed,
-    /// Share of the joints' speed limits that may be used, above 0 to 1.
-    pub joint_speed_scale: f64,
     /// A joint approaches an end of its range at most with this rate times the remaining angle, 1/s, 0.1 to 20.
     pub limit_approach_per_s: f64,
     /// Time in which the hand gets up to speed after rest, seconds, 0 to 10.
@@ -145,7 +143,6 @@ impl SpeedConfig {
         let CartesianSpeed { linear_m_per_s, angular_rad_per_s } = self.tracking;
         check("speed.tracking.linear_m_per_s", linear_m_per_s, TINY, 2.0, "above 0 to 2 m/s")?;
         check("speed.tracking.angular_rad_per_s", angular_rad_per_s, TINY, 6.0, "above 0 to 6 rad/s")?;
-        check("speed.joint_speed_scale", self.joint_speed_scale, TINY, 1.0, "above 0 to 1")?;
         check("speed.limit_approach_per_s", self.limit_approach_per_s, 0.1, 20.0, "0.1 to 20 1/s")?;
         check("speed.soft_start_s", self.soft_start_s, 0.0, 10.0, "0 to 10 s")
     }

@@ -7,7 +7,7 @@ use std::fmt;
 use driving::Pace;
 use pb3dp_geometry::frames::{Base, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose};
-use pb3dp_kinematics::{Chain, Damping, JointLimits, JointState, JointVector};
+use pb3dp_kinematics::{Chain, Damping, EffectiveLimits, JointState, JointVector};
 use pb3dp_safeguards::{Safeguard, is_off};
 
 use crate::config::ControllerConfig;
@@ -142,7 +142,7 @@ pub struct ControlStep {
 pub struct Controller {
     config: ControllerConfig,
     chain: Chain,
-    limits: JointLimits,
+    limits: EffectiveLimits,
     damping: Damping,
     history: JointHistory,
     given: GivenCommands,
@@ -159,11 +159,11 @@ pub struct Controller {
 }
 
 impl Controller {
-    /// A controller at rest, without a target. `limits` are the limits that count for this arm (its operating range).
+    /// A controller at rest, without a target, of an arm with these limits. Large errors are corrected no faster than its joints can brake.
     ///
     /// # Errors
     /// The first setting that is out of its range.
-    pub fn new(config: ControllerConfig, chain: Chain, limits: JointLimits) -> Result<Self, ConfigError> {
+    pub fn new(config: ControllerConfig, chain: Chain, limits: EffectiveLimits) -> Result<Self, ConfigError> {
         config.validate()?;
         let damping = Damping::new(config.damping.threshold, config.damping.factor_max)
             .map_err(|error| ConfigError { key: "damping", value: error.value, allowed: "positive, finite numbers" })?;

@@ -7,7 +7,7 @@ use pb3dp_geometry::Twist;
 use pb3dp_geometry::frames::Base;
 use pb3dp_kinematics::{Chain, DOF, Damping, Jacobian, JointFrames, JointLimits, JointVector, SingularForm};
 
-use crate::config::{CartesianSpeed, SpeedConfig};
+use crate::config::CartesianSpeed;
 
 /// What makes the hand slower than the law wants; the strongest one is named.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -94,8 +94,8 @@ pub fn limit_twist(twist: &Twist<Base>, most: &CartesianSpeed) -> (Twist<Base>, 
 pub struct JointBounds<'a> {
     /// Ranges and speeds.
     pub limits: &'a JointLimits,
-    /// Share of the speeds, and how quickly an end is approached.
-    pub speed: &'a SpeedConfig,
+    /// A joint approaches an end of its range at most with this rate times the remaining angle, 1/s.
+    pub limit_approach_per_s: f64,
     /// The elbow is not stretched to less than this, rad; 0: it may be.
     pub elbow_min_rad: f64,
 }
@@ -104,7 +104,7 @@ impl JointBounds<'_> {
     /// Largest speeds (rad/s) of a joint at this angle in the direction of `velocity`: of the joint, and for the room that is left.
     fn most(&self, joint: usize, velocity: f64, position_rad: f64) -> [(f64, Limitation); 2] {
         let limits = self.limits;
-        let speed = limits.velocity_max_rad_per_s()[joint] * self.speed.joint_speed_scale;
+        let speed = limits.velocity_max_rad_per_s()[joint];
         let mut room_rad = if velocity > 0.0 {
             limits.position_max_rad()[joint] - position_rad
         } else {
@@ -115,7 +115,7 @@ impl JointBounds<'_> {
             room_rad = position_rad.abs() - self.elbow_min_rad;
             limitation = Limitation::ElbowStretched;
         }
-        let here = room_rad.max(0.0) * self.speed.limit_approach_per_s;
+        let here = room_rad.max(0.0) * self.limit_approach_per_s;
         [(speed, Limitation::JointSpeed { joint }), (here, limitation)]
     }
 
@@ -170,28 +170,25 @@ mod tests {
 
     fn limits() -> JointLimits {
         let max = JointVector::from([2.9, 1.5, 2.9, 2.2, 4.3, 2.7, 4.3]);
-        JointLimits::new(-max, max, JointVector::from([1.0, 1.0, 2.0, 2.0, 6.0, 6.0, 6.0])).unwrap()
+        JointLimits::new(-max, max, JointVector::from([0.5, 0.5, 1.0, 1.0, 3.0, 3.0, 3.0])).unwrap()
     }
 
-    const CONFIG: SpeedConfig = SpeedConfig {
-        tracking: CartesianSpeed { linear_m_per_s: 0.5, angular_rad_per_s: 1.0 },
-        joint_speed_scale: 0.5,
-        limit_approach_per_s: 2.0,
-        soft_start_s: 0.0,
-    };
+    const HAND: CartesianSpeed = CartesianSpeed { linear_m_per_s: 0.5, angular_rad_per_s: 1.0 };
+    const LIMIT_APPROACH_PER_S: f64 = 2.0;
 
     #[test]
     fn a_twist_keeps_its_direction() {
         let twist = Twist::new(Vector3::new(0.3, 0.0, -0.4), Vector3::new(0.0, -2.5, 0.0));
-        let (slow, share) = limit_twist(&twist, &CONFIG.tracking);
+        let (slow, share) = limit_twist(&twist, &HAND);
         assert!((share - 0.4).abs() < 1e-12);
         assert!((slow.to_vector() - twist.to_vector() * 0.4).norm() < 1e-12);
-        let (same, share) = limit_twist(&slow, &CONFIG.tracking);
+        let (same, share) = limit_twist(&slow, &HAND);
         assert_eq!((share, same), (1.0, slow));
     }
 
     fn limit(velocity: &JointVector, position: &JointVector) -> LimitedVelocity {
-        JointBounds { limits: &limits(), speed: &CONFIG, elbow_min_rad: 0.1 }.limit(velocity, position)
+        JointBounds { limits: &limits(), limit_approach_per_s: LIMIT_APPROACH_PER_S, elbow_min_rad: 0.1 }
+            .limit(velocity, position)
     }
 
     #[test]
@@ -232,7 +229,8 @@ mod tests {
             position[ELBOW] = 0.05 * side;
             assert_eq!(limit(&stretching, &position).share, 0.0);
             assert_eq!(limit(&-stretching, &position).share, 1.0);
-            let free = JointBounds { limits: &limits(), speed: &CONFIG, elbow_min_rad: 0.0 };
+            let free =
+                JointBounds { limits: &limits(), limit_approach_per_s: LIMIT_APPROACH_PER_S, elbow_min_rad: 0.0 };
             assert_eq!(free.limit(&stretching, &position).share, 1.0);
         }
     }
@@ -240,7 +238,7 @@ mod tests {
     #[test]
     fn a_secondary_velocity_takes_nothing_from_the_primary_one() {
         let limits = limits();
-        let bounds = JointBounds { limits: &limits, speed: &CONFIG, elbow_min_rad: 0.1 };
+        let bounds = JointBounds { limits: &limits, limit_approach_per_s: LIMIT_APPROACH_PER_S, elbow_min_rad: 0.1 };
         let position = JointVector::from([0.0, 0.0, 0.0, -2.1, 0.0, 0.0, 0.0]);
         let share =
             |primary: [f64; 7], secondary: [f64; 7]| bounds.share_beside(&primary.into(), &secondary.into(), &position);

@@ -185,7 +185,7 @@ fn at_the_end_of_a_joint_the_hand_rests_with_the_reason() {
     let mut last = cell.step(&target);
     for _ in 0..5000 {
         last = cell.step(&target);
-        assert!(cell.limits.violation(&cell.joints.position_rad).is_none(), "{last:?}");
+        assert!(cell.limits.operating().violation(&cell.joints.position_rad).is_none(), "{last:?}");
     }
     assert_eq!(last.limited_by, Some(Limitation::JointRange { joint: 1 }), "{last:?}");
     assert!(cell.joints.velocity_rad_per_s.amax() < 1e-3, "{last:?}");
@@ -199,21 +199,20 @@ proptest! {
         turn in prop::array::uniform3(-2.0..2.0f64), scale in 0.05..1.0f64,
     ) {
         let mut config = config();
-        config.speed.joint_speed_scale = scale;
         let gains = Gains { position_per_s: 30.0, velocity: 0.0, orientation_per_s: 6.0, angular_velocity: 0.0 };
         config.law = LawConfig::Published(published(gains));
-        let mut cell = Cell::new(config, IDEAL, 0.0);
-        cell.joints.position_rad = cell.limits.position_max_rad().component_mul(&JointVector::from(q));
+        let mut cell = Cell::at_speed_scale(scale, config, IDEAL, 0.0);
+        cell.joints.position_rad = cell.limits.operating().position_max_rad().component_mul(&JointVector::from(q));
         let target = cell.target_for_hand_moved(shift.into(), rotation(turn[0], turn[1], turn[2]));
         for _ in 0..100 {
             let step = cell.step(&target);
             if let Command::Velocity(velocity) = step.command {
-                let allowed = cell.limits.velocity_max_rad_per_s() * scale;
+                let allowed = cell.limits.velocity_max_rad_per_s();
                 for joint in 0..7 {
                     prop_assert!(velocity[joint].abs() <= allowed[joint] * (1.0 + 1e-12), "{velocity}");
                 }
             }
-            prop_assert!(cell.limits.violation(&cell.joints.position_rad).is_none());
+            prop_assert!(cell.limits.operating().violation(&cell.joints.position_rad).is_none());
             prop_assert!(step.smallest_singular_value.is_some_and(f64::is_finite));
         }
     }

@@ -19,12 +19,12 @@ fn published(config: &mut ControllerConfig) -> &mut PublishedConfig {
 fn refused(change: Change, value: f64) -> Option<String> {
     let mut config = config();
     change(&mut config, value);
-    Controller::new(config, chain(), limits()).err().map(|error| error.to_string())
+    Controller::new(config, chain(), limits(1.0)).err().map(|error| error.to_string())
 }
 
 #[test]
 fn each_number_has_its_range() {
-    let cases: [(&str, Change, &[f64]); 23] = [
+    let cases: [(&str, Change, &[f64]); 22] = [
         ("gains.position_per_s", |c, v| published(c).gains.position_per_s = v, &[0.0, -1.0, 51.0]),
         ("gains.velocity", |c, v| published(c).gains.velocity = v, &[-0.1, 1.0]),
         ("gains.orientation_per_s", |c, v| published(c).gains.orientation_per_s = v, &[0.0, 101.0]),
@@ -51,7 +51,6 @@ fn each_number_has_its_range() {
         ("damping.factor_max", |c, v| c.damping.factor_max = v, &[0.0, 0.6]),
         ("speed.tracking.linear_m_per_s", |c, v| c.speed.tracking.linear_m_per_s = v, &[0.0, 2.1]),
         ("speed.tracking.angular_rad_per_s", |c, v| c.speed.tracking.angular_rad_per_s = v, &[0.0, 6.1]),
-        ("speed.joint_speed_scale", |c, v| c.speed.joint_speed_scale = v, &[0.0, 1.1]),
         ("speed.limit_approach_per_s", |c, v| c.speed.limit_approach_per_s = v, &[0.0, 21.0]),
         ("speed.soft_start_s", |c, v| c.speed.soft_start_s = v, &[-0.1, 11.0]),
         ("approach.speed.linear_m_per_s", |c, v| c.approach.speed.linear_m_per_s = v, &[0.0, 2.1]),
@@ -126,7 +125,7 @@ fn each_number_of_the_law_with_feed_forward_has_its_range() {
     let refusal = |change: LawChange, value: f64| {
         let mut law = feed_forward(ARM);
         change(&mut law, value);
-        Controller::new(feed_forward_config(law), chain(), limits()).err().map(|error| error.to_string())
+        Controller::new(feed_forward_config(law), chain(), limits(1.0)).err().map(|error| error.to_string())
     };
     for (key, change, bad) in cases {
         for &value in bad.iter().chain(&[f64::NAN]) {

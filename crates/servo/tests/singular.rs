@@ -16,10 +16,9 @@ fn cell(start_rad: [f64; 7], redundancy: RedundancyConfig) -> Cell {
     let mut law = feed_forward(ARM);
     law.redundancy = redundancy;
     let mut config = feed_forward_config(law);
-    config.speed.joint_speed_scale = 0.6;
     config.speed.limit_approach_per_s = 2.0;
     config.speed.soft_start_s = 0.3;
-    let mut cell = Cell::new(config, PLANT, 0.05);
+    let mut cell = Cell::at_speed_scale(0.6, config, PLANT, 0.05);
     cell.joints.position_rad = JointVector::from(start_rad);
     cell
 }

@@ -11,7 +11,8 @@ use pb3dp_geometry::frames::{Base, Flange, Hand, Model, Target, World};
 use pb3dp_geometry::{Pose, Twist};
 use pb3dp_kinematics::reach::twist_between;
 use pb3dp_kinematics::{
-    Chain, DOF, Damping, JointLimits, JointVector, NotReached, SingularForm, damped_pseudo_inverse, reach,
+    Chain, DOF, Damping, EffectiveLimits, JointLimits, JointVector, NotReached, SingularForm, damped_pseudo_inverse,
+    reach,
 };
 
 use crate::trajectory::Trajectory;
@@ -91,17 +92,13 @@ impl<'a> FlangePath<'a> {
     }
 }
 
-/// What an arm must keep along the whole path.
+/// What an arm must keep along the whole path, besides its limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PathRequirements {
-    /// Share of the joint speed limits that may be used, above 0 to 1.
-    pub speed_scale: f64,
     /// Smallest singular value of the Jacobian (metres and radians) that is accepted.
     pub singular_value_min: f64,
     /// Distance that each joint keeps from the ends of its range, rad.
     pub limit_margin_rad: f64,
-    /// Largest acceleration of each joint, rad/s^2, above 0; `None`: any.
-    pub acceleration_max_rad_per_s2: Option<JointVector>,
     /// Largest speeds of the tool; `None`: any.
     pub tool_speed_max: Option<ToolSpeedMax>,
     /// Time between two checked points, seconds, 0.0005 to 0.1.
@@ -118,18 +115,13 @@ pub struct ToolSpeedMax {
 }
 
 impl PathRequirements {
-    /// The requirements of the experiment at this share of the joint speeds: singular value 0.05, 3 degrees of margin,
-    /// steps of 10 ms. Accelerations and the tool's speed are not limited.
-    pub fn at_speed_scale(speed_scale: f64) -> Self {
-        Self {
-            speed_scale,
-            singular_value_min: 0.05,
-            limit_margin_rad: 3f64.to_radians(),
-            acceleration_max_rad_per_s2: None,
-            tool_speed_max: None,
-            step_s: 0.01,
-        }
-    }
+    /// The requirements of the experiment: singular value 0.05, 3 degrees of margin, steps of 10 ms. The tool's speed is not limited.
+    pub const OF_EXPERIMENT: Self = Self {
+        singular_value_min: 0.05,
+        limit_margin_rad: 3.0 * std::f64::consts::PI / 180.0,
+        tool_speed_max: None,
+        step_s: 0.01,
+    };
 }
 
 /// The extreme of one number along a path, and when it occurred.
@@ -151,7 +143,7 @@ pub struct PathReport {
     pub end_rad: JointVector,
     /// Smallest singular value of the Jacobian, metres and radians.
     pub singular_value_min: Extreme,
-    /// Largest joint speed per joint, as a share of what is allowed (limit times speed scale); 1 is just possible.
+    /// Largest joint speed per joint, as a share of what is allowed; 1 is just possible.
     pub speed_ratio_max: [Extreme; DOF],
     /// Largest joint acceleration per joint, rad/s^2.
     pub acceleration_max_rad_per_s2: [Extreme; DOF],
@@ -168,14 +160,14 @@ pub struct PathReport {
 /// Follows `path` with the arm and states how near it comes to its limits.
 ///
 /// The arm first goes from `start_rad` to the beginning of the path (without regard to speed), then follows it by resolved
-/// rates. `limits` are the limits that count (the operating tier of the configuration, usually narrower than the chain's).
+/// rates.
 ///
 /// # Errors
 /// The first place at which reach, joint range or singular value break a requirement; else the worst place of the whole path
 /// at which a joint must be too fast, or else the tool, or else a joint's change of speed.
 pub fn check_experiment(
     chain: &Chain,
-    limits: &JointLimits,
+    limits: &EffectiveLimits,
     start_rad: &JointVector,
     path: &FlangePath<'_>,
     requirements: &PathRequirements,
@@ -197,7 +189,7 @@ pub fn check_experiment(
         let at_s = step as f64 * requirements.step_s;
         let error = twist_between(&chain.forward(&position_rad), &path.base_from_flange_at(at_s));
         check_follows(&error, at_s).map_err(|refusal| range.or(refusal))?;
-        range.note(check_range(limits, requirements.limit_margin_rad, &position_rad, at_s));
+        range.note(check_range(limits.operating(), requirements.limit_margin_rad, &position_rad, at_s));
         let form = SingularForm::new(&chain.jacobian(&position_rad));
         let singular_value = form.smallest_value();
         check_singular_value(singular_value, requirements.singular_value_min, at_s)
@@ -207,7 +199,7 @@ pub fn check_experiment(
         report.singular_value_min.lower(singular_value, at_s);
         report.note_tool(path.tool_speed_at(at_s), at_s);
         report.position_error_max_m.raise(error.fixed_rows::<3>(0).norm(), at_s);
-        report.note_joints(limits, requirements, at_s, &position_rad, &velocity, &last_velocity);
+        report.note_joints(limits.operating(), requirements, at_s, &position_rad, &velocity, &last_velocity);
         let half_way_rad = position_rad + velocity * (0.5 * requirements.step_s);
         let twist = path.twist_at(at_s + 0.5 * requirements.step_s).to_vector() + error * CORRECTION_PER_S;
         let inverse = damped_pseudo_inverse(&chain.jacobian(&half_way_rad), &damping);
@@ -215,9 +207,9 @@ pub fn check_experiment(
         last_velocity = velocity;
     }
     range.check()?;
-    check_speed(&report, limits, requirements.speed_scale)?;
+    check_speed(&report, limits.velocity_max_rad_per_s())?;
     check_tool_speed(&report, requirements.tool_speed_max)?;
-    check_acceleration(&report, requirements.acceleration_max_rad_per_s2)?;
+    check_acceleration(&report, limits.acceleration_max_rad_per_s2())?;
     Ok(report)
 }
 
@@ -248,7 +240,7 @@ impl PathReport {
         velocity: &JointVector,
         last_velocity: &JointVector,
     ) {
-        let speed_ratio = velocity.component_div(limits.velocity_max_rad_per_s()) / requirements.speed_scale;
+        let speed_ratio = velocity.component_div(limits.velocity_max_rad_per_s());
         let acceleration = (velocity - last_velocity) / requirements.step_s;
         let margin_rad = limits.margin_rad(position_rad);
         for joint in 0..DOF {
@@ -362,21 +354,13 @@ fn check_singular_value(value: f64, required: f64, at_s: f64) -> Result<(), Path
     if value >= required { Ok(()) } else { Err(PathRefusal::Singular { at_s, value, required }) }
 }
 
-fn check_speed(report: &PathReport, limits: &JointLimits, speed_scale: f64) -> Result<(), PathRefusal> {
+fn check_speed(report: &PathReport, most_rad_per_s: &JointVector) -> Result<(), PathRefusal> {
     let (joint, Extreme { value: ratio, at_s }) = report.fastest_joint();
     if ratio <= 1.0 {
         return Ok(());
     }
-    let allowed_rad_per_s = limits.velocity_max_rad_per_s()[joint] * speed_scale;
-    Err(PathRefusal::TooFast {
-        joint,
-        at_s,
-        needed_rad_per_s: ratio * allowed_rad_per_s,
-        allowed_rad_per_s,
-        ratio,
-        speed_scale,
-        speed_scale_needed: ratio * speed_scale,
-    })
+    let allowed_rad_per_s = most_rad_per_s[joint];
+    Err(PathRefusal::TooFast { joint, at_s, needed_rad_per_s: ratio * allowed_rad_per_s, allowed_rad_per_s, ratio })
 }
 
 fn check_tool_speed(report: &PathReport, most: Option<ToolSpeedMax>) -> Result<(), PathRefusal> {
@@ -394,8 +378,7 @@ fn check_tool_speed(report: &PathReport, most: Option<ToolSpeedMax>) -> Result<(
     Err(PathRefusal::ToolTooFast { quantity, at_s, needed, allowed, ratio: needed / allowed })
 }
 
-fn check_acceleration(report: &PathReport, most: Option<JointVector>) -> Result<(), PathRefusal> {
-    let Some(most) = most else { return Ok(()) };
+fn check_acceleration(report: &PathReport, most: &JointVector) -> Result<(), PathRefusal> {
     let ratio = |joint: usize| {
         let Extreme { value, at_s } = report.acceleration_max_rad_per_s2[joint];
         Extreme { value: value / most[joint], at_s }
@@ -410,16 +393,11 @@ fn check_acceleration(report: &PathReport, most: Option<JointVector>) -> Result<
 }
 
 fn check_requirements(requirements: &PathRequirements) -> Result<(), PathRefusal> {
-    let PathRequirements { speed_scale, singular_value_min, limit_margin_rad, step_s, .. } = *requirements;
-    let acceleration = requirements.acceleration_max_rad_per_s2;
-    let acceleration =
-        acceleration.and_then(|most| most.iter().copied().find(|one| one.is_nan() || *one <= 0.0)).unwrap_or(1.0);
+    let PathRequirements { singular_value_min, limit_margin_rad, step_s, .. } = *requirements;
     let tool = requirements.tool_speed_max.unwrap_or(ToolSpeedMax { linear_m_per_s: 1.0, angular_rad_per_s: 1.0 });
     let checks = [
-        ("speed_scale", speed_scale, speed_scale > 0.0 && speed_scale <= 1.0, "above 0 to 1"),
         ("singular_value_min", singular_value_min, (1e-4..=1.0).contains(&singular_value_min), "0.0001 to 1"),
         ("limit_margin_rad", limit_margin_rad, (0.0..=1.0).contains(&limit_margin_rad), "0 to 1 rad"),
-        ("acceleration_max_rad_per_s2", acceleration, acceleration > 0.0, "above 0 rad/s^2"),
         ("tool_speed_max.linear_m_per_s", tool.linear_m_per_s, tool.linear_m_per_s > 0.0, "above 0 m/s"),
         ("tool_speed_max.angular_rad_per_s", tool.angular_rad_per_s, tool.angular_rad_per_s > 0.0, "above 0 rad/s"),
         ("step_s", step_s, (5e-4..=0.1).contains(&step_s), "0.0005 to 0.1 s"),

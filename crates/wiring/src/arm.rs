@@ -195,7 +195,7 @@ fn guarded(wanted: Wanted<'_>, backend: Box<dyn Backend>, trip: Option<TripHandl
     let cycles = FLIGHT.as_secs_f64() / control_period.as_secs_f64();
     let flight = FlightLog::with_capacity(cycles.ceil() as usize);
     let recorded = Recorded::new(backend, Arc::clone(clock), flight.clone());
-    let guard = Guard::new(recorded, arm.guard.clone()).with_context(|| format!("{name}: guard"))?;
+    let guard = Guard::new(recorded, arm.limits, arm.guard.clone()).with_context(|| format!("{name}: guard"))?;
     // A joint that does not follow its drive is held by its brake alone.
     let guard = match trip {
         Some(trip) => guard.on_stop(move || trip.trip()),
@@ -205,7 +205,7 @@ fn guarded(wanted: Wanted<'_>, backend: Box<dyn Backend>, trip: Option<TripHandl
 }
 
 fn limited<A: Arm + ArmPower + 'static>(wanted: Wanted<'_>, inner: A) -> Result<Box<dyn DrivenArm>> {
-    let limiter = Limiter::new(inner, wanted.arm.limiter.clone(), Arc::clone(wanted.clock));
+    let limiter = Limiter::new(inner, wanted.arm.limits, wanted.arm.limiter.clone(), Arc::clone(wanted.clock));
     Ok(Box::new(limiter.with_context(|| format!("{}: limiter", wanted.name))?))
 }
 
@@ -354,10 +354,10 @@ fn emulated_parts(
         ..arm.plant.clone()
     };
     let plant = shared_plant(joints, wanted)?;
-    let hard_limits = &arm.limiter.hard_limits;
+    let servo = arm.limits.servo();
     let controller = MockControllerConfig {
-        lower_limit_rad: *hard_limits.position_min_rad(),
-        upper_limit_rad: *hard_limits.position_max_rad(),
+        lower_limit_rad: *servo.position_min_rad(),
+        upper_limit_rad: *servo.position_max_rad(),
         ..MockControllerConfig::new(link.format)
     };
     let firmware = Firmware::new(EMULATION).context("a name for the gateway")?;
@@ -394,10 +394,10 @@ impl Line<'_> {
 
 fn open(line: Line<'_>, seat: TripSeat, wanted: Wanted<'_>) -> Result<Pa10Arm> {
     let Wanted { name, arm, .. } = wanted;
-    let hard_limits = &arm.limiter.hard_limits;
+    let servo = arm.limits.servo();
     let limits = LimitsCheck::Compare {
-        lower_rad: *hard_limits.position_min_rad(),
-        upper_rad: *hard_limits.position_max_rad(),
+        lower_rad: *servo.position_min_rad(),
+        upper_rad: *servo.position_max_rad(),
         tolerance_rad: LIMITS_TOLERANCE_DEG.to_radians(),
     };
     let opened = connect(line, (seat, limits), wanted)?;
@@ -423,7 +423,7 @@ pub(super) fn connect(line: Line<'_>, (seat, limits): (TripSeat, LimitsCheck), w
     let Wanted { name, arm, control_period, clock, .. } = wanted;
     let driver = |cycle| DriverConfig {
         limits,
-        deceleration_rad_per_s2: arm.limiter.acceleration_max_rad_per_s2,
+        deceleration_rad_per_s2: *arm.limits.acceleration_max_rad_per_s2(),
         ..DriverConfig::with_cycle(cycle)
     };
     let clock = Arc::clone(clock);

@@ -11,7 +11,6 @@ use pb3dp_cell::parts::{ArmChoice, DrivenArm};
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_middleware::{FlightLog, StartPose};
 use pb3dp_hal_platform::tcp::TcpConfig;
-use pb3dp_kinematics::JointLimits;
 use pb3dp_setup::setup::{ArmLink, GatewayWay, Setup};
 
 use super::arm::{AloneArm, Wanted, WiredArms, alone, connect, emulate, line, wire_alone, wire_arms};
@@ -89,18 +88,12 @@ const RIPPLE_RAD_PER_S: f64 = 0.02;
 pub fn slow_setup(setup: &Setup, choice: ArmChoice, joint_max_rad_per_s: f64) -> Result<Setup> {
     let mut slow = setup.clone();
     for arm in [&mut slow.vs, &mut slow.tc] {
-        arm.limiter.speed_scale = arm.limiter.speed_scale.min(SPEED_SCALE_MAX);
-        arm.guard.speed_scale = arm.limiter.speed_scale;
+        arm.limits = arm.limits.slowed(arm.limits.velocity_max_rad_per_s().max(), SPEED_SCALE_MAX)?;
     }
     let arm = choice.of_mut(&mut slow);
     arm.limiter.start = StartPose::Anywhere;
-    let at_most = |limits: &JointLimits, most_rad_per_s: f64| {
-        // Limiter and guard multiply with their scale again.
-        let speeds = limits.velocity_max_rad_per_s().map(|speed| speed.min(most_rad_per_s / arm.limiter.speed_scale));
-        JointLimits::new(*limits.position_min_rad(), *limits.position_max_rad(), speeds)
-    };
-    arm.limiter.hard_limits = at_most(&arm.limiter.hard_limits, joint_max_rad_per_s)?;
-    arm.guard.hard_limits = at_most(&arm.guard.hard_limits, joint_max_rad_per_s + RIPPLE_RAD_PER_S)?;
+    arm.limits = arm.limits.slowed(joint_max_rad_per_s, SPEED_SCALE_MAX)?;
+    arm.guard.ripple_rad_per_s = RIPPLE_RAD_PER_S;
     Ok(slow)
 }
 

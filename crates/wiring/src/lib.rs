@@ -385,14 +385,8 @@ fn check_path(
     path: &FlangePath<'_>,
     tool_speed_max: Option<ToolSpeedMax>,
 ) -> Result<PathReport> {
-    let limiter = &arm.limiter;
-    let limits = limiter.hard_limits.with_position_range(limiter.operating_min_rad, limiter.operating_max_rad)?;
-    let requirements = PathRequirements {
-        acceleration_max_rad_per_s2: Some(limiter.acceleration_max_rad_per_s2),
-        tool_speed_max,
-        ..PathRequirements::at_speed_scale(limiter.speed_scale)
-    };
-    check_experiment(&arm.chain, &limits, &arm.start_rad, path, &requirements).map_err(|refusal| {
+    let requirements = PathRequirements { tool_speed_max, ..PathRequirements::OF_EXPERIMENT };
+    check_experiment(&arm.chain, &arm.limits, &arm.start_rad, path, &requirements).map_err(|refusal| {
         let keys = keys_of(table, &refusal);
         let text = format!("the {name} can not follow the experiment (see {keys} and the table [experiment])");
         anyhow::Error::new(refusal).context(text)
@@ -414,6 +408,7 @@ fn keys_of(table: &str, refusal: &PathRefusal) -> String {
 #[cfg(test)]
 mod tests {
     use pb3dp_camera_sim::{CameraFault, CameraFaultKind, GeometricFrame};
+    use pb3dp_kinematics::StatedLimits;
     use pb3dp_setup::setup::read_setup;
 
     use super::*;
@@ -485,16 +480,31 @@ mod tests {
         }
     }
 
+    fn weaken(arm: &mut ArmSetup, joint: usize, acceleration_max_rad_per_s2: f64) {
+        let limits = &arm.limits;
+        let mut stated = StatedLimits {
+            // Of what counts already, everything.
+            servo: *limits.operating(),
+            operating_min_rad: *limits.operating().position_min_rad(),
+            operating_max_rad: *limits.operating().position_max_rad(),
+            speed_scale: 1.0,
+            acceleration_max_rad_per_s2: *limits.acceleration_max_rad_per_s2(),
+            jerk_max_rad_per_s3: *limits.jerk_max_rad_per_s3(),
+        };
+        stated.acceleration_max_rad_per_s2[joint] = acceleration_max_rad_per_s2;
+        arm.limits = stated.effective().unwrap();
+    }
+
     #[test]
     fn moves_that_either_arms_drives_do_not_allow_are_refused_with_key_and_ratio() {
         let [(_, vs), (_, tc)] = checked(|_| {}).unwrap();
         let needed = [vs.acceleration_max_rad_per_s2[1].value, tc.acceleration_max_rad_per_s2[3].value];
-        let (refused, text) = refusal(|setup| setup.vs.limiter.acceleration_max_rad_per_s2[1] = needed[0] / 2.0);
+        let (refused, text) = refusal(|setup| weaken(&mut setup.vs, 1, needed[0] / 2.0));
         assert!(matches!(refused, PathRefusal::TooAbrupt { joint: 1, .. }), "{text}");
         for part in ["vs-robot", "arms.vs.acceleration_max_rad_per_s2[1]", "2.00 times too much"] {
             assert!(text.contains(part), "{part} is not in {text}");
         }
-        let (refused, text) = refusal(|setup| setup.tc.limiter.acceleration_max_rad_per_s2[3] = needed[1] / 3.0);
+        let (refused, text) = refusal(|setup| weaken(&mut setup.tc, 3, needed[1] / 3.0));
         assert!(matches!(refused, PathRefusal::TooAbrupt { joint: 3, .. }), "{text}");
         for part in ["tc-robot", "arms.tc.acceleration_max_rad_per_s2[3]", "3.00 times too much"] {
             assert!(text.contains(part), "{part} is not in {text}");

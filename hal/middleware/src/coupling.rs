@@ -6,7 +6,7 @@ use std::time::Duration;
 use pb3dp_geometry::frames::{Base, World};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
-use pb3dp_kinematics::{ArmShape, Chain, DOF, JointVector, PlacedArm, clearance_within};
+use pb3dp_kinematics::{ArmShape, Chain, DOF, EffectiveLimits, JointVector, PlacedArm, clearance_within};
 use pb3dp_safeguards::{Safeguard, is_off};
 
 use crate::last_command::{CommandFade, LastCommand};
@@ -23,10 +23,8 @@ pub struct CoupledArmConfig {
     pub shape: ArmShape,
     /// Where it stands.
     pub world_from_base: Pose<World, Base>,
-    /// What its drives brake with, rad/s^2.
-    pub acceleration_max_rad_per_s2: JointVector,
-    /// How quickly braking begins and ends, rad/s^3.
-    pub jerk_max_rad_per_s3: JointVector,
+    /// Its limits: with their accelerations and jerks its drives brake.
+    pub limits: EffectiveLimits,
     /// Time from a sample to the effect of the next command on it.
     pub reaction_time: Duration,
     /// The arm comes to rest by itself if no command follows for longer than this.
@@ -127,11 +125,12 @@ pub fn couple<A: Arm, B: Arm>(
 
 impl Side {
     fn new(info: &ArmInfo, config: CoupledArmConfig) -> Self {
+        let drives = DriveLimits::braking(&config.limits);
         Self {
             name: info.name.clone(),
             cycle: info.cycle,
-            drives: DriveLimits { acceleration: config.acceleration_max_rad_per_s2, jerk: config.jerk_max_rad_per_s3 },
-            last: LastCommand::new(config.acceleration_max_rad_per_s2, config.command_timeout, config.fade),
+            drives,
+            last: LastCommand::new(drives.acceleration, config.command_timeout, config.fade),
             config,
             newest: None,
             sweep: None,

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
-use pb3dp_kinematics::{DOF, JointLimits, JointLimitsError, JointVector};
+use pb3dp_kinematics::{DOF, EffectiveLimits, JointLimits, JointLimitsError, JointVector};
 use pb3dp_safeguards::{Safeguard, is_off};
 
 use crate::expectation::Expectation;
@@ -12,19 +12,15 @@ use crate::power::close_brakes;
 /// Mechanical range of a PA-10 to both sides, degrees, base to tip (INRIA's model of the PA10-7CE).
 pub const PA10_MECHANICAL_RANGE_DEG: [f64; DOF] = [180.0, 97.0, 180.0, 143.0, 270.0, 180.0, 270.0];
 
-/// What the guard takes for right.
+/// What the guard takes for right, besides the arm's limits.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GuardConfig {
-    /// The servo limits, rad and rad/s: a joint that comes beyond these angles is stopped.
-    pub hard_limits: JointLimits,
     /// Where the arm's own stops are, rad: no joint can be beyond, so an angle that is belongs to a wrong encoder or zero.
     pub mechanical_min_rad: JointVector,
     /// Upper ends of that range, rad.
     pub mechanical_max_rad: JointVector,
-    /// Part of each joint's largest speed that commands use, above 0 to 1.
-    pub speed_scale: f64,
-    /// What the drives accelerate and brake with, rad/s^2.
-    pub acceleration_max_rad_per_s2: JointVector,
+    /// By how much a joint may be measured faster than its largest speed, rad/s: geared drives do not turn evenly when they are slow.
+    pub ripple_rad_per_s: f64,
     /// Time from a command to the moment at which the drives begin to follow it.
     pub delay: Duration,
     /// First-order lag of the drives.
@@ -48,17 +44,9 @@ pub enum GuardError {
     /// The servo limits are not within the mechanical range.
     #[error("the servo limits do not lie within the mechanical range")]
     MechanicalRange(#[source] JointLimitsError),
-    /// The speed scale is out of range.
-    #[error("speed scale {0} is out of range; above 0 to 1 is possible")]
-    SpeedScale(f64),
-    /// An acceleration is no limit.
-    #[error("axis {}: acceleration {value} rad/s^2 is not a positive, finite number", joint + 1)]
-    Acceleration {
-        /// Index from the base, 0 to 6.
-        joint: usize,
-        /// The number given, rad/s^2.
-        value: f64,
-    },
+    /// The ripple of the speed is none.
+    #[error("ripple of the speed {0} rad/s is not a finite number of 0 or more")]
+    Ripple(f64),
     /// The tolerance of tracking is none.
     #[error("largest tracking error {0} rad is not a positive, finite number")]
     TrackingError(f64),
@@ -92,6 +80,7 @@ const RETURN_SWING_RAD: f64 = 2e-3;
 /// [`Limiter`](crate::Limiter), so that it sees what is really sent.
 pub struct Guard<A> {
     arm: A,
+    limits: EffectiveLimits,
     config: GuardConfig,
     mechanical: JointLimits,
     newest: Option<JointState>,
@@ -109,15 +98,17 @@ pub struct Guard<A> {
 }
 
 impl<A: Arm> Guard<A> {
-    /// Watches an arm.
+    /// Watches an arm that has these limits: a joint that comes beyond its servo limits, or is faster than it may be, is stopped.
+    /// The drives accelerate and brake with the accelerations of the limits.
     ///
     /// # Errors
     /// If a number of the configuration is out of range; the error names it.
-    pub fn new(arm: A, config: GuardConfig) -> Result<Self, GuardError> {
-        let mechanical = check(&config)?;
-        let expectation = Expectation::new(config.acceleration_max_rad_per_s2, config.delay, config.lag);
+    pub fn new(arm: A, limits: EffectiveLimits, config: GuardConfig) -> Result<Self, GuardError> {
+        let mechanical = check(&limits, &config)?;
+        let expectation = Expectation::new(*limits.acceleration_max_rad_per_s2(), config.delay, config.lag);
         Ok(Self {
             arm,
+            limits,
             config,
             mechanical,
             newest: None,
@@ -185,7 +176,7 @@ impl<A: Arm> Guard<A> {
     }
 
     fn jump(&self, sample: &JointState, last: &JointState, dt: Duration) -> Option<(usize, f64)> {
-        let speeds = self.config.hard_limits.velocity_max_rad_per_s();
+        let speeds = self.limits.servo().velocity_max_rad_per_s();
         (0..DOF).find_map(|joint| {
             let moved_rad = sample.position_rad[joint] - last.position_rad[joint];
             let possible_rad = JUMP_FACTOR * speeds[joint] * dt.as_secs_f64() + JUMP_MARGIN_RAD;
@@ -207,7 +198,7 @@ impl<A: Arm> Guard<A> {
             );
             return Some((joint, reason));
         }
-        let limits = &self.config.hard_limits;
+        let limits = self.limits.servo();
         let beyond_rad = limits.margin_rad(&sample.position_rad).map(|margin| (-margin).max(0.0));
         if self.newest.is_none() {
             self.found_beyond_rad = beyond_rad;
@@ -230,10 +221,10 @@ impl<A: Arm> Guard<A> {
     }
 
     fn over_speed(&mut self, sample: &JointState) -> Option<(usize, String)> {
-        let speeds = self.config.hard_limits.velocity_max_rad_per_s();
+        let speeds = self.limits.velocity_max_rad_per_s();
         let mut reason = None;
         for joint in 0..DOF {
-            let (speed, allowed) = (sample.velocity_rad_per_s[joint], self.config.speed_scale * speeds[joint]);
+            let (speed, allowed) = (sample.velocity_rad_per_s[joint], speeds[joint] + self.config.ripple_rad_per_s);
             let is_slow = speed.abs() <= OVER_SPEED * allowed;
             self.too_fast[joint] = if is_slow { 0 } else { self.too_fast[joint] + 1 };
             if self.too_fast[joint] >= OVER_SPEED_SAMPLES && reason.is_none() {
@@ -403,22 +394,17 @@ impl<A: Arm + ArmPower> ArmPower for Guard<A> {
 }
 
 /// The mechanical range.
-fn check(config: &GuardConfig) -> Result<JointLimits, GuardError> {
-    let hard = &config.hard_limits;
+fn check(limits: &EffectiveLimits, config: &GuardConfig) -> Result<JointLimits, GuardError> {
+    let servo = limits.servo();
     let mechanical =
-        JointLimits::new(config.mechanical_min_rad, config.mechanical_max_rad, *hard.velocity_max_rad_per_s())
+        JointLimits::new(config.mechanical_min_rad, config.mechanical_max_rad, *servo.velocity_max_rad_per_s())
             .and_then(|range| {
-                range.with_position_range(*hard.position_min_rad(), *hard.position_max_rad()).map(|_| range)
+                range.with_position_range(*servo.position_min_rad(), *servo.position_max_rad()).map(|_| range)
             })
             .map_err(GuardError::MechanicalRange)?;
-    let scale = config.speed_scale;
-    if !(scale > 0.0 && scale <= 1.0) {
-        return Err(GuardError::SpeedScale(scale));
-    }
-    for (joint, &value) in config.acceleration_max_rad_per_s2.iter().enumerate() {
-        if !(value.is_finite() && value > 0.0) {
-            return Err(GuardError::Acceleration { joint, value });
-        }
+    let ripple = config.ripple_rad_per_s;
+    if !(ripple.is_finite() && ripple >= 0.0) {
+        return Err(GuardError::Ripple(ripple));
     }
     let error_max = config.tracking_error_max_rad;
     if !(error_max.is_finite() && error_max > 0.0) {

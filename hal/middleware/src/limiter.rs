@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
-use pb3dp_kinematics::{DOF, JointLimits, JointLimitsError, JointVector};
+use pb3dp_kinematics::{DOF, EffectiveLimits, JointVector};
 use pb3dp_safeguards::{Safeguard, is_off};
 
 use crate::guard::LIMIT_ROUNDING_RAD;
@@ -20,21 +20,9 @@ const NO_OVERSHOOT: f64 = std::f64::consts::E;
 /// In place of a limit that a test has switched off: more than any joint can do, in whatever unit.
 const UNLIMITED: f64 = 1e3;
 
-/// What the limiter lets pass.
+/// How the arm behaves that a limiter is before, besides its limits.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LimiterConfig {
-    /// The arm's own limits, rad and rad/s: what must never be passed.
-    pub hard_limits: JointLimits,
-    /// The range within which the arm is to work, rad; within the hard limits. The limiter brakes ahead of its ends.
-    pub operating_min_rad: JointVector,
-    /// Upper ends of that range, rad.
-    pub operating_max_rad: JointVector,
-    /// Part of each joint's largest speed that is used, above 0 to 1.
-    pub speed_scale: f64,
-    /// Largest change of a commanded velocity, rad/s^2; what the drives can brake with, or less.
-    pub acceleration_max_rad_per_s2: JointVector,
-    /// Largest change of that change, rad/s^3.
-    pub jerk_max_rad_per_s3: JointVector,
     /// Time from a sample to the effect of the next command on it: cycle, delay of the link, lag of the drives.
     pub reaction_time: Duration,
     /// The arm comes to rest by itself if no command follows for longer than this.
@@ -79,28 +67,6 @@ impl StartPose {
 /// Why numbers can not configure a limiter.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum LimiterError {
-    /// The operating range is no range within the hard limits.
-    #[error("the operating range does not fit")]
-    OperatingRange(#[source] JointLimitsError),
-    /// The speed scale is out of range.
-    #[error("speed scale {0} is out of range; above 0 to 1 is possible")]
-    SpeedScale(f64),
-    /// An acceleration is no limit.
-    #[error("axis {}: acceleration limit {value} rad/s^2 is not a positive, finite number", joint + 1)]
-    Acceleration {
-        /// Index from the base, 0 to 6.
-        joint: usize,
-        /// The number given, rad/s^2.
-        value: f64,
-    },
-    /// A jerk is no limit.
-    #[error("axis {}: jerk limit {value} rad/s^3 is not a positive, finite number", joint + 1)]
-    Jerk {
-        /// Index from the base, 0 to 6.
-        joint: usize,
-        /// The number given, rad/s^3.
-        value: f64,
-    },
     /// The tolerance of the start is none.
     #[error("tolerance of the start pose {0} rad is not a positive, finite number")]
     StartTolerance(f64),
@@ -148,7 +114,7 @@ pub struct LimiterStatistics {
 pub struct Limiter<A> {
     arm: A,
     clock: Arc<dyn Clock>,
-    operating: JointLimits,
+    limits: EffectiveLimits,
     config: LimiterConfig,
     drives: DriveLimits,
     newest: Option<JointState>,
@@ -159,22 +125,24 @@ pub struct Limiter<A> {
 }
 
 impl<A: Arm> Limiter<A> {
-    /// Wraps an arm whose samples are stamped by `clock`.
+    /// Wraps an arm that has these limits and whose samples are stamped by `clock`. The drives can brake with the accelerations
+    /// of the limits; the limiter brakes ahead of the ends of the operating range.
     ///
     /// # Errors
     /// If a number of the configuration is out of range; the error names it.
-    pub fn new(arm: A, config: LimiterConfig, clock: Arc<dyn Clock>) -> Result<Self, LimiterError> {
-        let operating = config
-            .hard_limits
-            .with_position_range(config.operating_min_rad, config.operating_max_rad)
-            .map_err(LimiterError::OperatingRange)?;
+    pub fn new(
+        arm: A,
+        limits: EffectiveLimits,
+        config: LimiterConfig,
+        clock: Arc<dyn Clock>,
+    ) -> Result<Self, LimiterError> {
         check(&config)?;
-        let drives = DriveLimits { acceleration: config.acceleration_max_rad_per_s2, jerk: config.jerk_max_rad_per_s3 };
-        let last = LastCommand::new(config.acceleration_max_rad_per_s2, config.command_timeout, config.fade);
+        let drives = DriveLimits::braking(&limits);
+        let last = LastCommand::new(drives.acceleration, config.command_timeout, config.fade);
         Ok(Self {
             arm,
             clock,
-            operating,
+            limits,
             config,
             drives,
             newest: None,
@@ -262,7 +230,7 @@ impl<A: Arm> Limiter<A> {
         let measured_rad = self.newest?.position_rad;
         if let Some(joint) = self.leads_out(desired, &measured_rad) {
             self.statistics.refused_outwards += 1;
-            let limits = &self.config.hard_limits;
+            let limits = self.limits.servo();
             let reason = format!(
                 "axis {} is at {:.2} degrees, beyond its servo limits {:.2} to {:.2} degrees, and {:+.4} rad/s leads further out: \
                  only the way back is open",
@@ -294,7 +262,7 @@ impl<A: Arm> Limiter<A> {
 
     /// A joint beyond its servo limits that would be led further out.
     fn leads_out(&self, desired: &JointVector, measured_rad: &JointVector) -> Option<usize> {
-        let limits = &self.config.hard_limits;
+        let limits = self.limits.servo();
         (0..DOF).find(|&joint| {
             let (angle, velocity) = (measured_rad[joint], desired[joint]);
             (angle > limits.position_max_rad()[joint] + LIMIT_ROUNDING_RAD && velocity > 0.0)
@@ -313,8 +281,9 @@ impl<A: Arm> Limiter<A> {
         let fresh = self.newest.map(|sample| (now.saturating_since(sample.at), sample));
         let fresh = fresh.filter(|(age, _)| *age <= config.stale_after || is_off(Safeguard::LimiterStale));
         let (previous, since) = self.last.at(now, self.arm.info().cycle, self.newest.as_ref());
-        let speed_scale = if is_off(Safeguard::LimiterSpeed) { UNLIMITED } else { config.speed_scale };
-        let speeds = config.hard_limits.velocity_max_rad_per_s() * speed_scale;
+        let operating = self.limits.operating();
+        let speeds = *operating.velocity_max_rad_per_s();
+        let speeds = if is_off(Safeguard::LimiterSpeed) { speeds * UNLIMITED } else { speeds };
         let drives = if is_off(Safeguard::LimiterAcceleration) { &self.drives.scaled(UNLIMITED) } else { &self.drives };
         let step = Step { previous: &previous, dt_s: since.as_secs_f64(), drives, speeds: &speeds };
         let nowhere = Caps { lower: -speeds, upper: speeds, by_position: [[false; 2]; DOF] };
@@ -325,9 +294,9 @@ impl<A: Arm> Limiter<A> {
         let reaction = config.reaction_time + age;
         let position = &sample.position_rad;
         let near_s = NO_OVERSHOOT * reaction.as_secs_f64();
-        let mut caps = shaping::caps(position, &self.operating, speed_scale, drives, near_s);
+        let mut caps = shaping::caps(position, operating, &speeds, drives, near_s);
         let mut room = Room {
-            to_ends: [position - self.operating.position_min_rad(), self.operating.position_max_rad() - position],
+            to_ends: [position - operating.position_min_rad(), operating.position_max_rad() - position],
             peaks: self.last.peaks_since(now - reaction),
             // A command that is the last one for a while.
             reaction_s: (reaction + config.command_timeout).as_secs_f64(),
@@ -412,20 +381,6 @@ impl<A: Arm + ArmPower> ArmPower for Limiter<A> {
 }
 
 fn check(config: &LimiterConfig) -> Result<(), LimiterError> {
-    let scale = config.speed_scale;
-    if !(scale > 0.0 && scale <= 1.0) {
-        return Err(LimiterError::SpeedScale(scale));
-    }
-    for (joint, &value) in config.acceleration_max_rad_per_s2.iter().enumerate() {
-        if !(value.is_finite() && value > 0.0) {
-            return Err(LimiterError::Acceleration { joint, value });
-        }
-    }
-    for (joint, &value) in config.jerk_max_rad_per_s3.iter().enumerate() {
-        if !(value.is_finite() && value > 0.0) {
-            return Err(LimiterError::Jerk { joint, value });
-        }
-    }
     if let StartPose::Near { tolerance_rad, .. } = config.start
         && !(tolerance_rad.is_finite() && tolerance_rad > 0.0)
     {

@@ -55,18 +55,18 @@ pub(crate) struct Step<'a> {
     pub speeds: &'a JointVector,
 }
 
-/// Allowed velocities for joints at `position` with these limits (speeds already scaled). `reaction_s` is without the time
+/// Allowed velocities for joints at `position`: within the range of `limits`, up to `speeds`, rad/s. `reaction_s` is without the time
 /// that the jerk takes.
 pub(crate) fn caps(
     position: &JointVector,
     limits: &JointLimits,
-    speed_scale: f64,
+    speeds: &JointVector,
     drives: &DriveLimits,
     reaction_s: f64,
 ) -> Caps {
     let mut caps = Caps { lower: JointVector::zeros(), upper: JointVector::zeros(), by_position: [[false; 2]; DOF] };
     for i in 0..DOF {
-        let (drive, speed) = (drives.of(i), speed_scale * limits.velocity_max_rad_per_s()[i]);
+        let (drive, speed) = (drives.of(i), speeds[i]);
         let fastest = |distance: f64| braking_speed(distance, drive.acceleration, reaction_s + drive.rounding_s());
         let towards_min = fastest(position[i] - limits.position_min_rad()[i]);
         let towards_max = fastest(limits.position_max_rad()[i] - position[i]);

@@ -1,6 +1,6 @@
 //! How far a joint still goes, and how fast it may therefore be. Pure functions of one joint; rad, rad/s, rad/s^2, rad/s^3, s.
 
-use pb3dp_kinematics::JointVector;
+use pb3dp_kinematics::{EffectiveLimits, JointVector};
 
 /// How hard velocities may change.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,6 +19,10 @@ pub(crate) struct DriveLimit {
 }
 
 impl DriveLimits {
+    pub(crate) fn braking(limits: &EffectiveLimits) -> Self {
+        Self { acceleration: *limits.acceleration_max_rad_per_s2(), jerk: *limits.jerk_max_rad_per_s3() }
+    }
+
     pub(crate) fn of(&self, joint: usize) -> DriveLimit {
         DriveLimit { acceleration: self.acceleration[joint], jerk: self.jerk[joint] }
     }

@@ -16,7 +16,7 @@ use pb3dp_kinematics::{ArmPart, ArmShape, Capsule, Carrier, Chain, JointVector, 
 use proptest::prelude::*;
 
 use crate::common::{
-    COMMAND_TIMEOUT, CYCLE, acceleration, assert_contract, guard_config, jerk, limiter_config, mock_arm, velocity,
+    COMMAND_TIMEOUT, CYCLE, assert_contract, guard_config, limiter_config, limits, mock_arm, velocity,
 };
 
 const LEAST_M: f64 = 0.05;
@@ -55,8 +55,7 @@ fn coupled_config(world_from_base: Pose<World, Base>) -> CoupledArmConfig {
         chain: chain(),
         shape: shape(),
         world_from_base,
-        acceleration_max_rad_per_s2: acceleration(),
-        jerk_max_rad_per_s3: jerk(),
+        limits: limits(0.6),
         reaction_time: Duration::from_millis(65),
         command_timeout: COMMAND_TIMEOUT,
         fade: None,
@@ -77,10 +76,11 @@ impl Bench {
         let clock = Arc::new(VirtualClock::new());
         let shared = Arc::clone(&clock) as Arc<dyn Clock>;
         let places = places(distance_m);
-        let [one, two] = starts.map(|start| Guard::new(mock_arm(&clock, start), guard_config(0.6)).unwrap());
+        let [one, two] = starts.map(|start| Guard::new(mock_arm(&clock, start), limits(0.6), guard_config()).unwrap());
         let (one, two) =
             couple((one, coupled_config(places[0])), (two, coupled_config(places[1])), LEAST_M, &shared).unwrap();
-        let mut arms = [one, two].map(|arm| Limiter::new(arm, limiter_config(0.6), Arc::clone(&shared)).unwrap());
+        let mut arms =
+            [one, two].map(|arm| Limiter::new(arm, limits(0.6), limiter_config(), Arc::clone(&shared)).unwrap());
         for arm in &mut arms {
             arm.enable().unwrap();
         }

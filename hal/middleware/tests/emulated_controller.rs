@@ -13,7 +13,7 @@ use pb3dp_arm_pa10_test_support::bus_bench::{self, AT_REST_RAD_PER_S, BUS_CYCLE,
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_middleware::{CommandFade, Guard, GuardConfig, Limiter, LimiterConfig};
-use pb3dp_kinematics::{JointLimits, JointVector};
+use pb3dp_kinematics::{EffectiveLimits, JointLimits, JointVector, StatedLimits};
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
 use proptest::prelude::*;
 
@@ -104,12 +104,12 @@ impl ArmPower for VirtualArm {
 fn guarded(
     format: WireFormat,
     start_rad: JointVector,
-    config: GuardConfig,
+    (limits, config): (EffectiveLimits, GuardConfig),
 ) -> (Guard<VirtualArm>, Arc<Mutex<BusBench>>) {
     let mut bench = BusBench::with(DriverConfig::with_cycle(BUS_CYCLE), MockControllerConfig::new(format), 1);
-    let speeds = *config.hard_limits.velocity_max_rad_per_s();
-    let limits = JointLimits::new(config.mechanical_min_rad, config.mechanical_max_rad, speeds).unwrap();
-    let joints = JointPlantConfig { limits, history: Duration::from_secs(30), ..plant_config() };
+    let speeds = *limits.servo().velocity_max_rad_per_s();
+    let stops = JointLimits::new(config.mechanical_min_rad, config.mechanical_max_rad, speeds).unwrap();
+    let joints = JointPlantConfig { limits: stops, history: Duration::from_secs(30), ..plant_config() };
     *bench.plant.lock().unwrap() = JointPlant::new(joints, start_rad, bench.now).unwrap();
     bench.request(Request::Connect);
     bench.settle();
@@ -121,26 +121,32 @@ fn guarded(
         let now = bench.now;
         bench.driver.handle_trip(now, Trip::Fault(FaultCause::Supervisor));
     };
-    let mut guard = Guard::new(VirtualArm { bench: Arc::clone(&bench), info }, config).unwrap().on_stop(trip);
+    let mut guard = Guard::new(VirtualArm { bench: Arc::clone(&bench), info }, limits, config).unwrap().on_stop(trip);
     guard.enable().unwrap();
     (guard, bench)
 }
 
 /// For drives that brake far harder than any command asks them to.
-fn wide_guard_config() -> GuardConfig {
+fn wide_guard_config() -> (EffectiveLimits, GuardConfig) {
     let joints = plant_config();
     let mechanical_max_rad = common::mechanical_range_rad();
-    GuardConfig {
-        hard_limits: joints.limits,
+    let stated = StatedLimits {
+        servo: joints.limits,
+        operating_min_rad: *joints.limits.position_min_rad(),
+        operating_max_rad: *joints.limits.position_max_rad(),
+        acceleration_max_rad_per_s2: joints.acceleration_max_rad_per_s2,
+        ..common::stated(SPEED_SCALE)
+    };
+    let config = GuardConfig {
         mechanical_min_rad: -mechanical_max_rad,
         mechanical_max_rad,
-        speed_scale: SPEED_SCALE,
-        acceleration_max_rad_per_s2: joints.acceleration_max_rad_per_s2,
+        ripple_rad_per_s: 0.0,
         delay: BUS_CYCLE,
         lag: joints.velocity_time_constant,
         tracking_error_max_rad: GuardConfig::TRACKING_ERROR_MAX_RAD,
         tracking_error_for: GuardConfig::TRACKING_ERROR_FOR,
-    }
+    };
+    (stated.effective().unwrap(), config)
 }
 
 /// To and fro, with up to 0.8 of what is allowed.
@@ -273,26 +279,29 @@ impl Chained {
     fn new(start_rad: JointVector, speed_scale: f64) -> Self {
         let driver = DriverConfig::with_cycle(BUS_CYCLE);
         let lag = plant_config().velocity_time_constant;
-        let guard = GuardConfig {
+        let stated = StatedLimits {
             acceleration_max_rad_per_s2: driver.deceleration_rad_per_s2,
+            jerk_max_rad_per_s3: driver.deceleration_rad_per_s2 * 40.0,
+            ..common::stated(speed_scale)
+        };
+        let limits = stated.effective().unwrap();
+        let guard = GuardConfig {
             // A sample comes at the end of the cycle whose command is noted with it.
             delay: Duration::ZERO,
             lag,
-            ..common::guard_config(speed_scale)
+            ..common::guard_config()
         };
-        let (guard, bench) = guarded(WireFormat::BigEndian6x10, start_rad, guard);
+        let (guard, bench) = guarded(WireFormat::BigEndian6x10, start_rad, (limits, guard));
         let config = LimiterConfig {
-            acceleration_max_rad_per_s2: driver.deceleration_rad_per_s2,
-            jerk_max_rad_per_s3: driver.deceleration_rad_per_s2 * 40.0,
             reaction_time: HOST_CYCLE + BUS_CYCLE * 2 + lag,
             command_timeout: driver.watchdog.stop_after(),
             fade: Some(CommandFade {
                 begins_after: driver.watchdog.ramp_after(),
                 ends_after: driver.watchdog.stop_after(),
             }),
-            ..common::limiter_config(speed_scale)
+            ..common::limiter_config()
         };
-        let mut limiter = Limiter::new(guard, config, Arc::new(BenchClock(Arc::clone(&bench)))).unwrap();
+        let mut limiter = Limiter::new(guard, limits, config, Arc::new(BenchClock(Arc::clone(&bench)))).unwrap();
         limiter.exchange(JointCommand::Hold).unwrap();
         let begin = bench.lock().unwrap().now;
         Self { limiter, bench, begin }
@@ -368,7 +377,7 @@ proptest! {
         drive in prop::collection::vec((prop::array::uniform7(-1.0..1.0f64), 10..90usize, 0..30usize), 1..8),
     ) {
         let range_rad = common::operating_range_rad();
-        let speeds = common::hard_limits().velocity_max_rad_per_s().to_owned();
+        let speeds = common::servo_limits().velocity_max_rad_per_s().to_owned();
         let mut arm = Chained::new(range_rad.component_mul(&JointVector::from(start)), SPEED_SCALE);
         for (parts, cycles, holds) in drive {
             let wish = JointCommand::Velocity(JointVector::from_fn(|i, _| 1.2 * SPEED_SCALE * speeds[i] * parts[i]));

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use crate::common::{
-    CYCLE, Tamper, Tampered, assert_contract, guard_config, hard_limits, limiter_config, mock_arm, velocity,
+    CYCLE, Tamper, Tampered, assert_contract, guard_config, limiter_config, limits, mock_arm, servo_limits, velocity,
 };
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand, JointState};
@@ -31,7 +31,7 @@ impl Bench {
         let (tamper, told) = (Arc::new(Mutex::new(None)), Arc::new(Mutex::new(Vec::new())));
         let arm =
             Tampered { arm: mock_arm(&clock, start.into()), tamper: Arc::clone(&tamper), told: Arc::clone(&told) };
-        let mut guard = Guard::new(arm, guard_config(speed_scale)).unwrap();
+        let mut guard = Guard::new(arm, limits(speed_scale), guard_config()).unwrap();
         guard.enable().unwrap();
         Self { guard, clock, tamper, told }
     }
@@ -247,7 +247,7 @@ fn a_joint_beyond_its_limits_stops_the_arm() {
 /// S2 is 0.03 rad beyond its servo limit when the arm is enabled: it may come back, and not go further out, nor out again.
 #[test]
 fn a_joint_that_is_found_beyond_its_limits_may_come_back() {
-    let limit = hard_limits().position_max_rad()[1];
+    let limit = servo_limits().position_max_rad()[1];
     let mut start = START;
     start[1] = limit - 0.02;
     let shown_beyond = |sample: &mut JointState| sample.position_rad[1] += 0.05;
@@ -289,15 +289,14 @@ fn the_emergency_stop_and_the_arms_own_faults_come_first() {
 #[test]
 fn refuses_numbers_that_are_none() {
     let refused = |change: fn(&mut GuardConfig)| {
-        let mut config = guard_config(0.6);
+        let mut config = guard_config();
         change(&mut config);
-        Guard::new(mock_arm(&Arc::new(VirtualClock::new()), START.into()), config).err()
+        Guard::new(mock_arm(&Arc::new(VirtualClock::new()), START.into()), limits(0.6), config).err()
     };
-    assert_eq!(refused(|c| c.speed_scale = 1.5), Some(GuardError::SpeedScale(1.5)));
+    assert_eq!(refused(|c| c.ripple_rad_per_s = -0.1), Some(GuardError::Ripple(-0.1)));
+    assert!(matches!(refused(|c| c.ripple_rad_per_s = f64::NAN), Some(GuardError::Ripple(_))));
     let narrow = refused(|c| c.mechanical_max_rad[1] = 1.5);
     assert!(matches!(narrow, Some(GuardError::MechanicalRange(_))), "{narrow:?}");
-    let weak = refused(|c| c.acceleration_max_rad_per_s2[6] = 0.0);
-    assert_eq!(weak, Some(GuardError::Acceleration { joint: 6, value: 0.0 }));
     assert!(matches!(refused(|c| c.tracking_error_max_rad = f64::NAN), Some(GuardError::TrackingError(_))));
     assert_eq!(refused(|_| {}), None);
 }
@@ -305,7 +304,7 @@ fn refuses_numbers_that_are_none() {
 #[test]
 fn guarded_mock_arm_keeps_the_contract() {
     let clock = Arc::new(VirtualClock::new());
-    let make = || Guard::new(mock_arm(&clock, START.into()), guard_config(0.6)).unwrap();
+    let make = || Guard::new(mock_arm(&clock, START.into()), limits(0.6), guard_config()).unwrap();
     assert_contract(&clock, make, |guard| guard.arm());
 }
 
@@ -320,8 +319,8 @@ proptest! {
         scale in prop::sample::select(vec![0.1, 0.6, 1.0]),
     ) {
         let clock = Arc::new(VirtualClock::new());
-        let guard = Guard::new(mock_arm(&clock, start.into()), guard_config(scale)).unwrap();
-        let mut limiter = Limiter::new(guard, limiter_config(scale), Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
+        let guard = Guard::new(mock_arm(&clock, start.into()), limits(scale), guard_config()).unwrap();
+        let mut limiter = Limiter::new(guard, limits(scale), limiter_config(), Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
         limiter.enable().unwrap();
         limiter.exchange(JointCommand::Hold).unwrap();
         let mut at = MonotonicTime::ZERO;
@@ -343,9 +342,10 @@ fn who_can_brake_is_told_when_the_guard_stops_the_arm() {
     let clock = Arc::new(VirtualClock::new());
     let told = Arc::new(Mutex::new(0));
     let count = Arc::clone(&told);
-    let mut guard = Guard::new(mock_arm(&clock, START.into()), guard_config(0.1)).unwrap().on_stop(move || {
-        *count.lock().unwrap() += 1;
-    });
+    let mut guard =
+        Guard::new(mock_arm(&clock, START.into()), limits(0.1), guard_config()).unwrap().on_stop(move || {
+            *count.lock().unwrap() += 1;
+        });
     guard.enable().unwrap();
     for cycle in 0..50 {
         clock.sleep_until(clock.now() + CYCLE);

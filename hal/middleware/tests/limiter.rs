@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use crate::common::{
-    COMMAND_TIMEOUT, CYCLE, Tamper, Tampered, acceleration, assert_contract, hard_limits, jerk, limiter_config,
-    mock_arm, operating_range_rad, velocity,
+    COMMAND_TIMEOUT, CYCLE, Tamper, Tampered, acceleration, assert_contract, jerk, limiter_config, limits, mock_arm,
+    operating_range_rad, velocity,
 };
 use mockall::predicate::eq;
 use pb3dp_geometry::MonotonicTime;
@@ -15,7 +15,7 @@ use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Cl
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_hal_conformance::mocks::MockScriptedArm;
 use pb3dp_hal_middleware::{Limiter, LimiterConfig, LimiterError, LimiterStatistics, StartPose};
-use pb3dp_kinematics::{DOF, JointLimitsError, JointVector};
+use pb3dp_kinematics::{DOF, JointVector};
 use proptest::prelude::*;
 
 fn rest() -> JointCommand {
@@ -33,7 +33,7 @@ fn scripted(script: impl FnOnce(&mut MockScriptedArm)) -> (Limiter<MockScriptedA
     let mut arm = MockScriptedArm::new();
     arm.expect_info().return_const(ArmInfo { name: "scripted".to_owned(), cycle: CYCLE });
     script(&mut arm);
-    (Limiter::new(arm, limiter_config(0.6), Arc::clone(&clock) as Arc<dyn Clock>).unwrap(), clock)
+    (Limiter::new(arm, limits(0.6), limiter_config(), Arc::clone(&clock) as Arc<dyn Clock>).unwrap(), clock)
 }
 
 /// An enabled mock arm whose commands are noted.
@@ -43,7 +43,7 @@ fn noted() -> (Limiter<Tampered>, Arc<VirtualClock>, Arc<Mutex<Vec<JointCommand>
     arm.enable().unwrap();
     let told = Arc::default();
     let arm = Tampered { arm, told: Arc::clone(&told), tamper: Arc::default() };
-    (Limiter::new(arm, limiter_config(1.0), Arc::clone(&clock) as Arc<dyn Clock>).unwrap(), clock, told)
+    (Limiter::new(arm, limits(1.0), limiter_config(), Arc::clone(&clock) as Arc<dyn Clock>).unwrap(), clock, told)
 }
 
 /// Expects exactly these commands, and answers each with a sample of that moment.
@@ -157,8 +157,8 @@ fn the_first_velocity_is_refused_away_from_the_start() {
         let clock = Arc::new(VirtualClock::new());
         let mut arm = mock_arm(&clock, sample(MonotonicTime::ZERO).position_rad);
         arm.enable().unwrap();
-        let config = LimiterConfig { start: start_with(joint, offset_rad), ..limiter_config(0.6) };
-        let mut limiter = Limiter::new(arm, config, Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
+        let config = LimiterConfig { start: start_with(joint, offset_rad), ..limiter_config() };
+        let mut limiter = Limiter::new(arm, limits(0.6), config, Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
         let mut cycle = |command| {
             clock.sleep_until(clock.now() + CYCLE);
             limiter.exchange(command).map_err(|error| (error.kind(), error.to_string()))
@@ -189,8 +189,8 @@ fn an_arm_that_is_switched_on_where_it_is_at_the_second_try_goes_on() {
     let clock = Arc::new(VirtualClock::new());
     let mut arm = mock_arm(&clock, sample(MonotonicTime::ZERO).position_rad);
     arm.enable().unwrap();
-    let config = LimiterConfig { start: start_with(0, 0.0), ..limiter_config(0.6) };
-    let mut limiter = Limiter::new(arm, config, Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
+    let config = LimiterConfig { start: start_with(0, 0.0), ..limiter_config() };
+    let mut limiter = Limiter::new(arm, limits(0.6), config, Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
     limiter.exchange(JointCommand::Hold).unwrap();
     for _ in 0..50 {
         clock.sleep_until(clock.now() + CYCLE);
@@ -235,7 +235,7 @@ fn joints_turn_beyond_half_a_turn() {
     let start = JointVector::from([0.2, -0.5, 0.3, 1.1, 170f64.to_radians(), 0.9, -170f64.to_radians()]);
     let mut arm = mock_arm(&clock, start);
     arm.enable().unwrap();
-    let mut limiter = Limiter::new(arm, limiter_config(0.6), Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
+    let mut limiter = Limiter::new(arm, limits(0.6), limiter_config(), Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
     let mut wish = JointVector::zeros();
     (wish[4], wish[6]) = (1.0, -1.0);
     let mut last = limiter.exchange(JointCommand::Hold).unwrap();
@@ -339,24 +339,12 @@ fn power_is_the_arms_own() {
 }
 
 #[test]
-fn refuses_numbers_that_are_no_limits() {
+fn refuses_numbers_that_are_none() {
     let refused = |change: fn(&mut LimiterConfig)| {
-        let mut config = limiter_config(0.6);
+        let mut config = limiter_config();
         change(&mut config);
-        Limiter::new(MockScriptedArm::new(), config, Arc::new(VirtualClock::new())).err()
+        Limiter::new(MockScriptedArm::new(), limits(0.6), config, Arc::new(VirtualClock::new())).err()
     };
-    assert_eq!(refused(|c| c.speed_scale = 0.0), Some(LimiterError::SpeedScale(0.0)));
-    assert_eq!(refused(|c| c.speed_scale = 1.01), Some(LimiterError::SpeedScale(1.01)));
-    assert!(matches!(refused(|c| c.speed_scale = f64::NAN), Some(LimiterError::SpeedScale(_))));
-    let wide = refused(|c| c.operating_max_rad[1] = 1.6);
-    assert!(
-        matches!(wide, Some(LimiterError::OperatingRange(JointLimitsError::NotWithin { joint: 1, .. }))),
-        "{wide:?}"
-    );
-    let weak = refused(|c| c.acceleration_max_rad_per_s2[5] = -1.0);
-    assert_eq!(weak, Some(LimiterError::Acceleration { joint: 5, value: -1.0 }));
-    let soft = refused(|c| c.jerk_max_rad_per_s3[2] = f64::INFINITY);
-    assert_eq!(soft, Some(LimiterError::Jerk { joint: 2, value: f64::INFINITY }));
     let nowhere = refused(|c| c.start = StartPose::Near { position_rad: JointVector::zeros(), tolerance_rad: 0.0 });
     assert_eq!(nowhere, Some(LimiterError::StartTolerance(0.0)));
     assert_eq!(refused(|c| c.stale_after = Duration::ZERO), Some(LimiterError::ZeroTime("the age of a stale sample")));
@@ -368,7 +356,7 @@ fn limited_mock_arm_keeps_the_contract() {
     let clock = Arc::new(VirtualClock::new());
     let make = || {
         let arm = mock_arm(&clock, JointVector::from([0.2, -0.5, 0.3, 1.1, -0.7, 0.9, 0.1]));
-        Limiter::new(arm, limiter_config(0.6), Arc::clone(&clock) as Arc<dyn Clock>).unwrap()
+        Limiter::new(arm, limits(0.6), limiter_config(), Arc::clone(&clock) as Arc<dyn Clock>).unwrap()
     };
     assert_contract(&clock, make, |limiter| limiter.arm());
 }
@@ -430,8 +418,9 @@ impl Wild {
         arm.enable().unwrap();
         let (passed, frozen) = (Arc::new(Mutex::new(Vec::new())), Arc::default());
         let arm = Tampered { arm, told: Arc::clone(&passed), tamper: Arc::clone(&frozen) };
-        let limiter = Limiter::new(arm, limiter_config(speed_scale), Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
-        let speeds = hard_limits().velocity_max_rad_per_s() * speed_scale;
+        let limiter =
+            Limiter::new(arm, limits(speed_scale), limiter_config(), Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
+        let speeds = *limits(speed_scale).velocity_max_rad_per_s();
         let last_exchange = clock.now();
         let mut wild = Self { limiter, clock, passed, frozen, speeds, before: None, last_exchange };
         wild.limiter.exchange(JointCommand::Hold).unwrap();

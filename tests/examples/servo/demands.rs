@@ -3,14 +3,14 @@
 use anyhow::{Context, Result};
 use pb3dp_geometry::frames::{Model, Target, World};
 use pb3dp_geometry::{Pose, Twist};
-use pb3dp_kinematics::{DOF, JointLimits, JointVector};
+use pb3dp_kinematics::{DOF, JointVector, StatedLimits};
 use pb3dp_setup::setup::Setup;
 use pb3dp_sim::placement::{FlangePath, PathReport, PathRequirements, check_experiment};
 use pb3dp_sim::trajectory::{Mark, MotionConfig, StepExperimentConfig, Trajectory};
 
 use crate::setups::ARM_LAG;
 
-/// Speeds are allowed this many times what they are, to see what a motion would demand.
+/// Speeds and accelerations are allowed this many times what they are, to see what a motion would demand.
 const LIFTED: f64 = 1e4;
 
 /// What a motion demands of one thing.
@@ -36,13 +36,13 @@ pub fn start(setup: &Setup) -> Pose<World, Target> {
 pub fn demands(setup: &Setup, motion: &MotionConfig) -> Result<Vec<Demand>> {
     let target = motion.begin_at(start(setup))?;
     let report = follow(setup, &*target)?;
-    let (allowed, speed) = (&setup.vs.limiter, &setup.controller.speed.tracking);
+    let (allowed, speed) = (&setup.vs.limits, &setup.controller.speed.tracking);
     let demand = |what: String, is_speed: bool, share: f64| Demand { what, is_speed, share };
     let mut demands: Vec<Demand> = (0..DOF)
         .flat_map(|joint| {
             let axis = joint + 1;
             let acceleration =
-                report.acceleration_max_rad_per_s2[joint].value / allowed.acceleration_max_rad_per_s2[joint];
+                report.acceleration_max_rad_per_s2[joint].value / allowed.acceleration_max_rad_per_s2()[joint];
             [
                 demand(format!("axis {axis}, speed"), true, report.speed_ratio_max[joint].value * LIFTED),
                 demand(format!("axis {axis}, acceleration"), false, acceleration),
@@ -57,9 +57,15 @@ pub fn demands(setup: &Setup, motion: &MotionConfig) -> Result<Vec<Demand>> {
 }
 
 fn follow(setup: &Setup, target: &dyn Trajectory) -> Result<PathReport> {
-    let limiter = &setup.vs.limiter;
-    let speeds = setup.vs.chain.limits().velocity_max_rad_per_s() * LIFTED;
-    let limits = JointLimits::new(limiter.operating_min_rad, limiter.operating_max_rad, speeds)?;
+    let allowed = &setup.vs.limits;
+    let lifted = StatedLimits {
+        servo: allowed.operating().with_velocity_max(allowed.velocity_max_rad_per_s() * LIFTED)?,
+        operating_min_rad: *allowed.operating().position_min_rad(),
+        operating_max_rad: *allowed.operating().position_max_rad(),
+        speed_scale: 1.0,
+        acceleration_max_rad_per_s2: allowed.acceleration_max_rad_per_s2() * LIFTED,
+        jerk_max_rad_per_s3: *allowed.jerk_max_rad_per_s3(),
+    };
     let path = FlangePath::of_follower(
         target,
         &setup.vs.world_from_base,
@@ -67,8 +73,8 @@ fn follow(setup: &Setup, target: &dyn Trajectory) -> Result<PathReport> {
         &setup.controller.model_from_hand_desired,
         &setup.controller.flange_from_hand,
     );
-    let requirements = PathRequirements::at_speed_scale(limiter.speed_scale);
-    Ok(check_experiment(&setup.vs.chain, &limits, &setup.vs.start_rad, &path, &requirements)?)
+    let requirements = PathRequirements::OF_EXPERIMENT;
+    Ok(check_experiment(&setup.vs.chain, &lifted.effective()?, &setup.vs.start_rad, &path, &requirements)?)
 }
 
 /// A motion that ends before its time.
@@ -108,11 +114,11 @@ pub fn shortest_step(
     let slow = StepExperimentConfig { move_s: 4.0, lead_in_s: 0.0, ..step.clone() };
     let target = MotionConfig::Steps(slow).begin_at(start(setup))?;
     let report = follow(setup, &Shortened(&*target, 4.0))?;
-    let limiter = &setup.vs.limiter;
+    let limits = &setup.vs.limits;
     let way_rad: JointVector = (report.end_rad - report.begin_rad).map(f64::abs);
-    let speed = setup.vs.chain.limits().velocity_max_rad_per_s() * limiter.speed_scale;
+    let speed = limits.velocity_max_rad_per_s();
     let joint = |joint: usize| {
-        let (way, speed, acceleration) = (way_rad[joint], speed[joint], limiter.acceleration_max_rad_per_s2[joint]);
+        let (way, speed, acceleration) = (way_rad[joint], speed[joint], limits.acceleration_max_rad_per_s2()[joint]);
         (rest_to_rest_s(way, speed, acceleration, within_share), format!("axis {}", joint + 1))
     };
     let target_from_hand = Pose::<Target, Model>::coincident() * setup.controller.model_from_hand_desired;

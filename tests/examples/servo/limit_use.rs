@@ -23,8 +23,8 @@ const STILL_RAD_PER_S: f64 = 0.01;
 impl LimitUse {
     /// What these measurements of the arm with the cameras show.
     pub fn of(setup: &Setup, seen: &[JointState]) -> Self {
-        let limiter = &setup.vs.limiter;
-        let speeds = setup.vs.chain.limits().velocity_max_rad_per_s() * limiter.speed_scale;
+        let limits = &setup.vs.limits;
+        let speeds = limits.velocity_max_rad_per_s();
         let mut most = Self { speed: (0.0, 1), acceleration: (0.0, 1), room_deg: (f64::INFINITY, 1), turns: 0 };
         let raise = |slot: &mut (f64, usize), value: f64, axis: usize| {
             if value > slot.0 {
@@ -36,7 +36,8 @@ impl LimitUse {
                 let axis = joint + 1;
                 raise(&mut most.speed, now.velocity_rad_per_s[joint].abs() / speeds[joint], axis);
                 let position_rad = now.position_rad[joint];
-                let (min, max) = (limiter.operating_min_rad[joint], limiter.operating_max_rad[joint]);
+                let (min, max) =
+                    (limits.operating().position_min_rad()[joint], limits.operating().position_max_rad()[joint]);
                 let room_deg = (position_rad - min).min(max - position_rad).to_degrees();
                 if room_deg < most.room_deg.0 {
                     most.room_deg = (room_deg, axis);
@@ -45,7 +46,7 @@ impl LimitUse {
                 let (was, is) = (before.velocity_rad_per_s[joint], now.velocity_rad_per_s[joint]);
                 let dt_s = now.at.seconds_since(before.at);
                 if dt_s > 0.0 {
-                    let allowed = limiter.acceleration_max_rad_per_s2[joint];
+                    let allowed = limits.acceleration_max_rad_per_s2()[joint];
                     raise(&mut most.acceleration, (is - was).abs() / dt_s / allowed, axis);
                 }
                 most.turns += usize::from(was * is < 0.0 && (is - was).abs() > STILL_RAD_PER_S);

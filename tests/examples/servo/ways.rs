@@ -102,7 +102,7 @@ pub fn joints_at(setup: &Setup, hand: &Pose<World, Hand>, guess_rad: &JointVecto
         let turn = so3::log(&(wanted.rotation() * is.rotation().inverse()));
         let error = pb3dp_geometry::se3::join(&(wanted.translation_m() - is.translation_m()), &turn);
         if error.norm() < 1e-9 {
-            let margin_rad = setup.vs.limiter.operating_max_rad - position_rad.abs();
+            let margin_rad = setup.vs.limits.operating().position_max_rad() - position_rad.abs();
             ensure!(
                 margin_rad.min() > 0.0,
                 "a joint would be beyond its range by {:.1} degrees",

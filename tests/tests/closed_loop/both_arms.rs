@@ -36,11 +36,8 @@ fn the_carrying_arm_has_the_limits_and_states_of_the_following_one() {
         let no_number = arm.exchange(JointCommand::Velocity(wish * f64::NAN)).unwrap_err();
         assert_eq!(no_number.kind(), ArmErrorKind::Rejected);
         assert!(no_number.to_string().contains(&format!("limiter of arm {name}")), "{no_number}");
-        let limits = &setup.limiter;
-        let (speed, most) = (
-            limits.speed_scale * limits.hard_limits.velocity_max_rad_per_s()[6],
-            limits.acceleration_max_rad_per_s2[6],
-        );
+        let limits = &setup.limits;
+        let (speed, most) = (limits.velocity_max_rad_per_s()[6], limits.acceleration_max_rad_per_s2()[6]);
         let mut before = arm.exchange(JointCommand::Hold).unwrap();
         let mut fastest: f64 = 0.0;
         for _ in 0..100 {

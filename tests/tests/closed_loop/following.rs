@@ -78,7 +78,7 @@ fn follow_the_crab(method: Method, limits: &Limits) -> RunLog {
 /// Speeds as the arm tells them, and as its angles tell them.
 fn keeps_its_speeds(name: &str, arm: &ArmSetup, notes: &Notes) {
     let measured = notes.measured.lock().unwrap();
-    let allowed = arm.chain.limits().velocity_max_rad_per_s() * arm.limiter.speed_scale;
+    let allowed = arm.limits.velocity_max_rad_per_s();
     assert!(measured.len() > 1000);
     let mut fastest: f64 = 0.0;
     // The first two samples are of one moment: one to know the start, one of the first control step.

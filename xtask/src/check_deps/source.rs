@@ -164,6 +164,9 @@ const DERIVE_SERDE: [&str; 5] =
     ["crates/setup/", "crates/cell/", "crates/commissioning/", "crates/orchestrator/", "crates/record/"];
 const SERDE_TRAITS: [&str; 2] = ["Serialize", "Deserialize"];
 
+/// Who may know a speed scale: the setup that states it, and the type that applies it. Everybody else receives effective limits.
+const KNOW_SPEED_SCALE: [&str; 2] = ["crates/setup/", "crates/kinematics/src/effective_limits.rs"];
+
 /// Checks one Rust file; tests, examples and the project's own commands are exempt.
 pub fn check(path: &str, text: &str) -> Vec<Violation> {
     let is_product = (path.starts_with("crates/") || path.starts_with("hal/")) && path.contains("/src/");
@@ -179,6 +182,7 @@ pub fn check(path: &str, text: &str) -> Vec<Violation> {
     let mut violations = worlds(path, &code);
     violations.extend(backends(path, &code));
     violations.extend(serde_derives(path, &code));
+    violations.extend(speed_scales(path, &code));
     violations.sort();
     violations.dedup();
     violations
@@ -219,6 +223,15 @@ fn backends(path: &str, code: &str) -> Vec<Violation> {
         )
     };
     BACKENDS.into_iter().filter(|backend| code.contains(backend)).map(violation).collect()
+}
+
+fn speed_scales(path: &str, code: &str) -> Vec<Violation> {
+    if KNOW_SPEED_SCALE.iter().any(|place| path.starts_with(place)) {
+        return Vec::new();
+    }
+    let message = "`speed_scale`: take `EffectiveLimits`, in which it is applied; nobody multiplies by it again";
+    let found = code.match_indices("speed_scale");
+    found.map(|(at, _)| Violation::at(path, line_at(code, at), "speed-scale", message)).collect()
 }
 
 fn serde_derives(path: &str, code: &str) -> Vec<Violation> {
@@ -300,6 +313,14 @@ mod tests {
                 assert_eq!(rules(path, text), ["outside-world"], "{path}: {text}");
             }
         }
+    }
+
+    #[test]
+    fn a_speed_scale_is_applied_in_one_place() {
+        let text = "fn f(limits: &L) -> f64 { limits.speed * self.speed_scale }";
+        assert_eq!(rules("hal/middleware/src/guard.rs", text), ["speed-scale"]);
+        assert!(rules("crates/kinematics/src/effective_limits.rs", text).is_empty());
+        assert!(rules("crates/setup/src/setup/arms.rs", text).is_empty());
     }
 
     #[test]

@@ -273,7 +273,7 @@ impl GatewayFacts {
 
 fn joint(choice: ArmChoice, arm: &ArmSetup, seen: &ArmSnapshot, axis: Axis, findings: &mut Findings) -> JointFacts {
     let index = axis.index();
-    let hard = &arm.limiter.hard_limits;
+    let hard = arm.limits.servo();
     let configured_deg = [degrees(hard.position_min_rad()[index]), degrees(hard.position_max_rad()[index])];
     let eeprom_deg =
         seen.limits[index].map(|limits: AxisLimits| [degrees(limits.lower_rad), degrees(limits.upper_rad)]);
@@ -315,7 +315,8 @@ fn joint(choice: ArmChoice, arm: &ArmSetup, seen: &ArmSnapshot, axis: Axis, find
 
 fn judge_angle(arm: &ArmSetup, (axis, angle_rad): (Axis, f64), findings: &mut Findings) {
     let index = axis.index();
-    let (lower, upper) = (arm.limiter.operating_min_rad[index], arm.limiter.operating_max_rad[index]);
+    let operating = arm.limits.operating();
+    let (lower, upper) = (operating.position_min_rad()[index], operating.position_max_rad()[index]);
     let (guard, angle) = (&arm.guard, angle_rad.to_degrees());
     if !(guard.mechanical_min_rad[index]..=guard.mechanical_max_rad[index]).contains(&angle_rad) {
         findings.refuse(format!(

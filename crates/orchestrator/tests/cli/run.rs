@@ -164,7 +164,7 @@ fn an_experiment_that_is_too_fast_is_refused_by_how_much() {
     let config = setup(dir.path(), &[("speed_scale = 0.6 ", "# "), ("first_run = false ", "# ")]);
     let out = dir.path().join("out");
     let finished = pb3dp(&words(&[&"run", &"--config", &config, &"--out", &out]));
-    finished.assert_refused(&["can not follow the experiment", "axis ", "speed scale 0.1", "times too fast"]);
+    finished.assert_refused(&["can not follow the experiment", "axis ", "arms.speed_scale", "times too fast"]);
     assert!(!out.join("report.html").exists());
 }
 

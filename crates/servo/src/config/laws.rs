@@ -1,7 +1,5 @@
 //! What each control law needs.
 
-use pb3dp_kinematics::JointVector;
-
 use super::TINY;
 use crate::config_error::{ConfigError, check};
 use crate::target_state::TargetStateConfig;
@@ -47,8 +45,6 @@ pub struct FeedForwardConfig {
     pub arm: ArmResponse,
     /// Gains, and how hard errors are braked away.
     pub gains: FeedForwardGains,
-    /// Largest accelerations of the joints, rad/s^2, 0.01 to 1000: large errors are corrected no faster than the joints can brake.
-    pub joint_acceleration_max_rad_per_s2: JointVector,
     /// How the target moves, and how far observations are believed.
     pub target: TargetStateConfig,
     /// Observations that are accepted before the hand moves, 1 to 1000.
@@ -243,10 +239,6 @@ impl FeedForwardConfig {
         check("feed_forward.arm.delay_s", self.arm.delay_s, 0.0, 0.5, "0 to 0.5 s")?;
         check("feed_forward.arm.lag_s", self.arm.lag_s, 0.0, 0.5, "0 to 0.5 s")?;
         self.gains.validate()?;
-        for most in self.joint_acceleration_max_rad_per_s2.iter() {
-            let key = "feed_forward.joint_acceleration_max_rad_per_s2";
-            check(key, *most, 0.01, 1000.0, "0.01 to 1000 rad/s^2")?;
-        }
         self.target.validate()?;
         let to_lock = f64::from(self.observations_to_lock);
         check("feed_forward.observations_to_lock", to_lock, 1.0, 1000.0, "1 to 1000")?;

@@ -129,8 +129,8 @@ impl Controller {
 
     fn joint_bounds(&self) -> JointBounds<'_> {
         JointBounds {
-            limits: &self.limits,
-            speed: &self.config.speed,
+            limits: self.limits.operating(),
+            limit_approach_per_s: self.config.speed.limit_approach_per_s,
             elbow_min_rad: self.config.damping.elbow_min_rad,
         }
     }
@@ -215,7 +215,7 @@ impl Controller {
         let frames = self.chain.joint_frames(&position_rad);
         let base_from_hand = frames.base_from_flange * self.config.flange_from_hand;
         let jacobian = HandJacobian::new(&self.chain, &frames, &base_from_hand.translation_m().into());
-        let gains = aim.gains_within(&law.gains, &base_from_hand, &law.joint_acceleration_max_rad_per_s2, |twist| {
+        let gains = aim.gains_within(&law.gains, &base_from_hand, self.limits.acceleration_max_rad_per_s2(), |twist| {
             jacobian.joint_velocity(twist, &self.damping)
         });
         let most = self.correction_most(law, now);
@@ -223,8 +223,14 @@ impl Controller {
         let twist = feed_forward::hand_twist(&gains, &aim, &base_from_hand, &most);
         // The closer to a singular pose, the less.
         let weight = (jacobian.smallest_singular_value() / self.damping.threshold()).min(1.0).powi(2);
-        let secondary_rad_per_s =
-            secondary_velocity(&self.chain, &self.limits, &position_rad, jacobian.matrix(), &law.redundancy, weight);
+        let secondary_rad_per_s = secondary_velocity(
+            &self.chain,
+            self.limits.operating(),
+            &position_rad,
+            jacobian.matrix(),
+            &law.redundancy,
+            weight,
+        );
         let fresh = self.freshness(now);
         let share = self.pace.risen(self.config.speed.soft_start_s, self.period_s, fresh, now);
         let slowed_by = if share < fresh { Limitation::SoftStart } else { Limitation::Fading };

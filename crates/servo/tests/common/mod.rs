@@ -8,7 +8,7 @@ use std::f64::consts::PI;
 use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
 use pb3dp_geometry::frames::{Base, CamLeft, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose};
-use pb3dp_kinematics::{Chain, JointLimits, JointState, JointVector};
+use pb3dp_kinematics::{Chain, EffectiveLimits, JointState, JointVector, StatedLimits};
 use pb3dp_servo::{
     ApproachConfig, ArmResponse, CartesianSpeed, Command, ControlStep, Controller, ControllerConfig, DampingConfig,
     FeedForwardConfig, FeedForwardGains, Gains, LawConfig, PublishedConfig, RedundancyConfig, SpeedConfig,
@@ -22,9 +22,18 @@ pub fn chain() -> Chain {
     Chain::from_urdf_str(include_str!("../../../../configs/robots/pa10_gen2.urdf"), "base_link", "flange").unwrap()
 }
 
-pub fn limits() -> JointLimits {
+/// With drives that are stronger than any law asks for.
+pub fn limits(speed_scale: f64) -> EffectiveLimits {
     let max = JointVector::from([170.0, 88.0, 168.0, 131.0, 249.0, 159.0, 249.0]).map(f64::to_radians);
-    chain().limits().with_position_range(-max, max).unwrap()
+    let stated = StatedLimits {
+        servo: *chain().limits(),
+        operating_min_rad: -max,
+        operating_max_rad: max,
+        speed_scale,
+        acceleration_max_rad_per_s2: JointVector::from_element(1000.0),
+        jerk_max_rad_per_s3: JointVector::from_element(1e5),
+    };
+    stated.effective().unwrap()
 }
 
 pub fn rotation(x: f64, y: f64, z: f64) -> UnitQuaternion<f64> {
@@ -64,7 +73,6 @@ pub fn feed_forward(arm: ArmResponse) -> FeedForwardConfig {
     FeedForwardConfig {
         arm,
         gains: FeedForwardGains::of(&arm),
-        joint_acceleration_max_rad_per_s2: JointVector::from_element(1000.0),
         target: trusting(),
         observations_to_lock: 3,
         unstated: UnstatedCovariance::default(),
@@ -91,7 +99,7 @@ pub fn config() -> ControllerConfig {
             angular_velocity: 0.0,
         })),
         damping: DampingConfig::default(),
-        speed: SpeedConfig { tracking: wide, joint_speed_scale: 1.0, limit_approach_per_s: 20.0, soft_start_s: 0.0 },
+        speed: SpeedConfig { tracking: wide, limit_approach_per_s: 20.0, soft_start_s: 0.0 },
         approach: ApproachConfig { speed: wide, done_within_m: 0.002, done_within_rad: 0.005 },
         timeouts: Timeouts { observation_s: 0.3, lost_s: 1.0, joints_s: 0.03 },
         search: None,
@@ -119,7 +127,7 @@ pub struct Cell {
     pub controller: Controller,
     pub config: ControllerConfig,
     pub chain: Chain,
-    pub limits: JointLimits,
+    pub limits: EffectiveLimits,
     pub step_s: f64,
     pub plant: Plant,
     /// Seconds from exposure to arrival.
@@ -134,13 +142,17 @@ pub struct Cell {
 
 impl Cell {
     pub fn new(config: ControllerConfig, plant: Plant, latency_s: f64) -> Self {
+        Self::at_speed_scale(1.0, config, plant, latency_s)
+    }
+
+    pub fn at_speed_scale(speed_scale: f64, config: ControllerConfig, plant: Plant, latency_s: f64) -> Self {
         let at = MonotonicTime::from_secs_f64(5.0);
         let joints = JointState { at, position_rad: START_RAD.into(), velocity_rad_per_s: JointVector::zeros() };
         Self {
-            controller: Controller::new(config, chain(), limits()).unwrap(),
+            controller: Controller::new(config, chain(), limits(speed_scale)).unwrap(),
             config,
             chain: chain(),
-            limits: limits(),
+            limits: limits(speed_scale),
             step_s: 0.002,
             plant,
             latency_s,

@@ -10,7 +10,7 @@ use pb3dp_geometry::frames::{Base, World};
 use pb3dp_hal_middleware::{
     CommandFade, CoupledArmConfig, GuardConfig, LimiterConfig, PA10_MECHANICAL_RANGE_DEG, StartPose,
 };
-use pb3dp_kinematics::{ArmShape, Chain, DOF, JointLimits, JointVector};
+use pb3dp_kinematics::{ArmShape, Chain, DOF, EffectiveLimits, JointLimits, JointVector, StatedLimits};
 use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 use serde::Deserialize;
 
@@ -33,6 +33,8 @@ pub struct ArmSetup {
     pub start_rad: JointVector,
     /// How the simulated drives answer.
     pub plant: JointPlantConfig,
+    /// What it may do: limiter, guard, coupling, controller and planner are built from these.
+    pub limits: EffectiveLimits,
     /// The limiter before them.
     pub limiter: LimiterConfig,
     /// The guard behind it.
@@ -58,8 +60,7 @@ impl ArmSetup {
             chain: self.chain.clone(),
             shape: self.shape.clone(),
             world_from_base: self.world_from_base,
-            acceleration_max_rad_per_s2: self.limiter.acceleration_max_rad_per_s2,
-            jerk_max_rad_per_s3: self.limiter.jerk_max_rad_per_s3,
+            limits: self.limits,
             reaction_time: self.limiter.reaction_time,
             command_timeout: self.limiter.command_timeout,
             fade: self.limiter.fade,
@@ -145,11 +146,6 @@ impl ArmsSection {
         [&self.vs, &self.tc].into_iter().any(|arm| arm.gateway.is_some() || arm.bus.is_some())
     }
 
-    /// Largest accelerations of the arm that carries the cameras, unchecked.
-    pub(super) fn vs_acceleration_max_rad_per_s2(&self) -> JointVector {
-        JointVector::from(self.vs.acceleration_max_rad_per_s2)
-    }
-
     /// Both arms; `None` if a file can not be read or a limit is refused.
     pub(super) fn build(
         &self,
@@ -202,9 +198,8 @@ impl ArmSection {
         let (chain, shape) = chain.zip(shape)?;
         let start_rad = JointVector::from(self.start_deg).map(f64::to_radians);
         let mechanical_max_rad = JointVector::from(self.mechanical_range_deg).map(f64::to_radians);
-        let operating_max_rad = JointVector::from(self.operating_range_deg).map(f64::to_radians);
-        let acceleration_max_rad_per_s2 = JointVector::from(self.acceleration_max_rad_per_s2);
-        let (link, hard_limits) = (link?, *chain.limits());
+        let limits = self.limits((key, all.speed_scale), &chain, check)?;
+        let link = link?;
         let fade = fade(&link);
         Some(ArmSetup {
             link,
@@ -212,20 +207,15 @@ impl ArmSection {
             shape,
             start_rad,
             plant: JointPlantConfig {
-                limits: hard_limits,
-                acceleration_max_rad_per_s2,
+                limits: *limits.servo(),
+                acceleration_max_rad_per_s2: *limits.acceleration_max_rad_per_s2(),
                 velocity_time_constant: millis(lag),
                 command_delay: millis(self.command_delay_millis),
                 angle_quantum_rad: PA10_ANGLE_QUANTUM_RAD,
                 history: PLANT_HISTORY,
             },
+            limits,
             limiter: LimiterConfig {
-                hard_limits,
-                operating_min_rad: -operating_max_rad,
-                operating_max_rad,
-                speed_scale: all.speed_scale,
-                acceleration_max_rad_per_s2,
-                jerk_max_rad_per_s3: JointVector::from(self.jerk_max_rad_per_s3),
                 reaction_time: millis(control_period_millis + self.command_delay_millis + lag),
                 command_timeout: millis(timeout),
                 fade,
@@ -233,11 +223,9 @@ impl ArmSection {
                 start: StartPose::Near { position_rad: start_rad, tolerance_rad: StartPose::TOLERANCE_RAD },
             },
             guard: GuardConfig {
-                hard_limits,
                 mechanical_min_rad: -mechanical_max_rad,
                 mechanical_max_rad,
-                speed_scale: all.speed_scale,
-                acceleration_max_rad_per_s2,
+                ripple_rad_per_s: 0.0,
                 delay: millis(self.command_delay_millis),
                 lag: millis(lag),
                 tracking_error_max_rad: all.tracking_error_max_deg.to_radians(),
@@ -247,6 +235,36 @@ impl ArmSection {
             emulation_seed: 0, // Each run seeds it: `Setup::reseed`.
             chain,
         })
+    }
+
+    /// What the arm may do. Where a number was refused before, by the name of its key, something that is possible stands in for it, so
+    /// that whatever else is wrong is found, too.
+    fn limits(&self, (key, speed_scale): (&str, f64), chain: &Chain, check: &mut Checker) -> Option<EffectiveLimits> {
+        let servo = *chain.limits();
+        let operating_max_rad = JointVector::from(self.operating_range_deg).map(f64::to_radians);
+        let stated = StatedLimits {
+            servo,
+            operating_min_rad: -operating_max_rad,
+            operating_max_rad,
+            speed_scale,
+            acceleration_max_rad_per_s2: JointVector::from(self.acceleration_max_rad_per_s2),
+            jerk_max_rad_per_s3: JointVector::from(self.jerk_max_rad_per_s3),
+        };
+        let possible = StatedLimits {
+            servo,
+            operating_min_rad: *servo.position_min_rad(),
+            operating_max_rad: *servo.position_max_rad(),
+            speed_scale: 1.0,
+            acceleration_max_rad_per_s2: JointVector::repeat(1.0),
+            jerk_max_rad_per_s3: JointVector::repeat(1.0),
+        };
+        let instead = |error| {
+            if check.is_clean() {
+                check.refuse(format!("{key}: {error}"));
+            }
+            possible.effective()
+        };
+        stated.effective().or_else(instead).ok()
     }
 
     /// The limiter leaves room for as long as the arm may go on with its last command.

@@ -2,7 +2,6 @@
 
 use std::ops::RangeInclusive;
 
-use pb3dp_kinematics::JointVector;
 use pb3dp_servo::{
     ArmResponse, FeedForwardConfig, FeedForwardGains, Gains, HybridConfig, ImageBasedConfig, LawConfig,
     PublishedConfig, RedundancyConfig, TargetFilterConfig, UnstatedCovariance,
@@ -55,8 +54,6 @@ pub(super) struct LawTables<'a> {
     pub image_based: Option<&'a ImageBasedSection>,
     pub hybrid: Option<&'a HybridSection>,
     pub smoothing: Option<&'a SmoothingSection>,
-    /// Of the arm that carries the cameras.
-    pub joint_acceleration_max_rad_per_s2: JointVector,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -173,7 +170,6 @@ impl LawTables<'_> {
                 linear_m_per_s2: law.linear_max_mm_per_s2 * 1e-3,
                 angular_rad_per_s2: law.angular_max_deg_per_s2.to_radians(),
             },
-            joint_acceleration_max_rad_per_s2: self.joint_acceleration_max_rad_per_s2,
             observations_to_lock: whole(law.observations_to_lock),
             unstated: UnstatedCovariance {
                 lateral_m: unstated.lateral_sigma_mm * 1e-3,

@@ -280,8 +280,7 @@ impl SetupFile {
         let control_period_millis = within(self.run.control_period_millis, 2.0, period_max_millis);
         let arms = self.arms.build(file, control_period_millis, check);
         let mounts = self.mounts.build(file, check);
-        let of_joints = (self.arms.speed_scale, self.arms.vs_acceleration_max_rad_per_s2());
-        let controller = self.servo.build(&mounts, of_joints, check);
+        let controller = self.servo.build(&mounts, check);
         let frame_period = sight.as_ref().map_or(Duration::ZERO, |sight| sight.camera.period);
         let supervisor = self.supervisor.build(frame_period, check);
         if self.servo.searches() && supervisor.search_max_s <= 0.0 {

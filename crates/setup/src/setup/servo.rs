@@ -2,7 +2,6 @@
 
 use std::ops::RangeInclusive;
 
-use pb3dp_kinematics::JointVector;
 use pb3dp_servo::{
     ApproachConfig, CartesianSpeed, ControllerConfig, DampingConfig, Gains, LawConfig, PublishedConfig, SearchConfig,
     SpeedConfig, TargetFilterConfig, Timeouts,
@@ -96,12 +95,7 @@ impl ServoSection {
         self.search.is_some()
     }
 
-    pub(super) fn build(
-        &self,
-        mounts: &Mounts,
-        (joint_speed_scale, joint_acceleration_max_rad_per_s2): (f64, JointVector),
-        check: &mut Checker,
-    ) -> ControllerConfig {
+    pub(super) fn build(&self, mounts: &Mounts, check: &mut Checker) -> ControllerConfig {
         let config = ControllerConfig {
             model_from_hand_desired: self.model_from_hand_desired.build(
                 "servo.model_from_hand_desired",
@@ -110,7 +104,7 @@ impl ServoSection {
             ),
             hand_from_cam_left: mounts.hand_from_cam_left,
             flange_from_hand: mounts.flange_from_hand,
-            law: self.law(joint_acceleration_max_rad_per_s2, check),
+            law: self.law(check),
             damping: DampingConfig {
                 threshold: self.damping.threshold,
                 factor_max: self.damping.factor_max,
@@ -118,7 +112,6 @@ impl ServoSection {
             },
             speed: SpeedConfig {
                 tracking: speed(self.speed.linear_max_mm_per_s, self.speed.angular_max_deg_per_s),
-                joint_speed_scale,
                 limit_approach_per_s: self.speed.limit_approach_per_s,
                 soft_start_s: self.speed.soft_start_s,
             },
@@ -139,7 +132,7 @@ impl ServoSection {
         config
     }
 
-    fn law(&self, joint_acceleration_max_rad_per_s2: JointVector, check: &mut Checker) -> LawConfig {
+    fn law(&self, check: &mut Checker) -> LawConfig {
         let tables = LawTables {
             arm_response: self.arm_response.as_ref(),
             feed_forward: self.feed_forward.as_ref(),
@@ -150,7 +143,6 @@ impl ServoSection {
             image_based: self.image_based.as_ref(),
             hybrid: self.hybrid.as_ref(),
             smoothing: self.smoothing.as_ref(),
-            joint_acceleration_max_rad_per_s2,
         };
         let refused = PublishedConfig { gains: Gains::default(), target_filter: TargetFilterConfig::default() };
         tables.build(self.law, self.timeouts.observation_s, check).unwrap_or(LawConfig::Published(refused))

@@ -79,10 +79,8 @@ pub enum PathRefusal {
     /// A joint would have to move faster than it may; the worst one is named.
     #[error(
         "axis {} would have to move at {needed_rad_per_s:.3} rad/s after {at_s:.2} s, allowed are \
-         {allowed_rad_per_s:.3} rad/s at speed scale {speed_scale}: {ratio:.2} times too fast; lengthen the moves or raise \
-         the speed scale to {:.2}",
-        joint + 1,
-        (speed_scale_needed * 100.0).ceil() / 100.0
+         {allowed_rad_per_s:.3} rad/s: {ratio:.2} times too fast; lengthen the moves {ratio:.2}-fold or raise the limit",
+        joint + 1
     )]
     TooFast {
         /// Index from the base.
@@ -91,14 +89,10 @@ pub enum PathRefusal {
         at_s: f64,
         /// Speed that the path demands, rad/s.
         needed_rad_per_s: f64,
-        /// Limit times speed scale, rad/s.
+        /// Effective limit, rad/s.
         allowed_rad_per_s: f64,
         /// Needed over allowed.
         ratio: f64,
-        /// The speed scale that was given.
-        speed_scale: f64,
-        /// The speed scale at which it would be just possible (above 1: not possible at all).
-        speed_scale_needed: f64,
     },
     /// A joint would have to change its speed faster than it may; the worst one is named.
     #[error(

@@ -31,15 +31,19 @@ struct Bench {
     caps: Caps,
 }
 
+fn speeds(share: f64) -> JointVector {
+    limits().velocity_max_rad_per_s() * share
+}
+
 impl Bench {
     fn moving(velocity: JointVector) -> Self {
         let drives = drives();
-        let caps = caps(&JointVector::zeros(), &limits(), 0.5, &drives, 0.05);
+        let caps = caps(&JointVector::zeros(), &limits(), &speeds(0.5), &drives, 0.05);
         Self { previous: SetPoint { velocity, ..SetPoint::rest() }, drives, caps }
     }
 
     fn shape(&self, desired: &JointVector, dt_s: f64, room: Option<&Room>) -> Shaped {
-        let speeds = limits().velocity_max_rad_per_s() * 0.5;
+        let speeds = speeds(0.5);
         let step = Step { previous: &self.previous, dt_s, drives: &self.drives, speeds: &speeds };
         shape(desired, &self.caps, &step, room)
     }
@@ -64,7 +68,7 @@ fn outside_its_range_a_joint_may_only_return() {
     let mut position = JointVector::zeros();
     position[1] = 1.4;
     position[3] = -2.3;
-    let caps = caps(&position, &limits(), 0.5, &drives(), 0.05);
+    let caps = caps(&position, &limits(), &speeds(0.5), &drives(), 0.05);
     assert_eq!((caps.lower[1], caps.upper[1]), (-0.55, 0.0));
     assert_eq!((caps.lower[3], caps.upper[3]), (0.0, 1.05));
     assert_eq!((caps.lower[0], caps.upper[0]), (-0.5, 0.5));
@@ -76,7 +80,7 @@ fn outside_its_range_a_joint_may_only_return() {
 fn the_cap_counts_the_time_that_jerk_takes() {
     let mut position = JointVector::zeros();
     position[1] = 1.5 * 0.9 - 0.2;
-    let caps = caps(&position, &limits(), 1.0, &drives(), 0.05);
+    let caps = caps(&position, &limits(), &speeds(1.0), &drives(), 0.05);
     assert!((caps.upper[1] - 2.0 * (-0.075 + (0.075f64 * 0.075 + 0.2).sqrt())).abs() < 1e-12, "{caps:?}");
 }
 
@@ -93,7 +97,7 @@ fn a_joint_at_its_limit_holds_the_whole_arm() {
     let mut position = JointVector::zeros();
     position[5] = limits().position_max_rad()[5];
     let mut bench = Bench::moving(JointVector::zeros());
-    bench.caps = caps(&position, &limits(), 0.5, &drives(), 0.05);
+    bench.caps = caps(&position, &limits(), &speeds(0.5), &drives(), 0.05);
     let shaped = bench.shape(&JointVector::repeat(0.1), 0.1, Some(&room_at(&position)));
     assert_eq!(shaped.set_point, SetPoint::rest());
     assert!(shaped.position_limited && !shaped.speed_limited);
@@ -163,10 +167,10 @@ proptest! {
         scale in 0.05..1.0f64, reaction in 0.0..0.3f64,
     ) {
         let (limits, drives) = (limits(), drives());
-        let speeds = limits.velocity_max_rad_per_s() * scale;
+        let speeds = speeds(scale);
         let mut previous = SetPoint::rest();
         for (desired, position, dt_s, is_known) in wishes {
-            let caps = caps(&position, &limits, scale, &drives, reaction);
+            let caps = caps(&position, &limits, &speeds, &drives, reaction);
             let step = Step { previous: &previous, dt_s, drives: &drives, speeds: &speeds };
             let room = room_at(&position);
             let SetPoint { velocity, acceleration } = shape(&desired, &caps, &step, is_known.then_some(&room)).set_point;
@@ -185,7 +189,7 @@ proptest! {
     #[test]
     fn from_rest_the_direction_is_kept(position in any_vector(2.0), desired in any_vector(20.0), step in 0.001..0.05f64) {
         let mut bench = Bench::moving(JointVector::zeros());
-        bench.caps = caps(&position, &limits(), 0.5, &drives(), 0.05);
+        bench.caps = caps(&position, &limits(), &speeds(0.5), &drives(), 0.05);
         let shaped = bench.shape(&desired, step, Some(&room_at(&position)));
         let velocity = shaped.set_point.velocity;
         let along = velocity.dot(&desired) / desired.norm_squared();

@@ -10,7 +10,7 @@ use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, Clock, JointComm
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, arm_suite};
 use pb3dp_hal_middleware::{GuardConfig, LimiterConfig, PA10_MECHANICAL_RANGE_DEG, StartPose};
-use pb3dp_kinematics::{Chain, DOF, JointLimits, JointVector};
+use pb3dp_kinematics::{Chain, DOF, EffectiveLimits, JointLimits, JointVector, StatedLimits};
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 
 pub const CYCLE: Duration = Duration::from_millis(10);
@@ -29,7 +29,7 @@ pub fn mechanical_range_rad() -> JointVector {
     radians(PA10_MECHANICAL_RANGE_DEG)
 }
 
-pub fn hard_limits() -> JointLimits {
+pub fn servo_limits() -> JointLimits {
     let urdf = include_str!("../../../../configs/robots/pa10_gen2.urdf");
     *Chain::from_urdf_str(urdf, "base_link", "flange").unwrap().limits()
 }
@@ -46,15 +46,25 @@ pub fn jerk() -> JointVector {
 /// The mock arm rests when it hears nothing for so long.
 pub const COMMAND_TIMEOUT: Duration = Duration::from_millis(60);
 
-/// For an arm in cycles of up to 20 ms, with 15 ms of delay and 30 ms of lag.
-pub fn limiter_config(speed_scale: f64) -> LimiterConfig {
-    LimiterConfig {
-        hard_limits: hard_limits(),
+/// Of an arm at this share of its speeds.
+pub fn stated(speed_scale: f64) -> StatedLimits {
+    StatedLimits {
+        servo: servo_limits(),
         operating_min_rad: -operating_range_rad(),
         operating_max_rad: operating_range_rad(),
         speed_scale,
         acceleration_max_rad_per_s2: acceleration(),
         jerk_max_rad_per_s3: jerk(),
+    }
+}
+
+pub fn limits(speed_scale: f64) -> EffectiveLimits {
+    stated(speed_scale).effective().unwrap()
+}
+
+/// For an arm in cycles of up to 20 ms, with 15 ms of delay and 30 ms of lag.
+pub fn limiter_config() -> LimiterConfig {
+    LimiterConfig {
         reaction_time: Duration::from_millis(65),
         command_timeout: COMMAND_TIMEOUT,
         fade: None,
@@ -63,13 +73,11 @@ pub fn limiter_config(speed_scale: f64) -> LimiterConfig {
     }
 }
 
-pub fn guard_config(speed_scale: f64) -> GuardConfig {
+pub fn guard_config() -> GuardConfig {
     GuardConfig {
-        hard_limits: hard_limits(),
         mechanical_min_rad: -mechanical_range_rad(),
         mechanical_max_rad: mechanical_range_rad(),
-        speed_scale,
-        acceleration_max_rad_per_s2: acceleration(),
+        ripple_rad_per_s: 0.0,
         delay: Duration::from_millis(15),
         lag: Duration::from_millis(30),
         tracking_error_max_rad: GuardConfig::TRACKING_ERROR_MAX_RAD,
@@ -86,7 +94,7 @@ pub fn velocity(joint: usize, value: f64) -> JointCommand {
 /// The drives are as strong as the wrappers take them to be.
 pub fn mock_arm(clock: &Arc<VirtualClock>, start: JointVector) -> MockArm {
     let config = JointPlantConfig {
-        limits: hard_limits(),
+        limits: servo_limits(),
         acceleration_max_rad_per_s2: acceleration(),
         velocity_time_constant: Duration::from_millis(30),
         command_delay: Duration::from_millis(15),

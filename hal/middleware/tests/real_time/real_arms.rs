@@ -24,7 +24,7 @@ use pb3dp_kinematics::{ArmPart, ArmShape, Capsule, Carrier, Chain, JointVector};
 use pb3dp_sim::joint_dynamics::JointPlant;
 use pb3dp_test_support::in_real_time_beside_others;
 
-use crate::common::{CYCLE, acceleration, guard_config, jerk, velocity};
+use crate::common::{CYCLE, guard_config, limits, velocity};
 
 const FORMAT: WireFormat = WireFormat::BigEndian6x10;
 const LONG: Duration = Duration::from_secs(20);
@@ -64,8 +64,7 @@ fn coupled_config(y_m: f64) -> CoupledArmConfig {
         chain: Chain::from_urdf_str(urdf, "base_link", "flange").unwrap(),
         shape: ArmShape::new(vec![tool]).unwrap(),
         world_from_base: Pose::from_parts(Vector3::new(0.0, y_m, 0.7), nalgebra::UnitQuaternion::identity()),
-        acceleration_max_rad_per_s2: acceleration(),
-        jerk_max_rad_per_s3: jerk(),
+        limits: limits(0.6),
         reaction_time: Duration::from_millis(65),
         command_timeout: Duration::from_millis(60),
         fade: None,
@@ -108,7 +107,7 @@ fn the_arm_that_failed_is_reset_first_and_at_the_first_try() {
         let mut seats = trip_line(2).unwrap().into_iter();
         let mut guarded = |i: usize| {
             let arm = arm(ArmId(i as u8 + 1), &servers[i], seats.next().unwrap(), &clock);
-            Guard::new(Box::new(arm), guard_config(0.1)).unwrap()
+            Guard::new(Box::new(arm), limits(0.1), guard_config()).unwrap()
         };
         let pair = ((guarded(0), coupled_config(0.0)), (guarded(1), coupled_config(1.6)));
         let (one, two) = couple(pair.0, pair.1, 0.05, &clock).unwrap();
