@@ -21,19 +21,11 @@ struct Interpreted {
 }
 
 /// All kernels that have unsafe code. Tests on large images, and those of proptest, take minutes in an interpreter and are left out.
-const INTERPRETED: [Interpreted; 4] = [
+const INTERPRETED: [Interpreted; 3] = [
     Interpreted { package: "pb3dp-estimation-core", tests: &["wide::tests::every_width_gives_the_same_bits"] },
     Interpreted {
         package: "pb3dp-estimation-direct",
         tests: &["photometric::kernel::tests::places_outside_the_right_planes_are_not_read"],
-    },
-    Interpreted {
-        package: "pb3dp-estimation-published",
-        tests: &[
-            "fitness::tests::kernels_agree_on_a_small_image",
-            "hue::tests::agrees_with_golden_hues",
-            "hue::tests::the_gate_is_explicit",
-        ],
     },
     Interpreted {
         package: "pb3dp-camera-v4l2",

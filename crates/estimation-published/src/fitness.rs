@@ -20,23 +20,11 @@ use crate::hue::HuePlane;
 use crate::photo_model::PhotoModel;
 use crate::search::{PlaneScore, REFUSED};
 
-#[cfg(target_arch = "x86_64")]
-mod avx2;
-#[cfg(target_arch = "x86_64")]
-mod avx512;
 mod batch;
-#[cfg_attr(
-    not(target_arch = "x86_64"),
-    allow(dead_code, unused_variables, reason = "some of it is for the vector kernels alone")
-)]
 mod general;
-#[cfg_attr(
-    not(target_arch = "x86_64"),
-    allow(dead_code, unused_variables, reason = "some of it is for the vector kernels alone")
-)]
+mod kernels;
 mod points;
 mod rectified;
-mod scalar;
 
 use batch::{BATCH, Counts, Frame};
 use points::PointSet;

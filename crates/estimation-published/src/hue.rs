@@ -6,12 +6,7 @@
 use image::RgbImage;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
-
-#[cfg(target_arch = "x86_64")]
-mod avx2;
-#[cfg(target_arch = "x86_64")]
-mod avx512;
-mod scalar;
+use pb3dp_estimation_core::wide::wide;
 
 /// Elements before and behind the pixels, so that kernels may read a whole vector at either end.
 pub(crate) const PAD: usize = 64;
@@ -151,16 +146,62 @@ impl HuePlane {
     }
 }
 
-/// Converts `rgb` (three bytes per pixel) to stored hues, one per element of `out`.
-fn convert(kernels: Kernels, rgb: &[u8], gate: Gate, out: &mut [u16]) {
-    match kernels.set() {
-        #[cfg(target_arch = "x86_64")]
-        // SAFETY: `Kernels` exists only for instruction sets that were detected on this processor.
-        pb3dp_estimation_core::cpu::KernelSet::Avx2 => unsafe { avx2::convert(rgb, gate, out) },
-        #[cfg(target_arch = "x86_64")]
-        // SAFETY: as above.
-        pb3dp_estimation_core::cpu::KernelSet::Avx512 => unsafe { avx512::convert(rgb, gate, out) },
-        _ => scalar::convert(rgb, gate, out),
+/// Steps of 1/32768 turn in a sixth of a turn.
+const STEPS_PER_SECTOR: f32 = 32768.0 / 6.0;
+
+/// 3 * 2^22: there, neighbouring numbers are one apart, so a sum with it is rounded to a whole number, which its lowest bits hold.
+const ROUNDER: f32 = 12_582_912.0;
+
+wide! {
+    /// Converts `rgb` (three bytes per pixel) to stored hues, one per element of `out`.
+    fn convert(rgb: &[u8], gate: Gate, out: &mut [u16]) = convert_kernel;
+}
+
+/// Pixels that are converted together: each step of the work is a loop of its own over them, which becomes a few vector instructions.
+const BLOCK: usize = 64;
+
+#[inline(always)]
+fn convert_kernel(rgb: &[u8], gate: Gate, out: &mut [u16]) {
+    let (blocks, rest) = rgb.as_chunks::<{ 3 * BLOCK }>();
+    let (hues, last_hues) = out.as_chunks_mut::<BLOCK>();
+    for (block, hues) in blocks.iter().zip(hues) {
+        convert_block(block, gate, hues);
+    }
+    let mut last = [0; 3 * BLOCK];
+    last[..rest.len()].copy_from_slice(rest);
+    let mut hues = [0; BLOCK];
+    convert_block(&last, gate, &mut hues);
+    last_hues.copy_from_slice(&hues[..last_hues.len()]);
+}
+
+/// Angles in the upper 15 bits and the validity bit, or 0 for a pixel without hue.
+///
+/// The sector is that of the largest channel, red before green before blue where they are equal. One IEEE division and one
+/// multiplication in single precision, rounded to the nearest even integer, so that every kernel gives the same bits.
+#[inline(always)]
+fn convert_block(rgb: &[u8; 3 * BLOCK], gate: Gate, hues: &mut [u16; BLOCK]) {
+    let [mut red, mut green, mut blue] = [[0i16; BLOCK]; 3];
+    for i in 0..BLOCK {
+        red[i] = i16::from(rgb[3 * i]);
+        green[i] = i16::from(rgb[3 * i + 1]);
+        blue[i] = i16::from(rgb[3 * i + 2]);
+    }
+    let (mut sixths, mut deltas, mut passes) = ([0i16; BLOCK], [0i16; BLOCK], [0u16; BLOCK]);
+    for i in 0..BLOCK {
+        let (r, g, b) = (red[i], green[i], blue[i]);
+        let max = r.max(g).max(b);
+        let delta = max - r.min(g).min(b);
+        let in_green_or_blue = if max == g { b - r + 2 * delta } else { r - g + 4 * delta };
+        sixths[i] = if max == r { g - b } else { in_green_or_blue };
+        deltas[i] = delta.max(1);
+        let max = max.cast_unsigned();
+        let saturated = delta.cast_unsigned() << 8 >= gate.saturation_min * max;
+        passes[i] = if saturated & (delta > 0) & (max >= gate.value_min) { u16::MAX } else { 0 };
+    }
+    for i in 0..BLOCK {
+        // At most 27307 in magnitude.
+        let steps = f32::from(sixths[i]) / f32::from(deltas[i]) * STEPS_PER_SECTOR + ROUNDER;
+        hues[i] = ((steps.to_bits() as u16) << 1 | 1) & passes[i];
     }
 }
 

@@ -2,18 +2,8 @@
 
 use crate::photo_model::ModelPoint;
 
-/// Points per step of the widest kernel; the lists are padded to a multiple of it.
+/// Points per step of a kernel; the lists are padded to a multiple of it.
 pub(super) const CHUNK: usize = 32;
-
-/// Points whose addresses a kernel keeps at a time; a multiple of [`CHUNK`].
-pub(super) const BLOCK: usize = 512;
-
-/// Part of the padded lists: whole chunks, at most [`BLOCK`] points.
-pub(super) struct Block<'a> {
-    pub du: &'a [f32],
-    pub dv: &'a [f32],
-    pub hue: &'a [u16],
-}
 
 /// A run of points in one image row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,7 +28,7 @@ pub(super) struct PointSet {
     pub du_real: Vec<f32>,
     /// Row relative to the origin, padded to whole chunks.
     pub dv_real: Vec<f32>,
-    /// Stored hue, padded to whole chunks.
+    /// Stored hue, padded to whole chunks with what is no hue.
     pub hue: Vec<u16>,
 }
 
@@ -67,21 +57,6 @@ impl PointSet {
     /// Number of points.
     pub fn len(&self) -> usize {
         self.count
-    }
-
-    /// The padded lists in blocks, each with the index of its first point.
-    pub fn blocks(&self) -> impl Iterator<Item = (Block<'_>, usize)> {
-        let lists = self.du_real.chunks(BLOCK).zip(self.dv_real.chunks(BLOCK)).zip(self.hue.chunks(BLOCK));
-        lists.zip((0..).step_by(BLOCK)).map(|(((du, dv), hue), start)| (Block { du, dv, hue }, start))
-    }
-
-    /// Bits of the chunk that starts at `start`: which of its points are points and not padding.
-    pub fn chunk_mask(&self, start: usize) -> u32 {
-        match self.count.saturating_sub(start) {
-            0 => 0,
-            rest if rest >= CHUNK => u32::MAX,
-            rest => (1 << rest) - 1,
-        }
     }
 }
 

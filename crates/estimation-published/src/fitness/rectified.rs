@@ -1,15 +1,15 @@
 //! Rectified pairs: a point stays in its row and moves by a shift that is affine in its pixel.
 //!
 //! All shifts that the search range allows form one window, the same for all points. Once per frame each point gets a row
-//! of bits, one per shift of the window: does the pixel there have the point's hue? Every hypothesis then looks its bit up,
-//! by a register permutation where the processor has one: no image is read, no hue compared, in the inner loop.
+//! of bits, one per shift of the window: does the pixel there have the point's hue? Every hypothesis then looks its bit up:
+//! no image is read, no hue compared, in the inner loop.
 
-use super::batch::{BATCH, Batch, Counts, Frame};
-use super::points::PointSet;
-use super::scalar;
-#[cfg(target_arch = "x86_64")]
-use pb3dp_estimation_core::cpu::{KernelSet, Kernels};
+use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::trig;
+
+use super::batch::{Batch, Counts, Frame};
+use super::kernels::{compare, count_rectified};
+use super::points::PointSet;
 
 use crate::hue::{HuePlane, PAD};
 
@@ -49,12 +49,9 @@ impl Window {
         self.first_shift
     }
 
-    /// Words per point: room for every shift and for one more bit that is always zero; 8, or a multiple of 16.
+    /// Words per point: room for every shift and for one more bit that is always zero; 8 or more.
     fn words(&self) -> usize {
-        match (self.shifts + 1).div_ceil(BITS_PER_WORD) {
-            0..=8 => 8,
-            more => more.next_multiple_of(16),
-        }
+        (self.shifts + 1).div_ceil(BITS_PER_WORD).max(8)
     }
 }
 
@@ -121,7 +118,7 @@ impl MatchTable {
 pub(super) struct TableView<'a> {
     /// Bits per point that can be set; the bit behind them exists and is zero.
     pub shifts: u32,
-    /// 8, or a multiple of 16.
+    /// 8 or more.
     pub words_per_point: usize,
     /// All points' words.
     pub words: &'a [u32],
@@ -158,36 +155,11 @@ fn fill_row(
     words[last_word] &= u32::MAX >> (BITS_PER_WORD - 1 - (high - 1) % BITS_PER_WORD);
 }
 
-/// One bit per pixel: has a hue within `tolerance` of `hue`. 32 pixels per word.
-fn compare(kernels: Kernels, pixels: &[u16], hue: u16, tolerance: u16, words: &mut [u32]) {
-    match kernels.set() {
-        #[cfg(target_arch = "x86_64")]
-        // SAFETY: `Kernels` exists only for instruction sets that were detected on this processor.
-        KernelSet::Avx2 => unsafe { super::avx2::compare(pixels, hue, tolerance, words) },
-        #[cfg(target_arch = "x86_64")]
-        // SAFETY: as above.
-        KernelSet::Avx512 => unsafe { super::avx512::compare(pixels, hue, tolerance, words) },
-        _ => scalar::compare(pixels, hue, tolerance, words),
-    }
-}
-
 /// Counts the matches of every hypothesis of a batch.
 pub(super) fn count(kernels: Kernels, table: &MatchTable, sets: [&PointSet; 2], batch: &Batch, counts: &mut Counts) {
     let [inner, outer] = sets;
     for (view, counts) in [(table.view(inner, false), &mut counts.inner), (table.view(outer, true), &mut counts.outer)]
     {
-        count_set(kernels, &view, batch, counts);
-    }
-}
-
-fn count_set(kernels: Kernels, view: &TableView<'_>, batch: &Batch, counts: &mut [i32; BATCH]) {
-    match kernels.set() {
-        #[cfg(target_arch = "x86_64")]
-        // SAFETY: `Kernels` exists only for instruction sets that were detected on this processor.
-        KernelSet::Avx2 => unsafe { super::avx2::count_rectified(view, batch, counts) },
-        #[cfg(target_arch = "x86_64")]
-        // SAFETY: as above.
-        KernelSet::Avx512 => unsafe { super::avx512::count_rectified(view, batch, counts) },
-        _ => scalar::count_rectified(view, batch, counts),
+        count_rectified(kernels, &view, batch, counts);
     }
 }

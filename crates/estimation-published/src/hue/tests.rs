@@ -95,7 +95,7 @@ fn kernels_agree_on_a_lattice_of_all_colours() {
 fn check_kernels(bytes: &[u8], config: &HueConfig) {
     let pixels = bytes.len() / 3;
     let mut expected = vec![0; pixels];
-    scalar::convert(bytes, config.gate(), &mut expected);
+    convert_kernel(bytes, config.gate(), &mut expected);
     for kernels in every_kernel() {
         let mut got = vec![0xAAAA; pixels];
         convert(kernels, bytes, config.gate(), &mut got);
