@@ -6,13 +6,15 @@
 
 use std::fs::File;
 use std::io::{self, Read, Write};
+use std::os::unix::fs::OpenOptionsExt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Barrier};
 use std::thread::{Builder, JoinHandle, available_parallelism};
 use std::time::{Duration, Instant};
 
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use rustix::termios::{OptionalActions, SpecialCodeIndex, tcgetattr, tcsetattr};
+use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 
 use crate::scheduling::{Policy, run_on};
 
@@ -145,12 +147,9 @@ fn open_line() -> io::Result<(File, File)> {
     unlockpt(&near)?;
     let name = ptsname(&near, Vec::new())?;
     let path = name.to_str().map_err(|_| io::Error::from(io::ErrorKind::InvalidData))?.to_owned();
-    let far = File::options().read(true).write(true).open(path)?;
+    let far = File::options().read(true).write(true).custom_flags(libc::O_NONBLOCK).open(path)?;
     let mut attributes = tcgetattr(&far)?;
     attributes.make_raw();
-    // A read ends after a second without a byte.
-    attributes.special_codes[SpecialCodeIndex::VMIN] = 0;
-    attributes.special_codes[SpecialCodeIndex::VTIME] = 10;
     tcsetattr(&far, OptionalActions::Now, &attributes)?;
     Ok((File::from(near), far))
 }
@@ -160,14 +159,23 @@ fn echo(mut near: File, mut far: File, testimony: &mut Testimony, is_over: &Atom
     while !is_over.load(Ordering::Relaxed) {
         let sent = Instant::now();
         // A line that fails shows nothing; nor does a byte that was lost: a program of another test that still looks for its own line may
-        // have taken it, as the numbers of pseudo-terminals are used again.
-        match near.write_all(&[0x55]).and_then(|()| far.read(&mut [0])) {
+        // have taken it, as the numbers of pseudo-terminals are used again. It may have set the line up in its way, too, so a read waits
+        // for nothing.
+        match near.write_all(&[0x55]).and_then(|()| wait_for_byte(&far)).and_then(|()| far.read(&mut [0])) {
             Ok(0) => {}
             Ok(_) => testimony.see(sent, Instant::now()),
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
             Err(_) => break,
         }
         std::thread::sleep(PERIOD);
     }
+}
+
+/// Until there is a byte, for a second at most.
+fn wait_for_byte(line: &File) -> io::Result<()> {
+    let second = Timespec { tv_sec: 1, tv_nsec: 0 };
+    poll(&mut [PollFd::new(line, PollFlags::IN)], Some(&second))?;
+    Ok(())
 }
 
 #[cfg(test)]
@@ -192,6 +200,26 @@ mod tests {
         std::thread::sleep(Duration::from_millis(30));
         let seen = witness.end();
         assert!(seen.worst > Duration::ZERO, "{seen:?}");
+    }
+
+    #[test]
+    fn a_line_whose_bytes_another_program_takes_does_not_hold_the_witness() {
+        let (near, far) = open_line().expect("a line");
+        let mut thief = far.try_clone().expect("the same line");
+        let is_over = AtomicBool::new(false);
+        let begun = Instant::now();
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                while begun.elapsed() < Duration::from_millis(100) {
+                    // Nothing there is no error of the thief's.
+                    let _ = thief.read(&mut [0; 64]);
+                }
+                is_over.store(true, Ordering::Relaxed);
+            });
+            echo(near, far, &mut Testimony::with_room(), &is_over);
+        });
+        // The byte that was taken last is waited for, for a second.
+        assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
     }
 
     #[test]
