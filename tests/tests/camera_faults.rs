@@ -103,7 +103,7 @@ fn follow(kind: CameraFaultKind) -> Vec<Said> {
             |point: &Point3<f64>| setup.rig.left().project(&cam_left_from_target.transform_point(point)).unwrap();
         let region = Region::Polygon { vertices_px: outline.iter().map(pixel).collect() };
         let prior = FramePrior { dt_s: (number > 0).then_some(PERIOD.as_secs_f64()), ..FramePrior::of_motion(None) };
-        let estimate = follower.look(&pair.left, &pair.right, Some(&region), &prior).unwrap();
+        let estimate = follower.look(&pair.left, &pair.right, Some(&region), &prior, &mut || true).unwrap();
         let found = estimate.cam_left_from_model;
         if number == 3 {
             target_from_model = Some(cam_left_from_target.inverse() * found.unwrap());

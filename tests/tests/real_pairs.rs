@@ -7,6 +7,7 @@ use nalgebra::Vector2;
 use pb3dp_camera_replay::{ReplayCamera, ReplayOptions};
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation_core::estimate::PlaneEstimate;
+use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_hal_api::{CameraErrorKind, FramePair, StereoCamera};
@@ -48,7 +49,9 @@ fn run(mut estimator: Estimator, case: &Case, pictures: &StereoPictures) -> Plan
         z_max_m: case.search.z_max_m,
         tilt_max_rad: case.search.tilt_max_rad,
     };
-    estimator.estimate(&pictures.left, &pictures.right, &Region::Polygon { vertices_px }, &range).unwrap()
+    estimator
+        .estimate(EstimateRequest::of_target(&pictures.left, &pictures.right, &Region::Polygon { vertices_px }, &range))
+        .unwrap()
 }
 
 /// The relative error of the depth at the case's centroid and the angle between the normals, degrees.

@@ -39,7 +39,7 @@ impl Onlooker {
     /// work on is written down as an error and leaves the run alone.
     pub fn look(&mut self, pair: &FramePair, frame: &Frame<'_>) {
         let started = Instant::now();
-        let outcome = self.follower.look(&pair.left, &pair.right, frame.region, frame.prior);
+        let outcome = self.follower.look(&pair.left, &pair.right, frame.region, frame.prior, &mut || true);
         let latency_millis = started.elapsed().as_secs_f64() * 1e3;
         match outcome {
             Ok(estimate) => self.log.push(frame, &estimate, latency_millis),

@@ -120,7 +120,7 @@ impl Eyes {
     pub fn estimate(&mut self, view: &View, region: Option<&Region>, prior: &FramePrior) -> Result<TrackEstimate> {
         match (self, view) {
             (Self::Pictures(follower, _), View::Pictures(pair)) => {
-                Ok(follower.look(&pair.left, &pair.right, region, prior)?)
+                Ok(follower.look(&pair.left, &pair.right, region, prior, &mut || true)?)
             }
             (Self::Geometric(eyes), View::Geometric(frame)) => Ok(eyes.estimate(frame)),
             _ => bail!("a frame of another kind of camera was captured: a mistake of the program, report it"),

@@ -4,6 +4,7 @@ use image::RgbImage;
 use pb3dp_estimation::estimator::{FramePrior, Tracker};
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
@@ -38,7 +39,7 @@ impl Follower {
         &self.tracker
     }
 
-    /// Looks at the next pair. The first one needs a `region`; it is not used afterwards.
+    /// Looks at the next pair, for as long as `may_continue` says so. The first one needs a `region`; it is not used afterwards.
     ///
     /// # Errors
     /// Images that do not fit the calibration, a region that can not serve, a bad range, or no region yet.
@@ -48,51 +49,29 @@ impl Follower {
         right: &RgbImage,
         region: Option<&Region>,
         prior: &FramePrior,
-    ) -> Result<TrackEstimate, EstimationError> {
-        self.look_while(left, right, region, prior, &mut || true)
-    }
-
-    /// As [`Self::look`]; once `may_continue` says no, the best answer so far is given.
-    ///
-    /// # Errors
-    /// As [`Self::look`].
-    pub fn look_while(
-        &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
-        region: Option<&Region>,
-        prior: &FramePrior,
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Result<TrackEstimate, EstimationError> {
         let Some((region, tries)) = &mut self.marked else {
             let region = region.ok_or(EstimationError::NotStarted)?;
-            let estimate = self.tracker.start_while(left, right, region, &self.range, may_continue)?;
+            let estimate = self
+                .tracker
+                .estimate(EstimateRequest::of_target(left, right, region, &self.range).until(may_continue))?;
             self.marked = Some((region.clone(), 1));
             return Ok(estimate);
         };
         if !self.tracker.wants_region() {
-            return self.tracker.update_while(left, right, prior, may_continue);
+            return self.tracker.estimate(EstimateRequest::of_next(left, right, prior).until(may_continue));
         }
         if *tries == TRIES_MAX {
             return Ok(given_up());
         }
         *tries += 1;
-        self.tracker.start_while(left, right, region, &self.range, may_continue)
+        self.tracker.estimate(EstimateRequest::of_target(left, right, region, &self.range).until(may_continue))
     }
 }
 
 fn given_up() -> TrackEstimate {
-    TrackEstimate {
-        status: Status::Lost,
-        reason: format!(
-            "no target was found in its region in {TRIES_MAX} pairs: mark it again where it is seen better"
-        ),
-        warnings: Vec::new(),
-        cam_left_from_model: None,
-        covariance: None,
-        psi: None,
-        fitness: None,
-        outline_px: Vec::new(),
-        rotation_about_normal_observed: false,
-    }
+    let reason =
+        format!("no target was found in its region in {TRIES_MAX} pairs: mark it again where it is seen better");
+    TrackEstimate::without_pose(Status::Lost, reason)
 }

@@ -188,3 +188,20 @@ pub struct TrackEstimate {
     /// Whether the rotation about the normal was measured; never by the published method.
     pub rotation_about_normal_observed: bool,
 }
+
+impl TrackEstimate {
+    /// An answer without a pose.
+    pub fn without_pose(status: Status, reason: String) -> Self {
+        Self {
+            status,
+            reason,
+            warnings: Vec::new(),
+            cam_left_from_model: None,
+            covariance: None,
+            psi: None,
+            fitness: None,
+            outline_px: Vec::new(),
+            rotation_about_normal_observed: false,
+        }
+    }
+}

@@ -1,14 +1,16 @@
 //! What every estimation method shares: the [region] of the target, the [plane hypothesis](plane_hypothesis) that is searched,
-//! the [answer](estimate) with its [status], and vector kernels from one source ([`mod@wide`]).
+//! the [request](method) and the trait that every method implements, the [answer](estimate) with its [status], and vector kernels from one source ([`mod@wide`]).
 //!
 //! No method lives here, and no file, clock, thread or environment.
 
 pub mod cpu;
 pub mod error;
 pub mod estimate;
+pub mod method;
 pub mod plane_hypothesis;
 pub mod region;
 pub mod rng;
+pub mod row_offset;
 pub mod status;
 pub mod trig;
 pub mod wide;

@@ -5,8 +5,9 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose, SecondPlane};
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, MarkedTarget};
 use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
-use pb3dp_estimation_core::region::{Region, RegionConfig, RegionMask};
+use pb3dp_estimation_core::region::{RegionConfig, RegionMask};
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::StereoRig;
 
@@ -16,13 +17,13 @@ use super::disparity_plane::{DisparityPlane, RectifiedGeometry, inverse_depth_fr
 use super::front_end::StereoFrontEnd;
 use super::patches::PatchOutcome;
 use super::region_pyramid::PyramidSource;
-use super::row_measurement::{RowMeasurement, measure_rows};
-use super::row_offset::RowOffset;
+use super::row_measurement::measure_rows;
 use super::verdict::{
     DirectVerdictConfig, SAME_PICTURE, Searched, Steeper, UNSEEN_CORRELATION_MIN, is_no_plane, judge, lies_beyond,
     may_be_unseen, nothing_found,
 };
 use crate::outcome::{ColdStartOutcome, Rival};
+use pb3dp_estimation_core::row_offset::{RowMeasurement, RowOffset};
 
 /// Parameters of the direct method.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -100,15 +101,6 @@ impl DirectEstimator {
         Ok(Self { front_end, config, cold_start, rows: RowOffset::default(), outcome: None, mask })
     }
 
-    /// The same estimator for another rig: parameters and memory are kept, the row offset is not.
-    ///
-    /// # Errors
-    /// As [`Self::new`].
-    pub fn for_rig(self, rig: &StereoRig) -> Result<Self, EstimationError> {
-        let front_end = StereoFrontEnd::new(rig, self.front_end.kernels())?;
-        Ok(Self { front_end, rows: RowOffset::default(), outcome: None, ..self })
-    }
-
     /// The parameters.
     pub fn config(&self) -> &DirectConfig {
         &self.config
@@ -149,77 +141,6 @@ impl DirectEstimator {
     /// The cold start with its state after the last pair.
     pub fn cold_start(&self) -> &ColdStart {
         &self.cold_start
-    }
-
-    /// The plane of a region of one pair of raw images, from nothing: no start value, the whole `range` is searched.
-    ///
-    /// The same input gives the same answer after any other calls that do not change the row offset.
-    ///
-    /// # Errors
-    /// Images that do not fit the calibration, a region that can not serve, a bad range. That a plane can not be determined
-    /// is not an error but the status `not-observable`.
-    pub fn estimate(
-        &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
-        region: &Region,
-        range: &SearchRange,
-    ) -> Result<PlaneEstimate, EstimationError> {
-        self.estimate_while(left, right, region, range, &mut || true)
-    }
-
-    /// As [`Self::estimate`]; once `may_continue` says no, what the stages so far have found is judged and given: without
-    /// the refinement there is no standard deviation, and the status is `weak-tilt` at best.
-    ///
-    /// # Errors
-    /// As [`Self::estimate`].
-    pub fn estimate_while(
-        &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
-        region: &Region,
-        range: &SearchRange,
-        may_continue: &mut dyn FnMut() -> bool,
-    ) -> Result<PlaneEstimate, EstimationError> {
-        range.validate()?;
-        self.front_end.check(left, right)?;
-        region.rasterize_into(left, &self.config.region, &mut self.mask)?;
-        let centroid_px = self.mask.centroid_px().unwrap_or_default();
-        let of_region = region.inspect_shape(&self.mask).into_iter().map(EstimateWarning::Region);
-        let warnings = of_region.chain(self.rows_warning(right)).collect();
-        if is_same_picture(left, right) {
-            return Ok(PlaneEstimate { reason: SAME_PICTURE.to_owned(), warnings, ..self.blank(centroid_px) });
-        }
-        let view = self.view(&centroid_px)?;
-        let mask = self.front_end.rectified_region(&self.mask)?;
-        let disparity_px = disparity_range(&view, range);
-        let source = PyramidSource {
-            left,
-            right,
-            region: &mask,
-            disparity_px,
-            rows: self.rows,
-            wanted: Wanted::Luminance,
-            search_area_px: self.config.cold_start.search_area_px,
-        };
-        let limits = TiltLimits::new(range);
-        let allowed = |plane: &DisparityPlane| limits.allow(&view.inverse_depth_plane(plane));
-        self.outcome = self.cold_start.run(&self.front_end, &source, allowed, may_continue);
-        let mut estimate = PlaneEstimate { warnings, ..self.blank(centroid_px) };
-        match &self.outcome {
-            Some(outcome) => self.fill(&mut estimate, outcome, &view, range),
-            None => estimate.reason = nothing_found(range),
-        }
-        let limit = self.config.verdict.alias_score_max;
-        if estimate.status.depth_is_sure()
-            && may_continue()
-            && let Some(outcome) = &self.outcome
-            && let Some(reason) =
-                objection(&mut self.cold_start, outcome, (&self.front_end, &source), allowed, (&view, limit))
-        {
-            (estimate.status, estimate.reason) = (Status::Ambiguous, reason);
-        }
-        Ok(estimate)
     }
 
     fn view(&self, centroid_px: &Vector2<f64>) -> Result<RawView, EstimationError> {
@@ -303,6 +224,75 @@ impl DirectEstimator {
             reference_optimum: None,
             left_camera: *self.front_end.raw_rig().left(),
         }
+    }
+}
+
+/// Without the refinement, where the time did not suffice for it, there is no standard deviation, and the status is `weak-tilt` at
+/// best. The same request gives the same answer after any other requests that do not change the row offset.
+impl EstimationMethod for DirectEstimator {
+    type Answer = PlaneEstimate;
+
+    /// The plane of a region of one pair of raw images, from nothing: no start value, the whole range is searched.
+    fn answer(&mut self, request: &mut EstimateRequest<'_>) -> Result<PlaneEstimate, EstimationError> {
+        let MarkedTarget { region, range } = request.marked()?;
+        let EstimateRequest { left, right, deadline, .. } = request;
+        range.validate()?;
+        self.front_end.check(left, right)?;
+        region.rasterize_into(left, &self.config.region, &mut self.mask)?;
+        let centroid_px = self.mask.centroid_px().unwrap_or_default();
+        let of_region = region.inspect_shape(&self.mask).into_iter().map(EstimateWarning::Region);
+        let warnings = of_region.chain(self.rows_warning(right)).collect();
+        if is_same_picture(left, right) {
+            return Ok(PlaneEstimate { reason: SAME_PICTURE.to_owned(), warnings, ..self.blank(centroid_px) });
+        }
+        let view = self.view(&centroid_px)?;
+        let mask = self.front_end.rectified_region(&self.mask)?;
+        let disparity_px = disparity_range(&view, range);
+        let source = PyramidSource {
+            left,
+            right,
+            region: &mask,
+            disparity_px,
+            rows: self.rows,
+            wanted: Wanted::Luminance,
+            search_area_px: self.config.cold_start.search_area_px,
+        };
+        let limits = TiltLimits::new(range);
+        let allowed = |plane: &DisparityPlane| limits.allow(&view.inverse_depth_plane(plane));
+        self.outcome = self.cold_start.run(&self.front_end, &source, allowed, &mut || deadline.may_continue());
+        let mut estimate = PlaneEstimate { warnings, ..self.blank(centroid_px) };
+        match &self.outcome {
+            Some(outcome) => self.fill(&mut estimate, outcome, &view, range),
+            None => estimate.reason = nothing_found(range),
+        }
+        let limit = self.config.verdict.alias_score_max;
+        if estimate.status.depth_is_sure()
+            && deadline.may_continue()
+            && let Some(outcome) = &self.outcome
+            && let Some(reason) =
+                objection(&mut self.cold_start, outcome, (&self.front_end, &source), allowed, (&view, limit))
+        {
+            (estimate.status, estimate.reason) = (Status::Ambiguous, reason);
+        }
+        Ok(estimate)
+    }
+
+    /// Parameters and memory are kept, the row offset is not.
+    fn set_rig(&mut self, rig: &StereoRig) -> Result<(), EstimationError> {
+        self.front_end = StereoFrontEnd::new(rig, self.front_end.kernels())?;
+        (self.rows, self.outcome) = (RowOffset::default(), None);
+        self.mask = RegionMask::empty(rig.left().size());
+        Ok(())
+    }
+
+    /// Measures the row offset of the rig and uses it from now on; some milliseconds. Where too few points are found again the
+    /// offset is zero.
+    fn prepare(&mut self, left: &RgbImage, right: &RgbImage) -> Result<Option<RowMeasurement>, EstimationError> {
+        self.measure_rows(left, right).map(Some)
+    }
+
+    fn use_rows(&mut self, measured: &RowMeasurement) {
+        self.set_rows(measured.rows);
     }
 }
 

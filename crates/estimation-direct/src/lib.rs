@@ -19,7 +19,6 @@ pub mod reach;
 pub mod region_pyramid;
 mod repetition;
 pub mod row_measurement;
-pub mod row_offset;
 mod row_shift;
 pub mod search;
 mod surroundings;

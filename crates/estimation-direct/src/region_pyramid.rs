@@ -16,9 +16,9 @@ use super::disparity_plane::DisparityPlane;
 use super::front_end::{Eye, StereoFrontEnd};
 use super::image_plane::PixelWindow;
 use super::reach;
-use super::row_offset::RowOffset;
 use super::row_shift::shift_rows;
 use crate::front_end::halve_eye;
+use pb3dp_estimation_core::row_offset::RowOffset;
 
 /// Most levels of a pyramid.
 pub const LEVELS_MAX: usize = 6;

@@ -14,7 +14,7 @@ use super::colour_planes::Wanted;
 use super::front_end::{Eye, StereoFrontEnd};
 use super::image_plane::ImagePlane;
 use super::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
-use super::row_offset::RowOffset;
+use pb3dp_estimation_core::row_offset::{RowMeasurement, RowOffset};
 
 /// Level of the exhaustive search.
 const COARSE: usize = 2;
@@ -34,17 +34,6 @@ const GRADIENT_MIN: f64 = 3.0;
 const MATCHES_MIN: usize = 60;
 /// Rows farther off than this are not matched, pixels.
 const OFFSET_MAX_PX: f64 = 6.0;
-
-/// A measured row offset.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct RowMeasurement {
-    /// The offset; zero if too few points were found again.
-    pub rows: RowOffset,
-    /// Points found again.
-    pub matches: usize,
-    /// Standard deviation (robust) of a point around the fit, pixels.
-    pub spread_px: f64,
-}
 
 /// One point found again: right pixel, and its row minus the left row.
 #[derive(Clone, Copy, Debug)]

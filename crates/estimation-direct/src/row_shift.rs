@@ -6,7 +6,7 @@ use pb3dp_estimation_core::wide::{LANES, wide};
 
 use super::colour_planes::{ColourPlanes, UNSEEN, Wanted};
 use super::image_plane::ImagePlane;
-use super::row_offset::RowOffset;
+use pb3dp_estimation_core::row_offset::RowOffset;
 
 /// Columns that are moved by one and the same offset.
 pub(super) const BLOCK: usize = 2 * LANES;

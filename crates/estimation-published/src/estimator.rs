@@ -7,12 +7,12 @@
 //! The paper gives no status. Here every answer is judged by [`crate::observability`]; a target whose pixels have no hue
 //! is not searched at all.
 
-use image::RgbImage;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose};
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, MarkedTarget};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
-use pb3dp_estimation_core::region::{Region, RegionConfig};
+use pb3dp_estimation_core::region::RegionConfig;
 use pb3dp_estimation_core::status::{Status, Verdict};
 use pb3dp_geometry::StereoRig;
 
@@ -166,59 +166,6 @@ impl PublishedEstimator {
         self.core.config()
     }
 
-    /// The plane of a region of one pair of raw images, from nothing: no start value, the whole `range` is searched.
-    ///
-    /// The same input gives the same answer after any other calls and, for pictures without lens distortion, on every machine;
-    /// with distortion the undistortion may differ in last bits between system libraries.
-    ///
-    /// # Errors
-    /// Images that do not fit the calibration, a region that can not serve, a bad range. That a plane can not be determined
-    /// is not an error but the status `not-observable`.
-    pub fn estimate(
-        &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
-        region: &Region,
-        range: &SearchRange,
-    ) -> Result<PlaneEstimate, EstimationError> {
-        self.estimate_while(left, right, region, range, &mut || true)
-    }
-
-    /// As [`Self::estimate`]; once `may_continue` says no, the best of the generations so far is judged and given.
-    ///
-    /// # Errors
-    /// As [`Self::estimate`].
-    pub fn estimate_while(
-        &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
-        region: &Region,
-        range: &SearchRange,
-        may_continue: &mut dyn FnMut() -> bool,
-    ) -> Result<PlaneEstimate, EstimationError> {
-        range.validate()?;
-        let taken = self.core.take(left, right, region)?;
-        let warnings = taken.warnings.into_iter().map(EstimateWarning::Region).collect();
-        let mut estimate = self.core.blank_estimate(taken.centroid_px, warnings);
-        if let Some(reason) = self.core.lack_of_hue() {
-            estimate.reason = reason;
-            return Ok(estimate);
-        }
-        let rmga_config = self.core.config().cold_start_rmga();
-        let mut rmga = RmGa::new(rmga_config, *range)?;
-        let mut population = Population::random(&rmga_config);
-        let Some(found) = self.core.search(&mut rmga, &mut population, may_continue)? else {
-            estimate.reason = "every hypothesis of the search range lies behind a camera: check the range".to_owned();
-            return Ok(estimate);
-        };
-        let landscape = self.core.survey(&found, range)?;
-        self.fill(&mut estimate, &found, &landscape, range);
-        if self.core.config().reference_optimum {
-            estimate.reference_optimum = self.core.reference_optimum(rmga.codec())?;
-        }
-        Ok(estimate)
-    }
-
     fn fill(&self, estimate: &mut PlaneEstimate, found: &Found, landscape: &Landscape, range: &SearchRange) {
         let Verdict { status, reason } = landscape.verdict(&self.core.config().observability);
         let pose = self.core.plane_pose(&found.psi, &estimate.centroid_px);
@@ -234,6 +181,44 @@ impl PublishedEstimator {
         if found.psi.z_m < range.z_min_m + margin_m || found.psi.z_m > range.z_max_m - margin_m {
             estimate.warnings.push(EstimateWarning::EndOfRange { z_mm: 1000.0 * found.psi.z_m });
         }
+    }
+}
+
+/// For images without lens distortion the same request gives the same answer on every machine; with distortion the undistortion may
+/// differ in last bits between system libraries.
+impl EstimationMethod for PublishedEstimator {
+    type Answer = PlaneEstimate;
+
+    /// The plane of a region of one pair of raw images, from nothing: no start value, the whole range is searched.
+    fn answer(&mut self, request: &mut EstimateRequest<'_>) -> Result<PlaneEstimate, EstimationError> {
+        let MarkedTarget { region, range } = request.marked()?;
+        let EstimateRequest { left, right, deadline, .. } = request;
+        range.validate()?;
+        let taken = self.core.take(left, right, region)?;
+        let warnings = taken.warnings.into_iter().map(EstimateWarning::Region).collect();
+        let mut estimate = self.core.blank_estimate(taken.centroid_px, warnings);
+        if let Some(reason) = self.core.lack_of_hue() {
+            estimate.reason = reason;
+            return Ok(estimate);
+        }
+        let rmga_config = self.core.config().cold_start_rmga();
+        let mut rmga = RmGa::new(rmga_config, *range)?;
+        let mut population = Population::random(&rmga_config);
+        let Some(found) = self.core.search(&mut rmga, &mut population, deadline)? else {
+            estimate.reason = "every hypothesis of the search range lies behind a camera: check the range".to_owned();
+            return Ok(estimate);
+        };
+        let landscape = self.core.survey(&found, range)?;
+        self.fill(&mut estimate, &found, &landscape, range);
+        if self.core.config().reference_optimum {
+            estimate.reference_optimum = self.core.reference_optimum(rmga.codec())?;
+        }
+        Ok(estimate)
+    }
+
+    fn set_rig(&mut self, rig: &StereoRig) -> Result<(), EstimationError> {
+        *self = Self::new(rig, self.config().clone())?;
+        Ok(())
     }
 }
 

@@ -1,35 +1,24 @@
 //! The recovered surface, for a file.
 
 use nalgebra::{Point3, Unit, Vector3};
+use pb3dp_estimation_core::method::SurfacePoint;
 use pb3dp_estimation_direct::colour_planes::OPPONENT_FROM_RGB;
 
 use super::kernels::{SurfaceGroup, ViewGroup};
 
-/// A point of the target's surface.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SurfacePoint {
-    /// Position in `model`, metres.
-    pub position_in_model_m: Point3<f64>,
-    /// Unit normal in `model`, towards the camera of the first frame.
-    pub normal_in_model: Vector3<f64>,
-    /// Red, green, blue of the first left image, 0 to 255.
-    pub rgb: [u8; 3],
-}
-
-impl SurfacePoint {
-    pub(super) fn of(group: &SurfaceGroup, view: &ViewGroup, lane: usize) -> Self {
-        let base = |k: usize| Vector3::from_fn(|axis, _| f64::from(group.base[3 * k + axis].0[lane]));
-        // Columns and rows of the first image run right and down, so their product points away from its camera.
-        let away = Unit::try_new(base(0).cross(&base(1)), 0.0).map_or_else(Vector3::z, Unit::into_inner);
-        let value = view.value.map(|v| v.0[lane]);
-        let rgb = std::array::from_fn(|c| {
-            let sum: f32 = OPPONENT_FROM_RGB.iter().zip(value).map(|(row, value)| row[c] * value).sum();
-            sum.round().clamp(0.0, 255.0) as u8
-        });
-        Self {
-            position_in_model_m: Point3::from(group.point.map(|x| f64::from(x.0[lane]))),
-            normal_in_model: -away,
-            rgb,
-        }
+/// A point of a lane of the surface, with the colour that the first view gave it.
+pub(super) fn surface_point(group: &SurfaceGroup, view: &ViewGroup, lane: usize) -> SurfacePoint {
+    let base = |k: usize| Vector3::from_fn(|axis, _| f64::from(group.base[3 * k + axis].0[lane]));
+    // Columns and rows of the first image run right and down, so their product points away from its camera.
+    let away = Unit::try_new(base(0).cross(&base(1)), 0.0).map_or_else(Vector3::z, Unit::into_inner);
+    let value = view.value.map(|v| v.0[lane]);
+    let rgb = std::array::from_fn(|c| {
+        let sum: f32 = OPPONENT_FROM_RGB.iter().zip(value).map(|(row, value)| row[c] * value).sum();
+        sum.round().clamp(0.0, 255.0) as u8
+    });
+    SurfacePoint {
+        position_in_model_m: Point3::from(group.point.map(|x| f64::from(x.0[lane]))),
+        normal_in_model: -away,
+        rgb,
     }
 }

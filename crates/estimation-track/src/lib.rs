@@ -37,7 +37,5 @@ mod tracker;
 mod view;
 
 pub use config::DirectTrackerConfig;
-pub use export::SurfacePoint;
 pub use judge::Fit;
-pub use predict::FramePrior;
 pub use tracker::DirectTracker;

@@ -1,27 +1,9 @@
 //! Where the target is expected in the next frame.
 
 use nalgebra::Vector3;
+use pb3dp_estimation_core::method::FramePrior;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, so3};
-
-/// What a caller may know of a frame before it is looked at.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct FramePrior {
-    /// Motion of the left camera between the last exposure and this one, from the arm: only the target's own motion is then
-    /// left to find.
-    pub cam_left_prev_from_cam_left_now: Option<Pose<CamLeft, CamLeft>>,
-    /// The expected pose, from a filter of the caller; it takes the place of the tracker's own prediction.
-    pub cam_left_from_model: Option<Pose<CamLeft, Model>>,
-    /// Time between the last exposure and this one, seconds; `None`: as between the two before.
-    pub dt_s: Option<f64>,
-}
-
-impl FramePrior {
-    /// Nothing is known but, perhaps, the motion of the camera.
-    pub fn of_motion(cam_left_prev_from_cam_left_now: Option<&Pose<CamLeft, CamLeft>>) -> Self {
-        Self { cam_left_prev_from_cam_left_now: cam_left_prev_from_cam_left_now.copied(), ..Self::default() }
-    }
-}
 
 /// The last pose and how the target moved: its origin at a constant velocity, its axes at a constant angular velocity, both
 /// in a frame that does not move with the camera.

@@ -10,19 +10,20 @@ use pb3dp_geometry::{Camera, Pose, StereoRig};
 use super::align::{Aligned, Aligner, Estimate, Knowledge, Problem, StartLevel};
 use super::config::DirectTrackerConfig;
 use super::distinct::independent_points;
-use super::export::SurfacePoint;
+use super::export::surface_point;
 use super::images::{EyeImages, LEVELS};
 use super::judge::{Fit, Limits, Misfit};
 use super::kernels::{CHANNELS, ROW, TERMS};
 use super::normal::{Free, NormalEquations};
 use super::one_surface::{Part, largest_part};
-use super::predict::{FramePrior, Motion};
+use super::predict::Motion;
 use super::reach::{Sighting, in_sight};
 use super::search::{PLACES, Place, Searcher, depth_by_stereo, hypotheses, hypothesis, mirrored};
 use super::shape::Shares;
 use super::stereo_relief;
 use super::surface::Surface;
 use super::view::View;
+use pb3dp_estimation_core::method::{FramePrior, SurfacePoint};
 
 /// What is taken over of a frame's information about the surface: all frames share the noise of the kept view. Disparities
 /// between left and right, which tell the relief, hardly have any of it. What tells the plane's tilt from the pose's is the
@@ -190,7 +191,7 @@ impl Target {
     pub(super) fn surface_points(&self) -> Vec<SurfacePoint> {
         let (groups, view) = (&self.surface.levels[0].groups, &self.views[0].levels[0]);
         let lanes = groups.iter().zip(view).flat_map(|(group, view)| {
-            (0..LANES).filter(|&i| group.mask.0[i] > 0.0).map(move |i| SurfacePoint::of(group, view, i))
+            (0..LANES).filter(|&i| group.mask.0[i] > 0.0).map(move |i| surface_point(group, view, i))
         });
         lanes.collect()
     }

@@ -7,6 +7,7 @@ use nalgebra::{Matrix6, Point3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose, TrackEstimate};
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior, MarkedTarget, SurfacePoint};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionConfig, RegionMask};
 use pb3dp_estimation_core::status::Status;
@@ -16,10 +17,8 @@ use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
 
 use super::config::DirectTrackerConfig;
-use super::export::SurfacePoint;
 use super::images::EyeImages;
 use super::judge::Fit;
-use super::predict::FramePrior;
 use super::repeated::{Remembered, stuck_eye};
 use super::surface::{Surface, model_frame};
 use super::target::{Ending, Frame, Target};
@@ -34,7 +33,7 @@ const MARGIN_START_PX: u32 = 40;
 
 /// Follows one target in six degrees of freedom.
 ///
-/// [`Self::start`] finds the target's plane and relief in the first pair and keeps its view. Each [`Self::update`] finds the
+/// A request with a marked target finds its plane and relief in that pair and keeps its view. Each request without one finds the
 /// pose at which a kept view explains both images of the next pair (gains and offsets of both cameras, the row offset of the
 /// right one, and what is still open about the surface are unknowns beside the pose), judges it, and keeps a new view where
 /// none is near. A pose that does not fit is not given: the status is `lost`, and from that very frame on the target is
@@ -111,38 +110,14 @@ impl DirectTracker {
         &self.config
     }
 
-    /// Takes a new target: cold start in the first pair of raw images, the region given in the left one.
-    ///
-    /// If the plane is not observable there is no target, and the status says so; unless what kept it from being one is a
-    /// relief, and plane and relief together explain both images.
-    ///
-    /// # Errors
-    /// Images that do not fit the calibration, a region that can not serve, a bad range.
-    pub fn start(
-        &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
-        region: &Region,
-        range: &SearchRange,
-    ) -> Result<TrackEstimate, EstimationError> {
-        self.start_while(left, right, region, range, &mut || true)
-    }
-
-    /// As [`Self::start`]; once `may_continue` says no, the cold start gives what it has. The relief is found all the same.
-    ///
-    /// # Errors
-    /// As [`Self::start`].
-    pub fn start_while(
-        &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
-        region: &Region,
-        range: &SearchRange,
-        may_continue: &mut dyn FnMut() -> bool,
-    ) -> Result<TrackEstimate, EstimationError> {
+    /// A new target. If the plane is not observable there is none, and the status says so; unless what kept it from being one is a
+    /// relief, and plane and relief together explain both images. The relief is found whatever the deadline.
+    fn start(&mut self, request: &mut EstimateRequest<'_>) -> Result<TrackEstimate, EstimationError> {
+        let MarkedTarget { region, range } = request.marked()?;
+        let (left, right) = (request.left, request.right);
         self.target = None;
         self.was_started = true;
-        let found = self.estimator.estimate_while(left, right, region, range, may_continue)?;
+        let found = self.estimator.answer(request)?;
         let refused = TrackEstimate {
             status: found.status,
             reason: found.reason.clone(),
@@ -192,7 +167,7 @@ impl DirectTracker {
         PlanePose::from_inverse_depth_plane(psi.inverse_depth_plane(&ray)?, &ray)
     }
 
-    /// As [`Self::start`], where the plane of the region is known to a few pixels of disparity.
+    /// A new target, where the plane of its region is known to a few pixels of disparity.
     ///
     /// # Errors
     /// Images that do not fit the calibration, a region that can not serve.
@@ -284,50 +259,17 @@ impl DirectTracker {
         Ok((surface.points() >= POINTS_MIN).then_some((surface, pose)))
     }
 
-    /// Follows the target into the next pair of raw images.
+    /// Follows the target into the next pair, for a loop that must not allocate: the answer is written into `estimate`, whose buffers
+    /// are used again.
     ///
     /// # Errors
-    /// Images that do not fit the calibration, or no [`Self::start`] before. A lost target is not an error but a status, and
-    /// so is a target that the start did not find: `not-observable` until the next start.
-    pub fn update(
+    /// As [`EstimationMethod::estimate`].
+    pub fn follow_into(
         &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
-        prior: &FramePrior,
-    ) -> Result<TrackEstimate, EstimationError> {
-        self.update_while(left, right, prior, &mut || true)
-    }
-
-    /// As [`Self::update`]; `may_continue` is asked before each further step, and once it says no, what has been reached is
-    /// judged and given.
-    ///
-    /// # Errors
-    /// As [`Self::update`].
-    pub fn update_while(
-        &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
-        prior: &FramePrior,
-        may_continue: &mut dyn FnMut() -> bool,
-    ) -> Result<TrackEstimate, EstimationError> {
-        let mut estimate = blank();
-        self.update_into(left, right, prior, may_continue, &mut estimate)?;
-        Ok(estimate)
-    }
-
-    /// As [`Self::update_while`], for a loop that must not allocate: the answer is written into `estimate`, whose buffers are
-    /// used again.
-    ///
-    /// # Errors
-    /// As [`Self::update`].
-    pub fn update_into(
-        &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
-        prior: &FramePrior,
-        may_continue: &mut dyn FnMut() -> bool,
+        request: &mut EstimateRequest<'_>,
         estimate: &mut TrackEstimate,
     ) -> Result<(), EstimationError> {
+        let EstimateRequest { left, right, prior, deadline, .. } = request;
         check_sizes(&self.rig, left, right)?;
         let Some(mut target) = self.target.take() else {
             if !self.was_started {
@@ -338,13 +280,8 @@ impl DirectTracker {
             estimate.reason.push_str("the start found no target to follow: mark it again");
             return Ok(());
         };
-        let mut was_stopped = false;
-        let mut ask = || {
-            was_stopped = was_stopped || !may_continue();
-            !was_stopped
-        };
-        let ending = self.follow(&mut target, left, right, prior, &mut ask);
-        if was_stopped {
+        let ending = self.follow(&mut target, left, right, prior, &mut || deadline.may_continue());
+        if deadline.is_over() {
             // The equations of a pose that has not come to rest say how sure one that has would be.
             target.covariance = None;
         }
@@ -442,12 +379,6 @@ impl DirectTracker {
         self.target.as_ref().map(|target| &target.fit)
     }
 
-    /// The target's surface as far as it is known: its points with normals and the colours of the first frame, in `model`.
-    /// Empty before a start.
-    pub fn surface(&self) -> Vec<SurfacePoint> {
-        self.target.as_ref().map_or_else(Vec::new, Target::surface_points)
-    }
-
     /// How many views are kept.
     pub fn views(&self) -> usize {
         self.target.as_ref().map_or(0, |target| target.views.len())
@@ -511,6 +442,34 @@ impl DirectTracker {
     }
 }
 
+impl EstimationMethod for DirectTracker {
+    type Answer = TrackEstimate;
+
+    /// A marked target is taken from a cold start; without one the target is followed. A lost target is a status, and so is a target
+    /// that the start did not find: `not-observable` until it is marked again.
+    fn answer(&mut self, request: &mut EstimateRequest<'_>) -> Result<TrackEstimate, EstimationError> {
+        if request.target.is_some() {
+            return self.start(request);
+        }
+        let mut estimate = blank();
+        self.follow_into(request, &mut estimate)?;
+        Ok(estimate)
+    }
+
+    fn set_rig(&mut self, rig: &StereoRig) -> Result<(), EstimationError> {
+        *self = Self::with_kernels(rig, self.estimator.config().clone(), self.config, self.kernels)?;
+        Ok(())
+    }
+
+    fn wants_region(&self) -> bool {
+        self.target.is_none()
+    }
+
+    fn surface(&self) -> Vec<SurfacePoint> {
+        self.target.as_ref().map_or_else(Vec::new, Target::surface_points)
+    }
+}
+
 /// A surface and the pose of its frame.
 type FirstSurface = (Surface, Pose<CamLeft, Model>);
 
@@ -546,15 +505,6 @@ fn passed_s(prior: &FramePrior) -> f64 {
 }
 
 fn blank() -> TrackEstimate {
-    TrackEstimate {
-        status: Status::NotObservable,
-        reason: String::new(),
-        warnings: Vec::new(),
-        cam_left_from_model: None,
-        covariance: None,
-        psi: None,
-        fitness: None,
-        outline_px: Vec::new(),
-        rotation_about_normal_observed: true,
-    }
+    let blank = TrackEstimate::without_pose(Status::NotObservable, String::new());
+    TrackEstimate { rotation_about_normal_observed: true, ..blank }
 }

@@ -4,6 +4,7 @@
 use image::{GrayImage, Luma};
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, FramePrior, Method, Tracker};
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate};
+use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
@@ -33,7 +34,9 @@ fn after(method: Method, pair: &Pair, steps: usize) -> PlaneEstimate {
         left = left.saturating_sub(1);
         may
     };
-    estimator.estimate_while(&pair.left, &pair.right, &region(pair), &range(), &mut may_continue).unwrap()
+    estimator
+        .estimate(EstimateRequest::of_target(&pair.left, &pair.right, &region(pair), &range()).until(&mut may_continue))
+        .unwrap()
 }
 
 fn error_mm(pair: &Pair, found: &PlaneEstimate) -> f64 {
@@ -48,7 +51,10 @@ fn a_deadline_gives_the_best_answer_so_far() {
         let whole = after(method, &pair, usize::MAX);
         assert!(!whole.warnings.contains(&EstimateWarning::CutShort));
         let mut estimator = Estimator::new(method, &pair.rig, &EstimatorConfig::default()).unwrap();
-        assert_eq!(estimator.estimate(&pair.left, &pair.right, &region(&pair), &range()).unwrap(), whole);
+        assert_eq!(
+            estimator.estimate(EstimateRequest::of_target(&pair.left, &pair.right, &region(&pair), &range())).unwrap(),
+            whole
+        );
         for steps in [0, 1, 3] {
             let cut = after(method, &pair, steps);
             if cut == whole {
@@ -77,14 +83,19 @@ fn tracking_within_a_deadline_gives_a_pose_or_says_lost() {
     let (first, second) = (pair(0.53), pair(0.531));
     for method in [Method::Direct, Method::Published] {
         let mut tracker = Tracker::new(method, &first.rig, &EstimatorConfig::default()).unwrap();
-        tracker.start(&first.left, &first.right, &region(&first), &range()).unwrap();
-        let cut = tracker.update_while(&second.left, &second.right, &FramePrior::default(), &mut || false).unwrap();
+        tracker.estimate(EstimateRequest::of_target(&first.left, &first.right, &region(&first), &range())).unwrap();
+        let cut = tracker
+            .estimate(
+                EstimateRequest::of_next(&second.left, &second.right, &FramePrior::default()).until(&mut || false),
+            )
+            .unwrap();
         assert!(cut.reason.contains("cut short"), "{method}: {}", cut.reason);
         assert!(cut.cam_left_from_model.is_some() || cut.status == Status::Lost, "{method}: {cut:?}");
         // The published method judges what it has by its landscape; the direct one would judge a step by its end.
         let vouches = cut.covariance.is_some() || cut.status == Status::Ok;
         assert!(method == Method::Published || !vouches, "{}", cut.reason);
-        let whole = tracker.update(&second.left, &second.right, &FramePrior::default()).unwrap();
+        let whole =
+            tracker.estimate(EstimateRequest::of_next(&second.left, &second.right, &FramePrior::default())).unwrap();
         assert!(whole.cam_left_from_model.is_some() && !whole.reason.contains("cut short"), "{method}: {whole:?}");
     }
 }

@@ -4,6 +4,7 @@
 use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_estimation_core::estimate::PlaneEstimate;
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
 use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
 use pb3dp_estimation_core::region::{Region, RegionMask};
 use pb3dp_estimation_core::status::Status;
@@ -25,7 +26,7 @@ fn region_of(mask: &RegionMask) -> Region {
 
 fn estimate(rig: &StereoRig, left: &RgbImage, right: &RgbImage, region: &Region) -> PlaneEstimate {
     let mut estimator = DirectEstimator::new(rig, DirectConfig::default()).unwrap();
-    estimator.estimate(left, right, region, &range()).unwrap()
+    estimator.estimate(EstimateRequest::of_target(left, right, region, &range())).unwrap()
 }
 
 fn check(rig: &StereoRig, scene: &Scene) {
@@ -86,9 +87,9 @@ fn the_same_pair_gives_the_same_answer_after_another() {
     let mut estimator = DirectEstimator::new(&rig, DirectConfig::default()).unwrap();
     let region = Region::Rectangle { x: 300, y: 190, width: 100, height: 90 };
     let other = Region::Rectangle { x: 100, y: 60, width: 400, height: 330 };
-    let first = estimator.estimate(&left, &right, &region, &range()).unwrap();
-    estimator.estimate(&left, &right, &other, &range()).unwrap();
-    assert_eq!(estimator.estimate(&left, &right, &region, &range()).unwrap(), first);
+    let first = estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &range())).unwrap();
+    estimator.estimate(EstimateRequest::of_target(&left, &right, &other, &range())).unwrap();
+    assert_eq!(estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &range())).unwrap(), first);
 }
 
 /// A target at the end of the range may lie beyond it.
@@ -101,7 +102,14 @@ fn an_answer_at_the_end_of_the_range_is_ambiguous() {
     let region = region_of(&RegionMask::from_fn(SIZE, |u, v| scene.sees_disc(&rig, u, v)));
     let found = |z_max_m: f64| {
         let mut estimator = DirectEstimator::new(&rig, DirectConfig::default()).unwrap();
-        estimator.estimate(&left, &right, &region, &SearchRange::new(0.35, z_max_m, 1.0).unwrap()).unwrap()
+        estimator
+            .estimate(EstimateRequest::of_target(
+                &left,
+                &right,
+                &region,
+                &SearchRange::new(0.35, z_max_m, 1.0).unwrap(),
+            ))
+            .unwrap()
     };
     let within = found(0.8);
     assert_eq!(within.status, Status::Ok, "{}", within.reason);
@@ -122,7 +130,7 @@ fn warnings_tell_of_the_region_and_of_tilts_beyond_the_range() {
     let warnings = |tilt_max_rad: f64| {
         let mut estimator = DirectEstimator::new(&rig, DirectConfig::default()).unwrap();
         let range = SearchRange::new(0.35, 0.8, tilt_max_rad).unwrap();
-        let found = estimator.estimate(&left, &right, &region, &range).unwrap();
+        let found = estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &range)).unwrap();
         let texts: Vec<String> = found.warnings.iter().map(ToString::to_string).collect();
         assert!(texts.iter().any(|text| text.contains("of the region polygon cross")), "{texts:?}");
         texts.iter().any(|text| text.contains("beyond the 23 degrees"))

@@ -4,6 +4,7 @@
 use image::{Rgb, RgbImage};
 use nalgebra::Vector2;
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate};
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
@@ -17,7 +18,7 @@ const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 fn estimate(rig: &StereoRig, (left, right): (&RgbImage, &RgbImage), region: &Region, range: [f64; 3]) -> PlaneEstimate {
     let mut estimator = DirectEstimator::new(rig, DirectConfig::default()).unwrap();
     let range = SearchRange::new(range[0], range[1], range[2].to_radians()).unwrap();
-    estimator.estimate(left, right, region, &range).unwrap()
+    estimator.estimate(EstimateRequest::of_target(left, right, region, &range)).unwrap()
 }
 
 /// A smooth texture without symmetry.
@@ -63,7 +64,7 @@ fn of_a_curved_surface_the_plane_that_explains_most_is_given_as_ambiguous() {
     assert!(found.warnings.contains(&EstimateWarning::NoPlane), "{:?}", found.warnings);
     let mut tracker = DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).unwrap();
     let range = SearchRange::new(0.4, 0.7, 60_f64.to_radians()).unwrap();
-    let started = tracker.start(&left, &right, &region, &range).unwrap();
+    let started = tracker.estimate(EstimateRequest::of_target(&left, &right, &region, &range)).unwrap();
     assert_eq!(started.status, Status::Ok, "{}", started.reason);
 }
 
@@ -79,7 +80,7 @@ fn a_surface_outside_the_range_is_not_tracked() {
     let started = |z_min_m: f64, z_max_m: f64| {
         let mut tracker = DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).unwrap();
         let range = SearchRange::new(z_min_m, z_max_m, 60_f64.to_radians()).unwrap();
-        tracker.start(&left, &right, &region, &range).unwrap()
+        tracker.estimate(EstimateRequest::of_target(&left, &right, &region, &range)).unwrap()
     };
     let held = started(0.35, 0.8);
     assert_eq!(held.status, Status::Ok, "{}", held.reason);
@@ -244,7 +245,7 @@ fn the_width_of_an_edge_is_not_taken_for_a_sure_slope() {
             let range = SearchRange::new(depth(150.0), depth(90.0), 1.0).unwrap();
             for (config, wrong) in [DirectConfig::default(), unaware.clone()].into_iter().zip(&mut wrong) {
                 let mut estimator = DirectEstimator::new(&rig, config).unwrap();
-                let found = estimator.estimate(&left, &right, &region, &range).unwrap();
+                let found = estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &range)).unwrap();
                 let (Some(pose), Some(sigma_rad)) = (found.pose, found.normal_sigma_rad) else { continue };
                 let off_rad = pose.normal_in_cam_left.angle(&-nalgebra::Vector3::z());
                 *wrong +=
@@ -271,7 +272,7 @@ fn rows_that_no_calibrated_rig_has_are_told() {
         let mut estimator = DirectEstimator::new(&rig, DirectConfig::default()).unwrap();
         let measured = estimator.measure_rows(&left, &right).unwrap();
         assert!((measured.rows.offset_px - f64::from(rows)).abs() < 0.1, "{measured:?}");
-        let found = estimator.estimate(&left, &right, &region, &range).unwrap();
+        let found = estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &range)).unwrap();
         assert_eq!(found.status, Status::Ok, "{}", found.reason);
         let told = found.warnings.iter().any(|warning| matches!(warning, EstimateWarning::RowsOff { .. }));
         assert_eq!(told, is_told, "{rows}: {:?}", found.warnings);

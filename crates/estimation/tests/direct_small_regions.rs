@@ -3,6 +3,7 @@
 
 use nalgebra::Vector2;
 use pb3dp_estimation_core::estimate::PlaneEstimate;
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
 use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
 use pb3dp_estimation_core::region::{Region, RegionMask};
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
@@ -19,7 +20,7 @@ fn both(scene: &Scene, region: &Region, range: &SearchRange) -> [PlaneEstimate; 
         let mut config = DirectConfig::default();
         config.cold_start.surroundings_px = surroundings_px;
         let mut estimator = DirectEstimator::new(&rig, config).unwrap();
-        estimator.estimate(&left, &right, region, range).unwrap()
+        estimator.estimate(EstimateRequest::of_target(&left, &right, region, range)).unwrap()
     })
 }
 

@@ -3,10 +3,11 @@
 
 use nalgebra::Vector3;
 use pb3dp_estimation_core::estimate::{EstimateWarning, TrackEstimate};
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_direct::estimator::DirectConfig;
-use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig, FramePrior};
+use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig};
 use pb3dp_geometry::frames::{CamLeft, Model, Target};
 use pb3dp_geometry::{Pose, StereoRig, so3};
 
@@ -35,7 +36,7 @@ impl Run {
         let shot = Shot { cam_left_from_target: pose, frame: self.frame, right_gain: 0.9 };
         let (left, right) = render(&self.rig, &shot);
         let prior = FramePrior { dt_s: Some(dt_s), ..FramePrior::default() };
-        self.tracker.update(&left, &right, &prior).expect("update")
+        self.tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)).expect("update")
     }
 
     /// Distance (mm) and angle (degrees) from the truth.
@@ -134,7 +135,8 @@ fn a_frozen_eye_is_no_evidence() {
                 pictures[frozen_eye] = old.clone();
             }
             let prior = FramePrior { dt_s: Some(1.0 / 30.0), ..FramePrior::default() };
-            let estimate = run.tracker.update(&pictures[0], &pictures[1], &prior).expect("update");
+            let estimate =
+                run.tracker.estimate(EstimateRequest::of_next(&pictures[0], &pictures[1], &prior)).expect("update");
             if is_frozen {
                 assert_eq!(estimate.status, Status::Lost, "eye {frozen_eye}, frame {frame}");
                 let name = ["left", "right"][frozen_eye];
@@ -173,7 +175,7 @@ fn a_twin_is_not_taken_for_a_hidden_target() {
         let discs = if is_hidden { vec![twin] } else { vec![own(frame), twin] };
         let (left, right) = render_all(&run.rig, &discs, &shot(frame));
         let prior = FramePrior { dt_s: Some(1.0 / 30.0), ..FramePrior::default() };
-        let estimate = run.tracker.update(&left, &right, &prior).expect("update");
+        let estimate = run.tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)).expect("update");
         if is_hidden || estimate.status == Status::Lost {
             assert_eq!(estimate.status, Status::Lost, "frame {frame}");
             lost_in_sight += u32::from(!is_hidden);
@@ -202,7 +204,7 @@ fn a_tilt_that_is_foretold_mirrored_is_set_right() {
         let shot = Shot { cam_left_from_target: Some(pose), frame: run.frame, right_gain: 0.9 };
         let (left, right) = render(&run.rig, &shot);
         let prior = FramePrior { cam_left_from_model: Some(mirrored), ..FramePrior::default() };
-        let estimate = run.tracker.update(&left, &right, &prior).expect("update");
+        let estimate = run.tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)).expect("update");
         assert_eq!(estimate.status, Status::Ok, "{turn:?}: {}", estimate.reason);
         let (distance_mm, angle_deg) = run.error(&estimate, &pose);
         assert!(distance_mm < 1.0 && angle_deg < 1.0, "{turn:?}: {distance_mm} mm, {angle_deg} degrees");
@@ -243,9 +245,13 @@ fn a_cold_start_needs_no_plane() {
     let mut tracker =
         DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).expect("tracker");
     let (left, right) = render(&rig, &Shot { cam_left_from_target: Some(first), frame: 0, right_gain: 0.9 });
-    assert!(tracker.update(&left, &right, &FramePrior::default()).is_err(), "nothing to follow yet");
+    assert!(
+        tracker.estimate(EstimateRequest::of_next(&left, &right, &FramePrior::default())).is_err(),
+        "nothing to follow yet"
+    );
     let range = SearchRange::new(0.35, 0.7, 0.7).expect("range");
-    let estimate = tracker.start(&left, &right, &region(&rig, &first), &range).expect("start");
+    let estimate =
+        tracker.estimate(EstimateRequest::of_target(&left, &right, &region(&rig, &first), &range)).expect("start");
     assert_eq!(estimate.status, Status::Ok, "{}", estimate.reason);
     let found = estimate.cam_left_from_model.expect("pose");
     let normal = found.rotation() * Vector3::z();
@@ -269,7 +275,10 @@ fn a_start_beyond_the_tilt_that_was_searched_says_so() {
         let mut tracker =
             DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).expect("tracker");
         let range = SearchRange::new(0.35, 0.7, tilt_max_rad).expect("range");
-        tracker.start(&left, &right, &region(&rig, &first), &range).expect("start").warnings
+        tracker
+            .estimate(EstimateRequest::of_target(&left, &right, &region(&rig, &first), &range))
+            .expect("start")
+            .warnings
     };
     assert!(matches!(start(0.01)[..], [EstimateWarning::BeyondTilt { .. }]), "{:?}", start(0.01));
     assert_eq!(start(0.7), []);
@@ -288,7 +297,12 @@ fn a_deadline_gives_the_best_answer_so_far() {
         asked += 1;
         asked < 2
     };
-    run.tracker.update_into(&left, &right, &FramePrior::default(), &mut over, &mut estimate).expect("update");
+    run.tracker
+        .follow_into(
+            &mut EstimateRequest::of_next(&left, &right, &FramePrior::default()).until(&mut over),
+            &mut estimate,
+        )
+        .expect("update");
     assert_eq!(asked, 2);
     assert!(matches!(estimate.status, Status::Ok | Status::WeakTilt), "{}: {}", estimate.status, estimate.reason);
     let (distance_mm, angle_deg) = run.error(&estimate, &pose);
@@ -309,9 +323,10 @@ fn a_blank_wall_is_no_target() {
     };
     let region = region(&rig, &moving(0.0));
     let range = SearchRange::new(0.35, 0.7, 0.7).expect("range");
-    let estimate = tracker.start(&blank(1), &blank(2), &region, &range).expect("start");
+    let estimate = tracker.estimate(EstimateRequest::of_target(&blank(1), &blank(2), &region, &range)).expect("start");
     assert!(!estimate.status.depth_is_sure() && estimate.cam_left_from_model.is_none(), "{}", estimate.reason);
-    let next = tracker.update(&blank(3), &blank(4), &FramePrior::default()).expect("update");
+    let next =
+        tracker.estimate(EstimateRequest::of_next(&blank(3), &blank(4), &FramePrior::default())).expect("update");
     assert!(next.status == Status::NotObservable && next.cam_left_from_model.is_none() && !next.reason.is_empty());
 }
 

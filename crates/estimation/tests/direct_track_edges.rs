@@ -2,10 +2,11 @@
 #![allow(clippy::expect_used, reason = "inputs that are valid")]
 
 use nalgebra::{Isometry3, Point3, Vector3};
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior};
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_direct::estimator::DirectConfig;
-use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig, FramePrior};
+use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig};
 use pb3dp_geometry::Pose;
 
 use crate::moving_plane::{RADIUS_M, Shot, moving, plane, rectified_rig, render_all};
@@ -36,7 +37,7 @@ fn track(centre_px: [f64; 2], side_px: u32) -> (u32, u32) {
         let prior = FramePrior { dt_s: Some(1.0 / FPS), ..FramePrior::default() };
         let estimate = match frame {
             0 => tracker.start_from_plane(&left, &right, &region, &plane(&discs[0])).expect("start"),
-            _ => tracker.update(&left, &right, &prior).expect("update"),
+            _ => tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)).expect("update"),
         };
         let Some(pose) = estimate.cam_left_from_model.map(|pose| *pose.isometry()) else { continue };
         let first = *first.get_or_insert(pose);

@@ -1,9 +1,10 @@
 //! A tracked frame of the direct method does not allocate, nor does a lost one.
 #![allow(clippy::expect_used, reason = "inputs that are valid")]
 
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior};
 use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_direct::estimator::DirectConfig;
-use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig, FramePrior};
+use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig};
 
 use crate::moving_plane::{Shot, moving, plane, rectified_rig, region, render};
 
@@ -19,13 +20,13 @@ fn frames_do_not_allocate() {
     let frames: Vec<_> =
         (1..20).map(|frame| shot((frame % 10 < 8).then(|| moving(f64::from(frame) / 15.0)), frame)).collect();
     let prior = FramePrior::default();
-    let mut estimate = tracker.update(&frames[0].0, &frames[0].1, &prior).expect("update");
+    let mut estimate = tracker.estimate(EstimateRequest::of_next(&frames[0].0, &frames[0].1, &prior)).expect("update");
     // The first lost frame makes the longest reason and the largest windows.
     estimate.reason.reserve(400);
     let mut counts = Vec::with_capacity(frames.len());
     for (left, right) in &frames[1..] {
         let before = pb3dp_allocation_count::requests();
-        tracker.update_into(left, right, &prior, &mut || true, &mut estimate).expect("update");
+        tracker.follow_into(&mut EstimateRequest::of_next(left, right, &prior), &mut estimate).expect("update");
         counts.push((estimate.status, pb3dp_allocation_count::requests() - before));
     }
     assert!(counts.iter().any(|(status, _)| *status == Status::Ok));

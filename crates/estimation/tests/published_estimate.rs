@@ -6,6 +6,7 @@ use nalgebra::Vector2;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::{PlaneEstimate, ReferenceOptimum};
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionError, RegionWarning};
 use pb3dp_estimation_core::status::Status;
@@ -31,7 +32,7 @@ fn polygon(rig: &StereoRig) -> Region {
 fn estimate(rig: &StereoRig, look: Look, config: PublishedConfig) -> PlaneEstimate {
     let Shot { left, right } = common::render(rig, Some(&pose()), look);
     let mut estimator = PublishedEstimator::new(rig, config).expect("a config");
-    estimator.estimate(&left, &right, &polygon(rig), &range()).expect("images that fit")
+    estimator.estimate(EstimateRequest::of_target(&left, &right, &polygon(rig), &range())).expect("images that fit")
 }
 
 /// Depth on the centroid's ray within `z_percent`, normal within `normal_deg` of the truth, and no more said than that.
@@ -80,7 +81,8 @@ fn distortion_that_is_ignored_spoils_the_answer() {
     let rig = common::distorted_rig();
     let Shot { left, right } = common::render(&rig, Some(&pose()), Look::Colourful);
     let mut blind = PublishedEstimator::new(&rig.undistorted(), PublishedConfig::default()).expect("a config");
-    let found = blind.estimate(&left, &right, &polygon(&rig), &range()).expect("images that fit");
+    let found =
+        blind.estimate(EstimateRequest::of_target(&left, &right, &polygon(&rig), &range())).expect("images that fit");
     let right_fitness = estimate(&rig, Look::Colourful, PublishedConfig::default()).fitness.expect("searched");
     assert!(found.fitness.expect("searched") < right_fitness - 0.05, "{found:?}");
 }
@@ -112,7 +114,8 @@ fn a_depth_outside_the_range_is_never_a_sure_answer() {
     let Shot { left, right } = common::render(&rig, Some(&pose()), Look::Colourful);
     let mut estimator = PublishedEstimator::new(&rig, PublishedConfig::default()).expect("a config");
     let wrong = SearchRange::new(0.6, 1.2, 45.0_f64.to_radians()).expect("a range");
-    let found = estimator.estimate(&left, &right, &polygon(&rig), &wrong).expect("images that fit");
+    let found =
+        estimator.estimate(EstimateRequest::of_target(&left, &right, &polygon(&rig), &wrong)).expect("images that fit");
     assert!(!found.status.depth_is_sure(), "{found:?}");
 }
 
@@ -125,7 +128,8 @@ fn the_smallest_and_the_largest_range_of_tilts_serve() {
     for tilt_max_deg in [0.0_f64, 85.0] {
         let mut estimator = PublishedEstimator::new(&rig, PublishedConfig::default()).expect("a config");
         let range = SearchRange::new(0.35, 0.65, tilt_max_deg.to_radians()).expect("a range");
-        let found = estimator.estimate(&left, &right, &region, &range).expect("images that fit");
+        let found =
+            estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &range)).expect("images that fit");
         assert!(found.status.depth_is_sure(), "{tilt_max_deg}: {found:?}");
         assert!((found.z_m().expect("a pose") / 0.485 - 1.0).abs() < 0.012, "{tilt_max_deg}: {found:?}");
     }
@@ -141,8 +145,10 @@ fn the_answer_depends_on_the_input_alone() {
         let mut estimator =
             PublishedEstimator::with_kernels(&rig, PublishedConfig::default(), kernels).expect("a config");
         let other = Region::Rectangle { x: 20, y: 30, width: 60, height: 50 };
-        estimator.estimate(&left, &right, &other, &range()).expect("another region first");
-        let again = estimator.estimate(&left, &right, &polygon(&rig), &range()).expect("images that fit");
+        estimator.estimate(EstimateRequest::of_target(&left, &right, &other, &range())).expect("another region first");
+        let again = estimator
+            .estimate(EstimateRequest::of_target(&left, &right, &polygon(&rig), &range()))
+            .expect("images that fit");
         assert_eq!(again, first, "{kernels:?}");
     }
     let mut seeded = PublishedConfig::default();
@@ -181,17 +187,20 @@ fn what_does_not_fit_is_refused_by_name() {
         Estimator::new(Method::Published, &rig, &EstimatorConfig::default()).expect("the default configuration");
     let outside = Region::Rectangle { x: 400, y: 10, width: 50, height: 50 };
     assert_eq!(
-        estimator.estimate(&left, &right, &outside, &range()),
+        estimator.estimate(EstimateRequest::of_target(&left, &right, &outside, &range())),
         Err(EstimationError::Region(RegionError::OffImage { covered_px: 2500, image_width: 320, image_height: 240 }))
     );
     let region = Region::Rectangle { x: 100, y: 100, width: 50, height: 50 };
     let small = image::RgbImage::new(160, 120);
-    let error = estimator.estimate(&left, &small, &region, &range()).expect_err("another size");
+    let error =
+        estimator.estimate(EstimateRequest::of_target(&left, &small, &region, &range())).expect_err("another size");
     assert!(matches!(error, EstimationError::ImageSize { eye: "right", width: 160, .. }), "{error}");
-    let error = estimator.estimate(&small, &right, &region, &range()).expect_err("another size");
+    let error =
+        estimator.estimate(EstimateRequest::of_target(&small, &right, &region, &range())).expect_err("another size");
     assert!(matches!(error, EstimationError::ImageSize { eye: "left", .. }), "{error}");
     let backwards = SearchRange { z_min_m: 0.6, z_max_m: 0.4, tilt_max_rad: 0.5 };
-    let error = estimator.estimate(&left, &right, &region, &backwards).expect_err("a range");
+    let error =
+        estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &backwards)).expect_err("a range");
     assert!(matches!(error, EstimationError::Parameter { name: "search range z_max_m", .. }), "{error}");
     let mut config = PublishedConfig::default();
     config.observability.resamples = 1;

@@ -6,6 +6,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_estimation::estimator::{EstimatorConfig, FramePrior, Method, Tracker};
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::{EstimateWarning, TrackEstimate};
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionWarning};
 use pb3dp_estimation_core::status::Status;
@@ -28,7 +29,8 @@ fn started(rig: &StereoRig, look: Look) -> (PublishedTracker, TrackEstimate) {
     let mut tracker = PublishedTracker::new(rig, PublishedConfig::default()).expect("a config");
     let Shot { left, right } = common::render(rig, Some(&start_pose()), look);
     let region = Region::Polygon { vertices_px: common::outline_px(rig, &start_pose()) };
-    let estimate = tracker.start(&left, &right, &region, &range()).expect("images that fit");
+    let estimate =
+        tracker.estimate(EstimateRequest::of_target(&left, &right, &region, &range())).expect("images that fit");
     (tracker, estimate)
 }
 
@@ -39,7 +41,7 @@ fn follow(
     motion: Option<&Pose<CamLeft, CamLeft>>,
 ) -> TrackEstimate {
     let Shot { left, right } = common::render(rig, target, Look::Colourful);
-    tracker.update(&left, &right, motion).expect("images that fit")
+    tracker.estimate(EstimateRequest::of_next(&left, &right, &FramePrior::of_motion(motion))).expect("images that fit")
 }
 
 /// The target's point that the tracker calls its origin, in the frame of `target`.
@@ -166,14 +168,19 @@ fn what_can_not_be_observed_is_tried_again_in_the_next_frame() {
     let (mut tracker, first) = started(&rig, Look::Grey);
     assert_eq!((first.status, first.cam_left_from_model), (Status::NotObservable, None));
     let Shot { left, right } = common::render(&rig, Some(&start_pose()), Look::Grey);
-    let estimate = tracker.update(&left, &right, None).expect("images that fit");
+    let estimate = tracker
+        .estimate(EstimateRequest::of_next(&left, &right, &FramePrior::of_motion(None)))
+        .expect("images that fit");
     assert_eq!(estimate.status, Status::NotObservable);
     assert_eq!(estimate.warnings, [], "a warning is told once");
     let estimate = follow(&mut tracker, &rig, Some(&start_pose()), None);
     assert!(estimate.status.depth_is_sure(), "a coloured target in the same region: {estimate:?}");
     let mut unused = PublishedTracker::new(&rig, PublishedConfig::default()).expect("a config");
     let Shot { left, right } = common::render(&rig, None, Look::Grey);
-    assert_eq!(unused.update(&left, &right, None), Err(EstimationError::NotStarted));
+    assert_eq!(
+        unused.estimate(EstimateRequest::of_next(&left, &right, &FramePrior::of_motion(None))),
+        Err(EstimationError::NotStarted)
+    );
 }
 
 #[test]
@@ -185,7 +192,8 @@ fn the_start_tells_why_a_region_may_serve_badly() {
     assert!(matches!(grey.warnings[..], [EstimateWarning::Region(RegionWarning::Grey { .. })]), "{:?}", grey.warnings);
     let Shot { left, right } = common::render(&rig, Some(&start_pose()), Look::Colourful);
     let outside = Region::Rectangle { x: -20, y: 80, width: 200, height: 70 };
-    let estimate = tracker.start(&left, &right, &outside, &range()).expect("images that fit");
+    let estimate =
+        tracker.estimate(EstimateRequest::of_target(&left, &right, &outside, &range())).expect("images that fit");
     let warning = RegionWarning::PartlyOffImage { outside_px: 20 * 70, covered_px: 200 * 70 };
     assert_eq!(estimate.warnings, [EstimateWarning::Region(warning)]);
     assert_eq!(follow(&mut tracker, &rig, Some(&start_pose()), None).warnings, []);
@@ -200,8 +208,11 @@ fn a_tracker_by_name_gives_the_same_track() {
     assert_eq!(named.method(), method);
     let Shot { left, right } = common::render(&rig, Some(&start_pose()), Look::Colourful);
     let region = Region::Polygon { vertices_px: common::outline_px(&rig, &start_pose()) };
-    assert_eq!(named.start(&left, &right, &region, &range()), Ok(first));
-    assert_eq!(named.update(&left, &right, &FramePrior::default()), tracker.update(&left, &right, None));
+    assert_eq!(named.estimate(EstimateRequest::of_target(&left, &right, &region, &range())), Ok(first));
+    assert_eq!(
+        named.estimate(EstimateRequest::of_next(&left, &right, &FramePrior::default())),
+        tracker.estimate(EstimateRequest::of_next(&left, &right, &FramePrior::of_motion(None)))
+    );
 }
 
 #[test]

@@ -4,6 +4,7 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
@@ -42,7 +43,7 @@ fn outline(rig: &StereoRig, target: &Pose<CamLeft, Model>) -> Region {
 
 fn start(tracker: &mut PublishedTracker, rig: &StereoRig, look: Look, region: &Region) -> TrackEstimate {
     let Shot { left, right } = common::render(rig, Some(&pose(0)), look);
-    tracker.start(&left, &right, region, &range()).expect("images that fit")
+    tracker.estimate(EstimateRequest::of_target(&left, &right, region, &range())).expect("images that fit")
 }
 
 fn update(
@@ -52,7 +53,7 @@ fn update(
     look: Look,
 ) -> TrackEstimate {
     let Shot { left, right } = common::render(rig, target, look);
-    tracker.update(&left, &right, None).expect("images that fit")
+    tracker.estimate(EstimateRequest::of_next(&left, &right, &FramePrior::of_motion(None))).expect("images that fit")
 }
 
 /// The target is given up, for good.
@@ -139,7 +140,9 @@ fn a_target_found_again_at_another_depth_keeps_its_model_frame() {
         Pose::from_parts(Vector3::new(0.004, -0.003, 0.002), UnitQuaternion::from_euler_angles(0.0, 0.01, 0.35));
     let turned = motion.inverse() * pose(0);
     let Shot { left, right } = common::render(&rig, Some(&turned), Look::Colourful);
-    let estimate = tracker.update(&left, &right, Some(&motion)).expect("images that fit");
+    let estimate = tracker
+        .estimate(EstimateRequest::of_next(&left, &right, &FramePrior::of_motion(Some(&motion))))
+        .expect("images that fit");
     assert!(estimate.status.depth_is_sure(), "{estimate:?}");
     for _ in 0..2 {
         assert_eq!(update(&mut tracker, &rig, None, Look::Colourful).status, Status::Lost);

@@ -4,6 +4,7 @@
 use image::{GrayImage, Luma};
 use nalgebra::Vector3;
 use pb3dp_estimation::rig_plan::{Conditions, PixelNoise, StereoHead};
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
@@ -41,7 +42,9 @@ fn reached_and_planned(paint: Paint, base: &Setup) -> ([[f64; 2]; 2], f64) {
         });
         let mut estimator = DirectEstimator::new(&pair.rig, DirectConfig::default()).unwrap();
         let range = SearchRange::new(0.3, 0.9, 40f64.to_radians()).unwrap();
-        let found = estimator.estimate(&pair.left, &pair.right, &Region::Mask(region), &range).unwrap();
+        let found = estimator
+            .estimate(EstimateRequest::of_target(&pair.left, &pair.right, &Region::Mask(region), &range))
+            .unwrap();
         let pose = found.pose.unwrap();
         let ray = pair.rig.left().unproject(&found.centroid_px).unwrap();
         let true_z_m = pair.plane.normal.dot(&pair.plane.point) / pair.plane.normal.dot(&ray);

@@ -51,8 +51,15 @@ fn most_abuses_reach_the_methods() {
         let (left, right) = &abuse.pairs[0];
         let method = pb3dp_estimation::estimator::Method::Published;
         let estimator = pb3dp_estimation::estimator::Estimator::new(method, &abuse.rig, &Default::default());
-        worked +=
-            usize::from(estimator.is_ok_and(|mut e| e.estimate(left, right, &abuse.region, &abuse.range).is_ok()));
+        worked += usize::from(estimator.is_ok_and(|mut e| {
+            e.estimate(pb3dp_estimation::estimator::EstimateRequest::of_target(
+                left,
+                right,
+                &abuse.region,
+                &abuse.range,
+            ))
+            .is_ok()
+        }));
     }
     // The bytes are the same each time: 14 when this was written.
     assert!(worked >= 12, "{worked} of 40");

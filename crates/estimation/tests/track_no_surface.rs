@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
 use image::{Rgb, RgbImage};
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
@@ -42,7 +43,7 @@ fn soft_texture_of_another_scene_is_not_taken_for_a_surface() {
         let (left, right) = (soft_picture(seed), soft_picture(seed + 100));
         for x in [72, 330, 480] {
             let region = Region::Rectangle { x, y: 120 + 20 * seed as i32, width: 40, height: 90 };
-            let found = tracker.start(&left, &right, &region, &range).unwrap();
+            let found = tracker.estimate(EstimateRequest::of_target(&left, &right, &region, &range)).unwrap();
             if found.status == Status::Ok || found.status == Status::WeakTilt {
                 taken.push((seed, x, found.reason));
             }

@@ -8,6 +8,7 @@ use image::RgbImage;
 use nalgebra::{Matrix3, Vector3};
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation_core::estimate::PlaneEstimate;
+use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_estimation_core::plane_hypothesis::PlaneHypothesis;
 use pb3dp_estimation_core::region::RegionConfig;
 use pb3dp_estimation_core::status::Status;
@@ -144,7 +145,8 @@ impl<'a> Worker<'a> {
             .estimators
             .iter_mut()
             .map(|estimator| {
-                let (answer, cpu_millis) = timed(|| estimator.estimate(&left, &right, &trial.region, search));
+                let (answer, cpu_millis) =
+                    timed(|| estimator.estimate(EstimateRequest::of_target(&left, &right, &trial.region, search)));
                 match answer {
                     Ok(estimate) => outcome(&estimate, &trial.truth_for(&estimate, &ray), &ray, cpu_millis),
                     Err(_) => Outcome { status: Status::Error, errors: None, normalised_error: None, cpu_millis },

@@ -5,6 +5,7 @@ use image::RgbImage;
 use nalgebra::Vector6;
 use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
 use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_estimation_core::region::{Region, RegionConfig};
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::Pose;
@@ -87,8 +88,8 @@ pub fn run_sequence(
         let truth = model_in(&spec.cam_left_from_target(frame), &first, &model_first);
         for (tracker, tracked) in trackers.iter_mut().zip(&mut tracked) {
             let (answer, cpu_millis) = timed(|| match frame {
-                0 => tracker.start(&left, &right, &region, &SEARCH),
-                _ => tracker.update(&left, &right, &FramePrior::default()),
+                0 => tracker.estimate(EstimateRequest::of_target(&left, &right, &region, &SEARCH)),
+                _ => tracker.estimate(EstimateRequest::of_next(&left, &right, &FramePrior::default())),
             });
             // Where the model frame of a relief lies is a matter of definition: its absolute pose has no truth.
             let judged = spec.setup.is_planar().then_some(&truth);

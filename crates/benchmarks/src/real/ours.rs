@@ -5,6 +5,7 @@ use std::rc::Rc;
 use nalgebra::Vector2;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation_core::estimate::PlaneEstimate;
+use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_record::metrics::{self, DisparityAgreement, compare_plane};
 
 use super::cases::Prepared;
@@ -34,8 +35,16 @@ fn fill(entry: &mut Entry, case: &Prepared, method: Method, repeat: u32) -> anyh
     let mut estimator = Estimator::new(method, &case.rig, &EstimatorConfig::default())?;
     let (prepared, rows_ms) = timed(|| estimator.prepare(&case.pictures.left, &case.pictures.right));
     entry.rows_ms = prepared?.map(|_| rows_ms);
-    let mut estimate_timed =
-        || timed(|| estimator.estimate(&case.pictures.left, &case.pictures.right, &case.region, &case.range));
+    let mut estimate_timed = || {
+        timed(|| {
+            estimator.estimate(EstimateRequest::of_target(
+                &case.pictures.left,
+                &case.pictures.right,
+                &case.region,
+                &case.range,
+            ))
+        })
+    };
     let (first, first_ms) = estimate_timed();
     let first = first?;
     let mut times = vec![first_ms];

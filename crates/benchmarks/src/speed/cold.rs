@@ -5,8 +5,9 @@ use std::path::Path;
 
 use anyhow::Context;
 use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
+use pb3dp_estimation_core::row_offset::RowOffset;
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
-use pb3dp_estimation_direct::row_offset::RowOffset;
 use pb3dp_geometry::ImageSize;
 use pb3dp_record::metrics;
 use serde_json::{Value, json};
@@ -90,9 +91,9 @@ fn size_row(clip: &Clip, side_px: u32, rounds: usize) -> anyhow::Result<SizeRow>
     let region = square(SIZE, CENTRE, side_px);
     let (left, right) = &clip.pairs[0];
     let mut estimator = DirectEstimator::new(&clip.rig, DirectConfig::default())?;
-    let status = estimator.estimate(left, right, &region, &SEARCH)?.status.as_str();
+    let status = estimator.estimate(EstimateRequest::of_target(left, right, &region, &SEARCH))?.status.as_str();
     let whole = repeat(rounds, || {
-        estimator.estimate(left, right, &region, &SEARCH)?;
+        estimator.estimate(EstimateRequest::of_target(left, right, &region, &SEARCH))?;
         Ok(())
     })?;
     let mut benches = [StageBench::new(problem(clip, &region), Kernels::best())?];
@@ -204,10 +205,11 @@ fn case_times(case: &cases::Prepared, rounds: usize) -> anyhow::Result<CaseTimes
     let mut estimator = DirectEstimator::new(&case.rig, DirectConfig::default())?;
     let (measured, rows_ms) = timed(|| estimator.measure_rows(left, right));
     let rows = measured?.rows;
-    let (first, first_ms) = timed(|| estimator.estimate(left, right, &case.region, &case.range));
+    let (first, first_ms) =
+        timed(|| estimator.estimate(EstimateRequest::of_target(left, right, &case.region, &case.range)));
     first?;
     let whole = repeat(rounds, || {
-        estimator.estimate(left, right, &case.region, &case.range)?;
+        estimator.estimate(EstimateRequest::of_target(left, right, &case.region, &case.range))?;
         Ok(())
     })?;
     let problem = Problem { rig: &case.rig, left, right, region: &case.region, range: &case.range, rows };

@@ -2,6 +2,7 @@
 
 use anyhow::Context;
 use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
 use pb3dp_geometry::ImageSize;
 use serde_json::{Value, json};
@@ -121,7 +122,7 @@ fn cold_starts(clip: &Clip, targets: &[usize], rounds: usize) -> anyhow::Result<
     let mut estimator = DirectEstimator::new(&clip.rig, DirectConfig::default())?;
     repeat(rounds, || {
         for index in targets {
-            estimator.estimate(left, right, &clip.regions[*index], &SEARCH)?;
+            estimator.estimate(EstimateRequest::of_target(left, right, &clip.regions[*index], &SEARCH))?;
         }
         Ok(())
     })

@@ -3,8 +3,10 @@
 use anyhow::{Context, bail};
 use image::RgbImage;
 use pb3dp_estimation_core::cpu::{KernelSet, Kernels};
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionMask};
+use pb3dp_estimation_core::row_offset::RowOffset;
 use pb3dp_estimation_direct::colour_planes::Wanted;
 use pb3dp_estimation_direct::disparity_plane::DisparityPlane;
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
@@ -12,7 +14,6 @@ use pb3dp_estimation_direct::front_end::StereoFrontEnd;
 use pb3dp_estimation_direct::patches::SlantedPatches;
 use pb3dp_estimation_direct::photometric::PlaneRefiner;
 use pb3dp_estimation_direct::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
-use pb3dp_estimation_direct::row_offset::RowOffset;
 use pb3dp_estimation_direct::search::PlaneSearch;
 use pb3dp_estimation_direct::search::aggregate::Aggregation;
 use pb3dp_estimation_direct::search::volume::{CostVolume, LevelBox};
@@ -118,7 +119,12 @@ impl<'a> StageBench<'a> {
         let config = DirectConfig::default();
         let mut estimator = DirectEstimator::with_kernels(problem.rig, config.clone(), kernels)?;
         estimator.set_rows(problem.rows);
-        let found = estimator.estimate(problem.left, problem.right, problem.region, problem.range)?;
+        let found = estimator.estimate(EstimateRequest::of_target(
+            problem.left,
+            problem.right,
+            problem.region,
+            problem.range,
+        ))?;
         let Some(outcome) = estimator.outcome() else { bail!("nothing to measure: {}", found.reason) };
         let front_end = StereoFrontEnd::new(problem.rig, kernels)?;
         let raw = problem.region.rasterize(problem.left, &config.region)?;
@@ -205,7 +211,7 @@ impl<'a> StageBench<'a> {
             }
             Stage::Whole => {
                 let Problem { region, range, .. } = *problem;
-                self.estimator.estimate(left, right, region, range)?;
+                self.estimator.estimate(EstimateRequest::of_target(left, right, region, range))?;
             }
         }
         Ok(())

@@ -3,9 +3,10 @@
 use anyhow::{Context, bail};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior};
 use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_direct::estimator::DirectConfig;
-use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig, FramePrior};
+use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig};
 use serde_json::{Value, json};
 
 use super::clips::{Clip, SEARCH, crab, empty_place};
@@ -61,7 +62,7 @@ impl Follower {
         let mut tracker = DirectTracker::with_kernels(&clip.rig, DirectConfig::default(), track, kernels)?;
         let region = clip.regions.get(index).context("the clip has no such region")?;
         let (left, right) = clip.pair(0);
-        let estimate = tracker.start(left, right, region, &SEARCH)?;
+        let estimate = tracker.estimate(EstimateRequest::of_target(left, right, region, &SEARCH))?;
         if estimate.status != Status::Ok {
             bail!("the start of region {index} is {}: {}", estimate.status.as_str(), estimate.reason);
         }
@@ -76,7 +77,8 @@ impl Follower {
         self.frame += 1;
         let (left, right) = clip.pair(self.frame);
         let prior = FramePrior::default();
-        let (outcome, ms) = timed(|| self.tracker.update_into(left, right, &prior, &mut || true, &mut self.estimate));
+        let (outcome, ms) =
+            timed(|| self.tracker.follow_into(&mut EstimateRequest::of_next(left, right, &prior), &mut self.estimate));
         outcome?;
         Ok((self.estimate.status, ms))
     }

@@ -7,8 +7,8 @@ use nalgebra::Vector2;
 use pb3dp_estimation_core::wide::wide;
 
 use super::super::image_plane::ImagePlane;
-use super::super::row_offset::RowOffset;
 use super::super::row_shift::{BLOCK, keys};
+use pb3dp_estimation_core::row_offset::RowOffset;
 
 /// Rows of pixels.
 #[derive(Clone, Copy, Debug)]

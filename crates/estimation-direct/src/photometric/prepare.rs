@@ -18,10 +18,10 @@ use super::super::filters::{PixelRows, Smoother, Taps};
 use super::super::front_end::{Eye, StereoFrontEnd};
 use super::super::image_plane::{ImagePlane, PixelWindow};
 use super::super::region_pyramid::{PyramidSource, RegionLevel};
-use super::super::row_offset::RowOffset;
 use super::super::row_shift::BLOCK;
 use super::kernel::{CHANNELS_MAX, UNUSABLE};
 use super::level_rows::{Grid, Picture, average_bytes, average_colours, average_values};
+use pb3dp_estimation_core::row_offset::RowOffset;
 
 /// Of a pixel with a saturated channel, channels from this value on are not used, grey levels: interpolation may have taken
 /// some of the brightness away.

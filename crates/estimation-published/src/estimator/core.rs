@@ -5,6 +5,7 @@ use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::ReferenceOptimum;
+use pb3dp_estimation_core::method::Deadline;
 use pb3dp_estimation_core::plane_hypothesis::{PinholePair, PlaneHypothesis, SearchRange};
 use pb3dp_estimation_core::region::{Region, RegionMask, RegionWarning};
 use pb3dp_geometry::{Camera, StereoRig};
@@ -140,12 +141,12 @@ impl Core {
         &mut self,
         rmga: &mut RmGa,
         population: &mut Population,
-        may_continue: &mut dyn FnMut() -> bool,
+        deadline: &mut Deadline<'_>,
     ) -> Result<Option<Found>, EstimationError> {
         let Self { fitness, front, model, .. } = self;
         let range = *rmga.codec().range();
         let prepared = fitness.prepare(front.pair(), model, front.right_hue(), &range)?;
-        let best = rmga.evolve_while(population, &prepared, may_continue);
+        let best = rmga.evolve_while(population, &prepared, &mut || deadline.may_continue());
         Ok(prepared.fitness(best.score).map(|fitness| Found { psi: best.hypothesis, fitness }))
     }
 

@@ -5,6 +5,7 @@ use nalgebra::{Point3, Vector2};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlanePose, TrackEstimate};
+use pb3dp_estimation_core::method::{Deadline, EstimateRequest, EstimationMethod, MarkedTarget};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionMask, polygon};
 use pb3dp_estimation_core::status::{Status, Verdict};
@@ -64,48 +65,11 @@ impl PublishedTracker {
         self.core.config()
     }
 
-    /// Takes a new target: cold start on the first pair of raw images, the region given in the left one.
-    ///
-    /// If the pose is not observable there is no target yet: [`Self::update`] then tries the same region again, for a few
-    /// frames.
-    ///
-    /// # Errors
-    /// Images that do not fit the calibration, a region that can not serve, a bad range.
-    pub fn start(
-        &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
-        region: &Region,
-        range: &SearchRange,
-    ) -> Result<TrackEstimate, EstimationError> {
-        self.start_while(left, right, region, range, &mut || true)
-    }
-
-    /// As [`Self::start`]; once `may_continue` says no, the best of the generations so far is judged and given.
-    ///
-    /// # Errors
-    /// As [`Self::start`].
-    pub fn start_while(
-        &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
-        region: &Region,
-        range: &SearchRange,
-        may_continue: &mut dyn FnMut() -> bool,
-    ) -> Result<TrackEstimate, EstimationError> {
-        range.validate()?;
-        self.unsure_frames = 0;
-        self.start = Some(Start { region: region.clone(), range: *range });
-        self.take_target(left, right, region, range, may_continue)
-    }
-
     fn take_target(
         &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
-        region: &Region,
-        range: &SearchRange,
-        may_continue: &mut dyn FnMut() -> bool,
+        (left, right): (&RgbImage, &RgbImage),
+        MarkedTarget { region, range }: MarkedTarget<'_>,
+        deadline: &mut Deadline<'_>,
     ) -> Result<TrackEstimate, EstimationError> {
         self.target = None;
         let taken = self.core.take(left, right, region)?;
@@ -119,7 +83,7 @@ impl PublishedTracker {
         let config = self.core.config().clone();
         let mut cold_rmga = RmGa::new(config.cold_start_rmga(), *range)?;
         let mut population = Population::random(&config.rmga);
-        let Some(found) = self.core.search(&mut cold_rmga, &mut population, may_continue)? else {
+        let Some(found) = self.core.search(&mut cold_rmga, &mut population, deadline)? else {
             return Ok(TrackEstimate { reason: no_hypothesis(), ..estimate });
         };
         let landscape = self.core.survey(&found, range)?;
@@ -135,54 +99,12 @@ impl PublishedTracker {
         Ok(estimate)
     }
 
-    /// Follows the target into the next pair of raw images. `cam_left_prev_from_cam_left_now` is the motion of the left
-    /// camera between the two exposures, if known (from the arm): only the target's own motion is then left to find.
-    ///
-    /// # Errors
-    /// Images that do not fit the calibration, or no [`Self::start`] before. A lost target is not an error but a status.
-    pub fn update(
-        &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
-        cam_left_prev_from_cam_left_now: Option<&Pose<CamLeft, CamLeft>>,
-    ) -> Result<TrackEstimate, EstimationError> {
-        self.update_while(left, right, cam_left_prev_from_cam_left_now, &mut || true)
-    }
-
-    /// As [`Self::update`]; once `may_continue` says no, the best of the generations so far is judged and given.
-    ///
-    /// # Errors
-    /// As [`Self::update`].
-    pub fn update_while(
-        &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
-        cam_left_prev_from_cam_left_now: Option<&Pose<CamLeft, CamLeft>>,
-        may_continue: &mut dyn FnMut() -> bool,
-    ) -> Result<TrackEstimate, EstimationError> {
-        let limit = self.core.config().tracker.assure_frames_max;
-        if self.start.is_some() && self.unsure_frames >= limit {
-            self.target = None;
-            let reason = format!("the target was never sure within {limit} frames and is given up: mark it again");
-            return Ok(TrackEstimate { status: Status::Lost, reason, ..self.blank_estimate(&[]) });
-        }
-        let Some(mut target) = self.target.take() else {
-            let Start { region, range } = self.start.clone().ok_or(EstimationError::NotStarted)?;
-            self.unsure_frames += 1;
-            let again = self.take_target(left, right, &region, &range, may_continue)?;
-            return Ok(TrackEstimate { warnings: Vec::new(), ..again });
-        };
-        let outcome = self.follow(&mut target, (left, right), cam_left_prev_from_cam_left_now, may_continue);
-        self.target = Some(target);
-        outcome
-    }
-
     fn follow(
         &mut self,
         target: &mut Target,
         (left, right): (&RgbImage, &RgbImage),
         motion: Option<&Pose<CamLeft, CamLeft>>,
-        may_continue: &mut dyn FnMut() -> bool,
+        deadline: &mut Deadline<'_>,
     ) -> Result<TrackEstimate, EstimationError> {
         self.core.load(left, right)?;
         let old_centre_px = self.core.model_centre_px();
@@ -208,7 +130,7 @@ impl PublishedTracker {
         } else {
             &mut target.rmga
         };
-        let Some(found) = self.core.search(rmga, &mut target.population, may_continue)? else {
+        let Some(found) = self.core.search(rmga, &mut target.population, deadline)? else {
             return Ok(self.lost(target, no_hypothesis(), &carried.outline_px));
         };
         if found.fitness < target.fitness_floor {
@@ -427,16 +349,45 @@ impl PublishedTracker {
         let camera = self.core.left_camera();
         let raw = |pixel: &Vector2<f64>| camera.project(&Point3::from(self.core.pair().left_ray(pixel)));
         TrackEstimate {
-            status: Status::NotObservable,
-            reason: String::new(),
-            warnings: Vec::new(),
-            cam_left_from_model: None,
-            covariance: None,
-            psi: None,
-            fitness: None,
             outline_px: undistorted_outline_px.iter().filter_map(raw).collect(),
-            rotation_about_normal_observed: false,
+            ..TrackEstimate::without_pose(Status::NotObservable, String::new())
         }
+    }
+}
+
+impl EstimationMethod for PublishedTracker {
+    type Answer = TrackEstimate;
+
+    /// A marked target is looked for from nothing. If its pose is not observable there is no target yet: the same region is then tried
+    /// again, for a few frames. Of what is known before, the motion of the camera is used.
+    fn answer(&mut self, request: &mut EstimateRequest<'_>) -> Result<TrackEstimate, EstimationError> {
+        let EstimateRequest { left, right, target, prior, deadline } = request;
+        if let Some(marked) = target {
+            marked.range.validate()?;
+            self.unsure_frames = 0;
+            self.start = Some(Start { region: marked.region.clone(), range: *marked.range });
+            return self.take_target((left, right), *marked, deadline);
+        }
+        let limit = self.core.config().tracker.assure_frames_max;
+        if self.start.is_some() && self.unsure_frames >= limit {
+            self.target = None;
+            let reason = format!("the target was never sure within {limit} frames and is given up: mark it again");
+            return Ok(TrackEstimate { status: Status::Lost, reason, ..self.blank_estimate(&[]) });
+        }
+        let Some(mut target) = self.target.take() else {
+            let Start { region, range } = self.start.clone().ok_or(EstimationError::NotStarted)?;
+            self.unsure_frames += 1;
+            let again = self.take_target((left, right), MarkedTarget { region: &region, range: &range }, deadline)?;
+            return Ok(TrackEstimate { warnings: Vec::new(), ..again });
+        };
+        let outcome = self.follow(&mut target, (left, right), prior.cam_left_prev_from_cam_left_now.as_ref(), deadline);
+        self.target = Some(target);
+        outcome
+    }
+
+    fn set_rig(&mut self, rig: &StereoRig) -> Result<(), EstimationError> {
+        *self = Self::new(rig, self.config().clone())?;
+        Ok(())
     }
 }
 

@@ -6,6 +6,7 @@ use image::{Rgb, RgbImage};
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, FramePrior, Method, Tracker};
 use pb3dp_estimation_core::estimate::{PlaneEstimate, TrackEstimate};
+use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::frames::{CamLeft, CamRight};
@@ -184,7 +185,7 @@ pub fn every_method_survives(bytes: &[u8]) {
 fn estimate(method: Method, abuse: &Abuse) {
     let Ok(mut estimator) = Estimator::new(method, &abuse.rig, &EstimatorConfig::default()) else { return };
     for (left, right) in &abuse.pairs {
-        match estimator.estimate(left, right, &abuse.region, &abuse.range) {
+        match estimator.estimate(EstimateRequest::of_target(left, right, &abuse.region, &abuse.range)) {
             Ok(estimate) => check_plane(method, &estimate),
             Err(error) => assert!(!error.to_string().is_empty(), "{method}: a silent error"),
         }
@@ -208,8 +209,8 @@ fn track(method: Method, abuse: &Abuse) {
     let Ok(mut tracker) = Tracker::new(method, &abuse.rig, &EstimatorConfig::default()) else { return };
     for (index, (left, right)) in abuse.pairs.iter().enumerate() {
         let outcome = match index {
-            0 => tracker.start(left, right, &abuse.region, &abuse.range),
-            _ => tracker.update(left, right, &FramePrior::of_motion(abuse.motion.as_ref())),
+            0 => tracker.estimate(EstimateRequest::of_target(left, right, &abuse.region, &abuse.range)),
+            _ => tracker.estimate(EstimateRequest::of_next(left, right, &FramePrior::of_motion(abuse.motion.as_ref()))),
         };
         match outcome {
             Ok(estimate) => check_track(method, &estimate),

@@ -16,6 +16,7 @@ use pb3dp_cell::picture::{Annotation, annotate, model_frame_on_plane, polygon_px
 use pb3dp_cell::terminal::print_line;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation_core::estimate::{PlaneEstimate, ReferenceOptimum, SecondPlane};
+use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_estimation_core::region::{Region, RegionConfig};
 use pb3dp_estimation_core::status::Status;
 use pb3dp_record::dataset::{find_cases, load_case};
@@ -156,7 +157,9 @@ fn work(
     let mut estimator = rigs.estimator(job, (method, config))?;
     let (estimate, millis) = timed(|| {
         let mut may_continue = within(args.method.deadline);
-        estimator.estimate_while(&job.left, &job.right, &job.region, &job.range, &mut may_continue)
+        estimator.estimate(
+            EstimateRequest::of_target(&job.left, &job.right, &job.region, &job.range).until(&mut may_continue),
+        )
     });
     rigs.give_back(estimator);
     let mut estimate = estimate?;
@@ -181,7 +184,9 @@ fn reference_optimum(job: &Job, method: Method, config: &EstimatorConfig) -> Res
     let mut config = config.clone();
     config.published.reference_optimum = true;
     let mut estimator = Estimator::new(method, &job.rig, &config)?;
-    Ok(estimator.estimate(&job.left, &job.right, &job.region, &job.range)?.reference_optimum)
+    Ok(estimator
+        .estimate(EstimateRequest::of_target(&job.left, &job.right, &job.region, &job.range))?
+        .reference_optimum)
 }
 
 /// What a click has taken: the user may have meant more, or less.

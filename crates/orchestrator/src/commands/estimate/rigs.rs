@@ -18,13 +18,16 @@ pub struct Rigs {
 }
 
 impl Rigs {
-    /// An estimator for a job; the first job of a calibration pays for what is measured once.
+    /// An estimator for a job; the first job of a calibration pays for what is measured once. All jobs of a call have the same parameters.
     ///
     /// # Errors
     /// A parameter out of its range, or pictures that do not fit.
     pub fn estimator(&mut self, job: &Job, (method, config): (Method, &EstimatorConfig)) -> Result<Estimator> {
         let mut estimator = match self.idle.take().filter(|idle| idle.method() == method) {
-            Some(idle) => idle.for_rig(&job.rig, config)?,
+            Some(mut idle) => {
+                idle.set_rig(&job.rig)?;
+                idle
+            }
             None => Estimator::new(method, &job.rig, config)?,
         };
         let files: Vec<PathBuf> = job.calibration_files.iter().map(canonical).collect();

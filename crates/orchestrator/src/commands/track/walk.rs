@@ -135,7 +135,7 @@ impl TrackedTarget {
         let region = if self.follower.is_started() { None } else { Some(self.region(&pair.left)?) };
         let (estimate, millis) = timed(|| {
             let mut may_continue = within(deadline_millis);
-            self.follower.look_while(&pair.left, &pair.right, region.as_ref(), prior, &mut may_continue)
+            self.follower.look(&pair.left, &pair.right, region.as_ref(), prior, &mut may_continue)
         });
         Ok((estimate?, millis))
     }

@@ -40,3 +40,14 @@ impl RowOffset {
         corners.iter().map(|&(u, v)| self.at(&Vector2::new(u, v)).abs()).fold(0.0, f64::max)
     }
 }
+
+/// A row offset as it was measured on one pair.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RowMeasurement {
+    /// The offset; zero if too few points were found again.
+    pub rows: RowOffset,
+    /// Points found again.
+    pub matches: usize,
+    /// Standard deviation (robust) of a point around the fit, pixels.
+    pub spread_px: f64,
+}
