@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
+use crate::closed_loop::support::changed_setup;
 use pb3dp_geometry::ImageSize;
 use pb3dp_kinematics::{Chain, DOF, JointVector};
 use pb3dp_record::calibration_files::load_stereo;
@@ -38,9 +39,15 @@ fn every_configuration_is_accepted_by_its_reader() {
             let chain = Chain::from_urdf_str(&std::fs::read_to_string(file).unwrap(), "base_link", "flange")
                 .unwrap_or_else(|error| panic!("{path}: {error}"));
             let stretched = chain.forward(&JointVector::zeros()).translation_m();
-            assert!(stretched.norm() > 1.0 && stretched.norm() < 1.6, "{path}: a PA-10 reaches {stretched}");
-            assert_eq!(chain.limits().velocity_max_rad_per_s().len(), DOF);
+            if path.contains("pa10") {
+                assert!(stretched.norm() > 1.0 && stretched.norm() < 1.6, "{path}: a PA-10 reaches {stretched}");
+                assert_eq!(chain.joints(), DOF);
+            }
             robots += 1;
+        } else if let Some(name) = path.strip_prefix("arms/").and_then(|name| name.strip_suffix(".toml")) {
+            let named = format!("carries_cameras = {name:?}");
+            let setup = changed_setup(&[("# carries_cameras = \"ur5e\"", &named)]);
+            assert_eq!(setup.vs.key, format!("arms.{name}"));
         } else if path.starts_with("deploy/") {
             // Read by the system; `cargo xtask tidy` parses each of these, and refuses others.
         } else {
@@ -147,7 +154,7 @@ fn the_rig_differs_in_cameras_arms_and_caution() {
 fn the_cameras_of_the_rig_can_be_read_alone() {
     let file = repository().join("configs/rig.toml");
     let cameras = read_cameras(&file).unwrap();
-    assert_eq!(Some(&cameras), read_setup(&file).unwrap().real_cameras.as_ref());
+    assert_eq!(Some(&cameras), read_setup(&file).unwrap().real_cameras());
     assert_eq!(cameras.size(), ImageSize { width: 640, height: 480 });
     assert_eq!(cameras.calibration().unwrap().rig.baseline_m(), 0.1);
     let refused = read_cameras(&repository().join("configs/hil.toml")).unwrap_err().to_string();

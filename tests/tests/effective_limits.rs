@@ -2,7 +2,6 @@
 //! computed here once more from the robot description.
 
 use std::f64::consts::TAU;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -15,34 +14,21 @@ use pb3dp_hal_clock::VirtualClock;
 use pb3dp_hal_middleware::{Guard, Limiter, LimiterConfig, StartPose};
 use pb3dp_kinematics::{DOF, JointVector};
 use pb3dp_servo::{Command, Controller, TargetObservation};
-use pb3dp_setup::setup::{ArmSetup, Setup, read_setup};
+use pb3dp_setup::setup::{ArmSetup, Setup};
 use pb3dp_sim::placement::{FlangePath, PathRefusal, PathRequirements, check_experiment};
 use pb3dp_sim::trajectory::{StepExperiment, StepExperimentConfig};
 use pb3dp_wiring::commissioning::slow_setup;
 use pb3dp_wiring::wire;
-use system_tests::repository;
+
+use crate::closed_loop::support::changed_setup;
 
 /// Of the robot description, configs/robots/pa10_gen2.urdf, rad/s.
 const DRIVES_RAD_PER_S: [f64; DOF] = [1.0, 1.0, 2.0, 2.0, 2.0, TAU, TAU];
 const SCALES: [f64; 3] = [0.10, 0.25, 0.6];
 const CYCLE: Duration = Duration::from_millis(10);
 
-/// configs/sim.toml with this speed scale, in a folder of its own beside the files that it names.
-fn setup(scale: f64) -> (Setup, tempfile::TempDir) {
-    let dir = tempfile::tempdir().unwrap();
-    let text = std::fs::read_to_string(repository().join("configs/sim.toml")).unwrap();
-    assert_eq!(text.matches("\nspeed_scale = 0.6 ").count(), 1);
-    let text = text.replace("\nspeed_scale = 0.6 ", &format!("\nspeed_scale = {scale} "));
-    let configs = repository().join("configs").canonicalize().unwrap();
-    for name in ["robots", "targets"] {
-        let from: PathBuf = configs.join(name);
-        if from.exists() {
-            std::os::unix::fs::symlink(from, dir.path().join(name)).unwrap();
-        }
-    }
-    let file = dir.path().join("setup.toml");
-    std::fs::write(&file, text).unwrap();
-    (read_setup(&file).unwrap(), dir)
+fn setup(scale: f64) -> Setup {
+    changed_setup(&[("\nspeed_scale = 0.6 ", &format!("\nspeed_scale = {scale} "))])
 }
 
 fn allowed(scale: f64) -> JointVector {
@@ -181,7 +167,7 @@ fn refused_by_the_planner(arm: &ArmSetup, setup: &Setup) -> (usize, f64) {
 #[test]
 fn every_consumer_of_the_limits_keeps_to_the_same_speeds() {
     for scale in SCALES {
-        let (setup, _dir) = setup(scale);
+        let setup = setup(scale);
         let expected = allowed(scale);
         for (name, arm) in [("vs", &setup.vs), ("tc", &setup.tc)] {
             assert_equal(arm.limits.velocity_max_rad_per_s(), &expected, name);
@@ -203,7 +189,7 @@ fn every_consumer_of_the_limits_keeps_to_the_same_speeds() {
 fn commissioning_only_takes_away() {
     const JOINT_MAX_RAD_PER_S: f64 = 0.08;
     for scale in SCALES {
-        let (setup, _dir) = setup(scale);
+        let setup = setup(scale);
         for choice in [ArmChoice::Vs, ArmChoice::Tc] {
             let slow = slow_setup(&setup, choice, JOINT_MAX_RAD_PER_S).unwrap();
             let (arm, other) = (choice.of(&slow), choice.other().of(&slow));
@@ -226,7 +212,7 @@ fn commissioning_only_takes_away() {
 
 #[test]
 fn wired_arms_reach_the_limits_of_their_setup_and_no_more() {
-    let (setup, _dir) = setup(0.6);
+    let setup = setup(0.6);
     let Parts { mut vs, mut tc, clock, .. } = wire(&setup).unwrap();
     for arm in [&mut vs, &mut tc] {
         arm.enable().unwrap();

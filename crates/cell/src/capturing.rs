@@ -60,14 +60,14 @@ impl Capturing {
             Sight::Pictures(camera) => Camera::Pictures(PictureCamera {
                 before: Arc::new(FramePair::black(camera.info().size)),
                 pool: Vec::new(),
-                has_noise: setup.real_cameras.is_some()
-                    || setup.sensor.read_noise_grey > 0.0
-                    || setup.sensor.shot_noise_grey > 0.0,
+                has_noise: setup
+                    .world()
+                    .is_none_or(|world| world.sensor.read_noise_grey > 0.0 || world.sensor.shot_noise_grey > 0.0),
                 camera,
             }),
             Sight::Geometric(camera) => Camera::Geometric(camera),
         };
-        let (timeout, has_truth) = (setup.camera.period * 2, setup.real_cameras.is_none());
+        let (timeout, has_truth) = (setup.frames.period * 2, setup.world().is_some());
         Self { camera, cell, has_truth, timeout, pairs_lost: 0, losses: Losses::default() }
     }
 

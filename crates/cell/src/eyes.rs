@@ -66,10 +66,13 @@ impl Marking {
             (Self::Outline(points_m), Some(pose)) => {
                 let pixel = |point: &Point3<f64>| setup.true_rig().left().project(&pose.transform_point(point));
                 let vertices_px: Option<Vec<_>> = points_m.iter().map(pixel).collect();
-                let vertices_px = vertices_px.context(
-                    "the target is not in front of the camera at the beginning: where arms.vs.start_deg puts the hand it looks elsewhere; \
-                     correct that, arms.tc.start_deg, or the places of the bases",
-                )?;
+                let vertices_px = vertices_px.with_context(|| {
+                    format!(
+                        "the target is not in front of the camera at the beginning: where {}.start_deg puts the hand it looks elsewhere; \
+                         correct that, {}.start_deg, or the places of the bases",
+                        setup.vs.key, setup.tc.key
+                    )
+                })?;
                 Ok(Region::Polygon { vertices_px })
             }
             (Self::Outline(_), None) | (Self::Nobody, _) => bail!("{NOT_MARKED}"),

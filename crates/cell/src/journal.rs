@@ -97,7 +97,7 @@ impl Journal {
             sample.world_from_hand_wanted = sample.world_from_target * wanted * model_from_hand;
             sample.world_from_hand_locked = sample.world_from_target * locked * model_from_hand;
         }
-        let (without_pictures, without_truth) = (!setup.leader.needs_pictures(), setup.real_cameras.is_some());
+        let (without_pictures, without_truth) = (!setup.leader.needs_pictures(), setup.world().is_none());
         let log = RunLog {
             without_pictures,
             without_truth,

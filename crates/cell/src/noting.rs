@@ -142,7 +142,7 @@ impl<'a> Noting<'a> {
 
 /// What looks whether the cameras still are what was calibrated, if the setup asks for it.
 fn watch(setup: &Setup) -> Result<Option<DriftWatch>, EstimationError> {
-    let real = setup.real_cameras.as_ref();
+    let real = setup.real_cameras();
     let is_synchronous = real.is_none_or(|cameras| cameras.synchronisation == Synchronisation::HardwareTrigger);
     let of_head = setup.calibrations.iter().find(|calibration| calibration.table == "camera");
     let judgement = of_head.and_then(|calibration| calibration.judgement.as_ref());

@@ -121,14 +121,6 @@ impl ArmChoice {
         }
     }
 
-    /// The name of its table in a setup.
-    pub fn table(self) -> &'static str {
-        match self {
-            Self::Vs => "arms.vs",
-            Self::Tc => "arms.tc",
-        }
-    }
-
     /// The other one.
     pub fn other(self) -> Self {
         match self {

@@ -147,7 +147,7 @@ impl<'a> Swinging<'a> {
         let seconds = duration(&motion).as_secs_f64() + 1.0;
         // The thread that moves takes nothing from the heap.
         let steps = (seconds / setup.control_period.as_secs_f64()) as usize;
-        let frames = (seconds / setup.camera.period.as_secs_f64()) as usize;
+        let frames = (seconds / setup.frames.period.as_secs_f64()) as usize;
         let record = Swung {
             given: Vec::with_capacity(steps),
             joints: Vec::with_capacity(steps),

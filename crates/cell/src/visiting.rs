@@ -101,10 +101,10 @@ pub fn run(setup: &Setup, parts: Parts, tour: &Tour, folder: &Path, date: String
         capturing: Looking {
             capturing: Capturing::new(setup, camera, cell),
             // Nobody has to render what nobody keeps.
-            unless_under_way: setup.real_cameras.is_none().then_some(&progress),
-            pause: (setup.pace == Pace::Live).then_some((&*clock, setup.camera.period)),
+            unless_under_way: setup.world().is_some().then_some(&progress),
+            pause: (setup.pace == Pace::Live).then_some((&*clock, setup.frames.period)),
         },
-        resting: Resting { exposure: setup.camera.exposure, step: None, sums: Sums::default(), before: None },
+        resting: Resting { exposure: setup.frames.exposure, step: None, sums: Sums::default(), before: None },
         keeping: Keeping::new(setup, (folder, date), &progress)?,
     };
     let mut visiting = Visiting {
@@ -145,7 +145,7 @@ pub fn look_here(setup: &Setup, parts: Parts, patience: Duration, folder: &Path,
             );
         }
         arms.look();
-        clock.sleep_until(clock.now() + setup.camera.period);
+        clock.sleep_until(clock.now() + setup.frames.period);
         let Some(pair) = capturing.capture()?.and_then(pair_of) else { continue };
         shift = before.as_ref().map_or(f64::INFINITY, |before| shift_of(before, &pair));
         if shift <= STILL_WITHIN_PX {

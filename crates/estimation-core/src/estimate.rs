@@ -142,6 +142,26 @@ pub struct PlaneEstimate {
 }
 
 impl PlaneEstimate {
+    /// An answer without a pose, from a left camera, about a region with this centroid (raw image, pixels).
+    pub fn without_pose(status: Status, reason: String, centroid_px: Vector2<f64>, left_camera: Camera) -> Self {
+        Self {
+            status,
+            reason,
+            warnings: Vec::new(),
+            centroid_px,
+            pose: None,
+            psi: None,
+            fitness: None,
+            z_sigma_m: None,
+            normal_sigma_rad: None,
+            plane_covariance: None,
+            second_plane: None,
+            row_offset_px: None,
+            reference_optimum: None,
+            left_camera,
+        }
+    }
+
     /// Depth of the plane on the ray of the region's centroid, metres.
     pub fn z_m(&self) -> Option<f64> {
         self.pose.map(|pose| pose.z_m)

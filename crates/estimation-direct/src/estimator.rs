@@ -208,22 +208,8 @@ impl DirectEstimator {
     }
 
     fn blank(&self, centroid_px: Vector2<f64>) -> PlaneEstimate {
-        PlaneEstimate {
-            status: Status::NotObservable,
-            reason: String::new(),
-            warnings: Vec::new(),
-            centroid_px,
-            pose: None,
-            psi: None,
-            fitness: None,
-            z_sigma_m: None,
-            normal_sigma_rad: None,
-            plane_covariance: None,
-            second_plane: None,
-            row_offset_px: None,
-            reference_optimum: None,
-            left_camera: *self.front_end.raw_rig().left(),
-        }
+        let left_camera = *self.front_end.raw_rig().left();
+        PlaneEstimate::without_pose(Status::NotObservable, String::new(), centroid_px, left_camera)
     }
 }
 

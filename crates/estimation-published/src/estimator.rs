@@ -226,22 +226,8 @@ impl EstimationMethod for PublishedEstimator {
 impl Core {
     /// An estimate that says nothing yet.
     fn blank_estimate(&self, centroid_px: nalgebra::Vector2<f64>, warnings: Vec<EstimateWarning>) -> PlaneEstimate {
-        PlaneEstimate {
-            status: Status::NotObservable,
-            reason: String::new(),
-            warnings,
-            centroid_px,
-            pose: None,
-            psi: None,
-            fitness: None,
-            z_sigma_m: None,
-            normal_sigma_rad: None,
-            plane_covariance: None,
-            second_plane: None,
-            row_offset_px: None,
-            reference_optimum: None,
-            left_camera: *self.left_camera(),
-        }
+        let blank = PlaneEstimate::without_pose(Status::NotObservable, String::new(), centroid_px, *self.left_camera());
+        PlaneEstimate { warnings, ..blank }
     }
 
     /// The plane of a hypothesis, with its depth on the ray of a raw pixel.

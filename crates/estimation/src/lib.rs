@@ -11,3 +11,7 @@ pub mod pair_check;
 pub mod rig_plan;
 
 pub use pb3dp_estimation_core::error::EstimationError;
+
+#[cfg(doctest)]
+#[doc = include_str!("../../../docs/how-to/add-an-estimation-method.md")]
+mod add_an_estimation_method {}

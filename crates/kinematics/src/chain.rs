@@ -9,12 +9,12 @@ use crate::limits::JointLimits;
 use crate::urdf::{self, ChainError, ChainParts};
 use crate::{DOF, JointVector};
 
-/// A serial arm of seven revolute joints.
+/// A serial arm of six or seven revolute joints.
 ///
 /// `base` is the frame of the base link, `flange` that of the tip link, as the description defines them.
 #[derive(Clone, Debug)]
 pub struct Chain {
-    joints: [urdf::MovingJoint; DOF],
+    joints: Vec<urdf::MovingJoint>,
     last_joint_from_flange: Isometry3<f64>,
     limits: JointLimits,
 }
@@ -22,7 +22,8 @@ pub struct Chain {
 /// Where every joint of an arm is, for one set of joint angles.
 #[derive(Clone, Debug)]
 pub struct JointFrames {
-    /// Pose of each joint's frame (turned by its angle: the frame of the link behind it) in the base frame, metres.
+    /// Pose of each joint's frame (turned by its angle: the frame of the link behind it) in the base frame, metres; behind the last joint
+    /// the last joint's.
     pub base_from_joint: [Isometry3<f64>; DOF],
     /// Axis of each joint in the base frame.
     pub axis_in_base: [Unit<Vector3<f64>>; DOF],
@@ -43,19 +44,42 @@ impl JointFrames {
 }
 
 impl Chain {
-    /// The chain between two links of a URDF text. Fixed joints may lie between the seven revolute ones.
+    /// The chain between two links of a URDF text. Fixed joints may lie between the revolute ones.
     ///
     /// # Errors
-    /// If the text is no URDF, or what lies between the links is not a chain of exactly seven revolute joints with limits and
+    /// If the text is no URDF, or what lies between the links is not a chain of six or seven revolute joints with limits and
     /// axes of length 1; the error names the joint or link.
     pub fn from_urdf_str(xml: &str, base_link: &str, tip_link: &str) -> Result<Self, ChainError> {
         let ChainParts { joints, last_joint_from_tip, limits } = urdf::read(xml, base_link, tip_link)?;
         Ok(Self { joints, last_joint_from_flange: last_joint_from_tip, limits })
     }
 
+    /// How many joints the arm has.
+    pub fn joints(&self) -> usize {
+        self.joints.len()
+    }
+
     /// Names of the joints, base to tip.
-    pub fn joint_names(&self) -> [&str; DOF] {
-        std::array::from_fn(|i| self.joints[i].name.as_str())
+    pub fn joint_names(&self) -> Vec<&str> {
+        self.joints.iter().map(|joint| joint.name.as_str()).collect()
+    }
+
+    /// The joint between upper arm and forearm of an arm whose first three axes meet in a shoulder and whose last three meet in a wrist
+    /// (S-R-S): at zero such an arm is stretched, at the end of its reach. `None` for arms of other build.
+    pub fn elbow(&self) -> Option<usize> {
+        /// Axes that pass each other by no more than this meet, metres.
+        const MEET_M: f64 = 1e-6;
+        let frames = self.joint_frames(&JointVector::repeat(0.4));
+        let line =
+            |joint: usize| (frames.base_from_joint[joint].translation.vector, frames.axis_in_base[joint].into_inner());
+        let meet = |joints: [usize; 3]| {
+            let [first, second, third] = joints.map(line);
+            nearest_to_both(first, second).is_some_and(|(at_m, apart_m)| {
+                let beside_m = (third.0 - at_m).cross(&third.1).norm();
+                apart_m < MEET_M && beside_m < MEET_M
+            })
+        };
+        (self.joints.len() == 7 && meet([0, 1, 2]) && meet([4, 5, 6])).then_some(3)
     }
 
     /// Position and speed limits of the description.
@@ -79,6 +103,7 @@ impl Chain {
             base_from_joint[i] = base_from_here;
             axis_in_base[i] = base_from_here.rotation * joint.axis;
         }
+        base_from_joint[self.joints.len()..].fill(base_from_here);
         let mut base_from_flange = base_from_here * self.last_joint_from_flange;
         base_from_flange.rotation.renormalize();
         JointFrames { base_from_joint, axis_in_base, base_from_flange: Pose::from_isometry(base_from_flange) }
@@ -95,11 +120,30 @@ impl Chain {
     /// is where it is at this moment. `frames` must come from this chain.
     pub fn jacobian_at(&self, frames: &JointFrames, point_in_base: &Point3<f64>) -> Jacobian {
         let mut jacobian = Jacobian::zeros();
-        for (i, (base_from_joint, axis)) in frames.base_from_joint.iter().zip(&frames.axis_in_base).enumerate() {
+        for (i, (base_from_joint, axis)) in
+            frames.base_from_joint.iter().zip(&frames.axis_in_base).take(self.joints.len()).enumerate()
+        {
             let lever = point_in_base.coords - base_from_joint.translation.vector;
             jacobian.fixed_view_mut::<3, 1>(0, i).copy_from(&axis.cross(&lever));
             jacobian.fixed_view_mut::<3, 1>(3, i).copy_from(axis);
         }
         jacobian
     }
+}
+
+/// The point half-way between two lines (point and direction of length 1) where they are nearest, and how far apart they are there;
+/// `None` for parallel ones.
+fn nearest_to_both(
+    (one_m, one): (Vector3<f64>, Vector3<f64>),
+    (other_m, other): (Vector3<f64>, Vector3<f64>),
+) -> Option<(Vector3<f64>, f64)> {
+    let cosine = one.dot(&other);
+    let sine_squared = 1.0 - cosine * cosine;
+    let between_m = other_m - one_m;
+    (sine_squared > 1e-9).then(|| {
+        let along_one_m = (between_m.dot(&one) - cosine * between_m.dot(&other)) / sine_squared;
+        let along_other_m = (cosine * between_m.dot(&one) - between_m.dot(&other)) / sine_squared;
+        let [a, b] = [one_m + one * along_one_m, other_m + other * along_other_m];
+        ((a + b) / 2.0, (a - b).norm())
+    })
 }

@@ -7,7 +7,7 @@
 //! * [`reach()`] finds the joint angles that bring the flange to a pose.
 //! * [`damped_pseudo_inverse`], [`smallest_singular_value`] and [`manipulability`] judge and invert a [`Jacobian`].
 //!
-//! Metres, radians, seconds; seven revolute joints, counted from the base.
+//! Metres, radians, seconds; six or seven revolute joints, as the description has them, counted from the base.
 
 pub mod chain;
 pub mod clearance;
@@ -33,11 +33,17 @@ pub use limits::{JointLimits, JointLimitsError, PositionViolation};
 pub use reach::{NotReached, reach};
 pub use urdf::ChainError;
 
-/// Joints of the arms that this project drives (PA-10, seven revolute joints).
+/// The most joints that an arm can have. How many it has says its description ([`Chain::joints`]).
 pub const DOF: usize = 7;
 
 /// One number per joint, base to tip: positions (rad), velocities (rad/s) or accelerations, as the name of the variable says.
+///
+/// Of an arm with fewer joints than [`DOF`] the last numbers belong to none: they are zero, have a range of [`NO_JOINT_RAD`] to either
+/// side, and nothing that the arm does depends on them, for their columns of the Jacobian are zero.
 pub type JointVector = SVector<f64, DOF>;
+
+/// In place of a limit where there is no joint, rad and rad/s: so wide that nothing comes near it.
+pub const NO_JOINT_RAD: f64 = 1e3;
 
 /// Measured joints at one moment.
 #[derive(Clone, Copy, Debug, PartialEq)]

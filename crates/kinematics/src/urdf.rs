@@ -1,13 +1,16 @@
-//! From a URDF text to the constant parts of a chain; everything that is not a plain chain of seven revolute joints is refused.
+//! From a URDF text to the constant parts of a chain; everything that is not a plain chain of six or seven revolute joints is refused.
 
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 use urdf_rs::{Joint, JointType, Robot};
 
 use crate::limits::{JointLimits, JointLimitsError};
-use crate::{DOF, JointVector};
+use crate::{DOF, JointVector, NO_JOINT_RAD};
 
 /// Largest deviation of a joint axis from length 1 that is taken as rounding of the file.
 const AXIS_LENGTH_TOLERANCE: f64 = 1e-4;
+
+/// With fewer joints a hand can not turn and move in all directions.
+const JOINTS_MIN: usize = 6;
 
 /// Why a robot description can not be used.
 #[derive(Debug, thiserror::Error)]
@@ -54,8 +57,8 @@ pub enum ChainError {
         /// What it is.
         kind: String,
     },
-    /// Not seven moving joints.
-    #[error("the chain from `{base}` to `{tip}` has {count} revolute joints ({joints}), 7 are needed")]
+    /// Too few moving joints to bring a hand anywhere, or more than [`DOF`].
+    #[error("the chain from `{base}` to `{tip}` has {count} revolute joints ({joints}), 6 or 7 are possible")]
     JointCount {
         /// The base asked for.
         base: String,
@@ -117,7 +120,7 @@ pub(crate) struct MovingJoint {
 
 /// The constant parts of a chain.
 pub(crate) struct ChainParts {
-    pub joints: [MovingJoint; DOF],
+    pub joints: Vec<MovingJoint>,
     pub last_joint_from_tip: Isometry3<f64>,
     pub limits: JointLimits,
 }
@@ -140,13 +143,15 @@ pub(crate) fn read(xml: &str, base: &str, tip: &str) -> Result<ChainParts, Chain
             pending = Isometry3::identity();
         }
     }
-    let joints = <[MovingJoint; DOF]>::try_from(moving).map_err(|found| ChainError::JointCount {
-        base: base.into(),
-        tip: tip.into(),
-        count: found.len(),
-        joints: found.iter().map(|joint| joint.name.as_str()).collect::<Vec<_>>().join(", "),
-    })?;
-    Ok(ChainParts { joints, last_joint_from_tip: pending, limits: joint_limits(&limits)? })
+    if !(JOINTS_MIN..=DOF).contains(&moving.len()) {
+        return Err(ChainError::JointCount {
+            base: base.into(),
+            tip: tip.into(),
+            count: moving.len(),
+            joints: moving.iter().map(|joint| joint.name.as_str()).collect::<Vec<_>>().join(", "),
+        });
+    }
+    Ok(ChainParts { joints: moving, last_joint_from_tip: pending, limits: joint_limits(&limits)? })
 }
 
 fn check_link(robot: &Robot, name: &str) -> Result<(), ChainError> {
@@ -216,11 +221,13 @@ fn axis(joint: &Joint) -> Result<Unit<Vector3<f64>>, ChainError> {
 }
 
 fn joint_limits(joints: &[&Joint]) -> Result<JointLimits, ChainError> {
-    let vector = |number: fn(&Joint) -> f64| JointVector::from_iterator(joints.iter().map(|joint| number(joint)));
+    let vector = |number: fn(&Joint) -> f64, without: f64| {
+        JointVector::from_fn(|index, _| joints.get(index).map_or(without, |joint| number(joint)))
+    };
     JointLimits::new(
-        vector(|joint| joint.limit.lower),
-        vector(|joint| joint.limit.upper),
-        vector(|joint| joint.limit.velocity),
+        vector(|joint| joint.limit.lower, -NO_JOINT_RAD),
+        vector(|joint| joint.limit.upper, NO_JOINT_RAD),
+        vector(|joint| joint.limit.velocity, NO_JOINT_RAD),
     )
     .map_err(|source| {
         let (JointLimitsError::Position { joint, .. }

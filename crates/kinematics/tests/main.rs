@@ -4,3 +4,4 @@
 mod clearance;
 mod pa10;
 mod refusals;
+mod six_axes;

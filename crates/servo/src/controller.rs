@@ -143,6 +143,8 @@ pub struct Controller {
     config: ControllerConfig,
     chain: Chain,
     limits: EffectiveLimits,
+    /// The elbow and its least angle, rad, if the arm has one that is bound.
+    elbow: Option<(usize, f64)>,
     damping: Damping,
     history: JointHistory,
     given: GivenCommands,
@@ -168,7 +170,9 @@ impl Controller {
         let damping = Damping::new(config.damping.threshold, config.damping.factor_max)
             .map_err(|error| ConfigError { key: "damping", value: error.value, allowed: "positive, finite numbers" })?;
         let history = JointHistory::new(config.joint_history_samples, config.timeouts.joints_s);
+        let elbow_min_rad = config.damping.elbow_min_rad;
         Ok(Self {
+            elbow: chain.elbow().filter(|_| elbow_min_rad > 0.0).map(|joint| (joint, elbow_min_rad)),
             chain,
             limits,
             damping,

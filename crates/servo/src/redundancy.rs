@@ -1,4 +1,4 @@
-//! What the seventh joint is used for: a motion of the elbow about the line from shoulder to wrist, which leaves the hand where it
+//! What the seventh joint, of an arm that has one, is used for: a motion of the elbow about the line from shoulder to wrist, which leaves the hand where it
 //! is, away from the ends of joint ranges and from singular poses.
 //!
 //! The motion goes down the gradient of a cost, projected on the null space of the Jacobian (Liegeois 1977). The cost is

@@ -24,7 +24,7 @@ pub enum Limitation {
         /// Index from the base.
         joint: usize,
     },
-    /// The elbow (the fourth joint) is nearly stretched and is to be stretched further: the target is at the end of the arm's
+    /// The elbow ([`Chain::elbow`]) is nearly stretched and is to be stretched further: the target is at the end of the arm's
     /// reach.
     ElbowStretched,
     /// The start after a rest.
@@ -32,9 +32,6 @@ pub enum Limitation {
     /// The target was not seen for a while: the hand slows down until it rests.
     Fading,
 }
-
-/// The elbow of an S-R-S arm, counted from 0 at the base: stretched, at zero, it is at the end of its reach.
-pub const ELBOW: usize = 3;
 
 /// The Jacobian of the hand at one moment.
 #[derive(Clone, Copy, Debug)]
@@ -96,8 +93,8 @@ pub struct JointBounds<'a> {
     pub limits: &'a JointLimits,
     /// A joint approaches an end of its range at most with this rate times the remaining angle, 1/s.
     pub limit_approach_per_s: f64,
-    /// The elbow is not stretched to less than this, rad; 0: it may be.
-    pub elbow_min_rad: f64,
+    /// The joint that is the elbow, and to less than which angle it is not stretched, rad; `None`: no joint is one, or it may be.
+    pub elbow: Option<(usize, f64)>,
 }
 
 impl JointBounds<'_> {
@@ -111,8 +108,8 @@ impl JointBounds<'_> {
             position_rad - limits.position_min_rad()[joint]
         };
         let mut limitation = Limitation::JointRange { joint };
-        if joint == ELBOW && self.elbow_min_rad > 0.0 && velocity * position_rad < 0.0 {
-            room_rad = position_rad.abs() - self.elbow_min_rad;
+        if let Some((_, least_rad)) = self.elbow.filter(|(elbow, _)| *elbow == joint && velocity * position_rad < 0.0) {
+            room_rad = position_rad.abs() - least_rad;
             limitation = Limitation::ElbowStretched;
         }
         let here = room_rad.max(0.0) * self.limit_approach_per_s;
@@ -175,6 +172,7 @@ mod tests {
 
     const HAND: CartesianSpeed = CartesianSpeed { linear_m_per_s: 0.5, angular_rad_per_s: 1.0 };
     const LIMIT_APPROACH_PER_S: f64 = 2.0;
+    const ELBOW: usize = 3;
 
     #[test]
     fn a_twist_keeps_its_direction() {
@@ -187,7 +185,7 @@ mod tests {
     }
 
     fn limit(velocity: &JointVector, position: &JointVector) -> LimitedVelocity {
-        JointBounds { limits: &limits(), limit_approach_per_s: LIMIT_APPROACH_PER_S, elbow_min_rad: 0.1 }
+        JointBounds { limits: &limits(), limit_approach_per_s: LIMIT_APPROACH_PER_S, elbow: Some((ELBOW, 0.1)) }
             .limit(velocity, position)
     }
 
@@ -229,8 +227,7 @@ mod tests {
             position[ELBOW] = 0.05 * side;
             assert_eq!(limit(&stretching, &position).share, 0.0);
             assert_eq!(limit(&-stretching, &position).share, 1.0);
-            let free =
-                JointBounds { limits: &limits(), limit_approach_per_s: LIMIT_APPROACH_PER_S, elbow_min_rad: 0.0 };
+            let free = JointBounds { limits: &limits(), limit_approach_per_s: LIMIT_APPROACH_PER_S, elbow: None };
             assert_eq!(free.limit(&stretching, &position).share, 1.0);
         }
     }
@@ -238,7 +235,8 @@ mod tests {
     #[test]
     fn a_secondary_velocity_takes_nothing_from_the_primary_one() {
         let limits = limits();
-        let bounds = JointBounds { limits: &limits, limit_approach_per_s: LIMIT_APPROACH_PER_S, elbow_min_rad: 0.1 };
+        let bounds =
+            JointBounds { limits: &limits, limit_approach_per_s: LIMIT_APPROACH_PER_S, elbow: Some((ELBOW, 0.1)) };
         let position = JointVector::from([0.0, 0.0, 0.0, -2.1, 0.0, 0.0, 0.0]);
         let share =
             |primary: [f64; 7], secondary: [f64; 7]| bounds.share_beside(&primary.into(), &secondary.into(), &position);

@@ -1,5 +1,6 @@
 //! Reading a configuration file: TOML to raw structs, with errors that name the file, the key and what is allowed.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -7,6 +8,7 @@ use std::path::{Path, PathBuf};
 use figment::Figment;
 use figment::error::Kind;
 use figment::providers::{Format, Toml};
+use figment::value::Dict;
 use serde::de::DeserializeOwned;
 
 /// Why a configuration was refused.
@@ -58,10 +60,12 @@ pub enum FileKind {
     Setup,
     /// A gateway, for `pb3dp gateway`.
     Gateway,
+    /// One arm, for setups that name it.
+    Arm,
 }
 
 impl FileKind {
-    const ALL: [Self; 3] = [Self::Estimator, Self::Setup, Self::Gateway];
+    const ALL: [Self; 4] = [Self::Estimator, Self::Setup, Self::Gateway, Self::Arm];
 
     /// A table that this kind has, and the others have not.
     fn own_table(self) -> &'static str {
@@ -69,6 +73,7 @@ impl FileKind {
             Self::Estimator => "published",
             Self::Setup => "arms",
             Self::Gateway => "bus",
+            Self::Arm => "named_arm",
         }
     }
 }
@@ -79,6 +84,7 @@ impl std::fmt::Display for FileKind {
             Self::Estimator => "a file of estimator parameters (as configs/estimator.toml)",
             Self::Setup => "a setup of `pb3dp run` (as configs/sim.toml)",
             Self::Gateway => "a gateway (as configs/gateway.toml)",
+            Self::Arm => "an arm (as configs/arms/ur5e.toml)",
         })
     }
 }
@@ -139,6 +145,21 @@ impl ConfigFile {
             error.path.rotate_right(parts.min(length));
             self.refusal(error, owner)
         })
+    }
+
+    /// The table `key`, which is `whole`: its own keys are those of `All`; the tables in it, which the user names, are each a `One`.
+    ///
+    /// # Errors
+    /// As [`Self::all`].
+    pub fn named_tables<All: DeserializeOwned, One: DeserializeOwned>(
+        &self,
+        key: &str,
+        whole: &Dict,
+    ) -> Result<(All, BTreeMap<String, One>), ConfigError> {
+        let (tables, own): (Dict, Dict) = whole.clone().into_iter().partition(|(_, value)| value.as_dict().is_some());
+        let own = Self { file: self.file.clone(), wanted: self.wanted, figment: Figment::from((key, own)) };
+        let named = |name: String| Ok((name.clone(), self.at(&format!("{key}.{name}"), "")?));
+        Ok((own.at(key, "")?, tables.into_keys().map(named).collect::<Result<_, ConfigError>>()?))
     }
 
     fn refusal(&self, errors: figment::Error, owner: &str) -> ConfigError {

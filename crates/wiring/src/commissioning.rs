@@ -41,7 +41,7 @@ fn wanted<'a>(setup: &'a Setup, choice: ArmChoice, clock: &'a Arc<dyn Clock>) ->
 pub fn see(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<SeenArm> {
     let wanted = wanted(setup, choice, clock);
     let Some((line, emulated)) = line(wanted)? else {
-        bail!("{}.backend = \"mock\" has no line to an arm; set emulated, serial, tcp or arcnet", choice.table())
+        bail!("{}.backend = \"mock\" has no line to an arm; set emulated, serial, tcp or arcnet", choice.of(setup).key)
     };
     let (target, emulated) = (line.target(), emulated.and_then(|(emulation, _)| emulation.into_server()));
     let arm = connect(line, (alone()?, LimitsCheck::Read), wanted)?;
@@ -133,7 +133,7 @@ pub fn emulate_at_address(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Cloc
     let ArmLink::Gateway(link, GatewayWay::Emulated) = &choice.of(setup).link else {
         bail!(
             "{}.backend is not \"emulated\": the program has no hand at the switches and cables of this arm",
-            choice.table()
+            choice.of(setup).key
         )
     };
     let address = "127.0.0.1:0".parse().context("an address of this machine")?;

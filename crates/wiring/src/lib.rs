@@ -19,7 +19,7 @@ use pb3dp_arm_pa10::arm::{ArmMonitor, VirtualTime, Way};
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_arm_pa10_protocol::codec::Axis;
 use pb3dp_camera_replay::{Pacing, ReplayCamera, ReplayOptions};
-use pb3dp_camera_sim::{FaultyCamera, GeometricCamera, SimStereoCamera};
+use pb3dp_camera_sim::{FaultyCamera, GeometricCamera, SimCameraConfig, SimStereoCamera};
 use pb3dp_camera_v4l2::linux::Linux;
 use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_geometry::Pose;
@@ -51,7 +51,7 @@ use pb3dp_cell::paced_clock::PacedClock;
 use pb3dp_cell::parts::{EmulatedArm, LinkMonitor, Parts};
 use pb3dp_setup::region_spec::load_region;
 use pb3dp_setup::setup::seeds::Stream;
-use pb3dp_setup::setup::{ArmSetup, Carrier, Leader, Pace, Setup, Truth};
+use pb3dp_setup::setup::{ArmSetup, Cameras, Carrier, FrameTiming, Leader, Pace, Setup, SimulatedWorld, Truth};
 
 /// When the frames of a recording are delivered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -174,10 +174,12 @@ fn wire_cell_with(
     // What is planned is planned with what the setup says, what happens follows the truth.
     let start = cell.world_from_target_at(clock.now());
     let experiment = begin(&mut cell, start)?;
-    follow_truth(&mut cell, &setup.truth);
+    if let Some(world) = setup.world() {
+        follow_truth(&mut cell, &world.truth);
+    }
     let mut cameras = None;
-    let (camera, marking) = match &setup.real_cameras {
-        Some(real) => {
+    let (camera, marking) = match &setup.cameras {
+        Cameras::Real(real) => {
             if let Some(says) = &setup.nominal_calibration {
                 nominal::look_at_arms(says, &monitors)?;
             }
@@ -186,7 +188,10 @@ fn wire_cell_with(
             let region = real.region.as_ref().map(|region| load_region(region, real.size())).transpose()?;
             (Sight::Pictures(wired.camera), region.map_or(Marking::Nobody, Marking::Region))
         }
-        None => wire_sight(setup, &cell, &clock).map(|(camera, outline_m)| (camera, Marking::Outline(outline_m)))?,
+        Cameras::Simulated(world) => {
+            let (camera, outline_m) = wire_sight(setup, world, &cell, &clock)?;
+            (camera, Marking::Outline(outline_m))
+        }
     };
     let parts = Parts {
         clock,
@@ -224,28 +229,35 @@ fn follow_truth(cell: &mut SimulatedCell, truth: &Truth) {
 /// # Errors
 /// What to do.
 fn check_marked(setup: &Setup) -> Result<()> {
-    match &setup.real_cameras {
+    match setup.real_cameras() {
         Some(cameras) if cameras.region.is_none() => bail!("{NOT_MARKED}"),
         _ => Ok(()),
     }
 }
 
 /// The simulated camera, or what stands for it, and the outline of the target.
-fn wire_sight(setup: &Setup, cell: &SimulatedCell, clock: &Arc<dyn Clock>) -> Result<(Sight, Vec<Point3<f64>>)> {
+fn wire_sight(
+    setup: &Setup,
+    world: &SimulatedWorld,
+    cell: &SimulatedCell,
+    clock: &Arc<dyn Clock>,
+) -> Result<(Sight, Vec<Point3<f64>>)> {
     let (poses, began) = (Box::new(cell.clone()), clock.now());
-    let (clock, faults) = (Arc::clone(clock), setup.camera_faults.clone());
+    let (clock, faults) = (Arc::clone(clock), world.faults.clone());
+    let FrameTiming { period, exposure } = setup.frames;
+    let timing = SimCameraConfig { period, exposure, blur_moments: world.blur_moments, pairs: None };
     match setup.leader {
         Leader::Pictures(_) => {
-            let scene = Scene::build(&setup.scene).context("table [scene]")?;
+            let scene = Scene::build(&world.scene).context("table [scene]")?;
             let outline_m = scene.target().outline_m.clone();
             let noise = Stream::SensorNoise.narrow(setup.seed);
-            let renderer = StereoRenderer::new(scene, *setup.true_rig(), &setup.sensor, noise);
+            let renderer = StereoRenderer::new(scene, *setup.true_rig(), &world.sensor, noise);
             let mut renderer = renderer.context("table [camera]")?;
             if setup.pace != Pace::Fast {
                 // A pair has to be there before the next one.
                 renderer = renderer.with_run_both(at_once);
             }
-            let camera = SimStereoCamera::new(renderer, poses, clock, setup.camera.clone())?;
+            let camera = SimStereoCamera::new(renderer, poses, clock, timing)?;
             let camera: Box<dyn StereoCamera> = match faults.list.is_empty() {
                 true => Box::new(camera),
                 false => Box::new(FaultyCamera::new(camera, faults, began).context("table [camera]")?),
@@ -253,9 +265,9 @@ fn wire_sight(setup: &Setup, cell: &SimulatedCell, clock: &Arc<dyn Clock>) -> Re
             Ok((Sight::Pictures(camera), outline_m))
         }
         Leader::Geometric(config) => {
-            let target = targets::model(&setup.scene.target, setup.scene.seed).context("table [scene]")?;
+            let target = targets::model(&world.scene.target, world.scene.seed).context("table [scene]")?;
             let tracker = GeometricTracker::new(config, *setup.true_rig(), target.outline_m.clone())?;
-            let camera = GeometricCamera::new(tracker, poses, clock, &setup.camera)?.with_faults(faults, began)?;
+            let camera = GeometricCamera::new(tracker, poses, clock, &timing)?.with_faults(faults, began)?;
             Ok((Sight::Geometric(Box::new(camera)), target.outline_m))
         }
     }
@@ -361,7 +373,7 @@ fn look_at_free_path(setup: &Setup, start: Pose<World, Target>) -> Result<Vec<(&
 pub fn check_paths(setup: &Setup, experiment: &dyn Trajectory) -> Result<[(&'static str, PathReport); 2]> {
     let vs = check_follower(setup, experiment)?;
     let carrier = FlangePath::of_carrier(experiment, &setup.tc.world_from_base, &setup.flange_from_target);
-    let tc = check_path(("tc-robot", "arms.tc"), &setup.tc, &carrier, None)?;
+    let tc = check_path("tc-robot", &setup.tc, &carrier, None)?;
     Ok([("vs-robot", vs), ("tc-robot", tc)])
 }
 
@@ -376,18 +388,18 @@ fn check_follower(setup: &Setup, experiment: &dyn Trajectory) -> Result<PathRepo
     let tracking = setup.controller.speed.tracking;
     let hand_max =
         ToolSpeedMax { linear_m_per_s: tracking.linear_m_per_s, angular_rad_per_s: tracking.angular_rad_per_s };
-    check_path(("vs-robot", "arms.vs"), &setup.vs, &follower, Some(hand_max))
+    check_path("vs-robot", &setup.vs, &follower, Some(hand_max))
 }
 
 fn check_path(
-    (name, table): (&str, &str),
+    name: &str,
     arm: &ArmSetup,
     path: &FlangePath<'_>,
     tool_speed_max: Option<ToolSpeedMax>,
 ) -> Result<PathReport> {
     let requirements = PathRequirements { tool_speed_max, ..PathRequirements::OF_EXPERIMENT };
     check_experiment(&arm.chain, &arm.limits, &arm.start_rad, path, &requirements).map_err(|refusal| {
-        let keys = keys_of(table, &refusal);
+        let keys = keys_of(&arm.key, &refusal);
         let text = format!("the {name} can not follow the experiment (see {keys} and the table [experiment])");
         anyhow::Error::new(refusal).context(text)
     })
@@ -419,7 +431,8 @@ mod tests {
         let mut setup = read_setup(std::path::Path::new(file)).unwrap();
         (setup.leader, setup.compared) = (Leader::Geometric(setup.geometric.unwrap()), Vec::new());
         let kind = CameraFaultKind::Dropped { share: 0.5 };
-        setup.camera_faults.list = vec![CameraFault { kind, from: Duration::ZERO, until: Duration::from_secs(3600) }];
+        setup.world_mut().unwrap().faults.list =
+            vec![CameraFault { kind, from: Duration::ZERO, until: Duration::from_secs(3600) }];
         setup.reseed(seed);
         let Sight::Geometric(mut camera) = wire(&setup).unwrap().camera else { panic!("images are rendered") };
         (0..60).filter_map(|_| camera.next_frame(Duration::from_secs(1)).ok()).collect()

@@ -21,3 +21,11 @@ pub use arm::{ArmExpectations, ArmHooks, arm_suite};
 pub use camera::{CameraExpectations, stereo_camera_suite};
 pub use clock::clock_suite;
 pub use report::{Report, Violation};
+
+#[cfg(doctest)]
+#[doc = include_str!("../../../docs/how-to/add-a-camera.md")]
+mod add_a_camera {}
+
+#[cfg(doctest)]
+#[doc = include_str!("../../../docs/how-to/add-an-arm.md")]
+mod add_an_arm {}

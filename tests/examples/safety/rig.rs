@@ -82,7 +82,9 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
     setup.reseed(scenario.seed);
     setup.experiment.motion = scenario.motion.clone();
     setup.experiment.carrier = scenario.carrier;
-    setup.camera_faults = cameras::plan(&scenario.faults, scenario.seed);
+    if let Some(world) = setup.world_mut() {
+        world.faults = cameras::plan(&scenario.faults, scenario.seed);
+    }
     if scenario.searches {
         setup.controller.search = Some(SEARCH);
         setup.supervisor.search_max_s = SEARCH_MAX_S;

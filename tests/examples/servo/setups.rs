@@ -51,7 +51,9 @@ impl Who {
         };
         let mut setup = read_setup(&repository().join(file))?;
         setup.compared.clear();
-        (setup.sensor.read_noise_grey, setup.sensor.shot_noise_grey) = (NOISE_GREY, 0.0);
+        if let Some(world) = setup.world_mut() {
+            (world.sensor.read_noise_grey, world.sensor.shot_noise_grey) = (NOISE_GREY, 0.0);
+        }
         set_delay(&mut setup, delay_millis).with_context(|| format!("{file}: a delay of {delay_millis} ms"))?;
         Ok(setup)
     }
@@ -96,7 +98,9 @@ impl Fig7Case {
     /// As [`Who::setup`].
     pub fn setup(&self, seed: Option<u64>) -> Result<Setup> {
         let mut setup = self.who.setup(self.delay_millis)?;
-        setup.scene.target = TARGETS[self.target].1;
+        if let Some(world) = setup.world_mut() {
+            world.scene.target = TARGETS[self.target].1;
+        }
         if let Some(seed) = seed {
             setup.reseed(seed);
         }
@@ -127,7 +131,7 @@ fn set_delay(setup: &mut Setup, delay_millis: f64) -> Result<()> {
 fn until_control_step_s(setup: &Setup) -> f64 {
     const FRAMES: u32 = 300;
     let step_s = setup.control_period.as_secs_f64();
-    let camera = &setup.camera;
+    let camera = &setup.frames;
     let wait_s = |frame: u32| {
         let begin_s = camera.period.as_secs_f64() * f64::from(frame);
         let arrives_s = begin_s + (camera.exposure + setup.estimate_latency).as_secs_f64();

@@ -10,5 +10,6 @@ mod geometric;
 mod paths;
 mod repeatable;
 mod seeing_again;
+mod six_axes;
 pub mod support;
 mod watched;

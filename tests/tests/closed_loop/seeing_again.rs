@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use pb3dp_camera_sim::{CameraFault, CameraFaultKind, Eyes, SimStereoCamera};
+use pb3dp_camera_sim::{CameraFault, CameraFaultKind, Eyes, SimCameraConfig, SimStereoCamera};
 use pb3dp_cell::experiment;
 use pb3dp_cell::eyes::Sight;
 use pb3dp_cell::log::RunLog;
@@ -30,8 +30,8 @@ fn fault(kind: CameraFaultKind, from_s: f64, until_s: f64) -> CameraFault {
 /// A card that goes to the right from 1 s to 2 s, seen with this fault.
 fn card(faults: Vec<CameraFault>) -> Setup {
     let mut setup = quick_setup(Method::Direct, Pixels::Few, &[Channel::X]);
-    setup.scene.target = TargetConfig::card();
-    setup.camera_faults.list = faults;
+    setup.world_mut().unwrap().scene.target = TargetConfig::card();
+    setup.world_mut().unwrap().faults.list = faults;
     setup
 }
 
@@ -145,13 +145,14 @@ fn swapped_for(other: SceneConfig) -> RunLog {
     let setup = card(Vec::new());
     let parts = wire(&setup).unwrap();
     let Parts { clock, cell, .. } = &parts;
-    let cameras = [setup.scene.clone(), other].map(|scene| {
-        let renderer = StereoRenderer::new(Scene::build(&scene).unwrap(), setup.rig, &setup.sensor, 5).unwrap();
-        SimStereoCamera::new(renderer, Box::new(cell.clone()), clock.clone(), setup.camera.clone()).unwrap()
+    let cameras = [setup.world().unwrap().scene.clone(), other].map(|scene| {
+        let renderer =
+            StereoRenderer::new(Scene::build(&scene).unwrap(), setup.rig, &setup.world().unwrap().sensor, 5).unwrap();
+        SimStereoCamera::new(renderer, Box::new(cell.clone()), clock.clone(), SimCameraConfig::default()).unwrap()
     });
     let at = clock.now() + Duration::from_secs_f64(1.8);
     let swapped = Swapped { cameras, clock: clock.clone(), at };
-    let faults = card(vec![hidden(1.2, 2.3)]).camera_faults;
+    let faults = card(vec![hidden(1.2, 2.3)]).world().unwrap().faults.clone();
     let camera = pb3dp_camera_sim::FaultyCamera::new(swapped, faults, clock.now()).unwrap();
     let parts = Parts { camera: Sight::Pictures(Box::new(camera)), ..parts };
     experiment::run(&setup, parts, Some(3.7), None).unwrap().log
@@ -159,7 +160,7 @@ fn swapped_for(other: SceneConfig) -> RunLog {
 
 #[test]
 fn another_target_in_the_same_place_is_not_followed() {
-    let card = card(Vec::new()).scene;
+    let card = card(Vec::new()).world().unwrap().scene.clone();
     let same = swapped_for(card.clone());
     goes_on(&same.supervision.summary(), "the same card is known again");
     for (what, other) in [

@@ -23,6 +23,24 @@ pub fn whole_setup(method: Method) -> Setup {
     Setup { compared: Vec::new(), ..setup }
 }
 
+/// configs/sim.toml with these lines changed, each of which stands in it once.
+pub fn changed_setup(changes: &[(&str, &str)]) -> Setup {
+    let dir = tempfile::tempdir().unwrap();
+    let configs = repository().join("configs").canonicalize().unwrap();
+    let mut text = std::fs::read_to_string(configs.join("sim.toml")).unwrap();
+    for (from, to) in changes {
+        assert_eq!(text.matches(from).count(), 1, "{from}");
+        text = text.replace(from, to);
+    }
+    // The files that a setup names stand beside it.
+    for folder in ["robots", "arms"] {
+        std::os::unix::fs::symlink(configs.join(folder), dir.path().join(folder)).unwrap();
+    }
+    let file = dir.path().join("setup.toml");
+    std::fs::write(&file, text).unwrap();
+    read_setup(&file).unwrap()
+}
+
 /// How many pixels the cameras of a quick setup have; fewer are quicker and less exact.
 #[derive(Clone, Copy)]
 pub enum Pixels {

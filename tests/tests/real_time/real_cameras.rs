@@ -74,7 +74,7 @@ fn rig() -> (Setup, EmulatedSystem) {
     let half = Pinhole { fx: whole.fx / 2.0, fy: whole.fy / 2.0, cx: 159.5, cy: 119.5 };
     let camera = Camera::new(SIZE, half, *setup.rig.left().distortion()).unwrap();
     setup.rig = StereoRig::new(camera, camera, *setup.rig.cam_right_from_cam_left()).unwrap();
-    setup.camera.period = Duration::from_secs(1) / 15;
+    setup.frames.period = Duration::from_secs(1) / 15;
     (setup.vs.link, setup.tc.link) = (ArmLink::InProcess, ArmLink::InProcess);
     // What comes back goes on: the policies of a rig wait for an operator after a second.
     setup.supervisor = read_setup(&repository().join("configs/hil.toml")).unwrap().supervisor;
@@ -82,7 +82,7 @@ fn rig() -> (Setup, EmulatedSystem) {
 }
 
 fn cameras(setup: &mut Setup) -> &mut RealCameras {
-    setup.real_cameras.as_mut().unwrap()
+    setup.real_cameras_mut().unwrap()
 }
 
 /// Runs for so long, and does meanwhile what `fate` says.

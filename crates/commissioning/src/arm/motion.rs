@@ -82,7 +82,7 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
         set_line(&mut setup, choice, address);
     }
     if choice.of(&setup).link == ArmLink::InProcess {
-        bail!("{}.backend = \"mock\" has no arm to move; set emulated, serial, tcp or arcnet", choice.table());
+        bail!("{}.backend = \"mock\" has no arm to move; set emulated, serial, tcp or arcnet", choice.of(&setup).key);
     }
     let setup = slow_setup(&setup, choice, goal.joint_max_rad_per_s())?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());

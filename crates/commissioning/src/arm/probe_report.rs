@@ -148,7 +148,7 @@ impl ProbeReport {
         let hint = format!(
             "{}: check the table {}.{table}, the cable, the power of the {what}, and that no other program has the line",
             choice.name(),
-            choice.table()
+            arm.key
         );
         Self {
             arm: choice.name(),
@@ -180,7 +180,7 @@ impl ProbeReport {
             bus_doubts(link).for_each(|doubt| findings.warn(doubt.to_owned()));
             judge_silence(&seen, &mut findings);
         }
-        let joints = Axis::ALL.map(|axis| joint(choice, arm, &seen, axis, &mut findings));
+        let joints = Axis::ALL.map(|axis| joint(arm, &seen, axis, &mut findings));
         let controller_word = seen.sample.or(seen.shown).map(|sample| controller(&sample.condition, &mut findings));
         let link = link(&seen, monitor, &mut findings);
         Self {
@@ -271,7 +271,7 @@ impl GatewayFacts {
     }
 }
 
-fn joint(choice: ArmChoice, arm: &ArmSetup, seen: &ArmSnapshot, axis: Axis, findings: &mut Findings) -> JointFacts {
+fn joint(arm: &ArmSetup, seen: &ArmSnapshot, axis: Axis, findings: &mut Findings) -> JointFacts {
     let index = axis.index();
     let hard = arm.limits.servo();
     let configured_deg = [degrees(hard.position_min_rad()[index]), degrees(hard.position_max_rad()[index])];
@@ -285,8 +285,8 @@ fn joint(choice: ArmChoice, arm: &ArmSetup, seen: &ArmSnapshot, axis: Axis, find
              whether this is the arm of {}, then correct the limits in {}.robot",
             difference[0],
             difference[1],
-            choice.table(),
-            choice.table()
+            arm.key,
+            arm.key
         )),
         None if seen.latched.is_none() => {
             findings.refuse(format!("{axis}: the controller did not tell its limits; probe it again"));

@@ -133,16 +133,16 @@ fn to_look(mut setup: Setup, board: Option<TargetConfig>) -> Result<Setup> {
             setup.leader.name()
         );
     }
-    match (board, setup.real_cameras.is_some()) {
-        (Some(_), true) => {
+    match (board, setup.world_mut()) {
+        (Some(_), None) => {
             bail!("--emulated-board: the cameras of this setup are real and see what there is; leave it out")
         }
-        (None, false) => bail!(
+        (None, Some(_)) => bail!(
             "the cameras of this setup are simulated and see the target of its table [scene]; give --emulated-board 9x6:20, or another one, \
              to have a chessboard in its place"
         ),
-        (Some(board), false) => setup.scene.target = board,
-        (None, true) => {}
+        (Some(board), Some(world)) => world.scene.target = board,
+        (None, None) => {}
     }
     setup.calibrations.clear();
     setup.nominal_calibration = None;

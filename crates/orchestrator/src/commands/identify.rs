@@ -246,7 +246,7 @@ impl Delays {
                 self.arm_residual_deg
             );
         }
-        let exposure_ms = setup.camera.exposure.as_secs_f64() * 1e3;
+        let exposure_ms = setup.frames.exposure.as_secs_f64() * 1e3;
         if self.stamp_to_exposure.value.abs() > self.stamp_to_exposure.half_width_95.max(1.0) {
             let _ = writeln!(
                 advice,

@@ -100,7 +100,7 @@ fn both(how: Result<()>, told: Result<()>) -> Result<()> {
 
 /// Where the pictures come from.
 fn pictures(setup: &Setup) -> String {
-    match &setup.real_cameras {
+    match setup.real_cameras() {
         Some(cameras) => format!("{} and {}", cameras.stereo.left.name, cameras.stereo.right.name),
         None if setup.leader.needs_pictures() => "rendered".to_owned(),
         None => "none".to_owned(),
@@ -112,7 +112,7 @@ fn pictures(setup: &Setup) -> String {
 /// # Errors
 /// If the cameras are simulated, or the region is outside of their pictures.
 pub(super) fn mark(setup: &mut Setup, region: Option<&RegionSpec>) -> Result<()> {
-    match (&mut setup.real_cameras, region) {
+    match (setup.real_cameras_mut(), region) {
         (_, None) => {}
         (Some(cameras), Some(region)) => {
             region.check_inside(cameras.size()).map_err(|why| anyhow!("--region: {why}"))?;

@@ -131,7 +131,7 @@ impl Controller {
         JointBounds {
             limits: self.limits.operating(),
             limit_approach_per_s: self.config.speed.limit_approach_per_s,
-            elbow_min_rad: self.config.damping.elbow_min_rad,
+            elbow: self.elbow,
         }
     }
 

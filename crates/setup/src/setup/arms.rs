@@ -1,20 +1,22 @@
 //! The table `[arms]`: where the arms stand, what they are, how their simulated drives answer, and their limits.
 
+use std::collections::BTreeMap;
 use std::f64::consts::TAU;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use figment::value::Dict;
 use pb3dp_arm_pa10::watchdog::CommandWatchdog;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, World};
 use pb3dp_hal_middleware::{
     CommandFade, CoupledArmConfig, GuardConfig, LimiterConfig, PA10_MECHANICAL_RANGE_DEG, StartPose,
 };
-use pb3dp_kinematics::{ArmShape, Chain, DOF, EffectiveLimits, JointLimits, JointVector, StatedLimits};
+use pb3dp_kinematics::{ArmShape, Chain, DOF, EffectiveLimits, JointLimits, JointVector, NO_JOINT_RAD, StatedLimits};
 use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 use serde::Deserialize;
 
-use super::super::load::{Checker, within};
+use super::super::load::{Checker, ConfigError, ConfigFile, FileKind, within};
 use super::geometry::check_geometry;
 use super::link::{ArmBackend, ArmLink, BusSection, GatewaySection};
 use super::shape::{PartEntry, build_shape};
@@ -23,6 +25,8 @@ use super::{IN_THE_CELL_MM, PoseEntry, millis};
 /// One arm, ready to be wired.
 #[derive(Clone, Debug)]
 pub struct ArmSetup {
+    /// Its table of the setup: `arms.vs`.
+    pub key: String,
     /// How it is reached.
     pub link: ArmLink,
     /// Kinematics.
@@ -68,9 +72,14 @@ impl ArmSetup {
     }
 }
 
+/// What both arms share, and which of the tables beside it are the arms of this run.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ArmsSection {
+    #[serde(default = "vs_name")]
+    carries_cameras: String,
+    #[serde(default = "tc_name")]
+    carries_target: String,
     #[serde(default = "rig_speed_scale")]
     pub(super) speed_scale: f64,
     #[serde(default = "yes")]
@@ -79,8 +88,52 @@ pub(super) struct ArmsSection {
     tracking_error_max_deg: f64,
     tracking_error_millis: f64,
     pub(super) least_room_mm: f64,
-    vs: ArmSection,
-    tc: ArmSection,
+}
+
+/// The arms of a setup, by their names.
+pub(super) type ArmTables = BTreeMap<String, ArmTable>;
+
+/// The table of an arm, and the file that it stands in, beside which its robot is found.
+pub(super) struct ArmTable {
+    section: ArmSection,
+    file: PathBuf,
+}
+
+/// What both arms share, and the arms: a table of the setup, or a file of the folder `arms` beside it.
+///
+/// # Errors
+/// Unknown or missing keys, wrong types; a file of an arm that is none.
+pub(super) fn read_arms(
+    config: &ConfigFile,
+    whole: &Dict,
+    file: &Path,
+) -> Result<(ArmsSection, ArmTables), ConfigError> {
+    let (all, sections) = config.named_tables::<ArmsSection, ArmSection>("arms", whole)?;
+    let here = |(name, section)| (name, ArmTable { section, file: file.to_path_buf() });
+    let mut tables: ArmTables = sections.into_iter().map(here).collect();
+    for name in [&all.carries_cameras, &all.carries_target] {
+        let beside = file_of(file, name);
+        if !tables.contains_key(name) && beside.is_file() {
+            let section = ConfigFile::read(&beside, FileKind::Arm)?.at("named_arm", "")?;
+            tables.insert(name.clone(), ArmTable { section, file: beside });
+        }
+    }
+    Ok((all, tables))
+}
+
+/// The file of an arm that a setup names.
+fn file_of(config_file: &Path, name: &str) -> PathBuf {
+    config_file.parent().unwrap_or(Path::new(".")).join("arms").join(name).with_extension("toml")
+}
+
+/// The table that is the arm with the cameras unless the file says otherwise.
+fn vs_name() -> String {
+    "vs".to_owned()
+}
+
+/// The table that is the arm with the target unless the file says otherwise.
+fn tc_name() -> String {
+    "tc".to_owned()
 }
 
 /// The share of their speeds with which arms run unless the file says otherwise, R11 of the requirements.
@@ -107,11 +160,11 @@ struct ArmSection {
     flange_link: String,
     world_from_base: PoseEntry,
     parts: Vec<PartEntry>,
-    start_deg: [f64; DOF],
-    mechanical_range_deg: [f64; DOF],
-    operating_range_deg: [f64; DOF],
-    acceleration_max_rad_per_s2: [f64; DOF],
-    jerk_max_rad_per_s3: [f64; DOF],
+    start_deg: Vec<f64>,
+    mechanical_range_deg: Vec<f64>,
+    operating_range_deg: Vec<f64>,
+    acceleration_max_rad_per_s2: Vec<f64>,
+    jerk_max_rad_per_s3: Vec<f64>,
     velocity_time_constant_millis: f64,
     command_delay_millis: f64,
     command_timeout_millis: f64,
@@ -120,11 +173,16 @@ struct ArmSection {
 /// The joints' past that the simulation keeps, so that the cameras can ask where the arms were.
 const PLANT_HISTORY: Duration = Duration::from_secs(1);
 
-/// The largest accelerations that an arm may be given, rad/s^2, base to tip: no source has any, see docs/arm-limits.md.
-const ACCELERATION_MAX_RAD_PER_S2: [f64; DOF] = [2.0, 2.0, 2.0, 2.0, 5.0, 5.0, 5.0];
+/// The largest accelerations that an arm may be given, rad/s^2, before its wrist and in it: no source has any, see docs/arm-limits.md.
+const ACCELERATION_MAX_RAD_PER_S2: [f64; 2] = [2.0, 5.0];
 
-fn check_accelerations(key: &str, accelerations: &[f64; DOF], check: &mut Checker) {
-    for (joint, (&value, most)) in accelerations.iter().zip(ACCELERATION_MAX_RAD_PER_S2).enumerate() {
+/// The last joints of an arm, which turn the hand.
+const WRIST_JOINTS: usize = 3;
+
+fn check_accelerations(key: &str, accelerations: &[f64], check: &mut Checker) {
+    for (joint, &value) in accelerations.iter().enumerate() {
+        let is_in_wrist = joint + WRIST_JOINTS >= accelerations.len();
+        let most = ACCELERATION_MAX_RAD_PER_S2[usize::from(is_in_wrist)];
         check.number(&format!("{key}.acceleration_max_rad_per_s2[{joint}]"), value, 0.01..=most);
     }
 }
@@ -141,14 +199,18 @@ fn fade(link: &ArmLink) -> Option<CommandFade> {
 }
 
 impl ArmsSection {
-    /// Whether an arm is at the end of a link.
-    pub(super) fn has_link(&self) -> bool {
-        [&self.vs, &self.tc].into_iter().any(|arm| arm.gateway.is_some() || arm.bus.is_some())
+    /// Whether an arm of this run is at the end of a link.
+    pub(super) fn has_link(&self, tables: &ArmTables) -> bool {
+        let names = [&self.carries_cameras, &self.carries_target];
+        let mut arms = names.into_iter().filter_map(|name| tables.get(name)).map(|table| &table.section);
+        arms.any(|arm| arm.gateway.is_some() || arm.bus.is_some())
     }
 
-    /// Both arms; `None` if a file can not be read or a limit is refused.
+    /// The arm with the cameras and the one with the target; `None` if a file can not be read or a limit is refused. All other arms are
+    /// checked, too.
     pub(super) fn build(
         &self,
+        tables: &ArmTables,
         config_file: &Path,
         control_period_millis: f64,
         check: &mut Checker,
@@ -167,10 +229,44 @@ impl ArmsSection {
         check.number("arms.least_room_mm", self.least_room_mm, 1.0..=1000.0);
         let tracking_error_millis = control_period_millis..=GuardConfig::TRACKING_ERROR_FOR.as_secs_f64() * 1e3;
         check.number("arms.tracking_error_millis", self.tracking_error_millis, tracking_error_millis);
-        let vs = self.vs.build("arms.vs", self, config_file, control_period_millis, check);
-        let tc = self.tc.build("arms.tc", self, config_file, control_period_millis, check);
+        let mut arms: BTreeMap<&str, Option<ArmSetup>> = tables
+            .iter()
+            .map(|(name, table)| {
+                let key = format!("arms.{name}");
+                (name.as_str(), table.section.build(&key, self, &table.file, control_period_millis, check))
+            })
+            .collect();
+        if self.carries_cameras == self.carries_target {
+            check.refuse(format!(
+                "arms.carries_cameras = {:?}: arms.carries_target is the same; one arm carries the cameras, another one the target",
+                self.carries_cameras
+            ));
+        }
+        let mut take = |key: &str, name: &str| {
+            arms.remove(name).unwrap_or_else(|| {
+                let known: Vec<&str> = tables.keys().map(String::as_str).collect();
+                check.refuse(format!(
+                    "{key} = {name:?}: there is no table [arms.{name}] ({}), and no file {}",
+                    known.join(", "),
+                    file_of(config_file, name).display()
+                ));
+                None
+            })
+        };
+        let vs = take("arms.carries_cameras", &self.carries_cameras);
+        let tc = take("arms.carries_target", &self.carries_target);
         vs.zip(tc)
     }
+}
+
+/// A vector of the numbers that a file gives for each joint; `without` stands where there is no joint.
+fn per_joint(numbers: &[f64], without: f64) -> JointVector {
+    JointVector::from_fn(|joint, _| numbers.get(joint).copied().unwrap_or(without))
+}
+
+/// Half of a range to both sides, rad.
+fn range_rad(range_deg: &[f64]) -> JointVector {
+    per_joint(range_deg, NO_JOINT_RAD.to_degrees()).map(f64::to_radians).map(|end| end.min(NO_JOINT_RAD))
 }
 
 impl ArmSection {
@@ -194,14 +290,18 @@ impl ArmSection {
         let world_from_base = self.world_from_base.build(&format!("{key}.world_from_base"), IN_THE_CELL_MM, check);
         let shape = build_shape(&format!("{key}.parts"), &self.parts, check);
         let chain = self.chain((key, config_file), link.as_ref(), check);
-        self.check_angles(key, chain.as_ref().map(Chain::limits), check);
-        let (chain, shape) = chain.zip(shape)?;
-        let start_rad = JointVector::from(self.start_deg).map(f64::to_radians);
-        let mechanical_max_rad = JointVector::from(self.mechanical_range_deg).map(f64::to_radians);
+        let has_all = self.check_lengths(key, chain.as_ref(), check);
+        if has_all {
+            self.check_angles(key, chain.as_ref().map(Chain::limits), check);
+        }
+        let (chain, shape) = chain.zip(shape).filter(|_| has_all)?;
+        let start_rad = per_joint(&self.start_deg, 0.0).map(f64::to_radians);
+        let mechanical_max_rad = range_rad(&self.mechanical_range_deg);
         let limits = self.limits((key, all.speed_scale), &chain, check)?;
         let link = link?;
         let fade = fade(&link);
         Some(ArmSetup {
+            key: key.to_owned(),
             link,
             world_from_base,
             shape,
@@ -241,14 +341,14 @@ impl ArmSection {
     /// that whatever else is wrong is found, too.
     fn limits(&self, (key, speed_scale): (&str, f64), chain: &Chain, check: &mut Checker) -> Option<EffectiveLimits> {
         let servo = *chain.limits();
-        let operating_max_rad = JointVector::from(self.operating_range_deg).map(f64::to_radians);
+        let operating_max_rad = range_rad(&self.operating_range_deg);
         let stated = StatedLimits {
             servo,
             operating_min_rad: -operating_max_rad,
             operating_max_rad,
             speed_scale,
-            acceleration_max_rad_per_s2: JointVector::from(self.acceleration_max_rad_per_s2),
-            jerk_max_rad_per_s3: JointVector::from(self.jerk_max_rad_per_s3),
+            acceleration_max_rad_per_s2: per_joint(&self.acceleration_max_rad_per_s2, 1.0),
+            jerk_max_rad_per_s3: per_joint(&self.jerk_max_rad_per_s3, 1.0),
         };
         let possible = StatedLimits {
             servo,
@@ -282,11 +382,35 @@ impl ArmSection {
         }
     }
 
+    /// Every list has a number for each joint of the robot, if that is known.
+    fn check_lengths(&self, key: &str, chain: Option<&Chain>, check: &mut Checker) -> bool {
+        let lists = [
+            ("start_deg", &self.start_deg),
+            ("mechanical_range_deg", &self.mechanical_range_deg),
+            ("operating_range_deg", &self.operating_range_deg),
+            ("acceleration_max_rad_per_s2", &self.acceleration_max_rad_per_s2),
+            ("jerk_max_rad_per_s3", &self.jerk_max_rad_per_s3),
+        ];
+        let joints = chain.map_or(self.start_deg.len(), Chain::joints);
+        let wrong = lists.into_iter().filter(|(_, list)| list.len() != joints);
+        let wrong: Vec<String> = wrong
+            .map(|(name, list)| {
+                format!(
+                    "{key}.{name}: {} numbers, but {key}.robot has {joints} joints; give one for each, base to tip",
+                    list.len()
+                )
+            })
+            .collect();
+        let has_all = wrong.is_empty();
+        wrong.into_iter().for_each(|line| check.refuse(line));
+        has_all && joints <= DOF
+    }
+
     /// The operating range lies within the limits of the robot's joints (if they are known) and these within the mechanical
     /// range, the start within the operating range.
     fn check_angles(&self, key: &str, limits: Option<&JointLimits>, check: &mut Checker) {
-        for (joint, (operating_deg, start_deg)) in self.operating_range_deg.into_iter().zip(self.start_deg).enumerate()
-        {
+        let ranges = self.operating_range_deg.iter().copied().zip(self.start_deg.iter().copied());
+        for (joint, (operating_deg, start_deg)) in ranges.enumerate() {
             let hard_rad =
                 limits.map_or(TAU, |limits| limits.position_max_rad()[joint].min(-limits.position_min_rad()[joint]));
             let outer_rad =
@@ -311,6 +435,14 @@ impl ArmSection {
         let chain = Chain::from_urdf_str(&xml, &self.base_link, &self.flange_link)
             .inspect_err(|error| check.refuse(format!("{key}.robot: {}: {error}", file.display())))
             .ok()?;
+        if link.is_some_and(|link| !matches!(link, ArmLink::InProcess)) && chain.joints() != DOF {
+            check.refuse(format!(
+                "{key}.robot: {} has {} joints; a PA-10, which is what {key}.backend drives, has {DOF}: with other arms only \"mock\" is possible",
+                file.display(),
+                chain.joints()
+            ));
+            return None;
+        }
         if let Some((geometry, table)) = link.and_then(ArmLink::geometry) {
             check_geometry((key, table), geometry, &chain, check);
         }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use pb3dp_camera_sim::{CameraFaults, SimCameraConfig};
+use pb3dp_camera_sim::CameraFaults;
 use pb3dp_geometry::frames::{CamLeft, CamRight};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 use pb3dp_sim::scene::SceneConfig;
@@ -13,8 +13,8 @@ use serde::Deserialize;
 use super::super::load::{Checker, whole, within};
 use super::calibration::CalibrationInUse;
 use super::camera_faults::{self, FaultSection};
-use super::millis;
 use super::real_cameras::load_calibration;
+use super::{FrameTiming, millis};
 
 /// What follows keys of this table in messages.
 pub(super) const OWNER: &str = "(with camera.backend = \"sim\")";
@@ -53,14 +53,10 @@ struct EyeSection {
 }
 
 impl CameraSection {
-    pub(super) fn build(&self, check: &mut Checker) -> (Option<StereoRig>, SimCameraConfig, SensorConfig) {
+    pub(super) fn build(&self, check: &mut Checker) -> (Option<StereoRig>, FrameTiming, SensorConfig) {
         self.check(check);
-        let camera = SimCameraConfig {
-            period: millis(1000.0 / self.frame_rate_hz),
-            exposure: millis(self.exposure_millis),
-            blur_moments: whole(self.motion_blur_moments),
-            pairs: None,
-        };
+        let frames =
+            FrameTiming { period: millis(1000.0 / self.frame_rate_hz), exposure: millis(self.exposure_millis) };
         let sensor = SensorConfig {
             lens_blur_px: self.lens_blur_px,
             read_noise_grey: self.read_noise_grey,
@@ -71,7 +67,12 @@ impl CameraSection {
         if let (true, Err(error)) = (check.is_clean(), sensor.validate()) {
             check.refuse(format!("camera: {error}"));
         }
-        (self.rig(check), camera, sensor)
+        (self.rig(check), frames, sensor)
+    }
+
+    /// Moments of an exposure that are rendered.
+    pub(super) fn blur_moments(&self) -> u32 {
+        whole(self.motion_blur_moments)
     }
 
     /// What the program takes the cameras for: those of the calibration, if one is named, else those that are rendered.

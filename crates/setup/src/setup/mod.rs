@@ -24,8 +24,9 @@ mod truth;
 use std::path::Path;
 use std::time::Duration;
 
+use figment::value::Dict;
 use nalgebra::{UnitQuaternion, Vector3};
-use pb3dp_camera_sim::{CameraFaults, SimCameraConfig};
+use pb3dp_camera_sim::CameraFaults;
 use pb3dp_estimation::estimator::{EstimatorConfig, Method};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::frames::{Flange, Target};
@@ -38,7 +39,7 @@ use pb3dp_sim::sensor::SensorConfig;
 use serde::Deserialize;
 
 pub use self::arms::ArmSetup;
-use self::arms::ArmsSection;
+use self::arms::{ArmTables, ArmsSection, read_arms};
 pub use self::calibration::{AGE, CAMERAS, CalibrationInUse, rounded};
 use self::camera::SceneSection;
 pub use self::drift::DriftConfig;
@@ -76,23 +77,15 @@ pub struct Setup {
     /// The stereo pair.
     pub rig: StereoRig,
     /// When it exposes.
-    pub camera: SimCameraConfig,
-    /// The cameras of this machine that are to be used, if they are not simulated: then nobody looks at faults, sensor and scene.
-    pub real_cameras: Option<RealCameras>,
+    pub frames: FrameTiming,
+    /// What its cameras are: of this machine, or simulated with all that they see.
+    pub cameras: Cameras,
     /// What their calibration says of itself if it is that of no cameras, a drawing's say: by such a one no real arm moves.
     pub nominal_calibration: Option<String>,
     /// The calibrations that it uses, if they are files: of the cameras, and of where they are on the arm.
     pub calibrations: Vec<CalibrationInUse>,
-    /// Where things of the simulation truly are.
-    pub truth: Truth,
-    /// What goes wrong with simulated cameras.
-    pub camera_faults: CameraFaults,
     /// When a run warns that the cameras are not any more what was calibrated, if the file says so.
     pub drift: Option<DriftConfig>,
-    /// What their sensors do to the light.
-    pub sensor: SensorConfig,
-    /// What stands in the simulated cell.
-    pub scene: SceneConfig,
     /// What estimates the pose by which the hand is led.
     pub leader: Leader,
     /// What would stand in its place without pictures, if the file says so.
@@ -117,6 +110,39 @@ pub struct Setup {
     pub flange_from_target: Pose<Flange, Target>,
     /// How the target moves.
     pub experiment: Experiment,
+}
+
+/// When a stereo pair exposes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrameTiming {
+    /// Time between exposures.
+    pub period: Duration,
+    /// Length of an exposure.
+    pub exposure: Duration,
+}
+
+/// What the cameras of a setup are.
+#[derive(Clone, Debug)]
+pub enum Cameras {
+    /// Cameras of this machine: they see what there is.
+    Real(Box<RealCameras>),
+    /// Simulated ones, in a world that the setup describes.
+    Simulated(Box<SimulatedWorld>),
+}
+
+/// What a simulation has and a real rig has not.
+#[derive(Clone, Debug)]
+pub struct SimulatedWorld {
+    /// What stands in the cell.
+    pub scene: SceneConfig,
+    /// What the sensors of the cameras do to the light.
+    pub sensor: SensorConfig,
+    /// Moments of an exposure that are rendered and averaged: 1 for sharp pictures.
+    pub blur_moments: u32,
+    /// What goes wrong with the cameras.
+    pub faults: CameraFaults,
+    /// Where things truly are.
+    pub truth: Truth,
 }
 
 /// What estimates the pose by which the hand is led.
@@ -166,7 +192,7 @@ struct SetupFile {
     estimator: EstimatorSection,
     servo: ServoSection,
     supervisor: SupervisorSection,
-    arms: ArmsSection,
+    arms: Dict,
     mounts: MountsSection,
     experiment: ExperimentSection,
 }
@@ -221,9 +247,41 @@ impl PoseEntry {
 }
 
 impl Setup {
+    /// The simulated world, if there is one.
+    pub fn world(&self) -> Option<&SimulatedWorld> {
+        match &self.cameras {
+            Cameras::Real(_) => None,
+            Cameras::Simulated(world) => Some(world),
+        }
+    }
+
+    /// The same, to be changed.
+    pub fn world_mut(&mut self) -> Option<&mut SimulatedWorld> {
+        match &mut self.cameras {
+            Cameras::Real(_) => None,
+            Cameras::Simulated(world) => Some(world),
+        }
+    }
+
+    /// The cameras of this machine, if they are not simulated.
+    pub fn real_cameras(&self) -> Option<&RealCameras> {
+        match &self.cameras {
+            Cameras::Real(cameras) => Some(cameras),
+            Cameras::Simulated(_) => None,
+        }
+    }
+
+    /// The same, to be changed.
+    pub fn real_cameras_mut(&mut self) -> Option<&mut RealCameras> {
+        match &mut self.cameras {
+            Cameras::Real(cameras) => Some(cameras),
+            Cameras::Simulated(_) => None,
+        }
+    }
+
     /// The cameras that pictures are rendered with: those of the setup, unless the truth is another one.
     pub fn true_rig(&self) -> &StereoRig {
-        self.truth.rig.as_ref().unwrap_or(&self.rig)
+        self.world().and_then(|world| world.truth.rig.as_ref()).unwrap_or(&self.rig)
     }
 }
 
@@ -235,37 +293,46 @@ pub fn read_setup(file: &Path) -> Result<Setup, ConfigError> {
     let config = ConfigFile::read(file, FileKind::Setup)?;
     let raw: SetupFile = config.all()?;
     let camera = raw.camera.table(&config)?;
+    let arms = read_arms(&config, &raw.arms, file)?;
     let mut check = Checker::default();
-    let setup = raw.build(file, &camera, &mut check).map(Setup::seeded);
+    let setup = raw.build(file, (&camera, &arms), &mut check).map(Setup::seeded);
     check.finish(file)?;
     // Every way on which `build` gives nothing leaves a refusal behind.
     setup.ok_or_else(|| ConfigError::Values { file: file.to_path_buf(), lines: "  the setup is not complete".into() })
 }
 
 /// Two arms that bear one number: behind gateways swapped cables would not be noticed.
-fn refuse_equal_numbers(vs: &ArmLink, tc: &ArmLink, check: &mut Checker) {
-    if let (Some((vs, vs_table)), Some((tc, tc_table))) = (vs.number(), tc.number())
-        && vs == tc
+fn refuse_equal_numbers(vs: &ArmSetup, tc: &ArmSetup, check: &mut Checker) {
+    if let (Some((number, vs_table)), Some((same, tc_table))) = (vs.link.number(), tc.link.number())
+        && number == same
     {
         check.refuse(format!(
-            "arms.tc.{tc_table}.arm = {}: arms.vs.{vs_table}.arm is the same; give each arm a number of its own",
-            tc.0
+            "{}.{tc_table}.arm = {}: {}.{vs_table}.arm is the same; give each arm a number of its own",
+            tc.key, number.0, vs.key
         ));
     }
 }
 
 /// Two arms at the end of one line: a line has one arm.
-fn refuse_one_place(vs: &ArmLink, tc: &ArmLink, check: &mut Checker) {
-    if let (Some((_, vs)), Some((key, tc))) = (vs.place(), tc.place())
-        && vs == tc
+fn refuse_one_place(vs: &ArmSetup, tc: &ArmSetup, check: &mut Checker) {
+    if let (Some((_, place)), Some((key, same))) = (vs.link.place(), tc.link.place())
+        && place == same
     {
-        check.refuse(format!("arms.tc.{key} = \"{tc}\": arms.vs.{key} is the same; each arm has a line of its own"));
+        check.refuse(format!(
+            "{}.{key} = \"{place}\": {}.{key} is the same; each arm has a line of its own",
+            tc.key, vs.key
+        ));
     }
 }
 
 impl SetupFile {
-    fn build(&self, file: &Path, camera: &CameraTable, check: &mut Checker) -> Option<Setup> {
-        let period_max_millis = if self.arms.has_link() { GATEWAY_CYCLE_MAX_MILLIS } else { 20.0 };
+    fn build(
+        &self,
+        file: &Path,
+        (camera, (all_arms, arm_tables)): (&CameraTable, &(ArmsSection, ArmTables)),
+        check: &mut Checker,
+    ) -> Option<Setup> {
+        let period_max_millis = if all_arms.has_link(arm_tables) { GATEWAY_CYCLE_MAX_MILLIS } else { 20.0 };
         check.number("run.control_period_millis", self.run.control_period_millis, 2.0..=period_max_millis);
         check.number("run.estimate_latency_millis", self.run.estimate_latency_millis, 0.0..=500.0);
         let (method, compared, estimator, range) = self.estimator.build(self.run.seed, check);
@@ -278,47 +345,39 @@ impl SetupFile {
         let truth = self.truth.as_ref().map(|truth| truth.build(file, size, check)).unwrap_or_default();
         let drift = self.drift.map(|section| section.build(check));
         let control_period_millis = within(self.run.control_period_millis, 2.0, period_max_millis);
-        let arms = self.arms.build(file, control_period_millis, check);
+        let arms = all_arms.build(arm_tables, file, control_period_millis, check);
         let mounts = self.mounts.build(file, check);
         let controller = self.servo.build(&mounts, check);
-        let frame_period = sight.as_ref().map_or(Duration::ZERO, |sight| sight.camera.period);
+        let frame_period = sight.as_ref().map_or(Duration::ZERO, |sight| sight.frames.period);
         let supervisor = self.supervisor.build(frame_period, check);
         if self.servo.searches() && supervisor.search_max_s <= 0.0 {
             check.refuse("servo.search: no search is permitted without supervisor.search_max_s; set it to the seconds that one may take".to_owned());
         }
         let (vs, tc) = arms?;
-        for (key, arm) in [("arms.vs", &vs), ("arms.tc", &tc)] {
-            if !arm.link.is_toy() && self.run.pace != Pace::Live {
-                check.refuse(format!(
-                    "run.pace: an arm that is not simulated in this program ({key}.backend) needs pace = \"live\""
-                ));
-            }
-        }
+        self.check_pace([&vs, &tc], check);
         if camera.is_real() {
             self.refuse_simulation(experiment.as_ref(), check);
         }
-        refuse_equal_numbers(&vs.link, &tc.link, check);
-        refuse_one_place(&vs.link, &tc.link, check);
+        refuse_equal_numbers(&vs, &tc, check);
+        refuse_one_place(&vs, &tc, check);
         if !check.is_clean() {
             return None;
         }
-        let Sight { rig, camera, real_cameras, nominal_calibration, calibration, camera_faults, sensor, scene } =
-            sight?;
+        let Sight { rig, frames, mut cameras, nominal_calibration, calibration } = sight?;
+        if let Cameras::Simulated(world) = &mut cameras {
+            world.truth = truth;
+        }
         Some(Setup {
             seed: self.run.seed,
             pace: self.run.pace,
             control_period: millis(self.run.control_period_millis),
             estimate_latency: millis(self.run.estimate_latency_millis),
             rig,
-            camera,
-            real_cameras,
+            frames,
+            cameras,
             nominal_calibration,
             calibrations: calibration.into_iter().chain(mounts.calibration).collect(),
-            truth,
-            camera_faults,
             drift,
-            sensor,
-            scene,
             leader: leader?,
             geometric,
             compared,
@@ -328,7 +387,7 @@ impl SetupFile {
             supervisor,
             vs,
             tc,
-            least_room_m: self.arms.least_room_mm * 1e-3,
+            least_room_m: all_arms.least_room_mm * 1e-3,
             flange_from_target: mounts.flange_from_target,
             experiment: experiment?,
         })
@@ -336,6 +395,16 @@ impl SetupFile {
 }
 
 impl SetupFile {
+    /// Real arms do not wait for simulated time.
+    fn check_pace(&self, arms: [&ArmSetup; 2], check: &mut Checker) {
+        for arm in arms.into_iter().filter(|arm| !arm.link.is_toy() && self.run.pace != Pace::Live) {
+            let key = &arm.key;
+            check.refuse(format!(
+                "run.pace: an arm that is not simulated in this program ({key}.backend) needs pace = \"live\""
+            ));
+        }
+    }
+
     /// What there is only where cameras are simulated.
     fn refuse_simulation(&self, experiment: Option<&Experiment>, check: &mut Checker) {
         let with = "with camera.backend = \"v4l2\"";

@@ -78,7 +78,10 @@ impl Setup {
     /// what the file states.
     fn seed_parts(&mut self) {
         let run = self.seed;
-        self.scene.seed = Stream::Scene.narrow(run);
+        if let Some(world) = self.world_mut() {
+            world.scene.seed = Stream::Scene.narrow(run);
+            world.faults.seed = Stream::CameraFaults.narrow(run);
+        }
         let geometric = Stream::GeometricNoise.narrow(run);
         if let Some(config) = &mut self.geometric {
             config.seed = geometric;
@@ -86,7 +89,6 @@ impl Setup {
         if let Leader::Geometric(config) = &mut self.leader {
             config.seed = geometric;
         }
-        self.camera_faults.seed = Stream::CameraFaults.narrow(run);
         self.vs.emulation_seed = Stream::VsEmulation.of(run);
         self.tc.emulation_seed = Stream::TcEmulation.of(run);
     }
@@ -113,8 +115,13 @@ mod tests {
     fn handed_out(setup: &Setup) -> Vec<u64> {
         let Leader::Geometric(leader) = setup.leader else { panic!("{:?} leads", setup.leader) };
         assert_eq!(Some(leader.seed), setup.geometric.map(|config| config.seed), "it is one tracker");
-        let narrow = [setup.scene.seed, Stream::SensorNoise.narrow(setup.seed), leader.seed, setup.camera_faults.seed]
-            .map(u64::from);
+        let narrow = [
+            setup.world().unwrap().scene.seed,
+            Stream::SensorNoise.narrow(setup.seed),
+            leader.seed,
+            setup.world().unwrap().faults.seed,
+        ]
+        .map(u64::from);
         let wide = [setup.estimator.published.rmga.seed, setup.vs.emulation_seed, setup.tc.emulation_seed];
         narrow.into_iter().chain(wide).collect()
     }

@@ -3,17 +3,14 @@
 use std::path::Path;
 use std::time::Duration;
 
-use pb3dp_camera_sim::{CameraFaults, SimCameraConfig};
 use pb3dp_geometry::StereoRig;
-use pb3dp_sim::scene::SceneConfig;
-use pb3dp_sim::sensor::SensorConfig;
-use pb3dp_sim::targets::TargetConfig;
 use serde::Deserialize;
 
 use super::super::load::{Checker, ConfigError, ConfigFile};
 use super::calibration::CalibrationInUse;
 use super::camera::{self, CameraSection, SceneSection};
-use super::real_cameras::{self, RealCameras, V4l2Section};
+use super::real_cameras::{self, V4l2Section};
+use super::{Cameras, FrameTiming, SimulatedWorld, Truth};
 
 /// The one key that all backends have; the others depend on it.
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -40,13 +37,10 @@ pub(super) enum CameraTable {
 /// What a run sees with; see [`Setup`](super::Setup).
 pub(super) struct Sight {
     pub(super) rig: StereoRig,
-    pub(super) camera: SimCameraConfig,
-    pub(super) real_cameras: Option<RealCameras>,
+    pub(super) frames: FrameTiming,
+    pub(super) cameras: Cameras,
     pub(super) nominal_calibration: Option<String>,
     pub(super) calibration: Option<CalibrationInUse>,
-    pub(super) camera_faults: CameraFaults,
-    pub(super) sensor: SensorConfig,
-    pub(super) scene: SceneConfig,
 }
 
 impl CameraEntry {
@@ -75,23 +69,16 @@ impl CameraTable {
     ) -> Option<Sight> {
         match self {
             Self::Sim(section) => {
-                let (rig, camera, sensor) = section.build(check);
+                let (rig, frames, sensor) = section.build(check);
                 let (rig, calibration) = section.calibrated(config_file, rig, check);
-                let camera_faults = section.faults(check);
+                let faults = section.faults(check);
                 if scene.is_none() {
                     check.refuse("scene: the table is missing; camera.backend = \"sim\" needs it".to_owned());
                 }
-                let scene = scene?.build(check);
-                Some(Sight {
-                    rig: rig?,
-                    camera,
-                    real_cameras: None,
-                    nominal_calibration: None,
-                    calibration,
-                    camera_faults,
-                    sensor,
-                    scene,
-                })
+                let (scene, blur_moments) = (scene?.build(check), section.blur_moments());
+                let world = SimulatedWorld { scene, sensor, blur_moments, faults, truth: Truth::default() };
+                let cameras = Cameras::Simulated(Box::new(world));
+                Some(Sight { rig: rig?, frames, cameras, nominal_calibration: None, calibration })
             }
             Self::V4l2(section) => {
                 if scene.is_some() {
@@ -105,11 +92,8 @@ impl CameraTable {
                     rig: calibration.rig,
                     nominal_calibration: calibration.not_measured,
                     calibration: Some(section.in_use((calibration.source, calibration.judgement), check)),
-                    camera: SimCameraConfig { period, exposure, blur_moments: 1, pairs: None },
-                    real_cameras: Some(cameras),
-                    camera_faults: CameraFaults::default(),
-                    sensor: SensorConfig::default(),
-                    scene: SceneConfig::new(TargetConfig::card()),
+                    frames: FrameTiming { period, exposure },
+                    cameras: Cameras::Real(Box::new(cameras)),
                 })
             }
         }

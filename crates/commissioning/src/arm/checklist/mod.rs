@@ -170,7 +170,7 @@ fn begin<'a>(
         bail!(
             "{}.backend = \"arcnet\" has no gateway, whose watchdog half of this test is about: test its stops by hand \
              (docs/commissioning.md)",
-            choice.table()
+            choice.of(&setup).key
         );
     }
     let (operator, line) = operator((args, asked), &mut setup, &clock)?;
@@ -222,7 +222,7 @@ fn operator(
             bail!(
                 "{}.backend = \"emulated\" has no switch and no cable for you: give --operator emulated, or run `pb3dp mock-arm --tcp` in \
                  another terminal and set backend = \"tcp\"",
-                emulated.table()
+                emulated.of(setup).key
             );
         }
         return Ok((Box::new(Person::new(Console::start()?, patience)), None));

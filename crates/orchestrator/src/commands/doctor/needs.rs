@@ -100,12 +100,12 @@ impl Needs {
             needs_realtime: setup.pace == Pace::Live && !(setup.vs.link.is_toy() && setup.tc.link.is_toy()),
             serial: Some(serial),
             arcnet,
-            cameras: setup.real_cameras.as_ref().map_or(Cameras::NotNeeded, |cameras| {
+            cameras: setup.real_cameras().map_or(Cameras::NotNeeded, |cameras| {
                 let eyes = [&cameras.stereo.left, &cameras.stereo.right];
                 Cameras::These(eyes.map(|eye| eye.name.clone()))
             }),
             nominal_calibration: setup.nominal_calibration.clone(),
-            recording_bytes_per_s: 2.0 * 3.0 * pixels / setup.camera.period.as_secs_f64().max(1e-3),
+            recording_bytes_per_s: 2.0 * 3.0 * pixels / setup.frames.period.as_secs_f64().max(1e-3),
             ..Self::general(recordings)
         }
     }
