@@ -10,6 +10,7 @@ mod common;
 use std::time::{Duration, Instant};
 
 use image::RgbImage;
+use pb3dp_hal_platform::cpu_time::thread_cpu_millis;
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::{Scene, SceneConfig};
 use pb3dp_sim::sensor::SensorConfig;
@@ -40,21 +41,11 @@ fn measure(renderer: &mut StereoRenderer, duration: Duration) -> f64 {
     let (mut left, mut right) = (RgbImage::new(1, 1), RgbImage::new(1, 1));
     let mut frames = 0;
     let start = Instant::now();
-    let cpu_start = cpu_time();
+    let cpu_start = thread_cpu_millis();
     while start.elapsed() < duration {
         let sway = 0.2 * (frames as f64 * 0.05).sin();
         renderer.render_pair(&common::frontal(0.5, sway, -0.5 * sway), frames, &mut left, &mut right);
         frames += 1;
     }
-    let spent = match (cpu_start, cpu_time()) {
-        (Some(from), Some(to)) => to - from,
-        _ => start.elapsed(),
-    };
-    frames as f64 / spent.as_secs_f64()
-}
-
-/// Processor time of this thread where the system tells it (Linux); other programs do not count.
-fn cpu_time() -> Option<Duration> {
-    let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
-    text.split_whitespace().next()?.parse().ok().map(Duration::from_nanos)
+    frames as f64 / (thread_cpu_millis() - cpu_start) * 1e3
 }

@@ -1,4 +1,3 @@
 //! What the measurements share.
 
 pub mod circumstances;
-pub mod cpu_time;

@@ -2,6 +2,7 @@
 
 use image::GrayImage;
 use nalgebra::Vector2;
+use pb3dp_record::metrics::median;
 
 use crate::board::Sighting;
 
@@ -31,7 +32,8 @@ pub fn blur_px(picture: &GrayImage, sighting: &Sighting) -> Option<f64> {
         across.extend(edge_blur_px(picture, corner.pixel, right, reach_px));
         down.extend(edge_blur_px(picture, corner.pixel, below, reach_px));
     }
-    Some(median(across)?.max(median(down)?))
+    let of_enough = |edges: &[f64]| (edges.len() >= EDGES_MIN).then(|| median(edges)).flatten();
+    Some(of_enough(&across)?.max(of_enough(&down)?))
 }
 
 /// Blur of the edge that runs from a corner along `edge`: contrast over the steepest slope, which a Gaussian of standard deviation
@@ -67,11 +69,6 @@ fn sample(picture: &GrayImage, at: Vector2<f64>) -> Option<f64> {
     let grey = |dx: u32, dy: u32| f64::from(picture.get_pixel(x as u32 + dx, y as u32 + dy).0[0]);
     let (a, b) = (at.x - x, at.y - y);
     Some((1.0 - b) * ((1.0 - a) * grey(0, 0) + a * grey(1, 0)) + b * ((1.0 - a) * grey(0, 1) + a * grey(1, 1)))
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    (values.len() >= EDGES_MIN).then(|| values[values.len() / 2])
 }
 
 /// Root mean square of how far the corners that both sightings have are apart, px; `None` if there are none.

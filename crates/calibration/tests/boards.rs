@@ -8,6 +8,7 @@
     reason = "tests may fail loudly, and show what they measured"
 )]
 
+use pb3dp_record::metrics::percentile;
 use std::collections::BTreeMap;
 
 use image::GrayImage;
@@ -53,9 +54,8 @@ fn truth() -> BTreeMap<String, BTreeMap<(u32, u32), Truth>> {
 }
 
 /// Median and 95th percentile of a list.
-fn median_and_p95(mut values: Vec<f64>) -> [f64; 2] {
-    values.sort_by(f64::total_cmp);
-    [50, 95].map(|percent| values.get(values.len().saturating_sub(1) * percent / 100).copied().unwrap_or(f64::NAN))
+fn median_and_p95(values: &[f64]) -> [f64; 2] {
+    [50.0, 95.0].map(|percent| percentile(values, percent).unwrap_or(f64::NAN))
 }
 
 #[test]
@@ -75,7 +75,7 @@ fn corners_of_pictures_that_opencv_drew_are_found_where_they_are() {
             corners.values().filter_map(|corner| Some((corner.opencv? - corner.pixel).norm())).collect();
         let inside = |pixel: &Vector2<f64>| (12.0..628.0).contains(&pixel.x) && (12.0..468.0).contains(&pixel.y);
         let visible = corners.values().filter(|corner| inside(&corner.pixel)).count();
-        let (ours, opencv) = (median_and_p95(errors.clone()), median_and_p95(theirs.clone()));
+        let (ours, opencv) = (median_and_p95(&errors), median_and_p95(&theirs));
         let worst = errors.iter().copied().fold(0.0, f64::max);
         println!(
             "{name}: {} of {visible} corners, median {:.3} px, p95 {:.3} px, worst {worst:.3} px; OpenCV {} corners, median {:.3} px, p95 {:.3} px",
@@ -105,7 +105,7 @@ fn boards_that_we_print_are_found_in_their_pictures() {
             // Edges lie between pixels, whose centres are whole numbers.
             (corner.pixel - (place * px_per_m).add_scalar(-0.5)).norm()
         };
-        let [median, p95] = median_and_p95(sighting.corners().iter().map(error).collect());
+        let [median, p95] = median_and_p95(&sighting.corners().iter().map(error).collect::<Vec<_>>());
         println!("{}: median {median:.3} px, p95 {p95:.3} px from where it was drawn", board.kind());
         assert!(median < 0.1 && p95 < 0.5, "{}: {median}, {p95}", board.kind());
     }

@@ -17,6 +17,7 @@ use pb3dp_calibration::lens::LensModel;
 use pb3dp_calibration::quality::Quality;
 use pb3dp_calibration::stand::{Judge, Stand};
 use pb3dp_geometry::{StereoRig, so3};
+use pb3dp_record::metrics::median;
 
 use crate::support::{Random, SIZE, Session, board, rig, seen_by_both, views};
 
@@ -89,11 +90,6 @@ fn measured(verdicts: &[Verdict], gate: Gate) -> f64 {
     verdicts.iter().find(|verdict| verdict.gate == gate).expect("judged").measured
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
-}
-
 #[test]
 fn who_follows_the_coach_passes_the_gates() {
     const HEADS: u32 = 20;
@@ -123,15 +119,15 @@ fn who_follows_the_coach_passes_the_gates() {
         good += u32::from(is_good(&verdicts));
         good_at_random += u32::from(is_good(&at_random));
     }
-    println!("views: median {}, at most {}", median(counts.clone()), counts.iter().copied().fold(0.0, f64::max));
+    println!("views: median {}, at most {}", median(&counts).unwrap(), counts.iter().copied().fold(0.0, f64::max));
     println!("coverage, tilt and depth good: {good} of {HEADS}, with as many random views {good_at_random}");
     for (lists, gate) in numbers.iter().zip(gates) {
-        let [coached, random] = lists.clone().map(median);
+        let [coached, random] = lists.each_ref().map(|list| median(list).unwrap());
         println!("{}: median {coached:.3}, at random {random:.3}", gate.key());
     }
     assert!(counts.iter().all(|count| *count <= VIEWS_MAX as f64));
     assert!(good >= HEADS * 9 / 10 && good > good_at_random, "{good}, {good_at_random}");
-    assert!(median(numbers[2][0].clone()) < median(numbers[2][1].clone()));
+    assert!(median(&numbers[2][0]).unwrap() < median(&numbers[2][1]).unwrap());
 }
 
 #[test]

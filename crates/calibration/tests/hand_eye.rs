@@ -16,6 +16,7 @@ use pb3dp_calibration::hand_eye::{CalibrationCovariance, Given, HandEyeError, Ha
 use pb3dp_calibration::lens::LensModel;
 use pb3dp_geometry::{StereoRig, se3, so3};
 use pb3dp_record::calibration_files::{BoardPlace, ParameterCovariance};
+use pb3dp_record::metrics::percentile;
 
 use crate::arm::{GOOD, JointWorld, Visit, World};
 use crate::support::{Random, Session, board};
@@ -62,9 +63,8 @@ fn apart(a: &Isometry3<f64>, b: &Isometry3<f64>) -> [f64; 2] {
 }
 
 /// Median and 95th of a hundred.
-fn quantiles(mut values: Vec<f64>) -> [f64; 2] {
-    values.sort_by(f64::total_cmp);
-    [values[values.len() / 2], values[values.len() * 95 / 100]]
+fn quantiles(values: &[f64]) -> [f64; 2] {
+    [50.0, 95.0].map(|percent| percentile(values, percent).unwrap())
 }
 
 /// What a hundred rigs show.
@@ -107,7 +107,7 @@ impl Tally {
 
     /// Median and 95th of a hundred of a pose's errors.
     fn of(&self, pose: usize) -> [[f64; 2]; 2] {
-        [0, 1].map(|which| quantiles(self.errors[pose].iter().map(|error| error[which]).collect()))
+        [0, 1].map(|which| quantiles(&self.errors[pose].iter().map(|error| error[which]).collect::<Vec<_>>()))
     }
 
     fn tell(&self, what: &str, names: &[&str]) {
@@ -121,7 +121,7 @@ impl Tally {
             100.0 * self.share(),
             self.all,
             self.squares / self.all as f64,
-            quantiles(self.noise_ratios.clone())[0]
+            quantiles(&self.noise_ratios)[0]
         );
     }
 }
@@ -232,7 +232,7 @@ fn errors_of_the_stereo_calibration_are_counted() {
         points_mm.push(error_m * 1e3);
         squares += (error_m / fit.hand_error_m(DISTANCE_M)).powi(2) / f64::from(rigs_of_arm());
     }
-    let [median, p95] = quantiles(points_mm);
+    let [median, p95] = quantiles(&points_mm);
     println!(
         "a point 500 mm ahead, on the flange: median {median:.3}, p95 {p95:.3} mm; mean square over the stated one {squares:.2}"
     );
@@ -262,7 +262,9 @@ fn opencv_is_farther_from_the_truth_on_the_same_stops() {
         let truth = &truths[rig.parse::<usize>().expect(line)].0.flange_from_cam_left;
         theirs.entry(method).or_default().push(apart(&found, truth));
     }
-    let of = |errors: &[[f64; 2]]| [0, 1].map(|which| quantiles(errors.iter().map(|error| error[which]).collect()));
+    let of = |errors: &[[f64; 2]]| {
+        [0, 1].map(|which| quantiles(&errors.iter().map(|error| error[which]).collect::<Vec<_>>()))
+    };
     let tell = |name: &str, [mm, deg]: [[f64; 2]; 2]| {
         println!("{name:<10} median {:.3} mm, {:.4} deg; p95 {:.3} mm, {:.4} deg", mm[0], deg[0], mm[1], deg[1]);
     };
@@ -305,7 +307,7 @@ fn stops_that_were_recorded_while_moving_are_found() {
                 assert!((stop.left_out_mm - 5.0).abs() < 2.0, "{stop:?}");
             }
         }
-        let [median_mm, p95_mm] = quantiles(errors);
+        let [median_mm, p95_mm] = quantiles(&errors);
         println!(
             "{moving} of 15 stops 5 mm off: {found} of {} found, {wrong} good ones rejected; errors: median {median_mm:.3}, p95 {p95_mm:.3} mm",
             moving * rigs() as usize

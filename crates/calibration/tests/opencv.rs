@@ -8,6 +8,7 @@
     reason = "tests may fail loudly, and show what they measured"
 )]
 
+use pb3dp_record::metrics::percentile;
 use std::collections::BTreeMap;
 
 use nalgebra::{Rotation3, Vector2, Vector3};
@@ -127,9 +128,8 @@ fn bumblebee2_agrees_with_opencv_and_with_its_maker() {
 }
 
 /// Median and 95th percentile of a list.
-fn median_and_p95(mut values: Vec<f64>) -> [f64; 2] {
-    values.sort_by(f64::total_cmp);
-    [50, 95].map(|percent| values[(values.len() - 1) * percent / 100])
+fn median_and_p95(values: &[f64]) -> [f64; 2] {
+    [50.0, 95.0].map(|percent| percentile(values, percent).unwrap())
 }
 
 #[test]
@@ -158,7 +158,7 @@ fn corners_are_where_opencv_sees_them() {
                 }
             }
         }
-        let of = |method: &str| median_and_p95(apart[method].clone());
+        let of = |method: &str| median_and_p95(&apart[method]);
         for method in apart.keys() {
             let ([median, p95], count) = (of(method), apart[method].len());
             println!("{name}: {method}: median {median:.3} px, 95 % within {p95:.3} px, {count} corners");

@@ -11,7 +11,6 @@ pub mod commands;
 pub mod compared;
 pub mod console;
 mod course;
-pub mod cpu_time;
 pub mod cycles;
 pub mod drift;
 pub mod experiment;

@@ -2,6 +2,7 @@
 
 /// Why an estimation part was refused; no pose found is a value, not an error.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum EstimationError {
     /// A parameter is out of its range.
     #[error("{name} is {value}: {expected}")]

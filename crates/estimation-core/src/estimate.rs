@@ -10,6 +10,7 @@ use crate::status::Status;
 
 /// What may make an estimate worse than it looks.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum EstimateWarning {
     /// The region may serve badly.
     #[error(transparent)]

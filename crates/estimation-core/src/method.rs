@@ -15,6 +15,7 @@ use crate::row_offset::RowMeasurement;
 
 /// One pair of raw images, and what is to be found in it.
 #[derive(Debug)]
+#[non_exhaustive]
 pub struct EstimateRequest<'a> {
     /// Raw image of the left camera.
     pub left: &'a RgbImage,

@@ -18,6 +18,7 @@ pub use pb3dp_estimation_track::DirectTracker;
 
 /// A method of this crate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum Method {
     /// RM-GA on hue votes, as published.
     Published,
@@ -34,6 +35,14 @@ impl Method {
         match self {
             Self::Published => "published",
             Self::Direct => "direct",
+        }
+    }
+
+    /// What it is for, in a line.
+    pub fn summary(self) -> &'static str {
+        match self {
+            Self::Published => "RM-GA on hue votes, the method of the paper",
+            Self::Direct => "photometric, of any texture, with covariances; tracks in six degrees of freedom",
         }
     }
 

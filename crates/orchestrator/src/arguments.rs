@@ -167,11 +167,7 @@ pub struct ZRange {
 
 /// The methods by name, with what each is for.
 fn method_help() -> String {
-    let what = |method: Method| match method {
-        Method::Published => "RM-GA on hue votes, the method of the paper",
-        Method::Direct => "photometric, of any texture, with covariances; tracks in six degrees of freedom",
-    };
-    let all: Vec<String> = Method::ALL.iter().map(|&method| format!("{method} ({})", what(method))).collect();
+    let all: Vec<String> = Method::ALL.iter().map(|method| format!("{method} ({})", method.summary())).collect();
     format!("The estimation method by name: {}", all.join(", "))
 }
 

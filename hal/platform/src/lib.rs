@@ -3,7 +3,9 @@
 //! * [`transport`]: what all byte links have in common, and a pair of them in one process; [`tcp`] and [`pty`] are two.
 //! * [`realtime`], [`signals`]: what the thread of a cycle needs, and how it is asked to end.
 //! * [`jitter`], [`witness`]: how late a cycle is, and how late the machine itself.
+//! * [`cpu_time`]: what a computation cost a thread.
 
+pub mod cpu_time;
 pub mod jitter;
 pub mod pty;
 pub mod realtime;

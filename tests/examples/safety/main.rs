@@ -24,7 +24,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail, ensure};
 use digest::digest;
 use figures::Figures;
-use pb3dp_cell::cpu_time::timed;
+use pb3dp_hal_platform::cpu_time::timed;
 use pb3dp_setup::setup::Setup;
 use rig::{Ran, base, run};
 use scenario::{RUN_S, Scenario};

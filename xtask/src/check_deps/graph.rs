@@ -73,6 +73,7 @@ const ALLOWED: [(&str, &[&str]); 34] = [
             "estimation",
             "record",
             "sim",
+            "hal-platform",
         ],
     ),
     ("calibration", &["geometry", "record"]),

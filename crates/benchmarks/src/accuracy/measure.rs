@@ -20,7 +20,7 @@ use super::cell::{Cell, Question};
 use super::random::hash_of;
 use super::scenes::{Rigs, SceneStore, rigs, sensor};
 use super::trial::{PlaneErrors, Trial, plane_errors, trial};
-use crate::common::cpu_time::timed;
+use pb3dp_hal_platform::cpu_time::timed;
 
 /// What one method said of one pose.
 #[derive(Clone, Debug)]

@@ -16,7 +16,7 @@ use super::random::hash_of;
 use super::scenes::{SceneStore, rigs, sensor};
 use super::sequence_summary::{SequenceSummary, Tracked};
 use super::sequences::{SEARCH, SequenceSpec, model_in, model_in_first_frame};
-use crate::common::cpu_time::timed;
+use pb3dp_hal_platform::cpu_time::timed;
 
 /// Renders the frames of a sequence.
 pub struct Frames<'a> {

@@ -10,7 +10,7 @@ use pb3dp_record::metrics::{self, DisparityAgreement, compare_plane};
 
 use super::cases::Prepared;
 use super::score::{Answer, Entry, Maker};
-use crate::common::cpu_time::timed;
+use pb3dp_hal_platform::cpu_time::timed;
 
 /// Runs a method with its default parameters: one estimator, called `repeat` times. The answer is that of the first call,
 /// the time the median of all. What is measured once per rig or scene comes before, with a time of its own. A refused case has no answer; the reason goes to standard error.

@@ -15,8 +15,8 @@ use serde_json::{Value, json};
 use super::clips::{Clip, SEARCH, square, wall};
 use super::stages::{Problem, Stage, StageBench, run_in_turn};
 use super::times::{Times, repeat};
-use crate::common::cpu_time::timed;
 use crate::real::cases;
+use pb3dp_hal_platform::cpu_time::timed;
 
 /// Size of the pictures of the measurements that do not vary it.
 pub const SIZE: ImageSize = ImageSize { width: 640, height: 480 };

@@ -20,7 +20,7 @@ use pb3dp_estimation_direct::search::volume::{CostVolume, LevelBox};
 use pb3dp_geometry::StereoRig;
 
 use super::times::Times;
-use crate::common::cpu_time::timed;
+use pb3dp_hal_platform::cpu_time::timed;
 
 /// What a cold start is given.
 #[derive(Clone, Copy)]

@@ -3,7 +3,7 @@
 use pb3dp_record::metrics::percentile;
 use serde_json::{Value, json};
 
-use crate::common::cpu_time::timed;
+use pb3dp_hal_platform::cpu_time::timed;
 
 /// CPU times of one thread, milliseconds.
 #[derive(Clone, Copy, Debug, PartialEq)]

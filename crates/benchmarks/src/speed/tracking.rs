@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use super::clips::{Clip, SEARCH, crab, empty_place};
 use super::cold::{KernelRow, SIZE, kernel_row};
 use super::times::Times;
-use crate::common::cpu_time::timed;
+use pb3dp_hal_platform::cpu_time::timed;
 
 /// Points of the model.
 pub const POINTS: usize = 1000;

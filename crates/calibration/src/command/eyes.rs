@@ -1,5 +1,6 @@
 //! How unlike both eyes are while they are calibrated: what a run later compares its own pictures with.
 
+use pb3dp_record::metrics::median;
 use std::path::PathBuf;
 
 use anyhow::Result;
@@ -18,13 +19,8 @@ pub(super) fn numbers(pairs: &[[PathBuf; 2]]) -> Result<Vec<(String, f64)>> {
             .push(brighter_by_percent(&[&pictures[0], &pictures[1]].map(|picture| Exposure::of(&[picture]))));
     }
     let medians =
-        [("focus_difference_px", median(softer_px)), ("brightness_difference_percent", median(brighter_percent))];
+        [("focus_difference_px", median(&softer_px)), ("brightness_difference_percent", median(&brighter_percent))];
     Ok(medians.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?))).collect())
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 #[cfg(test)]
@@ -48,6 +44,6 @@ mod tests {
         let of = |name: &str| found.iter().find(|(key, _)| key == name).expect(name).1;
         assert!((of("focus_difference_px") - (1.6f64 * 1.6 - 0.7 * 0.7).sqrt()).abs() < 0.25, "{found:?}");
         assert!((of("brightness_difference_percent") + 20.0).abs() < 1.0, "{found:?}");
-        assert_eq!(median(Vec::new()), None);
+        assert_eq!(median(&[]), None);
     }
 }

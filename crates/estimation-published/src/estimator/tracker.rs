@@ -361,7 +361,7 @@ impl EstimationMethod for PublishedTracker {
     /// A marked target is looked for from nothing. If its pose is not observable there is no target yet: the same region is then tried
     /// again, for a few frames. Of what is known before, the motion of the camera is used.
     fn answer(&mut self, request: &mut EstimateRequest<'_>) -> Result<TrackEstimate, EstimationError> {
-        let EstimateRequest { left, right, target, prior, deadline } = request;
+        let EstimateRequest { left, right, target, prior, deadline, .. } = request;
         if let Some(marked) = target {
             marked.range.validate()?;
             self.unsure_frames = 0;

@@ -10,7 +10,6 @@ use std::process::ExitCode;
 
 use anyhow::{Result, bail};
 use nalgebra::Vector2;
-use pb3dp_cell::cpu_time::{timed, within};
 use pb3dp_cell::pair::check_pictures;
 use pb3dp_cell::picture::{Annotation, annotate, model_frame_on_plane, polygon_px};
 use pb3dp_cell::terminal::print_line;
@@ -19,6 +18,7 @@ use pb3dp_estimation_core::estimate::{PlaneEstimate, ReferenceOptimum, SecondPla
 use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_estimation_core::region::{Region, RegionConfig};
 use pb3dp_estimation_core::status::Status;
+use pb3dp_hal_platform::cpu_time::{timed, within};
 use pb3dp_record::dataset::{find_cases, load_case};
 use pb3dp_record::images::{PictureFormat, save};
 use pb3dp_record::metrics::{self, DisparityAgreement, EvaluatedCase, Group, compare_plane, table};

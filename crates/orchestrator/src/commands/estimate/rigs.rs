@@ -4,8 +4,8 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use pb3dp_cell::cpu_time::timed;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method, RowMeasurement};
+use pb3dp_hal_platform::cpu_time::timed;
 
 use super::job::Job;
 

@@ -3,7 +3,6 @@
 use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use nalgebra::Vector2;
-use pb3dp_cell::cpu_time::{timed, within};
 use pb3dp_cell::follower::Follower;
 use pb3dp_cell::pair::check_pictures;
 use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
@@ -14,6 +13,7 @@ use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
 use pb3dp_hal_api::FramePair;
+use pb3dp_hal_platform::cpu_time::{timed, within};
 use pb3dp_record::dataset::Sequence;
 use pb3dp_record::images::size_of;
 use pb3dp_setup::region_spec::{RegionSpec, load_region};
