@@ -36,6 +36,7 @@ pub mod operator;
 pub mod paced_clock;
 pub mod pair;
 pub mod parts;
+pub mod paths;
 pub mod percept;
 pub mod permitting;
 pub mod picture;

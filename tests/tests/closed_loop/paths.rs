@@ -4,13 +4,14 @@
 use std::sync::Arc;
 
 use nalgebra::{Matrix6, SMatrix, Vector6};
+use pb3dp_cell::paths::check_paths;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Flange, Target, World};
 use pb3dp_kinematics::{Chain, DOF, JointVector};
 use pb3dp_setup::setup::Setup;
 use pb3dp_sim::trajectory::{Channel, Trajectory};
-use pb3dp_wiring::{check_paths, wire};
+use pb3dp_wiring::wire;
 
 use crate::closed_loop::support::whole_setup;
 

@@ -1,0 +1,168 @@
+//! Whether both arms can follow an experiment, before anything moves.
+
+use anyhow::Result;
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{Model, Target, World};
+use pb3dp_setup::setup::{ArmSetup, Setup};
+use pb3dp_sim::placement::{
+    FlangePath, PathRefusal, PathReport, PathRequirements, ToolSpeed, ToolSpeedMax, check_experiment,
+};
+use pb3dp_sim::trajectory::{MotionConfig, Trajectory};
+
+/// How the hand would follow a target that nothing carries. It may move as nothing can follow, which is only told.
+///
+/// # Errors
+/// A parameter of the motion out of its range.
+pub fn look_at_free_path(setup: &Setup, start: Pose<World, Target>) -> Result<Vec<(&'static str, PathReport)>> {
+    /// Moves that are sudden are looked at with this duration, seconds: whether the places can be reached.
+    const STAND_IN_S: f64 = 2.0;
+    let mut motion = setup.experiment.motion.clone();
+    if let MotionConfig::Steps(steps) = &mut motion
+        && steps.move_s == 0.0
+    {
+        steps.move_s = STAND_IN_S;
+    }
+    let experiment = motion.begin_at(start)?;
+    Ok(match check_follower(setup, &*experiment) {
+        Ok(report) => vec![("vs-robot", report)],
+        Err(refusal) => {
+            tracing::warn!("{refusal:#}; the target is free and moves all the same");
+            Vec::new()
+        }
+    })
+}
+
+/// Refuses an experiment that one of the arms can not follow within its limits: reach, joint ranges, singular poses, speeds
+/// and accelerations of the joints, and the speeds of the hand.
+///
+/// # Errors
+/// The arm, by how much it falls short, and the key of the limit.
+pub fn check_paths(setup: &Setup, experiment: &dyn Trajectory) -> Result<[(&'static str, PathReport); 2]> {
+    let vs = check_follower(setup, experiment)?;
+    let carrier = FlangePath::of_carrier(experiment, &setup.tc.world_from_base, &setup.flange_from_target);
+    let tc = check_path("tc-robot", &setup.tc, &carrier, None)?;
+    Ok([("vs-robot", vs), ("tc-robot", tc)])
+}
+
+fn check_follower(setup: &Setup, experiment: &dyn Trajectory) -> Result<PathReport> {
+    let follower = FlangePath::of_follower(
+        experiment,
+        &setup.vs.world_from_base,
+        &Pose::<Target, Model>::coincident(),
+        &setup.controller.model_from_hand_desired,
+        &setup.controller.flange_from_hand,
+    );
+    let tracking = setup.controller.speed.tracking;
+    let hand_max =
+        ToolSpeedMax { linear_m_per_s: tracking.linear_m_per_s, angular_rad_per_s: tracking.angular_rad_per_s };
+    check_path("vs-robot", &setup.vs, &follower, Some(hand_max))
+}
+
+fn check_path(
+    name: &str,
+    arm: &ArmSetup,
+    path: &FlangePath<'_>,
+    tool_speed_max: Option<ToolSpeedMax>,
+) -> Result<PathReport> {
+    let requirements = PathRequirements { tool_speed_max, ..PathRequirements::OF_EXPERIMENT };
+    check_experiment(&arm.chain, &arm.limits, &arm.start_rad, path, &requirements).map_err(|refusal| {
+        let keys = keys_of(&arm.key, &refusal);
+        let text = format!("the {name} can not follow the experiment (see {keys} and the table [experiment])");
+        anyhow::Error::new(refusal).context(text)
+    })
+}
+
+/// The keys of a setup that decide about a refusal.
+fn keys_of(table: &str, refusal: &PathRefusal) -> String {
+    match refusal {
+        PathRefusal::JointRange { joint, .. } => format!("{table}.operating_range_deg[{joint}]"),
+        PathRefusal::TooFast { .. } => "arms.speed_scale".to_owned(),
+        PathRefusal::TooAbrupt { joint, .. } => format!("{table}.acceleration_max_rad_per_s2[{joint}]"),
+        PathRefusal::ToolTooFast { quantity: ToolSpeed::Linear, .. } => "servo.speed.linear_max_mm_per_s".to_owned(),
+        PathRefusal::ToolTooFast { quantity: ToolSpeed::Angular, .. } => "servo.speed.angular_max_deg_per_s".to_owned(),
+        _ => format!("{table}.world_from_base, {table}.start_deg"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use pb3dp_kinematics::StatedLimits;
+    use pb3dp_setup::setup::read_setup;
+
+    use super::*;
+
+    /// The repository's setup with a change, checked against its experiment.
+    fn checked(change: impl FnOnce(&mut Setup)) -> Result<[(&'static str, PathReport); 2]> {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
+        let mut setup = read_setup(std::path::Path::new(file)).unwrap();
+        change(&mut setup);
+        let world_from_flange = setup.tc.world_from_base * setup.tc.chain.forward(&setup.tc.start_rad);
+        let start = world_from_flange * setup.flange_from_target;
+        check_paths(&setup, &*setup.experiment.motion.begin_at(start).unwrap())
+    }
+
+    fn refusal(change: impl FnOnce(&mut Setup)) -> (PathRefusal, String) {
+        let error = checked(change).unwrap_err();
+        let text = format!("{error:#}");
+        (error.downcast::<PathRefusal>().unwrap(), text)
+    }
+
+    #[test]
+    fn the_repositorys_experiment_leaves_a_reserve_in_every_limit() {
+        let [(_, vs), (_, tc)] = checked(|_| {}).unwrap();
+        for (name, report) in [("vs-robot", &vs), ("tc-robot", &tc)] {
+            for (joint, peak) in report.acceleration_max_rad_per_s2.iter().enumerate() {
+                let allowed = if joint < 4 { 2.0 } else { 5.0 };
+                assert!(peak.value < 0.8 * allowed, "{name} joint {joint}: {peak:?}");
+            }
+        }
+        assert!(vs.tool_linear_max_m_per_s.value < 0.8 * 0.4, "{vs:?}");
+        assert!(vs.tool_angular_max_rad_per_s.value < 0.8 * 45f64.to_radians(), "{vs:?}");
+    }
+
+    #[test]
+    fn moves_that_the_hand_may_not_follow_are_refused_with_key_and_ratio() {
+        // A turn by 20 degrees in 2 s is at most 0.327 rad/s fast, and 0.164 m/s at 500 mm.
+        let (refused, text) = refusal(|setup| setup.controller.speed.tracking.linear_m_per_s = 0.1);
+        assert!(matches!(refused, PathRefusal::ToolTooFast { quantity: ToolSpeed::Linear, .. }), "{text}");
+        for part in ["vs-robot", "servo.speed.linear_max_mm_per_s", "[experiment]", "0.164 m/s", "1.64 times"] {
+            assert!(text.contains(part), "{part} is not in {text}");
+        }
+        let (refused, text) = refusal(|setup| setup.controller.speed.tracking.angular_rad_per_s = 0.3);
+        assert!(matches!(refused, PathRefusal::ToolTooFast { quantity: ToolSpeed::Angular, .. }), "{text}");
+        for part in ["vs-robot", "servo.speed.angular_max_deg_per_s", "0.327 rad/s", "1.09 times"] {
+            assert!(text.contains(part), "{part} is not in {text}");
+        }
+    }
+
+    fn weaken(arm: &mut ArmSetup, joint: usize, acceleration_max_rad_per_s2: f64) {
+        let limits = &arm.limits;
+        let mut stated = StatedLimits {
+            // Of what counts already, everything.
+            servo: *limits.operating(),
+            operating_min_rad: *limits.operating().position_min_rad(),
+            operating_max_rad: *limits.operating().position_max_rad(),
+            speed_scale: 1.0,
+            acceleration_max_rad_per_s2: *limits.acceleration_max_rad_per_s2(),
+            jerk_max_rad_per_s3: *limits.jerk_max_rad_per_s3(),
+        };
+        stated.acceleration_max_rad_per_s2[joint] = acceleration_max_rad_per_s2;
+        arm.limits = stated.effective().unwrap();
+    }
+
+    #[test]
+    fn moves_that_either_arms_drives_do_not_allow_are_refused_with_key_and_ratio() {
+        let [(_, vs), (_, tc)] = checked(|_| {}).unwrap();
+        let needed = [vs.acceleration_max_rad_per_s2[1].value, tc.acceleration_max_rad_per_s2[3].value];
+        let (refused, text) = refusal(|setup| weaken(&mut setup.vs, 1, needed[0] / 2.0));
+        assert!(matches!(refused, PathRefusal::TooAbrupt { joint: 1, .. }), "{text}");
+        for part in ["vs-robot", "arms.vs.acceleration_max_rad_per_s2[1]", "2.00 times too much"] {
+            assert!(text.contains(part), "{part} is not in {text}");
+        }
+        let (refused, text) = refusal(|setup| weaken(&mut setup.tc, 3, needed[1] / 3.0));
+        assert!(matches!(refused, PathRefusal::TooAbrupt { joint: 3, .. }), "{text}");
+        for part in ["tc-robot", "arms.tc.acceleration_max_rad_per_s2[3]", "3.00 times too much"] {
+            assert!(text.contains(part), "{part} is not in {text}");
+        }
+    }
+}

@@ -1,0 +1,64 @@
+//! What is left of both arms after a fault, with what only their monitors know.
+
+use std::path::Path;
+
+use pb3dp_arm_pa10::arm::{ArmMonitor, Way};
+use pb3dp_arm_pa10_protocol::codec::Axis;
+use pb3dp_cell::flight;
+use pb3dp_cell::flight::{ArmFault, Flight, LineCounts, Moment, RawLine};
+use pb3dp_hal_middleware::FlightLog;
+
+/// Writes what both arms did in the last seconds into this folder, and says where.
+pub fn write_flights(
+    folder: &Path,
+    flights: &[(&'static str, FlightLog)],
+    monitors: &[(&'static str, ArmMonitor)],
+    failure: &anyhow::Error,
+    moment: Moment,
+) {
+    for (arm, log) in flights {
+        let raw = raw_lines(monitors, arm);
+        let (fault, counts) = line_facts(monitors, arm);
+        match flight::write(folder, arm, &Flight { log, fault, counts, raw: &raw }, failure, moment) {
+            Ok(path) => tracing::info!("what the {arm} did before: {}", path.display()),
+            Err(error) => tracing::warn!("the flight recorder of the {arm}: {error:#}"),
+        }
+    }
+}
+
+/// What went over the line of an arm in the last seconds; nothing if it has none.
+pub fn raw_lines(monitors: &[(&'static str, ArmMonitor)], arm: &str) -> Vec<RawLine> {
+    let of_arm = monitors.iter().filter(|(name, _)| *name == arm);
+    let pieces = of_arm.flat_map(|(_, monitor)| monitor.raw_bytes());
+    pieces
+        .map(|piece| RawLine { at: piece.at, is_sent: piece.way == Way::Out, bytes: piece.bytes().to_vec() })
+        .collect()
+}
+
+/// Why an arm stopped, as its driver tells, and what happened on its line; nothing if it has none.
+pub fn line_facts(monitors: &[(&'static str, ArmMonitor)], arm: &str) -> (Option<ArmFault>, Option<LineCounts>) {
+    let Some((_, monitor)) = monitors.iter().find(|(name, _)| *name == arm) else { return (None, None) };
+    let seen = monitor.snapshot();
+    let fault = seen.latched.map(|latched| ArmFault {
+        at: latched.at,
+        joint: latched.trip.axis().map(Axis::index),
+        code: latched.trip.code().map(u16::from),
+        cause: latched.trip.to_string(),
+        state_before: latched.state_before.to_string(),
+    });
+    let (link, line) = (&seen.counters, &seen.line);
+    let counts = LineCounts {
+        sent: link.sent,
+        answered: link.answered,
+        lost: link.lost,
+        late: link.late,
+        damaged: link.damaged,
+        mismatched: link.mismatched,
+        overruns: link.overruns,
+        crc_errors: line.crc_errors,
+        header_errors: line.header_errors,
+        resyncs: line.resyncs,
+        unsent: seen.frames_unsent,
+    };
+    (fault, Some(counts))
+}

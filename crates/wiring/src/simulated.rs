@@ -1,0 +1,65 @@
+//! The simulated world: cameras that see it, and where things in it truly are.
+
+use std::sync::Arc;
+
+use anyhow::{Context, Result};
+use nalgebra::Point3;
+use pb3dp_camera_sim::{FaultyCamera, GeometricCamera, SimCameraConfig, SimStereoCamera};
+use pb3dp_cell::cell::SimulatedCell;
+use pb3dp_cell::eyes::Sight;
+use pb3dp_hal_api::{Clock, StereoCamera};
+use pb3dp_setup::setup::seeds::Stream;
+use pb3dp_setup::setup::{FrameTiming, Leader, Pace, Setup, SimulatedWorld, Truth};
+use pb3dp_sim::geometric::GeometricTracker;
+use pb3dp_sim::raster::StereoRenderer;
+use pb3dp_sim::scene::Scene;
+use pb3dp_sim::targets;
+
+use crate::at_once::at_once;
+
+/// Puts things where they truly are.
+pub(super) fn follow_truth(cell: &mut SimulatedCell, truth: &Truth) {
+    if let Some(flange_from_cam_left) = &truth.flange_from_cam_left {
+        cell.hand_from_cam_left = cell.flange_from_hand.inverse() * *flange_from_cam_left;
+    }
+    cell.flange_from_target = truth.flange_from_target.unwrap_or(cell.flange_from_target);
+    cell.tc.world_from_base = truth.tc_world_from_base.unwrap_or(cell.tc.world_from_base);
+}
+
+/// The simulated camera, or what stands for it, and the outline of the target.
+pub(super) fn wire_sight(
+    setup: &Setup,
+    world: &SimulatedWorld,
+    cell: &SimulatedCell,
+    clock: &Arc<dyn Clock>,
+) -> Result<(Sight, Vec<Point3<f64>>)> {
+    let (poses, began) = (Box::new(cell.clone()), clock.now());
+    let (clock, faults) = (Arc::clone(clock), world.faults.clone());
+    let FrameTiming { period, exposure } = setup.frames;
+    let timing = SimCameraConfig { period, exposure, blur_moments: world.blur_moments, pairs: None };
+    match setup.leader {
+        Leader::Pictures(_) => {
+            let scene = Scene::build(&world.scene).context("table [scene]")?;
+            let outline_m = scene.target().outline_m.clone();
+            let noise = Stream::SensorNoise.narrow(setup.seed);
+            let renderer = StereoRenderer::new(scene, *setup.true_rig(), &world.sensor, noise);
+            let mut renderer = renderer.context("table [camera]")?;
+            if setup.pace != Pace::Fast {
+                // A pair has to be there before the next one.
+                renderer = renderer.with_run_both(at_once);
+            }
+            let camera = SimStereoCamera::new(renderer, poses, clock, timing)?;
+            let camera: Box<dyn StereoCamera> = match faults.list.is_empty() {
+                true => Box::new(camera),
+                false => Box::new(FaultyCamera::new(camera, faults, began).context("table [camera]")?),
+            };
+            Ok((Sight::Pictures(camera), outline_m))
+        }
+        Leader::Geometric(config) => {
+            let target = targets::model(&world.scene.target, world.scene.seed).context("table [scene]")?;
+            let tracker = GeometricTracker::new(config, *setup.true_rig(), target.outline_m.clone())?;
+            let camera = GeometricCamera::new(tracker, poses, clock, &timing)?.with_faults(faults, began)?;
+            Ok((Sight::Geometric(Box::new(camera)), target.outline_m))
+        }
+    }
+}
