@@ -1,6 +1,6 @@
 //! One running cell: cameras, estimation, servo and arms in one loop, led by an operator's commands, with a report.
 //!
-//! What runs comes from wiring as [`parts`]; nothing here names a backend.
+//! What runs comes from wiring as [`parts`]; no arm is named here, and of cameras only the simulated one that renders nothing.
 
 pub mod both_arms;
 pub mod capturing;

@@ -71,8 +71,14 @@ pub enum EstimationError {
         known: String,
     },
     /// A tracker was asked for the next frame before the first.
-    #[error("the tracker has no target yet: call start with the first frame and its region")]
+    #[error("there is no target yet: the first request has to mark one")]
     NotStarted,
+    /// A method for single pairs was asked for a tracker.
+    #[error("the method {method} answers for single pairs only: choose another one for sequences")]
+    OnlyPairs {
+        /// Its name.
+        method: &'static str,
+    },
 }
 
 /// Refuses a parameter that is not finite or outside `[min, max]`.

@@ -27,7 +27,7 @@ pub enum Method {
 }
 
 impl Method {
-    /// All methods.
+    /// All methods: who is not here is not found by name.
     pub const ALL: [Self; 2] = [Self::Published, Self::Direct];
 
     /// Its name in commands, configurations and results.
@@ -46,7 +46,7 @@ impl Method {
         }
     }
 
-    /// Whether its tracker recovers the surface of the target: [`Tracker::surface`].
+    /// Whether its tracker recovers the surface of the target, see [`EstimationMethod::surface`].
     pub fn recovers_surface(self) -> bool {
         self == Self::Direct
     }
@@ -91,7 +91,7 @@ type PairMethod = Box<dyn EstimationMethod<Answer = PlaneEstimate>>;
 type SequenceMethod = Box<dyn EstimationMethod<Answer = TrackEstimate>>;
 
 impl Method {
-    /// What answers for single pairs: the one place that a new method is named in.
+    /// What answers for single pairs.
     fn for_pairs(self, rig: &StereoRig, config: &EstimatorConfig) -> Result<PairMethod, EstimationError> {
         Ok(match self {
             Self::Published => Box::new(PublishedEstimator::new(rig, config.published.clone())?),

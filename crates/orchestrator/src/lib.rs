@@ -1,7 +1,6 @@
-//! The program `pb3dp`: command line, configuration, wiring of backends, threads and clock.
+//! The program `pb3dp`: its command line, the log, and all commands but those of one arm, which are in `pb3dp-commissioning`.
 //!
-//! This is the only crate that names backends, reads configuration files and the machine's clock. The library exists so
-//! that the system tests can run the commands; the binary is `pb3dp`.
+//! The library exists so that the system tests can run the commands; the binary is `pb3dp`.
 
 pub mod arguments;
 pub mod cli;

@@ -231,6 +231,11 @@ impl Checker {
         }
     }
 
+    /// How much was refused so far.
+    pub fn refused(&self) -> usize {
+        self.lines.len()
+    }
+
     /// Whether nothing was refused so far.
     pub fn is_clean(&self) -> bool {
         self.lines.is_empty()

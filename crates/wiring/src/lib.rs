@@ -1,4 +1,4 @@
-//! The one place that names backends: from a setup to running parts.
+//! From a setup to running parts: the one place where backends, limiter, guard and coupling meet.
 
 pub mod arm;
 mod at_once;

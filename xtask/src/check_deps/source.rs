@@ -129,7 +129,7 @@ const WORLDS: [World; 6] = [
     },
 ];
 
-/// Crate names of the backends; only the orchestrator wires them.
+/// Crate names of the backends: who may name them says [`NAME_BACKENDS`].
 const BACKENDS: [&str; 7] = [
     "pb3dp_camera_replay",
     "pb3dp_camera_sim",

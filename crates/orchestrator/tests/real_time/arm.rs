@@ -456,7 +456,8 @@ fn a_run_that_an_alarm_ends_says_when_and_where() {
         };
         let (vs, tc) = (head("vs-robot"), head("tc-robot"));
         let fault = &vs["fault"];
-        assert!(fault["cause"].as_str().unwrap().contains("over-current"), "{vs}: {log}");
+        let cause = fault["cause"].as_str().unwrap_or_else(|| panic!("{vs}: {log}"));
+        assert!(cause.contains("over-current"), "{vs}: {log}");
         assert_eq!((&fault["joint"], &fault["code"]), (&3.into(), &14.into()), "{vs}");
         assert!(["moving", "holding"].contains(&fault["state_before"].as_str().unwrap()), "{vs}");
         assert!(tc["fault"]["cause"].as_str().unwrap().contains("arm 1 of the same cell"), "{tc}");

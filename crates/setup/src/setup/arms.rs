@@ -1,7 +1,6 @@
 //! The table `[arms]`: where the arms stand, what they are, how their simulated drives answer, and their limits.
 
 use std::collections::BTreeMap;
-use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -233,7 +232,12 @@ impl ArmsSection {
             .iter()
             .map(|(name, table)| {
                 let key = format!("arms.{name}");
-                (name.as_str(), table.section.build(&key, self, &table.file, control_period_millis, check))
+                let refused = check.refused();
+                let arm = table.section.build(&key, self, &table.file, control_period_millis, check);
+                if check.refused() > refused && table.file != config_file {
+                    check.refuse(format!("what is said of {key} stands in {}", table.file.display()));
+                }
+                (name.as_str(), arm)
             })
             .collect();
         if self.carries_cameras == self.carries_target {
@@ -291,8 +295,9 @@ impl ArmSection {
         let shape = build_shape(&format!("{key}.parts"), &self.parts, check);
         let chain = self.chain((key, config_file), link.as_ref(), check);
         let has_all = self.check_lengths(key, chain.as_ref(), check);
-        if has_all {
-            self.check_angles(key, chain.as_ref().map(Chain::limits), check);
+        // Of a robot that can not be read nothing is known that the angles could be compared with.
+        if let Some(chain) = chain.as_ref().filter(|_| has_all) {
+            self.check_angles(key, chain.limits(), check);
         }
         let (chain, shape) = chain.zip(shape).filter(|_| has_all)?;
         let start_rad = per_joint(&self.start_deg, 0.0).map(f64::to_radians);
@@ -406,15 +411,13 @@ impl ArmSection {
         has_all && joints <= DOF
     }
 
-    /// The operating range lies within the limits of the robot's joints (if they are known) and these within the mechanical
+    /// The operating range lies within the limits of the robot's joints and these within the mechanical
     /// range, the start within the operating range.
-    fn check_angles(&self, key: &str, limits: Option<&JointLimits>, check: &mut Checker) {
+    fn check_angles(&self, key: &str, limits: &JointLimits, check: &mut Checker) {
         let ranges = self.operating_range_deg.iter().copied().zip(self.start_deg.iter().copied());
         for (joint, (operating_deg, start_deg)) in ranges.enumerate() {
-            let hard_rad =
-                limits.map_or(TAU, |limits| limits.position_max_rad()[joint].min(-limits.position_min_rad()[joint]));
-            let outer_rad =
-                limits.map_or(0.1, |limits| limits.position_max_rad()[joint].max(-limits.position_min_rad()[joint]));
+            let hard_rad = limits.position_max_rad()[joint].min(-limits.position_min_rad()[joint]);
+            let outer_rad = limits.position_max_rad()[joint].max(-limits.position_min_rad()[joint]);
             let outer_deg = (outer_rad.to_degrees() * 100.0).ceil() / 100.0;
             let mechanical_deg = self.mechanical_range_deg[joint];
             let most_deg = PA10_MECHANICAL_RANGE_DEG[joint].max(outer_deg);
