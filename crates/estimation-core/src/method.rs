@@ -122,12 +122,12 @@ pub trait EstimationMethod: Debug + Send {
     /// As [`Self::estimate`].
     fn answer(&mut self, request: &mut EstimateRequest<'_>) -> Result<Self::Answer, EstimationError>;
 
-    /// Where the target is. That it can not be known is no error but a status.
+    /// Where the target is. That it cannot be known is no error but a status.
     ///
     /// The same requests give the same answers, after whatever other requests for other targets.
     ///
     /// # Errors
-    /// Images that do not fit the calibration, a region that can not serve, a bad range, or no target yet.
+    /// Images that do not fit the calibration, a region that cannot serve, a bad range, or no target yet.
     fn estimate(&mut self, mut request: EstimateRequest<'_>) -> Result<Self::Answer, EstimationError> {
         let mut answer = self.answer(&mut request)?;
         if request.deadline.is_over() {
@@ -139,7 +139,7 @@ pub trait EstimationMethod: Debug + Send {
     /// Goes on with another calibrated pair of cameras; what was learned about the last one is forgotten.
     ///
     /// # Errors
-    /// A rig that the method can not use.
+    /// A rig that the method cannot use.
     fn set_rig(&mut self, rig: &StereoRig) -> Result<(), EstimationError>;
 
     /// Learns from a pair of raw images what belongs to the rig or the scene and not to a target, once per rig or scene; all later

@@ -9,7 +9,7 @@ use crate::{DOF, JointVector, NO_JOINT_RAD};
 /// Largest deviation of a joint axis from length 1 that is taken as rounding of the file.
 const AXIS_LENGTH_TOLERANCE: f64 = 1e-4;
 
-/// With fewer joints a hand can not turn and move in all directions.
+/// With fewer joints a hand cannot turn and move in all directions.
 const JOINTS_MIN: usize = 6;
 
 /// Why a robot description can not be used.

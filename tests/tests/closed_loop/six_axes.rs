@@ -106,6 +106,13 @@ fn numbers_for_another_count_of_joints_and_arms_that_are_not_there_are_refused()
         message.contains("there is no table [arms.ur10] (tc, vs)") && message.contains("arms/ur10.toml"),
         "{message}"
     );
+    let message = refused("ur5e", "on = \"joint 3\"", "on = \"joint 6\"");
+    assert!(
+        message.contains("arms.ur5e.parts[3].on = \"joint 6\": arms.ur5e.robot has joint 0 to joint 5"),
+        "{message}"
+    );
+    let message = refused("ur5.e", "", "");
+    assert!(message.contains("arms/ur5.e.toml"), "a name may hold a dot: {message}");
     let message = refused("tc", "", "");
     assert!(message.contains("arms.carries_target is the same"), "{message}");
     let message = refused("ur5e", "least_room_mm = 50.0", "least_room_mn = 50.0");

@@ -122,7 +122,7 @@ pub(super) fn read_arms(
 
 /// The file of an arm that a setup names.
 fn file_of(config_file: &Path, name: &str) -> PathBuf {
-    config_file.parent().unwrap_or(Path::new(".")).join("arms").join(name).with_extension("toml")
+    config_file.parent().unwrap_or(Path::new(".")).join("arms").join(format!("{name}.toml"))
 }
 
 /// The table that is the arm with the cameras unless the file says otherwise.
@@ -295,7 +295,7 @@ impl ArmSection {
         let shape = build_shape(&format!("{key}.parts"), &self.parts, check);
         let chain = self.chain((key, config_file), link.as_ref(), check);
         let has_all = self.check_lengths(key, chain.as_ref(), check);
-        // Of a robot that can not be read nothing is known that the angles could be compared with.
+        // Of a robot that cannot be read nothing is known that the angles could be compared with.
         if let Some(chain) = chain.as_ref().filter(|_| has_all) {
             self.check_angles(key, chain.limits(), check);
         }
@@ -387,7 +387,7 @@ impl ArmSection {
         }
     }
 
-    /// Every list has a number for each joint of the robot, if that is known.
+    /// Every list has a number for each joint of the robot, if that is known, and no part hangs on a joint that it has not.
     fn check_lengths(&self, key: &str, chain: Option<&Chain>, check: &mut Checker) -> bool {
         let lists = [
             ("start_deg", &self.start_deg),
@@ -406,6 +406,14 @@ impl ArmSection {
                 )
             })
             .collect();
+        for (index, part) in self.parts.iter().enumerate() {
+            if let Some(joint) = part.joint().filter(|joint| *joint >= joints) {
+                check.refuse(format!(
+                    "{key}.parts[{index}].on = \"joint {joint}\": {key}.robot has joint 0 to joint {}",
+                    joints.saturating_sub(1)
+                ));
+            }
+        }
         let has_all = wrong.is_empty();
         wrong.into_iter().for_each(|line| check.refuse(line));
         has_all && joints <= DOF

@@ -137,7 +137,7 @@ pub struct SimulatedWorld {
     pub scene: SceneConfig,
     /// What the sensors of the cameras do to the light.
     pub sensor: SensorConfig,
-    /// Moments of an exposure that are rendered and averaged: 1 for sharp pictures.
+    /// Moments of an exposure that are rendered and averaged: 1 for sharp images.
     pub blur_moments: u32,
     /// What goes wrong with the cameras.
     pub faults: CameraFaults,

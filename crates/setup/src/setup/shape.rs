@@ -48,6 +48,14 @@ impl PartEntry {
         })
     }
 
+    /// The joint that it moves with, if it moves with one.
+    pub(super) fn joint(&self) -> Option<usize> {
+        match self.carrier()? {
+            Carrier::Joint(joint) => Some(joint),
+            Carrier::Base | Carrier::Flange => None,
+        }
+    }
+
     fn carrier(&self) -> Option<Carrier> {
         match self.on.as_str() {
             "base" => Some(Carrier::Base),
