@@ -1,6 +1,8 @@
 //! Whole-system tests: in `tests/`, with real pictures in `data/`. Here is only what they share.
 
+pub mod between;
 pub mod safety;
+pub mod watched;
 
 use std::path::{Path, PathBuf};
 

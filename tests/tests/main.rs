@@ -1,7 +1,6 @@
 //! Tests of the whole system.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
 
-mod between;
 mod camera_faults;
 mod closed_loop;
 mod configs;

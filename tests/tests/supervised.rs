@@ -21,9 +21,8 @@ use pb3dp_servo::{Mode, SearchConfig, TargetObservation};
 use pb3dp_setup::setup::{Carrier, Leader, Pace, Setup, read_setup};
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, StepExperimentConfig, Trajectory};
 use pb3dp_wiring::{Wired, wire, wire_at_rest, wire_watched};
+use system_tests::between::Between;
 use system_tests::repository;
-
-use crate::between::Between;
 
 /// A joint that is slower than this rests, rad/s: one count of the resolver in one cycle is 0.8 mrad/s.
 const AT_REST_RAD_PER_S: f64 = 1e-3;

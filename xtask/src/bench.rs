@@ -37,7 +37,7 @@ const QUICK_ROUNDS: &str = "40";
 ///         must show; --only NAME: some of them; all of them write their part of that page
 /// all     speed and raster
 ///
-/// The examples `published_speed` and `raster_speed` of crates/benchmarks measure the published method and the rasteriser, `servo` of tests the servo, `pb3dp-bench` of crates/benchmarks all others; each prints its own table. The figures are also kept in `out/bench/*.json`, with
+/// All are in crates/benchmarks: the examples `published_speed` and `raster_speed` measure the published method and the rasteriser, `servo` and `safety` the whole loop, `pb3dp-bench` all others; each prints its own table. The figures are also kept in `out/bench/*.json`, with
 /// commit, processor and compiler. Measure on an idle machine.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -107,10 +107,10 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Runs the example `servo` of the system tests; a whole run writes its page.
+/// Runs the example `servo`; a whole run writes its page.
 fn servo(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
     let mut command = workspace.cargo();
-    command.args(["run", "--release", "--locked", "--package", "system-tests", "--example", "servo", "--"]);
+    command.args(["run", "--release", "--locked", "--package", "pb3dp-benchmarks", "--example", "servo", "--"]);
     command.args(["--origin", &origin(workspace), "--json", &format!("{OUT}/servo.json")]);
     // A sample or a part of it leaves the page as it is; what else may be said the program knows.
     if options.is_empty() {
@@ -120,10 +120,10 @@ fn servo(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
     run_visibly(&mut command)
 }
 
-/// Runs the example `safety` of the system tests; a whole run writes its page.
+/// Runs the example `safety`; a whole run writes its page.
 fn safety(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
     let mut command = workspace.cargo();
-    command.args(["run", "--release", "--locked", "--package", "system-tests", "--example", "safety"]);
+    command.args(["run", "--release", "--locked", "--package", "pb3dp-benchmarks", "--example", "safety"]);
     // Safeguards that can be switched off are in no other build.
     if options.iter().any(|option| option == "--disabled") {
         command.args(["--features", "disabled-guards", "--config", "profile.release.debug-assertions=true"]);

@@ -123,7 +123,9 @@ impl Tree {
     /// Builds both programs and asks them everything; what a run leaves goes into `out`.
     fn answers(&self, workspace: &Workspace, questions: &Questions, out: &Path) -> anyhow::Result<Vec<Answer>> {
         run_visibly(&mut self.cargo(workspace, &["build", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"]))?;
-        run_visibly(&mut self.cargo(workspace, &["build", "--package", "system-tests", "--example", "safety"]))?;
+        // In one of both packages: it was moved.
+        let packages = ["build", "--package", "system-tests", "--package", "pb3dp-benchmarks", "--example", "safety"];
+        run_visibly(&mut self.cargo(workspace, &packages))?;
         let mut answers = vec![self.experiment(out)?];
         for method in METHODS {
             for (name, folder) in &questions.cases {

@@ -7,7 +7,7 @@ use pb3dp_sim::trajectory::Channel;
 use pb3dp_wiring::wire;
 
 use crate::closed_loop::support::*;
-use crate::closed_loop::watched::watched;
+use system_tests::watched::watched;
 
 /// Runs until one arm fails in the middle of the target's first move.
 fn check(which: &str) {

@@ -10,9 +10,9 @@ use pb3dp_setup::setup::ArmSetup;
 use pb3dp_sim::targets::TargetConfig;
 use pb3dp_sim::trajectory::Channel;
 use pb3dp_wiring::wire;
+use system_tests::watched::{Notes, watched};
 
 use crate::closed_loop::support::*;
-use crate::closed_loop::watched::{Notes, watched};
 
 /// How far the hand may be off at rest, and in its ways along x and about y. Chosen: half as much again as was measured with
 /// two seeds, and far less than the way of a hand that never moves.

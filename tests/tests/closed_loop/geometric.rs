@@ -11,7 +11,7 @@ use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig};
 use pb3dp_wiring::wire;
 
 use crate::closed_loop::support::*;
-use crate::closed_loop::watched::watched;
+use system_tests::watched::watched;
 
 pub const QUIET: GeometricConfig = GeometricConfig {
     noise: PoseSigma { lateral_m: 0.0, depth_m: 0.0, tilt_rad: 0.0, about_normal_rad: 0.0 },

@@ -12,4 +12,3 @@ mod repeatable;
 mod seeing_again;
 mod six_axes;
 pub mod support;
-mod watched;

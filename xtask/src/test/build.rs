@@ -14,7 +14,7 @@ use crate::workspace::Workspace;
 const TESTED_EXAMPLES: [&str; 4] = ["safety", "servo", "soak", "there_and_back"];
 
 /// Tests switch safeguards off one by one: each must be missed.
-pub const FEATURES: &str = "system-tests/disabled-guards";
+pub const FEATURES: &str = "pb3dp-benchmarks/disabled-guards";
 
 /// A test program that was built.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -1,6 +1,6 @@
 //! How many pairs of 640x480 pixels one thread compresses and writes in a second, in each format: what a recording keeps up with.
 //!
-//! `cargo run --release -p pb3dp-record --example recording_speed` takes a real pair of `tests/data`, and writes into the folder for
+//! `cargo run --release -p pb3dp-benchmarks --example recording_speed` takes a real pair of `tests/data`, and writes into the folder for
 //! temporary files.
 
 #![allow(clippy::print_stdout, reason = "a program for the console")]

@@ -1,6 +1,6 @@
 //! How long a picture of 640x480 takes from a driver's bytes to the bytes that are estimated on, on one core.
 //!
-//! `cargo run --release -p pb3dp-camera-v4l2 --example pixel_speed`
+//! `cargo run --release -p pb3dp-benchmarks --example pixel_speed`
 //!
 //! Prints the median of many pictures for each format, for `YUYV` beside the scalar code as well, and fails if `YUYV` takes longer than
 //! the limit.

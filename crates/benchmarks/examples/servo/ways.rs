@@ -16,10 +16,10 @@ use pb3dp_record::metrics::settled_from;
 use pb3dp_setup::setup::{Leader, Setup};
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, StepExperimentConfig};
 use pb3dp_wiring::wire;
+use system_tests::watched::watched;
 
 use crate::limit_use::LimitUse;
 use crate::setups::geometric;
-use crate::watched::watched;
 
 /// The hand is there when it stays within this of its place by the pose of the lock: mm and degrees.
 pub const THERE_WITHIN: (f64, f64) = (1.0, 0.3);

@@ -1,22 +1,18 @@
 //! Arms that write down what they were told and what they measured, and fail if asked to.
 
-#[allow(
-    clippy::duplicate_mod,
-    reason = "the benchmark of the servo shares this file, and has no module of its own for it"
-)]
-#[path = "../between/mod.rs"]
-mod between;
+use std::sync::{Arc, Mutex, PoisonError};
 
-use std::sync::{Arc, Mutex};
-
-use between::Between;
 use pb3dp_cell::parts::{DrivenArm, Parts};
 use pb3dp_hal_api::{ArmError, ArmErrorKind, JointCommand, JointState};
+
+use crate::between::Between;
 
 /// What one arm was told (before its limiter) and measured, one entry per control step.
 #[derive(Clone, Default)]
 pub struct Notes {
+    /// What it was told, before its limiter.
     pub commands: Arc<Mutex<Vec<JointCommand>>>,
+    /// What it measured.
     pub measured: Arc<Mutex<Vec<JointState>>>,
     /// After so many exchanges every further one fails.
     pub fail_after: Arc<Mutex<Option<usize>>>,
@@ -31,13 +27,14 @@ pub fn watched(parts: Parts) -> (Parts, Notes, Notes) {
 
 fn noted(arm: Box<dyn DrivenArm>, notes: Notes) -> Box<dyn DrivenArm> {
     Between::boxed(arm, move |arm, command| {
-        let mut commands = notes.commands.lock().unwrap();
-        if notes.fail_after.lock().unwrap().is_some_and(|limit| commands.len() >= limit) {
+        let mut commands = notes.commands.lock().unwrap_or_else(PoisonError::into_inner);
+        if notes.fail_after.lock().unwrap_or_else(PoisonError::into_inner).is_some_and(|limit| commands.len() >= limit)
+        {
             return Err(ArmError::new(ArmErrorKind::Disconnected, "the link was cut by the test"));
         }
         commands.push(command);
         let state = arm.exchange(command)?;
-        notes.measured.lock().unwrap().push(state);
+        notes.measured.lock().unwrap_or_else(PoisonError::into_inner).push(state);
         Ok(state)
     })
 }

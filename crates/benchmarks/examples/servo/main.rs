@@ -11,9 +11,6 @@ mod limits;
 mod page;
 mod runs;
 mod setups;
-#[path = "../../tests/closed_loop/watched.rs"]
-#[allow(clippy::unwrap_used, reason = "shared with tests")]
-mod watched;
 mod ways;
 mod ways_page;
 

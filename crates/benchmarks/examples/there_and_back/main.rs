@@ -2,7 +2,7 @@
 //! comes back to where it was.
 //!
 //! ```text
-//! cargo run --release -p system-tests --example there_and_back -- --minutes 60
+//! cargo run --release -p pb3dp-benchmarks --example there_and_back -- --minutes 60
 //! ```
 //!
 //! With the setup of `configs/sim.toml`, the colourful card and all pixels; `--geometric` leaves pictures out. Nothing of the run is
