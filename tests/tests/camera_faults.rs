@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use nalgebra::{Point3, UnitQuaternion, Vector3, Vector6};
-use pb3dp_camera_sim::{CameraFault, CameraFaultKind, CameraFaults, Eyes, FaultyCamera, SimStereoCamera};
+use pb3dp_camera_sim::{FaultyCamera, SimStereoCamera};
 use pb3dp_cell::follower::Follower;
 use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
 use pb3dp_estimation_core::estimate::TrackEstimate;
@@ -16,6 +16,7 @@ use pb3dp_geometry::{Camera, Distortion, ImageSize, MonotonicTime, Pinhole, Pose
 use pb3dp_hal_api::{Clock, StereoCamera};
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_setup::setup::{Setup, read_setup};
+use pb3dp_sim::camera_faults::{CameraFault, CameraFaultKind, CameraFaults, Eyes};
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::{PoseSource, Scene, ScenePoses};
 use pb3dp_sim::targets::TargetConfig;

@@ -3,11 +3,11 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use crate::closed_loop::support::changed_setup;
+use pb3dp_commissioning::gateway::file::read_gateway;
 use pb3dp_geometry::ImageSize;
 use pb3dp_kinematics::{Chain, DOF, JointVector};
 use pb3dp_record::calibration_files::load_stereo;
 use pb3dp_setup::estimator::read_estimator;
-use pb3dp_setup::gateway::read_gateway;
 use pb3dp_setup::setup::{read_cameras, read_setup};
 use system_tests::{files_below, repository};
 

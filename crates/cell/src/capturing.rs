@@ -4,7 +4,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use pb3dp_camera_sim::GeometricCamera;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_hal_api::{CameraError, CameraErrorKind, FramePair, StereoCamera};
@@ -12,7 +11,7 @@ use pb3dp_servo::supervisor::FrameInput;
 use pb3dp_setup::setup::Setup;
 
 use super::cell::SimulatedCell;
-use super::eyes::Sight;
+use super::eyes::{PoseCamera, Sight};
 use super::halves::Capture;
 use super::losses::Losses;
 use crate::eyes::View;
@@ -40,7 +39,7 @@ pub struct Capturing {
 
 enum Camera {
     Pictures(PictureCamera),
-    Geometric(Box<GeometricCamera>),
+    Geometric(Box<dyn PoseCamera>),
 }
 
 struct PictureCamera {

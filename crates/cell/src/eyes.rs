@@ -1,19 +1,19 @@
 //! What a run sees with: pictures and a method that looks at them, or the truth with noise.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use nalgebra::Point3;
-use pb3dp_camera_sim::{GeometricCamera, GeometricFrame, Hindrance};
 use pb3dp_estimation::estimator::{FramePrior, Tracker};
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Target};
-use pb3dp_hal_api::{FramePair, StereoCamera};
+use pb3dp_hal_api::{CameraError, FramePair, StereoCamera};
 use pb3dp_setup::setup::{Leader, Setup};
-use pb3dp_sim::geometric::PoseSigma;
+use pb3dp_sim::geometric::{GeometricFrame, Hindrance, PoseSigma};
 
 use crate::follower::Follower;
 
@@ -22,7 +22,19 @@ pub enum Sight {
     /// A camera that delivers pictures.
     Pictures(Box<dyn StereoCamera>),
     /// The truth with noise: no picture is rendered.
-    Geometric(Box<GeometricCamera>),
+    Geometric(Box<dyn PoseCamera>),
+}
+
+/// A camera without pictures: its frames are the true pose with noise.
+pub trait PoseCamera: Send {
+    /// Waits for the end of the next exposure.
+    ///
+    /// # Errors
+    /// `Timeout` if there is none in this time, `BadPair` if the poses are not finite.
+    fn next_frame(&mut self, timeout: Duration) -> Result<GeometricFrame, CameraError>;
+
+    /// The noise of its poses.
+    fn noise(&self) -> PoseSigma;
 }
 
 /// Who estimates the pose from what was captured.
@@ -92,7 +104,7 @@ impl Eyes {
                 Ok(Self::Pictures(Box::new(Follower::new(tracker, setup.range)), marking))
             }
             (Leader::Geometric(_), Sight::Geometric(camera)) => Ok(Self::Geometric(GeometricEyes {
-                noise: camera.config().noise,
+                noise: camera.noise(),
                 tilt_sigma_sure_rad: setup.estimator.track.tilt_sigma_sure_deg.to_radians(),
             })),
             (leader, _) => bail!("estimator.method = {:?} does not go with this camera", leader.name()),

@@ -1,5 +1,7 @@
 //! `pb3dp gateway`: owns the bus of one PA-10 and its cycle, and serves a host.
 
+pub mod file;
+
 use std::os::fd::AsFd;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -7,14 +9,15 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use clap::Args;
-use pb3dp_arm_pa10::arm::BusTarget;
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_gateway::gateway::GatewayStatus;
 use pb3dp_arm_pa10_gateway::service::{BusOpener, Ending, GatewayServer, GatewayServerConfig, Happened, HostSide};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, GatewayState, StopCause};
+use pb3dp_arm_pa10_protocol::places::BusTarget;
 use pb3dp_hal_platform::signals::{StopSignal, StopSignals};
-use pb3dp_setup::gateway::{GatewaySetup, HostPlace, read_gateway};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+
+use self::file::{GatewaySetup, HostPlace, read_gateway};
 
 /// Arguments of `pb3dp gateway`.
 #[derive(Debug, Args)]
@@ -96,7 +99,7 @@ fn watch_signals(mut signals: StopSignals, ending: &Ending) -> std::io::Result<O
 
 fn bus_opener(target: &BusTarget) -> BusOpener {
     let target = target.clone();
-    Box::new(move || target.open())
+    Box::new(move || pb3dp_arm_pa10::bus::open(&target))
 }
 
 fn host_side(setup: &GatewaySetup) -> Result<HostSide> {

@@ -4,7 +4,6 @@ pub mod direct;
 pub mod estimator;
 #[cfg(test)]
 mod every_key_tests;
-pub mod gateway;
 pub mod load;
 pub mod names;
 pub mod region_spec;

@@ -8,7 +8,7 @@ use std::fmt;
 
 use nalgebra::{Matrix6, Point3, UnitQuaternion, Vector2, Vector3, Vector6};
 use pb3dp_geometry::frames::{CamLeft, Model, Target};
-use pb3dp_geometry::{Camera, Pose, StereoRig};
+use pb3dp_geometry::{Camera, MonotonicTime, Pose, StereoRig};
 
 use crate::noise::{hash, unit};
 
@@ -169,6 +169,34 @@ pub struct Sighting {
     pub cam_left_from_model: Result<Pose<CamLeft, Model>, OutOfView>,
     /// Whether a target was locked on to before or in this frame.
     pub is_locked: bool,
+}
+
+/// One frame of a camera without pictures.
+#[derive(Clone, Copy, Debug)]
+pub struct GeometricFrame {
+    /// Number of the exposure.
+    pub sequence: u64,
+    /// Middle of the exposure.
+    pub exposed_at: MonotonicTime,
+    /// Middle of the right exposure minus middle of the left exposure, nanoseconds.
+    pub skew_nanos: i64,
+    /// Whether it would be other pixels than those of the frame before.
+    pub is_new: bool,
+    /// What a tracker says of it, as far as nothing hinders it.
+    pub sighting: Sighting,
+    /// What hinders it.
+    pub hindrance: Option<Hindrance>,
+    /// The truth.
+    pub cam_left_from_target: Pose<CamLeft, Target>,
+}
+
+/// What a fault of a camera does to a tracker of its pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hindrance {
+    /// It finds no pose, for this reason.
+    Blind(&'static str),
+    /// It does not stand by its pose, for this reason.
+    Doubtful(&'static str),
 }
 
 /// A tracker without pictures.

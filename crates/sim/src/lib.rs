@@ -2,6 +2,7 @@
 //!
 //! Everything is deterministic: time and seeds come from outside, there is no clock, no thread and no file in here.
 
+pub mod camera_faults;
 pub mod geometric;
 pub mod joint_dynamics;
 pub mod noise;

@@ -10,7 +10,6 @@ use pb3dp_arm_pa10::arm::{
     virtual_trip_line,
 };
 use pb3dp_arm_pa10::driver::{Activity, DriverConfig, DriverState, LimitsCheck};
-use pb3dp_arm_pa10::link::GatewayLinkConfig;
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_emulation::far_end::FarEnd;
 use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockPort, MockServer, MockServerConfig};
@@ -19,6 +18,7 @@ use pb3dp_arm_pa10_emulation::mock::{MockArm, MockArmConfig};
 use pb3dp_arm_pa10_emulation::mock_controller::{MockController, MockControllerConfig, Script, pa10_joints};
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10_protocol::gateway_protocol::Firmware;
+use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_cell::cell::{ArmSite, JointSource};
 use pb3dp_cell::flight::FLIGHT;
 use pb3dp_cell::parts::{ArmOnBus, DrivenArm, EmulatedArm, LinkCounts, LinkMonitor, StopOrder};
@@ -273,7 +273,9 @@ pub(super) fn line(wanted: Wanted<'_>) -> Result<Option<(Line<'_>, Option<ArmAnd
             let port = Box::new(emulated_port(link, &server));
             (Line::Gateway(link, port), Some((Emulation::Server(server), plant)))
         }
-        ArmLink::Gateway(link, GatewayWay::Serial(port)) => (Line::Gateway(link, Box::new(port.clone())), None),
+        ArmLink::Gateway(link, GatewayWay::Serial { path, baud }) => {
+            (Line::Gateway(link, Box::new(SerialConfig::of_link(path.clone(), *baud, link))), None)
+        }
         ArmLink::Gateway(link, GatewayWay::Tcp(address)) => (Line::Gateway(link, Box::new(*address)), None),
         ArmLink::Bus(link) => (Line::Bus(link), None),
     }))

@@ -4,9 +4,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use pb3dp_camera_settings::StereoConfig;
 use pb3dp_camera_v4l2::pairing::Drift;
 use pb3dp_camera_v4l2::video::VideoSystem;
-use pb3dp_camera_v4l2::{ReopeningCamera, Side, StereoConfig};
+use pb3dp_camera_v4l2::{ReopeningCamera, Side};
 use pb3dp_cell::pair::check_pictures;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
 use pb3dp_record::calibration_files::CameraIdentity;

@@ -232,8 +232,9 @@ pub fn wire_replay(sequence: &Sequence, pace: ReplayPace) -> Result<(Box<dyn Ste
 
 #[cfg(test)]
 mod tests {
-    use pb3dp_camera_sim::{CameraFault, CameraFaultKind, GeometricFrame};
     use pb3dp_setup::setup::{Leader, read_setup};
+    use pb3dp_sim::camera_faults::{CameraFault, CameraFaultKind};
+    use pb3dp_sim::geometric::GeometricFrame;
 
     use super::*;
 

@@ -1,16 +1,17 @@
 //! The simulated world: cameras that see it, and where things in it truly are.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::{Context, Result};
 use nalgebra::Point3;
 use pb3dp_camera_sim::{FaultyCamera, GeometricCamera, SimCameraConfig, SimStereoCamera};
 use pb3dp_cell::cell::SimulatedCell;
-use pb3dp_cell::eyes::Sight;
-use pb3dp_hal_api::{Clock, StereoCamera};
+use pb3dp_cell::eyes::{PoseCamera, Sight};
+use pb3dp_hal_api::{CameraError, Clock, StereoCamera};
 use pb3dp_setup::setup::seeds::Stream;
 use pb3dp_setup::setup::{FrameTiming, Leader, Pace, Setup, SimulatedWorld, Truth};
-use pb3dp_sim::geometric::GeometricTracker;
+use pb3dp_sim::geometric::{GeometricFrame, GeometricTracker, PoseSigma};
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::Scene;
 use pb3dp_sim::targets;
@@ -59,7 +60,20 @@ pub(super) fn wire_sight(
             let target = targets::model(&world.scene.target, world.scene.seed).context("table [scene]")?;
             let tracker = GeometricTracker::new(config, *setup.true_rig(), target.outline_m.clone())?;
             let camera = GeometricCamera::new(tracker, poses, clock, &timing)?.with_faults(faults, began)?;
-            Ok((Sight::Geometric(Box::new(camera)), target.outline_m))
+            Ok((Sight::Geometric(Box::new(Poses(camera))), target.outline_m))
         }
+    }
+}
+
+/// The backend's camera without pictures, as the cell knows one.
+struct Poses(GeometricCamera);
+
+impl PoseCamera for Poses {
+    fn next_frame(&mut self, timeout: Duration) -> Result<GeometricFrame, CameraError> {
+        self.0.next_frame(timeout)
+    }
+
+    fn noise(&self) -> PoseSigma {
+        self.0.config().noise
     }
 }

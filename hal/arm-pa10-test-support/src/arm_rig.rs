@@ -5,10 +5,10 @@ use std::time::{Duration, Instant};
 
 use pb3dp_arm_pa10::arm::{ArmMonitor, ArmOpenError, Pa10Arm, Pa10ArmConfig, TripSeat, trip_line};
 use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, LimitsCheck, Trip};
-use pb3dp_arm_pa10::link::GatewayLinkConfig;
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry, HostMessage};
+use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, JointCommand};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_platform::pty::Pty;

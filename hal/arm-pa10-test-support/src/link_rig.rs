@@ -3,9 +3,10 @@
 use std::time::Duration;
 
 use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, LimitsCheck, Request, Trip};
-use pb3dp_arm_pa10::link::{GatewayLink, GatewayLinkConfig, LinkError};
+use pb3dp_arm_pa10::link::{GatewayLink, LinkError};
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry};
+use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
 

@@ -7,12 +7,13 @@ use std::time::{Duration, Instant};
 
 use pb3dp_arm_pa10::bus::{BusPort, FRAME_ROOM};
 use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, Request};
-use pb3dp_arm_pa10::link::{GatewayLink, GatewayLinkConfig, LinkError};
-use pb3dp_arm_pa10::watchdog::CommandWatchdog;
+use pb3dp_arm_pa10::link::{GatewayLink, LinkError};
 use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockController, MockControllerConfig, MockCounters};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, Geometry};
+use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
+use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_hal_platform::realtime::{self, Realtime};
 use pb3dp_hal_platform::transport::{ByteLink, wait};
 use pb3dp_kinematics::{JointLimits, JointVector};

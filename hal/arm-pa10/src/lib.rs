@@ -4,11 +4,9 @@
 //! * [`link`]: between the driver and the bytes of the bus or of a gateway.
 //! * [`arm`]: a real PA-10, behind a gateway or on a bus of this computer.
 //! * [`bus`]: the ARCNET bus of an arm, and a socket in its place; [`serial`]: a serial line to a gateway.
-//! * [`watchdog`]: what becomes of a velocity whose successor stays away.
 
 pub mod arm;
 pub mod bus;
 pub mod driver;
 pub mod link;
 pub mod serial;
-pub mod watchdog;

@@ -8,12 +8,12 @@ use std::time::Duration;
 use pb3dp_arm_pa10::driver::{
     Activity, DriverConfig, DriverState, FaultCause, Reply, Request, Sample, Trip, WarmUpFailure,
 };
-use pb3dp_arm_pa10::watchdog::CommandWatchdog;
 use pb3dp_arm_pa10_protocol::codec::{
     AngleCounts, ArmReply, Axis, AxisReply, AxisStatus, CommStatus, CommWord, ServoWord, SpeedCounts, TorqueCounts,
     TorqueScale, WireFormat,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, State, StopCause};
+use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_arm_pa10_test_support::driver_bench::{Bench, CYCLE, Kind};
 use pb3dp_kinematics::JointVector;
 

@@ -4,7 +4,6 @@
 
 use std::collections::BTreeMap;
 
-use pb3dp_arm_pa10::watchdog::CommandWatchdog;
 use pb3dp_arm_pa10_protocol::codec::{
     AngleCounts, ArmReply, Axis, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord, ServoWord, SpeedCounts,
     TorqueCounts, TorqueScale, WireFormat,
@@ -15,6 +14,7 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{
     Health, Hello, HelloReply, HostMessage, MessageError, Payload, RawMessage, Received, Reject, RejectReason, State,
     StopCause, check_line, exchange_bytes, exchange_time,
 };
+use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_kinematics::JointVector;
 
 const SPECIFICATION: &str = include_str!("../../../docs/arm-protocol.md");

@@ -4,12 +4,12 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::watchdog::CommandWatchdog;
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig, GatewayConfigError};
 use pb3dp_arm_pa10_protocol::codec::{AxisCommand, ControlMessage, Letter, SpeedCounts, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmOperation, Dialect, DriveMode, FaultReport, GatewayMessage, GatewayState, HostMessage, RejectReason, StopCause,
 };
+use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_arm_pa10_test_support::gateway_bench as bench;
 use pb3dp_arm_pa10_test_support::gateway_bench::{
     Bench, CYCLE, HOST_CYCLE, Sent, TICK, config, control, hello, ms, rejected, velocity,

@@ -7,7 +7,7 @@ use std::time::Duration;
 use pb3dp_arm_pa10::driver::{
     Activity, Driver, DriverConfig, DriverState, EmergencyStopCause, FaultCause, Request, Trip, WarmUpFailure,
 };
-use pb3dp_arm_pa10::link::{BusFrameError, BusLink, GatewayLink, GatewayLinkConfig, HelloError, LinkError};
+use pb3dp_arm_pa10::link::{BusFrameError, BusLink, GatewayLink, HelloError, LinkError};
 use pb3dp_arm_pa10_protocol::arcnet::{self, Route};
 use pb3dp_arm_pa10_protocol::codec::{
     AngleCounts, ArmReply, AxisReply, AxisStatus, CodecError, CommStatus, ControlMessage, ControlPacket, Packet,
@@ -17,6 +17,7 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, ArmOperation, Control, Dialect, FaultReport, GatewayMessage, GatewayState, Geometry, HostMessage,
     RejectReason, StopCause,
 };
+use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::link_rig::{ARM, CYCLE, FakeGateway, Rig, driver_config, link_config, ms, velocity};
 use pb3dp_geometry::MonotonicTime;
 

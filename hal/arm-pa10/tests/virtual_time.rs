@@ -9,13 +9,13 @@ use std::time::Duration;
 
 use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, RawBytes, TripSeat, VirtualTime, virtual_trip_line};
 use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, FaultCause, LimitsCheck, Trip};
-use pb3dp_arm_pa10::link::GatewayLinkConfig;
 use pb3dp_arm_pa10_emulation::far_end::FarEnd;
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_arm_pa10_emulation::mock_controller::{MockController, MockControllerConfig};
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, Geometry};
+use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::plant_config::plant_config;
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
 use pb3dp_hal_clock::VirtualClock;

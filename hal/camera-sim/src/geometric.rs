@@ -6,11 +6,12 @@ use std::time::Duration;
 use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock};
-use pb3dp_sim::geometric::{GeometricConfig, GeometricTracker, Sighting};
+use pb3dp_sim::camera_faults::{CameraFault, CameraFaultKind, CameraFaults};
+use pb3dp_sim::geometric::{GeometricConfig, GeometricFrame, GeometricTracker, Hindrance};
 use pb3dp_sim::scene::PoseSource;
 
 use crate::SimCameraConfig;
-use crate::faults::{CameraFault, CameraFaultKind, CameraFaults, Delivered, Delivery, Plan, bar};
+use crate::faults::{Delivered, Delivery, Plan, bar};
 use crate::schedule::ExposureSchedule;
 
 /// For messages.
@@ -36,34 +37,6 @@ pub struct GeometricCamera {
     before: Option<Pose<CamLeft, Target>>,
     /// Factors of brightness of both eyes in the frame before, and how many frames ago they changed.
     brightness: ([f64; 2], u32),
-}
-
-/// One frame.
-#[derive(Clone, Copy, Debug)]
-pub struct GeometricFrame {
-    /// Number of the exposure.
-    pub sequence: u64,
-    /// Middle of the exposure.
-    pub exposed_at: MonotonicTime,
-    /// Middle of the right exposure minus middle of the left exposure, nanoseconds.
-    pub skew_nanos: i64,
-    /// Whether it would be other pixels than those of the frame before.
-    pub is_new: bool,
-    /// What a tracker says of it, as far as nothing hinders it.
-    pub sighting: Sighting,
-    /// What hinders it.
-    pub hindrance: Option<Hindrance>,
-    /// The truth.
-    pub cam_left_from_target: Pose<CamLeft, Target>,
-}
-
-/// What a fault of a camera does to a tracker of its pictures.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Hindrance {
-    /// It finds no pose, for this reason.
-    Blind(&'static str),
-    /// It does not stand by its pose, for this reason.
-    Doubtful(&'static str),
 }
 
 impl Delivered for GeometricFrame {
@@ -224,8 +197,9 @@ mod tests {
     use pb3dp_sim::geometric::PoseSigma;
     use pb3dp_sim::scene::ScenePoses;
 
+    use pb3dp_sim::camera_faults::Eyes;
+
     use super::*;
-    use crate::faults::Eyes;
 
     struct Passing;
 

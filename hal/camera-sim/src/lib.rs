@@ -3,7 +3,7 @@
 //! [`SimStereoCamera`] exposes at fixed times of an injected clock, asks a `PoseSource` where everything was then, and renders
 //! the pair. It knows no arm: whoever simulates the arms implements `PoseSource`. [`GeometricCamera`] exposes at the same times and
 //! renders nothing: it stands for camera and tracker in one, for runs in which pixels are not the subject. Both can be made to suffer
-//! [`CameraFaults`]: [`FaultyCamera`] does it to pictures.
+//! [`CameraFaults`](pb3dp_sim::camera_faults::CameraFaults): [`FaultyCamera`] does it to pictures.
 
 mod faults;
 mod geometric;
@@ -17,8 +17,8 @@ use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::{PoseSource, ScenePoses};
 
-pub use faults::{CameraFault, CameraFaultKind, CameraFaults, Eyes, FaultyCamera};
-pub use geometric::{GeometricCamera, GeometricFrame, Hindrance};
+pub use faults::FaultyCamera;
+pub use geometric::GeometricCamera;
 use schedule::ExposureSchedule;
 
 /// Most moments of one exposure.

@@ -3,17 +3,18 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use pb3dp_camera_settings::{CameraConfig, StereoConfig, nanos};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
 
-use crate::controls::{self, Control, ControlSettings, Focus};
+use crate::controls::{self, Control, Focus};
 use crate::error::{failed, unusable};
-use crate::modes::{self, Mode, ModeRequest};
-use crate::names::{self, CameraName, Found};
+use crate::modes::{self, Mode};
+use crate::names::{self, Found};
 use crate::pairing::{Drift, DriftEstimator, Verdict, judge};
 use crate::pixels::PixelError;
 use crate::stream::{Drained, Stream, StreamConfig, StreamCounters};
-use crate::timing::{ClockMap, StampModel, nanos};
+use crate::timing::ClockMap;
 use crate::video::{VideoNode, VideoSystem};
 
 /// Without any picture for so many periods a camera is silent. One that sends is late by less than a period: on an emulated computer
@@ -29,37 +30,6 @@ const AGE_PERIODS_MAX: u32 = 4;
 
 /// Memory for pictures that the driver fills: one is held, one is filled, two are room for a caller that is late.
 const BUFFERS: u32 = 4;
-
-/// One camera of the two.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CameraConfig {
-    /// Which device.
-    pub name: CameraName,
-    /// What is asked of it.
-    pub mode: ModeRequest,
-    /// Exposure, gain, white balance, focus.
-    pub controls: ControlSettings,
-    /// Time of exposure where the camera does not tell it; the camera's own word counts more.
-    pub exposure: Option<Duration>,
-    /// What its stamps mean besides.
-    pub stamps: StampModel,
-}
-
-/// Both, and what holds for pairs.
-#[derive(Clone, Debug, PartialEq)]
-pub struct StereoConfig {
-    /// Left.
-    pub left: CameraConfig,
-    /// Right.
-    pub right: CameraConfig,
-    /// Pairs whose exposures are further apart are refused.
-    pub skew_max: Duration,
-    /// Speed of the target against the cameras for which messages tell what a skew costs, metres per second.
-    pub speed_max_m_per_s: f64,
-}
-
-/// The limit for cameras of a moving hand: 0.5 mm at 100 mm/s.
-pub const SKEW_MAX: Duration = Duration::from_millis(5);
 
 /// What has come, and what was left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -7,6 +7,7 @@
 use std::io;
 use std::time::Duration;
 
+use pb3dp_camera_settings::{ControlSettings, Setting};
 use pb3dp_hal_api::CameraError;
 
 use crate::error::{failed, unusable};
@@ -44,33 +45,6 @@ const EXPOSURE_BY_CAMERA: [i32; 2] = [3, 0];
 
 /// The unit of [`id::EXPOSURE_ABSOLUTE`].
 const EXPOSURE_UNIT: Duration = Duration::from_micros(100);
-
-/// What is wished of one property.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Setting<T> {
-    /// Not by the camera; the value stays as it is.
-    #[default]
-    Keep,
-    /// That value.
-    Manual(T),
-    /// By the camera itself.
-    Auto,
-}
-
-/// Wishes for one camera. The default keeps all values and switches every automatic mode off.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct ControlSettings {
-    /// Time of exposure.
-    pub exposure: Setting<Duration>,
-    /// Gain, in units of the driver's own.
-    pub gain: Setting<i32>,
-    /// White balance, kelvin.
-    pub white_balance: Setting<i32>,
-    /// Focus, in units of the driver's own.
-    pub focus: Setting<i32>,
-    /// Further controls by their numbers, set last and in this order.
-    pub others: Vec<(u32, i32)>,
-}
 
 /// What holds a lens where it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

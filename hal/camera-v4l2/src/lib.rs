@@ -23,6 +23,6 @@ mod stream;
 pub mod timing;
 pub mod video;
 
-pub use camera::{CameraConfig, CameraIdentity, SKEW_MAX, Side, StereoConfig, StereoCounters, V4l2StereoCamera};
+pub use camera::{CameraIdentity, Side, StereoCounters, V4l2StereoCamera};
 pub use reopening::ReopeningCamera;
 pub use stream::StreamCounters;

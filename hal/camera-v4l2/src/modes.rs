@@ -2,13 +2,14 @@
 
 use std::io;
 
+use pb3dp_camera_settings::{Interval, ModeRequest};
 use pb3dp_geometry::ImageSize;
 use pb3dp_hal_api::CameraError;
 use rustix::io::Errno;
 
 use crate::error::{failed, unusable};
-use crate::pixels::{Layout, PixelFormat, YuvMatrix, YuvRange};
-use crate::video::{FieldOrder, Interval, IntervalEntry, RawFormat, SizeEntry, VideoNode};
+use crate::pixels::{Layout, YuvMatrix, YuvRange};
+use crate::video::{FieldOrder, IntervalEntry, RawFormat, SizeEntry, VideoNode};
 
 /// No list of a driver is longer; one that has no end must not keep us.
 const ENTRIES_MAX: u32 = 256;
@@ -65,23 +66,6 @@ fn all<T>(entry_at: impl Fn(u32) -> io::Result<Option<T>>) -> io::Result<Vec<T>>
         }
     }
     Ok(entries)
-}
-
-/// What is asked of a camera.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ModeRequest {
-    /// Layout of the pixels.
-    pub format: PixelFormat,
-    /// Size of pictures.
-    pub size: ImageSize,
-    /// Time from picture to picture.
-    pub interval: Interval,
-    /// Connector of a device with several, in the driver's numbering.
-    pub input: Option<u32>,
-    /// Television standard of a device that has such (`V4L2_STD_*`).
-    pub standard: Option<u64>,
-    /// Takes pictures whose even and odd lines were exposed one after the other, which tears what moves.
-    pub takes_interlaced: bool,
 }
 
 /// What a camera has agreed to, as read back.
@@ -217,6 +201,8 @@ impl std::fmt::Display for OfferedFormat {
 
 #[cfg(test)]
 mod tests {
+    use pb3dp_camera_settings::PixelFormat;
+
     use super::*;
     use crate::video::MockVideoNode;
     use pb3dp_hal_api::CameraErrorKind;

@@ -1,8 +1,7 @@
 //! Which pictures of left and right belong together, and how their times drift apart.
 
+use pb3dp_camera_settings::nanos;
 use std::time::Duration;
-
-use crate::timing::nanos;
 
 /// What becomes of the newest picture of each side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

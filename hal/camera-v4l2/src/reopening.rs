@@ -3,10 +3,11 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use pb3dp_camera_settings::StereoConfig;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
 
-use crate::camera::{CameraIdentity, Side, StereoConfig, StereoCounters, V4l2StereoCamera};
+use crate::camera::{CameraIdentity, Side, StereoCounters, V4l2StereoCamera};
 use crate::video::VideoSystem;
 
 /// From one attempt to open lost cameras to the next one. An attempt asks every video device of the computer who it is.

@@ -3,12 +3,12 @@
 use std::time::Duration;
 
 use image::RgbImage;
+use pb3dp_camera_settings::{StampModel, nanos};
 use pb3dp_hal_api::{CameraError, CameraErrorKind};
 
 use crate::error::{failed, unusable};
 use crate::modes::Mode;
 use crate::pixels::{Converter, PixelError};
-use crate::timing::{StampModel, nanos};
 use crate::video::{Filled, Handle, VideoNode};
 
 /// A driver that fills buffers faster than they can be taken must not keep us.

@@ -8,6 +8,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use pb3dp_camera_settings::{Interval, StampSource};
 use pb3dp_geometry::ImageSize;
 
 /// A video device as the system lists it, before it is opened.
@@ -67,28 +68,6 @@ pub struct RawFormat {
     pub encoding: u32,
     /// `V4L2_QUANTIZATION_*`, 0 for what follows from the colour space.
     pub quantization: u32,
-}
-
-/// Seconds from picture to picture, as a fraction.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Interval {
-    /// Seconds, times `denominator`.
-    pub numerator: u32,
-    /// See there.
-    pub denominator: u32,
-}
-
-impl Interval {
-    /// The interval in seconds; `None` for a fraction that is none.
-    pub fn seconds(self) -> Option<f64> {
-        let is_fraction = self.numerator > 0 && self.denominator > 0;
-        is_fraction.then(|| f64::from(self.numerator) / f64::from(self.denominator))
-    }
-
-    /// Pictures per second; `None` for a fraction that is none.
-    pub fn per_second(self) -> Option<f64> {
-        self.seconds().map(|seconds| 1.0 / seconds)
-    }
 }
 
 /// One entry of a list of sizes: one size, or a range of them.
@@ -152,17 +131,6 @@ pub struct ControlEntry {
     pub default: i32,
     /// The value can be read only, or another control decides on it now.
     pub is_locked: bool,
-}
-
-/// What the stamp of a buffer means (`V4L2_BUF_FLAG_TIMESTAMP_*`, `V4L2_BUF_FLAG_TSTAMP_SRC_*`).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum StampSource {
-    /// `CLOCK_MONOTONIC` when the last pixel of the picture had been received.
-    EndOfFrame,
-    /// `CLOCK_MONOTONIC` when the exposure began.
-    StartOfExposure,
-    /// Any other clock, or one that the driver does not tell of.
-    Unknown,
 }
 
 /// A buffer that the driver has filled (`VIDIOC_DQBUF`).

@@ -6,12 +6,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::support::{PERIOD_MILLIS, Rig, SECOND, SMALL, config, millis};
-use pb3dp_camera_v4l2::controls::{Setting, id};
+use pb3dp_camera_settings::{CameraName, Interval, SKEW_MAX, Setting, StampModel, StampSource, StereoConfig};
+use pb3dp_camera_v4l2::controls::id;
 use pb3dp_camera_v4l2::emulated::{Call, EmulatedCamera, EmulatedSystem, Faults};
-use pb3dp_camera_v4l2::names::CameraName;
-use pb3dp_camera_v4l2::timing::StampModel;
-use pb3dp_camera_v4l2::video::{FieldOrder, Interval, StampSource};
-use pb3dp_camera_v4l2::{SKEW_MAX, Side, StereoConfig, V4l2StereoCamera};
+use pb3dp_camera_v4l2::video::FieldOrder;
+use pb3dp_camera_v4l2::{Side, V4l2StereoCamera};
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_conformance::{CameraExpectations, stereo_camera_suite};

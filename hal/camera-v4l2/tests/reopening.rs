@@ -6,7 +6,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::support::{PERIOD_MILLIS, Rig, SECOND, SMALL, config, millis};
-use pb3dp_camera_v4l2::controls::{Focus, Setting, id};
+use pb3dp_camera_settings::Setting;
+use pb3dp_camera_v4l2::controls::{Focus, id};
 use pb3dp_camera_v4l2::emulated::Call;
 use pb3dp_camera_v4l2::{ReopeningCamera, Side};
 use pb3dp_geometry::MonotonicTime;

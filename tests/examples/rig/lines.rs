@@ -23,16 +23,19 @@ fn adapter(number: &str) -> Result<String, Box<dyn Error>> {
 }
 
 /// The port of the program by the name that the setup has for it, which udev gives elsewhere.
-fn port(arm: &ArmSetup) -> Result<&SerialConfig, Box<dyn Error>> {
+fn port(arm: &ArmSetup) -> Result<SerialConfig, Box<dyn Error>> {
     match &arm.link {
-        ArmLink::Gateway(_, GatewayWay::Serial(port)) => Ok(port),
+        ArmLink::Gateway(link, GatewayWay::Serial { path, baud }) => {
+            Ok(SerialConfig::of_link(path.clone(), *baud, link))
+        }
         other => Err(format!("the setup has no arm at a serial port: {other:?}").into()),
     }
 }
 
 /// Gives the adapter `own` the name of the setup.
 pub fn name_port(arm: &ArmSetup, own: &str) -> Outcome {
-    let path = Path::new(&port(arm)?.path);
+    let port = port(arm)?;
+    let path = Path::new(&port.path);
     fs::create_dir_all(path.parent().ok_or("a name without a folder")?)?;
     let adapter = adapter(own)?;
     symlink(&adapter, path)?;
@@ -41,7 +44,7 @@ pub fn name_port(arm: &ArmSetup, own: &str) -> Outcome {
 
 /// The arm's end of the line, at the adapter `far`.
 pub fn far_end(arm: &ArmSetup, far: &str) -> Result<impl FnOnce(GatewayConfig) -> MockFace, Box<dyn Error>> {
-    let mut port = SerialConfig { path: adapter(far)?, ..port(arm)?.clone() };
+    let mut port = SerialConfig { path: adapter(far)?, ..port(arm)? };
     let link = port.connect().map_err(|error| -> Box<dyn Error> { error })?;
     Ok(move |gateway| MockFace::Link(gateway, link))
 }

@@ -4,9 +4,10 @@ use std::error::Error;
 use std::fs;
 use std::path::Path;
 
+use pb3dp_camera_settings::CameraName;
 use pb3dp_camera_v4l2::controls;
 use pb3dp_camera_v4l2::linux::Linux;
-use pb3dp_camera_v4l2::names::{self, CameraName};
+use pb3dp_camera_v4l2::names;
 
 use crate::report::ensure;
 

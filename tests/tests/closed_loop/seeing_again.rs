@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use pb3dp_camera_sim::{CameraFault, CameraFaultKind, Eyes, SimCameraConfig, SimStereoCamera};
+use pb3dp_camera_sim::{SimCameraConfig, SimStereoCamera};
 use pb3dp_cell::experiment;
 use pb3dp_cell::eyes::Sight;
 use pb3dp_cell::log::RunLog;
@@ -14,6 +14,7 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, Clock, FramePair, StereoCamera, StereoCameraInfo};
 use pb3dp_servo::supervisor::{Condition, Resume};
 use pb3dp_setup::setup::{Leader, Setup};
+use pb3dp_sim::camera_faults::{CameraFault, CameraFaultKind, Eyes};
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::{Scene, SceneConfig};
 use pb3dp_sim::targets::TargetConfig;

@@ -6,8 +6,8 @@ use std::sync::{Arc, LazyLock};
 use std::thread::sleep;
 use std::time::Duration;
 
+use pb3dp_camera_settings::Interval;
 use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem};
-use pb3dp_camera_v4l2::video::Interval;
 use pb3dp_cell::channels::Plan;
 use pb3dp_cell::experiment::{Ended, conduct};
 use pb3dp_cell::summary::summarize;

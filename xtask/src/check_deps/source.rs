@@ -130,34 +130,21 @@ const WORLDS: [World; 6] = [
 ];
 
 /// Crate names of the backends: who may name them says [`NAME_BACKENDS`].
-const BACKENDS: [&str; 7] = [
+const BACKENDS: [&str; 6] = [
     "pb3dp_camera_replay",
     "pb3dp_camera_sim",
     "pb3dp_camera_v4l2",
     "pb3dp_arm_pa10",
-    "pb3dp_arm_pa10_protocol",
     "pb3dp_arm_pa10_gateway",
     "pb3dp_arm_pa10_emulation",
 ];
 
-/// Who may name a backend: wiring, and the commands that are about one. What still takes types of settings from a backend comes last.
-const NAME_BACKENDS: [&str; 16] = [
+/// Who may name a backend: wiring, and the commands that are about one.
+const NAME_BACKENDS: [&str; 4] = [
     "crates/wiring/",
     "crates/commissioning/",
     "crates/orchestrator/src/commands/cameras/",
     "crates/orchestrator/src/commands/doctor/",
-    "crates/setup/src/gateway.rs",
-    "crates/setup/src/names.rs",
-    "crates/setup/src/setup/arms.rs",
-    "crates/setup/src/setup/camera.rs",
-    "crates/setup/src/setup/camera_faults.rs",
-    "crates/setup/src/setup/geometry.rs",
-    "crates/setup/src/setup/link.rs",
-    "crates/setup/src/setup/mod.rs",
-    "crates/setup/src/setup/real_cameras.rs",
-    "crates/setup/src/setup/sight.rs",
-    "crates/cell/src/eyes.rs",
-    "crates/cell/src/capturing.rs",
 ];
 /// Who may derive the traits of serde.
 const DERIVE_SERDE: [&str; 5] =
@@ -222,7 +209,13 @@ fn backends(path: &str, code: &str) -> Vec<Violation> {
             format!("`{backend}`: only wiring and {NAME_BACKENDS:?} name backends"),
         )
     };
-    BACKENDS.into_iter().filter(|backend| code.contains(backend)).map(violation).collect()
+    BACKENDS.into_iter().filter(|backend| names_crate(code, backend)).map(violation).collect()
+}
+
+/// Whether a crate is named, and not only one whose name begins alike.
+fn names_crate(code: &str, name: &str) -> bool {
+    let goes_on = |rest: &str| rest.starts_with(|c: char| c.is_alphanumeric() || c == '_');
+    code.match_indices(name).any(|(at, _)| !goes_on(&code[at + name.len()..]))
 }
 
 fn speed_scales(path: &str, code: &str) -> Vec<Violation> {
@@ -329,6 +322,8 @@ mod tests {
         assert!(rules("crates/wiring/src/arm.rs", "use pb3dp_arm_pa10::Mock;").is_empty());
         assert_eq!(rules("crates/orchestrator/src/commands/run.rs", "use pb3dp_arm_pa10::Mock;"), ["backend-named"]);
         assert_eq!(rules("crates/cell/src/moving.rs", "use pb3dp_arm_pa10::Mock;"), ["backend-named"]);
+        assert_eq!(rules("crates/setup/src/setup/link.rs", "use pb3dp_camera_v4l2::names::X;"), ["backend-named"]);
+        assert!(rules("crates/setup/src/setup/link.rs", "use pb3dp_arm_pa10_protocol::places::BusTarget;").is_empty());
         assert_eq!(rules("crates/servo/src/a.rs", "#[derive(Debug, serde::Serialize)]\nstruct A;"), ["serde"]);
         assert!(rules("crates/record/src/a.rs", "#[derive(Debug, Serialize)]\nstruct A;").is_empty());
     }

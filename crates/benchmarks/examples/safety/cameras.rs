@@ -1,10 +1,10 @@
 //! What goes wrong with the cameras: the faults of a setup, `[[camera.faults]]`, which do to a pose what they do to the pictures.
 
-use pb3dp_camera_sim::{CameraFault, CameraFaultKind, CameraFaults, Eyes};
 use std::time::Duration;
 
 use crate::faults::{Fault, Kind};
 use crate::scenario::Dice;
+use pb3dp_sim::camera_faults::{CameraFault, CameraFaultKind, CameraFaults, Eyes};
 
 /// From the camera's begin to that of the control loop, seconds: both arms are switched on meanwhile.
 pub const LEAD_S: f64 = 1.25;

@@ -1,8 +1,8 @@
 //! What goes wrong in a run, at every seam: what is seen, when it comes, the control loop, its clock, lines, gateways and arms.
 
 use pb3dp_arm_pa10_protocol::codec::{CommAlarm, ServoAlarm};
-use pb3dp_camera_sim::CameraFaultKind;
 use pb3dp_servo::supervisor::Word;
+use pb3dp_sim::camera_faults::CameraFaultKind;
 
 use crate::cameras;
 use crate::scenario::Dice;

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use clap::Parser;
+use pb3dp_commissioning::gateway::file::read_gateway;
 use pb3dp_orchestrator::cli::Cli;
-use pb3dp_setup::gateway::read_gateway;
 use pb3dp_test_support::not_checked;
 
 use crate::cli::support::repository;

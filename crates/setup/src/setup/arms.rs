@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use figment::value::Dict;
-use pb3dp_arm_pa10::watchdog::CommandWatchdog;
+use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, World};
 use pb3dp_hal_middleware::{

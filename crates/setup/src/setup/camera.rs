@@ -1,14 +1,13 @@
 //! The tables `[camera]` with `backend = "sim"` and `[scene]`: the simulated stereo pair and what it sees.
 
-use std::path::{Path, PathBuf};
-
-use pb3dp_camera_sim::CameraFaults;
 use pb3dp_geometry::frames::{CamLeft, CamRight};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
+use pb3dp_sim::camera_faults::CameraFaults;
 use pb3dp_sim::scene::SceneConfig;
 use pb3dp_sim::sensor::{EyeResponse, SensorConfig};
 use pb3dp_sim::targets::{BackdropConfig, TargetConfig};
 use serde::Deserialize;
+use std::path::{Path, PathBuf};
 
 use super::super::load::{Checker, whole, within};
 use super::calibration::CalibrationInUse;

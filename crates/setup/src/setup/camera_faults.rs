@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
-use pb3dp_camera_sim::{CameraFault, CameraFaultKind, CameraFaults, Eyes};
 use serde::Deserialize;
 
 use super::super::load::{Checker, whole};
+use pb3dp_sim::camera_faults::{CameraFault, CameraFaultKind, CameraFaults, Eyes};
 
 /// One fault; each kind has keys of its own, and all have their time.
 #[derive(Clone, Debug, Deserialize)]

@@ -1,16 +1,12 @@
 //! How an arm is reached: the key `backend` of an arm, and its table `gateway` or `bus`.
 
-use std::time::Duration;
-
-use pb3dp_arm_pa10::arm::BusTarget;
-use pb3dp_arm_pa10::link::GatewayLinkConfig;
-use pb3dp_arm_pa10::serial::SerialConfig;
-use pb3dp_arm_pa10::watchdog::CommandWatchdog;
-use pb3dp_arm_pa10_emulation::line::mock_server::SocketAddr;
 use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, Supervision, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, BRAKE_TIME_MAX, Dialect, Geometry, check_line};
+use pb3dp_arm_pa10_protocol::places::{BusTarget, GatewayLinkConfig};
+use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_hal_platform::tcp::TcpConfig;
 use serde::Deserialize;
+use std::time::Duration;
 
 use super::super::load::{Checker, whole};
 use super::super::names::{FormatName, GeometryName, sequence_modulus};
@@ -68,7 +64,12 @@ pub enum GatewayWay {
     /// Gateway and servo controller are emulated byte by byte, in this program, behind a pseudo-terminal.
     Emulated,
     /// A serial port.
-    Serial(SerialConfig),
+    Serial {
+        /// `/dev/ttyUSB0`; better a name below `/dev/serial/by-id`, which stays with the adapter.
+        path: String,
+        /// Bits per second.
+        baud: u32,
+    },
     /// A TCP connection.
     Tcp(TcpConfig),
 }
@@ -245,7 +246,7 @@ impl BusSection {
     }
 }
 
-fn tcp_address(key: &str, text: &str, check: &mut Checker) -> Option<SocketAddr> {
+fn tcp_place(key: &str, text: &str, check: &mut Checker) -> Option<TcpConfig> {
     let address = text.parse();
     if address.is_err() {
         check.refuse(format!(
@@ -253,14 +254,14 @@ fn tcp_address(key: &str, text: &str, check: &mut Checker) -> Option<SocketAddr>
              names are not looked up, and \"localhost\" is \"127.0.0.1\""
         ));
     }
-    address.ok()
+    address.ok().map(|address| TcpConfig { address })
 }
 
 impl ArmLink {
     /// Where the other end is, which only one arm can have; as its key and value.
     pub(super) fn place(&self) -> Option<(&'static str, String)> {
         match self {
-            Self::Gateway(_, GatewayWay::Serial(serial)) => Some(("gateway.port", serial.path.clone())),
+            Self::Gateway(_, GatewayWay::Serial { path, .. }) => Some(("gateway.port", path.clone())),
             Self::Gateway(_, GatewayWay::Tcp(tcp)) => Some(("gateway.address", tcp.address.to_string())),
             Self::Bus(bus) => Some(("bus.port", bus.target.to_string())),
             Self::InProcess | Self::Gateway(_, GatewayWay::Emulated) => None,
@@ -295,10 +296,10 @@ impl GatewaySection {
                 if let (1.., Err(why)) = (baud, check_line(dialect, format, whole(baud), cycle)) {
                     check.refuse(format!("{key}.gateway.baud: {why}"));
                 }
-                GatewayWay::Serial(SerialConfig { path: path.clone(), baud: whole(baud), dialect, format, cycle })
+                GatewayWay::Serial { path: path.clone(), baud: whole(baud) }
             }
             (ArmBackend::Tcp, None, None, Some(address)) => {
-                GatewayWay::Tcp(TcpConfig { address: tcp_address(&format!("{key}.gateway.address"), address, check)? })
+                GatewayWay::Tcp(tcp_place(&format!("{key}.gateway.address"), address, check)?)
             }
             _ => {
                 check.refuse(format!(

@@ -26,13 +26,13 @@ use std::time::Duration;
 
 use figment::value::Dict;
 use nalgebra::{UnitQuaternion, Vector3};
-use pb3dp_camera_sim::CameraFaults;
 use pb3dp_estimation::estimator::{EstimatorConfig, Method};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::frames::{Flange, Target};
 use pb3dp_geometry::{Frame, Pose, StereoRig};
 use pb3dp_servo::ControllerConfig;
 use pb3dp_servo::supervisor::SupervisorConfig;
+use pb3dp_sim::camera_faults::CameraFaults;
 use pb3dp_sim::geometric::GeometricConfig;
 use pb3dp_sim::scene::SceneConfig;
 use pb3dp_sim::sensor::SensorConfig;

@@ -4,13 +4,10 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_camera_v4l2::controls::{ControlSettings, Setting};
-use pb3dp_camera_v4l2::modes::ModeRequest;
-use pb3dp_camera_v4l2::names::CameraName;
-use pb3dp_camera_v4l2::pixels::PixelFormat;
-use pb3dp_camera_v4l2::timing::StampModel;
-use pb3dp_camera_v4l2::video::Interval;
-use pb3dp_camera_v4l2::{CameraConfig, SKEW_MAX, StereoConfig};
+use pb3dp_camera_settings::{
+    CameraConfig, CameraName, ControlSettings, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting, StampModel,
+    StereoConfig,
+};
 use pb3dp_geometry::ImageSize;
 use pb3dp_record::calibration_files::{Judgement, StereoCalibration, load_stereo_for};
 use serde::Deserialize;

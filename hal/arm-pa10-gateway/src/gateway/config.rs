@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::watchdog::CommandWatchdog;
 use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, Supervision, TorqueScale, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, BRAKE_TIME_MAX, Firmware, Geometry};
+use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 
 /// Cycles on the bus that make sense: a controller that wants one every 2 ms, or a slower one (the period stands in its ROM).
 const CYCLE_RANGE: std::ops::RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::from_millis(10);

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10::watchdog::{CommandWatchdog, Staleness};
 use pb3dp_arm_pa10_protocol::codec::{ArmCommand, Axis, AxisCommand, SpeedCounts, Supervision};
+use pb3dp_arm_pa10_protocol::watchdog::{CommandWatchdog, Staleness};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_safeguards::{Safeguard, is_off};
 

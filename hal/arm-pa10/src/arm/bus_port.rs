@@ -1,72 +1,23 @@
 //! The link to the servo controller itself, over the bus of a computer that holds the ARCNET card.
 
 use std::os::fd::BorrowedFd;
-use std::path::PathBuf;
 use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::arcnet::Frame;
 use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{HelloReply, ParserCounters};
+use pb3dp_arm_pa10_protocol::places::BusTarget;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::transport::{ConnectError, Unplugged, wait_for};
 
 use super::port::{Greeted, HostPort};
 use super::trace::{Tracer, Way};
-use crate::bus::{ArcnetSocket, BusDown, BusPort, FRAME_ROOM, FrameSocket};
+use crate::bus::{self, BusDown, BusPort, FRAME_ROOM};
 use crate::driver::{Activity, Driver, Transmit};
 use crate::link::BusLink;
 
 /// Frames of one turn; what is left is read in the next one.
 const FRAMES_MAX: usize = 16;
-
-/// Where a bus is.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum BusTarget {
-    /// The ARCNET interface of this name: `arc0`.
-    Arcnet(String),
-    /// A socket in the place of a bus, at which an emulated controller listens.
-    Socket(PathBuf),
-}
-
-impl BusTarget {
-    /// Opens it.
-    ///
-    /// # Errors
-    /// If there is none, or it may not be used.
-    pub fn open(&self) -> Result<Box<dyn BusPort>, ConnectError> {
-        Ok(match self {
-            Self::Arcnet(interface) => Box::new(ArcnetSocket::open(interface)?),
-            Self::Socket(path) => Box::new(FrameSocket::connect(path)?),
-        })
-    }
-}
-
-/// Why a text names no bus.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is no bus: write arcnet:INTERFACE or socket:PATH")]
-pub struct NoBus(String);
-
-impl std::str::FromStr for BusTarget {
-    type Err = NoBus;
-
-    /// `arcnet:INTERFACE` or `socket:PATH`.
-    fn from_str(text: &str) -> Result<Self, NoBus> {
-        match text.split_once(':') {
-            Some(("arcnet", interface)) if !interface.is_empty() => Ok(Self::Arcnet(interface.to_owned())),
-            Some(("socket", path)) if !path.is_empty() => Ok(Self::Socket(PathBuf::from(path))),
-            _ => Err(NoBus(text.to_owned())),
-        }
-    }
-}
-
-impl std::fmt::Display for BusTarget {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Arcnet(interface) => write!(f, "ARCNET interface {interface}"),
-            Self::Socket(path) => write!(f, "socket {}", path.display()),
-        }
-    }
-}
 
 /// A link to a controller.
 pub(super) struct ControllerPort {
@@ -91,7 +42,7 @@ impl ControllerPort {
         target: BusTarget,
         tracer: Tracer,
     ) -> Result<Self, ConnectError> {
-        let bus = Some(target.open()?);
+        let bus = Some(bus::open(&target)?);
         let link = BusLink::new(format, modulus);
         Ok(Self { link, target, bus, gone: None, pending: None, frames_unsent: 0, tracer })
     }
@@ -107,7 +58,7 @@ impl ControllerPort {
 
 impl HostPort for ControllerPort {
     fn reopen(&mut self) -> Result<(), ConnectError> {
-        self.bus = Some(self.target.open()?);
+        self.bus = Some(bus::open(&self.target)?);
         self.gone = None;
         Ok(())
     }

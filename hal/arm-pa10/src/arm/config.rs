@@ -2,15 +2,13 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, WireFormat};
-use pb3dp_arm_pa10_protocol::gateway_protocol::ArmId;
-use pb3dp_hal_platform::realtime::Realtime;
-use pb3dp_hal_platform::transport::ConnectError;
-
-use super::bus_port::BusTarget;
 use super::wish::WishError;
 use crate::driver::{DriverConfig, DriverConfigError};
-use crate::link::GatewayLinkConfig;
+use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, WireFormat};
+use pb3dp_arm_pa10_protocol::gateway_protocol::ArmId;
+use pb3dp_arm_pa10_protocol::places::{BusTarget, GatewayLinkConfig};
+use pb3dp_hal_platform::realtime::Realtime;
+use pb3dp_hal_platform::transport::ConnectError;
 
 /// Above ordinary programs, below the interrupts of the system.
 pub const REALTIME: Realtime = Realtime { priority: Some(50), locks_memory: true, cpu: None };

@@ -4,6 +4,7 @@ use std::os::fd::BorrowedFd;
 use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::gateway_protocol::{FrameBytes, HelloReply, ParserCounters};
+use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::transport::{ByteLink, ConnectError, Connector, Unplugged, wait};
 
@@ -11,7 +12,7 @@ use super::closer::Closer;
 use super::port::{Greeted, HostPort};
 use super::trace::{Tracer, Way};
 use crate::driver::{Activity, Driver, Sample, Transmit};
-use crate::link::{GatewayLink, GatewayLinkConfig, HEARTBEAT_INTERVAL, HELLO_TIMEOUT};
+use crate::link::{GatewayLink, HEARTBEAT_INTERVAL, HELLO_TIMEOUT};
 
 /// HELLO is said again after this long: one may get lost.
 const HELLO_AGAIN: Duration = Duration::from_millis(200);

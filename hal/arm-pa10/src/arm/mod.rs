@@ -24,6 +24,7 @@ use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::codec::{ArmCommand, CodecError};
 use pb3dp_arm_pa10_protocol::gateway_protocol::ArmId;
+use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand};
 use pb3dp_hal_platform::realtime::{Realtime, Shortfall, enter};
@@ -38,9 +39,7 @@ use self::shared::{Shared, Wish};
 use self::trace::Tracer;
 use self::worker::{LET_GO_MAX, Progress, WishEnd, Worker};
 use crate::driver::{Activity, Driver, DriverConfig, Trip};
-use crate::link::GatewayLinkConfig;
 
-pub use bus_port::{BusTarget, NoBus};
 pub use config::{ArmOpenError, BusArmConfig, Pa10ArmConfig, REALTIME};
 pub use shared::{ArmMonitor, ArmSnapshot};
 pub use trace::{RawBytes, Way};

@@ -9,12 +9,24 @@ mod frame_socket;
 use std::os::fd::BorrowedFd;
 use std::time::Duration;
 
-use pb3dp_hal_platform::transport::Symptom;
+use pb3dp_arm_pa10_protocol::places::BusTarget;
+use pb3dp_hal_platform::transport::{ConnectError, Symptom};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
 pub use arcnet_socket::{ArcnetError, ArcnetSocket};
 pub use frame_socket::{FrameListener, FrameSocket, FrameSocketError};
+
+/// Opens a bus.
+///
+/// # Errors
+/// If there is none, or it may not be used.
+pub fn open(target: &BusTarget) -> Result<Box<dyn BusPort>, ConnectError> {
+    Ok(match target {
+        BusTarget::Arcnet(interface) => Box::new(ArcnetSocket::open(interface)?),
+        BusTarget::Socket(path) => Box::new(FrameSocket::connect(path)?),
+    })
+}
 
 /// Room for a frame of the bus, and for one that is longer than allowed.
 pub const FRAME_ROOM: usize = pb3dp_arm_pa10_protocol::arcnet::FRAME_LENGTH_MAX + 16;

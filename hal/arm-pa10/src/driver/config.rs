@@ -6,7 +6,7 @@ use std::time::Duration;
 use pb3dp_arm_pa10_protocol::codec::Supervision;
 use pb3dp_kinematics::{DOF, JointVector};
 
-use crate::watchdog::CommandWatchdog;
+use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 
 /// Fewest exchanges before brakes open.
 const WARM_UP_MIN: u32 = 100;

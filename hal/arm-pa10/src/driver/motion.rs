@@ -6,7 +6,7 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
 use pb3dp_safeguards::{Safeguard, is_off};
 
-use crate::watchdog::{CommandWatchdog, Staleness};
+use pb3dp_arm_pa10_protocol::watchdog::{CommandWatchdog, Staleness};
 
 /// Where the velocity comes from.
 #[derive(Clone, Copy, Debug, PartialEq)]

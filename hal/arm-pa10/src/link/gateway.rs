@@ -6,16 +6,17 @@ use pb3dp_arm_pa10_protocol::codec::{
     Axis, AxisCommand, CodecError, CommAlarm, ControlMessage, ReplyMessage, ServoAlarm, ServoWord, WireFormat,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmId, ArmOperation, BRAKE_TIME_MAX, Control, DelayMeter, Dialect, DriveCommand, DriveMode, FaultReport, Frame,
+    ArmOperation, BRAKE_TIME_MAX, Control, DelayMeter, Dialect, DriveCommand, DriveMode, FaultReport, Frame,
     FrameBytes, FrameParser, GatewayMessage, GatewayState, Geometry, Hello, HelloReply, HostMessage, ParserCounters,
     RawMessage, Received, Reject, RejectReason, StopCause,
 };
+use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::MonotonicTime;
 
 use crate::driver::{
     Activity, AxisLimits, BadReply, Driver, EmergencyStopCause, FaultCause, Reply, Sample, Transmit, Trip,
 };
-use crate::watchdog::{CommandWatchdog, WatchdogError};
+use pb3dp_arm_pa10_protocol::watchdog::{CommandWatchdog, WatchdogError};
 
 /// Without an answer to HELLO for this long there is no gateway.
 pub const HELLO_TIMEOUT: Duration = Duration::from_millis(500);
@@ -25,21 +26,6 @@ pub const SILENCE: Duration = Duration::from_millis(20);
 
 /// A host that has nothing to say shows this often that it is there.
 pub const HEARTBEAT_INTERVAL: Duration = Duration::from_millis(250);
-
-/// What a link is told.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct GatewayLinkConfig {
-    /// The arm at the other end.
-    pub arm: ArmId,
-    /// How to speak.
-    pub dialect: Dialect,
-    /// The wire format of the arm. A gateway that knows another one is refused.
-    pub format: WireFormat,
-    /// The geometry of the arm. A gateway that is told another one is refused.
-    pub geometry: Geometry,
-    /// Time between two commands.
-    pub cycle: Duration,
-}
 
 /// Why a gateway is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]

@@ -7,7 +7,7 @@ mod bus;
 mod gateway;
 
 pub use bus::{BusFrameError, BusLink};
-pub use gateway::{GatewayLink, GatewayLinkConfig, HEARTBEAT_INTERVAL, HELLO_TIMEOUT, HelloError, LinkError, SILENCE};
+pub use gateway::{GatewayLink, HEARTBEAT_INTERVAL, HELLO_TIMEOUT, HelloError, LinkError, SILENCE};
 
 use pb3dp_arm_pa10_protocol::codec::{ReplyMessage, TorqueScale, WireFormat};
 

@@ -13,6 +13,7 @@ use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, LineTooSlow, check_line};
+use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_hal_platform::transport::{ByteLink, ConnectError, Connector, Unplugged, judge, wait_for_hangup};
 use rustix::fs::{FlockOperation, Mode, OFlags, flock};
 use rustix::io::Errno;
@@ -40,6 +41,13 @@ pub struct SerialConfig {
     pub format: WireFormat,
     /// Time between two commands.
     pub cycle: Duration,
+}
+
+impl SerialConfig {
+    /// The port at `path` with `baud` bits per second, for this link.
+    pub fn of_link(path: String, baud: u32, link: &GatewayLinkConfig) -> Self {
+        Self { path, baud, dialect: link.dialect, format: link.format, cycle: link.cycle }
+    }
 }
 
 /// Why a port can not be used.

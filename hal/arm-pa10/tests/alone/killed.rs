@@ -11,10 +11,10 @@ use std::time::{Duration, Instant};
 
 use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
 use pb3dp_arm_pa10::driver::DriverConfig;
-use pb3dp_arm_pa10::link::GatewayLinkConfig;
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, GatewayState, Geometry, StopCause};
+use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::cell_end::{Cell, CellEnd};
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, JointCommand};
 use pb3dp_hal_clock::SystemClock;

@@ -10,10 +10,10 @@ use std::time::{Duration, Instant};
 
 use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
 use pb3dp_arm_pa10::driver::{DriverConfig, LimitsCheck};
-use pb3dp_arm_pa10::link::GatewayLinkConfig;
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry};
+use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::cell_end::{Cell, CellEnd};
 use pb3dp_hal_api::{ArmPower, ArmState};
 use pb3dp_hal_clock::SystemClock;

@@ -7,12 +7,13 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use pb3dp_arm_pa10::arm::{ArmOpenError, BusArmConfig, BusTarget, Pa10Arm, REALTIME, trip_line};
+use pb3dp_arm_pa10::arm::{ArmOpenError, BusArmConfig, Pa10Arm, REALTIME, trip_line};
 use pb3dp_arm_pa10::bus::{BusPort, FRAME_ROOM, FrameListener};
 use pb3dp_arm_pa10::driver::{DriverConfig, FaultCause, LimitsCheck, Trip};
 use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockController, MockControllerConfig};
 use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::ArmId;
+use pb3dp_arm_pa10_protocol::places::BusTarget;
 use pb3dp_arm_pa10_test_support::cell_end;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, JointCommand, JointState};

@@ -3,8 +3,7 @@
 use std::collections::VecDeque;
 
 use pb3dp_hal_api::{CameraError, CameraErrorKind};
-
-use super::{CameraFault, CameraFaultKind};
+use pb3dp_sim::camera_faults::{CameraFault, CameraFaultKind};
 
 /// What is delivered: something with a content, a number and times.
 pub(crate) trait Delivered: Clone {

@@ -5,9 +5,10 @@ use std::time::Duration;
 use image::RgbImage;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, FramePair, StereoCamera, StereoCameraInfo};
+use pb3dp_sim::camera_faults::{CameraFault, CameraFaultKind, CameraFaults, Eyes};
 use pb3dp_sim::noise::{hash, unit};
 
-use super::{CameraFault, CameraFaultKind, CameraFaults, Delivered, Delivery, Eyes, Plan, bar};
+use super::{Delivered, Delivery, Plan, bar};
 
 impl Delivered for FramePair {
     fn with_content_of(&self, other: &Self) -> Self {

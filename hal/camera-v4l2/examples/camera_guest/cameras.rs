@@ -4,14 +4,16 @@ use std::error::Error;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use pb3dp_camera_v4l2::controls::{self, ControlSettings, Setting};
+use pb3dp_camera_settings::{
+    CameraConfig, CameraName, ControlSettings, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting, StampModel,
+    StereoConfig,
+};
+use pb3dp_camera_v4l2::controls;
 use pb3dp_camera_v4l2::linux::Linux;
-use pb3dp_camera_v4l2::modes::{self, ModeRequest};
-use pb3dp_camera_v4l2::names::{self, CameraName};
-use pb3dp_camera_v4l2::pixels::{Converter, Layout, PixelFormat, YuvKernels, YuvMatrix, YuvRange};
-use pb3dp_camera_v4l2::timing::StampModel;
-use pb3dp_camera_v4l2::video::Interval;
-use pb3dp_camera_v4l2::{CameraConfig, SKEW_MAX, Side, StereoConfig, V4l2StereoCamera};
+use pb3dp_camera_v4l2::modes;
+use pb3dp_camera_v4l2::names;
+use pb3dp_camera_v4l2::pixels::{Converter, Layout, YuvKernels, YuvMatrix, YuvRange};
+use pb3dp_camera_v4l2::{Side, V4l2StereoCamera};
 use pb3dp_geometry::ImageSize;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera};
 use pb3dp_hal_clock::SystemClock;

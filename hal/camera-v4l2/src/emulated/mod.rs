@@ -11,15 +11,14 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use pb3dp_camera_settings::{Interval, StampSource, nanos};
 use pb3dp_geometry::ImageSize;
 use pb3dp_hal_api::Clock;
 use rustix::io::Errno;
 
 use crate::controls::id;
-use crate::timing::nanos;
 use crate::video::{
-    Capability, ControlEntry, ControlKind, FieldOrder, Handle, Interval, NodeEntry, RawFormat, Readiness, StampSource,
-    VideoNode, VideoSystem,
+    Capability, ControlEntry, ControlKind, FieldOrder, Handle, NodeEntry, RawFormat, Readiness, VideoNode, VideoSystem,
 };
 use node::EmulatedNode;
 

@@ -3,14 +3,13 @@
 use std::collections::VecDeque;
 use std::io;
 
+use pb3dp_camera_settings::{Interval, PixelFormat, nanos};
 use pb3dp_geometry::ImageSize;
 use rustix::io::Errno;
 
 use super::{Call, Device, EmulatedCamera, EmulatedSystem, Run, State};
-use crate::pixels::PixelFormat;
-use crate::timing::nanos;
 use crate::video::{
-    Capability, ControlEntry, Filled, Handle, Interval, IntervalEntry, RawFormat, Readiness, SizeEntry, VideoNode,
+    Capability, ControlEntry, Filled, Handle, IntervalEntry, RawFormat, Readiness, SizeEntry, VideoNode,
 };
 
 /// What a driver keeps of an open node.

@@ -4,6 +4,7 @@ use std::ffi::c_void;
 use std::io;
 use std::mem::{size_of, zeroed};
 
+use pb3dp_camera_settings::{Interval, StampSource};
 use pb3dp_geometry::ImageSize;
 use rustix::fd::{AsRawFd, OwnedFd};
 use rustix::io::Errno;
@@ -11,8 +12,7 @@ use v4l::v4l_sys as sys;
 use v4l::v4l2::{self, vidioc};
 
 use crate::video::{
-    Capability, ControlEntry, ControlKind, FieldOrder, Filled, Handle, Interval, IntervalEntry, RawFormat, SizeEntry,
-    StampSource, VideoNode,
+    Capability, ControlEntry, ControlKind, FieldOrder, Filled, Handle, IntervalEntry, RawFormat, SizeEntry, VideoNode,
 };
 
 const CAPTURE: u32 = sys::v4l2_buf_type_V4L2_BUF_TYPE_VIDEO_CAPTURE;

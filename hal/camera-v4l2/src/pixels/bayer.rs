@@ -1,29 +1,15 @@
 //! Bayer pictures, one colour per pixel: the two others are the mean of the nearest pixels that have them (bilinear).
 
 use image::RgbImage;
+use pb3dp_camera_settings::BayerOrder;
 
-/// The colours of the upper left square of 2x2 pixels, row by row.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum BayerOrder {
-    /// Red, green; green, blue.
-    Rggb,
-    /// Green, red; blue, green.
-    Grbg,
-    /// Green, blue; red, green.
-    Gbrg,
-    /// Blue, green; green, red.
-    Bggr,
-}
-
-impl BayerOrder {
-    /// Column and row, modulo 2, of red; blue lies diagonally to it.
-    fn red(self) -> (usize, usize) {
-        match self {
-            Self::Rggb => (0, 0),
-            Self::Grbg => (1, 0),
-            Self::Gbrg => (0, 1),
-            Self::Bggr => (1, 1),
-        }
+/// Column and row, modulo 2, of red; blue lies diagonally to it.
+fn red(order: BayerOrder) -> (usize, usize) {
+    match order {
+        BayerOrder::Rggb => (0, 0),
+        BayerOrder::Grbg => (1, 0),
+        BayerOrder::Gbrg => (0, 1),
+        BayerOrder::Bggr => (1, 1),
     }
 }
 
@@ -59,7 +45,7 @@ impl Demosaic {
     /// colours stay where the pattern has them.
     pub(super) fn convert(&mut self, bytes: &[u8], stride: usize, order: BayerOrder, target: &mut RgbImage) {
         let (width, height) = (target.width() as usize, target.height() as usize);
-        let (red_column, red_row) = order.red();
+        let (red_column, red_row) = red(order);
         let row_of = |row: usize| &bytes[row * stride..row * stride + width];
         for (row, out) in target.chunks_exact_mut(3 * width).enumerate() {
             let above = row_of(if row == 0 { 1 } else { row - 1 });
@@ -146,7 +132,7 @@ mod tests {
                 let (x, y) = (x as isize, y as isize);
                 let at = |dx: isize, dy: isize| bytes[mirrored(y + dy, height) * stride + mirrored(x + dx, width)];
                 let square = [-1, 0, 1].map(|dy| [-1, 0, 1].map(|dx| at(dx, dy)));
-                let (red_column, red_row) = order.red();
+                let (red_column, red_row) = red(order);
                 let [is_red_row, is_red_column] = [y as usize % 2 == red_row, x as usize % 2 == red_column];
                 assert_eq!(
                     rgb.0,

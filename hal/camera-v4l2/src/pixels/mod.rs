@@ -6,96 +6,10 @@ mod plain;
 mod yuyv;
 
 use image::RgbImage;
+use pb3dp_camera_settings::PixelFormat;
 use pb3dp_geometry::ImageSize;
 
-pub use bayer::BayerOrder;
 pub use yuyv::{YuvKernels, YuvMatrix, YuvRange};
-
-/// How a device lays out the pixels of a picture.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum PixelFormat {
-    /// `YUYV`: two pixels in four bytes, Y0 U Y1 V.
-    Yuyv,
-    /// `GREY`: one byte of brightness.
-    Grey,
-    /// `RGB3`: red, green, blue.
-    Rgb24,
-    /// `BGR3`: blue, green, red.
-    Bgr24,
-    /// `RGGB`, `GRBG`, `GBRG`, `BA81`: one byte of one colour, as the sensor has it.
-    Bayer8(BayerOrder),
-    /// `MJPG`: each picture a JPEG of its own, with or without its Huffman tables.
-    Mjpg,
-}
-
-impl PixelFormat {
-    /// Every format, those first that cost least.
-    pub const ALL: [Self; 9] = [
-        Self::Yuyv,
-        Self::Rgb24,
-        Self::Bgr24,
-        Self::Grey,
-        Self::Bayer8(BayerOrder::Rggb),
-        Self::Bayer8(BayerOrder::Grbg),
-        Self::Bayer8(BayerOrder::Gbrg),
-        Self::Bayer8(BayerOrder::Bggr),
-        Self::Mjpg,
-    ];
-
-    /// The four letters by which V4L2 names it (kernel documentation, "Image Formats").
-    pub const fn fourcc(self) -> [u8; 4] {
-        match self {
-            Self::Yuyv => *b"YUYV",
-            Self::Grey => *b"GREY",
-            Self::Rgb24 => *b"RGB3",
-            Self::Bgr24 => *b"BGR3",
-            Self::Bayer8(BayerOrder::Rggb) => *b"RGGB",
-            Self::Bayer8(BayerOrder::Grbg) => *b"GRBG",
-            Self::Bayer8(BayerOrder::Gbrg) => *b"GBRG",
-            Self::Bayer8(BayerOrder::Bggr) => *b"BA81",
-            Self::Mjpg => *b"MJPG",
-        }
-    }
-
-    /// The format of that name, if it is one that can be converted.
-    pub fn of_fourcc(fourcc: [u8; 4]) -> Option<Self> {
-        Self::ALL.into_iter().find(|format| format.fourcc() == fourcc)
-    }
-
-    /// Bytes of one row without padding; `None` where a picture has no rows of fixed length.
-    pub fn row_bytes(self, width: u32) -> Option<usize> {
-        let width = width as usize;
-        match self {
-            // Two pixels share their colour: an odd last pixel has a pair of its own.
-            Self::Yuyv => Some(width.div_ceil(2) * 4),
-            Self::Grey | Self::Bayer8(_) => Some(width),
-            Self::Rgb24 | Self::Bgr24 => Some(3 * width),
-            Self::Mjpg => None,
-        }
-    }
-}
-
-/// Four letters that name no format that is taken.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{text:?} is no layout of pixels that is taken; write one of: {}", PixelFormat::ALL.map(|format| format.to_string()).join(", "))]
-pub struct UnknownFormat {
-    text: String,
-}
-
-impl std::str::FromStr for PixelFormat {
-    type Err = UnknownFormat;
-
-    fn from_str(text: &str) -> Result<Self, UnknownFormat> {
-        let fourcc = <[u8; 4]>::try_from(text.as_bytes()).ok();
-        fourcc.and_then(Self::of_fourcc).ok_or_else(|| UnknownFormat { text: text.to_owned() })
-    }
-}
-
-impl std::fmt::Display for PixelFormat {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&String::from_utf8_lossy(&self.fourcc()))
-    }
-}
 
 /// What a picture of a device looks like in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -6,14 +6,12 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use pb3dp_camera_v4l2::controls::{ControlSettings, Setting};
+use pb3dp_camera_settings::{
+    CameraConfig, CameraName, ControlSettings, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting, StampModel,
+    StereoConfig,
+};
+use pb3dp_camera_v4l2::V4l2StereoCamera;
 use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem, Faults};
-use pb3dp_camera_v4l2::modes::ModeRequest;
-use pb3dp_camera_v4l2::names::CameraName;
-use pb3dp_camera_v4l2::pixels::PixelFormat;
-use pb3dp_camera_v4l2::timing::StampModel;
-use pb3dp_camera_v4l2::video::Interval;
-use pb3dp_camera_v4l2::{CameraConfig, SKEW_MAX, StereoConfig, V4l2StereoCamera};
 use pb3dp_geometry::ImageSize;
 use pb3dp_hal_api::{CameraError, Clock, FramePair, StereoCamera};
 use pb3dp_hal_clock::VirtualClock;

@@ -5,12 +5,9 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use pb3dp_camera_v4l2::controls::{ControlSettings, Setting};
-use pb3dp_camera_v4l2::modes::ModeRequest;
-use pb3dp_camera_v4l2::names::CameraName;
-use pb3dp_camera_v4l2::pixels::PixelFormat;
-use pb3dp_camera_v4l2::timing::StampModel;
-use pb3dp_camera_v4l2::{CameraConfig, StereoConfig};
+use pb3dp_camera_settings::{
+    CameraConfig, CameraName, ControlSettings, ModeRequest, PixelFormat, Setting, StampModel, StereoConfig,
+};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::{ImageSize, StereoRig};
 use pb3dp_record::calibration_files::load_stereo;

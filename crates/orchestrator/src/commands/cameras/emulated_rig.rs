@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use clap::Parser;
 use image::RgbImage;
+use pb3dp_camera_settings::Interval;
 use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem};
-use pb3dp_camera_v4l2::video::Interval;
 use pb3dp_geometry::ImageSize;
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_clock::VirtualClock;

@@ -6,10 +6,10 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use pb3dp_camera_settings::PixelFormat;
 use pb3dp_camera_v4l2::controls::{Control, controls};
 use pb3dp_camera_v4l2::modes::{OfferedFormat, offered};
 use pb3dp_camera_v4l2::names::{self, Found};
-use pb3dp_camera_v4l2::pixels::PixelFormat;
 use pb3dp_camera_v4l2::video::{ControlKind, IntervalEntry, SizeEntry, VideoSystem};
 use pb3dp_cell::terminal::print_line;
 use serde::Serialize;
@@ -316,6 +316,8 @@ mod tests {
     use pb3dp_hal_clock::VirtualClock;
     use rustix::io::Errno;
 
+    use pb3dp_camera_settings::Interval;
+
     use super::*;
 
     fn system(cameras: Vec<EmulatedCamera>) -> EmulatedSystem {
@@ -367,7 +369,6 @@ mod tests {
 
     #[test]
     fn sizes_and_rates_that_are_ranges_are_told() {
-        use pb3dp_camera_v4l2::video::Interval;
         let size = |width, height| ImageSize { width, height };
         let range = SizeEntry::Range { from: size(48, 32), to: size(1920, 1200), step: (2, 4) };
         assert_eq!(Size::of(&range, &[]).text(), "48x32 to 1920x1200 by steps of 2x4");

@@ -1,11 +1,10 @@
 //! Cameras, and how they hang on the computer.
 
-use pb3dp_camera_v4l2::names::CameraName;
-
 use super::access::{Identity, denied};
 use super::finding::{Finding, Verdict};
 use super::needs::{Cameras, Needs};
 use super::system::System;
+use pb3dp_camera_settings::CameraName;
 
 /// Mbit/s of USB 2: what a camera has that reports this, or less.
 const USB2_MBIT_PER_S: f64 = 480.0;

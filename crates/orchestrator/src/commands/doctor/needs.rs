@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use pb3dp_arm_pa10::arm::{BusTarget, REALTIME};
-use pb3dp_camera_v4l2::names::CameraName;
-use pb3dp_setup::gateway::{HostPlace, read_gateway};
+use pb3dp_arm_pa10::arm::REALTIME;
+use pb3dp_arm_pa10_protocol::places::BusTarget;
+use pb3dp_camera_settings::CameraName;
+use pb3dp_commissioning::gateway::file::{HostPlace, read_gateway};
 use pb3dp_setup::load::{ConfigError, FileKind, kind_of};
 use pb3dp_setup::setup::{ArmLink, GatewayWay, Pace, Setup, read_setup};
 
@@ -88,7 +89,7 @@ impl Needs {
         let (mut serial, mut arcnet) = (Vec::new(), Vec::new());
         for link in [&setup.vs.link, &setup.tc.link] {
             match link {
-                ArmLink::Gateway(_, GatewayWay::Serial(config)) => serial.push(config.path.clone()),
+                ArmLink::Gateway(_, GatewayWay::Serial { path, .. }) => serial.push(path.clone()),
                 ArmLink::Bus(config) => arcnet.extend(interface(&config.target)),
                 ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated | GatewayWay::Tcp(_)) => {}
             }

@@ -1,19 +1,18 @@
 //! The file of a gateway, for `pb3dp gateway`.
 
-use std::path::Path;
-use std::time::Duration;
-
-use pb3dp_arm_pa10::arm::BusTarget;
-use pb3dp_arm_pa10::watchdog::CommandWatchdog;
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, Supervision, TorqueScale, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Firmware};
+use pb3dp_arm_pa10_protocol::places::BusTarget;
+use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_hal_platform::realtime::Realtime;
 use pb3dp_hal_platform::tcp::TcpConfig;
 use serde::Deserialize;
+use std::path::Path;
+use std::time::Duration;
 
-use super::load::{Checker, ConfigError, FileKind, read_toml, whole};
-use super::names::{FormatName, GeometryName, sequence_modulus};
+use pb3dp_setup::load::{Checker, ConfigError, FileKind, read_toml, whole};
+use pb3dp_setup::names::{FormatName, GeometryName, sequence_modulus};
 
 /// A gateway whose every value has been checked.
 #[derive(Clone, Debug)]

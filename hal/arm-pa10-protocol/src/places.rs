@@ -1,0 +1,58 @@
+//! Where the other end of a link is, and what is spoken there: what a setup says and a driver is told. Nothing here opens anything.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use crate::codec::WireFormat;
+use crate::gateway_protocol::{ArmId, Dialect, Geometry};
+
+/// Where a bus is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum BusTarget {
+    /// The ARCNET interface of this name: `arc0`.
+    Arcnet(String),
+    /// A socket in the place of a bus, at which an emulated controller listens.
+    Socket(PathBuf),
+}
+
+/// Why a text names no bus.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is no bus: write arcnet:INTERFACE or socket:PATH")]
+pub struct NoBus(String);
+
+impl std::str::FromStr for BusTarget {
+    type Err = NoBus;
+
+    /// `arcnet:INTERFACE` or `socket:PATH`.
+    fn from_str(text: &str) -> Result<Self, NoBus> {
+        match text.split_once(':') {
+            Some(("arcnet", interface)) if !interface.is_empty() => Ok(Self::Arcnet(interface.to_owned())),
+            Some(("socket", path)) if !path.is_empty() => Ok(Self::Socket(PathBuf::from(path))),
+            _ => Err(NoBus(text.to_owned())),
+        }
+    }
+}
+
+impl std::fmt::Display for BusTarget {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Arcnet(interface) => write!(f, "ARCNET interface {interface}"),
+            Self::Socket(path) => write!(f, "socket {}", path.display()),
+        }
+    }
+}
+
+/// What the link to a gateway is told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GatewayLinkConfig {
+    /// The arm at the other end.
+    pub arm: ArmId,
+    /// How to speak.
+    pub dialect: Dialect,
+    /// The wire format of the arm. A gateway that knows another one is refused.
+    pub format: WireFormat,
+    /// The geometry of the arm. A gateway that is told another one is refused.
+    pub geometry: Geometry,
+    /// Time between two commands.
+    pub cycle: Duration,
+}
