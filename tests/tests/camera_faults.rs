@@ -49,7 +49,7 @@ fn setup() -> Setup {
     let mut setup = read_setup(&repository().join("configs/sim.toml")).unwrap();
     let pinhole = Pinhole { fx: 370.0, fy: 370.0, cx: 159.5, cy: 119.5 };
     let camera = Camera::new(ImageSize { width: 320, height: 240 }, pinhole, Distortion::None).unwrap();
-    setup.rig = StereoRig::new(camera, camera, *setup.rig.cam_right_from_cam_left()).unwrap();
+    setup.rig.stereo = StereoRig::new(camera, camera, *setup.rig.stereo.cam_right_from_cam_left()).unwrap();
     setup.world_mut().unwrap().scene.target = TargetConfig::card();
     setup
 }
@@ -87,21 +87,22 @@ fn follow(kind: CameraFaultKind) -> Vec<Said> {
     let scene = Scene::build(&setup.world().unwrap().scene).unwrap();
     let outline: Vec<Point3<f64>> = scene.target().outline_m.clone();
     let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
-    let renderer = StereoRenderer::new(scene, setup.rig, &setup.world().unwrap().sensor, 7).unwrap();
+    let renderer = StereoRenderer::new(scene, setup.rig.stereo, &setup.world().unwrap().sensor, 7).unwrap();
     let config = pb3dp_camera_sim::SimCameraConfig { period: PERIOD, ..pb3dp_camera_sim::SimCameraConfig::default() };
     let camera = SimStereoCamera::new(renderer, Box::new(Passing), clock.clone(), config).unwrap();
     let fault = CameraFault { kind, from: PERIOD * SUFFER.start, until: PERIOD * SUFFER.end };
     let faults = CameraFaults { list: vec![fault], seed: 2 };
     let mut camera = FaultyCamera::new(camera, faults, clock.now()).unwrap();
-    let tracker = Tracker::new(Method::Direct, &setup.rig, &setup.estimator).unwrap();
+    let tracker = Tracker::new(Method::Direct, &setup.rig.stereo, &setup.estimator).unwrap();
     let mut follower = Follower::new(tracker, setup.range);
     let mut target_from_model = None;
     let mut said = Vec::new();
     for number in 0..13 {
         let Ok(pair) = camera.next_pair(PERIOD * 2) else { continue };
         let cam_left_from_target = Passing::at(pair.exposed_at);
-        let pixel =
-            |point: &Point3<f64>| setup.rig.left().project(&cam_left_from_target.transform_point(point)).unwrap();
+        let pixel = |point: &Point3<f64>| {
+            setup.rig.stereo.left().project(&cam_left_from_target.transform_point(point)).unwrap()
+        };
         let region = Region::Polygon { vertices_px: outline.iter().map(pixel).collect() };
         let prior = FramePrior { dt_s: (number > 0).then_some(PERIOD.as_secs_f64()), ..FramePrior::of_motion(None) };
         let estimate = follower.look(&pair.left, &pair.right, Some(&region), &prior, &mut || true).unwrap();

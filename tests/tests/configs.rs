@@ -47,7 +47,7 @@ fn every_configuration_is_accepted_by_its_reader() {
         } else if let Some(name) = path.strip_prefix("arms/").and_then(|name| name.strip_suffix(".toml")) {
             let named = format!("carries_cameras = {name:?}");
             let setup = changed_setup(&[("# carries_cameras = \"ur5e\"", &named)]);
-            assert_eq!(setup.vs.key, format!("arms.{name}"));
+            assert_eq!(setup.rig.vs.key, format!("arms.{name}"));
         } else if path.starts_with("deploy/") {
             // Read by the system; `cargo xtask tidy` parses each of these, and refuses others.
         } else {

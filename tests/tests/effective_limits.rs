@@ -127,7 +127,7 @@ fn share_of_the_controller(setup: &Setup, scale: f64) -> f64 {
     (config.speed.soft_start_s, config.approach.speed) = (0.0, config.speed.tracking);
     (config.speed.tracking.linear_m_per_s, config.speed.tracking.angular_rad_per_s) = (2.0, 6.0);
     config.approach.speed = config.speed.tracking;
-    let arm = &setup.vs;
+    let arm = &setup.rig.vs;
     let mut controller = Controller::new(config, arm.chain.clone(), arm.limits).unwrap();
     let clock = VirtualClock::new();
     let mut share: f64 = 0.0;
@@ -153,10 +153,10 @@ fn share_of_the_controller(setup: &Setup, scale: f64) -> f64 {
 
 /// Quick moves of the target's arm, which the planner refuses at the first joint that would be too fast.
 fn refused_by_the_planner(arm: &ArmSetup, setup: &Setup) -> (usize, f64) {
-    let target = arm.world_from_base * arm.chain.forward(&arm.start_rad) * setup.flange_from_target;
+    let target = arm.world_from_base * arm.chain.forward(&arm.start_rad) * setup.rig.flange_from_target;
     let quick = StepExperimentConfig { move_s: 0.05, hold_s: 0.1, ..StepExperimentConfig::default() };
     let experiment = StepExperiment::new(quick, target).unwrap();
-    let path = FlangePath::of_carrier(&experiment, &arm.world_from_base, &setup.flange_from_target);
+    let path = FlangePath::of_carrier(&experiment, &arm.world_from_base, &setup.rig.flange_from_target);
     let requirements = PathRequirements { limit_margin_rad: 0.0, step_s: 5e-4, ..PathRequirements::OF_EXPERIMENT };
     match check_experiment(&arm.chain, &arm.limits, &arm.start_rad, &path, &requirements).unwrap_err() {
         PathRefusal::TooFast { joint, allowed_rad_per_s, .. } => (joint, allowed_rad_per_s),
@@ -169,7 +169,7 @@ fn every_consumer_of_the_limits_keeps_to_the_same_speeds() {
     for scale in SCALES {
         let setup = setup(scale);
         let expected = allowed(scale);
-        for (name, arm) in [("vs", &setup.vs), ("tc", &setup.tc)] {
+        for (name, arm) in [("vs", &setup.rig.vs), ("tc", &setup.rig.tc)] {
             assert_equal(arm.limits.velocity_max_rad_per_s(), &expected, name);
             assert_equal(&fastest_behind_the_limiter(arm), &expected, &format!("limiter, {name}, {scale}"));
             for joint in 0..DOF {
@@ -180,7 +180,7 @@ fn every_consumer_of_the_limits_keeps_to_the_same_speeds() {
         }
         let share = share_of_the_controller(&setup, scale);
         assert!((0.99..=1.0 + 1e-9).contains(&share), "controller at {scale}: {share}");
-        let (joint, allowed_rad_per_s) = refused_by_the_planner(&setup.tc, &setup);
+        let (joint, allowed_rad_per_s) = refused_by_the_planner(&setup.rig.tc, &setup);
         assert!((allowed_rad_per_s - expected[joint]).abs() < 1e-3, "planner at {scale}, joint {joint}");
     }
 }

@@ -66,7 +66,7 @@ impl Capturing {
             }),
             Sight::Geometric(camera) => Camera::Geometric(camera),
         };
-        let (timeout, has_truth) = (setup.frames.period * 2, setup.world().is_some());
+        let (timeout, has_truth) = (setup.rig.frames.period * 2, setup.world().is_some());
         Self { camera, cell, has_truth, timeout, pairs_lost: 0, losses: Losses::default() }
     }
 

@@ -29,7 +29,7 @@ impl Onlooker {
     /// A parameter of a method out of its range.
     pub fn all_of(setup: &Setup) -> Result<Vec<Self>> {
         let onlooker = |&method: &Method| {
-            let tracker = Tracker::new(method, &setup.rig, &setup.estimator)?;
+            let tracker = Tracker::new(method, &setup.rig.stereo, &setup.estimator)?;
             Ok(Self { method, follower: Follower::new(tracker, setup.range), log: MethodLog::new(method) })
         };
         setup.compared.iter().map(onlooker).collect()

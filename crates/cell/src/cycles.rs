@@ -36,7 +36,7 @@ pub struct Punctuality {
 impl Punctuality {
     /// One line for each thread.
     pub fn summaries(&self, setup: &Setup, replies_lost: u64) -> [CycleSummary; 4] {
-        let (camera, control) = (setup.frames.period, setup.control_period);
+        let (camera, control) = (setup.rig.frames.period, setup.control_period);
         [
             CycleSummary::of_thread("capture", camera, &self.capture),
             CycleSummary::of_thread("estimation", camera, &self.estimation),

@@ -82,7 +82,7 @@ impl Marking {
                     format!(
                         "the target is not in front of the camera at the beginning: where {}.start_deg puts the hand it looks elsewhere; \
                          correct that, {}.start_deg, or the places of the bases",
-                        setup.vs.key, setup.tc.key
+                        setup.rig.vs.key, setup.rig.tc.key
                     )
                 })?;
                 Ok(Region::Polygon { vertices_px })
@@ -100,7 +100,7 @@ impl Eyes {
     pub fn new(setup: &Setup, sight: &Sight, marking: Marking) -> Result<Self> {
         match (setup.leader, sight) {
             (Leader::Pictures(method), Sight::Pictures(_)) => {
-                let tracker = Tracker::new(method, &setup.rig, &setup.estimator)?;
+                let tracker = Tracker::new(method, &setup.rig.stereo, &setup.estimator)?;
                 Ok(Self::Pictures(Box::new(Follower::new(tracker, setup.range)), marking))
             }
             (Leader::Geometric(_), Sight::Geometric(camera)) => Ok(Self::Geometric(GeometricEyes {

@@ -38,7 +38,7 @@ pub struct Journal {
 impl Journal {
     /// An empty journal of an experiment with this duration that begins at `begin`.
     pub fn new(setup: &Setup, cell: SimulatedCell, (begin, duration_s): (MonotonicTime, f64), log: RunLog) -> Self {
-        Self { cell, chain: setup.vs.chain.clone(), begin, duration_s, next_progress_s: 0.0, steps_untrue: 0, log }
+        Self { cell, chain: setup.rig.vs.chain.clone(), begin, duration_s, next_progress_s: 0.0, steps_untrue: 0, log }
     }
 
     /// The experiment begins at this time.

@@ -55,8 +55,14 @@ pub(super) fn drive<M: Mover, W: Parted<Step = M::Step>>(
     let (to_recording, of_recording) = RingBuffer::new(STEPS_MAX);
     let (give_seen, seen) = sync_channel(SEEN_MAX);
     let driving = Driving { course, enabled, percepts, steps: [to_estimation, to_recording], beat: control };
-    let capturing =
-        Capturing { camera, exposure: course.setup.frames.exposure, frames: &frames, clock, is_over, beat: capture };
+    let capturing = Capturing {
+        camera,
+        exposure: course.setup.rig.frames.exposure,
+        frames: &frames,
+        clock,
+        is_over,
+        beat: capture,
+    };
     let (steps, beat) = (of_estimation, estimation);
     let estimating =
         Estimating { estimator, frames: &frames, steps, percepts: give_percept, seen: give_seen, clock, is_over, beat };

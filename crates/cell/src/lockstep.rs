@@ -39,7 +39,7 @@ fn step_both<M: Mover, W: Watcher<Step = M::Step>>(
     let end = begin + duration;
     // Estimates on their way to those who move, with the time of arrival.
     let mut arriving: VecDeque<(MonotonicTime, Percept)> = VecDeque::new();
-    let (mut next_control, mut next_frame) = (begin, begin + setup.frames.exposure);
+    let (mut next_control, mut next_frame) = (begin, begin + setup.rig.frames.exposure);
     while next_control.min(next_frame) <= end && !interrupt.load(Ordering::SeqCst) {
         if next_control <= next_frame {
             clock.sleep_until(next_control);
@@ -54,14 +54,14 @@ fn step_both<M: Mover, W: Watcher<Step = M::Step>>(
                 next_control = next_control + setup.control_period;
             }
             while next_frame < clock.now() {
-                next_frame = next_frame + setup.frames.period;
+                next_frame = next_frame + setup.rig.frames.period;
             }
         } else {
             if let Some(percept) = watcher.look()? {
                 arriving.push_back((clock.now() + setup.estimate_latency, percept));
                 watcher.note()?;
             }
-            next_frame = next_frame + setup.frames.period;
+            next_frame = next_frame + setup.rig.frames.period;
         }
     }
     Ok(())

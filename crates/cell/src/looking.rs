@@ -118,7 +118,11 @@ impl<'a> Estimating<'a> {
     fn base_from_cam_left_at(&self, at: MonotonicTime) -> Option<Pose<Base, CamLeft>> {
         let position_rad = self.joints.position_at(at).ok()?;
         let controller = &self.setup.controller;
-        Some(self.setup.vs.chain.forward(&position_rad) * controller.flange_from_hand * controller.hand_from_cam_left)
+        Some(
+            self.setup.rig.vs.chain.forward(&position_rad)
+                * controller.flange_from_hand
+                * controller.hand_from_cam_left,
+        )
     }
 
     /// What the joints and the clock tell about the new frame before it is looked at.

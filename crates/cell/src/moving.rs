@@ -89,16 +89,17 @@ impl<'a> Moving<'a> {
     ) -> Result<Self> {
         Ok(Self {
             arms: BothArms::new(setup, arms, begin),
-            controller: Controller::new(setup.controller, setup.vs.chain.clone(), setup.vs.limits)?,
-            permitting: Permitting::new(&setup.supervisor, *setup.vs.limits.operating())?,
+            controller: Controller::new(setup.controller, setup.rig.vs.chain.clone(), setup.rig.vs.limits)?,
+            permitting: Permitting::new(&setup.supervisor, *setup.rig.vs.limits.operating())?,
             operator: Box::new(ByCommand),
             is_stopped: false,
             why_stopped: None,
             refusal: Refusal::None,
             stop_again_at: None,
             damping: Damping::new(setup.controller.damping.threshold, setup.controller.damping.factor_max)?,
-            path: (setup.experiment.carrier == Carrier::Arm)
-                .then(|| FlangePath::of_carrier(experiment, &setup.tc.world_from_base, &setup.flange_from_target)),
+            path: (setup.experiment.carrier == Carrier::Arm).then(|| {
+                FlangePath::of_carrier(experiment, &setup.rig.tc.world_from_base, &setup.rig.flange_from_target)
+            }),
             begin,
             stepped_at: None,
             is_away: false,
@@ -208,7 +209,7 @@ impl<'a> Moving<'a> {
         }
         let t_s = now.seconds_since(self.begin) - self.waited.as_secs_f64();
         let position_rad = &self.arms.tc.joints().position_rad;
-        let (off_m, off_rad) = off_by(&self.setup.tc.chain, path, t_s, position_rad);
+        let (off_m, off_rad) = off_by(&self.setup.rig.tc.chain, path, t_s, position_rad);
         let was_away =
             std::mem::replace(&mut self.is_away, self.operator.is_person() && (off_m > AWAY_M || off_rad > AWAY_RAD));
         if self.is_away {
@@ -221,7 +222,7 @@ impl<'a> Moving<'a> {
             }
             return JointCommand::Hold;
         }
-        JointCommand::Velocity(carry(&self.setup.tc.chain, &self.damping, path, t_s, position_rad))
+        JointCommand::Velocity(carry(&self.setup.rig.tc.chain, &self.damping, path, t_s, position_rad))
     }
 
     /// Both arms rest with brakes on until a person resets them. Where there is none the run ends; an arm that has failed says more about

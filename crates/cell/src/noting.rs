@@ -108,7 +108,7 @@ impl<'a> Noting<'a> {
         let frame = Frame { t_s, region: region.as_ref(), prior, cam_left_from_target: *cam_left_from_target };
         self.leading.push(&frame, estimate, *latency_millis);
         let View::Pictures(pair) = view else { return Ok(()) };
-        self.strip.offer(t_s, pair, &self.setup.rig, estimate);
+        self.strip.offer(t_s, pair, &self.setup.rig.stereo, estimate);
         for onlooker in &mut self.onlookers {
             onlooker.look(pair, &frame);
         }
@@ -144,10 +144,10 @@ impl<'a> Noting<'a> {
 fn watch(setup: &Setup) -> Result<Option<DriftWatch>, EstimationError> {
     let real = setup.real_cameras();
     let is_synchronous = real.is_none_or(|cameras| cameras.synchronisation == Synchronisation::HardwareTrigger);
-    let of_head = setup.calibrations.iter().find(|calibration| calibration.table == "camera");
+    let of_head = setup.rig.calibrations.iter().find(|calibration| calibration.table == "camera");
     let judgement = of_head.and_then(|calibration| calibration.judgement.as_ref());
     let when_calibrated = judgement.map(WhenCalibrated::of).unwrap_or_default();
-    setup.drift.map(|config| DriftWatch::new(config, &setup.rig, (is_synchronous, when_calibrated))).transpose()
+    setup.drift.map(|config| DriftWatch::new(config, &setup.rig.stereo, (is_synchronous, when_calibrated))).transpose()
 }
 
 /// A region as a polygon; of one that has no corners what the method has made of it.

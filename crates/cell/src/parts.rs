@@ -132,16 +132,16 @@ impl ArmChoice {
     /// Its part of a setup.
     pub fn of(self, setup: &Setup) -> &ArmSetup {
         match self {
-            Self::Vs => &setup.vs,
-            Self::Tc => &setup.tc,
+            Self::Vs => &setup.rig.vs,
+            Self::Tc => &setup.rig.tc,
         }
     }
 
     /// Its part of a setup, to be changed.
     pub fn of_mut(self, setup: &mut Setup) -> &mut ArmSetup {
         match self {
-            Self::Vs => &mut setup.vs,
-            Self::Tc => &mut setup.tc,
+            Self::Vs => &mut setup.rig.vs,
+            Self::Tc => &mut setup.rig.tc,
         }
     }
 }

@@ -39,15 +39,15 @@ pub fn look_at_free_path(setup: &Setup, start: Pose<World, Target>) -> Result<Ve
 /// The arm, by how much it falls short, and the key of the limit.
 pub fn check_paths(setup: &Setup, experiment: &dyn Trajectory) -> Result<[(&'static str, PathReport); 2]> {
     let vs = check_follower(setup, experiment)?;
-    let carrier = FlangePath::of_carrier(experiment, &setup.tc.world_from_base, &setup.flange_from_target);
-    let tc = check_path("tc-robot", &setup.tc, &carrier, None)?;
+    let carrier = FlangePath::of_carrier(experiment, &setup.rig.tc.world_from_base, &setup.rig.flange_from_target);
+    let tc = check_path("tc-robot", &setup.rig.tc, &carrier, None)?;
     Ok([("vs-robot", vs), ("tc-robot", tc)])
 }
 
 fn check_follower(setup: &Setup, experiment: &dyn Trajectory) -> Result<PathReport> {
     let follower = FlangePath::of_follower(
         experiment,
-        &setup.vs.world_from_base,
+        &setup.rig.vs.world_from_base,
         &Pose::<Target, Model>::coincident(),
         &setup.controller.model_from_hand_desired,
         &setup.controller.flange_from_hand,
@@ -55,7 +55,7 @@ fn check_follower(setup: &Setup, experiment: &dyn Trajectory) -> Result<PathRepo
     let tracking = setup.controller.speed.tracking;
     let hand_max =
         ToolSpeedMax { linear_m_per_s: tracking.linear_m_per_s, angular_rad_per_s: tracking.angular_rad_per_s };
-    check_path("vs-robot", &setup.vs, &follower, Some(hand_max))
+    check_path("vs-robot", &setup.rig.vs, &follower, Some(hand_max))
 }
 
 fn check_path(
@@ -96,8 +96,8 @@ mod tests {
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
         let mut setup = read_setup(std::path::Path::new(file)).unwrap();
         change(&mut setup);
-        let world_from_flange = setup.tc.world_from_base * setup.tc.chain.forward(&setup.tc.start_rad);
-        let start = world_from_flange * setup.flange_from_target;
+        let world_from_flange = setup.rig.tc.world_from_base * setup.rig.tc.chain.forward(&setup.rig.tc.start_rad);
+        let start = world_from_flange * setup.rig.flange_from_target;
         check_paths(&setup, &*setup.experiment.motion.begin_at(start).unwrap())
     }
 
@@ -154,12 +154,12 @@ mod tests {
     fn moves_that_either_arms_drives_do_not_allow_are_refused_with_key_and_ratio() {
         let [(_, vs), (_, tc)] = checked(|_| {}).unwrap();
         let needed = [vs.acceleration_max_rad_per_s2[1].value, tc.acceleration_max_rad_per_s2[3].value];
-        let (refused, text) = refusal(|setup| weaken(&mut setup.vs, 1, needed[0] / 2.0));
+        let (refused, text) = refusal(|setup| weaken(&mut setup.rig.vs, 1, needed[0] / 2.0));
         assert!(matches!(refused, PathRefusal::TooAbrupt { joint: 1, .. }), "{text}");
         for part in ["vs-robot", "arms.vs.acceleration_max_rad_per_s2[1]", "2.00 times too much"] {
             assert!(text.contains(part), "{part} is not in {text}");
         }
-        let (refused, text) = refusal(|setup| weaken(&mut setup.tc, 3, needed[1] / 3.0));
+        let (refused, text) = refusal(|setup| weaken(&mut setup.rig.tc, 3, needed[1] / 3.0));
         assert!(matches!(refused, PathRefusal::TooAbrupt { joint: 3, .. }), "{text}");
         for part in ["tc-robot", "arms.tc.acceleration_max_rad_per_s2[3]", "3.00 times too much"] {
             assert!(text.contains(part), "{part} is not in {text}");

@@ -171,10 +171,10 @@ impl Room {
     /// If it is less than the setup allows.
     pub fn check(&self, setup: &Setup) -> Result<()> {
         // What is no number is not enough.
-        if self.distance_m >= setup.least_room_m {
+        if self.distance_m >= setup.rig.least_room_m {
             return Ok(());
         }
-        bail!("{self} is less than arms.least_room_mm, {:.0} mm: move the other arm away", 1e3 * setup.least_room_m)
+        bail!("{self} is less than arms.least_room_mm, {:.0} mm: move the other arm away", 1e3 * setup.rig.least_room_m)
     }
 }
 
@@ -194,8 +194,8 @@ mod tests {
     fn a_plan_begins_where_it_was_made_and_nowhere_else() {
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
         let setup = read_setup(std::path::Path::new(file)).unwrap();
-        let from_rad = setup.vs.start_rad;
-        let plan = Plan::new(&setup.vs, from_rad, JointVector::repeat(0.05)).unwrap();
+        let from_rad = setup.rig.vs.start_rad;
+        let plan = Plan::new(&setup.rig.vs, from_rad, JointVector::repeat(0.05)).unwrap();
         let moved = |joint: usize, by_rad: f64| {
             let mut at_rad = from_rad;
             at_rad[joint] += by_rad;

@@ -26,7 +26,7 @@ impl Recording {
     pub fn new(folder: &Path, setup: &Setup) -> Self {
         let range = &setup.range;
         let search = SearchRange { z_min_m: range.z_min_m, z_max_m: range.z_max_m, tilt_max_rad: range.tilt_max_rad };
-        Self { folder: folder.to_path_buf(), rig: setup.rig, search, writer: None }
+        Self { folder: folder.to_path_buf(), rig: setup.rig.stereo, search, writer: None }
     }
 
     /// Whether the first pair was written.

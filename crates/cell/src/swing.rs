@@ -147,7 +147,7 @@ impl<'a> Swinging<'a> {
         let seconds = duration(&motion).as_secs_f64() + 1.0;
         // The thread that moves takes nothing from the heap.
         let steps = (seconds / setup.control_period.as_secs_f64()) as usize;
-        let frames = (seconds / setup.frames.period.as_secs_f64()) as usize;
+        let frames = (seconds / setup.rig.frames.period.as_secs_f64()) as usize;
         let record = Swung {
             given: Vec::with_capacity(steps),
             joints: Vec::with_capacity(steps),
@@ -168,7 +168,7 @@ impl<'a> Swinging<'a> {
 }
 
 fn base_from_hand(setup: &Setup, joints: &JointState) -> Pose<Base, Hand> {
-    setup.vs.chain.forward(&joints.position_rad) * setup.controller.flange_from_hand
+    setup.rig.vs.chain.forward(&joints.position_rad) * setup.controller.flange_from_hand
 }
 
 /// What finds room; the rest is not kept.
@@ -218,7 +218,7 @@ impl Swinging<'_> {
     fn swing(&mut self, now: MonotonicTime) -> Result<JointState> {
         self.arms.tc.exchange(JointCommand::Hold)?;
         let twist = self.motion.twist_at(now.seconds_since(self.begin)).expressed_in(&self.base_from_hand_at_begin);
-        let (chain, joints) = (&self.setup.vs.chain, self.arms.vs.joints());
+        let (chain, joints) = (&self.setup.rig.vs.chain, self.arms.vs.joints());
         let frames = chain.joint_frames(&joints.position_rad);
         let jacobian = chain.jacobian_at(&frames, &base_from_hand(self.setup, joints).translation_m().into());
         let velocity_rad_per_s = damped_pseudo_inverse(&jacobian, &self.damping) * twist.to_vector();

@@ -102,9 +102,9 @@ pub fn run(setup: &Setup, parts: Parts, tour: &Tour, folder: &Path, date: String
             capturing: Capturing::new(setup, camera, cell),
             // Nobody has to render what nobody keeps.
             unless_under_way: setup.world().is_some().then_some(&progress),
-            pause: (setup.pace == Pace::Live).then_some((&*clock, setup.frames.period)),
+            pause: (setup.pace == Pace::Live).then_some((&*clock, setup.rig.frames.period)),
         },
-        resting: Resting { exposure: setup.frames.exposure, step: None, sums: Sums::default(), before: None },
+        resting: Resting { exposure: setup.rig.frames.exposure, step: None, sums: Sums::default(), before: None },
         keeping: Keeping::new(setup, (folder, date), &progress)?,
     };
     let mut visiting = Visiting {
@@ -145,7 +145,7 @@ pub fn look_here(setup: &Setup, parts: Parts, patience: Duration, folder: &Path,
             );
         }
         arms.look();
-        clock.sleep_until(clock.now() + setup.frames.period);
+        clock.sleep_until(clock.now() + setup.rig.frames.period);
         let Some(pair) = capturing.capture()?.and_then(pair_of) else { continue };
         shift = before.as_ref().map_or(f64::INFINITY, |before| shift_of(before, &pair));
         if shift <= STILL_WITHIN_PX {
@@ -444,7 +444,7 @@ impl<'a> Keeping<'a> {
             let folder = folder.join(side);
             std::fs::create_dir_all(&folder).with_context(|| format!("{}: can not be created", folder.display()))?;
         }
-        let chains = [setup.vs.chain.clone(), setup.tc.chain.clone()];
+        let chains = [setup.rig.vs.chain.clone(), setup.rig.tc.chain.clone()];
         Ok(Self {
             folder: folder.to_path_buf(),
             stops: Stops { date, stops: Vec::new() },

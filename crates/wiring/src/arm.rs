@@ -117,13 +117,14 @@ pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>, time: Option<&Arc<Virtua
     let mut seats = seats.into_iter();
     let mut seat = || seats.next().context("a place on the line along which the arms stop each other");
     let wanted = |name, arm| Wanted { name, arm, control_period: setup.control_period, clock, time };
-    let (vs_wanted, tc_wanted) = (wanted(vs_name, &setup.vs), wanted(tc_name, &setup.tc));
+    let (vs_wanted, tc_wanted) = (wanted(vs_name, &setup.rig.vs), wanted(tc_name, &setup.rig.tc));
     let (vs, tc) = (wire_backend(vs_wanted, seat()?)?, wire_backend(tc_wanted, seat()?)?);
-    let on_bus = [(vs_name, &setup.vs, &vs), (tc_name, &setup.tc, &tc)].into_iter().filter_map(arm_on_bus).collect();
+    let on_bus =
+        [(vs_name, &setup.rig.vs, &vs), (tc_name, &setup.rig.tc, &tc)].into_iter().filter_map(arm_on_bus).collect();
     let (vs_guarded, vs_flight) = guarded(vs_wanted, vs.backend, vs.trip)?;
     let (tc_guarded, tc_flight) = guarded(tc_wanted, tc.backend, tc.trip)?;
-    let pair = ((vs_guarded, setup.vs.coupled()), (tc_guarded, setup.tc.coupled()));
-    let (vs_coupled, tc_coupled) = couple(pair.0, pair.1, setup.least_room_m, clock).context("table [arms]")?;
+    let pair = ((vs_guarded, setup.rig.vs.coupled()), (tc_guarded, setup.rig.tc.coupled()));
+    let (vs_coupled, tc_coupled) = couple(pair.0, pair.1, setup.rig.least_room_m, clock).context("table [arms]")?;
     let monitors = [(vs_name, vs.monitor), (tc_name, tc.monitor)];
     Ok(WiredArms {
         sites: [vs.site, tc.site],

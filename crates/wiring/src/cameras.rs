@@ -49,8 +49,8 @@ pub(super) fn wire_real(
     let first = first_pair(&mut camera, &*clock)?;
     let mut identity_of = |side| camera.camera.identity(side).map(identity).context("table [camera]");
     let identities = [identity_of(Side::Left)?, identity_of(Side::Right)?];
-    look_at_cameras(&setup.calibrations, &identities)?;
-    check_pictures("cameras", &setup.rig, &first.left, &first.right)
+    look_at_cameras(&setup.rig.calibrations, &identities)?;
+    check_pictures("cameras", &setup.rig.stereo, &first.left, &first.right)
         .context("table [camera]: exchange left.device and right.device if they are the wrong way round")?;
     Ok(WiredCameras { camera: Box::new(camera), identities })
 }

@@ -141,7 +141,7 @@ fn wire_cell_with(
     video: Arc<dyn VideoSystem>,
     begin: impl FnOnce(&mut SimulatedCell, Pose<World, Target>) -> Result<Arc<dyn Trajectory>>,
 ) -> Result<Wired> {
-    calibration::look_at(&setup.calibrations, SystemTime::now())?;
+    calibration::look_at(&setup.rig.calibrations, SystemTime::now())?;
     let time = match setup.pace {
         Pace::Fast => Some(Arc::new(VirtualTime::over(Arc::new(VirtualClock::new())))),
         Pace::RealTime => Some(Arc::new(VirtualTime::over(Arc::new(PacedClock::new())))),
@@ -158,7 +158,7 @@ fn wire_cell_with(
         tc: tc_site,
         flange_from_hand: setup.controller.flange_from_hand,
         hand_from_cam_left: setup.controller.hand_from_cam_left,
-        flange_from_target: setup.flange_from_target,
+        flange_from_target: setup.rig.flange_from_target,
         free_target: None,
     };
     // What is planned is planned with what the setup says, what happens follows the truth.
@@ -168,9 +168,9 @@ fn wire_cell_with(
         follow_truth(&mut cell, &world.truth);
     }
     let mut cameras = None;
-    let (camera, marking) = match &setup.cameras {
+    let (camera, marking) = match &setup.rig.cameras {
         Cameras::Real(real) => {
-            if let Some(says) = &setup.nominal_calibration {
+            if let Some(says) = &setup.rig.nominal_calibration {
                 nominal::look_at_arms(says, &monitors)?;
             }
             let wired = cameras::wire_real(real, setup, (video, Arc::clone(&clock)))?;

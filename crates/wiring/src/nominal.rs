@@ -37,7 +37,7 @@ fn refuse_real<'a>(says: &str, mut arms: impl Iterator<Item = (&'a str, Option<S
 
 /// Lets real arms move by the calibration of no cameras, if that is said.
 pub fn accept_nominal(setup: &mut Setup, is_accepted: bool) {
-    if let Some(says) = setup.nominal_calibration.take_if(|_| is_accepted) {
+    if let Some(says) = setup.rig.nominal_calibration.take_if(|_| is_accepted) {
         tracing::warn!("--nominal-calibration: arms move by what is seen with a calibration of no cameras ({says})");
     }
 }
@@ -51,12 +51,16 @@ mod tests {
         let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/rig.toml");
         let mut setup = pb3dp_setup::setup::read_setup(&file).unwrap();
         assert!(
-            setup.nominal_calibration.as_ref().is_some_and(|says| says.starts_with("none: the numbers of the drawing"))
+            setup
+                .rig
+                .nominal_calibration
+                .as_ref()
+                .is_some_and(|says| says.starts_with("none: the numbers of the drawing"))
         );
         accept_nominal(&mut setup, false);
-        assert!(setup.nominal_calibration.is_some());
+        assert!(setup.rig.nominal_calibration.is_some());
         accept_nominal(&mut setup, true);
-        assert_eq!(setup.nominal_calibration, None);
+        assert_eq!(setup.rig.nominal_calibration, None);
     }
 
     #[test]

@@ -36,7 +36,7 @@ pub(super) fn wire_sight(
 ) -> Result<(Sight, Vec<Point3<f64>>)> {
     let (poses, began) = (Box::new(cell.clone()), clock.now());
     let (clock, faults) = (Arc::clone(clock), world.faults.clone());
-    let FrameTiming { period, exposure } = setup.frames;
+    let FrameTiming { period, exposure } = setup.rig.frames;
     let timing = SimCameraConfig { period, exposure, blur_moments: world.blur_moments, pairs: None };
     match setup.leader {
         Leader::Pictures(_) => {

@@ -36,8 +36,8 @@ pub fn check(report: &mut Report) -> Option<World> {
     report.check("the rig is there", || {
         pictures::prepare()?;
         setup::write()?;
-        let rig = read_setup(Path::new(HERE))?;
-        Ok(format!("{}, {}", name_port(&rig.vs, "ARM1")?, name_port(&rig.tc, "ARM2")?))
+        let setup = read_setup(Path::new(HERE))?;
+        Ok(format!("{}, {}", name_port(&setup.rig.vs, "ARM1")?, name_port(&setup.rig.tc, "ARM2")?))
     });
     let mut rig = None;
     report.check("the program starts with cameras and arms", || {

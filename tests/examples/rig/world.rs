@@ -61,14 +61,14 @@ impl World {
     pub fn start() -> Result<Self, Box<dyn Error>> {
         let setup = read_setup(Path::new(HERE))?;
         let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
-        let (vs, vs_site) = far_side(("vs", &setup.vs), far_end(&setup.vs, "FAR1")?, &clock)?;
-        let (tc, tc_site) = far_side(("tc", &setup.tc), far_end(&setup.tc, "FAR2")?, &clock)?;
+        let (vs, vs_site) = far_side(("vs", &setup.rig.vs), far_end(&setup.rig.vs, "FAR1")?, &clock)?;
+        let (tc, tc_site) = far_side(("tc", &setup.rig.tc), far_end(&setup.rig.tc, "FAR2")?, &clock)?;
         let cell = SimulatedCell {
             vs: vs_site,
             tc: tc_site,
             flange_from_hand: setup.controller.flange_from_hand,
             hand_from_cam_left: setup.controller.hand_from_cam_left,
-            flange_from_target: setup.flange_from_target,
+            flange_from_target: setup.rig.flange_from_target,
             free_target: None,
         };
         let shared = Arc::new(Shared::default());
@@ -126,7 +126,7 @@ impl Painter {
         let (target, parts) = targets::build(&TargetConfig::card(), 1)?;
         let scene = Scene::from_parts(parts, target, Lighting::default())?;
         let sensor = SensorConfig { right: SensorConfig::default().right, ..SensorConfig::IDEAL };
-        let renderer = StereoRenderer::new(scene, windows(&setup.rig)?, &sensor, 1)?;
+        let renderer = StereoRenderer::new(scene, windows(&setup.rig.stereo)?, &sensor, 1)?;
         Ok(Self { renderer, outputs: [Output::find(0)?, Output::find(1)?], cell, clock, shared })
     }
 

@@ -37,8 +37,8 @@ fn a_run_finds_cameras_that_are_not_any_more_what_was_calibrated() {
     let angle_rad = 0.15_f64.to_radians();
     let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(angle_rad, 0.0, 0.0));
     let nod = Pose::from_parts(Vector3::zeros(), rotation);
-    let (left, right) = (*sound.rig.left(), *sound.rig.right());
-    knocked.rig = StereoRig::new(left, right, nod * *sound.rig.cam_right_from_cam_left()).unwrap();
+    let (left, right) = (*sound.rig.stereo.left(), *sound.rig.stereo.right());
+    knocked.rig.stereo = StereoRig::new(left, right, nod * *sound.rig.stereo.cam_right_from_cam_left()).unwrap();
     knocked.world_mut().unwrap().sensor.right.exposure *= 0.7;
     let changed = found(&sound, &knocked);
     let by_px = right.pinhole().fy * angle_rad;

@@ -70,8 +70,8 @@ fn follow_the_crab(method: Method, limits: &Limits) -> RunLog {
     assert!((wanted_mm.norm() - 173.6).abs() < 5.0, "{wanted_mm}");
     assert!((hand_mm - wanted_mm).norm() < limits.way_ry_mm, "the hand went {hand_mm}, wanted {wanted_mm}");
     assert!(log.control.iter().all(|sample| sample.smallest_singular_value > 0.15));
-    keeps_its_speeds("vs-robot", &setup.vs, &vs);
-    keeps_its_speeds("tc-robot", &setup.tc, &tc);
+    keeps_its_speeds("vs-robot", &setup.rig.vs, &vs);
+    keeps_its_speeds("tc-robot", &setup.rig.tc, &tc);
     outcome.log
 }
 

@@ -19,8 +19,8 @@ use crate::closed_loop::support::whole_setup;
 const SINGULAR_VALUE_MIN: f64 = 0.05;
 
 fn experiment(setup: &Setup) -> Arc<dyn Trajectory> {
-    let world_from_flange = setup.tc.world_from_base * setup.tc.chain.forward(&setup.tc.start_rad);
-    setup.experiment.motion.begin_at(world_from_flange * setup.flange_from_target).unwrap()
+    let world_from_flange = setup.rig.tc.world_from_base * setup.rig.tc.chain.forward(&setup.rig.tc.start_rad);
+    setup.experiment.motion.begin_at(world_from_flange * setup.rig.flange_from_target).unwrap()
 }
 
 #[test]
@@ -39,19 +39,19 @@ fn both_arms_stay_away_from_singular_poses_along_the_whole_experiment() {
                     * setup.controller.model_from_hand_desired
                     * setup.controller.flange_from_hand.inverse();
                 smallest_along(
-                    &setup.vs.chain,
-                    setup.vs.start_rad,
-                    &setup.vs.world_from_base,
+                    &setup.rig.vs.chain,
+                    setup.rig.vs.start_rad,
+                    &setup.rig.vs.world_from_base,
                     &*experiment,
                     &target_from_flange,
                 )
             }
             _ => {
-                let target_from_flange = setup.flange_from_target.inverse();
+                let target_from_flange = setup.rig.flange_from_target.inverse();
                 smallest_along(
-                    &setup.tc.chain,
-                    setup.tc.start_rad,
-                    &setup.tc.world_from_base,
+                    &setup.rig.tc.chain,
+                    setup.rig.tc.start_rad,
+                    &setup.rig.tc.world_from_base,
                     &*experiment,
                     &target_from_flange,
                 )
@@ -120,7 +120,7 @@ fn jacobian(chain: &Chain, position_rad: &JointVector) -> SMatrix<f64, 6, DOF> {
 #[test]
 fn the_rigs_default_speed_is_refused_for_this_experiment_by_how_much() {
     let mut setup = whole_setup(Method::Direct);
-    for arm in [&mut setup.vs, &mut setup.tc] {
+    for arm in [&mut setup.rig.vs, &mut setup.rig.tc] {
         arm.limits = arm.limits.slowed(f64::MAX, 0.10).unwrap();
     }
     let Err(error) = wire(&setup) else { panic!("at a tenth of the speeds the arms can not follow") };
@@ -136,8 +136,8 @@ fn the_rigs_default_speed_is_refused_for_this_experiment_by_how_much() {
 #[test]
 fn the_zero_pose_does_not_serve() {
     let mut setup = whole_setup(Method::Direct);
-    setup.vs.start_rad = JointVector::zeros();
-    setup.tc.start_rad = JointVector::zeros();
+    setup.rig.vs.start_rad = JointVector::zeros();
+    setup.rig.tc.start_rad = JointVector::zeros();
     let Err(error) = wire(&setup) else { panic!("a stretched arm is singular") };
     assert!(format!("{error:#}").contains("robot"), "{error:#}");
 }

@@ -148,7 +148,8 @@ fn swapped_for(other: SceneConfig) -> RunLog {
     let Parts { clock, cell, .. } = &parts;
     let cameras = [setup.world().unwrap().scene.clone(), other].map(|scene| {
         let renderer =
-            StereoRenderer::new(Scene::build(&scene).unwrap(), setup.rig, &setup.world().unwrap().sensor, 5).unwrap();
+            StereoRenderer::new(Scene::build(&scene).unwrap(), setup.rig.stereo, &setup.world().unwrap().sensor, 5)
+                .unwrap();
         SimStereoCamera::new(renderer, Box::new(cell.clone()), clock.clone(), SimCameraConfig::default()).unwrap()
     });
     let at = clock.now() + Duration::from_secs_f64(1.8);

@@ -57,14 +57,14 @@ pub fn quick_setup(method: Method, pixels: Pixels, channels: &[Channel]) -> Setu
         Pixels::Few => 0.5,
         Pixels::More => 0.75,
     };
-    let whole = *setup.rig.left();
+    let whole = *setup.rig.stereo.left();
     let scaled = |count: u32| (f64::from(count) * share) as u32;
     let size = ImageSize { width: scaled(whole.size().width), height: scaled(whole.size().height) };
     let centre = |count: u32| (f64::from(count) - 1.0) / 2.0;
     let fx = whole.pinhole().fx * share;
     let pinhole = Pinhole { fx, fy: fx, cx: centre(size.width), cy: centre(size.height) };
     let camera = Camera::new(size, pinhole, Distortion::None).unwrap();
-    setup.rig = StereoRig::new(camera, camera, *setup.rig.cam_right_from_cam_left()).unwrap();
+    setup.rig.stereo = StereoRig::new(camera, camera, *setup.rig.stereo.cam_right_from_cam_left()).unwrap();
     let steps = steps_of(&mut setup);
     (steps.channels, steps.move_s, steps.hold_s, steps.lead_in_s) = (channels.to_vec(), 1.0, 1.0, 1.0);
     setup

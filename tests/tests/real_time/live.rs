@@ -19,8 +19,8 @@ fn hil_setup() -> Setup {
     let hil = read_setup(&repository().join("configs/hil.toml")).unwrap();
     let mut setup = quick_setup(Method::Direct, Pixels::Few, &[Channel::X]);
     setup.pace = Pace::Live;
-    (setup.vs.link, setup.tc.link) = (hil.vs.link, hil.tc.link);
-    assert!(setup.vs.link != ArmLink::InProcess && setup.tc.link != ArmLink::InProcess);
+    (setup.rig.vs.link, setup.rig.tc.link) = (hil.rig.vs.link, hil.rig.tc.link);
+    assert!(setup.rig.vs.link != ArmLink::InProcess && setup.rig.tc.link != ArmLink::InProcess);
     setup
 }
 

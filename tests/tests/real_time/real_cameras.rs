@@ -70,12 +70,12 @@ fn rig() -> (Setup, EmulatedSystem) {
     }
     // 50 mm to the right of the left eye: straight before the hand.
     cameras.region = Some("rect:157,80,80,80".parse().unwrap());
-    let whole = setup.rig.left().pinhole();
+    let whole = setup.rig.stereo.left().pinhole();
     let half = Pinhole { fx: whole.fx / 2.0, fy: whole.fy / 2.0, cx: 159.5, cy: 119.5 };
-    let camera = Camera::new(SIZE, half, *setup.rig.left().distortion()).unwrap();
-    setup.rig = StereoRig::new(camera, camera, *setup.rig.cam_right_from_cam_left()).unwrap();
-    setup.frames.period = Duration::from_secs(1) / 15;
-    (setup.vs.link, setup.tc.link) = (ArmLink::InProcess, ArmLink::InProcess);
+    let camera = Camera::new(SIZE, half, *setup.rig.stereo.left().distortion()).unwrap();
+    setup.rig.stereo = StereoRig::new(camera, camera, *setup.rig.stereo.cam_right_from_cam_left()).unwrap();
+    setup.rig.frames.period = Duration::from_secs(1) / 15;
+    (setup.rig.vs.link, setup.rig.tc.link) = (ArmLink::InProcess, ArmLink::InProcess);
     // What comes back goes on: the policies of a rig wait for an operator after a second.
     setup.supervisor = read_setup(&repository().join("configs/hil.toml")).unwrap().supervisor;
     (setup, system)

@@ -55,7 +55,7 @@ pub fn base(pictured: bool) -> Result<Setup> {
     if !pictured {
         setup.leader = Leader::Geometric(setup.geometric.context("configs/hil.toml has no table estimator.geometric")?);
     }
-    for arm in [&mut setup.vs, &mut setup.tc] {
+    for arm in [&mut setup.rig.vs, &mut setup.rig.tc] {
         arm.plant.history = HISTORY;
     }
     Ok(setup)

@@ -97,7 +97,7 @@ pub fn fig7_of(setup: &Setup, case: &Fig7Case, target_name: &str, stop_after_s: 
     let (ideal, channel_ideals) = match (&measured, &log.lock) {
         (Some((noise, _)), Some(lock)) => {
             let target_from_hand = lock.target_from_model_found * setup.controller.model_from_hand_desired;
-            let (delay_s, frame_s) = (case.delay_millis * 1e-3, setup.frames.period.as_secs_f64());
+            let (delay_s, frame_s) = (case.delay_millis * 1e-3, setup.rig.frames.period.as_secs_f64());
             let seen = Seen { target: &*target, target_from_hand, noise: *noise, delay_s, frame_s };
             ideals(setup, &seen, summary.channels.len())
         }

@@ -115,7 +115,7 @@ fn set_delay(setup: &mut Setup, delay_millis: f64) -> Result<()> {
         Duration::from_secs_f64((LATENCY_MILLIS + delay_millis - DELAYS_MILLIS[0]).max(0.0) * 1e-3);
     let rest_s = delay_millis * 1e-3 - ARM_LAG.as_secs_f64() - until_control_step_s(setup);
     ensure!((0.0..=0.02).contains(&rest_s), "{:.1} ms are left for the arm's own delay", rest_s * 1e3);
-    for arm in [&mut setup.vs, &mut setup.tc] {
+    for arm in [&mut setup.rig.vs, &mut setup.rig.tc] {
         arm.plant.velocity_time_constant = ARM_LAG;
         arm.plant.command_delay = Duration::from_secs_f64(rest_s);
         arm.limiter.reaction_time = setup.control_period + arm.plant.command_delay + ARM_LAG;
@@ -131,7 +131,7 @@ fn set_delay(setup: &mut Setup, delay_millis: f64) -> Result<()> {
 fn until_control_step_s(setup: &Setup) -> f64 {
     const FRAMES: u32 = 300;
     let step_s = setup.control_period.as_secs_f64();
-    let camera = &setup.frames;
+    let camera = &setup.rig.frames;
     let wait_s = |frame: u32| {
         let begin_s = camera.period.as_secs_f64() * f64::from(frame);
         let arrives_s = begin_s + (camera.exposure + setup.estimate_latency).as_secs_f64();
@@ -196,7 +196,7 @@ mod tests {
     fn the_total_delay_is_made_of_its_parts_and_the_law_knows_the_arm() {
         for delay_millis in DELAYS_MILLIS {
             let setup = Who::Ours.setup(delay_millis).unwrap();
-            let (plant, law) = (&setup.vs.plant, setup.controller.law);
+            let (plant, law) = (&setup.rig.vs.plant, setup.controller.law);
             let LawConfig::FeedForward(law) = law else { panic!("{law:?}") };
             assert_eq!((law.arm.lag_s, plant.velocity_time_constant), (0.03, ARM_LAG));
             assert!((law.arm.delay_s - plant.command_delay.as_secs_f64()).abs() < 1e-9, "{:?}", law.arm);

@@ -100,7 +100,7 @@ pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
         print_line("dry run: the brakes stayed on and nothing moved; --move does it")?;
         return Ok(ExitCode::SUCCESS);
     }
-    if !(setup.vs.link.is_toy() && setup.tc.link.is_toy()) {
+    if !(setup.rig.vs.link.is_toy() && setup.rig.tc.link.is_toy()) {
         let name = tour.choice.name();
         print_line(&format!(
             "The arm will move. Nobody may be within its reach, and a hand has to be on the emergency stop.\nType {name} to move it:"
@@ -144,8 +144,8 @@ fn to_look(mut setup: Setup, board: Option<TargetConfig>) -> Result<Setup> {
         (Some(board), Some(world)) => world.scene.target = board,
         (None, None) => {}
     }
-    setup.calibrations.clear();
-    setup.nominal_calibration = None;
+    setup.rig.calibrations.clear();
+    setup.rig.nominal_calibration = None;
     setup.drift = None;
     let setup = slow_setup(&setup, ArmChoice::Vs, JOINT_MAX_RAD_PER_S)?;
     slow_setup(&setup, ArmChoice::Tc, JOINT_MAX_RAD_PER_S)

@@ -98,7 +98,7 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
         print_line(&format!("{plan}\nnothing was moved; add --move"))?;
         return Ok(ExitCode::SUCCESS);
     }
-    if !(setup.vs.link.is_toy() && setup.tc.link.is_toy()) {
+    if !(setup.rig.vs.link.is_toy() && setup.rig.tc.link.is_toy()) {
         tracing::warn!("{plan}; both arms are switched on: type vs-robot and Enter to go on");
         confirm::typed("vs-robot", &mut signals)?;
     }
@@ -175,7 +175,7 @@ impl Delays {
             );
         }
         let camera = CameraOnHand {
-            chain: &setup.vs.chain,
+            chain: &setup.rig.vs.chain,
             flange_from_hand: setup.controller.flange_from_hand,
             hand_from_cam_left: setup.controller.hand_from_cam_left,
         };
@@ -246,7 +246,7 @@ impl Delays {
                 self.arm_residual_deg
             );
         }
-        let exposure_ms = setup.frames.exposure.as_secs_f64() * 1e3;
+        let exposure_ms = setup.rig.frames.exposure.as_secs_f64() * 1e3;
         if self.stamp_to_exposure.value.abs() > self.stamp_to_exposure.half_width_95.max(1.0) {
             let _ = writeln!(
                 advice,

@@ -128,7 +128,7 @@ pub(super) fn mark(setup: &mut Setup, region: Option<&RegionSpec>) -> Result<()>
 /// What somebody needs to repeat the run.
 fn provenance(args: &RunArgs, setup: &Setup, simulated_s: f64, wall_s: f64) -> Vec<(String, String)> {
     let line = |key: &str, value: String| (key.to_owned(), value);
-    let calibrations: Vec<String> = setup.calibrations.iter().map(CalibrationInUse::text).collect();
+    let calibrations: Vec<String> = setup.rig.calibrations.iter().map(CalibrationInUse::text).collect();
     let compared: Vec<&str> = setup.compared.iter().map(|method| method.name()).collect();
     vec![
         line("program", format!("pb3dp {}", env!("CARGO_PKG_VERSION"))),

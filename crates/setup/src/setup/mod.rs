@@ -74,16 +74,8 @@ pub struct Setup {
     pub control_period: Duration,
     /// Time from the end of an exposure to the moment at which its estimate reaches the controller.
     pub estimate_latency: Duration,
-    /// The stereo pair.
-    pub rig: StereoRig,
-    /// When it exposes.
-    pub frames: FrameTiming,
-    /// What its cameras are: of this machine, or simulated with all that they see.
-    pub cameras: Cameras,
-    /// What their calibration says of itself if it is that of no cameras, a drawing's say: by such a one no real arm moves.
-    pub nominal_calibration: Option<String>,
-    /// The calibrations that it uses, if they are files: of the cameras, and of where they are on the arm.
-    pub calibrations: Vec<CalibrationInUse>,
+    /// Cameras, arms and where they are.
+    pub rig: Rig,
     /// When a run warns that the cameras are not any more what was calibrated, if the file says so.
     pub drift: Option<DriftConfig>,
     /// What estimates the pose by which the hand is led.
@@ -100,6 +92,23 @@ pub struct Setup {
     pub controller: ControllerConfig,
     /// What is permitted to it.
     pub supervisor: SupervisorConfig,
+    /// How the target moves.
+    pub experiment: Experiment,
+}
+
+/// What stands in a cell: cameras, arms, and what is mounted where. All that a simulation adds is in [`SimulatedWorld`].
+#[derive(Clone, Debug)]
+pub struct Rig {
+    /// The stereo pair, as calibrated.
+    pub stereo: StereoRig,
+    /// When it exposes.
+    pub frames: FrameTiming,
+    /// What its cameras are: of this machine, or simulated with all that they see.
+    pub cameras: Cameras,
+    /// What their calibration says of itself if it is that of no cameras, a drawing's say: by such a one no real arm moves.
+    pub nominal_calibration: Option<String>,
+    /// The calibrations that it uses, if they are files: of the cameras, and of where they are on the arm.
+    pub calibrations: Vec<CalibrationInUse>,
     /// The arm that carries the cameras.
     pub vs: ArmSetup,
     /// The arm that carries the target, with the mounting of the target on its flange.
@@ -108,8 +117,6 @@ pub struct Setup {
     pub least_room_m: f64,
     /// Mounting of the target on the second arm.
     pub flange_from_target: Pose<Flange, Target>,
-    /// How the target moves.
-    pub experiment: Experiment,
 }
 
 /// When a stereo pair exposes.
@@ -249,7 +256,7 @@ impl PoseEntry {
 impl Setup {
     /// The simulated world, if there is one.
     pub fn world(&self) -> Option<&SimulatedWorld> {
-        match &self.cameras {
+        match &self.rig.cameras {
             Cameras::Real(_) => None,
             Cameras::Simulated(world) => Some(world),
         }
@@ -257,7 +264,7 @@ impl Setup {
 
     /// The same, to be changed.
     pub fn world_mut(&mut self) -> Option<&mut SimulatedWorld> {
-        match &mut self.cameras {
+        match &mut self.rig.cameras {
             Cameras::Real(_) => None,
             Cameras::Simulated(world) => Some(world),
         }
@@ -265,7 +272,7 @@ impl Setup {
 
     /// The cameras of this machine, if they are not simulated.
     pub fn real_cameras(&self) -> Option<&RealCameras> {
-        match &self.cameras {
+        match &self.rig.cameras {
             Cameras::Real(cameras) => Some(cameras),
             Cameras::Simulated(_) => None,
         }
@@ -273,7 +280,7 @@ impl Setup {
 
     /// The same, to be changed.
     pub fn real_cameras_mut(&mut self) -> Option<&mut RealCameras> {
-        match &mut self.cameras {
+        match &mut self.rig.cameras {
             Cameras::Real(cameras) => Some(cameras),
             Cameras::Simulated(_) => None,
         }
@@ -281,7 +288,7 @@ impl Setup {
 
     /// The cameras that pictures are rendered with: those of the setup, unless the truth is another one.
     pub fn true_rig(&self) -> &StereoRig {
-        self.world().and_then(|world| world.truth.rig.as_ref()).unwrap_or(&self.rig)
+        self.world().and_then(|world| world.truth.rig.as_ref()).unwrap_or(&self.rig.stereo)
     }
 }
 
@@ -372,11 +379,17 @@ impl SetupFile {
             pace: self.run.pace,
             control_period: millis(self.run.control_period_millis),
             estimate_latency: millis(self.run.estimate_latency_millis),
-            rig,
-            frames,
-            cameras,
-            nominal_calibration,
-            calibrations: calibration.into_iter().chain(mounts.calibration).collect(),
+            rig: Rig {
+                stereo: rig,
+                frames,
+                cameras,
+                nominal_calibration,
+                calibrations: calibration.into_iter().chain(mounts.calibration).collect(),
+                vs,
+                tc,
+                least_room_m: all_arms.least_room_mm * 1e-3,
+                flange_from_target: mounts.flange_from_target,
+            },
             drift,
             leader: leader?,
             geometric,
@@ -385,10 +398,6 @@ impl SetupFile {
             range,
             controller,
             supervisor,
-            vs,
-            tc,
-            least_room_m: all_arms.least_room_mm * 1e-3,
-            flange_from_target: mounts.flange_from_target,
             experiment: experiment?,
         })
     }

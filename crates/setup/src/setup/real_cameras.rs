@@ -1,4 +1,4 @@
-//! The table `[camera]` with `backend = "v4l2"`: two cameras of this machine, as [`pb3dp_camera_v4l2`] takes them.
+//! The table `[camera]` with `backend = "v4l2"`: two cameras of this machine, in the words of [`pb3dp_camera_settings`].
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;

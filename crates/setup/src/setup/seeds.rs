@@ -89,8 +89,8 @@ impl Setup {
         if let Leader::Geometric(config) = &mut self.leader {
             config.seed = geometric;
         }
-        self.vs.emulation_seed = Stream::VsEmulation.of(run);
-        self.tc.emulation_seed = Stream::TcEmulation.of(run);
+        self.rig.vs.emulation_seed = Stream::VsEmulation.of(run);
+        self.rig.tc.emulation_seed = Stream::TcEmulation.of(run);
     }
 }
 
@@ -122,7 +122,7 @@ mod tests {
             setup.world().unwrap().faults.seed,
         ]
         .map(u64::from);
-        let wide = [setup.estimator.published.rmga.seed, setup.vs.emulation_seed, setup.tc.emulation_seed];
+        let wide = [setup.estimator.published.rmga.seed, setup.rig.vs.emulation_seed, setup.rig.tc.emulation_seed];
         narrow.into_iter().chain(wide).collect()
     }
 

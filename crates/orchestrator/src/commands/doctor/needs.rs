@@ -87,26 +87,26 @@ impl Needs {
 
     fn of_setup(file: &Path, setup: &Setup, recordings: PathBuf) -> Self {
         let (mut serial, mut arcnet) = (Vec::new(), Vec::new());
-        for link in [&setup.vs.link, &setup.tc.link] {
+        for link in [&setup.rig.vs.link, &setup.rig.tc.link] {
             match link {
                 ArmLink::Gateway(_, GatewayWay::Serial { path, .. }) => serial.push(path.clone()),
                 ArmLink::Bus(config) => arcnet.extend(interface(&config.target)),
                 ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated | GatewayWay::Tcp(_)) => {}
             }
         }
-        let size = setup.rig.left().size();
+        let size = setup.rig.stereo.left().size();
         let pixels = f64::from(size.width) * f64::from(size.height);
         Self {
             source: format!("{} (pb3dp run)", file.display()),
-            needs_realtime: setup.pace == Pace::Live && !(setup.vs.link.is_toy() && setup.tc.link.is_toy()),
+            needs_realtime: setup.pace == Pace::Live && !(setup.rig.vs.link.is_toy() && setup.rig.tc.link.is_toy()),
             serial: Some(serial),
             arcnet,
             cameras: setup.real_cameras().map_or(Cameras::NotNeeded, |cameras| {
                 let eyes = [&cameras.stereo.left, &cameras.stereo.right];
                 Cameras::These(eyes.map(|eye| eye.name.clone()))
             }),
-            nominal_calibration: setup.nominal_calibration.clone(),
-            recording_bytes_per_s: 2.0 * 3.0 * pixels / setup.frames.period.as_secs_f64().max(1e-3),
+            nominal_calibration: setup.rig.nominal_calibration.clone(),
+            recording_bytes_per_s: 2.0 * 3.0 * pixels / setup.rig.frames.period.as_secs_f64().max(1e-3),
             ..Self::general(recordings)
         }
     }
