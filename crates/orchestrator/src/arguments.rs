@@ -6,15 +6,16 @@ use clap::{ArgGroup, Args};
 use pb3dp_cell::terminal::parse_seconds;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_record::dataset::TILT_LIMIT_DEG;
+use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::region_spec::{REGION_HELP, RegionSpec};
 use pb3dp_wiring::ReplayPace;
 
 /// Arguments of `pb3dp run`.
 #[derive(Debug, Args)]
 pub struct RunArgs {
-    /// The setup: one complete TOML file, for instance configs/sim.toml.
-    #[arg(long, value_name = "FILE")]
-    pub config: PathBuf,
+    /// The setup.
+    #[command(flatten)]
+    pub setup: SetupArgs,
     /// Folder for report.html, summary.json and the recorded time series.
     #[arg(long, value_name = "DIR", default_value = "out/run")]
     pub out: PathBuf,

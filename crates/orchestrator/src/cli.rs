@@ -8,6 +8,7 @@ use pb3dp_commissioning::mock_arm::MockArmArgs;
 use crate::arguments::{EstimateArgs, RunArgs, TrackArgs};
 use crate::commands::calibrate::CalibrateArgs;
 use crate::commands::cameras::CamerasArgs;
+use crate::commands::config::ConfigArgs;
 use crate::commands::doctor::DoctorArgs;
 use crate::commands::identify::IdentifyArgs;
 use crate::commands::rig::RigArgs;
@@ -58,6 +59,8 @@ pub enum Command {
     Calibrate(CalibrateArgs),
     /// Plan a stereo head: what cameras, lenses and a baseline give (docs/rig.md).
     Rig(RigArgs),
+    /// Show, check, compare and explain setups, or begin one.
+    Config(ConfigArgs),
     /// Check whether this machine can do what a rig asks of it, and say what to do where it can not (docs/rig.md).
     Doctor(DoctorArgs),
 }

@@ -33,6 +33,7 @@ fn main() -> ExitCode {
         Command::Cameras(args) => commands::cameras::run(args),
         Command::Calibrate(args) => commands::calibrate::run(args),
         Command::Rig(args) => commands::rig::run(args),
+        Command::Config(args) => commands::config::run(args),
         Command::Doctor(args) => commands::doctor::run(args),
     };
     match outcome {

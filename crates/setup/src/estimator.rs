@@ -14,7 +14,7 @@ use pb3dp_estimation_published::search::rmga::{Mutation, RmGaConfig};
 use serde::Deserialize;
 
 use super::direct::DirectSection;
-use super::load::{Checker, ConfigError, FileKind, read_toml, whole};
+use super::load::{Checker, ConfigError, ConfigFile, FileKind, whole};
 
 /// The whole file `configs/estimator.toml`.
 #[derive(Clone, Debug, Deserialize)]
@@ -29,13 +29,16 @@ struct EstimatorFile {
 /// # Errors
 /// An unreadable file, unknown or missing keys, values out of range; the error names file, key and what is allowed.
 pub fn read_estimator(file: &Path) -> Result<EstimatorConfig, ConfigError> {
-    let raw: EstimatorFile = read_toml(file, FileKind::Estimator)?;
+    let config = ConfigFile::read(file, FileKind::Estimator)?;
     let mut check = Checker::default();
-    let published = raw.published.build("published", &mut check);
-    let direct = raw.direct.build("direct", published.region, &mut check);
-    let track = raw.direct.build_tracker("direct", &mut check);
-    check.finish(file)?;
-    Ok(EstimatorConfig { published, direct, track })
+    let found = config.all().map(|raw: EstimatorFile| {
+        let published = raw.published.build("published", &mut check);
+        let direct = raw.direct.build("direct", published.region, &mut check);
+        let track = raw.direct.build_tracker("direct", &mut check);
+        EstimatorConfig { published, direct, track }
+    });
+    config.finish(check)?;
+    Ok(found.unwrap_or_default())
 }
 
 /// Parameters of the published method.

@@ -6,6 +6,7 @@ use std::path::Path;
 use toml::{Table, Value};
 
 use super::estimator::read_estimator;
+use super::layers::{Layers, SetupArgs};
 use super::load::ConfigError;
 use super::setup::read_setup;
 
@@ -31,8 +32,7 @@ impl Sample {
         for file in ["robots/pa10_gen1.urdf", "robots/pa10_gen2.urdf"].into_iter().chain(calibrations) {
             std::fs::copy(configs.join(file), folder.path().join(file)).unwrap();
         }
-        let table = std::fs::read_to_string(configs.join(name)).unwrap().parse().unwrap();
-        Self { folder, name, table, read }
+        Self { folder, name, table: table(name), read }
     }
 
     /// Paths of all numbers, elements of lists as `key[index]`.
@@ -109,7 +109,7 @@ fn like(original: &Value, number: f64) -> Value {
 fn ends(line: &str) -> [f64; 2] {
     let (_, range) = line.split_once(": allowed are ").unwrap_or_else(|| panic!("no range in {line}"));
     let (min, max) = range.split_once(" to ").unwrap();
-    [min, max].map(|end| end.parse().unwrap())
+    [min, max].map(|end| end.split(' ').next().unwrap().parse().unwrap())
 }
 
 /// Every number of the sample; the ends of what is allowed for those whose keys begin so, as what it shares with `sim.toml` is checked there.
@@ -184,7 +184,7 @@ fn every_number_of_a_truth_and_of_calibrations_is_refused_by_its_own_key() {
 
 #[test]
 fn every_number_of_the_published_law_is_refused_by_its_own_key() {
-    check_every_key(&Sample::new("sim_published.toml", |file| read_setup(file).map(drop)), "servo.", 220);
+    check_every_key(&Sample::new("published.toml", |file| read_setup(file).map(drop)), "servo.", 220);
 }
 
 #[test]
@@ -252,7 +252,7 @@ fn keys_of_other_cameras_are_refused_with_key_and_backend() {
         ("rig.toml", |root| put(root, "camera", "focal_px", 740.0), "camera.focal_px: unknown key"),
         ("rig.toml", |root| put(root, "camera", "focal_px", 740.0), "(with camera.backend = \"v4l2\")"),
         ("sim.toml", |root| put(root, "camera", "format", "YUYV"), "(with camera.backend = \"sim\")"),
-        ("sim.toml", |root| drop(root.remove("scene")), "scene: the table is missing; camera.backend = \"sim\""),
+        ("sim.toml", |root| drop(root.remove("scene")), "scene: missing; camera.backend = \"sim\""),
         (
             "rig.toml",
             |root| drop(root.insert("scene".into(), table("sim.toml")["scene"].clone())),
@@ -345,7 +345,8 @@ fn put(root: &mut Table, table: &str, key: &str, value: impl Into<Value>) {
 
 fn table(name: &str) -> Table {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs").join(name);
-    std::fs::read_to_string(file).unwrap().parse().unwrap()
+    // With all that its base says.
+    Layers::read(&SetupArgs::of_file(&file)).unwrap().figment().extract().unwrap()
 }
 
 /// A law has its own tables, and only these.
@@ -358,11 +359,11 @@ fn tables_that_do_not_fit_the_law_are_refused() {
     };
     for (name, law, tables) in [
         ("sim.toml", "feed-forward", &["arm_response", "feed_forward", "null_motion", "unstated", "target"][..]),
-        ("sim_published.toml", "published", &["gains", "smoothing"]),
+        ("published.toml", "published", &["gains", "smoothing"]),
     ] {
         for table in tables {
             let text = refusal(name, &|servo| drop(servo.remove(*table))).unwrap();
-            let expected = format!("servo.{table}: the table is missing; servo.law = \"{law}\" needs it");
+            let expected = format!("servo.{table}: missing; servo.law = \"{law}\" needs it");
             assert!(text.contains(&expected), "{text}");
         }
         let other = if law == "published" { "feed-forward" } else { "published" };
@@ -387,7 +388,7 @@ fn tables_that_do_not_fit_the_law_are_refused() {
 #[test]
 fn every_number_of_the_laws_for_comparison_is_refused_by_its_own_key() {
     let with_law = |law: &str, table: &str, numbers: &[(&str, f64)]| {
-        let mut sample = Sample::new("sim_published.toml", |file| read_setup(file).map(drop));
+        let mut sample = Sample::new("published.toml", |file| read_setup(file).map(drop));
         let servo = sample.table["servo"].as_table_mut().unwrap();
         servo.remove("gains");
         servo["law"] = law.into();
@@ -429,7 +430,7 @@ fn ways_to_an_arm_that_do_not_fit_are_refused() {
             },
             "(arms.vs.backend) needs pace = \"live\"",
         ),
-        (|root| drop(arm(root).remove("gateway")), "arms.vs.gateway: the table is missing"),
+        (|root| drop(arm(root).remove("gateway")), "arms.vs.gateway: missing"),
         (|root| arm(root)["backend"] = "mock".into(), "arms.vs.gateway: an arm with backend = \"mock\" has none"),
         (|root| arm(root)["backend"] = "serial".into(), "\"serial\" needs port and baud"),
         (|root| arm(root)["backend"] = "tcp".into(), "\"tcp\" needs address"),

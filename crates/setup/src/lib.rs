@@ -4,6 +4,8 @@ pub mod direct;
 pub mod estimator;
 #[cfg(test)]
 mod every_key_tests;
+pub mod explain;
+pub mod layers;
 pub mod load;
 pub mod names;
 pub mod region_spec;

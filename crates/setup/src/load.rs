@@ -1,15 +1,17 @@
-//! Reading a configuration file: TOML to raw structs, with errors that name the file, the key and what is allowed.
+//! Reading a configuration: TOML to raw structs, with errors that name file and line, the key and what is allowed.
 
+use std::cell::RefCell;
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use figment::Figment;
 use figment::error::Kind;
-use figment::providers::{Format, Toml};
-use figment::value::Dict;
+use figment::providers::{Format, Serialized, Toml};
+use figment::value::{Dict, Value};
 use serde::de::DeserializeOwned;
+
+use crate::layers::{Layers, SetupArgs, built_in};
 
 /// Why a configuration was refused.
 #[derive(Debug, thiserror::Error)]
@@ -33,15 +35,24 @@ pub enum ConfigError {
         /// What it should be.
         wanted: FileKind,
     },
-    /// Keys are unknown, missing or of the wrong type. One line per key.
-    #[error("configuration {file}:\n{lines}", file = file.display())]
-    Keys {
-        /// The file.
-        file: PathBuf,
-        /// What is wrong, one line per key.
-        lines: String,
+    /// The text is no TOML.
+    #[error("configuration {place}: {reason}", place = place.display())]
+    Syntax {
+        /// File, line and column.
+        place: PathBuf,
+        /// What the parser says.
+        reason: String,
     },
-    /// Values are out of range. One line per key.
+    /// Neither a file nor a built-in setup.
+    #[error(
+        "configuration {name}: there is no such file, and no built-in setup of this name; built-in are {}",
+        built_in_names()
+    )]
+    NoSuchSetup {
+        /// As it was written.
+        name: String,
+    },
+    /// Keys are unknown, missing or of the wrong type, or values are out of range. One line per key.
     #[error("configuration {file}:\n{lines}", file = file.display())]
     Values {
         /// The file.
@@ -98,83 +109,195 @@ pub fn kind_of(file: &Path) -> Result<Option<FileKind>, ConfigError> {
     Ok(FileKind::ALL.into_iter().find(|kind| figment.find_value(kind.own_table()).is_ok()))
 }
 
-fn text_of(file: &Path) -> Result<String, ConfigError> {
+fn built_in_names() -> String {
+    built_in::SETUPS.map(|setup| setup.name).join(", ")
+}
+
+pub(crate) fn text_of(file: &Path) -> Result<String, ConfigError> {
     std::fs::read_to_string(file).map_err(|source| ConfigError::Unreadable { file: file.to_path_buf(), source })
 }
 
-/// Reads `file`, which should be of the kind `wanted`, into the raw struct `T`, whose fields must match the file's keys exactly.
+/// A configuration whose tables are taken one by one: which keys one of them has may depend on what it says itself.
 ///
-/// # Errors
-/// An unreadable file, bad TOML, a file of the other kind, unknown or missing keys, wrong types.
-pub fn read_toml<T: DeserializeOwned>(file: &Path, wanted: FileKind) -> Result<T, ConfigError> {
-    ConfigFile::read(file, wanted)?.all()
-}
-
-/// A file whose tables are taken one by one: which keys one of them has may depend on what it says itself.
+/// What is wrong with keys is collected: a value that cannot be used is replaced by the one of a sample, so that everything else that is
+/// wrong is found, too. [`Self::finish`] tells all of it.
 pub struct ConfigFile {
-    file: PathBuf,
+    name: PathBuf,
     wanted: FileKind,
-    figment: Figment,
+    layers: Layers,
+    values: RefCell<Dict>,
+    problems: RefCell<Vec<String>>,
 }
 
 impl ConfigFile {
-    /// Reads `file`, which should be of the kind `wanted`.
+    /// Reads one file, which should be of the kind `wanted`.
     ///
     /// # Errors
-    /// An unreadable file.
+    /// An unreadable file, a text that is no TOML.
     pub fn read(file: &Path, wanted: FileKind) -> Result<Self, ConfigError> {
-        Ok(Self { file: file.to_path_buf(), wanted, figment: Figment::from(Toml::string(&text_of(file)?)) })
+        Ok(Self::of(file.to_path_buf(), wanted, Layers::one_file(file)?))
     }
 
-    /// The whole file.
+    /// Reads all layers of a setup.
     ///
     /// # Errors
-    /// Bad TOML, a file of the other kind, unknown or missing keys, wrong types.
-    pub fn all<T: DeserializeOwned>(&self) -> Result<T, ConfigError> {
-        self.figment.extract().map_err(|errors| self.refusal(errors, ""))
+    /// As [`Layers::read`].
+    pub fn setup(args: &SetupArgs) -> Result<Self, ConfigError> {
+        Ok(Self::of(args.name().to_path_buf(), FileKind::Setup, Layers::read(args)?))
+    }
+
+    pub(crate) fn of(name: PathBuf, wanted: FileKind, layers: Layers) -> Self {
+        let values = layers.figment().extract().unwrap_or_default();
+        Self { name, wanted, layers, values: RefCell::new(values), problems: RefCell::default() }
+    }
+
+    /// The layers that it is made of.
+    pub fn layers(&self) -> &Layers {
+        &self.layers
+    }
+
+    /// All of it; `None` if a key is wrong that no sample replaces.
+    pub fn all<T: DeserializeOwned>(&self) -> Option<T> {
+        self.extract("", "")
     }
 
     /// One key of it, with everything below; `owner` is what its keys are those of, for messages.
-    ///
-    /// # Errors
-    /// As [`Self::all`].
-    pub fn at<T: DeserializeOwned>(&self, key: &str, owner: &str) -> Result<T, ConfigError> {
-        self.figment.extract_inner(key).map_err(|mut error| {
-            // What is below the key is named before the key itself.
-            let (parts, length) = (key.split('.').count(), error.path.len());
-            error.path.rotate_right(parts.min(length));
-            self.refusal(error, owner)
-        })
+    pub fn at<T: DeserializeOwned>(&self, key: &str, owner: &str) -> Option<T> {
+        self.extract(key, owner)
     }
 
-    /// The table `key`, which is `whole`: its own keys are those of `All`; the tables in it, which the user names, are each a `One`.
-    ///
-    /// # Errors
-    /// As [`Self::all`].
+    /// The table `key`: its own keys are those of `All`; the tables in it, which the user names, are each a `One`.
     pub fn named_tables<All: DeserializeOwned, One: DeserializeOwned>(
         &self,
         key: &str,
-        whole: &Dict,
-    ) -> Result<(All, BTreeMap<String, One>), ConfigError> {
-        let (tables, own): (Dict, Dict) = whole.clone().into_iter().partition(|(_, value)| value.as_dict().is_some());
-        let own = Self { file: self.file.clone(), wanted: self.wanted, figment: Figment::from((key, own)) };
-        let named = |name: String| Ok((name.clone(), self.at(&format!("{key}.{name}"), "")?));
-        Ok((own.at(key, "")?, tables.into_keys().map(named).collect::<Result<_, ConfigError>>()?))
+    ) -> Option<(All, BTreeMap<String, One>)> {
+        let whole = self.values.borrow().get(key).and_then(Value::as_dict).cloned().unwrap_or_default();
+        let (tables, own): (Dict, Dict) = whole.into_iter().partition(|(_, value)| value.as_dict().is_some());
+        let own = self.extract_from(&mut Dict::from([(key.to_owned(), own.into())]), key, "");
+        let named = |name: String| Some((name.clone(), self.extract(&format!("{key}.{name}"), "")?));
+        let named: Vec<Option<(String, One)>> = tables.into_keys().map(named).collect();
+        Some((own?, named.into_iter().collect::<Option<_>>()?))
     }
 
-    fn refusal(&self, errors: figment::Error, owner: &str) -> ConfigError {
-        let (file, wanted) = (self.file.clone(), self.wanted);
-        let is_another = |kind: &FileKind| *kind != wanted && self.figment.find_value(kind.own_table()).is_ok();
-        if let Some(found) = FileKind::ALL.into_iter().find(is_another) {
-            return ConfigError::OtherKind { file, found, wanted };
-        }
-        let owner = if owner.is_empty() { String::new() } else { format!(" {owner}") };
-        let mut lines = String::new();
-        for error in errors {
-            let _ = writeln!(lines, "  {}{owner}", describe(&error));
-        }
-        ConfigError::Keys { file, lines: lines.trim_end().to_owned() }
+    fn extract<T: DeserializeOwned>(&self, key: &str, owner: &str) -> Option<T> {
+        let mut values = self.values.borrow_mut();
+        self.extract_from(&mut values, key, owner)
     }
+
+    /// What `key` of `values` is, or the whole of them; puts samples in the place of what is wrong.
+    fn extract_from<T: DeserializeOwned>(&self, values: &mut Dict, key: &str, owner: &str) -> Option<T> {
+        let parts = key.split('.').filter(|part| !part.is_empty()).count();
+        for _ in 0..PROBLEMS_MAX {
+            let figment = Figment::from(Serialized::defaults(values.clone()));
+            let found = if key.is_empty() { figment.extract() } else { figment.extract_inner(key) };
+            let errors = match found {
+                Ok(found) => return Some(found),
+                Err(errors) => errors,
+            };
+            for mut error in errors {
+                if !key.is_empty() {
+                    // What is below the key is named before the key itself.
+                    let length = error.path.len();
+                    error.path.rotate_right(parts.min(length));
+                }
+                let owner = if owner.is_empty() { String::new() } else { format!(" {owner}") };
+                self.note(format!("{}{owner}", describe(&error)));
+                if !repair(values, &error) {
+                    return None;
+                }
+            }
+        }
+        None
+    }
+
+    fn note(&self, line: String) {
+        let mut problems = self.problems.borrow_mut();
+        if !problems.contains(&line) {
+            problems.push(line);
+        }
+    }
+
+    /// Success, or all that is wrong in one error: keys first, then what `check` has refused.
+    ///
+    /// # Errors
+    /// If anything is wrong.
+    pub fn finish(&self, check: Checker) -> Result<(), ConfigError> {
+        let keys = self.problems.borrow();
+        let key_of = |line: &str| line.split([' ', ':', '=']).next().unwrap_or_default().to_owned();
+        let replaced: Vec<String> = keys.iter().map(|line| key_of(line)).collect();
+        // What follows from a sample is no mistake of the user.
+        let is_own = |line: &String| {
+            let key = key_of(line);
+            let is_stated = line.contains(MISSING) || self.layers.origin_of(&key).is_some();
+            keys.is_empty() || is_stated && !replaced.iter().any(|other| key.starts_with(other.as_str()))
+        };
+        let refused: Vec<String> = check.lines.into_iter().filter(is_own).collect();
+        if keys.is_empty() && refused.is_empty() {
+            return Ok(());
+        }
+        let file = self.name.clone();
+        let is_another =
+            |kind: &FileKind| *kind != self.wanted && self.layers.figment().find_value(kind.own_table()).is_ok();
+        if let (false, Some(found)) = (keys.is_empty(), FileKind::ALL.into_iter().find(is_another)) {
+            return Err(ConfigError::OtherKind { file, found, wanted: self.wanted });
+        }
+        let located = |line: &String| match self.layers.origin_of(&key_of(line)) {
+            Some(origin) => format!("  {line} [{origin}]"),
+            None => format!("  {line}"),
+        };
+        let mut lines: Vec<String> = keys.iter().chain(&refused).map(located).collect();
+        let missing = keys.iter().filter(|line| line.contains(MISSING)).count();
+        if self.wanted == FileKind::Setup && missing > MISSING_MANY && !self.layers.has_base() {
+            lines.push("  a first line base = \"sim\" takes all else from the built-in setup of that name".to_owned());
+        }
+        Err(ConfigError::Values { file, lines: lines.join("\n") })
+    }
+}
+
+/// More problems than a user can read.
+const PROBLEMS_MAX: usize = 300;
+/// From so many missing keys on, a setup is told how it could have a base.
+const MISSING_MANY: usize = 5;
+const MISSING: &str = ": missing";
+const ALLOWED: &str = ": allowed are ";
+
+/// Puts something usable in the place of what an error is about; whether that was possible.
+fn repair(values: &mut Dict, error: &figment::Error) -> bool {
+    let mut path: Vec<String> = error.path.clone();
+    match &error.kind {
+        Kind::UnknownField(field, _) => {
+            if path.last() != Some(field) {
+                path.push(field.clone());
+            }
+            return take(values, &path);
+        }
+        Kind::MissingField(field) => path.push(field.to_string()),
+        _ => {}
+    }
+    let found = built_in::sample(&path).filter(|sample| value_of(values, &path) != Some(sample));
+    found.is_some_and(|sample| put(values, &path, sample))
+}
+
+fn value_of<'a>(values: &'a Dict, path: &[String]) -> Option<&'a Value> {
+    let (first, rest) = path.split_first()?;
+    rest.iter().try_fold(values.get(first)?, |value, part| value.as_dict()?.get(part))
+}
+
+fn table_of<'a>(values: &'a mut Dict, path: &[String]) -> Option<&'a mut Dict> {
+    path.iter().try_fold(values, |table, part| match table.entry(part.clone()).or_insert_with(|| Dict::new().into()) {
+        Value::Dict(_, inner) => Some(inner),
+        _ => None,
+    })
+}
+
+fn put(values: &mut Dict, path: &[String], value: Value) -> bool {
+    let Some((last, tables)) = path.split_last() else { return false };
+    table_of(values, tables).map(|table| table.insert(last.clone(), value)).is_some()
+}
+
+fn take(values: &mut Dict, path: &[String]) -> bool {
+    let Some((last, tables)) = path.split_last() else { return false };
+    table_of(values, tables).and_then(|table| table.remove(last)).is_some()
 }
 
 /// One line for one figment error, key first.
@@ -188,18 +311,59 @@ fn describe(error: &figment::Error) -> String {
             } else {
                 format!("{path}.{field}")
             };
-            format!("{key}: unknown key; known here: {}", expected.join(", "))
+            match nearest(field, expected) {
+                Some(nearest) => format!("{key}: unknown key; did you mean {nearest}?"),
+                None => format!("{key}: unknown key; known here: {}", expected.join(", ")),
+            }
         }
         Kind::MissingField(field) => {
             let key = if path.is_empty() { field.to_string() } else { format!("{path}.{field}") };
-            format!("{key}: missing; the file must set it")
+            format!("{key}{MISSING}; the setup must state it")
         }
         kind => format!("{at}: {kind}"),
     }
 }
 
+/// The known key that a mistyped one was probably meant to be.
+pub(crate) fn nearest<'a>(key: &str, known: &[&'a str]) -> Option<&'a str> {
+    let likeness = |other: &&str| strsim::jaro_winkler(key, other);
+    let best = known.iter().copied().max_by(|a, b| likeness(a).total_cmp(&likeness(b)))?;
+    (likeness(&best) > LIKE).then_some(best)
+}
+
+/// Two keys are alike above this Jaro-Winkler similarity; chosen: `serach` and `search` have 0.95, `port` and `baud` 0.
+const LIKE: f64 = 0.85;
+
 fn at_or(path: &str, field: &str) -> String {
     if path.is_empty() { field.to_owned() } else { path.to_owned() }
+}
+
+/// The unit that a key names: `mm/s` of `speed_max_mm_per_s`.
+pub fn unit_of(key: &str) -> Option<String> {
+    let name = key.rsplit('.').next().unwrap_or(key).split(['[', ' ']).next().unwrap_or_default();
+    let words: Vec<&str> = name.split('_').collect();
+    fn symbol(word: &str) -> Option<&str> {
+        Some(match word {
+            "millis" => "ms",
+            "s" | "mm" | "m" | "deg" | "rad" | "px" | "days" => word,
+            "s2" => "s^2",
+            "s3" => "s^3",
+            "px2" => "px^2",
+            "hz" => "Hz",
+            "grey" => "grey levels",
+            "kelvin" => "K",
+            "percent" => "%",
+            _ => return None,
+        })
+    }
+    match words.iter().position(|word| *word == "per") {
+        Some(at) => {
+            let above = at.checked_sub(1).and_then(|before| symbol(words[before])).unwrap_or("1");
+            let below = words.get(at + 1).and_then(|word| symbol(word))?;
+            Some(format!("{above}/{below}"))
+        }
+        None => words.last().and_then(|word| symbol(word)).map(str::to_owned),
+    }
 }
 
 /// Collects what is out of range, so that a user sees everything at once.
@@ -212,8 +376,13 @@ impl Checker {
     /// Refuses a value outside `allowed` or not finite.
     pub fn number(&mut self, key: &str, value: f64, allowed: RangeInclusive<f64>) {
         if !allowed.contains(&value) {
-            self.lines.push(format!("{key} = {value}: allowed are {} to {}", allowed.start(), allowed.end()));
+            self.refuse_range(key, value, allowed);
         }
+    }
+
+    fn refuse_range<T: std::fmt::Display>(&mut self, key: &str, value: T, allowed: RangeInclusive<T>) {
+        let unit = unit_of(key).map(|unit| format!(" {unit}")).unwrap_or_default();
+        self.lines.push(format!("{key} = {value}{ALLOWED}{} to {}{unit}", allowed.start(), allowed.end()));
     }
 
     /// Refuses each of several values outside `allowed` or not finite.
@@ -227,7 +396,7 @@ impl Checker {
     /// range and not with the type it does not fit; [`whole`] turns them into what the parts want.
     pub fn count(&mut self, key: &str, value: i64, allowed: RangeInclusive<i64>) {
         if !allowed.contains(&value) {
-            self.lines.push(format!("{key} = {value}: allowed are {} to {}", allowed.start(), allowed.end()));
+            self.refuse_range(key, value, allowed);
         }
     }
 
@@ -244,18 +413,6 @@ impl Checker {
     /// Refuses with a line that names key, value and what is allowed.
     pub fn refuse(&mut self, line: String) {
         self.lines.push(line);
-    }
-
-    /// Success, or all refusals in one error.
-    ///
-    /// # Errors
-    /// If anything was refused.
-    pub fn finish(self, file: &Path) -> Result<(), ConfigError> {
-        if self.lines.is_empty() {
-            return Ok(());
-        }
-        let lines = self.lines.iter().map(|line| format!("  {line}")).collect::<Vec<_>>().join("\n");
-        Err(ConfigError::Values { file: file.to_path_buf(), lines })
     }
 }
 
@@ -289,11 +446,18 @@ mod tests {
         rate_hz: f64,
     }
 
+    fn read<T: DeserializeOwned>(file: &Path, wanted: FileKind) -> Result<T, ConfigError> {
+        let config = ConfigFile::read(file, wanted)?;
+        let all = config.all();
+        config.finish(Checker::default())?;
+        Ok(all.unwrap())
+    }
+
     fn message(text: &str) -> String {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("x.toml");
         std::fs::write(&file, text).unwrap();
-        match read_toml::<Sample>(&file, FileKind::Setup) {
+        match read::<Sample>(&file, FileKind::Setup) {
             Ok(sample) => format!("ok {}", sample.camera.rate_hz),
             Err(error) => error.to_string(),
         }
@@ -324,7 +488,7 @@ mod tests {
             ("configs/gateway.toml", FileKind::Setup, ["gateway.toml: this is a gateway", "configs/sim.toml"]),
             ("configs/sim.toml", FileKind::Gateway, ["sim.toml: this is a setup", "configs/gateway.toml"]),
         ] {
-            let text = read_toml::<Sample>(&repository.join(file), wanted).map(|_| ()).unwrap_err().to_string();
+            let text = read::<Sample>(&repository.join(file), wanted).map(|_| ()).unwrap_err().to_string();
             assert!(parts.iter().all(|part| text.contains(part)), "{text}");
         }
     }
@@ -335,8 +499,19 @@ mod tests {
         check.number("servo.gain", f64::NAN, 0.0..=10.0);
         check.numbers("arm.speed", &[1.0, 7.5], 0.0..=5.0);
         check.count("ga.population", 1, 4..=4096);
-        let text = check.finish(Path::new("c.toml")).unwrap_err().to_string();
-        for part in ["c.toml", "servo.gain = NaN", "0 to 10", "arm.speed[1] = 7.5", "ga.population = 1", "4 to 4096"] {
+        check.number("servo.speed.linear_max_mm_per_s", -1.0, 0.0..=400.0);
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/sim.toml");
+        let text = ConfigFile::read(&file, FileKind::Setup).unwrap().finish(check).unwrap_err().to_string();
+        for part in [
+            "sim.toml",
+            "servo.gain = NaN",
+            "0 to 10",
+            "0 to 400 mm/s",
+            "configs/sim.toml:",
+            "arm.speed[1] = 7.5",
+            "ga.population = 1",
+            "4 to 4096",
+        ] {
             assert!(text.contains(part), "{part} not in {text}");
         }
     }

@@ -147,6 +147,7 @@ mod tests {
     use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem};
     use pb3dp_geometry::ImageSize;
     use pb3dp_hal_clock::VirtualClock;
+    use pb3dp_setup::layers::SetupArgs;
     use pb3dp_setup::setup::read_cameras;
 
     use super::*;
@@ -154,7 +155,10 @@ mod tests {
     /// What is told of the drift of two cameras, the right one slower by this, with the number of the pair at which it is told.
     fn told(synchronisation: Synchronisation, slowness: f64, pairs: u64) -> Vec<(u64, String)> {
         let clock: Arc<dyn Clock> = Arc::new(VirtualClock::default());
-        let mut cameras = read_cameras(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/rig.toml")).unwrap();
+        let mut cameras =
+            read_cameras(&SetupArgs::of_file(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/rig.toml")))
+                .unwrap()
+                .0;
         cameras.synchronisation = synchronisation;
         for (number, eye) in [&mut cameras.stereo.left, &mut cameras.stereo.right].into_iter().enumerate() {
             eye.name = format!("bus:usb-emulated-{number}").parse().unwrap();

@@ -15,7 +15,7 @@ use system_tests::repository;
 /// The setup of the repository in which a method leads the hand; none looks on.
 pub fn whole_setup(method: Method) -> Setup {
     let file = match method {
-        Method::Published => "configs/sim_published.toml",
+        Method::Published => "configs/published.toml",
         _ => "configs/sim.toml",
     };
     let setup = read_setup(&repository().join(file)).unwrap();

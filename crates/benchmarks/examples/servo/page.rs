@@ -170,7 +170,7 @@ pub fn page(findings: &Findings, checks: &[Check], origin: &str) -> String {
          ![The six panels](servo.svg)\n\n\
          30 pictures per second, fx 740, baseline 100 mm, picture noise of {NOISE_GREY} grey levels, rendered; the arms of `configs/sim.toml`.\n\
          The delay is the total one, from the middle of an exposure to the motion that it causes, with the lag of the drives (30 ms) and the mean wait for the next control step.\n\
-         `direct` is the setup of `configs/sim.toml`, `published` that of `configs/sim_published.toml`: the published method with the published law.\n\n\
+         `direct` is the setup of `configs/sim.toml`, `published` that of `configs/published.toml`: the published method with the published law.\n\n\
          Errors are those of the hand against its place by the pose of the lock, which takes the mean of the estimates before the first move for the truth: distance and angle, rms (max; ideal).\n\
          Moving is while the target moves, hold from one second after the move.\n\
          The lock itself is off by a constant, which stands beside the length that a tilt of one standard deviation, as the first estimate states it, makes of 500 mm.\n\

@@ -24,7 +24,7 @@ const LATENCY_MILLIS: f64 = 20.0;
 pub enum Who {
     /// The setup of configs/sim.toml: the direct method and the default law.
     Ours,
-    /// The setup of configs/sim_published.toml: the published method and the published law.
+    /// The setup of configs/published.toml: the published method and the published law.
     Published,
 }
 
@@ -47,7 +47,7 @@ impl Who {
     pub fn setup(self, delay_millis: f64) -> Result<Setup> {
         let file = match self {
             Self::Ours => "configs/sim.toml",
-            Self::Published => "configs/sim_published.toml",
+            Self::Published => "configs/published.toml",
         };
         let mut setup = read_setup(&repository().join(file))?;
         setup.compared.clear();

@@ -16,6 +16,7 @@ use std::process::ExitCode;
 use clap::{Args, Subcommand, ValueEnum};
 use pb3dp_arm_pa10_emulation::line::mock_server::SocketAddr;
 use pb3dp_cell::parts::ArmChoice;
+use pb3dp_setup::layers::SetupArgs;
 
 use crate::Program;
 
@@ -45,9 +46,8 @@ enum ArmCommand {
 
 #[derive(Debug, Args)]
 struct Place {
-    /// The setup with both arms, for instance configs/hil.toml.
-    #[arg(long, value_name = "FILE")]
-    config: PathBuf,
+    #[command(flatten)]
+    setup: SetupArgs,
     /// Which arm: vs carries the cameras, tc the target.
     #[arg(long, value_enum)]
     arm: ArmName,

@@ -14,7 +14,7 @@ use pb3dp_hal_api::{Clock, JointCommand, JointState};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::{DOF, JointVector};
-use pb3dp_setup::setup::{ArmLink, Setup, read_setup};
+use pb3dp_setup::setup::{ArmLink, Setup, read_layers};
 use pb3dp_wiring::commissioning::{SlowArm, set_line, slow_setup, wire_slow};
 use serde::{Deserialize, Serialize};
 
@@ -77,7 +77,7 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
     let (choice, began) = (place.choice(), SystemTime::now());
     // Before any thread is started.
     let mut signals = StopSignals::take_over()?;
-    let mut setup = read_setup(&place.config)?;
+    let mut setup = read_layers(&place.setup)?;
     if let Some(address) = args.line {
         set_line(&mut setup, choice, address);
     }

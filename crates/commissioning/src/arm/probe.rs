@@ -7,7 +7,7 @@ use anyhow::Result;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_clock::SystemClock;
-use pb3dp_setup::setup::read_setup;
+use pb3dp_setup::setup::read_layers;
 use pb3dp_wiring::commissioning::see;
 
 use super::ProbeArgs;
@@ -18,7 +18,7 @@ use super::probe_report::{Findings, ProbeReport};
 /// # Errors
 /// A configuration that is refused.
 pub fn run(args: &ProbeArgs) -> Result<ExitCode> {
-    let setup = read_setup(&args.place.config)?;
+    let setup = read_layers(&args.place.setup)?;
     let choice = args.place.choice();
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     let report = match see(&setup, choice, &clock) {

@@ -8,7 +8,7 @@ use pb3dp_cell::terminal::print_line;
 use pb3dp_hal_api::{ArmPower, Clock};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_platform::signals::StopSignals;
-use pb3dp_setup::setup::read_setup;
+use pb3dp_setup::setup::read_layers;
 use pb3dp_wiring::commissioning::see;
 
 use super::{Place, confirm};
@@ -19,7 +19,7 @@ use super::{Place, confirm};
 /// A configuration that is refused, an arm that does not answer, a confirmation that does not come, a cause that is still there.
 pub fn run(place: &Place) -> Result<ExitCode> {
     let (choice, mut signals) = (place.choice(), StopSignals::take_over()?);
-    let setup = read_setup(&place.config)?;
+    let setup = read_layers(&place.setup)?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     let mut seen = see(&setup, choice, &clock)?;
     let Some(latched) = seen.arm.monitor().snapshot().latched else {

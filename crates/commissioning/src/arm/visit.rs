@@ -21,7 +21,8 @@ use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::{Damping, JointVector, reach};
 use pb3dp_record::calibration_files::save_cameras;
 use pb3dp_record::stops::{ArmOfPoses, STOPS_FILE, WantedPoses, load_poses};
-use pb3dp_setup::setup::{Setup, read_setup};
+use pb3dp_setup::layers::SetupArgs;
+use pb3dp_setup::setup::{Setup, read_layers};
 use pb3dp_sim::targets::TargetConfig;
 use pb3dp_wiring::commissioning::slow_setup;
 use pb3dp_wiring::{Wired, wire_to_look, write_flights};
@@ -34,9 +35,8 @@ const JOINT_MAX_RAD_PER_S: f64 = 0.1;
 /// Arguments of `pb3dp arm visit`.
 #[derive(Debug, Args)]
 pub(super) struct VisitArgs {
-    /// The setup with both arms and the cameras.
-    #[arg(long, value_name = "FILE")]
-    config: PathBuf,
+    #[command(flatten)]
+    setup: SetupArgs,
     /// The poses, as `pb3dp calibrate propose` writes them; the file says which arm.
     #[arg(long, value_name = "FILE", required_unless_present = "here", conflicts_with = "here")]
     poses: Option<PathBuf>,
@@ -75,7 +75,7 @@ pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
     // Before any thread is started: a signal that ends the program would leave the arms to their gateways.
     let mut signals = StopSignals::take_over().context("the signals that end the program can not be taken over")?;
     let wanted = args.poses.as_deref().map(load_poses).transpose().context("--poses")?;
-    let setup = to_look(read_setup(&args.config)?, args.emulated_board)?;
+    let setup = to_look(read_layers(&args.setup)?, args.emulated_board)?;
     if args.out.join(STOPS_FILE).exists() {
         bail!("--out: {} holds a recording of stops already: name another folder", args.out.display());
     }

@@ -11,7 +11,7 @@ use serde::Deserialize;
 use std::path::Path;
 use std::time::Duration;
 
-use pb3dp_setup::load::{Checker, ConfigError, FileKind, read_toml, whole};
+use pb3dp_setup::load::{Checker, ConfigError, ConfigFile, FileKind, whole};
 use pb3dp_setup::names::{FormatName, GeometryName, sequence_modulus};
 
 /// A gateway whose every value has been checked.
@@ -108,12 +108,14 @@ struct RealtimeSection {
 /// # Errors
 /// An unreadable file, unknown or missing keys, values out of range; the error names file, key and what is allowed.
 pub fn read_gateway(file: &Path, bus: Option<&str>, host: Option<&str>) -> Result<GatewaySetup, ConfigError> {
-    let mut raw: GatewayFile = read_toml(file, FileKind::Gateway)?;
-    raw.bus.port = bus.map_or(raw.bus.port, str::to_owned);
-    raw.host.line = host.map_or(raw.host.line, str::to_owned);
+    let config = ConfigFile::read(file, FileKind::Gateway)?;
     let mut check = Checker::default();
-    let setup = raw.build(&mut check);
-    check.finish(file)?;
+    let setup = config.all().and_then(|mut raw: GatewayFile| {
+        raw.bus.port = bus.map_or(raw.bus.port, str::to_owned);
+        raw.host.line = host.map_or(raw.host.line, str::to_owned);
+        raw.build(&mut check)
+    });
+    config.finish(check)?;
     // Every way on which `build` gives nothing leaves a refusal behind.
     setup.ok_or_else(|| ConfigError::Values { file: file.to_path_buf(), lines: "  the file is not complete".into() })
 }

@@ -19,8 +19,9 @@ use pb3dp_record::metrics::percentile;
 use pb3dp_servo::identification::{
     ArmResponseEstimate, BATCHES, CameraOnHand, Excitation, Interval, arm_response, exposure_offset,
 };
+use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::region_spec::{REGION_HELP, RegionSpec};
-use pb3dp_setup::setup::{Setup, read_setup};
+use pb3dp_setup::setup::{Setup, read_layers};
 use pb3dp_wiring::{Wired, accept_nominal, wire_at_rest, write_flights};
 use serde::Serialize;
 
@@ -46,9 +47,8 @@ enum What {
 
 #[derive(Debug, Args)]
 struct DelayArgs {
-    /// The setup: one complete TOML file, for instance configs/sim.toml.
-    #[arg(long, value_name = "FILE")]
-    config: PathBuf,
+    #[command(flatten)]
+    setup: SetupArgs,
     #[arg(long, value_name = "REGION", help = format!("The target in the first left picture of real cameras: {REGION_HELP}"))]
     region: Option<RegionSpec>,
     /// Move real arms by a calibration that says of itself that no cameras were measured (`calibration_quality`: none).
@@ -83,7 +83,7 @@ pub fn run(args: &IdentifyArgs) -> Result<ExitCode> {
 fn delay(args: &DelayArgs) -> Result<ExitCode> {
     // Before any thread is started: a signal that ends the program would leave the arms to their gateways.
     let mut signals = StopSignals::take_over().context("the signals that end the program can not be taken over")?;
-    let mut setup = read_setup(&args.config)?;
+    let mut setup = read_layers(&args.setup)?;
     mark(&mut setup, args.region.as_ref())?;
     accept_nominal(&mut setup, args.nominal_calibration);
     let motion = Excitation::new(args.way * 1e-3, args.seconds).context("--way is in mm, --seconds in s")?;

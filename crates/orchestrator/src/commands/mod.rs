@@ -2,6 +2,7 @@
 
 pub mod calibrate;
 pub mod cameras;
+pub mod config;
 pub mod doctor;
 pub mod estimate;
 pub mod identify;

@@ -19,7 +19,7 @@ use pb3dp_cell::terminal::print_line;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::dataset::SequenceWriter;
 use pb3dp_setup::region_spec::RegionSpec;
-use pb3dp_setup::setup::{CalibrationInUse, Pace, Setup, read_setup};
+use pb3dp_setup::setup::{CalibrationInUse, Pace, Setup, read_layers};
 use pb3dp_wiring::{Wired, accept_nominal, wire_watched, write_flights};
 
 use crate::arguments::{OperatorName, RunArgs};
@@ -35,10 +35,11 @@ const FOLLOWING_EXPECTED: f64 = 0.9;
 pub fn run(args: &RunArgs) -> Result<ExitCode> {
     // Before any thread is started: a signal that ends the program would leave the arms to their gateways.
     let signals = StopSignals::take_over().context("the signals that end the program can not be taken over")?;
-    let mut setup = read_setup(&args.config)?;
+    let mut asked = args.setup.clone();
     if let Some(seed) = args.seed {
-        setup.reseed(seed);
+        asked = asked.with("run.seed", &seed);
     }
+    let mut setup = read_layers(&asked)?;
     mark(&mut setup, args.region.as_ref())?;
     accept_nominal(&mut setup, args.nominal_calibration);
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
@@ -133,7 +134,7 @@ fn provenance(args: &RunArgs, setup: &Setup, simulated_s: f64, wall_s: f64) -> V
     vec![
         line("program", format!("pb3dp {}", env!("CARGO_PKG_VERSION"))),
         line("commit", crate::COMMIT.to_owned()),
-        line("configuration", args.config.display().to_string()),
+        line("configuration", args.setup.to_string()),
         line("method", setup.leader.name().to_owned()),
         line("pictures", pictures(setup)),
         line(

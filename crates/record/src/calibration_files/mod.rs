@@ -142,13 +142,33 @@ fn load(paths: &[PathBuf], pictures: Option<ImageSize>) -> Result<StereoCalibrat
         paths => paths.to_vec(),
     };
     let documents = paths.iter().map(|path| Document::read(path)).collect::<Result<Vec<_>, _>>()?;
-    let Parsed { rig, format, notes, judgement } = match documents.as_slice() {
+    assemble(&paths, &documents, pictures)
+}
+
+/// As [`load_stereo_for`], of one file whose text is at hand; its name tells the format.
+///
+/// # Errors
+/// As [`load_stereo`].
+pub fn parse_stereo(
+    name: &Path,
+    text: &str,
+    pictures: Option<ImageSize>,
+) -> Result<StereoCalibration, CalibrationFileError> {
+    assemble(&[name.to_path_buf()], &[Document::parse(name, text)?], pictures)
+}
+
+fn assemble(
+    paths: &[PathBuf],
+    documents: &[Document],
+    pictures: Option<ImageSize>,
+) -> Result<StereoCalibration, CalibrationFileError> {
+    let Parsed { rig, format, notes, judgement } = match documents {
         [one] => read_one(one, pictures)?,
         [first, second] => read_two(first, second, pictures)?,
         _ => return Err(CalibrationFileError::Paths { count: paths.len() }),
     };
     let source = paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ");
-    let not_measured = match (documents.as_slice(), format) {
+    let not_measured = match (documents, format) {
         ([one], CalibrationFormat::CaseJson) => case_json::not_measured(&one.root()),
         _ => None,
     };

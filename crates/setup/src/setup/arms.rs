@@ -1,10 +1,9 @@
 //! The table `[arms]`: where the arms stand, what they are, how their simulated drives answer, and their limits.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
-use figment::value::Dict;
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, World};
@@ -15,7 +14,8 @@ use pb3dp_kinematics::{ArmShape, Chain, DOF, EffectiveLimits, JointLimits, Joint
 use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 use serde::Deserialize;
 
-use super::super::load::{Checker, ConfigError, ConfigFile, FileKind, within};
+use super::super::layers::built_in;
+use super::super::load::{Checker, within};
 use super::geometry::check_geometry;
 use super::link::{ArmBackend, ArmLink, BusSection, GatewaySection};
 use super::shape::{PartEntry, build_shape};
@@ -90,40 +90,7 @@ pub(super) struct ArmsSection {
 }
 
 /// The arms of a setup, by their names.
-pub(super) type ArmTables = BTreeMap<String, ArmTable>;
-
-/// The table of an arm, and the file that it stands in, beside which its robot is found.
-pub(super) struct ArmTable {
-    section: ArmSection,
-    file: PathBuf,
-}
-
-/// What both arms share, and the arms: a table of the setup, or a file of the folder `arms` beside it.
-///
-/// # Errors
-/// Unknown or missing keys, wrong types; a file of an arm that is none.
-pub(super) fn read_arms(
-    config: &ConfigFile,
-    whole: &Dict,
-    file: &Path,
-) -> Result<(ArmsSection, ArmTables), ConfigError> {
-    let (all, sections) = config.named_tables::<ArmsSection, ArmSection>("arms", whole)?;
-    let here = |(name, section)| (name, ArmTable { section, file: file.to_path_buf() });
-    let mut tables: ArmTables = sections.into_iter().map(here).collect();
-    for name in [&all.carries_cameras, &all.carries_target] {
-        let beside = file_of(file, name);
-        if !tables.contains_key(name) && beside.is_file() {
-            let section = ConfigFile::read(&beside, FileKind::Arm)?.at("named_arm", "")?;
-            tables.insert(name.clone(), ArmTable { section, file: beside });
-        }
-    }
-    Ok((all, tables))
-}
-
-/// The file of an arm that a setup names.
-fn file_of(config_file: &Path, name: &str) -> PathBuf {
-    config_file.parent().unwrap_or(Path::new(".")).join("arms").join(format!("{name}.toml"))
-}
+pub(super) type ArmTables = BTreeMap<String, ArmSection>;
 
 /// The table that is the arm with the cameras unless the file says otherwise.
 fn vs_name() -> String {
@@ -150,7 +117,7 @@ fn yes() -> bool {
 
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct ArmSection {
+pub(super) struct ArmSection {
     backend: ArmBackend,
     gateway: Option<GatewaySection>,
     bus: Option<BusSection>,
@@ -201,7 +168,7 @@ impl ArmsSection {
     /// Whether an arm of this run is at the end of a link.
     pub(super) fn has_link(&self, tables: &ArmTables) -> bool {
         let names = [&self.carries_cameras, &self.carries_target];
-        let mut arms = names.into_iter().filter_map(|name| tables.get(name)).map(|table| &table.section);
+        let mut arms = names.into_iter().filter_map(|name| tables.get(name));
         arms.any(|arm| arm.gateway.is_some() || arm.bus.is_some())
     }
 
@@ -210,7 +177,6 @@ impl ArmsSection {
     pub(super) fn build(
         &self,
         tables: &ArmTables,
-        config_file: &Path,
         control_period_millis: f64,
         check: &mut Checker,
     ) -> Option<(ArmSetup, ArmSetup)> {
@@ -231,13 +197,7 @@ impl ArmsSection {
         let mut arms: BTreeMap<&str, Option<ArmSetup>> = tables
             .iter()
             .map(|(name, table)| {
-                let key = format!("arms.{name}");
-                let refused = check.refused();
-                let arm = table.section.build(&key, self, &table.file, control_period_millis, check);
-                if check.refused() > refused && table.file != config_file {
-                    check.refuse(format!("what is said of {key} stands in {}", table.file.display()));
-                }
-                (name.as_str(), arm)
+                (name.as_str(), table.build(&format!("arms.{name}"), self, control_period_millis, check))
             })
             .collect();
         if self.carries_cameras == self.carries_target {
@@ -250,9 +210,9 @@ impl ArmsSection {
             arms.remove(name).unwrap_or_else(|| {
                 let known: Vec<&str> = tables.keys().map(String::as_str).collect();
                 check.refuse(format!(
-                    "{key} = {name:?}: there is no table [arms.{name}] ({}), and no file {}",
-                    known.join(", "),
-                    file_of(config_file, name).display()
+                    "arms.{name}: missing; {key} = {name:?} needs this table, or a file arms/{name}.toml beside the one that says so (there \
+                     is {})",
+                    if known.is_empty() { "no arm".to_owned() } else { known.join(", ") }
                 ));
                 None
             })
@@ -274,14 +234,7 @@ fn range_rad(range_deg: &[f64]) -> JointVector {
 }
 
 impl ArmSection {
-    fn build(
-        &self,
-        key: &str,
-        all: &ArmsSection,
-        config_file: &Path,
-        control_period_millis: f64,
-        check: &mut Checker,
-    ) -> Option<ArmSetup> {
+    fn build(&self, key: &str, all: &ArmsSection, control_period_millis: f64, check: &mut Checker) -> Option<ArmSetup> {
         let link = self.backend.link((self.gateway.as_ref(), self.bus.as_ref()), (key, control_period_millis), check);
         let accelerations = &self.acceleration_max_rad_per_s2;
         check_accelerations(key, accelerations, check);
@@ -293,7 +246,7 @@ impl ArmSection {
         self.check_timeout(key, control_period_millis, check);
         let world_from_base = self.world_from_base.build(&format!("{key}.world_from_base"), IN_THE_CELL_MM, check);
         let shape = build_shape(&format!("{key}.parts"), &self.parts, check);
-        let chain = self.chain((key, config_file), link.as_ref(), check);
+        let chain = self.chain(key, link.as_ref(), check);
         let has_all = self.check_lengths(key, chain.as_ref(), check);
         // Of a robot that cannot be read nothing is known that the angles could be compared with.
         if let Some(chain) = chain.as_ref().filter(|_| has_all) {
@@ -437,12 +390,15 @@ impl ArmSection {
         }
     }
 
-    /// The robot description, found beside the configuration file, with the lengths of the arm that it is to describe.
-    fn chain(&self, (key, config_file): (&str, &Path), link: Option<&ArmLink>, check: &mut Checker) -> Option<Chain> {
-        let file = config_file.parent().unwrap_or(Path::new(".")).join(&self.robot);
-        let xml = std::fs::read_to_string(&file)
-            .inspect_err(|error| check.refuse(format!("{key}.robot: {} can not be read: {error}", file.display())))
-            .ok()?;
+    /// The robot description, with the lengths of the arm that it is to describe.
+    fn chain(&self, key: &str, link: Option<&ArmLink>, check: &mut Checker) -> Option<Chain> {
+        let file = Path::new(&self.robot);
+        let xml = match built_in::text_at(&self.robot) {
+            Some(text) => text.to_owned(),
+            None => std::fs::read_to_string(file)
+                .inspect_err(|error| check.refuse(format!("{key}.robot: {} can not be read: {error}", file.display())))
+                .ok()?,
+        };
         let chain = Chain::from_urdf_str(&xml, &self.base_link, &self.flange_link)
             .inspect_err(|error| check.refuse(format!("{key}.robot: {}: {error}", file.display())))
             .ok()?;

@@ -1,9 +1,14 @@
 //! What is asked of a calibration before arms move by what is seen with it.
 
+use std::path::PathBuf;
 use std::time::Duration;
 
-use pb3dp_record::calibration_files::Judgement;
+use pb3dp_geometry::ImageSize;
+use pb3dp_record::calibration_files::{
+    CalibrationFileError, Judgement, StereoCalibration, load_stereo_for, parse_stereo,
+};
 
+use super::super::layers::built_in;
 use super::super::load::{Checker, within};
 
 /// Waives the age of a calibration.
@@ -74,6 +79,14 @@ impl CalibrationInUse {
         let waivers: Vec<String> = refused.chain(others).collect();
         let worth = if waivers.is_empty() { "all gates passed".to_owned() } else { waivers.join("; ") };
         format!("{}, of {}: {worth}", self.source, judgement.date)
+    }
+}
+
+/// Reads the files of a calibration, of which one may be inside the program.
+pub(super) fn load_files(files: &[PathBuf], size: ImageSize) -> Result<StereoCalibration, CalibrationFileError> {
+    match files {
+        [one] if let Some(text) = one.to_str().and_then(built_in::text_at) => parse_stereo(one, text, Some(size)),
+        files => load_stereo_for(files, size),
     }
 }
 

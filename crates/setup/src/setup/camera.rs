@@ -7,7 +7,7 @@ use pb3dp_sim::scene::SceneConfig;
 use pb3dp_sim::sensor::{EyeResponse, SensorConfig};
 use pb3dp_sim::targets::{BackdropConfig, TargetConfig};
 use serde::Deserialize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::super::load::{Checker, whole, within};
 use super::calibration::CalibrationInUse;
@@ -77,14 +77,11 @@ impl CameraSection {
     /// What the program takes the cameras for: those of the calibration, if one is named, else those that are rendered.
     pub(super) fn calibrated(
         &self,
-        config_file: &Path,
         drawn: Option<StereoRig>,
         check: &mut Checker,
     ) -> (Option<StereoRig>, Option<CalibrationInUse>) {
         let Some((rig, files)) = drawn.zip(self.calibration.as_deref()) else { return (drawn, None) };
-        let folder = config_file.parent().unwrap_or(Path::new("."));
-        let files: Vec<PathBuf> = files.iter().map(|file| folder.join(file)).collect();
-        let loaded = match load_calibration(&files, rig.left().size()) {
+        let loaded = match load_calibration(files, rig.left().size()) {
             Ok(loaded) => loaded,
             Err(error) => {
                 check.refuse(format!("{error:#}"));

@@ -139,7 +139,7 @@ impl LawTables<'_> {
         for (table, is_there) in tables {
             match (name.tables().contains(&table), is_there) {
                 (true, false) => {
-                    check.refuse(format!("servo.{table}: the table is missing; servo.law = \"{text}\" needs it"));
+                    check.refuse(format!("servo.{table}: missing; servo.law = \"{text}\" needs it"));
                 }
                 (false, true) => {
                     check.refuse(format!("servo.{table}: servo.law = \"{text}\" has no such table"));

@@ -153,7 +153,7 @@ impl ArmBackend {
             None
         };
         let needless = format!("an arm with backend = \"{}\" has none; remove the table", self.name());
-        let missing = "the table is missing; docs/hil.md explains it";
+        let missing = "missing; docs/hil.md explains it";
         match (self, gateway, bus) {
             (Self::Mock, None, None) => Some(ArmLink::InProcess),
             (Self::Mock | Self::Arcnet, Some(_), _) => refuse("gateway", &needless, check),

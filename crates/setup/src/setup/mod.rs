@@ -21,10 +21,9 @@ mod supervisor;
 mod target_state;
 mod truth;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use figment::value::Dict;
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_estimation::estimator::{EstimatorConfig, Method};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
@@ -37,9 +36,10 @@ use pb3dp_sim::geometric::GeometricConfig;
 use pb3dp_sim::scene::SceneConfig;
 use pb3dp_sim::sensor::SensorConfig;
 use serde::Deserialize;
+use serde::de::IgnoredAny;
 
 pub use self::arms::ArmSetup;
-use self::arms::{ArmTables, ArmsSection, read_arms};
+use self::arms::{ArmSection, ArmTables, ArmsSection};
 pub use self::calibration::{AGE, CAMERAS, CalibrationInUse, rounded};
 use self::camera::SceneSection;
 pub use self::drift::DriftConfig;
@@ -50,7 +50,6 @@ use self::geometric::GeometricSection;
 use self::link::GATEWAY_CYCLE_MAX_MILLIS;
 pub use self::link::{ArmLink, BusLinkConfig, GatewayWay};
 use self::mounts::MountsSection;
-pub use self::range::read_search_range;
 use self::range::search_range;
 pub use self::real_cameras::{RealCameras, Synchronisation, interval, read_cameras};
 use self::seeds::Stream;
@@ -61,6 +60,7 @@ pub use self::truth::Truth;
 use self::truth::TruthSection;
 use super::direct::DirectSection;
 use super::estimator::PublishedSection;
+use super::layers::{Layers, SetupArgs};
 use super::load::{Checker, ConfigError, ConfigFile, FileKind, within};
 
 /// A setup whose every value has been checked.
@@ -94,6 +94,8 @@ pub struct Setup {
     pub supervisor: SupervisorConfig,
     /// How the target moves.
     pub experiment: Experiment,
+    /// What it was read from: every value, with where it is stated.
+    pub layers: Layers,
 }
 
 /// What stands in a cell: cameras, arms, and what is mounted where. All that a simulation adds is in [`SimulatedWorld`].
@@ -192,14 +194,16 @@ pub enum Pace {
 #[serde(deny_unknown_fields)]
 struct SetupFile {
     run: RunSection,
-    camera: CameraEntry,
+    #[serde(rename = "camera")]
+    _camera: IgnoredAny,
     scene: Option<SceneSection>,
     truth: Option<TruthSection>,
     drift: Option<DriftSection>,
     estimator: EstimatorSection,
     servo: ServoSection,
     supervisor: SupervisorSection,
-    arms: Dict,
+    #[serde(rename = "arms")]
+    _arms: IgnoredAny,
     mounts: MountsSection,
     experiment: ExperimentSection,
 }
@@ -254,6 +258,11 @@ impl PoseEntry {
 }
 
 impl Setup {
+    /// Every value as it was read, a line `KEY = VALUE` each.
+    pub fn settings_text(&self) -> String {
+        self.layers.effective().iter().map(|setting| format!("{} = {}\n", setting.key, setting.value)).collect()
+    }
+
     /// The simulated world, if there is one.
     pub fn world(&self) -> Option<&SimulatedWorld> {
         match &self.rig.cameras {
@@ -292,20 +301,45 @@ impl Setup {
     }
 }
 
-/// Reads and checks a setup.
+/// Reads and checks the setup of one file.
 ///
 /// # Errors
-/// An unreadable file, unknown or missing keys, values out of range; the error names file, key and what is allowed.
+/// As [`read_layers`].
 pub fn read_setup(file: &Path) -> Result<Setup, ConfigError> {
-    let config = ConfigFile::read(file, FileKind::Setup)?;
-    let raw: SetupFile = config.all()?;
-    let camera = raw.camera.table(&config)?;
-    let arms = read_arms(&config, &raw.arms, file)?;
+    read_layers(&SetupArgs::of_file(file))
+}
+
+/// Reads and checks a setup with all its layers.
+///
+/// # Errors
+/// An unreadable file, unknown or missing keys, values out of range; the error names file, line, key and what is allowed.
+pub fn read_layers(args: &SetupArgs) -> Result<Setup, ConfigError> {
+    let config = ConfigFile::setup(args)?;
     let mut check = Checker::default();
-    let setup = raw.build(file, (&camera, &arms), &mut check).map(Setup::seeded);
-    check.finish(file)?;
-    // Every way on which `build` gives nothing leaves a refusal behind.
-    setup.ok_or_else(|| ConfigError::Values { file: file.to_path_buf(), lines: "  the setup is not complete".into() })
+    let setup = read_tables(&config, &mut check).map(Setup::seeded);
+    config.finish(check)?;
+    // Every way on which there is no setup leaves a refusal behind.
+    let lines = || "  the setup is not complete".to_owned();
+    setup.ok_or_else(|| ConfigError::Values { file: args.name().to_path_buf(), lines: lines() })
+}
+
+/// What refuses a setup of this text once `key` has another value, line by line.
+pub(crate) fn refusals_of(name: &str, text: &str, key: &str, value: &str) -> Vec<String> {
+    let Ok(layers) = Layers::of_text_with(name, text, &[format!("{key}={value}")]) else { return Vec::new() };
+    let config = ConfigFile::of(PathBuf::from(name), FileKind::Setup, layers);
+    let mut check = Checker::default();
+    drop(read_tables(&config, &mut check));
+    let refused = config.finish(check).err().map(|error| error.to_string());
+    refused.iter().flat_map(|text| text.lines()).map(str::to_owned).collect()
+}
+
+fn read_tables(config: &ConfigFile, check: &mut Checker) -> Option<Setup> {
+    let raw: Option<SetupFile> = config.all();
+    let camera = config.at("camera", "").and_then(|entry: CameraEntry| entry.table(config));
+    let arms = config.named_tables::<ArmsSection, ArmSection>("arms");
+    let mut setup = raw?.build((&camera?, &arms?), check)?;
+    setup.layers = config.layers().clone();
+    Some(setup)
 }
 
 /// Two arms that bear one number: behind gateways swapped cables would not be noticed.
@@ -335,7 +369,6 @@ fn refuse_one_place(vs: &ArmSetup, tc: &ArmSetup, check: &mut Checker) {
 impl SetupFile {
     fn build(
         &self,
-        file: &Path,
         (camera, (all_arms, arm_tables)): (&CameraTable, &(ArmsSection, ArmTables)),
         check: &mut Checker,
     ) -> Option<Setup> {
@@ -346,14 +379,14 @@ impl SetupFile {
         let geometric = self.estimator.geometric.map(|section| section.build(&range, check));
         let leader = self.estimator.leader(method, geometric, check);
         let hand_speed_max_m_per_s = self.servo.speed_max_m_per_s();
-        let sight = camera.build((file, hand_speed_max_m_per_s), self.scene.as_ref(), check);
+        let sight = camera.build(hand_speed_max_m_per_s, self.scene.as_ref(), check);
         let experiment = self.experiment.build(check);
         let size = sight.as_ref().map(|sight| sight.rig.left().size());
-        let truth = self.truth.as_ref().map(|truth| truth.build(file, size, check)).unwrap_or_default();
+        let truth = self.truth.as_ref().map(|truth| truth.build(size, check)).unwrap_or_default();
         let drift = self.drift.map(|section| section.build(check));
         let control_period_millis = within(self.run.control_period_millis, 2.0, period_max_millis);
-        let arms = all_arms.build(arm_tables, file, control_period_millis, check);
-        let mounts = self.mounts.build(file, check);
+        let arms = all_arms.build(arm_tables, control_period_millis, check);
+        let mounts = self.mounts.build(check);
         let controller = self.servo.build(&mounts, check);
         let frame_period = sight.as_ref().map_or(Duration::ZERO, |sight| sight.frames.period);
         let supervisor = self.supervisor.build(frame_period, check);
@@ -399,6 +432,7 @@ impl SetupFile {
             controller,
             supervisor,
             experiment: experiment?,
+            layers: Layers::default(),
         })
     }
 }
@@ -468,7 +502,7 @@ impl EstimatorSection {
         }
         if geometric.is_none() {
             let method = &self.method;
-            check.refuse(format!("estimator.geometric: the table is missing; estimator.method = {method:?} needs it"));
+            check.refuse(format!("estimator.geometric: missing; estimator.method = {method:?} needs it"));
         }
         geometric.map(Leader::Geometric)
     }

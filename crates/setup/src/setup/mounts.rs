@@ -1,6 +1,6 @@
 //! The table `[mounts]`: what sits where on the arms, as drawn or as calibrated.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Flange, Hand, Target};
@@ -34,9 +34,9 @@ pub(super) struct Mounts {
 }
 
 impl MountsSection {
-    pub(super) fn build(&self, config_file: &Path, check: &mut Checker) -> Mounts {
+    pub(super) fn build(&self, check: &mut Checker) -> Mounts {
         let flange_from_hand = self.flange_from_hand.build("mounts.flange_from_hand", ON_THE_ARM_MM, check);
-        let (hand_from_cam_left, calibration) = self.cameras(config_file, &flange_from_hand, check);
+        let (hand_from_cam_left, calibration) = self.cameras(&flange_from_hand, check);
         Mounts {
             flange_from_hand,
             hand_from_cam_left,
@@ -47,7 +47,6 @@ impl MountsSection {
 
     fn cameras(
         &self,
-        config_file: &Path,
         flange_from_hand: &Pose<Flange, Hand>,
         check: &mut Checker,
     ) -> (Pose<Hand, CamLeft>, Option<CalibrationInUse>) {
@@ -62,20 +61,17 @@ impl MountsSection {
                 }
                 (drawn.build("mounts.hand_from_cam_left", ON_THE_ARM_MM, check), None)
             }
-            (None, Some(file)) => {
-                let file = config_file.parent().unwrap_or(Path::new(".")).join(file);
-                match load_hand_eye(&file) {
-                    Ok(found) => {
-                        let name = ("mounts", file.display().to_string());
-                        let in_use = CalibrationInUse::new(name, Some(found.judgement), waivers, check);
-                        (flange_from_hand.inverse() * found.flange_from_cam_left, Some(in_use))
-                    }
-                    Err(error) => {
-                        check.refuse(format!("mounts.hand_eye: {error}"));
-                        (Pose::coincident(), None)
-                    }
+            (None, Some(file)) => match load_hand_eye(file) {
+                Ok(found) => {
+                    let name = ("mounts", file.display().to_string());
+                    let in_use = CalibrationInUse::new(name, Some(found.judgement), waivers, check);
+                    (flange_from_hand.inverse() * found.flange_from_cam_left, Some(in_use))
                 }
-            }
+                Err(error) => {
+                    check.refuse(format!("mounts.hand_eye: {error}"));
+                    (Pose::coincident(), None)
+                }
+            },
             (drawn, _) => {
                 let what = if drawn.is_some() { "both are set" } else { "neither is set" };
                 check.refuse(format!(

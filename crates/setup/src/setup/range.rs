@@ -1,10 +1,8 @@
 //! Where a method searches: keys of the table `[estimator]`.
 
-use std::path::Path;
-
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 
-use super::super::load::{Checker, ConfigError, ConfigFile, FileKind, within};
+use super::super::load::{Checker, ConfigFile, within};
 
 const KEYS: [&str; 3] = ["estimator.z_min_mm", "estimator.z_max_mm", "estimator.tilt_max_deg"];
 
@@ -21,30 +19,11 @@ pub(super) fn search_range([z_min_mm, z_max_mm, tilt_max_deg]: [f64; 3], check: 
     range
 }
 
-/// Reads nothing but the search range of a setup.
-///
-/// # Errors
-/// An unreadable file, missing keys, values out of range.
-pub fn read_search_range(file: &Path) -> Result<SearchRange, ConfigError> {
-    let config = ConfigFile::read(file, FileKind::Setup)?;
+/// Nothing but the search range of a setup; `None` if a key of it is missing.
+pub(super) fn read_search_range(config: &ConfigFile, check: &mut Checker) -> Option<SearchRange> {
     let mut values = [0.0; 3];
     for (value, key) in values.iter_mut().zip(KEYS) {
         *value = config.at(key, "")?;
     }
-    let mut check = Checker::default();
-    let range = search_range(values, &mut check);
-    check.finish(file)?;
-    Ok(range)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::setup::read_setup;
-
-    #[test]
-    fn the_range_by_itself_is_that_of_the_whole_setup() {
-        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/rig.toml");
-        assert_eq!(read_search_range(&file).unwrap(), read_setup(&file).unwrap().range);
-    }
+    Some(search_range(values, check))
 }

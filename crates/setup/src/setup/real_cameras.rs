@@ -1,6 +1,6 @@
 //! The table `[camera]` with `backend = "v4l2"`: two cameras of this machine, in the words of [`pb3dp_camera_settings`].
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
@@ -8,13 +8,16 @@ use pb3dp_camera_settings::{
     CameraConfig, CameraName, ControlSettings, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting, StampModel,
     StereoConfig,
 };
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::ImageSize;
-use pb3dp_record::calibration_files::{Judgement, StereoCalibration, load_stereo_for};
+use pb3dp_record::calibration_files::{Judgement, StereoCalibration};
 use serde::Deserialize;
 
-use super::super::load::{Checker, ConfigError, ConfigFile, FileKind, whole, within};
-use super::calibration::CalibrationInUse;
+use super::super::layers::SetupArgs;
+use super::super::load::{Checker, ConfigError, ConfigFile, whole, within};
+use super::calibration::{CalibrationInUse, load_files};
 use super::millis;
+use super::range::read_search_range;
 use super::servo::LINEAR_MM_PER_S;
 use crate::region_spec::RegionSpec;
 
@@ -82,7 +85,7 @@ impl RealCameras {
 /// # Errors
 /// Files that can not be used, or that are for pictures of another size.
 pub(super) fn load_calibration(files: &[PathBuf], size: ImageSize) -> Result<StereoCalibration> {
-    let calibration = load_stereo_for(files, size).context("camera.calibration")?;
+    let calibration = load_files(files, size).context("camera.calibration")?;
     let calibrated = calibration.rig.left().size();
     if calibrated != size {
         bail!(
@@ -97,28 +100,34 @@ pub(super) fn load_calibration(files: &[PathBuf], size: ImageSize) -> Result<Ste
     Ok(calibration)
 }
 
-/// Reads the real cameras of a setup: of the file's other tables only `servo.speed.linear_max_mm_per_s` is looked at, which messages
-/// about skew need. The calibration is not read: see [`RealCameras::calibration`].
+/// Reads the real cameras of a setup, and where a target is searched: of the other tables only `servo.speed.linear_max_mm_per_s` is
+/// looked at, which messages about skew need. The calibration is not read: see [`RealCameras::calibration`].
 ///
 /// # Errors
 /// An unreadable file, cameras that are simulated, unknown or missing keys, values out of range.
-pub fn read_cameras(file: &Path) -> Result<RealCameras, ConfigError> {
-    let config = ConfigFile::read(file, FileKind::Setup)?;
+pub fn read_cameras(args: &SetupArgs) -> Result<(RealCameras, SearchRange), ConfigError> {
+    let config = ConfigFile::setup(args)?;
+    let mut check = Checker::default();
+    let found = cameras_of(&config, &mut check);
+    config.finish(check)?;
+    let lines = "  camera: not complete".to_owned();
+    found.ok_or_else(|| ConfigError::Values { file: args.name().to_path_buf(), lines })
+}
+
+fn cameras_of(config: &ConfigFile, check: &mut Checker) -> Option<(RealCameras, SearchRange)> {
     let backend: String = config.at("camera.backend", "")?;
     if backend != "v4l2" {
-        let lines = format!(
-            "  camera.backend = {backend:?}: cameras of this machine are needed here, \"v4l2\", as in configs/rig.toml"
-        );
-        return Err(ConfigError::Values { file: file.to_path_buf(), lines });
+        check.refuse(format!(
+            "camera.backend = {backend:?}: cameras of this machine are needed here, \"v4l2\", as in configs/rig.toml"
+        ));
+        return None;
     }
-    let mut check = Checker::default();
-    let section: V4l2Section = config.at("camera", OWNER)?;
+    let section: Option<V4l2Section> = config.at("camera", OWNER);
     let key = "servo.speed.linear_max_mm_per_s";
-    let speed_mm_per_s: f64 = config.at(key, "")?;
-    check.number(key, speed_mm_per_s, LINEAR_MM_PER_S);
-    let cameras = section.build(file, speed_mm_per_s * 1e-3, &mut check);
-    check.finish(file)?;
-    cameras.ok_or_else(|| ConfigError::Values { file: file.to_path_buf(), lines: "  camera: not complete".into() })
+    let speed_mm_per_s: Option<f64> = config.at(key, "");
+    let range = read_search_range(config, check);
+    check.number(key, speed_mm_per_s?, LINEAR_MM_PER_S);
+    section?.build(speed_mm_per_s? * 1e-3, check).zip(range)
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -197,7 +206,7 @@ impl<T> Wish<T> {
 
 impl V4l2Section {
     /// The cameras; `speed_max_m_per_s` is the fastest that the hand moves against the target.
-    pub(super) fn build(&self, config_file: &Path, speed_max_m_per_s: f64, check: &mut Checker) -> Option<RealCameras> {
+    pub(super) fn build(&self, speed_max_m_per_s: f64, check: &mut Checker) -> Option<RealCameras> {
         check.count("camera.width_px", self.width_px, 64..=4096);
         check.count("camera.height_px", self.height_px, 64..=4096);
         check.number("camera.frame_rate_hz", self.frame_rate_hz, 1.0..=240.0);
@@ -211,10 +220,9 @@ impl V4l2Section {
                 "camera.calibration = []: name the calibration file, as for --calib of `pb3dp estimate`".to_owned(),
             );
         }
-        let folder = config_file.parent().unwrap_or(Path::new("."));
         let format = self.format(check);
         let size = ImageSize { width: whole(self.width_px), height: whole(self.height_px) };
-        let region = self.region(folder, size, check);
+        let region = self.region(size, check);
         let interval = interval(rate_hz);
         let mode = |format, eye: &EyeSection| ModeRequest {
             format,
@@ -242,7 +250,7 @@ impl V4l2Section {
             },
             synchronisation: self.synchronisation,
             reopen_for: millis(self.reopen_for_s * 1e3),
-            calibration_files: self.calibration.iter().map(|path| folder.join(path)).collect(),
+            calibration_files: self.calibration.clone(),
             region: region?,
         })
     }
@@ -262,12 +270,11 @@ impl V4l2Section {
         format.inspect_err(|error| check.refuse(format!("camera.format: {error}"))).ok()
     }
 
-    /// The region, with the path of a mask beside the configuration; `None` if it is refused.
-    fn region(&self, folder: &Path, size: ImageSize, check: &mut Checker) -> Option<Option<RegionSpec>> {
+    /// The region; `None` if it is refused.
+    fn region(&self, size: ImageSize, check: &mut Checker) -> Option<Option<RegionSpec>> {
         let Some(text) = &self.region else { return Some(None) };
         let region = text.parse().and_then(|region: RegionSpec| region.check_inside(size).map(|()| region));
         match region {
-            Ok(RegionSpec::Mask(file)) => Some(Some(RegionSpec::Mask(folder.join(file)))),
             Ok(region) => Some(Some(region)),
             Err(why) => {
                 check.refuse(format!("camera.region: {why}"));

@@ -1,12 +1,11 @@
 //! The table `[camera]`, whatever its backend is: what a run sees with.
 
-use std::path::Path;
 use std::time::Duration;
 
 use pb3dp_geometry::StereoRig;
 use serde::Deserialize;
 
-use super::super::load::{Checker, ConfigError, ConfigFile};
+use super::super::load::{Checker, ConfigFile};
 use super::calibration::CalibrationInUse;
 use super::camera::{self, CameraSection, SceneSection};
 use super::real_cameras::{self, V4l2Section};
@@ -45,8 +44,8 @@ pub(super) struct Sight {
 
 impl CameraEntry {
     /// The whole table.
-    pub(super) fn table(self, config: &ConfigFile) -> Result<CameraTable, ConfigError> {
-        Ok(match self.backend {
+    pub(super) fn table(self, config: &ConfigFile) -> Option<CameraTable> {
+        Some(match self.backend {
             CameraBackend::Sim => CameraTable::Sim(Box::new(config.at("camera", camera::OWNER)?)),
             CameraBackend::V4l2 => CameraTable::V4l2(Box::new(config.at("camera", real_cameras::OWNER)?)),
         })
@@ -59,21 +58,20 @@ impl CameraTable {
         matches!(self, Self::V4l2(_))
     }
 
-    /// What a run sees with: where the file of the configuration is, how fast the hand moves at most, and what stands before simulated
-    /// cameras.
+    /// What a run sees with: how fast the hand moves at most, and what stands before simulated cameras.
     pub(super) fn build(
         &self,
-        (config_file, hand_speed_max_m_per_s): (&Path, f64),
+        hand_speed_max_m_per_s: f64,
         scene: Option<&SceneSection>,
         check: &mut Checker,
     ) -> Option<Sight> {
         match self {
             Self::Sim(section) => {
                 let (rig, frames, sensor) = section.build(check);
-                let (rig, calibration) = section.calibrated(config_file, rig, check);
+                let (rig, calibration) = section.calibrated(rig, check);
                 let faults = section.faults(check);
                 if scene.is_none() {
-                    check.refuse("scene: the table is missing; camera.backend = \"sim\" needs it".to_owned());
+                    check.refuse("scene: missing; camera.backend = \"sim\" needs it".to_owned());
                 }
                 let (scene, blur_moments) = (scene?.build(check), section.blur_moments());
                 let world = SimulatedWorld { scene, sensor, blur_moments, faults, truth: Truth::default() };
@@ -84,7 +82,7 @@ impl CameraTable {
                 if scene.is_some() {
                     check.refuse("scene: camera.backend = \"v4l2\" sees what there is; remove the table".to_owned());
                 }
-                let cameras = section.build(config_file, hand_speed_max_m_per_s, check)?;
+                let cameras = section.build(hand_speed_max_m_per_s, check)?;
                 let calibration = cameras.calibration().inspect_err(|error| check.refuse(format!("{error:#}"))).ok()?;
                 let exposure = cameras.exposure().max(Duration::from_micros(1));
                 let period = cameras.period();

@@ -3,14 +3,14 @@
 //! A real cell differs from what its setup says of it, by what its calibration has left over; a simulated one does so with this table
 //! only. Pictures and errors follow the truth, everything that moves and estimates the other tables.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Target, World};
 use pb3dp_geometry::{ImageSize, Pose, StereoRig};
-use pb3dp_record::calibration_files::load_stereo_for;
 use serde::Deserialize;
 
 use super::super::load::Checker;
+use super::calibration::load_files;
 use super::{IN_THE_CELL_MM, ON_THE_ARM_MM, PoseEntry};
 
 /// Where things of a simulation truly are; what is `None` is where the setup says.
@@ -37,10 +37,10 @@ pub(super) struct TruthSection {
 
 impl TruthSection {
     /// With pictures of this size.
-    pub(super) fn build(&self, config_file: &Path, size: Option<ImageSize>, check: &mut Checker) -> Truth {
+    pub(super) fn build(&self, size: Option<ImageSize>, check: &mut Checker) -> Truth {
         let rig = self.calibration.as_deref().zip(size);
         Truth {
-            rig: rig.and_then(|(files, size)| load_rig("truth.calibration", files, (config_file, size), check)),
+            rig: rig.and_then(|(files, size)| load_rig("truth.calibration", files, size, check)),
             flange_from_cam_left: pose("flange_from_cam_left", &self.flange_from_cam_left, ON_THE_ARM_MM, check),
             flange_from_target: pose("flange_from_target", &self.flange_from_target, ON_THE_ARM_MM, check),
             tc_world_from_base: pose("tc_world_from_base", &self.tc_world_from_base, IN_THE_CELL_MM, check),
@@ -58,15 +58,8 @@ fn pose<To: pb3dp_geometry::Frame, From: pb3dp_geometry::Frame>(
 }
 
 /// The cameras of a calibration for pictures of this size, beside the configuration.
-fn load_rig(
-    key: &str,
-    files: &[PathBuf],
-    (config_file, size): (&Path, ImageSize),
-    check: &mut Checker,
-) -> Option<StereoRig> {
-    let folder = config_file.parent().unwrap_or(Path::new("."));
-    let files: Vec<PathBuf> = files.iter().map(|file| folder.join(file)).collect();
-    let loaded = load_stereo_for(&files, size).inspect_err(|error| check.refuse(format!("{key}: {error}"))).ok()?;
+fn load_rig(key: &str, files: &[PathBuf], size: ImageSize, check: &mut Checker) -> Option<StereoRig> {
+    let loaded = load_files(files, size).inspect_err(|error| check.refuse(format!("{key}: {error}"))).ok()?;
     let ImageSize { width, height } = loaded.rig.left().size();
     if (ImageSize { width, height }) != size {
         check.refuse(format!(

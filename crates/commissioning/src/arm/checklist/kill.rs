@@ -118,8 +118,8 @@ impl Mover {
     fn start(session: &Session<'_>, by_rad: f64) -> Result<Self> {
         let program = std::env::current_exe().context("the path of this program is not known")?;
         let mut command = Command::new(program);
-        command.args(["--log", "warn", "arm", "jog", "--alone", "--move", "--report-joints", "--config"]);
-        command.arg(&session.place.config).args(["--arm", session.place.arm_word()]);
+        command.args(["--log", "warn", "arm", "jog", "--alone", "--move", "--report-joints"]);
+        command.args(session.place.setup.words()).args(["--arm", session.place.arm_word()]);
         command.args(["--axis", &session.axis.number().to_string(), "--by", &by_rad.to_degrees().to_string()]);
         if let Some(address) = session.line {
             command.args(["--line", &address.to_string()]);

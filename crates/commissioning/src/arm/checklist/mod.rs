@@ -29,7 +29,7 @@ use pb3dp_cell::terminal::print_line;
 use pb3dp_hal_api::{Clock, JointCommand};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_platform::signals::StopSignals;
-use pb3dp_setup::setup::{ArmLink, GatewayWay, Setup, read_setup};
+use pb3dp_setup::setup::{ArmLink, GatewayWay, Setup, read_layers};
 use pb3dp_wiring::commissioning::{emulate_at_address, see, set_line, slow_setup};
 use sha2::{Digest, Sha256};
 
@@ -97,10 +97,8 @@ pub fn run(args: &TestArgs, commit: &'static str) -> Result<ExitCode> {
     // Before any thread is started.
     let signals = StopSignals::take_over()?;
     let began = SystemTime::now();
-    let setup = read_setup(&args.place.config)?;
+    let setup = read_layers(&args.place.setup)?;
     let asked = asked(args, &setup)?;
-    let setup_text = std::fs::read(&args.place.config)
-        .with_context(|| format!("{}: can not be read", args.place.config.display()))?;
     let (mut session, target) = begin((args, &asked), &setup, signals, began)?;
     show(args, &asked, &session)?;
     if !args.moves {
@@ -120,8 +118,8 @@ pub fn run(args: &TestArgs, commit: &'static str) -> Result<ExitCode> {
         ended: utc(SystemTime::now()),
         program: ProgramFacts { version: env!("CARGO_PKG_VERSION"), commit },
         machine: machine(),
-        config: args.place.config.clone(),
-        config_sha256: sha256(&setup_text),
+        config: args.place.setup.to_string(),
+        config_sha256: sha256(setup.settings_text().as_bytes()),
         target,
         is_emulated: session.line.is_some(),
         gateway: GatewayFacts::of(&session.gateway),

@@ -39,9 +39,9 @@ pub struct TestReport {
     pub program: ProgramFacts,
     /// Processor and number of cores.
     pub machine: String,
-    /// The file of the setup.
-    pub config: PathBuf,
-    /// Its SHA-256.
+    /// The files of the setup, with what was set besides.
+    pub config: String,
+    /// SHA-256 of its effective settings, a line `KEY = VALUE` each.
     pub config_sha256: String,
     /// How the arm was found.
     pub target: String,
@@ -121,7 +121,7 @@ impl TestReport {
             ("ended, UTC", self.ended.clone()),
             ("program", format!("pb3dp {}, commit {}", self.program.version, self.program.commit)),
             ("machine", self.machine.clone()),
-            ("configuration", format!("{}, SHA-256 {}", self.config.display(), self.config_sha256)),
+            ("configuration", format!("{}, SHA-256 {}", self.config, self.config_sha256)),
             ("arm", format!("{} at {}, {origin}", self.arm, self.target)),
             ("gateway", gateway.trim_start_matches("gateway: ").replace("\n  ", "; ")),
             ("operator", self.operator.to_owned()),

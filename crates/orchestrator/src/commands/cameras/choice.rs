@@ -11,8 +11,9 @@ use pb3dp_camera_settings::{
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::{ImageSize, StereoRig};
 use pb3dp_record::calibration_files::load_stereo;
+use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::region_spec::RegionSpec;
-use pb3dp_setup::setup::{interval, read_cameras, read_search_range};
+use pb3dp_setup::setup::{interval, read_cameras};
 
 use crate::commands::rig::numbers::{millis, number, size};
 
@@ -25,9 +26,12 @@ const OF_NO_SETUP: [&str; 8] = ["left", "right", "calib", "format", "size", "rat
 /// Where the cameras come from.
 #[derive(Debug, Args)]
 pub(super) struct CameraChoice {
-    /// The setup whose cameras these are, for instance configs/rig.toml; with it nothing else of this is needed.
-    #[arg(long, value_name = "FILE", conflicts_with_all = OF_NO_SETUP)]
-    config: Option<PathBuf>,
+    /// The setup whose cameras these are: a file or a built-in setup, of several later ones win; with it nothing else of this is needed.
+    #[arg(long, value_name = "FILE|NAME", conflicts_with_all = OF_NO_SETUP)]
+    config: Vec<PathBuf>,
+    /// Set one key of the setup.
+    #[arg(long, value_name = "KEY=VALUE", requires = "config")]
+    set: Vec<String>,
     /// The left camera: bus:PLACE, serial:NUMBER (as `pb3dp cameras list` shows them) or /dev/videoN.
     #[arg(long, value_name = "NAME", requires = "right")]
     left: Option<CameraName>,
@@ -74,15 +78,20 @@ pub(super) struct ChosenTarget {
 }
 
 impl CameraChoice {
+    fn setup(&self) -> Option<SetupArgs> {
+        let setup = SetupArgs { configs: self.config.clone(), set: self.set.clone() };
+        (!setup.configs.is_empty()).then_some(setup)
+    }
+
     /// The cameras with all that is asked of them, and their calibration.
     ///
     /// # Errors
     /// If no cameras are named, or a file can not be used.
     pub(super) fn chosen(&self) -> Result<Chosen> {
-        if let Some(file) = &self.config {
-            let cameras = read_cameras(file)?;
+        if let Some(setup) = self.setup() {
+            let (cameras, range) = read_cameras(&setup)?;
             let rig = cameras.calibration()?.rig;
-            let target = ChosenTarget { region: cameras.region, range: Some(read_search_range(file)?) };
+            let target = ChosenTarget { region: cameras.region, range: Some(range) };
             return Ok(Chosen { config: cameras.stereo, rig: Some(rig), target });
         }
         let (Some(left), Some(right)) = (&self.left, &self.right) else {
@@ -150,8 +159,8 @@ impl CameraChoice {
     /// # Errors
     /// As [`Self::chosen`], but for the calibration of a setup.
     pub(super) fn cameras(&self) -> Result<StereoConfig> {
-        match &self.config {
-            Some(file) => Ok(read_cameras(file)?.stereo),
+        match self.setup() {
+            Some(setup) => Ok(read_cameras(&setup)?.0.stereo),
             None => Ok(self.chosen()?.config),
         }
     }

@@ -17,6 +17,7 @@ use std::process::ExitCode;
 
 use anyhow::Result;
 use clap::Args;
+use pb3dp_setup::layers::SetupArgs;
 
 use self::finding::{Finding, Report};
 use self::needs::Needs;
@@ -35,9 +36,12 @@ Object of --json:
 #[derive(Debug, Args)]
 #[command(after_long_help = EXIT_CODES)]
 pub struct DoctorArgs {
-    /// What this setup or gateway needs, for instance configs/hil.toml or configs/gateway.toml; without it what a rig may need.
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
+    /// What this setup or gateway needs: a file or a built-in setup, of several later ones win; without it what a rig may need.
+    #[arg(long, value_name = "FILE|NAME")]
+    config: Vec<PathBuf>,
+    /// Set one key of the setup.
+    #[arg(long, value_name = "KEY=VALUE", requires = "config")]
+    set: Vec<String>,
     /// Where recordings are to go.
     #[arg(long, value_name = "DIR", default_value = "out")]
     recordings: PathBuf,
@@ -51,9 +55,12 @@ pub struct DoctorArgs {
 /// # Errors
 /// If standard output is not to be written.
 pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
-    let needs = match &args.config {
-        None => Ok(Needs::general(args.recordings.clone())),
-        Some(file) => Needs::of_file(file, args.recordings.clone()),
+    let needs = match args.config.as_slice() {
+        [] => Ok(Needs::general(args.recordings.clone())),
+        configs => {
+            let setup = SetupArgs { configs: configs.to_vec(), set: args.set.clone() };
+            Needs::of_config(&setup, args.recordings.clone())
+        }
     };
     let report = match needs {
         Ok(needs) => Report::of(findings(&Machine::new(), &needs)),

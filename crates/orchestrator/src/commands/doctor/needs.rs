@@ -6,8 +6,9 @@ use pb3dp_arm_pa10::arm::REALTIME;
 use pb3dp_arm_pa10_protocol::places::BusTarget;
 use pb3dp_camera_settings::CameraName;
 use pb3dp_commissioning::gateway::file::{HostPlace, read_gateway};
+use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::load::{ConfigError, FileKind, kind_of};
-use pb3dp_setup::setup::{ArmLink, GatewayWay, Pace, Setup, read_setup};
+use pb3dp_setup::setup::{ArmLink, GatewayWay, Pace, Setup, read_layers};
 
 /// What is needed.
 #[derive(Clone, Debug, PartialEq)]
@@ -66,12 +67,13 @@ impl Needs {
     ///
     /// # Errors
     /// As the configuration's own.
-    pub(super) fn of_file(file: &Path, recordings: PathBuf) -> Result<Self, ConfigError> {
-        if kind_of(file)? == Some(FileKind::Gateway) {
+    pub(super) fn of_config(config: &SetupArgs, recordings: PathBuf) -> Result<Self, ConfigError> {
+        let file = config.name();
+        if file.is_file() && kind_of(file)? == Some(FileKind::Gateway) {
             return Self::of_gateway(file, recordings);
         }
-        let setup = read_setup(file)?;
-        Ok(Self::of_setup(file, &setup, recordings))
+        let setup = read_layers(config)?;
+        Ok(Self::of_setup(config, &setup, recordings))
     }
 
     /// Groups of the deployment files that a user of this needs.
@@ -85,7 +87,7 @@ impl Needs {
         groups
     }
 
-    fn of_setup(file: &Path, setup: &Setup, recordings: PathBuf) -> Self {
+    fn of_setup(config: &SetupArgs, setup: &Setup, recordings: PathBuf) -> Self {
         let (mut serial, mut arcnet) = (Vec::new(), Vec::new());
         for link in [&setup.rig.vs.link, &setup.rig.tc.link] {
             match link {
@@ -97,7 +99,7 @@ impl Needs {
         let size = setup.rig.stereo.left().size();
         let pixels = f64::from(size.width) * f64::from(size.height);
         Self {
-            source: format!("{} (pb3dp run)", file.display()),
+            source: format!("{config} (pb3dp run)"),
             needs_realtime: setup.pace == Pace::Live && !(setup.rig.vs.link.is_toy() && setup.rig.tc.link.is_toy()),
             serial: Some(serial),
             arcnet,

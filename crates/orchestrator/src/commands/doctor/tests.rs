@@ -5,6 +5,8 @@ use std::fs;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 
+use pb3dp_setup::layers::SetupArgs;
+
 use super::finding::{Finding, Report, Verdict};
 use super::needs::{Cameras, Needs};
 use super::system::{Node, System, Tree};
@@ -389,7 +391,7 @@ fn the_worst_finding_decides() {
 #[test]
 fn needs_come_from_the_configuration() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
-    let of = |name: &str| Needs::of_file(&root.join(name), PathBuf::from("out")).unwrap();
+    let of = |name: &str| Needs::of_config(&SetupArgs::of_file(&root.join(name)), PathBuf::from("out")).unwrap();
     let gateway = of("gateway.toml");
     assert_eq!((gateway.priority, gateway.needs_realtime, &gateway.arcnet[..]), (80, true, &["arc0".to_owned()][..]));
     assert_eq!((&gateway.serial, &gateway.cameras), (&Some(Vec::new()), &Cameras::NotNeeded));
@@ -408,8 +410,8 @@ fn needs_come_from_the_configuration() {
     assert!(rig.serial.as_ref().unwrap().len() == 2 && rig.groups() == ["realtime", "video", "dialout"]);
     assert!(of("sim.toml").groups().is_empty() && emulated.groups().is_empty());
     assert_eq!(Needs::general(PathBuf::from("out")).groups(), ["realtime", "video", "dialout"]);
-    let missing = Needs::of_file(&root.join("no such file.toml"), PathBuf::from("out"));
+    let missing = Needs::of_config(&SetupArgs::of_file(&root.join("no such file.toml")), PathBuf::from("out"));
     assert!(missing.unwrap_err().to_string().contains("no such file.toml"));
-    let other = Needs::of_file(&root.join("estimator.toml"), PathBuf::from("out"));
+    let other = Needs::of_config(&SetupArgs::of_file(&root.join("estimator.toml")), PathBuf::from("out"));
     assert!(other.unwrap_err().to_string().contains("estimator"));
 }

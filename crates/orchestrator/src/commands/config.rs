@@ -1,0 +1,200 @@
+//! `pb3dp config`: what a setup says, where each value comes from, what a key means; and how to begin one.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::{Result, bail};
+use clap::{Args, Subcommand, ValueEnum};
+use pb3dp_cell::terminal::print_line;
+use pb3dp_setup::explain::explain;
+use pb3dp_setup::layers::{Effective, Layers, SetupArgs, built_in};
+use pb3dp_setup::setup::read_layers;
+
+/// The exit code of setups that differ.
+const DIFFERENT: u8 = 3;
+
+/// Arguments of `pb3dp config`.
+#[derive(Debug, Args)]
+pub struct ConfigArgs {
+    #[command(subcommand)]
+    command: ConfigCommand,
+}
+
+#[derive(Debug, Subcommand)]
+enum ConfigCommand {
+    /// Print every value of a setup with the file and line that states it.
+    Show(ShowArgs),
+    /// Check a setup: exit code 0 if a run would accept it, 1 with everything that is wrong.
+    Check(CheckArgs),
+    /// Print the values in which two setups differ: exit code 0 if there are none, 3 otherwise.
+    Diff(DiffArgs),
+    /// Print a file to begin a setup with.
+    Init(InitArgs),
+    /// Print what a key or a table means: unit, range, values of the built-in setups.
+    Explain(ExplainArgs),
+}
+
+#[derive(Debug, Args)]
+struct ShowArgs {
+    #[command(flatten)]
+    setup: SetupArgs,
+    /// Only this key or table; may be repeated.
+    #[arg(long = "key", value_name = "KEY")]
+    keys: Vec<String>,
+    /// One JSON object with value and origin of each key.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
+struct CheckArgs {
+    #[command(flatten)]
+    setup: SetupArgs,
+}
+
+#[derive(Debug, Args)]
+struct DiffArgs {
+    /// A TOML file or a built-in setup.
+    #[arg(value_name = "FILE|NAME")]
+    a: PathBuf,
+    /// Another one.
+    #[arg(value_name = "FILE|NAME")]
+    b: PathBuf,
+    /// Set one key of the second one.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    set: Vec<String>,
+}
+
+#[derive(Debug, Args)]
+struct InitArgs {
+    /// What the setup is for.
+    #[arg(value_enum)]
+    kind: Kind,
+}
+
+/// Kinds of setups to begin with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Kind {
+    /// A changed simulation.
+    Sim,
+    /// Emulated arms in the machine's time.
+    Hil,
+    /// Two cameras of this computer, for `pb3dp cameras`.
+    Cameras,
+    /// Two real arms and cameras.
+    Rig,
+}
+
+#[derive(Debug, Args)]
+struct ExplainArgs {
+    /// A key, `servo.speed.linear_max_mm_per_s`, or a table, `servo.speed`.
+    key: String,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A setup that cannot be read or is refused, a key that no setup has.
+pub fn run(args: &ConfigArgs) -> Result<ExitCode> {
+    match &args.command {
+        ConfigCommand::Show(args) => show(args),
+        ConfigCommand::Check(args) => check(args),
+        ConfigCommand::Diff(args) => diff(args),
+        ConfigCommand::Init(args) => init(args.kind),
+        ConfigCommand::Explain(args) => explain_key(&args.key),
+    }
+}
+
+fn show(args: &ShowArgs) -> Result<ExitCode> {
+    let all = Layers::read(&args.setup)?.effective();
+    let is_wanted =
+        |setting: &&Effective| args.keys.is_empty() || args.keys.iter().any(|key| is_within(&setting.key, key));
+    let wanted: Vec<&Effective> = all.iter().filter(is_wanted).collect();
+    if let (true, Some(key)) = (wanted.is_empty(), args.keys.first()) {
+        bail!("--key {key}: the setup states no such key; `pb3dp config explain {key}` names the nearest");
+    }
+    if args.json {
+        let entry = |setting: &&Effective| {
+            (setting.key.clone(), serde_json::json!({ "value": setting.value, "origin": setting.origin }))
+        };
+        let object: serde_json::Map<String, serde_json::Value> = wanted.iter().map(entry).collect();
+        print_line(&serde_json::to_string_pretty(&object)?)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let mut table = "";
+    for setting in wanted {
+        let (of, name) = setting.key.rsplit_once('.').unwrap_or(("", &setting.key));
+        if of != table {
+            print_line(&format!("\n[{of}]"))?;
+            table = of;
+        }
+        print_line(&format!("{:<60} # {}", format!("{name} = {}", setting.value), setting.origin))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn is_within(key: &str, table: &str) -> bool {
+    key == table || key.strip_prefix(table).is_some_and(|rest| rest.starts_with('.'))
+}
+
+fn check(args: &CheckArgs) -> Result<ExitCode> {
+    let setup = read_layers(&args.setup)?;
+    print_line(&format!("{}: {} values, accepted", args.setup, setup.layers.effective().len()))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn diff(args: &DiffArgs) -> Result<ExitCode> {
+    let of = |config: &PathBuf, set: &[String]| -> Result<BTreeMap<String, Effective>> {
+        let layers = Layers::read(&SetupArgs { configs: vec![config.clone()], set: set.to_vec() })?;
+        Ok(layers.effective().into_iter().map(|setting| (setting.key.clone(), setting)).collect())
+    };
+    let (a, b) = (of(&args.a, &[])?, of(&args.b, &args.set)?);
+    let keys: std::collections::BTreeSet<&String> = a.keys().chain(b.keys()).collect();
+    let value = |setups: &BTreeMap<String, Effective>, key: &str| setups.get(key).map(|setting| setting.value.clone());
+    let differing: Vec<&String> = keys.into_iter().filter(|key| value(&a, key) != value(&b, key)).collect();
+    for key in &differing {
+        print_line(key)?;
+        for setups in [&a, &b] {
+            print_line(&match setups.get(*key) {
+                Some(setting) => format!("    {:<56} # {}", setting.value, setting.origin),
+                None => "    (not stated)".to_owned(),
+            })?;
+        }
+    }
+    Ok(if differing.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(DIFFERENT) })
+}
+
+fn init(kind: Kind) -> Result<ExitCode> {
+    let text = match kind {
+        Kind::Sim => include_str!("config/sim.toml"),
+        Kind::Hil => include_str!("config/hil.toml"),
+        Kind::Cameras => include_str!("config/cameras.toml"),
+        Kind::Rig => built_in::RIG_EXAMPLE,
+    };
+    print_line(text.trim_end())?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn explain_key(key: &str) -> Result<ExitCode> {
+    let found = match explain(key) {
+        Ok(found) => found,
+        Err(alike) if alike.is_empty() => {
+            bail!("{key}: no setup has this key; `pb3dp config show --config sim` prints all keys of a simulation")
+        }
+        Err(alike) => bail!("{key}: no setup has this key; did you mean {}?", alike.join(" or ")),
+    };
+    for explanation in found {
+        print_line(&explanation.key)?;
+        let unit = explanation.unit.map(|unit| format!("unit: {unit}"));
+        let allowed = explanation.allowed.map(|allowed| format!("allowed: {allowed}"));
+        let about = Some(explanation.about).filter(|about| !about.is_empty());
+        let mut values: BTreeMap<String, Vec<&str>> = BTreeMap::new();
+        explanation.values.into_iter().for_each(|(name, value)| values.entry(value).or_default().push(name));
+        let values = values.into_iter().map(|(value, names)| format!("{}: {value}", names.join(", ")));
+        for line in [about, unit, allowed].into_iter().flatten().chain(values) {
+            print_line(&format!("    {line}"))?;
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,566 @@
+//! The layers of a setup: built-in setups, files, variables of the environment and `--set`; later ones win.
+//!
+//! A file states only what differs from its `base`, which is a built-in setup or another file. figment merges the layers and knows
+//! where each value comes from.
+
+pub mod built_in;
+mod position;
+mod variables;
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use figment::providers::{Format, Toml};
+use figment::value::{Dict, Map, Value};
+use figment::{Figment, Metadata, Profile, Provider};
+
+use self::position::Positions;
+use crate::load::{ConfigError, text_of};
+
+/// The options of every command that reads a setup.
+#[derive(Clone, Debug, Default, Args)]
+pub struct SetupArgs {
+    /// A setup: a TOML file, or a built-in one: sim, hil, rig, bare, published. Of several, later ones win.
+    #[arg(long = "config", value_name = "FILE|NAME", required = true)]
+    pub configs: Vec<PathBuf>,
+    /// Set one key of the setup, for instance `scene.target=card`; `pb3dp config explain KEY` tells what a key means.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+}
+
+impl SetupArgs {
+    /// One file and nothing else.
+    pub fn of_file(file: &Path) -> Self {
+        Self { configs: vec![file.to_path_buf()], set: Vec::new() }
+    }
+
+    /// The same with one more key set, over all others.
+    #[must_use]
+    pub fn with(mut self, key: &str, value: &dyn std::fmt::Display) -> Self {
+        self.set.push(format!("{key}={value}"));
+        self
+    }
+
+    /// The first file or name, which stands for the whole in messages.
+    pub fn name(&self) -> &Path {
+        self.configs.first().map_or(Path::new("(no setup)"), PathBuf::as_path)
+    }
+
+    /// The same options as words of a command line.
+    pub fn words(&self) -> Vec<std::ffi::OsString> {
+        let configs = self.configs.iter().flat_map(|file| ["--config".into(), file.clone().into_os_string()]);
+        configs.chain(self.set.iter().flat_map(|set| ["--set".into(), set.into()])).collect()
+    }
+}
+
+impl std::fmt::Display for SetupArgs {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let configs: Vec<String> = self.configs.iter().map(|file| file.display().to_string()).collect();
+        f.write_str(&configs.join(" + "))?;
+        self.set.iter().try_for_each(|set| write!(f, " --set {set}"))
+    }
+}
+
+/// Where a value comes from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Origin {
+    /// A setup inside the program.
+    BuiltIn(&'static str),
+    /// A file.
+    File(PathBuf),
+    /// A variable of the environment.
+    Variable(String),
+    /// An option of the command line.
+    Option,
+}
+
+impl std::fmt::Display for Origin {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::BuiltIn(name) => write!(f, "built-in {name}"),
+            Self::File(file) => write!(f, "{}", file.display()),
+            Self::Variable(name) => write!(f, "variable {name}"),
+            Self::Option => f.write_str("--set"),
+        }
+    }
+}
+
+/// What one source states.
+#[derive(Clone, Debug)]
+struct Layer {
+    origin: Origin,
+    /// Where its keys stand in its text, if it has one.
+    positions: Positions,
+    stated: Dict,
+}
+
+impl Provider for Layer {
+    fn metadata(&self) -> Metadata {
+        Metadata::named(self.origin.to_string())
+    }
+
+    fn data(&self) -> Result<Map<Profile, Dict>, figment::Error> {
+        Ok(Map::from([(Profile::Default, self.stated.clone())]))
+    }
+}
+
+/// A value of a setup.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Effective {
+    /// Its key: `arms.vs.start_deg`.
+    pub key: String,
+    /// The value, as TOML text.
+    pub value: String,
+    /// Where it is stated: `configs/hil.toml:12`.
+    pub origin: String,
+}
+
+/// All layers of a setup, the lowest first.
+#[derive(Clone, Debug, Default)]
+pub struct Layers {
+    list: Vec<Layer>,
+}
+
+/// A key that chooses between kinds, and the keys of a lower layer that do not go with another kind.
+const KINDS: [(&str, &[&str]); 5] = [
+    ("camera.backend", &["camera", "scene", "truth", "estimator.geometric"]),
+    (
+        "servo.law",
+        &[
+            "servo.arm_response",
+            "servo.feed_forward",
+            "servo.null_motion",
+            "servo.unstated",
+            "servo.target",
+            "servo.gains",
+            "servo.image_based",
+            "servo.hybrid",
+            "servo.smoothing",
+        ],
+    ),
+    ("experiment.kind", &["experiment.move_s", "experiment.hold_s", "experiment.period_s", "experiment.periods"]),
+    ("mounts.hand_eye", &["mounts.hand_from_cam_left"]),
+    ("mounts.hand_from_cam_left", &["mounts.hand_eye"]),
+];
+
+/// Tables that go with one way to reach an arm.
+const OF_LINK: [&str; 2] = ["gateway", "bus"];
+
+/// Backends of arms that move nothing outside of this program.
+const EMULATED: [&str; 2] = ["mock", "emulated"];
+
+/// With a real arm variables of the environment do not set these.
+const GUARDED: [&str; 4] = ["arms.", "mounts.", "servo.", "supervisor."];
+
+/// Keys of a file that are about its layers.
+const BASE: &str = "base";
+const WITHOUT: &str = "without";
+
+/// More files that refer to each other are a mistake.
+const DEPTH_MAX: usize = 8;
+
+impl Layers {
+    /// One file, as it is: neither a base nor variables.
+    ///
+    /// # Errors
+    /// An unreadable file, a text that is no TOML.
+    pub fn one_file(file: &Path) -> Result<Self, ConfigError> {
+        let layer = layer_of_text(Origin::File(file.to_path_buf()), text_of(file)?)?;
+        Ok(Self { list: vec![layer] })
+    }
+
+    /// One text with what it builds on, and options over it; nothing of the environment.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub(crate) fn of_text_with(name: &str, text: &str, set: &[String]) -> Result<Self, ConfigError> {
+        let mut layers = Self::default();
+        layers.add(layer_of_text(Origin::File(PathBuf::from(name)), text.to_owned())?, 0)?;
+        for set in set {
+            layers.push(layer_of_option(set)?);
+        }
+        layers.add_named_arms()?;
+        layers.resolve_paths();
+        Ok(layers)
+    }
+
+    /// One text with what it builds on.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub(crate) fn of_text(name: &str, text: &str) -> Result<Self, ConfigError> {
+        Self::of_text_with(name, text, &[])
+    }
+
+    /// All that `args` and the environment say.
+    ///
+    /// # Errors
+    /// An unreadable file, a text that is no TOML, a base that does not exist or refers to itself, an option that sets nothing; a
+    /// variable that sets what only a file may set.
+    pub fn read(args: &SetupArgs) -> Result<Self, ConfigError> {
+        let mut layers = Self::default();
+        for config in &args.configs {
+            layers.add_config(config, Path::new("."), 0)?;
+        }
+        layers.add_named_arms()?;
+        let variables = variables::layers()?;
+        for layer in &variables {
+            layers.push(layer.clone());
+        }
+        for set in &args.set {
+            layers.push(layer_of_option(set)?);
+        }
+        // An option may have named another arm.
+        layers.add_named_arms()?;
+        layers.keep_simulation_from_real_arms();
+        layers.check_variables(&variables)?;
+        layers.resolve_paths();
+        Ok(layers)
+    }
+
+    /// The merged values.
+    pub fn figment(&self) -> Figment {
+        self.list.iter().fold(Figment::new(), Figment::merge)
+    }
+
+    /// Where a key is stated, with line and column if it stands in a text; `None` if nothing states it.
+    pub fn origin_of(&self, key: &str) -> Option<String> {
+        let path = position::parts(key);
+        let layer = self.list.iter().rev().find(|layer| value_at(&layer.stated, &path).is_some())?;
+        let at = layer.positions.get(key).map(|(line, column)| format!(":{line}:{column}"));
+        Some(format!("{}{}", layer.origin, at.unwrap_or_default()))
+    }
+
+    /// Every value that holds, by key.
+    pub fn effective(&self) -> Vec<Effective> {
+        let mut found = Vec::new();
+        let all: Dict = self.figment().extract().unwrap_or_default();
+        flatten(&all, "", &mut |key, value| {
+            let origin = self.origin_of(key).unwrap_or_default();
+            found.push(Effective { key: key.to_owned(), value: toml_text(value), origin });
+        });
+        found
+    }
+
+    /// Whether a layer is a file or built-in setup without a base that states nothing of most tables: for a hint.
+    pub fn has_base(&self) -> bool {
+        self.list.iter().filter(|layer| !matches!(layer.origin, Origin::Variable(_) | Origin::Option)).count() > 1
+    }
+
+    /// Puts a layer on top: what it says of a kind takes away what lower layers say of another kind.
+    fn push(&mut self, layer: Layer) {
+        for (kind, dropped) in KINDS {
+            let Some(new) = value_at(&layer.stated, &position::parts(kind)) else { continue };
+            let old = self.value(kind);
+            let is_other = if kind.starts_with("mounts.") { true } else { old.is_some_and(|old| old != *new) };
+            if is_other {
+                dropped.iter().for_each(|key| self.remove(key));
+            }
+        }
+        let arms = value_at(&layer.stated, &["arms"]).and_then(Value::as_dict);
+        let changed: Vec<String> = arms
+            .into_iter()
+            .flatten()
+            .filter_map(|(name, arm)| {
+                let new = arm.as_dict()?.get("backend")?.as_str()?.to_owned();
+                let old = self.value(&format!("arms.{name}.backend"))?;
+                (old.as_str() != Some(new.as_str())).then(|| name.clone())
+            })
+            .collect();
+        for (name, table) in changed.iter().flat_map(|name| OF_LINK.map(|table| (name, table))) {
+            self.remove(&format!("arms.{name}.{table}"));
+        }
+        self.list.push(layer);
+    }
+
+    fn value(&self, key: &str) -> Option<Value> {
+        let path = position::parts(key);
+        self.list.iter().rev().find_map(|layer| value_at(&layer.stated, &path).cloned())
+    }
+
+    fn remove(&mut self, key: &str) {
+        let path = position::parts(key);
+        self.list.iter_mut().for_each(|layer| remove_at(&mut layer.stated, &path));
+    }
+
+    /// A file or a built-in setup, with what it builds on.
+    fn add_config(&mut self, config: &Path, folder: &Path, depth: usize) -> Result<(), ConfigError> {
+        let (origin, text) = find(config, folder)?;
+        if depth >= DEPTH_MAX {
+            let lines = format!("  base: more than {DEPTH_MAX} files build on each other; does one build on itself?");
+            return Err(ConfigError::Values { file: config.to_path_buf(), lines });
+        }
+        self.add(layer_of_text(origin, text)?, depth)
+    }
+
+    fn add(&mut self, mut layer: Layer, depth: usize) -> Result<(), ConfigError> {
+        let refuse = |key: &str, why: &str| ConfigError::Values {
+            file: PathBuf::from(layer.origin.to_string()),
+            lines: format!("  {key}: {why}"),
+        };
+        let base = layer.stated.get(BASE).map(|base| {
+            base.as_str().ok_or_else(|| refuse(BASE, "must be the name of a built-in setup or a file, as text"))
+        });
+        if let Some(base) = base.transpose()? {
+            let own_folder = match &layer.origin {
+                Origin::File(file) => file.parent().unwrap_or(Path::new(".")).to_path_buf(),
+                _ => PathBuf::from("."),
+            };
+            self.add_config(Path::new(base), &own_folder, depth + 1)?;
+        }
+        let without = layer.stated.get(WITHOUT).map(|keys| {
+            let keys = keys.as_array().map(|keys| keys.iter().map(Value::as_str).collect::<Option<Vec<_>>>());
+            keys.flatten().ok_or_else(|| refuse(WITHOUT, "must be a list of keys of the base, as text"))
+        });
+        for key in without.transpose()?.unwrap_or_default() {
+            if self.value(key).is_none() {
+                return Err(refuse(WITHOUT, &format!("{key:?} is not in the base; leave it out of the list")));
+            }
+            self.remove(key);
+        }
+        for key in [BASE, WITHOUT] {
+            layer.stated.remove(key);
+        }
+        self.push(layer);
+        Ok(())
+    }
+
+    /// The file of an arm that is named and has no table: `arms/NAME.toml` beside the file that names it, or a built-in one. It lies
+    /// below all that is said of the arm elsewhere.
+    fn add_named_arms(&mut self) -> Result<(), ConfigError> {
+        for key in ["carries_cameras", "carries_target"] {
+            let path = ["arms", key];
+            let stating = self.list.iter().rev().find(|layer| value_at(&layer.stated, &path).is_some());
+            let Some(layer) = stating else { continue };
+            let Some(name) = value_at(&layer.stated, &path).and_then(Value::as_str).map(str::to_owned) else {
+                continue;
+            };
+            if self.value(&format!("arms.{name}.robot")).is_some() {
+                continue;
+            }
+            let beside = match &layer.origin {
+                Origin::File(file) => file.parent().unwrap_or(Path::new(".")).to_path_buf(),
+                _ => PathBuf::from("."),
+            };
+            let file = beside.join("arms").join(format!("{name}.toml"));
+            let found = match built_in::path_of(&format!("{name}.toml")).as_deref().and_then(built_in::text_at) {
+                _ if file.is_file() => layer_of_text(Origin::File(file.clone()), text_of(&file)?)?,
+                Some(text) => layer_of_text(Origin::BuiltIn("arm"), text.to_owned())?,
+                None => continue,
+            };
+            self.list.insert(0, found.as_arm(&name)?);
+        }
+        Ok(())
+    }
+
+    /// The names of the arms of a run, from whatever states them.
+    fn arms(&self) -> [String; 2] {
+        [("arms.carries_cameras", "vs"), ("arms.carries_target", "tc")].map(|(key, usual)| {
+            self.value(key).and_then(|name| name.as_str().map(str::to_owned)).unwrap_or_else(|| usual.to_owned())
+        })
+    }
+
+    /// The arms that are neither simulated nor emulated in this program.
+    fn real_arms(&self) -> Vec<String> {
+        let is_real = |name: &String| {
+            let backend = self.value(&format!("arms.{name}.backend"));
+            backend.and_then(|word| word.as_str().map(|word| !EMULATED.contains(&word))).unwrap_or(false)
+        };
+        self.arms().into_iter().filter(is_real).collect()
+    }
+
+    /// What a built-in setup says of limits, places and mounts is true of its simulation; a real arm needs its own.
+    fn keep_simulation_from_real_arms(&mut self) {
+        let real = self.real_arms();
+        if real.is_empty() {
+            return;
+        }
+        let of_arms = real.iter().map(|name| format!("arms.{name}"));
+        let keys: Vec<String> =
+            of_arms.chain(["mounts", "arms.speed_scale", "arms.first_run"].map(str::to_owned)).collect();
+        for layer in self.list.iter_mut().filter(|layer| matches!(layer.origin, Origin::BuiltIn(_))) {
+            keys.iter().for_each(|key| remove_at(&mut layer.stated, &position::parts(key)));
+        }
+    }
+
+    /// A variable is history: it may have been set long ago, by somebody else.
+    fn check_variables(&self, variables: &[Layer]) -> Result<(), ConfigError> {
+        let real = self.real_arms();
+        let mut lines = Vec::new();
+        for layer in variables.iter().filter(|_| !real.is_empty()) {
+            flatten(&layer.stated, "", &mut |key, _| {
+                if GUARDED.iter().any(|table| key.starts_with(table)) {
+                    lines.push(format!(
+                        "  {}: sets {key}, but arms.{} is a real arm; state it in a file or with --set",
+                        layer.origin,
+                        real.join(" and arms.")
+                    ));
+                }
+            });
+        }
+        if lines.is_empty() {
+            return Ok(());
+        }
+        Err(ConfigError::Values { file: PathBuf::from("environment"), lines: lines.join("\n") })
+    }
+
+    /// Paths lie beside the file that states them; a robot is also found by its name among the built-in ones.
+    fn resolve_paths(&mut self) {
+        for layer in &mut self.list {
+            let folder = match &layer.origin {
+                Origin::File(file) => Some(file.parent().unwrap_or(Path::new(".")).to_path_buf()),
+                Origin::BuiltIn(_) => None,
+                Origin::Variable(_) | Origin::Option => Some(PathBuf::from(".")),
+            };
+            let resolved = |path: &str| match &folder {
+                Some(folder) if folder.join(path).exists() => folder.join(path).display().to_string(),
+                found => built_in::path_of(path)
+                    .unwrap_or_else(|| found.clone().unwrap_or_default().join(path).display().to_string()),
+            };
+            for key in ["camera.calibration", "truth.calibration", "mounts.hand_eye"] {
+                change(&mut layer.stated, &position::parts(key), &resolved);
+            }
+            if let Some(Value::Dict(_, arms)) = layer.stated.get_mut("arms") {
+                for arm in arms.values_mut() {
+                    if let Value::Dict(_, arm) = arm {
+                        change(arm, &["robot"], &resolved);
+                    }
+                }
+            }
+            let mask = |text: &str| match (text.strip_prefix("mask:"), &folder) {
+                (Some(file), Some(folder)) => format!("mask:{}", folder.join(file).display()),
+                _ => text.to_owned(),
+            };
+            change(&mut layer.stated, &["camera", "region"], &mask);
+        }
+    }
+}
+
+impl Layer {
+    /// The table `named_arm` of an arm's file as the table of an arm of a setup.
+    fn as_arm(mut self, name: &str) -> Result<Self, ConfigError> {
+        let file = || PathBuf::from(self.origin.to_string());
+        let Some(arm) = self.stated.remove("named_arm") else {
+            let lines = "  named_arm: missing; a file of an arm has it, as configs/arms/ur5e.toml".to_owned();
+            return Err(ConfigError::Values { file: file(), lines });
+        };
+        let arms = Dict::from([(name.to_owned(), arm)]);
+        self.stated = Dict::from([("arms".to_owned(), Value::from(arms))]);
+        // Its keys stand below another table than in the setup.
+        let in_setup = |(key, at): (String, _)| (key.replacen("named_arm", &format!("arms.{name}"), 1), at);
+        self.positions = self.positions.into_iter().map(in_setup).collect();
+        Ok(self)
+    }
+}
+
+/// A file, if the word is a path or has an ending; else a built-in setup.
+fn find(config: &Path, folder: &Path) -> Result<(Origin, String), ConfigError> {
+    let name = config.to_str().unwrap_or_default();
+    if let Some(setup) = built_in::setup(name) {
+        return Ok((Origin::BuiltIn(setup.name), setup.text.to_owned()));
+    }
+    if config.extension().is_none() && config.components().count() == 1 && !folder.join(config).exists() {
+        return Err(ConfigError::NoSuchSetup { name: name.to_owned() });
+    }
+    let file = folder.join(config);
+    let file = file.strip_prefix("./").map(Path::to_path_buf).unwrap_or(file);
+    let text = text_of(&file)?;
+    Ok((Origin::File(file), text))
+}
+
+fn layer_of_text(origin: Origin, text: String) -> Result<Layer, ConfigError> {
+    if let Err(error) = toml::de::DeTable::parse(&text) {
+        let (line, column) = position::line_and_column(&text, error.span().map_or(0, |span| span.start));
+        let place = PathBuf::from(format!("{origin}:{line}:{column}"));
+        return Err(ConfigError::Syntax { place, reason: error.message().to_owned() });
+    }
+    let data = Toml::string(&text)
+        .data()
+        .map_err(|error| ConfigError::Syntax { place: PathBuf::from(origin.to_string()), reason: error.to_string() })?;
+    let stated = data.into_values().next().unwrap_or_default();
+    Ok(Layer { origin, positions: position::all(&text), stated })
+}
+
+fn layer_of_option(set: &str) -> Result<Layer, ConfigError> {
+    match set.split_once('=') {
+        Some((key, value)) if !key.trim().is_empty() => layer_of_words(Origin::Option, key.trim(), value.trim()),
+        _ => Err(ConfigError::Values {
+            file: PathBuf::from("--set"),
+            lines: format!("  {set:?}: write KEY=VALUE, for instance --set scene.target=card"),
+        }),
+    }
+}
+
+/// The value is TOML; what is none is text, so that nobody has to quote a word.
+fn layer_of_words(origin: Origin, key: &str, value: &str) -> Result<Layer, ConfigError> {
+    let quoted = format!("{key} = {}", toml::Value::from(value));
+    let text = [format!("{key} = {value}"), quoted].into_iter().find(|text| toml::de::DeTable::parse(text).is_ok());
+    let text = text.ok_or_else(|| ConfigError::Values {
+        file: PathBuf::from(origin.to_string()),
+        lines: format!("  {key:?}: is no key; keys look like arms.vs.start_deg"),
+    })?;
+    Ok(Layer { positions: Positions::new(), ..layer_of_text(origin, text)? })
+}
+
+fn value_at<'a>(dict: &'a Dict, path: &[&str]) -> Option<&'a Value> {
+    let (first, rest) = path.split_first()?;
+    rest.iter().try_fold(dict.get(*first)?, |value, part| match value {
+        Value::Dict(_, inner) => inner.get(*part),
+        Value::Array(_, items) => items.get(part.parse::<usize>().ok()?),
+        _ => None,
+    })
+}
+
+fn remove_at(dict: &mut Dict, path: &[&str]) {
+    match path {
+        [] => {}
+        [last] => drop(dict.remove(*last)),
+        [first, rest @ ..] => {
+            if let Some(Value::Dict(_, inner)) = dict.get_mut(*first) {
+                remove_at(inner, rest);
+            }
+        }
+    }
+}
+
+/// Changes the text at `path`, or each text of the list there.
+fn change(dict: &mut Dict, path: &[&str], changed: &dyn Fn(&str) -> String) {
+    let Some((first, rest)) = path.split_first() else { return };
+    match dict.get_mut(*first) {
+        Some(Value::Dict(_, inner)) => change(inner, rest, changed),
+        Some(value) if rest.is_empty() => change_text(value, changed),
+        _ => {}
+    }
+}
+
+fn change_text(value: &mut Value, changed: &dyn Fn(&str) -> String) {
+    match value {
+        Value::String(_, text) => *text = changed(text),
+        Value::Array(_, items) => items.iter_mut().for_each(|item| change_text(item, changed)),
+        _ => {}
+    }
+}
+
+/// Calls `each` with every value that is no table, by its key.
+fn flatten(dict: &Dict, prefix: &str, each: &mut dyn FnMut(&str, &Value)) {
+    for (name, value) in dict {
+        let key = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
+        match value {
+            Value::Dict(_, inner) => flatten(inner, &key, each),
+            value => each(&key, value),
+        }
+    }
+}
+
+/// A value as one would write it.
+fn toml_text(value: &Value) -> String {
+    match value {
+        Value::Array(_, items) => format!("[{}]", items.iter().map(toml_text).collect::<Vec<_>>().join(", ")),
+        Value::Dict(_, inner) => {
+            let entries: Vec<String> =
+                inner.iter().map(|(name, value)| format!("{name} = {}", toml_text(value))).collect();
+            format!("{{ {} }}", entries.join(", "))
+        }
+        value => toml::Value::try_from(value).map_or_else(|_| "?".to_owned(), |value| value.to_string()),
+    }
+}

@@ -1,0 +1,96 @@
+//! Files inside the program: setups and what they refer to, so that an installed program works anywhere.
+
+use figment::Figment;
+use figment::providers::{Format, Toml};
+use figment::value::Value;
+
+/// A setup inside the program.
+#[derive(Clone, Copy, Debug)]
+pub struct BuiltIn {
+    /// What `--config` and `base` call it.
+    pub name: &'static str,
+    /// What it is, for help texts.
+    pub about: &'static str,
+    /// Its TOML text.
+    pub text: &'static str,
+}
+
+/// The setups.
+pub const SETUPS: [BuiltIn; 5] = [
+    BuiltIn {
+        name: "sim",
+        about: "the experiment of the paper in simulation",
+        text: include_str!("../../../../configs/sim.toml"),
+    },
+    BuiltIn {
+        name: "hil",
+        about: "sim with both arms emulated byte by byte, in the machine's time",
+        text: include_str!("../../../../configs/hil.toml"),
+    },
+    BuiltIn {
+        name: "rig",
+        about: "real cameras and arms: a base, to which a file adds devices, calibration, mounts and arms",
+        text: include_str!("rig.toml"),
+    },
+    BuiltIn {
+        name: "bare",
+        about: "a simulated rig that nobody has calibrated yet",
+        text: include_str!("../../../../configs/bare.toml"),
+    },
+    BuiltIn {
+        name: "published",
+        about: "sim, led by the published method and law",
+        text: include_str!("../../../../configs/published.toml"),
+    },
+];
+
+/// A complete setup of a rig, with values to replace.
+pub const RIG_EXAMPLE: &str = include_str!("../../../../configs/rig.toml");
+
+/// A complete file of estimator parameters, and one of a gateway.
+const ESTIMATOR: &str = include_str!("../../../../configs/estimator.toml");
+const GATEWAY: &str = include_str!("../../../../configs/gateway.toml");
+
+/// Before the name of a file inside the program, where a path is expected.
+const PREFIX: &str = "built-in:";
+
+const FILES: [(&str, &str); 6] = [
+    ("pa10_gen1.urdf", include_str!("../../../../configs/robots/pa10_gen1.urdf")),
+    ("pa10_gen2.urdf", include_str!("../../../../configs/robots/pa10_gen2.urdf")),
+    ("ur5e_like.urdf", include_str!("../../../../configs/robots/ur5e_like.urdf")),
+    ("nominal.json", include_str!("../../../../configs/calibration/nominal.json")),
+    ("bare_truth.json", include_str!("../../../../configs/calibration/bare_truth.json")),
+    ("ur5e.toml", include_str!("../../../../configs/arms/ur5e.toml")),
+];
+
+/// The setup of this name.
+pub fn setup(name: &str) -> Option<&'static BuiltIn> {
+    SETUPS.iter().find(|setup| setup.name == name)
+}
+
+/// How a file inside the program is written where a path is expected; its ending and its folder may be left out.
+pub(crate) fn path_of(written: &str) -> Option<String> {
+    let name = written.strip_prefix(PREFIX).unwrap_or(written).rsplit('/').next()?;
+    let is_it = |file: &&(&str, &str)| file.0 == name || file.0.strip_suffix(".urdf") == Some(name);
+    FILES.iter().find(is_it).map(|(name, _)| format!("{PREFIX}{name}"))
+}
+
+/// A usable value of a key of a setup: that of a built-in one, of any arm for a table of an arm.
+pub(crate) fn sample(path: &[String]) -> Option<Value> {
+    let of_any_arm: Vec<String> = match path {
+        [arms, _, rest @ ..] if arms == "arms" && !rest.is_empty() => {
+            [&["arms".to_owned(), "vs".to_owned()], rest].concat()
+        }
+        path => path.to_vec(),
+    };
+    let texts = [setup("sim")?.text, RIG_EXAMPLE, setup("rig")?.text, setup("hil")?.text, ESTIMATOR, GATEWAY];
+    [path, &of_any_arm].iter().find_map(|path| {
+        texts.iter().find_map(|text| Figment::from(Toml::string(text)).find_value(&path.join(".")).ok())
+    })
+}
+
+/// The text of a file inside the program, from how it is written where a path is expected.
+pub(crate) fn text_at(path: &str) -> Option<&'static str> {
+    let name = path.strip_prefix(PREFIX)?;
+    FILES.iter().find(|file| file.0 == name).map(|(_, text)| *text)
+}

@@ -1,0 +1,71 @@
+//! Where keys stand in a TOML text: line and column, both from 1.
+
+use std::collections::BTreeMap;
+
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// Line and column of every key of a text: `camera.faults[1].share`.
+pub(super) type Positions = BTreeMap<String, (usize, usize)>;
+
+/// The parts of a key: `camera.faults[0].share` is `camera`, `faults`, `0`, `share`.
+pub(super) fn parts(key: &str) -> Vec<&str> {
+    key.split(['.', '[']).map(|part| part.trim_end_matches(']')).filter(|part| !part.is_empty()).collect()
+}
+
+/// All keys of a text; none of one that is no TOML.
+pub(super) fn all(text: &str) -> Positions {
+    let mut found = Positions::new();
+    if let Ok(root) = DeTable::parse(text) {
+        of_table("", root.get_ref(), text, &mut found);
+    }
+    found
+}
+
+fn of_table(prefix: &str, table: &DeTable<'_>, text: &str, found: &mut Positions) {
+    for (name, value) in table {
+        let key = if prefix.is_empty() { name.get_ref().to_string() } else { format!("{prefix}.{}", name.get_ref()) };
+        found.insert(key.clone(), line_and_column(text, name.span().start));
+        of_value(&key, value, text, found);
+    }
+}
+
+fn of_value(key: &str, value: &Spanned<DeValue<'_>>, text: &str, found: &mut Positions) {
+    match value.get_ref() {
+        DeValue::Table(table) => of_table(key, table, text, found),
+        DeValue::Array(items) => {
+            for (index, item) in items.iter().enumerate() {
+                let key = format!("{key}[{index}]");
+                found.insert(key.clone(), line_and_column(text, item.span().start));
+                of_value(&key, item, text, found);
+            }
+        }
+        _ => {}
+    }
+}
+
+/// Line and column of a byte of a text.
+pub(super) fn line_and_column(text: &str, at: usize) -> (usize, usize) {
+    let before = text.get(..at).unwrap_or(text);
+    let line_start = before.rfind('\n').map_or(0, |end| end + 1);
+    (before.matches('\n').count() + 1, before[line_start..].chars().count() + 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_are_found_in_tables_lists_and_dotted_keys() {
+        let text = "a.b = 1\n\n[camera]\nfaults = [\n  { kind = \"x\" },\n  { kind = \"y\", share = 2 },\n]\n[[list]]\nk = [1, 22]\n";
+        let found = all(text);
+        for (key, at) in
+            [("a.b", (1, 3)), ("camera", (3, 2)), ("camera.faults[1].share", (6, 17)), ("list[0].k[1]", (9, 9))]
+        {
+            assert_eq!(found.get(key), Some(&at), "{key}");
+        }
+        for missing in ["b", "camera.no", "camera.faults[2]", "list[0].k[1].x"] {
+            assert_eq!(found.get(missing), None, "{missing}");
+        }
+    }
+}
