@@ -15,6 +15,7 @@ use pb3dp_estimation_core::wide::{LANES, sum_lanes, wide};
 
 use self::closest::Sampled;
 use self::fit::{PatchVotes, fit_votes};
+use self::kernels::Tally;
 use super::colour_planes::ColourPlanes;
 use super::region_pyramid::{LevelPlane, RegionLevel, is_seen};
 use super::search::volume::LevelBox;
@@ -149,7 +150,7 @@ impl SlantedPatches {
         area: &LevelBox,
         row: usize,
         config: &PatchConfig,
-        tally: &mut Tally,
+        tally: &mut Tally<f64>,
         kernels: Kernels,
     ) {
         let (stride, first) = (level.left.window.width, area.x + RADIUS);
@@ -159,7 +160,7 @@ impl SlantedPatches {
         for row_here in row..(row + ROW_STEP).min(end) {
             let range = row_here * stride + first..row_here * stride + first + count;
             let (inside, support) = (&level.region[range.clone()], &mut level.support[range]);
-            tally.add(&self.rows.spread_row(inside, support, kernels));
+            *tally += self.rows.spread_row(inside, support, kernels);
         }
         let inside = &level.region[row * stride + first..][..count];
         self.votes.extend_row((first, row), inside, self.rows.offsets(), self.rows.weights());
@@ -352,22 +353,7 @@ fn keep_unseen_pixels(level: &mut RegionLevel, area: &LevelBox) {
     }
 }
 
-/// Counts of pixels of the region.
-#[derive(Clone, Copy, Debug, Default)]
-struct Tally {
-    textured: f64,
-    supporting: f64,
-    correlation: f64,
-}
-
-impl Tally {
-    /// Adds a row: its textured pixels, its supporting ones, and their correlations.
-    fn add(&mut self, row: &[f32; 3]) {
-        self.textured += f64::from(row[0]);
-        self.supporting += f64::from(row[1]);
-        self.correlation += f64::from(row[2]);
-    }
-
+impl Tally<f64> {
     fn outcome(&self, area_px: usize, plane: LevelPlane) -> PatchOutcome {
         PatchOutcome {
             plane,

@@ -293,7 +293,7 @@ impl PlaneRefiner {
             .channel
             .iter()
             .take(prepared.channels)
-            .fold((0.0, 0.0), |(texture, all), s| (texture + s[20], all + s[0]));
+            .fold((0.0, 0.0), |(texture, all), s| (texture + s.products.gs, all + s.products.gg));
         let noise_share = (all - texture) / texture.max(0.02 * all);
         if noise_share <= NOISE_SHARE_MAX {
             progress.first = Some(states);
@@ -472,7 +472,7 @@ impl PlaneRefiner {
     /// Leaves the border of the region out if it agrees worse than the rest: there the background shines in when a camera
     /// is out of focus.
     fn drop_bad_border(&mut self, warp: &Warp, all: Sums) -> Sums {
-        let squares = |sums: &Sums| sums.channel.iter().take(warp.channels).map(|s| s[21]).sum::<f64>();
+        let squares = |sums: &Sums| sums.channel.iter().take(warp.channels).map(|s| s.products.rr).sum::<f64>();
         let inner = &all.inner;
         let border_seen = all.seen - inner.seen;
         let (border_weight, border_squares) = (all.weight - inner.weight, squares(&all) - inner.squares);
@@ -510,8 +510,8 @@ impl PlaneRefiner {
     ) {
         let squared = tukey_moments(channels).square;
         for c in 0..channels {
-            let s = &sums.channel[c];
-            let ratio = if s[29] > 0.0 { s[21] / (squared * s[29]) } else { 1.0 };
+            let s = &sums.channel[c].products;
+            let ratio = if s.usable > 0.0 { s.rr / (squared * s.usable) } else { 1.0 };
             states[c].variance = (states[c].variance * ratio.clamp(0.1, 2.0)).max(SIGMA_MIN_GREY.powi(2));
             weights[c] = reliability(s);
         }

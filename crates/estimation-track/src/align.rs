@@ -7,8 +7,8 @@ use pb3dp_geometry::{Pose, StereoRig};
 
 use super::images::{EyeImages, LEVELS};
 use super::kernels::{
-    self, CHANNELS, CameraRows, GroupScore, NormalSums, PATCH, PairWeights, Photometry, ROW, ResidualGroup,
-    ResidualSums, SHAPE, SeenGroup, TERMS, ViewGroup,
+    self, CHANNELS, CameraRows, GroupScore, NormalSums, PATCH, PATCH_OWN, PATCH_RESIDUAL, PairWeights, Photometry, ROW,
+    ResidualGroup, ResidualSums, SHAPE, SeenGroup, TERMS, ViewGroup,
 };
 use super::normal::{Free, NormalEquations, PatchScore, Prior, Step, Unknowns, UnknownsMatrix};
 use super::surface::Surface;
@@ -321,9 +321,9 @@ impl Aligner {
     pub(super) fn patch_spread(&self) -> f64 {
         let (mut sum, mut weight) = (0.0, 0.0);
         for patch in &self.patches[..self.scores.len()] {
-            let own = f64::from(patch[PATCH - 2]);
+            let own = f64::from(patch[PATCH_OWN]);
             if own > 0.0 {
-                let mean = f64::from(patch[PATCH - 1]) / own;
+                let mean = f64::from(patch[PATCH_RESIDUAL]) / own;
                 sum += own * (mean * mean - 1.0 / own);
                 weight += own;
             }

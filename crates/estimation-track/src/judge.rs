@@ -6,7 +6,7 @@ use pb3dp_estimation_core::wide::LANES;
 
 use super::distinct::beyond_chance;
 use super::kernels::{CHANNELS, ResidualGroup, SeenGroup, TERMS, ViewGroup};
-use crate::kernels::Correlation;
+use crate::kernels::{Correlation, Moments};
 
 /// A point fits if its robust weight reaches this.
 pub(super) const FITS_FROM: f32 = 0.3;
@@ -92,7 +92,7 @@ impl Fit {
         }
         let (visible, inliers) = (visible.map(f64::from), inliers.map(f64::from));
         let expected = |eye: usize| {
-            let [kept, now, _] = correlations[eye].moments();
+            let Moments { view: kept, image: now, .. } = correlations[eye].moments();
             let noise: f64 = reference[eye].iter().map(|&v| f64::from(v)).sum();
             (1.0 - 0.5 * noise / (kept * now).sqrt().max(1e-9)).max(0.05)
         };

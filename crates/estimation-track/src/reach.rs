@@ -102,24 +102,24 @@ mod tests {
         Fit { correlation: [0.97, correlation], inlier_share: [0.95, share, 0.95], ..Fit::default() }
     }
 
-    fn can_be(fit: &Fit, independent: f64, (way_m, turn_rad): (f64, f64), away_s: f64) -> bool {
+    fn can_be(fit: &Fit, independent: f64, way_m: f64, turn_rad: f64, away_s: f64) -> bool {
         Sighting { fit, independent, way_m, turn_rad, away_s, has_twin: false }.can_be_the_target()
     }
 
     #[test]
     fn where_it_is_expected_noise_may_hide_much_of_it() {
-        assert!(can_be(&fit(0.5, 0.5), 5.0, (0.01, 0.1), 0.03));
-        assert!(!can_be(&fit(0.5, 0.9), 300.0, (0.03, 0.1), 0.03));
-        assert!(!can_be(&fit(0.9, 0.5), 300.0, (0.01, 0.2), 0.03));
+        assert!(can_be(&fit(0.5, 0.5), 5.0, 0.01, 0.1, 0.03));
+        assert!(!can_be(&fit(0.5, 0.9), 300.0, 0.03, 0.1, 0.03));
+        assert!(!can_be(&fit(0.9, 0.5), 300.0, 0.01, 0.2, 0.03));
     }
 
     #[test]
     fn it_is_not_believed_to_fly() {
         let clear = fit(0.97, 0.95);
-        assert!(can_be(&clear, 300.0, (0.1, 0.5), 0.033));
-        assert!(!can_be(&clear, 300.0, (0.2, 0.1), 0.033));
-        assert!(!can_be(&clear, 300.0, (0.1, 1.0), 0.033));
-        assert!(can_be(&clear, 300.0, (0.2, 1.0), 0.3), "with time it may have come there");
+        assert!(can_be(&clear, 300.0, 0.1, 0.5, 0.033));
+        assert!(!can_be(&clear, 300.0, 0.2, 0.1, 0.033));
+        assert!(!can_be(&clear, 300.0, 0.1, 1.0, 0.033));
+        assert!(can_be(&clear, 300.0, 0.2, 1.0, 0.3), "with time it may have come there");
     }
 
     #[test]
@@ -144,8 +144,8 @@ mod tests {
     #[test]
     fn smooth_texture_is_not_told_from_other_smooth_texture() {
         for independent in [2.0, 8.0, 13.0] {
-            assert!(!can_be(&fit(0.94, 0.75), independent, (0.1, 0.3), 0.2), "{independent}");
+            assert!(!can_be(&fit(0.94, 0.75), independent, 0.1, 0.3, 0.2), "{independent}");
         }
-        assert!(can_be(&fit(0.97, 0.95), 17.0, (0.1, 0.3), 0.2));
+        assert!(can_be(&fit(0.97, 0.95), 17.0, 0.1, 0.3, 0.2));
     }
 }

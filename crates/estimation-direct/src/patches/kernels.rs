@@ -1,9 +1,10 @@
 //! Running sums over patches, row by row.
 
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::wide::{LANES, sum_lanes, wide};
+use pb3dp_estimation_core::wide::{LANES, wide};
 
 use super::{PATCH_PX, PatchConfig, REACH_MAX, SIDE, SUPPORTS, USABLE};
+use crate::named_sums::named_sums;
 
 /// Shifts at most.
 const SHIFTS_MAX: usize = 2 * REACH_MAX + 1;
@@ -107,9 +108,8 @@ impl Rows {
         judge(kernels, &self.offset, &self.correlation, &self.weight, limits, &mut self.verdict);
     }
 
-    /// Takes the verdicts over to the pixels of a row of the region. Returns its textured pixels, the supporting ones, and
-    /// the sum of their correlations.
-    pub(super) fn spread_row(&self, inside: &[u8], support: &mut [u8], kernels: Kernels) -> [f32; 3] {
+    /// Takes the verdicts over to the pixels of a row of the region, and counts these.
+    pub(super) fn spread_row(&self, inside: &[u8], support: &mut [u8], kernels: Kernels) -> Tally<f64> {
         spread_row(kernels, inside, &self.verdict, &self.correlation, &self.weight, support)
     }
 
@@ -144,7 +144,7 @@ fn judge_kernel(offset: &[f32], correlation: &[f32], weight: &[f32], limits: (f3
 }
 
 wide! {
-    fn spread_row(inside: &[u8], verdict: &[u8], correlation: &[f32], weight: &[f32], support: &mut [u8]) -> [f32; 3] = spread_row_kernel;
+    fn spread_row(inside: &[u8], verdict: &[u8], correlation: &[f32], weight: &[f32], support: &mut [u8]) -> Tally<f64> = spread_row_kernel;
 }
 
 #[inline(always)]
@@ -154,35 +154,37 @@ fn spread_row_kernel(
     correlation: &[f32],
     weight: &[f32],
     support: &mut [u8],
-) -> [f32; 3] {
+) -> Tally<f64> {
     for ((support, inside), verdict) in support.iter_mut().zip(inside).zip(verdict) {
         *support = inside * verdict;
     }
-    let mut sums = [[0.0_f32; LANES]; 3];
+    let mut tally = Tally::ZERO;
     let pixels = inside.chunks_exact(LANES).zip(support.chunks_exact(LANES));
     let patches = correlation.chunks_exact(LANES).zip(weight.chunks_exact(LANES));
     for ((inside, support), (correlation, weight)) in pixels.zip(patches) {
         for i in 0..LANES {
-            let one = counted(inside[i], support[i], correlation[i], weight[i]);
-            sums[0][i] += one[0];
-            sums[1][i] += one[1];
-            sums[2][i] += one[2];
+            tally.count(i, inside[i], support[i], correlation[i], weight[i]);
         }
     }
     for at in inside.len() / LANES * LANES..inside.len() {
-        let one = counted(inside[at], support[at], correlation[at], weight[at]);
-        for (sums, one) in sums.iter_mut().zip(one) {
-            sums[0] += one;
-        }
+        tally.count(0, inside[at], support[at], correlation[at], weight[at]);
     }
-    sums.map(|lanes| sum_lanes(&lanes))
+    tally.folded()
 }
 
-/// Whether a pixel is inside with texture, whether it supports, and then its correlation.
-#[inline(always)]
-fn counted(inside: u8, support: u8, correlation: f32, weight: f32) -> [f32; 3] {
-    let supports = if support & SUPPORTS != 0 { 1.0 } else { 0.0 };
-    [if weight > 0.0 { f32::from(inside) } else { 0.0 }, supports, supports * correlation]
+named_sums! {
+    /// Counts of pixels of the region: those with texture, those that support the plane, and the correlations of the latter.
+    pub(super) struct Tally { textured, supporting, correlation, }
+}
+
+impl Tally<[f32; LANES]> {
+    #[inline(always)]
+    fn count(&mut self, lane: usize, inside: u8, support: u8, correlation: f32, weight: f32) {
+        let supports = if support & SUPPORTS != 0 { 1.0 } else { 0.0 };
+        self.textured[lane] += if weight > 0.0 { f32::from(inside) } else { 0.0 };
+        self.supporting[lane] += supports;
+        self.correlation[lane] += supports * correlation;
+    }
 }
 
 wide! {

@@ -19,7 +19,7 @@ mod tests;
 
 use pb3dp_estimation_core::wide::LANES;
 pub(crate) use scores::{Projection, Unmodelled, scores};
-pub(crate) use sums::{SUMS, SharpnessSums, Sums, accumulate};
+pub(crate) use sums::{ProductSums, SharpnessSums, Sums, accumulate};
 
 /// Most channels.
 pub(crate) const CHANNELS_MAX: usize = 3;

@@ -5,10 +5,12 @@
 //!
 //! All planes are counted on few points, and those that may be the best on more.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_estimation_core::wide::{LANES, sum_lanes, wide};
+
+use crate::named_sums::PlaneSums;
 
 /// Points `(x, y, d)` in single precision, padded to whole groups with points that count as outliers.
 #[derive(Clone, Debug, Default)]
@@ -381,39 +383,29 @@ fn fit(
 ) -> Option<PlaneCoefficients> {
     let p = [plane.x as f32, plane.y as f32, plane.z as f32];
     let scale = (1.0 / (tolerance_px * tolerance_px)) as f32;
-    let s = normal_equations(kernels, &points.x, &points.y, &points.d, p, scale).map(f64::from);
-    let h = Matrix3::new(s[0], s[1], s[2], s[1], s[3], s[4], s[2], s[4], s[5]);
-    if s[0] < 3.0 {
+    let sums = normal_equations(kernels, &points.x, &points.y, &points.d, p, scale);
+    if sums.w < 3.0 {
         return None;
     }
-    let step = h.cholesky()?.solve(&Vector3::new(s[6], s[7], s[8]));
+    let step = sums.step()?;
     step.iter().all(|v| v.is_finite()).then(|| plane + step)
 }
 
 wide! {
-    fn normal_equations(x: &[f32], y: &[f32], d: &[f32], plane: [f32; 3], scale: f32) -> [f32; 9] = normal_equations_kernel;
+    fn normal_equations(x: &[f32], y: &[f32], d: &[f32], plane: [f32; 3], scale: f32) -> PlaneSums<f64> = normal_equations_kernel;
 }
 
 #[inline(always)]
-fn normal_equations_kernel(x: &[f32], y: &[f32], d: &[f32], plane: [f32; 3], scale: f32) -> [f32; 9] {
-    let mut sums = [[0.0_f32; LANES]; 9];
+fn normal_equations_kernel(x: &[f32], y: &[f32], d: &[f32], plane: [f32; 3], scale: f32) -> PlaneSums<f64> {
+    let mut sums = PlaneSums::ZERO;
     for ((x, y), d) in x.chunks_exact(LANES).zip(y.chunks_exact(LANES)).zip(d.chunks_exact(LANES)) {
         for i in 0..LANES {
             let r = d[i] - (plane[0] + plane[1] * x[i] + plane[2] * y[i]);
             let w = if r * r * scale < 1.0 { 1.0 } else { 0.0 };
-            let (wx, wy, wr) = (w * x[i], w * y[i], if w > 0.0 { r } else { 0.0 });
-            sums[0][i] += w;
-            sums[1][i] += wx;
-            sums[2][i] += wy;
-            sums[3][i] += wx * x[i];
-            sums[4][i] += wx * y[i];
-            sums[5][i] += wy * y[i];
-            sums[6][i] += wr;
-            sums[7][i] += wr * x[i];
-            sums[8][i] += wr * y[i];
+            sums.add(i, x[i], y[i], w, if w > 0.0 { r } else { 0.0 });
         }
     }
-    std::array::from_fn(|k| sum_lanes(&sums[k]))
+    sums.folded()
 }
 
 #[cfg(test)]
