@@ -15,13 +15,14 @@ use super::search::hypotheses::HypothesisRules;
 use super::search::{PlaneSearch, PlaneSearchConfig};
 use crate::outcome::{ColdStartOutcome, surface_score};
 
-/// The comparison runs on the first level on which the region has at most this many pixels.
+/// The comparison runs on the first level on which the region has at most this many pixels. Chosen: with it and [`DECISIVE_CORRELATION`] 22
+/// of 8064 random real rectangles in wrong ranges are sure and wrong, with 1600 px and without the latter 42.
 const AREA_MAX_PX: usize = 900;
-/// Planes whose disparity at the centroid is off the range by no more than this are not beyond it, pixels: what lies at an end
-/// of the range is told apart from what lies in it.
+/// Planes whose disparity at the centroid is off the range by no more than this are not beyond it, pixels: what lies at an end of the range
+/// is told apart from what lies in it. Chosen; no sweep is on record.
 const END_PX: f64 = 2.0;
 
-/// Most three-point planes that are drawn: what is looked for has most of the region.
+/// Most three-point planes that are drawn: what is looked for has most of the region. Chosen, a third of `direct.search.draws`.
 const DRAWS: usize = 100;
 
 /// Looks beyond ranges; keeps its buffers.
@@ -98,8 +99,9 @@ impl Beyond {
     }
 }
 
-/// A surface with this score and these correlations has no need of a comparison.
+/// A surface with this score and [`DECISIVE_CORRELATION`] needs no comparison. Chosen: without any, 587 of these 8064 are sure and wrong.
 const DECISIVE_SCORE: f64 = 1.2;
+/// With it and [`AREA_MAX_PX`] 81 of 1513 right answers in right ranges lose their `ok`, without it and with 1600 px 71. Chosen.
 const DECISIVE_CORRELATION: f64 = 0.9;
 
 /// Whether an answer leaves doubts. What only resembles the target may correlate well on the coarse level that was searched;

@@ -108,10 +108,11 @@ fn validate_refine(refine: &RefineConfig) -> Result<(), EstimationError> {
     check_range("direct.refine.blur_sigma_px2", blur, (0.0, 5.0), "must be between 0 and 5 squared pixels")
 }
 
-/// What the calibration of real rigs leaves of disparity, pixels: on real pairs with known truth, covariances without it are
-/// too small. Where the calibration is exact, as on rendered pairs, it is to be set to what is right there.
+/// What the calibration of real rigs leaves of disparity, pixels: on real pairs with known truth, covariances without it are too small.
+/// Where the calibration is exact, as on rendered pairs, it is to be set to what is right there. Chosen; no sweep is on record.
 const CALIBRATION_SIGMA_PX: f64 = 0.03;
-/// Lenses, focus and the demosaicing of colours make edges of real pairs differ by this much, squared pixels.
+/// Lenses, focus and the demosaicing of colours make edges of real pairs differ by this much, squared pixels. Chosen: with this and the
+/// slope of rows 22 of 116 sure rectangles of 30 to 50 px on chessboards are off by more than 5 degrees, without 49 of 166.
 const BLUR_SIGMA_PX2: f64 = 0.2;
 
 /// A candidate on the finest level.
@@ -464,28 +465,30 @@ impl ColdStart {
     }
 }
 
-/// A plane with more support than this has its outline in its place, and is no alias.
+/// A plane with more support than this has its outline in its place, and is no alias. Chosen, see `repetition::REPEATS_MIN`.
 const WHOLE_SUPPORT_MIN: f64 = 0.7;
-/// With less support than this, the region may be no plane.
+/// With less support than this, the region may be no plane. Chosen: with the rule 46 % of the true disparities of 85 regions that are no
+/// plane are met, without 38 %.
 const PLANE_SUPPORT_MIN: f64 = 0.5;
-/// If what agrees with a plane correlates less, noise may be why the rest does not.
+/// If what agrees with a plane correlates less, noise may be why the rest does not. Chosen; no sweep is on record.
 const PLANE_CORRELATION_MIN: f64 = 0.8;
-/// Disparities this near to a plane are explained by it, pixels; and at least, pixels of the level that was searched.
+/// Disparities this near to a plane are explained by it, pixels. Chosen: the measure of the benchmark of real regions that are no plane.
 const WIDEST_PX: f64 = 1.0;
+/// And at least so near, pixels of the level that was searched. Chosen; no sweep is on record.
 const WIDEST_LEVEL_PX_MIN: f64 = 0.5;
-/// It replaces a refined plane that is off by more at a corner of the region's box, pixels.
+/// It replaces a refined plane that is off by more at a corner of the region's box, pixels. Chosen; no sweep is on record.
 const WIDEST_APART_PX: f64 = 0.5;
-/// Clear disparities speak for the region if at least this share of its pixels has one.
+/// Clear disparities speak for the region if this share of its pixels has one. With 0.5 one real case across a depth edge is lost.
 const WIDEST_VALID_MIN: f64 = 0.6;
-/// If half of the tolerance holds less than this share of what the whole holds, disparities lie spread around the plane; evenly
-/// spread ones give one half, those of a plane nearly one.
+/// If half of the tolerance holds less than this share of what the whole holds, disparities lie spread around the plane; evenly spread ones
+/// give one half, those of a plane nearly one. Chosen between these.
 const SPREAD_NEAR_MAX: f64 = 0.6;
-/// A rival that shares more than this of its pixels with the first is another explanation of the same surface.
+/// A rival that shares more than this of its pixels with the first explains the same surface otherwise. Chosen; no sweep is on record.
 const OVERLAP_OF_ALIAS: f64 = 0.5;
-/// What the patches say of a plane holds for another that differs by no more than this at the corners of the region's box,
-/// pixels of the level: the top of a correlation is flat.
+/// What the patches say of a plane holds for another that differs by no more than this at the corners of the region's box, pixels of the
+/// level: the top of a correlation is flat. Chosen; no sweep is on record.
 const SETTLED_PX: f64 = 0.1;
-/// Candidates whose score is at least this share of the best one's are nearly as good.
+/// Candidates whose score is at least this share of the best one's are nearly as good. Chosen; no sweep is on record.
 const NEARLY_EQUAL: f64 = 0.9;
-/// A second surface has at least this share of the region for itself.
+/// A second surface has at least this share of the region for itself. Chosen; no sweep is on record.
 const OWN_SHARE_MIN: f64 = 0.08;

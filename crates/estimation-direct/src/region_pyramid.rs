@@ -20,11 +20,11 @@ use super::row_shift::shift_rows;
 use crate::front_end::halve_eye;
 use pb3dp_estimation_core::row_offset::RowOffset;
 
-/// Most levels of a pyramid.
+/// Most levels of a pyramid. Chosen; no sweep is on record.
 pub const LEVELS_MAX: usize = 6;
-/// A level is halved if its part of the region has more pixels than this.
+/// A level is halved if its part of the region has more pixels than this. Chosen; no sweep is on record.
 const HALVED_FROM_PX: usize = 600;
-/// Pixels of the search level that the windows reach over the region: half a patch and a filter.
+/// Pixels of the search level that the windows reach over the region: half a patch, 7 px, and 3 px for a filter.
 const MARGIN_PX: u32 = 10;
 /// Pixels that the windows reach over a small region, whose surroundings may help.
 const SURROUNDINGS_PX: u32 = (reach::REACH_MAX_PX + reach::MARGIN_PX) as u32;

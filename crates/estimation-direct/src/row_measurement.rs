@@ -16,23 +16,23 @@ use super::image_plane::ImagePlane;
 use super::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
 use pb3dp_estimation_core::row_offset::{RowMeasurement, RowOffset};
 
-/// Level of the exhaustive search.
+/// Level of the exhaustive search. Chosen; no sweep is on record.
 const COARSE: usize = 2;
-/// Pixels of the coarse level between points.
+/// Pixels of the coarse level between points. Chosen; no sweep is on record.
 const SPACING: usize = 4;
-/// Pixels from a point to the side of its patch.
+/// Pixels from a point to the side of its patch. Chosen; no sweep is on record.
 const RADIUS: usize = 4;
 const SIDE: usize = 2 * RADIUS + 1;
 const PATCH: usize = SIDE * SIDE;
-/// Lowest correlation of a match, coarse and fine.
+/// Lowest correlation of a match, coarse and fine. Chosen; no sweep is on record.
 const CORRELATION_MIN: [f64; 2] = [0.75, 0.85];
-/// The best place must be better by this than any that is not its neighbour.
+/// The best place must be better by this than any that is not its neighbour. Chosen; no sweep is on record.
 const MARGIN_MIN: f64 = 0.05;
-/// Smallest root mean square of the gradient along rows and along columns, luminance per pixel.
+/// Smallest root mean square of the gradient along rows and along columns, luminance per pixel. Chosen; no sweep is on record.
 const GRADIENT_MIN: f64 = 3.0;
-/// Fewest matches for an affine offset; from a quarter of that on a constant is fitted.
+/// Fewest matches for an affine offset; from a quarter of that on a constant is fitted. Chosen; no sweep is on record.
 const MATCHES_MIN: usize = 60;
-/// Rows farther off than this are not matched, pixels.
+/// Rows farther off than this are not matched, pixels. Chosen; no sweep is on record.
 const OFFSET_MAX_PX: f64 = 6.0;
 
 /// One point found again: right pixel, and its row minus the left row.
@@ -267,7 +267,7 @@ impl Patch {
     }
 }
 
-/// Steps of the fit between pixels.
+/// Steps of the fit between pixels. Chosen; no sweep is on record.
 const STEPS: usize = 5;
 
 /// Lucas and Kanade around a match: what is to be added to the right place, pixels. `None` if it runs away.

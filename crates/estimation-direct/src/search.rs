@@ -16,9 +16,9 @@ use self::hypotheses::{
 use self::volume::{COST_NEUTRAL, CostVolume, LevelBox};
 use super::region_pyramid::{LevelPlane, RegionLevel};
 
-/// Pixels around the region's box that take part in the aggregation.
+/// Pixels around the region's box that take part in the aggregation. Chosen; no sweep is on record.
 const MARGIN: usize = 2;
-/// A plane moved along the rows is looked at if the region agrees with it at least so well, compared to the best.
+/// A plane moved along the rows is looked at if the region agrees with it by this share of the best. Chosen; no sweep is on record.
 const ALIAS_SHARE: f64 = 0.5;
 
 /// Parameters of the search.
@@ -276,7 +276,7 @@ fn coefficients(volume: &CostVolume, level: &RegionLevel, plane: &LevelPlane) ->
     Vector3::new(at_corner - f64::from(volume.first) + f64::from(level.column_shift()), plane.a, plane.b)
 }
 
-/// Pixels whose agreement is summed up in 16 bits.
+/// Pixels whose agreement is summed up in 16 bits: 512 times 126, twice [`COST_NEUTRAL`], is below 65536.
 const SUMMED_PX: usize = 512;
 
 wide! {

@@ -273,9 +273,9 @@ fn dot(a: &[Lanes; 3], b: &[Lanes; 3]) -> Lanes {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// A surface patch that shrinks to less of its area in the first view is not used.
+/// A surface patch that shrinks to less of its area in the first view is not used. Chosen; no sweep is on record.
 const EDGE_ON: f32 = 0.08;
-/// Share of saturated pixels above which a sample is not used.
+/// Share of saturated pixels above which a sample is not used. Chosen; no sweep is on record.
 const SATURATED_MAX: f32 = 0.15;
 
 #[inline(always)]
@@ -308,7 +308,7 @@ pub(super) fn texel_at(images: &EyeImages, level: usize, pixel: [f32; 2]) -> Opt
     images.sample(level, x, y)
 }
 
-/// Beyond this many standard deviations (root mean square over the channels) a residual has no weight.
+/// Beyond this many standard deviations (root mean square over the channels) a residual has no weight. Chosen; no sweep is on record.
 const TUKEY: f32 = 3.0;
 
 #[inline(always)]

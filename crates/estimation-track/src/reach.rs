@@ -7,19 +7,24 @@ use pb3dp_geometry::{Pose, StereoRig};
 use super::distinct::beyond_chance;
 use super::judge::Fit;
 
-/// A lost target is not believed to have gone farther than this, and this much per second more.
+/// A lost target is not believed to have gone farther than this. Chosen; no sweep is on record.
 const REACH_M: f64 = 0.05;
+/// And this much per second more. Chosen; no sweep is on record.
 const SPEED_MAX_M_PER_S: f64 = 2.0;
+/// Nor to have turned by more than this. Chosen, 20 degrees; no sweep is on record.
 const REACH_RAD: f64 = 0.35;
+/// And this much per second more. Chosen; no sweep is on record.
 const SPEED_MAX_RAD_PER_S: f64 = 6.0;
-/// Within this of where it is expected a target need not be seen more clearly than noise allows; elsewhere both images must
-/// correlate with the view by at least this, and show it at this share of its points.
+/// Within this of where it is expected a target need not be seen more clearly than noise allows. Chosen; no sweep is on record.
 const NEAR_M: f64 = 0.02;
+/// The same of its turn. Chosen; no sweep is on record.
 const NEAR_RAD: f64 = 0.15;
+/// Elsewhere both images must correlate with the view by at least this. Chosen; no sweep is on record.
 const AFAR_CORRELATION_MIN: f64 = 0.75;
+/// And they must show it at this share of its points. Chosen; no sweep is on record.
 const AFAR_INLIERS_MIN: f64 = 0.65;
-/// Elsewhere the correlation must also be this many standard deviations more than chance would show: a search tries some
-/// hundred thousand places.
+/// Elsewhere the correlation must also be this many standard deviations more than chance would show. Chosen: a search tries some hundred
+/// thousand places, and chance exceeds 5 once in 3.5 million.
 const BEYOND_CHANCE_MIN: f64 = 5.0;
 
 /// Something that resembles a lost target.

@@ -12,17 +12,17 @@ use super::kernels::{CHANNELS, SurfaceGroup, ViewGroup, texel_at};
 use super::view::View;
 use crate::kernels::{Correlation, MomentSums};
 
-/// Points of a template, at most.
+/// Points of a template, at most. Chosen; no sweep is on record.
 const POINTS_MAX: usize = 64;
-/// Fewer points are no template.
+/// Fewer points are no template. Chosen; no sweep is on record.
 const POINTS_MIN: usize = 12;
-/// Places kept of each search.
+/// Places kept of each search. Chosen; no sweep is on record.
 pub(super) const PLACES: usize = 3;
-/// Depths that are tried, as multiples of the template's.
+/// Depths that are tried, as multiples of the template's. Chosen; no sweep is on record.
 const DEPTH_REACH: f64 = 1.6;
-/// Most depths tried.
+/// Most depths tried. Chosen; no sweep is on record.
 const DEPTHS_MAX: usize = 160;
-/// Share of a template that must lie in the image.
+/// Share of a template that must lie in the image. Chosen; no sweep is on record.
 const VISIBLE_MIN: f64 = 0.7;
 
 /// A place in the left image where a template fits.
@@ -247,7 +247,7 @@ fn right_correlation(
     if correlation.count() < VISIBLE_MIN * tried { -1.0 } else { correlation.value() }
 }
 
-/// Turns that are tried about the axis of sight, radians.
+/// Turns that are tried about the axis of sight, radians (20 and 40 degrees). Chosen; no sweep is on record.
 const ROLLS: [f64; 5] = [0.0, 0.35, -0.35, 0.7, -0.7];
 
 /// The `index`-th guess from where the target may be seen: as last seen, and as each view was, each also rolled.

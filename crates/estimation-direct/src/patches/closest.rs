@@ -10,21 +10,21 @@ use pb3dp_estimation_core::rng::SplitMix64;
 
 use super::fit::{PatchVotes, improve, weight_near};
 
-/// Patches that are asked, about.
+/// Patches that are asked, about. Chosen; no sweep is on record.
 const PATCHES: usize = 600;
-/// Patches lie closely on a plane if they are off it by clearly less than this, pixels of the level.
+/// Patches lie closely on a plane if they are off it by clearly less than this, pixels of the level. Chosen; no sweep is on record.
 const CLOSE_PX: f64 = 0.35;
-/// Drawn planes are counted with this width first, pixels of the level.
+/// Drawn planes are counted with this width first, pixels of the level. Chosen; no sweep is on record.
 const DRAWN_PX: f64 = 0.5;
-/// With this share of the patches' weight closely on the plane that was looked at there is no other.
+/// With this share of the patches' weight closely on the plane that was looked at there is no other. Chosen; no sweep is on record.
 const DECISIVE_SHARE: f64 = 0.5;
-/// Planes that are drawn.
+/// Planes that are drawn. Chosen; no sweep is on record.
 const DRAWS: usize = 24;
-/// The best ones of these are improved.
+/// The best ones of these are improved. Chosen; no sweep is on record.
 const IMPROVED: usize = 3;
-/// Another plane has so many times as much weight close to it,
+/// Another plane has so many times as much weight close to it. Chosen; no sweep is on record.
 const GAIN_MIN: f64 = 1.15;
-/// and is off by so much at a corner of what the patches cover, pixels of the level.
+/// And it is off by so much at a corner of what the patches cover, pixels of the level. Chosen; no sweep is on record.
 const APART_PX: f64 = 1.0;
 
 /// Patches with a shift of their own, and the weight of all.

@@ -68,7 +68,7 @@ impl PatchVotes {
     }
 }
 
-/// Steps of re-weighting.
+/// Steps of re-weighting. Chosen; no sweep is on record.
 const STEPS: usize = 4;
 
 /// `offset = p0 + p1 x + p2 y` by Tukey's weights, whose width shrinks to `width_px`; `None` if the votes do not determine a

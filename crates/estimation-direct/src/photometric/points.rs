@@ -9,9 +9,9 @@ use super::super::search::ends_of;
 use super::kernel::{PointSet, SHARING, TOUCHED, UNUSABLE};
 use super::prepare::EyeChannels;
 
-/// Side of the blocks in which points are ordered, pixels of the level.
+/// Side of the blocks in which points are ordered, pixels of the level. Chosen; no sweep is on record.
 pub(super) const BLOCK: usize = 8;
-/// Number of pixels from which the limit of the gradient is taken.
+/// Number of pixels from which the limit of the gradient is taken. Chosen; no sweep is on record.
 const SAMPLE: usize = 1024;
 
 /// Pixels to use, and how they are ordered into points; keeps its buffers.

@@ -23,8 +23,8 @@ use super::kernel::{CHANNELS_MAX, UNUSABLE};
 use super::level_rows::{Grid, Picture, average_bytes, average_colours, average_values};
 use pb3dp_estimation_core::row_offset::RowOffset;
 
-/// Of a pixel with a saturated channel, channels from this value on are not used, grey levels: interpolation may have taken
-/// some of the brightness away.
+/// Of a pixel with a saturated channel, channels from this value on are not used, grey levels: interpolation may have taken some of the
+/// brightness away. Chosen; no sweep is on record.
 const NEARLY_SATURATED_GREY: u8 = 240;
 
 /// The channels of one eye of one level.
@@ -365,7 +365,7 @@ fn mark_saturated_kernel(rgb: &[u8], scale: usize, out: [&mut [u8]; CHANNELS_MAX
     }
 }
 
-/// So many values are enough for a mean.
+/// So many values are enough for a mean that is taken off all of them and only keeps sums small. Chosen.
 const MIDDLE_OF: usize = 2000;
 
 wide! {

@@ -4,11 +4,11 @@ use nalgebra::{Matrix4, Vector2, Vector4};
 
 use super::kernel::{CHANNELS_MAX, ChannelState, ProductSums, Projection, Sums};
 
-/// Standard deviation of the logarithm of the gain between the cameras; keeps channels without contrast in bounds.
+/// Standard deviation of the logarithm of the gain; keeps channels without contrast in bounds. Chosen, about ln 2; no sweep is on record.
 const LOG_GAIN_SIGMA: f64 = 0.7;
-/// Bounds of the square root of the gain.
+/// Bounds of the square root of the gain. Chosen; no sweep is on record.
 const GAIN_ROOT: (f64, f64) = (0.5, 2.0);
-/// Bounds of how much of the squared gradients is texture and not noise.
+/// Bounds of how much of the squared gradients is texture and not noise. The lower one is chosen, no sweep is on record; 1 is all.
 const RELIABILITY: (f64, f64) = (0.05, 1.0);
 
 /// The normal equations of `(d0, du, dv, row)` of one level.

@@ -112,17 +112,17 @@ pub struct HypothesisSearch {
     pub kept: Vec<Candidate>,
 }
 
-/// Points that planes are counted on.
+/// Points that planes are counted on. Chosen; no sweep is on record.
 const SAMPLE_MAX: usize = 1024;
-/// Points of the first count.
+/// Points of the first count. Chosen for time: of 808 real cases and windows none changes its pass or status by it.
 const FEW_MAX: usize = 256;
-/// A plane may be the best if its first count lies below the best one by no more than so many standard deviations.
+/// A plane may be the best if its first count lies below the best one by no more than so many standard deviations. Chosen, see [`FEW_MAX`].
 const COUNT_SIGMAS: f64 = 3.0;
-/// Planes of the highest counts that are improved, if they differ from those already improved.
+/// Planes of the highest counts that are improved, if they differ from those already improved. Chosen, as in the prototype of ADR 7.
 const IMPROVED_MAX: usize = 6;
-/// Further surfaces that are looked for among the points that the best planes do not explain.
+/// Further surfaces that are looked for among the points that the best planes do not explain. Chosen; no sweep is on record.
 const SURFACES_MAX: usize = 3;
-/// Fewer points of the sample than this are no surface.
+/// Fewer points of the sample than this are no surface. Chosen; no sweep is on record.
 const REST_MIN: usize = 32;
 
 impl HypothesisSearch {

@@ -10,13 +10,13 @@ use pb3dp_estimation_core::wide::{LANES, wide};
 use crate::colour_planes::ColourPlanes;
 use crate::region_pyramid::{RegionLevel, is_seen};
 
-/// Pixels of a neighbourhood.
+/// Pixels of a neighbourhood: 3 x 3. Chosen; no sweep is on record.
 const DESCRIPTOR: usize = 9;
-/// Length of a descriptor: its square, twice, must fit into 16 bits with sign.
+/// Length of a descriptor: its square, twice, must fit into 16 bits with sign (2 * 127^2 = 32258).
 const DESCRIPTOR_LENGTH: f32 = 127.0;
 /// Disparities are worked on in groups of so many.
 pub(super) const GROUP: usize = 32;
-/// Cost of a perfect agreement is 0, of none [`COST_NEUTRAL`], of the opposite twice that.
+/// Cost of a perfect agreement is 0, of none [`COST_NEUTRAL`], of the opposite twice that. That is seven bits.
 pub const COST_NEUTRAL: u8 = 63;
 /// Cost of what can not be.
 pub(super) const COST_IMPOSSIBLE: u8 = 255;

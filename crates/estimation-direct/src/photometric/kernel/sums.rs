@@ -6,7 +6,7 @@ use super::compare::{Group, Lanes, Row, lanes, row};
 use super::{CHANNELS_MAX, PointSet, SHARING, Thinning, Warp};
 use crate::named_sums::named_sums;
 
-/// Groups after which sums in single precision go to double precision.
+/// Groups after which sums in single precision go to double precision. Chosen: sums of 1024 points keep most digits of single precision.
 const FOLDED: usize = 8;
 
 /// Sums over all points.
