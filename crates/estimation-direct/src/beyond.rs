@@ -7,7 +7,7 @@
 
 use pb3dp_estimation_core::cpu::Kernels;
 
-use super::disparity_plane::DisparityPlane;
+use super::disparity_plane::{DisparityPlane, DisparityRange};
 use super::front_end::StereoFrontEnd;
 use super::patches::{PatchConfig, SlantedPatches};
 use super::region_pyramid::{PyramidSource, RegionPyramid};
@@ -68,9 +68,10 @@ impl Beyond {
         let searched_px = source.disparity_px;
         let region = source.region.bbox()?;
         // From infinity to where the right picture ends.
-        let visible_px = (-front_end.geometry().disparity_offset_px, f64::from(region.x + region.width));
+        let lowest = -front_end.geometry().disparity_offset_px;
+        let visible_px = DisparityRange { lowest, highest: f64::from(region.x + region.width) };
         let wide = PyramidSource { disparity_px: visible_px, search_area_px: AREA_MAX_PX, ..*source };
-        if visible_px.0 >= visible_px.1 || !self.pyramid.update(front_end, &wide) {
+        if visible_px.lowest >= visible_px.highest || !self.pyramid.update(front_end, &wide) {
             return None;
         }
         let (centre, level) = (self.pyramid.centroid_px(), &self.pyramid.levels()[0]);
@@ -87,7 +88,7 @@ impl Beyond {
             let score = surface_score(&found, self.search.valid_share * share);
             let full = level.full_plane(&found.plane, centre);
             let d0_px = full.d0_px;
-            if d0_px < searched_px.0 - END_PX || d0_px > searched_px.1 + END_PX {
+            if d0_px < searched_px.lowest - END_PX || d0_px > searched_px.highest + END_PX {
                 if beyond.is_none_or(|(_, best)| score > best) {
                     beyond = Some((full, score));
                 }

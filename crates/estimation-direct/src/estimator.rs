@@ -13,7 +13,7 @@ use pb3dp_geometry::StereoRig;
 
 use super::cold_start::{ColdStart, ColdStartConfig};
 use super::colour_planes::Wanted;
-use super::disparity_plane::{DisparityPlane, RectifiedGeometry, inverse_depth_from_disparity};
+use super::disparity_plane::{DisparityPlane, DisparityRange, RectifiedGeometry, inverse_depth_from_disparity};
 use super::front_end::StereoFrontEnd;
 use super::patches::PatchOutcome;
 use super::region_pyramid::PyramidSource;
@@ -181,7 +181,7 @@ impl DirectEstimator {
         estimate.plane_covariance = spread.map(|spread| spread.covariance);
         let second = |rival: &Rival| Some(SecondPlane { pose: view.pose(&rival.plane)?, share: rival.own_share });
         estimate.second_plane = outcome.second.as_ref().and_then(second);
-        let (farthest_px, nearest_px) = disparity_range(view, range);
+        let DisparityRange { lowest: farthest_px, highest: nearest_px } = disparity_range(view, range);
         if plane.d0_px < farthest_px + END_OF_RANGE_PX || plane.d0_px > nearest_px - END_OF_RANGE_PX {
             estimate.warnings.push(EstimateWarning::EndOfRange { z_mm: 1000.0 * pose.z_m });
             if estimate.status.depth_is_sure() {
@@ -304,7 +304,7 @@ fn objection(
     // From this disparity on, the middle of the region is out of the right picture.
     let leaves_px = centre_px.x;
     let correlation = outcome.finest.mean_correlation;
-    if source.disparity_px.1 > leaves_px && correlation < UNSEEN_CORRELATION_MIN {
+    if source.disparity_px.highest > leaves_px && correlation < UNSEEN_CORRELATION_MIN {
         let nearest = view.pose(&DisparityPlane { centre_px, d0_px: leaves_px, slope: Vector2::zeros() })?;
         return Some(may_be_unseen(nearest.z_m, correlation));
     }
@@ -403,10 +403,10 @@ fn steeper(outcome: &ColdStartOutcome, view: &RawView, range: &SearchRange) -> O
 const STEEPER_GAIN_MIN: f64 = 1.5;
 
 /// Disparities of the ends of a depth range on the centroid's ray, lowest first.
-fn disparity_range(view: &RawView, range: &SearchRange) -> (f64, f64) {
+fn disparity_range(view: &RawView, range: &SearchRange) -> DisparityRange {
     let depth_factor = (view.turn.transpose() * view.ray).z;
     let at = |z_m: f64| view.geometry.disparity_px(z_m * depth_factor);
-    (at(range.z_max_m), at(range.z_min_m))
+    DisparityRange { lowest: at(range.z_max_m), highest: at(range.z_min_m) }
 }
 
 /// Root mean square angle between the middle of a half-sphere and normals spread evenly over it, `sqrt(pi - 2)`, radians: a

@@ -15,7 +15,7 @@ use pb3dp_estimation_core::wide::{LANES, sum_lanes, wide};
 
 use self::closest::Sampled;
 use self::fit::{PatchVotes, fit_votes};
-use self::kernels::Tally;
+use self::kernels::{PeakLimits, Tally};
 use super::colour_planes::ColourPlanes;
 use super::region_pyramid::{LevelPlane, RegionLevel, is_seen};
 use super::search::volume::LevelBox;
@@ -28,8 +28,7 @@ pub(super) const SIDE: usize = 2 * RADIUS + 1;
 pub const REACH_MAX: usize = 3;
 /// Number of pixels of a patch.
 pub(super) const PATCH_PX: f32 = (SIDE * SIDE) as f32;
-/// Patches are looked at around the pixels of every so manieth row: the next rows have nearly the same patches. Chosen for time: as many
-/// real cases pass as with every row.
+/// Patches are looked at around the pixels of every so manieth row. Chosen for time: as many real cases pass as with every row.
 const ROW_STEP: usize = 2;
 
 /// Bit of [`RegionLevel::support`]: the pixel may be used, as far as its patch can tell.
@@ -156,7 +155,7 @@ impl SlantedPatches {
     ) {
         let (stride, first) = (level.left.window.width, area.x + RADIUS);
         let (count, end) = (area.width - 2 * RADIUS, area.y + area.height - RADIUS);
-        let limits = (config.support_px as f32, config.correlation_min as f32);
+        let limits = PeakLimits { shift_px: config.support_px as f32, correlation: config.correlation_min as f32 };
         self.rows.judge(limits, kernels);
         for row_here in row..(row + ROW_STEP).min(end) {
             let range = row_here * stride + first..row_here * stride + first + count;
@@ -164,11 +163,11 @@ impl SlantedPatches {
             *tally += self.rows.spread_row(inside, support, kernels);
         }
         let inside = &level.region[row * stride + first..][..count];
-        self.votes.extend_row((first, row), inside, self.rows.offsets(), self.rows.weights());
+        let peaks = self.rows.peaks_found();
+        self.votes.extend_row(first, row, inside, peaks.offset, peaks.weight);
         if self.sampled.takes_row(row - area.y - RADIUS) {
-            let patches = (self.rows.offsets(), self.rows.weights(), self.rows.correlations());
-            let limits = (config.reach.clamp(1, REACH_MAX) as f32, limits.1);
-            self.sampled.take_row((first, row), inside, patches, limits);
+            let limits = PeakLimits { shift_px: config.reach.clamp(1, REACH_MAX) as f32, ..limits };
+            self.sampled.take_row(first, row, inside, peaks, limits);
         }
     }
 
@@ -239,16 +238,16 @@ fn warp_row(
     let first_x = area.x as f64 - reach as f64;
     let start = (first_x - (plane.c + plane.a * first_x + plane.b * y_left)) as f32;
     let step = (1.0 - plane.a) as f32;
-    warp_places(kernels, source, (start, step), mean, out);
+    warp_places(kernels, source, start, step, mean, out);
 }
 
 wide! {
-    fn warp_places(source: &[f32], places: (f32, f32), mean: f32, out: &mut [f32]) = warp_places_kernel;
+    fn warp_places(source: &[f32], start: f32, step: f32, mean: f32, out: &mut [f32]) = warp_places_kernel;
 }
 
 /// Values at the places `start`, `start + step`, ... less the mean.
 #[inline(always)]
-fn warp_places_kernel(source: &[f32], (start, step): (f32, f32), mean: f32, out: &mut [f32]) {
+fn warp_places_kernel(source: &[f32], start: f32, step: f32, mean: f32, out: &mut [f32]) {
     // Over a group, places drift by less than a pixel from one column per column.
     match (step - 1.0).abs() {
         drift if drift < 1.0 / 16.0 => warp_groups::<16>(source, start, step, mean, out),

@@ -19,7 +19,7 @@ use covariance::BlockPulls;
 use kernel::{CHANNELS_MAX, ChannelState, PointSet, Shade, Sums, Thinning, Warp};
 use nalgebra::{Matrix3, Vector2, Vector4};
 use pb3dp_estimation_core::cpu::Kernels;
-use points::{RightRows, Selection};
+use points::{RightRows, Rims, Selection};
 use prepare::{EyeChannels, Pair, Preparation, Wish, inside, reach_px, rows_of};
 use sharpness::Sharpness;
 use solve::{Normal, bounded_step, reliability, tukey_limit, tukey_moments};
@@ -43,8 +43,7 @@ const BORDER_WEIGHT_MIN: f64 = 0.9;
 const BORDER_SQUARES_MAX: f64 = 1.25;
 /// The plane has converged if the last step moved no point of the region further, pixels of the level. Chosen; no sweep is on record.
 const SETTLED_PX: f64 = 0.03;
-/// The first steps are taken on every so manieth group of points, as long as that many points are left. Chosen: the real cases pass as
-/// without, with equal errors on average.
+/// First steps take every so manieth group of points, while that many points are left. Chosen: the real cases pass as without.
 const THINNING_MAX: usize = 4;
 const THINNED_POINTS: usize = 1200;
 /// That ends when a step moves no point of the region further than this, pixels of the level. Chosen; no sweep is on record.
@@ -192,7 +191,7 @@ impl Progress {
 #[derive(Clone, Copy, Debug)]
 struct Made {
     scale: usize,
-    rims: (usize, usize),
+    rims: Rims,
     /// The box of the marked pixels and their number.
     marked: (PixelWindow, usize),
     wish: Wish,
@@ -324,8 +323,8 @@ impl PlaneRefiner {
         let mixed_px = MIXED_SIGMAS * progress.blur_px2.abs().sqrt();
         let rim = |px: f64, share: f64| (px / scale + mixed_px).min(share * side_px).round() as usize;
         let c = &self.config;
-        let rims = (rim(c.erosion_min_px, 0.5 * c.erosion_share_max), rim(c.erosion_max_px, c.erosion_share_max));
-        let rims = (rims.0, rims.1.max(rims.0));
+        let outer = rim(c.erosion_min_px, 0.5 * c.erosion_share_max);
+        let rims = Rims { outer, inner: rim(c.erosion_max_px, c.erosion_share_max).max(outer) };
         let known = self.made.filter(|made| (made.scale, made.rims) == (level.scale, rims));
         let (bounds, count) = match known {
             Some(made) => made.marked,
@@ -373,7 +372,7 @@ impl PlaneRefiner {
             half: Vector2::new(bounds.width as f64, bounds.height as f64) / 2.0,
             column_shift: -f64::from(right_part.x),
             row_applied: row_px / scale,
-            has_border: rims.1 > rims.0,
+            has_border: rims.inner > rims.outer,
             thinning: Thinning { step: (count / THINNED_POINTS).clamp(1, THINNING_MAX) },
             count,
         })

@@ -12,7 +12,7 @@ use pb3dp_estimation_core::region::{PixelBox, RegionMask};
 use pb3dp_estimation_core::wide::wide;
 
 use super::colour_planes::{ColourPlanes, UNSEEN, Wanted};
-use super::disparity_plane::DisparityPlane;
+use super::disparity_plane::{DisparityPlane, DisparityRange};
 use super::front_end::{Eye, StereoFrontEnd};
 use super::image_plane::PixelWindow;
 use super::reach;
@@ -39,7 +39,7 @@ pub struct PyramidSource<'a> {
     /// The region in the rectified left image.
     pub region: &'a RegionMask,
     /// Disparities that the right window must hold, pixels: lowest and highest.
-    pub disparity_px: (f64, f64),
+    pub disparity_px: DisparityRange,
     /// What is known of the rows.
     pub rows: RowOffset,
     /// Which channels.
@@ -227,7 +227,7 @@ impl RegionPyramid {
         let (left, right) = (i64::from(b.x) - margin, i64::from(b.x + b.width) - 1 + margin);
         let (y, height) = span(i64::from(b.y) - margin, i64::from(b.y + b.height) - 1 + margin, rows);
         let (x, width) = span(left, right, size.width);
-        let (low, high) = (source.disparity_px.0.floor() as i64, source.disparity_px.1.ceil() as i64);
+        let (low, high) = (source.disparity_px.lowest.floor() as i64, source.disparity_px.highest.ceil() as i64);
         let (x_right, width_right) = span(left - high, right - low, front_end.size(Eye::Right).width);
         [PixelWindow { x, y, width, height }, PixelWindow { x: x_right, y, width: width_right, height }]
     }
@@ -381,7 +381,7 @@ mod tests {
             left: &ramp(0.0),
             right: &ramp(offset),
             region: &region,
-            disparity_px: (5.0, 40.0),
+            disparity_px: DisparityRange { lowest: 5.0, highest: 40.0 },
             rows,
             wanted: Wanted::Luminance,
             search_area_px: 2000,

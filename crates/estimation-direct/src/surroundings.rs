@@ -40,8 +40,7 @@ const TILE_SIGMA_MAX_PX: f64 = 0.3;
 const NOISE_MIN_GREY: f64 = 1.0;
 /// Parameters of a tile's fit: shift, gain, offset.
 const FITTED: f64 = 3.0;
-/// Largest squared distance of the new plane from the region's own, in standard deviations of the latter: 95 % of the
-/// chi-squared distribution of three degrees of freedom.
+/// Largest squared distance of the new plane from the own one, in standard deviations of that: 95 % of chi-squared of three.
 const DISTANCE_MAX: f64 = 7.81;
 /// The slopes' variance must shrink to this. Chosen; no sweep is on record.
 const SHRINKAGE_MAX: f64 = 0.7;
@@ -93,7 +92,7 @@ impl Surroundings {
         }
         self.tiles.clear();
         for (row, column) in (0..rows).flat_map(|row| (0..columns).map(move |column| (row, column))) {
-            let tile = self.ask(level, refined, (column, row), columns);
+            let tile = self.ask(level, refined, column, row, columns);
             self.tiles.push(tile);
         }
         self.connect(columns, rows);
@@ -149,7 +148,7 @@ impl Surroundings {
     }
 
     /// Judges a tile by its own pixels and those of the tiles around it.
-    fn ask(&self, level: &RegionLevel, refined: &RefinedPlane, (column, row): (usize, usize), columns: usize) -> Tile {
+    fn ask(&self, level: &RegionLevel, refined: &RefinedPlane, column: usize, row: usize, columns: usize) -> Tile {
         let own = &self.sums[row * columns + column];
         if own.own > own.pixels / 2 {
             return Tile::Serves;

@@ -20,8 +20,7 @@ use crate::kernels::Correlation;
 const VARIANCE_START: f32 = 1600.0;
 /// Smallest variance, grey levels squared: below, quantisation counts (1/12 for each of two images). Chosen; no sweep is on record.
 const VARIANCE_MIN: f32 = 0.5;
-/// What the robust weights take off the variance of normal residuals. Chosen; by the moments of chi-squared of three it is 1.18 at
-/// `kernels::TUKEY`.
+/// What the robust weights take off the variance of normal residuals. Chosen; by chi-squared of three it is 1.18 at `kernels::TUKEY`.
 const TUKEY_LOSS: f32 = 1.25;
 /// A level is done when a step moves the points by less, pixels of that level. Chosen; no sweep is on record.
 const STEP_DONE_PX: [f64; LEVELS] = [0.012, 0.05, 0.1, 0.15];

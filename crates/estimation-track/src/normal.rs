@@ -15,9 +15,8 @@ pub(super) type UnknownsMatrix = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 pub(super) type AllMatrix = SMatrix<f64, ALL, ALL>;
 pub(super) type AllVector = SVector<f64, ALL>;
 
-/// Standard deviation that a gain may differ from the last one. Chosen; no sweep is on record.
+/// Standard deviation that a gain may differ from the last one, and an offset in grey levels. Chosen; no sweep is on record.
 const GAIN_SIGMA: f64 = 0.3;
-/// And an offset, grey levels. Chosen; no sweep is on record.
 const OFFSET_SIGMA: f64 = 40.0;
 /// A covariance is widened by at most this. Chosen; no sweep is on record.
 const INFLATION_MAX: f64 = 25.0;

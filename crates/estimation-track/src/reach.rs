@@ -7,13 +7,11 @@ use pb3dp_geometry::{Pose, StereoRig};
 use super::distinct::beyond_chance;
 use super::judge::Fit;
 
-/// A lost target is not believed to have gone farther than this. Chosen; no sweep is on record.
+/// A lost target is not believed to have gone farther than this, and this much per second more. Chosen; no sweep is on record.
 const REACH_M: f64 = 0.05;
-/// And this much per second more. Chosen; no sweep is on record.
 const SPEED_MAX_M_PER_S: f64 = 2.0;
-/// Nor to have turned by more than this. Chosen, 20 degrees; no sweep is on record.
+/// Nor to have turned by more than this, 20 degrees, and this much per second more. Chosen; no sweep is on record.
 const REACH_RAD: f64 = 0.35;
-/// And this much per second more. Chosen; no sweep is on record.
 const SPEED_MAX_RAD_PER_S: f64 = 6.0;
 /// Within this of where it is expected a target need not be seen more clearly than noise allows. Chosen; no sweep is on record.
 const NEAR_M: f64 = 0.02;

@@ -14,9 +14,9 @@ use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 use super::dense::{cholesky, log_determinant, solve_lower, solve_upper};
 use super::normal::{ALL, AllVector, Equations, PatchScore};
 
-/// Range of the variance of the difference between neighbours, pixels squared. Chosen; no sweep is on record.
+/// Range of the variance of the difference between neighbours, pixels squared, and the factor between those compared. Chosen; no sweep is
+/// on record.
 const ROUGHNESS: (f64, f64) = (1e-6, 1.0);
-/// The factor between those compared. Chosen; no sweep is on record.
 const ROUGHNESS_STEP: f64 = 2.0;
 /// Where the search begins. Chosen; no sweep is on record.
 const ROUGHNESS_START: f64 = 0.02;

@@ -9,9 +9,8 @@ use super::normal::Free;
 use super::relief::patches_of;
 use crate::kernels::Correlation;
 
-/// Step between candidate offsets, pixels of disparity. Chosen; no sweep is on record.
+/// Step between candidate offsets, pixels of disparity, and how many standard deviations they reach. Chosen; no sweep is on record.
 const STEP_PX: f64 = 0.5;
-/// How many standard deviations they reach. Chosen; no sweep is on record.
 const REACH_SIGMAS: f64 = 5.0;
 /// Levels whose points take part in the choice between candidates. Chosen; no sweep is on record.
 const LEVELS_USED: usize = 2;

@@ -39,9 +39,8 @@ const VARIANCE_SLACK: f32 = 3.0;
 const REFERENCE_RATE: f32 = 0.05;
 /// Least share of the model that must be visible. Chosen; no sweep is on record.
 const VISIBLE_MIN: f64 = 0.35;
-/// A fit is as good as noise allows from this share of the expected correlation on. Chosen; no sweep is on record.
+/// A fit is as good as noise allows from these shares of the expected correlation and of inliers on. Chosen; no sweep is on record.
 const WELL_CORRELATED: f64 = 0.96;
-/// And from this share of inliers on. Chosen; no sweep is on record.
 const WELL_FITTING: f64 = 0.88;
 /// Templates per frame while the target is lost. Chosen: with this and the next three a lost frame took less than 10 ms.
 const TEMPLATES_PER_FRAME: usize = 7;
@@ -51,9 +50,9 @@ const CANDIDATES: usize = 4;
 const ROUGH_STEPS: usize = 6;
 /// The correlation that such a look must reach. Chosen, see [`TEMPLATES_PER_FRAME`].
 const ROUGH_RESEMBLANCE_MIN: f64 = 0.5;
-/// A target and its twin are farther apart than this, metres. Chosen; no sweep is on record.
+/// A target and its twin are farther apart than this, metres, and one is nearer than the other by this factor. Chosen; no sweep is on
+/// record.
 const APART_M: f64 = 0.02;
-/// And one is clearly nearer than the other by this factor. Chosen; no sweep is on record.
 const CLEARLY_NEARER: f64 = 2.0;
 /// A target that is found again must fit by this much better than one that was never lost. Chosen; no sweep is on record.
 const FOUND_AGAIN_STRICTER: f64 = 1.25;

@@ -1,6 +1,6 @@
 //! On which levels the search runs: coarse where that decides, finer where it does not.
 
-use super::super::disparity_plane::DisparityPlane;
+use super::super::disparity_plane::{DisparityPlane, DisparityRange};
 use super::super::region_pyramid::LevelPlane;
 use super::ColdStart;
 
@@ -21,7 +21,7 @@ impl ColdStart {
     /// Searches from coarse to fine until a level decides: what the finest one may cost is spent only where it is needed.
     pub(super) fn search(
         &mut self,
-        disparity_px: (f64, f64),
+        disparity_px: DisparityRange,
         allowed: &impl Fn(&DisparityPlane) -> bool,
         may_continue: &mut dyn FnMut() -> bool,
     ) {
@@ -49,7 +49,7 @@ impl ColdStart {
     fn search_plain_level(
         &mut self,
         index: usize,
-        disparity_px: (f64, f64),
+        disparity_px: DisparityRange,
         allowed: &impl Fn(&DisparityPlane) -> bool,
     ) -> bool {
         let (centre, level) = (self.pyramid.centroid_px(), &self.pyramid.levels()[index]);
@@ -59,7 +59,7 @@ impl ColdStart {
             |share: f64, valid_share: f64| share >= ONE_PLANE_SHARE && share * valid_share >= ONE_PLANE_CLEAR;
         if !search.match_pixels(level, disparity_px, config, kernels)
             || !is_plain(1.0, search.valid_share)
-            || !search.has_plane(level, (config, ONE_PLANE_SHARE), is_allowed, kernels)
+            || !search.has_plane(level, config, ONE_PLANE_SHARE, is_allowed, kernels)
         {
             return false;
         }
@@ -73,7 +73,7 @@ impl ColdStart {
     }
 
     /// Finds and judges the candidates on one level.
-    fn search_level(&mut self, index: usize, disparity_px: (f64, f64), allowed: impl Fn(&DisparityPlane) -> bool) {
+    fn search_level(&mut self, index: usize, disparity_px: DisparityRange, allowed: impl Fn(&DisparityPlane) -> bool) {
         self.searched = index;
         self.surfaces.clear();
         let (centre, level) = (self.pyramid.centroid_px(), &self.pyramid.levels()[index]);

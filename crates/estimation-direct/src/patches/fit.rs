@@ -29,10 +29,10 @@ impl PatchVotes {
         self.weight.push(weight);
     }
 
-    /// Adds the votes of a row from pixel `first` on; those outside the region have no weight.
-    pub(super) fn extend_row(&mut self, first: (usize, usize), inside: &[u8], offset: &[f32], weight: &[f32]) {
-        self.x.extend((first.0..first.0 + inside.len()).map(|x| x as f32));
-        self.y.resize(self.x.len(), first.1 as f32);
+    /// Adds the votes of a row from pixel `(x, y)` on; those outside the region have no weight.
+    pub(super) fn extend_row(&mut self, x: usize, y: usize, inside: &[u8], offset: &[f32], weight: &[f32]) {
+        self.x.extend((x..x + inside.len()).map(|x| x as f32));
+        self.y.resize(self.x.len(), y as f32);
         self.offset.extend_from_slice(offset);
         self.weight.extend(inside.iter().zip(weight).map(|(inside, weight)| f32::from(*inside) * weight));
     }

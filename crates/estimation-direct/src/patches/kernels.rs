@@ -102,9 +102,8 @@ impl Rows {
         weigh(kernels, left, left_squared, gradient, texture, half, &mut self.weight);
     }
 
-    /// Says of every patch of the row whether its pixel is usable and supports the plane: a peak no farther than `limits.0`,
-    /// with a correlation of at least `limits.1`.
-    pub(super) fn judge(&mut self, limits: (f32, f32), kernels: Kernels) {
+    /// Says of every patch of the row whether its pixel is usable and supports the plane.
+    pub(super) fn judge(&mut self, limits: PeakLimits, kernels: Kernels) {
         judge(kernels, &self.offset, &self.correlation, &self.weight, limits, &mut self.verdict);
     }
 
@@ -113,31 +112,37 @@ impl Rows {
         spread_row(kernels, inside, &self.verdict, &self.correlation, &self.weight, support)
     }
 
-    /// Columns to the best agreement of every patch of the row; beyond the reach if it lies at its end.
-    pub(super) fn offsets(&self) -> &[f32] {
-        &self.offset
+    /// What the patches of the row say.
+    pub(super) fn peaks_found(&self) -> RowPeaks<'_> {
+        RowPeaks { offset: &self.offset, correlation: &self.correlation, weight: &self.weight }
     }
+}
 
-    /// Best agreement of every patch of the row.
-    pub(super) fn correlations(&self) -> &[f32] {
-        &self.correlation
-    }
+/// What the best agreement of a patch must keep: no farther away, and a correlation of at least.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PeakLimits {
+    pub shift_px: f32,
+    pub correlation: f32,
+}
 
-    /// How much every patch of the row counts; 0 without texture.
-    pub(super) fn weights(&self) -> &[f32] {
-        &self.weight
-    }
+/// What the patches of a row say: columns to the best agreement (beyond the reach if it lies at its end), that agreement, and
+/// how much each counts, 0 without texture.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct RowPeaks<'a> {
+    pub offset: &'a [f32],
+    pub correlation: &'a [f32],
+    pub weight: &'a [f32],
 }
 
 wide! {
-    fn judge(offset: &[f32], correlation: &[f32], weight: &[f32], limits: (f32, f32), verdict: &mut [u8]) = judge_kernel;
+    fn judge(offset: &[f32], correlation: &[f32], weight: &[f32], limits: PeakLimits, verdict: &mut [u8]) = judge_kernel;
 }
 
 #[inline(always)]
-fn judge_kernel(offset: &[f32], correlation: &[f32], weight: &[f32], limits: (f32, f32), verdict: &mut [u8]) {
+fn judge_kernel(offset: &[f32], correlation: &[f32], weight: &[f32], limits: PeakLimits, verdict: &mut [u8]) {
     let peaks = offset.iter().zip(correlation).zip(weight);
     for (verdict, ((offset, correlation), weight)) in verdict.iter_mut().zip(peaks) {
-        let agrees = (offset.abs() <= limits.0) & (*correlation >= limits.1);
+        let agrees = (offset.abs() <= limits.shift_px) & (*correlation >= limits.correlation);
         let textured = if agrees { SUPPORTS | USABLE } else { 0 };
         *verdict = if *weight > 0.0 { textured } else { USABLE };
     }

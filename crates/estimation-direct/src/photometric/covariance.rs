@@ -15,8 +15,7 @@ use super::kernel::Unmodelled;
 
 /// Fewest large blocks that say something about long-range correlation. Chosen; no sweep is on record.
 const LARGE_BLOCKS_MIN: usize = 16;
-/// How often the excess of the large blocks over the small ones is taken to repeat. Chosen; no sweep is on record. With it a third of the
-/// NEES was 0.7 to 1.5 on ray-traced pairs.
+/// How often the excess of large blocks over small ones repeats. Chosen; on ray-traced pairs it gave a third of the NEES as 0.7 to 1.5.
 const DOUBLINGS: f64 = 2.0;
 /// Largest growth of the covariance per doubling. Chosen; no sweep is on record.
 const GROWTH_MAX: f64 = 3.0;

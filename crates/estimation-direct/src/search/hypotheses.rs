@@ -5,7 +5,7 @@
 //!
 //! All planes are counted on few points, and those that may be the best on more.
 
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_estimation_core::wide::{LANES, sum_lanes, wide};
@@ -132,7 +132,7 @@ impl HypothesisSearch {
         &mut self,
         points: &DisparityPoints,
         seeds: &[PlaneCoefficients],
-        size: (f64, f64),
+        size: Vector2<f64>,
         rules: &HypothesisRules,
         allowed: impl Fn(&PlaneCoefficients) -> bool,
         kernels: Kernels,
@@ -155,7 +155,7 @@ impl HypothesisSearch {
         &mut self,
         points: &DisparityPoints,
         seeds: &[PlaneCoefficients],
-        size: (f64, f64),
+        size: Vector2<f64>,
         rules: &HypothesisRules,
         allowed: &impl Fn(&PlaneCoefficients) -> bool,
         kernels: Kernels,
@@ -173,7 +173,7 @@ impl HypothesisSearch {
     pub fn best_share(
         &mut self,
         points: &DisparityPoints,
-        size: (f64, f64),
+        size: Vector2<f64>,
         rules: &HypothesisRules,
         allowed: impl Fn(&PlaneCoefficients) -> bool,
         kernels: Kernels,
@@ -190,7 +190,7 @@ impl HypothesisSearch {
     fn draw_planes(
         &mut self,
         points: &DisparityPoints,
-        size: (f64, f64),
+        size: Vector2<f64>,
         rules: &HypothesisRules,
         allowed: &impl Fn(&PlaneCoefficients) -> bool,
     ) {
@@ -226,7 +226,7 @@ impl HypothesisSearch {
     fn keep_best(
         &mut self,
         points: &DisparityPoints,
-        size: (f64, f64),
+        size: Vector2<f64>,
         rules: &HypothesisRules,
         allowed: &impl Fn(&PlaneCoefficients) -> bool,
         kernels: Kernels,
@@ -256,7 +256,7 @@ impl HypothesisSearch {
         self.kept.truncate(rules.kept);
     }
 
-    fn push_distinct(&mut self, candidate: Candidate, size: (f64, f64), distinct_px: f64) {
+    fn push_distinct(&mut self, candidate: Candidate, size: Vector2<f64>, distinct_px: f64) {
         match self.kept.iter_mut().find(|kept| difference(&kept.plane, &candidate.plane, size) < distinct_px) {
             Some(known) if candidate.share > known.share => *known = candidate,
             Some(_) => {}
@@ -324,11 +324,11 @@ fn take_every(points: &DisparityPoints, count: usize, out: &mut DisparityPoints)
 }
 
 /// The plane through three points of the cloud; `None` if they lie too close to a line.
-fn draw(points: &DisparityPoints, size: (f64, f64), rng: &mut SplitMix64) -> Option<PlaneCoefficients> {
+fn draw(points: &DisparityPoints, size: Vector2<f64>, rng: &mut SplitMix64) -> Option<PlaneCoefficients> {
     let [p, q, r] = std::array::from_fn(|_| points.point(rng.below(points.len() as u32) as usize));
     let (u, v) = (q - p, r - p);
     let area = u.x * v.y - u.y * v.x;
-    if area.abs() < 0.02 * size.0 * size.1 {
+    if area.abs() < 0.02 * size.x * size.y {
         return None;
     }
     let a = (u.z * v.y - u.y * v.z) / area;
@@ -337,9 +337,9 @@ fn draw(points: &DisparityPoints, size: (f64, f64), rng: &mut SplitMix64) -> Opt
 }
 
 /// Largest difference of two planes at the corners of the box, pixels.
-pub fn difference(p: &PlaneCoefficients, q: &PlaneCoefficients, (width, height): (f64, f64)) -> f64 {
+pub fn difference(p: &PlaneCoefficients, q: &PlaneCoefficients, size: Vector2<f64>) -> f64 {
     let d = p - q;
-    let corners = [(0.0, 0.0), (width, 0.0), (0.0, height), (width, height)];
+    let corners = [(0.0, 0.0), (size.x, 0.0), (0.0, size.y), (size.x, size.y)];
     corners.iter().map(|(x, y)| (d.x + d.y * x + d.z * y).abs()).fold(0.0, f64::max)
 }
 
@@ -412,6 +412,9 @@ fn normal_equations_kernel(x: &[f32], y: &[f32], d: &[f32], plane: [f32; 3], sca
 mod tests {
     use super::*;
 
+    /// Of the box of the points.
+    const SIZE: Vector2<f64> = Vector2::new(60.0, 40.0);
+
     /// Two thirds of the points on one plane, the rest on another, and some far off.
     fn two_planes() -> DisparityPoints {
         let mut points = DisparityPoints::default();
@@ -437,10 +440,10 @@ mod tests {
         let points = two_planes();
         for kernels in pb3dp_estimation_test_support::every_kernel() {
             let mut search = HypothesisSearch::default();
-            search.run(&points, &[], (60.0, 40.0), &RULES, |_| true, kernels);
+            search.run(&points, &[], SIZE, &RULES, |_| true, kernels);
             let expected = [Vector3::new(20.0, 0.05, -0.03), Vector3::new(11.0, -0.02, 0.04)];
             for (found, expected) in search.kept.iter().zip(expected) {
-                assert!(difference(&found.plane, &expected, (60.0, 40.0)) < 0.15, "{found:?}");
+                assert!(difference(&found.plane, &expected, SIZE) < 0.15, "{found:?}");
             }
             assert!(search.kept[0].share > 0.5 && search.kept[1].share < 0.35);
         }
@@ -450,22 +453,22 @@ mod tests {
     fn few_draws_tell_how_much_one_plane_explains() {
         let (points, rules) = (two_planes(), HypothesisRules { draws: 30, ..RULES });
         let mut search = HypothesisSearch::default();
-        search.run(&points, &[], (60.0, 40.0), &RULES, |_| true, Kernels::best());
+        search.run(&points, &[], SIZE, &RULES, |_| true, Kernels::best());
         let best = search.kept[0].share;
         for kernels in pb3dp_estimation_test_support::every_kernel() {
             let mut search = HypothesisSearch::default();
-            let share = search.best_share(&points, (60.0, 40.0), &rules, |_| true, kernels);
+            let share = search.best_share(&points, SIZE, &rules, |_| true, kernels);
             assert!((share - best).abs() < 0.01, "{share} of {best}");
-            let second = search.best_share(&points, (60.0, 40.0), &rules, |p| p.y < 0.0, kernels);
+            let second = search.best_share(&points, SIZE, &rules, |p| p.y < 0.0, kernels);
             assert!(second < 0.35 && second > 0.2, "{second}");
-            assert_eq!(search.best_share(&points, (60.0, 40.0), &rules, |_| false, kernels), 0.0);
+            assert_eq!(search.best_share(&points, SIZE, &rules, |_| false, kernels), 0.0);
         }
     }
 
     #[test]
     fn planes_that_are_not_allowed_are_not_found() {
         let mut search = HypothesisSearch::default();
-        search.run(&two_planes(), &[], (60.0, 40.0), &RULES, |p| p.y < 0.0, Kernels::best());
+        search.run(&two_planes(), &[], SIZE, &RULES, |p| p.y < 0.0, Kernels::best());
         assert!((search.kept[0].plane.x - 11.0).abs() < 0.2, "{:?}", search.kept[0]);
     }
 
@@ -474,7 +477,7 @@ mod tests {
         let mut points = DisparityPoints::default();
         points.finish();
         let mut search = HypothesisSearch::default();
-        search.run(&points, &[Vector3::new(5.0, 0.0, 0.0)], (60.0, 40.0), &RULES, |_| true, Kernels::best());
+        search.run(&points, &[Vector3::new(5.0, 0.0, 0.0)], SIZE, &RULES, |_| true, Kernels::best());
         assert_eq!(search.kept.iter().map(|c| c.share).collect::<Vec<_>>(), [0.0]);
     }
 }
