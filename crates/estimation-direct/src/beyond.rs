@@ -7,7 +7,7 @@
 
 use pb3dp_estimation_core::cpu::Kernels;
 
-use super::disparity_plane::DisparityPlane;
+use super::disparity_plane::{DisparityPlane, DisparityRange};
 use super::front_end::StereoFrontEnd;
 use super::patches::{PatchConfig, SlantedPatches};
 use super::region_pyramid::{PyramidSource, RegionPyramid};
@@ -15,13 +15,14 @@ use super::search::hypotheses::HypothesisRules;
 use super::search::{PlaneSearch, PlaneSearchConfig};
 use crate::outcome::{ColdStartOutcome, surface_score};
 
-/// The comparison runs on the first level on which the region has at most this many pixels.
+/// The comparison runs on the first level on which the region has at most this many pixels. Chosen: with it and [`DECISIVE_CORRELATION`] 22
+/// of 8064 random real rectangles in wrong ranges are sure and wrong, with 1600 px and without the latter 42.
 const AREA_MAX_PX: usize = 900;
-/// Planes whose disparity at the centroid is off the range by no more than this are not beyond it, pixels: what lies at an end
-/// of the range is told apart from what lies in it.
+/// Planes whose disparity at the centroid is off the range by no more than this are not beyond it, pixels: what lies at an end of the range
+/// is told apart from what lies in it. Chosen; no sweep is on record.
 const END_PX: f64 = 2.0;
 
-/// Most three-point planes that are drawn: what is looked for has most of the region.
+/// Most three-point planes that are drawn: what is looked for has most of the region. Chosen, a third of `direct.search.draws`.
 const DRAWS: usize = 100;
 
 /// Looks beyond ranges; keeps its buffers.
@@ -67,9 +68,10 @@ impl Beyond {
         let searched_px = source.disparity_px;
         let region = source.region.bbox()?;
         // From infinity to where the right picture ends.
-        let visible_px = (-front_end.geometry().disparity_offset_px, f64::from(region.x + region.width));
+        let lowest = -front_end.geometry().disparity_offset_px;
+        let visible_px = DisparityRange { lowest, highest: f64::from(region.x + region.width) };
         let wide = PyramidSource { disparity_px: visible_px, search_area_px: AREA_MAX_PX, ..*source };
-        if visible_px.0 >= visible_px.1 || !self.pyramid.update(front_end, &wide) {
+        if visible_px.lowest >= visible_px.highest || !self.pyramid.update(front_end, &wide) {
             return None;
         }
         let (centre, level) = (self.pyramid.centroid_px(), &self.pyramid.levels()[0]);
@@ -86,7 +88,7 @@ impl Beyond {
             let score = surface_score(&found, self.search.valid_share * share);
             let full = level.full_plane(&found.plane, centre);
             let d0_px = full.d0_px;
-            if d0_px < searched_px.0 - END_PX || d0_px > searched_px.1 + END_PX {
+            if d0_px < searched_px.lowest - END_PX || d0_px > searched_px.highest + END_PX {
                 if beyond.is_none_or(|(_, best)| score > best) {
                     beyond = Some((full, score));
                 }
@@ -98,8 +100,9 @@ impl Beyond {
     }
 }
 
-/// A surface with this score and these correlations has no need of a comparison.
+/// A surface with this score and [`DECISIVE_CORRELATION`] needs no comparison. Chosen: without any, 587 of these 8064 are sure and wrong.
 const DECISIVE_SCORE: f64 = 1.2;
+/// Correlations that it needs. Chosen: 81 of 1513 right answers in right ranges lose their `ok`, without it and with 1600 px 71.
 const DECISIVE_CORRELATION: f64 = 0.9;
 
 /// Whether an answer leaves doubts. What only resembles the target may correlate well on the coarse level that was searched;

@@ -10,7 +10,7 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
 
 use super::beyond::{Beyond, BeyondRange, is_doubtful};
-use super::disparity_plane::DisparityPlane;
+use super::disparity_plane::{DisparityPlane, DisparityRange};
 use super::front_end::StereoFrontEnd;
 use super::patches::{PatchConfig, PatchOutcome, SUPPORTS, SlantedPatches};
 use super::photometric::{PlaneRefiner, RefineConfig, RefinedPlane};
@@ -108,10 +108,11 @@ fn validate_refine(refine: &RefineConfig) -> Result<(), EstimationError> {
     check_range("direct.refine.blur_sigma_px2", blur, (0.0, 5.0), "must be between 0 and 5 squared pixels")
 }
 
-/// What the calibration of real rigs leaves of disparity, pixels: on real pairs with known truth, covariances without it are
-/// too small. Where the calibration is exact, as on rendered pairs, it is to be set to what is right there.
+/// What the calibration of real rigs leaves of disparity, pixels: on real pairs with known truth, covariances without it are too small.
+/// Where the calibration is exact, as on rendered pairs, it is to be set to what is right there. Chosen; no sweep is on record.
 const CALIBRATION_SIGMA_PX: f64 = 0.03;
-/// Lenses, focus and the demosaicing of colours make edges of real pairs differ by this much, squared pixels.
+/// Lenses, focus and the demosaicing of colours make edges of real pairs differ by this much, squared pixels. Chosen: with this and the
+/// slope of rows 22 of 116 sure rectangles of 30 to 50 px on chessboards are off by more than 5 degrees, without 49 of 166.
 const BLUR_SIGMA_PX2: f64 = 0.2;
 
 /// A candidate on the finest level.
@@ -181,7 +182,8 @@ impl ColdStart {
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Option<ColdStartOutcome> {
         let allowed = |plane: &DisparityPlane| {
-            let within = plane.d0_px >= source.disparity_px.0 - 1.0 && plane.d0_px <= source.disparity_px.1 + 1.0;
+            let within =
+                plane.d0_px >= source.disparity_px.lowest - 1.0 && plane.d0_px <= source.disparity_px.highest + 1.0;
             within && is_tilt_allowed(plane)
         };
         self.surfaces.clear();
@@ -286,7 +288,8 @@ impl ColdStart {
         let found = self.search.widest(
             level,
             seeds.map(|plane| level.level_plane(plane)),
-            (&self.config.search, tolerance_px),
+            &self.config.search,
+            tolerance_px,
             |plane| allowed(&level.full_plane(plane, centre)),
             self.kernels,
         )?;
@@ -302,19 +305,19 @@ impl ColdStart {
     /// The plane that explains the most clear disparities, whatever its depth and tilt, with its share of the region.
     fn unlimited(&mut self) -> Option<(DisparityPlane, f64)> {
         let (centre, level) = (self.pyramid.centroid_px(), &self.pyramid.levels()[self.searched]);
-        let rules = (&self.config.search, self.config.search.hypotheses.tolerance_px);
-        let found = self.search.widest(level, std::iter::empty(), rules, |_| true, self.kernels)?;
+        let (none, config) = (std::iter::empty(), &self.config.search);
+        let found = self.search.widest(level, none, config, config.hypotheses.tolerance_px, |_| true, self.kernels)?;
         Some((level.full_plane(&found.plane, centre), found.share * self.search.valid_share))
     }
 
     /// The period of the region's texture, if a plane that is off by it would lie outside the searched disparities.
-    fn repeats_px(&mut self, plane: &DisparityPlane, searched_px: (f64, f64), infinity_px: f64) -> Option<f64> {
+    fn repeats_px(&mut self, plane: &DisparityPlane, searched_px: DisparityRange, infinity_px: f64) -> Option<f64> {
         let level = &self.pyramid.levels()[self.searched];
         let scale = level.scale as f64;
         let own_px = plane.at(&self.pyramid.centroid_px());
         // Nearer than this the right picture does not show the middle of the region.
-        let nearest_px = searched_px.1.min(self.pyramid.centroid_px().x);
-        let leaves_px = (own_px - searched_px.0).min(nearest_px - own_px).max(0.0);
+        let nearest_px = searched_px.highest.min(self.pyramid.centroid_px().x);
+        let leaves_px = (own_px - searched_px.lowest).min(nearest_px - own_px).max(0.0);
         let places = (own_px / scale, infinity_px / scale);
         Some(scale * self.repetition.period_px(level, &level.level_plane(plane), places, leaves_px / scale)?)
     }
@@ -372,7 +375,7 @@ impl ColdStart {
         loop {
             let outcome = self.look_twice(index, &mut plane, centre);
             if index == finest || !may_continue() {
-                let (plane, patches) = self.closest(index, (plane, outcome), centre);
+                let (plane, patches) = self.closest(index, plane, outcome, centre);
                 return Descent { plane, patches, level: index };
             }
             index -= 1;
@@ -383,17 +386,18 @@ impl ColdStart {
     fn closest(
         &mut self,
         index: usize,
-        found: (DisparityPlane, PatchOutcome),
+        plane: DisparityPlane,
+        outcome: PatchOutcome,
         centre: Vector2<f64>,
     ) -> (DisparityPlane, PatchOutcome) {
-        let Some(closest) = self.patches.closest_plane(self.kernels) else { return found };
-        let mut plane = self.pyramid.levels()[index].full_plane(&closest, centre);
-        let outcome = self.look_twice(index, &mut plane, centre);
-        if support_of(&outcome) >= support_of(&found.1) {
-            return (plane, outcome);
+        let Some(closest) = self.patches.closest_plane(self.kernels) else { return (plane, outcome) };
+        let mut other = self.pyramid.levels()[index].full_plane(&closest, centre);
+        let look = self.look_twice(index, &mut other, centre);
+        if support_of(&look) >= support_of(&outcome) {
+            return (other, look);
         }
-        self.look(index, &found.0);
-        found
+        self.look(index, &plane);
+        (plane, outcome)
     }
 
     /// Looks at the patches around a plane, and puts it right; once more if that has moved it.
@@ -464,28 +468,29 @@ impl ColdStart {
     }
 }
 
-/// A plane with more support than this has its outline in its place, and is no alias.
+/// A plane with more support than this has its outline in its place, and is no alias. Chosen, see `repetition::REPEATS_MIN`.
 const WHOLE_SUPPORT_MIN: f64 = 0.7;
-/// With less support than this, the region may be no plane.
+/// With less support than this, the region may be no plane. Chosen: of 85 such regions 46 % of true disparities are met, 38 % without.
 const PLANE_SUPPORT_MIN: f64 = 0.5;
-/// If what agrees with a plane correlates less, noise may be why the rest does not.
+/// If what agrees with a plane correlates less, noise may be why the rest does not. Chosen; no sweep is on record.
 const PLANE_CORRELATION_MIN: f64 = 0.8;
-/// Disparities this near to a plane are explained by it, pixels; and at least, pixels of the level that was searched.
+/// Disparities this near to a plane are explained by it, pixels. Chosen: the measure of the benchmark of real regions that are no plane.
 const WIDEST_PX: f64 = 1.0;
+/// And at least so near, pixels of the level that was searched. Chosen; no sweep is on record.
 const WIDEST_LEVEL_PX_MIN: f64 = 0.5;
-/// It replaces a refined plane that is off by more at a corner of the region's box, pixels.
+/// It replaces a refined plane that is off by more at a corner of the region's box, pixels. Chosen; no sweep is on record.
 const WIDEST_APART_PX: f64 = 0.5;
-/// Clear disparities speak for the region if at least this share of its pixels has one.
+/// Clear disparities speak for the region if this share of its pixels has one. With 0.5 one real case across a depth edge is lost.
 const WIDEST_VALID_MIN: f64 = 0.6;
-/// If half of the tolerance holds less than this share of what the whole holds, disparities lie spread around the plane; evenly
-/// spread ones give one half, those of a plane nearly one.
+/// If half of the tolerance holds less than this share of what the whole holds, disparities lie spread around the plane; evenly spread ones
+/// give one half, those of a plane nearly one. Chosen between these.
 const SPREAD_NEAR_MAX: f64 = 0.6;
-/// A rival that shares more than this of its pixels with the first is another explanation of the same surface.
+/// A rival that shares more than this of its pixels with the first explains the same surface otherwise. Chosen; no sweep is on record.
 const OVERLAP_OF_ALIAS: f64 = 0.5;
-/// What the patches say of a plane holds for another that differs by no more than this at the corners of the region's box,
-/// pixels of the level: the top of a correlation is flat.
+/// What the patches say of a plane holds for another that differs by no more than this at the corners of the region's box, pixels of the
+/// level: the top of a correlation is flat. Chosen; no sweep is on record.
 const SETTLED_PX: f64 = 0.1;
-/// Candidates whose score is at least this share of the best one's are nearly as good.
+/// Candidates whose score is at least this share of the best one's are nearly as good. Chosen; no sweep is on record.
 const NEARLY_EQUAL: f64 = 0.9;
-/// A second surface has at least this share of the region for itself.
+/// A second surface has at least this share of the region for itself. Chosen; no sweep is on record.
 const OWN_SHARE_MIN: f64 = 0.08;

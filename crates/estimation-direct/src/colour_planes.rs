@@ -10,14 +10,14 @@ use pb3dp_estimation_core::wide::{LANES, wide};
 
 use super::image_plane::{ImagePlane, PixelWindow};
 
-/// Rows of the turn from RGB to (Y, A, B').
+/// Rows of the turn from RGB to (Y, A, B'), at right angles: (1, 1, 1) / sqrt 3, (2, -1, -1) / sqrt 6 and (0, 1, -1) / sqrt 2.
 pub const OPPONENT_FROM_RGB: [[f32; 3]; 3] = [
     [0.577_350_26, 0.577_350_26, 0.577_350_26],
     [0.816_496_6, -0.408_248_3, -0.408_248_3],
     [0.0, std::f32::consts::FRAC_1_SQRT_2, -std::f32::consts::FRAC_1_SQRT_2],
 ];
 
-/// A pixel with a channel at or above this may be cut off by the sensor.
+/// A pixel with a channel at or above this may be cut off by the sensor. Chosen, one below the end of the range.
 pub const SATURATED_FROM: u8 = 254;
 
 /// Which channels are wanted.

@@ -53,6 +53,15 @@ impl RectifiedGeometry {
     }
 }
 
+/// Disparities that are searched, in rectified pixels of the full image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DisparityRange {
+    /// That of the farthest depth.
+    pub lowest: f64,
+    /// That of the nearest depth.
+    pub highest: f64,
+}
+
 /// Disparity `d(u, v) = d0 + du (u - u0) + dv (v - v0)` in rectified pixels of the full image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DisparityPlane {

@@ -13,7 +13,7 @@ use pb3dp_geometry::StereoRig;
 
 use super::cold_start::{ColdStart, ColdStartConfig};
 use super::colour_planes::Wanted;
-use super::disparity_plane::{DisparityPlane, RectifiedGeometry, inverse_depth_from_disparity};
+use super::disparity_plane::{DisparityPlane, DisparityRange, RectifiedGeometry, inverse_depth_from_disparity};
 use super::front_end::StereoFrontEnd;
 use super::patches::PatchOutcome;
 use super::region_pyramid::PyramidSource;
@@ -181,7 +181,7 @@ impl DirectEstimator {
         estimate.plane_covariance = spread.map(|spread| spread.covariance);
         let second = |rival: &Rival| Some(SecondPlane { pose: view.pose(&rival.plane)?, share: rival.own_share });
         estimate.second_plane = outcome.second.as_ref().and_then(second);
-        let (farthest_px, nearest_px) = disparity_range(view, range);
+        let DisparityRange { lowest: farthest_px, highest: nearest_px } = disparity_range(view, range);
         if plane.d0_px < farthest_px + END_OF_RANGE_PX || plane.d0_px > nearest_px - END_OF_RANGE_PX {
             estimate.warnings.push(EstimateWarning::EndOfRange { z_mm: 1000.0 * pose.z_m });
             if estimate.status.depth_is_sure() {
@@ -282,8 +282,7 @@ impl EstimationMethod for DirectEstimator {
     }
 }
 
-/// Rows that are further off than this tell of a calibration that does not hold, pixels: those of real rigs are off by up to
-/// half a pixel.
+/// Rows that are further off than this tell of a calibration that does not hold, pixels. Chosen: those of real rigs stay below 0.6.
 const ROWS_OFF_MAX_PX: f64 = 1.5;
 
 /// Whether both pictures are one; two that show nothing, each of one colour, may well be equal.
@@ -305,7 +304,7 @@ fn objection(
     // From this disparity on, the middle of the region is out of the right picture.
     let leaves_px = centre_px.x;
     let correlation = outcome.finest.mean_correlation;
-    if source.disparity_px.1 > leaves_px && correlation < UNSEEN_CORRELATION_MIN {
+    if source.disparity_px.highest > leaves_px && correlation < UNSEEN_CORRELATION_MIN {
         let nearest = view.pose(&DisparityPlane { centre_px, d0_px: leaves_px, slope: Vector2::zeros() })?;
         return Some(may_be_unseen(nearest.z_m, correlation));
     }
@@ -314,23 +313,24 @@ fn objection(
     (found.score_ratio > score_max).then(|| lies_beyond(z_m, found.score_ratio))
 }
 
-/// An answer so near to an end of the depth range is warned of, pixels of disparity: the search sees hardly less beyond it.
+/// An answer so near to an end of the range is warned of, pixels: the search sees hardly less beyond. Chosen; no sweep is on record.
 const END_OF_RANGE_PX: f64 = 0.5;
 
-/// The patches agree with a plane as well as with their own if support times correlation is worse by no more than this.
+/// Patches agree with a plane as with their own if support times correlation is worse by at most this. Chosen; no sweep is on record.
 const AGREEMENT_TOLERANCE: f64 = 0.005;
-/// The planes are the same to the patches if they differ by no more than this at the border of the region, pixels.
+/// Planes are the same to patches if they differ by no more at the region's border, pixels. Chosen; no sweep is on record.
 const PATCH_PRECISION_PX: f64 = 0.25;
-/// Patches compare rows as they are: with rows farther off than this they are wrong themselves, pixels.
+/// Patches compare rows as they are: with rows farther off than this they are wrong themselves, pixels. Chosen; no sweep is on record.
 const PATCH_ROWS_PX: f64 = 0.2;
 
-/// Of two planes that err on their own, equally far, the variance of each is this share of their squared difference.
+/// Of two planes that err on their own, equally far, each has half of the variance of their difference, which is the sum of both.
 const EQUAL_ERRORS: f64 = 0.5;
 
-/// Planes much nearer than this at the border of the region, pixels, differ by noise, which moves the patches more than the
-/// refined plane. With half of it the errors on rendered grey targets grow by a quarter.
+/// Planes much nearer than this at the border of the region, pixels, differ by noise, which moves the patches more than the refined plane.
+/// Fitted on rendered grey and crab targets: errors are 1.01 to 1.08 times those of the refined plane, with half of it 1.10 to 1.39; of
+/// real windows of 28 to 40 px half of it lets 243 of 288 pass, this 241.
 const PATCH_SIGMA_PX: f64 = 0.2;
-/// Where patches correlate less, noise moves them further than the refinement.
+/// Where patches correlate less, noise moves them further than the refinement. Chosen; no sweep is on record.
 const CLEAR_CORRELATION_MIN: f64 = 0.9;
 
 /// The plane of an outcome with the covariance of `(d0, du, dv)`: between the refined plane, if the refinement came to rest near
@@ -399,21 +399,21 @@ fn steeper(outcome: &ColdStartOutcome, view: &RawView, range: &SearchRange) -> O
         .then_some(Steeper { tilt_deg: tilt_rad.to_degrees(), share })
 }
 
-/// A plane that is steeper than allowed is named if it explains so many times as many pixels.
+/// A plane that is steeper than allowed is named if it explains so many times as many pixels. Chosen; no sweep is on record.
 const STEEPER_GAIN_MIN: f64 = 1.5;
 
 /// Disparities of the ends of a depth range on the centroid's ray, lowest first.
-fn disparity_range(view: &RawView, range: &SearchRange) -> (f64, f64) {
+fn disparity_range(view: &RawView, range: &SearchRange) -> DisparityRange {
     let depth_factor = (view.turn.transpose() * view.ray).z;
     let at = |z_m: f64| view.geometry.disparity_px(z_m * depth_factor);
-    (at(range.z_max_m), at(range.z_min_m))
+    DisparityRange { lowest: at(range.z_max_m), highest: at(range.z_min_m) }
 }
 
 /// Root mean square angle between the middle of a half-sphere and normals spread evenly over it, `sqrt(pi - 2)`, radians: a
 /// normal that faces the camera can not be known worse.
 const ANY_NORMAL_RAD: f64 = 1.0684;
 
-/// An answer is tilted beyond the range if it exceeds the limit by so many standard deviations.
+/// An answer is tilted beyond the range if it exceeds the limit by so many standard deviations. Chosen: 95 % of normal errors.
 const TILT_SIGMAS: f64 = 2.0;
 
 /// Uncertainty of a plane in `cam_left`.

@@ -5,10 +5,10 @@ use pb3dp_estimation_core::wide::{LANES, wide};
 
 use super::image_plane::ImagePlane;
 
-/// Most weights of a smoothing kernel on either side of its centre.
+/// Most weights of a smoothing kernel on either side of its centre. Chosen; no sweep is on record.
 pub const RADIUS_MAX: usize = 15;
 
-/// Weights of the spline's prefilter beyond this are below a thousandth, and smoothing makes them smaller.
+/// Weights of the spline's prefilter beyond this are below a thousandth (sqrt 3 (2 - sqrt 3)^6 = 0.0006), and smoothing makes them smaller.
 const SPLINE_RADIUS: usize = 5;
 
 /// A row of weights that sum up to 1, the same on both sides of their centre.
@@ -72,7 +72,8 @@ impl Smoother {
     pub fn smooth_pixels(
         &mut self,
         source: &PixelRows<'_>,
-        (rows, columns): (&Taps, &Taps),
+        rows: &Taps,
+        columns: &Taps,
         middle: &[f32],
         out: &mut [ImagePlane],
         kernels: Kernels,
@@ -288,7 +289,7 @@ mod tests {
         let mut first: Option<[ImagePlane; N]> = None;
         for kernels in pb3dp_estimation_test_support::every_kernel() {
             let mut out = std::array::from_fn(|_| ImagePlane::default());
-            Smoother::default().smooth_pixels(&source, (&along, &across), &middle, &mut out, kernels);
+            Smoother::default().smooth_pixels(&source, &along, &across, &middle, &mut out, kernels);
             for (c, out) in out.iter().enumerate() {
                 for (x, y) in (0..width).flat_map(|x| (edge..height - edge).map(move |y| (x, y))) {
                     let expected = plain_sum(|u, v| value(u, v, c), size, (&along, &across), (x, y));

@@ -12,6 +12,7 @@ pub mod estimator;
 mod filters;
 pub mod front_end;
 pub mod image_plane;
+mod named_sums;
 pub mod outcome;
 pub mod patches;
 pub mod photometric;

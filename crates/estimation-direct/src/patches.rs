@@ -15,19 +15,20 @@ use pb3dp_estimation_core::wide::{LANES, sum_lanes, wide};
 
 use self::closest::Sampled;
 use self::fit::{PatchVotes, fit_votes};
+use self::kernels::{PeakLimits, Tally};
 use super::colour_planes::ColourPlanes;
 use super::region_pyramid::{LevelPlane, RegionLevel, is_seen};
 use super::search::volume::LevelBox;
 
-/// Pixels from the centre of a patch to its side.
+/// Pixels from the centre of a patch to its side. Chosen: other sizes brought nothing to the prototype of ADR 7 on 256 real regions.
 pub const RADIUS: usize = 7;
 /// Side of a patch.
 pub(super) const SIDE: usize = 2 * RADIUS + 1;
-/// Most columns that a patch is shifted by.
+/// Most columns that a patch is shifted by. Chosen; no sweep is on record.
 pub const REACH_MAX: usize = 3;
 /// Number of pixels of a patch.
 pub(super) const PATCH_PX: f32 = (SIDE * SIDE) as f32;
-/// Patches are looked at around the pixels of every so manieth row: the next rows have nearly the same patches.
+/// Patches are looked at around the pixels of every so manieth row. Chosen for time: as many real cases pass as with every row.
 const ROW_STEP: usize = 2;
 
 /// Bit of [`RegionLevel::support`]: the pixel may be used, as far as its patch can tell.
@@ -149,24 +150,24 @@ impl SlantedPatches {
         area: &LevelBox,
         row: usize,
         config: &PatchConfig,
-        tally: &mut Tally,
+        tally: &mut Tally<f64>,
         kernels: Kernels,
     ) {
         let (stride, first) = (level.left.window.width, area.x + RADIUS);
         let (count, end) = (area.width - 2 * RADIUS, area.y + area.height - RADIUS);
-        let limits = (config.support_px as f32, config.correlation_min as f32);
+        let limits = PeakLimits { shift_px: config.support_px as f32, correlation: config.correlation_min as f32 };
         self.rows.judge(limits, kernels);
         for row_here in row..(row + ROW_STEP).min(end) {
             let range = row_here * stride + first..row_here * stride + first + count;
             let (inside, support) = (&level.region[range.clone()], &mut level.support[range]);
-            tally.add(&self.rows.spread_row(inside, support, kernels));
+            *tally += self.rows.spread_row(inside, support, kernels);
         }
         let inside = &level.region[row * stride + first..][..count];
-        self.votes.extend_row((first, row), inside, self.rows.offsets(), self.rows.weights());
+        let peaks = self.rows.peaks_found();
+        self.votes.extend_row(first, row, inside, peaks.offset, peaks.weight);
         if self.sampled.takes_row(row - area.y - RADIUS) {
-            let patches = (self.rows.offsets(), self.rows.weights(), self.rows.correlations());
-            let limits = (config.reach.clamp(1, REACH_MAX) as f32, limits.1);
-            self.sampled.take_row((first, row), inside, patches, limits);
+            let limits = PeakLimits { shift_px: config.reach.clamp(1, REACH_MAX) as f32, ..limits };
+            self.sampled.take_row(first, row, inside, peaks, limits);
         }
     }
 
@@ -237,16 +238,16 @@ fn warp_row(
     let first_x = area.x as f64 - reach as f64;
     let start = (first_x - (plane.c + plane.a * first_x + plane.b * y_left)) as f32;
     let step = (1.0 - plane.a) as f32;
-    warp_places(kernels, source, (start, step), mean, out);
+    warp_places(kernels, source, start, step, mean, out);
 }
 
 wide! {
-    fn warp_places(source: &[f32], places: (f32, f32), mean: f32, out: &mut [f32]) = warp_places_kernel;
+    fn warp_places(source: &[f32], start: f32, step: f32, mean: f32, out: &mut [f32]) = warp_places_kernel;
 }
 
 /// Values at the places `start`, `start + step`, ... less the mean.
 #[inline(always)]
-fn warp_places_kernel(source: &[f32], (start, step): (f32, f32), mean: f32, out: &mut [f32]) {
+fn warp_places_kernel(source: &[f32], start: f32, step: f32, mean: f32, out: &mut [f32]) {
     // Over a group, places drift by less than a pixel from one column per column.
     match (step - 1.0).abs() {
         drift if drift < 1.0 / 16.0 => warp_groups::<16>(source, start, step, mean, out),
@@ -352,22 +353,7 @@ fn keep_unseen_pixels(level: &mut RegionLevel, area: &LevelBox) {
     }
 }
 
-/// Counts of pixels of the region.
-#[derive(Clone, Copy, Debug, Default)]
-struct Tally {
-    textured: f64,
-    supporting: f64,
-    correlation: f64,
-}
-
-impl Tally {
-    /// Adds a row: its textured pixels, its supporting ones, and their correlations.
-    fn add(&mut self, row: &[f32; 3]) {
-        self.textured += f64::from(row[0]);
-        self.supporting += f64::from(row[1]);
-        self.correlation += f64::from(row[2]);
-    }
-
+impl Tally<f64> {
     fn outcome(&self, area_px: usize, plane: LevelPlane) -> PatchOutcome {
         PatchOutcome {
             plane,

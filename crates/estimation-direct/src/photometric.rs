@@ -19,7 +19,7 @@ use covariance::BlockPulls;
 use kernel::{CHANNELS_MAX, ChannelState, PointSet, Shade, Sums, Thinning, Warp};
 use nalgebra::{Matrix3, Vector2, Vector4};
 use pb3dp_estimation_core::cpu::Kernels;
-use points::{RightRows, Selection};
+use points::{RightRows, Rims, Selection};
 use prepare::{EyeChannels, Pair, Preparation, Wish, inside, reach_px, rows_of};
 use sharpness::Sharpness;
 use solve::{Normal, bounded_step, reliability, tukey_limit, tukey_moments};
@@ -30,42 +30,41 @@ use super::front_end::StereoFrontEnd;
 use super::image_plane::PixelWindow;
 use super::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
 
-/// Fewest points that are refined.
+/// Fewest points that are refined. Chosen; no sweep is on record.
 const POINTS_MIN: usize = 40;
-/// Tukey's limit of a single residual starts no lower, grey levels.
+/// Tukey's limit of a residual starts no lower, grey levels. Chosen: in the prototype of ADR 7 a start at 4 failed with unequal gains.
 const START_LIMIT_GREY: f64 = 15.0;
-/// The border is judged at this step on the finest level.
+/// The border is judged at this step on the finest level. Chosen; no sweep is on record.
 const BORDER_JUDGED_AT: usize = 2;
-/// The border is judged if it and the rest have this many points.
+/// The border is judged if it and the rest have this many points. Chosen; no sweep is on record.
 const BORDER_POINTS_MIN: f64 = 200.0;
-/// The border is bad if its points have less than this of the weight of others, or more than this of their squared
-/// residuals.
+/// The border is bad with less than this of the weight of others, or more than that of their squares. Chosen; no sweep is on record.
 const BORDER_WEIGHT_MIN: f64 = 0.9;
 const BORDER_SQUARES_MAX: f64 = 1.25;
-/// The plane has converged if the last step moved no point of the region further, pixels of the level.
+/// The plane has converged if the last step moved no point of the region further, pixels of the level. Chosen; no sweep is on record.
 const SETTLED_PX: f64 = 0.03;
-/// The first steps are taken on every so manieth group of points, as long as that many points are left,
+/// First steps take every so manieth group of points, while that many points are left. Chosen: the real cases pass as without.
 const THINNING_MAX: usize = 4;
 const THINNED_POINTS: usize = 1200;
-/// and until a step moves no point of the region further than this, pixels of the level.
+/// That ends when a step moves no point of the region further than this, pixels of the level. Chosen; no sweep is on record.
 const THINNED_TO_PX: f64 = 0.1;
-/// A step of so many standard deviations, by the noise of single pixels alone, is small enough.
+/// A step of so many standard deviations, by single pixels' noise, is small enough. Chosen: real cases pass as with steps of 0.006 px.
 const SIGMAS_LEFT: f64 = 0.1;
-/// The channels are made anew at most so often.
+/// The channels are made anew at most so often. Chosen; no sweep is on record.
 const PASSES_MAX: usize = 4;
-/// Rows are moved if they are off by this, pixels: less is linear.
+/// Rows are moved if they are off by this, pixels: less is linear. Chosen; no sweep is on record.
 const ROWS_MOVED_FROM_PX: f64 = 0.1;
-/// The sharper eye is smoothed if the variances of both eyes' blur differ by this, squared pixels of the level.
+/// The sharper eye is smoothed if the variances of blur differ by this, squared pixels of the level. Chosen; no sweep is on record.
 const BLUR_EVENED_FROM_PX2: f64 = 0.3;
-/// Noise may make so much of the squared gradients of texture; more, and both eyes are smoothed more.
+/// Noise may make so much of the squared gradients of texture; more, and both eyes are smoothed more. Chosen; no sweep is on record.
 const NOISE_SHARE_MAX: f64 = 0.5;
-/// The smoothing is chosen so that noise makes this share.
+/// The smoothing is chosen so that noise makes this share. Chosen; no sweep is on record.
 const NOISE_SHARE: f64 = 0.3;
-/// Largest smoothing, pixels of the level.
+/// Largest smoothing, pixels of the level. Chosen; no sweep is on record.
 const SMOOTHING_MAX_PX: f64 = 1.6;
-/// So many standard deviations of the blur beyond a common one, the background is mixed into the region's border.
+/// So many standard deviations of the blur that differs, the background is mixed into the border. Chosen; no sweep is on record.
 const MIXED_SIGMAS: f64 = 2.0;
-/// Residuals are never taken to be better than this, grey levels.
+/// Residuals are never taken to be better than this, grey levels. Chosen; rounding alone leaves 1 / sqrt(12) = 0.29.
 const SIGMA_MIN_GREY: f64 = 0.3;
 
 /// Parameters of the refinement.
@@ -192,7 +191,7 @@ impl Progress {
 #[derive(Clone, Copy, Debug)]
 struct Made {
     scale: usize,
-    rims: (usize, usize),
+    rims: Rims,
     /// The box of the marked pixels and their number.
     marked: (PixelWindow, usize),
     wish: Wish,
@@ -293,7 +292,7 @@ impl PlaneRefiner {
             .channel
             .iter()
             .take(prepared.channels)
-            .fold((0.0, 0.0), |(texture, all), s| (texture + s[20], all + s[0]));
+            .fold((0.0, 0.0), |(texture, all), s| (texture + s.products.gs, all + s.products.gg));
         let noise_share = (all - texture) / texture.max(0.02 * all);
         if noise_share <= NOISE_SHARE_MAX {
             progress.first = Some(states);
@@ -324,8 +323,8 @@ impl PlaneRefiner {
         let mixed_px = MIXED_SIGMAS * progress.blur_px2.abs().sqrt();
         let rim = |px: f64, share: f64| (px / scale + mixed_px).min(share * side_px).round() as usize;
         let c = &self.config;
-        let rims = (rim(c.erosion_min_px, 0.5 * c.erosion_share_max), rim(c.erosion_max_px, c.erosion_share_max));
-        let rims = (rims.0, rims.1.max(rims.0));
+        let outer = rim(c.erosion_min_px, 0.5 * c.erosion_share_max);
+        let rims = Rims { outer, inner: rim(c.erosion_max_px, c.erosion_share_max).max(outer) };
         let known = self.made.filter(|made| (made.scale, made.rims) == (level.scale, rims));
         let (bounds, count) = match known {
             Some(made) => made.marked,
@@ -373,7 +372,7 @@ impl PlaneRefiner {
             half: Vector2::new(bounds.width as f64, bounds.height as f64) / 2.0,
             column_shift: -f64::from(right_part.x),
             row_applied: row_px / scale,
-            has_border: rims.1 > rims.0,
+            has_border: rims.inner > rims.outer,
             thinning: Thinning { step: (count / THINNED_POINTS).clamp(1, THINNING_MAX) },
             count,
         })
@@ -472,7 +471,7 @@ impl PlaneRefiner {
     /// Leaves the border of the region out if it agrees worse than the rest: there the background shines in when a camera
     /// is out of focus.
     fn drop_bad_border(&mut self, warp: &Warp, all: Sums) -> Sums {
-        let squares = |sums: &Sums| sums.channel.iter().take(warp.channels).map(|s| s[21]).sum::<f64>();
+        let squares = |sums: &Sums| sums.channel.iter().take(warp.channels).map(|s| s.products.rr).sum::<f64>();
         let inner = &all.inner;
         let border_seen = all.seen - inner.seen;
         let (border_weight, border_squares) = (all.weight - inner.weight, squares(&all) - inner.squares);
@@ -510,8 +509,8 @@ impl PlaneRefiner {
     ) {
         let squared = tukey_moments(channels).square;
         for c in 0..channels {
-            let s = &sums.channel[c];
-            let ratio = if s[29] > 0.0 { s[21] / (squared * s[29]) } else { 1.0 };
+            let s = &sums.channel[c].products;
+            let ratio = if s.usable > 0.0 { s.rr / (squared * s.usable) } else { 1.0 };
             states[c].variance = (states[c].variance * ratio.clamp(0.1, 2.0)).max(SIGMA_MIN_GREY.powi(2));
             weights[c] = reliability(s);
         }

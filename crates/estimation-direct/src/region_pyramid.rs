@@ -12,7 +12,7 @@ use pb3dp_estimation_core::region::{PixelBox, RegionMask};
 use pb3dp_estimation_core::wide::wide;
 
 use super::colour_planes::{ColourPlanes, UNSEEN, Wanted};
-use super::disparity_plane::DisparityPlane;
+use super::disparity_plane::{DisparityPlane, DisparityRange};
 use super::front_end::{Eye, StereoFrontEnd};
 use super::image_plane::PixelWindow;
 use super::reach;
@@ -20,11 +20,11 @@ use super::row_shift::shift_rows;
 use crate::front_end::halve_eye;
 use pb3dp_estimation_core::row_offset::RowOffset;
 
-/// Most levels of a pyramid.
+/// Most levels of a pyramid. Chosen; no sweep is on record.
 pub const LEVELS_MAX: usize = 6;
-/// A level is halved if its part of the region has more pixels than this.
+/// A level is halved if its part of the region has more pixels than this. Chosen; no sweep is on record.
 const HALVED_FROM_PX: usize = 600;
-/// Pixels of the search level that the windows reach over the region: half a patch and a filter.
+/// Pixels of the search level that the windows reach over the region: half a patch, 7 px, and 3 px for a filter.
 const MARGIN_PX: u32 = 10;
 /// Pixels that the windows reach over a small region, whose surroundings may help.
 const SURROUNDINGS_PX: u32 = (reach::REACH_MAX_PX + reach::MARGIN_PX) as u32;
@@ -39,7 +39,7 @@ pub struct PyramidSource<'a> {
     /// The region in the rectified left image.
     pub region: &'a RegionMask,
     /// Disparities that the right window must hold, pixels: lowest and highest.
-    pub disparity_px: (f64, f64),
+    pub disparity_px: DisparityRange,
     /// What is known of the rows.
     pub rows: RowOffset,
     /// Which channels.
@@ -227,7 +227,7 @@ impl RegionPyramid {
         let (left, right) = (i64::from(b.x) - margin, i64::from(b.x + b.width) - 1 + margin);
         let (y, height) = span(i64::from(b.y) - margin, i64::from(b.y + b.height) - 1 + margin, rows);
         let (x, width) = span(left, right, size.width);
-        let (low, high) = (source.disparity_px.0.floor() as i64, source.disparity_px.1.ceil() as i64);
+        let (low, high) = (source.disparity_px.lowest.floor() as i64, source.disparity_px.highest.ceil() as i64);
         let (x_right, width_right) = span(left - high, right - low, front_end.size(Eye::Right).width);
         [PixelWindow { x, y, width, height }, PixelWindow { x: x_right, y, width: width_right, height }]
     }
@@ -381,7 +381,7 @@ mod tests {
             left: &ramp(0.0),
             right: &ramp(offset),
             region: &region,
-            disparity_px: (5.0, 40.0),
+            disparity_px: DisparityRange { lowest: 5.0, highest: 40.0 },
             rows,
             wanted: Wanted::Luminance,
             search_area_px: 2000,

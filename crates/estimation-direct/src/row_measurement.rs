@@ -11,28 +11,29 @@ use pb3dp_estimation_core::region::RegionMask;
 use pb3dp_estimation_core::wide::wide;
 
 use super::colour_planes::Wanted;
+use super::disparity_plane::DisparityRange;
 use super::front_end::{Eye, StereoFrontEnd};
 use super::image_plane::ImagePlane;
 use super::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
 use pb3dp_estimation_core::row_offset::{RowMeasurement, RowOffset};
 
-/// Level of the exhaustive search.
+/// Level of the exhaustive search. Chosen; no sweep is on record.
 const COARSE: usize = 2;
-/// Pixels of the coarse level between points.
+/// Pixels of the coarse level between points. Chosen; no sweep is on record.
 const SPACING: usize = 4;
-/// Pixels from a point to the side of its patch.
+/// Pixels from a point to the side of its patch. Chosen; no sweep is on record.
 const RADIUS: usize = 4;
 const SIDE: usize = 2 * RADIUS + 1;
 const PATCH: usize = SIDE * SIDE;
-/// Lowest correlation of a match, coarse and fine.
+/// Lowest correlation of a match, coarse and fine. Chosen; no sweep is on record.
 const CORRELATION_MIN: [f64; 2] = [0.75, 0.85];
-/// The best place must be better by this than any that is not its neighbour.
+/// The best place must be better by this than any that is not its neighbour. Chosen; no sweep is on record.
 const MARGIN_MIN: f64 = 0.05;
-/// Smallest root mean square of the gradient along rows and along columns, luminance per pixel.
+/// Smallest root mean square of the gradient along rows and along columns, luminance per pixel. Chosen; no sweep is on record.
 const GRADIENT_MIN: f64 = 3.0;
-/// Fewest matches for an affine offset; from a quarter of that on a constant is fitted.
+/// Fewest matches for an affine offset; from a quarter of that on a constant is fitted. Chosen; no sweep is on record.
 const MATCHES_MIN: usize = 60;
-/// Rows farther off than this are not matched, pixels.
+/// Rows farther off than this are not matched, pixels. Chosen; no sweep is on record.
 const OFFSET_MAX_PX: f64 = 6.0;
 
 /// One point found again: right pixel, and its row minus the left row.
@@ -54,7 +55,7 @@ pub(super) fn measure_rows(front_end: &StereoFrontEnd, left: &RgbImage, right: &
         left,
         right,
         region: &whole,
-        disparity_px: (-0.1 * width, 0.5 * width),
+        disparity_px: DisparityRange { lowest: -0.1 * width, highest: 0.5 * width },
         rows: RowOffset::default(),
         wanted: Wanted::Luminance,
         search_area_px: usize::MAX,
@@ -70,24 +71,23 @@ pub(super) fn measure_rows(front_end: &StereoFrontEnd, left: &RgbImage, right: &
     let mut matches = Vec::new();
     for y in (margin..rows.saturating_sub(margin)).step_by(SPACING) {
         for x in (margin..columns.saturating_sub(margin)).step_by(SPACING) {
-            matches.extend(find_again(pyramid.levels(), &mut search, (x, y)));
+            matches.extend(find_again(pyramid.levels(), &mut search, Vector2::new(x as i64, y as i64)));
         }
     }
     fit(&matches)
 }
 
-fn find_again(levels: &[RegionLevel], search: &mut CoarseSearch<'_>, (x, y): (usize, usize)) -> Option<RowMatch> {
-    let patch = Patch::take(levels[COARSE].left.luminance(), x as i64, y as i64)?;
+fn find_again(levels: &[RegionLevel], search: &mut CoarseSearch<'_>, point: Vector2<i64>) -> Option<RowMatch> {
+    let patch = Patch::take(levels[COARSE].left.luminance(), point)?;
     if !patch.has_texture {
         return None;
     }
-    let mut place = search.find(&patch, y as i64)?;
-    let mut at = (x as i64, y as i64);
+    let mut place = search.find(&patch, point.y)?;
+    let mut at = point;
     for level in levels[..COARSE].iter().rev() {
-        at = (2 * at.0, 2 * at.1);
-        let patch = Patch::take(level.left.luminance(), at.0, at.1)?;
-        let (x0, y0) = (2 * place.0, 2 * place.1);
-        let around = (-2..=2).flat_map(|dy| (-2..=2).map(move |dx| (x0 + dx, y0 + dy)));
+        at *= 2;
+        let patch = Patch::take(level.left.luminance(), at)?;
+        let around = (-2..=2).flat_map(|dy| (-2..=2).map(move |dx| 2 * place + Vector2::new(dx, dy)));
         let scored = around.filter_map(|p| Some((patch.correlation_at(level.right.luminance(), p)?, p)));
         let (best, found) = scored.max_by(|a, b| a.0.total_cmp(&b.0))?;
         if f64::from(best) < CORRELATION_MIN[1] {
@@ -99,8 +99,8 @@ fn find_again(levels: &[RegionLevel], search: &mut CoarseSearch<'_>, (x, y): (us
     let shift = refine(left, right, at, place)?;
     let window = levels[0].right.window;
     let right_px =
-        Vector2::new(place.0 as f64 + shift.x + f64::from(window.x), place.1 as f64 + shift.y + f64::from(window.y));
-    let offset_px = right_px.y - (at.1 as f64 + f64::from(levels[0].left.window.y));
+        Vector2::new(place.x as f64 + shift.x + f64::from(window.x), place.y as f64 + shift.y + f64::from(window.y));
+    let offset_px = right_px.y - (at.y as f64 + f64::from(levels[0].left.window.y));
     (offset_px.abs() <= OFFSET_MAX_PX).then_some(RowMatch { right_px, offset_px })
 }
 
@@ -129,7 +129,7 @@ impl<'a> CoarseSearch<'a> {
     }
 
     /// The best place of a patch on its row and the rows beside it, if it is clearly the best.
-    fn find(&mut self, patch: &Patch, y: i64) -> Option<(i64, i64)> {
+    fn find(&mut self, patch: &Patch, y: i64) -> Option<Vector2<i64>> {
         let mut best = (f32::NEG_INFINITY, (0, 0));
         for (scores, row) in self.scores.iter_mut().zip(y - 1..=y + 1) {
             scores.clear();
@@ -151,7 +151,7 @@ impl<'a> CoarseSearch<'a> {
         });
         let rival = others.fold(f32::NEG_INFINITY, |a, &b| a.max(b));
         let is_clear = f64::from(highest) >= CORRELATION_MIN[0] && f64::from(highest - rival) >= MARGIN_MIN;
-        is_clear.then_some((column as i64 + RADIUS as i64, row))
+        is_clear.then(|| Vector2::new(column as i64 + RADIUS as i64, row))
     }
 }
 
@@ -214,7 +214,8 @@ struct Patch {
 }
 
 impl Patch {
-    fn take(plane: &ImagePlane, x: i64, y: i64) -> Option<Self> {
+    fn take(plane: &ImagePlane, place: Vector2<i64>) -> Option<Self> {
+        let (x, y) = (place.x, place.y);
         let r = RADIUS as i64;
         if x < r || y < r || x + r >= plane.width() as i64 || y + r >= plane.height() as i64 {
             return None;
@@ -244,7 +245,8 @@ impl Patch {
     }
 
     /// Correlation with the patch of another plane around a place; `None` where that has no patch or it is uniform.
-    fn correlation_at(&self, plane: &ImagePlane, (x, y): (i64, i64)) -> Option<f32> {
+    fn correlation_at(&self, plane: &ImagePlane, place: Vector2<i64>) -> Option<f32> {
+        let (x, y) = (place.x, place.y);
         let r = RADIUS as i64;
         if x < r || y < r || x + r >= plane.width() as i64 || y + r >= plane.height() as i64 {
             return None;
@@ -267,12 +269,12 @@ impl Patch {
     }
 }
 
-/// Steps of the fit between pixels.
+/// Steps of the fit between pixels. Chosen; no sweep is on record.
 const STEPS: usize = 5;
 
 /// Lucas and Kanade around a match: what is to be added to the right place, pixels. `None` if it runs away.
-fn refine(left: &ImagePlane, right: &ImagePlane, at: (i64, i64), place: (i64, i64)) -> Option<Vector2<f64>> {
-    let template = Patch::take(left, at.0, at.1)?;
+fn refine(left: &ImagePlane, right: &ImagePlane, at: Vector2<i64>, place: Vector2<i64>) -> Option<Vector2<f64>> {
+    let template = Patch::take(left, at)?;
     let mut shift = Vector2::zeros();
     for step in 0..STEPS {
         let sampled = sample(right, place, &shift)?;
@@ -300,10 +302,10 @@ fn refine(left: &ImagePlane, right: &ImagePlane, at: (i64, i64), place: (i64, i6
 }
 
 /// A patch of the right image at a fraction of a pixel, normalised.
-fn sample(right: &ImagePlane, place: (i64, i64), shift: &Vector2<f64>) -> Option<[f64; PATCH]> {
+fn sample(right: &ImagePlane, place: Vector2<i64>, shift: &Vector2<f64>) -> Option<[f64; PATCH]> {
     let floor = shift.map(f64::floor);
     let (a, b) = (shift.x - floor.x, shift.y - floor.y);
-    let first = (place.0 - RADIUS as i64 + floor.x as i64, place.1 - RADIUS as i64 + floor.y as i64);
+    let first = (place.x - RADIUS as i64 + floor.x as i64, place.y - RADIUS as i64 + floor.y as i64);
     let (x, y) = (usize::try_from(first.0).ok()?, usize::try_from(first.1).ok()?);
     if x + SIDE >= right.width() || y + SIDE >= right.height() {
         return None;

@@ -26,7 +26,7 @@ pub(super) fn shift_rows(source: &ColourPlanes, rows: &RowOffset, kernels: Kerne
         let first = y as f64 + rows.at(&centre);
         let sources = source.planes.each_ref().map(ImagePlane::values);
         let out_rows = out.planes.each_mut().map(|plane| if plane.width() > 0 { plane.row_mut(y) } else { &mut [] });
-        shift_row(kernels, sources, (window.width, window.height), (first, step), out_rows);
+        shift_row(kernels, sources, window.width, window.height, first, step, out_rows);
         let blocks = window.width.div_ceil(BLOCK);
         let ends = [first, first + step * blocks.saturating_sub(1) as f64].map(f64::round);
         let flags = &mut out.flags[y * window.width..][..window.width];
@@ -50,14 +50,16 @@ pub(super) fn shift_rows(source: &ColourPlanes, rows: &RowOffset, kernels: Kerne
 wide! {
     /// One row of all planes, whose blocks lie at the fractional rows `first`, `first + step`, ...; rows beyond the border
     /// repeat the border.
-    fn shift_row(sources: [&[f32]; 3], size: (usize, usize), places: (f64, f64), out: [&mut [f32]; 3]) = shift_row_kernel;
+    fn shift_row(sources: [&[f32]; 3], width: usize, height: usize, first: f64, step: f64, out: [&mut [f32]; 3]) = shift_row_kernel;
 }
 
 #[inline(always)]
 fn shift_row_kernel(
     sources: [&[f32]; 3],
-    (width, height): (usize, usize),
-    (first, step): (f64, f64),
+    width: usize,
+    height: usize,
+    first: f64,
+    step: f64,
     mut out: [&mut [f32]; 3],
 ) {
     let last = height as i64 - 1;

@@ -4,7 +4,9 @@ pub mod aggregate;
 pub mod hypotheses;
 pub mod volume;
 
-use nalgebra::Vector3;
+use std::ops::RangeInclusive;
+
+use nalgebra::{Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
 use pb3dp_estimation_core::wide::wide;
@@ -14,11 +16,12 @@ use self::hypotheses::{
     Candidate, DisparityPoints, HypothesisRules, HypothesisSearch, PlaneCoefficients, inlier_share,
 };
 use self::volume::{COST_NEUTRAL, CostVolume, LevelBox};
+use super::disparity_plane::DisparityRange;
 use super::region_pyramid::{LevelPlane, RegionLevel};
 
-/// Pixels around the region's box that take part in the aggregation.
+/// Pixels around the region's box that take part in the aggregation. Chosen; no sweep is on record.
 const MARGIN: usize = 2;
-/// A plane moved along the rows is looked at if the region agrees with it at least so well, compared to the best.
+/// A plane moved along the rows is looked at if the region agrees with it by this share of the best. Chosen; no sweep is on record.
 const ALIAS_SHARE: f64 = 0.5;
 
 /// Parameters of the search.
@@ -94,7 +97,7 @@ impl PlaneSearch {
     pub fn run(
         &mut self,
         level: &RegionLevel,
-        range_px: (f64, f64),
+        range_px: DisparityRange,
         config: &PlaneSearchConfig,
         allowed: impl Fn(&LevelPlane) -> bool,
         kernels: Kernels,
@@ -108,7 +111,7 @@ impl PlaneSearch {
     pub fn match_pixels(
         &mut self,
         level: &RegionLevel,
-        range_px: (f64, f64),
+        range_px: DisparityRange,
         config: &PlaneSearchConfig,
         kernels: Kernels,
     ) -> bool {
@@ -116,8 +119,8 @@ impl PlaneSearch {
         let scale = level.scale as f64;
         self.candidates.clear();
         self.valid_share = 0.0;
-        let range = ((range_px.0 / scale).floor() as i32, (range_px.1 / scale).ceil() as i32);
-        let Some(range) = visible(level, range) else { return false };
+        let range = (range_px.lowest / scale).floor() as i32..=(range_px.highest / scale).ceil() as i32;
+        let Some(range) = visible(level, &range) else { return false };
         self.volume.compute(level, area, range, config.noise as f32, kernels);
         self.aggregation.run(&self.volume, config.penalties, config.winner, kernels);
         self.collect(level, area);
@@ -129,11 +132,12 @@ impl PlaneSearch {
     pub fn has_plane(
         &mut self,
         level: &RegionLevel,
-        (config, share): (&PlaneSearchConfig, f64),
+        config: &PlaneSearchConfig,
+        share: f64,
         allowed: impl Fn(&LevelPlane) -> bool,
         kernels: Kernels,
     ) -> bool {
-        let size = (self.volume.area.width as f64, self.volume.area.height as f64);
+        let size = Vector2::new(self.volume.area.width as f64, self.volume.area.height as f64);
         // Of three points all lie on it with this probability.
         let misses = 1e-6_f64.ln() / (1.0 - share.powi(3)).max(1e-9).ln();
         let rules =
@@ -152,7 +156,7 @@ impl PlaneSearch {
     ) {
         let area = self.volume.area;
         self.make_seeds(level, area, kernels);
-        let size = (area.width as f64, area.height as f64);
+        let size = Vector2::new(area.width as f64, area.height as f64);
         self.hypotheses.run(
             &self.points,
             &self.seeds,
@@ -180,13 +184,14 @@ impl PlaneSearch {
         &mut self,
         level: &RegionLevel,
         seeds: impl Iterator<Item = LevelPlane>,
-        (config, tolerance_px): (&PlaneSearchConfig, f64),
+        config: &PlaneSearchConfig,
+        tolerance_px: f64,
         allowed: impl Fn(&LevelPlane) -> bool,
         kernels: Kernels,
     ) -> Option<PlaneCandidate> {
         self.seeds.clear();
         self.seeds.extend(seeds.map(|plane| coefficients(&self.volume, level, &plane)));
-        let size = (self.volume.area.width as f64, self.volume.area.height as f64);
+        let size = Vector2::new(self.volume.area.width as f64, self.volume.area.height as f64);
         let rules = HypothesisRules { tolerance_px, ..config.hypotheses };
         let allowed = |p: &PlaneCoefficients| allowed(&level_plane(&self.volume, level, p));
         self.hypotheses.run_once(&self.points, &self.seeds, size, &rules, &allowed, kernels);
@@ -209,8 +214,8 @@ impl PlaneSearch {
         for y in 0..area.height {
             let inside = &level.region[(area.y + y) * level.left.window.width + area.x..][..area.width];
             let costs = &self.volume.costs[y * area.width * stride..][..area.width * stride];
-            let start = (p.x + p.z * y as f32, p.y);
-            add_swept(kernels, costs, inside, (stride, count), start, &mut self.row_sums, &mut self.column);
+            let line = DisparityLine { start: p.x + p.z * y as f32, step: p.y };
+            add_swept(kernels, costs, inside, stride, count, line, &mut self.row_sums, &mut self.column);
         }
         let own = (count - 1..=count + 1).map(|i| self.column[i]).max().unwrap_or(0);
         for sum in &mut self.column[count - 1..=count + 1] {
@@ -276,7 +281,7 @@ fn coefficients(volume: &CostVolume, level: &RegionLevel, plane: &LevelPlane) ->
     Vector3::new(at_corner - f64::from(volume.first) + f64::from(level.column_shift()), plane.a, plane.b)
 }
 
-/// Pixels whose agreement is summed up in 16 bits.
+/// Pixels whose agreement is summed up in 16 bits: 512 times 126, twice [`COST_NEUTRAL`], is below 65536.
 const SUMMED_PX: usize = 512;
 
 wide! {
@@ -299,18 +304,26 @@ fn add_agreement_kernel(costs: &[u8], inside: &[u8], stride: usize, sums: &mut V
     }
 }
 
+/// Disparities of a plane along a row: `start + step x`, steps of the volume.
+#[derive(Clone, Copy, Debug)]
+struct DisparityLine {
+    start: f32,
+    step: f32,
+}
+
 wide! {
-    fn add_swept(costs: &[u8], inside: &[u8], shape: (usize, usize), start: (f32, f32), sums: &mut Vec<u16>,
+    fn add_swept(costs: &[u8], inside: &[u8], stride: usize, count: usize, line: DisparityLine, sums: &mut Vec<u16>,
         column: &mut [u32]) = add_swept_kernel;
 }
 
-/// The same, each pixel from the disparity that a plane has there, `start.0 + start.1 x`: `count` before to `count` after.
+/// The same, each pixel from the disparity that a plane has there: `count` before to `count` after.
 #[inline(always)]
 fn add_swept_kernel(
     costs: &[u8],
     inside: &[u8],
-    (stride, count): (usize, usize),
-    start: (f32, f32),
+    stride: usize,
+    count: usize,
+    line: DisparityLine,
     sums: &mut Vec<u16>,
     column: &mut [u32],
 ) {
@@ -318,7 +331,7 @@ fn add_swept_kernel(
         sums.clear();
         sums.resize(2 * count + 1, 0);
         for (x, (costs, inside)) in costs.chunks_exact(stride).zip(inside).enumerate() {
-            let at = start.0 + start.1 * (part * SUMMED_PX + x) as f32 + 0.5;
+            let at = line.start + line.step * (part * SUMMED_PX + x) as f32 + 0.5;
             if *inside != 0 && at >= 0.0 && at < count as f32 {
                 for (sum, cost) in sums[count - at as usize..].iter_mut().zip(&costs[..count]) {
                     *sum += u16::from(COST_NEUTRAL.saturating_sub(*cost));
@@ -379,10 +392,10 @@ pub(super) fn ends_of(row: &[u8]) -> Option<(usize, usize)> {
 
 /// The disparities of a range, and one more at either end, at which the right window shows some of the left one; `None` if
 /// there are none. A calibration that fits nothing must not ask for more than the images have.
-fn visible(level: &RegionLevel, range: (i32, i32)) -> Option<(i32, i32)> {
+fn visible(level: &RegionLevel, range: &RangeInclusive<i32>) -> Option<RangeInclusive<i32>> {
     let (left, right) = (&level.left.window, &level.right.window);
     let lowest = left.x.saturating_sub(right.x.saturating_add(right.width as i32));
     let highest = left.x.saturating_add(left.width as i32).saturating_sub(right.x);
-    let (first, last) = (range.0.saturating_sub(1).max(lowest), range.1.saturating_add(1).min(highest));
-    (first <= last).then_some((first, last))
+    let seen = range.start().saturating_sub(1).max(lowest)..=range.end().saturating_add(1).min(highest);
+    (!seen.is_empty()).then_some(seen)
 }

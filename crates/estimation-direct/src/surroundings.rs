@@ -19,29 +19,30 @@ use super::photometric::RefinedPlane;
 use super::region_pyramid::{LevelPlane, RegionLevel};
 use crate::reach::REACH_MAX_PX;
 
-/// A normal with a smaller standard deviation needs no help, radians (1 degree).
+/// A normal with a smaller standard deviation needs no help, radians (1 degree). Chosen; no sweep is on record. With the surroundings as
+/// they are chosen here 116 of 128 and 124 of 160 real windows of 28 to 40 px pass, without 113 and 122.
 const NORMAL_SIGMA_RAD: f64 = 0.0175;
-/// Side of a tile, pixels.
+/// Side of a tile, pixels. Chosen; no sweep is on record.
 const TILE: usize = 4;
-/// Fewest pixels of a tile that are asked.
+/// Fewest pixels of a tile that are asked. Chosen; no sweep is on record.
 const TILE_PX_MIN: f64 = 48.0;
-/// Lowest correlation of a tile that serves.
+/// Lowest correlation of a tile that serves. Chosen; no sweep is on record.
 const CORRELATION_MIN: f64 = 0.8;
-/// A tile's shift is no larger than so many standard deviations of what is expected, and than this, pixels.
+/// A tile's shift is no larger than so many standard deviations of what is expected. Chosen: 95 % of normal errors.
 const SIGMAS_MAX: f64 = 2.0;
+/// Nor is it larger than this, pixels. Chosen; no sweep is on record.
 const SHIFT_MAX_PX: f64 = 0.3;
-/// Standard deviation of a tile's shift that is no noise of pixels (interpolation, shading, relief), pixels.
+/// Standard deviation of a tile's shift that is no noise of pixels (interpolation, shading, relief), pixels. Chosen; no sweep is on record.
 const SYSTEMATIC_SIGMA_PX: f64 = 0.05;
-/// A tile whose shift is known no better than this says nothing, pixels.
+/// A tile whose shift is known no better than this says nothing, pixels. Chosen; no sweep is on record.
 const TILE_SIGMA_MAX_PX: f64 = 0.3;
-/// Residuals of a tile are not taken to be better than this, grey levels.
+/// Residuals of a tile are not taken to be better than this, grey levels. Chosen; no sweep is on record.
 const NOISE_MIN_GREY: f64 = 1.0;
 /// Parameters of a tile's fit: shift, gain, offset.
 const FITTED: f64 = 3.0;
-/// Largest squared distance of the new plane from the region's own, in standard deviations of the latter: 95 % of the
-/// chi-squared distribution of three degrees of freedom.
+/// Largest squared distance of the new plane from the own one, in standard deviations of that: 95 % of chi-squared of three.
 const DISTANCE_MAX: f64 = 7.81;
-/// The slopes' variance must shrink to this.
+/// The slopes' variance must shrink to this. Chosen; no sweep is on record.
 const SHRINKAGE_MAX: f64 = 0.7;
 
 /// Finds what goes on around a region; keeps its buffers.
@@ -91,7 +92,7 @@ impl Surroundings {
         }
         self.tiles.clear();
         for (row, column) in (0..rows).flat_map(|row| (0..columns).map(move |column| (row, column))) {
-            let tile = self.ask(level, refined, (column, row), columns);
+            let tile = self.ask(level, refined, column, row, columns);
             self.tiles.push(tile);
         }
         self.connect(columns, rows);
@@ -147,7 +148,7 @@ impl Surroundings {
     }
 
     /// Judges a tile by its own pixels and those of the tiles around it.
-    fn ask(&self, level: &RegionLevel, refined: &RefinedPlane, (column, row): (usize, usize), columns: usize) -> Tile {
+    fn ask(&self, level: &RegionLevel, refined: &RefinedPlane, column: usize, row: usize, columns: usize) -> Tile {
         let own = &self.sums[row * columns + column];
         if own.own > own.pixels / 2 {
             return Tile::Serves;

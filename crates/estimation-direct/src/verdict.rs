@@ -90,8 +90,8 @@ pub(super) fn lies_beyond(z_m: Option<f64>, score_ratio: f64) -> String {
     )
 }
 
-/// Where some of the searched depths are out of the right picture's sight, the patches that agree must correlate so well: a
-/// texture that resembles itself correlates less with another part of it.
+/// Where some of the searched depths are out of the right picture's sight, the patches that agree must correlate so well: a texture that
+/// resembles itself correlates less with another part of it. Chosen; no sweep is on record.
 pub(super) const UNSEEN_CORRELATION_MIN: f64 = 0.75;
 
 /// What is said where the region may be at a depth nearer than `z_m`, at which the right picture does not show it.
@@ -128,10 +128,10 @@ fn cause(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdict
     "it is not flat, or shows several surfaces: mark a part that is flat".to_owned()
 }
 
-/// If no plane explains this share of the region, the range, the calibration or the pictures are to blame and not the surface.
+/// If no plane explains this share of the region, range, calibration or pictures are to blame. Chosen; no sweep is on record.
 const ANY_SHARE_MIN: f64 = 0.1;
 
-/// Too little of a region has texture if its share is smaller than this.
+/// Too little of a region has texture if its share is smaller than this. Chosen; no sweep is on record.
 const TEXTURED_MIN: f64 = 0.3;
 
 /// What is said where too little of the region has texture or agrees with the plane.

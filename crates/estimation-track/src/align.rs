@@ -7,30 +7,30 @@ use pb3dp_geometry::{Pose, StereoRig};
 
 use super::images::{EyeImages, LEVELS};
 use super::kernels::{
-    self, CHANNELS, CameraRows, GroupScore, NormalSums, PATCH, PairWeights, Photometry, ROW, ResidualGroup,
-    ResidualSums, SHAPE, SeenGroup, TERMS, ViewGroup,
+    self, CHANNELS, CameraRows, GroupScore, NormalSums, PATCH, PATCH_OWN, PATCH_RESIDUAL, PairWeights, Photometry, ROW,
+    ResidualGroup, ResidualSums, SHAPE, SeenGroup, TERMS, ViewGroup,
 };
 use super::normal::{Free, NormalEquations, PatchScore, Prior, Step, Unknowns, UnknownsMatrix};
 use super::surface::Surface;
 use super::view::View;
 use crate::kernels::Correlation;
 
-/// Variance that residuals start with before anything is known, grey levels squared: small starts reject everything where
-/// the cameras differ in gain.
+/// Variance that residuals start with before anything is known, grey levels squared: small starts reject everything where the cameras
+/// differ in gain. Chosen, 40 squared; no sweep is on record.
 const VARIANCE_START: f32 = 1600.0;
-/// Smallest variance, grey levels squared: below, quantisation counts.
+/// Smallest variance, grey levels squared: below, quantisation counts (1/12 for each of two images). Chosen; no sweep is on record.
 const VARIANCE_MIN: f32 = 0.5;
-/// What the robust weights take off the variance of normal residuals.
+/// What the robust weights take off the variance of normal residuals. Chosen; by chi-squared of three it is 1.18 at `kernels::TUKEY`.
 const TUKEY_LOSS: f32 = 1.25;
-/// A level is done when a step moves the points by less, pixels of that level.
+/// A level is done when a step moves the points by less, pixels of that level. Chosen; no sweep is on record.
 const STEP_DONE_PX: [f64; LEVELS] = [0.012, 0.05, 0.1, 0.15];
-/// Rounds in which weights and variances find each other, in each step.
+/// Rounds in which weights and variances find each other, in each step. Chosen; no sweep is on record.
 const SCALE_ROUNDS: usize = 3;
-/// A view resembles the images from this correlation on, by level.
+/// A view resembles the images from this correlation on, by level. Chosen; no sweep is on record.
 const RESEMBLANCE_MIN: [f64; LEVELS] = [0.75, 0.7, 0.6, 0.0];
-/// Fewer points in sight than this determine nothing.
+/// Fewer points in sight than this determine nothing. Chosen; no sweep is on record.
 const POINTS_MIN: f32 = 24.0;
-/// Standard deviations of a motion between frames that is not believed in at all: metres and radians.
+/// Standard deviations of a motion between frames that is not believed in at all: metres and radians. Chosen; no sweep is on record.
 const MOTION_SIGMA: (f64, f64) = (0.1, 0.7);
 
 /// Everything that is carried from frame to frame.
@@ -321,9 +321,9 @@ impl Aligner {
     pub(super) fn patch_spread(&self) -> f64 {
         let (mut sum, mut weight) = (0.0, 0.0);
         for patch in &self.patches[..self.scores.len()] {
-            let own = f64::from(patch[PATCH - 2]);
+            let own = f64::from(patch[PATCH_OWN]);
             if own > 0.0 {
-                let mean = f64::from(patch[PATCH - 1]) / own;
+                let mean = f64::from(patch[PATCH_RESIDUAL]) / own;
                 sum += own * (mean * mean - 1.0 / own);
                 weight += own;
             }

@@ -5,9 +5,9 @@ use pb3dp_estimation_core::wide::LANES;
 use super::kernels::{CHANNELS, ViewGroup};
 use super::surface::SurfaceLevel;
 
-/// Points that are compared with each other, at most.
+/// Points that are compared with each other, at most. Chosen; no sweep is on record.
 const POINTS_MAX: usize = 1024;
-/// Classes of distance, over the extent of the target.
+/// Classes of distance, over the extent of the target. Chosen; no sweep is on record.
 const DISTANCES: usize = 64;
 /// What an alignment adapts: six of motion, gain and offset.
 const ADAPTED: f64 = 8.0;

@@ -6,7 +6,7 @@ use pb3dp_estimation_core::wide::wide;
 use pb3dp_estimation_direct::colour_planes::{OPPONENT_FROM_RGB, SATURATED_FROM};
 use pb3dp_estimation_direct::image_plane::PixelWindow;
 
-/// Levels of the pyramids: 1, 1/2, 1/4 and 1/8 of the resolution.
+/// Levels of the pyramids: 1, 1/2, 1/4 and 1/8 of the resolution. Chosen; no sweep is on record.
 pub(super) const LEVELS: usize = 4;
 
 /// Y, A, B' (see [`colour_planes`](pb3dp_estimation_direct::colour_planes)) and the share of saturated pixels.
@@ -216,7 +216,7 @@ fn halve_rgb_row_kernel(line: &[f32], out: &mut [Texel]) {
     }
 }
 
-/// A mean of pixels that is as bright as this has saturated pixels among them, or nearly.
+/// A mean of pixels that is as bright as this has saturated pixels among them, or nearly. Chosen; no sweep is on record.
 const SATURATED_MEAN: f32 = 250.0;
 
 #[inline(always)]

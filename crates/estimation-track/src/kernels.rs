@@ -18,8 +18,17 @@ pub(super) const TRIANGLE: usize = UNKNOWNS * (UNKNOWNS + 1) / 2;
 pub(super) const CHANNELS: usize = 3;
 /// Residuals per point and channel: kept view against left, kept view against right, left against right.
 pub(super) const TERMS: usize = 3;
+/// Gain and offset of the left and the right eye: places in a group of four.
+const GAIN: usize = 0;
+const OFFSET: usize = 1;
+const LEFT: usize = 0;
+const RIGHT: usize = 2;
 /// Numbers that the offset of a patch leaves: with every unknown, with gain and offset of both eyes, with itself, residual.
 pub(super) const PATCH: usize = UNKNOWNS + 6;
+/// Index of the first of the four with gains and offsets, of the offset with itself, and with the residual.
+pub(super) const PATCH_GAINS: usize = UNKNOWNS;
+pub(super) const PATCH_OWN: usize = UNKNOWNS + 4;
+pub(super) const PATCH_RESIDUAL: usize = UNKNOWNS + 5;
 
 /// A group of points of the surface, in `model`.
 #[derive(Clone, Copy, Debug, Default)]
@@ -156,7 +165,7 @@ fn correlate_kernel(
     view: &[ViewGroup],
     residuals: Option<&[ResidualGroup]>,
 ) -> [Correlation; 2] {
-    let mut sums = [[[Lanes::ZERO; 5]; CHANNELS]; 2];
+    let mut sums = [[MomentSums::<Lanes>::default(); CHANNELS]; 2];
     let mut counts = [Lanes::ZERO; 2];
     for (index, (seen, view)) in seen.iter().zip(view).enumerate() {
         for eye in 0..2 {
@@ -169,17 +178,17 @@ fn correlate_kernel(
                 let (a, b) = (view.value[c], seen[eye].value[c]);
                 let (wa, wb) = (weight * a, weight * b);
                 let sums = &mut sums[eye][c];
-                sums[0] += wa;
-                sums[1] += wb;
-                sums[2] = sums[2].plus(wa, a);
-                sums[3] = sums[3].plus(wb, b);
-                sums[4] = sums[4].plus(wa, b);
+                sums.view += wa;
+                sums.image += wb;
+                sums.view_squared = sums.view_squared.plus(wa, a);
+                sums.image_squared = sums.image_squared.plus(wb, b);
+                sums.product = sums.product.plus(wa, b);
             }
         }
     }
-    std::array::from_fn(|eye| {
-        let sums = std::array::from_fn(|c| std::array::from_fn(|i| f64::from(sums[eye][c][i].sum())));
-        Correlation::of_sums(f64::from(counts[eye].sum()), sums)
+    std::array::from_fn(|eye| Correlation {
+        count: f64::from(counts[eye].sum()),
+        sums: sums[eye].map(|sums| sums.folded()),
     })
 }
 
@@ -237,16 +246,15 @@ fn project_kernel(
         let inverse_z = z.max(1e-3).reciprocal();
         let x = (Lanes::splat(camera[3]) + dot(&r0, &group.point)) * inverse_z;
         let y = (Lanes::splat(camera[7]) + dot(&r1, &group.point)) * inverse_z;
-        let (dx, dy) = (x - lens[0], y - lens[1]);
+        let [x0, y0, u, v, u_by_x, u_by_y, v_by_x, v_by_y] = *lens;
+        let (dx, dy) = (x - x0, y - y0);
         let out = &mut seen[eye];
-        out.pixel = [
-            lens[2].plus(lens[4], dx).plus(lens[5], dy),
-            (lens[3] + Lanes::splat(row_offset)).plus(lens[6], dx).plus(lens[7], dy),
-        ];
+        out.pixel =
+            [u.plus(u_by_x, dx).plus(u_by_y, dy), (v + Lanes::splat(row_offset)).plus(v_by_x, dx).plus(v_by_y, dy)];
         for i in 0..3 {
             let (by_x, by_y) = ((r0[i] - x * r2[i]) * inverse_z, (r1[i] - y * r2[i]) * inverse_z);
-            out.by_point[i] = lens[4] * by_x + lens[5] * by_y;
-            out.by_point[3 + i] = lens[6] * by_x + lens[7] * by_y;
+            out.by_point[i] = u_by_x * by_x + u_by_y * by_y;
+            out.by_point[3 + i] = v_by_x * by_x + v_by_y * by_y;
         }
         let [u0, u1, u2, v0, v1, v2] = out.by_point;
         let [x0, x1, x2, y0, y1, y2] = group.base;
@@ -265,9 +273,9 @@ fn dot(a: &[Lanes; 3], b: &[Lanes; 3]) -> Lanes {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// A surface patch that shrinks to less of its area in the first view is not used.
+/// A surface patch that shrinks to less of its area in the first view is not used. Chosen; no sweep is on record.
 const EDGE_ON: f32 = 0.08;
-/// Share of saturated pixels above which a sample is not used.
+/// Share of saturated pixels above which a sample is not used. Chosen; no sweep is on record.
 const SATURATED_MAX: f32 = 0.15;
 
 #[inline(always)]
@@ -300,7 +308,7 @@ pub(super) fn texel_at(images: &EyeImages, level: usize, pixel: [f32; 2]) -> Opt
     images.sample(level, x, y)
 }
 
-/// Beyond this many standard deviations (root mean square over the channels) a residual has no weight.
+/// Beyond this many standard deviations (root mean square over the channels) a residual has no weight. Chosen; no sweep is on record.
 const TUKEY: f32 = 3.0;
 
 #[inline(always)]
@@ -368,10 +376,18 @@ pub(super) struct NormalSums {
     pub(super) slope: [Lanes; UNKNOWNS],
     /// By channel: each unknown with (gain left, offset left, gain right, offset right).
     pub(super) cross: [[[Lanes; 4]; UNKNOWNS]; CHANNELS],
-    /// By channel: for left-left, left-right, right-right the sums of value squared, value, 1.
-    pub(super) gains: [[[Lanes; 3]; 3]; CHANNELS],
+    /// By channel: for left-left, left-right, right-right.
+    pub(super) gains: [[GainSums; 3]; CHANNELS],
     /// By channel: residual with (gain left, offset left, gain right, offset right).
     pub(super) gain_slope: [[Lanes; 4]; CHANNELS],
+}
+
+/// Weighted sums over the kept view's values: what gains and offsets have with each other.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct GainSums {
+    pub(super) value_squared: Lanes,
+    pub(super) value: Lanes,
+    pub(super) one: Lanes,
 }
 
 impl Default for NormalSums {
@@ -380,7 +396,7 @@ impl Default for NormalSums {
             hessian: [Lanes::ZERO; TRIANGLE],
             slope: [Lanes::ZERO; UNKNOWNS],
             cross: [[[Lanes::ZERO; 4]; UNKNOWNS]; CHANNELS],
-            gains: [[[Lanes::ZERO; 3]; 3]; CHANNELS],
+            gains: Default::default(),
             gain_slope: [[Lanes::ZERO; 4]; CHANNELS],
         }
     }
@@ -447,33 +463,33 @@ fn accumulate_kernel(
                 }
                 sums.slope[i] = sums.slope[i].plus(by_left, r_left).plus(by_right, r_right);
                 let cross = &mut sums.cross[c][i];
-                cross[0] = cross[0].plus(by_left, value);
-                cross[1] += by_left;
-                cross[2] = cross[2].plus(by_right, value);
-                cross[3] += by_right;
+                cross[LEFT + GAIN] = cross[LEFT + GAIN].plus(by_left, value);
+                cross[LEFT + OFFSET] += by_left;
+                cross[RIGHT + GAIN] = cross[RIGHT + GAIN].plus(by_right, value);
+                cross[RIGHT + OFFSET] += by_right;
                 common[i] = by_left + by_right;
             }
             for (pair_sums, weight) in sums.gains[c].iter_mut().zip([ll, -pair, rr]) {
                 let by_value = weight * value;
-                pair_sums[0] = pair_sums[0].plus(by_value, value);
-                pair_sums[1] += by_value;
-                pair_sums[2] += weight;
+                pair_sums.value_squared = pair_sums.value_squared.plus(by_value, value);
+                pair_sums.value += by_value;
+                pair_sums.one += weight;
             }
-            for (i, weighted) in weighted.into_iter().enumerate() {
+            for (eye, weighted) in [LEFT, RIGHT].into_iter().zip(weighted) {
                 let slope = &mut sums.gain_slope[c];
-                slope[2 * i] = slope[2 * i].plus(weighted, value);
-                slope[2 * i + 1] += weighted;
+                slope[eye + GAIN] = slope[eye + GAIN].plus(weighted, value);
+                slope[eye + OFFSET] += weighted;
             }
             if c == 0 {
                 for i in 0..UNKNOWNS {
                     patch[i] = common[i].sum();
                 }
-                patch[UNKNOWNS] = (left * value).sum();
-                patch[UNKNOWNS + 1] = left.sum();
-                patch[UNKNOWNS + 2] = (right * value).sum();
-                patch[UNKNOWNS + 3] = right.sum();
-                patch[UNKNOWNS + 4] = (left + right).sum();
-                patch[UNKNOWNS + 5] = (left * r_left + right * r_right).sum();
+                patch[PATCH_GAINS + LEFT + GAIN] = (left * value).sum();
+                patch[PATCH_GAINS + LEFT + OFFSET] = left.sum();
+                patch[PATCH_GAINS + RIGHT + GAIN] = (right * value).sum();
+                patch[PATCH_GAINS + RIGHT + OFFSET] = right.sum();
+                patch[PATCH_OWN] = (left + right).sum();
+                patch[PATCH_RESIDUAL] = (left * r_left + right * r_right).sum();
             }
         }
     }
@@ -487,23 +503,52 @@ mod tests;
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Correlation {
     count: f64,
-    sums: [[f64; 5]; CHANNELS],
+    sums: [MomentSums<f64>; CHANNELS],
+}
+
+/// Weighted sums of the values of a view and of an image.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct MomentSums<T> {
+    pub(super) view: T,
+    pub(super) image: T,
+    pub(super) view_squared: T,
+    pub(super) image_squared: T,
+    pub(super) product: T,
+}
+
+impl MomentSums<Lanes> {
+    #[inline(always)]
+    fn folded(&self) -> MomentSums<f64> {
+        let Self { view, image, view_squared, image_squared, product } = self;
+        MomentSums {
+            view: f64::from(view.sum()),
+            image: f64::from(image.sum()),
+            view_squared: f64::from(view_squared.sum()),
+            image_squared: f64::from(image_squared.sum()),
+            product: f64::from(product.sum()),
+        }
+    }
+}
+
+/// Variances of view and image and their covariance, summed over the channels, grey levels squared.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Moments {
+    pub(super) view: f64,
+    pub(super) image: f64,
+    pub(super) covariance: f64,
 }
 
 impl Correlation {
-    /// Of sums by channel: view, image, view squared, image squared, view times image.
-    pub(super) fn of_sums(count: f64, sums: [[f64; 5]; CHANNELS]) -> Self {
-        Self { count, sums }
-    }
-
     /// Adds a point with a weight.
     pub(super) fn add(&mut self, weight: f64, view: [f32; CHANNELS], image: [f32; CHANNELS]) {
         self.count += weight;
         for ((sums, a), b) in self.sums.iter_mut().zip(view).zip(image) {
             let (a, b) = (f64::from(a), f64::from(b));
-            for (sum, term) in sums.iter_mut().zip([a, b, a * a, b * b, a * b]) {
-                *sum += weight * term;
-            }
+            sums.view += weight * a;
+            sums.image += weight * b;
+            sums.view_squared += weight * (a * a);
+            sums.image_squared += weight * (b * b);
+            sums.product += weight * (a * b);
         }
     }
 
@@ -512,22 +557,21 @@ impl Correlation {
         self.count
     }
 
-    /// Variances of view and image and their covariance, summed over the channels, grey levels squared.
-    pub(super) fn moments(&self) -> [f64; 3] {
+    pub(super) fn moments(&self) -> Moments {
         let n = self.count.max(1e-9);
-        let mut moments = [0.0; 3];
-        for [a, b, aa, bb, ab] in self.sums {
-            moments[0] += aa / n - a * a / (n * n);
-            moments[1] += bb / n - b * b / (n * n);
-            moments[2] += ab / n - a * b / (n * n);
+        let mut moments = Moments::default();
+        for MomentSums { view, image, view_squared, image_squared, product } in self.sums {
+            moments.view += view_squared / n - view * view / (n * n);
+            moments.image += image_squared / n - image * image / (n * n);
+            moments.covariance += product / n - view * image / (n * n);
         }
         moments
     }
 
     /// Normalised cross-correlation over all channels, -1 to 1; 0 where nothing varies.
     pub(super) fn value(&self) -> f64 {
-        let [a, b, ab] = self.moments();
-        if a > 1e-9 && b > 1e-9 { (ab / (a * b).sqrt()).clamp(-1.0, 1.0) } else { 0.0 }
+        let Moments { view, image, covariance } = self.moments();
+        if view > 1e-9 && image > 1e-9 { (covariance / (view * image).sqrt()).clamp(-1.0, 1.0) } else { 0.0 }
     }
 
     /// Negative log likelihood of the image given the view, for unknown gain, offset and noise.

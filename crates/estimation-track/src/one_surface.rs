@@ -10,17 +10,18 @@ use super::relief::Relief;
 use super::shape::Shape;
 use super::surface::Surface;
 
-/// A patch belongs to a surface if this share of its points fits the right image.
+/// A patch belongs to a surface if this share of its points fits the right image. Chosen; no sweep is on record. With the rule as a whole
+/// about 1 % of the `ok` frames of rectangles across depth edges are wrong, without 463 of 6830.
 const FITTING_MIN: f64 = 0.6;
-/// And if its squared residuals are at most this much of those of the quarter that fits best, plus this share of its texture:
-/// what lies elsewhere leaves twice the texture.
+/// And if its squared residuals are at most this much of those of the quarter that fits best. Chosen; no sweep is on record.
 const NOISE_MAX: f64 = 3.0;
+/// Plus this share of its texture: what lies elsewhere leaves twice the texture. Chosen; no sweep is on record.
 const UNEXPLAINED_MAX: f64 = 0.2;
-/// Neighbours are one surface if depth changes by at most this much of the way along the image from one to the other.
+/// Neighbours are one surface if depth changes by at most this much of the way along the image from one to the other. Chosen, 63 degrees.
 const STEEPEST: f64 = 2.0;
-/// Less than this share of the points beside the surface is left to the robust weights; and where a larger one was taken out
-/// before, so that there are several surfaces.
+/// Less than this share of the points beside the surface is left to the robust weights. Chosen; no sweep is on record.
 const BESIDE_MIN: f64 = 0.15;
+/// The same where a larger one was taken out before, so that there are several surfaces. Chosen; no sweep is on record.
 const BESIDE_SEVERAL_MIN: f64 = 0.05;
 
 /// A part of the surface.

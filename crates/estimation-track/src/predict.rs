@@ -16,9 +16,9 @@ pub(super) struct Motion {
     interval: f64,
 }
 
-/// What is left of the velocity after each frame without the target.
+/// What is left of the velocity after each frame without the target. Chosen; no sweep is on record.
 const COASTING: f64 = 0.6;
-/// Longest step that is extrapolated, as a multiple of the last one.
+/// Longest step that is extrapolated, as a multiple of the last one. Chosen; no sweep is on record.
 const STRETCH_MAX: f64 = 8.0;
 
 impl Motion {

@@ -7,19 +7,22 @@ use pb3dp_geometry::{Pose, StereoRig};
 use super::distinct::beyond_chance;
 use super::judge::Fit;
 
-/// A lost target is not believed to have gone farther than this, and this much per second more.
+/// A lost target is not believed to have gone farther than this, and this much per second more. Chosen; no sweep is on record.
 const REACH_M: f64 = 0.05;
 const SPEED_MAX_M_PER_S: f64 = 2.0;
+/// Nor to have turned by more than this, 20 degrees, and this much per second more. Chosen; no sweep is on record.
 const REACH_RAD: f64 = 0.35;
 const SPEED_MAX_RAD_PER_S: f64 = 6.0;
-/// Within this of where it is expected a target need not be seen more clearly than noise allows; elsewhere both images must
-/// correlate with the view by at least this, and show it at this share of its points.
+/// Within this of where it is expected a target need not be seen more clearly than noise allows. Chosen; no sweep is on record.
 const NEAR_M: f64 = 0.02;
+/// The same of its turn. Chosen; no sweep is on record.
 const NEAR_RAD: f64 = 0.15;
+/// Elsewhere both images must correlate with the view by at least this. Chosen; no sweep is on record.
 const AFAR_CORRELATION_MIN: f64 = 0.75;
+/// And they must show it at this share of its points. Chosen; no sweep is on record.
 const AFAR_INLIERS_MIN: f64 = 0.65;
-/// Elsewhere the correlation must also be this many standard deviations more than chance would show: a search tries some
-/// hundred thousand places.
+/// Elsewhere the correlation must also be this many standard deviations more than chance would show. Chosen: a search tries some hundred
+/// thousand places, and chance exceeds 5 once in 3.5 million.
 const BEYOND_CHANCE_MIN: f64 = 5.0;
 
 /// Something that resembles a lost target.
@@ -102,24 +105,24 @@ mod tests {
         Fit { correlation: [0.97, correlation], inlier_share: [0.95, share, 0.95], ..Fit::default() }
     }
 
-    fn can_be(fit: &Fit, independent: f64, (way_m, turn_rad): (f64, f64), away_s: f64) -> bool {
+    fn can_be(fit: &Fit, independent: f64, way_m: f64, turn_rad: f64, away_s: f64) -> bool {
         Sighting { fit, independent, way_m, turn_rad, away_s, has_twin: false }.can_be_the_target()
     }
 
     #[test]
     fn where_it_is_expected_noise_may_hide_much_of_it() {
-        assert!(can_be(&fit(0.5, 0.5), 5.0, (0.01, 0.1), 0.03));
-        assert!(!can_be(&fit(0.5, 0.9), 300.0, (0.03, 0.1), 0.03));
-        assert!(!can_be(&fit(0.9, 0.5), 300.0, (0.01, 0.2), 0.03));
+        assert!(can_be(&fit(0.5, 0.5), 5.0, 0.01, 0.1, 0.03));
+        assert!(!can_be(&fit(0.5, 0.9), 300.0, 0.03, 0.1, 0.03));
+        assert!(!can_be(&fit(0.9, 0.5), 300.0, 0.01, 0.2, 0.03));
     }
 
     #[test]
     fn it_is_not_believed_to_fly() {
         let clear = fit(0.97, 0.95);
-        assert!(can_be(&clear, 300.0, (0.1, 0.5), 0.033));
-        assert!(!can_be(&clear, 300.0, (0.2, 0.1), 0.033));
-        assert!(!can_be(&clear, 300.0, (0.1, 1.0), 0.033));
-        assert!(can_be(&clear, 300.0, (0.2, 1.0), 0.3), "with time it may have come there");
+        assert!(can_be(&clear, 300.0, 0.1, 0.5, 0.033));
+        assert!(!can_be(&clear, 300.0, 0.2, 0.1, 0.033));
+        assert!(!can_be(&clear, 300.0, 0.1, 1.0, 0.033));
+        assert!(can_be(&clear, 300.0, 0.2, 1.0, 0.3), "with time it may have come there");
     }
 
     #[test]
@@ -144,8 +147,8 @@ mod tests {
     #[test]
     fn smooth_texture_is_not_told_from_other_smooth_texture() {
         for independent in [2.0, 8.0, 13.0] {
-            assert!(!can_be(&fit(0.94, 0.75), independent, (0.1, 0.3), 0.2), "{independent}");
+            assert!(!can_be(&fit(0.94, 0.75), independent, 0.1, 0.3, 0.2), "{independent}");
         }
-        assert!(can_be(&fit(0.97, 0.95), 17.0, (0.1, 0.3), 0.2));
+        assert!(can_be(&fit(0.97, 0.95), 17.0, 0.1, 0.3, 0.2));
     }
 }

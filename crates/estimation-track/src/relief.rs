@@ -6,15 +6,16 @@ use pb3dp_geometry::Camera;
 use super::shape::Grid;
 use crate::cells::Cells;
 
-/// Neighbours differ by about this much, pixels; much larger steps cost no more.
+/// Neighbours differ by about this much, pixels. Chosen; no sweep is on record.
 const NEIGHBOUR_SIGMA_PX: f64 = 0.7;
+/// Much larger steps cost no more than this. Chosen; no sweep is on record.
 const NEIGHBOUR_COST_MAX: f64 = 6.0;
-/// Most nodes: a frame's time grows with their third power.
+/// Most nodes: a frame's time grows with their third power. Chosen, 11 x 11.
 const NODES_MAX: usize = 121;
-/// Share of the bend at a patch that its offset may be wrong by: about what bilinear interpolation leaves of a parabola, and
-/// measured on reliefs of 10 and 25 mm.
+/// Share of the bend at a patch that its offset may be wrong by: about what bilinear interpolation leaves of a parabola. Fitted on eleven
+/// rendered sequences, six starts each: NEES of reliefs of 10 mm 0.7 and of 25 mm 1.6, with 0.45 it was 0.3 and 0.45.
 const BEND_SHARE: f64 = 0.18;
-/// Rounds in which neighbours tell each other what they believe.
+/// Rounds in which neighbours tell each other what they believe. Chosen; no sweep is on record.
 const ROUNDS: usize = 12;
 
 /// Offsets on a grid of patches, bilinear in between. Patches without points take the mean of those with points next to them.

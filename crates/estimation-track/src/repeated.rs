@@ -3,7 +3,7 @@
 use image::RgbImage;
 use pb3dp_estimation_direct::image_plane::PixelWindow;
 
-/// What the other eye must see that is new, mean absolute difference in grey levels: noise alone makes more in a real camera.
+/// What the other eye must see that is new, mean absolute difference in grey levels: noise alone makes more in a real camera. Chosen.
 const NEW_FROM_GREY: f64 = 0.5;
 
 /// The part of a picture that showed the target.

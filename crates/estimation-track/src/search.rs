@@ -10,19 +10,19 @@ use pb3dp_geometry::{Camera, Pose, StereoRig, so3};
 use super::images::{EyeImages, LEVELS, Texel};
 use super::kernels::{CHANNELS, SurfaceGroup, ViewGroup, texel_at};
 use super::view::View;
-use crate::kernels::Correlation;
+use crate::kernels::{Correlation, MomentSums};
 
-/// Points of a template, at most.
+/// Points of a template, at most. Chosen; no sweep is on record.
 const POINTS_MAX: usize = 64;
-/// Fewer points are no template.
+/// Fewer points are no template. Chosen; no sweep is on record.
 const POINTS_MIN: usize = 12;
-/// Places kept of each search.
+/// Places kept of each search. Chosen; no sweep is on record.
 pub(super) const PLACES: usize = 3;
-/// Depths that are tried, as multiples of the template's.
+/// Depths that are tried, as multiples of the template's. Chosen; no sweep is on record.
 const DEPTH_REACH: f64 = 1.6;
-/// Most depths tried.
+/// Most depths tried. Chosen; no sweep is on record.
 const DEPTHS_MAX: usize = 160;
-/// Share of a template that must lie in the image.
+/// Share of a template that must lie in the image. Chosen; no sweep is on record.
 const VISIBLE_MIN: f64 = 0.7;
 
 /// A place in the left image where a template fits.
@@ -75,7 +75,7 @@ impl Searcher {
         self.scores.clear();
         self.scores.resize(width * height, -1.0);
         for (y, scores) in self.scores.chunks_exact_mut(width.max(1)).enumerate() {
-            score_row(self.kernels, &self.template, &plane.texels, (width, height), y, scores);
+            score_row(self.kernels, &self.template, &plane.texels, width, height, y, scores);
         }
         let mut places = [None; PLACES];
         for place in &mut places {
@@ -150,20 +150,21 @@ fn moved_to_ray(hypothesis: &Pose<CamLeft, Model>, ray: &Vector3<f64>) -> Pose<C
 
 wide! {
     /// Correlation of the template at the pixels of a row, over all channels.
-    fn score_row(template: &[TemplatePoint], texels: &[Texel], size: (usize, usize), y: usize, scores: &mut [f32]) = score_row_kernel;
+    fn score_row(template: &[TemplatePoint], texels: &[Texel], width: usize, height: usize, y: usize, scores: &mut [f32]) = score_row_kernel;
 }
 
 #[inline(always)]
 fn score_row_kernel(
     template: &[TemplatePoint],
     texels: &[Texel],
-    (width, height): (usize, usize),
+    width: usize,
+    height: usize,
     y: usize,
     scores: &mut [f32],
 ) {
     for (x, score) in scores.iter_mut().enumerate() {
         let mut count = 0.0_f32;
-        let mut sums = [[0.0_f32; 4]; 5];
+        let mut sums = MomentSums::<[f32; 4]>::default();
         for point in template {
             let (column, row) = (x as i32 + point.offset_px[0], y as i32 + point.offset_px[1]);
             if column < 0 || row < 0 || column >= width as i32 || row >= height as i32 {
@@ -172,19 +173,19 @@ fn score_row_kernel(
             let (a, b) = (&point.value, &texels[row as usize * width + column as usize]);
             count += 1.0;
             for c in 0..4 {
-                sums[0][c] += a[c];
-                sums[1][c] += b[c];
-                sums[2][c] += a[c] * a[c];
-                sums[3][c] += b[c] * b[c];
-                sums[4][c] += a[c] * b[c];
+                sums.view[c] += a[c];
+                sums.image[c] += b[c];
+                sums.view_squared[c] += a[c] * a[c];
+                sums.image_squared[c] += b[c] * b[c];
+                sums.product[c] += a[c] * b[c];
             }
         }
         // The fourth lane counts saturated pixels.
         let (mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0);
-        let [a, b, a2, b2, product] = &sums;
+        let MomentSums { view: a, image: b, view_squared, image_squared, product } = &sums;
         for c in 0..CHANNELS {
-            aa += a2[c] - a[c] * a[c] / count;
-            bb += b2[c] - b[c] * b[c] / count;
+            aa += view_squared[c] - a[c] * a[c] / count;
+            bb += image_squared[c] - b[c] * b[c] / count;
             ab += product[c] - a[c] * b[c] / count;
         }
         let is_visible = count >= template.len() as f32 * VISIBLE_MIN as f32;
@@ -246,7 +247,7 @@ fn right_correlation(
     if correlation.count() < VISIBLE_MIN * tried { -1.0 } else { correlation.value() }
 }
 
-/// Turns that are tried about the axis of sight, radians.
+/// Turns that are tried about the axis of sight, radians (20 and 40 degrees). Chosen; no sweep is on record.
 const ROLLS: [f64; 5] = [0.0, 0.35, -0.35, 0.7, -0.7];
 
 /// The `index`-th guess from where the target may be seen: as last seen, and as each view was, each also rolled.

@@ -9,13 +9,14 @@ use super::normal::Free;
 use super::relief::patches_of;
 use crate::kernels::Correlation;
 
-/// Step between candidate offsets, pixels of disparity, and how many standard deviations they reach.
+/// Step between candidate offsets, pixels of disparity, and how many standard deviations they reach. Chosen; no sweep is on record.
 const STEP_PX: f64 = 0.5;
 const REACH_SIGMAS: f64 = 5.0;
-/// Levels whose points take part in the choice between candidates.
+/// Levels whose points take part in the choice between candidates. Chosen; no sweep is on record.
 const LEVELS_USED: usize = 2;
-/// Most rounds of refinement, and the move (root mean square over the patches, pixels) after which none follows.
+/// Most rounds of refinement. Chosen: five ended 0.2 degrees from where more of them lead.
 const ROUNDS: usize = 40;
+/// The move (root mean square over the patches, pixels) after which none follows. Chosen; no sweep is on record.
 const MOVE_DONE_PX: f64 = 0.003;
 
 /// Finds the relief between candidates, then refines plane and patches in turn. The pose is held: it is the definition of

@@ -25,34 +25,38 @@ use super::surface::Surface;
 use super::view::View;
 use pb3dp_estimation_core::method::{FramePrior, SurfacePoint};
 
-/// What is taken over of a frame's information about the surface: all frames share the noise of the kept view. Disparities
-/// between left and right, which tell the relief, hardly have any of it. What tells the plane's tilt from the pose's is the
-/// view alone: half of the variance is its own, so that any number of frames tells no more than two of them would without it.
+/// What is taken over of a frame's information about the surface: all frames share the noise of the kept view, of which disparities, that
+/// tell the relief, hardly have any. The plane's tilt is told by the view alone: half of the variance is its own, so any number of frames
+/// tells no more than two would without it (`plane_in_all`). The two others are chosen; no sweep is on record.
 const SHARES: Shares = Shares { relief: 0.5, plane: 0.15, plane_in_all: 2.0 };
-/// As above, about the row offset, and the most that is believed of it (0.01 px).
+/// As above, about the row offset. Chosen; no sweep is on record.
 const ROW_SHARE: f64 = 0.02;
+/// The most that is believed of the row offset (0.01 px). Chosen; no sweep is on record.
 const ROW_INFORMATION_MAX: f64 = 1e4;
-/// Variances of residuals are judged by those of frames that fitted, times this.
+/// Variances of residuals are judged by those of frames that fitted, times this. Chosen; no sweep is on record.
 const VARIANCE_SLACK: f32 = 3.0;
-/// How fast the reference follows.
+/// How fast the reference follows. Chosen; no sweep is on record.
 const REFERENCE_RATE: f32 = 0.05;
-/// Least share of the model that must be visible.
+/// Least share of the model that must be visible. Chosen; no sweep is on record.
 const VISIBLE_MIN: f64 = 0.35;
-/// A fit is as good as noise allows from these shares on: of the expected correlation, of inliers.
+/// A fit is as good as noise allows from these shares of the expected correlation and of inliers on. Chosen; no sweep is on record.
 const WELL_CORRELATED: f64 = 0.96;
 const WELL_FITTING: f64 = 0.88;
-/// Templates per frame while the target is lost, and places that are looked into.
+/// Templates per frame while the target is lost. Chosen: with this and the next three a lost frame took less than 10 ms.
 const TEMPLATES_PER_FRAME: usize = 7;
+/// Places that are looked into then. Chosen, see [`TEMPLATES_PER_FRAME`].
 const CANDIDATES: usize = 4;
-/// Steps per level of a first look into a place, and the correlation that it must reach.
+/// Steps per level of a first look into a place. Chosen, see [`TEMPLATES_PER_FRAME`].
 const ROUGH_STEPS: usize = 6;
+/// The correlation that such a look must reach. Chosen, see [`TEMPLATES_PER_FRAME`].
 const ROUGH_RESEMBLANCE_MIN: f64 = 0.5;
-/// A target and its twin are farther apart than this, metres, and one is clearly nearer than the other by this factor.
+/// A target and its twin are farther apart than this, metres, and one is nearer than the other by this factor. Chosen; no sweep is on
+/// record.
 const APART_M: f64 = 0.02;
 const CLEARLY_NEARER: f64 = 2.0;
-/// A target that is found again must fit by this much better than one that was never lost.
+/// A target that is found again must fit by this much better than one that was never lost. Chosen; no sweep is on record.
 const FOUND_AGAIN_STRICTER: f64 = 1.25;
-/// Range of the shading's standard deviation, grey levels.
+/// Range of the shading's standard deviation, grey levels, and how fast it follows. Chosen; no sweep is on record.
 const PATCH_SIGMA: (f64, f64) = (0.5, 30.0);
 const PATCH_SIGMA_RATE: f64 = 0.2;
 
@@ -502,7 +506,7 @@ impl Target {
     }
 
     fn with_depth(&self, pose: &Pose<CamLeft, Model>, frame: &Frame<'_>) -> Option<Pose<CamLeft, Model>> {
-        const LEVEL: usize = 2;
+        const LEVEL: usize = 2; // Chosen; no sweep is on record.
         let view = self.nearest_view(pose, frame.config).0;
         let (groups, view) = (&self.surface.levels[LEVEL].groups, &self.views[view].levels[LEVEL]);
         depth_by_stereo(groups, view, LEVEL, pose, &frame.images[1], frame.rig)
@@ -527,7 +531,7 @@ impl Target {
 
     /// Places in the left image that look like a view of the target from this pose.
     fn places_of(&mut self, view: usize, pose: &Pose<CamLeft, Model>, frame: &Frame<'_>) -> [Option<Place>; PLACES] {
-        const LEVEL: usize = LEVELS - 1;
+        const LEVEL: usize = LEVELS - 1; // Chosen; no sweep is on record.
         let (groups, view) = (&self.surface.levels[LEVEL].groups, &self.views[view].levels[LEVEL]);
         self.searcher.places(groups, view, pose, &frame.images[0], frame.rig.left())
     }

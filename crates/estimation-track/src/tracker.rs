@@ -23,12 +23,13 @@ use super::repeated::{Remembered, stuck_eye};
 use super::surface::{Surface, model_frame};
 use super::target::{Ending, Frame, Target};
 
-/// Margins of the windows about the predicted target, pixels: with a velocity known, and without.
+/// Margin of the windows about the predicted target, pixels, with a velocity known. Chosen; no sweep is on record.
 const MARGIN_PX: u32 = 24;
+/// The same without a velocity. Chosen; no sweep is on record.
 const MARGIN_UNSURE_PX: u32 = 48;
-/// Time between frames where the caller does not tell it, seconds.
+/// Time between frames where the caller does not tell it, seconds: that of cameras with 30 frames per second.
 const USUAL_INTERVAL_S: f64 = 1.0 / 30.0;
-/// Margin at the start: the relief may reach beyond the plane's outline in the right image.
+/// Margin at the start: the relief may reach beyond the plane's outline in the right image. Chosen; no sweep is on record.
 const MARGIN_START_PX: u32 = 40;
 
 /// Follows one target in six degrees of freedom.
@@ -473,9 +474,9 @@ impl EstimationMethod for DirectTracker {
 /// A surface and the pose of its frame.
 type FirstSurface = (Surface, Pose<CamLeft, Model>);
 
-/// How often the surface of a region that shows several is looked for again among what is left.
+/// How often the surface of a region that shows several is looked for again among what is left. Chosen; no sweep is on record.
 const PARTS_MAX: usize = 4;
-/// Fewer points than this are no target.
+/// Fewer points than this are no target. Chosen; no sweep is on record.
 const POINTS_MIN: usize = 40;
 
 fn check_sizes(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Result<(), EstimationError> {

@@ -7,7 +7,7 @@ use pb3dp_estimation_core::region::RegionMask;
 use pb3dp_estimation_core::row_offset::RowOffset;
 use pb3dp_estimation_direct::colour_planes::{OPPONENT_FROM_RGB, Wanted};
 use pb3dp_estimation_direct::cramer_rao::{BoundSample, channel_information, plane_sigma};
-use pb3dp_estimation_direct::disparity_plane::{DisparityPlane, RectifiedGeometry};
+use pb3dp_estimation_direct::disparity_plane::{DisparityPlane, DisparityRange, RectifiedGeometry};
 use pb3dp_estimation_direct::front_end::StereoFrontEnd;
 use pb3dp_estimation_direct::photometric::{PlaneRefiner, RefineConfig, RefinedPlane};
 use pb3dp_estimation_direct::region_pyramid::{PyramidSource, RegionPyramid};
@@ -40,7 +40,10 @@ fn source<'a>(pair: &'a Pair, region: &'a RegionMask, geometry: &RectifiedGeomet
         left: &pair.left,
         right: &pair.right,
         region,
-        disparity_px: (geometry.disparity_px(0.9).floor(), geometry.disparity_px(0.35).ceil()),
+        disparity_px: DisparityRange {
+            lowest: geometry.disparity_px(0.9).floor(),
+            highest: geometry.disparity_px(0.35).ceil(),
+        },
         rows: RowOffset::default(),
         wanted: Wanted::Luminance,
         search_area_px: 6000,

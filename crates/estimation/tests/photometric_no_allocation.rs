@@ -5,7 +5,7 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::region::RegionMask;
 use pb3dp_estimation_core::row_offset::RowOffset;
 use pb3dp_estimation_direct::colour_planes::Wanted;
-use pb3dp_estimation_direct::disparity_plane::DisparityPlane;
+use pb3dp_estimation_direct::disparity_plane::{DisparityPlane, DisparityRange};
 use pb3dp_estimation_direct::front_end::StereoFrontEnd;
 use pb3dp_estimation_direct::photometric::{PlaneRefiner, RefineConfig};
 use pb3dp_estimation_direct::region_pyramid::{PyramidSource, RegionPyramid};
@@ -23,7 +23,7 @@ fn a_second_refinement_allocates_nothing() {
         left: &pair.left,
         right: &pair.right,
         region: &region,
-        disparity_px: (g.disparity_px(0.9).floor(), g.disparity_px(0.35).ceil()),
+        disparity_px: DisparityRange { lowest: g.disparity_px(0.9).floor(), highest: g.disparity_px(0.35).ceil() },
         rows: RowOffset::default(),
         wanted: Wanted::Colour,
         search_area_px: 6000,

@@ -1,5 +1,7 @@
 //! The parts of a cold start, one by one, with any kernels: on the levels and at the plane of a whole one.
 
+use std::ops::RangeInclusive;
+
 use anyhow::{Context, bail};
 use image::RgbImage;
 use pb3dp_estimation_core::cpu::{KernelSet, Kernels};
@@ -8,7 +10,7 @@ use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionMask};
 use pb3dp_estimation_core::row_offset::RowOffset;
 use pb3dp_estimation_direct::colour_planes::Wanted;
-use pb3dp_estimation_direct::disparity_plane::DisparityPlane;
+use pb3dp_estimation_direct::disparity_plane::{DisparityPlane, DisparityRange};
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
 use pb3dp_estimation_direct::front_end::StereoFrontEnd;
 use pb3dp_estimation_direct::patches::SlantedPatches;
@@ -96,7 +98,7 @@ pub struct StageBench<'a> {
     front_end: StereoFrontEnd,
     estimator: DirectEstimator,
     mask: RegionMask,
-    disparity_px: (f64, f64),
+    disparity_px: DisparityRange,
     pyramid: RegionPyramid,
     searched: usize,
     plane: DisparityPlane,
@@ -131,7 +133,10 @@ impl<'a> StageBench<'a> {
         let mask = front_end.rectified_region(&raw)?.into_owned();
         let disparity = |z_m: f64| front_end.geometry().disparity_px(z_m);
         Ok(Self {
-            disparity_px: (disparity(problem.range.z_max_m), disparity(problem.range.z_min_m)),
+            disparity_px: DisparityRange {
+                lowest: disparity(problem.range.z_max_m),
+                highest: disparity(problem.range.z_min_m),
+            },
             problem,
             kernels,
             mask,
@@ -260,9 +265,9 @@ fn region_box(level: &RegionLevel) -> anyhow::Result<LevelBox> {
     Ok(LevelBox { x: x.0, y: y.0, width: x.1, height: y.1 })
 }
 
-fn level_range(level: &RegionLevel, disparity_px: (f64, f64)) -> (i32, i32) {
+fn level_range(level: &RegionLevel, disparity_px: DisparityRange) -> RangeInclusive<i32> {
     let scale = level.scale as f64;
-    ((disparity_px.0 / scale).floor() as i32 - 1, (disparity_px.1 / scale).ceil() as i32 + 1)
+    (disparity_px.lowest / scale).floor() as i32 - 1..=(disparity_px.highest / scale).ceil() as i32 + 1
 }
 
 /// Runs several families of kernels in turn, so that whatever else the machine does meets all alike.

@@ -8,7 +8,7 @@
 use super::{ColdStart, Descent, OVERLAP_OF_ALIAS, Surface};
 use crate::outcome::{Rival, surface_score};
 
-/// Candidates with this share of the best one's score, on the level where that is lower, are compared again.
+/// Candidates with this share of the best one's score, on the level where that is lower, are compared again. Chosen; no sweep is on record.
 const NEAR_SCORE: f64 = 0.6;
 
 impl ColdStart {

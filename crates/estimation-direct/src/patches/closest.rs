@@ -9,22 +9,23 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::rng::SplitMix64;
 
 use super::fit::{PatchVotes, improve, weight_near};
+use super::kernels::{PeakLimits, RowPeaks};
 
-/// Patches that are asked, about.
+/// Patches that are asked, about. Chosen; no sweep is on record.
 const PATCHES: usize = 600;
-/// Patches lie closely on a plane if they are off it by clearly less than this, pixels of the level.
+/// Patches lie closely on a plane if they are off it by clearly less than this, pixels of the level. Chosen; no sweep is on record.
 const CLOSE_PX: f64 = 0.35;
-/// Drawn planes are counted with this width first, pixels of the level.
+/// Drawn planes are counted with this width first, pixels of the level. Chosen; no sweep is on record.
 const DRAWN_PX: f64 = 0.5;
-/// With this share of the patches' weight closely on the plane that was looked at there is no other.
+/// With this share of the patches' weight closely on the plane that was looked at there is no other. Chosen; no sweep is on record.
 const DECISIVE_SHARE: f64 = 0.5;
-/// Planes that are drawn.
+/// Planes that are drawn. Chosen; no sweep is on record.
 const DRAWS: usize = 24;
-/// The best ones of these are improved.
+/// The best ones of these are improved. Chosen; no sweep is on record.
 const IMPROVED: usize = 3;
-/// Another plane has so many times as much weight close to it,
+/// Another plane has so many times as much weight close to it. Chosen; no sweep is on record.
 const GAIN_MIN: f64 = 1.15;
-/// and is off by so much at a corner of what the patches cover, pixels of the level.
+/// And it is off by so much at a corner of what the patches cover, pixels of the level. Chosen; no sweep is on record.
 const APART_PX: f64 = 1.0;
 
 /// Patches with a shift of their own, and the weight of all.
@@ -49,19 +50,13 @@ impl Sampled {
         row.is_multiple_of(self.step)
     }
 
-    /// Takes patches of a row from pixel `first` on; those whose shift is beyond `limits.0` or whose correlation is below
-    /// `limits.1` have none, but weight.
-    pub(super) fn take_row(
-        &mut self,
-        first: (usize, usize),
-        inside: &[u8],
-        (offset, weight, correlation): (&[f32], &[f32], &[f32]),
-        limits: (f32, f32),
-    ) {
+    /// Takes patches of a row from pixel `(x, y)` on; those beyond the limits have no vote, but weight.
+    pub(super) fn take_row(&mut self, x: usize, y: usize, inside: &[u8], peaks: RowPeaks<'_>, limits: PeakLimits) {
+        let RowPeaks { offset, correlation, weight } = peaks;
         for i in (0..inside.len()).step_by(self.step).filter(|&i| inside[i] != 0 && weight[i] > 0.0) {
             self.all += weight[i];
-            if offset[i].abs() <= limits.0 && correlation[i] >= limits.1 {
-                self.votes.push((first.0 + i) as f32, first.1 as f32, offset[i], weight[i]);
+            if offset[i].abs() <= limits.shift_px && correlation[i] >= limits.correlation {
+                self.votes.push((x + i) as f32, y as f32, offset[i], weight[i]);
             }
         }
     }
@@ -121,8 +116,8 @@ mod tests {
         for y in (0..60).step_by(2).filter(|&y| sampled.takes_row(y)).collect::<Vec<_>>() {
             let noise = |x: usize| 0.1 * ((x * 7 + y * 13) as f32).sin();
             let offset = (0..100).map(|x| shift(x as f32) + noise(x)).collect::<Vec<_>>();
-            let patches = (&offset[..], &[1.0; 100][..], &[0.9; 100][..]);
-            sampled.take_row((0, y), &[1; 100], patches, (2.0, 0.5));
+            let peaks = RowPeaks { offset: &offset, weight: &[1.0; 100], correlation: &[0.9; 100] };
+            sampled.take_row(0, y, &[1; 100], peaks, PeakLimits { shift_px: 2.0, correlation: 0.5 });
         }
         sampled.closest(Kernels::best())
     }

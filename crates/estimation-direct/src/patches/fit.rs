@@ -2,7 +2,9 @@
 
 use nalgebra::{Matrix3, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::wide::{LANES, sum_lanes, wide};
+use pb3dp_estimation_core::wide::{LANES, wide};
+
+use crate::named_sums::PlaneSums;
 
 /// Votes `(x, y, offset, weight)`.
 #[derive(Clone, Debug, Default)]
@@ -27,10 +29,10 @@ impl PatchVotes {
         self.weight.push(weight);
     }
 
-    /// Adds the votes of a row from pixel `first` on; those outside the region have no weight.
-    pub(super) fn extend_row(&mut self, first: (usize, usize), inside: &[u8], offset: &[f32], weight: &[f32]) {
-        self.x.extend((first.0..first.0 + inside.len()).map(|x| x as f32));
-        self.y.resize(self.x.len(), first.1 as f32);
+    /// Adds the votes of a row from pixel `(x, y)` on; those outside the region have no weight.
+    pub(super) fn extend_row(&mut self, x: usize, y: usize, inside: &[u8], offset: &[f32], weight: &[f32]) {
+        self.x.extend((x..x + inside.len()).map(|x| x as f32));
+        self.y.resize(self.x.len(), y as f32);
         self.offset.extend_from_slice(offset);
         self.weight.extend(inside.iter().zip(weight).map(|(inside, weight)| f32::from(*inside) * weight));
     }
@@ -66,7 +68,7 @@ impl PatchVotes {
     }
 }
 
-/// Steps of re-weighting.
+/// Steps of re-weighting. Chosen; no sweep is on record.
 const STEPS: usize = 4;
 
 /// `offset = p0 + p1 x + p2 y` by Tukey's weights, whose width shrinks to `width_px`; `None` if the votes do not determine a
@@ -78,43 +80,40 @@ pub(super) fn fit_votes(votes: &mut PatchVotes, width_px: f64, kernels: Kernels)
         let width = width_px * if step == 0 { 2.0 } else { 1.33 };
         let p: [f32; 3] = std::array::from_fn(|k| plane[k] as f32);
         let scale = (1.0 / (width * width)) as f32;
-        let s = sums(kernels, &votes.x, &votes.y, &votes.offset, &votes.weight, p, scale).map(f64::from);
-        let h = Matrix3::new(s[0], s[1], s[2], s[1], s[3], s[4], s[2], s[4], s[5]);
+        let sums = sums(kernels, &votes.x, &votes.y, &votes.offset, &votes.weight, p, scale);
         // Twenty pixels' worth of sharp patches.
-        if s[0] < 20.0 {
+        if sums.w < 20.0 {
             return None;
         }
-        plane += h.cholesky()?.solve(&Vector3::new(s[6], s[7], s[8]));
+        plane += sums.step()?;
     }
     plane.iter().all(|v| v.is_finite()).then(|| plane.into())
 }
 
 /// The weight of the votes near a plane, by Tukey's weights of this width.
 pub(super) fn weight_near(votes: &PatchVotes, plane: &[f64; 3], width_px: f64, kernels: Kernels) -> f64 {
-    f64::from(weighted(votes, plane, width_px, kernels)[0])
+    weighted(votes, plane, width_px, kernels).w
 }
 
 /// A plane moved to the middle of the votes near it; `None` if these do not determine one.
 pub(super) fn improve(votes: &PatchVotes, plane: &[f64; 3], width_px: f64, kernels: Kernels) -> Option<[f64; 3]> {
-    let s = weighted(votes, plane, width_px, kernels).map(f64::from);
-    let h = Matrix3::new(s[0], s[1], s[2], s[1], s[3], s[4], s[2], s[4], s[5]);
-    let moved = Vector3::from(*plane) + h.cholesky()?.solve(&Vector3::new(s[6], s[7], s[8]));
+    let moved = Vector3::from(*plane) + weighted(votes, plane, width_px, kernels).step()?;
     moved.iter().all(|v| v.is_finite()).then(|| moved.into())
 }
 
 /// Sums over padded votes.
-fn weighted(votes: &PatchVotes, plane: &[f64; 3], width_px: f64, kernels: Kernels) -> [f32; 9] {
+fn weighted(votes: &PatchVotes, plane: &[f64; 3], width_px: f64, kernels: Kernels) -> PlaneSums<f64> {
     let scale = (1.0 / (width_px * width_px)) as f32;
     sums(kernels, &votes.x, &votes.y, &votes.offset, &votes.weight, plane.map(|p| p as f32), scale)
 }
 
 wide! {
-    fn sums(x: &[f32], y: &[f32], offset: &[f32], weight: &[f32], plane: [f32; 3], scale: f32) -> [f32; 9] = sums_kernel;
+    fn sums(x: &[f32], y: &[f32], offset: &[f32], weight: &[f32], plane: [f32; 3], scale: f32) -> PlaneSums<f64> = sums_kernel;
 }
 
 #[inline(always)]
-fn sums_kernel(x: &[f32], y: &[f32], offset: &[f32], weight: &[f32], plane: [f32; 3], scale: f32) -> [f32; 9] {
-    let mut sums = [[0.0_f32; LANES]; 9];
+fn sums_kernel(x: &[f32], y: &[f32], offset: &[f32], weight: &[f32], plane: [f32; 3], scale: f32) -> PlaneSums<f64> {
+    let mut sums = PlaneSums::ZERO;
     let places = x.chunks_exact(LANES).zip(y.chunks_exact(LANES));
     let votes = offset.chunks_exact(LANES).zip(weight.chunks_exact(LANES));
     for ((x, y), (offset, weight)) in places.zip(votes) {
@@ -122,17 +121,8 @@ fn sums_kernel(x: &[f32], y: &[f32], offset: &[f32], weight: &[f32], plane: [f32
             let r = offset[i] - (plane[0] + plane[1] * x[i] + plane[2] * y[i]);
             let inlier = (1.0 - r * r * scale).max(0.0);
             let w = weight[i] * inlier * inlier;
-            let (wx, wy, wr) = (w * x[i], w * y[i], w * r);
-            sums[0][i] += w;
-            sums[1][i] += wx;
-            sums[2][i] += wy;
-            sums[3][i] += wx * x[i];
-            sums[4][i] += wx * y[i];
-            sums[5][i] += wy * y[i];
-            sums[6][i] += wr;
-            sums[7][i] += wr * x[i];
-            sums[8][i] += wr * y[i];
+            sums.add(i, x[i], y[i], w, w * r);
         }
     }
-    std::array::from_fn(|k| sum_lanes(&sums[k]))
+    sums.folded()
 }

@@ -1,9 +1,10 @@
 //! Running sums over patches, row by row.
 
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::wide::{LANES, sum_lanes, wide};
+use pb3dp_estimation_core::wide::{LANES, wide};
 
 use super::{PATCH_PX, PatchConfig, REACH_MAX, SIDE, SUPPORTS, USABLE};
+use crate::named_sums::named_sums;
 
 /// Shifts at most.
 const SHIFTS_MAX: usize = 2 * REACH_MAX + 1;
@@ -101,50 +102,54 @@ impl Rows {
         weigh(kernels, left, left_squared, gradient, texture, half, &mut self.weight);
     }
 
-    /// Says of every patch of the row whether its pixel is usable and supports the plane: a peak no farther than `limits.0`,
-    /// with a correlation of at least `limits.1`.
-    pub(super) fn judge(&mut self, limits: (f32, f32), kernels: Kernels) {
+    /// Says of every patch of the row whether its pixel is usable and supports the plane.
+    pub(super) fn judge(&mut self, limits: PeakLimits, kernels: Kernels) {
         judge(kernels, &self.offset, &self.correlation, &self.weight, limits, &mut self.verdict);
     }
 
-    /// Takes the verdicts over to the pixels of a row of the region. Returns its textured pixels, the supporting ones, and
-    /// the sum of their correlations.
-    pub(super) fn spread_row(&self, inside: &[u8], support: &mut [u8], kernels: Kernels) -> [f32; 3] {
+    /// Takes the verdicts over to the pixels of a row of the region, and counts these.
+    pub(super) fn spread_row(&self, inside: &[u8], support: &mut [u8], kernels: Kernels) -> Tally<f64> {
         spread_row(kernels, inside, &self.verdict, &self.correlation, &self.weight, support)
     }
 
-    /// Columns to the best agreement of every patch of the row; beyond the reach if it lies at its end.
-    pub(super) fn offsets(&self) -> &[f32] {
-        &self.offset
+    /// What the patches of the row say.
+    pub(super) fn peaks_found(&self) -> RowPeaks<'_> {
+        RowPeaks { offset: &self.offset, correlation: &self.correlation, weight: &self.weight }
     }
+}
 
-    /// Best agreement of every patch of the row.
-    pub(super) fn correlations(&self) -> &[f32] {
-        &self.correlation
-    }
+/// What the best agreement of a patch must keep: no farther away, and a correlation of at least.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PeakLimits {
+    pub shift_px: f32,
+    pub correlation: f32,
+}
 
-    /// How much every patch of the row counts; 0 without texture.
-    pub(super) fn weights(&self) -> &[f32] {
-        &self.weight
-    }
+/// What the patches of a row say: columns to the best agreement (beyond the reach if it lies at its end), that agreement, and
+/// how much each counts, 0 without texture.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct RowPeaks<'a> {
+    pub offset: &'a [f32],
+    pub correlation: &'a [f32],
+    pub weight: &'a [f32],
 }
 
 wide! {
-    fn judge(offset: &[f32], correlation: &[f32], weight: &[f32], limits: (f32, f32), verdict: &mut [u8]) = judge_kernel;
+    fn judge(offset: &[f32], correlation: &[f32], weight: &[f32], limits: PeakLimits, verdict: &mut [u8]) = judge_kernel;
 }
 
 #[inline(always)]
-fn judge_kernel(offset: &[f32], correlation: &[f32], weight: &[f32], limits: (f32, f32), verdict: &mut [u8]) {
+fn judge_kernel(offset: &[f32], correlation: &[f32], weight: &[f32], limits: PeakLimits, verdict: &mut [u8]) {
     let peaks = offset.iter().zip(correlation).zip(weight);
     for (verdict, ((offset, correlation), weight)) in verdict.iter_mut().zip(peaks) {
-        let agrees = (offset.abs() <= limits.0) & (*correlation >= limits.1);
+        let agrees = (offset.abs() <= limits.shift_px) & (*correlation >= limits.correlation);
         let textured = if agrees { SUPPORTS | USABLE } else { 0 };
         *verdict = if *weight > 0.0 { textured } else { USABLE };
     }
 }
 
 wide! {
-    fn spread_row(inside: &[u8], verdict: &[u8], correlation: &[f32], weight: &[f32], support: &mut [u8]) -> [f32; 3] = spread_row_kernel;
+    fn spread_row(inside: &[u8], verdict: &[u8], correlation: &[f32], weight: &[f32], support: &mut [u8]) -> Tally<f64> = spread_row_kernel;
 }
 
 #[inline(always)]
@@ -154,35 +159,37 @@ fn spread_row_kernel(
     correlation: &[f32],
     weight: &[f32],
     support: &mut [u8],
-) -> [f32; 3] {
+) -> Tally<f64> {
     for ((support, inside), verdict) in support.iter_mut().zip(inside).zip(verdict) {
         *support = inside * verdict;
     }
-    let mut sums = [[0.0_f32; LANES]; 3];
+    let mut tally = Tally::ZERO;
     let pixels = inside.chunks_exact(LANES).zip(support.chunks_exact(LANES));
     let patches = correlation.chunks_exact(LANES).zip(weight.chunks_exact(LANES));
     for ((inside, support), (correlation, weight)) in pixels.zip(patches) {
         for i in 0..LANES {
-            let one = counted(inside[i], support[i], correlation[i], weight[i]);
-            sums[0][i] += one[0];
-            sums[1][i] += one[1];
-            sums[2][i] += one[2];
+            tally.count(i, inside[i], support[i], correlation[i], weight[i]);
         }
     }
     for at in inside.len() / LANES * LANES..inside.len() {
-        let one = counted(inside[at], support[at], correlation[at], weight[at]);
-        for (sums, one) in sums.iter_mut().zip(one) {
-            sums[0] += one;
-        }
+        tally.count(0, inside[at], support[at], correlation[at], weight[at]);
     }
-    sums.map(|lanes| sum_lanes(&lanes))
+    tally.folded()
 }
 
-/// Whether a pixel is inside with texture, whether it supports, and then its correlation.
-#[inline(always)]
-fn counted(inside: u8, support: u8, correlation: f32, weight: f32) -> [f32; 3] {
-    let supports = if support & SUPPORTS != 0 { 1.0 } else { 0.0 };
-    [if weight > 0.0 { f32::from(inside) } else { 0.0 }, supports, supports * correlation]
+named_sums! {
+    /// Counts of pixels of the region: those with texture, those that support the plane, and the correlations of the latter.
+    pub(super) struct Tally { textured, supporting, correlation, }
+}
+
+impl Tally<[f32; LANES]> {
+    #[inline(always)]
+    fn count(&mut self, lane: usize, inside: u8, support: u8, correlation: f32, weight: f32) {
+        let supports = if support & SUPPORTS != 0 { 1.0 } else { 0.0 };
+        self.textured[lane] += if weight > 0.0 { f32::from(inside) } else { 0.0 };
+        self.supporting[lane] += supports;
+        self.correlation[lane] += supports * correlation;
+    }
 }
 
 wide! {

@@ -19,15 +19,15 @@ mod tests;
 
 use pb3dp_estimation_core::wide::LANES;
 pub(crate) use scores::{Projection, Unmodelled, scores};
-pub(crate) use sums::{SUMS, SharpnessSums, Sums, accumulate};
+pub(crate) use sums::{ProductSums, SharpnessSums, Sums, accumulate};
 
-/// Most channels.
+/// Most channels: red, green and blue.
 pub(crate) const CHANNELS_MAX: usize = 3;
-/// Points that share an offset: they are ordered by blocks of 8 x 8 pixels, so these are neighbours.
+/// Points that share an offset: ordered by blocks of 8 x 8 pixels, these 128 are neighbours. Chosen; no sweep is on record.
 pub(crate) const SHARING: usize = 8 * LANES;
-/// Value of pixels that must not be used in a channel; whatever touches one is left out.
+/// Value of pixels that must not be used in a channel; whatever touches one is left out. Far above what interpolation makes of grey levels.
 pub(crate) const UNUSABLE: f32 = 1e6;
-/// Values from here on have been touched.
+/// Values from here on have been touched: a weight of 1 % of an unusable pixel is enough, and grey levels stay far below. Chosen.
 pub(crate) const TOUCHED: f32 = 0.01 * UNUSABLE;
 
 /// Points of the left eye, in groups of [`SHARING`]; the last group is filled up with points of no weight.

@@ -99,7 +99,7 @@ where
             let floor = offset.floor();
             let weights = Weights::new(grid.rows.is_some().then_some((offset - floor) as f32), scale);
             let top = (row + floor) as i64 - i64::from(picture.top);
-            mix(picture, (top, block * W), &weights, &mut full[0]);
+            mix(picture, top, block * W, &weights, &mut full[0]);
             let columns = BLOCK.min(width - block * BLOCK);
             pool::<N>(&full.as_flattened()[..columns * N + 1], scale, block * BLOCK, out);
         }
@@ -140,7 +140,8 @@ impl Weights {
 #[inline(always)]
 fn mix<T: Copy, const W: usize>(
     picture: &Picture<'_, T>,
-    (top, column): (i64, usize),
+    top: i64,
+    column: usize,
     weights: &Weights,
     out: &mut [f32; W],
 ) where

@@ -9,9 +9,9 @@ use super::super::search::ends_of;
 use super::kernel::{PointSet, SHARING, TOUCHED, UNUSABLE};
 use super::prepare::EyeChannels;
 
-/// Side of the blocks in which points are ordered, pixels of the level.
+/// Side of the blocks in which points are ordered, pixels of the level. Chosen; no sweep is on record.
 pub(super) const BLOCK: usize = 8;
-/// Number of pixels from which the limit of the gradient is taken.
+/// Number of pixels from which the limit of the gradient is taken. Chosen; no sweep is on record.
 const SAMPLE: usize = 1024;
 
 /// Pixels to use, and how they are ordered into points; keeps its buffers.
@@ -41,18 +41,24 @@ pub(super) struct RightRows {
     pub height: usize,
 }
 
+/// How far inside the region's outline points lie, pixels: all of them, and those that are well inside.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Rims {
+    pub outer: usize,
+    pub inner: usize,
+}
+
 impl Selection {
-    /// Marks the supported pixels of a level that are at least `rim.0` pixels inside the region's outline: with 2 where they
-    /// are at least `rim.1` pixels inside, else with 1. Returns the smallest window around them (pixels of the level's
-    /// window) and their number.
-    pub fn mark(&mut self, level: &RegionLevel, rim: (usize, usize)) -> Option<(PixelWindow, usize)> {
+    /// Marks the supported pixels of a level within the outer rim: with 2 where they are within the inner one, else with 1.
+    /// Returns the smallest window around them (pixels of the level's window) and their number.
+    pub fn mark(&mut self, level: &RegionLevel, rims: Rims) -> Option<(PixelWindow, usize)> {
         let (width, height) = (level.left.window.width, level.left.window.height);
         self.mask.clone_from(&level.region);
-        for _ in 0..rim.0 {
+        for _ in 0..rims.outer {
             erode(&mut self.mask, &mut self.scratch, width, height);
         }
         self.inner.clone_from(&self.mask);
-        for _ in rim.0..rim.1 {
+        for _ in rims.outer..rims.inner {
             erode(&mut self.inner, &mut self.scratch, width, height);
         }
         let pixels = self.mask.iter_mut().zip(&self.inner).zip(level.support.iter().zip(&level.left.flags));

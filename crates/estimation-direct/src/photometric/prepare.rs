@@ -23,8 +23,8 @@ use super::kernel::{CHANNELS_MAX, UNUSABLE};
 use super::level_rows::{Grid, Picture, average_bytes, average_colours, average_values};
 use pb3dp_estimation_core::row_offset::RowOffset;
 
-/// Of a pixel with a saturated channel, channels from this value on are not used, grey levels: interpolation may have taken
-/// some of the brightness away.
+/// Of a pixel with a saturated channel, channels from this value on are not used, grey levels: interpolation may have taken some of the
+/// brightness away. Chosen; no sweep is on record.
 const NEARLY_SATURATED_GREY: u8 = 240;
 
 /// The channels of one eye of one level.
@@ -108,7 +108,8 @@ impl<'a> Job<'a> {
     fn new(
         pair: &Pair<'a>,
         eye: Eye,
-        (window, scale): (&PixelWindow, usize),
+        window: &PixelWindow,
+        scale: usize,
         wish: &'a Wish,
         rows: Option<RowOffset>,
     ) -> Self {
@@ -156,7 +157,7 @@ impl<'a> Job<'a> {
 impl Preparation {
     /// Fills the channels of the left eye and returns their number.
     pub fn left(&mut self, pair: &Pair<'_>, level: &RegionLevel, wish: &Wish, out: &mut EyeChannels) -> usize {
-        let job = Job::new(pair, Eye::Left, (&level.left.window, level.scale), wish, None);
+        let job = Job::new(pair, Eye::Left, &level.left.window, level.scale, wish, None);
         let kernels = pair.front_end.kernels();
         let grey = if pair.front_end.resamples() {
             self.load(&job);
@@ -182,7 +183,7 @@ impl Preparation {
     ) {
         let rows = RowOffset { offset_px: pair.source.rows.offset_px + row_px, ..pair.source.rows };
         let rows = (!rows.is_zero()).then_some(rows);
-        let job = Job::new(pair, Eye::Right, (&level.right.window, level.scale), wish, rows);
+        let job = Job::new(pair, Eye::Right, &level.right.window, level.scale, wish, rows);
         if pair.front_end.resamples() {
             self.load(&job);
         }
@@ -244,7 +245,7 @@ impl Preparation {
         }
         if self.find_unusable(job, channels) {
             for (plane, unusable) in out.planes.iter_mut().zip(&self.unusable).take(channels) {
-                mark_unusable(unusable, &mut self.unusable_row, job.wish.rows, plane, kernels);
+                mark_unusable(unusable, &mut self.unusable_row, job.wish.rows.0..job.wish.rows.1, plane, kernels);
             }
         }
     }
@@ -259,7 +260,7 @@ impl Preparation {
             wanted: job.wish.rows,
         };
         let [along, across] = &job.smoothing;
-        self.smoother.smooth_pixels(&source, (along, across), &self.middle[c..], out, job.front_end.kernels());
+        self.smoother.smooth_pixels(&source, along, across, &self.middle[c..], out, job.front_end.kernels());
     }
 
     /// Takes the first channel of what is read.
@@ -365,7 +366,7 @@ fn mark_saturated_kernel(rgb: &[u8], scale: usize, out: [&mut [u8]; CHANNELS_MAX
     }
 }
 
-/// So many values are enough for a mean.
+/// So many values are enough for a mean that is taken off all of them and only keeps sums small. Chosen.
 const MIDDLE_OF: usize = 2000;
 
 wide! {
@@ -433,15 +434,9 @@ fn mean(values: impl Iterator<Item = f32>) -> f32 {
 }
 
 /// Marks pixels that can not be used, and their neighbours, which smoothing has touched.
-fn mark_unusable(
-    unusable: &[u8],
-    touched: &mut Vec<u8>,
-    rows: (usize, usize),
-    plane: &mut ImagePlane,
-    kernels: Kernels,
-) {
+fn mark_unusable(unusable: &[u8], touched: &mut Vec<u8>, rows: Range<usize>, plane: &mut ImagePlane, kernels: Kernels) {
     let (width, height) = (plane.width(), plane.height());
-    for y in rows.0..rows.1 {
+    for y in rows {
         touched.clear();
         touched.resize(width + 2, 0);
         // One column further right, with room for both neighbours.

@@ -2,13 +2,13 @@
 
 use nalgebra::{Matrix4, Vector2, Vector4};
 
-use super::kernel::{CHANNELS_MAX, ChannelState, Projection, SUMS, Sums};
+use super::kernel::{CHANNELS_MAX, ChannelState, ProductSums, Projection, Sums};
 
-/// Standard deviation of the logarithm of the gain between the cameras; keeps channels without contrast in bounds.
+/// Standard deviation of the logarithm of the gain; keeps channels without contrast in bounds. Chosen, about ln 2; no sweep is on record.
 const LOG_GAIN_SIGMA: f64 = 0.7;
-/// Bounds of the square root of the gain.
+/// Bounds of the square root of the gain. Chosen; no sweep is on record.
 const GAIN_ROOT: (f64, f64) = (0.5, 2.0);
-/// Bounds of how much of the squared gradients is texture and not noise.
+/// Bounds of how much of the squared gradients is texture and not noise. The lower one is chosen, no sweep is on record; 1 is all.
 const RELIABILITY: (f64, f64) = (0.05, 1.0);
 
 /// The normal equations of `(d0, du, dv, row)` of one level.
@@ -28,15 +28,24 @@ struct Part {
     cross: Vector4<f64>,
     inverse: f64,
     slope: f64,
-    /// How the sum of weighted residuals changes with the parameters and with the logarithm of the gain, that sum, and the
-    /// sum of weights: what moves the offset.
-    residual: (Vector4<f64>, f64, f64, f64),
+    offset: OffsetPart,
     weight: f64,
 }
 
+/// What moves the offset.
+#[derive(Clone, Copy, Debug, Default)]
+struct OffsetPart {
+    /// How the sum of weighted residuals changes with the parameters, and with the logarithm of the gain.
+    by_step: Vector4<f64>,
+    by_gain: f64,
+    /// That sum, and the sum of weights.
+    residuals: f64,
+    weights: f64,
+}
+
 /// How much of the squared gradients of a channel is texture: the gradients of both eyes agree, their noise does not.
-pub(super) fn reliability(sums: &[f64; SUMS]) -> f64 {
-    let ratio = if sums[0] > 0.0 { sums[20] / sums[0] } else { 0.0 };
+pub(super) fn reliability(sums: &ProductSums<f64>) -> f64 {
+    let ratio = if sums.gg > 0.0 { sums.gs / sums.gg } else { 0.0 };
     ratio.clamp(RELIABILITY.0, RELIABILITY.1)
 }
 
@@ -50,23 +59,24 @@ impl Normal {
     ) -> Self {
         let mut normal = Self { matrix: Matrix4::zeros(), slope: Vector4::zeros(), parts: Default::default() };
         for c in 0..channels {
-            let s = &sums.channel[c];
+            let (p, s) = (&sums.channel[c].products, &sums.channel[c].singles);
             let own = Matrix4::new(
-                s[0], s[1], s[2], -s[22], //
-                s[1], s[3], s[4], -s[23], //
-                s[2], s[4], s[5], -s[24], //
-                -s[22], -s[23], -s[24], s[25],
+                p.gg, p.gg_x, p.gg_y, -p.gh, //
+                p.gg_x, p.gg_xx, p.gg_xy, -p.gh_x, //
+                p.gg_y, p.gg_xy, p.gg_yy, -p.gh_y, //
+                -p.gh, -p.gh_x, -p.gh_y, p.hh,
             );
-            let cross = Vector4::new(-s[9], -s[10], -s[11], s[26]);
+            let cross = Vector4::new(-p.gm, -p.gm_x, -p.gm_y, p.hm);
             let log_gain = 2.0 * states[c].gain_root.ln();
             let prior = LOG_GAIN_SIGMA.powi(-2);
-            let inverse = 1.0 / (s[15].max(0.0) + prior);
-            let slope = s[18] + prior * log_gain;
+            let inverse = 1.0 / (p.mm.max(0.0) + prior);
+            let slope = p.mr + prior * log_gain;
             let taken = cross * inverse;
-            normal.matrix += (own - taken * cross.transpose()) * (weights[c] * reliability(s));
-            normal.slope += (Vector4::new(-s[6], -s[7], -s[8], s[28]) - taken * slope) * weights[c];
-            let residual = (Vector4::new(-s[12], -s[13], -s[14], s[27]), s[16], s[19], s[17] + 1e-9);
-            normal.parts[c] = Part { cross, inverse, slope, residual, weight: weights[c] };
+            normal.matrix += (own - taken * cross.transpose()) * (weights[c] * reliability(p));
+            normal.slope += (Vector4::new(-p.gr, -p.gr_x, -p.gr_y, p.hr) - taken * slope) * weights[c];
+            let by_step = Vector4::new(-s.g, -s.g_x, -s.g_y, s.h);
+            let offset = OffsetPart { by_step, by_gain: s.m, residuals: s.r, weights: s.w + 1e-9 };
+            normal.parts[c] = Part { cross, inverse, slope, offset, weight: weights[c] };
         }
         normal
     }
@@ -80,8 +90,8 @@ impl Normal {
     pub fn move_states(&self, step: &Vector4<f64>, channels: usize, states: &mut [ChannelState; CHANNELS_MAX]) {
         for (part, state) in self.parts.iter().zip(states).take(channels) {
             let log_gain = -(part.inverse * (part.slope + part.cross.dot(step)));
-            let (by_step, by_gain, sum, weight) = &part.residual;
-            let offset = -(sum + by_step.dot(step) + by_gain * log_gain) / weight;
+            let OffsetPart { by_step, by_gain, residuals, weights } = &part.offset;
+            let offset = -(residuals + by_step.dot(step) + by_gain * log_gain) / weights;
             if log_gain.is_finite() && offset.is_finite() {
                 let root = state.gain_root * (0.5 * log_gain.clamp(-1.0, 1.0)).exp();
                 state.gain_root = root.clamp(GAIN_ROOT.0, GAIN_ROOT.1);

@@ -4,6 +4,7 @@ use super::kernel::{ChannelState, PointSet, TOUCHED, UNUSABLE, Warp};
 
 /// Gain and offset from spreads and middles of some points, variance from what is left.
 pub(super) fn first_state(points: &PointSet, right: &[f32], warp: &Warp, channel: usize, lowest: f64) -> ChannelState {
+    /// Points that are looked at, about. Chosen; no sweep is on record.
     const COUNT: usize = 256;
     let (mut own, mut shown) = ([0.0_f32; COUNT], [0.0_f32; COUNT]);
     let step = (points.x.len() / COUNT).max(1);

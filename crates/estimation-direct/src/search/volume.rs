@@ -4,19 +4,21 @@
 //! of two such vectors is their zero-mean normalised cross-correlation. A term for the noise of the camera in the
 //! normalisation makes a neighbourhood without texture agree with nothing, instead of with anything at random.
 
+use std::ops::{Range, RangeInclusive};
+
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::wide::{LANES, wide};
 
 use crate::colour_planes::ColourPlanes;
 use crate::region_pyramid::{RegionLevel, is_seen};
 
-/// Pixels of a neighbourhood.
+/// Pixels of a neighbourhood: 3 x 3. Chosen; no sweep is on record.
 const DESCRIPTOR: usize = 9;
-/// Length of a descriptor: its square, twice, must fit into 16 bits with sign.
+/// Length of a descriptor: its square, twice, must fit into 16 bits with sign (2 * 127^2 = 32258).
 const DESCRIPTOR_LENGTH: f32 = 127.0;
 /// Disparities are worked on in groups of so many.
 pub(super) const GROUP: usize = 32;
-/// Cost of a perfect agreement is 0, of none [`COST_NEUTRAL`], of the opposite twice that.
+/// Cost of a perfect agreement is 0, of none [`COST_NEUTRAL`], of the opposite twice that. That is seven bits.
 pub const COST_NEUTRAL: u8 = 63;
 /// Cost of what can not be.
 pub(super) const COST_IMPOSSIBLE: u8 = 255;
@@ -55,10 +57,17 @@ pub struct CostVolume {
 
 impl CostVolume {
     /// Computes the costs of `area` for the disparities `range` (pixels of the level's grid, both ends included).
-    pub fn compute(&mut self, level: &RegionLevel, area: LevelBox, range: (i32, i32), noise: f32, kernels: Kernels) {
+    pub fn compute(
+        &mut self,
+        level: &RegionLevel,
+        area: LevelBox,
+        range: RangeInclusive<i32>,
+        noise: f32,
+        kernels: Kernels,
+    ) {
         self.area = area;
-        self.first = range.0;
-        self.count = (range.1 - range.0 + 1).max(1) as usize;
+        self.first = *range.start();
+        self.count = (range.end() - range.start() + 1).max(1) as usize;
         self.stride = self.count.div_ceil(GROUP) * GROUP;
         self.costs.resize(area.width * area.height * self.stride, 0);
         let right_width = level.right.window.width;
@@ -72,9 +81,9 @@ impl CostVolume {
         let row_shift = level.left.window.y - level.right.window.y;
         for y in 0..area.height {
             let y_left = area.y + y;
-            describe(&level.left, y_left as i64, noise, (area.x, area.width), kernels, &mut self.left);
+            describe(&level.left, y_left as i64, noise, area.x..area.x + area.width, kernels, &mut self.left);
             let y_right = y_left as i64 + i64::from(row_shift);
-            describe(&level.right, y_right, noise, (0, right_width), kernels, &mut self.described);
+            describe(&level.right, y_right, noise, 0..right_width, kernels, &mut self.described);
             for k in 0..DESCRIPTOR {
                 let mirrored = &mut self.right[k * row_length + padding..][..right_width];
                 let described = &self.described[k * right_width..(k + 1) * right_width];
@@ -96,12 +105,11 @@ impl CostVolume {
     }
 }
 
-/// Descriptors of columns `first..first + count` of row `y`, component by component; zero where the neighbourhood is not in
-/// the window.
-fn describe(eye: &ColourPlanes, y: i64, noise: f32, (first, count): (usize, usize), kernels: Kernels, out: &mut [i16]) {
-    let (plane, width) = (eye.luminance(), eye.window.width);
+/// Descriptors of some columns of row `y`, component by component; zero where the neighbourhood is not in the window.
+fn describe(eye: &ColourPlanes, y: i64, noise: f32, columns: Range<usize>, kernels: Kernels, out: &mut [i16]) {
+    let (plane, width, first, count) = (eye.luminance(), eye.window.width, columns.start, columns.len());
     // Columns whose neighbours are in the window.
-    let (start, end) = (first.max(1), (first + count).min(width.saturating_sub(1)));
+    let (start, end) = (first.max(1), columns.end.min(width.saturating_sub(1)));
     if y < 1 || y + 1 >= eye.window.height as i64 || start >= end {
         out.fill(0);
         return;
@@ -109,7 +117,7 @@ fn describe(eye: &ColourPlanes, y: i64, noise: f32, (first, count): (usize, usiz
     let rows: [&[f32]; 3] = std::array::from_fn(|j| &plane.row(y as usize + j - 1)[start - 1..end + 1]);
     describe_row(kernels, rows, DESCRIPTOR as f32 * noise * noise, count, start - first, out);
     let flags = &eye.flags[y as usize * width..(y as usize + 1) * width];
-    for x in first..first + count {
+    for x in columns {
         if x < start || x >= end || !is_seen(flags[x]) {
             for k in 0..DESCRIPTOR {
                 out[k * count + x - first] = 0;

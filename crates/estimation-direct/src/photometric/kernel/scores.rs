@@ -25,8 +25,24 @@ pub(crate) struct Unmodelled {
     pub blur: [f64; 4],
 }
 
-/// Lane sums over a group: a weighted difference between the eyes, alone and times each of the four derivatives.
-type DifferenceSums = [Lanes; 5];
+/// Lane sums over a group: a factor times the weights, alone and times each of the four derivatives.
+#[derive(Clone, Copy)]
+struct FactorSums {
+    alone: Lanes,
+    by_derivative: [Lanes; 4],
+}
+
+impl FactorSums {
+    const ZERO: Self = Self { alone: [0.0; LANES], by_derivative: [[0.0; LANES]; 4] };
+
+    #[inline(always)]
+    fn add(&mut self, lane: usize, factor: f32, derivatives: [f32; 4]) {
+        self.alone[lane] += factor;
+        for (sums, derivative) in self.by_derivative.iter_mut().zip(derivatives) {
+            sums[lane] += factor * derivative;
+        }
+    }
+}
 
 #[inline(always)]
 fn scores_kernel(
@@ -80,11 +96,11 @@ fn add_scores<const N: usize>(
     unmodelled: &mut Unmodelled,
 ) {
     let own = &group.channel[c];
-    // Sums of weights, and of residuals and derivatives times weights.
-    let mut sums = [[0.0_f32; LANES]; 6];
+    // Of the weights themselves, and of the residuals times weights.
+    let (mut sums, mut residuals) = (FactorSums::ZERO, [0.0_f32; LANES]);
     let mut derivatives = [[0.0_f32; SHARING]; 4];
     let mut differences = [[0.0_f32; SHARING]; 3];
-    let mut difference_sums: [DifferenceSums; 3] = [[[0.0; LANES]; 5]; 3];
+    let mut difference_sums = [FactorSums::ZERO; 3];
     for i in 0..SHARING {
         let (g, m, gy) = (own.gradient[i], own.mean[i], places.left * places.gradient_y[i]);
         derivatives[0][i] = -g - p.mean[0] * m;
@@ -101,38 +117,31 @@ fn add_scores<const N: usize>(
         let [d0, d1, d2, d3] = [0, 1, 2, 3].map(|j| lanes(&derivatives[j], k));
         for i in 0..LANES {
             let w = weight[i] * certainty[i];
-            sums[0][i] += w;
-            sums[1][i] += w * residual[i];
-            sums[2][i] += w * d0[i];
-            sums[3][i] += w * d1[i];
-            sums[4][i] += w * d2[i];
-            sums[5][i] += w * d3[i];
+            sums.add(i, w, [d0[i], d1[i], d2[i], d3[i]]);
+            residuals[i] += w * residual[i];
         }
         for (difference, sums) in differences.iter().zip(&mut difference_sums) {
             let difference = lanes(difference, k);
             for i in 0..LANES {
                 let pull = weight[i] * certainty[i] * difference[i];
-                sums[0][i] += pull;
-                sums[1][i] += pull * d0[i];
-                sums[2][i] += pull * d1[i];
-                sums[3][i] += pull * d2[i];
-                sums[4][i] += pull * d3[i];
+                sums.add(i, pull, [d0[i], d1[i], d2[i], d3[i]]);
             }
         }
     }
-    let weight = sum_lanes(&sums[0]).max(f32::MIN_POSITIVE);
-    let means: [f32; 6] = std::array::from_fn(|k| sum_lanes(&sums[k]) / weight);
+    let weight = sum_lanes(&sums.alone).max(f32::MIN_POSITIVE);
+    let mean_residual = sum_lanes(&residuals) / weight;
+    let means: [f32; 4] = std::array::from_fn(|k| sum_lanes(&sums.by_derivative[k]) / weight);
     for i in 0..SHARING {
-        let pull = p.weight * (group.weight[i] * own.certainty[i]) * (own.residual[i] - means[1]);
+        let pull = p.weight * (group.weight[i] * own.certainty[i]) * (own.residual[i] - mean_residual);
         for j in 0..4 {
-            out[j][i] += pull * (derivatives[j][i] - means[2 + j]);
+            out[j][i] += pull * (derivatives[j][i] - means[j]);
         }
     }
     let Unmodelled { row_by_column, row_by_row, blur } = unmodelled;
     for (scores, sums) in [row_by_column, row_by_row, blur].into_iter().zip(&difference_sums) {
-        let pull = sum_lanes(&sums[0]);
+        let pull = sum_lanes(&sums.alone);
         for j in 0..4 {
-            scores[j] += f64::from(p.weight * (sum_lanes(&sums[1 + j]) - pull * means[2 + j]));
+            scores[j] += f64::from(p.weight * (sum_lanes(&sums.by_derivative[j]) - pull * means[j]));
         }
     }
 }

@@ -4,17 +4,15 @@ use pb3dp_estimation_core::wide::{LANES, sum_lanes, wide};
 
 use super::compare::{Group, Lanes, Row, lanes, row};
 use super::{CHANNELS_MAX, PointSet, SHARING, Thinning, Warp};
+use crate::named_sums::named_sums;
 
-/// Number of sums per channel.
-pub(crate) const SUMS: usize = 30;
-/// Groups after which sums in single precision go to double precision.
+/// Groups after which sums in single precision go to double precision. Chosen: sums of 1024 points keep most digits of single precision.
 const FOLDED: usize = 8;
 
 /// Sums over all points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Sums {
-    /// Per channel; the order is that of [`products`] and [`SINGLES`].
-    pub channel: [[f64; SUMS]; CHANNELS_MAX],
+    pub channel: [ChannelSums; CHANNELS_MAX],
     /// Sum of Tukey's weights.
     pub weight: f64,
     /// Number of points inside the right planes.
@@ -47,23 +45,48 @@ pub(crate) struct SharpnessSums {
     pub weight: f64,
 }
 
-/// Places in [`Sums::channel`] of the sums of weights times gradient (times 1, x, y), row gradient, mean, residual, and one.
-const SINGLES: [usize; 7] = [12, 13, 14, 27, 16, 19, 17];
-/// Number of sums of products.
-const PRODUCTS: usize = 25;
-/// Sums of single factors, lane by lane.
-#[repr(align(64))]
-struct Singles([Lanes; 7]);
-/// Places in [`Sums::channel`] of the products that are no sums for the sharpness.
-const PRODUCT_PLACES: [usize; 23] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 15, 18, 20, 21, 22, 23, 24, 25, 26, 28, 29];
+/// Sums over the points of one channel: what the offsets leave of the products, and the single factors as they are.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct ChannelSums {
+    pub products: ProductSums<f64>,
+    pub singles: SingleSums<f64>,
+}
+
+named_sums! {
+    /// Weighted sums of the products of two factors, named by these, and times the place after the underscore. The factors:
+    /// `g` gradient along the columns, `h` along the rows, `m` mean of both values, `r` residual, `s` gradient of the right eye.
+    pub(crate) struct ProductSums {
+        gg, gg_x, gg_y, gg_xx, gg_xy, gg_yy, gr, gr_x, gr_y, gm, gm_x, gm_y, mm, mr, gs, rr, gh, gh_x, gh_y, hh, hm, hr,
+        /// Tukey's weight where the channel can be used.
+        usable,
+    }
+}
+
+named_sums! {
+    /// Weighted sums of single factors, named as in [`ProductSums`], and of the weights themselves.
+    pub(crate) struct SingleSums { g, g_x, g_y, h, m, r, w, }
+}
 
 /// Sums of products, lane by lane; whole cache lines, which stores must not straddle.
 #[derive(Clone, Copy)]
 #[repr(align(64))]
-struct Products([Lanes; PRODUCTS]);
+struct LaneSums {
+    products: ProductSums<Lanes>,
+    excess: Lanes,
+    curvature: Lanes,
+}
 
-impl Products {
-    const NONE: Self = Self([[0.0; LANES]; PRODUCTS]);
+impl LaneSums {
+    const ZERO: Self = Self { products: ProductSums::ZERO, excess: [0.0; LANES], curvature: [0.0; LANES] };
+}
+
+/// Single factors, as [`LaneSums`].
+#[repr(align(64))]
+struct LaneSingles(SingleSums<Lanes>);
+
+named_sums! {
+    /// Sums over all channels: the fields of [`Sums`] and [`InnerSums`].
+    struct PointCounts { weight, seen, inner_weight, inner_seen, inner_squares, }
 }
 
 #[inline(always)]
@@ -82,12 +105,11 @@ fn accumulate_channels<const N: usize>(
     warp: &Warp,
     thinning: Thinning,
 ) -> Sums {
-    let mut channel = [[0.0_f64; SUMS]; CHANNELS_MAX];
+    let mut channel = [ChannelSums::default(); CHANNELS_MAX];
     let mut sharpness = SharpnessSums::default();
     let mut group = Group::<N>::empty();
-    let mut products = [Products::NONE; N];
-    // Weight, seen, and both once more of the inner points, with their squared residuals.
-    let mut counts = [[0.0_f32; LANES]; 5];
+    let mut sums = [LaneSums::ZERO; N];
+    let mut counts = PointCounts::ZERO;
     let groups = points.x.len() / SHARING;
     let mut folded = 0;
     for index in (0..groups).step_by(thinning.step.max(1)) {
@@ -99,48 +121,44 @@ fn accumulate_channels<const N: usize>(
             let (weight, seen) = (lanes(&group.weight, k), lanes(&group.seen, k));
             let (inner, squares) = (lanes(inner, k), lanes(squares, k));
             for i in 0..LANES {
-                counts[0][i] += weight[i];
-                counts[1][i] += seen[i];
-                counts[2][i] += weight[i] * inner[i];
-                counts[3][i] += seen[i] * inner[i];
-                counts[4][i] += weight[i] * inner[i] * squares[i];
+                counts.weight[i] += weight[i];
+                counts.seen[i] += seen[i];
+                counts.inner_weight[i] += weight[i] * inner[i];
+                counts.inner_seen[i] += seen[i] * inner[i];
+                counts.inner_squares[i] += weight[i] * inner[i] * squares[i];
             }
         }
         for c in 0..N {
             let places = Places::new(points, first, c, warp);
-            let singles = add_products(&group, c, &places, &mut products[c]);
-            for (k, single) in SINGLES.into_iter().zip(&singles) {
-                channel[c][k] += f64::from(*single);
-            }
-            eliminate_offset(&mut channel[c], &singles);
+            let singles = add_products(&group, c, &places, &mut sums[c]);
+            channel[c].singles += singles;
+            eliminate_offset(&mut channel[c].products, &singles);
         }
         folded += 1;
         if folded == FOLDED {
-            fold(&mut products, &mut channel, &mut sharpness);
+            fold(&mut sums, &mut channel, &mut sharpness);
             folded = 0;
         }
     }
-    fold(&mut products, &mut channel, &mut sharpness);
-    let [weight, seen, inner_weight, inner_seen, squares] = counts.map(|lanes| f64::from(sum_lanes(&lanes)));
+    fold(&mut sums, &mut channel, &mut sharpness);
+    let PointCounts { weight, seen, inner_weight, inner_seen, inner_squares: squares } = counts.folded();
     Sums { channel, weight, seen, sharpness, inner: InnerSums { weight: inner_weight, seen: inner_seen, squares } }
 }
 
 /// Moves the sums of products on, and starts them again.
 #[inline(always)]
 fn fold<const N: usize>(
-    products: &mut [Products; N],
-    channel: &mut [[f64; SUMS]; CHANNELS_MAX],
+    sums: &mut [LaneSums; N],
+    channel: &mut [ChannelSums; CHANNELS_MAX],
     sharpness: &mut SharpnessSums,
 ) {
     for c in 0..N {
-        let sums: [f64; PRODUCTS] = std::array::from_fn(|k| f64::from(sum_lanes(&products[c].0[k])));
-        for (k, sum) in PRODUCT_PLACES.into_iter().zip(sums) {
-            channel[c][k] += sum;
-        }
-        sharpness.weight += sums[22];
-        sharpness.excess += sums[23];
-        sharpness.curvature += sums[24];
-        products[c] = Products::NONE;
+        let products = sums[c].products.folded();
+        channel[c].products += products;
+        sharpness.weight += products.usable;
+        sharpness.excess += f64::from(sum_lanes(&sums[c].excess));
+        sharpness.curvature += f64::from(sum_lanes(&sums[c].curvature));
+        sums[c] = LaneSums::ZERO;
     }
 }
 
@@ -167,17 +185,18 @@ impl<'a> Places<'a> {
     }
 }
 
-/// Adds the products of a group's points in a channel, and returns the sums of [`SINGLES`].
+/// Adds the products of a group's points in a channel, and returns the sums of single factors.
 #[inline(always)]
 fn add_products<const N: usize>(
     group: &Group<N>,
     c: usize,
     places: &Places<'_>,
-    Products(products): &mut Products,
-) -> [f32; 7] {
+    sums: &mut LaneSums,
+) -> SingleSums<f64> {
     let own = &group.channel[c];
-    let mut singles = Singles([[0.0; LANES]; 7]);
-    let Singles(singles) = &mut singles;
+    let LaneSums { products, excess, curvature: bends } = sums;
+    let mut singles = LaneSingles(SingleSums::ZERO);
+    let LaneSingles(singles) = &mut singles;
     for k in 0..SHARING / LANES {
         let (x, y) = (lanes(places.x, k), lanes(places.y, k));
         let (gy, curvature) = (lanes(places.gradient_y, k), lanes(places.curvature, k));
@@ -192,84 +211,79 @@ fn add_products<const N: usize>(
             let (wgx, wgy, wh, wm, wr, ws) = (wg * x, wg * y, w * h, w * m, w * r, w * s);
             let (wgg, wgxg, wgyg) = (wg * g, wgx * g, wgy * g);
             // Gradient by gradient, times 1, x, y, x x, x y, y y.
-            products[0][i] += wgg;
-            products[1][i] += wgxg;
-            products[2][i] += wgyg;
-            products[3][i] += wgxg * x;
-            products[4][i] += wgxg * y;
-            products[5][i] += wgyg * y;
+            products.gg[i] += wgg;
+            products.gg_x[i] += wgxg;
+            products.gg_y[i] += wgyg;
+            products.gg_xx[i] += wgxg * x;
+            products.gg_xy[i] += wgxg * y;
+            products.gg_yy[i] += wgyg * y;
             // Gradient by residual and by mean, times 1, x, y.
-            products[6][i] += wg * r;
-            products[7][i] += wgx * r;
-            products[8][i] += wgy * r;
-            products[9][i] += wg * m;
-            products[10][i] += wgx * m;
-            products[11][i] += wgy * m;
+            products.gr[i] += wg * r;
+            products.gr_x[i] += wgx * r;
+            products.gr_y[i] += wgy * r;
+            products.gm[i] += wg * m;
+            products.gm_x[i] += wgx * m;
+            products.gm_y[i] += wgy * m;
             // Mean by mean and by residual.
-            products[12][i] += wm * m;
-            products[13][i] += wm * r;
+            products.mm[i] += wm * m;
+            products.mr[i] += wm * r;
             // Left by right gradient, and the squared residual.
-            products[14][i] += ws * g;
-            products[15][i] += wr * r;
+            products.gs[i] += ws * g;
+            products.rr[i] += wr * r;
             // Row gradient by gradient (times 1, x, y), itself, mean, residual.
-            products[16][i] += wg * h;
-            products[17][i] += wgx * h;
-            products[18][i] += wgy * h;
-            products[19][i] += wh * h;
-            products[20][i] += wh * m;
-            products[21][i] += wh * r;
+            products.gh[i] += wg * h;
+            products.gh_x[i] += wgx * h;
+            products.gh_y[i] += wgy * h;
+            products.hh[i] += wh * h;
+            products.hm[i] += wh * m;
+            products.hr[i] += wh * r;
             // Tukey's weight where the channel can be used.
-            products[22][i] += weight[i] * usable[i];
+            products.usable[i] += weight[i] * usable[i];
             // Sharpness.
-            products[23][i] += ws * s - wgg;
-            products[24][i] += w * bend[i] * (places.left * curvature[i]);
-            singles[0][i] += wg;
-            singles[1][i] += wgx;
-            singles[2][i] += wgy;
-            singles[3][i] += wh;
-            singles[4][i] += wm;
-            singles[5][i] += wr;
-            singles[6][i] += w;
+            excess[i] += ws * s - wgg;
+            bends[i] += w * bend[i] * (places.left * curvature[i]);
+            singles.g[i] += wg;
+            singles.g_x[i] += wgx;
+            singles.g_y[i] += wgy;
+            singles.h[i] += wh;
+            singles.m[i] += wm;
+            singles.r[i] += wr;
+            singles.w[i] += w;
         }
     }
-    std::array::from_fn(|k| sum_lanes(&singles[k]))
+    singles.folded()
 }
 
 /// Takes what one common offset of a group's points takes off the sums of products.
 #[inline(always)]
-fn eliminate_offset(s: &mut [f64; SUMS], singles: &[f32; 7]) {
-    let [g, gx, gy, h, m, r, w] = singles.map(f64::from);
+fn eliminate_offset(sums: &mut ProductSums<f64>, singles: &SingleSums<f64>) {
+    let SingleSums { g, g_x, g_y, h, m, r, w } = *singles;
     if w <= 0.0 {
         return;
     }
     let by = 1.0 / w;
-    let taken = [
-        (0, g * g),
-        (1, g * gx),
-        (2, g * gy),
-        (3, gx * gx),
-        (4, gx * gy),
-        (5, gy * gy),
-        (6, g * r),
-        (7, gx * r),
-        (8, gy * r),
-        (9, g * m),
-        (10, gx * m),
-        (11, gy * m),
-        (15, m * m),
-        (18, m * r),
-        // Both eyes show the same gradients.
-        (20, g * g),
-        (22, h * g),
-        (23, h * gx),
-        (24, h * gy),
-        (25, h * h),
-        (26, h * m),
-        (28, h * r),
-    ];
-    for (k, product) in taken {
-        s[k] -= by * product;
-    }
+    sums.gg -= by * (g * g);
+    sums.gg_x -= by * (g * g_x);
+    sums.gg_y -= by * (g * g_y);
+    sums.gg_xx -= by * (g_x * g_x);
+    sums.gg_xy -= by * (g_x * g_y);
+    sums.gg_yy -= by * (g_y * g_y);
+    sums.gr -= by * (g * r);
+    sums.gr_x -= by * (g_x * r);
+    sums.gr_y -= by * (g_y * r);
+    sums.gm -= by * (g * m);
+    sums.gm_x -= by * (g_x * m);
+    sums.gm_y -= by * (g_y * m);
+    sums.mm -= by * (m * m);
+    sums.mr -= by * (m * r);
+    // Both eyes show the same gradients.
+    sums.gs -= by * (g * g);
+    sums.gh -= by * (h * g);
+    sums.gh_x -= by * (h * g_x);
+    sums.gh_y -= by * (h * g_y);
+    sums.hh -= by * (h * h);
+    sums.hm -= by * (h * m);
+    sums.hr -= by * (h * r);
 }
 
 wide! {

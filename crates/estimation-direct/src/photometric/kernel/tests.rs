@@ -1,5 +1,6 @@
 use pb3dp_estimation_core::cpu::Kernels;
 
+use super::sums::{ChannelSums, SingleSums};
 use super::*;
 
 const WIDTH: usize = 90;
@@ -102,8 +103,8 @@ fn single(points: &PointSet, planes: &[Vec<f32>; CHANNELS_MAX], warp: &Warp, i: 
 }
 
 /// Sums of a channel over some points, without what a common offset takes up.
-fn plain_sums(found: &[(Vec<Single>, f64, f64, f64)], c: usize) -> [f64; SUMS] {
-    let mut out = [0.0; SUMS];
+fn plain_sums(found: &[(Vec<Single>, f64, f64, f64)], c: usize) -> ChannelSums {
+    let mut out = ChannelSums::default();
     let mean = |f: &dyn Fn(&Single, f64, f64) -> f64| {
         let (sum, all) = found.iter().fold((0.0, 0.0), |(sum, all), (channels, weight, x, y)| {
             let w = weight * channels[c].certainty;
@@ -123,45 +124,40 @@ fn plain_sums(found: &[(Vec<Single>, f64, f64, f64)], c: usize) -> [f64; SUMS] {
         let s = &channels[c];
         let w = weight * s.certainty;
         let own = [s.g, s.g * x, s.g * y, s.h, s.m, s.r];
-        let [g, gx, gy, h, m, r]: [f64; 6] = std::array::from_fn(|k| own[k] - means[k]);
-        let centred = [
-            (0, g * g),
-            (1, g * gx),
-            (2, g * gy),
-            (3, gx * gx),
-            (4, gx * gy),
-            (5, gy * gy),
-            (6, g * r),
-            (7, gx * r),
-            (8, gy * r),
-            (9, g * m),
-            (10, gx * m),
-            (11, gy * m),
-            (15, m * m),
-            (18, m * r),
-            (20, s.g * s.s - means[0] * means[0]),
-            (22, h * g),
-            (23, h * gx),
-            (24, h * gy),
-            (25, h * h),
-            (26, h * m),
-            (28, h * r),
-            // As they are.
-            (12, own[0]),
-            (13, own[1]),
-            (14, own[2]),
-            (16, s.m),
-            (17, 1.0),
-            (19, s.r),
-            (21, s.r * s.r),
-            (27, s.h),
-        ];
-        for (k, term) in centred {
-            out[k] += w * term;
-        }
-        out[29] += weight * f64::from(u8::from(s.certainty > 0.0));
+        let [g, g_x, g_y, h, m, r]: [f64; 6] = std::array::from_fn(|k| own[k] - means[k]);
+        let sums = &mut out.products;
+        sums.gg += w * (g * g);
+        sums.gg_x += w * (g * g_x);
+        sums.gg_y += w * (g * g_y);
+        sums.gg_xx += w * (g_x * g_x);
+        sums.gg_xy += w * (g_x * g_y);
+        sums.gg_yy += w * (g_y * g_y);
+        sums.gr += w * (g * r);
+        sums.gr_x += w * (g_x * r);
+        sums.gr_y += w * (g_y * r);
+        sums.gm += w * (g * m);
+        sums.gm_x += w * (g_x * m);
+        sums.gm_y += w * (g_y * m);
+        sums.mm += w * (m * m);
+        sums.mr += w * (m * r);
+        sums.gs += w * (s.g * s.s - means[0] * means[0]);
+        sums.gh += w * (h * g);
+        sums.gh_x += w * (h * g_x);
+        sums.gh_y += w * (h * g_y);
+        sums.hh += w * (h * h);
+        sums.hm += w * (h * m);
+        sums.hr += w * (h * r);
+        sums.rr += w * (s.r * s.r);
+        sums.usable += weight * f64::from(u8::from(s.certainty > 0.0));
+        // As they are.
+        let [g, g_x, g_y, h, m, r] = own.map(|factor| w * factor);
+        out.singles += SingleSums { g, g_x, g_y, h, m, r, w };
     }
     out
+}
+
+fn named(sums: &ChannelSums) -> impl Iterator<Item = (&'static str, f64)> {
+    sums.products.into_iter().chain(sums.singles)
 }
 
 #[test]
@@ -171,7 +167,7 @@ fn sums_are_those_of_single_points_with_every_kernel() {
     for (channels, step) in [(1, 1), (3, 1), (3, 2)] {
         let warp = warp(channels);
         let plain = accumulate(Kernels::available().next().unwrap(), &points, &right, &warp, Thinning { step });
-        let mut expected = [[0.0; SUMS]; CHANNELS_MAX];
+        let mut expected = [ChannelSums::default(); CHANNELS_MAX];
         let (mut weight, mut seen, mut sharpness) = (0.0, 0.0, SharpnessSums::default());
         for group in (0..3).step_by(step) {
             let found: Vec<_> = (group * SHARING..(group + 1) * SHARING)
@@ -188,9 +184,9 @@ fn sums_are_those_of_single_points_with_every_kernel() {
                 }
             }
             for (c, expected) in expected.iter_mut().enumerate().take(channels) {
-                for (sum, new) in expected.iter_mut().zip(plain_sums(&found, c)) {
-                    *sum += new;
-                }
+                let new = plain_sums(&found, c);
+                expected.products += new.products;
+                expected.singles += new.singles;
             }
         }
         assert!(seen > 150.0 && weight > 0.3 * seen, "{seen} {weight}");
@@ -200,10 +196,9 @@ fn sums_are_those_of_single_points_with_every_kernel() {
         assert!(near(plain.sharpness.curvature, sharpness.curvature, 20.0));
         assert!(near(plain.sharpness.weight, sharpness.weight, weight));
         for (c, expected) in expected.iter().enumerate() {
-            for k in 0..SUMS {
-                let scale = expected[k].abs().max(1.0);
-                let (sum, expected) = (plain.channel[c][k], expected[k]);
-                assert!(near(sum, expected, scale), "channel {c}, sum {k}: {sum}, not {expected}");
+            for ((name, sum), (_, expected)) in named(&plain.channel[c]).zip(named(expected)) {
+                let scale = expected.abs().max(1.0);
+                assert!(near(sum, expected, scale), "channel {c}, sum {name}: {sum}, not {expected}");
             }
         }
         for kernels in pb3dp_estimation_test_support::every_kernel() {
@@ -228,11 +223,11 @@ fn scores_add_up_to_the_slope_with_every_kernel() {
     let (plain, unmodelled) = run(Kernels::available().next().unwrap());
     let sums = accumulate(Kernels::best(), &points, &right, &warp, Thinning::NONE);
     for k in 0..4 {
-        let by_residual = |s: &[f64; SUMS]| [-s[6], -s[7], -s[8], s[28]][k];
+        let by_residual = |s: &ProductSums<f64>| [-s.gr, -s.gr_x, -s.gr_y, s.hr][k];
         let expected: f64 = (0..3)
             .map(|c| {
-                let (s, p) = (&sums.channel[c], &projections[c]);
-                f64::from(p.weight) * (by_residual(s) - f64::from(p.mean[k]) * s[18])
+                let (s, p) = (&sums.channel[c].products, &projections[c]);
+                f64::from(p.weight) * (by_residual(s) - f64::from(p.mean[k]) * s.mr)
             })
             .sum();
         let sum: f64 = plain[k].iter().map(|s| f64::from(*s)).sum();
@@ -293,7 +288,7 @@ fn places_outside_the_right_planes_are_not_read() {
         let warp = Warp { column, per_x, ..warp(3) };
         for kernels in pb3dp_estimation_test_support::every_kernel() {
             let sums = accumulate(kernels, &points, &right, &warp, Thinning::NONE);
-            assert!(sums.seen <= SHARING as f64 && sums.channel.iter().flatten().all(|sum| sum.is_finite()));
+            assert!(sums.seen <= SHARING as f64 && sums.channel.iter().flat_map(named).all(|(_, sum)| sum.is_finite()));
         }
     }
 }
