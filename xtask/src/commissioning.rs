@@ -124,12 +124,12 @@ fn in_shell(place: &Path, programs: &Path, command: &str) -> anyhow::Result<()> 
 fn exact_cell(place: &Path) -> anyhow::Result<()> {
     let file = place.join("configs/calibrated.toml");
     let text = fs::read_to_string(&file).with_context(|| format!("{} is not there", file.display()))?;
-    let mut setup: toml::Table = text.parse()?;
-    let calibration = setup["camera"].get("calibration").context("camera.calibration is not set")?.clone();
-    let truth = setup.get_mut("truth").and_then(toml::Value::as_table_mut).context("the table truth is missing")?;
-    truth.insert("calibration".to_owned(), calibration);
-    truth.remove("flange_from_cam_left").context("truth.flange_from_cam_left is missing")?;
-    Ok(fs::write(place.join("configs/exact.toml"), toml::to_string(&setup)?)?)
+    let setup: toml::Table = text.parse()?;
+    let calibration = setup["camera"].get("calibration").context("camera.calibration is not set")?;
+    let text = format!(
+        "base = \"calibrated.toml\"\nwithout = [\"truth.flange_from_cam_left\"]\n\n[truth]\ncalibration = {calibration}\n"
+    );
+    Ok(fs::write(place.join("configs/exact.toml"), text)?)
 }
 
 /// The summary of a run.

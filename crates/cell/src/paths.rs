@@ -3,17 +3,32 @@
 use anyhow::Result;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Model, Target, World};
-use pb3dp_setup::setup::{ArmSetup, Setup};
+use pb3dp_setup::setup::{Carrier, Setup};
 use pb3dp_sim::placement::{
     FlangePath, PathRefusal, PathReport, PathRequirements, ToolSpeed, ToolSpeedMax, check_experiment,
 };
 use pb3dp_sim::trajectory::{MotionConfig, Trajectory};
 
+/// Whether the arms can follow the experiment of a setup, whose target is at `start`; an arm that need not is only told of.
+///
+/// # Errors
+/// As [`check_paths`], where an arm carries the target.
+pub fn check_carried(
+    setup: &Setup,
+    experiment: &dyn Trajectory,
+    start: Pose<World, Target>,
+) -> Result<Vec<(&'static str, PathReport)>> {
+    match setup.experiment.carrier {
+        Carrier::Arm => check_paths(setup, experiment),
+        Carrier::Nothing => look_at_free_path(setup, start),
+    }
+}
+
 /// How the hand would follow a target that nothing carries. It may move as nothing can follow, which is only told.
 ///
 /// # Errors
 /// A parameter of the motion out of its range.
-pub fn look_at_free_path(setup: &Setup, start: Pose<World, Target>) -> Result<Vec<(&'static str, PathReport)>> {
+fn look_at_free_path(setup: &Setup, start: Pose<World, Target>) -> Result<Vec<(&'static str, PathReport)>> {
     /// Moves that are sudden are looked at with this duration, seconds: whether the places can be reached.
     const STAND_IN_S: f64 = 2.0;
     let mut motion = setup.experiment.motion.clone();
@@ -37,17 +52,19 @@ pub fn look_at_free_path(setup: &Setup, start: Pose<World, Target>) -> Result<Ve
 ///
 /// # Errors
 /// The arm, by how much it falls short, and the key of the limit.
-pub fn check_paths(setup: &Setup, experiment: &dyn Trajectory) -> Result<[(&'static str, PathReport); 2]> {
+pub fn check_paths(setup: &Setup, experiment: &dyn Trajectory) -> Result<Vec<(&'static str, PathReport)>> {
     let vs = check_follower(setup, experiment)?;
-    let carrier = FlangePath::of_carrier(experiment, &setup.rig.tc.world_from_base, &setup.rig.flange_from_target);
-    let tc = check_path("tc-robot", &setup.rig.tc, &carrier, None)?;
-    Ok([("vs-robot", vs), ("tc-robot", tc)])
+    let (tc, key) = (&setup.rig.tc, &setup.rig.tc.key);
+    let carrier = FlangePath::of_carrier(experiment, &tc.world_from_base, &setup.rig.flange_from_target);
+    let checked = check_experiment(&tc.chain, &tc.limits, &tc.start_rad, &carrier, &PathRequirements::OF_EXPERIMENT);
+    Ok(vec![("vs-robot", vs), ("tc-robot", checked.map_err(|refusal| refused("tc-robot", key, refusal))?)])
 }
 
 fn check_follower(setup: &Setup, experiment: &dyn Trajectory) -> Result<PathReport> {
+    let (vs, key) = (&setup.rig.vs, &setup.rig.vs.key);
     let follower = FlangePath::of_follower(
         experiment,
-        &setup.rig.vs.world_from_base,
+        &vs.world_from_base,
         &Pose::<Target, Model>::coincident(),
         &setup.controller.model_from_hand_desired,
         &setup.controller.flange_from_hand,
@@ -55,21 +72,16 @@ fn check_follower(setup: &Setup, experiment: &dyn Trajectory) -> Result<PathRepo
     let tracking = setup.controller.speed.tracking;
     let hand_max =
         ToolSpeedMax { linear_m_per_s: tracking.linear_m_per_s, angular_rad_per_s: tracking.angular_rad_per_s };
-    check_path("vs-robot", &setup.rig.vs, &follower, Some(hand_max))
+    let requirements = PathRequirements { tool_speed_max: Some(hand_max), ..PathRequirements::OF_EXPERIMENT };
+    let checked = check_experiment(&vs.chain, &vs.limits, &vs.start_rad, &follower, &requirements);
+    checked.map_err(|refusal| refused("vs-robot", key, refusal))
 }
 
-fn check_path(
-    name: &str,
-    arm: &ArmSetup,
-    path: &FlangePath<'_>,
-    tool_speed_max: Option<ToolSpeedMax>,
-) -> Result<PathReport> {
-    let requirements = PathRequirements { tool_speed_max, ..PathRequirements::OF_EXPERIMENT };
-    check_experiment(&arm.chain, &arm.limits, &arm.start_rad, path, &requirements).map_err(|refusal| {
-        let keys = keys_of(&arm.key, &refusal);
-        let text = format!("the {name} can not follow the experiment (see {keys} and the table [experiment])");
-        anyhow::Error::new(refusal).context(text)
-    })
+/// A refusal with the keys of the setup that decide about it.
+fn refused(name: &str, table: &str, refusal: PathRefusal) -> anyhow::Error {
+    let keys = keys_of(table, &refusal);
+    let text = format!("the {name} can not follow the experiment (see {keys} and the table [experiment])");
+    anyhow::Error::new(refusal).context(text)
 }
 
 /// The keys of a setup that decide about a refusal.
@@ -87,12 +99,12 @@ fn keys_of(table: &str, refusal: &PathRefusal) -> String {
 #[cfg(test)]
 mod tests {
     use pb3dp_kinematics::StatedLimits;
-    use pb3dp_setup::setup::read_setup;
+    use pb3dp_setup::setup::{ArmSetup, read_setup};
 
     use super::*;
 
     /// The repository's setup with a change, checked against its experiment.
-    fn checked(change: impl FnOnce(&mut Setup)) -> Result<[(&'static str, PathReport); 2]> {
+    fn checked(change: impl FnOnce(&mut Setup)) -> Result<Vec<(&'static str, PathReport)>> {
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
         let mut setup = read_setup(std::path::Path::new(file)).unwrap();
         change(&mut setup);
@@ -109,7 +121,7 @@ mod tests {
 
     #[test]
     fn the_repositorys_experiment_leaves_a_reserve_in_every_limit() {
-        let [(_, vs), (_, tc)] = checked(|_| {}).unwrap();
+        let [(_, vs), (_, tc)] = <[_; 2]>::try_from(checked(|_| {}).unwrap()).unwrap();
         for (name, report) in [("vs-robot", &vs), ("tc-robot", &tc)] {
             for (joint, peak) in report.acceleration_max_rad_per_s2.iter().enumerate() {
                 let allowed = if joint < 4 { 2.0 } else { 5.0 };
@@ -152,7 +164,7 @@ mod tests {
 
     #[test]
     fn moves_that_either_arms_drives_do_not_allow_are_refused_with_key_and_ratio() {
-        let [(_, vs), (_, tc)] = checked(|_| {}).unwrap();
+        let [(_, vs), (_, tc)] = <[_; 2]>::try_from(checked(|_| {}).unwrap()).unwrap();
         let needed = [vs.acceleration_max_rad_per_s2[1].value, tc.acceleration_max_rad_per_s2[3].value];
         let (refused, text) = refusal(|setup| weaken(&mut setup.rig.vs, 1, needed[0] / 2.0));
         assert!(matches!(refused, PathRefusal::TooAbrupt { joint: 1, .. }), "{text}");

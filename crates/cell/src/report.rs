@@ -8,24 +8,47 @@ use anyhow::{Context, Result};
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_record::report::{LinePlot, Report, ReportPicture, Series, SeriesColor, Table};
 
-use super::channels::ChannelSummary;
+use pb3dp_setup::layers::toml_of;
+use pb3dp_setup::setup::{CalibrationInUse, Setup};
+
+use super::channels::{ChannelSummary, Plan};
 use super::journal::Outcome;
 use super::log::{ControlSample, RunLog};
-use super::summary::RunSummary;
+use super::machine::machine;
+use super::summary::{RunSummary, summarize};
+use super::terminal::print_line;
 use super::{commands, cycles, drift, methods};
 use crate::figures::{MedianP95, RmsMax, TrackingError};
 use crate::marks::with_marks;
 
-/// Writes `report.html`, `summary.json` and `timeseries.csv` into `folder`.
+/// A run in which the hand followed for a smaller share of the time is pointed out.
+const FOLLOWING_EXPECTED: f64 = 0.9;
+
+/// What nothing but the program knows of a run.
+#[derive(Clone, Debug, Default)]
+pub struct Made {
+    /// What the setup was read from, as on the command line.
+    pub configuration: String,
+    /// The commit that the program was built from.
+    pub commit: &'static str,
+    /// How long the run took, seconds.
+    pub wall_s: f64,
+}
+
+/// Writes `report.html`, `summary.json`, `timeseries.csv` and `settings.toml` into `folder`, prints the figures, and says where the
+/// report is. `failure` is what has ended the run before its time.
 ///
 /// # Errors
-/// If a file can not be written.
-pub fn write(
+/// If a file can not be written, or standard output.
+pub fn tell(
     folder: &Path,
+    setup: &Setup,
     outcome: &Outcome,
-    summary: &RunSummary,
-    (provenance, world_from_axes): (&[(String, String)], &UnitQuaternion<f64>),
+    (plan, made, failure): (&Plan, &Made, Option<&anyhow::Error>),
 ) -> Result<()> {
+    let ended_by = failure.map(|failure| format!("{failure:#}"));
+    let summary = RunSummary { ended_by, ..summarize(&outcome.log, plan) };
+    let provenance = provenance(made, setup, summary.duration_s);
     let json = serde_json::json!({
         "provenance": provenance.iter().cloned().collect::<std::collections::BTreeMap<_, _>>(),
         "summary": summary,
@@ -36,15 +59,53 @@ pub fn write(
     };
     write("summary.json", serde_json::to_string_pretty(&json)? + "\n")?;
     write("timeseries.csv", timeseries_csv(&outcome.log))?;
-    page(outcome, summary, (provenance, world_from_axes)).write(&folder.join("report.html"))?;
-    Ok(())
+    let settings = setup.layers.effective();
+    write("settings.toml", toml_of(&settings))?;
+    let origin =
+        provenance.iter().fold(Table::new(["run", ""]), |table, (key, value)| table.row([key.clone(), value.clone()]));
+    let settings = settings.iter().fold(Table::new(["key", "value", "stated in"]), |table, setting| {
+        table.row([setting.key.clone(), setting.value.clone(), setting.origin.clone()])
+    });
+    let page = page(outcome, &summary, &plan.world_from_axes).heading("How this run was made").table(&origin);
+    page.folded("Every setting, and where it is stated", &settings).write(&folder.join("report.html"))?;
+    print_line(&text_table(&summary))?;
+    let following = summary.share_following();
+    if following < FOLLOWING_EXPECTED {
+        tracing::warn!(
+            "the hand followed the target for {:.0} % of the time only; the statuses above and what the supervisor says in the report tell why",
+            100.0 * following
+        );
+    }
+    Ok(print_line(&format!("report: {}", folder.join("report.html").display()))?)
 }
 
-fn page(
-    outcome: &Outcome,
-    summary: &RunSummary,
-    (provenance, world_from_axes): (&[(String, String)], &UnitQuaternion<f64>),
-) -> Report {
+/// What somebody needs to repeat the run.
+fn provenance(made: &Made, setup: &Setup, simulated_s: f64) -> Vec<(String, String)> {
+    let calibrations: Vec<String> = setup.rig.calibrations.iter().map(CalibrationInUse::text).collect();
+    let compared: Vec<&str> = setup.compared.iter().map(|method| method.name()).collect();
+    let images = match setup.real_cameras() {
+        Some(cameras) => format!("{} and {}", cameras.stereo.left.name, cameras.stereo.right.name),
+        None if setup.leader.needs_pictures() => "rendered".to_owned(),
+        None => "none".to_owned(),
+    };
+    let or = |list: String, nothing: &str| if list.is_empty() { nothing.to_owned() } else { list };
+    [
+        ("program", format!("pb3dp {}", env!("CARGO_PKG_VERSION"))),
+        ("commit", made.commit.to_owned()),
+        ("configuration", made.configuration.clone()),
+        ("method", setup.leader.name().to_owned()),
+        ("pictures", images),
+        ("calibrations", or(calibrations.join("; "), "none: as drawn")),
+        ("compared", or(compared.join(", "), "none")),
+        ("seed", setup.seed.to_string()),
+        ("machine", machine()),
+        ("duration", format!("{simulated_s:.1} s simulated in {:.1} s", made.wall_s)),
+    ]
+    .map(|(key, value)| (key.to_owned(), value))
+    .to_vec()
+}
+
+fn page(outcome: &Outcome, summary: &RunSummary, world_from_axes: &UnitQuaternion<f64>) -> Report {
     let log = &outcome.log;
     let strip: Vec<_> = outcome
         .strip
@@ -52,8 +113,6 @@ fn page(
         .iter()
         .map(|(picture, caption)| (ReportPicture::Photo(picture), caption.clone()))
         .collect();
-    let origin =
-        provenance.iter().fold(Table::new(["run", ""]), |table, (key, value)| table.row([key.clone(), value.clone()]));
     let report = Report::new("pb3dp: a hand follows an unknown object");
     let report = match &summary.ended_by {
         Some(failure) => report.heading("The run has ended before its time").paragraph(failure),
@@ -101,8 +160,6 @@ fn page(
         .heading("Supervisor")
         .paragraph(&summary.supervisor.paragraph())
         .table(&summary.supervisor.transition_table())
-        .heading("How this run was made")
-        .table(&origin)
 }
 
 /// What kind of run this was.

@@ -23,7 +23,7 @@ use image::RgbImage;
 use pb3dp_estimation_core::trig;
 use pb3dp_geometry::StereoRig;
 
-use self::matching::{Match, Search, matches_of};
+use self::matching::{Match, matches_of};
 
 /// Fewest well-textured patches to judge by.
 const PATCHES_MIN: usize = 30;
@@ -116,20 +116,17 @@ pub fn check_pair(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> PairChe
     if !fits(rig.left(), left) || !fits(rig.right(), right) || roll_deg(rig).abs() > ROLL_MAX_DEG {
         return PairCheck::unknown();
     }
-    let check = check_in_this_order(rig, left, right);
+    let in_this_order = |left, right| {
+        matches_of(rig, left, right).map_or_else(PairCheck::unknown, |found| judge(found.patches, &found.matches))
+    };
+    let check = in_this_order(left, right);
     if check.verdict == PairVerdict::Consistent || left.dimensions() != right.dimensions() {
         return check;
     }
-    let exchanged = check_in_this_order(rig, right, left);
+    let exchanged = in_this_order(right, left);
     let fitting_exchanged = exchanged.agreeing - exchanged.behind;
     let verdict = if exchanged.verdict == PairVerdict::Consistent { PairVerdict::Swapped } else { check.verdict };
     PairCheck { verdict, fitting_exchanged, ..check }
-}
-
-/// [`check_pair`] without a thought of exchanged pictures.
-fn check_in_this_order(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> PairCheck {
-    let Some(Search { patches, matches }) = matches_of(rig, left, right) else { return PairCheck::unknown() };
-    judge(patches, &matches)
 }
 
 /// Angle by which a vertical of the left camera is turned in the right one.

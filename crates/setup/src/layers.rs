@@ -15,7 +15,7 @@ use figment::value::{Dict, Map, Value};
 use figment::{Figment, Metadata, Profile, Provider};
 
 use self::position::Positions;
-use crate::load::{ConfigError, text_of};
+use crate::error::{ConfigError, text_of};
 
 /// The options of every command that reads a setup.
 #[derive(Clone, Debug, Default, Args)]
@@ -26,18 +26,21 @@ pub struct SetupArgs {
     /// Set one key of the setup, for instance `scene.target=card`; `pb3dp config explain KEY` tells what a key means.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub set: Vec<String>,
+    /// Keys that other options of the command line set: the option, the key, the value.
+    #[arg(skip)]
+    pub by_options: Vec<(&'static str, &'static str, String)>,
 }
 
 impl SetupArgs {
     /// One file and nothing else.
     pub fn of_file(file: &Path) -> Self {
-        Self { configs: vec![file.to_path_buf()], set: Vec::new() }
+        Self { configs: vec![file.to_path_buf()], ..Self::default() }
     }
 
-    /// The same with one more key set, over all others.
+    /// The same with a key that an option of its own sets, over all others; without a value, the same.
     #[must_use]
-    pub fn with(mut self, key: &str, value: &dyn std::fmt::Display) -> Self {
-        self.set.push(format!("{key}={value}"));
+    pub fn with(mut self, option: &'static str, key: &'static str, value: Option<String>) -> Self {
+        self.by_options.extend(value.map(|value| (option, key, value)));
         self
     }
 
@@ -71,7 +74,7 @@ pub enum Origin {
     /// A variable of the environment.
     Variable(String),
     /// An option of the command line.
-    Option,
+    Option(&'static str),
 }
 
 impl std::fmt::Display for Origin {
@@ -80,7 +83,7 @@ impl std::fmt::Display for Origin {
             Self::BuiltIn(name) => write!(f, "built-in {name}"),
             Self::File(file) => write!(f, "{}", file.display()),
             Self::Variable(name) => write!(f, "variable {name}"),
-            Self::Option => f.write_str("--set"),
+            Self::Option(name) => f.write_str(name),
         }
     }
 }
@@ -210,6 +213,9 @@ impl Layers {
         for set in &args.set {
             layers.push(layer_of_option(set)?);
         }
+        for (option, key, value) in &args.by_options {
+            layers.push(layer_of_words(Origin::Option(option), key, value)?);
+        }
         // An option may have named another arm.
         layers.add_named_arms()?;
         layers.keep_simulation_from_real_arms();
@@ -244,7 +250,7 @@ impl Layers {
 
     /// Whether a layer is a file or built-in setup without a base that states nothing of most tables: for a hint.
     pub fn has_base(&self) -> bool {
-        self.list.iter().filter(|layer| !matches!(layer.origin, Origin::Variable(_) | Origin::Option)).count() > 1
+        self.list.iter().filter(|layer| !matches!(layer.origin, Origin::Variable(_) | Origin::Option(_))).count() > 1
     }
 
     /// Puts a layer on top: what it says of a kind takes away what lower layers say of another kind.
@@ -410,7 +416,7 @@ impl Layers {
             let folder = match &layer.origin {
                 Origin::File(file) => Some(file.parent().unwrap_or(Path::new(".")).to_path_buf()),
                 Origin::BuiltIn(_) => None,
-                Origin::Variable(_) | Origin::Option => Some(PathBuf::from(".")),
+                Origin::Variable(_) | Origin::Option(_) => Some(PathBuf::from(".")),
             };
             let resolved = |path: &str| match &folder {
                 Some(folder) if folder.join(path).exists() => folder.join(path).display().to_string(),
@@ -460,7 +466,8 @@ fn find(config: &Path, folder: &Path) -> Result<(Origin, String), ConfigError> {
         return Ok((Origin::BuiltIn(setup.name), setup.text.to_owned()));
     }
     if config.extension().is_none() && config.components().count() == 1 && !folder.join(config).exists() {
-        return Err(ConfigError::NoSuchSetup { name: name.to_owned() });
+        let known = built_in::SETUPS.map(|setup| setup.name).join(", ");
+        return Err(ConfigError::NoSuchSetup { name: name.to_owned(), known });
     }
     let file = folder.join(config);
     let file = file.strip_prefix("./").map(Path::to_path_buf).unwrap_or(file);
@@ -483,7 +490,9 @@ fn layer_of_text(origin: Origin, text: String) -> Result<Layer, ConfigError> {
 
 fn layer_of_option(set: &str) -> Result<Layer, ConfigError> {
     match set.split_once('=') {
-        Some((key, value)) if !key.trim().is_empty() => layer_of_words(Origin::Option, key.trim(), value.trim()),
+        Some((key, value)) if !key.trim().is_empty() => {
+            layer_of_words(Origin::Option("--set"), key.trim(), value.trim())
+        }
         _ => Err(ConfigError::Values {
             file: PathBuf::from("--set"),
             lines: format!("  {set:?}: write KEY=VALUE, for instance --set scene.target=card"),
@@ -550,6 +559,20 @@ fn flatten(dict: &Dict, prefix: &str, each: &mut dyn FnMut(&str, &Value)) {
             value => each(&key, value),
         }
     }
+}
+
+/// A whole setup as one file, each value with where it is stated.
+pub fn toml_of(settings: &[Effective]) -> String {
+    let (mut text, mut table) = (String::new(), "");
+    for setting in settings {
+        let (of, name) = setting.key.rsplit_once('.').unwrap_or(("", &setting.key));
+        if of != table {
+            text += &format!("\n[{of}]\n");
+            table = of;
+        }
+        text += &format!("{:<60} # {}\n", format!("{name} = {}", setting.value), setting.origin);
+    }
+    text.trim_start().to_owned()
 }
 
 /// A value as one would write it.

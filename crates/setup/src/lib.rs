@@ -1,6 +1,7 @@
 //! Configuration files: read, checked, and turned into the parameters of the parts.
 
 pub mod direct;
+mod error;
 pub mod estimator;
 #[cfg(test)]
 mod every_key_tests;

@@ -11,94 +11,9 @@ use figment::providers::{Format, Serialized, Toml};
 use figment::value::{Dict, Value};
 use serde::de::DeserializeOwned;
 
+use crate::error::text_of;
+pub use crate::error::{ConfigError, FileKind};
 use crate::layers::{Layers, SetupArgs, built_in};
-
-/// Why a configuration was refused.
-#[derive(Debug, thiserror::Error)]
-pub enum ConfigError {
-    /// The file can not be read.
-    #[error("configuration {file}: can not be read", file = file.display())]
-    Unreadable {
-        /// The file.
-        file: PathBuf,
-        /// The reason.
-        #[source]
-        source: std::io::Error,
-    },
-    /// The file is another kind of configuration.
-    #[error("configuration {file}: this is {found}, but {wanted} is needed here", file = file.display())]
-    OtherKind {
-        /// The file.
-        file: PathBuf,
-        /// What it is.
-        found: FileKind,
-        /// What it should be.
-        wanted: FileKind,
-    },
-    /// The text is no TOML.
-    #[error("configuration {place}: {reason}", place = place.display())]
-    Syntax {
-        /// File, line and column.
-        place: PathBuf,
-        /// What the parser says.
-        reason: String,
-    },
-    /// Neither a file nor a built-in setup.
-    #[error(
-        "configuration {name}: there is no such file, and no built-in setup of this name; built-in are {}",
-        built_in_names()
-    )]
-    NoSuchSetup {
-        /// As it was written.
-        name: String,
-    },
-    /// Keys are unknown, missing or of the wrong type, or values are out of range. One line per key.
-    #[error("configuration {file}:\n{lines}", file = file.display())]
-    Values {
-        /// The file.
-        file: PathBuf,
-        /// What is wrong, one line per key.
-        lines: String,
-    },
-}
-
-/// What a configuration file is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FileKind {
-    /// Parameters of the estimators, for `pb3dp estimate` and `pb3dp track`.
-    Estimator,
-    /// A whole setup, for `pb3dp run`.
-    Setup,
-    /// A gateway, for `pb3dp gateway`.
-    Gateway,
-    /// One arm, for setups that name it.
-    Arm,
-}
-
-impl FileKind {
-    const ALL: [Self; 4] = [Self::Estimator, Self::Setup, Self::Gateway, Self::Arm];
-
-    /// A table that this kind has, and the others have not.
-    fn own_table(self) -> &'static str {
-        match self {
-            Self::Estimator => "published",
-            Self::Setup => "arms",
-            Self::Gateway => "bus",
-            Self::Arm => "named_arm",
-        }
-    }
-}
-
-impl std::fmt::Display for FileKind {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Estimator => "a file of estimator parameters (as configs/estimator.toml)",
-            Self::Setup => "a setup of `pb3dp run` (as configs/sim.toml)",
-            Self::Gateway => "a gateway (as configs/gateway.toml)",
-            Self::Arm => "an arm (as configs/arms/ur5e.toml)",
-        })
-    }
-}
 
 /// What a file is for, by the tables that it has; none if by them it is nothing.
 ///
@@ -107,14 +22,6 @@ impl std::fmt::Display for FileKind {
 pub fn kind_of(file: &Path) -> Result<Option<FileKind>, ConfigError> {
     let figment = Figment::from(Toml::string(&text_of(file)?));
     Ok(FileKind::ALL.into_iter().find(|kind| figment.find_value(kind.own_table()).is_ok()))
-}
-
-fn built_in_names() -> String {
-    built_in::SETUPS.map(|setup| setup.name).join(", ")
-}
-
-pub(crate) fn text_of(file: &Path) -> Result<String, ConfigError> {
-    std::fs::read_to_string(file).map_err(|source| ConfigError::Unreadable { file: file.to_path_buf(), source })
 }
 
 /// A configuration whose tables are taken one by one: which keys one of them has may depend on what it says itself.

@@ -55,6 +55,21 @@ impl FromStr for RegionSpec {
     }
 }
 
+impl std::fmt::Display for RegionSpec {
+    /// As it is written on the command line.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Rectangle([x, y, width, height]) => write!(f, "rect:{x},{y},{width},{height}"),
+            Self::Polygon(corners) => {
+                let corners: Vec<String> = corners.iter().map(|[x, y]| format!("{x},{y}")).collect();
+                write!(f, "poly:{}", corners.join(";"))
+            }
+            Self::Mask(file) => write!(f, "mask:{}", file.display()),
+            Self::Click([x, y]) => write!(f, "click:{x},{y}"),
+        }
+    }
+}
+
 /// Exactly `N` finite numbers with commas between them.
 fn numbers<const N: usize>(whole: &str, text: &str) -> std::result::Result<[f64; N], String> {
     let values = text

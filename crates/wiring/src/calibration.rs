@@ -6,7 +6,7 @@ use std::time::{Duration, SystemTime};
 use anyhow::{Result, bail};
 use pb3dp_camera_v4l2::controls::Focus;
 use pb3dp_record::calibration_files::{CameraIdentity, Judgement};
-use pb3dp_setup::setup::{AGE, CAMERAS, CalibrationInUse, rounded};
+use pb3dp_setup::setup::{AGE, CalibrationInUse, rounded};
 
 const DAY: Duration = Duration::from_secs(86_400);
 
@@ -81,50 +81,6 @@ fn look_at_age(calibration: &CalibrationInUse, judgement: &Judgement, now: Syste
     Ok(())
 }
 
-/// Looks whether calibrations are those of the cameras that are there.
-///
-/// # Errors
-/// The first one that is of other cameras, of cameras that have changed places, or of another focus, and does not waive it.
-pub(super) fn look_at_cameras(calibrations: &[CalibrationInUse], there: &[CameraIdentity; 2]) -> Result<()> {
-    for calibration in calibrations {
-        let Some(judgement) = &calibration.judgement else { continue };
-        let (table, source) = (calibration.table, &calibration.source);
-        if judgement.cameras.iter().all(CameraIdentity::is_empty) {
-            tracing::warn!(
-                "{source} does not say of which cameras it is: whether they are these, nobody can tell (docs/calibration.md, --cameras)"
-            );
-            continue;
-        }
-        let Some(other) = other_than(&judgement.cameras, there) else { continue };
-        if !calibration.waives(CAMERAS) {
-            bail!(
-                "{source} is not the calibration of these cameras: {other}; calibrate these, name the right file, or waive it with \
-                 {table}.waived_gates = [\"{CAMERAS}\"]"
-            );
-        }
-        tracing::warn!("{source} is not the calibration of these cameras: {other}: waived by {table}.waived_gates");
-    }
-    Ok(())
-}
-
-/// What differs of what both know. A camera with a serial number may be plugged in elsewhere.
-fn other_than(calibrated: &[CameraIdentity; 2], there: &[CameraIdentity; 2]) -> Option<String> {
-    let mut sides = ["left", "right"].into_iter().zip(calibrated.iter().zip(there));
-    sides.find_map(|(side, (was, is))| {
-        let differs = |what: &str, was: &Option<String>, is: &Option<String>| match (was, is) {
-            (Some(was), Some(is)) if was != is => {
-                Some(format!("the {side} one had the {what} {was}, and this has {is}"))
-            }
-            _ => None,
-        };
-        let serial = differs("serial number", &was.serial, &is.serial);
-        let is_known_by_number = was.serial.is_some() && is.serial.is_some();
-        let place = if is_known_by_number { None } else { differs("place", &was.place, &is.place) };
-        let focus = || differs("focus", &was.focus.map(|v| v.to_string()), &is.focus.map(|v| v.to_string()));
-        serial.or(place).or_else(focus)
-    })
-}
-
 /// As a calibration has it.
 pub fn identity(camera: pb3dp_camera_v4l2::CameraIdentity) -> CameraIdentity {
     let focus = match camera.focus {
@@ -135,20 +91,20 @@ pub fn identity(camera: pb3dp_camera_v4l2::CameraIdentity) -> CameraIdentity {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use pb3dp_record::calibration_files::JudgedGate;
 
     use super::*;
 
-    fn camera(serial: Option<&str>, place: &str, focus: Option<i32>) -> CameraIdentity {
+    pub fn camera(serial: Option<&str>, place: &str, focus: Option<i32>) -> CameraIdentity {
         CameraIdentity { serial: serial.map(str::to_owned), place: Some(place.to_owned()), focus }
     }
 
-    fn cameras() -> [CameraIdentity; 2] {
+    pub fn cameras() -> [CameraIdentity; 2] {
         [camera(Some("A0"), "usb-1", Some(30)), camera(None, "usb-2", None)]
     }
 
-    fn in_use(waived: &[&str]) -> CalibrationInUse {
+    pub fn in_use(waived: &[&str]) -> CalibrationInUse {
         let gate = |name: &str, measured: f64, grade: &str| JudgedGate {
             name: name.to_owned(),
             measured,
@@ -206,33 +162,5 @@ mod tests {
         undated.judgement.as_mut().unwrap().date = "yesterday".to_owned();
         let text = look_at(&[undated], at("2026-11-02T10:00:00Z")).unwrap_err().to_string();
         assert!(text.contains("\"yesterday\", can not be read"), "{text}");
-    }
-
-    #[test]
-    fn cameras_that_are_others_are_named() {
-        let told = |there: [CameraIdentity; 2], waived: &[&str]| {
-            look_at_cameras(&[in_use(waived)], &there).err().map(|error| error.to_string())
-        };
-        assert_eq!(told(cameras(), &[]), None);
-        let [left, right] = cameras();
-        // One with a number may be plugged in elsewhere; one without is known by its place.
-        assert_eq!(told([camera(Some("A0"), "usb-9", Some(30)), right.clone()], &[]), None);
-        for (there, part) in [
-            (
-                [camera(Some("B7"), "usb-1", Some(30)), right.clone()],
-                "the left one had the serial number A0, and this has B7",
-            ),
-            ([left.clone(), camera(None, "usb-3", None)], "the right one had the place usb-2, and this has usb-3"),
-            ([camera(Some("A0"), "usb-1", Some(31)), right.clone()], "the left one had the focus 30, and this has 31"),
-            ([right.clone(), left.clone()], "the left one had the place usb-1, and this has usb-2"),
-        ] {
-            let text = told(there.clone(), &[]).unwrap();
-            assert!(text.contains(part) && text.contains("waived_gates = [\"cameras\"]"), "{text}");
-            assert_eq!(told(there, &["cameras"]), None);
-        }
-        // Nothing is known of them, nothing can be compared.
-        let mut unnamed = in_use(&[]);
-        unnamed.judgement.as_mut().unwrap().cameras = Default::default();
-        assert!(look_at_cameras(&[unnamed], &cameras()).is_ok());
     }
 }

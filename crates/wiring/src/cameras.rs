@@ -11,9 +11,9 @@ use pb3dp_camera_v4l2::{ReopeningCamera, Side};
 use pb3dp_cell::pair::check_pictures;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
 use pb3dp_record::calibration_files::CameraIdentity;
-use pb3dp_setup::setup::{RealCameras, Setup, Synchronisation};
+use pb3dp_setup::setup::{CAMERAS, CalibrationInUse, RealCameras, Setup, Synchronisation};
 
-use super::calibration::{identity, look_at_cameras};
+use super::calibration::identity;
 
 /// Some cameras take a second or two to begin; none takes longer.
 const FIRST_PAIR_WITHIN: Duration = Duration::from_secs(10);
@@ -53,6 +53,50 @@ pub(super) fn wire_real(
     check_pictures("cameras", &setup.rig.stereo, &first.left, &first.right)
         .context("table [camera]: exchange left.device and right.device if they are the wrong way round")?;
     Ok(WiredCameras { camera: Box::new(camera), identities })
+}
+
+/// Looks whether calibrations are those of the cameras that are there.
+///
+/// # Errors
+/// The first one that is of other cameras, of cameras that have changed places, or of another focus, and does not waive it.
+fn look_at_cameras(calibrations: &[CalibrationInUse], there: &[CameraIdentity; 2]) -> Result<()> {
+    for calibration in calibrations {
+        let Some(judgement) = &calibration.judgement else { continue };
+        let (table, source) = (calibration.table, &calibration.source);
+        if judgement.cameras.iter().all(CameraIdentity::is_empty) {
+            tracing::warn!(
+                "{source} does not say of which cameras it is: whether they are these, nobody can tell (docs/calibration.md, --cameras)"
+            );
+            continue;
+        }
+        let Some(other) = other_than(&judgement.cameras, there) else { continue };
+        if !calibration.waives(CAMERAS) {
+            bail!(
+                "{source} is not the calibration of these cameras: {other}; calibrate these, name the right file, or waive it with \
+                 {table}.waived_gates = [\"{CAMERAS}\"]"
+            );
+        }
+        tracing::warn!("{source} is not the calibration of these cameras: {other}: waived by {table}.waived_gates");
+    }
+    Ok(())
+}
+
+/// What differs of what both know. A camera with a serial number may be plugged in elsewhere.
+fn other_than(calibrated: &[CameraIdentity; 2], there: &[CameraIdentity; 2]) -> Option<String> {
+    let mut sides = ["left", "right"].into_iter().zip(calibrated.iter().zip(there));
+    sides.find_map(|(side, (was, is))| {
+        let differs = |what: &str, was: &Option<String>, is: &Option<String>| match (was, is) {
+            (Some(was), Some(is)) if was != is => {
+                Some(format!("the {side} one had the {what} {was}, and this has {is}"))
+            }
+            _ => None,
+        };
+        let serial = differs("serial number", &was.serial, &is.serial);
+        let is_known_by_number = was.serial.is_some() && is.serial.is_some();
+        let place = if is_known_by_number { None } else { differs("place", &was.place, &is.place) };
+        let focus = || differs("focus", &was.focus.map(|v| v.to_string()), &is.focus.map(|v| v.to_string()));
+        serial.or(place).or_else(focus)
+    })
 }
 
 /// What an arm waits for before it is switched on: that there are pairs at all.
@@ -151,6 +195,7 @@ mod tests {
     use pb3dp_setup::setup::read_cameras;
 
     use super::*;
+    use crate::calibration::tests::{camera, cameras as both, in_use};
 
     /// What is told of the drift of two cameras, the right one slower by this, with the number of the pair at which it is told.
     fn told(synchronisation: Synchronisation, slowness: f64, pairs: u64) -> Vec<(u64, String)> {
@@ -200,5 +245,33 @@ mod tests {
             "{apart:?}"
         );
         assert_eq!(told(Synchronisation::HardwareTrigger, 0.0, 1400), []);
+    }
+
+    #[test]
+    fn cameras_that_are_others_are_named() {
+        let other = |there: [CameraIdentity; 2], waived: &[&str]| {
+            look_at_cameras(&[in_use(waived)], &there).err().map(|error| error.to_string())
+        };
+        assert_eq!(other(both(), &[]), None);
+        let [left, right] = both();
+        // One with a number may be plugged in elsewhere; one without is known by its place.
+        assert_eq!(other([camera(Some("A0"), "usb-9", Some(30)), right.clone()], &[]), None);
+        for (there, part) in [
+            (
+                [camera(Some("B7"), "usb-1", Some(30)), right.clone()],
+                "the left one had the serial number A0, and this has B7",
+            ),
+            ([left.clone(), camera(None, "usb-3", None)], "the right one had the place usb-2, and this has usb-3"),
+            ([camera(Some("A0"), "usb-1", Some(31)), right.clone()], "the left one had the focus 30, and this has 31"),
+            ([right.clone(), left.clone()], "the left one had the place usb-1, and this has usb-2"),
+        ] {
+            let text = other(there.clone(), &[]).unwrap();
+            assert!(text.contains(part) && text.contains("waived_gates = [\"cameras\"]"), "{text}");
+            assert_eq!(other(there, &["cameras"]), None);
+        }
+        // Nothing is known of them, nothing can be compared.
+        let mut unnamed = in_use(&[]);
+        unnamed.judgement.as_mut().unwrap().cameras = Default::default();
+        assert!(look_at_cameras(&[unnamed], &both()).is_ok());
     }
 }

@@ -29,7 +29,7 @@ use pb3dp_record::dataset::Sequence;
 use pb3dp_sim::trajectory::{AtRest, Trajectory};
 
 use self::arm::{EmulatedServer, MonitoredLink, WiredArms, wire_arms};
-use self::simulated::{follow_truth, wire_sight};
+use self::simulated::wire_sight;
 pub use flights::{line_facts, raw_lines, write_flights};
 pub use greeting::{bus_doubts, geometry_doubt, watchdog_refusal};
 pub use nominal::{MOCK_ARM, accept_nominal};
@@ -39,7 +39,7 @@ use pb3dp_cell::eyes::{Marking, NOT_MARKED, Sight};
 use pb3dp_cell::operator::ByCommand;
 use pb3dp_cell::paced_clock::PacedClock;
 use pb3dp_cell::parts::{EmulatedArm, LinkMonitor, Parts};
-use pb3dp_cell::paths::{check_paths, look_at_free_path};
+use pb3dp_cell::paths::check_carried;
 use pb3dp_setup::region_spec::load_region;
 use pb3dp_setup::setup::{Cameras, Carrier, Pace, Setup};
 
@@ -86,14 +86,10 @@ pub fn wire_with(setup: &Setup, video: Arc<dyn VideoSystem>) -> Result<Wired> {
     check_marked(setup)?;
     wire_cell_with(setup, video, |cell, start| {
         let experiment = setup.experiment.motion.begin_at(start)?;
-        let reports = match setup.experiment.carrier {
-            Carrier::Arm => Vec::from(check_paths(setup, &*experiment)?),
-            Carrier::Nothing => {
-                cell.free_target = Some(FreeTarget::new(Arc::clone(&experiment)));
-                look_at_free_path(setup, start)?
-            }
-        };
-        for (name, report) in reports {
+        if setup.experiment.carrier == Carrier::Nothing {
+            cell.free_target = Some(FreeTarget::new(Arc::clone(&experiment)));
+        }
+        for (name, report) in check_carried(setup, &*experiment, start)? {
             let (joint, speed) = report.fastest_joint();
             tracing::info!(
                 "{name}: smallest singular value {:.3} at {:.1} s, fastest axis {} uses {:.0} % of its allowed speed",
@@ -164,9 +160,6 @@ fn wire_cell_with(
     // What is planned is planned with what the setup says, what happens follows the truth.
     let start = cell.world_from_target_at(clock.now());
     let experiment = begin(&mut cell, start)?;
-    if let Some(world) = setup.world() {
-        follow_truth(&mut cell, &world.truth);
-    }
     let mut cameras = None;
     let (camera, marking) = match &setup.rig.cameras {
         Cameras::Real(real) => {
@@ -179,7 +172,7 @@ fn wire_cell_with(
             (Sight::Pictures(wired.camera), region.map_or(Marking::Nobody, Marking::Region))
         }
         Cameras::Simulated(world) => {
-            let (camera, outline_m) = wire_sight(setup, world, &cell, &clock)?;
+            let (camera, outline_m) = wire_sight(setup, world, &mut cell, &clock)?;
             (camera, Marking::Outline(outline_m))
         }
     };

@@ -9,7 +9,6 @@ use pb3dp_camera_sim::{FaultyCamera, GeometricCamera, SimCameraConfig, SimStereo
 use pb3dp_cell::cell::SimulatedCell;
 use pb3dp_cell::eyes::{PoseCamera, Sight};
 use pb3dp_hal_api::{CameraError, Clock, StereoCamera};
-use pb3dp_setup::setup::seeds::Stream;
 use pb3dp_setup::setup::{FrameTiming, Leader, Pace, Setup, SimulatedWorld, Truth};
 use pb3dp_sim::geometric::{GeometricFrame, GeometricTracker, PoseSigma};
 use pb3dp_sim::raster::StereoRenderer;
@@ -19,7 +18,7 @@ use pb3dp_sim::targets;
 use crate::at_once::at_once;
 
 /// Puts things where they truly are.
-pub(super) fn follow_truth(cell: &mut SimulatedCell, truth: &Truth) {
+fn follow_truth(cell: &mut SimulatedCell, truth: &Truth) {
     if let Some(flange_from_cam_left) = &truth.flange_from_cam_left {
         cell.hand_from_cam_left = cell.flange_from_hand.inverse() * *flange_from_cam_left;
     }
@@ -27,13 +26,14 @@ pub(super) fn follow_truth(cell: &mut SimulatedCell, truth: &Truth) {
     cell.tc.world_from_base = truth.tc_world_from_base.unwrap_or(cell.tc.world_from_base);
 }
 
-/// The simulated camera, or what stands for it, and the outline of the target.
+/// The simulated camera, or what stands for it, and the outline of the target; everything in the cell is then where it truly is.
 pub(super) fn wire_sight(
     setup: &Setup,
     world: &SimulatedWorld,
-    cell: &SimulatedCell,
+    cell: &mut SimulatedCell,
     clock: &Arc<dyn Clock>,
 ) -> Result<(Sight, Vec<Point3<f64>>)> {
+    follow_truth(cell, &world.truth);
     let (poses, began) = (Box::new(cell.clone()), clock.now());
     let (clock, faults) = (Arc::clone(clock), world.faults.clone());
     let FrameTiming { period, exposure } = setup.rig.frames;
@@ -42,8 +42,7 @@ pub(super) fn wire_sight(
         Leader::Pictures(_) => {
             let scene = Scene::build(&world.scene).context("table [scene]")?;
             let outline_m = scene.target().outline_m.clone();
-            let noise = Stream::SensorNoise.narrow(setup.seed);
-            let renderer = StereoRenderer::new(scene, *setup.true_rig(), &world.sensor, noise);
+            let renderer = StereoRenderer::new(scene, *setup.true_rig(), &world.sensor, world.sensor_seed);
             let mut renderer = renderer.context("table [camera]")?;
             if setup.pace != Pace::Fast {
                 // A pair has to be there before the next one.

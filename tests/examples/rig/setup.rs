@@ -9,10 +9,7 @@ use pb3dp_camera_v4l2::controls;
 use pb3dp_camera_v4l2::linux::Linux;
 use pb3dp_camera_v4l2::names;
 
-use crate::report::ensure;
-
-/// The file as it is, and beside it the one that the program gets.
-const ORIGINAL: &str = "/configs/rig.toml";
+/// The file that the program gets, beside that of the rig.
 pub const HERE: &str = "/configs/here.toml";
 
 /// Where the two cameras are.
@@ -36,38 +33,47 @@ pub fn control(name: &str) -> Result<u32, Box<dyn Error>> {
     Ok(found.ok_or_else(|| format!("vivid has no control `{name}`"))?.entry.id)
 }
 
-/// Writes the file that the program gets. A wish that the original does not have is refused.
+/// Writes the file that the program gets.
 pub fn write() -> Result<(), Box<dyn Error>> {
-    let mut text = fs::read_to_string(ORIGINAL)?;
-    for (from, to) in changes(control(STAMPS)?) {
-        ensure(text.contains(from), || format!("{ORIGINAL} has no `{from}`"))?;
-        text = text.replace(from, &to);
-    }
-    Ok(fs::write(Path::new(HERE), text)?)
+    Ok(fs::write(Path::new(HERE), text(control(STAMPS)?))?)
 }
 
-/// What is replaced by what, and why.
-fn changes(stamps: u32) -> Vec<(&'static str, String)> {
-    // They have neither exposure nor white balance. `vivid` stamps the end of a picture that is still to come unless it is told not to.
-    let eye = format!(
-        "exposure_millis = \"keep\"\nstated_exposure_millis = 0.0\ninput = 2\nfurther_controls = [{{ id = {stamps}, value = 1 }}]"
-    );
-    vec![
-        ("bus:usb-0000:00:14.0-1", name(0).to_string()),
-        ("bus:usb-0000:00:14.0-2", name(1).to_string()),
-        ("exposure_millis = 4.0", eye),
-        ("gain = 32", "gain = \"keep\"".to_owned()),
-        ("white_balance_kelvin = 4600", "white_balance_kelvin = \"keep\"".to_owned()),
-        // PAL. Even and odd lines come from one picture here.
-        ("frame_rate_hz = 30.0", "interlaced = true\nframe_rate_hz = 25.0".to_owned()),
-        // The target rests. Whether the arms can follow the whole way is looked at before, which takes this computer long.
-        ("lead_in_s = 3.0", "lead_in_s = 60.0".to_owned()),
-        ("channels = [\"x\", \"y\", \"z\", \"rx\", \"ry\", \"rz\"]", "channels = [\"z\"]".to_owned()),
-        // A pair would take this computer a second.
-        ("every_s = 2.0", "every_s = 60.0".to_owned()),
-        // They have no common trigger: up to half a period is between them.
-        ("\"hardware-trigger\"", "\"free-running\"".to_owned()),
-        ("skew_max_millis = 5.0", "skew_max_millis = 30.0".to_owned()),
-        ("camera_skew = { skew_millis = 5.0", "camera_skew = { skew_millis = 30.0".to_owned()),
-    ]
+/// What differs from the rig, and why.
+fn text(stamps: u32) -> String {
+    // They have neither exposure nor white balance. `vivid` stamps the end of an image that is still to come unless it is told not to.
+    let eye = |number: usize| {
+        format!(
+            "device = \"{}\"\nexposure_millis = \"keep\"\nstated_exposure_millis = 0.0\ngain = \"keep\"\n\
+             white_balance_kelvin = \"keep\"\ninput = 2\nfurther_controls = [{{ id = {stamps}, value = 1 }}]",
+            name(number)
+        )
+    };
+    format!(
+        r#"base = "rig.toml"
+
+[camera] # PAL: even and odd lines come from one image here. There is no common trigger: up to half a period is between the cameras.
+interlaced = true
+frame_rate_hz = 25.0
+synchronisation = "free-running"
+skew_max_millis = 30.0
+
+[camera.left]
+{left}
+
+[camera.right]
+{right}
+
+[supervisor.policies]
+camera_skew.skew_millis = 30.0
+
+[drift] # A pair would take this computer a second.
+every_s = 60.0
+
+[experiment] # The target rests. Whether the arms can follow the whole path is checked before, which takes this computer long.
+lead_in_s = 60.0
+channels = ["z"]
+"#,
+        left = eye(0),
+        right = eye(1)
+    )
 }

@@ -77,7 +77,6 @@ const ALLOWED: [(&str, &[&str]); 35] = [
             "hal-platform",
         ],
     ),
-    ("calibration", &["geometry", "record"]),
     (
         "setup",
         &[
@@ -98,6 +97,7 @@ const ALLOWED: [(&str, &[&str]); 35] = [
             "arm-pa10-protocol",
         ],
     ),
+    ("calibration", &["geometry", "record", "setup"]),
     (
         "cell",
         &[

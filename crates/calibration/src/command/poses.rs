@@ -6,6 +6,7 @@ use anyhow::{Context, Result};
 use nalgebra::Vector3;
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, World};
 use pb3dp_geometry::{Frame, Pose, so3};
+use pb3dp_setup::layers::{Layers, SetupArgs};
 
 /// Six numbers: x, y, z in mm, and a rotation vector in degrees.
 pub(super) fn six(text: &str) -> Result<[f64; 6], String> {
@@ -28,8 +29,8 @@ pub(super) struct Setup {
 
 impl Setup {
     pub(super) fn read(file: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(file).with_context(|| format!("{}: can not be read", file.display()))?;
-        let root = text.parse().with_context(|| format!("{}: is no setup", file.display()))?;
+        let layers = Layers::read(&SetupArgs::of_file(file))?;
+        let root = layers.figment().extract().with_context(|| format!("{}: is no setup", file.display()))?;
         Ok(Self { file: file.to_path_buf(), root })
     }
 

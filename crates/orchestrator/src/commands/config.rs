@@ -8,8 +8,11 @@ use anyhow::{Result, bail};
 use clap::{Args, Subcommand, ValueEnum};
 use pb3dp_cell::terminal::print_line;
 use pb3dp_setup::explain::explain;
-use pb3dp_setup::layers::{Effective, Layers, SetupArgs, built_in};
+use pb3dp_setup::layers::{Effective, Layers, SetupArgs, built_in, toml_of};
 use pb3dp_setup::setup::read_layers;
+
+/// Where the arms begin in the example of a rig.
+const ARMS: &str = "[arms]\n";
 
 /// The exit code of setups that differ.
 const DIFFERENT: u8 = 3;
@@ -82,6 +85,8 @@ enum Kind {
     Hil,
     /// Two cameras of this computer, for `pb3dp cameras`.
     Cameras,
+    /// Two real arms, with simulated cameras where the arms are.
+    Arms,
     /// Two real arms and cameras.
     Rig,
 }
@@ -122,15 +127,8 @@ fn show(args: &ShowArgs) -> Result<ExitCode> {
         print_line(&serde_json::to_string_pretty(&object)?)?;
         return Ok(ExitCode::SUCCESS);
     }
-    let mut table = "";
-    for setting in wanted {
-        let (of, name) = setting.key.rsplit_once('.').unwrap_or(("", &setting.key));
-        if of != table {
-            print_line(&format!("\n[{of}]"))?;
-            table = of;
-        }
-        print_line(&format!("{:<60} # {}", format!("{name} = {}", setting.value), setting.origin))?;
-    }
+    let wanted: Vec<Effective> = wanted.into_iter().cloned().collect();
+    print_line(toml_of(&wanted).trim_end())?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -146,7 +144,8 @@ fn check(args: &CheckArgs) -> Result<ExitCode> {
 
 fn diff(args: &DiffArgs) -> Result<ExitCode> {
     let of = |config: &PathBuf, set: &[String]| -> Result<BTreeMap<String, Effective>> {
-        let layers = Layers::read(&SetupArgs { configs: vec![config.clone()], set: set.to_vec() })?;
+        let layers =
+            Layers::read(&SetupArgs { configs: vec![config.clone()], set: set.to_vec(), ..SetupArgs::default() })?;
         Ok(layers.effective().into_iter().map(|setting| (setting.key.clone(), setting)).collect())
     };
     let (a, b) = (of(&args.a, &[])?, of(&args.b, &args.set)?);
@@ -171,8 +170,13 @@ fn init(kind: Kind) -> Result<ExitCode> {
         Kind::Hil => include_str!("config/hil.toml"),
         Kind::Cameras => include_str!("config/cameras.toml"),
         Kind::Rig => built_in::RIG_EXAMPLE,
+        Kind::Arms => include_str!("config/arms.toml"),
     };
     print_line(text.trim_end())?;
+    if kind == Kind::Arms {
+        let arms = built_in::RIG_EXAMPLE.split_once(ARMS).map_or("", |(_, arms)| arms);
+        print_line(&format!("{ARMS}{}", arms.trim_end()))?;
+    }
     Ok(ExitCode::SUCCESS)
 }
 

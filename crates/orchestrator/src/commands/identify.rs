@@ -25,7 +25,6 @@ use pb3dp_setup::setup::{Setup, read_layers};
 use pb3dp_wiring::{Wired, accept_nominal, wire_at_rest, write_flights};
 use serde::Serialize;
 
-use super::run::mark;
 use crate::logging::last_words;
 
 /// An arm that does what it is told, with dead time and lag, leaves less than this.
@@ -83,8 +82,8 @@ pub fn run(args: &IdentifyArgs) -> Result<ExitCode> {
 fn delay(args: &DelayArgs) -> Result<ExitCode> {
     // Before any thread is started: a signal that ends the program would leave the arms to their gateways.
     let mut signals = StopSignals::take_over().context("the signals that end the program can not be taken over")?;
-    let mut setup = read_layers(&args.setup)?;
-    mark(&mut setup, args.region.as_ref())?;
+    let region = args.region.as_ref().map(ToString::to_string);
+    let mut setup = read_layers(&args.setup.clone().with("--region", "camera.region", region))?;
     accept_nominal(&mut setup, args.nominal_calibration);
     let motion = Excitation::new(args.way * 1e-3, args.seconds).context("--way is in mm, --seconds in s")?;
     let plan = format!(

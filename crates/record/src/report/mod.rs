@@ -187,6 +187,13 @@ impl Report {
         ))
     }
 
+    /// A table behind its title, which a click opens.
+    #[must_use]
+    pub fn folded(self, title: &str, table: &Table) -> Self {
+        let opened = self.add(format_args!("<details><summary>{}</summary>", escape(title)));
+        opened.table(table).add(format_args!("</details>"))
+    }
+
     /// A plot over the whole width.
     #[must_use]
     pub fn plot(self, plot: &LinePlot) -> Self {

@@ -1,7 +1,7 @@
 //! Variables of the environment that set keys: `PB3DP_RUN__SEED=5` sets `run.seed`.
 
 use super::{Layer, Origin, layer_of_words};
-use crate::load::ConfigError;
+use crate::error::ConfigError;
 
 const PREFIX: &str = "PB3DP_";
 /// Between a table and its key. A name without it is no setting.

@@ -24,6 +24,7 @@ pub(super) struct CameraSection {
     #[serde(rename = "backend")]
     _backend: String,
     calibration: Option<Vec<PathBuf>>,
+    region: Option<String>,
     waived_gates: Option<Vec<String>>,
     calibration_age_max_days: Option<f64>,
     width_px: i64,
@@ -100,6 +101,11 @@ impl CameraSection {
     /// Every key by itself. The ranges are those of the parts, which check again; focal length and distortion, which the parts
     /// take in any finite size, keep to what lenses have.
     fn check(&self, check: &mut Checker) {
+        if let Some(region) = &self.region {
+            check.refuse(format!(
+                "camera.region = {region:?}: the cameras are simulated, and where the target is in their images is known"
+            ));
+        }
         check.count("camera.width_px", self.width_px, 64..=4096);
         check.count("camera.height_px", self.height_px, 64..=4096);
         check.number("camera.focal_px", self.focal_px, 50.0..=20_000.0);

@@ -146,6 +146,8 @@ pub struct SimulatedWorld {
     pub scene: SceneConfig,
     /// What the sensors of the cameras do to the light.
     pub sensor: SensorConfig,
+    /// Of the noise of the sensors.
+    pub sensor_seed: u32,
     /// Moments of an exposure that are rendered and averaged: 1 for sharp images.
     pub blur_moments: u32,
     /// What goes wrong with the cameras.

@@ -74,13 +74,13 @@ impl Setup {
         self
     }
 
-    /// Gives every part its seed from that of the run. Not here: the sensors take theirs at wiring, and the published search adds
-    /// what the file states.
+    /// Gives every part its seed from that of the run; the published search adds what the file states.
     fn seed_parts(&mut self) {
         let run = self.seed;
         if let Some(world) = self.world_mut() {
             world.scene.seed = Stream::Scene.narrow(run);
             world.faults.seed = Stream::CameraFaults.narrow(run);
+            world.sensor_seed = Stream::SensorNoise.narrow(run);
         }
         let geometric = Stream::GeometricNoise.narrow(run);
         if let Some(config) = &mut self.geometric {

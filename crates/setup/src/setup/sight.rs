@@ -74,7 +74,8 @@ impl CameraTable {
                     check.refuse("scene: missing; camera.backend = \"sim\" needs it".to_owned());
                 }
                 let (scene, blur_moments) = (scene?.build(check), section.blur_moments());
-                let world = SimulatedWorld { scene, sensor, blur_moments, faults, truth: Truth::default() };
+                let world =
+                    SimulatedWorld { scene, sensor, sensor_seed: 0, blur_moments, faults, truth: Truth::default() };
                 let cameras = Cameras::Simulated(Box::new(world));
                 Some(Sight { rig: rig?, frames, cameras, nominal_calibration: None, calibration })
             }

@@ -79,7 +79,7 @@ pub(super) struct ChosenTarget {
 
 impl CameraChoice {
     fn setup(&self) -> Option<SetupArgs> {
-        let setup = SetupArgs { configs: self.config.clone(), set: self.set.clone() };
+        let setup = SetupArgs { configs: self.config.clone(), set: self.set.clone(), ..SetupArgs::default() };
         (!setup.configs.is_empty()).then_some(setup)
     }
 

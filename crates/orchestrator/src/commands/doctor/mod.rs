@@ -58,7 +58,7 @@ pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
     let needs = match args.config.as_slice() {
         [] => Ok(Needs::general(args.recordings.clone())),
         configs => {
-            let setup = SetupArgs { configs: configs.to_vec(), set: args.set.clone() };
+            let setup = SetupArgs { configs: configs.to_vec(), set: args.set.clone(), ..SetupArgs::default() };
             Needs::of_config(&setup, args.recordings.clone())
         }
     };

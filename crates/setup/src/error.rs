@@ -1,0 +1,95 @@
+//! Why a configuration is refused, and what a configuration file is for.
+
+use std::path::{Path, PathBuf};
+
+/// Why a configuration was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file can not be read.
+    #[error("configuration {file}: can not be read", file = file.display())]
+    Unreadable {
+        /// The file.
+        file: PathBuf,
+        /// The reason.
+        #[source]
+        source: std::io::Error,
+    },
+    /// The file is another kind of configuration.
+    #[error("configuration {file}: this is {found}, but {wanted} is needed here", file = file.display())]
+    OtherKind {
+        /// The file.
+        file: PathBuf,
+        /// What it is.
+        found: FileKind,
+        /// What it should be.
+        wanted: FileKind,
+    },
+    /// The text is no TOML.
+    #[error("configuration {place}: {reason}", place = place.display())]
+    Syntax {
+        /// File, line and column.
+        place: PathBuf,
+        /// What the parser says.
+        reason: String,
+    },
+    /// Neither a file nor a built-in setup.
+    #[error("configuration {name}: there is no such file, and no built-in setup of this name; built-in are {}", known)]
+    NoSuchSetup {
+        /// As it was written.
+        name: String,
+        /// The names of those that are built in.
+        known: String,
+    },
+    /// Keys are unknown, missing or of the wrong type, or values are out of range. One line per key.
+    #[error("configuration {file}:\n{lines}", file = file.display())]
+    Values {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong, one line per key.
+        lines: String,
+    },
+}
+
+/// What a configuration file is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FileKind {
+    /// Parameters of the estimators, for `pb3dp estimate` and `pb3dp track`.
+    Estimator,
+    /// A whole setup, for `pb3dp run`.
+    Setup,
+    /// A gateway, for `pb3dp gateway`.
+    Gateway,
+    /// One arm, for setups that name it.
+    Arm,
+}
+
+impl FileKind {
+    pub(crate) const ALL: [Self; 4] = [Self::Estimator, Self::Setup, Self::Gateway, Self::Arm];
+
+    /// A table that this kind has, and the others have not.
+    pub(crate) fn own_table(self) -> &'static str {
+        match self {
+            Self::Estimator => "published",
+            Self::Setup => "arms",
+            Self::Gateway => "bus",
+            Self::Arm => "named_arm",
+        }
+    }
+}
+
+impl std::fmt::Display for FileKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Estimator => "a file of estimator parameters (as configs/estimator.toml)",
+            Self::Setup => "a setup of `pb3dp run` (as configs/sim.toml)",
+            Self::Gateway => "a gateway (as configs/gateway.toml)",
+            Self::Arm => "an arm (as configs/arms/ur5e.toml)",
+        })
+    }
+}
+
+/// # Errors
+/// If the file cannot be read.
+pub(crate) fn text_of(file: &Path) -> Result<String, ConfigError> {
+    std::fs::read_to_string(file).map_err(|source| ConfigError::Unreadable { file: file.to_path_buf(), source })
+}
