@@ -197,7 +197,7 @@ const ALLOWED: [(&str, &[&str]); 35] = [
 ];
 
 /// What tests of any package may use besides.
-const ALLOWED_IN_ALL_TESTS: [&str; 2] = ["allocation-count", "test-support"];
+const ALLOWED_IN_ALL_TESTS: [&str; 3] = ["allocation-count", "computing", "test-support"];
 
 /// What tests of a package in `hal/` may use besides: the suite that every backend must pass, and a clock to run it by.
 const ALLOWED_IN_HAL_TESTS: [&str; 2] = ["hal-conformance", "hal-clock"];
