@@ -6,4 +6,5 @@
 
 pub mod arcnet;
 pub mod codec;
+mod codes;
 pub mod gateway_protocol;
