@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail the test")]
 
 use nalgebra::Vector3;
+use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_geometry::Pose;
 use pb3dp_kinematics::clearance::{PlacedArm, clearance};
 use pb3dp_kinematics::{Chain, JointVector};
@@ -18,13 +19,9 @@ fn setup() -> Setup {
 
 /// Joints all over their ranges; the same ones each time.
 fn many_joints(count: usize) -> impl Iterator<Item = Joints> {
-    let mut state = 11u64;
-    let mut random = move || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (state >> 40) as f64 / f64::from(1 << 24) * 2.0 - 1.0
-    };
+    let mut random = SplitMix64::new(11);
     let operating_rad = Rules::of_the_rig().arms[0].operating_rad;
-    (0..count).map(move |_| operating_rad.map(|end| end * random()))
+    (0..count).map(move |_| operating_rad.map(|end| random.between(-end, end)))
 }
 
 #[test]

@@ -44,12 +44,6 @@ pub enum EstimationError {
         /// Outer points with a hue.
         outer: usize,
     },
-    /// This processor lacks the instructions of the kernel asked for.
-    #[error("this processor can not run the {kernel} kernels: choose one of those that are available")]
-    KernelUnavailable {
-        /// Name of the kernel set.
-        kernel: &'static str,
-    },
     /// The region was refused.
     #[error(transparent)]
     Region(#[from] crate::region::RegionError),

@@ -3,14 +3,14 @@
 //!
 //! No method lives here, and no file, clock, thread or environment.
 
-pub mod cpu;
 pub mod error;
 pub mod estimate;
 pub mod method;
 pub mod plane_hypothesis;
 pub mod region;
-pub mod rng;
 pub mod row_offset;
 pub mod status;
 pub mod trig;
 pub mod wide;
+
+pub use pb3dp_computing::{cpu, rng};

@@ -1,51 +1,12 @@
-//! Kernels from one source, compiled for several vector widths.
-//!
-//! The body of a kernel is an `#[inline(always)]` function. [`wide!`] compiles it for every processor (on aarch64 that
-//! includes NEON), for AVX2 and for AVX-512, and calls the version that the given [`Kernels`](crate::cpu::Kernels) prove to
-//! run here. Rust neither reorders nor fuses floating-point operations, so all versions give the same bits: sums that are to
-//! run in vector lanes are written as such, with [`LANES`] partial sums.
+//! Sums in vector lanes, for kernels from one source ([`wide!`]).
+
+pub use pb3dp_computing::wide;
 
 /// Partial sums of a vectorised sum: two AVX-512 registers of single precision would be 32, one is 16.
 pub const LANES: usize = 16;
 
-/// Defines a function that runs a kernel (an `#[inline(always)]` function of the same arguments) with the vectors of the
-/// [`Kernels`](crate::cpu::Kernels) that it gets as its first argument.
-#[macro_export]
-macro_rules! wide {
-    ($(#[$meta:meta])* $vis:vis fn $name:ident($($arg:ident: $type:ty),* $(,)?) $(-> $out:ty)? = $kernel:path;) => {
-        $(#[$meta])*
-        #[allow(clippy::too_many_arguments, reason = "a kernel takes its buffers one by one")]
-        $vis fn $name(kernels: $crate::cpu::Kernels, $($arg: $type),*) $(-> $out)? {
-            #[cfg(target_arch = "x86_64")]
-            {
-                #[target_feature(enable = "avx2")]
-                #[allow(clippy::too_many_arguments, reason = "as above")]
-                fn with_avx2($($arg: $type),*) $(-> $out)? {
-                    $kernel($($arg),*)
-                }
-                #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512dq")]
-                #[allow(clippy::too_many_arguments, reason = "as above")]
-                fn with_avx512($($arg: $type),*) $(-> $out)? {
-                    $kernel($($arg),*)
-                }
-                match kernels.set() {
-                    // SAFETY: `Kernels` of this set exist only where the processor has AVX-512 F, BW, VL and DQ.
-                    $crate::cpu::KernelSet::Avx512 => return unsafe { with_avx512($($arg),*) },
-                    // SAFETY: `Kernels` of this set exist only where the processor has AVX2.
-                    $crate::cpu::KernelSet::Avx2 => return unsafe { with_avx2($($arg),*) },
-                    $crate::cpu::KernelSet::Scalar => {}
-                }
-            }
-            let _ = kernels;
-            $kernel($($arg),*)
-        }
-    };
-}
-pub use wide;
-
 /// The sum of partial sums, always in the same order.
 #[inline(always)]
-#[allow(dead_code, reason = "the first kernels that sum are on their way")]
 pub fn sum_lanes(lanes: &[f32; LANES]) -> f32 {
     let mut eight: [f32; 8] = std::array::from_fn(|i| lanes[i] + lanes[i + 8]);
     for width in [4, 2, 1] {
@@ -58,8 +19,9 @@ pub fn sum_lanes(lanes: &[f32; LANES]) -> f32 {
 
 #[cfg(test)]
 mod tests {
+    use pb3dp_estimation_test_support::every_kernel;
+
     use super::*;
-    use crate::cpu::every_kernel;
 
     #[inline(always)]
     fn dot_kernel(a: &[f32], b: &[f32]) -> f32 {

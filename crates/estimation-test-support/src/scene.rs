@@ -6,6 +6,7 @@
 
 use image::{Rgb, RgbImage};
 use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector2, Vector3};
+use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 
 /// Radius of the disc, metres.
@@ -152,10 +153,15 @@ fn hsv(hue: f64, saturation: f64, value: f64) -> [f64; 3] {
     [channel(5.0), channel(3.0), channel(1.0)]
 }
 
-/// A number in 0..1 that depends on `n` alone.
+/// A number in 0..1 that depends on `n` alone: the one at place `n`, from 1, after the seed 0.
 fn unit_hash(n: u64) -> f64 {
-    let mut z = n.wrapping_mul(0x9E37_79B9_7F4A_7C15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    SplitMix64::new(n.wrapping_sub(1).wrapping_mul(0x9E37_79B9_7F4A_7C15)).unit()
+}
+
+/// Bits that depend on a place of a lattice and on a seed alone.
+pub fn lattice_hash(x: u32, y: u32, seed: u32) -> u32 {
+    let h = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77) ^ seed.wrapping_mul(0xC2B2_AE3D);
+    let h = (h ^ (h >> 15)).wrapping_mul(0x2C1B_3C6D);
+    let h = (h ^ (h >> 12)).wrapping_mul(0x297A_2D39);
+    h ^ (h >> 15)
 }

@@ -64,15 +64,14 @@ pub(super) fn beyond_chance(correlation: f64, share: f64, independent: f64) -> f
 
 #[cfg(test)]
 mod tests {
+    use pb3dp_estimation_core::rng::SplitMix64;
+
     use super::*;
 
     /// A texture of waves of about this length, pixels, on a square of 96 px.
     fn texture(length_px: f32) -> Vec<Point> {
-        let mut state = 7_u32;
-        let mut random = || {
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            (state >> 8) as f32 / (1 << 24) as f32
-        };
+        let mut random = SplitMix64::new(7);
+        let mut random = || random.unit() as f32;
         let waves: Vec<[f32; 3]> = (0..60)
             .map(|_| {
                 let (turn, phase) = (random() * std::f32::consts::TAU, random() * std::f32::consts::TAU);

@@ -2,6 +2,7 @@
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3, Vector6};
 use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_estimation_core::wide::LANES;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, se3};
 
@@ -119,10 +120,7 @@ fn every_unknown_moves_the_pixel_as_its_derivative_says() {
 /// Views and images of noise, so that no term vanishes.
 fn noisy_groups(count: usize) -> (Vec<SurfaceGroup>, Vec<[SeenGroup; 2]>, Vec<ViewGroup>) {
     let value = |seed: usize| {
-        Lanes(std::array::from_fn(|i| {
-            let h = ((seed * LANES + i) as u32).wrapping_mul(0x9E37_79B1);
-            ((h ^ (h >> 15)) % 2001) as f32 * 0.1 - 100.0
-        }))
+        Lanes(std::array::from_fn(|i| SplitMix64::new((seed * LANES + i) as u64).between(-100.0, 100.0) as f32))
     };
     let (scene, plane) = (Scene::new(), Vector3::new(0.3, -0.2, 2.1));
     let surface = vec![scene.group(&plane); count];

@@ -1,5 +1,7 @@
 //! The filter on made-up frames: what is known is the disparity of each node, with noise.
 
+use pb3dp_estimation_core::rng::SplitMix64;
+
 use super::*;
 
 const SIDE: usize = 8;
@@ -21,14 +23,10 @@ fn grid() -> Grid {
     }
 }
 
-/// Normal numbers that repeat themselves: sums of uniform ones.
+/// Normal numbers of a seed.
 fn noise(count: usize, seed: u64) -> Vec<f64> {
-    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-    let mut uniform = move || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (state >> 11) as f64 / (1_u64 << 53) as f64
-    };
-    (0..count).map(|_| (0..12).map(|_| uniform()).sum::<f64>() - 6.0).collect()
+    let mut random = SplitMix64::new(seed);
+    (0..count).map(|_| random.normal()).collect()
 }
 
 /// What a frame says that measures `truth` (pixels, by node), each node by itself.

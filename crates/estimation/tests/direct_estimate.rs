@@ -7,6 +7,7 @@ use pb3dp_estimation_core::estimate::PlaneEstimate;
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
 use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
 use pb3dp_estimation_core::region::{Region, RegionMask};
+use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
 use pb3dp_estimation_test_support::scene::{self, Scene};
@@ -64,11 +65,10 @@ fn cameras_that_are_not_rectified_serve_as_well() {
 fn blank_walls_and_noise_are_refused_with_a_reason() {
     let rig = scene::rectified_rig(SIZE);
     let region = Region::Rectangle { x: 250, y: 180, width: 120, height: 100 };
-    let mut state = 1_u32;
+    let mut random = SplitMix64::new(1);
     let mut noise = |amplitude: u32| {
         RgbImage::from_fn(SIZE.width, SIZE.height, |_, _| {
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            image::Rgb([(120 + (state >> 16) % (2 * amplitude + 1)) as u8; 3])
+            image::Rgb([(120 + random.below(2 * amplitude + 1)) as u8; 3])
         })
     };
     for amplitude in [0, 2, 20] {

@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 use pb3dp_estimation_core::estimate::{EstimateWarning, TrackEstimate};
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_direct::estimator::DirectConfig;
 use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig};
@@ -331,17 +332,11 @@ fn a_blank_wall_is_no_target() {
 }
 
 /// A picture with a sixth of its contrast, and noise of three grey levels.
-fn faint(image: &image::RgbImage, seed: u32) -> image::RgbImage {
-    let mut state = seed;
-    let mut noise = || {
-        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        f64::from(state >> 16) / 65_536.0 - 0.5
-    };
+fn faint(image: &image::RgbImage, seed: u64) -> image::RgbImage {
+    let mut random = SplitMix64::new(seed);
     let mut faint = image.clone();
     for value in faint.iter_mut() {
-        // The sum of four numbers of variance 1/12.
-        let sum: f64 = (0..4).map(|_| noise()).sum();
-        *value = (118.0 + (f64::from(*value) - 118.0) / 6.0 + 3.0 * 3_f64.sqrt() * sum).round() as u8;
+        *value = (118.0 + (f64::from(*value) - 118.0) / 6.0 + 3.0 * random.normal()).round() as u8;
     }
     faint
 }

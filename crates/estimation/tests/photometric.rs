@@ -4,6 +4,7 @@
 use nalgebra::{Matrix3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::region::RegionMask;
+use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_estimation_core::row_offset::RowOffset;
 use pb3dp_estimation_direct::colour_planes::{OPPONENT_FROM_RGB, Wanted};
 use pb3dp_estimation_direct::cramer_rao::{BoundSample, channel_information, plane_sigma};
@@ -13,7 +14,7 @@ use pb3dp_estimation_direct::photometric::{PlaneRefiner, RefineConfig, RefinedPl
 use pb3dp_estimation_direct::region_pyramid::{PyramidSource, RegionPyramid};
 use pb3dp_estimation_test_support::every_kernel;
 
-use crate::plane_pair::{Paint, Pair, Random, SIZE, Setup, Texture, render};
+use crate::plane_pair::{self, Paint, Pair, SIZE, Setup, Texture, render};
 
 /// A pair, taken in, and its true plane.
 struct Taken {
@@ -110,18 +111,18 @@ struct Summary {
     rows_px: f64,
 }
 
-fn run(paint: Paint, poses: u64, setup: impl Fn(&mut Random) -> Setup) -> Summary {
+fn run(paint: Paint, poses: u64, setup: impl Fn(&mut SplitMix64) -> Setup) -> Summary {
     let (target, sand) = (Texture::new(paint, 5), Texture::new(Paint::Sand, 99));
     let mut refiner = PlaneRefiner::new(RefineConfig::default(), Kernels::best());
     let mut sum = Summary::default();
     for seed in 0..poses {
-        let mut random = Random::new(1000 + seed);
+        let mut random = plane_pair::random(1000 + seed);
         let mut setup = setup(&mut random);
-        (setup.seed, setup.z_m) = (seed, random.uniform(0.47, 0.55));
-        (setup.tilt_x_rad, setup.tilt_y_rad) = (random.uniform(-0.42, 0.42), random.uniform(-0.42, 0.42));
+        (setup.seed, setup.z_m) = (seed, random.between(0.47, 0.55));
+        (setup.tilt_x_rad, setup.tilt_y_rad) = (random.between(-0.42, 0.42), random.between(-0.42, 0.42));
         let pair = render(&setup, &target, &sand);
         let taken = take(&pair, Kernels::best());
-        let push = Vector3::new(random.uniform(-0.7, 0.7), random.uniform(-0.01, 0.01), random.uniform(-0.01, 0.01));
+        let push = Vector3::new(random.between(-0.7, 0.7), random.between(-0.01, 0.01), random.between(-0.01, 0.01));
         let start = taken.truth.with_parameters(&(taken.truth.parameters() + push));
         let found = taken.refine(&mut refiner, &pair, &start).unwrap();
         assert!(found.converged, "seed {seed}: {found:?}");
@@ -145,7 +146,7 @@ fn run(paint: Paint, poses: u64, setup: impl Fn(&mut Random) -> Setup) -> Summar
 }
 
 /// Root mean squares against factors times the bound; few poses, so the factors leave room for chance.
-fn check(paint: Paint, factors: (f64, f64), setup: impl Fn(&mut Random) -> Setup) -> Summary {
+fn check(paint: Paint, factors: (f64, f64), setup: impl Fn(&mut SplitMix64) -> Setup) -> Summary {
     let s = run(paint, 5, setup);
     let text = format!("z {:.4} of {:.4} mm, normal {:.3} of {:.3} deg", s.z_mm, s.bound.0, s.normal_deg, s.bound.1);
     assert!(s.z_mm < factors.0 * s.bound.0 && s.normal_deg < factors.1 * s.bound.1, "{text}");

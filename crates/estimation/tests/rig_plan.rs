@@ -9,7 +9,7 @@ use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
 
-use crate::plane_pair::{Paint, Pair, Random, SIZE, Setup, Texture, render};
+use crate::plane_pair::{self, Paint, Pair, SIZE, Setup, Texture, render};
 
 /// Pixels of the target whose neighbours along the row show it as well, and the rms gradient there, all channels together.
 fn texture_of(pair: &Pair) -> (usize, f64) {
@@ -26,12 +26,12 @@ fn reached_and_planned(paint: Paint, base: &Setup) -> ([[f64; 2]; 2], f64) {
     let (target, sand) = (Texture::new(paint, 5), Texture::new(Paint::Sand, 99));
     let (mut reached, mut planned, mut gradients) = ([0.0; 2], [0.0; 2], 0.0);
     for seed in 0..POSES {
-        let mut random = Random::new(300 + seed);
+        let mut random = plane_pair::random(300 + seed);
         let setup = Setup {
             seed,
-            z_m: base.z_m + random.uniform(-0.02, 0.02),
-            tilt_x_rad: random.uniform(-0.1, 0.1),
-            tilt_y_rad: random.uniform(-0.1, 0.1),
+            z_m: base.z_m + random.between(-0.02, 0.02),
+            tilt_x_rad: random.between(-0.1, 0.1),
+            tilt_y_rad: random.between(-0.1, 0.1),
             gain: [1.0; 3],
             bias: [0.0; 3],
             ..base.clone()

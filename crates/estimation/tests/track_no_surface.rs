@@ -5,6 +5,7 @@ use image::{Rgb, RgbImage};
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_direct::estimator::DirectConfig;
 use pb3dp_estimation_test_support::scene;
@@ -15,16 +16,12 @@ const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 
 /// Waves of 60 to 200 px without symmetry, others for every seed.
 fn soft_picture(seed: u32) -> RgbImage {
-    let mut state = seed.wrapping_mul(2_654_435_761).wrapping_add(12_345);
-    let mut random = || {
-        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        f64::from(state >> 8) / f64::from(1 << 24)
-    };
+    let mut random = SplitMix64::new(u64::from(seed));
     let waves: Vec<[f64; 3]> = (0..12)
         .map(|_| {
-            let (turn, length) = (random() * std::f64::consts::TAU, 60.0 + 140.0 * random());
+            let (turn, length) = (random.between(0.0, std::f64::consts::TAU), random.between(60.0, 200.0));
             let speed = std::f64::consts::TAU / length;
-            [speed * turn.cos(), speed * turn.sin(), random() * std::f64::consts::TAU]
+            [speed * turn.cos(), speed * turn.sin(), random.between(0.0, std::f64::consts::TAU)]
         })
         .collect();
     RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| {

@@ -4,6 +4,7 @@
 use crate::common;
 use crate::common::{Cell, IDEAL, Plant, config, published, rotation, with_filter};
 use nalgebra::Vector3;
+use pb3dp_computing::rng::SplitMix64;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Model};
 use pb3dp_kinematics::JointVector;
@@ -120,11 +121,8 @@ fn smoothing_quiets_the_hand_before_a_target_that_is_seen_with_jitter() {
         cell.step_s = 0.01;
         let target = target_moved(&cell, Vector3::zeros());
         let begin = cell.base_from_hand().translation_m();
-        let (mut seed, mut sum) = (1u64, 0.0);
-        let mut noise = move || {
-            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            0.1 * ((seed >> 11) as f64 / (1u64 << 53) as f64 - 0.5)
-        };
+        let (mut random, mut sum) = (SplitMix64::new(1), 0.0);
+        let mut noise = move || random.between(-0.05, 0.05);
         for step in 0..8500 {
             // Uniform, 1.7 degrees rms, about the target's own x and y: what the published method is unsure of.
             let turned = target.rotation() * rotation(noise(), noise(), 0.0);

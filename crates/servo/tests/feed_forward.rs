@@ -6,6 +6,7 @@ use std::f64::consts::TAU;
 
 use crate::common::{Cell, Plant, config, feed_forward, feed_forward_config, published, rotation};
 use nalgebra::Vector3;
+use pb3dp_computing::rng::SplitMix64;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Model};
 use pb3dp_kinematics::JointVector;
@@ -226,18 +227,14 @@ fn a_rotation_that_is_not_observed_does_not_lead_the_hand() {
     };
     let mut in_flight = std::collections::VecDeque::new();
     let (mut exposures, mut farthest, mut worst) = (0u32, 0.0f64, 0.0f64);
-    let mut seed = 7u64;
-    let mut noise = move || {
-        seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (seed >> 11) as f64 / (1u64 << 53) as f64 - 0.5
-    };
+    let mut random = SplitMix64::new(7);
     while cell.time_s < 35.0 {
         let target = swinging(&home, cell.time_s - 5.0);
         if cell.time_s - 5.0 + 1e-9 >= f64::from(exposures) / 30.0 {
             exposures += 1;
             let mut seen = cell.observe(&target);
             // What is held: the rotation of the first picture, and on top of it some noise.
-            let turned = about_normal(&cell, &target) + 0.02 * noise();
+            let turned = about_normal(&cell, &target) + random.between(-0.01, 0.01);
             let about = rotation(0.0, 0.0, turned);
             seen.cam_left_from_model =
                 Pose::from_parts(seen.cam_left_from_model.translation_m(), seen.cam_left_from_model.rotation() * about);

@@ -4,6 +4,7 @@
 
 use crate::common::chain;
 use nalgebra::{UnitQuaternion, Vector3};
+use pb3dp_computing::rng::SplitMix64;
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose, Twist};
 use pb3dp_kinematics::{Chain, Damping, JointState, JointVector, damped_pseudo_inverse};
@@ -26,26 +27,6 @@ fn hand_from_cam_left() -> Pose<Hand, CamLeft> {
 
 fn base_from_hand(chain: &Chain, position_rad: &JointVector) -> Pose<Base, Hand> {
     chain.forward(position_rad) * flange_from_hand()
-}
-
-/// xorshift64*, made normal by the sum of twelve: enough for noise.
-struct Noise(u64);
-
-impl Noise {
-    fn uniform(&mut self) -> f64 {
-        self.0 ^= self.0 >> 12;
-        self.0 ^= self.0 << 25;
-        self.0 ^= self.0 >> 27;
-        (self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    fn normal(&mut self) -> f64 {
-        (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
-    }
-
-    fn vector(&mut self, sigma: f64) -> Vector3<f64> {
-        Vector3::new(self.normal(), self.normal(), self.normal()) * sigma
-    }
 }
 
 struct Rig {
@@ -84,7 +65,7 @@ impl Rig {
                 Vector3::new(0.04, -0.03, 0.5),
                 UnitQuaternion::from_euler_angles(0.2, 0.1, -0.3),
             );
-        let mut noise = Noise(self.seed);
+        let mut noise = SplitMix64::new(self.seed);
         let mut wanted = vec![];
         let (mut recorded, mut next_frame_s) = (Recorded { given: vec![], joints: vec![], seen: vec![] }, 0.0);
         let steps = ((motion.duration_s() + 0.5) / CYCLE_S) as usize;
@@ -103,7 +84,9 @@ impl Rig {
                 let now_s = t_s + CYCLE_S * fine as f64 / FINE as f64;
                 if now_s >= next_frame_s + self.offset_s {
                     let truth = (base_from_hand(&chain, &position) * hand_from_cam_left()).inverse() * base_from_model;
-                    let jitter = Pose::<Model, Model>::from_translation(noise.vector(self.position_sigma_m));
+                    let jitter = Pose::<Model, Model>::from_translation(Vector3::from_fn(|_, _| {
+                        self.position_sigma_m * noise.normal()
+                    }));
                     recorded.seen.push((at(next_frame_s), truth * jitter));
                     next_frame_s += FRAME_S;
                 }

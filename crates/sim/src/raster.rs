@@ -14,6 +14,7 @@ mod visibility;
 
 use image::RgbImage;
 use nalgebra::{Isometry3, Vector2};
+use pb3dp_computing::wide;
 use pb3dp_geometry::{CameraError, ImageSize, StereoRig};
 
 use self::coverage::EdgePixels;
@@ -25,7 +26,7 @@ use self::visibility::{NOTHING, TRIANGLE_BITS, Visibility, triangle_index};
 use crate::scene::{Scene, ScenePoses};
 use crate::sensor::{NoiseKey, SensorConfig, SensorError};
 use crate::targets::part::{SceneObject, ScenePart};
-use crate::wide::wide;
+use crate::wide::kernels;
 
 /// Light where nothing is seen, in 256ths of a grey level.
 const EMPTY: [u16; 3] = [96 << 8; 3];
@@ -229,7 +230,7 @@ fn shade(
 ) {
     edges.resolve(view, visibility, triangles);
     let seen = Seen { view, visibility, parts, triangles };
-    shade_surfaces(&seen, light);
+    shade_surfaces(kernels(), &seen, light);
     edges.shade(&seen, light);
 }
 
@@ -275,15 +276,16 @@ fn shade_surfaces_kernel(seen: &Seen<'_>, light: &mut [u16]) {
 #[cfg(test)]
 mod tests {
     use nalgebra::Vector3;
+    use pb3dp_computing::cpu::{KernelSet, Kernels};
     use pb3dp_geometry::{Camera, Distortion, Pinhole, Pose};
 
     use super::*;
     use crate::scene::SceneConfig;
     use crate::targets::TargetConfig;
-    use crate::wide::tests::{has_two_versions, without_avx2};
+    use crate::wide::tests::with;
 
     #[test]
-    fn both_versions_of_the_kernels_and_any_order_of_the_eyes_give_the_same_bytes() {
+    fn all_versions_of_the_kernels_and_any_order_of_the_eyes_give_the_same_bytes() {
         let camera = |cx: f64| {
             let pinhole = Pinhole { fx: 231.0, fy: 229.0, cx, cy: 73.0 };
             let distortion = Distortion::BrownConrady5 { coefficients: [-0.2, 0.1, 0.001, -0.002, 0.0] };
@@ -306,14 +308,15 @@ mod tests {
         };
         let widest = pair(&mut renderer);
         assert!(widest.0 != widest.1);
-        if !has_two_versions() {
+        if !KernelSet::Avx2.is_available() {
             pb3dp_test_support::not_checked(
-                "raster::tests::both_versions_of_the_kernels_and_any_order_of_the_eyes_give_the_same_bytes",
+                "raster::tests::all_versions_of_the_kernels_and_any_order_of_the_eyes_give_the_same_bytes",
                 "this processor has no AVX2",
             );
         }
-        let plain = without_avx2(|| pair(&mut renderer));
-        assert!(widest == plain);
+        for kernels in Kernels::available() {
+            assert!(widest == with(kernels, || pair(&mut renderer)), "{}", kernels.set().name());
+        }
         let right_first = pair(&mut renderer.with_run_both(|left, right| {
             right();
             left();

@@ -2,8 +2,10 @@
 //!
 //! Grey levels are proportional to light (no gamma): a surface of texture colour 200 under light 1 gives grey level 200.
 
+use pb3dp_computing::wide;
+
 use crate::noise;
-use crate::wide::wide;
+use crate::wide::kernels;
 
 /// What the two sensors do to the light.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -167,7 +169,7 @@ impl Developer {
 
     /// Develops a whole picture: `light` in 256ths of a grey level, red, green, blue, row-major.
     pub(crate) fn develop(&mut self, light: &[u16], key: &NoiseKey, picture: &mut [u8]) {
-        develop(self, light, key, picture);
+        develop(kernels(), self, light, key, picture);
     }
 
     #[inline(always)]
@@ -233,7 +235,7 @@ pub(crate) fn spread(light: &mut [u16], stride: usize, sigma_px: f64) {
         for start in (0..light.len()).step_by(stride) {
             here.copy_from_slice(&light[start..start + stride]);
             let next = if start + stride < light.len() { start + stride } else { start };
-            blur_line([&above, &here, &light[next..next + stride]], weight, &mut padded, &mut blurred);
+            blur_line(kernels(), [&above, &here, &light[next..next + stride]], weight, &mut padded, &mut blurred);
             light[start..start + stride].copy_from_slice(&blurred);
             std::mem::swap(&mut above, &mut here);
         }

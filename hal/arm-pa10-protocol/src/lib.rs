@@ -8,6 +8,7 @@
 
 pub mod arcnet;
 pub mod codec;
+mod codes;
 pub mod gateway_protocol;
 pub mod places;
 pub mod watchdog;

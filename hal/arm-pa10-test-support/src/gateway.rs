@@ -82,7 +82,7 @@ impl FakeGateway {
             let answer = self.handle(&message).unwrap_or_else(|reason| {
                 self.rejected.push(reason);
                 let found = self.found.filter(|_| reason == RejectReason::CausePresent);
-                let detail = found.map_or(0, |found| u32::from(found.byte()));
+                let detail = found.map_or(0, |found| u32::from(found.code()));
                 GatewayMessage::Reject(Reject { reason, frame_type: frame.frame_type, detail })
             });
             answers.extend(self.frame(&answer, frame.sequence).encode().as_slice());

@@ -51,7 +51,7 @@ fn it_stops_and_latches_in_every_state_and_keeps_the_first_cause() {
         let told = bench.heard.iter().filter(|(_, message)| matches!(message, GatewayMessage::Fault(_)));
         assert_eq!(told.count(), 0, "{state}");
         let started = bench.ask(control(ArmOperation::Start));
-        assert_eq!(rejected(started), (RejectReason::WrongState, bench.state().byte().into()), "{state}");
+        assert_eq!(rejected(started), (RejectReason::WrongState, bench.state().code().into()), "{state}");
         let reset = bench.ask(control(ArmOperation::Reset));
         assert!(matches!(reset, GatewayMessage::ControlReply(_)), "{state}: {reset:?}");
         assert_eq!((bench.state(), bench.cause()), (GatewayState::Idle, StopCause::None), "{state}");
@@ -73,7 +73,7 @@ fn it_cuts_short_what_a_host_has_asked_for() {
         assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::HostFault), "{task:?}");
         let answers = bench.heard.iter().filter(|(frame, _)| frame.sequence == asked).map(|(_, answer)| *answer);
         let refused = answers.map(rejected).collect::<Vec<_>>();
-        assert_eq!(refused, [(RejectReason::WrongState, GatewayState::Fault.byte().into())], "{task:?}");
+        assert_eq!(refused, [(RejectReason::WrongState, GatewayState::Fault.code().into())], "{task:?}");
         assert!(bench.letters().ends_with('E'), "{task:?}: {}", bench.letters());
     }
 }
@@ -140,7 +140,7 @@ fn what_the_arm_shows_afterwards_is_looked_at_by_the_reset() {
     bench.controller.servo[3] = ServoWord(0x00E0);
     bench.run(ms(600));
     assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::HostFault));
-    let present = (RejectReason::CausePresent, u32::from(StopCause::ServoAlarm.byte()));
+    let present = (RejectReason::CausePresent, u32::from(StopCause::ServoAlarm.code()));
     assert_eq!(rejected(bench.ask(control(ArmOperation::Reset))), present);
     bench.controller.servo[3] = ServoWord(0);
     assert!(matches!(bench.ask(control(ArmOperation::Reset)), GatewayMessage::ControlReply(_)));

@@ -173,13 +173,13 @@ fn the_example_frames_of_the_specification_are_ours_byte_for_byte() {
 #[test]
 fn the_numbers_of_the_specification_are_ours() {
     let mut numbers: Vec<(u8, String)> = Vec::new();
-    numbers.extend(Dialect::ALL.iter().map(|code| (code.byte(), code.to_string())));
-    numbers.extend(DriveMode::ALL.iter().map(|code| (code.byte(), code.to_string())));
-    numbers.extend(ControlOperation::ALL.iter().map(|code| (code.byte(), code.to_string())));
-    numbers.extend(GatewayState::ALL.iter().map(|code| (code.byte(), code.to_string())));
-    numbers.extend(StopCause::ALL.iter().map(|code| (code.byte(), code.to_string())));
-    numbers.extend(RejectReason::ALL.iter().map(|code| (code.byte(), code.to_string())));
-    numbers.extend(Geometry::ALL.iter().map(|code| (code.byte(), code.to_string())));
+    numbers.extend(Dialect::LISTED.iter().map(|code| (code.code(), code.to_string())));
+    numbers.extend(DriveMode::LISTED.iter().map(|code| (code.code(), code.to_string())));
+    numbers.extend(ControlOperation::LISTED.iter().map(|code| (code.code(), code.to_string())));
+    numbers.extend(GatewayState::LISTED.iter().map(|code| (code.code(), code.to_string())));
+    numbers.extend(StopCause::LISTED.iter().map(|code| (code.code(), code.to_string())));
+    numbers.extend(RejectReason::LISTED.iter().map(|code| (code.code(), code.to_string())));
+    numbers.extend(Geometry::LISTED.iter().map(|code| (code.code(), code.to_string())));
     let (_, section) = SPECIFICATION.split_once("\n## Numbers\n").unwrap();
     let (section, _) = section.split_once("\n## ").unwrap();
     let mut specified = Vec::new();

@@ -127,7 +127,7 @@ fn every_command_in_every_state_is_answered_as_the_document_says() {
                 match expected {
                     // What is only shown has no answer in the data of the controller.
                     Expected::Show if transparent => {
-                        assert_eq!(rejected(answer), (RejectReason::WrongState, before.byte().into()), "{what}");
+                        assert_eq!(rejected(answer), (RejectReason::WrongState, before.code().into()), "{what}");
                     }
                     Expected::Show => {
                         let GatewayMessage::State(shown) = answer else { panic!("{what}") };
@@ -142,7 +142,7 @@ fn every_command_in_every_state_is_answered_as_the_document_says() {
                         }
                     }
                     _ => {
-                        assert_eq!(rejected(answer), (RejectReason::WrongState, before.byte().into()), "{what}");
+                        assert_eq!(rejected(answer), (RejectReason::WrongState, before.code().into()), "{what}");
                         assert_eq!(bench.state(), before, "{what}");
                     }
                 }
@@ -172,7 +172,7 @@ fn every_operation_in_every_state_is_answered_as_the_document_says() {
             let letters = bench.letters();
             match of_operation(&row(state)[column], state, letter) {
                 Expected::WrongState => {
-                    assert_eq!(rejected(answer), (RejectReason::WrongState, state.byte().into()), "{what}");
+                    assert_eq!(rejected(answer), (RejectReason::WrongState, state.code().into()), "{what}");
                     assert_eq!(bench.state(), state, "{what}");
                 }
                 Expected::Done(next, expected) => {
@@ -218,7 +218,7 @@ fn every_letter_in_every_state_is_answered_as_the_document_says() {
                 let what = format!("{format}, {state}, {}: {answer:?}", char::from(byte));
                 match of_operation(&row(state)[column], state, letter) {
                     Expected::WrongState => {
-                        assert_eq!(rejected(answer), (RejectReason::WrongState, before.byte().into()), "{what}");
+                        assert_eq!(rejected(answer), (RejectReason::WrongState, before.code().into()), "{what}");
                         assert_eq!(bench.state(), before, "{what}");
                     }
                     Expected::Done(next, expected) => {
@@ -313,7 +313,7 @@ fn hello_and_heartbeat_are_answered_in_every_state_and_change_none() {
         assert_eq!(bench.state(), state);
         let answer = bench.ask(hello(Dialect::Transparent));
         if matches!(state, GatewayState::Holding | GatewayState::Moving | GatewayState::Stopping) {
-            assert_eq!(rejected(answer), (RejectReason::WrongState, state.byte().into()));
+            assert_eq!(rejected(answer), (RejectReason::WrongState, state.code().into()));
             assert_eq!(bench.gateway.status().host, Some(Dialect::GatewayV1));
         } else {
             assert!(matches!(answer, GatewayMessage::HelloReply(reply) if reply.dialect == Dialect::Transparent));

@@ -464,7 +464,7 @@ fn a_controller_that_is_off_is_no_fault_at_the_start() {
     bench.controller.answers = false;
     bench.run(ms(190));
     bench.ask(hello(Dialect::GatewayV1));
-    let stopping = (RejectReason::WrongState, u32::from(GatewayState::Stopping.byte()));
+    let stopping = (RejectReason::WrongState, u32::from(GatewayState::Stopping.code()));
     assert_eq!(rejected(bench.ask(control(ArmOperation::Start))), stopping);
     bench.run(ms(60));
     assert_eq!(bench.letters().trim_matches('C'), "EEE");

@@ -134,7 +134,7 @@ fn an_axis_without_power_stops_the_arm_where_brakes_are_open() {
 #[test]
 fn brakes_do_not_open_on_an_arm_that_is_uncontrollable() {
     for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
-        let refused = (RejectReason::CausePresent, u32::from(StopCause::AxisUncontrollable.byte()));
+        let refused = (RejectReason::CausePresent, u32::from(StopCause::AxisUncontrollable.code()));
         let mut bench = Bench::greeted(config(WireFormat::BigEndian6x10), dialect);
         bench.start();
         bench.controller.servo[1] = ServoWord(0x8000);
@@ -231,7 +231,7 @@ fn a_reset_needs_a_controller_that_shows_that_the_cause_is_gone() {
             (bench.controller.servo[0], bench.controller.comm) = (ServoWord(servo), CommWord(comm));
             bench.sent.clear();
             let answer = bench.ask(control(ArmOperation::Reset));
-            assert_eq!(rejected(answer), (RejectReason::CausePresent, found.byte().into()));
+            assert_eq!(rejected(answer), (RejectReason::CausePresent, found.code().into()));
             assert_eq!((bench.state(), bench.cause(), bench.letters().as_str()), (state, cause, "SCE"));
         }
         (bench.controller.servo[0], bench.controller.comm) = (ServoWord(0), CommWord(0));
@@ -256,7 +256,7 @@ fn a_reset_needs_a_controller_that_shows_that_the_cause_is_gone() {
         bench.run(ms(220));
         assert!(bench.gateway.is_at_rest());
         bench.controller.lies_about_format = true;
-        let found = StopCause::ReplyUnusable.byte().into();
+        let found = StopCause::ReplyUnusable.code().into();
         assert_eq!(rejected(bench.ask(control(ArmOperation::Reset))), (RejectReason::CausePresent, found));
         bench.controller.lies_about_format = false;
         assert!(matches!(bench.ask(control(ArmOperation::Reset)), GatewayMessage::ControlReply(_)));
@@ -273,7 +273,7 @@ fn before_the_stop_order_is_done_nothing_is_reset_or_read() {
     bench.ask(hello(Dialect::GatewayV1));
     let axis = Axis::ALL[0];
     for asked in [control(ArmOperation::Reset), HostMessage::Control(Control::ClearAlarm(axis))] {
-        assert_eq!(rejected(bench.ask(asked)), (RejectReason::WrongState, GatewayState::Fault.byte().into()));
+        assert_eq!(rejected(bench.ask(asked)), (RejectReason::WrongState, GatewayState::Fault.code().into()));
     }
     assert!(matches!(bench.ask(control(ArmOperation::Stop)), GatewayMessage::ControlReply(_)));
     bench.run(ms(400));
@@ -293,7 +293,7 @@ fn a_stop_cuts_short_what_is_under_way() {
     let answers = bench.heard.iter().rev().take(2).map(|(frame, message)| (frame.sequence, *message));
     let answers = answers.collect::<Vec<_>>();
     assert_eq!((answers[1].0, answers[0].0), (start, stop));
-    assert_eq!(rejected(answers[1].1), (RejectReason::WrongState, GatewayState::Stopping.byte().into()));
+    assert_eq!(rejected(answers[1].1), (RejectReason::WrongState, GatewayState::Stopping.code().into()));
     // While a reset looks at the arm.
     let mut bench = Bench::new();
     bench.lead_to(GatewayState::Fault);

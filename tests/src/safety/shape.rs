@@ -112,6 +112,8 @@ impl ArmBody {
 
 #[cfg(test)]
 mod tests {
+    use pb3dp_estimation_core::rng::SplitMix64;
+
     use super::*;
 
     fn rod(a: [f64; 3], b: [f64; 3], radius_m: f64) -> Rod {
@@ -137,13 +139,9 @@ mod tests {
     /// Against the smallest distance on a fine grid of points of both lines.
     #[test]
     fn distances_are_those_of_a_grid() {
-        let mut state = 7u64;
-        let mut random = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (state >> 40) as f64 / f64::from(1 << 24) * 2.0 - 1.0
-        };
+        let mut random = SplitMix64::new(7);
         for _ in 0..200 {
-            let [first, second] = [0, 1].map(|_| [0, 1].map(|_| [0, 1, 2].map(|_| random())));
+            let [first, second] = [0, 1].map(|_| [0, 1].map(|_| [0, 1, 2].map(|_| random.between(-1.0, 1.0))));
             let exact_m = line_distance_m(&first, &second);
             let mut grid_m = f64::INFINITY;
             for i in 0..=100 {

@@ -11,9 +11,10 @@ const ALLOWED: [(&str, &[&str]); 35] = [
     ("allocation-count", &[]),
     ("test-support", &[]),
     ("safeguards", &[]),
+    ("computing", &[]),
     ("geometry", &[]),
     ("kinematics", &["geometry"]),
-    ("estimation-core", &["geometry"]),
+    ("estimation-core", &["computing", "geometry"]),
     ("estimation-test-support", &["geometry", "estimation-core", "test-support"]),
     ("estimation-direct", &["geometry", "estimation-core"]),
     ("estimation-track", &["geometry", "estimation-core", "estimation-direct"]),
@@ -21,7 +22,7 @@ const ALLOWED: [(&str, &[&str]); 35] = [
     ("estimation", &["geometry", "estimation-core", "estimation-direct", "estimation-track", "estimation-published"]),
     ("record", &["geometry"]),
     ("servo", &["safeguards", "geometry", "kinematics"]),
-    ("sim", &["geometry", "kinematics"]),
+    ("sim", &["computing", "geometry", "kinematics"]),
     ("hal-api", &["geometry", "kinematics"]),
     ("hal-clock", &["geometry", "hal-api"]),
     ("hal-middleware", &["safeguards", "geometry", "kinematics", "hal-api"]),
@@ -193,7 +194,7 @@ const ALLOWED: [(&str, &[&str]); 35] = [
 ];
 
 /// What tests of any package may use besides.
-const ALLOWED_IN_ALL_TESTS: [&str; 2] = ["allocation-count", "test-support"];
+const ALLOWED_IN_ALL_TESTS: [&str; 3] = ["allocation-count", "computing", "test-support"];
 
 /// What tests of a package in `hal/` may use besides: the suite that every backend must pass, and a clock to run it by.
 const ALLOWED_IN_HAL_TESTS: [&str; 2] = ["hal-conformance", "hal-clock"];

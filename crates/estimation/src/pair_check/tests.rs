@@ -4,6 +4,7 @@ use std::path::Path;
 
 use image::{Rgb, RgbImage};
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
+use pb3dp_estimation_test_support::scene::lattice_hash;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 
 use super::{PairCheck, PairVerdict, check_pair};
@@ -52,13 +53,7 @@ fn render(rig: &StereoRig, seed: u32) -> (RgbImage, RgbImage) {
 
 /// Random values at whole coordinates, blended in between.
 fn blended(x: f64, y: f64, seed: u32) -> u8 {
-    let node = |i: i64, j: i64| {
-        let place = (i as u32).wrapping_mul(0x9E37_79B1) ^ (j as u32).wrapping_mul(0x85EB_CA77);
-        let n = place ^ seed.wrapping_mul(0xC2B2_AE3D);
-        let n = (n ^ (n >> 15)).wrapping_mul(0x2C1B_3C6D);
-        let n = (n ^ (n >> 12)).wrapping_mul(0x297A_2D39);
-        f64::from((n ^ (n >> 15)) & 0xFF)
-    };
+    let node = |i: i64, j: i64| f64::from(lattice_hash(i as u32, j as u32, seed) & 0xFF);
     let (i, j) = (x.floor() as i64, y.floor() as i64);
     let (s, t) = (x - x.floor(), y - y.floor());
     let row = |j: i64| node(i, j) * (1.0 - s) + node(i + 1, j) * s;

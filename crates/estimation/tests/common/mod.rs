@@ -7,6 +7,7 @@
 
 use image::{Rgb, RgbImage};
 use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
+use pb3dp_estimation_test_support::scene::lattice_hash;
 use pb3dp_geometry::frames::{CamLeft, CamRight, Model};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 
@@ -204,9 +205,5 @@ fn smooth_noise(x: f64, y: f64, seed: u32) -> f64 {
 
 /// A number between 0 and 1 for a lattice point.
 fn lattice(i: i32, j: i32, seed: u32) -> f64 {
-    let mut h =
-        (i as u32).wrapping_mul(0x9E37_79B1) ^ (j as u32).wrapping_mul(0x85EB_CA77) ^ seed.wrapping_mul(0xC2B2_AE3D);
-    h = (h ^ (h >> 15)).wrapping_mul(0x2C1B_3C6D);
-    h = (h ^ (h >> 12)).wrapping_mul(0x297A_2D39);
-    f64::from(h ^ (h >> 15)) / f64::from(u32::MAX)
+    f64::from(lattice_hash(i as u32, j as u32, seed)) / f64::from(u32::MAX)
 }

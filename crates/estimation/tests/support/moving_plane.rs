@@ -5,6 +5,7 @@ use image::RgbImage;
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 use pb3dp_estimation_core::estimate::PlanePose;
 use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_test_support::scene::lattice_hash;
 use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig, so3};
 
@@ -105,13 +106,7 @@ fn picture(
 
 /// About normal, unit variance.
 pub fn noise(x: u32, y: u32, stream: u32) -> f64 {
-    let mut h = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77) ^ stream.wrapping_mul(0xC2B2_AE3D);
-    h ^= h >> 15;
-    h = h.wrapping_mul(0x2C1B_3C6D);
-    h ^= h >> 12;
-    h = h.wrapping_mul(0x297A_2D39);
-    h ^= h >> 15;
-    let sum: u32 = h.to_le_bytes().iter().map(|&b| u32::from(b)).sum();
+    let sum: u32 = lattice_hash(x, y, stream).to_le_bytes().iter().map(|&b| u32::from(b)).sum();
     (f64::from(sum) - 510.0) / 147.8
 }
 

@@ -1,31 +1,21 @@
 //! Motions, noise and error measures for tests of the target's state.
 
 use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
+use pb3dp_computing::rng::SplitMix64;
 use pb3dp_geometry::frames::{Base, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose, so3};
 use pb3dp_servo::{PoseMeasurement, TargetState, TargetStateConfig};
 
-/// Normal deviates from a seed (SplitMix64, Box and Muller).
-pub struct Noise {
-    state: u64,
-}
+/// Normal deviates from a seed.
+pub struct Noise(SplitMix64);
 
 impl Noise {
     pub fn new(seed: u64) -> Self {
-        Self { state: seed }
-    }
-
-    /// Evenly in 0 (exclusive) to 1.
-    pub fn uniform(&mut self) -> f64 {
-        self.state = self.state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.state;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64 + f64::MIN_POSITIVE
+        Self(SplitMix64::new(seed))
     }
 
     pub fn normal(&mut self) -> f64 {
-        (-2.0 * self.uniform().ln()).sqrt() * (std::f64::consts::TAU * self.uniform()).cos()
+        self.0.normal()
     }
 
     pub fn vector(&mut self) -> Vector3<f64> {

@@ -1,11 +1,13 @@
 //! Edge pixels, sampled sixteen times.
 
+use pb3dp_computing::wide;
+
 use super::shade::{Scratch, shade_run};
 use super::triangle::{Plane, ScreenTriangle};
 use super::view::View;
 use super::visibility::{NOTHING, TRIANGLE_BITS, Visibility, triangle_code, triangle_index};
 use super::{EMPTY, Seen};
-use crate::wide::wide;
+use crate::wide::kernels;
 
 /// Samples per edge pixel.
 const SAMPLES: usize = 16;
@@ -52,7 +54,7 @@ impl Samples {
 impl EdgePixels {
     /// Finds the edge pixels and what their samples see.
     pub(crate) fn resolve(&mut self, view: &View, visibility: &Visibility, triangles: &[ScreenTriangle]) {
-        resolve(self, view, visibility, triangles);
+        resolve(kernels(), self, view, visibility, triangles);
     }
 
     #[inline(always)]

@@ -1,8 +1,10 @@
 //! Which triangle each pixel centre sees, and which pixels lie on an edge.
 
+use pb3dp_computing::wide;
+
 use super::triangle::ScreenTriangle;
 use super::view::{BLOCK, View};
-use crate::wide::wide;
+use crate::wide::kernels;
 
 /// No triangle.
 pub(crate) const NOTHING: u32 = u32::MAX;
@@ -31,7 +33,7 @@ impl Visibility {
     pub(crate) fn draw(&mut self, view: &View, triangles: &[ScreenTriangle]) {
         self.inv_z.fill(0.0);
         self.seen.fill(NOTHING);
-        draw_triangles(self, view, triangles);
+        draw_triangles(kernels(), self, view, triangles);
     }
 
     /// Whether a pixel and one of its eight neighbours see different surfaces.

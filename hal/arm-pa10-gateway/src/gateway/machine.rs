@@ -466,5 +466,5 @@ impl Machine {
 
 /// Not in this state.
 pub(super) fn wrong_state(state: GatewayState) -> Refused {
-    Refused(RejectReason::WrongState, u32::from(state.byte()))
+    Refused(RejectReason::WrongState, u32::from(state.code()))
 }

@@ -124,7 +124,7 @@ impl Machine {
             }
             Task::Reset(ResetStep::End { found }) => {
                 self.work = Work::Steady;
-                let present = Refused(RejectReason::CausePresent, u32::from(found.byte()));
+                let present = Refused(RejectReason::CausePresent, u32::from(found.code()));
                 return self.host.refuse(now, &asker, present);
             }
         };

@@ -110,7 +110,7 @@ impl Machine {
     fn handle_message(&mut self, now: MonotonicTime, message: &HostMessage, asker: &Asker) -> Result<(), Refused> {
         let dialect = self.host.dialect.unwrap_or(Dialect::GatewayV1);
         let only = |wanted: Dialect| {
-            let other = Refused(RejectReason::WrongDialect, u32::from(dialect.byte()));
+            let other = Refused(RejectReason::WrongDialect, u32::from(dialect.code()));
             if dialect == wanted { Ok(()) } else { Err(other) }
         };
         match message {
@@ -180,7 +180,7 @@ impl Machine {
                     return Err(Refused(RejectReason::NoAnswer, 0));
                 }
                 if possible && opens && self.is_uncontrollable() {
-                    let cause = u32::from(StopCause::AxisUncontrollable.byte());
+                    let cause = u32::from(StopCause::AxisUncontrollable.code());
                     return Err(Refused(RejectReason::CausePresent, cause));
                 }
                 if possible { Ok(Some(next)) } else { Err(wrong_state(self.state)) }

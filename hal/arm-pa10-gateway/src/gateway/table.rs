@@ -76,5 +76,5 @@ pub fn deed(state: GatewayState, ask: Ask) -> Deed {
         [Show,      Show, Show,  N,     N,     Speak,  Done, Speak, Done],  // fault
         [Show,      Show, Show,  N,     N,     Speak,  Done, Speak, Done],  // emergency-stop
     ];
-    TABLE[usize::from(state.byte())][ask as usize]
+    TABLE[usize::from(state.code())][ask as usize]
 }

@@ -4,56 +4,14 @@
 //! alarm for another (over-current 0x0E has all bits of the velocity deviation 0x06). Values from Orca. Whether a switch bit means
 //! "open" or "pressed" must be looked up on the rig.
 
+use crate::codes::codes;
+
 /// The alarm code within a status word.
 const fn code(word: u16) -> u8 {
     ((word & 0x0FF0) >> 4) as u8
 }
 
-macro_rules! alarms {
-    ($(#[$doc:meta])* $name:ident { $($(#[$variant_doc:meta])* $variant:ident = $code:literal, $text:literal;)* }) => {
-        $(#[$doc])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-        pub enum $name {
-            $($(#[$variant_doc])* $variant,)*
-            /// A code that no source lists.
-            Unlisted(u8),
-        }
-
-        impl $name {
-            /// The alarms that sources list.
-            pub const LISTED: &[Self] = &[$(Self::$variant,)*];
-
-            /// The alarm of a code; 0 is none.
-            pub fn from_code(code: u8) -> Option<Self> {
-                match code {
-                    0 => None,
-                    $($code => Some(Self::$variant),)*
-                    other => Some(Self::Unlisted(other)),
-                }
-            }
-
-            /// The code of the alarm.
-            pub fn code(self) -> u8 {
-                match self {
-                    $(Self::$variant => $code,)*
-                    Self::Unlisted(code) => code,
-                }
-            }
-        }
-
-        impl std::fmt::Display for $name {
-            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                let text = match self {
-                    $(Self::$variant => $text,)*
-                    Self::Unlisted(_) => "not listed in any source",
-                };
-                write!(f, "alarm 0x{:02x} ({text})", self.code())
-            }
-        }
-    };
-}
-
-alarms! {
+codes! {
     /// Alarms of one axis.
     ServoAlarm {
         /// Shared memory of the servo board.
@@ -92,10 +50,10 @@ alarms! {
         LimitSwitch = 0x13, "limit switch";
         /// No command came in time.
         CommunicationTimeout = 0xFF, "communication time-out";
-    }
+    } or Unlisted "alarm"
 }
 
-alarms! {
+codes! {
     /// Alarms of the controller's communication processor.
     CommAlarm {
         /// EEPROM.
@@ -118,7 +76,7 @@ alarms! {
         DeadManOff = 0x12, "dead-man switch off";
         /// A limit switch opened.
         LimitSwitch = 0x13, "limit switch";
-    }
+    } or Unlisted "alarm"
 }
 
 /// Status of one axis in format B.

@@ -203,7 +203,7 @@ impl GatewayMessage {
             }
             Self::ControlReply(reply) => {
                 let (operation, axis) = reply.control.bytes();
-                payload.extend(&[operation.byte(), axis, reply.state.byte()]);
+                payload.extend(&[operation.code(), axis, reply.state.code()]);
                 CONTROL_REPLY
             }
             Self::Health(health) => {
@@ -221,13 +221,13 @@ impl GatewayMessage {
                 EEPROM_LIMITS
             }
             Self::Reject(reject) => {
-                payload.extend(&[reject.reason.byte(), reject.frame_type]);
+                payload.extend(&[reject.reason.code(), reject.frame_type]);
                 payload.put_u32(reject.detail);
                 REJECT
             }
             Self::Fault(report) => {
                 let axis = report.axis.map_or(0, Axis::number);
-                payload.extend(&[report.cause.byte(), report.state_before.byte(), axis]);
+                payload.extend(&[report.cause.code(), report.state_before.code(), axis]);
                 payload.put_u16(report.word);
                 FAULT
             }
@@ -256,7 +256,7 @@ impl GatewayMessage {
             }
             REJECT => {
                 let mut fields = fields(6)?;
-                let reason = fields.code("reason", RejectReason::from_byte)?;
+                let reason = fields.code("reason", RejectReason::from_code)?;
                 Self::Reject(Reject { reason, frame_type: fields.u8(), detail: fields.u32() })
             }
             FAULT => Self::Fault(FaultReport::decode(fields(5)?)?),
@@ -268,13 +268,13 @@ impl GatewayMessage {
 impl HelloReply {
     fn encode(&self, payload: &mut Payload) {
         payload.put_u8(u8::from(self.has_transparent) | u8::from(self.has_gateway_v1) << 1);
-        payload.put_u8(self.dialect.byte());
+        payload.put_u8(self.dialect.code());
         payload.put_u8(match self.wire_format {
             None => 0,
             Some(WireFormat::LittleEndian5x8) => 1,
             Some(WireFormat::BigEndian6x10) => 2,
         });
-        payload.extend(&[self.geometry.byte(), self.state.byte(), self.cause.byte(), 0]);
+        payload.extend(&[self.geometry.code(), self.state.code(), self.cause.code(), 0]);
         payload.put_u32(self.cycle_us);
         payload.put_u32(self.ramp_after_us);
         payload.put_u32(self.stop_after_us);
@@ -288,16 +288,16 @@ impl HelloReply {
         if dialects > 3 {
             return Err(fields.no_meaning("dialects", i64::from(dialects)));
         }
-        let dialect = fields.code("dialect", Dialect::from_byte)?;
+        let dialect = fields.code("dialect", Dialect::from_code)?;
         let wire_format = match fields.u8() {
             0 => None,
             1 => Some(WireFormat::LittleEndian5x8),
             2 => Some(WireFormat::BigEndian6x10),
             got => return Err(fields.no_meaning("wire format", i64::from(got))),
         };
-        let geometry = fields.code("geometry", Geometry::from_byte)?;
-        let state = fields.code("state", GatewayState::from_byte)?;
-        let cause = fields.code("cause", StopCause::from_byte)?;
+        let geometry = fields.code("geometry", Geometry::from_code)?;
+        let state = fields.code("state", GatewayState::from_code)?;
+        let cause = fields.code("cause", StopCause::from_code)?;
         let unused = fields.u8();
         if unused != 0 {
             return Err(fields.no_meaning("unused", i64::from(unused)));
@@ -331,17 +331,17 @@ fn firmware(mut fields: Fields<'_>) -> Result<Firmware, MessageError> {
 
 impl ControlReply {
     fn decode(mut fields: Fields<'_>) -> Result<Self, MessageError> {
-        let operation = fields.code("operation", ControlOperation::from_byte)?;
+        let operation = fields.code("operation", ControlOperation::from_code)?;
         let axis = fields.u8();
         let no_axis = fields.no_meaning("axis", i64::from(axis));
         let control = Control::from_bytes(operation, axis).ok_or(no_axis)?;
-        Ok(Self { control, state: fields.code("state", GatewayState::from_byte)? })
+        Ok(Self { control, state: fields.code("state", GatewayState::from_code)? })
     }
 }
 
 impl Health {
     fn encode(&self, payload: &mut Payload) {
-        payload.extend(&[self.state.byte(), self.cause.byte()]);
+        payload.extend(&[self.state.code(), self.cause.code()]);
         for count in [
             self.exchanges,
             self.replies_lost,
@@ -359,8 +359,8 @@ impl Health {
 
     fn decode(mut fields: Fields<'_>) -> Result<Self, MessageError> {
         Ok(Self {
-            state: fields.code("state", GatewayState::from_byte)?,
-            cause: fields.code("cause", StopCause::from_byte)?,
+            state: fields.code("state", GatewayState::from_code)?,
+            cause: fields.code("cause", StopCause::from_code)?,
             exchanges: fields.u32(),
             replies_lost: fields.u32(),
             replies_late: fields.u32(),
@@ -376,8 +376,8 @@ impl Health {
 
 impl FaultReport {
     fn decode(mut fields: Fields<'_>) -> Result<Self, MessageError> {
-        let cause = fields.code("cause", StopCause::from_byte)?;
-        let state_before = fields.code("state", GatewayState::from_byte)?;
+        let cause = fields.code("cause", StopCause::from_code)?;
+        let state_before = fields.code("state", GatewayState::from_code)?;
         let axis = match fields.u8() {
             0 => None,
             number => {

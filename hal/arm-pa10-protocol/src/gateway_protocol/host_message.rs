@@ -151,18 +151,18 @@ impl HostMessage {
         let mut payload = Payload::EMPTY;
         let frame_type = match self {
             Self::Hello(hello) => {
-                payload.put_u8(hello.dialect.byte());
+                payload.put_u8(hello.dialect.code());
                 payload.put_u32(hello.cycle_us);
                 HELLO
             }
             Self::Command(command) => {
-                payload.put_u8(command.mode.byte());
+                payload.put_u8(command.mode.code());
                 command.speed_urad_per_s.iter().for_each(|speed| payload.put_i32(*speed));
                 COMMAND
             }
             Self::Control(control) => {
                 let (operation, axis) = control.bytes();
-                payload.put_u8(operation.byte());
+                payload.put_u8(operation.code());
                 payload.put_u8(axis);
                 CONTROL
             }
@@ -185,7 +185,7 @@ impl HostMessage {
         Ok(match frame_type {
             HELLO => {
                 let mut fields = fields(5)?;
-                let (dialect, cycle_us) = (fields.code("dialect", Dialect::from_byte)?, fields.u32());
+                let (dialect, cycle_us) = (fields.code("dialect", Dialect::from_code)?, fields.u32());
                 if !HOST_CYCLE_US.contains(&cycle_us) {
                     return Err(fields.no_meaning("time between two commands", i64::from(cycle_us)));
                 }
@@ -193,14 +193,14 @@ impl HostMessage {
             }
             COMMAND => {
                 let mut fields = fields(COMMAND_LENGTH)?;
-                let mode = fields.code("mode", DriveMode::from_byte)?;
+                let mode = fields.code("mode", DriveMode::from_code)?;
                 let command = DriveCommand { mode, speed_urad_per_s: std::array::from_fn(|_| fields.i32()) };
                 command.check(&fields)?;
                 Self::Command(command)
             }
             CONTROL => {
                 let mut fields = fields(2)?;
-                let operation = fields.code("operation", ControlOperation::from_byte)?;
+                let operation = fields.code("operation", ControlOperation::from_code)?;
                 let axis = fields.u8();
                 let no_axis = fields.no_meaning("axis", i64::from(axis));
                 Self::Control(Control::from_bytes(operation, axis).ok_or(no_axis)?)

@@ -124,8 +124,8 @@ impl State {
     }
 
     pub(super) fn encode(&self, payload: &mut Payload) {
-        payload.put_u8(self.gateway.byte());
-        payload.put_u8(self.cause.byte());
+        payload.put_u8(self.gateway.code());
+        payload.put_u8(self.cause.code());
         let bit = |set: bool, flag: u16| if set { flag } else { 0 };
         payload.put_u16(
             bit(self.has_speeds, FLAG_SPEEDS)
@@ -143,8 +143,8 @@ impl State {
     }
 
     pub(super) fn decode(mut fields: Fields<'_>) -> Result<Self, MessageError> {
-        let gateway = fields.code("state", GatewayState::from_byte)?;
-        let cause = fields.code("cause", StopCause::from_byte)?;
+        let gateway = fields.code("state", GatewayState::from_code)?;
+        let cause = fields.code("cause", StopCause::from_code)?;
         let flags = fields.u16();
         if flags & !(FLAG_SPEEDS | FLAG_STATUS_DOCUMENTED | FLAG_RAMPING) != 0 {
             return Err(fields.no_meaning("flags", i64::from(flags)));

@@ -419,7 +419,7 @@ impl GatewayLink {
 
 /// What a driver is told of a refusal: with what the gateway has found, if it says so.
 fn refusal(reason: RejectReason, detail: u32) -> Reply {
-    let found = u8::try_from(detail).ok().and_then(StopCause::from_byte);
+    let found = u8::try_from(detail).ok().and_then(StopCause::from_code);
     match (reason, found) {
         (RejectReason::CausePresent, Some(found)) if found != StopCause::None => Reply::StillThere(found),
         _ => Reply::Rejected(reason),

@@ -1,7 +1,5 @@
 //! Which data-parallel kernels run: chosen at run time from what the processor has.
 
-use crate::error::EstimationError;
-
 /// A family of kernels. All families give the same bits; they differ in speed only.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum KernelSet {
@@ -60,12 +58,9 @@ impl Kernels {
         Self(KernelSet::best())
     }
 
-    /// A given family.
-    ///
-    /// # Errors
-    /// If this processor lacks the instructions.
-    pub fn of(set: KernelSet) -> Result<Self, EstimationError> {
-        if set.is_available() { Ok(Self(set)) } else { Err(EstimationError::KernelUnavailable { kernel: set.name() }) }
+    /// A given family, if this processor has its instructions.
+    pub fn of(set: KernelSet) -> Option<Self> {
+        set.is_available().then_some(Self(set))
     }
 
     /// The families that this processor can run, slowest first.
@@ -85,24 +80,6 @@ impl Default for Kernels {
     }
 }
 
-/// Every family that this processor can run, for the running test, which compares them. A family that is missing is reported as not
-/// checked: where all are missing the portable code is compared with itself.
-#[cfg(test)]
-pub(crate) fn every_kernel() -> impl Iterator<Item = Kernels> {
-    use std::collections::BTreeSet;
-    use std::sync::{Mutex, PoisonError};
-    static REPORTED: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
-    // The harness names the thread of a test by the test.
-    let test = std::thread::current().name().unwrap_or("kernels").to_owned();
-    let missing = KernelSet::ALL.into_iter().filter(|set| !set.is_available()).map(KernelSet::name);
-    let missing: Vec<&str> = missing.collect();
-    // A test that asks again and again reports once.
-    if !missing.is_empty() && REPORTED.lock().unwrap_or_else(PoisonError::into_inner).insert(test.clone()) {
-        pb3dp_test_support::not_checked(&test, &format!("this processor has no {}", missing.join(", no ")));
-    }
-    Kernels::available()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -110,7 +87,7 @@ mod tests {
     #[test]
     fn scalar_runs_everywhere_and_best_is_available() {
         assert!(KernelSet::Scalar.is_available());
-        assert!(Kernels::of(KernelSet::best()).is_ok());
+        assert!(Kernels::of(KernelSet::best()).is_some());
         assert_eq!(Kernels::available().last(), Some(Kernels::best()));
     }
 }

@@ -1,4 +1,4 @@
-//! The random numbers of the searches: the same on every platform, from a seed alone.
+//! Random numbers of searches and of tests: the same on every platform, from a seed alone.
 
 /// SplitMix64 (Steele, Lea and Flood, 2014): 64 bits of state, period 2^64, passes the usual batteries.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -28,7 +28,23 @@ impl SplitMix64 {
 
     /// True with probability `p`, in steps of 2^-53.
     pub fn chance(&mut self, p: f64) -> bool {
-        ((self.next_u64() >> 11) as f64) < p * (1u64 << 53) as f64
+        self.unit() < p
+    }
+
+    /// From 0 (included) to 1 (excluded), in steps of 2^-53.
+    pub fn unit(&mut self) -> f64 {
+        (self.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// Evenly between two numbers.
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.unit()
+    }
+
+    /// Normal, with mean 0 and variance 1 (Box and Muller); its last bit may differ between mathematics libraries. For tests.
+    pub fn normal(&mut self) -> f64 {
+        let radius = (-2.0 * (self.unit() + f64::MIN_POSITIVE).ln()).sqrt();
+        radius * (std::f64::consts::TAU * self.unit()).cos()
     }
 }
 
@@ -67,5 +83,14 @@ mod tests {
         let hits = (0..100_000).filter(|_| rng.chance(0.1)).count();
         assert!((9_700..10_300).contains(&hits), "{hits}");
         assert!(!rng.chance(0.0) && rng.chance(1.0));
+    }
+
+    #[test]
+    fn normal_numbers_have_their_moments() {
+        let mut rng = SplitMix64::new(3);
+        let numbers: Vec<f64> = (0..100_000).map(|_| rng.normal()).collect();
+        let moment = |power: i32| numbers.iter().map(|x| x.powi(power)).sum::<f64>() / 1e5;
+        assert!(moment(1).abs() < 0.02 && (moment(2) - 1.0).abs() < 0.02, "{} {}", moment(1), moment(2));
+        assert!(moment(3).abs() < 0.05 && (moment(4) - 3.0).abs() < 0.15, "{} {}", moment(3), moment(4));
     }
 }
