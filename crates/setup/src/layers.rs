@@ -354,7 +354,7 @@ impl Layers {
                 Some(text) => layer_of_text(Origin::BuiltIn("arm"), text.to_owned())?,
                 None => continue,
             };
-            self.list.insert(0, found.as_arm(&name)?);
+            self.list.insert(0, found.into_arm(&name)?);
         }
         Ok(())
     }
@@ -444,7 +444,7 @@ impl Layers {
 
 impl Layer {
     /// The table `named_arm` of an arm's file as the table of an arm of a setup.
-    fn as_arm(mut self, name: &str) -> Result<Self, ConfigError> {
+    fn into_arm(mut self, name: &str) -> Result<Self, ConfigError> {
         let file = || PathBuf::from(self.origin.to_string());
         let Some(arm) = self.stated.remove("named_arm") else {
             let lines = "  named_arm: missing; a file of an arm has it, as configs/arms/ur5e.toml".to_owned();
