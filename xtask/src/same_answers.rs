@@ -220,12 +220,26 @@ fn conclude(before: &[Answer], now: &[Answer]) -> anyhow::Result<()> {
 }
 
 fn differences(before: &[String], now: &[String]) -> Vec<String> {
+    let now: Vec<String> = now.iter().enumerate().map(|(at, line)| as_before(before.get(at), line)).collect();
+    let now = now.as_slice();
     let count = before.len().max(now.len());
     let line = |lines: &[String], at: usize| lines.get(at).map_or_else(|| "(no line)".to_owned(), Clone::clone);
     (0..count)
         .filter(|&at| before.get(at) != now.get(at))
         .map(|at| format!("  before: {}\n  now:    {}", line(before, at), line(now, at)))
         .collect()
+}
+
+/// A line of JSON without the keys that were not there before: lines may gain keys, never lose or rename one.
+fn as_before(before: Option<&String>, now: &str) -> String {
+    let object = |line: &str| serde_json::from_str::<serde_json::Map<String, Value>>(line).ok();
+    match (before.and_then(|line| object(line)), object(now)) {
+        (Some(before), Some(mut now)) => {
+            now.retain(|key, _| before.contains_key(key));
+            Value::Object(now).to_string()
+        }
+        _ => now.to_owned(),
+    }
 }
 
 #[cfg(test)]
@@ -246,6 +260,8 @@ mod tests {
     fn a_changed_digit_a_missing_line_and_a_new_one_are_differences() {
         let lines = |texts: &[&str]| texts.iter().map(|text| (*text).to_owned()).collect::<Vec<_>>();
         assert!(differences(&lines(&["a", "b"]), &lines(&["a", "b"])).is_empty());
+        assert!(differences(&lines(&[r#"{"z":1}"#]), &lines(&[r#"{"z":1,"point":2}"#])).is_empty(), "a key may be new");
+        assert_eq!(differences(&lines(&[r#"{"z":1,"y":2}"#]), &lines(&[r#"{"z":1}"#])).len(), 1, "none may go");
         assert_eq!(differences(&lines(&["a", "b"]), &lines(&["a", "c"])).len(), 1);
         assert_eq!(differences(&lines(&["a", "b"]), &lines(&["a"])), ["  before: b\n  now:    (no line)"]);
         assert_eq!(differences(&lines(&["a"]), &lines(&["a", "b"])).len(), 1);

@@ -7,6 +7,8 @@ use pb3dp_kinematics::JointVector;
 use pb3dp_servo::supervisor::ArmCondition;
 use pb3dp_setup::setup::Setup;
 
+use crate::log::ArmSample;
+
 use super::commands::CommandSummary;
 use super::parts::DrivenArm;
 
@@ -15,6 +17,8 @@ pub struct LedArm {
     name: &'static str,
     arm: Box<dyn DrivenArm>,
     joints: JointState,
+    /// What was last requested of it.
+    requested: JointCommand,
     replies_missed: u64,
     /// It is being switched on.
     is_switching_on: bool,
@@ -24,12 +28,21 @@ impl LedArm {
     /// An arm that is not yet switched on; until it is measured it counts as resting at `start_rad`.
     fn new(name: &'static str, arm: Box<dyn DrivenArm>, start_rad: JointVector, now: MonotonicTime) -> Self {
         let joints = JointState { at: now, position_rad: start_rad, velocity_rad_per_s: JointVector::zeros() };
-        Self { name, arm, joints, replies_missed: 0, is_switching_on: false }
+        Self { name, arm, joints, requested: JointCommand::Hold, replies_missed: 0, is_switching_on: false }
     }
 
     /// What was last measured.
     pub fn joints(&self) -> &JointState {
         &self.joints
+    }
+
+    /// What it measured last, and what was requested of it.
+    pub fn sample(&self) -> ArmSample {
+        let requested_rad_per_s = match self.requested {
+            JointCommand::Velocity(velocity) => Some(velocity),
+            JointCommand::Hold => None,
+        };
+        ArmSample { position_rad: self.joints.position_rad, requested_rad_per_s }
     }
 
     /// State of drives and brakes, in the supervisor's terms.
@@ -49,6 +62,7 @@ impl LedArm {
     /// # Errors
     /// The arm's name, and why it fails.
     pub fn exchange(&mut self, command: JointCommand) -> Result<Option<JointState>> {
+        self.requested = command;
         match self.arm.exchange(command) {
             Ok(joints) => {
                 self.joints = joints;

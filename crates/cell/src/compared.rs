@@ -66,6 +66,8 @@ pub struct Frame<'a> {
     pub prior: &'a FramePrior,
     /// The truth, if there is one.
     pub cam_left_from_target: Option<Pose<CamLeft, Target>>,
+    /// How old the estimate of the method that leads the hand is when the controller has it, milliseconds.
+    pub age_millis: Option<f64>,
 }
 
 /// Depth error (metres, on the ray of the estimated origin) and angle between the normals (radians) of an estimate.
@@ -95,6 +97,8 @@ impl MethodLog {
             depth_error_m: errors.map(|(depth_m, _)| depth_m),
             normal_error_rad: errors.map(|(_, normal_rad)| normal_rad),
             latency_millis,
+            age_millis: frame.age_millis,
+            covariance: estimate.covariance,
         });
     }
 
@@ -108,6 +112,8 @@ impl MethodLog {
             depth_error_m: None,
             normal_error_rad: None,
             latency_millis,
+            age_millis: None,
+            covariance: None,
         });
     }
 }

@@ -59,7 +59,7 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     let log = RunLog { marks, ..RunLog::default() };
     let strip = Strip::of(setup.experiment.moments(&log.marks));
     let now = clock.now();
-    let looking = Looking::new(setup, (camera, cell.clone(), marking), (strip, now), record)?;
+    let looking = Looking::new(setup, (camera, cell.clone(), marking), (strip, &clock), record)?;
     let mut moving = Moving::new(setup, (vs, tc), &*experiment, now)?.with_operator(operator);
     let journal = Journal::new(setup, cell.clone(), (now, duration_s), log);
     let mut watching = Watching { looking, journal, cell };

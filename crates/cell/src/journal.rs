@@ -78,6 +78,7 @@ impl Journal {
             world_from_hand_locked: Pose::coincident(),
             mode: moved.mode.to_string(),
             smallest_singular_value: smallest_singular_value(&jacobian),
+            arms: moved.arms,
         });
     }
 
@@ -154,6 +155,8 @@ mod tests {
                 depth_error_m: None,
                 normal_error_rad: None,
                 latency_millis: 0.0,
+                age_millis: None,
+                covariance: None,
             });
         }
         let mean = mean_place(&log, 5.0).unwrap();

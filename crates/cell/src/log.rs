@@ -3,6 +3,7 @@
 use nalgebra::Matrix6;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Hand, Model, Target, World};
+use pb3dp_kinematics::JointVector;
 use pb3dp_sim::trajectory::Mark;
 
 use super::commands::CommandSummary;
@@ -27,6 +28,17 @@ pub struct ControlSample {
     pub mode: String,
     /// Smallest singular value of the Jacobian of the arm that carries the cameras.
     pub smallest_singular_value: f64,
+    /// The arm that carries the cameras, and the one that carries the target.
+    pub arms: [ArmSample; 2],
+}
+
+/// One arm in a control step.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ArmSample {
+    /// Joint angles as measured, rad.
+    pub position_rad: JointVector,
+    /// Joint velocities as requested of its limiter, rad/s; `None`: to hold.
+    pub requested_rad_per_s: Option<JointVector>,
 }
 
 impl ControlSample {
@@ -51,6 +63,10 @@ pub struct FrameSample {
     pub normal_error_rad: Option<f64>,
     /// From the pair in memory to the estimate, milliseconds of wall time on this machine.
     pub latency_millis: f64,
+    /// From the middle of the exposure until the controller could have the estimate, milliseconds; `None` of methods that only look on.
+    pub age_millis: Option<f64>,
+    /// Covariance of the pose, metres and radians.
+    pub covariance: Option<Matrix6<f64>>,
 }
 
 /// What the estimates said at the beginning of where the model's frame is on the target; everything that follows is relative to it.

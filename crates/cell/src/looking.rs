@@ -1,15 +1,17 @@
 //! The half of a run that looks: pairs in, observations for the controller out, and all that is written down of pictures.
 
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Result;
 use pb3dp_estimation::estimator::FramePrior;
 use pb3dp_geometry::frames::{Base, CamLeft};
 use pb3dp_geometry::{MonotonicTime, Pose};
+use pb3dp_hal_api::Clock;
 use pb3dp_kinematics::JointState;
 use pb3dp_servo::JointHistory;
-use pb3dp_setup::setup::Setup;
+use pb3dp_setup::setup::{Pace, Setup};
 
 use super::capturing::{Captured, Capturing};
 use super::cell::{JOINT_GAP_MAX_S, SimulatedCell};
@@ -37,12 +39,13 @@ impl<'a> Looking<'a> {
     pub fn new(
         setup: &'a Setup,
         (camera, cell, marking): (Sight, SimulatedCell, Marking),
-        (strip, begin): (Strip, MonotonicTime),
+        (strip, clock): (Strip, &Arc<dyn Clock>),
         record: Option<&Path>,
     ) -> Result<Self> {
+        let eyes = Eyes::new(setup, &camera, marking.clone())?;
         Ok(Self {
-            estimating: Estimating::new(setup, Eyes::new(setup, &camera, marking.clone())?),
-            noting: Noting::new(setup, marking, (strip, begin), record)?,
+            estimating: Estimating::new(setup, Arc::clone(clock), eyes),
+            noting: Noting::new(setup, marking, (strip, clock.now()), record)?,
             capturing: Capturing::new(setup, camera, cell),
         })
     }
@@ -74,6 +77,7 @@ impl<'a> Looking<'a> {
 /// The method that leads the hand, with what the joints tell it.
 pub struct Estimating<'a> {
     setup: &'a Setup,
+    clock: Arc<dyn Clock>,
     eyes: Eyes,
     /// Number of the target: how many were marked.
     target: u64,
@@ -84,9 +88,9 @@ pub struct Estimating<'a> {
 }
 
 impl<'a> Estimating<'a> {
-    fn new(setup: &'a Setup, eyes: Eyes) -> Self {
+    fn new(setup: &'a Setup, clock: Arc<dyn Clock>, eyes: Eyes) -> Self {
         let joints = JointHistory::new(setup.controller.joint_history_samples, JOINT_GAP_MAX_S);
-        Self { setup, eyes, target: 0, joints, previous: None }
+        Self { setup, clock, eyes, target: 0, joints, previous: None }
     }
 
     /// The arm that carries the cameras was measured.
@@ -111,7 +115,14 @@ impl<'a> Estimating<'a> {
             }
             tracing::info!("target taken: {}: {}", estimate.status, estimate.reason);
         }
-        Ok(Seen { captured, target: self.target, region, prior, estimate, latency_millis })
+        let frames = self.setup.rig.frames;
+        let age = match self.setup.pace {
+            // In simulated time a setup says how long it takes.
+            Pace::Fast | Pace::RealTime => frames.exposure / 2 + self.setup.estimate_latency,
+            Pace::Live => self.clock.now().saturating_since(captured.frame.at),
+        };
+        let age_millis = age.as_secs_f64() * 1e3;
+        Ok(Seen { captured, target: self.target, region, prior, estimate, latency_millis, age_millis })
     }
 
     /// The pose of the left camera from the measured joints, as a rig without truth knows it.

@@ -162,6 +162,8 @@ mod tests {
                     depth_error_m: has_pose(i).then_some(0.003),
                     normal_error_rad: has_pose(i).then_some(0.01),
                     latency_millis: i as f64,
+                    age_millis: None,
+                    covariance: None,
                 })
                 .collect(),
             estimated: (0..50).map(|i| has_pose(i).then(|| pose(i as f64, 0.5))).collect(),

@@ -19,6 +19,7 @@ use super::operator::{ByCommand, Operator};
 use super::parts::DrivenArm;
 use super::percept::Percept;
 use super::permitting::Permitting;
+use crate::log::ArmSample;
 
 /// An arm that carries the target and is farther from its way after a stop was led elsewhere meanwhile, metres and radians.
 const AWAY_M: f64 = 0.05;
@@ -74,6 +75,8 @@ pub struct Moved {
     pub decision: Decision,
     /// The arm that carries the cameras, as it was measured.
     pub vs_joints: JointState,
+    /// The arm that carries the cameras, and the one that carries the target.
+    pub arms: [ArmSample; 2],
 }
 
 impl<'a> Moving<'a> {
@@ -328,7 +331,8 @@ impl Mover for Moving<'_> {
 
     fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
         let (control, decision, told) = self.decide(now);
-        let moved = Moved { at: now, mode: control.mode, decision, vs_joints: *self.arms.vs.joints() };
+        let arms = [self.arms.vs.sample(), self.arms.tc.sample()];
+        let moved = Moved { at: now, mode: control.mode, decision, vs_joints: *self.arms.vs.joints(), arms };
         if decision.permission == Permission::Stop {
             self.stay_stopped(&decision, now)?;
             return Ok(moved);
@@ -348,7 +352,8 @@ impl Mover for Moving<'_> {
             }
             self.operator.tell(Some(format!("{failure:#}")));
         }
-        Ok(Moved { vs_joints: *self.arms.vs.joints(), ..moved })
+        let arms = [self.arms.vs.sample(), self.arms.tc.sample()];
+        Ok(Moved { vs_joints: *self.arms.vs.joints(), arms, ..moved })
     }
 
     fn stop(&mut self) -> Result<()> {

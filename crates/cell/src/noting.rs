@@ -22,7 +22,7 @@ use super::percept::Percept;
 use super::recording::Recording;
 use super::strip::Strip;
 use crate::eyes::View;
-use crate::picture::model_frame_on_plane;
+use pb3dp_estimation_core::model_frame::model_frame_on_plane;
 
 /// What is written down of pictures; the methods that only look on are a part of it.
 pub struct Noting<'a> {
@@ -92,7 +92,7 @@ impl<'a> Noting<'a> {
     /// # Errors
     /// If the recording can not be written.
     pub fn note(&mut self, seen: &Seen) -> Result<()> {
-        let Seen { captured, region, prior, estimate, latency_millis, .. } = seen;
+        let Seen { captured, region, prior, estimate, latency_millis, age_millis, .. } = seen;
         let Captured { frame, cam_left_from_target, view } = captured;
         let t_s = frame.at.seconds_since(self.begin);
         if let (None, Some(found), Some(cam_left_from_target)) =
@@ -105,8 +105,11 @@ impl<'a> Noting<'a> {
                 covariance: estimate.covariance,
             });
         }
-        let frame = Frame { t_s, region: region.as_ref(), prior, cam_left_from_target: *cam_left_from_target };
+        let age_millis = Some(*age_millis);
+        let frame =
+            Frame { t_s, region: region.as_ref(), prior, cam_left_from_target: *cam_left_from_target, age_millis };
         self.leading.push(&frame, estimate, *latency_millis);
+        let frame = Frame { age_millis: None, ..frame };
         let View::Pictures(pair) = view else { return Ok(()) };
         self.strip.offer(t_s, pair, &self.setup.rig.stereo, estimate);
         for onlooker in &mut self.onlookers {
@@ -189,6 +192,8 @@ pub struct Seen {
     pub estimate: TrackEstimate,
     /// Wall time of the method, milliseconds.
     pub latency_millis: f64,
+    /// From the middle of the exposure until the controller can have the estimate, milliseconds.
+    pub age_millis: f64,
 }
 
 impl Seen {

@@ -1,7 +1,7 @@
 //! Pictures that show what was estimated: the region and the pose's axes left, the re-projected model right.
 
 use image::{RgbImage, imageops};
-use nalgebra::{Point3, Unit, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Point3, Vector2, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
 use pb3dp_record::overlay::{self, Stroke, TextStyle, colors};
@@ -81,20 +81,6 @@ fn reprojected(outline_px: &[[f64; 2]], rig: &StereoRig, pose: &Pose<CamLeft, Mo
         .collect()
 }
 
-/// The frame on a plane whose origin lies at `origin_in_cam_left` (metres), z along the normal away from the camera, x as
-/// near to the camera's x axis as the plane allows.
-pub fn model_frame_on_plane(
-    origin_in_cam_left: Vector3<f64>,
-    normal_in_cam_left: &Vector3<f64>,
-) -> Option<Pose<CamLeft, Model>> {
-    let z = Unit::try_new(-normal_in_cam_left, 1e-9)?;
-    let x = Unit::try_new(Vector3::x() - z.into_inner() * z.x, 1e-9)?;
-    let y = z.cross(&x);
-    let rotation = nalgebra::Matrix3::from_columns(&[x.into_inner(), y, z.into_inner()]);
-    let rotation = UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(rotation));
-    Some(Pose::from_parts(origin_in_cam_left, rotation))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -121,16 +107,5 @@ mod tests {
             let end_px = LABEL_MARGIN_PX + overlay::text_size(text, scale).0;
             assert!(last_px < end_px && last_px + 3 * scale >= end_px, "{text}: ends at {last_px} of {end_px}");
         }
-    }
-
-    #[test]
-    fn the_frame_lies_in_the_plane_and_looks_away() {
-        let normal = Vector3::new(0.3, -0.2, -0.9).normalize();
-        let pose = model_frame_on_plane(Vector3::new(0.1, 0.2, 0.6), &normal).unwrap();
-        assert!((pose.transform_vector(&Vector3::z()) + normal).norm() < 1e-12);
-        let x = pose.transform_vector(&Vector3::x());
-        assert!(x.dot(&normal).abs() < 1e-12 && x.x > 0.9);
-        assert!((pose.rotation_matrix().determinant() - 1.0).abs() < 1e-12);
-        assert!(model_frame_on_plane(Vector3::zeros(), &Vector3::x()).is_none(), "seen edge-on: no frame");
     }
 }

@@ -13,7 +13,7 @@ use pb3dp_setup::setup::{CalibrationInUse, Setup};
 
 use super::channels::{ChannelSummary, Plan};
 use super::journal::Outcome;
-use super::log::{ControlSample, RunLog};
+use super::log::{ControlSample, MethodLog, RunLog};
 use super::machine::machine;
 use super::summary::{RunSummary, summarize};
 use super::terminal::print_line;
@@ -35,7 +35,7 @@ pub struct Made {
     pub wall_s: f64,
 }
 
-/// Writes `report.html`, `summary.json`, `timeseries.csv` and `settings.toml` into `folder`, prints the figures, and says where the
+/// Writes `report.html`, `summary.json`, `estimates.csv`, `timeseries.csv` and `settings.toml` into `folder`, prints the figures, and says where the
 /// report is. `failure` is what has ended the run before its time.
 ///
 /// # Errors
@@ -58,7 +58,9 @@ pub fn tell(
         fs::write(&file, text).with_context(|| format!("{}: can not be written", file.display()))
     };
     write("summary.json", serde_json::to_string_pretty(&json)? + "\n")?;
-    write("timeseries.csv", timeseries_csv(&outcome.log))?;
+    let joints = [&setup.rig.vs, &setup.rig.tc].map(|arm| arm.chain.joints());
+    write("timeseries.csv", timeseries_csv(&outcome.log, joints))?;
+    write("estimates.csv", estimates_csv(&outcome.log.leading))?;
     let settings = setup.layers.effective();
     write("settings.toml", toml_of(&settings))?;
     let origin =
@@ -471,10 +473,43 @@ fn response_line(c: &ChannelSummary) -> String {
 }
 
 /// One line per control step: times in seconds, positions in millimetres, quaternions as x, y, z, w; empty cells are not known.
-fn timeseries_csv(log: &RunLog) -> String {
+/// A line per estimate of the method that leads the hand.
+fn estimates_csv(log: &MethodLog) -> String {
+    let mut text = String::from("t_s,status,age_ms,latency_ms,fitness,x_mm,y_mm,z_mm,qx,qy,qz,qw");
+    for k in 0..36 {
+        let _ = write!(text, ",c{}{}", k / 6 + 1, k % 6 + 1);
+    }
+    let number = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:.4}"));
+    for (frame, pose) in log.frames.iter().zip(&log.estimated) {
+        let _ = write!(text, "\n{:.4},{},{}", frame.t_s, frame.status, number(frame.age_millis));
+        let _ = write!(text, ",{:.4},{}", frame.latency_millis, number(frame.fitness));
+        match pose {
+            Some(pose) => {
+                let (p, q) = (pose.translation_m() * 1e3, pose.rotation());
+                let _ = write!(text, ",{:.4},{:.4},{:.4},{:.7},{:.7},{:.7},{:.7}", p.x, p.y, p.z, q.i, q.j, q.k, q.w);
+            }
+            None => text += &",".repeat(7),
+        }
+        let unit = |i: usize| if i < 3 { 1e3 } else { 1.0 };
+        match &frame.covariance {
+            Some(c) => (0..36).for_each(|k| {
+                let _ = write!(text, ",{:.6e}", c[(k / 6, k % 6)] * unit(k / 6) * unit(k % 6));
+            }),
+            None => text += &",".repeat(36),
+        }
+    }
+    text + "\n"
+}
+
+/// A line per control step; `joints`: how many each arm has.
+fn timeseries_csv(log: &RunLog, joints: [usize; 2]) -> String {
     let mut text = String::from("t_s,mode");
     for body in ["target", "hand", "wanted"] {
         let _ = write!(text, ",{body}_x_mm,{body}_y_mm,{body}_z_mm,{body}_qx,{body}_qy,{body}_qz,{body}_qw");
+    }
+    for (arm, joints) in ["vs", "tc"].into_iter().zip(joints) {
+        (1..=joints).for_each(|joint| text += &format!(",{arm}_joint{joint}_deg"));
+        (1..=joints).for_each(|joint| text += &format!(",{arm}_requested{joint}_deg_per_s"));
     }
     text.push('\n');
     for s in &log.control {
@@ -490,6 +525,18 @@ fn timeseries_csv(log: &RunLog) -> String {
             let _ = write!(text, ",{:.7},{:.7},{:.7},{:.7}", q.i, q.j, q.k, q.w);
         }
         text += &",".repeat(7 * (poses.len() - known));
+        for (arm, joints) in s.arms.iter().zip(joints) {
+            for position_rad in arm.position_rad.iter().take(joints) {
+                let _ = write!(text, ",{:.5}", position_rad.to_degrees());
+            }
+            match &arm.requested_rad_per_s {
+                Some(requested) => requested.iter().take(joints).for_each(|rad_per_s| {
+                    let _ = write!(text, ",{:.5}", rad_per_s.to_degrees());
+                }),
+                // To hold.
+                None => text += &",".repeat(joints),
+            }
+        }
         text.push('\n');
     }
     text

@@ -209,6 +209,7 @@ mod tests {
                     world_from_hand_locked: wanted(t),
                     mode: "tracking".into(),
                     smallest_singular_value: 0.2,
+                    arms: Default::default(),
                 }
             })
             .collect();

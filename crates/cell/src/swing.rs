@@ -63,7 +63,7 @@ pub fn duration(motion: &Excitation) -> Duration {
 pub fn run(setup: &Setup, parts: Parts, motion: Excitation) -> Result<Swung> {
     let Parts { clock, camera, vs, tc, cell, marking, emulated, interrupt, .. } = parts;
     let sight = (camera, cell, marking);
-    let mut looking = OnlyLooking(Looking::new(setup, sight, (Strip::default(), clock.now()), None)?);
+    let mut looking = OnlyLooking(Looking::new(setup, sight, (Strip::default(), &clock), None)?);
     let arms = BothArms::new(setup, (vs, tc), clock.now());
     let mut swinging = Swinging::new(setup, arms, motion)?;
     let course = Course { setup, clock: &clock, duration: duration(&motion), interrupt: &interrupt };

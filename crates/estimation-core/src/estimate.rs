@@ -4,6 +4,7 @@ use nalgebra::{Matrix3, Matrix6, Vector2, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Camera, Pose};
 
+use crate::model_frame::{ModelFrame, frame_covariance, model_frame_on_plane};
 use crate::plane_hypothesis::PlaneHypothesis;
 use crate::region::RegionWarning;
 use crate::status::Status;
@@ -171,6 +172,19 @@ impl PlaneEstimate {
     /// Unit normal in `cam_left`, towards the camera.
     pub fn normal_in_cam_left(&self) -> Option<Vector3<f64>> {
         self.pose.map(|pose| pose.normal_in_cam_left)
+    }
+
+    /// The frame of the model on the plane, and its covariance if the method states that of the plane: origin on the ray of `pixel` (raw
+    /// left image), axes and covariance as in [`TrackEstimate`]. `None` as in [`Self::depth_at_pixel`].
+    pub fn model_frame(&self, pixel: &Vector2<f64>) -> Option<ModelFrame> {
+        let ray = self.left_camera.unproject(pixel).ok()?;
+        let pose = self.pose?;
+        let frame = model_frame_on_plane(ray * pose.depth_on_ray(&ray)?, &pose.normal_in_cam_left)?;
+        let plane = PlaneHypothesis::from_inverse_depth_plane(&pose.inverse_depth_plane, &ray);
+        let covariance = plane
+            .zip(self.plane_covariance)
+            .and_then(|(plane, covariance)| frame_covariance(&plane, &ray, &covariance));
+        Some(ModelFrame { cam_left_from_model: frame, covariance })
     }
 
     /// Depth of the plane on the ray of a pixel of the raw left image, metres. `None` without a pose, where the pixel has no

@@ -6,6 +6,7 @@
 pub mod error;
 pub mod estimate;
 pub mod method;
+pub mod model_frame;
 pub mod plane_hypothesis;
 pub mod region;
 pub mod row_offset;

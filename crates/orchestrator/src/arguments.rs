@@ -90,6 +90,9 @@ const ESTIMATE_JSON: &str = "Lines of --json (one per case):
   ms                CPU time of one thread from the pictures in memory to the pose, milliseconds
   centroid_px       the point of the left picture on whose ray the depths are given
   second_plane      z_mm, normal and share of another surface in the region, or null
+  point_mm          3 numbers or null: where the plane meets the ray of centroid_px, in the left camera
+  cam_left_from_model  16 numbers, row by row, or null: the frame of the model on the plane
+  covariance        36 numbers, row by row, or null: of that frame, as in pb3dp track
   row_offset_px     row of the right picture minus row of the left one (rectified), as measured, or null
   reason            what led to the status
   warnings          what may make the answer worse than it looks";

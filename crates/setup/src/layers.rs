@@ -176,9 +176,9 @@ impl Layers {
     ///
     /// # Errors
     /// As [`Self::read`].
-    pub(crate) fn of_text_with(name: &str, text: &str, set: &[String]) -> Result<Self, ConfigError> {
+    pub(crate) fn of_text_with(name: &'static str, text: &str, set: &[String]) -> Result<Self, ConfigError> {
         let mut layers = Self::default();
-        layers.add(layer_of_text(Origin::File(PathBuf::from(name)), text.to_owned())?, 0)?;
+        layers.add(layer_of_text(Origin::BuiltIn(name), text.to_owned())?, 0)?;
         for set in set {
             layers.push(layer_of_option(set)?);
         }
@@ -191,7 +191,7 @@ impl Layers {
     ///
     /// # Errors
     /// As [`Self::read`].
-    pub(crate) fn of_text(name: &str, text: &str) -> Result<Self, ConfigError> {
+    pub(crate) fn of_text(name: &'static str, text: &str) -> Result<Self, ConfigError> {
         Self::of_text_with(name, text, &[])
     }
 
@@ -419,9 +419,12 @@ impl Layers {
                 Origin::Variable(_) | Origin::Option(_) => Some(PathBuf::from(".")),
             };
             let resolved = |path: &str| match &folder {
-                Some(folder) if folder.join(path).exists() => folder.join(path).display().to_string(),
-                found => built_in::path_of(path)
-                    .unwrap_or_else(|| found.clone().unwrap_or_default().join(path).display().to_string()),
+                Some(folder) if folder.join(path).exists() || path.contains('/') => {
+                    folder.join(path).display().to_string()
+                }
+                // A name alone may be that of a file inside the program; all that a built-in setup names is.
+                folder => built_in::path_of(path)
+                    .unwrap_or_else(|| folder.clone().unwrap_or_default().join(path).display().to_string()),
             };
             for key in ["camera.calibration", "truth.calibration", "mounts.hand_eye"] {
                 change(&mut layer.stated, &position::parts(key), &resolved);

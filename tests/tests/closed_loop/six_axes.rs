@@ -103,7 +103,7 @@ fn numbers_for_another_count_of_joints_and_arms_that_are_not_there_are_refused()
     assert!(message.contains("arms.ur5e.start_deg: 5 numbers, but arms.ur5e.robot has 6 joints"), "{message}");
     let message = refused("ur10", "", "");
     assert!(
-        message.contains("there is no table [arms.ur10] (tc, vs)") && message.contains("arms/ur10.toml"),
+        message.contains("arms.ur10: missing") && message.contains("arms/ur10.toml") && message.contains("tc, vs"),
         "{message}"
     );
     let message = refused("ur5e", "on = \"joint 3\"", "on = \"joint 6\"");

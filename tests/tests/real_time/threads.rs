@@ -448,7 +448,7 @@ fn an_arm_rests_while_its_method_takes_too_long() {
         setup.experiment.steps_mut().unwrap().lead_in_s = 1.0;
         let Parts { clock, camera, vs, tc, cell, experiment, marking, interrupt, .. } = wire(&setup).unwrap();
         let now = clock.now();
-        let looking = Looking::new(&setup, (camera, cell, marking), (Strip::default(), now), None).unwrap();
+        let looking = Looking::new(&setup, (camera, cell, marking), (Strip::default(), &clock), None).unwrap();
         let mut moving = Moving::new(&setup, (vs, tc), &*experiment, now).unwrap();
         let mut slow =
             SlowOnce { looking, seen: Seen::default(), moved: Vec::new(), interrupt: Arc::clone(&interrupt) };

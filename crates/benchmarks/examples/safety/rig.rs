@@ -103,8 +103,12 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
     let recorder: Shared = Arc::new(Mutex::new(Recorder::new(scenario.clone(), parts.cell.clone(), arms)));
     let clock = Arc::clone(&parts.clock);
     let now = clock.now();
-    let looking =
-        Looking::new(&setup, (parts.camera, parts.cell.clone(), parts.marking), (Strip::default(), now), None)?;
+    let looking = Looking::new(
+        &setup,
+        (parts.camera, parts.cell.clone(), parts.marking),
+        (Strip::default(), &parts.clock),
+        None,
+    )?;
     let mut moving = Moving::new(&setup, (parts.vs, parts.tc), &*parts.experiment, now)?;
     if scenario.has_person {
         let speaker = Speaker::new(scenario, Arc::clone(&clock), Arc::clone(&recorder));

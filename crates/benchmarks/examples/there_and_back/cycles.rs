@@ -126,7 +126,7 @@ pub fn repeat(setup: &Setup, minutes: f64, tell: impl FnMut(&str)) -> Result<Fig
     (steps.move_s, steps.hold_s, steps.lead_in_s) = (MOVE_S, HOLD_S, LEAD_IN_S);
     let Parts { clock, camera, vs, tc, cell, experiment, marking, interrupt, .. } = wire(&setup)?;
     let now = clock.now();
-    let looking = Looking::new(&setup, (camera, cell.clone(), marking), (Strip::default(), now), None)?;
+    let looking = Looking::new(&setup, (camera, cell.clone(), marking), (Strip::default(), &clock), None)?;
     let mut moving = Moving::new(&setup, (vs, tc), &*experiment, now)?;
     let mut watching =
         Watching { looking, cell, begin: now, figures: Figures::of(cycles), at_end: AtEnd::default(), tell };

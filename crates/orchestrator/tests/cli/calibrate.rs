@@ -12,7 +12,13 @@ fn arguments_and_exit_code_are_those_of_the_program_beside() {
     let calibrate = || {
         let mut command = Command::new(&copy);
         command.args(["calibrate", "stereo", "--board", "9x6", "--help"]).env("PATH", folder.path());
-        command.output().unwrap()
+        // Another test's program may have been started while the file was still open for writing.
+        loop {
+            match command.output() {
+                Err(error) if error.kind() == std::io::ErrorKind::ExecutableFileBusy => {}
+                finished => break finished.unwrap(),
+            }
+        }
     };
     let missing = calibrate();
     let told = String::from_utf8_lossy(&missing.stderr);

@@ -35,7 +35,7 @@ fn nothing_moves_without_its_word() {
 fn a_region_is_for_real_cameras() {
     let region = ["--region", "rect:250,170,110,110"];
     let simulated = ["identify", "delay", "--config", &config("sim.toml")];
-    pb3dp(&[&simulated[..], &region].concat()).assert_refused(&["--region", "the cameras of this setup are simulated"]);
+    pb3dp(&[&simulated[..], &region].concat()).assert_refused(&["--region", "the cameras are simulated"]);
     let real = ["identify", "delay", "--config", &config("rig.toml")];
     let output = pb3dp(&[&real[..], &region].concat()).assert_success();
     assert!(output.stdout.contains("nothing was moved; add --move"), "{}", output.stdout);

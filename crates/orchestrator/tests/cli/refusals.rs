@@ -158,7 +158,13 @@ fn configurations_are_refused_with_file_key_and_what_is_allowed() {
     };
     run(&good).assert_success();
     let unknown = run(&replaced(&good, "elite = 1\n", "elite = 1\nelites = 2\n"));
-    unknown.assert_refused(&["mine.toml", "published.rmga.elites", "unknown key", "survivors", "elite"]);
+    unknown.assert_refused(&[
+        "mine.toml",
+        "published.rmga.elites",
+        "unknown key",
+        "did you mean elite?",
+        "mine.toml:30:1",
+    ]);
     run(&replaced(&good, "elite = 1\n", "")).assert_refused(&["mine.toml", "published.rmga", "elite", "missing"]);
     let far = run(&replaced(&good, "hue_tolerance_deg = 20.0\nunseen", "hue_tolerance_deg = 200.0\nunseen"));
     far.assert_refused(&["mine.toml", "published.fitness.hue_tolerance_deg = 200", "0 to 180"]);

@@ -273,7 +273,7 @@ fn policies_of_the_supervisor_that_are_too_weak_or_none_are_refused_by_key() {
 #[test]
 fn two_arms_behind_gateways_of_one_number_are_refused() {
     let dir = tempfile::tempdir().unwrap();
-    let config = setup_from("hil.toml", dir.path(), &[("arm = 2 ", "arm = 1 ")]);
+    let config = setup_from("hil.toml", dir.path(), &[("arm = 2\n", "arm = 1\n")]);
     let out = dir.path().join("out");
     let parts = ["mine.toml", "arms.tc.gateway.arm = 1", "arms.vs.gateway.arm is the same"];
     pb3dp(&words(&[&"run", &"--config", &config, &"--out", &out])).assert_refused(&parts);

@@ -15,7 +15,7 @@ use pb3dp_sim::targets::TargetConfig;
 use serde_json::Value;
 
 /// Keys of a line of `estimate --json`, in order.
-pub const ESTIMATE_KEYS: [&str; 14] = [
+pub const ESTIMATE_KEYS: [&str; 17] = [
     "case",
     "method",
     "status",
@@ -27,6 +27,9 @@ pub const ESTIMATE_KEYS: [&str; 14] = [
     "ms",
     "centroid_px",
     "second_plane",
+    "point_mm",
+    "cam_left_from_model",
+    "covariance",
     "row_offset_px",
     "reason",
     "warnings",

@@ -326,7 +326,7 @@ pub fn read_layers(args: &SetupArgs) -> Result<Setup, ConfigError> {
 }
 
 /// What refuses a setup of this text once `key` has another value, line by line.
-pub(crate) fn refusals_of(name: &str, text: &str, key: &str, value: &str) -> Vec<String> {
+pub(crate) fn refusals_of(name: &'static str, text: &str, key: &str, value: &str) -> Vec<String> {
     let Ok(layers) = Layers::of_text_with(name, text, &[format!("{key}={value}")]) else { return Vec::new() };
     let config = ConfigFile::of(PathBuf::from(name), FileKind::Setup, layers);
     let mut check = Checker::default();

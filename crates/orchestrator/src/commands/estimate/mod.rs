@@ -11,7 +11,7 @@ use std::process::ExitCode;
 use anyhow::{Result, bail};
 use nalgebra::Vector2;
 use pb3dp_cell::pair::check_pictures;
-use pb3dp_cell::picture::{Annotation, annotate, model_frame_on_plane, polygon_px};
+use pb3dp_cell::picture::{Annotation, annotate, polygon_px};
 use pb3dp_cell::terminal::print_line;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation_core::estimate::{PlaneEstimate, ReferenceOptimum, SecondPlane};
@@ -295,10 +295,7 @@ impl<'a> Overlays<'a> {
     fn draw(&mut self, job: &Job, estimate: &PlaneEstimate, line: &EstimateLine, regions: &RegionConfig) -> Result<()> {
         let Some(folder) = self.folder else { return Ok(()) };
         let outline_px = outline(job, estimate, regions);
-        let frame = estimate.pose.and_then(|pose| {
-            let ray = job.rig.left().unproject(&estimate.centroid_px).ok()?;
-            model_frame_on_plane(ray * pose.depth_on_ray(&ray)?, &pose.normal_in_cam_left)
-        });
+        let frame = estimate.model_frame(&estimate.centroid_px).map(|frame| frame.cam_left_from_model);
         let depth = line.z_mm.map_or(String::new(), |z| format!("  z {z:.1} mm"));
         let fitness = line.fitness.map_or(String::new(), |fitness| format!("  fitness {fitness:.3}"));
         let annotation = Annotation {

@@ -4,6 +4,8 @@ use nalgebra::Vector2;
 use pb3dp_estimation_core::estimate::{PlaneEstimate, SecondPlane};
 use serde::Serialize;
 
+use crate::commands::track::output::{covariance_mm, row_major_mm};
+
 /// The result of one case, in the units of the interface; the order of the fields is that of the JSON line.
 #[derive(Clone, Debug, Serialize)]
 pub struct EstimateLine {
@@ -29,6 +31,12 @@ pub struct EstimateLine {
     pub centroid_px: Option<[f64; 2]>,
     /// The other surface of a region that straddles a depth edge.
     pub second_plane: Option<SecondPlaneLine>,
+    /// Where the plane meets the ray of `centroid_px`, in `cam_left`, millimetres.
+    pub point_mm: Option<[f64; 3]>,
+    /// The frame of the model, 16 numbers, row by row, millimetres.
+    pub cam_left_from_model: Option<[f64; 16]>,
+    /// Its covariance, 36 numbers, row by row, as in the lines of `pb3dp track`.
+    pub covariance: Option<Vec<f64>>,
     /// Row of the right picture minus row of the left one, of the rectified pair, pixels.
     pub row_offset_px: Option<f64>,
     /// What led to the status.
@@ -74,6 +82,9 @@ impl EstimateLine {
             ms: None,
             centroid_px: None,
             second_plane: None,
+            point_mm: None,
+            cam_left_from_model: None,
+            covariance: None,
             row_offset_px: None,
             reason,
             warnings: Vec::new(),
@@ -89,6 +100,7 @@ impl EstimateLine {
         ms: f64,
     ) -> Self {
         let second = estimate.second_plane.as_ref();
+        let frame = estimate.model_frame(&centroid_px);
         Self {
             status: estimate.status.as_str(),
             z_mm: z_m.map(|z| z * 1e3),
@@ -99,6 +111,9 @@ impl EstimateLine {
             ms: Some(ms),
             centroid_px: Some(centroid_px.into()),
             second_plane: second.map(|plane| SecondPlaneLine::of(plane, estimate, &centroid_px)),
+            point_mm: frame.map(|frame| (frame.cam_left_from_model.translation_m() * 1e3).into()),
+            cam_left_from_model: frame.map(|frame| row_major_mm(&frame.cam_left_from_model)),
+            covariance: frame.and_then(|frame| frame.covariance).as_ref().map(covariance_mm),
             row_offset_px: estimate.row_offset_px,
             warnings: estimate.warnings.iter().map(ToString::to_string).collect(),
             ..Self::of_error(case, method, estimate.reason.clone())

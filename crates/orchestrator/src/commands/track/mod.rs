@@ -1,6 +1,6 @@
 //! `pb3dp track`: regions through a recorded stereo sequence.
 
-mod output;
+pub mod output;
 mod overlays;
 mod surface;
 mod walk;

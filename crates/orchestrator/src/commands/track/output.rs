@@ -1,5 +1,6 @@
 //! What `pb3dp track` prints: a line per frame and target.
 
+use nalgebra::Matrix6;
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model};
@@ -81,10 +82,7 @@ impl TrackLine {
         Self {
             status: estimate.status.as_str(),
             cam_left_from_model: estimate.cam_left_from_model.as_ref().map(row_major_mm),
-            covariance: estimate.covariance.map(|m| {
-                let unit = |i: usize| if i < 3 { 1e3 } else { 1.0 };
-                (0..36).map(|k| m[(k / 6, k % 6)] * unit(k / 6) * unit(k % 6)).collect()
-            }),
+            covariance: estimate.covariance.as_ref().map(covariance_mm),
             fitness: estimate.fitness,
             ms: Some(ms),
             warnings: estimate.warnings.iter().map(ToString::to_string).collect(),
@@ -115,6 +113,12 @@ impl TrackLine {
             number(self.ms, 2)
         )
     }
+}
+
+/// A covariance of `xi = (rho, phi)`, row by row, `rho` in millimetres.
+pub fn covariance_mm(covariance: &Matrix6<f64>) -> Vec<f64> {
+    let unit = |i: usize| if i < 3 { 1e3 } else { 1.0 };
+    (0..36).map(|k| covariance[(k / 6, k % 6)] * unit(k / 6) * unit(k % 6)).collect()
 }
 
 /// The homogeneous matrix of a pose, row by row, translation in millimetres.
