@@ -10,7 +10,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::cli::mock_arm::MockArm;
-use crate::cli::support::{Finished, numbers, repository};
+use crate::cli::support::{Finished, numbers, replaced, repository};
 
 /// `start_deg` of the arm with the cameras in configs/hil.toml.
 pub const START_DEG: &str = "0,45.4169239,0,97.48979119,0,-52.90671509,0";
@@ -73,9 +73,28 @@ pub fn setup_at(address: &str) -> TempDir {
     folder
 }
 
-/// A setup as configs/hil.toml is, but for what follows on the line `[arms.vs]`.
+/// The setup `hil` as one complete file: a real arm takes nothing from a base that is built in.
+pub fn complete_hil() -> String {
+    let sim = std::fs::read_to_string(repository().join("configs/sim.toml")).unwrap();
+    let gateway = |arm: &str, number: u32| {
+        format!(
+            "[arms.{arm}.gateway]\narm = {number} \ndialect = \"gateway-v1\" \nwire_format = \"B\" \ngeometry = \"second-generation\" \n\n"
+        )
+    };
+    [
+        ("pace = \"fast\"", "pace = \"live\"".to_owned()),
+        ("compare = [\"published\"]", "compare = []".to_owned()),
+        ("delay_millis = 10.0               # until", "delay_millis = 17.0               # until".to_owned()),
+        ("[arms.tc]", gateway("vs", 1) + "[arms.tc]"),
+        ("[mounts]", gateway("tc", 2) + "[mounts]"),
+    ]
+    .into_iter()
+    .fold(sim.replace("backend = \"mock\"", "backend = \"emulated\""), |text, (from, to)| replaced(&text, from, &to))
+}
+
+/// A setup as `hil` is, but for what follows on the line `[arms.vs]`.
 pub fn write_setup(folder: &TempDir, change: impl Fn(&str) -> String) {
-    let text = std::fs::read_to_string(hil()).unwrap();
+    let text = complete_hil();
     let robots = repository().join("configs/robots").display().to_string();
     let text = text.replace("robot = \"robots/", &format!("robot = \"{robots}/"));
     let (all, vs) = text.split_once("[arms.vs]").unwrap();
@@ -412,11 +431,9 @@ fn the_room_to_the_other_arm_is_watched_unless_it_is_left_out() {
         let moved = pb3dp_arm(&hil(), &[&jog[..], &["--move"]].concat(), Some("vs-robot")).assert_success().stdout;
         assert!(moved.contains("done: every joint within 0.0"), "{moved}");
         // More room is wanted than there is.
-        let text = std::fs::read_to_string(hil()).unwrap().replace("least_room_mm = 50.0", "least_room_mm = 400.0");
-        let robots = repository().join("configs/robots").display().to_string();
         let folder = tempfile::tempdir().unwrap();
         let config = folder.path().join("cell.toml");
-        std::fs::write(&config, text.replace("robot = \"robots/", &format!("robot = \"{robots}/"))).unwrap();
+        std::fs::write(&config, "base = \"hil\"\narms.least_room_mm = 400.0\n").unwrap();
         let refused = pb3dp_arm(&config.display().to_string(), &jog, None);
         refused.assert_refused(&["377 mm (cameras to panel) is less than arms.least_room_mm, 400 mm"]);
         let alone = [&jog[..], &["--alone", "--move"]].concat();
