@@ -2,7 +2,7 @@
 
 use crate::rust_text::{code_only, line_at, without_test_items, word_positions};
 use crate::violation::Violation;
-use crate::workspace::TextFile;
+use crate::workspace::SourceFile;
 
 /// The entry.
 const ENTRY: &str = "crates/estimation/src/";
@@ -13,7 +13,7 @@ const ITEMS_MAX: usize = 120;
 const ITEMS: [&str; 10] = ["fn", "struct", "enum", "trait", "const", "static", "type", "mod", "unsafe", "async"];
 
 /// Counts the public items and re-exports of the entry, and refuses re-exports that do not name what they are of.
-pub fn check(files: &[TextFile]) -> Vec<Violation> {
+pub fn check(files: &[SourceFile]) -> Vec<Violation> {
     let is_test = |path: &str| path.ends_with("/tests.rs") || path.ends_with("_tests.rs");
     let (mut count, mut violations) = (0, Vec::new());
     for file in files.iter().filter(|file| file.path.starts_with(ENTRY) && !is_test(&file.path)) {
@@ -43,8 +43,8 @@ pub fn check(files: &[TextFile]) -> Vec<Violation> {
 mod tests {
     use super::*;
 
-    fn file(path: &str, text: String) -> TextFile {
-        TextFile { path: path.to_owned(), text }
+    fn file(path: &str, text: String) -> SourceFile {
+        SourceFile { path: path.to_owned(), text }
     }
 
     #[test]
