@@ -2,6 +2,7 @@
 
 mod graph;
 mod modules;
+mod public_surface;
 mod source;
 
 use crate::violation::{Violation, conclude};
@@ -13,6 +14,7 @@ use crate::workspace::Workspace;
 ///   of the workspace has its line there.
 /// * No circle between the modules that a package's lib.rs declares.
 /// * Who may name a backend is a list of modules; backends do not name each other, the estimation or the servo.
+/// * The entry of the estimation has at most 120 public items, and no re-export without names.
 /// * Nothing enables the feature `disabled-guards`, with which tests switch safeguards off, but who asks for it by name.
 /// * serde stands in setup, cell, commissioning, orchestrator, record, benchmarks and calibration only.
 /// * Files, threads, clocks, the environment, the network: each may be used only by the modules that the table of
@@ -31,5 +33,6 @@ pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
         violations.extend(source::check(&file.path, &file.text));
     }
     violations.extend(modules::check(&texts));
+    violations.extend(public_surface::check(&texts));
     conclude("check-deps", &format!("{} packages, {} Rust files", packages.len(), texts.len()), violations)
 }

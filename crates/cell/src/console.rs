@@ -26,7 +26,19 @@ const LINE_MAX: u64 = 256;
 const READ_AGAIN: Duration = Duration::from_millis(10);
 
 /// What a console answers to a line that is none of its words.
-const WORDS: &str = "known are select, start, hold, resume, stop, reset, status and quit";
+const WORDS: &str = "known are select, start, hold, resume, stop, reset, status, help and quit";
+
+/// What `help` answers.
+const HELP: &str = "\
+select   initialise the target that is marked
+start    let the hand follow it
+hold     hold both arms; resume goes on
+resume   go on after a hold
+stop     stop both arms with brakes; reset leads out of it
+reset    clear a stop or a fault, once its cause is gone
+status   what the supervisor does, and why nothing moves
+quit     stop both arms, write the report, end
+help     this list";
 
 /// A person who types words, one on each line. When the lines end, the run ends as by `quit`.
 pub struct Console {
@@ -82,8 +94,8 @@ struct Shown {
 }
 
 impl Console {
-    /// Reads `lines` on a thread of its own, and writes its answers to `answers` on another one; the word `quit` and the end of the
-    /// lines set `interrupt`.
+    /// Reads `lines` on a thread of its own, and writes its answers to `answers` on another one, each with `prompt` behind it; the word
+    /// `quit` and the end of the lines set `interrupt`.
     ///
     /// # Errors
     /// If the system gives no thread.
@@ -91,12 +103,12 @@ impl Console {
         clock: Arc<dyn Clock>,
         lines: impl BufRead + Send + 'static,
         answers: impl Write + Send + 'static,
-        interrupt: Arc<AtomicBool>,
+        (interrupt, prompt): (Arc<AtomicBool>, &'static str),
     ) -> Result<Self> {
         let (give, words) = RingBuffer::new(WORDS_MAX);
         let (say, said) = sync_channel(ANSWERS_MAX);
         let shared = Arc::new(Shared::default());
-        let write = move || write_all(&said, answers);
+        let write = move || write_all(&said, answers, prompt);
         Builder::new().name("answers".to_owned()).spawn(write).context("no thread for the answers of the console")?;
         let reading = Reading {
             clock,
@@ -174,10 +186,13 @@ impl Operator for Console {
 }
 
 /// Writes answers until nobody has any more to give, or they can not be written.
-fn write_all(said: &Receiver<String>, mut answers: impl Write) {
+fn write_all(said: &Receiver<String>, mut answers: impl Write, prompt: &str) {
+    if !prompt.is_empty() {
+        let _ = write!(answers, "type a word; help lists them\n{prompt}").and_then(|()| answers.flush());
+    }
     for answer in said {
         // Who does not read the answers can still type.
-        let _ = writeln!(answers, "{answer}").and_then(|()| answers.flush());
+        let _ = write!(answers, "{answer}\n{prompt}").and_then(|()| answers.flush());
     }
 }
 
@@ -253,6 +268,7 @@ impl Reading {
         let answer = match (word, line) {
             (Some(word), _) => self.say(word),
             (None, "status") => Some(self.status()),
+            (None, "help" | "?") => Some(HELP.to_owned()),
             (None, "quit") => {
                 self.interrupt.store(true, Ordering::SeqCst);
                 Some("both arms stop, then the report".to_owned())
@@ -354,7 +370,7 @@ mod tests {
         let interrupt = Arc::new(AtomicBool::new(false));
         let clock = Arc::new(VirtualClock::new());
         clock.sleep_until(MonotonicTime::from_nanos(5));
-        (Console::start(clock, lines, Written(written), Arc::clone(&interrupt)).unwrap(), answers, interrupt)
+        (Console::start(clock, lines, Written(written), (Arc::clone(&interrupt), "")).unwrap(), answers, interrupt)
     }
 
     fn typed() -> (BufReader<std::io::PipeReader>, PipeWriter) {

@@ -1,7 +1,8 @@
 //! Pictures that show what was estimated: the region and the pose's axes left, the re-projected model right.
 
-use image::{RgbImage, imageops};
+use image::{Rgb, RgbImage, imageops};
 use nalgebra::{Point3, Vector2, Vector3};
+use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
 use pb3dp_record::overlay::{self, Stroke, TextStyle, colors};
@@ -15,8 +16,18 @@ pub struct Annotation {
     pub cam_left_from_model: Option<Pose<CamLeft, Model>>,
     /// One line of text: status and figures.
     pub label: String,
-    /// Whether the label tells of a failure.
-    pub is_bad: bool,
+    /// What the label tells of: each status has a colour of its own.
+    pub status: Status,
+}
+
+/// The colour of a status. Red and green are told apart by their brightness as well.
+fn color_of(status: Status) -> Rgb<u8> {
+    match status {
+        Status::Ok => colors::ESTIMATE,
+        Status::WeakTilt => colors::WEAK,
+        Status::Ambiguous => colors::AMBIGUOUS,
+        Status::NotObservable | Status::Lost | Status::Error => colors::BAD,
+    }
 }
 
 /// Corners for drawing.
@@ -32,7 +43,7 @@ pub fn annotate(left: &RgbImage, right: &RgbImage, rig: &StereoRig, targets: &[A
         if let Some(pose) = &what.cam_left_from_model {
             let outline_right = reprojected(&what.outline_px, rig, pose);
             if let Some(outline_right) = outline_right {
-                overlay::polygon(&mut right, &outline_right, Stroke::of(colors::ESTIMATE));
+                overlay::polygon(&mut right, &outline_right, Stroke::of(color_of(what.status)));
             }
             let axis_m = 0.12 * pose.translation_m().z;
             overlay::pose_axes(&mut left, rig.left(), pose, axis_m);
@@ -56,8 +67,7 @@ fn below_labels(picture: &RgbImage, targets: &[Annotation]) -> RgbImage {
     imageops::replace(&mut both, picture, 0, i64::from(strip_px));
     let mut top_px = LABEL_MARGIN_PX;
     for what in targets {
-        let color = if what.is_bad { colors::BAD } else { colors::ESTIMATE };
-        let style = TextStyle { scale, background: None, ..TextStyle::of(color) };
+        let style = TextStyle { scale, background: None, ..TextStyle::of(color_of(what.status)) };
         overlay::text(&mut both, [f64::from(LABEL_MARGIN_PX), f64::from(top_px)], &what.label, style);
         top_px += line_px(what);
     }
@@ -92,7 +102,7 @@ mod tests {
             outline_px: Vec::new(),
             cam_left_from_model: None,
             label: text.to_owned(),
-            is_bad: false,
+            status: Status::Ok,
         };
         let lit = |both: &RgbImage, rows: u32| {
             let is_lit = |&(u, v): &(u32, u32)| *both.get_pixel(u, v) != image::Rgb([0, 0, 0]);

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use nalgebra::{UnitQuaternion, Vector3};
+use pb3dp_record::plain_zero::plain_zero;
 use pb3dp_record::report::{LinePlot, Report, ReportPicture, Series, SeriesColor, Table};
 
 use pb3dp_setup::layers::toml_of;
@@ -45,7 +46,7 @@ pub fn tell(
     setup: &Setup,
     outcome: &Outcome,
     (plan, made, failure): (&Plan, &Made, Option<&anyhow::Error>),
-) -> Result<()> {
+) -> Result<Following> {
     let ended_by = failure.map(|failure| format!("{failure:#}"));
     let summary = RunSummary { ended_by, ..summarize(&outcome.log, plan) };
     let provenance = provenance(made, setup, summary.duration_s);
@@ -70,7 +71,7 @@ pub fn tell(
     });
     let page = page(outcome, &summary, &plan.world_from_axes).heading("How this run was made").table(&origin);
     page.folded("Every setting, and where it is stated", &settings).write(&folder.join("report.html"))?;
-    print_line(&text_table(&summary))?;
+    print_line(&plain_zero(&text_table(&summary)))?;
     let following = summary.share_following();
     if following < FOLLOWING_EXPECTED {
         tracing::warn!(
@@ -78,7 +79,17 @@ pub fn tell(
             100.0 * following
         );
     }
-    Ok(print_line(&format!("report: {}", folder.join("report.html").display()))?)
+    print_line(&format!("report: {}", folder.join("report.html").display()))?;
+    Ok(if following < FOLLOWING_EXPECTED { Following::TooLittle } else { Following::Well })
+}
+
+/// Whether the hand followed the target for as long as is to be expected.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Following {
+    /// For 90 % of the time and more.
+    Well,
+    /// For less.
+    TooLittle,
 }
 
 /// What somebody needs to repeat the run.

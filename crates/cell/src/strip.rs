@@ -36,7 +36,7 @@ impl Strip {
             outline_px: polygon_px(&estimate.outline_px),
             cam_left_from_model: estimate.cam_left_from_model,
             label: format!("{t_s:.1} s  {}", estimate.status),
-            is_bad: estimate.cam_left_from_model.is_none(),
+            status: estimate.status,
         };
         let picture = annotate(&pair.left, &pair.right, rig, &[annotation]);
         let height = WIDTH_PX * picture.height() / picture.width().max(1);

@@ -37,6 +37,9 @@ pub struct RunArgs {
     /// Who tells the run what to do.
     #[arg(long, value_enum, default_value_t = OperatorName::Command)]
     pub operator: OperatorName,
+    /// End with exit code 3 if the hand followed the target for less than 90 % of the time.
+    #[arg(long)]
+    pub strict: bool,
 }
 
 /// Who tells a run what to do.
@@ -73,6 +76,9 @@ pub struct MethodArgs {
     /// One JSON object per line on standard output instead of a table.
     #[arg(long)]
     pub json: bool,
+    /// End with exit code 3 if an answer has another status than `ok`.
+    #[arg(long)]
+    pub strict: bool,
     /// Write pictures with region, re-projected model and pose axes into this folder; `track` also writes one animated PNG, sequence.png.
     #[arg(long, value_name = "DIR")]
     pub overlay: Option<PathBuf>,

@@ -1,6 +1,6 @@
 //! The command line.
 
-use clap::{Parser, Subcommand};
+use clap::{ArgAction, Parser, Subcommand};
 use pb3dp_commissioning::arm::ArmArgs;
 use pb3dp_commissioning::gateway::GatewayArgs;
 use pb3dp_commissioning::mock_arm::MockArmArgs;
@@ -21,16 +21,42 @@ const VERSION: &str = if pb3dp_safeguards::CAN_BE_OFF {
     env!("CARGO_PKG_VERSION")
 };
 
+/// The exit code of an answer that is not sure, where `--strict` asks for it, and of setups that differ.
+pub const UNSURE: u8 = 3;
+
+/// The same for every command, but for `doctor`, whose help has its own.
+const EXIT_CODES: &str = "\
+Exit codes: 0 good; 1 failed; 2 the command line is not understood; 3 unsure (--strict) or different (config diff)";
+
+impl Cli {
+    /// What is logged.
+    pub fn filter(&self) -> &str {
+        match (&self.log, self.quiet, self.verbose) {
+            (Some(filter), ..) => filter,
+            (None, true, _) => "warn",
+            (None, false, 0) => "info",
+            (None, false, 1) => "debug",
+            (None, false, _) => "trace",
+        }
+    }
+}
+
 /// Robot vision that needs to know nothing about its target: pose of any object from one calibrated stereo pair.
 #[derive(Debug, Parser)]
-#[command(name = "pb3dp", version = VERSION, propagate_version = true)]
+#[command(name = "pb3dp", version = VERSION, propagate_version = true, max_term_width = 100, after_help = EXIT_CODES)]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]
     pub command: Command,
-    /// Log level or directives, for instance `debug` or `pb3dp_servo=trace,info`.
-    #[arg(long, global = true, default_value = "info", value_name = "FILTER")]
-    pub log: String,
+    /// Log level or directives, for instance `debug` or `pb3dp_servo=trace,info`; `info` without it.
+    #[arg(long, global = true, value_name = "FILTER", conflicts_with_all = ["quiet", "verbose"])]
+    pub log: Option<String>,
+    /// Log warnings and errors only.
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    pub quiet: bool,
+    /// Log more: -v as --log debug, -vv as --log trace.
+    #[arg(short, long, global = true, action = ArgAction::Count)]
+    pub verbose: u8,
     /// Log lines as readable text or as JSON, always on standard error.
     #[arg(long, global = true, value_enum, default_value = "human")]
     pub log_format: LogFormat,

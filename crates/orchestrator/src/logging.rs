@@ -7,13 +7,15 @@ use std::io::{self, IsTerminal, Write};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, OnceLock};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::Context;
 use clap::ValueEnum;
 use pb3dp_hal_platform::signals::shielded;
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::MakeWriter;
+use tracing_subscriber::fmt::format::Writer;
+use tracing_subscriber::fmt::time::FormatTime;
 
 /// Lines that wait to be written; of more, the first ones count.
 const WAITING_MAX: usize = 16_384;
@@ -31,6 +33,17 @@ pub enum LogFormat {
     Human,
     /// One JSON object per event.
     Json,
+}
+
+/// Hours, minutes, seconds and milliseconds of the day, UTC.
+struct WallTime;
+
+impl FormatTime for WallTime {
+    fn format_time(&self, writer: &mut Writer<'_>) -> std::fmt::Result {
+        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let (s, millis) = (since.as_secs() % 86_400, since.subsec_millis());
+        write!(writer, "{:02}:{:02}:{:02}.{millis:03}Z", s / 3600, s / 60 % 60, s % 60)
+    }
 }
 
 /// The log of the program. Dropping it, at the end, is [`last_words`].
@@ -73,7 +86,7 @@ pub fn init(format: LogFormat, filter: &str) -> anyhow::Result<Log> {
         .log_internal_errors(false)
         .with_target(false);
     let installed = match format {
-        LogFormat::Human => builder.compact().without_time().try_init(),
+        LogFormat::Human => builder.compact().with_timer(WallTime).try_init(),
         LogFormat::Json => builder.json().try_init(),
     };
     installed.map_err(|error| anyhow::anyhow!("the log writer can not be installed: {error}"))?;

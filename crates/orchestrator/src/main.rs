@@ -13,7 +13,7 @@ const PROGRAM: pb3dp_commissioning::Program =
 fn main() -> ExitCode {
     let cli = Cli::parse();
     // Lives until the end, also that of a panic.
-    let _log = match logging::init(cli.log_format, &cli.log) {
+    let _log = match logging::init(cli.log_format, cli.filter()) {
         Ok(log) => log,
         Err(error) => {
             // There is no log yet that could carry this.

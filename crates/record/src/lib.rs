@@ -7,6 +7,7 @@
 //! * [`metrics`]: errors against truth, statistics, lag;
 //! * [`overlay`]: drawing on pictures, animated pictures;
 //! * [`picture_quality`]: brightness and sharpness of pictures;
+//! * [`plain_zero`]: numbers for people, whose zero has no sign;
 //! * [`point_cloud`]: coloured surface points as PLY;
 //! * [`stops`]: where arms stood while pictures were taken, and where they are wanted;
 //! * [`report`]: self-contained HTML reports with SVG plots.
@@ -20,6 +21,7 @@ pub mod images;
 pub mod metrics;
 pub mod overlay;
 pub mod picture_quality;
+pub mod plain_zero;
 pub mod point_cloud;
 pub mod report;
 

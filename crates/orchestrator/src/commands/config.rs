@@ -11,11 +11,10 @@ use pb3dp_setup::explain::explain;
 use pb3dp_setup::layers::{Effective, Layers, SetupArgs, built_in, toml_of};
 use pb3dp_setup::setup::read_layers;
 
+use crate::cli::UNSURE;
+
 /// Where the arms begin in the example of a rig.
 const ARMS: &str = "[arms]\n";
-
-/// The exit code of setups that differ.
-const DIFFERENT: u8 = 3;
 
 /// Arguments of `pb3dp config`.
 #[derive(Debug, Args)]
@@ -161,7 +160,7 @@ fn diff(args: &DiffArgs) -> Result<ExitCode> {
             })?;
         }
     }
-    Ok(if differing.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(DIFFERENT) })
+    Ok(if differing.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(UNSURE) })
 }
 
 fn init(kind: Kind) -> Result<ExitCode> {

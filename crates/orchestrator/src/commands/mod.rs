@@ -7,6 +7,7 @@ pub mod doctor;
 pub mod estimate;
 pub mod identify;
 pub mod overlay_folder;
+pub mod previous_run;
 pub mod rig;
 pub mod run;
 pub mod track;

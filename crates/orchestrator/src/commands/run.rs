@@ -1,6 +1,6 @@
 //! `pb3dp run`: the whole loop of one setup.
 
-use std::io::BufReader;
+use std::io::{BufReader, IsTerminal};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -12,13 +12,15 @@ use pb3dp_cell::console::Console;
 use pb3dp_cell::experiment::{self, Ended};
 use pb3dp_cell::flight::Moment;
 use pb3dp_cell::interruption::{INTERRUPTED, watch};
-use pb3dp_cell::report::{self, Made};
+use pb3dp_cell::report::{self, Following, Made};
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::dataset::SequenceWriter;
 use pb3dp_setup::setup::{Pace, read_layers};
 use pb3dp_wiring::{Wired, accept_nominal, wire_watched, write_flights};
 
 use crate::arguments::{OperatorName, RunArgs};
+use crate::cli::UNSURE;
+use crate::commands::previous_run;
 use crate::logging::last_words;
 
 /// Runs the command: experiment, then report.
@@ -33,6 +35,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let asked = args.setup.clone().with("--seed", "run.seed", seed).with("--region", "camera.region", region);
     let mut setup = read_layers(&asked)?;
     accept_nominal(&mut setup, args.nominal_calibration);
+    previous_run::keep(&args.out)?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
     if args.operator == OperatorName::Console && setup.pace == Pace::Fast {
         bail!("--operator console: at pace = \"fast\" nobody can speak in time; set pace to \"real-time\" or \"live\"");
@@ -45,7 +48,8 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     if args.operator == OperatorName::Console {
         let lines = BufReader::new(std::io::stdin());
         let (clock, interrupt) = (Arc::clone(&parts.clock), Arc::clone(&parts.interrupt));
-        parts.operator = Box::new(Console::start(clock, lines, std::io::stdout(), interrupt)?);
+        let prompt = if std::io::stdin().is_terminal() { "pb3dp> " } else { "" };
+        parts.operator = Box::new(Console::start(clock, lines, std::io::stdout(), (interrupt, prompt))?);
     }
     let plan = Plan::of(&setup.experiment.motion, &*parts.experiment);
     let started = Instant::now();
@@ -60,12 +64,16 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let made =
         Made { configuration: asked.to_string(), commit: crate::COMMIT, wall_s: started.elapsed().as_secs_f64() };
     let told = report::tell(&args.out, &setup, &outcome, (&plan, &made, how.as_ref().err()));
-    both(how, told)?;
-    Ok(if was_interrupted.load(Ordering::SeqCst) { ExitCode::from(INTERRUPTED) } else { ExitCode::SUCCESS })
+    let following = both(how, told)?;
+    Ok(match following {
+        _ if was_interrupted.load(Ordering::SeqCst) => ExitCode::from(INTERRUPTED),
+        Following::TooLittle if args.strict => ExitCode::from(UNSURE),
+        Following::Well | Following::TooLittle => ExitCode::SUCCESS,
+    })
 }
 
 /// How the run has ended, also where its report could not be written.
-fn both(how: Result<()>, told: Result<()>) -> Result<()> {
+fn both<T>(how: Result<()>, told: Result<T>) -> Result<T> {
     match (how, told) {
         (Err(failure), Err(untold)) => {
             Err(failure.context(format!("the report is not complete ({untold:#}), and the run had failed before")))
@@ -86,7 +94,7 @@ mod tests {
         let text = format!("{:#}", both(arm(), disk()).unwrap_err());
         assert!(text.contains("an overcurrent") && text.contains("no space is left"), "{text}");
         assert_eq!(both(arm(), Ok(())).unwrap_err().to_string(), "an overcurrent");
-        assert_eq!(both(Ok(()), disk()).unwrap_err().to_string(), "no space is left");
+        assert_eq!(both::<()>(Ok(()), disk()).unwrap_err().to_string(), "no space is left");
         assert!(both(Ok(()), Ok(())).is_ok());
     }
 }

@@ -22,6 +22,10 @@ pub mod colors {
     pub const REGION: Rgb<u8> = Rgb([255, 214, 10]);
     /// What a method estimated.
     pub const ESTIMATE: Rgb<u8> = Rgb([50, 230, 120]);
+    /// An estimate whose tilt is not sure.
+    pub const WEAK: Rgb<u8> = Rgb([255, 150, 20]);
+    /// An estimate that may be another place.
+    pub const AMBIGUOUS: Rgb<u8> = Rgb([235, 110, 245]);
     /// The truth.
     pub const TRUTH: Rgb<u8> = Rgb([60, 170, 255]);
     /// A failure.

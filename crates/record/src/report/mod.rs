@@ -32,6 +32,7 @@ pub use picture_plot::{PicturePlot, VectorAt};
 pub use svg_file::svg_file;
 
 use crate::images::{PictureFormat, encode};
+use crate::plain_zero::plain_zero;
 
 /// Why a report was not written.
 #[derive(Debug, thiserror::Error)]
@@ -72,7 +73,7 @@ impl Table {
     /// Adds a row; missing cells stay empty, cells beyond the headings are left out.
     #[must_use]
     pub fn row<S: Into<String>>(mut self, cells: impl IntoIterator<Item = S>) -> Self {
-        let mut row: Vec<String> = cells.into_iter().map(Into::into).collect();
+        let mut row: Vec<String> = cells.into_iter().map(|cell| plain_zero(&cell.into())).collect();
         row.resize(self.headings.len(), String::new());
         self.rows.push(row);
         self

@@ -29,6 +29,7 @@ use self::output::EstimateLine;
 use self::rigs::Rigs;
 use super::overlay_folder::make_overlay_folder;
 use crate::arguments::{EstimateArgs, MethodArgs};
+use crate::cli::UNSURE;
 
 /// Runs the command. The exit code is a failure if a case could not be worked on; all others are worked on all the same.
 ///
@@ -54,7 +55,7 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
     }
     let mut rigs = Rigs::default();
     let mut evaluated = Vec::new();
-    let mut refused = 0_usize;
+    let (mut refused, mut unsure) = (0_usize, 0_usize);
     for source in jobs {
         let name = source.name();
         let outcome = source.load(args).and_then(|job| work(&job, (method, &config), args, &mut rigs, &mut overlays));
@@ -70,10 +71,15 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
                 EstimateLine::of_error(&name, method.name(), format!("{error:#}"))
             }
         };
+        unsure += usize::from(line.status != Status::Ok.as_str());
         print_line(&if args.method.json { serde_json::to_string(&line)? } else { line.human() })?;
     }
     report_errors(&evaluated);
-    Ok(if refused == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    Ok(match (refused, unsure) {
+        (0, 1..) if args.method.strict => ExitCode::from(UNSURE),
+        (0, _) => ExitCode::SUCCESS,
+        _ => ExitCode::FAILURE,
+    })
 }
 
 /// Where a job comes from.
@@ -302,7 +308,7 @@ impl<'a> Overlays<'a> {
             outline_px,
             cam_left_from_model: frame,
             label: format!("{} {}{depth}{fitness}", line.case, line.status),
-            is_bad: frame.is_none(),
+            status: estimate.status,
         };
         let picture = annotate(&job.left, &job.right, &job.rig, &[annotation]);
         save(&picture, &folder.join(self.file_name(&line.case)), PictureFormat::Png)?;

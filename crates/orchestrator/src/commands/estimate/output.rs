@@ -2,6 +2,7 @@
 
 use nalgebra::Vector2;
 use pb3dp_estimation_core::estimate::{PlaneEstimate, SecondPlane};
+use pb3dp_record::plain_zero::plain_zero;
 use serde::Serialize;
 
 use crate::commands::track::output::{covariance_mm, row_major_mm};
@@ -128,7 +129,7 @@ impl EstimateLine {
     pub fn human(&self) -> String {
         let number = |value: Option<f64>, decimals: usize| value.map_or("-".into(), |x| format!("{x:.decimals$}"));
         let normal = self.normal.map_or("-".into(), |[x, y, z]| format!("{x:+.3} {y:+.3} {z:+.3}"));
-        format!(
+        plain_zero(&format!(
             "{:<25} {:<14} {:>9} {:>7}  {:<23} {:>6}  {:>7} {:>8}",
             self.case,
             self.status,
@@ -138,6 +139,6 @@ impl EstimateLine {
             number(self.normal_sigma_deg, 2),
             number(self.fitness, 3),
             number(self.ms, 2)
-        )
+        ))
     }
 }

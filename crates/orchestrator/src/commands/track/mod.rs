@@ -11,6 +11,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use pb3dp_cell::terminal::print_line;
 use pb3dp_estimation::estimator::Method;
+use pb3dp_estimation_core::status::Status;
 use pb3dp_hal_api::{CameraErrorKind, FramePair};
 use pb3dp_record::dataset::{Sequence, load_sequence};
 use pb3dp_record::metrics::{MotionSummary, compare_motion};
@@ -20,6 +21,7 @@ use self::output::TrackLine;
 use self::overlays::Overlays;
 use self::walk::Walk;
 use crate::arguments::TrackArgs;
+use crate::cli::UNSURE;
 
 /// A replay does not wait for pictures, so this only bounds what can not happen.
 const PAIR_TIMEOUT: Duration = Duration::from_secs(10);
@@ -58,7 +60,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     let mut walk = Walk::new(method, &rig, &sequence, args)?;
     let mut overlays = Overlays::open(&args.method)?;
     let mut pair = FramePair::black(rig.left().size());
-    let mut unread = 0_usize;
+    let (mut unread, mut unsure) = (0_usize, 0_usize);
     if !args.method.json {
         print_line(&TrackLine::heading(walk.targets().len() > 1))?;
     }
@@ -81,6 +83,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
             Err(error) => return Err(error.into()),
         };
         for line in &lines {
+            unsure += usize::from(line.status != Status::Ok.as_str());
             print_line(&if args.method.json { serde_json::to_string(line)? } else { line.human() })?;
         }
     }
@@ -89,7 +92,11 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         surface::write_all(file, walk.targets())?;
     }
     report(&sequence, &walk);
-    Ok(if unread == 0 && !walk.has_refused() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    Ok(match (unread > 0 || walk.has_refused(), unsure) {
+        (true, _) => ExitCode::FAILURE,
+        (false, 1..) if args.method.strict => ExitCode::from(UNSURE),
+        (false, _) => ExitCode::SUCCESS,
+    })
 }
 
 /// The table of motion errors and what the method does not observe, on standard error. The truth of a sequence is that of its

@@ -4,6 +4,7 @@ use nalgebra::Matrix6;
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_record::plain_zero::plain_zero;
 use serde::Serialize;
 
 use super::walk::{Found, Outcome};
@@ -99,7 +100,7 @@ impl TrackLine {
             let v = nalgebra::Rotation3::from_matrix_unchecked(rotation).scaled_axis().map(f64::to_degrees);
             format!("{:+.2} {:+.2} {:+.2}", v.x, v.y, v.z)
         });
-        format!(
+        plain_zero(&format!(
             "{:>5}{} {:>8.3}  {:<14} {:>9} {:>9} {:>9}  {:<25} {:>8} {:>8}",
             self.frame,
             self.target.map_or(String::new(), |target| format!(" {target:>6}")),
@@ -111,7 +112,7 @@ impl TrackLine {
             turn,
             number(self.fitness, 3),
             number(self.ms, 2)
-        )
+        ))
     }
 }
 

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use pb3dp_cell::picture::{Annotation, annotate, polygon_px};
+use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::FramePair;
 use pb3dp_record::images::{PictureFormat, save};
@@ -39,14 +40,14 @@ impl Overlays {
             let target = found.target.map_or(String::new(), |target| format!("target {target}  "));
             let Outcome::Estimate { estimate, .. } = &found.outcome else {
                 let label = format!("frame {frame}  {t_s:.3} s  {target}error");
-                return Annotation { outline_px: Vec::new(), cam_left_from_model: None, label, is_bad: true };
+                return Annotation { outline_px: Vec::new(), cam_left_from_model: None, label, status: Status::Error };
             };
             let fitness = estimate.fitness.map_or(String::new(), |fitness| format!("  fitness {fitness:.3}"));
             Annotation {
                 outline_px: polygon_px(&estimate.outline_px),
                 cam_left_from_model: estimate.cam_left_from_model,
                 label: format!("frame {frame}  {t_s:.3} s  {target}{}{fitness}", estimate.status),
-                is_bad: estimate.cam_left_from_model.is_none(),
+                status: estimate.status,
             }
         };
         let annotations: Vec<Annotation> = targets.iter().map(annotation).collect();

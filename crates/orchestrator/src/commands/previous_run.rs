@@ -1,0 +1,51 @@
+//! What an earlier run left behind is kept.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+
+/// A file that every run writes.
+const OF_A_RUN: &str = "summary.json";
+
+/// Moves the folder of an earlier run to the first of `DIR.1`, `DIR.2` and so on that is free, and says so.
+///
+/// # Errors
+/// If it cannot be moved.
+pub fn keep(folder: &Path) -> Result<()> {
+    if !folder.join(OF_A_RUN).is_file() {
+        return Ok(());
+    }
+    let numbered = |number: u32| {
+        let mut name = OsString::from(folder.components().as_path());
+        name.push(format!(".{number}"));
+        PathBuf::from(name)
+    };
+    let free = (1..).map(numbered).find(|path| !path.exists()).context("no name is free")?;
+    std::fs::rename(folder, &free).with_context(|| format!("{}: cannot be moved to {}", folder.display(), free.display()))?;
+    tracing::info!("the earlier run in {} is kept in {}", folder.display(), free.display());
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_earlier_run_gets_the_first_free_number_and_other_folders_stay() {
+        let place = tempfile::tempdir().unwrap();
+        let out = place.path().join("run");
+        keep(&out).unwrap();
+        for number in 1..=2 {
+            std::fs::create_dir(&out).unwrap();
+            std::fs::write(out.join("notes.txt"), "mine").unwrap();
+            keep(&out).unwrap();
+            assert!(out.exists(), "a folder without a run stays");
+            std::fs::write(out.join(OF_A_RUN), format!("{number}")).unwrap();
+            keep(&out.join("")).unwrap();
+            assert!(!out.exists());
+            let kept = std::fs::read_to_string(place.path().join(format!("run.{number}")).join(OF_A_RUN)).unwrap();
+            assert_eq!(kept, number.to_string());
+        }
+    }
+}
