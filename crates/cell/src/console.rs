@@ -508,7 +508,7 @@ mod tests {
     #[test]
     fn a_person_who_reads_no_answers_is_still_heard() {
         let ((lines, mut writer), (unread, full)) = (typed(), pipe().unwrap());
-        let mut console = Console::start(Arc::new(VirtualClock::new()), lines, full, Arc::default()).unwrap();
+        let mut console = Console::start(Arc::new(VirtualClock::new()), lines, full, (Arc::default(), "")).unwrap();
         assert_eq!(word(&mut console), None);
         // More than a pipe and the queue of answers hold.
         for _ in 0..4000 {

@@ -33,7 +33,8 @@ pub fn check(files: &[SourceFile]) -> Vec<Violation> {
         }
     }
     if count > ITEMS_MAX {
-        let message = format!("{count} public items, at most {ITEMS_MAX}: hide what users of the estimation do not need");
+        let message =
+            format!("{count} public items, at most {ITEMS_MAX}: hide what users of the estimation do not need");
         violations.push(Violation::of(ENTRY, "public-surface", message));
     }
     violations

@@ -22,7 +22,8 @@ pub fn keep(folder: &Path) -> Result<()> {
         PathBuf::from(name)
     };
     let free = (1..).map(numbered).find(|path| !path.exists()).context("no name is free")?;
-    std::fs::rename(folder, &free).with_context(|| format!("{}: cannot be moved to {}", folder.display(), free.display()))?;
+    std::fs::rename(folder, &free)
+        .with_context(|| format!("{}: cannot be moved to {}", folder.display(), free.display()))?;
     tracing::info!("the earlier run in {} is kept in {}", folder.display(), free.display());
     Ok(())
 }
